@@ -1,0 +1,179 @@
+"""The few MPI verbs the program speaks, and their one-rank stand-in.
+
+Every verb is collective unless it says otherwise: all ranks call it, in the same order. Arrays travel as buffers;
+only `bcast` pickles, and it is used at set-up alone.
+"""
+
+import logging
+import os
+import sys
+import traceback
+
+import numpy as np
+
+log = logging.getLogger("vgmpi")
+
+
+class Alone:
+    """One rank without MPI: every verb is the identity."""
+
+    rank = 0
+    size = 1
+    mpi = None
+
+    def barrier(self) -> None:
+        pass
+
+    def bcast(self, thing):
+        return thing
+
+    def max(self, values: np.ndarray) -> np.ndarray:
+        """Element-wise maximum over the ranks; exact, so independent of their number."""
+        return values
+
+    def all_rows(self, rows: np.ndarray) -> np.ndarray:
+        """Rows of all ranks one after the other, in rank order, on every rank."""
+        return rows
+
+    def root_rows(self, rows: np.ndarray) -> np.ndarray | None:
+        """As `all_rows`, on rank 0 only; None elsewhere."""
+        return rows
+
+    def before(self, count: int) -> int:
+        """Sum of `count` over the ranks below this one."""
+        return 0
+
+    def total(self, count: int) -> int:
+        """Sum of `count` over all ranks."""
+        return count
+
+    def exchange(self, parts: list[np.ndarray]) -> list[np.ndarray]:
+        """Send parts[r] to rank r; returns what each rank sent here. One dtype and row shape for all parts."""
+        return [parts[0]]
+
+    def post(self, sends, recvs) -> list:
+        """Start non-blocking transfers; `sends` and `recvs` are lists of (rank, contiguous array). Not collective."""
+        assert not sends and not recvs
+        return []
+
+    def wait(self, requests: list) -> None:
+        """Complete transfers started by `post`. Not collective."""
+
+    def abort(self, code: int) -> None:
+        """End all ranks now."""
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+
+
+class Mpi(Alone):
+    """The same verbs over an MPI communicator."""
+
+    def __init__(self, communicator=None):
+        from mpi4py import MPI
+
+        self._MPI = MPI
+        self.mpi = MPI.COMM_WORLD if communicator is None else communicator
+        self.rank = self.mpi.Get_rank()
+        self.size = self.mpi.Get_size()
+
+    def barrier(self):
+        self.mpi.Barrier()
+
+    def bcast(self, thing):
+        return self.mpi.bcast(thing, root=0)
+
+    def max(self, values):
+        out = np.empty_like(values)
+        self.mpi.Allreduce(values, out, self._MPI.MAX)
+        return out
+
+    def _counts(self, rows):
+        mine = np.array([len(rows)], np.int64)
+        counts = np.empty(self.size, np.int64)
+        self.mpi.Allgather(mine, counts)
+        return counts
+
+    def _type(self, rows):
+        """A committed MPI type of one row, so that counts stay below 2^31."""
+        size = int(np.prod(rows.shape[1:], dtype=np.int64)) * rows.dtype.itemsize
+        return self._MPI.BYTE.Create_contiguous(size).Commit()
+
+    def all_rows(self, rows):
+        rows = np.ascontiguousarray(rows)
+        counts = self._counts(rows)
+        out = np.empty((int(counts.sum()), *rows.shape[1:]), rows.dtype)
+        row = self._type(rows)
+        self.mpi.Allgatherv([rows, len(rows), row], [out, counts, _starts(counts), row])
+        row.Free()
+        return out
+
+    def root_rows(self, rows):
+        rows = np.ascontiguousarray(rows)
+        counts = self._counts(rows)
+        row = self._type(rows)
+        if self.rank == 0:
+            out = np.empty((int(counts.sum()), *rows.shape[1:]), rows.dtype)
+            self.mpi.Gatherv([rows, len(rows), row], [out, counts, _starts(counts), row])
+        else:
+            out = None
+            self.mpi.Gatherv([rows, len(rows), row], None)
+        row.Free()
+        return out
+
+    def before(self, count):
+        return int(self._counts(range(count))[: self.rank].sum())
+
+    def total(self, count):
+        return int(self._counts(range(count)).sum())
+
+    def exchange(self, parts):
+        sent = np.array([len(p) for p in parts], np.int64)
+        got = np.empty(self.size, np.int64)
+        self.mpi.Alltoall(sent, got)
+        packed = np.ascontiguousarray(np.concatenate(parts))
+        out = np.empty((int(got.sum()), *packed.shape[1:]), packed.dtype)
+        row = self._type(packed)
+        self.mpi.Alltoallv([packed, sent, _starts(sent), row], [out, got, _starts(got), row])
+        row.Free()
+        return np.split(out, np.cumsum(got)[:-1])
+
+    def post(self, sends, recvs):
+        requests = [self.mpi.Irecv(buffer, source=r) for r, buffer in recvs]
+        return requests + [self.mpi.Isend(buffer, dest=r) for r, buffer in sends]
+
+    def wait(self, requests):
+        self._MPI.Request.Waitall(requests)
+
+    def abort(self, code):
+        sys.stdout.flush()
+        sys.stderr.flush()
+        self.mpi.Abort(code)
+
+
+def _starts(counts: np.ndarray) -> np.ndarray:
+    return np.concatenate([[0], np.cumsum(counts)[:-1]])
+
+
+def world() -> Alone:
+    """The ranks of this run: MPI where there is an MPI library, otherwise one rank with a one-line notice.
+
+    Installs an excepthook on more than one rank: an exception on one ends all, with its rank named.
+    """
+    try:
+        ranks = Mpi()
+    except (ImportError, RuntimeError) as error:
+        log.warning("no MPI library found (%s): running on one rank", str(error).splitlines()[0])
+        return Alone()
+    if ranks.size > 1:
+        sys.excepthook = _abort_all(ranks)
+    return ranks
+
+
+def _abort_all(ranks: Alone):
+    def hook(kind, error, trace):
+        text = "".join(traceback.format_exception(kind, error, trace))
+        sys.stderr.write(f"vgmpi: rank {ranks.rank} of {ranks.size} failed; all ranks end\n{text}")
+        ranks.abort(1)
+
+    return hook
