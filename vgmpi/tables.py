@@ -1,0 +1,158 @@
+"""Typed tables: quantities with units, a base model that refuses unknown keys, and the error a user sees.
+
+A field is declared `density: Annotated[float, Quantity("kg/m3", gt=0)] = 1000.0`; in the scene file it is a number in
+SI or a text such as "1 g/cm3". Inside the program there is only SI.
+"""
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict
+from pydantic_core import core_schema
+
+_BASE = ("m", "kg", "s", "K", "rad")
+_UNITS: dict[str, tuple[float, tuple[int, ...]]] = {
+    "1": (1.0, (0, 0, 0, 0, 0)),
+    "%": (1e-2, (0, 0, 0, 0, 0)),
+    "m": (1.0, (1, 0, 0, 0, 0)),
+    "km": (1e3, (1, 0, 0, 0, 0)),
+    "cm": (1e-2, (1, 0, 0, 0, 0)),
+    "mm": (1e-3, (1, 0, 0, 0, 0)),
+    "um": (1e-6, (1, 0, 0, 0, 0)),
+    "l": (1e-3, (3, 0, 0, 0, 0)),
+    "kg": (1.0, (0, 1, 0, 0, 0)),
+    "g": (1e-3, (0, 1, 0, 0, 0)),
+    "t": (1e3, (0, 1, 0, 0, 0)),
+    "s": (1.0, (0, 0, 1, 0, 0)),
+    "ms": (1e-3, (0, 0, 1, 0, 0)),
+    "us": (1e-6, (0, 0, 1, 0, 0)),
+    "min": (60.0, (0, 0, 1, 0, 0)),
+    "h": (3600.0, (0, 0, 1, 0, 0)),
+    "Hz": (1.0, (0, 0, -1, 0, 0)),
+    "rpm": (2 * math.pi / 60, (0, 0, -1, 0, 1)),
+    "N": (1.0, (1, 1, -2, 0, 0)),
+    "kN": (1e3, (1, 1, -2, 0, 0)),
+    "Pa": (1.0, (-1, 1, -2, 0, 0)),
+    "kPa": (1e3, (-1, 1, -2, 0, 0)),
+    "MPa": (1e6, (-1, 1, -2, 0, 0)),
+    "GPa": (1e9, (-1, 1, -2, 0, 0)),
+    "mPa": (1e-3, (-1, 1, -2, 0, 0)),
+    "bar": (1e5, (-1, 1, -2, 0, 0)),
+    "J": (1.0, (2, 1, -2, 0, 0)),
+    "W": (1.0, (2, 1, -3, 0, 0)),
+    "K": (1.0, (0, 0, 0, 1, 0)),
+    "rad": (1.0, (0, 0, 0, 0, 1)),
+    "deg": (math.pi / 180, (0, 0, 0, 0, 1)),
+}
+_FACTOR = re.compile(r"(%|1|[A-Za-z]+)(?:\^?(-?\d))?")
+_TEXT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
+
+
+def unit(text: str) -> tuple[float, tuple[int, ...]]:
+    """SI factor and exponents of (m, kg, s, K, rad) of a unit such as "kg/m3" or "Pa s".
+
+    Raises ValueError where a part is not a unit.
+    """
+    factor, powers = 1.0, [0] * len(_BASE)
+    for k, side in enumerate(text.split("/")):
+        for part in re.split(r"[\s*]+", side.strip().strip("()")):
+            match = _FACTOR.fullmatch(part)
+            if not match or match[1] not in _UNITS:
+                raise ValueError(f"'{part or text}' is not a unit known here")
+            power = int(match[2] or 1) * (1 if k == 0 else -1)
+            scale, base = _UNITS[match[1]]
+            factor *= scale**power
+            powers = [p + power * b for p, b in zip(powers, base, strict=True)]
+    return factor, tuple(powers)
+
+
+def same_units(si: str) -> list[str]:
+    """Short names of the units that measure the same thing as `si`, for messages and documentation."""
+    named = [name for name, (_, powers) in _UNITS.items() if powers == unit(si)[1] and name != "1"]
+    extra = {
+        "m/s": ["cm/s", "km/h"],
+        "kg/m3": ["g/cm3", "t/m3"],
+        "m/s2": ["cm/s2"],
+        "Pa s": ["mPa s"],
+    }
+    extra |= {"rad/s": ["deg/s"], "m2/s": ["cm2/s"]}
+    found = named + extra.get(si, [])
+    return found if si in found or si == "1" else [si, *found]
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """Marks a float field as a quantity measured in `unit` (SI), with bounds given in that unit.
+
+    Accepts a number (SI) or a text with any unit of the same dimension; always yields a finite float in SI.
+    """
+
+    unit: str
+    gt: float | None = None
+    ge: float | None = None
+    lt: float | None = None
+    le: float | None = None
+
+    def parse(self, value: Any) -> float:
+        """SI value of what stands in the scene; raises ValueError that says what is allowed."""
+        number = self._number(value)
+        bad = (
+            not math.isfinite(number)
+            or (self.gt is not None and not number > self.gt)
+            or (self.ge is not None and not number >= self.ge)
+            or (self.lt is not None and not number < self.lt)
+            or (self.le is not None and not number <= self.le)
+        )
+        if bad:
+            raise ValueError(f"must be {self.allowed()}")
+        return number
+
+    def allowed(self) -> str:
+        """The bounds in words, e.g. "> 0 kg/m3"; "a finite number [m]" without bounds."""
+        signs = ((">", self.gt), (">=", self.ge), ("<", self.lt), ("<=", self.le))
+        name = "" if self.unit == "1" else f" {self.unit}"
+        said = [f"{sign} {bound:g}{name}" for sign, bound in signs if bound is not None]
+        return " and ".join(said) or ("a finite number" + (f" [{self.unit}]" if name else ""))
+
+    def _number(self, value: Any) -> float:
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            return float(value)
+        units = same_units(self.unit)
+        like = f" or a text such as '2 {units[0]}' (units: {', '.join(units)})" if units else ""
+        hint = f"expected a number{'' if self.unit == '1' else f' [{self.unit}]'}{like}"
+        match = _TEXT.fullmatch(value) if isinstance(value, str) else None
+        if not match:
+            raise ValueError(hint)
+        try:
+            factor, powers = unit(match[2] or "1")
+        except ValueError as error:
+            raise ValueError(f"{error}; {hint}") from None
+        if powers != unit(self.unit)[1]:
+            said = f"'{match[2]}' does not measure this" if match[2] else "the text has no unit"
+            raise ValueError(f"{said}; {hint}")
+        return float(match[1]) * factor
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> core_schema.CoreSchema:
+        return core_schema.no_info_plain_validator_function(self.parse)
+
+
+Length = Annotated[float, Quantity("m")]
+Positive = Annotated[float, Quantity("m", gt=0)]
+Share = Annotated[float, Quantity("1", ge=0, le=1)]
+Point = tuple[Length, Length, Length]
+
+
+class Table(BaseModel):
+    """Base of everything read from a scene: unknown keys are errors, values never change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class SceneError(ValueError):
+    """What is wrong with a scene: `lines`, one finished sentence per error."""
+
+    def __init__(self, lines: list[str]):
+        super().__init__("\n".join(lines))
+        self.lines = lines
