@@ -1,0 +1,267 @@
+"""Read and write Gaussian .ply files: the plain layout and SuperSplat's compressed one.
+
+The header is checked against the file's size before anything is allocated, so a broken or hostile
+file costs one line and no memory. Lengths keep the units of the file.
+"""
+
+import logging
+import os
+from pathlib import Path
+
+import numpy as np
+
+from vgmpi.gaussians.cloud import Cloud
+from vgmpi.gaussians.sh import dc_from_rgb
+
+log = logging.getLogger("vgmpi")
+
+_TYPES = {
+    **dict.fromkeys(("char", "int8"), "i1"),
+    **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("short", "int16"), "i2"),
+    **dict.fromkeys(("ushort", "uint16"), "u2"),
+    **dict.fromkeys(("int", "int32"), "i4"),
+    **dict.fromkeys(("uint", "uint32"), "u4"),
+    **dict.fromkeys(("float", "float32"), "f4"),
+    **dict.fromkeys(("double", "float64"), "f8"),
+}
+_HEADER_LIMIT = 1 << 16  # bytes; a Gaussian file's header is about 2 KB
+_REST = {0: 1, 9: 4, 24: 9, 45: 16}  # number of f_rest properties -> SH coefficients per channel
+_PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+_CHUNK_ROWS = 256  # Gaussians that share one row of bounds in a compressed file
+_BROKEN_LIMIT = 0.01  # share of unusable rows (NaN, no rotation) that is dropped with a warning
+
+
+class GaussianFileError(ValueError):
+    """A file that is no readable Gaussian .ply; the message is one line and names the file."""
+
+
+def read(path: str | Path) -> Cloud:
+    """The Gaussians of a .ply file, activated (opacity in 0..1, linear scales, unit quaternions).
+
+    Raises GaussianFileError.
+    """
+    try:
+        elements = _read_elements(Path(path))
+        if "vertex" not in elements:
+            raise GaussianFileError("has no element 'vertex'")
+        names = elements["vertex"].dtype.names or ()
+        packed = "chunk" in elements or any(name in names for name in _PACKED)
+        with np.errstate(all="ignore"):  # hostile numbers are found and counted in _usable
+            return _usable(*(_compressed(elements) if packed else _plain(elements["vertex"])))
+    except GaussianFileError as error:
+        raise GaussianFileError(f"{path}: {error}") from None
+    except OSError as error:
+        raise GaussianFileError(f"{path}: {error.strerror or error}") from None
+
+
+def write(path: str | Path, cloud: Cloud) -> None:
+    """Write `cloud` in the plain layout (float32, little-endian), replacing the file at once."""
+    n, k = len(cloud), cloud.sh.shape[1]
+    rest = [f"f_rest_{i}" for i in range(3 * (k - 1))]
+    names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *rest, "opacity"]
+    names += ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+    opacity = np.clip(cloud.opacity, 1e-7, 1 - 1e-7)  # 0 and 1 have no finite logit
+    columns = [
+        cloud.x,
+        np.zeros((n, 3)),
+        cloud.sh[:, 0],
+        cloud.sh[:, 1:].transpose(0, 2, 1).reshape(n, -1),
+        np.log(opacity / (1 - opacity))[:, None],
+        np.log(np.maximum(cloud.scale, 1e-30)),
+        cloud.quat,
+    ]
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {n}"]
+    header += [f"property float {name}" for name in names] + ["end_header", ""]
+    temporary = Path(f"{path}.part")
+    with open(temporary, "wb") as file:
+        file.write("\n".join(header).encode("ascii"))
+        file.write(np.concatenate(columns, axis=1).astype("<f4").tobytes())
+    os.replace(temporary, path)
+
+
+def _read_elements(path: Path) -> dict[str, np.ndarray]:
+    """Structured arrays of all elements, by name."""
+    with open(path, "rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        head = file.read(_HEADER_LIMIT)
+        lines, start = _header_lines(head)
+        layout = _layout(lines)
+        end = start
+        for name, count, row in layout:
+            end += count * row.itemsize
+            if end > size:
+                raise GaussianFileError(
+                    f"the header promises {count:,} rows of '{name}', the file is too short"
+                    f" ({size:,} bytes): truncated?"
+                )
+        file.seek(start)
+        return {name: np.fromfile(file, dtype=row, count=count) for name, count, row in layout}
+
+
+def _header_lines(head: bytes) -> tuple[list[str], int]:
+    """Lines of the header after the first, and the offset of the data."""
+    if not head.startswith((b"ply\n", b"ply\r\n")):
+        raise GaussianFileError("is not a .ply file (it does not begin with 'ply')")
+    for mark in (b"\nend_header\n", b"\nend_header\r\n"):
+        at = head.find(mark)
+        if at >= 0:
+            text = head[:at].decode("ascii", errors="replace")
+            return [line.strip() for line in text.splitlines()[1:]], at + len(mark)
+    raise GaussianFileError(f"the header has no end within {_HEADER_LIMIT // 1024} KB")
+
+
+def _layout(lines: list[str]) -> list[tuple[str, int, np.dtype]]:
+    """Name, number of rows and row type of each element."""
+    order = None
+    elements: list[tuple[str, int, list[tuple[str, str]]]] = []
+    for line in lines:
+        words = line.split()
+        if not words or words[0] in ("comment", "obj_info"):
+            continue
+        if words[0] == "format":
+            if words[1:2] not in (["binary_little_endian"], ["binary_big_endian"]):
+                raise GaussianFileError(f"has the {' '.join(words)!r}: allowed are the binary ones")
+            order = "<" if words[1] == "binary_little_endian" else ">"
+        elif words[0] == "element" and len(words) == 3:
+            if not words[2].isdecimal() or len(words[2]) > 15:
+                raise GaussianFileError(f"has the bad number of rows in {line!r}")
+            elements.append((words[1], int(words[2]), []))
+        elif words[0] == "property" and elements and words[1:2] == ["list"]:
+            raise GaussianFileError(
+                f"has lists in element '{elements[-1][0]}': a mesh? Gaussian files have none"
+            )
+        elif words[0] == "property" and elements and len(words) == 3 and words[1] in _TYPES:
+            elements[-1][2].append((words[2], _TYPES[words[1]]))
+        else:
+            raise GaussianFileError(f"has the unreadable header line {line[:60]!r}")
+    if order is None:
+        raise GaussianFileError("has no 'format' line")
+    layout = []
+    for name, count, properties in elements:
+        if not properties or len({p for p, _ in properties}) < len(properties):
+            raise GaussianFileError(f"has no or repeated properties in element '{name}'")
+        layout.append((name, count, np.dtype([(p, order + kind) for p, kind in properties])))
+    if len({name for name, _, _ in layout}) < len(layout):
+        raise GaussianFileError("names an element twice")
+    return layout
+
+
+def _columns(rows: np.ndarray, names: list[str]) -> np.ndarray:
+    """The named properties as float64 columns (n, len(names))."""
+    missing = [name for name in names if name not in rows.dtype.names]
+    if missing:
+        raise GaussianFileError(f"has no property {', '.join(missing)}: not a cloud of Gaussians?")
+    return np.stack([rows[name].astype(np.float64) for name in names], axis=1)
+
+
+def _rest(rows: np.ndarray | None) -> np.ndarray | None:
+    """The properties f_rest_* as stored (n, 3 (K - 1)), or None."""
+    if rows is None:
+        return None
+    count = sum(name.startswith("f_rest_") for name in rows.dtype.names)
+    if count not in _REST:
+        raise GaussianFileError(f"has {count} f_rest properties: allowed are 0, 9, 24 or 45")
+    return _columns(rows, [f"f_rest_{i}" for i in range(count)]) if count else None
+
+
+def _coefficients(dc: np.ndarray, rest: np.ndarray | None) -> np.ndarray:
+    """SH coefficients (n, K, 3) of the constant part (n, 3) and of the channel-major rest."""
+    if rest is None:
+        return dc[:, None, :]
+    return np.concatenate([dc[:, None, :], rest.reshape(len(dc), 3, -1).transpose(0, 2, 1)], axis=1)
+
+
+def _plain(rows: np.ndarray) -> tuple[np.ndarray, ...]:
+    """x, quat, scale, opacity, sh of the plain layout (logit opacity, log scales)."""
+    x = _columns(rows, ["x", "y", "z"])
+    quat = _columns(rows, [f"rot_{i}" for i in range(4)])
+    scale = np.exp(_columns(rows, [f"scale_{i}" for i in range(3)]))
+    opacity = 1 / (1 + np.exp(-_columns(rows, ["opacity"])[:, 0]))
+    dc = _columns(rows, [f"f_dc_{i}" for i in range(3)])
+    return x, quat, scale, opacity, _coefficients(dc, _rest(rows))
+
+
+def _compressed(elements: dict[str, np.ndarray]) -> tuple[np.ndarray, ...]:
+    """x, quat, scale, opacity, sh of SuperSplat's layout: 16 bytes each, bounds per 256."""
+    rows, chunks = elements["vertex"], elements.get("chunk")
+    if chunks is None or len(chunks) != -(-len(rows) // _CHUNK_ROWS):
+        raise GaussianFileError(
+            f"has {0 if chunks is None else len(chunks):,} chunks for {len(rows):,} Gaussians,"
+            f" expected one per {_CHUNK_ROWS}"
+        )
+    for name in _PACKED:
+        if name not in rows.dtype.names or rows.dtype[name].kind != "u" or rows[name].itemsize != 4:
+            raise GaussianFileError(f"has no 32-bit property {name} in element 'vertex'")
+    position, rotation, scale, color = (rows[name] for name in _PACKED)
+    own = np.arange(len(rows)) // _CHUNK_ROWS
+
+    def between(prefix: str, axes: str, t: np.ndarray) -> np.ndarray:
+        low = _columns(chunks, [f"min_{prefix}{axis}" for axis in axes])[own]
+        high = _columns(chunks, [f"max_{prefix}{axis}" for axis in axes])[own]
+        return low * (1 - t) + high * t
+
+    rgba = np.stack([_bits(color, shift, 8) for shift in (24, 16, 8, 0)], axis=1)
+    rgb = rgba[:, :3]
+    if "min_r" in chunks.dtype.names:  # files older than SuperSplat 2 have no bounds for colours
+        rgb = between("", "rgb", rgb)
+    shared = elements.get("sh")
+    if shared is not None and len(shared) != len(rows):
+        raise GaussianFileError(f"has {len(shared):,} rows of 'sh' for {len(rows):,} Gaussians")
+    rest = _rest(shared)
+    if rest is not None:  # bytes over -4..4; 0 and 255 stand for the ends themselves
+        unit = np.where(rest == 0, 0.0, np.where(rest == 255, 1.0, (rest + 0.5) / 256))
+        rest = (unit - 0.5) * 8
+    return (
+        between("", "xyz", _three(position)),
+        _rotation(rotation),
+        np.exp(between("scale_", "xyz", _three(scale))),
+        rgba[:, 3],
+        _coefficients(dc_from_rgb(rgb), rest),
+    )
+
+
+def _bits(word: np.ndarray, shift: int, width: int) -> np.ndarray:
+    """A bit field as a number in 0..1."""
+    top = (1 << width) - 1
+    return ((word >> np.uint32(shift)) & np.uint32(top)) / float(top)
+
+
+def _three(word: np.ndarray) -> np.ndarray:
+    """Three numbers in 0..1 packed as 11, 10 and 11 bits (n, 3)."""
+    return np.stack([_bits(word, 21, 11), _bits(word, 11, 10), _bits(word, 0, 11)], axis=1)
+
+
+def _rotation(word: np.ndarray) -> np.ndarray:
+    """Quaternions w, x, y, z from: which is the largest (2 bits), the others (10 bits each)."""
+    others = np.stack([_bits(word, shift, 10) for shift in (20, 10, 0)], axis=1)
+    others = (others - 0.5) * np.sqrt(2)
+    largest = np.sqrt(np.maximum(0.0, 1 - (others**2).sum(axis=1)))
+    which = (word >> np.uint32(30)).astype(int)
+    quat = np.empty((len(word), 4))
+    for at in range(4):
+        mask = which == at
+        quat[mask] = np.insert(others[mask], at, largest[mask], axis=1)
+    return quat
+
+
+def _usable(x, quat, scale, opacity, sh) -> Cloud:
+    """A Cloud of the rows that make sense; an error if more than a stray few do not."""
+    n = len(x)
+    if n == 0:
+        raise GaussianFileError("holds no Gaussians")
+    length = np.linalg.norm(quat, axis=1)
+    sh = sh.astype(np.float32)
+    good = (length > 1e-8) & np.isfinite(length) & np.isfinite(opacity)
+    for value in (x, scale, sh.reshape(n, -1)):
+        good &= np.isfinite(value).all(axis=1)
+    broken = n - np.count_nonzero(good)
+    if broken > _BROKEN_LIMIT * n:
+        raise GaussianFileError(
+            f"{broken:,} of {n:,} Gaussians are not finite or have no rotation, the first is row"
+            f" {np.argmin(good)}"
+        )
+    if broken:
+        log.warning("%d of %d Gaussians are not finite or have no rotation: dropped", broken, n)
+    quat = quat[good] / length[good, None]
+    return Cloud(x[good], quat, scale[good], np.clip(opacity[good], 0.0, 1.0), sh[good])
