@@ -1,75 +1,79 @@
-"""Typed tables: quantities with units, a base model that refuses unknown keys, and the error a user sees.
+"""Typed tables: quantities with units, a base model that refuses unknown keys, and their errors.
 
-A field is declared `density: Annotated[float, Quantity("kg/m3", gt=0)] = 1000.0`; in the scene file it is a number in
-SI or a text such as "1 g/cm3". Inside the program there is only SI.
+A field is declared `density: Annotated[float, Quantity("kg/m3", gt=0)] = 1000.0`; in the scene
+file it is a number in SI or a text such as "1 g/cm3". Inside the program there is only SI.
 """
 
+import difflib
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Annotated, Any
+from fractions import Fraction
+from typing import Annotated, Any, get_args
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import core_schema
 
 _BASE = ("m", "kg", "s", "K", "rad")
-_UNITS: dict[str, tuple[float, tuple[int, ...]]] = {
-    "1": (1.0, (0, 0, 0, 0, 0)),
-    "%": (1e-2, (0, 0, 0, 0, 0)),
-    "m": (1.0, (1, 0, 0, 0, 0)),
-    "km": (1e3, (1, 0, 0, 0, 0)),
-    "cm": (1e-2, (1, 0, 0, 0, 0)),
-    "mm": (1e-3, (1, 0, 0, 0, 0)),
-    "um": (1e-6, (1, 0, 0, 0, 0)),
-    "l": (1e-3, (3, 0, 0, 0, 0)),
-    "kg": (1.0, (0, 1, 0, 0, 0)),
-    "g": (1e-3, (0, 1, 0, 0, 0)),
-    "t": (1e3, (0, 1, 0, 0, 0)),
-    "s": (1.0, (0, 0, 1, 0, 0)),
-    "ms": (1e-3, (0, 0, 1, 0, 0)),
-    "us": (1e-6, (0, 0, 1, 0, 0)),
-    "min": (60.0, (0, 0, 1, 0, 0)),
-    "h": (3600.0, (0, 0, 1, 0, 0)),
-    "Hz": (1.0, (0, 0, -1, 0, 0)),
+_UNITS: dict[str, tuple[str | float, tuple[int, ...]]] = {
+    "1": ("1", (0, 0, 0, 0, 0)),
+    "%": ("0.01", (0, 0, 0, 0, 0)),
+    "m": ("1", (1, 0, 0, 0, 0)),
+    "km": ("1000", (1, 0, 0, 0, 0)),
+    "cm": ("0.01", (1, 0, 0, 0, 0)),
+    "mm": ("0.001", (1, 0, 0, 0, 0)),
+    "um": ("1e-06", (1, 0, 0, 0, 0)),
+    "l": ("0.001", (3, 0, 0, 0, 0)),
+    "kg": ("1", (0, 1, 0, 0, 0)),
+    "g": ("0.001", (0, 1, 0, 0, 0)),
+    "t": ("1000", (0, 1, 0, 0, 0)),
+    "s": ("1", (0, 0, 1, 0, 0)),
+    "ms": ("0.001", (0, 0, 1, 0, 0)),
+    "us": ("1e-06", (0, 0, 1, 0, 0)),
+    "min": ("60", (0, 0, 1, 0, 0)),
+    "h": ("3600", (0, 0, 1, 0, 0)),
+    "Hz": ("1", (0, 0, -1, 0, 0)),
     "rpm": (2 * math.pi / 60, (0, 0, -1, 0, 1)),
-    "N": (1.0, (1, 1, -2, 0, 0)),
-    "kN": (1e3, (1, 1, -2, 0, 0)),
-    "Pa": (1.0, (-1, 1, -2, 0, 0)),
-    "kPa": (1e3, (-1, 1, -2, 0, 0)),
-    "MPa": (1e6, (-1, 1, -2, 0, 0)),
-    "GPa": (1e9, (-1, 1, -2, 0, 0)),
-    "mPa": (1e-3, (-1, 1, -2, 0, 0)),
-    "bar": (1e5, (-1, 1, -2, 0, 0)),
-    "J": (1.0, (2, 1, -2, 0, 0)),
-    "W": (1.0, (2, 1, -3, 0, 0)),
-    "K": (1.0, (0, 0, 0, 1, 0)),
-    "rad": (1.0, (0, 0, 0, 0, 1)),
+    "N": ("1", (1, 1, -2, 0, 0)),
+    "kN": ("1000", (1, 1, -2, 0, 0)),
+    "Pa": ("1", (-1, 1, -2, 0, 0)),
+    "kPa": ("1000", (-1, 1, -2, 0, 0)),
+    "MPa": ("1e+06", (-1, 1, -2, 0, 0)),
+    "GPa": ("1e+09", (-1, 1, -2, 0, 0)),
+    "mPa": ("0.001", (-1, 1, -2, 0, 0)),
+    "bar": ("100000", (-1, 1, -2, 0, 0)),
+    "J": ("1", (2, 1, -2, 0, 0)),
+    "W": ("1", (2, 1, -3, 0, 0)),
+    "K": ("1", (0, 0, 0, 1, 0)),
+    "rad": ("1", (0, 0, 0, 0, 1)),
     "deg": (math.pi / 180, (0, 0, 0, 0, 1)),
 }
 _FACTOR = re.compile(r"(%|1|[A-Za-z]+)(?:\^?(-?\d))?")
 _TEXT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 
 
-def unit(text: str) -> tuple[float, tuple[int, ...]]:
+def unit(text: str) -> tuple[Fraction, tuple[int, ...]]:
     """SI factor and exponents of (m, kg, s, K, rad) of a unit such as "kg/m3" or "Pa s".
 
-    Raises ValueError where a part is not a unit.
+    "" has no unit. The factor is a fraction, so that "7 cm" becomes the float nearest to 0.07 and
+    not its neighbour. Raises ValueError where a part is not a unit.
     """
-    factor, powers = 1.0, [0] * len(_BASE)
-    for k, side in enumerate(text.split("/")):
+    factor, powers = Fraction(1), [0] * len(_BASE)
+    for k, side in enumerate((text or "1").split("/")):
         for part in re.split(r"[\s*]+", side.strip().strip("()")):
             match = _FACTOR.fullmatch(part)
             if not match or match[1] not in _UNITS:
                 raise ValueError(f"'{part or text}' is not a unit known here")
             power = int(match[2] or 1) * (1 if k == 0 else -1)
             scale, base = _UNITS[match[1]]
-            factor *= scale**power
+            factor *= Fraction(scale) ** power
             powers = [p + power * b for p, b in zip(powers, base, strict=True)]
     return factor, tuple(powers)
 
 
 def same_units(si: str) -> list[str]:
-    """Short names of the units that measure the same thing as `si`, for messages and documentation."""
+    """Names of units that measure the same thing as `si`, for messages and documentation."""
     named = [name for name, (_, powers) in _UNITS.items() if powers == unit(si)[1] and name != "1"]
     extra = {
         "m/s": ["cm/s", "km/h"],
@@ -79,14 +83,15 @@ def same_units(si: str) -> list[str]:
     }
     extra |= {"rad/s": ["deg/s"], "m2/s": ["cm2/s"]}
     found = named + extra.get(si, [])
-    return found if si in found or si == "1" else [si, *found]
+    return found if si in (*found, "", "1") else [si, *found]
 
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
     """Marks a float field as a quantity measured in `unit` (SI), with bounds given in that unit.
 
-    Accepts a number (SI) or a text with any unit of the same dimension; always yields a finite float in SI.
+    Accepts a number (SI) or a text with any unit of the same dimension; yields a finite float in
+    SI. The unit "" is a plain number.
     """
 
     unit: str
@@ -112,7 +117,7 @@ class Quantity:
     def allowed(self) -> str:
         """The bounds in words, e.g. "> 0 kg/m3"; "a finite number [m]" without bounds."""
         signs = ((">", self.gt), (">=", self.ge), ("<", self.lt), ("<=", self.le))
-        name = "" if self.unit == "1" else f" {self.unit}"
+        name = "" if self.unit in ("", "1") else f" {self.unit}"
         said = [f"{sign} {bound:g}{name}" for sign, bound in signs if bound is not None]
         return " and ".join(said) or ("a finite number" + (f" [{self.unit}]" if name else ""))
 
@@ -121,7 +126,7 @@ class Quantity:
             return float(value)
         units = same_units(self.unit)
         like = f" or a text such as '2 {units[0]}' (units: {', '.join(units)})" if units else ""
-        hint = f"expected a number{'' if self.unit == '1' else f' [{self.unit}]'}{like}"
+        hint = f"expected a number{'' if self.unit in ('', '1') else f' [{self.unit}]'}{like}"
         match = _TEXT.fullmatch(value) if isinstance(value, str) else None
         if not match:
             raise ValueError(hint)
@@ -132,7 +137,9 @@ class Quantity:
         if powers != unit(self.unit)[1]:
             said = f"'{match[2]}' does not measure this" if match[2] else "the text has no unit"
             raise ValueError(f"{said}; {hint}")
-        return float(match[1]) * factor
+        if not 1e-300 < abs(float(match[1])) < 1e300:  # no huge integers out of "1e999999999 m"
+            return float(match[1])
+        return float(Fraction(match[1]) * factor)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> core_schema.CoreSchema:
         return core_schema.no_info_plain_validator_function(self.parse)
@@ -145,9 +152,12 @@ Point = tuple[Length, Length, Length]
 
 
 class Table(BaseModel):
-    """Base of everything read from a scene: unknown keys are errors, values never change."""
+    """Base of everything read from a scene: unknown keys are errors, values never change.
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    The text under a field says what it means; docs/scene.md is made of these texts.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
 
 class SceneError(ValueError):
@@ -156,3 +166,66 @@ class SceneError(ValueError):
     def __init__(self, lines: list[str]):
         super().__init__("\n".join(lines))
         self.lines = lines
+
+
+def explain(error: ValidationError, table: type[BaseModel]) -> list[tuple[tuple, str]]:
+    """(path of the key, what is wrong with it) for every error pydantic found in a `table`."""
+    return [_explain(dict(item), table) for item in error.errors(include_url=False)]
+
+
+def nearest(word: object, known: Iterable[str]) -> str:
+    """ " (did you mean 'x'?)" where a known word is close to this one, else nothing."""
+    near = difflib.get_close_matches(str(word).lower(), list(known), 1)
+    return f" (did you mean '{near[0]}'?)" if near else ""
+
+
+def got(value: object) -> str:
+    """The value as the user wrote it, short."""
+    shown = str(value).lower() if isinstance(value, bool) else repr(value)
+    return f"got {shown if len(shown) <= 60 else shown[:57] + '...'}"
+
+
+def _explain(item: dict, table: type[BaseModel]) -> tuple[tuple, str]:
+    path, kind, value = tuple(item["loc"]), item["type"], item.get("input")
+    if kind == "extra_forbidden":
+        holder = table_at(table, path[:-1])
+        known = list(holder.model_fields) if holder else []
+        return path, f"unknown key{nearest(path[-1], known)}; known here: {', '.join(known)}"
+    if kind == "missing" and isinstance(path[-1], int):
+        return path[:-1], f"has too few values; {got(value)}"
+    if kind == "missing":
+        holder = table_at(table, path[:-1])
+        field = holder.model_fields.get(path[-1]) if holder else None
+        return path, "required key is missing" + (
+            f": {field.description}" if field and field.description else ""
+        )
+    if kind == "literal_error":
+        known = [str(word).lower() for word in _literals(item["ctx"]["expected"])]
+        return path, f"must be one of {', '.join(known)}{nearest(value, known)}; {got(value)}"
+    if kind in ("model_type", "dict_type", "model_attributes_type"):
+        return path, f"must be a table of keys; {got(value)}"
+    said = item["msg"].removeprefix("Value error, ").replace("Input should", "must")
+    return path, f"{said[:1].lower()}{said[1:]}; {got(value)}"
+
+
+def _literals(expected: str) -> list[str]:
+    words = re.findall(r"'[^']*'|[^\s,']+", expected.replace(" or ", ", "))
+    return [word.strip("'") for word in words]
+
+
+def table_at(table: type[BaseModel], path: tuple) -> type[BaseModel] | None:
+    """The table class found by following `path` from `table`; None where that leaves the tables."""
+    here: Any = table
+    for part in path:
+        if isinstance(part, int):
+            continue
+        field = here.model_fields.get(part) if here else None
+        here = tables_in(field.annotation) if field else None
+    return here
+
+
+def tables_in(annotation: Any) -> type[BaseModel] | None:
+    """The table class inside an annotation such as `tuple[Shape, ...] | None`."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next(filter(None, map(tables_in, get_args(annotation))), None)

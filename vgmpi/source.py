@@ -1,0 +1,214 @@
+"""A TOML text with the line of every key, and what `--set key=value` replaces in it."""
+
+import re
+import tomllib
+from bisect import bisect_right
+from pathlib import Path
+
+from vgmpi.tables import SceneError
+
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
+_SPACE = re.compile(r"(?:[ \t\r\n]+|#[^\n]*)*")
+_BASIC = re.compile(r'"(?:[^"\\\n]|\\.)*"')
+_LITERAL = re.compile(r"'[^'\n]*'")
+_LONG = re.compile(r'"""(?:[^\\]|\\.)*?"{3,5}(?!")' + r"|'''.*?'{3,5}(?!')", re.DOTALL)
+_SCALAR = re.compile(r"[^,\]}\n#]*")
+
+
+class Source:
+    """The data of a scene file and where each piece of it was written.
+
+    `text`: the file's text, `data`: nested dicts and lists with the overrides applied, `folder`:
+    where the file lies.
+    """
+
+    def __init__(self, path: str | Path, overrides: tuple[str, ...] | list[str] = ()):
+        """Raises SceneError where the file cannot be read, is not TOML or cannot be overridden."""
+        self.path = Path(path)
+        self.folder = self.path.resolve().parent
+        try:
+            self.text = self.path.read_bytes().decode()
+            self.data = tomllib.loads(self.text)
+        except OSError as error:
+            raise SceneError([f"{path}: {error.strerror or error}"]) from None
+        except UnicodeDecodeError as error:
+            raise SceneError([f"{path}: not UTF-8 text (byte {error.start})"]) from None
+        except tomllib.TOMLDecodeError as error:
+            raise SceneError([_syntax(str(path), self.text, str(error))]) from None
+        except RecursionError:
+            raise SceneError([f"{path}: not valid TOML: nested too deeply"]) from None
+        self._line = key_lines(self.text)
+        self._set: dict[tuple, str] = {}
+        bad = [said for item in overrides if (said := self._override(item))]
+        if bad:
+            raise SceneError(bad)
+
+    def place(self, path: tuple) -> tuple[int, str]:
+        """(line for sorting, "file:line" or "--set key=value") of a key, or of what holds it."""
+        for stop in range(len(path), 0, -1):
+            if path[:stop] in self._set:
+                return 10**9, f"--set {self._set[path[:stop]]}"
+            if path[:stop] in self._line:
+                line = self._line[path[:stop]]
+                return line, f"{self.path}:{line}"
+        return 1, f"{self.path}:1"
+
+    def overridden(self, path: tuple) -> bool:
+        """Whether the value of this key came from the command line."""
+        return any(path[:stop] in self._set for stop in range(1, len(path) + 1))
+
+    def _override(self, item: str) -> str:
+        """Apply one "key=value"; returns what is wrong with it, or nothing."""
+        key, sign, text = item.partition("=")
+        parts = [part.strip().strip("\"'") for part in key.split(".")]
+        if not sign or not all(parts):
+            return f"--set {item}: expected key=value, for example domain.cell='1 cm'"
+        here: dict | list = self.data
+        path: tuple = ()
+        for k, part in enumerate(parts):
+            name = part if isinstance(here, dict) else _index(here, part)
+            if name is None:
+                known = [str(x.get("name", i)) for i, x in enumerate(here) if isinstance(x, dict)]
+                has = ", ".join(known) or f"{len(here)} items"
+                return f"--set {item}: {'.'.join(parts[:k])} has no item '{part}'; it has {has}"
+            path += (name,)
+            if k == len(parts) - 1:
+                here[name] = _value(text)  # type: ignore[index]
+                break
+            if isinstance(here, dict):
+                here.setdefault(name, {})
+            here = here[name]  # type: ignore[index]
+            if not isinstance(here, dict | list):
+                return f"--set {item}: {'.'.join(parts[: k + 1])} is not a table"
+        self._set = {p: said for p, said in self._set.items() if p[: len(path)] != path}
+        self._set[path] = item
+        return ""
+
+
+def key_lines(text: str) -> dict[tuple, int]:
+    """Line (from 1) of every table, key and array item of a valid TOML text.
+
+    Keyed by the path of names and indices that leads to it in the parsed data.
+    """
+    scan = _Scan(text)
+    scan.document()
+    return scan.line
+
+
+class _Scan:
+    """One pass over a text already known to be valid TOML."""
+
+    def __init__(self, text: str):
+        self.text, self.at = text, 0
+        self.breaks = [m.start() for m in re.finditer("\n", text)]
+        self.line: dict[tuple, int] = {}
+        self.last: dict[tuple, int] = {}  # index of the newest item of each array of tables
+
+    def document(self) -> None:
+        table: tuple = ()
+        while self.skip() < len(self.text):
+            if self.text[self.at] == "[":
+                table = self.header()
+            else:
+                self.pair(table)
+
+    def header(self) -> tuple:
+        start, double = self.at, self.text.startswith("[[", self.at)
+        self.at += 2 if double else 1
+        parts = self.key()
+        self.at += 2 if double else 1
+        path: tuple = ()
+        for k, part in enumerate(parts):
+            path += (part,)
+            if double and k == len(parts) - 1:
+                self.last[path] = self.last.get(path, -1) + 1
+            if path in self.last:
+                self.mark(path, start)
+                path += (self.last[path],)
+            self.mark(path, start)
+        return path
+
+    def pair(self, table: tuple) -> None:
+        start, path = self.at, table
+        for part in self.key():
+            path += (part,)
+            self.mark(path, start)
+        self.at += 1  # the sign =
+        self.value(path)
+
+    def key(self) -> list[str]:
+        parts = []
+        while True:
+            self.skip()
+            match = (
+                _BASIC.match(self.text, self.at)
+                or _LITERAL.match(self.text, self.at)
+                or _BARE.match(self.text, self.at)
+            )
+            if match is None:
+                raise AssertionError(f"no key at character {self.at} of a valid TOML text")
+            self.at = match.end()
+            parts.append(next(iter(tomllib.loads(f"{match[0]} = 0"))))
+            self.skip()
+            if not self.text.startswith(".", self.at):
+                return parts
+            self.at += 1
+
+    def value(self, path: tuple) -> None:
+        self.skip()
+        opening = self.text[self.at]
+        if opening in "[{":
+            self.at += 1
+            self.items(path, "]" if opening == "[" else "}")
+            return
+        match = (
+            _LONG.match(self.text, self.at)
+            or _BASIC.match(self.text, self.at)
+            or _LITERAL.match(self.text, self.at)
+            or _SCALAR.match(self.text, self.at)
+        )
+        self.at = match.end() if match else self.at
+
+    def items(self, path: tuple, closing: str) -> None:
+        count = 0
+        while self.text[self.skip()] != closing:
+            if self.text[self.at] == ",":
+                self.at += 1
+            elif closing == "]":
+                self.mark((*path, count), self.at)
+                self.value((*path, count))
+                count += 1
+            else:
+                self.pair(path)
+        self.at += 1
+
+    def skip(self) -> int:
+        match = _SPACE.match(self.text, self.at)
+        self.at = match.end() if match else self.at
+        return self.at
+
+    def mark(self, path: tuple, at: int) -> None:
+        self.line.setdefault(path, bisect_right(self.breaks, at) + 1)
+
+
+def _syntax(path: str, text: str, said: str) -> str:
+    match = re.search(r"\(at line (\d+), column (\d+)\)", said)
+    line = match[1] if match else str(max(1, len(text.splitlines())))
+    column = f" (column {match[2]})" if match else ""
+    return f"{path}:{line}: not valid TOML: {said.partition(' (at ')[0]}{column}"
+
+
+def _index(items: list, part: str) -> int | None:
+    if part.isdecimal():
+        return int(part) if int(part) < len(items) else None
+    names = [item.get("name") if isinstance(item, dict) else None for item in items]
+    return names.index(part) if part in names else None
+
+
+def _value(text: str):
+    """The TOML value, or the text itself: a shell eats the quotes of "1 cm"."""
+    try:
+        read = tomllib.loads(f"value = {text}")
+    except (tomllib.TOMLDecodeError, RecursionError):
+        return text.strip()
+    return read["value"] if list(read) == ["value"] else text.strip()
