@@ -1,0 +1,26 @@
+"""Contact: phases that touch do not pass through each other; friction may act between them.
+
+Every pair of phases is in contact unless another coupling says otherwise. A fluid slips along everything; between two
+solids the larger of their materials' friction coefficients acts.
+"""
+
+from typing import Annotated, Literal
+
+from ..tables import Quantity, Table
+from .base import coupling
+
+
+@coupling
+class Contact(Table):
+    """Contact of two objects or materials with a friction of its own."""
+
+    between: tuple[str, str]
+    kind: Literal["contact"]
+    friction: Annotated[float, Quantity("", ge=0)]
+
+    @staticmethod
+    def default_friction(a: type, b: type) -> float:
+        """Friction of two materials no coupling names; a and b are material tables."""
+        if "fluid" in (a.family, b.family):
+            return 0.0
+        return max(a.friction, b.friction)

@@ -1,0 +1,34 @@
+"""numba as this package uses it: where compiled code is kept, and one set of compile options.
+
+The cache folder is named by a hash of the package's sources, because numba does not see an edit in another file.
+This module is imported before numba is imported anywhere else; that is what makes the folder count.
+"""
+
+import hashlib
+import os
+import pathlib
+import platform
+from importlib.metadata import version
+
+_PACKAGE = pathlib.Path(__file__).resolve().parent.parent
+_COMPILED = ("device", "materials", "domain", "kernels")
+
+
+def cache_folder() -> pathlib.Path:
+    """The folder of compiled kernels for these sources, this numba and this kind of processor."""
+    seal = hashlib.sha256()
+    for folder in _COMPILED:
+        for path in sorted((_PACKAGE / folder).glob("*.py")):
+            seal.update(path.name.encode() + path.read_bytes())
+    seal.update(f"{version('numba')} {platform.python_version()} {platform.machine()}".encode())
+    root = os.environ.get("XDG_CACHE_HOME") or pathlib.Path.home() / ".cache"
+    return pathlib.Path(root) / "vgmpi" / seal.hexdigest()[:16]
+
+
+os.environ.setdefault("NUMBA_CACHE_DIR", str(cache_folder()))
+
+from numba import njit  # noqa: E402
+
+# no fastmath: the order of every sum is part of the result
+kernel = njit(cache=True, nogil=True, error_model="numpy")
+inline = njit(cache=True, nogil=True, error_model="numpy", inline="never")

@@ -1,0 +1,131 @@
+"""The six walls of the domain, met at nodes.
+
+A stick or slip wall stands on a node plane and mirrors what is inside: the momentum that falls on the ghost nodes beyond
+it is folded back, reflected, onto their mirror nodes, and the ghosts' velocities are read from the mirror. That makes the
+wall second order (a plain clamp at the wall node is first order). Since every particle that touches a ghost node touches
+its mirror node too, both happen inside a patch. A separate wall only pushes; it is a clamp with Coulomb friction.
+
+A patch meets a wall by a code: 4 * (index of the wall's nodes in the patch) + kind; 0 where it meets none.
+"""
+
+import numpy as np
+
+from ..device.jit import inline
+
+STICK, SLIP, SEPARATE = 1, 2, 3
+KINDS = {"stick": STICK, "slip": SLIP, "separate": SEPARATE}
+SIDE = 8
+
+
+def patch_codes(block: np.ndarray, cells: tuple, kinds: np.ndarray) -> np.ndarray:
+    """Wall codes of patches. block: (n, 3) block coordinates; kinds: (3, 2) wall kinds -> (n, 3, 2) int32.
+
+    Block b holds base nodes 4 b - 1 .. 4 b + 2, so its patch begins at node 4 b - 2.
+    """
+    codes = np.zeros((len(block), 3, 2), np.int32)
+    for a in range(3):
+        for side, node in ((0, 0), (1, cells[a])):
+            at = node - (4 * block[:, a] - 2)
+            ghost = at - 1 if side == 0 else at + 1
+            met = (at >= 1) & (at <= 6) & (ghost >= 0) & (ghost <= 7)
+            codes[met, a, side] = 4 * at[met] + kinds[a, side]
+    return codes
+
+
+@inline
+def fold(patch, mirror, as_offset):
+    """Add what lies on the ghost nodes of stick and slip walls to their mirror nodes, reflected.
+
+    as_offset: the patch holds volume and offset, which a wall always reflects as slip does.
+    """
+    for a in range(3):
+        for side in range(2):
+            code = mirror[a, side]
+            kind = code & 3
+            if code == 0 or kind == SEPARATE:
+                continue
+            wall = code >> 2
+            step = 1 if side == 0 else -1
+            for i in range(SIDE):
+                for j in range(SIDE):
+                    if a == 0:
+                        inner, ghost = patch[wall + step, i, j], patch[wall - step, i, j]
+                    elif a == 1:
+                        inner, ghost = patch[i, wall + step, j], patch[i, wall - step, j]
+                    else:
+                        inner, ghost = patch[i, j, wall + step], patch[i, j, wall - step]
+                    for c in range(4):
+                        odd = c == a or (kind == STICK and c < 3 and not as_offset)
+                        inner[c] += -ghost[c] if odd else ghost[c]
+                        ghost[c] = 0
+
+
+@inline
+def reflect(patch, mirror):
+    """Set the velocities of the ghost nodes beyond walls from their mirror nodes."""
+    for a in range(3):
+        for side in range(2):
+            code = mirror[a, side]
+            if code == 0:
+                continue
+            wall = code >> 2
+            kind = code & 3
+            step = 1 if side == 0 else -1
+            for i in range(SIDE):
+                for j in range(SIDE):
+                    if a == 0:
+                        inner, ghost = patch[wall + step, i, j], patch[wall - step, i, j]
+                    elif a == 1:
+                        inner, ghost = patch[i, wall + step, j], patch[i, wall - step, j]
+                    else:
+                        inner, ghost = patch[i, j, wall + step], patch[i, j, wall - step]
+                    for c in range(3):
+                        if kind == STICK or (kind == SLIP and c == a):
+                            ghost[c] = -inner[c]
+                        elif kind == SLIP:
+                            ghost[c] = inner[c]
+                        elif c == a:
+                            # a wall that only pushes: interpolated at the wall the flow must not enter it
+                            ghost[c] = step * max(step * ghost[c], -step * inner[c])
+
+
+@inline
+def constrain(v, i, j, k, cells, kinds, friction):
+    """Velocity v (3,) of domain node (i, j, k) after the walls."""
+    for a in range(3):
+        node = i if a == 0 else (j if a == 1 else k)
+        for side in range(2):
+            kind = kinds[a, side]
+            into = -node if side == 0 else node - cells[a]
+            if into < 0 or (into > 0 and kind != SEPARATE):
+                continue
+            if kind == STICK:
+                v[0] = v[1] = v[2] = 0
+            elif kind == SLIP:
+                v[a] = 0
+            else:
+                push = -v[a] if side == 0 else v[a]
+                if push > 0:
+                    v[a] = 0
+                    slow(v, friction[a, side] * push)
+
+
+@inline
+def slow(v, most):
+    """Reduce the length of v (3,) by at most `most`: Coulomb friction on what is left after the normal part."""
+    size = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    if size > most:
+        keep = (size - most) / size
+    else:
+        keep = 0.0 * most
+    for c in range(3):
+        v[c] *= keep
+
+
+@inline
+def tangential(offset, i, j, k, cells, kinds):
+    """Drop the normal part of a volume offset (4,) at the nodes of a mirroring wall, where its mirror cancels it."""
+    for a in range(3):
+        node = i if a == 0 else (j if a == 1 else k)
+        if (node == 0 and kinds[a, 0] != SEPARATE) or (node == cells[a] and kinds[a, 1] != SEPARATE):
+            offset[a] = 0
