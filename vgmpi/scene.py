@@ -1,0 +1,298 @@
+"""The scene: a TOML file read into typed, checked, frozen tables.
+
+`python -m vgmpi.scene > docs/scene.md` writes the reference of every key from these tables.
+"""
+
+import logging
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from vgmpi import couplings, materials
+from vgmpi.objects import Object, object_complaints
+from vgmpi.settings import MOST_CELLS, Accuracy, Appearance, Domain, Output, Time, Top
+from vgmpi.source import Source
+from vgmpi.tables import SceneError, Table, explain, got, nearest
+
+log = logging.getLogger("vgmpi")
+
+SECTIONS: dict[str, type[Table]] = {
+    "domain": Domain,
+    "time": Time,
+    "appearance": Appearance,
+    "accuracy": Accuracy,
+    "output": Output,
+}
+REQUIRED = ("domain", "time", "material", "object")
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Everything a scene file says, with defaults filled in. SI units.
+
+    `object` and `coupling` are in file order; `folder` is where the file lies; `text` is its text,
+    without the overrides, which `overrides` lists.
+    """
+
+    path: Path
+    folder: Path
+    text: str
+    title: str
+    seed: int
+    domain: Domain
+    time: Time
+    material: dict[str, Any]
+    object: tuple[Object, ...]
+    coupling: tuple[Any, ...] = ()
+    appearance: Appearance = Appearance()
+    accuracy: Accuracy = Accuracy()
+    output: Output = Output()
+    files: dict[str, Path] = field(default_factory=dict)  # of each object that has one, by its name
+    overrides: tuple[str, ...] = ()
+    source: Source | None = field(default=None, repr=False, compare=False)
+
+    def error(self, found: list[tuple[tuple, str]]) -> SceneError:
+        """The error for (path of a key, what is wrong with it), found after loading."""
+        reader = _Reader(self.source or Source(self.path, self.overrides))
+        return SceneError(reader.lines(found))
+
+    def resolved(self) -> dict[str, Any]:
+        """Everything with defaults filled in, as plain JSON values."""
+        tables = {name: getattr(self, name).model_dump(mode="json") for name in SECTIONS}
+        return {
+            "title": self.title,
+            "seed": self.seed,
+            **tables,
+            "material": {k: m.model_dump(mode="json") for k, m in self.material.items()},
+            "object": [o.model_dump(mode="json", exclude_none=True) for o in self.object],
+            "coupling": [c.model_dump(mode="json") for c in self.coupling],
+        }
+
+
+def load(path: str | Path, overrides: list[str] | tuple[str, ...] = ()) -> Scene:
+    """Read a scene file; `overrides` are "key=value" and replace what the file says.
+
+    Raises SceneError with all errors in the order of the file: "file:line: key: what is wrong".
+    """
+    source = Source(path, overrides)
+    return _Reader(source).scene(tuple(overrides))
+
+
+class _Reader:
+    """Collects the errors of all tables of one source before any is raised."""
+
+    def __init__(self, source: Source):
+        self.source = source
+        self.errors: list[tuple[tuple, str]] = []
+
+    def scene(self, overrides: tuple[str, ...]) -> Scene:
+        data = self.source.data
+        known = (*Top.model_fields, *SECTIONS, "material", "object", "coupling")
+        for key in data:
+            if key not in known:
+                self.wrong((key,), f"unknown key{nearest(key, known)}; known: {', '.join(known)}")
+        for key in REQUIRED:
+            if key not in data:
+                header = "[[object]]" if key == "object" else f"[{key}]"
+                header = "[material.name]" if key == "material" else header
+                self.wrong((key,), f"required table {header} is missing")
+        top = self.table(Top, {k: v for k, v in data.items() if k in Top.model_fields}, ())
+        tables = {
+            name: self.table(table, data.get(name, {}), (name,))
+            for name, table in SECTIONS.items()
+            if name in data or name not in REQUIRED
+        }
+        kinds = self.materials(data.get("material", {}))
+        objects = self.objects(data.get("object", []), kinds)
+        pairs = self.couplings(data.get("coupling", []), kinds)
+        if tables.get("domain"):
+            self.whole_cells(tables["domain"])
+        outside = top is not None and top.allow_outside
+        files = {o.name: f for k, o in enumerate(objects) if o and (f := self.file(k, o, outside))}
+        self.finish()
+        return Scene(
+            path=self.source.path,
+            folder=self.source.folder,
+            text=self.source.text,
+            title=top.title,
+            seed=top.seed,
+            material=kinds,
+            object=tuple(objects),
+            coupling=tuple(pairs),
+            files=files,
+            overrides=overrides,
+            source=self.source,
+            **tables,
+        )
+
+    def wrong(self, path: tuple, said: str) -> None:
+        self.errors.append((path, said))
+
+    def finish(self) -> None:
+        if self.errors:
+            raise SceneError(self.lines(self.errors))
+
+    def lines(self, errors: list[tuple[tuple, str]]) -> list[str]:
+        """One line per error, in the order of the file."""
+        placed = []
+        for path, said in errors:
+            line, where = self.source.place(path)
+            placed.append((line, f"{where}: {self.key(path)}: {said}"))
+        placed.sort(key=lambda item: item[0])
+        return list(dict.fromkeys(said for _, said in placed))
+
+    def key(self, path: tuple) -> str:
+        """The path as a user would write it: objects by name where they have one."""
+        parts = [str(part) for part in path]
+        if len(path) > 1 and path[0] == "object":
+            try:
+                name = self.source.data["object"][path[1]]["name"]
+                parts[1] = name if isinstance(name, str) else parts[1]
+            except (KeyError, TypeError, IndexError):
+                pass
+        return ".".join(parts)
+
+    def table(self, table: type[BaseModel], raw: Any, path: tuple) -> Any:
+        """The validated table, or None after its errors are noted."""
+        if not isinstance(raw, dict):
+            self.wrong(path, f"must be a table of keys; {got(raw)}")
+            return None
+        try:
+            return table.model_validate(raw)
+        except ValidationError as error:
+            for inner, said in explain(error, table):
+                self.wrong((*path, *inner), said)
+            return None
+
+    def kind(self, registry: dict[str, type], raw: Any, path: tuple) -> Any:
+        """A table whose class is chosen by its key `kind`."""
+        if not isinstance(raw, dict):
+            return self.wrong(path, f"must be a table of keys; {got(raw)}")
+        if "kind" not in raw:
+            return self.wrong((*path, "kind"), f"required key is missing: {' | '.join(registry)}")
+        cls = registry.get(raw["kind"]) if isinstance(raw["kind"], str) else None
+        if cls is None:
+            allowed = f"must be one of {', '.join(registry)}{nearest(raw['kind'], registry)}"
+            return self.wrong((*path, "kind"), f"{allowed}; {got(raw['kind'])}")
+        return self.table(cls, raw, path)
+
+    def materials(self, raw: Any) -> dict[str, Any]:
+        """Materials by name; None stands for one that has errors, so that its name still counts."""
+        if not isinstance(raw, dict):
+            self.wrong(("material",), "must hold tables: [material.water]")
+            return {}
+        return {n: self.kind(materials.registry, m, ("material", n)) for n, m in raw.items()}
+
+    def objects(self, raw: Any, kinds: dict[str, Any]) -> list[Any]:
+        if not isinstance(raw, list) or not all(isinstance(item, dict) for item in raw):
+            self.wrong(("object",), "must be a list of tables: [[object]]")
+            return []
+        found: list[Any] = []
+        first: dict[str, int] = {}
+        for k, item in enumerate(raw):
+            found.append(self.table(Object, item, ("object", k)))
+            for inner, said in object_complaints(item):
+                self.wrong(("object", k, *inner), said)
+            name = item.get("name")
+            if isinstance(name, str) and first.setdefault(name, k) != k:
+                other = self.source.place(("object", first[name], "name"))[1]
+                self.wrong(("object", k, "name"), f"is taken: {other} has the same name")
+            made_of = item.get("material")
+            if isinstance(made_of, str) and made_of not in kinds:
+                self.unknown_material(("object", k, "material"), made_of, kinds)
+        if not raw:
+            self.wrong(("object",), "there is no object")
+        elif all(item.get("role") == "scenery" for item in raw):
+            self.wrong(("object",), "all objects are scenery: at least one must be a body")
+        self.one_family_per_phase(found, kinds)
+        return found
+
+    def one_family_per_phase(self, objects: list[Any], kinds: dict[str, Any]) -> None:
+        first: dict[str, str] = {}
+        for k, thing in enumerate(objects):
+            made_of = kinds.get(thing.material) if thing else None
+            if made_of is None or thing.phase is None:
+                continue
+            other = first.setdefault(thing.phase, made_of.family)
+            if other != made_of.family:
+                said = f"'{thing.phase}' already holds a {other}, this is a {made_of.family}"
+                self.wrong(("object", k, "phase"), said)
+
+    def unknown_material(self, path: tuple, name: str, kinds: dict[str, Any]) -> None:
+        known = f"defined are {', '.join(kinds)}" if kinds else "none is defined"
+        self.wrong(path, f"there is no [material.{name}]{nearest(name, kinds)}; {known}")
+
+    def couplings(self, raw: Any, kinds: dict[str, Any]) -> list[Any]:
+        if not isinstance(raw, list):
+            self.wrong(("coupling",), "must be a list of tables: [[coupling]]")
+            return []
+        found: list[Any] = []
+        first: dict[tuple, int] = {}
+        for k, item in enumerate(raw):
+            found.append(self.kind(couplings.registry, item, ("coupling", k)))
+            between = item.get("between") if isinstance(item, dict) else None
+            if not isinstance(between, list) or not all(isinstance(b, str) for b in between):
+                continue
+            for place, name in enumerate(between):
+                if name not in kinds:
+                    self.unknown_material(("coupling", k, "between", place), name, kinds)
+            pair = tuple(sorted(between))
+            if first.setdefault(pair, k) != k:
+                other = self.source.place(("coupling", first[pair]))[1]
+                self.wrong(("coupling", k, "between"), f"{other} is about the same two already")
+        return found
+
+    def whole_cells(self, domain: Domain) -> None:
+        for axis, edge in enumerate(domain.size):
+            count = edge / domain.cell
+            path = ("domain", "size", axis)
+            if count > MOST_CELLS:
+                self.wrong(path, f"is {count:.3g} cells; at most {MOST_CELLS} are possible")
+            elif abs(count - round(count)) > 1e-6 * max(1.0, count):
+                low, high = math.floor(count) * domain.cell, math.ceil(count) * domain.cell
+                near = f"{low:.6g} m or {high:.6g} m" if low > 0 else f"{high:.6g} m"
+                self.wrong(
+                    path,
+                    f"must be a whole number of cells of {domain.cell:g} m; {edge:g} m is"
+                    f" {count:.4g} cells, nearest are {near}",
+                )
+            elif round(count) < 4:
+                self.wrong(path, f"must be at least 4 cells of {domain.cell:g} m; got {edge:g} m")
+
+    def file(self, k: int, thing: Object, outside: bool) -> Path | None:
+        """The file of an object, found to be there and allowed; None where it has none."""
+        key = next((key for key in ("gaussians", "mesh") if getattr(thing, key)), None)
+        if key is None:
+            return None
+        path, name = ("object", k, key), getattr(thing, key)
+        folder = self.source.folder
+        given = self.source.overridden(path)  # on the command line, in which any file is meant
+        candidates = [Path(name), folder / name] if given else [folder / name]
+        there = next((c for c in candidates if c.is_file()), None)
+        if there is None:
+            self.wrong(path, f"there is no file {candidates[-1]}")
+        elif not (given or outside) and not there.resolve().is_relative_to(folder.resolve()):
+            self.wrong(
+                path,
+                f"{name!r} lies outside the scene's folder: move it below, or set"
+                " allow_outside = true at the top of the scene",
+            )
+        else:
+            return there.resolve()
+        return None
+
+
+def reference() -> str:
+    """docs/scene.md: every key with unit, default and meaning."""
+    from vgmpi.reference import scene_reference
+
+    return scene_reference()
+
+
+if __name__ == "__main__":
+    import sys
+
+    sys.stdout.write(reference())

@@ -1,0 +1,130 @@
+"""The parts of a scene beside its objects and materials: box, time, looks, accuracy, output."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field
+
+from vgmpi.tables import Positive, Quantity, Table
+
+WALLS = ("west", "east", "south", "north", "floor", "roof")
+MOST_CELLS = 2**15  # per axis: block coordinates fit the sort key
+Acceleration = Annotated[float, Quantity("m/s2")]
+
+
+def _wall(value: Any) -> Any:
+    return {"kind": value} if isinstance(value, str) else value
+
+
+class Wall(Table):
+    """What a wall does to the material that touches it."""
+
+    kind: Literal["stick", "slip", "separate"] = "slip"
+    """stick: no motion. slip: no motion through the wall. separate: material may also leave it"""
+    friction: Annotated[float, Quantity("", ge=0)] = 0.0
+    """Coulomb coefficient along slip and separate walls"""
+
+
+AnyWall = Annotated[Wall, BeforeValidator(_wall)]
+
+
+class Boundary(Table):
+    """The six walls: a kind ("slip") or { kind = "slip", friction = 0.2 } each."""
+
+    default: AnyWall = Wall()
+    """every wall not named"""
+    west: AnyWall | None = None
+    """x = 0"""
+    east: AnyWall | None = None
+    """x = size"""
+    south: AnyWall | None = None
+    """y = 0"""
+    north: AnyWall | None = None
+    """y = size"""
+    floor: AnyWall | None = None
+    """z = 0"""
+    roof: AnyWall | None = None
+    """z = size"""
+
+
+def _boundary(value: Any) -> Any:
+    return {"default": value} if isinstance(value, str) else value
+
+
+class Domain(Table):
+    """The box the simulation lives in, from (0, 0, 0); z is up."""
+
+    size: tuple[Positive, Positive, Positive]
+    """edges of the box: whole numbers of cells"""
+    cell: Positive
+    """grid spacing dx"""
+    gravity: tuple[Acceleration, Acceleration, Acceleration] = (0.0, 0.0, -9.8)
+    """acceleration of gravity"""
+    boundary: Annotated[Boundary, BeforeValidator(_boundary)] = Boundary()
+    """what the walls do: a kind for all of them, or a table"""
+
+    @property
+    def cells(self) -> tuple[int, int, int]:
+        """Number of cells along x, y and z."""
+        nx, ny, nz = (round(edge / self.cell) for edge in self.size)
+        return nx, ny, nz
+
+    @property
+    def walls(self) -> list[tuple[str, float]]:
+        """(kind, friction) of the west, east, south, north, floor and roof wall."""
+        chosen = [getattr(self.boundary, name) or self.boundary.default for name in WALLS]
+        return [(wall.kind, wall.friction) for wall in chosen]
+
+
+class Time(Table):
+    """How long, how finely, and how often the state is written."""
+
+    end: Annotated[float, Quantity("s", gt=0)]
+    """simulated time"""
+    frames: Annotated[int, Field(strict=True, ge=2, le=100_000)] = 50
+    """number of frames written at equal times, the first at 0 and the last at the end"""
+    cfl: Annotated[float, Quantity("", gt=0, le=1)] = 0.4
+    """share of the time a wave needs to cross a cell, taken as the step"""
+    dt: Annotated[float, Quantity("s", ge=0)] = 0.0
+    """a fixed step instead of cfl; 0: choose by cfl"""
+
+
+class Appearance(Table):
+    """What is drawn, beyond the objects' own colours."""
+
+    colour_transfer: Literal["off"] = "off"
+    """whether colours travel between particles: off"""
+    shade: Annotated[float, Quantity("", ge=0, le=1)] = 0.3
+    """light painted on solid shapes and meshes, by the way their surface faces; 0: none"""
+
+
+class Accuracy(Table):
+    """Numbers and their transfer between particles and grid."""
+
+    transfer: Literal["apic"] = "apic"
+    """apic keeps linear and angular momentum"""
+    precision: Literal["double", "single"] = "double"
+    """of the particles' and the grid's numbers"""
+
+
+class Output(Table):
+    """What is written, where and how often."""
+
+    folder: Annotated[str, Field(min_length=1)] = "out"
+    """relative to the scene's folder"""
+    fields: tuple[Literal["velocity", "J", "F"], ...] = ("velocity", "J", "F")
+    """besides the positions; drawings need J for fluids and F for solids"""
+    checkpoint: Annotated[float, Quantity("s", ge=0)] = 600.0
+    """wall time between checkpoints; 0: none by time"""
+    checkpoint_steps: Annotated[int, Field(strict=True, ge=0)] = 0
+    """steps between checkpoints; 0: none by steps"""
+
+
+class Top(Table):
+    """Keys above the first table."""
+
+    title: str = ""
+    """for people"""
+    seed: Annotated[int, Field(strict=True, ge=0, lt=2**63)] = 1
+    """of everything random: the points on a mesh's surface"""
+    allow_outside: bool = False
+    """whether files may lie outside the scene's folder"""
