@@ -1,7 +1,8 @@
 """Simulated ranks: n threads of one process that speak the verbs of vgmpi/domain/ranks.py.
 
-Cheaper than mpirun, and stricter: ranks that call different verbs, a message whose size differs from its buffer, a
-send buffer changed before it was sent, and a rank that leaves early are errors at once instead of deadlocks.
+Cheaper than mpirun, and stricter: ranks that call different verbs, a message whose size differs
+from its buffer, a send buffer changed before it was sent, and a rank that leaves early are errors
+at once instead of deadlocks.
 """
 
 import pickle
@@ -103,8 +104,8 @@ class Simulated(Alone):
             if len(message) != len(buffer):
                 source, _, number = ticket
                 raise AssertionError(
-                    f"message {number} from rank {source} to rank {self.rank} has {len(message)} bytes, "
-                    f"its buffer {len(buffer)}"
+                    f"message {number} from rank {source} to rank {self.rank} has {len(message)} "
+                    f"bytes, its buffer {len(buffer)}"
                 )
             buffer[:] = message
 
@@ -173,7 +174,9 @@ def run(n: int, function) -> list:
             errors.append(error)
             shared.break_all()
 
-    threads = [threading.Thread(target=work, args=(Simulated(r, shared),), daemon=True) for r in range(n)]
+    threads = [
+        threading.Thread(target=work, args=(Simulated(r, shared),), daemon=True) for r in range(n)
+    ]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -182,5 +185,7 @@ def run(n: int, function) -> list:
         first = [e for e in errors if not isinstance(e, threading.BrokenBarrierError)]
         raise (first or errors)[0]
     if shared.messages:
-        raise AssertionError(f"messages nobody received (source, target, number): {sorted(shared.messages)}")
+        raise AssertionError(
+            f"messages nobody received (source, target, number): {sorted(shared.messages)}"
+        )
     return results

@@ -68,7 +68,10 @@ def wrong_length(ranks):
     [
         (lambda ranks: ranks.barrier() if ranks.rank else ranks.total(1), "different verbs"),
         (lambda ranks: ranks.barrier() if ranks.rank else None, "different verbs"),
-        (lambda ranks: ranks.all_rows(np.zeros(1, [np.int32, np.int64][ranks.rank])), "different shapes or types"),
+        (
+            lambda ranks: ranks.all_rows(np.zeros(1, [np.int32, np.int64][ranks.rank])),
+            "different shapes or types",
+        ),
         (changed_buffer, "changed a buffer"),
         (wrong_length, "has 16 bytes, its buffer 24"),
         (lambda ranks: ranks.post([(1 - ranks.rank, np.zeros(1))], []), "nobody received"),

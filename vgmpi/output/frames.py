@@ -1,0 +1,250 @@
+"""Frames: VTKHDF PolyData, one part, rows in ascending particle id; and series.vtkhdf over all of
+them.
+
+Ranks hold particles in the order of the grid; a file holds them in the order of their ids, so that
+the bytes do not depend on the number of ranks: each rank receives one range of ids, sorts it, and
+writes it as one contiguous piece.
+"""
+
+import logging
+from pathlib import Path
+from typing import NamedTuple
+
+import h5py
+import numpy as np
+
+from vgmpi.domain.ranks import Alone
+from vgmpi.output import layout, store
+
+log = logging.getLogger("vgmpi")
+
+FIELDS = layout.named(layout.FRAME)
+EMPTY_KINDS = ("Lines", "Polygons", "Strips")
+
+
+class _Written(NamedTuple):
+    """What the series must know of a frame."""
+
+    file: str
+    time: float
+    step: int
+    rows: int
+    arrays: dict  # name -> (shape of a row, dtype), of /VTKHDF/PointData
+    index_dtype: str
+
+
+class Frames:
+    """Writes the frames of one run into `folder`; frames from number `first` on are removed at the
+    start."""
+
+    def __init__(self, folder: str | Path, ranks: Alone, total_ids: int, first: int = 0):
+        self.folder, self.ranks, self.total_ids = Path(folder), ranks, total_ids
+        self.index_dtype = "i4" if total_ids < 2**31 - 1 else "i8"
+        self._written: dict[int, _Written] = {}
+        error = None
+        if ranks.rank == 0:
+            try:
+                self._start(first)
+            except OSError as caught:
+                error = caught
+        store.agree(ranks, error, self.folder / layout.FRAMES)
+
+    def _start(self, first):
+        frames = self.folder / layout.FRAMES
+        frames.mkdir(parents=True, exist_ok=True)
+        store.remove_temporaries(frames)
+        for path in sorted(frames.glob("frame_*.vtkhdf")):
+            number = path.stem.removeprefix("frame_")
+            if not number.isdigit():
+                continue
+            if int(number) >= first:
+                path.unlink()
+                continue
+            try:
+                self._written[int(number)] = _look(path)
+            except (OSError, KeyError) as error:
+                log.warning("%s is left out of the series: %s", path, store.reason(error))
+        if self._written:
+            self._write_series()
+        else:
+            (self.folder / layout.SERIES).unlink(missing_ok=True)
+
+    def write(
+        self, index: int, time: float, step: int, ids: np.ndarray, fields: dict[str, np.ndarray]
+    ) -> Path:
+        """Write one frame and the series; collective.
+
+        time: [s]. ids: particle numbers of this rank, (n_local,). fields: rows in the order of
+        `ids`; "x" must be there, the others are those of layout.FRAME. Raises StoreError on all
+        ranks alike.
+        """
+        path = self.folder / layout.FRAMES / layout.FRAME_NAME.format(index)
+        names = [d.name for d in layout.FRAME if d.name in fields]
+        if "x" not in fields or set(fields) - set(names):
+            raise ValueError(f"a frame has x and fields of layout.FRAME, not {sorted(fields)}")
+        redistribute = _Redistribution(ids, self.total_ids, self.ranks)
+        with store.create(path, self.ranks) as f:
+            f.attr("", "schema", layout.SCHEMA)
+            f.attr("VTKHDF", "Version", np.array([2, 0], np.int64))
+            f.attr("VTKHDF", "Type", "PolyData")
+            f.rows("VTKHDF/PointData/id", redistribute.ids)
+            arrays = {"id": ((), "i8")}
+            for name in names:
+                field = FIELDS[name]
+                rows = redistribute(np.asarray(fields[name]).astype(field.dtype, copy=False))
+                if not layout.fits(field, rows):
+                    raise ValueError(
+                        f"frame field {name}: rows are {field.shape}, not {rows.shape}"
+                    )
+                f.rows("VTKHDF/Points" if name == "x" else f"VTKHDF/PointData/{name}", rows)
+                if name != "x":
+                    arrays[name] = (rows.shape[1:], field.dtype)
+            count = self._topology(f, len(redistribute.ids))
+            f.whole("VTKHDF/FieldData/time", np.array([time], np.float64))
+            f.whole("VTKHDF/FieldData/step", np.array([step], np.int64))
+        self._written[index] = _Written(path.name, time, step, count, arrays, self.index_dtype)
+        error = None
+        if self.ranks.rank == 0:
+            try:
+                self._write_series()
+            except (OSError, RuntimeError) as caught:
+                error = caught
+        store.agree(self.ranks, error, self.folder / layout.SERIES)
+        return path
+
+    def _topology(self, f, count):
+        """A vertex per particle; VTK asks for the three other kinds of cells too. Returns n of all
+        ranks."""
+        first, total = self.ranks.before(count), self.ranks.total(count)
+        last = self.ranks.rank == self.ranks.size - 1
+        for name in (
+            "NumberOfPoints",
+            "Vertices/NumberOfCells",
+            "Vertices/NumberOfConnectivityIds",
+        ):
+            f.whole(f"VTKHDF/{name}", np.array([total], np.int64))
+        numbers = np.arange(first, first + count + last, dtype=self.index_dtype)
+        f.rows("VTKHDF/Vertices/Connectivity", numbers[:count])
+        f.rows("VTKHDF/Vertices/Offsets", numbers)  # n + 1 of them: the last rank has one more
+        for kind in EMPTY_KINDS:
+            for name, values in _empty_cells(1).items():
+                f.whole(f"VTKHDF/{kind}/{name}", values)
+        return total
+
+    def _write_series(self):
+        """All frames as virtual datasets with paths relative to the series; on one rank."""
+        frames = [self._written[i] for i in sorted(self._written)]
+        counts = [w.rows for w in frames]
+        with store.create(self.folder / layout.SERIES, Alone()) as s:
+            s.attr("", "schema", layout.SCHEMA)
+            s.attr("VTKHDF", "Version", np.array([2, 0], np.int64))
+            s.attr("VTKHDF", "Type", "PolyData")
+            root = s.file["VTKHDF"]
+            _virtual(root, "Points", frames, counts, (3,), "f4")
+            shared = set.intersection(*(set(w.arrays) for w in frames))
+            arrays = {n: a for n, a in frames[0].arrays.items() if n in shared}
+            for name, (shape, dtype) in arrays.items():
+                _virtual(root, f"PointData/{name}", frames, counts, shape, dtype)
+            ones = [1] * len(frames)
+            _virtual(root, "FieldData/time", frames, ones, (), "f8")
+            _virtual(root, "FieldData/step", frames, ones, (), "i8")
+            index = max(w.index_dtype for w in frames)
+            _virtual(root, "Vertices/Connectivity", frames, counts, (), index)
+            _virtual(root, "Vertices/Offsets", frames, [c + 1 for c in counts], (), index)
+            for name in (
+                "NumberOfPoints",
+                "Vertices/NumberOfCells",
+                "Vertices/NumberOfConnectivityIds",
+            ):
+                root[name] = np.array(counts, np.int64)
+            for kind in EMPTY_KINDS:
+                for name, values in _empty_cells(len(frames)).items():
+                    root[f"{kind}/{name}"] = values
+            _steps(root, frames, counts, arrays)
+
+
+def _empty_cells(parts):
+    zero = np.zeros(parts, np.int64)
+    return {
+        "NumberOfCells": zero,
+        "NumberOfConnectivityIds": zero,
+        "Connectivity": np.zeros(0, np.int64),
+        "Offsets": zero,
+    }
+
+
+def _steps(root, frames, counts, arrays):
+    """The group that makes a time series of the parts."""
+    n = len(frames)
+    first = np.cumsum([0, *counts[:-1]]).astype(np.int64)
+    cells = np.zeros((n, 4), np.int64)  # columns: Vertices, Lines, Polygons, Strips
+    cells[:, 0] = first
+    steps = root.create_group("Steps")
+    steps.attrs["NSteps"] = np.int64(n)
+    steps["Values"] = np.array([w.time for w in frames])
+    steps["PartOffsets"] = np.arange(n, dtype=np.int64)
+    steps["NumberOfParts"] = np.ones(n, np.int64)
+    steps["PointOffsets"] = first
+    steps["CellOffsets"] = cells  # VTK adds the part's number: Offsets has n + 1 entries per part
+    steps["ConnectivityIdOffsets"] = cells
+    for name in arrays:
+        steps[f"PointDataOffsets/{name}"] = first
+    for name in ("time", "step"):
+        steps[f"FieldDataOffsets/{name}"] = np.arange(n, dtype=np.int64)
+        steps[f"FieldDataSizes/{name}"] = np.ones((n, 2), np.int64)
+
+
+def _virtual(root, name, frames, counts, shape, dtype):
+    """One dataset that is the frames' datasets of that name, one after the other."""
+    whole = h5py.VirtualLayout((sum(counts), *shape), dtype)
+    start = 0
+    for w, count in zip(frames, counts):
+        if count:
+            file = f"{layout.FRAMES}/{w.file}"
+            source = h5py.VirtualSource(file, f"/VTKHDF/{name}", (count, *shape), dtype)
+            whole[start : start + count] = source
+        start += count
+    root.create_virtual_dataset(name, whole)
+
+
+def _look(path: Path) -> _Written:
+    """What the series must know of a frame written earlier."""
+    with h5py.File(path) as f:
+        root = f["VTKHDF"]
+        arrays = {k: (d.shape[1:], d.dtype.str[1:]) for k, d in root["PointData"].items()}
+        arrays = {n: arrays[n] for n in ("id", *FIELDS) if n in arrays}  # in the order of writing
+        return _Written(
+            path.name,
+            float(root["FieldData/time"][0]),
+            int(root["FieldData/step"][0]),
+            int(root["NumberOfPoints"][0]),
+            arrays,
+            root["Vertices/Connectivity"].dtype.str[1:],
+        )
+
+
+class _Redistribution:
+    """Moves rows to the rank that writes their id: rank r has the ids from total r/size to total
+    (r+1)/size."""
+
+    def __init__(self, ids, total, ranks):
+        ids = np.asarray(ids, np.int64)
+        if len(ids) and (ids.min() < 0 or ids.max() >= total):
+            raise ValueError(f"particle ids must lie in 0 .. {total - 1}")
+        self.ranks = ranks
+        self.order = np.argsort(ids, kind="stable")
+        bounds = [total * r // ranks.size for r in range(1, ranks.size)]
+        self.cuts = np.searchsorted(ids[self.order], bounds)
+        got = self._exchange(ids)
+        self.sort = np.argsort(got, kind="stable")
+        self.ids = got[self.sort]
+        if np.any(np.diff(self.ids) == 0):
+            raise ValueError("a particle id is there twice")
+
+    def _exchange(self, rows):
+        return np.concatenate(self.ranks.exchange(np.split(rows[self.order], self.cuts)))
+
+    def __call__(self, rows):
+        if len(rows) != len(self.order):
+            raise ValueError(f"{len(rows)} rows for {len(self.order)} ids")
+        return self._exchange(rows)[self.sort]

@@ -1,0 +1,235 @@
+"""Name, shape, type, unit and meaning of every dataset of every file: the single source.
+
+`python -m vgmpi.output.layout > docs/file-format.md` writes the page that people read.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+SCHEMA = 1  # raised when a reader of the old files would go wrong
+
+FRAMES, CHECKPOINTS = "frames", "checkpoints"  # folders inside the output folder
+SERIES, GAUSSIANS, LEDGER = "series.vtkhdf", "gaussians.h5", "ledger.csv"
+FRAME_NAME = "frame_{:05d}.vtkhdf"
+CHECKPOINT_NAME = "checkpoint_{:09d}.h5"  # its manifest: the same name, .json
+CRC_ROWS = 1 << 16  # rows per checksum in a manifest
+
+
+class Dataset(NamedTuple):
+    """One dataset: `shape` in words of the page, `dtype` numpy short names joined by |."""
+
+    name: str
+    shape: str
+    dtype: str
+    unit: str
+    meaning: str
+
+
+def row_shape(dataset: Dataset) -> tuple[int | None, ...]:
+    """Shape of one row; None where any length goes: "(n, K, 3)" -> (None, 3)."""
+    words = [w.strip() for w in dataset.shape.strip("()").split(",") if w.strip()]
+    return tuple(int(w) if w.isdigit() else None for w in words[1:])
+
+
+def fits(dataset: Dataset, array: np.ndarray) -> bool:
+    """Whether rows of this array are what the dataset says."""
+    want = row_shape(dataset)
+    have = array.shape[1:]
+    return (
+        len(want) == len(have)
+        and all(w is None or w == h for w, h in zip(want, have))
+        and array.dtype.str[1:] in dataset.dtype.split("|")
+    )
+
+
+def named(datasets: list[Dataset]) -> dict[str, Dataset]:
+    return {d.name: d for d in datasets}
+
+
+# ---- frames/frame_00000.vtkhdf ----------------------------------------------------------------
+# In the file, x is /VTKHDF/Points and the others are in /VTKHDF/PointData.
+FRAME = [
+    Dataset("id", "(n,)", "i8", "1", "particle number, ascending; its row in gaussians.h5"),
+    Dataset("x", "(n, 3)", "f4", "m", "position in the domain; stored as /VTKHDF/Points"),
+    Dataset("velocity", "(n, 3)", "f4", "m/s", "velocity"),
+    Dataset("J", "(n,)", "f4", "1", "volume now / volume at rest"),
+    Dataset("F", "(n, 9)", "f4", "1", "deformation gradient, row by row; identity for fluids"),
+    Dataset("object", "(n,)", "i4", "1", "number of the object in the list `objects`"),
+    Dataset("phase", "(n,)", "i4", "1", "number of the velocity field it moves with"),
+]
+FRAME_FIELD_DATA = [
+    Dataset("time", "(1,)", "f8", "s", "simulated time"),
+    Dataset("step", "(1,)", "i8", "1", "number of time steps made"),
+]
+FRAME_TOPOLOGY = [
+    Dataset("NumberOfPoints", "(1,)", "i8", "1", "n"),
+    Dataset("Vertices/NumberOfCells", "(1,)", "i8", "1", "n: a vertex per particle"),
+    Dataset("Vertices/NumberOfConnectivityIds", "(1,)", "i8", "1", "n"),
+    Dataset("Vertices/Connectivity", "(n,)", "i4|i8", "1", "0, 1, ... n - 1"),
+    Dataset("Vertices/Offsets", "(n + 1,)", "i4|i8", "1", "0, 1, ... n"),
+    Dataset("Lines/*", "(0 or 1,)", "i8", "1", "empty; VTK asks for them (also Polygons, Strips)"),
+]
+
+# ---- series.vtkhdf ----------------------------------------------------------------------------
+SERIES_STEPS = [
+    Dataset("Steps/Values", "(frames,)", "f8", "s", "simulated time of each frame"),
+    Dataset("Steps/PartOffsets", "(frames,)", "i8", "1", "0, 1, 2, ...: one part per frame"),
+    Dataset("Steps/NumberOfParts", "(frames,)", "i8", "1", "1"),
+    Dataset("Steps/PointOffsets", "(frames,)", "i8", "1", "first row of each frame"),
+    Dataset("Steps/CellOffsets", "(frames, 4)", "i8", "1", "the same for the vertices"),
+    Dataset("Steps/ConnectivityIdOffsets", "(frames, 4)", "i8", "1", "the same"),
+    Dataset("Steps/PointDataOffsets/*", "(frames,)", "i8", "1", "the same, for each array"),
+    Dataset("Steps/FieldDataOffsets/*", "(frames,)", "i8", "1", "row of each frame's value"),
+    Dataset("Steps/FieldDataSizes/*", "(frames, 2)", "i8", "1", "1 component, 1 row"),
+]
+
+# ---- gaussians.h5 -----------------------------------------------------------------------------
+GAUSSIAN = [
+    Dataset("x0", "(n, 3)", "f8", "m", "position at the start, in the domain"),
+    Dataset("vol0", "(n,)", "f8", "m3", "rest volume"),
+    Dataset("object", "(n,)", "i4", "1", "number of the object in the list `objects`"),
+    Dataset("v0", "(n, 3)", "f8", "m/s", "velocity at the start; only if something moves then"),
+    Dataset("cov0", "(n, 6)", "f4", "m2", "rest covariance: xx, xy, xz, yy, yz, zz"),
+    Dataset("opacity", "(n,)", "f4", "1", "0 to 1"),
+    Dataset("sh", "(n, K, 3)", "f4", "1", "spherical harmonics of the colour, K = 1, 4, 9 or 16"),
+]
+SCENERY = [
+    Dataset("x0", "(m, 3)", "f8", "m", "position; scenery has no mass and does not move"),
+    Dataset("object", "(m,)", "i4", "1", "number of the object in the list `objects`"),
+    Dataset("cov0", "(m, 6)", "f4", "m2", "covariance: xx, xy, xz, yy, yz, zz"),
+    Dataset("opacity", "(m,)", "f4", "1", "0 to 1"),
+    Dataset("sh", "(m, K, 3)", "f4", "1", "spherical harmonics of the colour"),
+]
+GAUSSIAN_TEXTS = [
+    Dataset(
+        "objects",
+        "()",
+        "text",
+        "",
+        "JSON, an entry per object of the scene: name, role, material, kind, family, phase, "
+        "density [kg/m3], first and count (its rows), opacity_scale, alpha_min, color, collider, "
+        "and transform (4 x 4, source coordinates -> domain coordinates [m])",
+    ),
+    Dataset("scene", "()", "text", "", "JSON, the scene with every default filled in, SI"),
+]
+
+# ---- checkpoints/checkpoint_000000000.h5 ------------------------------------------------------
+# Rows of a group stand in the order of the last sort, which is state: block, phase, cell, id.
+CHECKPOINT = [
+    Dataset("particles/id", "(n,)", "i8", "1", "particle number, its row in gaussians.h5"),
+    Dataset("particles/x", "(n, 3)", "f4|f8", "m", "position"),
+    Dataset("particles/v", "(n, 3)", "f4|f8", "m/s", "velocity"),
+    Dataset("particles/C", "(n, 9)", "f4|f8", "1/s", "APIC affine velocity, row by row"),
+    Dataset("particles/F", "(n, 9)", "f4|f8", "1", "deformation gradient, row by row"),
+    Dataset("particles/theta", "(n,)", "f4|f8", "1", "ln J of fluids"),
+    Dataset("particles/vol0", "(n,)", "f4|f8", "m3", "rest volume"),
+    Dataset("particles/m", "(n,)", "f4|f8", "kg", "mass"),
+    Dataset("particles/phase", "(n,)", "i4", "1", "number of the velocity field"),
+    Dataset("particles/object", "(n,)", "i4", "1", "number of the object"),
+]
+CHECKPOINT_TEXTS = [
+    Dataset(
+        "attrs",
+        "()",
+        "text",
+        "",
+        "JSON: schema, step, time [s], the scene's text and resolved form, versions of the program "
+        "and its libraries, and whatever else the run needs to go on with the same bits",
+    ),
+]
+
+# ---- ledger.csv -------------------------------------------------------------------------------
+LEDGER_COLUMNS = [
+    Dataset("time", "", "f8", "s", "simulated time"),
+    Dataset("step", "", "i8", "1", "number of time steps made"),
+    Dataset("phase", "", "text", "", "name of the phase"),
+    Dataset("count", "", "i8", "1", "particles"),
+    Dataset("mass", "", "f8", "kg", "mass"),
+    *(Dataset(f"momentum_{a}", "", "f8", "kg m/s", f"momentum along {a}") for a in "xyz"),
+    *(
+        Dataset(f"angular_{a}", "", "f8", "kg m2/s", f"angular momentum about {a} and the origin")
+        for a in "xyz"
+    ),
+    Dataset("kinetic", "", "f8", "J", "kinetic energy"),
+    Dataset("elastic", "", "f8", "J", "elastic energy"),
+    Dataset("potential", "", "f8", "J", "energy of height in gravity"),
+    Dataset("J_min", "", "f8", "1", "smallest volume ratio"),
+    Dataset("J_max", "", "f8", "1", "largest volume ratio"),
+]
+
+# ---- the page ---------------------------------------------------------------------------------
+INTRODUCTION = """\
+# Files of a run
+
+This page is written by `python -m vgmpi.output.layout`; edit `vgmpi/output/layout.py` instead.
+
+    out/
+      gaussians.h5                    a row per particle, written once at the start
+      frames/frame_00000.vtkhdf ...   a file per frame; pyvista.read() gives PolyData
+      series.vtkhdf                   all frames as one time series, for ParaView
+      ledger.csv                      a row per frame and phase: mass, momentum, energy
+      checkpoints/                    the last two states to go on from
+
+All numbers are SI. Positions are domain coordinates: the box starts at (0, 0, 0) and z is up; the
+way back to the coordinates an object came in is its `transform`. n is the number of particles, f4
+and f8 are single and double precision, i4 and i8 whole numbers. HDF5 files are plain: contiguous,
+uncompressed, readable with any HDF5 since 1.8. A file has its final name only when it is complete:
+it is written as `NAME.tmp`, brought to the disk, then renamed. The bytes of every dataset are the
+same for any number of ranks.
+"""
+
+
+def _table(datasets, prefix=""):
+    lines = ["| name | shape | type | unit | meaning |", "|---|---|---|---|---|"]
+    for d in datasets:
+        kind = d.dtype.replace("|", " or ")
+        lines.append(f"| `{prefix}{d.name}` | {d.shape} | {kind} | {d.unit} | {d.meaning} |")
+    return "\n".join(lines) + "\n"
+
+
+def page() -> str:
+    """docs/file-format.md."""
+    parts = [
+        INTRODUCTION,
+        "## frames/frame_00000.vtkhdf\n",
+        "VTKHDF 2.0 PolyData, one part, rows in ascending `id`. `id` and `x` are always there, "
+        "the others as the scene asks for them. Covariance, opacity and colour are not repeated "
+        "here: a renderer takes them from gaussians.h5 by `id` and moves them with F or J.\n",
+        _table([d for d in FRAME if d.name != "x"], "VTKHDF/PointData/"),
+        _table([d._replace(name="Points") for d in FRAME if d.name == "x"], "VTKHDF/"),
+        _table(FRAME_FIELD_DATA, "VTKHDF/FieldData/"),
+        _table(FRAME_TOPOLOGY, "VTKHDF/"),
+        "Attributes: `VTKHDF/Type`, `VTKHDF/Version`, and `/schema` (whole number).\n",
+        "## series.vtkhdf\n",
+        "The frames one after the other, as virtual datasets of the same names: it holds no "
+        "numbers itself and finds the frames beside it, from any working directory. It is valid "
+        "after every frame.\n",
+        _table(SERIES_STEPS, "VTKHDF/"),
+        "## gaussians.h5\n",
+        "A row per particle id, also for particles that are not there yet. Objects are "
+        "contiguous, in the order of the scene.\n",
+        _table(GAUSSIAN),
+        "Drawn, but without mass (only if the scene has scenery):\n",
+        _table(SCENERY, "scenery/"),
+        _table(GAUSSIAN_TEXTS),
+        "Attributes: `schema` (whole number), `digest` (text; says which preparation it is).\n",
+        "## checkpoints/checkpoint_000000000.h5\n",
+        "The number is the step. Only the fields that the scene needs are there. Rows stand in "
+        "the order of the last sort, which is state: a resumed run goes on with the same bits on "
+        "any number of ranks.\n",
+        _table(CHECKPOINT),
+        _table(CHECKPOINT_TEXTS),
+        "`checkpoint_000000000.json`, the manifest, is written last: size of the file, and for "
+        f"every dataset its shape, type and a CRC32 (zlib) for each {CRC_ROWS} rows. A checkpoint "
+        "without a manifest, or one that differs from it, is passed over. The last two are "
+        "kept.\n",
+        "## ledger.csv\n",
+        "A row per frame and phase, numbers with all their digits.\n",
+        _table(LEDGER_COLUMNS),
+    ]
+    return "\n".join(parts)
+
+
+if __name__ == "__main__":
+    print(page(), end="")
