@@ -26,6 +26,7 @@ class Elastic(Table):
     friction: Annotated[float, Quantity("", ge=0)] = 0.3
 
     Law: ClassVar = Law
+    cost: ClassVar = 1.4
     family: ClassVar[Family] = "solid"
     # F - I, not F: in single precision an increment below 1e-8 added to 1 would be lost
     carries: ClassVar = {"H": (0.0,) * 9}

@@ -26,6 +26,7 @@ class Fluid(Table):
     viscosity: Annotated[float, Quantity("Pa s", ge=0)] = 0.0
 
     Law: ClassVar = Law
+    cost: ClassVar = 1.0
     family: ClassVar[Family] = "fluid"
     carries: ClassVar = {"theta": (0.0,)}
     friction: ClassVar = 0.0

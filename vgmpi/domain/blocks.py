@@ -1,0 +1,115 @@
+"""Which block a particle lies in, the order of blocks, and which rank owns them: index maths alone, no MPI.
+
+Nodes are numbered from 0 at the west, south and floor walls; a particle's base node is floor(x / dx - 1/2). Block b holds
+the base nodes 4 b - 1 .. 4 b + 2, so that the ghost node -1, the wall node 0 and its mirror 1 lie in one block. Positions
+inside a block are fixed-point integers relative to its middle: x / dx = 4 b + 1.5 + xi 2^-bits.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+EDGE = 4  # nodes of a block along an axis
+MIDDLE = 1.5  # of block 0, in cells from the wall
+BITS = {np.dtype(np.float32): 29, np.dtype(np.float64): 52}
+INTEGER = {np.dtype(np.float32): np.dtype(np.int32), np.dtype(np.float64): np.dtype(np.int64)}
+
+
+class Lattice(NamedTuple):
+    """The blocks of a domain."""
+
+    cells: tuple[int, int, int]
+    dx: float  # [m]
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Blocks along each axis; base nodes run from -1 to cells - 1."""
+        return tuple(n // EDGE + 1 for n in self.cells)
+
+    @property
+    def levels(self) -> int:
+        """Bits per axis of the Hilbert curve through all blocks."""
+        return max(1, int(max(self.shape) - 1).bit_length())
+
+    def code(self, block: np.ndarray) -> np.ndarray:
+        """One number per block (n, 3) -> (n,) int64; unlike the Hilbert key it is cheap to take apart."""
+        _, ny, nz = self.shape
+        return (block[:, 0].astype(np.int64) * ny + block[:, 1]) * nz + block[:, 2]
+
+    def block(self, code: np.ndarray) -> np.ndarray:
+        """Inverse of `code`: (n, 3) int64."""
+        _, ny, nz = self.shape
+        return np.stack([code // (ny * nz), code // nz % ny, code % nz], 1)
+
+    def key(self, block: np.ndarray) -> np.ndarray:
+        """Place of each block (n, 3) on the Hilbert curve."""
+        return hilbert(block, self.levels)
+
+    def place(self, x: np.ndarray, real: np.dtype) -> tuple[np.ndarray, np.ndarray]:
+        """Blocks (n, 3) and fixed-point positions (3, n) of positions x (n, 3) [m]."""
+        bits = BITS[np.dtype(real)]
+        s = x / self.dx - 0.5
+        block = np.floor((s + 1.0) / EDGE).astype(np.int64)
+        inside = np.rint(np.ldexp(x / self.dx - MIDDLE - EDGE * block, bits)).astype(np.int64)
+        # rounding may land on the next block's first position
+        over = inside >= 2 << bits
+        block += over
+        inside -= over * (4 << bits)
+        return block, np.ascontiguousarray(inside.T).astype(INTEGER[np.dtype(real)])
+
+    def position(self, block: np.ndarray, xi: np.ndarray, real: np.dtype) -> np.ndarray:
+        """Positions (n, 3) [m], float64, of fixed-point positions xi (3, n) in blocks (n, 3)."""
+        bits = BITS[np.dtype(real)]
+        return (np.ldexp(xi.T.astype(np.float64), -bits) + (EDGE * block + MIDDLE)) * self.dx
+
+
+def hilbert(points: np.ndarray, levels: int) -> np.ndarray:
+    """Hilbert index of points (n, 3) with `levels` bits per axis (Skilling 2004): (n,) int64."""
+    x = [points[:, a].astype(np.int64).copy() for a in range(3)]
+    top = 1 << (levels - 1)
+    q = top
+    while q > 1:
+        p = q - 1
+        for i in range(3):
+            has = (x[i] & q) != 0
+            swap = np.where(has, 0, (x[0] ^ x[i]) & p)
+            x[0] = np.where(has, x[0] ^ p, x[0]) ^ swap
+            x[i] ^= swap
+        q >>= 1
+    x[1] ^= x[0]
+    x[2] ^= x[1]
+    t = np.zeros_like(x[0])
+    q = top
+    while q > 1:
+        t ^= np.where((x[2] & q) != 0, q - 1, 0)
+        q >>= 1
+    index = np.zeros_like(x[0])
+    for level in range(levels - 1, -1, -1):
+        for a in range(3):
+            index = (index << 1) | (((x[a] ^ t) >> level) & 1)
+    return index
+
+
+def cuts(keys: np.ndarray, weights: np.ndarray, ranks: int) -> np.ndarray:
+    """First key of ranks 1.. so that each has about the same weight: (ranks - 1,) int64, non-decreasing.
+
+    keys: (n,) ascending; a rank owns the keys from its cut up to the next rank's. More ranks than keys leave some idle.
+    """
+    if len(keys) == 0:
+        return np.zeros(ranks - 1, np.int64)
+    ends = np.cumsum(weights, dtype=np.float64)
+    middles = ends - 0.5 * weights
+    goals = ends[-1] * np.arange(1, ranks) / ranks
+    at = np.searchsorted(middles, goals)
+    return np.append(keys, keys[-1] + 1)[at]
+
+
+def owners(keys: np.ndarray, cut: np.ndarray) -> np.ndarray:
+    """Rank that owns each key: (n,) int64."""
+    return np.searchsorted(cut, keys, side="right")
+
+
+def imbalance(owner: np.ndarray, weights: np.ndarray, ranks: int) -> float:
+    """Largest rank's weight over the mean; 1 where there is nothing."""
+    loads = np.bincount(owner, weights, minlength=ranks)
+    return float(loads.max() / loads.mean()) if loads.sum() > 0 else 1.0

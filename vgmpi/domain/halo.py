@@ -1,0 +1,103 @@
+"""The one exchange of a step: boundary patches, un-summed, to the ranks whose nodes they touch.
+
+            rank 0 | rank 1
+      ... [ b ][ c ] [ d ][ e ] ...       c's patch reaches into d's nodes, d's into c's:
+                 ----> c                  each sends the other the boxes of nodes they share,
+              d <----                     and both add all patches in the order of their keys.
+
+Each message begins with a header: the step and a number that stands for the list of patches, so that ranks that
+disagree stop instead of adding the wrong thing.
+"""
+
+import zlib
+
+import numpy as np
+
+from ..device.jit import kernel
+from .ranks import Alone
+from .topology import Topology
+
+_HEADER = 4  # numbers at the front of a message
+
+
+class HaloError(RuntimeError):
+    """A message did not carry what this rank expected."""
+
+
+class Halo:
+    """Buffers and box lists, made anew at each sort."""
+
+    def __init__(self, ranks: Alone, topology: Topology, real: np.dtype):
+        self.ranks = ranks
+        self.sends = [_Message(part, topology, real) for part in topology.sends]
+        self.receives = [_Message(part, topology, real) for part in topology.receives]
+
+    @property
+    def bytes_sent(self) -> int:
+        """Per step."""
+        return sum(m.buffer.nbytes for m in self.sends)
+
+    def exchange(self, step: int, patches: np.ndarray, offsets: np.ndarray) -> None:
+        """Send the boundary boxes and put the neighbours' into the ghost patches. Collective among neighbours."""
+        for m in self.sends:
+            m.head[:] = step, m.seal
+            pack(m.buffer[_HEADER:], m.slots, m.low, m.high, patches)
+            pack(m.buffer[m.split :], m.offset_slots, m.offset_low, m.offset_high, offsets)
+        requests = self.ranks.post(
+            [(m.rank, m.buffer) for m in self.sends], [(m.rank, m.buffer) for m in self.receives]
+        )
+        self.ranks.wait(requests)
+        for m in self.receives:
+            if m.head[0] != step or m.head[1] != m.seal:
+                raise HaloError(
+                    f"rank {self.ranks.rank}: message from rank {m.rank} is of step {m.head[0]}, not {step},"
+                    " or of another list of patches"
+                )
+            unpack(m.buffer[_HEADER:], m.slots, m.low, m.high, patches)
+            unpack(m.buffer[m.split :], m.offset_slots, m.offset_low, m.offset_high, offsets)
+
+
+class _Message:
+    """One neighbour's buffer: header, then the boxes of its patches, then those of their offset patches."""
+
+    def __init__(self, part, topology: Topology, real: np.dtype):
+        self.rank, self.slots, self.low, self.high = part
+        offset = topology.offset_slot[self.slots]
+        wanted = offset >= 0
+        self.offset_slots = offset[wanted]
+        self.offset_low, self.offset_high = self.low[wanted], self.high[wanted]
+        size = 4 * np.prod(self.high - self.low, axis=1)
+        self.split = _HEADER + int(size.sum())
+        self.buffer = np.zeros(self.split + int(size[wanted].sum()), real)
+        self.head = self.buffer[:_HEADER].view(np.int64)[:2]
+        rows = topology.row[self.slots].astype(np.int64)
+        listed = np.concatenate([rows, self.low.ravel(), self.high.ravel(), wanted])
+        self.seal = zlib.crc32(listed.astype(np.int64).tobytes())
+
+
+@kernel
+def pack(buffer, slots, low, high, patches):
+    """Copy box low..high of each patch into the buffer."""
+    at = 0
+    for q in range(len(slots)):
+        patch = patches[slots[q]]
+        for i in range(low[q, 0], high[q, 0]):
+            for j in range(low[q, 1], high[q, 1]):
+                for k in range(low[q, 2], high[q, 2]):
+                    for c in range(4):
+                        buffer[at + c] = patch[i, j, k, c]
+                    at += 4
+
+
+@kernel
+def unpack(buffer, slots, low, high, patches):
+    """Inverse of `pack`."""
+    at = 0
+    for q in range(len(slots)):
+        patch = patches[slots[q]]
+        for i in range(low[q, 0], high[q, 0]):
+            for j in range(low[q, 1], high[q, 1]):
+                for k in range(low[q, 2], high[q, 2]):
+                    for c in range(4):
+                        patch[i, j, k, c] = buffer[at + c]
+                    at += 4

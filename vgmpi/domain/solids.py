@@ -1,0 +1,45 @@
+"""Rigid colliders as the grid sees them: distance and normal at the nodes of the blocks near them."""
+
+import numpy as np
+
+from .blocks import EDGE, Lattice
+
+REACH = 3.0  # cells from a collider's surface within which its nodes are kept
+
+
+class Solids:
+    """Distance and outward normal of all colliders together, for the node blocks they can touch.
+
+    nodes: (n, 64, 4) outward normal and distance [m]. Called with blocks (m, 3) it gives their rows, -1 where there is
+    none. Colliders offer distance(points) -> (m,) [m], negative inside, and normal(points) -> (m, 3).
+    """
+
+    def __init__(self, colliders: list, lattice: Lattice, real: np.dtype):
+        self._low = -1  # node blocks reach one block beyond the particles'
+        self._shape = np.array(lattice.shape) + 2
+        grid = np.stack(np.meshgrid(*(np.arange(n) for n in self._shape), indexing="ij"), -1)
+        block = grid.reshape(-1, 3) + self._low
+        dx = lattice.dx
+        centre = (EDGE * block - 1 + (EDGE - 1) / 2) * dx
+        half = 0.5 * np.sqrt(3.0) * (EDGE - 1)
+        near = np.zeros(len(block), bool)
+        for collider in colliders:
+            near |= collider.distance(centre) < (half + REACH) * dx
+        self._row = np.where(near, np.cumsum(near) - 1, -1)
+        inside = np.stack(np.meshgrid(*(np.arange(EDGE),) * 3, indexing="ij"), -1).reshape(-1, 3)
+        points = (EDGE * block[near][:, None, :] - 1 + inside).reshape(-1, 3) * dx
+        best = np.full(len(points), np.inf)
+        normal = np.zeros((len(points), 3))
+        for collider in colliders:
+            distance = collider.distance(points)
+            closer = distance < best
+            best[closer] = distance[closer]
+            normal[closer] = collider.normal(points[closer])
+        self.nodes = np.concatenate([normal, best[:, None]], 1).astype(real).reshape(-1, 64, 4)
+
+    def __call__(self, block: np.ndarray) -> np.ndarray:
+        b = block - self._low
+        inside = ((b >= 0) & (b < self._shape)).all(1)
+        b = np.where(inside[:, None], b, 0)
+        flat = (b[:, 0] * self._shape[1] + b[:, 1]) * self._shape[2] + b[:, 2]
+        return np.where(inside, self._row[flat], -1)

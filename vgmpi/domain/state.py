@@ -1,0 +1,71 @@
+"""The particles of one rank, in the arrays the plan asks for."""
+
+import numpy as np
+
+from ..plan import BASE_CHANNELS, GroupPlan
+from .blocks import BITS, INTEGER, Lattice
+from .sorting import gather_rows
+
+LANES = 16  # segments begin at multiples of this, so that vectors never straddle two
+
+
+class Group:
+    """Particles of one group on this rank, in segments of one block each.
+
+    xi: (3, cap) fixed-point positions; f: (channels, cap) see kernels/transfer.py; ids: (cap,) global particle id, -1 in
+    unused places. Segment s is the particles start[s] .. start[s] + count[s] of block code[s]; segments lie in the order
+    of their keys, particles within one by (cell, id) as of the last sort. That order is part of the state.
+    """
+
+    def __init__(self, plan: GroupPlan, lattice: Lattice, real: np.dtype):
+        self.plan = plan
+        self.lattice = lattice
+        self.real = np.dtype(real)
+        self.bits = BITS[self.real]
+        self.channels = BASE_CHANNELS + len(plan.rest)
+        self.segments(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64))
+        self.xi = np.zeros((3, 0), INTEGER[self.real])
+        self.f = np.zeros((self.channels, 0), self.real)
+        self.ids = np.zeros(0, np.int64)
+        self.used = 0
+
+    def segments(self, code: np.ndarray, start: np.ndarray, count: np.ndarray) -> None:
+        """Set which particles lie in which block."""
+        self.code, self.start, self.count = code, start, count
+        self.block = self.lattice.block(code)
+
+    def __len__(self) -> int:
+        return int(self.count.sum())
+
+    def reserve(self, places: int) -> None:
+        """Make room for `places` particles, padding included; grows by a quarter so that sorts seldom allocate."""
+        have = self.f.shape[1]
+        if places <= have:
+            return
+        more = (places + places // 4 + LANES - 1) // LANES * LANES - have
+        self.xi = np.pad(self.xi, ((0, 0), (0, more)))
+        self.f = np.pad(self.f, ((0, 0), (0, more)))
+        self.ids = np.pad(self.ids, (0, more), constant_values=-1)
+
+    def permute(self, start: np.ndarray, count: np.ndarray, source: np.ndarray, end: int) -> None:
+        """Bring the particles into new segments: the one at `new` is the one that was at source[new]."""
+        self.reserve(end)
+        for rows, fill in ((self.xi, 0), (self.f, 0), (self.ids[None], -1)):
+            spare = np.empty_like(rows[0])
+            for row in rows:
+                gather_rows(start, count, source, row, spare, row.dtype.type(fill))
+                row[:end] = spare[:end]
+        self.used = end
+
+    def index(self) -> np.ndarray:
+        """Places of this rank's particles, segment after segment."""
+        n = len(self)
+        if n == 0:
+            return np.zeros(0, np.int64)
+        gaps = np.repeat(self.start - np.concatenate([[0], np.cumsum(self.count)[:-1]]), self.count)
+        return np.arange(n) + gaps
+
+    def positions(self) -> np.ndarray:
+        """Positions (n, 3) [m] in the order of `index`."""
+        at = self.index()
+        return self.lattice.position(np.repeat(self.block, self.count, axis=0), self.xi[:, at], self.real)

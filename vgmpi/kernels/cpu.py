@@ -1,0 +1,144 @@
+"""The arrays and calls of a step on the processor's cores: one place that knows the kernels' arguments."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from ..domain.blocks import BITS, EDGE, Lattice
+from ..domain.state import Group
+from ..domain.topology import Topology
+from ..plan import Plan
+from . import grid, transfer
+from .walls import KINDS, SIDE, patch_codes
+
+# generators of a sequence that fills the unit cube evenly (Roberts 2018): the dither of a step, the same on every rank
+_DITHER = np.array([0.8191725133961645, 0.6710436067037893, 0.5497004779019703])
+
+
+class Cpu:
+    """Transfers and grid update of one rank's particles, by `threads` threads.
+
+    Threads share nothing they write: a segment's patch, a block's nodes and a particle belong to one thread, so their
+    number does not touch the bits.
+    """
+
+    def __init__(self, plan: Plan, lattice: Lattice, solids, threads: int = 1):
+        self.plan = plan
+        self.threads = threads
+        self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        real = plan.real
+        self.bits = BITS[real]
+        self.dx = real.type(plan.dx)
+        self.lattice = lattice
+        self.solids = solids
+        self.solid_nodes = np.zeros((0, 64, 4), real) if solids is None else solids.nodes
+        self.wall_kinds = np.array([KINDS[kind] for kind, _ in plan.walls], np.int64).reshape(3, 2)
+        self.wall_friction = np.array([mu for _, mu in plan.walls]).reshape(3, 2)
+        self.gravity = np.array(plan.gravity)
+        self.least = np.array([phase.least for phase in plan.phases])
+        self.mastery = np.array([phase.mastery for phase in plan.phases])
+        self.friction = np.array(plan.friction)
+        self.cells = np.array(plan.cells)
+        self.patches = self.offsets = np.zeros((0, SIDE, SIDE, SIDE, 4), real)
+        self.grid = np.zeros((0, 64, 4), real)
+        self.gathered = [np.zeros((SIDE, SIDE, SIDE, 4), real) for _ in range(threads)]
+        self.scratch = [np.zeros((len(plan.phases), 64, 4), real) for _ in range(threads)]
+
+    def adopt(self, groups: list[Group], topology: Topology, group_of_row: np.ndarray) -> None:
+        """Lay out patches, node blocks and tables after a sort. group_of_row: (census rows,)."""
+        t = self.topology = topology
+        self.patches = _room(self.patches, len(t.row))
+        self.offsets = _room(self.offsets, int((t.offset_slot >= 0).sum()))
+        self.grid = _room(self.grid, len(t.phase))
+        self.slots = np.arange(len(t.row))
+        # boxes of ghost patches that do not arrive stay zero
+        self.patches[: len(t.row)][~t.own] = 0
+        ghost_offsets = t.offset_slot[~t.own]
+        self.offsets[ghost_offsets[ghost_offsets >= 0]] = 0
+        own = np.flatnonzero(t.own)
+        group_of = group_of_row[t.row[own]]
+        self.parts = []
+        for g, group in enumerate(groups):
+            here = group_of == g
+            at = own[here]
+            block = t.block[at]
+            if not np.array_equal(block, group.block):
+                raise RuntimeError(f"group {group.plan.name}: segments do not match the census")
+            mirror = patch_codes(block, self.plan.cells, self.wall_kinds)
+            self.parts.append((group, at, t.offset_slot[at], t.table[here], self._limits(block), mirror))
+        self.shares = [_shares(group.count, self.threads) for group in groups]
+        self.block_shares = _shares(np.diff(t.first), self.threads)
+
+    def _limits(self, block: np.ndarray) -> np.ndarray:
+        """Fixed-point range of positions whose base node exists: half a cell beyond the walls. (n, 3, 2) int64."""
+        one = 1 << self.bits
+        low = (-2 - EDGE * block) * one
+        high = (np.array(self.plan.cells) - 1 - EDGE * block) * one
+        return np.stack([np.maximum(low, -4 * one), np.minimum(high, 4 * one - 1)], -1)
+
+    def p2g(self, dt: float) -> None:
+        """Fill the patches of this rank's segments."""
+        dt = self.plan.real.type(dt)
+        for (group, slot, offset_slot, _, _, mirror), shares in zip(self.parts, self.shares, strict=True):
+            law, density = group.plan.law, self.plan.real.type(group.plan.density)
+            self._each(
+                shares,
+                lambda k, s: transfer.p2g(
+                    law, s, group.start, group.count, slot, offset_slot, mirror, group.xi, group.f,
+                    self.patches, self.offsets, self.bits, density, self.dx, dt,
+                ),
+            )  # fmt: skip
+
+    def update(self, dt: float) -> None:
+        """Sum the patches, and find the velocities at the nodes: gravity, contact, walls."""
+        t = self.topology
+        self._each(
+            self.block_shares,
+            lambda k, s: grid.update(
+                s[0], s[-1] + 1, t.first, t.phase, t.block_at, t.meets, t.solid_of,
+                t.pull_first, t.pull_patch, t.pull_code, self.slots, self.patches, t.offset_slot, self.offsets,
+                self.grid, self.solid_nodes, self.scratch[k], self.cells, self.wall_kinds, self.wall_friction,
+                self.gravity, self.least, self.mastery, self.friction, dt, self.plan.dx,
+            ),
+        )  # fmt: skip
+
+    def g2p(self, dt: float, step: int) -> np.ndarray:
+        """Move the particles. Returns (groups, threads, 4) reports, see transfer.g2p."""
+        real = self.plan.real.type
+        dither = np.modf(_DITHER * step)[0]
+        reports = np.zeros((len(self.parts), self.threads, 4))
+        for g, (group, _, _, table, limit, mirror) in enumerate(self.parts):
+            law = group.plan.law
+            self._each(
+                self.shares[g],
+                lambda k, s: transfer.g2p(
+                    law, s, group.start, group.count, table, limit, mirror, group.xi, group.f, self.grid,
+                    self.gathered[k], self.bits, dither, self.dx, real(dt), real(self.plan.cfl), reports[g, k],
+                ),
+            )  # fmt: skip
+        return reports
+
+    def _each(self, shares: list[np.ndarray], work) -> None:
+        """work(thread, share) for every share that is not empty."""
+        if self.pool is None:
+            if len(shares[0]):
+                work(0, shares[0])
+            return
+        waiting = [self.pool.submit(work, k, s) for k, s in enumerate(shares) if len(s)]
+        for w in waiting:
+            w.result()
+
+
+def _room(array: np.ndarray, rows: int) -> np.ndarray:
+    """The array itself if it has the rows, else a larger one; its content is not kept."""
+    if rows <= len(array):
+        return array
+    return np.zeros((rows + rows // 4, *array.shape[1:]), array.dtype)
+
+
+def _shares(weights: np.ndarray, threads: int) -> list[np.ndarray]:
+    """Consecutive index ranges of about equal weight, one per thread."""
+    ends = np.cumsum(weights)
+    total = ends[-1] if len(ends) else 0
+    cut = np.searchsorted(ends, total * np.arange(1, threads) / threads)
+    return np.split(np.arange(len(weights)), cut)

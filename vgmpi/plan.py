@@ -1,0 +1,249 @@
+"""The plan: what a scene needs, worked out before any array exists.
+
+Phases, groups and their fields, boundary kinds, contact pairs, time step, bytes, steps. Arrays are allocated from it,
+kernels are specialised on it, files are written by it; a field the plan does not name does not exist.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from .couplings.contact import Contact
+from .materials.base import function, state_channels
+from .scene import Scene
+
+NS_PER_PARTICLE = 190.0  # a step of one fluid particle on one core, [ns]; see docs/performance.md
+BASE_CHANNELS = 13  # velocity 3, APIC matrix 9, rest volume 1
+MASTERY = {"solid": 0, "fluid": 1}  # whose surface gives the normal where two phases touch
+REALS = {"single": np.dtype(np.float32), "double": np.dtype(np.float64)}
+
+
+class GroupPlan(NamedTuple):
+    """A group of particles: one phase, one material."""
+
+    name: str  # phase/material
+    phase: int
+    material: str
+    law: tuple  # numbers of the law, in the precision of the run
+    density: float  # [kg/m3] at rest
+    rest: tuple  # the law's state at rest, one number per channel
+    cost: float  # work per particle relative to a fluid's
+
+
+class PhasePlan(NamedTuple):
+    """A phase: one velocity field on the grid."""
+
+    name: str
+    family: str
+    objects: tuple[int, ...]  # rows of the scene's objects
+    mastery: int  # 0 for the phase whose normals count first
+    least: float  # [kg] one cell full of its lightest material
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Everything the solver is told. SI units."""
+
+    cells: tuple[int, int, int]
+    dx: float
+    real: np.dtype
+    gravity: tuple[float, float, float]
+    walls: tuple[tuple[str, float], ...]  # west, east, south, north, floor, roof
+    phases: tuple[PhasePlan, ...]
+    groups: tuple[GroupPlan, ...]
+    group_of: tuple[int, ...]  # group of each object, -1 for scenery
+    first_id: tuple[int, ...]  # of each object
+    count: tuple[int, ...]  # particles of each object
+    friction: tuple[tuple[float, ...], ...]  # (phases + 1, phases), the last row for colliders
+    contact: bool  # two phases or more: they may touch
+    collider: bool
+    times: np.ndarray  # (frames,) [s]
+    cfl: float
+    fixed_dt: float  # [s], 0 if chosen by cfl
+    rate: float  # lower bound of 1 / dt [1/s] from what does not change (viscosity)
+
+    @property
+    def particles(self) -> int:
+        return sum(self.count)
+
+    def bytes_per_particle(self, group: int) -> int:
+        """Memory of one particle: position, channels, id."""
+        width = self.real.itemsize
+        return (3 + BASE_CHANNELS + len(self.groups[group].rest)) * width + 8
+
+    def bytes(self) -> int:
+        """Memory of all ranks together, without the interpreters: particles, patches, nodes, sorting."""
+        total = 0
+        for k, n in enumerate(self.count):
+            if self.group_of[k] >= 0:
+                # growth of a quarter, 16-padding, three index arrays while sorting
+                total += int(n * (1.4 * self.bytes_per_particle(self.group_of[k]) + 24))
+        blocks = self.particles / 300.0 + 1
+        width = self.real.itemsize
+        patch, nodes = 8**3 * 4 * width, 64 * 4 * width
+        return total + int(blocks * (patch * (2 if self.contact or self.collider else 1) + 3 * nodes))
+
+
+def phase_name(thing, material) -> str:
+    """The phase an object belongs to: all fluids share one field, every solid object has its own."""
+    if thing.phase is not None:
+        return thing.phase
+    return "fluid" if material.family == "fluid" else thing.name
+
+
+def make_plan(scene: Scene, count: list[int], volume: list[float], collider: bool) -> Plan:
+    """The plan of a scene whose objects have `count` particles of `volume` [m3] in total each.
+
+    Raises SceneError where a fixed time step is above the bound.
+    """
+    real = REALS[scene.accuracy.precision]
+    bodies = [k for k, thing in enumerate(scene.object) if thing.role == "body"]
+    material_of = {k: scene.material[scene.object[k].material] for k in bodies}
+    phases = _phases(scene, bodies, material_of, volume)
+    number = {phase.name: k for k, phase in enumerate(phases)}
+    wanted = sorted(
+        {
+            (phase_name(scene.object[k], material_of[k]), scene.object[k].material) for k in bodies
+        }
+    )
+    groups = tuple(_group(number[p], p, m, scene.material[m], real) for p, m in wanted)
+    group_of = [-1] * len(scene.object)
+    for k in bodies:
+        name = (phase_name(scene.object[k], material_of[k]), scene.object[k].material)
+        group_of[k] = wanted.index(name)
+    dx = scene.domain.cell
+    plan = Plan(
+        cells=scene.domain.cells,
+        dx=dx,
+        real=real,
+        gravity=tuple(scene.domain.gravity),
+        walls=tuple(scene.domain.walls),
+        phases=phases,
+        groups=groups,
+        group_of=tuple(group_of),
+        first_id=tuple(int(n) for n in np.concatenate([[0], np.cumsum(count)[:-1]])),
+        count=tuple(int(n) for n in count),
+        friction=_friction(scene, groups, len(phases)),
+        contact=len(phases) > 1,
+        collider=collider,
+        times=np.linspace(0.0, scene.time.end, scene.time.frames),
+        cfl=scene.time.cfl,
+        fixed_dt=scene.time.dt,
+        rate=max(6.0 * m.kinematic_viscosity / dx**2 for m in material_of.values()),
+    )
+    _check_fixed_dt(scene, plan)
+    return plan
+
+
+def _phases(scene, bodies, material_of, volume) -> tuple[PhasePlan, ...]:
+    members: dict[str, list[int]] = {}
+    for k in bodies:
+        members.setdefault(phase_name(scene.object[k], material_of[k]), []).append(k)
+    names = sorted(members)
+
+    def mastery(name):
+        mass = sum(volume[k] * material_of[k].density for k in members[name])
+        return MASTERY[material_of[members[name][0]].family], -mass, name
+
+    order = sorted(names, key=mastery)
+    cell = scene.domain.cell**3
+    return tuple(
+        PhasePlan(
+            name,
+            material_of[members[name][0]].family,
+            tuple(members[name]),
+            order.index(name),
+            min(material_of[k].density for k in members[name]) * cell,
+        )
+        for name in names
+    )
+
+
+def _group(phase: int, phase_label: str, name: str, material, real: np.dtype) -> GroupPlan:
+    law = material.law()
+    rest = tuple(v for values in material.carries.values() for v in values)
+    assert len(rest) == state_channels(type(law))
+    typed = type(law)(*(real.type(v) for v in law))
+    return GroupPlan(f"{phase_label}/{name}", phase, name, typed, material.density, rest, material.cost)
+
+
+def _friction(scene: Scene, groups, phases: int) -> tuple[tuple[float, ...], ...]:
+    """Friction of every pair of phases; of two materials that meet in one pair of phases the largest counts."""
+    named = {frozenset(c.between): c.friction for c in scene.coupling if isinstance(c, Contact)}
+    out = np.zeros((phases + 1, phases))
+    for a in groups:
+        one = scene.material[a.material]
+        out[phases, a.phase] = max(out[phases, a.phase], Contact.default_friction(one, one))
+        for b in groups:
+            default = Contact.default_friction(one, scene.material[b.material])
+            mu = named.get(frozenset((a.material, b.material)), default)
+            out[a.phase, b.phase] = max(out[a.phase, b.phase], mu)
+    return tuple(tuple(float(v) for v in row) for row in out)
+
+
+def fastest(scene: Scene) -> list[tuple[float, str]]:
+    """(bound on the time step [s], what sets it) per body at the start, smallest first."""
+    dx, found = scene.domain.cell, []
+    for thing in scene.object:
+        if thing.role != "body":
+            continue
+        material = scene.material[thing.material]
+        law = material.law()
+        rest = tuple(v for values in material.carries.values() for v in values)
+        wave = math.sqrt(function(law, "wave_speed2")(law, rest))
+        speed = math.hypot(*thing.velocity)
+        found.append((scene.time.cfl * dx / (wave + speed), f"material {thing.material!r}"))
+        if material.kinematic_viscosity > 0:
+            bound = dx**2 / (6.0 * material.kinematic_viscosity)
+            found.append((bound, f"the viscosity of material {thing.material!r}"))
+    return sorted(found)
+
+
+def _check_fixed_dt(scene: Scene, plan: Plan) -> None:
+    bound, what = fastest(scene)[0]
+    if plan.fixed_dt > bound:
+        said = f"{plan.fixed_dt:.4g} s is above the stable step of {what}: at most {bound:.4g} s"
+        raise scene.error([(("time", "dt"), said)])
+
+
+def describe(scene: Scene, plan: Plan, ranks: int) -> str:
+    """What --plan prints: phases, fields, particles, memory, time step, steps, predicted time."""
+    lines = [f"{scene.title or scene.path.name}: {plan.particles:,} particles, precision {scene.accuracy.precision}"]
+    nx, ny, nz = plan.cells
+    lines.append(f"  grid        {nx} x {ny} x {nz} cells of {plan.dx:g} m, sparse 4^3 blocks")
+    for phase in plan.phases:
+        for g, group in enumerate(plan.groups):
+            if plan.phases[group.phase] is not phase:
+                continue
+            n = sum(plan.count[k] for k in phase.objects if plan.group_of[k] == g)
+            fields = "x, v, C, vol0, " + ", ".join(scene.material[group.material].carries)
+            lines.append(
+                f"  phase       {phase.name}: {n:,} particles of {group.material}"
+                f" ({phase.family}), {plan.bytes_per_particle(g)} bytes each: {fields}"
+            )
+    for a in range(len(plan.phases)):
+        for b in range(a + 1, len(plan.phases)):
+            names = f"{plan.phases[a].name} - {plan.phases[b].name}"
+            lines.append(f"  contact     {names}: friction {plan.friction[a][b]:g}")
+    lines.append("  walls       " + ", ".join(f"{w[0]}" + (f" (friction {w[1]:g})" if w[1] else "") for w in plan.walls))
+    total = plan.bytes()
+    lines.append(f"  memory      {total / 2**20:.0f} MiB in all, {total / ranks / 2**20:.0f} MiB per rank on {ranks} rank(s)")
+    dt, what = fastest(scene)[0]
+    dt = plan.fixed_dt or dt
+    steps = math.ceil(plan.times[-1] / dt)
+    lines.append(f"  time step   {dt:.4g} s at the start, set by {'time.dt' if plan.fixed_dt else what}")
+    lines.append(f"  steps       about {steps:,} for {plan.times[-1]:g} s and {len(plan.times)} frames")
+    work = sum(n * plan.groups[g].cost for n, g in zip(plan.count, plan.group_of, strict=True) if g >= 0)
+    seconds = steps * work * NS_PER_PARTICLE * 1e-9 / ranks
+    lines.append(f"  time        about {_duration(seconds)} on {ranks} rank(s), one core each")
+    return "\n".join(lines)
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    if seconds < 7200:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h"

@@ -1,0 +1,134 @@
+"""One step of the coupled multiphase point method, and the state it advances."""
+
+import numpy as np
+
+from ..domain import migrate, topology
+from ..domain.blocks import Lattice
+from ..domain.halo import Halo
+from ..domain.ranks import Alone
+from ..domain.solids import Solids
+from ..domain.state import Group
+from ..kernels.cpu import Cpu
+from ..kernels.transfer import REACH
+from ..materials.base import function
+from ..plan import Plan
+
+REASONS = {
+    1: "its volume ratio left 0.1 .. 5, it moved more than a cell in a step, or it is not a number",
+    2: "it left the domain",
+}
+
+
+class BlowUp(RuntimeError):
+    """The state can no longer be trusted. Names the object, the particle and the step."""
+
+
+class Simulation:
+    """Particles of all groups on this rank, and the clock. Collective: all ranks call the same methods.
+
+    time [s] and step are the state's; rate [1/s] is the least 1/dt the state allows; both are part of a checkpoint.
+    """
+
+    def __init__(self, plan: Plan, ranks: Alone, colliders: list = (), threads: int = 1):
+        self.plan = plan
+        self.ranks = ranks
+        self.lattice = Lattice(plan.cells, plan.dx)
+        self.solids = Solids(list(colliders), self.lattice, plan.real) if colliders else None
+        self.engine = Cpu(plan, self.lattice, self.solids, threads)
+        self.groups = [Group(group, self.lattice, plan.real) for group in plan.groups]
+        self.phase_of = np.array([group.phase for group in plan.groups])
+        self.cut: np.ndarray | None = None
+        self.time = 0.0
+        self.step = 0
+        self.rate = 0.0
+        self.sorts = 0
+        self.clock = None  # a callable(name) that marks the end of a stage, or None
+
+    def put(self, x: np.ndarray, v: np.ndarray, volume: np.ndarray, ids: np.ndarray, thing: np.ndarray) -> None:
+        """Take particles at rest in any order, any share on any rank. Collective; once, at the start.
+
+        x: positions [m], (n, 3); v: velocities [m/s], (n, 3); volume: rest volumes [m3], (n,); ids: (n,);
+        thing: object of each, (n,).
+        """
+        group_of = np.array(self.plan.group_of)[thing] if len(thing) else thing
+        fastest = 0.0
+        for g, group in enumerate(self.groups):
+            here = group_of == g
+            block, xi = self.lattice.place(x[here], self.plan.real)
+            f = np.zeros((group.channels, int(here.sum())), self.plan.real)
+            f[0:3] = v[here].T
+            f[12] = volume[here]
+            f[13:] = np.array(group.plan.rest)[:, None]
+            migrate.arrive(group, block, xi, f, ids[here])
+            if here.any():
+                law = group.plan.law
+                wave = np.sqrt(function(law, "wave_speed2")(law, group.plan.rest))
+                speed = np.sqrt((v[here] ** 2).sum(1)).max()
+                fastest = max(fastest, float(wave + speed), float(speed) * self.plan.cfl / 0.3)
+        rate = fastest / (self.plan.cfl * self.plan.dx)
+        self.rate = float(self.ranks.max(np.array([rate]))[0])
+        self.sort()
+
+    def sort(self) -> None:
+        """Re-sort all particles, cut the curve anew if the load asks for it, and lay out the tables."""
+        census, self.cut = migrate.sort(self.groups, self.ranks, self.cut)
+        self.adopt(census)
+        self.sorts += 1
+
+    def adopt(self, census: migrate.Census) -> None:
+        """Lay out tables and buffers for the segments of the census, which the groups already hold."""
+        self.census = census
+        tables = topology.build(
+            census, self.lattice, self.ranks.rank, self.phase_of, self.plan.contact, self.solids
+        )
+        self.engine.adopt(self.groups, tables, census.group)
+        self.halo = Halo(self.ranks, tables, self.plan.real)
+
+    def bound(self) -> float:
+        """Largest stable time step [s] of the present state."""
+        return 1.0 / max(self.rate, self.plan.rate)
+
+    def advance(self, dt: float, requests: tuple[float, ...] = ()) -> np.ndarray:
+        """One step of dt [s]: time n to n + 1. Returns the maxima over all ranks of `requests`.
+
+        Raises BlowUp, on all ranks, after the step in which a particle went wrong.
+        """
+        mark = self.clock or (lambda name: None)
+        self.engine.p2g(dt)  # x, v, C, state at n -> mass and momentum (with stress at n over dt)
+        mark("p2g")
+        self.halo.exchange(self.step, self.engine.patches, self.engine.offsets)
+        mark("halo")
+        self.engine.update(dt)  # node velocities at n + 1: gravity, contact, walls
+        mark("grid")
+        reports = self.engine.g2p(dt, self.step)  # v, C, x, state at n + 1
+        mark("g2p")
+        self.time += dt
+        self.step += 1
+        worst = reports.max(axis=(0, 1))
+        found = self.ranks.max(np.array([worst[0], worst[1], worst[2] > 0, *requests], np.float64))
+        mark("wait")
+        if found[2]:
+            raise BlowUp(self._blame(reports))
+        self.rate = float(found[0])
+        if found[1] >= REACH:
+            self.sort()
+            mark("sort")
+        return found[3:]
+
+    def object_of(self, ids: np.ndarray) -> np.ndarray:
+        """Object of each particle: ids of one object follow each other."""
+        return np.searchsorted(np.array(self.plan.first_id), ids, side="right") - 1
+
+    def _blame(self, reports: np.ndarray) -> str:
+        """Name the bad particle of lowest id, the same on every rank."""
+        rows = [
+            (int(group.ids[int(r[2]) - 1]), int(r[3]))
+            for group, threads in zip(self.groups, reports, strict=True)
+            for r in threads
+            if r[2] > 0
+        ]
+        rows = self.ranks.all_rows(np.array(rows, np.int64).reshape(-1, 2))
+        worst, reason = rows[np.argmin(rows[:, 0])]
+        # an empty object begins where the next one does: take the one that has particles
+        thing = int(self.object_of(np.array([worst]))[0])
+        return f"object {{{thing}}}, particle {worst}, step {self.step}, time {self.time:.6g} s: {REASONS[int(reason)]}"
