@@ -72,6 +72,13 @@ class Scene:
         }
 
 
+def phase_of(thing: Object, family: str | None) -> str | None:
+    """Name of the velocity field an object shares: all fluids one, every solid its own."""
+    if family is None:
+        return None
+    return thing.phase or ("fluid" if family == "fluid" else thing.name)
+
+
 def load(path: str | Path, overrides: list[str] | tuple[str, ...] = ()) -> Scene:
     """Read a scene file; `overrides` are "key=value" and replace what the file says.
 
@@ -214,11 +221,12 @@ class _Reader:
         first: dict[str, str] = {}
         for k, thing in enumerate(objects):
             made_of = kinds.get(thing.material) if thing else None
-            if made_of is None or thing.phase is None:
+            if made_of is None:
                 continue
-            other = first.setdefault(thing.phase, made_of.family)
+            phase = phase_of(thing, made_of.family)
+            other = first.setdefault(phase, made_of.family)
             if other != made_of.family:
-                said = f"'{thing.phase}' already holds a {other}, this is a {made_of.family}"
+                said = f"'{phase}' already holds a {other}, this is a {made_of.family}"
                 self.wrong(("object", k, "phase"), said)
 
     def unknown_material(self, path: tuple, name: str, kinds: dict[str, Any]) -> None:

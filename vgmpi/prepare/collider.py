@@ -1,0 +1,75 @@
+"""Colliders: the signed distance of scenery, exact for shapes, on voxels for clouds and meshes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from vgmpi.objects import Shape
+from vgmpi.prepare import shapes
+from vgmpi.prepare.place import Placement, turn
+from vgmpi.prepare.voxels import Voxels
+
+
+@dataclass(frozen=True)
+class ShapeCollider:
+    """A shape that does not move. step: half the width [m] of the differences in `normal`."""
+
+    name: str
+    shape: Shape
+    placement: Placement
+    step: float
+
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """Signed distance [m] (m,) of `points` (m, 3) [m], negative inside."""
+        return self.placement.scale * shapes.distance(self.shape, self.placement.own(points))
+
+    def normal(self, points: np.ndarray) -> np.ndarray:
+        """Outward unit normals (m, 3)."""
+        step = self.step / self.placement.scale
+        own = shapes.normals(self.shape, self.placement.own(points), step)
+        return turn(self.placement.rotation, own)
+
+
+@dataclass(frozen=True)
+class VoxelCollider:
+    """A solid given by voxels; values: signed distance [m] at voxel centres, of shape voxels.shape.
+
+    Beyond the box of voxels the distance to the box is added.
+    """
+
+    name: str
+    voxels: Voxels
+    values: np.ndarray
+
+    @classmethod
+    def of(cls, name: str, voxels: Voxels, solid: np.ndarray) -> "VoxelCollider":
+        """solid: (shape) bool. The surface lies halfway between the two kinds of voxels."""
+        out = ndimage.distance_transform_edt(~solid)
+        inside = ndimage.distance_transform_edt(solid)
+        cells = np.where(solid, 0.5 - inside, out - 0.5)
+        return cls(name, voxels, cells * voxels.spacing)
+
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """Signed distance [m] (m,) of `points` (m, 3) [m], negative inside; linear in between."""
+        place, beyond = self._places(points)
+        return ndimage.map_coordinates(self.values, place.T, order=1, mode="nearest") + beyond
+
+    def normal(self, points: np.ndarray) -> np.ndarray:
+        """Outward unit normals (m, 3) by central differences over two voxels."""
+        out = np.empty_like(points)
+        for axis in range(3):
+            shift = np.zeros(3)
+            shift[axis] = self.voxels.spacing
+            out[:, axis] = self.distance(points + shift) - self.distance(points - shift)
+        size = np.sqrt((out**2).sum(axis=1))[:, None]
+        return np.where(size > 0, out / np.maximum(size, 1e-300), (0.0, 0.0, 1.0))
+
+    def _places(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Fractional voxel numbers, and the distance [m] by which points are outside the box."""
+        place = points / self.voxels.spacing - 0.5 - self.voxels.start
+        near = np.clip(place, 0.0, np.array(self.voxels.shape) - 1.0)
+        return near, np.sqrt(((place - near) ** 2).sum(axis=1)) * self.voxels.spacing
+
+
+Collider = ShapeCollider | VoxelCollider

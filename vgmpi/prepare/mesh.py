@@ -1,0 +1,236 @@
+"""Surface meshes: read, sample the surface evenly with flat Gaussians, find what is inside."""
+
+import contextlib
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from vgmpi.gaussians.cloud import Cloud, rotation_matrices
+from vgmpi.gaussians.sh import dc_from_rgb
+
+FEWEST = 20_000  # Gaussians on a surface, so that a small object is drawn smoothly
+FLATNESS = 0.1  # thickness of a disc relative to its radius
+RADIUS = 0.6  # standard deviation of a disc relative to sqrt(area / number)
+_CROWD = 5  # candidates per point that is kept
+_SNUG = 0.72  # least distance of two points relative to sqrt(area / number)
+
+
+class MeshError(ValueError):
+    """A file that is no usable surface mesh; one line that names the file."""
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """points (n, 3) in the file's units, triangles (m, 3) of point numbers, rgb (n, 3) or None."""
+
+    points: np.ndarray
+    triangles: np.ndarray
+    rgb: np.ndarray | None = None
+
+    def corners(self) -> np.ndarray:
+        """Corners of every triangle (m, 3 corners, 3)."""
+        return self.points[self.triangles]
+
+
+def read(path: Path) -> Mesh:
+    """The triangles of a mesh file; polygons are cut into fans. Raises MeshError."""
+    try:
+        found = _read_obj(path) if path.suffix.lower() == ".obj" else _read_any(path)
+    except (Exception, SystemExit) as error:  # meshio's readers raise anything, and may exit
+        said = str(error).splitlines()
+        reason = said[0] if said and not isinstance(error, SystemExit) else "no mesh meshio reads"
+        raise MeshError(f"{path}: cannot be read as a mesh: {reason}") from None
+    if not len(found.triangles):
+        raise MeshError(f"{path}: holds no triangles or polygons")
+    low, high = found.triangles.min(), found.triangles.max()
+    if not np.isfinite(found.points).all() or low < 0 or high >= len(found.points):
+        raise MeshError(f"{path}: has points that are not finite or triangles without points")
+    return found
+
+
+def _read_any(path: Path) -> Mesh:
+    import meshio  # half a second to import: only scenes with such a mesh pay it
+
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        found = meshio.read(path)
+    points = np.asarray(found.points, dtype=np.float64)
+    points = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))  # a flat mesh has no z
+    fans = [np.empty((0, 3), dtype=np.int64)]
+    for block in found.cells:
+        if block.type in ("triangle", "quad", "polygon"):
+            cells = np.asarray(block.data)
+            fans += [cells[:, (0, k, k + 1)] for k in range(1, cells.shape[1] - 1)]
+    colors = _vertex_colors(found.point_data, len(points))
+    return Mesh(points, np.concatenate(fans).astype(np.int64), colors)
+
+
+def _read_obj(path: Path) -> Mesh:
+    """Points, their colours and faces of a Wavefront file.
+
+    Read here, because meshio refuses files with more texture coordinates than points.
+    """
+    points, triangles = [], []
+    for line in path.read_text(errors="replace").splitlines():
+        words = line.split()
+        if words[:1] == ["v"]:
+            points.append([float(word) for word in words[1:]])
+        elif words[:1] == ["f"]:
+            face = [int(word.partition("/")[0]) for word in words[1:]]
+            face = [
+                n - 1 if n > 0 else len(points) + n for n in face
+            ]  # from 1; negative: from last
+            triangles += [(face[0], face[k], face[k + 1]) for k in range(1, len(face) - 1)]
+    colored = bool(points) and all(len(point) >= 6 for point in points)
+    rgb = np.clip([point[3:6] for point in points], 0.0, 1.0) if colored else None
+    x = np.array([point[:3] for point in points], dtype=np.float64).reshape(-1, 3)
+    return Mesh(x, np.array(triangles, dtype=np.int64).reshape(-1, 3), rgb)
+
+
+def _vertex_colors(data: dict, count: int) -> np.ndarray | None:
+    """Colours 0..1 (n, 3) where the file has any."""
+    if all(name in data for name in ("red", "green", "blue")):
+        rgb = np.stack([data[name] for name in ("red", "green", "blue")], axis=1)
+    else:
+        names = [
+            n for n in data if n.lower() in ("rgb", "rgba", "color", "colors", "vertex_colors")
+        ]
+        rgb = np.asarray(data[names[0]]) if names else np.empty(0)
+    if rgb.ndim != 2 or len(rgb) != count or rgb.shape[1] < 3:
+        return None
+    whole = np.issubdtype(rgb.dtype, np.integer)
+    return np.clip(rgb[:, :3].astype(np.float64) / (255.0 if whole else 1.0), 0.0, 1.0)
+
+
+def sample(mesh: Mesh, spacing: float, color: tuple, opacity: float, key: list[int]) -> Cloud:
+    """Flat Gaussians spread evenly (Poisson disc) over a placed mesh, `spacing` / 2 [m] apart.
+
+    key: integers that choose the random numbers; the same ones give the same points.
+    """
+    corner = mesh.corners()
+    cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    double = np.linalg.norm(cross, axis=1)
+    area = double.sum() / 2
+    wanted = int(max(FEWEST, area / (spacing / 2) ** 2))
+    random = np.random.Generator(np.random.Philox(np.random.SeedSequence(key)))
+    draw = random.random((_CROWD * wanted, 3))
+    edges = np.cumsum(double)
+    chosen = np.minimum(np.searchsorted(edges, draw[:, 0] * edges[-1]), len(edges) - 1)
+    root, v = np.sqrt(draw[:, 1:2]), draw[:, 2:3]
+    share = np.concatenate([1 - root, root * (1 - v), root * v], axis=1)  # barycentric (n, 3)
+    x = (share[:, :, None] * corner[chosen]).sum(axis=1)
+    kept = spread(x, _SNUG * np.sqrt(area / wanted))
+    normal = cross[chosen[kept]] / double[chosen[kept], None]
+    rgb = np.tile(np.asarray(color, dtype=float), (len(kept), 1))
+    if mesh.rgb is not None:
+        rgb = (share[kept, :, None] * mesh.rgb[mesh.triangles[chosen[kept]]]).sum(axis=1)
+    radius = RADIUS * np.sqrt(area / len(kept))
+    return Cloud(
+        x[kept],
+        toward(normal),
+        np.tile([radius, radius, FLATNESS * radius], (len(kept), 1)),
+        np.full(len(kept), opacity),
+        dc_from_rgb(rgb)[:, None, :].astype(np.float32),
+    )
+
+
+def toward(normal: np.ndarray) -> np.ndarray:
+    """Quaternions w, x, y, z (n, 4) that turn the z axis to unit normals (n, 3)."""
+    x, y, z = normal.T
+    zero = np.zeros_like(x)
+    quat = np.stack([1.0 + z, -y, x, zero], axis=1)
+    quat = np.where((z > -0.999999)[:, None], quat, (0.0, 1.0, 0.0, 0.0))  # half a turn
+    return quat / np.linalg.norm(quat, axis=1, keepdims=True)
+
+
+def spread(x: np.ndarray, distance: float) -> np.ndarray:
+    """Indices of points no two of which are closer than `distance` [m]; earlier points win.
+
+    What taking the points one by one would give, but in a few vectorised rounds.
+    """
+    pairs = cKDTree(x).query_pairs(distance, output_type="ndarray")  # (m, 2), first < second
+    taken = np.zeros(len(x), dtype=bool)
+    open_ = np.ones(len(x), dtype=bool)
+    while open_.any():
+        waits = np.zeros(len(x), dtype=bool)
+        waits[pairs[:, 1]] = True
+        new = open_ & ~waits
+        taken |= new
+        open_ &= ~new
+        fallen = pairs[:, 1][new[pairs[:, 0]]]
+        open_[fallen] = False
+        pairs = pairs[open_[pairs].all(axis=1)]
+    return np.flatnonzero(taken)
+
+
+def inside(mesh: Mesh, points: np.ndarray, spacing: float) -> np.ndarray:
+    """Which points (n, 3) of a lattice of the given spacing [m] lie inside a placed mesh.
+
+    Along each axis a line through the points counts the signed crossings below each; two of three
+    axes must agree, so that a hole in the mesh does not turn a whole line inside out.
+    """
+    votes = np.zeros(len(points), dtype=np.int8)
+    for axis in range(3):
+        order = [(axis + 1) % 3, (axis + 2) % 3, axis]
+        votes += _winding(mesh.corners()[:, :, order], points[:, order], spacing) != 0
+    return votes >= 2
+
+
+def _winding(corner: np.ndarray, points: np.ndarray, h: float) -> np.ndarray:
+    """Signed crossings (n,) of the mesh below each point, along the third coordinate.
+
+    points: on a lattice of spacing h in the first two coordinates.
+    """
+    column = np.floor(points[:, :2] / h).astype(np.int64)
+    start = column.min(axis=0)
+    size = column.max(axis=0) - start + 1
+    # a line exactly through an edge would count twice or never: lines stand a little aside
+    aside = h * np.array([3.1e-6, 7.7e-6])
+    low = np.ceil((corner[:, :, :2].min(axis=1) - aside) / h - 0.5).astype(np.int64)
+    high = np.floor((corner[:, :, :2].max(axis=1) - aside) / h - 0.5).astype(np.int64)
+    low, high = np.maximum(low, start), np.minimum(high, start + size - 1)
+    span = np.maximum(high - low + 1, 0)
+    count = span[:, 0] * span[:, 1]
+    tri = np.repeat(np.arange(len(corner)), count)
+    nth = np.arange(len(tri)) - np.repeat(np.cumsum(count) - count, count)
+    cell = low[tri] + np.stack([nth // span[tri, 1], nth % span[tri, 1]], axis=1)
+    line = (cell + 0.5) * h + aside
+    a, b, c = (corner[tri, k] for k in range(3))
+    u, v, w = (_area(p, q, line) for p, q in ((b, c), (c, a), (a, b)))
+    twice = u + v + w
+    hit = (((u > 0) & (v > 0) & (w > 0)) | ((u < 0) & (v < 0) & (w < 0))) & (twice != 0)
+    u, v, w, twice = u[hit], v[hit], w[hit], twice[hit]
+    height = (u * a[hit, 2] + v * b[hit, 2] + w * c[hit, 2]) / twice
+    return _crossings_below(
+        _flat(cell[hit] - start, size), height, np.sign(twice), _flat(column - start, size), points
+    )
+
+
+def _area(p: np.ndarray, q: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Twice the signed area of the triangles p, q, x in the plane of the first two coordinates."""
+    return (p[:, 0] - x[:, 0]) * (q[:, 1] - x[:, 1]) - (p[:, 1] - x[:, 1]) * (q[:, 0] - x[:, 0])
+
+
+def _flat(cell: np.ndarray, size: np.ndarray) -> np.ndarray:
+    return cell[:, 0] * size[1] + cell[:, 1]
+
+
+def _crossings_below(lines, heights, signs, columns, points) -> np.ndarray:
+    """For each point the sum of `signs` of the crossings on its line that lie lower."""
+    line = np.concatenate([lines, columns])
+    z = np.concatenate([heights, points[:, 2]])
+    sign = np.concatenate([signs, np.zeros(len(columns))]).astype(np.int64)
+    order = np.lexsort((z, line))
+    total = np.cumsum(sign[order])
+    first = np.searchsorted(line[order], line[order], side="left")
+    before = np.concatenate([[0], total])[first]  # what lines further left have summed up
+    out = np.empty(len(line), dtype=np.int64)
+    out[order] = total - before
+    return out[len(lines) :]
+
+
+def normals(cloud: Cloud) -> np.ndarray:
+    """The directions (n, 3) in which flat Gaussians face: their third axes."""
+    return rotation_matrices(cloud.quat)[:, :, 2]

@@ -1,0 +1,143 @@
+"""Shapes as solids: signed distance, reach and colour of any point; the lattice of particles.
+
+Distances are in the shape's own coordinates [m], negative inside.
+"""
+
+import numpy as np
+
+from vgmpi.objects import Rod, Shape
+
+# Lattice points are judged this share of a spacing up from where they lie, so that a face that
+# runs exactly through a layer of points takes the layer at the low side and leaves the one at the
+# high side, whatever rounding says.
+TIE = 1e-6
+
+
+def distance(shape: Shape, points: np.ndarray) -> np.ndarray:
+    """Signed distance (n,) of `points` (n, 3) to the shape's surface.
+
+    Exact for box, sphere, cylinder and capsule; first order near an ellipsoid; a bound on the true
+    distance for unions from inside and differences (Quilez 2008).
+    """
+    form = getattr(shape, shape.form)
+    match shape.form:
+        case "box":
+            low, high = np.asarray(form)
+            return _from_box(np.abs(points - (low + high) / 2) - (high - low) / 2)
+        case "sphere":
+            return _length(points - np.asarray(form.center)) - form.radius
+        case "ellipsoid":
+            return _from_ellipsoid(points - np.asarray(form.center), np.asarray(form.radii))
+        case "cylinder":
+            return _from_cylinder(form, points)
+        case "capsule":
+            along, across, length = _rod_coordinates(form, points)
+            beyond = along - np.clip(along, 0.0, length)
+            return np.hypot(beyond, across) - form.radius
+        case "union":
+            return np.min([distance(part, points) for part in form], axis=0)
+    inside, *cut = (distance(part, points) for part in form)
+    return np.max([inside, *(-d for d in cut)], axis=0)
+
+
+def reach(shape: Shape, direction: np.ndarray) -> float:
+    """Largest x . direction over the shape's points x; of a difference: over its first part."""
+    form = getattr(shape, shape.form)
+    d = np.asarray(direction, dtype=float)
+    match shape.form:
+        case "box":
+            return float(np.maximum(d * form[0], d * form[1]).sum())
+        case "sphere":
+            return float(d @ form.center + form.radius * np.linalg.norm(d))
+        case "ellipsoid":
+            return float(d @ form.center + np.linalg.norm(d * form.radii))
+        case "cylinder":
+            a, b = np.asarray(form.ends)
+            axis = (b - a) / np.linalg.norm(b - a)
+            return float(max(d @ a, d @ b) + form.radius * np.linalg.norm(d - (d @ axis) * axis))
+        case "capsule":
+            return float(
+                max(d @ np.asarray(e) for e in form.ends) + form.radius * np.linalg.norm(d)
+            )
+        case "union":
+            return max(reach(part, d) for part in form)
+    return reach(form[0], d)
+
+
+def colors(shape: Shape, points: np.ndarray, default: tuple) -> np.ndarray:
+    """Colour (n, 3) of `points`: of the first part of a union that holds them, else `default`."""
+    own = shape.color or default
+    if shape.form == "difference":
+        return colors(shape.difference[0], points, own)
+    out = np.tile(np.asarray(own, dtype=float), (len(points), 1))
+    if shape.form == "union":
+        depths = np.array([distance(part, points) for part in shape.union])
+        # points of no part (scenery's skin, rounding) take the nearest
+        holder = np.where((depths <= 0).any(axis=0), (depths <= 0).argmax(0), depths.argmin(0))
+        for k, part in enumerate(shape.union):
+            mine = holder == k
+            out[mine] = colors(part, points[mine], own)
+    return out
+
+
+def normals(shape: Shape, points: np.ndarray, step: float) -> np.ndarray:
+    """Outward unit normals (n, 3) by central differences of the distance over 2 `step` [m]."""
+    out = np.empty_like(points)
+    for axis in range(3):
+        shift = np.zeros(3)
+        shift[axis] = step
+        out[:, axis] = distance(shape, points + shift) - distance(shape, points - shift)
+    size = _length(out)[:, None]
+    return np.where(size > 0, out / np.maximum(size, 1e-300), (0.0, 0.0, 1.0))
+
+
+def lattice(inside, low: np.ndarray, high: np.ndarray, spacing: float) -> np.ndarray:
+    """Points (n, 3) of the lattice of cell centres (i + 1/2) spacing for which `inside` is true.
+
+    inside: called with points (m, 3), slab by slab so that memory stays bounded, returns (m,) bool.
+    low, high: corners (3,) [m] of the region searched.
+    """
+    start = np.floor(np.asarray(low) / spacing).astype(np.int64) - 1
+    stop = np.ceil(np.asarray(high) / spacing).astype(np.int64) + 1
+    y, z = (np.arange(a, b) for a, b in zip(start[1:], stop[1:], strict=True))
+    sheet = max(1, len(y) * len(z))
+    thick = max(1, 500_000 // sheet)
+    found = [np.empty((0, 3))]
+    for first in range(start[0], stop[0], thick):
+        x = np.arange(first, min(first + thick, stop[0]))
+        index = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1).reshape(-1, 3)
+        points = (index + 0.5) * spacing
+        found.append(points[inside(points + TIE * spacing)])
+    return np.concatenate(found)
+
+
+def _length(v: np.ndarray) -> np.ndarray:
+    return np.sqrt(v[:, 0] ** 2 + v[:, 1] ** 2 + v[:, 2] ** 2)
+
+
+def _from_box(q: np.ndarray) -> np.ndarray:
+    """Distance from |x - middle| - half edges, both (n, k)."""
+    outside = np.maximum(q, 0.0)
+    return np.sqrt((outside**2).sum(axis=1)) + np.minimum(q.max(axis=1), 0.0)
+
+
+def _from_ellipsoid(x: np.ndarray, radii: np.ndarray) -> np.ndarray:
+    k0, k1 = _length(x / radii), _length(x / radii**2)
+    near = k0 * (k0 - 1.0) / np.maximum(k1, 1e-300)
+    return np.where(k1 > 0, near, -radii.min())
+
+
+def _rod_coordinates(rod: Rod, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Distance along the axis from its first end, distance from the axis, length of the axis."""
+    a, b = np.asarray(rod.ends)
+    length = float(np.linalg.norm(b - a))
+    axis = (b - a) / max(length, 1e-300)
+    x = points - a
+    along = x[:, 0] * axis[0] + x[:, 1] * axis[1] + x[:, 2] * axis[2]
+    return along, _length(x - along[:, None] * axis), length
+
+
+def _from_cylinder(rod: Rod, points: np.ndarray) -> np.ndarray:
+    along, across, length = _rod_coordinates(rod, points)
+    q = np.stack([np.abs(along - length / 2) - length / 2, across - rod.radius], axis=1)
+    return _from_box(q)

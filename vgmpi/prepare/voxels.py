@@ -1,0 +1,74 @@
+"""Voxels of the particle spacing, aligned with the lattice of particles: occupancy and volumes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vgmpi.gaussians.cloud import Cloud, rotation_matrices
+
+COVERED = 0.3  # summed opacity from which a voxel counts as part of a surface
+_REACH = 1.5  # standard deviations over which a Gaussian covers voxels
+_MOST = 12  # samples along one axis of a Gaussian
+
+
+@dataclass(frozen=True)
+class Voxels:
+    """A dense box of voxels. start: integer index (3,) of its first voxel; spacing: edge [m]."""
+
+    start: np.ndarray
+    shape: tuple[int, int, int]
+    spacing: float
+
+    @classmethod
+    def around(cls, x: np.ndarray, spacing: float, margin: int = 2) -> "Voxels":
+        """The box around points (n, 3) with `margin` empty voxels on every side."""
+        start = np.floor(x.min(axis=0) / spacing).astype(np.int64) - margin
+        stop = np.floor(x.max(axis=0) / spacing).astype(np.int64) + 1 + margin
+        return cls(start, tuple(int(n) for n in stop - start), spacing)
+
+    def index(self, x: np.ndarray) -> np.ndarray:
+        """Flat index (n,) of the voxel of each point; -1 outside the box."""
+        local = np.floor(x / self.spacing).astype(np.int64) - self.start
+        inside = ((local >= 0) & (local < self.shape)).all(axis=1)
+        flat = (local[:, 0] * self.shape[1] + local[:, 1]) * self.shape[2] + local[:, 2]
+        return np.where(inside, flat, -1)
+
+    def centers(self, mask: np.ndarray) -> np.ndarray:
+        """Middle (n, 3) [m] of each voxel where `mask` (shape) is true."""
+        return (np.argwhere(mask) + self.start + 0.5) * self.spacing
+
+
+def shared_volumes(x: np.ndarray, spacing: float) -> np.ndarray:
+    """Volume [m3] of each particle (n,): that of its voxel, shared by the particles inside it.
+
+    The sum is the number of occupied voxels times spacing^3.
+    """
+    voxels = Voxels.around(x, spacing, margin=0)
+    _, mine, count = np.unique(voxels.index(x), return_inverse=True, return_counts=True)
+    return spacing**3 / count[mine]
+
+
+def covered(cloud: Cloud, voxels: Voxels) -> np.ndarray:
+    """Whether the summed opacity of a voxel makes it part of the surface (shape, bool).
+
+    A Gaussian larger than a voxel counts in all voxels its disc covers, weighted by its profile:
+    its centre alone would leave holes between the centres of a coarse capture.
+    """
+    order = np.argsort(-cloud.scale, axis=1, kind="stable")[:, :2]
+    radii = np.take_along_axis(cloud.scale, order, axis=1)
+    frames = rotation_matrices(cloud.quat)
+    axes = np.take_along_axis(frames, order[:, None, :], axis=2) * radii[:, None, :]  # (n, 3, 2)
+    count = np.clip(np.ceil(2 * _REACH * radii / voxels.spacing), 1, _MOST).astype(int)
+    total = np.zeros(int(np.prod(voxels.shape)) + 1)  # the last one collects what is outside
+    for a, b in np.unique(count, axis=0):
+        rows = (count == (a, b)).all(axis=1)
+        for s in _samples(a):
+            for t in _samples(b):
+                x = cloud.x[rows] + s * axes[rows, :, 0] + t * axes[rows, :, 1]
+                weight = cloud.opacity[rows] * np.exp(-0.5 * (s * s + t * t))
+                np.add.at(total, voxels.index(x), weight)
+    return (total[:-1] > COVERED).reshape(voxels.shape)
+
+
+def _samples(count: int) -> np.ndarray:
+    return (np.arange(count) + 0.5) * (2 * _REACH / count) - _REACH
