@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+HEIGHT = 0.35  # of the eye above the target, as part of the distance, where nothing is asked for
 NEAR = 0.2  # the usual near plane of Gaussian renderers, in the units of the scene
 
 
@@ -84,15 +85,29 @@ def orbit_eye(
     return target + height * axis + radius * (np.cos(turn) * first + np.sin(turn) * second)
 
 
-def overview(lower: np.ndarray, upper: np.ndarray, fov: float, aspect: float) -> tuple:
-    """Target (3,), distance and height [m] from which the box `lower` .. `upper` fills the picture.
+def overview(
+    lower: np.ndarray,
+    upper: np.ndarray,
+    fov: float,
+    aspect: float,
+    angles: np.ndarray = (0.0,),
+    up: np.ndarray = (0, 0, 1),
+) -> tuple[np.ndarray, float, float]:
+    """Target (3,), distance and height [m] of an orbit that keeps the box lower .. upper in view.
 
-    The bounding sphere fits into the narrower of the two fields of view. aspect: width / height.
+    aspect: width / height of the picture. angles: of the orbit [degrees]; the box fits at all of
+    them, with a margin of 5 %.
     """
     lower, upper = np.asarray(lower, dtype=np.float64), np.asarray(upper, dtype=np.float64)
     target = 0.5 * (lower + upper)
-    radius = max(0.5 * float(np.linalg.norm(upper - lower)), 1e-6)
-    half = 0.5 * np.radians(fov)
-    half = min(half, np.arctan(np.tan(half) * aspect))
-    distance = radius / np.sin(half)
-    return target, distance, 0.35 * distance
+    half = np.maximum(0.5 * (upper - lower), 1e-6)
+    corners = half * (np.indices((2, 2, 2)).reshape(3, -1).T * 2 - 1)
+    slope = np.tan(0.5 * np.radians(fov))
+    distance = 0.0
+    for angle in angles:
+        eye = orbit_eye(np.zeros(3), 1.0, HEIGHT, angle, up)
+        rotation = look_at(eye, np.zeros(3), up, fov, 1, 1).world_to_camera[:3, :3]
+        x, y, z = rotation @ corners.T
+        reach = np.maximum(np.abs(x) / (slope * aspect), np.abs(y) / slope)
+        distance = max(distance, float((reach - z).max()))
+    return target, 1.05 * distance, HEIGHT * 1.05 * distance

@@ -1,0 +1,128 @@
+"""What a run looks like at a frame: rest Gaussians and moving particles become things to draw."""
+
+import logging
+
+import numpy as np
+
+from postprocess.splat import ALPHA_MIN, Splats
+from vgmpi.gaussians import evolve
+from vgmpi.gaussians import sh as harmonics
+from vgmpi.output.read import RunError
+
+log = logging.getLogger("vgmpi")
+
+FAINT = 0.02  # fluid opacity up to which 1/255 would cut a quarter or more of the fluid away
+ALPHA_MIN_FAINT = 1e-4
+
+
+class Look:
+    """All that does not change from frame to frame, worked out once.
+
+    run: an opened run (vgmpi.output.read.Run) or anything with the same `objects` and `gaussians`.
+    """
+
+    def __init__(self, run):
+        rest = run.gaussians
+        self.objects = run.objects
+        self.object = np.asarray(rest.object)
+        fluid = np.array([o.get("family") == "fluid" for o in self.objects] or [False])
+        factor = np.array([_opacity_scale(o) for o in self.objects] or [1.0])
+        self.fluid = fluid[self.object]
+        self.opacity = np.asarray(rest.opacity, dtype=np.float64) * factor[self.object]
+        self.vol0 = np.asarray(rest.vol0, dtype=np.float64)
+        self.cov0 = np.asarray(rest.cov0, dtype=np.float64)
+        self.color = _Colors(np.asarray(rest.sh))
+        self.scenery = None
+        scenery = getattr(rest, "scenery", None)
+        if scenery is not None and len(scenery.x0):
+            self.scenery = (
+                np.asarray(scenery.x0, dtype=np.float64),
+                np.asarray(scenery.cov0, dtype=np.float64),
+                np.asarray(scenery.opacity, dtype=np.float64),
+                _Colors(np.asarray(scenery.sh)),
+            )
+
+    def splats(self, frame: dict[str, np.ndarray], eye: np.ndarray) -> Splats:
+        """The Gaussians of a frame as seen from `eye` [m]; scenery first, it never moves.
+
+        frame: arrays id, x, and J (fluids), F (solids) as in the frame's file. Raises RunError.
+        """
+        rows = np.asarray(frame["id"])
+        if len(rows) and not 0 <= rows.min() <= rows.max() < len(self.object):
+            raise RunError("a frame holds particles that gaussians.h5 does not know")
+        x = np.asarray(frame["x"], dtype=np.float64)
+        fluid = self.fluid[rows]
+        solid = np.flatnonzero(~fluid)
+        if len(solid) and "F" not in frame:
+            raise RunError("a frame with solids lacks the field F: they cannot be drawn")
+        cov = np.empty((len(rows), 6))
+        if len(solid):
+            F = np.asarray(frame["F"])[solid]
+            cov[solid] = evolve.solid(self.cov0[rows[solid]], F)
+        if fluid.any():
+            J = np.asarray(frame["J"])[fluid] if "J" in frame else np.ones(np.count_nonzero(fluid))
+            cov[fluid] = evolve.fluid(self.vol0[rows[fluid]], J)
+        directions = x - eye
+        turning = solid[self.color.view_dependent[rows[solid]]]
+        if len(turning):  # a turned solid shows towards d what it showed at rest towards R^T d
+            R = evolve.rotation(np.asarray(frame["F"])[turning])
+            directions[turning] = np.einsum("nij,ni->nj", R, directions[turning])
+        parts = [(x, cov, self.opacity[rows], self.color(rows, directions))]
+        if self.scenery is not None:
+            x, cov, opacity, color = self.scenery
+            parts.insert(0, (x, cov, opacity, color(np.arange(len(x)), x - eye)))
+        return Splats(*(np.concatenate(arrays) for arrays in zip(*parts)))
+
+    def alpha_min(self, asked: float | None) -> float:
+        """The alpha below which a Gaussian is left out of a pixel: as asked, or what suits the run.
+
+        Says so when it is not the usual 1/255, and warns of objects that nobody will see.
+        """
+        alpha_min = asked
+        if alpha_min is None:
+            named = [o["alpha_min"] for o in self.objects if o.get("alpha_min")]
+            faint = self.fluid & (self.opacity > 0)
+            if named:
+                alpha_min = min(named)
+            elif faint.any() and np.median(self.opacity[faint]) <= FAINT:
+                alpha_min = ALPHA_MIN_FAINT
+                log.info("the fluid is faint (opacity <= %g): alpha_min = %g", FAINT, alpha_min)
+            else:
+                alpha_min = ALPHA_MIN
+        for number, entry in enumerate(self.objects):
+            own = self.opacity[self.object == number]
+            lost = np.count_nonzero(own < alpha_min)
+            if lost and lost > 0.05 * len(own):
+                log.warning(
+                    "%d of %d Gaussians of '%s' are fainter than alpha_min = %g and vanish: "
+                    "lower alpha_min or raise opacity_scale",
+                    lost,
+                    len(own),
+                    entry.get("name", number),
+                    alpha_min,
+                )
+        return alpha_min
+
+
+class _Colors:
+    """Colours of rows of coefficients; what does not depend on the view is worked out once."""
+
+    def __init__(self, sh: np.ndarray):
+        self.sh = sh
+        self.plain = harmonics.evaluate(sh[:, :1], np.zeros((len(sh), 3)))
+        self.view_dependent = np.zeros(len(sh), dtype=bool)
+        if sh.shape[1] > 1:
+            self.view_dependent = (sh[:, 1:] != 0).any(axis=(1, 2))
+
+    def __call__(self, rows: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        color = self.plain[rows]
+        shiny = np.flatnonzero(self.view_dependent[rows])
+        if len(shiny):
+            color[shiny] = harmonics.evaluate(self.sh[rows[shiny]], directions[shiny])
+        return color
+
+
+def _opacity_scale(entry: dict) -> float:
+    """The factor on the opacities of an object: fluids are drawn thinner."""
+    scale = entry.get("opacity_scale")
+    return float(scale) if entry.get("family") == "fluid" and scale is not None else 1.0

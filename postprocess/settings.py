@@ -1,0 +1,164 @@
+"""render.toml: camera, picture, video and splatting, checked before anything is drawn."""
+
+import difflib
+import re
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
+
+from postprocess.splat import ALPHA_MIN_RANGE
+
+Vector = tuple[float, float, float]
+Unit = Annotated[float, Field(ge=0, le=1)]
+
+
+class SettingsError(ValueError):
+    """All errors of a render.toml; `lines` holds one clear line for each."""
+
+    def __init__(self, lines: list[str]):
+        super().__init__("\n".join(lines))
+        self.lines = lines
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+def _nonzero(value: Vector) -> Vector:
+    if not any(value):
+        raise ValueError("allowed: a direction that is not zero")
+    return value
+
+
+class CameraSettings(_Table):
+    """Lengths in m, angles in degrees. What is left out is chosen so that the domain is in view."""
+
+    kind: Literal["orbit", "fixed"] = "orbit"
+    target: Vector | None = None
+    up: Annotated[Vector, AfterValidator(_nonzero)] = (0.0, 0.0, 1.0)
+    fov: Annotated[float, Field(gt=0, lt=170)] = 40.0  # vertical
+    near: Annotated[float, Field(gt=0)] | None = None
+    eye: Vector | None = None  # fixed only
+    distance: Annotated[float, Field(gt=0)] | None = None  # orbit only, from target to eye
+    height: float | None = None  # orbit only, of the eye above the target
+    turns: float = 0.0  # orbit only, full circles over the video
+    angle: float = 25.0  # orbit only, at the first frame; 0 looks from -y, 90 from +x
+
+    @model_validator(mode="after")
+    def _fits_kind(self):
+        other = ("eye",) if self.kind == "orbit" else ("distance", "height", "turns", "angle")
+        wrong = [name for name in other if name in self.model_fields_set]
+        if wrong:
+            raise ValueError(f"a camera of kind '{self.kind}' has no {', '.join(wrong)}")
+        if self.kind == "fixed" and self.eye is None:
+            raise ValueError("a camera of kind 'fixed' needs eye = [x, y, z]")
+        if self.eye is not None and self.eye == self.target:
+            raise ValueError("eye and target are the same point")
+        if None not in (self.height, self.distance) and abs(self.height) >= self.distance:
+            raise ValueError("height must be less than distance")
+        return self
+
+
+class PictureSettings(_Table):
+    width: Annotated[int, Field(ge=16, le=8192)] = 800  # pixels
+    height: Annotated[int, Field(ge=16, le=8192)] = 800
+    background: tuple[Unit, Unit, Unit] | str = "#ffffff"  # colour, or a picture file
+
+
+class VideoSettings(_Table):
+    fps: Annotated[float, Field(ge=1, le=240)] = 25.0
+    quality: Annotated[float, Field(ge=0, le=10)] = 8.0
+
+
+class FrameSettings(_Table):
+    first: Annotated[int, Field(ge=0)] = 0
+    last: Annotated[int, Field(ge=0)] | None = None
+    every: Annotated[int, Field(ge=1)] = 1
+
+
+class SplattingSettings(_Table):
+    """`classic` is what captures are trained for; the others keep tiny Gaussians thin."""
+
+    mode: Literal["classic", "antialias", "mip"] = "classic"
+    lowpass: Annotated[float, Field(gt=0, le=2)] | None = None  # pixels^2
+    alpha_min: Annotated[float, Field(ge=ALPHA_MIN_RANGE[0], le=ALPHA_MIN_RANGE[1])] | None = None
+
+    def options(self) -> dict[str, Any]:
+        """Arguments of splat.render but alpha_min."""
+        usual = 0.1 if self.mode == "mip" else 0.3
+        return {"lowpass": self.lowpass or usual, "antialias": self.mode != "classic"}
+
+
+class Settings(_Table):
+    camera: CameraSettings = CameraSettings()
+    picture: PictureSettings = PictureSettings()
+    video: VideoSettings = VideoSettings()
+    frames: FrameSettings = FrameSettings()
+    splatting: SplattingSettings = SplattingSettings()
+
+
+def load(path: str | Path | None) -> Settings:
+    """The settings of a render.toml, or the usual ones without a file. Raises SettingsError."""
+    if path is None:
+        return Settings()
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+        data = tomllib.loads(text)
+    except OSError as error:
+        raise SettingsError([f"{path}: {error.strerror or error}"]) from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        line = re.search(r"line (\d+)", str(error))
+        at = f":{line.group(1)}" if line else ""
+        raise SettingsError([f"{path}{at}: not readable as TOML: {error}"]) from None
+    try:
+        return Settings.model_validate(data)
+    except ValidationError as error:
+        lines = [_explain(path, text, item) for item in error.errors()]
+        raise SettingsError(list(dict.fromkeys(lines))) from None
+
+
+def _explain(path: str | Path, text: str, item: Any) -> str:
+    """`file:line: key: value: what is allowed`."""
+    keys = [part for part in item["loc"] if isinstance(part, str) and part.isidentifier()]
+    keys = keys[:2]  # deeper parts name alternatives of a type, not keys of the file
+    allowed = re.sub(r"^(Value error, |Input should be )", "", item["msg"])
+    if item["type"] == "extra_forbidden":
+        table = Settings if len(keys) == 1 else Settings.model_fields[keys[0]].annotation
+        names = list(table.model_fields)
+        near = difflib.get_close_matches(keys[-1], names, 1)
+        hint = f" (did you mean '{near[0]}'?)" if near else ""
+        said = f"unknown key: allowed are {', '.join(names)}{hint}"
+    elif isinstance(item["input"], dict):
+        said = allowed
+    else:
+        said = f"{item['input']!r}: allowed: {allowed.removeprefix('allowed: ')}"
+    return f"{path}:{_line(text, keys)}: {'.'.join(keys)}: {said}"
+
+
+def _line(text: str, keys: list[str]) -> int:
+    """Line of a key of a TOML text with tables one deep (of its table if the key is not found)."""
+    table, found = "", 1
+    for number, line in enumerate(text.splitlines(), start=1):
+        head = re.match(r"\s*\[\s*([\w-]+)\s*\]", line)
+        if head:
+            table = head.group(1)
+            if keys[:1] == [table]:
+                found = number
+            continue
+        name = re.match(r"\s*([\w.-]+)\s*=", line)
+        if name:
+            full = f"{table}.{name.group(1)}" if table else name.group(1)
+            if full == ".".join(keys):
+                return number
+            if full == keys[0]:
+                found = number
+    return found

@@ -1,0 +1,134 @@
+"""python -m postprocess.view OUT --frame 25 --color J -o a.png: particles coloured by any field.
+
+Draws with pyvista, off the screen. Exit code 2 for what the user can mend, with one line.
+"""
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from postprocess.camera import orbit_eye, overview
+from vgmpi.output import layout
+from vgmpi.output.read import Run, RunError
+
+FOV = 30.0  # degrees, vertical
+ANGLE = 25.0  # degrees around z, as in the renderer
+
+
+def scalars(frame: dict[str, np.ndarray], color: str) -> np.ndarray:
+    """The numbers to colour by, (n,): a field, the length of a vector, or one component.
+
+    color: "J", "velocity" (its length), "velocity.z", "F.0" ... "F.8", "x.z". Raises RunError.
+    """
+    name, _, part = color.partition(".")
+    if name not in frame:
+        raise RunError(f"--color: {color}: this frame has {', '.join(frame)}")
+    values = np.asarray(frame[name])
+    if values.ndim == 1:
+        if part:
+            raise RunError(f"--color: {color}: {name} has no components")
+        return values
+    if not part:
+        return np.linalg.norm(values, axis=1)
+    names = list("xyz") if values.shape[1] == 3 else [str(i) for i in range(values.shape[1])]
+    if part not in names:
+        raise RunError(f"--color: {color}: allowed are {name}.{names[0]} .. {name}.{names[-1]}")
+    return values[:, names.index(part)]
+
+
+def title(color: str) -> str:
+    """The words on the colour bar: field and unit."""
+    units = {d.name: d.unit for d in layout.FRAME}
+    unit = units.get(color.partition(".")[0], "1")
+    return color if unit == "1" else f"{color} [{unit}]"
+
+
+def picture(run: Run, index: int, color: str, path: Path, args: argparse.Namespace) -> None:
+    """Draw one frame into a PNG file."""
+    import pyvista as pv  # takes a second: not for --help
+
+    if "DISPLAY" not in os.environ:  # VTK would complain before it falls back to drawing off screen
+        pv.vtk_verbosity("off")
+    frame = run.frame(index)
+    values = scalars(frame, color)
+    size = run.scene.get("domain", {}).get("size")
+    lower, upper = (np.zeros(3), np.array(size)) if size else (frame["x"].min(0), frame["x"].max(0))
+    plotter = pv.Plotter(off_screen=True, window_size=args.size)
+    plotter.set_background("white")
+    points = pv.PolyData(np.ascontiguousarray(frame["x"], dtype=np.float32))
+    plotter.add_mesh(
+        points,
+        scalars=values,
+        clim=args.range,
+        cmap=args.map,
+        point_size=args.point,
+        render_points_as_spheres=True,
+        scalar_bar_args={
+            "title": title(color) + "\n",
+            "color": "black",
+            "vertical": True,
+            "position_x": 0.9,
+            "position_y": 0.25,
+            "height": 0.5,
+            "width": 0.06,
+        },
+    )
+    plotter.add_text(f"t = {run.times[index]:.4g} s", font_size=12, color="black")
+    box = pv.Box((lower[0], upper[0], lower[1], upper[1], lower[2], upper[2]))
+    plotter.add_mesh(box.extract_all_edges(), color="grey", line_width=2)
+    target, distance, height = overview(
+        lower, upper, FOV, args.size[0] / args.size[1], [args.angle]
+    )
+    eye = orbit_eye(target, distance, height, args.angle)
+    plotter.camera.view_angle = FOV
+    plotter.camera_position = [tuple(eye), tuple(target), (0.0, 0.0, 1.0)]
+    plotter.reset_camera_clipping_range()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        plotter.screenshot(path)
+    except OSError as error:
+        raise RunError(f"{path}: {error.strerror or error}") from None
+    finally:
+        plotter.close()
+
+
+def parser() -> argparse.ArgumentParser:
+    p = argparse.ArgumentParser(prog="python -m postprocess.view", description=__doc__)
+    p.add_argument("out", help="folder of the run")
+    p.add_argument("--frame", type=int, default=-1, help="number of the frame [the last]")
+    p.add_argument(
+        "--color", default="velocity", help="J, velocity, velocity.z, F.0, object ... [velocity]"
+    )
+    p.add_argument("-o", "--output", default="view.png", help="the picture [view.png]")
+    p.add_argument("--range", type=float, nargs=2, metavar=("LOW", "HIGH"), help="of the colours")
+    p.add_argument("--size", type=int, nargs=2, default=(1000, 800), metavar=("W", "H"))
+    p.add_argument("--angle", type=float, default=ANGLE, help="around z [degrees]")
+    p.add_argument("--point", type=float, default=5.0, help="size of a particle [pixels]")
+    p.add_argument("--map", default="viridis", help="matplotlib colour map [viridis]")
+    return p
+
+
+def main(argv: list[str] | None = None) -> int:
+    args = parser().parse_args(argv)
+    path = Path(args.output)
+    if path.suffix != ".png":
+        print(f"-o: {path}: allowed: a name that ends in .png", file=sys.stderr)
+        return 2
+    try:
+        run = Run(args.out)
+        index = args.frame + len(run) if args.frame < 0 else args.frame
+        if not 0 <= index < len(run):
+            raise RunError(f"--frame: {args.frame}: the run has the frames 0..{len(run) - 1}")
+        picture(run, index, args.color, path, args)
+    except RunError as error:
+        print(error, file=sys.stderr)
+        return 2
+    print(path)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
