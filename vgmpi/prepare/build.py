@@ -15,7 +15,7 @@ from vgmpi.prepare import fill, mesh, shapes
 from vgmpi.prepare.collider import Collider, ShapeCollider, VoxelCollider
 from vgmpi.prepare.place import Placement, PlacementError, place, turn
 from vgmpi.prepare.select import selected
-from vgmpi.prepare.voxels import Voxels, covered, shared_volumes
+from vgmpi.prepare.voxels import Voxels, volumes
 from vgmpi.scene import Scene, phase_of
 
 log = logging.getLogger("vgmpi")
@@ -133,7 +133,7 @@ def _from_mesh(scene: Scene, k: int, thing: Object) -> Piece:
         placed.points.max(axis=0),
         spacing,
     )
-    return _solid(thing, surface, inner, spacing, at)
+    return _solid(scene, thing, surface, inner, np.empty((0, 3)), at)
 
 
 def _from_gaussians(scene: Scene, k: int, thing: Object) -> Piece:
@@ -148,10 +148,10 @@ def _from_gaussians(scene: Scene, k: int, thing: Object) -> Piece:
     if thing.role == "body":
         _inside(scene, thing, cloud.x.min(axis=0), cloud.x.max(axis=0), 0.0)
     try:
-        inner = fill.interior(cloud, spacing, thing.fill)
+        inner, gaps = fill.interior(cloud, spacing, thing.fill)
     except fill.TooLarge as error:
         raise PlacementError("fill", str(error)) from None
-    return _solid(thing, cloud, inner, spacing, at)
+    return _solid(scene, thing, cloud, inner, gaps, at)
 
 
 _MAKE: dict[str, Callable[[Scene, int, Object], Piece]] = {
@@ -162,19 +162,23 @@ _MAKE: dict[str, Callable[[Scene, int, Object], Piece]] = {
 
 
 def _solid(
-    thing: Object, surface: Cloud, inner: np.ndarray, spacing: float, at: Placement
+    scene: Scene, thing: Object, surface: Cloud, inner: np.ndarray, gaps: np.ndarray, at: Placement
 ) -> Piece:
-    """A surface and lattice points inside it: as one body, or as scenery that others hit."""
+    """A surface and lattice points inside and on it: as a body, or as scenery that others hit."""
+    spacing = _spacing(scene, thing)
+    shell = np.concatenate([surface.x, gaps])
+    voxels = Voxels.around(np.concatenate([shell, inner]), spacing)
+    inner = inner[~np.isin(voxels.index(inner), voxels.index(shell))]
     if thing.role == "scenery":
-        voxels = Voxels.around(surface.x, spacing)
-        solid = covered(surface, voxels).ravel()
-        solid[voxels.index(inner)] = True
-        collider = VoxelCollider.of(thing.name, voxels, solid.reshape(voxels.shape))
+        solid = np.zeros(voxels.shape, dtype=bool)
+        solid.ravel()[voxels.index(np.concatenate([shell, inner]))] = True
+        collider = VoxelCollider.of(thing.name, voxels, solid)
         return Piece(surface, np.zeros(len(surface)), at, collider)
-    voxels = Voxels.around(np.concatenate([surface.x, inner]), spacing, margin=0)
-    inner = inner[~np.isin(voxels.index(inner), voxels.index(surface.x))]
-    cloud = fill.joined(surface, fill.filling(inner, surface, spacing, thing.opacity))
-    return Piece(cloud, shared_volumes(cloud.x, spacing), at)
+    # what covers the gaps is drawn already, so their particles carry mass only
+    unseen = fill.filling(gaps, surface, spacing, 0.0)
+    filled = fill.filling(inner, surface, spacing, thing.opacity)
+    cloud = fill.joined(fill.joined(surface, unseen), filled)
+    return Piece(cloud, volumes(shell, inner, spacing, thing.fill is not False), at)
 
 
 def round_cloud(x: np.ndarray, spacing: float, rgb: np.ndarray, opacity: float) -> Cloud:

@@ -16,14 +16,16 @@ class TooLarge(ValueError):
     """A cloud whose box has too many voxels; one line that says what to do."""
 
 
-def interior(cloud: Cloud, spacing: float, mode: bool | str) -> np.ndarray:
-    """Centres (n, 3) [m] of the voxels inside a placed cloud's surface that hold no Gaussian.
+def interior(cloud: Cloud, spacing: float, mode: bool | str) -> tuple[np.ndarray, np.ndarray]:
+    """What a placed cloud lacks: centres [m] of voxels inside it (n, 3), and on its surface (m, 3).
 
+    Voxels that hold a Gaussian's centre are in neither. Voxels of the surface are those a Gaussian
+    covers from a centre elsewhere: without particles there a coarse capture would be a sieve.
     mode: True fills what the surface encloses, or nearly encloses where it has holes; "closed"
-    only what it encloses; False nothing.
+    only what it encloses; False leaves the cloud as it is. Raises TooLarge.
     """
     if mode is False:
-        return np.empty((0, 3))
+        return np.empty((0, 3)), np.empty((0, 3))
     voxels = Voxels.around(cloud.x, spacing)
     if np.prod(np.array(voxels.shape, dtype=float)) > _LARGEST:
         size = " x ".join(map(str, voxels.shape))
@@ -37,9 +39,10 @@ def interior(cloud: Cloud, spacing: float, mode: bool | str) -> np.ndarray:
         voted = enclosed_by_votes(surface)
         if inside.sum() < LEAKING * voted.sum():
             inside |= voted
-    taken = np.zeros(inside.size, dtype=bool)
-    taken[voxels.index(cloud.x)] = True
-    return voxels.centers(inside & ~taken.reshape(inside.shape))
+    free = np.ones(inside.size, dtype=bool)
+    free[voxels.index(cloud.x)] = False
+    free = free.reshape(inside.shape)
+    return voxels.centers(inside & free), voxels.centers(surface & free)
 
 
 def enclosed_by_votes(surface: np.ndarray) -> np.ndarray:
