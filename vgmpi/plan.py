@@ -12,7 +12,7 @@ import numpy as np
 
 from .couplings.contact import Contact
 from .materials.base import function, state_channels
-from .scene import Scene
+from .scene import Scene, phase_of
 
 NS_PER_PARTICLE = 190.0  # a step of one fluid particle on one core, [ns]; see docs/performance.md
 BASE_CHANNELS = 13  # velocity 3, APIC matrix 9, rest volume 1
@@ -83,14 +83,9 @@ class Plan:
         blocks = self.particles / 300.0 + 1
         width = self.real.itemsize
         patch, nodes = 8**3 * 4 * width, 64 * 4 * width
-        return total + int(blocks * (patch * (2 if self.contact or self.collider else 1) + 3 * nodes))
-
-
-def phase_name(thing, material) -> str:
-    """The phase an object belongs to: all fluids share one field, every solid object has its own."""
-    if thing.phase is not None:
-        return thing.phase
-    return "fluid" if material.family == "fluid" else thing.name
+        return total + int(
+            blocks * (patch * (2 if self.contact or self.collider else 1) + 3 * nodes)
+        )
 
 
 def make_plan(scene: Scene, count: list[int], volume: list[float], collider: bool) -> Plan:
@@ -105,13 +100,14 @@ def make_plan(scene: Scene, count: list[int], volume: list[float], collider: boo
     number = {phase.name: k for k, phase in enumerate(phases)}
     wanted = sorted(
         {
-            (phase_name(scene.object[k], material_of[k]), scene.object[k].material) for k in bodies
+            (phase_of(scene.object[k], material_of[k].family), scene.object[k].material)
+            for k in bodies
         }
     )
     groups = tuple(_group(number[p], p, m, scene.material[m], real) for p, m in wanted)
     group_of = [-1] * len(scene.object)
     for k in bodies:
-        name = (phase_name(scene.object[k], material_of[k]), scene.object[k].material)
+        name = (phase_of(scene.object[k], material_of[k].family), scene.object[k].material)
         group_of[k] = wanted.index(name)
     dx = scene.domain.cell
     plan = Plan(
@@ -140,7 +136,7 @@ def make_plan(scene: Scene, count: list[int], volume: list[float], collider: boo
 def _phases(scene, bodies, material_of, volume) -> tuple[PhasePlan, ...]:
     members: dict[str, list[int]] = {}
     for k in bodies:
-        members.setdefault(phase_name(scene.object[k], material_of[k]), []).append(k)
+        members.setdefault(phase_of(scene.object[k], material_of[k].family), []).append(k)
     names = sorted(members)
 
     def mastery(name):
@@ -166,7 +162,9 @@ def _group(phase: int, phase_label: str, name: str, material, real: np.dtype) ->
     rest = tuple(v for values in material.carries.values() for v in values)
     assert len(rest) == state_channels(type(law))
     typed = type(law)(*(real.type(v) for v in law))
-    return GroupPlan(f"{phase_label}/{name}", phase, name, typed, material.density, rest, material.cost)
+    return GroupPlan(
+        f"{phase_label}/{name}", phase, name, typed, material.density, rest, material.cost
+    )
 
 
 def _friction(scene: Scene, groups, phases: int) -> tuple[tuple[float, ...], ...]:
@@ -210,7 +208,9 @@ def _check_fixed_dt(scene: Scene, plan: Plan) -> None:
 
 def describe(scene: Scene, plan: Plan, ranks: int) -> str:
     """What --plan prints: phases, fields, particles, memory, time step, steps, predicted time."""
-    lines = [f"{scene.title or scene.path.name}: {plan.particles:,} particles, precision {scene.accuracy.precision}"]
+    lines = [
+        f"{scene.title or scene.path.name}: {plan.particles:,} particles, precision {scene.accuracy.precision}"
+    ]
     nx, ny, nz = plan.cells
     lines.append(f"  grid        {nx} x {ny} x {nz} cells of {plan.dx:g} m, sparse 4^3 blocks")
     for phase in plan.phases:
@@ -227,15 +227,26 @@ def describe(scene: Scene, plan: Plan, ranks: int) -> str:
         for b in range(a + 1, len(plan.phases)):
             names = f"{plan.phases[a].name} - {plan.phases[b].name}"
             lines.append(f"  contact     {names}: friction {plan.friction[a][b]:g}")
-    lines.append("  walls       " + ", ".join(f"{w[0]}" + (f" (friction {w[1]:g})" if w[1] else "") for w in plan.walls))
+    lines.append(
+        "  walls       "
+        + ", ".join(f"{w[0]}" + (f" (friction {w[1]:g})" if w[1] else "") for w in plan.walls)
+    )
     total = plan.bytes()
-    lines.append(f"  memory      {total / 2**20:.0f} MiB in all, {total / ranks / 2**20:.0f} MiB per rank on {ranks} rank(s)")
+    lines.append(
+        f"  memory      {total / 2**20:.0f} MiB in all, {total / ranks / 2**20:.0f} MiB per rank on {ranks} rank(s)"
+    )
     dt, what = fastest(scene)[0]
     dt = plan.fixed_dt or dt
     steps = math.ceil(plan.times[-1] / dt)
-    lines.append(f"  time step   {dt:.4g} s at the start, set by {'time.dt' if plan.fixed_dt else what}")
-    lines.append(f"  steps       about {steps:,} for {plan.times[-1]:g} s and {len(plan.times)} frames")
-    work = sum(n * plan.groups[g].cost for n, g in zip(plan.count, plan.group_of, strict=True) if g >= 0)
+    lines.append(
+        f"  time step   {dt:.4g} s at the start, set by {'time.dt' if plan.fixed_dt else what}"
+    )
+    lines.append(
+        f"  steps       about {steps:,} for {plan.times[-1]:g} s and {len(plan.times)} frames"
+    )
+    work = sum(
+        n * plan.groups[g].cost for n, g in zip(plan.count, plan.group_of, strict=True) if g >= 0
+    )
     seconds = steps * work * NS_PER_PARTICLE * 1e-9 / ranks
     lines.append(f"  time        about {_duration(seconds)} on {ranks} rank(s), one core each")
     return "\n".join(lines)

@@ -120,8 +120,8 @@ def _swap(group: Group, ranks: Alone, gone, to, code, cell):
     """Send the particles at `gone` to ranks `to`; append what arrives. Returns code, cell and how many came."""
     order = np.argsort(to, kind="stable")
     gone, to = gone[order], to[order]
-    parts = (group.xi[:, gone].T, group.f[:, gone].T, group.ids[gone, None], code[gone, None], cell[gone, None])
-    packed = np.concatenate([np.ascontiguousarray(p).view(np.uint8).reshape(len(gone), -1) for p in parts], 1)
+    rows = (group.xi[:, gone].T, group.f[:, gone].T, group.ids[gone], code[gone], cell[gone])
+    packed = np.concatenate([_as_bytes(part) for part in rows], 1)
     got = ranks.exchange(np.split(packed, np.searchsorted(to, np.arange(1, ranks.size))))
     got = np.concatenate(got)
     n, at = len(got), 0
@@ -135,3 +135,9 @@ def _swap(group: Group, ranks: Alone, gone, to, code, cell):
         target[..., new] = values.T if target.ndim == 2 else values[:, 0]
         at += size
     return code, cell, n
+
+
+def _as_bytes(rows: np.ndarray) -> np.ndarray:
+    """Rows (n, ...) as (n, bytes per row)."""
+    width = int(np.prod(rows.shape[1:], dtype=np.int64)) * rows.dtype.itemsize
+    return np.ascontiguousarray(rows).view(np.uint8).reshape(len(rows), width)

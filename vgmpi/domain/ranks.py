@@ -19,6 +19,7 @@ class Alone:
 
     rank = 0
     size = 1
+    here = 1  # ranks on this machine
     mpi = None
 
     def barrier(self) -> None:
@@ -76,6 +77,9 @@ class Mpi(Alone):
         self.mpi = MPI.COMM_WORLD if communicator is None else communicator
         self.rank = self.mpi.Get_rank()
         self.size = self.mpi.Get_size()
+        neighbours = self.mpi.Split_type(MPI.COMM_TYPE_SHARED)
+        self.here = neighbours.Get_size()
+        neighbours.Free()
 
     def barrier(self):
         self.mpi.Barrier()

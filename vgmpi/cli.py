@@ -1,0 +1,263 @@
+"""The command line: flags, exit codes, and all that is printed."""
+
+import argparse
+import logging
+import os
+import re
+import sys
+from pathlib import Path
+
+from .domain.ranks import Alone, world
+from .output import checkpoint, layout, read, store
+from .plan import describe, make_plan
+from .scene import Scene, load
+from .tables import SceneError
+
+log = logging.getLogger("vgmpi")
+
+WRONG = 2
+EXIT_CODES = """exit codes: 0 done, 1 unexpected error, 2 something in the scene or the flags is wrong,
+3 the simulation blew up (what was written before is whole), 75 stopped with a checkpoint"""
+
+
+def arguments(argv: list[str] | None) -> argparse.Namespace:
+    """The flags as given; exits with code 2 where they make no sense."""
+    parser = argparse.ArgumentParser(
+        prog="python -m vgmpi",
+        description="Multiphase physics on 3D Gaussians. On several ranks: mpirun -n 2 python -m vgmpi scene.toml",
+        epilog=EXIT_CODES,
+    )
+    parser.add_argument("scene", nargs="?", type=Path, help="scene file (TOML)")
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument(
+        "--check", action="store_true", help="read the scene, say what is wrong, write nothing"
+    )
+    what.add_argument(
+        "--plan", action="store_true", help="say what the scene will cost, write nothing"
+    )
+    what.add_argument(
+        "--prepare", action="store_true", help="make the particles (gaussians.h5) and stop"
+    )
+    what.add_argument("--inspect", type=Path, metavar="FILE", help="say what an output file holds")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="override a key of the scene, such as domain.cell='1 cm'",
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="DIR",
+        help="output folder; default: what the scene says",
+    )
+    parser.add_argument(
+        "--resume",
+        nargs="?",
+        const="",
+        metavar="FILE",
+        help="go on from a checkpoint; default: the latest valid one",
+    )
+    parser.add_argument(
+        "--stop-after",
+        default="",
+        metavar="AMOUNT",
+        help='stop with a checkpoint after "500 steps" or "10 min" of wall time',
+    )
+    parser.add_argument(
+        "--threads", type=int, default=1, metavar="N", help="threads per rank, default 1"
+    )
+    parser.add_argument(
+        "--force", action="store_true", help="run even if the memory looks too small"
+    )
+    parser.add_argument("-q", "--quiet", action="store_true", help="errors only")
+    parser.add_argument(
+        "-v", "--verbose", action="store_true", help="say more; show where an error came from"
+    )
+    given = parser.parse_args(argv)
+    if given.inspect is None and given.scene is None:
+        parser.error("give a scene file, or --inspect FILE")
+    if given.threads < 1:
+        parser.error(f"--threads: must be at least 1; got {given.threads}")
+    try:
+        given.stop_steps, given.stop_seconds = _amount(given.stop_after)
+    except ValueError as error:
+        parser.error(f"--stop-after: {error}")
+    return given
+
+
+def _amount(text: str) -> tuple[int, float]:
+    """(steps, seconds) of "500", "500 steps", "90 s", "10 min", "2 h"; raises ValueError."""
+    if not text:
+        return 0, 0.0
+    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*(steps?|s|min|h|)\s*", text)
+    if not match or float(match[1]) <= 0:
+        raise ValueError(f"must be like '500 steps', '90 s', '10 min' or '2 h'; got {text!r}")
+    if match[2] in ("", "step", "steps"):
+        if "." in match[1]:
+            raise ValueError(f"steps must be a whole number; got {text!r}")
+        return int(match[1]), 0.0
+    return 0, float(match[1]) * {"s": 1.0, "min": 60.0, "h": 3600.0}[match[2]]
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command; returns the exit code."""
+    given = arguments(argv)
+    if given.inspect is not None:
+        return _inspect(given.inspect)
+    _log_to_stderr(given, first=True)
+    ranks = Alone() if given.check else world()
+    _log_to_stderr(given, first=ranks.rank == 0)
+    try:
+        return _command(given, ranks)
+    except SceneError as error:
+        return _refuse(error.lines, ranks)
+    except (store.StoreError, checkpoint.CheckpointError, read.RunError) as error:
+        if ranks.rank == 0:
+            print(f"vgmpi: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+
+
+def _command(given: argparse.Namespace, ranks: Alone) -> int:
+    scene = load(given.scene, given.set)
+    folder = given.output or scene.folder / scene.output.folder
+    if given.check:
+        print(f"{given.scene}: nothing is wrong with it")
+        return 0
+    refusal = _slurm_mismatch(ranks)
+    if refusal:
+        return _refuse([refusal], ranks)
+    # numba comes in here: --check stays quick
+    from .solver import run as runs
+
+    known = (
+        runs.prepare(scene, ranks, folder if given.prepare else None)
+        if given.plan or given.prepare
+        else None
+    )
+    if given.prepare:
+        if ranks.rank == 0:
+            print(f"{sum(known.count):,} particles in {folder / layout.GAUSSIANS}")
+        return 0
+    if given.plan:
+        return _plan(scene, known, given, ranks)
+    return _run(scene, folder, given, ranks)
+
+
+def _plan(scene: Scene, known, given: argparse.Namespace, ranks: Alone) -> int:
+    plan = make_plan(scene, known.count, known.volume, bool(known.colliders))
+    if ranks.rank == 0:
+        print(describe(scene, plan, ranks.size))
+    refusal = too_large(plan.bytes(), ranks)
+    return _refuse([refusal], ranks) if refusal and not given.force else 0
+
+
+def _run(scene: Scene, folder: Path, given: argparse.Namespace, ranks: Alone) -> int:
+    from .solver import report
+    from .solver import run as runs
+    from .solver.state import Mismatch
+
+    resume = _resume_from(given.resume, folder, ranks)
+    options = runs.Options(folder, given.threads, resume, given.stop_steps, given.stop_seconds)
+    known = runs.prepare(scene, ranks, folder)
+    plan = make_plan(scene, known.count, known.volume, bool(known.colliders))
+    refusal = too_large(plan.bytes(), ranks)
+    if refusal and not given.force:
+        return _refuse([refusal + "; --force runs it anyway"], ranks)
+    if ranks.rank == 0 and not given.quiet:
+        print(describe(scene, plan, ranks.size), flush=True)
+    try:
+        run = runs.Run(scene, plan, known, ranks, options)
+    except Mismatch as error:
+        return _refuse([str(error)], ranks)
+    clock = run.simulation.clock = report.Clock()
+    progress = report.Progress(run, given.quiet)
+    options.listeners.append(progress)
+    code = run.go()
+    progress.close()
+    said = report.table(run, clock)
+    if ranks.rank == 0 and not given.quiet:
+        print(said)
+        ended = {0: "done", 3: "blew up", 75: "stopped; go on with --resume"}[code]
+        print(f"{ended}: {folder}", flush=True)
+    return code
+
+
+def _resume_from(asked: str | None, folder: Path, ranks: Alone) -> Path | None:
+    """The checkpoint to go on from: the one named, or the latest valid one. Raises CheckpointError."""
+    if asked is None:
+        return None
+    if asked:
+        checkpoint.verify(asked, ranks)
+        return Path(asked)
+    found = checkpoint.latest(folder / layout.CHECKPOINTS, ranks)
+    if found is None:
+        raise checkpoint.CheckpointError(
+            f"--resume: no valid checkpoint in {folder / layout.CHECKPOINTS}"
+        )
+    return found
+
+
+def too_large(needed: int, ranks: Alone) -> str:
+    """One line if the run needs more than 90 % of the machine's memory, else ""."""
+    share = needed * ranks.here / ranks.size
+    have = memory()
+    if have and share > 0.9 * have:
+        return f"needs about {share / 2**30:.1f} GiB on this machine, which has {have / 2**30:.1f} GiB free (90 % may be used)"
+    return ""
+
+
+def memory() -> int:
+    """Bytes this process may still take: free memory, or what the control group leaves; 0 if not known."""
+    found = []
+    try:
+        with open("/proc/meminfo") as f:
+            found += [int(line.split()[1]) * 1024 for line in f if line.startswith("MemAvailable")]
+        limit = Path("/sys/fs/cgroup/memory.max").read_text().strip()
+        if limit != "max":
+            found.append(int(limit) - int(Path("/sys/fs/cgroup/memory.current").read_text()))
+    except (OSError, ValueError):
+        pass
+    return min(found, default=0)
+
+
+def _slurm_mismatch(ranks: Alone) -> str:
+    """One line if SLURM started another number of tasks than MPI sees, else ""."""
+    tasks = os.environ.get("SLURM_STEP_NUM_TASKS") or os.environ.get("SLURM_NTASKS")
+    if not tasks or not tasks.isdigit() or int(tasks) == ranks.size:
+        return ""
+    return (
+        f"SLURM started {tasks} tasks but MPI sees {ranks.size}: use srun --mpi=pmix (see slurm/vgmpi.sbatch),"
+        " or mpirun with as many ranks as tasks"
+    )
+
+
+def _inspect(path: Path) -> int:
+    try:
+        print(read.inspect(path))
+    except read.RunError as error:
+        print(f"vgmpi: {error}", file=sys.stderr)
+        return WRONG
+    return 0
+
+
+def _refuse(lines: list[str], ranks: Alone) -> int:
+    if ranks.rank == 0:
+        for line in lines:
+            print(line, file=sys.stderr)
+    return WRONG
+
+
+def _log_to_stderr(given: argparse.Namespace, first: bool) -> None:
+    level = logging.ERROR if given.quiet else logging.DEBUG if given.verbose else logging.INFO
+    log.handlers.clear()
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("vgmpi: %(message)s"))
+    log.addHandler(handler)
+    log.propagate = False
+    # every rank comes to the same conclusions; one says them
+    log.setLevel(level if first else logging.CRITICAL + 1)

@@ -1,0 +1,48 @@
+"""Sums over the particles of each segment, for the ledger."""
+
+import numpy as np
+
+from ..device.jit import kernel
+from .laws import energy, load_state, volume_ratio
+from .transfer import AFFINE, STATE, VOLUME
+
+COLUMNS = 12  # mass, momentum 3, angular momentum 3, kinetic, elastic, potential, J min, J max
+
+
+@kernel
+def ledger_rows(law, start, count, block, xi, f, bits, density, dx, gravity, rows):
+    """Per segment: mass, momentum, angular momentum about the origin (with the affine part APIC carries), energies, J.
+
+    rows: (segments, 12) out, double precision. Particles are added in their order in the segment, so that a row does not
+    depend on the number of ranks.
+    """
+    inertia = dx * dx / 4.0  # of a quadratic B-spline
+    x = np.zeros(3)
+    for s in range(len(start)):
+        row = rows[s]
+        row[:] = 0.0
+        row[10], row[11] = np.inf, -np.inf
+        for p in range(start[s], start[s] + count[s]):
+            volume = float(f[VOLUME, p])
+            m = density * volume
+            for a in range(3):
+                x[a] = (float(xi[a, p]) * 2.0**-bits + 4 * block[s, a] + 1.5) * dx
+            v0, v1, v2 = float(f[0, p]), float(f[1, p]), float(f[2, p])
+            row[0] += m
+            row[1] += m * v0
+            row[2] += m * v1
+            row[3] += m * v2
+            spin = m * inertia
+            row[4] += m * (x[1] * v2 - x[2] * v1) + spin * (float(f[AFFINE + 7, p]) - float(f[AFFINE + 5, p]))
+            row[5] += m * (x[2] * v0 - x[0] * v2) + spin * (float(f[AFFINE + 2, p]) - float(f[AFFINE + 6, p]))
+            row[6] += m * (x[0] * v1 - x[1] * v0) + spin * (float(f[AFFINE + 3, p]) - float(f[AFFINE + 1, p]))
+            square = v0 * v0 + v1 * v1 + v2 * v2
+            for c in range(9):
+                square += inertia * float(f[AFFINE + c, p]) ** 2
+            row[7] += 0.5 * m * square
+            state = load_state(law, f, STATE, p)
+            row[8] += volume * energy(law, state)
+            row[9] -= m * (gravity[0] * x[0] + gravity[1] * x[1] + gravity[2] * x[2])
+            J = float(volume_ratio(law, state))
+            row[10] = min(row[10], J)
+            row[11] = max(row[11], J)

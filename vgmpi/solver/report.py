@@ -1,0 +1,89 @@
+"""What rank 0 tells while a run goes on, and the table at its end."""
+
+import logging
+import sys
+import time
+
+import numpy as np
+from tqdm import tqdm
+
+from .run import Run
+from .step import Simulation
+from .watch import drift
+
+log = logging.getLogger("vgmpi")
+
+LOG_EVERY = 10.0  # [s] between log lines where there is no terminal
+STAGES = ("p2g", "halo", "grid", "g2p", "wait", "sort", "write")
+
+
+class Clock:
+    """Wall time by stage: call with the name of the stage that has just ended."""
+
+    def __init__(self):
+        self.spent = dict.fromkeys(STAGES, 0.0)
+        self.began = self.last = time.perf_counter()
+
+    def __call__(self, stage: str) -> None:
+        now = time.perf_counter()
+        self.spent[stage] += now - self.last
+        self.last = now
+
+
+class Progress:
+    """A bar with the time left on a terminal, otherwise a log line every ten seconds."""
+
+    def __init__(self, run: Run, quiet: bool):
+        self.run, self.end = run, float(run.plan.times[-1])
+        self.began = self.said = time.monotonic()
+        self.first = run.simulation.time
+        shown = run.ranks.rank == 0 and not quiet
+        self.bar = None
+        if shown and sys.stderr.isatty():
+            form = "{l_bar}{bar}| {n:.3f}/{total:.3f} s [{elapsed}<{remaining}{postfix}]"
+            self.bar = tqdm(total=self.end, initial=self.first, bar_format=form, leave=False)
+        self.logs = shown and self.bar is None
+
+    def __call__(self, simulation: Simulation) -> None:
+        if self.bar is not None:
+            self.bar.set_postfix_str(f"step {simulation.step}, frame {self.run.frame}", refresh=False)
+            self.bar.update(simulation.time - self.bar.n)
+        elif self.logs and time.monotonic() - self.said >= LOG_EVERY:
+            self.said = time.monotonic()
+            share = (simulation.time - self.first) / max(self.end - self.first, 1e-300)
+            left = (self.said - self.began) * (1.0 - share) / max(share, 1e-9)
+            log.info(
+                "%.4g of %.4g s, step %d, frame %d of %d, %.0f s left",
+                simulation.time, self.end, simulation.step, self.run.frame, len(self.run.plan.times), left,
+            )  # fmt: skip
+
+    def close(self) -> None:
+        if self.bar is not None:
+            self.bar.close()
+
+
+def table(run: Run, clock: Clock) -> str:
+    """Wall time by stage, particles per second, imbalance, conservation; on rank 0, else "". Collective."""
+    simulation, ranks = run.simulation, run.ranks
+    mine = np.array([[clock.spent[s] for s in STAGES]])
+    every = ranks.all_rows(mine)
+    if ranks.rank != 0:
+        return ""
+    wall = clock.last - clock.began
+    steps = simulation.step - run.first_step
+    particles = run.plan.particles
+    lines = [f"{steps:,} steps of {particles:,} particles in {wall:.1f} s on {ranks.size} rank(s)"]
+    if steps and wall > 0:
+        rate = steps * particles / wall
+        lines[0] += f": {rate / 1e6:.2f} million particle-steps per second"
+        per = 1e9 / (steps * particles) * ranks.size
+        lines.append("  stage   mean over ranks   largest   ns per particle and step")
+        for k, stage in enumerate(STAGES):
+            mean, most = every[:, k].mean(), every[:, k].max()
+            lines.append(f"  {stage:6s} {mean:12.2f} s {most:9.2f} s {mean * per:10.1f}")
+        loads = np.bincount(simulation.census.owner, simulation.census.count, minlength=ranks.size)
+        lines.append(f"  imbalance  {loads.max() / loads.mean():.3f} (largest rank's particles over the mean)")
+        lines.append(f"  sorts      {simulation.sorts}, halo {simulation.halo.bytes_sent / 1e3:.0f} kB per step from rank 0")
+    if run.opening and run.latest:
+        lines.append(f"  conserved  {drift(run.opening, run.latest)}")
+    return "\n".join(lines)

@@ -1,0 +1,243 @@
+"""A run from scene to files: prepare, plan, step, write, stop."""
+
+import hashlib
+import json
+import logging
+import platform
+import subprocess
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import numpy as np
+
+from ..domain.ranks import Alone
+from ..output import checkpoint, layout, rest
+from ..output.frames import Frames
+from ..output.ledger import Ledger
+from ..plan import Plan, make_plan
+from ..prepare.build import build
+from ..scene import Scene
+from .requests import Requests
+from .state import frame_rows, restore, save
+from .step import BlowUp, Simulation
+from .timestep import next_step
+from .warm import warm
+from .watch import ledger
+
+log = logging.getLogger("vgmpi")
+
+DONE, BLEW_UP, STOPPED = 0, 3, 75
+
+
+@dataclass
+class Options:
+    """How to run, beyond what the scene says."""
+
+    folder: Path
+    threads: int = 1
+    resume: Path | None = None
+    stop_steps: int = 0
+    stop_seconds: float = 0.0
+    listeners: list = field(default_factory=list)  # each called with (simulation) after every step
+
+
+@dataclass
+class Prepared:
+    """What all ranks know of the particles before they hold any."""
+
+    objects: list[dict]
+    volume: list[float]
+    colliders: list
+
+    @property
+    def count(self) -> list[int]:
+        return [thing["count"] for thing in self.objects]
+
+
+def prepare(scene: Scene, ranks: Alone, folder: Path | None) -> Prepared:
+    """Make the particles on rank 0 and write gaussians.h5 (unless folder is None). Collective.
+
+    Particles already there from the same objects are used again. Raises SceneError on all ranks.
+    """
+    said, known, rows = None, None, None
+    if ranks.rank == 0:
+        try:
+            known, rows = _particles(scene, folder)
+        except Exception as error:  # every rank must hear of it, or they wait for ever
+            said = error
+    said = ranks.bcast(said)
+    if said is not None:
+        raise said
+    known = ranks.bcast(known)
+    if folder is not None and ranks.bcast(rows is not None):
+        scenery, rows = rows or (None, None)
+        rest.write(
+            folder / layout.GAUSSIANS, ranks, rows, known.objects, scenery, scene.resolved(), digest(scene)
+        )
+    return known
+
+
+def _particles(scene: Scene, folder: Path | None):
+    """On rank 0: what all shall know, and (scenery, rows) to write or None if they are on the disk."""
+    path = folder / layout.GAUSSIANS if folder is not None else None
+    moving = not any(thing.collider for thing in scene.object)
+    if path is not None and moving and rest.digest(path) == digest(scene):
+        log.info("particles as prepared before: %s", path)
+        from ..output.read import read_gaussians
+
+        found = read_gaussians(path)
+        return _known(found.objects, found.object, found.vol0, []), None
+    made = build(scene)
+    rows = {
+        "x0": made.x,
+        "vol0": made.vol0,
+        "object": made.object,
+        "cov0": made.cov0,
+        "opacity": made.opacity,
+        "sh": made.sh,
+    }
+    if made.v0.any():
+        rows["v0"] = made.v0
+    scenery = None
+    if made.scenery is not None:
+        s = made.scenery
+        scenery = {"x0": s.x, "object": s.object, "cov0": s.cov0, "opacity": s.opacity, "sh": s.sh}
+    return _known(made.objects, made.object, made.vol0, made.colliders), (scenery, rows)
+
+
+def _known(objects, thing, volume, colliders) -> Prepared:
+    total = np.bincount(thing, volume, minlength=len(objects))
+    return Prepared(objects, total.tolist(), colliders)
+
+
+def digest(scene: Scene) -> str:
+    """What the particles depend on: the scene's text as resolved, the files it reads, this program's version."""
+    seal = hashlib.sha256(json.dumps(scene.resolved(), sort_keys=True).encode())
+    for name in sorted(scene.files):
+        seal.update(Path(scene.files[name]).read_bytes())
+    for path in sorted(Path(__file__).parent.parent.glob("prepare/*.py")):
+        seal.update(path.read_bytes())
+    return seal.hexdigest()
+
+
+def begin(scene: Scene, plan: Plan, known: Prepared, ranks: Alone, options: Options) -> tuple[Simulation, int]:
+    """The simulation at its start, or at the checkpoint to resume from; and the next frame's number. Collective."""
+    warm(plan, ranks)
+    simulation = Simulation(plan, ranks, known.colliders, options.threads)
+    if options.resume is not None:
+        with checkpoint.open(options.resume) as saved:
+            restore(simulation, saved)
+            return simulation, saved.attrs["frame"]
+    total = plan.particles
+    first, last = total * ranks.rank // ranks.size, total * (ranks.rank + 1) // ranks.size
+    rows = rest.read_slice(options.folder / layout.GAUSSIANS, first, last)
+    v = rows.get("v0", np.zeros_like(rows["x0"]))
+    simulation.put(rows["x0"], v, rows["vol0"], np.arange(first, last), rows["object"])
+    return simulation, 0
+
+
+class Run:
+    """One run: its simulation and its files. Collective."""
+
+    def __init__(self, scene: Scene, plan: Plan, known: Prepared, ranks: Alone, options: Options):
+        self.scene, self.plan, self.options, self.ranks = scene, plan, options, ranks
+        self.names = [thing["name"] for thing in known.objects]
+        self.simulation, self.frame = begin(scene, plan, known, ranks, options)
+        fresh = options.resume is None
+        last_step = None if fresh else self.simulation.step
+        self.frames = Frames(options.folder, ranks, plan.particles, self.frame)
+        self.ledger = Ledger(options.folder, ranks, last_step)
+        self.checkpoints = options.folder / layout.CHECKPOINTS
+        if fresh:
+            checkpoint.clear(self.checkpoints, ranks)
+        self.first_step = self.simulation.step
+        self.requests = Requests(options.stop_steps, options.stop_seconds, scene.output.checkpoint)
+        self.opening: list[dict] = []
+        self.latest: list[dict] = []
+
+    def go(self) -> int:
+        """Run to the end of the scene or until asked to stop; returns the exit code."""
+        self.requests.listen()
+        simulation = self.simulation
+        self.opening = self.latest = ledger(simulation)
+        if self.frame == 0:
+            self._write_frame()
+        try:
+            while self.frame < len(self.plan.times):
+                if self._step():
+                    self._checkpoint()
+                    return STOPPED
+        except BlowUp as error:
+            log.error("blow-up: %s; what was written before is whole", str(error).format(*self.names))
+            return BLEW_UP
+        return DONE
+
+    def _step(self) -> bool:
+        """One step and what follows from it; True when the run shall stop here."""
+        simulation = self.simulation
+        bound = self.plan.fixed_dt or simulation.bound()
+        dt, lands = next_step(simulation.time, self.plan.times[self.frame], bound)
+        done = simulation.step + 1 - self.first_step
+        stop, due = simulation.advance(dt, self.requests.flags(done))
+        if lands:
+            simulation.time = float(self.plan.times[self.frame])
+            self._write_frame()
+        for listener in self.options.listeners:
+            listener(simulation)
+        every = self.scene.output.checkpoint_steps
+        if stop and self.frame < len(self.plan.times):
+            return True
+        if due or (every and simulation.step % every == 0):
+            self._checkpoint()
+        return False
+
+    def _write_frame(self) -> None:
+        simulation = self.simulation
+        ids, fields = frame_rows(simulation, self.scene.output.fields)
+        self.frames.write(self.frame, simulation.time, simulation.step, ids, fields)
+        self.latest = ledger(simulation)
+        self.ledger.append(self.latest)
+        self.frame += 1
+        self._mark("write")
+
+    def _checkpoint(self) -> None:
+        state = save(self.simulation)
+        state["attrs"] |= {
+            "frame": self.frame,
+            "scene_text": self.scene.text,
+            "overrides": list(self.scene.overrides),
+            "scene": self.scene.resolved(),
+            "versions": versions(),
+        }
+        path = checkpoint.write(self.checkpoints, self.ranks, state)
+        log.info("checkpoint %s at step %d, %.6g s", path, self.simulation.step, self.simulation.time)
+        self.requests.checkpointed()
+        self._mark("write")
+
+    def _mark(self, stage: str) -> None:
+        if self.simulation.clock is not None:
+            self.simulation.clock(stage)
+
+
+def start(scene: Scene, ranks: Alone, options: Options) -> Run:
+    """Prepare, plan and set up a run. Raises SceneError, StoreError, CheckpointError, Mismatch."""
+    known = prepare(scene, ranks, options.folder)
+    plan = make_plan(scene, known.count, known.volume, bool(known.colliders))
+    return Run(scene, plan, known, ranks, options)
+
+
+def versions() -> dict[str, str]:
+    """What made the file."""
+    found = {"python": platform.python_version()}
+    for name in ("vgmpi", "numpy", "numba", "h5py", "mpi4py"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    command = ["git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD"]
+    try:
+        found["commit"] = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        found["commit"] = "unknown"
+    return found

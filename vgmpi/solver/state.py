@@ -1,0 +1,121 @@
+"""A simulation's state as rows: for frames in single precision, for checkpoints bit by bit."""
+
+import numpy as np
+
+from ..domain.migrate import Census, census
+from ..domain.state import LANES
+from ..materials.base import function
+from .step import Simulation
+
+PIECES = {"v": slice(0, 3), "C": slice(3, 12), "vol0": slice(12, 13), "state": slice(13, None)}
+
+
+def frame_rows(simulation: Simulation, names: tuple[str, ...]) -> tuple[np.ndarray, dict]:
+    """Ids (n_local,) and the fields of a frame, rows in any order.
+
+    names: of velocity, J, F; x, object and phase are always there. F only where a solid is in the scene.
+    """
+    ids, found = [], []
+    solids = any(phase.family == "solid" for phase in simulation.plan.phases)
+    for group in simulation.groups:
+        at = group.index()
+        state = tuple(group.f[13:, at])
+        J = np.asarray(function(group.plan.law, "volume_ratio")(group.plan.law, state), np.float32)
+        row = {
+            "x": group.positions().astype(np.float32),
+            "object": simulation.object_of(group.ids[at]).astype(np.int32),
+            "phase": np.full(len(at), group.plan.phase, np.int32),
+        }
+        if "velocity" in names:
+            row["velocity"] = group.f[0:3, at].T.astype(np.float32)
+        if "J" in names:
+            row["J"] = J
+        if "F" in names and solids:
+            row["F"] = _gradient(simulation, group, state, J)
+        ids.append(group.ids[at])
+        found.append(row)
+    return np.concatenate(ids), {k: np.concatenate([row[k] for row in found]) for k in found[0]}
+
+
+def _gradient(simulation, group, state, J) -> np.ndarray:
+    """F, row by row, (n, 9): a fluid's is the isotropic one of its volume."""
+    family = simulation.plan.phases[group.plan.phase].family
+    if family == "fluid":
+        return (np.cbrt(J)[:, None] * np.eye(3).ravel()).astype(np.float32)
+    return (np.stack(state, 1) + np.eye(3).ravel()).astype(np.float32)
+
+
+def save(simulation: Simulation) -> dict:
+    """What a checkpoint holds, see output/checkpoint.py: segments and particles in key order, fixed-point positions.
+
+    Ranks own consecutive pieces of that order, so their rows one after the other do not depend on their number.
+    """
+    groups = {}
+    for g, group in enumerate(simulation.groups):
+        at = group.index()
+        rows = {"block": group.code, "count": group.count, "id": group.ids[at]}
+        rows["x"] = np.ascontiguousarray(group.xi[:, at].T)
+        for name, channels in PIECES.items():
+            rows[name] = np.ascontiguousarray(group.f[channels, at].T)
+        groups[f"group_{g:03d}"] = rows
+    attrs = {
+        "time": simulation.time,
+        "step": simulation.step,
+        "rate": simulation.rate,
+        "group_names": [group.name for group in simulation.plan.groups],
+        "precision": simulation.plan.real.name,
+        "cells": list(simulation.plan.cells),
+        "dx": simulation.plan.dx,
+    }
+    return {"attrs": attrs, "groups": groups}
+
+
+class Mismatch(ValueError):
+    """A checkpoint does not belong to this scene."""
+
+
+def restore(simulation: Simulation, saved) -> None:
+    """Take up a checkpoint (output.checkpoint.Checkpoint) on this number of ranks, without re-sorting. Collective."""
+    plan = simulation.plan
+    want = {
+        "group_names": [group.name for group in plan.groups],
+        "precision": plan.real.name,
+        "cells": list(plan.cells),
+        "dx": plan.dx,
+    }
+    for name, value in want.items():
+        if saved.attrs.get(name) != value:
+            raise Mismatch(f"{saved.path}: {name} is {saved.attrs.get(name)}, the scene has {value}")
+    simulation.time, simulation.step = saved.attrs["time"], saved.attrs["step"]
+    simulation.rate = saved.attrs["rate"]
+    segments = []
+    for g in range(len(plan.groups)):
+        code = saved.read_rows(f"group_{g:03d}/block", 0, saved.count(f"group_{g:03d}/block"))
+        count = saved.read_rows(f"group_{g:03d}/count", 0, len(code))
+        key = simulation.lattice.key(simulation.lattice.block(code))
+        segments.append(np.stack([key, code, np.full_like(code, g), count], 1))
+    rows = np.concatenate(segments)
+    mine = rows if simulation.ranks.rank == 0 else rows[:0]  # the census adds up all ranks' rows
+    costs = np.array([group.cost for group in plan.groups])
+    table, simulation.cut = census(mine, simulation.ranks, costs, None)
+    for g, group in enumerate(simulation.groups):
+        _read_group(group, saved, f"group_{g:03d}", table, g, simulation.ranks.rank)
+    simulation.adopt(table)
+
+
+def _read_group(group, saved, name: str, table: Census, g: int, rank: int) -> None:
+    here = table.group == g
+    code, count, own = table.code[here], table.count[here], table.owner[here] == rank
+    first = int(count[: np.argmax(own)].sum()) if own.any() else 0
+    code, count = code[own], count[own]
+    last = first + int(count.sum())
+    padded = (count + LANES - 1) // LANES * LANES
+    start = np.concatenate([[0], np.cumsum(padded)])
+    group.reserve(int(start[-1]))
+    group.segments(code, start[:-1], count)
+    group.used = int(start[-1])
+    at = group.index()
+    group.ids[at] = saved.read_rows(f"{name}/id", first, last)
+    group.xi[:, at] = saved.read_rows(f"{name}/x", first, last).T
+    for piece, channels in PIECES.items():
+        group.f[channels, at] = saved.read_rows(f"{name}/{piece}", first, last).T

@@ -1,0 +1,59 @@
+"""The conservation ledger: what each phase holds of mass, momentum and energy, the same on any number of ranks."""
+
+import numpy as np
+
+from ..kernels.measure import COLUMNS, ledger_rows
+from .step import Simulation
+
+
+def ledger(simulation: Simulation) -> list[dict]:
+    """One entry per phase, on rank 0; empty on the others. Collective.
+
+    Sums per segment travel to rank 0 in the order of the segments' keys and are added there in that order.
+    """
+    plan, found = simulation.plan, []
+    for group in simulation.groups:
+        rows = np.empty((len(group.start), COLUMNS))
+        ledger_rows(
+            group.plan.law, group.start, group.count, group.block, group.xi, group.f, group.bits,
+            group.plan.density, plan.dx, np.array(plan.gravity), rows,
+        )  # fmt: skip
+        found.append(simulation.ranks.root_rows(rows))
+    if simulation.ranks.rank != 0:
+        return []
+    return [_entry(simulation, k, found) for k in range(len(plan.phases))]
+
+
+def _entry(simulation: Simulation, phase: int, found: list) -> dict:
+    plan = simulation.plan
+    members = [g for g, group in enumerate(plan.groups) if group.phase == phase]
+    rows = np.concatenate([found[g] for g in members])
+    total = rows[:, :10].sum(0) if len(rows) else np.zeros(10)
+    count = sum(plan.count[k] for k in plan.phases[phase].objects)
+    entry = {
+        "time": simulation.time,
+        "step": simulation.step,
+        "phase": plan.phases[phase].name,
+        "count": count,
+        "mass": total[0],
+        "kinetic": total[7],
+        "elastic": total[8],
+        "potential": total[9],
+        "J_min": rows[:, 10].min(initial=np.inf),
+        "J_max": rows[:, 11].max(initial=-np.inf),
+    }
+    for a, axis in enumerate("xyz"):
+        entry[f"momentum_{axis}"] = total[1 + a]
+        entry[f"angular_{axis}"] = total[4 + a]
+    return entry
+
+
+def drift(first: list[dict], last: list[dict]) -> str:
+    """What changed between two ledgers, in one line: mass and energy of all phases together."""
+    mass = [sum(e["mass"] for e in entries) for entries in (first, last)]
+    energy = [sum(e["kinetic"] + e["elastic"] + e["potential"] for e in entries) for entries in (first, last)]
+    low, high = min(e["J_min"] for e in last), max(e["J_max"] for e in last)
+    return (
+        f"mass {mass[1]:.6g} kg (change {mass[1] - mass[0]:+.1e}), "
+        f"energy {energy[0]:.4g} -> {energy[1]:.4g} J, J {low:.3f} .. {high:.3f}"
+    )
