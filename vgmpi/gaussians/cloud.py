@@ -62,9 +62,9 @@ class Cloud:
         rotation: proper (3, 3). scale: linear factor > 0. shift: (3,).
         """
         rotation = np.asarray(rotation, dtype=np.float64)
-        if abs(np.linalg.det(rotation) - 1) > 1e-6 or not np.allclose(
-            rotation @ rotation.T, np.eye(3), atol=1e-6
-        ):
+        with np.errstate(invalid="ignore"):  # NaN is not proper either
+            proper = np.linalg.det(rotation) > 0
+        if not proper or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6):
             raise ValueError("a cloud can only be turned by a proper rotation matrix")
         quat = quaternion_product(quaternion(rotation), self.quat)
         return Cloud(

@@ -107,7 +107,7 @@ def _wild(f: list[np.ndarray]) -> np.ndarray:
     """
     square = sum(c * c for c in f)
     low = STRETCH_RANGE[0] * 0.5 * square
-    return ~((square <= STRETCH_RANGE[1] ** 2) & (np.abs(_determinant(f)) >= low))
+    return ~((square <= STRETCH_RANGE[1] ** 2) & (np.abs(_determinant(f)) > low))
 
 
 def _clamped(cov: np.ndarray, cov0: np.ndarray) -> np.ndarray:

@@ -1,0 +1,90 @@
+"""Gaussian .ply files written byte by byte: the reader is not tested with its own writer."""
+
+import struct
+
+import numpy as np
+
+PLAIN = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
+SHAPE = ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+BOUNDS = [
+    f"{end}_{part}{axis}" for part in ("", "scale_") for end in ("min", "max") for axis in "xyz"
+]
+COLOR_BOUNDS = [f"{end}_{axis}" for end in ("min", "max") for axis in "rgb"]
+PACKED = ["packed_position", "packed_rotation", "packed_scale", "packed_color"]
+
+
+def names(rest=0):
+    return PLAIN + [f"f_rest_{i}" for i in range(rest)] + SHAPE
+
+
+def header(elements, form="binary_little_endian", end="\n"):
+    """elements: (name, count, [(type, property), ...])."""
+    lines = ["ply", f"format {form} 1.0", "comment made by a test"]
+    for name, count, properties in elements:
+        lines.append(f"element {name} {count}")
+        lines += [f"property {kind} {p}" for kind, p in properties]
+    return (end.join([*lines, "end_header"]) + end).encode()
+
+
+def plain(rows, rest=0, order="<", end="\n"):
+    """The bytes of a plain file; rows: numbers in the order of names(rest)."""
+    properties = [("float", name) for name in names(rest)]
+    form = "binary_little_endian" if order == "<" else "binary_big_endian"
+    data = b"".join(struct.pack(f"{order}{len(row)}f", *row) for row in rows)
+    return header([("vertex", len(rows), properties)], form, end) + data
+
+
+def row(
+    x=(1, 2, 3), color=(0.1, 0.2, 0.3), rest=(), opacity=0.5, scale=(-3, -4, -5), rot=(1, 0, 0, 0)
+):
+    return [*x, 0, 0, 0, *color, *rest, opacity, *scale, *rot]
+
+
+def _word(values, widths):
+    """Numbers in 0..1 packed from the top bit down."""
+    word = 0
+    for value, width in zip(values, widths):
+        word = (word << width) | int(round(float(value) * ((1 << width) - 1)))
+    return word
+
+
+def compressed(x, quat, log_scale, rgb, opacity, rest=None, color_bounds=True):
+    """The bytes of a SuperSplat file of these Gaussians."""
+    n = len(x)
+    groups = [slice(i, min(i + 256, n)) for i in range(0, n, 256)]
+    bounds, packed = b"", b""
+    for group in groups:
+        ends = []
+        for values in (x, log_scale, rgb):
+            low, high = values[group].min(axis=0), values[group].max(axis=0)
+            ends.append((low, np.where(high > low, high, low + 1)))
+        kept = ends if color_bounds else ends[:2]
+        for low, high in kept:
+            bounds += struct.pack("<6f", *low, *high)
+        for i in range(group.start, group.stop):
+            (p, s, c) = (
+                (values[i] - low) / (high - low)
+                for values, (low, high) in zip((x, log_scale, rgb), ends)
+            )
+            q = quat[i] / np.linalg.norm(quat[i])
+            largest = int(np.argmax(np.abs(q)))
+            q = q * np.sign(q[largest])
+            others = np.delete(q, largest) / np.sqrt(2) + 0.5
+            color = c if color_bounds else rgb[i]
+            packed += struct.pack(
+                "<4I",
+                _word(p, (11, 10, 11)),
+                (largest << 30) | _word(others, (10, 10, 10)),
+                _word(s, (11, 10, 11)),
+                _word([*color, opacity[i]], (8, 8, 8, 8)),
+            )
+    names_ = BOUNDS + (COLOR_BOUNDS if color_bounds else [])
+    elements = [
+        ("chunk", len(groups), [("float", name) for name in names_]),
+        ("vertex", n, [("uint", name) for name in PACKED]),
+    ]
+    data = bounds + packed
+    if rest is not None:
+        elements.append(("sh", n, [("uchar", f"f_rest_{i}") for i in range(rest.shape[1])]))
+        data += rest.astype(np.uint8).tobytes()
+    return header(elements) + data

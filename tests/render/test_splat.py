@@ -1,0 +1,183 @@
+"""The splatting kernel against the dense renderer, and each rule by itself."""
+
+import numpy as np
+import pytest
+
+from postprocess import splat
+from postprocess.camera import Camera, look_at
+from tests.render import dense
+from vgmpi.gaussians.cloud import full, upper
+
+MODES = {
+    "classic": {"lowpass": 0.3, "antialias": False},
+    "antialias": {"lowpass": 0.3, "antialias": True},
+    "mip": {"lowpass": 0.1, "antialias": True},
+}
+
+
+def scene(n=400, seed=0, size=(0.005, 0.2), opacity=(0.01, 1.0)):
+    """Splats of all shapes around the origin, some outside the picture and behind the camera."""
+    rng = np.random.default_rng(seed)
+    axes = np.linalg.qr(rng.normal(size=(n, 3, 3)))[0]
+    scale = np.exp(rng.uniform(*np.log(size), (n, 3)))
+    root = axes * scale[:, None, :]
+    return splat.Splats(
+        rng.normal(size=(n, 3)) * [1.0, 1.0, 1.5],
+        upper(root @ root.transpose(0, 2, 1)),
+        rng.uniform(*opacity, n),
+        rng.uniform(0, 1.2, (n, 3)),
+    )
+
+
+def camera(width=70, height=45, **changes):
+    """Not square, not a multiple of the tiles, centre off the middle: nothing is symmetric."""
+    seen = look_at((0.3, -3.0, 0.8), (0, 0, 0), (0, 0, 1), 50, width, height)
+    values = dict(vars(seen), cx=0.4 * width, cy=0.55 * height, fy=1.1 * seen.fy) | changes
+    return Camera(**values)
+
+
+def both(splats, seen, background=(0.1, 0.2, 0.3), **options):
+    fast, fast_t = splat.render(splats, seen, background, **options)
+    slow, slow_t = dense.render(
+        splats.x, full(splats.cov), splats.opacity, splats.color, seen, background, **options
+    )
+    return np.abs(fast - slow), np.abs(fast_t - slow_t)
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("seed", range(3))
+def test_agrees_with_the_dense_renderer(mode, seed):
+    error, error_t = both(scene(seed=seed), camera(), **MODES[mode])
+    assert error.mean() < 1e-6
+    assert error.max() < 5e-3
+    assert np.quantile(error, 0.999) < 1e-5  # only single pixels may lie on the edge of a rule
+    assert error_t.max() < 5e-3
+
+
+def test_subpixel_needles_and_faint_fluids_agree():
+    tiny = scene(300, 5, size=(1e-5, 0.01))
+    assert both(tiny, camera())[0].max() < 5e-3
+    faint = scene(300, 6, size=(0.05, 0.1), opacity=(0.002, 0.02))
+    for alpha_min in (1 / 255, 1e-4, 1e-5):
+        error, _ = both(faint, camera(), alpha_min=alpha_min)
+        assert error.mean() < 1e-6 and error.max() < 1.2 * alpha_min
+
+
+def test_opaque_walls_stop_pixels_for_good():
+    """Many opaque layers with faint ones between, which alone would still fit below the limit."""
+    n = 60
+    x = np.zeros((n, 3))
+    x[:, 1] = np.linspace(0, 1, n)
+    opacity = np.where(np.arange(n) % 2, 0.01, 0.97)
+    color = np.random.default_rng(1).uniform(0, 1, (n, 3))
+    cov = np.tile(upper(0.3**2 * np.eye(3)[None]), (n, 1))
+    error, error_t = both(splat.Splats(x, cov, opacity, color), camera(), background=(1, 1, 1))
+    assert error.max() < 2e-6
+    assert error_t.max() < 1e-6
+    _, left = splat.render(splat.Splats(x, cov, opacity, color), camera())
+    assert left.min() >= 1e-4  # a pixel stops before it falls below
+
+
+def one(x=(0, 0, 0), sd=0.2, opacity=0.5):
+    return splat.Splats(
+        np.array([x], dtype=float),
+        upper(sd**2 * np.eye(3)[None]),
+        np.array([opacity]),
+        np.array([[1.0, 0.5, 0.0]]),
+    )
+
+
+def test_an_opaque_gaussian_still_lets_a_hundredth_through():
+    _, left = splat.render(one(opacity=1.0, sd=0.5), camera())
+    assert left.min() == pytest.approx(0.01, rel=1e-4)
+
+
+def test_a_pixel_centre_is_half_a_pixel_in():
+    """A ball on the axis of a camera whose centre is a pixel centre lights that pixel most."""
+    seen = camera(33, 33, cx=16.5, cy=16.5)
+    _, left = splat.render(one(sd=0.02), seen)
+    assert np.unravel_index(left.argmin(), left.shape) == (16, 16)
+    np.testing.assert_allclose(left, left[:, ::-1], atol=1e-6)
+    np.testing.assert_allclose(left, left[::-1], atol=0.01)
+
+
+def test_what_lies_before_the_near_plane_is_not_drawn():
+    eye = camera().eye
+    towards = -eye / np.linalg.norm(eye)
+    for depth, drawn in ((0.199, False), (0.201, True), (-1.0, False)):
+        _, left = splat.render(one(eye + depth * towards, sd=0.001, opacity=1.0), camera(near=0.2))
+        assert (left.min() < 0.9) == drawn
+
+
+def test_alpha_min_cuts_where_it_says():
+    seen = camera()
+    for alpha_min in (1 / 255, 0.1):
+        _, left = splat.render(one(opacity=0.5), seen, alpha_min=alpha_min)
+        alpha = 1 - left[left < 1]
+        assert alpha_min <= alpha.min() < 1.5 * alpha_min
+    _, left = splat.render(one(opacity=0.003), seen)
+    assert left.min() == 1
+
+
+@pytest.mark.parametrize("alpha_min", [0.0, 1e-7, 0.9, float("nan")])
+def test_alpha_min_out_of_range_is_refused(alpha_min):
+    with pytest.raises(ValueError, match="alpha_min"):
+        splat.render(one(), camera(), alpha_min=alpha_min)
+
+
+def test_the_projection_is_limited_outside_the_picture_on_each_side_by_its_own_measure():
+    """Large Gaussians just outside: with another limit their streaks differ by several percent."""
+    seen = camera(64, 64, cx=12.0, cy=50.0)
+    across = look_at((0.3, -3.0, 0.8), (0, 0, 0), (0, 0, 1), 50, 64, 64).world_to_camera[:2, :3]
+    for sign in (-1, 1):
+        for axis in across:
+            splats = one(sign * 2.6 * axis - seen.eye * 0.3, sd=0.8, opacity=0.9)
+            error, _ = both(splats, seen)
+            assert error.max() < 5e-3 and error.mean() < 1e-6
+
+
+def test_a_picture_as_background_and_no_gaussians():
+    empty = splat.Splats(np.empty((0, 3)), np.empty((0, 6)), np.empty(0), np.empty((0, 3)))
+    ground = np.random.default_rng(0).random((45, 70, 3))
+    image, left = splat.render(empty, camera(), ground)
+    np.testing.assert_allclose(image, ground, atol=1e-7)
+    assert (left == 1).all()
+
+
+def test_broken_gaussians_are_left_out():
+    good = scene(50)
+    want, _ = splat.render(good, camera())
+    x, cov, opacity = good.x.copy(), good.cov.copy(), good.opacity.copy()
+    x = np.concatenate([x, [[np.nan, 0, 0], [0, np.inf, 0], [0, 0, 0], [0, 0, 0], [1e200, 0, 0]]])
+    more = np.tile(good.cov[:1], (5, 1))
+    more[2] = np.nan
+    more[3] = np.inf
+    cov, opacity = np.concatenate([cov, more]), np.concatenate([opacity, np.full(5, 0.9)])
+    color = np.concatenate([good.color, np.ones((5, 3))])
+    got, _ = splat.render(splat.Splats(x, cov, opacity, color), camera())
+    np.testing.assert_array_equal(got, want)
+
+
+def test_the_order_of_the_rows_does_not_matter():
+    splats = scene(300, 3)
+    turned = splat.Splats(*(getattr(splats, f)[::-1] for f in ("x", "cov", "opacity", "color")))
+    np.testing.assert_array_equal(
+        splat.render(splats, camera())[0], splat.render(turned, camera())[0]
+    )
+
+
+def test_nearer_gaussians_hide_farther_ones():
+    """Also when their depths differ in the seventh digit only."""
+    eye = camera().eye
+    towards = -eye / np.linalg.norm(eye)
+    for gap in (0.5, 3e-6):
+        x = np.stack([eye + (2 + gap) * towards, eye + 2 * towards])
+        splats = splat.Splats(
+            x,
+            np.tile(upper(0.1**2 * np.eye(3)[None]), (2, 1)),
+            np.array([0.99, 0.99]),
+            np.array([[1.0, 0, 0], [0, 1.0, 0]]),
+        )
+        image, left = splat.render(splats, camera(), (0, 0, 0))
+        at = np.unravel_index(left.argmin(), left.shape)
+        assert image[at][1] > 0.9 and image[at][0] < 0.1
