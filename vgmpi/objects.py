@@ -209,7 +209,7 @@ class Object(Table):
     opacity: Share = 0.95
     """opacity of the Gaussians made for shapes, meshes and fillings"""
     opacity_scale: Share = 1.0
-    """factor on all opacities when drawn; fluids look like water at 0.005 .. 0.1"""
+    """fluids only: factor on opacities when drawn; water looks like water at 0.005 .. 0.05"""
     alpha_min: Share | None = None
     """contributions fainter than this are not drawn; default 1/255, and 1e-4 where
     opacity_scale is below 0.1"""

@@ -13,19 +13,21 @@ from pydantic import BaseModel, ValidationError
 
 from vgmpi import couplings, materials
 from vgmpi.objects import Object, object_complaints
-from vgmpi.settings import MOST_CELLS, Accuracy, Appearance, Domain, Output, Time, Top
+from vgmpi.settings import (
+    MOST_CELLS,
+    SECTIONS,
+    Accuracy,
+    Appearance,
+    Domain,
+    Output,
+    Time,
+    Top,
+)
 from vgmpi.source import Source
-from vgmpi.tables import SceneError, Table, explain, got, nearest
+from vgmpi.tables import SceneError, explain, got, nearest
 
 log = logging.getLogger("vgmpi")
 
-SECTIONS: dict[str, type[Table]] = {
-    "domain": Domain,
-    "time": Time,
-    "appearance": Appearance,
-    "accuracy": Accuracy,
-    "output": Output,
-}
 REQUIRED = ("domain", "time", "material", "object")
 
 
@@ -215,6 +217,12 @@ class _Reader:
         elif all(item.get("role") == "scenery" for item in raw):
             self.wrong(("object",), "all objects are scenery: at least one must be a body")
         self.one_family_per_phase(found, kinds)
+        for k, thing in enumerate(found):
+            made_of = kinds.get(thing.material) if thing else None
+            if thing and "opacity_scale" in raw[k] and (not made_of or made_of.family != "fluid"):
+                self.wrong(
+                    ("object", k, "opacity_scale"), "is only for fluids; solids have opacity"
+                )
         return found
 
     def one_family_per_phase(self, objects: list[Any], kinds: dict[str, Any]) -> None:

@@ -124,7 +124,16 @@ class Top(Table):
 
     title: str = ""
     """for people"""
-    seed: Annotated[int, Field(strict=True, ge=0, lt=2**63)] = 1
+    seed: Annotated[int, Field(strict=True, ge=0, le=2**31)] = 1
     """of everything random: the points on a mesh's surface"""
     allow_outside: bool = False
     """whether files may lie outside the scene's folder"""
+
+
+SECTIONS: dict[str, type[Table]] = {
+    "domain": Domain,
+    "time": Time,
+    "appearance": Appearance,
+    "accuracy": Accuracy,
+    "output": Output,
+}

@@ -74,7 +74,8 @@ def unit(text: str) -> tuple[Fraction, tuple[int, ...]]:
 
 def same_units(si: str) -> list[str]:
     """Names of units that measure the same thing as `si`, for messages and documentation."""
-    named = [name for name, (_, powers) in _UNITS.items() if powers == unit(si)[1] and name != "1"]
+    named = [name for name, (_, powers) in _UNITS.items() if powers == unit(si)[1]]
+    named = [name for name in named if name not in ("1", "mPa")]  # mPa would look like MPa
     extra = {
         "m/s": ["cm/s", "km/h"],
         "kg/m3": ["g/cm3", "t/m3"],
@@ -111,15 +112,14 @@ class Quantity:
             or (self.le is not None and not number <= self.le)
         )
         if bad:
-            raise ValueError(f"must be {self.allowed()}")
+            said = self.bounds("" if self.unit in ("", "1") else f" {self.unit}")
+            raise ValueError(f"must be {said or 'finite'}")
         return number
 
-    def allowed(self) -> str:
-        """The bounds in words, e.g. "> 0 kg/m3"; "a finite number [m]" without bounds."""
+    def bounds(self, name: str = "") -> str:
+        """The bounds, such as "> 0 kg/m3" for the name " kg/m3"; empty without bounds."""
         signs = ((">", self.gt), (">=", self.ge), ("<", self.lt), ("<=", self.le))
-        name = "" if self.unit in ("", "1") else f" {self.unit}"
-        said = [f"{sign} {bound:g}{name}" for sign, bound in signs if bound is not None]
-        return " and ".join(said) or ("a finite number" + (f" [{self.unit}]" if name else ""))
+        return " and ".join(f"{sign} {b:g}{name}" for sign, b in signs if b is not None)
 
     def _number(self, value: Any) -> float:
         if isinstance(value, int | float) and not isinstance(value, bool):
