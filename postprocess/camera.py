@@ -53,7 +53,7 @@ def look_at(
     forward = (target - eye) / distance
     right = np.cross(forward, up)
     if np.linalg.norm(right) < 1e-9 * np.linalg.norm(up):  # straight up or down: any right will do
-        right = np.cross(forward, np.roll(up, 1) + 1e-3 * up[::-1])
+        right = np.cross(forward, np.eye(3)[np.argmin(np.abs(forward))])
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
     world_to_camera = np.eye(4)

@@ -1,14 +1,15 @@
 """render.toml: camera, picture, video and splatting, checked before anything is drawn."""
 
 import difflib
+import math
 import re
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import (
-    AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     ValidationError,
@@ -17,8 +18,42 @@ from pydantic import (
 
 from postprocess.splat import ALPHA_MIN_RANGE
 
-Vector = tuple[float, float, float]
-Unit = Annotated[float, Field(ge=0, le=1)]
+
+def _vector(value: Any) -> tuple[float, float, float]:
+    if (
+        not isinstance(value, list | tuple)
+        or len(value) != 3
+        or not all(type(v) in (int, float) and math.isfinite(v) for v in value)
+    ):
+        raise ValueError("allowed: three numbers [x, y, z]")
+    return tuple(float(v) for v in value)
+
+
+def _direction(value: Any) -> tuple[float, float, float]:
+    value = _vector(value)
+    if not any(value):
+        raise ValueError("allowed: a direction that is not zero")
+    return value
+
+
+def _background(value: Any) -> tuple[float, float, float] | str:
+    allowed = "allowed: '#rrggbb', [r, g, b] of numbers 0 to 1, or the name of a picture"
+    if isinstance(value, str):
+        if not value or value.startswith("#") and not re.fullmatch("#[0-9a-fA-F]{6}", value):
+            raise ValueError(allowed)
+        return value
+    try:
+        color = _vector(value)
+    except ValueError:
+        raise ValueError(allowed) from None
+    if min(color) < 0 or max(color) > 1:
+        raise ValueError(allowed)
+    return color
+
+
+Vector = Annotated[tuple[float, float, float], BeforeValidator(_vector)]
+Direction = Annotated[tuple[float, float, float], BeforeValidator(_direction)]
+Background = Annotated[tuple[float, float, float] | str, BeforeValidator(_background)]
 
 
 class SettingsError(ValueError):
@@ -33,18 +68,12 @@ class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-def _nonzero(value: Vector) -> Vector:
-    if not any(value):
-        raise ValueError("allowed: a direction that is not zero")
-    return value
-
-
 class CameraSettings(_Table):
     """Lengths in m, angles in degrees. What is left out is chosen so that the domain is in view."""
 
     kind: Literal["orbit", "fixed"] = "orbit"
     target: Vector | None = None
-    up: Annotated[Vector, AfterValidator(_nonzero)] = (0.0, 0.0, 1.0)
+    up: Direction = (0.0, 0.0, 1.0)
     fov: Annotated[float, Field(gt=0, lt=170)] = 40.0  # vertical
     near: Annotated[float, Field(gt=0)] | None = None
     eye: Vector | None = None  # fixed only
@@ -71,7 +100,7 @@ class CameraSettings(_Table):
 class PictureSettings(_Table):
     width: Annotated[int, Field(ge=16, le=8192)] = 800  # pixels
     height: Annotated[int, Field(ge=16, le=8192)] = 800
-    background: tuple[Unit, Unit, Unit] | str = "#ffffff"  # colour, or a picture file
+    background: Background = "#ffffff"
 
 
 class VideoSettings(_Table):
@@ -137,6 +166,8 @@ def _explain(path: str | Path, text: str, item: Any) -> str:
         near = difflib.get_close_matches(keys[-1], names, 1)
         hint = f" (did you mean '{near[0]}'?)" if near else ""
         said = f"unknown key: allowed are {', '.join(names)}{hint}"
+    elif item["type"] == "model_type":
+        said = f"{item['input']!r}: allowed: a table [{keys[-1]}]"
     elif isinstance(item["input"], dict):
         said = allowed
     else:

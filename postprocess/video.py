@@ -1,7 +1,6 @@
 """Pictures to PNG files and an mp4, and pictures as backgrounds."""
 
 import os
-import re
 from pathlib import Path
 
 import imageio.v3 as iio
@@ -37,8 +36,11 @@ class Mp4:
         )
 
     def __enter__(self) -> "Mp4":
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        self.writer.send(None)
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self.writer.send(None)
+        except OSError as error:
+            raise VideoError(f"{self.path}: {_last_line(error)}") from None
         return self
 
     def add(self, picture: np.ndarray) -> None:
@@ -75,7 +77,7 @@ def write_png(path: str | Path, picture: np.ndarray) -> None:
     """Write a uint8 picture (height, width, 3)."""
     try:
         Path(path).parent.mkdir(parents=True, exist_ok=True)
-        iio.imwrite(path, picture, extension=".png")
+        iio.imwrite(path, picture, extension=".png", plugin="pillow")
     except OSError as error:
         raise VideoError(f"{path}: {error.strerror or error}") from None
 
@@ -89,11 +91,9 @@ def background(value: str | tuple, width: int, height: int, folder: Path) -> np.
     if not isinstance(value, str):
         return np.array(value, dtype=np.float64)
     if value.startswith("#"):
-        if not re.fullmatch(r"#[0-9a-fA-F]{6}", value):
-            raise VideoError(f"background: '{value}': allowed: '#rrggbb', [r, g, b] or a picture")
         return np.array([int(value[i : i + 2], 16) for i in (1, 3, 5)]) / 255
     try:
-        picture = np.atleast_3d(iio.imread(folder / value))
+        picture = np.atleast_3d(iio.imread(folder / value, plugin="pillow"))
     except Exception as error:  # the readers of picture formats raise all kinds
         raise VideoError(f"background: {folder / value}: {_last_line(error)}") from None
     top = np.iinfo(picture.dtype).max if picture.dtype.kind == "u" else 1

@@ -63,7 +63,7 @@ def picture(run: Run, index: int, color: str, path: Path, args: argparse.Namespa
         points,
         scalars=values,
         clim=args.range,
-        cmap=args.map,
+        cmap="viridis",
         point_size=args.point,
         render_points_as_spheres=True,
         scalar_bar_args={
@@ -107,7 +107,6 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--size", type=int, nargs=2, default=(1000, 800), metavar=("W", "H"))
     p.add_argument("--angle", type=float, default=ANGLE, help="around z [degrees]")
     p.add_argument("--point", type=float, default=5.0, help="size of a particle [pixels]")
-    p.add_argument("--map", default="viridis", help="matplotlib colour map [viridis]")
     return p
 
 
@@ -116,6 +115,9 @@ def main(argv: list[str] | None = None) -> int:
     path = Path(args.output)
     if path.suffix != ".png":
         print(f"-o: {path}: allowed: a name that ends in .png", file=sys.stderr)
+        return 2
+    if not all(16 <= side <= 8192 for side in args.size) or not args.point > 0:
+        print("allowed: --size 16 to 8192 pixels, --point greater than 0", file=sys.stderr)
         return 2
     try:
         run = Run(args.out)

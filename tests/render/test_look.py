@@ -1,0 +1,127 @@
+"""From rest Gaussians and moving particles to what is drawn."""
+
+import logging
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from postprocess.look import ALPHA_MIN_FAINT, Look
+from postprocess.splat import ALPHA_MIN
+from tests.render import runs
+from vgmpi.gaussians import evolve, sh
+from vgmpi.gaussians.cloud import full
+from vgmpi.output.read import RunError
+
+EYE = np.array([0.5, -2.0, 1.0])
+
+
+def fake(opacity_scale=0.5, k=1, scenery=True):
+    rows, objects, ground = runs.rest_state(opacity_scale, k)
+    held = SimpleNamespace(**rows, scenery=SimpleNamespace(**ground) if scenery else None)
+    return SimpleNamespace(gaussians=held, objects=objects), rows
+
+
+def frame(rows, k=2, frames=3):
+    return {"id": np.arange(len(rows["x0"])), **runs.frame_fields(rows, k, frames)}
+
+
+def test_each_family_follows_its_rule():
+    run, rows = fake(scenery=False)
+    f = frame(rows)
+    s = Look(run).splats(f, EYE)
+    np.testing.assert_allclose(s.x, f["x"])
+    water, bar = slice(0, runs.WATER), slice(runs.WATER, None)
+    np.testing.assert_allclose(s.cov[water], evolve.fluid(rows["vol0"][water], f["J"][water]))
+    R = runs.rotation(0.5 * np.pi)
+    want = R @ full(rows["cov0"][bar]) @ R.T
+    np.testing.assert_allclose(full(s.cov[bar]), want, atol=1e-9)
+    np.testing.assert_allclose(s.opacity[water], 0.5 * 0.8, rtol=1e-6)
+    np.testing.assert_allclose(s.opacity[bar], 0.8, rtol=1e-6)  # the scale is for fluids only
+    np.testing.assert_allclose(s.color[water], [runs.BLUE] * runs.WATER, atol=1e-6)
+
+
+def test_scenery_is_drawn_unmoved_in_every_frame():
+    run, rows = fake()
+    ground = run.gaussians.scenery
+    for k in range(3):
+        s = Look(run).splats(frame(rows, k), EYE)
+        n = len(ground.x0)
+        assert len(s.x) == n + len(rows["x0"])
+        np.testing.assert_array_equal(s.x[:n], ground.x0)
+        np.testing.assert_array_equal(s.cov[:n], ground.cov0.astype("f8"))
+        np.testing.assert_allclose(s.opacity[:n], 0.9, rtol=1e-6)
+
+
+def test_colours_of_solids_turn_with_them_and_those_of_others_do_not():
+    run, rows = fake(k=16)
+    rng = np.random.default_rng(0)
+    rows["sh"][:, 1:] = 0.2 * rng.normal(size=rows["sh"][:, 1:].shape)
+    f = frame(rows)
+    # a stretch on top must not change the rotation
+    F = f["F"].reshape(-1, 3, 3) @ np.diag([1.3, 0.9, 0.7]).astype("f4")
+    s = Look(run).splats({**f, "F": F.reshape(-1, 9)}, EYE)
+    n = len(run.gaussians.scenery.x0)
+    water, bar = slice(0, runs.WATER), slice(runs.WATER, None)
+    directions = f["x"] - EYE
+    R = runs.rotation(0.5 * np.pi)
+    turned = sh.evaluate(sh.rotate(rows["sh"][bar], R), directions[bar])
+    np.testing.assert_allclose(s.color[n:][bar], turned, atol=1e-5)
+    still = sh.evaluate(rows["sh"][bar], directions[bar])
+    assert np.abs(turned - still).max() > 0.1
+    np.testing.assert_allclose(
+        s.color[n:][water], sh.evaluate(rows["sh"][water], directions[water]), atol=1e-5
+    )
+
+
+def test_rows_are_found_by_id():
+    """Frames may hold a part of the particles, as when some have not been emitted yet."""
+    run, rows = fake(scenery=False)
+    f = frame(rows)
+    keep = np.arange(len(rows["x0"])) % 3 == 1
+    part = Look(run).splats({name: a[keep] for name, a in f.items()}, EYE)
+    whole = Look(run).splats(f, EYE)
+    for name in ("x", "cov", "opacity", "color"):
+        np.testing.assert_allclose(getattr(part, name), getattr(whole, name)[keep], atol=1e-15)
+
+
+def test_frames_that_cannot_be_drawn_are_named():
+    run, rows = fake()
+    f = frame(rows)
+    with pytest.raises(RunError, match="field F"):
+        Look(run).splats({name: f[name] for name in ("id", "x", "J")}, EYE)
+    with pytest.raises(RunError, match="does not know"):
+        Look(run).splats({**f, "id": f["id"] + 1}, EYE)
+
+
+def test_a_fluid_without_J_has_its_rest_volume():
+    run, rows = fake(scenery=False)
+    f = frame(rows)
+    del f["J"]
+    s = Look(run).splats(f, EYE)
+    want = evolve.fluid(rows["vol0"], np.ones(len(rows["x0"])))
+    np.testing.assert_allclose(s.cov[: runs.WATER], want[: runs.WATER])
+
+
+def test_alpha_min_follows_the_fluid_and_says_so(caplog):
+    caplog.set_level(logging.INFO, "vgmpi")
+    assert Look(fake(0.5)[0]).alpha_min(None) == ALPHA_MIN
+    assert not caplog.records
+    assert Look(fake(0.02)[0]).alpha_min(None) == ALPHA_MIN_FAINT
+    assert [r.levelname for r in caplog.records] == ["INFO"]
+    assert "faint" in caplog.text
+
+
+def test_alpha_min_of_an_object_or_of_the_settings_comes_first(caplog):
+    run, _ = fake(0.01)
+    run.objects[0]["alpha_min"] = 5e-4
+    assert Look(run).alpha_min(None) == 5e-4
+    assert Look(run).alpha_min(2e-3) == 2e-3
+    assert not caplog.records
+
+
+def test_gaussians_that_vanish_are_warned_of_by_name(caplog):
+    run, _ = fake(0.004)
+    Look(run).alpha_min(ALPHA_MIN)
+    assert [r.levelname for r in caplog.records] == ["WARNING"]
+    assert "'pool'" in caplog.text and f"{runs.WATER} of {runs.WATER}" in caplog.text

@@ -1,0 +1,133 @@
+"""render.toml: good ones, and one clear line for each mistake."""
+
+import pytest
+
+from postprocess import settings
+
+FULL = """
+[camera]
+kind = "orbit"
+target = [0.5, 0.5, 0.3]
+distance = 2.5
+height = 1
+turns = 0.5
+angle = 30
+fov = 35
+up = [0, 0, 1]
+near = 0.01
+
+[picture]
+width = 640
+height = 360
+background = [0.1, 0.2, 0.3]
+
+[video]
+fps = 30
+quality = 7
+
+[frames]
+first = 1
+last = 10
+every = 2
+
+[splatting]
+mode = "mip"
+alpha_min = 1e-4
+"""
+
+
+def load(folder, text):
+    path = folder / "render.toml"
+    path.write_text(text)
+    return settings.load(path)
+
+
+def test_everything_may_be_left_out(tmp_path):
+    assert load(tmp_path, "") == settings.load(None) == settings.Settings()
+
+
+def test_everything_may_be_said(tmp_path):
+    s = load(tmp_path, FULL)
+    assert s.camera.turns == 0.5 and s.camera.target == (0.5, 0.5, 0.3)
+    assert s.picture.background == (0.1, 0.2, 0.3)
+    assert s.splatting.options() == {"lowpass": 0.1, "antialias": True}
+    assert (s.frames.first, s.frames.last, s.frames.every) == (1, 10, 2)
+
+
+def test_a_fixed_camera(tmp_path):
+    s = load(tmp_path, '[camera]\nkind = "fixed"\neye = [1, 2, 3]')
+    assert s.camera.eye == (1, 2, 3)
+    assert s.splatting.options() == {"lowpass": 0.3, "antialias": False}
+
+
+BAD = {
+    "an unknown table": ("[camara]\nfov = 3", 1, "camara", "did you mean 'camera'?"),
+    "an unknown key": ("[camera]\n\nfovv = 3", 3, "camera.fovv", "did you mean 'fov'?"),
+    "a key outside its table": ("\nfov = 3", 2, "fov", "allowed are camera"),
+    "a wrong kind": ('[camera]\nkind = "orbitt"', 2, "camera.kind", "'orbit' or 'fixed'"),
+    "a word for a number": ('[camera]\nfov = "wide"', 2, "camera.fov", "'wide'"),
+    "out of range": ("[camera]\nturns = 1\nfov = 190", 3, "camera.fov", "less than 170"),
+    "not finite": ("[camera]\nheight = inf", 2, "camera.height", "finite"),
+    "two numbers": ("[camera]\ntarget = [1, 2]", 2, "camera.target", "three numbers"),
+    "a number for a direction": ("[camera]\nup = 3", 2, "camera.up", "three numbers"),
+    "no direction": ("[camera]\nup = [0, 0, 0]", 2, "camera.up", "not zero"),
+    "fixed without eye": ('\n[camera]\nkind = "fixed"', 2, "camera", "needs eye"),
+    "orbit with eye": ("[camera]\neye = [1, 2, 3]", 1, "camera", "has no eye"),
+    "fixed with turns": (
+        '[camera]\nkind = "fixed"\neye = [1, 2, 3]\nturns = 2',
+        1,
+        "camera",
+        "has no turns",
+    ),
+    "too high": ("[camera]\ndistance = 1\nheight = 2", 1, "camera", "less than distance"),
+    "eye at the target": (
+        '[camera]\nkind = "fixed"\neye = [1, 2, 3]\ntarget = [1, 2, 3]',
+        1,
+        "camera",
+        "same point",
+    ),
+    "a huge picture": ("[picture]\nwidth = 100000", 2, "picture.width", "8192"),
+    "half a pixel": ("[picture]\nwidth = 100.5", 2, "picture.width", "integer"),
+    "a colour beyond white": (
+        "[picture]\nbackground = [2, 0, 0]",
+        2,
+        "picture.background",
+        "0 to 1",
+    ),
+    "half a colour": ('[picture]\nbackground = "#12"', 2, "picture.background", "#rrggbb"),
+    "no frames a second": ("[video]\nfps = 0", 2, "video.fps", "greater than or equal to 1"),
+    "frames backwards": ("[frames]\nevery = -1", 2, "frames.every", "-1"),
+    "alpha_min zero": ("[splatting]\nalpha_min = 0", 2, "splatting.alpha_min", "0.00001"),
+    "a mode that is not there": ('[splatting]\nmode = "raytrace"', 2, "splatting.mode", "mip"),
+    "a table that is a number": ("camera = 3", 1, "camera", "a table"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_mistakes_are_named_with_their_line(tmp_path, name):
+    text, line, key, says = BAD[name]
+    with pytest.raises(settings.SettingsError) as caught:
+        load(tmp_path, text)
+    for said in caught.value.lines:
+        assert said.startswith(f"{tmp_path / 'render.toml'}:{line}: {key}: ")
+        assert "\n" not in said
+    assert any(says in said for said in caught.value.lines)
+
+
+def test_all_mistakes_are_told_at_once(tmp_path):
+    with pytest.raises(settings.SettingsError) as caught:
+        load(tmp_path, "[camera]\nfov = 0\n[video]\nfps = 0\nspeed = 2")
+    assert len(caught.value.lines) == 3
+
+
+@pytest.mark.parametrize("text, line", [("[camera\nfov = 3", ":1"), ("\nfov = = 3", ":2")])
+def test_a_file_that_is_no_toml(tmp_path, text, line):
+    with pytest.raises(settings.SettingsError) as caught:
+        load(tmp_path, text)
+    assert len(caught.value.lines) == 1
+    assert caught.value.lines[0].startswith(f"{tmp_path / 'render.toml'}{line}: ")
+
+
+def test_a_file_that_is_not_there(tmp_path):
+    with pytest.raises(settings.SettingsError, match="none.toml"):
+        settings.load(tmp_path / "none.toml")
