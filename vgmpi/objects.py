@@ -4,7 +4,7 @@ import math
 import re
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator
 
 from vgmpi.tables import Point, Positive, Quantity, Share, Table
 
@@ -52,6 +52,12 @@ def _axis(value: Any) -> tuple[float, float, float]:
     x, y, z = numbers
     size = math.hypot(x, y, z)
     return x / size, y / size, z / size
+
+
+def _name(value: Any) -> str:
+    if not isinstance(value, str) or not re.fullmatch(r"[^\W\d][\w -]*", value):
+        raise ValueError("must begin with a letter and hold letters, digits, spaces, _ and - only")
+    return value
 
 
 def _per_cell(value: Any) -> int:
@@ -159,8 +165,8 @@ def _listed(value: Any) -> Any:
 class Object(Table):
     """One thing in the scene: exactly one of gaussians, mesh, shape."""
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z_][\w -]*$")]
-    """unique name: letters, digits, _ and -, beginning with a letter"""
+    name: Annotated[str, BeforeValidator(_name)]
+    """unique name: letters, digits, spaces, _ and -, beginning with a letter"""
     role: Literal["body", "scenery"] = "body"
     """body: has mass and moves. scenery: is only drawn, and may be a collider"""
     material: str | None = None
@@ -210,7 +216,7 @@ class Object(Table):
     """opacity of the Gaussians made for shapes, meshes and fillings"""
     opacity_scale: Share = 1.0
     """fluids only: factor on opacities when drawn; water looks like water at 0.005 .. 0.05"""
-    alpha_min: Share | None = None
+    alpha_min: Annotated[float, Quantity("", ge=1e-5, le=0.5)] | None = None
     """contributions fainter than this are not drawn; default 1/255, and 1e-4 where
     opacity_scale is below 0.1"""
     collider: bool = False

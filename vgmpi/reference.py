@@ -32,10 +32,10 @@ def scene_reference() -> str:
         parts.append(_section(f"[{name}]", table))
     parts.append(_section("[domain] boundary", settings.Boundary))
     parts.append(_section("A wall", settings.Wall))
-    for kind, table in materials.registry.items():
-        parts.append(_section(f'[material.NAME] kind = "{kind}"', table))
+    for kind, material in materials.registry.items():
+        parts.append(_section(f'[material.NAME] kind = "{kind}"', material))
     parts.append(_section("[[object]]", objects.Object))
-    inner = {
+    inner: dict[str, type[BaseModel]] = {
         "shape": objects.Shape,
         "sphere": objects.Sphere,
         "ellipsoid": objects.Ellipsoid,
@@ -43,10 +43,10 @@ def scene_reference() -> str:
         "select": objects.Select,
         "rotation": objects.Rotation,
     }
-    for name, table in inner.items():
-        parts.append(_section(f"[[object]] {name}", table))
-    for kind, table in couplings.registry.items():
-        parts.append(_section(f'[[coupling]] kind = "{kind}"', table))
+    for name, inside in inner.items():
+        parts.append(_section(f"[[object]] {name}", inside))
+    for kind, coupling in couplings.registry.items():
+        parts.append(_section(f'[[coupling]] kind = "{kind}"', coupling))
     return "\n".join(parts)
 
 
@@ -67,7 +67,9 @@ def _quantities(thing: Any) -> Iterator[Quantity]:
     """Every Quantity inside an annotation or a field."""
     if isinstance(thing, Quantity):
         yield thing
-    metadata = getattr(thing, "metadata", None) or getattr(thing, "__metadata__", ())
+    metadata = (
+        thing.metadata if isinstance(thing, FieldInfo) else getattr(thing, "__metadata__", ())
+    )
     for item in (*metadata, *get_args(thing)):
         yield from _quantities(item)
     if isinstance(thing, FieldInfo):

@@ -74,10 +74,8 @@ class Scene:
         }
 
 
-def phase_of(thing: Object, family: str | None) -> str | None:
-    """Name of the velocity field an object shares: all fluids one, every solid its own."""
-    if family is None:
-        return None
+def phase_of(thing: Object, family: str) -> str:
+    """Name of the velocity field a body shares: all fluids one, every solid its own."""
     return thing.phase or ("fluid" if family == "fluid" else thing.name)
 
 

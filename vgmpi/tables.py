@@ -200,7 +200,7 @@ def _explain(item: dict, table: type[BaseModel]) -> tuple[tuple, str]:
             f": {field.description}" if field and field.description else ""
         )
     if kind == "literal_error":
-        known = [str(word).lower() for word in _literals(item["ctx"]["expected"])]
+        known = _literals(item["ctx"]["expected"])
         return path, f"must be one of {', '.join(known)}{nearest(value, known)}; {got(value)}"
     if kind in ("model_type", "dict_type", "model_attributes_type"):
         return path, f"must be a table of keys; {got(value)}"
@@ -210,7 +210,8 @@ def _explain(item: dict, table: type[BaseModel]) -> tuple[tuple, str]:
 
 def _literals(expected: str) -> list[str]:
     words = re.findall(r"'[^']*'|[^\s,']+", expected.replace(" or ", ", "))
-    return [word.strip("'") for word in words]
+    spelt = {"True": "true", "False": "false"}
+    return [spelt.get(word, word.strip("'")) for word in words]
 
 
 def table_at(table: type[BaseModel], path: tuple) -> type[BaseModel] | None:

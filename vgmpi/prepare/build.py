@@ -290,7 +290,7 @@ def _describe(scene: Scene, thing: Object, piece: Piece, first: int, count: int)
         "material": thing.material,
         "kind": material.kind if material else None,
         "family": family,
-        "phase": phase_of(thing, family),
+        "phase": phase_of(thing, family) if family else None,
         "density": material.density if material else None,
         "first": first,
         "count": count,

@@ -1,0 +1,379 @@
+"""A table of wrong scenes: every error names its line, its key, and what would be right.
+
+Each case is a change of one good scene; the line is that of the text which holds the marker.
+"""
+
+import pytest
+
+from vgmpi.prepare.build import build
+from vgmpi.scene import load
+from vgmpi.tables import SceneError
+
+GOOD = """\
+title = "good"
+[domain]
+size = ["64 cm", "32 cm", "32 cm"]
+cell = "2 cm"
+boundary = { default = "slip", floor = "stick" }
+[time]
+end = "1 s"
+frames = 11
+[material.water]
+kind = "fluid"
+density = 1000
+[material.rubber]
+kind = "elastic"
+youngs_modulus = "0.1 MPa"
+[[object]]
+name = "pool"
+material = "water"
+shape = { box = [[0, 0, 0], [0.64, 0.32, 0.1]] }
+[[object]]
+name = "ball"
+material = "rubber"
+shape = { sphere = { center = [0, 0, 0], radius = "4 cm" } }
+position = [0.3, 0.16, 0.2]
+[[coupling]]
+kind = "contact"
+between = ["water", "rubber"]
+friction = 0.1
+"""
+
+# old text, new text, key as reported, what the message must say; the line is where `new` stands
+CASES = {
+    "unknown section": ("[time]", "[tiem]", "tiem", "did you mean 'time'?"),
+    "missing section": ("[domain]", "[domaine]", "domain", "required table [domain] is missing"),
+    "unknown key": ("frames = 11", "frams = 11", "time.frams", "did you mean 'frames'?"),
+    "key of another kind": (
+        "density = 1000",
+        "poisson_ratio = 0.3",
+        "material.water.poisson_ratio",
+        "known here: kind, density, bulk_modulus",
+    ),
+    "missing key": ("end = ", "#", "time.end", "required key is missing: simulated time"),
+    "wrong unit": ('end = "1 s"', 'end = "1 m"', "time.end", "units: s, ms, us, min, h"),
+    "unknown unit": ('cell = "2 cm"', 'cell = "2 inch"', "domain.cell", "'inch' is not a unit"),
+    "no unit": ('cell = "2 cm"', 'cell = "2"', "domain.cell", "the text has no unit"),
+    "out of bounds": ("= 1000", '= "-1 g/cm3"', "material.water.density", "must be > 0 kg/m3"),
+    "not finite": ("= 1000", "= nan", "material.water.density", "must be > 0 kg/m3; got nan"),
+    "wrong type": ("frames = 11", 'frames = "11"', "time.frames", "valid integer; got '11'"),
+    "a bool is no number": ("= 1000", "= true", "material.water.density", "got true"),
+    "one frame": ("frames = 11", "frames = 1", "time.frames", "greater than or equal to 2"),
+    "negative dt": ("frames = 11", "frames = 11\ndt = -1", "time.dt", "must be >= 0 s"),
+    "cfl above one": ("frames = 11", "cfl = 1.5", "time.cfl", "must be > 0 and <= 1"),
+    "two sizes": ('["64 cm", "32 cm", ', '["64 cm", ', "domain.size", "too few values"),
+    "part of a cell": (
+        '"32 cm", "32 cm"]',
+        '"32 cm", "33 cm"]',
+        "domain.size.2",
+        "0.33 m is 16.5 cells, nearest are 0.32 m or 0.34 m",
+    ),
+    "too few cells": ('"32 cm"]', '"4 cm"]', "domain.size.2", "at least 4 cells of 0.02 m"),
+    "too many cells": ('"2 cm"', '"2 um"', "domain.size.0", "at most 32768"),
+    "wall kind": (
+        'floor = "stick"',
+        'floor = "stik"',
+        "domain.boundary.floor.kind",
+        "must be one of stick, slip, separate (did you mean 'stick'?); got 'stik'",
+    ),
+    "wall name": ("floor =", "flor =", "domain.boundary.flor", "did you mean 'floor'?"),
+    "material kind": (
+        'kind = "fluid"',
+        'kind = "fluit"',
+        "material.water.kind",
+        "did you mean 'fluid'?); got 'fluit'",
+    ),
+    "material kind to come": ('kind = "fluid"', 'kind = "lava"', "material.water.kind", "elastic"),
+    "no material kind": ('kind = "fluid"', "", "material.water.kind", "required key is missing"),
+    "unknown material": (
+        'material = "water"',
+        'material = "watr"',
+        "object.pool.material",
+        "there is no [material.watr] (did you mean 'water'?); defined are water, rubber",
+    ),
+    "no material": ('material = "rubber"', "", "object.ball.material", "what the body is made of"),
+    "same name": ('name = "ball"', 'name = "pool"', "object.pool.name", "is taken: "),
+    "bad name": (
+        'name = "ball"',
+        'name = "8 ball"',
+        "object.8 ball.name",
+        "must begin with a letter",
+    ),
+    "two sources": (
+        'material = "rubber"',
+        'material = "rubber"\nmesh = "a.obj"',
+        "object.ball.shape",
+        "mesh and shape given at once",
+    ),
+    "no source": ("shape = { sphere", "#", "object.ball", "give one of gaussians, mesh, shape"),
+    "two sizes given": (
+        "position =",
+        'height = "1 cm"\nwidth = "1 cm"\nposition =',
+        "object.ball.width",
+        "height and width given at once",
+    ),
+    "two places": (
+        "position =",
+        "origin = [0, 0, 0]\nposition =",
+        "object.ball.origin",
+        "position and origin given at once",
+    ),
+    "fill of a shape": ("position =", "fill = true\nposition =", "object.ball.fill", "is only for"),
+    "select of a shape": (
+        "position =",
+        "select = { min_opacity = 0.1 }\nposition =",
+        "object.ball.select",
+        "is only for objects made of gaussians, not of a shape",
+    ),
+    "pruning to come": ("position =", 'prune = "auto"\nposition =', "object.ball.prune", "of off"),
+    "transfer to come": (
+        'title = "good"',
+        'title = "good"\n[accuracy]\ntransfer = "flip"',
+        "accuracy.transfer",
+        "must be one of apic; got 'flip'",
+    ),
+    "output field": (
+        'title = "good"',
+        'title = "good"\n[output]\nfields = ["velocty"]',
+        "output.fields.0",
+        "must be one of velocity, J, F (did you mean 'velocity'?)",
+    ),
+    "scenery with mass": (
+        'material = "rubber"',
+        'role = "scenery"\nmaterial = "rubber"',
+        "object.ball.material",
+        "is not for scenery",
+    ),
+    "body as collider": ("position =", "collider = true\nposition =", "object.ball.collider", "is"),
+    "color": ("position =", 'color = "reed"\nposition =', "object.ball.color", "'#6fb7d6'"),
+    "axis": (
+        "position =",
+        'rotation = { axis = "w", angle = "3 deg" }\nposition =',
+        "object.ball.rotation.0.axis",
+        "'x', 'y', 'z' or three numbers",
+    ),
+    "particles per cell": (
+        "position =",
+        "particles_per_cell = 9\nposition =",
+        "object.ball.particles_per_cell",
+        "1, 8, 27 or 64",
+    ),
+    "shape of two forms": (
+        "shape = { sphere",
+        "shape = { box = [[0, 0, 0], [1, 1, 1]], sphere",
+        "object.ball.shape",
+        "has box and sphere: give exactly one",
+    ),
+    "shape form": ("{ sphere =", "{ spere =", "object.ball.shape.spere", "did you mean 'sphere'?"),
+    "box turned over": (
+        "[0.64, 0.32, 0.1]]",
+        "[0.64, 0, 0.1]]",
+        "object.pool.shape.box",
+        "y0 < y1",
+    ),
+    "union of one": (
+        "shape = { box = [[0, 0, 0], [0.64, 0.32, 0.1]] }",
+        "shape = { union = [{ box = [[0, 0, 0], [0.64, 0.32, 0.1]] }] }",
+        "object.pool.shape.union",
+        "needs at least 2 shapes; got 1",
+    ),
+    "negative radius": ('"4 cm"', '"-4 cm"', "object.ball.shape.sphere.radius", "must be > 0 m"),
+    "mixed phase": (
+        "position =",
+        'phase = "fluid"\nposition =',
+        "object.ball.phase",
+        "'fluid' already holds a fluid, this is a solid",
+    ),
+    "opacity scale of a solid": (
+        "position =",
+        "opacity_scale = 0.1\nposition =",
+        "object.ball.opacity_scale",
+        "is only for fluids",
+    ),
+    "missing file": (
+        'shape = { sphere = { center = [0, 0, 0], radius = "4 cm" } }',
+        'gaussians = "none.ply"',
+        "object.ball.gaussians",
+        "there is no file ",
+    ),
+    "file outside": (
+        'shape = { sphere = { center = [0, 0, 0], radius = "4 cm" } }',
+        'gaussians = "../outside.ply"',
+        "object.ball.gaussians",
+        "lies outside the scene's folder: move it below, or set allow_outside = true",
+    ),
+    "no position": (
+        'shape = { sphere = { center = [0, 0, 0], radius = "4 cm" } }\nposition =',
+        'gaussians = "inside.ply"\n#',
+        "object.ball",
+        "needs a position (of the middle of its base) or an origin",
+    ),
+    "coupling of nothing": (
+        'between = ["water", "rubber"]',
+        'between = ["water", "ruber"]',
+        "coupling.0.between.1",
+        "there is no [material.ruber] (did you mean 'rubber'?)",
+    ),
+    "coupling kind": ('kind = "contact"', 'kind = "contakt"', "coupling.0.kind", "'contact'?"),
+    "coupling twice": (
+        "friction = 0.1",
+        "friction = 0.1\n[[coupling]]\n"
+        'kind = "contact"\nbetween = ["rubber", "water"]\nfriction = 0',
+        "coupling.1.between",
+        "is about the same two already",
+    ),
+}
+
+# found while the particles are made
+BUILD_CASES = {
+    "outside": (
+        "position = [0.3, 0.16, 0.2]",
+        "position = [0.62, 0.16, 0.2]",
+        "object.ball.position",
+        "outside the domain: it reaches x = 0.58 .. 0.66 m, the domain 0 .. 0.64 m",
+    ),
+    "shape outside": (
+        "[0.64, 0.32, 0.1]]",
+        "[0.64, 0.32, 0.5]]",
+        "object.pool.shape",
+        "z = 0 .. 0.5 m, the domain 0 .. 0.32 m",
+    ),
+    "too thin": (
+        "[0, 0, 0], [0.64, 0.32, 0.1]",
+        "[0, 0, 0.051], [0.64, 0.32, 0.052]",
+        "object.pool.shape",
+        "no particle fits in, their spacing is 0.01 m",
+    ),
+    "not Gaussians": (
+        'shape = { sphere = { center = [0, 0, 0], radius = "4 cm" } }',
+        'gaussians = "inside.ply"',
+        "object.ball.gaussians",
+        "is not a .ply file",
+    ),
+    "not a mesh": (
+        'shape = { sphere = { center = [0, 0, 0], radius = "4 cm" } }',
+        'mesh = "inside.ply"',
+        "object.ball.mesh",
+        "cannot be read as a mesh",
+    ),
+}
+
+
+def broken(tmp_path, old, new):
+    """The path of the changed scene and the lines that the change touches."""
+    assert GOOD.count(old) >= 1
+    folder = tmp_path / "scene"
+    folder.mkdir()
+    (tmp_path / "outside.ply").write_text("x")
+    (folder / "inside.ply").write_text("x")
+    at = GOOD.index(old)
+    path = folder / "scene.toml"
+    path.write_text(GOOD[:at] + new + GOOD[at + len(old) :])
+    first = GOOD[:at].count("\n") + 1
+    return path, range(first, first + new.count("\n") + 1)
+
+
+def lines(path, overrides=(), make=load):
+    with pytest.raises(SceneError) as caught:
+        make(path, overrides)
+    return caught.value.lines
+
+
+# where the reported line is not the changed one: the line of what holds the key
+ELSEWHERE = {
+    "missing section": 1,
+    "too many cells": 3,
+    "missing key": 6,
+    "no material kind": 9,
+    "no material": 19,
+    "no source": 19,
+    "no position": 19,
+    "two sources": 23,
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_error_has_its_line_key_and_advice(tmp_path, name):
+    old, new, key, says = CASES[name]
+    path, touched = broken(tmp_path, old, new)
+    found = [line for line in lines(path) if f": {key}: " in line and says in line]
+    assert len(found) == 1, lines(path)
+    where, _, said = found[0].partition(f": {key}: ")
+    file, _, number = where.rpartition(":")
+    assert file == str(path)
+    allowed = [ELSEWHERE[name]] if name in ELSEWHERE else touched
+    assert int(number) in allowed, found[0]
+    assert "\n" not in found[0] and len(said) > 10
+    for word in ("pydantic", "Value error", "Input", "Traceback"):
+        assert word not in found[0]
+
+
+@pytest.mark.parametrize("name", BUILD_CASES)
+def test_errors_found_while_making_particles(tmp_path, name):
+    old, new, key, says = BUILD_CASES[name]
+    path, touched = broken(tmp_path, old, new)
+    found = lines(path, make=lambda path, _: build(load(path)))
+    assert len(found) == 1 and says in found[0], found
+    where = found[0].partition(f": {key}: ")[0]
+    assert where.startswith(f"{path}:") and int(where.rpartition(":")[2]) in touched
+
+
+def test_there_are_at_least_twenty():
+    assert len(CASES) + len(BUILD_CASES) >= 20
+
+
+def test_the_good_scene_is_good(tmp_path):
+    path, _ = broken(tmp_path, "frames = 11", "frames = 11")
+    assert len(build(load(path)).x) > 1000
+
+
+def test_all_errors_at_once_in_the_order_of_the_file(tmp_path):
+    path, _ = broken(tmp_path, "frames = 11", "frames = 11")
+    text = GOOD.replace('"2 cm"', '"2 kg"').replace("frames = 11", "frames = 0\nspeed = 3")
+    text = text.replace('material = "water"', 'material = "milk"').replace("friction = 0.1", "")
+    path.write_text(text)
+    found = lines(path, ["time.end=soon", "object.ball.height=-1 cm"])
+    keys = [line.split(": ")[1] for line in found]
+    assert keys == [
+        "domain.cell",
+        "time.frames",
+        "time.speed",
+        "object.pool.material",
+        "coupling.0.friction",
+        "time.end",
+        "object.ball.height",
+    ]
+    assert found[5].startswith("--set time.end=soon: time.end: expected a number [s]")
+    assert (
+        found[6] == "--set object.ball.height=-1 cm: object.ball.height: must be > 0 m; got '-1 cm'"
+    )
+
+
+def test_overriding_what_is_wrong_makes_it_right(tmp_path):
+    path, _ = broken(tmp_path, '"2 cm"', '"2 kg"')
+    assert load(path, ["domain.cell=2 cm"]).domain.cell == 0.02
+    assert len(lines(path)) == 1
+
+
+@pytest.mark.parametrize(
+    "text, says",
+    [
+        ("", "required table [domain] is missing"),
+        ("object = 3", "must be a list of tables"),
+        ("material = 3", "must hold tables"),
+        ("domain = []", "must be a table of keys; got []"),
+        ("[[coupling]]\n", "coupling.0.kind: required key is missing"),
+        ("coupling = [1]", "must be a table of keys; got 1"),
+        ("[[object]]\nshape = 3", "must be a table of keys; got 3"),
+        ("[[object]]\nname = 3\nrole = 'scenery'", "at least one must be a body"),
+        ("[[object]]\nselect = []\ngaussians = {}", "must be a table of keys; got []"),
+        ("[[object]]\nshape = { union = [3, { box = 1 }] }", "must be a table of keys; got 3"),
+        ("[material.a]\nkind = []", "must be one of elastic, fluid"),
+    ],
+)
+def test_nonsense_is_reported_not_raised(tmp_path, text, says):
+    path = tmp_path / "scene.toml"
+    path.write_text(text)
+    found = lines(path)
+    assert any(says in line for line in found), found
+    assert all(line.startswith(f"{path}:") for line in found)

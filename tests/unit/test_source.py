@@ -1,0 +1,162 @@
+"""Where every key of a TOML text stands, and what --set replaces."""
+
+import tomllib
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vgmpi.source import Source, key_lines
+from vgmpi.tables import SceneError
+
+TEXT = '''# comment with = and [brackets]
+title = "a # b = [c]"
+long = """
+[not.a.table]
+fake = 1 \\""" still
+"""
+raw = \'\'\'
+x = "2"\'\'\'
+[domain]
+size = [ "1 m",  # one
+  2,
+  # nothing
+  3 ]
+wall = { default = "slip", floor = { kind = "stick" }, list = [ { a = 1 },
+  { a = 2 } ] }
+"a.b".c = 1979-05-27 07:32:00
+[[object]]
+name = "k ] }"
+[object.shape]
+box = [[1,2,3],
+ [4,5,6]]
+[[object]]
+name = 'last'
+[[object.part]]
+n = 1
+[[object.part]]
+n = 2
+'''
+
+
+def test_lines_of_all_kinds_of_values():
+    where = key_lines(TEXT)
+    expected = {
+        ("title",): 2,
+        ("long",): 3,
+        ("raw",): 7,
+        ("domain",): 9,
+        ("domain", "size"): 10,
+        ("domain", "size", 0): 10,
+        ("domain", "size", 1): 11,
+        ("domain", "size", 2): 13,
+        ("domain", "wall", "floor", "kind"): 14,
+        ("domain", "wall", "list", 0, "a"): 14,
+        ("domain", "wall", "list", 1, "a"): 15,
+        ("domain", "a.b", "c"): 16,
+        ("object", 0): 17,
+        ("object", 0, "shape", "box", 1, 2): 21,
+        ("object", 1, "name"): 23,
+        ("object", 1, "part", 0, "n"): 25,
+        ("object", 1, "part", 1, "n"): 27,
+    }
+    assert {path: where.get(path) for path in expected} == expected
+    assert not any("fake" in path or "not" in path for path in where)
+
+
+def paths(value, prefix=()):
+    items = value.items() if isinstance(value, dict) else enumerate(value)
+    for key, inner in items:
+        yield (*prefix, key)
+        if isinstance(inner, dict | list):
+            yield from paths(inner, (*prefix, key))
+
+
+def test_every_path_of_the_data_has_a_line():
+    assert set(paths(tomllib.loads(TEXT))) == set(key_lines(TEXT))
+
+
+WORDS = st.text("ab=#[]{},.'\\ \t", max_size=8)
+VALUES = st.one_of(
+    st.integers(-9, 9).map(str),
+    WORDS.map(lambda w: '"' + w.replace("\\", "\\\\").replace("\t", " ") + '"'),
+    WORDS.map(lambda w: "'" + w.replace("'", "") + "'"),
+    st.lists(st.integers(0, 9), max_size=3).map(lambda v: "[\n" + ",\n".join(map(str, v)) + "]"),
+    st.just("{ x = 1, y = [2, { z = '}' }] }"),
+    st.just('"""\n a = 1 ""\n"""'),
+)
+
+
+@given(st.lists(st.tuples(st.booleans(), VALUES), min_size=1, max_size=8))
+def test_generated_texts(pieces):
+    text = ""
+    for k, (header, value) in enumerate(pieces):
+        text += f"[[t]] # {k}\n" if header else ""
+        text += f"key{k} = {value}  # = [\n"
+    where = key_lines(text)
+    assert set(paths(tomllib.loads(text))) == set(where)
+    lines = text.splitlines()
+    for path, line in where.items():
+        if isinstance(path[-1], str) and path[-1].startswith("key"):
+            assert lines[line - 1].startswith(path[-1])
+
+
+@pytest.fixture
+def scene(tmp_path):
+    path = tmp_path / "scene.toml"
+    path.write_text(TEXT)
+    return path
+
+
+def test_set_replaces_by_name_and_number(scene):
+    source = Source(scene, ["object.last.size=2 cm", "object.0.shape.box.0.1=7", "new.key=true"])
+    assert source.data["object"][1]["size"] == "2 cm"
+    assert source.data["object"][0]["shape"]["box"] == [[1, 7, 3], [4, 5, 6]]
+    assert source.data["new"] == {"key": True}
+    assert source.place(("object", 1, "size"))[1] == "--set object.last.size=2 cm"
+    assert source.place(("object", 0, "shape", "box", 0, 1))[1].startswith("--set object.0.shape")
+    assert source.place(("object", 0, "shape", "box", 0, 2))[1] == f"{scene}:20"
+    assert source.overridden(("new", "key")) and not source.overridden(("title",))
+
+
+@pytest.mark.parametrize(
+    "item, says",
+    [
+        ("title", "expected key=value"),
+        ("=3", "expected key=value"),
+        ("object.nobody.x=1", "object has no item 'nobody'; it has k ] }, last"),
+        ("object.7.x=1", "object has no item '7'"),
+        ("title.x=1", "title is not a table"),
+        ("domain.size.9=1", "domain.size has no item '9'; it has 3 items"),
+    ],
+)
+def test_set_that_cannot_be_applied(scene, item, says):
+    with pytest.raises(SceneError) as caught:
+        Source(scene, [item])
+    assert caught.value.lines == [f"--set {item}: {says}"] or says in caught.value.lines[0]
+    assert caught.value.lines[0].startswith(f"--set {item}: ")
+
+
+@pytest.mark.parametrize(
+    "content, says",
+    [
+        (b"a = 1\nb = = 2\n", ":2: not valid TOML: Invalid value (column 5)"),
+        (b"a = 1\na = 2\n", ":2: not valid TOML: Cannot overwrite a value"),
+        (b"a = [1,\n2\n", ":2: not valid TOML: "),
+        (b"a = '\xff'", ": not UTF-8 text (byte 5)"),
+        (b"a = " + b"[" * 5000, ": not valid TOML: "),
+    ],
+)
+def test_files_that_are_no_toml(tmp_path, content, says):
+    path = tmp_path / "broken.toml"
+    path.write_bytes(content)
+    with pytest.raises(SceneError) as caught:
+        Source(path)
+    assert len(caught.value.lines) == 1 and "\n" not in caught.value.lines[0]
+    assert caught.value.lines[0].startswith(str(path)) and says in caught.value.lines[0]
+
+
+def test_missing_file_and_folder(tmp_path):
+    for path in (tmp_path / "none.toml", tmp_path):
+        with pytest.raises(SceneError, match="No such file|directory"):
+            Source(path)
