@@ -4,20 +4,23 @@ there at all.
     with store.create(path, ranks) as f:
         f.rows("particles/x", local)        rows of rank 0, then of rank 1, ...
         f.whole("times", array)             from rank 0
-        f.text("attrs", "...")
-        f.attr("", "schema", 1)             "" is the root group
+        f.text("attrs", "...")              from rank 0
+        f.attr("", "schema", 1)             from rank 0; "" is the root group
 
-The file is written under a temporary name, brought to the disk, and then renamed. An error on any
-rank (no space left, say) raises the same StoreError on all of them, and the temporary file is
-removed.
+All is written at the end of the block, under a temporary name, brought to the disk, and then
+renamed. An error on any rank (no space left, say) raises the same StoreError on all of them, and
+the temporary file is removed.
 
-Row data goes out by independent writes, not collective ones: each rank's piece is one contiguous
-range, and a rank that fails in the middle of a collective write would leave the others waiting for
-ever.
+HDF5 (1.10) crashes or hangs when it closes a file whose tables it cannot write, so it never gets
+to: rank 0 lays the file out in memory, without the rows, and writes that by itself; then the rows
+go to the places HDF5 gave them, by MPI-IO or by rank 0. Rows go out by independent writes, not
+collective ones: each rank's piece is one contiguous range, and a rank that fails in the middle of
+a collective write would leave the others waiting for ever.
 """
 
 import contextlib
 import errno
+import io
 import logging
 import os
 import re
@@ -32,7 +35,6 @@ log = logging.getLogger("vgmpi")
 
 PIECE = 1 << 28  # bytes per write or message: MPI counts end at 2^31
 _told = False  # the notice about gathering comes once
-_abandoned: list[h5py.File] = []
 
 
 class StoreError(RuntimeError):
@@ -76,6 +78,13 @@ def _free(folder: Path) -> int:
     return disk.f_bavail * disk.f_frsize
 
 
+def _check_room(folder: Path, size: int) -> None:
+    """Refuse what the disk cannot hold before writing gigabytes of it."""
+    free = _free(folder)
+    if size > free:
+        raise OSError(errno.ENOSPC, f"{size} bytes, {free} free")
+
+
 def fsync_folder(folder: Path) -> None:
     """Bring a rename to the disk."""
     handle = os.open(folder, os.O_RDONLY)
@@ -112,50 +121,79 @@ def remove_temporaries(folder: Path) -> None:
 
 @contextlib.contextmanager
 def create(path: str | Path, ranks: Alone):
-    """A Store that becomes `path` at the end of the block. Collective."""
-    path = Path(path)
-    store = Store(path, ranks)
-    try:
-        yield store
-        store.finish()
-    except StoreError:
-        store.discard()
-        raise
-    except BaseException:
-        store.abandon()
-        raise
+    """A Store that becomes `path` at the end of the block; collective there."""
+    store = Store(Path(path), ranks)
+    yield store
+    store.finish()
 
 
 class Store:
-    """An HDF5 file being written; made by `create`. All methods are collective."""
+    """An HDF5 file to be written; made by `create`. Arrays must not change before the end."""
 
     def __init__(self, path: Path, ranks: Alone):
         self.path, self.ranks = path, ranks
         self.temporary = temporary_name(path)
         self.gather = gathers(ranks)
-        self.file: h5py.File | None = None
+        self.memory = _Memory()
+        self.file = h5py.File(self.memory, "w") if ranks.rank == 0 else None
+        self._rows: list[tuple[str, np.ndarray, np.ndarray]] = []  # name, local rows, all counts
+
+    def rows(self, name: str, local: np.ndarray) -> None:
+        """A dataset from the rows of all ranks, in rank order; any may have none. Collective."""
+        local = np.ascontiguousarray(local)
+        counts = self.ranks.all_rows(np.array([len(local)], np.int64))
+        self._rows.append((name, local, counts))
+        if self.file is None:
+            return
+        plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        plan.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
+        plan.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
+        plan.set_obj_track_times(False)
+        self.file.create_dataset(
+            name, (int(counts.sum()), *local.shape[1:]), local.dtype, dcpl=plan
+        )
+
+    def whole(self, name: str, array: np.ndarray | None) -> None:
+        """A small dataset whose values rank 0 has."""
+        if self.file is not None:
+            self.file.create_dataset(name, data=array)
+
+    def text(self, name: str, text: str) -> None:
+        """A text of any length, from rank 0 (attributes end at 64 KiB)."""
+        if self.file is not None:
+            data = text.encode()
+            kind = h5py.string_dtype("utf-8", max(1, len(data)))
+            self.file.create_dataset(name, (), kind, data=data)
+
+    def attr(self, where: str, name: str, value) -> None:
+        """An attribute of a group (made if not there) or dataset, from rank 0."""
+        if self.file is not None:
+            file = self.file
+            owner = file[where or "/"] if not where or where in file else file.create_group(where)
+            owner.attrs[name] = np.bytes_(value) if isinstance(value, str) else value
+
+    def finish(self) -> None:
+        """Write everything, bring it to the disk, then give the file its name; collective."""
         self._notice()
-        self._do(self._make_folder, only_root=True)
-        self._do(self._open, only_root=self.gather)
+        try:
+            places = self._lay_out()
+            (self._gather_rows if self.gather else self._parallel_rows)(places)
+            self._do(self._sync, only_root=self.gather)
+            self._do(self._rename, only_root=True)
+        except StoreError:
+            if self.ranks.rank == 0:
+                with contextlib.suppress(OSError):
+                    self.temporary.unlink(missing_ok=True)
+            raise
 
     def _notice(self):
         global _told
-        if self.gather and self.ranks.size > 1 and not _told:
+        if self.gather and self.ranks.mpi is not None and self.ranks.size > 1 and not _told:
             _told = True
-            if self.ranks.rank == 0 and self.ranks.mpi is not None:
+            if self.ranks.rank == 0:
                 log.warning(
                     "files are gathered on rank 0: no parallel HDF5, or VGMPI_GATHER is set"
                 )
-
-    def _make_folder(self):
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        self.temporary.unlink(missing_ok=True)
-
-    def _open(self):
-        if self.gather:
-            self.file = h5py.File(self.temporary, "w")
-        else:
-            self.file = h5py.File(self.temporary, "w", driver="mpio", comm=self.ranks.mpi)
 
     def _do(self, action, only_root=False):
         """Run on all ranks (or on rank 0), then agree on the outcome."""
@@ -167,99 +205,77 @@ class Store:
                 error = caught
         agree(self.ranks, error, self.path)
 
-    def _dataset(self, name, shape, dtype):
-        """An empty contiguous dataset without fill values: those would be written in vain."""
-        return self.file.create_dataset(name, shape, dtype, fill_time="never", track_times=False)
+    def _lay_out(self):
+        """Write all but the rows; returns on rank 0 where the rows of each dataset begin."""
+        places = []
 
-    def rows(self, name: str, local: np.ndarray) -> None:
-        """A dataset from the rows of all ranks, in rank order; any rank may have none."""
-        local = np.ascontiguousarray(local)
-        counts = self.ranks.all_rows(np.array([len(local)], np.int64))
-        shape = (int(counts.sum()), *local.shape[1:])
-        held = []  # the dataset, where this rank has the file
+        def write():
+            datasets = (self.file[name] for name, _, _ in self._rows)
+            places.extend(d.id.get_offset() for d in datasets)
+            self.file.close()
+            size = self.memory.size
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self.temporary.unlink(missing_ok=True)
+            _check_room(self.path.parent, size)
+            with open(self.temporary, "xb", buffering=0) as f:
+                for start, data in self.memory.written():
+                    _pwrite(f.fileno(), data, start)
+                f.truncate(size)
 
-        row_bytes = local.dtype.itemsize * int(np.prod(local.shape[1:], dtype=np.int64))
+        self._do(write, only_root=True)
+        return places
 
-        def allocate():
-            self._room(shape[0] * row_bytes)
-            held.append(self._dataset(name, shape, local.dtype))
-
-        self._do(allocate, only_root=self.gather)
-        step = max(1, PIECE // max(1, row_bytes))
-        if self.gather:
-            error = self._gather_rows(held, local, counts, step)
-        else:
-            error = _write(held[0], local, int(counts[: self.ranks.rank].sum()), step)
+    def _parallel_rows(self, _places):
+        """Every rank its own rows, through MPI-IO."""
+        held = []
+        self._do(lambda: held.append(self._open_parallel()))
+        error: Exception | None = None
+        try:
+            for name, local, counts in self._rows:
+                _write(held[0][name], local, int(counts[: self.ranks.rank].sum()))
+        except Exception as caught:
+            error = caught
+        try:
+            held[
+                0
+            ].close()  # on all ranks; there is nothing left to write, so a full disk is no matter
+        except Exception as caught:
+            error = error or caught
         agree(self.ranks, error, self.path)
 
-    def _room(self, size):
-        """Refuse what the disk cannot hold before writing gigabytes of it."""
-        free = _free(self.path.parent)
-        if size > free:
-            raise OSError(errno.ENOSPC, f"{size} bytes, {free} free")
+    def _open_parallel(self):
+        return h5py.File(self.temporary, "r+", driver="mpio", comm=self.ranks.mpi)
 
-    def _gather_rows(self, held, local, counts, step):
-        """Send the rows to rank 0 piece by piece, so that it holds no more than one at a time."""
-        error, start = None, 0
+    def _gather_rows(self, places):
+        """Rows to rank 0 piece by piece, so that it holds no more than one of others at a time."""
+        error: Exception | None = None
+        handle = None
+        if self.ranks.rank == 0:
+            try:
+                handle = os.open(self.temporary, os.O_WRONLY)
+            except OSError as caught:
+                error = caught
+        for number, (_, local, counts) in enumerate(self._rows):
+            place = places[number] if places else None
+            for piece in self._pieces(local, counts):
+                if self.ranks.rank == 0 and error is None:
+                    try:
+                        _pwrite(handle, piece.reshape(-1).view(np.uint8).data, place)
+                        place += piece.nbytes
+                    except OSError as caught:
+                        error = caught  # go on taking part, the others send
+        if handle is not None:
+            os.close(handle)
+        agree(self.ranks, error, self.path)
+
+    def _pieces(self, local, counts):
+        """Rows of all ranks in order, on rank 0; collective."""
+        step = _piece_rows(local)
         for rank, count in enumerate(counts.tolist()):
             for first in range(0, count, step):
                 last = min(first + step, count)
                 piece = local[first:last] if rank == self.ranks.rank else local[:0]
-                if rank > 0:  # rank 0 has its own rows already
-                    piece = self.ranks.root_rows(piece)
-                if self.ranks.rank == 0 and error is None:
-                    error = _write(held[0], piece, start + first, step)
-            start += count
-        return error
-
-    def whole(self, name: str, array: np.ndarray | None) -> None:
-        """A dataset whose values rank 0 has; the others' argument is ignored."""
-        array = self.ranks.bcast(array if self.ranks.rank == 0 else None)
-        array = np.ascontiguousarray(array)
-
-        def write():
-            dataset = self._dataset(name, array.shape, array.dtype)
-            if self.ranks.rank == 0 and array.size:
-                dataset[...] = array
-
-        self._do(write, only_root=self.gather)
-
-    def text(self, name: str, text: str) -> None:
-        """A text from rank 0, of any length (attributes end at 64 KiB)."""
-        data = self.ranks.bcast(text).encode()
-        kind = h5py.string_dtype("utf-8", max(1, len(data)))
-
-        def write():
-            dataset = self._dataset(name, (), kind)
-            if self.ranks.rank == 0:
-                dataset[()] = data
-
-        self._do(write, only_root=self.gather)
-
-    def attr(self, where: str, name: str, value) -> None:
-        """An attribute of a group (made if not there) or dataset; the value of rank 0 counts."""
-        value = self.ranks.bcast(value)
-
-        def write():
-            file = self.file
-            owner = file[where or "/"] if not where or where in file else file.create_group(where)
-            owner.attrs[name] = np.bytes_(value) if isinstance(value, str) else value
-
-        self._do(write, only_root=self.gather)
-
-    def finish(self) -> None:
-        """Bring all to the disk, then give the file its name."""
-        self._do(self._flush, only_root=self.gather)
-        self._do(self._close, only_root=self.gather)
-        self._do(self._sync, only_root=self.gather)
-        self._do(self._rename, only_root=True)
-
-    def _flush(self):
-        self.file.flush()  # where a full disk may show for the first time
-
-    def _close(self):
-        file, self.file = self.file, None
-        file.close()  # or only here
+                yield piece if rank == 0 else self.ranks.root_rows(piece)  # rank 0 has its own
 
     def _sync(self):
         handle = os.open(self.temporary, os.O_RDWR)
@@ -272,30 +288,88 @@ class Store:
         os.replace(self.temporary, self.path)
         fsync_folder(self.path.parent)
 
-    def abandon(self) -> None:
-        """Drop the file after an error that the other ranks may not have. Not collective."""
-        if self.gather:
-            self.discard()
-        elif self.file is not None:
-            _abandoned.append(self.file)  # closing it would wait for the other ranks
 
-    def discard(self) -> None:
-        """Drop the file; errors no longer matter."""
-        file, self.file = self.file, None
-        if file is not None:
-            with contextlib.suppress(Exception):
-                file.close()
-        if self.ranks.rank == 0:
-            with contextlib.suppress(OSError):
-                self.temporary.unlink(missing_ok=True)
+def _piece_rows(rows):
+    """Rows per write or message."""
+    row = rows.dtype.itemsize * int(np.prod(rows.shape[1:], dtype=np.int64))
+    return max(1, PIECE // max(1, row))  # the same on all ranks, also where there are none
 
 
-def _write(dataset, rows, start, step):
-    """Write rows from row `start` on, in pieces; returns the error instead of raising it."""
-    try:
-        for first in range(0, len(rows), step):
-            last = min(first + step, len(rows))
-            dataset[start + first : start + last] = rows[first:last]
-    except Exception as error:
-        return error
-    return None
+def _write(dataset, rows, start):
+    step = _piece_rows(rows)
+    for first in range(0, len(rows), step):
+        last = min(first + step, len(rows))
+        dataset[start + first : start + last] = rows[first:last]
+
+
+def _pwrite(handle, data, start):
+    """Write all bytes; the system may take fewer at a time."""
+    view = memoryview(data)
+    while view:
+        done = os.pwrite(handle, view[:PIECE], start)
+        view, start = view[done:], start + done
+
+
+class _Memory(io.RawIOBase):
+    """A file in memory that holds only the pages written to; the rows are holes in it."""
+
+    PAGE = 1 << 16
+
+    def __init__(self):
+        self.pages: dict[int, bytearray] = {}
+        self.place, self.size = 0, 0
+
+    def readable(self):
+        return True
+
+    def writable(self):
+        return True
+
+    def seekable(self):
+        return True
+
+    def seek(self, place, whence=io.SEEK_SET):
+        self.place = place + (0, self.place, self.size)[whence]
+        return self.place
+
+    def tell(self):
+        return self.place
+
+    def truncate(self, size=None):
+        self.size = self.place if size is None else size
+        return self.size
+
+    def _ranges(self, count):
+        """(page number, first and last byte in it, first byte of the request)."""
+        place, end = self.place, self.place + count
+        while place < end:
+            page, first = divmod(place, self.PAGE)
+            last = min(self.PAGE, first + end - place)
+            yield page, first, last, place - self.place
+            place += last - first
+
+    def readinto(self, buffer):
+        view = memoryview(buffer).cast("B")
+        count = max(0, min(len(view), self.size - self.place))
+        for page, first, last, at in self._ranges(count):
+            data = self.pages.get(page, bytes(self.PAGE))
+            view[at : at + last - first] = data[first:last]
+        self.place += count
+        return count
+
+    def write(self, data):
+        view = memoryview(data).cast("B")
+        for page, first, last, at in self._ranges(len(view)):
+            if page not in self.pages:
+                self.pages[page] = bytearray(self.PAGE)
+            self.pages[page][first:last] = view[at : at + last - first]
+        self.place += len(view)
+        self.size = max(self.size, self.place)
+        return len(view)
+
+    def written(self):
+        """(place, bytes) of the pages, cut at the end of the file."""
+        for page, data in sorted(self.pages.items()):
+            start = page * self.PAGE
+            if start < self.size:
+                yield start, memoryview(data)[: self.size - start]

@@ -1,0 +1,48 @@
+"""Start programs on MPI ranks from a test, with an outer time limit that leaves nothing running."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+OPEN_MPI = {  # as root, and with more ranks than cores
+    "OMPI_ALLOW_RUN_AS_ROOT": "1",
+    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
+    "OMPI_MCA_rmaps_base_oversubscribe": "1",
+    "OMPI_MCA_hwloc_base_binding_policy": "none",
+    "OMPI_MCA_btl_vader_single_copy_mechanism": "none",
+}
+
+
+def run(command, timeout=120, env=None, cwd=ROOT) -> subprocess.CompletedProcess:
+    """Run a command; its process group is killed when the time is over. Output as text."""
+    everything = {**os.environ, **OPEN_MPI, "PYTHONPATH": str(ROOT), **(env or {})}
+    process = subprocess.Popen(
+        [str(word) for word in command],
+        cwd=cwd,
+        env=everything,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        out, err = process.communicate(timeout=timeout)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        out, err = process.communicate()
+        pytest.fail(f"no end within {timeout} s: {command}\n{out}\n{err}")
+    return subprocess.CompletedProcess(command, process.returncode, out, err)
+
+
+def mpirun(n, *arguments, timeout=120, env=None, cwd=ROOT) -> subprocess.CompletedProcess:
+    """`mpirun -n N python ARGUMENTS`; the test is skipped where there is no mpirun."""
+    if shutil.which("mpirun") is None:
+        pytest.skip("no mpirun")
+    return run(["mpirun", "-n", n, sys.executable, *arguments], timeout, env, cwd)
