@@ -44,7 +44,7 @@ def state(ranks, step: int) -> dict:
     """A checkpoint: rows in an order that does not depend on the ranks."""
     ids = mine(ranks, TOTAL, shuffled=False)
     found = columns(ids)
-    particles = {"id": ids, "x": found["x"] + step, "F": found["F"]}
+    particles = {"id": ids, "x": found["x"] + step, "state": found["F"]}
     return {
         "attrs": {"step": step, "time": step / 1000, "scene": "x" * 100_000},
         "groups": {"particles": particles},

@@ -66,7 +66,8 @@ def write(folder: str | Path, ranks: Alone, state: dict) -> Path:
 def _check_names(arrays):
     known = layout.named(layout.CHECKPOINT)
     for name, array in arrays.items():
-        if name not in known or not layout.fits(known[name], array):
+        member = "*/" + name.partition("/")[2]
+        if member not in known or not layout.fits(known[member], array):
             raise ValueError(f"{name} {array.dtype} {array.shape} is not in layout.CHECKPOINT")
 
 

@@ -115,18 +115,29 @@ GAUSSIAN_TEXTS = [
 ]
 
 # ---- checkpoints/checkpoint_000000000.h5 ------------------------------------------------------
-# Rows of a group stand in the order of the last sort, which is state: block, phase, cell, id.
+# A group is one phase of one material, group_000, group_001, ... in the order of their names. Its
+# rows stand in the order of the last sort, which is state: block along the Hilbert curve, cell, id.
 CHECKPOINT = [
-    Dataset("particles/id", "(n,)", "i8", "1", "particle number, its row in gaussians.h5"),
-    Dataset("particles/x", "(n, 3)", "f4|f8", "m", "position"),
-    Dataset("particles/v", "(n, 3)", "f4|f8", "m/s", "velocity"),
-    Dataset("particles/C", "(n, 9)", "f4|f8", "1/s", "APIC affine velocity, row by row"),
-    Dataset("particles/F", "(n, 9)", "f4|f8", "1", "deformation gradient, row by row"),
-    Dataset("particles/theta", "(n,)", "f4|f8", "1", "ln J of fluids"),
-    Dataset("particles/vol0", "(n,)", "f4|f8", "m3", "rest volume"),
-    Dataset("particles/m", "(n,)", "f4|f8", "kg", "mass"),
-    Dataset("particles/phase", "(n,)", "i4", "1", "number of the velocity field"),
-    Dataset("particles/object", "(n,)", "i4", "1", "number of the object"),
+    Dataset("*/block", "(b,)", "i8", "1", "number of each block that holds particles of the group"),
+    Dataset("*/count", "(b,)", "i8", "1", "particles in each of these blocks"),
+    Dataset("*/id", "(n,)", "i8", "1", "particle number, its row in gaussians.h5"),
+    Dataset(
+        "*/x",
+        "(n, 3)",
+        "i4|i8|f4|f8",
+        "2^-29|2^-52 cell",
+        "position from the middle of the block, in fixed point (single|double precision)",
+    ),
+    Dataset("*/v", "(n, 3)", "f4|f8", "m/s", "velocity"),
+    Dataset("*/C", "(n, 9)", "f4|f8", "1/s", "APIC affine velocity, row by row"),
+    Dataset("*/vol0", "(n, 1)", "f4|f8", "m3", "rest volume"),
+    Dataset(
+        "*/state",
+        "(n, *)",
+        "f4|f8",
+        "1",
+        "the law's state: theta = ln J of fluids, F - I of solids",
+    ),
 ]
 CHECKPOINT_TEXTS = [
     Dataset(
@@ -174,9 +185,9 @@ This page is written by `python -m vgmpi.output.layout`; edit `vgmpi/output/layo
 All numbers are SI. Positions are domain coordinates: the box starts at (0, 0, 0) and z is up; the
 way back to the coordinates an object came in is its `transform`. n is the number of particles, f4
 and f8 are single and double precision, i4 and i8 whole numbers. HDF5 files are plain: contiguous,
-uncompressed, readable with any HDF5 since 1.8. A file has its final name only when it is complete:
-it is written as `NAME.tmp`, brought to the disk, then renamed. The bytes of every dataset are the
-same for any number of ranks.
+uncompressed, readable with any HDF5 since 1.8 (series.vtkhdf: 1.10). A file has its final name only
+when it is complete: it is written as `NAME.tmp`, brought to the disk, then renamed. The bytes of
+every file are the same for any number of ranks.
 """
 
 
@@ -184,7 +195,8 @@ def _table(datasets, prefix=""):
     lines = ["| name | shape | type | unit | meaning |", "|---|---|---|---|---|"]
     for d in datasets:
         kind = d.dtype.replace("|", " or ")
-        lines.append(f"| `{prefix}{d.name}` | {d.shape} | {kind} | {d.unit} | {d.meaning} |")
+        words = (f"`{prefix}{d.name}`", d.shape, kind, d.unit, d.meaning)
+        lines.append("| " + " | ".join(w.replace("|", "\\|") for w in words) + " |")
     return "\n".join(lines) + "\n"
 
 
@@ -215,9 +227,9 @@ def page() -> str:
         _table(GAUSSIAN_TEXTS),
         "Attributes: `schema` (whole number), `digest` (text; says which preparation it is).\n",
         "## checkpoints/checkpoint_000000000.h5\n",
-        "The number is the step. Only the fields that the scene needs are there. Rows stand in "
-        "the order of the last sort, which is state: a resumed run goes on with the same bits on "
-        "any number of ranks.\n",
+        "The number is the step. A group is one phase of one material: group_000, group_001, ... "
+        "Rows stand in the order of the last sort, which is state: a resumed run goes on with "
+        "the same bits on any number of ranks.\n",
         _table(CHECKPOINT),
         _table(CHECKPOINT_TEXTS),
         "`checkpoint_000000000.json`, the manifest, is written last: size of the file, and for "
