@@ -1,0 +1,119 @@
+"""slurm/vgmpi.sbatch without SLURM: srun and scontrol are stand-ins that write down what they are
+told."""
+
+import os
+import signal
+import subprocess
+import time
+
+import pytest
+
+from tests.launch import ROOT
+
+SCRIPT = ROOT / "slurm" / "vgmpi.sbatch"
+SRUN = """#!/bin/bash
+echo "$@" >> "$LOG/srun"
+trap 'echo USR1 >> "$LOG/heard"; sleep 0.3; exit 75' USR1
+touch "$LOG/running"
+for i in $(seq 100); do [ -e "$LOG/end" ] && exit "$(cat "$LOG/end")"; sleep 0.05; done
+exit 99
+"""
+SCONTROL = """#!/bin/bash
+echo "$@" >> "$LOG/scontrol"
+"""
+
+
+@pytest.fixture
+def job(tmp_path):
+    """Starts the script; returns a function job(*arguments, **environment)."""
+    for name, text in {"srun": SRUN, "scontrol": SCONTROL}.items():
+        (tmp_path / "bin").mkdir(exist_ok=True)
+        (tmp_path / "bin" / name).write_text(text)
+        (tmp_path / "bin" / name).chmod(0o755)
+    started = []
+
+    def start(*arguments, **environment):
+        env = {**os.environ, "PATH": f"{tmp_path}/bin:{os.environ['PATH']}", "LOG": str(tmp_path)}
+        env |= {"SLURM_JOB_ID": "42", "PYTHON": "python", **environment}
+        process = subprocess.Popen(
+            ["bash", SCRIPT, *arguments],
+            env=env,
+            stdout=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+
+
+def until(path):
+    end = time.monotonic() + 10
+    while not path.exists():
+        assert time.monotonic() < end, f"no {path}"
+        time.sleep(0.02)
+
+
+def test_the_script_is_bash():
+    assert subprocess.run(["bash", "-n", SCRIPT]).returncode == 0
+    text = SCRIPT.read_text()
+    for line in ("--signal=B:USR1@120", "--requeue", "--open-mode=append"):
+        assert f"#SBATCH {line}\n" in text
+
+
+def test_usr1_reaches_the_step_and_the_job_queues_itself(job, tmp_path):
+    process = job("runs/a/scene.toml", "--set", "time.end=1")
+    until(tmp_path / "running")
+    process.send_signal(signal.SIGUSR1)  # the batch shell alone, as --signal=B: does
+    out, _ = process.communicate(timeout=20)
+    assert process.returncode == 75
+    assert (tmp_path / "heard").read_text() == "USR1\n"
+    assert (tmp_path / "scontrol").read_text() == "requeue 42\n"
+    words = (
+        "--mpi=pmix python -m vgmpi runs/a/scene.toml -o runs/a/out --threads 1 --set time.end=1"
+    )
+    assert (tmp_path / "srun").read_text() == words + "\n"
+    assert "queues itself again" in out
+
+
+@pytest.mark.parametrize("code", [0, 1, 2, 3])
+def test_other_ends_are_ends(job, tmp_path, code):
+    (tmp_path / "end").write_text(str(code))
+    process = job("scene.toml")
+    process.communicate(timeout=20)
+    assert process.returncode == code
+    assert not (tmp_path / "scontrol").exists()
+
+
+@pytest.mark.parametrize(
+    "there, environment, resumes",
+    [
+        (True, {"SLURM_RESTART_COUNT": "1"}, True),
+        (False, {"SLURM_RESTART_COUNT": "1"}, False),
+        (True, {}, False),
+        (True, {"RESUME": "1"}, True),
+    ],
+)
+def test_a_restarted_job_resumes_if_there_is_a_checkpoint(
+    job, tmp_path, there, environment, resumes
+):
+    (tmp_path / "end").write_text("0")
+    folder = tmp_path / "my out" / "checkpoints"
+    folder.mkdir(parents=True)
+    if there:
+        (folder / "checkpoint_000000007.json").touch()
+    job("scene.toml", OUT=str(folder.parent), **environment).communicate(timeout=20)
+    said = (tmp_path / "srun").read_text()
+    assert f"-o {folder.parent} " in said
+    assert ("--resume" in said) == resumes
+
+
+def test_without_a_scene_it_says_how(job):
+    process = job()
+    process.communicate(timeout=20)
+    assert process.returncode != 0
