@@ -4,6 +4,7 @@ import logging
 
 import numpy as np
 
+from postprocess import shade
 from postprocess.splat import ALPHA_MIN, Splats
 from vgmpi.gaussians import evolve
 from vgmpi.gaussians import sh as harmonics
@@ -65,8 +66,8 @@ class Look:
         directions = x - eye
         turning = solid[self.color.view_dependent[rows[solid]]]
         if len(turning):  # a turned solid shows towards d what it showed at rest towards R^T d
-            R = evolve.rotation(np.asarray(frame["F"])[turning])
-            directions[turning] = np.einsum("nij,ni->nj", R, directions[turning])
+            F = np.asarray(frame["F"])[turning]
+            directions[turning] = shade.turn_back(F, directions[turning])
         parts = [(x, cov, self.opacity[rows], self.color(rows, directions))]
         if self.scenery is not None:
             x, cov, opacity, color = self.scenery
@@ -118,7 +119,7 @@ class _Colors:
         color = self.plain[rows]
         shiny = np.flatnonzero(self.view_dependent[rows])
         if len(shiny):
-            color[shiny] = harmonics.evaluate(self.sh[rows[shiny]], directions[shiny])
+            color[shiny] = shade.evaluate(self.sh, rows[shiny], directions[shiny])
         return color
 
 

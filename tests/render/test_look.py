@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from postprocess import shade
 from postprocess.look import ALPHA_MIN_FAINT, Look
 from postprocess.splat import ALPHA_MIN
 from tests.render import runs
@@ -125,3 +126,30 @@ def test_gaussians_that_vanish_are_warned_of_by_name(caplog):
     Look(run).alpha_min(ALPHA_MIN)
     assert [r.levelname for r in caplog.records] == ["WARNING"]
     assert "'pool'" in caplog.text and f"{runs.WATER} of {runs.WATER}" in caplog.text
+
+
+@pytest.mark.parametrize("k", sh.COEFFICIENTS)
+def test_the_compiled_colours_are_those_of_numpy(k):
+    rng = np.random.default_rng(k)
+    coefficients = rng.normal(size=(50, k, 3)).astype("f4")
+    directions = rng.normal(size=(30, 3))
+    directions[3] = 0
+    rows = rng.integers(0, 50, 30)
+    got = shade.evaluate(coefficients, rows, directions)
+    want = sh.evaluate(coefficients[rows], directions)
+    np.testing.assert_allclose(got, want, atol=1e-12)
+    assert (got == 0).any()
+
+
+def test_the_compiled_rotations_are_those_of_numpy():
+    rng = np.random.default_rng(0)
+    F = np.eye(3) + 0.4 * rng.normal(size=(500, 3, 3))
+    F[0], F[1], F[2], F[3] = np.zeros((3, 3)), np.diag([1.0, 1, -0.1]), np.nan, np.eye(3)
+    F[4], F[5] = 1e-4 * np.eye(3), np.diag([30.0, 1.0, 0.5])
+    assert (np.linalg.det(F[6:]) < 0).any()  # inverted ones are among them
+    d = rng.normal(size=(500, 3))
+    want = np.einsum("nij,ni->nj", evolve.rotation(F), d)
+    np.testing.assert_allclose(shade.turn_back(F.reshape(-1, 9), d), want, atol=1e-8)
+    single = shade.turn_back(F.reshape(-1, 9)[6:].astype("f4"), d[6:])
+    good = np.linalg.det(F[6:]) > 0.05
+    np.testing.assert_allclose(single[good], want[6:][good], atol=1e-4)

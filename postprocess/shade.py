@@ -1,0 +1,90 @@
+"""View-dependent colours, compiled: vgmpi.gaussians.sh and evolve.rotation many times as fast.
+
+Captures carry up to 48 numbers of colour per Gaussian, and every frame needs them all again.
+"""
+
+import numpy as np
+from numba import njit
+
+from vgmpi.gaussians import evolve
+from vgmpi.gaussians.sh import C0, C1, C2, C3
+
+_A, _B, _C = C2
+_D, _E, _F, _G, _H = C3
+
+
+@njit(cache=True, error_model="numpy")
+def evaluate(sh, rows, directions):
+    """Colours (m, 3) >= 0 of sh[rows], seen along `directions` (m, 3) of any length.
+
+    sh: (n, K, 3), K = 1, 4, 9 or 16. rows: (m,). The basis is that of vgmpi.gaussians.sh.
+    """
+    count = sh.shape[1]
+    out = np.empty((len(rows), 3))
+    basis = np.zeros(16)
+    basis[0] = C0
+    for i in range(len(rows)):
+        x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
+        length = np.sqrt(x * x + y * y + z * z)
+        if length > 0.0:
+            x, y, z = x / length, y / length, z / length
+        if count > 1:
+            basis[1], basis[2], basis[3] = -C1 * y, C1 * z, -C1 * x
+        if count > 4:
+            xx, yy, zz = x * x, y * y, z * z
+            basis[4], basis[5], basis[7] = _A * x * y, -_A * y * z, -_A * x * z
+            basis[6], basis[8] = _B * (2 * zz - xx - yy), _C * (xx - yy)
+            if count > 9:
+                basis[9], basis[15] = -_D * y * (3 * xx - yy), -_D * x * (xx - 3 * yy)
+                basis[10], basis[14] = _E * x * y * z, _H * z * (xx - yy)
+                basis[11], basis[13] = -_F * y * (4 * zz - xx - yy), -_F * x * (4 * zz - xx - yy)
+                basis[12] = _G * z * (2 * zz - 3 * xx - 3 * yy)
+        for c in range(3):
+            color = 0.5
+            for k in range(count):
+                color += basis[k] * sh[rows[i], k, c]
+            out[i, c] = color if color > 0.0 else 0.0
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _turn_back(F, directions, bad):
+    """Replace directions (m, 3) by R^T d, R the rotation in F (m, 9); mark rows it is not for.
+
+    Newton's iteration with Higham's scaling, as in vgmpi.gaussians.evolve.rotation.
+    """
+    for i in range(len(F)):
+        a, b, c, d, e, f, g, h, k = F[i]
+        a, b, c, d, e = float(a), float(b), float(c), float(d), float(e)
+        f, g, h, k = float(f), float(g), float(h), float(k)
+        for step in range(13):
+            p, q, r = e * k - f * h, f * g - d * k, d * h - e * g
+            s, t, u = c * h - b * k, a * k - c * g, b * g - a * h
+            v, w, z = b * f - c * e, c * d - a * f, a * e - b * d
+            det = a * p + b * q + c * r
+            square = a * a + b * b + c * c + d * d + e * e + f * f + g * g + h * h + k * k
+            if not (det > 1e-3 * (square / 3) ** 1.5) or step == 12:
+                bad[i] = True
+                break
+            if abs(square - 3) < 1e-9 and abs(det - 1) < 1e-9:  # only a rotation has both
+                break
+            cof = p * p + q * q + r * r + s * s + t * t + u * u + v * v + w * w + z * z
+            gamma = np.sqrt(np.sqrt(cof / square) / det)
+            m, n = 0.5 * gamma, 0.5 / (gamma * det)
+            a, b, c = m * a + n * p, m * b + n * q, m * c + n * r
+            d, e, f = m * d + n * s, m * e + n * t, m * f + n * u
+            g, h, k = m * g + n * v, m * h + n * w, m * k + n * z
+        if not bad[i]:
+            x, y, z = directions[i]
+            directions[i, 0] = a * x + d * y + g * z
+            directions[i, 1] = b * x + e * y + h * z
+            directions[i, 2] = c * x + f * y + k * z
+
+
+def turn_back(F: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """R^T d for directions d (m, 3) and the rotations R in the deformations F (m, 9)."""
+    out, bad = directions.copy(), np.zeros(len(F), dtype=np.bool_)
+    _turn_back(F, out, bad)
+    if bad.any():  # inverted or flat: rare, and left to the numpy version
+        out[bad] = np.einsum("nij,ni->nj", evolve.rotation(F[bad]), directions[bad])
+    return out
