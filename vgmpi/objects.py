@@ -174,7 +174,7 @@ class Object(Table):
     gaussians: str | None = None
     """a Gaussian .ply file, relative to the scene's folder"""
     mesh: str | None = None
-    """a surface mesh that meshio reads (.obj .stl .ply .vtk), relative to the scene's folder"""
+    """a surface mesh (.obj .stl .ply .vtk .vtu), relative to the scene's folder"""
     shape: Shape | None = None
     """a solid made of simple forms"""
     select: Select | None = None

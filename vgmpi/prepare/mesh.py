@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from vgmpi.gaussians.cloud import Cloud, rotation_matrices
 from vgmpi.gaussians.sh import dc_from_rgb
 
+FORMATS = (".obj", ".stl", ".ply", ".vtk", ".vtu")
 FEWEST = 20_000  # Gaussians on a surface, so that a small object is drawn smoothly
 FLATNESS = 0.1  # thickness of a disc relative to its radius
 RADIUS = 0.6  # standard deviation of a disc relative to sqrt(area / number)
@@ -37,6 +38,8 @@ class Mesh:
 
 def read(path: Path) -> Mesh:
     """The triangles of a mesh file; polygons are cut into fans. Raises MeshError."""
+    if path.suffix.lower() not in FORMATS:
+        raise MeshError(f"{path}: cannot be read as a mesh: allowed are {', '.join(FORMATS)}")
     try:
         found = _read_obj(path) if path.suffix.lower() == ".obj" else _read_any(path)
     except (Exception, SystemExit) as error:  # meshio's readers raise anything, and may exit
@@ -54,6 +57,10 @@ def read(path: Path) -> Mesh:
 def _read_any(path: Path) -> Mesh:
     import meshio  # half a second to import: only scenes with such a mesh pay it
 
+    if path.suffix.lower() == ".ply":  # meshio waits for the end of the header for ever
+        with open(path, "rb") as file:
+            if b"end_header" not in file.read(1 << 16):
+                raise ValueError("its header has no end")
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         found = meshio.read(path)
     points = np.asarray(found.points, dtype=np.float64)

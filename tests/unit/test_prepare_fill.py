@@ -1,0 +1,164 @@
+"""Selecting, filling and weighing captures."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from vgmpi.gaussians.cloud import Cloud
+from vgmpi.gaussians.sh import dc_from_rgb
+from vgmpi.objects import Select
+from vgmpi.prepare import fill
+from vgmpi.prepare.mesh import toward
+from vgmpi.prepare.select import selected
+from vgmpi.prepare.voxels import Voxels, covered, volumes
+
+MIDDLE = np.array([0.313, 0.271, 0.226])
+
+
+def shell(radius=0.1, count=20_000, hole=0.0, middle=MIDDLE):
+    """Flat Gaussians on a sphere, red above and blue below; a cap of the given share is missing."""
+    k = np.arange(count) + 0.5
+    z, angle = 1 - 2 * k / count, k * np.pi * (3 - np.sqrt(5))
+    r = np.sqrt(1 - z * z)
+    unit = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
+    unit = unit[z < 1 - 2 * hole]
+    disc = 0.6 * np.sqrt(4 * np.pi * radius**2 / count)
+    rgb = np.where(unit[:, 2:] > 0, (0.9, 0.1, 0.1), (0.1, 0.1, 0.9))
+    return Cloud(
+        middle + radius * unit,
+        toward(unit),
+        np.tile([disc, disc, 0.1 * disc], (len(unit), 1)),
+        np.full(len(unit), 0.95),
+        dc_from_rgb(rgb)[:, None, :].astype(np.float32),
+    )
+
+
+def agreement(cloud, mode, h=0.01, radius=0.1):
+    """Intersection over union of filled and true inner voxels."""
+    inner, _ = fill.interior(cloud, h, mode)
+    voxels = Voxels.around(shell(radius).x, h)
+    truth = np.zeros(np.prod(voxels.shape), bool)
+    centers = voxels.centers(np.ones(voxels.shape, bool))
+    truth[np.linalg.norm(centers - MIDDLE, axis=1) < radius] = True
+    truth[voxels.index(shell(radius).x)] = False
+    found = np.zeros(len(truth), bool)
+    found[voxels.index(inner)] = True
+    return (found & truth).sum() / (found | truth).sum()
+
+
+def test_a_closed_shell_is_filled():
+    assert agreement(shell(), True) > 0.99
+    assert agreement(shell(), "closed") > 0.99
+
+
+def test_a_leaking_shell_is_filled_by_votes():
+    leaking = shell(hole=0.08)
+    assert agreement(leaking, "closed") == 0.0
+    assert agreement(leaking, True) > 0.9
+
+
+def test_hollow_stays_hollow():
+    inner, gaps = fill.interior(shell(), 0.01, False)
+    assert len(inner) == len(gaps) == 0
+
+
+def test_a_closed_shell_with_a_dent_is_not_filled_by_votes():
+    """Votes would fill a cavity that is open to the outside; a closed surface needs none."""
+    solid = np.zeros((20, 20, 20), bool)
+    solid[2:18, 2:18, 2:18] = True
+    solid[8:12, 8:12, 8:18] = False  # a shaft from the top
+    surface = solid & ~ndimage.binary_erosion(solid)
+    h = 0.01
+    x = Voxels(np.zeros(3, int), solid.shape, h).centers(surface)
+    n = len(x)
+    cloud = Cloud(
+        x,
+        np.tile([1.0, 0, 0, 0], (n, 1)),
+        np.full((n, 3), 0.3 * h),
+        np.full(n, 0.9),
+        np.zeros((n, 1, 3)),
+    )
+    inner, _ = fill.interior(cloud, h, True)
+    shaft = (np.abs(inner[:, :2] - 0.1) < 0.02).all(axis=1) & (inner[:, 2] > 0.08)
+    assert len(inner) > 1000 and not shaft.any()
+    assert fill.enclosed_by_votes(surface)[9, 9, 12]
+
+
+def test_coarse_captures_are_closed_by_the_extent_of_their_gaussians():
+    coarse, h = shell(count=300), 0.01  # centres 2 cm apart, voxels of 1 cm
+    voxels = Voxels.around(coarse.x, h)
+    by_centres = np.zeros(np.prod(voxels.shape), bool)
+    by_centres[voxels.index(coarse.x)] = True
+    surface = covered(coarse, voxels)
+    assert surface.sum() > 2 * by_centres.sum()
+    inner, gaps = fill.interior(coarse, h, "closed")
+    assert len(inner) > 2000 and len(gaps) > 300
+    away = np.linalg.norm(gaps - MIDDLE, axis=1)
+    assert away.min() > 0.075 and away.max() < 0.125
+    taken = set(voxels.index(coarse.x)) & set(voxels.index(np.concatenate([inner, gaps])))
+    assert not taken
+
+
+def test_faint_gaussians_are_no_surface():
+    faint = shell()
+    faint = Cloud(faint.x, faint.quat, faint.scale, faint.opacity * 1e-4, faint.sh)
+    assert len(fill.interior(faint, 0.01, True)[0]) == 0
+
+
+def test_a_stray_gaussian_far_away_is_told():
+    stray = shell()
+    x = stray.x.copy()
+    x[0] = (1e3, 1e3, 1e3)
+    with pytest.raises(fill.TooLarge, match="remove outliers with select, or set fill = false"):
+        fill.interior(Cloud(x, stray.quat, stray.scale, stray.opacity, stray.sh), 0.01, True)
+
+
+def test_filled_gaussians_take_the_colour_of_the_nearest_surface():
+    cloud = shell()
+    inner, _ = fill.interior(cloud, 0.01, True)
+    inside = fill.filling(inner, cloud, 0.01, 0.8)
+    top = inner[:, 2] > MIDDLE[2] + 0.015
+    assert np.allclose(inside.rgb[top], (0.9, 0.1, 0.1), atol=1e-5)
+    assert np.allclose(inside.rgb[inner[:, 2] < MIDDLE[2] - 0.015], (0.1, 0.1, 0.9), atol=1e-5)
+    assert np.all(inside.opacity == 0.8)
+    both = fill.joined(cloud, inside)
+    assert len(both) == len(cloud) + len(inner)
+    assert np.array_equal(both.x[: len(cloud)], cloud.x)
+
+
+@pytest.mark.parametrize("h, tolerance", [(0.02, 0.06), (0.01, 0.03), (0.005, 0.01)])
+def test_volume_of_a_solid_is_that_of_its_form(h, tolerance):
+    cloud = shell()
+    inner, gaps = fill.interior(cloud, h, True)
+    outer = np.concatenate([cloud.x, gaps])
+    found = volumes(outer, inner, h, True)
+    assert found.sum() == pytest.approx(4 / 3 * np.pi * 0.1**3, rel=tolerance)
+    assert found.min() > 0 and len(found) == len(outer) + len(inner)
+    assert np.allclose(found[len(outer) :], h**3)
+
+
+def test_volume_of_a_hollow_body_is_that_of_its_voxels():
+    cloud, h = shell(), 0.01
+    found = volumes(cloud.x, np.empty((0, 3)), h, False)
+    voxels = Voxels.around(cloud.x, h)
+    occupied = np.unique(voxels.index(cloud.x))
+    assert found.sum() == pytest.approx(len(occupied) * h**3, rel=1e-12)
+    one = voxels.index(cloud.x) == occupied[5]
+    assert np.allclose(found[one], h**3 / one.sum())
+
+
+def test_select():
+    cloud = shell()
+    opacity = np.where(np.arange(len(cloud)) % 2, 0.9, 0.05)
+    x = cloud.x.copy()
+    x[7] = MIDDLE + 0.5
+    cloud = Cloud(x, cloud.quat, cloud.scale, opacity, cloud.sh)
+    assert selected(cloud, None) is cloud
+    assert len(selected(cloud, Select(min_opacity=0.1))) == len(cloud) // 2
+    half = selected(cloud, Select(box=[[-1, -1, MIDDLE[2]], [1, 1, 1]]))
+    assert len(half) == pytest.approx(len(cloud) / 2, abs=3) and half.x[:, 2].min() >= MIDDLE[2]
+    ball = selected(cloud, Select(sphere={"center": list(MIDDLE), "radius": "20 cm"}))
+    assert len(ball) == len(cloud) - 1
+    calm = selected(cloud, Select(outliers=4))
+    assert len(calm) < len(cloud) and not (calm.x == x[7]).all(axis=1).any()
+    assert len(calm) > 0.99 * len(cloud)

@@ -1,0 +1,193 @@
+"""Meshes: reading, even sampling, inside and outside, also where the surface has holes."""
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from vgmpi.gaussians.cloud import rotation_matrices
+from vgmpi.prepare import mesh, shapes
+from vgmpi.prepare.mesh import Mesh, MeshError
+
+
+def ball(radius=0.1, middle=(0.31, 0.27, 0.22), rings=24):
+    """A closed triangle mesh of a sphere, outward."""
+    theta = np.linspace(0, np.pi, rings + 1)[1:-1]
+    phi = np.arange(2 * rings) * np.pi / rings
+    t, p = np.meshgrid(theta, phi, indexing="ij")
+    grid = np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], axis=-1)
+    points = np.concatenate([grid.reshape(-1, 3), [[0, 0, 1], [0, 0, -1]]])
+    n, north, south = 2 * rings, len(points) - 2, len(points) - 1
+    faces = []
+    for j in range(n):
+        k = (j + 1) % n
+        faces.append((north, j, k))
+        for i in range(rings - 2):
+            a, b, c, d = i * n + j, i * n + k, (i + 1) * n + j, (i + 1) * n + k
+            faces += [(a, c, b), (b, c, d)]
+        last = (rings - 2) * n
+        faces.append((south, last + k, last + j))
+    return Mesh(points * radius + np.array(middle), np.array(faces))
+
+
+def cube(low, high):
+    """Twelve triangles, outward, whose faces are aligned with the axes."""
+    c = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = [f for a, b, c_, d in quads for f in ((a, b, c_), (a, c_, d))]
+    low, high = np.asarray(low), np.asarray(high)
+    return Mesh(low + c * (high - low), np.array(faces))
+
+
+def volume(m):
+    a, b, c = m.corners().transpose(1, 0, 2)
+    return np.abs((a * np.cross(b, c)).sum() / 6)
+
+
+def lattice_inside(m, h):
+    low, high = m.points.min(axis=0), m.points.max(axis=0)
+    return shapes.lattice(lambda x: mesh.inside(m, x, h), low, high, h)
+
+
+def test_inside_of_a_ball():
+    m, h = ball(), 0.005
+    x = lattice_inside(m, h)
+    assert len(x) * h**3 == pytest.approx(volume(m), rel=0.005)
+    away = np.linalg.norm(x - [0.31, 0.27, 0.22], axis=1)
+    assert away.max() < 0.1 + 1e-9
+
+
+def test_faces_and_edges_through_lattice_points_and_lines():
+    h = 0.01  # faces at 0.005 + k h run through points, diagonals through lines of points
+    x = lattice_inside(cube([0.005, 0.015, 0.025], [0.105, 0.115, 0.065]), h)
+    assert len(x) == 10 * 10 * 4
+
+
+def test_cubes_that_overlap_count_once():
+    a, b = cube([0, 0, 0], [0.1, 0.1, 0.1]), cube([0.05, 0.05, 0.05], [0.15, 0.15, 0.15])
+    both = Mesh(
+        np.concatenate([a.points, b.points]), np.concatenate([a.triangles, b.triangles + 8])
+    )
+    assert len(lattice_inside(both, 0.01)) == 1000 + 1000 - 125
+
+
+def test_a_hole_in_the_surface_does_not_leak():
+    m, h = ball(), 0.005
+    middle = m.corners().mean(axis=1) - [0.31, 0.27, 0.22]
+    hole = Mesh(m.points, m.triangles[middle[:, 2] < 0.085])  # the top cap is missing
+    assert len(hole.triangles) < len(m.triangles)
+    assert len(lattice_inside(hole, h)) == pytest.approx(len(lattice_inside(m, h)), rel=0.05)
+
+
+def test_samples_are_even_on_the_surface_and_face_outward():
+    m, h = ball(), 0.01
+    cloud = mesh.sample(m, h, (0.2, 0.4, 0.6), 0.9, [1, 2])
+    away = cloud.x - [0.31, 0.27, 0.22]
+    size = np.linalg.norm(away, axis=1)
+    assert size.max() < 0.1 + 1e-9 and size.min() > 0.099
+    area = 4 * np.pi * 0.1**2
+    gap = cKDTree(cloud.x).query(cloud.x, 2)[0][:, 1]
+    ideal = np.sqrt(area / len(cloud))
+    assert gap.min() > 0.6 * ideal and gap.max() < 1.6 * ideal
+    # no holes: every point of the surface has a Gaussian within 1.1 of the mean distance
+    probe = np.random.default_rng(1).normal(size=(5000, 3))
+    probe = probe / np.linalg.norm(probe, axis=1)[:, None] * 0.0995 + [0.31, 0.27, 0.22]
+    assert cKDTree(cloud.x).query(probe)[0].max() < 1.15 * ideal
+    normal = rotation_matrices(cloud.quat)[:, :, 2]
+    assert np.allclose(normal, mesh.normals(cloud))
+    assert ((normal * away).sum(axis=1) / size).min() > 0.98
+    assert np.allclose(cloud.scale[:, 2], 0.1 * cloud.scale[:, 0])
+    assert cloud.scale[0, 0] == pytest.approx(0.6 * ideal, rel=0.01)
+    assert np.allclose(cloud.rgb, (0.2, 0.4, 0.6), atol=1e-6)
+
+
+def test_the_same_key_gives_the_same_samples():
+    m = ball()
+    a, b, c = (mesh.sample(m, 0.01, (1, 1, 1), 0.9, key) for key in ([1, 2], [1, 2], [1, 3]))
+    assert np.array_equal(a.x, b.x) and not np.array_equal(a.x[:100], c.x[:100])
+
+
+def test_spread_is_what_one_by_one_gives():
+    x = np.random.default_rng(2).random((400, 3))
+    kept = []
+    for k in range(len(x)):
+        if all(np.linalg.norm(x[k] - x[j]) > 0.15 for j in kept):
+            kept.append(k)
+    assert np.array_equal(mesh.spread(x, 0.15), kept)
+
+
+def test_vertex_colors_are_interpolated():
+    m = cube([0, 0, 0], [0.1, 0.1, 0.1])
+    rgb = (m.points / 0.1) * (0.8, 0.6, 0.0)
+    cloud = mesh.sample(Mesh(m.points, m.triangles, rgb), 0.01, (0, 0, 0), 0.9, [1])
+    assert np.allclose(cloud.rgb, cloud.x / 0.1 * (0.8, 0.6, 0.0), atol=1e-5)
+
+
+def test_normals_of_every_direction():
+    n = np.random.default_rng(3).normal(size=(200, 3))
+    n = np.concatenate([n / np.linalg.norm(n, axis=1)[:, None], np.eye(3), -np.eye(3)])
+    assert np.allclose(rotation_matrices(mesh.toward(n))[:, :, 2], n, atol=1e-6)
+
+
+def test_obj_with_polygons_negative_numbers_colors_and_textures(tmp_path):
+    path = tmp_path / "square.obj"
+    path.write_text(
+        "# a square\nv 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 1 1 0 0 0 1\nv 0 1 0 1 1 1\n"
+        "vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvt .5 .5\nvn 0 0 1\n"
+        "f 1/1/1 2/2/1 3/3/1 4/5/1\nf -4 -3 -2\n"
+    )
+    m = mesh.read(path)
+    assert m.triangles.tolist() == [[0, 1, 2], [0, 2, 3], [0, 1, 2]]
+    assert m.rgb.tolist() == [[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]]
+
+
+@pytest.mark.parametrize("suffix", ["stl", "ply", "vtk", "vtu", "obj"])
+def test_formats(tmp_path, suffix):
+    import meshio
+
+    m = cube([0, 0, 0], [1, 2, 3])
+    path = tmp_path / f"cube.{suffix}"
+    meshio.Mesh(m.points, [("triangle", m.triangles)]).write(path)
+    found = mesh.read(path)
+    assert len(found.triangles) == 12 and volume(found) == pytest.approx(6)
+
+
+@pytest.mark.parametrize(
+    "name, text, says",
+    [
+        ("a.obj", "v 0 0 0\n", "holds no triangles"),
+        ("a.obj", "v 0 0\nv 1 0\nf 1 2 1\n", "cannot be read"),
+        ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 nan\nf 1 2 3\n", "not finite"),
+        ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "triangles without points"),
+        ("a.stl", "nothing", "cannot be read"),
+        ("a.ply", "ply\n", "cannot be read"),
+        ("a.ply", "ply\nformat ascii 1.0\nelement vertex 3\n", "its header has no end"),
+        ("a.xyz", "1 2 3", "allowed are .obj, .stl"),
+    ],
+)
+def test_bad_files_are_one_line(tmp_path, name, text, says, capsys):
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(MeshError) as caught:
+        mesh.read(path)
+    assert says in str(caught.value) and str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.timeout(60)  # some readers wait for ever at the end of a cut file
+@pytest.mark.parametrize("suffix", mesh.FORMATS)
+def test_cut_files_end_in_an_error_or_a_mesh(tmp_path, suffix):
+    import meshio
+
+    m = cube([0, 0, 0], [1, 2, 3])
+    path = tmp_path / f"cube{suffix}"
+    meshio.Mesh(m.points, [("triangle", m.triangles)]).write(path)
+    whole = path.read_bytes()
+    refused = 0
+    for size in range(0, len(whole), max(1, len(whole) // 25)):
+        path.write_bytes(whole[:size])
+        try:
+            assert len(mesh.read(path).triangles) <= 12
+        except MeshError:
+            refused += 1
+    assert refused > 5
