@@ -92,7 +92,7 @@ _painter: Painter | None = None  # of a worker process
 
 def _start_worker(folder: str, chosen: settings.Settings, beside: Path) -> None:
     global _painter
-    logging.disable(logging.INFO)  # the first process has said it already
+    logging.disable(logging.WARNING)  # the first process has said it already
     _painter = Painter(Run(folder), chosen, beside)
 
 

@@ -1,6 +1,10 @@
 """Pictures to PNG files and an mp4, and pictures as backgrounds."""
 
+import contextlib
 import os
+import re
+import subprocess
+import tempfile
 from pathlib import Path
 
 import imageio.v3 as iio
@@ -17,6 +21,9 @@ class Mp4:
     """Writes an H.264 video; the file has its name only when it is complete.
 
     with Mp4("video.mp4", 800, 600, fps=25) as video: video.add(picture)
+
+    Speaks to ffmpeg itself: imageio-ffmpeg's writer does not look at ffmpeg's exit code, so that a
+    full disk would leave a broken video and no word about it.
     """
 
     def __init__(self, path: str | Path, width: int, height: int, fps: float, quality: float = 8.0):
@@ -24,48 +31,56 @@ class Mp4:
         self.part = self.path.with_name(f".{self.path.stem}.part.mp4")
         # H.264 in the format that every player knows halves the colour planes: even sizes only
         self.pad = ((0, height % 2), (0, width % 2), (0, 0))
-        size = (width + width % 2, height + height % 2)
-        self.writer = imageio_ffmpeg.write_frames(
-            str(self.part),
-            size,
-            fps=fps,
-            quality=quality,
-            macro_block_size=1,
-            ffmpeg_log_level="error",
-            output_params=["-movflags", "+faststart"],
-        )
+        size = f"{width + width % 2}x{height + height % 2}"
+        raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", f"{fps}", "-i", "-"]
+        crf = round(38 - 2.5 * quality)  # 38 is poor, 18 cannot be told from the pictures
+        coded = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", str(crf)]
+        self.command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-v", "error", *raw, "-an", *coded]
+        self.command += ["-movflags", "+faststart", str(self.part)]
 
     def __enter__(self) -> "Mp4":
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self.writer.send(None)
+            self.log = tempfile.TemporaryFile()  # a pipe could fill up and block both sides
+            self.ffmpeg = subprocess.Popen(
+                self.command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=self.log,
+                start_new_session=True,  # Ctrl-C is for us alone: we stop it
+            )
         except OSError as error:
-            raise VideoError(f"{self.path}: {_last_line(error)}") from None
+            raise VideoError(f"{self.path}: {error.strerror or error}") from None
         return self
 
     def add(self, picture: np.ndarray) -> None:
-        """Append a picture (height, width, 3) uint8."""
+        """Append a picture (height, width, 3) uint8. Raises VideoError."""
         try:
-            self.writer.send(np.ascontiguousarray(np.pad(picture, self.pad, mode="edge")))
-        except OSError as error:
-            raise VideoError(f"{self.path}: {_last_line(error)}") from None
+            self.ffmpeg.stdin.write(np.pad(picture, self.pad, mode="edge").tobytes())
+        except OSError:  # it has ended; its own words say why
+            self._fail()
 
     def __exit__(self, kind, value, trace) -> None:
         try:
-            self.writer.close()
-            if kind is None:
-                os.replace(self.part, self.path)
-        except OSError as error:
-            if kind is None:
-                raise VideoError(f"{self.path}: {_last_line(error)}") from None
+            if kind is not None:
+                self.ffmpeg.kill()
+                self.ffmpeg.wait()
+                return
+            with contextlib.suppress(OSError):
+                self.ffmpeg.stdin.close()
+            if self.ffmpeg.wait() != 0:
+                self._fail()
+            os.replace(self.part, self.path)
         finally:
             self.part.unlink(missing_ok=True)
+            self.log.close()
 
-
-def _last_line(error: Exception) -> str:
-    """The line of a long ffmpeg message that says what is wrong."""
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return lines[-1] if lines else "the video could not be written"
+    def _fail(self) -> None:
+        self.ffmpeg.wait()
+        self.log.seek(0)
+        lines = self.log.read().decode(errors="replace").strip().splitlines()
+        said = re.sub(r"^\[.*?\] ", "", lines[0]) if lines else "ffmpeg stopped"
+        raise VideoError(f"{self.path}: {said}")
 
 
 def to_bytes(image: np.ndarray) -> np.ndarray:
@@ -74,10 +89,17 @@ def to_bytes(image: np.ndarray) -> np.ndarray:
 
 
 def write_png(path: str | Path, picture: np.ndarray) -> None:
-    """Write a uint8 picture (height, width, 3)."""
+    """Write a uint8 picture (height, width, 3); the file has its name only when it is complete."""
+    path = Path(path)
+    data = iio.imwrite("<bytes>", picture, extension=".png", plugin="pillow")
+    part = path.with_name(f".{path.name}.part")
     try:
-        Path(path).parent.mkdir(parents=True, exist_ok=True)
-        iio.imwrite(path, picture, extension=".png", plugin="pillow")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            part.write_bytes(data)
+            os.replace(part, path)
+        finally:
+            part.unlink(missing_ok=True)
     except OSError as error:
         raise VideoError(f"{path}: {error.strerror or error}") from None
 
@@ -95,7 +117,8 @@ def background(value: str | tuple, width: int, height: int, folder: Path) -> np.
     try:
         picture = np.atleast_3d(iio.imread(folder / value, plugin="pillow"))
     except Exception as error:  # the readers of picture formats raise all kinds
-        raise VideoError(f"background: {folder / value}: {_last_line(error)}") from None
+        said = (str(error).splitlines() or ["unreadable"])[0]
+        raise VideoError(f"background: {folder / value}: {said}") from None
     top = np.iinfo(picture.dtype).max if picture.dtype.kind == "u" else 1
     if picture.ndim != 3 or picture.shape[2] == 2:
         raise VideoError(f"background: {folder / value}: neither a grey nor a colour picture")

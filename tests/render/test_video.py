@@ -61,6 +61,28 @@ def test_a_place_that_cannot_be_written_is_one_line(tmp_path):
         video.write_png(tmp_path / "file" / "a.png", gradient(4, 4))
 
 
+@pytest.mark.parametrize("bad", ["-crf", "-c:v"])
+def test_a_video_that_ffmpeg_gives_up_is_one_line_and_no_file(tmp_path, bad):
+    """As when the disk is full: what counts is that it ends with an error."""
+    writer = video.Mp4(tmp_path / "v.mp4", 64, 48, fps=10)
+    writer.command[writer.command.index(bad) + 1] = "nonsense"
+    with pytest.raises(video.VideoError) as caught:
+        with writer as mp4:
+            for _ in range(2000):  # more than the pipe holds
+                mp4.add(gradient(64, 48))
+    assert "v.mp4: " in str(caught.value) and "\n" not in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_video_that_ends_badly_after_the_last_picture(tmp_path):
+    writer = video.Mp4(tmp_path / "v.mp4", 64, 48, fps=10)
+    writer.command[0] = "false"
+    with pytest.raises(video.VideoError):
+        with writer:
+            pass
+    assert not list(tmp_path.iterdir())
+
+
 def test_png_files_are_exact(tmp_path):
     video.write_png(tmp_path / "new" / "a.png", gradient(31, 17))
     np.testing.assert_array_equal(iio.imread(tmp_path / "new" / "a.png"), gradient(31, 17))
