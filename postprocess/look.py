@@ -81,15 +81,16 @@ class Look:
         """
         alpha_min = asked
         if alpha_min is None:
-            named = [o["alpha_min"] for o in self.objects if o.get("alpha_min")]
-            faint = self.fluid & (self.opacity > 0)
-            if named:
-                alpha_min = min(named)
-            elif faint.any() and np.median(self.opacity[faint]) <= FAINT:
+            # a scene gives every object one: 1/255 where nobody thought about it
+            alpha_min = min([o["alpha_min"] for o in self.objects if o.get("alpha_min")] or [1.0])
+            alpha_min = ALPHA_MIN if alpha_min == 1.0 else alpha_min
+            fluid = self.opacity[self.fluid & (self.opacity > 0)]
+            faint = len(fluid) > 0 and np.median(fluid) <= FAINT
+            if faint and np.isclose(alpha_min, ALPHA_MIN):
                 alpha_min = ALPHA_MIN_FAINT
-                log.info("the fluid is faint (opacity <= %g): alpha_min = %g", FAINT, alpha_min)
-            else:
-                alpha_min = ALPHA_MIN
+            if alpha_min < 0.999 * ALPHA_MIN:
+                reason = "the fluid is faint" if faint else "the scene asks for it"
+                log.info("alpha_min = %g instead of 1/255: %s", alpha_min, reason)
         for number, entry in enumerate(self.objects):
             own = self.opacity[self.object == number]
             lost = np.count_nonzero(own < alpha_min)

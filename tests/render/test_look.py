@@ -114,11 +114,16 @@ def test_alpha_min_follows_the_fluid_and_says_so(caplog):
 
 
 def test_alpha_min_of_an_object_or_of_the_settings_comes_first(caplog):
+    caplog.set_level(logging.INFO, "vgmpi")
     run, _ = fake(0.01)
     run.objects[0]["alpha_min"] = 5e-4
-    assert Look(run).alpha_min(None) == 5e-4
+    run.objects[1]["alpha_min"] = 1 / 255  # what scenes give to objects that say nothing
     assert Look(run).alpha_min(2e-3) == 2e-3
     assert not caplog.records
+    assert Look(run).alpha_min(None) == 5e-4
+    assert "0.0005" in caplog.text
+    run.objects[0]["alpha_min"] = 1 / 255
+    assert Look(run).alpha_min(None) == ALPHA_MIN_FAINT
 
 
 def test_gaussians_that_vanish_are_warned_of_by_name(caplog):
