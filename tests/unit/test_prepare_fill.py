@@ -10,7 +10,7 @@ from vgmpi.objects import Select
 from vgmpi.prepare import fill
 from vgmpi.prepare.mesh import toward
 from vgmpi.prepare.select import selected
-from vgmpi.prepare.voxels import Voxels, covered, volumes
+from vgmpi.prepare.voxels import Voxels, covered, share_by_count, share_by_neighbours, volumes
 
 MIDDLE = np.array([0.313, 0.271, 0.226])
 
@@ -131,7 +131,9 @@ def test_volume_of_a_solid_is_that_of_its_form(h, tolerance):
     cloud = shell()
     inner, gaps = fill.interior(cloud, h, True)
     outer = np.concatenate([cloud.x, gaps])
-    found = volumes(outer, inner, h, True)
+    voxels = Voxels.around(outer, h)
+    both = np.concatenate([outer, inner])
+    found = volumes(voxels, both, share_by_neighbours(voxels, outer, inner))
     assert found.sum() == pytest.approx(4 / 3 * np.pi * 0.1**3, rel=tolerance)
     assert found.min() > 0 and len(found) == len(outer) + len(inner)
     assert np.allclose(found[len(outer) :], h**3)
@@ -139,12 +141,19 @@ def test_volume_of_a_solid_is_that_of_its_form(h, tolerance):
 
 def test_volume_of_a_hollow_body_is_that_of_its_voxels():
     cloud, h = shell(), 0.01
-    found = volumes(cloud.x, np.empty((0, 3)), h, False)
     voxels = Voxels.around(cloud.x, h)
+    found = volumes(voxels, cloud.x, np.ones(voxels.shape))
     occupied = np.unique(voxels.index(cloud.x))
     assert found.sum() == pytest.approx(len(occupied) * h**3, rel=1e-12)
     one = voxels.index(cloud.x) == occupied[5]
     assert np.allclose(found[one], h**3 / one.sum())
+
+
+def test_share_by_count_is_exact_for_what_it_counts():
+    voxels = Voxels(np.array([1, 1, 1]), (2, 2, 2), 0.3)
+    fine = np.array([[0.35, 0.35, 0.35], [0.45, 0.35, 0.35], [0.65, 0.8, 0.8], [9.0, 9.0, 9.0]])
+    share = share_by_count(voxels, fine, 3)
+    assert share[0, 0, 0] == 2 / 27 and share[1, 1, 1] == 1 / 27 and share.sum() == 3 / 27
 
 
 def test_select():

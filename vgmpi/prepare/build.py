@@ -1,4 +1,4 @@
-"""From a scene to its particles: every object is made, placed, filled and checked, on one rank."""
+"""From a scene to its particles: objects are made one by one on one rank, checked and joined."""
 
 import logging
 from collections.abc import Callable
@@ -7,21 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from vgmpi.gaussians import ply
-from vgmpi.gaussians.cloud import Cloud
-from vgmpi.gaussians.sh import dc_from_rgb
+from vgmpi.gaussians.ply import GaussianFileError
 from vgmpi.objects import Object
-from vgmpi.prepare import fill, mesh, shapes
-from vgmpi.prepare.collider import Collider, ShapeCollider, VoxelCollider
-from vgmpi.prepare.place import Placement, PlacementError, place, turn
-from vgmpi.prepare.select import selected
-from vgmpi.prepare.voxels import Voxels, volumes
+from vgmpi.prepare.collider import Collider
+from vgmpi.prepare.mesh import MeshError
+from vgmpi.prepare.pieces import Piece, make
+from vgmpi.prepare.place import PlacementError
+from vgmpi.prepare.voxels import Voxels
 from vgmpi.scene import Scene, phase_of
 
 log = logging.getLogger("vgmpi")
-
-LIGHT = np.array([0.36, -0.48, 0.80])  # unit vector towards the painted light
-_BALL = (3 / (4 * np.pi)) ** (1 / 3)  # radius of a ball of volume 1
 
 
 @dataclass(frozen=True)
@@ -57,179 +52,21 @@ class Prepared:
     colliders: list[Collider]
 
 
-@dataclass(frozen=True)
-class Piece:
-    """One object in the domain: its Gaussians, their volumes [m3], and what placed it."""
-
-    cloud: Cloud
-    volume: np.ndarray
-    placement: Placement
-    collider: Collider | None = None
-
-
 def build(scene: Scene) -> Prepared:
     """Make all particles of a scene. Raises SceneError with all objects that cannot be made."""
     pieces: list[Piece] = []
     errors: list[tuple[tuple, str]] = []
     for k, thing in enumerate(scene.object):
         try:
-            piece = _MAKE[thing.source](scene, k, thing)
-            if thing.role == "body":  # fillings and samples too
-                _inside(scene, thing, piece.cloud.x.min(axis=0), piece.cloud.x.max(axis=0), 0.0)
-            pieces.append(piece)
+            pieces.append(make(scene, k))
         except PlacementError as error:
             errors.append((("object", k, error.key), str(error)))
-        except (ply.GaussianFileError, mesh.MeshError) as error:
+        except (GaussianFileError, MeshError) as error:
             errors.append((("object", k, thing.source), str(error)))
     if errors:
         raise scene.error(errors)
     _warn_of_overlaps(scene, pieces)
     return _together(scene, pieces)
-
-
-def _from_shape(scene: Scene, k: int, thing: Object) -> Piece:
-    shape, spacing = thing.shape, _spacing(scene, thing)
-    at = place(thing, lambda d: shapes.reach(shape, d))
-    low, high = _corners(at, lambda d: shapes.reach(shape, d))
-    if thing.role == "body":
-        _inside(scene, thing, low, high, 1e-6 * spacing)  # before a huge lattice is searched
-
-    def wanted(points: np.ndarray) -> np.ndarray:
-        deep = at.scale * shapes.distance(shape, at.own(points))
-        return (deep < 0) & (deep > -1.01 * spacing) if thing.role == "scenery" else deep < 0
-
-    x = shapes.lattice(wanted, low, high, spacing)
-    if not len(x):
-        said = f"too small or thin: no particle fits in, their spacing is {spacing:g} m"
-        raise PlacementError("shape", said)
-    own = at.own(x)
-    rgb = shapes.colors(shape, own, thing.color)
-    if not _is_fluid(scene, thing):
-        normal = shapes.normals(shape, own, 0.5 * spacing / at.scale)
-        rgb = shaded(rgb, turn(at.rotation, normal), scene.appearance.shade)
-    collider = ShapeCollider(thing.name, shape, at, spacing / 2) if thing.collider else None
-    return Piece(
-        round_cloud(x, spacing, rgb, thing.opacity), np.full(len(x), spacing**3), at, collider
-    )
-
-
-def _from_mesh(scene: Scene, k: int, thing: Object) -> Piece:
-    spacing = _spacing(scene, thing)
-    found = mesh.read(scene.files[thing.name])
-    at = place(thing, lambda d: float((found.points @ d).max()))
-    placed = mesh.Mesh(at.points(found.points), found.triangles, found.rgb)
-    if thing.role == "body":
-        low, high = placed.points.min(axis=0), placed.points.max(axis=0)
-        _inside(scene, thing, low, high, 1e-6 * spacing)
-    surface = mesh.sample(placed, spacing, thing.color, thing.opacity, [scene.seed, k])
-    normal = mesh.normals(surface)
-    rgb = shaded(surface.rgb, normal, 0.0 if _is_fluid(scene, thing) else scene.appearance.shade)
-    surface.sh[:, 0] = dc_from_rgb(rgb)
-    if thing.role == "scenery" and not thing.collider:
-        return Piece(surface, np.zeros(len(surface)), at)
-    inner = shapes.lattice(
-        lambda points: mesh.inside(placed, points, spacing),
-        placed.points.min(axis=0),
-        placed.points.max(axis=0),
-        spacing,
-    )
-    return _solid(scene, thing, surface, inner, np.empty((0, 3)), at)
-
-
-def _from_gaussians(scene: Scene, k: int, thing: Object) -> Piece:
-    spacing = _spacing(scene, thing)
-    cloud = selected(ply.read(scene.files[thing.name]), thing.select)
-    if not len(cloud):
-        raise PlacementError("select", "selects no Gaussian of the file")
-    at = place(thing, lambda d: float((cloud.x @ d).max()))
-    cloud = at.cloud(cloud)
-    if thing.role == "scenery" and not thing.collider:
-        return Piece(cloud, np.zeros(len(cloud)), at)
-    if thing.role == "body":
-        _inside(scene, thing, cloud.x.min(axis=0), cloud.x.max(axis=0), 0.0)
-    try:
-        inner, gaps = fill.interior(cloud, spacing, thing.fill)
-    except fill.TooLarge as error:
-        raise PlacementError("fill", str(error)) from None
-    return _solid(scene, thing, cloud, inner, gaps, at)
-
-
-_MAKE: dict[str, Callable[[Scene, int, Object], Piece]] = {
-    "shape": _from_shape,
-    "mesh": _from_mesh,
-    "gaussians": _from_gaussians,
-}
-
-
-def _solid(
-    scene: Scene, thing: Object, surface: Cloud, inner: np.ndarray, gaps: np.ndarray, at: Placement
-) -> Piece:
-    """A surface and lattice points inside and on it: as a body, or as scenery that others hit."""
-    spacing = _spacing(scene, thing)
-    shell = np.concatenate([surface.x, gaps])
-    voxels = Voxels.around(np.concatenate([shell, inner]), spacing)
-    inner = inner[~np.isin(voxels.index(inner), voxels.index(shell))]
-    if thing.role == "scenery":
-        solid = np.zeros(voxels.shape, dtype=bool)
-        solid.ravel()[voxels.index(np.concatenate([shell, inner]))] = True
-        collider = VoxelCollider.of(thing.name, voxels, solid)
-        return Piece(surface, np.zeros(len(surface)), at, collider)
-    # what covers the gaps is drawn already, so their particles carry mass only
-    unseen = fill.filling(gaps, surface, spacing, 0.0)
-    filled = fill.filling(inner, surface, spacing, thing.opacity)
-    cloud = fill.joined(fill.joined(surface, unseen), filled)
-    return Piece(cloud, volumes(shell, inner, spacing, thing.fill is not False), at)
-
-
-def round_cloud(x: np.ndarray, spacing: float, rgb: np.ndarray, opacity: float) -> Cloud:
-    """Round Gaussians at lattice points (n, 3), as large as the ball of a lattice cell's volume."""
-    n = len(x)
-    return Cloud(
-        x,
-        np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
-        np.full((n, 3), _BALL * spacing),
-        np.full(n, opacity),
-        dc_from_rgb(rgb)[:, None, :].astype(np.float32),
-    )
-
-
-def shaded(rgb: np.ndarray, normal: np.ndarray, amount: float) -> np.ndarray:
-    """Colours (n, 3) darkened by up to `amount` where the surface faces away from the light.
-
-    Gaussians carry no lights: without this a plain body is a flat silhouette.
-    """
-    facing = 0.5 + 0.5 * (normal * LIGHT).sum(axis=1)
-    return rgb * (1.0 - amount * (1.0 - facing))[:, None]
-
-
-def _spacing(scene: Scene, thing: Object) -> float:
-    """Distance [m] of particles on the lattice."""
-    return scene.domain.cell / round(thing.particles_per_cell ** (1 / 3))
-
-
-def _is_fluid(scene: Scene, thing: Object) -> bool:
-    return thing.role == "body" and scene.material[thing.material].family == "fluid"
-
-
-def _corners(at: Placement, reach: Callable[[np.ndarray], float]) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper corner (3,) [m] of an object in the domain."""
-    high = at.scale * np.array([reach(row) for row in at.rotation]) + at.shift
-    low = -at.scale * np.array([reach(-row) for row in at.rotation]) + at.shift
-    return low, high
-
-
-def _inside(scene: Scene, thing: Object, low: np.ndarray, high: np.ndarray, slack: float) -> None:
-    """Raises PlacementError where an object reaches out of the domain by more than `slack` [m]."""
-    size = np.asarray(scene.domain.size)
-    out = []
-    for axis, name in enumerate("xyz"):
-        if low[axis] < -slack or high[axis] > size[axis] + slack:
-            reaches = f"{name} = {low[axis]:.4g} .. {high[axis]:.4g} m"
-            out.append(f"it reaches {reaches}, the domain 0 .. {size[axis]:g} m")
-    if out:
-        key = "position" if thing.position is not None else "origin"
-        key = key if getattr(thing, key) is not None else thing.source
-        raise PlacementError(key, f"the object lies outside the domain: {'; '.join(out)}")
 
 
 def _warn_of_overlaps(scene: Scene, pieces: list[Piece]) -> None:

@@ -1,0 +1,203 @@
+"""One object after the other: read or sampled, placed, filled, coloured and weighed."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from vgmpi.gaussians import ply
+from vgmpi.gaussians.cloud import Cloud
+from vgmpi.gaussians.sh import dc_from_rgb
+from vgmpi.objects import Object
+from vgmpi.prepare import fill, mesh, shapes
+from vgmpi.prepare.collider import Collider, ShapeCollider, VoxelCollider
+from vgmpi.prepare.place import Placement, PlacementError, place, turn
+from vgmpi.prepare.select import selected
+from vgmpi.prepare.voxels import Voxels, share_by_count, share_by_neighbours, volumes
+from vgmpi.scene import Scene
+
+LIGHT = np.array([0.36, -0.48, 0.80])  # unit vector towards the painted light
+_FINENESS = 3  # of the lattice that measures meshes, relative to that of their particles
+_BALL = (3 / (4 * np.pi)) ** (1 / 3)  # radius of a ball of volume 1
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One object in the domain: its Gaussians, their volumes [m3], and what placed it."""
+
+    cloud: Cloud
+    volume: np.ndarray
+    placement: Placement
+    collider: Collider | None = None
+
+
+def make(scene: Scene, number: int) -> Piece:
+    """Object `number` of the scene in the domain.
+
+    Raises PlacementError, GaussianFileError or MeshError where that cannot be done.
+    """
+    thing = scene.object[number]
+    piece = _MAKE[thing.source](scene, number, thing)
+    if thing.role == "body":  # fillings and samples too
+        _inside(scene, thing, piece.cloud.x.min(axis=0), piece.cloud.x.max(axis=0), 0.0)
+    return piece
+
+
+def _from_shape(scene: Scene, k: int, thing: Object) -> Piece:
+    shape, spacing = thing.shape, _spacing(scene, thing)
+    at = place(thing, lambda d: shapes.reach(shape, d))
+    low, high = _corners(at, lambda d: shapes.reach(shape, d))
+    if thing.role == "body":
+        _inside(scene, thing, low, high, 1e-6 * spacing)  # before a huge lattice is searched
+
+    def wanted(points: np.ndarray) -> np.ndarray:
+        deep = at.scale * shapes.distance(shape, at.own(points))
+        return (deep < 0) & (deep > -1.01 * spacing) if thing.role == "scenery" else deep < 0
+
+    x = shapes.lattice(wanted, low, high, spacing)
+    if not len(x):
+        said = f"too small or thin: no particle fits in, their spacing is {spacing:g} m"
+        raise PlacementError("shape", said)
+    own = at.own(x)
+    rgb = shapes.colors(shape, own, thing.color)
+    if not _is_fluid(scene, thing):
+        normal = shapes.normals(shape, own, 0.5 * spacing / at.scale)
+        rgb = shaded(rgb, turn(at.rotation, normal), scene.appearance.shade)
+    collider = ShapeCollider(thing.name, shape, at, spacing / 2) if thing.collider else None
+    return Piece(
+        round_cloud(x, spacing, rgb, thing.opacity), np.full(len(x), spacing**3), at, collider
+    )
+
+
+def _from_mesh(scene: Scene, k: int, thing: Object) -> Piece:
+    spacing = _spacing(scene, thing)
+    found = mesh.read(scene.files[thing.name])
+    at = place(thing, lambda d: float((found.points @ d).max()))
+    placed = mesh.Mesh(at.points(found.points), found.triangles, found.rgb)
+    if thing.role == "body":
+        low, high = placed.points.min(axis=0), placed.points.max(axis=0)
+        _inside(scene, thing, low, high, 1e-6 * spacing)
+    surface = mesh.sample(placed, spacing, thing.color, thing.opacity, [scene.seed, k])
+    normal = mesh.normals(surface)
+    rgb = shaded(surface.rgb, normal, 0.0 if _is_fluid(scene, thing) else scene.appearance.shade)
+    surface.sh[:, 0] = dc_from_rgb(rgb)
+    if thing.role == "scenery" and not thing.collider:
+        return Piece(surface, np.zeros(len(surface)), at)
+    low, high = placed.points.min(axis=0), placed.points.max(axis=0)
+
+    def lattice(h: float) -> np.ndarray:
+        return shapes.lattice(lambda points: mesh.inside(placed, points, h), low, high, h)
+
+    fine = lattice(spacing / _FINENESS)
+    return _solid(scene, thing, surface, lattice(spacing), np.empty((0, 3)), at, fine)
+
+
+def _from_gaussians(scene: Scene, k: int, thing: Object) -> Piece:
+    spacing = _spacing(scene, thing)
+    cloud = selected(ply.read(scene.files[thing.name]), thing.select)
+    if not len(cloud):
+        raise PlacementError("select", "selects no Gaussian of the file")
+    at = place(thing, lambda d: float((cloud.x @ d).max()))
+    cloud = at.cloud(cloud)
+    if thing.role == "scenery" and not thing.collider:
+        return Piece(cloud, np.zeros(len(cloud)), at)
+    if thing.role == "body":
+        _inside(scene, thing, cloud.x.min(axis=0), cloud.x.max(axis=0), 0.0)
+    try:
+        inner, gaps = fill.interior(cloud, spacing, thing.fill)
+    except fill.TooLarge as error:
+        raise PlacementError("fill", str(error)) from None
+    return _solid(scene, thing, cloud, inner, gaps, at)
+
+
+_MAKE: dict[str, Callable[[Scene, int, Object], Piece]] = {
+    "shape": _from_shape,
+    "mesh": _from_mesh,
+    "gaussians": _from_gaussians,
+}
+
+
+def _solid(
+    scene: Scene,
+    thing: Object,
+    surface: Cloud,
+    inner: np.ndarray,
+    gaps: np.ndarray,
+    at: Placement,
+    fine: np.ndarray | None = None,
+) -> Piece:
+    """A surface and lattice points inside and on it: as a body, or as scenery that others hit.
+
+    inner (m, 3), gaps (g, 3) [m]: see fill.interior. fine: points inside of a lattice _FINENESS
+    times as fine, where the form is known exactly.
+    """
+    spacing = _spacing(scene, thing)
+    shell = np.concatenate([surface.x, gaps])
+    voxels = Voxels.around(np.concatenate([shell, inner]), spacing)
+    inner = inner[~np.isin(voxels.index(inner), voxels.index(shell))]
+    if thing.fill is False:
+        share = np.zeros(voxels.shape)
+        share.ravel()[voxels.index(shell)] = 1.0
+    elif fine is None:
+        share = share_by_neighbours(voxels, shell, inner)
+    else:
+        share = share_by_count(voxels, fine, _FINENESS)
+    if thing.role == "scenery":
+        collider = VoxelCollider.of(thing.name, voxels, share >= 0.5)
+        return Piece(surface, np.zeros(len(surface)), at, collider)
+    # what covers the gaps is drawn already, so their particles carry mass only
+    unseen = fill.filling(gaps, surface, spacing, 0.0)
+    filled = fill.filling(inner, surface, spacing, thing.opacity)
+    cloud = fill.joined(fill.joined(surface, unseen), filled)
+    return Piece(cloud, volumes(voxels, cloud.x, share), at)
+
+
+def round_cloud(x: np.ndarray, spacing: float, rgb: np.ndarray, opacity: float) -> Cloud:
+    """Round Gaussians at lattice points (n, 3), as large as the ball of a lattice cell's volume."""
+    n = len(x)
+    return Cloud(
+        x,
+        np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
+        np.full((n, 3), _BALL * spacing),
+        np.full(n, opacity),
+        dc_from_rgb(rgb)[:, None, :].astype(np.float32),
+    )
+
+
+def shaded(rgb: np.ndarray, normal: np.ndarray, amount: float) -> np.ndarray:
+    """Colours (n, 3) darkened by up to `amount` where the surface faces away from the light.
+
+    Gaussians carry no lights: without this a plain body is a flat silhouette.
+    """
+    facing = 0.5 + 0.5 * (normal * LIGHT).sum(axis=1)
+    return rgb * (1.0 - amount * (1.0 - facing))[:, None]
+
+
+def _spacing(scene: Scene, thing: Object) -> float:
+    """Distance [m] of particles on the lattice."""
+    return scene.domain.cell / round(thing.particles_per_cell ** (1 / 3))
+
+
+def _is_fluid(scene: Scene, thing: Object) -> bool:
+    return thing.role == "body" and scene.material[thing.material].family == "fluid"
+
+
+def _corners(at: Placement, reach: Callable[[np.ndarray], float]) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper corner (3,) [m] of an object in the domain."""
+    high = at.scale * np.array([reach(row) for row in at.rotation]) + at.shift
+    low = -at.scale * np.array([reach(-row) for row in at.rotation]) + at.shift
+    return low, high
+
+
+def _inside(scene: Scene, thing: Object, low: np.ndarray, high: np.ndarray, slack: float) -> None:
+    """Raises PlacementError where an object reaches out of the domain by more than `slack` [m]."""
+    size = np.asarray(scene.domain.size)
+    out = []
+    for axis, name in enumerate("xyz"):
+        if low[axis] < -slack or high[axis] > size[axis] + slack:
+            reaches = f"{name} = {low[axis]:.4g} .. {high[axis]:.4g} m"
+            out.append(f"it reaches {reaches}, the domain 0 .. {size[axis]:g} m")
+    if out:
+        key = "position" if thing.position is not None else "origin"
+        key = key if getattr(thing, key) is not None else thing.source
+        raise PlacementError(key, f"the object lies outside the domain: {'; '.join(out)}")
