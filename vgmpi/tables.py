@@ -56,7 +56,7 @@ _TEXT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 def unit(text: str) -> tuple[Fraction, tuple[int, ...]]:
     """SI factor and exponents of (m, kg, s, K, rad) of a unit such as "kg/m3" or "Pa s".
 
-    "" has no unit. The factor is a fraction, so that "7 cm" becomes the float nearest to 0.07 and
+    "" has no unit. The factor is a fraction, so that "35 cm" becomes the float nearest to 0.35 and
     not its neighbour. Raises ValueError where a part is not a unit.
     """
     factor, powers = Fraction(1), [0] * len(_BASE)

@@ -149,6 +149,22 @@ def test_volume_of_a_hollow_body_is_that_of_its_voxels():
     assert np.allclose(found[one], h**3 / one.sum())
 
 
+def test_share_by_neighbours_at_walls_corners_and_in_sheets():
+    solid = np.zeros((9, 9, 9), bool)
+    solid[2:7, 2:7, 2:7] = True
+    inner = ndimage.binary_erosion(solid)
+    voxels = Voxels(np.zeros(3, int), solid.shape, 0.01)
+    shell = voxels.centers(solid & ~inner)
+    share = share_by_neighbours(voxels, shell, voxels.centers(inner))
+    assert share[4, 4, 4] == 1 and share[4, 4, 1] == 0
+    assert share[4, 4, 2] == 9 / 18  # a wall
+    assert share[2, 2, 2] == 1 / 20  # a corner sees one inner voxel and 19 outside
+    sheet = np.zeros((9, 9, 9), bool)
+    sheet[2:7, 2:7, 4] = True
+    alone = share_by_neighbours(voxels, voxels.centers(sheet), np.empty((0, 3)))
+    assert np.array_equal(alone, 0.5 * sheet)
+
+
 def test_share_by_count_is_exact_for_what_it_counts():
     voxels = Voxels(np.array([1, 1, 1]), (2, 2, 2), 0.3)
     fine = np.array([[0.35, 0.35, 0.35], [0.45, 0.35, 0.35], [0.65, 0.8, 0.8], [9.0, 9.0, 9.0]])

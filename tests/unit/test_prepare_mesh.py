@@ -76,6 +76,8 @@ def test_a_hole_in_the_surface_does_not_leak():
     hole = Mesh(m.points, m.triangles[middle[:, 2] < 0.085])  # the top cap is missing
     assert len(hole.triangles) < len(m.triangles)
     assert len(lattice_inside(hole, h)) == pytest.approx(len(lattice_inside(m, h)), rel=0.05)
+    above = shapes.lattice(lambda x: np.ones(len(x), bool), [0.28, 0.24, 0.33], [0.34, 0.3, 0.4], h)
+    assert not mesh.inside(hole, above, h).any()  # one axis sees only the floor below the hole
 
 
 def test_samples_are_even_on_the_surface_and_face_outward():

@@ -15,7 +15,7 @@ from vgmpi.tables import Point, Quantity, Table, explain, nearest, same_units, u
     "text, si, value",
     [
         ("2 cm", "m", 0.02),
-        ("7 cm", "m", 0.07),  # 7 * 0.01 would be the next float
+        ("35 cm", "m", 0.35),  # 35 * 0.01 is the float after it
         ("-1.5e1 mm", "m", -0.015),
         ("0.1 MPa", "Pa", 1e5),
         ("1 g/cm3", "kg/m3", 1000.0),
