@@ -19,30 +19,43 @@ OPEN_MPI = {  # as root, and with more ranks than cores
 }
 
 
-def run(command, timeout=120, env=None, cwd=ROOT) -> subprocess.CompletedProcess:
-    """Run a command; its process group is killed when the time is over. Output as text."""
-    everything = {**os.environ, **OPEN_MPI, "PYTHONPATH": str(ROOT), **(env or {})}
-    process = subprocess.Popen(
+def start(command, env=None, cwd=ROOT) -> subprocess.Popen:
+    """Start a command in a process group of its own; output as text."""
+    return subprocess.Popen(
         [str(word) for word in command],
         cwd=cwd,
-        env=everything,
+        env={**os.environ, **OPEN_MPI, "PYTHONPATH": str(ROOT), **(env or {})},
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
     )
+
+
+def finish(process: subprocess.Popen, timeout=120) -> subprocess.CompletedProcess:
+    """Wait for its end; its process group is killed when the time is over."""
     try:
         out, err = process.communicate(timeout=timeout)
     except subprocess.TimeoutExpired:
         os.killpg(process.pid, signal.SIGKILL)
         out, err = process.communicate()
-        pytest.fail(f"no end within {timeout} s: {command}\n{out}\n{err}")
-    return subprocess.CompletedProcess(command, process.returncode, out, err)
+        pytest.fail(f"no end within {timeout} s: {process.args}\n{out}\n{err}")
+    return subprocess.CompletedProcess(process.args, process.returncode, out, err)
+
+
+def run(command, timeout=120, env=None, cwd=ROOT) -> subprocess.CompletedProcess:
+    """Run a command to its end."""
+    return finish(start(command, env, cwd), timeout)
+
+
+def on_ranks(n, *arguments) -> list:
+    """The command `mpirun -n N python ARGUMENTS`; the test is skipped where there is no mpirun."""
+    if shutil.which("mpirun") is None:
+        pytest.skip("no mpirun")
+    return ["mpirun", "-n", n, sys.executable, *arguments]
 
 
 def mpirun(n, *arguments, timeout=120, env=None, cwd=ROOT) -> subprocess.CompletedProcess:
-    """`mpirun -n N python ARGUMENTS`; the test is skipped where there is no mpirun."""
-    if shutil.which("mpirun") is None:
-        pytest.skip("no mpirun")
-    return run(["mpirun", "-n", n, sys.executable, *arguments], timeout, env, cwd)
+    """Run python ARGUMENTS on n ranks."""
+    return run(on_ranks(n, *arguments), timeout, env, cwd)

@@ -16,15 +16,16 @@ from .tables import SceneError
 log = logging.getLogger("vgmpi")
 
 WRONG = 2
-EXIT_CODES = """exit codes: 0 done, 1 unexpected error, 2 something in the scene or the flags is wrong,
-3 the simulation blew up (what was written before is whole), 75 stopped with a checkpoint"""
+EXIT_CODES = """exit codes: 0 done, 1 unexpected error, 2 something in the scene or the flags is
+wrong, 3 the simulation blew up (what was written before is whole), 75 stopped with a checkpoint"""
 
 
 def arguments(argv: list[str] | None) -> argparse.Namespace:
     """The flags as given; exits with code 2 where they make no sense."""
     parser = argparse.ArgumentParser(
         prog="python -m vgmpi",
-        description="Multiphase physics on 3D Gaussians. On several ranks: mpirun -n 2 python -m vgmpi scene.toml",
+        description="Multiphase physics on 3D Gaussians."
+        " On several ranks: mpirun -n 2 python -m vgmpi scene.toml",
         epilog=EXIT_CODES,
     )
     parser.add_argument("scene", nargs="?", type=Path, help="scene file (TOML)")
@@ -188,7 +189,7 @@ def _run(scene: Scene, folder: Path, given: argparse.Namespace, ranks: Alone) ->
 
 
 def _resume_from(asked: str | None, folder: Path, ranks: Alone) -> Path | None:
-    """The checkpoint to go on from: the one named, or the latest valid one. Raises CheckpointError."""
+    """The checkpoint to go on from: the one named, or the latest valid. Raises CheckpointError."""
     if asked is None:
         return None
     if asked:
@@ -207,12 +208,17 @@ def too_large(needed: int, ranks: Alone) -> str:
     share = needed * ranks.here / ranks.size
     have = memory()
     if have and share > 0.9 * have:
-        return f"needs about {share / 2**30:.1f} GiB on this machine, which has {have / 2**30:.1f} GiB free (90 % may be used)"
+        return (
+            f"needs about {share / 2**30:.1f} GiB on this machine, which has"
+            f" {have / 2**30:.1f} GiB free (90 % may be used)"
+        )
     return ""
 
 
 def memory() -> int:
-    """Bytes this process may still take: free memory, or what the control group leaves; 0 if not known."""
+    """Bytes this process may still take: free memory, or what the control group leaves; 0 if not
+    known.
+    """
     found = []
     try:
         with open("/proc/meminfo") as f:
@@ -231,8 +237,8 @@ def _slurm_mismatch(ranks: Alone) -> str:
     if not tasks or not tasks.isdigit() or int(tasks) == ranks.size:
         return ""
     return (
-        f"SLURM started {tasks} tasks but MPI sees {ranks.size}: use srun --mpi=pmix (see slurm/vgmpi.sbatch),"
-        " or mpirun with as many ranks as tasks"
+        f"SLURM started {tasks} tasks but MPI sees {ranks.size}:"
+        " use srun --mpi=pmix (see slurm/vgmpi.sbatch), or mpirun with as many ranks as tasks"
     )
 
 

@@ -1,7 +1,8 @@
 """The plan: what a scene needs, worked out before any array exists.
 
-Phases, groups and their fields, boundary kinds, contact pairs, time step, bytes, steps. Arrays are allocated from it,
-kernels are specialised on it, files are written by it; a field the plan does not name does not exist.
+Phases, groups and their fields, boundary kinds, contact pairs, time step, bytes, steps. Arrays are
+allocated from it, kernels are specialised on it, files are written by it; a field the plan does not
+name does not exist.
 """
 
 import math
@@ -74,7 +75,9 @@ class Plan:
         return (3 + BASE_CHANNELS + len(self.groups[group].rest)) * width + 8
 
     def bytes(self) -> int:
-        """Memory of all ranks together, without the interpreters: particles, patches, nodes, sorting."""
+        """Memory of all ranks together, without the interpreters: particles, patches, nodes,
+        sorting.
+        """
         total = 0
         for k, n in enumerate(self.count):
             if self.group_of[k] >= 0:
@@ -168,7 +171,9 @@ def _group(phase: int, phase_label: str, name: str, material, real: np.dtype) ->
 
 
 def _friction(scene: Scene, groups, phases: int) -> tuple[tuple[float, ...], ...]:
-    """Friction of every pair of phases; of two materials that meet in one pair of phases the largest counts."""
+    """Friction of every pair of phases; of two materials that meet in one pair of phases the
+    largest counts.
+    """
     named = {frozenset(c.between): c.friction for c in scene.coupling if isinstance(c, Contact)}
     out = np.zeros((phases + 1, phases))
     for a in groups:
@@ -209,7 +214,8 @@ def _check_fixed_dt(scene: Scene, plan: Plan) -> None:
 def describe(scene: Scene, plan: Plan, ranks: int) -> str:
     """What --plan prints: phases, fields, particles, memory, time step, steps, predicted time."""
     lines = [
-        f"{scene.title or scene.path.name}: {plan.particles:,} particles, precision {scene.accuracy.precision}"
+        f"{scene.title or scene.path.name}: {plan.particles:,} particles,"
+        f" {scene.accuracy.precision} precision"
     ]
     nx, ny, nz = plan.cells
     lines.append(f"  grid        {nx} x {ny} x {nz} cells of {plan.dx:g} m, sparse 4^3 blocks")
@@ -233,7 +239,8 @@ def describe(scene: Scene, plan: Plan, ranks: int) -> str:
     )
     total = plan.bytes()
     lines.append(
-        f"  memory      {total / 2**20:.0f} MiB in all, {total / ranks / 2**20:.0f} MiB per rank on {ranks} rank(s)"
+        f"  memory      {total / 2**20:.0f} MiB in all,"
+        f" {total / ranks / 2**20:.0f} MiB per rank on {ranks} rank(s)"
     )
     dt, what = fastest(scene)[0]
     dt = plan.fixed_dt or dt

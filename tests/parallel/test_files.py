@@ -1,10 +1,9 @@
 """Files have the same bytes for any number of ranks, written in parallel or gathered."""
 
-import hashlib
-
 import h5py
 import pytest
 
+from tests.digests import digests
 from tests.launch import mpirun
 from tests.parallel import files_job
 from tests.simulated import run as simulate
@@ -12,28 +11,6 @@ from vgmpi.domain.ranks import Alone
 from vgmpi.output import checkpoint
 
 pytestmark = pytest.mark.mpi
-
-
-def digests(folder) -> dict[str, str]:
-    """sha256 of every dataset of every HDF5 file, and of every other file."""
-    found = {}
-    for path in sorted(folder.rglob("*")):
-        name = str(path.relative_to(folder))
-        if path.suffix in (".h5", ".vtkhdf"):
-            with h5py.File(path) as f:
-                f.visititems(
-                    lambda key, item, f=f, name=name: found.update(
-                        {f"{name}:{key}": _sha(item[()])} if isinstance(item, h5py.Dataset) else {}
-                    )
-                )
-        elif path.is_file():
-            found[name] = _sha(path.read_bytes())
-    return found
-
-
-def _sha(value):
-    data = value if isinstance(value, bytes) else value.tobytes()
-    return hashlib.sha256(data).hexdigest()
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,6 @@
-"""Every module in this folder is a coupling; importing the folder registers them all, in name order."""
+"""Every module in this folder is a coupling; importing the folder registers them all, in name
+order.
+"""
 
 import importlib
 import pkgutil

@@ -1,4 +1,6 @@
-"""What a coupling is: a table of the scene that says how two materials or objects act on each other."""
+"""What a coupling is: a table of the scene that says how two materials or objects act on each
+other.
+"""
 
 from typing import get_args
 

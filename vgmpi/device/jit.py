@@ -1,7 +1,8 @@
 """numba as this package uses it: where compiled code is kept, and one set of compile options.
 
-The cache folder is named by a hash of the package's sources, because numba does not see an edit in another file.
-This module is imported before numba is imported anywhere else; that is what makes the folder count.
+The cache folder is named by a hash of the package's sources, because numba does not see an edit in
+another file. This module is imported before numba is imported anywhere else; that is what makes the
+folder count.
 """
 
 import hashlib

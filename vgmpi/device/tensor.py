@@ -1,4 +1,6 @@
-"""3x3 tensors as nine scalars, row by row: functions for every engine (plain numbers, arrays, compiled)."""
+"""3x3 tensors as nine scalars, row by row: functions for every engine (plain numbers, arrays,
+compiled).
+"""
 
 
 def det_minus_one(h):

@@ -1,8 +1,10 @@
-"""Which block a particle lies in, the order of blocks, and which rank owns them: index maths alone, no MPI.
+"""Which block a particle lies in, the order of blocks, and which rank owns them: index maths alone,
+no MPI.
 
-Nodes are numbered from 0 at the west, south and floor walls; a particle's base node is floor(x / dx - 1/2). Block b holds
-the base nodes 4 b - 1 .. 4 b + 2, so that the ghost node -1, the wall node 0 and its mirror 1 lie in one block. Positions
-inside a block are fixed-point integers relative to its middle: x / dx = 4 b + 1.5 + xi 2^-bits.
+Nodes are numbered from 0 at the west, south and floor walls; a particle's base node is floor(x / dx
+- 1/2). Block b holds the base nodes 4 b - 1 .. 4 b + 2, so that the ghost node -1, the wall node 0
+and its mirror 1 lie in one block. Positions inside a block are fixed-point integers relative to its
+middle: x / dx = 4 b + 1.5 + xi 2^-bits.
 """
 
 from typing import NamedTuple
@@ -32,7 +34,9 @@ class Lattice(NamedTuple):
         return max(1, int(max(self.shape) - 1).bit_length())
 
     def code(self, block: np.ndarray) -> np.ndarray:
-        """One number per block (n, 3) -> (n,) int64; unlike the Hilbert key it is cheap to take apart."""
+        """One number per block (n, 3) -> (n,) int64; unlike the Hilbert key it is cheap to take
+        apart.
+        """
         _, ny, nz = self.shape
         return (block[:, 0].astype(np.int64) * ny + block[:, 1]) * nz + block[:, 2]
 
@@ -91,9 +95,11 @@ def hilbert(points: np.ndarray, levels: int) -> np.ndarray:
 
 
 def cuts(keys: np.ndarray, weights: np.ndarray, ranks: int) -> np.ndarray:
-    """First key of ranks 1.. so that each has about the same weight: (ranks - 1,) int64, non-decreasing.
+    """First key of ranks 1.. so that each has about the same weight: (ranks - 1,) int64,
+    non-decreasing.
 
-    keys: (n,) ascending; a rank owns the keys from its cut up to the next rank's. More ranks than keys leave some idle.
+    keys: (n,) ascending; a rank owns the keys from its cut up to the next rank's. More ranks than
+    keys leave some idle.
     """
     if len(keys) == 0:
         return np.zeros(ranks - 1, np.int64)

@@ -5,8 +5,8 @@
                  ----> c                  each sends the other the boxes of nodes they share,
               d <----                     and both add all patches in the order of their keys.
 
-Each message begins with a header: the step and a number that stands for the list of patches, so that ranks that
-disagree stop instead of adding the wrong thing.
+Each message begins with a header: the step and a number that stands for the list of patches, so
+that ranks that disagree stop instead of adding the wrong thing.
 """
 
 import zlib
@@ -38,7 +38,9 @@ class Halo:
         return sum(m.buffer.nbytes for m in self.sends)
 
     def exchange(self, step: int, patches: np.ndarray, offsets: np.ndarray) -> None:
-        """Send the boundary boxes and put the neighbours' into the ghost patches. Collective among neighbours."""
+        """Send the boundary boxes and put the neighbours' into the ghost patches. Collective among
+        neighbours.
+        """
         for m in self.sends:
             m.head[:] = step, m.seal
             pack(m.buffer[_HEADER:], m.slots, m.low, m.high, patches)
@@ -50,15 +52,17 @@ class Halo:
         for m in self.receives:
             if m.head[0] != step or m.head[1] != m.seal:
                 raise HaloError(
-                    f"rank {self.ranks.rank}: message from rank {m.rank} is of step {m.head[0]}, not {step},"
-                    " or of another list of patches"
+                    f"rank {self.ranks.rank}: message from rank {m.rank} is of step {m.head[0]},"
+                    f" not {step}, or of another list of patches"
                 )
             unpack(m.buffer[_HEADER:], m.slots, m.low, m.high, patches)
             unpack(m.buffer[m.split :], m.offset_slots, m.offset_low, m.offset_high, offsets)
 
 
 class _Message:
-    """One neighbour's buffer: header, then the boxes of its patches, then those of their offset patches."""
+    """One neighbour's buffer: header, then the boxes of its patches, then those of their offset
+    patches.
+    """
 
     def __init__(self, part, topology: Topology, real: np.dtype):
         self.rank, self.slots, self.low, self.high = part

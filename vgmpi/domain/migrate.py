@@ -1,11 +1,13 @@
-"""Sorting: every particle to the block it lies in, every block to the rank that owns it, one order whatever the ranks."""
+"""Sorting: every particle to the block it lies in, every block to the rank that owns it, one order
+whatever the ranks.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from . import sorting
-from .blocks import Lattice, cuts, imbalance, owners
+from .blocks import cuts, imbalance, owners
 from .ranks import Alone
 from .state import LANES, Group
 
@@ -23,7 +25,8 @@ class Census(NamedTuple):
 
 
 def census(rows: np.ndarray, ranks: Alone, costs: np.ndarray, cut: np.ndarray | None):
-    """Merge the ranks' rows (n, 4) of key, code, group, count; cut the curve anew where that is worth it.
+    """Merge the ranks' rows (n, 4) of key, code, group, count; cut the curve anew where that is
+    worth it.
 
     costs: (groups,) work per particle. Returns the Census and the cuts in force.
     """
@@ -43,7 +46,9 @@ def census(rows: np.ndarray, ranks: Alone, costs: np.ndarray, cut: np.ndarray | 
 
 
 def sort(groups: list[Group], ranks: Alone, cut: np.ndarray | None) -> tuple[Census, np.ndarray]:
-    """Re-sort all particles and send each to its block's owner. Returns the Census and the cuts in force."""
+    """Re-sort all particles and send each to its block's owner. Returns the Census and the cuts in
+    force.
+    """
     rows, found = [], []
     for g, group in enumerate(groups):
         code, cell = _rebin(group)
@@ -60,7 +65,9 @@ def sort(groups: list[Group], ranks: Alone, cut: np.ndarray | None) -> tuple[Cen
 
 
 def arrive(group: Group, block: np.ndarray, xi: np.ndarray, f: np.ndarray, ids: np.ndarray) -> None:
-    """Give a group its first particles on this rank, in any order: block (n, 3), xi (3, n), f (channels, n), ids (n,)."""
+    """Give a group its first particles on this rank, in any order: block (n, 3), xi (3, n), f
+    (channels, n), ids (n,).
+    """
     code = group.lattice.code(block)
     order = np.argsort(code, kind="stable")
     group.reserve(len(ids))
@@ -91,7 +98,9 @@ def _count(group: Group, code: np.ndarray):
 
 
 def _settle(group: Group, ranks: Alone, codes, owner, code, cell, known) -> None:
-    """Exchange the particles that changed rank and order the rest; codes: (n,) of this group's blocks, in key order."""
+    """Exchange the particles that changed rank and order the rest; codes: (n,) of this group's
+    blocks, in key order.
+    """
     mine = np.where(owner == ranks.rank, np.cumsum(owner == ranks.rank) - 1, -1)
     by_code = np.argsort(codes)
     place = np.empty(len(code), np.int64)
@@ -117,7 +126,9 @@ def _settle(group: Group, ranks: Alone, codes, owner, code, cell, known) -> None
 
 
 def _swap(group: Group, ranks: Alone, gone, to, code, cell):
-    """Send the particles at `gone` to ranks `to`; append what arrives. Returns code, cell and how many came."""
+    """Send the particles at `gone` to ranks `to`; append what arrives. Returns code, cell and how
+    many came.
+    """
     order = np.argsort(to, kind="stable")
     gone, to = gone[order], to[order]
     rows = (group.xi[:, gone].T, group.f[:, gone].T, group.ids[gone], code[gone], cell[gone])
@@ -129,7 +140,13 @@ def _swap(group: Group, ranks: Alone, gone, to, code, cell):
     more = group.f.shape[1] - len(code)
     code, cell = np.pad(code, (0, more)), np.pad(cell, (0, more))
     new = slice(group.used, group.used + n)
-    for target, width in ((group.xi, 3), (group.f, group.channels), (group.ids, 1), (code, 1), (cell, 1)):
+    for target, width in (
+        (group.xi, 3),
+        (group.f, group.channels),
+        (group.ids, 1),
+        (code, 1),
+        (cell, 1),
+    ):
         size = width * target.dtype.itemsize
         values = np.ascontiguousarray(got[:, at : at + size]).view(target.dtype).reshape(n, width)
         target[..., new] = values.T if target.ndim == 2 else values[:, 0]

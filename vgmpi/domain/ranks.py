@@ -1,7 +1,7 @@
 """The few MPI verbs the program speaks, and their one-rank stand-in.
 
-Every verb is collective unless it says otherwise: all ranks call it, in the same order. Arrays travel as buffers;
-only `bcast` pickles, and it is used at set-up alone.
+Every verb is collective unless it says otherwise: all ranks call it, in the same order. Arrays
+travel as buffers; only `bcast` pickles, and it is used at set-up alone.
 """
 
 import logging
@@ -49,11 +49,15 @@ class Alone:
         return count
 
     def exchange(self, parts: list[np.ndarray]) -> list[np.ndarray]:
-        """Send parts[r] to rank r; returns what each rank sent here. One dtype and row shape for all parts."""
+        """Send parts[r] to rank r; returns what each rank sent here. One dtype and row shape for
+        all parts.
+        """
         return [parts[0]]
 
     def post(self, sends, recvs) -> list:
-        """Start non-blocking transfers; `sends` and `recvs` are lists of (rank, contiguous array). Not collective."""
+        """Start non-blocking transfers; `sends` and `recvs` are lists of (rank, contiguous array).
+        Not collective.
+        """
         assert not sends and not recvs
         return []
 
@@ -160,7 +164,8 @@ def _starts(counts: np.ndarray) -> np.ndarray:
 
 
 def world() -> Alone:
-    """The ranks of this run: MPI where there is an MPI library, otherwise one rank with a one-line notice.
+    """The ranks of this run: MPI where there is an MPI library, otherwise one rank with a one-line
+    notice.
 
     Installs an excepthook on more than one rank: an exception on one ends all, with its rank named.
     """

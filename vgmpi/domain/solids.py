@@ -1,4 +1,4 @@
-"""Rigid colliders as the grid sees them: distance and normal at the nodes of the blocks near them."""
+"""Rigid colliders as the grid sees them: distance and normal at the nodes near them."""
 
 import numpy as np
 
@@ -10,8 +10,9 @@ REACH = 3.0  # cells from a collider's surface within which its nodes are kept
 class Solids:
     """Distance and outward normal of all colliders together, for the node blocks they can touch.
 
-    nodes: (n, 64, 4) outward normal and distance [m]. Called with blocks (m, 3) it gives their rows, -1 where there is
-    none. Colliders offer distance(points) -> (m,) [m], negative inside, and normal(points) -> (m, 3).
+    nodes: (n, 64, 4) outward normal and distance [m]. Called with blocks (m, 3) it gives their
+    rows, -1 where there is none. Colliders offer distance(points) -> (m,) [m], negative inside, and
+    normal(points) -> (m, 3).
     """
 
     def __init__(self, colliders: list, lattice: Lattice, real: np.dtype):

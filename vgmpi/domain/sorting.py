@@ -9,8 +9,9 @@ from ..device.jit import kernel
 def rebin(start, count, block, xi, bits, shape, code, cell):
     """Move each particle to the block its base node lies in.
 
-    block: (segments, 3); xi: (3, cap), changed where the block changes; code, cell: (cap,) out, the block's code and the
-    cell 0..63 within it. Returns how many changed block. Unused places keep what they held.
+    block: (segments, 3); xi: (3, cap), changed where the block changes; code, cell: (cap,) out, the
+    block's code and the cell 0..63 within it. Returns how many changed block. Unused places keep
+    what they held.
     """
     changed = 0
     for s in range(len(start)):
@@ -34,7 +35,9 @@ def rebin(start, count, block, xi, bits, shape, code, cell):
 
 @kernel
 def distinct(start, count, code, out):
-    """Codes of particles that differ from the code before them, into out; returns how many (repeats are possible)."""
+    """Codes of particles that differ from the code before them, into out; returns how many (repeats
+    are possible).
+    """
     n = 0
     last = -1
     for s in range(len(start)):
@@ -75,8 +78,8 @@ def leaving(start, count, place, out):
 def arrange(start, count, place, cell, ids, number, lanes, new_start, source):
     """Order by (place, cell, id): source[new] = old index; segments begin at multiples of `lanes`.
 
-    number: (places, 64) particles per place and cell on entry, scratch on return. new_start: (places,) out.
-    Returns the end of the last segment.
+    number: (places, 64) particles per place and cell on entry, scratch on return. new_start:
+    (places,) out. Returns the end of the last segment.
     """
     at = 0
     begin = np.empty_like(number)

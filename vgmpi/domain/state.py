@@ -12,9 +12,10 @@ LANES = 16  # segments begin at multiples of this, so that vectors never straddl
 class Group:
     """Particles of one group on this rank, in segments of one block each.
 
-    xi: (3, cap) fixed-point positions; f: (channels, cap) see kernels/transfer.py; ids: (cap,) global particle id, -1 in
-    unused places. Segment s is the particles start[s] .. start[s] + count[s] of block code[s]; segments lie in the order
-    of their keys, particles within one by (cell, id) as of the last sort. That order is part of the state.
+    xi: (3, cap) fixed-point positions; f: (channels, cap) see kernels/transfer.py; ids: (cap,)
+    global particle id, -1 in unused places. Segment s is the particles start[s] .. start[s] +
+    count[s] of block code[s]; segments lie in the order of their keys, particles within one by
+    (cell, id) as of the last sort. That order is part of the state.
     """
 
     def __init__(self, plan: GroupPlan, lattice: Lattice, real: np.dtype):
@@ -38,7 +39,9 @@ class Group:
         return int(self.count.sum())
 
     def reserve(self, places: int) -> None:
-        """Make room for `places` particles, padding included; grows by a quarter so that sorts seldom allocate."""
+        """Make room for `places` particles, padding included; grows by a quarter so that sorts
+        seldom allocate.
+        """
         have = self.f.shape[1]
         if places <= have:
             return
@@ -48,7 +51,9 @@ class Group:
         self.ids = np.pad(self.ids, (0, more), constant_values=-1)
 
     def permute(self, start: np.ndarray, count: np.ndarray, source: np.ndarray, end: int) -> None:
-        """Bring the particles into new segments: the one at `new` is the one that was at source[new]."""
+        """Bring the particles into new segments: the one at `new` is the one that was at
+        source[new].
+        """
         self.reserve(end)
         for rows, fill in ((self.xi, 0), (self.f, 0), (self.ids[None], -1)):
             spare = np.empty_like(rows[0])
@@ -68,4 +73,6 @@ class Group:
     def positions(self) -> np.ndarray:
         """Positions (n, 3) [m] in the order of `index`."""
         at = self.index()
-        return self.lattice.position(np.repeat(self.block, self.count, axis=0), self.xi[:, at], self.real)
+        return self.lattice.position(
+            np.repeat(self.block, self.count, axis=0), self.xi[:, at], self.real
+        )

@@ -1,9 +1,10 @@
-"""Who touches whom between two sorts: patches, node blocks, and the parts of patches that neighbours need.
+"""Who touches whom between two sorts: patches, node blocks, and the parts of patches that
+neighbours need.
 
-A patch covers its block and reaches one node into the block before it and three into the one after, along each axis. So
-two patches share nodes exactly when their blocks are neighbours (or the same), and a node block is complete once all
-patches of the 27 blocks around it are there. Everything here follows from the census, which all ranks share: sender and
-receiver agree without asking.
+A patch covers its block and reaches one node into the block before it and three into the one after,
+along each axis. So two patches share nodes exactly when their blocks are neighbours (or the same),
+and a node block is complete once all patches of the 27 blocks around it are there. Everything here
+follows from the census, which all ranks share: sender and receiver agree without asking.
 """
 
 from typing import NamedTuple
@@ -23,7 +24,9 @@ class Topology(NamedTuple):
     row: np.ndarray  # (patches,) row of the census
     own: np.ndarray  # (patches,) bool
     block: np.ndarray  # (patches, 3)
-    offset_slot: np.ndarray  # (patches,) place among the offset patches, -1 where contact asks for none
+    offset_slot: (
+        np.ndarray
+    )  # (patches,) place among the offset patches, -1 where contact asks for none
     table: np.ndarray  # (own patches, 27) node blocks around each
     first: np.ndarray  # (blocks + 1,) node blocks of each block
     phase: np.ndarray  # (node blocks,)
@@ -69,9 +72,12 @@ class _Box:
         return grid.reshape(-1)
 
 
-def build(census: Census, lattice: Lattice, rank: int, phase_of: np.ndarray, contact: bool, solid) -> Topology:
-    """Tables of `rank`. phase_of: (groups,) phase of each group; contact: whether phases may touch at all;
-    solid: blocks (n, 3) -> row among the collider's blocks or -1, or None where the scene has no collider."""
+def build(
+    census: Census, lattice: Lattice, rank: int, phase_of: np.ndarray, contact: bool, solid
+) -> Topology:
+    """Tables of `rank`. phase_of: (groups,) phase of each group; contact: whether phases may touch
+    at all; solid: blocks (n, 3) -> row among the collider's blocks or -1, or None where the scene
+    has no collider."""
     block = lattice.block(census.code)
     mine = census.owner == rank
     if not mine.any():
@@ -127,7 +133,8 @@ def build(census: Census, lattice: Lattice, rank: int, phase_of: np.ndarray, con
 def _wants_offset(box, lattice, census, near, at, phase_of, contact, solid) -> np.ndarray:
     """Per block of the box: whether its patches need volume and offset.
 
-    They do where a patch of another phase, or the collider, can share a node block with them: at most two blocks away.
+    They do where a patch of another phase, or the collider, can share a node block with them: at
+    most two blocks away.
     """
     wants = box.full(False, bool)
     if contact:
@@ -139,16 +146,20 @@ def _wants_offset(box, lattice, census, near, at, phase_of, contact, solid) -> n
         highest = box.spread(highest, 2, np.maximum)
         wants |= lowest < highest
     if solid is not None:
-        grid = np.stack(np.meshgrid(*(np.arange(n) for n in box.shape), indexing="ij"), -1).reshape(-1, 3)
+        grid = np.stack(np.meshgrid(*(np.arange(n) for n in box.shape), indexing="ij"), -1).reshape(
+            -1, 3
+        )
         wants |= box.spread(solid(grid + box.low) >= 0, 1, np.logical_or)
     return wants
 
 
 def _traffic(block, own, owner, box, rank, sending) -> list:
-    """Which patches travel to or from each neighbour rank, and the box of nodes of each that the receiver needs.
+    """Which patches travel to or from each neighbour rank, and the box of nodes of each that the
+    receiver needs.
 
-    The receiver needs the nodes its own patches reach: for a neighbour at offset +1 the last four of the eight nodes
-    along that axis, at -1 the first four, at 0 all; the smallest box around these for all its blocks there.
+    The receiver needs the nodes its own patches reach: for a neighbour at offset +1 the last four
+    of the eight nodes along that axis, at -1 the first four, at 0 all; the smallest box around
+    these for all its blocks there.
     """
     rank_at = box.full(-1, np.int64)
     rank_at[box.at(block)] = owner

@@ -1,9 +1,10 @@
 """Contact of phases at one node: where their surfaces are, and the impulses that keep them apart.
 
-Criterion and normal come from the volume V and the mean offset X / V of a phase's particles from the node: for a half
-space the offset tells how far outside it the node lies (`outside`). Velocity alone would act 1.2 to 2 cells too early.
-Impulses of all pairs of a node are found together (accumulated Jacobi from the same velocities): a sweep one pair
-after the other would depend on how phases are numbered.
+Criterion and normal come from the volume V and the mean offset X / V of a phase's particles from
+the node: for a half space the offset tells how far outside it the node lies (`outside`). Velocity
+alone would act 1.2 to 2 cells too early. Impulses of all pairs of a node are found together
+(accumulated Jacobi from the same velocities): a sweep one pair after the other would depend on how
+phases are numbered.
 """
 
 import numpy as np
@@ -16,9 +17,11 @@ SWEEPS = 16
 
 @inline
 def outside(m):
-    """Distance [cells] of a node outside a half space of particles whose mean offset into it is m [cells].
+    """Distance [cells] of a node outside a half space of particles whose mean offset into it is m
+    [cells].
 
-    A fit to quadratic B-splines, good to .003; below 0 the node is deep inside, above .75 it only sees the far side.
+    A fit to quadratic B-splines, good to .003; below 0 the node is deep inside, above .75 it only
+    sees the far side.
     """
     if m >= 0.75:
         return min((m - 0.375) / 0.75, 1.5)
@@ -30,9 +33,11 @@ def outside(m):
 
 @inline
 def geometry(normal, master, other, dx):
-    """Outward normal of `master` into normal (3,), and the gap [cells] between two phases' surfaces.
+    """Outward normal of `master` into normal (3,), and the gap [cells] between two phases'
+    surfaces.
 
-    master, other: (4,) offset sums [m4] and volume [m3]. Returns a gap above 2 where no normal exists.
+    master, other: (4,) offset sums [m4] and volume [m3]. Returns a gap above 2 where no normal
+    exists.
     """
     size = np.sqrt(master[0] * master[0] + master[1] * master[1] + master[2] * master[2])
     sign, source = -1.0, master
@@ -50,22 +55,25 @@ def geometry(normal, master, other, dx):
 
 @inline
 def collider_gap(normal, distance, other, dx):
-    """As `geometry`, for a rigid collider whose outward normal and distance [m] at the node are known."""
+    """As `geometry`, for a rigid collider whose outward normal and distance [m] at the node are
+    known.
+    """
     b = (other[0] * normal[0] + other[1] * normal[1] + other[2] * normal[2]) / (other[3] * dx)
     return distance / dx + outside(b)
 
 
 @inline
 def resolve(v, mass, count, normals, friction, pair_a, pair_b, pairs, share, impulse):
-    """Change the velocities v (count, 3) of the phases of a node so that no touching pair approaches.
+    """Change the velocities v (count, 3) of the phases of a node so that no touching pair
+    approaches.
 
-    pair_a is the master (-1: a rigid collider at rest); normals: (pairs, 3) its outward normals; friction: (pairs,);
-    share: most pairs that touch one phase; impulse: scratch (pairs, 4), normal and tangential impulse so far [kg m/s].
-    Momentum is exact: what one phase gains the other loses.
+    pair_a is the master (-1: a rigid collider at rest); normals: (pairs, 3) its outward normals;
+    friction: (pairs,); share: most pairs that touch one phase; impulse: scratch (pairs, 4), normal
+    and tangential impulse so far [kg m/s]. Momentum is exact: what one phase gains the other loses.
     """
     impulse[:pairs] = 0
     relax = 1.0 / share
-    for sweep in range(SWEEPS if pairs > 1 else 1):
+    for _ in range(SWEEPS if pairs > 1 else 1):
         change = 0.0
         for q in range(pairs):
             a, b, n = pair_a[q], pair_b[q], normals[q]
@@ -86,7 +94,11 @@ def resolve(v, mass, count, normals, friction, pair_a, pair_b, pairs, share, imp
             if size > most:
                 t0, t1, t2 = t0 * (most / size), t1 * (most / size), t2 * (most / size)
             normals[q, 3] = total - impulse[q, 0]
-            normals[q, 4], normals[q, 5], normals[q, 6] = t0 - impulse[q, 1], t1 - impulse[q, 2], t2 - impulse[q, 3]
+            normals[q, 4], normals[q, 5], normals[q, 6] = (
+                t0 - impulse[q, 1],
+                t1 - impulse[q, 2],
+                t2 - impulse[q, 3],
+            )
             impulse[q, 0], impulse[q, 1], impulse[q, 2], impulse[q, 3] = total, t0, t1, t2
             change = max(change, abs(normals[q, 3]) / reduced)
         for q in range(pairs):

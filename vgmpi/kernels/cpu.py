@@ -1,6 +1,9 @@
-"""The arrays and calls of a step on the processor's cores: one place that knows the kernels' arguments."""
+"""The arrays and calls of a step on the processor's cores: one place that knows the kernels'
+arguments.
+"""
 
 from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,15 +14,27 @@ from ..plan import Plan
 from . import grid, transfer
 from .walls import KINDS, SIDE, patch_codes
 
-# generators of a sequence that fills the unit cube evenly (Roberts 2018): the dither of a step, the same on every rank
+# generators of a sequence that fills the unit cube evenly (Roberts 2018): the dither of a step, the
+# same on every rank
 _DITHER = np.array([0.8191725133961645, 0.6710436067037893, 0.5497004779019703])
+
+
+class Part(NamedTuple):
+    """What the kernels are told of a group's segments; rows are segments."""
+
+    group: Group
+    slot: np.ndarray  # (n,) patch
+    offset_slot: np.ndarray  # (n,) offset patch or -1
+    table: np.ndarray  # (n, 27) node blocks around
+    limit: np.ndarray  # (n, 3, 2) fixed-point range of positions
+    mirror: np.ndarray  # (n, 3, 2) wall codes
 
 
 class Cpu:
     """Transfers and grid update of one rank's particles, by `threads` threads.
 
-    Threads share nothing they write: a segment's patch, a block's nodes and a particle belong to one thread, so their
-    number does not touch the bits.
+    Threads share nothing they write: a segment's patch, a block's nodes and a particle belong to
+    one thread, so their number does not touch the bits.
     """
 
     def __init__(self, plan: Plan, lattice: Lattice, solids, threads: int = 1):
@@ -65,12 +80,16 @@ class Cpu:
             if not np.array_equal(block, group.block):
                 raise RuntimeError(f"group {group.plan.name}: segments do not match the census")
             mirror = patch_codes(block, self.plan.cells, self.wall_kinds)
-            self.parts.append((group, at, t.offset_slot[at], t.table[here], self._limits(block), mirror))
+            self.parts.append(
+                Part(group, at, t.offset_slot[at], t.table[here], self._limits(block), mirror)
+            )
         self.shares = [_shares(group.count, self.threads) for group in groups]
         self.block_shares = _shares(np.diff(t.first), self.threads)
 
     def _limits(self, block: np.ndarray) -> np.ndarray:
-        """Fixed-point range of positions whose base node exists: half a cell beyond the walls. (n, 3, 2) int64."""
+        """Fixed-point range of positions whose base node exists: half a cell beyond the walls. (n,
+        3, 2) int64.
+        """
         one = 1 << self.bits
         low = (-2 - EDGE * block) * one
         high = (np.array(self.plan.cells) - 1 - EDGE * block) * one
@@ -78,53 +97,55 @@ class Cpu:
 
     def p2g(self, dt: float) -> None:
         """Fill the patches of this rank's segments."""
-        dt = self.plan.real.type(dt)
-        for (group, slot, offset_slot, _, _, mirror), shares in zip(self.parts, self.shares, strict=True):
-            law, density = group.plan.law, self.plan.real.type(group.plan.density)
-            self._each(
-                shares,
-                lambda k, s: transfer.p2g(
-                    law, s, group.start, group.count, slot, offset_slot, mirror, group.xi, group.f,
-                    self.patches, self.offsets, self.bits, density, self.dx, dt,
-                ),
-            )  # fmt: skip
+        real = self.plan.real.type
+        for part, shares in zip(self.parts, self.shares, strict=True):
+            self._each(shares, self._p2g, part, real(dt))
+
+    def _p2g(self, thread: int, share: np.ndarray, part: "Part", dt) -> None:
+        group, plan = part.group, part.group.plan
+        transfer.p2g(
+            plan.law, share, group.start, group.count, part.slot, part.offset_slot, part.mirror,
+            group.xi, group.f, self.patches, self.offsets, self.bits,
+            self.plan.real.type(plan.density), self.dx, dt,
+        )  # fmt: skip
 
     def update(self, dt: float) -> None:
         """Sum the patches, and find the velocities at the nodes: gravity, contact, walls."""
+        self._each(self.block_shares, self._update, dt)
+
+    def _update(self, thread: int, share: np.ndarray, dt: float) -> None:
         t = self.topology
-        self._each(
-            self.block_shares,
-            lambda k, s: grid.update(
-                s[0], s[-1] + 1, t.first, t.phase, t.block_at, t.meets, t.solid_of,
-                t.pull_first, t.pull_patch, t.pull_code, self.slots, self.patches, t.offset_slot, self.offsets,
-                self.grid, self.solid_nodes, self.scratch[k], self.cells, self.wall_kinds, self.wall_friction,
-                self.gravity, self.least, self.mastery, self.friction, dt, self.plan.dx,
-            ),
+        grid.update(
+            share[0], share[-1] + 1, t.first, t.phase, t.block_at, t.meets, t.solid_of,
+            t.pull_first, t.pull_patch, t.pull_code, self.slots, self.patches,
+            t.offset_slot, self.offsets, self.grid, self.solid_nodes, self.scratch[thread],
+            self.cells, self.wall_kinds, self.wall_friction, self.gravity, self.least,
+            self.mastery, self.friction, dt, self.plan.dx,
         )  # fmt: skip
 
     def g2p(self, dt: float, step: int) -> np.ndarray:
         """Move the particles. Returns (groups, threads, 4) reports, see transfer.g2p."""
-        real = self.plan.real.type
         dither = np.modf(_DITHER * step)[0]
         reports = np.zeros((len(self.parts), self.threads, 4))
-        for g, (group, _, _, table, limit, mirror) in enumerate(self.parts):
-            law = group.plan.law
-            self._each(
-                self.shares[g],
-                lambda k, s: transfer.g2p(
-                    law, s, group.start, group.count, table, limit, mirror, group.xi, group.f, self.grid,
-                    self.gathered[k], self.bits, dither, self.dx, real(dt), real(self.plan.cfl), reports[g, k],
-                ),
-            )  # fmt: skip
+        for part, shares, report in zip(self.parts, self.shares, reports, strict=True):
+            self._each(shares, self._g2p, part, self.plan.real.type(dt), dither, report)
         return reports
 
-    def _each(self, shares: list[np.ndarray], work) -> None:
-        """work(thread, share) for every share that is not empty."""
+    def _g2p(self, thread: int, share: np.ndarray, part: "Part", dt, dither, report) -> None:
+        group = part.group
+        transfer.g2p(
+            group.plan.law, share, group.start, group.count, part.table, part.limit, part.mirror,
+            group.xi, group.f, self.grid, self.gathered[thread], self.bits, dither, self.dx, dt,
+            self.plan.real.type(self.plan.cfl), report[thread],
+        )  # fmt: skip
+
+    def _each(self, shares: list[np.ndarray], work, *arguments) -> None:
+        """work(thread, share, *arguments) for every share that is not empty."""
         if self.pool is None:
             if len(shares[0]):
-                work(0, shares[0])
+                work(0, shares[0], *arguments)
             return
-        waiting = [self.pool.submit(work, k, s) for k, s in enumerate(shares) if len(s)]
+        waiting = [self.pool.submit(work, k, s, *arguments) for k, s in enumerate(shares) if len(s)]
         for w in waiting:
             w.result()
 

@@ -1,7 +1,9 @@
-"""The grid's part of a step: sum the patches of each node block, turn momentum into velocity, contact, walls.
+"""The grid's part of a step: sum the patches of each node block, turn momentum into velocity,
+contact, walls.
 
-A node block is 4^3 nodes of one phase; block b holds base nodes 4 b - 1 .. 4 b + 2 of the domain. Its sum runs over the
-patches that touch it in the order of their keys, whoever owns them: that order, and not the ranks, decides the bits.
+A node block is 4^3 nodes of one phase; block b holds base nodes 4 b - 1 .. 4 b + 2 of the domain.
+Its sum runs over the patches that touch it in the order of their keys, whoever owns them: that
+order, and not the ranks, decides the bits.
 """
 
 import numpy as np
@@ -66,11 +68,12 @@ def update(
 ):
     """Velocities [m/s] at the nodes of blocks b0..b1, in place of momentum.
 
-    first: (blocks + 1,) node blocks of each block, one per phase that touches it; phase: (node blocks,);
-    meets: (blocks,) whether two phases, or a phase and a collider, may touch here; solid_of: (blocks,) row of `solids`
-    or -1; solids: (n, 64, 4) outward normal and distance [m] of the collider; scratch: (phases, 64, 4);
-    least: (phases,) mass [kg] of one full cell; rank_of: (phases,) order of mastery, lowest first;
-    friction: (phases + 1, phases), the last row for the collider.
+    first: (blocks + 1,) node blocks of each block, one per phase that touches it; phase: (node
+    blocks,); meets: (blocks,) whether two phases, or a phase and a collider, may touch here;
+    solid_of: (blocks,) row of `solids` or -1; solids: (n, 64, 4) outward normal and distance [m] of
+    the collider; scratch: (phases, 64, 4); least: (phases,) mass [kg] of one full cell; rank_of:
+    (phases,) order of mastery, lowest first; friction: (phases + 1, phases), the last row for the
+    collider.
     """
     count = len(least)
     v = np.zeros((count, 3))
@@ -85,9 +88,19 @@ def update(
     for b in range(b0, b1):
         n0, n1 = first[b], first[b + 1]
         for nb in range(n0, n1):
-            pull(grid[nb], pull_first[nb], pull_first[nb + 1], pull_patch, pull_code, slots, patches)
+            pull(
+                grid[nb], pull_first[nb], pull_first[nb + 1], pull_patch, pull_code, slots, patches
+            )
             if meets[b]:
-                pull(scratch[nb - n0], pull_first[nb], pull_first[nb + 1], pull_patch, pull_code, offset_slots, offsets)
+                pull(
+                    scratch[nb - n0],
+                    pull_first[nb],
+                    pull_first[nb + 1],
+                    pull_patch,
+                    pull_code,
+                    offset_slots,
+                    offsets,
+                )
         o0, o1, o2 = 4 * block_at[b, 0] - 1, 4 * block_at[b, 1] - 1, 4 * block_at[b, 2] - 1
         for node in range(64):
             i, j, k = o0 + node // 16, o1 + node // 4 % 4, o2 + node % 4
@@ -106,7 +119,8 @@ def update(
                     u[:3] = 0
             if meets[b] and (active > 1 or (active == 1 and solid_of[b] >= 0)):
                 pairs = _pairs(
-                    active, local, n0, node, phase, scratch, solids, solid_of[b], rank_of, friction, dx,
+                    active, local, n0, node, phase, scratch, solids, solid_of[b], rank_of,
+                    friction, dx,
                     i, j, k, cells, wall_kinds, normals, mu, pair_a, pair_b, touches,
                 )  # fmt: skip
                 if pairs > 0:
@@ -114,7 +128,18 @@ def update(
                         for c in range(3):
                             v[q, c] = grid[local[q], node, c]
                         m[q] = grid[local[q], node, 3]
-                    resolve(v, m, active, normals, mu, pair_a, pair_b, pairs, touches[:active].max(), impulse)
+                    resolve(
+                        v,
+                        m,
+                        active,
+                        normals,
+                        mu,
+                        pair_a,
+                        pair_b,
+                        pairs,
+                        touches[:active].max(),
+                        impulse,
+                    )
                     for q in range(active):
                         for c in range(3):
                             grid[local[q], node, c] = v[q, c]
@@ -147,7 +172,9 @@ def _pairs(
     pair_b,
     touches,
 ):
-    """The touching pairs of a node, in phase order: masters, normals and friction. Returns how many."""
+    """The touching pairs of a node, in phase order: masters, normals and friction. Returns how
+    many.
+    """
     pairs = 0
     touches[:active] = 0
     for q in range(active):

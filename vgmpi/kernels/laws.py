@@ -1,7 +1,7 @@
 """Laws written as plain Python, made callable from compiled kernels.
 
-A kernel calls `stress(law, state, L)`; which material's function that is, the type of `law` decides when the kernel is
-compiled. Called from plain Python the same names look the material up.
+A kernel calls `stress(law, state, L)`; which material's function that is, the type of `law` decides
+when the kernel is compiled. Called from plain Python the same names look the material up.
 """
 
 from numba import types
@@ -66,7 +66,9 @@ def _energy(law, state):
 
 
 def load_state(law, f, row, p):
-    """The particle's state, channels row.. of column p of f, as a tuple as long as the law carries numbers."""
+    """The particle's state, channels row.. of column p of f, as a tuple as long as the law carries
+    numbers.
+    """
     return tuple(f[row + c, p] for c in range(state_channels(type(law))))
 
 

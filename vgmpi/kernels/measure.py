@@ -11,10 +11,11 @@ COLUMNS = 12  # mass, momentum 3, angular momentum 3, kinetic, elastic, potentia
 
 @kernel
 def ledger_rows(law, start, count, block, xi, f, bits, density, dx, gravity, rows):
-    """Per segment: mass, momentum, angular momentum about the origin (with the affine part APIC carries), energies, J.
+    """Per segment: mass, momentum, angular momentum about the origin (with the affine part APIC
+    carries), energies, J.
 
-    rows: (segments, 12) out, double precision. Particles are added in their order in the segment, so that a row does not
-    depend on the number of ranks.
+    rows: (segments, 12) out, double precision. Particles are added in their order in the segment,
+    so that a row does not depend on the number of ranks.
     """
     inertia = dx * dx / 4.0  # of a quadratic B-spline
     x = np.zeros(3)
@@ -33,9 +34,15 @@ def ledger_rows(law, start, count, block, xi, f, bits, density, dx, gravity, row
             row[2] += m * v1
             row[3] += m * v2
             spin = m * inertia
-            row[4] += m * (x[1] * v2 - x[2] * v1) + spin * (float(f[AFFINE + 7, p]) - float(f[AFFINE + 5, p]))
-            row[5] += m * (x[2] * v0 - x[0] * v2) + spin * (float(f[AFFINE + 2, p]) - float(f[AFFINE + 6, p]))
-            row[6] += m * (x[0] * v1 - x[1] * v0) + spin * (float(f[AFFINE + 3, p]) - float(f[AFFINE + 1, p]))
+            row[4] += m * (x[1] * v2 - x[2] * v1) + spin * (
+                float(f[AFFINE + 7, p]) - float(f[AFFINE + 5, p])
+            )
+            row[5] += m * (x[2] * v0 - x[0] * v2) + spin * (
+                float(f[AFFINE + 2, p]) - float(f[AFFINE + 6, p])
+            )
+            row[6] += m * (x[0] * v1 - x[1] * v0) + spin * (
+                float(f[AFFINE + 3, p]) - float(f[AFFINE + 1, p])
+            )
             square = v0 * v0 + v1 * v1 + v2 * v2
             for c in range(9):
                 square += inertia * float(f[AFFINE + c, p]) ** 2

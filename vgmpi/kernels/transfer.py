@@ -1,11 +1,14 @@
-"""Particles to grid and back, on one private patch per segment (quadratic B-splines, APIC, MLS force).
+"""Particles to grid and back, on one private patch per segment (quadratic B-splines, APIC, MLS
+force).
 
-A segment is the particles of one group (one phase, one material) whose base node lay in one 4^3 block when they were
-last sorted. Its patch holds the 8^3 nodes -1..6 of that block, so that a particle may stray one cell before the next
-sort. A patch is filled by one thread in particle order; nothing else touches it. Positions are integers, 2^-bits of a
-cell, relative to the middle of the block: slow motion in single precision then loses nothing.
+A segment is the particles of one group (one phase, one material) whose base node lay in one 4^3
+block when they were last sorted. Its patch holds the 8^3 nodes -1..6 of that block, so that a
+particle may stray one cell before the next sort. A patch is filled by one thread in particle order;
+nothing else touches it. Positions are integers, 2^-bits of a cell, relative to the middle of the
+block: slow motion in single precision then loses nothing.
 
-Channels of a group's float array: velocity 0-2 [m/s], APIC matrix C 3-11 [1/s], rest volume 12 [m3], the law's state 13-.
+Channels of a group's float array: velocity 0-2 [m/s], APIC matrix C 3-11 [1/s], rest volume 12
+[m3], the law's state 13-.
 """
 
 import numpy as np
@@ -29,13 +32,30 @@ def _weights(w, a, r, one, half, third):
 
 
 @kernel
-def p2g(law, segments, start, count, slot, offset_slot, mirror, xi, f, patches, offsets, bits, density, dx, dt):
+def p2g(
+    law,
+    segments,
+    start,
+    count,
+    slot,
+    offset_slot,
+    mirror,
+    xi,
+    f,
+    patches,
+    offsets,
+    bits,
+    density,
+    dx,
+    dt,
+):
     """Mass and momentum (with the stress's impulse over dt) of each segment into its patch.
 
-    segments: (n,) the segments to do; slot: (segments,) patch of each; offset_slot: the same for the volume-and-offset
-    patch that contact asks for, -1 where it does not; mirror: (segments, 3, 2) wall codes (walls.py); xi: (3, cap) fixed-point positions; f: (channels, cap);
-    patches: (slots, 8, 8, 8, 4) momentum [kg m/s] and mass [kg]; offsets: (slots, 8, 8, 8, 4) sum V0 w (x_p - x_i) [m4]
-    and sum V0 w [m3].
+    segments: (n,) the segments to do; slot: (segments,) patch of each; offset_slot: the same for
+    the volume-and-offset patch that contact asks for, -1 where it does not; mirror: (segments, 3,
+    2) wall codes (walls.py); xi: (3, cap) fixed-point positions; f: (channels, cap); patches:
+    (slots, 8, 8, 8, 4) momentum [kg m/s] and mass [kg]; offsets: (slots, 8, 8, 8, 4) sum V0 w (x_p
+    - x_i) [m4] and sum V0 w [m3].
     """
     real = f.dtype.type
     one, half, third, zero = real(1.0), real(0.5), real(0.75), real(0.0)
@@ -58,11 +78,27 @@ def p2g(law, segments, start, count, slot, offset_slot, mirror, xi, f, patches, 
             k = dt * volume * four
             t00, t11, t22 = k * real(t[0]), k * real(t[1]), k * real(t[2])
             t01, t02, t12 = k * real(t[3]), k * real(t[4]), k * real(t[5])
-            qx0, qx1, qx2 = dx * (mass * L[0] - t00), dx * (mass * L[3] - t01), dx * (mass * L[6] - t02)
-            qy0, qy1, qy2 = dx * (mass * L[1] - t01), dx * (mass * L[4] - t11), dx * (mass * L[7] - t12)
-            qz0, qz1, qz2 = dx * (mass * L[2] - t02), dx * (mass * L[5] - t12), dx * (mass * L[8] - t22)
+            qx0, qx1, qx2 = (
+                dx * (mass * L[0] - t00),
+                dx * (mass * L[3] - t01),
+                dx * (mass * L[6] - t02),
+            )
+            qy0, qy1, qy2 = (
+                dx * (mass * L[1] - t01),
+                dx * (mass * L[4] - t11),
+                dx * (mass * L[7] - t12),
+            )
+            qz0, qz1, qz2 = (
+                dx * (mass * L[2] - t02),
+                dx * (mass * L[5] - t12),
+                dx * (mass * L[8] - t22),
+            )
             bi, bj, bk = (xi[0, p] >> bits) + 3, (xi[1, p] >> bits) + 3, (xi[2, p] >> bits) + 3
-            rx, ry, rz = real(xi[0, p] & mask) * scale, real(xi[1, p] & mask) * scale, real(xi[2, p] & mask) * scale
+            rx, ry, rz = (
+                real(xi[0, p] & mask) * scale,
+                real(xi[1, p] & mask) * scale,
+                real(xi[2, p] & mask) * scale,
+            )
             _weights(w, 0, rx, one, half, third)
             _weights(w, 1, ry, one, half, third)
             _weights(w, 2, rz, one, half, third)
@@ -115,13 +151,33 @@ def p2g(law, segments, start, count, slot, offset_slot, mirror, xi, f, patches, 
 
 
 @kernel
-def g2p(law, segments, start, count, table, limit, mirror, xi, f, grid, patch, bits, dither, dx, dt, cfl, report):
-    """Velocity and its gradient from the grid to each particle; moves it and advances its state by dt.
+def g2p(
+    law,
+    segments,
+    start,
+    count,
+    table,
+    limit,
+    mirror,
+    xi,
+    f,
+    grid,
+    patch,
+    bits,
+    dither,
+    dx,
+    dt,
+    cfl,
+    report,
+):
+    """Velocity and its gradient from the grid to each particle; moves it and advances its state by
+    dt.
 
-    table: (segments, 27) the node blocks around each segment's block; limit: (segments, 3, 2) fixed-point range a position
-    may take; mirror: (segments, 3, 2) wall codes (walls.py); grid: (blocks, 64, 4) velocities [m/s]; patch:
-    scratch (8, 8, 8, 4); dither: (3,) added before rounding down, the same for all particles of a step; report: (4,)
-    running maxima: rate 1/dt [1/s], distance from the block's middle [cells]; then first bad particle + 1 and its reason.
+    table: (segments, 27) the node blocks around each segment's block; limit: (segments, 3, 2)
+    fixed-point range a position may take; mirror: (segments, 3, 2) wall codes (walls.py); grid:
+    (blocks, 64, 4) velocities [m/s]; patch: scratch (8, 8, 8, 4); dither: (3,) added before
+    rounding down, the same for all particles of a step; report: (4,) running maxima: rate 1/dt
+    [1/s], distance from the block's middle [cells]; then first bad particle + 1 and its reason.
     """
     real = f.dtype.type
     one, half, third, zero = real(1.0), real(0.5), real(0.75), real(0.0)
@@ -138,7 +194,11 @@ def g2p(law, segments, start, count, table, limit, mirror, xi, f, grid, patch, b
         reflect(patch, mirror[s])
         for p in range(start[s], start[s] + count[s]):
             bi, bj, bk = (xi[0, p] >> bits) + 3, (xi[1, p] >> bits) + 3, (xi[2, p] >> bits) + 3
-            rx, ry, rz = real(xi[0, p] & mask) * scale, real(xi[1, p] & mask) * scale, real(xi[2, p] & mask) * scale
+            rx, ry, rz = (
+                real(xi[0, p] & mask) * scale,
+                real(xi[1, p] & mask) * scale,
+                real(xi[2, p] & mask) * scale,
+            )
             _weights(w, 0, rx, one, half, third)
             _weights(w, 1, ry, one, half, third)
             _weights(w, 2, rz, one, half, third)
@@ -181,7 +241,17 @@ def g2p(law, segments, start, count, table, limit, mirror, xi, f, grid, patch, b
                 c2 += wi * h0
                 c5 += wi * h1
                 c8 += wi * h2
-            L = (four * c0, four * c1, four * c2, four * c3, four * c4, four * c5, four * c6, four * c7, four * c8)
+            L = (
+                four * c0,
+                four * c1,
+                four * c2,
+                four * c3,
+                four * c4,
+                four * c5,
+                four * c6,
+                four * c7,
+                four * c8,
+            )
             f[0, p], f[1, p], f[2, p] = v0, v1, v2
             for c in range(9):
                 f[AFFINE + c, p] = L[c]
@@ -199,7 +269,9 @@ def g2p(law, segments, start, count, table, limit, mirror, xi, f, grid, patch, b
                     report[2] = p + 1.0
                     report[3] = 1.0
                 continue
-            rate = max(rate, (wave + speed) / (cfl * dx), speed / (0.3 * dx), abs(L[0] + L[4] + L[8]) / 0.1)
+            rate = max(
+                rate, (wave + speed) / (cfl * dx), speed / (0.3 * dx), abs(L[0] + L[4] + L[8]) / 0.1
+            )
             for a in range(3):
                 move = m0 if a == 0 else (m1 if a == 1 else m2)
                 dith = d0 if a == 0 else (d1 if a == 1 else d2)

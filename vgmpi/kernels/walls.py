@@ -1,11 +1,13 @@
 """The six walls of the domain, met at nodes.
 
-A stick or slip wall stands on a node plane and mirrors what is inside: the momentum that falls on the ghost nodes beyond
-it is folded back, reflected, onto their mirror nodes, and the ghosts' velocities are read from the mirror. That makes the
-wall second order (a plain clamp at the wall node is first order). Since every particle that touches a ghost node touches
-its mirror node too, both happen inside a patch. A separate wall only pushes; it is a clamp with Coulomb friction.
+A stick or slip wall stands on a node plane and mirrors what is inside: the momentum that falls on
+the ghost nodes beyond it is folded back, reflected, onto their mirror nodes, and the ghosts'
+velocities are read from the mirror. That makes the wall second order (a plain clamp at the wall
+node is first order). Since every particle that touches a ghost node touches its mirror node too,
+both happen inside a patch. A separate wall only pushes; it is a clamp with Coulomb friction.
 
-A patch meets a wall by a code: 4 * (index of the wall's nodes in the patch) + kind; 0 where it meets none.
+A patch meets a wall by a code: 4 * (index of the wall's nodes in the patch) + kind; 0 where it
+meets none.
 """
 
 import numpy as np
@@ -18,7 +20,8 @@ SIDE = 8
 
 
 def patch_codes(block: np.ndarray, cells: tuple, kinds: np.ndarray) -> np.ndarray:
-    """Wall codes of patches. block: (n, 3) block coordinates; kinds: (3, 2) wall kinds -> (n, 3, 2) int32.
+    """Wall codes of patches. block: (n, 3) block coordinates; kinds: (3, 2) wall kinds -> (n, 3, 2)
+    int32.
 
     Block b holds base nodes 4 b - 1 .. 4 b + 2, so its patch begins at node 4 b - 2.
     """
@@ -85,7 +88,8 @@ def reflect(patch, mirror):
                         elif kind == SLIP:
                             ghost[c] = inner[c]
                         elif c == a:
-                            # a wall that only pushes: interpolated at the wall the flow must not enter it
+                            # a wall that only pushes: interpolated at the wall the flow must not
+                            # enter it
                             ghost[c] = step * max(step * ghost[c], -step * inner[c])
 
 
@@ -112,7 +116,9 @@ def constrain(v, i, j, k, cells, kinds, friction):
 
 @inline
 def slow(v, most):
-    """Reduce the length of v (3,) by at most `most`: Coulomb friction on what is left after the normal part."""
+    """Reduce the length of v (3,) by at most `most`: Coulomb friction on what is left after the
+    normal part.
+    """
     size = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     if size > most:
         keep = (size - most) / size
@@ -124,8 +130,12 @@ def slow(v, most):
 
 @inline
 def tangential(offset, i, j, k, cells, kinds):
-    """Drop the normal part of a volume offset (4,) at the nodes of a mirroring wall, where its mirror cancels it."""
+    """Drop the normal part of a volume offset (4,) at the nodes of a mirroring wall, where its
+    mirror cancels it.
+    """
     for a in range(3):
         node = i if a == 0 else (j if a == 1 else k)
-        if (node == 0 and kinds[a, 0] != SEPARATE) or (node == cells[a] and kinds[a, 1] != SEPARATE):
+        if (node == 0 and kinds[a, 0] != SEPARATE) or (
+            node == cells[a] and kinds[a, 1] != SEPARATE
+        ):
             offset[a] = 0

@@ -1,10 +1,11 @@
 """What a material is: a table of the scene, and a law as plain scalar Python.
 
-A material class names its `kind` (a Literal), its `family`, the state its particles carry with the value at rest, and
-turns its table into a `Law`, a NamedTuple of numbers. The law's functions take the law, the particle's state (a tuple of
-scalars) and return scalars or tuples. They use operators and numpy ufuncs only, so that the same text runs on numpy
-arrays (the tests' reference) and, compiled, on the particles of the solver. No function of a law branches in Python on
-a particle's value: it selects with minimum and maximum.
+A material class names its `kind` (a Literal), its `family`, the state its particles carry with the
+value at rest, and turns its table into a `Law`, a NamedTuple of numbers. The law's functions take
+the law, the particle's state (a tuple of scalars) and return scalars or tuples. They use operators
+and numpy ufuncs only, so that the same text runs on numpy arrays (the tests' reference) and,
+compiled, on the particles of the solver. No function of a law branches in Python on a particle's
+value: it selects with minimum and maximum.
 
     advance(law, state, L, dt) -> state     L = grad v [1/s], nine numbers, row by row; dt [s]
     stress(law, state, L) -> (t00, t11, t22, t01, t02, t12)     Kirchhoff stress [Pa]

@@ -67,7 +67,8 @@ class Elastic(Table):
 
     @staticmethod
     def wave_speed2(law, state):
-        # uniaxial stretch a: rho0 c^2 = mu (a^2 + 1) + lam (1 - ln J); the largest a^2 by row sums of b
+        # uniaxial stretch a: rho0 c^2 = mu (a^2 + 1) + lam (1 - ln J); the largest a^2 by row sums
+        # of b
         b00, b11, b22, b01, b02, b12 = left_cauchy_green_minus_one(state)
         r0 = np.abs(1.0 + b00) + np.abs(b01) + np.abs(b02)
         r1 = np.abs(1.0 + b11) + np.abs(b01) + np.abs(b12)

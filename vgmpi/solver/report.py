@@ -46,7 +46,9 @@ class Progress:
 
     def __call__(self, simulation: Simulation) -> None:
         if self.bar is not None:
-            self.bar.set_postfix_str(f"step {simulation.step}, frame {self.run.frame}", refresh=False)
+            self.bar.set_postfix_str(
+                f"step {simulation.step}, frame {self.run.frame}", refresh=False
+            )
             self.bar.update(simulation.time - self.bar.n)
         elif self.logs and time.monotonic() - self.said >= LOG_EVERY:
             self.said = time.monotonic()
@@ -54,7 +56,8 @@ class Progress:
             left = (self.said - self.began) * (1.0 - share) / max(share, 1e-9)
             log.info(
                 "%.4g of %.4g s, step %d, frame %d of %d, %.0f s left",
-                simulation.time, self.end, simulation.step, self.run.frame, len(self.run.plan.times), left,
+                simulation.time, self.end, simulation.step,
+                self.run.frame, len(self.run.plan.times), left,
             )  # fmt: skip
 
     def close(self) -> None:
@@ -63,7 +66,9 @@ class Progress:
 
 
 def table(run: Run, clock: Clock) -> str:
-    """Wall time by stage, particles per second, imbalance, conservation; on rank 0, else "". Collective."""
+    """Wall time by stage, particles per second, imbalance, conservation; on rank 0, else "".
+    Collective.
+    """
     simulation, ranks = run.simulation, run.ranks
     mine = np.array([[clock.spent[s] for s in STAGES]])
     every = ranks.all_rows(mine)
@@ -82,8 +87,12 @@ def table(run: Run, clock: Clock) -> str:
             mean, most = every[:, k].mean(), every[:, k].max()
             lines.append(f"  {stage:6s} {mean:12.2f} s {most:9.2f} s {mean * per:10.1f}")
         loads = np.bincount(simulation.census.owner, simulation.census.count, minlength=ranks.size)
-        lines.append(f"  imbalance  {loads.max() / loads.mean():.3f} (largest rank's particles over the mean)")
-        lines.append(f"  sorts      {simulation.sorts}, halo {simulation.halo.bytes_sent / 1e3:.0f} kB per step from rank 0")
+        most = loads.max() / loads.mean()
+        lines.append(f"  imbalance  {most:.3f} (largest rank's particles over the mean)")
+        lines.append(
+            f"  sorts      {simulation.sorts},"
+            f" halo {simulation.halo.bytes_sent / 1e3:.0f} kB per step from rank 0"
+        )
     if run.opening and run.latest:
         lines.append(f"  conserved  {drift(run.opening, run.latest)}")
     return "\n".join(lines)

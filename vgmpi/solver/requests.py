@@ -1,4 +1,6 @@
-"""What may interrupt a run from outside: signals, a limit of steps or wall time, a checkpoint that is due."""
+"""What may interrupt a run from outside: signals, a limit of steps or wall time, a checkpoint that
+is due.
+"""
 
 import signal
 import time
@@ -7,7 +9,9 @@ import time
 class Requests:
     """Flags that ride in each step's reduction, so that all ranks act on them at the same step."""
 
-    def __init__(self, stop_steps: int = 0, stop_seconds: float = 0.0, checkpoint_seconds: float = 0.0):
+    def __init__(
+        self, stop_steps: int = 0, stop_seconds: float = 0.0, checkpoint_seconds: float = 0.0
+    ):
         self.began = self.saved = time.monotonic()
         self.stop_steps = stop_steps
         self.stop_seconds = stop_seconds

@@ -73,13 +73,19 @@ def prepare(scene: Scene, ranks: Alone, folder: Path | None) -> Prepared:
     if folder is not None and ranks.bcast(rows is not None):
         scenery, rows = rows or (None, None)
         rest.write(
-            folder / layout.GAUSSIANS, ranks, rows, known.objects, scenery, scene.resolved(), digest(scene)
+            folder / layout.GAUSSIANS,
+            ranks,
+            rows,
+            known.objects,
+            scenery,
+            scene.resolved(),
+            digest(scene),
         )
     return known
 
 
 def _particles(scene: Scene, folder: Path | None):
-    """On rank 0: what all shall know, and (scenery, rows) to write or None if they are on the disk."""
+    """On rank 0: what all shall know, and (scenery, rows) to write, None if they are on disk."""
     path = folder / layout.GAUSSIANS if folder is not None else None
     moving = not any(thing.collider for thing in scene.object)
     if path is not None and moving and rest.digest(path) == digest(scene):
@@ -112,7 +118,9 @@ def _known(objects, thing, volume, colliders) -> Prepared:
 
 
 def digest(scene: Scene) -> str:
-    """What the particles depend on: the scene's text as resolved, the files it reads, this program's version."""
+    """What the particles depend on: the scene's text as resolved, the files it reads, this
+    program's version.
+    """
     seal = hashlib.sha256(json.dumps(scene.resolved(), sort_keys=True).encode())
     for name in sorted(scene.files):
         seal.update(Path(scene.files[name]).read_bytes())
@@ -121,8 +129,12 @@ def digest(scene: Scene) -> str:
     return seal.hexdigest()
 
 
-def begin(scene: Scene, plan: Plan, known: Prepared, ranks: Alone, options: Options) -> tuple[Simulation, int]:
-    """The simulation at its start, or at the checkpoint to resume from; and the next frame's number. Collective."""
+def begin(
+    scene: Scene, plan: Plan, known: Prepared, ranks: Alone, options: Options
+) -> tuple[Simulation, int]:
+    """The simulation at its start, or at the checkpoint to resume from; and the next frame's
+    number. Collective.
+    """
     warm(plan, ranks)
     simulation = Simulation(plan, ranks, known.colliders, options.threads)
     if options.resume is not None:
@@ -169,7 +181,9 @@ class Run:
                     self._checkpoint()
                     return STOPPED
         except BlowUp as error:
-            log.error("blow-up: %s; what was written before is whole", str(error).format(*self.names))
+            log.error(
+                "blow-up: %s; what was written before is whole", str(error).format(*self.names)
+            )
             return BLEW_UP
         return DONE
 
@@ -211,7 +225,9 @@ class Run:
             "versions": versions(),
         }
         path = checkpoint.write(self.checkpoints, self.ranks, state)
-        log.info("checkpoint %s at step %d, %.6g s", path, self.simulation.step, self.simulation.time)
+        log.info(
+            "checkpoint %s at step %d, %.6g s", path, self.simulation.step, self.simulation.time
+        )
         self.requests.checkpointed()
         self._mark("write")
 
@@ -237,7 +253,9 @@ def versions() -> dict[str, str]:
             found[name] = "not installed"
     command = ["git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD"]
     try:
-        found["commit"] = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+        found["commit"] = subprocess.run(
+            command, capture_output=True, text=True, check=True
+        ).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
         found["commit"] = "unknown"
     return found

@@ -13,7 +13,8 @@ PIECES = {"v": slice(0, 3), "C": slice(3, 12), "vol0": slice(12, 13), "state": s
 def frame_rows(simulation: Simulation, names: tuple[str, ...]) -> tuple[np.ndarray, dict]:
     """Ids (n_local,) and the fields of a frame, rows in any order.
 
-    names: of velocity, J, F; x, object and phase are always there. F only where a solid is in the scene.
+    names: of velocity, J, F; x, object and phase are always there. F only where a solid is in the
+    scene.
     """
     ids, found = [], []
     solids = any(phase.family == "solid" for phase in simulation.plan.phases)
@@ -46,9 +47,11 @@ def _gradient(simulation, group, state, J) -> np.ndarray:
 
 
 def save(simulation: Simulation) -> dict:
-    """What a checkpoint holds, see output/checkpoint.py: segments and particles in key order, fixed-point positions.
+    """What a checkpoint holds, see output/checkpoint.py: segments and particles in key order,
+    fixed-point positions.
 
-    Ranks own consecutive pieces of that order, so their rows one after the other do not depend on their number.
+    Ranks own consecutive pieces of that order, so their rows one after the other do not depend on
+    their number.
     """
     groups = {}
     for g, group in enumerate(simulation.groups):
@@ -75,7 +78,9 @@ class Mismatch(ValueError):
 
 
 def restore(simulation: Simulation, saved) -> None:
-    """Take up a checkpoint (output.checkpoint.Checkpoint) on this number of ranks, without re-sorting. Collective."""
+    """Take up a checkpoint (output.checkpoint.Checkpoint) on this number of ranks, without
+    re-sorting. Collective.
+    """
     plan = simulation.plan
     want = {
         "group_names": [group.name for group in plan.groups],
@@ -85,7 +90,9 @@ def restore(simulation: Simulation, saved) -> None:
     }
     for name, value in want.items():
         if saved.attrs.get(name) != value:
-            raise Mismatch(f"{saved.path}: {name} is {saved.attrs.get(name)}, the scene has {value}")
+            raise Mismatch(
+                f"{saved.path}: {name} is {saved.attrs.get(name)}, the scene has {value}"
+            )
     simulation.time, simulation.step = saved.attrs["time"], saved.attrs["step"]
     simulation.rate = saved.attrs["rate"]
     segments = []

@@ -24,9 +24,11 @@ class BlowUp(RuntimeError):
 
 
 class Simulation:
-    """Particles of all groups on this rank, and the clock. Collective: all ranks call the same methods.
+    """Particles of all groups on this rank, and the clock. Collective: all ranks call the same
+    methods.
 
-    time [s] and step are the state's; rate [1/s] is the least 1/dt the state allows; both are part of a checkpoint.
+    time [s] and step are the state's; rate [1/s] is the least 1/dt the state allows; both are part
+    of a checkpoint.
     """
 
     def __init__(self, plan: Plan, ranks: Alone, colliders: list = (), threads: int = 1):
@@ -44,11 +46,14 @@ class Simulation:
         self.sorts = 0
         self.clock = None  # a callable(name) that marks the end of a stage, or None
 
-    def put(self, x: np.ndarray, v: np.ndarray, volume: np.ndarray, ids: np.ndarray, thing: np.ndarray) -> None:
-        """Take particles at rest in any order, any share on any rank. Collective; once, at the start.
+    def put(
+        self, x: np.ndarray, v: np.ndarray, volume: np.ndarray, ids: np.ndarray, thing: np.ndarray
+    ) -> None:
+        """Take particles at rest in any order, any share on any rank. Collective; once, at the
+        start.
 
-        x: positions [m], (n, 3); v: velocities [m/s], (n, 3); volume: rest volumes [m3], (n,); ids: (n,);
-        thing: object of each, (n,).
+        x: positions [m], (n, 3); v: velocities [m/s], (n, 3); volume: rest volumes [m3], (n,); ids:
+        (n,); thing: object of each, (n,).
         """
         group_of = np.array(self.plan.group_of)[thing] if len(thing) else thing
         fastest = 0.0
@@ -70,13 +75,15 @@ class Simulation:
         self.sort()
 
     def sort(self) -> None:
-        """Re-sort all particles, cut the curve anew if the load asks for it, and lay out the tables."""
+        """Re-sort all particles, cut the curve anew if the load asks for it, and lay out the
+        tables.
+        """
         census, self.cut = migrate.sort(self.groups, self.ranks, self.cut)
         self.adopt(census)
         self.sorts += 1
 
     def adopt(self, census: migrate.Census) -> None:
-        """Lay out tables and buffers for the segments of the census, which the groups already hold."""
+        """Lay out tables and buffers for the census, whose segments the groups already hold."""
         self.census = census
         tables = topology.build(
             census, self.lattice, self.ranks.rank, self.phase_of, self.plan.contact, self.solids
@@ -131,4 +138,5 @@ class Simulation:
         worst, reason = rows[np.argmin(rows[:, 0])]
         # an empty object begins where the next one does: take the one that has particles
         thing = int(self.object_of(np.array([worst]))[0])
-        return f"object {{{thing}}}, particle {worst}, step {self.step}, time {self.time:.6g} s: {REASONS[int(reason)]}"
+        where = f"particle {worst}, step {self.step}, time {self.time:.6g} s"
+        return f"object {{{thing}}}, {where}: {REASONS[int(reason)]}"

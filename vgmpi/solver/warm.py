@@ -1,4 +1,6 @@
-"""Compile every kernel a plan needs on rank 0 first; the other ranks then find them in numba's cache."""
+"""Compile every kernel a plan needs on rank 0 first; the other ranks then find them in numba's
+cache.
+"""
 
 import numpy as np
 

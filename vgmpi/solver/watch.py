@@ -1,4 +1,6 @@
-"""The conservation ledger: what each phase holds of mass, momentum and energy, the same on any number of ranks."""
+"""The conservation ledger: what each phase holds of mass, momentum and energy, the same on any
+number of ranks.
+"""
 
 import numpy as np
 
@@ -9,7 +11,8 @@ from .step import Simulation
 def ledger(simulation: Simulation) -> list[dict]:
     """One entry per phase, on rank 0; empty on the others. Collective.
 
-    Sums per segment travel to rank 0 in the order of the segments' keys and are added there in that order.
+    Sums per segment travel to rank 0 in the order of the segments' keys and are added there in that
+    order.
     """
     plan, found = simulation.plan, []
     for group in simulation.groups:
@@ -51,7 +54,10 @@ def _entry(simulation: Simulation, phase: int, found: list) -> dict:
 def drift(first: list[dict], last: list[dict]) -> str:
     """What changed between two ledgers, in one line: mass and energy of all phases together."""
     mass = [sum(e["mass"] for e in entries) for entries in (first, last)]
-    energy = [sum(e["kinetic"] + e["elastic"] + e["potential"] for e in entries) for entries in (first, last)]
+    energy = [
+        sum(e["kinetic"] + e["elastic"] + e["potential"] for e in entries)
+        for entries in (first, last)
+    ]
     low, high = min(e["J_min"] for e in last), max(e["J_max"] for e in last)
     return (
         f"mass {mass[1]:.6g} kg (change {mass[1] - mass[0]:+.1e}), "

@@ -1,0 +1,27 @@
+"""What the files of a run hold, as one sha256 per dataset."""
+
+import hashlib
+
+import h5py
+
+
+def digests(folder) -> dict[str, str]:
+    """sha256 of every dataset of every HDF5 file, and of every other file."""
+    found = {}
+    for path in sorted(folder.rglob("*")):
+        name = str(path.relative_to(folder))
+        if path.suffix in (".h5", ".vtkhdf"):
+            with h5py.File(path) as f:
+                f.visititems(
+                    lambda key, item, f=f, name=name: found.update(
+                        {f"{name}:{key}": _sha(item[()])} if isinstance(item, h5py.Dataset) else {}
+                    )
+                )
+        elif path.is_file():
+            found[name] = _sha(path.read_bytes())
+    return found
+
+
+def _sha(value):
+    data = value if isinstance(value, bytes) else value.tobytes()
+    return hashlib.sha256(data).hexdigest()

@@ -1,0 +1,80 @@
+"""The promise: the same bits in every file for any number of ranks and threads, and after a
+restart.
+
+The scene has walls of every kind, three phases in contact and a collider, sorts several times, and
+sends particles from rank to rank.
+"""
+
+import signal
+import time
+
+import pytest
+
+from tests.digests import digests
+from tests.launch import finish, mpirun, on_ranks, start
+from tests.scenes import MIXED, write
+
+pytestmark = pytest.mark.mpi
+
+PRECISIONS = ("single", "double")
+
+
+def go(scene, out, n, *flags):
+    return mpirun(n, "-m", "vgmpi", scene, "-q", "-o", out, *flags, timeout=240)
+
+
+@pytest.fixture(scope="module", params=PRECISIONS)
+def one(request, tmp_path_factory):
+    """The scene, and the digests of its files when run on one rank."""
+    folder = tmp_path_factory.mktemp(request.param)
+    scene = write(folder, MIXED.replace("PRECISION", request.param))
+    job = go(scene, folder / "one", 1)
+    assert job.returncode == 0, job.stderr
+    found = digests(folder / "one")
+    assert sum("frame_" in name for name in found) > 20
+    assert sum("checkpoint_" in name for name in found) > 20
+    return scene, found
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 7])
+def test_ranks(one, n, tmp_path):
+    scene, want = one
+    job = go(scene, tmp_path, n)
+    assert job.returncode == 0, job.stderr
+    assert digests(tmp_path) == want
+
+
+def test_threads(one, tmp_path):
+    scene, want = one
+    job = go(scene, tmp_path, 1, "--threads", 2)
+    assert job.returncode == 0, job.stderr
+    assert digests(tmp_path) == want
+
+
+def test_stop_between_two_sorts_and_resume(one, tmp_path):
+    """USR1 on three ranks, then on with two. The signal comes when it comes: nearly every step lies
+    between two sorts.
+    """
+    scene, want = one
+    flags = ("-o", tmp_path, "--set", "output.checkpoint_steps=0")
+    running = start(on_ranks(3, "-m", "vgmpi", scene, *flags))
+    frame = tmp_path / "frames" / "frame_00001.vtkhdf"
+    deadline = time.monotonic() + 200
+    while not frame.exists() and time.monotonic() < deadline and running.poll() is None:
+        time.sleep(0.01)
+    running.send_signal(signal.SIGUSR1)  # mpirun passes it on to the ranks
+    job = finish(running)
+    assert job.returncode == 75, job.stderr
+    assert not (tmp_path / "frames" / "frame_00003.vtkhdf").exists(), (
+        "stopped too late to test anything"
+    )
+    assert "stopped" in job.stdout
+    job = go(scene, tmp_path, 2, "--resume")
+    assert job.returncode == 0, job.stderr
+    found = digests(tmp_path)
+    frames = {name: sha for name, sha in want.items() if "frame_" in name or "ledger" in name}
+    assert {name: found.get(name) for name in frames} == frames
+    last = {name: sha for name, sha in want.items() if "checkpoint_" in name and ".h5" in name}
+    assert {name: found.get(name) for name in last if "attrs" not in name} == {
+        name: sha for name, sha in last.items() if "attrs" not in name
+    }

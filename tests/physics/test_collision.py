@@ -1,0 +1,90 @@
+"""Two elastic bodies collide and rest on each other: contact by the mean-position gap.
+
+Theory: bodies must not overlap, and must not stop at a distance; momentum is exact. Surfaces lie
+half a particle spacing outside the outermost particles. Tolerances: penetration <= 0.35 dx, resting
+gap 0 .. 0.35 dx, momentum to 1e-13 of sum m |v|.
+"""
+
+import numpy as np
+import pytest
+
+from tests.simulate import advance, begin, by_id, mass_speed, totals
+
+DX = 0.02
+HEAD = """
+[domain]
+size = [0.4, 0.2, 0.28]
+cell = 0.02
+gravity = [0, 0, GRAVITY]
+[time]
+end = 1
+[material.rubber]
+kind = "elastic"
+density = 1000
+youngs_modulus = 2e5
+[[object]]
+name = "one"
+material = "rubber"
+shape = { box = [[-0.05, -0.05, -0.05], [0.05, 0.05, 0.05]] }
+"""
+
+
+def gap(simulation, made, axis):
+    """Distance [cells] between the facing surfaces of the two bodies along an axis."""
+    (x,) = by_id(simulation, "x")
+    upper = x[made.object == 1, axis].min() - x[made.object == 0, axis].max()
+    return (upper - DX / 2) / DX
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.007])
+def test_head_on(tmp_path, shift):
+    """Two cubes at 1 m/s each; shift moves them against the grid."""
+    text = (
+        HEAD.replace("GRAVITY", "0")
+        + f"""
+    position = [{0.12 + shift}, 0.1, 0.08]
+    velocity = [1, 0, 0]
+    [[object]]
+    name = "two"
+    material = "rubber"
+    shape = {{ box = [[-0.05, -0.05, -0.05], [0.05, 0.05, 0.05]] }}
+    position = [{0.25 + shift}, 0.1, 0.08]
+    velocity = [-1, 0, 0]
+    """
+    )
+    simulation, made = begin(tmp_path, text)
+    before, scale = totals(simulation), mass_speed(simulation, made)
+    gaps = []
+    while simulation.time < 0.05:
+        advance(simulation, simulation.time + 5e-4)
+        gaps.append(gap(simulation, made, 0))
+    after = totals(simulation)
+    assert np.abs(after["momentum"] - before["momentum"]).max() <= 1e-13 * scale
+    assert min(gaps) >= -0.35, f"penetration {-min(gaps):.3f} cells"
+    assert min(gaps) <= 0.4, f"they never came closer than {min(gaps):.3f} cells"
+    assert gaps[-1] > min(gaps) + 0.2, "they did not part"
+
+
+def test_rest_on_each_other(tmp_path):
+    """A cube set down on another one, which stands on the floor, comes to rest in contact."""
+    text = (
+        HEAD.replace("GRAVITY", "-9.8")
+        + """
+    position = [0.2, 0.1, 0.0]
+    [[object]]
+    name = "two"
+    material = "rubber"
+    shape = { box = [[-0.05, -0.05, -0.05], [0.05, 0.05, 0.05]] }
+    position = [0.2, 0.1, 0.11]
+    """
+    )
+    simulation, made = begin(tmp_path, text)
+    gaps = []
+    while simulation.time < 0.4:
+        advance(simulation, simulation.time + 0.01)
+        gaps.append(gap(simulation, made, 2))
+    assert min(gaps) >= -0.35
+    late = np.array(gaps[-10:])
+    print(f"gap while at rest: {late.min():.3f} .. {late.max():.3f} cells")
+    assert 0.0 <= late.mean() <= 0.35
+    assert np.ptp(late) < 0.2

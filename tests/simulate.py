@@ -1,0 +1,70 @@
+"""A simulation in this process, without files, for tests of the physics."""
+
+from pathlib import Path
+
+import numpy as np
+
+from tests.scenes import scene
+from vgmpi.domain.ranks import Alone
+from vgmpi.plan import make_plan
+from vgmpi.prepare.build import Prepared, build
+from vgmpi.solver.step import Simulation
+from vgmpi.solver.timestep import next_step
+from vgmpi.solver.watch import ledger
+
+
+def begin(folder: Path, text: str, ranks=None, velocity=None, threads: int = 1):
+    """(Simulation, Prepared) of a scene's text. velocity: x (n, 3) -> v (n, 3) instead of the
+    scene's.
+    """
+    ranks = ranks or Alone()
+    loaded = scene(folder, text)
+    made = build(loaded)
+    count = [thing["count"] for thing in made.objects]
+    volume = np.bincount(made.object, made.vol0, minlength=len(count))
+    plan = make_plan(loaded, count, volume.tolist(), bool(made.colliders))
+    simulation = Simulation(plan, ranks, made.colliders, threads)
+    n = len(made.x)
+    mine = slice(n * ranks.rank // ranks.size, n * (ranks.rank + 1) // ranks.size)
+    v = made.v0 if velocity is None else velocity(made.x)
+    simulation.put(made.x[mine], v[mine], made.vol0[mine], np.arange(n)[mine], made.object[mine])
+    return simulation, made
+
+
+def advance(simulation: Simulation, end: float) -> None:
+    """Steps up to `end` [s]."""
+    lands = False
+    while not lands:
+        dt, lands = next_step(simulation.time, end, simulation.bound())
+        simulation.advance(dt)
+    simulation.time = end
+
+
+def by_id(simulation: Simulation, *names: str) -> list[np.ndarray]:
+    """Arrays of all particles in the order of their ids; names: x (n, 3) [m], v (n, 3) [m/s]."""
+    ids = np.concatenate([group.ids[group.index()] for group in simulation.groups])
+    parts = {
+        "x": lambda group: group.positions(),
+        "v": lambda group: group.f[0:3, group.index()].T,
+    }
+    order = np.argsort(ids)
+    return [np.concatenate([parts[name](g) for g in simulation.groups])[order] for name in names]
+
+
+def totals(simulation: Simulation) -> dict[str, np.ndarray | float]:
+    """Sums over all phases: mass, momentum (3,), angular (3,), energy."""
+    rows = ledger(simulation)
+    return {
+        "mass": sum(r["mass"] for r in rows),
+        "momentum": sum(np.array([r[f"momentum_{a}"] for a in "xyz"]) for r in rows),
+        "angular": sum(np.array([r[f"angular_{a}"] for a in "xyz"]) for r in rows),
+        "energy": sum(r["kinetic"] + r["elastic"] + r["potential"] for r in rows),
+        "kinetic": sum(r["kinetic"] for r in rows),
+    }
+
+
+def mass_speed(simulation: Simulation, made: Prepared) -> float:
+    """sum m |v| [kg m/s]."""
+    (v,) = by_id(simulation, "v")
+    density = np.array([thing["density"] or 0.0 for thing in made.objects])
+    return float((density[made.object] * made.vol0 * np.sqrt((v**2).sum(1))).sum())
