@@ -10,7 +10,9 @@ from pathlib import Path
 from .domain.ranks import Alone, world
 from .output import checkpoint, layout, read, store
 from .plan import describe, make_plan
+from .prepare.build import build
 from .scene import Scene, load
+from .solver.requests import listen
 from .tables import SceneError
 
 log = logging.getLogger("vgmpi")
@@ -109,6 +111,7 @@ def main(argv: list[str] | None = None) -> int:
     if given.inspect is not None:
         return _inspect(given.inspect)
     _log_to_stderr(given, first=True)
+    listen()
     ranks = Alone() if given.check else world()
     _log_to_stderr(given, first=ranks.rank == 0)
     try:
@@ -127,6 +130,7 @@ def _command(given: argparse.Namespace, ranks: Alone) -> int:
     scene = load(given.scene, given.set)
     folder = given.output or scene.folder / scene.output.folder
     if given.check:
+        build(scene)  # files that cannot be read and bodies outside the domain show only here
         print(f"{given.scene}: nothing is wrong with it")
         return 0
     refusal = _slurm_mismatch(ranks)

@@ -18,7 +18,10 @@ from .scene import Scene, phase_of
 NS_PER_PARTICLE = 190.0  # a step of one fluid particle on one core, [ns]; see docs/performance.md
 BASE_CHANNELS = 13  # velocity 3, APIC matrix 9, rest volume 1
 MASTERY = {"solid": 0, "fluid": 1}  # whose surface gives the normal where two phases touch
-REALS = {"single": np.dtype(np.float32), "double": np.dtype(np.float64)}
+REALS: dict[str, np.dtype] = {
+    "single": np.dtype(np.float32),
+    "double": np.dtype(np.float64),
+}
 
 
 class GroupPlan(NamedTuple):
@@ -97,27 +100,23 @@ def make_plan(scene: Scene, count: list[int], volume: list[float], collider: boo
     Raises SceneError where a fixed time step is above the bound.
     """
     real = REALS[scene.accuracy.precision]
-    bodies = [k for k, thing in enumerate(scene.object) if thing.role == "body"]
-    material_of = {k: scene.material[scene.object[k].material] for k in bodies}
+    made_of = {k: thing.material for k, thing in enumerate(scene.object) if thing.material}
+    bodies = list(made_of)  # scenery has no material
+    material_of = {k: scene.material[name] for k, name in made_of.items()}
     phases = _phases(scene, bodies, material_of, volume)
     number = {phase.name: k for k, phase in enumerate(phases)}
-    wanted = sorted(
-        {
-            (phase_of(scene.object[k], material_of[k].family), scene.object[k].material)
-            for k in bodies
-        }
-    )
+    key = {k: (phase_of(scene.object[k], material_of[k].family) or "", made_of[k]) for k in bodies}
+    wanted = sorted(set(key.values()))
     groups = tuple(_group(number[p], p, m, scene.material[m], real) for p, m in wanted)
     group_of = [-1] * len(scene.object)
     for k in bodies:
-        name = (phase_of(scene.object[k], material_of[k].family), scene.object[k].material)
-        group_of[k] = wanted.index(name)
+        group_of[k] = wanted.index(key[k])
     dx = scene.domain.cell
     plan = Plan(
         cells=scene.domain.cells,
         dx=dx,
         real=real,
-        gravity=tuple(scene.domain.gravity),
+        gravity=scene.domain.gravity,
         walls=tuple(scene.domain.walls),
         phases=phases,
         groups=groups,
@@ -190,7 +189,7 @@ def fastest(scene: Scene) -> list[tuple[float, str]]:
     """(bound on the time step [s], what sets it) per body at the start, smallest first."""
     dx, found = scene.domain.cell, []
     for thing in scene.object:
-        if thing.role != "body":
+        if thing.material is None:
             continue
         material = scene.material[thing.material]
         law = material.law()

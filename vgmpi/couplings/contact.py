@@ -15,8 +15,10 @@ class Contact(Table):
     """Contact of two objects or materials with a friction of its own."""
 
     between: tuple[str, str]
+    """two materials, or twice the same for two bodies of it"""
     kind: Literal["contact"]
     friction: Annotated[float, Quantity("", ge=0)]
+    """Coulomb coefficient"""
 
     @staticmethod
     def default_friction(a: type, b: type) -> float:

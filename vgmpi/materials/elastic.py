@@ -21,9 +21,13 @@ class Elastic(Table):
 
     kind: Literal["elastic"]
     density: Annotated[float, Quantity("kg/m3", gt=0)] = 1100.0
+    """at rest"""
     youngs_modulus: Annotated[float, Quantity("Pa", gt=0)]
+    """stiffness in tension"""
     poisson_ratio: Annotated[float, Quantity("", ge=0, lt=0.5)] = 0.3
+    """0.5 would be incompressible; above 0.45 it bends too stiffly"""
     friction: Annotated[float, Quantity("", ge=0)] = 0.3
+    """Coulomb coefficient against other solids, where no coupling names one"""
 
     Law: ClassVar = Law
     cost: ClassVar = 1.4

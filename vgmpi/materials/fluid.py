@@ -21,9 +21,13 @@ class Fluid(Table):
 
     kind: Literal["fluid"]
     density: Annotated[float, Quantity("kg/m3", gt=0)] = 1000.0
+    """at rest"""
     bulk_modulus: Annotated[float, Quantity("Pa", gt=0)] = 2e5
+    """stiffness k of p = k (J^-gamma - 1); the step shrinks with its root"""
     gamma: Annotated[float, Quantity("", ge=1, le=20)] = 7.0
+    """exponent of the same law"""
     viscosity: Annotated[float, Quantity("Pa s", ge=0)] = 0.0
+    """dynamic viscosity"""
 
     Law: ClassVar = Law
     cost: ClassVar = 1.0

@@ -170,7 +170,6 @@ class Run:
 
     def go(self) -> int:
         """Run to the end of the scene or until asked to stop; returns the exit code."""
-        self.requests.listen()
         simulation = self.simulation
         self.opening = self.latest = ledger(simulation)
         if self.frame == 0:
