@@ -10,14 +10,16 @@ import numpy as np
 
 from ..device.jit import inline, kernel
 from .contact import TOUCH, collider_gap, geometry, resolve
-from .walls import constrain, tangential
+from .walls import SIDE, constrain, tangential
 
 
 @inline
 def pull(nodes, first, last, patch_of, code_of, slots, patches):
-    """Sum into nodes (64, 4) the overlapping parts of patches first..last of the pull list.
+    """Sum into nodes (256,) the overlapping parts of patches first..last of the pull list.
 
-    code_of: 9 (di + 1) + 3 (dj + 1) + dk + 1, the node block's place relative to the patch's block.
+    code_of: 9 (di + 1) + 3 (dj + 1) + dk + 1, the node block's place relative to the patch's block;
+    patches: (slots, 2048). Rows along z are added in pieces of fixed length, which compiles to a
+    few vector operations.
     """
     nodes[:] = 0
     for q in range(first, last):
@@ -30,11 +32,17 @@ def pull(nodes, first, last, patch_of, code_of, slots, patches):
         # a patch begins one node before its block and ends two after it
         for i in range(3 if di < 0 else 0, 3 if di > 0 else 4):
             for j in range(3 if dj < 0 else 0, 3 if dj > 0 else 4):
-                row = patch[4 * di + 1 + i, 4 * dj + 1 + j]
-                at = 16 * i + 4 * j
-                for k in range(3 if dk < 0 else 0, 3 if dk > 0 else 4):
+                at = (16 * i + 4 * j) * 4
+                row = ((4 * di + 1 + i) * SIDE + 4 * dj + 1 + j) * SIDE * 4
+                if dk == 0:
+                    for c in range(16):
+                        nodes[at + c] += patch[row + 4 + c]
+                elif dk < 0:
                     for c in range(4):
-                        nodes[at + k, c] += row[4 * dk + 1 + k, c]
+                        nodes[at + 12 + c] += patch[row + c]
+                else:
+                    for c in range(12):
+                        nodes[at + c] += patch[row + 20 + c]
 
 
 @kernel
@@ -85,22 +93,19 @@ def update(
     mu = np.zeros(most)
     pair_a, pair_b = np.zeros(most, np.int64), np.zeros(most, np.int64)
     touches = np.zeros(count, np.int64)
+    size = SIDE**3 * 4
+    flat_patches = patches.reshape((len(patches), size))
+    flat_offsets = offsets.reshape((len(offsets), size))
+    flat_grid = grid.reshape((len(grid), 256))
+    flat_scratch = scratch.reshape((len(scratch), 256))
     for b in range(b0, b1):
         n0, n1 = first[b], first[b + 1]
         for nb in range(n0, n1):
-            pull(
-                grid[nb], pull_first[nb], pull_first[nb + 1], pull_patch, pull_code, slots, patches
-            )
+            q0, q1 = pull_first[nb], pull_first[nb + 1]
+            pull(flat_grid[nb], q0, q1, pull_patch, pull_code, slots, flat_patches)
             if meets[b]:
-                pull(
-                    scratch[nb - n0],
-                    pull_first[nb],
-                    pull_first[nb + 1],
-                    pull_patch,
-                    pull_code,
-                    offset_slots,
-                    offsets,
-                )
+                into = flat_scratch[nb - n0]
+                pull(into, q0, q1, pull_patch, pull_code, offset_slots, flat_offsets)
         o0, o1, o2 = 4 * block_at[b, 0] - 1, 4 * block_at[b, 1] - 1, 4 * block_at[b, 2] - 1
         for node in range(64):
             i, j, k = o0 + node // 16, o1 + node // 4 % 4, o2 + node % 4

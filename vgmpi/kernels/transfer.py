@@ -189,8 +189,9 @@ def g2p(
     d0, d1, d2 = real(dither[0]), real(dither[1]), real(dither[2])
     w = np.empty((3, 3), f.dtype)
     rate, far = report[0], report[1]
+    flat, flat_grid = patch.reshape(SIDE**3 * 4), grid.reshape((len(grid), 256))
     for s in segments:
-        gather(patch, grid, table[s])
+        gather(flat, flat_grid, table[s])
         reflect(patch, mirror[s])
         for p in range(start[s], start[s] + count[s]):
             bi, bj, bk = (xi[0, p] >> bits) + 3, (xi[1, p] >> bits) + 3, (xi[2, p] >> bits) + 3
@@ -287,13 +288,22 @@ def g2p(
 
 @inline
 def gather(patch, grid, blocks):
-    """The 8^3 nodes -1..6 of a block from the 27 node blocks around it."""
+    """The 8^3 nodes -1..6 of a block, patch flat (2048,), from the 27 node blocks around it.
+
+    grid: (node blocks, 256). Rows along z are copied in pieces of fixed length, which compiles to a
+    few vector moves.
+    """
     for i in range(SIDE):
         gi = i + 3
         for j in range(SIDE):
             gj = j + 3
             row = (gi >> 2) * 9 + (gj >> 2) * 3
-            at = (gi & 3) * 16 + (gj & 3) * 4
-            patch[i, j, 0] = grid[blocks[row], at + 3]
-            patch[i, j, 1:5] = grid[blocks[row + 1], at : at + 4]
-            patch[i, j, 5:8] = grid[blocks[row + 2], at : at + 3]
+            at = ((gi & 3) * 16 + (gj & 3) * 4) * 4
+            to = (i * SIDE + j) * SIDE * 4
+            below, here, above = grid[blocks[row]], grid[blocks[row + 1]], grid[blocks[row + 2]]
+            for c in range(4):
+                patch[to + c] = below[at + 12 + c]
+            for c in range(16):
+                patch[to + 4 + c] = here[at + c]
+            for c in range(12):
+                patch[to + 20 + c] = above[at + c]
