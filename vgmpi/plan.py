@@ -15,7 +15,7 @@ from .couplings.contact import Contact
 from .materials.base import function, state_channels
 from .scene import Scene, phase_of
 
-NS_PER_PARTICLE = 190.0  # a step of one fluid particle on one core, [ns]; see docs/performance.md
+NS_PER_PARTICLE = 240.0  # a step of one fluid particle on one core, [ns]; see docs/performance.md
 BASE_CHANNELS = 13  # velocity 3, APIC matrix 9, rest volume 1
 MASTERY = {"solid": 0, "fluid": 1}  # whose surface gives the normal where two phases touch
 REALS: dict[str, np.dtype] = {
