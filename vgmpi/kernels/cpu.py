@@ -135,7 +135,8 @@ class Cpu:
         group = part.group
         transfer.g2p(
             group.plan.law, share, group.start, group.count, part.table, part.limit, part.mirror,
-            group.xi, group.f, self.grid, self.gathered[thread], self.bits, dither, self.dx, dt,
+            group.xi, group.f, group.ids, self.grid, self.gathered[thread], self.bits, dither,
+            self.dx, dt,
             self.plan.real.type(self.plan.cfl), report[thread],
         )  # fmt: skip
 

@@ -203,7 +203,7 @@ def _expm1(builder, lanes, x):
 
 
 def _log1p(builder, lanes, x):
-    """log(1 + x), exact near 0: the rounding of 1 + x is put back. For 1 + x positive and normal."""
+    """log(1 + x) for 1 + x positive and normal; the rounding of 1 + x is put back."""
     one = lanes.constant(1.0)
     u = builder.fadd(one, x)
     lost = builder.fdiv(builder.fsub(x, builder.fsub(u, one)), u)

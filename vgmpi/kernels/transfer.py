@@ -20,6 +20,8 @@ from .walls import SIDE, fold, reflect
 VELOCITY, AFFINE, VOLUME, STATE = 0, 3, 12, 13
 REACH = 3  # cells from the block's middle within which a particle's base node lies in its patch
 
+CRUSHED, OUTSIDE, TOO_FAST, LOST = 1, 2, 3, 4  # what can go wrong with a particle
+
 
 @inline
 def _weights(w, a, r, one, half, third):
@@ -161,6 +163,7 @@ def g2p(
     mirror,
     xi,
     f,
+    ids,
     grid,
     patch,
     bits,
@@ -177,7 +180,8 @@ def g2p(
     fixed-point range a position may take; mirror: (segments, 3, 2) wall codes (walls.py); grid:
     (blocks, 64, 4) velocities [m/s]; patch: scratch (8, 8, 8, 4); dither: (3,) added before
     rounding down, the same for all particles of a step; report: (4,) running maxima: rate 1/dt
-    [1/s], distance from the block's middle [cells]; then first bad particle + 1 and its reason.
+    [1/s], distance from the block's middle [cells]; then id + 1 of a particle that went wrong and
+    the reason.
     """
     real = f.dtype.type
     one, half, third, zero = real(1.0), real(0.5), real(0.75), real(0.0)
@@ -266,9 +270,12 @@ def g2p(
             wave = np.sqrt(wave_speed2(law, state))
             # a comparison with nan is false: `not` catches it, and infinity
             if not (largest < one and J > 0.1 and J < 5.0 and wave < 1e30):
-                if report[2] == 0.0 or p + 1.0 < report[2]:
-                    report[2] = p + 1.0
-                    report[3] = 1.0
+                reason = LOST
+                if J <= 0.1 or J >= 5.0:
+                    reason = CRUSHED
+                elif largest >= one:
+                    reason = TOO_FAST
+                _note(report, ids[p], reason)
                 continue
             rate = max(
                 rate, (wave + speed) / (cfl * dx), speed / (0.3 * dx), abs(L[0] + L[4] + L[8]) / 0.1
@@ -280,10 +287,16 @@ def g2p(
                 xi[a, p] = x
                 far = max(far, abs(real(x) * scale))
                 if x < limit[s, a, 0] or x >= limit[s, a, 1]:
-                    if report[2] == 0.0 or p + 1.0 < report[2]:
-                        report[2] = p + 1.0
-                        report[3] = 2.0
+                    _note(report, ids[p], OUTSIDE)
     report[0], report[1] = rate, far
+
+
+@inline
+def _note(report, number, reason):
+    """Keep the lowest id of the particles that went wrong, and why."""
+    if report[2] == 0.0 or number + 1.0 < report[2]:
+        report[2] = number + 1.0
+        report[3] = reason
 
 
 @inline

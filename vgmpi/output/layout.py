@@ -10,6 +10,7 @@ import numpy as np
 SCHEMA = 1  # raised when a reader of the old files would go wrong
 
 FRAMES, CHECKPOINTS = "frames", "checkpoints"  # folders inside the output folder
+BLOWUP = "blowup"  # the same for the state in which a run ended
 SERIES, GAUSSIANS, LEDGER = "series.vtkhdf", "gaussians.h5", "ledger.csv"
 FRAME_NAME = "frame_{:05d}.vtkhdf"
 CHECKPOINT_NAME = "checkpoint_{:09d}.h5"  # its manifest: the same name, .json
@@ -181,6 +182,7 @@ This page is written by `python -m vgmpi.output.layout`; edit `vgmpi/output/layo
       series.vtkhdf                   all frames as one time series, for ParaView
       ledger.csv                      a row per frame and phase: mass, momentum, energy
       checkpoints/                    the last two states to go on from
+      blowup/frames/                  the state in which a run blew up, if one did
 
 All numbers are SI. Positions are domain coordinates: the box starts at (0, 0, 0) and z is up; the
 way back to the coordinates an object came in is its `transform`. n is the number of particles, f4

@@ -11,7 +11,8 @@ _heard: list[str] = []  # names of the signals that came
 def listen() -> None:
     """Take USR1 and TERM as a wish to stop with a checkpoint.
 
-    Called before anything that takes time: a job may get its signal while it still compiles: the run then stops after its first step.
+    Called before anything that takes time: a job may get its signal while it still compiles. The
+    run then stops after its first step.
     """
     for number in (signal.SIGUSR1, signal.SIGTERM):
         signal.signal(number, lambda n, frame: _heard.append(signal.Signals(n).name))

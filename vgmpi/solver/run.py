@@ -180,10 +180,7 @@ class Run:
                     self._checkpoint()
                     return STOPPED
         except BlowUp as error:
-            log.error(
-                "blow-up: %s; what was written before is whole", str(error).format(*self.names)
-            )
-            return BLEW_UP
+            return self._blew_up(str(error).format(*self.names))
         return DONE
 
     def _step(self) -> bool:
@@ -204,6 +201,15 @@ class Run:
         if due or (every and simulation.step % every == 0):
             self._checkpoint()
         return False
+
+    def _blew_up(self, said: str) -> int:
+        """Say what happened, and write the state as it is for a look at it."""
+        simulation, folder = self.simulation, self.options.folder / layout.BLOWUP
+        ids, fields = frame_rows(simulation, self.scene.output.fields)
+        frames = Frames(folder, self.ranks, self.plan.particles)
+        path = frames.write(0, simulation.time, simulation.step, ids, fields)
+        log.error("blow-up: %s; frames and checkpoints are whole, this state is in %s", said, path)
+        return BLEW_UP
 
     def _write_frame(self) -> None:
         simulation = self.simulation

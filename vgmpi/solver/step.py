@@ -8,14 +8,16 @@ from ..domain.halo import Halo
 from ..domain.ranks import Alone
 from ..domain.solids import Solids
 from ..domain.state import Group
+from ..kernels import transfer
 from ..kernels.cpu import Cpu
-from ..kernels.transfer import REACH
 from ..materials.base import function
 from ..plan import Plan
 
 REASONS = {
-    1: "its volume ratio left 0.1 .. 5, it moved more than a cell in a step, or it is not a number",
-    2: "it left the domain",
+    transfer.CRUSHED: "its volume ratio J left 0.1 .. 5",
+    transfer.OUTSIDE: "it left the domain",
+    transfer.TOO_FAST: "it would move more than a cell in one step",
+    transfer.LOST: "its velocity or stress is not a number",
 }
 
 
@@ -117,7 +119,7 @@ class Simulation:
         if found[2]:
             raise BlowUp(self._blame(reports))
         self.rate = float(found[0])
-        if found[1] >= REACH:
+        if found[1] >= transfer.REACH:
             self.sort()
             mark("sort")
         return found[3:]
@@ -129,10 +131,9 @@ class Simulation:
     def _blame(self, reports: np.ndarray) -> str:
         """Name the bad particle of lowest id, the same on every rank."""
         rows = [
-            (int(group.ids[int(r[2]) - 1]), int(r[3]))
-            for group, threads in zip(self.groups, reports, strict=True)
-            for r in threads
-            if r[2] > 0
+            (int(report[2]) - 1, int(report[3]))
+            for report in reports.reshape(-1, 4)
+            if report[2] > 0
         ]
         rows = self.ranks.all_rows(np.array(rows, np.int64).reshape(-1, 2))
         worst, reason = rows[np.argmin(rows[:, 0])]
