@@ -1,0 +1,209 @@
+"""The compiled solver agrees with the slow reference (tests/reference.py) to rounding.
+
+Particles are moved off their lattice at random, so that no sum cancels by symmetry and no contact
+hangs on a rounding error. The reference takes the law's numbers and the particles; blocks, patches,
+fixed-point positions, sorting and the exchange are the solver's own.
+"""
+
+import numpy as np
+import pytest
+
+from tests.reference import Body, Reference
+from tests.scenes import scene
+from vgmpi.domain.ranks import Alone
+from vgmpi.plan import make_plan
+from vgmpi.prepare.build import build
+from vgmpi.solver.step import Simulation
+
+HEAD = """
+[domain]
+size = [0.22, 0.2, 0.18]
+cell = 0.02
+gravity = [0.5, -0.3, -9.8]
+boundary = { BOUNDARY }
+[time]
+end = 1
+[accuracy]
+precision = "PRECISION"
+[material.water]
+kind = "fluid"
+bulk_modulus = 5e4
+viscosity = 0.5
+[material.rubber]
+kind = "elastic"
+density = 700
+youngs_modulus = 2e5
+"""
+POOL = """
+[[object]]
+name = "pool"
+material = "water"
+shape = { box = [[0, 0, 0], [0.22, 0.2, 0.08]] }
+position = [0.11, 0.1, 0]
+velocity = [0.5, -0.4, -0.3]
+"""
+CUBE = """
+[[object]]
+name = "cube"
+material = "rubber"
+shape = { box = [[-0.06, -0.06, 0], [0.06, 0.06, 0.09]] }
+position = [0.06, 0.08, PLACE]
+velocity = [-1, 0.5, -1]
+spin = [2, 0, 4]
+"""
+OTHER = """
+[[object]]
+name = "other"
+material = "rubber"
+shape = { box = [[-0.04, -0.04, 0], [0.04, 0.04, 0.06]] }
+position = [0.166, 0.08, 0.0]
+velocity = [-3, 1, 0]
+"""
+POST = """
+[[object]]
+name = "post"
+role = "scenery"
+collider = true
+shape = { sphere = { center = [0, 0, 0], radius = 0.04 } }
+position = [0.14, 0.08, 0.02]
+"""
+WALLS = {
+    "stick": 'default = "stick"',
+    "slip": 'default = "slip"',
+    "separate": 'default = { kind = "separate", friction = 0.3 }',
+    "mixed": 'default = "slip", floor = "stick", west = { kind = "separate", friction = 0.2 }',
+}
+# relative to the largest value there is
+TOLERANCE = {"double": 1e-12, "single": 1e-5}
+
+
+def pair(folder, objects, walls, precision, seed=0):
+    """(simulation, reference) of the same particles; the reference has a body per phase."""
+    text = HEAD.replace("BOUNDARY", WALLS[walls]).replace("PRECISION", precision)
+    loaded = scene(folder, text + objects)
+    made = build(loaded)
+    count = [thing["count"] for thing in made.objects]
+    total = np.bincount(made.object, made.vol0, minlength=len(count))
+    plan = make_plan(loaded, count, total.tolist(), bool(made.colliders))
+    random = np.random.default_rng(seed)
+    size = np.array(plan.cells) * plan.dx
+    x = made.x + random.uniform(-0.2, 0.2, made.x.shape) * plan.dx
+    x = np.clip(x, 0.01 * plan.dx, size - 0.01 * plan.dx)
+    v = made.v0 + random.normal(0.0, 0.1, made.x.shape)
+    simulation = Simulation(plan, Alone(), made.colliders)
+    simulation.put(x, v, made.vol0, np.arange(len(x)), made.object)
+    bodies = []
+    for g, group in enumerate(plan.groups):
+        mine = np.array(plan.group_of)[made.object] == g
+        assert group.phase == g, "the reference has one body per phase"
+        n = int(mine.sum())
+        law = type(group.law)(*(float(c) for c in group.law))
+        rest = [np.full(n, c) for c in group.rest]
+        bodies.append(
+            Body(law, group.density, x[mine], v[mine], np.zeros((n, 3, 3)), made.vol0[mine], rest)
+        )
+    master = int(np.argmin([phase.mastery for phase in plan.phases]))
+    friction = plan.friction[0][1] if len(plan.phases) == 2 else plan.friction[1][0]
+    collider = made.colliders[0] if made.colliders else None
+    reference = Reference(
+        plan.cells, plan.dx, plan.gravity, plan.walls, bodies, friction, master, collider
+    )
+    return simulation, reference
+
+
+def worst(simulation, reference):
+    """Largest difference of each quantity, relative to its largest value; positions to a cell."""
+    found = {}
+    for group, body in zip(simulation.groups, reference.bodies, strict=True):
+        at = group.index()
+        order = np.argsort(group.ids[at])
+        f = group.f[:, at][:, order].astype(np.float64)
+        compared = {
+            "x": (group.positions()[order], body.x, reference.dx),
+            "v": (f[0:3].T, body.v, np.abs(body.v).max()),
+            "C": (f[3:12].T, body.C.reshape(-1, 9), np.abs(body.C).max()),
+            "state": (f[13:], np.array(body.state), np.abs(np.array(body.state)).max()),
+        }
+        for name, (got, want, scale) in compared.items():
+            found[f"{group.plan.name} {name}"] = float(np.abs(got - want).max() / scale)
+    return found
+
+
+def compare(simulation, reference, precision):
+    found = worst(simulation, reference)
+    print(found)
+    assert max(found.values()) < TOLERANCE[precision]
+
+
+@pytest.mark.parametrize("walls", WALLS)
+@pytest.mark.parametrize("objects", [POOL, CUBE.replace("PLACE", "0.0")], ids=["fluid", "elastic"])
+def test_one_body(objects, walls, tmp_path):
+    simulation, reference = pair(tmp_path, objects, walls, "double")
+    assert len(simulation.groups[0].code) >= 8, "too few blocks to test anything"
+    dt = 0.5 * simulation.bound()
+    simulation.advance(dt)
+    reference.step(dt)
+    compare(simulation, reference, "double")
+    for step in range(19):
+        if step in (5, 12):
+            simulation.sort()
+        simulation.advance(dt)
+        reference.step(dt)
+    compare(simulation, reference, "double")
+
+
+@pytest.mark.parametrize("objects", [POOL, CUBE.replace("PLACE", "0.0")], ids=["fluid", "elastic"])
+def test_single_precision(objects, tmp_path):
+    simulation, reference = pair(tmp_path, objects, "mixed", "single")
+    dt = float(np.float32(0.5 * simulation.bound()))
+    for _ in range(20):
+        simulation.advance(dt)
+        reference.step(dt)
+    compare(simulation, reference, "single")
+
+
+def changed_nodes(reference, name):
+    """How many nodes the reference's contact changes, a number per step, as a list that grows."""
+    counts, inner = [], getattr(reference, name)
+
+    def counted(v, masses):
+        grids = v if isinstance(v, list) else [v]
+        before = grids[0].copy()
+        inner(v, masses)
+        counts.append(int((grids[0] != before).any(-1).sum()))
+
+    setattr(reference, name, counted)
+    return counts
+
+
+@pytest.mark.parametrize("walls", ["slip", "mixed"])
+@pytest.mark.parametrize(
+    "objects, rule",
+    [
+        (POOL + CUBE.replace("PLACE", "0.085"), "_contact"),
+        (CUBE.replace("PLACE", "0.0") + OTHER, "_contact"),
+        (OTHER + POST, "_collide"),
+    ],
+    ids=["fluid and elastic", "two elastic with friction", "elastic and collider"],
+)
+def test_contact(objects, rule, walls, tmp_path):
+    simulation, reference = pair(tmp_path, objects, walls, "double")
+    dt = 0.5 * simulation.bound()
+    met = changed_nodes(reference, rule)
+    for _ in range(20):
+        simulation.advance(dt)
+        reference.step(dt)
+    print(f"nodes in contact: {met}")
+    assert max(met) > 20, "they hardly touched"
+    compare(simulation, reference, "double")
+
+
+def test_time_step_bound(tmp_path):
+    simulation, reference = pair(tmp_path, POOL, "mixed", "double")
+    for _ in range(5):
+        dt = 0.5 * simulation.bound()
+        simulation.advance(dt)
+        reference.step(dt)
+        assert 1.0 / simulation.rate == pytest.approx(
+            reference.bound(simulation.plan.cfl), rel=1e-10
+        )
