@@ -37,8 +37,9 @@ class Fluid(Table):
 
     def law(self) -> Law:
         c2 = self.bulk_modulus * self.gamma / self.density
-        # gamma = 1 is the limit of the energy's formula, which divides by gamma - 1
-        return Law(self.bulk_modulus, max(self.gamma, 1.0 + 1e-9), self.viscosity, c2)
+        # gamma = 1 is the limit of the energy's formula, which divides by gamma - 1: stay off it by
+        # what single precision can tell from 1
+        return Law(self.bulk_modulus, max(self.gamma, 1.0 + 1e-6), self.viscosity, c2)
 
     @property
     def kinematic_viscosity(self) -> float:
