@@ -72,15 +72,19 @@ class Reference:
             self._mirror(v)
             self._to_particles(body, v, dt)
 
-    def bound(self, cfl):
-        """Largest stable step [s] of the present state, without viscosity."""
-        rates = []
+    def limits(self, cfl):
+        """What limits the step [s]: waves, particles that fly too far, volumes that change too
+        much.
+        """
+        rates = {"wave": 0.0, "speed": 0.0, "volume": 0.0}
         for body in self.bodies:
             c = np.sqrt(function(body.law, "wave_speed2")(body.law, tuple(body.state)))
             speed = np.linalg.norm(body.v, axis=1)
             trace = np.abs(np.trace(body.C, axis1=1, axis2=2))
-            rates += [(c + speed) / (cfl * self.dx), speed / (0.3 * self.dx), trace / 0.1]
-        return 1.0 / max(float(np.max(r)) for r in rates)
+            rates["wave"] = max(rates["wave"], ((c + speed) / (cfl * self.dx)).max())
+            rates["speed"] = max(rates["speed"], (speed / (0.3 * self.dx)).max())
+            rates["volume"] = max(rates["volume"], (trace / 0.1).max())
+        return {name: 1.0 / rate for name, rate in rates.items()}
 
     def _stencil(self, x):
         """27 tuples of (grid index, weight (n,), node minus particle (n, 3) [m])."""

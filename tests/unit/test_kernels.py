@@ -77,9 +77,9 @@ WALLS = {
 TOLERANCE = {"double": 1e-12, "single": 1e-5}
 
 
-def pair(folder, objects, walls, precision, seed=0):
+def pair(folder, objects, walls, precision, seed=0, head=HEAD):
     """(simulation, reference) of the same particles; the reference has a body per phase."""
-    text = HEAD.replace("BOUNDARY", WALLS[walls]).replace("PRECISION", precision)
+    text = head.replace("BOUNDARY", WALLS[walls]).replace("PRECISION", precision)
     loaded = scene(folder, text + objects)
     made = build(loaded)
     count = [thing["count"] for thing in made.objects]
@@ -198,12 +198,22 @@ def test_contact(objects, rule, walls, tmp_path):
     compare(simulation, reference, "double")
 
 
-def test_time_step_bound(tmp_path):
-    simulation, reference = pair(tmp_path, POOL, "mixed", "double")
-    for _ in range(5):
-        dt = 0.5 * simulation.bound()
+@pytest.mark.parametrize(
+    "decides, modulus, speed",
+    [("wave", "5e4", 0.1), ("speed", "1", 3.0), ("volume", "1e-2", 0.0)],
+)
+def test_time_step_bound(decides, modulus, speed, tmp_path):
+    """Each of the three limits of the step, where it is the one that counts."""
+    pool = POOL.replace("[0.5, -0.4, -0.3]", f"[{speed}, 0, 0]")
+    pool = pool.replace("[0.22, 0.2, 0.08]", "[0.1, 0.1, 0.1]")  # away from the walls
+    pool = pool.replace("[0.11, 0.1, 0]", "[0.11, 0.1, 0.04]")
+    simulation, reference = pair(
+        tmp_path, pool, "mixed", "double", head=HEAD.replace("5e4", modulus)
+    )
+    for _ in range(2):
+        dt = 0.1 * simulation.bound()
         simulation.advance(dt)
         reference.step(dt)
-        assert 1.0 / simulation.rate == pytest.approx(
-            reference.bound(simulation.plan.cfl), rel=1e-10
-        )
+        limits = reference.limits(simulation.plan.cfl)
+        assert min(limits, key=limits.get) == decides
+        assert 1.0 / simulation.rate == pytest.approx(limits[decides], rel=1e-10)
