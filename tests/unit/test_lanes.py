@@ -9,7 +9,7 @@ from vgmpi.kernels import lanes
 from vgmpi.kernels.laws import stress
 from vgmpi.materials import registry
 
-REAL = {"single": (np.float32, 16, 2e-6), "double": (np.float64, 8, 2e-14)}
+REAL = {"single": (np.float32, 16, 2e-6), "double": (np.float64, 16, 2e-14)}
 
 
 @njit

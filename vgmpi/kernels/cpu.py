@@ -26,7 +26,7 @@ class Part(NamedTuple):
     slot: np.ndarray  # (n,) patch
     offset_slot: np.ndarray  # (n,) offset patch or -1
     table: np.ndarray  # (n, 27) node blocks around
-    limit: np.ndarray  # (n, 3, 2) fixed-point range of positions
+    limit: np.ndarray  # (n, 3, 2) range of positions [cells]
     mirror: np.ndarray  # (n, 3, 2) wall codes
 
 
@@ -56,7 +56,9 @@ class Cpu:
         self.cells = np.array(plan.cells)
         self.patches = self.offsets = np.zeros((0, SIDE, SIDE, SIDE, 4), real)
         self.grid = np.zeros((0, 64, 4), real)
-        self.gathered = [np.zeros((SIDE, SIDE, SIDE, 4), real) for _ in range(threads)]
+        room = 2 * transfer.SCRATCH + transfer.PATCH + 16
+        self.records = [np.zeros(room, real) for _ in range(threads)]
+        self.base = [np.zeros(transfer.BATCH + 16, np.int32) for _ in range(threads)]
         self.scratch = [np.zeros((len(plan.phases), 64, 4), real) for _ in range(threads)]
 
     def adopt(self, groups: list[Group], topology: Topology, group_of_row: np.ndarray) -> None:
@@ -65,6 +67,8 @@ class Cpu:
         self.patches = _room(self.patches, len(t.row))
         self.offsets = _room(self.offsets, int((t.offset_slot >= 0).sum()))
         self.grid = _room(self.grid, len(t.phase))
+        self.flat_patches = self.patches.reshape(len(self.patches), transfer.PATCH)
+        self.flat_offsets = self.offsets.reshape(len(self.offsets), transfer.PATCH)
         self.slots = np.arange(len(t.row))
         # boxes of ghost patches that do not arrive stay zero
         self.patches[: len(t.row)][~t.own] = 0
@@ -87,13 +91,11 @@ class Cpu:
         self.block_shares = _shares(np.diff(t.first), self.threads)
 
     def _limits(self, block: np.ndarray) -> np.ndarray:
-        """Fixed-point range of positions whose base node exists: half a cell beyond the walls. (n,
-        3, 2) int64.
-        """
-        one = 1 << self.bits
-        low = (-2 - EDGE * block) * one
-        high = (np.array(self.plan.cells) - 1 - EDGE * block) * one
-        return np.stack([np.maximum(low, -4 * one), np.minimum(high, 4 * one - 1)], -1)
+        """Range of positions [cells from the block's middle] whose base node exists, half a cell
+        beyond the walls: (n, 3, 2)."""
+        low = -2.0 - EDGE * block
+        high = np.array(self.plan.cells) - 1.0 - EDGE * block
+        return np.stack([np.maximum(low, -5.0), np.minimum(high, 5.0)], -1)
 
     def p2g(self, dt: float) -> None:
         """Fill the patches of this rank's segments."""
@@ -105,8 +107,8 @@ class Cpu:
         group, plan = part.group, part.group.plan
         transfer.p2g(
             plan.law, share, group.start, group.count, part.slot, part.offset_slot, part.mirror,
-            group.xi, group.f, self.patches, self.offsets, self.bits,
-            self.plan.real.type(plan.density), self.dx, dt,
+            group.xi, group.f, self.flat_patches, self.flat_offsets, self.records[thread],
+            self.base[thread], self.plan.real.type(plan.density), self.dx, dt,
         )  # fmt: skip
 
     def update(self, dt: float) -> None:
@@ -135,9 +137,8 @@ class Cpu:
         group = part.group
         transfer.g2p(
             group.plan.law, share, group.start, group.count, part.table, part.limit, part.mirror,
-            group.xi, group.f, group.ids, self.grid, self.gathered[thread], self.bits, dither,
-            self.dx, dt,
-            self.plan.real.type(self.plan.cfl), report[thread],
+            group.xi, group.f, group.ids, self.grid, self.records[thread], self.base[thread],
+            self.bits, dither, self.dx, dt, self.plan.real.type(self.plan.cfl), report[thread],
         )  # fmt: skip
 
     def _each(self, shares: list[np.ndarray], work, *arguments) -> None:

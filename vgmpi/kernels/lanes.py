@@ -1,8 +1,9 @@
-"""Vectors of particles as a value type for compiled code: 16 floats or 8 doubles, one per lane.
+"""Vectors of 16 particles as a value type for compiled code, in single or double precision.
 
-With it the laws, written once as scalar formulas, run on 16 (8) particles at a time: operators and
-the numpy functions they use are defined for lanes, and plain numbers in a formula are spread to all
-lanes. Segments begin at multiples of 16, so a vector never straddles two of them.
+With it the laws, written once as scalar formulas, run on 16 particles at a time: operators and the
+numpy functions they use are defined for lanes, and plain numbers in a formula are spread to all
+lanes. Segments begin at multiples of 16, so a vector never straddles two of them. A processor
+without 512-bit registers takes several instructions for one; the formulas are the same.
 """
 
 import operator
@@ -13,15 +14,16 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, models, overload, register_model
 
-_I64 = ir.IntType(64)
+COUNT = 16
+_FUSED = ("contract",)  # a product and a sum may round once; the same code serves all ranks
 
 
 class Lanes(types.Type):
-    """A vector of `count` numbers of a numba float type."""
+    """A vector of 16 numbers of a numba float type."""
 
     def __init__(self, real: types.Float):
         self.real = real
-        self.count = 512 // real.bitwidth
+        self.count = COUNT
         scalar = ir.FloatType() if real.bitwidth == 32 else ir.DoubleType()
         self.vector = ir.VectorType(scalar, self.count)
         self.whole = ir.VectorType(ir.IntType(real.bitwidth), self.count)
@@ -35,7 +37,7 @@ class Lanes(types.Type):
 
 
 FLOATS, DOUBLES = Lanes(types.float32), Lanes(types.float64)
-_OF = {types.float32: FLOATS, types.float64: DOUBLES}
+OF = {types.float32: FLOATS, types.float64: DOUBLES}
 
 
 @register_model(Lanes)
@@ -44,7 +46,7 @@ class _LanesModel(models.PrimitiveModel):
         super().__init__(manager, lanes, lanes.vector)
 
 
-def _spread(context, builder, given, lanes, value):
+def spread(context, builder, given, lanes, value):
     """A vector, or a plain number in all lanes."""
     if isinstance(given, Lanes):
         return value
@@ -56,7 +58,8 @@ def _spread(context, builder, given, lanes, value):
     return builder.shuffle_vector(one, one, zero)
 
 
-def _address(context, builder, array_type, array, index):
+def address(context, builder, array_type, array, index):
+    """Pointer to an element of a contiguous one-dimensional array."""
     data = cgutils.create_struct_proxy(array_type)(context, builder, array).data
     return builder.gep(data, [index])
 
@@ -64,10 +67,10 @@ def _address(context, builder, array_type, array, index):
 @intrinsic
 def load(typing, row, first):
     """The numbers row[first], row[first + 1], ... of a contiguous array as one vector."""
-    lanes = _OF[row.dtype]
+    lanes = OF[row.dtype]
 
     def build(context, builder, signature, arguments):
-        place = _address(context, builder, signature.args[0], *arguments)
+        place = address(context, builder, signature.args[0], *arguments)
         place = builder.bitcast(place, lanes.vector.as_pointer())
         return builder.load(place, align=lanes.real.bitwidth // 8)
 
@@ -77,12 +80,12 @@ def load(typing, row, first):
 @intrinsic
 def store(typing, row, first, values):
     """Put a vector to row[first], row[first + 1], ..."""
-    lanes = _OF[row.dtype]
+    lanes = OF[row.dtype]
 
     def build(context, builder, signature, arguments):
-        place = _address(context, builder, signature.args[0], *arguments[:2])
+        place = address(context, builder, signature.args[0], *arguments[:2])
         place = builder.bitcast(place, lanes.vector.as_pointer())
-        vector = _spread(context, builder, signature.args[2], lanes, arguments[2])
+        vector = spread(context, builder, signature.args[2], lanes, arguments[2])
         builder.store(vector, place, align=lanes.real.bitwidth // 8)
         return context.get_dummy_value()
 
@@ -105,7 +108,7 @@ def _binary(function, emit):
 
         def build(context, builder, signature, arguments):
             pair = zip(signature.args, arguments, strict=True)
-            return emit(builder, lanes, *(_spread(context, builder, t, lanes, v) for t, v in pair))
+            return emit(builder, lanes, *(spread(context, builder, t, lanes, v) for t, v in pair))
 
         return lanes(a, b), build
 
@@ -126,7 +129,7 @@ def _unary(function, emit):
             return lambda a: go(a)
 
 
-def _call(name):
+def call(name):
     """Emit a call of an LLVM function of vectors, such as llvm.fabs."""
 
     def emit(builder, lanes, *values):
@@ -139,7 +142,7 @@ def _call(name):
 
 
 def _plain(instruction):
-    return lambda builder, lanes, a, b: getattr(builder, instruction)(a, b)
+    return lambda builder, lanes, a, b: getattr(builder, instruction)(a, b, flags=_FUSED)
 
 
 for _operator, _instruction in (
@@ -150,13 +153,13 @@ for _operator, _instruction in (
 ):
     _binary(_operator, _plain(_instruction))
 
-_binary(np.maximum, _call("llvm.maxnum"))
-_binary(np.minimum, _call("llvm.minnum"))
+_binary(np.maximum, call("llvm.maxnum"))
+_binary(np.minimum, call("llvm.minnum"))
 _unary(operator.neg, lambda builder, lanes, a: builder.fsub(lanes.constant(-0.0), a))
 _unary(operator.pos, lambda builder, lanes, a: a)
-_unary(abs, _call("llvm.fabs"))
-_unary(np.abs, _call("llvm.fabs"))
-_unary(np.sqrt, _call("llvm.sqrt"))
+_unary(abs, call("llvm.fabs"))
+_unary(np.abs, call("llvm.fabs"))
+_unary(np.sqrt, call("llvm.sqrt"))
 
 
 def _polynomial(builder, lanes, x, coefficients):
@@ -175,12 +178,15 @@ def _power_of_two(builder, lanes, k):
 
 
 def _exponent_parts(builder, lanes, x):
-    """exp(x) = 2^k (1 + q): (2^k, q) with q exact near 0. Good for |x| < 80 (700 in double)."""
+    """exp(x) = 2^k (1 + q): (2^k, q) with q exact near 0. Beyond the range of numbers x is cut."""
     single = lanes.real.bitwidth == 32
+    most = lanes.constant(87.0 if single else 708.0)
+    x = call("llvm.minnum")(builder, lanes, x, most)
+    x = call("llvm.maxnum")(builder, lanes, x, builder.fneg(most))
     # ln 2 in two parts, so that k times the first is exact
     double = (0.6931471803691238, 1.9082149292705877e-10)
     high, low = (0.693359375, -2.12194440e-4) if single else double
-    k = _call("llvm.rint")(builder, lanes, builder.fmul(x, lanes.constant(1.4426950408889634)))
+    k = call("llvm.rint")(builder, lanes, builder.fmul(x, lanes.constant(1.4426950408889634)))
     r = builder.fsub(x, builder.fmul(k, lanes.constant(high)))
     r = builder.fsub(r, builder.fmul(k, lanes.constant(low)))
     powers, factorial = [], 1.0

@@ -14,7 +14,7 @@ from ..materials.base import function
 from ..plan import Plan
 
 REASONS = {
-    transfer.CRUSHED: "its volume ratio J left 0.1 .. 5",
+    transfer.CRUSHED: "its volume ratio J left 0.1 .. 5 or is not a number",
     transfer.OUTSIDE: "it left the domain",
     transfer.TOO_FAST: "it would move more than a cell in one step",
     transfer.LOST: "its velocity or stress is not a number",

@@ -1,0 +1,280 @@
+"""What transfers need beyond laws: fixed-point positions as vectors, and rows of nodes.
+
+A row is four nodes along z with four numbers each, abcd abcd abcd abcd, in one vector of 16. A
+particle touches nine rows; the fourth node of each has weight 0 and must hold finite numbers.
+A record is 16 numbers of one particle; 16 records are 16 vectors transposed.
+"""
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from .lanes import COUNT, OF, Lanes, address, call
+
+_I32 = ir.IntType(32)
+
+
+def _mask(places) -> ir.Constant:
+    return ir.Constant(ir.VectorType(_I32, len(places)), list(places))
+
+
+def _vector_at(builder, place, lanes: Lanes, count: int = COUNT):
+    return builder.bitcast(place, ir.VectorType(lanes.vector.element, count).as_pointer())
+
+
+def _align(lanes: Lanes) -> int:
+    return lanes.real.bitwidth // 8
+
+
+@intrinsic
+def spread(typing, example, value):
+    """A number in all lanes; `example` is an array of the precision wanted."""
+    lanes = OF[example.dtype]
+
+    def build(context, builder, signature, arguments):
+        number = context.cast(builder, arguments[1], signature.args[1], lanes.real)
+        undefined = ir.Constant(lanes.vector, ir.Undefined)
+        one = builder.insert_element(undefined, number, _I32(0))
+        return builder.shuffle_vector(one, one, _mask([0] * COUNT))
+
+    return lanes(example, value), build
+
+
+@intrinsic
+def steps(typing, example):
+    """0 0 0 0 1 1 1 1 2 2 2 2 3 3 3 3: the number of a row's node in each of its lanes."""
+    lanes = OF[example.dtype]
+
+    def build(context, builder, signature, arguments):
+        return ir.Constant(lanes.vector, [float(k // 4) for k in range(COUNT)])
+
+    return lanes(example), build
+
+
+def _four(pattern):
+    """Load four numbers and place them in the lanes by `pattern`."""
+
+    def make(typing, array, first):
+        lanes = OF[array.dtype]
+
+        def build(context, builder, signature, arguments):
+            place = address(context, builder, signature.args[0], *arguments)
+            four = builder.load(_vector_at(builder, place, lanes, 4), align=_align(lanes))
+            return builder.shuffle_vector(four, four, _mask(pattern))
+
+        return lanes(array, types.intp), build
+
+    return make
+
+
+@intrinsic
+def repeat(typing, array, first):
+    """abcd -> abcd abcd abcd abcd: one quantity of all nodes of a row."""
+    return _four([k % 4 for k in range(COUNT)])(typing, array, first)
+
+
+@intrinsic
+def stretch(typing, array, first):
+    """abcd -> aaaa bbbb cccc dddd: a weight per node of a row."""
+    return _four([k // 4 for k in range(COUNT)])(typing, array, first)
+
+
+@intrinsic
+def store_sum(typing, array, first, row):
+    """Put the sum over a row's first three nodes, four numbers, to array[first:first + 4]."""
+    lanes = OF[array.dtype]
+
+    def build(context, builder, signature, arguments):
+        place = address(context, builder, signature.args[0], *arguments[:2])
+        v = arguments[2]
+        a, b, c = (builder.shuffle_vector(v, v, _mask(range(4 * k, 4 * k + 4))) for k in range(3))
+        total = builder.fadd(builder.fadd(a, b), c)
+        builder.store(total, _vector_at(builder, place, lanes, 4), align=_align(lanes))
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, row), build
+
+
+def _transposed(builder, vectors):
+    """Transpose 16 vectors of 16 by four rounds of interleaving shuffles."""
+    half = 1
+    while half < COUNT:
+        low = [k & ~half if not k & half else COUNT + (k & ~half) for k in range(COUNT)]
+        high = [k | half if not k & half else COUNT + (k | half) for k in range(COUNT)]
+        out = list(vectors)
+        for i in range(COUNT):
+            if not i & half:
+                a, b = vectors[i], vectors[i | half]
+                out[i] = builder.shuffle_vector(a, b, _mask(low))
+                out[i | half] = builder.shuffle_vector(a, b, _mask(high))
+        vectors = out
+        half *= 2
+    return vectors
+
+
+@intrinsic
+def store_records(typing, array, first, vectors):
+    """16 vectors over particles -> 16 records, one after the other from array[first]."""
+    lanes = OF[array.dtype]
+
+    def build(context, builder, signature, arguments):
+        place = address(context, builder, signature.args[0], *arguments[:2])
+        rows = _transposed(builder, cgutils.unpack_tuple(builder, arguments[2], COUNT))
+        for k, row in enumerate(rows):
+            here = builder.gep(place, [ir.Constant(ir.IntType(64), COUNT * k)])
+            builder.store(row, _vector_at(builder, here, lanes), align=_align(lanes))
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, vectors), build
+
+
+@intrinsic
+def load_records(typing, array, first):
+    """Inverse of `store_records`: a tuple of 16 vectors."""
+    lanes = OF[array.dtype]
+    tuple_type = types.UniTuple(lanes, COUNT)
+
+    def build(context, builder, signature, arguments):
+        place = address(context, builder, signature.args[0], *arguments)
+        rows = []
+        for k in range(COUNT):
+            here = builder.gep(place, [ir.Constant(ir.IntType(64), COUNT * k)])
+            rows.append(builder.load(_vector_at(builder, here, lanes), align=_align(lanes)))
+        return context.make_tuple(builder, tuple_type, _transposed(builder, rows))
+
+    return tuple_type(array, types.intp), build
+
+
+# ---- fixed-point positions: integers as wide as the numbers -------------------------------------
+
+
+def _reals(row):
+    return OF[types.float32 if row.dtype.bitwidth == 32 else types.float64]
+
+
+def _whole_at(builder, place, lanes):
+    return builder.bitcast(place, lanes.whole.as_pointer())
+
+
+def _bits(lanes) -> int:
+    return 29 if lanes.real.bitwidth == 32 else 52
+
+
+@intrinsic
+def fraction(typing, row, first):
+    """Where in their cells 16 positions lie, 0 .. 1."""
+    lanes = _reals(row)
+
+    def build(context, builder, signature, arguments):
+        place = address(context, builder, signature.args[0], *arguments)
+        x = builder.load(_whole_at(builder, place, lanes), align=_align(lanes))
+        inside = builder.and_(x, lanes.integer((1 << _bits(lanes)) - 1))
+        inside = builder.sitofp(inside, lanes.vector)
+        return builder.fmul(inside, lanes.constant(2.0 ** -_bits(lanes)))
+
+    return lanes(row, types.intp), build
+
+
+@intrinsic
+def cell_offset(typing, row, first, stride):
+    """(cell + 3) stride for 16 positions, as numbers (exact: they are small)."""
+    lanes = _reals(row)
+
+    def build(context, builder, signature, arguments):
+        place = address(context, builder, signature.args[0], *arguments[:2])
+        x = builder.load(_whole_at(builder, place, lanes), align=_align(lanes))
+        cell = builder.add(builder.ashr(x, lanes.integer(_bits(lanes))), lanes.integer(3))
+        step = context.cast(builder, arguments[2], signature.args[2], lanes.real)
+        undefined = ir.Constant(lanes.vector, ir.Undefined)
+        step = builder.insert_element(undefined, step, _I32(0))
+        step = builder.shuffle_vector(step, step, _mask([0] * COUNT))
+        return builder.fmul(builder.sitofp(cell, lanes.vector), step)
+
+    return lanes(row, types.intp, stride), build
+
+
+@intrinsic
+def store_whole(typing, array, first, values):
+    """Put 16 numbers that are whole to an int32 array."""
+
+    def build(context, builder, signature, arguments):
+        place = address(context, builder, signature.args[0], *arguments[:2])
+        vector = ir.VectorType(_I32, COUNT)
+        whole = builder.fptosi(arguments[2], vector)
+        builder.store(whole, builder.bitcast(place, vector.as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, values), build
+
+
+@intrinsic
+def move(typing, row, first, distance):
+    """Add 16 distances [2^-bits cells], rounded down, to 16 positions; returns them in cells."""
+    lanes = _reals(row)
+
+    def build(context, builder, signature, arguments):
+        place = address(context, builder, signature.args[0], *arguments[:2])
+        place = _whole_at(builder, place, lanes)
+        x = builder.load(place, align=_align(lanes))
+        step = call("llvm.floor")(builder, lanes, arguments[2])
+        x = builder.add(x, builder.fptosi(step, lanes.whole))
+        builder.store(x, place, align=_align(lanes))
+        return builder.fmul(builder.sitofp(x, lanes.vector), lanes.constant(2.0 ** -_bits(lanes)))
+
+    return lanes(row, types.intp, distance), build
+
+
+# ---- comparisons --------------------------------------------------------------------------------
+
+
+def _first_lanes(builder, count):
+    """Bits 0 .. count - 1 of a 16-bit mask; count may be above 16."""
+    count = builder.trunc(count, _I32)
+    full = builder.icmp_signed(">=", count, _I32(COUNT))
+    some = builder.sub(builder.shl(_I32(1), builder.select(full, _I32(0), count)), _I32(1))
+    return builder.trunc(builder.select(full, _I32((1 << COUNT) - 1), some), ir.IntType(COUNT))
+
+
+@intrinsic
+def sound(typing, values, low, high, count):
+    """Mask of the first `count` lanes whose value lies between low and high; a nan does not."""
+
+    def build(context, builder, signature, arguments):
+        v, low, high, count = arguments
+        yes = builder.and_(builder.fcmp_ordered(">", v, low), builder.fcmp_ordered("<", v, high))
+        mask = builder.bitcast(yes, ir.IntType(COUNT))
+        mask = builder.and_(mask, _first_lanes(builder, count))
+        return builder.zext(mask, ir.IntType(64))
+
+    return types.int64(values, values, values, types.int64), build
+
+
+@intrinsic
+def only(typing, mask, values):
+    """Values in the lanes of a mask, 0 elsewhere."""
+
+    def build(context, builder, signature, arguments):
+        bits = builder.bitcast(
+            builder.trunc(arguments[0], ir.IntType(COUNT)), ir.VectorType(ir.IntType(1), COUNT)
+        )
+        return builder.select(bits, arguments[1], values.constant(0.0))
+
+    return values(types.int64, values), build
+
+
+@intrinsic
+def largest(typing, values):
+    """The largest of 16 numbers."""
+
+    def build(context, builder, signature, arguments):
+        name = f"llvm.vector.reduce.fmax.v{COUNT}f{values.real.bitwidth}"
+        kind = ir.FunctionType(values.vector.element, [values.vector])
+        function = cgutils.get_or_insert_function(builder.module, kind, name)
+        return builder.call(function, [arguments[0]])
+
+    return values.real(values), build
+
+
+SOUND_ALL = np.int64((1 << COUNT) - 1)
