@@ -1,8 +1,7 @@
 """numba as this package uses it: where compiled code is kept, and one set of compile options.
 
 The cache folder is named by a hash of the package's sources, because numba does not see an edit in
-another file. This module is imported before numba is imported anywhere else; that is what makes the
-folder count.
+another file.
 """
 
 import hashlib
@@ -10,6 +9,8 @@ import os
 import pathlib
 import platform
 from importlib.metadata import version
+
+import numba
 
 _PACKAGE = pathlib.Path(__file__).resolve().parent.parent
 _COMPILED = ("device", "materials", "domain", "kernels")
@@ -26,10 +27,9 @@ def cache_folder() -> pathlib.Path:
     return pathlib.Path(root) / "vgmpi" / seal.hexdigest()[:16]
 
 
-os.environ.setdefault("NUMBA_CACHE_DIR", str(cache_folder()))
-
-from numba import njit  # noqa: E402
+if "NUMBA_CACHE_DIR" not in os.environ:
+    numba.config.CACHE_DIR = str(cache_folder())
 
 # no fastmath: the order of every sum is part of the result
-kernel = njit(cache=True, nogil=True, error_model="numpy")
-inline = njit(cache=True, nogil=True, error_model="numpy", inline="never")
+kernel = numba.njit(cache=True, nogil=True, error_model="numpy")
+inline = numba.njit(cache=True, nogil=True, error_model="numpy", inline="never")
