@@ -1,0 +1,203 @@
+"""The house rules that a reader relies on: who imports whom, who speaks MPI, who prints.
+
+Every import statement counts, also those inside functions.
+"""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+# each may import itself and what stands below it
+LAYERS = [
+    {"cli", "__main__"},
+    {"solver"},
+    {"prepare"},
+    {"kernels"},
+    {"output"},
+    {"domain"},
+    {"plan"},
+    {"scene", "objects", "settings", "source", "reference"},
+    {"materials", "couplings"},
+    {"tables"},
+    {"device"},
+    {"gaussians"},
+]
+# the layers that may be used, where that is less than all below
+ONLY = {"materials": {"tables", "device"}, "couplings": {"tables", "device"}, "tables": set()}
+POSTPROCESS = ("vgmpi.output.read", "vgmpi.output.layout", "vgmpi.gaussians", "postprocess")
+OUTSIDE = {  # packages that only some files may use
+    "mpi4py": ("vgmpi/domain/ranks.py", "vgmpi/output/"),
+    "h5py": ("vgmpi/output/",),
+    "numba": ("vgmpi/device/jit.py", "vgmpi/kernels/", "postprocess/"),
+    "llvmlite": ("vgmpi/kernels/",),
+    "pyvista": ("postprocess/",),
+    "tqdm": ("vgmpi/solver/report.py", "postprocess/"),
+}
+COMPILED = ("vgmpi/device/", "vgmpi/kernels/", "vgmpi/domain/sorting.py", "vgmpi/domain/halo.py")
+
+
+def sources():
+    files = [*ROOT.glob("vgmpi/**/*.py"), *ROOT.glob("postprocess/**/*.py")]
+    return sorted(str(path.relative_to(ROOT)) for path in files)
+
+
+def is_module(name):
+    path = ROOT / name.replace(".", "/")
+    return path.with_suffix(".py").is_file() or path.is_dir()
+
+
+def imports(file):
+    """Full names of all that a file imports: modules, and names out of packages where these are
+    modules.
+    """
+    package = file.removesuffix(".py").split("/")[:-1]
+    found = set()
+    for node in ast.walk(ast.parse((ROOT / file).read_text())):
+        if isinstance(node, ast.Import):
+            found.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else []
+            origin = ".".join([*base, *([node.module] if node.module else [])])
+            for alias in node.names:
+                inner = f"{origin}.{alias.name}"
+                found.add(inner if is_module(inner) else origin)
+    return found
+
+
+def part(name):
+    """kernels for vgmpi.kernels.cpu or vgmpi/kernels/cpu.py."""
+    return name.removesuffix(".py").replace("/", ".").split(".")[1]
+
+
+def level(name):
+    return next(k for k, layer in enumerate(LAYERS) if name in layer)
+
+
+def forbidden(file, imported):
+    """Why a file may not import these, as a list of lines."""
+    said = []
+    for name in sorted(imported):
+        top = name.split(".")[0]
+        if top in OUTSIDE and not file.startswith(OUTSIDE[top]):
+            said.append(f"{file} imports {top}")
+        if name.startswith("vgmpi.device.jit") and not file.startswith(COMPILED):
+            said.append(f"{file} compiles code")
+        if file.startswith("postprocess/"):
+            if top in ("vgmpi", "postprocess") and not name.startswith(POSTPROCESS):
+                said.append(f"{file} imports {name}")
+        elif top == "postprocess":
+            said.append(f"{file} imports {name}")
+        elif top == "vgmpi" and name != "vgmpi":
+            here, there = part(file), part(name)
+            if here == there:
+                continue
+            reachable = level(there) > level(here) or LAYERS[level(here)] == LAYERS[level(there)]
+            if not reachable or there not in ONLY.get(here, {there}):
+                said.append(f"{file} imports {name}")
+    return said
+
+
+def test_the_layers_name_every_module():
+    there = {part(file) for file in sources() if file.startswith("vgmpi/")} - {"__init__"}
+    assert there == set().union(*LAYERS)
+
+
+@pytest.mark.parametrize("file", sources())
+def test_imports_run_one_way(file):
+    assert forbidden(file, imports(file)) == []
+
+
+@pytest.mark.parametrize(
+    "file, imported",
+    [
+        ("vgmpi/domain/halo.py", "vgmpi.kernels.cpu"),
+        ("vgmpi/materials/fluid.py", "vgmpi.scene"),
+        ("vgmpi/device/tensor.py", "vgmpi.tables"),
+        ("vgmpi/couplings/contact.py", "vgmpi.gaussians.sh"),
+        ("vgmpi/gaussians/sh.py", "vgmpi.device.tensor"),
+        ("vgmpi/solver/step.py", "mpi4py"),
+        ("vgmpi/solver/step.py", "vgmpi.cli"),
+        ("vgmpi/plan.py", "numba"),
+        ("vgmpi/solver/step.py", "vgmpi.device.jit"),
+        ("vgmpi/prepare/build.py", "h5py"),
+        ("postprocess/render.py", "vgmpi.kernels.laws"),
+        ("postprocess/render.py", "vgmpi.output.store"),
+        ("vgmpi/scene.py", "postprocess.render"),
+    ],
+)
+def test_the_rule_sees_a_wrong_import(file, imported):
+    assert forbidden(file, {imported}) != []
+
+
+def test_imports_are_found(monkeypatch, tmp_path):
+    """All the ways to write one."""
+    monkeypatch.setattr(sys.modules[__name__], "ROOT", tmp_path)
+    folder = tmp_path / "vgmpi" / "solver"
+    folder.mkdir(parents=True)
+    (tmp_path / "vgmpi" / "plan.py").touch()
+    (folder / "run.py").touch()
+    text = "from .. import plan\nfrom . import run\nfrom .run import Run\nimport a.b as c\n"
+    (folder / "x.py").write_text(text + "def f():\n    from ..plan import make_plan\n")
+    assert imports("vgmpi/solver/x.py") == {"vgmpi.plan", "vgmpi.solver.run", "a.b"}
+
+
+def prints(file):
+    """Lines that print, outside `if __name__ == "__main__"`."""
+    tree = ast.parse((ROOT / file).read_text())
+    commands = [
+        node
+        for node in tree.body
+        if isinstance(node, ast.If) and "__name__" in ast.unparse(node.test)
+    ]
+    allowed = {id(inner) for command in commands for inner in ast.walk(command)}
+    return [
+        node.lineno
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Name)
+        and node.func.id == "print"
+        and id(node) not in allowed
+    ]
+
+
+@pytest.mark.parametrize("file", [f for f in sources() if f.startswith("vgmpi/")])
+def test_only_commands_print(file):
+    assert file == "vgmpi/cli.py" or prints(file) == []
+
+
+def test_a_print_is_seen():
+    assert prints("vgmpi/cli.py") and prints("postprocess/render.py")
+
+
+@pytest.mark.parametrize("file", sources())
+def test_files_are_short(file):
+    assert len((ROOT / file).read_text().splitlines()) <= 400
+
+
+@pytest.mark.parametrize("file", [f for f in sources() if f.endswith("__init__.py")])
+def test_reading_a_folder_reads_nothing_else(file):
+    """Only materials and couplings look for what is in their folder."""
+    discovers = file in ("vgmpi/materials/__init__.py", "vgmpi/couplings/__init__.py")
+    assert discovers == bool((ROOT / file).read_text().strip())
+
+
+@pytest.mark.parametrize(
+    "module, absent",
+    [
+        ("vgmpi.cli", "numba"),  # --check and --help stay quick
+        ("vgmpi.cli", "mpi4py.MPI"),  # and start no MPI
+        ("vgmpi.output.read", "numba"),
+        ("vgmpi.output.read", "mpi4py"),
+        ("vgmpi.gaussians.ply", "numba"),
+        ("postprocess.view", "mpi4py"),
+        ("postprocess.render", "mpi4py"),
+    ],
+)
+def test_what_is_not_loaded(module, absent):
+    code = f"import {module}, sys; sys.exit({absent!r} in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
