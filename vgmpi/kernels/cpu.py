@@ -119,8 +119,8 @@ class Cpu:
         t = self.topology
         grid.update(
             share[0], share[-1] + 1, t.first, t.phase, t.block_at, t.meets, t.solid_of,
-            t.pull_first, t.pull_patch, t.pull_code, self.slots, self.patches,
-            t.offset_slot, self.offsets, self.grid, self.solid_nodes, self.scratch[thread],
+            t.pull_first, t.pull_patch, t.pull_code, self.slots, self.flat_patches,
+            t.offset_slot, self.flat_offsets, self.grid, self.solid_nodes, self.scratch[thread],
             self.cells, self.wall_kinds, self.wall_friction, self.gravity, self.least,
             self.mastery, self.friction, dt, self.plan.dx,
         )  # fmt: skip

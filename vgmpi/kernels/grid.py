@@ -10,6 +10,8 @@ import numpy as np
 
 from ..device.jit import inline, kernel
 from .contact import TOUCH, collider_gap, geometry, resolve
+from .lanes import load, store
+from .rows import repeat, spread, velocity
 from .walls import SIDE, constrain, tangential
 
 
@@ -47,158 +49,126 @@ def pull(nodes, first, last, patch_of, code_of, slots, patches):
 
 @kernel
 def update(
-    b0,
-    b1,
-    first,
-    phase,
-    block_at,
-    meets,
-    solid_of,
-    pull_first,
-    pull_patch,
-    pull_code,
-    slots,
-    patches,
-    offset_slots,
-    offsets,
-    grid,
-    solids,
-    scratch,
-    cells,
-    wall_kinds,
-    wall_friction,
-    gravity,
-    least,
-    rank_of,
-    friction,
-    dt,
-    dx,
-):
+    b0, b1, first, phase, block_at, meets, solid_of, pull_first, pull_patch, pull_code, slots,
+    patches, offset_slots, offsets, grid, solids, scratch, cells, wall_kinds, wall_friction,
+    gravity, least, rank_of, friction, dt, dx,
+):  # fmt: skip
     """Velocities [m/s] at the nodes of blocks b0..b1, in place of momentum.
 
     first: (blocks + 1,) node blocks of each block, one per phase that touches it; phase: (node
     blocks,); meets: (blocks,) whether two phases, or a phase and a collider, may touch here;
     solid_of: (blocks,) row of `solids` or -1; solids: (n, 64, 4) outward normal and distance [m] of
-    the collider; scratch: (phases, 64, 4); least: (phases,) mass [kg] of one full cell; rank_of:
-    (phases,) order of mastery, lowest first; friction: (phases + 1, phases), the last row for the
-    collider.
+    the collider; patches, offsets: (slots, 2048); scratch: (phases, 64, 4); least: (phases,) mass
+    [kg] of one full cell; rank_of: (phases,) order of mastery, lowest first; friction: (phases + 1,
+    phases), the last row for the collider.
     """
-    count = len(least)
-    v = np.zeros((count, 3))
-    m = np.zeros(count)
-    local = np.zeros(count, np.int64)
-    most = count * (count + 1) // 2
-    normals = np.zeros((most, 7))
-    impulse = np.zeros((most, 4))
-    mu = np.zeros(most)
-    pair_a, pair_b = np.zeros(most, np.int64), np.zeros(most, np.int64)
-    touches = np.zeros(count, np.int64)
-    size = SIDE**3 * 4
-    flat_patches = patches.reshape((len(patches), size))
-    flat_offsets = offsets.reshape((len(offsets), size))
     flat_grid = grid.reshape((len(grid), 256))
     flat_scratch = scratch.reshape((len(scratch), 256))
+    fall = np.zeros(4, grid.dtype)
+    fall[:3] = dt * gravity
+    room = _room(len(least))
     for b in range(b0, b1):
         n0, n1 = first[b], first[b + 1]
         for nb in range(n0, n1):
             q0, q1 = pull_first[nb], pull_first[nb + 1]
-            pull(flat_grid[nb], q0, q1, pull_patch, pull_code, slots, flat_patches)
+            nodes = flat_grid[nb]
+            pull(nodes, q0, q1, pull_patch, pull_code, slots, patches)
+            # a node lighter than this holds rounding alone
+            tiny, push = spread(nodes, 1e-20 * least[phase[nb]]), repeat(fall, 0)
+            for c in range(0, 256, 16):
+                store(nodes, c, velocity(load(nodes, c), push, tiny))
             if meets[b]:
                 into = flat_scratch[nb - n0]
-                pull(into, q0, q1, pull_patch, pull_code, offset_slots, flat_offsets)
-        o0, o1, o2 = 4 * block_at[b, 0] - 1, 4 * block_at[b, 1] - 1, 4 * block_at[b, 2] - 1
-        for node in range(64):
-            i, j, k = o0 + node // 16, o1 + node // 4 % 4, o2 + node % 4
-            on_wall = i <= 0 or j <= 0 or k <= 0 or i >= cells[0] or j >= cells[1] or k >= cells[2]
-            active = 0
+                pull(into, q0, q1, pull_patch, pull_code, offset_slots, offsets)
+        low = 4 * block_at[b] - 1
+        if meets[b]:
+            solid = solids[max(solid_of[b], 0)]
+            _touch(
+                grid[n0:n1], phase[n0:n1], scratch, solid, solid_of[b] >= 0, low, cells, wall_kinds,
+                least, rank_of, friction, dx, room,
+            )  # fmt: skip
+        if (low <= 0).any() or (low + 3 >= cells).any():
             for nb in range(n0, n1):
-                u = grid[nb, node]
-                ph = phase[nb]
-                if u[3] > 1e-20 * least[ph]:
-                    for c in range(3):
-                        u[c] = u[c] / u[3] + dt * gravity[c]
-                    if u[3] > 1e-9 * least[ph]:
-                        local[active] = nb
-                        active += 1
-                else:
-                    u[:3] = 0
-            if meets[b] and (active > 1 or (active == 1 and solid_of[b] >= 0)):
-                pairs = _pairs(
-                    active, local, n0, node, phase, scratch, solids, solid_of[b], rank_of,
-                    friction, dx,
-                    i, j, k, cells, wall_kinds, normals, mu, pair_a, pair_b, touches,
-                )  # fmt: skip
-                if pairs > 0:
-                    for q in range(active):
-                        for c in range(3):
-                            v[q, c] = grid[local[q], node, c]
-                        m[q] = grid[local[q], node, 3]
-                    resolve(
-                        v,
-                        m,
-                        active,
-                        normals,
-                        mu,
-                        pair_a,
-                        pair_b,
-                        pairs,
-                        touches[:active].max(),
-                        impulse,
-                    )
-                    for q in range(active):
-                        for c in range(3):
-                            grid[local[q], node, c] = v[q, c]
-            if on_wall:
-                for nb in range(n0, n1):
+                for node in range(64):
+                    i, j, k = low[0] + node // 16, low[1] + node // 4 % 4, low[2] + node % 4
                     constrain(grid[nb, node], i, j, k, cells, wall_kinds, wall_friction)
 
 
 @inline
+def _room(count):
+    """Arrays for the contact of up to `count` phases and a collider at one node."""
+    most = count * (count + 1) // 2
+    return (
+        np.zeros((count, 3)),  # velocities
+        np.zeros(count),  # masses
+        np.zeros(count, np.int64),  # which phases are there
+        np.zeros((most, 7)),  # per pair: normal, and scratch of `resolve`
+        np.zeros((most, 4)),
+        np.zeros(most),  # friction
+        np.zeros(most, np.int64),  # master
+        np.zeros(most, np.int64),  # other
+        np.zeros(count, np.int64),  # pairs that touch each phase
+    )
+
+
+@inline
+def _touch(
+    grid, phase, offsets, solid, has_solid, low, cells, wall_kinds, least, rank_of, friction, dx,
+    room,
+):  # fmt: skip
+    """Contact at the 64 nodes of a block. grid and offsets: (phases here, 64, 4)."""
+    v, m, here, normals, impulse, mu, pair_a, pair_b, touches = room
+    for node in range(64):
+        active = 0
+        for nb in range(len(grid)):
+            if grid[nb, node, 3] > 1e-9 * least[phase[nb]]:
+                here[active] = nb
+                active += 1
+        if active == 0 or (active == 1 and not has_solid):
+            continue
+        i, j, k = low[0] + node // 16, low[1] + node // 4 % 4, low[2] + node % 4
+        for q in range(active):
+            tangential(offsets[here[q], node], i, j, k, cells, wall_kinds)
+        pairs = _pairs(
+            active, here, node, phase, offsets, solid, has_solid, rank_of, friction, dx,
+            normals, mu, pair_a, pair_b, touches,
+        )  # fmt: skip
+        if pairs == 0:
+            continue
+        for q in range(active):
+            for c in range(3):
+                v[q, c] = grid[here[q], node, c]
+            m[q] = grid[here[q], node, 3]
+        share = touches[:active].max()
+        resolve(v, m, active, normals, mu, pair_a, pair_b, pairs, share, impulse)
+        for q in range(active):
+            for c in range(3):
+                grid[here[q], node, c] = v[q, c]
+
+
+@inline
 def _pairs(
-    active,
-    local,
-    n0,
-    node,
-    phase,
-    scratch,
-    solids,
-    solid,
-    rank_of,
-    friction,
-    dx,
-    i,
-    j,
-    k,
-    cells,
-    wall_kinds,
-    normals,
-    mu,
-    pair_a,
-    pair_b,
-    touches,
-):
+    active, here, node, phase, offsets, solid, has_solid, rank_of, friction, dx, normals, mu,
+    pair_a, pair_b, touches,
+):  # fmt: skip
     """The touching pairs of a node, in phase order: masters, normals and friction. Returns how
     many.
     """
     pairs = 0
     touches[:active] = 0
     for q in range(active):
-        tangential(scratch[local[q] - n0, node], i, j, k, cells, wall_kinds)
-    for q in range(active):
-        here = scratch[local[q] - n0, node]
-        ph = phase[local[q]]
-        if solid >= 0 and here[3] > 0:
-            gap = collider_gap(solids[solid, node], solids[solid, node, 3], here, dx)
-            if gap <= TOUCH:
+        mine, ph = offsets[here[q], node], phase[here[q]]
+        if has_solid and mine[3] > 0:
+            if collider_gap(solid[node], solid[node, 3], mine, dx) <= TOUCH:
                 for c in range(3):
-                    normals[pairs, c] = solids[solid, node, c]
+                    normals[pairs, c] = solid[node, c]
                 pair_a[pairs], pair_b[pairs], mu[pairs] = -1, q, friction[len(rank_of), ph]
                 touches[q] += 1
                 pairs += 1
         for r in range(q + 1, active):
-            other = phase[local[r]]
+            other = phase[here[r]]
             a, b = (q, r) if rank_of[ph] < rank_of[other] else (r, q)
-            xa, xb = scratch[local[a] - n0, node], scratch[local[b] - n0, node]
+            xa, xb = offsets[here[a], node], offsets[here[b], node]
             if not (xa[3] > 0 and xb[3] > 0):
                 continue
             if geometry(normals[pairs], xa, xb, dx) <= TOUCH:
