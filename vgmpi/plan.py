@@ -15,7 +15,8 @@ from .couplings.contact import Contact
 from .materials.base import function, state_channels
 from .scene import Scene, phase_of
 
-NS_PER_PARTICLE = 240.0  # a step of one fluid particle on one core, [ns]; see docs/performance.md
+# a step of one fluid particle on one core of an AVX-512 machine [ns]; see docs/performance.md
+NS_PER_PARTICLE = {"single": 45.0, "double": 90.0}
 BASE_CHANNELS = 13  # velocity 3, APIC matrix 9, rest volume 1
 MASTERY = {"solid": 0, "fluid": 1}  # whose surface gives the normal where two phases touch
 REALS: dict[str, np.dtype] = {
@@ -253,7 +254,7 @@ def describe(scene: Scene, plan: Plan, ranks: int) -> str:
     work = sum(
         n * plan.groups[g].cost for n, g in zip(plan.count, plan.group_of, strict=True) if g >= 0
     )
-    seconds = steps * work * NS_PER_PARTICLE * 1e-9 / ranks
+    seconds = steps * work * NS_PER_PARTICLE[scene.accuracy.precision] * 1e-9 / ranks
     lines.append(f"  time        about {_duration(seconds)} on {ranks} rank(s), one core each")
     return "\n".join(lines)
 

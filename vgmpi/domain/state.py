@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ..device.memory import aligned
 from ..plan import BASE_CHANNELS, GroupPlan
 from .blocks import BITS, INTEGER, Lattice
 from .sorting import gather_rows
@@ -45,10 +46,13 @@ class Group:
         have = self.f.shape[1]
         if places <= have:
             return
-        more = (places + places // 4 + LANES - 1) // LANES * LANES - have
-        self.xi = np.pad(self.xi, ((0, 0), (0, more)))
-        self.f = np.pad(self.f, ((0, 0), (0, more)))
-        self.ids = np.pad(self.ids, (0, more), constant_values=-1)
+        cap = (places + places // 4 + LANES - 1) // LANES * LANES
+        for name in ("xi", "f", "ids"):
+            old = getattr(self, name)
+            new = aligned((*old.shape[:-1], cap), old.dtype)
+            new[..., :have] = old
+            setattr(self, name, new)
+        self.ids[have:] = -1
 
     def permute(self, start: np.ndarray, count: np.ndarray, source: np.ndarray, end: int) -> None:
         """Bring the particles into new segments: the one at `new` is the one that was at

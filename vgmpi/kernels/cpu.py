@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..device.memory import aligned
 from ..domain.blocks import BITS, EDGE, Lattice
 from ..domain.state import Group
 from ..domain.topology import Topology
@@ -54,12 +55,12 @@ class Cpu:
         self.mastery = np.array([phase.mastery for phase in plan.phases])
         self.friction = np.array(plan.friction)
         self.cells = np.array(plan.cells)
-        self.patches = self.offsets = np.zeros((0, SIDE, SIDE, SIDE, 4), real)
-        self.grid = np.zeros((0, 64, 4), real)
+        self.patches = self.offsets = aligned((0, SIDE, SIDE, SIDE, 4), real)
+        self.grid = aligned((0, 64, 4), real)
         room = 2 * transfer.SCRATCH + transfer.PATCH + 16
-        self.records = [np.zeros(room, real) for _ in range(threads)]
+        self.records = [aligned(room, real) for _ in range(threads)]
         self.base = [np.zeros(transfer.BATCH + 16, np.int32) for _ in range(threads)]
-        self.scratch = [np.zeros((len(plan.phases), 64, 4), real) for _ in range(threads)]
+        self.scratch = [aligned((len(plan.phases), 64, 4), real) for _ in range(threads)]
 
     def adopt(self, groups: list[Group], topology: Topology, group_of_row: np.ndarray) -> None:
         """Lay out patches, node blocks and tables after a sort. group_of_row: (census rows,)."""
@@ -156,7 +157,7 @@ def _room(array: np.ndarray, rows: int) -> np.ndarray:
     """The array itself if it has the rows, else a larger one; its content is not kept."""
     if rows <= len(array):
         return array
-    return np.zeros((rows + rows // 4, *array.shape[1:]), array.dtype)
+    return aligned((rows + rows // 4, *array.shape[1:]), array.dtype)
 
 
 def _shares(weights: np.ndarray, threads: int) -> list[np.ndarray]:

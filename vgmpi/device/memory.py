@@ -1,0 +1,14 @@
+"""Arrays that begin at a cache line, so that a vector load never straddles two of them."""
+
+import numpy as np
+
+LINE = 64  # bytes
+
+
+def aligned(shape: int | tuple[int, ...], dtype) -> np.ndarray:
+    """Zeros, contiguous, beginning at a multiple of 64 bytes; numpy itself promises 16."""
+    dtype = np.dtype(dtype)
+    size = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
+    raw = np.zeros(size + LINE, np.uint8)
+    first = -raw.ctypes.data % LINE
+    return raw[first : first + size].view(dtype).reshape(shape)
