@@ -174,15 +174,15 @@ def test_every_particle_arrives_once(size, n, spread, seed, real):
 # --- who needs which nodes ---
 
 
-def random_census(seed, ranks, scattered):
+def random_census(seed, ranks, scattered, lattice=LATTICE, filled=(0.3, 0.3)):
     """Blocks of two groups (two phases) here and there in the lattice, and their owners."""
     random = np.random.default_rng(seed)
-    blocks = np.stack(np.meshgrid(*map(np.arange, LATTICE.shape), indexing="ij"), -1)
+    blocks = np.stack(np.meshgrid(*map(np.arange, lattice.shape), indexing="ij"), -1)
     blocks = blocks.reshape(-1, 3)
     rows = []
     for g in range(2):
-        chosen = blocks[random.random(len(blocks)) < 0.3]
-        key, code = LATTICE.key(chosen), LATTICE.code(chosen)
+        chosen = blocks[random.random(len(blocks)) < filled[g]]
+        key, code = lattice.key(chosen), lattice.code(chosen)
         rows.append(np.stack([key, code, np.full_like(key, g), np.full_like(key, 5)], 1))
     table, cut = migrate.census(np.concatenate(rows), Alone(), np.ones(2), None)
     keys, at = np.unique(table.key, return_inverse=True)
@@ -265,22 +265,27 @@ def test_every_node_two_ranks_share_travels(tables):
                 assert (boxes[row][0] <= low).all() and (boxes[row][1] >= high).all()
 
 
-def test_ranks_agree_on_where_contact_is_possible(tables):
+@pytest.mark.parametrize("scattered", [False, True])
+@pytest.mark.parametrize("ranks", [1, 4])
+def test_ranks_agree_on_where_contact_is_possible(ranks, scattered):
     """A patch carries volumes and offsets on all ranks that hold it, or on none; and wherever two
     phases share a node block, all its patches do.
     """
-    census, built = tables
+    lattice = Lattice((60, 44, 40), 0.02)  # large, and the second phase rare: most patches do not
+    census = random_census(5, ranks, scattered, lattice, (0.3, 0.003))
     wanted = {}
-    for t in built:
+    for rank in range(ranks):
+        t = topology.build(census, lattice, rank, np.array([0, 1]), True, None)
         for row, slot in zip(t.row, t.offset_slot, strict=True):
-            if t.own.any():
-                wanted.setdefault(int(row), set()).add(bool(slot >= 0))
+            wanted.setdefault(int(row), set()).add(bool(slot >= 0))
         number = np.repeat(np.arange(len(t.first) - 1), np.diff(t.first))
         for nb in range(len(t.phase)):
             if t.meets[number[nb]]:
                 patches = t.pull_patch[t.pull_first[nb] : t.pull_first[nb + 1]]
                 assert (t.offset_slot[patches] >= 0).all()
     assert all(len(said) == 1 for said in wanted.values())
+    share = np.mean([True in said for said in wanted.values()])
+    assert 0.1 < share < 0.6, "too many or too few to test anything"
 
 
 @pytest.mark.parametrize("precision", ["single", "double"])
