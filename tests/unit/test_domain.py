@@ -56,6 +56,18 @@ def test_base_node_lies_in_its_block():
     assert (LATTICE.block(LATTICE.code(block)) == block).all()
 
 
+@pytest.mark.parametrize("real", REALS, ids=str)
+def test_place_just_below_the_next_block(real):
+    """Rounding to a fixed-point number may land on the next block's first position."""
+    edge = np.array([3.5, 7.5, 11.5])
+    x = np.nextafter(edge, 0.0)[:, None] * np.ones(3)
+    lattice = Lattice((22, 22, 22), 1.0)
+    block, xi = lattice.place(x, real)
+    half = 2 << BITS[real]
+    assert ((xi >= -half) & (xi < half)).all()
+    assert np.abs(lattice.position(block, xi, real) - x).max() <= 2.0 ** -BITS[real]
+
+
 @pytest.mark.parametrize("levels", [1, 2, 3, 4])
 def test_hilbert_curve_goes_from_neighbour_to_neighbour(levels):
     side = 1 << levels
@@ -265,14 +277,15 @@ def test_every_node_two_ranks_share_travels(tables):
                 assert (boxes[row][0] <= low).all() and (boxes[row][1] >= high).all()
 
 
-@pytest.mark.parametrize("scattered", [False, True])
-@pytest.mark.parametrize("ranks", [1, 4])
-def test_ranks_agree_on_where_contact_is_possible(ranks, scattered):
+@pytest.mark.parametrize(
+    "ranks, scattered, seed", [(4, False, s) for s in range(8)] + [(4, True, 5)]
+)
+def test_ranks_agree_on_where_contact_is_possible(ranks, scattered, seed):
     """A patch carries volumes and offsets on all ranks that hold it, or on none; and wherever two
     phases share a node block, all its patches do.
     """
     lattice = Lattice((60, 44, 40), 0.02)  # large, and the second phase rare: most patches do not
-    census = random_census(5, ranks, scattered, lattice, (0.3, 0.003))
+    census = random_census(seed, ranks, scattered, lattice, (0.3, 0.003))
     wanted = {}
     for rank in range(ranks):
         t = topology.build(census, lattice, rank, np.array([0, 1]), True, None)
