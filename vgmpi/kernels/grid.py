@@ -11,40 +11,9 @@ import numpy as np
 from ..device.jit import inline, kernel
 from .contact import TOUCH, collider_gap, geometry, resolve
 from .lanes import load, store
+from .patches import pull
 from .rows import repeat, spread, velocity
-from .walls import SIDE, constrain, tangential
-
-
-@inline
-def pull(nodes, first, last, patch_of, code_of, slots, patches):
-    """Sum into nodes (256,) the overlapping parts of patches first..last of the pull list.
-
-    code_of: 9 (di + 1) + 3 (dj + 1) + dk + 1, the node block's place relative to the patch's block;
-    patches: (slots, 2048). Rows along z are added in pieces of fixed length, which compiles to a
-    few vector operations.
-    """
-    nodes[:] = 0
-    for q in range(first, last):
-        slot = slots[patch_of[q]]
-        if slot < 0:
-            continue
-        patch = patches[slot]
-        code = code_of[q]
-        di, dj, dk = code // 9 - 1, code // 3 % 3 - 1, code % 3 - 1
-        # a patch begins one node before its block and ends two after it
-        for i in range(3 if di < 0 else 0, 3 if di > 0 else 4):
-            for j in range(3 if dj < 0 else 0, 3 if dj > 0 else 4):
-                at = (16 * i + 4 * j) * 4
-                row = ((4 * di + 1 + i) * SIDE + 4 * dj + 1 + j) * SIDE * 4
-                if dk == 0:
-                    for c in range(16):
-                        nodes[at + c] += patch[row + 4 + c]
-                elif dk < 0:
-                    for c in range(4):
-                        nodes[at + 12 + c] += patch[row + c]
-                else:
-                    for c in range(12):
-                        nodes[at + c] += patch[row + 20 + c]
+from .walls import constrain, tangential
 
 
 @kernel

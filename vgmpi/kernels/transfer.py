@@ -22,6 +22,7 @@ import numpy as np
 from ..device.jit import inline, kernel
 from .lanes import load, store
 from .laws import advance, lane_state, store_state, stress, volume_ratio, wave_speed2
+from .patches import gather
 from .rows import (
     SOUND_ALL,
     cell_offset,
@@ -375,26 +376,3 @@ def _note(report, number, reason):
     if report[2] == 0.0 or number + 1.0 < report[2]:
         report[2] = number + 1.0
         report[3] = reason
-
-
-@inline
-def gather(patch, grid, blocks):
-    """The 8^3 nodes -1..6 of a block into patch (2048,), from the 27 node blocks around it.
-
-    grid: (node blocks, 256). Rows along z are copied in pieces of fixed length, which compiles to a
-    few vector moves.
-    """
-    for i in range(SIDE):
-        gi = i + 3
-        for j in range(SIDE):
-            gj = j + 3
-            row = (gi >> 2) * 9 + (gj >> 2) * 3
-            at = ((gi & 3) * 16 + (gj & 3) * 4) * 4
-            to = (i * SIDE + j) * SIDE * 4
-            below, here, above = grid[blocks[row]], grid[blocks[row + 1]], grid[blocks[row + 2]]
-            for c in range(4):
-                patch[to + c] = below[at + 12 + c]
-            for c in range(16):
-                patch[to + 4 + c] = here[at + c]
-            for c in range(12):
-                patch[to + 20 + c] = above[at + c]

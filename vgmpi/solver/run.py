@@ -15,7 +15,7 @@ from ..domain.ranks import Alone
 from ..output import checkpoint, layout, rest
 from ..output.frames import Frames
 from ..output.ledger import Ledger
-from ..plan import Plan, make_plan
+from ..plan import Plan, describe, make_plan
 from ..prepare.build import build
 from ..scene import Scene
 from .requests import Requests
@@ -227,6 +227,7 @@ class Run:
             "scene_text": self.scene.text,
             "overrides": list(self.scene.overrides),
             "scene": self.scene.resolved(),
+            "plan": describe(self.scene, self.plan, ranks=1).splitlines(),
             "versions": versions(),
         }
         path = checkpoint.write(self.checkpoints, self.ranks, state)
