@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, model_validator
 
 from vgmpi.tables import Positive, Quantity, Table
 
@@ -21,14 +21,20 @@ class Wall(Table):
     kind: Literal["stick", "slip", "separate"] = "slip"
     """stick: no motion. slip: no motion through the wall. separate: material may also leave it"""
     friction: Annotated[float, Quantity("", ge=0)] = 0.0
-    """Coulomb coefficient along slip and separate walls"""
+    """Coulomb coefficient, for separate walls: the others do not rub or do not slide"""
+
+    @model_validator(mode="after")
+    def _rubs(self) -> "Wall":
+        if self.friction and self.kind != "separate":
+            raise ValueError('friction is for kind = "separate" only')
+        return self
 
 
 AnyWall = Annotated[Wall, BeforeValidator(_wall)]
 
 
 class Boundary(Table):
-    """The six walls: a kind ("slip") or { kind = "slip", friction = 0.2 } each."""
+    """The six walls: a kind ("slip") or { kind = "separate", friction = 0.2 } each."""
 
     default: AnyWall = Wall()
     """every wall not named"""

@@ -76,6 +76,12 @@ CASES = {
         "domain.boundary.floor.kind",
         "must be one of stick, slip, separate (did you mean 'stick'?); got 'stik'",
     ),
+    "friction of a slip wall": (
+        'floor = "stick"',
+        'floor = { kind = "slip", friction = 0.2 }',
+        "domain.boundary.floor",
+        'friction is for kind = "separate" only',
+    ),
     "wall name": ("floor =", "flor =", "domain.boundary.flor", "did you mean 'floor'?"),
     "material kind": (
         'kind = "fluid"',

@@ -22,7 +22,7 @@ title = "small"
 [domain]
 size = ["64 cm", 0.32, 0.32]
 cell = "2 cm"
-boundary = { default = "separate", floor = { kind = "slip", friction = 0.4 }, east = "stick" }
+boundary = { default = "slip", floor = { kind = "separate", friction = 0.4 }, east = "stick" }
 [time]
 end = "1 s"
 [material.water]
@@ -67,12 +67,12 @@ def test_values_are_si_and_defaults_are_filled_in(small):
 
 def test_walls_in_the_order_of_the_solver(small):
     assert load(small).domain.walls == [
-        ("separate", 0.0),
+        ("slip", 0.0),
         ("stick", 0.0),
-        ("separate", 0.0),
-        ("separate", 0.0),
-        ("slip", 0.4),
-        ("separate", 0.0),
+        ("slip", 0.0),
+        ("slip", 0.0),
+        ("separate", 0.4),
+        ("slip", 0.0),
     ]
     whole = Domain(size=[1, 1, 1], cell=0.1, boundary="stick")
     assert whole.walls == [("stick", 0.0)] * 6

@@ -58,9 +58,7 @@ def update(
             )  # fmt: skip
         if (low <= 0).any() or (low + 3 >= cells).any():
             for nb in range(n0, n1):
-                for node in range(64):
-                    i, j, k = low[0] + node // 16, low[1] + node // 4 % 4, low[2] + node % 4
-                    constrain(grid[nb, node], i, j, k, cells, wall_kinds, wall_friction)
+                constrain(grid[nb], low, cells, wall_kinds, wall_friction)
 
 
 @inline

@@ -94,24 +94,30 @@ def reflect(patch, mirror):
 
 
 @inline
-def constrain(v, i, j, k, cells, kinds, friction):
-    """Velocity v (3,) of domain node (i, j, k) after the walls."""
+def constrain(nodes, low, cells, kinds, friction):
+    """What the walls leave of the velocities of a node block (64, 4) whose first node is `low`."""
     for a in range(3):
-        node = i if a == 0 else (j if a == 1 else k)
+        stride = 16 if a == 0 else (4 if a == 1 else 1)
+        one, two = (4, 1) if a == 0 else ((16, 1) if a == 1 else (16, 4))
         for side in range(2):
             kind = kinds[a, side]
-            into = -node if side == 0 else node - cells[a]
-            if into < 0 or (into > 0 and kind != SEPARATE):
-                continue
-            if kind == STICK:
-                v[0] = v[1] = v[2] = 0
-            elif kind == SLIP:
-                v[a] = 0
-            else:
-                push = -v[a] if side == 0 else v[a]
-                if push > 0:
-                    v[a] = 0
-                    slow(v, friction[a, side] * push)
+            for plane in range(4):
+                node = low[a] + plane
+                into = -node if side == 0 else node - cells[a]
+                if into < 0 or (into > 0 and kind != SEPARATE):
+                    continue
+                for j in range(4):
+                    for k in range(4):
+                        v = nodes[plane * stride + j * one + k * two]
+                        if kind == STICK:
+                            v[0] = v[1] = v[2] = 0
+                        elif kind == SLIP:
+                            v[a] = 0
+                        else:
+                            push = -v[a] if side == 0 else v[a]
+                            if push > 0:
+                                v[a] = 0
+                                slow(v, friction[a, side] * push)
 
 
 @inline

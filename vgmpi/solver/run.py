@@ -165,6 +165,7 @@ class Run:
             checkpoint.clear(self.checkpoints, ranks)
         self.first_step = self.simulation.step
         self.requests = Requests(options.stop_steps, options.stop_seconds, scene.output.checkpoint)
+        self.warned = False
         self.opening: list[dict] = []
         self.latest: list[dict] = []
 
@@ -186,7 +187,10 @@ class Run:
     def _step(self) -> bool:
         """One step and what follows from it; True when the run shall stop here."""
         simulation = self.simulation
-        bound = self.plan.fixed_dt or simulation.bound()
+        bound = simulation.bound()
+        if self.plan.fixed_dt:
+            self._warn_if_too_long(bound)
+            bound = self.plan.fixed_dt
         dt, lands = next_step(simulation.time, self.plan.times[self.frame], bound)
         done = simulation.step + 1 - self.first_step
         stop, due = simulation.advance(dt, self.requests.flags(done))
@@ -201,6 +205,15 @@ class Run:
         if due or (every and simulation.step % every == 0):
             self._checkpoint()
         return False
+
+    def _warn_if_too_long(self, bound: float) -> None:
+        """Once: the fixed step was stable at the start, and no longer is."""
+        if self.plan.fixed_dt > bound and not self.warned:
+            self.warned = True
+            log.warning(
+                "step %d: time.dt = %.4g s is above the stable step of the present state, %.4g s",
+                self.simulation.step, self.plan.fixed_dt, bound,
+            )  # fmt: skip
 
     def _blew_up(self, said: str) -> int:
         """Say what happened, and write the state as it is for a look at it."""
