@@ -5,6 +5,7 @@ import logging
 import os
 import re
 import sys
+import traceback
 from pathlib import Path
 
 from .domain.ranks import Alone, world
@@ -77,7 +78,7 @@ def arguments(argv: list[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("-q", "--quiet", action="store_true", help="errors only")
     parser.add_argument(
-        "-v", "--verbose", action="store_true", help="say more; show where an error came from"
+        "-v", "--verbose", action="store_true", help="show where an error came from"
     )
     given = parser.parse_args(argv)
     if given.inspect is None and given.scene is None:
@@ -120,8 +121,10 @@ def main(argv: list[str] | None = None) -> int:
         return _refuse(error.lines, ranks)
     except (store.StoreError, checkpoint.CheckpointError, read.RunError) as error:
         if ranks.rank == 0:
+            if given.verbose:
+                traceback.print_exc()
             print(f"vgmpi: {error}", file=sys.stderr)
-        return 1
+        return WRONG if isinstance(error, checkpoint.CheckpointError) else 1
     except KeyboardInterrupt:
         return 130
 

@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from ..domain.ranks import Alone
-from ..output import checkpoint, layout, rest
+from ..output import checkpoint, layout, rest, store
 from ..output.frames import Frames
 from ..output.ledger import Ledger
+from ..output.read import RunError, read_gaussians
 from ..plan import Plan, describe, make_plan
 from ..prepare.build import build
 from ..scene import Scene
@@ -90,8 +91,6 @@ def _particles(scene: Scene, folder: Path | None):
     moving = not any(thing.collider for thing in scene.object)
     if path is not None and moving and rest.digest(path) == digest(scene):
         log.info("particles as prepared before: %s", path)
-        from ..output.read import read_gaussians
-
         found = read_gaussians(path)
         return _known(found.objects, found.object, found.vol0, []), None
     made = build(scene)
@@ -138,15 +137,28 @@ def begin(
     warm(plan, ranks)
     simulation = Simulation(plan, ranks, known.colliders, options.threads)
     if options.resume is not None:
-        with checkpoint.open(options.resume) as saved:
+        path = options.resume
+        with _on_all(ranks, path, lambda: checkpoint.open(path)) as saved:
             restore(simulation, saved)
             return simulation, saved.attrs["frame"]
     total = plan.particles
     first, last = total * ranks.rank // ranks.size, total * (ranks.rank + 1) // ranks.size
-    rows = rest.read_slice(options.folder / layout.GAUSSIANS, first, last)
+    path = options.folder / layout.GAUSSIANS
+    rows = _on_all(ranks, path, lambda: rest.read_slice(path, first, last))
     v = rows.get("v0", np.zeros_like(rows["x0"]))
     simulation.put(rows["x0"], v, rows["vol0"], np.arange(first, last), rows["object"])
     return simulation, 0
+
+
+def _on_all(ranks: Alone, path: Path, action):
+    """action() on every rank; what fails on one is the same StoreError on all. Collective."""
+    found, error = None, None
+    try:
+        found = action()
+    except (OSError, checkpoint.CheckpointError, RunError) as caught:
+        error = caught
+    store.agree(ranks, error, path, "read")
+    return found
 
 
 class Run:
