@@ -1,0 +1,114 @@
+"""The command line: exit codes, and the lines a user gets."""
+
+import logging
+import signal
+
+import pytest
+
+from tests.scenes import MIXED, write
+from vgmpi import cli
+
+
+@pytest.fixture(autouse=True)
+def leave_no_trace():
+    """main() sets up the log and listens to signals for the life of a program."""
+    log = logging.getLogger("vgmpi")
+    before = log.handlers[:], log.level, log.propagate
+    heard = [signal.getsignal(s) for s in (signal.SIGUSR1, signal.SIGTERM)]
+    yield
+    log.handlers[:], log.propagate = before[0], before[2]
+    log.setLevel(before[1])
+    signal.signal(signal.SIGUSR1, heard[0])
+    signal.signal(signal.SIGTERM, heard[1])
+
+
+@pytest.fixture
+def scene(tmp_path):
+    return write(tmp_path, MIXED.replace("PRECISION", "single"))
+
+
+def test_check_and_plan_write_nothing(scene, capsys):
+    assert cli.main([str(scene), "--check"]) == 0
+    assert "nothing is wrong" in capsys.readouterr().out
+    assert cli.main([str(scene), "--plan"]) == 0
+    said = capsys.readouterr().out
+    for word in (
+        "4,724 particles",
+        "ball",
+        "cube",
+        "fluid",
+        "76 bytes",
+        "set by material 'rubber'",
+    ):
+        assert word in said
+    assert sorted(p.name for p in scene.parent.iterdir()) == ["scene.toml"]
+
+
+@pytest.mark.parametrize("flag", ["--check", "--plan", "--prepare", "-q"])
+def test_a_wrong_scene_ends_with_2_and_writes_nothing(scene, capsys, flag):
+    scene.write_text(scene.read_text().replace("cell = 0.02", 'cell = "2 kg"'))
+    assert cli.main([str(scene), flag]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"{scene}:6: domain.cell: ") and "'kg' does not measure this" in line
+    assert sorted(p.name for p in scene.parent.iterdir()) == ["scene.toml"]
+
+
+def test_a_body_outside_the_domain_is_found_by_check(scene, capsys):
+    assert cli.main([str(scene), "--check", "--set", "object.ball.position=[0.1, 0.12, 0.2]"]) == 2
+    assert "outside the domain" in capsys.readouterr().err
+
+
+def test_a_fixed_step_above_the_bound_names_the_material(scene, capsys):
+    assert cli.main([str(scene), "--plan", "--set", "time.dt=1 ms"]) == 2
+    line = capsys.readouterr().err
+    assert "time.dt" in line and "material 'rubber'" in line and "at most" in line
+
+
+def test_too_little_memory_is_refused(scene, capsys, monkeypatch):
+    monkeypatch.setattr(cli, "memory", lambda: 1 << 20)
+    assert cli.main([str(scene), "--plan"]) == 2
+    assert "90 %" in capsys.readouterr().err
+    assert cli.main([str(scene), "--plan", "--force"]) == 0
+
+
+def test_prepare_makes_the_particles_alone(scene, capsys):
+    assert cli.main([str(scene), "--prepare"]) == 0
+    assert "4,724 particles" in capsys.readouterr().out
+    assert [p.name for p in (scene.parent / "out").iterdir()] == ["gaussians.h5"]
+
+
+def test_resume_without_a_checkpoint(scene, capsys):
+    assert cli.main([str(scene), "--resume"]) == 2
+    assert "no valid checkpoint" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("amount", ["0", "ten", "5.5 steps", "-3 s", "3 days"])
+def test_amounts_that_make_no_sense(scene, capsys, amount):
+    with pytest.raises(SystemExit) as ended:
+        cli.main([str(scene), f"--stop-after={amount}"])
+    assert ended.value.code == 2
+    assert "--stop-after" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "text, want",
+    [
+        ("", (0, 0.0)),
+        ("12", (12, 0.0)),
+        ("1 step", (1, 0.0)),
+        ("90 s", (0, 90.0)),
+        ("1.5 min", (0, 90.0)),
+        ("2h", (0, 7200.0)),
+    ],
+)
+def test_amounts(text, want):
+    assert cli._amount(text) == want
+
+
+def test_inspect(scene, capsys):
+    assert cli.main(["--inspect", str(scene.parent / "none.h5")]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+    cli.main([str(scene), "--prepare"])
+    capsys.readouterr()
+    assert cli.main(["--inspect", str(scene.parent / "out" / "gaussians.h5")]) == 0
+    assert "vol0" in capsys.readouterr().out
