@@ -59,9 +59,9 @@ def test_momentum_of_a_closed_system(tmp_path):
     after = totals(simulation)
     (x,) = by_id(simulation, "x")
     assert x.min() > 2 * 0.02 and x.max() < 0.48 - 2 * 0.02, "they met a wall"
-    assert np.abs(after["momentum"] - before["momentum"]).max() <= 1e-12 * mass_speed(
-        simulation, made
-    )
+    drift = np.abs(after["momentum"] - before["momentum"]).max() / mass_speed(simulation, made)
+    print(f"closed system: momentum drift {drift:.1e} of sum m |v| after 1,000 steps")
+    assert drift <= 1e-12
     assert after["mass"] == pytest.approx(before["mass"], rel=1e-14)
     assert after["kinetic"] < 0.95 * before["kinetic"], "they did not collide"
 
@@ -84,5 +84,8 @@ def test_a_spinning_body_keeps_its_angular_momentum(tmp_path):
     advance(simulation, 0.002 + 2 * np.pi / 12)
     after = totals(simulation)
     assert abs(before["angular"][2]) > 1e-3
-    assert np.abs(after["angular"] - before["angular"]).max() <= 1e-12 * abs(before["angular"][2])
+    drift = np.abs(after["angular"] - before["angular"]).max() / abs(before["angular"][2])
+    loss = 1 - after["energy"] / before["energy"]
+    print(f"spinning body: angular momentum drift {drift:.1e}, energy loss {loss:.1e} in a turn")
+    assert drift <= 1e-12
     assert after["energy"] > 0.99 * before["energy"]
