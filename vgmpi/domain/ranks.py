@@ -96,8 +96,9 @@ class Mpi(Alone):
         self.mpi.Allreduce(values, out, self._MPI.MAX)
         return out
 
-    def _counts(self, rows):
-        mine = np.array([len(rows)], np.int64)
+    def _counts(self, count):
+        """`count` of every rank, (size,)."""
+        mine = np.array([count], np.int64)
         counts = np.empty(self.size, np.int64)
         self.mpi.Allgather(mine, counts)
         return counts
@@ -109,7 +110,7 @@ class Mpi(Alone):
 
     def all_rows(self, rows):
         rows = np.ascontiguousarray(rows)
-        counts = self._counts(rows)
+        counts = self._counts(len(rows))
         out = np.empty((int(counts.sum()), *rows.shape[1:]), rows.dtype)
         row = self._type(rows)
         self.mpi.Allgatherv([rows, len(rows), row], [out, counts, _starts(counts), row])
@@ -118,7 +119,7 @@ class Mpi(Alone):
 
     def root_rows(self, rows):
         rows = np.ascontiguousarray(rows)
-        counts = self._counts(rows)
+        counts = self._counts(len(rows))
         row = self._type(rows)
         if self.rank == 0:
             out = np.empty((int(counts.sum()), *rows.shape[1:]), rows.dtype)
@@ -130,10 +131,10 @@ class Mpi(Alone):
         return out
 
     def before(self, count):
-        return int(self._counts(range(count))[: self.rank].sum())
+        return int(self._counts(count)[: self.rank].sum())
 
     def total(self, count):
-        return int(self._counts(range(count)).sum())
+        return int(self._counts(count).sum())
 
     def exchange(self, parts):
         sent = np.array([len(p) for p in parts], np.int64)

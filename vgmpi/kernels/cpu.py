@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..device.memory import aligned
-from ..domain.blocks import BITS, EDGE, Lattice
+from ..domain.blocks import BITS, EDGE
 from ..domain.state import Group
 from ..domain.topology import Topology
 from ..plan import Plan
@@ -38,15 +38,13 @@ class Cpu:
     one thread, so their number does not touch the bits.
     """
 
-    def __init__(self, plan: Plan, lattice: Lattice, solids, threads: int = 1):
+    def __init__(self, plan: Plan, solids, threads: int = 1):
         self.plan = plan
         self.threads = threads
         self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
         real = plan.real
         self.bits = BITS[real]
         self.dx = real.type(plan.dx)
-        self.lattice = lattice
-        self.solids = solids
         self.solid_nodes = np.zeros((0, 64, 4), real) if solids is None else solids.nodes
         self.wall_kinds = np.array([KINDS[kind] for kind, _ in plan.walls], np.int64).reshape(3, 2)
         self.wall_friction = np.array([mu for _, mu in plan.walls]).reshape(3, 2)

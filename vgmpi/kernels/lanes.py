@@ -46,7 +46,7 @@ class _LanesModel(models.PrimitiveModel):
         super().__init__(manager, lanes, lanes.vector)
 
 
-def spread(context, builder, given, lanes, value):
+def in_all_lanes(context, builder, given, lanes, value):
     """A vector, or a plain number in all lanes."""
     if isinstance(given, Lanes):
         return value
@@ -85,7 +85,7 @@ def store(typing, row, first, values):
     def build(context, builder, signature, arguments):
         place = address(context, builder, signature.args[0], *arguments[:2])
         place = builder.bitcast(place, lanes.vector.as_pointer())
-        vector = spread(context, builder, signature.args[2], lanes, arguments[2])
+        vector = in_all_lanes(context, builder, signature.args[2], lanes, arguments[2])
         builder.store(vector, place, align=lanes.real.bitwidth // 8)
         return context.get_dummy_value()
 
@@ -108,7 +108,9 @@ def _binary(function, emit):
 
         def build(context, builder, signature, arguments):
             pair = zip(signature.args, arguments, strict=True)
-            return emit(builder, lanes, *(spread(context, builder, t, lanes, v) for t, v in pair))
+            return emit(
+                builder, lanes, *(in_all_lanes(context, builder, t, lanes, v) for t, v in pair)
+            )
 
         return lanes(a, b), build
 

@@ -11,7 +11,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from .lanes import COUNT, OF, Lanes, address, call
+from .lanes import COUNT, OF, Lanes, address, call, in_all_lanes
 
 _I32 = ir.IntType(32)
 
@@ -34,10 +34,7 @@ def spread(typing, example, value):
     lanes = OF[example.dtype]
 
     def build(context, builder, signature, arguments):
-        number = context.cast(builder, arguments[1], signature.args[1], lanes.real)
-        undefined = ir.Constant(lanes.vector, ir.Undefined)
-        one = builder.insert_element(undefined, number, _I32(0))
-        return builder.shuffle_vector(one, one, _mask([0] * COUNT))
+        return in_all_lanes(context, builder, signature.args[1], lanes, arguments[1])
 
     return lanes(example, value), build
 
@@ -186,10 +183,7 @@ def cell_offset(typing, row, first, stride):
         place = address(context, builder, signature.args[0], *arguments[:2])
         x = builder.load(_whole_at(builder, place, lanes), align=_align(lanes))
         cell = builder.add(builder.ashr(x, lanes.integer(_bits(lanes))), lanes.integer(3))
-        step = context.cast(builder, arguments[2], signature.args[2], lanes.real)
-        undefined = ir.Constant(lanes.vector, ir.Undefined)
-        step = builder.insert_element(undefined, step, _I32(0))
-        step = builder.shuffle_vector(step, step, _mask([0] * COUNT))
+        step = in_all_lanes(context, builder, signature.args[2], lanes, arguments[2])
         return builder.fmul(builder.sitofp(cell, lanes.vector), step)
 
     return lanes(row, types.intp, stride), build

@@ -42,7 +42,7 @@ from .rows import (
 )
 from .walls import SIDE, fold, reflect
 
-VELOCITY, AFFINE, VOLUME, STATE = 0, 3, 12, 13
+AFFINE, VOLUME, STATE = 3, 12, 13
 REACH = 3  # cells from the block's middle within which a particle's base node lies in its patch
 BATCH = 128
 ROW = SIDE * 4  # numbers of a patch from one (i, j) to (i, j + 1)

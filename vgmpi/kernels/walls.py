@@ -36,6 +36,16 @@ def patch_codes(block: np.ndarray, cells: tuple, kinds: np.ndarray) -> np.ndarra
 
 
 @inline
+def _node(patch, a, plane, i, j):
+    """The node (i, j) of a plane across axis a."""
+    if a == 0:
+        return patch[plane, i, j]
+    if a == 1:
+        return patch[i, plane, j]
+    return patch[i, j, plane]
+
+
+@inline
 def fold(patch, mirror, as_offset):
     """Add what lies on the ghost nodes of stick and slip walls to their mirror nodes, reflected.
 
@@ -51,12 +61,8 @@ def fold(patch, mirror, as_offset):
             step = 1 if side == 0 else -1
             for i in range(SIDE):
                 for j in range(SIDE):
-                    if a == 0:
-                        inner, ghost = patch[wall + step, i, j], patch[wall - step, i, j]
-                    elif a == 1:
-                        inner, ghost = patch[i, wall + step, j], patch[i, wall - step, j]
-                    else:
-                        inner, ghost = patch[i, j, wall + step], patch[i, j, wall - step]
+                    inner = _node(patch, a, wall + step, i, j)
+                    ghost = _node(patch, a, wall - step, i, j)
                     for c in range(4):
                         odd = c == a or (kind == STICK and c < 3 and not as_offset)
                         inner[c] += -ghost[c] if odd else ghost[c]
@@ -76,12 +82,8 @@ def reflect(patch, mirror):
             step = 1 if side == 0 else -1
             for i in range(SIDE):
                 for j in range(SIDE):
-                    if a == 0:
-                        inner, ghost = patch[wall + step, i, j], patch[wall - step, i, j]
-                    elif a == 1:
-                        inner, ghost = patch[i, wall + step, j], patch[i, wall - step, j]
-                    else:
-                        inner, ghost = patch[i, j, wall + step], patch[i, j, wall - step]
+                    inner = _node(patch, a, wall + step, i, j)
+                    ghost = _node(patch, a, wall - step, i, j)
                     for c in range(3):
                         if kind == STICK or (kind == SLIP and c == a):
                             ghost[c] = -inner[c]

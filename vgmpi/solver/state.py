@@ -4,10 +4,16 @@ import numpy as np
 
 from ..domain.migrate import Census, census
 from ..domain.state import LANES
+from ..kernels.transfer import AFFINE, STATE, VOLUME
 from ..materials.base import function
 from .step import Simulation
 
-PIECES = {"v": slice(0, 3), "C": slice(3, 12), "vol0": slice(12, 13), "state": slice(13, None)}
+PIECES = {
+    "v": slice(0, AFFINE),
+    "C": slice(AFFINE, VOLUME),
+    "vol0": slice(VOLUME, STATE),
+    "state": slice(STATE, None),
+}
 
 
 def frame_rows(simulation: Simulation, names: tuple[str, ...]) -> tuple[np.ndarray, dict]:
@@ -20,7 +26,7 @@ def frame_rows(simulation: Simulation, names: tuple[str, ...]) -> tuple[np.ndarr
     solids = any(phase.family == "solid" for phase in simulation.plan.phases)
     for group in simulation.groups:
         at = group.index()
-        state = tuple(group.f[13:, at])
+        state = tuple(group.f[STATE:, at])
         J = np.asarray(function(group.plan.law, "volume_ratio")(group.plan.law, state), np.float32)
         row = {
             "x": group.positions().astype(np.float32),

@@ -38,7 +38,7 @@ class Simulation:
         self.ranks = ranks
         self.lattice = Lattice(plan.cells, plan.dx)
         self.solids = Solids(list(colliders), self.lattice, plan.real) if colliders else None
-        self.engine = Cpu(plan, self.lattice, self.solids, threads)
+        self.engine = Cpu(plan, self.solids, threads)
         self.groups = [Group(group, self.lattice, plan.real) for group in plan.groups]
         self.phase_of = np.array([group.phase for group in plan.groups])
         self.cut: np.ndarray | None = None
@@ -64,8 +64,8 @@ class Simulation:
             block, xi = self.lattice.place(x[here], self.plan.real)
             f = np.zeros((group.channels, int(here.sum())), self.plan.real)
             f[0:3] = v[here].T
-            f[12] = volume[here]
-            f[13:] = np.array(group.plan.rest)[:, None]
+            f[transfer.VOLUME] = volume[here]
+            f[transfer.STATE :] = np.array(group.plan.rest)[:, None]
             migrate.arrive(group, block, xi, f, ids[here])
             if here.any():
                 law = group.plan.law
