@@ -10,7 +10,7 @@ import threading
 
 import numpy as np
 
-from vgmpi.domain.ranks import Alone
+from vgmpi.domain.ranks import Alone, Link
 
 PATIENCE = 120.0  # seconds before a rank that waits for another gives up
 
@@ -79,27 +79,47 @@ class Simulated(Alone):
         _same({(p.shape[1:], p.dtype) for sent in given for p in sent}, "exchange")
         return self._done([sent[self.rank].copy() for sent in given])
 
-    def post(self, sends, recvs):
-        shared = self._shared
-        requests = []
-        with shared.mail:
-            for source, buffer in recvs:
-                ticket = shared.ticket("recv", source, self.rank)
-                requests.append(("recv", ticket, _flat(buffer), None))
-            for target, buffer in sends:
-                ticket = shared.ticket("send", self.rank, target)
-                copy = _flat(buffer).copy()
-                shared.messages[ticket] = copy
-                requests.append(("send", ticket, _flat(buffer), copy))
-            shared.mail.notify_all()
-        return requests
+    def link(self, sends, receives):
+        return SimulatedLink(self.rank, self._shared, sends, receives)
 
-    def wait(self, requests):
-        for kind, ticket, buffer, copy in requests:
-            if kind == "send":
-                if not np.array_equal(buffer, copy):
-                    raise AssertionError(f"rank {self.rank} changed a buffer before it was sent")
-                continue
+    def abort(self, code):
+        raise Aborted(self.rank, code)
+
+
+class SimulatedLink(Link):
+    """Messages lie in the shared mail box until taken."""
+
+    def __init__(self, rank, shared, sends, receives):
+        self.rank = rank
+        self._shared = shared
+        self._sends = [(target, _flat(buffer)) for target, buffer in sends]
+        self._receives = [(source, _flat(buffer)) for source, buffer in receives]
+        self._under_way = None
+
+    def start(self):
+        if self._under_way is not None:
+            raise AssertionError(f"rank {self.rank} started a link twice without waiting")
+        shared = self._shared
+        expected, sent = [], []
+        with shared.mail:
+            for source, buffer in self._receives:
+                expected.append((shared.ticket("recv", source, self.rank), buffer))
+            for target, buffer in self._sends:
+                copy = buffer.copy()
+                shared.messages[shared.ticket("send", self.rank, target)] = copy
+                sent.append((buffer, copy))
+            shared.mail.notify_all()
+        self._under_way = expected, sent
+
+    def wait(self):
+        if self._under_way is None:
+            return
+        expected, sent = self._under_way
+        self._under_way = None
+        for buffer, copy in sent:
+            if not np.array_equal(buffer, copy):
+                raise AssertionError(f"rank {self.rank} changed a buffer before it was sent")
+        for ticket, buffer in expected:
             message = self._shared.take(ticket)
             if len(message) != len(buffer):
                 source, _, number = ticket
@@ -109,8 +129,9 @@ class Simulated(Alone):
                 )
             buffer[:] = message
 
-    def abort(self, code):
-        raise Aborted(self.rank, code)
+    def close(self):
+        if self._under_way is not None:
+            raise AssertionError(f"rank {self.rank} closes a link with messages under way")
 
 
 class _Shared:

@@ -13,6 +13,7 @@ from tests import simulated
 from tests.scenes import MIXED
 from tests.simulate import begin
 from vgmpi.domain import halo, migrate, sorting, topology
+from vgmpi.kernels import cpu
 from vgmpi.solver.state import save
 
 STEPS = 240
@@ -132,13 +133,7 @@ def test_any_owner_will_do(one, tmp_path, monkeypatch):
 
 def drop_a_neighbour(monkeypatch):
     """The last neighbour of every rank gets no message."""
-    real = halo.Halo.__init__
-
-    def init(self, *arguments):
-        real(self, *arguments)
-        self.sends = self.sends[:-1]
-
-    monkeypatch.setattr(halo.Halo, "__init__", init)
+    changed_tables(monkeypatch, lambda tables: tables._replace(sends=tables.sends[:-1]))
 
 
 def forget_corners(monkeypatch):
@@ -235,23 +230,41 @@ def sort_without_id(monkeypatch):
 
 def skip_a_halo(monkeypatch):
     """The ghost patches of one step are those of the step before."""
-    real = halo.Halo.exchange
+    for name in ("start", "finish"):
+        real = getattr(halo.Halo, name)
 
-    def exchange(self, step, *arguments):
-        if step != 40:
-            real(self, step, *arguments)
+        def but_not_then(self, step, *arguments, real=real):
+            if step != 40:
+                real(self, step, *arguments)
 
-    monkeypatch.setattr(halo.Halo, "exchange", exchange)
+        monkeypatch.setattr(halo.Halo, name, but_not_then)
 
 
 def one_rank_is_late(monkeypatch):
     """One rank packs its message as of the step before."""
-    real = halo.Halo.exchange
+    real = halo.Halo.start
 
-    def exchange(self, step, *arguments):
-        real(self, step - (step == 40 and self.ranks.rank == 0), *arguments)
+    def start(self, step, *arguments):
+        real(self, step - (step == 40 and self.rank == 0), *arguments)
 
-    monkeypatch.setattr(halo.Halo, "exchange", exchange)
+    monkeypatch.setattr(halo.Halo, "start", start)
+
+
+def border_too_early(monkeypatch):
+    """Blocks that wait for other ranks are summed with the others, before the messages arrive."""
+    changed_tables(monkeypatch, lambda t: t._replace(waits=np.zeros_like(t.waits)))
+
+
+def sent_too_early(monkeypatch):
+    """Messages begin to travel before the boundary patches are filled."""
+    real = cpu.Cpu.p2g
+
+    def p2g(self, dt, border):
+        if not border:
+            for side in (True, False):
+                real(self, dt, side)
+
+    monkeypatch.setattr(cpu.Cpu, "p2g", p2g)
 
 
 def local_step(monkeypatch):
@@ -289,6 +302,8 @@ MUTATIONS = {
     sort_without_id: BITS,
     skip_a_halo: BITS,
     one_rank_is_late: ERROR,
+    border_too_early: BITS,
+    sent_too_early: BITS,
     local_step: BITS,
     local_sort: ERROR,
 }

@@ -30,14 +30,23 @@ def test_collectives():
 def test_messages_match_in_posting_order():
     def job(ranks):
         other = 1 - ranks.rank
-        a, b = np.zeros(2), np.zeros(3)
-        first = ranks.post([(other, np.full(2, 1.0 + ranks.rank))], [(other, a)])
-        second = ranks.post([(other, np.full(3, 5.0))], [(other, b)])
-        ranks.wait(second)
-        ranks.wait(first)
-        return a[0], b[0]
+        a, b, sent = np.zeros(2), np.zeros(3), np.full(2, 1.0 + ranks.rank)
+        first = ranks.link([(other, sent)], [(other, a)])
+        second = ranks.link([(other, np.full(3, 5.0))], [(other, b)])
+        first.start()
+        second.start()
+        second.wait()
+        first.wait()
+        once = a[0], b[0]
+        sent += 10
+        first.start()
+        first.nudge()
+        first.wait()
+        first.close()
+        second.close()
+        return *once, a[0]
 
-    assert run(2, job) == [(2.0, 5.0), (1.0, 5.0)]
+    assert run(2, job) == [(2.0, 5.0, 12.0), (1.0, 5.0, 11.0)]
 
 
 def test_received_rows_are_copies():
@@ -53,14 +62,29 @@ def test_received_rows_are_copies():
 
 def changed_buffer(ranks):
     a, b = np.zeros(2), np.zeros(2)
-    requests = ranks.post([(1 - ranks.rank, a)], [(1 - ranks.rank, b)])
+    link = ranks.link([(1 - ranks.rank, a)], [(1 - ranks.rank, b)])
+    link.start()
     a[0] = 1
-    ranks.wait(requests)
+    link.wait()
 
 
 def wrong_length(ranks):
     peer = 1 - ranks.rank
-    ranks.wait(ranks.post([(peer, np.zeros(2))], [(peer, np.zeros(3))]))
+    link = ranks.link([(peer, np.zeros(2))], [(peer, np.zeros(3))])
+    link.start()
+    link.wait()
+
+
+def started_twice(ranks):
+    link = ranks.link([], [])
+    link.start()
+    link.start()
+
+
+def closed_too_early(ranks):
+    link = ranks.link([], [])
+    link.start()
+    link.close()
 
 
 @pytest.mark.parametrize(
@@ -74,7 +98,9 @@ def wrong_length(ranks):
         ),
         (changed_buffer, "changed a buffer"),
         (wrong_length, "has 16 bytes, its buffer 24"),
-        (lambda ranks: ranks.post([(1 - ranks.rank, np.zeros(1))], []), "nobody received"),
+        (started_twice, "twice without waiting"),
+        (closed_too_early, "messages under way"),
+        (lambda ranks: ranks.link([(1 - ranks.rank, np.zeros(1))], []).start(), "nobody received"),
     ],
 )
 def test_mistakes_are_errors(job, text):

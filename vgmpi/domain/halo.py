@@ -5,8 +5,9 @@
                  ----> c                  each sends the other the boxes of nodes they share,
               d <----                     and both add all patches in the order of their keys.
 
-Each message begins with a header: the step and a number that stands for the list of patches, so
-that ranks that disagree stop instead of adding the wrong thing.
+Patches at the boundary are filled first, so that messages travel while the others are filled and
+summed. Each message begins with a header: the step and a number that stands for the list of
+patches, so that ranks that disagree stop instead of adding the wrong thing.
 """
 
 import zlib
@@ -18,6 +19,7 @@ from .ranks import Alone
 from .topology import Topology
 
 _HEADER = 4  # numbers at the front of a message
+SIDE = 8  # nodes of a patch along an axis
 
 
 class HaloError(RuntimeError):
@@ -28,35 +30,37 @@ class Halo:
     """Buffers and box lists, made anew at each sort."""
 
     def __init__(self, ranks: Alone, topology: Topology, real: np.dtype):
-        self.ranks = ranks
+        self.rank = ranks.rank
         self.sends = [_Message(part, topology, real) for part in topology.sends]
         self.receives = [_Message(part, topology, real) for part in topology.receives]
+        self.link = ranks.link(
+            [(m.rank, m.buffer) for m in self.sends], [(m.rank, m.buffer) for m in self.receives]
+        )
 
     @property
     def bytes_sent(self) -> int:
         """Per step."""
         return sum(m.buffer.nbytes for m in self.sends)
 
-    def exchange(self, step: int, patches: np.ndarray, offsets: np.ndarray) -> None:
-        """Send the boundary boxes and put the neighbours' into the ghost patches. Collective among
-        neighbours.
-        """
+    def start(self, step: int, patches: np.ndarray, offsets: np.ndarray) -> None:
+        """Begin to send the boundary boxes. Collective among neighbours, with `finish`."""
         for m in self.sends:
             m.head[:] = step, m.seal
-            pack(m.buffer[_HEADER:], m.slots, m.low, m.high, patches)
-            pack(m.buffer[m.split :], m.offset_slots, m.offset_low, m.offset_high, offsets)
-        requests = self.ranks.post(
-            [(m.rank, m.buffer) for m in self.sends], [(m.rank, m.buffer) for m in self.receives]
-        )
-        self.ranks.wait(requests)
+            pack(m.body, m.slots, m.low, m.high, patches)
+            pack(m.offset_body, m.offset_slots, m.offset_low, m.offset_high, offsets)
+        self.link.start()
+
+    def finish(self, step: int, patches: np.ndarray, offsets: np.ndarray) -> None:
+        """Put the neighbours' boxes into the ghost patches."""
+        self.link.wait()
         for m in self.receives:
             if m.head[0] != step or m.head[1] != m.seal:
                 raise HaloError(
-                    f"rank {self.ranks.rank}: message from rank {m.rank} is of step {m.head[0]},"
+                    f"rank {self.rank}: message from rank {m.rank} is of step {m.head[0]},"
                     f" not {step}, or of another list of patches"
                 )
-            unpack(m.buffer[_HEADER:], m.slots, m.low, m.high, patches)
-            unpack(m.buffer[m.split :], m.offset_slots, m.offset_low, m.offset_high, offsets)
+            unpack(m.body, m.slots, m.low, m.high, patches)
+            unpack(m.offset_body, m.offset_slots, m.offset_low, m.offset_high, offsets)
 
 
 class _Message:
@@ -71,9 +75,10 @@ class _Message:
         self.offset_slots = offset[wanted]
         self.offset_low, self.offset_high = self.low[wanted], self.high[wanted]
         size = 4 * np.prod(self.high - self.low, axis=1)
-        self.split = _HEADER + int(size.sum())
-        self.buffer = np.zeros(self.split + int(size[wanted].sum()), real)
+        split = _HEADER + int(size.sum())
+        self.buffer = np.zeros(split + int(size[wanted].sum()), real)
         self.head = self.buffer[:_HEADER].view(np.int64)[:2]
+        self.body, self.offset_body = self.buffer[_HEADER:split], self.buffer[split:]
         rows = topology.row[self.slots].astype(np.int64)
         listed = np.concatenate([rows, self.low.ravel(), self.high.ravel(), wanted])
         self.seal = zlib.crc32(listed.astype(np.int64).tobytes())
@@ -81,16 +86,17 @@ class _Message:
 
 @kernel
 def pack(buffer, slots, low, high, patches):
-    """Copy box low..high of each patch into the buffer."""
+    """Copy nodes low..high of each patch into the buffer. patches: (slots, 2048)."""
     at = 0
     for q in range(len(slots)):
         patch = patches[slots[q]]
+        k, length = 4 * low[q, 2], 4 * (high[q, 2] - low[q, 2])
         for i in range(low[q, 0], high[q, 0]):
             for j in range(low[q, 1], high[q, 1]):
-                for k in range(low[q, 2], high[q, 2]):
-                    for c in range(4):
-                        buffer[at + c] = patch[i, j, k, c]
-                    at += 4
+                row = (i * SIDE + j) * SIDE * 4 + k
+                for c in range(length):
+                    buffer[at + c] = patch[row + c]
+                at += length
 
 
 @kernel
@@ -99,9 +105,10 @@ def unpack(buffer, slots, low, high, patches):
     at = 0
     for q in range(len(slots)):
         patch = patches[slots[q]]
+        k, length = 4 * low[q, 2], 4 * (high[q, 2] - low[q, 2])
         for i in range(low[q, 0], high[q, 0]):
             for j in range(low[q, 1], high[q, 1]):
-                for k in range(low[q, 2], high[q, 2]):
-                    for c in range(4):
-                        patch[i, j, k, c] = buffer[at + c]
-                    at += 4
+                row = (i * SIDE + j) * SIDE * 4 + k
+                for c in range(length):
+                    patch[row + c] = buffer[at + c]
+                at += length

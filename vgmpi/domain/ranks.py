@@ -54,21 +54,54 @@ class Alone:
         """
         return [parts[0]]
 
-    def post(self, sends, recvs) -> list:
-        """Start non-blocking transfers; `sends` and `recvs` are lists of (rank, contiguous array).
-        Not collective.
+    def link(self, sends, receives) -> "Link":
+        """Transfers between fixed buffers; `sends` and `receives` are lists of (rank, contiguous
+        array). Not collective.
         """
-        assert not sends and not recvs
-        return []
-
-    def wait(self, requests: list) -> None:
-        """Complete transfers started by `post`. Not collective."""
+        assert not sends and not receives
+        return Link()
 
     def abort(self, code: int) -> None:
         """End all ranks now."""
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code)
+
+
+class Link:
+    """Transfers between the same buffers again and again. Nothing here is collective."""
+
+    def start(self) -> None:
+        """Begin to send what the buffers hold."""
+
+    def nudge(self) -> None:
+        """Let messages under way move on: many MPI libraries work only when called."""
+
+    def wait(self) -> None:
+        """Return when all has arrived and all buffers may be written again."""
+
+    def close(self) -> None:
+        """Give back what MPI holds; the last call."""
+
+
+class _MpiLink(Link):
+    def __init__(self, MPI, communicator, sends, receives):
+        self._MPI = MPI
+        self._requests = [communicator.Recv_init(buffer, source=r) for r, buffer in receives]
+        self._requests += [communicator.Send_init(buffer, dest=r) for r, buffer in sends]
+
+    def start(self):
+        self._MPI.Prequest.Startall(self._requests)
+
+    def nudge(self):
+        self._MPI.Request.Testall(self._requests)
+
+    def wait(self):
+        self._MPI.Request.Waitall(self._requests)
+
+    def close(self):
+        for request in self._requests:
+            request.Free()
 
 
 class Mpi(Alone):
@@ -147,12 +180,8 @@ class Mpi(Alone):
         row.Free()
         return np.split(out, np.cumsum(got)[:-1])
 
-    def post(self, sends, recvs):
-        requests = [self.mpi.Irecv(buffer, source=r) for r, buffer in recvs]
-        return requests + [self.mpi.Isend(buffer, dest=r) for r, buffer in sends]
-
-    def wait(self, requests):
-        self._MPI.Request.Waitall(requests)
+    def link(self, sends, receives):
+        return _MpiLink(self._MPI, self.mpi, sends, receives)
 
     def abort(self, code):
         sys.stdout.flush()

@@ -32,6 +32,7 @@ class Topology(NamedTuple):
     phase: np.ndarray  # (node blocks,)
     block_at: np.ndarray  # (blocks, 3)
     meets: np.ndarray  # (blocks,) bool: contact is possible here
+    waits: np.ndarray  # (blocks,) bool: patches of other ranks are part of its sum
     solid_of: np.ndarray  # (blocks,) row among the collider's blocks, or -1
     pull_first: np.ndarray  # (node blocks + 1,)
     pull_patch: np.ndarray  # patches that touch each node block, in key order
@@ -103,10 +104,11 @@ def build(
     patch_of, code_of = np.nonzero(needed)
     order = np.argsort(inverse, kind="stable")  # patches ascend within a node block: key order
     touching = np.bincount(inverse, minlength=len(nodes))
+    begin = np.concatenate([[0], np.cumsum(touching)])
 
     flat = nodes // phases
     new = np.flatnonzero(np.diff(flat, prepend=-1))
-    block_at = target[needed][order][np.concatenate([[0], np.cumsum(touching)[:-1]])][new]
+    block_at = target[needed][order][begin[new]]
     first = np.append(new, len(nodes))
     solid_of = np.full(len(new), -1, np.int64) if solid is None else solid(block_at)
     meets = ((np.diff(first) > 1) & contact) | (solid_of >= 0)
@@ -121,8 +123,9 @@ def build(
         phase=nodes % phases,
         block_at=block_at,
         meets=meets,
+        waits=np.logical_or.reduceat(~own[patch_of[order]], begin[new]),
         solid_of=solid_of,
-        pull_first=np.concatenate([[0], np.cumsum(touching)]),
+        pull_first=begin,
         pull_patch=patch_of[order],
         pull_code=code_of[order],
         sends=_traffic(block, own, census.owner[row], box, rank, sending=True),
@@ -192,5 +195,6 @@ def _nothing() -> Topology:
     none, one = np.zeros(0, np.int64), np.zeros(1, np.int64)
     return Topology(
         none, none.astype(bool), np.zeros((0, 3), np.int64), none, np.zeros((0, 27), np.int64),
-        one, none, np.zeros((0, 3), np.int64), none.astype(bool), none, one, none, none, [], [],
+        one, none, np.zeros((0, 3), np.int64), none.astype(bool), none.astype(bool), none, one,
+        none, none, [], [],
     )  # fmt: skip

@@ -86,8 +86,14 @@ class Cpu:
             self.parts.append(
                 Part(group, at, t.offset_slot[at], t.table[here], self._limits(block), mirror)
             )
-        self.shares = [_shares(group.count, self.threads) for group in groups]
-        self.block_shares = _shares(np.diff(t.first), self.threads)
+        sent = np.zeros(len(t.row), bool)
+        for _, patches, _, _ in t.sends:
+            sent[patches] = True
+        self.shares = [
+            _Shares(group.count, sent[part.slot], self.threads)
+            for group, part in zip(groups, self.parts, strict=True)
+        ]
+        self.block_shares = _Shares(np.diff(t.first), t.waits, self.threads)
 
     def _limits(self, block: np.ndarray) -> np.ndarray:
         """Range of positions [cells from the block's middle] whose base node exists, half a cell
@@ -96,11 +102,11 @@ class Cpu:
         high = np.array(self.plan.cells) - 1.0 - EDGE * block
         return np.stack([np.maximum(low, -5.0), np.minimum(high, 5.0)], -1)
 
-    def p2g(self, dt: float) -> None:
-        """Fill the patches of this rank's segments."""
+    def p2g(self, dt: float, border: bool) -> None:
+        """Fill the patches of this rank's segments: those that other ranks need, or the others."""
         real = self.plan.real.type
         for part, shares in zip(self.parts, self.shares, strict=True):
-            self._each(shares, self._p2g, part, real(dt))
+            self._each(shares.of(border), self._p2g, part, real(dt))
 
     def _p2g(self, thread: int, share: np.ndarray, part: "Part", dt) -> None:
         group, plan = part.group, part.group.plan
@@ -110,14 +116,15 @@ class Cpu:
             self.base[thread], self.plan.real.type(plan.density), self.dx, dt,
         )  # fmt: skip
 
-    def update(self, dt: float) -> None:
-        """Sum the patches, and find the velocities at the nodes: gravity, contact, walls."""
-        self._each(self.block_shares, self._update, dt)
+    def update(self, dt: float, border: bool) -> None:
+        """Sum the patches, and find the velocities at the nodes: gravity, contact, walls. Blocks
+        whose sum takes patches of other ranks, or the others."""
+        self._each(self.block_shares.of(border), self._update, dt)
 
     def _update(self, thread: int, share: np.ndarray, dt: float) -> None:
         t = self.topology
         grid.update(
-            share[0], share[-1] + 1, t.first, t.phase, t.block_at, t.meets, t.solid_of,
+            share, t.first, t.phase, t.block_at, t.meets, t.solid_of,
             t.pull_first, t.pull_patch, t.pull_code, self.slots, self.flat_patches,
             t.offset_slot, self.flat_offsets, self.grid, self.solid_nodes, self.scratch[thread],
             self.cells, self.wall_kinds, self.wall_friction, self.gravity, self.least,
@@ -129,7 +136,7 @@ class Cpu:
         dither = np.modf(_DITHER * step)[0]
         reports = np.zeros((len(self.parts), self.threads, 4))
         for part, shares, report in zip(self.parts, self.shares, reports, strict=True):
-            self._each(shares, self._g2p, part, self.plan.real.type(dt), dither, report)
+            self._each(shares.all, self._g2p, part, self.plan.real.type(dt), dither, report)
         return reports
 
     def _g2p(self, thread: int, share: np.ndarray, part: "Part", dt, dither, report) -> None:
@@ -158,9 +165,22 @@ def _room(array: np.ndarray, rows: int) -> np.ndarray:
     return aligned((rows + rows // 4, *array.shape[1:]), array.dtype)
 
 
-def _shares(weights: np.ndarray, threads: int) -> list[np.ndarray]:
-    """Consecutive index ranges of about equal weight, one per thread."""
+class _Shares:
+    """What each thread does: of all rows, of those at the border to other ranks, of the others."""
+
+    def __init__(self, weights: np.ndarray, border: np.ndarray, threads: int):
+        row = np.arange(len(weights))
+        self.all = _shares(row, weights, threads)
+        self.border = _shares(row[border], weights[border], threads)
+        self.inner = _shares(row[~border], weights[~border], threads)
+
+    def of(self, border: bool) -> list[np.ndarray]:
+        return self.border if border else self.inner
+
+
+def _shares(rows: np.ndarray, weights: np.ndarray, threads: int) -> list[np.ndarray]:
+    """Consecutive rows of about equal weight, one array per thread."""
     ends = np.cumsum(weights)
     total = ends[-1] if len(ends) else 0
     cut = np.searchsorted(ends, total * np.arange(1, threads) / threads)
-    return np.split(np.arange(len(weights)), cut)
+    return np.split(rows, cut)

@@ -18,25 +18,25 @@ from .walls import constrain, tangential
 
 @kernel
 def update(
-    b0, b1, first, phase, block_at, meets, solid_of, pull_first, pull_patch, pull_code, slots,
+    blocks, first, phase, block_at, meets, solid_of, pull_first, pull_patch, pull_code, slots,
     patches, offset_slots, offsets, grid, solids, scratch, cells, wall_kinds, wall_friction,
     gravity, least, rank_of, friction, dt, dx,
 ):  # fmt: skip
-    """Velocities [m/s] at the nodes of blocks b0..b1, in place of momentum.
+    """Velocities [m/s] at the nodes of some blocks, in place of momentum.
 
-    first: (blocks + 1,) node blocks of each block, one per phase that touches it; phase: (node
-    blocks,); meets: (blocks,) whether two phases, or a phase and a collider, may touch here;
-    solid_of: (blocks,) row of `solids` or -1; solids: (n, 64, 4) outward normal and distance [m] of
-    the collider; patches, offsets: (slots, 2048); scratch: (phases, 64, 4); least: (phases,) mass
-    [kg] of one full cell; rank_of: (phases,) order of mastery, lowest first; friction: (phases + 1,
-    phases), the last row for the collider.
+    blocks: (n,) the blocks to do; first: (blocks + 1,) node blocks of each block, one per phase
+    that touches it; phase: (node blocks,); meets: (blocks,) whether two phases, or a phase and a
+    collider, may touch here; solid_of: (blocks,) row of `solids` or -1; solids: (n, 64, 4) outward
+    normal and distance [m] of the collider; patches, offsets: (slots, 2048); scratch: (phases, 64,
+    4); least: (phases,) mass [kg] of one full cell; rank_of: (phases,) order of mastery, lowest
+    first; friction: (phases + 1, phases), the last row for the collider.
     """
     flat_grid = grid.reshape((len(grid), 256))
     flat_scratch = scratch.reshape((len(scratch), 256))
     fall = np.zeros(4, grid.dtype)
     fall[:3] = dt * gravity
     room = _room(len(least))
-    for b in range(b0, b1):
+    for b in blocks:
         n0, n1 = first[b], first[b + 1]
         for nb in range(n0, n1):
             q0, q1 = pull_first[nb], pull_first[nb + 1]

@@ -42,6 +42,7 @@ class Simulation:
         self.groups = [Group(group, self.lattice, plan.real) for group in plan.groups]
         self.phase_of = np.array([group.phase for group in plan.groups])
         self.cut: np.ndarray | None = None
+        self.halo: Halo | None = None
         self.time = 0.0
         self.step = 0
         self.rate = 0.0
@@ -91,6 +92,8 @@ class Simulation:
             census, self.lattice, self.ranks.rank, self.phase_of, self.plan.contact, self.solids
         )
         self.engine.adopt(self.groups, tables, census.group)
+        if self.halo is not None:
+            self.halo.link.close()
         self.halo = Halo(self.ranks, tables, self.plan.real)
 
     def bound(self) -> float:
@@ -103,13 +106,23 @@ class Simulation:
         Raises BlowUp, on all ranks, after the step in which a particle went wrong.
         """
         mark = self.clock or (lambda name: None)
-        self.engine.p2g(dt)  # x, v, C, state at n -> mass and momentum (with stress at n over dt)
+        engine, sent = self.engine, (self.step, self.engine.flat_patches, self.engine.flat_offsets)
+        engine.p2g(
+            dt, border=True
+        )  # x, v, C, state at n -> mass and momentum (stress at n over dt)
         mark("p2g")
-        self.halo.exchange(self.step, self.engine.patches, self.engine.offsets)
+        self.halo.start(*sent)
         mark("halo")
-        self.engine.update(dt)  # node velocities at n + 1: gravity, contact, walls
+        engine.p2g(dt, border=False)
+        mark("p2g")
+        self.halo.link.nudge()
+        engine.update(dt, border=False)  # node velocities at n + 1: gravity, contact, walls
         mark("grid")
-        reports = self.engine.g2p(dt, self.step)  # v, C, x, state at n + 1
+        self.halo.finish(*sent)
+        mark("halo")
+        engine.update(dt, border=True)
+        mark("grid")
+        reports = engine.g2p(dt, self.step)  # v, C, x, state at n + 1
         mark("g2p")
         self.time += dt
         self.step += 1

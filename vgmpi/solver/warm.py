@@ -25,5 +25,5 @@ def warm(plan: Plan, ranks: Alone) -> None:
         none = np.zeros(0, np.int64)
         corner = np.zeros((0, 3), np.int64)
         for copy in (halo.pack, halo.unpack):
-            copy(np.zeros(0, plan.real), none, corner, corner, alone.engine.patches)
+            copy(np.zeros(0, plan.real), none, corner, corner, alone.engine.flat_patches)
     ranks.barrier()
