@@ -38,7 +38,13 @@ OUTSIDE = {  # packages that only some files may use
     "pyvista": ("postprocess/",),
     "tqdm": ("vgmpi/solver/report.py", "postprocess/"),
 }
-COMPILED = ("vgmpi/device/", "vgmpi/kernels/", "vgmpi/domain/sorting.py", "vgmpi/domain/halo.py")
+COMPILED = (
+    "vgmpi/device/",
+    "vgmpi/kernels/",
+    "vgmpi/domain/sorting.py",
+    "vgmpi/domain/halo.py",
+    "vgmpi/domain/balance.py",
+)
 
 
 def sources():

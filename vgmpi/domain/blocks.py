@@ -1,5 +1,4 @@
-"""Which block a particle lies in, the order of blocks, and which rank owns them: index maths alone,
-no MPI.
+"""Which block a particle lies in, and the order of blocks: index maths alone, no MPI.
 
 Nodes are numbered from 0 at the west, south and floor walls; a particle's base node is floor(x / dx
 - 1/2). Block b holds the base nodes 4 b - 1 .. 4 b + 2, so that the ghost node -1, the wall node 0
@@ -92,30 +91,3 @@ def hilbert(points: np.ndarray, levels: int) -> np.ndarray:
         for a in range(3):
             index = (index << 1) | (((x[a] ^ t) >> level) & 1)
     return index
-
-
-def cuts(keys: np.ndarray, weights: np.ndarray, ranks: int) -> np.ndarray:
-    """First key of ranks 1.. so that each has about the same weight: (ranks - 1,) int64,
-    non-decreasing.
-
-    keys: (n,) ascending; a rank owns the keys from its cut up to the next rank's. More ranks than
-    keys leave some idle.
-    """
-    if len(keys) == 0:
-        return np.zeros(ranks - 1, np.int64)
-    ends = np.cumsum(weights, dtype=np.float64)
-    middles = ends - 0.5 * weights
-    goals = ends[-1] * np.arange(1, ranks) / ranks
-    at = np.searchsorted(middles, goals)
-    return np.append(keys, keys[-1] + 1)[at]
-
-
-def owners(keys: np.ndarray, cut: np.ndarray) -> np.ndarray:
-    """Rank that owns each key: (n,) int64."""
-    return np.searchsorted(cut, keys, side="right")
-
-
-def imbalance(owner: np.ndarray, weights: np.ndarray, ranks: int) -> float:
-    """Largest rank's weight over the mean; 1 where there is nothing."""
-    loads = np.bincount(owner, weights, minlength=ranks)
-    return float(loads.max() / loads.mean()) if loads.sum() > 0 else 1.0

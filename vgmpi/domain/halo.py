@@ -29,10 +29,11 @@ class HaloError(RuntimeError):
 class Halo:
     """Buffers and box lists, made anew at each sort."""
 
-    def __init__(self, ranks: Alone, topology: Topology, real: np.dtype):
+    def __init__(self, ranks: Alone, topology: Topology, slot: np.ndarray, real: np.dtype):
+        """slot: (patches,) where each patch that travels is kept."""
         self.rank = ranks.rank
-        self.sends = [_Message(part, topology, real) for part in topology.sends]
-        self.receives = [_Message(part, topology, real) for part in topology.receives]
+        self.sends = [_Message(part, topology, slot, real) for part in topology.sends]
+        self.receives = [_Message(part, topology, slot, real) for part in topology.receives]
         self.link = ranks.link(
             [(m.rank, m.buffer) for m in self.sends], [(m.rank, m.buffer) for m in self.receives]
         )
@@ -68,9 +69,10 @@ class _Message:
     patches.
     """
 
-    def __init__(self, part, topology: Topology, real: np.dtype):
-        self.rank, self.slots, self.low, self.high = part
-        offset = topology.offset_slot[self.slots]
+    def __init__(self, part, topology: Topology, slot: np.ndarray, real: np.dtype):
+        self.rank, patches, self.low, self.high = part
+        self.slots = slot[patches]
+        offset = topology.offset_slot[patches]
         wanted = offset >= 0
         self.offset_slots = offset[wanted]
         self.offset_low, self.offset_high = self.low[wanted], self.high[wanted]
@@ -79,7 +81,7 @@ class _Message:
         self.buffer = np.zeros(split + int(size[wanted].sum()), real)
         self.head = self.buffer[:_HEADER].view(np.int64)[:2]
         self.body, self.offset_body = self.buffer[_HEADER:split], self.buffer[split:]
-        rows = topology.row[self.slots].astype(np.int64)
+        rows = topology.row[patches].astype(np.int64)
         listed = np.concatenate([rows, self.low.ravel(), self.high.ravel(), wanted])
         self.seal = zlib.crc32(listed.astype(np.int64).tobytes())
 

@@ -7,11 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from . import sorting
-from .blocks import cuts, imbalance, owners
+from .balance import BLOCK, owners, recut
 from .ranks import Alone
 from .state import LANES, Group
-
-TOLERATED = 1.1  # largest over mean load above which the curve is cut anew
 
 
 class Census(NamedTuple):
@@ -24,11 +22,14 @@ class Census(NamedTuple):
     owner: np.ndarray  # (n,) rank
 
 
-def census(rows: np.ndarray, ranks: Alone, costs: np.ndarray, cut: np.ndarray | None):
+def census(
+    rows: np.ndarray, ranks: Alone, costs: np.ndarray, cut: np.ndarray | None, steps: int
+) -> tuple[Census, np.ndarray]:
     """Merge the ranks' rows (n, 4) of key, code, group, count; cut the curve anew where that is
     worth it.
 
-    costs: (groups,) work per particle. Returns the Census and the cuts in force.
+    costs: (groups,) work per particle; steps: since the last sort. Returns the Census and the cuts
+    in force.
     """
     rows = ranks.all_rows(rows)
     rows = rows[np.lexsort((rows[:, 2], rows[:, 0]))]
@@ -37,17 +38,18 @@ def census(rows: np.ndarray, ranks: Alone, costs: np.ndarray, cut: np.ndarray | 
     first = np.flatnonzero(new)
     count = np.add.reduceat(rows[:, 3], first) if len(rows) else rows[:, 3]
     key, code, group = rows[first, 0], rows[first, 1], rows[first, 2]
-    work = count * costs[group] if len(key) else np.zeros(0)
-    if cut is None or imbalance(owners(key, cut), work, ranks.size) > TOLERATED:
-        blocks, at = np.unique(key, return_inverse=True)
-        # a block costs its 64 nodes too, about as much as 8 particles
-        cut = cuts(blocks, np.bincount(at, work, minlength=len(blocks)) + 8.0, ranks.size)
+    blocks, at = np.unique(key, return_inverse=True)
+    work = np.bincount(at, BLOCK + count * costs[group], minlength=len(blocks))
+    held = np.bincount(at, count, minlength=len(blocks))
+    cut = recut(blocks, work, held, ranks.size, cut, steps)
     return Census(key, code, group, count, owners(key, cut)), cut
 
 
-def sort(groups: list[Group], ranks: Alone, cut: np.ndarray | None) -> tuple[Census, np.ndarray]:
-    """Re-sort all particles and send each to its block's owner. Returns the Census and the cuts in
-    force.
+def sort(
+    groups: list[Group], ranks: Alone, cut: np.ndarray | None, steps: int
+) -> tuple[Census, np.ndarray]:
+    """Re-sort all particles and send each to its block's owner. steps: since the last sort. Returns
+    the Census and the cuts in force.
     """
     rows, found = [], []
     for g, group in enumerate(groups):
@@ -57,7 +59,7 @@ def sort(groups: list[Group], ranks: Alone, cut: np.ndarray | None) -> tuple[Cen
         key = group.lattice.key(group.lattice.block(codes))
         rows.append(np.stack([key, codes, np.full_like(key, g), number], 1))
     costs = np.array([group.plan.cost for group in groups])
-    table, cut = census(np.concatenate(rows), ranks, costs, cut)
+    table, cut = census(np.concatenate(rows), ranks, costs, cut, steps)
     for g, group in enumerate(groups):
         here = table.group == g
         _settle(group, ranks, table.code[here], table.owner[here], *found[g])

@@ -35,7 +35,7 @@ class Topology(NamedTuple):
     waits: np.ndarray  # (blocks,) bool: patches of other ranks are part of its sum
     solid_of: np.ndarray  # (blocks,) row among the collider's blocks, or -1
     pull_first: np.ndarray  # (node blocks + 1,)
-    pull_patch: np.ndarray  # patches that touch each node block, in key order
+    pull_patch: np.ndarray  # patches that touch each node block, by (group, key)
     pull_code: np.ndarray  # where the node block lies from the patch's block, see kernels/grid.py
     sends: list  # per neighbour rank: (rank, patches, low (n, 3), high (n, 3))
     receives: list
@@ -102,7 +102,8 @@ def build(
     number = np.full(where.shape, -1, np.int64)
     number[needed] = inverse
     patch_of, code_of = np.nonzero(needed)
-    order = np.argsort(inverse, kind="stable")  # patches ascend within a node block: key order
+    # within a node block by group, then key: groups are transferred one after the other
+    order = np.lexsort((patch_of, census.group[row][patch_of], inverse))
     touching = np.bincount(inverse, minlength=len(nodes))
     begin = np.concatenate([[0], np.cumsum(touching)])
 

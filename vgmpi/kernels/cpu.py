@@ -12,7 +12,8 @@ from ..domain.blocks import BITS, EDGE
 from ..domain.state import Group
 from ..domain.topology import Topology
 from ..plan import Plan
-from . import grid, transfer
+from . import grid, records, transfer
+from .patches import zero
 from .walls import KINDS, SIDE, patch_codes
 
 # generators of a sequence that fills the unit cube evenly (Roberts 2018): the dither of a step, the
@@ -24,9 +25,10 @@ class Part(NamedTuple):
     """What the kernels are told of a group's segments; rows are segments."""
 
     group: Group
-    slot: np.ndarray  # (n,) patch
+    slot: np.ndarray  # (n,) where the patch is kept, or -1
     offset_slot: np.ndarray  # (n,) offset patch or -1
     table: np.ndarray  # (n, 27) node blocks around
+    into: np.ndarray  # (n, 27) those of them the patch is added to at once, else -1
     limit: np.ndarray  # (n, 3, 2) range of positions [cells]
     mirror: np.ndarray  # (n, 3, 2) wall codes
 
@@ -34,8 +36,10 @@ class Part(NamedTuple):
 class Cpu:
     """Transfers and grid update of one rank's particles, by `threads` threads.
 
-    Threads share nothing they write: a segment's patch, a block's nodes and a particle belong to
-    one thread, so their number does not touch the bits.
+    The sum of a node block runs over its patches by (group, key). Where one thread fills all of
+    them, it adds each at once while it is in the first level cache; the patches of other node
+    blocks, those near another rank or thread, are kept and summed by `update`. Threads share
+    nothing they write, and both ways add in the same order: neither touches the bits.
     """
 
     def __init__(self, plan: Plan, solids, threads: int = 1):
@@ -55,45 +59,81 @@ class Cpu:
         self.cells = np.array(plan.cells)
         self.patches = self.offsets = aligned((0, SIDE, SIDE, SIDE, 4), real)
         self.grid = aligned((0, 64, 4), real)
-        room = 2 * transfer.SCRATCH + transfer.PATCH + 16
+        room = 2 * records.SCRATCH + records.PATCH + 16
         self.records = [aligned(room, real) for _ in range(threads)]
-        self.base = [np.zeros(transfer.BATCH + 16, np.int32) for _ in range(threads)]
+        self.base = [np.zeros(records.BATCH + 22, np.int32) for _ in range(threads)]
         self.scratch = [aligned((len(plan.phases), 64, 4), real) for _ in range(threads)]
+        self.room = [grid.room(len(plan.phases), real) for _ in range(threads)]
+        self.reports = np.zeros((len(plan.groups), threads, 4))
 
     def adopt(self, groups: list[Group], topology: Topology, group_of_row: np.ndarray) -> None:
         """Lay out patches, node blocks and tables after a sort. group_of_row: (census rows,)."""
         t = self.topology = topology
-        self.patches = _room(self.patches, len(t.row))
-        self.offsets = _room(self.offsets, int((t.offset_slot >= 0).sum()))
-        self.grid = _room(self.grid, len(t.phase))
-        self.flat_patches = self.patches.reshape(len(self.patches), transfer.PATCH)
-        self.flat_offsets = self.offsets.reshape(len(self.offsets), transfer.PATCH)
-        self.slots = np.arange(len(t.row))
-        # boxes of ghost patches that do not arrive stay zero
-        self.patches[: len(t.row)][~t.own] = 0
-        ghost_offsets = t.offset_slot[~t.own]
-        self.offsets[ghost_offsets[ghost_offsets >= 0]] = 0
         own = np.flatnonzero(t.own)
         group_of = group_of_row[t.row[own]]
+        members = [np.flatnonzero(group_of == g) for g in range(len(groups))]
+        sent = np.zeros(len(t.row), bool)
+        for _, patches, _, _ in t.sends:
+            sent[patches] = True
+        self.shares = [
+            _Shares(group.count, sent[own[here]], self.threads)
+            for group, here in zip(groups, members, strict=True)
+        ]
+        self.block_shares = _Shares(np.diff(t.first), t.waits, self.threads)
+        into = self._who_sums([own[here] for here in members])
+        self._make_room()
         self.parts = []
-        for g, group in enumerate(groups):
-            here = group_of == g
+        for group, here in zip(groups, members, strict=True):
             at = own[here]
             block = t.block[at]
             if not np.array_equal(block, group.block):
                 raise RuntimeError(f"group {group.plan.name}: segments do not match the census")
             mirror = patch_codes(block, self.plan.cells, self.wall_kinds)
             self.parts.append(
-                Part(group, at, t.offset_slot[at], t.table[here], self._limits(block), mirror)
-            )
-        sent = np.zeros(len(t.row), bool)
-        for _, patches, _, _ in t.sends:
-            sent[patches] = True
-        self.shares = [
-            _Shares(group.count, sent[part.slot], self.threads)
-            for group, part in zip(groups, self.parts, strict=True)
-        ]
-        self.block_shares = _Shares(np.diff(t.first), t.waits, self.threads)
+                Part(
+                    group, self.slot[at], t.offset_slot[at], t.table[here], into[here],
+                    self._limits(block), mirror,
+                )
+            )  # fmt: skip
+
+    def _who_sums(self, patches_of: list[np.ndarray]) -> np.ndarray:
+        """Find the node blocks whose patches one thread fills, in order: `summed` and `clears`; and
+        which patches must be kept: `slot`. Returns `into` of all own patches.
+
+        patches_of: the own patches of each group.
+        """
+        t = self.topology
+        filler = np.full(len(t.row), -1)  # thread; -1 for patches of other ranks and sent ones
+        for patches, shares in zip(patches_of, self.shares, strict=True):
+            for thread, rows in enumerate(shares.inner):
+                filler[patches[rows]] = thread
+        if len(t.phase):
+            fillers, first = filler[t.pull_patch], t.pull_first[:-1]
+            lowest = np.minimum.reduceat(fillers, first)
+            one = (lowest == np.maximum.reduceat(fillers, first)) & (lowest >= 0)
+        else:
+            lowest, one = t.phase, np.zeros(0, bool)
+        self.summed = one
+        self.clears = [np.flatnonzero(one & (lowest == k)) for k in range(self.threads)]
+        into = np.where(one[t.table], t.table, -1) if len(t.phase) else t.table
+        kept = ~t.own
+        kept[t.own] = (into < 0).any(1)
+        self.slot = np.where(kept, np.cumsum(kept) - 1, -1)
+        return into
+
+    def _make_room(self) -> None:
+        """Patches, offsets and nodes of the size these tables ask for."""
+        t = self.topology
+        self.patches = _room(self.patches, int((self.slot >= 0).sum()))
+        self.offsets = _room(self.offsets, int((t.offset_slot >= 0).sum()))
+        self.grid = _room(self.grid, len(t.phase))
+        self.flat_patches = self.patches.reshape(len(self.patches), records.PATCH)
+        self.flat_offsets = self.offsets.reshape(len(self.offsets), records.PATCH)
+        self.flat_grid = self.grid.reshape(len(self.grid), 256)
+        # boxes of ghost patches that do not arrive stay zero
+        self.patches[self.slot[~t.own]] = 0
+        ghost_offsets = t.offset_slot[~t.own]
+        self.offsets[ghost_offsets[ghost_offsets >= 0]] = 0
 
     def _limits(self, block: np.ndarray) -> np.ndarray:
         """Range of positions [cells from the block's middle] whose base node exists, half a cell
@@ -105,15 +145,20 @@ class Cpu:
     def p2g(self, dt: float, border: bool) -> None:
         """Fill the patches of this rank's segments: those that other ranks need, or the others."""
         real = self.plan.real.type
+        if not border:
+            self._each(self.clears, self._clear)
         for part, shares in zip(self.parts, self.shares, strict=True):
             self._each(shares.of(border), self._p2g, part, real(dt))
+
+    def _clear(self, thread: int, rows: np.ndarray) -> None:
+        zero(self.flat_grid, rows)
 
     def _p2g(self, thread: int, share: np.ndarray, part: "Part", dt) -> None:
         group, plan = part.group, part.group.plan
         transfer.p2g(
-            plan.law, share, group.start, group.count, part.slot, part.offset_slot, part.mirror,
-            group.xi, group.f, self.flat_patches, self.flat_offsets, self.records[thread],
-            self.base[thread], self.plan.real.type(plan.density), self.dx, dt,
+            plan.law, share, group.start, group.count, part.slot, part.offset_slot, part.into,
+            part.mirror, group.xi, group.f, self.flat_patches, self.flat_offsets, self.flat_grid,
+            self.records[thread], self.base[thread], self.plan.real.type(plan.density), self.dx, dt,
         )  # fmt: skip
 
     def update(self, dt: float, border: bool) -> None:
@@ -125,16 +170,17 @@ class Cpu:
         t = self.topology
         grid.update(
             share, t.first, t.phase, t.block_at, t.meets, t.solid_of,
-            t.pull_first, t.pull_patch, t.pull_code, self.slots, self.flat_patches,
+            self.summed, t.pull_first, t.pull_patch, t.pull_code, self.slot, self.flat_patches,
             t.offset_slot, self.flat_offsets, self.grid, self.solid_nodes, self.scratch[thread],
-            self.cells, self.wall_kinds, self.wall_friction, self.gravity, self.least,
-            self.mastery, self.friction, dt, self.plan.dx,
+            self.room[thread], self.cells, self.wall_kinds, self.wall_friction, self.gravity,
+            self.least, self.mastery, self.friction, dt, self.plan.dx,
         )  # fmt: skip
 
     def g2p(self, dt: float, step: int) -> np.ndarray:
         """Move the particles. Returns (groups, threads, 4) reports, see transfer.g2p."""
         dither = np.modf(_DITHER * step)[0]
-        reports = np.zeros((len(self.parts), self.threads, 4))
+        reports = self.reports
+        reports[:] = 0
         for part, shares, report in zip(self.parts, self.shares, reports, strict=True):
             self._each(shares.all, self._g2p, part, self.plan.real.type(dt), dither, report)
         return reports

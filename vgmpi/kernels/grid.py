@@ -18,9 +18,9 @@ from .walls import constrain, tangential
 
 @kernel
 def update(
-    blocks, first, phase, block_at, meets, solid_of, pull_first, pull_patch, pull_code, slots,
-    patches, offset_slots, offsets, grid, solids, scratch, cells, wall_kinds, wall_friction,
-    gravity, least, rank_of, friction, dt, dx,
+    blocks, first, phase, block_at, meets, solid_of, summed, pull_first, pull_patch, pull_code,
+    slots, patches, offset_slots, offsets, grid, solids, scratch, room, cells, wall_kinds,
+    wall_friction, gravity, least, rank_of, friction, dt, dx,
 ):  # fmt: skip
     """Velocities [m/s] at the nodes of some blocks, in place of momentum.
 
@@ -33,15 +33,16 @@ def update(
     """
     flat_grid = grid.reshape((len(grid), 256))
     flat_scratch = scratch.reshape((len(scratch), 256))
-    fall = np.zeros(4, grid.dtype)
-    fall[:3] = dt * gravity
-    room = _room(len(least))
+    fall = room[0]
+    for a in range(3):
+        fall[a] = dt * gravity[a]
     for b in blocks:
         n0, n1 = first[b], first[b + 1]
         for nb in range(n0, n1):
             q0, q1 = pull_first[nb], pull_first[nb + 1]
             nodes = flat_grid[nb]
-            pull(nodes, q0, q1, pull_patch, pull_code, slots, patches)
+            if not summed[nb]:
+                pull(nodes, q0, q1, pull_patch, pull_code, slots, patches)
             # a node lighter than this holds rounding alone
             tiny, push = spread(nodes, 1e-20 * least[phase[nb]]), repeat(fall, 0)
             for c in range(0, 256, 16):
@@ -61,11 +62,12 @@ def update(
                 constrain(grid[nb], low, cells, wall_kinds, wall_friction)
 
 
-@inline
-def _room(count):
-    """Arrays for the contact of up to `count` phases and a collider at one node."""
+def room(count: int, real: np.dtype) -> tuple[np.ndarray, ...]:
+    """Scratch of one thread: a row for gravity, and what the contact of up to `count` phases and a
+    collider at one node takes."""
     most = count * (count + 1) // 2
     return (
+        np.zeros(4, real),
         np.zeros((count, 3)),  # velocities
         np.zeros(count),  # masses
         np.zeros(count, np.int64),  # which phases are there
@@ -84,7 +86,7 @@ def _touch(
     room,
 ):  # fmt: skip
     """Contact at the 64 nodes of a block. grid and offsets: (phases here, 64, 4)."""
-    v, m, here, normals, impulse, mu, pair_a, pair_b, touches = room
+    _, v, m, here, normals, impulse, mu, pair_a, pair_b, touches = room
     for node in range(64):
         active = 0
         for nb in range(len(grid)):

@@ -4,7 +4,7 @@ import numpy as np
 
 from ..device.jit import kernel
 from .laws import energy, load_state, volume_ratio
-from .transfer import AFFINE, STATE, VOLUME
+from .records import AFFINE, STATE, VOLUME
 
 COLUMNS = 12  # mass, momentum 3, angular momentum 3, kinetic, elastic, potential, J min, J max
 

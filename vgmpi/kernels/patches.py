@@ -1,9 +1,12 @@
 """Between patches and node blocks: the sum of patches into a block, and a patch read from blocks.
 
-Rows along z move in pieces of fixed length, which compiles to a few vector operations.
+A row of a patch, eight nodes along z, is two vectors; it lies across three node blocks, where a row
+is one.
 """
 
-from ..device.jit import inline
+from ..device.jit import inline, kernel
+from .lanes import load, store
+from .rows import slide_back, slide_node, spread
 from .walls import SIDE
 
 
@@ -15,6 +18,7 @@ def pull(nodes, first, last, patch_of, code_of, slots, patches):
     patches: (slots, 2048).
     """
     nodes[:] = 0
+    none = spread(nodes, 0.0)
     for q in range(first, last):
         slot = slots[patch_of[q]]
         if slot < 0:
@@ -28,33 +32,72 @@ def pull(nodes, first, last, patch_of, code_of, slots, patches):
                 at = (16 * i + 4 * j) * 4
                 row = ((4 * di + 1 + i) * SIDE + 4 * dj + 1 + j) * SIDE * 4
                 if dk == 0:
-                    for c in range(16):
-                        nodes[at + c] += patch[row + 4 + c]
+                    part = load(patch, row + 4)
                 elif dk < 0:
-                    for c in range(4):
-                        nodes[at + 12 + c] += patch[row + c]
+                    part = slide_node(none, load(patch, row))
                 else:
-                    for c in range(12):
-                        nodes[at + c] += patch[row + 20 + c]
+                    part = slide_node(load(patch, row + 16), none)
+                store(nodes, at, load(nodes, at) + part)
+
+
+@kernel
+def zero(grid, rows):
+    """Zeros in some rows of the grid (node blocks, 256)."""
+    for nb in rows:
+        grid[nb, :] = 0
 
 
 @inline
-def gather(patch, grid, blocks):
-    """The 8^3 nodes -1..6 of a block into patch (2048,), from the 27 node blocks around it.
+def clear(patch, box):
+    """Zeros in the rows of a patch (2048,) that a box touches."""
+    none = spread(patch, 0.0)
+    for i in range(box[0], box[1]):
+        for j in range(box[2], box[3]):
+            to = (i * SIDE + j) * SIDE * 4
+            store(patch, to, none)
+            store(patch, to + 16, none)
 
-    grid: (node blocks, 256).
+
+@inline
+def push(patch, grid, blocks, box):
+    """Add the nodes of a box of a patch to the 27 node blocks around it, where these are not -1.
+
+    box: (6,) first and last nodes along x, y, z; grid: (node blocks, 256).
     """
-    for i in range(SIDE):
+    none = spread(patch, 0.0)
+    for i in range(box[0], box[1]):
         gi = i + 3
-        for j in range(SIDE):
+        for j in range(box[2], box[3]):
             gj = j + 3
             row = (gi >> 2) * 9 + (gj >> 2) * 3
             at = ((gi & 3) * 16 + (gj & 3) * 4) * 4
             to = (i * SIDE + j) * SIDE * 4
-            below, here, above = grid[blocks[row]], grid[blocks[row + 1]], grid[blocks[row + 2]]
-            for c in range(4):
-                patch[to + c] = below[at + 12 + c]
-            for c in range(16):
-                patch[to + 4 + c] = here[at + c]
-            for c in range(12):
-                patch[to + 20 + c] = above[at + c]
+            below, here, above = blocks[row], blocks[row + 1], blocks[row + 2]
+            left, right = load(patch, to), load(patch, to + 16)
+            if below >= 0 and box[4] < 1:
+                nodes = grid[below]
+                store(nodes, at, load(nodes, at) + slide_node(none, left))
+            if here >= 0:
+                nodes = grid[here]
+                store(nodes, at, load(nodes, at) + slide_node(left, right))
+            if above >= 0 and box[5] > 5:
+                nodes = grid[above]
+                store(nodes, at, load(nodes, at) + slide_node(right, none))
+
+
+@inline
+def gather(patch, grid, blocks, box):
+    """The nodes of a box of a patch (2048,) from the 27 node blocks around it.
+
+    box: (6,) first and last nodes along x, y, z; grid: (node blocks, 256).
+    """
+    for i in range(box[0], box[1]):
+        gi = i + 3
+        for j in range(box[2], box[3]):
+            gj = j + 3
+            row = (gi >> 2) * 9 + (gj >> 2) * 3
+            at = ((gi & 3) * 16 + (gj & 3) * 4) * 4
+            to = (i * SIDE + j) * SIDE * 4
+            here = load(grid[blocks[row + 1]], at)
+            store(patch, to, slide_back(load(grid[blocks[row]], at), here))
+            store(patch, to + 16, slide_back(here, load(grid[blocks[row + 2]], at)))

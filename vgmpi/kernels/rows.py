@@ -94,6 +94,30 @@ def store_sum(typing, array, first, row):
     return types.void(array, types.intp, row), build
 
 
+def _slide(first):
+    """16 lanes of two vectors laid end to end, from lane `first` on."""
+
+    def make(typing, one, other):
+        def build(context, builder, signature, arguments):
+            return builder.shuffle_vector(*arguments, _mask(range(first, first + COUNT)))
+
+        return one(one, other), build
+
+    return make
+
+
+@intrinsic
+def slide_node(typing, row, following):
+    """The last three nodes of a row and the first of the one that follows it."""
+    return _slide(4)(typing, row, following)
+
+
+@intrinsic
+def slide_back(typing, before, row):
+    """The last node of the row before and the first three of a row."""
+    return _slide(12)(typing, before, row)
+
+
 def _transposed(builder, vectors):
     """Transpose 16 vectors of 16 by four rounds of interleaving shuffles."""
     half = 1

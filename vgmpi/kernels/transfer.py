@@ -7,26 +7,32 @@ particle may stray one cell before the next sort. A patch is filled by one threa
 nothing else touches it. Positions are integers, 2^-bits of a cell, relative to the middle of the
 block: slow motion in single precision then loses nothing.
 
-Both directions go through records, 16 numbers per particle in a scratch that stays in the first
-level cache: what the formulas say of 16 particles at once is transposed into records, and each
-record then meets its nine rows of nodes. Batches of 128 begin at the segment's start; the batch is
-part of the numerical definition, since a run of particles with one base node is summed before it is
-added to the patch.
-
-Channels of a group's float array: velocity 0-2 [m/s], APIC matrix C 3-11 [1/s], rest volume 12
-[m3], the law's state 13-.
+Both directions go through records (records.py). Batches of 128 begin at the segment's start; the
+batch is part of the numerical definition, since a run of particles with one base node is summed
+before it is added to the patch.
 """
 
 import numpy as np
 
 from ..device.jit import inline, kernel
 from .lanes import load, store
-from .laws import advance, lane_state, store_state, stress, volume_ratio, wave_speed2
-from .patches import gather
+from .laws import advance, lane_state, store_state, volume_ratio, wave_speed2
+from .patches import clear, gather, push
+from .records import (
+    AFFINE,
+    BATCH,
+    PATCH,
+    PLANE,
+    ROW,
+    SCRATCH,
+    STATE,
+    momenta,
+    offsets,
+    reach,
+    weigh,
+)
 from .rows import (
     SOUND_ALL,
-    cell_offset,
-    fraction,
     largest,
     load_records,
     move,
@@ -35,97 +41,14 @@ from .rows import (
     sound,
     spread,
     steps,
-    store_records,
     store_sum,
-    store_whole,
     stretch,
 )
 from .walls import SIDE, fold, reflect
 
-AFFINE, VOLUME, STATE = 3, 12, 13
 REACH = 3  # cells from the block's middle within which a particle's base node lies in its patch
-BATCH = 128
-ROW = SIDE * 4  # numbers of a patch from one (i, j) to (i, j + 1)
-PLANE = SIDE * ROW
-PATCH = SIDE * PLANE
-SCRATCH = BATCH * 16  # numbers a batch of records takes
 CRUSHED, OUTSIDE, TOO_FAST, LOST = 1, 2, 3, 4  # what can go wrong with a particle
 FASTEST_WAVE = 1e15  # [m/s], squared below the largest single
-
-
-@inline
-def _weigh(count, at, cap, xi, like, base, weights):
-    """Weights and base rows of `count` particles from `at`: records of weights, base (count,).
-
-    A record holds per axis the three weights and the base node minus the particle [cells]:
-    x 0-3, y 4-7, z 8-10 and 12.
-    """
-    zero = spread(like, 0.0)
-    for n in range(0, count, 16):
-        p = at + n
-        x, y, z = fraction(xi, p), fraction(xi, cap + p), fraction(xi, 2 * cap + p)
-        row = cell_offset(xi, p, PLANE) + cell_offset(xi, cap + p, ROW)
-        store_whole(base, n, row + cell_offset(xi, 2 * cap + p, 4))
-        ax, ay, az = 1.0 - x, 1.0 - y, 1.0 - z
-        cx, cy, cz = x - 0.5, y - 0.5, z - 0.5
-        store_records(
-            weights,
-            16 * n,
-            (
-                0.5 * ax * ax, 0.75 - cx * cx, 0.5 * x * x, -0.5 - x,
-                0.5 * ay * ay, 0.75 - cy * cy, 0.5 * y * y, -0.5 - y,
-                0.5 * az * az, 0.75 - cz * cz, 0.5 * z * z, zero,
-                -0.5 - z, zero, zero, zero,
-            ),
-        )  # fmt: skip
-
-
-@inline
-def _momenta(law, count, at, cap, f, records, density, dx, dt):
-    """Records of momentum and mass: value at the particle 0-3, its slope per cell along x 4-7, y
-    8-11, z 12-15. The stress's impulse over dt is part of the slopes (MLS, Hu 2018)."""
-    zero = spread(f, 0.0)
-    four = dt * 4.0 / (dx * dx)
-    for n in range(0, count, 16):
-        p = at + n
-        q = p + AFFINE * cap
-        c0, c1, c2 = load(f, q), load(f, q + cap), load(f, q + 2 * cap)
-        c3, c4, c5 = load(f, q + 3 * cap), load(f, q + 4 * cap), load(f, q + 5 * cap)
-        c6, c7, c8 = load(f, q + 6 * cap), load(f, q + 7 * cap), load(f, q + 8 * cap)
-        L = (c0, c1, c2, c3, c4, c5, c6, c7, c8)
-        t00, t11, t22, t01, t02, t12 = stress(law, lane_state(law, f, p + STATE * cap, cap), L)
-        volume = load(f, p + VOLUME * cap)
-        mass = density * volume
-        k, m = dx * four * volume, dx * mass
-        store_records(
-            records,
-            16 * n,
-            (
-                mass * load(f, p), mass * load(f, p + cap), mass * load(f, p + 2 * cap), mass,
-                m * c0 - k * t00, m * c3 - k * t01, m * c6 - k * t02, zero,
-                m * c1 - k * t01, m * c4 - k * t11, m * c7 - k * t12, zero,
-                m * c2 - k * t02, m * c5 - k * t12, m * c8 - k * t22, zero,
-            ),
-        )  # fmt: skip
-
-
-@inline
-def _offsets(count, at, cap, f, records, dx):
-    """Records of sum V0 (x_p - x_i) and V0, in the form of `_momenta`: contact asks for them."""
-    zero = spread(f, 0.0)
-    for n in range(0, count, 16):
-        volume = load(f, at + n + VOLUME * cap)
-        d = -dx * volume
-        store_records(
-            records,
-            16 * n,
-            (
-                zero, zero, zero, volume,
-                d, zero, zero, zero,
-                zero, d, zero, zero,
-                zero, zero, d, zero,
-            ),
-        )  # fmt: skip
 
 
 @inline
@@ -190,41 +113,61 @@ def _scatter(count, records, weights, base, patch):
 
 @kernel
 def p2g(
-    law, segments, start, count, slot, offset_slot, mirror, xi, f, patches, offsets, scratch, base,
-    density, dx, dt,
+    law, segments, start, count, slot, offset_slot, into, mirror, xi, f, patches, volumes, grid,
+    scratch, base, density, dx, dt,
 ):  # fmt: skip
-    """Mass and momentum (with the stress's impulse over dt) of each segment into its patch.
+    """Mass and momentum (with the stress's impulse over dt) of each segment into its patch, and
+    that to the grid.
 
-    segments: (n,) the segments to do; slot: (segments,) patch of each; offset_slot: the same for
-    the volume-and-offset patch that contact asks for, -1 where it does not; mirror: (segments, 3,
-    2) wall codes (walls.py); xi: (3, cap) fixed-point positions; f: (channels, cap); patches:
-    (slots, 2048) momentum [kg m/s] and mass [kg] of 8^3 nodes; offsets: (slots, 2048) sum V0 w
-    (x_p - x_i) [m4] and sum V0 w [m3]. scratch (2 SCRATCH + PATCH + 16,) and base (BATCH + 16,
-    int32) belong to the calling thread.
+    segments: (n,) the segments to do; slot: (segments,) where to keep the patch for others to sum,
+    -1 for nowhere; offset_slot: the same for the volume-and-offset patch that contact asks for;
+    into: (segments, 27) node blocks around each to add the patch to, -1 where it is not this
+    thread's to add; mirror: (segments, 3, 2) wall codes (walls.py); xi: (3, cap) fixed-point
+    positions; f: (channels, cap); patches: (slots, 2048) momentum [kg m/s] and mass [kg] of 8^3
+    nodes; volumes: (slots, 2048) sum V0 w (x_p - x_i) [m4] and sum V0 w [m3]; grid: (blocks, 256).
+    scratch (2 SCRATCH + PATCH + 16,) and base (BATCH + 22, int32) belong to the calling thread.
     """
     cap = f.shape[1]
     flat, flat_xi = f.reshape(f.size), xi.reshape(xi.size)
     weights, records = scratch[:SCRATCH], scratch[SCRATCH : 2 * SCRATCH]
     patch = scratch[2 * SCRATCH :]
     nodes = patch[:PATCH].reshape((SIDE, SIDE, SIDE, 4))
+    box = base[BATCH + 16 :]
     for s in segments:
+        _box(count[s], start[s], cap, flat_xi, flat, mirror[s], box)
         for wanted in range(2):
             if wanted == 1 and offset_slot[s] < 0:
                 break
-            patch[:] = 0
+            kept = slot[s] if wanted == 0 else offset_slot[s]
+            if kept >= 0:
+                patch[:] = 0
+            else:
+                clear(patch, box)
             for first in range(0, count[s], BATCH):
                 n = min(BATCH, count[s] - first)
                 at = start[s] + first
-                _weigh(n, at, cap, flat_xi, flat, base, weights)
+                weigh(n, at, cap, flat_xi, flat, base, weights)
                 if wanted == 0:
-                    _momenta(law, n, at, cap, flat, records, density, dx, dt)
+                    momenta(law, n, at, cap, flat, records, density, dx, dt)
                 else:
-                    _offsets(n, at, cap, flat, records, dx)
+                    offsets(n, at, cap, flat, records, dx)
                 _scatter(n, records, weights, base, patch)
             fold(nodes, mirror[s], wanted == 1)
-            into = patches[slot[s]] if wanted == 0 else offsets[offset_slot[s]]
-            for c in range(PATCH):
-                into[c] = patch[c]
+            if kept >= 0:
+                keep = patches[kept] if wanted == 0 else volumes[kept]
+                for c in range(PATCH):
+                    keep[c] = patch[c]
+            if wanted == 0:
+                push(patch, grid, into[s], box)
+
+
+@inline
+def _box(count, at, cap, xi, like, mirror, box):
+    """Nodes of its patch that a segment touches (see records.reach); all of them at a wall."""
+    for a in range(3):
+        box[2 * a], box[2 * a + 1] = 0, SIDE
+    if not mirror.any():
+        reach(count, at, cap, xi, like, box)
 
 
 @inline
@@ -288,13 +231,15 @@ def g2p(
     patch = scratch[2 * SCRATCH :]
     nodes = patch[:PATCH].reshape((SIDE, SIDE, SIDE, 4))
     patch[PATCH:] = 0
+    box = base[BATCH + 16 :]
     for s in segments:
-        gather(patch, flat_grid, table[s])
+        _box(count[s], start[s], cap, flat_xi, flat, mirror[s], box)
+        gather(patch, flat_grid, table[s], box)
         reflect(nodes, mirror[s])
         for first in range(0, count[s], BATCH):
             n = min(BATCH, count[s] - first)
             at = start[s] + first
-            _weigh(n, at, cap, flat_xi, flat, base, weights)
+            weigh(n, at, cap, flat_xi, flat, base, weights)
             _gather(n, records, weights, base, patch)
             _move(
                 law, n, at, cap, flat_xi, flat, ids, records, limit[s], 2.0**bits, dither, dx, dt,

@@ -4,7 +4,7 @@ import numpy as np
 
 from ..domain.migrate import Census, census
 from ..domain.state import LANES
-from ..kernels.transfer import AFFINE, STATE, VOLUME
+from ..kernels.records import AFFINE, STATE, VOLUME
 from ..materials.base import function
 from .step import Simulation
 
@@ -101,6 +101,7 @@ def restore(simulation: Simulation, saved) -> None:
             )
     simulation.time, simulation.step = saved.attrs["time"], saved.attrs["step"]
     simulation.rate = saved.attrs["rate"]
+    simulation.sorted_at = simulation.step
     segments = []
     for g in range(len(plan.groups)):
         code = saved.read_rows(f"group_{g:03d}/block", 0, saved.count(f"group_{g:03d}/block"))
@@ -110,7 +111,7 @@ def restore(simulation: Simulation, saved) -> None:
     rows = np.concatenate(segments)
     mine = rows if simulation.ranks.rank == 0 else rows[:0]  # the census adds up all ranks' rows
     costs = np.array([group.cost for group in plan.groups])
-    table, simulation.cut = census(mine, simulation.ranks, costs, None)
+    table, simulation.cut = census(mine, simulation.ranks, costs, None, 0)
     for g, group in enumerate(simulation.groups):
         _read_group(group, saved, f"group_{g:03d}", table, g, simulation.ranks.rank)
     simulation.adopt(table)

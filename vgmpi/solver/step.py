@@ -8,7 +8,7 @@ from ..domain.halo import Halo
 from ..domain.ranks import Alone
 from ..domain.solids import Solids
 from ..domain.state import Group
-from ..kernels import transfer
+from ..kernels import records, transfer
 from ..kernels.cpu import Cpu
 from ..materials.base import function
 from ..plan import Plan
@@ -47,6 +47,7 @@ class Simulation:
         self.step = 0
         self.rate = 0.0
         self.sorts = 0
+        self.sorted_at = 0
         self.clock = None  # a callable(name) that marks the end of a stage, or None
 
     def put(
@@ -65,8 +66,8 @@ class Simulation:
             block, xi = self.lattice.place(x[here], self.plan.real)
             f = np.zeros((group.channels, int(here.sum())), self.plan.real)
             f[0:3] = v[here].T
-            f[transfer.VOLUME] = volume[here]
-            f[transfer.STATE :] = np.array(group.plan.rest)[:, None]
+            f[records.VOLUME] = volume[here]
+            f[records.STATE :] = np.array(group.plan.rest)[:, None]
             migrate.arrive(group, block, xi, f, ids[here])
             if here.any():
                 law = group.plan.law
@@ -81,8 +82,10 @@ class Simulation:
         """Re-sort all particles, cut the curve anew if the load asks for it, and lay out the
         tables.
         """
-        census, self.cut = migrate.sort(self.groups, self.ranks, self.cut)
+        steps = self.step - self.sorted_at
+        census, self.cut = migrate.sort(self.groups, self.ranks, self.cut, steps)
         self.adopt(census)
+        self.sorted_at = self.step
         self.sorts += 1
 
     def adopt(self, census: migrate.Census) -> None:
@@ -94,7 +97,7 @@ class Simulation:
         self.engine.adopt(self.groups, tables, census.group)
         if self.halo is not None:
             self.halo.link.close()
-        self.halo = Halo(self.ranks, tables, self.plan.real)
+        self.halo = Halo(self.ranks, tables, self.engine.slot, self.plan.real)
 
     def bound(self) -> float:
         """Largest stable time step [s] of the present state."""
