@@ -14,6 +14,7 @@ ROOT = Path(__file__).parents[1]
 
 # each may import itself and what stands below it
 LAYERS = [
+    {"bench"},
     {"cli", "__main__"},
     {"solver"},
     {"prepare"},
@@ -33,10 +34,12 @@ POSTPROCESS = ("vgmpi.output.read", "vgmpi.output.layout", "vgmpi.gaussians", "p
 OUTSIDE = {  # packages that only some files may use
     "mpi4py": ("vgmpi/domain/ranks.py", "vgmpi/output/"),
     "h5py": ("vgmpi/output/",),
-    "numba": ("vgmpi/device/jit.py", "vgmpi/kernels/", "postprocess/"),
+    "numba": ("vgmpi/device/jit.py", "vgmpi/kernels/", "vgmpi/bench/plain.py", "postprocess/"),
     "llvmlite": ("vgmpi/kernels/",),
     "pyvista": ("postprocess/",),
     "tqdm": ("vgmpi/solver/report.py", "postprocess/"),
+    "taichi": ("vgmpi/bench/taichi_rival.py",),
+    "warp": ("vgmpi/bench/warp_rival.py",),
 }
 COMPILED = (
     "vgmpi/device/",
@@ -44,7 +47,10 @@ COMPILED = (
     "vgmpi/domain/sorting.py",
     "vgmpi/domain/halo.py",
     "vgmpi/domain/balance.py",
+    "vgmpi/bench/plain.py",
+    "vgmpi/bench/roof.py",
 )
+PRINT = ("vgmpi/cli.py", "vgmpi/bench/__main__.py")
 
 
 def sources():
@@ -134,6 +140,11 @@ def test_imports_run_one_way(file):
         ("postprocess/render.py", "vgmpi.kernels.laws"),
         ("postprocess/render.py", "vgmpi.output.store"),
         ("vgmpi/scene.py", "postprocess.render"),
+        ("vgmpi/cli.py", "vgmpi.bench.rounds"),
+        ("vgmpi/bench/own.py", "numba"),
+        ("vgmpi/bench/own.py", "vgmpi.device.jit"),
+        ("vgmpi/bench/rounds.py", "taichi"),
+        ("vgmpi/bench/taichi_rival.py", "warp"),
     ],
 )
 def test_the_rule_sees_a_wrong_import(file, imported):
@@ -173,7 +184,7 @@ def prints(file):
 
 @pytest.mark.parametrize("file", [f for f in sources() if f.startswith("vgmpi/")])
 def test_only_commands_print(file):
-    assert file == "vgmpi/cli.py" or prints(file) == []
+    assert file in PRINT or prints(file) == []
 
 
 def test_a_print_is_seen():
@@ -200,6 +211,7 @@ def test_reading_a_folder_reads_nothing_else(file):
         ("vgmpi.output.read", "numba"),
         ("vgmpi.output.read", "mpi4py"),
         ("vgmpi.gaussians.ply", "numba"),
+        ("vgmpi.bench.dense", "numba"),  # a rival's process holds nothing but its own tool
         ("postprocess.view", "mpi4py"),
         ("postprocess.render", "mpi4py"),
     ],

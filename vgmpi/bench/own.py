@@ -1,0 +1,94 @@
+"""This solver as a contestant: set up from the scene's file exactly as a run is, stepped as a run
+steps, timed through the clock of its stages.
+"""
+
+import time
+from pathlib import Path
+
+import numpy as np
+
+from ..domain.ranks import Alone, world
+from ..plan import make_plan
+from ..scene import load
+from ..solver.run import Options, begin, prepare, versions
+from ..solver.watch import ledger
+from .scene import STEPS, to_dense
+
+LONGEST = 200  # steps of a cycle if nothing moves far enough to be sorted
+
+
+class Stages:
+    """Seconds by stage; `now` is the clock that is read."""
+
+    def __init__(self, now):
+        self.now = now
+        self.spent: dict[str, float] = {}
+        self.last = now()
+
+    def __call__(self, stage: str) -> None:
+        now = self.now()
+        self.spent[stage] = self.spent.get(stage, 0.0) + now - self.last
+        self.last = now
+
+
+class Contestant:
+    """One rank's share. given: folder (scene.toml and gaussians.h5), ranks, threads."""
+
+    def __init__(self, given: dict):
+        self.ranks = world() if given["ranks"] > 1 else Alone()
+        self.versions = versions()
+        folder = Path(given["folder"])
+        scene = load(folder / "scene.toml")
+        known = prepare(scene, self.ranks, folder)
+        plan = make_plan(scene, known.count, known.volume, bool(known.colliders))
+        self.start = (scene, plan, known, self.ranks, Options(folder, given["threads"]))
+        self.dt = plan.fixed_dt
+        # one thread: its own time, so that what else the machine does counts little
+        alone = given["threads"] == 1 and self.ranks.size == 1
+        self.now = time.thread_time if alone else time.perf_counter
+        self.restart()
+
+    def restart(self) -> None:
+        self.simulation, _ = begin(*self.start)
+
+    def step(self) -> None:
+        self.simulation.advance(self.dt, (0.0, 0.0))
+
+    def cycle(self) -> int:
+        """Steps up to and with the next sort; returns their number, the same on all ranks."""
+        sorts = self.simulation.sorts
+        steps = 0
+        while self.simulation.sorts == sorts and steps < LONGEST:
+            self.step()
+            steps += 1
+        return steps
+
+    def round(self, units: int) -> dict:
+        """Time `units` whole cycles from sort to sort, so that each step bears its share of a
+        sort."""
+        if self.simulation.step > STEPS // 2:
+            self.simulation = None  # its memory first
+            self.restart()
+        if self.simulation.step == 0:
+            self.cycle()  # memory and code are warm, and the first sort is over
+        self.ranks.barrier()
+        clock = self.simulation.clock = Stages(self.now)
+        began, wall = clock.last, time.perf_counter()
+        steps = sum(self.cycle() for _ in range(units))
+        seconds, wall = self.now() - began, time.perf_counter() - wall
+        self.simulation.clock = None
+        return {"steps": steps, "seconds": seconds, "wall": wall, "stages": clock.spent}
+
+    def check(self, steps: int, path: str) -> dict:
+        """Write ids, positions (as the rivals see them) and velocities after `steps` steps."""
+        self.restart()
+        for _ in range(steps):
+            self.step()
+        groups = self.simulation.groups
+        np.savez(
+            f"{path}.{self.ranks.rank}",
+            id=np.concatenate([g.ids[g.index()] for g in groups]),
+            x=to_dense(np.concatenate([g.positions() for g in groups])),
+            v=np.concatenate([g.f[0:3, g.index()].T for g in groups]),
+        )
+        return {"mass": sum(entry["mass"] for entry in ledger(self.simulation))}

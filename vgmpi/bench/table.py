@@ -1,0 +1,156 @@
+"""The benchmark's results as text: the table of one run, two runs side by side."""
+
+import numpy as np
+
+ORDER = ("p2g", "halo", "grid", "g2p", "wait", "sort")
+
+
+def per_step(row: dict, particles: int, clock: str = "seconds") -> np.ndarray:
+    """Time of a particle and step [ns] of every round."""
+    return np.array([1e9 * r[clock] / r["steps"] / particles for r in row["rounds"]])
+
+
+def text(results: dict) -> str:
+    """All that a run found."""
+    lines = [_machine(results)]
+    for group in results["groups"]:
+        lines += ["", _heading(group), *_rows(group)]
+    return "\n".join(lines)
+
+
+def _machine(results: dict) -> str:
+    m, roof = results["machine"], results["roof"]
+    versions = ", ".join(f"{k} {v[:12]}" for k, v in results["versions"].items())
+    lines = [f"{m['name']}, {m['cores']} cores, caches {m['caches']}", versions]
+    if roof:
+        for name in ("copy", "triad"):
+            cores = ", ".join(f"{v:.1f} on {k}" for k, v in roof[name].items())
+            lines.append(f"{name:5s}  {cores} core(s) [GB/s]")
+        peak = ", ".join(f"{v:.0f} {k}" for k, v in roof["fma"].items())
+        lines.append(f"fma    {peak} [GFlop/s per core]")
+    return "\n".join(lines)
+
+
+def _heading(group: dict) -> str:
+    kilo = group["words"] * 4 * group["particles"] / 2e6
+    return (
+        f"{group['law']}, {group['particles']:,} particles: ns per particle and step, medians of"
+        f" {group['rounds']} rounds; at least {group['words']} words,"
+        f" {group['flops']} flops ({kilo:.0f} MB pass twice in a step of single precision)"
+    )
+
+
+def stages_of(group: dict) -> list[str]:
+    """Stages that any row has, in the order of a step."""
+    found = {s for row in group["rows"] for r in row.get("rounds", []) for s in r["stages"]}
+    return [s for s in ORDER if s in found] + sorted(found - set(ORDER))
+
+
+def _label(row: dict) -> str:
+    words = (row["name"], row["precision"], row["on"], row["cpu"])
+    return " ".join(word for word in words if word)
+
+
+def _rows(group: dict) -> list[str]:
+    stages, n = stages_of(group), group["particles"]
+    head = f"  {'':31s} {'time':>6s} {'least':>6s} {'Mpps':>6s}"
+    head += "".join(f"{s:>6s}" for s in stages)
+    head += f" {'floor':>6s} {'reached':>7s} {'speed':>7s} {'slower':>7s}"
+    lines = [head]
+    for row in group["rows"]:
+        label = f"  {_label(row):31s}"
+        if not row.get("rounds"):
+            lines.append(f"{label} {row.get('note', 'not run')}")
+            continue
+        time = per_step(row, n)
+        middle = float(np.median(time))
+        line = f"{label} {middle:6.1f} {time.min():6.1f} {1e3 / middle:6.2f}"
+        for stage in stages:
+            spent = [1e9 * r["stages"].get(stage, 0.0) / r["steps"] / n for r in row["rounds"]]
+            line += f"{np.median(spent):6.1f}" if row["rounds"][0]["stages"] else f"{'':6s}"
+        low = row.get("floor")
+        line += f" {low:6.1f} {low / middle:7.0%}" if low else f" {'-':>6s} {'-':>7s}"
+        ratio = speed(group, row)
+        line += f" {ratio:7.3f} {1 / ratio:7.2f}" if ratio else ""
+        line += " (wall)" if row["clock"] == "wall" else ""
+        lines.append(line)
+        if "wrong" in row:
+            lines.append(f"    {row['wrong']}")
+    busy = _busy(group)
+    if busy > 1.1:
+        lines.append(
+            f"  careful: other programs kept the cores busy ({busy:.2f} s passed per second of"
+            " work); rows of wall time suffer most"
+        )
+    return lines
+
+
+def _busy(group: dict) -> float:
+    """Wall time over processor time of the rows on one core."""
+    every = [r for row in group["rows"] if row["clock"] == "cpu" for r in row.get("rounds", [])]
+    return sum(r["wall"] for r in every) / max(sum(r["seconds"] for r in every), 1e-9)
+
+
+def speed(group: dict, row: dict) -> float | None:
+    """How many times as fast as the group's first row: median of the ratios of neighbouring rounds.
+
+    Rows whose time is wall time are compared with the first row's wall time.
+    """
+    first = group["rows"][0]
+    if not (first.get("rounds") and row.get("rounds")):
+        return None
+    clock = "wall" if row["clock"] == "wall" else "seconds"
+    n = group["particles"]
+    return float(np.median(per_step(first, n, clock) / per_step(row, n, clock)))
+
+
+def failures(results: dict) -> list[str]:
+    """Rows that computed something else."""
+    return [
+        f"{group['law']}, {_label(row)}: {row['wrong']}"
+        for group in results["groups"]
+        for row in group["rows"]
+        if "wrong" in row
+    ]
+
+
+def compare(a: dict, b: dict) -> str:
+    """Two runs side by side: time of each row in a and b, and b / a.
+
+    The last column divides by what the plain numba loops, which do not change, did between the
+    runs: the machine's pace.
+    """
+    lines = []
+    if a["machine"] != b["machine"]:
+        names = [f"{r['machine']['name']}, {r['machine']['cores']} cores" for r in (a, b)]
+        lines.append(f"careful: measured on two machines: {names[0]} | {names[1]}")
+    lines.append(" | ".join(f"{r['versions'].get('commit', '?')[:12]} {r['when']}" for r in (a, b)))
+    theirs = {(g["law"], g["particles"]): g for g in b["groups"]}
+    for group in a["groups"]:
+        other = theirs.get((group["law"], group["particles"]))
+        if other:
+            lines += _side_by_side(group, other)
+    if len(lines) == 1 + (a["machine"] != b["machine"]):
+        lines.append("the two have no row in common")
+    return "\n".join(lines)
+
+
+def _side_by_side(group: dict, other: dict) -> list[str]:
+    n = group["particles"]
+    pairs = []
+    for row in group["rows"]:
+        for twin in other["rows"]:
+            if _label(twin) == _label(row) and row.get("rounds") and twin.get("rounds"):
+                pairs.append((row, per_step(row, n), per_step(twin, n)))
+    pace = [np.median(y) / np.median(x) for row, x, y in pairs if row["module"] == "plain"]
+    lines = [
+        "",
+        f"{group['law']}, {n:,} particles: ns per particle and step",
+        f"  {'':31s} {'A':>7s} {'B':>7s} {'B / A':>7s} {'and least':>10s} {'at equal pace':>14s}",
+    ]
+    for row, x, y in pairs:
+        ratio = np.median(y) / np.median(x)
+        line = f"  {_label(row):31s} {np.median(x):7.1f} {np.median(y):7.1f} {ratio:7.3f}"
+        line += f" {y.min() / x.min():10.3f}"
+        lines.append(line + (f" {ratio / pace[0]:14.3f}" if pace else ""))
+    return lines
