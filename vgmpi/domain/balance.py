@@ -11,7 +11,7 @@ import numpy as np
 
 from ..device.jit import kernel
 
-BLOCK = 60.0  # work of a block's nodes and patch in one phase
+BLOCK = 35.0  # work of a block's nodes and patch in one phase
 MOVED = 6.0  # work of sending one particle to another rank and taking it in
 SLACK = 1.005  # largest piece over the mean that is as good as perfect
 

@@ -10,9 +10,18 @@ Channels of a group's float array: velocity 0-2 [m/s], APIC matrix C 3-11 [1/s],
 import numpy as np
 
 from ..device.jit import inline
-from .lanes import load
+from .lanes import load, store
 from .laws import lane_state, stress
-from .rows import cell_offset, fraction, largest, spread, store_records, store_whole
+from .rows import (
+    cell_offset,
+    diagonal,
+    fourth,
+    fraction,
+    largest,
+    spread,
+    store_records,
+    store_whole,
+)
 from .walls import SIDE
 
 AFFINE, VOLUME, STATE = 3, 12, 13
@@ -95,18 +104,8 @@ def momenta(law, count, at, cap, f, records, density, dx, dt):
 
 @inline
 def offsets(count, at, cap, f, records, dx):
-    """Records of sum V0 (x_p - x_i) and V0, in the form of `momenta`: contact asks for them."""
-    zero = spread(f, 0.0)
-    for n in range(0, count, 16):
-        volume = load(f, at + n + VOLUME * cap)
-        d = -dx * volume
-        store_records(
-            records,
-            16 * n,
-            (
-                zero, zero, zero, volume,
-                d, zero, zero, zero,
-                zero, d, zero, zero,
-                zero, zero, d, zero,
-            ),
-        )  # fmt: skip
+    """Records of sum V0 (x_p - x_i) and V0, in the form of `momenta`: contact asks for them. All
+    are one pattern times the particle's volume."""
+    pattern = fourth(records) - dx * diagonal(records)
+    for n in range(count):
+        store(records, 16 * n, f[at + n + VOLUME * cap] * pattern)

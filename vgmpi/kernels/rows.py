@@ -39,15 +39,37 @@ def spread(typing, example, value):
     return lanes(example, value), build
 
 
+def _constant(values):
+    """A vector of fixed numbers; the argument is an array of the precision wanted."""
+
+    def make(typing, example):
+        lanes = OF[example.dtype]
+
+        def build(context, builder, signature, arguments):
+            return ir.Constant(lanes.vector, values)
+
+        return lanes(example), build
+
+    return make
+
+
 @intrinsic
 def steps(typing, example):
     """0 0 0 0 1 1 1 1 2 2 2 2 3 3 3 3: the number of a row's node in each of its lanes."""
-    lanes = OF[example.dtype]
+    return _constant([float(k // 4) for k in range(COUNT)])(typing, example)
 
-    def build(context, builder, signature, arguments):
-        return ir.Constant(lanes.vector, [float(k // 4) for k in range(COUNT)])
 
-    return lanes(example), build
+@intrinsic
+def fourth(typing, example):
+    """0001 0000 0000 0000: the fourth number of a record."""
+    return _constant([float(k == 3) for k in range(COUNT)])(typing, example)
+
+
+@intrinsic
+def diagonal(typing, example):
+    """0000 1000 0100 0010: slope 1 along x of the first number, along y of the second, along z of
+    the third."""
+    return _constant([float(k in (4, 9, 14)) for k in range(COUNT)])(typing, example)
 
 
 def _four(pattern):
