@@ -14,8 +14,6 @@ from . import roof, rounds, table
 from .rounds import Contestant
 from .scene import BenchError, Case, lay_out
 
-COMMANDS = ("speed", "compare")
-
 
 def arguments(argv: list[str]) -> argparse.Namespace:
     """The flags; `speed` is meant where no command is named."""
@@ -25,8 +23,10 @@ def arguments(argv: list[str]) -> argparse.Namespace:
         argv = ["speed", *argv]
     parser = argparse.ArgumentParser(prog="python -m vgmpi.bench", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
-    _speed(commands.add_parser("speed", help="measure (the default)"))
-    _compare(commands.add_parser("compare", help="print two measurements side by side"))
+    for name, (said, flags, run) in COMMANDS.items():
+        command = commands.add_parser(name, help=said, description=said)
+        flags(command)
+        command.set_defaults(run=run)
     return parser.parse_args(argv)
 
 
@@ -114,7 +114,8 @@ def measure(given: argparse.Namespace, say) -> dict:
         for row in rows:
             results["versions"] |= row.pop("versions", {})
             if roofs:
-                row["floor"] = roof.floor(roofs, need, row["precision"])
+                cores = row["ranks"] * row["threads"]
+                row["floor"] = roof.floor(roofs, need, row["precision"], cores)
         group = {"law": case.law, "particles": case.particles, "rounds": given.rounds, **need}
         results["groups"].append({**group, "rows": rows})
     return results
@@ -142,13 +143,19 @@ def main(argv: list[str] | None = None) -> int:
     """Run the command; returns the exit code."""
     given = arguments(sys.argv[1:] if argv is None else argv)
     try:
-        if given.command == "compare":
-            print(table.compare(*(_read(path) for path in given.files)))
-            return 0
-        results = measure(given, lambda line: print(line, file=sys.stderr, flush=True))
+        return given.run(given)
     except BenchError as error:
         print(f"vgmpi.bench: {error}", file=sys.stderr)
         return 2
+
+
+def _run_compare(given: argparse.Namespace) -> int:
+    print(table.compare(*(_read(path) for path in given.files)))
+    return 0
+
+
+def _run_speed(given: argparse.Namespace) -> int:
+    results = measure(given, lambda line: print(line, file=sys.stderr, flush=True))
     if given.json:
         given.json.write_text(json.dumps(results, indent=1) + "\n")
     print(table.text(results))
@@ -167,6 +174,11 @@ def _read(path: Path) -> dict:
     except (OSError, ValueError) as error:
         raise BenchError(f"{path}: cannot be read: {error}") from None
 
+
+COMMANDS = {  # what it does, its flags, how it runs
+    "speed": ("measure (the default)", _speed, _run_speed),
+    "compare": ("print two measurements side by side", _compare, _run_compare),
+}
 
 if __name__ == "__main__":
     sys.exit(main())

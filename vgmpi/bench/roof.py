@@ -95,11 +95,12 @@ def needs(material) -> dict:
     }
 
 
-def floor(roof: dict, need: dict, precision: str) -> float:
-    """Least time [ns] one core needs per particle and step: memory or arithmetic."""
-    bandwidth = max(roof["copy"]["1"], roof["triad"]["1"])
+def floor(roof: dict, need: dict, precision: str, cores: int = 1) -> float:
+    """Least time [ns] per particle and step: memory or arithmetic, whichever is slower."""
+    measured = str(cores) if str(cores) in roof["copy"] else "1"
+    bandwidth = max(roof[kind][c] for kind in ("copy", "triad") for c in ("1", measured))
     width = REALS[precision].itemsize
-    return max(need["words"] * width / bandwidth, need["flops"] / roof["fma"][precision])
+    return max(need["words"] * width / bandwidth, need["flops"] / roof["fma"][precision] / cores)
 
 
 class _Counted:

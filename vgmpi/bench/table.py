@@ -32,11 +32,11 @@ def _machine(results: dict) -> str:
 
 
 def _heading(group: dict) -> str:
-    kilo = group["words"] * 4 * group["particles"] / 2e6
+    n, words = group["particles"], group["words"]
     return (
-        f"{group['law']}, {group['particles']:,} particles: ns per particle and step, medians of"
-        f" {group['rounds']} rounds; at least {group['words']} words,"
-        f" {group['flops']} flops ({kilo:.0f} MB pass twice in a step of single precision)"
+        f"{group['law']}, {n:,} particles: ns per particle and step, medians of {group['rounds']}"
+        f" rounds; at least {words} words ({4e-6 * words * n:.0f} MB in single precision) and"
+        f" {group['flops']} flops"
     )
 
 
