@@ -34,8 +34,11 @@ POSTPROCESS = ("vgmpi.output.read", "vgmpi.output.layout", "vgmpi.gaussians", "p
 OUTSIDE = {  # packages that only some files may use
     "mpi4py": ("vgmpi/domain/ranks.py", "vgmpi/output/"),
     "h5py": ("vgmpi/output/",),
-    "numba": ("vgmpi/device/jit.py", "vgmpi/kernels/", "vgmpi/bench/plain.py", "postprocess/"),
-    "llvmlite": ("vgmpi/kernels/",),
+    "numba": ("vgmpi/device/", "vgmpi/kernels/", "vgmpi/bench/plain.py", "postprocess/"),
+    "llvmlite": (
+        "vgmpi/device/processor.py",
+        "vgmpi/kernels/",
+    ),
     "pyvista": ("postprocess/",),
     "tqdm": ("vgmpi/solver/report.py", "postprocess/"),
     "taichi": ("vgmpi/bench/taichi_rival.py",),

@@ -11,7 +11,6 @@ from pathlib import Path
 from .domain.ranks import Alone, world
 from .output import checkpoint, layout, read, store
 from .plan import describe, make_plan
-from .prepare.build import build
 from .scene import Scene, load
 from .solver.requests import listen
 from .tables import SceneError
@@ -74,6 +73,9 @@ def arguments(argv: list[str] | None) -> argparse.Namespace:
         "--threads", type=int, default=1, metavar="N", help="threads per rank, default 1"
     )
     parser.add_argument(
+        "--profile", action="store_true", help="say at the end what each rank did (profile.csv)"
+    )
+    parser.add_argument(
         "--force", action="store_true", help="run even if the memory looks too small"
     )
     parser.add_argument("-q", "--quiet", action="store_true", help="errors only")
@@ -133,6 +135,8 @@ def _command(given: argparse.Namespace, ranks: Alone) -> int:
     scene = load(given.scene, given.set)
     folder = given.output or scene.folder / scene.output.folder
     if given.check:
+        from .prepare.build import build
+
         build(scene)  # files that cannot be read and bodies outside the domain show only here
         print(f"{given.scene}: nothing is wrong with it")
         return 0
@@ -187,9 +191,11 @@ def _run(scene: Scene, folder: Path, given: argparse.Namespace, ranks: Alone) ->
     options.listeners.append(progress)
     code = run.go()
     progress.close()
-    said = report.table(run, clock)
+    said = [report.table(run, clock)]
+    if given.profile:
+        said.append(report.profile(run, clock))
     if ranks.rank == 0 and not given.quiet:
-        print(said)
+        print("\n".join(said))
         ended = {0: "done", 3: "blew up", 75: "stopped; go on with --resume"}[code]
         print(f"{ended}: {folder}", flush=True)
     return code

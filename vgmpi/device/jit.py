@@ -30,6 +30,7 @@ def cache_folder() -> pathlib.Path:
 if "NUMBA_CACHE_DIR" not in os.environ:
     numba.config.CACHE_DIR = str(cache_folder())
 
+
 # no fastmath: the order of every sum is part of the result
 kernel = numba.njit(cache=True, nogil=True, error_model="numpy")
 inline = numba.njit(cache=True, nogil=True, error_model="numpy", inline="never")

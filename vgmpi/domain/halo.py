@@ -34,14 +34,10 @@ class Halo:
         self.rank = ranks.rank
         self.sends = [_Message(part, topology, slot, real) for part in topology.sends]
         self.receives = [_Message(part, topology, slot, real) for part in topology.receives]
+        self.bytes_sent = sum(m.buffer.nbytes for m in self.sends)  # per step
         self.link = ranks.link(
             [(m.rank, m.buffer) for m in self.sends], [(m.rank, m.buffer) for m in self.receives]
         )
-
-    @property
-    def bytes_sent(self) -> int:
-        """Per step."""
-        return sum(m.buffer.nbytes for m in self.sends)
 
     def start(self, step: int, patches: np.ndarray, offsets: np.ndarray) -> None:
         """Begin to send the boundary boxes. Collective among neighbours, with `finish`."""
@@ -52,8 +48,7 @@ class Halo:
         self.link.start()
 
     def finish(self, step: int, patches: np.ndarray, offsets: np.ndarray) -> None:
-        """Put the neighbours' boxes into the ghost patches."""
-        self.link.wait()
+        """Put the neighbours' boxes, which `link.wait` has seen arrive, into the ghost patches."""
         for m in self.receives:
             if m.head[0] != step or m.head[1] != m.seal:
                 raise HaloError(

@@ -20,6 +20,7 @@ class Census(NamedTuple):
     group: np.ndarray  # (n,)
     count: np.ndarray  # (n,) particles
     owner: np.ndarray  # (n,) rank
+    work: np.ndarray  # (n,) predicted, see balance.py
 
 
 def census(
@@ -39,17 +40,18 @@ def census(
     count = np.add.reduceat(rows[:, 3], first) if len(rows) else rows[:, 3]
     key, code, group = rows[first, 0], rows[first, 1], rows[first, 2]
     blocks, at = np.unique(key, return_inverse=True)
-    work = np.bincount(at, BLOCK + count * costs[group], minlength=len(blocks))
+    work = BLOCK + count * costs[group]
+    total = np.bincount(at, work, minlength=len(blocks))
     held = np.bincount(at, count, minlength=len(blocks))
-    cut = recut(blocks, work, held, ranks.size, cut, steps)
-    return Census(key, code, group, count, owners(key, cut)), cut
+    cut = recut(blocks, total, held, ranks.size, cut, steps)
+    return Census(key, code, group, count, owners(key, cut), work), cut
 
 
 def sort(
     groups: list[Group], ranks: Alone, cut: np.ndarray | None, steps: int
-) -> tuple[Census, np.ndarray]:
+) -> tuple[Census, np.ndarray, int]:
     """Re-sort all particles and send each to its block's owner. steps: since the last sort. Returns
-    the Census and the cuts in force.
+    the Census, the cuts in force and how many particles left this rank.
     """
     rows, found = [], []
     for g, group in enumerate(groups):
@@ -60,10 +62,11 @@ def sort(
         rows.append(np.stack([key, codes, np.full_like(key, g), number], 1))
     costs = np.array([group.plan.cost for group in groups])
     table, cut = census(np.concatenate(rows), ranks, costs, cut, steps)
+    left = 0
     for g, group in enumerate(groups):
         here = table.group == g
-        _settle(group, ranks, table.code[here], table.owner[here], *found[g])
-    return table, cut
+        left += _settle(group, ranks, table.code[here], table.owner[here], *found[g])
+    return table, cut, left
 
 
 def arrive(group: Group, block: np.ndarray, xi: np.ndarray, f: np.ndarray, ids: np.ndarray) -> None:
@@ -99,10 +102,11 @@ def _count(group: Group, code: np.ndarray):
     return codes, np.bincount(place[group.index()], minlength=len(codes))
 
 
-def _settle(group: Group, ranks: Alone, codes, owner, code, cell, known) -> None:
+def _settle(group: Group, ranks: Alone, codes, owner, code, cell, known) -> int:
     """Exchange the particles that changed rank and order the rest; codes: (n,) of this group's
-    blocks, in key order.
+    blocks, in key order. Returns how many left.
     """
+    gone: np.ndarray | list = []
     mine = np.where(owner == ranks.rank, np.cumsum(owner == ranks.rank) - 1, -1)
     by_code = np.argsort(codes)
     place = np.empty(len(code), np.int64)
@@ -125,6 +129,7 @@ def _settle(group: Group, ranks: Alone, codes, owner, code, cell, known) -> None
     end = sorting.arrange(start, count, place, cell, group.ids, number, LANES, new_start, source)
     group.permute(new_start, size, source, end)
     group.segments(blocks, new_start, size)
+    return len(gone)
 
 
 def _swap(group: Group, ranks: Alone, gone, to, code, cell):

@@ -29,7 +29,9 @@ class Alone:
         return thing
 
     def max(self, values: np.ndarray) -> np.ndarray:
-        """Element-wise maximum over the ranks; exact, so independent of their number."""
+        """Element-wise maximum over the ranks, in place of the values or not; exact, so independent
+        of the number of ranks.
+        """
         return values
 
     def all_rows(self, rows: np.ndarray) -> np.ndarray:
@@ -125,9 +127,8 @@ class Mpi(Alone):
         return self.mpi.bcast(thing, root=0)
 
     def max(self, values):
-        out = np.empty_like(values)
-        self.mpi.Allreduce(values, out, self._MPI.MAX)
-        return out
+        self.mpi.Allreduce(self._MPI.IN_PLACE, values, self._MPI.MAX)
+        return values
 
     def _counts(self, count):
         """`count` of every rank, (size,)."""

@@ -1,6 +1,8 @@
 """What rank 0 tells while a run goes on, and the table at its end."""
 
+import csv
 import logging
+import os
 import sys
 import time
 
@@ -13,6 +15,7 @@ from .watch import drift
 
 log = logging.getLogger("vgmpi")
 
+SHOWN = 32  # ranks the printed profile lists
 LOG_EVERY = 10.0  # [s] between log lines where there is no terminal
 STAGES = ("p2g", "halo", "grid", "g2p", "wait", "sort", "write")
 
@@ -23,11 +26,24 @@ class Clock:
     def __init__(self):
         self.spent = dict.fromkeys(STAGES, 0.0)
         self.began = self.last = time.perf_counter()
+        self.startup = 0.0  # [s] from the start of the program to the end of the first step
 
     def __call__(self, stage: str) -> None:
         now = time.perf_counter()
         self.spent[stage] += now - self.last
         self.last = now
+        if stage == "g2p" and not self.startup:
+            self.startup = _age()
+
+
+def _age() -> float:
+    """Seconds since this process was started; 0 where the system does not tell."""
+    try:
+        with open("/proc/self/stat") as f:
+            ticks = int(f.read().rpartition(")")[2].split()[19])
+    except OSError:
+        return 0.0
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - ticks / os.sysconf("SC_CLK_TCK")
 
 
 class Progress:
@@ -86,13 +102,50 @@ def table(run: Run, clock: Clock) -> str:
         for k, stage in enumerate(STAGES):
             mean, most = every[:, k].mean(), every[:, k].max()
             lines.append(f"  {stage:6s} {mean:12.2f} s {most:9.2f} s {mean * per:10.1f}")
-        loads = np.bincount(simulation.census.owner, simulation.census.count, minlength=ranks.size)
-        most = loads.max() / loads.mean()
-        lines.append(f"  imbalance  {most:.3f} (largest rank's particles over the mean)")
-        lines.append(
-            f"  sorts      {simulation.sorts},"
-            f" halo {simulation.halo.bytes_sent / 1e3:.0f} kB per step from rank 0"
-        )
+        most = simulation.load.max() / simulation.load.mean()
+        lines.append(f"  imbalance  {most:.3f} (largest rank's predicted work over the mean)")
+        sent = simulation.sent / steps / 1e3
+        lines.append(f"  sorts      {simulation.sorts}, halo {sent:.0f} kB per step from rank 0")
     if run.opening and run.latest:
         lines.append(f"  conserved  {drift(run.opening, run.latest)}")
+    return "\n".join(lines)
+
+
+PROFILE = ("rank", "particles", "work", *STAGES, "neighbours", "sent", "moved", "startup")
+
+
+def profile(run: Run, clock: Clock) -> str:
+    """What each rank did, as profile.csv in the output folder; on rank 0 also as a table, else "".
+    Collective.
+    """
+    simulation, ranks = run.simulation, run.ranks
+    steps = max(1, simulation.step - run.first_step)
+    mine = [
+        ranks.rank, sum(len(group) for group in simulation.groups),
+        simulation.load[ranks.rank] / simulation.load.mean(), *clock.spent.values(),
+        len(simulation.halo.sends), simulation.sent / steps, simulation.moved, clock.startup,
+    ]  # fmt: skip
+    rows = ranks.root_rows(np.array([mine], np.float64))
+    if ranks.rank != 0:
+        return ""
+    path = run.options.folder / "profile.csv"
+    with open(path, "w", newline="") as f:
+        table = csv.writer(f)
+        table.writerow(PROFILE)
+        table.writerows([f"{value:.6g}" for value in row] for row in rows)
+    said = ["rank particles work/mean", *(f"{stage} [s]" for stage in STAGES)]
+    lines = ["  ".join([*said, "neighbours  kB/step  moved"])]
+    for row in rows[:SHOWN]:
+        numbers = [f"{row[0]:4.0f} {row[1]:9.0f} {row[2]:9.3f}"]
+        numbers += [
+            f"{value:{len(name) + 4}.2f}" for name, value in zip(STAGES, row[3:], strict=False)
+        ]
+        numbers.append(f"{row[-4]:10.0f} {row[-3] / 1e3:8.1f} {row[-2]:6.0f}")
+        lines.append("  ".join(numbers))
+    if len(rows) > SHOWN:
+        lines.append(f"... and {len(rows) - SHOWN} ranks more")
+    lines.append(
+        f"work: largest over mean {rows[:, 2].max():.3f} by static weights; start-up"
+        f" {rows[:, -1].max():.2f} s to the end of the first step; all rows: {path}"
+    )
     return "\n".join(lines)

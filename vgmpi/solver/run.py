@@ -17,7 +17,6 @@ from ..output.frames import Frames
 from ..output.ledger import Ledger
 from ..output.read import RunError, read_gaussians
 from ..plan import Plan, describe, make_plan
-from ..prepare.build import build
 from ..scene import Scene
 from .requests import Requests
 from .state import frame_rows, restore, save
@@ -93,6 +92,8 @@ def _particles(scene: Scene, folder: Path | None):
         log.info("particles as prepared before: %s", path)
         found = read_gaussians(path)
         return _known(found.objects, found.object, found.vol0, []), None
+    from ..prepare.build import build  # scipy comes with it: only the rank that prepares waits
+
     made = build(scene)
     rows = {
         "x0": made.x,

@@ -48,6 +48,9 @@ class Simulation:
         self.rate = 0.0
         self.sorts = 0
         self.sorted_at = 0
+        self.sent = 0  # bytes this rank gave its neighbours
+        self.moved = 0  # particles that left this rank for another
+        self.worst, self.said = np.zeros(4), np.zeros(8)
         self.clock = None  # a callable(name) that marks the end of a stage, or None
 
     def put(
@@ -77,13 +80,15 @@ class Simulation:
         rate = fastest / (self.plan.cfl * self.plan.dx)
         self.rate = float(self.ranks.max(np.array([rate]))[0])
         self.sort()
+        self.moved = 0  # finding the first owners is no migration
 
     def sort(self) -> None:
         """Re-sort all particles, cut the curve anew if the load asks for it, and lay out the
         tables.
         """
         steps = self.step - self.sorted_at
-        census, self.cut = migrate.sort(self.groups, self.ranks, self.cut, steps)
+        census, self.cut, left = migrate.sort(self.groups, self.ranks, self.cut, steps)
+        self.moved += left
         self.adopt(census)
         self.sorted_at = self.step
         self.sorts += 1
@@ -99,6 +104,11 @@ class Simulation:
             self.halo.link.close()
         self.halo = Halo(self.ranks, tables, self.engine.slot, self.plan.real)
 
+    @property
+    def load(self) -> np.ndarray:
+        """Predicted work of each rank, (ranks,)."""
+        return np.bincount(self.census.owner, self.census.work, minlength=self.ranks.size)
+
     def bound(self) -> float:
         """Largest stable time step [s] of the present state."""
         return 1.0 / max(self.rate, self.plan.rate)
@@ -110,27 +120,29 @@ class Simulation:
         """
         mark = self.clock or (lambda name: None)
         engine, sent = self.engine, (self.step, self.engine.flat_patches, self.engine.flat_offsets)
-        engine.p2g(
-            dt, border=True
-        )  # x, v, C, state at n -> mass and momentum (stress at n over dt)
+        # x, v, C, state at n -> mass and momentum (with the stress at n over dt)
+        engine.p2g(dt, border=True)
         mark("p2g")
         self.halo.start(*sent)
         mark("halo")
         engine.p2g(dt, border=False)
         mark("p2g")
         self.halo.link.nudge()
-        engine.update(dt, border=False)  # node velocities at n + 1: gravity, contact, walls
+        # node velocities at n + 1: gravity, contact, walls
+        engine.update(dt, border=False)
         mark("grid")
+        self.halo.link.wait()
+        mark("wait")
         self.halo.finish(*sent)
         mark("halo")
         engine.update(dt, border=True)
         mark("grid")
         reports = engine.g2p(dt, self.step)  # v, C, x, state at n + 1
         mark("g2p")
+        self.sent += self.halo.bytes_sent
         self.time += dt
         self.step += 1
-        worst = reports.max(axis=(0, 1))
-        found = self.ranks.max(np.array([worst[0], worst[1], worst[2] > 0, *requests], np.float64))
+        found = self._agreed(reports, requests)
         mark("wait")
         if found[2]:
             raise BlowUp(self._blame(reports))
@@ -139,6 +151,15 @@ class Simulation:
             self.sort()
             mark("sort")
         return found[3:]
+
+    def _agreed(self, reports: np.ndarray, requests: tuple[float, ...]) -> np.ndarray:
+        """The step's one reduction: rate, farthest particle, whether one went wrong, requests."""
+        said = self.said[: 3 + len(requests)]
+        reports.max(axis=(0, 1), out=self.worst)
+        said[:2] = self.worst[:2]
+        said[2] = self.worst[2] > 0
+        said[3:] = requests
+        return self.ranks.max(said)
 
     def object_of(self, ids: np.ndarray) -> np.ndarray:
         """Object of each particle: ids of one object follow each other."""

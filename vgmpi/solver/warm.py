@@ -1,29 +1,63 @@
-"""Compile every kernel a plan needs on rank 0 first; the other ranks then find them in numba's
-cache.
-"""
+"""Compile every kernel a plan needs, or load it from numba's cache, before the first step."""
+
+import logging
 
 import numpy as np
 
+from ..device.processor import processor, stamp
 from ..domain import halo
 from ..domain.ranks import Alone
 from ..plan import Plan
 from .step import Simulation
 from .watch import ledger
 
+log = logging.getLogger("vgmpi")
+
 
 def warm(plan: Plan, ranks: Alone) -> None:
-    """Run a particle per object through one step, a sort and the ledger. Collective."""
-    if ranks.rank == 0:
-        middle = 0.5 * np.array(plan.cells) * plan.dx
-        things = np.array([k for k, g in enumerate(plan.group_of) if g >= 0 and plan.count[k]])
-        alone = Simulation(plan, Alone())
-        n = len(things)
-        ids = np.array(plan.first_id)[things]
-        alone.put(np.tile(middle, (n, 1)), np.zeros((n, 3)), np.full(n, plan.dx**3), ids, things)
-        alone.advance(1e-6 * alone.bound())
-        ledger(alone)
-        none = np.zeros(0, np.int64)
-        corner = np.zeros((0, 3), np.int64)
-        for copy in (halo.pack, halo.unpack):
-            copy(np.zeros(0, plan.real), none, corner, corner, alone.engine.flat_patches)
+    """Have the kernels ready on every rank. Collective.
+
+    Rank 0 compiles them first, so that the others find them in the cache; what is compiled already
+    all ranks load at once.
+    """
+    _same_processor(ranks)
+    there = stamp([type(group.law) for group in plan.groups], plan.real)
+    ready = ranks.bcast(there.exists())
+    if ranks.rank == 0 or ready:
+        _run_all(plan)
     ranks.barrier()
+    if ranks.rank == 0:
+        there.parent.mkdir(parents=True, exist_ok=True)
+        there.touch()
+    elif not ready:
+        _run_all(plan)
+
+
+def _same_processor(ranks: Alone) -> None:
+    """Warn where code is compiled for different processors: sums would round differently."""
+    mine = np.frombuffer(processor().encode().ljust(96)[:96], np.uint8)
+    kinds = [bytes(row).decode().strip() for row in ranks.all_rows(mine[None])]
+    if len(set(kinds)) > 1:
+        first = {kind: kinds.index(kind) for kind in kinds}
+        log.warning(
+            "the processors of this job differ (%s): every rank rounds in its own way, and the bits"
+            " are not those of other runs. To have them equal, set NUMBA_CPU_NAME and"
+            " NUMBA_CPU_FEATURES to a kind that all can run (docs/performance.md)",
+            ", ".join(f"rank {rank}: {kind}" for kind, rank in first.items()),
+        )
+
+
+def _run_all(plan: Plan) -> None:
+    """A particle per object through one step, a sort and the ledger."""
+    middle = 0.5 * np.array(plan.cells) * plan.dx
+    things = np.array([k for k, g in enumerate(plan.group_of) if g >= 0 and plan.count[k]])
+    alone = Simulation(plan, Alone())
+    n = len(things)
+    ids = np.array(plan.first_id)[things]
+    alone.put(np.tile(middle, (n, 1)), np.zeros((n, 3)), np.full(n, plan.dx**3), ids, things)
+    alone.advance(1e-6 * alone.bound())
+    ledger(alone)
+    none = np.zeros(0, np.int64)
+    corner = np.zeros((0, 3), np.int64)
+    for copy in (halo.pack, halo.unpack):
+        copy(np.zeros(0, plan.real), none, corner, corner, alone.engine.flat_patches)
