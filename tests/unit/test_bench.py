@@ -160,6 +160,16 @@ def test_stage_times_add_up_to_the_whole(small):
     assert found["steps"] < 60
 
 
+def test_particles_that_would_be_prepared_anew_are_refused(tmp_path):
+    """They would be at rest."""
+    case = Case("fluid", 500)
+    lay_out(case, ["single"], tmp_path)
+    scene = tmp_path / "single" / "scene.toml"
+    scene.write_text(scene.read_text().replace("frames = 2", "frames = 3"))
+    with pytest.raises(BenchError, match="measure again"):
+        Here(OWN, case, tmp_path)
+
+
 def test_a_round_begins_anew_before_the_cube_reaches_a_wall(small):
     ours = Here(OWN, *small).doing
     ours.simulation.step = 600

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from ..domain.ranks import Alone, world
+from ..output import layout, rest
 from ..plan import make_plan
 from ..scene import load
-from ..solver.run import Options, begin, prepare, versions
+from ..solver.run import Options, begin, digest, prepare, versions
 from ..solver.watch import ledger
-from .scene import STEPS, to_dense
+from .scene import STEPS, BenchError, to_dense
 
 LONGEST = 200  # steps of a cycle if nothing moves far enough to be sorted
 
@@ -39,6 +40,9 @@ class Contestant:
         self.versions = versions()
         folder = Path(given["folder"])
         scene = load(folder / "scene.toml")
+        if rest.digest(folder / layout.GAUSSIANS) != digest(scene):
+            # it would be prepared anew, at rest: another scene than the others'
+            raise BenchError("the program's sources changed meanwhile: measure again")
         known = prepare(scene, self.ranks, folder)
         plan = make_plan(scene, known.count, known.volume, bool(known.colliders))
         self.start = (scene, plan, known, self.ranks, Options(folder, given["threads"]))
