@@ -1,12 +1,15 @@
 """Laws on vector lanes: the same text as on scalars, and the layout of the particles fits."""
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 from numba import njit
 
 from vgmpi.device import jit as _jit  # noqa: F401  (the cache folder)
+from vgmpi.device.select import select
 from vgmpi.kernels import lanes
-from vgmpi.kernels.laws import lane_state, stress
+from vgmpi.kernels.laws import lane_state, load_state, store_state, stress
 from vgmpi.materials import registry
 
 REAL = {"single": (np.float32, 2e-6), "double": (np.float64, 2e-14)}
@@ -91,3 +94,142 @@ def test_functions_of_lanes(precision):
     )
     for found, want in zip(out, wants, strict=True):
         assert (np.abs(found - want) <= tolerance * np.abs(want)).all()
+
+
+def choices(x, y, bound):
+    """A formula with what a law may use to choose; plain Python, no branch."""
+    outside = (x < -bound) | (x >= bound) | np.logical_not(y <= 2.0)
+    first = select(outside & (bound > 0.0), y, 3.0 * x)
+    second = select((x == y) | (x != x), -1.0, select(x > y, x, y) ** 2)
+    third = select(bound > 100.0, x, np.copysign(np.floor(y), x))
+    fourth = select(x > 0.0, 1.0, 0.0) + np.maximum(x, y) - np.minimum(bound, x) ** 3
+    return first, second, third, fourth, (2.0 + y * y) ** -3 + x**1 + x**0
+
+
+one = njit(choices)
+
+
+@njit
+def sixteen(x, y, bound, out):
+    for p in range(0, len(x), lanes.COUNT):
+        a, b, c, d, e = _on_lanes(lanes.load(x, p), lanes.load(y, p), bound)
+        lanes.store(out[0], p, a)
+        lanes.store(out[1], p, b)
+        lanes.store(out[2], p, c)
+        lanes.store(out[3], p, d)
+        lanes.store(out[4], p, e)
+
+
+_on_lanes = one
+
+
+def numbers(real, n=320):
+    x, y = np.random.default_rng(8).uniform(-3, 3, (2, n)).astype(real)
+    x[:16] = y[:16]  # equal
+    x[16:24], y[24:32] = 0.5, -0.5  # at the bound
+    return x, y
+
+
+@pytest.mark.parametrize("precision", REAL)
+def test_one_text_chooses_alike_on_every_engine(precision):
+    real, tolerance = REAL[precision]
+    x, y = numbers(real)
+    out = np.empty((5, len(x)), real)
+    for bound in (real(0.5), real(-1), real(101)):
+        sixteen(x, y, bound, out)
+        want = choices(x, y, bound)
+        assert np.abs(out - want).max() <= tolerance * 50
+        assert 0 < (out[0] == y).mean() < 1 or bound != 0.5
+        for p in range(0, len(x), 7):
+            for result in (choices(x[p], y[p], bound), one(x[p], y[p], bound)):
+                assert np.abs(np.subtract(result, out[:, p])).max() <= tolerance * 50
+            a, b, c, _, e = choices(x[p], y[p], bound)
+            assert {type(a), type(b), type(c), type(e)} == {real}
+            plain = choices(float(x[p]), float(y[p]), float(bound))
+            assert np.abs(np.subtract(plain, out[:, p])).max() <= tolerance * 50
+
+
+@njit
+def extremes(x, y, out):
+    for p in range(0, len(x), lanes.COUNT):
+        a, b = lanes.load(x, p), lanes.load(y, p)
+        lanes.store(out[0], p, np.maximum(a, b))
+        lanes.store(out[1], p, np.minimum(a, b))
+        lanes.store(out[2], p, np.maximum(a, 0.0))
+        lanes.store(out[3], p, np.minimum(1.0, a))
+        lanes.store(out[4], p, select(a < b, 1.0, 0.0))
+        lanes.store(out[5], p, select(a <= b, 1.0, 0.0))
+        lanes.store(out[6], p, select(a > b, 1.0, 0.0))
+        lanes.store(out[7], p, select(a >= b, 1.0, 0.0))
+        lanes.store(out[8], p, select(a == b, 1.0, 0.0))
+        lanes.store(out[9], p, select(a != b, 1.0, 0.0))
+
+
+@pytest.mark.parametrize("precision", REAL)
+def test_what_is_not_a_number_is_treated_as_numpy_does(precision):
+    real, _ = REAL[precision]
+    nan, inf = np.nan, np.inf
+    pairs = [(nan, 1), (1, nan), (nan, nan), (2, 1), (1, 2), (-inf, inf), (nan, inf), (-1, -1)]
+    x, y = np.resize(np.array(pairs, real), (16, 2)).T.copy()
+    out = np.empty((10, 16), real)
+    extremes(x, y, out)
+    want = [np.maximum(x, y), np.minimum(x, y), np.maximum(x, 0), np.minimum(1, x)]
+    want += [x < y, x <= y, x > y, x >= y, x == y, x != y]
+    assert np.array_equal(out, want, equal_nan=True)
+
+
+def material_with(channels):
+    """A material that only carries so many numbers, in two parts where there are two."""
+
+    class Law(NamedTuple):
+        factor: float
+
+    Law.__name__ = f"Law{channels}"
+
+    class Carrier:
+        carries = {"a": (0.0,) * (channels // 2), "b": (0.0,) * (channels - channels // 2)}
+
+    Carrier.Law = Law
+    return Carrier
+
+
+CARRIERS = {n: material_with(n) for n in (0, 1, 2, 7, 12)}
+
+
+@njit
+def copied(law, f, out):
+    """All states from channel 1 on of f (channels, cap) to out, 16 at a time; a constant first."""
+    cap = f.shape[1]
+    flat, flat_out = f.reshape(f.size), out.reshape(out.size)
+    for p in range(0, cap, lanes.COUNT):
+        store_state(flat_out, p + cap, cap, lane_state(law, flat, p + cap, cap))
+        store_state(flat_out, p, cap, (law.factor,))
+
+
+@njit
+def column(law, f, p):
+    return load_state(law, f, 1, p)
+
+
+@pytest.mark.parametrize("precision", REAL)
+@pytest.mark.parametrize("channels", CARRIERS)
+def test_a_state_of_any_length(monkeypatch, channels, precision):
+    """The first channel is another's, the last one too."""
+    real, _ = REAL[precision]
+    carrier = CARRIERS[channels]
+    monkeypatch.setitem(registry, "carrier", carrier)
+    law = carrier.Law(real(2))
+    f = np.random.default_rng(3).normal(size=(channels + 2, 48)).astype(real)
+    out = np.zeros_like(f)
+    copied(law, f, out)
+    assert (out[0] == 2).all() and (out[-1] == 0).all()
+    assert (out[1:-1] == f[1:-1]).all()
+    for p in (0, 5, 47):
+        assert column(law, f, p) == tuple(f[1:-1, p]) == load_state(law, f, 1, p)
+        assert len(column(law, f, p)) == channels
+
+
+def test_materials_with_equal_fields_are_told_apart():
+    """numba goes by the class's name (see kernels/laws.py)."""
+    names = [cls.Law.__name__ for cls in registry.values()]
+    assert len(set(names)) == len(names)

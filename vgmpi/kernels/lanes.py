@@ -1,9 +1,10 @@
 """Vectors of 16 particles as a value type for compiled code, in single or double precision.
 
-With it the laws, written once as scalar formulas, run on 16 particles at a time: operators and the
-numpy functions they use are defined for lanes, and plain numbers in a formula are spread to all
-lanes. Segments begin at multiples of 16, so a vector never straddles two of them. A processor
-without 512-bit registers takes several instructions for one; the formulas are the same.
+With it the laws, written once as scalar formulas, run on 16 particles at a time: operators,
+comparisons, `select` and (functions.py) the numpy functions they use are defined for lanes, and
+plain numbers in a formula are spread to all lanes. Segments begin at multiples of 16, so a vector
+never straddles two of them. A processor without 512-bit registers takes several instructions for
+one; the formulas are the same.
 """
 
 import operator
@@ -12,7 +13,11 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.extending import intrinsic, models, overload, register_model
+from numba.core.typing import signature
+from numba.core.typing.templates import AbstractTemplate, infer_global
+from numba.extending import intrinsic, lower_builtin, models, overload, register_model
+
+from ..device.select import select
 
 COUNT = 16
 _FUSED = ("contract",)  # a product and a sum may round once; the same code serves all ranks
@@ -36,6 +41,15 @@ class Lanes(types.Type):
         return ir.Constant(self.whole, [value] * self.count)
 
 
+class Mask(types.Type):
+    """16 truth values, of a comparison of lanes."""
+
+    def __init__(self, lanes: Lanes):
+        self.lanes = lanes
+        self.vector = ir.VectorType(ir.IntType(1), lanes.count)
+        super().__init__(name=f"Mask({lanes})")
+
+
 FLOATS, DOUBLES = Lanes(types.float32), Lanes(types.float64)
 OF = {types.float32: FLOATS, types.float64: DOUBLES}
 
@@ -44,6 +58,12 @@ OF = {types.float32: FLOATS, types.float64: DOUBLES}
 class _LanesModel(models.PrimitiveModel):
     def __init__(self, manager, lanes):
         super().__init__(manager, lanes, lanes.vector)
+
+
+@register_model(Mask)
+class _MaskModel(models.PrimitiveModel):
+    def __init__(self, manager, mask):
+        super().__init__(manager, mask, mask.vector)
 
 
 def in_all_lanes(context, builder, given, lanes, value):
@@ -92,14 +112,17 @@ def store(typing, row, first, values):
     return types.void(row, types.intp, values), build
 
 
+_PLAIN = types.Float | types.Integer | types.Boolean
+
+
 def _lanes_of(*given) -> Lanes | None:
     """The vector type of an operation; None if it is not ours."""
     found = {g for g in given if isinstance(g, Lanes)}
-    plain = all(isinstance(g, Lanes | types.Float | types.Integer | types.Boolean) for g in given)
+    plain = all(isinstance(g, Lanes | _PLAIN) for g in given)
     return found.pop() if len(found) == 1 and plain else None
 
 
-def _binary(function, emit):
+def binary(function, emit, result=lambda lanes: lanes):
     """Define `function` of two values, at least one of them a vector."""
 
     @intrinsic
@@ -112,7 +135,7 @@ def _binary(function, emit):
                 builder, lanes, *(in_all_lanes(context, builder, t, lanes, v) for t, v in pair)
             )
 
-        return lanes(a, b), build
+        return result(lanes)(a, b), build
 
     @overload(function, strict=False)
     def choose(a, b):
@@ -120,14 +143,16 @@ def _binary(function, emit):
             return lambda a, b: go(a, b)
 
 
-def _unary(function, emit):
+def unary(function, emit, of=Lanes):
+    """Define `function` of one vector, or of one mask."""
+
     @intrinsic
     def go(typing, a):
         return a(a), lambda context, builder, signature, arguments: emit(builder, a, arguments[0])
 
     @overload(function, strict=False)
     def choose(a):
-        if isinstance(a, Lanes):
+        if isinstance(a, of):
             return lambda a: go(a)
 
 
@@ -153,84 +178,141 @@ for _operator, _instruction in (
     (operator.mul, "fmul"),
     (operator.truediv, "fdiv"),
 ):
-    _binary(_operator, _plain(_instruction))
-
-_binary(np.maximum, call("llvm.maxnum"))
-_binary(np.minimum, call("llvm.minnum"))
-_unary(operator.neg, lambda builder, lanes, a: builder.fsub(lanes.constant(-0.0), a))
-_unary(operator.pos, lambda builder, lanes, a: a)
-_unary(abs, call("llvm.fabs"))
-_unary(np.abs, call("llvm.fabs"))
-_unary(np.sqrt, call("llvm.sqrt"))
+    binary(_operator, _plain(_instruction))
 
 
-def _polynomial(builder, lanes, x, coefficients):
-    """Horner's scheme; coefficients from the highest power down."""
-    total = lanes.constant(coefficients[0])
-    for c in coefficients[1:]:
-        total = builder.fadd(builder.fmul(total, x), lanes.constant(c))
-    return total
+def _highest(builder, lanes, a, b):
+    return _not_a_number_wins(builder, a, b, builder.select(builder.fcmp_ordered(">", a, b), a, b))
 
 
-def _power_of_two(builder, lanes, k):
-    """2^k for a vector of whole numbers k."""
-    bias, width = (127, 23) if lanes.real.bitwidth == 32 else (1023, 52)
-    whole = builder.add(builder.fptosi(k, lanes.whole), lanes.integer(bias))
-    return builder.bitcast(builder.shl(whole, lanes.integer(width)), lanes.vector)
+def _lowest(builder, lanes, a, b):
+    return _not_a_number_wins(builder, a, b, builder.select(builder.fcmp_ordered("<", a, b), a, b))
 
 
-def _exponent_parts(builder, lanes, x):
-    """exp(x) = 2^k (1 + q): (2^k, q) with q exact near 0. Beyond the range of numbers x is cut."""
-    single = lanes.real.bitwidth == 32
-    most = lanes.constant(87.0 if single else 708.0)
-    x = call("llvm.minnum")(builder, lanes, x, most)
-    x = call("llvm.maxnum")(builder, lanes, x, builder.fneg(most))
-    # ln 2 in two parts, so that k times the first is exact
-    double = (0.6931471803691238, 1.9082149292705877e-10)
-    high, low = (0.693359375, -2.12194440e-4) if single else double
-    k = call("llvm.rint")(builder, lanes, builder.fmul(x, lanes.constant(1.4426950408889634)))
-    r = builder.fsub(x, builder.fmul(k, lanes.constant(high)))
-    r = builder.fsub(r, builder.fmul(k, lanes.constant(low)))
-    powers, factorial = [], 1.0
-    for n in range(2, 9 if single else 15):
-        factorial *= n
-        powers.append(1.0 / factorial)
-    # expm1(r) = r + r^2 (1/2 + r/6 + ...)
-    tail = builder.fmul(builder.fmul(r, r), _polynomial(builder, lanes, r, powers[::-1]))
-    return _power_of_two(builder, lanes, k), builder.fadd(r, tail)
+def _not_a_number_wins(builder, a, b, chosen):
+    """`chosen` is b where either is not a number; numpy returns the one that is not."""
+    return builder.select(builder.fcmp_unordered("uno", a, a), a, chosen)
 
 
-def _exp(builder, lanes, x):
-    scale, q = _exponent_parts(builder, lanes, x)
-    return builder.fadd(scale, builder.fmul(scale, q))
+binary(np.maximum, _highest)
+binary(np.minimum, _lowest)
+binary(np.copysign, call("llvm.copysign"))
+unary(operator.neg, lambda builder, lanes, a: builder.fsub(lanes.constant(-0.0), a))
+unary(operator.pos, lambda builder, lanes, a: a)
+unary(abs, call("llvm.fabs"))
+unary(np.abs, call("llvm.fabs"))
+unary(np.sqrt, call("llvm.sqrt"))
+unary(np.floor, call("llvm.floor"))
 
 
-def _expm1(builder, lanes, x):
-    scale, q = _exponent_parts(builder, lanes, x)
-    return builder.fadd(builder.fsub(scale, lanes.constant(1.0)), builder.fmul(scale, q))
+@infer_global(operator.pow)
+class _Power(AbstractTemplate):
+    def generic(self, args, kws):
+        base, n = args
+        if isinstance(base, Lanes) and isinstance(n, types.IntegerLiteral):
+            return signature(base, base, n)
 
 
-def _log1p(builder, lanes, x):
-    """log(1 + x) for 1 + x positive and normal; the rounding of 1 + x is put back."""
+@lower_builtin(operator.pow, Lanes, types.IntegerLiteral)
+def _power(context, builder, sig, args):
+    """x**n for a whole number written in the formula, by squaring; a real n: exp(n log x)."""
+    lanes, n = sig.args[0], sig.args[1].literal_value
+    square, total, left = args[0], None, abs(n)
+    while left:
+        if left & 1:
+            total = square if total is None else builder.fmul(total, square)
+        left >>= 1
+        if left:
+            square = builder.fmul(square, square)
     one = lanes.constant(1.0)
-    u = builder.fadd(one, x)
-    lost = builder.fdiv(builder.fsub(x, builder.fsub(u, one)), u)
-    single = lanes.real.bitwidth == 32
-    width, half = (23, 0x3F3504F3) if single else (52, 0x3FE6A09E667F3BCD)
-    bits = builder.sub(builder.bitcast(u, lanes.whole), lanes.integer(half))
-    k = builder.sitofp(builder.ashr(bits, lanes.integer(width)), lanes.vector)
-    mantissa = builder.and_(bits, lanes.integer((1 << width) - 1))
-    m = builder.bitcast(builder.add(mantissa, lanes.integer(half)), lanes.vector)
-    f = builder.fsub(m, one)
-    s = builder.fdiv(f, builder.fadd(lanes.constant(2.0), f))
-    z = builder.fmul(s, s)
-    # log(m) = 2 s (1 + z/3 + z^2/5 + ...), |s| < .172
-    series = [2.0 / (2 * n + 1) for n in range(5 if single else 11)]
-    log_m = builder.fmul(s, _polynomial(builder, lanes, z, series[::-1]))
-    log_k = builder.fmul(k, lanes.constant(0.6931471805599453))
-    return builder.fadd(builder.fadd(log_m, lost), log_k)
+    total = one if total is None else total
+    return builder.fdiv(one, total) if n < 0 else total
 
 
-_unary(np.exp, _exp)
-_unary(np.expm1, _expm1)
-_unary(np.log1p, _log1p)
+# ---- comparisons --------------------------------------------------------------------------------
+
+
+def _compare(sign):
+    # only != holds for what is not a number
+    name = "fcmp_unordered" if sign == "!=" else "fcmp_ordered"
+    return lambda builder, lanes, a, b: getattr(builder, name)(sign, a, b)
+
+
+for _operator, _sign in (
+    (operator.lt, "<"),
+    (operator.le, "<="),
+    (operator.gt, ">"),
+    (operator.ge, ">="),
+    (operator.eq, "=="),
+    (operator.ne, "!="),
+):
+    binary(_operator, _compare(_sign), Mask)
+
+
+def _truths(builder, given, value):
+    """16 truth values; a plain one counts for all."""
+    if isinstance(given, Mask):
+        return value
+    kind = ir.VectorType(ir.IntType(1), COUNT)
+    return builder.select(value, ir.Constant(kind, [1] * COUNT), ir.Constant(kind, [0] * COUNT))
+
+
+def _mask_of(*given) -> Mask | None:
+    found = {g for g in given if isinstance(g, Mask)}
+    plain = all(isinstance(g, Mask | types.Boolean) for g in given)
+    return found.pop() if len(found) == 1 and plain else None
+
+
+def _join(function, instruction):
+    """Define `function` of two conditions, at least one of them a mask."""
+
+    @intrinsic
+    def go(typing, a, b):
+        def build(context, builder, signature, arguments):
+            pair = zip(signature.args, arguments, strict=True)
+            return getattr(builder, instruction)(*(_truths(builder, t, v) for t, v in pair))
+
+        return _mask_of(a, b)(a, b), build
+
+    @overload(function, strict=False)
+    def choose(a, b):
+        if _mask_of(a, b) is not None:
+            return lambda a, b: go(a, b)
+
+
+for _operator, _instruction in (
+    (operator.and_, "and_"),
+    (np.logical_and, "and_"),
+    (operator.or_, "or_"),
+    (np.logical_or, "or_"),
+    (operator.xor, "xor"),
+):
+    _join(_operator, _instruction)
+
+
+def _not(builder, mask, a):
+    return builder.not_(a)
+
+
+unary(operator.invert, _not, Mask)
+unary(np.logical_not, _not, Mask)
+
+
+@intrinsic
+def _blend(typing, mask, a, b):
+    lanes = _lanes_of(a, b) or mask.lanes
+
+    def build(context, builder, signature, arguments):
+        either = zip(signature.args[1:], arguments[1:], strict=True)
+        a, b = (in_all_lanes(context, builder, t, lanes, v) for t, v in either)
+        return builder.select(arguments[0], a, b)
+
+    return lanes(mask, a, b), build
+
+
+@overload(select, strict=False)
+def _select(mask, a, b):
+    if isinstance(mask, types.Boolean) and isinstance(a, _PLAIN) and isinstance(b, _PLAIN):
+        return lambda mask, a, b: a if mask else b
+    if isinstance(mask, Mask) or _lanes_of(a, b) is not None:
+        return lambda mask, a, b: _blend(mask, a, b)

@@ -4,17 +4,26 @@ A kernel calls `stress(law, state, L)`; which material's function that is, the t
 when the kernel is compiled. Called from plain Python the same names look the material up.
 """
 
+from llvmlite import ir
 from numba import types
-from numba.extending import overload, register_jitable
+from numba.core import cgutils
+from numba.extending import intrinsic, overload, register_jitable
 
 from ..device import jit as _jit  # noqa: F401  (sets numba's cache folder first)
 from ..device import tensor
+from ..materials import registry
 from ..materials.base import function, law_owner, state_channels
-from .lanes import load, store
+from . import functions as _functions  # noqa: F401  (defines exp and its kin for lanes)
+from .lanes import OF, address, in_all_lanes
 
 for _name, _function in vars(tensor).items():
     if callable(_function) and not _name.startswith("_"):
         register_jitable(_function)
+
+# a compiled function called from Python tells two NamedTuples with equal fields apart by the name
+# of their class alone: two that are called Law it would run with one material's code
+for _material in registry.values():
+    _material.Law.__name__ = f"{_material.__name__}Law"
 
 
 def _owner(law):
@@ -73,30 +82,32 @@ def load_state(law, f, row, p):
     return tuple(f[row + c, p] for c in range(state_channels(type(law))))
 
 
-def _load1(law, f, row, p):
-    return (f[row, p],)
+@intrinsic
+def _tuple_from_column(typing, law, f, row, p):
+    numbers = types.UniTuple(f.dtype, state_channels(law.instance_class))
 
+    def build(context, builder, signature, arguments):
+        array = context.make_array(f)(context, builder, arguments[1])
+        values = []
+        for c in range(numbers.count):
+            place = builder.add(arguments[2], ir.Constant(arguments[2].type, c))
+            here = cgutils.get_item_pointer(context, builder, f, array, [place, arguments[3]])
+            values.append(context.unpack_value(builder, f.dtype, here))
+        return context.make_tuple(builder, numbers, values)
 
-def _load9(law, f, row, p):
-    return (
-        f[row, p],
-        f[row + 1, p],
-        f[row + 2, p],
-        f[row + 3, p],
-        f[row + 4, p],
-        f[row + 5, p],
-        f[row + 6, p],
-        f[row + 7, p],
-        f[row + 8, p],
-    )
-
-
-_LOADS = {1: _load1, 9: _load9}
+    return numbers(law, f, types.intp, types.intp), build
 
 
 @overload(load_state, strict=False)
 def _load_state(law, f, row, p):
-    return _owner(law) and _LOADS[state_channels(law.instance_class)]
+    return _owner(law) and (lambda law, f, row, p: _tuple_from_column(law, f, row, p))
+
+
+def _channel(context, builder, array_type, array, at, cap, c, lanes):
+    """Pointer to 16 numbers of channel c."""
+    first = builder.add(at, builder.mul(cap, ir.Constant(cap.type, c)))
+    place = address(context, builder, array_type, array, first)
+    return builder.bitcast(place, lanes.vector.as_pointer())
 
 
 def lane_state(law, f, at, cap):
@@ -104,30 +115,27 @@ def lane_state(law, f, at, cap):
     raise TypeError("for compiled kernels only")
 
 
-def _lanes1(law, f, at, cap):
-    return (load(f, at),)
+@intrinsic
+def _load_channels(typing, law, f, at, cap):
+    lanes = OF[f.dtype]
+    vectors = types.UniTuple(lanes, state_channels(law.instance_class))
 
+    def build(context, builder, signature, arguments):
+        loaded = [
+            builder.load(
+                _channel(context, builder, f, *arguments[1:], c, lanes),
+                align=lanes.real.bitwidth // 8,
+            )
+            for c in range(vectors.count)
+        ]
+        return context.make_tuple(builder, vectors, loaded)
 
-def _lanes9(law, f, at, cap):
-    return (
-        load(f, at),
-        load(f, at + cap),
-        load(f, at + 2 * cap),
-        load(f, at + 3 * cap),
-        load(f, at + 4 * cap),
-        load(f, at + 5 * cap),
-        load(f, at + 6 * cap),
-        load(f, at + 7 * cap),
-        load(f, at + 8 * cap),
-    )
-
-
-_LANE_LOADS = {1: _lanes1, 9: _lanes9}
+    return vectors(law, f, types.intp, types.intp), build
 
 
 @overload(lane_state, strict=False)
 def _lane_state(law, f, at, cap):
-    return _owner(law) and _LANE_LOADS[state_channels(law.instance_class)]
+    return _owner(law) and (lambda law, f, at, cap: _load_channels(law, f, at, cap))
 
 
 def store_state(f, at, cap, state):
@@ -135,22 +143,20 @@ def store_state(f, at, cap, state):
     raise TypeError("for compiled kernels only")
 
 
+@intrinsic
+def _store_channels(typing, f, at, cap, state):
+    lanes = OF[f.dtype]
+
+    def build(context, builder, signature, arguments):
+        for c, value in enumerate(cgutils.unpack_tuple(builder, arguments[3], state.count)):
+            vector = in_all_lanes(context, builder, state.types[c], lanes, value)
+            place = _channel(context, builder, f, *arguments[:3], c, lanes)
+            builder.store(vector, place, align=lanes.real.bitwidth // 8)
+        return context.get_dummy_value()
+
+    return types.void(f, types.intp, types.intp, state), build
+
+
 @overload(store_state, strict=False)
 def _store_state(f, at, cap, state):
-    count = len(state)
-
-    def put1(f, at, cap, state):
-        store(f, at, state[0])
-
-    def put9(f, at, cap, state):
-        store(f, at, state[0])
-        store(f, at + cap, state[1])
-        store(f, at + 2 * cap, state[2])
-        store(f, at + 3 * cap, state[3])
-        store(f, at + 4 * cap, state[4])
-        store(f, at + 5 * cap, state[5])
-        store(f, at + 6 * cap, state[6])
-        store(f, at + 7 * cap, state[7])
-        store(f, at + 8 * cap, state[8])
-
-    return {1: put1, 9: put9}[count]
+    return lambda f, at, cap, state: _store_channels(f, at, cap, state)
