@@ -10,6 +10,7 @@ from pathlib import Path
 
 from ..materials import registry
 from ..solver.run import versions
+from ..tables import SceneError
 from . import roof, rounds, table
 from .rounds import Contestant
 from .scene import BenchError, Case, lay_out
@@ -144,9 +145,16 @@ def main(argv: list[str] | None = None) -> int:
     given = arguments(sys.argv[1:] if argv is None else argv)
     try:
         return given.run(given)
+    except SceneError as error:
+        print("\n".join(error.lines), file=sys.stderr)
+        return 2
     except BenchError as error:
         print(f"vgmpi.bench: {error}", file=sys.stderr)
         return 2
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
 
 
 def _run_compare(given: argparse.Namespace) -> int:
@@ -155,7 +163,7 @@ def _run_compare(given: argparse.Namespace) -> int:
 
 
 def _run_speed(given: argparse.Namespace) -> int:
-    results = measure(given, lambda line: print(line, file=sys.stderr, flush=True))
+    results = measure(given, _say)
     if given.json:
         given.json.write_text(json.dumps(results, indent=1) + "\n")
     print(table.text(results))
@@ -175,8 +183,25 @@ def _read(path: Path) -> dict:
         raise BenchError(f"{path}: cannot be read: {error}") from None
 
 
+def _balance(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("scene", type=Path, help="scene file (TOML)")
+    say("--ranks", nargs="+", type=int, default=[8, 64], metavar="N", help="default 8 64")
+    say("--set", action="append", default=[], metavar="KEY=VALUE", help="as for a run")
+    say("--time", type=float, default=0.0, metavar="S", help="of the scene; default: to its end")
+
+
+def _run_balance(given: argparse.Namespace) -> int:
+    from . import balance
+
+    found = balance.follow(given.scene, given.set, given.ranks, given.time, _say)
+    print(balance.text(found))
+    return 0
+
+
 COMMANDS = {  # what it does, its flags, how it runs
     "speed": ("measure (the default)", _speed, _run_speed),
+    "balance": ("how even a scene's work would be on many ranks", _balance, _run_balance),
     "compare": ("print two measurements side by side", _compare, _run_compare),
 }
 

@@ -26,6 +26,14 @@ def loads(keys: np.ndarray, work: np.ndarray, cut: np.ndarray) -> np.ndarray:
     return np.bincount(owners(keys, cut), work, minlength=len(cut) + 1)
 
 
+def by_block(
+    key: np.ndarray, work: np.ndarray, count: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Segments, ascending by key, to blocks: keys, work and particles of each."""
+    keys, at = np.unique(key, return_inverse=True)
+    return keys, np.bincount(at, work, len(keys)), np.bincount(at, count, len(keys))
+
+
 def imbalance(load: np.ndarray) -> float:
     """Largest over mean; 1 where there is nothing."""
     return float(load.max() / load.mean()) if load.sum() > 0 else 1.0

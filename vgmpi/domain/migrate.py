@@ -7,9 +7,11 @@ from typing import NamedTuple
 import numpy as np
 
 from . import sorting
-from .balance import BLOCK, owners, recut
+from .balance import BLOCK, by_block, owners, recut
 from .ranks import Alone
 from .state import LANES, Group
+
+_NEAR = (-1, 0, 1)
 
 
 class Census(NamedTuple):
@@ -39,11 +41,8 @@ def census(
     first = np.flatnonzero(new)
     count = np.add.reduceat(rows[:, 3], first) if len(rows) else rows[:, 3]
     key, code, group = rows[first, 0], rows[first, 1], rows[first, 2]
-    blocks, at = np.unique(key, return_inverse=True)
     work = BLOCK + count * costs[group]
-    total = np.bincount(at, work, minlength=len(blocks))
-    held = np.bincount(at, count, minlength=len(blocks))
-    cut = recut(blocks, total, held, ranks.size, cut, steps)
+    cut = recut(*by_block(key, work, count), ranks.size, cut, steps)
     return Census(key, code, group, count, owners(key, cut), work), cut
 
 
@@ -55,9 +54,10 @@ def sort(
     """
     rows, found = [], []
     for g, group in enumerate(groups):
-        code, cell = _rebin(group)
-        codes, number = _count(group, code)
-        found.append((code, cell, codes))
+        tags, code, number = _tag(group)
+        found.append((tags, code))
+        codes, at = np.unique(code[number > 0], return_inverse=True)
+        number = np.bincount(at, number[number > 0], len(codes)).astype(np.int64)
         key = group.lattice.key(group.lattice.block(codes))
         rows.append(np.stack([key, codes, np.full_like(key, g), number], 1))
     costs = np.array([group.plan.cost for group in groups])
@@ -83,82 +83,77 @@ def arrive(group: Group, block: np.ndarray, xi: np.ndarray, f: np.ndarray, ids: 
     group.used = n
 
 
-def _rebin(group: Group):
-    code = np.empty(group.f.shape[1], np.int64)
-    cell = np.empty(group.f.shape[1], np.int64)
-    sorting.rebin(
-        group.start, group.count, group.block, group.xi, group.bits, group.lattice.shape, code, cell
-    )
-    return code, cell
+def _tag(group: Group) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where each particle goes: tags (see sorting.tag), and for the 27 blocks around each segment
+    their codes and how many go there, (segments, 27)."""
+    tags = np.empty(group.f.shape[1], np.int32)
+    number = np.zeros((len(group.start), 27), np.int64)
+    sorting.tag(group.start, group.count, group.xi, group.bits, tags, number)
+    _, ny, nz = group.lattice.shape
+    step = np.array([(i * ny + j) * nz + k for i in _NEAR for j in _NEAR for k in _NEAR])
+    return tags, group.code[:, None] + step, number
 
 
-def _count(group: Group, code: np.ndarray):
-    """Block codes present on this rank, ascending, and their particles."""
-    seen = np.empty(len(group) + 1, np.int64)
-    n = sorting.distinct(group.start, group.count, code, seen)
-    codes = np.unique(seen[:n])
-    place = np.empty(len(code), np.int64)
-    sorting.locate(group.start, group.count, code, codes, np.arange(len(codes)), place)
-    return codes, np.bincount(place[group.index()], minlength=len(codes))
-
-
-def _settle(group: Group, ranks: Alone, codes, owner, code, cell, known) -> int:
+def _settle(group: Group, ranks: Alone, codes, owner, tags, code) -> int:
     """Exchange the particles that changed rank and order the rest; codes: (n,) of this group's
-    blocks, in key order. Returns how many left.
+    blocks, in key order; tags, code: from `_tag`. Returns how many left.
     """
-    gone: np.ndarray | list = []
-    mine = np.where(owner == ranks.rank, np.cumsum(owner == ranks.rank) - 1, -1)
+    mine = owner == ranks.rank
     by_code = np.argsort(codes)
-    place = np.empty(len(code), np.int64)
-    sorting.locate(group.start, group.count, code, codes[by_code], mine[by_code], place)
-    start, count = group.start, group.count
+    rank_of = np.searchsorted(codes[by_code], code)
+    rank_of = by_code[np.minimum(rank_of, len(codes) - 1)] if len(codes) else rank_of
+    numbered = np.where(mine, np.cumsum(mine) - 1, -1)
+    place = numbered[rank_of] if len(codes) else rank_of
+    number = np.zeros(sorting.CELLS * int(mine.sum()), np.int64)
+    start, count, left = group.start, group.count, 0
+    before = tags.copy() if (place < 0).any() else tags
+    sorting.aim(start, count, tags, place, number)
     if ranks.size > 1:
-        gone = np.empty(len(group), np.int64)
-        gone = gone[: sorting.leaving(start, count, place, gone)]
-        to = owner[by_code][np.searchsorted(codes[by_code], code[gone])]
-        code, cell, came = _swap(group, ranks, gone, to, code, cell)
-        start, count = np.append(start, group.used), np.append(count, came)
-        place = np.pad(place, (0, len(code) - len(place)))
-        sorting.locate(start[-1:], count[-1:], code, codes[by_code], mine[by_code], place)
-    blocks = codes[owner == ranks.rank]
-    number = np.zeros((len(blocks), 64), np.int64)
-    sorting.tally(start, count, place, cell, number)
-    size = number.sum(1)
-    new_start = np.empty(len(blocks), np.int64)
-    source = np.empty(int(size.sum()) + LANES * len(blocks), np.int64)
-    end = sorting.arrange(start, count, place, cell, group.ids, number, LANES, new_start, source)
+        gone, to = np.empty(len(group), np.int64), np.empty(len(group), np.int64)
+        left = sorting.leaving(start, count, tags, before, gone, to)
+        block = rank_of.ravel()[to[:left]]
+        cell = before[gone[:left]] & (sorting.CELLS - 1)
+        came = _swap(group, ranks, gone[:left], owner[block], codes[block], cell)
+        tags = _receive(group, tags, came, codes[by_code], numbered[by_code], number)
+        start, count = np.append(start, group.used), np.append(count, len(came))
+    new_start = np.empty(int(mine.sum()), np.int64)
+    size = number.reshape(-1, sorting.CELLS).sum(1)
+    source = np.empty(int(size.sum()) + LANES * len(size), np.uint32)
+    end = sorting.arrange(start, count, tags, group.ids, number, LANES, new_start, source)
     group.permute(new_start, size, source, end)
-    group.segments(blocks, new_start, size)
-    return len(gone)
+    group.segments(codes[mine], new_start, size)
+    return left
 
 
-def _swap(group: Group, ranks: Alone, gone, to, code, cell):
-    """Send the particles at `gone` to ranks `to`; append what arrives. Returns code, cell and how
-    many came.
+def _receive(group: Group, tags, came, codes, numbered, number) -> np.ndarray:
+    """Tags with the targets of the rows (n, 2) of code and cell that came; `number` counts them."""
+    tags = np.pad(tags, (0, max(0, group.f.shape[1] - len(tags))))
+    to = numbered[np.searchsorted(codes, came[:, 0])] * sorting.CELLS + came[:, 1]
+    tags[group.used : group.used + len(came)] = to
+    np.add.at(number, to, 1)
+    return tags
+
+
+def _swap(group: Group, ranks: Alone, gone, to, code, cell) -> np.ndarray:
+    """Send the particles at `gone` to ranks `to`; what arrives stands behind the others. Returns
+    code and cell (n, 2) of what came.
     """
     order = np.argsort(to, kind="stable")
     gone, to = gone[order], to[order]
-    rows = (group.xi[:, gone].T, group.f[:, gone].T, group.ids[gone], code[gone], cell[gone])
+    where = np.stack([code, cell], 1).astype(np.int64)[order]
+    rows = (group.xi[:, gone].T, group.f[:, gone].T, group.ids[gone], where)
     packed = np.concatenate([_as_bytes(part) for part in rows], 1)
     got = ranks.exchange(np.split(packed, np.searchsorted(to, np.arange(1, ranks.size))))
     got = np.concatenate(got)
     n, at = len(got), 0
     group.reserve(group.used + n)
-    more = group.f.shape[1] - len(code)
-    code, cell = np.pad(code, (0, more)), np.pad(cell, (0, more))
     new = slice(group.used, group.used + n)
-    for target, width in (
-        (group.xi, 3),
-        (group.f, group.channels),
-        (group.ids, 1),
-        (code, 1),
-        (cell, 1),
-    ):
+    for target, width in ((group.xi, 3), (group.f, group.channels), (group.ids, 1)):
         size = width * target.dtype.itemsize
         values = np.ascontiguousarray(got[:, at : at + size]).view(target.dtype).reshape(n, width)
         target[..., new] = values.T if target.ndim == 2 else values[:, 0]
         at += size
-    return code, cell, n
+    return np.ascontiguousarray(got[:, at:]).view(np.int64).reshape(n, 2)
 
 
 def _as_bytes(rows: np.ndarray) -> np.ndarray:

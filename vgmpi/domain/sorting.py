@@ -1,126 +1,116 @@
-"""Loops over particles that a sort needs."""
+"""Loops over particles that a sort needs: passes over tags of 4 bytes, then one per channel."""
 
 import numpy as np
 
 from ..device.jit import kernel
 
+CELLS = 64  # of a block
+STAYS = 13  # of the 27 blocks around a block, the block itself
+
 
 @kernel
-def rebin(start, count, block, xi, bits, shape, code, cell):
-    """Move each particle to the block its base node lies in.
+def tag(start, count, xi, bits, tags, leaps):
+    """Move each particle to the block its base node lies in, at most one away.
 
-    block: (segments, 3); xi: (3, cap), changed where the block changes; code, cell: (cap,) out, the
-    block's code and the cell 0..63 within it. Returns how many changed block. Unused places keep
-    what they held.
+    xi: (3, cap), changed where the block changes; tags: (cap,) int32 out, 64 times the new block's
+    number 0..26 around the old one, plus the cell 0..63 within it; leaps: (segments, 27) out,
+    particles by block.
     """
-    changed = 0
     for s in range(len(start)):
-        for p in range(start[s], start[s] + count[s]):
-            number = 0
-            inside = 0
-            moved = False
-            for a in range(3):
-                c = (xi[a, p] >> bits) + 2
+        a, b = start[s], start[s] + count[s]
+        here, leap = tags[a:b], leaps[s]
+        here[:] = 0
+        for axis in range(3):
+            x, far, near = xi[axis, a:b], CELLS * 3 ** (2 - axis), 4 ** (2 - axis)
+            for p in range(b - a):
+                c = (x[p] >> bits) + 2
                 shift = c >> 2
-                if shift != 0:
-                    xi[a, p] -= shift * (4 << bits)
-                    moved = True
-                number = number * shape[a] + block[s, a] + shift
-                inside = inside * 4 + (c & 3)
-            code[p] = number
-            cell[p] = inside
-            changed += moved
-    return changed
+                x[p] -= shift * (4 << bits)
+                here[p] += far * (shift + 1) + near * (c & 3)
+        for p in range(b - a):
+            leap[here[p] >> 6] += 1
 
 
 @kernel
-def distinct(start, count, code, out):
-    """Codes of particles that differ from the code before them, into out; returns how many (repeats
-    are possible).
+def aim(start, count, tags, place, number):
+    """Tags to targets: 64 times the particle's segment after the sort, plus its cell; -1 where it
+    leaves this rank.
+
+    place: (segments, 27) new segment or -1; number: (new segments * 64,) particles of each target,
+    counted on.
+    """
+    for s in range(len(start)):
+        here, places = tags[start[s] : start[s] + count[s]], place[s]
+        for p in range(len(here)):
+            to = places[here[p] >> 6]
+            if to >= 0:
+                to = to * CELLS + (here[p] & (CELLS - 1))
+                number[to] += 1
+            here[p] = to
+
+
+@kernel
+def leaving(start, count, targets, tags, out, to):
+    """Indices of particles whose target is -1 into out, segment and block number of each into to:
+    27 segment + number; returns how many.
+
+    tags: as before `aim`.
     """
     n = 0
-    last = -1
     for s in range(len(start)):
         for p in range(start[s], start[s] + count[s]):
-            if code[p] != last:
-                last = code[p]
-                out[n] = last
+            if targets[p] < 0:
+                out[n], to[n] = p, 27 * s + (tags[p] >> 6)
                 n += 1
     return n
 
 
 @kernel
-def locate(start, count, code, codes, places, place):
-    """place[p] = places[i] where codes[i] == code[p]; codes ascending."""
-    last = -1
-    at = 0
-    for s in range(len(start)):
-        for p in range(start[s], start[s] + count[s]):
-            if code[p] != last:
-                last = code[p]
-                at = places[np.searchsorted(codes, last)]
-            place[p] = at
+def arrange(start, count, targets, ids, number, lanes, new_start, source):
+    """Order by (segment, cell, id): source[new] = old index; segments begin at multiples of
+    `lanes`.
 
-
-@kernel
-def leaving(start, count, place, out):
-    """Indices of particles whose place is -1, into out; returns how many."""
-    n = 0
-    for s in range(len(start)):
-        for p in range(start[s], start[s] + count[s]):
-            if place[p] < 0:
-                out[n] = p
-                n += 1
-    return n
-
-
-@kernel
-def arrange(start, count, place, cell, ids, number, lanes, new_start, source):
-    """Order by (place, cell, id): source[new] = old index; segments begin at multiples of `lanes`.
-
-    number: (places, 64) particles per place and cell on entry, scratch on return. new_start:
-    (places,) out. Returns the end of the last segment.
+    number: (new segments * 64,) particles of each target on entry, scratch on return; new_start:
+    (new segments,) out; source: uint32. Returns the end of the last segment.
     """
     at = 0
     begin = np.empty_like(number)
-    for b in range(len(number)):
+    for b in range(len(new_start)):
         new_start[b] = at
-        for c in range(64):
-            here = number[b, c]
-            number[b, c] = at
-            begin[b, c] = at
+        for c in range(CELLS * b, CELLS * (b + 1)):
+            here = number[c]
+            number[c] = at
+            begin[c] = at
             at += here
         at = (at + lanes - 1) // lanes * lanes
     for s in range(len(start)):
-        for p in range(start[s], start[s] + count[s]):
-            if place[p] >= 0:
-                q = number[place[p], cell[p]]
-                number[place[p], cell[p]] = q + 1
+        here = targets[start[s] : start[s] + count[s]]
+        names = ids[start[s] : start[s] + count[s]]
+        for p in range(len(here)):
+            to = here[p]
+            if to >= 0:
+                q = number[to]
+                number[to] = q + 1
                 # insertion by id among those of the cell already placed: they are few
-                first = begin[place[p], cell[p]]
-                while q > first and ids[source[q - 1]] > ids[p]:
+                first = begin[to]
+                while q > first and ids[source[q - 1]] > names[p]:
                     source[q] = source[q - 1]
                     q -= 1
-                source[q] = p
+                source[q] = start[s] + p
     return at
 
 
 @kernel
-def tally(start, count, place, cell, number):
-    """Particles per (place, cell)."""
-    for s in range(len(start)):
-        for p in range(start[s], start[s] + count[s]):
-            if place[p] >= 0:
-                number[place[p], cell[p]] += 1
-
-
-@kernel
 def gather_rows(new_start, new_count, source, old, new, fill):
-    """new[q] = old[source[q]] for the places of all segments; `fill` up to the next segment."""
+    """new[q] = old[source[q]] for the places of all segments; `fill` up to the next segment.
+
+    source: unsigned, so that no index is tested for counting from the end.
+    """
     for s in range(len(new_start)):
         a = new_start[s]
-        for q in range(a, a + new_count[s]):
-            new[q] = old[source[q]]
-        end = new_start[s + 1] if s + 1 < len(new_start) else (a + new_count[s] + 15) // 16 * 16
-        for q in range(a + new_count[s], min(end, len(new))):
-            new[q] = fill
+        b = a + new_count[s]
+        here, place = new[a:b], source[a:b]
+        for q in range(b - a):
+            here[q] = old[place[q]]
+        end = new_start[s + 1] if s + 1 < len(new_start) else (b + 15) // 16 * 16
+        new[b:end] = fill

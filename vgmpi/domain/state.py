@@ -29,6 +29,7 @@ class Group:
         self.xi = np.zeros((3, 0), INTEGER[self.real])
         self.f = np.zeros((self.channels, 0), self.real)
         self.ids = np.zeros(0, np.int64)
+        self.spare = np.zeros(0, np.int64)
         self.used = 0
 
     def segments(self, code: np.ndarray, start: np.ndarray, count: np.ndarray) -> None:
@@ -53,6 +54,7 @@ class Group:
             new[..., :have] = old
             setattr(self, name, new)
         self.ids[have:] = -1
+        self.spare = np.empty(cap, np.int64)  # one channel while it is sorted
 
     def permute(self, start: np.ndarray, count: np.ndarray, source: np.ndarray, end: int) -> None:
         """Bring the particles into new segments: the one at `new` is the one that was at
@@ -60,10 +62,10 @@ class Group:
         """
         self.reserve(end)
         for rows, fill in ((self.xi, 0), (self.f, 0), (self.ids[None], -1)):
-            spare = np.empty_like(rows[0])
+            spare = self.spare.view(rows.dtype)[:end]
             for row in rows:
                 gather_rows(start, count, source, row, spare, row.dtype.type(fill))
-                row[:end] = spare[:end]
+                row[:end] = spare
         self.used = end
 
     def index(self) -> np.ndarray:

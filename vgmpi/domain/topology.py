@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..device.jit import kernel
 from .blocks import Lattice
 from .migrate import Census
 
@@ -97,19 +98,14 @@ def build(
 
     target = block[:, None, :] + NEIGHBOURS  # (patches, 27, 3)
     where = box.at(target)
-    needed = around[where]
-    nodes, inverse = np.unique((where * phases + phase[:, None])[needed], return_inverse=True)
-    number = np.full(where.shape, -1, np.int64)
-    number[needed] = inverse
-    patch_of, code_of = np.nonzero(needed)
+    node = np.where(around[where], where * phases + phase[:, None], -1)
     # within a node block by group, then key: groups are transferred one after the other
-    order = np.lexsort((patch_of, census.group[row][patch_of], inverse))
-    touching = np.bincount(inverse, minlength=len(nodes))
-    begin = np.concatenate([[0], np.cumsum(touching)])
+    order = np.argsort(census.group[row], kind="stable")
+    nodes, begin, patches, codes, table = _pull_lists(node, order, phases * len(around))
 
     flat = nodes // phases
     new = np.flatnonzero(np.diff(flat, prepend=-1))
-    block_at = target[needed][order][begin[new]]
+    block_at = target[patches[begin[new]], codes[begin[new]]]
     first = np.append(new, len(nodes))
     solid_of = np.full(len(new), -1, np.int64) if solid is None else solid(block_at)
     meets = ((np.diff(first) > 1) & contact) | (solid_of >= 0)
@@ -119,19 +115,57 @@ def build(
         own=own,
         block=block,
         offset_slot=np.where(wanted, np.cumsum(wanted) - 1, -1),
-        table=number[own],
+        table=table[own],
         first=first,
         phase=nodes % phases,
         block_at=block_at,
         meets=meets,
-        waits=np.logical_or.reduceat(~own[patch_of[order]], begin[new]),
+        waits=np.logical_or.reduceat(~own[patches], begin[new]),
         solid_of=solid_of,
         pull_first=begin,
-        pull_patch=patch_of[order],
-        pull_code=code_of[order],
+        pull_patch=patches,
+        pull_code=codes,
         sends=_traffic(block, own, census.owner[row], box, rank, sending=True),
         receives=_traffic(block, own, census.owner[row], box, rank, sending=False),
     )
+
+
+@kernel
+def _pull_lists(node, order, most):
+    """Number the node blocks in use and list the patches that touch each.
+
+    node: (patches, 27) which of `most` possible node blocks each patch touches, -1 for one nobody
+    here needs; order: (patches,) of the sums. Returns the node blocks in use, ascending; where the
+    list of each begins; patch and place 0..26 of every entry; node with the new numbers.
+    """
+    count = np.zeros(most, np.int64)
+    total = 0
+    for p in range(len(node)):
+        for k in range(27):
+            if node[p, k] >= 0:
+                count[node[p, k]] += 1
+                total += 1
+    number = np.full(most, -1)
+    used = 0
+    for n in range(most):
+        if count[n] > 0:
+            number[n] = used
+            used += 1
+    nodes, begin = np.empty(used, np.int64), np.zeros(used + 1, np.int64)
+    for n in range(most):
+        if count[n] > 0:
+            nodes[number[n]] = n
+            begin[number[n] + 1] = begin[number[n]] + count[n]
+    at = begin.copy()
+    patch, code = np.empty(total, np.int64), np.empty(total, np.int64)
+    table = np.full(node.shape, -1)
+    for p in order:
+        for k in range(27):
+            if node[p, k] >= 0:
+                n = number[node[p, k]]
+                patch[at[n]], code[at[n]], table[p, k] = p, k, n
+                at[n] += 1
+    return nodes, begin, patch, code, table
 
 
 def _wants_offset(box, lattice, census, near, at, phase_of, contact, solid) -> np.ndarray:
@@ -165,6 +199,8 @@ def _traffic(block, own, owner, box, rank, sending) -> list:
     of the eight nodes along that axis, at -1 the first four, at 0 all; the smallest box around
     these for all its blocks there.
     """
+    if own.all():
+        return []
     rank_at = box.full(-1, np.int64)
     rank_at[box.at(block)] = owner
     around = rank_at[box.at(block[:, None, :] + NEIGHBOURS)]  # (patches, 27)

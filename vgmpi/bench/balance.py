@@ -1,0 +1,112 @@
+"""How even a scene's work would be on many ranks: one rank computes, the cuts of others are
+followed.
+
+Particles and blocks do not depend on the ranks, so a run on one tells which pieces any number of
+ranks would own at each sort, with the solver's own cuts and its own rule for when to move them.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from ..domain.balance import by_block, cuts, imbalance, loads, owners, recut
+from ..domain.ranks import Alone
+from ..plan import make_plan
+from ..prepare.build import build
+from ..scene import load
+from ..solver.step import Simulation
+
+
+class Followed:
+    """One number of ranks: its cuts as they move, and the first ones that never do."""
+
+    def __init__(self, ranks: int):
+        self.ranks = ranks
+        self.cut = self.first = None
+        self.moving: list[float] = []  # largest over mean work from each sort to the next
+        self.fixed: list[float] = []
+        self.moved = 0  # particles that changed rank because a cut did
+        self.taken = 0  # times new cuts were taken
+
+    def sorted(self, census, steps: int) -> None:
+        """Particles were sorted, `steps` after the last time."""
+        keys, work, count = by_block(census.key, census.work, census.count)
+        if self.cut is None:
+            self.cut = self.first = cuts(keys, work, self.ranks, None)
+        else:
+            new = recut(keys, work, count, self.ranks, self.cut, steps)
+            self.taken += new is not self.cut
+            self.moved += int(count[owners(keys, new) != owners(keys, self.cut)].sum())
+            self.cut = new
+        self.moving.append(imbalance(loads(keys, work, self.cut)))
+        self.fixed.append(imbalance(loads(keys, work, self.first)))
+
+
+def follow(path: Path, overrides: list[str], ranks: list[int], seconds: float, say) -> dict:
+    """Run the scene for `seconds` of its time; what each number of ranks would have seen.
+
+    Raises SceneError.
+    """
+    scene = load(path, overrides)
+    made = build(scene)
+    count = [thing["count"] for thing in made.objects]
+    volume = np.bincount(made.object, made.vol0, minlength=len(count))
+    plan = make_plan(scene, count, volume.tolist(), bool(made.colliders))
+    simulation = Simulation(plan, Alone(), made.colliders)
+    simulation.put(made.x, made.v0, made.vol0, np.arange(len(made.x)), made.object)
+    end = min(seconds or plan.times[-1], float(plan.times[-1]))
+    followed = [Followed(n) for n in ranks]
+    weights, steps = [], [0]
+    sorts = 0
+    while simulation.time < end:
+        if simulation.sorts > sorts:
+            sorts = simulation.sorts
+            for one in followed:
+                one.sorted(simulation.census, steps[-1])
+            weights.append(0)
+            say(f"{simulation.time:.4f} of {end:.4f} s, sort {sorts}")
+        before = simulation.sorted_at
+        simulation.advance(min(simulation.bound(), plan.fixed_dt or np.inf))
+        weights[-1] += 1
+        if simulation.sorted_at != before:
+            steps.append(simulation.sorted_at - before)
+    return {
+        "title": scene.title or path.name,
+        "particles": plan.particles,
+        "materials": len({group.material for group in plan.groups}),
+        "blocks": len(np.unique(simulation.census.key)),
+        "steps": simulation.step,
+        "time": simulation.time,
+        "sorts": simulation.sorts,
+        "rows": [_row(one, np.array(weights), plan.particles) for one in followed],
+    }
+
+
+def _row(one: Followed, weights: np.ndarray, particles: int) -> dict:
+    moving, fixed = np.array(one.moving), np.array(one.fixed)
+    return {
+        "ranks": one.ranks,
+        "mean": float(np.average(moving, weights=weights)),
+        "worst": float(moving.max()),
+        "fixed_mean": float(np.average(fixed, weights=weights)),
+        "fixed_worst": float(fixed.max()),
+        "taken": one.taken,
+        "moved": one.moved / particles,
+    }
+
+
+def text(found: dict) -> str:
+    """The result as a table."""
+    lines = [
+        f"{found['title']}: {found['particles']:,} particles of {found['materials']} material(s) in"
+        f" {found['blocks']:,} blocks, {found['steps']:,} steps to {found['time']:.3g} s,"
+        f" {found['sorts']} sorts",
+        "largest over mean work, in the mean over all steps and at worst:",
+        "   ranks   rebalanced: mean   worst   never: mean   worst   new cuts   particles moved",
+    ]
+    for row in found["rows"]:
+        lines.append(
+            f"{row['ranks']:8d} {row['mean']:18.3f} {row['worst']:7.3f} {row['fixed_mean']:13.3f}"
+            f" {row['fixed_worst']:7.3f} {row['taken']:10d} {row['moved']:15.2f} x"
+        )
+    return "\n".join(lines)
