@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vgmpi.domain.balance import MOVED, SLACK, cuts, imbalance, loads, owners, recut
+from vgmpi.domain.balance import LASTS, MOVED, SLACK, cuts, imbalance, loads, owners, recut
 
 weights = st.lists(st.floats(0.1, 100.0), max_size=60).map(np.array)
 
@@ -70,10 +70,10 @@ def test_a_small_change_moves_little():
 
 
 def test_new_cuts_are_taken_when_they_pay():
-    """100 blocks of 100; a fifth of the first rank's work too much: 10 blocks of 100 are to move."""
+    """100 blocks of 100, the first rank has 60 of them: 10 blocks are to move."""
     keys, count = np.arange(100), np.full(100, 100)
     work, cut = count.astype(float), np.array([60])
-    pays = int(np.ceil(MOVED * 1000 / 1000))  # steps until 1000 moved have saved it
+    pays = int(np.ceil(MOVED / LASTS * 1000 / 1000))  # steps until 1000 moved have saved it
     assert recut(keys, work, count, 2, cut, pays - 1).tolist() == [60]
     assert abs(int(recut(keys, work, count, 2, cut, pays + 1)[0]) - 50) <= 1
 

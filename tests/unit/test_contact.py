@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from vgmpi.kernels.contact import TOUCH, collider_gap, geometry, outside, resolve
+from vgmpi.kernels.contact import (
+    TOUCH,
+    collider_gap,
+    gap,
+    outside,
+    resolve,
+    surface_normal,
+)
 
 
 class Node:
@@ -178,12 +185,15 @@ def test_gap_of_two_half_spaces(a, b):
     """The master below the node by a, the other above by b: they are a + b apart."""
     dx, up = 0.02, np.array([0.6, 0.0, 0.8])
     n = np.zeros(3)
-    gap = geometry(n, sums(a, -up, dx), sums(b, up, dx), dx)
-    assert gap == pytest.approx(a + b, abs=0.006)
+    pair = sums(a, -up, dx), sums(b, up, dx)
+    assert surface_normal(n, *pair, dx)
     assert np.allclose(n, up)
+    assert gap(n, *pair, dx) == pytest.approx(a + b, abs=0.006)
     # a node in the midst of the master has no normal of its own: the other's counts
     buried = np.array([0.0, 0.0, 0.0, 1e-6])
-    assert geometry(n, buried, sums(b, up, dx), dx) < TOUCH
+    n[:] = 0
+    assert surface_normal(n, buried, sums(b, up, dx), dx)
     assert np.allclose(n, up)
-    assert geometry(n, buried, buried, dx) > 2
+    assert gap(n, buried, sums(b, up, dx), dx) < TOUCH
+    assert not surface_normal(n, buried, buried, dx)
     assert collider_gap(up, a * dx, sums(b, up, dx), dx) == pytest.approx(a + b, abs=0.004)

@@ -199,9 +199,53 @@ def _run_balance(given: argparse.Namespace) -> int:
     return 0
 
 
+def _overhead(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--ranks", nargs="+", type=int, default=[1, 2], metavar="N")
+    parser.add_argument("--steps", type=int, default=300, help="of a round, default 300")
+
+
+def _run_overhead(given: argparse.Namespace) -> int:
+    print("a step whose kernels get nothing to do: its Python and its messages")
+    case = Case("fluid", 64)
+    for ranks in given.ranks:
+        with tempfile.TemporaryDirectory(prefix="vgmpi-bench-") as folder:
+            lay_out(case, ["single"], Path(folder))
+            worker = rounds.Worker(Contestant("inside", ranks=ranks), case, Path(folder))
+            try:
+                found = worker.ask("empty", steps=given.steps)
+            finally:
+                worker.close()
+        print(
+            f"{ranks} rank(s): {found['us']:.1f} us per step, least of 10 rounds;"
+            f" {found['stays']:.2f} bytes per step stay allocated,"
+            f" at most {found['most']:.0f} bytes at a time"
+        )
+    return 0
+
+
+def _scaling(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("--real", nargs="+", type=int, default=[1, 2, 4, 8], metavar="N", help="ranks to run here")
+    say("--particles", type=int, default=50_000, metavar="N", help="per rank of the real runs")
+    say("--latency", type=float, default=2e-6, help="of a message [s], default 2e-6")
+    say("--bandwidth", type=float, default=1e10, help="of a rank's link [B/s], default 1e10")
+
+
+def _run_scaling(given: argparse.Namespace) -> int:
+    from . import scaling
+
+    rows, empty = scaling.measure(sorted({1, 2, *given.real}), given.particles, _say)
+    found = scaling.constants(rows, empty)
+    cores = len(os.sched_getaffinity(0))
+    print(scaling.text(rows, found, given.latency, given.bandwidth, cores))
+    return 0
+
+
 COMMANDS = {  # what it does, its flags, how it runs
     "speed": ("measure (the default)", _speed, _run_speed),
     "balance": ("how even a scene's work would be on many ranks", _balance, _run_balance),
+    "overhead": ("what a step costs beside its kernels", _overhead, _run_overhead),
+    "scaling": ("predict many ranks from what is measured here", _scaling, _run_scaling),
     "compare": ("print two measurements side by side", _compare, _run_compare),
 }
 

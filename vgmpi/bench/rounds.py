@@ -20,7 +20,13 @@ from .scene import DX, PER_STEP, BenchError, Case
 START_SECONDS = 300.0  # a contestant may take to compile
 MOST_CYCLES = 20  # in a round of ours
 RIVAL_LAWS = ("fluid", "elastic")  # written in the rivals, too
-NAMES = {"own": "vgmpi", "plain": "numba loops", "taichi_rival": "Taichi", "warp_rival": "Warp"}
+NAMES = {
+    "own": "vgmpi",
+    "inside": "vgmpi",
+    "plain": "numba loops",
+    "taichi_rival": "Taichi",
+    "warp_rival": "Warp",
+}
 AVX2 = {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "+avx2,+fma,+bmi,+bmi2"}
 OPEN_MPI = {  # lets root start ranks, and more ranks than cores
     "OMPI_ALLOW_RUN_AS_ROOT": "1",

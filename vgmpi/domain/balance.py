@@ -3,7 +3,7 @@ work.
 
 Work is counted in steps of one fluid particle. Cuts are looked at when particles are sorted anyway:
 new ones make the largest piece as small as contiguous pieces allow, move as little as possible, and
-are taken when what they save until the next sort is more than the moving costs. Who owns a block
+are taken when what they save over the next few sorts is more than the moving costs. Who owns a block
 decides no bit of the result.
 """
 
@@ -13,6 +13,7 @@ from ..device.jit import kernel
 
 BLOCK = 35.0  # work of a block's nodes and patch in one phase
 MOVED = 6.0  # work of sending one particle to another rank and taking it in
+LASTS = 4.0  # times as long as since the last sort that new cuts are worth having
 SLACK = 1.005  # largest piece over the mean that is as good as perfect
 
 
@@ -46,7 +47,7 @@ def recut(
     """First key of ranks 1.. from now on: the cuts in force, or new ones where they pay.
 
     keys: (n,) of blocks, ascending; work, count: (n,) each block's work and particles; cut: None at
-    the start; steps: taken since the last sort, about as many as until the next.
+    the start; steps: taken since the last sort.
     """
     new = cuts(keys, work, ranks, cut)
     if cut is None or ranks == 1 or not len(keys):
@@ -57,7 +58,7 @@ def recut(
         after, moved, minlength=ranks
     )
     saved = loads(keys, work, cut).max() - loads(keys, work, new).max()
-    return new if saved * steps > MOVED * passed.max() else cut
+    return new if saved * steps * LASTS > MOVED * passed.max() else cut
 
 
 def cuts(keys: np.ndarray, work: np.ndarray, ranks: int, old: np.ndarray | None) -> np.ndarray:

@@ -32,12 +32,10 @@ def outside(m):
 
 
 @inline
-def geometry(normal, master, other, dx):
-    """Outward normal of `master` into normal (3,), and the gap [cells] between two phases'
-    surfaces.
+def surface_normal(normal, master, other, dx):
+    """Outward normal of `master` into normal (3,); False where there is none.
 
-    master, other: (4,) offset sums [m4] and volume [m3]. Returns a gap above 2 where no normal
-    exists.
+    master, other: (4,) offset sums [m4] and volume [m3].
     """
     size = np.sqrt(master[0] * master[0] + master[1] * master[1] + master[2] * master[2])
     sign, source = -1.0, master
@@ -45,9 +43,15 @@ def geometry(normal, master, other, dx):
         size = np.sqrt(other[0] * other[0] + other[1] * other[1] + other[2] * other[2])
         sign, source = 1.0, other
         if not size > 1e-6 * dx * other[3]:
-            return 3.0
+            return False
     for c in range(3):
         normal[c] = sign * source[c] / size
+    return True
+
+
+@inline
+def gap(normal, master, other, dx):
+    """Distance [cells] between two phases' surfaces along the master's normal."""
     a = -(master[0] * normal[0] + master[1] * normal[1] + master[2] * normal[2]) / (master[3] * dx)
     b = (other[0] * normal[0] + other[1] * normal[1] + other[2] * normal[2]) / (other[3] * dx)
     return outside(a) + outside(b)
@@ -55,7 +59,7 @@ def geometry(normal, master, other, dx):
 
 @inline
 def collider_gap(normal, distance, other, dx):
-    """As `geometry`, for a rigid collider whose outward normal and distance [m] at the node are
+    """As `gap`, for a rigid collider whose outward normal and distance [m] at the node are
     known.
     """
     b = (other[0] * normal[0] + other[1] * normal[1] + other[2] * normal[2]) / (other[3] * dx)

@@ -107,15 +107,9 @@ class Cpu:
         for patches, shares in zip(patches_of, self.shares, strict=True):
             for thread, rows in enumerate(shares.inner):
                 filler[patches[rows]] = thread
-        if len(t.phase):
-            fillers, first = filler[t.pull_patch], t.pull_first[:-1]
-            lowest = np.minimum.reduceat(fillers, first)
-            one = (lowest == np.maximum.reduceat(fillers, first)) & (lowest >= 0)
-        else:
-            lowest, one = t.phase, np.zeros(0, bool)
-        self.summed = one
-        self.clears = [np.flatnonzero(one & (lowest == k)) for k in range(self.threads)]
-        into = np.where(one[t.table], t.table, -1) if len(t.phase) else t.table
+        by, into = filled_by_one(t, filler)
+        self.summed = by >= 0
+        self.clears = [np.flatnonzero(by == k) for k in range(self.threads)]
         kept = ~t.own
         kept[t.own] = (into < 0).any(1)
         self.slot = np.where(kept, np.cumsum(kept) - 1, -1)
@@ -146,9 +140,9 @@ class Cpu:
         """Fill the patches of this rank's segments: those that other ranks need, or the others."""
         real = self.plan.real.type
         if not border:
-            self._each(self.clears, self._clear)
+            self.each(self.clears, self._clear)
         for part, shares in zip(self.parts, self.shares, strict=True):
-            self._each(shares.of(border), self._p2g, part, real(dt))
+            self.each(shares.of(border), self._p2g, part, real(dt))
 
     def _clear(self, thread: int, rows: np.ndarray) -> None:
         zero(self.flat_grid, rows)
@@ -164,7 +158,7 @@ class Cpu:
     def update(self, dt: float, border: bool) -> None:
         """Sum the patches, and find the velocities at the nodes: gravity, contact, walls. Blocks
         whose sum takes patches of other ranks, or the others."""
-        self._each(self.block_shares.of(border), self._update, dt)
+        self.each(self.block_shares.of(border), self._update, dt)
 
     def _update(self, thread: int, share: np.ndarray, dt: float) -> None:
         t = self.topology
@@ -182,7 +176,7 @@ class Cpu:
         reports = self.reports
         reports[:] = 0
         for part, shares, report in zip(self.parts, self.shares, reports, strict=True):
-            self._each(shares.all, self._g2p, part, self.plan.real.type(dt), dither, report)
+            self.each(shares.all, self._g2p, part, self.plan.real.type(dt), dither, report)
         return reports
 
     def _g2p(self, thread: int, share: np.ndarray, part: "Part", dt, dither, report) -> None:
@@ -193,7 +187,7 @@ class Cpu:
             self.bits, dither, self.dx, dt, self.plan.real.type(self.plan.cfl), report[thread],
         )  # fmt: skip
 
-    def _each(self, shares: list[np.ndarray], work, *arguments) -> None:
+    def each(self, shares: list[np.ndarray], work, *arguments) -> None:
         """work(thread, share, *arguments) for every share that is not empty."""
         if self.pool is None:
             if len(shares[0]):
@@ -202,6 +196,20 @@ class Cpu:
         waiting = [self.pool.submit(work, k, s, *arguments) for k, s in enumerate(shares) if len(s)]
         for w in waiting:
             w.result()
+
+
+def filled_by_one(t: Topology, filler: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which thread fills all patches of each node block, or -1: (node blocks,); and the node blocks
+    around each own patch where it is one and the same, else -1: (own patches, 27).
+
+    filler: (patches,) thread, -1 for patches that are sent or come from other ranks.
+    """
+    if not len(t.phase):
+        return t.phase, t.table
+    fillers, first = filler[t.pull_patch], t.pull_first[:-1]
+    lowest = np.minimum.reduceat(fillers, first)
+    by = np.where(lowest == np.maximum.reduceat(fillers, first), lowest, -1)
+    return by, np.where(by[t.table] >= 0, t.table, -1)
 
 
 def _room(array: np.ndarray, rows: int) -> np.ndarray:

@@ -9,7 +9,7 @@ order, and not the ranks, decides the bits.
 import numpy as np
 
 from ..device.jit import inline, kernel
-from .contact import TOUCH, collider_gap, geometry, resolve
+from .contact import TOUCH, collider_gap, gap, resolve, surface_normal
 from .lanes import load, store
 from .patches import pull
 from .rows import repeat, spread, velocity
@@ -98,16 +98,15 @@ def _touch(
         i, j, k = low[0] + node // 16, low[1] + node // 4 % 4, low[2] + node % 4
         for q in range(active):
             tangential(offsets[here[q], node], i, j, k, cells, wall_kinds)
+            for c in range(3):
+                v[q, c] = grid[here[q], node, c]
+            m[q] = grid[here[q], node, 3]
         pairs = _pairs(
-            active, here, node, phase, offsets, solid, has_solid, rank_of, friction, dx,
+            active, here, node, phase, v, offsets, solid, has_solid, rank_of, friction, dx,
             normals, mu, pair_a, pair_b, touches,
         )  # fmt: skip
         if pairs == 0:
             continue
-        for q in range(active):
-            for c in range(3):
-                v[q, c] = grid[here[q], node, c]
-            m[q] = grid[here[q], node, 3]
         share = touches[:active].max()
         resolve(v, m, active, normals, mu, pair_a, pair_b, pairs, share, impulse)
         for q in range(active):
@@ -117,17 +116,21 @@ def _touch(
 
 @inline
 def _pairs(
-    active, here, node, phase, offsets, solid, has_solid, rank_of, friction, dx, normals, mu,
+    active, here, node, phase, v, offsets, solid, has_solid, rank_of, friction, dx, normals, mu,
     pair_a, pair_b, touches,
 ):  # fmt: skip
     """The touching pairs of a node, in phase order: masters, normals and friction. Returns how
-    many.
+    many. A pair that is alone at its node and parts is left out: nothing acts on it.
     """
+    alone = active + has_solid == 2
     pairs = 0
     touches[:active] = 0
     for q in range(active):
         mine, ph = offsets[here[q], node], phase[here[q]]
         if has_solid and mine[3] > 0:
+            n = solid[node]
+            if alone and v[q, 0] * n[0] + v[q, 1] * n[1] + v[q, 2] * n[2] >= 0:
+                continue
             if collider_gap(solid[node], solid[node, 3], mine, dx) <= TOUCH:
                 for c in range(3):
                     normals[pairs, c] = solid[node, c]
@@ -140,7 +143,15 @@ def _pairs(
             xa, xb = offsets[here[a], node], offsets[here[b], node]
             if not (xa[3] > 0 and xb[3] > 0):
                 continue
-            if geometry(normals[pairs], xa, xb, dx) <= TOUCH:
+            n = normals[pairs]
+            if not surface_normal(n, xa, xb, dx):
+                continue
+            nearing = 0.0
+            for c in range(3):
+                nearing += (v[a, c] - v[b, c]) * n[c]
+            if alone and nearing <= 0:
+                continue
+            if gap(n, xa, xb, dx) <= TOUCH:
                 pair_a[pairs], pair_b[pairs], mu[pairs] = a, b, friction[ph, other]
                 touches[a] += 1
                 touches[b] += 1

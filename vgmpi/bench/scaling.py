@@ -1,0 +1,143 @@
+"""Scaling on paper: what a step costs on many ranks, from constants measured here and the solver's
+own tables of who sends what to whom; held against runs on the ranks this machine can start.
+
+A rank's step = work / rate of one core + patches kept for others to sum + packing both ways
+             + what of the exchange the interior does not hide + the reduction + Python.
+
+Efficiency compares with one rank that has as many particles (weak scaling). Work, patches, bytes
+and neighbours are those of a cube of full blocks, cut by the solver, of the worst of some ranks.
+"""
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from ..domain import topology
+from ..domain.balance import BLOCK, cuts, owners
+from ..domain.blocks import EDGE, Lattice
+from ..domain.migrate import Census
+from ..kernels.cpu import filled_by_one
+from .inside import WORK
+from .rounds import Contestant, Worker
+from .scene import Case, lay_out
+
+FILL = 8 * EDGE**3  # particles of a full block
+SAMPLE = 8  # ranks of which tables are laid out
+RANKS = (1, 8, 64, 512, 4096)
+PER_RANK = (10_000, 30_000, 100_000, 300_000)
+OVERLAPPED = 0.5  # share of a step's work during which messages may travel: P2G and grid
+
+
+def tables(ranks: int, blocks: int) -> dict:
+    """Of the worst of SAMPLE ranks of a cube of ranks x blocks full blocks, one phase, single
+    precision: own blocks, those sent, patches kept, bytes sent, neighbours."""
+    side = max(1, round((ranks * blocks) ** (1 / 3)))
+    at = np.stack(np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), -1).reshape(-1, 3) + 2
+    lattice = Lattice((EDGE * (side + 4),) * 3, 1.0)
+    key, code = lattice.key(at), lattice.code(at)
+    order = np.argsort(key)
+    key, code = key[order], code[order]
+    ones = np.ones(len(key))
+    owner = owners(key, cuts(key, ones, ranks, None))
+    census = Census(key, code, np.zeros(len(key), np.int64), ones * FILL, owner, ones)
+    chosen = np.unique(np.linspace(0, ranks - 1, SAMPLE).round().astype(int))
+    found = np.array([_of_rank(census, lattice, rank) for rank in chosen])
+    return dict(zip(("own", "sent", "kept", "bytes", "neighbours"), found.max(0), strict=True))
+
+
+def _of_rank(census: Census, lattice: Lattice, rank: int) -> list[float]:
+    t = topology.build(census, lattice, rank, np.zeros(1, np.int64), False, None)
+    filler = np.where(t.own, 0, -1)
+    for _, patches, _, _ in t.sends:
+        filler[patches] = -1
+    _, into = filled_by_one(t, filler)
+    size = sum(16 * int(np.prod(high - low, axis=1).sum()) for _, _, low, high in t.sends)
+    sent = int((t.own & (filler < 0)).sum())
+    return [int(t.own.sum()), sent, int((into < 0).any(1).sum()), size, len(t.sends)]
+
+
+def constants(rows: dict[int, list], empty_us: float) -> dict:
+    """Seconds per unit of work, kept patch and byte copied, from rows of one and of two ranks."""
+    one, two = (np.array(rows[n]) for n in (1, 2))
+    stages = len(WORK)
+    halo = WORK.index("halo")
+    unit = one[:, :stages].sum() / (one[0, stages] + BLOCK * one[0, stages + 1])
+    copied = two[:, halo].sum() / (2 * two[:, stages + 3].sum())
+    rest = two[:, :stages].sum() - two[:, halo].sum()
+    rest -= unit * (two[:, stages] + BLOCK * two[:, stages + 1]).sum()
+    return {
+        "unit": unit,
+        "copied": copied,
+        "kept": max(0.0, rest / two[:, stages + 2].sum()),
+        "python": 1e-6 * empty_us,
+    }
+
+
+def predicted(c: dict, work: float, kept: float, size: float) -> float:
+    """Seconds a rank computes in a step."""
+    return c["unit"] * work + c["kept"] * kept + c["copied"] * 2 * size
+
+
+def step(c: dict, ranks: int, particles: int, latency: float, bandwidth: float) -> float:
+    """Seconds of a step with `particles` on each of `ranks`; latency [s], bandwidth [B/s] of one
+    rank's link."""
+    blocks = max(1, round(particles / FILL))
+    t = tables(ranks, blocks)
+    work = t["own"] * (FILL + BLOCK) * particles / (blocks * FILL)
+    computes = predicted(c, work, t["kept"], t["bytes"])
+    travels = t["neighbours"] * latency + t["bytes"] / bandwidth
+    hidden = OVERLAPPED * c["unit"] * work * (1.0 - t["sent"] / t["own"])
+    reduction = 2.0 * np.log2(ranks) * latency if ranks > 1 else 0.0
+    return computes + max(0.0, travels - hidden) + reduction + c["python"]
+
+
+def measure(real_ranks: list[int], particles: int, say) -> tuple[dict[int, list], float]:
+    """Rows of `inside.Contestant.work` for each number of real ranks with `particles` each, and
+    the time of an empty step on one rank [us]."""
+    rows, empty = {}, 0.0
+    for n in real_ranks:
+        say(f"{n} rank(s) of {particles:,} particles")
+        case = Case("fluid", n * particles)
+        with tempfile.TemporaryDirectory(prefix="vgmpi-bench-") as folder:
+            lay_out(case, ["single"], Path(folder))
+            worker = Worker(Contestant("inside", ranks=n), case, Path(folder))
+            try:
+                rows[n] = worker.ask("work", cycles=5)["rows"]
+                if n == 1:
+                    empty = worker.ask("empty", steps=200)["us"]
+            finally:
+                worker.close()
+    return rows, empty
+
+
+def text(rows: dict[int, list], c: dict, latency: float, bandwidth: float, cores: int) -> str:
+    """Constants, the check against real runs, the prediction."""
+    stages = len(WORK)
+    lines = [
+        f"measured: {1e9 * c['unit']:.1f} ns per particle (a block counts as {BLOCK:.0f} more),"
+        f" {1e6 * c['kept']:.2f} us per patch kept, {1e9 * c['copied']:.3f} ns per byte packed or"
+        f" unpacked, {1e6 * c['python']:.0f} us of Python",
+        "real runs: processor time that a rank computes in a step (waiting not counted)",
+        "   ranks  particles each   measured [us]: mean   largest   predicted: mean   largest"
+        "   kB sent   neighbours",
+    ]
+    for n, found in rows.items():
+        row = np.array(found)
+        spent = 1e6 * row[:, :stages].sum(1)
+        work = row[:, stages] + BLOCK * row[:, stages + 1]
+        told = 1e6 * predicted(c, work, row[:, stages + 2], row[:, stages + 3])
+        lines.append(
+            f"{n:8d} {row[:, stages].mean():15,.0f} {spent.mean():21.0f} {spent.max():9.0f}"
+            f" {told.mean():17.0f} {told.max():9.0f} {row[:, stages + 3].max() / 1e3:9.0f}"
+            f" {row[:, stages + 4].max():12.0f}" + (" (more ranks than cores)" * (n > cores))
+        )
+    lines += [
+        f"predicted efficiency with {1e6 * latency:g} us and {1e-9 * bandwidth:g} GB/s per rank:",
+        "   particles per rank" + "".join(f"{n:9d} rk" for n in RANKS),
+    ]
+    for particles in PER_RANK:
+        alone = step(c, 1, particles, latency, bandwidth)
+        every = [alone / step(c, n, particles, latency, bandwidth) for n in RANKS]
+        lines.append(f"{particles:21,d}" + "".join(f"{e:12.3f}" for e in every))
+    return "\n".join(lines)
