@@ -13,7 +13,7 @@ from ..device.jit import kernel
 
 BLOCK = 35.0  # work of a block's nodes and patch in one phase
 MOVED = 6.0  # work of sending one particle to another rank and taking it in
-LASTS = 4.0  # times as long as since the last sort that new cuts are worth having
+LASTS = 16.0  # sorts that new cuts are worth having: not to move now mostly means to move later
 SLACK = 1.005  # largest piece over the mean that is as good as perfect
 
 

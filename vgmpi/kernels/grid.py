@@ -50,16 +50,25 @@ def update(
             if meets[b]:
                 into = flat_scratch[nb - n0]
                 pull(into, q0, q1, pull_patch, pull_code, offset_slots, offsets)
-        low = 4 * block_at[b] - 1
+        low = 4 * block_at[b, 0] - 1, 4 * block_at[b, 1] - 1, 4 * block_at[b, 2] - 1
         if meets[b]:
             solid = solids[max(solid_of[b], 0)]
             _touch(
                 grid[n0:n1], phase[n0:n1], scratch, solid, solid_of[b] >= 0, low, cells, wall_kinds,
                 least, rank_of, friction, dx, room,
             )  # fmt: skip
-        if (low <= 0).any() or (low + 3 >= cells).any():
+        if _at_wall(low, cells):
             for nb in range(n0, n1):
                 constrain(grid[nb], low, cells, wall_kinds, wall_friction)
+
+
+@inline
+def _at_wall(low, cells):
+    """Whether a block whose first node is `low` holds a node on or beyond a wall."""
+    for a in range(3):
+        if low[a] <= 0 or low[a] + 3 >= cells[a]:
+            return True
+    return False
 
 
 def room(count: int, real: np.dtype) -> tuple[np.ndarray, ...]:

@@ -1,0 +1,109 @@
+"""What a step must not cost: memory, and time beside its kernels."""
+
+import tracemalloc
+
+import numpy as np
+import pytest
+from numba.core.runtime import _nrt_python, rtsys
+
+from tests import simulated
+from tests.scenes import MIXED
+from tests.simulate import begin
+from vgmpi.bench import inside
+from vgmpi.bench.scene import Case, lay_out
+from vgmpi.device.processor import stamp
+from vgmpi.solver import warm
+
+
+@pytest.fixture
+def mixed(tmp_path):
+    """Walls of all kinds, three phases in contact, a collider; and a time step so short that no
+    particle leaves its patch: a sort allocates."""
+    simulation, _ = begin(tmp_path, MIXED.replace("PRECISION", "double"))
+    dt = 0.01 * simulation.bound()
+    simulation.advance(dt)
+    sorts = simulation.sorts
+    yield simulation, dt
+    assert simulation.sorts == sorts
+
+
+def compiled_allocations(simulation, dt):
+    """In one step; an array that goes into compiled code counts as one."""
+    _nrt_python.memsys_enable_stats()
+    try:
+        before = rtsys.get_allocation_stats().alloc
+        simulation.advance(dt)
+        return rtsys.get_allocation_stats().alloc - before
+    finally:
+        _nrt_python.memsys_disable_stats()
+
+
+def test_compiled_code_allocates_nothing_in_its_loops(mixed):
+    """As much for all segments and blocks as for one of each."""
+    simulation, dt = mixed
+    for_all = compiled_allocations(simulation, dt)
+
+    def first(shares, work, *arguments):
+        if len(shares[0]):
+            work(0, shares[0][:1], *arguments)
+
+    simulation.engine.each = first
+    assert for_all == compiled_allocations(simulation, dt)
+
+
+def test_nothing_a_step_allocates_stays(mixed):
+    simulation, dt = mixed
+    tracemalloc.start()
+    try:
+        for _ in range(800):  # Python keeps a store of freed numbers, which fills first
+            simulation.advance(dt)
+        before = tracemalloc.get_traced_memory()[0]
+        tracemalloc.reset_peak()
+        for _ in range(50):
+            simulation.advance(dt)
+        after, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert after - before < 2000
+    assert most - before < 20_000
+
+
+def test_an_empty_step_moves_nothing(tmp_path):
+    """What `python -m vgmpi.bench overhead` times: kernels are called, and do nothing."""
+    lay_out(Case("fluid", 64), ["single"], tmp_path)
+    contestant = inside.Contestant({"folder": str(tmp_path / "single"), "ranks": 1, "threads": 1})
+    found = contestant.empty(20)
+    assert 0 < found["us"] < 1e6 and found["stays"] < 100
+    simulation = contestant.simulation
+    (group,) = simulation.groups
+    start = group.xi.copy()
+    assert simulation.step > 200 and simulation.sorts == 1
+    contestant.restart()
+    assert (start == contestant.simulation.groups[0].xi).all()
+    contestant.step()
+    assert (start != contestant.simulation.groups[0].xi).any(), "kernels stayed empty"
+
+
+def test_ranks_on_different_processors_are_told(caplog):
+    kinds = ["znver5 00000001", "znver5 00000001", "haswell 00000002"]
+
+    class Told:
+        """Three ranks as one: `all_rows` gives what each would say."""
+
+        def all_rows(self, row):
+            rows = [np.frombuffer(kind.encode().ljust(96), np.uint8) for kind in kinds]
+            return np.stack(rows)
+
+    warm._same_processor(Told())
+    assert "rank 0: znver5 00000001, rank 2: haswell 00000002" in caplog.text
+    assert "NUMBA_CPU_NAME" in caplog.text
+
+
+def test_ranks_on_equal_processors_are_not(caplog):
+    simulated.run(3, warm._same_processor)
+    assert caplog.text == ""
+
+
+def test_stamps_tell_kernels_apart():
+    assert stamp("fluid", np.dtype(np.float32)) == stamp("fluid", np.dtype(np.float32))
+    assert stamp("fluid", np.dtype(np.float32)) != stamp("fluid", np.dtype(np.float64))
