@@ -49,12 +49,13 @@ def tables(ranks: int, blocks: int) -> dict:
 def _of_rank(census: Census, lattice: Lattice, rank: int) -> list[float]:
     t = topology.build(census, lattice, rank, np.zeros(1, np.int64), False, None)
     filler = np.where(t.own, 0, -1)
+    sent = np.zeros(len(filler), bool)
     for _, patches, _, _ in t.sends:
-        filler[patches] = -1
+        sent[patches] = True
     _, into = filled_by_one(t, filler)
+    kept = int(((into < 0).any(1) | sent[t.own]).sum())
     size = sum(16 * int(np.prod(high - low, axis=1).sum()) for _, _, low, high in t.sends)
-    sent = int((t.own & (filler < 0)).sum())
-    return [int(t.own.sum()), sent, int((into < 0).any(1).sum()), size, len(t.sends)]
+    return [int(t.own.sum()), int(sent.sum()), kept, size, len(t.sends)]
 
 
 def constants(rows: dict[int, list], empty_us: float) -> dict:

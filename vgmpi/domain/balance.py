@@ -3,8 +3,8 @@ work.
 
 Work is counted in steps of one fluid particle. Cuts are looked at when particles are sorted anyway:
 new ones make the largest piece as small as contiguous pieces allow, move as little as possible, and
-are taken when what they save over the next few sorts is more than the moving costs. Who owns a block
-decides no bit of the result.
+are taken when what they save over the next few sorts is more than the moving costs. Who owns a
+block decides no bit of the result.
 """
 
 import numpy as np

@@ -25,6 +25,7 @@ class Part(NamedTuple):
     """What the kernels are told of a group's segments; rows are segments."""
 
     group: Group
+    sent: np.ndarray  # (n,) whether other ranks need the patch
     slot: np.ndarray  # (n,) where the patch is kept, or -1
     offset_slot: np.ndarray  # (n,) offset patch or -1
     table: np.ndarray  # (n, 27) node blocks around
@@ -36,7 +37,7 @@ class Part(NamedTuple):
 class Cpu:
     """Transfers and grid update of one rank's particles, by `threads` threads.
 
-    The sum of a node block runs over its patches by (group, key). Where one thread fills all of
+    The sum of a node block runs over its patches by (group, key). Where one thread has all of
     them, it adds each at once while it is in the first level cache; the patches of other node
     blocks, those near another rank or thread, are kept and summed by `update`. Threads share
     nothing they write, and both ways add in the same order: neither touches the bits.
@@ -76,11 +77,11 @@ class Cpu:
         for _, patches, _, _ in t.sends:
             sent[patches] = True
         self.shares = [
-            _Shares(group.count, sent[own[here]], self.threads)
+            _Shares(group.count, sent[own[here]], self.threads, whole=True)
             for group, here in zip(groups, members, strict=True)
         ]
         self.block_shares = _Shares(np.diff(t.first), t.waits, self.threads)
-        into = self._who_sums([own[here] for here in members])
+        into = self._who_sums([own[here] for here in members], sent)
         self._make_room()
         self.parts = []
         for group, here in zip(groups, members, strict=True):
@@ -91,27 +92,27 @@ class Cpu:
             mirror = patch_codes(block, self.plan.cells, self.wall_kinds)
             self.parts.append(
                 Part(
-                    group, self.slot[at], t.offset_slot[at], t.table[here], into[here],
+                    group, sent[at], self.slot[at], t.offset_slot[at], t.table[here], into[here],
                     self._limits(block), mirror,
                 )
             )  # fmt: skip
 
-    def _who_sums(self, patches_of: list[np.ndarray]) -> np.ndarray:
+    def _who_sums(self, patches_of: list[np.ndarray], sent: np.ndarray) -> np.ndarray:
         """Find the node blocks whose patches one thread fills, in order: `summed` and `clears`; and
         which patches must be kept: `slot`. Returns `into` of all own patches.
 
-        patches_of: the own patches of each group.
+        patches_of: the own patches of each group; sent: (patches,).
         """
         t = self.topology
-        filler = np.full(len(t.row), -1)  # thread; -1 for patches of other ranks and sent ones
+        filler = np.full(len(t.row), -1)  # thread that adds it; -1 for patches of other ranks
         for patches, shares in zip(patches_of, self.shares, strict=True):
             for thread, rows in enumerate(shares.inner):
                 filler[patches[rows]] = thread
         by, into = filled_by_one(t, filler)
         self.summed = by >= 0
         self.clears = [np.flatnonzero(by == k) for k in range(self.threads)]
-        kept = ~t.own
-        kept[t.own] = (into < 0).any(1)
+        kept = ~t.own | sent
+        kept[t.own] |= (into < 0).any(1)
         self.slot = np.where(kept, np.cumsum(kept) - 1, -1)
         return into
 
@@ -142,17 +143,18 @@ class Cpu:
         if not border:
             self.each(self.clears, self._clear)
         for part, shares in zip(self.parts, self.shares, strict=True):
-            self.each(shares.of(border), self._p2g, part, real(dt))
+            self.each(shares.of(border), self._p2g, part, border, real(dt))
 
     def _clear(self, thread: int, rows: np.ndarray) -> None:
         zero(self.flat_grid, rows)
 
-    def _p2g(self, thread: int, share: np.ndarray, part: "Part", dt) -> None:
+    def _p2g(self, thread: int, share: np.ndarray, part: "Part", border: bool, dt) -> None:
         group, plan = part.group, part.group.plan
         transfer.p2g(
-            plan.law, share, group.start, group.count, part.slot, part.offset_slot, part.into,
-            part.mirror, group.xi, group.f, self.flat_patches, self.flat_offsets, self.flat_grid,
-            self.records[thread], self.base[thread], self.plan.real.type(plan.density), self.dx, dt,
+            plan.law, share, border, part.sent, group.start, group.count, part.slot,
+            part.offset_slot, part.into, part.mirror, group.xi, group.f, self.flat_patches,
+            self.flat_offsets, self.flat_grid, self.records[thread], self.base[thread],
+            self.plan.real.type(plan.density), self.dx, dt,
         )  # fmt: skip
 
     def update(self, dt: float, border: bool) -> None:
@@ -202,7 +204,7 @@ def filled_by_one(t: Topology, filler: np.ndarray) -> tuple[np.ndarray, np.ndarr
     """Which thread fills all patches of each node block, or -1: (node blocks,); and the node blocks
     around each own patch where it is one and the same, else -1: (own patches, 27).
 
-    filler: (patches,) thread, -1 for patches that are sent or come from other ranks.
+    filler: (patches,) thread, -1 for patches of other ranks.
     """
     if not len(t.phase):
         return t.phase, t.table
@@ -220,13 +222,15 @@ def _room(array: np.ndarray, rows: int) -> np.ndarray:
 
 
 class _Shares:
-    """What each thread does: of all rows, of those at the border to other ranks, of the others."""
+    """What each thread does: of all rows, of those at the border to other ranks, and after these:
+    of the others, or of all once more (whole), where those of the border are nearly done."""
 
-    def __init__(self, weights: np.ndarray, border: np.ndarray, threads: int):
+    def __init__(self, weights: np.ndarray, border: np.ndarray, threads: int, whole: bool = False):
         row = np.arange(len(weights))
         self.all = _shares(row, weights, threads)
         self.border = _shares(row[border], weights[border], threads)
-        self.inner = _shares(row[~border], weights[~border], threads)
+        rest = row if whole else row[~border]
+        self.inner = _shares(rest, np.where(border, 0, weights)[rest], threads)
 
     def of(self, border: bool) -> list[np.ndarray]:
         return self.border if border else self.inner

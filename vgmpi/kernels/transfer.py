@@ -113,19 +113,21 @@ def _scatter(count, records, weights, base, patch):
 
 @kernel
 def p2g(
-    law, segments, start, count, slot, offset_slot, into, mirror, xi, f, patches, volumes, grid,
-    scratch, base, density, dx, dt,
+    law, segments, border, sent, start, count, slot, offset_slot, into, mirror, xi, f, patches,
+    volumes, grid, scratch, base, density, dx, dt,
 ):  # fmt: skip
     """Mass and momentum (with the stress's impulse over dt) of each segment into its patch, and
     that to the grid.
 
-    segments: (n,) the segments to do; slot: (segments,) where to keep the patch for others to sum,
-    -1 for nowhere; offset_slot: the same for the volume-and-offset patch that contact asks for;
-    into: (segments, 27) node blocks around each to add the patch to, -1 where it is not this
-    thread's to add; mirror: (segments, 3, 2) wall codes (walls.py); xi: (3, cap) fixed-point
-    positions; f: (channels, cap); patches: (slots, 2048) momentum [kg m/s] and mass [kg] of 8^3
-    nodes; volumes: (slots, 2048) sum V0 w (x_p - x_i) [m4] and sum V0 w [m3]; grid: (blocks, 256).
-    scratch (2 SCRATCH + PATCH + 16,) and base (BATCH + 22, int32) belong to the calling thread.
+    segments: (n,) the segments to do; sent: (segments,) whose patches other ranks need: with
+    `border` these are filled and kept, later they are only added to the grid in their turn; slot:
+    (segments,) where to keep the patch for others to sum, -1 for nowhere; offset_slot: the same for
+    the volume-and-offset patch that contact asks for; into: (segments, 27) node blocks around each
+    to add the patch to, -1 where it is not this thread's to add; mirror: (segments, 3, 2) wall
+    codes (walls.py); xi: (3, cap) fixed-point positions; f: (channels, cap); patches: (slots, 2048)
+    momentum [kg m/s] and mass [kg] of 8^3 nodes; volumes: (slots, 2048) sum V0 w (x_p - x_i) [m4]
+    and sum V0 w [m3]; grid: (blocks, 256). scratch (2 SCRATCH + PATCH + 16,) and base (BATCH + 22,
+    int32) belong to the calling thread.
     """
     cap = f.shape[1]
     flat, flat_xi = f.reshape(f.size), xi.reshape(xi.size)
@@ -135,6 +137,9 @@ def p2g(
     box = base[BATCH + 16 :]
     for s in segments:
         _box(count[s], start[s], cap, flat_xi, flat, mirror[s], box)
+        if sent[s] and not border:
+            push(patches[slot[s]], grid, into[s], box)
+            continue
         for wanted in range(2):
             if wanted == 1 and offset_slot[s] < 0:
                 break
@@ -157,7 +162,7 @@ def p2g(
                 keep = patches[kept] if wanted == 0 else volumes[kept]
                 for c in range(PATCH):
                     keep[c] = patch[c]
-            if wanted == 0:
+            if wanted == 0 and not border:
                 push(patch, grid, into[s], box)
 
 
