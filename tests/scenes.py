@@ -4,8 +4,8 @@ from pathlib import Path
 
 from vgmpi.scene import Scene, load
 
-# every kind of wall, two solids that meet each other, the water and a collider, fast enough to sort
-# and migrate
+# every kind of wall, two fluids in one phase, two solids that meet each other, the fluids and a
+# collider, fast enough to sort and migrate
 MIXED = """
 title = "mixed"
 
@@ -26,6 +26,12 @@ kind = "fluid"
 bulk_modulus = 5e4
 viscosity = 0.01
 
+[material.oil]
+kind = "fluid"
+density = 900
+bulk_modulus = 5e4
+viscosity = 0.1
+
 [material.rubber]
 kind = "elastic"
 density = 700
@@ -34,8 +40,15 @@ youngs_modulus = 2e5
 [[object]]
 name = "pool"
 material = "water"
-shape = { box = [[0, 0, 0], [0.16, 0.24, 0.1]] }
+shape = { box = [[0, 0, 0], [0.16, 0.24, 0.06]] }
 position = [0.08, 0.12, 0]
+velocity = [1.5, 0, 0]
+
+[[object]]
+name = "slick"
+material = "oil"
+shape = { box = [[0, 0, 0], [0.16, 0.24, 0.04]] }
+position = [0.08, 0.12, 0.06]
 velocity = [1.5, 0, 0]
 
 [[object]]

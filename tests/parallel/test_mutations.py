@@ -11,10 +11,9 @@ import pytest
 
 from tests import simulated
 from tests.scenes import MIXED
-from tests.simulate import begin
+from tests.states import by_id, different, state
 from vgmpi.domain import halo, migrate, sorting, topology
 from vgmpi.kernels import cpu
-from vgmpi.solver.state import save
 
 STEPS = 240
 
@@ -36,55 +35,10 @@ velocity = [3, 0, 0]
 """
 
 
-def state(folder, n, text, steps=STEPS):
-    """The particles after some steps on n simulated ranks: {group/dataset: rows as a checkpoint
-    has them}, and what each rank saw: (sorts, least and most particles it held).
-    """
-
-    def job(ranks):
-        home = folder / f"rank{ranks.rank}"
-        home.mkdir(exist_ok=True)
-        simulation, _ = begin(home, text, ranks)
-        held = []
-        for _ in range(steps):
-            simulation.advance(simulation.bound())
-            held.append(int(sum(len(group) for group in simulation.groups)))
-        saved = save(simulation)["groups"]
-        return saved, simulation.sorts, min(held), max(held)
-
-    found = simulated.run(n, job)
-    rows = {
-        f"{name}/{key}": np.concatenate([saved[name][key] for saved, *_ in found])
-        for name, group in found[0][0].items()
-        for key in group
-    }
-    return rows, [seen for _, *seen in found]
-
-
-def by_id(rows):
-    """Particles in the order of their ids, so that only their values count; positions are whole
-    numbers within blocks.
-    """
-    out = {}
-    for name in {key.split("/")[0] for key in rows}:
-        order = np.argsort(rows[f"{name}/id"])
-        block = np.repeat(rows[f"{name}/block"], rows[f"{name}/count"])
-        out[f"{name}/block"] = block[order]
-        for key in ("id", "x", "v", "C", "vol0", "state"):
-            out[f"{name}/{key}"] = rows[f"{name}/{key}"][order]
-    return out
-
-
-def different(one, other):
-    """Names of the arrays whose bytes differ."""
-    assert one.keys() == other.keys()
-    return [name for name in one if one[name].tobytes() != other[name].tobytes()]
-
-
 def alone(precision, tmp_path_factory):
     """(text, state on one rank)."""
     text = MIXED.replace("PRECISION", precision)
-    rows, [(sorts, *_)] = state(tmp_path_factory.mktemp("one"), 1, text)
+    rows, [(sorts, *_)] = state(tmp_path_factory.mktemp("one"), 1, text, STEPS)
     assert sorts >= 5, "too few sorts to test anything"
     return text, rows
 
@@ -102,15 +56,15 @@ def one(request, tmp_path_factory):
 @pytest.mark.parametrize("n", [2, 3, 5])
 def test_same_bits(one, n, tmp_path):
     text, want = one
-    rows, seen = state(tmp_path, n, text)
+    rows, seen = state(tmp_path, n, text, STEPS)
     assert different(rows, want) == []
     assert any(most > least for _, least, most in seen), "nothing migrated"
 
 
 def test_idle_ranks(tmp_path):
     """A ball in one block, on seven ranks: it crosses into others, ranks wake up and fall idle."""
-    want, _ = state(tmp_path, 1, BALL)
-    rows, seen = state(tmp_path, 7, BALL)
+    want, _ = state(tmp_path, 1, BALL, STEPS)
+    rows, seen = state(tmp_path, 7, BALL, STEPS)
     assert different(rows, want) == []
     assert sum(least == 0 for _, least, _ in seen) >= 4, "hardly a rank was ever idle"
     assert any(least == 0 < most for _, least, most in seen), "no rank woke up or fell idle"
@@ -124,7 +78,7 @@ def test_any_owner_will_do(one, tmp_path, monkeypatch):
         return (keys * 2654435761 + len(keys)) % 1009 % (len(cut) + 1)
 
     monkeypatch.setattr(migrate, "owners", dealt)
-    rows, _ = state(tmp_path, 3, text)
+    rows, _ = state(tmp_path, 3, text, STEPS)
     assert different(by_id(rows), by_id(want)) == []
 
 
@@ -222,8 +176,8 @@ def sort_without_id(monkeypatch):
     """Particles of a cell stay in the order they arrived in."""
     real = sorting.arrange
 
-    def arrange(start, count, place, cell, ids, *rest):
-        return real(start, count, place, cell, np.zeros_like(ids), *rest)
+    def arrange(start, count, targets, ids, *rest):
+        return real(start, count, targets, np.zeros_like(ids), *rest)
 
     monkeypatch.setattr(sorting, "arrange", arrange)
 
@@ -267,6 +221,20 @@ def sent_too_early(monkeypatch):
     monkeypatch.setattr(cpu.Cpu, "p2g", p2g)
 
 
+def local_cuts(monkeypatch):
+    """A rank cuts the curve anew by what it holds itself."""
+    real = simulated.Simulated.all_rows
+
+    def all_rows(self, rows):
+        every = real(self, rows)
+        if self.rank == 1 and rows.ndim == 2 and rows.shape[1] == 4 and len(rows):
+            every = every.copy()
+            every[: len(every) // 2, 3] += 1000
+        return every
+
+    monkeypatch.setattr(simulated.Simulated, "all_rows", all_rows)
+
+
 def local_step(monkeypatch):
     """The time step follows from this rank's particles alone."""
     real = simulated.Simulated.max
@@ -304,6 +272,7 @@ MUTATIONS = {
     one_rank_is_late: ERROR,
     border_too_early: BITS,
     sent_too_early: BITS,
+    local_cuts: ERROR,
     local_step: BITS,
     local_sort: ERROR,
 }
@@ -317,7 +286,7 @@ def test_a_mutation_is_seen(mutation, double, tmp_path, monkeypatch):
         monkeypatch.setattr(simulated, "PATIENCE", 3.0)  # where MPI would wait for ever
     mutation(monkeypatch)
     try:
-        rows, _ = state(tmp_path, 3, text)
+        rows, _ = state(tmp_path, 3, text, STEPS)
     except Exception as error:
         seen = ERROR
         print(f"{mutation.__name__}: {type(error).__name__}: {error}")
