@@ -13,23 +13,30 @@ from tests.states import by_id, different, state
 from vgmpi.kernels import cpu
 from vgmpi.solver.step import BlowUp
 
-STEPS = 120
+STEPS = 80
+# longer, so that ranks with neighbours have blocks away from these
+LONG = (
+    MIXED.replace("PRECISION", "double")
+    .replace("[0.36, 0.24, 0.24]", "[0.72, 0.24, 0.24]")
+    .replace("[0.16, 0.24,", "[0.5, 0.24,")
+    .replace("[0.08, 0.12, 0", "[0.25, 0.12, 0")
+    .replace("[0.28, 0.12, 0.0]", "[0.64, 0.12, 0.0]")
+)
 
 
 @pytest.fixture(scope="module")
 def one(tmp_path_factory):
-    """(text, state on one rank with one thread)."""
-    text = MIXED.replace("PRECISION", "double")
-    rows, _ = state(tmp_path_factory.mktemp("one"), 1, text, STEPS)
-    return text, rows
+    """The state on one rank with one thread."""
+    rows, [(sorts, *_)] = state(tmp_path_factory.mktemp("one"), 1, LONG, STEPS)
+    assert sorts >= 3
+    return rows
 
 
 @pytest.mark.parametrize("ranks, threads", [(1, 2), (1, 3), (2, 2), (3, 3)])
 def test_threads_in_any_order(ranks, threads, one, tmp_path, monkeypatch):
-    text, want = one
     monkeypatch.setattr(cpu.Cpu, "each", simulated.last_first)
-    rows, _ = state(tmp_path, ranks, text, STEPS, threads)
-    assert different(rows, want) == []
+    rows, _ = state(tmp_path, ranks, LONG, STEPS, threads)
+    assert different(rows, one) == []
 
 
 def changed_engine(monkeypatch, change):
@@ -54,14 +61,27 @@ def two_threads_sum(monkeypatch):
     monkeypatch.setattr(cpu, "filled_by_one", filled)
 
 
-def sent_patches_sum_too(monkeypatch):
-    """Patches that are sent are added to the nodes at once, before these are cleared."""
-    real = cpu.filled_by_one
+def sent_patches_are_left_out(monkeypatch):
+    """Patches that are sent are not added to the nodes here."""
 
-    def filled(t, filler):
-        return real(t, np.where(t.own & (filler < 0), 0, filler))
+    def change(engine):
+        for part in engine.parts:
+            part.into[part.sent] = -1
 
-    monkeypatch.setattr(cpu, "filled_by_one", filled)
+    changed_engine(monkeypatch, change)
+
+
+def sent_patches_first(monkeypatch):
+    """Patches that are sent are added before the others, not in their turn."""
+
+    def change(engine):
+        for part, shares in zip(engine.parts, engine.shares, strict=True):
+            shares.inner = [
+                np.concatenate([rows[part.sent[rows]], rows[~part.sent[rows]]])
+                for rows in shares.inner
+            ]
+
+    changed_engine(monkeypatch, change)
 
 
 def forget_to_clear(monkeypatch):
@@ -112,20 +132,20 @@ MUTATIONS = {  # ranks; two threads each
     last_group_first: 1,
     last_key_first: 1,
     keep_only_what_is_sent: 3,
-    sent_patches_sum_too: 3,
+    sent_patches_are_left_out: 3,
+    sent_patches_first: 2,
 }
 
 
 @pytest.mark.parametrize("mutation", MUTATIONS, ids=lambda m: m.__name__)
 def test_a_mutation_is_seen(mutation, one, tmp_path, monkeypatch):
-    text, want = one
     monkeypatch.setattr(cpu.Cpu, "each", simulated.last_first)
     mutation(monkeypatch)
     try:
-        rows, _ = state(tmp_path, MUTATIONS[mutation], text, STEPS, threads=2)
+        rows, _ = state(tmp_path, MUTATIONS[mutation], LONG, STEPS, threads=2)
     except BlowUp as error:
         seen = [str(error)]
     else:
-        seen = different(by_id(rows), by_id(want))
+        seen = different(by_id(rows), by_id(one))
     print(f"{mutation.__name__}: {seen}")
     assert seen
