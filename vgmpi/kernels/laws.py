@@ -4,21 +4,33 @@ A kernel calls `stress(law, state, L)`; which material's function that is, the t
 when the kernel is compiled. Called from plain Python the same names look the material up.
 """
 
+import inspect
+import sys
+
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, overload, register_jitable
 
+from ..device import eigen, tensor
 from ..device import jit as _jit  # noqa: F401  (sets numba's cache folder first)
-from ..device import tensor
 from ..materials import registry
 from ..materials.base import function, law_owner, state_channels
 from . import functions as _functions  # noqa: F401  (defines exp and its kin for lanes)
 from .lanes import OF, address, in_all_lanes
 
-for _name, _function in vars(tensor).items():
-    if callable(_function) and not _name.startswith("_"):
-        register_jitable(_function)
+
+def make_callable(module) -> None:
+    """Let compiled code call the plain functions of a module."""
+    for plain in vars(module).values():
+        if inspect.isfunction(plain) and plain.__module__ == module.__name__:
+            # in line: vectors handed over in memory cost more than the arithmetic
+            register_jitable(forceinline=True)(plain)
+
+
+_materials = [sys.modules[_material.__module__] for _material in registry.values()]
+for _module in (tensor, eigen, *dict.fromkeys(_materials)):
+    make_callable(_module)
 
 # a compiled function called from Python tells two NamedTuples with equal fields apart by the name
 # of their class alone: two that are called Law it would run with one material's code
