@@ -1,0 +1,43 @@
+"""`python -m vgmpi ...`, sorted every few steps, at each of which the curve is cut elsewhere.
+
+mpirun -n N python -m tests.parallel.rebalance_job SCENE [FLAGS]
+
+Says at the end how often each rank sorted and how many particles it sent away.
+"""
+
+import sys
+
+import numpy as np
+
+from vgmpi import cli
+from vgmpi.domain import migrate
+from vgmpi.kernels import transfer
+
+REACH = 2.05  # cells from a block's middle, where its particles begin to lie in others at 2
+SEEN = {"rank": 0, "sorts": 0, "sent": 0}
+
+
+def to_and_fro(keys, work, count, ranks, cut, steps):
+    """In place of balance.recut: the first ranks hold little, then much, then little again."""
+    power = 2.0 if SEEN["sorts"] % 2 else 0.5
+    at = len(keys) * (np.arange(1, ranks) / ranks) ** power
+    return keys[at.astype(int)]
+
+
+def watched(groups, ranks, *arguments):
+    """migrate.sort, counted."""
+    found = SORT(groups, ranks, *arguments)
+    SEEN["rank"] = ranks.rank
+    SEEN["sorts"] += 1
+    SEEN["sent"] += found[2]
+    return found
+
+
+SORT = migrate.sort
+
+if __name__ == "__main__":
+    transfer.REACH = REACH
+    migrate.recut, migrate.sort = to_and_fro, watched
+    code = cli.main(sys.argv[1:])
+    print("rank {rank} sorted {sorts} times and sent {sent} particles".format(**SEEN), flush=True)
+    sys.exit(code)
