@@ -5,7 +5,8 @@ value at rest, and turns its table into a `Law`, a NamedTuple of numbers. The la
 the law, the particle's state (a tuple of scalars) and return scalars or tuples. They use operators
 and numpy ufuncs only, so that the same text runs on numpy arrays (the tests' reference) and,
 compiled, on the particles of the solver. No function of a law branches in Python on a particle's
-value: it selects with minimum and maximum.
+value: it selects with minimum, maximum and device/select.py. device/tensor.py and device/eigen.py
+have products, rotations and eigenvalues of 3x3 tensors.
 
     advance(law, state, L, dt) -> state     L = grad v [1/s], nine numbers, row by row; dt [s]
     stress(law, state, L) -> (t00, t11, t22, t01, t02, t12)     Kirchhoff stress [Pa]
