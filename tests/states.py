@@ -6,6 +6,7 @@ import numpy as np
 
 from tests import simulated
 from tests.simulate import begin
+from vgmpi.domain.state import LANES
 from vgmpi.solver.state import save
 
 
@@ -74,6 +75,13 @@ def different(one, other):
     """Names of the arrays whose bytes differ."""
     assert one.keys() == other.keys()
     return [name for name in one if one[name].tobytes() != other[name].tobytes()]
+
+
+def padding(group):
+    """Places behind the last particle of each segment, up to the next full vector."""
+    behind = -group.count % LANES
+    places = [e + np.arange(n) for e, n in zip(group.start + group.count, behind, strict=True)]
+    return np.concatenate([np.zeros(0, np.int64), *places])
 
 
 class Kept:

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 
 from tests import simulated
 from tests.clouds import CASES, box, cloud
-from tests.states import Kept, different, in_key_order, joined
+from tests.states import Kept, different, in_key_order, joined, padding
 from vgmpi.domain import migrate
 from vgmpi.domain.blocks import Lattice
 from vgmpi.domain.ranks import Alone
@@ -79,6 +79,10 @@ def expected(case, precision):
 
 def look(simulation):
     """What this rank met, as numbers to add up."""
+    for group in simulation.groups:
+        unused = padding(group)
+        assert (group.ids[unused] == -1).all()
+        assert (group.xi[:, unused] == 0).all(), "transfers look at the cells of unused places too"
     engine, topology = simulation.engine, simulation.engine.topology
     several = np.diff(topology.pull_first) > 2  # the order of two is no matter
     return Counter(

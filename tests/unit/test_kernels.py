@@ -8,12 +8,10 @@ fixed-point positions, sorting and the exchange are the solver's own.
 import numpy as np
 import pytest
 
-from tests.reference import Body, Reference
+from tests.beside import TOLERANCE, beside, worst
 from tests.scenes import scene
-from vgmpi.domain.ranks import Alone
 from vgmpi.plan import make_plan
 from vgmpi.prepare.build import build
-from vgmpi.solver.step import Simulation
 
 HEAD = """
 [domain]
@@ -73,8 +71,6 @@ WALLS = {
     "separate": 'default = { kind = "separate", friction = 0.3 }',
     "mixed": 'default = "slip", floor = "stick", west = { kind = "separate", friction = 0.2 }',
 }
-# relative to the largest value there is
-TOLERANCE = {"double": 1e-12, "single": 1e-5}
 
 
 def pair(folder, objects, walls, precision, seed=0, head=HEAD):
@@ -90,43 +86,7 @@ def pair(folder, objects, walls, precision, seed=0, head=HEAD):
     x = made.x + random.uniform(-0.2, 0.2, made.x.shape) * plan.dx
     x = np.clip(x, 0.01 * plan.dx, size - 0.01 * plan.dx)
     v = made.v0 + random.normal(0.0, 0.1, made.x.shape)
-    simulation = Simulation(plan, Alone(), made.colliders)
-    simulation.put(x, v, made.vol0, np.arange(len(x)), made.object)
-    bodies = []
-    for g, group in enumerate(plan.groups):
-        mine = np.array(plan.group_of)[made.object] == g
-        assert group.phase == g, "the reference has one body per phase"
-        n = int(mine.sum())
-        law = type(group.law)(*(float(c) for c in group.law))
-        rest = [np.full(n, c) for c in group.rest]
-        bodies.append(
-            Body(law, group.density, x[mine], v[mine], np.zeros((n, 3, 3)), made.vol0[mine], rest)
-        )
-    master = int(np.argmin([phase.mastery for phase in plan.phases]))
-    friction = plan.friction[0][1] if len(plan.phases) == 2 else plan.friction[1][0]
-    collider = made.colliders[0] if made.colliders else None
-    reference = Reference(
-        plan.cells, plan.dx, plan.gravity, plan.walls, bodies, friction, master, collider
-    )
-    return simulation, reference
-
-
-def worst(simulation, reference):
-    """Largest difference of each quantity, relative to its largest value; positions to a cell."""
-    found = {}
-    for group, body in zip(simulation.groups, reference.bodies, strict=True):
-        at = group.index()
-        order = np.argsort(group.ids[at])
-        f = group.f[:, at][:, order].astype(np.float64)
-        compared = {
-            "x": (group.positions()[order], body.x, reference.dx),
-            "v": (f[0:3].T, body.v, np.abs(body.v).max()),
-            "C": (f[3:12].T, body.C.reshape(-1, 9), np.abs(body.C).max()),
-            "state": (f[13:], np.array(body.state), np.abs(np.array(body.state)).max()),
-        }
-        for name, (got, want, scale) in compared.items():
-            found[f"{group.plan.name} {name}"] = float(np.abs(got - want).max() / scale)
-    return found
+    return beside(plan, made.colliders, x, v, made.vol0, made.object)
 
 
 def compare(simulation, reference, precision):
