@@ -14,12 +14,13 @@ import zlib
 
 import numpy as np
 
-from ..device.jit import kernel
+from ..device.jit import inline, kernel
 from .ranks import Alone
 from .topology import Topology
 
 _HEADER = 4  # numbers at the front of a message
 SIDE = 8  # nodes of a patch along an axis
+HALF = 16  # numbers of half a row of nodes along z
 
 
 class HaloError(RuntimeError):
@@ -71,7 +72,8 @@ class _Message:
         wanted = offset >= 0
         self.offset_slots = offset[wanted]
         self.offset_low, self.offset_high = self.low[wanted], self.high[wanted]
-        size = 4 * np.prod(self.high - self.low, axis=1)
+        size = np.prod(self.high[:, :2] - self.low[:, :2], axis=1) * HALF
+        size = np.where(self.high[:, 2] - self.low[:, 2] == SIDE, 2 * size, size)
         split = _HEADER + int(size.sum())
         self.buffer = np.zeros(split + int(size[wanted].sum()), real)
         self.head = self.buffer[:_HEADER].view(np.int64)[:2]
@@ -83,17 +85,23 @@ class _Message:
 
 @kernel
 def pack(buffer, slots, low, high, patches):
-    """Copy nodes low..high of each patch into the buffer. patches: (slots, 2048)."""
+    """Copy nodes low..high of each patch into the buffer. patches: (slots, 2048).
+
+    Along z a box holds the first four nodes of a patch, the last four or all eight: copies of a
+    length the compiler knows.
+    """
     at = 0
     for q in range(len(slots)):
         patch = patches[slots[q]]
-        k, length = 4 * low[q, 2], 4 * (high[q, 2] - low[q, 2])
+        k, whole = 4 * low[q, 2], high[q, 2] - low[q, 2] == SIDE
         for i in range(low[q, 0], high[q, 0]):
             for j in range(low[q, 1], high[q, 1]):
-                row = (i * SIDE + j) * SIDE * 4 + k
-                for c in range(length):
-                    buffer[at + c] = patch[row + c]
-                at += length
+                row = (i * SIDE + j) * 2 * HALF + k
+                _copy(buffer[at : at + HALF], patch[row : row + HALF])
+                at += HALF
+                if whole:
+                    _copy(buffer[at : at + HALF], patch[row + HALF : row + 2 * HALF])
+                    at += HALF
 
 
 @kernel
@@ -102,10 +110,18 @@ def unpack(buffer, slots, low, high, patches):
     at = 0
     for q in range(len(slots)):
         patch = patches[slots[q]]
-        k, length = 4 * low[q, 2], 4 * (high[q, 2] - low[q, 2])
+        k, whole = 4 * low[q, 2], high[q, 2] - low[q, 2] == SIDE
         for i in range(low[q, 0], high[q, 0]):
             for j in range(low[q, 1], high[q, 1]):
-                row = (i * SIDE + j) * SIDE * 4 + k
-                for c in range(length):
-                    patch[row + c] = buffer[at + c]
-                at += length
+                row = (i * SIDE + j) * 2 * HALF + k
+                _copy(patch[row : row + HALF], buffer[at : at + HALF])
+                at += HALF
+                if whole:
+                    _copy(patch[row + HALF : row + 2 * HALF], buffer[at : at + HALF])
+                    at += HALF
+
+
+@inline
+def _copy(to, of):
+    for c in range(HALF):
+        to[c] = of[c]
