@@ -61,7 +61,10 @@ def test_constants_are_found_again():
         return [p2g, 2 * copied * size, 0.0, 0.0, 0.0, particles, blocks, patches, size, ranks - 1]
 
     rows = {1: [row(1000, 9, 0, 0, 1)], 2: [row(1100, 8, 5, 4e5, 2), row(900, 7, 4, 3e5, 2)]}
-    c = scaling.constants(rows, 25.0)
+    busy = rows[1] * 2
+    rows[1] = [[t / 1.5 for t in rows[1][0][:5]] + rows[1][0][5:]]  # alone it is quicker
+    c = scaling.constants(rows, busy, 25.0)
+    assert c["alone"] == pytest.approx(unit / 1.5)
     assert [c["unit"], c["kept"], c["copied"]] == pytest.approx([unit, kept, copied])
     assert c["python"] == pytest.approx(25e-6)
 

@@ -234,8 +234,8 @@ def _scaling(parser: argparse.ArgumentParser) -> None:
 def _run_scaling(given: argparse.Namespace) -> int:
     from . import scaling
 
-    rows, empty = scaling.measure(sorted({1, 2, *given.real}), given.particles, _say)
-    found = scaling.constants(rows, empty)
+    rows, busy, empty = scaling.measure(sorted({1, 2, *given.real}), given.particles, _say)
+    found = scaling.constants(rows, busy, empty)
     cores = len(os.sched_getaffinity(0))
     print(scaling.text(rows, found, given.latency, given.bandwidth, cores))
     return 0

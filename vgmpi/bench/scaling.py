@@ -4,11 +4,13 @@ own tables of who sends what to whom; held against runs on the ranks this machin
 A rank's step = work / rate of one core + patches kept for others to sum + packing both ways
              + what of the exchange the interior does not hide + the reduction + Python.
 
-Efficiency compares with one rank that has as many particles (weak scaling). Work, patches, bytes
-and neighbours are those of a cube of full blocks, cut by the solver, of the worst of some ranks.
+Efficiency compares with one rank that has as many particles on a busy machine (weak scaling). Work,
+patches, bytes and neighbours are those of a cube of full blocks, cut by the solver, of the worst of
+some ranks.
 """
 
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -24,14 +26,16 @@ from .scene import Case, lay_out
 
 FILL = 8 * EDGE**3  # particles of a full block
 SAMPLE = 8  # ranks of which tables are laid out
+CYCLES = 8  # from sort to sort, of which the quickest counts
 RANKS = (1, 8, 64, 512, 4096)
 PER_RANK = (10_000, 30_000, 100_000, 300_000)
 OVERLAPPED = 0.5  # share of a step's work during which messages may travel: P2G and grid
 
 
 def tables(ranks: int, blocks: int) -> dict:
-    """Of the worst of SAMPLE ranks of a cube of ranks x blocks full blocks, one phase, single
-    precision: own blocks, those sent, patches kept, bytes sent, neighbours."""
+    """Of the worst of SAMPLE ranks of a cube of about ranks x blocks full blocks, one phase, single
+    precision: own blocks, those sent, patches kept, bytes sent, neighbours; and blocks in the mean
+    of all ranks."""
     side = max(1, round((ranks * blocks) ** (1 / 3)))
     at = np.stack(np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), -1).reshape(-1, 3) + 2
     lattice = Lattice((EDGE * (side + 4),) * 3, 1.0)
@@ -43,7 +47,8 @@ def tables(ranks: int, blocks: int) -> dict:
     census = Census(key, code, np.zeros(len(key), np.int64), ones * FILL, owner, ones)
     chosen = np.unique(np.linspace(0, ranks - 1, SAMPLE).round().astype(int))
     found = np.array([_of_rank(census, lattice, rank) for rank in chosen])
-    return dict(zip(("own", "sent", "kept", "bytes", "neighbours"), found.max(0), strict=True))
+    names = ("own", "sent", "kept", "bytes", "neighbours")
+    return dict(zip(names, found.max(0), strict=True)) | {"mean": len(key) / ranks}
 
 
 def _of_rank(census: Census, lattice: Lattice, rank: int) -> list[float]:
@@ -58,16 +63,25 @@ def _of_rank(census: Census, lattice: Lattice, rank: int) -> list[float]:
     return [int(t.own.sum()), int(sent.sum()), kept, size, len(t.sends)]
 
 
-def constants(rows: dict[int, list], empty_us: float) -> dict:
-    """Seconds per unit of work, kept patch and byte copied, from rows of one and of two ranks."""
-    one, two = (np.array(rows[n]) for n in (1, 2))
+def constants(rows: dict[int, list], busy: list, empty_us: float) -> dict:
+    """Seconds per unit of work, kept patch and byte copied, from rows of one and of two ranks.
+
+    busy: rows of two runs of one rank each at the same time. Cores share caches and memory, so a
+    rank computes slower when the others do, which is no cost of the decomposition: `unit` is a
+    busy machine's, `alone` that of one rank on an idle one.
+    """
+    one, two, both = (np.array(found) for found in (rows[1], rows[2], busy))
     stages = len(WORK)
     halo = WORK.index("halo")
-    unit = one[:, :stages].sum() / (one[0, stages] + BLOCK * one[0, stages + 1])
+    alone, unit = (
+        found[:, :stages].sum() / (found[:, stages] + BLOCK * found[:, stages + 1]).sum()
+        for found in (one, both)
+    )
     copied = two[:, halo].sum() / (2 * two[:, stages + 3].sum())
     rest = two[:, :stages].sum() - two[:, halo].sum()
     rest -= unit * (two[:, stages] + BLOCK * two[:, stages + 1]).sum()
     return {
+        "alone": alone,
         "unit": unit,
         "copied": copied,
         "kept": max(0.0, rest / two[:, stages + 2].sum()),
@@ -85,7 +99,7 @@ def step(c: dict, ranks: int, particles: int, latency: float, bandwidth: float) 
     rank's link."""
     blocks = max(1, round(particles / FILL))
     t = tables(ranks, blocks)
-    work = t["own"] * (FILL + BLOCK) * particles / (blocks * FILL)
+    work = particles * (1.0 + BLOCK / FILL) * t["own"] / t["mean"]
     computes = predicted(c, work, t["kept"], t["bytes"])
     travels = t["neighbours"] * latency + t["bytes"] / bandwidth
     hidden = OVERLAPPED * c["unit"] * work * (1.0 - t["sent"] / t["own"])
@@ -93,30 +107,36 @@ def step(c: dict, ranks: int, particles: int, latency: float, bandwidth: float) 
     return computes + max(0.0, travels - hidden) + reduction + c["python"]
 
 
-def measure(real_ranks: list[int], particles: int, say) -> tuple[dict[int, list], float]:
-    """Rows of `inside.Contestant.work` for each number of real ranks with `particles` each, and
-    the time of an empty step on one rank [us]."""
-    rows, empty = {}, 0.0
+def measure(real_ranks: list[int], particles: int, say) -> tuple[dict[int, list], list, float]:
+    """Rows of `inside.Contestant.work` for each number of real ranks with `particles` each; those
+    of two runs of one rank at the same time; the time of an empty step on one rank [us]."""
+    rows, busy, empty = {}, [], 0.0
     for n in real_ranks:
         say(f"{n} rank(s) of {particles:,} particles")
         case = Case("fluid", n * particles)
         with tempfile.TemporaryDirectory(prefix="vgmpi-bench-") as folder:
             lay_out(case, ["single"], Path(folder))
-            worker = Worker(Contestant("inside", ranks=n), case, Path(folder))
+            workers = [Worker(Contestant("inside", ranks=n), case, Path(folder))]
             try:
-                rows[n] = worker.ask("work", cycles=5)["rows"]
+                rows[n] = workers[0].ask("work", cycles=CYCLES)["rows"]
                 if n == 1:
-                    empty = worker.ask("empty", steps=200)["us"]
+                    empty = workers[0].ask("empty", steps=200)["us"]
+                    workers.append(Worker(Contestant("inside"), case, Path(folder)))
+                    with ThreadPoolExecutor(2) as pool:
+                        both = pool.map(lambda w: w.ask("work", cycles=CYCLES)["rows"], workers)
+                        busy = [row for found in both for row in found]
             finally:
-                worker.close()
-    return rows, empty
+                for worker in workers:
+                    worker.close()
+    return rows, busy, empty
 
 
 def text(rows: dict[int, list], c: dict, latency: float, bandwidth: float, cores: int) -> str:
     """Constants, the check against real runs, the prediction."""
     stages = len(WORK)
     lines = [
-        f"measured: {1e9 * c['unit']:.1f} ns per particle (a block counts as {BLOCK:.0f} more),"
+        f"measured: {1e9 * c['alone']:.1f} ns per particle (a block counts as {BLOCK:.0f} more),"
+        f" {1e9 * c['unit']:.1f} ns while the other core computes too,"
         f" {1e6 * c['kept']:.2f} us per patch kept, {1e9 * c['copied']:.3f} ns per byte packed or"
         f" unpacked, {1e6 * c['python']:.0f} us of Python",
         "real runs: processor time that a rank computes in a step (waiting not counted)",
@@ -127,7 +147,8 @@ def text(rows: dict[int, list], c: dict, latency: float, bandwidth: float, cores
         row = np.array(found)
         spent = 1e6 * row[:, :stages].sum(1)
         work = row[:, stages] + BLOCK * row[:, stages + 1]
-        told = 1e6 * predicted(c, work, row[:, stages + 2], row[:, stages + 3])
+        here = c if n > 1 else c | {"unit": c["alone"]}
+        told = 1e6 * predicted(here, work, row[:, stages + 2], row[:, stages + 3])
         lines.append(
             f"{n:8d} {row[:, stages].mean():15,.0f} {spent.mean():21.0f} {spent.max():9.0f}"
             f" {told.mean():17.0f} {told.max():9.0f} {row[:, stages + 3].max() / 1e3:9.0f}"
