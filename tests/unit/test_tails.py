@@ -2,6 +2,8 @@
 the unused places.
 """
 
+import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -109,6 +111,27 @@ def run(plan, particles, before, steps=9):
         before(simulation)
         simulation.advance(simulation.bound())
     return joined([save(simulation)])
+
+
+@pytest.mark.parametrize("precision", ["single", "double"])
+def test_one_particle_in_every_cell(precision, tmp_path):
+    """Alone, it goes on as it was, in each of the 4^3 cells of its block and one cell beyond: no
+    node it touches is left out on the way to the grid and back."""
+    plan, *_ = make(tmp_path, "water", precision)
+    plan = replace(plan, gravity=(0.0, 0.0, 0.0))
+    simulation = Simulation(plan, Alone())
+    v = np.array([[0.3, -0.2, 0.1]])
+    middle = np.array([[21.5, 5.5, 5.5]]) * plan.dx
+    simulation.put(middle, v, np.array([1e-6]), np.zeros(1, np.int64), np.zeros(1, np.int64))
+    (group,) = simulation.groups
+    (at,) = group.index()
+    for cell in itertools.product(range(-3, 3), repeat=3):
+        group.xi[:, at] = [int((c + 0.5) * 2.0**group.bits) for c in cell]
+        group.f[0:3, at], group.f[3:12, at] = v[0], 0.0
+        simulation.advance(1e-5)
+        assert simulation.sorts == 1
+        assert np.abs(group.f[0:3, at] - v[0]).max() < TOLERANCE[precision], cell
+        assert np.abs(group.f[3:12, at]).max() < 100 * TOLERANCE[precision] / plan.dx, cell
 
 
 RUBBISH = {
