@@ -22,6 +22,7 @@ LAYERS = [
     {"output"},
     {"domain"},
     {"plan"},
+    {"sharing"},
     {"scene", "objects", "settings", "source", "reference"},
     {"materials", "couplings"},
     {"tables"},

@@ -11,9 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .couplings.base import DRAG, Rules
 from .couplings.contact import Contact
 from .materials.base import function, state_channels
-from .scene import Scene, phase_of
+from .scene import Scene
+from .sharing import rules
 
 # a step of one fluid particle on one core of an AVX-512 machine [ns]; see docs/performance.md
 NS_PER_PARTICLE = {"single": 45.0, "double": 90.0}
@@ -35,6 +37,26 @@ class GroupPlan(NamedTuple):
     density: float  # [kg/m3] at rest
     rest: tuple  # the law's state at rest, one number per channel
     cost: float  # work per particle relative to a fluid's
+    share: float = 1.0  # of a particle's rest volume that the material takes up itself
+    apart: bool = False  # its stress's impulses are kept apart from momentum
+    pores: float = 1.0  # least share of space at the start, of fluids that flow through sand
+    stiff: float = 0.0  # [m2/s2] squared speed of waves that such sand adds
+    dense: float = 1.0  # density relative to such sand's grains, at least 1
+
+    @property
+    def porous(self) -> bool:
+        """Whether its particles carry their share of space."""
+        return self.pores < 1.0
+
+    @property
+    def carried(self) -> tuple:
+        """What a particle carries at rest: the law's state, and its share of space where that may
+        change."""
+        return (*self.rest, 1.0) if self.porous else self.rest
+
+    def bound(self, wave2):
+        """Squared wave speed [m2/s2], that of the law being wave2, in the pores at the start."""
+        return wave2 * (1.0 + (1.0 / self.pores - 1.0) * self.dense) + self.stiff
 
 
 class PhasePlan(NamedTuple):
@@ -67,7 +89,10 @@ class Plan:
     times: np.ndarray  # (frames,) [s]
     cfl: float
     fixed_dt: float  # [s], 0 if chosen by cfl
-    rate: float  # lower bound of 1 / dt [1/s] from what does not change (viscosity)
+    rate: float  # lower bound of 1 / dt [1/s] from what does not change (viscosity, diffusion)
+    rules: Rules | None = None  # how phases share space
+    affine: bool = True  # particles carry the velocity's gradient (APIC)
+    flip: float = 0.0  # share of FLIP's velocity, see scene.accuracy
 
     @property
     def particles(self) -> int:
@@ -76,7 +101,7 @@ class Plan:
     def bytes_per_particle(self, group: int) -> int:
         """Memory of one particle: position, channels, id."""
         width = self.real.itemsize
-        return (3 + BASE_CHANNELS + len(self.groups[group].rest)) * width + 8
+        return (3 + BASE_CHANNELS + len(self.groups[group].carried)) * width + 8
 
     def bytes(self) -> int:
         """Memory of all ranks together, without the interpreters: particles, patches, nodes,
@@ -90,9 +115,9 @@ class Plan:
         blocks = self.particles / 300.0 + 1
         width = self.real.itemsize
         patch, nodes = 8**3 * 4 * width, 64 * 4 * width
-        return total + int(
-            blocks * (patch * (2 if self.contact or self.collider else 1) + 3 * nodes)
-        )
+        patches = 1 + (self.contact or self.collider) + any(group.apart for group in self.groups)
+        more = 3 if self.rules is None and not self.flip else 4
+        return total + int(blocks * (patch * patches + more * nodes))
 
 
 def make_plan(scene: Scene, count: list[int], volume: list[float], collider: bool) -> Plan:
@@ -106,9 +131,17 @@ def make_plan(scene: Scene, count: list[int], volume: list[float], collider: boo
     material_of = {k: scene.material[name] for k, name in made_of.items()}
     phases = _phases(scene, bodies, material_of, volume)
     number = {phase.name: k for k, phase in enumerate(phases)}
-    key = {k: (phase_of(scene.object[k], material_of[k].family) or "", made_of[k]) for k in bodies}
+    key = {k: (scene.phase_of(scene.object[k]) or "", made_of[k]) for k in bodies}
     wanted = sorted(set(key.values()))
     groups = tuple(_group(number[p], p, m, scene.material[m], real) for p, m in wanted)
+    sharing = rules(scene, groups, phases)
+    groups = tuple(_shared(scene, group, sharing) for group in groups)
+    flip = scene.accuracy.flip if scene.accuracy.transfer == "flip" else 0.0
+    if flip:
+        if sharing is not None:
+            said = "flip is not for scenes with mixing or drag: choose apic or pic"
+            raise scene.error([(("accuracy", "transfer"), said)])
+        groups = tuple(group._replace(apart=True) for group in groups)
     group_of = [-1] * len(scene.object)
     for k in bodies:
         group_of[k] = wanted.index(key[k])
@@ -130,7 +163,13 @@ def make_plan(scene: Scene, count: list[int], volume: list[float], collider: boo
         times=np.linspace(0.0, scene.time.end, scene.time.frames),
         cfl=scene.time.cfl,
         fixed_dt=scene.time.dt,
-        rate=max(6.0 * m.kinematic_viscosity / dx**2 for m in material_of.values()),
+        rate=max(
+            6.0 * max(m.kinematic_viscosity for m in material_of.values()) / dx**2,
+            6.0 * (sharing.diffusion.max(initial=0.0) if sharing else 0.0) / dx**2,
+        ),
+        rules=sharing,
+        affine=scene.accuracy.transfer == "apic",
+        flip=flip,
     )
     _check_fixed_dt(scene, plan)
     return plan
@@ -139,7 +178,7 @@ def make_plan(scene: Scene, count: list[int], volume: list[float], collider: boo
 def _phases(scene, bodies, material_of, volume) -> tuple[PhasePlan, ...]:
     members: dict[str, list[int]] = {}
     for k in bodies:
-        members.setdefault(phase_of(scene.object[k], material_of[k].family), []).append(k)
+        members.setdefault(scene.phase_of(scene.object[k]), []).append(k)
     names = sorted(members)
 
     def mastery(name):
@@ -168,6 +207,24 @@ def _group(phase: int, phase_label: str, name: str, material, real: np.dtype) ->
     return GroupPlan(
         f"{phase_label}/{name}", phase, name, typed, material.density, rest, material.cost
     )
+
+
+def _shared(scene: Scene, group: GroupPlan, sharing: Rules | None) -> GroupPlan:
+    """The group with what it needs to share space with other phases."""
+    if sharing is None or sharing.together[group.phase] < 0 or not sharing.fluid[group.phase]:
+        return group
+    group = group._replace(apart=True)
+    for coupling in scene.coupling:
+        if coupling.rule == DRAG and group.material in coupling.between:
+            sand = scene.material[next(m for m in coupling.between if m != group.material)]
+            rest = tuple(v for values in sand.carries.values() for v in values)
+            law = sand.law()
+            group = group._replace(
+                pores=min(group.pores, sand.porosity),
+                stiff=max(group.stiff, float(function(law, "wave_speed2")(law, rest))),
+                dense=max(group.dense, group.density / sand.density),
+            )
+    return group
 
 
 def _friction(scene: Scene, groups, phases: int) -> tuple[tuple[float, ...], ...]:

@@ -56,6 +56,12 @@ class Scene:
     overrides: tuple[str, ...] = ()
     source: Source | None = field(default=None, repr=False, compare=False)
 
+    def phase_of(self, thing: Object) -> str | None:
+        """Name of the velocity field a body shares; None for scenery."""
+        if thing.material is None:
+            return None
+        return phase_of(thing, self.material[thing.material].family, mixed(self.coupling))
+
     def error(self, found: list[tuple[tuple, str]]) -> SceneError:
         """The error for (path of a key, what is wrong with it), found after loading."""
         reader = _Reader(self.source or Source(self.path, self.overrides))
@@ -74,9 +80,18 @@ class Scene:
         }
 
 
-def phase_of(thing: Object, family: str) -> str:
-    """Name of the velocity field a body shares: all fluids one, every solid its own."""
-    return thing.phase or ("fluid" if family == "fluid" else thing.name)
+def phase_of(thing: Object, family: str, mixed: frozenset[str] = frozenset()) -> str:
+    """Name of the velocity field a body shares: all fluids one, but those of a material that is
+    `mixed` with another; every solid its own."""
+    shared = {"fluid": thing.material if thing.material in mixed else "fluid"}
+    return thing.phase or shared.get(family) or thing.name
+
+
+def mixed(couplings) -> frozenset[str]:
+    """Names of the materials that mix with others. couplings: tables of the scene, or raw ones."""
+    raw = [c if isinstance(c, dict) else c.model_dump() for c in couplings]
+    named = [c.get("between") for c in raw if str(c.get("kind", "")).startswith("mixing")]
+    return frozenset(n for pair in named if isinstance(pair, list | tuple) for n in pair)
 
 
 def load(path: str | Path, overrides: list[str] | tuple[str, ...] = ()) -> Scene:
@@ -115,6 +130,7 @@ class _Reader:
         kinds = self.materials(data.get("material", {}))
         objects = self.objects(data.get("object", []), kinds)
         pairs = self.couplings(data.get("coupling", []), kinds)
+        self.one_family_per_phase(objects, kinds, pairs)
         if tables.get("domain"):
             self.whole_cells(tables["domain"])
         outside = top is not None and top.allow_outside
@@ -214,7 +230,6 @@ class _Reader:
             self.wrong(("object",), "there is no object")
         elif all(item.get("role") == "scenery" for item in raw):
             self.wrong(("object",), "all objects are scenery: at least one must be a body")
-        self.one_family_per_phase(found, kinds)
         for k, thing in enumerate(found):
             made_of = kinds.get(thing.material) if thing else None
             if thing and "opacity_scale" in raw[k] and (not made_of or made_of.family != "fluid"):
@@ -223,13 +238,14 @@ class _Reader:
                 )
         return found
 
-    def one_family_per_phase(self, objects: list[Any], kinds: dict[str, Any]) -> None:
+    def one_family_per_phase(self, objects: list[Any], kinds: dict[str, Any], pairs) -> None:
+        apart = mixed(c for c in pairs if c is not None)
         first: dict[str, str] = {}
         for k, thing in enumerate(objects):
             made_of = kinds.get(thing.material) if thing else None
             if made_of is None:
                 continue
-            phase = phase_of(thing, made_of.family)
+            phase = phase_of(thing, made_of.family, apart)
             other = first.setdefault(phase, made_of.family)
             if other != made_of.family:
                 said = f"'{phase}' already holds a {other}, this is a {made_of.family}"
@@ -253,6 +269,9 @@ class _Reader:
             for place, name in enumerate(between):
                 if name not in kinds:
                     self.unknown_material(("coupling", k, "between", place), name, kinds)
+            two = [kinds.get(b) for b in between]
+            if found[-1] and len(two) == 2 and all(two) and (said := found[-1].refuses(*two)):
+                self.wrong(("coupling", k, "between"), f"{said}; {got(between)}")
             pair = tuple(sorted(between))
             if first.setdefault(pair, k) != k:
                 other = self.source.place(("coupling", first[pair]))[1]

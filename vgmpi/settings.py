@@ -106,8 +106,10 @@ class Appearance(Table):
 class Accuracy(Table):
     """Numbers and their transfer between particles and grid."""
 
-    transfer: Literal["apic"] = "apic"
-    """apic keeps linear and angular momentum"""
+    transfer: Literal["apic", "flip", "pic"] = "apic"
+    """apic keeps linear and angular momentum; flip keeps fine motion, at some noise; pic damps"""
+    flip: Annotated[float, Quantity("", gt=0, le=1)] = 0.95
+    """share of a particle's own velocity in flip, the rest is the grid's"""
     precision: Literal["double", "single"] = "double"
     """of the particles' and the grid's numbers"""
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from vgmpi import cli
 from vgmpi.domain import migrate
-from vgmpi.kernels import transfer
+from vgmpi.kernels import g2p
 
 REACH = 2.05  # cells from a block's middle, where its particles begin to lie in others at 2
 SEEN = {"rank": 0, "sorts": 0, "sent": 0}
@@ -36,7 +36,7 @@ def watched(groups, ranks, *arguments):
 SORT = migrate.sort
 
 if __name__ == "__main__":
-    transfer.REACH = REACH
+    g2p.REACH = REACH
     migrate.recut, migrate.sort = to_and_fro, watched
     code = cli.main(sys.argv[1:])
     print("rank {rank} sorted {sorts} times and sent {sent} particles".format(**SEEN), flush=True)

@@ -18,7 +18,7 @@ from tests.states import Kept, different, in_key_order, joined, padding
 from vgmpi.domain import migrate
 from vgmpi.domain.blocks import Lattice
 from vgmpi.domain.ranks import Alone
-from vgmpi.kernels import transfer
+from vgmpi.kernels import g2p
 from vgmpi.kernels.cpu import Cpu
 from vgmpi.solver.state import restore, save
 from vgmpi.solver.step import BlowUp, Simulation
@@ -148,7 +148,7 @@ def found(case, precision, seen):
 
 def check(case, precision, seen):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(transfer, "REACH", case.reach)
+        patch.setattr(g2p, "REACH", case.reach)
         want = expected(case, precision)
         got = found(case, precision, seen)
     seen["cases"] += 1

@@ -132,11 +132,11 @@ CASES = {
         "is only for objects made of gaussians, not of a shape",
     ),
     "pruning to come": ("position =", 'prune = "auto"\nposition =', "object.ball.prune", "of off"),
-    "transfer to come": (
+    "unknown transfer": (
         'title = "good"',
-        'title = "good"\n[accuracy]\ntransfer = "flip"',
+        'title = "good"\n[accuracy]\ntransfer = "flop"',
         "accuracy.transfer",
-        "must be one of apic; got 'flip'",
+        "must be one of apic, flip, pic (did you mean 'flip'?); got 'flop'",
     ),
     "output field": (
         'title = "good"',

@@ -1,10 +1,37 @@
 """What a coupling is: a table of the scene that says how two materials or objects act on each
 other.
+
+A coupling names its `kind` (a Literal) and the two it is `between`. Its `rule` says how the phases
+of the two act on each other, `refuses` why two materials cannot be coupled by it.
 """
 
-from typing import get_args
+from typing import NamedTuple, get_args
+
+import numpy as np
+
+CONTACT, MIXING, DRAG = 0, 1, 2  # how two phases act on each other
 
 registry: dict[str, type] = {}
+
+
+class Rules(NamedTuple):
+    """How phases act on each other, as kernels read it; rows and columns are phases.
+
+    A set holds phases that share space: fluids that mix, sands that fluids flow through.
+    """
+
+    pair: np.ndarray  # (n, n) CONTACT, MIXING or DRAG
+    together: np.ndarray  # (n,) the set, or -1
+    sets: int
+    fluid: np.ndarray  # (n,) whether it is a fluid
+    mix: np.ndarray  # (n,) mixing group, or -1
+    mixes: int
+    diffusion: np.ndarray  # (mixes,) [m2/s]
+    slip_time: np.ndarray  # (mixes,) [s]
+    drag: np.ndarray  # (n, n) coefficient of drag [kg/(m3 s)], 0 where there is none
+    porosity: np.ndarray  # (n,) share of pores in a sand's bulk volume
+    printed_mix: np.ndarray  # (mixes,) bool: as the paper prints it
+    printed_drag: np.ndarray  # (n, n) bool
 
 
 def coupling(cls: type) -> type:

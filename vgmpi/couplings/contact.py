@@ -4,10 +4,10 @@ Every pair of phases is in contact unless another coupling says otherwise. A flu
 everything; between two solids the larger of their materials' friction coefficients acts.
 """
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from ..tables import Quantity, Table
-from .base import coupling
+from .base import CONTACT, coupling
 
 
 @coupling
@@ -19,6 +19,13 @@ class Contact(Table):
     kind: Literal["contact"]
     friction: Annotated[float, Quantity("", ge=0)]
     """Coulomb coefficient"""
+
+    rule: ClassVar = CONTACT
+
+    @staticmethod
+    def refuses(a: type, b: type) -> str:
+        """Why materials a and b cannot be coupled so; "" where they can."""
+        return ""
 
     @staticmethod
     def default_friction(a: type, b: type) -> float:

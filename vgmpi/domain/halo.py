@@ -30,25 +30,27 @@ class HaloError(RuntimeError):
 class Halo:
     """Buffers and box lists, made anew at each sort."""
 
-    def __init__(self, ranks: Alone, topology: Topology, slot: np.ndarray, real: np.dtype):
-        """slot: (patches,) where each patch that travels is kept."""
+    def __init__(self, ranks: Alone, topology: Topology, slots: list[np.ndarray], real: np.dtype):
+        """slots: for each layer of patches (patches,) where each patch that travels is kept, -1
+        where the layer has none of it."""
         self.rank = ranks.rank
-        self.sends = [_Message(part, topology, slot, real) for part in topology.sends]
-        self.receives = [_Message(part, topology, slot, real) for part in topology.receives]
+        self.sends = [_Message(part, topology, slots, real) for part in topology.sends]
+        self.receives = [_Message(part, topology, slots, real) for part in topology.receives]
         self.bytes_sent = sum(m.buffer.nbytes for m in self.sends)  # per step
         self.link = ranks.link(
             [(m.rank, m.buffer) for m in self.sends], [(m.rank, m.buffer) for m in self.receives]
         )
 
-    def start(self, step: int, patches: np.ndarray, offsets: np.ndarray) -> None:
-        """Begin to send the boundary boxes. Collective among neighbours, with `finish`."""
+    def start(self, step: int, *layers: np.ndarray) -> None:
+        """Begin to send the boundary boxes of each layer's patches (slots, 2048). Collective among
+        neighbours, with `finish`."""
         for m in self.sends:
             m.head[:] = step, m.seal
-            pack(m.body, m.slots, m.low, m.high, patches)
-            pack(m.offset_body, m.offset_slots, m.offset_low, m.offset_high, offsets)
+            for part, patches in zip(m.parts, layers, strict=True):
+                pack(*part, patches)
         self.link.start()
 
-    def finish(self, step: int, patches: np.ndarray, offsets: np.ndarray) -> None:
+    def finish(self, step: int, *layers: np.ndarray) -> None:
         """Put the neighbours' boxes, which `link.wait` has seen arrive, into the ghost patches."""
         for m in self.receives:
             if m.head[0] != step or m.head[1] != m.seal:
@@ -56,30 +58,30 @@ class Halo:
                     f"rank {self.rank}: message from rank {m.rank} is of step {m.head[0]},"
                     f" not {step}, or of another list of patches"
                 )
-            unpack(m.body, m.slots, m.low, m.high, patches)
-            unpack(m.offset_body, m.offset_slots, m.offset_low, m.offset_high, offsets)
+            for part, patches in zip(m.parts, layers, strict=True):
+                unpack(*part, patches)
 
 
 class _Message:
-    """One neighbour's buffer: header, then the boxes of its patches, then those of their offset
-    patches.
+    """One neighbour's buffer: header, then the boxes of its patches, layer by layer.
+
+    parts: (buffer, slots, low, high) of each layer.
     """
 
-    def __init__(self, part, topology: Topology, slot: np.ndarray, real: np.dtype):
-        self.rank, patches, self.low, self.high = part
-        self.slots = slot[patches]
-        offset = topology.offset_slot[patches]
-        wanted = offset >= 0
-        self.offset_slots = offset[wanted]
-        self.offset_low, self.offset_high = self.low[wanted], self.high[wanted]
-        size = np.prod(self.high[:, :2] - self.low[:, :2], axis=1) * HALF
-        size = np.where(self.high[:, 2] - self.low[:, 2] == SIDE, 2 * size, size)
-        split = _HEADER + int(size.sum())
-        self.buffer = np.zeros(split + int(size[wanted].sum()), real)
+    def __init__(self, part, topology: Topology, slots: list[np.ndarray], real: np.dtype):
+        self.rank, patches, low, high = part
+        size = np.prod(high[:, :2] - low[:, :2], axis=1) * HALF
+        size = np.where(high[:, 2] - low[:, 2] == SIDE, 2 * size, size)
+        wanted = [slot[patches] >= 0 for slot in slots]
+        ends = _HEADER + np.cumsum([0, *(int(size[here].sum()) for here in wanted)])
+        self.buffer = np.zeros(ends[-1], real)
         self.head = self.buffer[:_HEADER].view(np.int64)[:2]
-        self.body, self.offset_body = self.buffer[_HEADER:split], self.buffer[split:]
+        self.parts = [
+            (self.buffer[ends[k] : ends[k + 1]], slots[k][patches][here], low[here], high[here])
+            for k, here in enumerate(wanted)
+        ]
         rows = topology.row[patches].astype(np.int64)
-        listed = np.concatenate([rows, self.low.ravel(), self.high.ravel(), wanted])
+        listed = np.concatenate([rows, low.ravel(), high.ravel(), *wanted])
         self.seal = zlib.crc32(listed.astype(np.int64).tobytes())
 
 

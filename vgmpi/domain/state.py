@@ -13,7 +13,7 @@ LANES = 16  # segments begin at multiples of this, so that vectors never straddl
 class Group:
     """Particles of one group on this rank, in segments of one block each.
 
-    xi: (3, cap) fixed-point positions; f: (channels, cap) see kernels/transfer.py; ids: (cap,)
+    xi: (3, cap) fixed-point positions; f: (channels, cap) see kernels/records.py; ids: (cap,)
     global particle id, -1 in unused places. Segment s is the particles start[s] .. start[s] +
     count[s] of block code[s]; segments lie in the order of their keys, particles within one by
     (cell, id) as of the last sort. That order is part of the state.
@@ -24,7 +24,7 @@ class Group:
         self.lattice = lattice
         self.real = np.dtype(real)
         self.bits = BITS[self.real]
-        self.channels = BASE_CHANNELS + len(plan.rest)
+        self.channels = BASE_CHANNELS + len(plan.carried)
         self.segments(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64))
         self.xi = np.zeros((3, 0), INTEGER[self.real])
         self.f = np.zeros((self.channels, 0), self.real)

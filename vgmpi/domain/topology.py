@@ -25,9 +25,8 @@ class Topology(NamedTuple):
     row: np.ndarray  # (patches,) row of the census
     own: np.ndarray  # (patches,) bool
     block: np.ndarray  # (patches, 3)
-    offset_slot: (
-        np.ndarray
-    )  # (patches,) place among the offset patches, -1 where contact asks for none
+    offset_slot: np.ndarray  # (patches,) place of its volumes and offsets, -1 if nobody asks
+    force_slot: np.ndarray  # (patches,) place of impulses kept apart, -1 where there are none
     table: np.ndarray  # (own patches, 27) node blocks around each
     first: np.ndarray  # (blocks + 1,) node blocks of each block
     phase: np.ndarray  # (node blocks,)
@@ -37,6 +36,7 @@ class Topology(NamedTuple):
     solid_of: np.ndarray  # (blocks,) row among the collider's blocks, or -1
     pull_first: np.ndarray  # (node blocks + 1,)
     pull_patch: np.ndarray  # patches that touch each node block, by (group, key)
+    forced: np.ndarray  # (node blocks,) bool: patches with impulses kept apart touch it
     pull_code: np.ndarray  # where the node block lies from the patch's block, see kernels/grid.py
     sends: list  # per neighbour rank: (rank, patches, low (n, 3), high (n, 3))
     receives: list
@@ -75,11 +75,19 @@ class _Box:
 
 
 def build(
-    census: Census, lattice: Lattice, rank: int, phase_of: np.ndarray, contact: bool, solid
+    census: Census,
+    lattice: Lattice,
+    rank: int,
+    phase_of: np.ndarray,
+    contact: bool,
+    solid,
+    apart: np.ndarray | None = None,
+    everywhere: bool = False,
 ) -> Topology:
     """Tables of `rank`. phase_of: (groups,) phase of each group; contact: whether phases may touch
     at all; solid: blocks (n, 3) -> row among the collider's blocks or -1, or None where the scene
-    has no collider."""
+    has no collider; apart: (groups,) whether the stress's impulses are kept apart, where another
+    phase is near or `everywhere`."""
     block = lattice.block(census.code)
     mine = census.owner == rank
     if not mine.any():
@@ -110,11 +118,14 @@ def build(
     solid_of = np.full(len(new), -1, np.int64) if solid is None else solid(block_at)
     meets = ((np.diff(first) > 1) & contact) | (solid_of >= 0)
     wanted = _wants_offset(box, lattice, census, near, at, phase_of, contact, solid)[box.at(block)]
+    split = wanted | everywhere
+    split &= False if apart is None else apart[census.group[row]]
     return Topology(
         row=row,
         own=own,
         block=block,
         offset_slot=np.where(wanted, np.cumsum(wanted) - 1, -1),
+        force_slot=np.where(split, np.cumsum(split) - 1, -1),
         table=table[own],
         first=first,
         phase=nodes % phases,
@@ -124,6 +135,7 @@ def build(
         solid_of=solid_of,
         pull_first=begin,
         pull_patch=patches,
+        forced=np.logical_or.reduceat(split[patches], begin[:-1]),
         pull_code=codes,
         sends=_traffic(block, own, census.owner[row], box, rank, sending=True),
         receives=_traffic(block, own, census.owner[row], box, rank, sending=False),
@@ -231,7 +243,7 @@ def _nothing() -> Topology:
     """An idle rank's tables."""
     none, one = np.zeros(0, np.int64), np.zeros(1, np.int64)
     return Topology(
-        none, none.astype(bool), np.zeros((0, 3), np.int64), none, np.zeros((0, 27), np.int64),
-        one, none, np.zeros((0, 3), np.int64), none.astype(bool), none.astype(bool), none, one,
-        none, none, [], [],
+        none, none.astype(bool), np.zeros((0, 3), np.int64), none, none,
+        np.zeros((0, 27), np.int64), one, none, np.zeros((0, 3), np.int64), none.astype(bool),
+        none.astype(bool), none, one, none, none.astype(bool), none, [], [],
     )  # fmt: skip

@@ -12,7 +12,7 @@ from ..domain.blocks import BITS, EDGE
 from ..domain.state import Group
 from ..domain.topology import Topology
 from ..plan import Plan
-from . import grid, records, transfer
+from . import couple, g2p, grid, p2g, records
 from .patches import zero
 from .walls import KINDS, SIDE, patch_codes
 
@@ -21,17 +21,20 @@ from .walls import KINDS, SIDE, patch_codes
 _DITHER = np.array([0.8191725133961645, 0.6710436067037893, 0.5497004779019703])
 
 
+RELAX = 10.0  # [1/s] at which a fluid in pores gives way where there is more volume than space
+
+
 class Part(NamedTuple):
     """What the kernels are told of a group's segments; rows are segments."""
 
     group: Group
     sent: np.ndarray  # (n,) whether other ranks need the patch
-    slot: np.ndarray  # (n,) where the patch is kept, or -1
-    offset_slot: np.ndarray  # (n,) offset patch or -1
+    slots: np.ndarray  # (3, n) where its patches are kept, or -1: momentum, offsets, impulses
     table: np.ndarray  # (n, 27) node blocks around
     into: np.ndarray  # (n, 27) those of them the patch is added to at once, else -1
     limit: np.ndarray  # (n, 3, 2) range of positions [cells]
     mirror: np.ndarray  # (n, 3, 2) wall codes
+    numbers: records.Numbers
 
 
 class Cpu:
@@ -49,7 +52,6 @@ class Cpu:
         self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
         real = plan.real
         self.bits = BITS[real]
-        self.dx = real.type(plan.dx)
         self.solid_nodes = np.zeros((0, 64, 4), real) if solids is None else solids.nodes
         self.wall_kinds = np.array([KINDS[kind] for kind, _ in plan.walls], np.int64).reshape(3, 2)
         self.wall_friction = np.array([mu for _, mu in plan.walls]).reshape(3, 2)
@@ -60,11 +62,20 @@ class Cpu:
         self.cells = np.array(plan.cells)
         self.patches = self.offsets = aligned((0, SIDE, SIDE, SIDE, 4), real)
         self.grid = aligned((0, 64, 4), real)
-        room = 2 * records.SCRATCH + records.PATCH + 16
+        # only where phases share space, or for FLIP
+        self.apart = any(group.apart for group in plan.groups)
+        self.forces = self.patches if self.apart else None
+        self.flux = self.grid if self.apart else None
+        self.flip = real.type(plan.flip) if plan.flip else None
+        room = records.ROOM + (records.PATCH + 16 if self.apart else 0)
         self.records = [aligned(room, real) for _ in range(threads)]
         self.base = [np.zeros(records.BATCH + 22, np.int32) for _ in range(threads)]
         self.scratch = [aligned((len(plan.phases), 64, 4), real) for _ in range(threads)]
         self.room = [grid.room(len(plan.phases), real) for _ in range(threads)]
+        self.apart_room = [
+            (aligned((len(plan.phases), 64, 4), real), couple.room(len(plan.phases)))
+            for _ in range(threads if self.apart else 0)
+        ]
         self.reports = np.zeros((len(plan.groups), threads, 4))
 
     def adopt(self, groups: list[Group], topology: Topology, group_of_row: np.ndarray) -> None:
@@ -84,6 +95,7 @@ class Cpu:
         into = self._who_sums([own[here] for here in members], sent)
         self._make_room()
         self.parts = []
+        slots = np.stack([self.slot, t.offset_slot, t.force_slot])
         for group, here in zip(groups, members, strict=True):
             at = own[here]
             block = t.block[at]
@@ -92,8 +104,8 @@ class Cpu:
             mirror = patch_codes(block, self.plan.cells, self.wall_kinds)
             self.parts.append(
                 Part(
-                    group, sent[at], self.slot[at], t.offset_slot[at], t.table[here], into[here],
-                    self._limits(block), mirror,
+                    group, sent[at], np.ascontiguousarray(slots[:, at]), t.table[here], into[here],
+                    self._limits(block), mirror, self._numbers(group.plan),
                 )
             )  # fmt: skip
 
@@ -125,10 +137,41 @@ class Cpu:
         self.flat_patches = self.patches.reshape(len(self.patches), records.PATCH)
         self.flat_offsets = self.offsets.reshape(len(self.offsets), records.PATCH)
         self.flat_grid = self.grid.reshape(len(self.grid), 256)
+        if self.apart:
+            self.flux = _room(self.flux, len(t.phase))
+            self.forces = _room(self.forces, int((t.force_slot >= 0).sum()))
+            self.forces = self.forces.reshape(len(self.forces), records.PATCH)
+            ghost_forces = t.force_slot[~t.own]
+            self.forces[ghost_forces[ghost_forces >= 0]] = 0
         # boxes of ghost patches that do not arrive stay zero
         self.patches[self.slot[~t.own]] = 0
         ghost_offsets = t.offset_slot[~t.own]
         self.offsets[ghost_offsets[ghost_offsets >= 0]] = 0
+
+    @property
+    def slots(self) -> list[np.ndarray]:
+        """Where the patches of each layer that travels are kept: (patches,) each."""
+        t = self.topology
+        return [self.slot, t.offset_slot, *([t.force_slot] if self.apart else [])]
+
+    @property
+    def layers(self) -> list[np.ndarray]:
+        """The patches of each layer that travels, (slots, 2048) each."""
+        return [self.flat_patches, self.flat_offsets, *([self.forces] if self.apart else [])]
+
+    def _numbers(self, group) -> records.Numbers:
+        """What the transfers are told of a group."""
+        real = self.plan.real.type
+        return records.Numbers(
+            density=real(group.density),
+            share=real(group.share),
+            affine=real(self.plan.affine),
+            stiff=real(group.stiff),
+            dense=real(group.dense),
+            relax=real(RELAX),
+            porosity=real(records.STATE + len(group.rest) if group.porous else -1),
+            dx=real(self.plan.dx),
+        )
 
     def _limits(self, block: np.ndarray) -> np.ndarray:
         """Range of positions [cells from the block's middle] whose base node exists, half a cell
@@ -149,12 +192,12 @@ class Cpu:
         zero(self.flat_grid, rows)
 
     def _p2g(self, thread: int, share: np.ndarray, part: "Part", border: bool, dt) -> None:
-        group, plan = part.group, part.group.plan
-        transfer.p2g(
-            plan.law, share, border, part.sent, group.start, group.count, part.slot,
-            part.offset_slot, part.into, part.mirror, group.xi, group.f, self.flat_patches,
-            self.flat_offsets, self.flat_grid, self.records[thread], self.base[thread],
-            self.plan.real.type(plan.density), self.dx, dt,
+        group = part.group
+        p2g.p2g(
+            group.plan.law, share, border, part.sent, group.start, group.count, part.slots,
+            part.into, part.mirror, group.xi, group.f, self.flat_patches, self.flat_offsets,
+            self.forces if group.plan.apart else None, self.flat_grid, self.records[thread],
+            self.base[thread], part.numbers, dt,
         )  # fmt: skip
 
     def update(self, dt: float, border: bool) -> None:
@@ -164,16 +207,22 @@ class Cpu:
 
     def _update(self, thread: int, share: np.ndarray, dt: float) -> None:
         t = self.topology
+        apart = None
+        if self.apart:
+            apart = grid.Apart(
+                t.force_slot, self.forces, t.forced, self.flux, *self.apart_room[thread]
+            )
         grid.update(
             share, t.first, t.phase, t.block_at, t.meets, t.solid_of,
             self.summed, t.pull_first, t.pull_patch, t.pull_code, self.slot, self.flat_patches,
-            t.offset_slot, self.flat_offsets, self.grid, self.solid_nodes, self.scratch[thread],
-            self.room[thread], self.cells, self.wall_kinds, self.wall_friction, self.gravity,
-            self.least, self.mastery, self.friction, dt, self.plan.dx,
+            t.offset_slot, self.flat_offsets, apart, self.plan.rules, self.grid, self.solid_nodes,
+            self.scratch[thread], self.room[thread], self.cells, self.wall_kinds,
+            self.wall_friction, self.gravity, self.least, self.mastery, self.friction, dt,
+            self.plan.dx,
         )  # fmt: skip
 
     def g2p(self, dt: float, step: int) -> np.ndarray:
-        """Move the particles. Returns (groups, threads, 4) reports, see transfer.g2p."""
+        """Move the particles. Returns (groups, threads, 4) reports, see g2p.g2p."""
         dither = np.modf(_DITHER * step)[0]
         reports = self.reports
         reports[:] = 0
@@ -183,10 +232,12 @@ class Cpu:
 
     def _g2p(self, thread: int, share: np.ndarray, part: "Part", dt, dither, report) -> None:
         group = part.group
-        transfer.g2p(
+        second = group.plan.apart
+        g2p.g2p(
             group.plan.law, share, group.start, group.count, part.table, part.limit, part.mirror,
-            group.xi, group.f, group.ids, self.grid, self.records[thread], self.base[thread],
-            self.bits, dither, self.dx, dt, self.plan.real.type(self.plan.cfl), report[thread],
+            group.xi, group.f, group.ids, self.grid, self.flux if second else None,
+            self.flip if second else None, self.records[thread], self.base[thread], part.numbers,
+            self.bits, dither, dt, self.plan.real.type(self.plan.cfl), report[thread],
         )  # fmt: skip
 
     def each(self, shares: list[np.ndarray], work, *arguments) -> None:

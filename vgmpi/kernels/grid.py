@@ -6,30 +6,47 @@ Its sum runs over the patches that touch it in the order of their keys, whoever 
 order, and not the ranks, decides the bits.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
+from ..couplings.base import CONTACT
 from ..device.jit import inline, kernel
 from .contact import TOUCH, collider_gap, gap, resolve, surface_normal
+from .couple import couple_block, note_flux, push
 from .lanes import load, store
 from .patches import pull
 from .rows import repeat, spread, velocity
 from .walls import constrain, tangential
 
 
+class Apart(NamedTuple):
+    """Where the stress's impulses are kept apart from momentum."""
+
+    slots: np.ndarray  # (patches,) where each patch of impulses is kept, or -1
+    forces: np.ndarray  # (slots, 2048) impulses [kg m/s]
+    forced: np.ndarray  # (node blocks,) whether any patch of impulses touches it
+    flux: np.ndarray  # (node blocks, 64, 4) what particles gather besides velocity
+    scratch: np.ndarray  # (phases, 64, 4) of the calling thread
+    room: tuple  # couple.Room of the calling thread
+
+
 @kernel
 def update(
     blocks, first, phase, block_at, meets, solid_of, summed, pull_first, pull_patch, pull_code,
-    slots, patches, offset_slots, offsets, grid, solids, scratch, room, cells, wall_kinds,
-    wall_friction, gravity, least, rank_of, friction, dt, dx,
+    slots, patches, offset_slots, offsets, apart, rules, grid, solids, scratch, room, cells,
+    wall_kinds, wall_friction, gravity, least, rank_of, friction, dt, dx,
 ):  # fmt: skip
     """Velocities [m/s] at the nodes of some blocks, in place of momentum.
 
     blocks: (n,) the blocks to do; first: (blocks + 1,) node blocks of each block, one per phase
     that touches it; phase: (node blocks,); meets: (blocks,) whether two phases, or a phase and a
     collider, may touch here; solid_of: (blocks,) row of `solids` or -1; solids: (n, 64, 4) outward
-    normal and distance [m] of the collider; patches, offsets: (slots, 2048); scratch: (phases, 64,
-    4); least: (phases,) mass [kg] of one full cell; rank_of: (phases,) order of mastery, lowest
-    first; friction: (phases + 1, phases), the last row for the collider.
+    normal and distance [m] of the collider; patches, offsets: (slots, 2048); apart: an Apart, or
+    None; rules: how phases share space (couple.Rules), or None; with apart and no rules the change
+    of velocity is noted, which FLIP asks for; scratch: (phases, 64, 4); least: (phases,) mass [kg]
+    of one full cell; rank_of: (phases,) order of mastery, lowest first; friction: (phases + 1,
+    phases), the last row for the collider.
     """
     flat_grid = grid.reshape((len(grid), 256))
     flat_scratch = scratch.reshape((len(scratch), 256))
@@ -51,15 +68,58 @@ def update(
                 into = flat_scratch[nb - n0]
                 pull(into, q0, q1, pull_patch, pull_code, offset_slots, offsets)
         low = 4 * block_at[b, 0] - 1, 4 * block_at[b, 1] - 1, 4 * block_at[b, 2] - 1
+        if apart is not None:
+            _apart(
+                n0, n1, flat_grid, grid, phase, pull_first, pull_patch, pull_code, apart, scratch,
+                meets[b], low, cells, wall_kinds, least, rules, fall, dt, dx,
+            )  # fmt: skip
         if meets[b]:
             solid = solids[max(solid_of[b], 0)]
             _touch(
                 grid[n0:n1], phase[n0:n1], scratch, solid, solid_of[b] >= 0, low, cells, wall_kinds,
-                least, rank_of, friction, dx, room,
+                least, rank_of, friction, rules, dx, room,
             )  # fmt: skip
         if _at_wall(low, cells):
             for nb in range(n0, n1):
                 constrain(grid[nb], low, cells, wall_kinds, wall_friction)
+        if apart is not None:
+            if rules is None:
+                for nb in range(n0, n1):
+                    apart.flux[nb, :, :3] = grid[nb, :, :3] - apart.flux[nb, :, :3]
+            else:
+                note_flux(
+                    grid[n0:n1], phase[n0:n1], scratch, meets[b], low, cells, rules, dx, apart.room,
+                    apart.flux[n0:n1],
+                )  # fmt: skip
+
+
+@inline
+def _apart(
+    n0, n1, flat_grid, grid, phase, pull_first, pull_patch, pull_code, apart, offsets, meets, low,
+    cells, wall_kinds, least, rules, fall, dt, dx,
+):  # fmt: skip
+    """Add impulses that were kept apart to the velocities of a block: to phases that share space as
+    their coupling says; for FLIP note the velocities before."""
+    flat = apart.scratch.reshape((len(apart.scratch), 256))
+    for nb in range(n0, n1):
+        if apart.forced[nb]:
+            pull(
+                flat[nb - n0], pull_first[nb], pull_first[nb + 1], pull_patch, pull_code,
+                apart.slots, apart.forces,
+            )  # fmt: skip
+        else:
+            flat[nb - n0, :] = 0
+    if rules is None:
+        for nb in range(n0, n1):
+            for node in range(64):
+                for c in range(3):
+                    apart.flux[nb, node, c] = grid[nb, node, c] - fall[c]
+                push(grid[nb, node], apart.scratch[nb - n0, node], least[phase[nb]])
+    else:
+        couple_block(
+            grid[n0:n1], phase[n0:n1], offsets, apart.scratch, meets, low, cells, wall_kinds, least,
+            rules, dt, dx, apart.room,
+        )  # fmt: skip
 
 
 @inline
@@ -91,8 +151,8 @@ def room(count: int, real: np.dtype) -> tuple[np.ndarray, ...]:
 
 @inline
 def _touch(
-    grid, phase, offsets, solid, has_solid, low, cells, wall_kinds, least, rank_of, friction, dx,
-    room,
+    grid, phase, offsets, solid, has_solid, low, cells, wall_kinds, least, rank_of, friction, rules,
+    dx, room,
 ):  # fmt: skip
     """Contact at the 64 nodes of a block. grid and offsets: (phases here, 64, 4)."""
     _, v, m, here, normals, impulse, mu, pair_a, pair_b, touches = room
@@ -111,7 +171,7 @@ def _touch(
                 v[q, c] = grid[here[q], node, c]
             m[q] = grid[here[q], node, 3]
         pairs = _pairs(
-            active, here, node, phase, v, offsets, solid, has_solid, rank_of, friction, dx,
+            active, here, node, phase, v, offsets, solid, has_solid, rank_of, friction, rules, dx,
             normals, mu, pair_a, pair_b, touches,
         )  # fmt: skip
         if pairs == 0:
@@ -125,8 +185,8 @@ def _touch(
 
 @inline
 def _pairs(
-    active, here, node, phase, v, offsets, solid, has_solid, rank_of, friction, dx, normals, mu,
-    pair_a, pair_b, touches,
+    active, here, node, phase, v, offsets, solid, has_solid, rank_of, friction, rules, dx, normals,
+    mu, pair_a, pair_b, touches,
 ):  # fmt: skip
     """The touching pairs of a node, in phase order: masters, normals and friction. Returns how
     many. A pair that is alone at its node and parts is left out: nothing acts on it.
@@ -148,6 +208,9 @@ def _pairs(
                 pairs += 1
         for r in range(q + 1, active):
             other = phase[here[r]]
+            if rules is not None:
+                if rules.pair[ph, other] != CONTACT:
+                    continue
             a, b = (q, r) if rank_of[ph] < rank_of[other] else (r, q)
             xa, xb = offsets[here[a], node], offsets[here[b], node]
             if not (xa[3] > 0 and xb[3] > 0):

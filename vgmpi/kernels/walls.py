@@ -84,6 +84,8 @@ def reflect(patch, mirror):
                 for j in range(SIDE):
                     inner = _node(patch, a, wall + step, i, j)
                     ghost = _node(patch, a, wall - step, i, j)
+                    if kind != SEPARATE:
+                        ghost[3] = inner[3]
                     for c in range(3):
                         if kind == STICK or (kind == SLIP and c == a):
                             ghost[c] = -inner[c]

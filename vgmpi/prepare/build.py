@@ -14,7 +14,7 @@ from vgmpi.prepare.mesh import MeshError
 from vgmpi.prepare.pieces import Piece, make
 from vgmpi.prepare.place import PlacementError
 from vgmpi.prepare.voxels import Voxels
-from vgmpi.scene import Scene, phase_of
+from vgmpi.scene import Scene
 
 log = logging.getLogger("vgmpi")
 
@@ -127,7 +127,7 @@ def _describe(scene: Scene, thing: Object, piece: Piece, first: int, count: int)
         "material": thing.material,
         "kind": material.kind if material else None,
         "family": family,
-        "phase": phase_of(thing, family) if family else None,
+        "phase": scene.phase_of(thing),
         "density": material.density if material else None,
         "first": first,
         "count": count,

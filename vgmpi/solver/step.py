@@ -8,16 +8,16 @@ from ..domain.halo import Halo
 from ..domain.ranks import Alone
 from ..domain.solids import Solids
 from ..domain.state import Group
-from ..kernels import records, transfer
+from ..kernels import g2p, records
 from ..kernels.cpu import Cpu
 from ..materials.base import function
 from ..plan import Plan
 
 REASONS = {
-    transfer.CRUSHED: "its volume ratio J left 0.1 .. 5 or is not a number",
-    transfer.OUTSIDE: "it left the domain",
-    transfer.TOO_FAST: "it would move more than a cell in one step",
-    transfer.LOST: "its velocity or stress is not a number",
+    g2p.CRUSHED: "its volume ratio J left 0.1 .. 5 or is not a number",
+    g2p.OUTSIDE: "it left the domain",
+    g2p.TOO_FAST: "it would move more than a cell in one step",
+    g2p.LOST: "its velocity or stress is not a number",
 }
 
 
@@ -70,11 +70,11 @@ class Simulation:
             f = np.zeros((group.channels, int(here.sum())), self.plan.real)
             f[0:3] = v[here].T
             f[records.VOLUME] = volume[here]
-            f[records.STATE :] = np.array(group.plan.rest)[:, None]
+            f[records.STATE :] = np.array(group.plan.carried)[:, None]
             migrate.arrive(group, block, xi, f, ids[here])
             if here.any():
                 law = group.plan.law
-                wave = np.sqrt(function(law, "wave_speed2")(law, group.plan.rest))
+                wave = np.sqrt(group.plan.bound(function(law, "wave_speed2")(law, group.plan.rest)))
                 speed = np.sqrt((v[here] ** 2).sum(1)).max()
                 fastest = max(fastest, float(wave + speed), float(speed) * self.plan.cfl / 0.3)
         rate = fastest / (self.plan.cfl * self.plan.dx)
@@ -97,12 +97,13 @@ class Simulation:
         """Lay out tables and buffers for the census, whose segments the groups already hold."""
         self.census = census
         tables = topology.build(
-            census, self.lattice, self.ranks.rank, self.phase_of, self.plan.contact, self.solids
-        )
+            census, self.lattice, self.ranks.rank, self.phase_of, self.plan.contact, self.solids,
+            np.array([group.apart for group in self.plan.groups]), self.plan.flip > 0,
+        )  # fmt: skip
         self.engine.adopt(self.groups, tables, census.group)
         if self.halo is not None:
             self.halo.link.close()
-        self.halo = Halo(self.ranks, tables, self.engine.slot, self.plan.real)
+        self.halo = Halo(self.ranks, tables, self.engine.slots, self.plan.real)
 
     @property
     def load(self) -> np.ndarray:
@@ -119,7 +120,7 @@ class Simulation:
         Raises BlowUp, on all ranks, after the step in which a particle went wrong.
         """
         mark = self.clock or (lambda name: None)
-        engine, sent = self.engine, (self.step, self.engine.flat_patches, self.engine.flat_offsets)
+        engine, sent = self.engine, (self.step, *self.engine.layers)
         # x, v, C, state at n -> mass and momentum (with the stress at n over dt)
         engine.p2g(dt, border=True)
         mark("p2g")
@@ -147,7 +148,7 @@ class Simulation:
         if found[2]:
             raise BlowUp(self._blame(reports))
         self.rate = float(found[0])
-        if found[1] >= transfer.REACH:
+        if found[1] >= g2p.REACH:
             self.sort()
             mark("sort")
         return found[3:]

@@ -1,0 +1,20 @@
+"""Drag as VersaGauss prints it, for comparison.
+
+The exchange at a node is c m_s m_w / (m_s + m_w), without the time step and of no consistent unit:
+it is eight times as strong when the cell is halved. It is solved implicitly here as well, since the
+printed form has no stable step of its own.
+"""
+
+from typing import ClassVar, Literal
+
+from .base import coupling
+from .drag import Drag
+
+
+@coupling
+class DragPaper(Drag):
+    """Drag by the paper's printed equations: for comparison only."""
+
+    kind: Literal["drag-paper"]  # type: ignore[assignment]
+
+    printed: ClassVar = True

@@ -1,0 +1,91 @@
+"""Which phases share space, and by which numbers: the scene's couplings as kernels read them."""
+
+import numpy as np
+
+from .couplings.base import DRAG, MIXING, Rules
+from .scene import Scene
+
+
+def rules(scene: Scene, groups, phases) -> Rules | None:
+    """The rules of a scene, None where no phases share space. groups: plan.GroupPlan of each,
+    phases: plan.PhasePlan of each.
+
+    Raises SceneError where fluids that mix have one velocity field, or a group has more than one
+    diffusion or slip time.
+    """
+    couplings = [(k, c) for k, c in enumerate(scene.coupling) if c.rule in (MIXING, DRAG)]
+    if not couplings:
+        return None
+    n = len(phases)
+    pair, drag = np.zeros((n, n), np.int64), np.zeros((n, n))
+    printed = np.zeros((n, n), bool)
+    of: dict[str, list[int]] = {}
+    for group in groups:
+        of.setdefault(group.material, []).append(group.phase)
+    pairs = []
+    for k, coupling in couplings:
+        for a in of.get(coupling.between[0], []):
+            for b in of.get(coupling.between[1], []):
+                if a == b:
+                    said = "both share one velocity field: give them no phase, or different ones"
+                    raise scene.error([(("coupling", k, "between"), said)])
+                pair[a, b] = pair[b, a] = coupling.rule
+                pairs.append((a, b))
+                if coupling.rule == DRAG:
+                    drag[a, b] = drag[b, a] = _coefficient(scene, coupling)
+                    printed[a, b] = printed[b, a] = coupling.printed
+    fluid = np.array([phase.family == "fluid" for phase in phases])
+    mix = _connected(n, [p for p in pairs if pair[p] == MIXING])
+    together = _connected(n, pairs)
+    # fluids that meet the same sand share its pores and the pressure in them
+    numbers = _mixing_numbers(scene, couplings, of, mix)
+    porosity = np.zeros(n)
+    for group in groups:
+        porosity[group.phase] = getattr(scene.material[group.material], "porosity", 0.0)
+    return Rules(
+        pair=pair,
+        together=together,
+        sets=int(together.max()) + 1,
+        fluid=fluid,
+        mix=mix,
+        mixes=int(mix.max()) + 1,
+        diffusion=np.array([d for d, _, _ in numbers]),
+        slip_time=np.array([t for _, t, _ in numbers]),
+        drag=drag,
+        porosity=porosity,
+        printed_mix=np.array([p for _, _, p in numbers], bool),
+        printed_drag=printed,
+    )
+
+
+def _coefficient(scene: Scene, coupling) -> float:
+    one, other = (scene.material[name] for name in coupling.between)
+    sand, fluid = (one, other) if one.family == "sand" else (other, one)
+    return coupling.coefficient(sand.porosity, fluid.density)
+
+
+def _connected(n: int, pairs: list[tuple[int, int]]) -> np.ndarray:
+    """Number of the connected set of each of n phases, -1 for those in no pair: (n,)."""
+    lowest = np.arange(n)
+    for _ in pairs:
+        for a, b in pairs:
+            lowest[a] = lowest[b] = min(lowest[a], lowest[b])
+    named = np.isin(np.arange(n), pairs)
+    found = np.full(n, -1)
+    if named.any():
+        found[named] = np.unique(lowest[named], return_inverse=True)[1]
+    return found
+
+
+def _mixing_numbers(scene: Scene, couplings, of, mix) -> list[tuple[float, float, bool]]:
+    """(diffusion, slip time, as printed) of each mixing group."""
+    found: dict[int, tuple[float, float, bool]] = {}
+    for k, coupling in couplings:
+        if coupling.rule != MIXING:
+            continue
+        numbers = coupling.diffusion, coupling.slip_time, coupling.printed
+        for phase in of.get(coupling.between[0], []):
+            if found.setdefault(int(mix[phase]), numbers) != numbers:
+                said = "fluids that mix with one another must have the same numbers and kind"
+                raise scene.error([(("coupling", k), said)])
+    return [found[group] for group in sorted(found) if group >= 0]
