@@ -14,6 +14,7 @@ log = logging.getLogger("vgmpi")
 
 FAINT = 0.02  # fluid opacity up to which 1/255 would cut a quarter or more of the fluid away
 ALPHA_MIN_FAINT = 1e-4
+BALLS = ("fluid", "sand", "snow")  # families whose Gaussians forget their shape
 
 
 class Look:
@@ -27,8 +28,12 @@ class Look:
         self.objects = run.objects
         self.object = np.asarray(rest.object)
         fluid = np.array([o.get("family") == "fluid" for o in self.objects] or [False])
+        balls = np.array([o.get("family") in BALLS for o in self.objects] or [False])
+        deforms = np.array([_deforms(o) for o in self.objects] or [False])
         factor = np.array([_opacity_scale(o) for o in self.objects] or [1.0])
         self.fluid = fluid[self.object]
+        self.ball = balls[self.object]
+        self.deforms = deforms[self.object]
         self.opacity = np.asarray(rest.opacity, dtype=np.float64) * factor[self.object]
         self.vol0 = np.asarray(rest.vol0, dtype=np.float64)
         self.cov0 = np.asarray(rest.cov0, dtype=np.float64)
@@ -46,23 +51,26 @@ class Look:
     def splats(self, frame: dict[str, np.ndarray], eye: np.ndarray) -> Splats:
         """The Gaussians of a frame as seen from `eye` [m]; scenery first, it never moves.
 
-        frame: arrays id, x, and J (fluids), F (solids) as in the frame's file. Raises RunError.
+        frame: arrays id, x, and J (all but elastic bodies), F (those) as in the frame's file.
+        Raises RunError.
         """
         rows = np.asarray(frame["id"])
         if len(rows) and not 0 <= rows.min() <= rows.max() < len(self.object):
             raise RunError("a frame holds particles that gaussians.h5 does not know")
         x = np.asarray(frame["x"], dtype=np.float64)
-        fluid = self.fluid[rows]
-        solid = np.flatnonzero(~fluid)
+        J = np.asarray(frame["J"]) if "J" in frame else np.ones(len(rows))
+        ball, deforms = self.ball[rows], self.deforms[rows]
+        solid, rigid = np.flatnonzero(deforms), np.flatnonzero(~ball & ~deforms)
         if len(solid) and "F" not in frame:
             raise RunError("a frame with solids lacks the field F: they cannot be drawn")
         cov = np.empty((len(rows), 6))
         if len(solid):
             F = np.asarray(frame["F"])[solid]
             cov[solid] = evolve.solid(self.cov0[rows[solid]], F)
-        if fluid.any():
-            J = np.asarray(frame["J"])[fluid] if "J" in frame else np.ones(np.count_nonzero(fluid))
-            cov[fluid] = evolve.fluid(self.vol0[rows[fluid]], J)
+        if len(rigid):  # no F: the shape at rest, larger or smaller
+            cov[rigid] = evolve.solid(self.cov0[rows[rigid]], evolve.swollen(J[rigid]))
+        if ball.any():
+            cov[ball] = evolve.fluid(self.vol0[rows[ball]], J[ball])
         directions = x - eye
         turning = solid[self.color.view_dependent[rows[solid]]]
         if len(turning):  # a turned solid shows towards d what it showed at rest towards R^T d
@@ -122,6 +130,11 @@ class _Colors:
         if len(shiny):
             color[shiny] = shade.evaluate(self.sh, rows[shiny], directions[shiny])
         return color
+
+
+def _deforms(entry: dict) -> bool:
+    """Whether F tells the shape of an object's Gaussians."""
+    return bool(entry.get("deforms", entry.get("family") == "solid"))
 
 
 def _opacity_scale(entry: dict) -> float:

@@ -20,7 +20,12 @@ from .sharing import rules
 # a step of one fluid particle on one core of an AVX-512 machine [ns]; see docs/performance.md
 NS_PER_PARTICLE = {"single": 45.0, "double": 90.0}
 BASE_CHANNELS = 13  # velocity 3, APIC matrix 9, rest volume 1
-MASTERY = {"solid": 0, "fluid": 1}  # whose surface gives the normal where two phases touch
+MASTERY = {
+    "solid": 0,
+    "snow": 1,
+    "sand": 2,
+    "fluid": 3,
+}  # whose surface gives the normal where two phases touch
 REALS: dict[str, np.dtype] = {
     "single": np.dtype(np.float32),
     "double": np.dtype(np.float64),
@@ -34,9 +39,10 @@ class GroupPlan(NamedTuple):
     phase: int
     material: str
     law: tuple  # numbers of the law, in the precision of the run
-    density: float  # [kg/m3] at rest
+    density: float  # [kg/m3] at rest, pores included
     rest: tuple  # the law's state at rest, one number per channel
     cost: float  # work per particle relative to a fluid's
+    carries: tuple[str, ...]  # names of what the law's state holds
     share: float = 1.0  # of a particle's rest volume that the material takes up itself
     apart: bool = False  # its stress's impulses are kept apart from momentum
     pores: float = 1.0  # least share of space at the start, of fluids that flow through sand
@@ -182,7 +188,7 @@ def _phases(scene, bodies, material_of, volume) -> tuple[PhasePlan, ...]:
     names = sorted(members)
 
     def mastery(name):
-        mass = sum(volume[k] * material_of[k].density for k in members[name])
+        mass = sum(volume[k] * material_of[k].bulk_density for k in members[name])
         return MASTERY[material_of[members[name][0]].family], -mass, name
 
     order = sorted(names, key=mastery)
@@ -193,7 +199,7 @@ def _phases(scene, bodies, material_of, volume) -> tuple[PhasePlan, ...]:
             material_of[members[name][0]].family,
             tuple(members[name]),
             order.index(name),
-            min(material_of[k].density for k in members[name]) * cell,
+            min(material_of[k].bulk_density for k in members[name]) * cell,
         )
         for name in names
     )
@@ -205,7 +211,14 @@ def _group(phase: int, phase_label: str, name: str, material, real: np.dtype) ->
     assert len(rest) == state_channels(type(law))
     typed = type(law)(*(real.type(v) for v in law))
     return GroupPlan(
-        f"{phase_label}/{name}", phase, name, typed, material.density, rest, material.cost
+        name=f"{phase_label}/{name}",
+        phase=phase,
+        material=name,
+        law=typed,
+        density=material.bulk_density,
+        rest=rest,
+        cost=material.cost,
+        carries=tuple(material.carries),
     )
 
 

@@ -82,9 +82,9 @@ class Scene:
 
 def phase_of(thing: Object, family: str, mixed: frozenset[str] = frozenset()) -> str:
     """Name of the velocity field a body shares: all fluids one, but those of a material that is
-    `mixed` with another; every solid its own."""
-    shared = {"fluid": thing.material if thing.material in mixed else "fluid"}
-    return thing.phase or shared.get(family) or thing.name
+    `mixed` with another; all sand, all snow one each; every solid its own."""
+    alone = {"solid": thing.name, "fluid": thing.material if thing.material in mixed else family}
+    return thing.phase or alone.get(family, family)
 
 
 def mixed(couplings) -> frozenset[str]:

@@ -120,7 +120,7 @@ class Output(Table):
     folder: Annotated[str, Field(min_length=1)] = "out"
     """relative to the scene's folder"""
     fields: tuple[Literal["velocity", "J", "F"], ...] = ("velocity", "J", "F")
-    """besides the positions; drawings need J for fluids and F for solids"""
+    """besides the positions; drawings need F for elastic bodies and J for all others"""
     checkpoint: Annotated[float, Quantity("s", ge=0)] = 600.0
     """wall time between checkpoints; 0: none by time"""
     checkpoint_steps: Annotated[int, Field(strict=True, ge=0)] = 0

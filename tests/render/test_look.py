@@ -42,6 +42,30 @@ def test_each_family_follows_its_rule():
     np.testing.assert_allclose(s.color[water], [runs.BLUE] * runs.WATER, atol=1e-6)
 
 
+@pytest.mark.parametrize("family", ["sand", "snow"])
+def test_grains_are_drawn_as_balls_and_keep_their_opacity(family):
+    run, rows = fake(scenery=False)
+    run.objects = [dict(run.objects[0], family=family), *run.objects[1:]]
+    f = frame(rows)
+    s = Look(run).splats(f, EYE)
+    water = slice(0, runs.WATER)
+    np.testing.assert_allclose(s.cov[water], evolve.fluid(rows["vol0"][water], f["J"][water]))
+    np.testing.assert_allclose(s.opacity[water], 0.8, rtol=1e-6)
+
+
+def test_solids_without_a_deformation_gradient_follow_their_volume():
+    """As metal does: drawn from J alone, unturned, also where a frame has no F."""
+    run, rows = fake(scenery=False)
+    run.objects = [run.objects[0], dict(run.objects[1], deforms=False), *run.objects[2:]]
+    f = frame(rows)
+    del f["F"]
+    f["J"] = np.linspace(0.8, 1.2, len(f["J"]))
+    s = Look(run).splats(f, EYE)
+    bar = slice(runs.WATER, None)
+    want = np.cbrt(f["J"][bar])[:, None] ** 2 * rows["cov0"][bar]
+    np.testing.assert_allclose(s.cov[bar], want, rtol=1e-6)
+
+
 def test_scenery_is_drawn_unmoved_in_every_frame():
     run, rows = fake()
     ground = run.gaussians.scenery

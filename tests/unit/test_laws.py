@@ -2,6 +2,8 @@
 
 The stress is the derivative of the energy, rotating a body changes nothing, at rest nothing
 happens, the wave speed bounds the stiffness, and the compiled text does what the plain one does.
+Of laws that yield F is the elastic part, the history is as at rest, and moves stay elastic where
+that is said; what they do beyond is in test_sand.py, test_snow.py, test_metal.py.
 """
 
 import inspect
@@ -25,6 +27,9 @@ SAMPLES = {  # a table of each kind, other than the defaults
         {"density": 500.0, "youngs_modulus": 1e4, "poisson_ratio": 0.0},
         {"youngs_modulus": 1e6, "poisson_ratio": 0.45},
     ],
+    "sand": [{"porosity": 0.3, "youngs_modulus": 3e5}, {"cohesion": 500.0, "poisson_ratio": 0.2}],
+    "snow": [{}, {"density": 100.0, "poisson_ratio": 0.0, "hardening": 5.0}],
+    "metal": [{"youngs_modulus": 2e6, "yield_stress": 5e4, "hardening": 1e5}],
 }
 CASES = [(kind, k) for kind in registry for k in range(len(SAMPLES.get(kind, [{}])))]
 ZERO = (0.0,) * 9
@@ -38,8 +43,15 @@ def material(request):
 
 
 def state_of(material, F):
-    """The state a body of this material carries when its deformation gradient is F (3, 3)."""
-    known = {"theta": lambda: (np.log(np.linalg.det(F)),), "H": lambda: tuple((F - np.eye(3)).flat)}
+    """The state a body of this material carries when its (elastic) deformation gradient is F (3,
+    3).
+    """
+    known = {
+        "theta": lambda: (np.log(np.linalg.det(F)),),
+        "H": lambda: tuple((F - np.eye(3)).flat),
+        "B": lambda: tuple((F @ F.T - np.eye(3))[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]),
+    }
+    known |= {name: lambda: (0.0,) for name in ("v_c", "ln_Jp", "plastic_strain")}
     assert set(material.carries) <= set(known), "say what this state is for a given F"
     return tuple(v for name in material.carries for v in known[name]())
 
@@ -71,7 +83,7 @@ def energy(material, F):
 def stiffness(material):
     """A scale of stress [Pa]."""
     law = material.law()
-    return float(material.wave_speed2(law, state_of(material, np.eye(3)))) * material.density
+    return float(material.wave_speed2(law, state_of(material, np.eye(3)))) * material.bulk_density
 
 
 def test_stress_is_the_derivative_of_energy(material):
@@ -120,6 +132,8 @@ def test_moving_by_a_gradient(material):
     """Many small steps of a constant L lead where exp(t L) does, to the first order of a step."""
     random = np.random.default_rng(3)
     L, law = random.normal(size=(3, 3)), material.law()
+    if "B" in material.carries:  # pressed and sheared a little: nothing yields
+        L = 2e-3 * (0.2 * L - np.eye(3))
     values, vectors = np.linalg.eig(0.2 * L)
     F = (vectors @ np.diag(np.exp(values)) @ np.linalg.inv(vectors)).real
     errors = []
@@ -129,7 +143,7 @@ def test_moving_by_a_gradient(material):
             state = material.advance(law, state, tuple(L.flat), 0.2 / n)
         errors.append(np.abs(np.subtract(state, state_of(material, F))).max())
     assert errors[1] < 0.55 * errors[0] or errors[1] < 1e-12
-    assert errors[1] < 2e-3
+    assert errors[1] < 2e-3 * np.abs(L).max()
 
 
 def test_the_wave_speed_is_a_bound(material):
@@ -141,7 +155,7 @@ def test_the_wave_speed_is_a_bound(material):
     for F in [np.eye(3), *deformations(60, 0.4)]:
         if np.linalg.det(F) < 0.2:
             continue
-        bound = float(material.wave_speed2(law, state_of(material, F))) * material.density
+        bound = float(material.wave_speed2(law, state_of(material, F))) * material.bulk_density
         for _ in range(20):
             m, n = random.normal(size=(2, 3))
             m, n = m / np.linalg.norm(m), n / np.linalg.norm(n)
@@ -168,22 +182,24 @@ def test_viscosity_only_brakes(material):
         nu = material.kinematic_viscosity
         D = 0.5 * (L + L.T)
         D -= np.trace(D) / 3 * np.eye(3)
-        want = 2 * nu * material.density * np.linalg.det(F) * D
+        want = 2 * nu * material.bulk_density * np.linalg.det(F) * D
         assert np.allclose(drag, want, rtol=1e-9, atol=1e-12 * stiffness(material))
 
 
 def test_small_steps_are_not_lost_in_single_precision(material):
-    """10,000 steps that each stretch by 1e-9 add up: 1 + 1e-9 is 1 in single precision."""
-    one = np.float32
+    """10,000 steps that each stretch (sand: press) by 1e-9 add up: 1 + 1e-9 is 1 in single
+    precision.
+    """
+    one, sign = np.float32, -1 if material.family == "sand" else 1
     law = type(material.law())(*(one(c) for c in material.law()))
     state = tuple(one(c) for c in state_of(material, np.eye(3)))
-    L = tuple(one(c) for c in (1, 0, 0, 0, 1, 0, 0, 0, 1))
+    L = tuple(one(c) for c in (sign, 0, 0, 0, sign, 0, 0, 0, sign))
     for _ in range(10_000):
         state = material.advance(law, state, L, one(1e-9))
     assert all(type(c) is one for c in state)
-    exact = state_of(material, np.exp(1e-5) * np.eye(3))
+    exact = state_of(material, np.exp(sign * 1e-5) * np.eye(3))
     assert np.abs(np.subtract(state, exact)).max() < 1e-2 * 3e-5
-    tau = stress(material, np.exp(1e-5) * np.eye(3))
+    tau = stress(material, np.exp(sign * 1e-5) * np.eye(3))
     single = full(material.stress(law, state, tuple(one(0) for _ in range(9))))
     assert np.abs(single - tau).max() < 2e-2 * np.abs(tau).max()
 
@@ -218,8 +234,9 @@ def test_compiled_law_is_the_plain_one(material, real):
         got = compiled(law, state, L, real(1e-3))
         for name, value in zip(FUNCTIONS, got, strict=True):
             want = getattr(material, name)(law, state, *CALLS[name](L, real(1e-3)))
-            # stresses and energies are differences of larger terms
+            # stresses and energies are differences of larger terms, and so is what yielded
             scale = np.abs(want).max() + stiffness(material) * (name in ("stress", "energy"))
+            scale += np.abs(state).max() * (name == "advance")
             assert np.abs(np.subtract(value, want)).max() <= 8 * np.finfo(real).eps * scale, name
 
 

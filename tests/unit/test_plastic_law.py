@@ -1,4 +1,4 @@
-"""A law with a yield surface, written as the others are, on every engine (tests/grains.py)."""
+"""Laws with a yield surface are written as the others are: the same on every engine."""
 
 import time
 
@@ -6,53 +6,22 @@ import numpy as np
 import pytest
 from numba import njit
 
-from tests import grains
-from tests.grains import Grains
+from tests.plastic import REALS, law_of, plain, step
 from vgmpi.kernels import lanes, laws
 from vgmpi.kernels.laws import lane_state, store_state
-from vgmpi.materials.base import material, registry
+from vgmpi.materials import registry
 
-REALS = (np.float32, np.float64)
 N = 960
+TABLES = {  # that yield within the strains of the states here
+    "sand": {"youngs_modulus": 1e6, "friction_angle": "27 deg"},
+    "snow": {},
+    "metal": {"youngs_modulus": 1e6, "yield_stress": 1e3, "hardening": 1e5},
+}
 
 
-@pytest.fixture(autouse=True)
-def known():
-    """Grains are a material while a test of this file runs."""
-    material(Grains)
-    laws.make_callable(grains)
-    yield
-    del registry["grains"]
-
-
-@njit(error_model="numpy")
-def step(law, f, out, dt):
-    """The state (7, n) after dt at L, both from f (16, n), its stress, J, c^2 and energy to out
-    (16, n), on lanes.
-    """
-    cap = f.shape[1]
-    flat, flat_out = f.reshape(f.size), out.reshape(out.size)
-    for p in range(0, cap, lanes.COUNT):
-        q = p + 7 * cap
-        c0, c1, c2 = lanes.load(flat, q), lanes.load(flat, q + cap), lanes.load(flat, q + 2 * cap)
-        q += 3 * cap
-        c3, c4, c5 = lanes.load(flat, q), lanes.load(flat, q + cap), lanes.load(flat, q + 2 * cap)
-        q += 3 * cap
-        c6, c7, c8 = lanes.load(flat, q), lanes.load(flat, q + cap), lanes.load(flat, q + 2 * cap)
-        L = (c0, c1, c2, c3, c4, c5, c6, c7, c8)
-        state = laws.advance(law, lane_state(law, flat, p, cap), L, dt)
-        store_state(flat_out, p, cap, state)
-        store_state(flat_out, p + 7 * cap, cap, laws.stress(law, state, L))
-        lanes.store(flat_out, p + 13 * cap, laws.volume_ratio(law, state))
-        lanes.store(flat_out, p + 14 * cap, laws.wave_speed2(law, state))
-        lanes.store(flat_out, p + 15 * cap, laws.energy(law, state))
-
-
-def plain(law, f, dt):
-    """The same in Python, of arrays or of numbers."""
-    state = Grains.advance(law, tuple(f[:7]), tuple(f[7:]), dt)
-    rest = (Grains.volume_ratio, Grains.wave_speed2, Grains.energy)
-    return state + Grains.stress(law, state, tuple(f[7:])) + tuple(g(law, state) for g in rest)
+@pytest.fixture(params=TABLES)
+def table(request):
+    return registry[request.param](kind=request.param, **TABLES[request.param])
 
 
 @njit(error_model="numpy")
@@ -84,25 +53,25 @@ def states(seed=1):
     return np.array([*rows, v_c, *L])
 
 
-def law_of(real):
-    law = Grains().law()
-    return type(law)(*(real(v) for v in law))
-
-
-def scales(f):
+def scales(table, f):
     """Size of each output (16, N): of strains, stresses, J, c^2 and energies."""
-    law, strain = Grains().law(), np.abs(f[:7]).max(0) + np.abs(f[7:]).max(0)
-    stiff = 2 * law.mu + 3 * law.lam
+    law, strain = table.law(), np.abs(f[:7]).max(0) + np.abs(f[7:]).max(0)
+    # a hardening law multiplies also what is lost of its history
+    stiff = (2 * law.mu + 3 * law.lam) * factor(table)
     one = np.ones_like(strain)
     c2 = stiff / law.density * one
     return np.array([strain] * 7 + [stiff * strain] * 6 + [one, c2, stiff * strain**2])
 
 
+def factor(table):
+    return getattr(table, "hardening_limit", 1.0)
+
+
 @pytest.mark.parametrize("real", REALS)
-def test_all_engines_agree_to_rounding(real):
-    f, law, dt = states().astype(real), law_of(real), real(0.3)
-    want = np.array(plain(Grains().law(), f.astype(np.float64), float(dt)))
-    allowed = 30 * np.finfo(real).eps * scales(f.astype(np.float64))
+def test_all_engines_agree_to_rounding(table, real):
+    f, law, dt = states().astype(real), law_of(table, real), real(0.3)
+    want = np.array(plain(table.law(), f.astype(np.float64), float(dt)))
+    allowed = 30 * np.finfo(real).eps * scales(table, f.astype(np.float64))
     on_lanes = np.full_like(f, np.nan)
     step(law, f, on_lanes, dt)
     arrays = np.array(plain(law, f, dt))
@@ -117,62 +86,6 @@ def test_all_engines_agree_to_rounding(real):
         worst = (np.abs(got - right) / limit).max()
         print(f"{name} {real.__name__}: {30 * worst:.1f} eps")
         assert worst <= 1, name
-
-
-def logarithm(b):
-    """ln b / 2 and its eigenvectors by numpy; b (n, 3, 3)."""
-    d, q = np.linalg.eigh(b)
-    return 0.5 * np.log(d), q
-
-
-def square(rows):
-    """Six rows (6, n) -> (n, 3, 3)."""
-    return rows[[0, 3, 4, 3, 1, 5, 4, 5, 2]].T.reshape(-1, 3, 3)
-
-
-def test_it_is_the_return_mapping_of_drucker_and_prager():
-    """Written anew with numpy's matrices, case by case, as in Klar 2016, section 6.3."""
-    f, table = states(), Grains()
-    f = f[:, np.abs(f[:6]).max(0) > 1e-4]  # numpy takes the logarithm of b itself
-    law, dt, unity = table.law(), 0.3, np.eye(3)
-    move = unity + dt * f[7:].T.reshape(-1, 3, 3)
-    e, q = logarithm(move @ (square(f[:6]) + unity) @ move.transpose(0, 2, 1))
-    opened = f[6] + e.sum(1)
-    shifted = e + f[6][:, None] / 3
-    seen = {"open": 0, "yields": 0, "elastic": 0}
-    for n, s in enumerate(shifted):
-        trace = s.sum()
-        deviator = s - trace / 3
-        size = np.sqrt((deviator**2).sum())
-        excess = size + (3 * law.lam + 2 * law.mu) / (2 * law.mu) * trace * law.slope
-        if trace >= 0:
-            shifted[n], case = 0.0, "open"
-        elif excess > 0:
-            shifted[n], case = s - excess * deviator / size, "yields"
-        else:
-            case = "elastic"
-        seen[case] += 1
-    assert min(seen.values()) > 20, seen
-    got = np.array(plain(law, f, dt))
-    b = np.einsum("nij,nj,nkj->nik", q, np.exp(2 * shifted), q)
-    tau = 2 * law.mu * shifted + law.lam * shifted.sum(1, keepdims=True)
-    tau = np.einsum("nij,nj,nkj->nik", q, tau, q)
-    assert np.abs(square(got[:6]) + unity - b).max() < 1e-13
-    assert np.abs(got[6] - (opened - shifted.sum(1))).max() < 1e-13
-    assert np.abs(square(got[7:13]) - tau).max() < 1e-12 * law.lam
-    assert np.allclose(got[13], np.exp(opened), rtol=1e-13)
-
-
-def test_small_strains_are_not_lost_in_single_precision():
-    """10,000 steps of pressing by 1e-9 each: 1 - 1e-9 is 1 in single precision."""
-    law, one = law_of(np.float32), np.float32
-    state = tuple(one(0) for _ in range(7))
-    L = tuple(one(v) for v in (-1, 0, 0, 0, -1, 0, 0, 0, -1))
-    for _ in range(10_000):
-        state = Grains.advance(law, state, L, one(1e-9))
-    assert {type(v) for v in state} == {one}
-    assert np.allclose(state[:3], np.expm1(-2e-5), rtol=1e-2)
-    assert np.abs(state[3:]).max() < 1e-8
 
 
 @njit(error_model="numpy")
@@ -195,9 +108,9 @@ NINE = (0.1, -0.2, 0.3, 0.1, -0.4, 0.2, 0.1, 0.3, -0.1)
 
 
 @pytest.mark.parametrize("real", REALS)
-def test_its_price(real):
+def test_its_price(table, real):
     """Printed; a law that left the vector registers would cost ten times as much."""
-    f, law = states().astype(real), law_of(real)
+    f, law = states().astype(real), law_of(table, real)
     out = np.empty_like(f)
     for part in (advance, stress, step):
         best = np.inf
@@ -206,5 +119,5 @@ def test_its_price(real):
             part(law, f, out, real(0.01))
             best = min(best, time.perf_counter() - begin)
         name = "all five functions" if part is step else part.__name__
-        print(f"{name}, {real.__name__}: {best / N * 1e9:.1f} ns per particle")
+        print(f"{table.kind}, {name}, {real.__name__}: {best / N * 1e9:.1f} ns per particle")
         assert best / N < 1e-6

@@ -255,7 +255,7 @@ def _check(case: Case, live: list, folder: Path) -> None:
     momentum with what they must be.
     """
     steps = 30 if case.particles <= 200_000 else 8  # the rivals are slow; 20 hold a sort of ours
-    mass = case.material.density * DX**3 / 8 * case.particles
+    mass = case.material.bulk_density * DX**3 / 8 * case.particles
     with np.load(folder / "dense.npz") as start:
         begun = start["v"].mean(0)
     falling = begun + np.array([0.0, 0.0, case.numbers()["gravity"] * steps * case.dt])

@@ -21,7 +21,10 @@ from vgmpi.scene import Scene, load
 from vgmpi.solver.run import digest
 
 # the least a material needs to be valid, where its defaults are not enough
-KEYS: dict[str, dict] = {"elastic": {"youngs_modulus": 1e6}}
+KEYS: dict[str, dict] = {
+    "elastic": {"youngs_modulus": 1e6},
+    "metal": {"youngs_modulus": 1e6, "yield_stress": 1e4},
+}
 
 DX = 0.01  # [m]
 PER_STEP = 0.05  # cells the fastest particle moves per step, along one axis
@@ -108,7 +111,7 @@ shape = {{ box = [[{low:.6g}, {low:.6g}, {low:.6g}], [{high:.6g}, {high:.6g}, {h
         return {
             "law": self.law,
             "constants": {k: float(v) for k, v in self.material.law()._asdict().items()},
-            "density": self.material.density,
+            "density": self.material.bulk_density,
             "volume": DX**3 / 8,
             "dx": DX,
             "dt": self.dt,

@@ -1,7 +1,8 @@
 """Contact: phases that touch do not pass through each other; friction may act between them.
 
 Every pair of phases is in contact unless another coupling says otherwise. A fluid slips along
-everything; between two solids the larger of their materials' friction coefficients acts.
+everything; between two others (sand, snow, solids) the larger of their materials' friction
+coefficients acts.
 """
 
 from typing import Annotated, ClassVar, Literal

@@ -1,9 +1,10 @@
 """How the shape and the colour of a Gaussian follow the particle that carries it.
 
 Solids deform with the total deformation gradient F, always from the shape at rest: cov = F cov0
-F^T, and their view-dependent colour turns with the rotation in F. Fluids forget their shape: a
-fluid Gaussian is a ball of its particle's volume, cov = J^(2/3) r^2 I with r = (3 vol0 / 4
-pi)^(1/3). The clamps here are for drawing only.
+F^T, and their view-dependent colour turns with the rotation in F; those whose law carries no F keep
+their shape and swell with J. Fluids, sand and snow forget their shape: such a Gaussian is a ball of
+its particle's volume, cov = J^(2/3) r^2 I with r = (3 vol0 / 4 pi)^(1/3). The clamps here are for
+drawing only.
 """
 
 import numpy as np
@@ -30,6 +31,12 @@ def fluid(vol0: np.ndarray, J: np.ndarray) -> np.ndarray:
     out = np.zeros((len(vol0), 6))
     out[:, (0, 3, 5)] = fluid_variance(vol0, J)[:, None]
     return out
+
+
+def swollen(J: np.ndarray) -> np.ndarray:
+    """F of a body that only changed its volume, cbrt(J) I (n, 9), J (n,) clamped to J_RANGE."""
+    J = np.clip(np.asarray(J, dtype=np.float64), *J_RANGE)
+    return np.cbrt(J)[:, None] * np.eye(3).ravel()
 
 
 def solid(cov0: np.ndarray, F: np.ndarray) -> np.ndarray:

@@ -6,22 +6,42 @@ the law, the particle's state (a tuple of scalars) and return scalars or tuples.
 and numpy ufuncs only, so that the same text runs on numpy arrays (the tests' reference) and,
 compiled, on the particles of the solver. No function of a law branches in Python on a particle's
 value: it selects with minimum, maximum and device/select.py. device/tensor.py and device/eigen.py
-have products, rotations and eigenvalues of 3x3 tensors.
+have products, rotations and eigenvalues of 3x3 tensors, device/hencky.py what laws that yield
+share.
 
     advance(law, state, L, dt) -> state     L = grad v [1/s], nine numbers, row by row; dt [s]
     stress(law, state, L) -> (t00, t11, t22, t01, t02, t12)     Kirchhoff stress [Pa]
-    volume_ratio(law, state) -> J
+    volume_ratio(law, state) -> J; of a law that yields the elastic part of it
     wave_speed2(law, state) -> c^2 [m2/s2], a bound on the fastest wave in the present state
     energy(law, state) -> psi [J per m3 of rest volume]
 """
 
-from typing import Literal, get_args
+from typing import ClassVar, Literal, get_args
+
+from ..tables import Table
 
 registry: dict[str, type] = {}
 
 FUNCTIONS = ("advance", "stress", "volume_ratio", "wave_speed2", "energy")
 
-Family = Literal["fluid", "solid"]
+# who shares a velocity field: all fluids one, all sand one, all snow one, a solid body its own
+Family = Literal["fluid", "sand", "snow", "solid"]
+
+
+class Material(Table):
+    """What every material can say; a law overrides what is different for it."""
+
+    kinematic_viscosity: ClassVar[float] = 0.0  # [m2/s]: bounds the time step by diffusion
+
+    @property
+    def bulk_density(self) -> float:
+        """Mass per volume at rest, pores included [kg/m3]: what a particle weighs."""
+        return self.density  # type: ignore[attr-defined]
+
+    @property
+    def solid_share(self) -> float:
+        """Volume of the matter itself per volume at rest; less than 1 where there are pores."""
+        return 1.0
 
 
 def material(cls: type) -> type:

@@ -5,8 +5,8 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 import numpy as np
 
 from ..device.tensor import det_minus_one, left_cauchy_green_minus_one
-from ..tables import Quantity, Table
-from .base import Family, material
+from ..tables import Quantity
+from .base import Family, Material, material
 
 
 class Law(NamedTuple):
@@ -16,7 +16,7 @@ class Law(NamedTuple):
 
 
 @material
-class Elastic(Table):
+class Elastic(Material):
     """Rubber-like solid: tau = mu (b - I) + lam ln J I."""
 
     kind: Literal["elastic"]
@@ -34,8 +34,6 @@ class Elastic(Table):
     family: ClassVar[Family] = "solid"
     # F - I, not F: in single precision an increment below 1e-8 added to 1 would be lost
     carries: ClassVar = {"H": (0.0,) * 9}
-
-    kinematic_viscosity: ClassVar = 0.0
 
     def law(self) -> Law:
         E, nu = self.youngs_modulus, self.poisson_ratio

@@ -4,8 +4,8 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from ..tables import Quantity, Table
-from .base import Family, material
+from ..tables import Quantity
+from .base import Family, Material, material
 
 
 class Law(NamedTuple):
@@ -16,7 +16,7 @@ class Law(NamedTuple):
 
 
 @material
-class Fluid(Table):
+class Fluid(Material):
     """Water-like liquid: p = k (J^-gamma - 1), Newtonian viscosity."""
 
     kind: Literal["fluid"]

@@ -54,8 +54,10 @@ FRAME = [
     Dataset("id", "(n,)", "i8", "1", "particle number, ascending; its row in gaussians.h5"),
     Dataset("x", "(n, 3)", "f4", "m", "position in the domain; stored as /VTKHDF/Points"),
     Dataset("velocity", "(n, 3)", "f4", "m/s", "velocity"),
-    Dataset("J", "(n,)", "f4", "1", "volume now / volume at rest"),
-    Dataset("F", "(n, 9)", "f4", "1", "deformation gradient, row by row; identity for fluids"),
+    Dataset(
+        "J", "(n,)", "f4", "1", "volume now / volume at rest; its elastic part if a law yields"
+    ),
+    Dataset("F", "(n, 9)", "f4", "1", "deformation gradient, row by row; cbrt(J) I without one"),
     Dataset("object", "(n,)", "i4", "1", "number of the object in the list `objects`"),
     Dataset("phase", "(n,)", "i4", "1", "number of the velocity field it moves with"),
 ]
@@ -108,9 +110,10 @@ GAUSSIAN_TEXTS = [
         "()",
         "text",
         "",
-        "JSON, an entry per object of the scene: name, role, material, kind, family, phase, "
-        "density [kg/m3], first and count (its rows), opacity_scale, alpha_min, color, collider, "
-        "and transform (4 x 4, source coordinates -> domain coordinates [m])",
+        "JSON, an entry per object of the scene: name, role, material, kind, family, "
+        "deforms (whether its law carries F), phase, "
+        "density [kg/m3] with its pores, first and count (its rows), opacity_scale, alpha_min, "
+        "color, collider, and transform (4 x 4, source coordinates -> domain coordinates [m])",
     ),
     Dataset("scene", "()", "text", "", "JSON, the scene with every default filled in, SI"),
 ]
@@ -137,7 +140,8 @@ CHECKPOINT = [
         "(n, *)",
         "f4|f8",
         "1",
-        "the law's state: theta = ln J of fluids, F - I of solids",
+        "the law's state: theta = ln J of fluids, F - I of elastic solids; b_e - I (00, 11, 22, "
+        "01, 02, 12) and a history of laws that yield",
     ),
 ]
 CHECKPOINT_TEXTS = [
@@ -166,8 +170,8 @@ LEDGER_COLUMNS = [
     Dataset("kinetic", "", "f8", "J", "kinetic energy"),
     Dataset("elastic", "", "f8", "J", "elastic energy"),
     Dataset("potential", "", "f8", "J", "energy of height in gravity"),
-    Dataset("J_min", "", "f8", "1", "smallest volume ratio"),
-    Dataset("J_max", "", "f8", "1", "largest volume ratio"),
+    Dataset("J_min", "", "f8", "1", "smallest volume ratio, as in the frames"),
+    Dataset("J_max", "", "f8", "1", "largest volume ratio, as in the frames"),
 ]
 
 # ---- the page ---------------------------------------------------------------------------------

@@ -19,11 +19,11 @@ PIECES = {
 def frame_rows(simulation: Simulation, names: tuple[str, ...]) -> tuple[np.ndarray, dict]:
     """Ids (n_local,) and the fields of a frame, rows in any order.
 
-    names: of velocity, J, F; x, object and phase are always there. F only where a solid is in the
-    scene.
+    names: of velocity, J, F; x, object and phase are always there. F only where a law in the
+    scene carries it.
     """
     ids, found = [], []
-    solids = any(phase.family == "solid" for phase in simulation.plan.phases)
+    deforms = any("H" in group.carries for group in simulation.plan.groups)
     for group in simulation.groups:
         at = group.index()
         state = tuple(group.f[STATE:, at])
@@ -37,17 +37,16 @@ def frame_rows(simulation: Simulation, names: tuple[str, ...]) -> tuple[np.ndarr
             row["velocity"] = group.f[0:3, at].T.astype(np.float32)
         if "J" in names:
             row["J"] = J
-        if "F" in names and solids:
-            row["F"] = _gradient(simulation, group, state, J)
+        if "F" in names and deforms:
+            row["F"] = _gradient(group, state, J)
         ids.append(group.ids[at])
         found.append(row)
     return np.concatenate(ids), {k: np.concatenate([row[k] for row in found]) for k in found[0]}
 
 
-def _gradient(simulation, group, state, J) -> np.ndarray:
-    """F, row by row, (n, 9): a fluid's is the isotropic one of its volume."""
-    family = simulation.plan.phases[group.plan.phase].family
-    if family == "fluid":
+def _gradient(group, state, J) -> np.ndarray:
+    """F, row by row, (n, 9): of a law that does not carry it the isotropic one of its volume."""
+    if "H" not in group.plan.carries:
         return (np.cbrt(J)[:, None] * np.eye(3).ravel()).astype(np.float32)
     return (np.stack(state, 1) + np.eye(3).ravel()).astype(np.float32)
 

@@ -1,0 +1,109 @@
+"""Metal: Hencky's elasticity with the yield surface of von Mises and linear hardening, carried as
+b_e - I and the accumulated plastic strain.
+
+Radial return in principal logarithmic strains (Simo and Hughes, Computational Inelasticity, 1998,
+boxes 3.1 and 9.1): it keeps the volume, and is exact however large the step.
+"""
+
+import math
+from typing import Annotated, ClassVar, Literal, NamedTuple
+
+import numpy as np
+
+from ..device import hencky
+from ..device.eigen import eigen
+from ..tables import Quantity
+from .base import Family, Material, material
+
+
+class Law(NamedTuple):
+    mu: float  # shear modulus [Pa]
+    lam: float  # Lame's first parameter [Pa]
+    strain: float  # size of the strains' deviator at which it first yields [-]
+    slope: float  # its growth per accumulated plastic strain [-]
+    density: float  # at rest [kg/m3]
+
+
+@material
+class Metal(Material):
+    """Metal that flows beyond its yield stress: von Mises with linear hardening."""
+
+    kind: Literal["metal"]
+    density: Annotated[float, Quantity("kg/m3", gt=0)] = 7850.0
+    """at rest"""
+    youngs_modulus: Annotated[float, Quantity("Pa", gt=0)]
+    """stiffness in tension; the time step shrinks with its root"""
+    poisson_ratio: Annotated[float, Quantity("", ge=0, lt=0.5)] = 0.3
+    """0.5 would be incompressible"""
+    yield_stress: Annotated[float, Quantity("Pa", gt=0)]
+    """in tension, the first time"""
+    hardening: Annotated[float, Quantity("Pa", ge=0)] = 0.0
+    """growth of the yield stress per plastic strain in tension"""
+    friction: Annotated[float, Quantity("", ge=0)] = 0.3
+    """Coulomb coefficient at contacts, where no coupling names one"""
+
+    Law: ClassVar = Law
+    cost: ClassVar = 2.5
+    family: ClassVar[Family] = "solid"
+    carries: ClassVar = {"B": (0.0,) * 6, "plastic_strain": (0.0,)}
+    # densities, elastic constants and yield stresses of annealed metal: Ashby and Jones,
+    # Engineering Materials 1; hardening: roughly the line from there to the true tensile strength
+    presets: ClassVar[dict[str, dict]] = {
+        "steel": {
+            "density": 7850.0,
+            "youngs_modulus": 2.1e11,
+            "poisson_ratio": 0.29,
+            "yield_stress": 2.2e8,
+            "hardening": 1.5e9,
+        },
+        "copper": {
+            "density": 8930.0,
+            "youngs_modulus": 1.3e11,
+            "poisson_ratio": 0.34,
+            "yield_stress": 6e7,
+            "hardening": 7e8,
+        },
+        "lead": {
+            "density": 11340.0,
+            "youngs_modulus": 1.6e10,
+            "poisson_ratio": 0.44,
+            "yield_stress": 1.1e7,
+            "hardening": 2.4e7,
+        },
+    }
+
+    def law(self) -> Law:
+        E, nu = self.youngs_modulus, self.poisson_ratio
+        mu, lam = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
+        # uniaxial stress Y has a deviator of size sqrt(2/3) Y = 2 mu |s|
+        share = math.sqrt(2 / 3) / (2 * mu)
+        return Law(mu, lam, share * self.yield_stress, share * self.hardening, self.density)
+
+    @staticmethod
+    def advance(law, state, L, dt):
+        b, hardness = hencky.moved(state[:6], L, dt), state[6]
+        d, q = eigen(b)
+        _, s, size = hencky.deviator(hencky.strains(d))
+        root = 0.816496580927726  # sqrt(2/3): plastic strain in tension per size of its deviator
+        over = np.maximum(size - (law.strain + law.slope * hardness), 0.0)
+        flow = over / (1.0 + root * law.slope)
+        lost = -flow / np.maximum(size, 1e-30)
+        c = (lost * s[0], lost * s[1], lost * s[2])
+        b00, b11, b22, b01, b02, b12 = hencky.yielded(b, d, q, c)
+        return (b00, b11, b22, b01, b02, b12, hardness + root * flow)
+
+    @staticmethod
+    def stress(law, state, L):
+        return hencky.stress(law.mu, law.lam, state[:6])
+
+    @staticmethod
+    def volume_ratio(law, state):
+        return hencky.volume_ratio(state[:6])
+
+    @staticmethod
+    def wave_speed2(law, state):
+        return hencky.stiffest(law.mu, law.lam, state[:6]) / law.density
+
+    @staticmethod
+    def energy(law, state):
+        return hencky.energy(law.mu, law.lam, state[:6])

@@ -1,0 +1,122 @@
+"""Sand: Hencky's elasticity inside the cone of Drucker and Prager, carried as b_e - I and v_c.
+
+Return mapping of Klar et al. 2016 (Drucker-Prager Elastoplasticity for Sand Animation): on the cone
+the volume is kept (no dilatancy), beyond its tip the sand is open and carries nothing. What opens
+is counted in v_c, the logarithm of the opened volume, and must close again before stress returns
+(Tampubolon et al. 2017, Multi-species Simulation of Porous Sand and Water Mixtures). Cohesion moves
+the tip into tension.
+"""
+
+import math
+from typing import Annotated, ClassVar, Literal, NamedTuple
+
+import numpy as np
+
+from ..device import hencky
+from ..device.eigen import eigen
+from ..device.select import select
+from ..tables import Quantity
+from .base import Family, Material, material
+
+
+class Law(NamedTuple):
+    mu: float  # shear modulus [Pa]
+    lam: float  # Lame's first parameter [Pa]
+    slope: float  # size of the strains' deviator on the cone per mean strain below the tip [-]
+    tip: float  # mean logarithmic strain at the tip of the cone [-]
+    density: float  # of the bulk at rest [kg/m3]
+
+
+@material
+class Sand(Material):
+    """Grains that yield by friction: Drucker-Prager with volume correction."""
+
+    kind: Literal["sand"]
+    density: Annotated[float, Quantity("kg/m3", gt=0)] = 2650.0
+    """of the grains; the bulk weighs (1 - porosity) of it"""
+    porosity: Annotated[float, Quantity("1", ge=0, lt=1)] = 0.4
+    """share of the volume at rest that is between the grains"""
+    youngs_modulus: Annotated[float, Quantity("Pa", gt=0)] = 1e6
+    """stiffness of the bulk; loose sand has 1e7, a softer one takes larger steps"""
+    poisson_ratio: Annotated[float, Quantity("", ge=0, lt=0.5)] = 0.3
+    """of the bulk"""
+    friction_angle: Annotated[float, Quantity("rad", gt=0, lt=1.5707)] = math.radians(32)
+    """angle of internal friction; also of the steepest slope of dry sand"""
+    match: Literal["triaxial", "plane-strain"] = "triaxial"
+    """test in which the cone meets Mohr-Coulomb: along one axis, or with one axis kept as it is"""
+    cohesion: Annotated[float, Quantity("Pa", ge=0)] = 0.0
+    """shear strength without pressure, as of moist sand; tension up to cohesion / tan(angle)"""
+    friction: Annotated[float, Quantity("", ge=0)] = 0.5
+    """Coulomb coefficient at contacts, where no coupling names one"""
+
+    Law: ClassVar = Law
+    cost: ClassVar = 2.5
+    family: ClassVar[Family] = "sand"
+    carries: ClassVar = {"B": (0.0,) * 6, "v_c": (0.0,)}
+    # grains of quartz; angles and stiffness of loose and dense sand: Bowles, Foundation Analysis
+    # and Design, 5th ed. 1996; cohesion of moist sand, some 1 kPa: Richefeu, El
+    # Youssoufi and Radjai, Phys. Rev. E 73 (2006) 051304
+    presets: ClassVar[dict[str, dict]] = {
+        "dry sand": {"porosity": 0.42, "youngs_modulus": 1e7, "friction_angle": math.radians(32)},
+        "dense sand": {"porosity": 0.34, "youngs_modulus": 5e7, "friction_angle": math.radians(40)},
+        "wet sand": {
+            "porosity": 0.42,
+            "youngs_modulus": 1e7,
+            "friction_angle": math.radians(33),
+            "cohesion": 1000.0,
+        },
+    }
+
+    @property
+    def bulk_density(self) -> float:
+        return (1.0 - self.porosity) * self.density
+
+    @property
+    def solid_share(self) -> float:
+        return 1.0 - self.porosity
+
+    def law(self) -> Law:
+        E, nu = self.youngs_modulus, self.poisson_ratio
+        mu, lam = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
+        sine = math.sin(self.friction_angle)
+        # |dev tau| = 3 alpha p of Klar, p the mean pressure: alpha such that principal stresses
+        # meet Mohr-Coulomb's ratio (1 + sin) / (1 - sin)
+        alpha = math.sqrt(2 / 3) * 2 * sine / (3 - sine)
+        if self.match == "plane-strain":
+            alpha = math.sqrt(2) * sine / 3
+        bulk = 3 * lam + 2 * mu  # three times the bulk modulus: mean stress per mean strain
+        tip = self.cohesion / math.tan(self.friction_angle) / bulk
+        return Law(mu, lam, 3 * alpha * bulk / (2 * mu), tip, self.bulk_density)
+
+    @staticmethod
+    def advance(law, state, L, dt):
+        b, v_c = hencky.moved(state[:6], L, dt), state[6]
+        d, q = eigen(b)
+        mean, s, size = hencky.deviator(hencky.strains(d))
+        # volume that opened closes first: above the tip as long as the sum is
+        shift = v_c * (1.0 / 3.0)
+        over = mean + shift - law.tip
+        opens = over >= 0.0
+        reach = -law.slope * over
+        lost = select(size > reach, reach / np.maximum(size, 1e-30) - 1.0, 0.0)
+        lost = select(opens, -1.0, lost)
+        shift = select(opens, law.tip - mean, shift)
+        c = (shift + lost * s[0], shift + lost * s[1], shift + lost * s[2])
+        b00, b11, b22, b01, b02, b12 = hencky.yielded(b, d, q, c)
+        return (b00, b11, b22, b01, b02, b12, 3.0 * np.maximum(over, 0.0))
+
+    @staticmethod
+    def stress(law, state, L):
+        return hencky.stress(law.mu, law.lam, state[:6])
+
+    @staticmethod
+    def volume_ratio(law, state):
+        return hencky.volume_ratio(state[:6])
+
+    @staticmethod
+    def wave_speed2(law, state):
+        return hencky.stiffest(law.mu, law.lam, state[:6]) / law.density
+
+    @staticmethod
+    def energy(law, state):
+        return hencky.energy(law.mu, law.lam, state[:6])
