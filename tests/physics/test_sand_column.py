@@ -1,10 +1,10 @@
 """A column of dry sand collapses in a channel: how far it runs out.
 
-Published: Lube, Huppert, Sparks, Freundt, Collapses of two-dimensional granular columns (2005, Phys.
-Rev. E 72, 041301): a column of length L against a wall, a = height / length, runs out by dL = 1.2 a
-L for a < 2.3 (and 1.9 a^(2/3) L above), whatever the grains and the floor. The channel is a slab 4
-cells wide between slipping walls, the floor holds. (Columns of round cross-section follow another
-law: Lube et al. 2004.) Tolerance: 30 %.
+Published: Lube, Huppert, Sparks, Freundt, Collapses of two-dimensional granular columns (2005,
+Phys. Rev. E 72, 041301): a column of length L against a wall, a = height / length, runs out by dL =
+1.2 a L for a < 2.3 (and 1.9 a^(2/3) L above), whatever the grains and the floor. The channel is a
+slab 4 cells wide between slipping walls, the floor holds. (Columns of round cross-section follow
+another law: Lube et al. 2004.) Tolerance: 30 %; the run-out grows with the resolution.
 """
 
 import numpy as np
