@@ -117,6 +117,7 @@ class _Counted:
 
     __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = _done
     __truediv__ = __rtruediv__ = __abs__ = _done
+    __lt__ = __le__ = __gt__ = __ge__ = __and__ = __or__ = _done
 
     def __neg__(self):
         return self  # goes into the next product
@@ -124,6 +125,12 @@ class _Counted:
     def __array_ufunc__(self, ufunc, method, *inputs, **named):
         self.tally[0] += FUNCTION_FLOPS.get(ufunc.__name__, 1)
         return _Counted(self.tally)
+
+    def __array_function__(self, function, kinds, given, named):
+        return self._done()  # np.where of device/select.py
+
+    def __getitem__(self, nothing):
+        return self
 
 
 def law_flops(material) -> int:
