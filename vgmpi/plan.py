@@ -219,6 +219,7 @@ def _group(phase: int, phase_label: str, name: str, material, real: np.dtype) ->
         rest=rest,
         cost=material.cost,
         carries=tuple(material.carries),
+        share=material.solid_share,
     )
 
 
