@@ -8,9 +8,12 @@ from tests.scenes import scene
 from vgmpi.domain.ranks import Alone
 from vgmpi.plan import make_plan
 from vgmpi.prepare.build import Prepared, build
+from vgmpi.solver.state import by_id
 from vgmpi.solver.step import Simulation
 from vgmpi.solver.timestep import next_step
 from vgmpi.solver.watch import ledger
+
+__all__ = ["advance", "begin", "by_id", "mass_speed", "totals"]
 
 
 def begin(folder: Path, text: str, ranks=None, velocity=None, threads: int = 1):
@@ -23,11 +26,12 @@ def begin(folder: Path, text: str, ranks=None, velocity=None, threads: int = 1):
     count = [thing["count"] for thing in made.objects]
     volume = np.bincount(made.object, made.vol0, minlength=len(count))
     plan = make_plan(loaded, count, volume.tolist(), bool(made.colliders))
-    simulation = Simulation(plan, ranks, made.colliders, threads)
+    simulation = Simulation(plan, ranks, made.colliders, threads, made.loads)
     n = len(made.x)
     mine = slice(n * ranks.rank // ranks.size, n * (ranks.rank + 1) // ranks.size)
     v = made.v0 if velocity is None else velocity(made.x)
-    simulation.put(made.x[mine], v[mine], made.vol0[mine], np.arange(n)[mine], made.object[mine])
+    rows = (made.x, v, made.vol0, np.arange(n), made.object, made.theta0)
+    simulation.put(*(row[mine] for row in rows))
     return simulation, made
 
 
@@ -38,17 +42,6 @@ def advance(simulation: Simulation, end: float) -> None:
         dt, lands = next_step(simulation.time, end, simulation.bound())
         simulation.advance(dt)
     simulation.time = end
-
-
-def by_id(simulation: Simulation, *names: str) -> list[np.ndarray]:
-    """Arrays of all particles in the order of their ids; names: x (n, 3) [m], v (n, 3) [m/s]."""
-    ids = np.concatenate([group.ids[group.index()] for group in simulation.groups])
-    parts = {
-        "x": lambda group: group.positions(),
-        "v": lambda group: group.f[0:3, group.index()].T,
-    }
-    order = np.argsort(ids)
-    return [np.concatenate([parts[name](g) for g in simulation.groups])[order] for name in names]
 
 
 def totals(simulation: Simulation) -> dict[str, np.ndarray | float]:

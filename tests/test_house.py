@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 # each may import itself and what stands below it
 LAYERS = [
     {"bench"},
-    {"cli", "__main__"},
+    {"cli", "__main__", "api"},
     {"solver"},
     {"prepare"},
     {"kernels"},
@@ -23,7 +23,7 @@ LAYERS = [
     {"domain"},
     {"plan"},
     {"sharing"},
-    {"scene", "objects", "settings", "source", "reference"},
+    {"scene", "objects", "loads", "probes", "settings", "source", "reference"},
     {"materials", "couplings"},
     {"tables"},
     {"device"},
@@ -203,14 +203,18 @@ def test_files_are_short(file):
 
 @pytest.mark.parametrize("file", [f for f in sources() if f.endswith("__init__.py")])
 def test_reading_a_folder_reads_nothing_else(file):
-    """Only materials and couplings look for what is in their folder."""
-    discovers = file in ("vgmpi/materials/__init__.py", "vgmpi/couplings/__init__.py")
+    """Only materials and couplings look for what is in their folder; vgmpi names what scripts use,
+    and loads it when asked for."""
+    folders = ("vgmpi", "vgmpi/materials", "vgmpi/couplings")
+    discovers = file in [f"{folder}/__init__.py" for folder in folders]
     assert discovers == bool((ROOT / file).read_text().strip())
 
 
 @pytest.mark.parametrize(
     "module, absent",
     [
+        ("vgmpi", "numpy"),  # its names are loaded when asked for
+        ("vgmpi.api", "numba"),
         ("vgmpi.cli", "numba"),  # --check and --help stay quick
         ("vgmpi.cli", "mpi4py.MPI"),  # and start no MPI
         ("vgmpi.output.read", "numba"),

@@ -1,0 +1,30 @@
+"""Multiphase physics on 3D Gaussians, from Python: docs/api.md.
+
+    scene = vgmpi.load("scene.toml", {"domain.cell": "1 cm"})
+    run = vgmpi.run(scene, on_frame=lambda run: print(run.time, run.array("x").mean(0)))
+
+Nothing is loaded before it is asked for.
+"""
+
+import importlib
+import sys
+import types
+
+__all__ = ["Run", "SceneError", "load", "plan", "read", "run"]
+
+
+class _Package(types.ModuleType):
+    """`plan` is the function, also after vgmpi/plan.py was imported, which would take its name."""
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if name != "plan" or not isinstance(value, types.ModuleType):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package
+
+
+def __getattr__(name: str):
+    if name not in __all__:
+        raise AttributeError(f"module 'vgmpi' has no attribute '{name}'")
+    return getattr(importlib.import_module("vgmpi.api"), name)

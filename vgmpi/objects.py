@@ -4,20 +4,31 @@ import math
 import re
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, model_validator
 
-from vgmpi.tables import Point, Positive, Quantity, Share, Table
+from vgmpi.tables import Length, Point, Positive, Quantity, Share, Table, nearest
 
 SOURCES = ("gaussians", "mesh", "shape")
 SIZES = ("height", "width", "depth", "scale")
 FORMS = ("box", "sphere", "ellipsoid", "cylinder", "capsule", "union", "difference")
 PER_CELL = (1, 8, 27, 64)
+OF_BODIES = (
+    "material",
+    "velocity",
+    "spin",
+    "mode",
+    "fraction",
+    "fraction_profile",
+    "compressed",
+    "phase",
+)
 
 Velocity = tuple[
     Annotated[float, Quantity("m/s")],
     Annotated[float, Quantity("m/s")],
     Annotated[float, Quantity("m/s")],
 ]
+Wavenumber = Annotated[float, Quantity("rad/m")]
 Spin = tuple[
     Annotated[float, Quantity("rad/s")],
     Annotated[float, Quantity("rad/s")],
@@ -54,7 +65,8 @@ def _axis(value: Any) -> tuple[float, float, float]:
     return x / size, y / size, z / size
 
 
-def _name(value: Any) -> str:
+def checked_name(value: Any) -> str:
+    """A name that can stand in messages and file names."""
     if not isinstance(value, str) or not re.fullmatch(r"[^\W\d][\w -]*", value):
         raise ValueError("must begin with a letter and hold letters, digits, spaces, _ and - only")
     return value
@@ -158,6 +170,36 @@ class Rotation(Table):
     """right-handed angle"""
 
 
+class Mode(Table):
+    """A wave of velocities at the start: amplitude sin(wave . x + phase)."""
+
+    amplitude: Velocity
+    """largest velocity"""
+    wave: tuple[Wavenumber, Wavenumber, Wavenumber]
+    """wave vector k, 2 pi / wavelength along its direction; x is the position in the domain"""
+    phase: Annotated[float, Quantity("rad")] = 0.0
+    """"90 deg" makes the sine a cosine"""
+
+
+class Profile(Table):
+    """A share that changes along one axis: straight lines between points, constant beyond them."""
+
+    axis: Literal["x", "y", "z"]
+    """along which it changes"""
+    at: tuple[Length, ...]
+    """ascending positions in the domain, two or more"""
+    share: tuple[Share, ...]
+    """the share at each of them; no particles where it is 0"""
+
+    @model_validator(mode="after")
+    def _matches(self) -> "Profile":
+        if len(self.at) < 2 or len(self.at) != len(self.share):
+            raise ValueError("at and share must be of one length, 2 or more")
+        if any(a >= b for a, b in zip(self.at, self.at[1:])):
+            raise ValueError("at must ascend")
+        return self
+
+
 def _listed(value: Any) -> Any:
     return [value] if isinstance(value, dict) else value
 
@@ -165,7 +207,7 @@ def _listed(value: Any) -> Any:
 class Object(Table):
     """One thing in the scene: exactly one of gaussians, mesh, shape."""
 
-    name: Annotated[str, BeforeValidator(_name)]
+    name: Annotated[str, BeforeValidator(checked_name)]
     """unique name: letters, digits, spaces, _ and -, beginning with a letter"""
     role: Literal["body", "scenery"] = "body"
     """body: has mass and moves. scenery: is only drawn, and may be a collider"""
@@ -200,6 +242,17 @@ class Object(Table):
     """at the start"""
     spin: Spin = (0.0, 0.0, 0.0)
     """angular velocity at the start, about the centre of mass"""
+    mode: Annotated[tuple[Mode, ...], BeforeValidator(_listed)] = ()
+    """waves of velocity at the start, besides velocity and spin: { amplitude, wave, phase } or a
+    list of them"""
+    fraction: Annotated[float, Quantity("", gt=0, le=1)] = 1.0
+    """share of the space it lies in that is its own: where two objects lie over each other, their
+    shares should add up to 1. Its particles' volumes and masses are scaled by it"""
+    fraction_profile: Profile | None = None
+    """instead of `fraction`: { axis, at, share }, a share that changes along an axis"""
+    compressed: Literal["no", "hydrostatic"] = "no"
+    """fluids only. hydrostatic: at rest under gravity from the start, the pressure is the weight of
+    the fluid between each particle and the object's top; without it a deep pool first bounces"""
     phase: str | None = None
     """objects of one kind of material with the same phase share one velocity field: they stick
     together instead of colliding. Default: all fluids share one, each solid has its own"""
@@ -228,6 +281,11 @@ class Object(Table):
         return next(key for key in SOURCES if getattr(self, key) is not None)
 
     @property
+    def speed(self) -> float:
+        """[m/s] A bound on its speed at the start, its spin aside."""
+        return math.hypot(*self.velocity) + sum(math.hypot(*m.amplitude) for m in self.mode)
+
+    @property
     def drawn_from(self) -> float:
         """The faintest contribution that is drawn."""
         if self.alpha_min is not None:
@@ -252,6 +310,17 @@ def shape_complaints(raw: Any, path: tuple) -> list[tuple[tuple, str]]:
         for k, part in enumerate(parts if isinstance(parts, list) else []):
             found += shape_complaints(part, (*path, form, k))
     return found
+
+
+def body_complaint(name: Any, role: dict[str, str] | None) -> str:
+    """Why `name` is not the name of a body, or nothing. role: of each object by its name, None
+    where the names are not known for errors in them.
+    """
+    if role is None or not isinstance(name, str):
+        return ""
+    if name not in role:
+        return f"there is no object '{name}'{nearest(name, role)}; known: {', '.join(role)}"
+    return "" if role[name] == "body" else f"'{name}' is scenery: it has no mass and does not move"
 
 
 def object_complaints(raw: dict) -> list[tuple[tuple, str]]:
@@ -280,11 +349,14 @@ def object_complaints(raw: dict) -> list[tuple[tuple, str]]:
             found.append(((key,), f"is only for objects made of gaussians, not of a {sources[0]}"))
     scenery = raw.get("role") == "scenery"
     if scenery:
-        for key in ("material", "velocity", "spin", "phase"):
+        for key in OF_BODIES:
             if key in raw:
                 found.append(((key,), "is not for scenery: it has no mass and does not move"))
     elif "material" not in raw:
         found.append((("material",), "required key is missing: what the body is made of"))
+    if "fraction" in raw and "fraction_profile" in raw:
+        said = "fraction and fraction_profile given at once: give one"
+        found.append((("fraction_profile",), said))
     if raw.get("collider") is True and not scenery:
         found.append((("collider",), 'is only for role = "scenery": bodies collide anyway'))
     return found

@@ -13,6 +13,7 @@ import numpy as np
 
 from .couplings.base import DRAG, Rules
 from .couplings.contact import Contact
+from .loads import mean_share
 from .materials.base import function, state_channels
 from .scene import Scene
 from .sharing import rules
@@ -99,10 +100,15 @@ class Plan:
     rules: Rules | None = None  # how phases share space
     affine: bool = True  # particles carry the velocity's gradient (APIC)
     flip: float = 0.0  # share of FLIP's velocity, see scene.accuracy
+    gravity_ramp: float = 0.0  # [s] in which gravity grows
 
     @property
     def particles(self) -> int:
         return sum(self.count)
+
+    def gravity_share(self, t0: float, t1: float) -> float:
+        """Mean of gravity between two times [s], as a share of its full strength."""
+        return mean_share(t0, t1, self.gravity_ramp)
 
     def bytes_per_particle(self, group: int) -> int:
         """Memory of one particle: position, channels, id."""
@@ -176,6 +182,7 @@ def make_plan(scene: Scene, count: list[int], volume: list[float], collider: boo
         rules=sharing,
         affine=scene.accuracy.transfer == "apic",
         flip=flip,
+        gravity_ramp=scene.domain.gravity_ramp,
     )
     _check_fixed_dt(scene, plan)
     return plan
@@ -267,8 +274,7 @@ def fastest(scene: Scene) -> list[tuple[float, str]]:
         law = material.law()
         rest = tuple(v for values in material.carries.values() for v in values)
         wave = math.sqrt(function(law, "wave_speed2")(law, rest))
-        speed = math.hypot(*thing.velocity)
-        found.append((scene.time.cfl * dx / (wave + speed), f"material {thing.material!r}"))
+        found.append((scene.time.cfl * dx / (wave + thing.speed), f"material {thing.material!r}"))
         if material.kinematic_viscosity > 0:
             bound = dx**2 / (6.0 * material.kinematic_viscosity)
             found.append((bound, f"the viscosity of material {thing.material!r}"))

@@ -7,7 +7,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from vgmpi import couplings, materials, objects, settings
+from vgmpi import couplings, loads, materials, objects, probes, settings
 from vgmpi.tables import Quantity, same_units
 
 _INTRO = """# The scene file
@@ -42,11 +42,15 @@ def scene_reference() -> str:
         "cylinder and capsule": objects.Rod,
         "select": objects.Select,
         "rotation": objects.Rotation,
+        "mode": objects.Mode,
+        "fraction_profile": objects.Profile,
     }
     for name, inside in inner.items():
         parts.append(_section(f"[[object]] {name}", inside))
     for kind, coupling in couplings.registry.items():
         parts.append(_section(f'[[coupling]] kind = "{kind}"', coupling))
+    parts.append(_section("[[load]]", loads.Load))
+    parts.append(_section("[[probe]]", probes.Probe))
     return "\n".join(parts)
 
 

@@ -12,7 +12,9 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from vgmpi import couplings, materials
+from vgmpi.loads import Load, load_complaints
 from vgmpi.objects import Object, object_complaints
+from vgmpi.probes import Probe, probe_complaints
 from vgmpi.settings import (
     MOST_CELLS,
     SECTIONS,
@@ -29,6 +31,7 @@ from vgmpi.tables import SceneError, explain, got, nearest
 log = logging.getLogger("vgmpi")
 
 REQUIRED = ("domain", "time", "material", "object")
+LISTS = ("object", "coupling", "load", "probe")
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,8 @@ class Scene:
     material: dict[str, Any]
     object: tuple[Object, ...]
     coupling: tuple[Any, ...] = ()
+    load: tuple[Load, ...] = ()
+    probe: tuple[Probe, ...] = ()
     appearance: Appearance = Appearance()
     accuracy: Accuracy = Accuracy()
     output: Output = Output()
@@ -77,6 +82,8 @@ class Scene:
             "material": {k: m.model_dump(mode="json") for k, m in self.material.items()},
             "object": [o.model_dump(mode="json", exclude_none=True) for o in self.object],
             "coupling": [c.model_dump(mode="json") for c in self.coupling],
+            "load": [x.model_dump(mode="json", exclude_none=True) for x in self.load],
+            "probe": [p.model_dump(mode="json", exclude_none=True) for p in self.probe],
         }
 
 
@@ -94,12 +101,15 @@ def mixed(couplings) -> frozenset[str]:
     return frozenset(n for pair in named if isinstance(pair, list | tuple) for n in pair)
 
 
-def load(path: str | Path, overrides: list[str] | tuple[str, ...] = ()) -> Scene:
-    """Read a scene file; `overrides` are "key=value" and replace what the file says.
+def load(
+    path: str | Path, overrides: list[str] | tuple[str, ...] = (), text: str | None = None
+) -> Scene:
+    """Read a scene file; `overrides` are "key=value" and replace what the file says; `text` stands
+    for what is in the file.
 
     Raises SceneError with all errors in the order of the file: "file:line: key: what is wrong".
     """
-    source = Source(path, overrides)
+    source = Source(path, overrides, text)
     return _Reader(source).scene(tuple(overrides))
 
 
@@ -112,7 +122,7 @@ class _Reader:
 
     def scene(self, overrides: tuple[str, ...]) -> Scene:
         data = self.source.data
-        known = (*Top.model_fields, *SECTIONS, "material", "object", "coupling")
+        known = (*Top.model_fields, *SECTIONS, "material", *LISTS)
         for key in data:
             if key not in known:
                 self.wrong((key,), f"unknown key{nearest(key, known)}; known: {', '.join(known)}")
@@ -131,8 +141,21 @@ class _Reader:
         objects = self.objects(data.get("object", []), kinds)
         pairs = self.couplings(data.get("coupling", []), kinds)
         self.one_family_per_phase(objects, kinds, pairs)
+        role = {o.name: o.role for o in objects if o} if None not in objects else None
+        fluid = any(m is None or m.family == "fluid" for m in kinds.values())
+        size = tables["domain"].size if tables.get("domain") else None
+        loads = self.listed(
+            data.get("load", []), "load", Load, lambda raw, load: load_complaints(raw, load, role)
+        )
+        probes = self.listed(
+            data.get("probe", []),
+            "probe",
+            Probe,
+            lambda raw, probe: probe_complaints(raw, probe, role, size, fluid),
+        )
         if tables.get("domain"):
             self.whole_cells(tables["domain"])
+            self.at_rest(objects, tables["domain"])
         outside = top is not None and top.allow_outside
         files = {o.name: f for k, o in enumerate(objects) if o and (f := self.file(k, o, outside))}
         self.finish()
@@ -145,6 +168,8 @@ class _Reader:
             material=kinds,
             object=tuple(objects),
             coupling=tuple(pairs),
+            load=tuple(loads),
+            probe=tuple(probes),
             files=files,
             overrides=overrides,
             source=self.source,
@@ -170,9 +195,9 @@ class _Reader:
     def key(self, path: tuple) -> str:
         """The path as a user would write it: objects by name where they have one."""
         parts = [str(part) for part in path]
-        if len(path) > 1 and path[0] == "object":
+        if len(path) > 1 and path[0] in ("object", "probe"):
             try:
-                name = self.source.data["object"][path[1]]["name"]
+                name = self.source.data[path[0]][path[1]]["name"]
                 parts[1] = name if isinstance(name, str) else parts[1]
             except (KeyError, TypeError, IndexError):
                 pass
@@ -219,10 +244,7 @@ class _Reader:
             found.append(self.table(Object, item, ("object", k)))
             for inner, said in object_complaints(item):
                 self.wrong(("object", k, *inner), said)
-            name = item.get("name")
-            if isinstance(name, str) and first.setdefault(name, k) != k:
-                other = self.source.place(("object", first[name], "name"))[1]
-                self.wrong(("object", k, "name"), f"is taken: {other} has the same name")
+            self.once("object", k, item, first)
             made_of = item.get("material")
             if isinstance(made_of, str) and made_of not in kinds:
                 self.unknown_material(("object", k, "material"), made_of, kinds)
@@ -232,10 +254,46 @@ class _Reader:
             self.wrong(("object",), "all objects are scenery: at least one must be a body")
         for k, thing in enumerate(found):
             made_of = kinds.get(thing.material) if thing else None
-            if thing and "opacity_scale" in raw[k] and (not made_of or made_of.family != "fluid"):
+            if thing is None or (made_of and made_of.family == "fluid"):
+                continue
+            if "opacity_scale" in raw[k]:
                 self.wrong(
                     ("object", k, "opacity_scale"), "is only for fluids; solids have opacity"
                 )
+            if thing.compressed != "no":
+                self.wrong(("object", k, "compressed"), "is only for fluids")
+        return found
+
+    def once(self, table: str, k: int, item: dict, first: dict[str, int]) -> None:
+        """Names are unique."""
+        name = item.get("name")
+        if isinstance(name, str) and first.setdefault(name, k) != k:
+            other = self.source.place((table, first[name], "name"))[1]
+            self.wrong((table, k, "name"), f"is taken: {other} has the same name")
+
+    def at_rest(self, objects: list[Any], domain: Domain) -> None:
+        """Whether there is a weight for a fluid to be compressed by."""
+        for k, thing in enumerate(objects):
+            if thing is None or thing.compressed == "no":
+                continue
+            path, (gx, gy, gz) = ("object", k, "compressed"), domain.gravity
+            if gx or gy or gz >= 0:
+                self.wrong(path, f"needs gravity along -z alone; it is {list(domain.gravity)}")
+            elif domain.gravity_ramp:
+                self.wrong(path, "needs gravity from the start: domain.gravity_ramp is set")
+
+    def listed(self, raw: Any, name: str, table: type[BaseModel], complaints) -> list[Any]:
+        """The tables of a list [[name]], None for those with errors; complaints: (raw, table or
+        None) -> (path, text) of all else that is wrong."""
+        if not isinstance(raw, list) or not all(isinstance(item, dict) for item in raw):
+            self.wrong((name,), f"must be a list of tables: [[{name}]]")
+            return []
+        found = [self.table(table, item, (name, k)) for k, item in enumerate(raw)]
+        first: dict[str, int] = {}
+        for k, item in enumerate(raw):
+            self.once(name, k, item, first)
+            for inner, said in complaints(item, found[k]):
+                self.wrong((name, k, *inner), said)
         return found
 
     def one_family_per_phase(self, objects: list[Any], kinds: dict[str, Any], pairs) -> None:

@@ -65,6 +65,8 @@ class Domain(Table):
     """grid spacing dx"""
     gravity: tuple[Acceleration, Acceleration, Acceleration] = (0.0, 0.0, -9.8)
     """acceleration of gravity"""
+    gravity_ramp: Annotated[float, Quantity("s", ge=0)] = 0.0
+    """time in which gravity grows from 0, as half a cosine; 0: it is there at once"""
     boundary: Annotated[Boundary, BeforeValidator(_boundary)] = Boundary()
     """what the walls do: a kind for all of them, or a table"""
 

@@ -22,12 +22,19 @@ class Source:
     where the file lies.
     """
 
-    def __init__(self, path: str | Path, overrides: tuple[str, ...] | list[str] = ()):
-        """Raises SceneError where the file cannot be read, is not TOML or cannot be overridden."""
+    def __init__(
+        self,
+        path: str | Path,
+        overrides: tuple[str, ...] | list[str] = (),
+        text: str | None = None,
+    ):
+        """text: instead of what is in the file.
+
+        Raises SceneError where the file cannot be read, is not TOML or cannot be overridden."""
         self.path = Path(path)
         self.folder = self.path.resolve().parent
         try:
-            self.text = self.path.read_bytes().decode()
+            self.text = self.path.read_bytes().decode() if text is None else text
             self.data = tomllib.loads(self.text)
         except OSError as error:
             raise SceneError([f"{path}: {error.strerror or error}"]) from None

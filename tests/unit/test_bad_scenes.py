@@ -38,6 +38,7 @@ kind = "contact"
 between = ["water", "rubber"]
 friction = 0.1
 """
+LAST = "friction = 0.1\n"  # of the scene: what follows it is a list of its own
 
 # old text, new text, key as reported, what the message must say; the line is where `new` stands
 CASES = {
@@ -228,6 +229,134 @@ CASES = {
         "coupling.1.between",
         "is about the same two already",
     ),
+    "load of nothing": (
+        LAST,
+        LAST + '[[load]]\nobject = "bal"\nforce = [0, 0, 1]\n',
+        "load.0.object",
+        "there is no object 'bal' (did you mean 'ball'?); known: pool, ball",
+    ),
+    "load of a list": (
+        LAST,
+        LAST + '[[load]]\nobject = ["ball", "sky"]\nforce = [0, 0, 1]\n',
+        "load.0.object.1",
+        "there is no object 'sky'; known: pool, ball",
+    ),
+    "load without strength": (
+        LAST,
+        LAST + '[[load]]\nobject = "ball"\n',
+        "load.0",
+        "give one of force, pressure, acceleration",
+    ),
+    "load of two kinds": (
+        LAST,
+        LAST + '[[load]]\nobject = "ball"\nforce = [0, 0, 1]\nacceleration = [0, 0, 1]\n',
+        "load.0.acceleration",
+        "force and acceleration given at once: give exactly one",
+    ),
+    "pressure on no face": (
+        LAST,
+        LAST + '[[load]]\nobject = "ball"\npressure = "1 kPa"\n',
+        "load.0.face",
+        "required with pressure: one of west, east, south, north, bottom, top",
+    ),
+    "face of a force": (
+        LAST,
+        LAST + '[[load]]\nobject = "ball"\nforce = [0, 0, 1]\nface = "top"\n',
+        "load.0.face",
+        "is for pressure only",
+    ),
+    "load that ends before it begins": (
+        LAST,
+        LAST + '[[load]]\nobject = "ball"\nforce = [0, 0, 1]\nafter = "2 s"\nuntil = "1 s"\n',
+        "load.0.until",
+        "must be later than after = 2 s; got 1 s",
+    ),
+    "force in kilograms": (
+        LAST,
+        LAST + '[[load]]\nobject = "ball"\nforce = [0, 0, "1 kg"]\n',
+        "load.0.force.2",
+        "'kg' does not measure this; expected a number [N]",
+    ),
+    "region of two forms": (
+        LAST,
+        LAST + '[[load]]\nobject = "ball"\nforce = [0, 0, 1]\nregion = { cube = 1 }\n',
+        "load.0.region",
+        "has no form: give one of box, sphere",
+    ),
+    "probe of nothing": (
+        LAST,
+        LAST + '[[probe]]\nname = "a"\nrate = 10\n',
+        "probe.a",
+        "give one of pressure, level, velocity, object, wall",
+    ),
+    "probe of two things": (
+        LAST,
+        LAST + '[[probe]]\nname = "a"\nrate = 10\nwall = "all"\nlevel = [0, 0]\n',
+        "probe.a.wall",
+        "level and wall given at once: give exactly one",
+    ),
+    "probe without a rate": (
+        LAST,
+        LAST + '[[probe]]\nname = "a"\nwall = "all"\n',
+        "probe.a",
+        "needs a rate or an every",
+    ),
+    "rate and every": (
+        LAST,
+        LAST + '[[probe]]\nname = "a"\nwall = "all"\nrate = "1 Hz"\nevery = "1 s"\n',
+        "probe.a.every",
+        "rate and every given at once: give one",
+    ),
+    "probe twice": (
+        LAST,
+        LAST + '[[probe]]\nname = "a"\nwall = "all"\nrate = 1\n'
+        '[[probe]]\nname = "a"\nwall = "all"\nrate = 1\n',
+        "probe.a.name",
+        "is taken: ",
+    ),
+    "probe outside": (
+        LAST,
+        LAST + '[[probe]]\nname = "a"\nrate = 1\npressure = [0.1, 0.1, "40 cm"]\n',
+        "probe.a.pressure.2",
+        "lies outside the domain, 0 .. 0.32 m; got 0.4 m",
+    ),
+    "probe of no object": (
+        LAST,
+        LAST + '[[probe]]\nname = "a"\nrate = 1\nobject = "boll"\n',
+        "probe.a.object",
+        "did you mean 'ball'?",
+    ),
+    "fraction given twice": (
+        "position =",
+        "fraction = 0.5\n"
+        'fraction_profile = { axis = "x", at = [0, 1], share = [0, 1] }\nposition =',
+        "object.ball.fraction_profile",
+        "fraction and fraction_profile given at once",
+    ),
+    "profile of two lengths": (
+        "position =",
+        'fraction_profile = { axis = "x", at = [0, 1, 2], share = [0, 1] }\nposition =',
+        "object.ball.fraction_profile",
+        "at and share must be of one length, 2 or more",
+    ),
+    "profile that turns back": (
+        "position =",
+        'fraction_profile = { axis = "x", at = [1, 0], share = [0, 1] }\nposition =',
+        "object.ball.fraction_profile",
+        "at must ascend",
+    ),
+    "fraction above one": (
+        "position =",
+        "fraction = 1.5\nposition =",
+        "object.ball.fraction",
+        "must be > 0 and <= 1",
+    ),
+    "compressed solid": (
+        "position =",
+        'compressed = "hydrostatic"\nposition =',
+        "object.ball.compressed",
+        "is only for fluids",
+    ),
 }
 
 # found while the particles are made
@@ -255,6 +384,19 @@ BUILD_CASES = {
         'gaussians = "inside.ply"',
         "object.ball.gaussians",
         "is not a .ply file",
+    ),
+    "load on nothing": (
+        LAST,
+        LAST + '[[load]]\nobject = "ball"\nforce = [0, 0, 1]\n'
+        'region = { sphere = { center = [0, 0, 0], radius = "1 cm" } }\n',
+        "load.0.region",
+        "holds no particle of ball at the start",
+    ),
+    "share of nothing": (
+        "position =",
+        'fraction_profile = { axis = "x", at = [0, 1], share = [0, 0] }\nposition =',
+        "object.ball.fraction_profile",
+        "leaves no particle: its share is 0 everywhere",
     ),
     "not a mesh": (
         'shape = { sphere = { center = [0, 0, 0], radius = "4 cm" } }',
@@ -324,6 +466,22 @@ def test_errors_found_while_making_particles(tmp_path, name):
     assert where.startswith(f"{path}:") and int(where.rpartition(":")[2]) in touched
 
 
+@pytest.mark.parametrize(
+    "key, says",
+    [
+        ("gravity = [0, 0, 0]", "needs gravity along -z alone; it is [0.0, 0.0, 0.0]"),
+        ("gravity = [1, 0, -9.8]", "needs gravity along -z alone; it is [1.0, 0.0, -9.8]"),
+        ('gravity_ramp = "1 s"', "needs gravity from the start: domain.gravity_ramp is set"),
+    ],
+)
+def test_water_is_compressed_by_its_weight_only(tmp_path, key, says):
+    path, _ = broken(tmp_path, 'cell = "2 cm"', f'cell = "2 cm"\n{key}')
+    text = path.read_text().replace('name = "pool"', 'name = "pool"\ncompressed = "hydrostatic"')
+    path.write_text(text)
+    line = text[: text.index("compressed")].count("\n") + 1
+    assert lines(path) == [f"{path}:{line}: object.pool.compressed: {says}"]
+
+
 def test_there_are_at_least_twenty():
     assert len(CASES) + len(BUILD_CASES) >= 20
 
@@ -366,6 +524,12 @@ def test_overriding_what_is_wrong_makes_it_right(tmp_path):
     [
         ("", "required table [domain] is missing"),
         ("object = 3", "must be a list of tables"),
+        ("load = 3", "must be a list of tables: [[load]]"),
+        ("[[load]]\nobject = 3", "load.0.object"),
+        ("[[load]]\nobject = []\nforce = [0, 0, 1]", "names no object"),
+        ("[[load]]\nregion = 3", "must be a table of keys; got 3"),
+        ("probe = [1]", "must be a list of tables: [[probe]]"),
+        ("[[probe]]\nname = []\nwall = 3", "must begin with a letter"),
         ("material = 3", "must hold tables"),
         ("domain = []", "must be a table of keys; got []"),
         ("[[coupling]]\n", "coupling.0.kind: required key is missing"),

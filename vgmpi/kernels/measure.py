@@ -53,3 +53,21 @@ def ledger_rows(law, start, count, block, xi, f, bits, density, dx, gravity, row
             J = float(volume_ratio(law, state))
             row[10] = min(row[10], J)
             row[11] = max(row[11], J)
+
+
+@kernel
+def object_rows(start, count, block, xi, f, ids, bits, density, dx, first, last, rows):
+    """Per segment, of the particles with ids first .. last: mass, momentum 3, mass times position
+    3. rows: (segments, 7) out, double precision, summed as in `ledger_rows`.
+    """
+    for s in range(len(start)):
+        row = rows[s]
+        row[:] = 0.0
+        for p in range(start[s], start[s] + count[s]):
+            if ids[p] < first or ids[p] > last:
+                continue
+            m = density * float(f[VOLUME, p])
+            row[0] += m
+            for a in range(3):
+                row[1 + a] += m * float(f[a, p])
+                row[4 + a] += m * (float(xi[a, p]) * 2.0**-bits + 4 * block[s, a] + 1.5) * dx

@@ -46,6 +46,15 @@ class Fluid(Material):
         """[m2/s]: bounds the time step by diffusion."""
         return self.viscosity / self.density
 
+    def theta_below(self, weight: np.ndarray) -> np.ndarray:
+        """ln J (n,) at rest under `weight` [Pa], what density g depth is without compression.
+
+        From dp/dz = -density g / J with this law's p: J^(1 - gamma) = 1 + (1 - 1 / gamma) weight
+        / k.
+        """
+        gamma = max(self.gamma, 1.0 + 1e-6)
+        return -np.log1p((1.0 - 1.0 / gamma) * weight / self.bulk_modulus) / (gamma - 1.0)
+
     @staticmethod
     def advance(law, state, L, dt):
         # the exact exponential of the volume's rate; (1 + dt tr L) is its first order and drifts

@@ -12,6 +12,7 @@ SCHEMA = 1  # raised when a reader of the old files would go wrong
 FRAMES, CHECKPOINTS = "frames", "checkpoints"  # folders inside the output folder
 BLOWUP = "blowup"  # the same for the state in which a run ended
 SERIES, GAUSSIANS, LEDGER = "series.vtkhdf", "gaussians.h5", "ledger.csv"
+PROBE_NAME = "probe_{}.csv"
 FRAME_NAME = "frame_{:05d}.vtkhdf"
 CHECKPOINT_NAME = "checkpoint_{:09d}.h5"  # its manifest: the same name, .json
 CRC_ROWS = 1 << 16  # rows per checksum in a manifest
@@ -93,10 +94,12 @@ GAUSSIAN = [
     Dataset("vol0", "(n,)", "f8", "m3", "rest volume"),
     Dataset("object", "(n,)", "i4", "1", "number of the object in the list `objects`"),
     Dataset("v0", "(n, 3)", "f8", "m/s", "velocity at the start; only if something moves then"),
+    Dataset("theta0", "(n,)", "f8", "1", "ln J at the start; only if something is compressed then"),
     Dataset("cov0", "(n, 6)", "f4", "m2", "rest covariance: xx, xy, xz, yy, yz, zz"),
     Dataset("opacity", "(n,)", "f4", "1", "0 to 1"),
     Dataset("sh", "(n, K, 3)", "f4", "1", "spherical harmonics of the colour, K = 1, 4, 9 or 16"),
 ]
+OPTIONAL = ("v0", "theta0")
 SCENERY = [
     Dataset("x0", "(m, 3)", "f8", "m", "position; scenery has no mass and does not move"),
     Dataset("object", "(m,)", "i4", "1", "number of the object in the list `objects`"),
@@ -174,6 +177,44 @@ LEDGER_COLUMNS = [
     Dataset("J_max", "", "f8", "1", "largest volume ratio, as in the frames"),
 ]
 
+# ---- probe_NAME.csv ---------------------------------------------------------------------------
+_WHEN = LEDGER_COLUMNS[:2]
+PROBE_COLUMNS = {
+    "pressure": [
+        *_WHEN,
+        Dataset("pressure", "", "f8", "Pa", "mean of the fluids near; nan where there is none"),
+    ],
+    "level": [*_WHEN, Dataset("level", "", "f8", "m", "height of the surface; 0 where it is dry")],
+    "velocity": [
+        *_WHEN,
+        *(
+            Dataset(f"velocity_{a}", "", "f8", "m/s", f"mean velocity along {a}; nan in a void")
+            for a in "xyz"
+        ),
+    ],
+    "object": [
+        *_WHEN,
+        Dataset("mass", "", "f8", "kg", "mass"),
+        *(Dataset(f"center_{a}", "", "f8", "m", f"{a} of the centre of mass") for a in "xyz"),
+        *(Dataset(f"velocity_{a}", "", "f8", "m/s", f"mean velocity along {a}") for a in "xyz"),
+        *(Dataset(f"momentum_{a}", "", "f8", "kg m/s", f"momentum along {a}") for a in "xyz"),
+        *(
+            Dataset(f"force_{a}", "", "f8", "N", f"mean force along {a} since the row before, "
+                    "without its weight; nan in the first row")
+            for a in "xyz"
+        ),
+    ],
+    "wall": [
+        *_WHEN,
+        *(Dataset(f"momentum_{a}", "", "f8", "kg m/s", f"of all bodies, along {a}") for a in "xyz"),
+        *(
+            Dataset(f"force_{a}", "", "f8", "N", f"mean force along {a} on walls and colliders "
+                    "since the row before; nan in the first row")
+            for a in "xyz"
+        ),
+    ],
+}  # fmt: skip
+
 # ---- the page ---------------------------------------------------------------------------------
 INTRODUCTION = """\
 # Files of a run
@@ -185,6 +226,7 @@ This page is written by `python -m vgmpi.output.layout`; edit `vgmpi/output/layo
       frames/frame_00000.vtkhdf ...   a file per frame; pyvista.read() gives PolyData
       series.vtkhdf                   all frames as one time series, for ParaView
       ledger.csv                      a row per frame and phase: mass, momentum, energy
+      probe_NAME.csv                  a row per due time of a [[probe]]
       checkpoints/                    the last two states to go on from
       blowup/frames/                  the state in which a run blew up, if one did
 
@@ -245,6 +287,12 @@ def page() -> str:
         "## ledger.csv\n",
         "A row per frame and phase, numbers with all their digits.\n",
         _table(LEDGER_COLUMNS),
+        "Momentum and energy change by gravity, walls, colliders and loads. With "
+        "`domain.gravity_ramp` the potential energy is that of gravity at its full strength.\n",
+        "## probe_NAME.csv\n",
+        "A row per due time, written after the step that reaches it, numbers with all their "
+        "digits; its columns by what the probe measures:\n",
+        *(f"### {kind}\n\n{_table(columns)}" for kind, columns in PROBE_COLUMNS.items()),
     ]
     return "\n".join(parts)
 

@@ -1,5 +1,5 @@
-"""ledger.csv: mass, momentum and energy of every phase at every frame, in a form that opens in
-anything."""
+"""Tables that grow while a run goes on, in a form that opens in anything: ledger.csv and
+probe_NAME.csv."""
 
 import csv
 import os
@@ -12,15 +12,22 @@ from vgmpi.output import layout, store
 COLUMNS = [d.name for d in layout.LEDGER_COLUMNS]
 
 
-class Ledger:
-    """Appends to ledger.csv; `last_step` None starts anew, else rows after that step are dropped
-    first.
+class Rows:
+    """Appends to a CSV file of these columns; `last_step` None starts anew, else rows after that
+    step are dropped first. kept: the rows that were not, on rank 0.
 
     Collective: all ranks call, rank 0 writes. Raises StoreError on all ranks alike.
     """
 
-    def __init__(self, folder: str | Path, ranks: Alone, last_step: int | None = None):
-        self.path, self.ranks = Path(folder) / layout.LEDGER, ranks
+    def __init__(
+        self,
+        path: Path,
+        columns: list[layout.Dataset],
+        ranks: Alone,
+        last_step: int | None = None,
+    ):
+        self.path, self.columns, self.ranks = path, columns, ranks
+        self.kept: list[dict] = []
         self._do(lambda: self._start(last_step))
 
     def _do(self, action):
@@ -34,15 +41,14 @@ class Ledger:
 
     def _start(self, last_step):
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        kept = []
         if last_step is not None and self.path.exists():
-            kept = [r for r in read(self.path) if r["step"] <= last_step]
-        lines = [",".join(COLUMNS), *map(_line, kept)]
+            self.kept = [r for r in read(self.path, self.columns) if r["step"] <= last_step]
+        lines = [",".join(d.name for d in self.columns), *map(self._line, self.kept)]
         store.replace_text(self.path, "\n".join(lines) + "\n")
 
     def append(self, rows: Iterable[dict]) -> None:
-        """One dict per phase with all columns; those of rank 0 count."""
-        text = "".join(_line(row) + "\n" for row in rows)
+        """Dicts with all columns; those of rank 0 count."""
+        text = "".join(self._line(row) + "\n" for row in rows)
 
         def write():
             size = self.path.stat().st_size
@@ -57,9 +63,15 @@ class Ledger:
 
         self._do(write)
 
+    def _line(self, row):
+        return ",".join(_word(row[d.name]) for d in self.columns)
 
-def _line(row):
-    return ",".join(_word(row[name]) for name in COLUMNS)
+
+class Ledger(Rows):
+    """ledger.csv: mass, momentum and energy of every phase at every frame, a row per phase."""
+
+    def __init__(self, folder: str | Path, ranks: Alone, last_step: int | None = None):
+        super().__init__(Path(folder) / layout.LEDGER, layout.LEDGER_COLUMNS, ranks, last_step)
 
 
 def _word(value):
@@ -68,13 +80,13 @@ def _word(value):
     return repr(value.item() if hasattr(value, "item") else value)
 
 
-def read(path: str | Path) -> list[dict]:
-    """Rows of a ledger; a last line that was cut off is left out."""
-    kinds = {d.name: {"f8": float, "i8": int, "text": str}[d.dtype] for d in layout.LEDGER_COLUMNS}
+def read(path: str | Path, columns: list[layout.Dataset] = layout.LEDGER_COLUMNS) -> list[dict]:
+    """Rows of a file of these columns; a last line that was cut off is left out."""
+    kinds = {d.name: {"f8": float, "i8": int, "text": str}[d.dtype] for d in columns}
     rows = []
     with open(path, encoding="utf-8", newline="") as f:
         for row in csv.DictReader(f):
-            if None in row.values() or None in row:
+            if None in row.values() or row.keys() != kinds.keys():
                 continue
-            rows.append({name: kinds[name](row[name]) for name in COLUMNS})
+            rows.append({name: kind(row[name]) for name, kind in kinds.items()})
     return rows

@@ -97,16 +97,17 @@ class Run:
 
 
 def read_gaussians(path: str | Path) -> SimpleNamespace:
-    """gaussians.h5: x0, vol0, object, v0 (None if nothing moves), cov0, opacity, sh, scenery (the
+    """gaussians.h5: x0, vol0, object, v0 (None if nothing moves), theta0
+    (None if nothing is compressed), cov0, opacity, sh, scenery (the
     same or None), objects, scene, digest. Raises RunError."""
     with opened(Path(path)) as f:
         if f.attrs["schema"] != layout.SCHEMA:
             raise RunError(
                 f"{path}: its schema is {f.attrs['schema']}, this program's {layout.SCHEMA}"
             )
-        found = SimpleNamespace(v0=None, scenery=None)
+        found = SimpleNamespace(v0=None, theta0=None, scenery=None)
         for d in layout.GAUSSIAN:
-            if d.name != "v0" or d.name in f:
+            if d.name not in layout.OPTIONAL or d.name in f:
                 setattr(found, d.name, f[d.name][()])
         if "scenery" in f:
             arrays = {d.name: f[f"scenery/{d.name}"][()] for d in layout.SCENERY}

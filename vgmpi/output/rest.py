@@ -21,14 +21,14 @@ def write(
 ) -> None:
     """Write the file from what rank 0 has; collective, the arguments of the others are ignored.
 
-    rows: the datasets of layout.GAUSSIAN, all but v0 must be there. scenery: those of
-    layout.SCENERY, or None. objects: the list of the objects; scene: the scene resolved; both
+    rows: the datasets of layout.GAUSSIAN, all but layout.OPTIONAL must be there. scenery: those
+    of layout.SCENERY, or None. objects: the list of the objects; scene: the scene resolved; both
     JSON-able. Raises StoreError on all ranks.
     """
     path = Path(path)
     error: Exception | None = None
     if ranks.rank == 0:
-        checked = _checked(rows, layout.GAUSSIAN, {"v0"}, "")
+        checked = _checked(rows, layout.GAUSSIAN, set(layout.OPTIONAL), "")
         if scenery is not None:
             checked |= _checked(scenery, layout.SCENERY, set(), "scenery/")
         try:

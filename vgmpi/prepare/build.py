@@ -10,6 +10,8 @@ import numpy as np
 from vgmpi.gaussians.ply import GaussianFileError
 from vgmpi.objects import Object
 from vgmpi.prepare.collider import Collider
+from vgmpi.prepare.initial import begun, velocity
+from vgmpi.prepare.loads import Loaded, find
 from vgmpi.prepare.mesh import MeshError
 from vgmpi.prepare.pieces import Piece, make
 from vgmpi.prepare.place import PlacementError
@@ -50,15 +52,18 @@ class Prepared:
     scenery: Scenery | None
     objects: list[dict[str, Any]]
     colliders: list[Collider]
+    theta0: np.ndarray  # (n,) ln J at the start
+    loads: list[Loaded]
 
 
 def build(scene: Scene) -> Prepared:
-    """Make all particles of a scene. Raises SceneError with all objects that cannot be made."""
+    """Make all particles of a scene. Raises SceneError with all objects that cannot be made, or
+    loads that act on nothing."""
     pieces: list[Piece] = []
     errors: list[tuple[tuple, str]] = []
     for k, thing in enumerate(scene.object):
         try:
-            pieces.append(make(scene, k))
+            pieces.append(begun(scene, thing, make(scene, k)))
         except PlacementError as error:
             errors.append((("object", k, error.key), str(error)))
         except (GaussianFileError, MeshError) as error:
@@ -72,7 +77,12 @@ def build(scene: Scene) -> Prepared:
 def _warn_of_overlaps(scene: Scene, pieces: list[Piece]) -> None:
     """Say which bodies share space: what is there twice is pushed apart violently."""
     spacing = scene.domain.cell / 2
-    bodies = [k for k, thing in enumerate(scene.object) if thing.role == "body"]
+    # those with a share of their space are meant to lie over each other
+    bodies = [
+        k
+        for k, thing in enumerate(scene.object)
+        if thing.role == "body" and thing.fraction == 1.0 and thing.fraction_profile is None
+    ]
     if not bodies:
         return
     voxels = Voxels.around(np.concatenate([pieces[k].cloud.x for k in bodies]), spacing, margin=0)
@@ -105,15 +115,19 @@ def _together(scene: Scene, pieces: list[Piece]) -> Prepared:
             **_looks(pieces, decor, terms),
             object=_owners(pieces, decor),
         )
+    x = _rows(pieces, bodies, lambda p: p.cloud.x)
+    vol0, owner = _rows(pieces, bodies, lambda p: p.volume), _owners(pieces, bodies)
     return Prepared(
-        x=_rows(pieces, bodies, lambda p: p.cloud.x),
-        v0=np.concatenate([_velocity(scene.object[k], pieces[k]) for k in bodies]),
-        vol0=_rows(pieces, bodies, lambda p: p.volume),
-        object=_owners(pieces, bodies),
+        x=x,
+        v0=np.concatenate([velocity(scene.object[k], pieces[k]) for k in bodies]),
+        vol0=vol0,
+        object=owner,
         **_looks(pieces, bodies, terms),
         scenery=scenery,
         objects=objects,
         colliders=[piece.collider for piece in pieces if piece.collider is not None],
+        theta0=_rows(pieces, bodies, _theta),
+        loads=find(scene, x, vol0, owner),
     )
 
 
@@ -140,11 +154,8 @@ def _describe(scene: Scene, thing: Object, piece: Piece, first: int, count: int)
     }
 
 
-def _velocity(thing: Object, piece: Piece) -> np.ndarray:
-    """Velocities [m/s] (n, 3): a translation and a turn about the centre of mass."""
-    x, share = piece.cloud.x, piece.volume / piece.volume.sum()
-    middle = (x * share[:, None]).sum(axis=0)
-    return np.asarray(thing.velocity) + np.cross(np.asarray(thing.spin), x - middle)
+def _theta(piece: Piece) -> np.ndarray:
+    return np.zeros(len(piece.cloud)) if piece.theta is None else piece.theta
 
 
 def _looks(pieces: list[Piece], chosen: list[int], terms: int) -> dict[str, np.ndarray]:

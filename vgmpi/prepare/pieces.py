@@ -29,6 +29,7 @@ class Piece:
     volume: np.ndarray
     placement: Placement
     collider: Collider | None = None
+    theta: np.ndarray | None = None  # ln J at the start, where it is not 0
 
 
 def make(scene: Scene, number: int) -> Piece:
@@ -44,7 +45,7 @@ def make(scene: Scene, number: int) -> Piece:
 
 
 def _from_shape(scene: Scene, k: int, thing: Object) -> Piece:
-    shape, spacing = thing.shape, _spacing(scene, thing)
+    shape, spacing = thing.shape, spacing_of(scene, thing)
     at = place(thing, lambda d: shapes.reach(shape, d))
     low, high = _corners(at, lambda d: shapes.reach(shape, d))
     if thing.role == "body":
@@ -70,7 +71,7 @@ def _from_shape(scene: Scene, k: int, thing: Object) -> Piece:
 
 
 def _from_mesh(scene: Scene, k: int, thing: Object) -> Piece:
-    spacing = _spacing(scene, thing)
+    spacing = spacing_of(scene, thing)
     found = mesh.read(scene.files[thing.name])
     at = place(thing, lambda d: float((found.points @ d).max()))
     placed = mesh.Mesh(at.points(found.points), found.triangles, found.rgb)
@@ -93,7 +94,7 @@ def _from_mesh(scene: Scene, k: int, thing: Object) -> Piece:
 
 
 def _from_gaussians(scene: Scene, k: int, thing: Object) -> Piece:
-    spacing = _spacing(scene, thing)
+    spacing = spacing_of(scene, thing)
     cloud = selected(ply.read(scene.files[thing.name]), thing.select)
     if not len(cloud):
         raise PlacementError("select", "selects no Gaussian of the file")
@@ -131,7 +132,7 @@ def _solid(
     inner (m, 3), gaps (g, 3) [m]: see fill.interior. fine: points inside of a lattice _FINENESS
     times as fine, where the form is known exactly.
     """
-    spacing = _spacing(scene, thing)
+    spacing = spacing_of(scene, thing)
     shell = np.concatenate([surface.x, gaps])
     voxels = Voxels.around(np.concatenate([shell, inner]), spacing)
     inner = inner[~np.isin(voxels.index(inner), voxels.index(shell))]
@@ -173,7 +174,7 @@ def shaded(rgb: np.ndarray, normal: np.ndarray, amount: float) -> np.ndarray:
     return rgb * (1.0 - amount * (1.0 - facing))[:, None]
 
 
-def _spacing(scene: Scene, thing: Object) -> float:
+def spacing_of(scene: Scene, thing: Object) -> float:
     """Distance [m] of particles on the lattice."""
     return scene.domain.cell / round(thing.particles_per_cell ** (1 / 3))
 

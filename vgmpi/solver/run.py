@@ -17,7 +17,9 @@ from ..output.frames import Frames
 from ..output.ledger import Ledger
 from ..output.read import RunError, read_gaussians
 from ..plan import Plan, describe, make_plan
+from ..prepare.loads import find
 from ..scene import Scene
+from .probes import Probes
 from .requests import Requests
 from .state import frame_rows, restore, save
 from .step import BlowUp, Simulation
@@ -34,12 +36,13 @@ DONE, BLEW_UP, STOPPED = 0, 3, 75
 class Options:
     """How to run, beyond what the scene says."""
 
-    folder: Path
+    folder: Path | None  # None: nothing is written
     threads: int = 1
     resume: Path | None = None
     stop_steps: int = 0
     stop_seconds: float = 0.0
     listeners: list = field(default_factory=list)  # each called with (simulation) after every step
+    watchers: list = field(default_factory=list)  # each called with (run) at every frame
 
 
 @dataclass
@@ -49,6 +52,8 @@ class Prepared:
     objects: list[dict]
     volume: list[float]
     colliders: list
+    loads: list
+    rows: dict | None = None  # on rank 0, where there is no gaussians.h5: its datasets
 
     @property
     def count(self) -> list[int]:
@@ -56,7 +61,8 @@ class Prepared:
 
 
 def prepare(scene: Scene, ranks: Alone, folder: Path | None) -> Prepared:
-    """Make the particles on rank 0 and write gaussians.h5 (unless folder is None). Collective.
+    """Make the particles on rank 0 and write gaussians.h5 (or keep them, if folder is None).
+    Collective.
 
     Particles already there from the same objects are used again. Raises SceneError on all ranks.
     """
@@ -70,6 +76,8 @@ def prepare(scene: Scene, ranks: Alone, folder: Path | None) -> Prepared:
     if said is not None:
         raise said
     known = ranks.bcast(known)
+    if folder is None and ranks.rank == 0:
+        known.rows = rows[1]
     if folder is not None and ranks.bcast(rows is not None):
         scenery, rows = rows or (None, None)
         rest.write(
@@ -91,7 +99,8 @@ def _particles(scene: Scene, folder: Path | None):
     if path is not None and moving and rest.digest(path) == digest(scene):
         log.info("particles as prepared before: %s", path)
         found = read_gaussians(path)
-        return _known(found.objects, found.object, found.vol0, []), None
+        loads = find(scene, found.x0, found.vol0, found.object)
+        return _known(found.objects, found.object, found.vol0, [], loads), None
     from ..prepare.build import build  # scipy comes with it: only the rank that prepares waits
 
     made = build(scene)
@@ -105,16 +114,19 @@ def _particles(scene: Scene, folder: Path | None):
     }
     if made.v0.any():
         rows["v0"] = made.v0
+    if made.theta0.any():
+        rows["theta0"] = made.theta0
     scenery = None
     if made.scenery is not None:
         s = made.scenery
         scenery = {"x0": s.x, "object": s.object, "cov0": s.cov0, "opacity": s.opacity, "sh": s.sh}
-    return _known(made.objects, made.object, made.vol0, made.colliders), (scenery, rows)
+    known = _known(made.objects, made.object, made.vol0, made.colliders, made.loads)
+    return known, (scenery, rows)
 
 
-def _known(objects, thing, volume, colliders) -> Prepared:
+def _known(objects, thing, volume, colliders, loads) -> Prepared:
     total = np.bincount(thing, volume, minlength=len(objects))
-    return Prepared(objects, total.tolist(), colliders)
+    return Prepared(objects, total.tolist(), colliders, loads)
 
 
 def digest(scene: Scene) -> str:
@@ -136,19 +148,33 @@ def begin(
     number. Collective.
     """
     warm(plan, ranks)
-    simulation = Simulation(plan, ranks, known.colliders, options.threads)
+    simulation = Simulation(plan, ranks, known.colliders, options.threads, known.loads)
     if options.resume is not None:
         path = options.resume
         with _on_all(ranks, path, lambda: checkpoint.open(path)) as saved:
             restore(simulation, saved)
             return simulation, saved.attrs["frame"]
+    ids, rows = _share(plan, known, ranks, options.folder)
+    v = rows.get("v0", np.zeros_like(rows["x0"]))
+    simulation.put(rows["x0"], v, rows["vol0"], ids, rows["object"], rows.get("theta0"))
+    return simulation, 0
+
+
+def _share(plan: Plan, known: Prepared, ranks: Alone, folder: Path | None):
+    """Ids and rows of the particles this rank brings: of a file an equal share, without a file all
+    on rank 0.
+    """
+    if folder is None:
+        rows = known.rows
+        if rows is None:
+            none = np.zeros(0)
+            rows = {"x0": np.zeros((0, 3)), "vol0": none, "object": none.astype(np.int32)}
+        return np.arange(len(rows["x0"])), rows
     total = plan.particles
     first, last = total * ranks.rank // ranks.size, total * (ranks.rank + 1) // ranks.size
-    path = options.folder / layout.GAUSSIANS
+    path = folder / layout.GAUSSIANS
     rows = _on_all(ranks, path, lambda: rest.read_slice(path, first, last))
-    v = rows.get("v0", np.zeros_like(rows["x0"]))
-    simulation.put(rows["x0"], v, rows["vol0"], np.arange(first, last), rows["object"])
-    return simulation, 0
+    return np.arange(first, last), rows
 
 
 def _on_all(ranks: Alone, path: Path, action):
@@ -163,24 +189,31 @@ def _on_all(ranks: Alone, path: Path, action):
 
 
 class Run:
-    """One run: its simulation and its files. Collective."""
+    """One run: its simulation and its files. Collective.
+
+    probes: rows of the scene's probes; frame: number of the next frame.
+    """
 
     def __init__(self, scene: Scene, plan: Plan, known: Prepared, ranks: Alone, options: Options):
         self.scene, self.plan, self.options, self.ranks = scene, plan, options, ranks
         self.names = [thing["name"] for thing in known.objects]
         self.simulation, self.frame = begin(scene, plan, known, ranks, options)
-        fresh = options.resume is None
-        last_step = None if fresh else self.simulation.step
-        self.frames = Frames(options.folder, ranks, plan.particles, self.frame)
-        self.ledger = Ledger(options.folder, ranks, last_step)
-        self.checkpoints = options.folder / layout.CHECKPOINTS
-        if fresh:
-            checkpoint.clear(self.checkpoints, ranks)
+        last_step = None if options.resume is None else self.simulation.step
+        self.probes = Probes(scene, self.simulation, options.folder, last_step)
+        if options.folder is not None:
+            self._open(options.folder, last_step)
         self.first_step = self.simulation.step
         self.requests = Requests(options.stop_steps, options.stop_seconds, scene.output.checkpoint)
         self.warned = False
         self.opening: list[dict] = []
         self.latest: list[dict] = []
+
+    def _open(self, folder: Path, last_step: int | None) -> None:
+        self.frames = Frames(folder, self.ranks, self.plan.particles, self.frame)
+        self.ledger = Ledger(folder, self.ranks, last_step)
+        self.checkpoints = folder / layout.CHECKPOINTS
+        if last_step is None:
+            checkpoint.clear(self.checkpoints, self.ranks)
 
     def go(self) -> int:
         """Run to the end of the scene or until asked to stop; returns the exit code."""
@@ -188,6 +221,7 @@ class Run:
         self.opening = self.latest = ledger(simulation)
         if self.frame == 0:
             self._write_frame()
+            self.probes.first()
         try:
             while self.frame < len(self.plan.times):
                 if self._step():
@@ -205,11 +239,12 @@ class Run:
             self._warn_if_too_long(bound)
             bound = self.plan.fixed_dt
         dt, lands = next_step(simulation.time, self.plan.times[self.frame], bound)
-        done = simulation.step + 1 - self.first_step
+        done, before = simulation.step + 1 - self.first_step, simulation.time
         stop, due = simulation.advance(dt, self.requests.flags(done))
         if lands:
             simulation.time = float(self.plan.times[self.frame])
             self._write_frame()
+        self.probes.after_step(before)
         for listener in self.options.listeners:
             listener(simulation)
         every = self.scene.output.checkpoint_steps
@@ -230,6 +265,9 @@ class Run:
 
     def _blew_up(self, said: str) -> int:
         """Say what happened, and write the state as it is for a look at it."""
+        if self.options.folder is None:
+            log.error("blow-up: %s", said)
+            return BLEW_UP
         simulation, folder = self.simulation, self.options.folder / layout.BLOWUP
         ids, fields = frame_rows(simulation, self.scene.output.fields)
         frames = Frames(folder, self.ranks, self.plan.particles)
@@ -239,14 +277,19 @@ class Run:
 
     def _write_frame(self) -> None:
         simulation = self.simulation
-        ids, fields = frame_rows(simulation, self.scene.output.fields)
-        self.frames.write(self.frame, simulation.time, simulation.step, ids, fields)
         self.latest = ledger(simulation)
-        self.ledger.append(self.latest)
+        if self.options.folder is not None:
+            ids, fields = frame_rows(simulation, self.scene.output.fields)
+            self.frames.write(self.frame, simulation.time, simulation.step, ids, fields)
+            self.ledger.append(self.latest)
+        for watcher in self.options.watchers:
+            watcher(self)
         self.frame += 1
         self._mark("write")
 
     def _checkpoint(self) -> None:
+        if self.options.folder is None:
+            return
         state = save(self.simulation)
         state["attrs"] |= {
             "frame": self.frame,

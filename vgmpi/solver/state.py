@@ -51,6 +51,33 @@ def _gradient(group, state, J) -> np.ndarray:
     return (np.stack(state, 1) + np.eye(3).ravel()).astype(np.float32)
 
 
+def by_id(simulation: Simulation, *names: str) -> list[np.ndarray]:
+    """Arrays of all particles of all ranks in the order of their ids, on every rank. Collective.
+
+    names: x (n, 3) [m], v (n, 3) [m/s], C (n, 9) [1/s], vol0 (n,) [m3], J (n,), object (n,), id
+    (n,). Double precision, or whole numbers.
+    """
+    parts = {
+        "id": lambda group, at: group.ids[at],
+        "x": lambda group, at: group.positions(),
+        "v": lambda group, at: group.f[PIECES["v"], at].T,
+        "C": lambda group, at: group.f[PIECES["C"], at].T,
+        "vol0": lambda group, at: group.f[VOLUME, at],
+        "J": lambda group, at: function(group.plan.law, "volume_ratio")(
+            group.plan.law, tuple(group.f[STATE : STATE + len(group.plan.rest), at])
+        ),
+        "object": lambda group, at: simulation.object_of(group.ids[at]),
+    }
+
+    def rows(name: str) -> np.ndarray:
+        mine = [parts[name](group, group.index()) for group in simulation.groups]
+        whole = simulation.ranks.all_rows(np.concatenate(mine))
+        return whole if whole.dtype.kind == "i" else whole.astype(np.float64)
+
+    order = np.argsort(rows("id"))
+    return [rows(name)[order] for name in names]
+
+
 def save(simulation: Simulation) -> dict:
     """What a checkpoint holds, see output/checkpoint.py: segments and particles in key order,
     fixed-point positions.

@@ -12,6 +12,7 @@ from ..kernels import g2p, records
 from ..kernels.cpu import Cpu
 from ..materials.base import function
 from ..plan import Plan
+from .loads import Loads
 
 REASONS = {
     g2p.CRUSHED: "its volume ratio J left 0.1 .. 5 or is not a number",
@@ -33,13 +34,16 @@ class Simulation:
     of a checkpoint.
     """
 
-    def __init__(self, plan: Plan, ranks: Alone, colliders: list = (), threads: int = 1):
+    def __init__(
+        self, plan: Plan, ranks: Alone, colliders: list = (), threads: int = 1, loads: list = ()
+    ):
         self.plan = plan
         self.ranks = ranks
         self.lattice = Lattice(plan.cells, plan.dx)
         self.solids = Solids(list(colliders), self.lattice, plan.real) if colliders else None
         self.engine = Cpu(plan, self.solids, threads)
         self.groups = [Group(group, self.lattice, plan.real) for group in plan.groups]
+        self.loads = Loads(loads, plan.real) if loads else None
         self.phase_of = np.array([group.phase for group in plan.groups])
         self.cut: np.ndarray | None = None
         self.halo: Halo | None = None
@@ -54,13 +58,19 @@ class Simulation:
         self.clock = None  # a callable(name) that marks the end of a stage, or None
 
     def put(
-        self, x: np.ndarray, v: np.ndarray, volume: np.ndarray, ids: np.ndarray, thing: np.ndarray
+        self,
+        x: np.ndarray,
+        v: np.ndarray,
+        volume: np.ndarray,
+        ids: np.ndarray,
+        thing: np.ndarray,
+        theta: np.ndarray | None = None,
     ) -> None:
-        """Take particles at rest in any order, any share on any rank. Collective; once, at the
-        start.
+        """Take particles, unstrained or compressed, in any order, any share on any rank.
+        Collective; once, at the start.
 
         x: positions [m], (n, 3); v: velocities [m/s], (n, 3); volume: rest volumes [m3], (n,); ids:
-        (n,); thing: object of each, (n,).
+        (n,); thing: object of each, (n,); theta: ln J of fluids, (n,), or None for 0.
         """
         group_of = np.array(self.plan.group_of)[thing] if len(thing) else thing
         fastest = 0.0
@@ -71,12 +81,18 @@ class Simulation:
             f[0:3] = v[here].T
             f[records.VOLUME] = volume[here]
             f[records.STATE :] = np.array(group.plan.carried)[:, None]
-            migrate.arrive(group, block, xi, f, ids[here])
+            states = [group.plan.rest]
+            if theta is not None and self.plan.phases[group.plan.phase].family == "fluid":
+                f[records.STATE] = theta[here]
+                # the fastest wave is at an end of the range, which the ranks agree on bit by bit
+                states += [(end, *group.plan.rest[1:]) for end in _ends(theta[here])]
             if here.any():
                 law = group.plan.law
-                wave = np.sqrt(group.plan.bound(function(law, "wave_speed2")(law, group.plan.rest)))
+                waves = [function(law, "wave_speed2")(law, state) for state in states]
+                wave = np.sqrt(group.plan.bound(max(waves)))
                 speed = np.sqrt((v[here] ** 2).sum(1)).max()
                 fastest = max(fastest, float(wave + speed), float(speed) * self.plan.cfl / 0.3)
+            migrate.arrive(group, block, xi, f, ids[here])
         rate = fastest / (self.plan.cfl * self.plan.dx)
         self.rate = float(self.ranks.max(np.array([rate]))[0])
         self.sort()
@@ -101,6 +117,8 @@ class Simulation:
             np.array([group.apart for group in self.plan.groups]), self.plan.flip > 0,
         )  # fmt: skip
         self.engine.adopt(self.groups, tables, census.group)
+        if self.loads is not None:
+            self.loads.find(self.groups)
         if self.halo is not None:
             self.halo.link.close()
         self.halo = Halo(self.ranks, tables, self.engine.slots, self.plan.real)
@@ -121,6 +139,11 @@ class Simulation:
         """
         mark = self.clock or (lambda name: None)
         engine, sent = self.engine, (self.step, *self.engine.layers)
+        if self.loads is not None:
+            self.loads.push(self.groups, self.time, dt)
+        if self.plan.gravity_ramp:
+            share = self.plan.gravity_share(self.time, self.time + dt)
+            np.multiply(self.plan.gravity, share, out=engine.gravity)
         # x, v, C, state at n -> mass and momentum (with the stress at n over dt)
         engine.p2g(dt, border=True)
         mark("p2g")
@@ -179,3 +202,8 @@ class Simulation:
         thing = int(self.object_of(np.array([worst]))[0])
         where = f"particle {worst}, step {self.step}, time {self.time:.6g} s"
         return f"object {{{thing}}}, {where}: {REASONS[int(reason)]}"
+
+
+def _ends(values: np.ndarray) -> list[float]:
+    """Smallest and largest of (n,) values; nothing of none."""
+    return [float(values.min()), float(values.max())] if len(values) else []

@@ -7,9 +7,10 @@ import numpy as np
 from ..device.processor import processor, stamp
 from ..domain import halo
 from ..domain.ranks import Alone
+from ..kernels.loads import push
 from ..plan import Plan
 from .step import Simulation
-from .watch import ledger
+from .watch import about, ledger
 
 log = logging.getLogger("vgmpi")
 
@@ -57,6 +58,9 @@ def _run_all(plan: Plan) -> None:
     alone.put(np.tile(middle, (n, 1)), np.zeros((n, 3)), np.full(n, plan.dx**3), ids, things)
     alone.advance(1e-6 * alone.bound())
     ledger(alone)
+    for group in alone.groups:
+        push(group.f, np.zeros(0, np.int64), np.zeros(3, plan.real))
+        about(alone, group, 0, 0)
     none = np.zeros(0, np.int64)
     corner = np.zeros((0, 3), np.int64)
     for copy in (halo.pack, halo.unpack):

@@ -4,7 +4,8 @@ number of ranks.
 
 import numpy as np
 
-from ..kernels.measure import COLUMNS, ledger_rows
+from ..domain.state import Group
+from ..kernels.measure import COLUMNS, ledger_rows, object_rows
 from .step import Simulation
 
 
@@ -49,6 +50,18 @@ def _entry(simulation: Simulation, phase: int, found: list) -> dict:
         entry[f"momentum_{axis}"] = total[1 + a]
         entry[f"angular_{axis}"] = total[4 + a]
     return entry
+
+
+def about(simulation: Simulation, group: Group, first: int, last: int) -> np.ndarray:
+    """Mass, momentum and mass times position of the particles first .. last that are here, a row
+    per segment that holds some: (n, 7).
+    """
+    rows = np.empty((len(group.start), 7))
+    object_rows(
+        group.start, group.count, group.block, group.xi, group.f, group.ids, group.bits,
+        group.plan.density, simulation.plan.dx, first, last, rows,
+    )  # fmt: skip
+    return rows[rows[:, 0] > 0]
 
 
 def drift(first: list[dict], last: list[dict]) -> str:

@@ -1,0 +1,118 @@
+"""Loads, probes and growing gravity do not touch the promise: the same bits in every file for any
+number of ranks, and after a restart in the middle of a ramp."""
+
+import csv
+
+import pytest
+
+from tests.digests import digests
+from tests.launch import mpirun
+from tests.scenes import MIXED, write
+
+pytestmark = pytest.mark.mpi
+
+# loads on part of a body, on two bodies of one phase, on a face; all kinds of probes, one of them
+# at every step
+SCENE = (
+    MIXED.replace("PRECISION", "double").replace(
+        "cell = 0.02\n", 'cell = 0.02\ngravity_ramp = "40 ms"\n'
+    )
+    + """
+[[load]]
+object = "ball"
+region = { box = [[0, 0, 0], [0.36, 0.12, 0.24]] }
+force = [0.3, 0, 0.1]
+ramp = "30 ms"
+[[load]]
+object = ["pool", "slick"]
+acceleration = [2, 1, 0]
+after = "11 ms"
+until = "41 ms"
+[[load]]
+object = "cube"
+pressure = "100 Pa"
+face = "east"
+[[probe]]
+name = "deep"
+every = "7 ms"
+pressure = [0.08, 0.12, 0.02]
+[[probe]]
+name = "gauge"
+every = "7 ms"
+level = [0.1, 0.1]
+[[probe]]
+name = "stream"
+rate = 300
+velocity = [0.12, 0.12, 0.04]
+[[probe]]
+name = "cube"
+every = "1 us"
+object = "cube"
+[[probe]]
+name = "slick"
+every = "9 ms"
+object = "slick"
+[[probe]]
+name = "walls"
+every = "7 ms"
+wall = "all"
+"""
+)
+
+
+def go(scene, out, n, *flags):
+    return mpirun(n, "-m", "vgmpi", scene, "-q", "-o", out, *flags, timeout=240)
+
+
+@pytest.fixture(scope="module")
+def one(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("loads")
+    scene = write(folder, SCENE)
+    job = go(scene, folder / "one", 1)
+    assert job.returncode == 0, job.stderr
+    found = digests(folder / "one")
+    assert sum(name.startswith("probe_") for name in found) == 6
+    return scene, found, folder / "one"
+
+
+def rows(folder, name):
+    with open(folder / f"probe_{name}.csv", newline="") as f:
+        return list(csv.DictReader(f))
+
+
+def test_there_is_something_to_measure(one):
+    """Numbers everywhere, but for the first force; they change."""
+    _, _, out = one
+    for name in ("deep", "gauge", "stream", "cube", "slick", "walls"):
+        found = rows(out, name)
+        assert len(found) > 5 and "" not in found[-1].values()
+        assert all("nan" not in row.values() for row in found[1:]), name
+        columns = [set(row[key] for row in found) for key in found[0] if key not in ("mass",)]
+        assert all(len(values) > 3 for values in columns), name
+    assert len(rows(out, "cube")) == 1 + int(rows(out, "cube")[-1]["step"])
+
+
+@pytest.mark.parametrize("n", [2, 3])
+def test_ranks(one, n, tmp_path):
+    scene, want, _ = one
+    job = go(scene, tmp_path, n)
+    assert job.returncode == 0, job.stderr
+    assert digests(tmp_path) == want
+
+
+def test_stop_and_resume(one, tmp_path):
+    """Stopped on three ranks while all loads and gravity grow, then on with two. What was written
+    behind the checkpoint is written anew."""
+    scene, want, out = one
+    stop = int(rows(out, "cube")[-1]["step"]) // 3
+    assert 0.012 < float(rows(out, "cube")[stop]["time"]) < 0.028
+    job = go(scene, tmp_path, 3, "--stop-after", f"{stop} steps")
+    assert job.returncode == 75, job.stderr
+    with open(tmp_path / "probe_cube.csv", "a") as f:
+        f.write(f"0.05,{stop + 1}" + ",1.0" * 13 + "\n0.05,99")  # a kill after the checkpoint
+    job = go(scene, tmp_path, 2, "--resume")
+    assert job.returncode == 0, job.stderr
+    found = digests(tmp_path)
+    same = ("frame_", "ledger", "probe_")
+    frames = {name: sha for name, sha in want.items() if any(word in name for word in same)}
+    assert {name: found.get(name) for name in frames} == frames

@@ -1,0 +1,154 @@
+"""Loads: a free body obeys Newton's second law.
+
+Number from outside: p(t) = integral of F dt, exact for any step; tolerance 1e-12 of it in double
+precision (rounding of the sums), whatever the shape of the body and however the load is spread.
+A pressure on a face of area A is a force p A (A of the block as built, from its particles).
+"""
+
+import numpy as np
+import pytest
+
+from tests.simulate import advance, begin, by_id, totals
+from vgmpi.loads import mean_share
+
+BLOCK = """
+[domain]
+size = [0.4, 0.4, 0.4]
+cell = 0.02
+gravity = [0, 0, GRAVITY]
+gravity_ramp = RAMP
+[time]
+end = 0.02
+frames = 2
+[material.rubber]
+kind = "elastic"
+youngs_modulus = 2e4
+density = 1000
+[material.light]
+kind = "elastic"
+youngs_modulus = 2e4
+density = 500
+[[object]]
+name = "block"
+material = "rubber"
+shape = { box = [[0.14, 0.16, 0.16], [0.22, 0.24, 0.28]] }
+[[object]]
+name = "rider"
+material = "light"
+phase = "block"
+shape = { box = [[0.22, 0.16, 0.16], [0.26, 0.24, 0.28]] }
+"""
+END = 0.02  # [s]
+AREA, VOLUME = 0.08 * 0.08, 0.08 * 0.08 * 0.12  # of the block's top [m2] and of the block [m3]
+
+
+def free(folder, loads, gravity=0.0, ramp=0.0):
+    text = BLOCK.replace("GRAVITY", str(gravity)).replace("RAMP", str(ramp))
+    simulation, made = begin(folder, text + loads)
+    advance(simulation, END)
+    assert simulation.step > 15
+    return simulation, totals(simulation)["momentum"]
+
+
+CASES = {
+    "force": ("force = [1, -2, 0.5]", (1, -2, 0.5)),
+    "half": (
+        "force = [3, 0, 0]\nregion = { box = [[0, 0, 0], [1, 1, 0.2]] }",
+        (3, 0, 0),
+    ),
+    "pressure": ('pressure = "1 kPa"\nface = "top"', (0, 0, -1e3 * AREA)),
+    "suction": ('pressure = "-1 kPa"\nface = "west"', (-1e3 * 0.08 * 0.12, 0, 0)),
+    "acceleration": ("acceleration = [0, 3, 0]", (0, 3 * 1000 * VOLUME, 0)),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_momentum_is_force_times_time(tmp_path, case):
+    says, force = CASES[case]
+    _, momentum = free(tmp_path, f'[[load]]\nobject = "block"\n{says}\n')
+    want = np.array(force) * END
+    assert np.abs(momentum - want).max() < 1e-12 * np.abs(want).max()
+
+
+def test_it_comes_and_goes(tmp_path):
+    """A ramp of 10 ms from 2 ms on, ended at 16 ms: the load counts for 14 - 5 ms; another in pulse
+    form is shorter than many steps together. Steps do not fall on these times."""
+    loads = """
+[[load]]
+object = "block"
+force = [4, 0, 0]
+ramp = "10 ms"
+after = "2 ms"
+until = "16 ms"
+[[load]]
+object = ["block", "rider"]
+force = [0, 0, 6]
+after = "3.1 ms"
+until = "3.2 ms"
+"""
+    _, momentum = free(tmp_path, loads)
+    want = np.array([4 * (0.014 - 0.005), 0, 6 * 1e-4])
+    assert np.abs(momentum - want).max() < 1e-12
+
+
+def test_the_mean_of_a_ramp():
+    """Against a sum over fine steps, for pieces that lie in, across and beyond it."""
+
+    def full(t):
+        s = np.clip((t - 0.3) / 0.5, 0, 1)
+        return np.where((t >= 0.3) & (t < 1.2), 0.5 - 0.5 * np.cos(np.pi * s), 0)
+
+    for t0, t1 in ((0, 0.2), (0.1, 0.4), (0.35, 0.5), (0.6, 0.9), (0.85, 1.0), (1.1, 1.3)):
+        t = t0 + (np.arange(200_000) + 0.5) / 200_000 * (t1 - t0)
+        found = mean_share(t0, t1, ramp=0.5, after=0.3, until=1.2)
+        assert found == pytest.approx(full(t).mean(), abs=1e-5)
+    assert mean_share(0.85, 1.0, 0.5, 0.3) == 1.0 and mean_share(2.0, 2.1, 0.0) == 1.0
+
+
+def test_gravity_grows(tmp_path):
+    """Half a cosine of 12 ms: as much as gravity 6 ms later."""
+    simulation, momentum = free(tmp_path, "", gravity=-9.8, ramp=0.012)
+    mass = 1000 * VOLUME + 500 * VOLUME / 2
+    want = -9.8 * mass * (END - 0.006)
+    assert abs(momentum[2] - want) < 1e-12 * abs(want) and abs(momentum[:2]).max() < 1e-12
+    (v,) = by_id(simulation, "v")
+    assert np.ptp(v[:, 2]) < 1e-9
+
+
+def test_shared_by_volume(tmp_path):
+    """Two materials in one load: the first step gives the light one twice the speed."""
+    text = BLOCK.replace("GRAVITY", "0").replace("RAMP", "0")
+    load = '[[load]]\nobject = ["block", "rider"]\nforce = [0, 0, 3]\n'
+    simulation, _ = begin(tmp_path, text + load)
+    simulation.loads.push(simulation.groups, 0.0, 1e-3)
+    v, thing = by_id(simulation, "v", "object")
+    speeds = [np.unique(v[thing == k][:, 2]) for k in (0, 1)]
+    assert [len(s) for s in speeds] == [1, 1]
+    assert speeds[1][0] == pytest.approx(2 * speeds[0][0], rel=1e-14)
+    assert speeds[0][0] == pytest.approx(1e-3 * 3 / (1.5 * VOLUME) / 1000, rel=1e-12)
+
+
+def test_the_region_is_taken_at_the_start(tmp_path):
+    """The layer at the top is pressed; it keeps the load after sorts."""
+    text = BLOCK.replace("GRAVITY", "0").replace("RAMP", "0")
+    load = '[[load]]\nobject = "block"\npressure = "1 kPa"\nface = "top"\n'
+    simulation, made = begin(tmp_path, text + load, velocity=lambda x: 0 * x + [1.5, 1.0, 0.5])
+
+    def pressed():
+        ids = [
+            group.ids[at]
+            for group, at in zip(simulation.groups, simulation.loads.places[0], strict=True)
+        ]
+        return np.sort(np.concatenate(ids))
+
+    top = np.flatnonzero((made.object == 0) & (made.x[:, 2] > 0.27))
+    assert len(top) == 64 and (pressed() == top).all()
+    sorts = simulation.sorts
+    while simulation.sorts < sorts + 2:
+        simulation.advance(simulation.bound())
+    assert (pressed() == top).all()
+
+
+def test_no_load_no_cost(tmp_path):
+    simulation, _ = begin(tmp_path, BLOCK.replace("GRAVITY", "0").replace("RAMP", "0"))
+    assert simulation.loads is None

@@ -1,0 +1,94 @@
+"""Probes of a scene: what is measured while it runs, where and how often."""
+
+import math
+from typing import Annotated, Literal
+
+from pydantic import BeforeValidator
+
+from vgmpi.objects import body_complaint, checked_name
+from vgmpi.tables import Length, Point, Quantity, Table
+
+KINDS = ("pressure", "level", "velocity", "object", "wall")
+
+
+class Probe(Table):
+    """A measurement, written to probe_NAME.csv: exactly one of pressure, level, velocity, object,
+    wall. A row is written after the first step at or after each due time, and says its own time:
+    probes do not change the steps.
+    """
+
+    name: Annotated[str, BeforeValidator(checked_name)]
+    """unique name: letters, digits, spaces, _ and -, beginning with a letter"""
+    rate: Annotated[float, Quantity("Hz", gt=0)] | None = None
+    """rows per second of simulated time"""
+    every: Annotated[float, Quantity("s", gt=0)] | None = None
+    """instead of `rate`: time between rows; shorter than a step: a row at every step"""
+    pressure: Point | None = None
+    """mean pressure of the fluids within a cell of this point, weighted by their volume and by
+    1 - distance / cell along each axis"""
+    level: tuple[Length, Length] | None = None
+    """height of the fluids' surface over this point (x, y): of the highest layer of a cell's
+    height that they fill by half"""
+    velocity: Point | None = None
+    """mean velocity of all bodies within a cell of this point, weighted by mass and by
+    1 - distance / cell along each axis"""
+    object: str | None = None
+    """a body's mass, centre of mass, mean velocity, momentum, and the mean force on it since the
+    row before: the rate of its momentum without its weight"""
+    wall: Literal["all"] | None = None
+    """"all": mean force of the bodies on all walls and colliders together since the row before,
+    from the balance of momentum: weight and loads less the rate of the bodies' momentum. One wall
+    alone is not told apart: z is what floor and roof bear, and the friction at the sides"""
+
+    @property
+    def kind(self) -> str:
+        """What it measures."""
+        return next(kind for kind in KINDS if getattr(self, kind) is not None)
+
+    @property
+    def period(self) -> float:
+        """Time between rows [s]."""
+        return self.every if self.every is not None else 1.0 / (self.rate or math.inf)
+
+    def due(self, before: float, now: float) -> bool:
+        """Whether a row is due after a step from `before` to `now` [s]; from the times alone, so
+        that a resumed run writes the same rows."""
+        # frames land on their times to rounding: a millionth of a period is on time
+        return math.floor(now / self.period + 1e-6) > math.floor(before / self.period + 1e-6)
+
+
+def probe_complaints(
+    raw: dict,
+    probe: Probe | None,
+    role: dict[str, str] | None,
+    size: tuple[float, float, float] | None,
+    fluid: bool,
+) -> list[tuple[tuple, str]]:
+    """(path, text) for what is wrong with one probe beside its values. probe: as read, None if
+    that failed; role: see objects.body_complaint; size: of the domain [m]; fluid: is there any.
+    """
+    found: list[tuple[tuple, str]] = []
+    given = [key for key in KINDS if key in raw]
+    if not given:
+        found.append(((), f"measures nothing: give one of {', '.join(KINDS)}"))
+    if len(given) > 1:
+        found.append(((given[1],), f"{' and '.join(given)} given at once: give exactly one"))
+    if "rate" not in raw and "every" not in raw:
+        found.append(((), "needs a rate or an every"))
+    if "rate" in raw and "every" in raw:
+        found.append((("every",), "rate and every given at once: give one"))
+    if probe is None:
+        return found
+    said = body_complaint(probe.object, role)
+    found += [(("object",), said)] if said else []
+    for key in ("pressure", "level", "velocity"):
+        point = getattr(probe, key)
+        if point is None:
+            continue
+        if key != "velocity" and not fluid:
+            found.append(((key,), "is for fluids, and there is none"))
+        for axis, x in enumerate(point if size else ()):
+            if not 0 <= x <= size[axis]:
+                said = f"lies outside the domain, 0 .. {size[axis]:g} m; got {x:g} m"
+                found.append(((key, axis), said))
+    return found
