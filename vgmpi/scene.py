@@ -254,14 +254,15 @@ class _Reader:
             self.wrong(("object",), "all objects are scenery: at least one must be a body")
         for k, thing in enumerate(found):
             made_of = kinds.get(thing.material) if thing else None
+            if thing and thing.compressed != "no" and made_of:
+                if not hasattr(made_of, "theta_below"):
+                    self.wrong(("object", k, "compressed"), "is only for fluids")
             if thing is None or (made_of and made_of.family == "fluid"):
                 continue
             if "opacity_scale" in raw[k]:
                 self.wrong(
                     ("object", k, "opacity_scale"), "is only for fluids; solids have opacity"
                 )
-            if thing.compressed != "no":
-                self.wrong(("object", k, "compressed"), "is only for fluids")
         return found
 
     def once(self, table: str, k: int, item: dict, first: dict[str, int]) -> None:

@@ -91,6 +91,13 @@ until = "3.2 ms"
     assert np.abs(momentum - want).max() < 1e-12
 
 
+@pytest.mark.parametrize("transfer", ["flip", "pic"])
+def test_with_other_transfers(tmp_path, transfer):
+    loads = '[[load]]\nobject = "block"\nforce = [1, 0, 0]\n'
+    _, momentum = free(tmp_path, loads + f'[accuracy]\ntransfer = "{transfer}"\n')
+    assert np.abs(momentum - [END, 0, 0]).max() < 1e-12 * END
+
+
 def test_the_mean_of_a_ramp():
     """Against a sum over fine steps, for pieces that lie in, across and beyond it."""
 
