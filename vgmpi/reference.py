@@ -34,6 +34,8 @@ def scene_reference() -> str:
     parts.append(_section("A wall", settings.Wall))
     for kind, material in materials.registry.items():
         parts.append(_section(f'[material.NAME] kind = "{kind}"', material))
+        if material.presets:
+            parts.append(_presets(material.presets))
     parts.append(_section("[[object]]", objects.Object))
     inner: dict[str, type[BaseModel]] = {
         "shape": objects.Shape,
@@ -61,6 +63,17 @@ def _section(title: str, table: type[BaseModel]) -> str:
         cells = (f"`{name}`", _unit(field), _default(field), _allowed(field), _meaning(field))
         rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return "\n".join([f"## {title}", "", said, "", *rows, ""])
+
+
+def _presets(presets: dict[str, dict]) -> str:
+    """What each preset gives."""
+    keys = list(dict.fromkeys(key for values in presets.values() for key in values))
+    rows = ["| preset | " + " | ".join(f"`{key}`" for key in keys) + " |"]
+    rows.append("|---" * (len(keys) + 1) + "|")
+    for name, values in presets.items():
+        given = (f"{values[key]:.4g}" if key in values else "" for key in keys)
+        rows.append(f'| `"{name}"` | ' + " | ".join(given) + " |")
+    return "\n".join(["Presets, in SI units; a key that is given wins:", "", *rows, ""])
 
 
 def _meaning(field: FieldInfo) -> str:

@@ -49,7 +49,7 @@ CASES = {
         "density = 1000",
         "poisson_ratio = 0.3",
         "material.water.poisson_ratio",
-        "known here: kind, density, bulk_modulus",
+        "known here: kind, preset, density, bulk_modulus",
     ),
     "missing key": ("end = ", "#", "time.end", "required key is missing: simulated time"),
     "wrong unit": ('end = "1 s"', 'end = "1 m"', "time.end", "units: s, ms, us, min, h"),
@@ -538,7 +538,7 @@ def test_overriding_what_is_wrong_makes_it_right(tmp_path):
         ("[[object]]\nname = 3\nrole = 'scenery'", "at least one must be a body"),
         ("[[object]]\nselect = []\ngaussians = {}", "must be a table of keys; got []"),
         ("[[object]]\nshape = { union = [3, { box = 1 }] }", "must be a table of keys; got 3"),
-        ("[material.a]\nkind = []", "must be one of elastic, fluid"),
+        ("[material.a]\nkind = []", "must be one of corotated, elastic, fluid"),
     ],
 )
 def test_nonsense_is_reported_not_raised(tmp_path, text, says):

@@ -17,6 +17,7 @@ from vgmpi.kernels import laws
 from vgmpi.materials import registry
 from vgmpi.materials.base import FUNCTIONS, Family, state_channels
 
+NEVER = {"yield_stress": 1e9}  # what yields has tests of its own
 SAMPLES = {  # a table of each kind, other than the defaults
     "fluid": [
         {"density": 900.0, "bulk_modulus": 3e4, "gamma": 7.0, "viscosity": 0.3},
@@ -30,6 +31,16 @@ SAMPLES = {  # a table of each kind, other than the defaults
     "sand": [{"porosity": 0.3, "youngs_modulus": 3e5}, {"cohesion": 500.0, "poisson_ratio": 0.2}],
     "snow": [{}, {"density": 100.0, "poisson_ratio": 0.0, "hardening": 5.0}],
     "metal": [{"youngs_modulus": 2e6, "yield_stress": 5e4, "hardening": 1e5}],
+    "corotated": [
+        {"youngs_modulus": 2e5, "poisson_ratio": 0.3},
+        {"density": 500.0, "youngs_modulus": 1e4, "poisson_ratio": 0.0},
+    ],
+    "paste": [
+        {"consistency": 3.0, "index": 0.4, "shear_modulus": 3e4, **NEVER},
+        {"consistency": 3.0, "bulk_modulus": 1e3, "gamma": 1.0, "shear_modulus": 1e5, **NEVER},
+    ],
+    "foam": [{"youngs_modulus": 2e3, "poisson_ratio": 0.2, "viscosity": 3.0, **NEVER}],
+    "plasticine": [{"youngs_modulus": 2e6, "poisson_ratio": 0.4, **NEVER}],
 }
 CASES = [(kind, k) for kind in registry for k in range(len(SAMPLES.get(kind, [{}])))]
 ZERO = (0.0,) * 9
@@ -46,10 +57,15 @@ def state_of(material, F):
     """The state a body of this material carries when its (elastic) deformation gradient is F (3,
     3).
     """
+    J = np.linalg.det(F)
+    b = F @ F.T
+    if "theta" in material.carries:
+        b = b / np.cbrt(J) ** 2  # what carries its volume apart has none in b
+    six = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
     known = {
-        "theta": lambda: (np.log(np.linalg.det(F)),),
+        "theta": lambda: (np.log(J),),
         "H": lambda: tuple((F - np.eye(3)).flat),
-        "B": lambda: tuple((F @ F.T - np.eye(3))[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]),
+        "B": lambda: tuple((b - np.eye(3))[six]),
     }
     known |= {name: lambda: (0.0,) for name in ("v_c", "ln_Jp", "plastic_strain")}
     assert set(material.carries) <= set(known), "say what this state is for a given F"

@@ -22,8 +22,12 @@ from vgmpi.solver.run import digest
 
 # the least a material needs to be valid, where its defaults are not enough
 KEYS: dict[str, dict] = {
+    "corotated": {"youngs_modulus": 1e6},
     "elastic": {"youngs_modulus": 1e6},
+    "foam": {"preset": "shaving foam"},
     "metal": {"youngs_modulus": 1e6, "yield_stress": 1e4},
+    "paste": {"preset": "ketchup"},
+    "plasticine": {"preset": "clay"},
 }
 
 DX = 0.01  # [m]

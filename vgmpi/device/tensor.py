@@ -2,6 +2,8 @@
 compiled).
 """
 
+import numpy as np
+
 
 def det_minus_one(h):
     """det(I + H) - 1 from H alone, exact to rounding for small H. h: nine scalars."""
@@ -23,6 +25,34 @@ def left_cauchy_green_minus_one(h):
         h2 + h6 + h0 * h6 + h1 * h7 + h2 * h8,
         h5 + h7 + h3 * h6 + h4 * h7 + h5 * h8,
     )
+
+
+def moved_gradient_minus_one(h, L, dt):
+    """H of F <- (I + dt L) F for F = I + H: H + dt (L + L H). h, L: nine scalars each."""
+    a0, a1, a2, a3, a4, a5, a6, a7, a8 = h
+    c0, c1, c2, c3, c4, c5, c6, c7, c8 = L
+    return (
+        a0 + dt * (c0 + c0 * a0 + c1 * a3 + c2 * a6),
+        a1 + dt * (c1 + c0 * a1 + c1 * a4 + c2 * a7),
+        a2 + dt * (c2 + c0 * a2 + c1 * a5 + c2 * a8),
+        a3 + dt * (c3 + c3 * a0 + c4 * a3 + c5 * a6),
+        a4 + dt * (c4 + c3 * a1 + c4 * a4 + c5 * a7),
+        a5 + dt * (c5 + c3 * a2 + c4 * a5 + c5 * a8),
+        a6 + dt * (c6 + c6 * a0 + c7 * a3 + c8 * a6),
+        a7 + dt * (c7 + c6 * a1 + c7 * a4 + c8 * a7),
+        a8 + dt * (c8 + c6 * a2 + c7 * a5 + c8 * a8),
+    )
+
+
+def largest_stretch2(b):
+    """A bound on the largest eigenvalue of b, from B = b - I (00, 11, 22, 01, 02, 12): the largest
+    sum of a row's absolute values.
+    """
+    b00, b11, b22, b01, b02, b12 = b
+    r0 = np.abs(1.0 + b00) + np.abs(b01) + np.abs(b02)
+    r1 = np.abs(1.0 + b11) + np.abs(b01) + np.abs(b12)
+    r2 = np.abs(1.0 + b22) + np.abs(b02) + np.abs(b12)
+    return np.maximum(r0, np.maximum(r1, r2))
 
 
 def transpose(a):

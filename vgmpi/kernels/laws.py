@@ -12,7 +12,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, overload, register_jitable
 
-from ..device import eigen, hencky, tensor
+from ..device import eigen, flow, hencky, tait, tensor
 from ..device import jit as _jit  # noqa: F401  (sets numba's cache folder first)
 from ..materials import registry
 from ..materials.base import function, law_owner, state_channels
@@ -29,7 +29,7 @@ def make_callable(module) -> None:
 
 
 _materials = [sys.modules[_material.__module__] for _material in registry.values()]
-for _module in (tensor, eigen, hencky, *dict.fromkeys(_materials)):
+for _module in (tensor, eigen, hencky, flow, tait, *dict.fromkeys(_materials)):
     make_callable(_module)
 
 # a compiled function called from Python tells two NamedTuples with equal fields apart by the name

@@ -6,8 +6,8 @@ the law, the particle's state (a tuple of scalars) and return scalars or tuples.
 and numpy ufuncs only, so that the same text runs on numpy arrays (the tests' reference) and,
 compiled, on the particles of the solver. No function of a law branches in Python on a particle's
 value: it selects with minimum, maximum and device/select.py. device/tensor.py and device/eigen.py
-have products, rotations and eigenvalues of 3x3 tensors, device/hencky.py what laws that yield
-share.
+have products, rotations and eigenvalues of 3x3 tensors; device/hencky.py, flow.py and tait.py what
+laws have in common.
 
     advance(law, state, L, dt) -> state     L = grad v [1/s], nine numbers, row by row; dt [s]
     stress(law, state, L) -> (t00, t11, t22, t01, t02, t12)     Kirchhoff stress [Pa]
@@ -16,9 +16,12 @@ share.
     energy(law, state) -> psi [J per m3 of rest volume]
 """
 
-from typing import ClassVar, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
-from ..tables import Table
+from pydantic import BaseModel, ValidationError, model_validator
+from pydantic_core import InitErrorDetails, PydanticCustomError
+
+from ..tables import Table, nearest
 
 registry: dict[str, type] = {}
 
@@ -31,7 +34,25 @@ Family = Literal["fluid", "sand", "snow", "solid"]
 class Material(Table):
     """What every material can say; a law overrides what is different for it."""
 
+    kind: str
+    preset: str = ""
+    """name of a known stuff: gives the keys that are not given here their values"""
+
+    presets: ClassVar[dict[str, dict]] = {}  # values of keys, SI, by the stuff's name
     kinematic_viscosity: ClassVar[float] = 0.0  # [m2/s]: bounds the time step by diffusion
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill(cls, raw: Any) -> Any:
+        """The keys of the preset beneath those that are given."""
+        name = raw.get("preset", "") if isinstance(raw, dict) else ""
+        if name == "":
+            return raw
+        if not isinstance(name, str) or name not in cls.presets:
+            known = ", ".join(cls.presets) or "none"
+            said = f"there is no such preset{nearest(name, cls.presets)}; known here: {known}"
+            raise complain(cls, "preset", said, name)
+        return {**cls.presets[name], **raw}
 
     @property
     def bulk_density(self) -> float:
@@ -42,6 +63,15 @@ class Material(Table):
     def solid_share(self) -> float:
         """Volume of the matter itself per volume at rest; less than 1 where there are pores."""
         return 1.0
+
+
+def complain(table: Any, key: str, said: str, value: Any = None) -> ValidationError:
+    """The error that a table's own check raises about one of its keys. value: what was given,
+    by default what the table holds."""
+    value = getattr(table, key) if isinstance(table, BaseModel) else value
+    kind = PydanticCustomError("table", "{said}", {"said": said})
+    details = InitErrorDetails(type=kind, loc=(key,), input=value)
+    return ValidationError.from_exception_data("table", [details])
 
 
 def material(cls: type) -> type:

@@ -4,9 +4,15 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from ..device.tensor import det_minus_one, left_cauchy_green_minus_one
+from ..device.tensor import (
+    det_minus_one,
+    largest_stretch2,
+    left_cauchy_green_minus_one,
+    moved_gradient_minus_one,
+)
 from ..tables import Quantity
 from .base import Family, Material, material
+from .elastic_stuffs import STUFFS
 
 
 class Law(NamedTuple):
@@ -34,6 +40,7 @@ class Elastic(Material):
     family: ClassVar[Family] = "solid"
     # F - I, not F: in single precision an increment below 1e-8 added to 1 would be lost
     carries: ClassVar = {"H": (0.0,) * 9}
+    presets: ClassVar[dict[str, dict]] = STUFFS
 
     def law(self) -> Law:
         E, nu = self.youngs_modulus, self.poisson_ratio
@@ -41,20 +48,7 @@ class Elastic(Material):
 
     @staticmethod
     def advance(law, state, L, dt):
-        a0, a1, a2, a3, a4, a5, a6, a7, a8 = state
-        c0, c1, c2, c3, c4, c5, c6, c7, c8 = L
-        # F <- (I + dt L) F, hence H <- H + dt (L + L H)
-        return (
-            a0 + dt * (c0 + c0 * a0 + c1 * a3 + c2 * a6),
-            a1 + dt * (c1 + c0 * a1 + c1 * a4 + c2 * a7),
-            a2 + dt * (c2 + c0 * a2 + c1 * a5 + c2 * a8),
-            a3 + dt * (c3 + c3 * a0 + c4 * a3 + c5 * a6),
-            a4 + dt * (c4 + c3 * a1 + c4 * a4 + c5 * a7),
-            a5 + dt * (c5 + c3 * a2 + c4 * a5 + c5 * a8),
-            a6 + dt * (c6 + c6 * a0 + c7 * a3 + c8 * a6),
-            a7 + dt * (c7 + c6 * a1 + c7 * a4 + c8 * a7),
-            a8 + dt * (c8 + c6 * a2 + c7 * a5 + c8 * a8),
-        )
+        return moved_gradient_minus_one(state, L, dt)
 
     @staticmethod
     def stress(law, state, L):
@@ -71,11 +65,7 @@ class Elastic(Material):
     def wave_speed2(law, state):
         # uniaxial stretch a: rho0 c^2 = mu (a^2 + 1) + lam (1 - ln J); the largest a^2 by row sums
         # of b
-        b00, b11, b22, b01, b02, b12 = left_cauchy_green_minus_one(state)
-        r0 = np.abs(1.0 + b00) + np.abs(b01) + np.abs(b02)
-        r1 = np.abs(1.0 + b11) + np.abs(b01) + np.abs(b12)
-        r2 = np.abs(1.0 + b22) + np.abs(b02) + np.abs(b12)
-        a2 = np.maximum(r0, np.maximum(r1, r2))
+        a2 = largest_stretch2(left_cauchy_green_minus_one(state))
         soft = np.maximum(1.0 - np.log1p(det_minus_one(state)), 0.0)
         return (law.mu * (1.0 + a2) + law.lam * soft) / law.density
 

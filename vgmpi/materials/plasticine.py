@@ -1,0 +1,133 @@
+"""Plasticine: Hencky's elasticity with von Mises' yield surface, which shrinks with damage, carried
+as b_e - I and the accumulated plastic strain.
+
+Radial return in principal logarithmic strains (Simo and Hughes, Computational Inelasticity, 1998,
+boxes 3.1 and 9.1). Damage grows with plastic strain from 0 to 1 at the softening strain and stays;
+the yield stress falls in a straight line from its first value to the residual one. What softens
+gathers its strain in bands as thin as the grid allows: how it tears depends on the cell.
+"""
+
+import math
+from typing import Annotated, ClassVar, Literal, NamedTuple
+
+import numpy as np
+from pydantic import model_validator
+
+from ..device import hencky
+from ..device.eigen import eigen
+from ..tables import Quantity
+from .base import Family, Material, complain, material
+
+
+class Law(NamedTuple):
+    mu: float  # shear modulus [Pa]
+    lam: float  # Lame's first parameter [Pa]
+    strain: float  # size of the strains' deviator at which it first yields [-]
+    residual: float  # the same at full damage [-]
+    slope: float  # its fall per plastic strain until then [-]
+    density: float  # at rest [kg/m3]
+
+
+@material
+class Plasticine(Material):
+    """Plasticine, clay: flows beyond a yield stress (von Mises) that falls as it is worked."""
+
+    kind: Literal["plasticine"]
+    density: Annotated[float, Quantity("kg/m3", gt=0)] = 1700.0
+    """at rest"""
+    youngs_modulus: Annotated[float, Quantity("Pa", gt=0)]
+    """stiffness in tension; the time step shrinks with its root"""
+    poisson_ratio: Annotated[float, Quantity("", ge=0, lt=0.5)] = 0.4
+    """0.5 would be incompressible"""
+    yield_stress: Annotated[float, Quantity("Pa", gt=0)]
+    """in tension, the first time"""
+    residual_stress: Annotated[float, Quantity("Pa", gt=0)] | None = None
+    """yield stress that is left at full damage; at most yield_stress, which is the default"""
+    softening_strain: Annotated[float, Quantity("", gt=0)] = 0.5
+    """plastic strain in tension at which the damage is full"""
+    friction: Annotated[float, Quantity("", ge=0)] = 0.5
+    """Coulomb coefficient at contacts, where no coupling names one"""
+
+    Law: ClassVar = Law
+    cost: ClassVar = 2.5
+    family: ClassVar[Family] = "solid"
+    carries: ClassVar = {"B": (0.0,) * 6, "plastic_strain": (0.0,)}
+    # plasticine: density and flow stress at slow strain Zulauf and Zulauf, J. Struct. Geol. 26
+    # (2004) 725, modulus some hundred times the flow stress; potter's clay, undrained, stiff enough
+    # to hold its shape, and its sensitivity of 2 to 4: Terzaghi, Peck and Mesri, Soil Mechanics in
+    # Engineering Practice, 3rd ed. 1996, articles 7 and 20
+    presets: ClassVar[dict[str, dict]] = {
+        "plasticine": {
+            "density": 1700.0,
+            "youngs_modulus": 5e6,
+            "poisson_ratio": 0.4,
+            "yield_stress": 6e4,
+            "residual_stress": 4e4,
+            "softening_strain": 0.5,
+        },
+        "clay": {
+            "density": 1900.0,
+            "youngs_modulus": 4e6,
+            "poisson_ratio": 0.45,
+            "yield_stress": 4e4,
+            "residual_stress": 1.5e4,
+            "softening_strain": 0.3,
+        },
+    }
+
+    @model_validator(mode="after")
+    def _falls_gently(self):
+        left = self.yield_stress if self.residual_stress is None else self.residual_stress
+        if left > self.yield_stress:
+            raise complain(self, "residual_stress", "must be at most yield_stress")
+        three_mu = 3 * self.youngs_modulus / (2 * (1 + self.poisson_ratio))
+        least = (self.yield_stress - left) / three_mu
+        if self.softening_strain <= 2 * least:
+            said = (
+                "the stress would fall faster than it can be unloaded: must be more than"
+                f" {2 * least:.3g}, twice (yield_stress - residual_stress) / 3 shear moduli"
+            )
+            raise complain(self, "softening_strain", said)
+        # the table shows what is meant
+        object.__setattr__(self, "residual_stress", left)
+        return self
+
+    def law(self) -> Law:
+        E, nu = self.youngs_modulus, self.poisson_ratio
+        mu, lam = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
+        # uniaxial stress Y has a deviator of size sqrt(2/3) Y = 2 mu |s|
+        share = math.sqrt(2 / 3) / (2 * mu)
+        assert self.residual_stress is not None
+        first, last = share * self.yield_stress, share * self.residual_stress
+        return Law(mu, lam, first, last, (first - last) / self.softening_strain, self.density)
+
+    @staticmethod
+    def advance(law, state, L, dt):
+        b, worked = hencky.moved(state[:6], L, dt), state[6]
+        d, q = eigen(b)
+        _, s, size = hencky.deviator(hencky.strains(d))
+        root = 0.816496580927726  # sqrt(2/3): plastic strain in tension per size of its deviator
+        # the strength is the larger of the falling line and the residual one; of the flows that
+        # each alone asks, the smaller
+        falling = (size - (law.strain - law.slope * worked)) / (1.0 - root * law.slope)
+        over = np.maximum(np.minimum(falling, size - law.residual), 0.0)
+        r = -over / np.maximum(size, 1e-30)
+        c = hencky.yielded(b, d, q, (r * s[0], r * s[1], r * s[2]))
+        b00, b11, b22, b01, b02, b12 = c
+        return (b00, b11, b22, b01, b02, b12, worked + root * over)
+
+    @staticmethod
+    def stress(law, state, L):
+        return hencky.stress(law.mu, law.lam, state[:6])
+
+    @staticmethod
+    def volume_ratio(law, state):
+        return hencky.volume_ratio(state[:6])
+
+    @staticmethod
+    def wave_speed2(law, state):
+        return hencky.stiffest(law.mu, law.lam, state[:6]) / law.density
+
+    @staticmethod
+    def energy(law, state):
+        return hencky.energy(law.mu, law.lam, state[:6])
