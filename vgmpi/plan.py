@@ -240,7 +240,10 @@ def _shared(scene: Scene, group: GroupPlan, sharing: Rules | None) -> GroupPlan:
             sand = scene.material[next(m for m in coupling.between if m != group.material)]
             rest = tuple(v for values in sand.carries.values() for v in values)
             law = sand.law()
+            water = scene.material[group.material].model_copy(update={"tension": "off"}).law()
+            real = type(group.law[0])
             group = group._replace(
+                law=type(water)(*(real(v) for v in water)),  # water in pores bears no tension
                 pores=min(group.pores, sand.porosity),
                 stiff=max(group.stiff, float(function(law, "wave_speed2")(law, rest))),
                 dense=max(group.dense, group.density / sand.density),

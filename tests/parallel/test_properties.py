@@ -186,6 +186,7 @@ def test_any_way_gives_the_bits_of_one_rank(precision):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(2400)
 @pytest.mark.parametrize("precision", ["single", "double"])
 def test_many_more_cases(precision):
     @given(case=CASES)
