@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .couplings.base import DRAG, Rules
+from .couplings.base import CONTACT, DRAG, RULES, Rules
 from .couplings.contact import Contact
 from .loads import mean_share
 from .materials.base import function, state_channels
@@ -312,7 +312,9 @@ def describe(scene: Scene, plan: Plan, ranks: int) -> str:
     for a in range(len(plan.phases)):
         for b in range(a + 1, len(plan.phases)):
             names = f"{plan.phases[a].name} - {plan.phases[b].name}"
-            lines.append(f"  contact     {names}: friction {plan.friction[a][b]:g}")
+            rule = plan.rules.pair[a, b] if plan.rules else CONTACT
+            how = f"friction {plan.friction[a][b]:g}" if rule == CONTACT else "they share space"
+            lines.append(f"  {RULES[rule]:11s} {names}: {how}")
     lines.append(
         "  walls       "
         + ", ".join(f"{w[0]}" + (f" (friction {w[1]:g})" if w[1] else "") for w in plan.walls)

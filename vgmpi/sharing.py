@@ -23,6 +23,7 @@ def rules(scene: Scene, groups, phases) -> Rules | None:
     for group in groups:
         of.setdefault(group.material, []).append(group.phase)
     pairs = []
+    _one_sand_per_phase(scene, couplings, groups, of)
     for k, coupling in couplings:
         for a in of.get(coupling.between[0], []):
             for b in of.get(coupling.between[1], []):
@@ -39,9 +40,10 @@ def rules(scene: Scene, groups, phases) -> Rules | None:
     together = _connected(n, pairs)
     # fluids that meet the same sand share its pores and the pressure in them
     numbers = _mixing_numbers(scene, couplings, of, mix)
-    porosity = np.zeros(n)
+    porosity, volume = np.zeros(n), np.zeros(n)
     for group in groups:
         porosity[group.phase] = getattr(scene.material[group.material], "porosity", 0.0)
+        volume[group.phase] = group.share / group.density
     return Rules(
         pair=pair,
         together=together,
@@ -53,6 +55,8 @@ def rules(scene: Scene, groups, phases) -> Rules | None:
         slip_time=np.array([t for _, t, _ in numbers]),
         drag=drag,
         porosity=porosity,
+        drags=bool(drag.any()),
+        volume=volume,
         printed_mix=np.array([p for _, _, p in numbers], bool),
         printed_drag=printed,
     )
@@ -62,6 +66,21 @@ def _coefficient(scene: Scene, coupling) -> float:
     one, other = (scene.material[name] for name in coupling.between)
     sand, fluid = (one, other) if one.family == "sand" else (other, one)
     return coupling.coefficient(sand.porosity, fluid.density)
+
+
+def _one_sand_per_phase(scene: Scene, couplings, groups, of) -> None:
+    """Refuse sands of different make that share a velocity field a fluid flows through: a node
+    knows their grains by mass alone."""
+    makes: dict[int, set] = {}
+    for group in groups:
+        makes.setdefault(group.phase, set()).add((group.share, group.density))
+    for k, coupling in couplings:
+        for name in coupling.between:
+            if coupling.rule == DRAG and scene.material[name].family == "sand":
+                if any(len(makes[phase]) > 1 for phase in of.get(name, [])):
+                    said = "its velocity field holds sand of another density or porosity as well:"
+                    said += " give the objects of each a phase of its own"
+                    raise scene.error([(("coupling", k, "between"), f"{name!r}: {said}")])
 
 
 def _connected(n: int, pairs: list[tuple[int, int]]) -> np.ndarray:

@@ -10,6 +10,7 @@ from typing import NamedTuple, get_args
 import numpy as np
 
 CONTACT, MIXING, DRAG = 0, 1, 2  # how two phases act on each other
+RULES = ("contact", "mixing", "drag")
 
 registry: dict[str, type] = {}
 
@@ -30,6 +31,8 @@ class Rules(NamedTuple):
     slip_time: np.ndarray  # (mixes,) [s]
     drag: np.ndarray  # (n, n) coefficient of drag [kg/(m3 s)], 0 where there is none
     porosity: np.ndarray  # (n,) share of pores in a sand's bulk volume
+    drags: bool  # whether a fluid flows through sand
+    volume: np.ndarray  # (n,) [m3/kg] of a sand's grains
     printed_mix: np.ndarray  # (mixes,) bool: as the paper prints it
     printed_drag: np.ndarray  # (n, n) bool
 

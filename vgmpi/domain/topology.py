@@ -42,6 +42,15 @@ class Topology(NamedTuple):
     receives: list
 
 
+class Apart(NamedTuple):
+    """Which patches keep the stress's impulses apart from momentum."""
+
+    everywhere: bool  # all of them
+    shares: np.ndarray | None  # (n, n) bool, of phases: or fluids near one they share space with
+    contact: np.ndarray | None  # (n, n) bool: whether a pair asks for volumes and offsets
+    fluid: np.ndarray | None  # (n,) bool
+
+
 class _Box:
     """Dense maps over the blocks around this rank's own."""
 
@@ -81,13 +90,11 @@ def build(
     phase_of: np.ndarray,
     contact: bool,
     solid,
-    apart: np.ndarray | None = None,
-    everywhere: bool = False,
+    apart: Apart | None = None,
 ) -> Topology:
     """Tables of `rank`. phase_of: (groups,) phase of each group; contact: whether phases may touch
     at all; solid: blocks (n, 3) -> row among the collider's blocks or -1, or None where the scene
-    has no collider; apart: (groups,) whether the stress's impulses are kept apart, where another
-    phase is near or `everywhere`."""
+    has no collider; apart: where the stress's impulses are kept apart from momentum, or None."""
     block = lattice.block(census.code)
     mine = census.owner == rank
     if not mine.any():
@@ -116,10 +123,16 @@ def build(
     block_at = target[patches[begin[new]], codes[begin[new]]]
     first = np.append(new, len(nodes))
     solid_of = np.full(len(new), -1, np.int64) if solid is None else solid(block_at)
-    meets = ((np.diff(first) > 1) & contact) | (solid_of >= 0)
     wanted = _wants_offset(box, lattice, census, near, at, phase_of, contact, solid)[box.at(block)]
-    split = wanted | everywhere
-    split &= False if apart is None else apart[census.group[row]]
+    split = np.zeros(len(row), bool)
+    if apart is not None:
+        split |= apart.everywhere
+        if apart.shares is not None:
+            close = _close(box, at, phase_of[census.group[near]], phases)[:, box.at(block)]
+            split = (apart.shares[phase].T & close).any(0) & apart.fluid[phase]
+            wanted &= (apart.contact[phase].T & close).any(0) | _by_solid(box, solid, block)
+    meets = ((np.diff(first) > 1) & contact) | (solid_of >= 0)
+    meets &= np.logical_or.reduceat(wanted[patches], begin[new])
     return Topology(
         row=row,
         own=own,
@@ -201,6 +214,24 @@ def _wants_offset(box, lattice, census, near, at, phase_of, contact, solid) -> n
         )
         wants |= box.spread(solid(grid + box.low) >= 0, 1, np.logical_or)
     return wants
+
+
+def _close(box, at, phase, phases: int) -> np.ndarray:
+    """Whether a phase has patches at most two blocks away: (phases, blocks of the box)."""
+    found = np.empty((phases, len(box.full(False, bool))), bool)
+    for k in range(phases):
+        here = box.full(False, bool)
+        here[at[phase == k]] = True
+        found[k] = box.spread(here, 2, np.logical_or)
+    return found
+
+
+def _by_solid(box, solid, block) -> np.ndarray:
+    """Whether the collider is at most a block away: (patches,)."""
+    if solid is None:
+        return np.zeros(len(block), bool)
+    near = block[:, None, :] + NEIGHBOURS
+    return (solid(near.reshape(-1, 3)).reshape(len(block), 27) >= 0).any(1)
 
 
 def _traffic(block, own, owner, box, rank, sending) -> list:

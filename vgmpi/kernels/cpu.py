@@ -73,7 +73,10 @@ class Cpu:
         self.scratch = [aligned((len(plan.phases), 64, 4), real) for _ in range(threads)]
         self.room = [grid.room(len(plan.phases), real) for _ in range(threads)]
         self.apart_room = [
-            (aligned((len(plan.phases), 64, 4), real), couple.room(len(plan.phases)))
+            (
+                aligned((len(plan.phases), 64, 4), real),
+                couple.room(len(plan.phases), real, aligned),
+            )
             for _ in range(threads if self.apart else 0)
         ]
         self.reports = np.zeros((len(plan.groups), threads, 4))
@@ -169,6 +172,7 @@ class Cpu:
             stiff=real(group.stiff),
             dense=real(group.dense),
             relax=real(RELAX),
+            counted=real(self.plan.rules is not None),
             porosity=real(records.STATE + len(group.rest) if group.porous else -1),
             dx=real(self.plan.dx),
         )
@@ -236,8 +240,8 @@ class Cpu:
         g2p.g2p(
             group.plan.law, share, group.start, group.count, part.table, part.limit, part.mirror,
             group.xi, group.f, group.ids, self.grid, self.flux if second else None,
-            self.flip if second else None, self.records[thread], self.base[thread], part.numbers,
-            self.bits, dither, dt, self.plan.real.type(self.plan.cfl), report[thread],
+            self.flip if second else None, part.slots[2], self.records[thread], self.base[thread],
+            part.numbers, self.bits, dither, dt, self.plan.real.type(self.plan.cfl), report[thread],
         )  # fmt: skip
 
     def each(self, shares: list[np.ndarray], work, *arguments) -> None:

@@ -5,6 +5,7 @@ them: the law's state, the new position, what bounds the next step. See p2g.py.
 import numpy as np
 
 from ..device.jit import inline, kernel
+from .couple import LEAST_PORES
 from .lanes import load, store
 from .laws import advance, lane_state, store_state, volume_ratio, wave_speed2
 from .patches import gather
@@ -26,7 +27,6 @@ from .walls import SIDE, reflect
 REACH = 3  # cells from the block's middle within which a particle's base node lies in its patch
 CRUSHED, OUTSIDE, TOO_FAST, LOST = 1, 2, 3, 4  # what can go wrong with a particle
 FASTEST_WAVE = 1e15  # [m/s], squared below the largest single
-LEAST_PORES = 0.05  # share of space that a fluid keeps where sand is
 
 
 @inline
@@ -71,8 +71,8 @@ def _gather(count, records, weights, base, patch):
 
 @kernel
 def g2p(
-    law, segments, start, count, table, limit, mirror, xi, f, ids, grid, flux, flip, scratch,
-    base, numbers, bits, dither, dt, cfl, report,
+    law, segments, start, count, table, limit, mirror, xi, f, ids, grid, flux, flip, split,
+    scratch,     base, numbers, bits, dither, dt, cfl, report,
 ):  # fmt: skip
     """Velocity and its gradient from the grid to each particle; moves it and advances its state.
 
@@ -80,7 +80,8 @@ def g2p(
     of positions [cells from the block's middle]; mirror: (segments, 3, 2) wall codes (walls.py);
     grid: (blocks, 64, 4) velocities [m/s]; flux: None, or (blocks, 64, 4) what else the particles
     gather: with flip None the flux of volume [m/s] and the fluids' share of space, else the change
-    of velocity [m/s], of which FLIP adds the share `flip`; scratch, base and numbers: see p2g;
+    of velocity [m/s], of which FLIP adds the share `flip`; split: (segments,) not negative where a
+    segment shares space with another phase; scratch, base and numbers: see p2g;
     dither: (3,) added before rounding down, the same for all particles of a step; report: (4,)
     running maxima: rate 1/dt [1/s], distance from the block's middle [cells]; then id + 1 of a
     particle that went wrong and the reason.
@@ -96,7 +97,8 @@ def g2p(
         touched(count[s], start[s], cap, flat_xi, flat, mirror[s], box)
         gather(patch, flat_grid, table[s], box)
         reflect(nodes, mirror[s])
-        if flux is not None:
+        apart = split[s] >= 0
+        if flux is not None and apart:
             second = scratch[ROOM:]
             gather(second, flux.reshape((len(flux), 256)), table[s], box)
             reflect(second[:PATCH].reshape((SIDE, SIDE, SIDE, 4)), mirror[s])
@@ -104,13 +106,13 @@ def g2p(
             n = min(BATCH, count[s] - first)
             at = start[s] + first
             weigh(n, at, cap, flat_xi, flat, base, weights)
-            if flux is not None:
+            if flux is not None and apart:
                 _gather(n, records, weights, base, scratch[ROOM:])
                 _set_aside(n, records, extra, flip)
             _gather(n, records, weights, base, patch)
             _move(
-                law, n, at, cap, flat_xi, flat, ids, records, flux, flip, extra, numbers, limit[s],
-                2.0**bits, dither, dt, cfl, report,
+                law, n, at, cap, flat_xi, flat, ids, records, flux, flip, apart, extra, numbers,
+                limit[s], 2.0**bits, dither, dt, cfl, report,
             )  # fmt: skip
 
 
@@ -130,8 +132,8 @@ def _set_aside(count, records, extra, flip):
 
 @inline
 def _move(
-    law, count, at, cap, xi, f, ids, records, flux, flip, extra, numbers, limit, one, dither, dt,
-    cfl, report,
+    law, count, at, cap, xi, f, ids, records, flux, flip, apart, extra, numbers, limit, one, dither,
+    dt, cfl, report,
 ):  # fmt: skip
     """Take up the gathered records: v, C, state, position; note what bounds the step."""
     dx = numbers.dx
@@ -167,7 +169,7 @@ def _move(
         L = (c0, c1, c2, c3, c4, c5, c6, c7, c8)
         if flux is not None:
             if flip is None:
-                L = _of_all(L, f, p, cap, extra, n, fill, numbers)
+                L = _of_all(L, f, p, cap, apart, extra, n, fill, numbers)
         state = advance(law, lane_state(law, f, p + STATE * cap, cap), L, dt)
         store_state(f, p + STATE * cap, cap, state)
         J = volume_ratio(law, state)
@@ -222,12 +224,16 @@ def _blend(f, p, cap, extra, n, flip, v):
 
 
 @inline
-def _of_all(L, f, p, cap, extra, n, fill, numbers):
+def _of_all(L, f, p, cap, apart, extra, n, fill, numbers):
     """A fluid's velocity gradient with the volume's rate of all that share its space.
 
     Where sand is, its pores' share of space is noted at the particle; where more volume than space
     was gathered (fill > 1), the volume ratio relaxes. Returns L.
     """
+    if not apart:
+        if np.int64(numbers.porosity) >= 0:
+            store(f, p + np.int64(numbers.porosity) * cap, spread(f, 1.0))
+        return L
     rate = load(extra, n) / numbers.dx
     if np.int64(numbers.porosity) >= 0:
         share = np.minimum(np.maximum(load(extra, BATCH + n), LEAST_PORES), 1.0)

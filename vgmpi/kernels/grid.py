@@ -12,11 +12,13 @@ import numpy as np
 
 from ..couplings.base import CONTACT
 from ..device.jit import inline, kernel
+from ..device.select import select
 from .contact import TOUCH, collider_gap, gap, resolve, surface_normal
-from .couple import couple_block, note_flux, push
+from .couple import couple_block, note_flux
 from .lanes import load, store
+from .nodes import fourth_of, velocity, with_fourth
 from .patches import pull
-from .rows import repeat, spread, velocity
+from .rows import repeat, spread
 from .walls import constrain, tangential
 
 
@@ -68,58 +70,102 @@ def update(
                 into = flat_scratch[nb - n0]
                 pull(into, q0, q1, pull_patch, pull_code, offset_slots, offsets)
         low = 4 * block_at[b, 0] - 1, 4 * block_at[b, 1] - 1, 4 * block_at[b, 2] - 1
+        at_wall = _at_wall(low, cells)
         if apart is not None:
             _apart(
-                n0, n1, flat_grid, grid, phase, pull_first, pull_patch, pull_code, apart, scratch,
-                meets[b], low, cells, wall_kinds, least, rules, fall, dt, dx,
+                n0, n1, flat_grid, phase, pull_first, pull_patch, pull_code, apart, flat_scratch,
+                meets[b], at_wall, low, cells, wall_kinds, least, rules, fall, dt, dx,
             )  # fmt: skip
-        if meets[b]:
+        if meets[b] and _may_touch(n0, n1, phase, solid_of[b], rules):
             solid = solids[max(solid_of[b], 0)]
             _touch(
                 grid[n0:n1], phase[n0:n1], scratch, solid, solid_of[b] >= 0, low, cells, wall_kinds,
                 least, rank_of, friction, rules, dx, room,
             )  # fmt: skip
-        if _at_wall(low, cells):
+        if at_wall:
             for nb in range(n0, n1):
                 constrain(grid[nb], low, cells, wall_kinds, wall_friction)
         if apart is not None:
-            if rules is None:
-                for nb in range(n0, n1):
-                    apart.flux[nb, :, :3] = grid[nb, :, :3] - apart.flux[nb, :, :3]
-            else:
-                note_flux(
-                    grid[n0:n1], phase[n0:n1], scratch, meets[b], low, cells, rules, dx, apart.room,
-                    apart.flux[n0:n1],
-                )  # fmt: skip
+            _changes(
+                n0, n1, flat_grid, phase, apart, at_wall, low, cells, least, rules, dx,
+            )  # fmt: skip
+
+
+@inline
+def _may_touch(n0, n1, phase, solid, rules):
+    """Whether contact acts between any two phases of a block, or one and the collider."""
+    if rules is None or solid >= 0:
+        return True
+    if rules is not None:
+        for a in range(n0, n1):
+            for b in range(a):
+                if b >= n0 and rules.pair[phase[a], phase[b]] == CONTACT:
+                    return True
+    return False
 
 
 @inline
 def _apart(
-    n0, n1, flat_grid, grid, phase, pull_first, pull_patch, pull_code, apart, offsets, meets, low,
+    n0, n1, grid, phase, pull_first, pull_patch, pull_code, apart, offsets, meets, at_wall, low,
     cells, wall_kinds, least, rules, fall, dt, dx,
 ):  # fmt: skip
     """Add impulses that were kept apart to the velocities of a block: to phases that share space as
     their coupling says; for FLIP note the velocities before."""
-    flat = apart.scratch.reshape((len(apart.scratch), 256))
+    forces = apart.scratch.reshape((len(apart.scratch), 256))
+    flux = apart.flux.reshape((len(apart.flux), 256))
+    if not apart.forced[n0:n1].any():
+        return
     for nb in range(n0, n1):
+        forces[nb - n0, :] = 0
         if apart.forced[nb]:
             pull(
-                flat[nb - n0], pull_first[nb], pull_first[nb + 1], pull_patch, pull_code,
+                forces[nb - n0], pull_first[nb], pull_first[nb + 1], pull_patch, pull_code,
                 apart.slots, apart.forces,
             )  # fmt: skip
-        else:
-            flat[nb - n0, :] = 0
     if rules is None:
         for nb in range(n0, n1):
-            for node in range(64):
-                for c in range(3):
-                    apart.flux[nb, node, c] = grid[nb, node, c] - fall[c]
-                push(grid[nb, node], apart.scratch[nb - n0, node], least[phase[nb]])
+            tiny, push = spread(grid, 1e-20 * least[phase[nb]]), repeat(fall, 0)
+            for c in range(0, 256, 16):
+                row = load(grid[nb], c)
+                m = fourth_of(row)
+                store(flux[nb], c, row - push)
+                change = select(m > tiny, load(forces[nb - n0], c) / m, 0.0)
+                store(grid[nb], c, with_fourth(row + change, row))
     else:
         couple_block(
-            grid[n0:n1], phase[n0:n1], offsets, apart.scratch, meets, low, cells, wall_kinds, least,
+            n0, n1, phase, grid.reshape(grid.size), forces.reshape(forces.size),
+            offsets.reshape(offsets.size), meets, at_wall, low, cells, wall_kinds, least,
             rules, dt, dx, apart.room,
         )  # fmt: skip
+
+
+@inline
+def _changes(n0, n1, grid, phase, apart, at_wall, low, cells, least, rules, dx):
+    """What particles gather besides velocity: the flux of volume, or the change of velocity."""
+    if not apart.forced[n0:n1].any():
+        return
+    flux = apart.flux.reshape((len(apart.flux), 256))
+    if rules is None:
+        for nb in range(n0, n1):
+            for c in range(0, 256, 16):
+                store(flux[nb], c, load(grid[nb], c) - load(flux[nb], c))
+    else:
+        forces = apart.scratch.reshape((len(apart.scratch), 256))
+        note_flux(
+            n0,
+            n1,
+            phase,
+            grid.reshape(grid.size),
+            forces.reshape(forces.size),
+            at_wall,
+            low,
+            cells,
+            least,
+            rules,
+            dx,
+            apart.room,
+            flux.reshape(flux.size),
+        )
 
 
 @inline

@@ -158,7 +158,7 @@ def _momenta(law, n, at, cap, f, wanted, apart, forces, records, numbers, dt):
     of the impulses (2)."""
     if forces is not None:
         if wanted == 2:
-            impulses(law, n, at, cap, f, np.int64(numbers.porosity), records, numbers.dx, dt)
+            impulses(law, n, at, cap, f, numbers, records, dt)
             return
         if apart >= 0:
             inertia(n, at, cap, f, records, numbers.density, numbers.affine, numbers.dx)

@@ -44,6 +44,7 @@ class Numbers(NamedTuple):
     stiff: float  # [m2/s2] squared speed of waves that sand in the same space adds
     dense: float  # density relative to that sand's grains, at least 1
     relax: float  # [1/s] rate at which a fluid gives way where there is more volume than space
+    counted: float  # 1 where phases share space, so that nodes must know volumes
     porosity: float  # channel of the fluid's share of space, or -1
     dx: float  # [m]
 
@@ -163,12 +164,10 @@ def inertia(count, at, cap, f, records, density, affine, dx):
 
 
 @inline
-def impulses(law, count, at, cap, f, porosity, records, dx, dt):
-    """Records of the stress's impulse over dt alone, in the form of `momenta`.
-
-    porosity: channel of the share of space the fluid has, which its particles' bulk volume is
-    larger by; -1 where it has all.
-    """
+def impulses(law, count, at, cap, f, numbers, records, dt):
+    """Records of the stress's impulse over dt alone, in the form of `momenta`, and of the volume
+    [m3] as it is now where phases share space."""
+    porosity, dx = np.int64(numbers.porosity), numbers.dx
     zero = spread(f, 0.0)
     four = dt * 4.0 / dx
     for n in range(0, count, 16):
@@ -178,8 +177,11 @@ def impulses(law, count, at, cap, f, porosity, records, dx, dt):
         c3, c4, c5 = load(f, q + 3 * cap), load(f, q + 4 * cap), load(f, q + 5 * cap)
         c6, c7, c8 = load(f, q + 6 * cap), load(f, q + 7 * cap), load(f, q + 8 * cap)
         L = (c0, c1, c2, c3, c4, c5, c6, c7, c8)
-        t00, t11, t22, t01, t02, t12 = stress(law, lane_state(law, f, p + STATE * cap, cap), L)
-        k = -four * load(f, p + VOLUME * cap)
+        state = lane_state(law, f, p + STATE * cap, cap)
+        t00, t11, t22, t01, t02, t12 = stress(law, state, L)
+        volume = load(f, p + VOLUME * cap)
+        k = -four * volume
+        now = volume * volume_ratio(law, state) if numbers.counted > 0.0 else zero
         if porosity >= 0:
             k = k / load(f, p + porosity * cap)
         a, b, c = k * t01, k * t02, k * t12
@@ -187,7 +189,7 @@ def impulses(law, count, at, cap, f, porosity, records, dx, dt):
             records,
             16 * n,
             (
-                zero, zero, zero, zero, k * t00, a, b, zero,
+                zero, zero, zero, now, k * t00, a, b, zero,
                 a, k * t11, c, zero, b, c, k * t22, zero,
             ),
         )  # fmt: skip

@@ -317,26 +317,4 @@ def largest(typing, values):
     return values.real(values), build
 
 
-# ---- nodes --------------------------------------------------------------------------------------
-
-
-@intrinsic
-def velocity(typing, row, push, least):
-    """Momentum and mass of a row's four nodes -> velocity after `push`, and mass.
-
-    A node whose mass is not above `least` is at rest.
-    """
-
-    def build(context, builder, signature, arguments):
-        row, push, least = arguments
-        mass = builder.shuffle_vector(row, row, _mask([4 * (k // 4) + 3 for k in range(COUNT)]))
-        moved = builder.fadd(builder.fdiv(row, mass), push)
-        heavy = builder.fcmp_ordered(">", mass, least)
-        moved = builder.select(heavy, moved, ir.Constant(row.type, [0.0] * COUNT))
-        blend = [k if k % 4 < 3 else COUNT + k for k in range(COUNT)]
-        return builder.shuffle_vector(moved, row, _mask(blend))
-
-    return row(row, push, least), build
-
-
 SOUND_ALL = np.int64((1 << COUNT) - 1)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ..couplings.base import CONTACT, MIXING
 from ..domain import migrate, topology
 from ..domain.blocks import Lattice
 from ..domain.halo import Halo
@@ -26,6 +27,19 @@ class BlowUp(RuntimeError):
     """The state can no longer be trusted. Names the object, the particle and the step."""
 
 
+def _apart(plan: Plan) -> topology.Apart | None:
+    """Where the stress's impulses are kept apart: for FLIP, and where phases share space."""
+    rules = plan.rules
+    if rules is None:
+        return topology.Apart(True, None, None, None) if plan.flip else None
+    same = rules.together[:, None] == rules.together[None, :]
+    shares = same & (rules.together >= 0)[:, None] & ~np.eye(len(same), dtype=bool)
+    drifts = (rules.diffusion > 0.0)[rules.mix] if rules.mixes else np.zeros(len(same), bool)
+    asks = (rules.pair == CONTACT) & ~np.eye(len(same), dtype=bool)
+    asks |= (rules.pair == MIXING) & drifts[:, None]
+    return topology.Apart(False, shares, asks, rules.fluid)
+
+
 class Simulation:
     """Particles of all groups on this rank, and the clock. Collective: all ranks call the same
     methods.
@@ -45,6 +59,7 @@ class Simulation:
         self.groups = [Group(group, self.lattice, plan.real) for group in plan.groups]
         self.loads = Loads(loads, plan.real) if loads else None
         self.phase_of = np.array([group.phase for group in plan.groups])
+        self.apart = _apart(plan)
         self.cut: np.ndarray | None = None
         self.halo: Halo | None = None
         self.time = 0.0
@@ -114,7 +129,7 @@ class Simulation:
         self.census = census
         tables = topology.build(
             census, self.lattice, self.ranks.rank, self.phase_of, self.plan.contact, self.solids,
-            np.array([group.apart for group in self.plan.groups]), self.plan.flip > 0,
+            self.apart,
         )  # fmt: skip
         self.engine.adopt(self.groups, tables, census.group)
         if self.loads is not None:

@@ -1,0 +1,39 @@
+"""The same bits with every coupling and every law, on one to three ranks and across a restart."""
+
+import pytest
+
+from tests.digests import digests
+from tests.launch import mpirun
+from tests.scenes import LAWS, SHARED, every_law, write
+from vgmpi.materials import registry
+
+pytestmark = pytest.mark.mpi
+
+
+def go(scene, out, n, *flags, code=0):
+    job = mpirun(n, "-m", "vgmpi", scene, "-q", "-o", out, *flags, timeout=280)
+    assert job.returncode == code, job.stderr
+    return digests(out)
+
+
+@pytest.mark.parametrize("precision", ["single", pytest.param("double", marks=pytest.mark.slow)])
+def test_phases_that_share_space(precision, tmp_path):
+    scene = write(tmp_path, SHARED.replace("PRECISION", precision))
+    want = go(scene, tmp_path / "1", 1)
+    assert sum("frame_" in name for name in want) > 20
+    for n in (2, 3):
+        assert go(scene, tmp_path / str(n), n) == want, n
+    assert go(scene, tmp_path / "threads", 1, "--threads", 2) == want
+    half = tmp_path / "half"
+    go(scene, half, 3, "--stop-after", "50 steps", code=75)
+    found = go(scene, half, 2, "--resume")
+    frames = {name: sha for name, sha in want.items() if "frame_" in name or "ledger" in name}
+    assert {name: found.get(name) for name in frames} == frames
+
+
+def test_every_law(tmp_path):
+    assert set(LAWS) == set(registry)
+    scene = write(tmp_path, every_law("single"))
+    want = go(scene, tmp_path / "1", 1)
+    for n in (2, 3):
+        assert go(scene, tmp_path / str(n), n) == want, n
