@@ -241,9 +241,25 @@ def _run_scaling(given: argparse.Namespace) -> int:
     return 0
 
 
+def _couplings(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("--particles", type=float, default=4e5, metavar="N", help="default 4e5")
+    say("--rounds", type=int, default=5, help="default 5")
+    say("--precision", choices=("single", "double"), default="single")
+
+
+def _run_couplings(given: argparse.Namespace) -> int:
+    from . import couplings
+
+    rows = couplings.measure(int(given.particles), given.rounds, given.precision, _say)
+    print(couplings.text(rows))
+    return 0
+
+
 COMMANDS = {  # what it does, its flags, how it runs
     "speed": ("measure (the default)", _speed, _run_speed),
     "balance": ("how even a scene's work would be on many ranks", _balance, _run_balance),
+    "couplings": ("what mixing and drag cost", _couplings, _run_couplings),
     "overhead": ("what a step costs beside its kernels", _overhead, _run_overhead),
     "scaling": ("predict many ranks from what is measured here", _scaling, _run_scaling),
     "compare": ("print two measurements side by side", _compare, _run_compare),

@@ -26,7 +26,7 @@ class Topology(NamedTuple):
     own: np.ndarray  # (patches,) bool
     block: np.ndarray  # (patches, 3)
     offset_slot: np.ndarray  # (patches,) place of its volumes and offsets, -1 if nobody asks
-    force_slot: np.ndarray  # (patches,) place of impulses kept apart, -1 where there are none
+    split: np.ndarray  # (patches,) bool: keeps the stress's impulses apart from momentum
     table: np.ndarray  # (own patches, 27) node blocks around each
     first: np.ndarray  # (blocks + 1,) node blocks of each block
     phase: np.ndarray  # (node blocks,)
@@ -138,7 +138,7 @@ def build(
         own=own,
         block=block,
         offset_slot=np.where(wanted, np.cumsum(wanted) - 1, -1),
-        force_slot=np.where(split, np.cumsum(split) - 1, -1),
+        split=split,
         table=table[own],
         first=first,
         phase=nodes % phases,
@@ -274,7 +274,7 @@ def _nothing() -> Topology:
     """An idle rank's tables."""
     none, one = np.zeros(0, np.int64), np.zeros(1, np.int64)
     return Topology(
-        none, none.astype(bool), np.zeros((0, 3), np.int64), none, none,
+        none, none.astype(bool), np.zeros((0, 3), np.int64), none, none.astype(bool),
         np.zeros((0, 27), np.int64), one, none, np.zeros((0, 3), np.int64), none.astype(bool),
         none.astype(bool), none, one, none, none.astype(bool), none, [], [],
     )  # fmt: skip

@@ -56,9 +56,9 @@ def couple_block(
     """The stress's impulses, and what phases that share space do to each other, at the 64 nodes of
     a block.
 
-    grid: (256 node blocks,) velocity and mass, of which n0 .. n1 are this block's; forces: (256
-    phases,) impulses kept apart [kg m/s] and volume [m3] of the phases here; offsets: the same of
-    offsets [m4] and volume, where the block has_offsets.
+    grid: (256 node blocks,) velocity and mass, of which n0 .. n1 are this block's; forces: the same
+    of impulses kept apart [kg m/s] and volume [m3]; offsets: (256 phases,) offsets [m4] and volume
+    of the phases here, where the block has_offsets.
     """
     who, known, M, V, U, K, S, R = room
     diffusion, slip, printed = rules.diffusion, rules.slip_time, rules.printed_mix
@@ -67,22 +67,36 @@ def couple_block(
             _along_walls(offsets[256 * (nb - n0) : 256 * (nb - n0 + 1)], low, cells, wall_kinds)
     for one in range(rules.sets):
         count = members(one, n0, n1, phase, rules, who, known)
-        for c in range(0, 256 if count > 0 else 0, ROW):
+        if count == 1:
+            _alone(phase, grid, forces, least, who)
+        for c in range(0, 256 if count > 1 else 0, ROW):
             spaces(count, c, at_wall, low, cells, dx, V)
             _weigh(count, c, phase, grid, least, who, M)
-            fluid, grains, share = volumes(count, c, n0, forces, who, known, M, V)
+            fluid, grains, share = volumes(count, c, forces, who, known, M, V)
             for g in range(rules.mixes):
                 if printed[g]:
                     _mix(g, count, c, n0, grid, offsets, has_offsets, who, M, V, U, diffusion[g],
                          0.0, -1.0, dt, dx)  # fmt: skip
-            _pressure(count, c, n0, grid, forces, fluid, grains, share, who, M, V)
+            _pressure(count, c, grid, forces, fluid, grains, share, who, M, V)
             for g in range(rules.mixes):
                 if not printed[g]:
                     _mix(g, count, c, n0, grid, offsets, has_offsets, who, M, V, U, diffusion[g],
                          slip[g] / (slip[g] + dt), 1.0, dt, dx)  # fmt: skip
-            if count > 1 and rules.drags:
+            if rules.drags:
                 _drag(count, c, grid, fluid, grains, who, known, M, V, K, dt)
                 relax(count, c, grid, who, M, K, S, R)
+
+
+@inline
+def _alone(phase, grid, forces, least, who):
+    """The impulses of a phase that no other shares space with in its block."""
+    nb = who[0, 0]
+    tiny = 1e-20 * least[phase[nb]]
+    for c in range(256 * nb, 256 * (nb + 1), ROW):
+        row = load(grid, c)
+        m = fourth_of(row)
+        dv = select(m > tiny, load(forces, c) / m, 0.0)
+        store(grid, c, with_fourth(row + dv, row))
 
 
 @inline
@@ -143,7 +157,7 @@ def _weigh(count, c, phase, grid, least, who, M):
 
 
 @inline
-def volumes(count, c, n0, forces, who, known, M, V):
+def volumes(count, c, forces, who, known, M, V):
     """Volumes of a row's phases into V; returns those of all fluids, of all grains, and the fluids'
     share of the space.
 
@@ -152,7 +166,7 @@ def volumes(count, c, n0, forces, who, known, M, V):
     fluid = grains = spread(V, 0.0)
     for q in range(count):
         if who[1, q]:
-            own = np.maximum(fourth_of(load(forces, 256 * (who[0, q] - n0) + c)), 0.0)
+            own = np.maximum(fourth_of(load(forces, 256 * who[0, q] + c)), 0.0)
             fluid = fluid + own
         else:
             own = known[0, q] * load(M, ROW * q)
@@ -164,12 +178,12 @@ def volumes(count, c, n0, forces, who, known, M, V):
 
 
 @inline
-def _pressure(count, c, n0, grid, forces, fluid, grains, share, who, M, V):
+def _pressure(count, c, grid, forces, fluid, grains, share, who, M, V):
     """All fluids' impulses, to each phase by its share of the space."""
     total = spread(V, 0.0)
     for q in range(count):
         if who[1, q]:
-            total = total + load(forces, 256 * (who[0, q] - n0) + c)
+            total = total + load(forces, 256 * who[0, q] + c)
     of_fluid, of_grains = share * total / fluid, (1.0 - share) * total / grains
     for q in range(count):
         nb = who[0, q]
@@ -319,7 +333,7 @@ def note_flux(n0, n1, phase, grid, forces, at_wall, low, cells, least, rules, dx
         for c in range(0, 256 if count > 0 else 0, ROW):
             spaces(count, c, at_wall, low, cells, dx, V)
             _weigh(count, c, phase, grid, least, who, M)
-            fluid, grains, share = volumes(count, c, n0, forces, who, known, M, V)
+            fluid, grains, share = volumes(count, c, forces, who, known, M, V)
             of_fluid, of_grains = share / fluid, (1.0 - share) / grains
             total = spread(V, 0.0)
             for q in range(count):

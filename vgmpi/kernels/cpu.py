@@ -64,8 +64,8 @@ class Cpu:
         self.grid = aligned((0, 64, 4), real)
         # only where phases share space, or for FLIP
         self.apart = any(group.apart for group in plan.groups)
-        self.forces = self.patches if self.apart else None
-        self.flux = self.grid if self.apart else None
+        self.forces = self.patches if self.apart else None  # patches of impulses
+        self.forces_grid = self.flux = self.grid if self.apart else None
         self.flip = real.type(plan.flip) if plan.flip else None
         room = records.ROOM + (records.PATCH + 16 if self.apart else 0)
         self.records = [aligned(room, real) for _ in range(threads)]
@@ -73,10 +73,7 @@ class Cpu:
         self.scratch = [aligned((len(plan.phases), 64, 4), real) for _ in range(threads)]
         self.room = [grid.room(len(plan.phases), real) for _ in range(threads)]
         self.apart_room = [
-            (
-                aligned((len(plan.phases), 64, 4), real),
-                couple.room(len(plan.phases), real, aligned),
-            )
+            couple.room(len(plan.phases), real, aligned)
             for _ in range(threads if self.apart else 0)
         ]
         self.reports = np.zeros((len(plan.groups), threads, 4))
@@ -98,7 +95,7 @@ class Cpu:
         into = self._who_sums([own[here] for here in members], sent)
         self._make_room()
         self.parts = []
-        slots = np.stack([self.slot, t.offset_slot, t.force_slot])
+        slots = np.stack([self.slot, t.offset_slot, np.where(t.split, 0, -1)])
         for group, here in zip(groups, members, strict=True):
             at = own[here]
             block = t.block[at]
@@ -142,10 +139,13 @@ class Cpu:
         self.flat_grid = self.grid.reshape(len(self.grid), 256)
         if self.apart:
             self.flux = _room(self.flux, len(t.phase))
-            self.forces = _room(self.forces, int((t.force_slot >= 0).sum()))
+            self.forces = _room(self.forces, len(self.patches))
             self.forces = self.forces.reshape(len(self.forces), records.PATCH)
-            ghost_forces = t.force_slot[~t.own]
-            self.forces[ghost_forces[ghost_forces >= 0]] = 0
+            self.forces[self.slot[~t.own]] = 0
+            self.force_slot = np.where(t.split, self.slot, -1)
+            self.forces_grid = _room(self.forces_grid, len(t.phase))
+            self.forces_grid = self.forces_grid.reshape(len(self.forces_grid), 256)
+            self.forces_grid[:] = 0
         # boxes of ghost patches that do not arrive stay zero
         self.patches[self.slot[~t.own]] = 0
         ghost_offsets = t.offset_slot[~t.own]
@@ -155,7 +155,7 @@ class Cpu:
     def slots(self) -> list[np.ndarray]:
         """Where the patches of each layer that travels are kept: (patches,) each."""
         t = self.topology
-        return [self.slot, t.offset_slot, *([t.force_slot] if self.apart else [])]
+        return [self.slot, t.offset_slot, *([self.force_slot] if self.apart else [])]
 
     @property
     def layers(self) -> list[np.ndarray]:
@@ -194,14 +194,16 @@ class Cpu:
 
     def _clear(self, thread: int, rows: np.ndarray) -> None:
         zero(self.flat_grid, rows)
+        if self.apart:
+            zero(self.forces_grid, rows)
 
     def _p2g(self, thread: int, share: np.ndarray, part: "Part", border: bool, dt) -> None:
         group = part.group
         p2g.p2g(
             group.plan.law, share, border, part.sent, group.start, group.count, part.slots,
             part.into, part.mirror, group.xi, group.f, self.flat_patches, self.flat_offsets,
-            self.forces if group.plan.apart else None, self.flat_grid, self.records[thread],
-            self.base[thread], part.numbers, dt,
+            (self.forces, self.forces_grid) if group.plan.apart else None, self.flat_grid,
+            self.records[thread], self.base[thread], part.numbers, dt,
         )  # fmt: skip
 
     def update(self, dt: float, border: bool) -> None:
@@ -214,7 +216,12 @@ class Cpu:
         apart = None
         if self.apart:
             apart = grid.Apart(
-                t.force_slot, self.forces, t.forced, self.flux, *self.apart_room[thread]
+                self.force_slot,
+                self.forces,
+                self.forces_grid,
+                t.forced,
+                self.flux,
+                self.apart_room[thread],
             )
         grid.update(
             share, t.first, t.phase, t.block_at, t.meets, t.solid_of,

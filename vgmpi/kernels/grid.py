@@ -26,10 +26,10 @@ class Apart(NamedTuple):
     """Where the stress's impulses are kept apart from momentum."""
 
     slots: np.ndarray  # (patches,) where each patch of impulses is kept, or -1
-    forces: np.ndarray  # (slots, 2048) impulses [kg m/s]
+    patches: np.ndarray  # (slots, 2048) impulses [kg m/s]
+    forces: np.ndarray  # (node blocks, 256) their sums
     forced: np.ndarray  # (node blocks,) whether any patch of impulses touches it
     flux: np.ndarray  # (node blocks, 64, 4) what particles gather besides velocity
-    scratch: np.ndarray  # (phases, 64, 4) of the calling thread
     room: tuple  # couple.Room of the calling thread
 
 
@@ -73,8 +73,8 @@ def update(
         at_wall = _at_wall(low, cells)
         if apart is not None:
             _apart(
-                n0, n1, flat_grid, phase, pull_first, pull_patch, pull_code, apart, flat_scratch,
-                meets[b], at_wall, low, cells, wall_kinds, least, rules, fall, dt, dx,
+                n0, n1, flat_grid, phase, summed, pull_first, pull_patch, pull_code, apart,
+                flat_scratch, meets[b], at_wall, low, cells, wall_kinds, least, rules, fall, dt, dx,
             )  # fmt: skip
         if meets[b] and _may_touch(n0, n1, phase, solid_of[b], rules):
             solid = solids[max(solid_of[b], 0)]
@@ -106,21 +106,20 @@ def _may_touch(n0, n1, phase, solid, rules):
 
 @inline
 def _apart(
-    n0, n1, grid, phase, pull_first, pull_patch, pull_code, apart, offsets, meets, at_wall, low,
-    cells, wall_kinds, least, rules, fall, dt, dx,
+    n0, n1, grid, phase, summed, pull_first, pull_patch, pull_code, apart, offsets, meets, at_wall,
+    low, cells, wall_kinds, least, rules, fall, dt, dx,
 ):  # fmt: skip
     """Add impulses that were kept apart to the velocities of a block: to phases that share space as
     their coupling says; for FLIP note the velocities before."""
-    forces = apart.scratch.reshape((len(apart.scratch), 256))
-    flux = apart.flux.reshape((len(apart.flux), 256))
     if not apart.forced[n0:n1].any():
         return
+    forces = apart.forces
+    flux = apart.flux.reshape((len(apart.flux), 256))
     for nb in range(n0, n1):
-        forces[nb - n0, :] = 0
-        if apart.forced[nb]:
+        if apart.forced[nb] and not summed[nb]:
             pull(
-                forces[nb - n0], pull_first[nb], pull_first[nb + 1], pull_patch, pull_code,
-                apart.slots, apart.forces,
+                forces[nb], pull_first[nb], pull_first[nb + 1], pull_patch, pull_code, apart.slots,
+                apart.patches,
             )  # fmt: skip
     if rules is None:
         for nb in range(n0, n1):
@@ -129,7 +128,7 @@ def _apart(
                 row = load(grid[nb], c)
                 m = fourth_of(row)
                 store(flux[nb], c, row - push)
-                change = select(m > tiny, load(forces[nb - n0], c) / m, 0.0)
+                change = select(m > tiny, load(forces[nb], c) / m, 0.0)
                 store(grid[nb], c, with_fourth(row + change, row))
     else:
         couple_block(
@@ -150,22 +149,10 @@ def _changes(n0, n1, grid, phase, apart, at_wall, low, cells, least, rules, dx):
             for c in range(0, 256, 16):
                 store(flux[nb], c, load(grid[nb], c) - load(flux[nb], c))
     else:
-        forces = apart.scratch.reshape((len(apart.scratch), 256))
         note_flux(
-            n0,
-            n1,
-            phase,
-            grid.reshape(grid.size),
-            forces.reshape(forces.size),
-            at_wall,
-            low,
-            cells,
-            least,
-            rules,
-            dx,
-            apart.room,
-            flux.reshape(flux.size),
-        )
+            n0, n1, phase, grid.reshape(grid.size), apart.forces.reshape(apart.forces.size),
+            at_wall, low, cells, least, rules, dx, apart.room, flux.reshape(flux.size),
+        )  # fmt: skip
 
 
 @inline

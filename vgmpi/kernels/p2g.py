@@ -98,7 +98,7 @@ def _scatter(count, records, weights, base, patch):
 
 @kernel
 def p2g(
-    law, segments, border, sent, start, count, slots, into, mirror, xi, f, patches, volumes, forces,
+    law, segments, border, sent, start, count, slots, into, mirror, xi, f, patches, volumes, apart,
     grid, scratch, base, numbers, dt,
 ):  # fmt: skip
     """Mass and momentum (with the stress's impulse over dt) of each segment into its patch, and
@@ -107,14 +107,14 @@ def p2g(
     segments: (n,) the segments to do; sent: (segments,) whose patches other ranks need: with
     `border` these are filled and kept, later they are only added to the grid in their turn; slots:
     (3, segments) where to keep the patch for others to sum, -1 for nowhere; the same for the patch
-    of volumes and offsets that contact and couplings ask for, and for that of the stress's impulses
-    where they are kept apart; into: (segments, 27) node blocks around each to add the patch to, -1
-    where it is not this thread's to add; mirror: (segments, 3, 2) wall codes (walls.py); xi: (3,
-    cap) fixed-point positions; f: (channels, cap); patches: (slots, 2048) momentum [kg m/s] and
-    mass [kg] of 8^3 nodes; volumes: (slots, 2048) sum V w (x_p - x_i) [m4] and sum V w [m3];
-    forces: (slots, 2048) impulses [kg m/s], or None where no patch keeps them apart; grid: (blocks,
-    256). numbers: see Numbers. scratch (ROOM,) and base (BATCH + 22, int32) belong to the calling
-    thread.
+    of volumes and offsets that contact and couplings ask for; not negative where the stress's
+    impulses are kept apart, in a patch that goes where the first does; into: (segments, 27) node
+    blocks around each to add the patch to, -1 where it is not this thread's to add; mirror:
+    (segments, 3, 2) wall codes (walls.py); xi: (3, cap) fixed-point positions; f: (channels, cap);
+    patches: (slots, 2048) momentum [kg m/s] and mass [kg] of 8^3 nodes; volumes: (slots, 2048) sum
+    V w (x_p - x_i) [m4] and sum V w [m3]; apart: None, or the same two of the stress's impulses [kg
+    m/s] as patches and grid are of momentum; grid: (blocks, 256). numbers: see Numbers. scratch
+    (ROOM,) and base (BATCH + 22, int32) belong to the calling thread.
     """
     cap = f.shape[1]
     flat, flat_xi = f.reshape(f.size), xi.reshape(xi.size)
@@ -125,11 +125,16 @@ def p2g(
         touched(count[s], start[s], cap, flat_xi, flat, mirror[s], box)
         if sent[s] and not border:
             push(patches[slots[0, s]], grid, into[s], box)
+            if apart is not None:
+                if slots[2, s] >= 0:
+                    push(apart[0][slots[0, s]], apart[1], into[s], box)
             continue
         for wanted in range(3):
             kept = slots[wanted, s]
             if wanted > 0 and kept < 0:
                 continue
+            if wanted == 2:
+                kept = slots[0, s]
             if kept >= 0:
                 patch[:] = 0
             else:
@@ -139,38 +144,41 @@ def p2g(
                 at = start[s] + first
                 weigh(n, at, cap, flat_xi, flat, base, weights)
                 if wanted == 1:
-                    _offsets(law, n, at, cap, flat, forces, extra, records, numbers)
+                    _offsets(law, n, at, cap, flat, apart, extra, records, numbers)
                 else:
                     _momenta(
-                        law, n, at, cap, flat, wanted, slots[2, s], forces, records, numbers, dt
+                        law, n, at, cap, flat, wanted, slots[2, s], apart, records, numbers, dt
                     )
                 _scatter(n, records, weights, base, patch)
             fold(nodes, mirror[s], wanted == 1)
             if kept >= 0:
-                _keep(patch, wanted, kept, patches, volumes, forces)
+                _keep(patch, wanted, kept, patches, volumes, apart)
             if wanted == 0 and not border:
                 push(patch, grid, into[s], box)
+            if apart is not None:
+                if wanted == 2 and not border:
+                    push(patch, apart[1], into[s], box)
 
 
 @inline
-def _momenta(law, n, at, cap, f, wanted, apart, forces, records, numbers, dt):
+def _momenta(law, n, at, cap, f, wanted, split, apart, records, numbers, dt):
     """Records of momentum (wanted 0), with the stress's impulses where these are not kept apart, or
     of the impulses (2)."""
-    if forces is not None:
+    if apart is not None:
         if wanted == 2:
             impulses(law, n, at, cap, f, numbers, records, dt)
             return
-        if apart >= 0:
+        if split >= 0:
             inertia(n, at, cap, f, records, numbers.density, numbers.affine, numbers.dx)
             return
     momenta(law, n, at, cap, f, records, numbers.density, numbers.affine, numbers.dx, dt)
 
 
 @inline
-def _offsets(law, n, at, cap, f, forces, extra, records, numbers):
+def _offsets(law, n, at, cap, f, apart, extra, records, numbers):
     """Records of volumes and offsets: present volumes where the stress is kept apart, since it is
     the couplings that ask for them."""
-    if forces is None:
+    if apart is None:
         offsets(n, f, at + VOLUME * cap, numbers.share, records, numbers.dx)
     else:
         present(law, n, at, cap, f, extra)
@@ -178,11 +186,11 @@ def _offsets(law, n, at, cap, f, forces, extra, records, numbers):
 
 
 @inline
-def _keep(patch, wanted, slot, patches, volumes, forces):
+def _keep(patch, wanted, slot, patches, volumes, apart):
     """Put a patch where `wanted` patches are kept."""
     keep = patches[slot] if wanted == 0 else volumes[slot]
-    if forces is not None:
+    if apart is not None:
         if wanted == 2:
-            keep = forces[slot]
+            keep = apart[0][slot]
     for c in range(PATCH):
         keep[c] = patch[c]

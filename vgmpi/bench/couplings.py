@@ -1,0 +1,149 @@
+"""What sharing space costs: fluids that mix, and sand that a fluid flows through, beside
+the same tank filled with one fluid.
+
+Each pair is measured in turns, so that what else the machine does touches both alike.
+"""
+
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from ..domain.ranks import Alone
+from ..plan import make_plan
+from ..prepare.build import build
+from ..scene import load
+from ..solver.step import Simulation
+from .own import Stages
+
+TANK = """
+[domain]
+size = [{side!r}, {side!r}, {high!r}]
+cell = 0.01
+[time]
+end = 1
+[accuracy]
+precision = "{precision}"
+[material.water]
+kind = "fluid"
+bulk_modulus = 1e5
+[material.milk]
+kind = "fluid"
+density = 1030
+bulk_modulus = 1e5
+[material.sand]
+kind = "sand"
+youngs_modulus = 1e5
+[[object]]
+name = "water"
+material = "water"
+shape = {{ box = [[0, 0, {low!r}], [{side!r}, {side!r}, {top!r}]] }}
+compressed = "hydrostatic"
+"""
+LAYER = """
+[[object]]
+name = "layer"
+material = "{made_of}"
+shape = {{ box = [[0, 0, 0], [{side!r}, {side!r}, {low!r}]] }}
+"""
+PORES = """
+[[object]]
+name = "pores"
+material = "water"
+shape = {{ box = [[0, 0, 0], [{side!r}, {side!r}, {low!r}]] }}
+fraction = 0.4
+"""
+MIXING = """
+[[coupling]]
+between = ["water", "milk"]
+kind = "mixing"
+diffusion = 1e-5
+slip_time = 0.01
+"""
+DRAG = """
+[[coupling]]
+between = ["water", "sand"]
+kind = "drag"
+permeability = 1e-3
+"""
+SCENES = {  # name -> what lies below the water, couplings, depth of it as a share of the tank's
+    "fluid": (LAYER.replace("{made_of}", "water"), 0.5),
+    "mixing, two layers": (LAYER.replace("{made_of}", "milk") + MIXING, 0.5),
+    "sand": (LAYER.replace("{made_of}", "sand"), 1.0),
+    "drag, a bed of sand under water": (LAYER.replace("{made_of}", "sand") + PORES + DRAG, 0.25),
+    "drag, wet sand throughout": (LAYER.replace("{made_of}", "sand") + PORES + DRAG, 1.0),
+}
+PURE = "fluid"
+
+
+def measure(particles: int, rounds: int, precision: str, say) -> list[dict]:
+    """A row per scene: its name, particles, ns per particle and step by stage of each round."""
+    rows = []
+    with tempfile.TemporaryDirectory(prefix="vgmpi-bench-") as folder:
+        tanks = []
+        for name in SCENES:
+            say(f"{name}: preparing")
+            tanks.append(_tank(name, particles, precision, Path(folder)))
+            rows.append({"name": name, "particles": tanks[-1].plan.particles, "rounds": []})
+        for k in range(rounds):
+            say(f"round {k + 1} of {rounds}")
+            for tank, row in zip(tanks, rows, strict=True):
+                row["rounds"].append(_time(tank))
+    return rows
+
+
+def _tank(name: str, particles: int, precision: str, folder: Path) -> Simulation:
+    """A tank twice as high as wide, filled to three quarters."""
+    below, share = SCENES[name]
+    side = max(8, round((particles / 8 / 1.5) ** (1 / 3)))
+    deep = round(1.5 * side)
+    low = round(share * deep)
+    keys = {
+        "side": side / 100, "high": 2 * side / 100, "low": low / 100, "top": deep / 100,
+        "precision": precision,
+    }  # fmt: skip
+    text = TANK if share < 1.0 else TANK[: TANK.index("[[object]]")]
+    path = folder / "scene.toml"
+    path.write_text((text + below).format(**keys))
+    scene = load(path)
+    made = build(scene)
+    count = [thing["count"] for thing in made.objects]
+    volume = np.bincount(made.object, made.vol0, minlength=len(count)).tolist()
+    simulation = Simulation(make_plan(scene, count, volume, False), Alone())
+    ids = np.arange(len(made.x))
+    simulation.put(made.x, made.v0, made.vol0, ids, made.object, made.theta0)
+    for _ in range(3):
+        simulation.advance(0.5 * simulation.bound())
+    return simulation
+
+
+def _time(simulation: Simulation, steps: int = 20) -> dict:
+    """ns per particle and step by stage, sorting spread over the steps between two sorts."""
+    clock = simulation.clock = Stages(time.thread_time)
+    began = time.thread_time()
+    for _ in range(steps):
+        simulation.advance(0.5 * simulation.bound())
+    spent = {"time": time.thread_time() - began, **clock.spent}
+    simulation.clock = None
+    return {k: 1e9 * v / steps / simulation.plan.particles for k, v in spent.items()}
+
+
+def text(rows: list[dict]) -> str:
+    """The table: medians, and the median of the rounds' ratios to the pure fluid's rate."""
+    pure = next(row for row in rows if row["name"] == PURE)
+    lines = [f"{'':34s} particles   ns  least   p2g  grid   g2p   rate beside a fluid's"]
+    for row in rows:
+        spent = [r["time"] for r in row["rounds"]]
+        ratio = np.median(
+            [p["time"] / r["time"] for p, r in zip(pure["rounds"], row["rounds"], strict=True)]
+        )
+        stages = "".join(
+            f"{np.median([r.get(s, 0.0) for r in row['rounds']]):6.1f}"
+            for s in ("p2g", "grid", "g2p")
+        )
+        lines.append(
+            f"{row['name']:34s} {row['particles']:9,} {np.median(spent):5.1f} {min(spent):5.1f}"
+            f"{stages} {ratio:12.2f}"
+        )
+    return "\n".join(lines)
