@@ -14,7 +14,7 @@ export OMPI_MCA_btl_vader_single_copy_mechanism = none
 help:
 	@echo "make demo      set-up, a simulation on 2 ranks, its video"
 	@echo "make test      set-up, then all tests but the long ones"
-	@echo "make validate  the long tests"
+	@echo "make validate  the long tests; rewrites docs/validation.md"
 	@echo "make lint      ruff and mypy only"
 	@echo "make docs      rewrite docs/file-format.md from the code"
 
@@ -34,7 +34,8 @@ test: setup lint
 	$(PY) -m pytest -m "not slow"
 
 validate: setup
-	$(PY) -m pytest -m slow
+	$(PY) -m tests.validation
+	$(PY) -m pytest -m slow --ignore=tests/physics
 
 lint: setup
 	$(PY) -m ruff check

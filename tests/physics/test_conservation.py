@@ -112,7 +112,7 @@ def test_a_spinning_body(tmp_path):
     jiang = "Jiang et al. 2015, proposition 2"
     for name, (_, drift, energy) in lost.items():
         moved, gone = float(np.abs(drift).max()), float(1 - energy[-1])
-        title, note = f"spinning body, {name.upper()}", "double precision, 12 cells, 3 turns"
+        title, note = f"spinning body, {name.upper()}", "double precision, 6 cells across, 3 turns"
         if name == "apic":
             say = {"kind": "below", "source": jiang, "note": note, "curves": curves, "axes": axes}
             held(f"{title}: angular momentum", moved, 0.0, 1e-12, **say)
