@@ -70,7 +70,7 @@ def test_frequency_converges_with_second_order(tmp_path):
     errors = np.array([abs(frequency(tmp_path, n) / EXACT - 1) for n in cells])
     orders = np.log2(errors[:-1] / errors[1:])
     line = errors[0] * (8 / np.array(cells)) ** 2
-    curves = {"error": (cells, errors), "second order": (cells, line)}
+    curves = {"error": (cells, errors), "theory: second order": (cells, line)}
     axes = ("cells", "relative error of the frequency")
     say = {"source": MODE, "note": "8, 16, 32 cells", "curves": curves, "axes": axes}
     held("axial bar: order", float(orders.min()), 2.0, 1.8, kind="above", **say)
