@@ -144,7 +144,8 @@ def draw(row: dict, file: Path) -> None:
 def made(rows: list[dict], pictures: Path, fast: bool) -> str:
     """What stands between the markers; draws the pictures and drops those of rows that are gone."""
     pictures.mkdir(exist_ok=True)
-    lines = [f"{len(rows)} rows; seconds are those of the whole test on {processor()}, one thread."]
+    lines = [f"{len(rows)} rows; seconds are those of the whole test on {processor()}, one thread,"]
+    lines += ["with the compilation of kernels that were not at hand."]
     lines += ["Without the long tests." if fast else "The long tests are among them.", ""]
     drawn = set()
     for heading in (*FIELDS, OTHER):
