@@ -60,11 +60,11 @@ def positions(folder, bodies, gravity, end):
 
 WAVE = "mode = { amplitude = [0, 0.02, 0.01], wave = [0, 30, 10] }\n"  # along the faces that part
 PARTING = [
-    ("one", "rubber", "[[0.1, 0.06, 0.06], [0.2, 0.14, 0.14]]", "[-0.5, 0, 0]", WAVE),
+    ("one", "rubber", "[[0.1, 0.04, 0.06], [0.2, 0.16, 0.14]]", "[-0.5, 0, 0]", WAVE),
     ("two", "rubber", "[[0.2, 0.06, 0.06], [0.3, 0.1, 0.14]]", "[0.5, -0.2, 0]", WAVE),
-    ("three", "rubber", "[[0.2, 0.1, 0.06], [0.28, 0.14, 0.14]]", "[0.5, 0.2, 0]", WAVE),
+    ("three", "rubber", "[[0.2, 0.1, 0.06], [0.28, 0.14, 0.14]]", "[0.5, 0.2, 0]", ""),
 ]
-WIDE = ("two", "rubber", "[[0.2, 0.06, 0.06], [0.3, 0.14, 0.14]]", "[0.5, -0.2, 0]", WAVE)
+WIDE = ("two", "rubber", "[[0.2, 0.04, 0.06], [0.3, 0.16, 0.14]]", "[0.5, -0.2, 0]", WAVE)
 
 
 def disturbed(folder, bodies):
@@ -78,10 +78,12 @@ def disturbed(folder, bodies):
 
 @pytest.mark.parametrize("count", [2, 3])
 def test_pull_off(tmp_path, count):
-    """They touch at the start, with friction .3, and swing a little while they part."""
+    """They touch at the start, with friction .3; two swing a little while they part. Three are
+    stiff: two of them share edges, see below."""
+    bodies = PARTING[:2] if count == 2 else [(*body[:4], "") for body in PARTING]
     held(
         f"pull-off of {count} bodies",
-        disturbed(tmp_path, PARTING[:count]),
+        disturbed(tmp_path, bodies),
         0.0,
         1e-12,
         kind="absolute",
