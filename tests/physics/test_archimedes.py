@@ -1,0 +1,141 @@
+"""A block floats: its submerged fraction is its density over the water's (Archimedes).
+
+Tolerance: .05. The block is dropped from half a draught too high and the level, told by the water's
+topmost particles, read at rest. Contact lets surfaces rest at up to a quarter of a cell, so the
+block displaces its own volume and a layer around it; a block that is W cells wide floats too high
+by about 2 gap / W of its draught for each pair of sides in the water, and gap / height more. That
+is what the last test holds, with the gap measured beside the faces (tests/surfaces.py). Slabs are 4
+cells thick between slipping walls. Single precision; the water's viscosity only stops the bobbing.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from tests.held import held
+from tests.simulate import advance, begin, by_id
+from tests.surfaces import standoff
+
+DX, SHARE = 0.01, 0.6
+SCENE = """
+[domain]
+size = [{wide!r}, {deep!r}, {high!r}]
+cell = 0.01
+[time]
+end = 4
+[accuracy]
+precision = "single"
+[material.wood]
+kind = "elastic"
+density = 600
+youngs_modulus = 5e4
+[material.water]
+kind = "fluid"
+depth = {depth!r}
+viscosity = {viscosity}
+[[object]]
+name = "block"
+material = "wood"
+shape = {{ box = {block} }}
+[[object]]
+name = "pool"
+material = "water"
+[[object.shape.difference]]
+box = [[0, 0, 0], [{wide!r}, {deep!r}, {depth!r}]]
+[[object.shape.difference]]
+box = {block}
+"""
+
+
+class Afloat(NamedTuple):
+    submerged: float  # share of the block's height
+    below: float  # gap under the block [cells]
+    beside: float  # gap beside it [cells]
+    drift: float  # of its height in the last quarter of the run, as a share of it
+
+
+def float_up(folder, edge, side, slab, drop, end, viscosity=1.0):
+    """A block with edges of `edge` cells, in a tank that leaves `side` cells beside it."""
+    n, depth = edge + 2 * side, edge + 4
+    low = depth - round(SHARE * edge) + drop
+    deep, y0, y1 = (4, 0, 4) if slab else (n, side, side + edge)
+    corners = [[side, y0, low], [side + edge, y1, low + edge]]
+    text = SCENE.format(
+        wide=round(n * DX, 6), deep=round(deep * DX, 6), high=round((depth + edge + drop) * DX, 6),
+        depth=round(depth * DX, 6), block=[[round(c * DX, 6) for c in p] for p in corners],
+        viscosity=viscosity,
+    )  # fmt: skip
+    simulation, made = begin(folder, text)
+    block, rows = made.object == 0, []
+    for time in end * (0.75 + np.arange(6) / 20):
+        advance(simulation, time)
+        x, J = by_id(simulation, "x", "J")
+        rows.append(read(x, made.vol0 * J, block, edge, side, slab))
+    return Afloat(*np.mean(rows, 0)[:3], float(np.ptp(np.array(rows)[:, 3])) / edge)
+
+
+def read(x, volume, block, edge, side, slab):
+    """(submerged share, gap below, gap beside [cells], height of the block [cells])."""
+    width = x[:, 0].max() + DX / 4
+    away = ~block & (np.minimum(x[:, 0], width - x[:, 0]) < (side - 3) * DX)
+    column = np.floor(x[:, :2] / (DX / 2)).astype(int) @ [1000, 1]
+    top = np.lexsort((x[:, 2], column))
+    top = top[away[top]]
+    last = np.append(np.diff(column[top]) != 0, True)
+    level = x[top[last], 2].mean() + DX / 4
+    middle, bottom = x[block].mean(0), x[block, 2].min() - DX / 4
+    # the lowest particles are the corners'; a block that floats level has them all there
+    below = standoff(x, volume, block, middle[:2], min(edge / 4, 2) * DX, "lower", DX)
+    one_side = x[:, 0] > middle[0]
+    about = np.array([middle[1], (level + bottom) / 2])
+    half = min((level - bottom) / 2 - 0.75 * DX, 2 * DX)
+    turned = x[one_side][:, [1, 2, 0]]
+    beside = standoff(turned, volume[one_side], ~block[one_side], about, half, "upper", DX)
+    return (level - bottom) / (edge * DX), below, beside, middle[2] / DX
+
+
+def hold(found, edge, slab):
+    assert found.drift < 0.02, "it still moves"
+    held(
+        f"Archimedes, {'slab' if slab else 'cube'} of {edge} cells",
+        found.submerged,
+        SHARE,
+        0.05,
+        kind="absolute",
+        source="submerged fraction = rho_s / rho_w",
+        note=f"gaps {found.below:.2f} below, {found.beside:.2f} cells beside it",
+    )
+
+
+def test_slab_of_8_cells(tmp_path):
+    hold(float_up(tmp_path, 8, 8, slab=True, drop=2, end=1.2), 8, slab=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("edge", [12, 20])
+def test_slab(tmp_path, edge):
+    found = float_up(tmp_path, edge, 8, slab=True, drop=edge // 4, end=2.4, viscosity=edge / 4)
+    hold(found, edge, slab=True)
+
+
+@pytest.mark.slow
+def test_cube_of_8_cells(tmp_path):
+    hold(float_up(tmp_path, 8, 6, slab=False, drop=2, end=1.6), 8, slab=False)
+
+
+@pytest.mark.slow
+def test_small_cube(tmp_path):
+    """6 cells: it floats too high by what its gaps displace."""
+    found = float_up(tmp_path, 6, 6, slab=False, drop=2, end=1.6)
+    swelled = SHARE * (6 / (6 + 2 * found.beside)) ** 2 - found.below / 6
+    print(found)
+    held(
+        "Archimedes, cube of 6 cells, gaps displace too",
+        found.submerged,
+        swelled,
+        0.03,
+        kind="absolute",
+        source="(rho_s / rho_w) W^2 / (W + 2 gap)^2 - gap below / H",
+        note=f"gaps {found.below:.2f} below, {found.beside:.2f} cells beside it; exact {SHARE}",
+    )
