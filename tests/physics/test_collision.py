@@ -151,4 +151,4 @@ def test_rebound_rises(tmp_path):
 
 @pytest.mark.slow
 def test_rebound_rises_further(tmp_path):
-    rises(tmp_path, [6, 12, 24], [0.05, 0.05])
+    rises(tmp_path, [12, 24], [0.05])
