@@ -27,7 +27,7 @@ end = 1
 precision = "single"
 [material.rubber]
 kind = "elastic"
-density = 1000
+density = {density}
 youngs_modulus = 5e5
 friction = {mu}
 [material.base]
@@ -57,13 +57,13 @@ shape = { box = [[0, 0, 0], [0.8, 0.16, 0.04]] }
 FLOORS = {"wall": (0.0, ""), "collider": (0.046, COLLIDER), "slab": (0.04, SLAB)}
 
 
-def slide(folder, floor, mu, end):
+def slide(folder, floor, mu, end, density=1000):
     """Times (n,) [s], the block's mean speed (n,) [m/s] and position (n,) [m] down the incline."""
     low, below = FLOORS[floor]
     wall = f'{{ kind = "separate", friction = {mu} }}' if floor == "wall" else '"stick"'
     text = SCENE.format(
         along=float(G * np.sin(ANGLE)), down=float(-G * np.cos(ANGLE)), floor=wall, mu=mu,
-        low=low, high=low + 0.08,
+        low=low, high=low + 0.08, density=density,
     )  # fmt: skip
     simulation, made = begin(folder, text + below)
     block = made.object == 0
@@ -108,4 +108,24 @@ def test_sticks(tmp_path, floor):
         unit="cells",
         source="it sticks for mu > tan",
         note="30 deg, friction .6, within .7 s",
+    )
+
+
+@pytest.mark.xfail(
+    strict=True,
+    reason="reached -.02 of 2.35 m/s2: the heavier body gives the normals, and a small block's lean"
+    " outwards at its edges",
+)
+def test_heavier_than_the_slab(tmp_path):
+    """What slides must not depend on which of the two is heavier: 6.1 kg on 5.1 kg."""
+    t, u, _ = slide(tmp_path, "slab", 0.3, 0.35, density=8000)
+    late = t > 0.15
+    held(
+        "block on an incline, heavier than the slab, friction 0.3",
+        np.polyfit(t[late], u[late], 1)[0],
+        float(G * (np.sin(ANGLE) - 0.3 * np.cos(ANGLE))),
+        0.01,
+        unit="m/s2",
+        source="a = g (sin - mu cos)",
+        note="the block is the master",
     )
