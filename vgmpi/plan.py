@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .couplings.base import CONTACT, DRAG, RULES, Rules
+from .couplings.base import CONTACT, DRAG, MIXING, RULES, Rules
 from .couplings.contact import Contact
 from .loads import mean_share
 from .materials.base import function, state_channels
@@ -267,16 +267,24 @@ def _friction(scene: Scene, groups, phases: int) -> tuple[tuple[float, ...], ...
     return tuple(tuple(float(v) for v in row) for row in out)
 
 
-def fastest(scene: Scene) -> list[tuple[float, str]]:
-    """(bound on the time step [s], what sets it) per body at the start, smallest first."""
+def fastest(scene: Scene, plan: Plan) -> list[tuple[float, str]]:
+    """(bound on the time step [s], what sets it) at the start, smallest first: of every body, and
+    of what diffuses.
+    """
     dx, found = scene.domain.cell, []
-    for thing in scene.object:
+    for coupling in scene.coupling:
+        if coupling.rule == MIXING and coupling.diffusion > 0:
+            one, other = coupling.between
+            bound = dx**2 / (6.0 * coupling.diffusion)
+            found.append((bound, f"the diffusion of materials {one!r} and {other!r}"))
+    for k, thing in enumerate(scene.object):
         if thing.material is None:
             continue
         material = scene.material[thing.material]
         law = material.law()
         rest = tuple(v for values in material.carries.values() for v in values)
-        wave = math.sqrt(function(law, "wave_speed2")(law, rest))
+        group = plan.groups[plan.group_of[k]]  # knows of the sand whose pores it fills
+        wave = math.sqrt(group.bound(function(law, "wave_speed2")(law, rest)))
         found.append((scene.time.cfl * dx / (wave + thing.speed), f"material {thing.material!r}"))
         if material.kinematic_viscosity > 0:
             bound = dx**2 / (6.0 * material.kinematic_viscosity)
@@ -285,7 +293,7 @@ def fastest(scene: Scene) -> list[tuple[float, str]]:
 
 
 def _check_fixed_dt(scene: Scene, plan: Plan) -> None:
-    bound, what = fastest(scene)[0]
+    bound, what = fastest(scene, plan)[0]
     if plan.fixed_dt > bound:
         said = f"{plan.fixed_dt:.4g} s is above the stable step of {what}: at most {bound:.4g} s"
         raise scene.error([(("time", "dt"), said)])
@@ -324,7 +332,7 @@ def describe(scene: Scene, plan: Plan, ranks: int) -> str:
         f"  memory      {total / 2**20:.0f} MiB in all,"
         f" {total / ranks / 2**20:.0f} MiB per rank on {ranks} rank(s)"
     )
-    dt, what = fastest(scene)[0]
+    dt, what = fastest(scene, plan)[0]
     dt = plan.fixed_dt or dt
     steps = math.ceil(plan.times[-1] / dt)
     lines.append(

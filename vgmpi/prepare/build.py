@@ -71,6 +71,7 @@ def build(scene: Scene) -> Prepared:
     if errors:
         raise scene.error(errors)
     _warn_of_overlaps(scene, pieces)
+    _warn_of_locking(scene)
     return _together(scene, pieces)
 
 
@@ -97,6 +98,16 @@ def _warn_of_overlaps(scene: Scene, pieces: list[Piece]) -> None:
                     scene.object[b].name,
                     1e3 * shared * spacing**3,
                 )
+
+
+def _warn_of_locking(scene: Scene) -> None:
+    """Say which materials hardly change their volume: linear shapes in a cell cannot follow that
+    when they bend."""
+    for name, material in scene.material.items():
+        ratio = getattr(material, "poisson_ratio", 0.0)
+        if ratio > 0.45:
+            log.warning("material '%s': poisson_ratio = %g is above 0.45: it will bend too stiffly",
+                        name, ratio)  # fmt: skip
 
 
 def _together(scene: Scene, pieces: list[Piece]) -> Prepared:
