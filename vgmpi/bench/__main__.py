@@ -256,11 +256,46 @@ def _run_couplings(given: argparse.Namespace) -> int:
     return 0
 
 
+def _extremes(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("words", nargs="*", metavar="WORD", help="rows with one in their name")
+    parser.add_argument("--fast", action="store_true", help="a quick part of them")
+
+
+def _run_extremes(given: argparse.Namespace) -> int:
+    from . import extremes
+
+    print(extremes.HEAD)
+    good = True
+    for row in extremes.chosen(given.words, given.fast):
+        found = extremes.execute(row)
+        good &= found.good
+        print(extremes.line(found), flush=True)
+    return 0 if good else 1
+
+
+def _stability(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("--only", nargs="+", default=[], metavar="NAME", help="laws or couplings; default: all")
+    say("--transfer", nargs="+", choices=("apic", "flip", "pic"), default=["apic", "flip", "pic"])
+    say("--precision", nargs="+", choices=("single", "double"), default=["single", "double"])
+
+
+def _run_stability(given: argparse.Namespace) -> int:
+    from . import stability
+
+    print(stability.HEAD)
+    for case in stability.cases(given.only, given.transfer, given.precision):
+        print(stability.line(case, stability.largest(case)), flush=True)
+    return 0
+
+
 COMMANDS = {  # what it does, its flags, how it runs
     "speed": ("measure (the default)", _speed, _run_speed),
     "balance": ("how even a scene's work would be on many ranks", _balance, _run_balance),
     "couplings": ("what mixing and drag cost", _couplings, _run_couplings),
+    "extremes": ("scenes at the ends of what is allowed", _extremes, _run_extremes),
     "overhead": ("what a step costs beside its kernels", _overhead, _run_overhead),
+    "stability": ("the largest stable time step of every law", _stability, _run_stability),
     "scaling": ("predict many ranks from what is measured here", _scaling, _run_scaling),
     "compare": ("print two measurements side by side", _compare, _run_compare),
 }

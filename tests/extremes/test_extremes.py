@@ -1,0 +1,77 @@
+"""Scenes at the ends of what a scene may say: each row of `python -m vgmpi.bench extremes`.
+
+Expected: what its row says; in every one no particle and no bit of a rest volume is lost, momentum
+stays to 1e-12 of the largest sum m |v| where nothing pushes on it, nothing hangs.
+"""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from vgmpi.bench import extremes
+from vgmpi.bench.__main__ import main
+from vgmpi.bench.extreme_scenes import rows
+
+ROWS = {row.name: row for row in rows()}
+
+
+@pytest.mark.parametrize("name", [row.name for row in ROWS.values() if row.fast])
+def test_a_quick_row(name):
+    found = extremes.execute(ROWS[name])
+    assert found.good, extremes.line(found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [row.name for row in ROWS.values() if not row.fast])
+def test_a_row(name):
+    found = extremes.execute(ROWS[name])
+    assert found.good, extremes.line(found)
+
+
+def test_the_names_are_unique():
+    assert len(ROWS) == len(rows())
+
+
+@pytest.mark.parametrize(
+    "changes, said",
+    [
+        ({"code": 3}, "ran"),
+        ({"says": ("no such words",)}, "does not say"),
+        ({"check": lambda run, first: (False, "wrong place")}, "wrong place"),
+        ({"steps": 3}, "hangs"),
+    ],
+)
+def test_a_wrong_outcome_is_seen(changes, said):
+    found = extremes.execute(dataclasses.replace(ROWS["E = 1e3 Pa"], **changes))
+    assert not found.good and said in found.said
+
+
+def test_lost_momentum_is_seen():
+    """Weight that a row does not speak of."""
+    row = ROWS["E = 1e3 Pa"]
+    text = row.text.replace("gravity = [0, 0, -0.0]", "gravity = [0, 0, -1e-6]")
+    assert text != row.text
+    found = extremes.execute(dataclasses.replace(row, text=text))
+    assert not found.good and found.drift > extremes.MOMENTUM
+
+
+def test_a_lost_particle_is_seen(monkeypatch):
+    def run(*given, **more):
+        this = real(*given, **more)
+        group = this.simulation.groups[0]
+        group.f[12, group.index()[0]] *= 1 + 2 * np.finfo(float).eps  # its rest volume
+        return this
+
+    real = extremes.run
+    monkeypatch.setattr(extremes, "run", run)
+    assert "lost" in extremes.execute(ROWS["E = 1e3 Pa"]).said
+
+
+def test_the_command_fails_with_a_row(monkeypatch, capsys):
+    row = ROWS["an object without particles"]
+    monkeypatch.setattr(extremes, "rows", lambda: [row])
+    assert main(["extremes", "without"]) == 0
+    monkeypatch.setattr(extremes, "rows", lambda: [dataclasses.replace(row, code=0)])
+    assert main(["extremes", "without"]) == 1
+    assert "FAIL" in capsys.readouterr().out

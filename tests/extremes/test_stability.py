@@ -1,0 +1,43 @@
+"""The default time step stands under the largest stable one of every law.
+
+Expected: steps of twice the default Courant factor, 0.8, are stable: kinetic and elastic energy
+stay below 4 times what was put in; steps of four times the default are not. Couplings: twice the
+step the solver chooses. `python -m vgmpi.bench stability` finds the limits themselves.
+"""
+
+import pytest
+
+from vgmpi.bench import stability
+from vgmpi.bench.stability import COUPLED, DEFAULT, Case, Column
+from vgmpi.settings import Time
+
+MARGIN = 2.0
+ALL = stability.cases([], list(stability.TRANSFERS), list(stability.PRECISIONS))
+QUICK = [Case("elastic"), Case("fluid"), Case("snow"), Case("drag 1e-12"), Case("mixing at limit")]
+
+
+def test_the_default_is_the_scene_s():
+    assert Time.model_fields["cfl"].default == DEFAULT
+
+
+@pytest.mark.parametrize("case", QUICK, ids=lambda case: case.name)
+def test_the_default_has_a_margin(case):
+    assert Column(case).stable(MARGIN * (1.0 if case.name in COUPLED else DEFAULT))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "case", ALL, ids=lambda case: f"{case.name}-{case.transfer}-{case.precision}"
+)
+def test_every_default_has_a_margin(case):
+    assert Column(case).stable(MARGIN * (1.0 if case.name in COUPLED else DEFAULT))
+
+
+@pytest.mark.parametrize("name", ["elastic", "fluid"])
+def test_a_step_too_long_is_seen(name):
+    assert not Column(Case(name)).stable(4 * DEFAULT)
+
+
+def test_bisection_finds_the_limit(monkeypatch):
+    monkeypatch.setattr(Column, "stable", lambda self, factor: factor < 1.3)
+    assert 1.3 / 1.05 < stability.largest(Case("fluid")) < 1.3

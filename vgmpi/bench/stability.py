@@ -1,0 +1,160 @@
+"""How large a time step each law bears: the largest stable Courant factor, found by bisection.
+
+A box filled by one material, or by two that share it, under a faint weight and with a random
+velocity. The step is a factor times dx / (c + |v|), of couplings times the step the solver would
+choose. Stable: in all steps kinetic and elastic energy stay below GROWTH times what the random
+motion and the weight can give, and nothing blows up.
+"""
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..domain.ranks import Alone
+from ..materials import registry
+from ..plan import make_plan
+from ..prepare.build import build
+from ..scene import load
+from ..solver.step import BlowUp, Simulation
+from ..solver.watch import ledger
+from .extreme_scenes import DX, WATER, box, coupling, of_law, toml
+
+TRANSFERS, PRECISIONS = ("apic", "flip", "pic"), ("single", "double")
+CELLS = (6, 6, 10)
+STEPS = 300
+GROWTH = 4.0
+JITTER = 0.1  # of the particles about their lattice, in cells
+SPEED = 1e-3  # of the random velocity, as a share of the wave speed
+LEAST, MOST = 0.1, 12.8  # factors looked at
+ROUNDS = 7  # halvings of the range, on a scale of ratios: to 4 %
+DEFAULT = 0.4  # time.cfl
+COUPLED = {
+    "drag 1e-3": coupling("drag", "water", "grains", permeability=1e-3),
+    "drag 1e-12": coupling("drag", "water", "grains", permeability=1e-12),
+    "mixing": coupling("mixing", "water", "milk", diffusion=1e-4),
+    "mixing at limit": coupling("mixing", "water", "milk", diffusion=0.5),
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """What fills the box: a law, or the name of one of COUPLED."""
+
+    name: str
+    transfer: str = "apic"
+    precision: str = "double"
+
+    @property
+    def text(self) -> str:
+        """The scene, with cfl = 1 for a law and the default for couplings."""
+        size = [n * DX for n in CELLS]
+        corners = ([0, 0, 0], size)
+        half = {"fraction": 0.5}
+        if self.name not in COUPLED:
+            materials, cfl = {"stuff": of_law(self.name)}, 1.0
+            bodies = box("column", "stuff", *corners)
+        elif self.name.startswith("drag"):
+            materials, cfl = {"water": WATER, "grains": {"kind": "sand"}}, DEFAULT
+            bodies = box("pores", "water", *corners, fraction=0.4)
+            bodies += box("bed", "grains", *corners) + COUPLED[self.name]
+        else:
+            materials, cfl = {"water": WATER, "milk": {**WATER, "density": 1030}}, DEFAULT
+            bodies = box("one", "water", *corners, **half) + box("two", "milk", *corners, **half)
+            bodies += COUPLED[self.name]
+        named = "".join(f"[material.{k}]\n{toml(v)}\n" for k, v in materials.items())
+        return (
+            f"[domain]\nsize = {size}\ncell = {DX}\ngravity = [0, 0, -1]\n"
+            f"[time]\nend = 1\ncfl = {cfl}\n"
+            f'[accuracy]\ntransfer = "{self.transfer}"\nprecision = "{self.precision}"\n'
+            f"{named}{bodies}"
+        )
+
+
+class Column:
+    """The box of a case, ready to be run again and again."""
+
+    def __init__(self, case: Case):
+        self.case = case
+        scene = load("scene.toml", text=case.text)
+        self.made = build(scene)
+        count = [thing["count"] for thing in self.made.objects]
+        volume = np.bincount(self.made.object, self.made.vol0, minlength=len(count))
+        self.plan = make_plan(scene, count, volume.tolist(), False)
+        density = np.array([self.plan.groups[g].density for g in self.plan.group_of])
+        self.mass = density[self.made.object] * self.made.vol0
+
+    def stable(self, factor: float) -> bool:
+        """Whether STEPS steps of `factor` times the bound are."""
+        made, still = self.made, np.zeros_like(self.made.x)
+        simulation = self._begin(still)
+        wave = self.plan.cfl * self.plan.dx * simulation.rate  # c: nothing moves yet
+        speed, height = SPEED * wave, CELLS[2] * self.plan.dx
+        # a weight whose sudden onset lets the column fall at `speed`
+        pull = speed * wave / height
+        v = speed * np.random.default_rng(3).uniform(-1, 1, made.x.shape)
+        simulation = self._begin(v)
+        simulation.engine.gravity[:] = (0.0, 0.0, -pull)
+        limit = GROWTH * float((self.mass * (0.5 * (v**2).sum(1) + speed**2)).sum())
+        try:
+            for step in range(STEPS):
+                simulation.advance(factor * simulation.bound())
+                if step == 0 and self.case.name in COUPLED:
+                    # what moves apart by diffusion carries kinetic energy from the first step on
+                    limit += GROWTH * self._energy(simulation)
+                if step % 20 == 19 and not self._energy(simulation) <= limit:
+                    return False
+        except BlowUp:
+            return False
+        return True
+
+    def _begin(self, v: np.ndarray) -> Simulation:
+        made = self.made
+        simulation = Simulation(self.plan, Alone())
+        x = made.x + self.plan.dx * np.random.default_rng(4).uniform(-JITTER, JITTER, v.shape)
+        simulation.put(x, v, made.vol0, np.arange(len(v)), made.object)
+        return simulation
+
+    @staticmethod
+    def _energy(simulation: Simulation) -> float:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # of a state that has blown up
+            return sum(row["kinetic"] + row["elastic"] for row in ledger(simulation))
+
+
+def largest(case: Case) -> float:
+    """The largest stable factor; LEAST or MOST where the range ends first, 0 below it."""
+    column = Column(case)
+    low, high = LEAST, MOST
+    if not column.stable(low):
+        return 0.0
+    if column.stable(high):
+        return high
+    for _ in range(ROUNDS):
+        middle = (low * high) ** 0.5
+        low, high = (middle, high) if column.stable(middle) else (low, middle)
+    return low
+
+
+def cases(names: list[str], transfers: list[str], precisions: list[str]) -> list[Case]:
+    """Every combination there is; FLIP is not for couplings."""
+    return [
+        Case(name, transfer, precision)
+        for name in names or [*registry, *COUPLED]
+        for transfer in transfers
+        for precision in precisions
+        if not (name in COUPLED and transfer == "flip")
+    ]
+
+
+HEAD = f"{'filling':20s} {'transfer':9s} {'precision':10s} {'largest factor':15s} over default"
+
+
+def line(case: Case, found: float) -> str:
+    """A row of the table."""
+    default = 1.0 if case.name in COUPLED else DEFAULT
+    more = ">= " if found >= MOST else ""
+    return (
+        f"{case.name:20s} {case.transfer:9s} {case.precision:10s} {more + format(found, '.2f'):15s}"
+        f" {found / default:.1f}"
+    )
