@@ -1,8 +1,8 @@
 """Drag as VersaGauss prints it, for comparison.
 
 The exchange at a node is c m_s m_w / (m_s + m_w), without the time step and of no consistent unit:
-it is eight times as strong when the cell is halved. It is solved implicitly here as well, since the
-printed form has no stable step of its own.
+the slip loses the same share in a step of any length, so that half the step doubles the drag. It is
+solved implicitly here as well, since the printed form has no stable step of its own.
 """
 
 from typing import ClassVar, Literal
