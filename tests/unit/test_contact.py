@@ -61,6 +61,21 @@ def test_momentum_is_exact_and_energy_never_rises(phases, pairs):
         assert node.energy(after) <= node.energy(node.v) * (1 + 1e-13)
 
 
+def test_momentum_whatever_the_masses():
+    """Eight phases, each touching all others, of 1e-15 to 1e3 kg."""
+    pairs = [(a, b) for a in range(8) for b in range(a + 1, 8)]
+    worst = 0.0
+    for seed in range(1000):
+        node = Node(seed, 8, pairs)
+        node.m = 10.0 ** np.random.default_rng(seed).uniform(-15, 3, 8)
+        after = node.resolve()
+        change = (node.m[:, None] * (after - node.v)).sum(0)
+        worst = max(worst, np.abs(change).max() / (node.m * np.linalg.norm(node.v, axis=1)).sum())
+        assert node.energy(after) <= node.energy(node.v) * (1 + 1e-13)
+    print(f"eighteen decades of mass: momentum {worst:.1e} of sum m |v|")
+    assert worst <= 1e-13
+
+
 def test_one_pair_exactly():
     """It parts, without bouncing, and friction is Coulomb's: at most mu times the normal impulse,
     and it sticks where that is enough.

@@ -81,7 +81,7 @@ def couple_block(
             for g in range(rules.mixes):
                 if not printed[g]:
                     _mix(g, count, c, n0, grid, offsets, has_offsets, who, M, V, U, diffusion[g],
-                         slip[g] / (slip[g] + dt), 1.0, dt, dx)  # fmt: skip
+                         1.0 / (1.0 + dt / slip[g]), 1.0, dt, dx)  # fmt: skip
             if rules.drags:
                 _drag(count, c, grid, fluid, grains, who, known, M, V, K, dt)
                 relax(count, c, grid, who, M, K, S, R)
@@ -196,7 +196,7 @@ def _pressure(count, c, grid, forces, fluid, grains, share, who, M, V):
 @inline
 def _mix(g, count, c, n0, grid, offsets, has_offsets, who, M, V, U, diffusion, keep, sign, dt, dx):
     """Fluids of mixing group g drift (Ren 2014) and keep the share `keep` of what else differs in
-    their velocities: slip time / (slip time + dt).
+    their velocities: 1 / (1 + dt / slip time), which holds for times of 0 and infinity.
 
     As printed all move with the mean velocity before the pressure acts, and drift the other way
     (sign -1).
