@@ -98,10 +98,14 @@ class Reference:
                     index = tuple((node + 1).T)  # the grid begins at node -1
                     yield index, w[i][:, 0] * w[j][:, 1] * w[k][:, 2], node * self.dx - x
 
-    def _to_grid(self, body, dt):
+    def _to_grid(self, body, dt, m=None, volume=None):
+        """Mass and momentum with the stress's impulses at the nodes; m, volume (n,): in place of
+        the masses, and of the volumes that the stress acts on.
+        """
         mass, momentum = np.zeros(self.shape), np.zeros((*self.shape, 3))
-        m = body.mass
-        pull = dt * 4.0 / self.dx**2 * body.vol0[:, None, None] * body.stress()
+        m = body.mass if m is None else m
+        volume = body.vol0 if volume is None else volume
+        pull = dt * 4.0 / self.dx**2 * volume[:, None, None] * body.stress()
         for index, w, r in self._stencil(body.x):
             carried = body.v + np.einsum("nab,nb->na", body.C, r)
             np.add.at(mass, index, w * m)
@@ -165,24 +169,36 @@ class Reference:
                 )
 
     def _to_particles(self, body, v, dt):
+        self._gather(body, v)
+        self._move(body, body.C, dt)
+
+    def _gather(self, body, v):
+        """Velocity and its gradient from the nodes."""
         body.v = np.zeros_like(body.x)
         body.C = np.zeros((len(body.x), 3, 3))
         for index, w, r in self._stencil(body.x):
             seen = v[index]
             body.v += w[:, None] * seen
             body.C += 4.0 / self.dx**2 * np.einsum("n,na,nb->nab", w, seen, r)
+
+    @staticmethod
+    def _move(body, C, dt):
+        """New positions, and states by the velocity gradient C (n, 3, 3)."""
         body.x = body.x + dt * body.v
-        L = [body.C[:, a, b] for a in range(3) for b in range(3)]
+        L = [C[:, a, b] for a in range(3) for b in range(3)]
         body.state = list(function(body.law, "advance")(body.law, tuple(body.state), L, dt))
 
     # --- contact of two phases ---
 
-    def _offsets(self, body):
-        """sum V0 w (...,) [m3] and sum V0 w (x_p - x_i) (..., 3) [m4] at the nodes."""
+    def _offsets(self, body, vol=None):
+        """sum V w (...,) [m3] and sum V w (x_p - x_i) (..., 3) [m4] at the nodes; V: rest volumes,
+        or vol (n,).
+        """
+        vol = body.vol0 if vol is None else vol
         volume, offset = np.zeros(self.shape), np.zeros((*self.shape, 3))
         for index, w, r in self._stencil(body.x):
-            np.add.at(volume, index, w * body.vol0)
-            np.add.at(offset, index, -(w * body.vol0)[:, None] * r)
+            np.add.at(volume, index, w * vol)
+            np.add.at(offset, index, -(w * vol)[:, None] * r)
         self._fold(volume[..., None], lambda kind, axis: [1.0])
         self._fold(offset, lambda kind, axis: self._sign("slip", axis))
         for axis, kind, _, wall, _, _ in self._ends():
