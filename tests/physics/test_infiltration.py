@@ -1,10 +1,10 @@
 """Ponded infiltration into dry sand (Green and Ampt 1911, no suction).
 
-Water of depth h0 stands on dry sand and seeps in with a sharp front at depth z: Darcy's flux q = k (z
-+ h) / z with h = h0 - n z left above, dz/dt = q / n. Compared is the centre of mass of the water over
-time, as a share of how far it has sunk; tolerance 10 %. The pond stands under gravity that is ramped
-within 0.1 s, which the theory follows. The error is an offset of a quarter of a cell from the first
-moments, when the front is thinner than a cell; the speed after that is right to 1 %.
+Water of depth h0 stands on dry sand and seeps in with a sharp front at depth z: Darcy's flux q = k
+(z + h) / z with h = h0 - n z left above, dz/dt = q / n. Compared is the centre of mass of the water
+over time, as a share of how far it has sunk; tolerance 10 %. The pond stands under gravity that is
+ramped within 0.1 s, which the theory follows. The error is an offset of a quarter of a cell from
+the first moments, when the front is thinner than a cell; the speed after that is right to 1 %.
 """
 
 import numpy as np
