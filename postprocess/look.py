@@ -5,10 +5,10 @@ import logging
 import numpy as np
 
 from postprocess import shade
-from postprocess.splat import ALPHA_MIN, Splats
 from vgmpi.gaussians import evolve
 from vgmpi.gaussians import sh as harmonics
 from vgmpi.output.read import RunError
+from vgmpi.splatting.splat import ALPHA_MIN, Splats
 
 log = logging.getLogger("vgmpi")
 

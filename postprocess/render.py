@@ -14,10 +14,11 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from postprocess import settings, splat, video
-from postprocess.camera import HEIGHT, Camera, look_at, orbit_eye, overview
+from postprocess import settings, video
 from postprocess.look import Look
 from vgmpi.output.read import Run, RunError
+from vgmpi.splatting import splat
+from vgmpi.splatting.camera import HEIGHT, Camera, look_at, orbit_eye, overview
 
 log = logging.getLogger("vgmpi")
 

@@ -16,7 +16,7 @@ from pydantic import (
     model_validator,
 )
 
-from postprocess.splat import ALPHA_MIN_RANGE
+from vgmpi.splatting.splat import ALPHA_MIN_RANGE
 
 
 def _vector(value: Any) -> tuple[float, float, float]:

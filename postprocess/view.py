@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from postprocess.camera import orbit_eye, overview
 from vgmpi.output import layout
 from vgmpi.output.read import Run, RunError
+from vgmpi.splatting.camera import orbit_eye, overview
 
 FOV = 30.0  # degrees, vertical
 ANGLE = 25.0  # degrees around z, as in the renderer

@@ -27,15 +27,28 @@ LAYERS = [
     {"materials", "couplings"},
     {"tables"},
     {"device"},
+    {"splatting"},
     {"gaussians"},
 ]
 # the layers that may be used, where that is less than all below
 ONLY = {"materials": {"tables", "device"}, "couplings": {"tables", "device"}, "tables": set()}
-POSTPROCESS = ("vgmpi.output.read", "vgmpi.output.layout", "vgmpi.gaussians", "postprocess")
+POSTPROCESS = (
+    "vgmpi.output.read",
+    "vgmpi.output.layout",
+    "vgmpi.gaussians",
+    "vgmpi.splatting",
+    "postprocess",
+)
 OUTSIDE = {  # packages that only some files may use
     "mpi4py": ("vgmpi/domain/ranks.py", "vgmpi/output/"),
     "h5py": ("vgmpi/output/",),
-    "numba": ("vgmpi/device/", "vgmpi/kernels/", "vgmpi/bench/plain.py", "postprocess/"),
+    "numba": (
+        "vgmpi/device/",
+        "vgmpi/kernels/",
+        "vgmpi/splatting/",
+        "vgmpi/bench/plain.py",
+        "postprocess/",
+    ),
     "llvmlite": (
         "vgmpi/device/processor.py",
         "vgmpi/kernels/",

@@ -1,6 +1,6 @@
 """A slow renderer to trust: float64, every Gaussian at every pixel, written from the formulas.
 
-It shares no code with postprocess/splat.py: matrices where that has scalars, no tiles, no boxes, no
+It shares no code with vgmpi/splatting: matrices where that has scalars, no tiles, no boxes, no
 polynomial for the exponential, and spherical harmonics from associated Legendre functions.
 """
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from postprocess.camera import Camera, look_at, orbit_eye, overview
+from vgmpi.splatting.camera import Camera, look_at, orbit_eye, overview
 
 
 def pixel(camera: Camera, point):

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postprocess import splat
 from postprocess.look import Look
 from postprocess.render import Painter
 from postprocess.settings import load
 from tests.launch import mpirun
 from vgmpi.gaussians import ply, sh
 from vgmpi.output.read import Run
+from vgmpi.splatting import splat
 
 ROOT = Path(__file__).resolve().parents[2]
 GUITAR = ROOT.parent / "shared" / "data" / "guitar.compressed.ply"

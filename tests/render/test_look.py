@@ -8,11 +8,11 @@ import pytest
 
 from postprocess import shade
 from postprocess.look import ALPHA_MIN_FAINT, Look
-from postprocess.splat import ALPHA_MIN
 from tests.render import runs
 from vgmpi.gaussians import evolve, sh
 from vgmpi.gaussians.cloud import full
 from vgmpi.output.read import RunError
+from vgmpi.splatting.splat import ALPHA_MIN
 
 EYE = np.array([0.5, -2.0, 1.0])
 

@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postprocess import splat
-from postprocess.camera import Camera
 from tests.render import dense
 from vgmpi.gaussians import sh
 from vgmpi.gaussians.cloud import Cloud, full
+from vgmpi.splatting import splat
+from vgmpi.splatting.camera import Camera
 
 FOLDER = Path(__file__).resolve().parents[2].parent / "shared" / "oracle"
 SCENES = ("fluid_2000_lowopacity", "sh3_300", "tiny_1500_subpixel")

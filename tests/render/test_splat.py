@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from postprocess import splat
-from postprocess.camera import Camera, look_at
 from tests.render import dense
 from vgmpi.gaussians.cloud import full, upper
+from vgmpi.splatting import splat
+from vgmpi.splatting.camera import Camera, look_at
 
 MODES = {
     "classic": {"lowpass": 0.3, "antialias": False},

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from postprocess.camera import Camera
+from vgmpi.splatting.camera import Camera
 
 TILE = 16
 ALPHA_MIN = 1 / 255
