@@ -11,11 +11,37 @@ import numpy as np
 import pytest
 
 from vgmpi.couplings.base import Rules
+from vgmpi.device.jit import kernel
 from vgmpi.device.memory import aligned
-from vgmpi.kernels.couple import LEAST_PART, LEAST_PORES, couple_block, relax, room
+from vgmpi.kernels.couple import (
+    LEAST_PART,
+    LEAST_PORES,
+    couple_block,
+    places,
+    relax,
+    room,
+    tables,
+)
+from vgmpi.kernels.lanes import place
 
 STATES = 10_000
 SLIPS = (0.0, np.inf)
+
+
+@kernel
+def solve(n, phase, grid, forces, offsets, cells, least, room, rules, dt, dx):
+    """A block far from walls in which all n phases are."""
+    of, rules = places(room, rules)
+    couple_block(
+        0, n, place(phase), place(grid), place(forces), place(offsets), True, False, (9, 9, 9),
+        place(cells), place(least), of, rules, dt, dx,
+    )  # fmt: skip
+
+
+@kernel
+def eliminate(n, grid, room, rules):
+    of, _ = places(room, rules)
+    relax(n, 0, place(grid), of)
 
 
 class Node:
@@ -84,11 +110,8 @@ class Node:
         ):  # fmt: skip
             field[..., :3], field[..., 3] = three[:, None], one[:, None]
         flat = [field.reshape(-1) for field in (grid, forces, offsets)]
-        couple_block(
-            0, n, np.arange(n), *flat, True, False, np.zeros(3, np.int64), np.ones(3, np.int64),
-            np.zeros((3, 2), np.int64), np.zeros(n), self.rules(), self.dt, self.dx,
-            room(n, np.dtype(float), aligned),
-        )  # fmt: skip
+        known = room(n, np.dtype(float), aligned), tables(self.rules())
+        solve(n, np.arange(n), *flat, np.ones(3, np.int64), np.zeros(n), *known, self.dt, self.dx)
         assert np.isfinite(grid).all() and (grid[:, 1:] == grid[:, :1]).all()
         return grid[:, 0, :3].copy()
 
@@ -238,10 +261,10 @@ def relaxed(m, v, K):
     n = len(m)
     space, grid = room(n, np.dtype(float), aligned), aligned((n, 64, 4), float)
     grid[..., :3], grid[..., 3] = v[:, None], m[:, None]
-    space.who[0, :n] = np.arange(n)
+    space.block[:] = np.arange(n)
     space.M[:] = np.repeat(m, 16)
     space.K[:] = np.repeat(K.ravel(), 16)
-    relax(n, 0, grid.reshape(-1), space.who, space.M, space.K, space.S, space.R)
+    eliminate(n, grid.reshape(-1), space, tables(Node(0).rules()))
     return grid[:, 0, :3].copy()
 
 

@@ -25,7 +25,7 @@ class Topology(NamedTuple):
     row: np.ndarray  # (patches,) row of the census
     own: np.ndarray  # (patches,) bool
     block: np.ndarray  # (patches, 3)
-    offset_slot: np.ndarray  # (patches,) place of its volumes and offsets, -1 if nobody asks
+    offsets: np.ndarray  # (patches,) bool: somebody asks for its volumes and offsets
     split: np.ndarray  # (patches,) bool: keeps the stress's impulses apart from momentum
     table: np.ndarray  # (own patches, 27) node blocks around each
     first: np.ndarray  # (blocks + 1,) node blocks of each block
@@ -36,6 +36,7 @@ class Topology(NamedTuple):
     solid_of: np.ndarray  # (blocks,) row among the collider's blocks, or -1
     pull_first: np.ndarray  # (node blocks + 1,)
     pull_patch: np.ndarray  # patches that touch each node block, by (group, key)
+    asked: np.ndarray  # (node blocks,) bool: patches with offsets touch it
     forced: np.ndarray  # (node blocks,) bool: patches with impulses kept apart touch it
     pull_code: np.ndarray  # where the node block lies from the patch's block, see kernels/grid.py
     sends: list  # per neighbour rank: (rank, patches, low (n, 3), high (n, 3))
@@ -137,7 +138,7 @@ def build(
         row=row,
         own=own,
         block=block,
-        offset_slot=np.where(wanted, np.cumsum(wanted) - 1, -1),
+        offsets=wanted,
         split=split,
         table=table[own],
         first=first,
@@ -148,6 +149,7 @@ def build(
         solid_of=solid_of,
         pull_first=begin,
         pull_patch=patches,
+        asked=np.logical_or.reduceat(wanted[patches], begin[:-1]),
         forced=np.logical_or.reduceat(split[patches], begin[:-1]),
         pull_code=codes,
         sends=_traffic(block, own, census.owner[row], box, rank, sending=True),
@@ -196,8 +198,8 @@ def _pull_lists(node, order, most):
 def _wants_offset(box, lattice, census, near, at, phase_of, contact, solid) -> np.ndarray:
     """Per block of the box: whether its patches need volume and offset.
 
-    They do where a patch of another phase, or the collider, can share a node block with them: at
-    most two blocks away.
+    They do where a patch of another phase, or the collider, can share a node with them: at most a
+    block away. What else touches such a node touches both.
     """
     wants = box.full(False, bool)
     if contact:
@@ -205,8 +207,8 @@ def _wants_offset(box, lattice, census, near, at, phase_of, contact, solid) -> n
         lowest, highest = box.full(1 << 30, np.int64), box.full(-1, np.int64)
         np.minimum.at(lowest, at, phase)
         np.maximum.at(highest, at, phase)
-        lowest = box.spread(lowest, 2, np.minimum)
-        highest = box.spread(highest, 2, np.maximum)
+        lowest = box.spread(lowest, 1, np.minimum)
+        highest = box.spread(highest, 1, np.maximum)
         wants |= lowest < highest
     if solid is not None:
         grid = np.stack(np.meshgrid(*(np.arange(n) for n in box.shape), indexing="ij"), -1).reshape(
@@ -217,12 +219,12 @@ def _wants_offset(box, lattice, census, near, at, phase_of, contact, solid) -> n
 
 
 def _close(box, at, phase, phases: int) -> np.ndarray:
-    """Whether a phase has patches at most two blocks away: (phases, blocks of the box)."""
+    """Whether a phase has patches at most a block away: (phases, blocks of the box)."""
     found = np.empty((phases, len(box.full(False, bool))), bool)
     for k in range(phases):
         here = box.full(False, bool)
         here[at[phase == k]] = True
-        found[k] = box.spread(here, 2, np.logical_or)
+        found[k] = box.spread(here, 1, np.logical_or)
     return found
 
 
@@ -273,8 +275,8 @@ def _traffic(block, own, owner, box, rank, sending) -> list:
 def _nothing() -> Topology:
     """An idle rank's tables."""
     none, one = np.zeros(0, np.int64), np.zeros(1, np.int64)
+    no, places = none.astype(bool), np.zeros((0, 3), np.int64)
     return Topology(
-        none, none.astype(bool), np.zeros((0, 3), np.int64), none, none.astype(bool),
-        np.zeros((0, 27), np.int64), one, none, np.zeros((0, 3), np.int64), none.astype(bool),
-        none.astype(bool), none, one, none, none.astype(bool), none, [], [],
+        none, no, places, no, no, np.zeros((0, 27), np.int64), one, none, places, no, no, none, one,
+        none, no, no, none, [], [],
     )  # fmt: skip

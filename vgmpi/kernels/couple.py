@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..couplings.base import Rules
 from ..device.jit import inline
 from ..device.select import select
-from .lanes import load, store
+from .lanes import load, place, store
 from .nodes import fourth_of, squared, with_fourth
-from .rows import spread
-from .walls import tangential
+from .rows import largest, spread
 
 LEAST_PART = 1e-3  # of a node's fluid volume, below which a drift is not followed
 LEAST_PORES = 0.05  # share of space that a fluid keeps where sand is
@@ -25,14 +25,15 @@ ROW = 16
 
 
 class Room(NamedTuple):
-    """Scratch of one thread, and what it must know of the members of one set, for up to n phases.
+    """Scratch of one thread for up to n phases of one set: who they are, and rows of four nodes."""
 
-    Kernels take these arrays apart once per block: to fetch one from a tuple costs as much as the
-    arithmetic of a row.
-    """
-
-    who: np.ndarray  # (3, n) of each member: node block, whether it is a fluid, mixing group
-    known: np.ndarray  # (2 + 2 n, n): grains' volume per mass, porosity, drag, whether as printed
+    block: np.ndarray  # (n,) node block of each member
+    wet: np.ndarray  # (n,) whether it is a fluid
+    group: np.ndarray  # (n,) its mixing group, or -1
+    grains: np.ndarray  # (n,) [m3/kg] volume of a sand's grains
+    pores: np.ndarray  # (n,) porosity of a sand
+    drag: np.ndarray  # (n n,) coefficients [kg/(m3 s)]
+    printed: np.ndarray  # (n n,) whether as the paper prints it
     M: np.ndarray  # (16 n,) [kg], a row of four nodes per member
     V: np.ndarray  # (16 n + 16,) [m3], and the space of each node
     U: np.ndarray  # (16 n,) drift [m/s]
@@ -45,95 +46,130 @@ def room(n: int, real: np.dtype, aligned) -> Room:
     """Scratch for n phases. aligned: makes an array of a shape and type."""
     M, U, S, R = (aligned((ROW * n,), real) for _ in range(4))
     V, K = aligned((ROW * n + ROW,), real), aligned((ROW * n * n,), real)
-    return Room(np.zeros((3, n), np.int64), np.zeros((2 + 2 * n, n)), M, V, U, K, S, R)
+    block, wet, group = (np.zeros(n, np.int64) for _ in range(3))
+    grains, pores, drag, printed = (np.zeros(k) for k in (n, n, n * n, n * n))
+    return Room(block, wet, group, grains, pores, drag, printed, M, V, U, K, S, R)
+
+
+class Tables(NamedTuple):
+    """couplings.base.Rules in numbers, tables of pairs one row after the other."""
+
+    phases: int
+    sets: int
+    mixes: int
+    drags: int
+    together: np.ndarray
+    fluid: np.ndarray
+    mix: np.ndarray
+    diffusion: np.ndarray
+    slip_time: np.ndarray
+    printed_mix: np.ndarray
+    volume: np.ndarray
+    porosity: np.ndarray
+    drag: np.ndarray
+    printed_drag: np.ndarray
+
+
+def tables(rules: Rules) -> Tables:
+    """The rules as rows are told of them."""
+    return Tables(
+        len(rules.fluid), rules.sets, rules.mixes, int(rules.drags),
+        *(np.array(table, np.int64) for table in (rules.together, rules.fluid, rules.mix)),
+        *(
+            np.array(table, float).ravel()
+            for table in (
+                rules.diffusion, rules.slip_time, rules.printed_mix, rules.volume, rules.porosity,
+                rules.drag, rules.printed_drag,
+            )
+        ),
+    )  # fmt: skip
+
+
+@inline
+def places(room, tables):
+    """Both by the places of their arrays (lanes.place), which is what rows are handed on with."""
+    block, wet, group, grains, pores, drag, printed, M, V, U, K, S, R = room
+    t = tables
+    return Room(
+        place(block), place(wet), place(group), place(grains), place(pores), place(drag),
+        place(printed), place(M), place(V), place(U), place(K), place(S), place(R),
+    ), Tables(
+        t.phases, t.sets, t.mixes, t.drags, place(t.together), place(t.fluid), place(t.mix),
+        place(t.diffusion), place(t.slip_time), place(t.printed_mix), place(t.volume),
+        place(t.porosity), place(t.drag), place(t.printed_drag),
+    )  # fmt: skip
 
 
 @inline
 def couple_block(
-    n0, n1, phase, grid, forces, offsets, has_offsets, at_wall, low, cells, wall_kinds, least,
-    rules, dt, dx, room,
-):  # fmt: skip
+    n0, n1, phase, grid, forces, offsets, has_offsets, at_wall, low, cells, least, of, rules, dt, dx
+):
     """The stress's impulses, and what phases that share space do to each other, at the 64 nodes of
     a block.
 
-    grid: (256 node blocks,) velocity and mass, of which n0 .. n1 are this block's; forces: the same
-    of impulses kept apart [kg m/s] and volume [m3]; offsets: (256 phases,) offsets [m4] and volume
-    of the phases here, where the block has_offsets.
+    All arrays by their places. Of (256 node blocks,) each: grid: velocity and mass, of which n0 ..
+    n1 are this block's; forces: impulses kept apart [kg m/s] and volume [m3]; offsets: offsets [m4]
+    and volume, where the block has_offsets. of, rules: see `places`.
     """
-    who, known, M, V, U, K, S, R = room
-    diffusion, slip, printed = rules.diffusion, rules.slip_time, rules.printed_mix
-    if at_wall and has_offsets:
-        for nb in range(n0, n1):
-            _along_walls(offsets[256 * (nb - n0) : 256 * (nb - n0 + 1)], low, cells, wall_kinds)
     for one in range(rules.sets):
-        count = members(one, n0, n1, phase, rules, who, known)
-        if count == 1:
-            _alone(phase, grid, forces, least, who)
-        for c in range(0, 256 if count > 1 else 0, ROW):
-            spaces(count, c, at_wall, low, cells, dx, V)
-            _weigh(count, c, phase, grid, least, who, M)
-            fluid, grains, share = volumes(count, c, forces, who, known, M, V)
+        count = members(one, n0, n1, phase, rules, of)
+        for c in range(0, 256 if count > 0 else 0, ROW):
+            if _weigh(count, c, phase, grid, least, of) < 2:
+                _alone(count, c, grid, forces, of)
+                continue
+            spaces(count, c, at_wall, low, cells, dx, of)
+            fluid, grains, share = volumes(count, c, forces, of)
             for g in range(rules.mixes):
-                if printed[g]:
-                    _mix(g, count, c, n0, grid, offsets, has_offsets, who, M, V, U, diffusion[g],
-                         0.0, -1.0, dt, dx)  # fmt: skip
-            _pressure(count, c, grid, forces, fluid, grains, share, who, M, V)
+                if rules.printed_mix[g] > 0.0:
+                    drift = rules.diffusion[g] if has_offsets else 0.0
+                    _mix(g, count, c, grid, offsets, of, drift, 0.0, -1.0, dt, dx)
+            _pressure(count, c, grid, forces, fluid, grains, share, of)
             for g in range(rules.mixes):
-                if not printed[g]:
-                    _mix(g, count, c, n0, grid, offsets, has_offsets, who, M, V, U, diffusion[g],
-                         1.0 / (1.0 + dt / slip[g]), 1.0, dt, dx)  # fmt: skip
+                if rules.printed_mix[g] == 0.0:
+                    drift = rules.diffusion[g] if has_offsets else 0.0
+                    keep = 1.0 / (1.0 + dt / rules.slip_time[g])
+                    _mix(g, count, c, grid, offsets, of, drift, keep, 1.0, dt, dx)
             if rules.drags:
-                _drag(count, c, grid, fluid, grains, who, known, M, V, K, dt)
-                relax(count, c, grid, who, M, K, S, R)
+                _drag(count, c, fluid, grains, of, dt)
+                relax(count, c, grid, of)
 
 
 @inline
-def _alone(phase, grid, forces, least, who):
-    """The impulses of a phase that no other shares space with in its block."""
-    nb = who[0, 0]
-    tiny = 1e-20 * least[phase[nb]]
-    for c in range(256 * nb, 256 * (nb + 1), ROW):
-        row = load(grid, c)
-        m = fourth_of(row)
-        dv = select(m > tiny, load(forces, c) / m, 0.0)
-        store(grid, c, with_fourth(row + dv, row))
+def _alone(count, c, grid, forces, of):
+    """The impulses where no other phase is at any of the nodes."""
+    for q in range(count):
+        at, m = 256 * of.block[q] + c, load(of.M, ROW * q)
+        row = load(grid, at)
+        dv = select(m > 0.0, load(forces, at) / m, 0.0)
+        store(grid, at, with_fourth(row + dv, row))
 
 
 @inline
-def _along_walls(offsets, low, cells, wall_kinds):
-    """Drop the part across walls of a block's offsets (256,)."""
-    nodes = offsets.reshape((64, 4))
-    for node in range(64):
-        i, j, k = low[0] + node // 16, low[1] + node // 4 % 4, low[2] + node % 4
-        tangential(nodes[node], i, j, k, cells, wall_kinds)
-
-
-@inline
-def members(one, n0, n1, phase, rules, who, known):
-    """The node blocks n0 .. n1 that belong to set `one`, and what to know of them, into who and
-    known; returns how many."""
+def members(one, n0, n1, phase, rules, of):
+    """The node blocks n0 .. n1 that belong to set `one`, and what to know of them, into `of`;
+    returns how many."""
     count = 0
     for nb in range(n0, n1):
-        if rules.together[phase[nb]] == one:
-            who[0, count], who[1, count] = nb, rules.fluid[phase[nb]]
-            who[2, count] = rules.mix[phase[nb]]
-            known[0, count], known[1, count] = rules.volume[phase[nb]], rules.porosity[phase[nb]]
+        p = phase[nb]
+        if rules.together[p] == one:
+            of.block[count], of.wet[count], of.group[count] = nb, rules.fluid[p], rules.mix[p]
+            of.grains[count], of.pores[count] = rules.volume[p], rules.porosity[p]
             count += 1
-    for a in range(count):
+    for a in range(count if count > 1 else 0):
         for b in range(count):
-            one_, other = phase[who[0, a]], phase[who[0, b]]
-            known[2 + 2 * a, b] = rules.drag[one_, other]
-            known[3 + 2 * a, b] = rules.printed_drag[one_, other]
+            pair = phase[of.block[a]] * rules.phases + phase[of.block[b]]
+            of.drag[a * count + b] = rules.drag[pair]
+            of.printed[a * count + b] = rules.printed_drag[pair]
     return count
 
 
 @inline
-def spaces(count, c, at_wall, low, cells, dx, V):
+def spaces(count, c, at_wall, low, cells, dx, of):
     """Volume [m3] of the domain that belongs to the nodes of row c, behind the volumes of the
     members: half of a cell's on a wall."""
     volume, at = dx * dx * dx, ROW * count
     if not at_wall:
-        store(V, at, spread(V, volume))
+        store(of.V, at, spread(of.V, volume))
         return
     i, j = low[0] + c // 64, low[1] + c // 16 % 4
     if i == 0 or i == cells[0]:
@@ -143,58 +179,63 @@ def spaces(count, c, at_wall, low, cells, dx, V):
     for node in range(4):
         k = low[2] + node
         for a in range(4):
-            V[at + 4 * node + a] = 0.5 * volume if k == 0 or k == cells[2] else volume
+            of.V[at + 4 * node + a] = 0.5 * volume if k == 0 or k == cells[2] else volume
 
 
 @inline
-def _weigh(count, c, phase, grid, least, who, M):
-    """Masses of a row's phases into M; a node lighter than `tiny` holds rounding alone."""
+def _weigh(count, c, phase, grid, least, of):
+    """Masses of a row's phases into M; a node lighter than `tiny` holds rounding alone. Returns how
+    many phases are at any of its nodes."""
+    here = 0
     for q in range(count):
-        nb = who[0, q]
+        nb = of.block[q]
         m = fourth_of(load(grid, 256 * nb + c))
-        tiny = 1e-20 * least[phase[nb]]
-        store(M, ROW * q, select(m > tiny, m, 0.0))
+        m = select(m > 1e-20 * least[phase[nb]], m, 0.0)
+        store(of.M, ROW * q, m)
+        if largest(m) > 0.0:
+            here += 1
+    return here
 
 
 @inline
-def volumes(count, c, forces, who, known, M, V):
+def volumes(count, c, forces, of):
     """Volumes of a row's phases into V; returns those of all fluids, of all grains, and the fluids'
     share of the space.
 
     The share is of the pores where there is air too: 1 - grains / max(all, space).
     """
-    fluid = grains = spread(V, 0.0)
+    fluid = grains = spread(of.V, 0.0)
     for q in range(count):
-        if who[1, q]:
-            own = np.maximum(fourth_of(load(forces, 256 * who[0, q] + c)), 0.0)
+        if of.wet[q]:
+            own = np.maximum(fourth_of(load(forces, 256 * of.block[q] + c)), 0.0)
             fluid = fluid + own
         else:
-            own = known[0, q] * load(M, ROW * q)
+            own = of.grains[q] * load(of.M, ROW * q)
             grains = grains + own
-        store(V, ROW * q, own)
+        store(of.V, ROW * q, own)
     both = (fluid > 0.0) & (grains > 0.0)
-    share = 1.0 - grains / np.maximum(grains + fluid, load(V, ROW * count))
+    share = 1.0 - grains / np.maximum(grains + fluid, load(of.V, ROW * count))
     return fluid, grains, select(both, np.maximum(share, LEAST_PORES), 1.0)
 
 
 @inline
-def _pressure(count, c, grid, forces, fluid, grains, share, who, M, V):
+def _pressure(count, c, grid, forces, fluid, grains, share, of):
     """All fluids' impulses, to each phase by its share of the space."""
-    total = spread(V, 0.0)
+    total = spread(of.V, 0.0)
     for q in range(count):
-        if who[1, q]:
-            total = total + load(forces, 256 * who[0, q] + c)
+        if of.wet[q]:
+            total = total + load(forces, 256 * of.block[q] + c)
     of_fluid, of_grains = share * total / fluid, (1.0 - share) * total / grains
     for q in range(count):
-        nb = who[0, q]
-        m, own, row = load(M, ROW * q), load(V, ROW * q), load(grid, 256 * nb + c)
-        dv = (own / m) * (of_fluid if who[1, q] else of_grains)
+        nb = of.block[q]
+        m, own, row = load(of.M, ROW * q), load(of.V, ROW * q), load(grid, 256 * nb + c)
+        dv = (own / m) * (of_fluid if of.wet[q] else of_grains)
         dv = select((m > 0.0) & (own > 0.0), dv, 0.0)
         store(grid, 256 * nb + c, with_fourth(row + dv, row))
 
 
 @inline
-def _mix(g, count, c, n0, grid, offsets, has_offsets, who, M, V, U, diffusion, keep, sign, dt, dx):
+def _mix(g, count, c, grid, offsets, of, diffusion, keep, sign, dt, dx):
     """Fluids of mixing group g drift (Ren 2014) and keep the share `keep` of what else differs in
     their velocities: 1 / (1 + dt / slip time), which holds for times of 0 and infinity.
 
@@ -202,88 +243,88 @@ def _mix(g, count, c, n0, grid, offsets, has_offsets, who, M, V, U, diffusion, k
     (sign -1).
     """
     here = 0
-    mass = momentum = spread(V, 0.0)
+    mass = momentum = spread(of.V, 0.0)
     for q in range(count):
-        if who[2, q] == g:
-            m = load(M, ROW * q)
+        if of.group[q] == g:
+            m = load(of.M, ROW * q)
             mass = mass + m
-            momentum = momentum + m * load(grid, 256 * who[0, q] + c)
+            momentum = momentum + m * load(grid, 256 * of.block[q] + c)
             here += 1
     if here < 2:
         return
     some = mass > 0.0
     mean = select(some, momentum / mass, 0.0)
-    drifts = diffusion > 0.0 and has_offsets
+    drifts = diffusion > 0.0
     if drifts:
         strength = -sign * diffusion * 4.0 / (dx * dx)
-        _drift(g, count, c, n0, mass, offsets, who, M, V, U, strength, dx / (2.0 * dt))
+        _drift(g, count, c, mass, offsets, of, strength, dx / (2.0 * dt))
     for q in range(count):
-        if who[2, q] == g:
-            row = load(grid, 256 * who[0, q] + c)
-            u = load(U, ROW * q) if drifts else 0.0 * mass
+        if of.group[q] == g:
+            row = load(grid, 256 * of.block[q] + c)
+            u = load(of.U, ROW * q) if drifts else 0.0 * mass
             moved = mean + keep * (row - u - mean) + u
-            store(grid, 256 * who[0, q] + c, with_fourth(select(some, moved, row), row))
+            store(grid, 256 * of.block[q] + c, with_fourth(select(some, moved, row), row))
 
 
 @inline
-def _drift(g, count, c, n0, mass, offsets, who, M, V, U, strength, most):
+def _drift(g, count, c, mass, offsets, of, strength, most):
     """Drift velocities into U, none faster than `most`; their momenta sum to zero.
 
     u_k = -D (grad a_k / a_k - sum_l c_l grad a_l / a_l), a: share of volume, c: of mass; strength
     is -4 D / dx^2, since grad V = 4 X / dx^2 for offsets X (the quadratic B-spline's second
     moment).
     """
-    volume = slope = mean = again = spread(V, 0.0)
+    volume = slope = mean = again = spread(of.V, 0.0)
     for q in range(count):
-        if who[2, q] == g:
-            volume = volume + load(V, ROW * q)
-            slope = slope + load(offsets, 256 * (who[0, q] - n0) + c)
+        if of.group[q] == g:
+            volume = volume + load(of.V, ROW * q)
+            slope = slope + load(offsets, 256 * of.block[q] + c)
     for q in range(count):
-        if who[2, q] == g:
-            part, m = load(V, ROW * q) / volume, load(M, ROW * q)
-            change = (load(offsets, 256 * (who[0, q] - n0) + c) - part * slope) / volume
+        if of.group[q] == g:
+            part, m = load(of.V, ROW * q) / volume, load(of.M, ROW * q)
+            change = (load(offsets, 256 * of.block[q] + c) - part * slope) / volume
             u = strength * change / np.maximum(part, LEAST_PART)
             u = select((volume > 0.0) & (m > 0.0), u, 0.0)
             mean = mean + m * u
-            store(U, ROW * q, u)
+            store(of.U, ROW * q, u)
     mean = select(mass > 0.0, mean / mass, 0.0)
     for q in range(count):
-        if who[2, q] == g:
-            u = load(U, ROW * q) - mean
+        if of.group[q] == g:
+            u = load(of.U, ROW * q) - mean
             size = np.sqrt(squared(u))
             u = u * select(size > most, most / size, 1.0)
-            again = again + load(M, ROW * q) * u
-            store(U, ROW * q, u)
+            again = again + load(of.M, ROW * q) * u
+            store(of.U, ROW * q, u)
     again = select(mass > 0.0, again / mass, 0.0)
     for q in range(count):
-        if who[2, q] == g:
-            store(U, ROW * q, load(U, ROW * q) - again)
+        if of.group[q] == g:
+            store(of.U, ROW * q, load(of.U, ROW * q) - again)
 
 
 @inline
-def _drag(count, c, grid, fluid, grains, who, known, M, V, K, dt):
+def _drag(count, c, fluid, grains, of, dt):
     """Exchange [kg] between sands and fluids into K: dt times the coefficient of drag times the
     bulk volume that both fill."""
     for a in range(count):
         for b in range(a):
-            strength = known[2 + 2 * a, b]
+            strength = of.drag[a * count + b]
             exchange = 0.0 * fluid
             if strength > 0.0:
-                sand, water = (b, a) if who[1, a] else (a, b)
-                Vs, Vw, n = load(V, ROW * sand), load(V, ROW * water), known[1, sand]
+                sand, water = (b, a) if of.wet[a] else (a, b)
+                Vs, Vw, n = load(of.V, ROW * sand), load(of.V, ROW * water), of.pores[sand]
                 bulk = Vs / (1.0 - n) * (Vw / fluid)
                 wet = Vw / n * (Vs / grains)
                 exchange = dt * strength * np.minimum(bulk, wet)
-                if known[3 + 2 * a, b]:
-                    ma, mb = load(M, ROW * a), load(M, ROW * b)
+                if of.printed[a * count + b] > 0.0:
+                    ma, mb = load(of.M, ROW * a), load(of.M, ROW * b)
                     exchange = strength * (ma * (mb / (ma + mb)))
                 exchange = select((Vs > 0.0) & (Vw > 0.0), exchange, 0.0)
-            store(K, ROW * (a * count + b), exchange)
-            store(K, ROW * (b * count + a), exchange)
+            store(of.K, ROW * (a * count + b), exchange)
+            store(of.K, ROW * (b * count + a), exchange)
 
 
 @inline
-def relax(count, c, grid, who, M, K, S, R):
+def relax(count, c, grid, of):
     """v <- (diag(m) + L(K))^-1 m v, L the graph Laplacian of the exchanges K [kg].
 
     Elimination without a subtraction: each phase hands its momentum on to the others in proportion
@@ -291,59 +332,65 @@ def relax(count, c, grid, who, M, K, S, R):
     leaves the range of the old ones.
     """
     for k in range(count):
-        m = load(M, ROW * k)
-        store(S, ROW * k, m)
-        store(R, ROW * k, select(m > 0.0, m * load(grid, 256 * who[0, k] + c), 0.0))
+        m = load(of.M, ROW * k)
+        store(of.S, ROW * k, m)
+        store(of.R, ROW * k, select(m > 0.0, m * load(grid, 256 * of.block[k] + c), 0.0))
     for k in range(count - 1, 0, -1):
-        s, r = load(S, ROW * k), load(R, ROW * k)
+        s, r = load(of.S, ROW * k), load(of.R, ROW * k)
         pivot = s
         for j in range(k):
-            pivot = pivot + load(K, ROW * (k * count + j))
-        store(K, ROW * (k * count + k), pivot)
+            pivot = pivot + load(of.K, ROW * (k * count + j))
+        store(of.K, ROW * (k * count + k), pivot)
         for i in range(k):
-            part = load(K, ROW * (i * count + k))
+            part = load(of.K, ROW * (i * count + k))
             part = select(pivot > 0.0, part / pivot, 0.0)
-            store(S, ROW * i, load(S, ROW * i) + part * s)
-            store(R, ROW * i, load(R, ROW * i) + part * r)
+            store(of.S, ROW * i, load(of.S, ROW * i) + part * s)
+            store(of.R, ROW * i, load(of.R, ROW * i) + part * r)
             for j in range(k):
                 if j != i:
                     at = ROW * (i * count + j)
-                    store(K, at, load(K, at) + part * load(K, ROW * (k * count + j)))
+                    store(of.K, at, load(of.K, at) + part * load(of.K, ROW * (k * count + j)))
     for k in range(count):
-        total, pivot = load(R, ROW * k), load(S, ROW * k)
+        total, pivot = load(of.R, ROW * k), load(of.S, ROW * k)
         if k > 0:
-            pivot = load(K, ROW * (k * count + k))
+            pivot = load(of.K, ROW * (k * count + k))
         for j in range(k):
-            total = total + load(K, ROW * (k * count + j)) * load(R, ROW * j)
-        row = load(grid, 256 * who[0, k] + c)
+            total = total + load(of.K, ROW * (k * count + j)) * load(of.R, ROW * j)
+        row = load(grid, 256 * of.block[k] + c)
         v = select(pivot > 0.0, total / pivot, row)
-        store(R, ROW * k, v)  # from here on the new velocity
-        store(grid, 256 * who[0, k] + c, with_fourth(v, row))
+        store(of.R, ROW * k, v)  # from here on the new velocity
+        store(grid, 256 * of.block[k] + c, with_fourth(v, row))
 
 
 @inline
-def note_flux(n0, n1, phase, grid, forces, at_wall, low, cells, least, rules, dx, room, flux):
+def note_flux(n0, n1, phase, grid, forces, at_wall, low, cells, least, of, rules, dx, flux):
     """Flux of volume [m/s] and fluids' share of space at the nodes of a block, into flux (256 node
     blocks,); how full the space is into the fourth number of grid, in place of mass, where sand
-    may be in it."""
-    who, known, M, V, _, _, _, _ = room
+    may be in it. Arguments as of `couple_block`."""
     drags = 1.0 if rules.drags else 0.0
     for one in range(rules.sets):
-        count = members(one, n0, n1, phase, rules, who, known)
+        count = members(one, n0, n1, phase, rules, of)
         for c in range(0, 256 if count > 0 else 0, ROW):
-            spaces(count, c, at_wall, low, cells, dx, V)
-            _weigh(count, c, phase, grid, least, who, M)
-            fluid, grains, share = volumes(count, c, forces, who, known, M, V)
-            of_fluid, of_grains = share / fluid, (1.0 - share) / grains
-            total = spread(V, 0.0)
+            here = _weigh(count, c, phase, grid, least, of)
+            spaces(count, c, at_wall, low, cells, dx, of)
+            fluid, grains, share = volumes(count, c, forces, of)
+            full = drags * (fluid + grains) / load(of.V, ROW * count)
+            total = _flux(count, c, grid, fluid, grains, share, of) if here > 1 else fluid
             for q in range(count):
-                own = load(V, ROW * q)
-                part = own * (of_fluid if who[1, q] else of_grains)
-                total = total + select(own > 0.0, part * load(grid, 256 * who[0, q] + c), 0.0)
-            full = drags * (fluid + grains) / load(V, ROW * count)
-            for q in range(count):
-                row = load(grid, 256 * who[0, q] + c)
-                store(
-                    flux, 256 * who[0, q] + c, with_fourth(select(fluid > 0.0, total, row), share)
-                )
-                store(grid, 256 * who[0, q] + c, with_fourth(row, full))
+                at = 256 * of.block[q] + c
+                row = load(grid, at)
+                here_all = select(fluid > 0.0, total, row) if here > 1 else row
+                store(flux, at, with_fourth(here_all, share))
+                store(grid, at, with_fourth(row, full))
+
+
+@inline
+def _flux(count, c, grid, fluid, grains, share, of):
+    """Velocities of a row's phases, each by its share of the space."""
+    of_fluid, of_grains = share / fluid, (1.0 - share) / grains
+    total = spread(of.V, 0.0)
+    for q in range(count):
+        own = load(of.V, ROW * q)
+        part = own * (of_fluid if of.wet[q] else of_grains)
+        total = total + select(own > 0.0, part * load(grid, 256 * of.block[q] + c), 0.0)
+    return total

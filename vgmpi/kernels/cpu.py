@@ -29,7 +29,7 @@ class Part(NamedTuple):
 
     group: Group
     sent: np.ndarray  # (n,) whether other ranks need the patch
-    slots: np.ndarray  # (3, n) where its patches are kept, or -1: momentum, offsets, impulses
+    slots: np.ndarray  # (3, n) where its patches are kept, or -1; whether it has offsets, impulses
     table: np.ndarray  # (n, 27) node blocks around
     into: np.ndarray  # (n, 27) those of them the patch is added to at once, else -1
     limit: np.ndarray  # (n, 3, 2) range of positions [cells]
@@ -60,8 +60,10 @@ class Cpu:
         self.mastery = np.array([phase.mastery for phase in plan.phases])
         self.friction = np.array(plan.friction)
         self.cells = np.array(plan.cells)
-        self.patches = self.offsets = aligned((0, SIDE, SIDE, SIDE, 4), real)
+        self.patches = aligned((0, SIDE, SIDE, SIDE, 4), real)
         self.grid = aligned((0, 64, 4), real)
+        # only where phases, or a phase and a collider, may touch
+        self.offsets, self.offsets_grid = self.patches, self.grid
         # only where phases share space, or for FLIP
         self.apart = any(group.apart for group in plan.groups)
         self.forces = self.patches if self.apart else None  # patches of impulses
@@ -70,12 +72,12 @@ class Cpu:
         room = records.ROOM + (records.PATCH + 16 if self.apart else 0)
         self.records = [aligned(room, real) for _ in range(threads)]
         self.base = [np.zeros(records.BATCH + 22, np.int32) for _ in range(threads)]
-        self.scratch = [aligned((len(plan.phases), 64, 4), real) for _ in range(threads)]
         self.room = [grid.room(len(plan.phases), real) for _ in range(threads)]
         self.apart_room = [
             couple.room(len(plan.phases), real, aligned)
             for _ in range(threads if self.apart else 0)
         ]
+        self.tables = couple.tables(plan.rules) if plan.rules is not None else ()
         self.reports = np.zeros((len(plan.groups), threads, 4))
 
     def adopt(self, groups: list[Group], topology: Topology, group_of_row: np.ndarray) -> None:
@@ -95,7 +97,7 @@ class Cpu:
         into = self._who_sums([own[here] for here in members], sent)
         self._make_room()
         self.parts = []
-        slots = np.stack([self.slot, t.offset_slot, np.where(t.split, 0, -1)])
+        slots = np.stack([self.slot, np.where(t.offsets, 0, -1), np.where(t.split, 0, -1)])
         for group, here in zip(groups, members, strict=True):
             at = own[here]
             block = t.block[at]
@@ -123,6 +125,8 @@ class Cpu:
         by, into = filled_by_one(t, filler)
         self.summed = by >= 0
         self.clears = [np.flatnonzero(by == k) for k in range(self.threads)]
+        self.clears_offsets = [np.flatnonzero((by == k) & t.asked) for k in range(self.threads)]
+        self.clears_forces = [np.flatnonzero((by == k) & t.forced) for k in range(self.threads)]
         kept = ~t.own | sent
         kept[t.own] |= (into < 0).any(1)
         self.slot = np.where(kept, np.cumsum(kept) - 1, -1)
@@ -132,10 +136,8 @@ class Cpu:
         """Patches, offsets and nodes of the size these tables ask for."""
         t = self.topology
         self.patches = _room(self.patches, int((self.slot >= 0).sum()))
-        self.offsets = _room(self.offsets, int((t.offset_slot >= 0).sum()))
         self.grid = _room(self.grid, len(t.phase))
         self.flat_patches = self.patches.reshape(len(self.patches), records.PATCH)
-        self.flat_offsets = self.offsets.reshape(len(self.offsets), records.PATCH)
         self.flat_grid = self.grid.reshape(len(self.grid), 256)
         if self.apart:
             self.flux = _room(self.flux, len(t.phase))
@@ -146,16 +148,22 @@ class Cpu:
             self.forces_grid = _room(self.forces_grid, len(t.phase))
             self.forces_grid = self.forces_grid.reshape(len(self.forces_grid), 256)
             self.forces_grid[:] = 0
+        touches = t.asked.any()
+        self.offsets = _room(self.offsets, len(self.patches) if touches else 0)
+        self.flat_offsets = self.offsets.reshape(len(self.offsets), records.PATCH)
+        self.offset_slot = np.where(t.offsets, self.slot, -1)
+        self.offsets_grid = _room(self.offsets_grid, len(t.phase) if touches else 0)
+        self.flat_offsets_grid = self.offsets_grid.reshape(len(self.offsets_grid), 256)
+        self.offsets_grid[:] = 0
         # boxes of ghost patches that do not arrive stay zero
         self.patches[self.slot[~t.own]] = 0
-        ghost_offsets = t.offset_slot[~t.own]
-        self.offsets[ghost_offsets[ghost_offsets >= 0]] = 0
+        if touches:
+            self.offsets[self.slot[~t.own]] = 0
 
     @property
     def slots(self) -> list[np.ndarray]:
         """Where the patches of each layer that travels are kept: (patches,) each."""
-        t = self.topology
-        return [self.slot, t.offset_slot, *([self.force_slot] if self.apart else [])]
+        return [self.slot, self.offset_slot, *([self.force_slot] if self.apart else [])]
 
     @property
     def layers(self) -> list[np.ndarray]:
@@ -188,20 +196,22 @@ class Cpu:
         """Fill the patches of this rank's segments: those that other ranks need, or the others."""
         real = self.plan.real.type
         if not border:
-            self.each(self.clears, self._clear)
+            self.each(self.clears, self._clear, self.flat_grid)
+            self.each(self.clears_offsets, self._clear, self.flat_offsets_grid)
+            if self.apart:
+                self.each(self.clears_forces, self._clear, self.forces_grid)
         for part, shares in zip(self.parts, self.shares, strict=True):
             self.each(shares.of(border), self._p2g, part, border, real(dt))
 
-    def _clear(self, thread: int, rows: np.ndarray) -> None:
-        zero(self.flat_grid, rows)
-        if self.apart:
-            zero(self.forces_grid, rows)
+    def _clear(self, thread: int, rows: np.ndarray, grid: np.ndarray) -> None:
+        zero(grid, rows)
 
     def _p2g(self, thread: int, share: np.ndarray, part: "Part", border: bool, dt) -> None:
         group = part.group
         p2g.p2g(
             group.plan.law, share, border, part.sent, group.start, group.count, part.slots,
-            part.into, part.mirror, group.xi, group.f, self.flat_patches, self.flat_offsets,
+            part.into, part.mirror, group.xi, group.f, self.flat_patches,
+            (self.flat_offsets, self.flat_offsets_grid),
             (self.forces, self.forces_grid) if group.plan.apart else None, self.flat_grid,
             self.records[thread], self.base[thread], part.numbers, dt,
         )  # fmt: skip
@@ -222,12 +232,13 @@ class Cpu:
                 t.forced,
                 self.flux,
                 self.apart_room[thread],
+                self.tables,
             )
         grid.update(
             share, t.first, t.phase, t.block_at, t.meets, t.solid_of,
             self.summed, t.pull_first, t.pull_patch, t.pull_code, self.slot, self.flat_patches,
-            t.offset_slot, self.flat_offsets, apart, self.plan.rules, self.grid, self.solid_nodes,
-            self.scratch[thread], self.room[thread], self.cells, self.wall_kinds,
+            self.offset_slot, self.flat_offsets, self.offsets_grid, apart, self.plan.rules,
+            self.grid, self.solid_nodes, self.room[thread], self.cells, self.wall_kinds,
             self.wall_friction, self.gravity, self.least, self.mastery, self.friction, dt,
             self.plan.dx,
         )  # fmt: skip

@@ -14,8 +14,8 @@ from ..couplings.base import CONTACT
 from ..device.jit import inline, kernel
 from ..device.select import select
 from .contact import TOUCH, collider_gap, gap, resolve, surface_normal
-from .couple import couple_block, note_flux
-from .lanes import load, store
+from .couple import couple_block, note_flux, places
+from .lanes import load, place, store
 from .nodes import fourth_of, velocity, with_fourth
 from .patches import pull
 from .rows import repeat, spread
@@ -31,12 +31,13 @@ class Apart(NamedTuple):
     forced: np.ndarray  # (node blocks,) whether any patch of impulses touches it
     flux: np.ndarray  # (node blocks, 64, 4) what particles gather besides velocity
     room: tuple  # couple.Room of the calling thread
+    tables: tuple  # couple.Tables
 
 
 @kernel
 def update(
     blocks, first, phase, block_at, meets, solid_of, summed, pull_first, pull_patch, pull_code,
-    slots, patches, offset_slots, offsets, apart, rules, grid, solids, scratch, room, cells,
+    slots, patches, offset_slots, offset_patches, offsets, apart, rules, grid, solids, room, cells,
     wall_kinds, wall_friction, gravity, least, rank_of, friction, dt, dx,
 ):  # fmt: skip
     """Velocities [m/s] at the nodes of some blocks, in place of momentum.
@@ -44,14 +45,23 @@ def update(
     blocks: (n,) the blocks to do; first: (blocks + 1,) node blocks of each block, one per phase
     that touches it; phase: (node blocks,); meets: (blocks,) whether two phases, or a phase and a
     collider, may touch here; solid_of: (blocks,) row of `solids` or -1; solids: (n, 64, 4) outward
-    normal and distance [m] of the collider; patches, offsets: (slots, 2048); apart: an Apart, or
-    None; rules: how phases share space (couple.Rules), or None; with apart and no rules the change
-    of velocity is noted, which FLIP asks for; scratch: (phases, 64, 4); least: (phases,) mass [kg]
-    of one full cell; rank_of: (phases,) order of mastery, lowest first; friction: (phases + 1,
-    phases), the last row for the collider.
+    normal and distance [m] of the collider; patches, offset_patches: (slots, 2048); offsets: (node
+    blocks, 64, 4) sums of the latter; apart: an Apart, or None; rules: how phases share space
+    (couple.Rules), or None; with apart and no rules the change of velocity is noted, which FLIP
+    asks for; least: (phases,) mass [kg] of one full cell; rank_of: (phases,) order of mastery,
+    lowest first; friction: (phases + 1, phases), the last row for the collider.
     """
-    flat_grid = grid.reshape((len(grid), 256))
-    flat_scratch = scratch.reshape((len(scratch), 256))
+    patch_of, code_of = place(pull_patch), place(pull_code)
+    slot_of, sources, nodes = place(slots), place(patches), place(grid)
+    offset_slot_of, offset_sources, offset_nodes = (
+        place(offset_slots), place(offset_patches), place(offsets)
+    )  # fmt: skip
+    last, phase_of, least_of = place(cells), place(phase), place(least)
+    if apart is not None:
+        forces, flux = place(apart.forces), place(apart.flux)
+        force_slot_of, force_sources = place(apart.slots), place(apart.patches)
+        if rules is not None:
+            of, tables = places(apart.room, apart.tables)
     fall = room[0]
     for a in range(3):
         fall[a] = dt * gravity[a]
@@ -59,36 +69,54 @@ def update(
         n0, n1 = first[b], first[b + 1]
         for nb in range(n0, n1):
             q0, q1 = pull_first[nb], pull_first[nb + 1]
-            nodes = flat_grid[nb]
             if not summed[nb]:
-                pull(nodes, q0, q1, pull_patch, pull_code, slots, patches)
+                pull(nodes, nb, q0, q1, patch_of, code_of, slot_of, sources)
+                if meets[b]:
+                    pull(
+                        offset_nodes, nb, q0, q1, patch_of, code_of, offset_slot_of, offset_sources
+                    )
             # a node lighter than this holds rounding alone
             tiny, push = spread(nodes, 1e-20 * least[phase[nb]]), repeat(fall, 0)
-            for c in range(0, 256, 16):
+            for c in range(256 * nb, 256 * (nb + 1), 16):
                 store(nodes, c, velocity(load(nodes, c), push, tiny))
-            if meets[b]:
-                into = flat_scratch[nb - n0]
-                pull(into, q0, q1, pull_patch, pull_code, offset_slots, offsets)
         low = 4 * block_at[b, 0] - 1, 4 * block_at[b, 1] - 1, 4 * block_at[b, 2] - 1
-        at_wall = _at_wall(low, cells)
+        at_wall = _at_wall(low, last)
+        kept_apart = False
         if apart is not None:
-            _apart(
-                n0, n1, flat_grid, phase, summed, pull_first, pull_patch, pull_code, apart,
-                flat_scratch, meets[b], at_wall, low, cells, wall_kinds, least, rules, fall, dt, dx,
-            )  # fmt: skip
+            kept_apart = apart.forced[n0:n1].any()
+            for nb in range(n0, n1):
+                if apart.forced[nb] and not summed[nb]:
+                    q0, q1 = pull_first[nb], pull_first[nb + 1]
+                    pull(forces, nb, q0, q1, patch_of, code_of, force_slot_of, force_sources)
+            if kept_apart and rules is None:
+                _push(n0, n1, nodes, forces, flux, phase_of, least_of, fall)
+            if rules is not None:
+                if kept_apart:
+                    if at_wall and meets[b]:
+                        _along_walls(offsets[n0:n1], low, cells, wall_kinds)
+                    couple_block(
+                        n0, n1, phase_of, nodes, forces, offset_nodes, meets[b], at_wall, low, last,
+                        least_of, of, tables, dt, dx,
+                    )  # fmt: skip
         if meets[b] and _may_touch(n0, n1, phase, solid_of[b], rules):
             solid = solids[max(solid_of[b], 0)]
             _touch(
-                grid[n0:n1], phase[n0:n1], scratch, solid, solid_of[b] >= 0, low, cells, wall_kinds,
-                least, rank_of, friction, rules, dx, room,
+                grid[n0:n1], phase[n0:n1], offsets[n0:n1], solid, solid_of[b] >= 0, low, cells,
+                wall_kinds, least, rank_of, friction, rules, dx, room,
             )  # fmt: skip
         if at_wall:
             for nb in range(n0, n1):
                 constrain(grid[nb], low, cells, wall_kinds, wall_friction)
         if apart is not None:
-            _changes(
-                n0, n1, flat_grid, phase, apart, at_wall, low, cells, least, rules, dx,
-            )  # fmt: skip
+            if kept_apart and rules is None:
+                for c in range(256 * n0, 256 * n1, 16):
+                    store(flux, c, load(nodes, c) - load(flux, c))
+            if rules is not None:
+                if kept_apart:
+                    note_flux(
+                        n0, n1, phase_of, nodes, forces, at_wall, low, last, least_of, of, tables,
+                        dx, flux,
+                    )  # fmt: skip
 
 
 @inline
@@ -98,61 +126,34 @@ def _may_touch(n0, n1, phase, solid, rules):
         return True
     if rules is not None:
         for a in range(n0, n1):
-            for b in range(a):
-                if b >= n0 and rules.pair[phase[a], phase[b]] == CONTACT:
+            for b in range(n0, a):
+                if rules.pair[phase[a], phase[b]] == CONTACT:
                     return True
     return False
 
 
 @inline
-def _apart(
-    n0, n1, grid, phase, summed, pull_first, pull_patch, pull_code, apart, offsets, meets, at_wall,
-    low, cells, wall_kinds, least, rules, fall, dt, dx,
-):  # fmt: skip
-    """Add impulses that were kept apart to the velocities of a block: to phases that share space as
-    their coupling says; for FLIP note the velocities before."""
-    if not apart.forced[n0:n1].any():
-        return
-    forces = apart.forces
-    flux = apart.flux.reshape((len(apart.flux), 256))
+def _push(n0, n1, nodes, forces, flux, phase, least, fall):
+    """Add impulses that were kept apart to the velocities of a block, and note in flux those
+    before gravity and these, of which FLIP asks for the change. All arrays by their places."""
+    push = repeat(fall, 0)
     for nb in range(n0, n1):
-        if apart.forced[nb] and not summed[nb]:
-            pull(
-                forces[nb], pull_first[nb], pull_first[nb + 1], pull_patch, pull_code, apart.slots,
-                apart.patches,
-            )  # fmt: skip
-    if rules is None:
-        for nb in range(n0, n1):
-            tiny, push = spread(grid, 1e-20 * least[phase[nb]]), repeat(fall, 0)
-            for c in range(0, 256, 16):
-                row = load(grid[nb], c)
-                m = fourth_of(row)
-                store(flux[nb], c, row - push)
-                change = select(m > tiny, load(forces[nb], c) / m, 0.0)
-                store(grid[nb], c, with_fourth(row + change, row))
-    else:
-        couple_block(
-            n0, n1, phase, grid.reshape(grid.size), forces.reshape(forces.size),
-            offsets.reshape(offsets.size), meets, at_wall, low, cells, wall_kinds, least,
-            rules, dt, dx, apart.room,
-        )  # fmt: skip
+        tiny = 1e-20 * least[phase[nb]]
+        for c in range(256 * nb, 256 * (nb + 1), 16):
+            row = load(nodes, c)
+            m = fourth_of(row)
+            store(flux, c, row - push)
+            change = select(m > tiny, load(forces, c) / m, 0.0)
+            store(nodes, c, with_fourth(row + change, row))
 
 
 @inline
-def _changes(n0, n1, grid, phase, apart, at_wall, low, cells, least, rules, dx):
-    """What particles gather besides velocity: the flux of volume, or the change of velocity."""
-    if not apart.forced[n0:n1].any():
-        return
-    flux = apart.flux.reshape((len(apart.flux), 256))
-    if rules is None:
-        for nb in range(n0, n1):
-            for c in range(0, 256, 16):
-                store(flux[nb], c, load(grid[nb], c) - load(flux[nb], c))
-    else:
-        note_flux(
-            n0, n1, phase, grid.reshape(grid.size), apart.forces.reshape(apart.forces.size),
-            at_wall, low, cells, least, rules, dx, apart.room, flux.reshape(flux.size),
-        )  # fmt: skip
+def _along_walls(offsets, low, cells, wall_kinds):
+    """Drop the part across walls of a block's offsets (phases here, 64, 4)."""
+    for q in range(len(offsets)):
+        for node in range(64):
+            i, j, k = low[0] + node // 16, low[1] + node // 4 % 4, low[2] + node % 4
+            tangential(offsets[q, node], i, j, k, cells, wall_kinds)
 
 
 @inline

@@ -79,9 +79,25 @@ def in_all_lanes(context, builder, given, lanes, value):
 
 
 def address(context, builder, array_type, array, index):
-    """Pointer to an element of a contiguous one-dimensional array."""
+    """Pointer to an element of a contiguous one-dimensional array, or behind a `place`."""
+    if isinstance(array_type, types.CPointer):
+        return builder.gep(array, [index])
     data = cgutils.create_struct_proxy(array_type)(context, builder, array).data
     return builder.gep(data, [index])
+
+
+@intrinsic
+def place(typing, row):
+    """Where a contiguous array begins: serves `load`, `store` and [] as the array does.
+
+    To hand an array on costs as much as the arithmetic of some rows, since it is counted and takes
+    seven registers; this is one number. The array itself must be kept alive by the caller.
+    """
+
+    def build(context, builder, signature, arguments):
+        return cgutils.create_struct_proxy(signature.args[0])(context, builder, arguments[0]).data
+
+    return types.CPointer(row.dtype)(row), build
 
 
 @intrinsic

@@ -106,14 +106,14 @@ def p2g(
 
     segments: (n,) the segments to do; sent: (segments,) whose patches other ranks need: with
     `border` these are filled and kept, later they are only added to the grid in their turn; slots:
-    (3, segments) where to keep the patch for others to sum, -1 for nowhere; the same for the patch
-    of volumes and offsets that contact and couplings ask for; not negative where the stress's
-    impulses are kept apart, in a patch that goes where the first does; into: (segments, 27) node
+    (3, segments) where to keep its patches for others to sum, -1 for nowhere; not negative where
+    contact and couplings ask for a patch of volumes and offsets; not negative where the stress's
+    impulses are kept apart, in a patch of their own; into: (segments, 27) node
     blocks around each to add the patch to, -1 where it is not this thread's to add; mirror:
     (segments, 3, 2) wall codes (walls.py); xi: (3, cap) fixed-point positions; f: (channels, cap);
-    patches: (slots, 2048) momentum [kg m/s] and mass [kg] of 8^3 nodes; volumes: (slots, 2048) sum
-    V w (x_p - x_i) [m4] and sum V w [m3]; apart: None, or the same two of the stress's impulses [kg
-    m/s] as patches and grid are of momentum; grid: (blocks, 256). numbers: see Numbers. scratch
+    patches: (slots, 2048) momentum [kg m/s] and mass [kg] of 8^3 nodes; volumes: the same
+    two as patches and grid of sum V w (x_p - x_i) [m4] and sum V w [m3]; apart: None, or those of
+    the stress's impulses [kg m/s]; grid: (blocks, 256). numbers: see Numbers. scratch
     (ROOM,) and base (BATCH + 22, int32) belong to the calling thread.
     """
     cap = f.shape[1]
@@ -125,16 +125,16 @@ def p2g(
         touched(count[s], start[s], cap, flat_xi, flat, mirror[s], box)
         if sent[s] and not border:
             push(patches[slots[0, s]], grid, into[s], box)
+            if slots[1, s] >= 0:
+                push(volumes[0][slots[0, s]], volumes[1], into[s], box)
             if apart is not None:
                 if slots[2, s] >= 0:
                     push(apart[0][slots[0, s]], apart[1], into[s], box)
             continue
         for wanted in range(3):
-            kept = slots[wanted, s]
-            if wanted > 0 and kept < 0:
+            if wanted > 0 and slots[wanted, s] < 0:
                 continue
-            if wanted == 2:
-                kept = slots[0, s]
+            kept = slots[0, s]
             if kept >= 0:
                 patch[:] = 0
             else:
@@ -155,6 +155,8 @@ def p2g(
                 _keep(patch, wanted, kept, patches, volumes, apart)
             if wanted == 0 and not border:
                 push(patch, grid, into[s], box)
+            if wanted == 1 and not border:
+                push(patch, volumes[1], into[s], box)
             if apart is not None:
                 if wanted == 2 and not border:
                     push(patch, apart[1], into[s], box)
@@ -188,7 +190,7 @@ def _offsets(law, n, at, cap, f, apart, extra, records, numbers):
 @inline
 def _keep(patch, wanted, slot, patches, volumes, apart):
     """Put a patch where `wanted` patches are kept."""
-    keep = patches[slot] if wanted == 0 else volumes[slot]
+    keep = patches[slot] if wanted == 0 else volumes[0][slot]
     if apart is not None:
         if wanted == 2:
             keep = apart[0][slot]

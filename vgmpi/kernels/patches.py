@@ -11,33 +11,34 @@ from .walls import SIDE
 
 
 @inline
-def pull(nodes, first, last, patch_of, code_of, slots, patches):
-    """Sum into nodes (256,) the overlapping parts of patches first..last of the pull list.
+def pull(grid, nb, first, last, patch_of, code_of, slots, patches):
+    """Sum into node block nb the overlapping parts of patches first..last of the pull list.
 
-    code_of: 9 (di + 1) + 3 (dj + 1) + dk + 1, the node block's place relative to the patch's block;
-    patches: (slots, 2048).
+    All arrays by their places. grid: (256 node blocks,); patch_of, code_of: of the list; code: 9
+    (di + 1) + 3 (dj + 1) + dk + 1, the node block's place relative to the patch's block; slots:
+    (patches,); patches: (2048 slots,).
     """
-    nodes[:] = 0
-    none = spread(nodes, 0.0)
+    none, to = spread(grid, 0.0), 256 * nb
+    for c in range(to, to + 256, 16):
+        store(grid, c, none)
     for q in range(first, last):
         slot = slots[patch_of[q]]
         if slot < 0:
             continue
-        patch = patches[slot]
         code = code_of[q]
         di, dj, dk = code // 9 - 1, code // 3 % 3 - 1, code % 3 - 1
         # a patch begins one node before its block and ends two after it
         for i in range(3 if di < 0 else 0, 3 if di > 0 else 4):
             for j in range(3 if dj < 0 else 0, 3 if dj > 0 else 4):
                 at = (16 * i + 4 * j) * 4
-                row = ((4 * di + 1 + i) * SIDE + 4 * dj + 1 + j) * SIDE * 4
+                row = (((slot * SIDE + 4 * di + 1 + i) * SIDE) + 4 * dj + 1 + j) * SIDE * 4
                 if dk == 0:
-                    part = load(patch, row + 4)
+                    part = load(patches, row + 4)
                 elif dk < 0:
-                    part = slide_node(none, load(patch, row))
+                    part = slide_node(none, load(patches, row))
                 else:
-                    part = slide_node(load(patch, row + 16), none)
-                store(nodes, at, load(nodes, at) + part)
+                    part = slide_node(load(patches, row + 16), none)
+                store(grid, to + at, load(grid, to + at) + part)
 
 
 @kernel
