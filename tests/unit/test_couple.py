@@ -22,7 +22,7 @@ from vgmpi.kernels.couple import (
     room,
     tables,
 )
-from vgmpi.kernels.lanes import place
+from vgmpi.kernels.lanes import load, place
 
 STATES = 10_000
 SLIPS = (0.0, np.inf)
@@ -41,7 +41,7 @@ def solve(n, phase, grid, forces, offsets, cells, least, room, rules, dt, dx):
 @kernel
 def eliminate(n, grid, room, rules):
     of, _ = places(room, rules)
-    relax(n, 0, place(grid), of)
+    relax(n, 0, load(of.M, 0) >= 0.0, place(grid), of)
 
 
 class Node:

@@ -114,29 +114,35 @@ def couple_block(
     for one in range(rules.sets):
         count = members(one, n0, n1, phase, rules, of)
         for c in range(0, 256 if count > 0 else 0, ROW):
-            if _weigh(count, c, phase, grid, least, of) < 2:
+            here = _weigh(count, c, phase, grid, least, of)
+            if largest(here) < 2.0:
                 _alone(count, c, grid, forces, of)
                 continue
+            shared = here > 1.0
             spaces(count, c, at_wall, low, cells, dx, of)
             fluid, grains, share = volumes(count, c, forces, of)
             for g in range(rules.mixes):
                 if rules.printed_mix[g] > 0.0:
                     drift = rules.diffusion[g] if has_offsets else 0.0
-                    _mix(g, count, c, grid, offsets, of, drift, 0.0, -1.0, dt, dx)
-            _pressure(count, c, grid, forces, fluid, grains, share, of)
+                    _mix(g, count, c, shared, grid, offsets, of, drift, 0.0, -1.0, dt, dx)
+            _pressure(count, c, shared, grid, forces, fluid, grains, share, of)
             for g in range(rules.mixes):
                 if rules.printed_mix[g] == 0.0:
                     drift = rules.diffusion[g] if has_offsets else 0.0
                     keep = 1.0 / (1.0 + dt / rules.slip_time[g])
-                    _mix(g, count, c, grid, offsets, of, drift, keep, 1.0, dt, dx)
+                    _mix(g, count, c, shared, grid, offsets, of, drift, keep, 1.0, dt, dx)
             if rules.drags:
                 _drag(count, c, fluid, grains, of, dt)
-                relax(count, c, grid, of)
+                relax(count, c, shared, grid, of)
 
 
 @inline
 def _alone(count, c, grid, forces, of):
-    """The impulses where no other phase is at any of the nodes."""
+    """The impulses where no other phase is at any of the nodes.
+
+    Other ranks may see phases at nodes of the row that this one has no use for, so that what is
+    done at a node must not depend on its neighbours: the same bits as `_pressure`.
+    """
     for q in range(count):
         at, m = 256 * of.block[q] + c, load(of.M, ROW * q)
         row = load(grid, at)
@@ -184,16 +190,15 @@ def spaces(count, c, at_wall, low, cells, dx, of):
 
 @inline
 def _weigh(count, c, phase, grid, least, of):
-    """Masses of a row's phases into M; a node lighter than `tiny` holds rounding alone. Returns how
-    many phases are at any of its nodes."""
-    here = 0
+    """Masses of a row's phases into M; a node lighter than `tiny` holds rounding alone. Returns
+    how many phases are at each."""
+    here = spread(of.M, 0.0)
     for q in range(count):
         nb = of.block[q]
         m = fourth_of(load(grid, 256 * nb + c))
         m = select(m > 1e-20 * least[phase[nb]], m, 0.0)
         store(of.M, ROW * q, m)
-        if largest(m) > 0.0:
-            here += 1
+        here = here + select(m > 0.0, 1.0, 0.0 * m)
     return here
 
 
@@ -219,7 +224,7 @@ def volumes(count, c, forces, of):
 
 
 @inline
-def _pressure(count, c, grid, forces, fluid, grains, share, of):
+def _pressure(count, c, shared, grid, forces, fluid, grains, share, of):
     """All fluids' impulses, to each phase by its share of the space."""
     total = spread(of.V, 0.0)
     for q in range(count):
@@ -231,11 +236,12 @@ def _pressure(count, c, grid, forces, fluid, grains, share, of):
         m, own, row = load(of.M, ROW * q), load(of.V, ROW * q), load(grid, 256 * nb + c)
         dv = (own / m) * (of_fluid if of.wet[q] else of_grains)
         dv = select((m > 0.0) & (own > 0.0), dv, 0.0)
+        dv = select(shared | (m <= 0.0), dv, load(forces, 256 * nb + c) / m)
         store(grid, 256 * nb + c, with_fourth(row + dv, row))
 
 
 @inline
-def _mix(g, count, c, grid, offsets, of, diffusion, keep, sign, dt, dx):
+def _mix(g, count, c, shared, grid, offsets, of, diffusion, keep, sign, dt, dx):
     """Fluids of mixing group g drift (Ren 2014) and keep the share `keep` of what else differs in
     their velocities: 1 / (1 + dt / slip time), which holds for times of 0 and infinity.
 
@@ -252,7 +258,7 @@ def _mix(g, count, c, grid, offsets, of, diffusion, keep, sign, dt, dx):
             here += 1
     if here < 2:
         return
-    some = mass > 0.0
+    some = (mass > 0.0) & shared
     mean = select(some, momentum / mass, 0.0)
     drifts = diffusion > 0.0
     if drifts:
@@ -324,7 +330,7 @@ def _drag(count, c, fluid, grains, of, dt):
 
 
 @inline
-def relax(count, c, grid, of):
+def relax(count, c, shared, grid, of):
     """v <- (diag(m) + L(K))^-1 m v, L the graph Laplacian of the exchanges K [kg].
 
     Elimination without a subtraction: each phase hands its momentum on to the others in proportion
@@ -357,7 +363,7 @@ def relax(count, c, grid, of):
         for j in range(k):
             total = total + load(of.K, ROW * (k * count + j)) * load(of.R, ROW * j)
         row = load(grid, 256 * of.block[k] + c)
-        v = select(pivot > 0.0, total / pivot, row)
+        v = select((pivot > 0.0) & shared, total / pivot, row)
         store(of.R, ROW * k, v)  # from here on the new velocity
         store(grid, 256 * of.block[k] + c, with_fourth(v, row))
 
@@ -375,12 +381,14 @@ def note_flux(n0, n1, phase, grid, forces, at_wall, low, cells, least, of, rules
             spaces(count, c, at_wall, low, cells, dx, of)
             fluid, grains, share = volumes(count, c, forces, of)
             full = drags * (fluid + grains) / load(of.V, ROW * count)
-            total = _flux(count, c, grid, fluid, grains, share, of) if here > 1 else fluid
+            total = (
+                _flux(count, c, grid, fluid, grains, share, of) if largest(here) > 1.0 else fluid
+            )
             for q in range(count):
                 at = 256 * of.block[q] + c
                 row = load(grid, at)
-                here_all = select(fluid > 0.0, total, row) if here > 1 else row
-                store(flux, at, with_fourth(here_all, share))
+                through = select((fluid > 0.0) & (here > 1.0), total, row)
+                store(flux, at, with_fourth(through, share))
                 store(grid, at, with_fourth(row, full))
 
 
