@@ -8,6 +8,7 @@ from tests.scenes import scene
 from vgmpi.domain.ranks import Alone
 from vgmpi.plan import make_plan
 from vgmpi.prepare.build import Prepared, build
+from vgmpi.prepare.motion import gradient
 from vgmpi.solver.state import by_id
 from vgmpi.solver.step import Simulation
 from vgmpi.solver.timestep import next_step
@@ -31,7 +32,8 @@ def begin(folder: Path, text: str, ranks=None, velocity=None, threads: int = 1):
     mine = slice(n * ranks.rank // ranks.size, n * (ranks.rank + 1) // ranks.size)
     v = made.v0 if velocity is None else velocity(made.x)
     rows = (made.x, v, made.vol0, np.arange(n), made.object, made.theta0)
-    simulation.put(*(row[mine] for row in rows))
+    C = gradient(loaded, made.x, made.object) if velocity is None else None
+    simulation.put(*(row[mine] for row in rows), None if C is None else C[mine])
     return simulation, made
 
 

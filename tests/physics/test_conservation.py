@@ -4,7 +4,7 @@ and of the contact.
 Theory: the transfers conserve linear momentum (Jiang 2015, prop. 1) and, APIC, angular momentum
 (prop. 2); internal forces sum to zero; contact impulses are equal and opposite. What is left is
 rounding. Tolerances: |sum p - p0| <= 1e-12 sum m |v| after 1,000 steps; in three turns of a body
-|dL| <= 1e-12 |L| and an energy loss < 1 %.
+|dL| <= 1e-12 |L| and an energy loss < 1 %; in the first step of a spin a loss < 0.1 %.
 """
 
 import numpy as np
@@ -92,11 +92,10 @@ flip = 0.99
 """
     )
     simulation, _ = begin(folder, text)
-    advance(simulation, 0.002)  # the affine part has formed
     turns, rows = np.linspace(0, 3, 13), []
     for turn in turns:
         if turn:
-            advance(simulation, 0.002 + turn * 2 * np.pi / 12)
+            advance(simulation, turn * 2 * np.pi / 12)
         rows.append(totals(simulation))
     start = rows[0]
     assert abs(start["angular"][2]) > 1e-3
@@ -123,3 +122,35 @@ def test_a_spinning_body(tmp_path):
             held(f"{title}: angular momentum", moved, 0.0, 1e-12, **say)
             say |= {"source": "exact"}
             held(f"{title}: energy lost", gone, 0.0, 0.01, **say)
+
+
+START = """
+[[object]]
+name = "block"
+material = "STUFF"
+shape = { box = [[-0.06, -0.06, -0.04], [0.06, 0.06, 0.04]] }
+position = [0.24, 0.24, 0.2]
+MOTION
+"""
+
+
+@pytest.mark.parametrize(
+    "stuff, motion, tolerance",
+    [
+        ("rubber", "spin = [3, 0, 12]", 1e-3),
+        ("water", "spin = [3, 0, 12]", 1e-3),
+        ("water", "mode = { amplitude = [0, 0.2, 0], wave = [30, 0, 0] }", 0.01),
+    ],
+    ids=["spin", "spin of a fluid", "wave"],
+)
+def test_the_first_step_keeps_the_energy(tmp_path, stuff, motion, tolerance):
+    """Particles know the gradient of the motion they begin with; without it all three would lose
+    7 to 8 %. Of the wave its curvature within a cell is lost."""
+    text = FREE + START.replace("STUFF", stuff).replace("MOTION", motion)
+    simulation, _ = begin(tmp_path, text)
+    start = totals(simulation)["energy"]
+    simulation.advance(simulation.bound())
+    lost = 1.0 - totals(simulation)["energy"] / start
+    named = "wave" if "mode" in motion else "spin"
+    case = f"first step of a {named}, {stuff}: energy lost"
+    held(case, abs(lost), 0.0, tolerance, kind="below", source="exact", note="APIC, 6 cells across")

@@ -8,6 +8,7 @@ from tests.scenes import scene
 from tests.simulate import begin, by_id
 from vgmpi.output import rest
 from vgmpi.prepare.build import build
+from vgmpi.prepare.motion import gradient, velocity
 
 BOX = """
 [domain]
@@ -123,3 +124,33 @@ def test_files_carry_it(tmp_path):
         assert ("theta0" in rows) == there
         if there:
             assert (rows["theta0"] == build(known).theta0[:10]).all()
+
+
+def test_the_gradient_of_what_turns_and_waves(tmp_path):
+    """It is the field's own and gets into a run; without spin and waves there is none."""
+    from vgmpi.domain.ranks import Alone
+    from vgmpi.solver.run import Options, start
+
+    keys = "spin = [1, -2, 3]\nmode = { amplitude = [0.1, 0, 0.2], wave = [9, 4, -7], phase = 1 }\n"
+    keys += '[[object]]\nname = "oil"\nmaterial = "oil"\nvelocity = [1, 0, 0]\n'
+    keys += "shape = { box = [[0, 0, 0.3], [0.4, 0.2, 0.4]] }\n"
+    known = scene(tmp_path, text() + keys)
+    made = build(known)
+    found = gradient(known, made.x, made.object).reshape(-1, 3, 3)
+    first = made.object == 0
+    assert first.any() and not first.all() and not found[~first].any()
+    x, volume = made.x[first], made.vol0[first]
+    middle = (x * volume[:, None]).sum(0) / volume.sum()
+    for b in range(3):
+        moved = []
+        for step in (1e-5, -1e-5):
+            # its centre stays where it is: only the points at which the field is asked for move
+            at = np.concatenate([x + step * np.eye(3)[b], middle[None]])
+            weight = np.concatenate([np.zeros(len(x)), [1.0]])
+            moved.append(velocity(known.object[0], at, weight)[:-1])
+        slope = (moved[0] - moved[1]) / 2e-5
+        assert np.abs(found[first, :, b] - slope).max() < 1e-8
+    run = start(known, Alone(), Options(None))
+    (C,) = by_id(run.simulation, "C")
+    assert np.abs(C - found.reshape(-1, 9)).max() < 1e-15
+    assert gradient(scene(tmp_path, text() + "velocity = [1, 0, 0]"), x, made.object[first]) is None

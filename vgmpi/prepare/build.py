@@ -10,9 +10,10 @@ import numpy as np
 from vgmpi.gaussians.ply import GaussianFileError
 from vgmpi.objects import Object
 from vgmpi.prepare.collider import Collider
-from vgmpi.prepare.initial import begun, velocity
+from vgmpi.prepare.initial import begun
 from vgmpi.prepare.loads import Loaded, find
 from vgmpi.prepare.mesh import MeshError
+from vgmpi.prepare.motion import velocity
 from vgmpi.prepare.pieces import Piece, make
 from vgmpi.prepare.place import PlacementError
 from vgmpi.prepare.voxels import Voxels
@@ -130,7 +131,9 @@ def _together(scene: Scene, pieces: list[Piece]) -> Prepared:
     vol0, owner = _rows(pieces, bodies, lambda p: p.volume), _owners(pieces, bodies)
     return Prepared(
         x=x,
-        v0=np.concatenate([velocity(scene.object[k], pieces[k]) for k in bodies]),
+        v0=np.concatenate(
+            [velocity(scene.object[k], pieces[k].cloud.x, pieces[k].volume) for k in bodies]
+        ),
         vol0=vol0,
         object=owner,
         **_looks(pieces, bodies, terms),

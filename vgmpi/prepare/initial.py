@@ -1,4 +1,5 @@
-"""How a body begins: its velocities, its share of the space it lies in, its pressure at rest."""
+"""How a body begins: its share of the space it lies in, its pressure at rest. See motion.py for its
+velocities."""
 
 from dataclasses import replace
 
@@ -38,15 +39,3 @@ def _compressed(scene: Scene, thing: Object, piece: Piece) -> Piece:
     weight = material.density * -scene.domain.gravity[2] * (top - z)
     theta = material.theta_below(weight)
     return replace(piece, volume=piece.volume * np.exp(-theta), theta=theta)
-
-
-def velocity(thing: Object, piece: Piece) -> np.ndarray:
-    """Velocities [m/s] (n, 3): a translation, a turn about the centre of mass, and waves."""
-    x, share = piece.cloud.x, piece.volume / piece.volume.sum()
-    middle = (x * share[:, None]).sum(axis=0)
-    v = np.asarray(thing.velocity) + np.cross(np.asarray(thing.spin), x - middle)
-    for mode in thing.mode:
-        k = mode.wave
-        angle = k[0] * x[:, 0] + k[1] * x[:, 1] + k[2] * x[:, 2] + mode.phase
-        v += np.asarray(mode.amplitude) * np.sin(angle)[:, None]
-    return v

@@ -18,6 +18,7 @@ from ..output.ledger import Ledger
 from ..output.read import RunError, read_gaussians
 from ..plan import Plan, describe, make_plan
 from ..prepare.loads import find
+from ..prepare.motion import gradient
 from ..scene import Scene
 from .probes import Probes
 from .requests import Requests
@@ -156,7 +157,8 @@ def begin(
             return simulation, saved.attrs["frame"]
     ids, rows = _share(plan, known, ranks, options.folder)
     v = rows.get("v0", np.zeros_like(rows["x0"]))
-    simulation.put(rows["x0"], v, rows["vol0"], ids, rows["object"], rows.get("theta0"))
+    C = gradient(scene, rows["x0"], rows["object"])
+    simulation.put(rows["x0"], v, rows["vol0"], ids, rows["object"], rows.get("theta0"), C)
     return simulation, 0
 
 

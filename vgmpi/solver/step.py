@@ -80,12 +80,14 @@ class Simulation:
         ids: np.ndarray,
         thing: np.ndarray,
         theta: np.ndarray | None = None,
+        C: np.ndarray | None = None,
     ) -> None:
         """Take particles, unstrained or compressed, in any order, any share on any rank.
         Collective; once, at the start.
 
         x: positions [m], (n, 3); v: velocities [m/s], (n, 3); volume: rest volumes [m3], (n,); ids:
-        (n,); thing: object of each, (n,); theta: ln J of fluids, (n,), or None for 0.
+        (n,); thing: object of each, (n,); theta: ln J of fluids, (n,), or None for 0; C: gradients
+        of v [1/s], (n, 9), or None for 0.
         """
         group_of = np.array(self.plan.group_of)[thing] if len(thing) else thing
         fastest = 0.0
@@ -94,6 +96,8 @@ class Simulation:
             block, xi = self.lattice.place(x[here], self.plan.real)
             f = np.zeros((group.channels, int(here.sum())), self.plan.real)
             f[0:3] = v[here].T
+            if C is not None:
+                f[records.AFFINE : records.VOLUME] = C[here].T
             f[records.VOLUME] = volume[here]
             f[records.STATE :] = np.array(group.plan.carried)[:, None]
             states = [group.plan.rest]
@@ -109,6 +113,8 @@ class Simulation:
                 fastest = max(fastest, float(wave + speed), float(speed) * self.plan.cfl / 0.3)
             migrate.arrive(group, block, xi, f, ids[here])
         rate = fastest / (self.plan.cfl * self.plan.dx)
+        if C is not None and len(C):
+            rate = max(rate, float(np.abs(C[:, 0] + C[:, 4] + C[:, 8]).max()) / 0.1)
         self.rate = float(self.ranks.max(np.array([rate]))[0])
         self.sort()
         self.moved = 0  # finding the first owners is no migration
