@@ -21,6 +21,9 @@ OF_BODIES = (
     "fraction_profile",
     "compressed",
     "phase",
+    "prune",
+    "prune_scale",
+    "passive",
 )
 
 Velocity = tuple[
@@ -261,8 +264,16 @@ class Object(Table):
     fill: Literal[True, False, "closed"] = True
     """fill a capture's hollow inside. true: also through holes in its surface; "closed": only
     where the surface is closed; false: leave it hollow"""
-    prune: Literal["off"] = "off"
-    """thin out a capture: off"""
+    prune: Literal["off", "auto", "paper"] = "off"
+    """fewer particles for a capture or a mesh; those left take over mass and look. auto: down to 8
+    per cell (or `particles_per_cell`), as far as it still looks the same at rest (40 dB inside its
+    outline). paper: the printed ratios of surface and interior, see `prune_scale`"""
+    prune_scale: Annotated[float, Quantity("", gt=0, le=1)] | None = None
+    """for prune = "paper", the volume scale s' (a linear scale cubed): of the interior s' is kept,
+    of the surface s'^(2/3) up to s' = 0.5, s'^(1/3) up to 0.7, above 0.7 all"""
+    passive: bool = False
+    """solids that carry F only: pruned Gaussians stay as they were and ride along without mass,
+    each with the 4 particles nearest to it at rest, so that pruning is not seen"""
     color: Color = (0.7, 0.7, 0.7)
     """colour of shapes, and of meshes without colours: "#rrggbb" or three numbers 0..1"""
     opacity: Share = 0.95
@@ -344,9 +355,19 @@ def object_complaints(raw: dict) -> list[tuple[tuple, str]]:
         found.append(((), "needs a position (of the middle of its base) or an origin"))
     if sources == ["shape"]:
         found += shape_complaints(raw["shape"], ("shape",))
-    for key in ("select", "fill", "prune"):
+    for key in ("select", "fill"):
         if key in raw and sources and "gaussians" not in raw:
             found.append(((key,), f"is only for objects made of gaussians, not of a {sources[0]}"))
+    if raw.get("prune", "off") != "off" and sources == ["shape"]:
+        found.append(
+            (("prune",), "is only for objects made of gaussians or a mesh, not of a shape")
+        )
+    if raw.get("prune") == "paper" and "prune_scale" not in raw:
+        found.append((("prune",), 'needs prune_scale: "paper" keeps shares by a volume scale'))
+    if "prune_scale" in raw and raw.get("prune") != "paper":
+        found.append((("prune_scale",), 'is only for prune = "paper"'))
+    if raw.get("passive") is True and raw.get("prune", "off") == "off":
+        found.append((("passive",), 'needs prune = "auto" or "paper": what is pruned rides along'))
     scenery = raw.get("role") == "scenery"
     if scenery:
         for key in OF_BODIES:
@@ -359,4 +380,19 @@ def object_complaints(raw: dict) -> list[tuple[tuple, str]]:
         found.append((("fraction_profile",), said))
     if raw.get("collider") is True and not scenery:
         found.append((("collider",), 'is only for role = "scenery": bodies collide anyway'))
+    return found
+
+
+def _prune_complaints(raw: dict, sources: list[str]) -> list[tuple[tuple, str]]:
+    how, found = raw.get("prune", "off"), []
+    if how != "off" and sources == ["shape"]:
+        found.append((("prune",), "is only for objects made of gaussians or a mesh"))
+    if how == "paper" and "prune_scale" not in raw:
+        found.append((("prune",), "needs prune_scale: the paper keeps shares by a volume scale"))
+    if how != "paper" and "prune_scale" in raw:
+        found.append((("prune_scale",), 'is only for prune = "paper"'))
+    if how == "off" and raw.get("passive") is True:
+        found.append((("passive",), 'needs prune = "auto" or "paper": what is pruned rides along'))
+    if "fraction_profile" in raw and raw.get("passive") is True:
+        found.append((("passive",), "is not for objects with a fraction_profile"))
     return found
