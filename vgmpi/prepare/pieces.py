@@ -68,7 +68,8 @@ def _from_shape(scene: Scene, k: int, thing: Object) -> Piece:
         deep = at.scale * shapes.distance(shape, at.own(points))
         return (deep < 0) & (deep > -1.01 * spacing) if thing.role == "scenery" else deep < 0
 
-    x = shapes.lattice(wanted, low, high, spacing)
+    more = at.scale * shapes.bulge(shape)
+    x = shapes.lattice(wanted, low - more, high + more, spacing)
     if not len(x):
         said = f"too small or thin: no particle fits in, their spacing is {spacing:g} m"
         raise PlacementError("shape", said)
