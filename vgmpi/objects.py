@@ -121,7 +121,8 @@ class Object(Table):
     gaussians: str | None = None
     """a Gaussian .ply file, relative to the scene's folder"""
     mesh: str | None = None
-    """a surface mesh (.obj .stl .ply .vtk .vtu), relative to the scene's folder"""
+    """a surface mesh (.obj .stl .ply .vtk .vtu), relative to the scene's folder; it is coloured
+    by the picture of an .obj's material (map_Kd, beside it or below) or by its points"""
     shape: Shape | None = None
     """a solid made of simple forms"""
     select: Select | None = None

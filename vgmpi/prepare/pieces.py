@@ -88,7 +88,7 @@ def _from_mesh(scene: Scene, k: int, thing: Object) -> Piece:
     spacing = spacing_of(scene, thing)
     found = mesh.read(scene.files[thing.name])
     at = place(thing, lambda d: float((found.points @ d).max()))
-    placed = mesh.Mesh(at.points(found.points), found.triangles, found.rgb)
+    placed = replace(found, points=at.points(found.points))
     if thing.role == "body":
         low, high = placed.points.min(axis=0), placed.points.max(axis=0)
         _inside(scene, thing, low, high, 1e-6 * spacing)

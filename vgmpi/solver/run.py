@@ -17,6 +17,7 @@ from ..output.frames import Frames
 from ..output.ledger import Ledger
 from ..output.read import RunError, read_gaussians
 from ..plan import Plan, describe, make_plan
+from ..prepare import texture
 from ..prepare.loads import find
 from ..scene import Scene
 from .probes import Probes
@@ -142,7 +143,8 @@ def digest(scene: Scene) -> str:
     """
     seal = hashlib.sha256(json.dumps(scene.resolved(), sort_keys=True).encode())
     for name in sorted(scene.files):
-        seal.update(Path(scene.files[name]).read_bytes())
+        for path in (Path(scene.files[name]), *texture.files(Path(scene.files[name]))):
+            seal.update(path.read_bytes())
     for path in sorted(Path(__file__).parent.parent.glob("prepare/*.py")):
         seal.update(path.read_bytes())
     return seal.hexdigest()
