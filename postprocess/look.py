@@ -14,7 +14,6 @@ log = logging.getLogger("vgmpi")
 
 FAINT = 0.02  # fluid opacity up to which 1/255 would cut a quarter or more of the fluid away
 ALPHA_MIN_FAINT = 1e-4
-BALLS = ("fluid", "sand", "snow")  # families whose Gaussians forget their shape
 
 
 class Look:
@@ -28,7 +27,7 @@ class Look:
         self.objects = run.objects
         self.object = np.asarray(rest.object)
         fluid = np.array([o.get("family") == "fluid" for o in self.objects] or [False])
-        balls = np.array([o.get("family") in BALLS for o in self.objects] or [False])
+        balls = np.array([o.get("family") in evolve.BALLS for o in self.objects] or [False])
         deforms = np.array([_deforms(o) for o in self.objects] or [False])
         factor = np.array([_opacity_scale(o) for o in self.objects] or [1.0])
         self.fluid = fluid[self.object]
@@ -47,6 +46,8 @@ class Look:
                 np.asarray(scenery.opacity, dtype=np.float64),
                 _Colors(np.asarray(scenery.sh)),
             )
+
+        self.passive = _Passive(rest) if getattr(rest, "passive", None) is not None else None
 
     def splats(self, frame: dict[str, np.ndarray], eye: np.ndarray) -> Splats:
         """The Gaussians of a frame as seen from `eye` [m]; scenery first, it never moves.
@@ -77,6 +78,8 @@ class Look:
             F = np.asarray(frame["F"])[turning]
             directions[turning] = shade.turn_back(F, directions[turning])
         parts = [(x, cov, self.opacity[rows], self.color(rows, directions))]
+        if self.passive is not None:
+            parts.append(self.passive.parts(frame, eye))
         if self.scenery is not None:
             x, cov, opacity, color = self.scenery
             parts.insert(0, (x, cov, opacity, color(np.arange(len(x)), x - eye)))
@@ -112,6 +115,40 @@ class Look:
                     alpha_min,
                 )
         return alpha_min
+
+
+class _Passive:
+    """Gaussians without mass, moved by the particles that carry them."""
+
+    def __init__(self, rest):
+        riders = rest.passive
+        self.count = len(rest.object)
+        self.carriers = np.asarray(riders.carriers)
+        self.weights = np.asarray(riders.weights, dtype=np.float64)
+        self.offset = np.asarray(riders.x0)[:, None, :] - np.asarray(rest.x0)[self.carriers]
+        self.cov0 = np.asarray(riders.cov0, dtype=np.float64)
+        self.opacity = np.asarray(riders.opacity, dtype=np.float64)
+        self.color = _Colors(np.asarray(riders.sh))
+
+    def parts(self, frame: dict[str, np.ndarray], eye: np.ndarray) -> tuple:
+        """x, cov, opacity, colour as seen from `eye` of those whose carriers are all there."""
+        row = np.full(self.count, -1)
+        row[frame["id"]] = np.arange(len(frame["id"]))
+        at = row[self.carriers]
+        there = np.flatnonzero((at >= 0).all(axis=1))
+        at = at[there]
+        x, F = evolve.carried(
+            self.offset[there],
+            self.weights[there],
+            np.asarray(frame["x"], dtype=np.float64)[at],
+            np.asarray(frame["F"])[at],
+        )
+        directions = x - eye
+        turning = np.flatnonzero(self.color.view_dependent[there])
+        if len(turning):
+            directions[turning] = shade.turn_back(F[turning].reshape(-1, 9), directions[turning])
+        cov = evolve.solid(self.cov0[there], F)
+        return x, cov, self.opacity[there], self.color(there, directions)
 
 
 class _Colors:

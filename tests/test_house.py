@@ -23,7 +23,7 @@ LAYERS = [
     {"domain"},
     {"plan"},
     {"sharing"},
-    {"scene", "objects", "loads", "probes", "settings", "source", "reference"},
+    {"scene", "objects", "forms", "loads", "probes", "settings", "source", "reference"},
     {"materials", "couplings"},
     {"tables"},
     {"device"},

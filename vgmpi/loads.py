@@ -5,7 +5,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator
 
-from vgmpi.objects import Shape, body_complaint, shape_complaints
+from vgmpi.forms import Shape, shape_complaints
+from vgmpi.objects import body_complaint
 from vgmpi.tables import Quantity, Table
 
 Newton = Annotated[float, Quantity("N")]

@@ -6,11 +6,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, model_validator
 
+from vgmpi.forms import Axis, Color, Corners, Shape, Sphere, shape_complaints
 from vgmpi.tables import Length, Point, Positive, Quantity, Share, Table, nearest
 
 SOURCES = ("gaussians", "mesh", "shape")
 SIZES = ("height", "width", "depth", "scale")
-FORMS = ("box", "sphere", "ellipsoid", "cylinder", "capsule", "union", "difference")
 PER_CELL = (1, 8, 27, 64)
 OF_BODIES = (
     "material",
@@ -21,6 +21,9 @@ OF_BODIES = (
     "fraction_profile",
     "compressed",
     "phase",
+    "prune",
+    "prune_scale",
+    "passive",
 )
 
 Velocity = tuple[
@@ -36,35 +39,6 @@ Spin = tuple[
 ]
 
 
-def _three(value: Any) -> tuple[float, float, float] | None:
-    """Three finite numbers, or None."""
-    if not isinstance(value, list | tuple) or len(value) != 3:
-        return None
-    if not all(isinstance(c, int | float) and math.isfinite(c) for c in value):
-        return None
-    return float(value[0]), float(value[1]), float(value[2])
-
-
-def _color(value: Any) -> tuple[float, float, float]:
-    if isinstance(value, str) and re.fullmatch(r"#[0-9a-fA-F]{6}", value):
-        red, green, blue = (int(value[k : k + 2], 16) / 255 for k in (1, 3, 5))
-        return red, green, blue
-    numbers = _three(value)
-    if numbers is None or min(numbers) < 0 or max(numbers) > 1:
-        raise ValueError("must be a colour such as '#6fb7d6' or three numbers from 0 to 1")
-    return numbers
-
-
-def _axis(value: Any) -> tuple[float, float, float]:
-    named = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-    numbers = named.get(value) if isinstance(value, str) else _three(value)
-    if numbers is None or not any(numbers):
-        raise ValueError("must be 'x', 'y', 'z' or three numbers that are not all 0")
-    x, y, z = numbers
-    size = math.hypot(x, y, z)
-    return x / size, y / size, z / size
-
-
 def checked_name(value: Any) -> str:
     """A name that can stand in messages and file names."""
     if not isinstance(value, str) or not re.fullmatch(r"[^\W\d][\w -]*", value):
@@ -76,75 +50,6 @@ def _per_cell(value: Any) -> int:
     if isinstance(value, bool) or value not in PER_CELL:
         raise ValueError("must be 1, 8, 27 or 64: a whole number of particles per cell and axis")
     return int(value)
-
-
-def _corners(value: Any) -> Any:
-    """Refuse a box whose first corner is not the lower one; anything else wrong is said later."""
-    try:
-        low, high = ([Quantity("m").parse(c) for c in corner] for corner in value)
-    except (ValueError, TypeError):
-        return value
-    if len(low) == len(high) == 3 and any(a >= b for a, b in zip(low, high, strict=True)):
-        raise ValueError("must be [[x0, y0, z0], [x1, y1, z1]] with x0 < x1, y0 < y1, z0 < z1")
-    return value
-
-
-Color = Annotated[tuple[float, float, float], BeforeValidator(_color)]
-Axis = Annotated[tuple[float, float, float], BeforeValidator(_axis)]
-Corners = Annotated[tuple[Point, Point], BeforeValidator(_corners)]
-
-
-class Sphere(Table):
-    """A ball."""
-
-    center: Point
-    """its middle"""
-    radius: Positive
-    """its radius"""
-
-
-class Ellipsoid(Table):
-    """An ellipsoid with axes along x, y and z."""
-
-    center: Point
-    """its middle"""
-    radii: tuple[Positive, Positive, Positive]
-    """half its extent along x, y and z"""
-
-
-class Rod(Table):
-    """A cylinder (flat ends) or capsule (round ends that stick out by the radius)."""
-
-    ends: tuple[Point, Point]
-    """the two ends of its axis"""
-    radius: Positive
-    """its radius"""
-
-
-class Shape(Table):
-    """A solid: exactly one of box, sphere, ellipsoid, cylinder, capsule, union, difference."""
-
-    box: Corners | None = None
-    """lower and upper corner"""
-    sphere: Sphere | None = None
-    """{ center, radius }"""
-    ellipsoid: Ellipsoid | None = None
-    """{ center, radii }"""
-    cylinder: Rod | None = None
-    """{ ends, radius }"""
-    capsule: Rod | None = None
-    """{ ends, radius }"""
-    union: tuple["Shape", ...] | None = None
-    """list of shapes; where they overlap the first one gives the colour"""
-    difference: tuple["Shape", ...] | None = None
-    """list of shapes: the first without all others"""
-    color: Color | None = None
-    """colour of this part; without it the object's"""
-
-    @property
-    def form(self) -> str:
-        """Which of the forms it is."""
-        return next(form for form in FORMS if getattr(self, form) is not None)
 
 
 class Select(Table):
@@ -216,7 +121,8 @@ class Object(Table):
     gaussians: str | None = None
     """a Gaussian .ply file, relative to the scene's folder"""
     mesh: str | None = None
-    """a surface mesh (.obj .stl .ply .vtk .vtu), relative to the scene's folder"""
+    """a surface mesh (.obj .stl .ply .vtk .vtu), relative to the scene's folder; it is coloured
+    by the picture of an .obj's material (map_Kd, beside it or below) or by its points"""
     shape: Shape | None = None
     """a solid made of simple forms"""
     select: Select | None = None
@@ -261,8 +167,16 @@ class Object(Table):
     fill: Literal[True, False, "closed"] = True
     """fill a capture's hollow inside. true: also through holes in its surface; "closed": only
     where the surface is closed; false: leave it hollow"""
-    prune: Literal["off"] = "off"
-    """thin out a capture: off"""
+    prune: Literal["off", "auto", "paper"] = "off"
+    """fewer particles for a capture or a mesh; those left take over mass and look. auto: down to 8
+    per cell (or `particles_per_cell`), as far as it still looks the same at rest (40 dB inside its
+    outline). paper: the printed ratios of surface and interior, see `prune_scale`"""
+    prune_scale: Annotated[float, Quantity("", gt=0, le=1)] | None = None
+    """for prune = "paper", the volume scale s' (a linear scale cubed): of the interior s' is kept,
+    of the surface s'^(2/3) up to s' = 0.5, s'^(1/3) up to 0.7, above 0.7 all"""
+    passive: bool = False
+    """solids that carry F only: pruned Gaussians stay as they were and ride along without mass,
+    each with the 4 particles nearest to it at rest, so that pruning is not seen"""
     color: Color = (0.7, 0.7, 0.7)
     """colour of shapes, and of meshes without colours: "#rrggbb" or three numbers 0..1"""
     opacity: Share = 0.95
@@ -291,25 +205,6 @@ class Object(Table):
         if self.alpha_min is not None:
             return self.alpha_min
         return 1 / 255 if self.opacity_scale >= 0.1 else 1e-4
-
-
-def shape_complaints(raw: Any, path: tuple) -> list[tuple[tuple, str]]:
-    """(path, text) for every shape inside `raw` that has none or several forms."""
-    if not isinstance(raw, dict):
-        return []
-    found = []
-    forms = [form for form in FORMS if form in raw]
-    if len(forms) > 1:
-        found.append((path, f"has {' and '.join(forms)}: give exactly one"))
-    if not forms:
-        found.append((path, f"has no form: give one of {', '.join(FORMS)}"))
-    for form in ("union", "difference"):
-        parts = raw.get(form)
-        if isinstance(parts, list) and len(parts) < 2:
-            found.append(((*path, form), f"needs at least 2 shapes; got {len(parts)}"))
-        for k, part in enumerate(parts if isinstance(parts, list) else []):
-            found += shape_complaints(part, (*path, form, k))
-    return found
 
 
 def body_complaint(name: Any, role: dict[str, str] | None) -> str:
@@ -344,9 +239,19 @@ def object_complaints(raw: dict) -> list[tuple[tuple, str]]:
         found.append(((), "needs a position (of the middle of its base) or an origin"))
     if sources == ["shape"]:
         found += shape_complaints(raw["shape"], ("shape",))
-    for key in ("select", "fill", "prune"):
+    for key in ("select", "fill"):
         if key in raw and sources and "gaussians" not in raw:
             found.append(((key,), f"is only for objects made of gaussians, not of a {sources[0]}"))
+    if raw.get("prune", "off") != "off" and sources == ["shape"]:
+        found.append(
+            (("prune",), "is only for objects made of gaussians or a mesh, not of a shape")
+        )
+    if raw.get("prune") == "paper" and "prune_scale" not in raw:
+        found.append((("prune",), 'needs prune_scale: "paper" keeps shares by a volume scale'))
+    if "prune_scale" in raw and raw.get("prune") != "paper":
+        found.append((("prune_scale",), 'is only for prune = "paper"'))
+    if raw.get("passive") is True and raw.get("prune", "off") == "off":
+        found.append((("passive",), 'needs prune = "auto" or "paper": what is pruned rides along'))
     scenery = raw.get("role") == "scenery"
     if scenery:
         for key in OF_BODIES:
@@ -359,4 +264,19 @@ def object_complaints(raw: dict) -> list[tuple[tuple, str]]:
         found.append((("fraction_profile",), said))
     if raw.get("collider") is True and not scenery:
         found.append((("collider",), 'is only for role = "scenery": bodies collide anyway'))
+    return found
+
+
+def _prune_complaints(raw: dict, sources: list[str]) -> list[tuple[tuple, str]]:
+    how, found = raw.get("prune", "off"), []
+    if how != "off" and sources == ["shape"]:
+        found.append((("prune",), "is only for objects made of gaussians or a mesh"))
+    if how == "paper" and "prune_scale" not in raw:
+        found.append((("prune",), "needs prune_scale: the paper keeps shares by a volume scale"))
+    if how != "paper" and "prune_scale" in raw:
+        found.append((("prune_scale",), 'is only for prune = "paper"'))
+    if how == "off" and raw.get("passive") is True:
+        found.append((("passive",), 'needs prune = "auto" or "paper": what is pruned rides along'))
+    if "fraction_profile" in raw and raw.get("passive") is True:
+        found.append((("passive",), "is not for objects with a fraction_profile"))
     return found

@@ -7,7 +7,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from vgmpi import couplings, loads, materials, objects, probes, settings
+from vgmpi import couplings, forms, loads, materials, objects, probes, settings
 from vgmpi.tables import Quantity, same_units
 
 _INTRO = """# The scene file
@@ -38,10 +38,12 @@ def scene_reference() -> str:
             parts.append(_presets(material.presets))
     parts.append(_section("[[object]]", objects.Object))
     inner: dict[str, type[BaseModel]] = {
-        "shape": objects.Shape,
-        "sphere": objects.Sphere,
-        "ellipsoid": objects.Ellipsoid,
-        "cylinder and capsule": objects.Rod,
+        "shape": forms.Shape,
+        "sphere": forms.Sphere,
+        "ellipsoid": forms.Ellipsoid,
+        "cylinder and capsule": forms.Rod,
+        "cone": forms.Cone,
+        "torus": forms.Torus,
         "select": objects.Select,
         "rotation": objects.Rotation,
         "mode": objects.Mode,

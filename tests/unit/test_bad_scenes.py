@@ -132,7 +132,18 @@ CASES = {
         "object.ball.select",
         "is only for objects made of gaussians, not of a shape",
     ),
-    "pruning to come": ("position =", 'prune = "auto"\nposition =', "object.ball.prune", "of off"),
+    "pruned shape": (
+        "position =",
+        'prune = "auto"\nposition =',
+        "object.ball.prune",
+        "is only for objects made of gaussians or a mesh",
+    ),
+    "nothing to ride": (
+        "position =",
+        "passive = true\nposition =",
+        "object.ball.passive",
+        'needs prune = "auto" or "paper"',
+    ),
     "unknown transfer": (
         'title = "good"',
         'title = "good"\n[accuracy]\ntransfer = "flop"',

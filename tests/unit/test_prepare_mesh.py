@@ -2,11 +2,14 @@
 
 import numpy as np
 import pytest
+from imageio.v3 import imwrite
 from scipy.spatial import cKDTree
 
+from tests.scenes import scene
 from vgmpi.gaussians.cloud import rotation_matrices
 from vgmpi.prepare import mesh, shapes
 from vgmpi.prepare.mesh import Mesh, MeshError
+from vgmpi.solver.run import digest
 
 
 def ball(radius=0.1, middle=(0.31, 0.27, 0.22), rings=24):
@@ -193,3 +196,120 @@ def test_cut_files_end_in_an_error_or_a_mesh(tmp_path, suffix):
         except MeshError:
             refused += 1
     assert refused > 5
+
+
+# a square of 2 x 2 with a picture of 2 x 2 pixels, and a triangle of a material without one
+PAINTED = """mtllib square.mtl
+v 0 0 0
+v 2 0 0
+v 2 2 0
+v 0 2 0
+v 5 0 0
+v 6 0 0
+v 5 1 0
+vt 0 0
+vt 1 0
+vt 1 1
+vt 0 1
+usemtl tiles
+f 1/1 2/2 3/3 4/-1
+usemtl plain
+f 5/1 6/2 7/3
+usemtl tiles
+f 5 6 7
+"""
+LIBRARY = "newmtl plain\nKd 1 0 0\nnewmtl tiles\nmap_Kd -s 1 1 1 pictures/tiles.png\n"
+TILES = np.array(
+    [[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]], dtype=np.uint8
+)  # the upper row first
+
+
+def painted(folder, library=LIBRARY, picture=TILES):
+    (folder / "pictures").mkdir(exist_ok=True)
+    (folder / "square.obj").write_text(PAINTED)
+    if library:
+        (folder / "square.mtl").write_text(library)
+    if picture is not None:
+        imwrite(folder / "pictures" / "tiles.png", picture)
+    return mesh.read(folder / "square.obj")
+
+
+def test_a_texture_colours_what_lies_under_it(tmp_path):
+    found = painted(tmp_path)
+    assert found.paint.which.tolist() == [0, 0, -1, -1]
+    cloud = mesh.sample(found, 0.02, (0.5, 0.5, 0.5), 0.9, [1])
+    x, rgb = cloud.x, cloud.rgb
+    # the middles of the pixels are at 1/4 and 3/4 of the square
+    for where, color in (
+        ((0.5, 1.5), (1, 0, 0)),
+        ((1.5, 1.5), (0, 1, 0)),
+        ((0.5, 0.5), (0, 0, 1)),
+        ((1.5, 0.5), (1, 1, 1)),
+        ((1.0, 1.0), (0.5, 0.5, 0.5)),
+    ):
+        near = np.linalg.norm(x[:, :2] - where, axis=1) < 0.02
+        assert near.sum() > 5 and np.allclose(rgb[near].mean(axis=0), color, atol=0.04), where
+    assert np.allclose(rgb[x[:, 0] > 4], 0.5, atol=1e-6)  # without a picture: the object's
+    right = (x[:, 0] > 1.99) & (x[:, 0] < 2) & (np.abs(x[:, 1] - 1.5) < 0.1)
+    assert np.allclose(rgb[right].mean(axis=0), (0.5, 0.5, 0), atol=0.05)  # it repeats
+
+
+@pytest.mark.parametrize("kind", ["grey", "alpha", "16 bit"])
+def test_kinds_of_pictures(tmp_path, kind):
+    picture = {
+        "grey": TILES[..., 0],
+        "alpha": np.pad(TILES, ((0, 0), (0, 0), (0, 1)), constant_values=9),
+        "16 bit": TILES[..., 0].astype(np.uint16) * 257,
+    }[kind]
+    [image] = painted(tmp_path, picture=picture).paint.images
+    want = TILES / 255 if kind == "alpha" else np.repeat(TILES[..., :1], 3, axis=2) / 255
+    assert np.allclose(image, want)
+
+
+@pytest.mark.parametrize(
+    "library, picture, said",
+    [
+        ("", TILES, "names 'square.mtl', which is not there"),
+        (LIBRARY, None, "names 'pictures/tiles.png', which is not there"),
+        (LIBRARY.replace("pictures", "../.."), TILES, "lies outside its folder"),
+        (LIBRARY.replace("-s 1 1 1 pictures/tiles.png", "square.mtl"), TILES, "cannot be read"),
+    ],
+)
+def test_a_mesh_without_its_pictures_is_plain(tmp_path, caplog, library, picture, said):
+    found = painted(tmp_path, library, picture)
+    assert found.paint is None and len(found.triangles) == 4
+    assert said in caplog.text and len(caplog.records) == 1
+
+
+def test_textures_that_make_no_sense(tmp_path):
+    painted(tmp_path)
+    for old, new in (("3/3 4/-1", "3/3 4/9"), ("vt 1 1", "vt 1 nan")):
+        (tmp_path / "square.obj").write_text(PAINTED.replace(old, new))
+        with pytest.raises(MeshError, match="texture coordinates"):
+            mesh.read(tmp_path / "square.obj")
+
+
+def test_a_new_picture_is_a_new_preparation(tmp_path):
+    painted(tmp_path)
+    text = """
+[domain]
+size = [0.4, 0.4, 0.4]
+cell = 0.02
+[time]
+end = 1
+[material.clay]
+kind = "elastic"
+density = 400
+youngs_modulus = 1e5
+[[object]]
+name = "tile"
+material = "clay"
+mesh = "square.obj"
+width = 0.1
+position = [0.2, 0.2, 0.2]
+"""
+    loaded = scene(tmp_path, text)
+    one = digest(loaded)
+    assert digest(loaded) == one
+    imwrite(tmp_path / "pictures" / "tiles.png", TILES[::-1])
+    assert digest(loaded) != one

@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from vgmpi.objects import Object, Shape
+from tests.scenes import scene
+from vgmpi.forms import Shape, shape_complaints
+from vgmpi.objects import Object
 from vgmpi.prepare import shapes
+from vgmpi.prepare.build import build
 from vgmpi.prepare.collider import ShapeCollider, VoxelCollider
 from vgmpi.prepare.place import PlacementError, axis_rotation, place
 from vgmpi.prepare.voxels import Voxels
@@ -24,6 +27,18 @@ SHAPES = {
     "capsule": (
         {"capsule": {"ends": [[0, 0, 0], [0.2, 0.1, 0.2]], "radius": 0.12}},
         np.pi * 0.12**2 * 0.3 + 4 / 3 * np.pi * 0.12**3,
+    ),
+    "cone": (
+        {"cone": {"ends": [[0, 0, 0], [0.2, 0.1, 0.2]], "radii": [0.15, 0]}},
+        np.pi * 0.15**2 * 0.3 / 3,
+    ),
+    "frustum": (
+        {"cone": {"ends": [[0, 0.1, 0], [0, 0.1, 0.3]], "radii": [0.08, 0.2]}},
+        np.pi * 0.3 * (0.08**2 + 0.08 * 0.2 + 0.2**2) / 3,
+    ),
+    "torus": (
+        {"torus": {"center": [0.1, 0, 0.1], "axis": [1, 2, 2], "radius": 0.2, "tube": 0.08}},
+        2 * np.pi**2 * 0.2 * 0.08**2,
     ),
     "union": (
         {
@@ -45,6 +60,9 @@ SHAPES = {
         0.3 * 0.3 * 0.3 - 0.2 * 0.1 * 0.1,
     ),
 }
+
+
+EXACT = ["box", "sphere", "cylinder", "capsule", "cone", "frustum", "torus"]
 
 
 def filled(shape, spacing):
@@ -70,7 +88,7 @@ def test_volume_and_extent(name):
             assert 0 < gap < 2 * h
 
 
-@pytest.mark.parametrize("name", ["box", "sphere", "cylinder", "capsule"])
+@pytest.mark.parametrize("name", EXACT)
 def test_distance_is_the_distance_to_the_surface(name):
     shape, h = Shape.model_validate(SHAPES[name][0]), 0.015
     inside = filled(shape, h)
@@ -83,6 +101,85 @@ def test_distance_is_the_distance_to_the_surface(name):
     found = shapes.distance(shape, probe)
     brute = np.where(found < 0, -to_outside, to_inside)
     assert np.abs(found - brute).max() < 2 * h
+
+
+def test_cone_at_chosen_points():
+    """Above the tip, beside the slope (45 degrees), under the base, inside near each."""
+    cone = Shape.model_validate({"cone": {"ends": [[0, 0, 0], [0, 0, 1]], "radii": [1, 0]}})
+    points = [[0, 0, 1.5], [1, 0, 1], [0.5, 0, -0.3], [2, 0, -1], [0, 0, 0.1], [0, 0, 0.8]]
+    root = np.sqrt(0.5)
+    want = [0.5, root, 0.3, np.sqrt(2), -0.1, -0.2 * root]
+    assert np.allclose(shapes.distance(cone, np.array(points, float)), want, atol=1e-14)
+
+
+def test_a_blend_fills_the_edge_where_parts_meet():
+    """A post on a plate: the parabola between them turned about the axis is known."""
+    post, plate = (
+        {"cylinder": {"ends": [[0, 0, -0.2], [0, 0, 0.4]], "radius": 0.1}},
+        {"box": [[-0.5, -0.5, -0.3], [0.5, 0.5, 0]]},
+    )
+    sharp = Shape.model_validate({"union": [post, plate]})
+    k, h = 0.12, 0.0025
+    blended = Shape.model_validate({"union": [post, plate], "blend": k})
+
+    def new(x):
+        return (shapes.distance(blended, x) < 0) & (shapes.distance(sharp, x) >= 0)
+
+    edge = shapes.lattice(new, [-0.25, -0.25, -0.01], [0.25, 0.25, 0.15], h)
+    more = 2 * np.pi * (0.1 * k**2 / 6 + k**3 / 30)
+    assert len(edge) * h**3 == pytest.approx(more, rel=0.01)
+    elsewhere = shapes.lattice(new, [-0.6, -0.6, -0.4], [0.6, 0.6, 0.5], 0.02)
+    assert np.hypot(*elsewhere[:, :2].T).max() < 0.1 + k
+
+
+def test_blended_distances_are_bounds():
+    """Slopes are at most 1, and nothing sticks out further than `bulge`."""
+    balls = [{"sphere": {"center": [x, 0, 0], "radius": 0.1}} for x in (0.0, 0.13, 0.26)]
+    shape = Shape.model_validate({"union": balls, "blend": 0.08})
+    rng = np.random.default_rng(6)
+    x, step = rng.uniform(-0.3, 0.5, (4000, 3)), rng.normal(size=(4000, 3))
+    step *= 1e-4 / np.linalg.norm(step, axis=1)[:, None]
+    slope = np.abs(shapes.distance(shape, x + step) - shapes.distance(shape, x)) / 1e-4
+    assert slope.max() < 1 + 1e-9
+    assert shapes.bulge(shape) == pytest.approx(2 * 0.08 / 4)
+    same = Shape.model_validate({"union": [balls[0], balls[0]], "blend": 0.08})
+    assert shapes.distance(same, np.array([[0.12, 0, 0]]))[0] == pytest.approx(0.0)
+    cut = Shape.model_validate({"difference": [{"union": balls, "blend": 0.08}, balls[0]]})
+    assert shapes.bulge(cut) == shapes.bulge(shape)
+
+
+def test_a_blended_shape_as_a_body(tmp_path):
+    """Particles stand where the blend sticks out beyond its parts' reach, too."""
+    text = """
+[domain]
+size = [0.4, 0.4, 0.4]
+cell = 0.02
+[time]
+end = 1
+[material.clay]
+kind = "elastic"
+density = 400
+youngs_modulus = 1e5
+[[object]]
+name = "lump"
+material = "clay"
+position = [0.2, 0.2, 0.1]
+[object.shape]
+blend = 0.08
+union = [
+  { sphere = { center = [0, 0, 0], radius = 0.06 }, color = "#ff0000" },
+  { sphere = { center = [0, 0, 0], radius = 0.06 } },
+]
+"""
+    made = build(scene(tmp_path, text))
+    assert made.vol0.sum() == pytest.approx(4 / 3 * np.pi * 0.08**3, rel=0.02)
+    assert made.x[:, 2].min() < 0.1 - 0.01  # placed by its parts
+
+
+def test_a_blend_is_for_unions_only():
+    ball = {"sphere": {"center": [0, 0, 0], "radius": 1}, "blend": 0.1}
+    [(path, said)] = shape_complaints(ball, ("shape",))
+    assert path == ("shape", "blend") and said == "is only for a union"
 
 
 def test_ellipsoid_distance_near_the_surface():

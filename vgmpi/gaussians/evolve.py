@@ -11,6 +11,7 @@ import numpy as np
 
 from vgmpi.gaussians.cloud import full, upper
 
+BALLS = ("fluid", "sand", "snow")  # families whose Gaussians forget their shape
 J_RANGE = (0.3, 3.0)  # volume ratios drawn: a droplet torn further apart is no bigger ball
 STRETCH_RANGE = (0.2, 4.0)  # principal stretches that are certainly drawn as they are
 
@@ -61,6 +62,21 @@ def solid(cov0: np.ndarray, F: np.ndarray) -> np.ndarray:
     if wild.any():
         out[wild] = _clamped(out[wild], np.asarray(cov0, dtype=np.float64)[wild])
     return out
+
+
+def carried(
+    offset: np.ndarray, weights: np.ndarray, x: np.ndarray, F: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions [m] (p, 3) and F (p, 3, 3) of Gaussians that ride along with k particles each.
+
+    offset: from the carriers at rest to the Gaussian at rest [m] (p, k, 3). weights: (p, k). x
+    (p, k, 3) [m], F (p, k, 9): of the carriers now. x = sum w (x + F offset), F = sum w F: exact
+    where the carriers' motion is affine.
+    """
+    F = np.asarray(F, dtype=np.float64).reshape(*weights.shape, 3, 3)
+    blended = np.einsum("pk,pkij->pij", weights, F)
+    moved = np.einsum("pk,pki->pi", weights, x)
+    return moved + np.einsum("pk,pkij,pkj->pi", weights, F, offset, optimize=True), blended
 
 
 def rotation(F: np.ndarray) -> np.ndarray:

@@ -107,6 +107,15 @@ SCENERY = [
     Dataset("opacity", "(m,)", "f4", "1", "0 to 1"),
     Dataset("sh", "(m, K, 3)", "f4", "1", "spherical harmonics of the colour"),
 ]
+PASSIVE = [
+    Dataset("x0", "(p, 3)", "f8", "m", "position at rest"),
+    Dataset("object", "(p,)", "i4", "1", "number of the object in the list `objects`"),
+    Dataset("cov0", "(p, 6)", "f4", "m2", "rest covariance: xx, xy, xz, yy, yz, zz"),
+    Dataset("opacity", "(p,)", "f4", "1", "0 to 1"),
+    Dataset("sh", "(p, K, 3)", "f4", "1", "spherical harmonics of the colour"),
+    Dataset("carriers", "(p, 4)", "i8", "1", "numbers of the particles that carry it"),
+    Dataset("weights", "(p, 4)", "f4", "1", "their weights; they add up to 1"),
+]
 GAUSSIAN_TEXTS = [
     Dataset(
         "objects",
@@ -272,6 +281,10 @@ def page() -> str:
         _table(GAUSSIAN),
         "Drawn, but without mass (only if the scene has scenery):\n",
         _table(SCENERY, "scenery/"),
+        "Gaussians without mass that ride along (only if an object has `passive`). With weights w, "
+        "carriers i and their deformation gradients F_i in a frame: x = sum w_i (x_i + F_i (x0 - "
+        "x0_i)), F = sum w_i F_i, covariance F cov0 F^T.\n",
+        _table(PASSIVE, "passive/"),
         _table(GAUSSIAN_TEXTS),
         "Attributes: `schema` (whole number), `digest` (text; says which preparation it is).\n",
         "## checkpoints/checkpoint_000000000.h5\n",

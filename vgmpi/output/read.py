@@ -99,19 +99,21 @@ class Run:
 def read_gaussians(path: str | Path) -> SimpleNamespace:
     """gaussians.h5: x0, vol0, object, v0 (None if nothing moves), theta0
     (None if nothing is compressed), cov0, opacity, sh, scenery (the
-    same or None), objects, scene, digest. Raises RunError."""
+    same or None), passive (those of layout.PASSIVE or None), objects,
+    scene, digest. Raises RunError."""
     with opened(Path(path)) as f:
         if f.attrs["schema"] != layout.SCHEMA:
             raise RunError(
                 f"{path}: its schema is {f.attrs['schema']}, this program's {layout.SCHEMA}"
             )
-        found = SimpleNamespace(v0=None, theta0=None, scenery=None)
+        found = SimpleNamespace(v0=None, theta0=None, scenery=None, passive=None)
         for d in layout.GAUSSIAN:
             if d.name not in layout.OPTIONAL or d.name in f:
                 setattr(found, d.name, f[d.name][()])
-        if "scenery" in f:
-            arrays = {d.name: f[f"scenery/{d.name}"][()] for d in layout.SCENERY}
-            found.scenery = SimpleNamespace(**arrays)
+        for group, datasets in (("scenery", layout.SCENERY), ("passive", layout.PASSIVE)):
+            if group in f:
+                arrays = {d.name: f[f"{group}/{d.name}"][()] for d in datasets}
+                setattr(found, group, SimpleNamespace(**arrays))
         found.objects = json.loads(f["objects"][()])
         found.scene = json.loads(f["scene"][()])
         found.digest = f.attrs["digest"].decode()
@@ -174,7 +176,7 @@ def _units(kind):
     tables = {
         "frame": (layout.FRAME, layout.FRAME_FIELD_DATA),
         "series of frames": (layout.FRAME, layout.FRAME_FIELD_DATA),
-        "gaussians": (layout.GAUSSIAN,),
+        "gaussians": (layout.GAUSSIAN, layout.PASSIVE),
         "checkpoint": (layout.CHECKPOINT,),
     }
     units = {d.name.split("/")[-1]: d.unit for table in tables[kind] for d in table}

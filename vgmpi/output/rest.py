@@ -18,12 +18,13 @@ def write(
     scenery: dict[str, np.ndarray] | None = None,
     scene: dict | None = None,
     digest: str = "",
+    passive: dict[str, np.ndarray] | None = None,
 ) -> None:
     """Write the file from what rank 0 has; collective, the arguments of the others are ignored.
 
-    rows: the datasets of layout.GAUSSIAN, all but layout.OPTIONAL must be there. scenery: those
-    of layout.SCENERY, or None. objects: the list of the objects; scene: the scene resolved; both
-    JSON-able. Raises StoreError on all ranks.
+    rows: the datasets of layout.GAUSSIAN, all but layout.OPTIONAL must be there. scenery, passive:
+    those of layout.SCENERY and layout.PASSIVE, or None. objects: the list of the objects; scene:
+    the scene resolved; both JSON-able. Raises StoreError on all ranks.
     """
     path = Path(path)
     error: Exception | None = None
@@ -31,6 +32,8 @@ def write(
         checked = _checked(rows, layout.GAUSSIAN, set(layout.OPTIONAL), "")
         if scenery is not None:
             checked |= _checked(scenery, layout.SCENERY, set(), "scenery/")
+        if passive is not None:
+            checked |= _checked(passive, layout.PASSIVE, set(), "passive/")
         try:
             with store.create(path, Alone()) as f:
                 f.attr("", "schema", layout.SCHEMA)

@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,12 +14,15 @@ from vgmpi.prepare.initial import begun
 from vgmpi.prepare.loads import Loaded, find
 from vgmpi.prepare.mesh import MeshError
 from vgmpi.prepare.motion import velocity
+from vgmpi.prepare.passive import bound
 from vgmpi.prepare.pieces import Piece, make
 from vgmpi.prepare.place import PlacementError
 from vgmpi.prepare.voxels import Voxels
 from vgmpi.scene import Scene
 
 log = logging.getLogger("vgmpi")
+
+Pieces = list[Piece] | dict[int, Piece]  # by the row of their object
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,20 @@ class Scenery:
     opacity: np.ndarray
     sh: np.ndarray
     object: np.ndarray
+
+
+@dataclass(frozen=True)
+class Passive:
+    """Gaussians without mass that ride along with particles: as Scenery, and carriers (s, 4), the
+    ids of the particles that carry each, and their weights (s, 4)."""
+
+    x: np.ndarray
+    cov0: np.ndarray
+    opacity: np.ndarray
+    sh: np.ndarray
+    object: np.ndarray
+    carriers: np.ndarray
+    weights: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -55,6 +72,7 @@ class Prepared:
     colliders: list[Collider]
     theta0: np.ndarray  # (n,) ln J at the start
     loads: list[Loaded]
+    passive: Passive | None = None
 
 
 def build(scene: Scene) -> Prepared:
@@ -142,6 +160,23 @@ def _together(scene: Scene, pieces: list[Piece]) -> Prepared:
         colliders=[piece.collider for piece in pieces if piece.collider is not None],
         theta0=_rows(pieces, bodies, _theta),
         loads=find(scene, x, vol0, owner),
+        passive=_riding(pieces, objects, terms),
+    )
+
+
+def _riding(pieces: list[Piece], objects: list[dict[str, Any]], terms: int) -> Passive | None:
+    """The passive Gaussians of all objects, bound to the particles of their own."""
+    chosen = [k for k, piece in enumerate(pieces) if piece.passive is not None]
+    riders = {k: replace(pieces[k], cloud=pieces[k].passive) for k in chosen}
+    if not sum(len(rider.cloud) for rider in riders.values()):
+        return None
+    ties = [bound(pieces[k].cloud.x, riders[k].cloud.x) for k in chosen]
+    return Passive(
+        x=_rows(riders, chosen, lambda p: p.cloud.x),
+        **_looks(riders, chosen, terms),
+        object=_owners(riders, chosen),
+        carriers=np.concatenate([objects[k]["first"] + t[0] for k, t in zip(chosen, ties)]),
+        weights=np.concatenate([t[1] for t in ties]).astype(np.float32),
     )
 
 
@@ -172,7 +207,7 @@ def _theta(piece: Piece) -> np.ndarray:
     return np.zeros(len(piece.cloud)) if piece.theta is None else piece.theta
 
 
-def _looks(pieces: list[Piece], chosen: list[int], terms: int) -> dict[str, np.ndarray]:
+def _looks(pieces: Pieces, chosen: list[int], terms: int) -> dict[str, np.ndarray]:
     """Covariance, opacity and padded colour coefficients, in single precision."""
 
     def padded(piece: Piece) -> np.ndarray:
@@ -186,9 +221,9 @@ def _looks(pieces: list[Piece], chosen: list[int], terms: int) -> dict[str, np.n
     }
 
 
-def _rows(pieces: list[Piece], chosen: list[int], part: Callable[[Piece], Any]) -> np.ndarray:
+def _rows(pieces: Pieces, chosen: list[int], part: Callable[[Piece], Any]) -> np.ndarray:
     return np.concatenate([part(pieces[k]) for k in chosen])
 
 
-def _owners(pieces: list[Piece], chosen: list[int]) -> np.ndarray:
+def _owners(pieces: Pieces, chosen: list[int]) -> np.ndarray:
     return np.repeat(np.array(chosen, dtype=np.int32), [len(pieces[k].cloud) for k in chosen])

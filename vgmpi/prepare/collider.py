@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from vgmpi.objects import Shape
+from vgmpi.forms import Shape
 from vgmpi.prepare import shapes
 from vgmpi.prepare.place import Placement, turn
 from vgmpi.prepare.voxels import Voxels

@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +11,10 @@ from scipy.spatial import cKDTree
 
 from vgmpi.gaussians.cloud import Cloud, rotation_matrices
 from vgmpi.gaussians.sh import dc_from_rgb
+from vgmpi.prepare import texture
+from vgmpi.prepare.texture import Paint
+
+log = logging.getLogger("vgmpi")
 
 FORMATS = (".obj", ".stl", ".ply", ".vtk", ".vtu")
 FEWEST = 20_000  # Gaussians on a surface, so that a small object is drawn smoothly
@@ -25,11 +30,15 @@ class MeshError(ValueError):
 
 @dataclass(frozen=True)
 class Mesh:
-    """points (n, 3) in the file's units, triangles (m, 3) of point numbers, rgb (n, 3) or None."""
+    """points (n, 3) in the file's units, triangles (m, 3) of point numbers, rgb (n, 3) or None.
+
+    paint: pictures on its triangles, which go before rgb.
+    """
 
     points: np.ndarray
     triangles: np.ndarray
     rgb: np.ndarray | None = None
+    paint: Paint | None = None
 
     def corners(self) -> np.ndarray:
         """Corners of every triangle (m, 3 corners, 3)."""
@@ -75,25 +84,70 @@ def _read_any(path: Path) -> Mesh:
 
 
 def _read_obj(path: Path) -> Mesh:
-    """Points, their colours and faces of a Wavefront file.
+    """Points, their colours, faces and textures of a Wavefront file.
 
     Read here, because meshio refuses files with more texture coordinates than points.
     """
-    points, triangles = [], []
+    points: list[list[float]] = []
+    places: list[list[float]] = []
+    corners: list[tuple[int, int]] = []  # point and texture coordinate (-1: none), 3 per triangle
+    painted, libraries, material = [], [], ""
     for line in path.read_text(errors="replace").splitlines():
         words = line.split()
-        if words[:1] == ["v"]:
-            points.append([float(word) for word in words[1:]])
-        elif words[:1] == ["f"]:
-            face = [int(word.partition("/")[0]) for word in words[1:]]
-            face = [
-                n - 1 if n > 0 else len(points) + n for n in face
-            ]  # from 1; negative: from last
-            triangles += [(face[0], face[k], face[k + 1]) for k in range(1, len(face) - 1)]
+        match words[:1]:
+            case ["v"]:
+                points.append([float(word) for word in words[1:]])
+            case ["vt"]:
+                places.append([float(word) for word in (*words[1:3], "0")[:2]])
+            case ["f"]:
+                face = [_corner(word, len(points), len(places)) for word in words[1:]]
+                for k in range(1, len(face) - 1):
+                    corners += (face[0], face[k], face[k + 1])
+                    painted.append(material)
+            case ["mtllib"]:
+                libraries.append(line.split(maxsplit=1)[1])
+            case ["usemtl"]:
+                material = line.split(maxsplit=1)[1].strip() if len(words) > 1 else ""
     colored = bool(points) and all(len(point) >= 6 for point in points)
     rgb = np.clip([point[3:6] for point in points], 0.0, 1.0) if colored else None
     x = np.array([point[:3] for point in points], dtype=np.float64).reshape(-1, 3)
-    return Mesh(x, np.array(triangles, dtype=np.int64).reshape(-1, 3), rgb)
+    index = np.array(corners, dtype=np.int64).reshape(-1, 3, 2)
+    return Mesh(x, index[:, :, 0], rgb, _paint(path, libraries, painted, places, index[:, :, 1]))
+
+
+def _corner(word: str, points: int, places: int) -> tuple[int, int]:
+    """Numbers of point and texture coordinate of "3", "3/1" or "3/1/2"; -1 for none."""
+    point, _, more = word.partition("/")
+    place = more.partition("/")[0]
+    # from 1; negative: from the last one
+    found = [
+        n - 1 if n > 0 else count + n
+        for n, count in ((int(point), points), (int(place or 0), places))
+    ]
+    return found[0], found[1] if place else -1
+
+
+def _paint(path: Path, libraries, painted, places, index: np.ndarray) -> Paint | None:
+    """The textures of triangles with materials `painted` and texture coordinates `index` (m, 3)."""
+    if not libraries or not places:
+        return None
+    try:
+        known = texture.pictures(path, libraries)
+        used = sorted({name for name in painted if name in known})
+        images = [texture.image(known[name]) for name in used]
+    except texture.TextureError as error:  # many meshes travel without their pictures
+        log.warning("%s: %s: its colours are those of its points or the object", path, error)
+        return None
+    if not used:
+        return None
+    which = np.array([used.index(name) if name in used else -1 for name in painted])
+    if index.max() >= len(places):
+        raise ValueError("has faces without texture coordinates")
+    which[(index < 0).any(axis=1)] = -1
+    uv = np.array(places, dtype=np.float64)[np.maximum(index, 0)]
+    if not np.isfinite(uv).all():
+        raise ValueError("has texture coordinates that are not finite")
+    return Paint(uv, which, images)
 
 
 def _vertex_colors(data: dict, count: int) -> np.ndarray | None:
@@ -133,6 +187,8 @@ def sample(mesh: Mesh, spacing: float, color: tuple, opacity: float, key: list[i
     rgb = np.tile(np.asarray(color, dtype=float), (len(kept), 1))
     if mesh.rgb is not None:
         rgb = (share[kept, :, None] * mesh.rgb[mesh.triangles[chosen[kept]]]).sum(axis=1)
+    if mesh.paint is not None:
+        rgb = mesh.paint.color(chosen[kept], share[kept], rgb)
     radius = RADIUS * np.sqrt(area / len(kept))
     return Cloud(
         x[kept],

@@ -1,20 +1,24 @@
-"""One object after the other: read or sampled, placed, filled, coloured and weighed."""
+"""One object after the other: read or sampled, placed, filled, coloured, weighed, thinned."""
 
+import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vgmpi.gaussians import ply
 from vgmpi.gaussians.cloud import Cloud
+from vgmpi.gaussians.evolve import BALLS
 from vgmpi.gaussians.sh import dc_from_rgb
 from vgmpi.objects import Object
-from vgmpi.prepare import fill, mesh, shapes
+from vgmpi.prepare import fill, mesh, prune, shapes
 from vgmpi.prepare.collider import Collider, ShapeCollider, VoxelCollider
 from vgmpi.prepare.place import Placement, PlacementError, place, turn
 from vgmpi.prepare.select import selected
 from vgmpi.prepare.voxels import Voxels, share_by_count, share_by_neighbours, volumes
 from vgmpi.scene import Scene
+
+log = logging.getLogger("vgmpi")
 
 LIGHT = np.array([0.36, -0.48, 0.80])  # unit vector towards the painted light
 _FINENESS = 3  # of the lattice that measures meshes, relative to that of their particles
@@ -30,6 +34,8 @@ class Piece:
     placement: Placement
     collider: Collider | None = None
     theta: np.ndarray | None = None  # ln J at the start, where it is not 0
+    skin: int = 0  # the first rows, which lie on its surface; the others fill it
+    passive: Cloud | None = None  # Gaussians without mass that ride along
 
 
 def make(scene: Scene, number: int) -> Piece:
@@ -41,6 +47,13 @@ def make(scene: Scene, number: int) -> Piece:
     piece = _MAKE[thing.source](scene, number, thing)
     if thing.role == "body":  # fillings and samples too
         _inside(scene, thing, piece.cloud.x.min(axis=0), piece.cloud.x.max(axis=0), 0.0)
+        said = ""
+        if thing.prune != "off":
+            piece, said = _pruned(scene, thing, piece)
+        if thing.source != "shape":
+            inner = len(piece.cloud) - piece.skin
+            log.info("'%s': %d particles on its surface, %d inside%s", thing.name, piece.skin,
+                     inner, said)  # fmt: skip
     return piece
 
 
@@ -55,7 +68,8 @@ def _from_shape(scene: Scene, k: int, thing: Object) -> Piece:
         deep = at.scale * shapes.distance(shape, at.own(points))
         return (deep < 0) & (deep > -1.01 * spacing) if thing.role == "scenery" else deep < 0
 
-    x = shapes.lattice(wanted, low, high, spacing)
+    more = at.scale * shapes.bulge(shape)
+    x = shapes.lattice(wanted, low - more, high + more, spacing)
     if not len(x):
         said = f"too small or thin: no particle fits in, their spacing is {spacing:g} m"
         raise PlacementError("shape", said)
@@ -74,7 +88,7 @@ def _from_mesh(scene: Scene, k: int, thing: Object) -> Piece:
     spacing = spacing_of(scene, thing)
     found = mesh.read(scene.files[thing.name])
     at = place(thing, lambda d: float((found.points @ d).max()))
-    placed = mesh.Mesh(at.points(found.points), found.triangles, found.rgb)
+    placed = replace(found, points=at.points(found.points))
     if thing.role == "body":
         low, high = placed.points.min(axis=0), placed.points.max(axis=0)
         _inside(scene, thing, low, high, 1e-6 * spacing)
@@ -150,7 +164,24 @@ def _solid(
     unseen = fill.filling(gaps, surface, spacing, 0.0)
     filled = fill.filling(inner, surface, spacing, thing.opacity)
     cloud = fill.joined(fill.joined(surface, unseen), filled)
-    return Piece(cloud, volumes(voxels, cloud.x, share), at)
+    skin = len(surface) + len(gaps)
+    return Piece(cloud, volumes(voxels, cloud.x, share), at, skin=skin)
+
+
+def _pruned(scene: Scene, thing: Object, piece: Piece) -> tuple[Piece, str]:
+    """The piece with fewer particles, and words about it."""
+    skin = np.arange(len(piece.cloud)) < piece.skin
+    ball = scene.material[thing.material].family in BALLS
+    if thing.prune == "paper":
+        found = prune.paper(piece.cloud, piece.volume, skin, thing.prune_scale, thing.passive, ball)
+    else:
+        least = max(thing.particles_per_cell, prune.AUTO_PER_CELL)
+        dx = scene.domain.cell
+        found = prune.auto(piece.cloud, piece.volume, skin, dx, least, thing.passive, ball)
+    left = int(skin[found.kept].sum())
+    passive = found.dropped if thing.passive else None
+    made = replace(piece, cloud=found.cloud, volume=found.volume, skin=left, passive=passive)
+    return made, f"; {found.said}"
 
 
 def round_cloud(x: np.ndarray, spacing: float, rgb: np.ndarray, opacity: float) -> Cloud:

@@ -5,7 +5,7 @@ Distances are in the shape's own coordinates [m], negative inside.
 
 import numpy as np
 
-from vgmpi.objects import Rod, Shape
+from vgmpi.forms import Cone, Rod, Shape, Torus
 
 # Lattice points are judged this share of a spacing up from where they lie, so that a face that
 # runs exactly through a layer of points takes the layer at the low side and leaves the one at the
@@ -16,8 +16,8 @@ TIE = 1e-6
 def distance(shape: Shape, points: np.ndarray) -> np.ndarray:
     """Signed distance (n,) of `points` (n, 3) to the shape's surface.
 
-    Exact for box, sphere, cylinder and capsule; first order near an ellipsoid; a bound on the true
-    distance for unions from inside and differences (Quilez 2008).
+    Exact for box, sphere, cylinder, capsule, cone and torus; first order near an ellipsoid; a
+    bound on the true distance for unions from inside, blended ones and differences (Quilez 2008).
     """
     form = getattr(shape, shape.form)
     match shape.form:
@@ -34,14 +34,20 @@ def distance(shape: Shape, points: np.ndarray) -> np.ndarray:
             along, across, length = _rod_coordinates(form, points)
             beyond = along - np.clip(along, 0.0, length)
             return np.hypot(beyond, across) - form.radius
+        case "cone":
+            return _from_cone(form, points)
+        case "torus":
+            along, across = _about_axis(form, points)
+            return np.hypot(across - form.radius, along) - form.tube
         case "union":
-            return np.min([distance(part, points) for part in form], axis=0)
+            return _union([distance(part, points) for part in form], shape.blend)
     inside, *cut = (distance(part, points) for part in form)
     return np.max([inside, *(-d for d in cut)], axis=0)
 
 
 def reach(shape: Shape, direction: np.ndarray) -> float:
-    """Largest x . direction over the shape's points x; of a difference: over its first part."""
+    """Largest x . direction over the shape's points x; of a difference: over its first part, of a
+    blended union: over its parts (see `bulge`)."""
     form = getattr(shape, shape.form)
     d = np.asarray(direction, dtype=float)
     match shape.form:
@@ -59,9 +65,27 @@ def reach(shape: Shape, direction: np.ndarray) -> float:
             return float(
                 max(d @ np.asarray(e) for e in form.ends) + form.radius * np.linalg.norm(d)
             )
+        case "cone":
+            a, b = np.asarray(form.ends)
+            axis = (b - a) / max(float(np.linalg.norm(b - a)), 1e-300)
+            wide = np.linalg.norm(d - (d @ axis) * axis)
+            return float(max(d @ a + form.radii[0] * wide, d @ b + form.radii[1] * wide))
+        case "torus":
+            flat = np.linalg.norm(d - (d @ form.axis) * np.asarray(form.axis))
+            return float(d @ form.center + form.radius * flat + form.tube * np.linalg.norm(d))
         case "union":
             return max(reach(part, d) for part in form)
     return reach(form[0], d)
+
+
+def bulge(shape: Shape) -> float:
+    """How far [m] the shape may stick out beyond its reach, by blending."""
+    if shape.form not in ("union", "difference"):
+        return 0.0
+    parts = getattr(shape, shape.form)
+    if shape.form == "difference":
+        return bulge(parts[0])
+    return max(bulge(part) for part in parts) + (len(parts) - 1) * (shape.blend or 0.0) / 4
 
 
 def colors(shape: Shape, points: np.ndarray, default: tuple) -> np.ndarray:
@@ -127,7 +151,47 @@ def _from_ellipsoid(x: np.ndarray, radii: np.ndarray) -> np.ndarray:
     return np.where(k1 > 0, near, -radii.min())
 
 
-def _rod_coordinates(rod: Rod, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+def _union(parts: list[np.ndarray], blend: float | None) -> np.ndarray:
+    """Distance (n,) to the parts together, of the distances to each.
+
+    Blended (Quilez 2013): each pair within `blend` of each other loses up to a quarter of it, so
+    that edges between them become parabolas; slopes stay at most 1.
+    """
+    out = parts[0]
+    for part in parts[1:]:
+        lower = np.minimum(out, part)
+        if blend is not None:
+            lower = lower - np.maximum(blend - np.abs(out - part), 0.0) ** 2 / (4 * blend)
+        out = lower
+    return out
+
+
+def _about_axis(ring: Torus, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distance along the axis from the middle, and from the axis."""
+    x, axis = points - np.asarray(ring.center), np.asarray(ring.axis)
+    along = x[:, 0] * axis[0] + x[:, 1] * axis[1] + x[:, 2] * axis[2]
+    return along, _length(x - along[:, None] * axis)
+
+
+def _from_cone(cone: Cone, points: np.ndarray) -> np.ndarray:
+    """From the two flat ends and the slope between their rims, in the half-plane of the axis."""
+    along, across, length = _rod_coordinates(cone, points)
+    first, second = cone.radii
+    # the ends: discs at 0 and at `length`
+    near_first = along <= length / 2
+    beyond = np.maximum(across - np.where(near_first, first, second), 0.0)
+    to_end = np.where(near_first, along, along - length) ** 2 + beyond**2
+    # the slope: from (0, first) to (length, second)
+    steep = (length, second - first)
+    share = along * steep[0] + (across - first) * steep[1]
+    share = np.clip(share / max(steep[0] ** 2 + steep[1] ** 2, 1e-300), 0.0, 1.0)
+    to_slope = (along - share * steep[0]) ** 2 + (across - first - share * steep[1]) ** 2
+    inside = (along > 0) & (along < length)
+    inside &= across * length < first * length + along * steep[1]
+    return np.where(inside, -1.0, 1.0) * np.sqrt(np.minimum(to_end, to_slope))
+
+
+def _rod_coordinates(rod: Rod | Cone, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """Distance along the axis from its first end, distance from the axis, length of the axis."""
     a, b = np.asarray(rod.ends)
     length = float(np.linalg.norm(b - a))

@@ -17,6 +17,7 @@ from ..output.frames import Frames
 from ..output.ledger import Ledger
 from ..output.read import RunError, read_gaussians
 from ..plan import Plan, describe, make_plan
+from ..prepare import texture
 from ..prepare.loads import find
 from ..prepare.motion import gradient
 from ..scene import Scene
@@ -80,7 +81,7 @@ def prepare(scene: Scene, ranks: Alone, folder: Path | None) -> Prepared:
     if folder is None and ranks.rank == 0:
         known.rows = rows[1]
     if folder is not None and ranks.bcast(rows is not None):
-        scenery, rows = rows or (None, None)
+        scenery, rows, passive = rows or (None, None, None)
         rest.write(
             folder / layout.GAUSSIANS,
             ranks,
@@ -89,12 +90,14 @@ def prepare(scene: Scene, ranks: Alone, folder: Path | None) -> Prepared:
             scenery,
             scene.resolved(),
             digest(scene),
+            passive,
         )
     return known
 
 
 def _particles(scene: Scene, folder: Path | None):
-    """On rank 0: what all shall know, and (scenery, rows) to write, None if they are on disk."""
+    """On rank 0: what all shall know, and (scenery, rows, passive) to write, None if they are on
+    disk."""
     path = folder / layout.GAUSSIANS if folder is not None else None
     moving = not any(thing.collider for thing in scene.object)
     if path is not None and moving and rest.digest(path) == digest(scene):
@@ -121,8 +124,13 @@ def _particles(scene: Scene, folder: Path | None):
     if made.scenery is not None:
         s = made.scenery
         scenery = {"x0": s.x, "object": s.object, "cov0": s.cov0, "opacity": s.opacity, "sh": s.sh}
+    passive = None
+    if made.passive is not None:
+        p = made.passive
+        passive = {"x0": p.x, "object": p.object, "cov0": p.cov0, "opacity": p.opacity, "sh": p.sh}
+        passive |= {"carriers": p.carriers, "weights": p.weights}
     known = _known(made.objects, made.object, made.vol0, made.colliders, made.loads)
-    return known, (scenery, rows)
+    return known, (scenery, rows, passive)
 
 
 def _known(objects, thing, volume, colliders, loads) -> Prepared:
@@ -136,7 +144,8 @@ def digest(scene: Scene) -> str:
     """
     seal = hashlib.sha256(json.dumps(scene.resolved(), sort_keys=True).encode())
     for name in sorted(scene.files):
-        seal.update(Path(scene.files[name]).read_bytes())
+        for path in (Path(scene.files[name]), *texture.files(Path(scene.files[name]))):
+            seal.update(path.read_bytes())
     for path in sorted(Path(__file__).parent.parent.glob("prepare/*.py")):
         seal.update(path.read_bytes())
     return seal.hexdigest()
