@@ -11,6 +11,7 @@ time ends (vgmpi/splatting/colour.py). The colours of each frame are kept in OUT
 import hashlib
 import logging
 import os
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -56,6 +57,7 @@ class Colours:
         self.shape = (len(self.ids), 3 * count)
         self.first = sh[self.ids, :count].astype(np.float64).reshape(self.shape)
         self._row = np.cumsum(self.set >= 0) - 1  # of a particle in these arrays
+        self._unwritable = False
         self._last: tuple[int, np.ndarray] | None = None
 
     def at(self, index: int, frame: dict[str, np.ndarray]) -> np.ndarray | None:
@@ -144,11 +146,13 @@ class Colours:
             with np.load(self._path(index)) as kept:
                 if str(kept["key"]) == key and kept["colour"].shape == self.shape:
                     return kept["colour"]
-        except (OSError, ValueError, KeyError, EOFError):
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
             pass
         return None
 
     def _write(self, index: int, key: str, state: np.ndarray) -> None:
+        if self._unwritable:
+            return
         path = self._path(index)
         temporary = path.with_name(f"{path.stem}.{os.getpid()}.tmp")
         try:
@@ -157,6 +161,7 @@ class Colours:
                 np.savez(file, key=np.array(key), colour=state)
             temporary.replace(path)  # other processes see all of it or nothing
         except OSError as error:
+            self._unwritable = True
             log.warning("%s: the colours of frames cannot be kept: %s", path.parent, error)
 
 

@@ -108,9 +108,9 @@ def _without_step(value: Any) -> Any:
 class Appearance(Table):
     """What is drawn, beyond the objects' own colours."""
 
-    colour_transfer: Annotated[
-        Literal["off", "frame", "relax"], BeforeValidator(_without_step)
-    ] = "frame"
+    colour_transfer: Annotated[Literal["off", "frame", "relax"], BeforeValidator(_without_step)] = (
+        "frame"
+    )
     """whether colours travel between particles. off: each keeps its own. frame: a frame shows the
     colours at the start, smoothed over a cell where the particles are now. relax: colours mix in
     the time `colour_time`. Also in render.toml: a run need not be made again"""

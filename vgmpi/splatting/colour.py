@@ -130,9 +130,7 @@ def _collect(own, around, local, offset, volume, c, sums):
             for j in range(3):
                 for k in range(3):
                     share = w[0, i] * w[1, j] * w[2, k] * volume[p]
-                    node = _node(
-                        around, own[p], local[p, 0] + i, local[p, 1] + j, local[p, 2] + k
-                    )
+                    node = _node(around, own[p], local[p, 0] + i, local[p, 1] + j, local[p, 2] + k)
                     for m in range(c.shape[1]):
                         sums[node, m] += share * c[p, m]
 
@@ -149,8 +147,6 @@ def _spread(own, around, local, offset, full, nodes, c, out):
             for j in range(3):
                 for k in range(3):
                     share = w[0, i] * w[1, j] * w[2, k]
-                    node = _node(
-                        around, own[p], local[p, 0] + i, local[p, 1] + j, local[p, 2] + k
-                    )
+                    node = _node(around, own[p], local[p, 0] + i, local[p, 1] + j, local[p, 2] + k)
                     for m in range(c.shape[1]):
                         out[p, m] += share * (nodes[node, m] if full[node] else c[p, m])
