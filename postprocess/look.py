@@ -1,10 +1,13 @@
 """What a run looks like at a frame: rest Gaussians and moving particles become things to draw."""
 
+import difflib
 import logging
 
 import numpy as np
 
 from postprocess import shade
+from postprocess.colours import Colours
+from postprocess.settings import LookSettings, SettingsError
 from vgmpi.gaussians import evolve
 from vgmpi.gaussians import sh as harmonics
 from vgmpi.output.read import RunError
@@ -16,74 +19,104 @@ FAINT = 0.02  # fluid opacity up to which 1/255 would cut a quarter or more of t
 ALPHA_MIN_FAINT = 1e-4
 
 
+# how the Gaussians of a body follow their particles
+FIXED = 0  # not at all: the shape at rest
+FOLLOW = 1  # F cov0 F^T, colours turn along
+SWELL = 2  # J^(2/3) cov0
+BALL = 3  # balls of the particles' volume
+ROUND = 4  # balls as large as the Gaussians at rest
+
+
 class Look:
     """All that does not change from frame to frame, worked out once.
 
     run: an opened run (vgmpi.output.read.Run) or anything with the same `objects` and `gaussians`.
+    chosen: the table [look] of render.toml. Raises SettingsError.
     """
 
-    def __init__(self, run):
+    def __init__(self, run, chosen: LookSettings | None = None):
+        chosen = chosen or LookSettings()
         rest = run.gaussians
+        self.run = run
         self.objects = run.objects
         self.object = np.asarray(rest.object)
         fluid = np.array([o.get("family") == "fluid" for o in self.objects] or [False])
-        balls = np.array([o.get("family") in evolve.BALLS for o in self.objects] or [False])
-        deforms = np.array([_deforms(o) for o in self.objects] or [False])
-        factor = np.array([_opacity_scale(o) for o in self.objects] or [1.0])
+        rules = np.array([_rule(o, chosen) for o in self.objects] or [FIXED])
+        turns = np.array([_turns(o, chosen) for o in self.objects] or [False])
+        factor = np.array(_opacity_scales(self.objects, chosen) or [1.0])
         self.fluid = fluid[self.object]
-        self.ball = balls[self.object]
-        self.deforms = deforms[self.object]
+        self.rule = rules[self.object]
+        self.turns = turns[self.object]
         self.opacity = np.asarray(rest.opacity, dtype=np.float64) * factor[self.object]
         self.vol0 = np.asarray(rest.vol0, dtype=np.float64)
         self.cov0 = np.asarray(rest.cov0, dtype=np.float64)
         self.color = _Colors(np.asarray(rest.sh))
+        self.colours = Colours(run, chosen)
         self.scenery = None
         scenery = getattr(rest, "scenery", None)
         if scenery is not None and len(scenery.x0):
             self.scenery = (
                 np.asarray(scenery.x0, dtype=np.float64),
                 np.asarray(scenery.cov0, dtype=np.float64),
-                np.asarray(scenery.opacity, dtype=np.float64),
+                np.asarray(scenery.opacity, dtype=np.float64) * factor[scenery.object],
                 _Colors(np.asarray(scenery.sh)),
             )
-
         self.passive = _Passive(rest) if getattr(rest, "passive", None) is not None else None
+
+    def frame(self, index: int) -> dict[str, np.ndarray]:
+        """Frame `index` of the run, with the colours it has then as "sh" (n, K, 3) where colour
+        travels."""
+        frame = self.run.frame(index)
+        self.check(frame)
+        sh = self.colours.at(index, frame)
+        return frame if sh is None else {**frame, "sh": sh}
+
+    def check(self, frame: dict[str, np.ndarray]) -> None:
+        """Raises RunError if a frame does not belong to the run."""
+        rows = np.asarray(frame["id"])
+        if len(rows) and not 0 <= rows.min() <= rows.max() < len(self.object):
+            raise RunError("a frame holds particles that gaussians.h5 does not know")
 
     def splats(self, frame: dict[str, np.ndarray], eye: np.ndarray) -> Splats:
         """The Gaussians of a frame as seen from `eye` [m]; scenery first, it never moves.
 
-        frame: arrays id, x, and J (all but elastic bodies), F (those) as in the frame's file.
-        Raises RunError.
+        frame: arrays id, x, and J (all but elastic bodies), F (those) as in the frame's file; and
+        sh where the colours are no longer those at rest (see `frame`). Raises RunError.
         """
+        self.check(frame)
         rows = np.asarray(frame["id"])
-        if len(rows) and not 0 <= rows.min() <= rows.max() < len(self.object):
-            raise RunError("a frame holds particles that gaussians.h5 does not know")
         x = np.asarray(frame["x"], dtype=np.float64)
-        J = np.asarray(frame["J"]) if "J" in frame else np.ones(len(rows))
-        ball, deforms = self.ball[rows], self.deforms[rows]
-        solid, rigid = np.flatnonzero(deforms), np.flatnonzero(~ball & ~deforms)
-        if len(solid) and "F" not in frame:
-            raise RunError("a frame with solids lacks the field F: they cannot be drawn")
-        cov = np.empty((len(rows), 6))
-        if len(solid):
-            F = np.asarray(frame["F"])[solid]
-            cov[solid] = evolve.solid(self.cov0[rows[solid]], F)
-        if len(rigid):  # no F: the shape at rest, larger or smaller
-            cov[rigid] = evolve.solid(self.cov0[rows[rigid]], evolve.swollen(J[rigid]))
-        if ball.any():
-            cov[ball] = evolve.fluid(self.vol0[rows[ball]], J[ball])
+        cov = self._covariances(rows, frame)
         directions = x - eye
-        turning = solid[self.color.view_dependent[rows[solid]]]
+        color, at = self.color, rows
+        if "sh" in frame:
+            color, at = _Colors(np.asarray(frame["sh"])), np.arange(len(rows))
+        turning = np.flatnonzero(self.turns[rows] & color.view_dependent[at])
         if len(turning):  # a turned solid shows towards d what it showed at rest towards R^T d
-            F = np.asarray(frame["F"])[turning]
+            F = _deformation(frame)[turning]
             directions[turning] = shade.turn_back(F, directions[turning])
-        parts = [(x, cov, self.opacity[rows], self.color(rows, directions))]
+        parts = [(x, cov, self.opacity[rows], color(at, directions))]
         if self.passive is not None:
             parts.append(self.passive.parts(frame, eye))
         if self.scenery is not None:
             x, cov, opacity, color = self.scenery
             parts.insert(0, (x, cov, opacity, color(np.arange(len(x)), x - eye)))
         return Splats(*(np.concatenate(arrays) for arrays in zip(*parts)))
+
+    def _covariances(self, rows: np.ndarray, frame: dict[str, np.ndarray]) -> np.ndarray:
+        """[m2], (n, 6), by the rule of each row's body."""
+        J = np.asarray(frame["J"]) if "J" in frame else np.ones(len(rows))
+        cov = self.cov0[rows]
+        at = {rule: np.flatnonzero(self.rule[rows] == rule) for rule in (FOLLOW, SWELL, BALL)}
+        if len(of := at[FOLLOW]):
+            cov[of] = evolve.solid(cov[of], _deformation(frame)[of])
+        if len(of := at[SWELL]):
+            cov[of] = evolve.solid(cov[of], evolve.swollen(J[of]))
+        if len(of := at[BALL]):
+            cov[of] = evolve.fluid(self.vol0[rows[of]], J[of])
+        if len(of := np.flatnonzero(self.rule[rows] == ROUND)):
+            cov[of] = evolve.rounded(cov[of], J[of])
+        return cov
 
     def alpha_min(self, asked: float | None) -> float:
         """The alpha below which a Gaussian is left out of a pixel: as asked, or what suits the run.
@@ -169,12 +202,48 @@ class _Colors:
         return color
 
 
+def _deformation(frame: dict[str, np.ndarray]) -> np.ndarray:
+    if "F" not in frame:
+        raise RunError("a frame with solids lacks the field F: they cannot be drawn")
+    return np.asarray(frame["F"])
+
+
 def _deforms(entry: dict) -> bool:
-    """Whether F tells the shape of an object's Gaussians."""
+    """Whether F of the frames is that of the object's particles."""
     return bool(entry.get("deforms", entry.get("family") == "solid"))
 
 
-def _opacity_scale(entry: dict) -> float:
-    """The factor on the opacities of an object: fluids are drawn thinner."""
-    scale = entry.get("opacity_scale")
-    return float(scale) if entry.get("family") == "fluid" and scale is not None else 1.0
+def _rule(entry: dict, chosen: LookSettings) -> int:
+    """How the shapes of an object's Gaussians change."""
+    if chosen.covariance == "fixed":
+        return FIXED
+    follow = FOLLOW if _deforms(entry) else SWELL
+    if entry.get("family") not in evolve.BALLS:
+        return follow
+    usual = "deformation" if _deforms(entry) else "volume"
+    return {"volume": BALL, "radius": ROUND, "deformation": follow}[chosen.normalise or usual]
+
+
+def _turns(entry: dict, chosen: LookSettings) -> bool:
+    """Whether the colours of an object's Gaussians turn with the rotation in F."""
+    follows = _rule(entry, chosen) == FOLLOW or entry.get("family") not in evolve.BALLS
+    return chosen.harmonics == "rotate" and _deforms(entry) and follows
+
+
+def _opacity_scales(objects: list[dict], chosen: LookSettings) -> list[float]:
+    """The factor on the opacities of each object: fluids are drawn thinner."""
+    names = [str(entry.get("name")) for entry in objects]
+    for name in chosen.opacity_scale:
+        if name not in names:
+            near = difflib.get_close_matches(name, names, 1)
+            hint = f" (did you mean '{near[0]}'?)" if near else ""
+            said = f"there is no object '{name}'{hint}; known: {', '.join(names)}"
+            raise SettingsError([f"look.opacity_scale: {said}"])
+    if chosen.opacity == "fixed":
+        return [1.0] * len(objects)
+    scales = []
+    for name, entry in zip(names, objects):
+        scale = entry.get("opacity_scale") if entry.get("family") == "fluid" else None
+        scale = chosen.opacity_scale.get(name, scale)
+        scales.append(1.0 if scale is None else float(scale))
+    return scales

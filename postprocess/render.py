@@ -31,7 +31,7 @@ class Painter:
 
     def __init__(self, run: Run, chosen: settings.Settings, folder: Path):
         self.run, self.chosen = run, chosen
-        self.look = Look(run)
+        self.look = Look(run, chosen.look)
         self.alpha_min = self.look.alpha_min(chosen.splatting.alpha_min)
         size = chosen.picture
         self.background = video.background(size.background, size.width, size.height, folder)
@@ -60,7 +60,7 @@ class Painter:
     def draw(self, index: int, part: float = 0.0) -> np.ndarray:
         """Frame `index` as a uint8 picture (height, width, 3)."""
         camera = self.camera(part)
-        splats = self.look.splats(self.run.frame(index), camera.eye)
+        splats = self.look.splats(self.look.frame(index), camera.eye)
         options = self.chosen.splatting.options()
         image, _ = splat.render(
             splats, camera, self.background, alpha_min=self.alpha_min, **options
@@ -110,6 +110,7 @@ def pictures(
     if jobs <= 1:
         yield from (painter.draw(*task) for task in tasks)
         return
+    painter.look.colours.prepare(numbers[-1])
     context = multiprocessing.get_context("spawn")  # a fork would share the open files
     with context.Pool(jobs, _start_worker, (folder, painter.chosen, beside)) as pool:
         yield from pool.imap(_work, tasks)

@@ -127,12 +127,32 @@ class SplattingSettings(_Table):
         return {"lowpass": self.lowpass or usual, "antialias": self.mode != "classic"}
 
 
+class LookSettings(_Table):
+    """How Gaussians follow their particles. None: what the scene says (vgmpi/settings.py)."""
+
+    colour_transfer: Literal["off", "frame", "relax"] | None = None  # not "step": see theory.md
+    colour_time: Annotated[float, Field(gt=0)] | None = None  # s
+    colour_degree: Annotated[int, Field(strict=True, ge=0, le=3)] | None = None
+    colour_bodies: tuple[str, ...] | None = None
+    covariance: Literal["evolve", "fixed"] = "evolve"  # fixed: the shapes at rest
+    harmonics: Literal["rotate", "fixed"] = "rotate"  # fixed: colours do not turn with solids
+    opacity: Literal["scaled", "fixed"] = "scaled"  # fixed: as captured, no opacity_scale
+    # shapes of fluids, sand and snow; None: deformation where F is known, else volume
+    normalise: Literal["volume", "radius", "deformation"] | None = None
+    opacity_scale: dict[str, Annotated[float, Field(ge=0, le=1)]] = {}  # by the object's name
+
+    def colours(self) -> dict[str, Any]:
+        """What is said of colours that travel, by the names of the scene's [appearance]."""
+        return {k: v for k, v in self if k.startswith("colour_") and v is not None}
+
+
 class Settings(_Table):
     camera: CameraSettings = CameraSettings()
     picture: PictureSettings = PictureSettings()
     video: VideoSettings = VideoSettings()
     frames: FrameSettings = FrameSettings()
     splatting: SplattingSettings = SplattingSettings()
+    look: LookSettings = LookSettings()
 
 
 def load(path: str | Path | None) -> Settings:
@@ -159,6 +179,8 @@ def _explain(path: str | Path, text: str, item: Any) -> str:
     """`file:line: key: value: what is allowed`."""
     keys = [part for part in item["loc"] if isinstance(part, str) and part.isidentifier()]
     keys = keys[:2]  # deeper parts name alternatives of a type, not keys of the file
+    if keys == ["look", "opacity_scale"]:
+        keys = [str(part) for part in item["loc"][:3]]  # but here names of objects
     allowed = re.sub(r"^(Value error, |Input should be )", "", item["msg"])
     if item["type"] == "extra_forbidden":
         table = Settings if len(keys) == 1 else Settings.model_fields[keys[0]].annotation
@@ -176,10 +198,10 @@ def _explain(path: str | Path, text: str, item: Any) -> str:
 
 
 def _line(text: str, keys: list[str]) -> int:
-    """Line of a key of a TOML text with tables one deep (of its table if the key is not found)."""
+    """Line of a key of a TOML text (of its table if the key is not found)."""
     table, found = "", 1
     for number, line in enumerate(text.splitlines(), start=1):
-        head = re.match(r"\s*\[\s*([\w-]+)\s*\]", line)
+        head = re.match(r"\s*\[\s*([\w.-]+)\s*\]", line)
         if head:
             table = head.group(1)
             if keys[:1] == [table]:
@@ -190,6 +212,6 @@ def _line(text: str, keys: list[str]) -> int:
             full = f"{table}.{name.group(1)}" if table else name.group(1)
             if full == ".".join(keys):
                 return number
-            if full == keys[0]:
+            if full in (keys[0], ".".join(keys[:2])):
                 found = number
     return found

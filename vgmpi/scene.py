@@ -13,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 
 from vgmpi import couplings, materials
 from vgmpi.loads import Load, load_complaints
-from vgmpi.objects import Object, object_complaints
+from vgmpi.objects import Object, body_complaint, object_complaints
 from vgmpi.probes import Probe, probe_complaints
 from vgmpi.settings import (
     MOST_CELLS,
@@ -142,6 +142,10 @@ class _Reader:
         pairs = self.couplings(data.get("coupling", []), kinds)
         self.one_family_per_phase(objects, kinds, pairs)
         role = {o.name: o.role for o in objects if o} if None not in objects else None
+        looks = tables.get("appearance")
+        for k, name in enumerate((looks and looks.colour_bodies) or ()):
+            if said := body_complaint(name, role):
+                self.wrong(("appearance", "colour_bodies", k), said)
         fluid = any(m is None or m.family == "fluid" for m in kinds.values())
         size = tables["domain"].size if tables.get("domain") else None
         loads = self.listed(

@@ -33,6 +33,17 @@ every = 2
 [splatting]
 mode = "mip"
 alpha_min = 1e-4
+
+[look]
+colour_transfer = "relax"
+colour_time = 0.5
+colour_bodies = ["milk"]
+covariance = "fixed"
+normalise = "radius"
+
+[look.opacity_scale]
+water = 0.02
+"my duck" = 1
 """
 
 
@@ -52,6 +63,9 @@ def test_everything_may_be_said(tmp_path):
     assert s.picture.background == (0.1, 0.2, 0.3)
     assert s.splatting.options() == {"lowpass": 0.1, "antialias": True}
     assert (s.frames.first, s.frames.last, s.frames.every) == (1, 10, 2)
+    assert s.look.opacity_scale == {"water": 0.02, "my duck": 1}
+    told = {"colour_transfer": "relax", "colour_time": 0.5, "colour_bodies": ("milk",)}
+    assert s.look.colours() == told
 
 
 def test_a_fixed_camera(tmp_path):
@@ -85,6 +99,27 @@ BAD = {
         1,
         "camera",
         "same point",
+    ),
+    "colours at every step": (
+        '[look]\ncolour_transfer = "step"',
+        2,
+        "look.colour_transfer",
+        "'off', 'frame' or 'relax'",
+    ),
+    "a time of nothing": ("[look]\ncolour_time = 0", 2, "look.colour_time", "greater than 0"),
+    "a degree too high": ("[look]\ncolour_degree = 4", 2, "look.colour_degree", "less than"),
+    "an unknown look": ("[look]\nopacitie = 1", 2, "look.opacitie", "did you mean 'opacity'?"),
+    "a scale above 1": (
+        "[look]\n\n[look.opacity_scale]\nwater = 0.1\nmilk = 2",
+        5,
+        "look.opacity_scale.milk",
+        "less than or equal to 1",
+    ),
+    "a scale above 1 in line": (
+        "[look]\n\nopacity_scale = { milk = 2 }",
+        3,
+        "look.opacity_scale.milk",
+        "less than or equal to 1",
     ),
     "a huge picture": ("[picture]\nwidth = 100000", 2, "picture.width", "8192"),
     "half a pixel": ("[picture]\nwidth = 100.5", 2, "picture.width", "integer"),

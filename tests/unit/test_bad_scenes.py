@@ -202,6 +202,24 @@ CASES = {
         "object.ball.phase",
         "'fluid' already holds a fluid, this is a solid",
     ),
+    "colours at every step": (
+        "[domain]",
+        '[appearance]\ncolour_transfer = "step"\n[domain]',
+        "appearance.colour_transfer",
+        'must be "off", "frame" or "relax": smoothing at every step blurs',
+    ),
+    "an unknown colour transfer": (
+        "[domain]",
+        '[appearance]\ncolour_transfer = "frames"\n[domain]',
+        "appearance.colour_transfer",
+        "must be one of off, frame, relax (did you mean 'frame'?)",
+    ),
+    "colours of nobody": (
+        "[domain]",
+        '[appearance]\ncolour_bodies = ["pool", "bal"]\n[domain]',
+        "appearance.colour_bodies.1",
+        "there is no object 'bal' (did you mean 'ball'?); known: pool, ball",
+    ),
     "opacity scale of a solid": (
         "position =",
         "opacity_scale = 0.1\nposition =",

@@ -34,6 +34,17 @@ def fluid(vol0: np.ndarray, J: np.ndarray) -> np.ndarray:
     return out
 
 
+def rounded(cov0: np.ndarray, J: np.ndarray) -> np.ndarray:
+    """Covariances [m2] of balls as large as Gaussians at rest, swollen with J: upper triangles
+    (n, 6). J^(2/3) det(cov0)^(1/3) I; cov0 (n, 6), J (n,) clamped to J_RANGE."""
+    # the determinant of a flat Gaussian in m6 is below the smallest numbers in single precision
+    square = np.maximum(np.linalg.det(full(np.asarray(cov0, dtype=np.float64))), 0.0)
+    out = np.zeros((len(square), 6))
+    variance = np.cbrt(square) * np.cbrt(np.clip(np.asarray(J, dtype=np.float64), *J_RANGE)) ** 2
+    out[:, (0, 3, 5)] = variance[:, None]
+    return out
+
+
 def swollen(J: np.ndarray) -> np.ndarray:
     """F of a body that only changed its volume, cbrt(J) I (n, 9), J (n,) clamped to J_RANGE."""
     J = np.clip(np.asarray(J, dtype=np.float64), *J_RANGE)
