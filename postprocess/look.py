@@ -65,8 +65,7 @@ class Look:
             raise RunError("a frame with solids lacks the field F: they cannot be drawn")
         cov = np.empty((len(rows), 6))
         if len(solid):
-            F = np.asarray(frame["F"])[solid]
-            cov[solid] = evolve.solid(self.cov0[rows[solid]], F)
+            shade.solid(self.cov0, rows, solid, np.asarray(frame["F"]), cov)
         if len(rigid):  # no F: the shape at rest, larger or smaller
             cov[rigid] = evolve.solid(self.cov0[rows[rigid]], evolve.swollen(J[rigid]))
         if ball.any():
@@ -80,6 +79,8 @@ class Look:
         if self.scenery is not None:
             x, cov, opacity, color = self.scenery
             parts.insert(0, (x, cov, opacity, color(np.arange(len(x)), x - eye)))
+        if len(parts) == 1:
+            return Splats(*parts[0])
         return Splats(*(np.concatenate(arrays) for arrays in zip(*parts)))
 
     def alpha_min(self, asked: float | None) -> float:
