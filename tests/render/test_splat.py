@@ -257,3 +257,59 @@ def test_more_than_a_batch_of_gaussians_and_closed_tiles():
     splats = splat.Splats(x, cov, rng.uniform(0.1, 0.99, n), rng.uniform(0, 1, (n, 3)))
     error, error_t = both(splats, camera(40, 30))
     assert error.mean() < 1e-6 and error.max() < 5e-3 and error_t.max() < 5e-3
+
+
+@pytest.mark.parametrize("kind", splat.DEPTHS)
+@pytest.mark.parametrize("mode", MODES)
+def test_depths_are_the_dense_renderers(kind, mode):
+    splats, seen = scene(300, 7, size=(0.02, 0.4)), camera()
+    image, left, got = splat.render(splats, seen, depth=kind, **MODES[mode])
+    plain, plain_left = splat.render(splats, seen, **MODES[mode])
+    np.testing.assert_array_equal(image, plain)  # the picture does not change for it
+    np.testing.assert_array_equal(left, plain_left)
+    want = dense.depths(splats.x, full(splats.cov), splats.opacity, seen, **MODES[mode])[kind]
+    seen_by_both = np.isfinite(want) & np.isfinite(got)
+    assert (np.isfinite(want) == np.isfinite(got)).mean() > 0.999
+    assert 0.2 < seen_by_both.mean()
+    error = np.abs(got[seen_by_both] / want[seen_by_both] - 1)
+    assert np.quantile(error, 0.999) < 1e-5  # only single pixels may lie on the edge of a rule
+
+
+def test_there_is_no_depth_where_there_is_nothing():
+    _, left, expected = splat.render(one(sd=0.05), camera(), depth="expected")
+    assert (np.isinf(expected) == (left == 1)).all() and np.isinf(expected).any()
+    distance = np.linalg.norm(camera().eye)
+    np.testing.assert_allclose(expected[left < 1], distance, rtol=0.02)
+    _, _, median = splat.render(one(sd=0.05, opacity=0.4), camera(), depth="median")
+    assert np.isinf(median).all()  # half of the light is never stopped
+
+
+def test_supersampling_is_the_mean_of_a_finer_picture():
+    splats, seen, ground = (
+        scene(200, 8),
+        camera(30, 20),
+        np.random.default_rng(0).random((20, 30, 3)),
+    )
+    image, left, depth = splat.render(splats, seen, ground, supersample=3, depth="expected")
+    fine = splat.finer(seen, 3)
+    np.testing.assert_allclose([fine.fx, fine.cx, fine.width], [3 * seen.fx, 3 * seen.cx, 90])
+    thrice = np.kron(ground, np.ones((3, 3, 1)))
+    want, want_left = dense.render(
+        splats.x, full(splats.cov), splats.opacity, splats.color, fine, thrice
+    )
+    np.testing.assert_allclose(image, want.reshape(20, 3, 30, 3, 3).mean(axis=(1, 3)), atol=2e-3)
+    np.testing.assert_allclose(left, want_left.reshape(20, 3, 30, 3).mean(axis=(1, 3)), atol=2e-3)
+    depths = dense.depths(splats.x, full(splats.cov), splats.opacity, fine)["expected"]
+    weight = 1 - want_left
+    total = (np.where(weight > 0, depths, 0) * weight).reshape(20, 3, 30, 3).sum(axis=(1, 3))
+    total /= np.maximum(weight.reshape(20, 3, 30, 3).sum(axis=(1, 3)), 1e-300)
+    known = left < 0.99
+    np.testing.assert_allclose(depth[known], total[known], rtol=1e-3)
+    exact, _ = splat.render(splats, seen, thrice, supersample=3)  # a background as fine as that
+    np.testing.assert_array_equal(exact, image)
+
+
+@pytest.mark.parametrize("wrong", [{"depth": "mean"}, {"backend": "gpu"}, {"supersample": 0}])
+def test_wrong_options_are_refused(wrong):
+    with pytest.raises(ValueError, match="allowed"):
+        splat.render(one(), camera(), **wrong)

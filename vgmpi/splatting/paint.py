@@ -7,8 +7,9 @@ has stopped is closed, and what lies in closed tiles only is not even sorted: of
 Gaussians are hidden by those in front.
 
 A tile's canvas holds for each row 16 numbers each of: transmittance, red, green, blue (or, for
-depth, the weighted depth, the median depth, nothing). The transmittance of a pixel that has stopped
-is negative: then the next Gaussian stops it again, whatever it is, and adds nothing.
+depth, the weighted depth, the median depth, the sum of the weights). The transmittance of a pixel
+that has stopped is negative: then the next Gaussian stops it again, whatever it is, and adds
+nothing.
 """
 
 import numpy as np
@@ -74,9 +75,42 @@ def _row(buf, at, a, b, c, opacity, level, red, green, blue):
         buf[at + 3 * TILE + k] += w * blue
 
 
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz", "nnan", "ninf"})
+def _row_of_depths(buf, at, a, b, c, opacity, level, depth):
+    """The same for depths: their weighted sum, and the one that brings the light below a half."""
+    if at < 0:
+        return
+    for k in range(TILE):
+        X = np.float32(k) - _MIDDLE
+        s = c + X * (a * X + b)
+        t = s * _SIXTEENTH
+        t = t if t > _FARTHEST else _FARTHEST
+        e = _E0 + t * (_E1 + t * (_E2 + t * (_E3 + t * (_E4 + t * (_E5 + t * _E6)))))
+        e *= e
+        e *= e
+        e *= e
+        e *= e
+        alpha = opacity * e
+        alpha = alpha if alpha < _ALPHA_MAX else _ALPHA_MAX
+        alpha = alpha if s <= level else _ZERO
+        before = buf[at + k]
+        w = alpha * before
+        after = before - w
+        stop = after < _STOP
+        buf[at + k] = -abs(before) if stop else after
+        w = _ZERO if stop else w
+        buf[at + TILE + k] += w * depth
+        buf[at + 3 * TILE + k] += w
+        crossing = (before > _HALF) & (after <= _HALF)
+        buf[at + 2 * TILE + k] = depth if crossing else buf[at + 2 * TILE + k]
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def _draw(buf, items, ellipses, looks, left, top):
-    """Draw the Gaussians of a batch in one tile; whether any of its pixels is still open."""
+def _draw(buf, items, ellipses, looks, left, top, depths):
+    """Draw the Gaussians of a batch in one tile; whether any of its pixels is still open.
+
+    depths: whether `looks` hold a depth for red, and depths are drawn instead of colours.
+    """
     first, last = _open_rows(buf)
     count = 0
     for item in items:
@@ -97,7 +131,10 @@ def _draw(buf, items, ellipses, looks, left, top):
         for j in range(y0, y1 + 1):
             Y = np.float32(j) - _MIDDLE
             at = s0 + Y * (sy + fc * Y)
-            _row(buf, j * _ROW, fa, sx + fb * Y, at, opacity, level, red, green, blue)
+            if depths:
+                _row_of_depths(buf, j * _ROW, fa, sx + fb * Y, at, opacity, level, red)
+            else:
+                _row(buf, j * _ROW, fa, sx + fb * Y, at, opacity, level, red, green, blue)
     return _open_rows(buf)[1] >= 0
 
 
@@ -115,8 +152,11 @@ def _open_rows(buf):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def paint(order, ellipses, looks, bounds, canvas, nx):
-    """Draw Gaussians (see project) in `order` on the canvas (tiles, _CANVAS), nx tiles wide."""
+def paint(order, ellipses, looks, bounds, canvas, nx, depths):
+    """Draw Gaussians (see project) in `order` on the canvas (tiles, _CANVAS), nx tiles wide.
+
+    depths: draw depths, which `looks` hold for red, instead of colours.
+    """
     tiles = len(canvas)
     is_open = np.ones(tiles, dtype=np.uint8)
     starts = np.empty(tiles + 1, dtype=np.int64)
@@ -168,7 +208,7 @@ def paint(order, ellipses, looks, bounds, canvas, nx):
             if starts[t + 1] > starts[t]:
                 mine = items[starts[t] : starts[t + 1]]
                 left, top = (t % nx) * TILE, (t // nx) * TILE
-                is_open[t] = _draw(canvas[t], mine, near[0], near[1], left, top)
+                is_open[t] = _draw(canvas[t], mine, near[0], near[1], left, top, depths)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -184,3 +224,18 @@ def picture(canvas, background, image, transmittance):
             transmittance[y, x] = through
             for c in range(3):
                 image[y, x, c] = tile[at + (c + 1) * TILE] + through * background[y, x, c]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def depths_of(canvas, expected, median):
+    """Fill `expected` and `median` (height, width), infinite where there is nothing to tell."""
+    height, width = expected.shape
+    nx = (width + TILE - 1) // TILE
+    for y in range(height):
+        for x in range(width):
+            tile = canvas[(y // TILE) * nx + x // TILE]
+            at = (y % TILE) * _ROW + x % TILE
+            through = abs(tile[at])
+            total = tile[at + 3 * TILE]  # 1 - through has lost digits where little is drawn
+            expected[y, x] = tile[at + TILE] / total if total > _ZERO else np.inf
+            median[y, x] = tile[at + 2 * TILE] if through <= _HALF else np.inf

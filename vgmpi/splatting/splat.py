@@ -10,15 +10,17 @@ Gaussians smaller than a pixel.
 project.py finds the ellipses on the picture and their order, paint.py draws them.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vgmpi.splatting.camera import Camera
-from vgmpi.splatting.paint import TILE, new_canvas, paint, picture
+from vgmpi.splatting.paint import TILE, depths_of, new_canvas, paint, picture
 from vgmpi.splatting.project import by_depth, project
 
 ALPHA_MIN = 1 / 255
+DEPTHS = ("expected", "median")
+BACKENDS = ("cpu", "gsplat")
 ALPHA_MIN_RANGE = (1e-5, 0.5)  # e^-s is accurate on the part of its range that these need
 
 
@@ -43,15 +45,38 @@ def render(
     lowpass: float = 0.3,
     antialias: bool = False,
     alpha_min: float = ALPHA_MIN,
-) -> tuple[np.ndarray, np.ndarray]:
+    supersample: int = 1,
+    depth: str | None = None,
+    backend: str = "cpu",
+) -> tuple[np.ndarray, ...]:
     """Picture (height, width, 3) float32, not clamped, and transmittance (height, width) float32.
 
-    background: one colour (3,) or a picture (height, width, 3).
+    background: one colour (3,), a picture (height, width, 3), or one as fine as it is drawn.
+    supersample: draw that many times as wide and high, and average. depth: "expected" (weighted by
+    what each Gaussian adds) or "median" (of the Gaussian that brings the transmittance to a half or
+    less): then a third array (height, width) float32 [m] along the camera's axis, infinite where
+    there is none. backend: "cpu", or "gsplat" for a graphics card (gsplat_backend.py).
     """
     if not ALPHA_MIN_RANGE[0] <= alpha_min <= ALPHA_MIN_RANGE[1]:
         raise ValueError(f"alpha_min is {alpha_min}: allowed is {ALPHA_MIN_RANGE}")
+    if depth not in (None, *DEPTHS) or backend not in BACKENDS or supersample < 1:
+        raise ValueError(f"allowed: depth {DEPTHS}, backend {BACKENDS}, supersample from 1")
+    fine = finer(camera, supersample)
+    behind = _behind(background, camera, supersample)
+    options = {"lowpass": lowpass, "antialias": antialias, "alpha_min": alpha_min, "depth": depth}
+    if backend == "gsplat":
+        from vgmpi.splatting import gsplat_backend  # asks for torch, which few have
+
+        drawn = gsplat_backend.render(splats, fine, behind, **options)
+    else:
+        drawn = _render(splats, fine, behind, **options)
+    return drawn if supersample == 1 else _coarser(drawn, supersample)
+
+
+def _render(splats, camera, background, *, lowpass, antialias, alpha_min, depth):
+    """render() on the processor. background: (height, width, 3) float32."""
     shape = (camera.height, camera.width)
-    ellipses, looks, bounds, depth = project(
+    ellipses, looks, bounds, z = project(
         *(np.ascontiguousarray(getattr(splats, f)) for f in ("x", "cov", "opacity", "color")),
         np.ascontiguousarray(camera.world_to_camera, dtype=np.float64),
         np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.near], dtype=np.float64),
@@ -60,10 +85,60 @@ def render(
         bool(antialias),
         float(alpha_min),
     )
+    order, nx = by_depth(z), -(-camera.width // TILE)
     canvas = new_canvas(*shape)
-    paint(by_depth(depth), ellipses, looks, bounds, canvas, -(-camera.width // TILE))
+    paint(order, ellipses, looks, bounds, canvas, nx, False)
     image = np.empty((*shape, 3), dtype=np.float32)
     transmittance = np.empty(shape, dtype=np.float32)
-    behind = np.broadcast_to(np.asarray(background, np.float32), image.shape)
-    picture(canvas, behind, image, transmittance)
-    return image, transmittance
+    picture(canvas, background, image, transmittance)
+    if depth is None:
+        return image, transmittance
+    # drawn a second time with depths for colours: so pictures alone pay nothing for it
+    looks[:, 2] = z
+    canvas = new_canvas(*shape)
+    paint(order, ellipses, looks, bounds, canvas, nx, True)
+    found = {kind: np.empty(shape, dtype=np.float32) for kind in DEPTHS}
+    depths_of(canvas, found["expected"], found["median"])
+    return image, transmittance, found[depth]
+
+
+def finer(camera: Camera, times: int) -> Camera:
+    """The same view in `times` as many pixels across and down."""
+    size = {name: getattr(camera, name) * times for name in ("fx", "fy", "cx", "cy")}
+    return replace(camera, **size, width=camera.width * times, height=camera.height * times)
+
+
+def _behind(background: np.ndarray, camera: Camera, times: int) -> np.ndarray:
+    """The background as (times height, times width, 3) float32, copied only where it must be."""
+    background = np.asarray(background, dtype=np.float32)
+    shape = (camera.height * times, camera.width * times, 3)
+    if background.shape == (camera.height, camera.width, 3) and times > 1:
+        background = background.repeat(times, axis=0).repeat(times, axis=1)
+    return np.broadcast_to(background, shape)
+
+
+def _coarser(drawn: tuple[np.ndarray, ...], times: int) -> tuple[np.ndarray, ...]:
+    """Means over squares of `times` x `times` pixels; of depths, over what is not infinite.
+
+    Depths are weighted by what is opaque there, so that a pixel at an edge keeps the nearer
+    thing's.
+    """
+    image, left, *rest = drawn
+    means = [
+        _blocks(image, times).mean(axis=2),
+        _blocks(left[..., None], times).mean(axis=2)[..., 0],
+    ]
+    for depth in rest:
+        weight = np.where(np.isfinite(depth), 1 - left, 0)
+        total = np.stack([weight * np.where(weight > 0, depth, 0), weight], axis=-1)
+        total = _blocks(total, times).sum(axis=2)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            means.append(np.where(total[..., 1] > 0, total[..., 0] / total[..., 1], np.inf))
+    return tuple(mean.astype(np.float32) for mean in means)
+
+
+def _blocks(a: np.ndarray, times: int) -> np.ndarray:
+    """(H, W, c) as (H / times, W / times, times^2, c)."""
+    height, width, channels = a.shape[0] // times, a.shape[1] // times, a.shape[2]
+    parts = a.reshape(height, times, width, times, channels)
+    return parts.swapaxes(1, 2).reshape(height, width, times * times, channels)
