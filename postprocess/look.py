@@ -101,6 +101,8 @@ class Look:
         if self.scenery is not None:
             x, cov, opacity, color = self.scenery
             parts.insert(0, (x, cov, opacity, color(np.arange(len(x)), x - eye)))
+        if len(parts) == 1:
+            return Splats(*parts[0])
         return Splats(*(np.concatenate(arrays) for arrays in zip(*parts)))
 
     def _covariances(self, rows: np.ndarray, frame: dict[str, np.ndarray]) -> np.ndarray:
@@ -109,7 +111,7 @@ class Look:
         cov = self.cov0[rows]
         at = {rule: np.flatnonzero(self.rule[rows] == rule) for rule in (FOLLOW, SWELL, BALL)}
         if len(of := at[FOLLOW]):
-            cov[of] = evolve.solid(cov[of], _deformation(frame)[of])
+            shade.solid(self.cov0, rows, of, _deformation(frame), cov)
         if len(of := at[SWELL]):
             cov[of] = evolve.solid(cov[of], evolve.swollen(J[of]))
         if len(of := at[BALL]):

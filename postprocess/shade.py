@@ -1,4 +1,4 @@
-"""View-dependent colours, compiled: vgmpi.gaussians.sh and evolve.rotation many times as fast.
+"""Shapes and view-dependent colours, compiled: what vgmpi.gaussians does, many times as fast.
 
 Captures carry up to 48 numbers of colour per Gaussian, and every frame needs them all again.
 """
@@ -88,3 +88,41 @@ def turn_back(F: np.ndarray, directions: np.ndarray) -> np.ndarray:
     if bad.any():  # inverted or flat: rare, and left to the numpy version
         out[bad] = np.einsum("nij,ni->nj", evolve.rotation(F[bad]), directions[bad])
     return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _solid(cov0, ids, rows, F, low, high, out, wild):
+    """Write F cov0 F^T of the frame's `rows`; mark those whose stretches may leave low .. high.
+
+    The test is that of vgmpi.gaussians.evolve.
+    """
+    for n in range(len(rows)):
+        i = rows[n]
+        xx, xy, xz, yy, yz, zz = cov0[ids[i]]
+        a, b, c, d, e, f, g, h, k = F[i]
+        a, b, c, d, e = float(a), float(b), float(c), float(d), float(e)
+        f, g, h, k = float(f), float(g), float(h), float(k)
+        p, q, r = a * xx + b * xy + c * xz, a * xy + b * yy + c * yz, a * xz + b * yz + c * zz
+        out[i, 0], out[i, 1] = p * a + q * b + r * c, p * d + q * e + r * f
+        out[i, 2] = p * g + q * h + r * k
+        p, q, r = d * xx + e * xy + f * xz, d * xy + e * yy + f * yz, d * xz + e * yz + f * zz
+        out[i, 3], out[i, 4] = p * d + q * e + r * f, p * g + q * h + r * k
+        p, q, r = g * xx + h * xy + k * xz, g * xy + h * yy + k * yz, g * xz + h * yz + k * zz
+        out[i, 5] = p * g + q * h + r * k
+        square = a * a + b * b + c * c + d * d + e * e + f * f + g * g + h * h + k * k
+        det = a * (e * k - f * h) + b * (f * g - d * k) + c * (d * h - e * g)
+        wild[n] = not (square <= high * high and abs(det) > low * 0.5 * square)
+
+
+def solid(
+    cov0: np.ndarray, ids: np.ndarray, rows: np.ndarray, F: np.ndarray, out: np.ndarray
+) -> None:
+    """Write the covariances (see vgmpi.gaussians.evolve.solid) of a frame's `rows` into out (n, 6).
+
+    cov0: of all particles [m2], (particles, 6). ids: of the frame's rows, (n,). F: (n, 9).
+    """
+    wild = np.zeros(len(rows), dtype=np.bool_)
+    _solid(cov0, ids, rows, F, *evolve.STRETCH_RANGE, out, wild)
+    if wild.any():  # torn or inverted: rare, and left to the numpy version
+        torn = rows[wild]
+        out[torn] = evolve.solid(cov0[ids[torn]], F[torn])

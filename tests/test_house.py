@@ -57,6 +57,8 @@ OUTSIDE = {  # packages that only some files may use
     "tqdm": ("vgmpi/solver/report.py", "postprocess/"),
     "taichi": ("vgmpi/bench/taichi_rival.py",),
     "warp": ("vgmpi/bench/warp_rival.py",),
+    "torch": ("vgmpi/splatting/gsplat_backend.py",),
+    "gsplat": ("vgmpi/splatting/gsplat_backend.py",),
 }
 COMPILED = (
     "vgmpi/device/",
@@ -163,6 +165,7 @@ def test_imports_run_one_way(file):
         ("vgmpi/bench/own.py", "vgmpi.device.jit"),
         ("vgmpi/bench/rounds.py", "taichi"),
         ("vgmpi/bench/taichi_rival.py", "warp"),
+        ("vgmpi/splatting/splat.py", "torch"),
     ],
 )
 def test_the_rule_sees_a_wrong_import(file, imported):

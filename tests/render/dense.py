@@ -64,6 +64,29 @@ def render(
     alpha_min=1 / 255,
 ):
     """Picture (height, width, 3) and transmittance (height, width)."""
+    height, width = camera.height, camera.width
+    image, left = np.zeros((height, width, 3)), np.ones((height, width))
+    for i, _, alpha in blended(x, cov, opacity, camera, lowpass, antialias, alpha_min):
+        image += (left * alpha)[..., None] * color[i]
+        left *= 1 - alpha
+    return image + left[..., None] * np.asarray(background), left
+
+
+def depths(x, cov, opacity, camera, *, lowpass=0.3, antialias=False, alpha_min=1 / 255):
+    """Expected and median depth (height, width), infinite where there is none."""
+    total, left = np.zeros((2, camera.height, camera.width))
+    left += 1
+    median = np.full(left.shape, np.inf)
+    for _, depth, alpha in blended(x, cov, opacity, camera, lowpass, antialias, alpha_min):
+        total += left * alpha * depth
+        median[(left > 0.5) & (left * (1 - alpha) <= 0.5)] = depth
+        left *= 1 - alpha
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return {"expected": np.where(left < 1, total / (1 - left), np.inf), "median": median}
+
+
+def blended(x, cov, opacity, camera, lowpass, antialias, alpha_min):
+    """Number, depth and alpha (height, width), 0 where it does not count, from near to far."""
     width, height = camera.width, camera.height
     lens = camera.fx, camera.fy, camera.cx, camera.cy
     depth, mean, flat = project(x, cov, camera.world_to_camera, *lens, width, height)
@@ -72,7 +95,6 @@ def render(
         ratio = np.linalg.det(flat) / np.linalg.det(wide)
         opacity = opacity * np.sqrt(np.maximum(ratio, 0.005**2))
     px, py = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    image = np.zeros((height, width, 3))
     left = np.ones((height, width))
     stopped = np.zeros((height, width), dtype=bool)
     for i in np.argsort(depth, kind="stable"):
@@ -84,6 +106,5 @@ def render(
         takes = (alpha >= alpha_min) & ~stopped
         stopped |= takes & (left * (1 - alpha) < 1e-4)
         alpha = np.where(takes & ~stopped, alpha, 0)
-        image += (left * alpha)[..., None] * color[i]
+        yield i, depth[i], alpha
         left *= 1 - alpha
-    return image + left[..., None] * np.asarray(background), left

@@ -7,6 +7,7 @@ from tests.render import dense
 from vgmpi.gaussians.cloud import full, upper
 from vgmpi.splatting import splat
 from vgmpi.splatting.camera import Camera, look_at
+from vgmpi.splatting.paint import BATCH
 
 MODES = {
     "classic": {"lowpass": 0.3, "antialias": False},
@@ -181,3 +182,134 @@ def test_nearer_gaussians_hide_farther_ones():
         image, left = splat.render(splats, camera(), (0, 0, 0))
         at = np.unravel_index(left.argmin(), left.shape)
         assert image[at][1] > 0.9 and image[at][0] < 0.1
+
+
+SIZES = [(70, 45), (45, 70), (16, 16), (17, 33), (1, 40), (96, 15)]
+CENTRES = [(0.5, 0.5), (0.1, 0.9), (-0.4, 1.5)]
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("size", SIZES)
+def test_any_size_and_any_centre(size, mode):
+    """The centre also outside the picture: then the limits of the projection lie on one side."""
+    for seed, (cx, cy) in enumerate(CENTRES):
+        seen = camera(*size, cx=cx * size[0], cy=cy * size[1])
+        error, error_t = both(scene(300, seed), seen, **MODES[mode])
+        assert error.mean() < 1e-6 and error.max() < 5e-3
+        assert error_t.max() < 5e-3
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("seed", range(4))
+def test_any_scale_and_any_opacity(mode, seed):
+    """1e-5 to 10 m and 1e-4 to 1, evenly in their logarithms, round the camera too."""
+    splats = scene(300, 20 + seed, size=(1e-5, 10.0))
+    opacity = np.exp(np.random.default_rng(seed).uniform(np.log(1e-4), 0, 300))
+    splats = splat.Splats(3 * splats.x, splats.cov, opacity, splats.color)
+    for alpha_min in (1 / 255, 1e-4):
+        error, error_t = both(splats, camera(), alpha_min=alpha_min, **MODES[mode])
+        assert error.mean() < 1e-6 and error.max() < 5e-3
+        assert error_t.max() < 5e-3
+
+
+def test_gaussians_behind_and_beside_the_camera():
+    """Behind: nothing. Beside and touching the near plane: as the formulas have it."""
+    seen = camera(near=0.05)
+    rotation = seen.world_to_camera[:3, :3]
+    rng = np.random.default_rng(2)
+    local = np.stack([rng.uniform(-4, 4, 400), rng.uniform(-4, 4, 400), rng.uniform(-2, 1, 400)], 1)
+    splats = scene(400, 2, size=(0.01, 0.5))
+    splats = splat.Splats(seen.eye + local @ rotation, splats.cov, splats.opacity, splats.color)
+    error, error_t = both(splats, seen)
+    assert error.mean() < 1e-6 and error.max() < 5e-3 and error_t.max() < 5e-3
+    assert error_t.size and splat.render(splats, seen)[1].min() < 0.5  # and something is seen
+    behind = splat.Splats(
+        seen.eye - np.abs(local[:, 2:]) * rotation[2], splats.cov, splats.opacity, splats.color
+    )
+    assert (splat.render(behind, seen)[1] == 1).all()
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_needle_across_the_picture_keeps_its_digits(mode):
+    """Its middle lies hundreds of pixels away: in single precision the ridge would wander."""
+    along = np.array([[1.0, 0.0, 0.35]]) / np.linalg.norm([1.0, 0.0, 0.35])
+    cov = 4.0**2 * along[:, :, None] * along[:, None] + 1e-4**2 * np.eye(3)
+    for shift in (-3.0, 2.0, 6.0):
+        needle = splat.Splats(shift * along, upper(cov), np.array([0.9]), np.ones((1, 3)))
+        error, _ = both(needle, camera(300, 200), (0, 0, 0), **MODES[mode])
+        assert error.max() < 1e-4
+
+
+def test_one_gaussian_in_every_mode():
+    for mode in MODES.values():
+        for opacity in (1e-4, 0.01, 1.0):
+            error, error_t = both(one(opacity=opacity), camera(), alpha_min=1e-4, **mode)
+            assert error.max() < 2e-6 and error_t.max() < 2e-6
+
+
+def test_more_than_a_batch_of_gaussians_and_closed_tiles():
+    """Walls that close tiles at different times, and gaps between them."""
+    rng = np.random.default_rng(4)
+    n = BATCH + 3000
+    x = rng.uniform(-1, 1, (n, 3)) * [1.2, 0.5, 0.8]
+    x[:, 0] -= 0.4 * (rng.random(n) < 0.5)
+    cov = np.tile(upper(0.02**2 * np.eye(3)[None]), (n, 1))
+    splats = splat.Splats(x, cov, rng.uniform(0.1, 0.99, n), rng.uniform(0, 1, (n, 3)))
+    error, error_t = both(splats, camera(40, 30))
+    assert error.mean() < 1e-6 and error.max() < 5e-3 and error_t.max() < 5e-3
+
+
+@pytest.mark.parametrize("kind", splat.DEPTHS)
+@pytest.mark.parametrize("mode", MODES)
+def test_depths_are_the_dense_renderers(kind, mode):
+    splats, seen = scene(300, 7, size=(0.02, 0.4)), camera()
+    image, left, got = splat.render(splats, seen, depth=kind, **MODES[mode])
+    plain, plain_left = splat.render(splats, seen, **MODES[mode])
+    np.testing.assert_array_equal(image, plain)  # the picture does not change for it
+    np.testing.assert_array_equal(left, plain_left)
+    want = dense.depths(splats.x, full(splats.cov), splats.opacity, seen, **MODES[mode])[kind]
+    seen_by_both = np.isfinite(want) & np.isfinite(got)
+    assert (np.isfinite(want) == np.isfinite(got)).mean() > 0.999
+    assert 0.2 < seen_by_both.mean()
+    error = np.abs(got[seen_by_both] / want[seen_by_both] - 1)
+    assert np.quantile(error, 0.999) < 1e-5  # only single pixels may lie on the edge of a rule
+
+
+def test_there_is_no_depth_where_there_is_nothing():
+    _, left, expected = splat.render(one(sd=0.05), camera(), depth="expected")
+    assert (np.isinf(expected) == (left == 1)).all() and np.isinf(expected).any()
+    distance = np.linalg.norm(camera().eye)
+    np.testing.assert_allclose(expected[left < 1], distance, rtol=0.02)
+    _, _, median = splat.render(one(sd=0.05, opacity=0.4), camera(), depth="median")
+    assert np.isinf(median).all()  # half of the light is never stopped
+
+
+def test_supersampling_is_the_mean_of_a_finer_picture():
+    splats, seen, ground = (
+        scene(200, 8),
+        camera(30, 20),
+        np.random.default_rng(0).random((20, 30, 3)),
+    )
+    image, left, depth = splat.render(splats, seen, ground, supersample=3, depth="expected")
+    fine = splat.finer(seen, 3)
+    np.testing.assert_allclose([fine.fx, fine.cx, fine.width], [3 * seen.fx, 3 * seen.cx, 90])
+    thrice = np.kron(ground, np.ones((3, 3, 1)))
+    want, want_left = dense.render(
+        splats.x, full(splats.cov), splats.opacity, splats.color, fine, thrice
+    )
+    np.testing.assert_allclose(image, want.reshape(20, 3, 30, 3, 3).mean(axis=(1, 3)), atol=2e-3)
+    np.testing.assert_allclose(left, want_left.reshape(20, 3, 30, 3).mean(axis=(1, 3)), atol=2e-3)
+    depths = dense.depths(splats.x, full(splats.cov), splats.opacity, fine)["expected"]
+    weight = 1 - want_left
+    total = (np.where(weight > 0, depths, 0) * weight).reshape(20, 3, 30, 3).sum(axis=(1, 3))
+    total /= np.maximum(weight.reshape(20, 3, 30, 3).sum(axis=(1, 3)), 1e-300)
+    known = left < 0.99
+    np.testing.assert_allclose(depth[known], total[known], rtol=1e-3)
+    exact, _ = splat.render(splats, seen, thrice, supersample=3)  # a background as fine as that
+    np.testing.assert_array_equal(exact, image)
+
+
+@pytest.mark.parametrize("wrong", [{"depth": "mean"}, {"backend": "gpu"}, {"supersample": 0}])
+def test_wrong_options_are_refused(wrong):
+    with pytest.raises(ValueError, match="allowed"):
+        splat.render(one(), camera(), **wrong)

@@ -1,0 +1,84 @@
+"""Gaussians in space to ellipses on the picture, and their order from near to far."""
+
+import numpy as np
+from numba import njit
+
+
+def by_depth(depth: np.ndarray) -> np.ndarray:
+    """Row numbers (n,) int64 from near to far; equal depths keep their order.
+
+    The bits of a positive float32 sort like its value, so one integer sort does both keys.
+    """
+    key = depth.astype(np.float32).view(np.uint32).astype(np.uint64) << np.uint64(32)
+    key |= np.arange(len(depth), dtype=np.uint64)
+    key.sort()
+    return (key & np.uint64(0xFFFFFFFF)).astype(np.int64)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _on_screen(u, v, z, c, w2c, fx, fy, limits):
+    """2-D covariance xx, xy, yy [pixels^2] of a Gaussian at depth z with covariance c (6,).
+
+    u, v: x/z and y/z in the camera. The Jacobian of the projection is taken at the nearest point
+    within `limits`: far outside the picture it would blow up.
+    """
+    left, right, above, below = limits
+    su, sv, mx, my = -min(right, max(-left, u)), -min(below, max(-above, v)), fx / z, fy / z
+    # the two rows of Jacobian @ rotation
+    a0, a1, a2 = w2c[0, 0] + su * w2c[2, 0], w2c[0, 1] + su * w2c[2, 1], w2c[0, 2] + su * w2c[2, 2]
+    b0, b1, b2 = w2c[1, 0] + sv * w2c[2, 0], w2c[1, 1] + sv * w2c[2, 1], w2c[1, 2] + sv * w2c[2, 2]
+    p0, p1 = c[0] * a0 + c[1] * a1 + c[2] * a2, c[1] * a0 + c[3] * a1 + c[4] * a2
+    q0, q1 = c[0] * b0 + c[1] * b1 + c[2] * b2, c[1] * b0 + c[3] * b1 + c[4] * b2
+    p2, q2 = c[2] * a0 + c[4] * a1 + c[5] * a2, c[2] * b0 + c[4] * b1 + c[5] * b2
+    xx, yy = mx * mx * (a0 * p0 + a1 * p1 + a2 * p2), my * my * (b0 * q0 + b1 * q1 + b2 * q2)
+    return xx, mx * my * (a0 * q0 + a1 * q1 + a2 * q2), yy
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def project(x, cov, opacity, color, w2c, lens, height, width, lowpass, antialias, alpha_min):
+    """The Gaussians in view: ellipses (m, 5), looks (m, 5), pixel bounds (m, 4), depths (m,).
+
+    An ellipse is its middle [pixels] and a, b, c of s = a dx^2 + b dx dy + c dy^2; looks are
+    opacity, the s at which it ends, red, green, blue; bounds are x0 x1 y0 y1, inclusive. lens: fx,
+    fy, cx, cy, near. Comparisons are written so that they fail for NaN: a broken Gaussian is left
+    out.
+    """
+    fx, fy, cx, cy, near = lens
+    mx, my = 0.15 * width / fx, 0.15 * height / fy
+    limits = (cx / fx + mx, (width - cx) / fx + mx, cy / fy + my, (height - cy) / fy + my)
+    n, m = len(x), 0
+    ellipses = np.empty((n, 5))
+    looks = np.empty((n, 5), dtype=np.float32)
+    bounds = np.empty((n, 4), dtype=np.int32)
+    depth = np.empty(n)
+    for i in range(n):
+        z = w2c[2, 0] * x[i, 0] + w2c[2, 1] * x[i, 1] + w2c[2, 2] * x[i, 2] + w2c[2, 3]
+        if not (z >= near and z < 1e30):
+            continue
+        u = (w2c[0, 0] * x[i, 0] + w2c[0, 1] * x[i, 1] + w2c[0, 2] * x[i, 2] + w2c[0, 3]) / z
+        v = (w2c[1, 0] * x[i, 0] + w2c[1, 1] * x[i, 1] + w2c[1, 2] * x[i, 2] + w2c[1, 3]) / z
+        xx, xy, yy = _on_screen(u, v, z, cov[i], w2c, fx, fy, limits)
+        before = xx * yy - xy * xy
+        xx, yy = xx + lowpass, yy + lowpass
+        det = xx * yy - xy * xy
+        o = opacity[i]
+        if antialias:
+            o *= np.sqrt(max(before / det, 0.005**2))
+        if not (det > 0.0 and det < 1e30 and o >= alpha_min):
+            continue
+        level = np.log(o / alpha_min)  # s <= level is alpha >= alpha_min
+        px, py = fx * u + cx, fy * v + cy
+        rx, ry = np.sqrt(2.0 * level * xx), np.sqrt(2.0 * level * yy)
+        # the pixels whose centres lie in the box around the ellipse s <= level
+        x0, x1 = max(0.0, np.ceil(px - rx - 0.5)), min(width - 1.0, np.floor(px + rx - 0.5))
+        y0, y1 = max(0.0, np.ceil(py - ry - 0.5)), min(height - 1.0, np.floor(py + ry - 0.5))
+        if not (x0 <= x1 and y0 <= y1):
+            continue
+        bounds[m, 0], bounds[m, 1], bounds[m, 2], bounds[m, 3] = x0, x1, y0, y1
+        depth[m] = z
+        half = 0.5 / det
+        e, k = ellipses[m], looks[m]
+        e[0], e[1], e[2], e[3], e[4] = px, py, half * yy, -2.0 * half * xy, half * xx
+        k[0], k[1], k[2], k[3], k[4] = o, level, color[i, 0], color[i, 1], color[i, 2]
+        m += 1
+    return ellipses[:m], looks[:m], bounds[:m], depth[:m]
