@@ -214,7 +214,7 @@ class Object(Table):
     material: str | None = None
     """name of a [material.*] table; required for a body, absent for scenery"""
     gaussians: str | None = None
-    """a Gaussian .ply file, relative to the scene's folder"""
+    """a Gaussian file (.ply .splat .spz), relative to the scene's folder"""
     mesh: str | None = None
     """a surface mesh (.obj .stl .ply .vtk .vtu), relative to the scene's folder"""
     shape: Shape | None = None
