@@ -1,6 +1,7 @@
 """What a run looks like at a frame: rest Gaussians and moving particles become things to draw."""
 
 import logging
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,7 +38,7 @@ class Look:
         self.opacity = np.asarray(rest.opacity, dtype=np.float64) * factor[self.object]
         self.vol0 = np.asarray(rest.vol0, dtype=np.float64)
         self.cov0 = np.asarray(rest.cov0, dtype=np.float64)
-        self.color = _Colors(np.asarray(rest.sh))
+        self.color = Colors(np.asarray(rest.sh))
         self.scenery = None
         scenery = getattr(rest, "scenery", None)
         if scenery is not None and len(scenery.x0):
@@ -45,7 +46,7 @@ class Look:
                 np.asarray(scenery.x0, dtype=np.float64),
                 np.asarray(scenery.cov0, dtype=np.float64),
                 np.asarray(scenery.opacity, dtype=np.float64),
-                _Colors(np.asarray(scenery.sh)),
+                Colors(np.asarray(scenery.sh)),
             )
 
     def splats(self, frame: dict[str, np.ndarray], eye: np.ndarray) -> Splats:
@@ -54,6 +55,11 @@ class Look:
         frame: arrays id, x, and J (all but elastic bodies), F (those) as in the frame's file.
         Raises RunError.
         """
+        parts = [part.seen_from(eye) for part in self.parts(frame)]
+        return Splats(*(np.concatenate(arrays) for arrays in zip(*parts)))
+
+    def parts(self, frame: dict[str, np.ndarray]) -> "list[Part]":
+        """The same before anybody looks at it. Raises RunError."""
         rows = np.asarray(frame["id"])
         if len(rows) and not 0 <= rows.min() <= rows.max() < len(self.object):
             raise RunError("a frame holds particles that gaussians.h5 does not know")
@@ -71,16 +77,13 @@ class Look:
             cov[rigid] = evolve.solid(self.cov0[rows[rigid]], evolve.swollen(J[rigid]))
         if ball.any():
             cov[ball] = evolve.fluid(self.vol0[rows[ball]], J[ball])
-        directions = x - eye
         turning = solid[self.color.view_dependent[rows[solid]]]
-        if len(turning):  # a turned solid shows towards d what it showed at rest towards R^T d
-            F = np.asarray(frame["F"])[turning]
-            directions[turning] = shade.turn_back(F, directions[turning])
-        parts = [(x, cov, self.opacity[rows], self.color(rows, directions))]
+        F = np.asarray(frame["F"])[turning] if len(turning) else None
+        parts = [Part(x, cov, self.opacity[rows], self.color, rows, turning, F)]
         if self.scenery is not None:
             x, cov, opacity, color = self.scenery
-            parts.insert(0, (x, cov, opacity, color(np.arange(len(x)), x - eye)))
-        return Splats(*(np.concatenate(arrays) for arrays in zip(*parts)))
+            parts.insert(0, Part(x, cov, opacity, color, np.arange(len(x))))
+        return parts
 
     def alpha_min(self, asked: float | None) -> float:
         """The alpha below which a Gaussian is left out of a pixel: as asked, or what suits the run.
@@ -114,7 +117,7 @@ class Look:
         return alpha_min
 
 
-class _Colors:
+class Colors:
     """Colours of rows of coefficients; what does not depend on the view is worked out once."""
 
     def __init__(self, sh: np.ndarray):
@@ -130,6 +133,36 @@ class _Colors:
         if len(shiny):
             color[shiny] = shade.evaluate(self.sh, rows[shiny], directions[shiny])
         return color
+
+
+class Part(NamedTuple):
+    """Gaussians of a frame. x: (n, 3) [m]. cov: (n, 6) [m2]. opacity: (n,) in 0..1.
+
+    color, rows: their coefficients are color.sh[rows], (n, K, 3). turning: which of them have
+    turned with the rotations in F (m, 9).
+    """
+
+    x: np.ndarray
+    cov: np.ndarray
+    opacity: np.ndarray
+    color: Colors
+    rows: np.ndarray
+    turning: np.ndarray = np.empty(0, dtype=np.int64)
+    F: np.ndarray | None = None
+
+    def seen_from(self, eye: np.ndarray) -> tuple[np.ndarray, ...]:
+        """The fields of Splats for an `eye` [m]."""
+        directions = self.x - eye
+        if len(self.turning):  # shows towards d what it showed at rest towards R^T d
+            directions[self.turning] = shade.turn_back(self.F, directions[self.turning])
+        return self.x, self.cov, self.opacity, self.color(self.rows, directions)
+
+    def coefficients(self) -> np.ndarray:
+        """Colours for any eye, turned along (n, K, 3) float32."""
+        sh = np.array(self.color.sh[self.rows], dtype=np.float32)
+        if len(self.turning):
+            sh[self.turning] = harmonics.rotate(sh[self.turning], evolve.rotation(self.F))
+        return sh
 
 
 def _deforms(entry: dict) -> bool:
