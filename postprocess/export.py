@@ -89,7 +89,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("-o", "--output", help="folder of the files [OUT/gaussians]")
     kinds = [suffix.removeprefix(".") for suffix in files.KINDS]
     p.add_argument("--format", choices=kinds, default=kinds[0], help="kind of the files [ply]")
-    p.add_argument("--up", choices=UP, default="z", help='up in the file; captures have "-y" [z]')
+    p.add_argument("--up", choices=UP, default="z", help="up in the file; captures: --up=-y [z]")
     p.add_argument("--no-scenery", action="store_true", help="only what moves")
     p.add_argument("-q", "--quiet", action="store_true", help="warnings and errors only")
     return p
