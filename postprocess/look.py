@@ -7,9 +7,9 @@ import numpy as np
 
 from postprocess import shade
 from postprocess.colours import Colours
+from postprocess.parts import Colors, Part, Passive
 from postprocess.settings import LookSettings, SettingsError
 from vgmpi.gaussians import evolve
-from vgmpi.gaussians import sh as harmonics
 from vgmpi.output.read import RunError
 from vgmpi.splatting.splat import ALPHA_MIN, Splats
 
@@ -50,7 +50,7 @@ class Look:
         self.opacity = np.asarray(rest.opacity, dtype=np.float64) * factor[self.object]
         self.vol0 = np.asarray(rest.vol0, dtype=np.float64)
         self.cov0 = np.asarray(rest.cov0, dtype=np.float64)
-        self.color = _Colors(np.asarray(rest.sh))
+        self.color = Colors(np.asarray(rest.sh))
         self.colours = Colours(run, chosen)
         self.scenery = None
         scenery = getattr(rest, "scenery", None)
@@ -59,9 +59,9 @@ class Look:
                 np.asarray(scenery.x0, dtype=np.float64),
                 np.asarray(scenery.cov0, dtype=np.float64),
                 np.asarray(scenery.opacity, dtype=np.float64) * factor[scenery.object],
-                _Colors(np.asarray(scenery.sh)),
+                Colors(np.asarray(scenery.sh)),
             )
-        self.passive = _Passive(rest) if getattr(rest, "passive", None) is not None else None
+        self.passive = Passive(rest) if getattr(rest, "passive", None) is not None else None
 
     def frame(self, index: int) -> dict[str, np.ndarray]:
         """Frame `index` of the run, with the colours it has then as "sh" (n, K, 3) where colour
@@ -83,27 +83,29 @@ class Look:
         frame: arrays id, x, and J (all but elastic bodies), F (those) as in the frame's file; and
         sh where the colours are no longer those at rest (see `frame`). Raises RunError.
         """
+        parts = [part.seen_from(eye) for part in self.parts(frame)]
+        if len(parts) == 1:
+            return Splats(*parts[0])
+        return Splats(*(np.concatenate(arrays) for arrays in zip(*parts)))
+
+    def parts(self, frame: dict[str, np.ndarray]) -> list[Part]:
+        """The same before anybody looks at it. Raises RunError."""
         self.check(frame)
         rows = np.asarray(frame["id"])
         x = np.asarray(frame["x"], dtype=np.float64)
         cov = self._covariances(rows, frame)
-        directions = x - eye
         color, at = self.color, rows
         if "sh" in frame:
-            color, at = _Colors(np.asarray(frame["sh"])), np.arange(len(rows))
+            color, at = Colors(np.asarray(frame["sh"])), np.arange(len(rows))
         turning = np.flatnonzero(self.turns[rows] & color.view_dependent[at])
-        if len(turning):  # a turned solid shows towards d what it showed at rest towards R^T d
-            F = _deformation(frame)[turning]
-            directions[turning] = shade.turn_back(F, directions[turning])
-        parts = [(x, cov, self.opacity[rows], color(at, directions))]
+        F = _deformation(frame)[turning] if len(turning) else None
+        parts = [Part(x, cov, self.opacity[rows], color, at, turning, F)]
         if self.passive is not None:
-            parts.append(self.passive.parts(frame, eye))
+            parts.append(self.passive.part(frame))
         if self.scenery is not None:
             x, cov, opacity, color = self.scenery
-            parts.insert(0, (x, cov, opacity, color(np.arange(len(x)), x - eye)))
-        if len(parts) == 1:
-            return Splats(*parts[0])
-        return Splats(*(np.concatenate(arrays) for arrays in zip(*parts)))
+            parts.insert(0, Part(x, cov, opacity, color, np.arange(len(x))))
+        return parts
 
     def _covariances(self, rows: np.ndarray, frame: dict[str, np.ndarray]) -> np.ndarray:
         """[m2], (n, 6), by the rule of each row's body."""
@@ -150,58 +152,6 @@ class Look:
                     alpha_min,
                 )
         return alpha_min
-
-
-class _Passive:
-    """Gaussians without mass, moved by the particles that carry them."""
-
-    def __init__(self, rest):
-        riders = rest.passive
-        self.count = len(rest.object)
-        self.carriers = np.asarray(riders.carriers)
-        self.weights = np.asarray(riders.weights, dtype=np.float64)
-        self.offset = np.asarray(riders.x0)[:, None, :] - np.asarray(rest.x0)[self.carriers]
-        self.cov0 = np.asarray(riders.cov0, dtype=np.float64)
-        self.opacity = np.asarray(riders.opacity, dtype=np.float64)
-        self.color = _Colors(np.asarray(riders.sh))
-
-    def parts(self, frame: dict[str, np.ndarray], eye: np.ndarray) -> tuple:
-        """x, cov, opacity, colour as seen from `eye` of those whose carriers are all there."""
-        row = np.full(self.count, -1)
-        row[frame["id"]] = np.arange(len(frame["id"]))
-        at = row[self.carriers]
-        there = np.flatnonzero((at >= 0).all(axis=1))
-        at = at[there]
-        x, F = evolve.carried(
-            self.offset[there],
-            self.weights[there],
-            np.asarray(frame["x"], dtype=np.float64)[at],
-            np.asarray(frame["F"])[at],
-        )
-        directions = x - eye
-        turning = np.flatnonzero(self.color.view_dependent[there])
-        if len(turning):
-            directions[turning] = shade.turn_back(F[turning].reshape(-1, 9), directions[turning])
-        cov = evolve.solid(self.cov0[there], F)
-        return x, cov, self.opacity[there], self.color(there, directions)
-
-
-class _Colors:
-    """Colours of rows of coefficients; what does not depend on the view is worked out once."""
-
-    def __init__(self, sh: np.ndarray):
-        self.sh = sh
-        self.plain = harmonics.evaluate(sh[:, :1], np.zeros((len(sh), 3)))
-        self.view_dependent = np.zeros(len(sh), dtype=bool)
-        if sh.shape[1] > 1:
-            self.view_dependent = (sh[:, 1:] != 0).any(axis=(1, 2))
-
-    def __call__(self, rows: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        color = self.plain[rows]
-        shiny = np.flatnonzero(self.view_dependent[rows])
-        if len(shiny):
-            color[shiny] = shade.evaluate(self.sh, rows[shiny], directions[shiny])
-        return color
 
 
 def _deformation(frame: dict[str, np.ndarray]) -> np.ndarray:

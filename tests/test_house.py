@@ -235,7 +235,7 @@ def test_reading_a_folder_reads_nothing_else(file):
         ("vgmpi.cli", "mpi4py.MPI"),  # and start no MPI
         ("vgmpi.output.read", "numba"),
         ("vgmpi.output.read", "mpi4py"),
-        ("vgmpi.gaussians.ply", "numba"),
+        ("vgmpi.gaussians.files", "numba"),
         ("vgmpi.bench.dense", "numba"),  # a rival's process holds nothing but its own tool
         ("postprocess.view", "mpi4py"),
         ("postprocess.render", "mpi4py"),

@@ -119,7 +119,7 @@ class Object(Table):
     material: str | None = None
     """name of a [material.*] table; required for a body, absent for scenery"""
     gaussians: str | None = None
-    """a Gaussian .ply file, relative to the scene's folder"""
+    """a Gaussian file (.ply .splat .spz), relative to the scene's folder"""
     mesh: str | None = None
     """a surface mesh (.obj .stl .ply .vtk .vtu), relative to the scene's folder; it is coloured
     by the picture of an .obj's material (map_Kd, beside it or below) or by its points"""

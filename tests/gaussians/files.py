@@ -1,5 +1,6 @@
-"""Gaussian .ply files written byte by byte: the reader is not tested with its own writer."""
+"""Gaussian files written byte by byte: the readers are not tested with their own writers."""
 
+import gzip
 import struct
 
 import numpy as np
@@ -88,3 +89,38 @@ def compressed(x, quat, log_scale, rgb, opacity, rest=None, color_bounds=True):
         elements.append(("sh", n, [("uchar", f"f_rest_{i}") for i in range(rest.shape[1])]))
         data += rest.astype(np.uint8).tobytes()
     return header(elements) + data
+
+
+def splat(rows):
+    """The bytes of a .splat file; rows: x, scale, (r, g, b, a) and (w, x, y, z) as bytes."""
+    return b"".join(struct.pack("<6f8B", *x, *s, *rgba, *quat) for x, s, rgba, quat in rows)
+
+
+def spz_header(count, version=3, degree=0, bits=12, flags=0, streams=0, magic=b"NGSP"):
+    return struct.pack("<4sIIBBBB", magic, version, count, degree, bits, flags, streams)
+
+
+def spz_sections(rows, version=3):
+    """Attributes as bytes; rows: x (fixed-point integers, or floats in version 1), alpha, rgb,
+    scale, quat, and the rest of the colours, all bytes."""
+    x = [v for row in rows for v in row[0]]
+    if version == 1:
+        first = struct.pack(f"<{len(x)}e", *x)
+    else:
+        first = b"".join((v & 0xFFFFFF).to_bytes(3, "little") for v in x)
+    return [first] + [bytes(v for row in rows for v in row[k]) for k in range(1, 6)]
+
+
+def spz(rows, version=3, **header):
+    """The bytes of a .spz file of version 1 to 3."""
+    head = spz_header(len(rows), version, **header)
+    return gzip.compress(head + b"".join(spz_sections(rows, version)), 6)
+
+
+def spz4(rows, pack, **header):
+    """The bytes of a .spz file of version 4; pack: zstd's compression."""
+    sections = [section for section in spz_sections(rows) if section]
+    packed = [pack(section) for section in sections]
+    head = spz_header(len(rows), 4, streams=len(sections), **header)
+    table = b"".join(struct.pack("<QQ", len(p), len(s)) for p, s in zip(packed, sections))
+    return head + struct.pack("<I12x", 32) + table + b"".join(packed)

@@ -1,163 +1,126 @@
-"""Broken and hostile files: one clear line, and no memory for what a header merely claims."""
+"""Broken and hostile files: one clear line, at once, and no memory for what a header claims."""
 
-import tracemalloc
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.gaussians import files
-from vgmpi.gaussians import ply
+from tests.gaussians import files as written
+from tests.gaussians import hostile
+from vgmpi.gaussians import files
 
-GOOD = files.plain([files.row(), files.row(x=(4, 5, 6))])
-_RNG = np.random.default_rng(0)
-PACKED = files.compressed(
-    _RNG.normal(size=(5, 3)),
-    _RNG.normal(size=(5, 4)),
-    _RNG.normal(size=(5, 3)),
-    _RNG.random((5, 3)),
-    _RNG.random(5),
-)
-VERTEX = [("float", name) for name in files.names()]
-CHUNK = [("float", name) for name in files.BOUNDS]
-WORDS = [("uint", name) for name in files.PACKED]
-
-
-def one_bad(**changes):
-    return files.plain([files.row(), files.row(**changes)])
-
-
-def with_header(*elements, data=b"\0" * 4096, form="binary_little_endian"):
-    return files.header(elements, form) + data
-
-
-BAD = {
-    "empty": (b"", "does not begin with 'ply'"),
-    "a picture": (b"\x89PNG\r\n\x1a\n" + bytes(100), "does not begin with 'ply'"),
-    "no end of the header": (b"ply\nformat binary_little_endian 1.0\n", "no end"),
-    "an endless header": (b"ply\n" + b"comment x\n" * 20000, "no end"),
-    "text": (GOOD.replace(b"binary_little_endian", b"ascii"), "binary"),
-    "no format": (b"ply\nelement vertex 1\nproperty float x\nend_header\n    ", "format"),
-    "a half of it": (GOOD[:-1], "truncated"),
-    "the header only": (GOOD[: GOOD.index(b"end_header") + 11], "truncated"),
-    "a huge count": (GOOD.replace(b"vertex 2", b"vertex 900000000000"), "truncated"),
-    "an absurd count": (GOOD.replace(b"vertex 2", b"vertex " + b"9" * 30), "number of rows"),
-    "a negative count": (GOOD.replace(b"vertex 2", b"vertex -2"), "number of rows"),
-    "a worded count": (GOOD.replace(b"vertex 2", b"vertex two"), "number of rows"),
-    "nothing in it": (files.plain([]), "no Gaussians"),
-    "no vertices": (with_header(("face", 1, [("float", "x")])), "vertex"),
-    "a mesh": (
-        with_header(("vertex", 1, [("float", n) for n in "xyz"])).replace(
-            b"end_header", b"element face 1\nproperty list uchar int vertex_index\nend_header"
-        ),
-        "lists",
-    ),
-    "a list in the vertices": (
-        GOOD.replace(b"property float nx", b"property list uchar float nx"),
-        "lists",
-    ),
-    "points": (with_header(("vertex", 1, [("float", n) for n in "xyz"])), "rot_0"),
-    "an unknown type": (GOOD.replace(b"float nx", b"half nx"), "header line"),
-    "a property before any element": (
-        GOOD.replace(b"element vertex 2\n", b""),
-        "header line",
-    ),
-    "a name twice": (GOOD.replace(b"float ny", b"float nx"), "repeated"),
-    "an element twice": (with_header(("vertex", 1, VERTEX), ("vertex", 1, VERTEX)), "twice"),
-    "an element without properties": (with_header(("vertex", 10**12, [])), "no or repeated"),
-    "an odd number of colours": (
-        with_header(("vertex", 1, VERTEX + [("float", f"f_rest_{i}") for i in range(10)])),
-        "10 f_rest",
-    ),
-    "misnumbered colours": (
-        with_header(("vertex", 1, VERTEX + [("float", f"f_rest_{i + 1}") for i in range(9)])),
-        "f_rest_0",
-    ),
-    "not a number": (one_bad(x=(0, np.nan, 0)), "row 1"),
-    "infinite": (one_bad(x=(0, 0, np.inf)), "not finite"),
-    "a scale beyond all bounds": (one_bad(scale=(0, 0, 1e4)), "not finite"),
-    "no rotation": (one_bad(rot=(0, 0, 0, 0)), "no rotation"),
-    "an infinite rotation": (one_bad(rot=(np.inf, 0, 0, 0)), "row 1"),
-    "a colour that is no number": (one_bad(color=(0, np.nan, 0)), "row 1"),
-    "an opacity that is no number": (one_bad(opacity=np.nan), "row 1"),
-    "packed and short": (PACKED[:-1], "truncated"),
-    "packed without chunks": (with_header(("vertex", 5, WORDS)), "0 chunks"),
-    "packed with too few chunks": (
-        with_header(("chunk", 1, CHUNK), ("vertex", 257, WORDS), data=bytes(8192)),
-        "1 chunks for 257",
-    ),
-    "chunks without bounds": (
-        with_header(("chunk", 1, CHUNK[1:]), ("vertex", 5, WORDS)),
-        "min_x",
-    ),
-    "packed as floats": (
-        with_header(("chunk", 1, CHUNK), ("vertex", 5, [("float", n) for n in files.PACKED])),
-        "packed_position",
-    ),
-    "packed colours for others": (
-        with_header(
-            ("chunk", 1, CHUNK),
-            ("vertex", 5, WORDS),
-            ("sh", 4, [("uchar", f"f_rest_{i}") for i in range(9)]),
-        ),
-        "4 rows of 'sh'",
-    ),
-    "bounds that are no numbers": (
-        files.header([("chunk", 1, CHUNK), ("vertex", 5, WORDS)])
-        + np.full(12, np.nan, "<f4").tobytes()
-        + bytes(80),
-        "not finite",
-    ),
+ROOT = Path(__file__).resolve().parents[2]
+CASES = hostile.cases()
+GOOD = {
+    ".ply": [hostile.GOOD, hostile.PACKED],
+    ".splat": [written.splat([hostile.HONEST] * 3)],
+    ".spz": [hostile.SPZ_GOOD],
 }
 
+# reads the files of a folder; the peak memory is the kernel's, set back before each file
+READ = """
+import json, pathlib, re, sys, time
+from vgmpi.gaussians import files
+for path in sorted(pathlib.Path(sys.argv[1]).iterdir()):
+    pathlib.Path("/proc/self/clear_refs").write_text("5")
+    begin = time.perf_counter()
+    try:
+        said = f"read {len(files.read(path))}"
+    except files.GaussianFileError as error:
+        said = str(error)
+    seconds = time.perf_counter() - begin
+    status = pathlib.Path("/proc/self/status").read_text()
+    peak = int(re.search(r"VmHWM:\\s+(\\d+) kB", status)[1]) / 1024
+    print(json.dumps([path.name, seconds, peak, said]))
+"""
 
-@pytest.mark.parametrize("name", BAD)
-def test_bad_files_are_refused_in_one_line(tmp_path, name):
-    data, says = BAD[name]
-    path = tmp_path / "bad.ply"
-    path.write_bytes(data)
-    tracemalloc.start()
-    with pytest.raises(ply.GaussianFileError) as caught:
-        ply.read(path)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    text = str(caught.value)
-    assert text.startswith(f"{path}: ") and "\n" not in text
-    assert says in text
-    assert peak < 20e6
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory):
+    """Path, seconds, peak memory of the whole process [MB] and the words for every case, read
+    one after the other by a process of its own."""
+    folder = tmp_path_factory.mktemp("hostile")
+    paths = {key: folder / f"{k:03}{key[0]}" for k, key in enumerate(CASES)}
+    try:
+        for key, path in paths.items():
+            hostile.make(path, CASES[key][0])
+        command = [sys.executable, "-c", READ, str(folder)]
+        run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=100)
+    finally:
+        for path in paths.values():
+            path.unlink(missing_ok=True)  # some are large
+    assert run.returncode == 0, run.stderr[-2000:]
+    lines = [json.loads(line) for line in run.stdout.splitlines()]
+    found = {name: (seconds, peak, said) for name, seconds, peak, said in lines}
+    return {key: (str(path), *found[path.name]) for key, path in paths.items()}
 
 
-@pytest.mark.parametrize("name", ["missing.ply", "."])
+@pytest.mark.parametrize("key", CASES, ids=" ".join)
+def test_one_line_within_a_second_and_200_mb(measured, key):
+    path, seconds, peak, said = measured[key]
+    assert said.startswith(f"{path}: ") and "\n" not in said and len(said) < 400
+    assert re.search(CASES[key][1], said)
+    assert seconds < 1
+    assert peak < 200
+
+
+def test_there_are_many_of_every_kind():
+    kinds = [suffix for suffix, _ in CASES]
+    assert min(kinds.count(suffix) for suffix in files.KINDS) >= 10 and len(kinds) >= 60
+
+
+@pytest.mark.parametrize("name", ["missing.ply", "missing.spz", "missing.splat", "."])
 def test_no_file_and_a_folder(tmp_path, name):
-    with pytest.raises(ply.GaussianFileError) as caught:
-        ply.read(tmp_path / name)
+    with pytest.raises(files.GaussianFileError) as caught:
+        files.read(tmp_path / name)
     assert str(tmp_path / name) in str(caught.value)
 
 
+def test_a_folder_with_the_name_of_a_file(tmp_path):
+    (tmp_path / "a.ply").mkdir()
+    with pytest.raises(files.GaussianFileError, match="directory"):
+        files.read(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize("name", ["cloud", "cloud.obj", "cloud.ply.gz"])
+def test_an_unknown_kind(tmp_path, name):
+    (tmp_path / name).write_bytes(hostile.GOOD)
+    with pytest.raises(files.GaussianFileError, match=r"\.ply, \.splat, \.spz"):
+        files.read(tmp_path / name)
+
+
 def test_the_good_ones_are_good(tmp_path):
-    """The table above spoils these: they must be readable before."""
-    for data, count in ((GOOD, 2), (PACKED, 5)):
-        (tmp_path / "good.ply").write_bytes(data)
-        assert len(ply.read(tmp_path / "good.ply")) == count
+    """The tables of cases spoil these: they must be readable before."""
+    for suffix, counts in ((".ply", (2, 5)), (".splat", (3,)), (".spz", (50,))):
+        path = tmp_path / f"GOOD{suffix.upper()}"
+        for data, count in zip(GOOD[suffix], counts):
+            path.write_bytes(data)
+            assert len(files.read(path)) == count
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=400, deadline=None, suppress_health_check=list(HealthCheck))
 @given(
-    data=st.sampled_from([GOOD, PACKED]),
+    case=st.sampled_from([(suffix, data) for suffix in GOOD for data in GOOD[suffix]]),
     cut=st.integers(0, 2000),
     changes=st.lists(st.tuples(st.integers(0, 1500), st.integers(0, 255)), max_size=4),
 )
-def test_any_damage_gives_a_cloud_or_the_one_error(tmp_path_factory, data, cut, changes):
+def test_any_damage_gives_a_cloud_or_the_one_error(tmp_path_factory, case, cut, changes):
+    suffix, data = case
     damaged = bytearray(data[: max(len(data) - cut, 0)] if cut % 3 else data)
     for at, value in changes:
         if damaged:
             damaged[at % len(damaged)] = value
-    path = tmp_path_factory.mktemp("damaged") / "cloud.ply"
+    path = tmp_path_factory.mktemp("damaged") / f"cloud{suffix}"
     path.write_bytes(damaged)
     try:
-        cloud = ply.read(path)
-    except ply.GaussianFileError as error:
+        cloud = files.read(path)
+    except files.GaussianFileError as error:
         assert "\n" not in str(error)
     else:
         assert len(cloud) > 0

@@ -414,6 +414,12 @@ BUILD_CASES = {
         "object.ball.gaussians",
         "is not a .ply file",
     ),
+    "Gaussians of an unknown kind": (
+        'shape = { sphere = { center = [0, 0, 0], radius = "4 cm" } }',
+        'gaussians = "inside.obj"',
+        "object.ball.gaussians",
+        "allowed: a name that ends in .ply, .splat, .spz",
+    ),
     "load on nothing": (
         LAST,
         LAST + '[[load]]\nobject = "ball"\nforce = [0, 0, 1]\n'
@@ -443,6 +449,7 @@ def broken(tmp_path, old, new):
     folder.mkdir()
     (tmp_path / "outside.ply").write_text("x")
     (folder / "inside.ply").write_text("x")
+    (folder / "inside.obj").write_text("x")
     at = GOOD.index(old)
     path = folder / "scene.toml"
     path.write_text(GOOD[:at] + new + GOOD[at + len(old) :])

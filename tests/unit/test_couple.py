@@ -13,16 +13,9 @@ import pytest
 from vgmpi.couplings.base import Rules
 from vgmpi.device.jit import kernel
 from vgmpi.device.memory import aligned
-from vgmpi.kernels.couple import (
-    LEAST_PART,
-    LEAST_PORES,
-    couple_block,
-    places,
-    relax,
-    room,
-    tables,
-)
+from vgmpi.kernels.couple import LEAST_PART, LEAST_PORES, couple_block, relax
 from vgmpi.kernels.lanes import load, place
+from vgmpi.kernels.members import places, room, tables
 
 STATES = 10_000
 SLIPS = (0.0, np.inf)

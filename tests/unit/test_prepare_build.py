@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vgmpi.gaussians import ply
+from vgmpi.gaussians import files, ply
 from vgmpi.gaussians.cloud import Cloud, full
 from vgmpi.gaussians.sh import dc_from_rgb, rotate
 from vgmpi.prepare.build import build
@@ -261,6 +261,18 @@ def test_a_selection_of_nothing(path):
     other.write_text(text)
     with pytest.raises(SceneError, match="egg.select: selects no Gaussian of the file"):
         build(load(other))
+
+
+@pytest.mark.parametrize("suffix", [".splat", ".spz"])
+def test_other_kinds_of_gaussian_files(path, made, suffix):
+    """The same body, to the rounding of the format (sizes in a .spz: 3 %)."""
+    files.write(path.with_name(f"egg{suffix}"), egg())
+    other = build(load(path, [f"object.egg.gaussians=egg{suffix}"]))
+    a, b = rows(made, "egg"), rows(other, "egg")
+    assert b.stop - b.start == pytest.approx(a.stop - a.start, rel=0.01)
+    assert other.vol0[b].sum() == pytest.approx(made.vol0[a].sum(), rel=0.01)
+    np.testing.assert_allclose(other.x[b].mean(axis=0), made.x[a].mean(axis=0), atol=1e-4)
+    np.testing.assert_allclose(other.cov0[b][:8000], made.cov0[a][:8000], rtol=0.07, atol=1e-7)
 
 
 @pytest.mark.data

@@ -98,12 +98,13 @@ def rotation_matrices(quat: np.ndarray) -> np.ndarray:
 
 
 def quaternion(rotation: np.ndarray) -> np.ndarray:
-    """Unit quaternion w, x, y, z (4,) of a rotation matrix (3, 3).
+    """Unit quaternions w, x, y, z (..., 4) of rotation matrices (..., 3, 3).
 
     q q^T is linear in the matrix (Bar-Itzhack 2000), so q is the eigenvector of its largest
     eigenvalue: no case distinctions, and safe at half turns.
     """
-    (a, b, c), (d, e, f), (g, h, i) = np.asarray(rotation, dtype=np.float64)
+    rows = np.moveaxis(np.asarray(rotation, dtype=np.float64), (-2, -1), (0, 1))
+    (a, b, c), (d, e, f), (g, h, i) = rows
     k = np.array(
         [
             [a + e + i, h - f, c - g, d - b],
@@ -112,8 +113,19 @@ def quaternion(rotation: np.ndarray) -> np.ndarray:
             [d - b, c + g, f + h, i - a - e],
         ]
     )
-    q = np.linalg.eigh(k)[1][:, -1]
-    return q if q[np.argmax(np.abs(q))] > 0 else -q
+    q = np.linalg.eigh(np.moveaxis(k, (0, 1), (-2, -1)))[1][..., -1]
+    largest = np.take_along_axis(q, np.abs(q).argmax(axis=-1)[..., None], axis=-1)
+    return np.where(largest > 0, q, -q)
+
+
+def principal(cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit quaternions (n, 4) and standard deviations (n, 3) of covariances (n, 6) [length^2].
+
+    The inverse of Cloud.cov; what rounding left below zero is zero.
+    """
+    values, vectors = np.linalg.eigh(full(np.asarray(cov, dtype=np.float64)))
+    vectors[:, :, 0] *= np.where(np.linalg.det(vectors) < 0, -1.0, 1.0)[:, None]
+    return quaternion(vectors), np.sqrt(np.maximum(values, 0.0))
 
 
 def quaternion_product(p: np.ndarray, q: np.ndarray) -> np.ndarray:

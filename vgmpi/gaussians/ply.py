@@ -4,16 +4,15 @@ The header is checked against the file's size before anything is allocated, so a
 file costs one line and no memory. Lengths keep the units of the file.
 """
 
-import logging
 import os
 from pathlib import Path
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
+from vgmpi.gaussians.checked import Columns, GaussianFileError, gathered, named, save
 from vgmpi.gaussians.cloud import Cloud
 from vgmpi.gaussians.sh import dc_from_rgb
-
-log = logging.getLogger("vgmpi")
 
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
@@ -28,12 +27,22 @@ _TYPES = {
 _HEADER_LIMIT = 1 << 16  # bytes; a Gaussian file's header is about 2 KB
 _REST = {0: 1, 9: 4, 24: 9, 45: 16}  # number of f_rest properties -> SH coefficients per channel
 _PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+_LINE_LIMIT = 200  # characters
+_ROW_LIMIT = 4096  # bytes of a row; with every property known it has 496
 _CHUNK_ROWS = 256  # Gaussians that share one row of bounds in a compressed file
-_BROKEN_LIMIT = 0.01  # share of unusable rows (NaN, no rotation) that is dropped with a warning
 
 
-class GaussianFileError(ValueError):
-    """A file that is no readable Gaussian .ply; the message is one line and names the file."""
+class Element(NamedTuple):
+    """A table of a file: rows of `dtype`, the first at byte `start`."""
+
+    count: int
+    dtype: np.dtype
+    start: int
+
+    def rows(self, file: BinaryIO, start: int, stop: int) -> np.ndarray:
+        """Rows start .. stop, as many of them as there are."""
+        file.seek(self.start + start * self.dtype.itemsize)
+        return np.fromfile(file, dtype=self.dtype, count=min(stop, self.count) - start)
 
 
 def read(path: str | Path) -> Cloud:
@@ -41,18 +50,16 @@ def read(path: str | Path) -> Cloud:
 
     Raises GaussianFileError.
     """
-    try:
-        elements = _read_elements(Path(path))
+    with named(path), open(path, "rb") as file:
+        elements = _elements(file)
         if "vertex" not in elements:
             raise GaussianFileError("has no element 'vertex'")
-        names = elements["vertex"].dtype.names or ()
-        packed = "chunk" in elements or any(name in names for name in _PACKED)
-        with np.errstate(all="ignore"):  # hostile numbers are found and counted in _usable
-            return _usable(*(_compressed(elements) if packed else _plain(elements["vertex"])))
-    except GaussianFileError as error:
-        raise GaussianFileError(f"{path}: {error}") from None
-    except OSError as error:
-        raise GaussianFileError(f"{path}: {error.strerror or error}") from None
+        vertex = elements["vertex"]
+        names = vertex.dtype.names or ()
+        if "chunk" in elements or any(name in names for name in _PACKED):
+            _check_compressed(elements)
+            return gathered(vertex.count, lambda a, b: _compressed(file, elements, a, b))
+        return gathered(vertex.count, lambda a, b: _plain(vertex.rows(file, a, b)))
 
 
 def write(path: str | Path, cloud: Cloud) -> None:
@@ -73,30 +80,24 @@ def write(path: str | Path, cloud: Cloud) -> None:
     ]
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {n}"]
     header += [f"property float {name}" for name in names] + ["end_header", ""]
-    temporary = Path(f"{path}.part")
-    with open(temporary, "wb") as file:
-        file.write("\n".join(header).encode("ascii"))
-        file.write(np.concatenate(columns, axis=1).astype("<f4").tobytes())
-    os.replace(temporary, path)
+    rows = np.concatenate(columns, axis=1).astype("<f4")
+    save(path, "\n".join(header).encode("ascii"), rows.tobytes())
 
 
-def _read_elements(path: Path) -> dict[str, np.ndarray]:
-    """Structured arrays of all elements, by name."""
-    with open(path, "rb") as file:
-        size = os.fstat(file.fileno()).st_size
-        head = file.read(_HEADER_LIMIT)
-        lines, start = _header_lines(head)
-        layout = _layout(lines)
-        end = start
-        for name, count, row in layout:
-            end += count * row.itemsize
-            if end > size:
-                raise GaussianFileError(
-                    f"the header promises {count:,} rows of '{name}', the file is too short"
-                    f" ({size:,} bytes): truncated?"
-                )
-        file.seek(start)
-        return {name: np.fromfile(file, dtype=row, count=count) for name, count, row in layout}
+def _elements(file: BinaryIO) -> dict[str, Element]:
+    """All elements of a file by name; all their rows are there."""
+    size = os.fstat(file.fileno()).st_size
+    lines, start = _header_lines(file.read(_HEADER_LIMIT))
+    elements = {}
+    for name, count, row in _layout(lines):
+        elements[name] = Element(count, row, start)
+        start += count * row.itemsize
+        if start > size:
+            raise GaussianFileError(
+                f"the header promises {count:,} rows of '{name}', the file is too short"
+                f" ({size:,} bytes): truncated?"
+            )
+    return elements
 
 
 def _header_lines(head: bytes) -> tuple[list[str], int]:
@@ -119,6 +120,8 @@ def _layout(lines: list[str]) -> list[tuple[str, int, np.dtype]]:
         words = line.split()
         if not words or words[0] in ("comment", "obj_info"):
             continue
+        if len(line) > _LINE_LIMIT or not line.isprintable():
+            raise GaussianFileError(f"has the unreadable header line {line[:60]!r}")
         if words[0] == "format":
             if words[1:2] not in (["binary_little_endian"], ["binary_big_endian"]):
                 raise GaussianFileError(f"has the {' '.join(words)!r}: allowed are the binary ones")
@@ -141,7 +144,12 @@ def _layout(lines: list[str]) -> list[tuple[str, int, np.dtype]]:
     for name, count, properties in elements:
         if not properties or len({p for p, _ in properties}) < len(properties):
             raise GaussianFileError(f"has no or repeated properties in element '{name}'")
-        layout.append((name, count, np.dtype([(p, order + kind) for p, kind in properties])))
+        row = np.dtype([(p, order + kind) for p, kind in properties])
+        if row.itemsize > _ROW_LIMIT:
+            raise GaussianFileError(
+                f"has rows of {row.itemsize:,} bytes in '{name}': the most is {_ROW_LIMIT:,}"
+            )
+        layout.append((name, count, row))
     if len({name for name, _, _ in layout}) < len(layout):
         raise GaussianFileError("names an element twice")
     return layout
@@ -155,10 +163,8 @@ def _columns(rows: np.ndarray, names: list[str]) -> np.ndarray:
     return np.stack([rows[name].astype(np.float64) for name in names], axis=1)
 
 
-def _rest(rows: np.ndarray | None) -> np.ndarray | None:
+def _rest(rows: np.ndarray) -> np.ndarray | None:
     """The properties f_rest_* as stored (n, 3 (K - 1)), or None."""
-    if rows is None:
-        return None
     count = sum(name.startswith("f_rest_") for name in rows.dtype.names)
     if count not in _REST:
         raise GaussianFileError(f"has {count} f_rest properties: allowed are 0, 9, 24 or 45")
@@ -172,7 +178,7 @@ def _coefficients(dc: np.ndarray, rest: np.ndarray | None) -> np.ndarray:
     return np.concatenate([dc[:, None, :], rest.reshape(len(dc), 3, -1).transpose(0, 2, 1)], axis=1)
 
 
-def _plain(rows: np.ndarray) -> tuple[np.ndarray, ...]:
+def _plain(rows: np.ndarray) -> Columns:
     """x, quat, scale, opacity, sh of the plain layout (logit opacity, log scales)."""
     x = _columns(rows, ["x", "y", "z"])
     quat = _columns(rows, [f"rot_{i}" for i in range(4)])
@@ -182,17 +188,29 @@ def _plain(rows: np.ndarray) -> tuple[np.ndarray, ...]:
     return x, quat, scale, opacity, _coefficients(dc, _rest(rows))
 
 
-def _compressed(elements: dict[str, np.ndarray]) -> tuple[np.ndarray, ...]:
-    """x, quat, scale, opacity, sh of SuperSplat's layout: 16 bytes each, bounds per 256."""
-    rows, chunks = elements["vertex"], elements.get("chunk")
-    if chunks is None or len(chunks) != -(-len(rows) // _CHUNK_ROWS):
+def _check_compressed(elements: dict[str, Element]) -> None:
+    """Raises GaussianFileError where the tables of a compressed file do not fit together."""
+    vertex, chunks, shared = (elements.get(name) for name in ("vertex", "chunk", "sh"))
+    if chunks is None or chunks.count != -(-vertex.count // _CHUNK_ROWS):
         raise GaussianFileError(
-            f"has {0 if chunks is None else len(chunks):,} chunks for {len(rows):,} Gaussians,"
+            f"has {0 if chunks is None else chunks.count:,} chunks for {vertex.count:,} Gaussians,"
             f" expected one per {_CHUNK_ROWS}"
         )
     for name in _PACKED:
-        if name not in rows.dtype.names or rows.dtype[name].kind != "u" or rows[name].itemsize != 4:
+        kind = vertex.dtype[name] if name in vertex.dtype.names else None
+        if kind is None or kind.kind != "u" or kind.itemsize != 4:
             raise GaussianFileError(f"has no 32-bit property {name} in element 'vertex'")
+    if shared is not None and shared.count != vertex.count:
+        raise GaussianFileError(f"has {shared.count:,} rows of 'sh' for {vertex.count:,} Gaussians")
+
+
+def _compressed(file: BinaryIO, elements: dict[str, Element], start: int, stop: int) -> Columns:
+    """x, quat, scale, opacity, sh of SuperSplat's layout: 16 bytes each, bounds per 256.
+
+    start: a multiple of 256.
+    """
+    rows = elements["vertex"].rows(file, start, stop)
+    chunks = elements["chunk"].rows(file, start // _CHUNK_ROWS, -(-stop // _CHUNK_ROWS))
     position, rotation, scale, color = (rows[name] for name in _PACKED)
     own = np.arange(len(rows)) // _CHUNK_ROWS
 
@@ -205,10 +223,7 @@ def _compressed(elements: dict[str, np.ndarray]) -> tuple[np.ndarray, ...]:
     rgb = rgba[:, :3]
     if "min_r" in chunks.dtype.names:  # files older than SuperSplat 2 have no bounds for colours
         rgb = between("", "rgb", rgb)
-    shared = elements.get("sh")
-    if shared is not None and len(shared) != len(rows):
-        raise GaussianFileError(f"has {len(shared):,} rows of 'sh' for {len(rows):,} Gaussians")
-    rest = _rest(shared)
+    rest = _rest(elements["sh"].rows(file, start, stop)) if "sh" in elements else None
     if rest is not None:  # bytes over -4..4; 0 and 255 stand for the ends themselves
         unit = np.where(rest == 0, 0.0, np.where(rest == 255, 1.0, (rest + 0.5) / 256))
         rest = (unit - 0.5) * 8
@@ -243,25 +258,3 @@ def _rotation(word: np.ndarray) -> np.ndarray:
         mask = which == at
         quat[mask] = np.insert(others[mask], at, largest[mask], axis=1)
     return quat
-
-
-def _usable(x, quat, scale, opacity, sh) -> Cloud:
-    """A Cloud of the rows that make sense; an error if more than a stray few do not."""
-    n = len(x)
-    if n == 0:
-        raise GaussianFileError("holds no Gaussians")
-    length = np.linalg.norm(quat, axis=1)
-    sh = sh.astype(np.float32)
-    good = (length > 1e-8) & np.isfinite(length) & np.isfinite(opacity)
-    for value in (x, scale, sh.reshape(n, -1)):
-        good &= np.isfinite(value).all(axis=1)
-    broken = n - np.count_nonzero(good)
-    if broken > _BROKEN_LIMIT * n:
-        raise GaussianFileError(
-            f"{broken:,} of {n:,} Gaussians are not finite or have no rotation, the first is row"
-            f" {np.argmin(good)}"
-        )
-    if broken:
-        log.warning("%d of %d Gaussians are not finite or have no rotation: dropped", broken, n)
-    quat = quat[good] / length[good, None]
-    return Cloud(x[good], quat, scale[good], np.clip(opacity[good], 0.0, 1.0), sh[good])

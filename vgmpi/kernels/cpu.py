@@ -12,7 +12,7 @@ from ..domain.blocks import BITS, EDGE
 from ..domain.state import Group
 from ..domain.topology import Topology
 from ..plan import Plan
-from . import couple, g2p, grid, p2g, records
+from . import g2p, grid, members, p2g, records
 from .patches import zero
 from .walls import KINDS, SIDE, patch_codes
 
@@ -74,10 +74,10 @@ class Cpu:
         self.base = [np.zeros(records.BATCH + 22, np.int32) for _ in range(threads)]
         self.room = [grid.room(len(plan.phases), real) for _ in range(threads)]
         self.apart_room = [
-            couple.room(len(plan.phases), real, aligned)
+            members.room(len(plan.phases), real, aligned)
             for _ in range(threads if self.apart else 0)
         ]
-        self.tables = couple.tables(plan.rules) if plan.rules is not None else ()
+        self.tables = members.tables(plan.rules) if plan.rules is not None else ()
         self.reports = np.zeros((len(plan.groups), threads, 4))
 
     def adopt(self, groups: list[Group], topology: Topology, group_of_row: np.ndarray) -> None:
@@ -85,20 +85,20 @@ class Cpu:
         t = self.topology = topology
         own = np.flatnonzero(t.own)
         group_of = group_of_row[t.row[own]]
-        members = [np.flatnonzero(group_of == g) for g in range(len(groups))]
+        rows_of = [np.flatnonzero(group_of == g) for g in range(len(groups))]
         sent = np.zeros(len(t.row), bool)
         for _, patches, _, _ in t.sends:
             sent[patches] = True
         self.shares = [
             _Shares(group.count, sent[own[here]], self.threads, whole=True)
-            for group, here in zip(groups, members, strict=True)
+            for group, here in zip(groups, rows_of, strict=True)
         ]
         self.block_shares = _Shares(np.diff(t.first), t.waits, self.threads)
-        into = self._who_sums([own[here] for here in members], sent)
+        into = self._who_sums([own[here] for here in rows_of], sent)
         self._make_room()
         self.parts = []
         slots = np.stack([self.slot, np.where(t.offsets, 0, -1), np.where(t.split, 0, -1)])
-        for group, here in zip(groups, members, strict=True):
+        for group, here in zip(groups, rows_of, strict=True):
             at = own[here]
             block = t.block[at]
             if not np.array_equal(block, group.block):

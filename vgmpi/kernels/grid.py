@@ -14,8 +14,9 @@ from ..couplings.base import CONTACT
 from ..device.jit import inline, kernel
 from ..device.select import select
 from .contact import TOUCH, collider_gap, gap, resolve, surface_normal
-from .couple import couple_block, note_flux, places
+from .couple import couple_block, note_flux
 from .lanes import load, place, store
+from .members import places
 from .nodes import fourth_of, velocity, with_fourth
 from .patches import pull
 from .rows import repeat, spread
@@ -30,8 +31,8 @@ class Apart(NamedTuple):
     forces: np.ndarray  # (node blocks, 256) their sums
     forced: np.ndarray  # (node blocks,) whether any patch of impulses touches it
     flux: np.ndarray  # (node blocks, 64, 4) what particles gather besides velocity
-    room: tuple  # couple.Room of the calling thread
-    tables: tuple  # couple.Tables
+    room: tuple  # members.Room of the calling thread
+    tables: tuple  # members.Tables
 
 
 @kernel

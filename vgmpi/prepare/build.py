@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from vgmpi.gaussians.ply import GaussianFileError
+from vgmpi.gaussians.checked import GaussianFileError
 from vgmpi.objects import Object
 from vgmpi.prepare.collider import Collider
 from vgmpi.prepare.initial import begun

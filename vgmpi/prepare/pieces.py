@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vgmpi.gaussians import ply
+from vgmpi.gaussians import files
 from vgmpi.gaussians.cloud import Cloud
 from vgmpi.gaussians.evolve import BALLS
 from vgmpi.gaussians.sh import dc_from_rgb
@@ -109,7 +109,7 @@ def _from_mesh(scene: Scene, k: int, thing: Object) -> Piece:
 
 def _from_gaussians(scene: Scene, k: int, thing: Object) -> Piece:
     spacing = spacing_of(scene, thing)
-    cloud = selected(ply.read(scene.files[thing.name]), thing.select)
+    cloud = selected(files.read(scene.files[thing.name]), thing.select)
     if not len(cloud):
         raise PlacementError("select", "selects no Gaussian of the file")
     at = place(thing, lambda d: float((cloud.x @ d).max()))
