@@ -9,6 +9,7 @@ from vgmpi.domain.ranks import Alone
 from vgmpi.plan import make_plan
 from vgmpi.prepare.build import Prepared, build
 from vgmpi.prepare.motion import gradient
+from vgmpi.solver.run import extent
 from vgmpi.solver.state import by_id
 from vgmpi.solver.step import Simulation
 from vgmpi.solver.timestep import next_step
@@ -25,8 +26,8 @@ def begin(folder: Path, text: str, ranks=None, velocity=None, threads: int = 1):
     loaded = scene(folder, text)
     made = build(loaded)
     count = [thing["count"] for thing in made.objects]
-    volume = np.bincount(made.object, made.vol0, minlength=len(count))
-    plan = make_plan(loaded, count, volume.tolist(), bool(made.colliders))
+    volume, center = extent(len(count), made.object, made.vol0, made.x)
+    plan = make_plan(loaded, count, volume, bool(made.colliders), center)
     simulation = Simulation(plan, ranks, made.colliders, threads, made.loads)
     n = len(made.x)
     mine = slice(n * ranks.rank // ranks.size, n * (ranks.rank + 1) // ranks.size)

@@ -51,7 +51,7 @@ def plan(scene: Scene, ranks: Alone | None = None) -> Plan:
     from .solver import run as runs
 
     known = runs.prepare(scene, ranks or Alone(), None)
-    return make_plan(scene, known.count, known.volume, bool(known.colliders))
+    return make_plan(scene, known.count, known.volume, bool(known.colliders), known.center)
 
 
 class Run:

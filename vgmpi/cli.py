@@ -161,7 +161,7 @@ def _command(given: argparse.Namespace, ranks: Alone) -> int:
 
 
 def _plan(scene: Scene, known, given: argparse.Namespace, ranks: Alone) -> int:
-    plan = make_plan(scene, known.count, known.volume, bool(known.colliders))
+    plan = make_plan(scene, known.count, known.volume, bool(known.colliders), known.center)
     if ranks.rank == 0:
         print(describe(scene, plan, ranks.size))
     refusal = too_large(plan.bytes(), ranks)
@@ -176,7 +176,7 @@ def _run(scene: Scene, folder: Path, given: argparse.Namespace, ranks: Alone) ->
     resume = _resume_from(given.resume, folder, ranks)
     options = runs.Options(folder, given.threads, resume, given.stop_steps, given.stop_seconds)
     known = runs.prepare(scene, ranks, folder)
-    plan = make_plan(scene, known.count, known.volume, bool(known.colliders))
+    plan = make_plan(scene, known.count, known.volume, bool(known.colliders), known.center)
     refusal = too_large(plan.bytes(), ranks)
     if refusal and not given.force:
         return _refuse([refusal + "; --force runs it anyway"], ranks)

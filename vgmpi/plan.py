@@ -132,8 +132,15 @@ class Plan:
         return total + int(blocks * (patch * patches + more * nodes))
 
 
-def make_plan(scene: Scene, count: list[int], volume: list[float], collider: bool) -> Plan:
-    """The plan of a scene whose objects have `count` particles of `volume` [m3] in total each.
+def make_plan(
+    scene: Scene,
+    count: list[int],
+    volume: list[float],
+    collider: bool,
+    center: list[list[float]] | None = None,
+) -> Plan:
+    """The plan of a scene whose objects have `count` particles of `volume` [m3] in total each, with
+    their `center` [m], without which bodies of one volume are told apart by their names alone.
 
     Raises SceneError where a fixed time step is above the bound.
     """
@@ -141,7 +148,8 @@ def make_plan(scene: Scene, count: list[int], volume: list[float], collider: boo
     made_of = {k: thing.material for k, thing in enumerate(scene.object) if thing.material}
     bodies = list(made_of)  # scenery has no material
     material_of = {k: scene.material[name] for k, name in made_of.items()}
-    phases = _phases(scene, bodies, material_of, volume)
+    center = center or [[0.0] * 3] * len(volume)
+    phases = _phases(scene, bodies, material_of, volume, center)
     number = {phase.name: k for k, phase in enumerate(phases)}
     key = {k: (scene.phase_of(scene.object[k]) or "", made_of[k]) for k in bodies}
     wanted = sorted(set(key.values()))
@@ -188,15 +196,21 @@ def make_plan(scene: Scene, count: list[int], volume: list[float], collider: boo
     return plan
 
 
-def _phases(scene, bodies, material_of, volume) -> tuple[PhasePlan, ...]:
+def _phases(scene, bodies, material_of, volume, center) -> tuple[PhasePlan, ...]:
     members: dict[str, list[int]] = {}
     for k in bodies:
         members.setdefault(scene.phase_of(scene.object[k]), []).append(k)
     names = sorted(members)
 
     def mastery(name):
-        mass = sum(volume[k] * material_of[k].bulk_density for k in members[name])
-        return MASTERY[material_of[members[name][0]].family], -mass, name
+        of = members[name]
+        size = math.fsum(volume[k] for k in of)
+        # rounded, so that the order of a sum does not tell twins apart
+        middle = [
+            math.fsum(volume[k] * center[k][a] for k in of) / max(size, 1e-300) for a in range(3)
+        ]
+        placed = [float(f"{m:.9e}") for m in middle]
+        return MASTERY[material_of[of[0]].family], -float(f"{size:.9e}"), placed, name
 
     order = sorted(names, key=mastery)
     cell = scene.domain.cell**3

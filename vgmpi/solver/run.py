@@ -53,6 +53,7 @@ class Prepared:
 
     objects: list[dict]
     volume: list[float]
+    center: list[list[float]]  # of mass [m]
     colliders: list
     loads: list
     rows: dict | None = None  # on rank 0, where there is no gaussians.h5: its datasets
@@ -104,7 +105,7 @@ def _particles(scene: Scene, folder: Path | None):
         log.info("particles as prepared before: %s", path)
         found = read_gaussians(path)
         loads = find(scene, found.x0, found.vol0, found.object)
-        return _known(found.objects, found.object, found.vol0, [], loads), None
+        return _known(found.objects, found, found.x0, [], loads), None
     from ..prepare.build import build  # scipy comes with it: only the rank that prepares waits
 
     made = build(scene)
@@ -129,13 +130,24 @@ def _particles(scene: Scene, folder: Path | None):
         p = made.passive
         passive = {"x0": p.x, "object": p.object, "cov0": p.cov0, "opacity": p.opacity, "sh": p.sh}
         passive |= {"carriers": p.carriers, "weights": p.weights}
-    known = _known(made.objects, made.object, made.vol0, made.colliders, made.loads)
+    known = _known(made.objects, made, made.x, made.colliders, made.loads)
     return known, (scenery, rows, passive)
 
 
-def _known(objects, thing, volume, colliders, loads) -> Prepared:
-    total = np.bincount(thing, volume, minlength=len(objects))
-    return Prepared(objects, total.tolist(), colliders, loads)
+def _known(objects, rest, x, colliders, loads) -> Prepared:
+    volume, center = extent(len(objects), rest.object, rest.vol0, x)
+    return Prepared(objects, volume, center, colliders, loads)
+
+
+def extent(count: int, thing, volume, x) -> tuple[list[float], list[list[float]]]:
+    """Volume [m3] of each of `count` objects, and its centre [m].
+
+    thing: (n,) object of each particle; volume: (n,) [m3]; x: (n, 3) [m].
+    """
+    thing, volume, x = (np.asarray(rows) for rows in (thing, volume, x))
+    total = np.bincount(thing, volume, minlength=count)
+    moment = [np.bincount(thing, volume * x[:, a], minlength=count) for a in range(3)]
+    return total.tolist(), (np.array(moment) / np.maximum(total, 1e-300)).T.tolist()
 
 
 def digest(scene: Scene) -> str:
@@ -325,7 +337,7 @@ class Run:
 def start(scene: Scene, ranks: Alone, options: Options) -> Run:
     """Prepare, plan and set up a run. Raises SceneError, StoreError, CheckpointError, Mismatch."""
     known = prepare(scene, ranks, options.folder)
-    plan = make_plan(scene, known.count, known.volume, bool(known.colliders))
+    plan = make_plan(scene, known.count, known.volume, bool(known.colliders), known.center)
     return Run(scene, plan, known, ranks, options)
 
 
