@@ -67,6 +67,17 @@ def test_a_file_that_is_read_back_gives_the_renderers_picture(tmp_path, suffix, 
     assert psnr(still, want) < 30  # the measure tells frames apart
 
 
+def test_colours_that_have_travelled_stand_in_the_file():
+    """A frame's own coefficients go before those at rest, and turn along as these do."""
+    look, moved = shiny()
+    moved["sh"] = look.color.sh[::-1].copy()
+    eye = np.array(EYES[1])
+    want, got = look.splats(moved, eye), export.cloud(look, moved)
+    np.testing.assert_allclose(harmonics.evaluate(got.sh, got.x - eye), want.color, atol=1e-5)
+    del moved["sh"]
+    assert np.abs(look.splats(moved, eye).color - want.color).max() > 0.1
+
+
 def test_the_table_look_counts(out, tmp_path, capfd):
     """Shapes and opacities as render.toml wants them."""
     (tmp_path / "render.toml").write_text('[look]\ncovariance = "fixed"\nopacity = "fixed"\n')
