@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
+from postprocess import settings
 from postprocess.look import Look
 from vgmpi.gaussians import files
 from vgmpi.gaussians.cloud import Cloud, principal
@@ -31,7 +32,7 @@ UP = {
 def cloud(look: Look, frame: dict[str, np.ndarray], scenery: bool = True) -> Cloud:
     """The Gaussians of a frame as they are drawn [m], for any eye; scenery first.
 
-    frame: as in the frame's file. Raises RunError.
+    frame: of look.frame. Raises RunError.
     """
     parts = look.parts(frame)
     if not scenery and look.scenery is not None:
@@ -85,6 +86,7 @@ def losses(made: Cloud, suffix: str) -> list[str]:
 def parser() -> argparse.ArgumentParser:
     p = argparse.ArgumentParser(prog="python -m postprocess.export", description=__doc__)
     p.add_argument("out", help="folder of the run")
+    p.add_argument("settings", nargs="?", help="render.toml: its table [look]")
     p.add_argument("--frames", help="a number, or first:last:every as in Python [all]")
     p.add_argument("-o", "--output", help="folder of the files [OUT/gaussians]")
     kinds = [suffix.removeprefix(".") for suffix in files.KINDS]
@@ -102,6 +104,8 @@ def main(argv: list[str] | None = None) -> int:
     folder = Path(args.output or Path(args.out) / "gaussians")
     try:
         _export(args, folder)
+    except settings.SettingsError as error:
+        print("\n".join(error.lines), file=sys.stderr)
     except (RunError, files.GaussianFileError) as error:
         print(error, file=sys.stderr)
     except OSError as error:
@@ -118,12 +122,12 @@ def main(argv: list[str] | None = None) -> int:
 def _export(args: argparse.Namespace, folder: Path) -> None:
     run = Run(args.out)
     numbers = chosen(args.frames, len(run))
-    look = Look(run)
+    look = Look(run, settings.load(args.settings).look)
     folder.mkdir(parents=True, exist_ok=True)
     suffix = f".{args.format}"
     said: set[str] = set()
     for index in tqdm(numbers, unit="frame", disable=True if args.quiet else None):
-        made = cloud(look, run.frame(index), not args.no_scenery)
+        made = cloud(look, look.frame(index), not args.no_scenery)
         if args.up != "z":
             made = made.transformed(UP[args.up])
         for line in losses(made, suffix):

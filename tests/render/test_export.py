@@ -67,6 +67,31 @@ def test_a_file_that_is_read_back_gives_the_renderers_picture(tmp_path, suffix, 
     assert psnr(still, want) < 30  # the measure tells frames apart
 
 
+def test_colours_that_have_travelled_stand_in_the_file():
+    """A frame's own coefficients go before those at rest, and turn along as these do."""
+    look, moved = shiny()
+    moved["sh"] = look.color.sh[::-1].copy()
+    eye = np.array(EYES[1])
+    want, got = look.splats(moved, eye), export.cloud(look, moved)
+    np.testing.assert_allclose(harmonics.evaluate(got.sh, got.x - eye), want.color, atol=1e-5)
+    del moved["sh"]
+    assert np.abs(look.splats(moved, eye).color - want.color).max() > 0.1
+
+
+def test_the_table_look_counts(out, tmp_path, capfd):
+    """Shapes and opacities as render.toml wants them."""
+    (tmp_path / "render.toml").write_text('[look]\ncovariance = "fixed"\nopacity = "fixed"\n')
+    argv = [str(out), str(tmp_path / "render.toml"), "--frames", "2", "--no-scenery", "-q"]
+    assert export.main([*argv, "-o", str(tmp_path)]) == 0
+    c, rest = files.read(tmp_path / "frame_00002.ply"), Run(out).gaussians
+    np.testing.assert_allclose(c.cov(), rest.cov0, rtol=1e-5, atol=1e-10)
+    np.testing.assert_allclose(c.opacity, rest.opacity, rtol=1e-5)
+    (tmp_path / "render.toml").write_text('[look]\ncovariance = "large"\n')
+    assert export.main([*argv, "-o", str(tmp_path)]) == 2
+    said = [line for line in capfd.readouterr().err.splitlines() if line]
+    assert len(said) == 1 and "render.toml:2: look.covariance" in said[0]
+
+
 def test_shapes_come_back_from_covariances():
     """Any orientation, balls, flat and needle-like ones, and no shape at all."""
     rng = np.random.default_rng(0)
@@ -172,9 +197,9 @@ def test_the_command_runs_by_itself(out, tmp_path):
 
 
 @pytest.mark.data
-@pytest.mark.parametrize("suffix, least", [(".ply", 100), (".splat", 45), (".spz", 30)])
+@pytest.mark.parametrize("suffix, least", [(".ply", 120), (".splat", 60), (".spz", 58)])
 def test_a_real_capture_survives_every_kind_of_file(tmp_path, suffix, least):
-    """A guitar of 90,854 Gaussians out of a SuperSplat file, written and read again."""
+    """A guitar of 90,854 Gaussians out of a SuperSplat file; reached: 132, 65 and 64 dB."""
     if not GUITAR.exists():
         pytest.skip(f"{GUITAR} is not here")
     c = files.read(GUITAR)
@@ -186,6 +211,5 @@ def test_a_real_capture_survives_every_kind_of_file(tmp_path, suffix, least):
     pictures = [
         splat.render(splat.Splats(g.x, g.cov(), g.opacity, g.rgb), camera)[0] for g in (c, d)
     ]
-    print(psnr(*pictures), (pictures[0] < 0.8).any(axis=2).mean())
     assert psnr(*pictures) > least
     assert (pictures[0] < 0.8).any(axis=2).mean() > 0.02

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import vgmpi
+from postprocess import export
 from postprocess.look import Look
 from tests.scenes import scene
 from tests.unit.test_prepare_prune import GUITAR, SCENE, duck_obj
@@ -203,3 +204,13 @@ def test_riders_keep_their_looks(folder, riding):
     mine, other = np.lexsort(both.T), np.lexsort(whole.x.T)
     assert np.array_equal(both[mine], whole.x[other])
     assert np.array_equal(cov[mine], whole.cov0[other])
+
+
+def test_riders_stand_in_exported_files(riding):
+    """The same Gaussians as are drawn, turned colours included."""
+    look, frame = look_of(riding), moved(riding, AFFINE, np.array([0.1, 0.0, 0.2]))
+    want, got = look.splats(frame, EYE), export.cloud(look, frame)
+    assert len(got) == len(riding.x) + len(riding.passive.x)
+    np.testing.assert_allclose(got.x, want.x)
+    np.testing.assert_allclose(got.cov(), want.cov, atol=1e-12)
+    np.testing.assert_allclose(sh.evaluate(got.sh, got.x - EYE), want.color, atol=1e-5)

@@ -1,7 +1,7 @@
 """What all readers of Gaussian files share: one kind of error, blocks of rows, which are usable.
 
 Rows are decoded block by block: scratch memory stays small, and a file of nonsense ends with its
-first hundredth instead of filling the memory.
+first block or hundredth instead of filling the memory.
 """
 
 import contextlib
@@ -76,7 +76,7 @@ def gathered(count: int, decoded: Callable[[int, int], Columns]) -> Cloud:
         if len(bad) and first is None:
             first = start + bad[0]
         broken += len(bad)
-        if broken > _BROKEN_LIMIT * count:
+        if broken > _BROKEN_LIMIT * count or not good.any():
             seen = "" if stop == count else "at least "
             raise GaussianFileError(
                 f"{seen}{broken:,} of {count:,} Gaussians are not finite, have no size or no"
