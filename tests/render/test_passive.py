@@ -96,6 +96,21 @@ def test_affine_motion_is_followed_exactly(riding):
     assert np.abs(splats.cov[own:] - want).max() < 1e-6 * want.max()
 
 
+def test_each_rides_with_its_own_object(folder):
+    """Two ducks side by side behind a ball: no Gaussian is carried by the other's particles."""
+    text = SCENE.replace("SOURCE", RIDING).replace("[0.32, 0.32, 0.2]", "[0.32, 0.2, 0.2]")
+    head, duck = text.split("[[object]]")
+    ball = duck.replace(RIDING, "shape = { sphere = { center = [0, 0, 0], radius = 0.05 } }")
+    ball = ball.replace('"duck"', '"ball"').replace("0.2, 0.2]", "0.5, 0.4]")
+    other = duck.replace('"duck"', '"twin"').replace("0.2, 0.2]", "0.33, 0.2]")
+    both = build(scene(folder, "[[object]]".join((head, ball, duck, other))))
+    riders = both.passive
+    assert set(riders.object) == {1, 2}
+    assert np.array_equal(both.object[riders.carriers], np.repeat(riders.object[:, None], 4, 1))
+    away = np.linalg.norm(both.x[riders.carriers] - riders.x[:, None], axis=2).max()
+    assert away < 0.04
+
+
 def test_an_uneven_motion_lies_between_its_carriers(riding):
     """Positions and shapes of one Gaussian from the formula of the page, number by number."""
     frame = moved(riding, AFFINE, np.zeros(3))
