@@ -9,6 +9,7 @@ import pytest
 
 import vgmpi
 from postprocess.look import Look
+from postprocess.settings import LookSettings
 from tests.scenes import scene
 from tests.unit.test_prepare_prune import GUITAR, SCENE, duck_obj
 from vgmpi.domain.ranks import Alone
@@ -42,14 +43,14 @@ def riding(folder):
     return made(folder, RIDING)
 
 
-def look_of(prepared):
+def look_of(prepared, chosen=None):
     """What a renderer does with the file that these particles would become."""
     names = ("vol0", "object", "cov0", "opacity", "sh")
     rest = SimpleNamespace(x0=prepared.x, **{n: getattr(prepared, n) for n in names})
     if prepared.passive is not None:
         riders = asdict(prepared.passive)
         rest.passive = SimpleNamespace(x0=riders.pop("x"), **riders)
-    return Look(SimpleNamespace(gaussians=rest, objects=prepared.objects))
+    return Look(SimpleNamespace(gaussians=rest, objects=prepared.objects), chosen)
 
 
 def moved(prepared, F, shift):
@@ -127,6 +128,27 @@ def test_an_uneven_motion_lies_between_its_carriers(riding):
     assert np.allclose(splats.x[own + k], x, atol=1e-12)
     assert np.allclose(full(splats.cov[own + k : own + k + 1])[0],
                        F @ full(riders.cov0[k : k + 1].astype(float))[0] @ F.T)  # fmt: skip
+
+
+def test_colours_change_with_those_of_the_carriers(riding):
+    """Dye that travels dyes riders by the mean of what it does to their carriers."""
+    frame = moved(riding, np.eye(3), np.zeros(3))
+    frame["sh"] = riding.sh + np.float32(0.2) * riding.x[:, None, :1].astype(np.float32)
+    look, riders = look_of(riding), riding.passive
+    part = look.parts(frame)[1]
+    change = part.coefficients()[:, 0, 0] - riders.sh[:, 0, 0]
+    want = 0.2 * (riders.weights * riding.x[riders.carriers, 0]).sum(axis=1)
+    assert np.allclose(change, want, atol=1e-6) and np.ptp(want) > 0.01
+    frame["sh"] = riding.sh
+    assert np.array_equal(look.parts(frame)[1].coefficients(), riders.sh)
+
+
+def test_riders_obey_the_look(riding):
+    """With shapes and colours fixed they keep those at rest, and opacities are scaled by name."""
+    chosen = LookSettings(covariance="fixed", harmonics="fixed", opacity_scale={"duck": 0.5})
+    part = look_of(riding, chosen).parts(moved(riding, AFFINE, np.zeros(3)))[1]
+    assert np.array_equal(part.cov, riding.passive.cov0)
+    assert np.allclose(part.opacity, 0.5 * riding.passive.opacity) and not len(part.turning)
 
 
 def test_colours_turn_along(riding):
