@@ -7,7 +7,7 @@ import numpy as np
 
 from postprocess import shade
 from postprocess.colours import Colours
-from postprocess.parts import Colors, Part, Passive
+from postprocess.parts import BALL, FIXED, FOLLOW, ROUND, SWELL, Colors, Part, Passive
 from postprocess.settings import LookSettings, SettingsError
 from vgmpi.gaussians import evolve
 from vgmpi.output.read import RunError
@@ -17,14 +17,6 @@ log = logging.getLogger("vgmpi")
 
 FAINT = 0.02  # fluid opacity up to which 1/255 would cut a quarter or more of the fluid away
 ALPHA_MIN_FAINT = 1e-4
-
-
-# how the Gaussians of a body follow their particles
-FIXED = 0  # not at all: the shape at rest
-FOLLOW = 1  # F cov0 F^T, colours turn along
-SWELL = 2  # J^(2/3) cov0
-BALL = 3  # balls of the particles' volume
-ROUND = 4  # balls as large as the Gaussians at rest
 
 
 class Look:
@@ -61,7 +53,9 @@ class Look:
                 np.asarray(scenery.opacity, dtype=np.float64) * factor[scenery.object],
                 Colors(np.asarray(scenery.sh)),
             )
-        self.passive = Passive(rest) if getattr(rest, "passive", None) is not None else None
+        self.passive = None
+        if getattr(rest, "passive", None) is not None:
+            self.passive = Passive(rest, rules, turns, factor)
 
     def frame(self, index: int) -> dict[str, np.ndarray]:
         """Frame `index` of the run, with the colours it has then as "sh" (n, K, 3) where colour

@@ -8,6 +8,13 @@ from postprocess import shade
 from vgmpi.gaussians import evolve
 from vgmpi.gaussians import sh as harmonics
 
+# how the Gaussians of a body follow their particles
+FIXED = 0  # not at all: the shape at rest
+FOLLOW = 1  # F cov0 F^T, colours turn along
+SWELL = 2  # J^(2/3) cov0
+BALL = 3  # balls of the particles' volume
+ROUND = 4  # balls as large as the Gaussians at rest
+
 
 class Colors:
     """Colours of rows of coefficients; what does not depend on the view is worked out once."""
@@ -58,17 +65,23 @@ class Part(NamedTuple):
 
 
 class Passive:
-    """Gaussians without mass, moved by the particles that carry them."""
+    """Gaussians without mass, moved by the particles that carry them.
 
-    def __init__(self, rest):
+    rest: as read from gaussians.h5. rules, turns, factor: for every object how shapes follow,
+    whether colours turn, and what opacities are multiplied with.
+    """
+
+    def __init__(self, rest, rules: np.ndarray, turns: np.ndarray, factor: np.ndarray):
         riders = rest.passive
         self.count = len(rest.object)
+        self.rule, self.turns = rules[riders.object], turns[riders.object]
         self.carriers = np.asarray(riders.carriers)
         self.weights = np.asarray(riders.weights, dtype=np.float64)
         self.offset = np.asarray(riders.x0)[:, None, :] - np.asarray(rest.x0)[self.carriers]
         self.cov0 = np.asarray(riders.cov0, dtype=np.float64)
-        self.opacity = np.asarray(riders.opacity, dtype=np.float64)
+        self.opacity = np.asarray(riders.opacity, dtype=np.float64) * factor[riders.object]
         self.color = Colors(np.asarray(riders.sh))
+        self.carriers_sh = np.asarray(rest.sh)
 
     def part(self, frame: dict[str, np.ndarray]) -> Part:
         """Those whose carriers are all there."""
@@ -76,14 +89,31 @@ class Passive:
         row[frame["id"]] = np.arange(len(frame["id"]))
         at = row[self.carriers]
         there = np.flatnonzero((at >= 0).all(axis=1))
-        at = at[there]
+        at, weights = at[there], self.weights[there]
         x, F = evolve.carried(
             self.offset[there],
-            self.weights[there],
+            weights,
             np.asarray(frame["x"], dtype=np.float64)[at],
             np.asarray(frame["F"])[at],
         )
-        turning = np.flatnonzero(self.color.view_dependent[there])
-        turned = F[turning].reshape(-1, 9)
-        cov = evolve.solid(self.cov0[there], F)
-        return Part(x, cov, self.opacity[there], self.color, there, turning, turned)
+        color, rows = self.color, there
+        if "sh" in frame:  # it changes as that of its carriers does
+            change = np.asarray(frame["sh"])[at] - self.carriers_sh[self.carriers[there]]
+            change = np.einsum("pk,pkij->pij", weights, change).astype(np.float32)
+            color, rows = Colors(self.color.sh[there] + change), np.arange(len(there))
+        turning = np.flatnonzero(self.turns[there] & color.view_dependent[rows])
+        cov = self._covariances(there, F)
+        return Part(x, cov, self.opacity[there], color, rows, turning, F[turning].reshape(-1, 9))
+
+    def _covariances(self, there: np.ndarray, F: np.ndarray) -> np.ndarray:
+        """[m2], (n, 6); a rider has no volume of its own: as a ball it is as large as at rest."""
+        cov, rule, J = self.cov0[there], self.rule[there], np.linalg.det(F)
+        for how, changed in (
+            (FOLLOW, lambda of: evolve.solid(cov[of], F[of])),
+            (SWELL, lambda of: evolve.solid(cov[of], evolve.swollen(J[of]))),
+            (BALL, lambda of: evolve.rounded(cov[of], J[of])),
+            (ROUND, lambda of: evolve.rounded(cov[of], J[of])),
+        ):
+            if (rule == how).any():
+                cov[rule == how] = changed(rule == how)
+        return cov

@@ -49,6 +49,7 @@ class GroupPlan(NamedTuple):
     pores: float = 1.0  # least share of space at the start, of fluids that flow through sand
     stiff: float = 0.0  # [m2/s2] squared speed of waves that such sand adds
     dense: float = 1.0  # density relative to such sand's grains, at least 1
+    widths: tuple[int, ...] = ()  # numbers of each thing that `carries` names
 
     @property
     def porous(self) -> bool:
@@ -112,8 +113,16 @@ class Plan:
 
     def bytes_per_particle(self, group: int) -> int:
         """Memory of one particle: position, channels, id."""
-        width = self.real.itemsize
-        return (3 + BASE_CHANNELS + len(self.groups[group].carried)) * width + 8
+        return sum(self.fields(group).values())
+
+    def fields(self, group: int) -> dict[str, int]:
+        """Bytes of everything that one particle of a group has of its own. What holds for an object
+        or a material is in no particle: its id says which object it belongs to."""
+        g = self.groups[group]
+        numbers = {"x": 3, "v": 3, "C": 9, "vol0": 1, **dict(zip(g.carries, g.widths, strict=True))}
+        if g.porous:
+            numbers["share"] = 1
+        return {name: n * self.real.itemsize for name, n in numbers.items()} | {"id": 8}
 
     def bytes(self) -> int:
         """Memory of all ranks together, without the interpreters: particles, patches, nodes,
@@ -241,6 +250,7 @@ def _group(phase: int, phase_label: str, name: str, material, real: np.dtype) ->
         cost=material.cost,
         carries=tuple(material.carries),
         share=material.solid_share,
+        widths=tuple(len(values) for values in material.carries.values()),
     )
 
 
@@ -326,10 +336,11 @@ def describe(scene: Scene, plan: Plan, ranks: int) -> str:
             if plan.phases[group.phase] is not phase:
                 continue
             n = sum(plan.count[k] for k in phase.objects if plan.group_of[k] == g)
-            fields = "x, v, C, vol0, " + ", ".join(scene.material[group.material].carries)
+            fields = ", ".join(f"{name} {size}" for name, size in plan.fields(g).items())
             lines.append(
                 f"  phase       {phase.name}: {n:,} particles of {group.material}"
-                f" ({phase.family}), {plan.bytes_per_particle(g)} bytes each: {fields}"
+                f" ({phase.family}), {plan.bytes_per_particle(g)} bytes each: {fields};"
+                f" once for all: density and {len(group.law)} numbers of the law"
             )
     for a in range(len(plan.phases)):
         for b in range(a + 1, len(plan.phases)):

@@ -10,6 +10,7 @@ import pytest
 import vgmpi
 from postprocess import export
 from postprocess.look import Look
+from postprocess.settings import LookSettings
 from tests.scenes import scene
 from tests.unit.test_prepare_prune import GUITAR, SCENE, duck_obj
 from vgmpi.domain.ranks import Alone
@@ -43,14 +44,14 @@ def riding(folder):
     return made(folder, RIDING)
 
 
-def look_of(prepared):
+def look_of(prepared, chosen=None):
     """What a renderer does with the file that these particles would become."""
     names = ("vol0", "object", "cov0", "opacity", "sh")
     rest = SimpleNamespace(x0=prepared.x, **{n: getattr(prepared, n) for n in names})
     if prepared.passive is not None:
         riders = asdict(prepared.passive)
         rest.passive = SimpleNamespace(x0=riders.pop("x"), **riders)
-    return Look(SimpleNamespace(gaussians=rest, objects=prepared.objects))
+    return Look(SimpleNamespace(gaussians=rest, objects=prepared.objects), chosen)
 
 
 def moved(prepared, F, shift):
@@ -97,6 +98,21 @@ def test_affine_motion_is_followed_exactly(riding):
     assert np.abs(splats.cov[own:] - want).max() < 1e-6 * want.max()
 
 
+def test_each_rides_with_its_own_object(folder):
+    """Two ducks side by side behind a ball: no Gaussian is carried by the other's particles."""
+    text = SCENE.replace("SOURCE", RIDING).replace("[0.32, 0.32, 0.2]", "[0.32, 0.2, 0.2]")
+    head, duck = text.split("[[object]]")
+    ball = duck.replace(RIDING, "shape = { sphere = { center = [0, 0, 0], radius = 0.05 } }")
+    ball = ball.replace('"duck"', '"ball"').replace("0.2, 0.2]", "0.5, 0.4]")
+    other = duck.replace('"duck"', '"twin"').replace("0.2, 0.2]", "0.33, 0.2]")
+    both = build(scene(folder, "[[object]]".join((head, ball, duck, other))))
+    riders = both.passive
+    assert set(riders.object) == {1, 2}
+    assert np.array_equal(both.object[riders.carriers], np.repeat(riders.object[:, None], 4, 1))
+    away = np.linalg.norm(both.x[riders.carriers] - riders.x[:, None], axis=2).max()
+    assert away < 0.04
+
+
 def test_an_uneven_motion_lies_between_its_carriers(riding):
     """Positions and shapes of one Gaussian from the formula of the page, number by number."""
     frame = moved(riding, AFFINE, np.zeros(3))
@@ -113,6 +129,27 @@ def test_an_uneven_motion_lies_between_its_carriers(riding):
     assert np.allclose(splats.x[own + k], x, atol=1e-12)
     assert np.allclose(full(splats.cov[own + k : own + k + 1])[0],
                        F @ full(riders.cov0[k : k + 1].astype(float))[0] @ F.T)  # fmt: skip
+
+
+def test_colours_change_with_those_of_the_carriers(riding):
+    """Dye that travels dyes riders by the mean of what it does to their carriers."""
+    frame = moved(riding, np.eye(3), np.zeros(3))
+    frame["sh"] = riding.sh + np.float32(0.2) * riding.x[:, None, :1].astype(np.float32)
+    look, riders = look_of(riding), riding.passive
+    part = look.parts(frame)[1]
+    change = part.coefficients()[:, 0, 0] - riders.sh[:, 0, 0]
+    want = 0.2 * (riders.weights * riding.x[riders.carriers, 0]).sum(axis=1)
+    assert np.allclose(change, want, atol=1e-6) and np.ptp(want) > 0.01
+    frame["sh"] = riding.sh
+    assert np.array_equal(look.parts(frame)[1].coefficients(), riders.sh)
+
+
+def test_riders_obey_the_look(riding):
+    """With shapes and colours fixed they keep those at rest, and opacities are scaled by name."""
+    chosen = LookSettings(covariance="fixed", harmonics="fixed", opacity_scale={"duck": 0.5})
+    part = look_of(riding, chosen).parts(moved(riding, AFFINE, np.zeros(3)))[1]
+    assert np.array_equal(part.cov, riding.passive.cov0)
+    assert np.allclose(part.opacity, 0.5 * riding.passive.opacity) and not len(part.turning)
 
 
 def test_colours_turn_along(riding):

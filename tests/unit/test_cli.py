@@ -37,7 +37,7 @@ def test_check_and_plan_write_nothing(scene, capsys):
         "ball",
         "cube",
         "fluid",
-        "76 bytes",
+        "76 bytes each: x 12, v 12, C 36, vol0 4, theta 4, id 8; once for all: density",
         "set by material 'rubber'",
     ):
         assert word in said
