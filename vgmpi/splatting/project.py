@@ -82,3 +82,49 @@ def project(x, cov, opacity, color, w2c, lens, height, width, lowpass, antialias
         k[0], k[1], k[2], k[3], k[4] = o, level, color[i, 0], color[i, 1], color[i, 2]
         m += 1
     return ellipses[:m], looks[:m], bounds[:m], depth[:m]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def drop(x, cov, opacity, lean, plane, lower, pixel, softness, height, width, alpha_min):
+    """What lies above the plane z = `plane`, dropped onto it along the light: as from `project`.
+
+    lean: (2,), how far a point moves in x and y per m that it falls. lower: corner of the picture
+    on the plane [m], (2,). pixel: its pixels' side [m]. softness: standard deviation of the blur
+    per m of height. Blurred Gaussians are as much fainter as they are wider. Colours are 0.
+    """
+    n, m = len(x), 0
+    ellipses = np.empty((n, 5))
+    looks = np.zeros((n, 5), dtype=np.float32)
+    bounds = np.empty((n, 4), dtype=np.int32)
+    p, q = lean[0], lean[1]
+    for i in range(n):
+        fall = x[i, 2] - plane
+        if not (fall >= 0.0 and fall < 1e30):
+            continue
+        xx = cov[i, 0] + 2.0 * p * cov[i, 2] + p * p * cov[i, 5]
+        xy = cov[i, 1] + p * cov[i, 4] + q * cov[i, 2] + p * q * cov[i, 5]
+        yy = cov[i, 3] + 2.0 * q * cov[i, 4] + q * q * cov[i, 5]
+        scale = 1.0 / (pixel * pixel)
+        xx, xy, yy = xx * scale, xy * scale, yy * scale
+        before = xx * yy - xy * xy
+        blur = 0.3 + (softness * fall / pixel) ** 2
+        xx, yy = xx + blur, yy + blur
+        det = xx * yy - xy * xy
+        o = opacity[i] * np.sqrt(max(before / det, 0.0))
+        if not (det > 0.0 and det < 1e30 and o >= alpha_min):
+            continue
+        level = np.log(o / alpha_min)
+        px = (x[i, 0] + p * fall - lower[0]) / pixel
+        py = (x[i, 1] + q * fall - lower[1]) / pixel
+        rx, ry = np.sqrt(2.0 * level * xx), np.sqrt(2.0 * level * yy)
+        x0, x1 = max(0.0, np.ceil(px - rx - 0.5)), min(width - 1.0, np.floor(px + rx - 0.5))
+        y0, y1 = max(0.0, np.ceil(py - ry - 0.5)), min(height - 1.0, np.floor(py + ry - 0.5))
+        if not (x0 <= x1 and y0 <= y1):
+            continue
+        bounds[m, 0], bounds[m, 1], bounds[m, 2], bounds[m, 3] = x0, x1, y0, y1
+        half = 0.5 / det
+        e = ellipses[m]
+        e[0], e[1], e[2], e[3], e[4] = px, py, half * yy, -2.0 * half * xy, half * xx
+        looks[m, 0], looks[m, 1] = o, level
+        m += 1
+    return ellipses[:m], looks[:m], bounds[:m]
