@@ -106,6 +106,15 @@ def test_the_shadow_darkens_the_floor_as_much_as_asked():
         np.testing.assert_allclose(out[0, 0], floor.color, atol=2e-3)
 
 
+def test_the_shadow_is_seen_where_it_lies():
+    """From above x is to the right and y upwards: neither swapped nor turned."""
+    floor = Floor(color=(1, 1, 1), light=(0.6, -0.2, -1.0), softness=0.0, shadow=1.0)
+    out = ground(floor, cast(ball((0.1, 0.6, 0.5), sd=0.05), floor), TOP)[..., 0]
+    row, column = np.unravel_index(out.argmin(), out.shape)
+    pixel = 4.0 / TOP.fx
+    np.testing.assert_allclose([(column - 50) * pixel, (50 - row) * pixel], [0.4, 0.5], atol=pixel)
+
+
 def test_what_is_below_the_floor_throws_no_shadow_and_is_drawn_over_it():
     floor = Floor(color=(0, 0, 1.0), light=(0, 0, -1.0))
     below = ball((0, 0, -0.3), sd=0.2)
