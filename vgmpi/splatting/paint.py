@@ -33,17 +33,24 @@ _ALPHA_MAX, _STOP = np.float32(0.99), np.float32(1e-4)
 _ZERO, _ONE, _HALF = np.float32(0), np.float32(1), np.float32(0.5)
 
 
+def new_canvas(height: int, width: int) -> np.ndarray:
+    """A canvas (tiles, numbers) with nothing on it."""
+    tiles = -(-width // TILE) * -(-height // TILE)
+    canvas = np.empty((tiles, _CANVAS), dtype=np.float32)
+    _clear(canvas, height, width)
+    return canvas
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def new_canvas(height, width):
-    """A canvas with nothing on it; pixels beyond the picture have stopped already."""
-    nx, ny = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
-    canvas = np.zeros((nx * ny, _CANVAS), dtype=np.float32)
-    for t in range(nx * ny):
+def _clear(canvas, height, width):
+    """Pixels beyond the picture have stopped already."""
+    nx = (width + TILE - 1) // TILE
+    canvas[:] = _ZERO
+    for t in range(len(canvas)):
         for j in range(TILE):
             for k in range(TILE):
                 inside = (t // nx) * TILE + j < height and (t % nx) * TILE + k < width
                 canvas[t, j * _ROW + k] = _ONE if inside else -_ONE
-    return canvas
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz", "nnan", "ninf"})

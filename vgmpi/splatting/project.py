@@ -34,8 +34,19 @@ def _on_screen(u, v, z, c, w2c, fx, fy, limits):
     return xx, mx * my * (a0 * q0 + a1 * q1 + a2 * q2), yy
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def project(x, cov, opacity, color, w2c, lens, height, width, lowpass, antialias, alpha_min):
+def project(
+    x: np.ndarray,
+    cov: np.ndarray,
+    opacity: np.ndarray,
+    color: np.ndarray,
+    w2c: np.ndarray,
+    lens: np.ndarray,
+    height: int,
+    width: int,
+    lowpass: float,
+    antialias: bool,
+    alpha_min: float,
+) -> tuple[np.ndarray, ...]:
     """The Gaussians in view: ellipses (m, 5), looks (m, 5), pixel bounds (m, 4), depths (m,).
 
     An ellipse is its middle [pixels] and a, b, c of s = a dx^2 + b dx dy + c dy^2; looks are
@@ -43,15 +54,33 @@ def project(x, cov, opacity, color, w2c, lens, height, width, lowpass, antialias
     fy, cx, cy, near. Comparisons are written so that they fail for NaN: a broken Gaussian is left
     out.
     """
+    out = _rows(len(x))
+    depth = np.empty(len(x))
+    given = (x, cov, opacity, color, w2c, lens, height, width, lowpass, antialias, alpha_min)
+    m = _project(*given, *out, depth)
+    return *(array[:m] for array in out), depth[:m]
+
+
+def _rows(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Ellipses, looks and bounds of n Gaussians, not filled in.
+
+    By numpy, which asks for large pages: those of compiled code cost a quarter of a picture's time.
+    """
+    looks = np.zeros((n, 5), dtype=np.float32)
+    return np.empty((n, 5)), looks, np.empty((n, 4), dtype=np.int32)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _project(
+    x, cov, opacity, color, w2c, lens, height, width, lowpass, antialias, alpha_min,
+    ellipses, looks, bounds, depth,
+):  # fmt: skip
+    """Fill in ellipses, looks, bounds and depth; how many."""
     fx, fy, cx, cy, near = lens
     mx, my = 0.15 * width / fx, 0.15 * height / fy
     limits = (cx / fx + mx, (width - cx) / fx + mx, cy / fy + my, (height - cy) / fy + my)
-    n, m = len(x), 0
-    ellipses = np.empty((n, 5))
-    looks = np.empty((n, 5), dtype=np.float32)
-    bounds = np.empty((n, 4), dtype=np.int32)
-    depth = np.empty(n)
-    for i in range(n):
+    m = 0
+    for i in range(len(x)):
         z = w2c[2, 0] * x[i, 0] + w2c[2, 1] * x[i, 1] + w2c[2, 2] * x[i, 2] + w2c[2, 3]
         if not (z >= near and z < 1e30):
             continue
@@ -81,23 +110,43 @@ def project(x, cov, opacity, color, w2c, lens, height, width, lowpass, antialias
         e[0], e[1], e[2], e[3], e[4] = px, py, half * yy, -2.0 * half * xy, half * xx
         k[0], k[1], k[2], k[3], k[4] = o, level, color[i, 0], color[i, 1], color[i, 2]
         m += 1
-    return ellipses[:m], looks[:m], bounds[:m], depth[:m]
+    return m
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def drop(x, cov, opacity, lean, plane, lower, pixel, softness, height, width, alpha_min):
+def drop(
+    x: np.ndarray,
+    cov: np.ndarray,
+    opacity: np.ndarray,
+    lean: np.ndarray,
+    plane: float,
+    lower: np.ndarray,
+    pixel: float,
+    softness: float,
+    height: int,
+    width: int,
+    alpha_min: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What lies above the plane z = `plane`, dropped onto it along the light: as from `project`.
 
     lean: (2,), how far a point moves in x and y per m that it falls. lower: corner of the picture
     on the plane [m], (2,). pixel: its pixels' side [m]. softness: standard deviation of the blur
     per m of height. Blurred Gaussians are as much fainter as they are wider. Colours are 0.
     """
-    n, m = len(x), 0
-    ellipses = np.empty((n, 5))
-    looks = np.zeros((n, 5), dtype=np.float32)
-    bounds = np.empty((n, 4), dtype=np.int32)
+    out = _rows(len(x))
+    given = (x, cov, opacity, lean, plane, lower, pixel, softness, height, width, alpha_min)
+    m = _drop(*given, *out)
+    return tuple(array[:m] for array in out)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _drop(
+    x, cov, opacity, lean, plane, lower, pixel, softness, height, width, alpha_min,
+    ellipses, looks, bounds,
+):  # fmt: skip
+    """Fill in ellipses, looks and bounds; how many."""
+    m = 0
     p, q = lean[0], lean[1]
-    for i in range(n):
+    for i in range(len(x)):
         fall = x[i, 2] - plane
         if not (fall >= 0.0 and fall < 1e30):
             continue
@@ -127,4 +176,4 @@ def drop(x, cov, opacity, lean, plane, lower, pixel, softness, height, width, al
         e[0], e[1], e[2], e[3], e[4] = px, py, half * yy, -2.0 * half * xy, half * xx
         looks[m, 0], looks[m, 1] = o, level
         m += 1
-    return ellipses[:m], looks[:m], bounds[:m]
+    return m
