@@ -2,7 +2,8 @@
 
 A lumpy ball of flat discs (opacity 0.95, plain colours) that fills most of a picture of 800 x 800
 pixels, half of its kernels on the closed surface and half inside, drawn from 12 sides by the same
-calls as a video. Times are of the processor, so other work on the machine disturbs them less.
+calls as a video. With --fluid all of it is faint balls (opacity 0.02, alpha_min 1e-4), which hide
+nothing. Times are of the processor, so other work on the machine disturbs them less.
 """
 
 import argparse
@@ -22,17 +23,17 @@ PAPER = {71_000: 0.07, 191_000: 0.13, 368_000: 0.26}  # kernels: seconds on an A
 ASKED = {71_000: 0.09, 191_000: 0.16, 368_000: 0.26}
 CAMERAS, SIZE = 12, 800
 SURFACE = 0.5  # part of the kernels on the surface
-OPACITY = 0.95
+OPACITY, FAINT = 0.95, 0.02  # of the body; of fluids
 _GOLDEN = np.pi * (1 + np.sqrt(5))
 
 
-def lumpy_ball(count: int) -> tuple[SimpleNamespace, np.ndarray]:
+def lumpy_ball(count: int, fluid: bool = False) -> tuple[SimpleNamespace, np.ndarray]:
     """Rest Gaussians as gaussians.h5 holds them, and the positions of a frame (count, 3) [m].
 
     The radius is 0.4 m with lumps of 15 %. Discs: sigma_t = 0.6 sqrt(area / n), sigma_n = 0.1
     sigma_t. Inside: balls of 0.45 times their spacing, on a jittered lattice.
     """
-    outer = int(SURFACE * count)
+    outer = 0 if fluid else int(SURFACE * count)
     at = np.arange(outer) + 0.5
     z = 1 - 2 * at / outer
     ring = np.sqrt(1 - z * z)
@@ -40,7 +41,7 @@ def lumpy_ball(count: int) -> tuple[SimpleNamespace, np.ndarray]:
     r, slope = _radius(d)
     normal = d * r[:, None] - slope  # of a star-shaped surface, slope tangential
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    area = 4 * np.pi / outer * r**2 / np.einsum("ni,ni->n", normal, d)
+    area = 4 * np.pi / max(outer, 1) * r**2 / np.einsum("ni,ni->n", normal, d)
     variance = 0.36 * area
     outside = np.einsum("ni,nj->nij", normal, normal) * (0.01 - 1) + np.eye(3)
     x_in, spacing = _inside(count - outer)
@@ -51,7 +52,7 @@ def lumpy_ball(count: int) -> tuple[SimpleNamespace, np.ndarray]:
     rest = SimpleNamespace(
         x0=x,
         object=np.zeros(count, dtype="i4"),
-        opacity=np.full(count, OPACITY, dtype="f4"),
+        opacity=np.full(count, FAINT if fluid else OPACITY, dtype="f4"),
         vol0=np.full(count, spacing**3),
         cov0=cov.reshape(-1, 9)[:, (0, 1, 2, 4, 5, 8)].astype("f4"),
         sh=dc_from_rgb(rgb)[:, None].astype("f4"),
@@ -92,10 +93,12 @@ def turned(angle: float) -> np.ndarray:
 class Subject:
     """The object and 12 cameras around it."""
 
-    def __init__(self, kernels: int):
-        rest, x = lumpy_ball(kernels)
-        entry = {"name": "object", "family": "solid", "deforms": True}
+    def __init__(self, kernels: int, fluid: bool = False):
+        rest, x = lumpy_ball(kernels, fluid)
+        family = "fluid" if fluid else "solid"
+        entry = {"name": "object", "family": family, "deforms": not fluid, "opacity_scale": 1.0}
         self.look = Look(SimpleNamespace(gaussians=rest, objects=[entry]))
+        self.alpha_min = self.look.alpha_min(None)
         # turned by nothing, but worked out like any solid's frame
         F = np.tile(turned(0).astype("f4"), (kernels, 1))
         J = np.ones(kernels, dtype="f4")
@@ -112,13 +115,13 @@ class Subject:
         begin = time.process_time()
         splats = self.look.splats(self.frame, camera.eye)
         between = time.process_time()
-        image, _ = splat.render(splats, camera)
+        image, _ = splat.render(splats, camera, alpha_min=self.alpha_min)
         return between - begin, time.process_time() - between, image
 
 
-def measured(kernels: int, rounds: int) -> np.ndarray:
+def measured(kernels: int, rounds: int, fluid: bool = False) -> np.ndarray:
     """Seconds of processor time to Gaussians and to pixels, (12 rounds, 2)."""
-    subject = Subject(kernels)
+    subject = Subject(kernels, fluid)
     subject.draw(0)  # compiles, or loads what is compiled
     return np.array([subject.draw(number)[:2] for number in range(rounds * CAMERAS)])
 
@@ -163,6 +166,7 @@ def parser() -> argparse.ArgumentParser:
     p = argparse.ArgumentParser(prog="python -m postprocess.bench", description=__doc__)
     p.add_argument("--kernels", type=int, nargs="+", default=list(PAPER), help="sizes to measure")
     p.add_argument("--rounds", type=int, default=3, help="times that each side is drawn [3]")
+    p.add_argument("--fluid", action="store_true", help="faint balls instead of a solid body")
     p.add_argument("--jobs", type=int, default=1, help="measure the gain of this many processes")
     return p
 
@@ -181,11 +185,12 @@ def main(argv: list[str] | None = None) -> int:
     print(f"{SIZE} x {SIZE} pixels, {CAMERAS} cameras, seconds of processor time per picture")
     print("                    median                              minimum   paper's")
     print(" kernels  to Gaussians   to pixels       both   asked       both      A100")
+    tables = ({}, {}) if args.fluid else (ASKED, PAPER)
     for kernels in args.kernels:
-        seconds = measured(kernels, args.rounds)
+        seconds = measured(kernels, args.rounds, args.fluid)
         to_gaussians, to_pixels = np.median(seconds, axis=0)
         both = seconds.sum(axis=1)
-        asked, paper = (f"{table.get(kernels, np.nan):.2f}" for table in (ASKED, PAPER))
+        asked, paper = (f"{table[kernels]:.2f}" if kernels in table else "-" for table in tables)
         print(
             f"{kernels:8d} {to_gaussians:13.3f} {to_pixels:11.3f} {np.median(both):10.3f} "
             f"{asked:>7} {both.min():10.3f} {paper:>9}"

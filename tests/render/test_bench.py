@@ -34,7 +34,7 @@ def test_the_table_names_the_kernels_and_the_papers_time(capsys):
     assert bench.main(["--kernels", "2000", "71000", "--rounds", "1"]) == 0
     lines = capsys.readouterr().out.splitlines()[-2:]
     assert [line.split()[0] for line in lines] == ["2000", "71000"]
-    assert lines[0].split()[-1] == "nan" and lines[1].split()[-1] == "0.07"
+    assert lines[0].split()[-1] == "-" and lines[1].split()[-1] == "0.07"
     both = float(lines[1].split()[3])
     assert both == pytest.approx(sum(map(float, lines[1].split()[1:3])), rel=0.2)
 
@@ -47,3 +47,13 @@ def test_two_processes_are_compared_with_one(capsys):
 def test_a_wrong_size_is_one_line(capsys):
     assert bench.main(["--kernels", "10"]) == 2
     assert "allowed" in capsys.readouterr().err
+
+
+def test_a_fluid_hides_nothing(capsys):
+    subject = bench.Subject(3000, fluid=True)
+    assert subject.alpha_min == pytest.approx(1e-4) and (subject.look.opacity < 0.021).all()
+    camera = subject.camera(0)
+    _, left = splat.render(subject.look.splats(subject.frame, camera.eye), camera)
+    assert left.min() > 0.3
+    assert bench.main(["--kernels", "2000", "--rounds", "1", "--fluid"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1].split()[0] == "2000"

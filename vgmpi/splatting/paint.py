@@ -30,29 +30,36 @@ def _exponential() -> list[np.float32]:
 _E0, _E1, _E2, _E3, _E4, _E5, _E6 = _exponential()
 _SIXTEENTH, _FARTHEST = np.float32(-1 / 16), np.float32(-0.75)
 _ALPHA_MAX, _STOP = np.float32(0.99), np.float32(1e-4)
-_ZERO, _ONE, _HALF, _MIDDLE = np.float32(0), np.float32(1), np.float32(0.5), np.float32(7.5)
+_ZERO, _ONE, _HALF = np.float32(0), np.float32(1), np.float32(0.5)
+
+
+def new_canvas(height: int, width: int) -> np.ndarray:
+    """A canvas (tiles, numbers) with nothing on it."""
+    tiles = -(-width // TILE) * -(-height // TILE)
+    canvas = np.empty((tiles, _CANVAS), dtype=np.float32)
+    _clear(canvas, height, width)
+    return canvas
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def new_canvas(height, width):
-    """A canvas with nothing on it; pixels beyond the picture have stopped already."""
-    nx, ny = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
-    canvas = np.zeros((nx * ny, _CANVAS), dtype=np.float32)
-    for t in range(nx * ny):
+def _clear(canvas, height, width):
+    """Pixels beyond the picture have stopped already."""
+    nx = (width + TILE - 1) // TILE
+    canvas[:] = _ZERO
+    for t in range(len(canvas)):
         for j in range(TILE):
             for k in range(TILE):
                 inside = (t // nx) * TILE + j < height and (t % nx) * TILE + k < width
                 canvas[t, j * _ROW + k] = _ONE if inside else -_ONE
-    return canvas
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz", "nnan", "ninf"})
-def _row(buf, at, a, b, c, opacity, level, red, green, blue):
-    """Blend one Gaussian into a row of 16 pixels, whose s is a X^2 + b X + c, X = -7.5 .. 7.5."""
+def _row(buf, at, first, a, b, c, opacity, level, red, green, blue):
+    """Blend one Gaussian into a row of 16 pixels: s is a X^2 + b X + c, X = first + 0 .. 15."""
     if at < 0:  # tells the compiler that no index wraps around, which would keep the loop scalar
         return
     for k in range(TILE):
-        X = np.float32(k) - _MIDDLE
+        X = np.float32(k) + first
         s = c + X * (a * X + b)
         t = s * _SIXTEENTH  # e^-s = (e^(-s/16))^16
         t = t if t > _FARTHEST else _FARTHEST  # min() and max() would keep the loop scalar
@@ -76,12 +83,12 @@ def _row(buf, at, a, b, c, opacity, level, red, green, blue):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz", "nnan", "ninf"})
-def _row_of_depths(buf, at, a, b, c, opacity, level, depth):
+def _row_of_depths(buf, at, first, a, b, c, opacity, level, depth):
     """The same for depths: their weighted sum, and the one that brings the light below a half."""
     if at < 0:
         return
     for k in range(TILE):
-        X = np.float32(k) - _MIDDLE
+        X = np.float32(k) + first
         s = c + X * (a * X + b)
         t = s * _SIXTEENTH
         t = t if t > _FARTHEST else _FARTHEST
@@ -122,19 +129,23 @@ def _draw(buf, items, ellipses, looks, left, top, depths):
         p, y0, y1 = item >> 8, (item >> 4) & 15, item & 15
         y0, y1 = max(y0, first), min(y1, last)
         mx, my, a, b, c = ellipses[p]
-        # s about the tile's middle: there float32 keeps its digits, however far the Gaussian's is
-        dx, dy = left + 8.0 - mx, top + 8.0 - my
+        # s about the point of the tile that is nearest to the middle of the Gaussian: whether it
+        # is small and here or large and far away, float32 keeps the digits that count
+        rx = min(max(mx, left), left + 16.0)
+        ry = min(max(my, top), top + 16.0)
+        dx, dy = rx - mx, ry - my
         s0 = np.float32(a * dx * dx + b * dx * dy + c * dy * dy)
         sx, sy = np.float32(2.0 * a * dx + b * dy), np.float32(2.0 * c * dy + b * dx)
+        first_x, first_y = np.float32(left + 0.5 - rx), np.float32(top + 0.5 - ry)
         fa, fb, fc = np.float32(a), np.float32(b), np.float32(c)
         opacity, level, red, green, blue = looks[p]
         for j in range(y0, y1 + 1):
-            Y = np.float32(j) - _MIDDLE
+            Y = np.float32(j) + first_y
             at = s0 + Y * (sy + fc * Y)
             if depths:
-                _row_of_depths(buf, j * _ROW, fa, sx + fb * Y, at, opacity, level, red)
+                _row_of_depths(buf, j * _ROW, first_x, fa, sx + fb * Y, at, opacity, level, red)
             else:
-                _row(buf, j * _ROW, fa, sx + fb * Y, at, opacity, level, red, green, blue)
+                _row(buf, j * _ROW, first_x, fa, sx + fb * Y, at, opacity, level, red, green, blue)
     return _open_rows(buf)[1] >= 0
 
 

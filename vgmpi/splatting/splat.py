@@ -62,14 +62,14 @@ def render(
     if depth not in (None, *DEPTHS) or backend not in BACKENDS or supersample < 1:
         raise ValueError(f"allowed: depth {DEPTHS}, backend {BACKENDS}, supersample from 1")
     fine = finer(camera, supersample)
-    behind = _behind(background, camera, supersample)
+    under = behind(background, camera, supersample)
     options = {"lowpass": lowpass, "antialias": antialias, "alpha_min": alpha_min, "depth": depth}
     if backend == "gsplat":
         from vgmpi.splatting import gsplat_backend  # asks for torch, which few have
 
-        drawn = gsplat_backend.render(splats, fine, behind, **options)
+        drawn = gsplat_backend.render(splats, fine, under, **options)
     else:
-        drawn = _render(splats, fine, behind, **options)
+        drawn = _render(splats, fine, under, **options)
     return drawn if supersample == 1 else _coarser(drawn, supersample)
 
 
@@ -108,7 +108,7 @@ def finer(camera: Camera, times: int) -> Camera:
     return replace(camera, **size, width=camera.width * times, height=camera.height * times)
 
 
-def _behind(background: np.ndarray, camera: Camera, times: int) -> np.ndarray:
+def behind(background: np.ndarray, camera: Camera, times: int) -> np.ndarray:
     """The background as (times height, times width, 3) float32, copied only where it must be."""
     background = np.asarray(background, dtype=np.float32)
     shape = (camera.height * times, camera.width * times, 3)
