@@ -24,6 +24,7 @@ OF_BODIES = (
     "prune",
     "prune_scale",
     "passive",
+    "deforms",
 )
 
 Velocity = tuple[
@@ -183,6 +184,9 @@ class Object(Table):
     """opacity of the Gaussians made for shapes, meshes and fillings"""
     opacity_scale: Share = 1.0
     """fluids only: factor on opacities when drawn; water looks like water at 0.005 .. 0.05"""
+    deforms: bool | None = None
+    """whether frames have the body's total deformation gradient F, which its Gaussians then follow.
+    Default: solids. A fluid, sand or snow flows without end: its Gaussians become needles"""
     alpha_min: Annotated[float, Quantity("", ge=1e-5, le=0.5)] | None = None
     """contributions fainter than this are not drawn; default 1/255, and 1e-4 where
     opacity_scale is below 0.1"""

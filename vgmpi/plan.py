@@ -15,6 +15,7 @@ from .couplings.base import CONTACT, DRAG, MIXING, RULES, Rules
 from .couplings.contact import Contact
 from .loads import mean_share
 from .materials.base import function, state_channels
+from .objects import Object
 from .scene import Scene
 from .sharing import rules
 
@@ -49,6 +50,7 @@ class GroupPlan(NamedTuple):
     pores: float = 1.0  # least share of space at the start, of fluids that flow through sand
     stiff: float = 0.0  # [m2/s2] squared speed of waves that such sand adds
     dense: float = 1.0  # density relative to such sand's grains, at least 1
+    followed: bool = False  # carries its total deformation gradient, which its law does not know
 
     @property
     def porous(self) -> bool:
@@ -57,9 +59,14 @@ class GroupPlan(NamedTuple):
 
     @property
     def carried(self) -> tuple:
-        """What a particle carries at rest: the law's state, and its share of space where that may
-        change."""
-        return (*self.rest, 1.0) if self.porous else self.rest
+        """What a particle carries at rest: the law's state, its share of space where that may
+        change, and the total deformation gradient less 1 where that is followed."""
+        return (*self.rest, *(1.0,) * self.porous, *(0.0,) * (9 * self.followed))
+
+    @property
+    def gradient(self) -> int:
+        """First channel of the total deformation gradient, where it is followed."""
+        return BASE_CHANNELS + len(self.rest) + self.porous
 
     def bound(self, wave2):
         """Squared wave speed [m2/s2], that of the law being wave2, in the pores at the start."""
@@ -146,6 +153,11 @@ def make_plan(scene: Scene, count: list[int], volume: list[float], collider: boo
     key = {k: (scene.phase_of(scene.object[k]) or "", made_of[k]) for k in bodies}
     wanted = sorted(set(key.values()))
     groups = tuple(_group(number[p], p, m, scene.material[m], real) for p, m in wanted)
+    asked = {key[k] for k in bodies if deforms(scene, scene.object[k])}
+    groups = tuple(
+        group._replace(followed=name in asked and "H" not in group.carries)
+        for name, group in zip(wanted, groups, strict=True)
+    )
     sharing = rules(scene, groups, phases)
     groups = tuple(_shared(scene, group, sharing) for group in groups)
     flip = scene.accuracy.flip if scene.accuracy.transfer == "flip" else 0.0
@@ -186,6 +198,15 @@ def make_plan(scene: Scene, count: list[int], volume: list[float], collider: boo
     )
     _check_fixed_dt(scene, plan)
     return plan
+
+
+def deforms(scene: Scene, thing: Object) -> bool:
+    """Whether frames have a body's total deformation gradient, for its Gaussians to follow."""
+    if thing.material is None:
+        return False
+    material = scene.material[thing.material]
+    asked = material.family == "solid" if thing.deforms is None else thing.deforms
+    return asked and ("H" in material.carries or "F" in scene.output.fields)
 
 
 def _phases(scene, bodies, material_of, volume) -> tuple[PhasePlan, ...]:
@@ -312,7 +333,7 @@ def describe(scene: Scene, plan: Plan, ranks: int) -> str:
             if plan.phases[group.phase] is not phase:
                 continue
             n = sum(plan.count[k] for k in phase.objects if plan.group_of[k] == g)
-            fields = "x, v, C, vol0, " + ", ".join(scene.material[group.material].carries)
+            fields = "x, v, C, vol0, " + ", ".join(group.carries) + ", F" * group.followed
             lines.append(
                 f"  phase       {phase.name}: {n:,} particles of {group.material}"
                 f" ({phase.family}), {plan.bytes_per_particle(g)} bytes each: {fields}"
