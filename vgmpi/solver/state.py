@@ -26,7 +26,7 @@ def frame_rows(simulation: Simulation, names: tuple[str, ...]) -> tuple[np.ndarr
     deforms = any("H" in group.carries or group.followed for group in simulation.plan.groups)
     for group in simulation.groups:
         at = group.index()
-        state = tuple(group.f[STATE:, at])
+        state = tuple(group.f[STATE : STATE + len(group.plan.rest), at])
         J = np.asarray(function(group.plan.law, "volume_ratio")(group.plan.law, state), np.float32)
         row = {
             "x": group.positions().astype(np.float32),
