@@ -123,7 +123,7 @@ def _export(args: argparse.Namespace, folder: Path) -> None:
     suffix = f".{args.format}"
     said: set[str] = set()
     for index in tqdm(numbers, unit="frame", disable=True if args.quiet else None):
-        made = cloud(look, run.frame(index), not args.no_scenery)
+        made = cloud(look, look.frame(index), not args.no_scenery)
         if args.up != "z":
             made = made.transformed(UP[args.up])
         for line in losses(made, suffix):

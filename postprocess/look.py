@@ -61,7 +61,9 @@ class Look:
                 np.asarray(scenery.opacity, dtype=np.float64) * factor[scenery.object],
                 Colors(np.asarray(scenery.sh)),
             )
-        self.passive = Passive(rest) if getattr(rest, "passive", None) is not None else None
+        self.passive = None
+        if getattr(rest, "passive", None) is not None:
+            self.passive = Passive(rest, factor, chosen)
 
     def frame(self, index: int) -> dict[str, np.ndarray]:
         """Frame `index` of the run, with the colours it has then as "sh" (n, K, 3) where colour

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from postprocess import shade
+from postprocess.settings import LookSettings
 from vgmpi.gaussians import evolve
 from vgmpi.gaussians import sh as harmonics
 
@@ -58,17 +59,22 @@ class Part(NamedTuple):
 
 
 class Passive:
-    """Gaussians without mass, moved by the particles that carry them."""
+    """Gaussians without mass, moved by the particles that carry them.
 
-    def __init__(self, rest):
+    factor: on the opacities of each object. chosen: whether shapes and colours follow.
+    """
+
+    def __init__(self, rest, factor: np.ndarray, chosen: LookSettings):
         riders = rest.passive
         self.count = len(rest.object)
         self.carriers = np.asarray(riders.carriers)
         self.weights = np.asarray(riders.weights, dtype=np.float64)
         self.offset = np.asarray(riders.x0)[:, None, :] - np.asarray(rest.x0)[self.carriers]
         self.cov0 = np.asarray(riders.cov0, dtype=np.float64)
-        self.opacity = np.asarray(riders.opacity, dtype=np.float64)
+        self.opacity = np.asarray(riders.opacity, dtype=np.float64) * factor[riders.object]
         self.color = Colors(np.asarray(riders.sh))
+        self.evolves = chosen.covariance == "evolve"
+        self.turns = chosen.harmonics == "rotate"
 
     def part(self, frame: dict[str, np.ndarray]) -> Part:
         """Those whose carriers are all there."""
@@ -83,7 +89,9 @@ class Passive:
             np.asarray(frame["x"], dtype=np.float64)[at],
             np.asarray(frame["F"])[at],
         )
-        turning = np.flatnonzero(self.color.view_dependent[there])
+        turning = np.flatnonzero(self.color.view_dependent[there] & self.turns)
         turned = F[turning].reshape(-1, 9)
-        cov = evolve.solid(self.cov0[there], F)
+        cov = self.cov0[there]
+        if self.evolves:
+            cov = evolve.solid(cov, F)
         return Part(x, cov, self.opacity[there], self.color, there, turning, turned)

@@ -176,7 +176,7 @@ class Object(Table):
     """for prune = "paper", the volume scale s' (a linear scale cubed): of the interior s' is kept,
     of the surface s'^(2/3) up to s' = 0.5, s'^(1/3) up to 0.7, above 0.7 all"""
     passive: bool = False
-    """solids that carry F only: pruned Gaussians stay as they were and ride along without mass,
+    """solids only: pruned Gaussians stay as they were and ride along without mass,
     each with the 4 particles nearest to it at rest, so that pruning is not seen"""
     color: Color = (0.7, 0.7, 0.7)
     """colour of shapes, and of meshes without colours: "#rrggbb" or three numbers 0..1"""
