@@ -291,8 +291,12 @@ def test_the_order_of_rows_is_nothing_and_rows_may_be_missing():
     run, frame = still()
     whole = Colours(run, look("frame")).at(0, frame)
     order = np.random.default_rng(1).permutation(400)
-    mixed = Colours(run, look("frame")).at(0, {k: a[order] for k, a in frame.items()})
+    turned_round = {k: a[order] for k, a in frame.items()}
+    mixed = Colours(run, look("frame")).at(0, turned_round)
     np.testing.assert_array_equal(mixed, whole[order])
+    colours = Colours(run, look("frame"))  # all digits: pictures have single precision only
+    one, other = (colours._moved(f, colours.first, 0.5) for f in (frame, turned_round))
+    np.testing.assert_array_equal(one, other)
     part = Colours(run, look("frame")).at(0, {k: a[::2] for k, a in frame.items()})
     assert part.shape == (200, 1, 3) and not np.array_equal(part, whole[::2])
 
