@@ -9,7 +9,8 @@ import pytest
 import vgmpi
 from postprocess.colours import FOLDER, Colours
 from postprocess.look import Look
-from postprocess.settings import LookSettings, SettingsError
+from postprocess.render import Painter, pictures
+from postprocess.settings import LookSettings, Settings, SettingsError
 from tests.launch import mpirun
 from tests.render import runs
 from vgmpi.gaussians.sh import C0
@@ -184,6 +185,20 @@ def test_a_time_too_short_and_a_wrong_body_are_named(made):
         Look(run, look("relax", colour_time=1e-5)).frame(1)
     with pytest.raises(SettingsError, match="no body 'bleu'; known: blue, red, ball"):
         Look(run, look("frame", colour_bodies=["bleu"]))
+
+
+def test_processes_that_share_the_frames_draw_the_same(made):
+    small = {"picture": {"width": 64, "height": 48}}
+    chosen = Settings(look=look("relax", colour_time=0.04), **small)
+    painter = Painter(Run(made[0]), chosen, made[0])
+    numbers = [1, 3, 5]
+    alone = list(pictures(painter, str(made[0]), made[0], numbers, 1))
+    for path in (made[0] / FOLDER).iterdir():
+        path.unlink()
+    shared = list(pictures(painter, str(made[0]), made[0], numbers, 2))
+    np.testing.assert_array_equal(shared, alone)
+    plain = Painter(Run(made[0]), Settings(look=look("off"), **small), made[0]).draw(5, 1.0)
+    assert (alone[-1] != plain).any()
 
 
 @pytest.mark.mpi
