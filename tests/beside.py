@@ -47,7 +47,11 @@ def worst(simulation, reference):
             "x": (group.positions()[order], body.x, reference.dx),
             "v": (f[0:3].T, body.v, np.abs(body.v).max()),
             "C": (f[3:12].T, body.C.reshape(-1, 9), np.abs(body.C).max()),
-            "state": (f[13:], np.array(body.state), np.abs(np.array(body.state)).max()),
+            "state": (
+                f[13 : 13 + len(body.state)],
+                np.array(body.state),
+                np.abs(np.array(body.state)).max(),
+            ),
         }
         for name, (got, want, scale) in compared.items():
             found[f"{group.plan.name} {name}"] = float(np.abs(got - want).max() / scale)

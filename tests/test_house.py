@@ -21,7 +21,7 @@ LAYERS = [
     {"kernels"},
     {"output"},
     {"domain"},
-    {"plan"},
+    {"plan", "price"},
     {"sharing"},
     {"scene", "objects", "forms", "loads", "probes", "settings", "source", "reference"},
     {"materials", "couplings"},

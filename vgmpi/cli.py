@@ -10,7 +10,8 @@ from pathlib import Path
 
 from .domain.ranks import Alone, world
 from .output import checkpoint, layout, read, store
-from .plan import describe, make_plan
+from .plan import make_plan
+from .price import describe
 from .scene import Scene, load
 from .solver.requests import listen
 from .tables import SceneError

@@ -24,6 +24,7 @@ OF_BODIES = (
     "prune",
     "prune_scale",
     "passive",
+    "deforms",
 )
 
 Velocity = tuple[
@@ -175,7 +176,7 @@ class Object(Table):
     """for prune = "paper", the volume scale s' (a linear scale cubed): of the interior s' is kept,
     of the surface s'^(2/3) up to s' = 0.5, s'^(1/3) up to 0.7, above 0.7 all"""
     passive: bool = False
-    """solids that carry F only: pruned Gaussians stay as they were and ride along without mass,
+    """solids only: pruned Gaussians stay as they were and ride along without mass,
     each with the 4 particles nearest to it at rest, so that pruning is not seen"""
     color: Color = (0.7, 0.7, 0.7)
     """colour of shapes, and of meshes without colours: "#rrggbb" or three numbers 0..1"""
@@ -183,6 +184,9 @@ class Object(Table):
     """opacity of the Gaussians made for shapes, meshes and fillings"""
     opacity_scale: Share = 1.0
     """fluids only: factor on opacities when drawn; water looks like water at 0.005 .. 0.05"""
+    deforms: bool | None = None
+    """whether frames have the body's total deformation gradient F, which its Gaussians then follow.
+    Default: solids. A fluid, sand or snow flows without end: its Gaussians become needles"""
     alpha_min: Annotated[float, Quantity("", ge=1e-5, le=0.5)] | None = None
     """contributions fainter than this are not drawn; default 1/255, and 1e-4 where
     opacity_scale is below 0.1"""

@@ -11,15 +11,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .couplings.base import CONTACT, DRAG, MIXING, RULES, Rules
+from .couplings.base import DRAG, MIXING, Rules
 from .couplings.contact import Contact
 from .loads import mean_share
 from .materials.base import function, state_channels
+from .objects import Object
 from .scene import Scene
 from .sharing import rules
 
 # a step of one fluid particle on one core of an AVX-512 machine [ns]; see docs/performance.md
-NS_PER_PARTICLE = {"single": 45.0, "double": 90.0}
 BASE_CHANNELS = 13  # velocity 3, APIC matrix 9, rest volume 1
 MASTERY = {
     "solid": 0,
@@ -50,6 +50,7 @@ class GroupPlan(NamedTuple):
     stiff: float = 0.0  # [m2/s2] squared speed of waves that such sand adds
     dense: float = 1.0  # density relative to such sand's grains, at least 1
     widths: tuple[int, ...] = ()  # numbers of each thing that `carries` names
+    followed: bool = False  # carries its total deformation gradient, which its law does not know
 
     @property
     def porous(self) -> bool:
@@ -58,9 +59,14 @@ class GroupPlan(NamedTuple):
 
     @property
     def carried(self) -> tuple:
-        """What a particle carries at rest: the law's state, and its share of space where that may
-        change."""
-        return (*self.rest, 1.0) if self.porous else self.rest
+        """What a particle carries at rest: the law's state, its share of space where that may
+        change, and the total deformation gradient less 1 where that is followed."""
+        return (*self.rest, *(1.0,) * self.porous, *(0.0,) * (9 * self.followed))
+
+    @property
+    def gradient(self) -> int:
+        """First channel of the total deformation gradient, where it is followed."""
+        return BASE_CHANNELS + len(self.rest) + self.porous
 
     def bound(self, wave2):
         """Squared wave speed [m2/s2], that of the law being wave2, in the pores at the start."""
@@ -122,6 +128,8 @@ class Plan:
         numbers = {"x": 3, "v": 3, "C": 9, "vol0": 1, **dict(zip(g.carries, g.widths, strict=True))}
         if g.porous:
             numbers["share"] = 1
+        if g.followed:
+            numbers["F"] = 9
         return {name: n * self.real.itemsize for name, n in numbers.items()} | {"id": 8}
 
     def bytes(self) -> int:
@@ -163,6 +171,11 @@ def make_plan(
     key = {k: (scene.phase_of(scene.object[k]) or "", made_of[k]) for k in bodies}
     wanted = sorted(set(key.values()))
     groups = tuple(_group(number[p], p, m, scene.material[m], real) for p, m in wanted)
+    asked = {key[k] for k in bodies if deforms(scene, scene.object[k])}
+    groups = tuple(
+        group._replace(followed=name in asked and "H" not in group.carries)
+        for name, group in zip(wanted, groups, strict=True)
+    )
     sharing = rules(scene, groups, phases)
     groups = tuple(_shared(scene, group, sharing) for group in groups)
     flip = scene.accuracy.flip if scene.accuracy.transfer == "flip" else 0.0
@@ -203,6 +216,15 @@ def make_plan(
     )
     _check_fixed_dt(scene, plan)
     return plan
+
+
+def deforms(scene: Scene, thing: Object) -> bool:
+    """Whether frames have a body's total deformation gradient, for its Gaussians to follow."""
+    if thing.material is None:
+        return False
+    material = scene.material[thing.material]
+    asked = material.family == "solid" if thing.deforms is None else thing.deforms
+    return asked and ("H" in material.carries or "F" in scene.output.fields)
 
 
 def _phases(scene, bodies, material_of, volume, center) -> tuple[PhasePlan, ...]:
@@ -321,62 +343,3 @@ def _check_fixed_dt(scene: Scene, plan: Plan) -> None:
     if plan.fixed_dt > bound:
         said = f"{plan.fixed_dt:.4g} s is above the stable step of {what}: at most {bound:.4g} s"
         raise scene.error([(("time", "dt"), said)])
-
-
-def describe(scene: Scene, plan: Plan, ranks: int) -> str:
-    """What --plan prints: phases, fields, particles, memory, time step, steps, predicted time."""
-    lines = [
-        f"{scene.title or scene.path.name}: {plan.particles:,} particles,"
-        f" {scene.accuracy.precision} precision"
-    ]
-    nx, ny, nz = plan.cells
-    lines.append(f"  grid        {nx} x {ny} x {nz} cells of {plan.dx:g} m, sparse 4^3 blocks")
-    for phase in plan.phases:
-        for g, group in enumerate(plan.groups):
-            if plan.phases[group.phase] is not phase:
-                continue
-            n = sum(plan.count[k] for k in phase.objects if plan.group_of[k] == g)
-            fields = ", ".join(f"{name} {size}" for name, size in plan.fields(g).items())
-            lines.append(
-                f"  phase       {phase.name}: {n:,} particles of {group.material}"
-                f" ({phase.family}), {plan.bytes_per_particle(g)} bytes each: {fields};"
-                f" once for all: density and {len(group.law)} numbers of the law"
-            )
-    for a in range(len(plan.phases)):
-        for b in range(a + 1, len(plan.phases)):
-            names = f"{plan.phases[a].name} - {plan.phases[b].name}"
-            rule = plan.rules.pair[a, b] if plan.rules else CONTACT
-            how = f"friction {plan.friction[a][b]:g}" if rule == CONTACT else "they share space"
-            lines.append(f"  {RULES[rule]:11s} {names}: {how}")
-    lines.append(
-        "  walls       "
-        + ", ".join(f"{w[0]}" + (f" (friction {w[1]:g})" if w[1] else "") for w in plan.walls)
-    )
-    total = plan.bytes()
-    lines.append(
-        f"  memory      {total / 2**20:.0f} MiB in all,"
-        f" {total / ranks / 2**20:.0f} MiB per rank on {ranks} rank(s)"
-    )
-    dt, what = fastest(scene, plan)[0]
-    dt = plan.fixed_dt or dt
-    steps = math.ceil(plan.times[-1] / dt)
-    lines.append(
-        f"  time step   {dt:.4g} s at the start, set by {'time.dt' if plan.fixed_dt else what}"
-    )
-    lines.append(
-        f"  steps       about {steps:,} for {plan.times[-1]:g} s and {len(plan.times)} frames"
-    )
-    work = sum(
-        n * plan.groups[g].cost for n, g in zip(plan.count, plan.group_of, strict=True) if g >= 0
-    )
-    seconds = steps * work * NS_PER_PARTICLE[scene.accuracy.precision] * 1e-9 / ranks
-    lines.append(f"  time        about {_duration(seconds)} on {ranks} rank(s), one core each")
-    return "\n".join(lines)
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 120:
-        return f"{seconds:.0f} s"
-    if seconds < 7200:
-        return f"{seconds / 60:.0f} min"
-    return f"{seconds / 3600:.1f} h"

@@ -261,8 +261,9 @@ class _Reader:
             if thing and thing.compressed != "no" and made_of:
                 if not hasattr(made_of, "theta_below"):
                     self.wrong(("object", k, "compressed"), "is only for fluids")
-            if thing and thing.passive and made_of and "H" not in made_of.carries:
-                said = f"is only for solids whose law carries F; {made_of.kind} does not"
+            follows = made_of and made_of.family == "solid" and thing and thing.deforms is not False
+            if thing and thing.passive and made_of and not follows:
+                said = "is only for solids that deform: it rides along with their F"
                 self.wrong(("object", k, "passive"), said)
             if thing is None or (made_of and made_of.family == "fluid"):
                 continue

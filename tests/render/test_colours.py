@@ -9,7 +9,8 @@ import pytest
 import vgmpi
 from postprocess.colours import FOLDER, Colours
 from postprocess.look import Look
-from postprocess.settings import LookSettings, SettingsError
+from postprocess.render import Painter, pictures
+from postprocess.settings import LookSettings, Settings, SettingsError
 from tests.launch import mpirun
 from tests.render import runs
 from vgmpi.gaussians.sh import C0
@@ -186,6 +187,20 @@ def test_a_time_too_short_and_a_wrong_body_are_named(made):
         Look(run, look("frame", colour_bodies=["bleu"]))
 
 
+def test_processes_that_share_the_frames_draw_the_same(made):
+    small = {"picture": {"width": 64, "height": 48}}
+    chosen = Settings(look=look("relax", colour_time=0.04), **small)
+    painter = Painter(Run(made[0]), chosen, made[0])
+    numbers = [1, 3, 5]
+    alone = list(pictures(painter, str(made[0]), made[0], numbers, 1))
+    for path in (made[0] / FOLDER).iterdir():
+        path.unlink()
+    shared = list(pictures(painter, str(made[0]), made[0], numbers, 2))
+    np.testing.assert_array_equal(shared, alone)
+    plain = Painter(Run(made[0]), Settings(look=look("off"), **small), made[0]).draw(5, 1.0)
+    assert (alone[-1] != plain).any()
+
+
 @pytest.mark.mpi
 def test_colours_do_not_depend_on_the_number_of_ranks(tmp_path):
     (tmp_path / "scene.toml").write_text(SCENE.replace("end = 0.2", "end = 0.04"))
@@ -291,8 +306,12 @@ def test_the_order_of_rows_is_nothing_and_rows_may_be_missing():
     run, frame = still()
     whole = Colours(run, look("frame")).at(0, frame)
     order = np.random.default_rng(1).permutation(400)
-    mixed = Colours(run, look("frame")).at(0, {k: a[order] for k, a in frame.items()})
+    turned_round = {k: a[order] for k, a in frame.items()}
+    mixed = Colours(run, look("frame")).at(0, turned_round)
     np.testing.assert_array_equal(mixed, whole[order])
+    colours = Colours(run, look("frame"))  # all digits: pictures have single precision only
+    one, other = (colours._moved(f, colours.first, 0.5) for f in (frame, turned_round))
+    np.testing.assert_array_equal(one, other)
     part = Colours(run, look("frame")).at(0, {k: a[::2] for k, a in frame.items()})
     assert part.shape == (200, 1, 3) and not np.array_equal(part, whole[::2])
 

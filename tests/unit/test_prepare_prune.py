@@ -12,7 +12,6 @@ from tests.unit.test_prepare_fill import MIDDLE, shell
 from vgmpi.gaussians.cloud import Cloud
 from vgmpi.gaussians.sh import dc_from_rgb
 from vgmpi.prepare import prune, quality
-from vgmpi.prepare.build import build
 from vgmpi.prepare.pieces import make
 from vgmpi.tables import SceneError
 
@@ -255,10 +254,15 @@ def test_keys_that_do_not_go_together(folder, keys, said):
     assert any(said in line for line in caught.value.lines), caught.value.lines
 
 
-def test_passive_needs_a_law_with_f(folder):
+def test_passive_needs_a_solid_that_deforms(folder):
     text = SCENE.replace("SOURCE", 'mesh = "duck.obj"\nprune = "auto"\npassive = true')
-    for kind, keys in (("fluid", ""), ("metal", "youngs_modulus = 1e6\nyield_stress = 1e3")):
-        other = text.replace('kind = "elastic"\ndensity = 400\nyoungs_modulus = 1e5',
-                             f'kind = "{kind}"\n{keys}')  # fmt: skip
-        with pytest.raises(SceneError, match=f"passive: is only for solids .*; {kind} does not"):
-            build(scene(folder, other))
+    elastic = 'kind = "elastic"\ndensity = 400\nyoungs_modulus = 1e5'
+    metal = 'kind = "metal"\nyoungs_modulus = 1e6\nyield_stress = 1e3'
+    for other in (
+        text.replace(elastic, 'kind = "fluid"'),
+        text.replace(elastic, metal).replace("passive = true", "passive = true\ndeforms = false"),
+    ):
+        assert other != text
+        with pytest.raises(SceneError, match="passive: is only for solids that deform"):
+            scene(folder, other)
+    assert scene(folder, text.replace(elastic, metal)).object  # what yields carries F beside it

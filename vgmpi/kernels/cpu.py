@@ -12,7 +12,7 @@ from ..domain.blocks import BITS, EDGE
 from ..domain.state import Group
 from ..domain.topology import Topology
 from ..plan import Plan
-from . import g2p, grid, members, p2g, records
+from . import g2p, gradient, grid, members, p2g, records
 from .patches import zero
 from .walls import KINDS, SIDE, patch_codes
 
@@ -261,6 +261,9 @@ class Cpu:
             self.flip if second else None, part.slots[2], self.records[thread], self.base[thread],
             part.numbers, self.bits, dither, dt, self.plan.real.type(self.plan.cfl), report[thread],
         )  # fmt: skip
+        if group.plan.followed:
+            first = group.plan.gradient
+            gradient.follow(share, group.start, group.count, group.f, first, dt)
 
     def each(self, shares: list[np.ndarray], work, *arguments) -> None:
         """work(thread, share, *arguments) for every share that is not empty."""

@@ -123,7 +123,7 @@ GAUSSIAN_TEXTS = [
         "text",
         "",
         "JSON, an entry per object of the scene: name, role, material, kind, family, "
-        "deforms (whether its law carries F), phase, "
+        "deforms (whether F of the frames is that of its particles), phase, "
         "density [kg/m3] with its pores, first and count (its rows), opacity_scale, alpha_min, "
         "color, collider, and transform (4 x 4, source coordinates -> domain coordinates [m])",
     ),
@@ -153,7 +153,8 @@ CHECKPOINT = [
         "f4|f8",
         "1",
         "the law's state: theta = ln J of fluids, F - I of elastic solids; b_e - I (00, 11, 22, "
-        "01, 02, 12) and a history of laws that yield",
+        "01, 02, 12) and a history of laws that yield; behind it the share of space in pores, and "
+        "F - I of bodies whose law does not know it",
     ),
 ]
 CHECKPOINT_TEXTS = [

@@ -9,6 +9,7 @@ import numpy as np
 
 from vgmpi.gaussians.checked import GaussianFileError
 from vgmpi.objects import Object
+from vgmpi.plan import deforms
 from vgmpi.prepare.collider import Collider
 from vgmpi.prepare.initial import begun
 from vgmpi.prepare.loads import Loaded, find
@@ -190,7 +191,7 @@ def _describe(scene: Scene, thing: Object, piece: Piece, first: int, count: int)
         "material": thing.material,
         "kind": material.kind if material else None,
         "family": family,
-        "deforms": "H" in material.carries if material else False,
+        "deforms": deforms(scene, thing),
         "phase": scene.phase_of(thing),
         "density": material.bulk_density if material else None,
         "first": first,

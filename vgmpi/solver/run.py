@@ -16,10 +16,11 @@ from ..output import checkpoint, layout, rest, store
 from ..output.frames import Frames
 from ..output.ledger import Ledger
 from ..output.read import RunError, read_gaussians
-from ..plan import Plan, describe, make_plan
+from ..plan import Plan, make_plan
 from ..prepare import texture
 from ..prepare.loads import find
 from ..prepare.motion import gradient
+from ..price import describe
 from ..scene import Scene
 from .probes import Probes
 from .requests import Requests

@@ -19,14 +19,14 @@ PIECES = {
 def frame_rows(simulation: Simulation, names: tuple[str, ...]) -> tuple[np.ndarray, dict]:
     """Ids (n_local,) and the fields of a frame, rows in any order.
 
-    names: of velocity, J, F; x, object and phase are always there. F only where a law in the
+    names: of velocity, J, F; x, object and phase are always there. F only where a body in the
     scene carries it.
     """
     ids, found = [], []
-    deforms = any("H" in group.carries for group in simulation.plan.groups)
+    deforms = any("H" in group.carries or group.followed for group in simulation.plan.groups)
     for group in simulation.groups:
         at = group.index()
-        state = tuple(group.f[STATE:, at])
+        state = tuple(group.f[STATE : STATE + len(group.plan.rest), at])
         J = np.asarray(function(group.plan.law, "volume_ratio")(group.plan.law, state), np.float32)
         row = {
             "x": group.positions().astype(np.float32),
@@ -38,17 +38,18 @@ def frame_rows(simulation: Simulation, names: tuple[str, ...]) -> tuple[np.ndarr
         if "J" in names:
             row["J"] = J
         if "F" in names and deforms:
-            row["F"] = _gradient(group, state, J)
+            row["F"] = _gradient(group, at, J)
         ids.append(group.ids[at])
         found.append(row)
     return np.concatenate(ids), {k: np.concatenate([row[k] for row in found]) for k in found[0]}
 
 
-def _gradient(group, state, J) -> np.ndarray:
-    """F, row by row, (n, 9): of a law that does not carry it the isotropic one of its volume."""
-    if "H" not in group.plan.carries:
+def _gradient(group, at, J) -> np.ndarray:
+    """F, row by row, (n, 9): where nothing carries it the isotropic one of the volume."""
+    if "H" not in group.plan.carries and not group.plan.followed:
         return (np.cbrt(J)[:, None] * np.eye(3).ravel()).astype(np.float32)
-    return (np.stack(state, 1) + np.eye(3).ravel()).astype(np.float32)
+    first = group.plan.gradient if group.plan.followed else STATE
+    return (group.f[first : first + 9, at].T + np.eye(3).ravel()).astype(np.float32)
 
 
 def by_id(simulation: Simulation, *names: str) -> list[np.ndarray]:

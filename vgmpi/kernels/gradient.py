@@ -1,0 +1,44 @@
+"""The total deformation gradient of particles whose law does not know it: for drawing alone.
+
+A law that yields keeps the elastic part of its deformation, a fluid its volume. Where a body's
+Gaussians are to follow all of it, it is carried beside the law's state and nothing else sees it.
+"""
+
+from ..device.jit import kernel
+from ..device.tensor import moved_gradient_minus_one
+from . import laws as _laws  # noqa: F401  (makes the tensors' functions callable)
+from .lanes import COUNT, load, store
+from .records import AFFINE
+
+
+@kernel
+def follow(segments, start, count, f, first, dt):
+    """F <- (I + dt C) F with C as just gathered; carried as F - I in channels first ... first + 8.
+
+    segments: rows of start and count (g2p.py); f: (channels, cap). Unused places have C = 0.
+    """
+    cap = f.shape[1]
+    flat = f.reshape(f.size)
+    for s in segments:
+        for p in range(start[s], start[s] + count[s], COUNT):
+            q, h = p + AFFINE * cap, p + first * cap
+            c = (
+                load(flat, q), load(flat, q + cap), load(flat, q + 2 * cap),
+                load(flat, q + 3 * cap), load(flat, q + 4 * cap), load(flat, q + 5 * cap),
+                load(flat, q + 6 * cap), load(flat, q + 7 * cap), load(flat, q + 8 * cap),
+            )  # fmt: skip
+            old = (
+                load(flat, h), load(flat, h + cap), load(flat, h + 2 * cap),
+                load(flat, h + 3 * cap), load(flat, h + 4 * cap), load(flat, h + 5 * cap),
+                load(flat, h + 6 * cap), load(flat, h + 7 * cap), load(flat, h + 8 * cap),
+            )  # fmt: skip
+            h0, h1, h2, h3, h4, h5, h6, h7, h8 = moved_gradient_minus_one(old, c, dt)
+            store(flat, h, h0)
+            store(flat, h + cap, h1)
+            store(flat, h + 2 * cap, h2)
+            store(flat, h + 3 * cap, h3)
+            store(flat, h + 4 * cap, h4)
+            store(flat, h + 5 * cap, h5)
+            store(flat, h + 6 * cap, h6)
+            store(flat, h + 7 * cap, h7)
+            store(flat, h + 8 * cap, h8)

@@ -1,0 +1,68 @@
+"""What a run will cost, told before it begins: what --plan prints, and every checkpoint carries."""
+
+import math
+
+from .couplings.base import CONTACT, RULES
+from .plan import Plan, fastest
+from .scene import Scene
+
+NS_PER_PARTICLE = {"single": 45.0, "double": 90.0}
+
+
+def describe(scene: Scene, plan: Plan, ranks: int) -> str:
+    """What --plan prints: phases, fields, particles, memory, time step, steps, predicted time."""
+    lines = [
+        f"{scene.title or scene.path.name}: {plan.particles:,} particles,"
+        f" {scene.accuracy.precision} precision"
+    ]
+    nx, ny, nz = plan.cells
+    lines.append(f"  grid        {nx} x {ny} x {nz} cells of {plan.dx:g} m, sparse 4^3 blocks")
+    for phase in plan.phases:
+        for g, group in enumerate(plan.groups):
+            if plan.phases[group.phase] is not phase:
+                continue
+            n = sum(plan.count[k] for k in phase.objects if plan.group_of[k] == g)
+            fields = ", ".join(f"{name} {size}" for name, size in plan.fields(g).items())
+            lines.append(
+                f"  phase       {phase.name}: {n:,} particles of {group.material}"
+                f" ({phase.family}), {plan.bytes_per_particle(g)} bytes each: {fields};"
+                f" once for all: density and {len(group.law)} numbers of the law"
+            )
+    for a in range(len(plan.phases)):
+        for b in range(a + 1, len(plan.phases)):
+            names = f"{plan.phases[a].name} - {plan.phases[b].name}"
+            rule = plan.rules.pair[a, b] if plan.rules else CONTACT
+            how = f"friction {plan.friction[a][b]:g}" if rule == CONTACT else "they share space"
+            lines.append(f"  {RULES[rule]:11s} {names}: {how}")
+    lines.append(
+        "  walls       "
+        + ", ".join(f"{w[0]}" + (f" (friction {w[1]:g})" if w[1] else "") for w in plan.walls)
+    )
+    total = plan.bytes()
+    lines.append(
+        f"  memory      {total / 2**20:.0f} MiB in all,"
+        f" {total / ranks / 2**20:.0f} MiB per rank on {ranks} rank(s)"
+    )
+    dt, what = fastest(scene, plan)[0]
+    dt = plan.fixed_dt or dt
+    steps = math.ceil(plan.times[-1] / dt)
+    lines.append(
+        f"  time step   {dt:.4g} s at the start, set by {'time.dt' if plan.fixed_dt else what}"
+    )
+    lines.append(
+        f"  steps       about {steps:,} for {plan.times[-1]:g} s and {len(plan.times)} frames"
+    )
+    work = sum(
+        n * plan.groups[g].cost for n, g in zip(plan.count, plan.group_of, strict=True) if g >= 0
+    )
+    seconds = steps * work * NS_PER_PARTICLE[scene.accuracy.precision] * 1e-9 / ranks
+    lines.append(f"  time        about {_duration(seconds)} on {ranks} rank(s), one core each")
+    return "\n".join(lines)
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    if seconds < 7200:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h"
