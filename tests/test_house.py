@@ -37,6 +37,7 @@ POSTPROCESS = (
     "vgmpi.output.layout",
     "vgmpi.gaussians",
     "vgmpi.splatting",
+    "vgmpi.domain.ranks",  # frames shared by the ranks of a launcher
     "postprocess",
 )
 OUTSIDE = {  # packages that only some files may use
