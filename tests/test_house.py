@@ -55,6 +55,7 @@ OUTSIDE = {  # packages that only some files may use
         "vgmpi/kernels/",
     ),
     "pyvista": ("postprocess/",),
+    "viser": ("postprocess/replay.py",),
     "tqdm": ("vgmpi/solver/report.py", "postprocess/"),
     "taichi": ("vgmpi/bench/taichi_rival.py",),
     "warp": ("vgmpi/bench/warp_rival.py",),
