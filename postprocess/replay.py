@@ -94,7 +94,9 @@ def page(run: Run, numbers: list[int], count: int, seconds: float) -> tuple[str,
         server.initial_camera.position = tuple(eye)
         server.initial_camera.fov = np.radians(CameraSettings().fov)
         server.initial_camera.look_at = tuple(0.5 * (box[0] + box[1]))
-        scene.add_line_segments("/domain", _edges(*box), colors=(150, 150, 150), thickness=1.0)
+        scene.add_line_segments(
+            "/domain", _edges(*box), colors=(150, 150, 150), thickness=1.0, thickness_units="screen"
+        )
         serializer = server.get_scene_serializer()
         for k, index in enumerate(numbers):
             still, moving = chosen.at(index, eye)
