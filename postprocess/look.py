@@ -77,10 +77,7 @@ class Look:
         frame: arrays id, x, and J (all but elastic bodies), F (those) as in the frame's file; and
         sh where the colours are no longer those at rest (see `frame`). Raises RunError.
         """
-        parts = [part.seen_from(eye) for part in self.parts(frame)]
-        if len(parts) == 1:
-            return Splats(*parts[0])
-        return Splats(*(np.concatenate(arrays) for arrays in zip(*parts)))
+        return seen(self.parts(frame), eye)
 
     def parts(self, frame: dict[str, np.ndarray]) -> list[Part]:
         """The same before anybody looks at it. Raises RunError."""
@@ -146,6 +143,14 @@ class Look:
                     alpha_min,
                 )
         return alpha_min
+
+
+def seen(parts: list[Part], eye: np.ndarray) -> Splats:
+    """The Gaussians of a frame as seen from `eye` [m]; parts: of Look.parts, for any eye."""
+    arrays = [part.seen_from(eye) for part in parts]
+    if len(arrays) == 1:
+        return Splats(*arrays[0])
+    return Splats(*(np.concatenate(fields) for fields in zip(*arrays)))
 
 
 def _deformation(frame: dict[str, np.ndarray]) -> np.ndarray:

@@ -1,81 +1,27 @@
 """python -m postprocess.render OUT [render.toml] -o video.mp4: a video of a run's Gaussians.
 
-Reads only the files of the run. Exit code 2 for what the user can mend, with one line each.
+Reads only the files of the run. Started by mpirun (or srun), the ranks share the frames and rank 0
+writes. Exit code 2 for what the user can mend, with one line each.
 """
 
 import argparse
+import contextlib
 import logging
-import multiprocessing
+import os
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
-
-import numpy as np
-from tqdm import tqdm
+from typing import Any
 
 from postprocess import settings, video
-from postprocess.look import Look
+from postprocess.painter import Drawn, OtherRankError, Painter, agree, by_processes, by_ranks
 from vgmpi.output.read import Run, RunError
-from vgmpi.splatting import splat
-from vgmpi.splatting.camera import HEIGHT, Camera, look_at, orbit_eye, overview
 
 log = logging.getLogger("vgmpi")
 
-
-class Painter:
-    """Draws frames of one run with one set of settings.
-
-    chosen: settings.Settings. folder: of the render.toml, for the background picture.
-    """
-
-    def __init__(self, run: Run, chosen: settings.Settings, folder: Path):
-        self.run, self.chosen = run, chosen
-        self.look = Look(run, chosen.look)
-        self.alpha_min = self.look.alpha_min(chosen.splatting.alpha_min)
-        size = chosen.picture
-        self.background = video.background(size.background, size.width, size.height, folder)
-        self.box = domain_box(run)
-
-    def camera(self, part: float) -> Camera:
-        """The camera at a part 0..1 of the video."""
-        asked, size = self.chosen.camera, self.chosen.picture
-        angles = np.arange(0, 360, 10) if asked.turns else [asked.angle]
-        auto = overview(*self.box, asked.fov, size.width / size.height, angles, asked.up)
-        target, distance, _ = auto
-        if asked.target is not None:
-            target = np.array(asked.target)
-        if asked.kind == "fixed":
-            eye = np.array(asked.eye)
-        else:
-            distance = asked.distance or distance
-            height = HEIGHT * distance if asked.height is None else asked.height
-            angle = asked.angle + 360 * asked.turns * part
-            eye = orbit_eye(target, distance, height, angle, asked.up)
-        try:
-            return look_at(eye, target, asked.up, asked.fov, size.width, size.height, asked.near)
-        except ValueError as error:
-            raise settings.SettingsError([f"camera: {error}"]) from None
-
-    def draw(self, index: int, part: float = 0.0) -> np.ndarray:
-        """Frame `index` as a uint8 picture (height, width, 3)."""
-        camera = self.camera(part)
-        splats = self.look.splats(self.look.frame(index), camera.eye)
-        options = self.chosen.splatting.options()
-        image, _ = splat.render(
-            splats, camera, self.background, alpha_min=self.alpha_min, **options
-        )
-        return video.to_bytes(image)
-
-
-def domain_box(run: Run) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper corner of the domain [m]; of the Gaussians if the scene does not tell."""
-    try:
-        size = np.array(run.scene["domain"]["size"], dtype=np.float64)
-        return np.zeros(3), size
-    except (KeyError, TypeError, ValueError):
-        x = np.asarray(run.gaussians.x0)
-        return x.min(axis=0), x.max(axis=0)
+PREVIEW = 400  # pixels of its longer side
+# what launchers tell the processes they start; SLURM's is there in a job without srun, too
+LAUNCHED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS")
 
 
 def frame_numbers(run: Run, asked: settings.FrameSettings) -> list[int]:
@@ -88,62 +34,61 @@ def frame_numbers(run: Run, asked: settings.FrameSettings) -> list[int]:
     return numbers
 
 
-_painter: Painter | None = None  # of a worker process
+def ranks_of_launcher() -> Any:
+    """The ranks among which a launcher wants the frames shared; None where it started one process.
 
+    MPI is started only then: it takes half a second.
+    """
+    if max(int(os.environ.get(name, "1") or 1) for name in LAUNCHED) <= 1:
+        return None
+    from vgmpi.domain.ranks import world
 
-def _start_worker(folder: str, chosen: settings.Settings, beside: Path) -> None:
-    global _painter
-    logging.disable(logging.WARNING)  # the first process has said it already
-    _painter = Painter(Run(folder), chosen, beside)
-
-
-def _work(task: tuple[int, float]) -> np.ndarray:
-    return _painter.draw(*task)
-
-
-def pictures(
-    painter: Painter, folder: str, beside: Path, numbers: list[int], jobs: int
-) -> Iterator:
-    """The pictures of the frames in order, drawn by `jobs` processes."""
-    tasks = [(index, k / max(len(numbers) - 1, 1)) for k, index in enumerate(numbers)]
-    jobs = min(jobs, len(tasks))
-    if jobs <= 1:
-        yield from (painter.draw(*task) for task in tasks)
-        return
-    painter.look.colours.prepare(numbers[-1])
-    context = multiprocessing.get_context("spawn")  # a fork would share the open files
-    with context.Pool(jobs, _start_worker, (folder, painter.chosen, beside)) as pool:
-        yield from pool.imap(_work, tasks)
+    ranks = world()
+    return ranks if ranks.size > 1 else None
 
 
 def parser() -> argparse.ArgumentParser:
     p = argparse.ArgumentParser(prog="python -m postprocess.render", description=__doc__)
     p.add_argument("out", help="folder of the run")
     p.add_argument("settings", nargs="?", help="render.toml: camera, picture, video, splatting")
-    p.add_argument("-o", "--output", help="video.mp4, or a .png of one frame [OUT/video.mp4]")
-    p.add_argument("--frame", type=int, help="the frame of a .png [the last]")
+    p.add_argument(
+        "-o",
+        "--output",
+        help="a film (.mp4, .webm, .gif), a .png of one frame, or a folder of .png [OUT/video.mp4]",
+    )
+    p.add_argument("--frame", type=int, help="the frame of a .png or --preview [the last]")
     p.add_argument("--frames", metavar="DIR", help="keep every picture as a PNG in this folder")
+    p.add_argument("--alpha", metavar="DIR", help="what the Gaussians cover, as 16-bit PNG")
+    p.add_argument("--depth", metavar="DIR", help="depth of the frames [m], as .npy")
+    p.add_argument("--preview", action="store_true", help="one small picture, OUT/preview.png")
     p.add_argument("--jobs", type=int, default=1, help="processes that share the frames [1]")
     p.add_argument("-q", "--quiet", action="store_true", help="warnings and errors only")
     return p
 
 
+def output_path(args: argparse.Namespace) -> Path:
+    """Where the result goes. Raises VideoError for a name of no known kind."""
+    path = Path(args.output or Path(args.out) / ("preview.png" if args.preview else "video.mp4"))
+    allowed = (".png",) if args.preview else (*video.FORMATS, ".png", "")
+    if path.suffix not in allowed:
+        said = ".png" if args.preview else ".mp4, .webm, .gif or .png, or a folder"
+        raise video.VideoError(f"-o: {path}: allowed: a name that ends in {said}")
+    return path
+
+
 def main(argv: list[str] | None = None) -> int:
     args = parser().parse_args(argv)
-    level = logging.WARNING if args.quiet else logging.INFO
+    ranks = ranks_of_launcher()
+    first = ranks is None or ranks.rank == 0
+    level = logging.ERROR if not first else logging.WARNING if args.quiet else logging.INFO
     logging.basicConfig(level=level, format="%(message)s", stream=sys.stderr)
-    output = Path(args.output or Path(args.out) / "video.mp4")
-    if output.suffix not in (".mp4", ".png"):
-        print(f"-o: {output}: allowed: a name that ends in .mp4 or .png", file=sys.stderr)
-        return 2
+    logging.getLogger("vgmpi").setLevel(level)
     try:
-        chosen = settings.load(args.settings)
-        beside = Path(args.settings).parent if args.settings else Path(".")
-        run = Run(args.out)
-        painter = Painter(run, chosen, beside)
-        if output.suffix == ".png":
-            return _one_picture(painter, output, args)
-        return _video(painter, output, args, beside)
+        if ranks is None:
+            return _draw(*_prepare(args), args, None)
+        return _draw(*agree(ranks, lambda: _prepare(args)), args, ranks)
+    except OtherRankError:
+        return 2
     except settings.SettingsError as error:
         print("\n".join(error.lines), file=sys.stderr)
     except (RunError, video.VideoError) as error:
@@ -154,31 +99,102 @@ def main(argv: list[str] | None = None) -> int:
     return 2
 
 
+def _prepare(args: argparse.Namespace) -> tuple[Painter, Path, Path]:
+    """The painter, the output and the folder of render.toml. Raises errors of one line."""
+    output = output_path(args)
+    chosen = settings.load(args.settings)
+    if chosen.picture.background == "none" and output.suffix in video.FORMATS:
+        if output.suffix not in video.TRANSPARENT:
+            said = f"{output.suffix} has no transparency: allowed: .webm, .png, a folder"
+            raise settings.SettingsError([f"picture.background: 'none': {said}"])
+    beside = Path(args.settings).parent if args.settings else Path(".")
+    painter = Painter(
+        Run(args.out),
+        chosen,
+        beside,
+        alpha=args.alpha is not None,
+        depth=args.depth is not None,
+        longest=PREVIEW if args.preview else None,
+    )
+    return painter, output, beside
+
+
+def _draw(painter: Painter, output: Path, beside: Path, args: Any, ranks: Any) -> int:
+    if output.suffix == ".png":
+        return _one_picture(painter, output, args) if ranks is None or ranks.rank == 0 else 0
+    return _video(painter, output, beside, args, ranks)
+
+
+def of_view(path: Path, painter: Painter, number: int) -> Path:
+    """The path of one camera's files: itself if there is only one camera."""
+    if len(painter.views) == 1:
+        return path
+    name = painter.views[number].name
+    return path.with_name(f"{path.stem}_{name}{path.suffix}") if path.suffix else path / name
+
+
 def _one_picture(painter: Painter, output: Path, args: argparse.Namespace) -> int:
     count = len(painter.run)
     index = count - 1 if args.frame is None else args.frame
     if not 0 <= index < count:
         raise RunError(f"--frame: {index}: the run has the frames 0..{count - 1}")
-    video.write_png(output, painter.draw(index, index / max(count - 1, 1)))
-    print(output)
+    for number, drawn in enumerate(painter.views_of(index, index / max(count - 1, 1))):
+        path = of_view(output, painter, number)
+        video.write_png(path, drawn.picture)
+        _keep(drawn, index, number, painter, args)
+        print(path)
     return 0
 
 
-def _video(painter: Painter, output: Path, args: argparse.Namespace, beside: Path) -> int:
+def _keep(drawn: Drawn, index: int, number: int, painter: Painter, args: Any) -> None:
+    """Write what is asked for besides the video."""
+    name = f"frame_{index:05d}"
+    if args.frames:
+        folder = of_view(Path(args.frames), painter, number)
+        video.write_png(folder / f"{name}.png", drawn.picture)
+    if args.alpha:
+        video.write_png(of_view(Path(args.alpha), painter, number) / f"{name}.png", drawn.alpha)
+    if args.depth:
+        video.write_array(of_view(Path(args.depth), painter, number) / f"{name}.npy", drawn.depth)
+
+
+def _video(painter: Painter, output: Path, beside: Path, args: Any, ranks: Any) -> int:
+    from tqdm import tqdm
+
     begin = time.perf_counter()
     numbers = frame_numbers(painter.run, painter.chosen.frames)
-    size, film = painter.chosen.picture, painter.chosen.video
-    with video.Mp4(output, size.width, size.height, film.fps, film.quality) as mp4:
-        drawn = pictures(painter, args.out, beside, numbers, args.jobs)
+    tasks = [(index, k / max(len(numbers) - 1, 1)) for k, index in enumerate(numbers)]
+    if ranks is None:
+        drawn = by_processes(painter, beside, tasks, args.jobs)
+    else:
+        drawn = by_ranks(painter, ranks, tasks)
+        if ranks.rank:
+            for _ in drawn:
+                pass
+            return 0
+    paths = [of_view(output, painter, number) for number in range(len(painter.views))]
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(contextlib.closing(drawn))  # other processes end with this one
+        films = [stack.enter_context(_sink(painter, k, path)) for k, path in enumerate(paths)]
         bar = tqdm(drawn, total=len(numbers), unit="frame", disable=True if args.quiet else None)
-        for index, picture in zip(numbers, bar):
-            mp4.add(picture)
-            if args.frames:
-                video.write_png(Path(args.frames) / f"frame_{index:05d}.png", picture)
+        for index, views in zip(numbers, bar):
+            for number, (film, one) in enumerate(zip(films, views)):
+                film.add(one.picture)
+                _keep(one, index, number, painter, args)
     each = (time.perf_counter() - begin) / len(numbers)
-    log.info("%d frames of %d x %d, %.2f s each", len(numbers), size.width, size.height, each)
-    print(output)
+    sizes = ", ".join(f"{view.width} x {view.height}" for view in painter.views)
+    log.info("%d frames of %s, %.2f s each", len(numbers), sizes, each)
+    print(*paths, sep="\n")
     return 0
+
+
+def _sink(painter: Painter, number: int, path: Path) -> Any:
+    """What takes the pictures of one camera, in order."""
+    view, film = painter.views[number], painter.chosen.video
+    if not path.suffix:
+        return video.Sequence(path, frame_numbers(painter.run, painter.chosen.frames))
+    size = (view.width, view.height)
+    return video.Film(path, *size, film.fps, film.quality, clear=painter.clear)
 
 
 if __name__ == "__main__":

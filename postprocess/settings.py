@@ -4,6 +4,7 @@ import difflib
 import math
 import re
 import tomllib
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -37,7 +38,7 @@ def _direction(value: Any) -> tuple[float, float, float]:
 
 
 def _background(value: Any) -> tuple[float, float, float] | str:
-    allowed = "allowed: '#rrggbb', [r, g, b] of numbers 0 to 1, or the name of a picture"
+    allowed = "allowed: '#rrggbb', [r, g, b] of numbers 0 to 1, 'none', or the name of a picture"
     if isinstance(value, str):
         if not value or value.startswith("#") and not re.fullmatch("#[0-9a-fA-F]{6}", value):
             raise ValueError(allowed)
@@ -68,28 +69,100 @@ class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
+@dataclass(frozen=True)
+class Key:
+    """A point of a camera's path. part: of the video, 0..1; or time: of the simulation [s]."""
+
+    part: float | None
+    time: float | None
+    eye: tuple[float, float, float]
+    target: tuple[float, float, float] | None
+    fov: float | None  # degrees
+
+
+def _keys(value: Any) -> tuple[Key, ...]:
+    """Keys of a path from what the file says, each mistake with the number of its key."""
+    if not isinstance(value, list) or len(value) < 2:
+        raise ValueError("allowed: a list of two or more { part, eye, target, fov }")
+    keys = []
+    for number, entry in enumerate(value, start=1):
+        try:
+            keys.append(_key(entry))
+        except ValueError as error:
+            raise ValueError(f"key {number}: {error}") from None
+    for name in ("part", "time"):
+        at = [getattr(key, name) for key in keys]
+        if any(v is not None for v in at):
+            if None in at:
+                raise ValueError("all keys need part, or all need time")
+            if any(b <= a for a, b in zip(at, at[1:])):
+                raise ValueError(f"{name} must grow from key to key")
+    return tuple(keys)
+
+
+def _key(entry: Any) -> Key:
+    names = ("part", "time", "eye", "target", "fov")
+    if not isinstance(entry, dict) or not set(entry) <= set(names):
+        raise ValueError(f"allowed: a table of {', '.join(names)}")
+    if ("part" in entry) == ("time" in entry):
+        raise ValueError("needs one of part, time")
+    if "eye" not in entry:
+        raise ValueError("needs eye = [x, y, z]")
+    for name, low, high in (("part", 0, 1), ("time", 0, math.inf), ("fov", 1e-3, 170)):
+        v = entry.get(name, 1)
+        if type(v) not in (int, float) or not math.isfinite(v) or not low <= v <= high:
+            raise ValueError(f"{name} = {v!r}: allowed: a number from {low:g} to {high:g}")
+    points = {n: _vector(entry[n]) for n in ("eye", "target") if n in entry}
+    if points.get("target") == points["eye"]:
+        raise ValueError("eye and target are the same point")
+    return Key(
+        entry.get("part"), entry.get("time"), points["eye"], points.get("target"), entry.get("fov")
+    )
+
+
+# what a camera of each kind may be told, besides kind and name
+CAMERA_KEYS = {
+    "orbit": ("target", "up", "fov", "near", "distance", "height", "turns", "angle"),
+    "fixed": ("target", "up", "fov", "near", "eye"),
+    "keyframes": ("target", "up", "fov", "near", "keys"),
+    "transforms": ("near", "file", "image", "scale"),
+    "colmap": ("near", "folder", "image", "scale"),
+}
+CAMERA_NEEDS = {"fixed": "eye = [x, y, z]", "keyframes": "keys = [...]"}
+CAMERA_NEEDS |= {"transforms": "file = 'transforms.json'", "colmap": "folder = 'sparse/0'"}
+
+
 class CameraSettings(_Table):
     """Lengths in m, angles in degrees. What is left out is chosen so that the domain is in view."""
 
-    kind: Literal["orbit", "fixed"] = "orbit"
+    kind: Literal["orbit", "fixed", "keyframes", "transforms", "colmap"] = "orbit"
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,40}$")] | None = None
     target: Vector | None = None
     up: Direction = (0.0, 0.0, 1.0)
     fov: Annotated[float, Field(gt=0, lt=170)] = 40.0  # vertical
     near: Annotated[float, Field(gt=0)] | None = None
-    eye: Vector | None = None  # fixed only
-    distance: Annotated[float, Field(gt=0)] | None = None  # orbit only, from target to eye
-    height: float | None = None  # orbit only, of the eye above the target
-    turns: float = 0.0  # orbit only, full circles over the video
-    angle: float = 25.0  # orbit only, at the first frame; 0 looks from -y, 90 from +x
+    eye: Vector | None = None
+    distance: Annotated[float, Field(gt=0)] | None = None  # from target to eye
+    height: float | None = None  # of the eye above the target
+    turns: float = 0.0  # full circles over the video
+    angle: float = 25.0  # at the first frame; 0 looks from -y, 90 from +x
+    keys: Annotated[tuple[Key, ...], BeforeValidator(_keys)] | None = None
+    file: str | None = None  # relative to the folder of render.toml, as the next
+    folder: str | None = None
+    image: str | None = None  # the one camera of a file to look through
+    scale: Annotated[float, Field(gt=0, le=4)] = 1.0  # of a file's picture sizes
 
     @model_validator(mode="after")
     def _fits_kind(self):
-        other = ("eye",) if self.kind == "orbit" else ("distance", "height", "turns", "angle")
-        wrong = [name for name in other if name in self.model_fields_set]
+        allowed = {"kind", "name", *CAMERA_KEYS[self.kind]}
+        wrong = [
+            name for name in type(self).model_fields if name in self.model_fields_set - allowed
+        ]
         if wrong:
             raise ValueError(f"a camera of kind '{self.kind}' has no {', '.join(wrong)}")
-        if self.kind == "fixed" and self.eye is None:
-            raise ValueError("a camera of kind 'fixed' needs eye = [x, y, z]")
+        needs = CAMERA_NEEDS.get(self.kind)
+        if needs and getattr(self, needs.split()[0]) is None:
+            raise ValueError(f"a camera of kind '{self.kind}' needs {needs}")
         if self.eye is not None and self.eye == self.target:
             raise ValueError("eye and target are the same point")
         if None not in (self.height, self.distance) and abs(self.height) >= self.distance:
@@ -101,6 +174,7 @@ class PictureSettings(_Table):
     width: Annotated[int, Field(ge=16, le=8192)] = 800  # pixels
     height: Annotated[int, Field(ge=16, le=8192)] = 800
     background: Background = "#ffffff"
+    supersample: Annotated[int, Field(ge=1, le=4)] = 1
 
 
 class VideoSettings(_Table):
@@ -146,13 +220,28 @@ class LookSettings(_Table):
         return {k: v for k, v in self if k.startswith("colour_") and v is not None}
 
 
+CAMERAS = "[[camera]]"  # no key of a TOML file can be called so without quotes
+
+
 class Settings(_Table):
     camera: CameraSettings = CameraSettings()
+    cameras: Annotated[tuple[CameraSettings, ...], Field(alias=CAMERAS)] = ()
     picture: PictureSettings = PictureSettings()
     video: VideoSettings = VideoSettings()
     frames: FrameSettings = FrameSettings()
     splatting: SplattingSettings = SplattingSettings()
     look: LookSettings = LookSettings()
+
+    @model_validator(mode="after")
+    def _names_differ(self):
+        names = [one.name for one in self.cameras]
+        if len(names) > 1 and (None in names or len(set(names)) < len(names)):
+            raise ValueError("several cameras need a name each, no two the same")
+        return self
+
+    def views(self) -> tuple[CameraSettings, ...]:
+        """The cameras that draw, one or more."""
+        return self.cameras or (self.camera,)
 
 
 def load(path: str | Path | None) -> Settings:
@@ -168,6 +257,8 @@ def load(path: str | Path | None) -> Settings:
         line = re.search(r"line (\d+)", str(error))
         at = f":{line.group(1)}" if line else ""
         raise SettingsError([f"{path}{at}: not readable as TOML: {error}"]) from None
+    if isinstance(data.get("camera"), list) and data["camera"]:
+        data[CAMERAS] = data.pop("camera")
     try:
         return Settings.model_validate(data)
     except ValidationError as error:
@@ -177,14 +268,18 @@ def load(path: str | Path | None) -> Settings:
 
 def _explain(path: str | Path, text: str, item: Any) -> str:
     """`file:line: key: value: what is allowed`."""
-    keys = [part for part in item["loc"] if isinstance(part, str) and part.isidentifier()]
+    loc, which = item["loc"], None
+    if loc[:1] == (CAMERAS,):  # one of several: its number, counted from 1
+        which = loc[1] + 1 if len(loc) > 1 else None
+        loc = ("camera", *loc[2:])
+    keys = [part for part in loc if isinstance(part, str) and part.isidentifier()]
     keys = keys[:2]  # deeper parts name alternatives of a type, not keys of the file
     if keys == ["look", "opacity_scale"]:
         keys = [str(part) for part in item["loc"][:3]]  # but here names of objects
     allowed = re.sub(r"^(Value error, |Input should be )", "", item["msg"])
     if item["type"] == "extra_forbidden":
         table = Settings if len(keys) == 1 else Settings.model_fields[keys[0]].annotation
-        names = list(table.model_fields)
+        names = [name for name in table.model_fields if name != "cameras"]
         near = difflib.get_close_matches(keys[-1], names, 1)
         hint = f" (did you mean '{near[0]}'?)" if near else ""
         said = f"unknown key: allowed are {', '.join(names)}{hint}"
@@ -194,18 +289,25 @@ def _explain(path: str | Path, text: str, item: Any) -> str:
         said = allowed
     else:
         said = f"{item['input']!r}: allowed: {allowed.removeprefix('allowed: ')}"
-    return f"{path}:{_line(text, keys)}: {'.'.join(keys)}: {said}"
+    keys = keys or ["camera"]  # the one rule that spans tables
+    return f"{path}:{_line(text, keys, which)}: {'.'.join(keys)}: {said}"
 
 
-def _line(text: str, keys: list[str]) -> int:
-    """Line of a key of a TOML text (of its table if the key is not found)."""
-    table, found = "", 1
+def _line(text: str, keys: list[str], which: int | None = None) -> int:
+    """Line of a key of a TOML text (of its table if the key is not found).
+
+    which: of several tables [[name]], counted from 1.
+    """
+    table, found, seen = "", 1, 0
     for number, line in enumerate(text.splitlines(), start=1):
-        head = re.match(r"\s*\[\s*([\w.-]+)\s*\]", line)
+        head = re.match(r"\s*\[?\[\s*([\w.-]+)\s*\]", line)
         if head:
             table = head.group(1)
-            if keys[:1] == [table]:
+            seen += keys[:1] == [table]
+            if keys[:1] == [table] and which in (None, seen):
                 found = number
+            continue
+        if which not in (None, seen):
             continue
         name = re.match(r"\s*([\w.-]+)\s*=", line)
         if name:

@@ -1,44 +1,72 @@
-"""Pictures to PNG files and an mp4, and pictures as backgrounds."""
+"""Pictures to PNG files and films, and pictures as backgrounds."""
 
 import contextlib
+import io
 import os
 import re
 import subprocess
 import tempfile
 from pathlib import Path
 
-import imageio.v3 as iio
-import imageio_ffmpeg
 import numpy as np
-from scipy import ndimage
 
 
 class VideoError(RuntimeError):
     """A picture or video that cannot be read or written; the message is one line."""
 
 
-class Mp4:
-    """Writes an H.264 video; the file has its name only when it is complete.
+FORMATS = {  # how ffmpeg is to write each kind of film
+    ".mp4": ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-movflags", "+faststart"],
+    ".webm": ["-c:v", "libvpx-vp9", "-b:v", "0", "-deadline", "good", "-cpu-used", "5"],
+    # a palette for each picture: one for all would keep the whole film in memory
+    ".gif": [
+        "-filter_complex",
+        "[0:v]split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1",
+    ],
+}
+TRANSPARENT = (".webm",)  # the films that can be
 
-    with Mp4("video.mp4", 800, 600, fps=25) as video: video.add(picture)
 
+class Film:
+    """Writes a video; the file has its name only when it is complete.
+
+    with Film("video.mp4", 800, 600, fps=25) as film: film.add(picture)
+
+    .mp4 (H.264), .webm (VP9), .gif. clear: pictures have a fourth channel, their opacity (.webm).
     Speaks to ffmpeg itself: imageio-ffmpeg's writer does not look at ffmpeg's exit code, so that a
     full disk would leave a broken video and no word about it.
     """
 
-    def __init__(self, path: str | Path, width: int, height: int, fps: float, quality: float = 8.0):
-        self.path = Path(path)
-        self.part = self.path.with_name(f".{self.path.stem}.part.mp4")
-        # H.264 in the format that every player knows halves the colour planes: even sizes only
-        self.pad = ((0, height % 2), (0, width % 2), (0, 0))
-        size = f"{width + width % 2}x{height + height % 2}"
-        raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", f"{fps}", "-i", "-"]
-        crf = round(38 - 2.5 * quality)  # 38 is poor, 18 cannot be told from the pictures
-        coded = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", str(crf)]
-        self.command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-v", "error", *raw, "-an", *coded]
-        self.command += ["-movflags", "+faststart", str(self.part)]
+    def __init__(
+        self,
+        path: str | Path,
+        width: int,
+        height: int,
+        fps: float,
+        quality: float = 8.0,
+        clear: bool = False,
+    ):
+        import imageio_ffmpeg  # not for a single picture
 
-    def __enter__(self) -> "Mp4":
+        self.path = Path(path)
+        suffix = self.path.suffix
+        self.part = self.path.with_name(f".{self.path.stem}.part{suffix}")
+        # films in the formats that every player knows halve the colour planes: even sizes only
+        even = suffix != ".gif"
+        right, below = (width % 2, height % 2) if even else (0, 0)
+        self.pad = ((0, below), (0, right), (0, 0))
+        size = f"{width + right}x{height + below}"
+        raw = ["-f", "rawvideo", "-pix_fmt", "rgba" if clear else "rgb24", "-s", size]
+        coded = list(FORMATS[suffix])
+        if suffix == ".mp4":
+            coded += ["-crf", f"{round(38 - 2.5 * quality)}"]  # 38 is poor, 18 like the pictures
+        elif suffix == ".webm":
+            coded += ["-crf", f"{round(50 - 3 * quality)}"]
+            coded += ["-pix_fmt", "yuva420p" if clear else "yuv420p"]
+        self.command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-v", "error", *raw]
+        self.command += ["-r", f"{fps}", "-i", "-", "-an", *coded, str(self.part)]
+
+    def __enter__(self) -> "Film":
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self.log = tempfile.TemporaryFile()  # a pipe could fill up and block both sides
@@ -54,7 +82,7 @@ class Mp4:
         return self
 
     def add(self, picture: np.ndarray) -> None:
-        """Append a picture (height, width, 3) uint8. Raises VideoError."""
+        """Append a picture (height, width, 3 or 4) uint8. Raises VideoError."""
         try:
             self.ffmpeg.stdin.write(np.pad(picture, self.pad, mode="edge").tobytes())
         except OSError:  # it has ended; its own words say why
@@ -83,15 +111,52 @@ class Mp4:
         raise VideoError(f"{self.path}: {said}")
 
 
+class Sequence:
+    """Writes pictures as PNG files of a folder. numbers: of the frames, for the names."""
+
+    def __init__(self, folder: Path, numbers: list[int]):
+        self.paths = iter([folder / f"frame_{index:05d}.png" for index in numbers])
+
+    def __enter__(self) -> "Sequence":
+        return self
+
+    def __exit__(self, kind, value, trace) -> None:
+        pass
+
+    def add(self, picture: np.ndarray) -> None:
+        write_png(next(self.paths), picture)
+
+
 def to_bytes(image: np.ndarray) -> np.ndarray:
     """uint8 picture of colours in 0..1; brighter ones are cut."""
     return (np.clip(image, 0.0, 1.0) * 255 + 0.5).astype(np.uint8)
 
 
+def with_transparency(image: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """uint8 (height, width, 4) of what was drawn before black; alpha: covered, 0..1."""
+    color = image / np.maximum(alpha, 1e-6)[..., None]  # files hold what is seen, not its share
+    return to_bytes(np.concatenate([color, alpha[..., None]], axis=2))
+
+
 def write_png(path: str | Path, picture: np.ndarray) -> None:
-    """Write a uint8 picture (height, width, 3); the file has its name only when it is complete."""
+    """Write a picture: uint8 (height, width, 3 or 4) or uint16 (height, width)."""
+    from PIL import Image  # imageio would take a third of a second to load
+
+    data = io.BytesIO()
+    Image.fromarray(picture).save(data, "png", compress_level=4)
+    write(path, data.getvalue())
+
+
+def write_array(path: str | Path, array: np.ndarray) -> None:
+    """Write an array as .npy."""
+    data = io.BytesIO()
+    np.save(data, array)
+    write(path, data.getvalue())
+
+
+def write(path: str | Path, data: bytes) -> None:
+    """Write a file that has its name only when it is complete. Raises VideoError."""
     path = Path(path)
-    data = iio.imwrite("<bytes>", picture, extension=".png", plugin="pillow")
     part = path.with_name(f".{path.name}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -107,13 +172,18 @@ def write_png(path: str | Path, picture: np.ndarray) -> None:
 def background(value: str | tuple, width: int, height: int, folder: Path) -> np.ndarray:
     """A colour (3,) in 0..1 or a picture (height, width, 3).
 
-    value: r, g, b in 0..1, "#rrggbb", or a picture file relative to `folder`, which is cut to the
-    shape of the video (its middle stays) and scaled.
+    value: r, g, b in 0..1, "#rrggbb", "none" (black, to be made transparent), or a picture file
+    relative to `folder`, which is cut to the shape of the video (its middle stays) and scaled.
     """
     if not isinstance(value, str):
         return np.array(value, dtype=np.float64)
+    if value == "none":
+        return np.zeros(3)
     if value.startswith("#"):
         return np.array([int(value[i : i + 2], 16) for i in (1, 3, 5)]) / 255
+    import imageio.v3 as iio  # as scipy.ndimage, only for those who need it
+    from scipy import ndimage
+
     try:
         picture = np.atleast_3d(iio.imread(folder / value, plugin="pillow"))
     except Exception as error:  # the readers of picture formats raise all kinds

@@ -37,6 +37,7 @@ POSTPROCESS = (
     "vgmpi.output.layout",
     "vgmpi.gaussians",
     "vgmpi.splatting",
+    "vgmpi.domain.ranks",  # frames shared by the ranks of a launcher
     "postprocess",
 )
 OUTSIDE = {  # packages that only some files may use
@@ -54,6 +55,7 @@ OUTSIDE = {  # packages that only some files may use
         "vgmpi/kernels/",
     ),
     "pyvista": ("postprocess/",),
+    "viser": ("postprocess/replay.py",),
     "tqdm": ("vgmpi/solver/report.py", "postprocess/"),
     "taichi": ("vgmpi/bench/taichi_rival.py",),
     "warp": ("vgmpi/bench/warp_rival.py",),

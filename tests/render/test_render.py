@@ -8,13 +8,14 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from postprocess import render, view
+from postprocess import render, video, view
 from tests.render import runs
 from tests.render.test_video import read
 from vgmpi.domain.ranks import Alone
 from vgmpi.gaussians import ply
 from vgmpi.output import layout, rest
 from vgmpi.output.frames import Frames
+from vgmpi.splatting import splat
 
 ROOT = Path(__file__).resolve().parents[2]
 GUITAR = ROOT.parent / "shared" / "data" / "guitar.compressed.ply"
@@ -113,7 +114,10 @@ def test_a_run_without_a_domain_is_drawn_around_its_particles(tmp_path):
     [
         (["{none}"], "no such folder"),
         (["{empty}"], "no frames"),
-        (["{out}", "-o", "v.avi"], "allowed: a name that ends in .mp4 or .png"),
+        (
+            ["{out}", "-o", "v.avi"],
+            "allowed: a name that ends in .mp4, .webm, .gif or .png, or a folder",
+        ),
         (["{out}", "-o", "{tmp}/a.png", "--frame", "9"], "frames 0..3"),
         (["{out}", "{tmp}/none.toml"], "none.toml"),
         (["{out}", "{tmp}/bad.toml"], "bad.toml:1: camera: "),
@@ -216,13 +220,13 @@ def test_a_real_capture_is_recognisable_on_a_turning_body(tmp_path):
     turned = c.transformed(np.eye(3), 1.0, -middle).transformed(R, 1.0, middle + shift)
     painter = render.Painter(render.Run(tmp_path), render.settings.Settings(), tmp_path)
     camera = painter.camera(0.0)
-    splats = render.splat.Splats(turned.x, turned.cov(), turned.opacity, turned.rgb)
-    image, _ = render.splat.render(splats, camera, (1.0, 1.0, 1.0))
-    want = render.video.to_bytes(image).astype(float)
+    splats = splat.Splats(turned.x, turned.cov(), turned.opacity, turned.rgb)
+    image, _ = splat.render(splats, camera, (1.0, 1.0, 1.0))
+    want = video.to_bytes(image).astype(float)
     assert 10 * np.log10(255**2 / np.mean((got - want) ** 2)) > 45  # dB
-    still = render.splat.Splats(c.x, c.cov(), c.opacity, c.rgb)
-    other, _ = render.splat.render(still, camera, (1.0, 1.0, 1.0))
-    other = render.video.to_bytes(other).astype(float)
+    still = splat.Splats(c.x, c.cov(), c.opacity, c.rgb)
+    other, _ = splat.render(still, camera, (1.0, 1.0, 1.0))
+    other = video.to_bytes(other).astype(float)
     assert 10 * np.log10(255**2 / np.mean((got - other) ** 2)) < 25  # the measure tells poses apart
     dark = (got < 200).any(axis=2)
     assert 0.01 < dark.mean() < 0.3

@@ -78,7 +78,7 @@ BAD = {
     "an unknown table": ("[camara]\nfov = 3", 1, "camara", "did you mean 'camera'?"),
     "an unknown key": ("[camera]\n\nfovv = 3", 3, "camera.fovv", "did you mean 'fov'?"),
     "a key outside its table": ("\nfov = 3", 2, "fov", "allowed are camera"),
-    "a wrong kind": ('[camera]\nkind = "orbitt"', 2, "camera.kind", "'orbit' or 'fixed'"),
+    "a wrong kind": ('[camera]\nkind = "orbitt"', 2, "camera.kind", "'transforms' or 'colmap'"),
     "a word for a number": ('[camera]\nfov = "wide"', 2, "camera.fov", "'wide'"),
     "out of range": ("[camera]\nturns = 1\nfov = 190", 3, "camera.fov", "less than 170"),
     "not finite": ("[camera]\nheight = inf", 2, "camera.height", "finite"),

@@ -27,7 +27,7 @@ def test_a_video_holds_the_pictures_in_order(tmp_path, width, height):
     path = tmp_path / "deeper" / "v.mp4"
     pictures = [np.full((height, width, 3), 40 * k, np.uint8) for k in range(5)]
     pictures[2] = gradient(width, height)
-    with video.Mp4(path, width, height, fps=10) as mp4:
+    with video.Film(path, width, height, fps=10) as mp4:
         for picture in pictures:
             mp4.add(picture)
     meta, got = read(path)
@@ -44,7 +44,7 @@ def test_a_video_that_fails_leaves_nothing_and_keeps_the_old_one(tmp_path):
     path = tmp_path / "v.mp4"
     path.write_bytes(b"old")
     with pytest.raises(KeyboardInterrupt):
-        with video.Mp4(path, 64, 48, fps=10) as mp4:
+        with video.Film(path, 64, 48, fps=10) as mp4:
             mp4.add(gradient(64, 48))
             raise KeyboardInterrupt
     assert path.read_bytes() == b"old"
@@ -54,7 +54,7 @@ def test_a_video_that_fails_leaves_nothing_and_keeps_the_old_one(tmp_path):
 def test_a_place_that_cannot_be_written_is_one_line(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(video.VideoError) as caught:
-        with video.Mp4(tmp_path / "file" / "v.mp4", 64, 48, fps=10) as mp4:
+        with video.Film(tmp_path / "file" / "v.mp4", 64, 48, fps=10) as mp4:
             mp4.add(gradient(64, 48))
     assert "\n" not in str(caught.value) and "v.mp4" in str(caught.value)
     with pytest.raises(video.VideoError, match="a.png"):
@@ -64,7 +64,7 @@ def test_a_place_that_cannot_be_written_is_one_line(tmp_path):
 @pytest.mark.parametrize("bad", ["-crf", "-c:v"])
 def test_a_video_that_ffmpeg_gives_up_is_one_line_and_no_file(tmp_path, bad):
     """As when the disk is full: what counts is that it ends with an error."""
-    writer = video.Mp4(tmp_path / "v.mp4", 64, 48, fps=10)
+    writer = video.Film(tmp_path / "v.mp4", 64, 48, fps=10)
     writer.command[writer.command.index(bad) + 1] = "nonsense"
     with pytest.raises(video.VideoError) as caught:
         with writer as mp4:
@@ -75,7 +75,7 @@ def test_a_video_that_ffmpeg_gives_up_is_one_line_and_no_file(tmp_path, bad):
 
 
 def test_a_video_that_ends_badly_after_the_last_picture(tmp_path):
-    writer = video.Mp4(tmp_path / "v.mp4", 64, 48, fps=10)
+    writer = video.Film(tmp_path / "v.mp4", 64, 48, fps=10)
     writer.command[0] = "false"
     with pytest.raises(video.VideoError):
         with writer:

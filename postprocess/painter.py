@@ -1,0 +1,201 @@
+"""Frames of a run as pictures: the Gaussians of a frame are worked out once for all cameras."""
+
+import contextlib
+import logging
+import multiprocessing
+import pickle
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from postprocess import settings, video
+from postprocess.look import Look, seen
+from postprocess.parts import Part
+from postprocess.viewpoints import Viewpoint
+from vgmpi.output.read import Run, RunError
+from vgmpi.splatting import splat
+from vgmpi.splatting.camera import Camera
+
+log = logging.getLogger("vgmpi")
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """One view of a frame.
+
+    picture: uint8 (height, width, 3), or 4 with transparency. alpha: what the Gaussians cover,
+    uint16 (height, width) of 0..65535. depth: along the axis of the camera, float32 (height, width)
+    [m], infinite where nothing is. The last two are None unless asked for.
+    """
+
+    picture: np.ndarray
+    alpha: np.ndarray | None = None
+    depth: np.ndarray | None = None
+
+
+class Painter:
+    """Draws frames of one run with one set of settings.
+
+    chosen: settings.Settings. folder: of the render.toml, for the files it names. alpha, depth:
+    whether to work these out too. longest: of a preview, the longer side of its picture.
+    """
+
+    def __init__(
+        self,
+        run: Run,
+        chosen: settings.Settings,
+        folder: Path,
+        *,
+        alpha: bool = False,
+        depth: bool = False,
+        longest: int | None = None,
+    ):
+        self.run, self.chosen = run, chosen
+        self.alpha, self.depth = alpha, depth
+        self.box = domain_box(run)
+        size = chosen.picture
+        self.views = [
+            Viewpoint(one, size, self.box, folder, longest) for one in chosen.views()
+        ]  # before all that takes long: mistakes in files show at once
+        self.grounds = [
+            video.background(size.background, one.width, one.height, folder) for one in self.views
+        ]
+        self.clear = size.background == "none"
+        self.supersample = 1 if longest else size.supersample
+        self.look = Look(run, chosen.look)
+        self.alpha_min = self.look.alpha_min(chosen.splatting.alpha_min)
+
+    def camera(self, part: float) -> Camera:
+        """The first camera at a part 0..1 of the video."""
+        return self.views[0].at(part, 0.0)
+
+    def draw(self, index: int, part: float = 0.0) -> np.ndarray:
+        """Frame `index` as a uint8 picture (height, width, 3) from the first camera."""
+        return self.views_of(index, part)[0].picture
+
+    def views_of(self, index: int, part: float) -> list[Drawn]:
+        """Frame `index` at a part 0..1 of the video, from every camera."""
+        parts = self.look.parts(self.look.frame(index))
+        time = float(self.run.times[index]) if self._by_time() else 0.0
+        cameras = [view.at(part, time) for view in self.views]
+        return [self._drawn(parts, *pair) for pair in zip(cameras, self.grounds)]
+
+    def _by_time(self) -> bool:  # the times of a run are in as many files as it has frames
+        return any(one.keys and one.keys[0].time is not None for one in self.chosen.views())
+
+    def _drawn(self, parts: list[Part], camera: Camera, ground: np.ndarray) -> Drawn:
+        image, left, *depth = splat.render(
+            seen(parts, camera.eye),
+            camera,
+            ground,
+            alpha_min=self.alpha_min,
+            supersample=self.supersample,
+            depth="median" if self.depth else None,
+            **self.chosen.splatting.options(),
+        )
+        if self.clear:
+            picture = video.with_transparency(image, 1 - left)
+        else:
+            picture = video.to_bytes(image)
+        alpha = np.round((1 - left) * 65535).astype(np.uint16) if self.alpha else None
+        return Drawn(picture, alpha, depth[0] if depth else None)
+
+
+def domain_box(run: Run) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper corner of the domain [m]; of the Gaussians if the scene does not tell."""
+    try:
+        size = np.array(run.scene["domain"]["size"], dtype=np.float64)
+        return np.zeros(3), size
+    except (KeyError, TypeError, ValueError):
+        x = np.asarray(run.gaussians.x0)
+        return x.min(axis=0), x.max(axis=0)
+
+
+Task = tuple[int, float]  # a frame's number and its part of the video
+_painter: Painter | None = None  # of a worker process
+
+
+def _start_worker(folder: str, chosen: settings.Settings, beside: Path, options: dict) -> None:
+    global _painter
+    logging.disable(logging.WARNING)  # the first process has said it already
+    _painter = Painter(Run(folder), chosen, beside, **options)
+
+
+def _work(task: Task) -> list[Drawn]:
+    return _painter.views_of(*task)
+
+
+def by_processes(painter: Painter, beside: Path, tasks: list[Task], jobs: int) -> Iterator:
+    """The views of the frames in order, drawn by `jobs` processes."""
+    jobs = min(jobs, len(tasks))
+    if jobs <= 1:
+        yield from (painter.views_of(*task) for task in tasks)
+        return
+    painter.look.colours.prepare(tasks[-1][0])
+    context = multiprocessing.get_context("spawn")  # a fork would share the open files
+    options = {"alpha": painter.alpha, "depth": painter.depth}
+    start = (str(painter.run.folder), painter.chosen, beside, options)
+    with context.Pool(jobs, _start_worker, start) as pool:
+        yield from pool.imap(_work, tasks)
+
+
+class OtherRankError(RunError):
+    """Raised on ranks other than 0 when any rank has met an error: rank 0 tells it."""
+
+
+def agree(ranks: Any, make) -> Any:
+    """What make() returns on this rank; where it fails on any rank, it fails on all of them.
+
+    Rank 0 raises the error of the lowest rank, the others OtherRankError. Collective.
+    """
+    result, error = None, None
+    try:
+        result = make()
+    except (RunError, settings.SettingsError, video.VideoError) as caught:
+        error = caught
+    failed = ranks.max(np.array([error is not None], dtype=np.int64))
+    if failed[0]:
+        errors = _at_root(ranks, error)
+        raise next(e for e in errors if e is not None) if ranks.rank == 0 else OtherRankError()
+    return result
+
+
+def by_ranks(painter: Painter, ranks: Any, tasks: list[Task]) -> Iterator:
+    """The views of the frames in order, on rank 0; as many Nones on the others.
+
+    Round after round every rank draws one frame and rank 0 gathers them: neighbouring frames take
+    nearly the same time. ranks: vgmpi.domain.ranks. Collective.
+    """
+    if ranks.rank == 0:
+        painter.look.colours.prepare(tasks[-1][0])
+    ranks.barrier()
+    for first in range(0, len(tasks), ranks.size):
+        mine = tasks[first + ranks.rank : first + ranks.rank + 1]
+        views = agree(ranks, lambda mine=mine: [painter.views_of(*task) for task in mine])
+        together = _at_root(ranks, views)
+        count = min(ranks.size, len(tasks) - first)
+        try:
+            yield from (one[0] for one in together[:count]) if ranks.rank == 0 else [None] * count
+        except GeneratorExit:  # rank 0 cannot write: the others wait for the next round
+            if first + ranks.size < len(tasks):
+                with contextlib.suppress(RunError):
+                    agree(ranks, _give_up)
+            raise
+
+
+def _give_up() -> None:
+    raise RunError("rank 0 cannot write")
+
+
+def _at_root(ranks: Any, thing: Any) -> list | None:
+    """The things of all ranks, in rank order, on rank 0. Collective."""
+    data = np.frombuffer(pickle.dumps(thing, protocol=5), dtype=np.uint8)
+    sizes = ranks.all_rows(np.array([len(data)], dtype=np.int64))
+    rows = ranks.root_rows(data)
+    if rows is None:
+        return None
+    ends = np.cumsum(sizes)
+    return [pickle.loads(rows[end - size : end].tobytes()) for size, end in zip(sizes, ends)]
