@@ -38,11 +38,11 @@ class CoupledReference(Reference):
         here = (m > 0)[..., None]
         v = np.where(here, v / np.where(here, m[..., None], 1.0) + dt * self.gravity, 0.0)
         v = self._pressure(m, v, f, V)
-        v = np.where(here, self._mix(m, v, V, X, dt), 0.0)
+        v, drift = (np.where(here, part, 0.0) for part in self._mix(m, v, V, X, dt))
         self._drag(m, v, V, dt)
         for velocity in v:
             self._walls(velocity)
-        self._all_to_particles(v, V, dt)
+        self._all_to_particles(v, drift, V, dt)
 
     def _nodes(self, dt):
         """(mass, momentum, impulses kept apart, volume, offsets) of each phase."""
@@ -78,7 +78,8 @@ class CoupledReference(Reference):
         return v + push / np.where(m > 0, m, 1.0)[..., None]
 
     def _mix(self, m, v, V, X, dt):
-        """Drift down the gradient of the shares of volume, and relaxation of the slip."""
+        """(velocities, the drifts in them) after drift down the gradient of the shares of volume
+        and relaxation of the slip."""
         mine = self.fluid[:, None, None, None]
         m, V, X = m * mine, V * mine, X * mine[..., None]
 
@@ -96,8 +97,8 @@ class CoupledReference(Reference):
         u *= np.minimum(1.0, most / np.where(size > 0, size, most))
         u = np.where(m[..., None] > 0, u - mean(u), 0.0)
         middle = mean(v)
-        mixed = middle + (v - u - middle) / (1.0 + dt / self.slip_time) + u
-        return np.where(mine[..., None], mixed, v)
+        mixed = middle + (v - middle) / (1.0 + dt / self.slip_time) + u
+        return np.where(mine[..., None], mixed, v), np.where(mine[..., None], u, 0.0)
 
     def _drag(self, m, v, V, dt):
         """(diag(m) + L(K)) v = m v*, K = dt c times the bulk volume that both fill."""
@@ -120,7 +121,8 @@ class CoupledReference(Reference):
             matrix = np.diag(mass + K.sum(1)) - K
             v[(there, *node)] = np.linalg.solve(matrix, mass[:, None] * v[at][there])
 
-    def _all_to_particles(self, v, V, dt):
+    def _all_to_particles(self, v, drift, V, dt):
+        """Drifts move particles and are no momentum of theirs."""
         pores, part, fill = self._of_space(V)
         flux = (part[..., None] * v).sum(0)
         self._mirror(flux)
@@ -141,6 +143,11 @@ class CoupledReference(Reference):
                 more = (rate - np.trace(C, axis1=1, axis2=2)) / 3.0
                 C += more[:, None, None] * np.eye(3)
             self._move(body, C, dt)
+            moved, gradient = body.v, body.C
+            self._mirror(drift[k])
+            here, body.x = body.x, body.x - dt * moved  # the weights are those before the move
+            self._gather(body, drift[k])
+            body.x, body.v, body.C = here, moved - body.v, gradient - body.C
 
     def _even(self, field):
         """The field with what mirroring walls show of it beyond them."""

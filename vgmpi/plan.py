@@ -110,6 +110,13 @@ class Plan:
     gravity_ramp: float = 0.0  # [s] in which gravity grows
 
     @property
+    def drifts(self) -> bool:
+        """Whether fluids drift into each other by diffusion, and keep that out of their momentum;
+        as the paper prints it they do not."""
+        rules = self.rules
+        return rules is not None and bool((rules.diffusion[~rules.printed_mix] > 0).any())
+
+    @property
     def particles(self) -> int:
         return sum(self.count)
 
@@ -145,7 +152,7 @@ class Plan:
         width = self.real.itemsize
         patch, nodes = 8**3 * 4 * width, 64 * 4 * width
         patches = 1 + (self.contact or self.collider) + any(group.apart for group in self.groups)
-        more = 3 if self.rules is None and not self.flip else 4
+        more = 3 if self.rules is None and not self.flip else 4 + self.drifts
         return total + int(blocks * (patch * patches + more * nodes))
 
 

@@ -22,12 +22,12 @@ SLIPS = (0.0, np.inf)
 
 
 @kernel
-def solve(n, phase, grid, forces, offsets, cells, least, room, rules, dt, dx):
+def solve(n, phase, grid, forces, offsets, cells, least, room, rules, dt, dx, drift):
     """A block far from walls in which all n phases are."""
     of, rules = places(room, rules)
     couple_block(
         0, n, place(phase), place(grid), place(forces), place(offsets), True, False, (9, 9, 9),
-        place(cells), place(least), of, rules, dt, dx,
+        place(cells), place(least), of, rules, dt, dx, place(drift),
     )  # fmt: skip
 
 
@@ -97,15 +97,17 @@ class Node:
     def exchange(self):
         """Velocities afterwards (n, 3): all nodes of a block are given this state."""
         n = len(self.m)
-        grid, forces, offsets = (aligned(256 * n, float).reshape(n, 64, 4) for _ in range(3))
+        grid, forces, offsets, drift = (aligned(256 * n, float).reshape(n, 64, 4) for _ in range(4))
         for field, three, one in (
             (grid, self.v, self.m), (forces, self.f, self.V), (offsets, self.X, self.V)
         ):  # fmt: skip
             field[..., :3], field[..., 3] = three[:, None], one[:, None]
         flat = [field.reshape(-1) for field in (grid, forces, offsets)]
         known = room(n, np.dtype(float), aligned), tables(self.rules())
-        solve(n, np.arange(n), *flat, np.ones(3, np.int64), np.zeros(n), *known, self.dt, self.dx)
+        solve(n, np.arange(n), *flat, np.ones(3, np.int64), np.zeros(n), *known, self.dt, self.dx,
+              drift.reshape(-1))  # fmt: skip
         assert np.isfinite(grid).all() and (grid[:, 1:] == grid[:, :1]).all()
+        self.drift = drift[:, 0, :3].copy()
         return grid[:, 0, :3].copy()
 
     def energy(self, v):
@@ -128,6 +130,7 @@ def test_momentum_is_kept():
         # what drifts carry, both ways, counts as speed
         scale = node.size(node.v) + node.size(after) + np.linalg.norm(node.f, axis=1).sum()
         worst = max(worst, np.abs(node.momentum(after) - want).max() / scale)
+        worst = max(worst, np.abs(node.momentum(node.drift)).max() / scale)
     print(f"momentum: {worst:.1e} of sum m |v| at worst")
     assert worst <= 1e-12
 

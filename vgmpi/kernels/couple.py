@@ -23,15 +23,19 @@ LEAST_PORES = 0.05  # share of space that a fluid keeps where sand is
 
 @inline
 def couple_block(
-    n0, n1, phase, grid, forces, offsets, has_offsets, at_wall, low, cells, least, of, rules, dt, dx
-):
+    n0, n1, phase, grid, forces, offsets, has_offsets, at_wall, low, cells, least, of, rules, dt,
+    dx, drift,
+):  # fmt: skip
     """The stress's impulses, and what phases that share space do to each other, at the 64 nodes of
     a block.
 
     All arrays by their places. Of (256 node blocks,) each: grid: velocity and mass, of which n0 ..
     n1 are this block's; forces: impulses kept apart [kg m/s] and volume [m3]; offsets: offsets [m4]
-    and volume, where the block has_offsets. of, rules: see `places`.
+    and volume, where the block has_offsets; drift: where drifts [m/s] are noted. of, rules: see
+    `places`.
     """
+    for at in range(256 * n0, 256 * n1 if rules.drifts else 0, ROW):
+        store(drift, at, spread(of.V, 0.0))
     for one in range(rules.sets):
         count = members(one, n0, n1, phase, rules, of)
         for c in range(0, 256 if count > 0 else 0, ROW):
@@ -44,14 +48,15 @@ def couple_block(
             fluid, grains, share = volumes(count, c, forces, of)
             for g in range(rules.mixes):
                 if rules.printed_mix[g] > 0.0:
-                    drift = rules.diffusion[g] if has_offsets else 0.0
-                    _mix(g, count, c, shared, grid, offsets, of, drift, 0.0, -1.0, dt, dx)
+                    D = rules.diffusion[g] if has_offsets else 0.0
+                    _mix(g, count, c, shared, grid, offsets, of, D, 0.0, -1.0, dt, dx, drift, 0)
             _pressure(count, c, shared, grid, forces, fluid, grains, share, of)
             for g in range(rules.mixes):
                 if rules.printed_mix[g] == 0.0:
-                    drift = rules.diffusion[g] if has_offsets else 0.0
+                    D = rules.diffusion[g] if has_offsets else 0.0
                     keep = 1.0 / (1.0 + dt / rules.slip_time[g])
-                    _mix(g, count, c, shared, grid, offsets, of, drift, keep, 1.0, dt, dx)
+                    noted = rules.drifts
+                    _mix(g, count, c, shared, grid, offsets, of, D, keep, 1.0, dt, dx, drift, noted)
             if rules.drags:
                 _drag(count, c, fluid, grains, of, dt)
                 relax(count, c, shared, grid, of)
@@ -143,9 +148,12 @@ def _pressure(count, c, shared, grid, forces, fluid, grains, share, of):
 
 
 @inline
-def _mix(g, count, c, shared, grid, offsets, of, diffusion, keep, sign, dt, dx):
+def _mix(
+    g, count, c, shared, grid, offsets, of, diffusion, keep, sign, dt, dx, drift, noted
+):  # fmt: skip
     """Fluids of mixing group g drift (Ren 2014) and keep the share `keep` of what else differs in
-    their velocities: 1 / (1 + dt / slip time), which holds for times of 0 and infinity.
+    their velocities: 1 / (1 + dt / slip time), which holds for times of 0 and infinity. Particles
+    come without the drift of the step before; that of this one is `noted` in drift.
 
     As printed all move with the mean velocity before the pressure acts, and drift the other way
     (sign -1).
@@ -170,7 +178,9 @@ def _mix(g, count, c, shared, grid, offsets, of, diffusion, keep, sign, dt, dx):
         if of.group[q] == g:
             row = load(grid, 256 * of.block[q] + c)
             u = load(of.U, ROW * q) if drifts else 0.0 * mass
-            moved = mean + keep * (row - u - mean) + u
+            moved = mean + keep * (row - mean) + u
+            if noted:
+                store(drift, 256 * of.block[q] + c, select(some, u, 0.0 * u))
             store(grid, 256 * of.block[q] + c, with_fourth(select(some, moved, row), row))
 
 

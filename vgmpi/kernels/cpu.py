@@ -68,6 +68,7 @@ class Cpu:
         self.apart = any(group.apart for group in plan.groups)
         self.forces = self.patches if self.apart else None  # patches of impulses
         self.forces_grid = self.flux = self.grid if self.apart else None
+        self.drift = self.grid if plan.drifts else None
         self.flip = real.type(plan.flip) if plan.flip else None
         room = records.ROOM + (records.PATCH + 16 if self.apart else 0)
         self.records = [aligned(room, real) for _ in range(threads)]
@@ -141,6 +142,8 @@ class Cpu:
         self.flat_grid = self.grid.reshape(len(self.grid), 256)
         if self.apart:
             self.flux = _room(self.flux, len(t.phase))
+            if self.drift is not None:
+                self.drift = _room(self.drift, len(t.phase))
             self.forces = _room(self.forces, len(self.patches))
             self.forces = self.forces.reshape(len(self.forces), records.PATCH)
             self.forces[self.slot[~t.own]] = 0
@@ -231,6 +234,7 @@ class Cpu:
                 self.forces_grid,
                 t.forced,
                 self.flux,
+                self.flux if self.drift is None else self.drift,
                 self.apart_room[thread],
                 self.tables,
             )
@@ -258,6 +262,7 @@ class Cpu:
         g2p.g2p(
             group.plan.law, share, group.start, group.count, part.table, part.limit, part.mirror,
             group.xi, group.f, group.ids, self.grid, self.flux if second else None,
+            self.drift if second else None,
             self.flip if second else None, part.slots[2], self.records[thread], self.base[thread],
             part.numbers, self.bits, dither, dt, self.plan.real.type(self.plan.cfl), report[thread],
         )  # fmt: skip

@@ -71,8 +71,8 @@ def _gather(count, records, weights, base, patch):
 
 @kernel
 def g2p(
-    law, segments, start, count, table, limit, mirror, xi, f, ids, grid, flux, flip, split,
-    scratch,     base, numbers, bits, dither, dt, cfl, report,
+    law, segments, start, count, table, limit, mirror, xi, f, ids, grid, flux, drift, flip, split,
+    scratch, base, numbers, bits, dither, dt, cfl, report,
 ):  # fmt: skip
     """Velocity and its gradient from the grid to each particle; moves it and advances its state.
 
@@ -80,11 +80,12 @@ def g2p(
     of positions [cells from the block's middle]; mirror: (segments, 3, 2) wall codes (walls.py);
     grid: (blocks, 64, 4) velocities [m/s]; flux: None, or (blocks, 64, 4) what else the particles
     gather: with flip None the flux of volume [m/s] and the fluids' share of space, else the change
-    of velocity [m/s], of which FLIP adds the share `flip`; split: (segments,) not negative where a
-    segment shares space with another phase; scratch, base and numbers: see p2g;
-    dither: (3,) added before rounding down, the same for all particles of a step; report: (4,)
-    running maxima: rate 1/dt [1/s], distance from the block's middle [cells]; then id + 1 of a
-    particle that went wrong and the reason.
+    of velocity [m/s], of which FLIP adds the share `flip`; drift: None, or (blocks, 64, 4) the
+    part of the velocities [m/s] that moves particles but is no momentum of theirs; split:
+    (segments,) not negative where a segment shares space with another phase; scratch, base and
+    numbers: see p2g; dither: (3,) added before rounding down, the same for all particles of a
+    step; report: (4,) running maxima: rate 1/dt [1/s], distance from the block's middle [cells];
+    then id + 1 of a particle that went wrong and the reason.
     """
     cap = f.shape[1]
     flat, flat_xi = f.reshape(f.size), xi.reshape(xi.size)
@@ -98,6 +99,16 @@ def g2p(
         gather(patch, flat_grid, table[s], box)
         reflect(nodes, mirror[s])
         apart = split[s] >= 0
+        if drift is not None and apart:
+            second = scratch[ROOM:]
+            gather(second, drift.reshape((len(drift), 256)), table[s], box)
+            reflect(second[:PATCH].reshape((SIDE, SIDE, SIDE, 4)), mirror[s])
+            for first in range(0, count[s], BATCH):
+                n = min(BATCH, count[s] - first)
+                at = start[s] + first
+                weigh(n, at, cap, flat_xi, flat, base, weights)
+                _gather(n, records, weights, base, second)
+                _leave_out(n, at, cap, flat, records, numbers.dx)
         if flux is not None and apart:
             second = scratch[ROOM:]
             gather(second, flux.reshape((len(flux), 256)), table[s], box)
@@ -111,8 +122,8 @@ def g2p(
                 _set_aside(n, records, extra, flip)
             _gather(n, records, weights, base, patch)
             _move(
-                law, n, at, cap, flat_xi, flat, ids, records, flux, flip, apart, extra, numbers,
-                limit[s], 2.0**bits, dither, dt, cfl, report,
+                law, n, at, cap, flat_xi, flat, ids, records, flux, drift, flip, apart, extra,
+                numbers, limit[s], 2.0**bits, dither, dt, cfl, report,
             )  # fmt: skip
 
 
@@ -132,8 +143,8 @@ def _set_aside(count, records, extra, flip):
 
 @inline
 def _move(
-    law, count, at, cap, xi, f, ids, records, flux, flip, apart, extra, numbers, limit, one, dither,
-    dt, cfl, report,
+    law, count, at, cap, xi, f, ids, records, flux, drift, flip, apart, extra, numbers, limit, one,
+    dither, dt, cfl, report,
 ):  # fmt: skip
     """Take up the gathered records: v, C, state, position; note what bounds the step."""
     dx = numbers.dx
@@ -150,23 +161,19 @@ def _move(
         c0, c1, c2 = k * c0, k * c1, k * c2
         c3, c4, c5 = k * c3, k * c4, k * c5
         c6, c7, c8 = k * c6, k * c7, k * c8
+        L = (c0, c1, c2, c3, c4, c5, c6, c7, c8)
         if flip is not None:
             _blend(f, p, cap, extra, n, flip, (v0, v1, v2))
+            _take_gradient(f, p, cap, L)
+        elif drift is not None:
+            v = (v0, v1, v2)
+            if apart:
+                v, L = _less(f, p, cap, v, L)
+            _take_velocity(f, p, cap, v)
+            _take_gradient(f, p, cap, L)
         else:
-            store(f, p, v0)
-            store(f, p + cap, v1)
-            store(f, p + 2 * cap, v2)
-        q = p + AFFINE * cap
-        store(f, q, c0)
-        store(f, q + cap, c1)
-        store(f, q + 2 * cap, c2)
-        store(f, q + 3 * cap, c3)
-        store(f, q + 4 * cap, c4)
-        store(f, q + 5 * cap, c5)
-        store(f, q + 6 * cap, c6)
-        store(f, q + 7 * cap, c7)
-        store(f, q + 8 * cap, c8)
-        L = (c0, c1, c2, c3, c4, c5, c6, c7, c8)
+            _take_velocity(f, p, cap, (v0, v1, v2))
+            _take_gradient(f, p, cap, L)
         if flux is not None:
             if flip is None:
                 L = _of_all(L, f, p, cap, apart, extra, n, fill, numbers)
@@ -212,6 +219,57 @@ def _move(
     rate = largest(fastest) / (cfl * dx)
     report[0] = max(report[0], rate, largest(quick) / (0.3 * dx), largest(stretching) / 0.1)
     report[1] = max(report[1], largest(far))
+
+
+@inline
+def _leave_out(count, at, cap, f, records, dx):
+    """Put less the gathered drift where the particles' velocity and its gradient go, see _less."""
+    k = -4.0 / dx
+    for n in range(0, count, 16):
+        p = at + n
+        v0, v1, v2, _, c0, c3, c6, _, c1, c4, c7, _, c2, c5, c8, _ = load_records(records, 16 * n)
+        _take_velocity(f, p, cap, (-v0, -v1, -v2))
+        C = (k * c0, k * c1, k * c2, k * c3, k * c4, k * c5, k * c6, k * c7, k * c8)
+        _take_gradient(f, p, cap, C)
+
+
+@inline
+def _less(f, p, cap, v, C):
+    """Velocity and gradient without the drift: the drifts' momenta are zero together at a node, but
+    would no longer be after each fluid's particles had carried theirs elsewhere."""
+    v0, v1, v2 = v
+    c0, c1, c2, c3, c4, c5, c6, c7, c8 = C
+    v = (v0 + load(f, p), v1 + load(f, p + cap), v2 + load(f, p + 2 * cap))
+    q = p + AFFINE * cap
+    C = (
+        c0 + load(f, q), c1 + load(f, q + cap), c2 + load(f, q + 2 * cap),
+        c3 + load(f, q + 3 * cap), c4 + load(f, q + 4 * cap), c5 + load(f, q + 5 * cap),
+        c6 + load(f, q + 6 * cap), c7 + load(f, q + 7 * cap), c8 + load(f, q + 8 * cap),
+    )  # fmt: skip
+    return v, C
+
+
+@inline
+def _take_velocity(f, p, cap, v):
+    """The velocities of 16 particles."""
+    store(f, p, v[0])
+    store(f, p + cap, v[1])
+    store(f, p + 2 * cap, v[2])
+
+
+@inline
+def _take_gradient(f, p, cap, C):
+    """The gradients of velocity of 16 particles."""
+    q = p + AFFINE * cap
+    store(f, q, C[0])
+    store(f, q + cap, C[1])
+    store(f, q + 2 * cap, C[2])
+    store(f, q + 3 * cap, C[3])
+    store(f, q + 4 * cap, C[4])
+    store(f, q + 5 * cap, C[5])
+    store(f, q + 6 * cap, C[6])
+    store(f, q + 7 * cap, C[7])
+    store(f, q + 8 * cap, C[8])
 
 
 @inline

@@ -31,6 +31,7 @@ class Apart(NamedTuple):
     forces: np.ndarray  # (node blocks, 256) their sums
     forced: np.ndarray  # (node blocks,) whether any patch of impulses touches it
     flux: np.ndarray  # (node blocks, 64, 4) what particles gather besides velocity
+    drift: np.ndarray  # (node blocks, 64, 4) drifts [m/s]; any array where there are none
     room: tuple  # members.Room of the calling thread
     tables: tuple  # members.Tables
 
@@ -97,7 +98,7 @@ def update(
                         _along_walls(offsets[n0:n1], low, cells, wall_kinds)
                     couple_block(
                         n0, n1, phase_of, nodes, forces, offset_nodes, meets[b], at_wall, low, last,
-                        least_of, of, tables, dt, dx,
+                        least_of, of, tables, dt, dx, place(apart.drift),
                     )  # fmt: skip
         if meets[b] and _may_touch(n0, n1, phase, solid_of[b], rules):
             solid = solids[max(solid_of[b], 0)]

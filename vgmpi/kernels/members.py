@@ -45,6 +45,7 @@ class Tables(NamedTuple):
     sets: int
     mixes: int
     drags: int
+    drifts: int  # whether drifts are kept out of the particles' momentum
     together: np.ndarray
     fluid: np.ndarray
     mix: np.ndarray
@@ -61,6 +62,7 @@ def tables(rules: Rules) -> Tables:
     """The rules as rows are told of them."""
     return Tables(
         len(rules.fluid), rules.sets, rules.mixes, int(rules.drags),
+        int((rules.diffusion[~rules.printed_mix] > 0.0).any()),
         *(np.array(table, np.int64) for table in (rules.together, rules.fluid, rules.mix)),
         *(
             np.array(table, float).ravel()
@@ -81,7 +83,8 @@ def places(room, tables):
         place(block), place(wet), place(group), place(grains), place(pores), place(drag),
         place(printed), place(M), place(V), place(U), place(K), place(S), place(R),
     ), Tables(
-        t.phases, t.sets, t.mixes, t.drags, place(t.together), place(t.fluid), place(t.mix),
+        t.phases, t.sets, t.mixes, t.drags, t.drifts,
+        place(t.together), place(t.fluid), place(t.mix),
         place(t.diffusion), place(t.slip_time), place(t.printed_mix), place(t.volume),
         place(t.porosity), place(t.drag), place(t.printed_drag),
     )  # fmt: skip
