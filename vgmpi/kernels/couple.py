@@ -281,10 +281,14 @@ def relax(count, c, shared, grid, of):
 
 
 @inline
-def note_flux(n0, n1, phase, grid, forces, at_wall, low, cells, least, of, rules, dx, flux):
+def note_flux(
+    n0, n1, phase, grid, forces, at_wall, low, cells, least, of, rules, dx, flux, drift
+):  # fmt: skip
     """Flux of volume [m/s] and fluids' share of space at the nodes of a block, into flux (256 node
     blocks,); how full the space is into the fourth number of grid, in place of mass, where sand
-    may be in it. Arguments as of `couple_block`."""
+    may be in it; the rest of grid becomes the velocity without the drift: the drifts' momenta are
+    zero together at a node, but would no longer be after each fluid's particles had carried theirs
+    elsewhere. Arguments as of `couple_block`."""
     drags = 1.0 if rules.drags else 0.0
     for one in range(rules.sets):
         count = members(one, n0, n1, phase, rules, of)
@@ -301,6 +305,8 @@ def note_flux(n0, n1, phase, grid, forces, at_wall, low, cells, least, of, rules
                 row = load(grid, at)
                 through = select((fluid > 0.0) & (here > 1.0), total, row)
                 store(flux, at, with_fourth(through, share))
+                if rules.drifts:
+                    row = row - load(drift, at)
                 store(grid, at, with_fourth(row, full))
 
 

@@ -70,7 +70,8 @@ class Cpu:
         self.forces_grid = self.flux = self.grid if self.apart else None
         self.drift = self.grid if plan.drifts else None
         self.flip = real.type(plan.flip) if plan.flip else None
-        room = records.ROOM + (records.PATCH + 16 if self.apart else 0)
+        more = self.apart + plan.drifts  # patches besides velocity's that particles gather from
+        room = records.ROOM + more * (records.PATCH + 16)
         self.records = [aligned(room, real) for _ in range(threads)]
         self.base = [np.zeros(records.BATCH + 22, np.int32) for _ in range(threads)]
         self.room = [grid.room(len(plan.phases), real) for _ in range(threads)]

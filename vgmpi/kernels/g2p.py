@@ -69,6 +69,21 @@ def _gather(count, records, weights, base, patch):
         records[m] = 0  # unused places stay at rest
 
 
+@inline
+def _values(count, records, weights, base, patch):
+    """Records of what is gathered alone, without its moments: 0-2."""
+    for n in range(count):
+        m = 16 * n
+        o = np.int64(base[n])
+        w0, w1, w2 = weights[m + 4], weights[m + 5], weights[m + 6]
+        total = spread(patch, 0.0)
+        for i in range(3):
+            t = w0 * load(patch, o) + w1 * load(patch, o + ROW) + w2 * load(patch, o + 2 * ROW)
+            total = total + weights[m + i] * t
+            o += PLANE
+        store_sum(records, m, total * stretch(weights, m + 8))
+
+
 @kernel
 def g2p(
     law, segments, start, count, table, limit, mirror, xi, f, ids, grid, flux, drift, flip, split,
@@ -100,15 +115,9 @@ def g2p(
         reflect(nodes, mirror[s])
         apart = split[s] >= 0
         if drift is not None and apart:
-            second = scratch[ROOM:]
-            gather(second, drift.reshape((len(drift), 256)), table[s], box)
-            reflect(second[:PATCH].reshape((SIDE, SIDE, SIDE, 4)), mirror[s])
-            for first in range(0, count[s], BATCH):
-                n = min(BATCH, count[s] - first)
-                at = start[s] + first
-                weigh(n, at, cap, flat_xi, flat, base, weights)
-                _gather(n, records, weights, base, second)
-                _leave_out(n, at, cap, flat, records, numbers.dx)
+            third = scratch[ROOM + PATCH + 16 :]
+            gather(third, drift.reshape((len(drift), 256)), table[s], box)
+            reflect(third[:PATCH].reshape((SIDE, SIDE, SIDE, 4)), mirror[s])
         if flux is not None and apart:
             second = scratch[ROOM:]
             gather(second, flux.reshape((len(flux), 256)), table[s], box)
@@ -120,6 +129,11 @@ def g2p(
             if flux is not None and apart:
                 _gather(n, records, weights, base, scratch[ROOM:])
                 _set_aside(n, records, extra, flip)
+                if drift is not None:
+                    _values(n, records, weights, base, scratch[ROOM + PATCH + 16 :])
+                    for q in range(n):
+                        for c in range(3):
+                            extra[(2 + c) * BATCH + q] = records[16 * q + c]
             _gather(n, records, weights, base, patch)
             _move(
                 law, n, at, cap, flat_xi, flat, ids, records, flux, drift, flip, apart, extra,
@@ -165,15 +179,16 @@ def _move(
         if flip is not None:
             _blend(f, p, cap, extra, n, flip, (v0, v1, v2))
             _take_gradient(f, p, cap, L)
-        elif drift is not None:
-            v = (v0, v1, v2)
-            if apart:
-                v, L = _less(f, p, cap, v, L)
-            _take_velocity(f, p, cap, v)
-            _take_gradient(f, p, cap, L)
         else:
-            _take_velocity(f, p, cap, (v0, v1, v2))
+            store(f, p, v0)
+            store(f, p + cap, v1)
+            store(f, p + 2 * cap, v2)
             _take_gradient(f, p, cap, L)
+        if drift is not None:
+            if apart:  # moves the particle, but is no momentum of its
+                v0 = v0 + load(extra, 2 * BATCH + n)
+                v1 = v1 + load(extra, 3 * BATCH + n)
+                v2 = v2 + load(extra, 4 * BATCH + n)
         if flux is not None:
             if flip is None:
                 L = _of_all(L, f, p, cap, apart, extra, n, fill, numbers)
@@ -219,42 +234,6 @@ def _move(
     rate = largest(fastest) / (cfl * dx)
     report[0] = max(report[0], rate, largest(quick) / (0.3 * dx), largest(stretching) / 0.1)
     report[1] = max(report[1], largest(far))
-
-
-@inline
-def _leave_out(count, at, cap, f, records, dx):
-    """Put less the gathered drift where the particles' velocity and its gradient go, see _less."""
-    k = -4.0 / dx
-    for n in range(0, count, 16):
-        p = at + n
-        v0, v1, v2, _, c0, c3, c6, _, c1, c4, c7, _, c2, c5, c8, _ = load_records(records, 16 * n)
-        _take_velocity(f, p, cap, (-v0, -v1, -v2))
-        C = (k * c0, k * c1, k * c2, k * c3, k * c4, k * c5, k * c6, k * c7, k * c8)
-        _take_gradient(f, p, cap, C)
-
-
-@inline
-def _less(f, p, cap, v, C):
-    """Velocity and gradient without the drift: the drifts' momenta are zero together at a node, but
-    would no longer be after each fluid's particles had carried theirs elsewhere."""
-    v0, v1, v2 = v
-    c0, c1, c2, c3, c4, c5, c6, c7, c8 = C
-    v = (v0 + load(f, p), v1 + load(f, p + cap), v2 + load(f, p + 2 * cap))
-    q = p + AFFINE * cap
-    C = (
-        c0 + load(f, q), c1 + load(f, q + cap), c2 + load(f, q + 2 * cap),
-        c3 + load(f, q + 3 * cap), c4 + load(f, q + 4 * cap), c5 + load(f, q + 5 * cap),
-        c6 + load(f, q + 6 * cap), c7 + load(f, q + 7 * cap), c8 + load(f, q + 8 * cap),
-    )  # fmt: skip
-    return v, C
-
-
-@inline
-def _take_velocity(f, p, cap, v):
-    """The velocities of 16 particles."""
-    store(f, p, v[0])
-    store(f, p + cap, v[1])
-    store(f, p + 2 * cap, v[2])
 
 
 @inline

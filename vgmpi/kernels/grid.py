@@ -117,7 +117,7 @@ def update(
                 if kept_apart:
                     note_flux(
                         n0, n1, phase_of, nodes, forces, at_wall, low, last, least_of, of, tables,
-                        dx, flux,
+                        dx, flux, place(apart.drift),
                     )  # fmt: skip
 
 

@@ -32,7 +32,8 @@ ROW = SIDE * 4  # numbers of a patch from one (i, j) to (i, j + 1)
 PLANE = SIDE * ROW
 PATCH = SIDE * PLANE
 SCRATCH = BATCH * 16  # numbers a batch of records takes
-ROOM = 2 * SCRATCH + PATCH + 16 + 3 * BATCH  # what a transfer's scratch holds, see `parts`
+EXTRA = 5 * BATCH  # numbers set aside per batch
+ROOM = 2 * SCRATCH + PATCH + 16 + EXTRA  # what a transfer's scratch holds, see `parts`
 
 
 class Numbers(NamedTuple):
@@ -52,9 +53,9 @@ class Numbers(NamedTuple):
 @inline
 def parts(scratch):
     """A transfer's scratch (ROOM,) in parts: weights and records of a batch, a patch with 16 places
-    behind it, and three numbers per particle of a batch."""
+    behind it, and five numbers per particle of a batch."""
     weights, records = scratch[:SCRATCH], scratch[SCRATCH : 2 * SCRATCH]
-    behind = ROOM - 3 * BATCH
+    behind = ROOM - EXTRA
     return weights, records, scratch[2 * SCRATCH : behind], scratch[behind:ROOM]
 
 
