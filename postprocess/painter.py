@@ -16,7 +16,7 @@ from postprocess.look import Look, seen
 from postprocess.parts import Part
 from postprocess.viewpoints import Viewpoint
 from vgmpi.output.read import Run, RunError
-from vgmpi.splatting import splat
+from vgmpi.splatting import floor, splat
 from vgmpi.splatting.camera import Camera
 
 log = logging.getLogger("vgmpi")
@@ -63,6 +63,7 @@ class Painter:
         self.grounds = [
             video.background(size.background, one.width, one.height, folder) for one in self.views
         ]
+        self.floor = size.floor.floor() if size.floor else None
         self.clear = size.background == "none"
         self.supersample = 1 if longest else size.supersample
         self.look = Look(run, chosen.look)
@@ -87,8 +88,13 @@ class Painter:
         return any(one.keys and one.keys[0].time is not None for one in self.chosen.views())
 
     def _drawn(self, parts: list[Part], camera: Camera, ground: np.ndarray) -> Drawn:
+        splats = seen(parts, camera.eye)
+        if self.floor is not None:
+            fine = splat.finer(camera, self.supersample)
+            under = splat.behind(ground, camera, self.supersample)
+            ground = floor.ground(self.floor, floor.cast(splats, self.floor), fine, under)
         image, left, *depth = splat.render(
-            seen(parts, camera.eye),
+            splats,
             camera,
             ground,
             alpha_min=self.alpha_min,

@@ -17,6 +17,7 @@ from pydantic import (
     model_validator,
 )
 
+from vgmpi.splatting.floor import Floor
 from vgmpi.splatting.splat import ALPHA_MIN_RANGE
 
 
@@ -55,6 +56,18 @@ def _background(value: Any) -> tuple[float, float, float] | str:
 Vector = Annotated[tuple[float, float, float], BeforeValidator(_vector)]
 Direction = Annotated[tuple[float, float, float], BeforeValidator(_direction)]
 Background = Annotated[tuple[float, float, float] | str, BeforeValidator(_background)]
+
+
+def _color(value: Any) -> tuple[float, float, float]:
+    if isinstance(value, str) and not re.fullmatch("#[0-9a-fA-F]{6}", value):
+        raise ValueError("allowed: '#rrggbb' or [r, g, b] of numbers 0 to 1")
+    value = _background(value)
+    if isinstance(value, str):
+        return tuple(int(value[i : i + 2], 16) / 255 for i in (1, 3, 5))
+    return value
+
+
+Color = Annotated[tuple[float, float, float], BeforeValidator(_color)]
 
 
 class SettingsError(ValueError):
@@ -170,11 +183,40 @@ class CameraSettings(_Table):
         return self
 
 
+class FloorSettings(_Table):
+    """A plane z = height under the Gaussians, and their shadow on it."""
+
+    height: float = 0.0  # m
+    color: Color = (0.85, 0.85, 0.85)
+    squares: Annotated[float, Field(gt=0)] | None = None  # side [m]; every other one in `other`
+    other: Color = (0.7, 0.7, 0.7)
+    light: Direction = (0.3, 0.2, -1.0)  # in which it travels
+    shadow: Annotated[float, Field(ge=0, le=1)] = 0.6
+    softness: Annotated[float, Field(ge=0, le=1)] = 0.1
+
+    @model_validator(mode="after")
+    def _from_above(self):
+        if not self.light[2] < 0:
+            raise ValueError("allowed: a light that points down, light = [x, y, -z]")
+        return self
+
+    def floor(self) -> Floor:
+        squares = None if self.squares is None else (self.other, self.squares)
+        return Floor(self.height, self.color, squares, self.light, self.shadow, self.softness)
+
+
 class PictureSettings(_Table):
     width: Annotated[int, Field(ge=16, le=8192)] = 800  # pixels
     height: Annotated[int, Field(ge=16, le=8192)] = 800
     background: Background = "#ffffff"
     supersample: Annotated[int, Field(ge=1, le=4)] = 1
+    floor: FloorSettings | None = None
+
+    @model_validator(mode="after")
+    def _one_ground(self):
+        if self.floor is not None and self.background == "none":
+            raise ValueError('a transparent background ("none") leaves no room for a floor')
+        return self
 
 
 class VideoSettings(_Table):
@@ -273,12 +315,14 @@ def _explain(path: str | Path, text: str, item: Any) -> str:
         which = loc[1] + 1 if len(loc) > 1 else None
         loc = ("camera", *loc[2:])
     keys = [part for part in loc if isinstance(part, str) and part.isidentifier()]
-    keys = keys[:2]  # deeper parts name alternatives of a type, not keys of the file
+    in_floor = keys[:2] == ["picture", "floor"]
+    keys = keys[: 3 if in_floor else 2]  # deeper parts name alternatives of a type, not keys
     if keys == ["look", "opacity_scale"]:
         keys = [str(part) for part in item["loc"][:3]]  # but here names of objects
     allowed = re.sub(r"^(Value error, |Input should be )", "", item["msg"])
     if item["type"] == "extra_forbidden":
         table = Settings if len(keys) == 1 else Settings.model_fields[keys[0]].annotation
+        table = FloorSettings if in_floor else table
         names = [name for name in table.model_fields if name != "cameras"]
         near = difflib.get_close_matches(keys[-1], names, 1)
         hint = f" (did you mean '{near[0]}'?)" if near else ""
