@@ -9,7 +9,7 @@ import pytest
 import vgmpi
 from postprocess.colours import FOLDER, Colours
 from postprocess.look import Look
-from postprocess.render import Painter, pictures
+from postprocess.painter import Painter, by_processes
 from postprocess.settings import LookSettings, Settings, SettingsError
 from tests.launch import mpirun
 from tests.render import runs
@@ -191,14 +191,18 @@ def test_processes_that_share_the_frames_draw_the_same(made):
     small = {"picture": {"width": 64, "height": 48}}
     chosen = Settings(look=look("relax", colour_time=0.04), **small)
     painter = Painter(Run(made[0]), chosen, made[0])
-    numbers = [1, 3, 5]
-    alone = list(pictures(painter, str(made[0]), made[0], numbers, 1))
+    tasks = [(1, 0.0), (3, 0.5), (5, 1.0)]
+
+    def pictures(jobs):
+        return [views[0].picture for views in by_processes(painter, made[0], tasks, jobs)]
+
+    alone = pictures(1)
     for path in (made[0] / FOLDER).iterdir():
         path.unlink()
-    shared = list(pictures(painter, str(made[0]), made[0], numbers, 2))
+    shared = pictures(2)
     np.testing.assert_array_equal(shared, alone)
-    plain = Painter(Run(made[0]), Settings(look=look("off"), **small), made[0]).draw(5, 1.0)
-    assert (alone[-1] != plain).any()
+    plain = Painter(Run(made[0]), Settings(look=look("off"), **small), made[0]).views_of(5, 1.0)[0]
+    assert (alone[-1] != plain.picture).any()
 
 
 @pytest.mark.mpi
