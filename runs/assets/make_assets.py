@@ -2,8 +2,11 @@
 
 A toy duck of ellipsoids, about 31,000 flat Gaussians with painted light and a soft sheen. The same
 bytes every time. Without a folder it goes to runs/splash/assets, where its scene looks for it.
+--gaussians N: another number of them, before hidden ones are left out. --things duck ball: also a
+ball with a belt, of a third as many.
 """
 
+import argparse
 import sys
 from pathlib import Path
 
@@ -17,12 +20,15 @@ from vgmpi.gaussians.cloud import Cloud
 from vgmpi.gaussians.sh import dc_from_rgb
 
 GAUSSIANS = 46_000  # of all parts, before hidden ones are left out
+LEAST = 1 / 115  # share of the Gaussians that the smallest parts have
 LIGHT = np.array([0.36, -0.48, 0.80])
+BALL_SHARE = 3  # a ball has a third of the duck's Gaussians
 SHEEN = 0.16  # how much brighter a surface is seen head-on than from the side
 C1 = 0.4886025119029199  # factor of the first-degree spherical harmonics
 
 YELLOW, DEEP, ORANGE = (1.0, 0.80, 0.12), (0.98, 0.68, 0.08), (0.95, 0.42, 0.08)
 WHITE, BLACK = (0.97, 0.97, 0.97), (0.04, 0.04, 0.06)
+RED = (0.85, 0.20, 0.23)
 
 # name: middle, half axes, tilt about y [deg], colour; the duck looks along +x, z is up
 DUCK = {
@@ -55,7 +61,7 @@ def area(radii: np.ndarray) -> float:
     return float(4 * np.pi * ((a * b + a * c + b * c) / 3) ** (1 / 1.6075))
 
 
-def part(name: str, spec: tuple, count: int) -> Cloud:
+def part(spec: tuple, count: int) -> Cloud:
     """Flat Gaussians on one ellipsoid: discs of the unit sphere, stretched with it."""
     middle, radii, tilt, color = spec
     turn = Rotation.from_euler("y", tilt, degrees=True).as_matrix()
@@ -75,7 +81,7 @@ def part(name: str, spec: tuple, count: int) -> Cloud:
     return Cloud(x, quat, scale, np.full(count, 0.95), harmonics(normal, color, x))
 
 
-def harmonics(normal: np.ndarray, color: tuple, x: np.ndarray) -> np.ndarray:
+def harmonics(normal: np.ndarray, color: tuple | np.ndarray, x: np.ndarray) -> np.ndarray:
     """Colour coefficients (n, 4, 3): painted light, darker below, and a sheen towards the eye."""
     lit = 0.62 + 0.38 * (0.5 + 0.5 * normal @ LIGHT)
     grain = 1 + 0.02 * np.sin(40 * x[:, 0]) * np.sin(37 * x[:, 1]) * np.sin(43 * x[:, 2])
@@ -94,27 +100,43 @@ def hidden(x: np.ndarray, spec: tuple) -> np.ndarray:
     return (((x - middle) @ turn / radii) ** 2).sum(axis=1) < 0.98
 
 
-def duck() -> Cloud:
-    """All parts; what lies inside another part is left out."""
+def duck(count: int) -> Cloud:
+    """All parts; what lies inside another part is left out of `count`."""
     total = sum(area(np.array(spec[1])) for spec in DUCK.values())
     clouds = []
     for name, spec in DUCK.items():
         share = area(np.array(spec[1])) / total
-        cloud = part(name, spec, max(400, round(share * GAUSSIANS)))
+        cloud = part(spec, max(round(LEAST * count), round(share * count)))
         others = [hidden(cloud.x, other) for key, other in DUCK.items() if key != name]
         clouds.append(cloud.select(~np.any(others, axis=0)))
     names = ("x", "quat", "scale", "opacity", "sh")
     return Cloud(*(np.concatenate([getattr(c, n) for c in clouds]) for n in names))
 
 
+def ball(count: int) -> Cloud:
+    """A red ball with a white belt that fades into it; its radius is 1."""
+    z = sphere_points(count // BALL_SHARE)[:, 2:]
+    belt = 1 / (1 + np.exp((np.abs(z) - 0.3) / 0.03))
+    color = belt * np.array(WHITE) + (1 - belt) * np.array(RED)
+    return part(((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 0, color), len(z))
+
+
+THINGS = {"duck": duck, "ball": ball}
+
+
 def main() -> None:
     default = Path(__file__).resolve().parents[1] / "splash" / "assets"
-    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else default
-    folder.mkdir(parents=True, exist_ok=True)
-    cloud = duck()
-    path = folder / "duck.ply"
-    ply.write(path, cloud)
-    print(f"{path}: {len(cloud):,} Gaussians, {path.stat().st_size / 1e6:.1f} MB")
+    p = argparse.ArgumentParser(description=__doc__)
+    p.add_argument("folder", nargs="?", type=Path, default=default)
+    p.add_argument("--gaussians", type=int, default=GAUSSIANS, help="of a duck's parts")
+    p.add_argument("--things", nargs="+", choices=THINGS, default=["duck"])
+    given = p.parse_args()
+    given.folder.mkdir(parents=True, exist_ok=True)
+    for name in given.things:
+        cloud = THINGS[name](given.gaussians)
+        path = given.folder / f"{name}.ply"
+        ply.write(path, cloud)
+        print(f"{path}: {len(cloud):,} Gaussians, {path.stat().st_size / 1e6:.1f} MB")
 
 
 if __name__ == "__main__":
