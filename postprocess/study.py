@@ -9,6 +9,7 @@ import sys
 # name: the module whose main(flags) does it, and what it is
 STUDIES = {
     "pruning": ("postprocess.table_one", "speed and likeness with and without pruning (Table I)"),
+    "ablation": ("postprocess.ablation", "a splash drawn without one part of the method at a time"),
 }
 
 
