@@ -68,21 +68,24 @@ def study(
         said = "'none': what fluids let through is compared, before a colour or a picture"
         raise settings.SettingsError([f"picture.background: {said}"])
     done: list[Variant] = []
-    where = None
+    part = index / max(len(run) - 1, 1)  # as python -m postprocess.render --frame draws it
     for name in VARIANTS:
         painter = Painter(run, chosen_for(base, name), beside)
-        picture = painter.draw(index)
-        if where is None:
-            where = _regions(painter, index)
+        picture = painter.draw(index, part)
+        if not done:
+            where = _regions(painter, index, part)
             _explain(painter)
+            # the usual one depends on the opacities: it is no part of what is compared
+            same = base.splatting.model_copy(update={"alpha_min": painter.alpha_min})
+            base = base.model_copy(update={"splatting": same})
         full = done[0].picture if done else picture
         done.append(Variant(name, picture, measured(picture, full, where)))
-        logging.getLogger("vgmpi").setLevel(logging.WARNING)  # the rest would say the same again
     return done, where
 
 
-def _regions(painter: Painter, index: int) -> Regions:
-    frame, camera = painter.look.frame(index), painter.camera(0.0)
+def _regions(painter: Painter, index: int, part: float) -> Regions:
+    frame = painter.look.frame(index)
+    camera = painter.views[0].at(part, float(painter.run.times[index]))
     splats = seen(painter.look.parts(frame), camera.eye)
     options = {"alpha_min": painter.alpha_min, **painter.chosen.splatting.options()}
     return regions(splats, kinds(painter.look, frame, len(splats.x)), camera, **options)
