@@ -52,6 +52,7 @@ class Reference:
         self.cells, self.dx, self.gravity = np.array(cells), dx, np.array(gravity)
         self.collider = collider
         self.walls, self.bodies = walls, bodies
+        self.splines = False  # PIC, strains and forces by gradients of the B-splines
         self.friction, self.master = friction, master
         self.shape = tuple(n + 3 for n in cells)
 
@@ -98,6 +99,16 @@ class Reference:
                     index = tuple((node + 1).T)  # the grid begins at node -1
                     yield index, w[i][:, 0] * w[j][:, 1] * w[k][:, 2], node * self.dx - x
 
+    def _slopes(self, x):
+        """27 times the gradient of the weight (n, 3) [1/m], in the order of `_stencil`."""
+        f = x / self.dx - np.floor(x / self.dx - 0.5)
+        w = [0.5 * (1.5 - f) ** 2, 0.75 - (f - 1) ** 2, 0.5 * (f - 0.5) ** 2]
+        d = [(f - 1.5) / self.dx, -2.0 * (f - 1.0) / self.dx, (f - 0.5) / self.dx]
+        for i, j, k in np.ndindex(3, 3, 3):
+            x, y, z = d[i][:, 0], d[j][:, 1], d[k][:, 2]
+            u, v, w_ = w[i][:, 0], w[j][:, 1], w[k][:, 2]
+            yield np.stack([x * v * w_, u * y * w_, u * v * z], 1)
+
     def _to_grid(self, body, dt, m=None, volume=None):
         """Mass and momentum with the stress's impulses at the nodes; m, volume (n,): in place of
         the masses, and of the volumes that the stress acts on.
@@ -105,11 +116,14 @@ class Reference:
         mass, momentum = np.zeros(self.shape), np.zeros((*self.shape, 3))
         m = body.mass if m is None else m
         volume = body.vol0 if volume is None else volume
-        pull = dt * 4.0 / self.dx**2 * volume[:, None, None] * body.stress()
-        for index, w, r in self._stencil(body.x):
-            carried = body.v + np.einsum("nab,nb->na", body.C, r)
+        pull = dt * volume[:, None, None] * body.stress()
+        affine = 0.0 if self.splines else body.C
+        for (index, w, r), slope in zip(self._stencil(body.x), self._slopes(body.x), strict=True):
+            if not self.splines:
+                slope = 4.0 / self.dx**2 * w[:, None] * r
+            carried = body.v + np.einsum("nab,nb->na", affine + 0.0 * body.C, r)
             np.add.at(mass, index, w * m)
-            push = w[:, None] * (m[:, None] * carried - np.einsum("nab,nb->na", pull, r))
+            push = (w * m)[:, None] * carried - np.einsum("nab,nb->na", pull, slope)
             np.add.at(momentum, index, push)
         self._fold(mass[..., None], lambda kind, axis: [1.0])
         self._fold(momentum, self._sign)
@@ -176,10 +190,12 @@ class Reference:
         """Velocity and its gradient from the nodes."""
         body.v = np.zeros_like(body.x)
         body.C = np.zeros((len(body.x), 3, 3))
-        for index, w, r in self._stencil(body.x):
+        for (index, w, r), slope in zip(self._stencil(body.x), self._slopes(body.x), strict=True):
             seen = v[index]
             body.v += w[:, None] * seen
-            body.C += 4.0 / self.dx**2 * np.einsum("n,na,nb->nab", w, seen, r)
+            if not self.splines:
+                slope = 4.0 / self.dx**2 * w[:, None] * r
+            body.C += np.einsum("na,nb->nab", seen, slope)
 
     @staticmethod
     def _move(body, C, dt):

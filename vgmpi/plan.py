@@ -106,6 +106,7 @@ class Plan:
     rate: float  # lower bound of 1 / dt [1/s] from what does not change (viscosity, diffusion)
     rules: Rules | None = None  # how phases share space
     affine: bool = True  # particles carry the velocity's gradient (APIC)
+    splines: bool = False  # strains and forces by gradients of the B-splines
     flip: float = 0.0  # share of FLIP's velocity, see scene.accuracy
     gravity_ramp: float = 0.0  # [s] in which gravity grows
 
@@ -186,6 +187,10 @@ def make_plan(
     sharing = rules(scene, groups, phases)
     groups = tuple(_shared(scene, group, sharing) for group in groups)
     flip = scene.accuracy.flip if scene.accuracy.transfer == "flip" else 0.0
+    splines = scene.accuracy.gradient == "splines"
+    if splines and (scene.accuracy.transfer == "apic" or sharing is not None):
+        said = "splines are for pic and flip, in scenes without mixing and drag"
+        raise scene.error([(("accuracy", "gradient"), said)])
     if flip:
         if sharing is not None:
             said = "flip is not for scenes with mixing or drag: choose apic or pic"
@@ -218,6 +223,7 @@ def make_plan(
         ),
         rules=sharing,
         affine=scene.accuracy.transfer == "apic",
+        splines=splines,
         flip=flip,
         gravity_ramp=scene.domain.gravity_ramp,
     )

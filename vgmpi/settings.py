@@ -134,6 +134,10 @@ class Accuracy(Table):
     """apic keeps linear and angular momentum; flip keeps fine motion, at some noise; pic damps"""
     flip: Annotated[float, Quantity("", gt=0, le=1)] = 0.95
     """share of a particle's own velocity in flip, the rest is the grid's"""
+    gradient: Literal["moments", "splines"] = "moments"
+    """how strains and forces are taken. splines: by the gradients of the B-splines, with pic and
+    flip alone; a bending body that turns against the grid keeps its stiffness, with 64 particles
+    per cell"""
     precision: Literal["double", "single"] = "double"
     """of the particles' and the grid's numbers"""
 

@@ -122,6 +122,21 @@ def test_single_precision(objects, tmp_path):
     compare(simulation, reference, "single")
 
 
+@pytest.mark.parametrize("objects", [POOL, CUBE.replace("PLACE", "0.0")], ids=["fluid", "elastic"])
+def test_splines(objects, tmp_path):
+    """Strains and forces by the gradients of the B-splines, with PIC."""
+    head = HEAD.replace(
+        "[material.water]", 'transfer = "pic"\ngradient = "splines"\n[material.water]'
+    )
+    simulation, reference = pair(tmp_path, objects, "mixed", "double", head=head)
+    reference.splines = True
+    dt = 0.5 * simulation.bound()
+    for _ in range(20):
+        simulation.advance(dt)
+        reference.step(dt)
+    compare(simulation, reference, "double")
+
+
 def changed_nodes(reference, name):
     """How many nodes the reference's contact changes, a number per step, as a list that grows."""
     counts, inner = [], getattr(reference, name)

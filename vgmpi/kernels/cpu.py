@@ -181,6 +181,7 @@ class Cpu:
             density=real(group.density),
             share=real(group.share),
             affine=real(self.plan.affine),
+            splines=real(self.plan.splines),
             stiff=real(group.stiff),
             dense=real(group.dense),
             relax=real(RELAX),

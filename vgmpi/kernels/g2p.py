@@ -16,6 +16,8 @@ from .rows import (
     load_records,
     move,
     only,
+    slope_change,
+    slope_middle,
     sound,
     spread,
     steps,
@@ -67,6 +69,35 @@ def _gather(count, records, weights, base, patch):
         store_sum(records, m + 12, total * (k + weights[m + 12]))
     for m in range(16 * count, 16 * ((count + 15) & ~15)):
         records[m] = 0  # unused places stay at rest
+
+
+@inline
+def _gather_slopes(count, records, weights, base, patch):
+    """As `_gather`, with the gradients of the B-splines in place of weight times offset."""
+    middle, change = slope_middle(patch), slope_change(patch)
+    for n in range(count):
+        m = 16 * n
+        o = np.int64(base[n])
+        x, y = weights[m + 3], weights[m + 7]
+        y0, y1, y2 = -0.25 * (1.5 + y), 0.5 * (1.0 + y), -0.25 * (0.5 + y)
+        w0, w1, w2 = weights[m + 4], weights[m + 5], weights[m + 6]
+        zero = spread(patch, 0.0)
+        total, gx, gy = zero, zero, zero
+        for i in range(3):
+            a, b, c = load(patch, o), load(patch, o + ROW), load(patch, o + 2 * ROW)
+            t = w0 * a + w1 * b + w2 * c
+            u = weights[m + i]
+            g = -0.25 * (1.5 + x) if i == 0 else (0.5 * (1.0 + x) if i == 1 else -0.25 * (0.5 + x))
+            total, gx = total + u * t, gx + g * t
+            gy = gy + u * (y0 * a + y1 * b + y2 * c)
+            o += PLANE
+        w = stretch(weights, m + 8)
+        store_sum(records, m, total * w)
+        store_sum(records, m + 4, gx * w)
+        store_sum(records, m + 8, gy * w)
+        store_sum(records, m + 12, total * (middle + change * weights[m + 12]))
+    for m in range(16 * count, 16 * ((count + 15) & ~15)):
+        records[m] = 0
 
 
 @inline
@@ -134,7 +165,10 @@ def g2p(
                     for q in range(n):
                         for c in range(3):
                             extra[(2 + c) * BATCH + q] = records[16 * q + c]
-            _gather(n, records, weights, base, patch)
+            if numbers.splines > 0.0:
+                _gather_slopes(n, records, weights, base, patch)
+            else:
+                _gather(n, records, weights, base, patch)
             _move(
                 law, n, at, cap, flat_xi, flat, ids, records, flux, drift, flip, apart, extra,
                 numbers, limit[s], 2.0**bits, dither, dt, cfl, report,

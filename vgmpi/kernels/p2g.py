@@ -32,7 +32,7 @@ from .records import (
     touched,
     weigh,
 )
-from .rows import repeat, spread, steps, stretch
+from .rows import repeat, slope_change, slope_middle, spread, steps, stretch
 from .walls import SIDE, fold
 
 
@@ -96,6 +96,30 @@ def _scatter(count, records, weights, base, patch):
         r6, r7, r8 = r6 + u * a, r7 + u * b, r8 + u * c
 
 
+@inline
+def _scatter_slopes(count, records, weights, base, patch):
+    """As `_scatter`, with the gradients of the B-splines in place of weight times offset."""
+    middle, change = slope_middle(patch), slope_change(patch)
+    for n in range(count):
+        m = 16 * n
+        o = np.int64(base[n])
+        w = stretch(weights, m + 8)
+        a = repeat(records, m) * w + repeat(records, m + 12) * (middle + change * weights[m + 12])
+        bx, by = repeat(records, m + 4) * w, repeat(records, m + 8) * w
+        x, y = weights[m + 3], weights[m + 7]
+        y0, y1, y2 = -0.25 * (1.5 + y), 0.5 * (1.0 + y), -0.25 * (0.5 + y)
+        w0, w1, w2 = weights[m + 4], weights[m + 5], weights[m + 6]
+        a0, a1, a2 = w0 * a + y0 * by, w1 * a + y1 * by, w2 * a + y2 * by
+        b0, b1, b2 = w0 * bx, w1 * bx, w2 * bx
+        for i in range(3):
+            u = weights[m + i]
+            g = -0.25 * (1.5 + x) if i == 0 else (0.5 * (1.0 + x) if i == 1 else -0.25 * (0.5 + x))
+            store(patch, o, load(patch, o) + u * a0 + g * b0)
+            store(patch, o + ROW, load(patch, o + ROW) + u * a1 + g * b1)
+            store(patch, o + 2 * ROW, load(patch, o + 2 * ROW) + u * a2 + g * b2)
+            o += PLANE
+
+
 @kernel
 def p2g(
     law, segments, border, sent, start, count, slots, into, mirror, xi, f, patches, volumes, apart,
@@ -149,7 +173,10 @@ def p2g(
                     _momenta(
                         law, n, at, cap, flat, wanted, slots[2, s], apart, records, numbers, dt
                     )
-                _scatter(n, records, weights, base, patch)
+                if numbers.splines > 0.0 and wanted != 1:
+                    _scatter_slopes(n, records, weights, base, patch)
+                else:
+                    _scatter(n, records, weights, base, patch)
             fold(nodes, mirror[s], wanted == 1)
             if kept >= 0:
                 _keep(patch, wanted, kept, patches, volumes, apart)

@@ -42,6 +42,7 @@ class Numbers(NamedTuple):
     density: float  # [kg/m3] of a particle's rest volume
     share: float  # of the rest volume that the material takes up itself
     affine: float  # 1: particles carry the velocity's gradient (APIC), 0: they do not
+    splines: float  # 1: strains and forces by gradients of the B-splines, 0: by moments
     stiff: float  # [m2/s2] squared speed of waves that sand in the same space adds
     dense: float  # density relative to that sand's grains, at least 1
     relax: float  # [1/s] rate at which a fluid gives way where there is more volume than space

@@ -60,6 +60,18 @@ def steps(typing, example):
 
 
 @intrinsic
+def slope_middle(typing, example):
+    """A quarter of the B-splines' slopes [1/cell] of a row's nodes, where the offset is 0."""
+    return _constant([(-0.375, 0.5, -0.125, 0.0)[k // 4] for k in range(COUNT)])(typing, example)
+
+
+@intrinsic
+def slope_change(typing, example):
+    """Change of `slope_middle` with the offset of the base node [cells]."""
+    return _constant([(-0.25, 0.5, -0.25, 0.0)[k // 4] for k in range(COUNT)])(typing, example)
+
+
+@intrinsic
 def fourth(typing, example):
     """0001 0000 0000 0000: the fourth number of a record."""
     return _constant([float(k == 3) for k in range(COUNT)])(typing, example)
