@@ -3,7 +3,7 @@
 A toy duck of ellipsoids, about 31,000 flat Gaussians with painted light and a soft sheen. The same
 bytes every time. Without a folder it goes to runs/splash/assets, where its scene looks for it.
 --gaussians N: another number of them, before hidden ones are left out. --things duck ball: also a
-ball with a belt, of a third as many.
+ball with a belt, of a third as many. --width W: their radii over their spacing.
 """
 
 import argparse
@@ -20,6 +20,7 @@ from vgmpi.gaussians.cloud import Cloud
 from vgmpi.gaussians.sh import dc_from_rgb
 
 GAUSSIANS = 46_000  # of all parts, before hidden ones are left out
+WIDTH = 0.6  # standard deviation of a disc over the spacing
 LEAST = 1 / 115  # share of the Gaussians that the smallest parts have
 LIGHT = np.array([0.36, -0.48, 0.80])
 BALL_SHARE = 3  # a ball has a third of the duck's Gaussians
@@ -61,7 +62,7 @@ def area(radii: np.ndarray) -> float:
     return float(4 * np.pi * ((a * b + a * c + b * c) / 3) ** (1 / 1.6075))
 
 
-def part(spec: tuple, count: int) -> Cloud:
+def part(spec: tuple, count: int, width: float) -> Cloud:
     """Flat Gaussians on one ellipsoid: discs of the unit sphere, stretched with it."""
     middle, radii, tilt, color = spec
     turn = Rotation.from_euler("y", tilt, degrees=True).as_matrix()
@@ -70,7 +71,7 @@ def part(spec: tuple, count: int) -> Cloud:
     x = unit @ stretch.T + middle
     normal = unit @ np.linalg.inv(stretch)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    spread = 0.36 * 4 * np.pi / count  # variance of a disc: (0.6 sqrt(area / count))^2
+    spread = width**2 * 4 * np.pi / count  # variance of a disc: (width sqrt(area / count))^2
     flat = np.eye(3) - unit[:, :, None] * unit[:, None, :]
     cov = stretch @ (spread * flat) @ stretch.T
     values, axes = np.linalg.eigh(cov)
@@ -100,25 +101,25 @@ def hidden(x: np.ndarray, spec: tuple) -> np.ndarray:
     return (((x - middle) @ turn / radii) ** 2).sum(axis=1) < 0.98
 
 
-def duck(count: int) -> Cloud:
+def duck(count: int, width: float) -> Cloud:
     """All parts; what lies inside another part is left out of `count`."""
     total = sum(area(np.array(spec[1])) for spec in DUCK.values())
     clouds = []
     for name, spec in DUCK.items():
         share = area(np.array(spec[1])) / total
-        cloud = part(spec, max(round(LEAST * count), round(share * count)))
+        cloud = part(spec, max(round(LEAST * count), round(share * count)), width)
         others = [hidden(cloud.x, other) for key, other in DUCK.items() if key != name]
         clouds.append(cloud.select(~np.any(others, axis=0)))
     names = ("x", "quat", "scale", "opacity", "sh")
     return Cloud(*(np.concatenate([getattr(c, n) for c in clouds]) for n in names))
 
 
-def ball(count: int) -> Cloud:
+def ball(count: int, width: float) -> Cloud:
     """A red ball with a white belt that fades into it; its radius is 1."""
     z = sphere_points(count // BALL_SHARE)[:, 2:]
     belt = 1 / (1 + np.exp((np.abs(z) - 0.3) / 0.03))
     color = belt * np.array(WHITE) + (1 - belt) * np.array(RED)
-    return part(((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 0, color), len(z))
+    return part(((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 0, color), len(z), width)
 
 
 THINGS = {"duck": duck, "ball": ball}
@@ -130,10 +131,11 @@ def main() -> None:
     p.add_argument("folder", nargs="?", type=Path, default=default)
     p.add_argument("--gaussians", type=int, default=GAUSSIANS, help="of a duck's parts")
     p.add_argument("--things", nargs="+", choices=THINGS, default=["duck"])
+    p.add_argument("--width", type=float, default=WIDTH, help="standard deviation over spacing")
     given = p.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)
     for name in given.things:
-        cloud = THINGS[name](given.gaussians)
+        cloud = THINGS[name](given.gaussians, given.width)
         path = given.folder / f"{name}.ply"
         ply.write(path, cloud)
         print(f"{path}: {len(cloud):,} Gaussians, {path.stat().st_size / 1e6:.1f} MB")

@@ -17,6 +17,13 @@ from vgmpi.tables import SceneError
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = sorted(p.parent.name for p in (ROOT / "runs").glob("*/scene.toml"))
 
+ASSETS = {  # bodies of the examples and what make_assets.py makes for them
+    "splash": {"duck": "duck"},
+    "capture": {"capture": "duck"},
+    "balls_duck": {"duck": "duck", "left ball": "ball", "right ball": "ball"},
+    "faucet_ducks": {f"{which} duck": "duck" for which in ("first", "second", "third")},
+}
+
 SMALL = """
 title = "small"
 [domain]
@@ -144,13 +151,15 @@ def test_a_link_out_of_the_folder_is_outside(small, tmp_path):
 def test_examples_load(name, tmp_path):
     path = ROOT / "runs" / name / "scene.toml"
     assets = tmp_path / "assets"
-    thing = {"splash": "duck", "capture": "capture"}.get(name)
-    if thing is not None:
+    things = ASSETS.get(name, {})
+    if things:
         script = ROOT / "runs" / "assets" / "make_assets.py"
-        subprocess.run([sys.executable, script, assets], check=True, capture_output=True)
-        scene = load(path, [f"object.{thing}.gaussians={assets / 'duck.ply'}"])
-    else:
-        scene = load(path)
+        words = [sys.executable, script, assets, "--things", *set(things.values())]
+        subprocess.run(words, check=True, capture_output=True)
+    scene = load(
+        path,
+        [f'object."{body}".gaussians={assets / thing}.ply' for body, thing in things.items()],
+    )
     assert scene.title
     assert (path.parent / "README.md").exists() and (path.parent / "render.toml").exists()
 
