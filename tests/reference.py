@@ -117,11 +117,11 @@ class Reference:
         m = body.mass if m is None else m
         volume = body.vol0 if volume is None else volume
         pull = dt * volume[:, None, None] * body.stress()
-        affine = 0.0 if self.splines else body.C
+        affine = 0.0 * body.C if self.splines else body.C
         for (index, w, r), slope in zip(self._stencil(body.x), self._slopes(body.x), strict=True):
             if not self.splines:
                 slope = 4.0 / self.dx**2 * w[:, None] * r
-            carried = body.v + np.einsum("nab,nb->na", affine + 0.0 * body.C, r)
+            carried = body.v + np.einsum("nab,nb->na", affine, r)
             np.add.at(mass, index, w * m)
             push = (w * m)[:, None] * carried - np.einsum("nab,nb->na", pull, slope)
             np.add.at(momentum, index, push)

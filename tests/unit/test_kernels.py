@@ -12,6 +12,7 @@ from tests.beside import TOLERANCE, beside, worst
 from tests.scenes import scene
 from vgmpi.plan import make_plan
 from vgmpi.prepare.build import build
+from vgmpi.source import SceneError
 
 HEAD = """
 [domain]
@@ -135,6 +136,12 @@ def test_splines(objects, tmp_path):
         simulation.advance(dt)
         reference.step(dt)
     compare(simulation, reference, "double")
+
+
+def test_splines_are_refused_with_apic(tmp_path):
+    head = HEAD.replace("[material.water]", 'gradient = "splines"\n[material.water]')
+    with pytest.raises(SceneError, match="splines are for pic and flip"):
+        pair(tmp_path, POOL, "mixed", "double", head=head)
 
 
 def changed_nodes(reference, name):
