@@ -1,6 +1,7 @@
 """The study of pruning, on a tiny version of a scene: table and picture, and what they say."""
 
 import re
+import sys
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ def made(tmp_path_factory):
     words = ["pruning", "--scenes", "balls_duck", "--ranks", "1", "--pixels", "96", "-o", folder]
     for key, value in TINY.items():
         words += ["--set", f"{key}={value}"]
-    done = launch.run(["python", "-m", "postprocess.study", *words], timeout=240)
+    done = launch.run([sys.executable, "-m", "postprocess.study", *words], timeout=240)
     assert done.returncode == 0, done.stderr
     return folder, done.stdout
 
