@@ -53,7 +53,7 @@ KNOWN = {
         (368_000, 191_000), (25.48, 8.78), (0.26, 0.13), 45.79,
     ),
     "faucet_ducks": Known(
-        "faucet & ducks", "--gaussians 90000 --width 1.0",
+        "faucet & ducks", "--gaussians 90000 --width 0.85",
         (367_000, 71_000), (15.18, 4.84), (0.26, 0.07), 47.26,
     ),
 }  # fmt: skip
