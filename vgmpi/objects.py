@@ -246,16 +246,7 @@ def object_complaints(raw: dict) -> list[tuple[tuple, str]]:
     for key in ("select", "fill"):
         if key in raw and sources and "gaussians" not in raw:
             found.append(((key,), f"is only for objects made of gaussians, not of a {sources[0]}"))
-    if raw.get("prune", "off") != "off" and sources == ["shape"]:
-        found.append(
-            (("prune",), "is only for objects made of gaussians or a mesh, not of a shape")
-        )
-    if raw.get("prune") == "paper" and "prune_scale" not in raw:
-        found.append((("prune",), 'needs prune_scale: "paper" keeps shares by a volume scale'))
-    if "prune_scale" in raw and raw.get("prune") != "paper":
-        found.append((("prune_scale",), 'is only for prune = "paper"'))
-    if raw.get("passive") is True and raw.get("prune", "off") == "off":
-        found.append((("passive",), 'needs prune = "auto" or "paper": what is pruned rides along'))
+    found += _prune_complaints(raw, sources)
     scenery = raw.get("role") == "scenery"
     if scenery:
         for key in OF_BODIES:

@@ -17,7 +17,8 @@ from vgmpi.tables import SceneError
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = sorted(p.parent.name for p in (ROOT / "runs").glob("*/scene.toml"))
 
-ASSETS = {  # bodies of the examples and what make_assets.py makes for them
+ASSETS = {
+    "ablation": {"duck": "duck"},  # bodies of the examples and what make_assets.py makes for them
     "splash": {"duck": "duck"},
     "capture": {"capture": "duck"},
     "balls_duck": {"duck": "duck", "left ball": "ball", "right ball": "ball"},
