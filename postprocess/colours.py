@@ -6,6 +6,7 @@ the start. So a run is never made again for another look of its colours.
 frame: the colours at the start, smoothed once over a cell where the particles are now.
 relax: dc/dt = (S c - c) / time from frame to frame, S the smoothing at the frame where a stretch of
 time ends (vgmpi/splatting/colour.py). The colours of each frame are kept in OUT/colours.
+step: the run has carried them itself; they stand in its frames.
 """
 
 import hashlib
@@ -39,7 +40,8 @@ class Colours:
         self.time = float(told.get("colour_time", 1.0))
         self.degree = int(told.get("colour_degree", 0))
         self.dx = float(scene.get("domain", {}).get("cell", 0.0))
-        sets = [] if self.mode == "off" else _sets(run.objects, scene, told.get("colour_bodies"))
+        travel = self.mode in ("frame", "relax")
+        sets = _sets(run.objects, scene, told.get("colour_bodies")) if travel else []
         if sets and not self.dx:
             raise SettingsError(["look.colour_transfer: the run does not tell the size of a cell"])
         object_ = np.asarray(run.gaussians.object)
@@ -65,6 +67,8 @@ class Colours:
 
         frame: what run.frame(index) gives.
         """
+        if "colour" in frame and self.mode == "step":
+            return self._carried(frame)
         if not len(self.ids):
             return None
         ids = np.asarray(frame["id"])
@@ -76,6 +80,14 @@ class Colours:
         taking = np.flatnonzero(self.set[ids] >= 0)
         changed = state[self._row[ids[taking]]].reshape(len(taking), -1, 3)
         sh[taking, : changed.shape[1]] = changed
+        return sh
+
+    def _carried(self, frame: dict[str, np.ndarray]) -> np.ndarray:
+        """Coefficients of the rows of a frame that tells those that have travelled."""
+        sh = np.asarray(self.run.gaussians.sh)[np.asarray(frame["id"])]
+        told = np.asarray(frame["colour"]).reshape(len(sh), -1, 3)
+        some = sh[:, : told.shape[1]]
+        np.copyto(some, told, where=~np.isnan(told))
         return sh
 
     def prepare(self, index: int) -> None:

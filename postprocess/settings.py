@@ -246,7 +246,7 @@ class SplattingSettings(_Table):
 class LookSettings(_Table):
     """How Gaussians follow their particles. None: what the scene says (vgmpi/settings.py)."""
 
-    colour_transfer: Literal["off", "frame", "relax"] | None = None  # not "step": see theory.md
+    colour_transfer: Literal["off", "frame", "relax"] | None = None  # step is the run's own
     colour_time: Annotated[float, Field(gt=0)] | None = None  # s
     colour_degree: Annotated[int, Field(strict=True, ge=0, le=3)] | None = None
     colour_bodies: tuple[str, ...] | None = None

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.scenes import scene
+from vgmpi.colours import shades
 from vgmpi.domain.ranks import Alone
 from vgmpi.plan import make_plan
 from vgmpi.prepare.build import Prepared, build
@@ -27,14 +28,15 @@ def begin(folder: Path, text: str, ranks=None, velocity=None, threads: int = 1):
     made = build(loaded)
     count = [thing["count"] for thing in made.objects]
     volume, center = extent(len(count), made.object, made.vol0, made.x)
-    plan = make_plan(loaded, count, volume, bool(made.colliders), center)
+    hues = shades(len(count), made.object, made.sh)
+    plan = make_plan(loaded, count, volume, bool(made.colliders), center, hues)
     simulation = Simulation(plan, ranks, made.colliders, threads, made.loads)
     n = len(made.x)
     mine = slice(n * ranks.rank // ranks.size, n * (ranks.rank + 1) // ranks.size)
     v = made.v0 if velocity is None else velocity(made.x)
     rows = (made.x, v, made.vol0, np.arange(n), made.object, made.theta0)
     C = gradient(loaded, made.x, made.object) if velocity is None else None
-    simulation.put(*(row[mine] for row in rows), None if C is None else C[mine])
+    simulation.put(*(row[mine] for row in rows), None if C is None else C[mine], made.sh[mine])
     return simulation, made
 
 

@@ -22,7 +22,7 @@ LAYERS = [
     {"output"},
     {"domain"},
     {"plan", "price"},
-    {"sharing"},
+    {"sharing", "colours"},
     {"scene", "objects", "forms", "loads", "probes", "settings", "source", "reference"},
     {"materials", "couplings"},
     {"tables"},

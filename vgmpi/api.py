@@ -51,7 +51,9 @@ def plan(scene: Scene, ranks: Alone | None = None) -> Plan:
     from .solver import run as runs
 
     known = runs.prepare(scene, ranks or Alone(), None)
-    return make_plan(scene, known.count, known.volume, bool(known.colliders), known.center)
+    return make_plan(
+        scene, known.count, known.volume, bool(known.colliders), known.center, known.shades
+    )
 
 
 class Run:

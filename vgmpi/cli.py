@@ -162,7 +162,9 @@ def _command(given: argparse.Namespace, ranks: Alone) -> int:
 
 
 def _plan(scene: Scene, known, given: argparse.Namespace, ranks: Alone) -> int:
-    plan = make_plan(scene, known.count, known.volume, bool(known.colliders), known.center)
+    plan = make_plan(
+        scene, known.count, known.volume, bool(known.colliders), known.center, known.shades
+    )
     if ranks.rank == 0:
         print(describe(scene, plan, ranks.size))
     refusal = too_large(plan.bytes(), ranks)
@@ -177,7 +179,9 @@ def _run(scene: Scene, folder: Path, given: argparse.Namespace, ranks: Alone) ->
     resume = _resume_from(given.resume, folder, ranks)
     options = runs.Options(folder, given.threads, resume, given.stop_steps, given.stop_seconds)
     known = runs.prepare(scene, ranks, folder)
-    plan = make_plan(scene, known.count, known.volume, bool(known.colliders), known.center)
+    plan = make_plan(
+        scene, known.count, known.volume, bool(known.colliders), known.center, known.shades
+    )
     refusal = too_large(plan.bytes(), ranks)
     if refusal and not given.force:
         return _refuse([refusal + "; --force runs it anyway"], ranks)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .colours import Exchange, exchange
 from .couplings.base import DRAG, MIXING, Rules
 from .couplings.contact import Contact
 from .loads import mean_share
@@ -51,6 +52,7 @@ class GroupPlan(NamedTuple):
     dense: float = 1.0  # density relative to such sand's grains, at least 1
     widths: tuple[int, ...] = ()  # numbers of each thing that `carries` names
     followed: bool = False  # carries its total deformation gradient, which its law does not know
+    coefficients: int = 0  # of its colours, which travel with every step
 
     @property
     def porous(self) -> bool:
@@ -60,13 +62,20 @@ class GroupPlan(NamedTuple):
     @property
     def carried(self) -> tuple:
         """What a particle carries at rest: the law's state, its share of space where that may
-        change, and the total deformation gradient less 1 where that is followed."""
-        return (*self.rest, *(1.0,) * self.porous, *(0.0,) * (9 * self.followed))
+        change, the total deformation gradient less 1 where that is followed, and its colour where
+        that travels."""
+        more = 9 * self.followed + 3 * self.coefficients
+        return (*self.rest, *(1.0,) * self.porous, *(0.0,) * more)
 
     @property
     def gradient(self) -> int:
         """First channel of the total deformation gradient, where it is followed."""
         return BASE_CHANNELS + len(self.rest) + self.porous
+
+    @property
+    def colour(self) -> int:
+        """First channel of its colour, where that travels: three for each coefficient."""
+        return self.gradient + 9 * self.followed
 
     def bound(self, wave2):
         """Squared wave speed [m2/s2], that of the law being wave2, in the pores at the start."""
@@ -105,6 +114,7 @@ class Plan:
     fixed_dt: float  # [s], 0 if chosen by cfl
     rate: float  # lower bound of 1 / dt [1/s] from what does not change (viscosity, diffusion)
     rules: Rules | None = None  # how phases share space
+    colours: Exchange | None = None  # those that travel with every step
     affine: bool = True  # particles carry the velocity's gradient (APIC)
     splines: bool = False  # strains and forces by gradients of the B-splines
     flip: float = 0.0  # share of FLIP's velocity, see scene.accuracy
@@ -138,6 +148,8 @@ class Plan:
             numbers["share"] = 1
         if g.followed:
             numbers["F"] = 9
+        if g.coefficients:
+            numbers["colour"] = 3 * g.coefficients
         return {name: n * self.real.itemsize for name, n in numbers.items()} | {"id": 8}
 
     def bytes(self) -> int:
@@ -153,7 +165,9 @@ class Plan:
         width = self.real.itemsize
         patch, nodes = 8**3 * 4 * width, 64 * 4 * width
         patches = 1 + (self.contact or self.collider) + any(group.apart for group in self.groups)
-        more = 3 if self.rules is None and not self.flip else 4 + self.drifts
+        layers = max(group.coefficients for group in self.groups)
+        patches += layers
+        more = layers + (3 if self.rules is None and not self.flip else 4 + self.drifts)
         return total + int(blocks * (patch * patches + more * nodes))
 
 
@@ -163,9 +177,11 @@ def make_plan(
     volume: list[float],
     collider: bool,
     center: list[list[float]] | None = None,
+    shades: np.ndarray | None = None,
 ) -> Plan:
     """The plan of a scene whose objects have `count` particles of `volume` [m3] in total each, with
-    their `center` [m], without which bodies of one volume are told apart by their names alone.
+    their `center` [m], without which bodies of one volume are told apart by their names alone, and
+    with the `shades` of their colours (colours.shades).
 
     Raises SceneError where a fixed time step is above the bound.
     """
@@ -186,6 +202,9 @@ def make_plan(
     )
     sharing = rules(scene, groups, phases)
     groups = tuple(_shared(scene, group, sharing) for group in groups)
+    colours = exchange(scene, phases, None if sharing is None else sharing.mix, shades)
+    if colours is not None:
+        groups = tuple(g._replace(coefficients=int(colours.coefficients[g.phase])) for g in groups)
     flip = scene.accuracy.flip if scene.accuracy.transfer == "flip" else 0.0
     splines = scene.accuracy.gradient == "splines"
     if splines and (scene.accuracy.transfer == "apic" or sharing is not None):
@@ -222,6 +241,7 @@ def make_plan(
             6.0 * (sharing.diffusion.max(initial=0.0) if sharing else 0.0) / dx**2,
         ),
         rules=sharing,
+        colours=colours,
         affine=scene.accuracy.transfer == "apic",
         splines=splines,
         flip=flip,

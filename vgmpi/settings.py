@@ -96,24 +96,15 @@ class Time(Table):
     """a fixed step instead of cfl; 0: choose by cfl"""
 
 
-def _without_step(value: Any) -> Any:
-    if value == "step":
-        raise ValueError(
-            'must be "off", "frame" or "relax": smoothing at every step blurs colours the more the '
-            'smaller the step is; "relax" with a colour_time blurs by a rate you choose'
-        )
-    return value
-
-
 class Appearance(Table):
     """What is drawn, beyond the objects' own colours."""
 
-    colour_transfer: Annotated[Literal["off", "frame", "relax"], BeforeValidator(_without_step)] = (
-        "frame"
-    )
+    colour_transfer: Literal["off", "frame", "relax", "step"] = "frame"
     """whether colours travel between particles. off: each keeps its own. frame: a frame shows the
     colours at the start, smoothed over a cell where the particles are now. relax: colours mix in
-    the time `colour_time`. Also in render.toml: a run need not be made again"""
+    the time `colour_time`. These three also in render.toml: a run need not be made again. step: as
+    the paper has it, the solver smooths them over a cell with every step: the shorter the step, the
+    faster they become alike; they spread by cell^2 / (4 step)"""
     colour_time: Annotated[float, Quantity("s", gt=0)] = 1.0
     """relax: time in which colours of neighbours become alike; they spread by cell^2 / (4
     colour_time)"""
@@ -122,7 +113,7 @@ class Appearance(Table):
     sides"""
     colour_bodies: tuple[str, ...] | None = None
     """names of the bodies whose colours travel, among those of one phase and of fluids that mix;
-    default: all fluids"""
+    with step all bodies of their phases; default: all fluids"""
     shade: Annotated[float, Quantity("", ge=0, le=1)] = 0.3
     """light painted on solid shapes and meshes, by the way their surface faces; 0: none"""
 

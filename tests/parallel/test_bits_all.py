@@ -1,5 +1,7 @@
 """The same bits with every coupling and every law, on one to three ranks and across a restart."""
 
+import h5py
+import numpy as np
 import pytest
 
 from tests.digests import digests
@@ -18,7 +20,25 @@ def go(scene, out, n, *flags, code=0):
 
 @pytest.mark.parametrize("precision", ["single", pytest.param("double", marks=pytest.mark.slow)])
 def test_phases_that_share_space(precision, tmp_path):
-    scene = write(tmp_path, SHARED.replace("PRECISION", precision))
+    same_everywhere(write(tmp_path, SHARED.replace("PRECISION", precision)), tmp_path)
+
+
+def test_colours_that_travel_with_every_step(tmp_path):
+    text = SHARED.replace("PRECISION", "single")
+    for name, colour in {"pores": "#ff2010", "pool": "#1020ff", "jug": "#ffffff"}.items():
+        text = text.replace(f'name = "{name}"', f'name = "{name}"\ncolor = "{colour}"')
+    looks = '[appearance]\ncolour_transfer = "step"\n[material.water]'
+    scene = write(tmp_path, text.replace("[material.water]", looks))
+    same_everywhere(scene, tmp_path)
+    with h5py.File(sorted((tmp_path / "1").glob("frames/frame_*.vtkhdf"))[-1]) as frame:
+        colour = frame["VTKHDF/PointData/colour"][()]
+        kinds = frame["VTKHDF/PointData/object"][()]
+    assert not np.isnan(colour[kinds == 2]).any() and np.isnan(colour[kinds == 5]).all()
+    assert (colour[kinds == 2].std(axis=0) > 0.001).all()
+
+
+def same_everywhere(scene, tmp_path):
+    """Bits of all files on 1, 2, 3 ranks, by 2 threads, and after a restart."""
     want = go(scene, tmp_path / "1", 1)
     assert sum("frame_" in name for name in want) > 20
     for n in (2, 3):

@@ -135,6 +135,24 @@ def test_the_scene_says_how_and_render_toml_says_otherwise(made):
     assert rms(rgb(run, 5, LookSettings(colour_time=0.2)) - want) > 0.01
 
 
+def test_colours_carried_by_the_steps_stand_in_the_frames(tmp_path):
+    told = {"appearance.colour_transfer": "step", "time.frames": 3}
+    scene = vgmpi.load(tmp_path / "scene.toml", told, text=SCENE)
+    assert vgmpi.run(scene, tmp_path / "out").code == 0
+    run = Run(tmp_path / "out")
+    frame, chosen = run.frame(2), Look(run)
+    sh = chosen.frame(2)["sh"]
+    fluid = run.gaussians.object[frame["id"]] < 2
+    np.testing.assert_array_equal(sh[fluid, 0], frame["colour"][fluid])
+    np.testing.assert_array_equal(sh[~fluid], run.gaussians.sh[frame["id"]][~fluid])
+    assert np.isnan(frame["colour"][~fluid]).all()
+    shown = chosen.splats(chosen.frame(2), EYE).color[fluid]
+    np.testing.assert_allclose(shown, np.maximum(0.5 + C0 * sh[fluid, 0], 0), atol=1e-6)
+    # nearly one colour; another look of the same run still knows those of the start
+    assert shown.std(axis=0).max() < 0.5 * rgb(run, 2, look("frame"))[fluid].std(axis=0).max()
+    assert "sh" not in Look(run, look("off")).frame(2)
+
+
 def test_single_frames_are_those_of_a_row_of_frames(made):
     """Also from what an earlier call kept, whatever was drawn before."""
     chosen = look("relax", colour_time=0.07)

@@ -202,17 +202,11 @@ CASES = {
         "object.ball.phase",
         "'fluid' already holds a fluid, this is a solid",
     ),
-    "colours at every step": (
-        "[domain]",
-        '[appearance]\ncolour_transfer = "step"\n[domain]',
-        "appearance.colour_transfer",
-        'must be "off", "frame" or "relax": smoothing at every step blurs',
-    ),
     "an unknown colour transfer": (
         "[domain]",
         '[appearance]\ncolour_transfer = "frames"\n[domain]',
         "appearance.colour_transfer",
-        "must be one of off, frame, relax (did you mean 'frame'?)",
+        "must be one of off, frame, relax, step (did you mean 'frame'?)",
     ),
     "colours of nobody": (
         "[domain]",

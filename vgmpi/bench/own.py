@@ -44,7 +44,9 @@ class Contestant:
             # it would be prepared anew, at rest: another scene than the others'
             raise BenchError("the program's sources changed meanwhile: measure again")
         known = prepare(scene, self.ranks, folder)
-        plan = make_plan(scene, known.count, known.volume, bool(known.colliders), known.center)
+        plan = make_plan(
+            scene, known.count, known.volume, bool(known.colliders), known.center, known.shades
+        )
         self.start = (scene, plan, known, self.ranks, Options(folder, given["threads"]))
         self.dt = plan.fixed_dt
         # one thread: its own time, so that what else the machine does counts little

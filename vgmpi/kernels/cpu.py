@@ -12,7 +12,7 @@ from ..domain.blocks import BITS, EDGE
 from ..domain.state import Group
 from ..domain.topology import Topology
 from ..plan import Plan
-from . import g2p, gradient, grid, members, p2g, records
+from . import colour, g2p, gradient, grid, members, p2g, records
 from .patches import zero
 from .walls import KINDS, SIDE, patch_codes
 
@@ -30,6 +30,7 @@ class Part(NamedTuple):
     group: Group
     sent: np.ndarray  # (n,) whether other ranks need the patch
     slots: np.ndarray  # (3, n) where its patches are kept, or -1; whether it has offsets, impulses
+    hues: np.ndarray  # (layers, n) where its patches of colours are kept, or -1
     table: np.ndarray  # (n, 27) node blocks around
     into: np.ndarray  # (n, 27) those of them the patch is added to at once, else -1
     limit: np.ndarray  # (n, 3, 2) range of positions [cells]
@@ -70,6 +71,8 @@ class Cpu:
         self.forces_grid = self.flux = self.grid if self.apart else None
         self.drift = self.grid if plan.drifts else None
         self.flip = real.type(plan.flip) if plan.flip else None
+        layers = max((group.coefficients for group in plan.groups), default=0)
+        self.colours = [colour.Layer(real) for _ in range(layers)]
         more = self.apart + plan.drifts  # patches besides velocity's that particles gather from
         room = records.ROOM + more * (records.PATCH + 16)
         self.records = [aligned(room, real) for _ in range(threads)]
@@ -100,6 +103,9 @@ class Cpu:
         self._make_room()
         self.parts = []
         slots = np.stack([self.slot, np.where(t.offsets, 0, -1), np.where(t.split, 0, -1)])
+        coefficients = np.array([group.plan.coefficients for group in groups])
+        for k, layer in enumerate(self.colours):
+            layer.adopt(t, (self.slot >= 0) & (coefficients[group_of_row[t.row]] > k))
         for group, here in zip(groups, rows_of, strict=True):
             at = own[here]
             block = t.block[at]
@@ -108,7 +114,8 @@ class Cpu:
             mirror = patch_codes(block, self.plan.cells, self.wall_kinds)
             self.parts.append(
                 Part(
-                    group, sent[at], np.ascontiguousarray(slots[:, at]), t.table[here], into[here],
+                    group, sent[at], np.ascontiguousarray(slots[:, at]),
+                    np.array([layer.slot[at] for layer in self.colours]), t.table[here], into[here],
                     self._limits(block), mirror, self._numbers(group.plan),
                 )
             )  # fmt: skip
@@ -167,12 +174,15 @@ class Cpu:
     @property
     def slots(self) -> list[np.ndarray]:
         """Where the patches of each layer that travels are kept: (patches,) each."""
-        return [self.slot, self.offset_slot, *([self.force_slot] if self.apart else [])]
+        forces = [self.force_slot] if self.apart else []
+        return [self.slot, self.offset_slot, *forces, *(layer.slot for layer in self.colours)]
 
     @property
     def layers(self) -> list[np.ndarray]:
         """The patches of each layer that travels, (slots, 2048) each."""
-        return [self.flat_patches, self.flat_offsets, *([self.forces] if self.apart else [])]
+        forces = [self.forces] if self.apart else []
+        hues = (layer.patches for layer in self.colours)
+        return [self.flat_patches, self.flat_offsets, *forces, *hues]
 
     def _numbers(self, group) -> records.Numbers:
         """What the transfers are told of a group."""
@@ -205,8 +215,12 @@ class Cpu:
             self.each(self.clears_offsets, self._clear, self.flat_offsets_grid)
             if self.apart:
                 self.each(self.clears_forces, self._clear, self.forces_grid)
+            for layer in self.colours:
+                self.each(self.clears, self._clear, layer.grid)
         for part, shares in zip(self.parts, self.shares, strict=True):
             self.each(shares.of(border), self._p2g, part, border, real(dt))
+            for k in range(part.group.plan.coefficients):
+                self.each(shares.of(border), self._collect, part, border, k)
 
     def _clear(self, thread: int, rows: np.ndarray, grid: np.ndarray) -> None:
         zero(grid, rows)
@@ -221,10 +235,20 @@ class Cpu:
             self.records[thread], self.base[thread], part.numbers, dt,
         )  # fmt: skip
 
+    def _collect(self, thread: int, share: np.ndarray, part: "Part", border: bool, k: int) -> None:
+        group, layer = part.group, self.colours[k]
+        colour.collect(
+            group.plan.law, share, border, part.sent, group.start, group.count, part.hues[k],
+            part.into, group.xi, group.f, group.plan.colour + 3 * k, layer.patches, layer.grid,
+            self.records[thread], self.base[thread],
+        )  # fmt: skip
+
     def update(self, dt: float, border: bool) -> None:
         """Sum the patches, and find the velocities at the nodes: gravity, contact, walls. Blocks
         whose sum takes patches of other ranks, or the others."""
         self.each(self.block_shares.of(border), self._update, dt)
+        for layer in self.colours:
+            self.each(self.block_shares.of(border), self._blend, layer)
 
     def _update(self, thread: int, share: np.ndarray, dt: float) -> None:
         t = self.topology
@@ -249,6 +273,13 @@ class Cpu:
             self.plan.dx,
         )  # fmt: skip
 
+    def _blend(self, thread: int, share: np.ndarray, layer: colour.Layer) -> None:
+        t = self.topology
+        colour.blend(
+            share, t.first, t.phase, self.plan.colours.set_of, self.summed, t.pull_first,
+            t.pull_patch, t.pull_code, layer.slot, layer.patches, layer.grid,
+        )  # fmt: skip
+
     def g2p(self, dt: float, step: int) -> np.ndarray:
         """Move the particles. Returns (groups, threads, 4) reports, see g2p.g2p."""
         dither = np.modf(_DITHER * step)[0]
@@ -260,6 +291,12 @@ class Cpu:
 
     def _g2p(self, thread: int, share: np.ndarray, part: "Part", dt, dither, report) -> None:
         group = part.group
+        for k in range(group.plan.coefficients):
+            colour.take(
+                share, group.start, group.count, part.table, group.xi, group.f,
+                group.plan.colour + 3 * k, self.colours[k].grid, self.records[thread],
+                self.base[thread],
+            )  # fmt: skip
         second = group.plan.apart
         g2p.g2p(
             group.plan.law, share, group.start, group.count, part.table, part.limit, part.mirror,

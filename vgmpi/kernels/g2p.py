@@ -101,7 +101,7 @@ def _gather_slopes(count, records, weights, base, patch):
 
 
 @inline
-def _values(count, records, weights, base, patch):
+def values(count, records, weights, base, patch):
     """Records of what is gathered alone, without its moments: 0-2."""
     for n in range(count):
         m = 16 * n
@@ -161,7 +161,7 @@ def g2p(
                 _gather(n, records, weights, base, scratch[ROOM:])
                 _set_aside(n, records, extra, flip)
                 if drift is not None:
-                    _values(n, records, weights, base, scratch[ROOM + PATCH + 16 :])
+                    values(n, records, weights, base, scratch[ROOM + PATCH + 16 :])
                     for q in range(n):
                         for c in range(3):
                             extra[(2 + c) * BATCH + q] = records[16 * q + c]

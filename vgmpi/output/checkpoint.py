@@ -218,6 +218,10 @@ class Checkpoint:
         """Rows of a dataset ("particles/x")."""
         return int(self.file[name].shape[0])
 
+    def width(self, name: str) -> int:
+        """Numbers in a row of a dataset."""
+        return int(np.prod(self.file[name].shape[1:]))
+
     def read_rows(self, name: str, start: int, stop: int) -> np.ndarray:
         """Rows start .. stop - 1 of a dataset."""
         return self.file[name][start:stop]

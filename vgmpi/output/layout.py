@@ -59,6 +59,14 @@ FRAME = [
         "J", "(n,)", "f4", "1", "volume now / volume at rest; its elastic part if a law yields"
     ),
     Dataset("F", "(n, 9)", "f4", "1", "deformation gradient, row by row; cbrt(J) I without one"),
+    Dataset(
+        "colour",
+        "(n, 3 K)",
+        "f4",
+        "1",
+        "colour as `sh` of gaussians.h5, coefficient by coefficient; nan where it does not travel; "
+        "only with appearance.colour_transfer = step",
+    ),
     Dataset("object", "(n,)", "i4", "1", "number of the object in the list `objects`"),
     Dataset("phase", "(n,)", "i4", "1", "number of the velocity field it moves with"),
 ]

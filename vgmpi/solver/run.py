@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..colours import shades
 from ..domain.ranks import Alone
 from ..output import checkpoint, layout, rest, store
 from ..output.frames import Frames
@@ -57,6 +58,7 @@ class Prepared:
     center: list[list[float]]  # of mass [m]
     colliders: list
     loads: list
+    shades: np.ndarray | None = None  # of the objects' colours (colours.shades), where they travel
     rows: dict | None = None  # on rank 0, where there is no gaussians.h5: its datasets
 
     @property
@@ -106,7 +108,7 @@ def _particles(scene: Scene, folder: Path | None):
         log.info("particles as prepared before: %s", path)
         found = read_gaussians(path)
         loads = find(scene, found.x0, found.vol0, found.object)
-        return _known(found.objects, found, found.x0, [], loads), None
+        return _known(scene, found.objects, found, found.x0, [], loads), None
     from ..prepare.build import build  # scipy comes with it: only the rank that prepares waits
 
     made = build(scene)
@@ -131,13 +133,15 @@ def _particles(scene: Scene, folder: Path | None):
         p = made.passive
         passive = {"x0": p.x, "object": p.object, "cov0": p.cov0, "opacity": p.opacity, "sh": p.sh}
         passive |= {"carriers": p.carriers, "weights": p.weights}
-    known = _known(made.objects, made, made.x, made.colliders, made.loads)
+    known = _known(scene, made.objects, made, made.x, made.colliders, made.loads)
     return known, (scenery, rows, passive)
 
 
-def _known(objects, rest, x, colliders, loads) -> Prepared:
+def _known(scene, objects, rest, x, colliders, loads) -> Prepared:
     volume, center = extent(len(objects), rest.object, rest.vol0, x)
-    return Prepared(objects, volume, center, colliders, loads)
+    travel = scene.appearance.colour_transfer == "step"
+    hues = shades(len(objects), rest.object, rest.sh) if travel else None
+    return Prepared(objects, volume, center, colliders, loads, hues)
 
 
 def extent(count: int, thing, volume, x) -> tuple[list[float], list[list[float]]]:
@@ -180,7 +184,9 @@ def begin(
     ids, rows = _share(plan, known, ranks, options.folder)
     v = rows.get("v0", np.zeros_like(rows["x0"]))
     C = gradient(scene, rows["x0"], rows["object"])
-    simulation.put(rows["x0"], v, rows["vol0"], ids, rows["object"], rows.get("theta0"), C)
+    simulation.put(
+        rows["x0"], v, rows["vol0"], ids, rows["object"], rows.get("theta0"), C, rows.get("sh")
+    )
     return simulation, 0
 
 
@@ -338,7 +344,9 @@ class Run:
 def start(scene: Scene, ranks: Alone, options: Options) -> Run:
     """Prepare, plan and set up a run. Raises SceneError, StoreError, CheckpointError, Mismatch."""
     known = prepare(scene, ranks, options.folder)
-    plan = make_plan(scene, known.count, known.volume, bool(known.colliders), known.center)
+    plan = make_plan(
+        scene, known.count, known.volume, bool(known.colliders), known.center, known.shades
+    )
     return Run(scene, plan, known, ranks, options)
 
 

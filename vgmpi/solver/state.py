@@ -20,7 +20,7 @@ def frame_rows(simulation: Simulation, names: tuple[str, ...]) -> tuple[np.ndarr
     """Ids (n_local,) and the fields of a frame, rows in any order.
 
     names: of velocity, J, F; x, object and phase are always there. F only where a body in the
-    scene carries it.
+    scene carries it, colour where colours travel with the steps.
     """
     ids, found = [], []
     deforms = any("H" in group.carries or group.followed for group in simulation.plan.groups)
@@ -39,6 +39,8 @@ def frame_rows(simulation: Simulation, names: tuple[str, ...]) -> tuple[np.ndarr
             row["J"] = J
         if "F" in names and deforms:
             row["F"] = _gradient(group, at, J)
+        if simulation.plan.colours is not None:
+            row["colour"] = _colour(group, at, simulation.plan.colours)
         ids.append(group.ids[at])
         found.append(row)
     return np.concatenate(ids), {k: np.concatenate([row[k] for row in found]) for k in found[0]}
@@ -50,6 +52,15 @@ def _gradient(group, at, J) -> np.ndarray:
         return (np.cbrt(J)[:, None] * np.eye(3).ravel()).astype(np.float32)
     first = group.plan.gradient if group.plan.followed else STATE
     return (group.f[first : first + 9, at].T + np.eye(3).ravel()).astype(np.float32)
+
+
+def _colour(group, at, colours) -> np.ndarray:
+    """Coefficients of colours, (n, 3 K) with K the most of any; nan where none travel."""
+    out = np.full((len(at), 3 * colours.coefficients.max()), np.nan, np.float32)
+    first, count = group.plan.colour, 3 * group.plan.coefficients
+    least = colours.least[group.plan.phase].ravel()[:count]
+    out[:, :count] = group.f[first : first + count, at].T + least
+    return out
 
 
 def by_id(simulation: Simulation, *names: str) -> list[np.ndarray]:
@@ -125,6 +136,13 @@ def restore(simulation: Simulation, saved) -> None:
         if saved.attrs.get(name) != value:
             raise Mismatch(
                 f"{saved.path}: {name} is {saved.attrs.get(name)}, the scene has {value}"
+            )
+    for g, group in enumerate(simulation.groups):
+        have, wanted = saved.width(f"group_{g:03d}/state"), group.channels - STATE
+        if have != wanted:
+            raise Mismatch(
+                f"{saved.path}: a particle of {group.plan.name} carries {have} numbers besides its"
+                f" motion, in this scene {wanted} (material, deforms, appearance.colour_transfer)"
             )
     simulation.time, simulation.step = saved.attrs["time"], saved.attrs["step"]
     simulation.rate = saved.attrs["rate"]

@@ -81,13 +81,14 @@ class Simulation:
         thing: np.ndarray,
         theta: np.ndarray | None = None,
         C: np.ndarray | None = None,
+        sh: np.ndarray | None = None,
     ) -> None:
         """Take particles, unstrained or compressed, in any order, any share on any rank.
         Collective; once, at the start.
 
         x: positions [m], (n, 3); v: velocities [m/s], (n, 3); volume: rest volumes [m3], (n,); ids:
         (n,); thing: object of each, (n,); theta: ln J of fluids, (n,), or None for 0; C: gradients
-        of v [1/s], (n, 9), or None for 0.
+        of v [1/s], (n, 9), or None for 0; sh: (n, K, 3) colours, asked for where these travel.
         """
         group_of = np.array(self.plan.group_of)[thing] if len(thing) else thing
         fastest = 0.0
@@ -100,6 +101,10 @@ class Simulation:
                 f[records.AFFINE : records.VOLUME] = C[here].T
             f[records.VOLUME] = volume[here]
             f[records.STATE :] = np.array(group.plan.carried)[:, None]
+            count = group.plan.coefficients
+            if count and sh is not None:
+                shown = sh[here, :count] - self.plan.colours.least[group.plan.phase, :count]
+                f[group.plan.colour :] = shown.reshape(len(shown), 3 * count).T
             states = [group.plan.rest]
             if theta is not None and self.plan.phases[group.plan.phase].family == "fluid":
                 f[records.STATE] = theta[here]
