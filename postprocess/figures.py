@@ -9,6 +9,7 @@ from postprocess.look import Look
 from vgmpi.gaussians.evolve import BALLS
 from vgmpi.splatting import splat
 from vgmpi.splatting.camera import Camera
+from vgmpi.splatting.decibels import decibels
 from vgmpi.splatting.splat import Splats
 
 GREY = (0.299, 0.587, 0.114)  # luminance of r, g, b (Rec. 601)
@@ -75,13 +76,12 @@ def regions(splats: Splats, kind: np.ndarray, camera: Camera, **options) -> Regi
 def measured(picture: np.ndarray, full: np.ndarray, where: Regions) -> Figures:
     """picture, full: uint8 (height, width, 3)."""
     color = picture.astype(np.float64)
-    error = np.mean((color - full) ** 2)
     grey = color @ GREY
     fine = np.abs(grain(grey))
     top = color.max(axis=2)
     saturation = (top - color.min(axis=2)) / np.maximum(top, 1.0)
     return Figures(
-        psnr=float(10 * np.log10(255**2 / error)) if error else float("inf"),
+        psnr=decibels(((color - full) / 255) ** 2),
         edge=_over(np.mean, _gradient(grey)[_edges(full, where.solid)]),
         grain=_over(np.median, fine[where.loose]),
         streaks=_over(np.mean, fine[where.loose] ** 2) ** 0.5,

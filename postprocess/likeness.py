@@ -10,6 +10,7 @@ from postprocess.painter import domain_box
 from vgmpi.output.read import Run
 from vgmpi.splatting import splat
 from vgmpi.splatting.camera import HEIGHT, Camera, look_at, orbit_eye, overview
+from vgmpi.splatting.decibels import decibels as decibels_of
 from vgmpi.splatting.splat import Splats
 
 CAMERAS, FOV = 12, 40.0  # around the domain, all of it in view; degrees
@@ -113,5 +114,4 @@ def decibels(
     squares = [((a.astype(np.float64) - b) ** 2).mean(axis=2) for a, b in zip(wanted, got)]
     if inside is not None:
         squares = [square[mask] for square, mask in zip(squares, inside)]
-    mean = float(np.concatenate([square.ravel() for square in squares]).mean())
-    return -10 * np.log10(mean) if mean > 0 else np.inf
+    return decibels_of(np.concatenate([square.ravel() for square in squares]))

@@ -77,11 +77,11 @@ class Look:
         frame: arrays id, x, and J (all but elastic bodies), F (those) as in the frame's file; and
         sh where the colours are no longer those at rest (see `frame`). Raises RunError.
         """
+        self.check(frame)
         return seen(self.parts(frame), eye)
 
     def parts(self, frame: dict[str, np.ndarray]) -> list[Part]:
-        """The same before anybody looks at it. Raises RunError."""
-        self.check(frame)
+        """The same before anybody looks at it, of what `frame` gives. Raises RunError."""
         rows = np.asarray(frame["id"])
         x = np.asarray(frame["x"], dtype=np.float64)
         cov = self._covariances(rows, frame)

@@ -4,6 +4,19 @@ from pathlib import Path
 
 from vgmpi.scene import Scene, load
 
+# a room, and stuff for the objects that a test adds
+ROOM = """
+[domain]
+size = [0.4, 0.4, 0.4]
+cell = 0.02
+[time]
+end = 1
+[material.clay]
+kind = "elastic"
+density = 400
+youngs_modulus = 1e5
+"""
+
 # every kind of wall, two fluids in one phase, two solids that meet each other, the fluids and a
 # collider, fast enough to sort and migrate
 MIXED = """

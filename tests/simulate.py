@@ -5,12 +5,10 @@ from pathlib import Path
 import numpy as np
 
 from tests.scenes import scene
-from vgmpi.colours import shades
 from vgmpi.domain.ranks import Alone
-from vgmpi.plan import make_plan
 from vgmpi.prepare.build import Prepared, build
 from vgmpi.prepare.motion import gradient
-from vgmpi.solver.run import extent
+from vgmpi.solver.run import known_of, plan_for
 from vgmpi.solver.state import by_id
 from vgmpi.solver.step import Simulation
 from vgmpi.solver.timestep import next_step
@@ -26,10 +24,7 @@ def begin(folder: Path, text: str, ranks=None, velocity=None, threads: int = 1):
     ranks = ranks or Alone()
     loaded = scene(folder, text)
     made = build(loaded)
-    count = [thing["count"] for thing in made.objects]
-    volume, center = extent(len(count), made.object, made.vol0, made.x)
-    hues = shades(len(count), made.object, made.sh)
-    plan = make_plan(loaded, count, volume, bool(made.colliders), center, hues)
+    plan = plan_for(loaded, known_of(loaded, made))
     simulation = Simulation(plan, ranks, made.colliders, threads, made.loads)
     n = len(made.x)
     mine = slice(n * ranks.rank // ranks.size, n * (ranks.rank + 1) // ranks.size)

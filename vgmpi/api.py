@@ -9,7 +9,7 @@ import numpy as np
 from . import scene as scenes
 from .domain.ranks import Alone, world
 from .output.read import Run as read
-from .plan import Plan, make_plan
+from .plan import Plan
 from .scene import Scene
 from .tables import SceneError
 
@@ -51,9 +51,7 @@ def plan(scene: Scene, ranks: Alone | None = None) -> Plan:
     from .solver import run as runs
 
     known = runs.prepare(scene, ranks or Alone(), None)
-    return make_plan(
-        scene, known.count, known.volume, bool(known.colliders), known.center, known.shades
-    )
+    return runs.plan_for(scene, known)
 
 
 class Run:

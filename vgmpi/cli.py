@@ -10,7 +10,6 @@ from pathlib import Path
 
 from .domain.ranks import Alone, world
 from .output import checkpoint, layout, read, store
-from .plan import make_plan
 from .price import describe
 from .scene import Scene, load
 from .solver.requests import listen
@@ -162,9 +161,9 @@ def _command(given: argparse.Namespace, ranks: Alone) -> int:
 
 
 def _plan(scene: Scene, known, given: argparse.Namespace, ranks: Alone) -> int:
-    plan = make_plan(
-        scene, known.count, known.volume, bool(known.colliders), known.center, known.shades
-    )
+    from .solver import run as runs
+
+    plan = runs.plan_for(scene, known)
     if ranks.rank == 0:
         print(describe(scene, plan, ranks.size))
     refusal = too_large(plan.bytes(), ranks)
@@ -179,9 +178,7 @@ def _run(scene: Scene, folder: Path, given: argparse.Namespace, ranks: Alone) ->
     resume = _resume_from(given.resume, folder, ranks)
     options = runs.Options(folder, given.threads, resume, given.stop_steps, given.stop_seconds)
     known = runs.prepare(scene, ranks, folder)
-    plan = make_plan(
-        scene, known.count, known.volume, bool(known.colliders), known.center, known.shades
-    )
+    plan = runs.plan_for(scene, known)
     refusal = too_large(plan.bytes(), ranks)
     if refusal and not given.force:
         return _refuse([refusal + "; --force runs it anyway"], ranks)

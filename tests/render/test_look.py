@@ -117,6 +117,9 @@ def test_frames_that_cannot_be_drawn_are_named():
         Look(run).splats({name: f[name] for name in ("id", "x", "J")}, EYE)
     with pytest.raises(RunError, match="does not know"):
         Look(run).splats({**f, "id": f["id"] + 1}, EYE)
+    run.frame = lambda index: {**f, "id": f["id"] - 1}
+    with pytest.raises(RunError, match="does not know"):
+        Look(run).frame(0)
 
 
 def test_a_fluid_without_J_has_its_rest_volume():

@@ -9,8 +9,8 @@ from tests.coupled_reference import CoupledReference
 from tests.reference import Body
 from tests.scenes import scene
 from vgmpi.domain.ranks import Alone
-from vgmpi.plan import make_plan
 from vgmpi.prepare.build import build
+from vgmpi.solver.run import known_of, plan_for
 from vgmpi.solver.step import Simulation
 
 HEAD = """
@@ -62,9 +62,7 @@ def beside(folder, names, walls):
             text += f"[[coupling]]\nbetween = {sorted(pair)}\n{keys}\n"
     loaded = scene(folder, text)
     made = build(loaded)
-    count = [thing["count"] for thing in made.objects]
-    total = np.bincount(made.object, made.vol0, minlength=len(count))
-    plan = make_plan(loaded, count, total.tolist(), False)
+    plan = plan_for(loaded, known_of(loaded, made))
     random = np.random.default_rng(3)
     size = np.array(plan.cells) * plan.dx
     x = made.x + random.uniform(-0.2, 0.2, made.x.shape) * plan.dx

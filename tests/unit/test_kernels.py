@@ -10,8 +10,8 @@ import pytest
 
 from tests.beside import TOLERANCE, beside, worst
 from tests.scenes import scene
-from vgmpi.plan import make_plan
 from vgmpi.prepare.build import build
+from vgmpi.solver.run import known_of, plan_for
 from vgmpi.source import SceneError
 
 HEAD = """
@@ -79,9 +79,7 @@ def pair(folder, objects, walls, precision, seed=0, head=HEAD):
     text = head.replace("BOUNDARY", WALLS[walls]).replace("PRECISION", precision)
     loaded = scene(folder, text + objects)
     made = build(loaded)
-    count = [thing["count"] for thing in made.objects]
-    total = np.bincount(made.object, made.vol0, minlength=len(count))
-    plan = make_plan(loaded, count, total.tolist(), bool(made.colliders))
+    plan = plan_for(loaded, known_of(loaded, made))
     random = np.random.default_rng(seed)
     size = np.array(plan.cells) * plan.dx
     x = made.x + random.uniform(-0.2, 0.2, made.x.shape) * plan.dx

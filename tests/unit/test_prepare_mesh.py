@@ -5,7 +5,7 @@ import pytest
 from imageio.v3 import imwrite
 from scipy.spatial import cKDTree
 
-from tests.scenes import scene
+from tests.scenes import ROOM, scene
 from vgmpi.gaussians.cloud import rotation_matrices
 from vgmpi.prepare import mesh, shapes
 from vgmpi.prepare.mesh import Mesh, MeshError
@@ -292,15 +292,6 @@ def test_textures_that_make_no_sense(tmp_path):
 def test_a_new_picture_is_a_new_preparation(tmp_path):
     painted(tmp_path)
     text = """
-[domain]
-size = [0.4, 0.4, 0.4]
-cell = 0.02
-[time]
-end = 1
-[material.clay]
-kind = "elastic"
-density = 400
-youngs_modulus = 1e5
 [[object]]
 name = "tile"
 material = "clay"
@@ -308,7 +299,7 @@ mesh = "square.obj"
 width = 0.1
 position = [0.2, 0.2, 0.2]
 """
-    loaded = scene(tmp_path, text)
+    loaded = scene(tmp_path, ROOM + text)
     one = digest(loaded)
     assert digest(loaded) == one
     imwrite(tmp_path / "pictures" / "tiles.png", TILES[::-1])

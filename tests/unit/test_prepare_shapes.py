@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from tests.scenes import scene
+from tests.scenes import ROOM, scene
 from vgmpi.forms import Shape, shape_complaints
 from vgmpi.objects import Object
 from vgmpi.prepare import shapes
@@ -151,15 +151,6 @@ def test_blended_distances_are_bounds():
 def test_a_blended_shape_as_a_body(tmp_path):
     """Particles stand where the blend sticks out beyond its parts' reach, too."""
     text = """
-[domain]
-size = [0.4, 0.4, 0.4]
-cell = 0.02
-[time]
-end = 1
-[material.clay]
-kind = "elastic"
-density = 400
-youngs_modulus = 1e5
 [[object]]
 name = "lump"
 material = "clay"
@@ -171,7 +162,7 @@ union = [
   { sphere = { center = [0, 0, 0], radius = 0.06 } },
 ]
 """
-    made = build(scene(tmp_path, text))
+    made = build(scene(tmp_path, ROOM + text))
     assert made.vol0.sum() == pytest.approx(4 / 3 * np.pi * 0.08**3, rel=0.02)
     assert made.x[:, 2].min() < 0.1 - 0.01  # placed by its parts
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from ..domain.balance import by_block, cuts, imbalance, loads, owners, recut
 from ..domain.ranks import Alone
-from ..plan import make_plan
 from ..prepare.build import build
 from ..scene import load
+from ..solver.run import known_of, plan_for
 from ..solver.step import Simulation
 
 
@@ -49,9 +49,7 @@ def follow(path: Path, overrides: list[str], ranks: list[int], seconds: float, s
     """
     scene = load(path, overrides)
     made = build(scene)
-    count = [thing["count"] for thing in made.objects]
-    volume = np.bincount(made.object, made.vol0, minlength=len(count))
-    plan = make_plan(scene, count, volume.tolist(), bool(made.colliders))
+    plan = plan_for(scene, known_of(scene, made))
     simulation = Simulation(plan, Alone(), made.colliders)
     simulation.put(made.x, made.v0, made.vol0, np.arange(len(made.x)), made.object)
     end = min(seconds or plan.times[-1], float(plan.times[-1]))

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from ..domain.ranks import Alone
-from ..plan import make_plan
 from ..prepare.build import build
 from ..scene import load
+from ..solver.run import known_of, plan_for
 from ..solver.step import Simulation
 from .own import Stages
 
@@ -108,9 +108,7 @@ def _tank(name: str, particles: int, precision: str, folder: Path) -> Simulation
     path.write_text((text + below).format(**keys))
     scene = load(path)
     made = build(scene)
-    count = [thing["count"] for thing in made.objects]
-    volume = np.bincount(made.object, made.vol0, minlength=len(count)).tolist()
-    simulation = Simulation(make_plan(scene, count, volume, False), Alone())
+    simulation = Simulation(plan_for(scene, known_of(scene, made)), Alone())
     ids = np.arange(len(made.x))
     simulation.put(made.x, made.v0, made.vol0, ids, made.object, made.theta0)
     for _ in range(3):

@@ -9,9 +9,8 @@ import numpy as np
 
 from ..domain.ranks import Alone, world
 from ..output import layout, rest
-from ..plan import make_plan
 from ..scene import load
-from ..solver.run import Options, begin, digest, prepare, versions
+from ..solver.run import Options, begin, digest, plan_for, prepare, versions
 from ..solver.watch import ledger
 from .scene import STEPS, BenchError, to_dense
 
@@ -44,9 +43,7 @@ class Contestant:
             # it would be prepared anew, at rest: another scene than the others'
             raise BenchError("the program's sources changed meanwhile: measure again")
         known = prepare(scene, self.ranks, folder)
-        plan = make_plan(
-            scene, known.count, known.volume, bool(known.colliders), known.center, known.shades
-        )
+        plan = plan_for(scene, known)
         self.start = (scene, plan, known, self.ranks, Options(folder, given["threads"]))
         self.dt = plan.fixed_dt
         # one thread: its own time, so that what else the machine does counts little

@@ -13,9 +13,9 @@ import numpy as np
 
 from ..domain.ranks import Alone
 from ..materials import registry
-from ..plan import make_plan
 from ..prepare.build import build
 from ..scene import load
+from ..solver.run import known_of, plan_for
 from ..solver.step import BlowUp, Simulation
 from ..solver.watch import ledger
 from .extreme_scenes import DX, WATER, box, coupling, of_law, toml
@@ -78,9 +78,7 @@ class Column:
         self.case = case
         scene = load("scene.toml", text=case.text)
         self.made = build(scene)
-        count = [thing["count"] for thing in self.made.objects]
-        volume = np.bincount(self.made.object, self.made.vol0, minlength=len(count))
-        self.plan = make_plan(scene, count, volume.tolist(), False)
+        self.plan = plan_for(scene, known_of(scene, self.made))
         density = np.array([self.plan.groups[g].density for g in self.plan.group_of])
         self.mass = density[self.made.object] * self.made.vol0
 

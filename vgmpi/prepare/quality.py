@@ -7,6 +7,7 @@ import numpy as np
 from vgmpi.gaussians import sh as harmonics
 from vgmpi.gaussians.cloud import Cloud
 from vgmpi.splatting.camera import Camera, look_at
+from vgmpi.splatting.decibels import decibels
 from vgmpi.splatting.splat import ALPHA_MIN, Splats, render
 
 PIXELS = 400  # edge of a picture
@@ -67,9 +68,4 @@ def likeness(wanted: list, got: list) -> Likeness:
         square = ((a.astype(np.float64) - b) ** 2).mean(axis=2)
         inside.append(square[through < 0.5])
         whole.append(square.ravel())
-    return Likeness(_decibels(np.concatenate(inside)), _decibels(np.concatenate(whole)))
-
-
-def _decibels(square: np.ndarray) -> float:
-    mean = float(square.mean()) if square.size else 0.0
-    return -10.0 * np.log10(mean) if mean > 0 else np.inf
+    return Likeness(decibels(np.concatenate(inside)), decibels(np.concatenate(whole)))

@@ -133,26 +133,29 @@ def _particles(scene: Scene, folder: Path | None):
         p = made.passive
         passive = {"x0": p.x, "object": p.object, "cov0": p.cov0, "opacity": p.opacity, "sh": p.sh}
         passive |= {"carriers": p.carriers, "weights": p.weights}
-    known = _known(scene, made.objects, made, made.x, made.colliders, made.loads)
-    return known, (scenery, rows, passive)
+    return known_of(scene, made), (scenery, rows, passive)
+
+
+def known_of(scene: Scene, made) -> Prepared:
+    """What all ranks shall know of what prepare.build made."""
+    return _known(scene, made.objects, made, made.x, made.colliders, made.loads)
 
 
 def _known(scene, objects, rest, x, colliders, loads) -> Prepared:
-    volume, center = extent(len(objects), rest.object, rest.vol0, x)
+    """rest: object (n,) of each particle, vol0 (n,) [m3] and sh (n, K, 3). x: (n, 3) [m]."""
+    thing, volume, x = (np.asarray(rows) for rows in (rest.object, rest.vol0, x))
+    total = np.bincount(thing, volume, minlength=len(objects))
+    moment = [np.bincount(thing, volume * x[:, a], minlength=len(objects)) for a in range(3)]
+    center = (np.array(moment) / np.maximum(total, 1e-300)).T
     travel = scene.appearance.colour_transfer == "step"
     hues = shades(len(objects), rest.object, rest.sh) if travel else None
-    return Prepared(objects, volume, center, colliders, loads, hues)
+    return Prepared(objects, total.tolist(), center.tolist(), colliders, loads, hues)
 
 
-def extent(count: int, thing, volume, x) -> tuple[list[float], list[list[float]]]:
-    """Volume [m3] of each of `count` objects, and its centre [m].
-
-    thing: (n,) object of each particle; volume: (n,) [m3]; x: (n, 3) [m].
-    """
-    thing, volume, x = (np.asarray(rows) for rows in (thing, volume, x))
-    total = np.bincount(thing, volume, minlength=count)
-    moment = [np.bincount(thing, volume * x[:, a], minlength=count) for a in range(3)]
-    return total.tolist(), (np.array(moment) / np.maximum(total, 1e-300)).T.tolist()
+def plan_for(scene: Scene, known: Prepared) -> Plan:
+    """What the scene needs with these particles. Raises SceneError."""
+    colliders = bool(known.colliders)
+    return make_plan(scene, known.count, known.volume, colliders, known.center, known.shades)
 
 
 def digest(scene: Scene) -> str:
@@ -344,10 +347,7 @@ class Run:
 def start(scene: Scene, ranks: Alone, options: Options) -> Run:
     """Prepare, plan and set up a run. Raises SceneError, StoreError, CheckpointError, Mismatch."""
     known = prepare(scene, ranks, options.folder)
-    plan = make_plan(
-        scene, known.count, known.volume, bool(known.colliders), known.center, known.shades
-    )
-    return Run(scene, plan, known, ranks, options)
+    return Run(scene, plan_for(scene, known), known, ranks, options)
 
 
 def versions() -> dict[str, str]:

@@ -53,6 +53,21 @@ def _clear(canvas, height, width):
                 canvas[t, j * _ROW + k] = _ONE if inside else -_ONE
 
 
+@njit(inline="always")
+def _alpha(s, opacity, level):
+    """What a Gaussian covers of a pixel: min(0.99, opacity e^-s), nothing beyond its level."""
+    t = s * _SIXTEENTH  # e^-s = (e^(-s/16))^16
+    t = t if t > _FARTHEST else _FARTHEST  # min() and max() would keep the loop scalar
+    e = _E0 + t * (_E1 + t * (_E2 + t * (_E3 + t * (_E4 + t * (_E5 + t * _E6)))))
+    e *= e
+    e *= e
+    e *= e
+    e *= e
+    alpha = opacity * e
+    alpha = alpha if alpha < _ALPHA_MAX else _ALPHA_MAX
+    return alpha if s <= level else _ZERO
+
+
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz", "nnan", "ninf"})
 def _row(buf, at, first, a, b, c, opacity, level, red, green, blue):
     """Blend one Gaussian into a row of 16 pixels: s is a X^2 + b X + c, X = first + 0 .. 15."""
@@ -61,16 +76,7 @@ def _row(buf, at, first, a, b, c, opacity, level, red, green, blue):
     for k in range(TILE):
         X = np.float32(k) + first
         s = c + X * (a * X + b)
-        t = s * _SIXTEENTH  # e^-s = (e^(-s/16))^16
-        t = t if t > _FARTHEST else _FARTHEST  # min() and max() would keep the loop scalar
-        e = _E0 + t * (_E1 + t * (_E2 + t * (_E3 + t * (_E4 + t * (_E5 + t * _E6)))))
-        e *= e
-        e *= e
-        e *= e
-        e *= e
-        alpha = opacity * e
-        alpha = alpha if alpha < _ALPHA_MAX else _ALPHA_MAX
-        alpha = alpha if s <= level else _ZERO
+        alpha = _alpha(s, opacity, level)
         before = buf[at + k]
         w = alpha * before
         after = before - w
@@ -90,16 +96,7 @@ def _row_of_depths(buf, at, first, a, b, c, opacity, level, depth):
     for k in range(TILE):
         X = np.float32(k) + first
         s = c + X * (a * X + b)
-        t = s * _SIXTEENTH
-        t = t if t > _FARTHEST else _FARTHEST
-        e = _E0 + t * (_E1 + t * (_E2 + t * (_E3 + t * (_E4 + t * (_E5 + t * _E6)))))
-        e *= e
-        e *= e
-        e *= e
-        e *= e
-        alpha = opacity * e
-        alpha = alpha if alpha < _ALPHA_MAX else _ALPHA_MAX
-        alpha = alpha if s <= level else _ZERO
+        alpha = _alpha(s, opacity, level)
         before = buf[at + k]
         w = alpha * before
         after = before - w

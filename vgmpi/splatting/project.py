@@ -34,6 +34,29 @@ def _on_screen(u, v, z, c, w2c, fx, fy, limits):
     return xx, mx * my * (a0 * q0 + a1 * q1 + a2 * q2), yy
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _ellipse(m, at, xx, xy, yy, det, opacity, alpha_min, shape, ellipses, looks, bounds):
+    """Fill in row m but for its colours; whether the Gaussian covers any pixel of the picture.
+
+    at: its middle [pixels]; xx, xy, yy, det: its covariance there [pixels^2] and the determinant.
+    shape: height and width of the picture.
+    """
+    px, py = at
+    level = np.log(opacity / alpha_min)  # s <= level is alpha >= alpha_min
+    rx, ry = np.sqrt(2.0 * level * xx), np.sqrt(2.0 * level * yy)
+    # the pixels whose centres lie in the box around the ellipse s <= level
+    x0, x1 = max(0.0, np.ceil(px - rx - 0.5)), min(shape[1] - 1.0, np.floor(px + rx - 0.5))
+    y0, y1 = max(0.0, np.ceil(py - ry - 0.5)), min(shape[0] - 1.0, np.floor(py + ry - 0.5))
+    if not (x0 <= x1 and y0 <= y1):
+        return False
+    bounds[m, 0], bounds[m, 1], bounds[m, 2], bounds[m, 3] = x0, x1, y0, y1
+    half = 0.5 / det
+    e = ellipses[m]
+    e[0], e[1], e[2], e[3], e[4] = px, py, half * yy, -2.0 * half * xy, half * xx
+    looks[m, 0], looks[m, 1] = opacity, level
+    return True
+
+
 def project(
     x: np.ndarray,
     cov: np.ndarray,
@@ -79,6 +102,7 @@ def _project(
     fx, fy, cx, cy, near = lens
     mx, my = 0.15 * width / fx, 0.15 * height / fy
     limits = (cx / fx + mx, (width - cx) / fx + mx, cy / fy + my, (height - cy) / fy + my)
+    shape = height, width
     m = 0
     for i in range(len(x)):
         z = w2c[2, 0] * x[i, 0] + w2c[2, 1] * x[i, 1] + w2c[2, 2] * x[i, 2] + w2c[2, 3]
@@ -95,20 +119,11 @@ def _project(
             o *= np.sqrt(max(before / det, 0.005**2))
         if not (det > 0.0 and det < 1e30 and o >= alpha_min):
             continue
-        level = np.log(o / alpha_min)  # s <= level is alpha >= alpha_min
-        px, py = fx * u + cx, fy * v + cy
-        rx, ry = np.sqrt(2.0 * level * xx), np.sqrt(2.0 * level * yy)
-        # the pixels whose centres lie in the box around the ellipse s <= level
-        x0, x1 = max(0.0, np.ceil(px - rx - 0.5)), min(width - 1.0, np.floor(px + rx - 0.5))
-        y0, y1 = max(0.0, np.ceil(py - ry - 0.5)), min(height - 1.0, np.floor(py + ry - 0.5))
-        if not (x0 <= x1 and y0 <= y1):
+        at = fx * u + cx, fy * v + cy
+        if not _ellipse(m, at, xx, xy, yy, det, o, alpha_min, shape, ellipses, looks, bounds):
             continue
-        bounds[m, 0], bounds[m, 1], bounds[m, 2], bounds[m, 3] = x0, x1, y0, y1
         depth[m] = z
-        half = 0.5 / det
-        e, k = ellipses[m], looks[m]
-        e[0], e[1], e[2], e[3], e[4] = px, py, half * yy, -2.0 * half * xy, half * xx
-        k[0], k[1], k[2], k[3], k[4] = o, level, color[i, 0], color[i, 1], color[i, 2]
+        looks[m, 2], looks[m, 3], looks[m, 4] = color[i, 0], color[i, 1], color[i, 2]
         m += 1
     return m
 
@@ -145,7 +160,7 @@ def _drop(
 ):  # fmt: skip
     """Fill in ellipses, looks and bounds; how many."""
     m = 0
-    p, q = lean[0], lean[1]
+    p, q, shape = lean[0], lean[1], (height, width)
     for i in range(len(x)):
         fall = x[i, 2] - plane
         if not (fall >= 0.0 and fall < 1e30):
@@ -162,18 +177,7 @@ def _drop(
         o = opacity[i] * np.sqrt(max(before / det, 0.0))
         if not (det > 0.0 and det < 1e30 and o >= alpha_min):
             continue
-        level = np.log(o / alpha_min)
-        px = (x[i, 0] + p * fall - lower[0]) / pixel
-        py = (x[i, 1] + q * fall - lower[1]) / pixel
-        rx, ry = np.sqrt(2.0 * level * xx), np.sqrt(2.0 * level * yy)
-        x0, x1 = max(0.0, np.ceil(px - rx - 0.5)), min(width - 1.0, np.floor(px + rx - 0.5))
-        y0, y1 = max(0.0, np.ceil(py - ry - 0.5)), min(height - 1.0, np.floor(py + ry - 0.5))
-        if not (x0 <= x1 and y0 <= y1):
-            continue
-        bounds[m, 0], bounds[m, 1], bounds[m, 2], bounds[m, 3] = x0, x1, y0, y1
-        half = 0.5 / det
-        e = ellipses[m]
-        e[0], e[1], e[2], e[3], e[4] = px, py, half * yy, -2.0 * half * xy, half * xx
-        looks[m, 0], looks[m, 1] = o, level
-        m += 1
+        at = (x[i, 0] + p * fall - lower[0]) / pixel, (x[i, 1] + q * fall - lower[1]) / pixel
+        if _ellipse(m, at, xx, xy, yy, det, o, alpha_min, shape, ellipses, looks, bounds):
+            m += 1
     return m
