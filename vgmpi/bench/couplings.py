@@ -1,5 +1,5 @@
 """What sharing space costs: fluids that mix, and sand that a fluid flows through, beside
-the same tank filled with one fluid.
+the same tank filled with one fluid; and the same fluid in two colours that travel with every step.
 
 Each pair is measured in turns, so that what else the machine does touches both alike.
 """
@@ -67,8 +67,16 @@ between = ["water", "sand"]
 kind = "drag"
 permeability = 1e-3
 """
+COLOURS = """
+[appearance]
+colour_transfer = "step"
+"""
 SCENES = {  # name -> what lies below the water, couplings, depth of it as a share of the tank's
     "fluid": (LAYER.replace("{made_of}", "water"), 0.5),
+    "colours with every step": (
+        LAYER.replace("{made_of}", 'water"\ncolor = "#ff8000') + COLOURS,
+        0.5,
+    ),
     "mixing, two layers": (LAYER.replace("{made_of}", "milk") + MIXING, 0.5),
     "sand": (LAYER.replace("{made_of}", "sand"), 1.0),
     "drag, a bed of sand under water": (LAYER.replace("{made_of}", "sand") + PORES + DRAG, 0.25),
@@ -110,7 +118,7 @@ def _tank(name: str, particles: int, precision: str, folder: Path) -> Simulation
     made = build(scene)
     simulation = Simulation(plan_for(scene, known_of(scene, made)), Alone())
     ids = np.arange(len(made.x))
-    simulation.put(made.x, made.v0, made.vol0, ids, made.object, made.theta0)
+    simulation.put(made.x, made.v0, made.vol0, ids, made.object, made.theta0, None, made.sh)
     for _ in range(3):
         simulation.advance(0.5 * simulation.bound())
     return simulation

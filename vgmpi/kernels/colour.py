@@ -13,7 +13,7 @@ from ..device.jit import inline, kernel
 from ..device.memory import aligned
 from ..device.select import select
 from ..domain.topology import Topology
-from .g2p import values
+from .g2p import columns, values
 from .lanes import load, place, store
 from .nodes import fourth_of
 from .patches import clear, gather, pull, push
@@ -162,7 +162,4 @@ def take(segments, start, count, table, xi, f, channel, grid, scratch, base):
             at = start[s] + first
             weigh(n, at, cap, flat_xi, flat, base, weights)
             values(n, records, weights, base, patch)
-            for c in range(3):
-                to = (channel + c) * cap + at
-                for q in range(n):
-                    flat[to + q] = records[16 * q + c]
+            columns(n, records, flat, channel * cap + at, cap)

@@ -115,6 +115,14 @@ def values(count, records, weights, base, patch):
         store_sum(records, m, total * stretch(weights, m + 8))
 
 
+@inline
+def columns(count, records, out, first, stride):
+    """The first three numbers of each record into rows of out, `stride` numbers apart."""
+    for n in range(count):
+        for c in range(3):
+            out[first + c * stride + n] = records[16 * n + c]
+
+
 @kernel
 def g2p(
     law, segments, start, count, table, limit, mirror, xi, f, ids, grid, flux, drift, flip, split,
@@ -162,9 +170,7 @@ def g2p(
                 _set_aside(n, records, extra, flip)
                 if drift is not None:
                     values(n, records, weights, base, scratch[ROOM + PATCH + 16 :])
-                    for q in range(n):
-                        for c in range(3):
-                            extra[(2 + c) * BATCH + q] = records[16 * q + c]
+                    columns(n, records, extra, 2 * BATCH, BATCH)
             if numbers.splines > 0.0:
                 _gather_slopes(n, records, weights, base, patch)
             else:
@@ -179,14 +185,13 @@ def g2p(
 def _set_aside(count, records, extra, flip):
     """Of what else was gathered, keep per particle: divergence [cells/s] and share of space, or the
     change of velocity."""
-    for n in range(count):
-        m = 16 * n
-        if flip is None:
+    if flip is None:
+        for n in range(count):
+            m = 16 * n
             extra[n] = 4.0 * (records[m + 4] + records[m + 9] + records[m + 14])
             extra[BATCH + n] = records[m + 3]
-        else:
-            for c in range(3):
-                extra[c * BATCH + n] = records[m + c]
+    else:
+        columns(count, records, extra, 0, BATCH)
 
 
 @inline
