@@ -7,7 +7,7 @@ and numpy ufuncs only, so that the same text runs on numpy arrays (the tests' re
 compiled, on the particles of the solver. No function of a law branches in Python on a particle's
 value: it selects with minimum, maximum and device/select.py. device/tensor.py and device/eigen.py
 have products, rotations and eigenvalues of 3x3 tensors; device/hencky.py, flow.py and tait.py what
-laws have in common.
+laws have in common; yielding.py is the base of laws that yield.
 
     advance(law, state, L, dt) -> state     L = grad v [1/s], nine numbers, row by row; dt [s]
     stress(law, state, L) -> (t00, t11, t22, t01, t02, t12)     Kirchhoff stress [Pa]
@@ -16,6 +16,7 @@ laws have in common.
     energy(law, state) -> psi [J per m3 of rest volume]
 """
 
+import inspect
 from typing import Any, ClassVar, Literal, get_args
 
 from pydantic import BaseModel, ValidationError, model_validator
@@ -74,12 +75,19 @@ def complain(table: Any, key: str, said: str, value: Any = None) -> ValidationEr
     return ValidationError.from_exception_data("table", [details])
 
 
+def lame(youngs_modulus: float, poisson_ratio: float) -> tuple[float, float]:
+    """Shear modulus mu and Lame's first parameter [Pa]."""
+    E, nu = youngs_modulus, poisson_ratio
+    return E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
+
+
 def material(cls: type) -> type:
     """Register a material's table under its kind."""
     kind = get_args(cls.model_fields["kind"].annotation)[0]
     if kind in registry:
         raise TypeError(f"two materials call themselves {kind!r}")
-    missing = [f for f in FUNCTIONS if not isinstance(cls.__dict__.get(f), staticmethod)]
+    own = [inspect.getattr_static(cls, name, None) for name in FUNCTIONS]
+    missing = [f for f, found in zip(FUNCTIONS, own) if not isinstance(found, staticmethod)]
     if missing:
         raise TypeError(f"material {kind!r} lacks the static functions {', '.join(missing)}")
     registry[kind] = cls

@@ -11,7 +11,7 @@ from ..device.tensor import (
     moved_gradient_minus_one,
 )
 from ..tables import Quantity
-from .base import Family, Material, material
+from .base import Family, Material, lame, material
 from .elastic_stuffs import STUFFS
 
 
@@ -43,8 +43,7 @@ class Elastic(Material):
     presets: ClassVar[dict[str, dict]] = STUFFS
 
     def law(self) -> Law:
-        E, nu = self.youngs_modulus, self.poisson_ratio
-        return Law(E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu)), self.density)
+        return Law(*lame(self.youngs_modulus, self.poisson_ratio), self.density)
 
     @staticmethod
     def advance(law, state, L, dt):

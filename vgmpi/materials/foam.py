@@ -11,7 +11,8 @@ import numpy as np
 from ..device import flow, hencky
 from ..device.eigen import eigen
 from ..tables import Quantity
-from .base import Family, Material, material
+from .base import Family, lame, material
+from .yielding import Yielding
 
 
 class Law(NamedTuple):
@@ -23,7 +24,7 @@ class Law(NamedTuple):
 
 
 @material
-class Foam(Material):
+class Foam(Yielding):
     """Shaving foam, whipped cream: an elastic solid that flows slowly beyond its yield stress: in
     simple shear tau = yield_stress + viscosity (shear rate). Unlike a paste it can be squeezed, and
     its bodies do not run together.
@@ -77,8 +78,7 @@ class Foam(Material):
     }
 
     def law(self) -> Law:
-        E, nu = self.youngs_modulus, self.poisson_ratio
-        mu, lam = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
+        mu, lam = lame(self.youngs_modulus, self.poisson_ratio)
         # tau = sqrt(s : s / 2) = sqrt(2) mu |dev e|
         strain = self.yield_stress / (math.sqrt(2) * mu)
         return Law(mu, lam, strain, self.viscosity, self.density)
@@ -91,19 +91,3 @@ class Foam(Material):
         over = np.maximum(size - law.strain, 0.0) * flow.bingham(law.mu * dt, law.viscosity)
         r = -over / np.maximum(size, 1e-30)
         return hencky.yielded(b, d, q, (r * s[0], r * s[1], r * s[2]))
-
-    @staticmethod
-    def stress(law, state, L):
-        return hencky.stress(law.mu, law.lam, state)
-
-    @staticmethod
-    def volume_ratio(law, state):
-        return hencky.volume_ratio(state)
-
-    @staticmethod
-    def wave_speed2(law, state):
-        return hencky.stiffest(law.mu, law.lam, state) / law.density
-
-    @staticmethod
-    def energy(law, state):
-        return hencky.energy(law.mu, law.lam, state)

@@ -13,7 +13,8 @@ import numpy as np
 from ..device import hencky
 from ..device.eigen import eigen
 from ..tables import Quantity
-from .base import Family, Material, material
+from .base import Family, lame, material
+from .yielding import Yielding
 
 
 class Law(NamedTuple):
@@ -25,7 +26,7 @@ class Law(NamedTuple):
 
 
 @material
-class Metal(Material):
+class Metal(Yielding):
     """Metal that flows beyond its yield stress: von Mises with linear hardening."""
 
     kind: Literal["metal"]
@@ -73,8 +74,7 @@ class Metal(Material):
     }
 
     def law(self) -> Law:
-        E, nu = self.youngs_modulus, self.poisson_ratio
-        mu, lam = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
+        mu, lam = lame(self.youngs_modulus, self.poisson_ratio)
         # uniaxial stress Y has a deviator of size sqrt(2/3) Y = 2 mu |s|
         share = math.sqrt(2 / 3) / (2 * mu)
         return Law(mu, lam, share * self.yield_stress, share * self.hardening, self.density)
@@ -91,19 +91,3 @@ class Metal(Material):
         c = (lost * s[0], lost * s[1], lost * s[2])
         b00, b11, b22, b01, b02, b12 = hencky.yielded(b, d, q, c)
         return (b00, b11, b22, b01, b02, b12, hardness + root * flow)
-
-    @staticmethod
-    def stress(law, state, L):
-        return hencky.stress(law.mu, law.lam, state[:6])
-
-    @staticmethod
-    def volume_ratio(law, state):
-        return hencky.volume_ratio(state[:6])
-
-    @staticmethod
-    def wave_speed2(law, state):
-        return hencky.stiffest(law.mu, law.lam, state[:6]) / law.density
-
-    @staticmethod
-    def energy(law, state):
-        return hencky.energy(law.mu, law.lam, state[:6])

@@ -16,7 +16,8 @@ from pydantic import model_validator
 from ..device import hencky
 from ..device.eigen import eigen
 from ..tables import Quantity
-from .base import Family, Material, complain, material
+from .base import Family, complain, lame, material
+from .yielding import Yielding
 
 
 class Law(NamedTuple):
@@ -29,7 +30,7 @@ class Law(NamedTuple):
 
 
 @material
-class Plasticine(Material):
+class Plasticine(Yielding):
     """Plasticine, clay: flows beyond a yield stress (von Mises) that falls as it is worked."""
 
     kind: Literal["plasticine"]
@@ -93,8 +94,7 @@ class Plasticine(Material):
         return self
 
     def law(self) -> Law:
-        E, nu = self.youngs_modulus, self.poisson_ratio
-        mu, lam = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
+        mu, lam = lame(self.youngs_modulus, self.poisson_ratio)
         # uniaxial stress Y has a deviator of size sqrt(2/3) Y = 2 mu |s|
         share = math.sqrt(2 / 3) / (2 * mu)
         assert self.residual_stress is not None
@@ -115,19 +115,3 @@ class Plasticine(Material):
         c = hencky.yielded(b, d, q, (r * s[0], r * s[1], r * s[2]))
         b00, b11, b22, b01, b02, b12 = c
         return (b00, b11, b22, b01, b02, b12, worked + root * over)
-
-    @staticmethod
-    def stress(law, state, L):
-        return hencky.stress(law.mu, law.lam, state[:6])
-
-    @staticmethod
-    def volume_ratio(law, state):
-        return hencky.volume_ratio(state[:6])
-
-    @staticmethod
-    def wave_speed2(law, state):
-        return hencky.stiffest(law.mu, law.lam, state[:6]) / law.density
-
-    @staticmethod
-    def energy(law, state):
-        return hencky.energy(law.mu, law.lam, state[:6])

@@ -16,7 +16,8 @@ from ..device import hencky
 from ..device.eigen import eigen
 from ..device.select import select
 from ..tables import Quantity
-from .base import Family, Material, material
+from .base import Family, lame, material
+from .yielding import Yielding
 
 
 class Law(NamedTuple):
@@ -28,7 +29,7 @@ class Law(NamedTuple):
 
 
 @material
-class Sand(Material):
+class Sand(Yielding):
     """Grains that yield by friction: Drucker-Prager with volume correction."""
 
     kind: Literal["sand"]
@@ -76,8 +77,7 @@ class Sand(Material):
         return 1.0 - self.porosity
 
     def law(self) -> Law:
-        E, nu = self.youngs_modulus, self.poisson_ratio
-        mu, lam = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
+        mu, lam = lame(self.youngs_modulus, self.poisson_ratio)
         sine = math.sin(self.friction_angle)
         # |dev tau| = 3 alpha p of Klar, p the mean pressure: alpha such that principal stresses
         # meet Mohr-Coulomb's ratio (1 + sin) / (1 - sin)
@@ -104,19 +104,3 @@ class Sand(Material):
         c = (shift + lost * s[0], shift + lost * s[1], shift + lost * s[2])
         b00, b11, b22, b01, b02, b12 = hencky.yielded(b, d, q, c)
         return (b00, b11, b22, b01, b02, b12, 3.0 * np.maximum(over, 0.0))
-
-    @staticmethod
-    def stress(law, state, L):
-        return hencky.stress(law.mu, law.lam, state[:6])
-
-    @staticmethod
-    def volume_ratio(law, state):
-        return hencky.volume_ratio(state[:6])
-
-    @staticmethod
-    def wave_speed2(law, state):
-        return hencky.stiffest(law.mu, law.lam, state[:6]) / law.density
-
-    @staticmethod
-    def energy(law, state):
-        return hencky.energy(law.mu, law.lam, state[:6])

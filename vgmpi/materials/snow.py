@@ -17,7 +17,7 @@ import numpy as np
 from ..device import hencky
 from ..device.eigen import eigen
 from ..tables import Quantity
-from .base import Family, Material, material
+from .base import Family, Material, lame, material
 
 
 class Law(NamedTuple):
@@ -76,10 +76,10 @@ class Snow(Material):
     }
 
     def law(self) -> Law:
-        E, nu = self.youngs_modulus, self.poisson_ratio
+        mu, lam = lame(self.youngs_modulus, self.poisson_ratio)
         return Law(
-            mu=E / (2 * (1 + nu)),
-            lam=E * nu / ((1 + nu) * (1 - 2 * nu)),
+            mu=mu,
+            lam=lam,
             low=math.log1p(-self.critical_compression),
             high=math.log1p(self.critical_stretch),
             xi=self.hardening,
