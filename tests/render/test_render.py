@@ -146,6 +146,44 @@ def test_the_command_runs_by_itself(out, tmp_path):
     assert len(read(tmp_path / "v.mp4")[1]) == 4
 
 
+SLOW = (  # to load, and of no use for one picture
+    "imageio",
+    "imageio_ffmpeg",
+    "matplotlib",
+    "mpi4py",
+    "pyvista",
+    "scipy.ndimage",
+    "scipy.sparse",
+    "scipy.spatial",
+    "scipy.special",
+    "tqdm",
+    "vgmpi.device",
+    "vgmpi.domain",
+    "vgmpi.kernels",
+    "vgmpi.scene",
+    "vgmpi.solver",
+)
+PREVIEW = """
+import gc, runpy, sys
+sys.argv = sys.argv[:2] + ["--preview"]
+try:
+    runpy.run_module("postprocess.render", run_name="__main__")
+except SystemExit as end:
+    print(end.code, gc.get_freeze_count() > 10_000, *sys.modules)
+"""
+
+
+def test_a_preview_loads_nothing_that_it_does_not_need(out):
+    ended = subprocess.run(
+        [sys.executable, "-c", PREVIEW, str(out)], cwd=ROOT, capture_output=True, text=True
+    )
+    path, last = ended.stdout.splitlines()
+    assert Path(path).name == "preview.png" and Path(path).is_file()
+    code, frozen, *loaded = last.split()
+    assert code == "0" and frozen == "True"
+    assert "numba" in loaded and not [name for name in SLOW if name in loaded]
+
+
 @pytest.mark.parametrize("color", ["J", "velocity", "velocity.z", "F.0", "object", "x.x"])
 def test_a_view_of_any_field(out, tmp_path, color, capsys):
     path = tmp_path / "new" / "a.png"

@@ -10,7 +10,6 @@ it.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 from vgmpi.splatting.camera import Camera
 from vgmpi.splatting.paint import TILE, new_canvas, paint, picture
@@ -117,6 +116,8 @@ def ground(
     wide = depth * (drift**2).sum(axis=1) / (min(camera.fx, camera.fy) * down[seen])
     color = _pattern(floor, at, wide)
     rows, columns = ((at[:, ::-1] - shadow.lower[::-1]) / shadow.pixel - 0.5).T
+    from scipy.ndimage import map_coordinates  # slow to load: only for those with a floor
+
     passed = map_coordinates(
         shadow.light, [rows, columns], order=1, mode="constant", cval=1.0, output=np.float32
     )
