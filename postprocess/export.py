@@ -74,8 +74,9 @@ def losses(made: Cloud, suffix: str) -> list[str]:
     shiny = np.count_nonzero((made.sh[:, 1:] != 0).any(axis=(1, 2)))
     if suffix == ".splat" and shiny:
         found.append(f"a .splat keeps no view-dependent colour: {shiny:,} Gaussians lose theirs")
-    if suffix == ".spz" and (beyond := np.count_nonzero(np.abs(made.sh[:, 1:]) > 1)):
-        found.append(f"a .spz holds coefficients of -1..1: {beyond:,} are cut")
+    most = {".spz": 1, files.COMPRESSED: 4}.get(suffix, np.inf)
+    if beyond := np.count_nonzero(np.abs(made.sh[:, 1:]) > most):
+        found.append(f"a {suffix} holds coefficients of -{most}..{most}: {beyond:,} are cut")
     faint = np.count_nonzero((made.opacity > 0) & (made.opacity < 0.5 / 255))
     if suffix != ".ply" and faint:
         said = f"opacities are 255ths in a {suffix}: {faint:,} of {len(made):,} Gaussians vanish"
@@ -89,7 +90,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("settings", nargs="?", help="render.toml: its table [look]")
     p.add_argument("--frames", help="a number, or first:last:every as in Python [all]")
     p.add_argument("-o", "--output", help="folder of the files [OUT/gaussians]")
-    kinds = [suffix.removeprefix(".") for suffix in files.KINDS]
+    kinds = [suffix.removeprefix(".") for suffix in (*files.KINDS, files.COMPRESSED)]
     p.add_argument("--format", choices=kinds, default=kinds[0], help="kind of the files [ply]")
     p.add_argument("--up", choices=UP, default="z", help="up in the file; captures: --up=-y [z]")
     p.add_argument("--no-scenery", action="store_true", help="only what moves")

@@ -59,6 +59,7 @@ OUTSIDE = {  # packages that only some files may use
     "tqdm": ("vgmpi/solver/report.py", "postprocess/"),
     "taichi": ("vgmpi/bench/taichi_rival.py",),
     "warp": ("vgmpi/bench/warp_rival.py",),
+    "gsply": ("vgmpi/gaussians/ply.py",),
     "torch": ("vgmpi/splatting/gsplat_backend.py",),
     "gsplat": ("vgmpi/splatting/gsplat_backend.py",),
 }

@@ -1,12 +1,14 @@
 """Reading and writing Gaussian files."""
 
 import logging
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.gaussians import files
+from vgmpi.gaussians import files as of_any_kind
 from vgmpi.gaussians import ply
 from vgmpi.gaussians.cloud import Cloud
 from vgmpi.gaussians.sh import C0
@@ -100,6 +102,36 @@ def test_the_compressed_layout(tmp_path, color_bounds, rest):
         assert np.abs(c.sh[:, 1:] - want).max() <= 8 / 255
         ends = np.isin(bytes_, (0, 255)).reshape(n, 3, -1).transpose(0, 2, 1)
         np.testing.assert_array_equal(np.abs(c.sh[:, 1:][ends]), 4)
+
+
+@pytest.mark.parametrize("k", [1, 4, 16])
+def test_the_compressed_layout_is_written(tmp_path, k):
+    """To within the steps of the packing, between bounds of 256 Gaussians each."""
+    pytest.importorskip("gsply")
+    c = cloud(300, k)
+    c.opacity[:3], c.scale[0, 2] = [0, 1, 0.5], 0
+    c.x[256:] *= 100
+    of_any_kind.write(tmp_path / "c.compressed.ply", c)
+    assert [p.name for p in tmp_path.iterdir()] == ["c.compressed.ply"]
+    d = of_any_kind.read(tmp_path / "c.compressed.ply")
+    assert len(d) == 300 and d.sh.shape[1] == k
+    for some in (slice(0, 256), slice(256, None)):
+        reach = np.ptp(c.x[some], axis=0)
+        assert (np.abs(d.x[some] - c.x[some]) <= 0.51 * reach / 1023).all()
+    assert np.abs(np.log(d.scale[1:] / c.scale[1:])).max() <= 20 / 1023
+    assert d.scale[0, 2] < 1e-8
+    assert np.abs((d.quat * c.quat).sum(axis=1)).min() > 1 - 1e-5
+    assert np.abs(d.opacity - c.opacity).max() <= 0.51 / 255
+    assert np.abs(d.sh[:, 0] - c.sh[:, 0]).max() <= 0.51 * np.ptp(c.sh[:, 0]) / 255
+    if k > 1:
+        assert np.abs(d.sh[:, 1:] - np.clip(c.sh[:, 1:], -4, 4)).max() <= 0.51 / 32
+
+
+def test_a_compressed_file_without_its_package(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "gsply", None)
+    with pytest.raises(ply.GaussianFileError, match=r"needs the package gsply: pip install"):
+        ply.write_compressed(tmp_path / "c.compressed.ply", cloud(3))
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_few_stray_rows_are_dropped_with_a_warning(tmp_path, caplog):

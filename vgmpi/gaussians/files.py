@@ -8,6 +8,7 @@ from vgmpi.gaussians.checked import GaussianFileError
 from vgmpi.gaussians.cloud import Cloud
 
 KINDS: dict[str, ModuleType] = {".ply": ply, ".splat": dotsplat, ".spz": spz}
+COMPRESSED = ".compressed.ply"  # the end of a .ply that is to be written in SuperSplat's layout
 
 
 def read(path: str | Path) -> Cloud:
@@ -22,7 +23,8 @@ def write(path: str | Path, cloud: Cloud) -> None:
 
     Raises GaussianFileError, OSError.
     """
-    _kind(path).write(path, cloud)
+    compressed = Path(path).name.lower().endswith(COMPRESSED)
+    (ply.write_compressed if compressed else _kind(path).write)(path, cloud)
 
 
 def _kind(path: str | Path) -> ModuleType:

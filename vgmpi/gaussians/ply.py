@@ -1,4 +1,5 @@
-"""Read and write Gaussian .ply files: the plain layout and SuperSplat's compressed one.
+"""Read and write Gaussian .ply files: the plain layout and SuperSplat's compressed one (which the
+package gsply writes).
 
 The header is checked against the file's size before anything is allocated, so a broken or hostile
 file costs one line and no memory. Lengths keep the units of the file.
@@ -30,6 +31,7 @@ _PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 _LINE_LIMIT = 200  # characters
 _ROW_LIMIT = 4096  # bytes of a row; with every property known it has 496
 _CHUNK_ROWS = 256  # Gaussians that share one row of bounds in a compressed file
+_LEAST_SIZE = np.exp(-20.0)  # in a compressed file, whose bounds end there
 
 
 class Element(NamedTuple):
@@ -68,13 +70,12 @@ def write(path: str | Path, cloud: Cloud) -> None:
     rest = [f"f_rest_{i}" for i in range(3 * (k - 1))]
     names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *rest, "opacity"]
     names += ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
-    opacity = np.clip(cloud.opacity, 1e-7, 1 - 1e-7)  # 0 and 1 have no finite logit
     columns = [
         cloud.x,
         np.zeros((n, 3)),
         cloud.sh[:, 0],
         cloud.sh[:, 1:].transpose(0, 2, 1).reshape(n, -1),
-        np.log(opacity / (1 - opacity))[:, None],
+        _logit(cloud.opacity)[:, None],
         np.log(np.maximum(cloud.scale, 1e-30)),
         cloud.quat,
     ]
@@ -82,6 +83,32 @@ def write(path: str | Path, cloud: Cloud) -> None:
     header += [f"property float {name}" for name in names] + ["end_header", ""]
     rows = np.concatenate(columns, axis=1).astype("<f4")
     save(path, "\n".join(header).encode("ascii"), rows.tobytes())
+
+
+def write_compressed(path: str | Path, cloud: Cloud) -> None:
+    """Write `cloud` in SuperSplat's compressed layout: see docs/gaussian-files.md.
+
+    Raises OSError, and GaussianFileError where the package gsply is missing.
+    """
+    try:
+        from gsply import compress_to_bytes
+    except ImportError:
+        said = "a compressed .ply needs the package gsply: pip install 'vgmpi[compressed]'"
+        raise GaussianFileError(f"{path}: {said}") from None
+    columns = (
+        cloud.x,
+        np.log(np.maximum(cloud.scale, _LEAST_SIZE)),
+        cloud.quat,
+        _logit(cloud.opacity),
+        cloud.sh[:, 0],
+        cloud.sh[:, 1:],
+    )
+    save(path, compress_to_bytes(*(column.astype(np.float32) for column in columns)))
+
+
+def _logit(opacity: np.ndarray) -> np.ndarray:
+    opacity = np.clip(opacity, 1e-7, 1 - 1e-7)  # 0 and 1 have no finite one
+    return np.log(opacity / (1 - opacity))
 
 
 def _elements(file: BinaryIO) -> dict[str, Element]:
