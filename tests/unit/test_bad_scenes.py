@@ -39,6 +39,33 @@ between = ["water", "rubber"]
 friction = 0.1
 """
 LAST = "friction = 0.1\n"  # of the scene: what follows it is a list of its own
+SPHERE = 'shape = { sphere = { center = [0, 0, 0], radius = "4 cm" } }'
+
+
+def ball(keys, key, says):
+    """Keys that the ball gets as well."""
+    return "position =", f"{keys}\nposition =", f"object.ball.{key}", says
+
+
+def made_of(source, key, says):
+    """What the ball is made of instead of a sphere."""
+    return SPHERE, source, f"object.ball.{key}", says
+
+
+def more(text, key, says):
+    """Tables behind all others."""
+    return LAST, f"{LAST}{text}\n", key, says
+
+
+def load_with(keys, key, says):
+    """A load on the ball; key: "" for the load as a whole."""
+    return more(f'[[load]]\nobject = "ball"\n{keys}', f"load.0.{key}".rstrip("."), says)
+
+
+def probe_with(keys, key, says):
+    """A probe; key: "" for the probe as a whole."""
+    return more(f'[[probe]]\nname = "a"\n{keys}', f"probe.a.{key}".rstrip("."), says)
+
 
 # old text, new text, key as reported, what the message must say; the line is where `new` stands
 CASES = {
@@ -113,37 +140,20 @@ CASES = {
         "mesh and shape given at once",
     ),
     "no source": ("shape = { sphere", "#", "object.ball", "give one of gaussians, mesh, shape"),
-    "two sizes given": (
-        "position =",
-        'height = "1 cm"\nwidth = "1 cm"\nposition =',
-        "object.ball.width",
-        "height and width given at once",
+    "two sizes given": ball(
+        'height = "1 cm"\nwidth = "1 cm"', "width", "height and width given at once"
     ),
-    "two places": (
-        "position =",
-        "origin = [0, 0, 0]\nposition =",
-        "object.ball.origin",
-        "position and origin given at once",
-    ),
-    "fill of a shape": ("position =", "fill = true\nposition =", "object.ball.fill", "is only for"),
-    "select of a shape": (
-        "position =",
-        "select = { min_opacity = 0.1 }\nposition =",
-        "object.ball.select",
+    "two places": ball("origin = [0, 0, 0]", "origin", "position and origin given at once"),
+    "fill of a shape": ball("fill = true", "fill", "is only for"),
+    "select of a shape": ball(
+        "select = { min_opacity = 0.1 }",
+        "select",
         "is only for objects made of gaussians, not of a shape",
     ),
-    "pruned shape": (
-        "position =",
-        'prune = "auto"\nposition =',
-        "object.ball.prune",
-        "is only for objects made of gaussians or a mesh",
+    "pruned shape": ball(
+        'prune = "auto"', "prune", "is only for objects made of gaussians or a mesh"
     ),
-    "nothing to ride": (
-        "position =",
-        "passive = true\nposition =",
-        "object.ball.passive",
-        'needs prune = "auto" or "paper"',
-    ),
+    "nothing to ride": ball("passive = true", "passive", 'needs prune = "auto" or "paper"'),
     "unknown transfer": (
         'title = "good"',
         'title = "good"\n[accuracy]\ntransfer = "flop"',
@@ -162,20 +172,14 @@ CASES = {
         "object.ball.material",
         "is not for scenery",
     ),
-    "body as collider": ("position =", "collider = true\nposition =", "object.ball.collider", "is"),
-    "color": ("position =", 'color = "reed"\nposition =', "object.ball.color", "'#6fb7d6'"),
-    "axis": (
-        "position =",
-        'rotation = { axis = "w", angle = "3 deg" }\nposition =',
-        "object.ball.rotation.0.axis",
+    "body as collider": ball("collider = true", "collider", "is"),
+    "color": ball('color = "reed"', "color", "'#6fb7d6'"),
+    "axis": ball(
+        'rotation = { axis = "w", angle = "3 deg" }',
+        "rotation.0.axis",
         "'x', 'y', 'z' or three numbers",
     ),
-    "particles per cell": (
-        "position =",
-        "particles_per_cell = 9\nposition =",
-        "object.ball.particles_per_cell",
-        "1, 8, 27 or 64",
-    ),
+    "particles per cell": ball("particles_per_cell = 9", "particles_per_cell", "1, 8, 27 or 64"),
     "shape of two forms": (
         "shape = { sphere",
         "shape = { box = [[0, 0, 0], [1, 1, 1]], sphere",
@@ -196,11 +200,8 @@ CASES = {
         "needs at least 2 shapes; got 1",
     ),
     "negative radius": ('"4 cm"', '"-4 cm"', "object.ball.shape.sphere.radius", "must be > 0 m"),
-    "mixed phase": (
-        "position =",
-        'phase = "fluid"\nposition =',
-        "object.ball.phase",
-        "'fluid' already holds a fluid, this is a solid",
+    "mixed phase": ball(
+        'phase = "fluid"', "phase", "'fluid' already holds a fluid, this is a solid"
     ),
     "an unknown colour transfer": (
         "[domain]",
@@ -214,22 +215,11 @@ CASES = {
         "appearance.colour_bodies.1",
         "there is no object 'bal' (did you mean 'ball'?); known: pool, ball",
     ),
-    "opacity scale of a solid": (
-        "position =",
-        "opacity_scale = 0.1\nposition =",
-        "object.ball.opacity_scale",
-        "is only for fluids",
-    ),
-    "missing file": (
-        'shape = { sphere = { center = [0, 0, 0], radius = "4 cm" } }',
-        'gaussians = "none.ply"',
-        "object.ball.gaussians",
-        "there is no file ",
-    ),
-    "file outside": (
-        'shape = { sphere = { center = [0, 0, 0], radius = "4 cm" } }',
+    "opacity scale of a solid": ball("opacity_scale = 0.1", "opacity_scale", "is only for fluids"),
+    "missing file": made_of('gaussians = "none.ply"', "gaussians", "there is no file "),
+    "file outside": made_of(
         'gaussians = "../outside.ply"',
-        "object.ball.gaussians",
+        "gaussians",
         "lies outside the scene's folder: move it below, or set allow_outside = true",
     ),
     "no position": (
@@ -252,134 +242,79 @@ CASES = {
         "coupling.1.between",
         "is about the same two already",
     ),
-    "load of nothing": (
-        LAST,
-        LAST + '[[load]]\nobject = "bal"\nforce = [0, 0, 1]\n',
+    "load of nothing": more(
+        '[[load]]\nobject = "bal"\nforce = [0, 0, 1]',
         "load.0.object",
         "there is no object 'bal' (did you mean 'ball'?); known: pool, ball",
     ),
-    "load of a list": (
-        LAST,
-        LAST + '[[load]]\nobject = ["ball", "sky"]\nforce = [0, 0, 1]\n',
+    "load of a list": more(
+        '[[load]]\nobject = ["ball", "sky"]\nforce = [0, 0, 1]',
         "load.0.object.1",
         "there is no object 'sky'; known: pool, ball",
     ),
-    "load without strength": (
-        LAST,
-        LAST + '[[load]]\nobject = "ball"\n',
-        "load.0",
-        "give one of force, pressure, acceleration",
-    ),
-    "load of two kinds": (
-        LAST,
-        LAST + '[[load]]\nobject = "ball"\nforce = [0, 0, 1]\nacceleration = [0, 0, 1]\n',
-        "load.0.acceleration",
+    "load without strength": load_with("", "", "give one of force, pressure, acceleration"),
+    "load of two kinds": load_with(
+        "force = [0, 0, 1]\nacceleration = [0, 0, 1]",
+        "acceleration",
         "force and acceleration given at once: give exactly one",
     ),
-    "pressure on no face": (
-        LAST,
-        LAST + '[[load]]\nobject = "ball"\npressure = "1 kPa"\n',
-        "load.0.face",
+    "pressure on no face": load_with(
+        'pressure = "1 kPa"',
+        "face",
         "required with pressure: one of west, east, south, north, bottom, top",
     ),
-    "face of a force": (
-        LAST,
-        LAST + '[[load]]\nobject = "ball"\nforce = [0, 0, 1]\nface = "top"\n',
-        "load.0.face",
-        "is for pressure only",
-    ),
-    "load that ends before it begins": (
-        LAST,
-        LAST + '[[load]]\nobject = "ball"\nforce = [0, 0, 1]\nafter = "2 s"\nuntil = "1 s"\n',
-        "load.0.until",
+    "face of a force": load_with('force = [0, 0, 1]\nface = "top"', "face", "is for pressure only"),
+    "load that ends before it begins": load_with(
+        'force = [0, 0, 1]\nafter = "2 s"\nuntil = "1 s"',
+        "until",
         "must be later than after = 2 s; got 1 s",
     ),
-    "force in kilograms": (
-        LAST,
-        LAST + '[[load]]\nobject = "ball"\nforce = [0, 0, "1 kg"]\n',
-        "load.0.force.2",
-        "'kg' does not measure this; expected a number [N]",
+    "force in kilograms": load_with(
+        'force = [0, 0, "1 kg"]', "force.2", "'kg' does not measure this; expected a number [N]"
     ),
-    "region of two forms": (
-        LAST,
-        LAST + '[[load]]\nobject = "ball"\nforce = [0, 0, 1]\nregion = { cube = 1 }\n',
-        "load.0.region",
-        "has no form: give one of box, sphere",
+    "region of two forms": load_with(
+        "force = [0, 0, 1]\nregion = { cube = 1 }", "region", "has no form: give one of box, sphere"
     ),
-    "probe of nothing": (
-        LAST,
-        LAST + '[[probe]]\nname = "a"\nrate = 10\n',
-        "probe.a",
-        "give one of pressure, level, velocity, object, wall",
+    "probe of nothing": probe_with(
+        "rate = 10", "", "give one of pressure, level, velocity, object, wall"
     ),
-    "probe of two things": (
-        LAST,
-        LAST + '[[probe]]\nname = "a"\nrate = 10\nwall = "all"\nlevel = [0, 0]\n',
-        "probe.a.wall",
+    "probe of two things": probe_with(
+        'rate = 10\nwall = "all"\nlevel = [0, 0]',
+        "wall",
         "level and wall given at once: give exactly one",
     ),
-    "probe without a rate": (
-        LAST,
-        LAST + '[[probe]]\nname = "a"\nwall = "all"\n',
-        "probe.a",
-        "needs a rate or an every",
-    ),
-    "rate and every": (
-        LAST,
-        LAST + '[[probe]]\nname = "a"\nwall = "all"\nrate = "1 Hz"\nevery = "1 s"\n',
-        "probe.a.every",
+    "probe without a rate": probe_with('wall = "all"', "", "needs a rate or an every"),
+    "rate and every": probe_with(
+        'wall = "all"\nrate = "1 Hz"\nevery = "1 s"',
+        "every",
         "rate and every given at once: give one",
     ),
-    "probe twice": (
-        LAST,
-        LAST + '[[probe]]\nname = "a"\nwall = "all"\nrate = 1\n'
-        '[[probe]]\nname = "a"\nwall = "all"\nrate = 1\n',
-        "probe.a.name",
-        "is taken: ",
+    "probe twice": more(
+        2 * '[[probe]]\nname = "a"\nwall = "all"\nrate = 1\n', "probe.a.name", "is taken: "
     ),
-    "probe outside": (
-        LAST,
-        LAST + '[[probe]]\nname = "a"\nrate = 1\npressure = [0.1, 0.1, "40 cm"]\n',
-        "probe.a.pressure.2",
+    "probe outside": probe_with(
+        'rate = 1\npressure = [0.1, 0.1, "40 cm"]',
+        "pressure.2",
         "lies outside the domain, 0 .. 0.32 m; got 0.4 m",
     ),
-    "probe of no object": (
-        LAST,
-        LAST + '[[probe]]\nname = "a"\nrate = 1\nobject = "boll"\n',
-        "probe.a.object",
-        "did you mean 'ball'?",
-    ),
-    "fraction given twice": (
-        "position =",
-        "fraction = 0.5\n"
-        'fraction_profile = { axis = "x", at = [0, 1], share = [0, 1] }\nposition =',
-        "object.ball.fraction_profile",
+    "probe of no object": probe_with('rate = 1\nobject = "boll"', "object", "did you mean 'ball'?"),
+    "fraction given twice": ball(
+        'fraction = 0.5\nfraction_profile = { axis = "x", at = [0, 1], share = [0, 1] }',
+        "fraction_profile",
         "fraction and fraction_profile given at once",
     ),
-    "profile of two lengths": (
-        "position =",
-        'fraction_profile = { axis = "x", at = [0, 1, 2], share = [0, 1] }\nposition =',
-        "object.ball.fraction_profile",
+    "profile of two lengths": ball(
+        'fraction_profile = { axis = "x", at = [0, 1, 2], share = [0, 1] }',
+        "fraction_profile",
         "at and share must be of one length, 2 or more",
     ),
-    "profile that turns back": (
-        "position =",
-        'fraction_profile = { axis = "x", at = [1, 0], share = [0, 1] }\nposition =',
-        "object.ball.fraction_profile",
+    "profile that turns back": ball(
+        'fraction_profile = { axis = "x", at = [1, 0], share = [0, 1] }',
+        "fraction_profile",
         "at must ascend",
     ),
-    "fraction above one": (
-        "position =",
-        "fraction = 1.5\nposition =",
-        "object.ball.fraction",
-        "must be > 0 and <= 1",
-    ),
-    "compressed solid": (
-        "position =",
-        'compressed = "hydrostatic"\nposition =',
-        "object.ball.compressed",
-        "is only for fluids",
-    ),
+    "fraction above one": ball("fraction = 1.5", "fraction", "must be > 0 and <= 1"),
+    "compressed solid": ball('compressed = "hydrostatic"', "compressed", "is only for fluids"),
 }
 
 # found while the particles are made
@@ -402,37 +337,21 @@ BUILD_CASES = {
         "object.pool.shape",
         "no particle fits in, their spacing is 0.01 m",
     ),
-    "not Gaussians": (
-        'shape = { sphere = { center = [0, 0, 0], radius = "4 cm" } }',
-        'gaussians = "inside.ply"',
-        "object.ball.gaussians",
-        "is not a .ply file",
+    "not Gaussians": made_of('gaussians = "inside.ply"', "gaussians", "is not a .ply file"),
+    "Gaussians of an unknown kind": made_of(
+        'gaussians = "inside.obj"', "gaussians", "allowed: a name that ends in .ply, .splat, .spz"
     ),
-    "Gaussians of an unknown kind": (
-        'shape = { sphere = { center = [0, 0, 0], radius = "4 cm" } }',
-        'gaussians = "inside.obj"',
-        "object.ball.gaussians",
-        "allowed: a name that ends in .ply, .splat, .spz",
-    ),
-    "load on nothing": (
-        LAST,
-        LAST + '[[load]]\nobject = "ball"\nforce = [0, 0, 1]\n'
-        'region = { sphere = { center = [0, 0, 0], radius = "1 cm" } }\n',
-        "load.0.region",
+    "load on nothing": load_with(
+        'force = [0, 0, 1]\nregion = { sphere = { center = [0, 0, 0], radius = "1 cm" } }',
+        "region",
         "holds no particle of ball at the start",
     ),
-    "share of nothing": (
-        "position =",
-        'fraction_profile = { axis = "x", at = [0, 1], share = [0, 0] }\nposition =',
-        "object.ball.fraction_profile",
+    "share of nothing": ball(
+        'fraction_profile = { axis = "x", at = [0, 1], share = [0, 0] }',
+        "fraction_profile",
         "leaves no particle: its share is 0 everywhere",
     ),
-    "not a mesh": (
-        'shape = { sphere = { center = [0, 0, 0], radius = "4 cm" } }',
-        'mesh = "inside.ply"',
-        "object.ball.mesh",
-        "cannot be read as a mesh",
-    ),
+    "not a mesh": made_of('mesh = "inside.ply"', "mesh", "cannot be read as a mesh"),
 }
 
 
