@@ -96,5 +96,8 @@ class Kept:
     def count(self, name):
         return len(self.rows[name])
 
+    def width(self, name):
+        return int(np.prod(self.rows[name].shape[1:]))
+
     def read_rows(self, name, start, stop):
         return self.rows[name][start:stop]
