@@ -20,7 +20,6 @@ from .objects import Object
 from .scene import Scene
 from .sharing import rules
 
-# a step of one fluid particle on one core of an AVX-512 machine [ns]; see docs/performance.md
 BASE_CHANNELS = 13  # velocity 3, APIC matrix 9, rest volume 1
 MASTERY = {
     "solid": 0,
@@ -28,6 +27,7 @@ MASTERY = {
     "sand": 2,
     "fluid": 3,
 }  # whose surface gives the normal where two phases touch
+COLOUR_COST = 0.75  # of a coefficient of colour that travels, relative to a fluid's step
 REALS: dict[str, np.dtype] = {
     "single": np.dtype(np.float32),
     "double": np.dtype(np.float64),
@@ -204,7 +204,7 @@ def make_plan(
     groups = tuple(_shared(scene, group, sharing) for group in groups)
     colours = exchange(scene, phases, None if sharing is None else sharing.mix, shades)
     if colours is not None:
-        groups = tuple(g._replace(coefficients=int(colours.coefficients[g.phase])) for g in groups)
+        groups = tuple(_coloured(group, int(colours.coefficients[group.phase])) for group in groups)
     flip = scene.accuracy.flip if scene.accuracy.transfer == "flip" else 0.0
     splines = scene.accuracy.gradient == "splines"
     if splines and (scene.accuracy.transfer == "apic" or sharing is not None):
@@ -328,6 +328,11 @@ def _shared(scene: Scene, group: GroupPlan, sharing: Rules | None) -> GroupPlan:
                 dense=max(group.dense, group.density / sand.density),
             )
     return group
+
+
+def _coloured(group: GroupPlan, count: int) -> GroupPlan:
+    """The group with colours of `count` coefficients that travel with every step."""
+    return group._replace(coefficients=count, cost=group.cost + COLOUR_COST * count)
 
 
 def _friction(scene: Scene, groups, phases: int) -> tuple[tuple[float, ...], ...]:

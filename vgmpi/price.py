@@ -6,6 +6,7 @@ from .couplings.base import CONTACT, RULES
 from .plan import Plan, fastest
 from .scene import Scene
 
+# a step of one fluid particle on one core of an AVX-512 machine [ns]; see docs/performance.md
 NS_PER_PARTICLE = {"single": 45.0, "double": 90.0}
 
 
