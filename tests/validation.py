@@ -31,6 +31,7 @@ FIELDS = {
     "Solids": "bar cantilever beam spin metal foam plasticine solid",
     "Sand and snow": "sand snow granular",
     "Liquids": "dam poiseuille vortices viscosity hydrostatic fluid paste column",
+    "Colours": "colour",
     "Conservation and loads": "conservation loads",
 }
 OTHER = "Other"
