@@ -186,3 +186,21 @@ def test_higher_degrees_travel_with_fluids_alone(tmp_path, monkeypatch):
         want = Transfer(x[rows], (volume * J)[rows], simulation.plan.dx).smoothed(before)
         np.testing.assert_allclose(got[rows, :count], want, rtol=0, atol=1e-6)
         assert np.isnan(got[rows, count:]).all() and np.abs(want - before).max() > 0.1
+
+
+@pytest.mark.parametrize("unit", ["cm", "um"])
+def test_no_colour_leaves_the_range_of_the_others(unit, tmp_path):
+    """In single precision, with cells of a centimetre and of a micrometre."""
+    text = SCENE.replace("MORE", '[accuracy]\nprecision = "single"').replace(" cm", f" {unit}")
+    if unit == "um":  # as fast, in cells
+        text = text.replace("20 kPa", "2 Pa").replace("velocity = [0.5", "velocity = [0.005")
+    simulation, _ = begin(tmp_path, text)
+    first = exact(simulation)
+    for _ in range(60):
+        simulation.advance(simulation.bound())
+    last = exact(simulation)
+    assert np.array_equal(np.isnan(first), np.isnan(last))
+    span = np.nanmax(first, 0) - np.nanmin(first, 0)
+    assert (np.nanmin(last, 0) >= np.nanmin(first, 0) - 1e-6 * span).all()
+    assert (np.nanmax(last, 0) <= np.nanmax(first, 0) + 1e-6 * span).all()
+    assert np.nanmax(np.abs(last - first)) > 0.5
