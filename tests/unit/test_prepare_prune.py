@@ -81,7 +81,7 @@ def by_chance(piece, share, skin, seed):
     left = piece.cloud.select(kept)
     wider = replace(left, scale=left.scale * (share[kept] ** (-1 / 3))[:, None])
     heir = prune.heirs(piece.cloud.x, kept, skin)
-    return wider, prune.merged(piece.cloud, share, heir, kept)
+    return wider, prune.merged(piece.cloud, share, heir, kept, skin)
 
 
 def test_the_printed_ratios():
