@@ -13,8 +13,8 @@ from scipy.spatial import cKDTree
 from vgmpi.gaussians.cloud import Cloud, rotation_matrices
 
 WIDER = 0.36  # power of 1 / share by which those that stay are drawn wider
-OUTER = 0.14  # shift of the surface in units of a disc's width and of ln(1 / share)
-DEEP = 0.5  # width of a ball inside over its depth below the surface
+OUTER = 0.27  # shift of the surface over what a disc grows in width
+DEEP = 0.4  # width of a ball inside over its depth below the surface
 _INWARD = 8  # particles inside that tell where inside is
 
 
@@ -67,8 +67,8 @@ def merged(
         depth = cKDTree(cloud.x[skin]).query(x[~on])[0]
         wider[~on] = np.minimum(wider[~on], np.maximum(scale[~on], DEEP * depth[:, None]))
         outer = _facing(cloud.select(kept & skin), inner)
-        broad = np.sqrt(np.partition(scale[on], 0, axis=1)[:, 1:].prod(axis=1))
-        x[on] -= (OUTER * broad * np.log(share[kept & skin]))[:, None] * outer
+        grown = np.sqrt(np.partition(wider[on] - scale[on], 0, axis=1)[:, 1:].prod(axis=1))
+        x[on] += OUTER * grown[:, None] * outer
     return Cloud(x, cloud.quat[kept], wider, cloud.opacity[kept], mean(cloud.sh))
 
 

@@ -20,6 +20,7 @@ LARGEST = 0.7  # volume scale up to which the paper's ratios are printed
 _SEEN = 0.5  # power of what is seen of a Gaussian in the chance to be kept: measured best of 0..1
 _DETAIL = 0.6  # part of that chance that goes with the detail around it: likewise
 _TURNED = 0.25  # a change of colour that counts as much as one of direction by a radian
+_UNSEEN = 1e-3  # a change of colour that no picture shows
 _NEAR = 24  # neighbours on the surface among which detail is looked for
 _BITS = 21  # per axis of a place on the Morton curve: 63 in all
 _FINE = 1.03  # ratio of two parts between which "auto" does not look
@@ -130,17 +131,18 @@ def importance(cloud: Cloud, skin: np.ndarray) -> np.ndarray:
 def detail(cloud: Cloud) -> np.ndarray:
     """How much colour and direction change among the neighbours of each Gaussian of a surface (n,):
     their standard deviation, relative to its mean. Neighbours count by what is seen of them."""
-    area, thin = np.maximum(shown(cloud), 1e-300), thin_axes(cloud)
+    area, rgb, thin = np.maximum(shown(cloud), 1e-300), cloud.rgb, thin_axes(cloud)
     near = cKDTree(cloud.x).query(cloud.x, k=np.arange(1, min(_NEAR, len(cloud)) + 1))[1]
-    weight = area[near] / area[near].sum(axis=1, keepdims=True)
-    turned = 1 - np.einsum("nkj,nj->nk", thin[near], thin) ** 2  # an axis has no sign
-    square = _TURNED**2 * (weight * turned).sum(axis=1)
-    for channel in cloud.rgb.T:
-        mean = (weight * channel[near]).sum(axis=1)
-        square += (weight * (channel[near] - mean[:, None]) ** 2).sum(axis=1)
-    change = np.sqrt(np.maximum(square, 0.0))
-    mean = np.average(change, weights=area)
-    return change / mean if mean > 0 else np.ones(len(cloud))
+    total, mean, square = np.zeros(len(cloud)), np.zeros((len(cloud), 3)), np.zeros(len(cloud))
+    for row in near.T:  # one neighbour of each at a time: captures have millions of Gaussians
+        weight, other = area[row], rgb[row] - rgb
+        turned = 1 - (thin[row] * thin).sum(axis=1) ** 2  # an axis has no sign
+        total += weight
+        mean += weight[:, None] * other
+        square += weight * ((other**2).sum(axis=1) + _TURNED**2 * turned)
+    variance = square / total - ((mean / total[:, None]) ** 2).sum(axis=1)
+    change = np.sqrt(np.maximum(variance, _UNSEEN**2))
+    return change / np.average(change, weights=area)
 
 
 def shares(wanted: np.ndarray, group: np.ndarray, weight: np.ndarray) -> np.ndarray:
