@@ -90,7 +90,7 @@ def by_chance(
     """Pictures with some of the Gaussians, kept by chance.
 
     parts: rows (m,) of one part of a body and how many of them stay; rows in none all do. What
-    stays is drawn wider by the cube root of what it stands for, as pruning does.
+    stays is drawn wider by the cube root of what it stands for.
     """
     random = np.random.default_rng(seed)
     wider = np.ones(len(of[0].x))

@@ -1,15 +1,17 @@
 """python -m postprocess.study pruning: the paper's Table I, with and without pruning.
 
-Both scenes are run twice by `mpirun -n 2 python -m vgmpi`, as they stand (every object with
-`prune = "paper"` thinned) and with prune_scale = 1, which keeps every kernel. Both are drawn by
-the same 12 fixed cameras around the domain.
+Both scenes are run by `mpirun -n 2 python -m vgmpi`: with prune_scale = 1, which keeps every
+kernel; as they stand (every object with `prune = "paper"` thinned); and thinned with
+`passive = true`, by which the dropped kernels ride along and are drawn. All are drawn by the same
+12 fixed cameras around the domain.
 
 Simulation: wall time from the first frame after the start to the last one, by the times their
 files were written, over the number of frames between; start-up and compilation come before.
 Rendering: processor time of one core per picture, from the arrays of a frame to pixels, median.
-PSNR: pruned against not pruned, over all cameras; inside: where the pruned bodies, drawn alone and
-not pruned, cover more than half. By chance: as many kernels of each body's surface and inside,
-chosen at random and drawn as large, at frame 0; the best of three.
+Kernels: those that are simulated.
+PSNR: against the run without pruning, over all cameras; inside: where the pruned bodies, drawn
+alone and not pruned, cover more than half. By chance: as many kernels of each body's surface and
+inside, chosen at random and drawn wider, at frame 0; the best of three.
 """
 
 import argparse
@@ -32,6 +34,7 @@ from vgmpi.output.read import Run, RunError
 RUNS = Path(__file__).resolve().parents[1] / "runs"
 FRAME = 0.04  # [s] of the paper's configurations
 CHANCES = 3  # seeds
+WAYS = {"without": "prune_scale=1", "with": "", "passive": "passive=true"}  # changes of bodies
 
 
 @dataclass(frozen=True)
@@ -75,64 +78,66 @@ class Made:
 
 @dataclass(frozen=True)
 class Row:
-    """What was found of a scene; pairs are without and with pruning. psnr: at the first and the
-    last frame, each inside and of whole pictures; chance: the former inside, by chance [dB]."""
+    """A scene run in one of WAYS. kernels: simulated. simulation, colours: seconds per frame;
+    rendering: per picture. first, last: PSNR [dB] of these frames, each inside and of whole
+    pictures; chance: of the first, inside, by chance. None where there is none."""
 
     name: str
-    kernels: tuple[int, int]
-    simulation: tuple[float, float]
-    rendering: tuple[float, float]
-    colours: tuple[float, float]
-    first: tuple[float, float]
-    last: tuple[float, float]
-    chance: float
+    how: str
+    kernels: int
+    simulation: float
+    rendering: float
+    colours: float
+    first: tuple[float, float] | None = None
+    last: tuple[float, float] | None = None
+    chance: float | None = None
 
 
-def study(name: str, folder: Path, args: argparse.Namespace) -> Row:
-    """Run and draw a scene both ways. Raises StudyError, RunError."""
+def study(name: str, folder: Path, args: argparse.Namespace) -> list[Row]:
+    """Run and draw a scene in all ways. Raises StudyError, RunError."""
     path = RUNS / name / "scene.toml"
     things = tomllib.loads(path.read_text(encoding="utf-8"))["object"]
     pruned = [thing["name"] for thing in things if thing.get("prune", "off") != "off"]
     _assets(name)
-    whole = [f'object."{thing}".prune_scale=1' for thing in pruned]
-    full = simulated(path, folder / name / "whole", [*args.set, *whole], args)
-    thin = simulated(path, folder / name / "pruned", args.set, args)
-    looks = [Look(made.run) for made in (full, thin)]
+    made = []
+    for how, change in WAYS.items():
+        changes = [f'object."{thing}".{change}' for thing in pruned if change]
+        made.append(simulated(path, folder / name / how, [*args.set, *changes], args))
+    full, thin = made[:2]
+    looks = [Look(one.run) for one in made]
     views = likeness.cameras(full.run, args.pixels)
     alpha_min = min(look.alpha_min(None) for look in looks)
-    found = []
-    for index in (0, len(full.run) - 1):
-        found.append([likeness.portraits(look, index, views, alpha_min) for look in looks])
-    inside = [_inside(full, pruned, index, a, views, alpha_min) for index, (a, _) in
-              zip((0, -1), found)]  # fmt: skip
-    psnr = [
-        (
-            likeness.decibels(a.pictures, b.pictures, mask),
-            likeness.decibels(a.pictures, b.pictures),
-        )
-        for (a, b), mask in zip(found, inside)
-    ]
+    first, last = (
+        [likeness.portraits(look, index, views, alpha_min) for look in looks]
+        for index in (0, len(full.run) - 1)
+    )
+    at_first = _inside(full, pruned, 0, first[0], views, alpha_min)
+    at_last = _inside(full, pruned, -1, last[0], views, alpha_min)
     parts = _parts(full, thin, pruned)
-    still = found[0][0]
     chance = max(
         likeness.decibels(
-            still.pictures,
-            likeness.by_chance(still.splats, parts, views, alpha_min, seed),
-            inside[0],
+            first[0].pictures,
+            likeness.by_chance(first[0].splats, parts, views, alpha_min, seed),
+            at_first,
         )
         for seed in range(CHANCES)
     )
-    _picture(folder / f"{name}.png", [one.pictures[1] for one in found[-1]])
-    last = found[-1]
-    return Row(
-        name,
-        tuple(len(made.run.gaussians.object) for made in (full, thin)),
-        (full.seconds, thin.seconds),
-        tuple(one.seconds for one in last),
-        tuple(one.colours for one in last),
-        psnr[0],
-        psnr[1],
-        chance,
+    _picture(folder / f"{name}.png", [one.pictures[1] for one in last[:2]])
+    rows = []
+    for one, how, begun, ended in zip(made, WAYS, first, last):
+        measured = (len(one.run.gaussians.object), one.seconds, ended.seconds, ended.colours)
+        alike = ()
+        if one is not full:
+            alike = (_alike(first[0], begun, at_first), _alike(last[0], ended, at_last))
+        rows.append(Row(name, how, *measured, *alike, chance=chance if one is thin else None))
+    return rows
+
+
+def _alike(wanted, got, inside: list[np.ndarray]) -> tuple[float, float]:
+    """PSNR [dB] of portraits inside and of whole pictures."""
+    return (
+        likeness.decibels(wanted.pictures, got.pictures, inside),
+        likeness.decibels(wanted.pictures, got.pictures),
     )
 
 
@@ -213,25 +218,34 @@ def table(rows: list[Row], args: argparse.Namespace) -> str:
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:
-        known = KNOWN[row.name]
-        for k, how in enumerate(("without", "with")):
-            half = "yes" if row.simulation[k] <= known.simulation[k] / 2 else "no"
-            lines.append(
-                f"| {known.title} | {how} | {row.kernels[k]:,} | {known.kernels[k] // 1000}k |"
-                f" {row.simulation[k]:.2f} | {known.simulation[k]:.2f} | {half} |"
-                f" {row.rendering[k]:.3f} | {known.rendering[k]:.2f} | {row.colours[k]:.2f} |"
-            )
+        known, k = KNOWN[row.name], row.how != "without"
+        theirs = (
+            [
+                f"{known.kernels[k] // 1000}k",
+                *(f"{seconds[k]:.2f}" for seconds in (known.simulation, known.rendering)),
+            ]
+            if row.how != "passive"
+            else ["-"] * 3
+        )
+        half = "yes" if row.simulation <= known.simulation[k] / 2 else "no"
+        lines.append(
+            f"| {known.title} | {row.how} | {row.kernels:,} | {theirs[0]} |"
+            f" {row.simulation:.2f} | {theirs[1]} | {half} |"
+            f" {row.rendering:.3f} | {theirs[2]} | {row.colours:.2f} |"
+        )
     lines += [
-        "\n| scene | first frame, inside | by chance, inside | first frame, whole |"
+        "\n| scene | pruning | first frame, inside | by chance, inside | first frame, whole |"
         " last frame, inside | last frame, whole | paper, whole |",
-        "|---|---|---|---|---|---|---|",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:
-        lines.append(
-            f"| {KNOWN[row.name].title} | {row.first[0]:.2f} dB | {row.chance:.2f} dB |"
-            f" {row.first[1]:.2f} dB | {row.last[0]:.2f} dB | {row.last[1]:.2f} dB |"
-            f" {KNOWN[row.name].psnr:.2f} dB |"
-        )
+        if row.how == "without":
+            continue
+        thin = row.how == "with"
+        cells = [row.first[0], row.chance, row.first[1], *row.last]
+        cells.append(KNOWN[row.name].psnr if thin else None)
+        said = " | ".join("-" if cell is None else f"{cell:.2f} dB" for cell in cells)
+        lines.append(f"| {KNOWN[row.name].title} | {row.how} | {said} |")
     return "\n".join(lines) + "\n"
 
 
@@ -257,7 +271,7 @@ def main(argv: list[str] | None = None) -> int:
         return 2
     begin = time.monotonic()
     try:
-        rows = [study(name, args.output, args) for name in args.scenes]
+        rows = [row for name in args.scenes for row in study(name, args.output, args)]
         text = table(rows, args)
         video.write(args.output / "table_one.md", text.encode())
     except (StudyError, RunError, video.VideoError) as error:
