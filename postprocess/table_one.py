@@ -219,14 +219,10 @@ def table(rows: list[Row], args: argparse.Namespace) -> str:
     ]
     for row in rows:
         known, k = KNOWN[row.name], row.how != "without"
-        theirs = (
-            [
-                f"{known.kernels[k] // 1000}k",
-                *(f"{seconds[k]:.2f}" for seconds in (known.simulation, known.rendering)),
-            ]
-            if row.how != "passive"
-            else ["-"] * 3
-        )
+        theirs = ["-"] * 3
+        if row.how != "passive":
+            seconds = (f"{both[k]:.2f}" for both in (known.simulation, known.rendering))
+            theirs = [f"{known.kernels[k] // 1000}k", *seconds]
         half = "yes" if row.simulation <= known.simulation[k] / 2 else "no"
         lines.append(
             f"| {known.title} | {row.how} | {row.kernels:,} | {theirs[0]} |"

@@ -12,10 +12,13 @@ from scipy.spatial import cKDTree
 
 from vgmpi.gaussians.cloud import Cloud, rotation_matrices
 
-WIDER = 0.36  # power of 1 / share by which those that stay are drawn wider
+# measured best on made ducks and balls of 100 to 400 pixels across, and on a capture (docs)
+WIDER = 0.36  # power of what a disc stands for by which it is drawn wider: 0.5 keeps its area
+LAYERS = 2.0  # times that a surface stays covered, where it was: fewer let the inside through
 OUTER = 0.27  # shift of the surface over what a disc grows in width
 DEEP = 0.4  # width of a ball inside over its depth below the surface
 _INWARD = 8  # particles inside that tell where inside is
+_AROUND = 24  # neighbours on the surface that tell how often it is covered
 
 
 def shown(cloud: Cloud) -> np.ndarray:
@@ -60,8 +63,9 @@ def merged(
         sums = [np.bincount(heir, weight * column) for column in columns]
         return (np.stack(sums, axis=1) / total[:, None]).reshape(-1, *values.shape[1:])
 
-    x, scale = mean(cloud.x), cloud.scale[kept]
-    wider = scale * share[kept, None] ** -WIDER
+    x, scale, stands = mean(cloud.x), cloud.scale[kept], 1 / share[kept]
+    least = np.minimum(LAYERS / _layers(cloud, kept, skin), 1.0)  # of the area that stays
+    wider = scale * np.sqrt(stands * np.maximum(stands ** (2 * WIDER - 1), least))[:, None]
     on, inner = skin[kept], cloud.x[~skin]
     if on.any() and len(inner):
         depth = cKDTree(cloud.x[skin]).query(x[~on])[0]
@@ -70,6 +74,19 @@ def merged(
         grown = np.sqrt(np.partition(wider[on] - scale[on], 0, axis=1)[:, 1:].prod(axis=1))
         x[on] += OUTER * grown[:, None] * outer
     return Cloud(x, cloud.quat[kept], wider, cloud.opacity[kept], mean(cloud.sh))
+
+
+def _layers(cloud: Cloud, kept: np.ndarray, skin: np.ndarray) -> np.ndarray:
+    """How often the Gaussians around each kept one cover the surface (k,); infinite inside."""
+    found = np.full(int(kept.sum()), np.inf)
+    surface, on = cloud.select(skin), kept & skin
+    if on.any():
+        count = min(_AROUND, len(surface))
+        away, near = cKDTree(surface.x).query(cloud.x[on], k=np.arange(1, count + 1))
+        # the last one marks where the circle ends
+        covered = 2 * np.pi * shown(surface)[near[:, : max(count - 1, 1)]].sum(axis=1)
+        found[skin[kept]] = covered / np.maximum(np.pi * away[:, -1] ** 2, 1e-300)
+    return np.maximum(found, 1e-300)
 
 
 def _facing(cloud: Cloud, inner: np.ndarray) -> np.ndarray:
