@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.unit.test_prepare_fill import MIDDLE, shell
-from vgmpi.gaussians.cloud import Cloud
+from vgmpi.gaussians.cloud import Cloud, quaternion_product
 from vgmpi.prepare import fill, merge, prune, quality
 from vgmpi.prepare.mesh import toward
 
@@ -18,7 +18,9 @@ SPACING = 0.01
 def ball():
     """(cloud, volume, skin) of 20,000 discs, red above, blue below, around lattice points."""
     surface = shell()
-    surface = replace(surface, scale=surface.scale * 0.85 / 0.6)  # widths over spacing
+    over = quaternion_product(surface.quat, np.array([0.0, 1, 0, 0]))
+    quat = np.where(np.arange(len(over))[:, None] % 2, over, surface.quat)  # half upside down
+    surface = replace(surface, quat=quat, scale=surface.scale * 0.85 / 0.6)  # over spacing
     side = np.arange(-RADIUS, RADIUS, SPACING) + SPACING / 2
     inner = MIDDLE + np.stack(np.meshgrid(side, side, side), axis=-1).reshape(-1, 3)
     inner = inner[np.linalg.norm(inner - MIDDLE, axis=1) < RADIUS - SPACING]

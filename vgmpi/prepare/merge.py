@@ -14,7 +14,7 @@ from vgmpi.gaussians.cloud import Cloud, rotation_matrices
 
 # measured best on made ducks and balls of 100 to 400 pixels across, and on a capture (docs)
 WIDER = 0.36  # power of what a disc stands for by which it is drawn wider: 0.5 keeps its area
-LAYERS = 2.0  # times that a surface stays covered, where it was: fewer let the inside through
+LAYERS = 1.8  # times that a surface stays covered, where it was: fewer let the inside through
 OUTER = 0.27  # shift of the surface over what a disc grows in width
 DEEP = 0.4  # width of a ball inside over its depth below the surface
 _INWARD = 8  # particles inside that tell where inside is
