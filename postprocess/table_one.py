@@ -219,14 +219,14 @@ def table(rows: list[Row], args: argparse.Namespace) -> str:
     ]
     for row in rows:
         known, k = KNOWN[row.name], row.how != "without"
-        theirs = ["-"] * 3
+        theirs = ["-"] * 4
         if row.how != "passive":
             seconds = (f"{both[k]:.2f}" for both in (known.simulation, known.rendering))
-            theirs = [f"{known.kernels[k] // 1000}k", *seconds]
-        half = "yes" if row.simulation <= known.simulation[k] / 2 else "no"
+            half = "yes" if row.simulation <= known.simulation[k] / 2 else "no"
+            theirs = [f"{known.kernels[k] // 1000}k", *seconds, half]
         lines.append(
             f"| {known.title} | {row.how} | {row.kernels:,} | {theirs[0]} |"
-            f" {row.simulation:.2f} | {theirs[1]} | {half} |"
+            f" {row.simulation:.2f} | {theirs[1]} | {theirs[3]} |"
             f" {row.rendering:.3f} | {theirs[2]} | {row.colours:.2f} |"
         )
     lines += [
