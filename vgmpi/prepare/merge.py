@@ -73,6 +73,8 @@ def merged(
         outer = _facing(cloud.select(kept & skin), inner)
         grown = np.sqrt(np.partition(wider[on] - scale[on], 0, axis=1)[:, 1:].prod(axis=1))
         x[on] += OUTER * grown[:, None] * outer
+        # no further than the body reaches: it may lie against the edge of the domain
+        x = np.clip(x, cloud.x.min(axis=0), cloud.x.max(axis=0))
     return Cloud(x, cloud.quat[kept], wider, cloud.opacity[kept], mean(cloud.sh))
 
 
