@@ -89,31 +89,33 @@ class Passive:
         row[frame["id"]] = np.arange(len(frame["id"]))
         at = row[self.carriers]
         there = np.flatnonzero((at >= 0).all(axis=1))
-        at, weights = at[there], self.weights[there]
-        x, F = evolve.carried(
-            self.offset[there],
-            weights,
-            np.asarray(frame["x"], dtype=np.float64)[at],
-            np.asarray(frame["F"])[at],
-        )
-        color, rows = self.color, there
-        if "sh" in frame:  # it changes as that of its carriers does
-            change = np.asarray(frame["sh"])[at] - self.carriers_sh[self.carriers[there]]
-            change = np.einsum("pk,pkij->pij", weights, change).astype(np.float32)
-            color, rows = Colors(self.color.sh[there] + change), np.arange(len(there))
+        x, F = shade.carried(there, at, self.offset, self.weights, frame["x"], frame["F"])
+        color, rows = self._colors(frame, there, at)
         turning = np.flatnonzero(self.turns[there] & color.view_dependent[rows])
         cov = self._covariances(there, F)
-        return Part(x, cov, self.opacity[there], color, rows, turning, F[turning].reshape(-1, 9))
+        return Part(x, cov, self.opacity[there], color, rows, turning, F[turning])
+
+    def _colors(self, frame: dict, there: np.ndarray, at: np.ndarray) -> tuple[Colors, np.ndarray]:
+        """Colours, and which rows of them: they change as those of the carriers do."""
+        if "sh" not in frame:
+            return self.color, there
+        change = np.asarray(frame["sh"]) - self.carriers_sh[frame["id"]]
+        some = np.flatnonzero(change.any(axis=(1, 2))[at[there]].any(axis=1))
+        if not len(some):
+            return self.color, there
+        sh, those = self.color.sh[there], there[some]
+        more = np.einsum("pk,pkij->pij", self.weights[those], change[at[those]])
+        sh[some] += more.astype(np.float32)
+        return Colors(sh), np.arange(len(there))
 
     def _covariances(self, there: np.ndarray, F: np.ndarray) -> np.ndarray:
         """[m2], (n, 6); a rider has no volume of its own: as a ball it is as large as at rest."""
-        cov, rule, J = self.cov0[there], self.rule[there], np.linalg.det(F)
-        for how, changed in (
-            (FOLLOW, lambda of: evolve.solid(cov[of], F[of])),
-            (SWELL, lambda of: evolve.solid(cov[of], evolve.swollen(J[of]))),
-            (BALL, lambda of: evolve.rounded(cov[of], J[of])),
-            (ROUND, lambda of: evolve.rounded(cov[of], J[of])),
-        ):
-            if (rule == how).any():
-                cov[rule == how] = changed(rule == how)
+        cov, rule = self.cov0[there], self.rule[there]
+        if len(of := np.flatnonzero(rule == FOLLOW)):
+            shade.solid(self.cov0, there, of, F, cov)
+        if len(of := np.flatnonzero(rule > FOLLOW)):
+            J = np.linalg.det(F[of].reshape(-1, 3, 3))
+            swells = rule[of] == SWELL
+            cov[of[swells]] = evolve.solid(cov[of[swells]], evolve.swollen(J[swells]))
+            cov[of[~swells]] = evolve.rounded(cov[of[~swells]], J[~swells])
         return cov

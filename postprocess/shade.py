@@ -126,3 +126,26 @@ def solid(
     if wild.any():  # torn or inverted: rare, and left to the numpy version
         torn = rows[wild]
         out[torn] = evolve.solid(cov0[ids[torn]], F[torn])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def carried(there, at, offset, weights, x, F):
+    """Positions [m] (m, 3) and F (m, 9) of Gaussians `there` (m,) that ride along with k particles.
+
+    Of all riders: at (p, k): rows of their carriers; offset (p, k, 3): from the carriers at rest to
+    the Gaussian at rest [m]; weights (p, k). Of the carriers now: x (n, 3) [m], F (n, 9). x = sum w
+    (x + F offset), F = sum w F: exact where the carriers' motion is affine.
+    """
+    places, gradients = np.zeros((len(there), 3)), np.zeros((len(there), 9))
+    for n in range(len(there)):
+        p = there[n]
+        for k in range(weights.shape[1]):
+            i, w = at[p, k], weights[p, k]
+            a, b, c = offset[p, k, 0], offset[p, k, 1], offset[p, k, 2]
+            for r in range(3):
+                f, g, h = float(F[i, 3 * r]), float(F[i, 3 * r + 1]), float(F[i, 3 * r + 2])
+                places[n, r] += w * (float(x[i, r]) + f * a + g * b + h * c)
+                gradients[n, 3 * r] += w * f
+                gradients[n, 3 * r + 1] += w * g
+                gradients[n, 3 * r + 2] += w * h
+    return places, gradients

@@ -75,21 +75,6 @@ def solid(cov0: np.ndarray, F: np.ndarray) -> np.ndarray:
     return out
 
 
-def carried(
-    offset: np.ndarray, weights: np.ndarray, x: np.ndarray, F: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Positions [m] (p, 3) and F (p, 3, 3) of Gaussians that ride along with k particles each.
-
-    offset: from the carriers at rest to the Gaussian at rest [m] (p, k, 3). weights: (p, k). x
-    (p, k, 3) [m], F (p, k, 9): of the carriers now. x = sum w (x + F offset), F = sum w F: exact
-    where the carriers' motion is affine.
-    """
-    F = np.asarray(F, dtype=np.float64).reshape(*weights.shape, 3, 3)
-    blended = np.einsum("pk,pkij->pij", weights, F)
-    moved = np.einsum("pk,pki->pi", weights, x)
-    return moved + np.einsum("pk,pkij,pkj->pi", weights, F, offset, optimize=True), blended
-
-
 def rotation(F: np.ndarray) -> np.ndarray:
     """Proper polar factors R of F = R S, (n, 3, 3), for F (n, 9) or (n, 3, 3).
 
