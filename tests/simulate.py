@@ -8,7 +8,7 @@ from tests.scenes import scene
 from vgmpi.domain.ranks import Alone
 from vgmpi.prepare.build import Prepared, build
 from vgmpi.prepare.motion import gradient
-from vgmpi.solver.run import known_of, plan_for
+from vgmpi.solver.prepared import known_of, plan_for
 from vgmpi.solver.state import by_id
 from vgmpi.solver.step import Simulation
 from vgmpi.solver.timestep import next_step

@@ -48,10 +48,9 @@ def _quoted(value: Any) -> str:
 def plan(scene: Scene, ranks: Alone | None = None) -> Plan:
     """What a scene needs: particles, phases, memory, time step. Collective; makes the particles and
     lets them go. `vgmpi.plan(scene).bytes()`."""
-    from .solver import run as runs
+    from .solver.prepared import plan_for, prepare
 
-    known = runs.prepare(scene, ranks or Alone(), None)
-    return runs.plan_for(scene, known)
+    return plan_for(scene, prepare(scene, ranks or Alone(), None))
 
 
 class Run:

@@ -143,27 +143,16 @@ def _command(given: argparse.Namespace, ranks: Alone) -> int:
     refusal = _slurm_mismatch(ranks)
     if refusal:
         return _refuse([refusal], ranks)
-    # numba comes in here: --check stays quick
-    from .solver import run as runs
+    if not (given.plan or given.prepare):
+        return _run(scene, folder, given, ranks)
+    from .solver import prepared  # --check stays quick
 
-    known = (
-        runs.prepare(scene, ranks, folder if given.prepare else None)
-        if given.plan or given.prepare
-        else None
-    )
+    known = prepared.prepare(scene, ranks, folder if given.prepare else None)
     if given.prepare:
         if ranks.rank == 0:
             print(f"{sum(known.count):,} particles in {folder / layout.GAUSSIANS}")
         return 0
-    if given.plan:
-        return _plan(scene, known, given, ranks)
-    return _run(scene, folder, given, ranks)
-
-
-def _plan(scene: Scene, known, given: argparse.Namespace, ranks: Alone) -> int:
-    from .solver import run as runs
-
-    plan = runs.plan_for(scene, known)
+    plan = prepared.plan_for(scene, known)
     if ranks.rank == 0:
         print(describe(scene, plan, ranks.size))
     refusal = too_large(plan.bytes(), ranks)
@@ -171,14 +160,14 @@ def _plan(scene: Scene, known, given: argparse.Namespace, ranks: Alone) -> int:
 
 
 def _run(scene: Scene, folder: Path, given: argparse.Namespace, ranks: Alone) -> int:
-    from .solver import report
+    from .solver import prepared, report  # numba comes in here
     from .solver import run as runs
     from .solver.state import Mismatch
 
     resume = _resume_from(given.resume, folder, ranks)
     options = runs.Options(folder, given.threads, resume, given.stop_steps, given.stop_seconds)
-    known = runs.prepare(scene, ranks, folder)
-    plan = runs.plan_for(scene, known)
+    known = prepared.prepare(scene, ranks, folder)
+    plan = prepared.plan_for(scene, known)
     refusal = too_large(plan.bytes(), ranks)
     if refusal and not given.force:
         return _refuse([refusal + "; --force runs it anyway"], ranks)

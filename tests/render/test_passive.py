@@ -21,7 +21,7 @@ from vgmpi.output.read import Run, inspect
 from vgmpi.prepare import quality
 from vgmpi.prepare.build import build
 from vgmpi.prepare.passive import CARRIERS, bound
-from vgmpi.solver.run import prepare
+from vgmpi.solver.prepared import prepare
 from vgmpi.splatting.splat import render
 
 RIDING = 'mesh = "duck.obj"\nprune = "auto"\npassive = true'

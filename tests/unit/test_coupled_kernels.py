@@ -10,7 +10,7 @@ from tests.reference import Body
 from tests.scenes import scene
 from vgmpi.domain.ranks import Alone
 from vgmpi.prepare.build import build
-from vgmpi.solver.run import known_of, plan_for
+from vgmpi.solver.prepared import known_of, plan_for
 from vgmpi.solver.step import Simulation
 
 HEAD = """

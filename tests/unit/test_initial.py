@@ -115,7 +115,7 @@ def test_it_gets_into_the_run(tmp_path, precision):
 def test_files_carry_it(tmp_path):
     """gaussians.h5 has theta0 only if something is compressed."""
     from vgmpi.domain.ranks import Alone
-    from vgmpi.solver.run import prepare
+    from vgmpi.solver.prepared import prepare
 
     for key, there in (('compressed = "hydrostatic"', True), ("", False)):
         known = scene(tmp_path, text() + key)

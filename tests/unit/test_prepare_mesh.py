@@ -9,7 +9,7 @@ from tests.scenes import ROOM, scene
 from vgmpi.gaussians.cloud import rotation_matrices
 from vgmpi.prepare import mesh, shapes
 from vgmpi.prepare.mesh import Mesh, MeshError
-from vgmpi.solver.run import digest
+from vgmpi.solver.prepared import digest
 
 
 def ball(radius=0.1, middle=(0.31, 0.27, 0.22), rings=24):

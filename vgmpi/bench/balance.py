@@ -13,7 +13,7 @@ from ..domain.balance import by_block, cuts, imbalance, loads, owners, recut
 from ..domain.ranks import Alone
 from ..prepare.build import build
 from ..scene import load
-from ..solver.run import known_of, plan_for
+from ..solver.prepared import known_of, plan_for
 from ..solver.step import Simulation
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from ..domain.ranks import Alone
 from ..prepare.build import build
 from ..scene import load
-from ..solver.run import known_of, plan_for
+from ..solver.prepared import known_of, plan_for
 from ..solver.step import Simulation
 from .own import Stages
 

@@ -10,7 +10,8 @@ import numpy as np
 from ..domain.ranks import Alone, world
 from ..output import layout, rest
 from ..scene import load
-from ..solver.run import Options, begin, digest, plan_for, prepare, versions
+from ..solver.prepared import digest, plan_for, prepare
+from ..solver.run import Options, begin, versions
 from ..solver.watch import ledger
 from .scene import STEPS, BenchError, to_dense
 

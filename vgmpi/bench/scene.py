@@ -18,7 +18,7 @@ from vgmpi.materials.base import function
 from vgmpi.output import layout, rest
 from vgmpi.prepare.build import build
 from vgmpi.scene import Scene, load
-from vgmpi.solver.run import digest
+from vgmpi.solver.prepared import digest
 
 # the least a material needs to be valid, where its defaults are not enough
 KEYS: dict[str, dict] = {

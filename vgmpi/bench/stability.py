@@ -15,7 +15,7 @@ from ..domain.ranks import Alone
 from ..materials import registry
 from ..prepare.build import build
 from ..scene import load
-from ..solver.run import known_of, plan_for
+from ..solver.prepared import known_of, plan_for
 from ..solver.step import BlowUp, Simulation
 from ..solver.watch import ledger
 from .extreme_scenes import DX, WATER, box, coupling, of_law, toml

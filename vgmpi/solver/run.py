@@ -1,7 +1,5 @@
 """A run from scene to files: prepare, plan, step, write, stop."""
 
-import hashlib
-import json
 import logging
 import platform
 import subprocess
@@ -11,18 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from ..colours import shades
 from ..domain.ranks import Alone
-from ..output import checkpoint, layout, rest, store
+from ..output import checkpoint, layout
 from ..output.frames import Frames
 from ..output.ledger import Ledger
-from ..output.read import RunError, read_gaussians
-from ..plan import Plan, make_plan
-from ..prepare import texture
-from ..prepare.loads import find
+from ..plan import Plan
 from ..prepare.motion import gradient
 from ..price import describe
 from ..scene import Scene
+from .prepared import Prepared, on_all, plan_for, prepare, share
 from .probes import Probes
 from .requests import Requests
 from .state import frame_rows, restore, save
@@ -49,128 +44,6 @@ class Options:
     watchers: list = field(default_factory=list)  # each called with (run) at every frame
 
 
-@dataclass
-class Prepared:
-    """What all ranks know of the particles before they hold any."""
-
-    objects: list[dict]
-    volume: list[float]
-    center: list[list[float]]  # of mass [m]
-    colliders: list
-    loads: list
-    shades: np.ndarray | None = None  # of the objects' colours (colours.shades), where they travel
-    rows: dict | None = None  # on rank 0, where there is no gaussians.h5: its datasets
-
-    @property
-    def count(self) -> list[int]:
-        return [thing["count"] for thing in self.objects]
-
-
-def prepare(scene: Scene, ranks: Alone, folder: Path | None) -> Prepared:
-    """Make the particles on rank 0 and write gaussians.h5 (or keep them, if folder is None).
-    Collective.
-
-    Particles already there from the same objects are used again. Raises SceneError on all ranks.
-    """
-    said, known, rows = None, None, None
-    if ranks.rank == 0:
-        try:
-            known, rows = _particles(scene, folder)
-        except Exception as error:  # every rank must hear of it, or they wait for ever
-            said = error
-    said = ranks.bcast(said)
-    if said is not None:
-        raise said
-    known = ranks.bcast(known)
-    if folder is None and ranks.rank == 0:
-        known.rows = rows[1]
-    if folder is not None and ranks.bcast(rows is not None):
-        scenery, rows, passive = rows or (None, None, None)
-        rest.write(
-            folder / layout.GAUSSIANS,
-            ranks,
-            rows,
-            known.objects,
-            scenery,
-            scene.resolved(),
-            digest(scene),
-            passive,
-        )
-    return known
-
-
-def _particles(scene: Scene, folder: Path | None):
-    """On rank 0: what all shall know, and (scenery, rows, passive) to write, None if they are on
-    disk."""
-    path = folder / layout.GAUSSIANS if folder is not None else None
-    moving = not any(thing.collider for thing in scene.object)
-    if path is not None and moving and rest.digest(path) == digest(scene):
-        log.info("particles as prepared before: %s", path)
-        found = read_gaussians(path)
-        loads = find(scene, found.x0, found.vol0, found.object)
-        return _known(scene, found.objects, found, found.x0, [], loads), None
-    from ..prepare.build import build  # scipy comes with it: only the rank that prepares waits
-
-    made = build(scene)
-    rows = {
-        "x0": made.x,
-        "vol0": made.vol0,
-        "object": made.object,
-        "cov0": made.cov0,
-        "opacity": made.opacity,
-        "sh": made.sh,
-    }
-    if made.v0.any():
-        rows["v0"] = made.v0
-    if made.theta0.any():
-        rows["theta0"] = made.theta0
-    scenery = None
-    if made.scenery is not None:
-        s = made.scenery
-        scenery = {"x0": s.x, "object": s.object, "cov0": s.cov0, "opacity": s.opacity, "sh": s.sh}
-    passive = None
-    if made.passive is not None:
-        p = made.passive
-        passive = {"x0": p.x, "object": p.object, "cov0": p.cov0, "opacity": p.opacity, "sh": p.sh}
-        passive |= {"carriers": p.carriers, "weights": p.weights}
-    return known_of(scene, made), (scenery, rows, passive)
-
-
-def known_of(scene: Scene, made) -> Prepared:
-    """What all ranks shall know of what prepare.build made."""
-    return _known(scene, made.objects, made, made.x, made.colliders, made.loads)
-
-
-def _known(scene, objects, rest, x, colliders, loads) -> Prepared:
-    """rest: object (n,) of each particle, vol0 (n,) [m3] and sh (n, K, 3). x: (n, 3) [m]."""
-    thing, volume, x = (np.asarray(rows) for rows in (rest.object, rest.vol0, x))
-    total = np.bincount(thing, volume, minlength=len(objects))
-    moment = [np.bincount(thing, volume * x[:, a], minlength=len(objects)) for a in range(3)]
-    center = (np.array(moment) / np.maximum(total, 1e-300)).T
-    travel = scene.appearance.colour_transfer == "step"
-    hues = shades(len(objects), rest.object, rest.sh) if travel else None
-    return Prepared(objects, total.tolist(), center.tolist(), colliders, loads, hues)
-
-
-def plan_for(scene: Scene, known: Prepared) -> Plan:
-    """What the scene needs with these particles. Raises SceneError."""
-    colliders = bool(known.colliders)
-    return make_plan(scene, known.count, known.volume, colliders, known.center, known.shades)
-
-
-def digest(scene: Scene) -> str:
-    """What the particles depend on: the scene's text as resolved, the files it reads, this
-    program's version.
-    """
-    seal = hashlib.sha256(json.dumps(scene.resolved(), sort_keys=True).encode())
-    for name in sorted(scene.files):
-        for path in (Path(scene.files[name]), *texture.files(Path(scene.files[name]))):
-            seal.update(path.read_bytes())
-    for path in sorted(Path(__file__).parent.parent.glob("prepare/*.py")):
-        seal.update(path.read_bytes())
-    return seal.hexdigest()
-
-
 def begin(
     scene: Scene, plan: Plan, known: Prepared, ranks: Alone, options: Options
 ) -> tuple[Simulation, int]:
@@ -181,44 +54,16 @@ def begin(
     simulation = Simulation(plan, ranks, known.colliders, options.threads, known.loads)
     if options.resume is not None:
         path = options.resume
-        with _on_all(ranks, path, lambda: checkpoint.open(path)) as saved:
+        with on_all(ranks, path, lambda: checkpoint.open(path)) as saved:
             restore(simulation, saved)
             return simulation, saved.attrs["frame"]
-    ids, rows = _share(plan, known, ranks, options.folder)
+    ids, rows = share(plan, known, ranks, options.folder)
     v = rows.get("v0", np.zeros_like(rows["x0"]))
     C = gradient(scene, rows["x0"], rows["object"])
     simulation.put(
         rows["x0"], v, rows["vol0"], ids, rows["object"], rows.get("theta0"), C, rows.get("sh")
     )
     return simulation, 0
-
-
-def _share(plan: Plan, known: Prepared, ranks: Alone, folder: Path | None):
-    """Ids and rows of the particles this rank brings: of a file an equal share, without a file all
-    on rank 0.
-    """
-    if folder is None:
-        rows = known.rows
-        if rows is None:
-            none = np.zeros(0)
-            rows = {"x0": np.zeros((0, 3)), "vol0": none, "object": none.astype(np.int32)}
-        return np.arange(len(rows["x0"])), rows
-    total = plan.particles
-    first, last = total * ranks.rank // ranks.size, total * (ranks.rank + 1) // ranks.size
-    path = folder / layout.GAUSSIANS
-    rows = _on_all(ranks, path, lambda: rest.read_slice(path, first, last))
-    return np.arange(first, last), rows
-
-
-def _on_all(ranks: Alone, path: Path, action):
-    """action() on every rank; what fails on one is the same StoreError on all. Collective."""
-    found, error = None, None
-    try:
-        found = action()
-    except (OSError, checkpoint.CheckpointError, RunError) as caught:
-        error = caught
-    store.agree(ranks, error, path, "read")
-    return found
 
 
 class Run:
