@@ -244,7 +244,7 @@ class SplattingSettings(_Table):
 
 
 class LookSettings(_Table):
-    """How Gaussians follow their particles. None: what the scene says (vgmpi/settings.py)."""
+    """How Gaussians follow their particles. None: what the scene says (vgmpi/scene/settings.py)."""
 
     colour_transfer: Literal["off", "frame", "relax"] | None = None  # step is the run's own
     colour_time: Annotated[float, Field(gt=0)] | None = None  # s

@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from vgmpi.scene import Scene, load
+from vgmpi.scene.reader import load
+from vgmpi.scene.scene import Scene
 
 # a room, and stuff for the objects that a test adds
 ROOM = """

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from . import scene as scenes
 from .domain.ranks import Alone, world
 from .output.read import Run as read
 from .plan import Plan
-from .scene import Scene
+from .scene import reader
+from .scene.scene import Scene
 from .tables import SceneError
 
 __all__ = ["Run", "SceneError", "load", "plan", "read", "run"]
@@ -29,7 +29,7 @@ def load(
     """
     if isinstance(overrides, Mapping):
         overrides = [f"{key}={_toml(value)}" for key, value in overrides.items()]
-    return scenes.load(path, tuple(overrides), text)
+    return reader.load(path, tuple(overrides), text)
 
 
 def _toml(value: Any) -> str:

@@ -11,7 +11,8 @@ from pathlib import Path
 from .domain.ranks import Alone, world
 from .output import checkpoint, layout, read, store
 from .price import describe
-from .scene import Scene, load
+from .scene.reader import load
+from .scene.scene import Scene
 from .solver.requests import listen
 from .tables import SceneError
 

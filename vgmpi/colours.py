@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .gaussians.sh import COEFFICIENTS
-from .scene import Scene
+from .scene.scene import Scene
 
 
 class Exchange(NamedTuple):

@@ -4,7 +4,7 @@ import math
 
 from .couplings.base import CONTACT, RULES
 from .plan import Plan, fastest
-from .scene import Scene
+from .scene.scene import Scene
 
 # a step of one fluid particle on one core of an AVX-512 machine [ns]; see docs/performance.md
 NS_PER_PARTICLE = {"single": 45.0, "double": 90.0}

@@ -3,7 +3,7 @@
 import numpy as np
 
 from .couplings.base import DRAG, MIXING, Rules
-from .scene import Scene
+from .scene.scene import Scene
 
 
 def rules(scene: Scene, groups, phases) -> Rules | None:

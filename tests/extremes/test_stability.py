@@ -9,7 +9,7 @@ import pytest
 
 from vgmpi.bench import stability
 from vgmpi.bench.stability import COUPLED, DEFAULT, Case, Column
-from vgmpi.settings import Time
+from vgmpi.scene.settings import Time
 
 MARGIN = 2.0
 ALL = stability.cases([], list(stability.TRANSFERS), list(stability.PRECISIONS))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.simulate import advance, begin, by_id, totals
-from vgmpi.loads import mean_share
+from vgmpi.scene.loads import mean_share
 
 BLOCK = """
 [domain]

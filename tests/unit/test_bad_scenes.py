@@ -6,7 +6,7 @@ Each case is a change of one good scene; the line is that of the text which hold
 import pytest
 
 from vgmpi.prepare.build import build
-from vgmpi.scene import load
+from vgmpi.scene.reader import load
 from vgmpi.tables import SceneError
 
 GOOD = """\

@@ -13,7 +13,7 @@ from vgmpi.gaussians.sh import dc_from_rgb, rotate
 from vgmpi.prepare.build import build
 from vgmpi.prepare.mesh import toward
 from vgmpi.prepare.pieces import shaded
-from vgmpi.scene import load
+from vgmpi.scene.reader import load
 from vgmpi.tables import SceneError
 
 GUITAR = Path(__file__).resolve().parents[3] / "shared" / "data" / "guitar.compressed.ply"

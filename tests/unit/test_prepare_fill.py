@@ -6,11 +6,11 @@ from scipy import ndimage
 
 from vgmpi.gaussians.cloud import Cloud
 from vgmpi.gaussians.sh import dc_from_rgb
-from vgmpi.objects import Select
 from vgmpi.prepare import fill
 from vgmpi.prepare.mesh import toward
 from vgmpi.prepare.select import selected
 from vgmpi.prepare.voxels import Voxels, covered, share_by_count, share_by_neighbours, volumes
+from vgmpi.scene.objects import Select
 
 MIDDLE = np.array([0.313, 0.271, 0.226])
 

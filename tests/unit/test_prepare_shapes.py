@@ -5,13 +5,13 @@ import pytest
 from scipy.spatial import cKDTree
 
 from tests.scenes import ROOM, scene
-from vgmpi.forms import Shape, shape_complaints
-from vgmpi.objects import Object
 from vgmpi.prepare import shapes
 from vgmpi.prepare.build import build
 from vgmpi.prepare.collider import ShapeCollider, VoxelCollider
 from vgmpi.prepare.place import PlacementError, axis_rotation, place
 from vgmpi.prepare.voxels import Voxels
+from vgmpi.scene.forms import Shape, shape_complaints
+from vgmpi.scene.objects import Object
 
 SHAPES = {
     "box": ({"box": [[-0.2, 0.1, 0.0], [0.3, 0.3, 0.25]]}, 0.5 * 0.2 * 0.25),

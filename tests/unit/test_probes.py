@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import vgmpi
-from vgmpi.probes import Probe
+from vgmpi.scene.probes import Probe
 from vgmpi.solver import probes
 
 # 3 x 3 x 10.5 cells of water, at rest: the surface lies in the middle of a cell

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from vgmpi import reference
-from vgmpi.objects import Object
-from vgmpi.scene import load, phase_of
-from vgmpi.settings import Domain
+from vgmpi.scene import reference
+from vgmpi.scene.objects import Object
+from vgmpi.scene.reader import load
+from vgmpi.scene.scene import phase_of
+from vgmpi.scene.settings import Domain
 from vgmpi.tables import SceneError
 
 ROOT = Path(__file__).resolve().parents[2]

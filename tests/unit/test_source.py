@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vgmpi.source import Source, key_lines
+from vgmpi.scene.source import Source, key_lines
 from vgmpi.tables import SceneError
 
 TEXT = '''# comment with = and [brackets]

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..domain.ranks import Alone
 from ..prepare.build import build
-from ..scene import load
+from ..scene.reader import load
 from ..solver.prepared import known_of, plan_for
 from ..solver.step import Simulation
 from .own import Stages

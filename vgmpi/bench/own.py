@@ -9,7 +9,7 @@ import numpy as np
 
 from ..domain.ranks import Alone, world
 from ..output import layout, rest
-from ..scene import load
+from ..scene.reader import load
 from ..solver.prepared import digest, plan_for, prepare
 from ..solver.run import Options, begin, versions
 from ..solver.watch import ledger

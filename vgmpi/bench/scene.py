@@ -17,7 +17,8 @@ from vgmpi.materials import registry
 from vgmpi.materials.base import function
 from vgmpi.output import layout, rest
 from vgmpi.prepare.build import build
-from vgmpi.scene import Scene, load
+from vgmpi.scene.reader import load
+from vgmpi.scene.scene import Scene
 from vgmpi.solver.prepared import digest
 
 # the least a material needs to be valid, where its defaults are not enough

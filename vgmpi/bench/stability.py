@@ -14,7 +14,7 @@ import numpy as np
 from ..domain.ranks import Alone
 from ..materials import registry
 from ..prepare.build import build
-from ..scene import load
+from ..scene.reader import load
 from ..solver.prepared import known_of, plan_for
 from ..solver.step import BlowUp, Simulation
 from ..solver.watch import ledger

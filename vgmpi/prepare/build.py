@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from vgmpi.gaussians.checked import GaussianFileError
-from vgmpi.objects import Object
 from vgmpi.plan import deforms
 from vgmpi.prepare.collider import Collider
 from vgmpi.prepare.initial import begun
@@ -19,7 +18,8 @@ from vgmpi.prepare.passive import bound
 from vgmpi.prepare.pieces import Piece, make
 from vgmpi.prepare.place import PlacementError
 from vgmpi.prepare.voxels import Voxels
-from vgmpi.scene import Scene
+from vgmpi.scene.objects import Object
+from vgmpi.scene.scene import Scene
 
 log = logging.getLogger("vgmpi")
 

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from vgmpi.forms import Shape
 from vgmpi.prepare import shapes
 from vgmpi.prepare.place import Placement, turn
 from vgmpi.prepare.voxels import Voxels
+from vgmpi.scene.forms import Shape
 
 
 @dataclass(frozen=True)

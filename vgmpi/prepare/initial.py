@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from vgmpi.objects import Object
 from vgmpi.prepare.pieces import Piece, spacing_of
 from vgmpi.prepare.place import PlacementError
-from vgmpi.scene import Scene
+from vgmpi.scene.objects import Object
+from vgmpi.scene.scene import Scene
 
 
 def begun(scene: Scene, thing: Object, piece: Piece) -> Piece:

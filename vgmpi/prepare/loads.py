@@ -4,10 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vgmpi.loads import FACES, Load
 from vgmpi.prepare.pieces import spacing_of
 from vgmpi.prepare.shapes import TIE, distance
-from vgmpi.scene import Scene
+from vgmpi.scene.loads import FACES, Load
+from vgmpi.scene.scene import Scene
 
 
 class Loaded(NamedTuple):

@@ -4,8 +4,8 @@ velocity of its particles and, since a step carries it along, its gradient.
 
 import numpy as np
 
-from vgmpi.objects import Object
-from vgmpi.scene import Scene
+from vgmpi.scene.objects import Object
+from vgmpi.scene.scene import Scene
 
 
 def velocity(thing: Object, x: np.ndarray, volume: np.ndarray) -> np.ndarray:

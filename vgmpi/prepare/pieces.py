@@ -10,13 +10,13 @@ from vgmpi.gaussians import files
 from vgmpi.gaussians.cloud import Cloud
 from vgmpi.gaussians.evolve import BALLS
 from vgmpi.gaussians.sh import dc_from_rgb
-from vgmpi.objects import Object
 from vgmpi.prepare import fill, mesh, prune, shapes
 from vgmpi.prepare.collider import Collider, ShapeCollider, VoxelCollider
 from vgmpi.prepare.place import Placement, PlacementError, place, turn
 from vgmpi.prepare.select import selected
 from vgmpi.prepare.voxels import Voxels, share_by_count, share_by_neighbours, volumes
-from vgmpi.scene import Scene
+from vgmpi.scene.objects import Object
+from vgmpi.scene.scene import Scene
 
 log = logging.getLogger("vgmpi")
 

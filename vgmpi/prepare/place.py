@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vgmpi.gaussians.cloud import Cloud
-from vgmpi.objects import Object
+from vgmpi.scene.objects import Object
 
 # rows: the file's axes that become x, y and z
 _UP = {

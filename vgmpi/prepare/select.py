@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from vgmpi.gaussians.cloud import Cloud
-from vgmpi.objects import Select
+from vgmpi.scene.objects import Select
 
 NEIGHBOURS = 8
 

@@ -5,7 +5,7 @@ Distances are in the shape's own coordinates [m], negative inside.
 
 import numpy as np
 
-from vgmpi.forms import Cone, Rod, Shape, Torus
+from vgmpi.scene.forms import Cone, Rod, Shape, Torus
 
 # Lattice points are judged this share of a spacing up from where they lie, so that a face that
 # runs exactly through a layer of points takes the layer at the low side and leaves the one at the

@@ -15,7 +15,7 @@ from ..output.read import RunError, read_gaussians
 from ..plan import Plan, make_plan
 from ..prepare import texture
 from ..prepare.loads import find
-from ..scene import Scene
+from ..scene.scene import Scene
 
 log = logging.getLogger("vgmpi")
 

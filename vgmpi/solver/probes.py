@@ -13,8 +13,8 @@ from ..kernels.records import STATE, VOLUME
 from ..materials.base import function
 from ..output import layout
 from ..output.ledger import Rows
-from ..probes import Probe
-from ..scene import Scene
+from ..scene.probes import Probe
+from ..scene.scene import Scene
 from .step import Simulation
 from .watch import about
 

@@ -16,7 +16,7 @@ from ..output.ledger import Ledger
 from ..plan import Plan
 from ..prepare.motion import gradient
 from ..price import describe
-from ..scene import Scene
+from ..scene.scene import Scene
 from .prepared import Prepared, on_all, plan_for, prepare, share
 from .probes import Probes
 from .requests import Requests

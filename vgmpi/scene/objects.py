@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, model_validator
 
-from vgmpi.forms import Axis, Color, Corners, Shape, Sphere, shape_complaints
+from vgmpi.scene.forms import Axis, Color, Corners, Shape, Sphere, shape_complaints
 from vgmpi.tables import Length, Point, Positive, Quantity, Share, Table, nearest
 
 SOURCES = ("gaussians", "mesh", "shape")

@@ -60,6 +60,26 @@ class Source:
                 return line, f"{self.path}:{line}"
         return 1, f"{self.path}:1"
 
+    def lines(self, errors: list[tuple[tuple, str]]) -> list[str]:
+        """One line per error, in the order of the file."""
+        placed = []
+        for path, said in errors:
+            line, where = self.place(path)
+            placed.append((line, f"{where}: {self.key(path)}: {said}"))
+        placed.sort(key=lambda item: item[0])
+        return list(dict.fromkeys(said for _, said in placed))
+
+    def key(self, path: tuple) -> str:
+        """The path as a user would write it: objects by name where they have one."""
+        parts = [str(part) for part in path]
+        if len(path) > 1 and path[0] in ("object", "probe"):
+            try:
+                name = self.data[path[0]][path[1]]["name"]
+                parts[1] = name if isinstance(name, str) else parts[1]
+            except (KeyError, TypeError, IndexError):
+                pass
+        return ".".join(parts)
+
     def overridden(self, path: tuple) -> bool:
         """Whether the value of this key came from the command line."""
         return any(path[:stop] in self._set for stop in range(1, len(path) + 1))

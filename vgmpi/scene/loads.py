@@ -5,8 +5,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator
 
-from vgmpi.forms import Shape, shape_complaints
-from vgmpi.objects import body_complaint
+from vgmpi.scene.forms import Shape, shape_complaints
+from vgmpi.scene.objects import body_complaint
 from vgmpi.tables import Quantity, Table
 
 Newton = Annotated[float, Quantity("N")]

@@ -7,7 +7,8 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from vgmpi import couplings, forms, loads, materials, objects, probes, settings
+from vgmpi import couplings, materials
+from vgmpi.scene import forms, loads, objects, probes, settings
 from vgmpi.tables import Quantity, same_units
 
 _INTRO = """# The scene file

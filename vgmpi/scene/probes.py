@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator
 
-from vgmpi.objects import body_complaint, checked_name
+from vgmpi.scene.objects import body_complaint, checked_name
 from vgmpi.tables import Length, Point, Quantity, Table
 
 KINDS = ("pressure", "level", "velocity", "object", "wall")

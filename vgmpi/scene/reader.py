@@ -1,104 +1,22 @@
-"""The scene: a TOML file read into typed, checked, frozen tables.
+"""From the tables of a TOML file to a checked scene, or to all that is wrong with it."""
 
-`python -m vgmpi.scene > docs/scene.md` writes the reference of every key from these tables.
-"""
-
-import logging
 import math
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
 from vgmpi import couplings, materials
-from vgmpi.loads import Load, load_complaints
-from vgmpi.objects import Object, body_complaint, object_complaints
-from vgmpi.probes import Probe, probe_complaints
-from vgmpi.settings import (
-    MOST_CELLS,
-    SECTIONS,
-    Accuracy,
-    Appearance,
-    Domain,
-    Output,
-    Time,
-    Top,
-)
-from vgmpi.source import Source
+from vgmpi.scene.loads import Load, load_complaints
+from vgmpi.scene.objects import Object, body_complaint, object_complaints
+from vgmpi.scene.probes import Probe, probe_complaints
+from vgmpi.scene.scene import Scene, mixed, phase_of
+from vgmpi.scene.settings import MOST_CELLS, SECTIONS, Domain, Top
+from vgmpi.scene.source import Source
 from vgmpi.tables import SceneError, explain, got, nearest
-
-log = logging.getLogger("vgmpi")
 
 REQUIRED = ("domain", "time", "material", "object")
 LISTS = ("object", "coupling", "load", "probe")
-
-
-@dataclass(frozen=True)
-class Scene:
-    """Everything a scene file says, with defaults filled in. SI units.
-
-    `object` and `coupling` are in file order; `folder` is where the file lies; `text` is its text,
-    without the overrides, which `overrides` lists.
-    """
-
-    path: Path
-    folder: Path
-    text: str
-    title: str
-    seed: int
-    domain: Domain
-    time: Time
-    material: dict[str, Any]
-    object: tuple[Object, ...]
-    coupling: tuple[Any, ...] = ()
-    load: tuple[Load, ...] = ()
-    probe: tuple[Probe, ...] = ()
-    appearance: Appearance = Appearance()
-    accuracy: Accuracy = Accuracy()
-    output: Output = Output()
-    files: dict[str, Path] = field(default_factory=dict)  # of each object that has one, by its name
-    overrides: tuple[str, ...] = ()
-    source: Source | None = field(default=None, repr=False, compare=False)
-
-    def phase_of(self, thing: Object) -> str | None:
-        """Name of the velocity field a body shares; None for scenery."""
-        if thing.material is None:
-            return None
-        return phase_of(thing, self.material[thing.material].family, mixed(self.coupling))
-
-    def error(self, found: list[tuple[tuple, str]]) -> SceneError:
-        """The error for (path of a key, what is wrong with it), found after loading."""
-        reader = _Reader(self.source or Source(self.path, self.overrides))
-        return SceneError(reader.lines(found))
-
-    def resolved(self) -> dict[str, Any]:
-        """Everything with defaults filled in, as plain JSON values."""
-        tables = {name: getattr(self, name).model_dump(mode="json") for name in SECTIONS}
-        return {
-            "title": self.title,
-            "seed": self.seed,
-            **tables,
-            "material": {k: m.model_dump(mode="json") for k, m in self.material.items()},
-            "object": [o.model_dump(mode="json", exclude_none=True) for o in self.object],
-            "coupling": [c.model_dump(mode="json") for c in self.coupling],
-            "load": [x.model_dump(mode="json", exclude_none=True) for x in self.load],
-            "probe": [p.model_dump(mode="json", exclude_none=True) for p in self.probe],
-        }
-
-
-def phase_of(thing: Object, family: str, mixed: frozenset[str] = frozenset()) -> str:
-    """Name of the velocity field a body shares: all fluids one, but those of a material that is
-    `mixed` with another; all sand, all snow one each; every solid its own."""
-    alone = {"solid": thing.name, "fluid": thing.material if thing.material in mixed else family}
-    return thing.phase or alone.get(family, family)
-
-
-def mixed(couplings) -> frozenset[str]:
-    """Names of the materials that mix with others. couplings: tables of the scene, or raw ones."""
-    raw = [c if isinstance(c, dict) else c.model_dump() for c in couplings]
-    named = [c.get("between") for c in raw if str(c.get("kind", "")).startswith("mixing")]
-    return frozenset(n for pair in named if isinstance(pair, list | tuple) for n in pair)
 
 
 def load(
@@ -110,10 +28,10 @@ def load(
     Raises SceneError with all errors in the order of the file: "file:line: key: what is wrong".
     """
     source = Source(path, overrides, text)
-    return _Reader(source).scene(tuple(overrides))
+    return Reader(source).scene(tuple(overrides))
 
 
-class _Reader:
+class Reader:
     """Collects the errors of all tables of one source before any is raised."""
 
     def __init__(self, source: Source):
@@ -185,27 +103,7 @@ class _Reader:
 
     def finish(self) -> None:
         if self.errors:
-            raise SceneError(self.lines(self.errors))
-
-    def lines(self, errors: list[tuple[tuple, str]]) -> list[str]:
-        """One line per error, in the order of the file."""
-        placed = []
-        for path, said in errors:
-            line, where = self.source.place(path)
-            placed.append((line, f"{where}: {self.key(path)}: {said}"))
-        placed.sort(key=lambda item: item[0])
-        return list(dict.fromkeys(said for _, said in placed))
-
-    def key(self, path: tuple) -> str:
-        """The path as a user would write it: objects by name where they have one."""
-        parts = [str(part) for part in path]
-        if len(path) > 1 and path[0] in ("object", "probe"):
-            try:
-                name = self.source.data[path[0]][path[1]]["name"]
-                parts[1] = name if isinstance(name, str) else parts[1]
-            except (KeyError, TypeError, IndexError):
-                pass
-        return ".".join(parts)
+            raise SceneError(self.source.lines(self.errors))
 
     def table(self, table: type[BaseModel], raw: Any, path: tuple) -> Any:
         """The validated table, or None after its errors are noted."""
@@ -383,16 +281,3 @@ class _Reader:
         else:
             return there.resolve()
         return None
-
-
-def reference() -> str:
-    """docs/scene.md: every key with unit, default and meaning."""
-    from vgmpi.reference import scene_reference
-
-    return scene_reference()
-
-
-if __name__ == "__main__":
-    import sys
-
-    sys.stdout.write(reference())
