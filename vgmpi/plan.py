@@ -27,7 +27,7 @@ MASTERY = {
     "sand": 2,
     "fluid": 3,
 }  # whose surface gives the normal where two phases touch
-COLOUR_COST = 0.75  # of a coefficient of colour that travels, relative to a fluid's step
+COLOUR_COST = 0.6  # of a coefficient of colour that travels, relative to a fluid's step
 REALS: dict[str, np.dtype] = {
     "single": np.dtype(np.float32),
     "double": np.dtype(np.float64),

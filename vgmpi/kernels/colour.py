@@ -13,12 +13,13 @@ from ..device.jit import inline, kernel
 from ..device.memory import aligned
 from ..device.select import select
 from ..domain.topology import Topology
-from .g2p import columns, values
+from .g2p import values
 from .lanes import load, place, store
 from .nodes import fourth_of
+from .p2g import scatter
 from .patches import clear, gather, pull, push
-from .records import BATCH, PATCH, PLANE, ROW, parts, present, reach, weigh
-from .rows import repeat, spread, store_records, stretch
+from .records import BATCH, PATCH, parts, present, reach, weigh
+from .rows import load_records, spread, store_records
 
 
 class Layer:
@@ -72,7 +73,7 @@ def collect(
             weigh(n, at, cap, flat_xi, flat, base, weights)
             present(law, n, at, cap, flat, volumes)
             _shades(n, flat, at + channel * cap, cap, volumes, records)
-            _scatter(n, records, weights, base, patch)
+            scatter(n, records, weights, base, patch)
         if kept >= 0:
             for c in range(PATCH):
                 patches[kept, c] = patch[c]
@@ -95,22 +96,6 @@ def _shades(count, f, at, cap, volumes, records):
                 zero, zero, zero, zero, zero, zero, zero, zero,
             ),
         )  # fmt: skip
-
-
-@inline
-def _scatter(count, records, weights, base, patch):
-    """Add the first four numbers of each record to the patch by their weights."""
-    for n in range(count):
-        m = 16 * n
-        o = np.int64(base[n])
-        row = repeat(records, m) * stretch(weights, m + 8)
-        a, b, c = weights[m + 4] * row, weights[m + 5] * row, weights[m + 6] * row
-        for i in range(3):
-            u = weights[m + i]
-            store(patch, o, load(patch, o) + u * a)
-            store(patch, o + ROW, load(patch, o + ROW) + u * b)
-            store(patch, o + 2 * ROW, load(patch, o + 2 * ROW) + u * c)
-            o += PLANE
 
 
 @kernel
@@ -162,4 +147,13 @@ def take(segments, start, count, table, xi, f, channel, grid, scratch, base):
             at = start[s] + first
             weigh(n, at, cap, flat_xi, flat, base, weights)
             values(n, records, weights, base, patch)
-            columns(n, records, flat, channel * cap + at, cap)
+            for m in range(16 * n, 16 * ((n + 15) & ~15)):
+                records[m] = 0  # unused places stay so
+            for m in range(0, n, 16):
+                red, green, blue, _, _, _, _, _, _, _, _, _, _, _, _, _ = load_records(
+                    records, 16 * m
+                )
+                p = channel * cap + at + m
+                store(flat, p, red)
+                store(flat, p + cap, green)
+                store(flat, p + 2 * cap, blue)

@@ -37,7 +37,7 @@ from .walls import SIDE, fold
 
 
 @inline
-def _scatter(count, records, weights, base, patch):
+def scatter(count, records, weights, base, patch):
     """Add records to the patch, nine rows each; particles with one base row are summed first."""
     k = steps(patch)
     zero = spread(patch, 0.0)
@@ -98,7 +98,7 @@ def _scatter(count, records, weights, base, patch):
 
 @inline
 def _scatter_slopes(count, records, weights, base, patch):
-    """As `_scatter`, with the gradients of the B-splines in place of weight times offset."""
+    """As `scatter`, with the gradients of the B-splines in place of weight times offset."""
     middle, change = slope_middle(patch), slope_change(patch)
     for n in range(count):
         m = 16 * n
@@ -176,7 +176,7 @@ def p2g(
                 if numbers.splines > 0.0 and wanted != 1:
                     _scatter_slopes(n, records, weights, base, patch)
                 else:
-                    _scatter(n, records, weights, base, patch)
+                    scatter(n, records, weights, base, patch)
             fold(nodes, mirror[s], wanted == 1)
             if kept >= 0:
                 _keep(patch, wanted, kept, patches, volumes, apart)
