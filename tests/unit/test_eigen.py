@@ -96,7 +96,9 @@ def check(m, found):
     exact = m.astype(np.longdouble)
     d, q = found[:3].T.astype(np.longdouble), found[3:].T.reshape(-1, 3, 3).astype(np.longdouble)
     norm = np.sqrt((exact**2).sum((1, 2)))
-    want = np.linalg.eigvalsh(m.astype(np.float64))
+    # LAPACK loses digits where the squares of entries are denormal numbers
+    lost = np.abs(m) < 1e-30 * norm[:, None, None]
+    want = np.linalg.eigvalsh(np.where(lost, 0.0, m).astype(np.float64))
     off = np.abs(np.sort(d, 1) - want).max(1)
     back = np.abs(with_values(d, q) - exact).max((1, 2))
     unit = np.abs(np.einsum("nij,nik->njk", q, q) - np.eye(3)).max((1, 2))
@@ -128,6 +130,7 @@ entries = strategies.floats(-1e6, 1e6)
 
 
 @hypothesis.settings(max_examples=400, deadline=None)
+@hypothesis.example((1.07026443e-154, 1.07026443e-154, 0.0, 0.0, 5.0, 1.07026443e-154))
 @hypothesis.given(strategies.tuples(*[entries] * 6))
 def test_eigen_of_whatever_comes(a):
     for real in REALS:
