@@ -10,7 +10,7 @@ from postprocess.painter import domain_box
 from vgmpi.output.read import Run
 from vgmpi.splatting import splat
 from vgmpi.splatting.camera import HEIGHT, Camera, look_at, orbit_eye, overview
-from vgmpi.splatting.decibels import decibels as decibels_of
+from vgmpi.splatting.decibels import decibels
 from vgmpi.splatting.splat import Splats
 
 CAMERAS, FOV = 12, 40.0  # around the domain, all of it in view; degrees
@@ -107,11 +107,11 @@ def by_chance(
     return out
 
 
-def decibels(
+def psnr(
     wanted: list[np.ndarray], got: list[np.ndarray], inside: list[np.ndarray] | None = None
 ) -> float:
     """Peak signal-to-noise ratio [dB] over all pictures; inside: of these pixels only."""
     squares = [((a.astype(np.float64) - b) ** 2).mean(axis=2) for a, b in zip(wanted, got)]
     if inside is not None:
         squares = [square[mask] for square, mask in zip(squares, inside)]
-    return decibels_of(np.concatenate([square.ravel() for square in squares]))
+    return decibels(np.concatenate([square.ravel() for square in squares]))

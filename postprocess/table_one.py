@@ -115,7 +115,7 @@ def study(name: str, folder: Path, args: argparse.Namespace) -> list[Row]:
     at_last = _inside(full, pruned, -1, last[0], views, alpha_min)
     parts = _parts(full, thin, pruned)
     chance = max(
-        likeness.decibels(
+        likeness.psnr(
             first[0].pictures,
             likeness.by_chance(first[0].splats, parts, views, alpha_min, seed),
             at_first,
@@ -136,8 +136,8 @@ def study(name: str, folder: Path, args: argparse.Namespace) -> list[Row]:
 def _alike(wanted, got, inside: list[np.ndarray]) -> tuple[float, float]:
     """PSNR [dB] of portraits inside and of whole pictures."""
     return (
-        likeness.decibels(wanted.pictures, got.pictures, inside),
-        likeness.decibels(wanted.pictures, got.pictures),
+        likeness.psnr(wanted.pictures, got.pictures, inside),
+        likeness.psnr(wanted.pictures, got.pictures),
     )
 
 

@@ -85,16 +85,16 @@ def test_the_same_run_twice_is_alike_and_none_kept_is_not(made):
     views = likeness.cameras(look.run, 64)
     assert len(views) == 12
     shown = likeness.portraits(look, 0, views, 1 / 255)
-    assert likeness.decibels(shown.pictures, shown.pictures) == np.inf
+    assert likeness.psnr(shown.pictures, shown.pictures) == np.inf
     paler = [picture - 0.01 for picture in shown.pictures]
-    assert likeness.decibels(shown.pictures, paler) == pytest.approx(40, abs=1e-3)
+    assert likeness.psnr(shown.pictures, paler) == pytest.approx(40, abs=1e-3)
     rows = np.arange(len(shown.splats[0].x))
     everything = likeness.masks(shown.splats, rows, views, 1 / 255)
     assert all(0.02 < mask.mean() < 0.6 for mask in everything)
     all_kept = likeness.by_chance(shown.splats, [(rows, len(rows))], views, 1 / 255, 1)
-    assert likeness.decibels(shown.pictures, all_kept) == np.inf
+    assert likeness.psnr(shown.pictures, all_kept) == np.inf
     half = likeness.by_chance(shown.splats, [(rows, len(rows) // 2)], views, 1 / 255, 1)
-    assert 15 < likeness.decibels(shown.pictures, half, everything) < 45
+    assert 15 < likeness.psnr(shown.pictures, half, everything) < 45
 
 
 @pytest.mark.parametrize("words", [[], ["nothing"], ["pruning", "--frames", "1"]])

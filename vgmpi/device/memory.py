@@ -12,3 +12,10 @@ def aligned(shape: int | tuple[int, ...], dtype) -> np.ndarray:
     raw = np.zeros(size + LINE, np.uint8)
     first = -raw.ctypes.data % LINE
     return raw[first : first + size].view(dtype).reshape(shape)
+
+
+def grown(array: np.ndarray, rows: int) -> np.ndarray:
+    """The array itself if it has the rows, else a larger one; its content is not kept."""
+    if rows <= len(array):
+        return array
+    return aligned((rows + rows // 4, *array.shape[1:]), array.dtype)

@@ -10,10 +10,10 @@ colour: nodes beyond them are nodes like others, as in splatting/colour.py, whic
 import numpy as np
 
 from ..device.jit import inline, kernel
-from ..device.memory import aligned
+from ..device.memory import aligned, grown
 from ..device.select import select
 from ..domain.topology import Topology
-from .g2p import values
+from .g2p import rest, values
 from .lanes import load, place, store
 from .nodes import fourth_of
 from .p2g import scatter
@@ -35,11 +35,8 @@ class Layer:
     def adopt(self, topology: Topology, kept: np.ndarray) -> None:
         """Make room for the patches that are kept: (patches,) bool."""
         self.slot = np.where(kept, np.cumsum(kept) - 1, -1)
-        count, real = int(kept.sum()), self.grid.dtype
-        if count > len(self.patches):
-            self.patches = aligned((count + count // 4, PATCH), real)
-        if len(topology.phase) > len(self.grid):
-            self.grid = aligned((len(topology.phase) * 5 // 4, 256), real)
+        self.patches = grown(self.patches, int(kept.sum()))
+        self.grid = grown(self.grid, len(topology.phase))
         # boxes of ghost patches that do not arrive stay zero
         self.patches[self.slot[kept & ~topology.own]] = 0
 
@@ -147,12 +144,9 @@ def take(segments, start, count, table, xi, f, channel, grid, scratch, base):
             at = start[s] + first
             weigh(n, at, cap, flat_xi, flat, base, weights)
             values(n, records, weights, base, patch)
-            for m in range(16 * n, 16 * ((n + 15) & ~15)):
-                records[m] = 0  # unused places stay so
+            rest(n, records)
             for m in range(0, n, 16):
-                red, green, blue, _, _, _, _, _, _, _, _, _, _, _, _, _ = load_records(
-                    records, 16 * m
-                )
+                red, green, blue = load_records(records, 16 * m)[:3]
                 p = channel * cap + at + m
                 store(flat, p, red)
                 store(flat, p + cap, green)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..device.memory import aligned
+from ..device.memory import aligned, grown
 from ..domain.blocks import BITS, EDGE
 from ..domain.state import Group
 from ..domain.topology import Topology
@@ -144,26 +144,26 @@ class Cpu:
     def _make_room(self) -> None:
         """Patches, offsets and nodes of the size these tables ask for."""
         t = self.topology
-        self.patches = _room(self.patches, int((self.slot >= 0).sum()))
-        self.grid = _room(self.grid, len(t.phase))
+        self.patches = grown(self.patches, int((self.slot >= 0).sum()))
+        self.grid = grown(self.grid, len(t.phase))
         self.flat_patches = self.patches.reshape(len(self.patches), records.PATCH)
         self.flat_grid = self.grid.reshape(len(self.grid), 256)
         if self.apart:
-            self.flux = _room(self.flux, len(t.phase))
+            self.flux = grown(self.flux, len(t.phase))
             if self.drift is not None:
-                self.drift = _room(self.drift, len(t.phase))
-            self.forces = _room(self.forces, len(self.patches))
+                self.drift = grown(self.drift, len(t.phase))
+            self.forces = grown(self.forces, len(self.patches))
             self.forces = self.forces.reshape(len(self.forces), records.PATCH)
             self.forces[self.slot[~t.own]] = 0
             self.force_slot = np.where(t.split, self.slot, -1)
-            self.forces_grid = _room(self.forces_grid, len(t.phase))
+            self.forces_grid = grown(self.forces_grid, len(t.phase))
             self.forces_grid = self.forces_grid.reshape(len(self.forces_grid), 256)
             self.forces_grid[:] = 0
         touches = t.asked.any()
-        self.offsets = _room(self.offsets, len(self.patches) if touches else 0)
+        self.offsets = grown(self.offsets, len(self.patches) if touches else 0)
         self.flat_offsets = self.offsets.reshape(len(self.offsets), records.PATCH)
         self.offset_slot = np.where(t.offsets, self.slot, -1)
-        self.offsets_grid = _room(self.offsets_grid, len(t.phase) if touches else 0)
+        self.offsets_grid = grown(self.offsets_grid, len(t.phase) if touches else 0)
         self.flat_offsets_grid = self.offsets_grid.reshape(len(self.offsets_grid), 256)
         self.offsets_grid[:] = 0
         # boxes of ghost patches that do not arrive stay zero
@@ -332,13 +332,6 @@ def filled_by_one(t: Topology, filler: np.ndarray) -> tuple[np.ndarray, np.ndarr
     lowest = np.minimum.reduceat(fillers, first)
     by = np.where(lowest == np.maximum.reduceat(fillers, first), lowest, -1)
     return by, np.where(by[t.table] >= 0, t.table, -1)
-
-
-def _room(array: np.ndarray, rows: int) -> np.ndarray:
-    """The array itself if it has the rows, else a larger one; its content is not kept."""
-    if rows <= len(array):
-        return array
-    return aligned((rows + rows // 4, *array.shape[1:]), array.dtype)
 
 
 class _Shares:

@@ -67,8 +67,6 @@ def _gather(count, records, weights, base, patch):
         store_sum(records, m + 4, total_x * w + weights[m + 3] * total)
         store_sum(records, m + 8, total_y * w + weights[m + 7] * total)
         store_sum(records, m + 12, total * (k + weights[m + 12]))
-    for m in range(16 * count, 16 * ((count + 15) & ~15)):
-        records[m] = 0  # unused places stay at rest
 
 
 @inline
@@ -96,8 +94,6 @@ def _gather_slopes(count, records, weights, base, patch):
         store_sum(records, m + 4, gx * w)
         store_sum(records, m + 8, gy * w)
         store_sum(records, m + 12, total * (middle + change * weights[m + 12]))
-    for m in range(16 * count, 16 * ((count + 15) & ~15)):
-        records[m] = 0
 
 
 @inline
@@ -113,6 +109,13 @@ def values(count, records, weights, base, patch):
             total = total + weights[m + i] * t
             o += PLANE
         store_sum(records, m, total * stretch(weights, m + 8))
+
+
+@inline
+def rest(count, records):
+    """Nothing in the records behind the last one, up to a whole vector: unused places stay so."""
+    for m in range(16 * count, 16 * ((count + 15) & ~15)):
+        records[m] = 0
 
 
 @inline
@@ -175,6 +178,7 @@ def g2p(
                 _gather_slopes(n, records, weights, base, patch)
             else:
                 _gather(n, records, weights, base, patch)
+            rest(n, records)
             _move(
                 law, n, at, cap, flat_xi, flat, ids, records, flux, drift, flip, apart, extra,
                 numbers, limit[s], 2.0**bits, dither, dt, cfl, report,

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator
 
 from vgmpi.scene.forms import Shape, shape_complaints
-from vgmpi.scene.objects import body_complaint
+from vgmpi.scene.objects import body_complaint, one_complaint
 from vgmpi.tables import Quantity, Table
 
 Newton = Annotated[float, Quantity("N")]
@@ -86,12 +86,7 @@ def load_complaints(
     """(path, text) for what is wrong with one load beside its values. load: as read, None if that
     failed; role: see objects.body_complaint.
     """
-    found: list[tuple[tuple, str]] = []
-    given = [key for key in STRENGTHS if key in raw]
-    if not given:
-        found.append(((), f"pushes with nothing: give one of {', '.join(STRENGTHS)}"))
-    if len(given) > 1:
-        found.append(((given[1],), f"{' and '.join(given)} given at once: give exactly one"))
+    found = one_complaint(raw, STRENGTHS, "pushes with nothing")
     if "pressure" in raw and "face" not in raw:
         found.append((("face",), f"required with pressure: one of {', '.join(FACES)}"))
     if "face" in raw and "pressure" not in raw:

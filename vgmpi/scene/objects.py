@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, model_validator
@@ -222,6 +223,16 @@ def body_complaint(name: Any, role: dict[str, str] | None) -> str:
     return "" if role[name] == "body" else f"'{name}' is scenery: it has no mass and does not move"
 
 
+def one_complaint(raw: dict, keys: Iterable[str], without: str) -> list[tuple[tuple, str]]:
+    """(path, text) where not exactly one of `keys` is given; without: what a table lacks then."""
+    given = [key for key in keys if key in raw]
+    if not given:
+        return [((), f"{without}: give one of {', '.join(keys)}")]
+    if len(given) > 1:
+        return [((given[1],), f"{' and '.join(given)} given at once: give exactly one")]
+    return []
+
+
 def object_complaints(raw: dict) -> list[tuple[tuple, str]]:
     """(path, text) for every pair of keys of one object that do not go together.
 
@@ -230,10 +241,7 @@ def object_complaints(raw: dict) -> list[tuple[tuple, str]]:
     """
     found: list[tuple[tuple, str]] = []
     sources = [key for key in SOURCES if key in raw]
-    if not sources:
-        found.append(((), f"has no source: give one of {', '.join(SOURCES)}"))
-    if len(sources) > 1:
-        found.append(((sources[1],), f"{' and '.join(sources)} given at once: give exactly one"))
+    found += one_complaint(raw, SOURCES, "has no source")
     sizes = [key for key in SIZES if key in raw]
     if len(sizes) > 1:
         found.append(((sizes[1],), f"{' and '.join(sizes)} given at once: give one"))

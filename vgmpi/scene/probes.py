@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator
 
-from vgmpi.scene.objects import body_complaint, checked_name
+from vgmpi.scene.objects import body_complaint, checked_name, one_complaint
 from vgmpi.tables import Length, Point, Quantity, Table
 
 KINDS = ("pressure", "level", "velocity", "object", "wall")
@@ -67,12 +67,7 @@ def probe_complaints(
     """(path, text) for what is wrong with one probe beside its values. probe: as read, None if
     that failed; role: see objects.body_complaint; size: of the domain [m]; fluid: is there any.
     """
-    found: list[tuple[tuple, str]] = []
-    given = [key for key in KINDS if key in raw]
-    if not given:
-        found.append(((), f"measures nothing: give one of {', '.join(KINDS)}"))
-    if len(given) > 1:
-        found.append(((given[1],), f"{' and '.join(given)} given at once: give exactly one"))
+    found = one_complaint(raw, KINDS, "measures nothing")
     if "rate" not in raw and "every" not in raw:
         found.append(((), "needs a rate or an every"))
     if "rate" in raw and "every" in raw:
