@@ -10,7 +10,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from tests.scenes import scene
-from vgmpi.plan import make_plan
+from vgmpi.planning.plan import make_plan
 from vgmpi.prepare.build import build
 
 # two fluids in one phase, a solid in another, every kind of wall and a post; soft, so that

@@ -6,8 +6,8 @@ import numpy as np
 from numba import njit
 
 from vgmpi.device import jit as _jit  # noqa: F401  (the cache folder)
-from vgmpi.kernels import lanes
-from vgmpi.kernels.laws import store_state
+from vgmpi.lanes import lanes
+from vgmpi.lanes.laws import store_state
 
 ENGINES = ("arrays", "scalars", "compiled", "lanes")
 

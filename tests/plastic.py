@@ -3,8 +3,8 @@
 import numpy as np
 from numba import njit
 
-from vgmpi.kernels import lanes, laws
-from vgmpi.kernels.laws import lane_state, store_state
+from vgmpi.lanes import lanes, laws
+from vgmpi.lanes.laws import lane_state, store_state
 from vgmpi.materials.base import law_owner
 
 REALS = (np.float32, np.float64)

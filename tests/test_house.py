@@ -18,11 +18,12 @@ LAYERS = [
     {"cli", "__main__", "api"},
     {"solver"},
     {"prepare"},
+    {"engines"},
     {"kernels"},
+    {"lanes"},
     {"output"},
     {"domain"},
-    {"plan", "price"},
-    {"sharing", "colours"},
+    {"planning"},
     {"scene"},
     {"materials", "couplings"},
     {"tables"},
@@ -46,13 +47,14 @@ OUTSIDE = {  # packages that only some files may use
     "numba": (
         "vgmpi/device/",
         "vgmpi/kernels/",
+        "vgmpi/lanes/",
         "vgmpi/splatting/",
         "vgmpi/bench/plain.py",
         "postprocess/",
     ),
     "llvmlite": (
         "vgmpi/device/processor.py",
-        "vgmpi/kernels/",
+        "vgmpi/lanes/",
     ),
     "pyvista": ("postprocess/",),
     "viser": ("postprocess/replay.py",),
@@ -66,6 +68,7 @@ OUTSIDE = {  # packages that only some files may use
 COMPILED = (
     "vgmpi/device/",
     "vgmpi/kernels/",
+    "vgmpi/lanes/",
     "vgmpi/domain/sorting.py",
     "vgmpi/domain/halo.py",
     "vgmpi/domain/balance.py",
@@ -105,7 +108,7 @@ def imports(file):
 
 
 def part(name):
-    """kernels for vgmpi.kernels.cpu or vgmpi/kernels/cpu.py."""
+    """kernels for vgmpi.kernels.grid or vgmpi/kernels/grid.py."""
     return name.removesuffix(".py").replace("/", ".").split(".")[1]
 
 
@@ -150,17 +153,17 @@ def test_imports_run_one_way(file):
 @pytest.mark.parametrize(
     "file, imported",
     [
-        ("vgmpi/domain/halo.py", "vgmpi.kernels.cpu"),
+        ("vgmpi/domain/halo.py", "vgmpi.engines.cpu"),
         ("vgmpi/materials/fluid.py", "vgmpi.scene"),
         ("vgmpi/device/tensor.py", "vgmpi.tables"),
         ("vgmpi/couplings/contact.py", "vgmpi.gaussians.sh"),
         ("vgmpi/gaussians/sh.py", "vgmpi.device.tensor"),
         ("vgmpi/solver/step.py", "mpi4py"),
         ("vgmpi/solver/step.py", "vgmpi.cli"),
-        ("vgmpi/plan.py", "numba"),
+        ("vgmpi/planning/plan.py", "numba"),
         ("vgmpi/solver/step.py", "vgmpi.device.jit"),
         ("vgmpi/prepare/build.py", "h5py"),
-        ("postprocess/render.py", "vgmpi.kernels.laws"),
+        ("postprocess/render.py", "vgmpi.lanes.laws"),
         ("postprocess/render.py", "vgmpi.output.store"),
         ("vgmpi/scene/scene.py", "postprocess.render"),
         ("vgmpi/cli.py", "vgmpi.bench.rounds"),

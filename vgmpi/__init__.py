@@ -7,21 +7,8 @@ Nothing is loaded before it is asked for.
 """
 
 import importlib
-import sys
-import types
 
 __all__ = ["Run", "SceneError", "load", "plan", "read", "run"]
-
-
-class _Package(types.ModuleType):
-    """`plan` is the function, also after vgmpi/plan.py was imported, which would take its name."""
-
-    def __setattr__(self, name: str, value: object) -> None:
-        if name != "plan" or not isinstance(value, types.ModuleType):
-            super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Package
 
 
 def __getattr__(name: str):

@@ -8,7 +8,7 @@ import numpy as np
 
 from .domain.ranks import Alone, world
 from .output.read import Run as read
-from .plan import Plan
+from .planning.plan import Plan
 from .scene import reader
 from .scene.scene import Scene
 from .tables import SceneError

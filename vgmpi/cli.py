@@ -10,7 +10,7 @@ from pathlib import Path
 
 from .domain.ranks import Alone, world
 from .output import checkpoint, layout, read, store
-from .price import describe
+from .planning.price import describe
 from .scene.reader import load
 from .scene.scene import Scene
 from .solver.requests import listen

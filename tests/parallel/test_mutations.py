@@ -13,7 +13,7 @@ from tests import simulated
 from tests.scenes import MIXED
 from tests.states import by_id, different, state
 from vgmpi.domain import halo, migrate, sorting, topology
-from vgmpi.kernels import cpu
+from vgmpi.engines import cpu
 
 STEPS = 240
 

@@ -18,8 +18,8 @@ from tests.states import Kept, different, in_key_order, joined, padding
 from vgmpi.domain import migrate
 from vgmpi.domain.blocks import Lattice
 from vgmpi.domain.ranks import Alone
+from vgmpi.engines.cpu import Cpu
 from vgmpi.kernels import g2p
-from vgmpi.kernels.cpu import Cpu
 from vgmpi.solver.state import restore, save
 from vgmpi.solver.step import BlowUp, Simulation
 

@@ -1,7 +1,7 @@
 """Patches are added to the nodes at once, or kept and summed later: the same bits, whoever does it.
 
 Threads take turns, the last one first, so that a mistake does not hide behind a lucky order. Every
-mutation breaks one rule of who sums what (vgmpi/kernels/cpu.py) and must be seen.
+mutation breaks one rule of who sums what (vgmpi/engines/cpu.py) and must be seen.
 """
 
 import numpy as np
@@ -10,7 +10,7 @@ import pytest
 from tests import simulated
 from tests.scenes import MIXED
 from tests.states import by_id, different, state
-from vgmpi.kernels import cpu
+from vgmpi.engines import cpu
 from vgmpi.solver.step import BlowUp
 
 STEPS = 80

@@ -14,8 +14,8 @@ from vgmpi.couplings.base import Rules
 from vgmpi.device.jit import kernel
 from vgmpi.device.memory import aligned
 from vgmpi.kernels.couple import LEAST_PART, LEAST_PORES, couple_block, relax
-from vgmpi.kernels.lanes import load, place
 from vgmpi.kernels.members import places, room, tables
+from vgmpi.lanes.lanes import load, place
 
 STATES = 10_000
 SLIPS = (0.0, np.inf)

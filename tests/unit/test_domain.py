@@ -14,7 +14,7 @@ from vgmpi.domain.blocks import BITS, INTEGER, Lattice, hilbert
 from vgmpi.domain.ranks import Alone
 from vgmpi.domain.state import LANES, Group
 from vgmpi.materials.elastic import Elastic
-from vgmpi.plan import BASE_CHANNELS, GroupPlan
+from vgmpi.planning.plan import BASE_CHANNELS, GroupPlan
 from vgmpi.solver.state import save
 
 REALS = [np.dtype(np.float32), np.dtype(np.float64)]

@@ -8,8 +8,8 @@ from numba import njit
 
 from vgmpi.device import jit as _jit  # noqa: F401  (the cache folder)
 from vgmpi.device.select import select
-from vgmpi.kernels import lanes
-from vgmpi.kernels.laws import lane_state, load_state, store_state, stress
+from vgmpi.lanes import lanes
+from vgmpi.lanes.laws import lane_state, load_state, store_state, stress
 from vgmpi.materials import registry
 
 REAL = {"single": (np.float32, 2e-6), "double": (np.float64, 2e-14)}
@@ -230,6 +230,6 @@ def test_a_state_of_any_length(monkeypatch, channels, precision):
 
 
 def test_materials_with_equal_fields_are_told_apart():
-    """numba goes by the class's name (see kernels/laws.py)."""
+    """numba goes by the class's name (see lanes/laws.py)."""
     names = [cls.Law.__name__ for cls in registry.values()]
     assert len(set(names)) == len(names)

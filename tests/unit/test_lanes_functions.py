@@ -8,8 +8,8 @@ import pytest
 from numba import njit
 
 from vgmpi.device import jit as _jit  # noqa: F401  (the cache folder)
-from vgmpi.kernels import functions as _functions  # noqa: F401  (what is tested)
-from vgmpi.kernels import lanes
+from vgmpi.lanes import functions as _functions  # noqa: F401  (what is tested
+from vgmpi.lanes import lanes
 
 MORE = {np.float32: np.float64, np.float64: np.longdouble}
 ERRORS = {"exp": 1, "expm1": 2, "log": 1, "log1p": 3, "cbrt": 1}  # as functions.py says

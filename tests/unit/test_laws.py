@@ -13,7 +13,7 @@ import numba
 import numpy as np
 import pytest
 
-from vgmpi.kernels import laws
+from vgmpi.lanes import laws
 from vgmpi.materials import registry
 from vgmpi.materials.base import FUNCTIONS, Family, state_channels
 

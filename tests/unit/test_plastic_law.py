@@ -7,8 +7,8 @@ import pytest
 from numba import njit
 
 from tests.plastic import REALS, law_of, plain, step
-from vgmpi.kernels import lanes, laws
-from vgmpi.kernels.laws import lane_state, store_state
+from vgmpi.lanes import lanes, laws
+from vgmpi.lanes.laws import lane_state, store_state
 from vgmpi.materials import registry
 
 N = 960

@@ -13,7 +13,7 @@ from tests.beside import TOLERANCE, beside, worst
 from tests.scenes import scene
 from tests.states import different, joined, padding
 from vgmpi.domain.ranks import Alone
-from vgmpi.plan import make_plan
+from vgmpi.planning.plan import make_plan
 from vgmpi.solver.state import save
 from vgmpi.solver.step import Simulation
 

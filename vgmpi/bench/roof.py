@@ -21,9 +21,9 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from ..device.jit import kernel
-from ..kernels.lanes import load, store
+from ..lanes.lanes import load, store
 from ..materials.base import function, state_channels
-from ..plan import REALS
+from ..planning.plan import REALS
 
 LENGTH = 1 << 25  # numbers of an array of 128 MiB: far larger than a cache
 CHAINS = 12  # independent sums, enough to hide the time a fused multiply-add takes

@@ -19,7 +19,7 @@ from ..domain import topology
 from ..domain.balance import BLOCK, cuts, owners
 from ..domain.blocks import EDGE, Lattice
 from ..domain.migrate import Census
-from ..kernels.cpu import filled_by_one
+from ..engines.cpu import filled_by_one
 from .inside import WORK
 from .rounds import Contestant, Worker
 from .scene import Case, lay_out

@@ -13,7 +13,7 @@ from importlib.metadata import version
 import numba
 
 _PACKAGE = pathlib.Path(__file__).resolve().parent.parent
-_COMPILED = ("device", "materials", "domain", "kernels")
+_COMPILED = ("device", "materials", "couplings", "domain", "lanes", "kernels")
 
 
 def cache_folder() -> pathlib.Path:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..device.memory import aligned
-from ..plan import BASE_CHANNELS, GroupPlan
+from ..planning.plan import BASE_CHANNELS, GroupPlan
 from .blocks import BITS, INTEGER, Lattice
 from .sorting import gather_rows
 

@@ -13,13 +13,13 @@ from ..device.jit import inline, kernel
 from ..device.memory import aligned, grown
 from ..device.select import select
 from ..domain.topology import Topology
+from ..lanes.lanes import load, place, store
+from ..lanes.nodes import fourth_of
+from ..lanes.rows import load_records, spread, store_records
 from .g2p import rest, values
-from .lanes import load, place, store
-from .nodes import fourth_of
 from .p2g import scatter
 from .patches import clear, gather, pull, push
 from .records import BATCH, PATCH, parts, present, reach, weigh
-from .rows import load_records, spread, store_records
 
 
 class Layer:

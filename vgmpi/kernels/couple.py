@@ -12,10 +12,10 @@ import numpy as np
 
 from ..device.jit import inline
 from ..device.select import select
-from .lanes import load, store
+from ..lanes.lanes import load, store
+from ..lanes.nodes import fourth_of, squared, with_fourth
+from ..lanes.rows import largest, spread
 from .members import ROW, members
-from .nodes import fourth_of, squared, with_fourth
-from .rows import largest, spread
 
 LEAST_PART = 1e-3  # of a node's fluid volume, below which a drift is not followed
 LEAST_PORES = 0.05  # share of space that a fluid keeps where sand is

@@ -5,12 +5,9 @@ them: the law's state, the new position, what bounds the next step. See p2g.py.
 import numpy as np
 
 from ..device.jit import inline, kernel
-from .couple import LEAST_PORES
-from .lanes import load, store
-from .laws import advance, lane_state, store_state, volume_ratio, wave_speed2
-from .patches import gather
-from .records import AFFINE, BATCH, PATCH, PLANE, ROOM, ROW, STATE, parts, touched, weigh
-from .rows import (
+from ..lanes.lanes import load, store
+from ..lanes.laws import advance, lane_state, store_state, volume_ratio, wave_speed2
+from ..lanes.rows import (
     SOUND_ALL,
     largest,
     load_records,
@@ -24,6 +21,9 @@ from .rows import (
     store_sum,
     stretch,
 )
+from .couple import LEAST_PORES
+from .patches import gather
+from .records import AFFINE, BATCH, PATCH, PLANE, ROOM, ROW, STATE, parts, touched, weigh
 from .walls import SIDE, reflect
 
 REACH = 3  # cells from the block's middle within which a particle's base node lies in its patch

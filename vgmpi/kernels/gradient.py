@@ -6,8 +6,8 @@ Gaussians are to follow all of it, it is carried beside the law's state and noth
 
 from ..device.jit import kernel
 from ..device.tensor import moved_gradient_minus_one
-from . import laws as _laws  # noqa: F401  (makes the tensors' functions callable)
-from .lanes import COUNT, load, store
+from ..lanes import laws as _laws  # noqa: F401  (makes the tensors' functions callable
+from ..lanes.lanes import COUNT, load, store
 from .records import AFFINE
 
 

@@ -13,13 +13,13 @@ import numpy as np
 from ..couplings.base import CONTACT
 from ..device.jit import inline, kernel
 from ..device.select import select
+from ..lanes.lanes import load, place, store
+from ..lanes.nodes import fourth_of, velocity, with_fourth
+from ..lanes.rows import repeat, spread
 from .contact import TOUCH, collider_gap, gap, resolve, surface_normal
 from .couple import couple_block, note_flux
-from .lanes import load, place, store
 from .members import places
-from .nodes import fourth_of, velocity, with_fourth
 from .patches import pull
-from .rows import repeat, spread
 from .walls import constrain, tangential
 
 

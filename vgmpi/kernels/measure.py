@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..device.jit import kernel
-from .laws import energy, load_state, volume_ratio
+from ..lanes.laws import energy, load_state, volume_ratio
 from .records import AFFINE, STATE, VOLUME
 
 COLUMNS = 12  # mass, momentum 3, angular momentum 3, kinetic, elastic, potential, J min, J max

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..couplings.base import Rules
 from ..device.jit import inline
-from .lanes import place
+from ..lanes.lanes import place
 
 ROW = 16  # numbers of a row of four nodes
 

@@ -15,7 +15,8 @@ base node is summed before it is added to the patch.
 import numpy as np
 
 from ..device.jit import inline, kernel
-from .lanes import load, store
+from ..lanes.lanes import load, store
+from ..lanes.rows import repeat, slope_change, slope_middle, spread, steps, stretch
 from .patches import clear, push
 from .records import (
     BATCH,
@@ -32,7 +33,6 @@ from .records import (
     touched,
     weigh,
 )
-from .rows import repeat, slope_change, slope_middle, spread, steps, stretch
 from .walls import SIDE, fold
 
 

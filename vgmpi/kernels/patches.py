@@ -5,8 +5,8 @@ is one.
 """
 
 from ..device.jit import inline, kernel
-from .lanes import load, store
-from .rows import slide_back, slide_node, spread
+from ..lanes.lanes import load, store
+from ..lanes.rows import slide_back, slide_node, spread
 from .walls import SIDE
 
 

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..device.jit import inline
-from .lanes import load, store
-from .laws import lane_state, stress, volume_ratio
-from .rows import (
+from ..lanes.lanes import load, store
+from ..lanes.laws import lane_state, stress, volume_ratio
+from ..lanes.rows import (
     cell_offset,
     diagonal,
     fourth,

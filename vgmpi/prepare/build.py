@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from vgmpi.gaussians.checked import GaussianFileError
-from vgmpi.plan import deforms
+from vgmpi.planning.plan import deforms
 from vgmpi.prepare.collider import Collider
 from vgmpi.prepare.initial import begun
 from vgmpi.prepare.loads import Loaded, find

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ..colours import shades
 from ..domain.ranks import Alone
 from ..output import checkpoint, layout, rest, store
 from ..output.read import RunError, read_gaussians
-from ..plan import Plan, make_plan
+from ..planning.colours import shades
+from ..planning.plan import Plan, make_plan
 from ..prepare import texture
 from ..prepare.loads import find
 from ..scene.scene import Scene

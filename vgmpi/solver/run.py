@@ -13,9 +13,9 @@ from ..domain.ranks import Alone
 from ..output import checkpoint, layout
 from ..output.frames import Frames
 from ..output.ledger import Ledger
-from ..plan import Plan
+from ..planning.plan import Plan
+from ..planning.price import describe
 from ..prepare.motion import gradient
-from ..price import describe
 from ..scene.scene import Scene
 from .prepared import Prepared, on_all, plan_for, prepare, share
 from .probes import Probes

@@ -9,10 +9,10 @@ from ..domain.halo import Halo
 from ..domain.ranks import Alone
 from ..domain.solids import Solids
 from ..domain.state import Group
+from ..engines.cpu import Cpu
 from ..kernels import g2p, records
-from ..kernels.cpu import Cpu
 from ..materials.base import function
-from ..plan import Plan
+from ..planning.plan import Plan
 from .loads import Loads
 
 REASONS = {

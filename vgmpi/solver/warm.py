@@ -8,7 +8,7 @@ from ..device.processor import processor, stamp
 from ..domain import halo
 from ..domain.ranks import Alone
 from ..kernels.loads import push
-from ..plan import Plan
+from ..planning.plan import Plan
 from .step import Simulation
 from .watch import about, ledger
 

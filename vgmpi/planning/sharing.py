@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from .couplings.base import DRAG, MIXING, Rules
-from .scene.scene import Scene
+from ..couplings.base import DRAG, MIXING, Rules
+from ..scene.scene import Scene
 
 
 def rules(scene: Scene, groups, phases) -> Rules | None:

@@ -2,9 +2,9 @@
 
 import math
 
-from .couplings.base import CONTACT, RULES
+from ..couplings.base import CONTACT, RULES
+from ..scene.scene import Scene
 from .plan import Plan, fastest
-from .scene.scene import Scene
 
 # a step of one fluid particle on one core of an AVX-512 machine [ns]; see docs/performance.md
 NS_PER_PARTICLE = {"single": 45.0, "double": 90.0}

@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .gaussians.sh import COEFFICIENTS
-from .scene.scene import Scene
+from ..gaussians.sh import COEFFICIENTS
+from ..scene.scene import Scene
 
 
 class Exchange(NamedTuple):

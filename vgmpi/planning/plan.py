@@ -11,13 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..couplings.base import DRAG, MIXING, Rules
+from ..couplings.contact import Contact
+from ..materials.base import function, state_channels
+from ..scene.loads import mean_share
+from ..scene.objects import Object
+from ..scene.scene import Scene
 from .colours import Exchange, exchange
-from .couplings.base import DRAG, MIXING, Rules
-from .couplings.contact import Contact
-from .materials.base import function, state_channels
-from .scene.loads import mean_share
-from .scene.objects import Object
-from .scene.scene import Scene
 from .sharing import rules
 
 BASE_CHANNELS = 13  # velocity 3, APIC matrix 9, rest volume 1

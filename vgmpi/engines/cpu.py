@@ -11,10 +11,10 @@ from ..device.memory import aligned, grown
 from ..domain.blocks import BITS, EDGE
 from ..domain.state import Group
 from ..domain.topology import Topology
-from ..plan import Plan
-from . import colour, g2p, gradient, grid, members, p2g, records
-from .patches import zero
-from .walls import KINDS, SIDE, patch_codes
+from ..kernels import colour, g2p, gradient, grid, members, p2g, records
+from ..kernels.patches import zero
+from ..kernels.walls import KINDS, SIDE, patch_codes
+from ..planning.plan import Plan
 
 # generators of a sequence that fills the unit cube evenly (Roberts 2018): the dither of a step, the
 # same on every rank

@@ -16,7 +16,7 @@ from ..device import eigen, flow, hencky, tait, tensor
 from ..device import jit as _jit  # noqa: F401  (sets numba's cache folder first)
 from ..materials import registry
 from ..materials.base import function, law_owner, state_channels
-from . import functions as _functions  # noqa: F401  (defines exp and its kin for lanes)
+from . import functions as _functions  # noqa: F401  (defines exp and its kin for lanes
 from .lanes import OF, address, in_all_lanes
 
 
