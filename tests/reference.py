@@ -14,6 +14,7 @@ import numpy as np
 from vgmpi.materials.base import function
 
 TOUCH = 0.25  # gap [cells] below which two surfaces touch
+LIGHT = 2.0**-21  # of a full cell: less of a phase at a node touches nothing
 
 
 @dataclass
@@ -224,7 +225,7 @@ class Reference:
 
     def _contact(self, velocities, masses):
         """Change the velocities where two phases touch and approach; node by node."""
-        least = [1e-9 * body.density * self.dx**3 for body in self.bodies]
+        least = [LIGHT * body.density * self.dx**3 for body in self.bodies]
         where = np.argwhere((masses[0] > least[0]) & (masses[1] > least[1]))
         a, b = self.master, 1 - self.master
         V, X = zip(*(self._offsets(body) for body in self.bodies), strict=True)
@@ -257,7 +258,7 @@ class Reference:
         """As `_contact`, with a rigid collider at rest whose surface is known."""
         body = self.bodies[0]
         volume, offset = self._offsets(body)
-        for node in map(tuple, np.argwhere(mass > 1e-9 * body.density * self.dx**3)):
+        for node in map(tuple, np.argwhere(mass > LIGHT * body.density * self.dx**3)):
             point = (np.array([node]) - 1) * self.dx
             n = self.collider.normal(point)[0]
             m = (offset[node] @ n) / (volume[node] * self.dx)

@@ -212,10 +212,9 @@ def run(n: int, function) -> list:
     return results
 
 
-def last_first(engine, shares, work, *arguments):
+def last_first(engine, work, *arguments):
     """In place of Cpu.each: its threads take turns, the last one first, where a pool hardly ever
     lets them race.
     """
     for thread in reversed(range(engine.threads)):
-        if len(shares[thread]):
-            work(thread, shares[thread], *arguments)
+        work(thread, *arguments)

@@ -13,14 +13,14 @@ from importlib.metadata import version
 import numba
 
 _PACKAGE = pathlib.Path(__file__).resolve().parent.parent
-_COMPILED = ("device", "materials", "couplings", "domain", "lanes", "kernels")
+_COMPILED = ("device", "materials", "couplings", "planning", "domain", "lanes", "kernels")
 
 
 def cache_folder() -> pathlib.Path:
     """The folder of compiled kernels for these sources, this numba and this kind of processor."""
     seal = hashlib.sha256()
     for folder in _COMPILED:
-        for path in sorted((_PACKAGE / folder).glob("*.py")):
+        for path in sorted((_PACKAGE / folder).rglob("*.py")):
             seal.update(path.name.encode() + path.read_bytes())
     seal.update(f"{version('numba')} {platform.python_version()} {platform.machine()}".encode())
     root = os.environ.get("XDG_CACHE_HOME") or pathlib.Path.home() / ".cache"

@@ -1,129 +1,102 @@
-"""The one exchange of a step: boundary patches, un-summed, to the ranks whose nodes they touch.
+"""The one exchange of a step: what ranks summed at the nodes that patches of both reach.
 
             rank 0 | rank 1
       ... [ b ][ c ] [ d ][ e ] ...       c's patch reaches into d's nodes, d's into c's:
-                 ----> c                  each sends the other the boxes of nodes they share,
-              d <----                     and both add all patches in the order of their keys.
+                ======                    each sends the other its own sums at the nodes they share,
+                                          and adds what comes. The order of sums is no part of them.
 
-Patches at the boundary are filled first, so that messages travel while the others are filled and
-summed. Each message begins with a header: the step and a number that stands for the list of
-patches, so that ranks that disagree stop instead of adding the wrong thing.
+Segments at the border are transferred first, so that messages travel while the others are. Each
+message begins with a header: the step and a number that stands for the list of nodes, so that
+ranks that disagree stop instead of adding the wrong thing. The engine packs and adds.
 """
 
 import zlib
+from typing import NamedTuple
 
 import numpy as np
 
-from ..device.jit import inline, kernel
 from .ranks import Alone
-from .topology import Topology
+from .topology import Shared, Topology
 
-_HEADER = 4  # numbers at the front of a message
-SIDE = 8  # nodes of a patch along an axis
-HALF = 16  # numbers of half a row of nodes along z
+_HEADER = 2  # numbers at the front of a message
+_NODE = 4  # numbers of a node
 
 
 class HaloError(RuntimeError):
     """A message did not carry what this rank expected."""
 
 
-class Halo:
-    """Buffers and box lists, made anew at each sort."""
+class Part(NamedTuple):
+    """What a message carries of one layer, as an engine packs and adds it."""
 
-    def __init__(self, ranks: Alone, topology: Topology, slots: list[np.ndarray], real: np.dtype):
-        """slots: for each layer of patches (patches,) where each patch that travels is kept, -1
-        where the layer has none of it."""
+    layer: str
+    blocks: np.ndarray  # (n,) node blocks
+    masks: np.ndarray  # (n,) uint64 which of their nodes
+    numbers: np.ndarray  # (nodes * words * 4,) float64, part of the message
+
+
+class Halo:
+    """Buffers and lists of nodes, made anew when the tables are."""
+
+    def __init__(self, ranks: Alone, tables: Topology, words: int):
+        """words: doubles per sum."""
         self.rank = ranks.rank
-        self.sends = [_Message(part, topology, slots, real) for part in topology.sends]
-        self.receives = [_Message(part, topology, slots, real) for part in topology.receives]
+        self.sends, self.receives = [], []
+        for rank, shared in tables.shared.items():
+            for messages, kind in ((self.sends, "send"), (self.receives, "receive")):
+                message = _Message(rank, shared, kind, tables, words)
+                if message.parts:
+                    messages.append(message)
         self.bytes_sent = sum(m.buffer.nbytes for m in self.sends)  # per step
         self.link = ranks.link(
             [(m.rank, m.buffer) for m in self.sends], [(m.rank, m.buffer) for m in self.receives]
         )
 
-    def start(self, step: int, *layers: np.ndarray) -> None:
-        """Begin to send the boundary boxes of each layer's patches (slots, 2048). Collective among
+    def start(self, step: int, pack) -> None:
+        """Begin to send what `pack(part)` puts into the numbers of each part. Collective among
         neighbours, with `finish`."""
         for m in self.sends:
             m.head[:] = step, m.seal
-            for part, patches in zip(m.parts, layers, strict=True):
-                pack(*part, patches)
+            for part in m.parts:
+                pack(part)
         self.link.start()
 
-    def finish(self, step: int, *layers: np.ndarray) -> None:
-        """Put the neighbours' boxes, which `link.wait` has seen arrive, into the ghost patches."""
+    def finish(self, step: int, add) -> None:
+        """Have `add(part)` take up what `link.wait` has seen arrive."""
         for m in self.receives:
             if m.head[0] != step or m.head[1] != m.seal:
                 raise HaloError(
                     f"rank {self.rank}: message from rank {m.rank} is of step {m.head[0]},"
-                    f" not {step}, or of another list of patches"
+                    f" not {step}, or of another list of nodes"
                 )
-            for part, patches in zip(m.parts, layers, strict=True):
-                unpack(*part, patches)
+            for part in m.parts:
+                add(part)
 
 
 class _Message:
-    """One neighbour's buffer: header, then the boxes of its patches, layer by layer.
+    """One neighbour's buffer: header, then the sums of the nodes, layer by layer."""
 
-    parts: (buffer, slots, low, high) of each layer.
-    """
-
-    def __init__(self, part, topology: Topology, slots: list[np.ndarray], real: np.dtype):
-        self.rank, patches, low, high = part
-        size = np.prod(high[:, :2] - low[:, :2], axis=1) * HALF
-        size = np.where(high[:, 2] - low[:, 2] == SIDE, 2 * size, size)
-        wanted = [slot[patches] >= 0 for slot in slots]
-        ends = _HEADER + np.cumsum([0, *(int(size[here].sum()) for here in wanted)])
-        self.buffer = np.zeros(ends[-1], real)
-        self.head = self.buffer[:_HEADER].view(np.int64)[:2]
-        self.parts = [
-            (self.buffer[ends[k] : ends[k + 1]], slots[k][patches][here], low[here], high[here])
-            for k, here in enumerate(wanted)
-        ]
-        rows = topology.row[patches].astype(np.int64)
-        listed = np.concatenate([rows, low.ravel(), high.ravel(), *wanted])
-        self.seal = zlib.crc32(listed.astype(np.int64).tobytes())
-
-
-@kernel
-def pack(buffer, slots, low, high, patches):
-    """Copy nodes low..high of each patch into the buffer. patches: (slots, 2048).
-
-    Along z a box holds the first four nodes of a patch, the last four or all eight: copies of a
-    length the compiler knows.
-    """
-    at = 0
-    for q in range(len(slots)):
-        patch = patches[slots[q]]
-        k, whole = 4 * low[q, 2], high[q, 2] - low[q, 2] == SIDE
-        for i in range(low[q, 0], high[q, 0]):
-            for j in range(low[q, 1], high[q, 1]):
-                row = (i * SIDE + j) * 2 * HALF + k
-                _copy(buffer[at : at + HALF], patch[row : row + HALF])
-                at += HALF
-                if whole:
-                    _copy(buffer[at : at + HALF], patch[row + HALF : row + 2 * HALF])
-                    at += HALF
+    def __init__(self, rank: int, shared: dict[str, Shared], kind: str, tables: Topology, words):
+        self.rank = rank
+        lists = {}
+        for layer, lists_of in shared.items():
+            sends = lists_of.send_blocks, lists_of.send_masks
+            receives = lists_of.receive_blocks, lists_of.receive_masks
+            lists[layer] = sends if kind == "send" else receives
+        size = {k: _NODE * words * int(np.bitwise_count(m).sum()) for k, (_, m) in lists.items()}
+        self.buffer = np.zeros(_HEADER + sum(size.values()))
+        self.head = self.buffer[:_HEADER].view(np.int64)
+        self.parts, at, self.seal = [], _HEADER, 0
+        for layer, (blocks, masks) in lists.items():
+            if len(blocks):
+                numbers = self.buffer[at : at + size[layer]]
+                self.parts.append(Part(layer, blocks, masks, numbers))
+                self.seal = zlib.crc32(_listed(tables, blocks, masks), self.seal)
+            at += size[layer]
 
 
-@kernel
-def unpack(buffer, slots, low, high, patches):
-    """Inverse of `pack`."""
-    at = 0
-    for q in range(len(slots)):
-        patch = patches[slots[q]]
-        k, whole = 4 * low[q, 2], high[q, 2] - low[q, 2] == SIDE
-        for i in range(low[q, 0], high[q, 0]):
-            for j in range(low[q, 1], high[q, 1]):
-                row = (i * SIDE + j) * 2 * HALF + k
-                _copy(patch[row : row + HALF], buffer[at : at + HALF])
-                at += HALF
-                if whole:
-                    _copy(patch[row + HALF : row + 2 * HALF], buffer[at : at + HALF])
-                    at += HALF
-
-
-@inline
-def _copy(to, of):
-    for c in range(HALF):
-        to[c] = of[c]
+def _listed(tables: Topology, blocks, masks) -> bytes:
+    """What both ranks must agree on: coordinates, phase and nodes of each node block."""
+    block = np.searchsorted(tables.first, blocks, side="right") - 1
+    rows = np.column_stack([tables.at[block], tables.phase[blocks], masks.view(np.int64)])
+    return np.ascontiguousarray(rows, np.int64).tobytes()

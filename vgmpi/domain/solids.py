@@ -29,14 +29,18 @@ class Solids:
         self._row = np.where(near, np.cumsum(near) - 1, -1)
         inside = np.stack(np.meshgrid(*(np.arange(EDGE),) * 3, indexing="ij"), -1).reshape(-1, 3)
         points = (EDGE * block[near][:, None, :] - 1 + inside).reshape(-1, 3) * dx
-        best = np.full(len(points), np.inf)
-        normal = np.zeros((len(points), 3))
-        for collider in colliders:
+        self._colliders = colliders
+        self.nodes = self.surface(points).astype(real).reshape(-1, 64, 4)
+
+    def surface(self, points: np.ndarray) -> np.ndarray:
+        """Outward normal and distance [m] of the nearest collider at points (n, 3) [m]: (n, 4)."""
+        out = np.full((len(points), 4), np.inf)
+        for collider in self._colliders:
             distance = collider.distance(points)
-            closer = distance < best
-            best[closer] = distance[closer]
-            normal[closer] = collider.normal(points[closer])
-        self.nodes = np.concatenate([normal, best[:, None]], 1).astype(real).reshape(-1, 64, 4)
+            closer = distance < out[:, 3]
+            out[closer, 3] = distance[closer]
+            out[closer, :3] = collider.normal(points[closer])
+        return out
 
     def __call__(self, block: np.ndarray) -> np.ndarray:
         b = block - self._low

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..device.memory import aligned
-from ..planning.plan import BASE_CHANNELS, GroupPlan
+from ..planning.plan import GroupPlan
 from .blocks import BITS, INTEGER, Lattice
 from .sorting import gather_rows
 
@@ -24,7 +24,7 @@ class Group:
         self.lattice = lattice
         self.real = np.dtype(real)
         self.bits = BITS[self.real]
-        self.channels = BASE_CHANNELS + len(plan.carried)
+        self.channels = plan.channels.count
         self.segments(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64))
         self.xi = np.zeros((3, 0), INTEGER[self.real])
         self.f = np.zeros((self.channels, 0), self.real)

@@ -1,55 +1,80 @@
-"""Who touches whom between two sorts: patches, node blocks, and the parts of patches that
-neighbours need.
+"""Who touches whom between two sorts: segments, node blocks, and the nodes that ranks share.
 
 A patch covers its block and reaches one node into the block before it and three into the one after,
 along each axis. So two patches share nodes exactly when their blocks are neighbours (or the same),
-and a node block is complete once all patches of the 27 blocks around it are there. Everything here
-follows from the census, which all ranks share: sender and receiver agree without asking.
+and a node block is complete once all patches of the 27 blocks around it are added. Each rank adds
+those of its own segments; of the nodes that its patches and another rank's both reach, the two give
+each other what they summed. Everything here follows from the census: sender and receiver agree
+without asking.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from ..device.jit import kernel
 from .blocks import Lattice
 from .migrate import Census
+from .overlap import NEIGHBOURS, number, shared_masks
 
-NEIGHBOURS = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)])
 _MARGIN = 4  # blocks around this rank's own that the dense maps cover
 
 
-class Topology(NamedTuple):
-    """Tables of one rank. Patches are numbered in key order, own and ghost together."""
+class Shared(NamedTuple):
+    """What this rank and another exchange of one layer, in the order of blocks and phases: node
+    blocks, and which of their 64 nodes by the bits of a mask."""
 
-    row: np.ndarray  # (patches,) row of the census
-    own: np.ndarray  # (patches,) bool
-    block: np.ndarray  # (patches, 3)
-    offsets: np.ndarray  # (patches,) bool: somebody asks for its volumes and offsets
-    split: np.ndarray  # (patches,) bool: keeps the stress's impulses apart from momentum
-    table: np.ndarray  # (own patches, 27) node blocks around each
+    send_blocks: np.ndarray  # (n,)
+    send_masks: np.ndarray  # (n,) uint64
+    receive_blocks: np.ndarray  # (m,)
+    receive_masks: np.ndarray  # (m,) uint64
+
+
+class Topology(NamedTuple):
+    """Tables of one rank. Segments are its own, in the order of the census."""
+
+    code: np.ndarray  # (segments,) block
+    group: np.ndarray  # (segments,)
+    block: np.ndarray  # (segments, 3)
+    takes: dict[str, np.ndarray]  # by layer: (segments,) bool: its particles contribute
+    border: np.ndarray  # (segments,) bool: reaches nodes that another rank reaches
+    table: np.ndarray  # (segments, 27) node blocks around each
     first: np.ndarray  # (blocks + 1,) node blocks of each block
     phase: np.ndarray  # (node blocks,)
-    block_at: np.ndarray  # (blocks, 3)
+    at: np.ndarray  # (blocks, 3)
     meets: np.ndarray  # (blocks,) bool: contact is possible here
-    waits: np.ndarray  # (blocks,) bool: patches of other ranks are part of its sum
-    solid_of: np.ndarray  # (blocks,) row among the collider's blocks, or -1
-    pull_first: np.ndarray  # (node blocks + 1,)
-    pull_patch: np.ndarray  # patches that touch each node block, by (group, key)
-    asked: np.ndarray  # (node blocks,) bool: patches with offsets touch it
-    forced: np.ndarray  # (node blocks,) bool: patches with impulses kept apart touch it
-    pull_code: np.ndarray  # where the node block lies from the patch's block, see kernels/grid.py
-    sends: list  # per neighbour rank: (rank, patches, low (n, 3), high (n, 3))
-    receives: list
+    waits: np.ndarray  # (blocks,) bool: other ranks add to its sums
+    solid: np.ndarray  # (blocks,) row among the collider's blocks, or -1
+    asked: dict[str, np.ndarray]  # by layer: (node blocks,) bool: somebody adds to it
+    shared: dict[int, dict[str, Shared]]  # by rank, by layer
 
 
 class Apart(NamedTuple):
-    """Which patches keep the stress's impulses apart from momentum."""
+    """Which segments keep the stress's impulses apart from momentum."""
 
     everywhere: bool  # all of them
     shares: np.ndarray | None  # (n, n) bool, of phases: or fluids near one they share space with
     contact: np.ndarray | None  # (n, n) bool: whether a pair asks for volumes and offsets
     fluid: np.ndarray | None  # (n,) bool
+
+
+class Needs(NamedTuple):
+    """What a scene asks of the tables."""
+
+    phase_of: np.ndarray  # (groups,)
+    contact: bool  # phases may touch at all
+    apart: Apart | None  # where the stress's impulses are kept apart
+    hues: np.ndarray  # (groups,) coefficients of colour that travel with every step
+
+    @property
+    def layers(self) -> list[str]:
+        """Names of all layers, in the order in which they are summed."""
+        hues = [hue(k) for k in range(int(self.hues.max(initial=0)))]
+        return ["momentum", "offsets", *["impulses"] * (self.apart is not None), *hues]
+
+
+def hue(coefficient: int) -> str:
+    """The layer of a coefficient of colour."""
+    return f"colour {coefficient}"
 
 
 class _Box:
@@ -67,216 +92,187 @@ class _Box:
         b = block - self.low
         return (b[..., 0] * self.shape[1] + b[..., 1]) * self.shape[2] + b[..., 2]
 
+    def block(self, at: np.ndarray) -> np.ndarray:
+        """Inverse of `at`: (n, 3)."""
+        return np.stack(np.unravel_index(at, self.shape), 1) + self.low
+
     def full(self, value, dtype) -> np.ndarray:
         return np.full(int(np.prod(self.shape)), value, dtype)
 
-    def spread(self, values: np.ndarray, reach: int, combine) -> np.ndarray:
-        """Combine each block's value with those of blocks at most `reach` away along every axis."""
+    @property
+    def steps(self) -> np.ndarray:
+        """What `at` changes by to each of the 27 blocks around: (27,)."""
+        return self.at(self.low + NEIGHBOURS)
+
+    def spread(self, values: np.ndarray, combine) -> np.ndarray:
+        """Combine each block's value with those of the blocks around it."""
         grid = values.reshape(self.shape)
         for a in range(3):
             out = grid.copy()
-            for d in range(1, reach + 1):
-                low, high = [slice(None)] * 3, [slice(None)] * 3
-                low[a], high[a] = slice(None, -d), slice(d, None)
-                combine(out[tuple(low)], grid[tuple(high)], out=out[tuple(low)])
-                combine(out[tuple(high)], grid[tuple(low)], out=out[tuple(high)])
+            low, high = [slice(None)] * 3, [slice(None)] * 3
+            low[a], high[a] = slice(None, -1), slice(1, None)
+            combine(out[tuple(low)], grid[tuple(high)], out=out[tuple(low)])
+            combine(out[tuple(high)], grid[tuple(low)], out=out[tuple(high)])
             grid = out
         return grid.reshape(-1)
 
 
-def build(
-    census: Census,
-    lattice: Lattice,
-    rank: int,
-    phase_of: np.ndarray,
-    contact: bool,
-    solid,
-    apart: Apart | None = None,
-) -> Topology:
-    """Tables of `rank`. phase_of: (groups,) phase of each group; contact: whether phases may touch
-    at all; solid: blocks (n, 3) -> row among the collider's blocks or -1, or None where the scene
-    has no collider; apart: where the stress's impulses are kept apart from momentum, or None."""
-    block = lattice.block(census.code)
+class _Near(NamedTuple):
+    """Segments of this rank and those of others a block away."""
+
+    box: _Box
+    at: np.ndarray  # (n,) place in the box
+    block: np.ndarray  # (n, 3)
+    code: np.ndarray  # (n,)
+    group: np.ndarray  # (n,)
+    phase: np.ndarray  # (n,)
+    owner: np.ndarray  # (n,)
+    own: np.ndarray  # (n,) bool
+
+
+def build(census: Census, lattice: Lattice, rank: int, needs: Needs, solid=None) -> Topology:
+    """Tables of `rank`. solid: blocks (n, 3) -> row among the collider's blocks or -1, or None
+    where the scene has no collider."""
     mine = census.owner == rank
     if not mine.any():
-        return _nothing()
+        return _nothing(needs)
+    block = lattice.block(census.code)
     box = _Box(block[mine])
-    near = np.flatnonzero(box.holds(block))
-    at = box.at(block[near])
+    rows = np.flatnonzero(box.holds(block))
+    at, phase = box.at(block[rows]), needs.phase_of[census.group[rows]]
+    takes = _who_contributes(box, at, phase, census.group[rows], needs, solid)
     is_own = box.full(False, bool)
-    is_own[at[mine[near]]] = True
-    around = box.spread(is_own, 1, np.logical_or)
-    row = near[around[at]]
-    block = block[row]
-    own = mine[row]
-    phase = phase_of[census.group[row]]
-    phases = int(phase_of.max()) + 1
+    is_own[at[mine[rows]]] = True
+    around = box.spread(is_own, np.logical_or)
+    here = around[at]
+    row = rows[here]
+    near = _Near(
+        box, at[here], block[row], census.code[row], census.group[row], phase[here],
+        census.owner[row], mine[row],
+    )  # fmt: skip
+    return _tables(near, {name: found[here] for name, found in takes.items()}, around, rank, needs,
+                   solid)  # fmt: skip
 
-    target = block[:, None, :] + NEIGHBOURS  # (patches, 27, 3)
-    where = box.at(target)
-    node = np.where(around[where], where * phases + phase[:, None], -1)
-    # within a node block by group, then key: groups are transferred one after the other
-    order = np.argsort(census.group[row], kind="stable")
-    nodes, begin, patches, codes, table = _pull_lists(node, order, phases * len(around))
 
+def _tables(near: _Near, takes: dict, around, rank: int, needs: Needs, solid) -> Topology:
+    box, own = near.box, near.own
+    phases = int(needs.phase_of.max()) + 1
+    nodes, table = number(near.at, near.phase, around, box.steps, phases)
     flat = nodes // phases
     new = np.flatnonzero(np.diff(flat, prepend=-1))
-    block_at = target[patches[begin[new]], codes[begin[new]]]
     first = np.append(new, len(nodes))
-    solid_of = np.full(len(new), -1, np.int64) if solid is None else solid(block_at)
-    wanted = _wants_offset(box, lattice, census, near, at, phase_of, contact, solid)[box.at(block)]
-    split = np.zeros(len(row), bool)
-    if apart is not None:
-        split |= apart.everywhere
-        if apart.shares is not None:
-            close = _close(box, at, phase_of[census.group[near]], phases)[:, box.at(block)]
-            split = (apart.shares[phase].T & close).any(0) & apart.fluid[phase]
-            wanted &= (apart.contact[phase].T & close).any(0) | _by_solid(box, solid, block)
-    meets = ((np.diff(first) > 1) & contact) | (solid_of >= 0)
-    meets &= np.logical_or.reduceat(wanted[patches], begin[new])
+    at = box.block(flat[new])
+    solid_of = np.full(len(new), -1, np.int64) if solid is None else solid(at)
+    asked = {name: _touched(table[found], len(nodes)) for name, found in takes.items()}
+    meets = ((np.diff(first) > 1) & needs.contact) | (solid_of >= 0)
+    meets &= np.logical_or.reduceat(asked["offsets"], new)
+    shared, border, waits = _shared(near, takes, table, rank, len(nodes))
     return Topology(
-        row=row,
-        own=own,
-        block=block,
-        offsets=wanted,
-        split=split,
+        code=near.code[own],
+        group=near.group[own],
+        block=near.block[own],
+        takes={name: found[own] for name, found in takes.items()},
+        border=border[own],
         table=table[own],
         first=first,
         phase=nodes % phases,
-        block_at=block_at,
+        at=at,
         meets=meets,
-        waits=np.logical_or.reduceat(~own[patches], begin[new]),
-        solid_of=solid_of,
-        pull_first=begin,
-        pull_patch=patches,
-        asked=np.logical_or.reduceat(wanted[patches], begin[:-1]),
-        forced=np.logical_or.reduceat(split[patches], begin[:-1]),
-        pull_code=codes,
-        sends=_traffic(block, own, census.owner[row], box, rank, sending=True),
-        receives=_traffic(block, own, census.owner[row], box, rank, sending=False),
+        waits=np.logical_or.reduceat(waits, new),
+        solid=solid_of,
+        asked=asked,
+        shared=shared,
     )
 
 
-@kernel
-def _pull_lists(node, order, most):
-    """Number the node blocks in use and list the patches that touch each.
+def _touched(table: np.ndarray, count: int) -> np.ndarray:
+    """Which of `count` node blocks stand in a table (n, 27), -1 for none: (count,) bool."""
+    found = np.zeros(count + 1, bool)
+    found[table] = True
+    return found[:count]
 
-    node: (patches, 27) which of `most` possible node blocks each patch touches, -1 for one nobody
-    here needs; order: (patches,) of the sums. Returns the node blocks in use, ascending; where the
-    list of each begins; patch and place 0..26 of every entry; node with the new numbers.
+
+def _shared(near: _Near, takes: dict, table, rank: int, count: int):
+    """The nodes that this rank and each other share, layer by layer; the segments that reach some;
+    the node blocks (count,) to which others add."""
+    border, waits = np.zeros(len(near.at), bool), np.zeros(count, bool)
+    others = np.unique(near.owner[~near.own])
+    if not len(others):
+        return {}, border, waits
+    index_at = near.box.full(-1, np.int32)  # which rank, by number: -1 none, len(others) this one
+    who = np.searchsorted(others, near.owner)
+    who[near.own] = len(others)
+    index_at[near.at] = who
+    found: dict[int, dict[str, Shared]] = {int(r): {} for r in others}
+    for name, here in takes.items():
+        out = shared_masks(near.at, who, here, table, index_at, near.box.steps, len(others), count)
+        sends, receives, reaches = out
+        border |= reaches
+        for k, r in enumerate(others):
+            gives, gets = np.flatnonzero(sends[k]), np.flatnonzero(receives[k])
+            waits[gets] = True
+            found[int(r)][name] = Shared(gives, sends[k, gives], gets, receives[k, gets])
+    return found, border, waits
+
+
+def _who_contributes(box, at, phase, group, needs: Needs, solid) -> dict[str, np.ndarray]:
+    """By layer, whether the particles of segments (n,) contribute to it.
+
+    Volumes and offsets are asked for where a patch of another phase, or the collider, can share a
+    node with the segment's: at most a block away. What else touches such a node touches both.
     """
-    count = np.zeros(most, np.int64)
-    total = 0
-    for p in range(len(node)):
-        for k in range(27):
-            if node[p, k] >= 0:
-                count[node[p, k]] += 1
-                total += 1
-    number = np.full(most, -1)
-    used = 0
-    for n in range(most):
-        if count[n] > 0:
-            number[n] = used
-            used += 1
-    nodes, begin = np.empty(used, np.int64), np.zeros(used + 1, np.int64)
-    for n in range(most):
-        if count[n] > 0:
-            nodes[number[n]] = n
-            begin[number[n] + 1] = begin[number[n]] + count[n]
-    at = begin.copy()
-    patch, code = np.empty(total, np.int64), np.empty(total, np.int64)
-    table = np.full(node.shape, -1)
-    for p in order:
-        for k in range(27):
-            if node[p, k] >= 0:
-                n = number[node[p, k]]
-                patch[at[n]], code[at[n]], table[p, k] = p, k, n
-                at[n] += 1
-    return nodes, begin, patch, code, table
+    every = np.ones(len(at), bool)
+    takes = {name: every for name in needs.layers}
+    wanted = _wants_offset(box, at, phase, needs.contact, solid)[at]
+    if needs.apart is not None:
+        apart, split = needs.apart, np.full(len(at), needs.apart.everywhere)
+        if apart.shares is not None:
+            close = _close(box, at, phase, int(needs.phase_of.max()) + 1)[:, at]
+            split = (apart.shares[phase].T & close).any(0) & apart.fluid[phase]
+            beside = np.zeros(len(at), bool) if solid is None else _by_solid(box, solid)[at]
+            wanted &= (apart.contact[phase].T & close).any(0) | beside
+        takes["impulses"] = split
+    takes["offsets"] = wanted
+    for k in range(int(needs.hues.max(initial=0))):
+        takes[hue(k)] = needs.hues[group] > k
+    return takes
 
 
-def _wants_offset(box, lattice, census, near, at, phase_of, contact, solid) -> np.ndarray:
-    """Per block of the box: whether its patches need volume and offset.
-
-    They do where a patch of another phase, or the collider, can share a node with them: at most a
-    block away. What else touches such a node touches both.
-    """
+def _wants_offset(box, at, phase, contact: bool, solid) -> np.ndarray:
+    """Per block of the box: whether its patches need volume and offset."""
     wants = box.full(False, bool)
     if contact:
-        phase = phase_of[census.group[near]]
         lowest, highest = box.full(1 << 30, np.int64), box.full(-1, np.int64)
         np.minimum.at(lowest, at, phase)
         np.maximum.at(highest, at, phase)
-        lowest = box.spread(lowest, 1, np.minimum)
-        highest = box.spread(highest, 1, np.maximum)
-        wants |= lowest < highest
+        wants |= box.spread(lowest, np.minimum) < box.spread(highest, np.maximum)
     if solid is not None:
-        grid = np.stack(np.meshgrid(*(np.arange(n) for n in box.shape), indexing="ij"), -1).reshape(
-            -1, 3
-        )
-        wants |= box.spread(solid(grid + box.low) >= 0, 1, np.logical_or)
+        wants |= _by_solid(box, solid)
     return wants
 
 
 def _close(box, at, phase, phases: int) -> np.ndarray:
     """Whether a phase has patches at most a block away: (phases, blocks of the box)."""
-    found = np.empty((phases, len(box.full(False, bool))), bool)
+    found = np.empty((phases, int(np.prod(box.shape))), bool)
     for k in range(phases):
         here = box.full(False, bool)
         here[at[phase == k]] = True
-        found[k] = box.spread(here, 1, np.logical_or)
+        found[k] = box.spread(here, np.logical_or)
     return found
 
 
-def _by_solid(box, solid, block) -> np.ndarray:
-    """Whether the collider is at most a block away: (patches,)."""
-    if solid is None:
-        return np.zeros(len(block), bool)
-    near = block[:, None, :] + NEIGHBOURS
-    return (solid(near.reshape(-1, 3)).reshape(len(block), 27) >= 0).any(1)
+def _by_solid(box, solid) -> np.ndarray:
+    """Whether the collider is at most a block away: per block of the box."""
+    every = box.block(np.arange(int(np.prod(box.shape))))
+    return box.spread(solid(every) >= 0, np.logical_or)
 
 
-def _traffic(block, own, owner, box, rank, sending) -> list:
-    """Which patches travel to or from each neighbour rank, and the box of nodes of each that the
-    receiver needs.
-
-    The receiver needs the nodes its own patches reach: for a neighbour at offset +1 the last four
-    of the eight nodes along that axis, at -1 the first four, at 0 all; the smallest box around
-    these for all its blocks there.
-    """
-    if own.all():
-        return []
-    rank_at = box.full(-1, np.int64)
-    rank_at[box.at(block)] = owner
-    around = rank_at[box.at(block[:, None, :] + NEIGHBOURS)]  # (patches, 27)
-    if sending:
-        patch, code = np.nonzero(own[:, None] & (around != rank) & (around >= 0))
-        other = around[patch, code]
-    else:
-        patch, code = np.nonzero(~own[:, None] & (around == rank))
-        other = owner[patch]
-    low = np.where(NEIGHBOURS[code] == 1, 4, 0)
-    high = np.where(NEIGHBOURS[code] == -1, 4, 8)
-    out = []
-    for r in np.unique(other):
-        here = other == r
-        patches, start = np.unique(patch[here], return_index=True)
-        out.append(
-            (
-                int(r),
-                patches,
-                np.minimum.reduceat(low[here], start),
-                np.maximum.reduceat(high[here], start),
-            )
-        )
-    return out
-
-
-def _nothing() -> Topology:
+def _nothing(needs: Needs) -> Topology:
     """An idle rank's tables."""
-    none, one = np.zeros(0, np.int64), np.zeros(1, np.int64)
-    no, places = none.astype(bool), np.zeros((0, 3), np.int64)
+    none, places, no = np.zeros(0, np.int64), np.zeros((0, 3), np.int64), np.zeros(0, bool)
+    by_layer = {name: no for name in needs.layers}
     return Topology(
-        none, no, places, no, no, np.zeros((0, 27), np.int64), one, none, places, no, no, none, one,
-        none, no, no, none, [], [],
+        code=none, group=none, block=places, takes=by_layer, border=no,
+        table=np.zeros((0, 27), np.int64), first=np.zeros(1, np.int64), phase=none, at=places,
+        meets=no, waits=no, solid=none, asked=by_layer, shared={},
     )  # fmt: skip

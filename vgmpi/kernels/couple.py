@@ -8,6 +8,8 @@ to zero. Formulas and sources: docs/theory.md.
 A row of four nodes is a vector xyzm xyzm xyzm xyzm. Numbers of a node stand in all its lanes.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ..device.jit import inline
@@ -17,46 +19,63 @@ from ..lanes.nodes import fourth_of, squared, with_fourth
 from ..lanes.rows import largest, spread
 from .members import ROW, members
 
+ROUNDING = 1e-20  # of a full cell's mass: a node lighter than this holds rounding alone
 LEAST_PART = 1e-3  # of a node's fluid volume, below which a drift is not followed
 LEAST_PORES = 0.05  # share of space that a fluid keeps where sand is
 
 
-@inline
-def couple_block(
-    n0, n1, phase, grid, forces, offsets, has_offsets, at_wall, low, cells, least, of, rules, dt,
-    dx, drift,
-):  # fmt: skip
-    """The stress's impulses, and what phases that share space do to each other, at the 64 nodes of
-    a block.
+class Here(NamedTuple):
+    """A block: its node blocks are n0 .. n1; its first node is `low`."""
 
-    All arrays by their places. Of (256 node blocks,) each: grid: velocity and mass, of which n0 ..
-    n1 are this block's; forces: impulses kept apart [kg m/s] and volume [m3]; offsets: offsets [m4]
-    and volume, where the block has_offsets; drift: where drifts [m/s] are noted. of, rules: see
-    `places`.
-    """
+    n0: int
+    n1: int
+    meets: bool  # phases may touch here, so that there are offsets
+    at_wall: bool  # some of its nodes are on or beyond a wall
+    low_x: int
+    low_y: int
+    low_z: int
+
+
+class Fields(NamedTuple):
+    """Numbers of node blocks, by the places of their arrays (lanes.place)."""
+
+    phase: np.ndarray  # (node blocks,)
+    least: np.ndarray  # (phases,) [kg] of a full cell
+    cells: np.ndarray  # (3,) of the domain
+    grid: np.ndarray  # (256 node blocks,) velocity [m/s] and mass [kg]
+    forces: np.ndarray  # as long: impulses kept apart [kg m/s] and volume [m3]
+    offsets: np.ndarray  # as long: offsets [m4] and volume, where the block `meets`
+    flux: np.ndarray  # as long: what particles gather besides velocity
+    drift: np.ndarray  # as long: drifts [m/s]
+
+
+@inline
+def couple_block(block, fields, of, rules, dt, dx):
+    """The stress's impulses, and what phases that share space do to each other, at the 64 nodes of
+    a block. block: Here; of, rules: see members.places."""
+    n0, n1, grid, forces = block.n0, block.n1, fields.grid, fields.forces
     for at in range(256 * n0, 256 * n1 if rules.drifts else 0, ROW):
-        store(drift, at, spread(of.V, 0.0))
+        store(fields.drift, at, spread(of.V, 0.0))
     for one in range(rules.sets):
-        count = members(one, n0, n1, phase, rules, of)
+        count = members(one, n0, n1, fields.phase, rules, of)
         for c in range(0, 256 if count > 0 else 0, ROW):
-            here = _weigh(count, c, phase, grid, least, of)
+            here = _weigh(count, c, fields, of)
             if largest(here) < 2.0:
                 _alone(count, c, grid, forces, of)
                 continue
             shared = here > 1.0
-            spaces(count, c, at_wall, low, cells, dx, of)
+            spaces(count, c, block, fields.cells, dx, of)
             fluid, grains, share = volumes(count, c, forces, of)
             for g in range(rules.mixes):
                 if rules.printed_mix[g] > 0.0:
-                    D = rules.diffusion[g] if has_offsets else 0.0
-                    _mix(g, count, c, shared, grid, offsets, of, D, 0.0, -1.0, dt, dx, drift, 0)
+                    D = rules.diffusion[g] if block.meets else 0.0
+                    _mix(g, count, c, shared, fields, of, D, 0.0, -1.0, dt, dx, 0)
             _pressure(count, c, shared, grid, forces, fluid, grains, share, of)
             for g in range(rules.mixes):
                 if rules.printed_mix[g] == 0.0:
-                    D = rules.diffusion[g] if has_offsets else 0.0
+                    D = rules.diffusion[g] if block.meets else 0.0
                     keep = 1.0 / (1.0 + dt / rules.slip_time[g])
-                    noted = rules.drifts
-                    _mix(g, count, c, shared, grid, offsets, of, D, keep, 1.0, dt, dx, drift, noted)
+                    _mix(g, count, c, shared, fields, of, D, keep, 1.0, dt, dx, rules.drifts)
             if rules.drags:
                 _drag(count, c, fluid, grains, of, dt)
                 relax(count, c, shared, grid, of)
@@ -77,33 +96,33 @@ def _alone(count, c, grid, forces, of):
 
 
 @inline
-def spaces(count, c, at_wall, low, cells, dx, of):
+def spaces(count, c, block, cells, dx, of):
     """Volume [m3] of the domain that belongs to the nodes of row c, behind the volumes of the
     members: half of a cell's on a wall."""
     volume, at = dx * dx * dx, ROW * count
-    if not at_wall:
+    if not block.at_wall:
         store(of.V, at, spread(of.V, volume))
         return
-    i, j = low[0] + c // 64, low[1] + c // 16 % 4
+    i, j = block.low_x + c // 64, block.low_y + c // 16 % 4
     if i == 0 or i == cells[0]:
         volume *= 0.5
     if j == 0 or j == cells[1]:
         volume *= 0.5
     for node in range(4):
-        k = low[2] + node
+        k = block.low_z + node
         for a in range(4):
             of.V[at + 4 * node + a] = 0.5 * volume if k == 0 or k == cells[2] else volume
 
 
 @inline
-def _weigh(count, c, phase, grid, least, of):
+def _weigh(count, c, fields, of):
     """Masses of a row's phases into M; a node lighter than `tiny` holds rounding alone. Returns
     how many phases are at each."""
     here = spread(of.M, 0.0)
     for q in range(count):
         nb = of.block[q]
-        m = fourth_of(load(grid, 256 * nb + c))
-        m = select(m > 1e-20 * least[phase[nb]], m, 0.0)
+        m = fourth_of(load(fields.grid, 256 * nb + c))
+        m = select(m > ROUNDING * fields.least[fields.phase[nb]], m, 0.0)
         store(of.M, ROW * q, m)
         here = here + select(m > 0.0, 1.0, 0.0 * m)
     return here
@@ -148,9 +167,7 @@ def _pressure(count, c, shared, grid, forces, fluid, grains, share, of):
 
 
 @inline
-def _mix(
-    g, count, c, shared, grid, offsets, of, diffusion, keep, sign, dt, dx, drift, noted
-):  # fmt: skip
+def _mix(g, count, c, shared, fields, of, diffusion, keep, sign, dt, dx, noted):
     """Fluids of mixing group g drift (Ren 2014) and keep the share `keep` of what else differs in
     their velocities: 1 / (1 + dt / slip time), which holds for times of 0 and infinity. Particles
     come without the drift of the step before; that of this one is `noted` in drift.
@@ -158,7 +175,7 @@ def _mix(
     As printed all move with the mean velocity before the pressure acts, and drift the other way
     (sign -1).
     """
-    here = 0
+    here, grid = 0, fields.grid
     mass = momentum = spread(of.V, 0.0)
     for q in range(count):
         if of.group[q] == g:
@@ -173,14 +190,14 @@ def _mix(
     drifts = diffusion > 0.0
     if drifts:
         strength = -sign * diffusion * 4.0 / (dx * dx)
-        _drift(g, count, c, mass, offsets, of, strength, dx / (2.0 * dt))
+        _drift(g, count, c, mass, fields.offsets, of, strength, dx / (2.0 * dt))
     for q in range(count):
         if of.group[q] == g:
             row = load(grid, 256 * of.block[q] + c)
             u = load(of.U, ROW * q) if drifts else 0.0 * mass
             moved = mean + keep * (row - mean) + u
             if noted:
-                store(drift, 256 * of.block[q] + c, select(some, u, 0.0 * u))
+                store(fields.drift, 256 * of.block[q] + c, select(some, u, 0.0 * u))
             store(grid, 256 * of.block[q] + c, with_fourth(select(some, moved, row), row))
 
 
@@ -281,20 +298,19 @@ def relax(count, c, shared, grid, of):
 
 
 @inline
-def note_flux(
-    n0, n1, phase, grid, forces, at_wall, low, cells, least, of, rules, dx, flux, drift
-):  # fmt: skip
-    """Flux of volume [m/s] and fluids' share of space at the nodes of a block, into flux (256 node
-    blocks,); how full the space is into the fourth number of grid, in place of mass, where sand
-    may be in it; the rest of grid becomes the velocity without the drift: the drifts' momenta are
-    zero together at a node, but would no longer be after each fluid's particles had carried theirs
-    elsewhere. Arguments as of `couple_block`."""
+def note_flux(block, fields, of, rules, dx):
+    """Flux of volume [m/s] and fluids' share of space at the nodes of a block, into flux; how full
+    the space is into the fourth number of grid, in place of mass, where sand may be in it; the rest
+    of grid becomes the velocity without the drift: the drifts' momenta are zero together at a node,
+    but would no longer be after each fluid's particles had carried theirs elsewhere. Arguments as
+    of `couple_block`."""
     drags = 1.0 if rules.drags else 0.0
+    grid, forces = fields.grid, fields.forces
     for one in range(rules.sets):
-        count = members(one, n0, n1, phase, rules, of)
+        count = members(one, block.n0, block.n1, fields.phase, rules, of)
         for c in range(0, 256 if count > 0 else 0, ROW):
-            here = _weigh(count, c, phase, grid, least, of)
-            spaces(count, c, at_wall, low, cells, dx, of)
+            here = _weigh(count, c, fields, of)
+            spaces(count, c, block, fields.cells, dx, of)
             fluid, grains, share = volumes(count, c, forces, of)
             full = drags * (fluid + grains) / load(of.V, ROW * count)
             total = (
@@ -304,9 +320,9 @@ def note_flux(
                 at = 256 * of.block[q] + c
                 row = load(grid, at)
                 through = select((fluid > 0.0) & (here > 1.0), total, row)
-                store(flux, at, with_fourth(through, share))
+                store(fields.flux, at, with_fourth(through, share))
                 if rules.drifts:
-                    row = row - load(drift, at)
+                    row = row - load(fields.drift, at)
                 store(grid, at, with_fourth(row, full))
 
 

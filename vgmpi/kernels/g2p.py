@@ -2,209 +2,105 @@
 them: the law's state, the new position, what bounds the next step. See p2g.py.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ..device.jit import inline, kernel
-from ..lanes.lanes import load, store
+from ..lanes.lanes import place, store
 from ..lanes.laws import advance, lane_state, store_state, volume_ratio, wave_speed2
-from ..lanes.rows import (
-    SOUND_ALL,
-    largest,
-    load_records,
-    move,
-    only,
-    slope_change,
-    slope_middle,
-    sound,
-    spread,
-    steps,
-    store_sum,
-    stretch,
-)
-from .couple import LEAST_PORES
+from ..lanes.rows import SOUND_ALL, largest, load_records, move, only, sound, spread
+from .beside import fetch, keep, moving, set_aside, strain, waves
 from .patches import gather
-from .records import AFFINE, BATCH, PATCH, PLANE, ROOM, ROW, STATE, parts, touched, weigh
+from .records import AFFINE, BATCH, PATCH, STATE, box_of, parts, touched, weigh
+from .rowsums import moments, rest, slopes
 from .walls import SIDE, reflect
 
 REACH = 3  # cells from the block's middle within which a particle's base node lies in its patch
 CRUSHED, OUTSIDE, TOO_FAST, LOST = 1, 2, 3, 4  # what can go wrong with a particle
 FASTEST_WAVE = 1e15  # [m/s], squared below the largest single
+MOST_CELLS, MOST_STRETCH = 0.3, 0.1  # of a step: a particle's way [cells], its change of volume
 
 
-@inline
-def _gather(count, records, weights, base, patch):
-    """Records of velocity 0-2 and of its moments with the offset along x 4-6, y 8-10, z 12-14."""
-    k = steps(patch)
-    for n in range(count):
-        m = 16 * n
-        o = np.int64(base[n])
-        w0, w1, w2 = weights[m + 4], weights[m + 5], weights[m + 6]
-        last = w2 * load(patch, o + 2 * ROW)
-        y = w1 * load(patch, o + ROW) + last
-        t = w0 * load(patch, o) + y
-        y = y + last
-        u = weights[m]
-        total, total_y = u * t, u * y
-        o += PLANE
-        last = w2 * load(patch, o + 2 * ROW)
-        y = w1 * load(patch, o + ROW) + last
-        t = w0 * load(patch, o) + y
-        y = y + last
-        u = weights[m + 1]
-        total_x = u * t
-        total, total_y = total + total_x, total_y + u * y
-        o += PLANE
-        last = w2 * load(patch, o + 2 * ROW)
-        y = w1 * load(patch, o + ROW) + last
-        t = w0 * load(patch, o) + y
-        y = y + last
-        u = weights[m + 2]
-        far = u * t
-        total, total_x, total_y = total + far, total_x + far + far, total_y + u * y
-        w = stretch(weights, m + 8)
-        total = total * w
-        store_sum(records, m, total)
-        store_sum(records, m + 4, total_x * w + weights[m + 3] * total)
-        store_sum(records, m + 8, total_y * w + weights[m + 7] * total)
-        store_sum(records, m + 12, total * (k + weights[m + 12]))
+class Numbers(NamedTuple):
+    """What is told of a group, in the precision of the run."""
+
+    splines: float  # 1: strains by the gradients of the B-splines, 0: by moments
+    stiff: float  # [m2/s2] squared speed of waves that sand in the same space adds
+    dense: float  # density relative to that sand's grains, at least 1
+    relax: float  # [1/s] rate at which a fluid gives way where there is more volume than space
+    porosity: float  # channel of the fluid's share of space, or -1
+    dx: float  # [m]
 
 
-@inline
-def _gather_slopes(count, records, weights, base, patch):
-    """As `_gather`, with the gradients of the B-splines in place of weight times offset."""
-    middle, change = slope_middle(patch), slope_change(patch)
-    for n in range(count):
-        m = 16 * n
-        o = np.int64(base[n])
-        x, y = weights[m + 3], weights[m + 7]
-        y0, y1, y2 = -0.25 * (1.5 + y), 0.5 * (1.0 + y), -0.25 * (0.5 + y)
-        w0, w1, w2 = weights[m + 4], weights[m + 5], weights[m + 6]
-        zero = spread(patch, 0.0)
-        total, gx, gy = zero, zero, zero
-        for i in range(3):
-            a, b, c = load(patch, o), load(patch, o + ROW), load(patch, o + 2 * ROW)
-            t = w0 * a + w1 * b + w2 * c
-            u = weights[m + i]
-            g = -0.25 * (1.5 + x) if i == 0 else (0.5 * (1.0 + x) if i == 1 else -0.25 * (0.5 + x))
-            total, gx = total + u * t, gx + g * t
-            gy = gy + u * (y0 * a + y1 * b + y2 * c)
-            o += PLANE
-        w = stretch(weights, m + 8)
-        store_sum(records, m, total * w)
-        store_sum(records, m + 4, gx * w)
-        store_sum(records, m + 8, gy * w)
-        store_sum(records, m + 12, total * (middle + change * weights[m + 12]))
+class Motion(NamedTuple):
+    """What is told of a step. The dither is added before positions are rounded down, and is the
+    same for all particles."""
+
+    dt: float  # [s], in the precision of the run
+    cfl: float
+    one: float  # a cell in units of positions, 2^bits
+    dither_x: float
+    dither_y: float
+    dither_z: float
 
 
-@inline
-def values(count, records, weights, base, patch):
-    """Records of what is gathered alone, without its moments: 0-2."""
-    for n in range(count):
-        m = 16 * n
-        o = np.int64(base[n])
-        w0, w1, w2 = weights[m + 4], weights[m + 5], weights[m + 6]
-        total = spread(patch, 0.0)
-        for i in range(3):
-            t = w0 * load(patch, o) + w1 * load(patch, o + ROW) + w2 * load(patch, o + 2 * ROW)
-            total = total + weights[m + i] * t
-            o += PLANE
-        store_sum(records, m, total * stretch(weights, m + 8))
+class Cloud(NamedTuple):
+    """Particles by the places of their arrays (lanes.place)."""
 
-
-@inline
-def rest(count, records):
-    """Nothing in the records behind the last one, up to a whole vector: unused places stay so."""
-    for m in range(16 * count, 16 * ((count + 15) & ~15)):
-        records[m] = 0
-
-
-@inline
-def columns(count, records, out, first, stride):
-    """The first three numbers of each record into rows of out, `stride` numbers apart."""
-    for n in range(count):
-        for c in range(3):
-            out[first + c * stride + n] = records[16 * n + c]
+    f: np.ndarray
+    xi: np.ndarray
+    ids: np.ndarray
+    cap: int
 
 
 @kernel
-def g2p(
-    law, segments, start, count, table, limit, mirror, xi, f, ids, grid, flux, drift, flip, split,
-    scratch, base, numbers, bits, dither, dt, cfl, report,
-):  # fmt: skip
+def g2p(law, rows, segments, particles, velocity, beside, scratch, numbers, motion, report):
     """Velocity and its gradient from the grid to each particle; moves it and advances its state.
 
-    table: (segments, 27) the node blocks around each segment's block; limit: (segments, 3, 2) range
-    of positions [cells from the block's middle]; mirror: (segments, 3, 2) wall codes (walls.py);
-    grid: (blocks, 64, 4) velocities [m/s]; flux: None, or (blocks, 64, 4) what else the particles
-    gather: with flip None the flux of volume [m/s] and the fluids' share of space, else the change
-    of velocity [m/s], of which FLIP adds the share `flip`; drift: None, or (blocks, 64, 4) the
-    part of the velocities [m/s] that moves particles but is no momentum of theirs; split:
-    (segments,) not negative where a segment shares space with another phase; scratch, base and
-    numbers: see p2g; dither: (3,) added before rounding down, the same for all particles of a
-    step; report: (4,) running maxima: rate 1/dt [1/s], distance from the block's middle [cells];
-    then id + 1 of a particle that went wrong and the reason.
+    rows: (n,) segments to do; velocity: (node blocks, 256) [m/s]; beside: a kind of beside.py;
+    report: (4,) running maxima: rate 1/dt [1/s], distance from the block's middle [cells]; then
+    id + 1 of a particle that went wrong and the reason.
     """
-    cap = f.shape[1]
-    flat, flat_xi = f.reshape(f.size), xi.reshape(xi.size)
-    flat_grid = grid.reshape((len(grid), 256))
-    weights, records, patch, extra = parts(scratch)
+    cap = particles.f.shape[1]
+    f, xi = particles.f.reshape(particles.f.size), particles.xi.reshape(particles.xi.size)
+    cloud = Cloud(place(f), place(xi), place(particles.ids), cap)
+    start, count, table = segments.start, segments.count, segments.table
+    split, limit, mirror = segments.split, segments.limit, segments.mirror
+    weights, records, patch, extra = parts(scratch.real)
     nodes = patch[:PATCH].reshape((SIDE, SIDE, SIDE, 4))
     patch[PATCH:] = 0
-    box = base[BATCH + 16 :]
-    for s in segments:
-        touched(count[s], start[s], cap, flat_xi, flat, mirror[s], box)
-        gather(patch, flat_grid, table[s], box)
+    base, box = scratch.whole, box_of(scratch.whole)
+    for s in rows:
+        touched(count[s], start[s], cap, xi, f, mirror[s], box)
+        gather(patch, velocity, table[s], box)
         reflect(nodes, mirror[s])
-        apart = split[s] >= 0
-        if drift is not None and apart:
-            third = scratch[ROOM + PATCH + 16 :]
-            gather(third, drift.reshape((len(drift), 256)), table[s], box)
-            reflect(third[:PATCH].reshape((SIDE, SIDE, SIDE, 4)), mirror[s])
-        if flux is not None and apart:
-            second = scratch[ROOM:]
-            gather(second, flux.reshape((len(flux), 256)), table[s], box)
-            reflect(second[:PATCH].reshape((SIDE, SIDE, SIDE, 4)), mirror[s])
+        if split[s]:
+            fetch(beside, table[s], box, mirror[s], scratch.real)
         for first in range(0, count[s], BATCH):
             n = min(BATCH, count[s] - first)
             at = start[s] + first
-            weigh(n, at, cap, flat_xi, flat, base, weights)
-            if flux is not None and apart:
-                _gather(n, records, weights, base, scratch[ROOM:])
-                _set_aside(n, records, extra, flip)
-                if drift is not None:
-                    values(n, records, weights, base, scratch[ROOM + PATCH + 16 :])
-                    columns(n, records, extra, 2 * BATCH, BATCH)
+            weigh(n, at, cap, xi, f, base, weights)
+            if split[s]:
+                set_aside(beside, n, weights, records, base, scratch.real, extra)
             if numbers.splines > 0.0:
-                _gather_slopes(n, records, weights, base, patch)
+                slopes(n, records, weights, base, patch)
             else:
-                _gather(n, records, weights, base, patch)
+                moments(n, records, weights, base, patch)
             rest(n, records)
             _move(
-                law, n, at, cap, flat_xi, flat, ids, records, flux, drift, flip, apart, extra,
-                numbers, limit[s], 2.0**bits, dither, dt, cfl, report,
+                law, n, at, cloud, records, beside, split[s], extra, numbers, limit[s], motion,
+                report,
             )  # fmt: skip
 
 
 @inline
-def _set_aside(count, records, extra, flip):
-    """Of what else was gathered, keep per particle: divergence [cells/s] and share of space, or the
-    change of velocity."""
-    if flip is None:
-        for n in range(count):
-            m = 16 * n
-            extra[n] = 4.0 * (records[m + 4] + records[m + 9] + records[m + 14])
-            extra[BATCH + n] = records[m + 3]
-    else:
-        columns(count, records, extra, 0, BATCH)
-
-
-@inline
 def _move(
-    law, count, at, cap, xi, f, ids, records, flux, drift, flip, apart, extra, numbers, limit, one,
-    dither, dt, cfl, report,
+    law, count, at, cloud, records, beside, split, extra, numbers, limit, motion, report
 ):  # fmt: skip
     """Take up the gathered records: v, C, state, position; note what bounds the step."""
-    dx = numbers.dx
+    f, cap = cloud.f, cloud.cap
+    dx, dt = numbers.dx, motion.dt
     k = 4.0 / dx
     fastest = far = stretching = quick = spread(f, 0.0)
     shortest, never = spread(f, -1.0), spread(f, FASTEST_WAVE**2)
@@ -215,34 +111,16 @@ def _move(
         v0, v1, v2, fill, c0, c3, c6, _, c1, c4, c7, _, c2, c5, c8, _ = load_records(
             records, 16 * n
         )
-        c0, c1, c2 = k * c0, k * c1, k * c2
-        c3, c4, c5 = k * c3, k * c4, k * c5
-        c6, c7, c8 = k * c6, k * c7, k * c8
-        L = (c0, c1, c2, c3, c4, c5, c6, c7, c8)
-        if flip is not None:
-            _blend(f, p, cap, extra, n, flip, (v0, v1, v2))
-            _take_gradient(f, p, cap, L)
-        else:
-            store(f, p, v0)
-            store(f, p + cap, v1)
-            store(f, p + 2 * cap, v2)
-            _take_gradient(f, p, cap, L)
-        if drift is not None:
-            if apart:  # moves the particle, but is no momentum of its
-                v0 = v0 + load(extra, 2 * BATCH + n)
-                v1 = v1 + load(extra, 3 * BATCH + n)
-                v2 = v2 + load(extra, 4 * BATCH + n)
-        if flux is not None:
-            if flip is None:
-                L = _of_all(L, f, p, cap, apart, extra, n, fill, numbers)
+        L = (k * c0, k * c1, k * c2, k * c3, k * c4, k * c5, k * c6, k * c7, k * c8)
+        keep(beside, f, p, cap, extra, n, (v0, v1, v2))
+        _take_gradient(f, p, cap, L)
+        v0, v1, v2 = moving(beside, split, extra, n, (v0, v1, v2))
+        trace = L[0] + L[4] + L[8]
+        L = strain(beside, split, f, p, cap, extra, n, L, fill, numbers)
         state = advance(law, lane_state(law, f, p + STATE * cap, cap), L, dt)
         store_state(f, p + STATE * cap, cap, state)
         J = volume_ratio(law, state)
-        wave2 = wave_speed2(law, state)
-        if flux is not None:
-            if np.int64(numbers.porosity) >= 0:
-                share = load(f, p + np.int64(numbers.porosity) * cap)
-                wave2 = wave2 * (1.0 + (1.0 / share - 1.0) * numbers.dense) + numbers.stiff
+        wave2 = waves(beside, f, p, cap, numbers, wave_speed2(law, state))
         m0, m1, m2 = (dt / dx) * v0, (dt / dx) * v1, (dt / dx) * v2
         longest = np.maximum(abs(m0), np.maximum(abs(m1), abs(m2)))
         # not a number lies between no bounds
@@ -250,33 +128,39 @@ def _move(
         whole = sound(J, least, most, left)
         tame = sound(wave2, shortest, never, left)
         good = slow & whole & tame
-        m0, m1, m2 = only(good, m0), only(good, m1), only(good, m2)
-        x = move(xi, p, one * m0 + dither[0])
-        y = move(xi, p + cap, one * m1 + dither[1])
-        z = move(xi, p + 2 * cap, one * m2 + dither[2])
+        x, y, z = _go(cloud, p, (only(good, m0), only(good, m1), only(good, m2)), motion)
         speed = np.sqrt(v0 * v0 + v1 * v1 + v2 * v2)
         fastest = np.maximum(fastest, only(good, np.sqrt(wave2) + speed))
         quick = np.maximum(quick, only(good, speed))
-        stretching = np.maximum(stretching, only(good, abs(c0 + c4 + c8)))
+        stretching = np.maximum(stretching, only(good, abs(trace)))
         far = np.maximum(far, np.maximum(abs(x), np.maximum(abs(y), abs(z))))
-        inside = sound(x, spread(f, limit[0, 0]), spread(f, limit[0, 1]), left)
-        inside &= sound(y, spread(f, limit[1, 0]), spread(f, limit[1, 1]), left)
-        inside &= sound(z, spread(f, limit[2, 0]), spread(f, limit[2, 1]), left)
+        inside = _inside(f, x, y, z, limit, left)
         full = SOUND_ALL if left >= 16 else (1 << left) - 1
         if good & inside != full:
-            for lane in range(min(16, left)):
-                bit = 1 << lane
-                if whole & bit == 0:
-                    _note(report, ids[p + lane], CRUSHED)
-                elif tame & bit == 0:
-                    _note(report, ids[p + lane], LOST)
-                elif slow & bit == 0:
-                    _note(report, ids[p + lane], TOO_FAST)
-                elif inside & bit == 0:
-                    _note(report, ids[p + lane], OUTSIDE)
-    rate = largest(fastest) / (cfl * dx)
-    report[0] = max(report[0], rate, largest(quick) / (0.3 * dx), largest(stretching) / 0.1)
+            _blame(cloud.ids, p, min(16, left), whole, tame, slow, inside, report)
+    rate = largest(fastest) / (motion.cfl * dx)
+    rate = max(rate, largest(quick) / (MOST_CELLS * dx), largest(stretching) / MOST_STRETCH)
+    report[0] = max(report[0], rate)
     report[1] = max(report[1], largest(far))
+
+
+@inline
+def _go(cloud, p, way, motion):
+    """Move 16 particles by a way [cells]; returns their new places [cells from the block's
+    middle]."""
+    one, cap = motion.one, cloud.cap
+    x = move(cloud.xi, p, one * way[0] + motion.dither_x)
+    y = move(cloud.xi, p + cap, one * way[1] + motion.dither_y)
+    z = move(cloud.xi, p + 2 * cap, one * way[2] + motion.dither_z)
+    return x, y, z
+
+
+@inline
+def _inside(f, x, y, z, limit, left):
+    """Mask of the particles that are in the domain. f: of their precision."""
+    inside = sound(x, spread(f, limit[0, 0]), spread(f, limit[0, 1]), left)
+    inside &= sound(y, spread(f, limit[1, 0]), spread(f, limit[1, 1]), left)
+    return inside & sound(z, spread(f, limit[2, 0]), spread(f, limit[2, 1]), left)
 
 
 @inline
@@ -295,33 +179,18 @@ def _take_gradient(f, p, cap, C):
 
 
 @inline
-def _blend(f, p, cap, extra, n, flip, v):
-    """FLIP: a particle's own velocity and the grid's change of it, blended with the grid's
-    velocity v (Zhu & Bridson 2005)."""
-    for c in range(3):
-        own = load(f, p + c * cap) + load(extra, c * BATCH + n)
-        store(f, p + c * cap, v[c] + flip * (own - v[c]))
-
-
-@inline
-def _of_all(L, f, p, cap, apart, extra, n, fill, numbers):
-    """A fluid's velocity gradient with the volume's rate of all that share its space.
-
-    Where sand is, its pores' share of space is noted at the particle; where more volume than space
-    was gathered (fill > 1), the volume ratio relaxes. Returns L.
-    """
-    if not apart:
-        if np.int64(numbers.porosity) >= 0:
-            store(f, p + np.int64(numbers.porosity) * cap, spread(f, 1.0))
-        return L
-    rate = load(extra, n) / numbers.dx
-    if np.int64(numbers.porosity) >= 0:
-        share = np.minimum(np.maximum(load(extra, BATCH + n), LEAST_PORES), 1.0)
-        store(f, p + np.int64(numbers.porosity) * cap, share)
-        rate = rate / share - numbers.relax * np.maximum(fill - 1.0, 0.0)
-    c0, c1, c2, c3, c4, c5, c6, c7, c8 = L
-    more = (rate - (c0 + c4 + c8)) * (1.0 / 3.0)
-    return (c0 + more, c1, c2, c3, c4 + more, c5, c6, c7, c8 + more)
+def _blame(ids, p, count, whole, tame, slow, inside, report):
+    """Note which of 16 particles went wrong, and why. The masks: of those that did not."""
+    for lane in range(count):
+        bit = 1 << lane
+        if whole & bit == 0:
+            _note(report, ids[p + lane], CRUSHED)
+        elif tame & bit == 0:
+            _note(report, ids[p + lane], LOST)
+        elif slow & bit == 0:
+            _note(report, ids[p + lane], TOO_FAST)
+        elif inside & bit == 0:
+            _note(report, ids[p + lane], OUTSIDE)
 
 
 @inline

@@ -3,8 +3,9 @@
 Formulas are evaluated for 16 particles at a time; transposed, each particle's numbers lie together
 and meet its nine rows of nodes (p2g.py, g2p.py). A batch of records stays in the first level cache.
 
-Channels of a group's float array: velocity 0-2 [m/s], velocity gradient C 3-11 [1/s], rest volume
-12 [m3], the law's state 13-, and behind it the porosity of fluids that flow through sand.
+What all particles have stands at fixed places of a group's floats, as planning.channels.HEAD says:
+velocity [m/s], its gradient C [1/s], rest volume [m3]; behind them the law's state, and what else
+the plan names.
 """
 
 from typing import NamedTuple
@@ -12,52 +13,53 @@ from typing import NamedTuple
 import numpy as np
 
 from ..device.jit import inline
-from ..lanes.lanes import load, store
-from ..lanes.laws import lane_state, stress, volume_ratio
-from ..lanes.rows import (
-    cell_offset,
-    diagonal,
-    fourth,
-    fraction,
-    largest,
-    spread,
-    store_records,
-    store_whole,
-)
+from ..device.memory import aligned
+from ..lanes.rows import cell_offset, fraction, largest, spread, store_records, store_whole
+from ..planning.channels import HEAD
 from .walls import SIDE
 
-AFFINE, VOLUME, STATE = 3, 12, 13
+AFFINE, VOLUME, STATE = (sum(width for _, width, _ in HEAD[: k + 1]) for k in range(3))
 BATCH = 128
 ROW = SIDE * 4  # numbers of a patch from one (i, j) to (i, j + 1)
 PLANE = SIDE * ROW
 PATCH = SIDE * PLANE
 SCRATCH = BATCH * 16  # numbers a batch of records takes
 EXTRA = 5 * BATCH  # numbers set aside per batch
-ROOM = 2 * SCRATCH + PATCH + 16 + EXTRA  # what a transfer's scratch holds, see `parts`
+MORE = PATCH + 16  # a patch, and the vector that its last row may be read with
+ROOM = 2 * SCRATCH + MORE + EXTRA  # numbers of a transfer with one patch, see `parts`
 
 
-class Numbers(NamedTuple):
-    """What the transfers are told of a group, in the precision of the run."""
+class Scratch(NamedTuple):
+    """What one thread writes to while it transfers a segment."""
 
-    density: float  # [kg/m3] of a particle's rest volume
-    share: float  # of the rest volume that the material takes up itself
-    affine: float  # 1: particles carry the velocity's gradient (APIC), 0: they do not
-    splines: float  # 1: strains and forces by gradients of the B-splines, 0: by moments
-    stiff: float  # [m2/s2] squared speed of waves that sand in the same space adds
-    dense: float  # density relative to that sand's grains, at least 1
-    relax: float  # [1/s] rate at which a fluid gives way where there is more volume than space
-    counted: float  # 1 where phases share space, so that nodes must know volumes
-    porosity: float  # channel of the fluid's share of space, or -1
-    dx: float  # [m]
+    real: np.ndarray  # (ROOM + more * MORE,) see `parts` and `patch_of`
+    whole: np.ndarray  # (BATCH + 16 + 6,) int32: base rows of a batch, and behind them a box
+
+
+def scratch(real: np.dtype, more: int) -> Scratch:
+    """Scratch for a patch of velocities and `more` patches that are gathered beside it."""
+    return Scratch(aligned(ROOM + more * MORE, real), np.zeros(BATCH + 16 + 6, np.int32))
 
 
 @inline
-def parts(scratch):
-    """A transfer's scratch (ROOM,) in parts: weights and records of a batch, a patch with 16 places
-    behind it, and five numbers per particle of a batch."""
-    weights, records = scratch[:SCRATCH], scratch[SCRATCH : 2 * SCRATCH]
+def parts(real):
+    """A transfer's numbers in parts: weights and records of a batch, a patch with 16 places behind
+    it, and five numbers per particle of a batch."""
     behind = ROOM - EXTRA
-    return weights, records, scratch[2 * SCRATCH : behind], scratch[behind:ROOM]
+    weights, records = real[:SCRATCH], real[SCRATCH : 2 * SCRATCH]
+    return weights, records, real[2 * SCRATCH : behind], real[behind:ROOM]
+
+
+@inline
+def patch_of(real, k):
+    """The patch of what is gathered beside velocity: k = 0, 1, ..."""
+    return real[ROOM + k * MORE : ROOM + (k + 1) * MORE]
+
+
+@inline
+def box_of(whole):
+    """First and last nodes of a segment's particles, see `reach`: (6,)."""
+    return whole[BATCH + 16 :]
 
 
 @inline
@@ -108,108 +110,3 @@ def weigh(count, at, cap, xi, like, base, weights):
                 -0.5 - z, zero, zero, zero,
             ),
         )  # fmt: skip
-
-
-@inline
-def momenta(law, count, at, cap, f, records, density, affine, dx, dt):
-    """Records of momentum and mass: value at the particle 0-3, its slope per cell along x 4-7, y
-    8-11, z 12-15. The stress's impulse over dt is part of the slopes (MLS, Hu 2018).
-
-    affine: 1 for APIC, 0 where a particle carries its velocity alone (PIC, FLIP).
-    """
-    zero = spread(f, 0.0)
-    four = dt * 4.0 / (dx * dx)
-    for n in range(0, count, 16):
-        p = at + n
-        q = p + AFFINE * cap
-        c0, c1, c2 = load(f, q), load(f, q + cap), load(f, q + 2 * cap)
-        c3, c4, c5 = load(f, q + 3 * cap), load(f, q + 4 * cap), load(f, q + 5 * cap)
-        c6, c7, c8 = load(f, q + 6 * cap), load(f, q + 7 * cap), load(f, q + 8 * cap)
-        L = (c0, c1, c2, c3, c4, c5, c6, c7, c8)
-        t00, t11, t22, t01, t02, t12 = stress(law, lane_state(law, f, p + STATE * cap, cap), L)
-        volume = load(f, p + VOLUME * cap)
-        mass = density * volume
-        k, m = dx * four * volume, affine * dx * mass
-        store_records(
-            records,
-            16 * n,
-            (
-                mass * load(f, p), mass * load(f, p + cap), mass * load(f, p + 2 * cap), mass,
-                m * c0 - k * t00, m * c3 - k * t01, m * c6 - k * t02, zero,
-                m * c1 - k * t01, m * c4 - k * t11, m * c7 - k * t12, zero,
-                m * c2 - k * t02, m * c5 - k * t12, m * c8 - k * t22, zero,
-            ),
-        )  # fmt: skip
-
-
-@inline
-def inertia(count, at, cap, f, records, density, affine, dx):
-    """As `momenta`, without the stress."""
-    zero = spread(f, 0.0)
-    for n in range(0, count, 16):
-        p = at + n
-        q = p + AFFINE * cap
-        mass = density * load(f, p + VOLUME * cap)
-        m = affine * dx * mass
-        c0, c1, c2 = m * load(f, q), m * load(f, q + cap), m * load(f, q + 2 * cap)
-        c3, c4, c5 = m * load(f, q + 3 * cap), m * load(f, q + 4 * cap), m * load(f, q + 5 * cap)
-        c6, c7, c8 = m * load(f, q + 6 * cap), m * load(f, q + 7 * cap), m * load(f, q + 8 * cap)
-        v0, v1, v2 = load(f, p), load(f, p + cap), load(f, p + 2 * cap)
-        store_records(
-            records,
-            16 * n,
-            (
-                mass * v0, mass * v1, mass * v2, mass,
-                c0, c3, c6, zero, c1, c4, c7, zero, c2, c5, c8, zero,
-            ),
-        )  # fmt: skip
-
-
-@inline
-def impulses(law, count, at, cap, f, numbers, records, dt):
-    """Records of the stress's impulse over dt alone, in the form of `momenta`, and of the volume
-    [m3] as it is now where phases share space."""
-    porosity, dx = np.int64(numbers.porosity), numbers.dx
-    zero = spread(f, 0.0)
-    four = dt * 4.0 / dx
-    for n in range(0, count, 16):
-        p = at + n
-        q = p + AFFINE * cap
-        c0, c1, c2 = load(f, q), load(f, q + cap), load(f, q + 2 * cap)
-        c3, c4, c5 = load(f, q + 3 * cap), load(f, q + 4 * cap), load(f, q + 5 * cap)
-        c6, c7, c8 = load(f, q + 6 * cap), load(f, q + 7 * cap), load(f, q + 8 * cap)
-        L = (c0, c1, c2, c3, c4, c5, c6, c7, c8)
-        state = lane_state(law, f, p + STATE * cap, cap)
-        t00, t11, t22, t01, t02, t12 = stress(law, state, L)
-        volume = load(f, p + VOLUME * cap)
-        k = -four * volume
-        now = volume * volume_ratio(law, state) if numbers.counted > 0.0 else zero
-        if porosity >= 0:
-            k = k / load(f, p + porosity * cap)
-        a, b, c = k * t01, k * t02, k * t12
-        store_records(
-            records,
-            16 * n,
-            (
-                zero, zero, zero, now, k * t00, a, b, zero,
-                a, k * t11, c, zero, b, c, k * t22, zero,
-            ),
-        )  # fmt: skip
-
-
-@inline
-def present(law, count, at, cap, f, volumes):
-    """Volumes [m3] of `count` particles as they are now, into volumes (BATCH,)."""
-    for n in range(0, count, 16):
-        p = at + n
-        J = volume_ratio(law, lane_state(law, f, p + STATE * cap, cap))
-        store(volumes, n, J * load(f, p + VOLUME * cap))
-
-
-@inline
-def offsets(count, volumes, first, share, records, dx):
-    """Records of sum V (x_p - x_i) and V, in the form of `momenta`; V is `share` of the particle's
-    volume, volumes[first...]. All are one pattern times a volume."""
-    pattern = share * (fourth(records) - dx * diagonal(records))
-    for n in range(count):
-        store(records, 16 * n, volumes[first + n] * pattern)

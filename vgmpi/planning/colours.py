@@ -17,6 +17,7 @@ class Exchange(NamedTuple):
     set_of: np.ndarray  # (phases,) those of one number exchange among themselves; -1: none
     coefficients: np.ndarray  # (phases,) of each particle; 0 where none travel
     least: np.ndarray  # (phases, K, 3) what is subtracted: the least of the set's
+    span: np.ndarray  # (phases, K) largest of what is left
 
 
 def exchange(
@@ -37,6 +38,7 @@ def exchange(
     set_of = np.full(len(phases), -1)
     count = np.zeros(len(phases), np.int64)
     least = np.zeros((len(phases), *shades.shape[2:]))
+    span = np.zeros(least.shape[:2])
     sets: dict[tuple, list[int]] = {}
     for k, phase in enumerate(phases):
         if asked & set(phase.objects):
@@ -53,7 +55,8 @@ def exchange(
         for k in members:
             set_of[k], count[k] = number, found.shape[2]
             least[k, : found.shape[2]] = found.min(axis=(0, 1))
-    return Exchange(set_of, count, least) if count.any() else None
+            span[k, : found.shape[2]] = np.ptp(found, axis=(0, 1)).max(-1)
+    return Exchange(set_of, count, least, span) if count.any() else None
 
 
 def _asked(scene: Scene) -> set[int]:

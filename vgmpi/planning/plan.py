@@ -7,6 +7,7 @@ name does not exist.
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -17,10 +18,10 @@ from ..materials.base import function, state_channels
 from ..scene.loads import mean_share
 from ..scene.objects import Object
 from ..scene.scene import Scene
+from .channels import Channels
 from .colours import Exchange, exchange
 from .sharing import rules
 
-BASE_CHANNELS = 13  # velocity 3, APIC matrix 9, rest volume 1
 MASTERY = {
     "solid": 0,
     "snow": 1,
@@ -42,15 +43,13 @@ class GroupPlan(NamedTuple):
     material: str
     law: tuple  # numbers of the law, in the precision of the run
     density: float  # [kg/m3] at rest, pores included
-    rest: tuple  # the law's state at rest, one number per channel
+    state: tuple[tuple[str, tuple[float, ...]], ...]  # what the law carries, by name, at rest
     cost: float  # work per particle relative to a fluid's
-    carries: tuple[str, ...]  # names of what the law's state holds
     share: float = 1.0  # of a particle's rest volume that the material takes up itself
     apart: bool = False  # its stress's impulses are kept apart from momentum
     pores: float = 1.0  # least share of space at the start, of fluids that flow through sand
     stiff: float = 0.0  # [m2/s2] squared speed of waves that such sand adds
     dense: float = 1.0  # density relative to such sand's grains, at least 1
-    widths: tuple[int, ...] = ()  # numbers of each thing that `carries` names
     followed: bool = False  # carries its total deformation gradient, which its law does not know
     coefficients: int = 0  # of its colours, which travel with every step
 
@@ -60,26 +59,28 @@ class GroupPlan(NamedTuple):
         return self.pores < 1.0
 
     @property
-    def carried(self) -> tuple:
-        """What a particle carries at rest: the law's state, its share of space where that may
-        change, the total deformation gradient less 1 where that is followed, and its colour where
-        that travels."""
-        more = 9 * self.followed + 3 * self.coefficients
-        return (*self.rest, *(1.0,) * self.porous, *(0.0,) * more)
+    def rest(self) -> tuple:
+        """The law's state at rest, one number per channel."""
+        return tuple(value for _, values in self.state for value in values)
 
     @property
-    def gradient(self) -> int:
-        """First channel of the total deformation gradient, where it is followed."""
-        return BASE_CHANNELS + len(self.rest) + self.porous
+    def carries(self) -> tuple[str, ...]:
+        """Names of what the law's state holds."""
+        return tuple(name for name, _ in self.state)
 
     @property
-    def colour(self) -> int:
-        """First channel of its colour, where that travels: three for each coefficient."""
-        return self.gradient + 9 * self.followed
+    def channels(self) -> Channels:
+        """What its particles carry."""
+        return _channels(self.state, self.porous, self.followed, self.coefficients)
 
     def bound(self, wave2):
         """Squared wave speed [m2/s2], that of the law being wave2, in the pores at the start."""
         return wave2 * (1.0 + (1.0 / self.pores - 1.0) * self.dense) + self.stiff
+
+
+@lru_cache(maxsize=64)
+def _channels(state: tuple, porous: bool, followed: bool, coefficients: int) -> Channels:
+    return Channels(dict(state), porous, followed, coefficients)
 
 
 class PhasePlan(NamedTuple):
@@ -90,6 +91,7 @@ class PhasePlan(NamedTuple):
     objects: tuple[int, ...]  # rows of the scene's objects
     mastery: int  # 0 for the phase whose normals count first
     least: float  # [kg] one cell full of its lightest material
+    most: float  # [kg] one cell full of its densest
 
 
 @dataclass(frozen=True)
@@ -142,20 +144,12 @@ class Plan:
     def fields(self, group: int) -> dict[str, int]:
         """Bytes of everything that one particle of a group has of its own. What holds for an object
         or a material is in no particle: its id says which object it belongs to."""
-        g = self.groups[group]
-        numbers = {"x": 3, "v": 3, "C": 9, "vol0": 1, **dict(zip(g.carries, g.widths, strict=True))}
-        if g.porous:
-            numbers["share"] = 1
-        if g.followed:
-            numbers["F"] = 9
-        if g.coefficients:
-            numbers["colour"] = 3 * g.coefficients
-        return {name: n * self.real.itemsize for name, n in numbers.items()} | {"id": 8}
+        width = self.real.itemsize
+        own = {channel.name: channel.width * width for channel in self.groups[group].channels}
+        return {"x": 3 * width, **own, "id": 8}
 
     def bytes(self) -> int:
-        """Memory of all ranks together, without the interpreters: particles, patches, nodes,
-        sorting.
-        """
+        """Memory of all ranks together, without the interpreters: particles, nodes, sorting."""
         total = 0
         for k, n in enumerate(self.count):
             if self.group_of[k] >= 0:
@@ -163,12 +157,14 @@ class Plan:
                 total += int(n * (1.4 * self.bytes_per_particle(self.group_of[k]) + 24))
         blocks = self.particles / 300.0 + 1
         width = self.real.itemsize
-        patch, nodes = 8**3 * 4 * width, 64 * 4 * width
-        patches = 1 + (self.contact or self.collider) + any(group.apart for group in self.groups)
-        layers = max(group.coefficients for group in self.groups)
-        patches += layers
-        more = layers + (3 if self.rules is None and not self.flip else 4 + self.drifts)
-        return total + int(blocks * (patch * patches + more * nodes))
+        nodes = 64 * 4
+        one = 8 * (1 if width == 4 else 2) + width  # a number's sum, and the number
+        layers = 1 + (self.contact or self.collider) + any(group.apart for group in self.groups)
+        layers += max(group.coefficients for group in self.groups)
+        more = 0 if self.rules is None and not self.flip else 1 + self.drifts
+        per_block = nodes * (layers * one + more * width)
+        # a particle's block and those around it: about 2.5 node blocks of its phase
+        return total + int(2.5 * blocks * per_block)
 
 
 def make_plan(
@@ -285,6 +281,7 @@ def _phases(scene, bodies, material_of, volume, center) -> tuple[PhasePlan, ...]
             tuple(members[name]),
             order.index(name),
             min(material_of[k].bulk_density for k in members[name]) * cell,
+            max(material_of[k].bulk_density for k in members[name]) * cell,
         )
         for name in names
     )
@@ -301,11 +298,9 @@ def _group(phase: int, phase_label: str, name: str, material, real: np.dtype) ->
         material=name,
         law=typed,
         density=material.bulk_density,
-        rest=rest,
+        state=tuple((name, tuple(values)) for name, values in material.carries.items()),
         cost=material.cost,
-        carries=tuple(material.carries),
         share=material.solid_share,
-        widths=tuple(len(values) for values in material.carries.values()),
     )
 
 

@@ -50,16 +50,17 @@ def _gradient(group, at, J) -> np.ndarray:
     """F, row by row, (n, 9): where nothing carries it the isotropic one of the volume."""
     if "H" not in group.plan.carries and not group.plan.followed:
         return (np.cbrt(J)[:, None] * np.eye(3).ravel()).astype(np.float32)
-    first = group.plan.gradient if group.plan.followed else STATE
-    return (group.f[first : first + 9, at].T + np.eye(3).ravel()).astype(np.float32)
+    rows = group.plan.channels["F" if group.plan.followed else "H"].rows
+    return (group.f[rows, at].T + np.eye(3).ravel()).astype(np.float32)
 
 
 def _colour(group, at, colours) -> np.ndarray:
     """Coefficients of colours, (n, 3 K) with K the most of any; nan where none travel."""
     out = np.full((len(at), 3 * colours.coefficients.max()), np.nan, np.float32)
-    first, count = group.plan.colour, 3 * group.plan.coefficients
+    count = 3 * group.plan.coefficients
     least = colours.least[group.plan.phase].ravel()[:count]
-    out[:, :count] = group.f[first : first + count, at].T + least
+    if count:
+        out[:, :count] = group.f[group.plan.channels["colour"].rows, at].T + least
     return out
 
 

@@ -9,8 +9,10 @@ from ..domain.halo import Halo
 from ..domain.ranks import Alone
 from ..domain.solids import Solids
 from ..domain.state import Group
+from ..engines.base import Engine, Report
 from ..engines.cpu import Cpu
-from ..kernels import g2p, records
+from ..engines.numpy.engine import Numpy
+from ..kernels import g2p
 from ..materials.base import function
 from ..planning.plan import Plan
 from .loads import Loads
@@ -21,10 +23,20 @@ REASONS = {
     g2p.TOO_FAST: "it would move more than a cell in one step",
     g2p.LOST: "its velocity or stress is not a number",
 }
+ENGINES = {"cpu": Cpu, "numpy": Numpy}
+SUMMED = {"momentum": "mass or momentum", "offsets": "volume", "impulses": "impulse"}
 
 
 class BlowUp(RuntimeError):
     """The state can no longer be trusted. Names the object, the particle and the step."""
+
+
+def _needs(plan: Plan) -> topology.Needs:
+    """What the scene asks of the tables."""
+    phase_of, hues = (np.array(rows, np.int64) for rows in zip(
+        *((group.phase, group.coefficients) for group in plan.groups), strict=True
+    ))  # fmt: skip
+    return topology.Needs(phase_of, plan.contact, _apart(plan), hues)
 
 
 def _apart(plan: Plan) -> topology.Apart | None:
@@ -49,17 +61,23 @@ class Simulation:
     """
 
     def __init__(
-        self, plan: Plan, ranks: Alone, colliders: list = (), threads: int = 1, loads: list = ()
+        self,
+        plan: Plan,
+        ranks: Alone,
+        colliders: list = (),
+        threads: int = 1,
+        loads: list = (),
+        engine: str = "cpu",
     ):
         self.plan = plan
         self.ranks = ranks
         self.lattice = Lattice(plan.cells, plan.dx)
         self.solids = Solids(list(colliders), self.lattice, plan.real) if colliders else None
-        self.engine = Cpu(plan, self.solids, threads)
-        self.groups = [Group(group, self.lattice, plan.real) for group in plan.groups]
+        self.engine: Engine = ENGINES[engine](plan, self.lattice, self.solids, threads)
+        self.groups: list[Group] = self.engine.groups
         self.loads = Loads(loads, plan.real) if loads else None
-        self.phase_of = np.array([group.phase for group in plan.groups])
-        self.apart = _apart(plan)
+        self.needs = _needs(plan)
+        self.tables: topology.Topology | None = None
         self.cut: np.ndarray | None = None
         self.halo: Halo | None = None
         self.time = 0.0
@@ -69,7 +87,7 @@ class Simulation:
         self.sorted_at = 0
         self.sent = 0  # bytes this rank gave its neighbours
         self.moved = 0  # particles that left this rank for another
-        self.worst, self.said = np.zeros(4), np.zeros(8)
+        self.said = np.zeros(8)
         self.clock = None  # a callable(name) that marks the end of a stage, or None
 
     def put(
@@ -95,19 +113,19 @@ class Simulation:
         for g, group in enumerate(self.groups):
             here = group_of == g
             block, xi = self.lattice.place(x[here], self.plan.real)
-            f = np.zeros((group.channels, int(here.sum())), self.plan.real)
-            f[0:3] = v[here].T
+            channels = group.plan.channels
+            f = np.repeat(np.array(channels.rest, self.plan.real)[:, None], len(xi[0]), axis=1)
+            f[channels["v"].rows] = v[here].T
             if C is not None:
-                f[records.AFFINE : records.VOLUME] = C[here].T
-            f[records.VOLUME] = volume[here]
-            f[records.STATE :] = np.array(group.plan.carried)[:, None]
+                f[channels["C"].rows] = C[here].T
+            f[channels["vol0"].rows] = volume[here]
             count = group.plan.coefficients
             if count and sh is not None:
                 shown = sh[here, :count] - self.plan.colours.least[group.plan.phase, :count]
-                f[group.plan.colour :] = shown.reshape(len(shown), 3 * count).T
+                f[channels["colour"].rows] = shown.reshape(len(shown), 3 * count).T
             states = [group.plan.rest]
             if theta is not None and self.plan.phases[group.plan.phase].family == "fluid":
-                f[records.STATE] = theta[here]
+                f[channels["theta"].rows] = theta[here]
                 # the fastest wave is at an end of the range, which the ranks agree on bit by bit
                 states += [(end, *group.plan.rest[1:]) for end in _ends(theta[here])]
             if here.any():
@@ -136,18 +154,21 @@ class Simulation:
         self.sorts += 1
 
     def adopt(self, census: migrate.Census) -> None:
-        """Lay out tables and buffers for the census, whose segments the groups already hold."""
+        """Lay out tables and buffers for the census, whose segments the groups already hold. Where
+        no segment came or went and none changed its owner, those of before serve again."""
+        kept = self.tables is not None and _same_blocks(self.census, census)
         self.census = census
-        tables = topology.build(
-            census, self.lattice, self.ranks.rank, self.phase_of, self.plan.contact, self.solids,
-            self.apart,
-        )  # fmt: skip
-        self.engine.adopt(self.groups, tables, census.group)
+        if not kept:
+            self.tables = topology.build(
+                census, self.lattice, self.ranks.rank, self.needs, self.solids
+            )
+        self.engine.adopt(self.tables, kept)
         if self.loads is not None:
             self.loads.find(self.groups)
-        if self.halo is not None:
-            self.halo.link.close()
-        self.halo = Halo(self.ranks, tables, self.engine.slots, self.plan.real)
+        if not kept:
+            if self.halo is not None:
+                self.halo.link.close()
+            self.halo = Halo(self.ranks, self.tables, self.engine.words)
 
     @property
     def load(self) -> np.ndarray:
@@ -164,50 +185,50 @@ class Simulation:
         Raises BlowUp, on all ranks, after the step in which a particle went wrong.
         """
         mark = self.clock or (lambda name: None)
-        engine, sent = self.engine, (self.step, *self.engine.layers)
+        engine, halo = self.engine, self.halo
         if self.loads is not None:
             self.loads.push(self.groups, self.time, dt)
+        gravity = np.array(self.plan.gravity)
         if self.plan.gravity_ramp:
-            share = self.plan.gravity_share(self.time, self.time + dt)
-            np.multiply(self.plan.gravity, share, out=engine.gravity)
+            gravity *= self.plan.gravity_share(self.time, self.time + dt)
         # x, v, C, state at n -> mass and momentum (with the stress at n over dt)
-        engine.p2g(dt, border=True)
+        engine.begin(dt, gravity)
+        engine.fill(border=True)
         mark("p2g")
-        self.halo.start(*sent)
+        halo.start(self.step, engine.pack)
         mark("halo")
-        engine.p2g(dt, border=False)
+        engine.fill(border=False)
         mark("p2g")
-        self.halo.link.nudge()
+        halo.link.nudge()
         # node velocities at n + 1: gravity, contact, walls
-        engine.update(dt, border=False)
+        engine.update(border=False)
         mark("grid")
-        self.halo.link.wait()
+        halo.link.wait()
         mark("wait")
-        self.halo.finish(*sent)
+        halo.finish(self.step, engine.add)
         mark("halo")
-        engine.update(dt, border=True)
+        engine.update(border=True)
         mark("grid")
-        reports = engine.g2p(dt, self.step)  # v, C, x, state at n + 1
+        report = engine.gather(self.step)  # v, C, x, state at n + 1
         mark("g2p")
-        self.sent += self.halo.bytes_sent
+        self.sent += halo.bytes_sent
         self.time += dt
         self.step += 1
-        found = self._agreed(reports, requests)
+        found = self._agreed(report, requests)
         mark("wait")
         if found[2]:
-            raise BlowUp(self._blame(reports))
+            raise BlowUp(self._blame(report))
         self.rate = float(found[0])
         if found[1] >= g2p.REACH:
             self.sort()
             mark("sort")
         return found[3:]
 
-    def _agreed(self, reports: np.ndarray, requests: tuple[float, ...]) -> np.ndarray:
-        """The step's one reduction: rate, farthest particle, whether one went wrong, requests."""
+    def _agreed(self, report: Report, requests: tuple[float, ...]) -> np.ndarray:
+        """The step's one reduction: rate, farthest particle, whether something went wrong,
+        requests."""
         said = self.said[: 3 + len(requests)]
-        reports.max(axis=(0, 1), out=self.worst)
-        said[:2] = self.worst[:2]
-        said[2] = self.worst[2] > 0
+        said[:3] = report.rate, report.far, bool(report.wrong or report.beyond)
         said[3:] = requests
         return self.ranks.max(said)
 
@@ -215,19 +236,34 @@ class Simulation:
         """Object of each particle: ids of one object follow each other."""
         return np.searchsorted(np.array(self.plan.first_id), ids, side="right") - 1
 
-    def _blame(self, reports: np.ndarray) -> str:
-        """Name the bad particle of lowest id, the same on every rank."""
-        rows = [
-            (int(report[2]) - 1, int(report[3]))
-            for report in reports.reshape(-1, 4)
-            if report[2] > 0
-        ]
-        rows = self.ranks.all_rows(np.array(rows, np.int64).reshape(-1, 2))
-        worst, reason = rows[np.argmin(rows[:, 0])]
-        # an empty object begins where the next one does: take the one that has particles
-        thing = int(self.object_of(np.array([worst]))[0])
-        where = f"particle {worst}, step {self.step}, time {self.time:.6g} s"
-        return f"object {{{thing}}}, {where}: {REASONS[int(reason)]}"
+    def _blame(self, report: Report) -> str:
+        """Name the bad particle of lowest id, or the first node block of which a sum left its
+        range: the same on every rank."""
+        rows = self.ranks.all_rows(np.array(report.wrong, np.int64).reshape(-1, 2))
+        when = f"step {self.step}, time {self.time:.6g} s"
+        if len(rows):
+            worst, reason = rows[np.argmin(rows[:, 0])]
+            # an empty object begins where the next one does: take the one that has particles
+            thing = int(self.object_of(np.array([worst]))[0])
+            return f"object {{{thing}}}, particle {worst}, {when}: {REASONS[int(reason)]}"
+        layers = self.needs.layers
+        mine = [(*one.block, one.phase, layers.index(one.layer)) for one in report.beyond]
+        rows = self.ranks.all_rows(np.array(mine, np.int64).reshape(-1, 5))
+        *block, phase, layer = min(map(tuple, rows.tolist()))
+        near = ", ".join(f"{(4 * b + 0.5) * self.plan.dx:.4g}" for b in block)
+        what = SUMMED.get(layers[layer], "colour")
+        return (
+            f"phase '{self.plan.phases[phase].name}', near ({near}) m, {when}: the {what} at a node"
+            " is beyond what a sum can hold"
+        )
+
+
+def _same_blocks(before: migrate.Census, after: migrate.Census) -> bool:
+    """Whether two censuses have the same segments with the same owners."""
+    return all(
+        np.array_equal(getattr(before, name), getattr(after, name))
+        for name in ("code", "group", "owner")
+    )
 
 
 def _ends(values: np.ndarray) -> list[float]:

@@ -5,7 +5,7 @@ import logging
 import numpy as np
 
 from ..device.processor import processor, stamp
-from ..domain import halo
+from ..domain.halo import Part
 from ..domain.ranks import Alone
 from ..kernels.loads import push
 from ..planning.plan import Plan
@@ -61,7 +61,8 @@ def _run_all(plan: Plan) -> None:
     for group in alone.groups:
         push(group.f, np.zeros(0, np.int64), np.zeros(3, plan.real))
         about(alone, group, 0, 0)
-    none = np.zeros(0, np.int64)
-    corner = np.zeros((0, 3), np.int64)
-    for copy in (halo.pack, halo.unpack):
-        copy(np.zeros(0, plan.real), none, corner, corner, alone.engine.flat_patches)
+    empty, masks = np.zeros(0), np.zeros(0, np.uint64)
+    for name in alone.needs.layers:
+        part = Part(name, np.zeros(0, np.int64), masks, empty)
+        alone.engine.pack(part)
+        alone.engine.add(part)

@@ -1,0 +1,65 @@
+"""What a step asks of the machine that does its work: the door behind which an engine is.
+
+    begin, fill(border), pack ... fill(inner), update(inner) ... add, update(border), gather
+
+An engine keeps the particles of a rank (`groups`), contributes them to the nodes (`fill`), hands
+the sums that other ranks need to the halo and takes up theirs (`pack`, `add`), finds the nodes'
+velocities (`update`) and moves the particles (`gather`).
+"""
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from ..domain.halo import Part
+from ..domain.state import Group
+from ..domain.topology import Topology
+
+# generators of a sequence that fills the unit cube evenly (Roberts 2018): the dither of a step, the
+# same on every rank
+DITHER = np.array([0.8191725133961645, 0.6710436067037893, 0.5497004779019703])
+
+
+class Beyond(NamedTuple):
+    """A node block of which a sum left its range; the lowest counts."""
+
+    block: tuple[int, int, int]
+    phase: int
+    layer: str
+
+
+class Report(NamedTuple):
+    """What a step found on this rank."""
+
+    rate: float  # [1/s] least 1/dt that the particles allow
+    far: float  # [cells] farthest from its block's middle
+    wrong: list[tuple[int, int]]  # id of a particle that went wrong, and why (g2p.CRUSHED ...)
+    beyond: list[Beyond]
+
+
+class Engine(Protocol):
+    """One rank's particles and nodes."""
+
+    groups: list[Group]
+    words: int  # doubles per sum, of which messages are made
+
+    def adopt(self, tables: Topology, kept: bool) -> None:
+        """Lay out what the tables ask for, after a sort; kept: they are those of before."""
+
+    def begin(self, dt: float, gravity: np.ndarray) -> None:
+        """Begin a step of dt [s] with gravity (3,) [m/s2]."""
+
+    def fill(self, border: bool) -> None:
+        """Contribute this rank's segments: those that reach other ranks' nodes, or the others."""
+
+    def pack(self, part: Part) -> None:
+        """Put what this rank summed into a part of a message."""
+
+    def add(self, part: Part) -> None:
+        """Add what another rank summed."""
+
+    def update(self, border: bool) -> None:
+        """Find the velocities at the nodes to which others add, or at the others."""
+
+    def gather(self, step: int) -> Report:
+        """Move the particles."""

@@ -1,0 +1,124 @@
+"""Contact of phases, node by node: who touches whom, and the impulses that keep them apart.
+
+The rule is docs/theory.md's: surfaces are found from the volumes and mean offsets of a phase's
+particles; impulses of all pairs of a node are found together, by accumulated Jacobi sweeps.
+"""
+
+import numpy as np
+
+from ...couplings.base import CONTACT
+from ...domain.solids import REACH
+from ...kernels.contact import LIGHT, SWEEPS, TOUCH
+from ...planning.plan import Plan
+from .dense import Dense
+
+
+def outside(m: float) -> float:
+    """Distance [cells] of a node outside a half space of particles that lie m cells off on average:
+    the fit by which the rule is defined."""
+    if m >= 0.75:
+        return min((m - 0.375) / 0.75, 1.5)
+    if m <= 0.0:
+        return -1.5
+    s = np.cbrt(m)
+    return -1.5 + 1.524778 * s + 0.998001 * s**2 - 1.124705 * s**3 + 0.933773 * s**4
+
+
+class Contact:
+    """collider: outward normal and distance [m] at all nodes, (n, 4), or None."""
+
+    def __init__(self, plan: Plan, dense: Dense, collider: np.ndarray | None):
+        self.plan, self.dx, self.collider = plan, plan.dx, None
+        self.near = np.zeros(dense.shape, bool)  # to a collider
+        if collider is not None:
+            self.collider = collider.reshape(*dense.shape, 4)
+            self.near = self.collider[..., 3] < REACH * plan.dx
+        self.least = np.array([LIGHT * phase.least for phase in plan.phases])
+        self.walls = dense
+
+    def along_walls(self, offset: np.ndarray) -> None:
+        """The mirror image cancels what lies across a mirroring wall. offset: (phases, ..., 3)."""
+        for axis, kind, _, wall, _, _ in self.walls.ends():
+            if kind != "separate":
+                np.moveaxis(offset, axis + 1, 0)[wall, ..., axis] = 0.0
+
+    def act(self, v: np.ndarray, mass: np.ndarray, offset: np.ndarray, volume: np.ndarray) -> int:
+        """Change velocities v (phases, ..., 3) where phases touch and approach. Returns at how many
+        nodes."""
+        here = mass > self.least[:, None, None, None]
+        several = here.sum(0) + self.near > 1
+        acted = 0
+        for node in map(tuple, np.argwhere(several & here.any(0))):
+            at = (slice(None), *node)
+            pairs = self._pairs(node, np.flatnonzero(here[at]), v[at], offset[at], volume[at])
+            if pairs:
+                _resolve(v[at], mass[at], pairs)
+                acted += 1
+        return acted
+
+    def _pairs(self, node, there, v, X, V) -> list[tuple]:
+        """(master or -1, other, normal of the master, friction) of the pairs that touch. One that
+        is alone at its node and parts is left out."""
+        plan, rules = self.plan, self.plan.rules
+        solid = self.collider[node] if self.near[node] else None
+        alone = len(there) + (solid is not None) == 2
+        found = []
+        for q, one in enumerate(there):
+            if solid is not None and V[one] > 0:
+                n, distance = solid[:3], solid[3] / self.dx
+                gap = distance + outside((X[one] @ n) / (V[one] * self.dx))
+                if not (alone and v[one] @ n >= 0) and gap <= TOUCH:
+                    found.append((-1, one, n, plan.friction[len(plan.phases)][one]))
+            for other in there[q + 1 :]:
+                if rules is not None and rules.pair[one, other] != CONTACT:
+                    continue
+                first = plan.phases[one].mastery < plan.phases[other].mastery
+                a, b = (one, other) if first else (other, one)
+                n = self._normal(X[a], X[b], V[a], V[b])
+                if n is None or (alone and (v[a] - v[b]) @ n <= 0):
+                    continue
+                ma, mb = -(X[a] @ n) / (V[a] * self.dx), (X[b] @ n) / (V[b] * self.dx)
+                if outside(ma) + outside(mb) <= TOUCH:
+                    found.append((a, b, n, plan.friction[one][other]))
+        return found
+
+    def _normal(self, Xa, Xb, Va, Vb):
+        """Outward normal of the master, None where there is none."""
+        if not (Va > 0 and Vb > 0):
+            return None
+        for X, V, sign in ((Xa, Va, -1.0), (Xb, Vb, 1.0)):
+            size = np.linalg.norm(X)
+            if size > 1e-6 * self.dx * V:
+                return sign * X / size
+        return None
+
+
+def _resolve(v: np.ndarray, mass: np.ndarray, pairs: list[tuple]) -> None:
+    """Change the velocities (phases, 3) of a node so that no touching pair approaches."""
+    touches = np.zeros(len(mass), int)
+    for a, b, _, _ in pairs:
+        touches[b] += 1
+        if a >= 0:
+            touches[a] += 1
+    relax = 1.0 / touches.max()
+    normal, slide = np.zeros(len(pairs)), np.zeros((len(pairs), 3))
+    for _ in range(SWEEPS if len(pairs) > 1 else 1):
+        change, pushes = 0.0, []
+        for q, (a, b, n, friction) in enumerate(pairs):
+            r = (v[a] if a >= 0 else 0.0) - v[b]
+            reduced = mass[a] * mass[b] / (mass[a] + mass[b]) if a >= 0 else mass[b]
+            approach = r @ n
+            total = max(0.0, normal[q] + relax * reduced * approach)
+            t = slide[q] + relax * reduced * (r - approach * n)
+            size = np.linalg.norm(t)
+            if size > friction * total:
+                t = t * (friction * total / size)
+            pushes.append((total - normal[q]) * n + (t - slide[q]))
+            change = max(change, abs(total - normal[q]) / reduced)
+            normal[q], slide[q] = total, t
+        for (a, b, _, _), push in zip(pairs, pushes, strict=True):
+            if a >= 0:
+                v[a] -= push / mass[a]
+            v[b] += push / mass[b]
+        if change < 1e-13:
+            break

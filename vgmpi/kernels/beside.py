@@ -1,0 +1,225 @@
+"""What particles gather beside the velocity, by kind: nothing; where phases share space the flux of
+volume and the drift; for FLIP the change of velocity.
+
+Every kind says what it fetches from the grid for a segment (`fetch`), what it sets aside for a
+batch (`set_aside`), and how that enters the particle: its velocity (`keep`), the velocity it moves
+by (`moving`), its strain (`strain`) and its waves (`waves`).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..device.jit import inline
+from ..lanes.kinds import by_kind
+from ..lanes.lanes import load, store
+from ..lanes.rows import spread
+from .couple import LEAST_PORES
+from .patches import gather
+from .records import BATCH, PATCH, patch_of
+from .rowsums import columns, moments, values
+from .walls import SIDE, reflect
+
+RELAX = 10.0  # [1/s] at which a fluid in pores gives way where there is more volume than space
+
+
+class Nothing(NamedTuple):
+    """Velocity alone."""
+
+    unused: float
+
+
+class Sharing(NamedTuple):
+    """Of phases that share space."""
+
+    flux: np.ndarray  # (node blocks, 256) flux of volume [m/s], and the fluids' share of space
+    drift: np.ndarray  # (node blocks, 256) velocity that moves but is no momentum [m/s]
+    drifts: int  # whether there is any
+
+
+class Blend(NamedTuple):
+    """FLIP."""
+
+    change: np.ndarray  # (node blocks, 256) of velocity [m/s]
+    share: float  # of the particle's own velocity that it keeps
+
+
+@by_kind
+def fetch(kind, blocks, box, mirror, real):
+    """The patches of a segment that shares space, or of any for FLIP, into its thread's scratch."""
+
+
+@by_kind
+def set_aside(kind, count, weights, records, base, real, extra):
+    """What a batch gathers from them, into extra (5 BATCH,)."""
+
+
+@by_kind
+def keep(kind, f, p, cap, extra, n, v):
+    """The velocity of 16 particles from p, v as gathered: a tuple of three."""
+
+
+@by_kind
+def moving(kind, split, extra, n, v):
+    """The velocity they move by."""
+
+
+@by_kind
+def strain(kind, split, f, p, cap, extra, n, L, fill, numbers):
+    """The velocity gradient that their law is told, L as gathered: a tuple of nine."""
+
+
+@by_kind
+def waves(kind, f, p, cap, numbers, wave2):
+    """Their squared wave speed [m2/s2], wave2 by the law."""
+
+
+@inline
+def _read(grid, blocks, box, mirror, patch):
+    gather(patch, grid, blocks, box)
+    reflect(patch[:PATCH].reshape((SIDE, SIDE, SIDE, 4)), mirror)
+
+
+@inline
+def _as_gathered(f, p, cap, v):
+    store(f, p, v[0])
+    store(f, p + cap, v[1])
+    store(f, p + 2 * cap, v[2])
+
+
+# ---- nothing ------------------------------------------------------------------------------------
+
+
+@fetch.of(Nothing)
+def _(kind, blocks, box, mirror, real):
+    pass
+
+
+@set_aside.of(Nothing)
+def _(kind, count, weights, records, base, real, extra):
+    pass
+
+
+@keep.of(Nothing)
+def _(kind, f, p, cap, extra, n, v):
+    _as_gathered(f, p, cap, v)
+
+
+@moving.of(Nothing)
+def _(kind, split, extra, n, v):
+    return v
+
+
+@strain.of(Nothing)
+def _(kind, split, f, p, cap, extra, n, L, fill, numbers):
+    return L
+
+
+@waves.of(Nothing)
+def _(kind, f, p, cap, numbers, wave2):
+    return wave2
+
+
+# ---- phases that share space --------------------------------------------------------------------
+
+
+@fetch.of(Sharing)
+def _(kind, blocks, box, mirror, real):
+    _read(kind.flux, blocks, box, mirror, patch_of(real, 0))
+    if kind.drifts:
+        _read(kind.drift, blocks, box, mirror, patch_of(real, 1))
+
+
+@set_aside.of(Sharing)
+def _(kind, count, weights, records, base, real, extra):
+    """Divergence of the flux [cells/s], share of space, drift [m/s]."""
+    moments(count, records, weights, base, patch_of(real, 0))
+    for n in range(count):
+        m = 16 * n
+        extra[n] = 4.0 * (records[m + 4] + records[m + 9] + records[m + 14])
+        extra[BATCH + n] = records[m + 3]
+    if kind.drifts:
+        values(count, records, weights, base, patch_of(real, 1))
+        columns(count, records, extra, 2 * BATCH, BATCH)
+
+
+@keep.of(Sharing)
+def _(kind, f, p, cap, extra, n, v):
+    _as_gathered(f, p, cap, v)
+
+
+@moving.of(Sharing)
+def _(kind, split, extra, n, v):
+    x, y, z = v
+    if split and kind.drifts:
+        x = x + load(extra, 2 * BATCH + n)
+        y = y + load(extra, 3 * BATCH + n)
+        z = z + load(extra, 4 * BATCH + n)
+    return x, y, z
+
+
+@strain.of(Sharing)
+def _(kind, split, f, p, cap, extra, n, L, fill, numbers):
+    """A fluid's volume changes by the flux of all that share its space. Where sand is, its pores'
+    share of space is noted at the particle; where more volume than space was gathered (fill > 1),
+    the volume ratio relaxes."""
+    porosity = np.int64(numbers.porosity)
+    c0, c1, c2, c3, c4, c5, c6, c7, c8 = L
+    more = 0.0 * c0
+    if split:
+        rate = load(extra, n) / numbers.dx
+        if porosity >= 0:
+            share = np.minimum(np.maximum(load(extra, BATCH + n), LEAST_PORES), 1.0)
+            store(f, p + porosity * cap, share)
+            rate = rate / share - numbers.relax * np.maximum(fill - 1.0, 0.0)
+        more = (rate - (c0 + c4 + c8)) * (1.0 / 3.0)
+    elif porosity >= 0:
+        store(f, p + porosity * cap, spread(f, 1.0))
+    return (c0 + more, c1, c2, c3, c4 + more, c5, c6, c7, c8 + more)
+
+
+@waves.of(Sharing)
+def _(kind, f, p, cap, numbers, wave2):
+    porosity = np.int64(numbers.porosity)
+    if porosity >= 0:
+        share = load(f, p + porosity * cap)
+        wave2 = wave2 * (1.0 + (1.0 / share - 1.0) * numbers.dense) + numbers.stiff
+    return wave2
+
+
+# ---- FLIP ---------------------------------------------------------------------------------------
+
+
+@fetch.of(Blend)
+def _(kind, blocks, box, mirror, real):
+    _read(kind.change, blocks, box, mirror, patch_of(real, 0))
+
+
+@set_aside.of(Blend)
+def _(kind, count, weights, records, base, real, extra):
+    moments(count, records, weights, base, patch_of(real, 0))
+    columns(count, records, extra, 0, BATCH)
+
+
+@keep.of(Blend)
+def _(kind, f, p, cap, extra, n, v):
+    """A particle's own velocity and the grid's change of it, blended with the grid's velocity
+    (Zhu & Bridson 2005)."""
+    for c in range(3):
+        own = load(f, p + c * cap) + load(extra, c * BATCH + n)
+        store(f, p + c * cap, v[c] + kind.share * (own - v[c]))
+
+
+@moving.of(Blend)
+def _(kind, split, extra, n, v):
+    return v
+
+
+@strain.of(Blend)
+def _(kind, split, f, p, cap, extra, n, L, fill, numbers):
+    return L
+
+
+@waves.of(Blend)
+def _(kind, f, p, cap, numbers, wave2):
+    return wave2

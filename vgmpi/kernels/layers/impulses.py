@@ -1,0 +1,67 @@
+"""The stress's impulses over a step [kg m/s], kept apart from momentum where FLIP asks for the
+change of velocity and where fluids share their pressure; and volumes [m3] as they are now.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ...lanes.lanes import load
+from ...lanes.laws import lane_state, stress, volume_ratio
+from ...lanes.rows import spread, store_records
+from ..records import AFFINE, STATE, VOLUME
+from ..sums import power
+from . import momentum
+from .base import VECTOR, contribute
+
+
+class Impulses(NamedTuple):
+    splines: float
+    mirror: float
+    counted: float  # 1 where phases share space, so that nodes must know volumes
+    porosity: float  # channel of the fluid's share of space, or -1
+    dx: float  # [m]
+
+
+def kind(plan, group) -> Impulses:
+    """What a group's particles contribute."""
+    real = plan.real.type
+    counted, porosity = plan.rules is not None, group.channels.first("share")
+    return Impulses(*(real(v) for v in (plan.splines, VECTOR, counted, porosity, plan.dx)))
+
+
+def full(plan, dt: float) -> np.ndarray:
+    """Powers of two (phases, 4): as of momentum, and the volume of a cell."""
+    out = momentum.full(plan, dt)
+    out[:, 3] = power(plan.dx**3)
+    return out
+
+
+@contribute.of(Impulses)
+def _impulses(kind, law, count, at, cap, f, extra, records, dt):
+    porosity = np.int64(kind.porosity)
+    zero = spread(f, 0.0)
+    four = dt * 4.0 / kind.dx
+    for n in range(0, count, 16):
+        p = at + n
+        q = p + AFFINE * cap
+        c0, c1, c2 = load(f, q), load(f, q + cap), load(f, q + 2 * cap)
+        c3, c4, c5 = load(f, q + 3 * cap), load(f, q + 4 * cap), load(f, q + 5 * cap)
+        c6, c7, c8 = load(f, q + 6 * cap), load(f, q + 7 * cap), load(f, q + 8 * cap)
+        L = (c0, c1, c2, c3, c4, c5, c6, c7, c8)
+        state = lane_state(law, f, p + STATE * cap, cap)
+        t00, t11, t22, t01, t02, t12 = stress(law, state, L)
+        volume = load(f, p + VOLUME * cap)
+        k = -four * volume
+        now = volume * volume_ratio(law, state) if kind.counted > 0.0 else zero
+        if porosity >= 0:
+            k = k / load(f, p + porosity * cap)
+        a, b, c = k * t01, k * t02, k * t12
+        store_records(
+            records,
+            16 * n,
+            (
+                zero, zero, zero, now, k * t00, a, b, zero,
+                a, k * t11, c, zero, b, c, k * t22, zero,
+            ),
+        )  # fmt: skip

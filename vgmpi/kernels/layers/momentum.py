@@ -1,0 +1,99 @@
+"""Momentum [kg m/s] and mass [kg], with the stress's impulse over a step where that is not kept
+apart (quadratic B-splines, APIC: Jiang 2015, MLS force: Hu 2018).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ...lanes.lanes import load
+from ...lanes.laws import lane_state, stress
+from ...lanes.rows import spread, store_records
+from ..records import AFFINE, STATE, VOLUME
+from ..sums import power
+from .base import VECTOR, contribute
+
+
+class Momentum(NamedTuple):
+    """With the stress's impulse."""
+
+    splines: float
+    mirror: float
+    density: float  # [kg/m3] of a particle's rest volume
+    affine: float  # 1: particles carry the velocity's gradient (APIC), 0: they do not
+    dx: float  # [m]
+
+
+class Inertia(NamedTuple):
+    """Without: the impulses are a layer of their own."""
+
+    splines: float
+    mirror: float
+    density: float
+    affine: float
+    dx: float
+
+
+def kinds(plan, group) -> tuple[Momentum, Inertia]:
+    """What a group's particles contribute, where their stress is part of it and where not."""
+    real = plan.real.type
+    numbers = [real(v) for v in (plan.splines, VECTOR, group.density, plan.affine, plan.dx)]
+    return Momentum(*numbers), Inertia(*numbers)
+
+
+def full(plan, dt: float) -> np.ndarray:
+    """Powers of two (phases, 4): momentum of a full cell of a phase's densest material that crosses
+    one cell in dt [s], and its mass."""
+    mass = power([phase.most for phase in plan.phases])
+    fast = mass * power(plan.dx / dt)
+    return np.stack([fast, fast, fast, mass], 1)
+
+
+@contribute.of(Momentum)
+def _momentum(kind, law, count, at, cap, f, extra, records, dt):
+    zero = spread(f, 0.0)
+    dx = kind.dx
+    four = dt * 4.0 / (dx * dx)
+    for n in range(0, count, 16):
+        p = at + n
+        q = p + AFFINE * cap
+        c0, c1, c2 = load(f, q), load(f, q + cap), load(f, q + 2 * cap)
+        c3, c4, c5 = load(f, q + 3 * cap), load(f, q + 4 * cap), load(f, q + 5 * cap)
+        c6, c7, c8 = load(f, q + 6 * cap), load(f, q + 7 * cap), load(f, q + 8 * cap)
+        L = (c0, c1, c2, c3, c4, c5, c6, c7, c8)
+        t00, t11, t22, t01, t02, t12 = stress(law, lane_state(law, f, p + STATE * cap, cap), L)
+        volume = load(f, p + VOLUME * cap)
+        mass = kind.density * volume
+        k, m = dx * four * volume, kind.affine * dx * mass
+        store_records(
+            records,
+            16 * n,
+            (
+                mass * load(f, p), mass * load(f, p + cap), mass * load(f, p + 2 * cap), mass,
+                m * c0 - k * t00, m * c3 - k * t01, m * c6 - k * t02, zero,
+                m * c1 - k * t01, m * c4 - k * t11, m * c7 - k * t12, zero,
+                m * c2 - k * t02, m * c5 - k * t12, m * c8 - k * t22, zero,
+            ),
+        )  # fmt: skip
+
+
+@contribute.of(Inertia)
+def _inertia(kind, law, count, at, cap, f, extra, records, dt):
+    zero = spread(f, 0.0)
+    for n in range(0, count, 16):
+        p = at + n
+        q = p + AFFINE * cap
+        mass = kind.density * load(f, p + VOLUME * cap)
+        m = kind.affine * kind.dx * mass
+        c0, c1, c2 = m * load(f, q), m * load(f, q + cap), m * load(f, q + 2 * cap)
+        c3, c4, c5 = m * load(f, q + 3 * cap), m * load(f, q + 4 * cap), m * load(f, q + 5 * cap)
+        c6, c7, c8 = m * load(f, q + 6 * cap), m * load(f, q + 7 * cap), m * load(f, q + 8 * cap)
+        v0, v1, v2 = load(f, p), load(f, p + cap), load(f, p + 2 * cap)
+        store_records(
+            records,
+            16 * n,
+            (
+                mass * v0, mass * v1, mass * v2, mass,
+                c0, c3, c6, zero, c1, c4, c7, zero, c2, c5, c8, zero,
+            ),
+        )  # fmt: skip
