@@ -124,8 +124,7 @@ class Plan:
     def drifts(self) -> bool:
         """Whether fluids drift into each other by diffusion, and keep that out of their momentum;
         as the paper prints it they do not."""
-        rules = self.rules
-        return rules is not None and bool((rules.diffusion[~rules.printed_mix] > 0).any())
+        return self.rules is not None and bool(self.rules.drifting_apart.any())
 
     @property
     def particles(self) -> int:
