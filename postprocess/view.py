@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from vgmpi.output import layout
-from vgmpi.output.read import Run, RunError
+from vgmpi.output.read import RunError, RunFiles
 from vgmpi.splatting.camera import orbit_eye, overview
 
 FOV = 30.0  # degrees, vertical
@@ -46,7 +46,7 @@ def title(color: str) -> str:
     return color if unit == "1" else f"{color} [{unit}]"
 
 
-def picture(run: Run, index: int, color: str, path: Path, args: argparse.Namespace) -> None:
+def picture(run: RunFiles, index: int, color: str, path: Path, args: argparse.Namespace) -> None:
     """Draw one frame into a PNG file."""
     import pyvista as pv  # takes a second: not for --help
 
@@ -120,7 +120,7 @@ def main(argv: list[str] | None = None) -> int:
         print("allowed: --size 16 to 8192 pixels, --point greater than 0", file=sys.stderr)
         return 2
     try:
-        run = Run(args.out)
+        run = RunFiles(args.out)
         index = args.frame + len(run) if args.frame < 0 else args.frame
         if not 0 <= index < len(run):
             raise RunError(f"--frame: {args.frame}: the run has the frames 0..{len(run) - 1}")

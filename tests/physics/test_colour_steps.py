@@ -3,8 +3,9 @@
 The paper's transfer S once a step, (S c)_p = sum_i w_ip c_i with
 c_i = sum_p w_ip V_p c_p / sum_p w_ip V_p:
 
-- one step equals the transfer of vgmpi/splatting/colour.py at the places before the step, over all
-  fluids of a phase and over fluids that mix; to 1e-12 of the range of colours in double precision;
+- one step equals the transfer of vgmpi/splatting/smoothing.py at the places before the step, over
+  all fluids of a phase and over fluids that mix; to 1e-12 of the range of colours in double
+  precision;
 - sum_p V_p c_p is kept by it to rounding, and equal colours stay equal in every bit;
 - an edge between two colours at rest spreads with D = dx^2 / (4 dt): after N steps its profile is
   that of the error function with a variance of N dx^2 / 2; rms of the difference at most .01.
@@ -21,7 +22,7 @@ from tests.held import held
 from tests.simulate import begin, by_id
 from vgmpi.prepare.build import build
 from vgmpi.solver.state import frame_rows
-from vgmpi.splatting.colour import Transfer
+from vgmpi.splatting.smoothing import Transfer
 
 PAPER = "VersaGauss, transfer of colours"
 SCENE = """

@@ -256,7 +256,7 @@ def test_a_real_capture_is_recognisable_on_a_turning_body(tmp_path):
     got = iio.imread(tmp_path / "a.png").astype(float)
 
     turned = c.transformed(np.eye(3), 1.0, -middle).transformed(R, 1.0, middle + shift)
-    painter = render.Painter(render.Run(tmp_path), render.settings.Settings(), tmp_path)
+    painter = render.Painter(render.RunFiles(tmp_path), render.settings.Settings(), tmp_path)
     camera = painter.camera(0.0)
     splats = splat.Splats(turned.x, turned.cov(), turned.opacity, turned.rgb)
     image, _ = splat.render(splats, camera, (1.0, 1.0, 1.0))

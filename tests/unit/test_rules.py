@@ -38,9 +38,7 @@ def plan(tmp_path, couplings):
 
 def test_who_drifts_and_whose_drift_is_no_momentum(tmp_path):
     """The last fluid mixes with nobody; what is printed drifts, within the momentum."""
-    found = plan(
-        tmp_path, [("ale", "beer", "mixing", 1e-6), ("cola", "dew", "mixing-paper", 1e-6)]
-    )
+    found = plan(tmp_path, [("ale", "beer", "mixing", 1e-6), ("cola", "dew", "mixing-paper", 1e-6)])
     assert [phase.name for phase in found.phases] == list(NAMES)
     assert found.rules.drifting.tolist() == [True, True, True, True, False]
     assert found.rules.drifting_apart.tolist() == [True, True, False, False, False]

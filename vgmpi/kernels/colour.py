@@ -4,7 +4,7 @@
 
 V_p is the volume as it is now. Nodes sum over their patches as they do for momentum (p2g.py,
 grid.py), with the same halo, so that the bits depend on neither ranks nor threads. Walls mirror no
-colour: nodes beyond them are nodes like others, as in splatting/colour.py, which this equals.
+colour: nodes beyond them are nodes like others, as in splatting/smoothing.py, which this equals.
 """
 
 import numpy as np

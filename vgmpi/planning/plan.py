@@ -17,7 +17,7 @@ from ..materials.base import function, state_channels
 from ..scene.loads import mean_share
 from ..scene.objects import Object
 from ..scene.scene import Scene
-from .colours import Exchange, exchange
+from .colour_sets import Exchange, exchange
 from .sharing import rules
 
 BASE_CHANNELS = 13  # velocity 3, APIC matrix 9, rest volume 1
@@ -180,7 +180,7 @@ def make_plan(
 ) -> Plan:
     """The plan of a scene whose objects have `count` particles of `volume` [m3] in total each, with
     their `center` [m], without which bodies of one volume are told apart by their names alone, and
-    with the `shades` of their colours (colours.shades).
+    with the `shades` of their colours (colour_sets.shades).
 
     Raises SceneError where a fixed time step is above the bound.
     """

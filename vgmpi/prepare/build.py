@@ -11,7 +11,7 @@ from vgmpi.gaussians.checked import GaussianFileError
 from vgmpi.planning.plan import deforms
 from vgmpi.prepare.collider import Collider
 from vgmpi.prepare.initial import begun
-from vgmpi.prepare.loads import Loaded, find
+from vgmpi.prepare.loaded import Loaded, find
 from vgmpi.prepare.mesh import MeshError
 from vgmpi.prepare.motion import velocity
 from vgmpi.prepare.passive import bound

@@ -13,7 +13,7 @@ from ..engines.cpu import Cpu
 from ..kernels import g2p, records
 from ..materials.base import function
 from ..planning.plan import Plan
-from .loads import Loads
+from .pushes import Pushes
 
 REASONS = {
     g2p.CRUSHED: "its volume ratio J left 0.1 .. 5 or is not a number",
@@ -57,7 +57,7 @@ class Simulation:
         self.solids = Solids(list(colliders), self.lattice, plan.real) if colliders else None
         self.engine = Cpu(plan, self.solids, threads)
         self.groups = [Group(group, self.lattice, plan.real) for group in plan.groups]
-        self.loads = Loads(loads, plan.real) if loads else None
+        self.loads = Pushes(loads, plan.real) if loads else None
         self.phase_of = np.array([group.phase for group in plan.groups])
         self.apart = _apart(plan)
         self.cut: np.ndarray | None = None

@@ -5,7 +5,7 @@ the start. So a run is never made again for another look of its colours.
 
 frame: the colours at the start, smoothed once over a cell where the particles are now.
 relax: dc/dt = (S c - c) / time from frame to frame, S the smoothing at the frame where a stretch of
-time ends (vgmpi/splatting/colour.py). The colours of each frame are kept in OUT/colours.
+time ends (vgmpi/splatting/smoothing.py). The colours of each frame are kept in OUT/colours.
 step: the run has carried them itself; they stand in its frames.
 """
 
@@ -21,7 +21,7 @@ import numpy as np
 
 from postprocess.settings import LookSettings, SettingsError
 from vgmpi.gaussians.sh import COEFFICIENTS
-from vgmpi.splatting.colour import MOST_AGE, Transfer
+from vgmpi.splatting.smoothing import MOST_AGE, Transfer
 
 log = logging.getLogger("vgmpi")
 
@@ -29,8 +29,8 @@ FOLDER = "colours"  # in the folder of the run
 VERSION = 1  # raised when the same settings give other colours
 
 
-class Colours:
-    """Colours of the frames of one run. run: vgmpi.output.read.Run. Raises SettingsError."""
+class FrameColours:
+    """Colours of the frames of one run. run: vgmpi.output.read.RunFiles. Raises SettingsError."""
 
     def __init__(self, run: Any, chosen: LookSettings):
         self.run = run
