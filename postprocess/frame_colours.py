@@ -41,7 +41,10 @@ class FrameColours:
         self.degree = int(told.get("colour_degree", 0))
         self.dx = float(scene.get("domain", {}).get("cell", 0.0))
         travel = self.mode in ("frame", "relax")
-        sets = _sets(run.objects, scene, told.get("colour_bodies")) if travel else []
+        sets = _sets(run.objects, told.get("colour_bodies")) if travel else []
+        if sets and scene.get("coupling") and not all("colour_set" in o for o in run.objects):
+            log.warning("%s: made by a version that did not tell which fluids exchange colours: "
+                        "they travel within a phase alone", run.folder)  # fmt: skip
         if sets and not self.dx:
             raise SettingsError(["look.colour_transfer: the run does not tell the size of a cell"])
         object_ = np.asarray(run.gaussians.object)
@@ -177,11 +180,10 @@ class FrameColours:
             log.warning("%s: the colours of frames cannot be kept: %s", path.parent, error)
 
 
-def _sets(objects: list[dict], scene: dict, asked: Any) -> list[list[int]]:
+def _sets(objects: list[dict], asked: Any) -> list[list[int]]:
     """Numbers of the objects that exchange colour among themselves, a list for each such set.
 
-    asked: names of the bodies that take part, None for all fluids. Those of one phase exchange,
-    and those of fluids that mix.
+    asked: names of the bodies that take part, None for all fluids.
     """
     names = [entry.get("name") for entry in objects]
     bodies = [k for k, entry in enumerate(objects) if entry.get("material") or entry.get("family")]
@@ -194,20 +196,8 @@ def _sets(objects: list[dict], scene: dict, asked: Any) -> list[list[int]]:
             said = f"there is no body {wrong[0]!r}; known: {', '.join(map(str, known))}"
             raise SettingsError([f"colour_bodies: {said}"])
         taking = [k for k in bodies if names[k] in asked]
-    mixing = [
-        set(coupling.get("between", ()))
-        for coupling in scene.get("coupling", [])
-        if str(coupling.get("kind", "")).startswith("mixing")
-    ]
-    sets: list[list[int]] = []
+    sets: dict[Any, list[int]] = {}
     for k in taking:
-        touched = [s for s in sets if any(_exchange(objects[k], objects[m], mixing) for m in s)]
-        sets = [s for s in sets if s not in touched]
-        sets.append(sorted([k, *(m for s in touched for m in s)]))
-    return sorted(sets)
-
-
-def _exchange(one: dict, other: dict, mixing: list[set]) -> bool:
-    if one.get("phase") == other.get("phase"):
-        return True
-    return {one.get("material"), other.get("material")} in mixing
+        # files made before colour_set was told have the phase alone
+        sets.setdefault(objects[k].get("colour_set", objects[k].get("phase")), []).append(k)
+    return sorted(sets.values())

@@ -241,8 +241,9 @@ def test_colours_do_not_depend_on_the_number_of_ranks(tmp_path):
 # ---- runs as numbers, without a solver -----------------------------------------------------------
 
 
-def still(n=400, k=1, families=("fluid", "fluid"), coupling=(), **look_of_scene):
-    """Two bodies over each other at rest, in one frame."""
+def still(n=400, k=1, families=("fluid", "fluid"), sets=None, **look_of_scene):
+    """Two bodies over each other at rest, in one frame. sets: what the files tell of who exchanges
+    colours; None: a file from before that."""
     rng = np.random.default_rng(0)
     rest = SimpleNamespace(
         object=np.repeat([0, 1], n // 2),
@@ -256,11 +257,9 @@ def still(n=400, k=1, families=("fluid", "fluid"), coupling=(), **look_of_scene)
         {"name": name, "family": family, "material": name, "phase": phase, "deforms": False}
         for name, family, phase in zip(("a", "b"), families, look_of_scene.pop("phase", "pp"))
     ]
-    scene = {
-        "domain": {"cell": 0.05},
-        "appearance": look_of_scene,
-        "coupling": [{"kind": kind, "between": ["a", "b"]} for kind in coupling],
-    }
+    for entry, number in zip(objects, sets or ()):
+        entry["colour_set"] = number
+    scene = {"domain": {"cell": 0.05}, "appearance": look_of_scene}
     frame = {"id": np.arange(n), "x": rng.uniform(0, 0.2, (n, 3)).astype("f4")}
     return SimpleNamespace(gaussians=rest, objects=objects, scene=scene), frame
 
@@ -281,16 +280,25 @@ def means(run, frame, chosen):
     [
         ({}, True),
         ({"phase": "pq"}, False),
-        ({"phase": "pq", "coupling": ["mixing"]}, True),
-        ({"phase": "pq", "coupling": ["mixing-paper"]}, True),
-        ({"phase": "pq", "coupling": ["drag"]}, False),
+        ({"phase": "pq", "sets": (3, 3)}, True),
+        ({"phase": "pq", "sets": (0, 1)}, False),
     ],
 )
-def test_who_shares_a_phase_or_mixes_exchanges_colour(options, exchange):
+def test_the_files_tell_who_exchanges_colour(options, exchange):
     run, frame = still(**options)
     run.gaussians.sh[200:] += 4
     a, b = means(run, frame, look("frame"))
     assert (abs(a - b).max() < 1.5) == exchange
+
+
+def test_files_that_do_not_tell_who_mixes_are_named(caplog):
+    run, _ = still()
+    run.folder = "out"
+    FrameColours(run, look("frame"))
+    assert not caplog.records
+    run.scene["coupling"] = [{"kind": "mixing", "between": ["a", "b"]}]
+    FrameColours(run, look("frame"))
+    assert "out: made by a version that did not tell which fluids" in caplog.text
 
 
 @pytest.mark.parametrize("family", ["sand", "snow", "solid"])

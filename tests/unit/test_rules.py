@@ -7,8 +7,13 @@ import numpy as np
 import pytest
 
 from tests.scenes import scene
+from vgmpi.couplings.base import CONTACT
+from vgmpi.couplings.mixing import Mixing
 from vgmpi.device import limits
+from vgmpi.planning.colour_sets import colour_sets
 from vgmpi.planning.plan import make_plan
+from vgmpi.prepare.build import build
+from vgmpi.scene.scene import mixed
 
 THEORY = (Path(__file__).parents[2] / "docs" / "theory.md").read_text()
 
@@ -22,18 +27,23 @@ end = 1
 NAMES = ("ale", "beer", "cola", "dew", "egg")
 
 
-def plan(tmp_path, couplings):
-    """Of five fluids with a velocity field each; couplings: (two names, kind, diffusion)."""
+def poured(tmp_path, couplings, phase=str):
+    """Five fluids; couplings: (two names, kind, diffusion); phase: of a fluid by its name."""
     text = POURED
     for k, name in enumerate(NAMES):
         text += f'[material.{name}]\nkind = "fluid"\nbulk_modulus = 1e4\n'
-        text += f'[[object]]\nname = "{name}"\nmaterial = "{name}"\nphase = "{name}"\n'
+        text += f'[[object]]\nname = "{name}"\nmaterial = "{name}"\nphase = "{phase(name)}"\n'
         text += f"shape = {{ box = [[0, 0, {0.02 * k}], [0.16, 0.16, {0.02 * k + 0.02}]] }}\n"
     for one, other, kind, diffusion in couplings:
         text += f'[[coupling]]\nbetween = ["{one}", "{other}"]\nkind = "{kind}"\n'
-        text += f"diffusion = {diffusion}\n"
+        text += f"diffusion = {diffusion}\n" if kind.startswith("mixing") else ""
+        text += "friction = 0\n" if kind == "contact" else ""
+    return scene(tmp_path, text)
+
+
+def plan(tmp_path, couplings):
     count = [8] * len(NAMES)
-    return make_plan(scene(tmp_path, text), count, [1e-3] * len(NAMES), False)
+    return make_plan(poured(tmp_path, couplings), count, [1e-3] * len(NAMES), False)
 
 
 def test_who_drifts_and_whose_drift_is_no_momentum(tmp_path):
@@ -61,6 +71,43 @@ def test_nothing_is_kept_out_of_the_momentum(tmp_path, couplings):
         drifting = {n for one, other, _, d in couplings if d for n in (one, other)}
         assert [n in drifting for n in NAMES] == found.rules.drifting.tolist()
         assert not np.any(found.rules.drifting_apart)
+
+
+@pytest.mark.parametrize(
+    "couplings, phase, sets",
+    [
+        ([], str, [0, 1, 2, 3, 4]),
+        ([], lambda name: "one", [0, 0, 0, 0, 0]),
+        ([("ale", "beer", "contact", 0)], str, [0, 1, 2, 3, 4]),
+        ([("ale", "egg", "mixing", 0)], str, [0, 1, 2, 3, 0]),
+        ([("ale", "egg", "mixing-paper", 0)], str, [0, 1, 2, 3, 0]),
+        # by way of a third, and by a phase that two share
+        ([("ale", "cola", "mixing", 0), ("egg", "cola", "mixing", 0)], str, [0, 1, 0, 2, 0]),
+        (
+            [("ale", "beer", "mixing", 0), ("egg", "dew", "mixing", 0)],
+            {"ale": "p", "egg": "p"}.get,
+            [0, 0, 1, 0, 0],
+        ),
+    ],
+)
+def test_who_exchanges_colours(tmp_path, couplings, phase, sets):
+    """By one phase or by a coupling whose rule is mixing; the files say the same."""
+    found = poured(tmp_path, couplings, lambda name: phase(name) or name)
+    told = colour_sets(found)
+    assert [told.index(one) for one in told] == [sets.index(one) for one in sets]
+    assert [thing["colour_set"] for thing in build(found).objects] == told
+
+
+def test_a_coupling_mixes_by_its_rule_not_by_its_name():
+    class Stir(Mixing):
+        kind: str = "stir"
+
+    class MixingBowl(Mixing):
+        kind: str = "mixing-bowl"
+        rule = CONTACT
+
+    couplings = (Stir(between=["ale", "beer"]), MixingBowl(between=["cola", "dew"]))
+    assert mixed(couplings) == {"ale", "beer"}
 
 
 @pytest.mark.parametrize(

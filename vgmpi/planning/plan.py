@@ -201,7 +201,7 @@ def make_plan(
     )
     sharing = rules(scene, groups, phases)
     groups = tuple(_shared(scene, group, sharing) for group in groups)
-    colours = exchange(scene, phases, None if sharing is None else sharing.mix, shades)
+    colours = exchange(scene, phases, shades)
     if colours is not None:
         groups = tuple(_coloured(group, int(colours.coefficients[group.phase])) for group in groups)
     flip = scene.accuracy.flip if scene.accuracy.transfer == "flip" else 0.0
