@@ -47,7 +47,7 @@ def test_squares_and_supersampling(out, tmp_path):
     "text, says",
     [
         ("floor = { light = [0, 0, 1] }", "points down"),
-        ("floor = { color = 'red.png' }", "#rrggbb"),
+        ("floor = { color = 'red.png' }", "such as '#6fb7d6'"),
         ("floor = { shadow = 2 }", "less than or equal to 1"),
         ("floor = { squares = 0 }", "greater than 0"),
         ("floor = {}\nbackground = 'none'", "transparent"),

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vgmpi.scene.source import Source, key_lines
-from vgmpi.tables import SceneError
+from vgmpi.source import Source, key_lines
+from vgmpi.tables import SceneError, TomlError
 
 TEXT = '''# comment with = and [brackets]
 title = "a # b = [c]"
@@ -160,3 +160,28 @@ def test_missing_file_and_folder(tmp_path):
     for path in (tmp_path / "none.toml", tmp_path):
         with pytest.raises(SceneError, match="No such file|directory"):
             Source(path)
+
+
+def test_one_table_where_a_list_may_stand(tmp_path):
+    """What reads the file counts it as number 0; who wrote it did not."""
+    path = tmp_path / "a.toml"
+    path.write_text("[camera]\n\nfov = 1\n[[probe]]\nname = 'p'\nobject = 'ball'\n\nx = 1\n")
+    source = Source(path)
+    wrong = [(("camera", 0, "fov"), "is odd"), (("probe", 0, "object", 0), "is odd")]
+    assert source.lines([*wrong, (("probe", 0, "x"), "is odd")]) == [
+        f"{path}:3: camera.fov: is odd",
+        f"{path}:6: probe.p.object: is odd",
+        f"{path}:8: probe.p.x: is odd",
+    ]
+
+
+def test_who_reads_the_file_says_what_is_raised(tmp_path):
+    class OtherError(TomlError):
+        pass
+
+    path = tmp_path / "broken.toml"
+    path.write_text("a = = 1")
+    with pytest.raises(OtherError, match=":1: not valid TOML"):
+        Source(path, error=OtherError)
+    with pytest.raises(OtherError, match="--set b: expected key=value"):
+        Source(path, ["b"], text="a = 1", error=OtherError)

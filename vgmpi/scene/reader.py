@@ -12,7 +12,7 @@ from vgmpi.scene.objects import Object, body_complaint, object_complaints
 from vgmpi.scene.probes import Probe, probe_complaints
 from vgmpi.scene.scene import Scene, mixed, phase_of
 from vgmpi.scene.settings import MOST_CELLS, SECTIONS, Domain, Top
-from vgmpi.scene.source import Source
+from vgmpi.source import Source
 from vgmpi.tables import SceneError, explain, got, nearest
 
 REQUIRED = ("domain", "time", "material", "object")

@@ -17,7 +17,7 @@ from vgmpi.scene.settings import (
     Output,
     Time,
 )
-from vgmpi.scene.source import Source
+from vgmpi.source import Source
 from vgmpi.tables import SceneError
 
 

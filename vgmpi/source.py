@@ -5,7 +5,7 @@ import tomllib
 from bisect import bisect_right
 from pathlib import Path
 
-from vgmpi.tables import SceneError
+from vgmpi.tables import SceneError, TomlError
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 _SPACE = re.compile(r"(?:[ \t\r\n]+|#[^\n]*)*")
@@ -16,7 +16,7 @@ _SCALAR = re.compile(r"[^,\]}\n#]*")
 
 
 class Source:
-    """The data of a scene file and where each piece of it was written.
+    """The data of a TOML file and where each piece of it was written.
 
     `text`: the file's text, `data`: nested dicts and lists with the overrides applied, `folder`:
     where the file lies.
@@ -27,28 +27,28 @@ class Source:
         path: str | Path,
         overrides: tuple[str, ...] | list[str] = (),
         text: str | None = None,
+        error: type[TomlError] = SceneError,
     ):
-        """text: instead of what is in the file.
-
-        Raises SceneError where the file cannot be read, is not TOML or cannot be overridden."""
+        """text: instead of what is in the file. error: what is raised where the file cannot be
+        read, is not TOML or cannot be overridden."""
         self.path = Path(path)
         self.folder = self.path.resolve().parent
         try:
             self.text = self.path.read_bytes().decode() if text is None else text
             self.data = tomllib.loads(self.text)
-        except OSError as error:
-            raise SceneError([f"{path}: {error.strerror or error}"]) from None
-        except UnicodeDecodeError as error:
-            raise SceneError([f"{path}: not UTF-8 text (byte {error.start})"]) from None
-        except tomllib.TOMLDecodeError as error:
-            raise SceneError([_syntax(str(path), self.text, str(error))]) from None
+        except OSError as caught:
+            raise error([f"{path}: {caught.strerror or caught}"]) from None
+        except UnicodeDecodeError as caught:
+            raise error([f"{path}: not UTF-8 text (byte {caught.start})"]) from None
+        except tomllib.TOMLDecodeError as caught:
+            raise error([_syntax(str(path), self.text, str(caught))]) from None
         except RecursionError:
-            raise SceneError([f"{path}: not valid TOML: nested too deeply"]) from None
+            raise error([f"{path}: not valid TOML: nested too deeply"]) from None
         self._line = key_lines(self.text)
         self._set: dict[tuple, str] = {}
         bad = [said for item in overrides if (said := self._override(item))]
         if bad:
-            raise SceneError(bad)
+            raise error(bad)
 
     def place(self, path: tuple) -> tuple[int, str]:
         """(line for sorting, "file:line" or "--set key=value") of a key, or of what holds it."""
@@ -64,6 +64,7 @@ class Source:
         """One line per error, in the order of the file."""
         placed = []
         for path, said in errors:
+            path = self._written(path)
             line, where = self.place(path)
             placed.append((line, f"{where}: {self.key(path)}: {said}"))
         placed.sort(key=lambda item: item[0])
@@ -72,13 +73,27 @@ class Source:
     def key(self, path: tuple) -> str:
         """The path as a user would write it: objects by name where they have one."""
         parts = [str(part) for part in path]
-        if len(path) > 1 and path[0] in ("object", "probe"):
+        if len(path) > 1 and isinstance(path[1], int):
             try:
                 name = self.data[path[0]][path[1]]["name"]
                 parts[1] = name if isinstance(name, str) else parts[1]
             except (KeyError, TypeError, IndexError):
                 pass
         return ".".join(parts)
+
+    def _written(self, path: tuple) -> tuple:
+        """The path as it is in the file: without the number 0 where one thing stands for a list."""
+        here: object = self.data
+        out: tuple = ()
+        for part in path:
+            if isinstance(part, int) and isinstance(here, dict | str):
+                continue
+            out += (part,)
+            try:
+                here = here[part]  # type: ignore[index]
+            except (KeyError, IndexError, TypeError):
+                here = None
+        return out
 
     def overridden(self, path: tuple) -> bool:
         """Whether the value of this key came from the command line."""
