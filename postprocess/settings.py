@@ -46,6 +46,9 @@ Direction = Annotated[tuple[float, float, float], BeforeValidator(_direction)]
 Background = Annotated[tuple[float, float, float] | str, BeforeValidator(_background)]
 
 
+OLD_NAMES = {"picture": {"color": "colour"}}  # what keys inside were called before
+
+
 class SettingsError(TomlError):
     """What is wrong with a render.toml, or with what it asks for."""
 
@@ -144,7 +147,7 @@ class FloorSettings(_Table):
     """A plane z = height under the Gaussians, and their shadow on it."""
 
     height: float = 0.0  # m
-    color: Colour = (0.85, 0.85, 0.85)
+    colour: Colour = (0.85, 0.85, 0.85)
     squares: Annotated[float, Field(gt=0)] | None = None  # side [m]; every other one in `other`
     other: Colour = (0.7, 0.7, 0.7)
     light: Direction = (0.3, 0.2, -1.0)  # in which it travels
@@ -159,7 +162,7 @@ class FloorSettings(_Table):
 
     def floor(self) -> Floor:
         squares = None if self.squares is None else (self.other, self.squares)
-        return Floor(self.height, self.color, squares, self.light, self.shadow, self.softness)
+        return Floor(self.height, self.colour, squares, self.light, self.shadow, self.softness)
 
 
 class PictureSettings(_Table):
@@ -244,7 +247,7 @@ def load(path: str | Path | None) -> Settings:
     """The settings of a render.toml, or the usual ones without a file. Raises SettingsError."""
     if path is None:
         return Settings()
-    source = Source(path, error=SettingsError)
+    source = Source(path, error=SettingsError, old_names=OLD_NAMES)
     try:
         chosen = Settings.model_validate(source.data)
     except ValidationError as error:

@@ -55,23 +55,23 @@ slip_time = 0.01
 [[object]]
 name = "left"
 material = "water"
-color = "#ff2010"
+colour = "#ff2010"
 shape = { box = [[0, 0, 0], ["5 cm", "6 cm", "4 cm"]] }
 velocity = [0.5, 0, 0]
 [[object]]
 name = "right"
 material = "water"
-color = "#1020ff"
+colour = "#1020ff"
 shape = { box = [["5 cm", 0, 0], ["9 cm", "6 cm", "4 cm"]] }
 [[object]]
 name = "jug"
 material = "milk"
-color = "#f0f0e0"
+colour = "#f0f0e0"
 shape = { box = [["9 cm", 0, 0], ["12 cm", "6 cm", "4 cm"]] }
 [[object]]
 name = "toy"
 material = "toy"
-color = "#20ff20"
+colour = "#20ff20"
 shape = { box = [["2 cm", "1 cm", "4.5 cm"], ["6 cm", "5 cm", "7 cm"]] }
 """
 

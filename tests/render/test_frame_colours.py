@@ -35,17 +35,17 @@ youngs_modulus = 1e5
 [[object]]
 name = "blue"
 material = "water"
-color = "#2040c0"
+colour = "#2040c0"
 shape = { box = [[0, 0, 0], [0.2, 0.2, 0.16]] }
 [[object]]
 name = "red"
 material = "water"
-color = "#c04020"
+colour = "#c04020"
 shape = { box = [[0.2, 0, 0], [0.4, 0.2, 0.08]] }
 [[object]]
 name = "ball"
 material = "rubber"
-color = "#20c040"
+colour = "#20c040"
 shape = { sphere = { center = [0.3, 0.1, 0.14], radius = 0.035 } }
 """
 EYE = np.array([0.2, -1.0, 0.3])

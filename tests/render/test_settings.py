@@ -181,3 +181,16 @@ def test_a_file_that_is_no_toml(tmp_path, text, line):
 def test_a_file_that_is_not_there(tmp_path):
     with pytest.raises(settings.SettingsError, match="none.toml"):
         settings.load(tmp_path / "none.toml")
+
+
+def test_the_old_spelling_of_colour_is_read_with_a_word(tmp_path, caplog):
+    """A floor's; an object that is called so keeps its name."""
+    text = "[picture]\n\nfloor = { color = '#ff0000' }\n[look.opacity_scale]\ncolor = 0.5\n"
+    chosen = load(tmp_path, text)
+    assert chosen.picture.floor.colour == (1, 0, 0)
+    assert chosen.look.opacity_scale == {"color": 0.5}
+    (record,) = caplog.records
+    where = f"{tmp_path / 'render.toml'}:3"
+    assert record.getMessage() == f"{where}: 'color' is the old name of picture.floor.colour"
+    with pytest.raises(settings.SettingsError, match=":3: picture.floor.colour: must be a colour"):
+        load(tmp_path, text.replace("#ff0000", "ff0000"))

@@ -173,7 +173,7 @@ CASES = {
         "is not for scenery",
     ),
     "body as collider": ball("collider = true", "collider", "is"),
-    "color": ball('color = "reed"', "color", "'#6fb7d6'"),
+    "color": ball('colour = "reed"', "colour", "'#6fb7d6'"),
     "axis": ball(
         'rotation = { axis = "w", angle = "3 deg" }',
         "rotation.axis",

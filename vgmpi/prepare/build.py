@@ -203,7 +203,7 @@ def _describe(
         "opacity_scale": thing.opacity_scale,
         "alpha_min": thing.drawn_from,
         "transform": piece.placement.matrix(),
-        "color": list(thing.color),
+        "color": list(thing.colour),
         "collider": thing.collider,
     }
 

@@ -120,7 +120,7 @@ class Shape(Table):
     blend: Positive | None = None
     """unions only: edges where parts meet are rounded over about this length; where surfaces of
     parts coincide they move out by a quarter of it"""
-    color: Colour | None = None
+    colour: Colour | None = None
     """colour of this part; without it the object's"""
 
     @property

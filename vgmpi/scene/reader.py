@@ -17,6 +17,8 @@ from vgmpi.tables import SceneError, explain, got, nearest
 
 REQUIRED = ("domain", "time", "material", "object")
 LISTS = ("object", "coupling", "load", "probe")
+# what keys inside these were called before; the old names are still read
+OLD_NAMES = dict.fromkeys(("object", "load", "probe"), {"color": "colour"})
 
 
 def load(
@@ -27,7 +29,7 @@ def load(
 
     Raises SceneError with all errors in the order of the file: "file:line: key: what is wrong".
     """
-    source = Source(path, overrides, text)
+    source = Source(path, overrides, text, old_names=OLD_NAMES)
     return Reader(source).scene(tuple(overrides))
 
 
