@@ -19,7 +19,7 @@ from postprocess.figures import Figures, Regions, kinds, measured, regions
 from postprocess.look import seen
 from postprocess.painter import Painter
 from vgmpi.gaussians.evolve import BALLS
-from vgmpi.output.read import Run, RunError
+from vgmpi.output.read import RunError, RunFiles
 
 log = logging.getLogger("vgmpi")
 
@@ -58,7 +58,7 @@ def chosen_for(base: settings.Settings, variant: str) -> settings.Settings:
 
 
 def study(
-    run: Run, base: settings.Settings, beside: Path, index: int
+    run: RunFiles, base: settings.Settings, beside: Path, index: int
 ) -> tuple[list[Variant], Regions]:
     """Frame `index` of a run in every variant, the full method first, and the pixels measured.
 
@@ -155,7 +155,7 @@ def main(argv: list[str] | None = None) -> int:
         base = settings.load(path)
         if not args.out:
             make_run(folder)
-        run = Run(folder)
+        run = RunFiles(folder)
         index = len(run) - 1 if args.frame is None else args.frame
         if not 0 <= index < len(run):
             raise RunError(f"--frame: {index}: the run has the frames 0..{len(run) - 1}")

@@ -17,7 +17,7 @@ from postprocess import settings
 from postprocess.look import Look
 from vgmpi.gaussians import files
 from vgmpi.gaussians.cloud import Cloud, principal
-from vgmpi.output.read import Run, RunError
+from vgmpi.output.read import RunError, RunFiles
 
 log = logging.getLogger("vgmpi")
 
@@ -121,7 +121,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _export(args: argparse.Namespace, folder: Path) -> None:
-    run = Run(args.out)
+    run = RunFiles(args.out)
     numbers = chosen(args.frames, len(run))
     look = Look(run, settings.load(args.settings).look)
     folder.mkdir(parents=True, exist_ok=True)

@@ -7,7 +7,7 @@ import numpy as np
 
 from postprocess.look import Look, seen
 from postprocess.painter import domain_box
-from vgmpi.output.read import Run
+from vgmpi.output.read import RunFiles
 from vgmpi.splatting import splat
 from vgmpi.splatting.camera import HEIGHT, Camera, look_at, orbit_eye, overview
 from vgmpi.splatting.decibels import decibels
@@ -32,7 +32,7 @@ class Portraits:
     colours: float
 
 
-def cameras(run: Run, pixels: int) -> list[Camera]:
+def cameras(run: RunFiles, pixels: int) -> list[Camera]:
     """Twelve fixed cameras on a circle around the domain, which is wholly in view."""
     box = domain_box(run)
     angles = 360.0 / CAMERAS * np.arange(CAMERAS)

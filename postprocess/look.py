@@ -6,8 +6,8 @@ import logging
 import numpy as np
 
 from postprocess import shade
-from postprocess.colours import Colours
-from postprocess.parts import BALL, FIXED, FOLLOW, ROUND, SWELL, Colors, Part, Passive
+from postprocess.frame_colours import FrameColours
+from postprocess.parts import BALL, FIXED, FOLLOW, ROUND, SWELL, Part, Passive, ViewColours
 from postprocess.settings import LookSettings, SettingsError
 from vgmpi.gaussians import evolve
 from vgmpi.output.read import RunError
@@ -22,7 +22,7 @@ ALPHA_MIN_FAINT = 1e-4
 class Look:
     """All that does not change from frame to frame, worked out once.
 
-    run: an opened run (vgmpi.output.read.Run) or anything with the same `objects` and `gaussians`.
+    run: vgmpi.output.read.RunFiles, or anything with the same `objects` and `gaussians`.
     chosen: the table [look] of render.toml. Raises SettingsError.
     """
 
@@ -42,8 +42,8 @@ class Look:
         self.opacity = np.asarray(rest.opacity, dtype=np.float64) * factor[self.object]
         self.vol0 = np.asarray(rest.vol0, dtype=np.float64)
         self.cov0 = np.asarray(rest.cov0, dtype=np.float64)
-        self.color = Colors(np.asarray(rest.sh))
-        self.colours = Colours(run, chosen)
+        self.color = ViewColours(np.asarray(rest.sh))
+        self.colours = FrameColours(run, chosen)
         self.scenery = None
         scenery = getattr(rest, "scenery", None)
         if scenery is not None and len(scenery.x0):
@@ -51,7 +51,7 @@ class Look:
                 np.asarray(scenery.x0, dtype=np.float64),
                 np.asarray(scenery.cov0, dtype=np.float64),
                 np.asarray(scenery.opacity, dtype=np.float64) * factor[scenery.object],
-                Colors(np.asarray(scenery.sh)),
+                ViewColours(np.asarray(scenery.sh)),
             )
         self.passive = None
         if getattr(rest, "passive", None) is not None:
@@ -87,7 +87,7 @@ class Look:
         cov = self._covariances(rows, frame)
         color, at = self.color, rows
         if "sh" in frame:
-            color, at = Colors(np.asarray(frame["sh"])), np.arange(len(rows))
+            color, at = ViewColours(np.asarray(frame["sh"])), np.arange(len(rows))
         turning = np.flatnonzero(self.turns[rows] & color.view_dependent[at])
         F = _deformation(frame)[turning] if len(turning) else None
         parts = [Part(x, cov, self.opacity[rows], color, at, turning, F)]

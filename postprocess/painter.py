@@ -15,7 +15,7 @@ from postprocess import settings, video
 from postprocess.look import Look, seen
 from postprocess.parts import Part
 from postprocess.viewpoints import Viewpoint
-from vgmpi.output.read import Run, RunError
+from vgmpi.output.read import RunError, RunFiles
 from vgmpi.splatting import floor, splat
 from vgmpi.splatting.camera import Camera
 
@@ -45,7 +45,7 @@ class Painter:
 
     def __init__(
         self,
-        run: Run,
+        run: RunFiles,
         chosen: settings.Settings,
         folder: Path,
         *,
@@ -110,7 +110,7 @@ class Painter:
         return Drawn(picture, alpha, depth[0] if depth else None)
 
 
-def domain_box(run: Run) -> tuple[np.ndarray, np.ndarray]:
+def domain_box(run: RunFiles) -> tuple[np.ndarray, np.ndarray]:
     """Lower and upper corner of the domain [m]; of the Gaussians if the scene does not tell."""
     try:
         size = np.array(run.scene["domain"]["size"], dtype=np.float64)
@@ -127,7 +127,7 @@ _painter: Painter | None = None  # of a worker process
 def _start_worker(folder: str, chosen: settings.Settings, beside: Path, options: dict) -> None:
     global _painter
     logging.disable(logging.WARNING)  # the first process has said it already
-    _painter = Painter(Run(folder), chosen, beside, **options)
+    _painter = Painter(RunFiles(folder), chosen, beside, **options)
 
 
 def _work(task: Task) -> list[Drawn]:

@@ -16,7 +16,7 @@ BALL = 3  # balls of the particles' volume
 ROUND = 4  # balls as large as the Gaussians at rest
 
 
-class Colors:
+class ViewColours:
     """Colours of rows of coefficients; what does not depend on the view is worked out once."""
 
     def __init__(self, sh: np.ndarray):
@@ -44,7 +44,7 @@ class Part(NamedTuple):
     x: np.ndarray
     cov: np.ndarray
     opacity: np.ndarray
-    color: Colors
+    color: ViewColours
     rows: np.ndarray
     turning: np.ndarray = np.empty(0, dtype=np.int64)
     F: np.ndarray | None = None
@@ -80,7 +80,7 @@ class Passive:
         self.offset = np.asarray(riders.x0)[:, None, :] - np.asarray(rest.x0)[self.carriers]
         self.cov0 = np.asarray(riders.cov0, dtype=np.float64)
         self.opacity = np.asarray(riders.opacity, dtype=np.float64) * factor[riders.object]
-        self.color = Colors(np.asarray(riders.sh))
+        self.color = ViewColours(np.asarray(riders.sh))
         self.carriers_sh = np.asarray(rest.sh)
 
     def part(self, frame: dict[str, np.ndarray]) -> Part:
@@ -90,12 +90,14 @@ class Passive:
         at = row[self.carriers]
         there = np.flatnonzero((at >= 0).all(axis=1))
         x, F = shade.carried(there, at, self.offset, self.weights, frame["x"], frame["F"])
-        color, rows = self._colors(frame, there, at)
+        color, rows = self._colours(frame, there, at)
         turning = np.flatnonzero(self.turns[there] & color.view_dependent[rows])
         cov = self._covariances(there, F)
         return Part(x, cov, self.opacity[there], color, rows, turning, F[turning])
 
-    def _colors(self, frame: dict, there: np.ndarray, at: np.ndarray) -> tuple[Colors, np.ndarray]:
+    def _colours(
+        self, frame: dict, there: np.ndarray, at: np.ndarray
+    ) -> tuple[ViewColours, np.ndarray]:
         """Colours, and which rows of them: they change as those of the carriers do."""
         if "sh" not in frame:
             return self.color, there
@@ -106,7 +108,7 @@ class Passive:
         sh, those = self.color.sh[there], there[some]
         more = np.einsum("pk,pkij->pij", self.weights[those], change[at[those]])
         sh[some] += more.astype(np.float32)
-        return Colors(sh), np.arange(len(there))
+        return ViewColours(sh), np.arange(len(there))
 
     def _covariances(self, there: np.ndarray, F: np.ndarray) -> np.ndarray:
         """[m2], (n, 6); a rider has no volume of its own: as a ball it is as large as at rest."""

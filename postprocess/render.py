@@ -17,7 +17,7 @@ from typing import Any
 
 from postprocess import settings, video
 from postprocess.painter import Drawn, OtherRankError, Painter, agree, by_processes, by_ranks
-from vgmpi.output.read import Run, RunError
+from vgmpi.output.read import RunError, RunFiles
 
 log = logging.getLogger("vgmpi")
 
@@ -26,7 +26,7 @@ PREVIEW = 400  # pixels of its longer side
 LAUNCHED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS")
 
 
-def frame_numbers(run: Run, asked: settings.FrameSettings) -> list[int]:
+def frame_numbers(run: RunFiles, asked: settings.FrameSettings) -> list[int]:
     """The frames to draw. Raises RunError if there are none."""
     count = len(run)
     last = count - 1 if asked.last is None else min(asked.last, count - 1)
@@ -111,7 +111,7 @@ def _prepare(args: argparse.Namespace) -> tuple[Painter, Path, Path]:
             raise settings.SettingsError([f"picture.background: 'none': {said}"])
     beside = Path(args.settings).parent if args.settings else Path(".")
     painter = Painter(
-        Run(args.out),
+        RunFiles(args.out),
         chosen,
         beside,
         alpha=args.alpha is not None,

@@ -21,7 +21,7 @@ from postprocess.look import Look, seen
 from postprocess.painter import domain_box
 from postprocess.settings import CameraSettings, PictureSettings, SettingsError
 from postprocess.viewpoints import Viewpoint
-from vgmpi.output.read import Run, RunError
+from vgmpi.output.read import RunError, RunFiles
 
 log = logging.getLogger("vgmpi")
 
@@ -75,7 +75,7 @@ class Chosen:
         }
 
 
-def page(run: Run, numbers: list[int], count: int, seconds: float) -> tuple[str, Chosen]:
+def page(run: RunFiles, numbers: list[int], count: int, seconds: float) -> tuple[str, Chosen]:
     """The HTML text, and what it shows. seconds: that a frame stays. Raises RunError."""
     try:
         import viser
@@ -150,7 +150,7 @@ def main(argv: list[str] | None = None) -> int:
             raise RunError(f"-o: {output}: allowed: a name that ends in .html")
         if args.particles < 1 or args.every < 1 or not 0.1 <= args.fps <= 240:
             raise RunError("allowed: --particles and --every from 1, --fps 0.1 to 240")
-        run = Run(args.out)
+        run = RunFiles(args.out)
         numbers = list(range(0, len(run), args.every))
         with open(os.devnull, "w") as quiet, contextlib.redirect_stdout(quiet):
             html, chosen = page(run, numbers, args.particles, 1 / args.fps)

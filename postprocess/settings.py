@@ -1,15 +1,10 @@
 """render.toml: camera, picture, video and splatting, checked before anything is drawn."""
 
-import difflib
-import math
-import re
-import tomllib
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import (
-    BaseModel,
+    AfterValidator,
     BeforeValidator,
     ConfigDict,
     Field,
@@ -17,40 +12,33 @@ from pydantic import (
     model_validator,
 )
 
+from vgmpi.source import Source
 from vgmpi.splatting.floor import Floor
 from vgmpi.splatting.splat import ALPHA_MIN_RANGE
+from vgmpi.tables import Colour, Table, TomlError, colour, explain, three
 
 
 def _vector(value: Any) -> tuple[float, float, float]:
-    if (
-        not isinstance(value, list | tuple)
-        or len(value) != 3
-        or not all(type(v) in (int, float) and math.isfinite(v) for v in value)
-    ):
-        raise ValueError("allowed: three numbers [x, y, z]")
-    return tuple(float(v) for v in value)
+    numbers = three(value)
+    if numbers is None:
+        raise ValueError("must be three numbers [x, y, z]")
+    return numbers
 
 
 def _direction(value: Any) -> tuple[float, float, float]:
     value = _vector(value)
     if not any(value):
-        raise ValueError("allowed: a direction that is not zero")
+        raise ValueError("must be a direction that is not zero")
     return value
 
 
 def _background(value: Any) -> tuple[float, float, float] | str:
-    allowed = "allowed: '#rrggbb', [r, g, b] of numbers 0 to 1, 'none', or the name of a picture"
-    if isinstance(value, str):
-        if not value or value.startswith("#") and not re.fullmatch("#[0-9a-fA-F]{6}", value):
-            raise ValueError(allowed)
+    if isinstance(value, str) and value and not value.startswith("#"):
         return value
     try:
-        color = _vector(value)
-    except ValueError:
-        raise ValueError(allowed) from None
-    if min(color) < 0 or max(color) > 1:
-        raise ValueError(allowed)
-    return color
+        return colour(value)
+    except ValueError as error:
+        raise ValueError(f"{error}, 'none', or the name of a picture") from None
 
 
 Vector = Annotated[tuple[float, float, float], BeforeValidator(_vector)]
@@ -58,51 +46,43 @@ Direction = Annotated[tuple[float, float, float], BeforeValidator(_direction)]
 Background = Annotated[tuple[float, float, float] | str, BeforeValidator(_background)]
 
 
-def _color(value: Any) -> tuple[float, float, float]:
-    if isinstance(value, str) and not re.fullmatch("#[0-9a-fA-F]{6}", value):
-        raise ValueError("allowed: '#rrggbb' or [r, g, b] of numbers 0 to 1")
-    value = _background(value)
-    if isinstance(value, str):
-        return tuple(int(value[i : i + 2], 16) / 255 for i in (1, 3, 5))
-    return value
+OLD_NAMES = {"picture": {"color": "colour"}}  # what keys inside were called before
 
 
-Color = Annotated[tuple[float, float, float], BeforeValidator(_color)]
+class SettingsError(TomlError):
+    """What is wrong with a render.toml, or with what it asks for."""
 
 
-class SettingsError(ValueError):
-    """All errors of a render.toml; `lines` holds one clear line for each."""
-
-    def __init__(self, lines: list[str]):
-        super().__init__("\n".join(lines))
-        self.lines = lines
+class _Table(Table):
+    model_config = ConfigDict(allow_inf_nan=False)
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+class Key(_Table):
+    """A point of a camera's path."""
+
+    part: Annotated[float, Field(ge=0, le=1)] | None = None
+    """of the video, 0..1; or"""
+    time: Annotated[float, Field(ge=0)] | None = None
+    """of the simulation [s]"""
+    eye: Vector
+    """where the camera stands: [x, y, z]"""
+    target: Vector | None = None
+    """what it looks at"""
+    fov: Annotated[float, Field(ge=1e-3, le=170)] | None = None
+    """degrees"""
+
+    @model_validator(mode="after")
+    def _one_of_each(self):
+        if (self.part is None) == (self.time is None):
+            raise ValueError("needs one of part, time")
+        if self.eye == self.target:
+            raise ValueError("eye and target are the same point")
+        return self
 
 
-@dataclass(frozen=True)
-class Key:
-    """A point of a camera's path. part: of the video, 0..1; or time: of the simulation [s]."""
-
-    part: float | None
-    time: float | None
-    eye: tuple[float, float, float]
-    target: tuple[float, float, float] | None
-    fov: float | None  # degrees
-
-
-def _keys(value: Any) -> tuple[Key, ...]:
-    """Keys of a path from what the file says, each mistake with the number of its key."""
-    if not isinstance(value, list) or len(value) < 2:
-        raise ValueError("allowed: a list of two or more { part, eye, target, fov }")
-    keys = []
-    for number, entry in enumerate(value, start=1):
-        try:
-            keys.append(_key(entry))
-        except ValueError as error:
-            raise ValueError(f"key {number}: {error}") from None
+def _path(keys: tuple[Key, ...]) -> tuple[Key, ...]:
+    if len(keys) < 2:
+        raise ValueError("needs two or more keys { part, eye, target, fov }")
     for name in ("part", "time"):
         at = [getattr(key, name) for key in keys]
         if any(v is not None for v in at):
@@ -110,27 +90,7 @@ def _keys(value: Any) -> tuple[Key, ...]:
                 raise ValueError("all keys need part, or all need time")
             if any(b <= a for a, b in zip(at, at[1:])):
                 raise ValueError(f"{name} must grow from key to key")
-    return tuple(keys)
-
-
-def _key(entry: Any) -> Key:
-    names = ("part", "time", "eye", "target", "fov")
-    if not isinstance(entry, dict) or not set(entry) <= set(names):
-        raise ValueError(f"allowed: a table of {', '.join(names)}")
-    if ("part" in entry) == ("time" in entry):
-        raise ValueError("needs one of part, time")
-    if "eye" not in entry:
-        raise ValueError("needs eye = [x, y, z]")
-    for name, low, high in (("part", 0, 1), ("time", 0, math.inf), ("fov", 1e-3, 170)):
-        v = entry.get(name, 1)
-        if type(v) not in (int, float) or not math.isfinite(v) or not low <= v <= high:
-            raise ValueError(f"{name} = {v!r}: allowed: a number from {low:g} to {high:g}")
-    points = {n: _vector(entry[n]) for n in ("eye", "target") if n in entry}
-    if points.get("target") == points["eye"]:
-        raise ValueError("eye and target are the same point")
-    return Key(
-        entry.get("part"), entry.get("time"), points["eye"], points.get("target"), entry.get("fov")
-    )
+    return keys
 
 
 # what a camera of each kind may be told, besides kind and name
@@ -159,7 +119,7 @@ class CameraSettings(_Table):
     height: float | None = None  # of the eye above the target
     turns: float = 0.0  # full circles over the video
     angle: float = 25.0  # at the first frame; 0 looks from -y, 90 from +x
-    keys: Annotated[tuple[Key, ...], BeforeValidator(_keys)] | None = None
+    keys: Annotated[tuple[Key, ...], AfterValidator(_path)] | None = None
     file: str | None = None  # relative to the folder of render.toml, as the next
     folder: str | None = None
     image: str | None = None  # the one camera of a file to look through
@@ -187,9 +147,9 @@ class FloorSettings(_Table):
     """A plane z = height under the Gaussians, and their shadow on it."""
 
     height: float = 0.0  # m
-    color: Color = (0.85, 0.85, 0.85)
+    colour: Colour = (0.85, 0.85, 0.85)
     squares: Annotated[float, Field(gt=0)] | None = None  # side [m]; every other one in `other`
-    other: Color = (0.7, 0.7, 0.7)
+    other: Colour = (0.7, 0.7, 0.7)
     light: Direction = (0.3, 0.2, -1.0)  # in which it travels
     shadow: Annotated[float, Field(ge=0, le=1)] = 0.6
     softness: Annotated[float, Field(ge=0, le=1)] = 0.1
@@ -197,12 +157,12 @@ class FloorSettings(_Table):
     @model_validator(mode="after")
     def _from_above(self):
         if not self.light[2] < 0:
-            raise ValueError("allowed: a light that points down, light = [x, y, -z]")
+            raise ValueError("needs a light that points down, light = [x, y, -z]")
         return self
 
     def floor(self) -> Floor:
         squares = None if self.squares is None else (self.other, self.squares)
-        return Floor(self.height, self.color, squares, self.light, self.shadow, self.softness)
+        return Floor(self.height, self.colour, squares, self.light, self.shadow, self.softness)
 
 
 class PictureSettings(_Table):
@@ -262,102 +222,39 @@ class LookSettings(_Table):
         return {k: v for k, v in self if k.startswith("colour_") and v is not None}
 
 
-CAMERAS = "[[camera]]"  # no key of a TOML file can be called so without quotes
+def _listed(value: Any) -> Any:
+    if not isinstance(value, dict | list):
+        raise ValueError("must be a table [camera], or several tables [[camera]]")
+    return [value] if isinstance(value, dict) else value
 
 
 class Settings(_Table):
-    camera: CameraSettings = CameraSettings()
-    cameras: Annotated[tuple[CameraSettings, ...], Field(alias=CAMERAS)] = ()
+    camera: Annotated[tuple[CameraSettings, ...], BeforeValidator(_listed), Field(min_length=1)] = (
+        CameraSettings(),
+    )
     picture: PictureSettings = PictureSettings()
     video: VideoSettings = VideoSettings()
     frames: FrameSettings = FrameSettings()
     splatting: SplattingSettings = SplattingSettings()
     look: LookSettings = LookSettings()
 
-    @model_validator(mode="after")
-    def _names_differ(self):
-        names = [one.name for one in self.cameras]
-        if len(names) > 1 and (None in names or len(set(names)) < len(names)):
-            raise ValueError("several cameras need a name each, no two the same")
-        return self
-
     def views(self) -> tuple[CameraSettings, ...]:
         """The cameras that draw, one or more."""
-        return self.cameras or (self.camera,)
+        return self.camera
 
 
 def load(path: str | Path | None) -> Settings:
     """The settings of a render.toml, or the usual ones without a file. Raises SettingsError."""
     if path is None:
         return Settings()
+    source = Source(path, error=SettingsError, old_names=OLD_NAMES)
     try:
-        text = Path(path).read_text(encoding="utf-8")
-        data = tomllib.loads(text)
-    except OSError as error:
-        raise SettingsError([f"{path}: {error.strerror or error}"]) from None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        line = re.search(r"line (\d+)", str(error))
-        at = f":{line.group(1)}" if line else ""
-        raise SettingsError([f"{path}{at}: not readable as TOML: {error}"]) from None
-    if isinstance(data.get("camera"), list) and data["camera"]:
-        data[CAMERAS] = data.pop("camera")
-    try:
-        return Settings.model_validate(data)
+        chosen = Settings.model_validate(source.data)
     except ValidationError as error:
-        lines = [_explain(path, text, item) for item in error.errors()]
-        raise SettingsError(list(dict.fromkeys(lines))) from None
-
-
-def _explain(path: str | Path, text: str, item: Any) -> str:
-    """`file:line: key: value: what is allowed`."""
-    loc, which = item["loc"], None
-    if loc[:1] == (CAMERAS,):  # one of several: its number, counted from 1
-        which = loc[1] + 1 if len(loc) > 1 else None
-        loc = ("camera", *loc[2:])
-    keys = [part for part in loc if isinstance(part, str) and part.isidentifier()]
-    in_floor = keys[:2] == ["picture", "floor"]
-    keys = keys[: 3 if in_floor else 2]  # deeper parts name alternatives of a type, not keys
-    if keys == ["look", "opacity_scale"]:
-        keys = [str(part) for part in item["loc"][:3]]  # but here names of objects
-    allowed = re.sub(r"^(Value error, |Input should be )", "", item["msg"])
-    if item["type"] == "extra_forbidden":
-        table = Settings if len(keys) == 1 else Settings.model_fields[keys[0]].annotation
-        table = FloorSettings if in_floor else table
-        names = [name for name in table.model_fields if name != "cameras"]
-        near = difflib.get_close_matches(keys[-1], names, 1)
-        hint = f" (did you mean '{near[0]}'?)" if near else ""
-        said = f"unknown key: allowed are {', '.join(names)}{hint}"
-    elif item["type"] == "model_type":
-        said = f"{item['input']!r}: allowed: a table [{keys[-1]}]"
-    elif isinstance(item["input"], dict):
-        said = allowed
-    else:
-        said = f"{item['input']!r}: allowed: {allowed.removeprefix('allowed: ')}"
-    keys = keys or ["camera"]  # the one rule that spans tables
-    return f"{path}:{_line(text, keys, which)}: {'.'.join(keys)}: {said}"
-
-
-def _line(text: str, keys: list[str], which: int | None = None) -> int:
-    """Line of a key of a TOML text (of its table if the key is not found).
-
-    which: of several tables [[name]], counted from 1.
-    """
-    table, found, seen = "", 1, 0
-    for number, line in enumerate(text.splitlines(), start=1):
-        head = re.match(r"\s*\[?\[\s*([\w.-]+)\s*\]", line)
-        if head:
-            table = head.group(1)
-            seen += keys[:1] == [table]
-            if keys[:1] == [table] and which in (None, seen):
-                found = number
-            continue
-        if which not in (None, seen):
-            continue
-        name = re.match(r"\s*([\w.-]+)\s*=", line)
-        if name:
-            full = f"{table}.{name.group(1)}" if table else name.group(1)
-            if full == ".".join(keys):
-                return number
-            if full in (keys[0], ".".join(keys[:2])):
-                found = number
-    return found
+        raise SettingsError(source.lines(explain(error, Settings))) from None
+    names = [one.name for one in chosen.camera]
+    for k, name in enumerate(names):
+        if len(names) > 1 and (name is None or name in names[:k]):
+            said = "several cameras need a name each, no two the same"
+            raise SettingsError(source.lines([(("camera", k), said)]))
+    return chosen

@@ -29,7 +29,7 @@ import numpy as np
 
 from postprocess import likeness, video
 from postprocess.look import Look
-from vgmpi.output.read import Run, RunError
+from vgmpi.output.read import RunError, RunFiles
 
 RUNS = Path(__file__).resolve().parents[1] / "runs"
 FRAME = 0.04  # [s] of the paper's configurations
@@ -71,7 +71,7 @@ class Made:
     """A run of a scene. seconds: wall time per frame. counts: of each thinned body, particles on
     its surface and inside."""
 
-    run: Run
+    run: RunFiles
     seconds: float
     counts: dict[str, tuple[int, int]]
 
@@ -158,7 +158,7 @@ def simulated(path: Path, folder: Path, overrides: list[str], args: argparse.Nam
     done = subprocess.run(words, env=env, capture_output=True, text=True, cwd=RUNS.parent)
     if done.returncode:
         raise StudyError(f"{path}: the run ended with {done.returncode}:\n{done.stderr[-2000:]}")
-    run = Run(folder)
+    run = RunFiles(folder)
     written = [frame.stat().st_mtime_ns for frame in run.frames[1:]]
     seconds = (written[-1] - written[0]) * 1e-9 / (len(written) - 1)
     told = re.findall(r"'([^']+)': (\d+) particles on its surface, (\d+) inside", done.stderr)

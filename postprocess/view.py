@@ -1,4 +1,4 @@
-"""python -m postprocess.view OUT --frame 25 --color J -o a.png: particles coloured by any field.
+"""python -m postprocess.view OUT --frame 25 --colour J -o a.png: particles coloured by any field.
 
 Draws with pyvista, off the screen. Exit code 2 for what the user can mend, with one line.
 """
@@ -11,49 +11,49 @@ from pathlib import Path
 import numpy as np
 
 from vgmpi.output import layout
-from vgmpi.output.read import Run, RunError
+from vgmpi.output.read import RunError, RunFiles
 from vgmpi.splatting.camera import orbit_eye, overview
 
 FOV = 30.0  # degrees, vertical
 ANGLE = 25.0  # degrees around z, as in the renderer
 
 
-def scalars(frame: dict[str, np.ndarray], color: str) -> np.ndarray:
+def scalars(frame: dict[str, np.ndarray], colour: str) -> np.ndarray:
     """The numbers to colour by, (n,): a field, the length of a vector, or one component.
 
-    color: "J", "velocity" (its length), "velocity.z", "F.0" ... "F.8", "x.z". Raises RunError.
+    colour: "J", "velocity" (its length), "velocity.z", "F.0" ... "F.8", "x.z". Raises RunError.
     """
-    name, _, part = color.partition(".")
+    name, _, part = colour.partition(".")
     if name not in frame:
-        raise RunError(f"--color: {color}: this frame has {', '.join(frame)}")
+        raise RunError(f"--colour: {colour}: this frame has {', '.join(frame)}")
     values = np.asarray(frame[name])
     if values.ndim == 1:
         if part:
-            raise RunError(f"--color: {color}: {name} has no components")
+            raise RunError(f"--colour: {colour}: {name} has no components")
         return values
     if not part:
         return np.linalg.norm(values, axis=1)
     names = list("xyz") if values.shape[1] == 3 else [str(i) for i in range(values.shape[1])]
     if part not in names:
-        raise RunError(f"--color: {color}: allowed are {name}.{names[0]} .. {name}.{names[-1]}")
+        raise RunError(f"--colour: {colour}: allowed are {name}.{names[0]} .. {name}.{names[-1]}")
     return values[:, names.index(part)]
 
 
-def title(color: str) -> str:
+def title(colour: str) -> str:
     """The words on the colour bar: field and unit."""
     units = {d.name: d.unit for d in layout.FRAME}
-    unit = units.get(color.partition(".")[0], "1")
-    return color if unit == "1" else f"{color} [{unit}]"
+    unit = units.get(colour.partition(".")[0], "1")
+    return colour if unit == "1" else f"{colour} [{unit}]"
 
 
-def picture(run: Run, index: int, color: str, path: Path, args: argparse.Namespace) -> None:
+def picture(run: RunFiles, index: int, colour: str, path: Path, args: argparse.Namespace) -> None:
     """Draw one frame into a PNG file."""
     import pyvista as pv  # takes a second: not for --help
 
     if "DISPLAY" not in os.environ:  # VTK would complain before it falls back to drawing off screen
         pv.vtk_verbosity("off")
     frame = run.frame(index)
-    values = scalars(frame, color)
+    values = scalars(frame, colour)
     size = run.scene.get("domain", {}).get("size")
     lower, upper = (np.zeros(3), np.array(size)) if size else (frame["x"].min(0), frame["x"].max(0))
     plotter = pv.Plotter(off_screen=True, window_size=args.size)
@@ -67,7 +67,7 @@ def picture(run: Run, index: int, color: str, path: Path, args: argparse.Namespa
         point_size=args.point,
         render_points_as_spheres=True,
         scalar_bar_args={
-            "title": title(color) + "\n",
+            "title": title(colour) + "\n",
             "color": "black",
             "vertical": True,
             "position_x": 0.9,
@@ -100,8 +100,10 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("out", help="folder of the run")
     p.add_argument("--frame", type=int, default=-1, help="number of the frame [the last]")
     p.add_argument(
-        "--color", default="velocity", help="J, velocity, velocity.z, F.0, object ... [velocity]"
+        "--colour", default="velocity", help="J, velocity, velocity.z, F.0, object ... [velocity]"
     )
+    # as it was called before
+    p.add_argument("--color", dest="colour", default=argparse.SUPPRESS, help=argparse.SUPPRESS)
     p.add_argument("-o", "--output", default="view.png", help="the picture [view.png]")
     p.add_argument("--range", type=float, nargs=2, metavar=("LOW", "HIGH"), help="of the colours")
     p.add_argument("--size", type=int, nargs=2, default=(1000, 800), metavar=("W", "H"))
@@ -120,11 +122,11 @@ def main(argv: list[str] | None = None) -> int:
         print("allowed: --size 16 to 8192 pixels, --point greater than 0", file=sys.stderr)
         return 2
     try:
-        run = Run(args.out)
+        run = RunFiles(args.out)
         index = args.frame + len(run) if args.frame < 0 else args.frame
         if not 0 <= index < len(run):
             raise RunError(f"--frame: {args.frame}: the run has the frames 0..{len(run) - 1}")
-        picture(run, index, args.color, path, args)
+        picture(run, index, args.colour, path, args)
     except RunError as error:
         print(error, file=sys.stderr)
         return 2

@@ -26,19 +26,27 @@ LAYERS = [
     {"planning"},
     {"scene"},
     {"materials", "couplings"},
+    {"source"},
     {"tables"},
     {"device"},
     {"splatting"},
     {"gaussians"},
 ]
 # the layers that may be used, where that is less than all below
-ONLY = {"materials": {"tables", "device"}, "couplings": {"tables", "device"}, "tables": set()}
+ONLY = {
+    "materials": {"tables", "device"},
+    "couplings": {"tables", "device"},
+    "source": {"tables"},
+    "tables": set(),
+}
 POSTPROCESS = (
     "vgmpi.output.read",
     "vgmpi.output.layout",
     "vgmpi.gaussians",
     "vgmpi.splatting",
     "vgmpi.domain.ranks",  # frames shared by the ranks of a launcher
+    "vgmpi.source",  # render.toml is read as a scene is, and its mistakes are told the same way
+    "vgmpi.tables",
     "postprocess",
 )
 OUTSIDE = {  # packages that only some files may use
@@ -165,6 +173,8 @@ def test_imports_run_one_way(file):
         ("vgmpi/prepare/build.py", "h5py"),
         ("postprocess/render.py", "vgmpi.lanes.laws"),
         ("postprocess/render.py", "vgmpi.output.store"),
+        ("postprocess/settings.py", "vgmpi.scene.reader"),
+        ("vgmpi/source.py", "vgmpi.device.tensor"),
         ("vgmpi/scene/scene.py", "postprocess.render"),
         ("vgmpi/cli.py", "vgmpi.bench.rounds"),
         ("vgmpi/bench/own.py", "numba"),

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from .domain.ranks import Alone, world
-from .output.read import Run as read
+from .output.read import RunFiles as read
 from .planning.plan import Plan
 from .scene import reader
 from .scene.scene import Scene

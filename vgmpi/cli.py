@@ -175,7 +175,7 @@ def _run(scene: Scene, folder: Path, given: argparse.Namespace, ranks: Alone) ->
     if ranks.rank == 0 and not given.quiet:
         print(describe(scene, plan, ranks.size), flush=True)
     try:
-        run = runs.Run(scene, plan, known, ranks, options)
+        run = runs.Runner(scene, plan, known, ranks, options)
     except Mismatch as error:
         return _refuse([str(error)], ranks)
     clock = run.simulation.clock = report.Clock()

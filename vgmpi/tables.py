@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Annotated, Any, get_args
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 from pydantic_core import core_schema
 
 _BASE = ("m", "kg", "s", "K", "rad")
@@ -152,8 +152,31 @@ Share = Annotated[float, Quantity("1", ge=0, le=1)]
 Point = tuple[Length, Length, Length]
 
 
+def three(value: Any) -> tuple[float, float, float] | None:
+    """Three finite numbers, or None."""
+    if not isinstance(value, list | tuple) or len(value) != 3:
+        return None
+    if not all(type(c) in (int, float) and math.isfinite(c) for c in value):
+        return None
+    return float(value[0]), float(value[1]), float(value[2])
+
+
+def colour(value: Any) -> tuple[float, float, float]:
+    """Red, green and blue of "#rrggbb" or three numbers 0..1; raises ValueError."""
+    if isinstance(value, str) and re.fullmatch(r"#[0-9a-fA-F]{6}", value):
+        red, green, blue = (int(value[k : k + 2], 16) / 255 for k in (1, 3, 5))
+        return red, green, blue
+    numbers = three(value)
+    if numbers is None or min(numbers) < 0 or max(numbers) > 1:
+        raise ValueError("must be a colour such as '#6fb7d6' or three numbers from 0 to 1")
+    return numbers
+
+
+Colour = Annotated[tuple[float, float, float], BeforeValidator(colour)]
+
+
 class Table(BaseModel):
-    """Base of everything read from a scene: unknown keys are errors, values never change.
+    """Base of everything read from a TOML file: unknown keys are errors, values never change.
 
     The text under a field says what it means; docs/scene.md is made of these texts.
     """
@@ -161,12 +184,16 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
 
-class SceneError(ValueError):
-    """What is wrong with a scene: `lines`, one finished sentence per error."""
+class TomlError(ValueError):
+    """What is wrong with a TOML file: `lines`, one finished sentence per error."""
 
     def __init__(self, lines: list[str]):
         super().__init__("\n".join(lines))
         self.lines = lines
+
+
+class SceneError(TomlError):
+    """What is wrong with a scene."""
 
 
 def explain(error: ValidationError, table: type[BaseModel]) -> list[tuple[tuple, str]]:
@@ -205,8 +232,12 @@ def _explain(item: dict, table: type[BaseModel]) -> tuple[tuple, str]:
         return path, f"must be one of {', '.join(known)}{nearest(value, known)}; {got(value)}"
     if kind in ("model_type", "dict_type", "model_attributes_type"):
         return path, f"must be a table of keys; {got(value)}"
-    said = item["msg"].removeprefix("Value error, ").replace("Input should", "must")
-    return path, f"{said[:1].lower()}{said[1:]}; {got(value)}"
+    said = re.sub(
+        r"^(Input|String|Tuple) should", "must", item["msg"].removeprefix("Value error, ")
+    )
+    said = said.replace("a valid tuple", "a list")
+    said = f"{said[:1].lower()}{said[1:]}"
+    return path, said if isinstance(value, dict) else f"{said}; {got(value)}"
 
 
 def _literals(expected: str) -> list[str]:

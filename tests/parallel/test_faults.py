@@ -8,7 +8,7 @@ import pytest
 
 from tests.launch import ROOT, mpirun, run
 from tests.scenes import MIXED, write
-from vgmpi.output.read import Run
+from vgmpi.output.read import RunFiles
 
 pytestmark = pytest.mark.mpi
 
@@ -52,7 +52,7 @@ def test_a_blow_up_names_who_and_when(tmp_path):
         assert len(said) == 1, job.stderr
         words, name, particle, step = said[0]
         assert int(step) > 80
-        known = Run(out)
+        known = RunFiles(out)
         thing = next(o for o in known.objects if o["name"] == name)
         assert 0 <= int(particle) - thing["first"] < thing["count"]
         assert len(known.times) >= 2

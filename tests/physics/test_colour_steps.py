@@ -3,8 +3,9 @@
 The paper's transfer S once a step, (S c)_p = sum_i w_ip c_i with
 c_i = sum_p w_ip V_p c_p / sum_p w_ip V_p:
 
-- one step equals the transfer of vgmpi/splatting/colour.py at the places before the step, over all
-  fluids of a phase and over fluids that mix; to 1e-12 of the range of colours in double precision;
+- one step equals the transfer of vgmpi/splatting/smoothing.py at the places before the step, over
+  all fluids of a phase and over fluids that mix; to 1e-12 of the range of colours in double
+  precision;
 - sum_p V_p c_p is kept by it to rounding, and equal colours stay equal in every bit;
 - an edge between two colours at rest spreads with D = dx^2 / (4 dt): after N steps its profile is
   that of the error function with a variance of N dx^2 / 2; rms of the difference at most .01.
@@ -21,7 +22,7 @@ from tests.held import held
 from tests.simulate import begin, by_id
 from vgmpi.prepare.build import build
 from vgmpi.solver.state import frame_rows
-from vgmpi.splatting.colour import Transfer
+from vgmpi.splatting.smoothing import Transfer
 
 PAPER = "VersaGauss, transfer of colours"
 SCENE = """
@@ -54,23 +55,23 @@ slip_time = 0.01
 [[object]]
 name = "left"
 material = "water"
-color = "#ff2010"
+colour = "#ff2010"
 shape = { box = [[0, 0, 0], ["5 cm", "6 cm", "4 cm"]] }
 velocity = [0.5, 0, 0]
 [[object]]
 name = "right"
 material = "water"
-color = "#1020ff"
+colour = "#1020ff"
 shape = { box = [["5 cm", 0, 0], ["9 cm", "6 cm", "4 cm"]] }
 [[object]]
 name = "jug"
 material = "milk"
-color = "#f0f0e0"
+colour = "#f0f0e0"
 shape = { box = [["9 cm", 0, 0], ["12 cm", "6 cm", "4 cm"]] }
 [[object]]
 name = "toy"
 material = "toy"
-color = "#20ff20"
+colour = "#20ff20"
 shape = { box = [["2 cm", "1 cm", "4.5 cm"], ["6 cm", "5 cm", "7 cm"]] }
 """
 

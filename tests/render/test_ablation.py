@@ -8,7 +8,7 @@ from postprocess import ablation, figures, settings, sheet, study
 from postprocess.look import Look
 from tests.render import runs
 from tests.render.test_look import EYE, fake, frame
-from vgmpi.output.read import Run
+from vgmpi.output.read import RunFiles
 
 WATER, BAR = slice(0, runs.WATER), slice(runs.WATER, None)
 TOML = """[camera]
@@ -93,7 +93,7 @@ def test_a_sheet_and_a_table_come_out(done, capsys):
 
 
 def test_thick_water_has_more_colour(done):
-    run = Run(done / "out")
+    run = RunFiles(done / "out")
     variants, where = ablation.study(run, settings.load(done / "render.toml"), done, 2)
     by = {one.name: one.figures for one in variants}
     assert where.solid.sum() > 20 and where.loose.sum() > 200
@@ -161,7 +161,7 @@ def test_each_figure_sees_its_own_fault():
 
 
 def test_regions_are_where_solids_and_fluids_are_seen(done):
-    run, base = Run(done / "out"), settings.load(done / "render.toml")
+    run, base = RunFiles(done / "out"), settings.load(done / "render.toml")
     _, where = ablation.study(run, base, done, 0)
     assert not (where.solid & where.loose).any()
     rows = np.flatnonzero(where.solid.any(axis=1))

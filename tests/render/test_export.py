@@ -14,7 +14,7 @@ from tests.render.test_look import fake, frame
 from vgmpi.gaussians import files
 from vgmpi.gaussians import sh as harmonics
 from vgmpi.gaussians.cloud import Cloud, full, principal, rotation_matrices
-from vgmpi.output.read import Run
+from vgmpi.output.read import RunFiles
 from vgmpi.splatting import splat
 from vgmpi.splatting.camera import look_at
 
@@ -86,7 +86,7 @@ def test_the_table_look_counts(out, tmp_path, capfd):
     (tmp_path / "render.toml").write_text('[look]\ncovariance = "fixed"\nopacity = "fixed"\n')
     argv = [str(out), str(tmp_path / "render.toml"), "--frames", "2", "--no-scenery", "-q"]
     assert export.main([*argv, "-o", str(tmp_path)]) == 0
-    c, rest = files.read(tmp_path / "frame_00002.ply"), Run(out).gaussians
+    c, rest = files.read(tmp_path / "frame_00002.ply"), RunFiles(out).gaussians
     np.testing.assert_allclose(c.cov(), rest.cov0, rtol=1e-5, atol=1e-10)
     np.testing.assert_allclose(c.opacity, rest.opacity, rtol=1e-5)
     (tmp_path / "render.toml").write_text('[look]\ncovariance = "large"\n')
@@ -117,7 +117,7 @@ def test_a_file_a_frame(out, tmp_path, capsys):
     assert export.main(argv) == 0
     assert capsys.readouterr().out.strip() == str(where)
     assert sorted(p.name for p in where.iterdir()) == ["frame_00000.ply", "frame_00002.ply"]
-    moved = Run(out).frame(2)
+    moved = RunFiles(out).frame(2)
     c = files.read(where / "frame_00002.ply")
     np.testing.assert_allclose(c.x[400:], moved["x"], atol=1e-6)  # behind the floor's 400
     assert export.main([*argv[:1], "--frames", "-1", "-o", str(where), "--no-scenery", "-q"]) == 0
@@ -130,7 +130,7 @@ def test_up(out, tmp_path, kind, up, axis, sign):
     argv = [str(out), "--frames", "0", "-o", str(tmp_path), f"--up={up}", "--format", kind, "-q"]
     assert export.main(argv) == 0
     c = files.read(tmp_path / f"frame_00000.{kind}")
-    height = Run(out).frame(0)["x"][:, 2]
+    height = RunFiles(out).frame(0)["x"][:, 2]
     np.testing.assert_allclose(sign * c.x[400:, axis], height, atol=1e-4)
 
 

@@ -24,7 +24,7 @@ def picture(out, folder, text):
 
 
 def test_a_floor_takes_the_place_of_the_background_and_carries_a_shadow(out, tmp_path):
-    floor = "floor = { height = -0.3, color = '#80ff80', light = [0.6, -0.2, -1], shadow = %s }\n"
+    floor = "floor = { height = -0.3, colour = '#80ff80', light = [0.6, -0.2, -1], shadow = %s }\n"
     lit, dark = (picture(out, tmp_path, floor % strength) for strength in (0, 0.8))
     plain = picture(out, tmp_path, "")
     magenta = (plain == (255, 0, 255)).all(axis=-1)
@@ -47,7 +47,7 @@ def test_squares_and_supersampling(out, tmp_path):
     "text, says",
     [
         ("floor = { light = [0, 0, 1] }", "points down"),
-        ("floor = { color = 'red.png' }", "#rrggbb"),
+        ("floor = { colour = 'red.png' }", "such as '#6fb7d6'"),
         ("floor = { shadow = 2 }", "less than or equal to 1"),
         ("floor = { squares = 0 }", "greater than 0"),
         ("floor = {}\nbackground = 'none'", "transparent"),

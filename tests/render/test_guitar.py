@@ -14,7 +14,7 @@ from postprocess.render import Painter
 from postprocess.settings import load
 from tests.launch import mpirun
 from vgmpi.gaussians import ply, sh
-from vgmpi.output.read import Run
+from vgmpi.output.read import RunFiles
 from vgmpi.splatting import splat
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -46,7 +46,7 @@ def run(tmp_path_factory):
     flags = [word for setting in SETTINGS for word in ("--set", setting)]
     job = mpirun(2, "-m", "vgmpi", FOLDER / "scene.toml", "-q", "-o", out, *flags, timeout=240)
     assert job.returncode == 0, job.stderr
-    return Run(out)
+    return RunFiles(out)
 
 
 def number(run):

@@ -17,7 +17,7 @@ from vgmpi.domain.ranks import Alone
 from vgmpi.gaussians import evolve, sh
 from vgmpi.gaussians.cloud import full
 from vgmpi.output import layout
-from vgmpi.output.read import Run, inspect
+from vgmpi.output.read import RunFiles, inspect
 from vgmpi.prepare import quality
 from vgmpi.prepare.build import build
 from vgmpi.prepare.passive import CARRIERS, bound
@@ -200,7 +200,7 @@ RUN = SCENE.replace("end = 1", "end = 0.01\nframes = 2")
 def test_a_run_with_riders(folder, tmp_path):
     """From the scene to a frame: a duck that flies and falls takes its Gaussians along."""
     vgmpi.run(scene(folder, RUN.replace("SOURCE", RIDING + "\nvelocity = [1, 0, 0]")), tmp_path)
-    run = Run(tmp_path)
+    run = RunFiles(tmp_path)
     riders = run.gaussians.passive
     assert {d.name for d in layout.PASSIVE} == set(vars(riders))
     last = run.frame(1)

@@ -184,10 +184,10 @@ def test_a_preview_loads_nothing_that_it_does_not_need(out):
     assert "numba" in loaded and not [name for name in SLOW if name in loaded]
 
 
-@pytest.mark.parametrize("color", ["J", "velocity", "velocity.z", "F.0", "object", "x.x"])
-def test_a_view_of_any_field(out, tmp_path, color, capsys):
+@pytest.mark.parametrize("colour", ["J", "velocity", "velocity.z", "F.0", "object", "x.x"])
+def test_a_view_of_any_field(out, tmp_path, colour, capsys):
     path = tmp_path / "new" / "a.png"
-    argv = [str(out), "--frame", "1", "--color", color, "-o", str(path), "--size", "320", "240"]
+    argv = [str(out), "--frame", "1", "--colour", colour, "-o", str(path), "--size", "320", "240"]
     assert view.main(argv) == 0
     picture = iio.imread(path)[..., :3]
     assert picture.shape == (240, 320, 3)
@@ -206,8 +206,8 @@ def test_views_show_the_numbers_of_their_field():
 @pytest.mark.parametrize(
     "argv, says",
     [
-        (["--color", "pressure"], "this frame has id, x, "),
-        (["--color", "J.x"], "no components"),
+        (["--colour", "pressure"], "this frame has id, x, "),
+        (["--colour", "J.x"], "no components"),
         (["--color", "velocity.w"], "velocity.x .. velocity.z"),
         (["--frame", "4"], "frames 0..3"),
         (["--frame", "-5"], "frames 0..3"),
@@ -256,7 +256,7 @@ def test_a_real_capture_is_recognisable_on_a_turning_body(tmp_path):
     got = iio.imread(tmp_path / "a.png").astype(float)
 
     turned = c.transformed(np.eye(3), 1.0, -middle).transformed(R, 1.0, middle + shift)
-    painter = render.Painter(render.Run(tmp_path), render.settings.Settings(), tmp_path)
+    painter = render.Painter(render.RunFiles(tmp_path), render.settings.Settings(), tmp_path)
     camera = painter.camera(0.0)
     splats = splat.Splats(turned.x, turned.cov(), turned.opacity, turned.rgb)
     image, _ = splat.render(splats, camera, (1.0, 1.0, 1.0))

@@ -12,7 +12,7 @@ import pytest
 from postprocess import replay
 from postprocess.look import Look
 from tests.render import runs
-from vgmpi.output.read import Run
+from vgmpi.output.read import RunFiles
 
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 # no graphics card is asked for
@@ -33,12 +33,12 @@ def html(out, tmp_path_factory):
 
 
 def test_the_same_gaussians_are_shown_at_every_frame(out):
-    look = Look(Run(out))
+    look = Look(RunFiles(out))
     chosen = replay.Chosen(look, 100)
     total = len(look.object) + len(look.scenery[0])
     assert (chosen.all, chosen.count) == (total, 100)
     assert chosen.still.sum() + chosen.moving.sum() == 100
-    rest = np.asarray(Run(out).gaussians.x0)[chosen.moving]
+    rest = np.asarray(RunFiles(out).gaussians.x0)[chosen.moving]
     for index in (0, 3):
         still, moving = chosen.at(index, np.array([3.0, 0, 1]))
         assert len(still["centers"]) == chosen.still.sum()
@@ -50,7 +50,7 @@ def test_the_same_gaussians_are_shown_at_every_frame(out):
 
 
 def test_all_of_a_small_run_is_shown_as_it_is(out):
-    look = Look(Run(out))
+    look = Look(RunFiles(out))
     chosen = replay.Chosen(look, 10**6)
     assert chosen.count == chosen.all and chosen.factor == 1
     still, _ = chosen.at(0, np.array([3.0, 0, 1]))

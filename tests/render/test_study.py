@@ -8,7 +8,7 @@ import pytest
 from postprocess import likeness, study, table_one
 from postprocess.look import Look
 from tests import launch
-from vgmpi.output.read import Run
+from vgmpi.output.read import RunFiles
 
 TINY = {
     "domain.size": '["40 cm", "32 cm", "40 cm"]',
@@ -60,10 +60,10 @@ def test_what_it_counts_is_in_the_files(made):
     folder, _ = made
     text = (folder / "table_one.md").read_text()
     for name in table_one.WAYS:
-        run = Run(folder / "balls_duck" / name)
+        run = RunFiles(folder / "balls_duck" / name)
         assert len(run) == 3 and np.allclose(run.times, [0, 0.04, 0.08])
         assert f"| {len(run.gaussians.object):,} |" in text
-    kept = Run(folder / "balls_duck" / "without").gaussians.vol0.sum()
+    kept = RunFiles(folder / "balls_duck" / "without").gaussians.vol0.sum()
     assert run.gaussians.vol0.sum() == pytest.approx(kept, rel=1e-6)  # single precision
 
 
@@ -81,7 +81,7 @@ def test_the_picture_shows_both_and_where_they_differ(made):
 
 def test_the_same_run_twice_is_alike_and_none_kept_is_not(made):
     """Decibels, outline and chance on a real frame."""
-    look = Look(Run(made[0] / "balls_duck" / "with"))
+    look = Look(RunFiles(made[0] / "balls_duck" / "with"))
     views = likeness.cameras(look.run, 64)
     assert len(views) == 12
     shown = likeness.portraits(look, 0, views, 1 / 255)

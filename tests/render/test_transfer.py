@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from vgmpi.splatting.colour import MOST_AGE, Transfer
+from vgmpi.splatting.smoothing import MOST_AGE, Transfer
 
 DX = 0.05
 

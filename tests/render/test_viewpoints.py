@@ -117,8 +117,14 @@ def test_eye_and_target_that_meet_on_the_way(tmp_path):
 BAD = {
     "no keys": ("", "needs keys"),
     "one key": ("keys = [{part = 0, eye = [1, 2, 3]}]", "two or more"),
-    "no eye": ("keys = [{part = 0}, {part = 1}]", "key 1: needs eye"),
-    "no part": ("keys = [{eye = [1, 2, 3]}, {eye = [1, 2, 4]}]", "key 1: needs one of part, time"),
+    "no eye": (
+        "keys = [{part = 0}, {part = 1, eye = [1, 2, 3]}]",
+        "camera.keys.0.eye: required key is missing: where the camera stands",
+    ),
+    "no part": (
+        "keys = [{eye = [1, 2, 3]}, {part = 1, eye = [1, 2, 4]}]",
+        "camera.keys.0: needs one of part, time",
+    ),
     "mixed": (
         "keys = [{part = 0, eye = [1, 2, 3]}, {time = 1, eye = [1, 2, 4]}]",
         "all need time",
@@ -129,18 +135,24 @@ BAD = {
     ),
     "beyond": (
         "keys = [{part = 0, eye = [1, 2, 3]}, {part = 2, eye = [1, 2, 4]}]",
-        "key 2: part = 2",
+        "camera.keys.1.part: must be less than or equal to 1; got 2",
     ),
     "a wide lens": (
         "keys = [{part = 0, eye = [1, 2, 3], fov = 190}, {part = 1, eye = [1, 2, 4]}]",
-        "key 1: fov = 190",
+        "camera.keys.0.fov: must be less than or equal to 170; got 190",
     ),
-    "an unknown word": ("keys = [{part = 0, eye = [1, 2, 3], roll = 3}, {}]", "key 1: allowed"),
-    "a point of two numbers": ("keys = [{part = 0, eye = [1, 2]}, {}]", "key 1: allowed: three"),
-    "numbers": ("keys = [1, 2]", "key 1: allowed: a table"),
+    "an unknown word": (
+        "keys = [{part = 0, eye = [1, 2, 3], roll = 3}, SECOND]",
+        "camera.keys.0.roll: unknown key",
+    ),
+    "a point of two numbers": (
+        "keys = [{part = 0, eye = [1, 2]}, SECOND]",
+        "camera.keys.0.eye: must be three",
+    ),
+    "numbers": ("keys = [1, SECOND]", "camera.keys.0: must be a table of keys; got 1"),
     "at its target": (
-        "keys = [{part = 0, eye = [1, 2, 3], target = [1, 2, 3]}, {}]",
-        "key 1: eye and target",
+        "keys = [{part = 0, eye = [1, 2, 3], target = [1, 2, 3]}, SECOND]",
+        "camera.keys.0: eye and target",
     ),
     "a file": ('file = "x"\nkeys = [{part=0,eye=[1,2,3]}, {part=1,eye=[1,2,4]}]', "has no file"),
 }
@@ -150,6 +162,7 @@ BAD = {
 def test_wrong_keys_are_one_line(tmp_path, name):
     text, says = BAD[name]
     path = tmp_path / "render.toml"
+    text = text.replace("SECOND", "{part = 1, eye = [1, 2, 4]}")
     path.write_text(f'[camera]\nkind = "keyframes"\n{text}')
     with pytest.raises(settings.SettingsError) as caught:
         settings.load(path)
@@ -169,12 +182,12 @@ name = "b"
 @pytest.mark.parametrize(
     "more, line, says",
     [
-        ("fov = 300", 6, "camera.fov: 300"),
+        ("fov = 300", 6, "camera.b.fov: must be less than 170; got 300"),
         ('eye = [1, 2, 3]\nkind = "orbit"', 4, "has no eye"),
         ("fovv = 3", 6, "did you mean 'fov'?"),
         ("[[camera]]\nfov = 30", 6, "need a name each"),
         ('[[camera]]\nname = "a"', 6, "no two the same"),
-        ('[[camera]]\nname = "a/b"', 7, "camera.name"),
+        ('[[camera]]\nname = "a/b"', 7, "camera.a/b.name: must match pattern"),
     ],
 )
 def test_mistakes_of_one_of_several_cameras(tmp_path, more, line, says):

@@ -173,10 +173,10 @@ CASES = {
         "is not for scenery",
     ),
     "body as collider": ball("collider = true", "collider", "is"),
-    "color": ball('color = "reed"', "color", "'#6fb7d6'"),
+    "color": ball('colour = "reed"', "colour", "'#6fb7d6'"),
     "axis": ball(
         'rotation = { axis = "w", angle = "3 deg" }',
-        "rotation.0.axis",
+        "rotation.axis",
         "'x', 'y', 'z' or three numbers",
     ),
     "particles per cell": ball("particles_per_cell = 9", "particles_per_cell", "1, 8, 27 or 64"),

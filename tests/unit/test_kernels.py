@@ -11,8 +11,8 @@ import pytest
 from tests.beside import TOLERANCE, beside, worst
 from tests.scenes import scene
 from vgmpi.prepare.build import build
-from vgmpi.scene.source import SceneError
 from vgmpi.solver.prepared import known_of, plan_for
+from vgmpi.tables import SceneError
 
 HEAD = """
 [domain]

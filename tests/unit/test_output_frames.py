@@ -14,7 +14,7 @@ from tests.parallel.files_job import columns
 from tests.simulated import run
 from vgmpi.domain.ranks import Alone
 from vgmpi.output import frames, layout, store
-from vgmpi.output.read import Run, RunError, inspect
+from vgmpi.output.read import RunError, RunFiles, inspect
 
 COUNTS = [5, 9, 7, 12]  # particles come and go
 TOTAL = 20
@@ -91,7 +91,7 @@ def test_resume_and_start_anew(out):
     four = (out / "series.vtkhdf").read_bytes()
     (out / "frames" / "frame_00003.vtkhdf.tmp").write_text("half")
     series = frames.Frames(out, Alone(), TOTAL, first=2)
-    assert len(Run(out)) == 2
+    assert len(RunFiles(out)) == 2
     time.sleep(1.1)  # HDF5 counts seconds: the time of day is no part of the bytes
     for index in (2, 3):
         ids = ids_of(index)
@@ -106,7 +106,7 @@ def test_resume_and_start_anew(out):
 def test_fields_that_are_not_asked_for_are_not_there(tmp_path):
     series = frames.Frames(tmp_path, Alone(), 3)
     series.write(0, 0.0, 0, np.arange(3), {"x": np.zeros((3, 3))})
-    assert set(Run(tmp_path).frame(0)) == {"id", "x"}
+    assert set(RunFiles(tmp_path).frame(0)) == {"id", "x"}
 
 
 @pytest.mark.parametrize(
@@ -139,7 +139,7 @@ def test_ranks_without_particles(tmp_path):
 
 
 def test_run(out):
-    run_ = Run(out)
+    run_ = RunFiles(out)
     assert np.array_equal(run_.times, [0.0, 0.1, 0.2, 0.3])
     frame = run_.frame(-1)
     assert list(frame)[:2] == ["id", "x"]
@@ -156,21 +156,21 @@ def test_broken_frames_and_folders_are_one_clear_line(out, tmp_path):
     path = out / "frames" / "frame_00001.vtkhdf"
     path.write_bytes(path.read_bytes()[:2000])
     with says("frame_00001.vtkhdf", "broken"):
-        Run(out).frame(1)
+        RunFiles(out).frame(1)
     with h5py.File(out / "frames" / "frame_00002.vtkhdf", "r+") as f:
         del f["VTKHDF/PointData/J"]
         f["VTKHDF/PointData/J"] = np.zeros(3)
     with says("frame_00002.vtkhdf", "J should have 7 rows"):
-        Run(out).frame(2)
+        RunFiles(out).frame(2)
     with says("no frame 4", "there are 4"):
-        Run(out).frame(4)
+        RunFiles(out).frame(4)
     with says("gaussians.h5: no such file"):
-        _ = Run(out).gaussians
+        _ = RunFiles(out).gaussians
     with says("no such folder"):
-        Run(tmp_path / "nowhere")
+        RunFiles(tmp_path / "nowhere")
     (tmp_path / "empty").mkdir()
     with says("no frames in it"):
-        Run(tmp_path / "empty")
+        RunFiles(tmp_path / "empty")
     with h5py.File(tmp_path / "other.h5", "w") as f:
         f["x"] = 1
     with says("other.h5", "not a file of vgmpi"):

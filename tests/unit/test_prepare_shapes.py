@@ -158,7 +158,7 @@ position = [0.2, 0.2, 0.1]
 [object.shape]
 blend = 0.08
 union = [
-  { sphere = { center = [0, 0, 0], radius = 0.06 }, color = "#ff0000" },
+  { sphere = { center = [0, 0, 0], radius = 0.06 }, colour = "#ff0000" },
   { sphere = { center = [0, 0, 0], radius = 0.06 } },
 ]
 """
@@ -200,13 +200,13 @@ def test_colors_of_parts():
     shape = Shape.model_validate(
         {
             "union": [
-                {"box": [[0, 0, 0], [1, 1, 1]], "color": "#ff0000"},
+                {"box": [[0, 0, 0], [1, 1, 1]], "colour": "#ff0000"},
                 {
                     "difference": [
                         {"box": [[0, 0, 0], [2, 1, 1]]},
                         {"box": [[1.5, 0, 0], [2, 1, 1]]},
                     ],
-                    "color": "#0000ff",
+                    "colour": "#0000ff",
                 },
                 {"box": [[2, 0, 0], [3, 1, 1]]},
             ]

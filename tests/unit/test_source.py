@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vgmpi.scene.source import Source, key_lines
-from vgmpi.tables import SceneError
+from vgmpi.source import Source, key_lines
+from vgmpi.tables import SceneError, TomlError
 
 TEXT = '''# comment with = and [brackets]
 title = "a # b = [c]"
@@ -160,3 +160,79 @@ def test_missing_file_and_folder(tmp_path):
     for path in (tmp_path / "none.toml", tmp_path):
         with pytest.raises(SceneError, match="No such file|directory"):
             Source(path)
+
+
+def test_one_table_where_a_list_may_stand(tmp_path):
+    """What reads the file counts it as number 0; who wrote it did not."""
+    path = tmp_path / "a.toml"
+    path.write_text("[camera]\n\nfov = 1\n[[probe]]\nname = 'p'\nobject = 'ball'\n\nx = 1\n")
+    source = Source(path)
+    wrong = [(("camera", 0, "fov"), "is odd"), (("probe", 0, "object", 0), "is odd")]
+    assert source.lines([*wrong, (("probe", 0, "x"), "is odd")]) == [
+        f"{path}:3: camera.fov: is odd",
+        f"{path}:6: probe.p.object: is odd",
+        f"{path}:8: probe.p.x: is odd",
+    ]
+
+
+def test_who_reads_the_file_says_what_is_raised(tmp_path):
+    class OtherError(TomlError):
+        pass
+
+    path = tmp_path / "broken.toml"
+    path.write_text("a = = 1")
+    with pytest.raises(OtherError, match=":1: not valid TOML"):
+        Source(path, error=OtherError)
+    with pytest.raises(OtherError, match="--set b: expected key=value"):
+        Source(path, ["b"], text="a = 1", error=OtherError)
+
+
+OLD = """\
+[material.color]
+x = 1
+[[object]]
+name = "color"
+color = [1,
+ "a"]
+shape = { union = [{ color = "red" },
+  { colour = 2, color = 3 }] }
+"""
+NAMES = {"object": {"color": "colour"}}
+
+
+def test_old_names_of_keys_are_read_and_told_in_one_line(tmp_path, caplog):
+    """Tables that somebody has called so keep their names; a key that is there by both is left."""
+    path = tmp_path / "a.toml"
+    path.write_text(OLD)
+    source = Source(path, old_names=NAMES)
+    assert source.data["material"] == {"color": {"x": 1}}
+    thing = source.data["object"][0]
+    assert thing["colour"] == [1, "a"] and "color" not in thing
+    assert thing["shape"]["union"] == [{"colour": "red"}, {"colour": 2, "color": 3}]
+    assert source.place(("object", 0, "colour", 1))[1] == f"{path}:6"
+    assert source.place(("object", 0, "shape", "union", 0, "colour"))[1] == f"{path}:7"
+    assert [r.getMessage() for r in caplog.records] == [
+        f"{path}:5: 'color' is the old name of object.color.colour (so are those at 7)"
+    ]
+    assert caplog.records[0].levelname == "WARNING"
+
+
+def test_set_knows_the_old_names(tmp_path, caplog):
+    path = tmp_path / "a.toml"
+    path.write_text(OLD.replace("color = [", "colour = ["))
+    item = "object.color.color=blue"
+    source = Source(path, [item], old_names=NAMES)
+    assert source.data["object"][0]["colour"] == "blue"
+    assert source.place(("object", 0, "colour"))[1] == f"--set {item}"
+    (record,) = caplog.records
+    assert record.getMessage().startswith(
+        f"{path}:7: 'color' is the old name of object.color.shape"
+    )
+    assert record.getMessage().endswith(f"(so are those at --set {item})")
+
+
+def test_new_names_need_no_word(tmp_path, caplog):
+    path = tmp_path / "a.toml"
+    path.write_text("[[object]]\nname = 'color'\ncolour = 1\n")
+    assert Source(path, ["object.color.colour=2"], old_names=NAMES).data["object"][0]["colour"] == 2
+    assert not caplog.records

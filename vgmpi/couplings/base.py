@@ -36,6 +36,20 @@ class Rules(NamedTuple):
     printed_mix: np.ndarray  # (mixes,) bool: as the paper prints it
     printed_drag: np.ndarray  # (n, n) bool
 
+    @property
+    def drifting(self) -> np.ndarray:
+        """Phases that drift by diffusion, as the paper prints it or not: (n,) bool."""
+        return self._of_phases(self.diffusion > 0.0)
+
+    @property
+    def drifting_apart(self) -> np.ndarray:
+        """Those whose drift is kept out of their momentum; as printed it is not: (n,) bool."""
+        return self._of_phases((self.diffusion > 0.0) & ~np.asarray(self.printed_mix, bool))
+
+    def _of_phases(self, mixes: np.ndarray) -> np.ndarray:
+        """(mixes,) bool of the mixing groups as (n,) of the phases, False for those in none."""
+        return np.append(mixes, False)[self.mix]  # -1 is the last
+
 
 def coupling(cls: type) -> type:
     """Register a coupling's table under its kind."""

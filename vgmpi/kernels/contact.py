@@ -12,9 +12,6 @@ import numpy as np
 from ..device.jit import inline
 
 TOUCH = 0.25  # gap [cells] below which two surfaces touch
-# part of a full cell's mass that a phase must have at a node: of lighter ones the sums hold fewer
-# digits (kernels/sums.py) than numbers in single precision, and with them directions would be lost
-LIGHT = 2.0**-21
 SWEEPS = 16
 
 

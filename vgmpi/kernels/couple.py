@@ -13,13 +13,13 @@ from typing import NamedTuple
 import numpy as np
 
 from ..device.jit import inline
+from ..device.limits import ROUNDING
 from ..device.select import select
 from ..lanes.lanes import load, store
 from ..lanes.nodes import fourth_of, squared, with_fourth
 from ..lanes.rows import largest, spread
 from .members import ROW, members
 
-ROUNDING = 1e-20  # of a full cell's mass: a node lighter than this holds rounding alone
 LEAST_PART = 1e-3  # of a node's fluid volume, below which a drift is not followed
 LEAST_PORES = 0.05  # share of space that a fluid keeps where sand is
 

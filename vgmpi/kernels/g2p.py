@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..device.jit import inline, kernel
+from ..device.limits import FARTHEST, LEAST_J, MOST_J, STRETCH
 from ..lanes.lanes import place, store
 from ..lanes.laws import advance, lane_state, store_state, volume_ratio, wave_speed2
 from ..lanes.rows import SOUND_ALL, largest, load_records, move, only, sound, spread
@@ -19,7 +20,6 @@ from .walls import SIDE, reflect
 REACH = 3  # cells from the block's middle within which a particle's base node lies in its patch
 CRUSHED, OUTSIDE, TOO_FAST, LOST = 1, 2, 3, 4  # what can go wrong with a particle
 FASTEST_WAVE = 1e15  # [m/s], squared below the largest single
-MOST_CELLS, MOST_STRETCH = 0.3, 0.1  # of a step: a particle's way [cells], its change of volume
 
 
 class Numbers(NamedTuple):
@@ -104,7 +104,7 @@ def _move(
     k = 4.0 / dx
     fastest = far = stretching = quick = spread(f, 0.0)
     shortest, never = spread(f, -1.0), spread(f, FASTEST_WAVE**2)
-    least, most, single = spread(f, 0.1), spread(f, 5.0), spread(f, 1.0)
+    least, most, single = spread(f, LEAST_J), spread(f, MOST_J), spread(f, 1.0)
     for n in range(0, count, 16):
         p = at + n
         left = count - n
@@ -139,7 +139,7 @@ def _move(
         if good & inside != full:
             _blame(cloud.ids, p, min(16, left), whole, tame, slow, inside, report)
     rate = largest(fastest) / (motion.cfl * dx)
-    rate = max(rate, largest(quick) / (MOST_CELLS * dx), largest(stretching) / MOST_STRETCH)
+    rate = max(rate, largest(quick) / (FARTHEST * dx), largest(stretching) / STRETCH)
     report[0] = max(report[0], rate)
     report[1] = max(report[1], largest(far))
 

@@ -10,11 +10,12 @@ import numpy as np
 
 from ..couplings.base import CONTACT
 from ..device.jit import inline, kernel
+from ..device.limits import ROUNDING
 from ..device.select import select
 from ..lanes.lanes import load, place, store
 from ..lanes.nodes import fourth_of, velocity, with_fourth
 from ..lanes.rows import repeat, spread
-from .couple import ROUNDING, Fields, Here, couple_block, note_flux
+from .couple import Fields, Here, couple_block, note_flux
 from .members import places
 from .sums import take_up
 from .tables import Sums

@@ -62,7 +62,7 @@ def tables(rules: Rules) -> Tables:
     """The rules as rows are told of them."""
     return Tables(
         len(rules.fluid), rules.sets, rules.mixes, int(rules.drags),
-        int((rules.diffusion[~rules.printed_mix] > 0.0).any()),
+        int(rules.drifting_apart.any()),
         *(np.array(table, np.int64) for table in (rules.together, rules.fluid, rules.mix)),
         *(
             np.array(table, float).ravel()

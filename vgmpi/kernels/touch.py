@@ -9,7 +9,8 @@ import numpy as np
 
 from ..couplings.base import CONTACT
 from ..device.jit import inline
-from .contact import LIGHT, TOUCH, collider_gap, gap, resolve, surface_normal
+from ..device.limits import TOUCHING
+from .contact import TOUCH, collider_gap, gap, resolve, surface_normal
 from .walls import tangential
 
 
@@ -71,7 +72,7 @@ def _active(here, node, velocities, phase, least, found):
     too few digits of where their particles are."""
     active = 0
     for nb in range(here.n0, here.n1):
-        if velocities[nb, 4 * node + 3] > LIGHT * least[phase[nb]]:
+        if velocities[nb, 4 * node + 3] > TOUCHING * least[phase[nb]]:
             found[active] = nb
             active += 1
     return active

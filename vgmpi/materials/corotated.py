@@ -6,7 +6,7 @@ eigenvalues of b = F F^T, so that no rotation is needed: with 1 + d_i those eige
 d_i / (1 + s_i) keeps small strains.
 """
 
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
@@ -15,11 +15,9 @@ from ..device.tensor import (
     det_minus_one,
     largest_stretch2,
     left_cauchy_green_minus_one,
-    moved_gradient_minus_one,
 )
-from ..tables import Quantity
-from .base import Family, Material, lame, material
-from .elastic_stuffs import STUFFS
+from .base import material
+from .stretching import Stretching
 
 
 class Law(NamedTuple):
@@ -29,33 +27,15 @@ class Law(NamedTuple):
 
 
 @material
-class Corotated(Material):
+class Corotated(Stretching):
     """Elastic solid whose stress stays in proportion to its stretch (fixed corotated): softer than
     kind "elastic" where it is pressed, and costs more.
     """
 
-    kind: Literal["corotated"]
-    density: Annotated[float, Quantity("kg/m3", gt=0)] = 1100.0
-    """at rest"""
-    youngs_modulus: Annotated[float, Quantity("Pa", gt=0)]
-    """stiffness in tension, for small strains"""
-    poisson_ratio: Annotated[float, Quantity("", ge=0, lt=0.5)] = 0.3
-    """0.5 would be incompressible; above 0.45 it bends too stiffly"""
-    friction: Annotated[float, Quantity("", ge=0)] = 0.3
-    """Coulomb coefficient against other solids, where no coupling names one"""
+    kind: Literal["corotated"]  # type: ignore[assignment]
 
     Law: ClassVar = Law
     cost: ClassVar = 2.0
-    family: ClassVar[Family] = "solid"
-    carries: ClassVar = {"H": (0.0,) * 9}
-    presets: ClassVar[dict[str, dict]] = STUFFS
-
-    def law(self) -> Law:
-        return Law(*lame(self.youngs_modulus, self.poisson_ratio), self.density)
-
-    @staticmethod
-    def advance(law, state, L, dt):
-        return moved_gradient_minus_one(state, L, dt)
 
     @staticmethod
     def stress(law, state, L):
@@ -72,10 +52,6 @@ class Corotated(Material):
                 two * s2 * (d[2] / (1.0 + s2)) + p,
             ),
         )
-
-    @staticmethod
-    def volume_ratio(law, state):
-        return 1.0 + det_minus_one(state)
 
     @staticmethod
     def wave_speed2(law, state):

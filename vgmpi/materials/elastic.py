@@ -1,6 +1,6 @@
 """Elastic solid: compressible neo-Hookean, carried as H = F - I."""
 
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
@@ -8,11 +8,9 @@ from ..device.tensor import (
     det_minus_one,
     largest_stretch2,
     left_cauchy_green_minus_one,
-    moved_gradient_minus_one,
 )
-from ..tables import Quantity
-from .base import Family, Material, lame, material
-from .elastic_stuffs import STUFFS
+from .base import material
+from .stretching import Stretching
 
 
 class Law(NamedTuple):
@@ -22,32 +20,13 @@ class Law(NamedTuple):
 
 
 @material
-class Elastic(Material):
+class Elastic(Stretching):
     """Rubber-like solid: tau = mu (b - I) + lam ln J I."""
 
-    kind: Literal["elastic"]
-    density: Annotated[float, Quantity("kg/m3", gt=0)] = 1100.0
-    """at rest"""
-    youngs_modulus: Annotated[float, Quantity("Pa", gt=0)]
-    """stiffness in tension"""
-    poisson_ratio: Annotated[float, Quantity("", ge=0, lt=0.5)] = 0.3
-    """0.5 would be incompressible; above 0.45 it bends too stiffly"""
-    friction: Annotated[float, Quantity("", ge=0)] = 0.3
-    """Coulomb coefficient against other solids, where no coupling names one"""
+    kind: Literal["elastic"]  # type: ignore[assignment]
 
     Law: ClassVar = Law
     cost: ClassVar = 1.4
-    family: ClassVar[Family] = "solid"
-    # F - I, not F: in single precision an increment below 1e-8 added to 1 would be lost
-    carries: ClassVar = {"H": (0.0,) * 9}
-    presets: ClassVar[dict[str, dict]] = STUFFS
-
-    def law(self) -> Law:
-        return Law(*lame(self.youngs_modulus, self.poisson_ratio), self.density)
-
-    @staticmethod
-    def advance(law, state, L, dt):
-        return moved_gradient_minus_one(state, L, dt)
 
     @staticmethod
     def stress(law, state, L):
@@ -55,10 +34,6 @@ class Elastic(Material):
         p = law.lam * np.log1p(det_minus_one(state))
         mu = law.mu
         return (mu * b00 + p, mu * b11 + p, mu * b22 + p, mu * b01, mu * b02, mu * b12)
-
-    @staticmethod
-    def volume_ratio(law, state):
-        return 1.0 + det_minus_one(state)
 
     @staticmethod
     def wave_speed2(law, state):

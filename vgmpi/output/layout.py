@@ -132,6 +132,7 @@ GAUSSIAN_TEXTS = [
         "",
         "JSON, an entry per object of the scene: name, role, material, kind, family, "
         "deforms (whether F of the frames is that of its particles), phase, "
+        "colour_set (colours travel among objects of one number), "
         "density [kg/m3] with its pores, first and count (its rows), opacity_scale, alpha_min, "
         "color, collider, and transform (4 x 4, source coordinates -> domain coordinates [m])",
     ),

@@ -1,6 +1,6 @@
 """Read the files of a run: all that a renderer or a script needs, without MPI.
 
-run = Run("out")
+run = RunFiles("out")
 run.times            (frames,) [s]
 run.frame(3)["x"]    (n, 3) [m]
 run.gaussians.cov0   (n, 6) [m2], a row per particle id
@@ -42,7 +42,7 @@ def _first_line(error):
     return (str(error).splitlines() or [type(error).__name__])[0]
 
 
-class Run:
+class RunFiles:
     """The files of one run, read when asked for. Raises RunError."""
 
     def __init__(self, folder: str | Path):

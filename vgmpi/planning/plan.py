@@ -19,7 +19,7 @@ from ..scene.loads import mean_share
 from ..scene.objects import Object
 from ..scene.scene import Scene
 from .channels import Channels
-from .colours import Exchange, exchange
+from .colour_sets import Exchange, exchange
 from .sharing import rules
 
 MASTERY = {
@@ -126,8 +126,7 @@ class Plan:
     def drifts(self) -> bool:
         """Whether fluids drift into each other by diffusion, and keep that out of their momentum;
         as the paper prints it they do not."""
-        rules = self.rules
-        return rules is not None and bool((rules.diffusion[~rules.printed_mix] > 0).any())
+        return self.rules is not None and bool(self.rules.drifting_apart.any())
 
     @property
     def particles(self) -> int:
@@ -177,7 +176,7 @@ def make_plan(
 ) -> Plan:
     """The plan of a scene whose objects have `count` particles of `volume` [m3] in total each, with
     their `center` [m], without which bodies of one volume are told apart by their names alone, and
-    with the `shades` of their colours (colours.shades).
+    with the `shades` of their colours (colour_sets.shades).
 
     Raises SceneError where a fixed time step is above the bound.
     """
@@ -198,7 +197,7 @@ def make_plan(
     )
     sharing = rules(scene, groups, phases)
     groups = tuple(_shared(scene, group, sharing) for group in groups)
-    colours = exchange(scene, phases, None if sharing is None else sharing.mix, shades)
+    colours = exchange(scene, phases, shades)
     if colours is not None:
         groups = tuple(_coloured(group, int(colours.coefficients[group.phase])) for group in groups)
     flip = scene.accuracy.flip if scene.accuracy.transfer == "flip" else 0.0

@@ -36,8 +36,8 @@ def rules(scene: Scene, groups, phases) -> Rules | None:
                     drag[a, b] = drag[b, a] = _coefficient(scene, coupling)
                     printed[a, b] = printed[b, a] = coupling.printed
     fluid = np.array([phase.family == "fluid" for phase in phases])
-    mix = _connected(n, [p for p in pairs if pair[p] == MIXING])
-    together = _connected(n, pairs)
+    mix = connected(n, [p for p in pairs if pair[p] == MIXING])
+    together = connected(n, pairs)
     # fluids that meet the same sand share its pores and the pressure in them
     numbers = _mixing_numbers(scene, couplings, of, mix)
     porosity, volume = np.zeros(n), np.zeros(n)
@@ -83,7 +83,7 @@ def _one_sand_per_phase(scene: Scene, couplings, groups, of) -> None:
                     raise scene.error([(("coupling", k, "between"), f"{name!r}: {said}")])
 
 
-def _connected(n: int, pairs: list[tuple[int, int]]) -> np.ndarray:
+def connected(n: int, pairs: list[tuple[int, int]]) -> np.ndarray:
     """Number of the connected set of each of n phases, -1 for those in no pair: (n,)."""
     lowest = np.arange(n)
     for _ in pairs:

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 from vgmpi.gaussians.checked import GaussianFileError
+from vgmpi.planning.colour_sets import colour_sets
 from vgmpi.planning.plan import deforms
 from vgmpi.prepare.collider import Collider
 from vgmpi.prepare.initial import begun
-from vgmpi.prepare.loads import Loaded, find
+from vgmpi.prepare.loaded import Loaded, find
 from vgmpi.prepare.mesh import MeshError
 from vgmpi.prepare.motion import velocity
 from vgmpi.prepare.passive import bound
@@ -134,10 +135,10 @@ def _together(scene: Scene, pieces: list[Piece]) -> Prepared:
     bodies = [k for k, thing in enumerate(scene.object) if thing.role == "body"]
     decor = [k for k, thing in enumerate(scene.object) if thing.role == "scenery"]
     terms = max(piece.cloud.sh.shape[1] for piece in pieces)
-    objects, first = [], 0
+    objects, first, sets = [], 0, colour_sets(scene)
     for k, thing in enumerate(scene.object):
         count = len(pieces[k].cloud) if thing.role == "body" else 0
-        objects.append(_describe(scene, thing, pieces[k], first, count))
+        objects.append(_describe(scene, thing, pieces[k], sets[k], first, count))
         first += count
     scenery = None
     if decor:
@@ -181,7 +182,9 @@ def _riding(pieces: list[Piece], objects: list[dict[str, Any]], terms: int) -> P
     )
 
 
-def _describe(scene: Scene, thing: Object, piece: Piece, first: int, count: int) -> dict[str, Any]:
+def _describe(
+    scene: Scene, thing: Object, piece: Piece, colour_set: int | None, first: int, count: int
+) -> dict[str, Any]:
     """What files say about one object; JSON values."""
     material = scene.material[thing.material] if thing.material else None
     family = material.family if material else None
@@ -193,13 +196,14 @@ def _describe(scene: Scene, thing: Object, piece: Piece, first: int, count: int)
         "family": family,
         "deforms": deforms(scene, thing),
         "phase": scene.phase_of(thing),
+        "colour_set": colour_set,
         "density": material.bulk_density if material else None,
         "first": first,
         "count": count,
         "opacity_scale": thing.opacity_scale,
         "alpha_min": thing.drawn_from,
         "transform": piece.placement.matrix(),
-        "color": list(thing.color),
+        "color": list(thing.colour),
         "collider": thing.collider,
     }
 

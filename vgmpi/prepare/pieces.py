@@ -74,7 +74,7 @@ def _from_shape(scene: Scene, k: int, thing: Object) -> Piece:
         said = f"too small or thin: no particle fits in, their spacing is {spacing:g} m"
         raise PlacementError("shape", said)
     own = at.own(x)
-    rgb = shapes.colors(shape, own, thing.color)
+    rgb = shapes.colors(shape, own, thing.colour)
     if not _is_fluid(scene, thing):
         normal = shapes.normals(shape, own, 0.5 * spacing / at.scale)
         rgb = shaded(rgb, turn(at.rotation, normal), scene.appearance.shade)
@@ -92,7 +92,7 @@ def _from_mesh(scene: Scene, k: int, thing: Object) -> Piece:
     if thing.role == "body":
         low, high = placed.points.min(axis=0), placed.points.max(axis=0)
         _inside(scene, thing, low, high, 1e-6 * spacing)
-    surface = mesh.sample(placed, spacing, thing.color, thing.opacity, [scene.seed, k])
+    surface = mesh.sample(placed, spacing, thing.colour, thing.opacity, [scene.seed, k])
     normal = mesh.normals(surface)
     rgb = shaded(surface.rgb, normal, 0.0 if _is_fluid(scene, thing) else scene.appearance.shade)
     surface.sh[:, 0] = dc_from_rgb(rgb)

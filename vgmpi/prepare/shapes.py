@@ -90,7 +90,7 @@ def bulge(shape: Shape) -> float:
 
 def colors(shape: Shape, points: np.ndarray, default: tuple) -> np.ndarray:
     """Colour (n, 3) of `points`: of the first part of a union that holds them, else `default`."""
-    own = shape.color or default
+    own = shape.colour or default
     if shape.form == "difference":
         return colors(shape.difference[0], points, own)
     out = np.tile(np.asarray(own, dtype=float), (len(points), 1))

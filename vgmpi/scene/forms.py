@@ -1,12 +1,11 @@
 """The forms that solids are made of, as they stand in a scene."""
 
 import math
-import re
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
-from vgmpi.tables import Point, Positive, Quantity, Table
+from vgmpi.tables import Colour, Point, Positive, Quantity, Table, three
 
 FORMS = (
     "box",
@@ -21,28 +20,9 @@ FORMS = (
 )
 
 
-def _three(value: Any) -> tuple[float, float, float] | None:
-    """Three finite numbers, or None."""
-    if not isinstance(value, list | tuple) or len(value) != 3:
-        return None
-    if not all(isinstance(c, int | float) and math.isfinite(c) for c in value):
-        return None
-    return float(value[0]), float(value[1]), float(value[2])
-
-
-def _color(value: Any) -> tuple[float, float, float]:
-    if isinstance(value, str) and re.fullmatch(r"#[0-9a-fA-F]{6}", value):
-        red, green, blue = (int(value[k : k + 2], 16) / 255 for k in (1, 3, 5))
-        return red, green, blue
-    numbers = _three(value)
-    if numbers is None or min(numbers) < 0 or max(numbers) > 1:
-        raise ValueError("must be a colour such as '#6fb7d6' or three numbers from 0 to 1")
-    return numbers
-
-
 def _axis(value: Any) -> tuple[float, float, float]:
     named = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-    numbers = named.get(value) if isinstance(value, str) else _three(value)
+    numbers = named.get(value) if isinstance(value, str) else three(value)
     if numbers is None or not any(numbers):
         raise ValueError("must be 'x', 'y', 'z' or three numbers that are not all 0")
     x, y, z = numbers
@@ -61,7 +41,6 @@ def _corners(value: Any) -> Any:
     return value
 
 
-Color = Annotated[tuple[float, float, float], BeforeValidator(_color)]
 Axis = Annotated[tuple[float, float, float], BeforeValidator(_axis)]
 Corners = Annotated[tuple[Point, Point], BeforeValidator(_corners)]
 Wide = Annotated[float, Quantity("m", ge=0)]
@@ -141,7 +120,7 @@ class Shape(Table):
     blend: Positive | None = None
     """unions only: edges where parts meet are rounded over about this length; where surfaces of
     parts coincide they move out by a quarter of it"""
-    color: Color | None = None
+    colour: Colour | None = None
     """colour of this part; without it the object's"""
 
     @property

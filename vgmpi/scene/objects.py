@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, model_validator
 
-from vgmpi.scene.forms import Axis, Color, Corners, Shape, Sphere, shape_complaints
-from vgmpi.tables import Length, Point, Positive, Quantity, Share, Table, nearest
+from vgmpi.scene.forms import Axis, Corners, Shape, Sphere, shape_complaints
+from vgmpi.tables import Colour, Length, Point, Positive, Quantity, Share, Table, nearest
 
 SOURCES = ("gaussians", "mesh", "shape")
 SIZES = ("height", "width", "depth", "scale")
@@ -179,7 +179,7 @@ class Object(Table):
     passive: bool = False
     """solids only: pruned Gaussians stay as they were and ride along without mass,
     each with the 4 particles nearest to it at rest, so that pruning is not seen"""
-    color: Color = (0.7, 0.7, 0.7)
+    colour: Colour = (0.7, 0.7, 0.7)
     """colour of shapes, and of meshes without colours: "#rrggbb" or three numbers 0..1"""
     opacity: Share = 0.95
     """opacity of the Gaussians made for shapes, meshes and fillings"""

@@ -12,11 +12,13 @@ from vgmpi.scene.objects import Object, body_complaint, object_complaints
 from vgmpi.scene.probes import Probe, probe_complaints
 from vgmpi.scene.scene import Scene, mixed, phase_of
 from vgmpi.scene.settings import MOST_CELLS, SECTIONS, Domain, Top
-from vgmpi.scene.source import Source
+from vgmpi.source import Source
 from vgmpi.tables import SceneError, explain, got, nearest
 
 REQUIRED = ("domain", "time", "material", "object")
 LISTS = ("object", "coupling", "load", "probe")
+# what keys inside these were called before; the old names are still read
+OLD_NAMES = dict.fromkeys(("object", "load", "probe"), {"color": "colour"})
 
 
 def load(
@@ -27,7 +29,7 @@ def load(
 
     Raises SceneError with all errors in the order of the file: "file:line: key: what is wrong".
     """
-    source = Source(path, overrides, text)
+    source = Source(path, overrides, text, old_names=OLD_NAMES)
     return Reader(source).scene(tuple(overrides))
 
 

@@ -1,9 +1,11 @@
 """What a scene file says, as typed, checked, frozen tables."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from vgmpi.couplings.base import MIXING
 from vgmpi.scene.loads import Load
 from vgmpi.scene.objects import Object
 from vgmpi.scene.probes import Probe
@@ -15,7 +17,7 @@ from vgmpi.scene.settings import (
     Output,
     Time,
 )
-from vgmpi.scene.source import Source
+from vgmpi.source import Source
 from vgmpi.tables import SceneError
 
 
@@ -79,8 +81,6 @@ def phase_of(thing: Object, family: str, mixed: frozenset[str] = frozenset()) ->
     return thing.phase or alone.get(family, family)
 
 
-def mixed(couplings) -> frozenset[str]:
-    """Names of the materials that mix with others. couplings: tables of the scene, or raw ones."""
-    raw = [c if isinstance(c, dict) else c.model_dump() for c in couplings]
-    named = [c.get("between") for c in raw if str(c.get("kind", "")).startswith("mixing")]
-    return frozenset(n for pair in named if isinstance(pair, list | tuple) for n in pair)
+def mixed(couplings: Iterable[Any]) -> frozenset[str]:
+    """Names of the materials that mix with others. couplings: tables of the scene."""
+    return frozenset(name for c in couplings if c.rule == MIXING for name in c.between)

@@ -11,17 +11,17 @@ import numpy as np
 from ..domain.ranks import Alone
 from ..output import checkpoint, layout, rest, store
 from ..output.read import RunError, read_gaussians
-from ..planning.colours import shades
+from ..planning.colour_sets import shades
 from ..planning.plan import Plan, make_plan
 from ..prepare import texture
-from ..prepare.loads import find
+from ..prepare.loaded import find
 from ..scene.scene import Scene
 
 log = logging.getLogger("vgmpi")
 
 
 @dataclass
-class Prepared:
+class Known:
     """What all ranks know of the particles before they hold any."""
 
     objects: list[dict]
@@ -29,7 +29,7 @@ class Prepared:
     center: list[list[float]]  # of mass [m]
     colliders: list
     loads: list
-    shades: np.ndarray | None = None  # of the objects' colours (colours.shades), where they travel
+    shades: np.ndarray | None = None  # of colours that travel (colour_sets.shades)
     rows: dict | None = None  # on rank 0, where there is no gaussians.h5: its datasets
 
     @property
@@ -37,7 +37,7 @@ class Prepared:
         return [thing["count"] for thing in self.objects]
 
 
-def prepare(scene: Scene, ranks: Alone, folder: Path | None) -> Prepared:
+def prepare(scene: Scene, ranks: Alone, folder: Path | None) -> Known:
     """Make the particles on rank 0 and write gaussians.h5 (or keep them, if folder is None).
     Collective.
 
@@ -107,12 +107,12 @@ def _particles(scene: Scene, folder: Path | None):
     return known_of(scene, made), (scenery, rows, passive)
 
 
-def known_of(scene: Scene, made) -> Prepared:
+def known_of(scene: Scene, made) -> Known:
     """What all ranks shall know of what prepare.build made."""
     return _known(scene, made.objects, made, made.x, made.colliders, made.loads)
 
 
-def _known(scene, objects, rest, x, colliders, loads) -> Prepared:
+def _known(scene, objects, rest, x, colliders, loads) -> Known:
     """rest: object (n,) of each particle, vol0 (n,) [m3] and sh (n, K, 3). x: (n, 3) [m]."""
     thing, volume, x = (np.asarray(rows) for rows in (rest.object, rest.vol0, x))
     total = np.bincount(thing, volume, minlength=len(objects))
@@ -120,10 +120,10 @@ def _known(scene, objects, rest, x, colliders, loads) -> Prepared:
     center = (np.array(moment) / np.maximum(total, 1e-300)).T
     travel = scene.appearance.colour_transfer == "step"
     hues = shades(len(objects), rest.object, rest.sh) if travel else None
-    return Prepared(objects, total.tolist(), center.tolist(), colliders, loads, hues)
+    return Known(objects, total.tolist(), center.tolist(), colliders, loads, hues)
 
 
-def plan_for(scene: Scene, known: Prepared) -> Plan:
+def plan_for(scene: Scene, known: Known) -> Plan:
     """What the scene needs with these particles. Raises SceneError."""
     colliders = bool(known.colliders)
     return make_plan(scene, known.count, known.volume, colliders, known.center, known.shades)
@@ -142,7 +142,7 @@ def digest(scene: Scene) -> str:
     return seal.hexdigest()
 
 
-def share(plan: Plan, known: Prepared, ranks: Alone, folder: Path | None):
+def share(plan: Plan, known: Known, ranks: Alone, folder: Path | None):
     """Ids and rows of the particles this rank brings: of a file an equal share, without a file all
     on rank 0.
     """

@@ -9,7 +9,7 @@ import time
 import numpy as np
 from tqdm import tqdm
 
-from .run import Run
+from .run import Runner
 from .step import Simulation
 from .watch import drift
 
@@ -49,7 +49,7 @@ def _age() -> float:
 class Progress:
     """A bar with the time left on a terminal, otherwise a log line every ten seconds."""
 
-    def __init__(self, run: Run, quiet: bool):
+    def __init__(self, run: Runner, quiet: bool):
         self.run, self.end = run, float(run.plan.times[-1])
         self.began = self.said = time.monotonic()
         self.first = run.simulation.time
@@ -81,7 +81,7 @@ class Progress:
             self.bar.close()
 
 
-def table(run: Run, clock: Clock) -> str:
+def table(run: Runner, clock: Clock) -> str:
     """Wall time by stage, particles per second, imbalance, conservation; on rank 0, else "".
     Collective.
     """
@@ -114,7 +114,7 @@ def table(run: Run, clock: Clock) -> str:
 PROFILE = ("rank", "particles", "work", *STAGES, "neighbours", "sent", "moved", "startup")
 
 
-def profile(run: Run, clock: Clock) -> str:
+def profile(run: Runner, clock: Clock) -> str:
     """What each rank did, as profile.csv in the output folder; on rank 0 also as a table, else "".
     Collective.
     """

@@ -17,7 +17,7 @@ from ..planning.plan import Plan
 from ..planning.price import describe
 from ..prepare.motion import gradient
 from ..scene.scene import Scene
-from .prepared import Prepared, on_all, plan_for, prepare, share
+from .prepared import Known, on_all, plan_for, prepare, share
 from .probes import Probes
 from .requests import Requests
 from .state import frame_rows, restore, save
@@ -45,7 +45,7 @@ class Options:
 
 
 def begin(
-    scene: Scene, plan: Plan, known: Prepared, ranks: Alone, options: Options
+    scene: Scene, plan: Plan, known: Known, ranks: Alone, options: Options
 ) -> tuple[Simulation, int]:
     """The simulation at its start, or at the checkpoint to resume from; and the next frame's
     number. Collective.
@@ -66,13 +66,13 @@ def begin(
     return simulation, 0
 
 
-class Run:
+class Runner:
     """One run: its simulation and its files. Collective.
 
     probes: rows of the scene's probes; frame: number of the next frame.
     """
 
-    def __init__(self, scene: Scene, plan: Plan, known: Prepared, ranks: Alone, options: Options):
+    def __init__(self, scene: Scene, plan: Plan, known: Known, ranks: Alone, options: Options):
         self.scene, self.plan, self.options, self.ranks = scene, plan, options, ranks
         self.names = [thing["name"] for thing in known.objects]
         self.simulation, self.frame = begin(scene, plan, known, ranks, options)
@@ -189,10 +189,10 @@ class Run:
             self.simulation.clock(stage)
 
 
-def start(scene: Scene, ranks: Alone, options: Options) -> Run:
+def start(scene: Scene, ranks: Alone, options: Options) -> Runner:
     """Prepare, plan and set up a run. Raises SceneError, StoreError, CheckpointError, Mismatch."""
     known = prepare(scene, ranks, options.folder)
-    return Run(scene, plan_for(scene, known), known, ranks, options)
+    return Runner(scene, plan_for(scene, known), known, ranks, options)
 
 
 def versions() -> dict[str, str]:

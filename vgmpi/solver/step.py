@@ -3,6 +3,7 @@
 import numpy as np
 
 from ..couplings.base import CONTACT, MIXING
+from ..device.limits import FARTHEST, LEAST_J, MOST_J, STRETCH
 from ..domain import migrate, topology
 from ..domain.blocks import Lattice
 from ..domain.halo import Halo
@@ -15,10 +16,10 @@ from ..engines.numpy.engine import Numpy
 from ..kernels import g2p
 from ..materials.base import function
 from ..planning.plan import Plan
-from .loads import Loads
+from .pushes import Pushes
 
 REASONS = {
-    g2p.CRUSHED: "its volume ratio J left 0.1 .. 5 or is not a number",
+    g2p.CRUSHED: f"its volume ratio J left {LEAST_J:g} .. {MOST_J:g} or is not a number",
     g2p.OUTSIDE: "it left the domain",
     g2p.TOO_FAST: "it would move more than a cell in one step",
     g2p.LOST: "its velocity or stress is not a number",
@@ -46,9 +47,8 @@ def _apart(plan: Plan) -> topology.Apart | None:
         return topology.Apart(True, None, None, None) if plan.flip else None
     same = rules.together[:, None] == rules.together[None, :]
     shares = same & (rules.together >= 0)[:, None] & ~np.eye(len(same), dtype=bool)
-    drifts = (rules.diffusion > 0.0)[rules.mix] if rules.mixes else np.zeros(len(same), bool)
     asks = (rules.pair == CONTACT) & ~np.eye(len(same), dtype=bool)
-    asks |= (rules.pair == MIXING) & drifts[:, None]
+    asks |= (rules.pair == MIXING) & rules.drifting[:, None]
     return topology.Apart(False, shares, asks, rules.fluid)
 
 
@@ -75,7 +75,7 @@ class Simulation:
         self.solids = Solids(list(colliders), self.lattice, plan.real) if colliders else None
         self.engine: Engine = ENGINES[engine](plan, self.lattice, self.solids, threads)
         self.groups: list[Group] = self.engine.groups
-        self.loads = Loads(loads, plan.real) if loads else None
+        self.loads = Pushes(loads, plan.real) if loads else None
         self.needs = _needs(plan)
         self.tables: topology.Topology | None = None
         self.cut: np.ndarray | None = None
@@ -133,11 +133,11 @@ class Simulation:
                 waves = [function(law, "wave_speed2")(law, state) for state in states]
                 wave = np.sqrt(group.plan.bound(max(waves)))
                 speed = np.sqrt((v[here] ** 2).sum(1)).max()
-                fastest = max(fastest, float(wave + speed), float(speed) * self.plan.cfl / 0.3)
+                fastest = max(fastest, float(wave + speed), float(speed) * self.plan.cfl / FARTHEST)
             migrate.arrive(group, block, xi, f, ids[here])
         rate = fastest / (self.plan.cfl * self.plan.dx)
         if C is not None and len(C):
-            rate = max(rate, float(np.abs(C[:, 0] + C[:, 4] + C[:, 8]).max()) / 0.1)
+            rate = max(rate, float(np.abs(C[:, 0] + C[:, 4] + C[:, 8]).max()) / STRETCH)
         self.rate = float(self.ranks.max(np.array([rate]))[0])
         self.sort()
         self.moved = 0  # finding the first owners is no migration

@@ -7,7 +7,7 @@ import numpy as np
 from ..device.processor import processor, stamp
 from ..domain.halo import Part
 from ..domain.ranks import Alone
-from ..kernels.loads import push
+from ..kernels.push import push
 from ..planning.plan import Plan
 from .step import Simulation
 from .watch import about, ledger

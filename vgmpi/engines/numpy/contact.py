@@ -7,8 +7,9 @@ particles; impulses of all pairs of a node are found together, by accumulated Ja
 import numpy as np
 
 from ...couplings.base import CONTACT
+from ...device.limits import TOUCHING
 from ...domain.solids import REACH
-from ...kernels.contact import LIGHT, SWEEPS, TOUCH
+from ...kernels.contact import SWEEPS, TOUCH
 from ...planning.plan import Plan
 from .dense import Dense
 
@@ -33,7 +34,7 @@ class Contact:
         if collider is not None:
             self.collider = collider.reshape(*dense.shape, 4)
             self.near = self.collider[..., 3] < REACH * plan.dx
-        self.least = np.array([LIGHT * phase.least for phase in plan.phases])
+        self.least = np.array([TOUCHING * phase.least for phase in plan.phases])
         self.walls = dense
 
     def along_walls(self, offset: np.ndarray) -> None:

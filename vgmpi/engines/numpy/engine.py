@@ -8,14 +8,15 @@ compiled code. Sources: APIC (Jiang 2015), forces (Hu 2018), FLIP (Zhu & Bridson
 
 import numpy as np
 
+from ...device.limits import FARTHEST, LEAST_J, MOST_J, ROUNDING, STRETCH
 from ...domain.blocks import EDGE, Lattice
 from ...domain.halo import Part
 from ...domain.solids import Solids
 from ...domain.state import Group
 from ...domain.topology import Topology
 from ...kernels.beside import RELAX
-from ...kernels.couple import LEAST_PORES, ROUNDING
-from ...kernels.g2p import CRUSHED, FASTEST_WAVE, LOST, MOST_CELLS, MOST_STRETCH, OUTSIDE, TOO_FAST
+from ...kernels.couple import LEAST_PORES
+from ...kernels.g2p import CRUSHED, FASTEST_WAVE, LOST, OUTSIDE, TOO_FAST
 from ...materials.base import function
 from ...planning.plan import Plan
 from ..base import DITHER, Report
@@ -222,7 +223,7 @@ class Numpy:
             share = self._get(group, "share")[:, 0]
             wave2 = wave2 * (1.0 + (1.0 / share - 1.0) * group.plan.dense) + group.plan.stiff
         way = dt / dx * v
-        whole, tame = (J > 0.1) & (J < 5.0), (wave2 > -1.0) & (wave2 < FASTEST_WAVE**2)
+        whole, tame = (J > LEAST_J) & (J < MOST_J), (wave2 > -1.0) & (wave2 < FASTEST_WAVE**2)
         slow = np.abs(way).max(1) < 1.0
         good = whole & tame & slow
         dither = np.modf(DITHER * step)[0]
@@ -233,7 +234,7 @@ class Numpy:
         inside = ((place > -2.0) & (place < np.array(self.plan.cells) - 1.0)).all(1)
         speed = np.linalg.norm(v, axis=1)
         rates = (np.sqrt(np.maximum(wave2, 0.0)) + speed) / (self.plan.cfl * dx)
-        rates = np.maximum(rates, np.maximum(speed / (MOST_CELLS * dx), trace / MOST_STRETCH))
+        rates = np.maximum(rates, np.maximum(speed / (FARTHEST * dx), trace / STRETCH))
         reason = np.select([~whole, ~tame, ~slow, ~inside], [CRUSHED, LOST, TOO_FAST, OUTSIDE], 0)
         wrong = [(int(group.ids[at[k]]), int(reason[k])) for k in np.flatnonzero(reason)]
         rate = float(np.where(good, rates, 0.0).max())

@@ -3,11 +3,11 @@
 import numpy as np
 
 from ..domain.state import Group
-from ..kernels.loads import push
-from ..prepare.loads import Loaded
+from ..kernels.push import push
+from ..prepare.loaded import Loaded
 
 
-class Loads:
+class Pushes:
     """Pushes this rank's loaded particles. `find` after every sort, `push` before every transfer to
     the grid; the same bits on any number of ranks, since each particle is pushed by itself.
     """

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 import vgmpi
-from postprocess.colours import FOLDER, Colours
+from postprocess.frame_colours import FOLDER, FrameColours
 from postprocess.look import Look
 from postprocess.painter import Painter, by_processes
 from postprocess.settings import LookSettings, Settings, SettingsError
 from tests.launch import mpirun
 from tests.render import runs
 from vgmpi.gaussians.sh import C0
-from vgmpi.output.read import Run
+from vgmpi.output.read import RunFiles
 
 # two colours that swirl into each other, and a solid that keeps its own
 SCENE = """
@@ -35,17 +35,17 @@ youngs_modulus = 1e5
 [[object]]
 name = "blue"
 material = "water"
-color = "#2040c0"
+colour = "#2040c0"
 shape = { box = [[0, 0, 0], [0.2, 0.2, 0.16]] }
 [[object]]
 name = "red"
 material = "water"
-color = "#c04020"
+colour = "#c04020"
 shape = { box = [[0.2, 0, 0], [0.4, 0.2, 0.08]] }
 [[object]]
 name = "ball"
 material = "rubber"
-color = "#20c040"
+colour = "#20c040"
 shape = { sphere = { center = [0.3, 0.1, 0.14], radius = 0.035 } }
 """
 EYE = np.array([0.2, -1.0, 0.3])
@@ -86,7 +86,7 @@ def rms(a):
 def test_half_the_time_step_changes_a_frame_by_less_than_a_hundredth(made, mode, more):
     """Of the range 0..1 of colours, rms over all particles; reached 0.0035 and 0.0027. What the
     transfer itself does is ten times as much."""
-    one, two = (Run(folder) for folder in made)
+    one, two = (RunFiles(folder) for folder in made)
     assert not np.array_equal(one.frame(5)["x"], two.frame(5)["x"])
     a, b = (rgb(run, 5, look(mode, **more)) for run in (one, two))
     assert rms(a - b) < 0.01
@@ -95,8 +95,8 @@ def test_half_the_time_step_changes_a_frame_by_less_than_a_hundredth(made, mode,
 
 @pytest.mark.parametrize("mode, more", MODES)
 def test_volume_times_colour_is_kept_by_every_transfer(made, mode, more):
-    run = Run(made[0])
-    colours = Colours(run, look(mode, **more))
+    run = RunFiles(made[0])
+    colours = FrameColours(run, look(mode, **more))
     frame = run.frame(5)
     volume = (run.gaussians.vol0[frame["id"]] * frame["J"])[colours.ids]
     before = colours.first if mode == "frame" else colours._relaxed(4, run.frame(4))
@@ -107,7 +107,7 @@ def test_volume_times_colour_is_kept_by_every_transfer(made, mode, more):
 
 
 def test_solids_keep_their_colours_and_equal_fluids_cost_nothing(made):
-    run = Run(made[0])
+    run = RunFiles(made[0])
     sh = Look(run, look("frame")).frame(5)["sh"]
     changed = (sh != run.gaussians.sh).any(axis=(1, 2))
     assert set(run.gaussians.object[changed]) == {0, 1}
@@ -116,7 +116,7 @@ def test_solids_keep_their_colours_and_equal_fluids_cost_nothing(made):
 
 
 def test_a_picture_takes_the_colours_of_its_frame(made):
-    run = Run(made[0])
+    run = RunFiles(made[0])
     chosen = Look(run, look("frame"))
     frame = chosen.frame(5)
     s = chosen.splats(frame, EYE)
@@ -126,7 +126,7 @@ def test_a_picture_takes_the_colours_of_its_frame(made):
 
 
 def test_the_scene_says_how_and_render_toml_says_otherwise(made):
-    run = Run(made[0])
+    run = RunFiles(made[0])
     assert run.scene["appearance"]["colour_transfer"] == "frame"
     np.testing.assert_array_equal(rgb(run, 5, LookSettings()), rgb(run, 5, look("frame")))
     run.scene["appearance"] |= {"colour_transfer": "relax", "colour_time": 0.05}
@@ -139,7 +139,7 @@ def test_colours_carried_by_the_steps_stand_in_the_frames(tmp_path):
     told = {"appearance.colour_transfer": "step", "time.frames": 3}
     scene = vgmpi.load(tmp_path / "scene.toml", told, text=SCENE)
     assert vgmpi.run(scene, tmp_path / "out").code == 0
-    run = Run(tmp_path / "out")
+    run = RunFiles(tmp_path / "out")
     frame, chosen = run.frame(2), Look(run)
     sh = chosen.frame(2)["sh"]
     fluid = run.gaussians.object[frame["id"]] < 2
@@ -156,49 +156,49 @@ def test_colours_carried_by_the_steps_stand_in_the_frames(tmp_path):
 def test_single_frames_are_those_of_a_row_of_frames(made):
     """Also from what an earlier call kept, whatever was drawn before."""
     chosen = look("relax", colour_time=0.07)
-    run = Run(made[0])
+    run = RunFiles(made[0])
     several = Look(run, chosen)
     row = [several.frame(k)["sh"] for k in range(6)]
     assert len(list((run.folder / FOLDER).glob("*.npz"))) == 5  # all but the first
     for k in (3, 0, 5, 1):
-        np.testing.assert_array_equal(Look(Run(made[0]), chosen).frame(k)["sh"], row[k])
+        np.testing.assert_array_equal(Look(RunFiles(made[0]), chosen).frame(k)["sh"], row[k])
         np.testing.assert_array_equal(several.frame(k)["sh"], row[k])
 
 
 def test_what_is_kept_is_taken_and_never_for_other_settings(made, monkeypatch):
-    run = Run(made[0])
+    run = RunFiles(made[0])
     want = Look(run, look("relax", colour_time=0.06)).frame(5)["sh"]
     moves = []
-    inner = Colours._moved
-    monkeypatch.setattr(Colours, "_moved", lambda *a: moves.append(0) or inner(*a))
-    again = Look(Run(made[0]), look("relax", colour_time=0.06)).frame(5)["sh"]
+    inner = FrameColours._moved
+    monkeypatch.setattr(FrameColours, "_moved", lambda *a: moves.append(0) or inner(*a))
+    again = Look(RunFiles(made[0]), look("relax", colour_time=0.06)).frame(5)["sh"]
     np.testing.assert_array_equal(again, want)
     assert not moves
-    other = Look(Run(made[0]), look("relax", colour_time=0.03)).frame(5)["sh"]
+    other = Look(RunFiles(made[0]), look("relax", colour_time=0.03)).frame(5)["sh"]
     assert len(moves) == 5 and rms(other - want) > 0.01
     run.frames[2].touch()  # as if the run had been made again
-    Look(Run(made[0]), look("relax", colour_time=0.03)).frame(5)
+    Look(RunFiles(made[0]), look("relax", colour_time=0.03)).frame(5)
     assert len(moves) == 5 + 4
 
 
 def test_a_broken_or_unwritable_cache_costs_time_only(made, caplog):
-    run, chosen = Run(made[0]), look("relax", colour_time=0.05)
+    run, chosen = RunFiles(made[0]), look("relax", colour_time=0.05)
     want = Look(run, chosen).frame(3)["sh"]
     kept = run.folder / FOLDER / "frame_00003.npz"
     kept.write_bytes(kept.read_bytes()[:100])
-    np.testing.assert_array_equal(Look(Run(made[0]), chosen).frame(3)["sh"], want)
+    np.testing.assert_array_equal(Look(RunFiles(made[0]), chosen).frame(3)["sh"], want)
     for path in (run.folder / FOLDER).iterdir():
         path.unlink()
     (run.folder / FOLDER).rmdir()
     (run.folder / FOLDER).write_text("in the way")
     with caplog.at_level(logging.WARNING, "vgmpi"):
-        np.testing.assert_array_equal(Look(Run(made[0]), chosen).frame(3)["sh"], want)
+        np.testing.assert_array_equal(Look(RunFiles(made[0]), chosen).frame(3)["sh"], want)
     (run.folder / FOLDER).unlink()
     assert len(caplog.records) == 1 and "cannot be kept" in caplog.text
 
 
 def test_a_time_too_short_and_a_wrong_body_are_named(made):
-    run = Run(made[0])
+    run = RunFiles(made[0])
     with pytest.raises(SettingsError, match="colour_time: 1e-05 s is too short.*at least 0.0004"):
         Look(run, look("relax", colour_time=1e-5)).frame(1)
     with pytest.raises(SettingsError, match="no body 'bleu'; known: blue, red, ball"):
@@ -208,7 +208,7 @@ def test_a_time_too_short_and_a_wrong_body_are_named(made):
 def test_processes_that_share_the_frames_draw_the_same(made):
     small = {"picture": {"width": 64, "height": 48}}
     chosen = Settings(look=look("relax", colour_time=0.04), **small)
-    painter = Painter(Run(made[0]), chosen, made[0])
+    painter = Painter(RunFiles(made[0]), chosen, made[0])
     tasks = [(1, 0.0), (3, 0.5), (5, 1.0)]
 
     def pictures(jobs):
@@ -219,7 +219,9 @@ def test_processes_that_share_the_frames_draw_the_same(made):
         path.unlink()
     shared = pictures(2)
     np.testing.assert_array_equal(shared, alone)
-    plain = Painter(Run(made[0]), Settings(look=look("off"), **small), made[0]).views_of(5, 1.0)[0]
+    plain = Painter(RunFiles(made[0]), Settings(look=look("off"), **small), made[0]).views_of(
+        5, 1.0
+    )[0]
     assert (alone[-1] != plain.picture).any()
 
 
@@ -231,7 +233,7 @@ def test_colours_do_not_depend_on_the_number_of_ranks(tmp_path):
         assert job.returncode == 0, job.stderr
     for mode, more in MODES:
         one, three = (
-            Look(Run(tmp_path / n), look(mode, **more)).frame(5)["sh"] for n in ("1", "3")
+            Look(RunFiles(tmp_path / n), look(mode, **more)).frame(5)["sh"] for n in ("1", "3")
         )
         np.testing.assert_array_equal(one, three)
 
@@ -239,8 +241,9 @@ def test_colours_do_not_depend_on_the_number_of_ranks(tmp_path):
 # ---- runs as numbers, without a solver -----------------------------------------------------------
 
 
-def still(n=400, k=1, families=("fluid", "fluid"), coupling=(), **look_of_scene):
-    """Two bodies over each other at rest, in one frame."""
+def still(n=400, k=1, families=("fluid", "fluid"), sets=None, **look_of_scene):
+    """Two bodies over each other at rest, in one frame. sets: what the files tell of who exchanges
+    colours; None: a file from before that."""
     rng = np.random.default_rng(0)
     rest = SimpleNamespace(
         object=np.repeat([0, 1], n // 2),
@@ -254,23 +257,21 @@ def still(n=400, k=1, families=("fluid", "fluid"), coupling=(), **look_of_scene)
         {"name": name, "family": family, "material": name, "phase": phase, "deforms": False}
         for name, family, phase in zip(("a", "b"), families, look_of_scene.pop("phase", "pp"))
     ]
-    scene = {
-        "domain": {"cell": 0.05},
-        "appearance": look_of_scene,
-        "coupling": [{"kind": kind, "between": ["a", "b"]} for kind in coupling],
-    }
+    for entry, number in zip(objects, sets or ()):
+        entry["colour_set"] = number
+    scene = {"domain": {"cell": 0.05}, "appearance": look_of_scene}
     frame = {"id": np.arange(n), "x": rng.uniform(0, 0.2, (n, 3)).astype("f4")}
     return SimpleNamespace(gaussians=rest, objects=objects, scene=scene), frame
 
 
 def changed(run, frame, chosen):
-    sh = Colours(run, chosen).at(0, frame)
+    sh = FrameColours(run, chosen).at(0, frame)
     return None if sh is None else sh != run.gaussians.sh
 
 
 def means(run, frame, chosen):
     """Mean DC of each body after the transfer: equal where they exchange colour."""
-    sh = Colours(run, chosen).at(0, frame)[:, 0]
+    sh = FrameColours(run, chosen).at(0, frame)[:, 0]
     return sh[:200].mean(axis=0), sh[200:].mean(axis=0)
 
 
@@ -279,16 +280,25 @@ def means(run, frame, chosen):
     [
         ({}, True),
         ({"phase": "pq"}, False),
-        ({"phase": "pq", "coupling": ["mixing"]}, True),
-        ({"phase": "pq", "coupling": ["mixing-paper"]}, True),
-        ({"phase": "pq", "coupling": ["drag"]}, False),
+        ({"phase": "pq", "sets": (3, 3)}, True),
+        ({"phase": "pq", "sets": (0, 1)}, False),
     ],
 )
-def test_who_shares_a_phase_or_mixes_exchanges_colour(options, exchange):
+def test_the_files_tell_who_exchanges_colour(options, exchange):
     run, frame = still(**options)
     run.gaussians.sh[200:] += 4
     a, b = means(run, frame, look("frame"))
     assert (abs(a - b).max() < 1.5) == exchange
+
+
+def test_files_that_do_not_tell_who_mixes_are_named(caplog):
+    run, _ = still()
+    run.folder = "out"
+    FrameColours(run, look("frame"))
+    assert not caplog.records
+    run.scene["coupling"] = [{"kind": "mixing", "between": ["a", "b"]}]
+    FrameColours(run, look("frame"))
+    assert "out: made by a version that did not tell which fluids" in caplog.text
 
 
 @pytest.mark.parametrize("family", ["sand", "snow", "solid"])
@@ -318,23 +328,23 @@ def test_volumes_of_now_are_the_weights():
     run, frame = still()
     run.gaussians.sh[:200], run.gaussians.sh[200:] = 0, 1
     run.gaussians.vol0[:] = 1e-6
-    even = Colours(run, look("frame")).at(0, frame)[:, 0].mean()
+    even = FrameColours(run, look("frame")).at(0, frame)[:, 0].mean()
     J = np.repeat([1.0, 3.0], 200)
-    more = Colours(run, look("frame")).at(0, {**frame, "J": J})[:, 0].mean()
+    more = FrameColours(run, look("frame")).at(0, {**frame, "J": J})[:, 0].mean()
     assert even == pytest.approx(0.5, abs=0.03) and more == pytest.approx(0.75, abs=0.03)
 
 
 def test_the_order_of_rows_is_nothing_and_rows_may_be_missing():
     run, frame = still()
-    whole = Colours(run, look("frame")).at(0, frame)
+    whole = FrameColours(run, look("frame")).at(0, frame)
     order = np.random.default_rng(1).permutation(400)
     turned_round = {k: a[order] for k, a in frame.items()}
-    mixed = Colours(run, look("frame")).at(0, turned_round)
+    mixed = FrameColours(run, look("frame")).at(0, turned_round)
     np.testing.assert_array_equal(mixed, whole[order])
-    colours = Colours(run, look("frame"))  # all digits: pictures have single precision only
+    colours = FrameColours(run, look("frame"))  # all digits: pictures have single precision only
     one, other = (colours._moved(f, colours.first, 0.5) for f in (frame, turned_round))
     np.testing.assert_array_equal(one, other)
-    part = Colours(run, look("frame")).at(0, {k: a[::2] for k, a in frame.items()})
+    part = FrameColours(run, look("frame")).at(0, {k: a[::2] for k, a in frame.items()})
     assert part.shape == (200, 1, 3) and not np.array_equal(part, whole[::2])
 
 
@@ -344,4 +354,4 @@ def test_a_run_that_says_nothing_of_colours_keeps_them():
     run.scene = {}
     assert changed(run, frame, LookSettings()) is None
     with pytest.raises(SettingsError, match="size of a cell"):
-        Colours(run, look("frame"))
+        FrameColours(run, look("frame"))

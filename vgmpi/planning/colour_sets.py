@@ -1,11 +1,15 @@
-"""Which phases exchange colours through the grid with every step: `colour_transfer = "step"`."""
+"""Which bodies exchange colours where these travel through the grid, and which phases do so with
+every step: `colour_transfer = "step"`.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 
+from ..couplings.base import MIXING
 from ..gaussians.sh import COEFFICIENTS
 from ..scene.scene import Scene
+from .sharing import connected
 
 
 class Exchange(NamedTuple):
@@ -20,14 +24,34 @@ class Exchange(NamedTuple):
     span: np.ndarray  # (phases, K) largest of what is left
 
 
-def exchange(
-    scene: Scene, phases, mix: np.ndarray | None, shades: np.ndarray | None
-) -> Exchange | None:
+def colour_sets(scene: Scene) -> list[int | None]:
+    """For each object of a scene the number of the set in which colours may travel: bodies of one
+    phase, and of fluids that mix, are in one set. None for scenery.
+
+    Files tell it (`colour_set` of an object), so that a renderer need not know of couplings.
+    """
+    phase_of = [scene.phase_of(thing) for thing in scene.object]
+    names = sorted({name for name in phase_of if name is not None})
+    number = {name: k for k, name in enumerate(names)}
+    of: dict[str, set[int]] = {}
+    for thing, name in zip(scene.object, phase_of, strict=True):
+        if name is not None:
+            of.setdefault(thing.material, set()).add(number[name])
+    pairs = [(k, k) for k in range(len(names))]  # each with itself
+    for coupling in scene.coupling:
+        if coupling.rule == MIXING:
+            one, other = (of.get(name, ()) for name in coupling.between)
+            pairs += [(a, b) for a in one for b in other]
+    found = connected(len(names), pairs)
+    return [None if name is None else int(found[number[name]]) for name in phase_of]
+
+
+def exchange(scene: Scene, phases, shades: np.ndarray | None) -> Exchange | None:
     """The Exchange of a scene, or None where no colour travels with the steps.
 
-    phases: plan.PhasePlan of each; mix: (phases,) number of the fluids that mix, -1 for others;
-    shades: (objects, 2, K, 3) least and largest of each coefficient of an object's colours, nan for
-    objects without particles, or None if not known. A set of one colour takes no part."""
+    phases: plan.PhasePlan of each; shades: (objects, 2, K, 3) least and largest of each coefficient
+    of an object's colours, nan for objects without particles, or None if not known. A set of one
+    colour takes no part."""
     if scene.appearance.colour_transfer != "step":
         return None
     asked = _asked(scene)
@@ -39,11 +63,11 @@ def exchange(
     count = np.zeros(len(phases), np.int64)
     least = np.zeros((len(phases), *shades.shape[2:]))
     span = np.zeros(least.shape[:2])
-    sets: dict[tuple, list[int]] = {}
+    sets: dict[int | None, list[int]] = {}
+    meets = colour_sets(scene)
     for k, phase in enumerate(phases):
         if asked & set(phase.objects):
-            group = -1 if mix is None else mix[k]
-            sets.setdefault(("mix", group) if group >= 0 else ("own", k), []).append(k)
+            sets.setdefault(meets[phase.objects[0]], []).append(k)
     for number, members in enumerate(sets.values()):
         # the higher degrees of a body that turns are told in axes that turn with it
         turns = any(phases[k].family == "solid" for k in members)

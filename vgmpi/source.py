@@ -1,11 +1,15 @@
 """A TOML text with the line of every key, and what `--set key=value` replaces in it."""
 
+import logging
 import re
 import tomllib
 from bisect import bisect_right
+from collections.abc import Mapping
 from pathlib import Path
 
-from vgmpi.tables import SceneError
+from vgmpi.tables import SceneError, TomlError
+
+log = logging.getLogger("vgmpi")
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 _SPACE = re.compile(r"(?:[ \t\r\n]+|#[^\n]*)*")
@@ -16,7 +20,7 @@ _SCALAR = re.compile(r"[^,\]}\n#]*")
 
 
 class Source:
-    """The data of a scene file and where each piece of it was written.
+    """The data of a TOML file and where each piece of it was written.
 
     `text`: the file's text, `data`: nested dicts and lists with the overrides applied, `folder`:
     where the file lies.
@@ -27,28 +31,35 @@ class Source:
         path: str | Path,
         overrides: tuple[str, ...] | list[str] = (),
         text: str | None = None,
+        error: type[TomlError] = SceneError,
+        old_names: Mapping[str, Mapping[str, str]] | None = None,
     ):
-        """text: instead of what is in the file.
-
-        Raises SceneError where the file cannot be read, is not TOML or cannot be overridden."""
+        """text: instead of what is in the file. error: what is raised where the file cannot be
+        read, is not TOML or cannot be overridden. old_names: by table at the top, what keys inside
+        were called before and are called now; a warning says which were found."""
         self.path = Path(path)
         self.folder = self.path.resolve().parent
         try:
             self.text = self.path.read_bytes().decode() if text is None else text
             self.data = tomllib.loads(self.text)
-        except OSError as error:
-            raise SceneError([f"{path}: {error.strerror or error}"]) from None
-        except UnicodeDecodeError as error:
-            raise SceneError([f"{path}: not UTF-8 text (byte {error.start})"]) from None
-        except tomllib.TOMLDecodeError as error:
-            raise SceneError([_syntax(str(path), self.text, str(error))]) from None
+        except OSError as caught:
+            raise error([f"{path}: {caught.strerror or caught}"]) from None
+        except UnicodeDecodeError as caught:
+            raise error([f"{path}: not UTF-8 text (byte {caught.start})"]) from None
+        except tomllib.TOMLDecodeError as caught:
+            raise error([_syntax(str(path), self.text, str(caught))]) from None
         except RecursionError:
-            raise SceneError([f"{path}: not valid TOML: nested too deeply"]) from None
+            raise error([f"{path}: not valid TOML: nested too deeply"]) from None
         self._line = key_lines(self.text)
         self._set: dict[tuple, str] = {}
+        self._old_names = old_names or {}
+        self._old: dict[tuple, str] = {}  # of keys by their new path, as they were written
+        for table, names in self._old_names.items():
+            self._rename(self.data.get(table), (table,), names)
         bad = [said for item in overrides if (said := self._override(item))]
         if bad:
-            raise SceneError(bad)
+            raise error(bad)
+        self._warn_of_old_names()
 
     def place(self, path: tuple) -> tuple[int, str]:
         """(line for sorting, "file:line" or "--set key=value") of a key, or of what holds it."""
@@ -64,6 +75,7 @@ class Source:
         """One line per error, in the order of the file."""
         placed = []
         for path, said in errors:
+            path = self._written(path)
             line, where = self.place(path)
             placed.append((line, f"{where}: {self.key(path)}: {said}"))
         placed.sort(key=lambda item: item[0])
@@ -72,7 +84,7 @@ class Source:
     def key(self, path: tuple) -> str:
         """The path as a user would write it: objects by name where they have one."""
         parts = [str(part) for part in path]
-        if len(path) > 1 and path[0] in ("object", "probe"):
+        if len(path) > 1 and isinstance(path[1], int):
             try:
                 name = self.data[path[0]][path[1]]["name"]
                 parts[1] = name if isinstance(name, str) else parts[1]
@@ -80,14 +92,61 @@ class Source:
                 pass
         return ".".join(parts)
 
+    def _written(self, path: tuple) -> tuple:
+        """The path as it is in the file: without the number 0 where one thing stands for a list."""
+        here: object = self.data
+        out: tuple = ()
+        for part in path:
+            if isinstance(part, int) and isinstance(here, dict | str):
+                continue
+            out += (part,)
+            try:
+                here = here[part]  # type: ignore[index]
+            except (KeyError, IndexError, TypeError):
+                here = None
+        return out
+
     def overridden(self, path: tuple) -> bool:
         """Whether the value of this key came from the command line."""
         return any(path[:stop] in self._set for stop in range(1, len(path) + 1))
+
+    def _rename(self, here: object, path: tuple, names: Mapping[str, str]) -> None:
+        """Give keys of old names the new ones, below `path`. Where both are there the old one
+        stays, to be refused as a key that is not known."""
+        if isinstance(here, list):
+            for k, item in enumerate(here):
+                self._rename(item, (*path, k), names)
+        if not isinstance(here, dict):
+            return
+        for old in list(here):
+            key = names.get(old, old)
+            if key != old and key not in here:
+                here[key] = here.pop(old)
+                was, now = (*path, old), (*path, key)
+                for p in [p for p in self._line if p[: len(was)] == was]:
+                    self._line[now + p[len(was) :]] = self._line.pop(p)
+                self._old[now] = old
+                self._rename(here[key], now, names)
+            else:
+                self._rename(here[old], (*path, old), names)
+
+    def _warn_of_old_names(self) -> None:
+        """One line per name for the whole file."""
+        for old in dict.fromkeys(self._old.values()):
+            found = sorted(self.place(p) + (p,) for p, name in self._old.items() if name == old)
+            _, where, path = found[0]
+            more = [said.removeprefix(f"{self.path}:") for _, said, _ in found[1:]]
+            also = f" (so are those at {', '.join(more)})" if more else ""
+            key = self.key(path)
+            log.warning("%s: %r is the old name of %s%s", where, old, key, also)
 
     def _override(self, item: str) -> str:
         """Apply one "key=value"; returns what is wrong with it, or nothing."""
         key, sign, text = item.partition("=")
         parts = [part.strip().strip("\"'") for part in key.split(".")]
+        names = self._old_names.get(parts[0], {})
+        was = next((part for part in parts[2:] if part in names), "")
+        parts = parts[:2] + [names.get(part, part) for part in parts[2:]]
         if not sign or not all(parts):
             return f"--set {item}: expected key=value, for example domain.cell='1 cm'"
         here: dict | list = self.data
@@ -109,6 +168,8 @@ class Source:
                 return f"--set {item}: {'.'.join(parts[: k + 1])} is not a table"
         self._set = {p: said for p, said in self._set.items() if p[: len(path)] != path}
         self._set[path] = item
+        if was:
+            self._old[path] = was
         return ""
 
 

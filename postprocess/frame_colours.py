@@ -5,7 +5,7 @@ the start. So a run is never made again for another look of its colours.
 
 frame: the colours at the start, smoothed once over a cell where the particles are now.
 relax: dc/dt = (S c - c) / time from frame to frame, S the smoothing at the frame where a stretch of
-time ends (vgmpi/splatting/colour.py). The colours of each frame are kept in OUT/colours.
+time ends (vgmpi/splatting/smoothing.py). The colours of each frame are kept in OUT/colours.
 step: the run has carried them itself; they stand in its frames.
 """
 
@@ -21,7 +21,7 @@ import numpy as np
 
 from postprocess.settings import LookSettings, SettingsError
 from vgmpi.gaussians.sh import COEFFICIENTS
-from vgmpi.splatting.colour import MOST_AGE, Transfer
+from vgmpi.splatting.smoothing import MOST_AGE, Transfer
 
 log = logging.getLogger("vgmpi")
 
@@ -29,8 +29,8 @@ FOLDER = "colours"  # in the folder of the run
 VERSION = 1  # raised when the same settings give other colours
 
 
-class Colours:
-    """Colours of the frames of one run. run: vgmpi.output.read.Run. Raises SettingsError."""
+class FrameColours:
+    """Colours of the frames of one run. run: vgmpi.output.read.RunFiles. Raises SettingsError."""
 
     def __init__(self, run: Any, chosen: LookSettings):
         self.run = run
@@ -41,7 +41,10 @@ class Colours:
         self.degree = int(told.get("colour_degree", 0))
         self.dx = float(scene.get("domain", {}).get("cell", 0.0))
         travel = self.mode in ("frame", "relax")
-        sets = _sets(run.objects, scene, told.get("colour_bodies")) if travel else []
+        sets = _sets(run.objects, told.get("colour_bodies")) if travel else []
+        if sets and scene.get("coupling") and not all("colour_set" in o for o in run.objects):
+            log.warning("%s: made by a version that did not tell which fluids exchange colours: "
+                        "they travel within a phase alone", run.folder)  # fmt: skip
         if sets and not self.dx:
             raise SettingsError(["look.colour_transfer: the run does not tell the size of a cell"])
         object_ = np.asarray(run.gaussians.object)
@@ -177,11 +180,10 @@ class Colours:
             log.warning("%s: the colours of frames cannot be kept: %s", path.parent, error)
 
 
-def _sets(objects: list[dict], scene: dict, asked: Any) -> list[list[int]]:
+def _sets(objects: list[dict], asked: Any) -> list[list[int]]:
     """Numbers of the objects that exchange colour among themselves, a list for each such set.
 
-    asked: names of the bodies that take part, None for all fluids. Those of one phase exchange,
-    and those of fluids that mix.
+    asked: names of the bodies that take part, None for all fluids.
     """
     names = [entry.get("name") for entry in objects]
     bodies = [k for k, entry in enumerate(objects) if entry.get("material") or entry.get("family")]
@@ -194,20 +196,8 @@ def _sets(objects: list[dict], scene: dict, asked: Any) -> list[list[int]]:
             said = f"there is no body {wrong[0]!r}; known: {', '.join(map(str, known))}"
             raise SettingsError([f"colour_bodies: {said}"])
         taking = [k for k in bodies if names[k] in asked]
-    mixing = [
-        set(coupling.get("between", ()))
-        for coupling in scene.get("coupling", [])
-        if str(coupling.get("kind", "")).startswith("mixing")
-    ]
-    sets: list[list[int]] = []
+    sets: dict[Any, list[int]] = {}
     for k in taking:
-        touched = [s for s in sets if any(_exchange(objects[k], objects[m], mixing) for m in s)]
-        sets = [s for s in sets if s not in touched]
-        sets.append(sorted([k, *(m for s in touched for m in s)]))
-    return sorted(sets)
-
-
-def _exchange(one: dict, other: dict, mixing: list[set]) -> bool:
-    if one.get("phase") == other.get("phase"):
-        return True
-    return {one.get("material"), other.get("material")} in mixing
+        # files made before colour_set was told have the phase alone
+        sets.setdefault(objects[k].get("colour_set", objects[k].get("phase")), []).append(k)
+    return sorted(sets.values())

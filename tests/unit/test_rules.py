@@ -1,0 +1,126 @@
+"""What is told once: who drifts, and the numbers that bound a step."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.scenes import scene
+from vgmpi.couplings.base import CONTACT
+from vgmpi.couplings.mixing import Mixing
+from vgmpi.device import limits
+from vgmpi.planning.colour_sets import colour_sets
+from vgmpi.planning.plan import make_plan
+from vgmpi.prepare.build import build
+from vgmpi.scene.scene import mixed
+
+THEORY = (Path(__file__).parents[2] / "docs" / "theory.md").read_text()
+
+POURED = """
+[domain]
+size = [0.16, 0.16, 0.16]
+cell = 0.02
+[time]
+end = 1
+"""
+NAMES = ("ale", "beer", "cola", "dew", "egg")
+
+
+def poured(tmp_path, couplings, phase=str):
+    """Five fluids; couplings: (two names, kind, diffusion); phase: of a fluid by its name."""
+    text = POURED
+    for k, name in enumerate(NAMES):
+        text += f'[material.{name}]\nkind = "fluid"\nbulk_modulus = 1e4\n'
+        text += f'[[object]]\nname = "{name}"\nmaterial = "{name}"\nphase = "{phase(name)}"\n'
+        text += f"shape = {{ box = [[0, 0, {0.02 * k}], [0.16, 0.16, {0.02 * k + 0.02}]] }}\n"
+    for one, other, kind, diffusion in couplings:
+        text += f'[[coupling]]\nbetween = ["{one}", "{other}"]\nkind = "{kind}"\n'
+        text += f"diffusion = {diffusion}\n" if kind.startswith("mixing") else ""
+        text += "friction = 0\n" if kind == "contact" else ""
+    return scene(tmp_path, text)
+
+
+def plan(tmp_path, couplings):
+    count = [8] * len(NAMES)
+    return make_plan(poured(tmp_path, couplings), count, [1e-3] * len(NAMES), False)
+
+
+def test_who_drifts_and_whose_drift_is_no_momentum(tmp_path):
+    """The last fluid mixes with nobody; what is printed drifts, within the momentum."""
+    found = plan(tmp_path, [("ale", "beer", "mixing", 1e-6), ("cola", "dew", "mixing-paper", 1e-6)])
+    assert [phase.name for phase in found.phases] == list(NAMES)
+    assert found.rules.drifting.tolist() == [True, True, True, True, False]
+    assert found.rules.drifting_apart.tolist() == [True, True, False, False, False]
+    assert found.drifts
+
+
+@pytest.mark.parametrize(
+    "couplings",
+    [
+        [],
+        [("ale", "beer", "mixing", 0.0)],
+        [("ale", "beer", "mixing-paper", 1e-6)],
+        [("ale", "beer", "mixing", 0.0), ("cola", "dew", "mixing-paper", 1e-6)],
+    ],
+)
+def test_nothing_is_kept_out_of_the_momentum(tmp_path, couplings):
+    found = plan(tmp_path, couplings)
+    assert not found.drifts
+    if couplings:
+        drifting = {n for one, other, _, d in couplings if d for n in (one, other)}
+        assert [n in drifting for n in NAMES] == found.rules.drifting.tolist()
+        assert not np.any(found.rules.drifting_apart)
+
+
+@pytest.mark.parametrize(
+    "couplings, phase, sets",
+    [
+        ([], str, [0, 1, 2, 3, 4]),
+        ([], lambda name: "one", [0, 0, 0, 0, 0]),
+        ([("ale", "beer", "contact", 0)], str, [0, 1, 2, 3, 4]),
+        ([("ale", "egg", "mixing", 0)], str, [0, 1, 2, 3, 0]),
+        ([("ale", "egg", "mixing-paper", 0)], str, [0, 1, 2, 3, 0]),
+        # by way of a third, and by a phase that two share
+        ([("ale", "cola", "mixing", 0), ("egg", "cola", "mixing", 0)], str, [0, 1, 0, 2, 0]),
+        (
+            [("ale", "beer", "mixing", 0), ("egg", "dew", "mixing", 0)],
+            {"ale": "p", "egg": "p"}.get,
+            [0, 0, 1, 0, 0],
+        ),
+    ],
+)
+def test_who_exchanges_colours(tmp_path, couplings, phase, sets):
+    """By one phase or by a coupling whose rule is mixing; the files say the same."""
+    found = poured(tmp_path, couplings, lambda name: phase(name) or name)
+    told = colour_sets(found)
+    assert [told.index(one) for one in told] == [sets.index(one) for one in sets]
+    assert [thing["colour_set"] for thing in build(found).objects] == told
+
+
+def test_a_coupling_mixes_by_its_rule_not_by_its_name():
+    class Stir(Mixing):
+        kind: str = "stir"
+
+    class MixingBowl(Mixing):
+        kind: str = "mixing-bowl"
+        rule = CONTACT
+
+    couplings = (Stir(between=["ale", "beer"]), MixingBowl(between=["cola", "dew"]))
+    assert mixed(couplings) == {"ale", "beer"}
+
+
+@pytest.mark.parametrize(
+    "said, numbers",
+    [
+        (r"\|v\| / \((\S+) dx\)", (limits.FARTHEST,)),
+        (r"\|tr C\| / (\S+) ", (limits.STRETCH,)),
+        (r"when J leaves (\S+) \.\. (\S+),", (limits.LEAST_J, limits.MOST_J)),
+        (r"A node lighter than (\S+) of a\s+full cell stays at rest", (limits.ROUNDING,)),
+        (r"one lighter than (\S+) takes no part in contact", (limits.TOUCHING,)),
+    ],
+)
+def test_the_theory_tells_the_same_limits(said, numbers):
+    (found,) = re.findall(said, THEORY)
+    found = found if isinstance(found, tuple) else (found,)
+    assert tuple(map(float, found)) == numbers
