@@ -9,14 +9,16 @@ export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM = 1
 export OMPI_MCA_rmaps_base_oversubscribe = 1
 export OMPI_MCA_btl_vader_single_copy_mechanism = none
 
-.PHONY: help setup demo test lint validate docs clean
+.PHONY: help setup demo test lint validate docs site matrix clean
 
 help:
 	@echo "make demo      set-up, a simulation on 2 ranks, its video"
 	@echo "make test      set-up, then all tests but the long ones"
 	@echo "make validate  the long tests; rewrites docs/validation.md"
 	@echo "make lint      ruff and mypy only"
-	@echo "make docs      rewrite docs/file-format.md from the code"
+	@echo "make docs      rewrite docs/scene.md and docs/file-format.md from the code"
+	@echo "make site      the pages as a site, in site/"
+	@echo "make matrix    the unit tests on every Python from 3.11 to 3.13 that is on the path"
 
 setup:
 	@./setup.sh
@@ -44,7 +46,22 @@ lint: setup
 	$(PY) -m mypy
 
 docs: setup
+	$(PY) -m vgmpi.scene > docs/scene.md
 	$(PY) -m vgmpi.output.layout > docs/file-format.md
 
+site: docs
+	NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build --strict
+
+# each in an environment of its own, on one rank: make matrix TESTS=tests/unit/test_sand.py for less
+TESTS := tests/unit
+matrix:
+	@export PYENV_VERSION=$$(pyenv versions --bare 2>/dev/null | paste -sd:); \
+	for v in 3.11 3.12 3.13; do \
+	  python$$v -c "" 2>/dev/null || { echo "python$$v: not here"; continue; }; \
+	  echo "python$$v"; env=.cache/matrix/$$v; \
+	  python$$v -m venv $$env && $$env/bin/pip --disable-pip-version-check install -q -e ".[test]" && \
+	  $$env/bin/python -m pytest -q $(TESTS) -m "not mpi and not slow" || exit 1; \
+	done
+
 clean:
-	rm -rf runs/*/out .pytest_cache .ruff_cache .mypy_cache .hypothesis
+	rm -rf runs/*/out site .cache/matrix .pytest_cache .ruff_cache .mypy_cache .hypothesis

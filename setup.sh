@@ -81,7 +81,7 @@ if [ "$(cat "$VENV/ready" 2>/dev/null)" != "$want" ] ||
     parallel_h5py
     say "Python packages"
     pip_install "setuptools>=77,<90" wheel
-    pip_install --no-build-isolation -e ".[test,dev,validate,replay]"
+    pip_install --no-build-isolation -e ".[test,dev,docs,validate,replay]"
     echo "$want" > "$VENV/ready"
     say "ready"
 fi

@@ -199,9 +199,14 @@ def _sink(painter: Painter, number: int, path: Path) -> Any:
     return video.Film(path, *size, film.fps, film.quality, clear=painter.clear)
 
 
-if __name__ == "__main__":
+def command() -> int:
+    """main() in a process of its own: `vgmpi-render`."""
     # what the packages brought stays to the end: not to look through it again, then above all,
     # saves a quarter of a second
     gc.freeze()
     atexit.register(gc.freeze)
-    sys.exit(main())
+    return main()
+
+
+if __name__ == "__main__":
+    sys.exit(command())

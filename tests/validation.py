@@ -16,6 +16,7 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
+from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
 ROWS = ROOT / ".cache" / "held"  # of the last run: a JSON file per row, and pytest's report
@@ -35,10 +36,23 @@ FIELDS = {
     "Conservation and loads": "conservation loads",
 }
 OTHER = "Other"
-COLUMNS = (
-    *("case", "found", "reference", "error", "tolerance", "outcome"),
-    *("seconds", "source, remarks", "test"),
-)
+
+
+class Cells(NamedTuple):
+    """A row of the table; the names are the heads of its columns."""
+
+    case: str
+    found: str
+    reference: str
+    error: str
+    tolerance: str
+    outcome: str
+    seconds: str
+    source_remarks: str
+    test: str
+
+
+COLUMNS = tuple(name.replace("_", ", ") for name in Cells._fields)
 
 
 def run(fast: bool, folder: Path) -> int:
@@ -85,8 +99,8 @@ def measured(value: float, unit: str) -> str:
     return number(value) + ("" if unit in ("", "1") else f" {unit}")
 
 
-def cells(row: dict) -> tuple[str, ...]:
-    """A row of the table, in the order of COLUMNS."""
+def cells(row: dict) -> Cells:
+    """A row of the table."""
     kind, unit = row["kind"], row["unit"]
     if kind in ("below", "above"):
         reference, error = number(row["reference"]), ""
@@ -106,7 +120,7 @@ def cells(row: dict) -> tuple[str, ...]:
     file, _, name = row["test"].partition("::")
     test = f"`{Path(file).name}::{name}`"
     case, found = row["case"], measured(row["value"], unit)
-    return case, found, reference, error, tolerance, outcome, seconds, source, test
+    return Cells(case, found, reference, error, tolerance, outcome, seconds, source, test)
 
 
 def table(rows: list[dict]) -> list[str]:

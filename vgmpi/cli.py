@@ -23,8 +23,8 @@ EXIT_CODES = """exit codes: 0 done, 1 unexpected error, 2 something in the scene
 wrong, 3 the simulation blew up (what was written before is whole), 75 stopped with a checkpoint"""
 
 
-def arguments(argv: list[str] | None) -> argparse.Namespace:
-    """The flags as given; exits with code 2 where they make no sense."""
+def _parser() -> argparse.ArgumentParser:
+    """What to do, and with which scene."""
     parser = argparse.ArgumentParser(
         prog="python -m vgmpi",
         description="Multiphase physics on 3D Gaussians."
@@ -43,6 +43,10 @@ def arguments(argv: list[str] | None) -> argparse.Namespace:
         "--prepare", action="store_true", help="make the particles (gaussians.h5) and stop"
     )
     what.add_argument("--inspect", type=Path, metavar="FILE", help="say what an output file holds")
+    return parser
+
+
+def _add_flags_of_a_run(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--set",
         action="append",
@@ -83,6 +87,12 @@ def arguments(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "-v", "--verbose", action="store_true", help="show where an error came from"
     )
+
+
+def arguments(argv: list[str] | None) -> argparse.Namespace:
+    """The flags as given; exits with code 2 where they make no sense."""
+    parser = _parser()
+    _add_flags_of_a_run(parser)
     given = parser.parse_args(argv)
     if given.inspect is None and given.scene is None:
         parser.error("give a scene file, or --inspect FILE")

@@ -36,15 +36,16 @@ class Tensor:
 
 
 def rasterization(
-    *, means, quats, scales, covars, opacities, colors, viewmats, Ks, width, height, near_plane,
-    eps2d, rasterize_mode, render_mode, backgrounds,
+    *, means, covars, opacities, colors, viewmats, Ks, width, height, near_plane, **more
 ):  # fmt: skip
     """gsplat 1.5's, for one camera: float32 tensors on the card, colours without background."""
     given = (means, covars, opacities, colors, viewmats, Ks)
     means, covars, opacities, colors, viewmats, Ks = (t.array for t in given)
     assert all(t.array.dtype == np.float32 for t in given)
     n = len(means)
-    assert (quats, scales, backgrounds) == (None, None, None)
+    assert [more.pop(name) for name in ("quats", "scales", "backgrounds")] == [None] * 3
+    eps2d, rasterize_mode, render_mode = map(more.pop, ("eps2d", "rasterize_mode", "render_mode"))
+    assert not more
     assert covars.shape == (n, 3, 3) and opacities.shape == (n,) and colors.shape == (n, 3)
     assert viewmats.shape == (1, 4, 4) and Ks.shape == (1, 3, 3)
     assert rasterize_mode in ("classic", "antialiased") and render_mode in ("RGB", "RGB+ED")

@@ -69,8 +69,9 @@ def _elastic(p, C, F, dt, mu, lam, tau):
 
 
 @compiled
-def p2g(is_fluid, x, v, C, F, J, grid, first, second, dx, dt, volume, mass):
-    """Momentum and mass to grid (n, n, n, 4), cleared before. first, second: k, -  or  mu, lam."""
+def p2g(is_fluid, x, v, C, F, J, grid, law, dx, dt, volume, mass):
+    """Momentum and mass to grid (n, n, n, 4), cleared before. law: k, -  or  mu, lam."""
+    first, second = law
     inverse = _1 / dx
     scale = dt * volume * _4 * inverse * inverse
     w = np.empty((3, 3), np.float32)
@@ -175,7 +176,7 @@ class Contestant(Dense):
         self.grid = np.zeros((cells, cells, cells, 4), one)
         self.is_fluid = self.numbers["law"] == "fluid"
         pair = (law["k"], 0.0) if self.is_fluid else (law["mu"], law["lam"])
-        self.first, self.second = one(pair[0]), one(pair[1])
+        self.pair = one(pair[0]), one(pair[1])
         self.dx, self.dt = one(self.numbers["dx"]), one(self.numbers["dt"])
         self.push = one(self.numbers["gravity"] * self.numbers["dt"])
 
@@ -188,8 +189,8 @@ class Contestant(Dense):
     def step(self):
         volume = np.float32(self.numbers["volume"])
         p2g(
-            self.is_fluid, self.x, self.v, self.C, self.F, self.J, self.grid, self.first,
-            self.second, self.dx, self.dt, volume, np.float32(self.mass),
+            self.is_fluid, self.x, self.v, self.C, self.F, self.J, self.grid, self.pair,
+            self.dx, self.dt, volume, np.float32(self.mass),
         )  # fmt: skip
         update(self.grid, self.push)
         g2p(self.x, self.v, self.C, self.grid, self.dx, self.dt)

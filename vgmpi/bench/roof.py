@@ -47,7 +47,9 @@ def triad(a, b, c, first, last):
 def multiply_add(row, first, last):
     """12 chains of fused multiply-adds on 16 lanes; row: (48,), the last third is the result."""
     b, c = load(row, 0), load(row, 16)
-    r0, r1, r2, r3, r4, r5, r6, r7, r8, r9, ra, rb = b, c, b, c, b, c, b, c, b, c, b, c
+    r0, r1, r2, r3 = b, c, b, c
+    r4, r5, r6, r7 = b, c, b, c
+    r8, r9, ra, rb = b, c, b, c
     for _ in range(first, last):
         r0, r1, r2, r3 = r0 * b + c, r1 * b + c, r2 * b + c, r3 * b + c
         r4, r5, r6, r7 = r4 * b + c, r5 * b + c, r6 * b + c, r7 * b + c

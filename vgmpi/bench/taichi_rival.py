@@ -55,19 +55,33 @@ class Contestant(Dense):
 
 def _kernels(numbers: dict, rival: Contestant) -> tuple:
     """Clear, particles to grid, grid, grid to particles."""
-    x, v, C, F, J = rival.x, rival.v, rival.C, rival.F, rival.J
     grid_v, grid_m = rival.grid_v, rival.grid_m
-    dx, dt, volume, mass = numbers["dx"], numbers["dt"], numbers["volume"], rival.mass
-    inverse, push = 1.0 / dx, numbers["gravity"] * numbers["dt"]
-    is_fluid, law = numbers["law"] == "fluid", numbers["constants"]
-    stiffness = law.get("k", 0.0)
-    mu, lam = law.get("mu", 0.0), law.get("lam", 0.0)
+    push = numbers["gravity"] * numbers["dt"]
 
     @ti.kernel
     def clear():
         for node in ti.grouped(grid_m):
             grid_v[node] = ti.Vector([0.0, 0.0, 0.0])
             grid_m[node] = 0.0
+
+    @ti.kernel
+    def update():
+        for node in ti.grouped(grid_m):
+            if grid_m[node] > 0.0:
+                grid_v[node] /= grid_m[node]
+                grid_v[node].z += push
+
+    return clear, _to_grid(numbers, rival), update, _from_grid(numbers, rival)
+
+
+def _to_grid(numbers: dict, rival: Contestant):
+    """The kernel that moves the state on and adds momentum and mass to the nodes."""
+    x, v, C, F, J = rival.x, rival.v, rival.C, rival.F, rival.J
+    grid_v, grid_m = rival.grid_v, rival.grid_m
+    dx, dt, volume, mass = numbers["dx"], numbers["dt"], numbers["volume"], rival.mass
+    is_fluid, law, inverse = numbers["law"] == "fluid", numbers["constants"], 1.0 / dx
+    stiffness = law.get("k", 0.0)
+    mu, lam = law.get("mu", 0.0), law.get("lam", 0.0)
 
     @ti.kernel
     def p2g():
@@ -93,12 +107,13 @@ def _kernels(numbers: dict, rival: Contestant) -> tuple:
                 grid_v[base + offset] += weight * (mass * v[p] + affine @ ((offset - fx) * dx))
                 grid_m[base + offset] += weight * mass
 
-    @ti.kernel
-    def update():
-        for node in ti.grouped(grid_m):
-            if grid_m[node] > 0.0:
-                grid_v[node] /= grid_m[node]
-                grid_v[node].z += push
+    return p2g
+
+
+def _from_grid(numbers: dict, rival: Contestant):
+    """The kernel that takes velocities from the nodes and moves the particles."""
+    x, v, C, grid_v = rival.x, rival.v, rival.C, rival.grid_v
+    dt, inverse = numbers["dt"], 1.0 / numbers["dx"]
 
     @ti.kernel
     def g2p():
@@ -118,4 +133,4 @@ def _kernels(numbers: dict, rival: Contestant) -> tuple:
             C[p] = 4.0 * inverse * new_C
             x[p] += dt * new_v
 
-    return clear, p2g, update, g2p
+    return g2p

@@ -13,6 +13,17 @@ wp.config.quiet = True
 wp.config.enable_backward = False  # no code for gradients: half the time to compile
 
 
+@wp.struct
+class Numbers:
+    is_fluid: int
+    first: float  # k or mu
+    second: float  # - or lam
+    dx: float
+    dt: float
+    volume: float
+    mass: float
+
+
 @wp.func
 def weights(fx: wp.vec3):
     a = wp.vec3(1.5) - fx
@@ -32,15 +43,11 @@ def p2g(
     J: wp.array(dtype=float),
     grid_v: wp.array3d(dtype=wp.vec3),
     grid_m: wp.array3d(dtype=float),
-    is_fluid: int,
-    first: float,
-    second: float,
-    dx: float,
-    dt: float,
-    volume: float,
-    mass: float,
+    numbers: Numbers,
 ):
     p = wp.tid()
+    dx, dt, mass = numbers.dx, numbers.dt, numbers.mass
+    first, second = numbers.first, numbers.second
     inverse = 1.0 / dx
     at = x[p] * inverse
     bx = int(at[0] - 0.5)
@@ -49,7 +56,7 @@ def p2g(
     fx = at - wp.vec3(float(bx), float(by), float(bz))
     unit = wp.identity(n=3, dtype=float)
     tau = wp.mat33()
-    if is_fluid == 1:
+    if numbers.is_fluid == 1:
         j = J[p] * wp.exp(dt * wp.trace(C[p]))
         J[p] = j
         cube = j * j * j
@@ -58,7 +65,7 @@ def p2g(
         f = (unit + C[p] * dt) * F[p]
         F[p] = f
         tau = (f * wp.transpose(f) - unit) * first + unit * (second * wp.log(wp.determinant(f)))
-    affine = C[p] * mass - tau * (dt * volume * 4.0 * inverse * inverse)
+    affine = C[p] * mass - tau * (dt * numbers.volume * 4.0 * inverse * inverse)
     w = weights(fx)
     momentum = v[p] * mass
     for i in range(3):
@@ -121,8 +128,11 @@ class Contestant(Dense):
         self.grid_v = wp.zeros(grid, dtype=wp.vec3, device="cpu")
         self.grid_m = wp.zeros(grid, dtype=float, device="cpu")
         law = self.numbers["constants"]
-        self.is_fluid = int(self.numbers["law"] == "fluid")
-        self.pair = (law["k"], 0.0) if self.is_fluid else (law["mu"], law["lam"])
+        given = self.given = Numbers()
+        given.is_fluid = int(self.numbers["law"] == "fluid")
+        pair = (law["k"], 0.0) if given.is_fluid else (law["mu"], law["lam"])
+        given.first, given.second, given.mass = *pair, self.mass
+        given.dx, given.dt, given.volume = (self.numbers[key] for key in ("dx", "dt", "volume"))
 
     def load(self, x, v):
         rest = np.tile(np.eye(3, dtype=np.float32), (self.count, 1, 1))
@@ -137,9 +147,8 @@ class Contestant(Dense):
         self.grid_v.zero_()
         self.grid_m.zero_()
         state = [self.x, self.v, self.C, self.F, self.J, self.grid_v, self.grid_m]
-        constants = [self.is_fluid, *self.pair, dx, dt, self.numbers["volume"], self.mass]
         push = self.numbers["gravity"] * dt
-        wp.launch(p2g, self.count, state + constants, device="cpu")
+        wp.launch(p2g, self.count, [*state, self.given], device="cpu")
         wp.launch(update, self.grid_m.shape, [self.grid_v, self.grid_m, push], device="cpu")
         wp.launch(g2p, self.count, [self.x, self.v, self.C, self.grid_v, dx, dt], device="cpu")
 

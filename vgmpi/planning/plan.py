@@ -180,49 +180,32 @@ def make_plan(
 
     Raises SceneError where a fixed time step is above the bound.
     """
-    real = REALS[scene.accuracy.precision]
     made_of = {k: thing.material for k, thing in enumerate(scene.object) if thing.material}
     bodies = list(made_of)  # scenery has no material
     material_of = {k: scene.material[name] for k, name in made_of.items()}
     center = center or [[0.0] * 3] * len(volume)
     phases = _phases(scene, bodies, material_of, volume, center)
-    number = {phase.name: k for k, phase in enumerate(phases)}
     key = {k: (scene.phase_of(scene.object[k]) or "", made_of[k]) for k in bodies}
     wanted = sorted(set(key.values()))
-    groups = tuple(_group(number[p], p, m, scene.material[m], real) for p, m in wanted)
-    asked = {key[k] for k in bodies if deforms(scene, scene.object[k])}
-    groups = tuple(
-        group._replace(followed=name in asked and "H" not in group.carries)
-        for name, group in zip(wanted, groups, strict=True)
-    )
+    groups = _groups(scene, phases, key, wanted)
     sharing = rules(scene, groups, phases)
     groups = tuple(_shared(scene, group, sharing) for group in groups)
     colours = exchange(scene, phases, shades)
     if colours is not None:
         groups = tuple(_coloured(group, int(colours.coefficients[group.phase])) for group in groups)
     flip = scene.accuracy.flip if scene.accuracy.transfer == "flip" else 0.0
-    splines = scene.accuracy.gradient == "splines"
-    if splines and (scene.accuracy.transfer == "apic" or sharing is not None):
-        said = "splines are for pic and flip, in scenes without mixing and drag"
-        raise scene.error([(("accuracy", "gradient"), said)])
+    _check_transfer(scene, flip, sharing)
     if flip:
-        if sharing is not None:
-            said = "flip is not for scenes with mixing or drag: choose apic or pic"
-            raise scene.error([(("accuracy", "transfer"), said)])
         groups = tuple(group._replace(apart=True) for group in groups)
-    group_of = [-1] * len(scene.object)
-    for k in bodies:
-        group_of[k] = wanted.index(key[k])
-    dx = scene.domain.cell
     plan = Plan(
         cells=scene.domain.cells,
-        dx=dx,
-        real=real,
+        dx=scene.domain.cell,
+        real=REALS[scene.accuracy.precision],
         gravity=scene.domain.gravity,
         walls=tuple(scene.domain.walls),
         phases=phases,
         groups=groups,
-        group_of=tuple(group_of),
+        group_of=tuple(wanted.index(key[k]) if k in key else -1 for k in range(len(count))),
         first_id=tuple(int(n) for n in np.concatenate([[0], np.cumsum(count)[:-1]])),
         count=tuple(int(n) for n in count),
         friction=_friction(scene, groups, len(phases)),
@@ -231,19 +214,22 @@ def make_plan(
         times=np.linspace(0.0, scene.time.end, scene.time.frames),
         cfl=scene.time.cfl,
         fixed_dt=scene.time.dt,
-        rate=max(
-            6.0 * max(m.kinematic_viscosity for m in material_of.values()) / dx**2,
-            6.0 * (sharing.diffusion.max(initial=0.0) if sharing else 0.0) / dx**2,
-        ),
+        rate=_rate(material_of.values(), sharing, scene.domain.cell),
         rules=sharing,
         colours=colours,
         affine=scene.accuracy.transfer == "apic",
-        splines=splines,
+        splines=scene.accuracy.gradient == "splines",
         flip=flip,
         gravity_ramp=scene.domain.gravity_ramp,
     )
     _check_fixed_dt(scene, plan)
     return plan
+
+
+def _rate(materials, sharing: Rules | None, dx: float) -> float:
+    """Lower bound of 1 / dt [1/s] by viscosity and diffusion."""
+    spread = sharing.diffusion.max(initial=0.0) if sharing else 0.0
+    return max(6.0 * max(m.kinematic_viscosity for m in materials), 6.0 * spread) / dx**2
 
 
 def deforms(scene: Scene, thing: Object) -> bool:
@@ -283,6 +269,19 @@ def _phases(scene, bodies, material_of, volume, center) -> tuple[PhasePlan, ...]
             max(material_of[k].bulk_density for k in members[name]) * cell,
         )
         for name in names
+    )
+
+
+def _groups(scene: Scene, phases, key: dict, wanted: list) -> tuple[GroupPlan, ...]:
+    """A group for each (phase, material) in `wanted`, before phases share space. key: those of each
+    body."""
+    real = REALS[scene.accuracy.precision]
+    number = {phase.name: k for k, phase in enumerate(phases)}
+    asked = {of for k, of in key.items() if deforms(scene, scene.object[k])}
+    groups = (_group(number[p], p, m, scene.material[m], real) for p, m in wanted)
+    return tuple(
+        group._replace(followed=of in asked and "H" not in group.carries)
+        for of, group in zip(wanted, groups, strict=True)
     )
 
 
@@ -368,6 +367,16 @@ def fastest(scene: Scene, plan: Plan) -> list[tuple[float, str]]:
             bound = dx**2 / (6.0 * material.kinematic_viscosity)
             found.append((bound, f"the viscosity of material {thing.material!r}"))
     return sorted(found)
+
+
+def _check_transfer(scene: Scene, flip: float, sharing: Rules | None) -> None:
+    apic, splines = scene.accuracy.transfer == "apic", scene.accuracy.gradient == "splines"
+    if splines and (apic or sharing is not None):
+        said = "splines are for pic and flip, in scenes without mixing and drag"
+        raise scene.error([(("accuracy", "gradient"), said)])
+    if flip and sharing is not None:
+        said = "flip is not for scenes with mixing or drag: choose apic or pic"
+        raise scene.error([(("accuracy", "transfer"), said)])
 
 
 def _check_fixed_dt(scene: Scene, plan: Plan) -> None:

@@ -1,7 +1,17 @@
 """Gaussians in space to ellipses on the picture, and their order from near to far."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
+
+
+class Rows(NamedTuple):
+    """What is known of each Gaussian on the picture, a row each."""
+
+    ellipses: np.ndarray  # (n, 5) middle [pixels] and a, b, c of s = a dx^2 + b dx dy + c dy^2
+    looks: np.ndarray  # (n, 5) float32: opacity, the s at which it ends, red, green, blue
+    bounds: np.ndarray  # (n, 4) int32: x0 x1 y0 y1 [pixels], inclusive
 
 
 def by_depth(depth: np.ndarray) -> np.ndarray:
@@ -35,7 +45,7 @@ def _on_screen(u, v, z, c, w2c, fx, fy, limits):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _ellipse(m, at, xx, xy, yy, det, opacity, alpha_min, shape, ellipses, looks, bounds):
+def _ellipse(m, at, xx, xy, yy, det, opacity, alpha_min, shape, rows):
     """Fill in row m but for its colours; whether the Gaussian covers any pixel of the picture.
 
     at: its middle [pixels]; xx, xy, yy, det: its covariance there [pixels^2] and the determinant.
@@ -49,11 +59,10 @@ def _ellipse(m, at, xx, xy, yy, det, opacity, alpha_min, shape, ellipses, looks,
     y0, y1 = max(0.0, np.ceil(py - ry - 0.5)), min(shape[0] - 1.0, np.floor(py + ry - 0.5))
     if not (x0 <= x1 and y0 <= y1):
         return False
-    bounds[m, 0], bounds[m, 1], bounds[m, 2], bounds[m, 3] = x0, x1, y0, y1
-    half = 0.5 / det
-    e = ellipses[m]
+    box, half, e = rows.bounds[m], 0.5 / det, rows.ellipses[m]
+    box[0], box[1], box[2], box[3] = x0, x1, y0, y1
     e[0], e[1], e[2], e[3], e[4] = px, py, half * yy, -2.0 * half * xy, half * xx
-    looks[m, 0], looks[m, 1] = opacity, level
+    rows.looks[m, 0], rows.looks[m, 1] = opacity, level
     return True
 
 
@@ -70,39 +79,35 @@ def project(
     antialias: bool,
     alpha_min: float,
 ) -> tuple[np.ndarray, ...]:
-    """The Gaussians in view: ellipses (m, 5), looks (m, 5), pixel bounds (m, 4), depths (m,).
+    """The Gaussians in view: the arrays of `Rows` (m, ..), and depths (m,).
 
-    An ellipse is its middle [pixels] and a, b, c of s = a dx^2 + b dx dy + c dy^2; looks are
-    opacity, the s at which it ends, red, green, blue; bounds are x0 x1 y0 y1, inclusive. lens: fx,
-    fy, cx, cy, near. Comparisons are written so that they fail for NaN: a broken Gaussian is left
-    out.
+    lens: fx, fy, cx, cy, near. Comparisons are written so that they fail for NaN: a broken Gaussian
+    is left out.
     """
-    out = _rows(len(x))
-    depth = np.empty(len(x))
-    given = (x, cov, opacity, color, w2c, lens, height, width, lowpass, antialias, alpha_min)
-    m = _project(*given, *out, depth)
+    out, depth, shape = _rows(len(x)), np.empty(len(x)), (height, width)
+    options = shape, lowpass, antialias, alpha_min
+    m = _project(x, cov, opacity, color, w2c, lens, *options, out, depth)
     return *(array[:m] for array in out), depth[:m]
 
 
-def _rows(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Ellipses, looks and bounds of n Gaussians, not filled in.
+def _rows(n: int) -> Rows:
+    """Rows of n Gaussians, not filled in.
 
     By numpy, which asks for large pages: those of compiled code cost a quarter of a picture's time.
     """
     looks = np.zeros((n, 5), dtype=np.float32)
-    return np.empty((n, 5)), looks, np.empty((n, 4), dtype=np.int32)
+    return Rows(np.empty((n, 5)), looks, np.empty((n, 4), dtype=np.int32))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _project(
-    x, cov, opacity, color, w2c, lens, height, width, lowpass, antialias, alpha_min,
-    ellipses, looks, bounds, depth,
+    x, cov, opacity, color, w2c, lens, shape, lowpass, antialias, alpha_min, rows, depth
 ):  # fmt: skip
-    """Fill in ellipses, looks, bounds and depth; how many."""
+    """Fill in rows and depth; how many."""
+    height, width = shape
     fx, fy, cx, cy, near = lens
     mx, my = 0.15 * width / fx, 0.15 * height / fy
     limits = (cx / fx + mx, (width - cx) / fx + mx, cy / fy + my, (height - cy) / fy + my)
-    shape = height, width
     m = 0
     for i in range(len(x)):
         z = w2c[2, 0] * x[i, 0] + w2c[2, 1] * x[i, 1] + w2c[2, 2] * x[i, 2] + w2c[2, 3]
@@ -120,10 +125,11 @@ def _project(
         if not (det > 0.0 and det < 1e30 and o >= alpha_min):
             continue
         at = fx * u + cx, fy * v + cy
-        if not _ellipse(m, at, xx, xy, yy, det, o, alpha_min, shape, ellipses, looks, bounds):
+        if not _ellipse(m, at, xx, xy, yy, det, o, alpha_min, shape, rows):
             continue
         depth[m] = z
-        looks[m, 2], looks[m, 3], looks[m, 4] = color[i, 0], color[i, 1], color[i, 2]
+        for c in range(3):
+            rows.looks[m, 2 + c] = color[i, c]
         m += 1
     return m
 
@@ -147,20 +153,16 @@ def drop(
     on the plane [m], (2,). pixel: its pixels' side [m]. softness: standard deviation of the blur
     per m of height. Blurred Gaussians are as much fainter as they are wider. Colours are 0.
     """
-    out = _rows(len(x))
-    given = (x, cov, opacity, lean, plane, lower, pixel, softness, height, width, alpha_min)
-    m = _drop(*given, *out)
+    out, shape = _rows(len(x)), (height, width)
+    m = _drop(x, cov, opacity, lean, plane, lower, pixel, softness, shape, alpha_min, out)
     return tuple(array[:m] for array in out)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _drop(
-    x, cov, opacity, lean, plane, lower, pixel, softness, height, width, alpha_min,
-    ellipses, looks, bounds,
-):  # fmt: skip
-    """Fill in ellipses, looks and bounds; how many."""
+def _drop(x, cov, opacity, lean, plane, lower, pixel, softness, shape, alpha_min, rows):
+    """Fill in rows; how many."""
     m = 0
-    p, q, shape = lean[0], lean[1], (height, width)
+    p, q = lean[0], lean[1]
     for i in range(len(x)):
         fall = x[i, 2] - plane
         if not (fall >= 0.0 and fall < 1e30):
@@ -178,6 +180,6 @@ def _drop(
         if not (det > 0.0 and det < 1e30 and o >= alpha_min):
             continue
         at = (x[i, 0] + p * fall - lower[0]) / pixel, (x[i, 1] + q * fall - lower[1]) / pixel
-        if _ellipse(m, at, xx, xy, yy, det, o, alpha_min, shape, ellipses, looks, bounds):
+        if _ellipse(m, at, xx, xy, yy, det, o, alpha_min, shape, rows):
             m += 1
     return m
