@@ -8,7 +8,17 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vgmpi.domain.balance import LASTS, MOVED, SLACK, cuts, imbalance, loads, owners, recut
+from vgmpi.domain.balance import (
+    LASTS,
+    MOVED,
+    SHARES,
+    SLACK,
+    cuts,
+    imbalance,
+    loads,
+    owners,
+    recut,
+)  # fmt: skip
 
 weights = st.lists(st.floats(0.1, 100.0), max_size=60).map(np.array)
 
@@ -72,7 +82,7 @@ def test_a_small_change_moves_little():
 def test_new_cuts_are_taken_when_they_pay():
     """100 blocks of 100, the first rank has 60 of them: 10 blocks are to move."""
     keys, count = np.arange(100), np.full(100, 100)
-    work, cut = count.astype(float), np.array([60])
+    work, cut = SHARES * count, np.array([60])
     pays = int(np.ceil(MOVED / LASTS * 1000 / 1000))  # steps until 1000 moved have saved it
     assert recut(keys, work, count, 2, cut, pays - 1).tolist() == [60]
     assert abs(int(recut(keys, work, count, 2, cut, pays + 1)[0]) - 50) <= 1

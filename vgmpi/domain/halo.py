@@ -80,8 +80,8 @@ class _Message:
             (self.buffer[ends[k] : ends[k + 1]], slots[k][patches][here], low[here], high[here])
             for k, here in enumerate(wanted)
         ]
-        rows = topology.row[patches].astype(np.int64)
-        listed = np.concatenate([rows, low.ravel(), high.ravel(), *wanted])
+        blocks = topology.block[patches].astype(np.int64)  # rows of the census are a rank's own
+        listed = np.concatenate([blocks.ravel(), low.ravel(), high.ravel(), *wanted])
         self.seal = zlib.crc32(listed.astype(np.int64).tobytes())
 
 

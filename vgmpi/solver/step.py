@@ -4,7 +4,9 @@ import numpy as np
 
 from ..couplings.base import CONTACT, MIXING
 from ..domain import migrate, topology
+from ..domain.balance import SHARES
 from ..domain.blocks import Lattice
+from ..domain.census import Census
 from ..domain.halo import Halo
 from ..domain.ranks import Alone
 from ..domain.solids import Solids
@@ -135,7 +137,7 @@ class Simulation:
         self.sorted_at = self.step
         self.sorts += 1
 
-    def adopt(self, census: migrate.Census) -> None:
+    def adopt(self, census: Census) -> None:
         """Lay out tables and buffers for the census, whose segments the groups already hold."""
         self.census = census
         tables = topology.build(
@@ -151,8 +153,9 @@ class Simulation:
 
     @property
     def load(self) -> np.ndarray:
-        """Predicted work of each rank, (ranks,)."""
-        return np.bincount(self.census.owner, self.census.work, minlength=self.ranks.size)
+        """Predicted work of each rank as of the last sort, in steps of one fluid particle:
+        (ranks,)."""
+        return self.census.load / SHARES
 
     def bound(self) -> float:
         """Largest stable time step [s] of the present state."""
