@@ -121,7 +121,7 @@ def _with_rings(rows, lattice: Lattice, ranks: Alone, cut, empty) -> np.ndarray:
     if ranks.size == 1:
         return rows
     wide = _Wide(lattice)
-    key, first = np.unique(rows[:, 0], return_index=True)
+    first = np.flatnonzero(np.diff(rows[:, 0], prepend=-1))
     at = wide.code(lattice.block(rows[first, 1]))
     near = wide.around(at)
     owner = wide.owner(near, cut, empty)
@@ -135,7 +135,10 @@ def _with_rings(rows, lattice: Lattice, ranks: Alone, cut, empty) -> np.ndarray:
     came = ranks.deliver(rows[row], np.repeat(rank, segments))
     # who told us looked at our piece of the curve, not at our blocks
     place = wide.code(lattice.block(came[:, 1]))
-    came = came[np.isin(place, near)]
+    if len(near):
+        came = came[near[np.minimum(np.searchsorted(near, place), len(near) - 1)] == place]
+    else:
+        came = came[:0]
     rows = np.concatenate([rows, came])
     return rows[np.lexsort((rows[:, 2], rows[:, 0]))]
 
