@@ -25,6 +25,8 @@ class Simulated(Alone):
     def __init__(self, rank: int, shared: "_Shared"):
         self.rank = rank
         self.size = shared.size
+        self.delivered = 0  # rows that came by `deliver`
+        self.partners = set()  # ranks they came from
         self._shared = shared
 
     def _all(self, verb, thing):
@@ -78,6 +80,21 @@ class Simulated(Alone):
         given = self._all("exchange", parts)
         _same({(p.shape[1:], p.dtype) for sent in given for p in sent}, "exchange")
         return self._done([sent[self.rank].copy() for sent in given])
+
+    def each(self, numbers):
+        given = self._all("each", numbers)
+        _same({(v.shape, v.dtype) for v in given}, "each")
+        return self._done(np.stack(given))
+
+    def deliver(self, rows, to):
+        if len(rows) != len(to) or not ((to >= 0) & (to < self.size)).all():
+            raise AssertionError(f"deliver: {len(rows)} rows to ranks {to} of {self.size}")
+        given = self._all("deliver", (rows, to))
+        _same({(r.shape[1:], r.dtype) for r, _ in given}, "deliver")
+        came = [r[t == self.rank] for r, t in given]
+        self.delivered += sum(len(part) for part in came)
+        self.partners.update(r for r, part in enumerate(came) if len(part))
+        return self._done(np.concatenate(came))
 
     def link(self, sends, receives):
         return SimulatedLink(self.rank, self._shared, sends, receives)

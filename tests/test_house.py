@@ -81,6 +81,8 @@ COMPILED = (
     "vgmpi/domain/sorting.py",
     "vgmpi/domain/halo.py",
     "vgmpi/domain/balance.py",
+    "vgmpi/domain/blocks.py",
+    "vgmpi/domain/census.py",
     "vgmpi/domain/topology.py",
     "vgmpi/bench/plain.py",
     "vgmpi/bench/roof.py",

@@ -10,7 +10,7 @@ import sys
 import numpy as np
 
 from vgmpi import cli
-from vgmpi.domain import migrate
+from vgmpi.domain import balance, migrate
 from vgmpi.kernels import g2p
 
 REACH = 2.05  # cells from a block's middle, where its particles begin to lie in others at 2
@@ -20,8 +20,8 @@ SEEN = {"rank": 0, "sorts": 0, "sent": 0}
 def to_and_fro(keys, work, count, ranks, cut, steps):
     """In place of balance.recut: the first ranks hold little, then much, then little again."""
     power = 2.0 if SEEN["sorts"] % 2 else 0.5
-    at = len(keys) * (np.arange(1, ranks) / ranks) ** power
-    return keys[at.astype(int)]
+    share = (np.arange(1, ranks) / ranks) ** power
+    return keys[0] + ((keys[-1] - keys[0]) * share).astype(np.int64)
 
 
 def watched(groups, ranks, *arguments):
@@ -37,7 +37,8 @@ SORT = migrate.sort
 
 if __name__ == "__main__":
     g2p.REACH = REACH
-    migrate.recut, migrate.sort = to_and_fro, watched
+    balance.recut, balance.worth = to_and_fro, lambda load, steps: True
+    migrate.sort = watched
     code = cli.main(sys.argv[1:])
     print("rank {rank} sorted {sorts} times and sent {sent} particles".format(**SEEN), flush=True)
     sys.exit(code)

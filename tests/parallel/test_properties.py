@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from tests import simulated
 from tests.clouds import CASES, box, cloud
 from tests.states import Kept, different, in_key_order, joined, padding
-from vgmpi.domain import migrate
+from vgmpi.domain import balance
 from vgmpi.domain.blocks import Lattice
 from vgmpi.domain.ranks import Alone
 from vgmpi.engines.cpu import Cpu
@@ -23,7 +23,7 @@ from vgmpi.kernels import g2p
 from vgmpi.solver.state import restore, save
 from vgmpi.solver.step import BlowUp, Simulation
 
-RECUT, OWNERS = migrate.recut, migrate.owners
+RECUT, OWNERS, WORTH = balance.recut, balance.owners, balance.worth
 
 
 class Lot(threading.local):
@@ -40,15 +40,25 @@ class Lot(threading.local):
         self.random = np.random.default_rng([self.case.seed, self.leg, self.sorts])
         once = self.case.owners == "cut anew once" and self.forced
         if once or self.case.owners == "cut anew":
-            return np.sort(self.random.integers(keys[0], keys[-1] + 2, ranks - 1))
+            return np.sort(self.random.integers(keys.min(), keys.max() + 2, ranks - 1))
+        if self.case.owners == "dealt out" and cut is not None:
+            return cut.copy()  # others from now on, so that all are told
         return RECUT(keys, work, count, ranks, cut, steps)
 
     def owners(self, keys, cut):
-        from_file = self.leg == 1 and self.sorts == 1  # ranks read one piece each
-        if self.case.owners == "dealt out" and not from_file:
-            blocks, at = np.unique(keys, return_inverse=True)
-            return self.random.integers(0, len(cut) + 1, len(blocks))[at]
+        from_file = self.leg == 1 and self.sorts <= 1  # ranks read one piece each
+        if self.case.owners == "dealt out" and self.sorts and not from_file:
+            return mixed(keys, self.case.seed + self.sorts) % (len(cut) + 1)
         return OWNERS(keys, cut)
+
+    def worth(self, load, steps):
+        return self.case.owners != "by load" or WORTH(load, steps)
+
+
+def mixed(keys, seed):
+    """Numbers that look drawn, from the keys alone: (n,)."""
+    found = (keys + seed) * 2654435761 % (1 << 32)
+    return (found ^ (found >> 15)) * 2246822519 % (1 << 32) >> 8
 
 
 def go_on(simulation, case, until, lot=None):
@@ -120,8 +130,8 @@ def found(case, precision, seen):
             return save(simulation), simulation.sorts, look(simulation)
 
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(migrate, "recut", lot.recut)
-            patch.setattr(migrate, "owners", lot.owners)
+            for name in ("recut", "owners", "worth"):
+                patch.setattr(balance, name, getattr(lot, name))
             if case.backwards:
                 patch.setattr(Cpu, "each", simulated.last_first)
             done = simulated.run(case.ranks[number], job)

@@ -8,7 +8,23 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vgmpi.domain.balance import LASTS, MOVED, SLACK, cuts, imbalance, loads, owners, recut
+from vgmpi.domain.balance import (
+    BESIDE,
+    LASTS,
+    LOOK,
+    MOVED,
+    SHARES,
+    SLACK,
+    by_block,
+    cuts,
+    imbalance,
+    loads,
+    offers,
+    owners,
+    predicted,
+    recut,
+    worth,
+)
 
 weights = st.lists(st.floats(0.1, 100.0), max_size=60).map(np.array)
 
@@ -72,10 +88,77 @@ def test_a_small_change_moves_little():
 def test_new_cuts_are_taken_when_they_pay():
     """100 blocks of 100, the first rank has 60 of them: 10 blocks are to move."""
     keys, count = np.arange(100), np.full(100, 100)
-    work, cut = count.astype(float), np.array([60])
+    work, cut = SHARES * count, np.array([60])
     pays = int(np.ceil(MOVED / LASTS * 1000 / 1000))  # steps until 1000 moved have saved it
     assert recut(keys, work, count, 2, cut, pays - 1).tolist() == [60]
     assert abs(int(recut(keys, work, count, 2, cut, pays + 1)[0]) - 50) <= 1
+
+
+@given(
+    work=st.lists(st.integers(1, 50), min_size=1, max_size=200).map(np.array),
+    ranks=st.integers(1, 9),
+    seed=st.integers(0, 99),
+)
+@settings(max_examples=200, deadline=None)
+def test_cuts_between_runs_are_about_as_good(work, ranks, seed):
+    """Ranks with any pieces offer runs of their blocks; these are all the work, in order, and
+    begin where each piece does."""
+    random = np.random.default_rng(seed)
+    keys, total = some_keys(len(work), seed), int(work.sum())
+    old = np.sort(random.integers(0, 1000, ranks - 1))
+    pieces = np.split(np.arange(len(work)), np.searchsorted(keys, old))
+    before = [int(work[: p[0]].sum()) if len(p) else 0 for p in pieces]
+    found = [
+        offers(keys[p], work[p], work[p] + 1, b, total, ranks)
+        for p, b in zip(pieces, before, strict=True)
+    ]
+    key, run, count = np.concatenate(found).T
+    at = np.searchsorted(keys, key)
+    assert (run == np.add.reduceat(work, at)).all() and count.sum() == total + len(work)
+    assert {int(keys[p[0]]) for p in pieces if len(p)} <= set(key.tolist())
+    assert max(map(len, found)) <= 2 * BESIDE * ranks + 1
+    best = loads(keys, work, cuts(keys, work, ranks, None)).max()
+    got = loads(keys, work, cuts(key, run, ranks, old)).max()
+    assert got <= max(best, SLACK * total / ranks) + work.max()
+
+
+def test_even_blocks_are_cut_as_evenly_as_they_can():
+    """Also from pieces that are far from even."""
+    keys, work = np.arange(1000), np.full(1000, 7)
+    for old in (
+        [0] * 7,
+        [10, 20, 30, 40, 50, 60, 70],
+        [999] * 7,
+        [125, 250, 375, 500, 625, 750, 9],
+    ):
+        pieces = np.split(keys, np.sort(old))
+        key, run, _ = np.concatenate(
+            [offers(p, work[p], work[p], 7 * int(p[0]), 7000, 8) for p in pieces if len(p)]
+        ).T
+        assert loads(keys, work, cuts(key, run, 8, None)).max() == 7 * 125
+
+
+def test_blocks_are_made_of_segments():
+    key, work, count = by_block(np.array([2, 2, 5]), np.array([10, 20, 30]), np.array([1, 2, 3]))
+    assert (key.tolist(), work.tolist(), count.tolist()) == ([2, 5], [30, 30], [3, 3])
+    none = np.zeros(0, np.int64)
+    assert [len(a) for a in by_block(none, none, none)] == [0, 0, 0]
+
+
+def test_work_is_whole_numbers():
+    """Whose sum does not depend on who adds what."""
+    work = predicted(np.array([1, 512]), np.array([1.0, 1.4]))
+    assert work.dtype == np.int64 and work.tolist() == [36 * SHARES, round(SHARES * 751.8)]
+
+
+def test_cuts_are_looked_at_when_it_can_pay():
+    load = np.full(100, 1000 * SHARES)
+    assert not worth(load, 1000)
+    load[3] = int(load[3] * (SLACK - 1e-3))
+    assert not worth(load, 1000)
+    load[3] = 1100 * SHARES
+    least = LOOK * 100 / (99 * LASTS)  # steps; all but a hundredth of 100 can be saved
+    assert not worth(load, int(least)) and worth(load, int(least) + 1)
 
 
 def test_imbalance():

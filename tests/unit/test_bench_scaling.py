@@ -7,8 +7,7 @@ from tests import simulated
 from tests.simulate import begin
 from vgmpi.bench import __main__ as bench
 from vgmpi.bench import balance, scaling
-from vgmpi.domain.balance import BLOCK
-from vgmpi.domain.migrate import Census
+from vgmpi.domain.balance import BLOCK, predicted
 
 CUBE = """
 [domain]
@@ -86,8 +85,7 @@ def test_cuts_follow_the_work():
     follow = balance.Followed(8)
     for k in range(6):
         count = np.full(200, 100) + (keys < 40) * 80 * k
-        zero = np.zeros(200, int)
-        follow.sorted(Census(keys, keys, zero, count, zero, count + BLOCK), 50)
+        follow.sorted(keys, predicted(count, 1.0), count, 50)
     assert follow.fixed[0] == follow.moving[0] < 1.03
     assert follow.fixed[-1] > 1.4 and max(follow.moving) < 1.05
     assert follow.taken >= 3 and follow.moved > 0

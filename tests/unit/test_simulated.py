@@ -22,6 +22,10 @@ def test_collectives():
         assert ranks.before(r + 1) == [0, 1, 3][r]
         assert ranks.total(r + 1) == 6
         got = ranks.exchange([np.full(target, 10 * r + target) for target in range(3)])
+        assert ranks.each(np.array([r, 2 * r])).tolist() == [[0, 0], [1, 2], [2, 4]]
+        to = np.array([2, 0, 2, r])[: 3 + (r == 1)]
+        rows_to = ranks.deliver(10 * r + np.arange(len(to)), to).tolist()
+        assert rows_to == [[1, 11, 21], [13], [0, 2, 10, 12, 20, 22]][r]
         return [g.tolist() for g in got]
 
     assert run(3, job) == [[[], [], []], [[1], [11], [21]], [[2, 2], [12, 12], [22, 22]]]
@@ -96,6 +100,8 @@ def closed_too_early(ranks):
             lambda ranks: ranks.all_rows(np.zeros(1, [np.int32, np.int64][ranks.rank])),
             "different shapes or types",
         ),
+        (lambda ranks: ranks.deliver(np.zeros(2), np.zeros(1, int)), "deliver: 2 rows"),
+        (lambda ranks: ranks.deliver(np.zeros(1), np.array([2])), "deliver: 1 rows"),
         (changed_buffer, "changed a buffer"),
         (wrong_length, "has 16 bytes, its buffer 24"),
         (started_twice, "twice without waiting"),

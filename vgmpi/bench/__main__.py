@@ -199,6 +199,19 @@ def _run_balance(given: argparse.Namespace) -> int:
     return 0
 
 
+def _census(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("--ranks", nargs="+", type=int, default=[64, 512, 4096], metavar="N")
+    say("--particles", type=int, default=100_000, metavar="N", help="per rank, default 100,000")
+
+
+def _run_census(given: argparse.Namespace) -> int:
+    from . import census
+
+    print(census.text([census.measure(n, given.particles) for n in given.ranks]))
+    return 0
+
+
 def _overhead(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--ranks", nargs="+", type=int, default=[1, 2], metavar="N")
     parser.add_argument("--steps", type=int, default=300, help="of a round, default 300")
@@ -292,6 +305,7 @@ def _run_stability(given: argparse.Namespace) -> int:
 COMMANDS = {  # what it does, its flags, how it runs
     "speed": ("measure (the default)", _speed, _run_speed),
     "balance": ("how even a scene's work would be on many ranks", _balance, _run_balance),
+    "census": ("what a sort costs one rank of many beside its particles", _census, _run_census),
     "couplings": ("what mixing and drag cost", _couplings, _run_couplings),
     "extremes": ("scenes at the ends of what is allowed", _extremes, _run_extremes),
     "overhead": ("what a step costs beside its kernels", _overhead, _run_overhead),

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..domain.balance import by_block, cuts, imbalance, loads, owners, recut
+from ..domain import balance
+from ..domain.balance import by_block, cuts, imbalance, loads, owners, predicted
 from ..domain.ranks import Alone
 from ..prepare.build import build
 from ..scene.reader import load
@@ -28,18 +29,27 @@ class Followed:
         self.moved = 0  # particles that changed rank because a cut did
         self.taken = 0  # times new cuts were taken
 
-    def sorted(self, census, steps: int) -> None:
-        """Particles were sorted, `steps` after the last time."""
-        keys, work, count = by_block(census.key, census.work, census.count)
+    def sorted(self, keys: np.ndarray, work: np.ndarray, count: np.ndarray, steps: int) -> None:
+        """Particles were sorted, `steps` after the last time; see balance.by_block."""
         if self.cut is None:
-            self.cut = self.first = cuts(keys, work, self.ranks, None)
-        else:
-            new = recut(keys, work, count, self.ranks, self.cut, steps)
+            self.cut = self.first = cuts(*self._offers(keys, work, count)[:2], self.ranks, None)
+        elif balance.worth(loads(keys, work, self.cut), steps):
+            new = balance.recut(*self._offers(keys, work, count), self.ranks, self.cut, steps)
             self.taken += new is not self.cut
             self.moved += int(count[owners(keys, new) != owners(keys, self.cut)].sum())
             self.cut = new
         self.moving.append(imbalance(loads(keys, work, self.cut)))
         self.fixed.append(imbalance(loads(keys, work, self.first)))
+
+    def _offers(self, *blocks: np.ndarray) -> np.ndarray:
+        """Runs of blocks that all ranks together offer to cut between."""
+        edge = np.searchsorted(blocks[0], [] if self.cut is None else self.cut)
+        pieces = zip(*(np.split(one, edge) for one in blocks), strict=True)
+        before, total, found = 0, int(blocks[1].sum()), []
+        for piece in pieces:
+            found.append(balance.offers(*piece, before, total, self.ranks))
+            before += int(piece[1].sum())
+        return np.concatenate(found).T
 
 
 def follow(path: Path, overrides: list[str], ranks: list[int], seconds: float, say) -> dict:
@@ -54,13 +64,16 @@ def follow(path: Path, overrides: list[str], ranks: list[int], seconds: float, s
     simulation.put(made.x, made.v0, made.vol0, np.arange(len(made.x)), made.object)
     end = min(seconds or plan.times[-1], float(plan.times[-1]))
     followed = [Followed(n) for n in ranks]
+    costs = np.array([group.cost for group in plan.groups])
     weights, steps = [], [0]
     sorts = 0
     while simulation.time < end:
         if simulation.sorts > sorts:
             sorts = simulation.sorts
+            found = simulation.census
+            work = predicted(found.count, costs[found.group])
             for one in followed:
-                one.sorted(simulation.census, steps[-1])
+                one.sorted(*by_block(found.key, work, found.count), steps[-1])
             weights.append(0)
             say(f"{simulation.time:.4f} of {end:.4f} s, sort {sorts}")
         before = simulation.sorted_at

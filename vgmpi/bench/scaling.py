@@ -18,7 +18,7 @@ import numpy as np
 from ..domain import topology
 from ..domain.balance import BLOCK, cuts, owners
 from ..domain.blocks import EDGE, Lattice
-from ..domain.migrate import Census
+from ..domain.census import Census
 from ..engines.cpu import filled_by_one
 from .inside import WORK
 from .rounds import Contestant, Worker
@@ -44,7 +44,7 @@ def tables(ranks: int, blocks: int) -> dict:
     key, code = key[order], code[order]
     ones = np.ones(len(key))
     owner = owners(key, cuts(key, ones, ranks, None))
-    census = Census(key, code, np.zeros(len(key), np.int64), ones * FILL, owner, ones)
+    census = Census(key, code, np.zeros(len(key), np.int64), ones * FILL, owner, np.ones(ranks))
     chosen = np.unique(np.linspace(0, ranks - 1, SAMPLE).round().astype(int))
     found = np.array([_of_rank(census, lattice, rank) for rank in chosen])
     names = ("own", "sent", "kept", "bytes", "neighbours")

@@ -10,6 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..device.jit import kernel
+
 EDGE = 4  # nodes of a block along an axis
 MIDDLE = 1.5  # of block 0, in cells from the wall
 BITS = {np.dtype(np.float32): 29, np.dtype(np.float64): 52}
@@ -66,28 +68,29 @@ class Lattice(NamedTuple):
         return (np.ldexp(xi.T.astype(np.float64), -bits) + (EDGE * block + MIDDLE)) * self.dx
 
 
-def hilbert(points: np.ndarray, levels: int) -> np.ndarray:
+@kernel
+def hilbert(points, levels):
     """Hilbert index of points (n, 3) with `levels` bits per axis (Skilling 2004): (n,) int64."""
-    x = [points[:, a].astype(np.int64).copy() for a in range(3)]
-    top = 1 << (levels - 1)
-    q = top
-    while q > 1:
-        p = q - 1
-        for i in range(3):
-            has = (x[i] & q) != 0
-            swap = np.where(has, 0, (x[0] ^ x[i]) & p)
-            x[0] = np.where(has, x[0] ^ p, x[0]) ^ swap
-            x[i] ^= swap
-        q >>= 1
-    x[1] ^= x[0]
-    x[2] ^= x[1]
-    t = np.zeros_like(x[0])
-    q = top
-    while q > 1:
-        t ^= np.where((x[2] & q) != 0, q - 1, 0)
-        q >>= 1
-    index = np.zeros_like(x[0])
-    for level in range(levels - 1, -1, -1):
+    out, x = np.zeros(len(points), np.int64), np.zeros(3, np.int64)
+    for n in range(len(points)):
         for a in range(3):
-            index = (index << 1) | (((x[a] ^ t) >> level) & 1)
-    return index
+            x[a] = points[n, a]
+        for level in range(levels - 1, 0, -1):
+            low = (1 << level) - 1  # the bits below
+            for a in range(3):
+                if x[a] >> level & 1:
+                    x[0] ^= low
+                else:
+                    swap = (x[0] ^ x[a]) & low
+                    x[0] ^= swap
+                    x[a] ^= swap
+        x[1] ^= x[0]
+        x[2] ^= x[1]
+        turn = 0
+        for level in range(levels - 1, 0, -1):
+            if x[2] >> level & 1:
+                turn ^= (1 << level) - 1
+        for level in range(levels - 1, -1, -1):
+            for a in range(3):
+                out[n] = out[n] << 1 | ((x[a] ^ turn) >> level & 1)
+    return out

@@ -50,11 +50,22 @@ class Alone:
         """Sum of `count` over all ranks."""
         return count
 
+    def each(self, numbers: np.ndarray) -> np.ndarray:
+        """The same few numbers (n,) of every rank: (ranks, n)."""
+        return numbers[None]
+
     def exchange(self, parts: list[np.ndarray]) -> list[np.ndarray]:
         """Send parts[r] to rank r; returns what each rank sent here. One dtype and row shape for
-        all parts.
+        all parts. Its work grows with the number of ranks.
         """
         return [parts[0]]
+
+    def deliver(self, rows: np.ndarray, to: np.ndarray) -> np.ndarray:
+        """Send rows[i] to rank to[i]; returns the rows that came here, ascending by their sender
+        and in the sender's order. Only ranks that have something for each other speak, and nobody
+        needs to know who will: the work does not grow with the number of ranks.
+        """
+        return rows
 
     def link(self, sends, receives) -> "Link":
         """Transfers between fixed buffers; `sends` and `receives` are lists of (rank, contiguous
@@ -116,6 +127,7 @@ class Mpi(Alone):
         self.mpi = MPI.COMM_WORLD if communicator is None else communicator
         self.rank = self.mpi.Get_rank()
         self.size = self.mpi.Get_size()
+        self._round = 1
         neighbours = self.mpi.Split_type(MPI.COMM_TYPE_SHARED)
         self.here = neighbours.Get_size()
         neighbours.Free()
@@ -130,12 +142,14 @@ class Mpi(Alone):
         self.mpi.Allreduce(self._MPI.IN_PLACE, values, self._MPI.MAX)
         return values
 
+    def each(self, numbers):
+        out = np.empty((self.size, len(numbers)), numbers.dtype)
+        self.mpi.Allgather(np.ascontiguousarray(numbers), out)
+        return out
+
     def _counts(self, count):
         """`count` of every rank, (size,)."""
-        mine = np.array([count], np.int64)
-        counts = np.empty(self.size, np.int64)
-        self.mpi.Allgather(mine, counts)
-        return counts
+        return self.each(np.array([count], np.int64))[:, 0]
 
     def _type(self, rows):
         """A committed MPI type of one row, so that counts stay below 2^31."""
@@ -165,10 +179,14 @@ class Mpi(Alone):
         return out
 
     def before(self, count):
-        return int(self._counts(count)[: self.rank].sum())
+        mine, below = np.array([count], np.int64), np.zeros(1, np.int64)
+        self.mpi.Exscan(mine, below, self._MPI.SUM)
+        return int(below[0]) if self.rank else 0  # what rank 0 finds there is not defined
 
     def total(self, count):
-        return int(self._counts(count).sum())
+        mine = np.array([count], np.int64)
+        self.mpi.Allreduce(self._MPI.IN_PLACE, mine, self._MPI.SUM)
+        return int(mine[0])
 
     def exchange(self, parts):
         sent = np.array([len(p) for p in parts], np.int64)
@@ -180,6 +198,39 @@ class Mpi(Alone):
         self.mpi.Alltoallv([packed, sent, _starts(sent), row], [out, got, _starts(got), row])
         row.Free()
         return np.split(out, np.cumsum(got)[:-1])
+
+    def deliver(self, rows, to):
+        if self.size == 1:
+            return rows
+        order = np.argsort(to, kind="stable")
+        rows, to = np.ascontiguousarray(rows[order]), to[order]
+        targets, start = np.unique(to, return_index=True)
+        parts = dict(zip(targets.tolist(), np.split(rows, start[1:]), strict=False))
+        mine = parts.pop(self.rank, rows[:0])
+        row = self._type(rows)
+        came = self._sparse(parts, row, rows[:0]) | {self.rank: mine}
+        row.Free()
+        return np.concatenate([came[r] for r in sorted(came)])
+
+    def _sparse(self, parts, row, like):
+        """Send parts[r] to each rank r in it; returns what came, by rank (Hoefler, Siebert,
+        Lumsdaine 2010). A message counts as sent when it was taken in; a rank whose messages were
+        enters a barrier and goes on taking in others' until all have entered it.
+        """
+        MPI, status, came = self._MPI, self._MPI.Status(), {}
+        # a rank that is through may begin anew while others still look: at most once, so that two
+        # numbers in turn keep the rounds apart; links use 0
+        self._round = 3 - self._round
+        sent = [self.mpi.Issend([p, len(p), row], r, self._round) for r, p in parts.items()]
+        barrier = None
+        while barrier is None or not barrier.Test():
+            while self.mpi.Iprobe(MPI.ANY_SOURCE, self._round, status):
+                source, n = status.Get_source(), status.Get_count(row)
+                came[source] = part = np.empty((n, *like.shape[1:]), like.dtype)
+                self.mpi.Recv([part, n, row], source, self._round)
+            if barrier is None and MPI.Request.Testall(sent):
+                barrier = self.mpi.Ibarrier()
+        return came
 
     def link(self, sends, receives):
         return _MpiLink(self._MPI, self.mpi, sends, receives)

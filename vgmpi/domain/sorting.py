@@ -50,19 +50,41 @@ def aim(start, count, tags, place, number):
 
 
 @kernel
-def leaving(start, count, targets, tags, out, to):
-    """Indices of particles whose target is -1 into out, segment and block number of each into to:
-    27 segment + number; returns how many.
+def leaving(start, count, tags, place, block, gone, to, cell):
+    """Particles whose target is -1: their places into gone, `block` of their segment's target into
+    to, and their cells.
 
-    tags: as before `aim`.
+    tags: as before `aim`; place: as for `aim`; block: (segments, 27).
     """
     n = 0
     for s in range(len(start)):
+        if n == len(gone):
+            break  # all are found
+        places = place[s]
         for p in range(start[s], start[s] + count[s]):
-            if targets[p] < 0:
-                out[n], to[n] = p, 27 * s + (tags[p] >> 6)
+            k = tags[p] >> 6
+            if places[k] < 0:
+                gone[n], to[n], cell[n] = p, block[s, k], tags[p] & (CELLS - 1)
                 n += 1
-    return n
+
+
+@kernel
+def pick_up(places, rows, packed, first):
+    """Channels (m, cap) of the particles at `places` into columns first .. first + m of packed,
+    a row per particle."""
+    for c in range(len(rows)):
+        row = rows[c]
+        for n in range(len(places)):
+            packed[n, first + c] = row[places[n]]
+
+
+@kernel
+def put_down(packed, first, rows, begin):
+    """The other way: columns of packed to channels of the particles from `begin` on."""
+    for c in range(len(rows)):
+        row = rows[c]
+        for n in range(len(packed)):
+            row[begin + n] = packed[n, first + c]
 
 
 @kernel

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .blocks import Lattice
-from .migrate import Census
+from .census import Census
 from .overlap import NEIGHBOURS, number, shared_masks
 
 _MARGIN = 4  # blocks around this rank's own that the dense maps cover

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from ..domain.migrate import Census, census
+from ..domain.census import Census, census
+from ..domain.ranks import Alone
 from ..domain.state import LANES
 from ..kernels.records import AFFINE, STATE, VOLUME
 from ..materials.base import function
@@ -148,26 +149,34 @@ def restore(simulation: Simulation, saved) -> None:
     simulation.time, simulation.step = saved.attrs["time"], saved.attrs["step"]
     simulation.rate = saved.attrs["rate"]
     simulation.sorted_at = simulation.step
-    segments = []
-    for g in range(len(plan.groups)):
-        code = saved.read_rows(f"group_{g:03d}/block", 0, saved.count(f"group_{g:03d}/block"))
-        count = saved.read_rows(f"group_{g:03d}/count", 0, len(code))
-        key = simulation.lattice.key(simulation.lattice.block(code))
-        segments.append(np.stack([key, code, np.full_like(code, g), count], 1))
-    rows = np.concatenate(segments)
-    mine = rows if simulation.ranks.rank == 0 else rows[:0]  # the census adds up all ranks' rows
+    rows = [_segments(simulation, saved, g) for g in range(len(plan.groups))]
     costs = np.array([group.cost for group in plan.groups])
-    table, simulation.cut = census(mine, simulation.ranks, costs, None, 0)
+    table, simulation.cut = census(
+        np.concatenate(rows), simulation.lattice, simulation.ranks, costs, None, 0
+    )
     for g, group in enumerate(simulation.groups):
-        _read_group(group, saved, f"group_{g:03d}", table, g, simulation.ranks.rank)
+        _read_group(group, saved, f"group_{g:03d}", table, g, simulation.ranks)
     simulation.adopt(table)
 
 
-def _read_group(group, saved, name: str, table: Census, g: int, rank: int) -> None:
-    here = table.group == g
-    code, count, own = table.code[here], table.count[here], table.owner[here] == rank
-    first = int(count[: np.argmax(own)].sum()) if own.any() else 0
-    code, count = code[own], count[own]
+def _segments(simulation: Simulation, saved, g: int) -> np.ndarray:
+    """This rank's share of a group's segments, whoever will own them: (n, 4) of key, code, group,
+    count."""
+    name, ranks = f"group_{g:03d}", simulation.ranks
+    first, last = (
+        saved.count(f"{name}/block") * r // ranks.size for r in (ranks.rank, ranks.rank + 1)
+    )
+    code = saved.read_rows(f"{name}/block", first, last)
+    key = simulation.lattice.key(simulation.lattice.block(code))
+    count = saved.read_rows(f"{name}/count", first, last)
+    return np.stack([key, code, np.full_like(key, g), count], 1)
+
+
+def _read_group(group, saved, name: str, table: Census, g: int, ranks: Alone) -> None:
+    """Read the particles of this rank's blocks: the rows behind those of the ranks below it."""
+    own = (table.group == g) & (table.owner == ranks.rank)
+    code, count = table.code[own], table.count[own]
+    first = ranks.before(int(count.sum()))
     last = first + int(count.sum())
     padded = (count + LANES - 1) // LANES * LANES
     start = np.concatenate([[0], np.cumsum(padded)])

@@ -5,7 +5,9 @@ import numpy as np
 from ..couplings.base import CONTACT, MIXING
 from ..device.limits import FARTHEST, LEAST_J, MOST_J, STRETCH
 from ..domain import migrate, topology
+from ..domain.balance import SHARES
 from ..domain.blocks import Lattice
+from ..domain.census import Census
 from ..domain.halo import Halo
 from ..domain.ranks import Alone
 from ..domain.solids import Solids
@@ -153,7 +155,7 @@ class Simulation:
         self.sorted_at = self.step
         self.sorts += 1
 
-    def adopt(self, census: migrate.Census) -> None:
+    def adopt(self, census: Census) -> None:
         """Lay out tables and buffers for the census, whose segments the groups already hold. Where
         no segment came or went and none changed its owner, those of before serve again."""
         kept = self.tables is not None and _same_blocks(self.census, census)
@@ -172,8 +174,9 @@ class Simulation:
 
     @property
     def load(self) -> np.ndarray:
-        """Predicted work of each rank, (ranks,)."""
-        return np.bincount(self.census.owner, self.census.work, minlength=self.ranks.size)
+        """Predicted work of each rank as of the last sort, in steps of one fluid particle:
+        (ranks,)."""
+        return self.census.load / SHARES
 
     def bound(self) -> float:
         """Largest stable time step [s] of the present state."""
@@ -258,7 +261,7 @@ class Simulation:
         )
 
 
-def _same_blocks(before: migrate.Census, after: migrate.Census) -> bool:
+def _same_blocks(before: Census, after: Census) -> bool:
     """Whether two censuses have the same segments with the same owners."""
     return all(
         np.array_equal(getattr(before, name), getattr(after, name))

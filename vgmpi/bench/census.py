@@ -1,0 +1,146 @@
+"""What a sort costs one rank of very many beside sorting its own particles: rows, census and tables
+of a rank amid a cube of full blocks. The rank does its own work; what the others would have told it
+is laid out before.
+"""
+
+import time
+import tracemalloc
+
+import numpy as np
+
+from ..domain import balance, migrate, topology
+from ..domain.blocks import EDGE, Lattice
+from ..domain.census import RINGS, census
+from ..domain.ranks import Alone
+from .scaling import FILL
+
+CROSS = 4  # particles that cross each face, edge or corner of a block between two sorts
+REPEATS = 25
+
+
+class Amid(Alone):
+    """One rank of `size`; the others' share of every verb is known beforehand."""
+
+    def __init__(self, rank: int, size: int, told: np.ndarray, runs: np.ndarray):
+        """told: (size, 3) as each rank tells of itself; runs: (n, 3) that all offer for cuts."""
+        self.rank, self.size = rank, size
+        self.told, self.runs = told, runs
+        self.came: list[np.ndarray] = []  # what the next deliveries bring from other ranks
+        self.sent: list[int] = []  # partners of each delivery
+
+    def each(self, numbers):
+        out = self.told.copy()
+        out[self.rank] = numbers
+        return out
+
+    def all_rows(self, rows):
+        return self.runs
+
+    def deliver(self, rows, to):
+        self.sent.append(len(np.unique(to[to != self.rank])))
+        return np.concatenate([rows[to == self.rank], self.came.pop(0)])
+
+
+def cube(ranks: int, particles: int) -> tuple[Lattice, np.ndarray, np.ndarray]:
+    """A cube of about `particles` per rank in full blocks: its lattice, keys (n,) ascending and
+    codes (n,)."""
+    side = max(1, round((ranks * particles / FILL) ** (1 / 3)))
+    lattice = Lattice((EDGE * (side + 4),) * 3, 1.0)
+    at = np.stack(np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), -1).reshape(-1, 3) + 2
+    key, code = lattice.key(at), lattice.code(at)
+    order = np.argsort(key)
+    return lattice, key[order], code[order]
+
+
+class Sort:
+    """The sort of the rank in the middle, again and again."""
+
+    def __init__(self, ranks: int, particles: int):
+        self.lattice, key, code = cube(ranks, particles)
+        count = np.full(len(key), FILL)
+        work = balance.predicted(count, np.ones(len(key)))
+        self.cut = balance.cuts(key, work, ranks, None)
+        owner = balance.owners(key, self.cut)
+        self.rank = owner[len(owner) // 2]
+        first = np.searchsorted(owner, np.arange(ranks + 1))
+        load = np.add.reduceat(work, first[:-1])
+        told = np.stack([load, key[first[1:] - 1] + 1, np.append(self.cut, key[-1] + 2)], 1)
+        pieces = [slice(a, b) for a, b in zip(first[:-1], first[1:], strict=True)]
+        before, total = np.cumsum(load) - load, int(load.sum())
+        runs = [
+            balance.offers(key[p], work[p], count[p], int(b), total, ranks)
+            for p, b in zip(pieces, before, strict=True)
+        ]
+        self.ranks = Amid(self.rank, ranks, told, np.concatenate(runs))
+        rows = np.stack([key, code, np.zeros_like(key), count], 1)
+        mine = pieces[self.rank]
+        self.code = code[mine]
+        near = [self._within(rows, mine, reach) for reach in (1, RINGS)]
+        self.rings = rows[near[1]]
+        block, beside = self.lattice.block(self.code), self.lattice.block(code[near[0]])
+        touched = (np.abs(block[:, None] - beside) <= 1).all(2).any(1)
+        self.crossed = rows[mine][touched] * [1, 1, 1, 0] + [0, 0, 0, CROSS]
+        inside = np.isin(self._around(), code)
+        self.number = np.where(inside, CROSS, 0)
+        self.number[:, 13] = FILL - CROSS * 26
+
+    def _around(self) -> np.ndarray:
+        """Codes of the blocks around this rank's own, (blocks, 27)."""
+        return self.code[:, None] + migrate.steps(self.lattice)
+
+    def _within(self, rows, mine: slice, reach: int) -> np.ndarray:
+        """Rows of other ranks' blocks at most `reach` from this rank's."""
+        own = self.lattice.block(rows[mine, 1])
+        low, high = own.min(0) - reach, own.max(0) + reach
+        block = self.lattice.block(rows[:, 1])
+        near = np.flatnonzero(((block >= low) & (block <= high)).all(1))
+        near = near[(near < mine.start) | (near >= mine.stop)]
+        gap = np.abs(block[near][:, None] - own).max(2).min(1)
+        return near[gap <= reach]
+
+    def once(self, looks: bool) -> topology.Topology:
+        """One sort; looks: with a look for new cuts, which are not taken."""
+        told = self.ranks.told[0, 0]
+        self.ranks.told[0, 0] = told * (1.05 if looks else 1.0)
+        self.ranks.came = [self.crossed, self.rings]
+        aimed = migrate.aimed(self.lattice, self.code, self.number)
+        rows = aimed.rows(0)
+        found, cut = census(rows, self.lattice, self.ranks, np.ones(1), self.cut, 10)
+        self.ranks.told[0, 0] = told
+        if cut is not self.cut:
+            raise AssertionError("new cuts: what the others tell would be wrong")
+        return topology.build(found, self.lattice, self.rank, np.zeros(1, np.int64), False, None)
+
+
+def measure(ranks: int, particles: int) -> dict:
+    """Milliseconds of processor time and megabytes at most of a sort's rows, census and tables."""
+    sort = Sort(ranks, particles)
+    found = {"ranks": ranks, "blocks": len(sort.code), "rings": len(sort.rings)}
+    for name, looks in (("kept", False), ("looked", True)):
+        sort.once(looks)
+        spent = []
+        for _ in range(REPEATS):
+            began = time.thread_time()
+            sort.once(looks)
+            spent.append(time.thread_time() - began)
+        tracemalloc.start()
+        sort.once(looks)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        found[name] = 1e3 * float(np.median(spent)), 1e-6 * peak
+    return found | {"partners": max(sort.ranks.sent)}
+
+
+def text(rows: list[dict]) -> str:
+    """The result as a table."""
+    lines = [
+        "rows, census and tables of one rank at a sort, beside sorting its particles:",
+        "   ranks   own blocks   others' in two rings   partners   cuts kept   looked for new ones",
+    ]
+    for row in rows:
+        kept, looked = (f"{row[k][0]:.2f} ms {row[k][1]:.2f} MB" for k in ("kept", "looked"))
+        lines.append(
+            f"{row['ranks']:8d} {row['blocks']:12d} {row['rings']:22d} {row['partners']:10d}"
+            f"   {kept}   {looked}"
+        )
+    return "\n".join(lines)
