@@ -213,7 +213,8 @@ def run(n: int, function) -> list:
             shared.break_all()
 
     threads = [
-        threading.Thread(target=work, args=(Simulated(r, shared),), daemon=True) for r in range(n)
+        threading.Thread(target=work, args=(Simulated(r, shared),), daemon=True, name=f"rank {r}")
+        for r in range(n)
     ]
     for thread in threads:
         thread.start()

@@ -12,8 +12,9 @@ import pytest
 from tests import simulated
 from tests.scenes import MIXED
 from tests.states import by_id, different, state
-from vgmpi.domain import balance, halo, sorting, topology
+from vgmpi.domain import balance, halo, overlap, sorting, topology
 from vgmpi.engines import cpu
+from vgmpi.solver import step
 
 STEPS = 240
 
@@ -86,30 +87,30 @@ def test_any_owner_will_do(one, tmp_path, monkeypatch):
 
 
 def drop_a_neighbour(monkeypatch):
-    """The last neighbour of every rank gets no message."""
-    changed_tables(monkeypatch, lambda tables: tables._replace(sends=tables.sends[:-1]))
+    """No rank gives anything to the last of its neighbours."""
+
+    def change(tables):
+        last = max(tables.shared, default=None)
+        none = np.zeros(0, np.int64), np.zeros(0, np.uint64)
+        shared = {
+            rank: {
+                name: lists._replace(send_blocks=none[0], send_masks=none[1])
+                if rank == last
+                else lists
+                for name, lists in layers.items()
+            }
+            for rank, layers in tables.shared.items()
+        }
+        return tables._replace(shared=shared)
+
+    changed_tables(monkeypatch, change)
 
 
 def forget_corners(monkeypatch):
     """Both sides think that blocks which share only an edge or a corner do not touch."""
-    real = topology._traffic
-
-    def faces(*arguments, **sending):
-        near = np.abs(topology.NEIGHBOURS).sum(1) <= 1
-        with monkeypatch.context() as m:
-            m.setattr(topology, "NEIGHBOURS", topology.NEIGHBOURS[near])
-            return real(*arguments, **sending)
-
-    # ranks are threads: the list of neighbours may be swapped by one at a time only
-    lock = threading.Lock()
-    build = topology.build
-
-    def locked(*arguments):
-        with lock:
-            return build(*arguments)
-
-    monkeypatch.setattr(topology, "_traffic", faces)
-    monkeypatch.setattr(topology, "build", locked)
+    masks = overlap.MASKS.copy()
+    masks[np.abs(overlap.NEIGHBOURS).sum(1) > 1] = 0
+    monkeypatch.setattr(overlap, "MASKS", masks)
 
 
 def changed_tables(monkeypatch, change):
@@ -117,59 +118,86 @@ def changed_tables(monkeypatch, change):
     monkeypatch.setattr(topology, "build", lambda *arguments: change(real(*arguments)))
 
 
-def ghosts_first(monkeypatch):
-    """Patches of other ranks are added before this rank's own."""
+def turned(masks):
+    """As many nodes, each one further."""
+    return masks << np.uint64(1) | masks >> np.uint64(63)
 
+
+def turn_masks(monkeypatch, names):
     def change(tables):
-        node_block = np.repeat(np.arange(len(tables.phase)), np.diff(tables.pull_first))
-        order = np.lexsort((tables.own[tables.pull_patch], node_block))
-        return tables._replace(
-            pull_patch=tables.pull_patch[order], pull_code=tables.pull_code[order]
-        )
+        shared = {
+            rank: {
+                name: lists._replace(**{field: turned(getattr(lists, field)) for field in names})
+                for name, lists in layers.items()
+            }
+            for rank, layers in tables.shared.items()
+        }
+        return tables._replace(shared=shared)
 
     changed_tables(monkeypatch, change)
 
 
-def swap_two_patches(monkeypatch):
-    """In every node block the first two of three patches or more change places, on ranks that have
-    ghosts.
-    """
-
-    def change(tables):
-        if tables.own.all():
-            return tables
-        order = np.arange(len(tables.pull_patch))
-        at = tables.pull_first[:-1][np.diff(tables.pull_first) > 2]
-        order[at], order[at + 2] = at + 2, at
-        return tables._replace(
-            pull_patch=tables.pull_patch[order], pull_code=tables.pull_code[order]
-        )
-
-    changed_tables(monkeypatch, change)
+def turn_all_masks(monkeypatch):
+    """Sender and receiver agree on other nodes than those they share."""
+    turn_masks(monkeypatch, ["send_masks", "receive_masks"])
 
 
-def shift_boxes(tables, names):
-    def shifted(parts):
-        return [
-            (rank, patches, np.maximum(low - 1, 0), high - 1) for rank, patches, low, high in parts
-        ]
-
-    return tables._replace(**{name: shifted(getattr(tables, name)) for name in names})
+def turn_sent_masks(monkeypatch):
+    """Only the sender takes others, as many as before."""
+    turn_masks(monkeypatch, ["send_masks"])
 
 
-def shift_all_boxes(monkeypatch):
-    """Sender and receiver agree on boxes that lie one node too low."""
-    changed_tables(monkeypatch, lambda tables: shift_boxes(tables, ["sends", "receives"]))
+def plain_sums(monkeypatch):
+    """Sums begin at 0 and are rounded as numbers are."""
+
+    def begin(self, dt):
+        self.rest = np.zeros_like(self.rest)
+        if len(self.sized) == 0:
+            self.sums[:] = 0
+            self.sized = np.ones(1)
+
+    monkeypatch.setattr(cpu.Layer, "begin", begin)
+    monkeypatch.setattr(cpu.Cpu, "_found_beyond", lambda self: [])
 
 
-def shift_sent_boxes(monkeypatch):
-    """Only the sender's boxes lie one node too low, and are as large as before."""
+def quanta_of_its_own(monkeypatch):
+    """One rank keeps fewer digits than the others."""
+    real = cpu.Layer.begin
 
-    def change(tables):
-        sends = [(r, p, low - (low > 0), high - (low > 0)) for r, p, low, high in tables.sends]
-        return tables._replace(sends=sends)
+    def begin(self, dt):
+        if threading.current_thread().name == "rank 1":
+            full = self.full
+            self.full = lambda dt: 2.0**20 * full(dt)
+            real(self, dt)
+            self.full = full
+        else:
+            real(self, dt)
 
-    changed_tables(monkeypatch, change)
+    monkeypatch.setattr(cpu.Layer, "begin", begin)
+
+
+def add_twice(monkeypatch):
+    """What another rank gave is added twice."""
+    real = cpu.Cpu.add
+
+    def add(self, part):
+        real(self, part)
+        real(self, part)
+
+    monkeypatch.setattr(cpu.Cpu, "add", add)
+
+
+def rest_is_left(monkeypatch):
+    """Messages are added with what their sums rest at."""
+    real = cpu.Cpu.add
+
+    def add(self, part):
+        layer = self.layers[part.layer]
+        rest, layer.rest = layer.rest, np.zeros_like(layer.rest)
+        real(self, part)
+        layer.rest = rest
+
+    monkeypatch.setattr(cpu.Cpu, "add", add)
 
 
 def sort_without_id(monkeypatch):
@@ -183,7 +211,7 @@ def sort_without_id(monkeypatch):
 
 
 def skip_a_halo(monkeypatch):
-    """The ghost patches of one step are those of the step before."""
+    """In one step nobody gets what the others summed."""
     for name in ("start", "finish"):
         real = getattr(halo.Halo, name)
 
@@ -210,15 +238,20 @@ def border_too_early(monkeypatch):
 
 
 def sent_too_early(monkeypatch):
-    """Messages begin to travel before the boundary patches are filled."""
-    real = cpu.Cpu.p2g
+    """Messages begin to travel before the segments at the border are transferred."""
+    real = cpu.Cpu.fill
 
-    def p2g(self, dt, border):
+    def fill(self, border):
         if not border:
             for side in (True, False):
-                real(self, dt, side)
+                real(self, side)
 
-    monkeypatch.setattr(cpu.Cpu, "p2g", p2g)
+    monkeypatch.setattr(cpu.Cpu, "fill", fill)
+
+
+def old_tables(monkeypatch):
+    """A rank keeps its tables although blocks came or went."""
+    monkeypatch.setattr(step, "_same_blocks", lambda before, after: True)
 
 
 def local_cuts(monkeypatch):
@@ -263,10 +296,13 @@ BITS, ERROR = "other bits", "an error"
 MUTATIONS = {
     drop_a_neighbour: ERROR,
     forget_corners: BITS,
-    ghosts_first: BITS,
-    swap_two_patches: BITS,
-    shift_all_boxes: BITS,
-    shift_sent_boxes: ERROR,
+    turn_all_masks: BITS,
+    turn_sent_masks: ERROR,
+    plain_sums: BITS,
+    quanta_of_its_own: BITS,
+    add_twice: BITS,
+    rest_is_left: ERROR,
+    old_tables: ERROR,
     sort_without_id: BITS,
     skip_a_halo: BITS,
     one_rank_is_late: ERROR,

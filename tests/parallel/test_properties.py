@@ -93,16 +93,13 @@ def look(simulation):
         unused = padding(group)
         assert (group.ids[unused] == -1).all()
         assert (group.xi[:, unused] == 0).all(), "transfers look at the cells of unused places too"
-    engine, topology = simulation.engine, simulation.engine.topology
-    several = np.diff(topology.pull_first) > 2  # the order of two is no matter
+    tables = simulation.tables
     return Counter(
         {
-            "node blocks summed at once": int((engine.summed & several).sum()),
-            "node blocks summed from patches": int((~engine.summed & several).sum()),
-            "both on a rank with neighbours": int(
-                (engine.summed & several).any() and not topology.own.all()
-            ),
-            "ghost patches": int((~topology.own).sum()),
+            "node blocks of this rank alone": int((~tables.waits).sum()),
+            "node blocks that others add to": int(tables.waits.sum()),
+            "both on one rank": int(tables.waits.any() and not tables.waits.all()),
+            "copies for threads": len(simulation.engine.blocks.copies),
             "idle ranks": int(not any(len(group) for group in simulation.groups)),
             "segments of one particle": sum(int((g.count == 1).sum()) for g in simulation.groups),
         }
@@ -183,13 +180,13 @@ def test_any_way_gives_the_bits_of_one_rank(precision):
     cases()
     print(dict(seen))
     for what in (
-        "node blocks summed at once",
-        "node blocks summed from patches",
-        "ghost patches",
+        "node blocks of this rank alone",
+        "node blocks that others add to",
+        "copies for threads",
         "segments of one particle",
     ):
         assert seen[what] > 100, what
-    assert seen["both on a rank with neighbours"] > 10
+    assert seen["both on one rank"] > 10
     assert seen["idle ranks"] > 5 and seen["restarted"] > 10
     assert seen["blown up"] < 0.1 * seen["cases"]
     assert seen["sorts"] > 2 * seen["cases"]

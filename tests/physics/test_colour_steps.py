@@ -90,7 +90,8 @@ def exact(simulation):
     for group in simulation.groups:
         at = group.index()
         if group.plan.coefficients:
-            first, least = group.plan.colour, simulation.plan.colours.least[group.plan.phase, 0]
+            first = group.plan.channels["colour"].first
+            least = simulation.plan.colours.least[group.plan.phase, 0]
             out[group.ids[at]] = group.f[first : first + 3, at].T + least
     return out
 
@@ -152,7 +153,7 @@ def test_equal_colours_are_not_carried_and_cost_nothing(tmp_path):
     assert simulation.plan.colours is None and "colour" not in frame_rows(simulation, ())[1]
     assert simulation.plan.bytes() == off.plan.bytes()
     assert [g.channels for g in simulation.groups] == [g.channels for g in off.groups]
-    assert not simulation.engine.colours
+    assert not any(name.startswith("colour") for name in simulation.engine.layers)
 
 
 def test_equal_parts_of_colours_stay_equal_in_every_bit(tmp_path):

@@ -29,26 +29,23 @@ shape = { box = [[0.15, 0.15, 0.15], [0.47, 0.47, 0.47]] }
 
 @pytest.mark.parametrize("ranks", [2, 5])
 def test_tables_are_those_of_a_run(tmp_path, ranks):
-    """A cube of 4^3 full blocks: bytes, neighbours and kept patches of the worst rank."""
+    """A cube of 4^3 full blocks: bytes, neighbours and shared node blocks of the worst rank."""
 
     def job(r):
         home = tmp_path / f"{r.rank}"
         home.mkdir()
         simulation, _ = begin(home, CUBE, r)
-        engine, halo = simulation.engine, simulation.halo
-        own = engine.topology.own
-        header = 16 * len(halo.sends)
-        kept = int((engine.slot[own] >= 0).sum())
-        return own.sum(), kept, halo.bytes_sent - header, len(halo.sends)
+        tables, halo = simulation.tables, simulation.halo
+        return len(tables.code), tables.waits.sum(), halo.bytes_sent, len(halo.sends)
 
     found = np.array(simulated.run(ranks, job)).max(0)
     told = scaling.tables(ranks, 64 // ranks if 64 % ranks == 0 else 64 / ranks)
-    assert found.tolist() == [told[k] for k in ("own", "kept", "bytes", "neighbours")]
+    assert found.tolist() == [told[k] for k in ("own", "shared", "bytes", "neighbours")]
 
 
 def test_one_rank_sends_nothing():
     told = scaling.tables(1, 27)
-    assert told["own"] == 27 and told["sent"] == told["bytes"] == told["kept"] == 0
+    assert told["own"] == 27 and told["border"] == told["bytes"] == told["shared"] == 0
 
 
 def test_constants_are_found_again():
@@ -64,12 +61,12 @@ def test_constants_are_found_again():
     rows[1] = [[t / 1.5 for t in rows[1][0][:5]] + rows[1][0][5:]]  # alone it is quicker
     c = scaling.constants(rows, busy, 25.0)
     assert c["alone"] == pytest.approx(unit / 1.5)
-    assert [c["unit"], c["kept"], c["copied"]] == pytest.approx([unit, kept, copied])
+    assert [c["unit"], c["shared"], c["copied"]] == pytest.approx([unit, kept, copied])
     assert c["python"] == pytest.approx(25e-6)
 
 
 def test_efficiency_falls_with_latency_and_rises_with_particles():
-    c = {"unit": 2e-8, "kept": 1e-6, "copied": 3e-10, "python": 2e-5}
+    c = {"unit": 2e-8, "shared": 1e-6, "copied": 3e-10, "python": 2e-5}
     few, many = (
         scaling.step(c, 1, n, 2e-6, 1e10) / scaling.step(c, 64, n, 2e-6, 1e10)
         for n in (10_000, 300_000)

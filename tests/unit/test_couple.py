@@ -13,7 +13,7 @@ import pytest
 from vgmpi.couplings.base import Rules
 from vgmpi.device.jit import kernel
 from vgmpi.device.memory import aligned
-from vgmpi.kernels.couple import LEAST_PART, LEAST_PORES, couple_block, relax
+from vgmpi.kernels.couple import LEAST_PART, LEAST_PORES, Fields, Here, couple_block, relax
 from vgmpi.kernels.members import places, room, tables
 from vgmpi.lanes.lanes import load, place
 
@@ -25,10 +25,12 @@ SLIPS = (0.0, np.inf)
 def solve(n, phase, grid, forces, offsets, cells, least, room, rules, dt, dx, drift):
     """A block far from walls in which all n phases are."""
     of, rules = places(room, rules)
-    couple_block(
-        0, n, place(phase), place(grid), place(forces), place(offsets), True, False, (9, 9, 9),
-        place(cells), place(least), of, rules, dt, dx, place(drift),
+    here = Here(0, n, True, False, 9, 9, 9)
+    fields = Fields(
+        place(phase), place(least), place(cells), place(grid), place(forces), place(offsets),
+        place(drift), place(drift),
     )  # fmt: skip
+    couple_block(here, fields, of, rules, dt, dx)
 
 
 @kernel

@@ -1,5 +1,7 @@
 """Blocks, the curve through them, sorting, migration, and who needs which nodes."""
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,13 +10,14 @@ from hypothesis import strategies as st
 from tests import simulated
 from tests.scenes import MIXED
 from tests.simulate import begin
-from vgmpi.domain import census, migrate, topology
+from vgmpi.domain import census, migrate, overlap, topology
 from vgmpi.domain.balance import cuts, owners
 from vgmpi.domain.blocks import BITS, INTEGER, Lattice, hilbert
 from vgmpi.domain.ranks import Alone
 from vgmpi.domain.state import LANES, Group
+from vgmpi.engines.shares import Shares, copies
 from vgmpi.materials.elastic import Elastic
-from vgmpi.planning.plan import BASE_CHANNELS, GroupPlan
+from vgmpi.planning.plan import GroupPlan
 from vgmpi.solver.state import save
 
 REALS = [np.dtype(np.float32), np.dtype(np.float64)]
@@ -90,7 +93,7 @@ def test_keys_of_a_domain_are_its_own():
 
 def group_plan():
     law = Elastic(kind="elastic", youngs_modulus=1e5).law()
-    return GroupPlan("a/b", 0, "b", law, 1000.0, (0.0,) * 9, 1.0, ("H",))
+    return GroupPlan("a/b", 0, "b", law, 1000.0, (("H", (0.0,) * 9),), 1.0)
 
 
 def mark(ids, channels):
@@ -135,7 +138,7 @@ def test_every_particle_arrives_once(size, n, spread, seed, real):
     path = [x]
     for d in drift:
         path.append(np.clip(path[-1] + d, 0.01 * room, 0.99 * room))
-    channels = BASE_CHANNELS + 9
+    channels = group_plan().channels.count
 
     def job(ranks):
         group = Group(group_plan(), LATTICE, real)
@@ -187,99 +190,135 @@ def random_census(seed, ranks, scattered, lattice=LATTICE, filled=(0.3, 0.3)):
     return table._replace(owner=owner)
 
 
-def reach(block):
-    """Nodes the patch of a block covers along each axis: 4 b - 2 .. 4 b + 5."""
-    return 4 * block - 2, 4 * block + 6
+NEEDS = topology.Needs(np.array([0, 1]), True, None, np.zeros(2, np.int64))
+
+
+def nodes_of(block):
+    """Nodes that the patch of a block reaches: 4 b - 2 .. 4 b + 5 along each axis."""
+    return itertools.product(*(range(4 * b - 2, 4 * b + 6) for b in block))
+
+
+def nodes_in(tables, blocks, masks):
+    """(node, phase) of the bits of masks of node blocks, in their order."""
+    number = np.repeat(np.arange(len(tables.first) - 1), np.diff(tables.first))
+    found = []
+    for nb, mask in zip(blocks, masks, strict=True):
+        low = 4 * tables.at[number[nb]] - 1
+        for n in range(64):
+            if int(mask) >> n & 1:
+                node = (low[0] + n // 16, low[1] + n // 4 % 4, low[2] + n % 4)
+                found.append((tuple(int(i) for i in node), int(tables.phase[nb])))
+    return found
 
 
 @pytest.fixture(params=[(s, r, m) for s in range(3) for r in (1, 3, 5) for m in (False, True)])
 def tables(request):
     seed, ranks, scattered = request.param
     whole = random_census(seed, ranks, scattered)
-    phase_of = np.array([0, 1])
-    return whole, [topology.build(whole, LATTICE, r, phase_of, True, None) for r in range(ranks)]
+    return whole, [topology.build(whole, LATTICE, r, NEEDS) for r in range(ranks)]
 
 
-def test_all_patches_of_a_node_are_added_in_key_order(tables):
-    """Every node that one of a rank's patches covers gets all patches that cover it, once each.
-    (Two patches share a node exactly when their blocks are neighbours; of a node block at a rank's
-    edge only the near nodes count.)
-    """
+def test_a_segment_adds_to_the_node_blocks_around_it(tables):
+    """Of its phase, all 27; blocks and phases ascend."""
     whole, built = tables
-    where, phase = LATTICE.block(whole.code), np.array([0, 1])[whole.group]
     for rank, t in enumerate(built):
+        mine = whole.owner == rank
+        assert (t.code == whole.code[mine]).all() and (t.group == whole.group[mine]).all()
         assert (t.table >= 0).all(), "a patch reaches a node block that is not there"
         number = np.repeat(np.arange(len(t.first) - 1), np.diff(t.first))
-        seen = {}  # node block -> own blocks that reach it
-        for p, row in enumerate(t.table):
-            own = np.flatnonzero(t.own)[p]
-            for code, nb in enumerate(row):
-                assert (t.block_at[number[nb]] == t.block[own] + topology.NEIGHBOURS[code]).all()
-                assert t.phase[nb] == phase[t.row[own]]
-                seen.setdefault(nb, []).append(t.block[own])
-        for nb, mine in seen.items():
-            here = slice(t.pull_first[nb], t.pull_first[nb + 1])
-            at = t.block_at[number[nb]]
-            reaches = (np.abs(where - at).max(1) <= 1) & (phase == t.phase[nb])
-            beside = (np.abs(where[:, None] - np.array(mine)).max(2) <= 1).any(1)
-            added = t.row[t.pull_patch[here]]
-            assert (np.diff(added) > 0).all(), "not in key order, or twice"
-            assert reaches[added].all() and np.isin(np.flatnonzero(reaches & beside), added).all()
-            offsets = at - t.block[t.pull_patch[here]]
-            assert (topology.NEIGHBOURS[t.pull_code[here]] == offsets).all()
-        assert (whole.owner[t.row[t.own]] == rank).all()
+        for block, group, row in zip(t.block, t.group, t.table, strict=True):
+            assert (t.at[number[row]] == block + overlap.NEIGHBOURS).all()
+            assert (t.phase[row] == group).all()
+        order = [(*t.at[b].tolist(), p) for b, p in zip(number, t.phase.tolist(), strict=True)]
+        assert order == sorted(set(order))
 
 
-def test_every_node_two_ranks_share_travels(tables):
-    """The nodes that my patches have in common with another rank's lie in the boxes I get, and
-    what one sends is what the other waits for.
-    """
+def test_every_node_two_ranks_share_travels_and_no_other(tables):
+    """A rank gives another what its patches add to the nodes that the other's patches reach, of
+    any phase; what one gives is what the other waits for, in the same order."""
     whole, built = tables
     where = LATTICE.block(whole.code)
     for rank, t in enumerate(built):
-        boxes = {}
-        for other, patches, low, high in t.receives:
-            assert other != rank and (whole.owner[t.row[patches]] == other).all()
-            sent = [s for s in built[other].sends if s[0] == rank]
-            assert len(sent) == 1
-            _, theirs, their_low, their_high = sent[0]
-            assert (built[other].row[theirs] == t.row[patches]).all()
-            assert (their_low == low).all() and (their_high == high).all()
-            for p, a, b in zip(patches, low, high, strict=True):
-                boxes[int(t.row[p])] = (a, b)
-        mine = where[whole.owner == rank]
-        for row in np.flatnonzero(whole.owner != rank):
-            near = mine[np.abs(mine - where[row]).max(1) <= 1]
-            assert (row in boxes) == (len(near) > 0)
-            for block in near:
-                first, last = reach(where[row])
-                my_first, my_last = reach(block)
-                low = np.maximum(first, my_first) - first
-                high = np.minimum(last, my_last) - first
-                assert (boxes[row][0] <= low).all() and (boxes[row][1] >= high).all()
+        for other in range(len(built)):
+            if other == rank:
+                continue
+            theirs = {
+                n for b in np.unique(where[whole.owner == other], axis=0) for n in nodes_of(b)
+            }
+            mine = zip(where[whole.owner == rank], whole.group[whole.owner == rank], strict=True)
+            want = {(n, int(g)) for b, g in mine for n in nodes_of(b) if n in theirs}
+            if not want:
+                assert other not in t.shared
+                continue
+            lists = t.shared[other]["momentum"]
+            gives = nodes_in(t, lists.send_blocks, lists.send_masks)
+            assert set(gives) == want and len(gives) == len(want)
+            back = built[other].shared[rank]["momentum"]
+            assert nodes_in(built[other], back.receive_blocks, back.receive_masks) == gives
+
+
+def test_the_border_and_who_waits(tables):
+    whole, built = tables
+    where = LATTICE.block(whole.code)
+    for rank, t in enumerate(built):
+        others = where[whole.owner != rank]
+        near = [len(others) and np.abs(others - b).max(1).min() <= 1 for b in t.block]
+        assert t.border.tolist() == [bool(n) for n in near]
+        gets = {nb for lists in t.shared.values() for nb in lists["momentum"].receive_blocks}
+        number = np.repeat(np.arange(len(t.first) - 1), np.diff(t.first))
+        assert np.flatnonzero(t.waits).tolist() == sorted({int(number[nb]) for nb in gets})
 
 
 @pytest.mark.parametrize(
     "ranks, scattered, seed", [(4, False, s) for s in range(8)] + [(4, True, 5)]
 )
 def test_ranks_agree_on_where_contact_is_possible(ranks, scattered, seed):
-    """A patch carries volumes and offsets on all ranks that hold it, or on none; and wherever
-    patches of two phases share nodes, both do.
-    """
+    """Wherever patches of two phases share nodes, both give volumes and offsets, and elsewhere most
+    do not; whoever has the other's nodes gets them."""
     lattice = Lattice((60, 44, 40), 0.02)  # large, and the second phase rare: most patches do not
     whole = random_census(seed, ranks, scattered, lattice, (0.3, 0.008))
-    wanted = {}
+    where, asked = lattice.block(whole.code), []
     for rank in range(ranks):
-        t = topology.build(whole, lattice, rank, np.array([0, 1]), True, None)
-        for row, asked in zip(t.row, t.offsets, strict=True):
-            wanted.setdefault(int(row), set()).add(bool(asked))
-        phase = whole.group[t.row]
-        near = (np.abs(t.block[:, None] - t.block[None, :]) <= 1).all(2)
-        meet = near & (phase[:, None] != phase[None, :]) & t.own[:, None]
-        assert (t.offsets | ~meet.any(1)).all() and (t.offsets | ~meet.any(0)).all()
-    assert all(len(said) == 1 for said in wanted.values())
-    share = np.mean([True in said for said in wanted.values()])
+        t = topology.build(whole, lattice, rank, NEEDS)
+        takes = t.takes["offsets"]
+        apart = np.abs(t.block[:, None] - where[None, :]).max(2)
+        meet = ((apart <= 1) & (t.group[:, None] != whole.group)).any(1)
+        assert (takes == meet).all()
+        asked.append(takes)
+        for other, lists in t.shared.items():
+            there = topology.build(whole, lattice, other, NEEDS).shared[rank]["offsets"]
+            gives = nodes_in(t, lists["offsets"].send_blocks, lists["offsets"].send_masks)
+            built = topology.build(whole, lattice, other, NEEDS)
+            assert nodes_in(built, there.receive_blocks, there.receive_masks) == gives
+    share = np.concatenate(asked).mean()
     assert 0.1 < share < 0.6, "too many or too few to test anything"
+
+
+@given(seed=st.integers(0, 999), threads=st.integers(2, 5), share=st.sampled_from([0.0, 0.3, 1.0]))
+@settings(max_examples=40, deadline=None)
+def test_threads_never_add_to_one_row_at_a_time(seed, threads, share):
+    """While the border is transferred, and while the others are; every copy has its node block."""
+    whole = random_census(seed, 1, False)
+    t = topology.build(whole, LATTICE, 0, NEEDS)
+    random = np.random.default_rng(seed)
+    rows = [np.flatnonzero(t.group == g) for g in range(2)]
+    shares = [
+        Shares(random.integers(1, 99, len(r)), random.random(len(r)) < share, threads) for r in rows
+    ]
+    into, first, copy_rows = copies(t, rows, shares, threads)
+    block_of = np.append(
+        np.arange(len(t.phase)), np.repeat(np.arange(len(t.phase)), np.diff(first))
+    )
+    assert (block_of[into] == t.table).all()
+    assert (copy_rows == len(t.phase) + np.arange(len(copy_rows))).all()
+    for border in (True, False):
+        used = [
+            np.unique(np.concatenate([into[r[s.of(border)[k]]].ravel() for r, s in
+                                      zip(rows, shares, strict=True)]))
+            for k in range(threads)
+        ]  # fmt: skip
+        every = np.concatenate(used)
+        assert len(np.unique(every)) == len(every)
 
 
 @pytest.mark.parametrize("precision", ["single", "double"])

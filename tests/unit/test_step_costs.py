@@ -43,11 +43,11 @@ def test_compiled_code_allocates_nothing_in_its_loops(mixed):
     simulation, dt = mixed
     for_all = compiled_allocations(simulation, dt)
 
-    def first(shares, work, *arguments):
-        if len(shares[0]):
-            work(0, shares[0][:1], *arguments)
+    def first(kernel, rows, *arguments):
+        if len(rows):
+            kernel(rows[:1], *arguments)
 
-    simulation.engine.each = first
+    simulation.engine.call = first
     assert for_all == compiled_allocations(simulation, dt)
 
 

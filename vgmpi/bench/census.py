@@ -12,7 +12,7 @@ from ..domain import balance, migrate, topology
 from ..domain.blocks import EDGE, Lattice
 from ..domain.census import RINGS, census
 from ..domain.ranks import Alone
-from .scaling import FILL
+from .scaling import FILL, NEEDS
 
 CROSS = 4  # particles that cross each face, edge or corner of a block between two sorts
 REPEATS = 25
@@ -109,7 +109,7 @@ class Sort:
         self.ranks.told[0, 0] = told
         if cut is not self.cut:
             raise AssertionError("new cuts: what the others tell would be wrong")
-        return topology.build(found, self.lattice, self.rank, np.zeros(1, np.int64), False, None)
+        return topology.build(found, self.lattice, self.rank, NEEDS)
 
 
 def measure(ranks: int, particles: int) -> dict:

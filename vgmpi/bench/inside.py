@@ -17,8 +17,8 @@ class Contestant(own.Contestant):
         """Time of a step whose kernels are called but get nothing to do [us], least of ten rounds;
         and what such a step allocates: bytes that stay and bytes at most, in Python."""
         self.restart()
-        engine, nothing = self.simulation.engine, np.zeros(0, np.int64)
-        engine.each = lambda shares, work, *arguments: work(0, nothing, *arguments)
+        engine = self.simulation.engine
+        engine.call = lambda kernel, rows, *arguments: kernel(rows[:0], *arguments)
         try:
             rounds = [self._timed(steps) for _ in range(10)]
             tracemalloc.start()
@@ -29,7 +29,7 @@ class Contestant(own.Contestant):
             after, most = tracemalloc.get_traced_memory()
             tracemalloc.stop()
         finally:
-            del engine.each
+            del engine.call
         worst = self.ranks.max(np.array([min(rounds[1:]), after - before, most - before]))
         return {"us": 1e6 * worst[0], "stays": worst[1] / steps, "most": worst[2]}
 
@@ -42,8 +42,8 @@ class Contestant(own.Contestant):
 
     def work(self, cycles: int) -> dict:
         """What each rank computes in a step, least of `cycles` from sort to sort: a row per rank of
-        seconds of processor time in WORK, particles, blocks, patches kept, bytes sent,
-        neighbours."""
+        seconds of processor time in WORK, particles, blocks, node blocks that others add to,
+        bytes sent, neighbours."""
         self.restart()
         self.cycle()
         simulation, found = self.simulation, []
@@ -53,9 +53,9 @@ class Contestant(own.Contestant):
             found.append([clock.spent.get(stage, 0.0) / steps for stage in WORK])
             sent = (simulation.sent - sent) / steps
         simulation.clock = None
-        engine, held = simulation.engine, simulation.groups
-        kept = int((engine.slot[engine.topology.own] >= 0).sum())
+        held, tables = simulation.groups, simulation.tables
+        waits = int(np.repeat(tables.waits, np.diff(tables.first)).sum())
         least = min(found, key=sum)
-        row = [*least, sum(map(len, held)), sum(len(g.start) for g in held), kept, sent]
+        row = [*least, sum(map(len, held)), sum(len(g.start) for g in held), waits, sent]
         row.append(len(simulation.halo.sends))
         return {"rows": self.ranks.all_rows(np.array([row], np.float64)).tolist()}

@@ -1,12 +1,13 @@
 """Scaling on paper: what a step costs on many ranks, from constants measured here and the solver's
 own tables of who sends what to whom; held against runs on the ranks this machine can start.
 
-A rank's step = work / rate of one core + patches kept for others to sum + packing both ways
-             + what of the exchange the interior does not hide + the reduction + Python.
+A rank's step = work / rate of one core + node blocks that ranks share + packing both ways
+             + what of the exchange the interior does not hide + the reduction + Python
+             + a sort's census and tables, by the steps from sort to sort.
 
 Efficiency compares with one rank that has as many particles on a busy machine (weak scaling). Work,
-patches, bytes and neighbours are those of a cube of full blocks, cut by the solver, of the worst of
-some ranks.
+node blocks, bytes and neighbours are those of a cube of full blocks, cut by the solver, of the
+worst of some ranks.
 """
 
 import tempfile
@@ -15,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ..domain import topology
+from ..domain import halo, topology
 from ..domain.balance import BLOCK, cuts, owners
 from ..domain.blocks import EDGE, Lattice
 from ..domain.census import Census
-from ..engines.cpu import filled_by_one
+from ..domain.ranks import Alone, Link
 from .inside import WORK
 from .rounds import Contestant, Worker
 from .scene import Case, lay_out
@@ -34,8 +35,8 @@ OVERLAPPED = 0.5  # share of a step's work during which messages may travel: P2G
 
 def tables(ranks: int, blocks: int) -> dict:
     """Of the worst of SAMPLE ranks of a cube of about ranks x blocks full blocks, one phase, single
-    precision: own blocks, those sent, patches kept, bytes sent, neighbours; and blocks in the mean
-    of all ranks."""
+    precision: own blocks, those at the border, node blocks that others add to, bytes sent,
+    neighbours; and blocks in the mean of all ranks."""
     side = max(1, round((ranks * blocks) ** (1 / 3)))
     at = np.stack(np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), -1).reshape(-1, 3) + 2
     lattice = Lattice((EDGE * (side + 4),) * 3, 1.0)
@@ -47,24 +48,30 @@ def tables(ranks: int, blocks: int) -> dict:
     census = Census(key, code, np.zeros(len(key), np.int64), ones * FILL, owner, np.ones(ranks))
     chosen = np.unique(np.linspace(0, ranks - 1, SAMPLE).round().astype(int))
     found = np.array([_of_rank(census, lattice, rank) for rank in chosen])
-    names = ("own", "sent", "kept", "bytes", "neighbours")
+    names = ("own", "border", "shared", "bytes", "neighbours")
     return dict(zip(names, found.max(0), strict=True)) | {"mean": len(key) / ranks}
 
 
+# one phase, nothing to touch: what the scene of the benchmark asks of the tables
+NEEDS = topology.Needs(np.zeros(1, np.int64), False, None, np.zeros(1, np.int64))
+
+
+class _Silent(Alone):
+    """Ranks that say nothing: to lay out messages."""
+
+    def link(self, sends, receives):
+        return Link()
+
+
 def _of_rank(census: Census, lattice: Lattice, rank: int) -> list[float]:
-    t = topology.build(census, lattice, rank, np.zeros(1, np.int64), False, None)
-    filler = np.where(t.own, 0, -1)
-    sent = np.zeros(len(filler), bool)
-    for _, patches, _, _ in t.sends:
-        sent[patches] = True
-    _, into = filled_by_one(t, filler)
-    kept = int(((into < 0).any(1) | sent[t.own]).sum())
-    size = sum(16 * int(np.prod(high - low, axis=1).sum()) for _, _, low, high in t.sends)
-    return [int(t.own.sum()), int(sent.sum()), kept, size, len(t.sends)]
+    t = topology.build(census, lattice, rank, NEEDS)
+    messages = halo.Halo(_Silent(), t, 1)
+    size = messages.bytes_sent
+    return [len(t.code), int(t.border.sum()), int(t.waits.sum()), size, len(messages.sends)]
 
 
 def constants(rows: dict[int, list], busy: list, empty_us: float) -> dict:
-    """Seconds per unit of work, kept patch and byte copied, from rows of one and of two ranks.
+    """Seconds per unit of work, shared node block and byte copied, from rows of one and of two ranks.
 
     busy: rows of two runs of one rank each at the same time. Cores share caches and memory, so a
     rank computes slower when the others do, which is no cost of the decomposition: `unit` is a
@@ -84,14 +91,14 @@ def constants(rows: dict[int, list], busy: list, empty_us: float) -> dict:
         "alone": alone,
         "unit": unit,
         "copied": copied,
-        "kept": max(0.0, rest / two[:, stages + 2].sum()),
+        "shared": max(0.0, rest / two[:, stages + 2].sum()),
         "python": 1e-6 * empty_us,
     }
 
 
-def predicted(c: dict, work: float, kept: float, size: float) -> float:
+def predicted(c: dict, work: float, shared: float, size: float) -> float:
     """Seconds a rank computes in a step."""
-    return c["unit"] * work + c["kept"] * kept + c["copied"] * 2 * size
+    return c["unit"] * work + c["shared"] * shared + c["copied"] * 2 * size
 
 
 def step(c: dict, ranks: int, particles: int, latency: float, bandwidth: float) -> float:
@@ -100,9 +107,9 @@ def step(c: dict, ranks: int, particles: int, latency: float, bandwidth: float) 
     blocks = max(1, round(particles / FILL))
     t = tables(ranks, blocks)
     work = particles * (1.0 + BLOCK / FILL) * t["own"] / t["mean"]
-    computes = predicted(c, work, t["kept"], t["bytes"])
+    computes = predicted(c, work, t["shared"], t["bytes"])
     travels = t["neighbours"] * latency + t["bytes"] / bandwidth
-    hidden = OVERLAPPED * c["unit"] * work * (1.0 - t["sent"] / t["own"])
+    hidden = OVERLAPPED * c["unit"] * work * (1.0 - t["border"] / t["own"])
     reduction = 2.0 * np.log2(ranks) * latency if ranks > 1 else 0.0
     return computes + max(0.0, travels - hidden) + reduction + c["python"]
 
@@ -137,7 +144,7 @@ def text(rows: dict[int, list], c: dict, latency: float, bandwidth: float, cores
     lines = [
         f"measured: {1e9 * c['alone']:.1f} ns per particle (a block counts as {BLOCK:.0f} more),"
         f" {1e9 * c['unit']:.1f} ns while the other core computes too,"
-        f" {1e6 * c['kept']:.2f} us per patch kept, {1e9 * c['copied']:.3f} ns per byte packed or"
+        f" {1e6 * c['shared']:.2f} us per node block shared, {1e9 * c['copied']:.3f} ns per byte packed or"
         f" unpacked, {1e6 * c['python']:.0f} us of Python",
         "real runs: processor time that a rank computes in a step (waiting not counted)",
         "   ranks  particles each   measured [us]: mean   largest   predicted: mean   largest"

@@ -92,7 +92,7 @@ class Column:
         pull = speed * wave / height
         v = speed * np.random.default_rng(3).uniform(-1, 1, made.x.shape)
         simulation = self._begin(v)
-        simulation.engine.gravity[:] = (0.0, 0.0, -pull)
+        simulation.gravity[:] = (0.0, 0.0, -pull)
         limit = GROWTH * float((self.mass * (0.5 * (v**2).sum(1) + speed**2)).sum())
         try:
             for step in range(STEPS):

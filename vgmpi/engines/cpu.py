@@ -196,12 +196,10 @@ class Cpu:
             group = part.group
             rows = part.shares.of(border)[thread]
             for given in part.given:
-                here = rows[given.chosen[rows]]
-                if len(here):
-                    p2g.fill(
-                        given.kind, group.plan.law, here, part.segments, _particles(group),
-                        self.layers[given.layer].sums, self.scratch[thread], dt,
-                    )  # fmt: skip
+                self.call(
+                    p2g.fill, rows[given.chosen[rows]], given.kind, group.plan.law, part.segments,
+                    _particles(group), self.layers[given.layer].sums, self.scratch[thread], dt,
+                )  # fmt: skip
 
     def pack(self, part: Part) -> None:
         """Put this rank's sums into a part of a message."""
@@ -220,23 +218,21 @@ class Cpu:
 
     def _update(self, thread: int, border: bool) -> None:
         blocks = self.block_shares.of(border)[thread]
-        if not len(blocks):
-            return
         layers, apart = self.layers, None
         if self.apart:
             drift = self.drift if self.plan.drifts else self.flux
             apart = grid.Apart(
                 layers["impulses"].tables, self.flux, drift, self.apart_room[thread], self.pairs
             )
-        grid.update(
-            blocks, self.blocks, layers["momentum"].tables, layers["offsets"].tables, apart,
-            self.plan.rules, self.walls, self.phases, self.solids, self.room[thread], self.step,
-            self.beyond[thread],
+        self.call(
+            grid.update, blocks, self.blocks, layers["momentum"].tables, layers["offsets"].tables,
+            apart, self.plan.rules, self.walls, self.phases, self.solids, self.room[thread],
+            self.step, self.beyond[thread],
         )  # fmt: skip
         for k, layer in enumerate(self._hues()):
-            colour.blend(
-                blocks, self.blocks, layer.tables, self.plan.colours.set_of, self.beyond[thread],
-                3 + k,
+            self.call(
+                colour.blend, blocks, self.blocks, layer.tables, self.plan.colours.set_of,
+                self.beyond[thread], 3 + k,
             )  # fmt: skip
 
     def _hues(self) -> list[Layer]:
@@ -261,20 +257,20 @@ class Cpu:
         for part, report in zip(self.parts, self.reports, strict=True):
             group, plan = part.group, part.group.plan
             rows = part.shares.all[thread]
-            if not len(rows):
-                continue
             particles = _particles(group)
             first = plan.channels.first("colour")
             for k in range(plan.coefficients):
                 nodes = self.layers[hue(k)].nodes
-                colour.take(rows, first + 3 * k, part.segments, particles, nodes, scratch)
-            g2p.g2p(
-                plan.law, rows, part.segments, particles, self.layers["momentum"].nodes,
+                self.call(
+                    colour.take, rows, first + 3 * k, part.segments, particles, nodes, scratch
+                )
+            self.call(
+                g2p.g2p, rows, plan.law, part.segments, particles, self.layers["momentum"].nodes,
                 self._beside(plan), scratch, part.numbers, motion, report[thread],
             )  # fmt: skip
             if plan.followed:
                 at = plan.channels.first("F")
-                gradient.follow(rows, group.start, group.count, group.f, at, motion.dt)
+                self.call(gradient.follow, rows, group.start, group.count, group.f, at, motion.dt)
 
     def _beside(self, plan: GroupPlan) -> tuple:
         """What a group's particles gather besides the velocity."""
@@ -300,6 +296,12 @@ class Cpu:
                 found.append(Beyond(at, int(self.tables.phase[nb]), name))
         self.beyond[:] = 0
         return found
+
+    @staticmethod
+    def call(kernel, rows: np.ndarray, *arguments) -> None:
+        """kernel(rows, *arguments) where there are rows."""
+        if len(rows):
+            kernel(rows, *arguments)
 
     def each(self, work, *arguments) -> None:
         """work(thread, *arguments) on every thread."""

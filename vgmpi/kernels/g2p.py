@@ -55,7 +55,7 @@ class Cloud(NamedTuple):
 
 
 @kernel
-def g2p(law, rows, segments, particles, velocity, beside, scratch, numbers, motion, report):
+def g2p(rows, law, segments, particles, velocity, beside, scratch, numbers, motion, report):
     """Velocity and its gradient from the grid to each particle; moves it and advances its state.
 
     rows: (n,) segments to do; velocity: (node blocks, 256) [m/s]; beside: a kind of beside.py;

@@ -24,11 +24,12 @@ from .walls import SIDE, fold
 
 
 @kernel
-def fill(kind, law, rows, segments, particles, sums, scratch, dt):
+def fill(rows, kind, law, segments, particles, sums, scratch, dt):
     """What particles contribute to a layer: of each segment into its patch, and that to the sums.
 
-    kind: the layer's (layers.base); law: the group's; rows: (n,) the segments to do; segments,
-    particles: see there; sums: (rows, words, 256); scratch: the calling thread's; dt [s].
+    rows: (n,) the segments to do; kind: the layer's (layers.base); law: the group's; segments,
+    particles: see kernels/tables.py; sums: (rows, words, 256); scratch: the calling thread's; dt
+    [s].
     """
     cap = particles.f.shape[1]
     f, xi = particles.f.reshape(particles.f.size), particles.xi.reshape(particles.xi.size)

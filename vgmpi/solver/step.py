@@ -78,6 +78,7 @@ class Simulation:
         self.engine: Engine = ENGINES[engine](plan, self.lattice, self.solids, threads)
         self.groups: list[Group] = self.engine.groups
         self.loads = Pushes(loads, plan.real) if loads else None
+        self.gravity = np.array(plan.gravity)
         self.needs = _needs(plan)
         self.tables: topology.Topology | None = None
         self.cut: np.ndarray | None = None
@@ -191,9 +192,9 @@ class Simulation:
         engine, halo = self.engine, self.halo
         if self.loads is not None:
             self.loads.push(self.groups, self.time, dt)
-        gravity = np.array(self.plan.gravity)
+        gravity = self.gravity
         if self.plan.gravity_ramp:
-            gravity *= self.plan.gravity_share(self.time, self.time + dt)
+            gravity = gravity * self.plan.gravity_share(self.time, self.time + dt)
         # x, v, C, state at n -> mass and momentum (with the stress at n over dt)
         engine.begin(dt, gravity)
         engine.fill(border=True)
