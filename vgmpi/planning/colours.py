@@ -45,8 +45,8 @@ def exchange(
     for number, members in enumerate(sets.values()):
         # the higher degrees of a body that turns are told in axes that turn with it
         turns = any(phases[k].family == "solid" for k in members)
-        found = [shades[m] for k in members for m in phases[k].objects]
-        found = np.array([one for one in found if not np.isnan(one).any()])
+        every = [shades[m] for k in members for m in phases[k].objects]
+        found = np.array([one for one in every if not np.isnan(one).any()])
         found = found[:, :, : 1 if turns else most]
         if not len(found) or (found == found[0, 0]).all():
             continue
