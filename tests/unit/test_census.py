@@ -102,10 +102,10 @@ def test_tables_are_those_of_the_whole(ranks, apart):
     random = np.random.default_rng(ranks)
     rows, holder = drawn(random, ranks, (0.15, 0.004))
     costs = np.ones(2)
-    if apart:
+    if apart is not None:
         pair = ~np.eye(2, dtype=bool)
-        apart = topology.Apart(False, pair, pair, np.ones(2, bool))
-    needs = topology.Needs(np.array([0, 1]), True, apart, np.zeros(2, np.int64))
+        apart = topology.Near(pair, pair, np.ones(2, bool))
+    needs = topology.Needs(np.array([0, 1]), True, apart or False, np.zeros(2, np.int64))
     whole, _ = census.census(rows, LATTICE, Alone(), costs, None, 0)
 
     def job(ranks):

@@ -190,7 +190,7 @@ def random_census(seed, ranks, scattered, lattice=LATTICE, filled=(0.3, 0.3)):
     return table._replace(owner=owner)
 
 
-NEEDS = topology.Needs(np.array([0, 1]), True, None, np.zeros(2, np.int64))
+NEEDS = topology.Needs(np.array([0, 1]), True, False, np.zeros(2, np.int64))
 
 
 def nodes_of(block):

@@ -53,7 +53,7 @@ def tables(ranks: int, blocks: int) -> dict:
 
 
 # one phase, nothing to touch: what the scene of the benchmark asks of the tables
-NEEDS = topology.Needs(np.zeros(1, np.int64), False, None, np.zeros(1, np.int64))
+NEEDS = topology.Needs(np.zeros(1, np.int64), False, False, np.zeros(1, np.int64))
 
 
 class _Silent(Alone):
@@ -71,7 +71,7 @@ def _of_rank(census: Census, lattice: Lattice, rank: int) -> list[float]:
 
 
 def constants(rows: dict[int, list], busy: list, empty_us: float) -> dict:
-    """Seconds per unit of work, shared node block and byte copied, from rows of one and of two ranks.
+    """Seconds per unit of work, shared node block and byte copied, by rows of one and two ranks.
 
     busy: rows of two runs of one rank each at the same time. Cores share caches and memory, so a
     rank computes slower when the others do, which is no cost of the decomposition: `unit` is a
@@ -144,8 +144,8 @@ def text(rows: dict[int, list], c: dict, latency: float, bandwidth: float, cores
     lines = [
         f"measured: {1e9 * c['alone']:.1f} ns per particle (a block counts as {BLOCK:.0f} more),"
         f" {1e9 * c['unit']:.1f} ns while the other core computes too,"
-        f" {1e6 * c['shared']:.2f} us per node block shared, {1e9 * c['copied']:.3f} ns per byte packed or"
-        f" unpacked, {1e6 * c['python']:.0f} us of Python",
+        f" {1e6 * c['shared']:.2f} us per node block shared, {1e9 * c['copied']:.3f} ns per byte"
+        f" packed or unpacked, {1e6 * c['python']:.0f} us of Python",
         "real runs: processor time that a rank computes in a step (waiting not counted)",
         "   ranks  particles each   measured [us]: mean   largest   predicted: mean   largest"
         "   kB sent   neighbours",

@@ -14,8 +14,11 @@ from ..device.jit import kernel
 
 EDGE = 4  # nodes of a block along an axis
 MIDDLE = 1.5  # of block 0, in cells from the wall
-BITS = {np.dtype(np.float32): 29, np.dtype(np.float64): 52}
-INTEGER = {np.dtype(np.float32): np.dtype(np.int32), np.dtype(np.float64): np.dtype(np.int64)}
+BITS: dict[np.dtype, int] = {np.dtype(np.float32): 29, np.dtype(np.float64): 52}
+INTEGER: dict[np.dtype, np.dtype] = {
+    np.dtype(np.float32): np.dtype(np.int32),
+    np.dtype(np.float64): np.dtype(np.int64),
+}
 
 
 class Lattice(NamedTuple):
@@ -27,7 +30,8 @@ class Lattice(NamedTuple):
     @property
     def shape(self) -> tuple[int, int, int]:
         """Blocks along each axis; base nodes run from -1 to cells - 1."""
-        return tuple(n // EDGE + 1 for n in self.cells)
+        x, y, z = self.cells
+        return x // EDGE + 1, y // EDGE + 1, z // EDGE + 1
 
     @property
     def levels(self) -> int:

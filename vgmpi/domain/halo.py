@@ -41,7 +41,8 @@ class Halo:
     def __init__(self, ranks: Alone, tables: Topology, words: int):
         """words: doubles per sum."""
         self.rank = ranks.rank
-        self.sends, self.receives = [], []
+        self.sends: list[_Message] = []
+        self.receives: list[_Message] = []
         for rank, shared in tables.shared.items():
             for messages, kind in ((self.sends, "send"), (self.receives, "receive")):
                 message = _Message(rank, shared, kind, tables, words)

@@ -44,7 +44,7 @@ class Solids:
 
     def __call__(self, block: np.ndarray) -> np.ndarray:
         b = block - self._low
-        inside = ((b >= 0) & (b < self._shape)).all(1)
+        inside = np.all((b >= 0) & (b < self._shape), axis=1)
         b = np.where(inside[:, None], b, 0)
         flat = (b[:, 0] * self._shape[1] + b[:, 1]) * self._shape[2] + b[:, 2]
         return np.where(inside, self._row[flat], -1)

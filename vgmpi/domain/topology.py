@@ -48,13 +48,12 @@ class Topology(NamedTuple):
     shared: dict[int, dict[str, Shared]]  # by rank, by layer
 
 
-class Apart(NamedTuple):
-    """Which segments keep the stress's impulses apart from momentum."""
+class Near(NamedTuple):
+    """Fluids keep the stress's impulses apart from momentum near what they share space with."""
 
-    everywhere: bool  # all of them
-    shares: np.ndarray | None  # (n, n) bool, of phases: or fluids near one they share space with
-    contact: np.ndarray | None  # (n, n) bool: whether a pair asks for volumes and offsets
-    fluid: np.ndarray | None  # (n,) bool
+    shares: np.ndarray  # (phases, phases) bool: which do
+    contact: np.ndarray  # (phases, phases) bool: whether a pair asks for volumes and offsets
+    fluid: np.ndarray  # (phases,) bool
 
 
 class Needs(NamedTuple):
@@ -62,14 +61,14 @@ class Needs(NamedTuple):
 
     phase_of: np.ndarray  # (groups,)
     contact: bool  # phases may touch at all
-    apart: Apart | None  # where the stress's impulses are kept apart
+    apart: bool | Near  # where the stress's impulses are kept apart from momentum: True: everywhere
     hues: np.ndarray  # (groups,) coefficients of colour that travel with every step
 
     @property
     def layers(self) -> list[str]:
         """Names of all layers, in the order in which they are summed."""
         hues = [hue(k) for k in range(int(self.hues.max(initial=0)))]
-        return ["momentum", "offsets", *["impulses"] * (self.apart is not None), *hues]
+        return ["momentum", "offsets", *["impulses"] * bool(self.apart), *hues]
 
 
 def hue(coefficient: int) -> str:
@@ -117,7 +116,7 @@ class _Box:
         return grid.reshape(-1)
 
 
-class _Near(NamedTuple):
+class _Segments(NamedTuple):
     """Segments of this rank and those of others a block away."""
 
     box: _Box
@@ -146,7 +145,7 @@ def build(census: Census, lattice: Lattice, rank: int, needs: Needs, solid=None)
     around = box.spread(is_own, np.logical_or)
     here = around[at]
     row = rows[here]
-    near = _Near(
+    near = _Segments(
         box, at[here], block[row], census.code[row], census.group[row], phase[here],
         census.owner[row], mine[row],
     )  # fmt: skip
@@ -154,7 +153,7 @@ def build(census: Census, lattice: Lattice, rank: int, needs: Needs, solid=None)
                    solid)  # fmt: skip
 
 
-def _tables(near: _Near, takes: dict, around, rank: int, needs: Needs, solid) -> Topology:
+def _tables(near: _Segments, takes: dict, around, rank: int, needs: Needs, solid) -> Topology:
     box, own = near.box, near.own
     phases = int(needs.phase_of.max()) + 1
     nodes, table = number(near.at, near.phase, around, box.steps, phases)
@@ -192,7 +191,7 @@ def _touched(table: np.ndarray, count: int) -> np.ndarray:
     return found[:count]
 
 
-def _shared(near: _Near, takes: dict, table, rank: int, count: int):
+def _shared(near: _Segments, takes: dict, table, rank: int, count: int):
     """The nodes that this rank and each other share, layer by layer; the segments that reach some;
     the node blocks (count,) to which others add."""
     border, waits = np.zeros(len(near.at), bool), np.zeros(count, bool)
@@ -224,14 +223,13 @@ def _who_contributes(box, at, phase, group, needs: Needs, solid) -> dict[str, np
     every = np.ones(len(at), bool)
     takes = {name: every for name in needs.layers}
     wanted = _wants_offset(box, at, phase, needs.contact, solid)[at]
-    if needs.apart is not None:
-        apart, split = needs.apart, np.full(len(at), needs.apart.everywhere)
-        if apart.shares is not None:
-            close = _close(box, at, phase, int(needs.phase_of.max()) + 1)[:, at]
-            split = (apart.shares[phase].T & close).any(0) & apart.fluid[phase]
-            beside = np.zeros(len(at), bool) if solid is None else _by_solid(box, solid)[at]
-            wanted &= (apart.contact[phase].T & close).any(0) | beside
-        takes["impulses"] = split
+    if needs.apart is True:
+        takes["impulses"] = every
+    elif needs.apart:
+        apart, close = needs.apart, _close(box, at, phase, int(needs.phase_of.max()) + 1)[:, at]
+        takes["impulses"] = (apart.shares[phase].T & close).any(0) & apart.fluid[phase]
+        beside = np.zeros(len(at), bool) if solid is None else _by_solid(box, solid)[at]
+        wanted &= (apart.contact[phase].T & close).any(0) | beside
     takes["offsets"] = wanted
     for k in range(int(needs.hues.max(initial=0))):
         takes[hue(k)] = needs.hues[group] > k

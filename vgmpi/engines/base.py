@@ -11,9 +11,12 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from ..domain.blocks import Lattice
 from ..domain.halo import Part
+from ..domain.solids import Solids
 from ..domain.state import Group
 from ..domain.topology import Topology
+from ..planning.plan import Plan
 
 # generators of a sequence that fills the unit cube evenly (Roberts 2018): the dither of a step, the
 # same on every rank
@@ -23,7 +26,7 @@ DITHER = np.array([0.8191725133961645, 0.6710436067037893, 0.5497004779019703])
 class Beyond(NamedTuple):
     """A node block of which a sum left its range; the lowest counts."""
 
-    block: tuple[int, int, int]
+    block: tuple[int, ...]  # its three coordinates
     phase: int
     layer: str
 
@@ -42,6 +45,8 @@ class Engine(Protocol):
 
     groups: list[Group]
     words: int  # doubles per sum, of which messages are made
+
+    def __init__(self, plan: Plan, lattice: Lattice, solids: Solids | None, threads: int): ...
 
     def adopt(self, tables: Topology, kept: bool) -> None:
         """Lay out what the tables ask for, after a sort; kept: they are those of before."""

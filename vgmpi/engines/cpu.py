@@ -94,6 +94,7 @@ class Cpu:
         self.apart = any(group.apart for group in plan.groups)
         self.layers = {layer.name: layer for layer in _layers(plan, self.apart)}
         self.words = sums.words(plan.real)
+        self.sets = np.zeros(0, np.int64) if plan.colours is None else plan.colours.set_of
         # what particles gather besides: only for FLIP and where phases share space
         self.flux = aligned((0, sums.BLOCK), plan.real)
         self.drift = self.flux
@@ -106,6 +107,7 @@ class Cpu:
             for _ in range(threads if self.apart else 0)
         ]
         self.pairs = members.tables(plan.rules) if plan.rules is not None else ()
+        self.parts: list[Share] = []
         self.reports = np.zeros((len(plan.groups), threads, 4))
         self.beyond = np.zeros((threads, len(self.layers) + 3), np.int64)
 
@@ -231,8 +233,8 @@ class Cpu:
         )  # fmt: skip
         for k, layer in enumerate(self._hues()):
             self.call(
-                colour.blend, blocks, self.blocks, layer.tables, self.plan.colours.set_of,
-                self.beyond[thread], 3 + k,
+                colour.blend, blocks, self.blocks, layer.tables, self.sets, self.beyond[thread],
+                3 + k,
             )  # fmt: skip
 
     def _hues(self) -> list[Layer]:

@@ -43,9 +43,9 @@ def copies(
     done = []
     for here, share in zip(rows, shares, strict=True):
         for stage, split in enumerate((share.border, share.inner)):
-            for thread, mine in enumerate(split):
-                used[stage, thread][tables.table[here[mine]].ravel()] = True
-                done.append((stage, thread, here[mine]))
+            for k, mine in enumerate(split):
+                used[stage, k][tables.table[here[mine]].ravel()] = True
+                done.append((stage, k, here[mine]))
     many = used.sum(1) > 1  # (2, node blocks)
     needs = (used & many[:, None]).any(0)  # (threads, node blocks)
     needs[0] = False
@@ -53,8 +53,8 @@ def copies(
     block, thread = np.nonzero(needs.T)
     row = np.full((threads, count), -1)
     row[thread, block] = count + np.arange(len(block))
-    for stage, thread, mine in done:
-        if thread > 0:
+    for stage, k, mine in done:
+        if k > 0:
             here = tables.table[mine]
-            into[mine] = np.where(many[stage][here], row[thread][here], here)
+            into[mine] = np.where(many[stage][here], row[k][here], here)
     return into, first, count + np.arange(len(block))

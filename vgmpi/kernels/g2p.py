@@ -108,10 +108,7 @@ def _move(
     for n in range(0, count, 16):
         p = at + n
         left = count - n
-        v0, v1, v2, fill, c0, c3, c6, _, c1, c4, c7, _, c2, c5, c8, _ = load_records(
-            records, 16 * n
-        )
-        L = (k * c0, k * c1, k * c2, k * c3, k * c4, k * c5, k * c6, k * c7, k * c8)
+        v0, v1, v2, fill, L = _gathered(records, 16 * n, k)
         keep(beside, f, p, cap, extra, n, (v0, v1, v2))
         _take_gradient(f, p, cap, L)
         v0, v1, v2 = moving(beside, split, extra, n, (v0, v1, v2))
@@ -142,6 +139,16 @@ def _move(
     rate = max(rate, largest(quick) / (FARTHEST * dx), largest(stretching) / STRETCH)
     report[0] = max(report[0], rate)
     report[1] = max(report[1], largest(far))
+
+
+@inline
+def _gathered(records, at, k):
+    """Of 16 records: velocity, the fourth number, the velocity's gradient."""
+    r = load_records(records, at)
+    x, y, z = (k * r[4], k * r[5], k * r[6]), (k * r[8], k * r[9], k * r[10]), (
+        k * r[12], k * r[13], k * r[14]
+    )  # fmt: skip
+    return r[0], r[1], r[2], r[3], (x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2])
 
 
 @inline

@@ -77,11 +77,11 @@ def tables(rules: Rules) -> Tables:
 @inline
 def places(room, tables):
     """Both by the places of their arrays (lanes.place), which is what rows are handed on with."""
-    block, wet, group, grains, pores, drag, printed, M, V, U, K, S, R = room
-    t = tables
+    r, t = room, tables
     return Room(
-        place(block), place(wet), place(group), place(grains), place(pores), place(drag),
-        place(printed), place(M), place(V), place(U), place(K), place(S), place(R),
+        place(r.block), place(r.wet), place(r.group), place(r.grains), place(r.pores),
+        place(r.drag), place(r.printed), place(r.M), place(r.V), place(r.U), place(r.K),
+        place(r.S), place(r.R),
     ), Tables(
         t.phases, t.sets, t.mixes, t.drags, t.drifts,
         place(t.together), place(t.fluid), place(t.mix),

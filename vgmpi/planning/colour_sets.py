@@ -36,7 +36,7 @@ def colour_sets(scene: Scene) -> list[int | None]:
     of: dict[str, set[int]] = {}
     for thing, name in zip(scene.object, phase_of, strict=True):
         if name is not None:
-            of.setdefault(thing.material, set()).add(number[name])
+            of.setdefault(str(thing.material), set()).add(number[name])
     pairs = [(k, k) for k in range(len(names))]  # each with itself
     for coupling in scene.coupling:
         if coupling.rule == MIXING:
@@ -71,8 +71,8 @@ def exchange(scene: Scene, phases, shades: np.ndarray | None) -> Exchange | None
     for number, members in enumerate(sets.values()):
         # the higher degrees of a body that turns are told in axes that turn with it
         turns = any(phases[k].family == "solid" for k in members)
-        found = [shades[m] for k in members for m in phases[k].objects]
-        found = np.array([one for one in found if not np.isnan(one).any()])
+        every = [shades[m] for k in members for m in phases[k].objects]
+        found = np.array([one for one in every if not np.isnan(one).any()])
         found = found[:, :, : 1 if turns else most]
         if not len(found) or (found == found[0, 0]).all():
             continue

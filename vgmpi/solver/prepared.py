@@ -53,7 +53,7 @@ def prepare(scene: Scene, ranks: Alone, folder: Path | None) -> Known:
     if said is not None:
         raise said
     known = ranks.bcast(known)
-    if folder is None and ranks.rank == 0:
+    if folder is None and rows is not None:  # rank 0's
         known.rows = rows[1]
     if folder is not None and ranks.bcast(rows is not None):
         scenery, rows, passive = rows or (None, None, None)

@@ -31,7 +31,9 @@ class Probes:
         self.scene, self.simulation = scene, simulation
         self.rows: dict[str, list[dict]] = {probe.name: [] for probe in scene.probe}
         self.files: dict[str, Rows] = {}
-        for probe in scene.probe if folder is not None else ():
+        if folder is None:
+            return
+        for probe in scene.probe:
             path = folder / layout.PROBE_NAME.format(probe.name)
             columns = layout.PROBE_COLUMNS[probe.kind]
             self.files[probe.name] = Rows(path, columns, simulation.ranks, last_step)
@@ -57,6 +59,7 @@ class Probes:
             self.files[probe.name].append(self.rows[probe.name][-1:])
 
     def pressure(self, probe: Probe) -> dict:
+        assert probe.pressure is not None  # the kind says so, here and below
         weight, total = 0.0, 0.0
         for g, near in self._near(probe.pressure, fluids=True):
             law, state = self.simulation.plan.groups[g].law, tuple(near.state.T)
@@ -68,6 +71,7 @@ class Probes:
         return {"pressure": total / weight if weight else np.nan}
 
     def velocity(self, probe: Probe) -> dict:
+        assert probe.velocity is not None
         mass, momentum = 0.0, np.zeros(3)
         for g, near in self._near(probe.velocity, fluids=False):
             m = near.weight * near.volume * self.simulation.plan.groups[g].density
@@ -79,6 +83,7 @@ class Probes:
         """Particles are cubes of one cell, so that layers fill smoothly; what would stick out of
         the box is folded back into it.
         """
+        assert probe.level is not None
         plan = self.simulation.plan
         filled = np.zeros(plan.cells[2] + 2)  # a layer below the floor and one above the roof
         for g, near in self._near((*probe.level, None), fluids=True):
@@ -105,6 +110,7 @@ class Probes:
         return found
 
     def object(self, probe: Probe) -> dict:
+        assert probe.object is not None
         plan = self.simulation.plan
         k = [thing.name for thing in self.scene.object].index(probe.object)
         group = self.simulation.groups[plan.group_of[k]]
@@ -129,8 +135,8 @@ class Probes:
     def wall(self, probe: Probe) -> dict:
         plan, mass, momentum = self.simulation.plan, 0.0, np.zeros(3)
         for group in self.simulation.groups:
-            rows = about(self.simulation, group, 0, plan.particles)
-            rows = self.simulation.ranks.root_rows(rows)
+            mine = about(self.simulation, group, 0, plan.particles)
+            rows = self.simulation.ranks.root_rows(mine)
             if rows is not None and len(rows):
                 total = rows.sum(0)
                 mass, momentum = mass + float(total[0]), momentum + total[1:4]

@@ -120,13 +120,14 @@ def profile(run: Runner, clock: Clock) -> str:
     """
     simulation, ranks = run.simulation, run.ranks
     steps = max(1, simulation.step - run.first_step)
+    neighbours = len(simulation.halo.sends) if simulation.halo is not None else 0
     mine = [
         ranks.rank, sum(len(group) for group in simulation.groups),
         simulation.load[ranks.rank] / simulation.load.mean(), *clock.spent.values(),
-        len(simulation.halo.sends), simulation.sent / steps, simulation.moved, clock.startup,
+        neighbours, simulation.sent / steps, simulation.moved, clock.startup,
     ]  # fmt: skip
     rows = ranks.root_rows(np.array([mine], np.float64))
-    if ranks.rank != 0:
+    if rows is None or run.options.folder is None:
         return ""
     path = run.options.folder / "profile.csv"
     with open(path, "w", newline="") as f:

@@ -1,5 +1,7 @@
 """One step of the coupled multiphase point method, and the state it advances."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..couplings.base import CONTACT, MIXING
@@ -26,7 +28,7 @@ REASONS = {
     g2p.TOO_FAST: "it would move more than a cell in one step",
     g2p.LOST: "its velocity or stress is not a number",
 }
-ENGINES = {"cpu": Cpu, "numpy": Numpy}
+ENGINES: dict[str, type[Engine]] = {"cpu": Cpu, "numpy": Numpy}
 SUMMED = {"momentum": "mass or momentum", "offsets": "volume", "impulses": "impulse"}
 
 
@@ -42,16 +44,16 @@ def _needs(plan: Plan) -> topology.Needs:
     return topology.Needs(phase_of, plan.contact, _apart(plan), hues)
 
 
-def _apart(plan: Plan) -> topology.Apart | None:
+def _apart(plan: Plan) -> bool | topology.Near:
     """Where the stress's impulses are kept apart: for FLIP, and where phases share space."""
     rules = plan.rules
     if rules is None:
-        return topology.Apart(True, None, None, None) if plan.flip else None
+        return bool(plan.flip)
     same = rules.together[:, None] == rules.together[None, :]
     shares = same & (rules.together >= 0)[:, None] & ~np.eye(len(same), dtype=bool)
     asks = (rules.pair == CONTACT) & ~np.eye(len(same), dtype=bool)
     asks |= (rules.pair == MIXING) & rules.drifting[:, None]
-    return topology.Apart(False, shares, asks, rules.fluid)
+    return topology.Near(shares, asks, rules.fluid)
 
 
 class Simulation:
@@ -66,9 +68,9 @@ class Simulation:
         self,
         plan: Plan,
         ranks: Alone,
-        colliders: list = (),
+        colliders: Sequence = (),
         threads: int = 1,
-        loads: list = (),
+        loads: Sequence = (),
         engine: str = "cpu",
     ):
         self.plan = plan
@@ -77,12 +79,13 @@ class Simulation:
         self.solids = Solids(list(colliders), self.lattice, plan.real) if colliders else None
         self.engine: Engine = ENGINES[engine](plan, self.lattice, self.solids, threads)
         self.groups: list[Group] = self.engine.groups
-        self.loads = Pushes(loads, plan.real) if loads else None
+        self.loads = Pushes(list(loads), plan.real) if loads else None
         self.gravity = np.array(plan.gravity)
         self.needs = _needs(plan)
-        self.tables: topology.Topology | None = None
+        self.tables: topology.Topology
+        self.census: Census
         self.cut: np.ndarray | None = None
-        self.halo: Halo | None = None
+        self.halo: Halo
         self.time = 0.0
         self.step = 0
         self.rate = 0.0
@@ -123,7 +126,7 @@ class Simulation:
                 f[channels["C"].rows] = C[here].T
             f[channels["vol0"].rows] = volume[here]
             count = group.plan.coefficients
-            if count and sh is not None:
+            if count and sh is not None and self.plan.colours is not None:
                 shown = sh[here, :count] - self.plan.colours.least[group.plan.phase, :count]
                 f[channels["colour"].rows] = shown.reshape(len(shown), 3 * count).T
             states = [group.plan.rest]
@@ -159,7 +162,8 @@ class Simulation:
     def adopt(self, census: Census) -> None:
         """Lay out tables and buffers for the census, whose segments the groups already hold. Where
         no segment came or went and none changed its owner, those of before serve again."""
-        kept = self.tables is not None and _same_blocks(self.census, census)
+        first = not hasattr(self, "census")
+        kept = not first and _same_blocks(self.census, census)
         self.census = census
         if not kept:
             self.tables = topology.build(
@@ -169,7 +173,7 @@ class Simulation:
         if self.loads is not None:
             self.loads.find(self.groups)
         if not kept:
-            if self.halo is not None:
+            if not first:
                 self.halo.link.close()
             self.halo = Halo(self.ranks, self.tables, self.engine.words)
 

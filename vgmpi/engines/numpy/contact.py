@@ -29,7 +29,7 @@ class Contact:
     """collider: outward normal and distance [m] at all nodes, (n, 4), or None."""
 
     def __init__(self, plan: Plan, dense: Dense, collider: np.ndarray | None):
-        self.plan, self.dx, self.collider = plan, plan.dx, None
+        self.plan, self.dx, self.collider = plan, plan.dx, np.zeros((0, 4))
         self.near = np.zeros(dense.shape, bool)  # to a collider
         if collider is not None:
             self.collider = collider.reshape(*dense.shape, 4)

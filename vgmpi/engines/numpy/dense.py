@@ -79,7 +79,7 @@ class Dense:
     def gather_slopes(self, field: np.ndarray, stencil: Stencil, moments=None) -> np.ndarray:
         """The gradient of a field: (n, k, 3). moments: by moments, as APIC has it, whatever the
         strains are found by."""
-        total = 0.0
+        total = np.zeros((len(stencil.base), field.shape[-1], 3))
         for index, w, r, slope in stencil:
             by = slope if self.splines and not moments else 4.0 / self.dx**2 * w[:, None] * r
             total = total + np.einsum("nk,nb->nkb", field[index], by)

@@ -211,7 +211,7 @@ class Numpy:
             share, full = (dense.gather(field, stencil)[:, 0] for field in even)
             share = np.where(split, np.clip(share, LEAST_PORES, 1.0), 1.0)
             self._put(group, "share", share[:, None])
-            rate = rate / share - RELAX * np.maximum(full - 1.0, 0.0) * self.plan.rules.drags
+            rate = rate / share - RELAX * np.maximum(full - 1.0, 0.0)
         more = np.where(split, (rate - np.trace(L, axis1=1, axis2=2)) / 3.0, 0.0)
         return L + more[:, None, None] * np.eye(3)
 
@@ -263,7 +263,8 @@ class Numpy:
 
     @staticmethod
     def _law(group: Group) -> tuple:
-        return type(group.plan.law)(*(float(c) for c in group.plan.law))
+        law = group.plan.law
+        return law.__class__(*[float(c) for c in law])
 
     @staticmethod
     def _stress(group: Group, law, state, C) -> np.ndarray:
