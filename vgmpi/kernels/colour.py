@@ -17,9 +17,9 @@ from ..lanes.lanes import load, place, store
 from ..lanes.nodes import fourth_of
 from ..lanes.rows import load_records, spread, store_records
 from .g2p import rest, values
-from .p2g import scatter
 from .patches import clear, gather, pull, push
 from .records import BATCH, PATCH, parts, present, reach, weigh
+from .rowsums import scatter
 
 
 class Layer:

@@ -13,102 +13,19 @@ from ..lanes.rows import (
     load_records,
     move,
     only,
-    slope_change,
-    slope_middle,
     sound,
     spread,
-    steps,
-    store_sum,
-    stretch,
 )
 from .couple import LEAST_PORES
 from .patches import gather
-from .records import AFFINE, BATCH, PATCH, PLANE, ROOM, ROW, STATE, parts, touched, weigh
+from .records import AFFINE, BATCH, PATCH, ROOM, STATE, parts, touched, weigh
+from .rowsums import gather as gather_rows
+from .rowsums import gather_slopes, values
 from .walls import SIDE, reflect
 
 REACH = 3  # cells from the block's middle within which a particle's base node lies in its patch
 CRUSHED, OUTSIDE, TOO_FAST, LOST = 1, 2, 3, 4  # what can go wrong with a particle
 FASTEST_WAVE = 1e15  # [m/s], squared below the largest single
-
-
-@inline
-def _gather(count, records, weights, base, patch):
-    """Records of velocity 0-2 and of its moments with the offset along x 4-6, y 8-10, z 12-14."""
-    k = steps(patch)
-    for n in range(count):
-        m = 16 * n
-        o = np.int64(base[n])
-        w0, w1, w2 = weights[m + 4], weights[m + 5], weights[m + 6]
-        last = w2 * load(patch, o + 2 * ROW)
-        y = w1 * load(patch, o + ROW) + last
-        t = w0 * load(patch, o) + y
-        y = y + last
-        u = weights[m]
-        total, total_y = u * t, u * y
-        o += PLANE
-        last = w2 * load(patch, o + 2 * ROW)
-        y = w1 * load(patch, o + ROW) + last
-        t = w0 * load(patch, o) + y
-        y = y + last
-        u = weights[m + 1]
-        total_x = u * t
-        total, total_y = total + total_x, total_y + u * y
-        o += PLANE
-        last = w2 * load(patch, o + 2 * ROW)
-        y = w1 * load(patch, o + ROW) + last
-        t = w0 * load(patch, o) + y
-        y = y + last
-        u = weights[m + 2]
-        far = u * t
-        total, total_x, total_y = total + far, total_x + far + far, total_y + u * y
-        w = stretch(weights, m + 8)
-        total = total * w
-        store_sum(records, m, total)
-        store_sum(records, m + 4, total_x * w + weights[m + 3] * total)
-        store_sum(records, m + 8, total_y * w + weights[m + 7] * total)
-        store_sum(records, m + 12, total * (k + weights[m + 12]))
-
-
-@inline
-def _gather_slopes(count, records, weights, base, patch):
-    """As `_gather`, with the gradients of the B-splines in place of weight times offset."""
-    middle, change = slope_middle(patch), slope_change(patch)
-    for n in range(count):
-        m = 16 * n
-        o = np.int64(base[n])
-        x, y = weights[m + 3], weights[m + 7]
-        y0, y1, y2 = -0.25 * (1.5 + y), 0.5 * (1.0 + y), -0.25 * (0.5 + y)
-        w0, w1, w2 = weights[m + 4], weights[m + 5], weights[m + 6]
-        zero = spread(patch, 0.0)
-        total, gx, gy = zero, zero, zero
-        for i in range(3):
-            a, b, c = load(patch, o), load(patch, o + ROW), load(patch, o + 2 * ROW)
-            t = w0 * a + w1 * b + w2 * c
-            u = weights[m + i]
-            g = -0.25 * (1.5 + x) if i == 0 else (0.5 * (1.0 + x) if i == 1 else -0.25 * (0.5 + x))
-            total, gx = total + u * t, gx + g * t
-            gy = gy + u * (y0 * a + y1 * b + y2 * c)
-            o += PLANE
-        w = stretch(weights, m + 8)
-        store_sum(records, m, total * w)
-        store_sum(records, m + 4, gx * w)
-        store_sum(records, m + 8, gy * w)
-        store_sum(records, m + 12, total * (middle + change * weights[m + 12]))
-
-
-@inline
-def values(count, records, weights, base, patch):
-    """Records of what is gathered alone, without its moments: 0-2."""
-    for n in range(count):
-        m = 16 * n
-        o = np.int64(base[n])
-        w0, w1, w2 = weights[m + 4], weights[m + 5], weights[m + 6]
-        total = spread(patch, 0.0)
-        for i in range(3):
-            t = w0 * load(patch, o) + w1 * load(patch, o + ROW) + w2 * load(patch, o + 2 * ROW)
-            total = total + weights[m + i] * t
-            o += PLANE
-        store_sum(records, m, total * stretch(weights, m + 8))
 
 
 @inline
@@ -169,15 +86,15 @@ def g2p(
             at = start[s] + first
             weigh(n, at, cap, flat_xi, flat, base, weights)
             if flux is not None and apart:
-                _gather(n, records, weights, base, scratch[ROOM:])
+                gather_rows(n, records, weights, base, scratch[ROOM:])
                 _set_aside(n, records, extra, flip)
                 if drift is not None:
                     values(n, records, weights, base, scratch[ROOM + PATCH + 16 :])
                     columns(n, records, extra, 2 * BATCH, BATCH)
             if numbers.splines > 0.0:
-                _gather_slopes(n, records, weights, base, patch)
+                gather_slopes(n, records, weights, base, patch)
             else:
-                _gather(n, records, weights, base, patch)
+                gather_rows(n, records, weights, base, patch)
             rest(n, records)
             _move(
                 law, n, at, cap, flat_xi, flat, ids, records, flux, drift, flip, apart, extra,

@@ -12,17 +12,11 @@ segment's start; the batch is part of the numerical definition, since a run of p
 base node is summed before it is added to the patch.
 """
 
-import numpy as np
-
 from ..device.jit import inline, kernel
-from ..lanes.lanes import load, store
-from ..lanes.rows import repeat, slope_change, slope_middle, spread, steps, stretch
 from .patches import clear, push
 from .records import (
     BATCH,
     PATCH,
-    PLANE,
-    ROW,
     VOLUME,
     impulses,
     inertia,
@@ -33,91 +27,8 @@ from .records import (
     touched,
     weigh,
 )
+from .rowsums import scatter, scatter_slopes
 from .walls import SIDE, fold
-
-
-@inline
-def scatter(count, records, weights, base, patch):
-    """Add records to the patch, nine rows each; particles with one base row are summed first."""
-    k = steps(patch)
-    zero = spread(patch, 0.0)
-    r0, r1, r2, r3, r4, r5, r6, r7, r8 = zero, zero, zero, zero, zero, zero, zero, zero, zero
-    here = base[0]
-    for n in range(count + 1):
-        if n == count or base[n] != here:
-            o = np.int64(here)
-            store(patch, o, load(patch, o) + r0)
-            store(patch, o + ROW, load(patch, o + ROW) + r1)
-            store(patch, o + 2 * ROW, load(patch, o + 2 * ROW) + r2)
-            o += PLANE
-            store(patch, o, load(patch, o) + r3)
-            store(patch, o + ROW, load(patch, o + ROW) + r4)
-            store(patch, o + 2 * ROW, load(patch, o + 2 * ROW) + r5)
-            o += PLANE
-            store(patch, o, load(patch, o) + r6)
-            store(patch, o + ROW, load(patch, o + ROW) + r7)
-            store(patch, o + 2 * ROW, load(patch, o + 2 * ROW) + r8)
-            r0, r1, r2, r3, r4, r5, r6, r7, r8 = (
-                zero,
-                zero,
-                zero,
-                zero,
-                zero,
-                zero,
-                zero,
-                zero,
-                zero,
-            )
-            if n == count:
-                break
-            here = base[n]
-        m = 16 * n
-        w = stretch(weights, m + 8)
-        along_x, along_y, along_z = (
-            repeat(records, m + 4),
-            repeat(records, m + 8),
-            repeat(records, m + 12),
-        )
-        a = repeat(records, m) + weights[m + 3] * along_x + weights[m + 7] * along_y
-        a = (a + (k + weights[m + 12]) * along_z) * w
-        along_x, along_y = w * along_x, w * along_y
-        b = a + along_y
-        c = b + along_y
-        w0, w1, w2 = weights[m + 4], weights[m + 5], weights[m + 6]
-        a, b, c = w0 * a, w1 * b, w2 * c
-        da, db, dc = w0 * along_x, w1 * along_x, w2 * along_x
-        u = weights[m]
-        r0, r1, r2 = r0 + u * a, r1 + u * b, r2 + u * c
-        a, b, c = a + da, b + db, c + dc
-        u = weights[m + 1]
-        r3, r4, r5 = r3 + u * a, r4 + u * b, r5 + u * c
-        a, b, c = a + da, b + db, c + dc
-        u = weights[m + 2]
-        r6, r7, r8 = r6 + u * a, r7 + u * b, r8 + u * c
-
-
-@inline
-def _scatter_slopes(count, records, weights, base, patch):
-    """As `scatter`, with the gradients of the B-splines in place of weight times offset."""
-    middle, change = slope_middle(patch), slope_change(patch)
-    for n in range(count):
-        m = 16 * n
-        o = np.int64(base[n])
-        w = stretch(weights, m + 8)
-        a = repeat(records, m) * w + repeat(records, m + 12) * (middle + change * weights[m + 12])
-        bx, by = repeat(records, m + 4) * w, repeat(records, m + 8) * w
-        x, y = weights[m + 3], weights[m + 7]
-        y0, y1, y2 = -0.25 * (1.5 + y), 0.5 * (1.0 + y), -0.25 * (0.5 + y)
-        w0, w1, w2 = weights[m + 4], weights[m + 5], weights[m + 6]
-        a0, a1, a2 = w0 * a + y0 * by, w1 * a + y1 * by, w2 * a + y2 * by
-        b0, b1, b2 = w0 * bx, w1 * bx, w2 * bx
-        for i in range(3):
-            u = weights[m + i]
-            g = -0.25 * (1.5 + x) if i == 0 else (0.5 * (1.0 + x) if i == 1 else -0.25 * (0.5 + x))
-            store(patch, o, load(patch, o) + u * a0 + g * b0)
-            store(patch, o + ROW, load(patch, o + ROW) + u * a1 + g * b1)
-            store(patch, o + 2 * ROW, load(patch, o + 2 * ROW) + u * a2 + g * b2)
-            o += PLANE
 
 
 @kernel
@@ -174,7 +85,7 @@ def p2g(
                         law, n, at, cap, flat, wanted, slots[2, s], apart, records, numbers, dt
                     )
                 if numbers.splines > 0.0 and wanted != 1:
-                    _scatter_slopes(n, records, weights, base, patch)
+                    scatter_slopes(n, records, weights, base, patch)
                 else:
                     scatter(n, records, weights, base, patch)
             fold(nodes, mirror[s], wanted == 1)
