@@ -59,9 +59,11 @@ OUTSIDE = {  # packages that only some files may use
         "vgmpi/lanes/",
         "vgmpi/splatting/",
         "vgmpi/bench/plain.py",
+        "vgmpi/bench/spills.py",
         "postprocess/",
     ),
     "llvmlite": (
+        "vgmpi/bench/spills.py",
         "vgmpi/device/processor.py",
         "vgmpi/lanes/",
     ),

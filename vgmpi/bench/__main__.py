@@ -302,6 +302,17 @@ def _run_stability(given: argparse.Namespace) -> int:
     return 0
 
 
+def _spills(parser: argparse.ArgumentParser) -> None:
+    pass
+
+
+def _run_spills(given: argparse.Namespace) -> int:
+    from . import spills
+
+    print(spills.text(spills.measure()))
+    return 0
+
+
 COMMANDS = {  # what it does, its flags, how it runs
     "speed": ("measure (the default)", _speed, _run_speed),
     "balance": ("how even a scene's work would be on many ranks", _balance, _run_balance),
@@ -309,6 +320,7 @@ COMMANDS = {  # what it does, its flags, how it runs
     "couplings": ("what mixing and drag cost", _couplings, _run_couplings),
     "extremes": ("scenes at the ends of what is allowed", _extremes, _run_extremes),
     "overhead": ("what a step costs beside its kernels", _overhead, _run_overhead),
+    "spills": ("vectors that do not fit the registers", _spills, _run_spills),
     "stability": ("the largest stable time step of every law", _stability, _run_stability),
     "scaling": ("predict many ranks from what is measured here", _scaling, _run_scaling),
     "compare": ("print two measurements side by side", _compare, _run_compare),

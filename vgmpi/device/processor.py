@@ -1,11 +1,20 @@
 """What code is compiled for, and whether it is compiled already."""
 
+import functools
 import hashlib
 import pathlib
 import zlib
 
 from llvmlite import binding
 from numba import config
+
+_SUM = """
+target triple = "{triple}"
+define <16 x float> @sum(<16 x float> %a, <16 x float> %b) {{
+  %c = fadd <16 x float> %a, %b
+  ret <16 x float> %c
+}}
+"""
 
 
 def processor() -> str:
@@ -15,6 +24,27 @@ def processor() -> str:
     if features is None:
         features = binding.get_host_cpu_features().flatten()
     return f"{name} {zlib.crc32(features.encode()):08x}"
+
+
+@functools.cache
+def vector_bytes() -> int:
+    """Bytes of the widest vector register that code is compiled for: 64, 32 or 16."""
+    features = config.CPU_FEATURES
+    if features is None:
+        # a processor named alone is taken by what it has itself
+        features = "" if config.CPU_NAME else binding.get_host_cpu_features().flatten()
+    name = config.CPU_NAME or binding.get_host_cpu_name()
+    return widest(binding.get_process_triple(), name, features)
+
+
+def widest(triple: str, name: str, features: str) -> int:
+    """As `vector_bytes`, of any processor LLVM knows: the register it takes for 64 bytes."""
+    binding.initialize_all_targets()
+    binding.initialize_all_asmprinters()
+    target = binding.Target.from_triple(triple)
+    machine = target.create_target_machine(cpu=name, features=features)
+    text = machine.emit_assembly(binding.parse_assembly(_SUM.format(triple=triple)))
+    return 64 if "zmm" in text else 32 if "ymm" in text else 16
 
 
 def stamp(*kind) -> pathlib.Path:

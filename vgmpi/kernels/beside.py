@@ -16,8 +16,8 @@ from ..lanes.lanes import load, store
 from ..lanes.rows import spread
 from .couple import LEAST_PORES
 from .patches import gather
-from .records import BATCH, PATCH, patch_of
-from .rowsums import columns, moments, values
+from .records import BATCH, PATCH, columns, patch_of
+from .rowsums import moments, values
 from .walls import SIDE, reflect
 
 RELAX = 10.0  # [1/s] at which a fluid in pores gives way where there is more volume than space

@@ -13,8 +13,8 @@ from ..lanes.laws import advance, lane_state, store_state, volume_ratio, wave_sp
 from ..lanes.rows import SOUND_ALL, largest, load_records, move, only, sound, spread
 from .beside import fetch, keep, moving, set_aside, strain, waves
 from .patches import gather
-from .records import AFFINE, BATCH, PATCH, STATE, box_of, parts, touched, weigh
-from .rowsums import moments, rest, slopes
+from .records import AFFINE, BATCH, PATCH, STATE, box_of, parts, rest, touched, weigh
+from .rowsums import moments, slopes
 from .walls import SIDE, reflect
 
 REACH = 3  # cells from the block's middle within which a particle's base node lies in its patch

@@ -12,9 +12,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..device.jit import inline
+from ..device.jit import inline, within
 from ..device.memory import aligned
-from ..lanes.rows import cell_offset, fraction, largest, spread, store_records, store_whole
+from ..lanes.rows import (
+    QUARTERS,
+    cell_offset,
+    fraction,
+    largest,
+    spread,
+    store_quarter,
+    store_records,
+    store_whole,
+)
 from ..planning.channels import HEAD
 from .walls import SIDE
 
@@ -94,19 +103,47 @@ def weigh(count, at, cap, xi, like, base, weights):
     """
     zero = spread(like, 0.0)
     for n in range(0, count, 16):
-        p = at + n
-        x, y, z = fraction(xi, p), fraction(xi, cap + p), fraction(xi, 2 * cap + p)
-        row = cell_offset(xi, p, PLANE) + cell_offset(xi, cap + p, ROW)
-        store_whole(base, n, row + cell_offset(xi, 2 * cap + p, 4))
-        ax, ay, az = 1.0 - x, 1.0 - y, 1.0 - z
-        cx, cy, cz = x - 0.5, y - 0.5, z - 0.5
-        store_records(
-            weights,
-            16 * n,
-            (
-                0.5 * ax * ax, 0.75 - cx * cx, 0.5 * x * x, -0.5 - x,
-                0.5 * ay * ay, 0.75 - cy * cy, 0.5 * y * y, -0.5 - y,
-                0.5 * az * az, 0.75 - cz * cz, 0.5 * z * z, zero,
-                -0.5 - z, zero, zero, zero,
-            ),
-        )  # fmt: skip
+        p, m = at + n, 16 * n
+        if QUARTERS:  # no more at once than the registers hold
+            store_quarter(weights, m, splines(fraction(xi, p)))
+            store_quarter(weights, m + 4, splines(fraction(xi, cap + p)))
+            a, b, c, d = splines(fraction(xi, 2 * cap + p))
+            store_quarter(weights, m + 8, (a, b, c, zero))
+            store_quarter(weights, m + 12, (d, zero, zero, zero))
+            _note_rows(n, p, cap, xi, base)
+        else:
+            x, y, z = fraction(xi, p), fraction(xi, cap + p), fraction(xi, 2 * cap + p)
+            _note_rows(n, p, cap, xi, base)
+            a, b, c, d = splines(z)
+            last = (a, b, c, zero, d, zero, zero, zero)
+            store_records(weights, m, splines(x) + splines(y) + last)
+
+
+@within
+def _note_rows(n, p, cap, xi, base):
+    """Where 16 particles' base rows begin in a patch."""
+    row = cell_offset(xi, p, PLANE) + cell_offset(xi, cap + p, ROW)
+    store_whole(base, n, row + cell_offset(xi, 2 * cap + p, 4))
+
+
+@within
+def splines(x):
+    """Weights of particles at x in their cells on an axis, and their base nodes minus them
+    [cells]."""
+    a, c = 1.0 - x, x - 0.5
+    return 0.5 * a * a, 0.75 - c * c, 0.5 * x * x, -0.5 - x
+
+
+@inline
+def rest(count, records):
+    """Nothing in the records behind the last one, up to a whole vector: unused places stay so."""
+    for m in range(16 * count, 16 * ((count + 15) & ~15)):
+        records[m] = 0
+
+
+@inline
+def columns(count, records, out, first, stride):
+    """The first three numbers of each record into rows of out, `stride` numbers apart."""
+    for n in range(count):
+        for c in range(3):
+            out[first + c * stride + n] = records[16 * n + c]

@@ -24,11 +24,12 @@ _FUSED = ("contract",)  # a product and a sum may round once; the same code serv
 
 
 class Lanes(types.Type):
-    """A vector of 16 numbers of a numba float type."""
+    """A vector of 16 numbers of a numba float type; of fewer where a row of nodes is taken in parts
+    (rows.py)."""
 
-    def __init__(self, real: types.Float):
+    def __init__(self, real: types.Float, count: int = COUNT):
         self.real = real
-        self.count = COUNT
+        self.count = count
         scalar = ir.FloatType() if real.bitwidth == 32 else ir.DoubleType()
         self.vector = ir.VectorType(scalar, self.count)
         self.whole = ir.VectorType(ir.IntType(real.bitwidth), self.count)

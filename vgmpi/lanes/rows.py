@@ -11,9 +11,12 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from ..device.processor import vector_bytes
 from .lanes import COUNT, OF, Lanes, address, call, in_all_lanes
 
 _I32 = ir.IntType(32)
+# a record in one or two registers is transposed in these; else four numbers of it at a time
+QUARTERS = vector_bytes() < 64
 
 
 def _mask(places) -> ir.Constant:
@@ -54,24 +57,6 @@ def _constant(values):
 
 
 @intrinsic
-def steps(typing, example):
-    """0 0 0 0 1 1 1 1 2 2 2 2 3 3 3 3: the number of a row's node in each of its lanes."""
-    return _constant([float(k // 4) for k in range(COUNT)])(typing, example)
-
-
-@intrinsic
-def slope_middle(typing, example):
-    """A quarter of the B-splines' slopes [1/cell] of a row's nodes, where the offset is 0."""
-    return _constant([(-0.375, 0.5, -0.125, 0.0)[k // 4] for k in range(COUNT)])(typing, example)
-
-
-@intrinsic
-def slope_change(typing, example):
-    """Change of `slope_middle` with the offset of the base node [cells]."""
-    return _constant([(-0.25, 0.5, -0.25, 0.0)[k // 4] for k in range(COUNT)])(typing, example)
-
-
-@intrinsic
 def fourth(typing, example):
     """0001 0000 0000 0000: the fourth number of a record."""
     return _constant([float(k == 3) for k in range(COUNT)])(typing, example)
@@ -104,28 +89,6 @@ def _four(pattern):
 def repeat(typing, array, first):
     """abcd -> abcd abcd abcd abcd: one quantity of all nodes of a row."""
     return _four([k % 4 for k in range(COUNT)])(typing, array, first)
-
-
-@intrinsic
-def stretch(typing, array, first):
-    """abcd -> aaaa bbbb cccc dddd: a weight per node of a row."""
-    return _four([k // 4 for k in range(COUNT)])(typing, array, first)
-
-
-@intrinsic
-def store_sum(typing, array, first, row):
-    """Put the sum over a row's first three nodes, four numbers, to array[first:first + 4]."""
-    lanes = OF[array.dtype]
-
-    def build(context, builder, signature, arguments):
-        place = address(context, builder, signature.args[0], *arguments[:2])
-        v = arguments[2]
-        a, b, c = (builder.shuffle_vector(v, v, _mask(range(4 * k, 4 * k + 4))) for k in range(3))
-        total = builder.fadd(builder.fadd(a, b), c)
-        builder.store(total, _vector_at(builder, place, lanes, 4), align=_align(lanes))
-        return context.get_dummy_value()
-
-    return types.void(array, types.intp, row), build
 
 
 def _slide(first):
@@ -169,6 +132,77 @@ def _transposed(builder, vectors):
     return vectors
 
 
+_PAIRS = [k for c in range(0, COUNT, 4) for k in (c, COUNT + c, c + 1, COUNT + c + 1)]
+_HALVES = [k for c in range(0, COUNT, 4) for k in (c, c + 1, COUNT + c, COUNT + c + 1)]
+
+
+def _turned(builder, four):
+    """Transpose the blocks of 4 x 4 numbers of four vectors, by shuffles within four lanes."""
+
+    def joined(a, b, lanes, by):
+        return builder.shuffle_vector(a, b, _mask([k + by for k in lanes]))
+
+    a, b, c, d = four
+    low, high = joined(a, b, _PAIRS, 0), joined(a, b, _PAIRS, 2)
+    low_other, high_other = joined(c, d, _PAIRS, 0), joined(c, d, _PAIRS, 2)
+    return [
+        joined(one, other, _HALVES, by)
+        for one, other in ((low, low_other), (high, high_other))
+        for by in (0, 2)
+    ]
+
+
+def _put_whole(builder, place, lanes, vectors):
+    """Transposed in registers: for processors whose registers hold a record."""
+    for k, row in enumerate(_transposed(builder, vectors)):
+        here = builder.gep(place, [ir.Constant(ir.IntType(64), COUNT * k)])
+        builder.store(row, _vector_at(builder, here, lanes), align=_align(lanes))
+
+
+def _put_quarters(builder, place, lanes, vectors):
+    """Four numbers of each record at a time, so that four vectors are at work and not sixteen."""
+    for q in range(0, COUNT, 4):
+        here = builder.gep(place, [ir.Constant(ir.IntType(64), q)])
+        _put_quarter(builder, here, lanes, vectors[q : q + 4])
+
+
+def _put_quarter(builder, place, lanes, four):
+    for k, turned in enumerate(_turned(builder, four)):
+        for n in range(0, COUNT, 4):
+            part = builder.shuffle_vector(turned, turned, _mask(range(n, n + 4)))
+            here = builder.gep(place, [ir.Constant(ir.IntType(64), COUNT * (n + k))])
+            builder.store(part, _vector_at(builder, here, lanes, 4), align=_align(lanes))
+
+
+def _get_whole(builder, place, lanes):
+    """Inverse of `_put_whole`."""
+    rows = []
+    for k in range(COUNT):
+        here = builder.gep(place, [ir.Constant(ir.IntType(64), COUNT * k)])
+        rows.append(builder.load(_vector_at(builder, here, lanes), align=_align(lanes)))
+    return _transposed(builder, rows)
+
+
+def _get_quarters(builder, place, lanes):
+    """Inverse of `_put_quarters`."""
+    vectors = []
+    for q in range(0, COUNT, 4):
+        four = []
+        for k in range(4):
+            quarters = []
+            for n in range(0, COUNT, 4):
+                here = builder.gep(place, [ir.Constant(ir.IntType(64), COUNT * (n + k) + q)])
+                here = _vector_at(builder, here, lanes, 4)
+                quarters.append(builder.load(here, align=_align(lanes)))
+            while len(quarters) > 1:
+                pairs = zip(quarters[::2], quarters[1::2], strict=True)
+                both = _mask(range(8 if len(quarters) == 4 else 16))
+                quarters = [builder.shuffle_vector(a, b, both) for a, b in pairs]
+            four += quarters
+        vectors += _turned(builder, four)
+    return vectors
+
+
 @intrinsic
 def store_records(typing, array, first, vectors):
     """16 vectors over particles -> 16 records, one after the other from array[first]."""
@@ -176,10 +210,22 @@ def store_records(typing, array, first, vectors):
 
     def build(context, builder, signature, arguments):
         place = address(context, builder, signature.args[0], *arguments[:2])
-        rows = _transposed(builder, cgutils.unpack_tuple(builder, arguments[2], COUNT))
-        for k, row in enumerate(rows):
-            here = builder.gep(place, [ir.Constant(ir.IntType(64), COUNT * k)])
-            builder.store(row, _vector_at(builder, here, lanes), align=_align(lanes))
+        put = _put_quarters if QUARTERS else _put_whole
+        put(builder, place, lanes, cgutils.unpack_tuple(builder, arguments[2], COUNT))
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, vectors), build
+
+
+@intrinsic
+def store_quarter(typing, array, first, vectors):
+    """4 vectors over particles -> 4 numbers of each of 16 records: array[first:first + 4] and every
+    16 numbers further on."""
+    lanes = OF[array.dtype]
+
+    def build(context, builder, signature, arguments):
+        place = address(context, builder, signature.args[0], *arguments[:2])
+        _put_quarter(builder, place, lanes, cgutils.unpack_tuple(builder, arguments[2], 4))
         return context.get_dummy_value()
 
     return types.void(array, types.intp, vectors), build
@@ -193,11 +239,8 @@ def load_records(typing, array, first):
 
     def build(context, builder, signature, arguments):
         place = address(context, builder, signature.args[0], *arguments)
-        rows = []
-        for k in range(COUNT):
-            here = builder.gep(place, [ir.Constant(ir.IntType(64), COUNT * k)])
-            rows.append(builder.load(_vector_at(builder, here, lanes), align=_align(lanes)))
-        return context.make_tuple(builder, tuple_type, _transposed(builder, rows))
+        get = _get_quarters if QUARTERS else _get_whole
+        return context.make_tuple(builder, tuple_type, get(builder, place, lanes))
 
     return tuple_type(array, types.intp), build
 

@@ -6,6 +6,8 @@ and which of them keep their stress's impulses apart (the tables); no patches, s
 compiled code. Sources: APIC (Jiang 2015), forces (Hu 2018), FLIP (Zhu & Bridson 2005).
 """
 
+from typing import Any
+
 import numpy as np
 
 from ...device.limits import FARTHEST, LEAST_J, MOST_J, ROUNDING, STRETCH
@@ -263,8 +265,8 @@ class Numpy:
 
     @staticmethod
     def _law(group: Group) -> tuple:
-        law = group.plan.law
-        return law.__class__(*[float(c) for c in law])
+        law: Any = group.plan.law
+        return law._make(float(c) for c in law)
 
     @staticmethod
     def _stress(group: Group, law, state, C) -> np.ndarray:

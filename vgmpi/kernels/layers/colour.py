@@ -17,8 +17,8 @@ from ...lanes.lanes import load, place, store
 from ...lanes.nodes import fourth_of
 from ...lanes.rows import load_records, spread, store_records
 from ..patches import gather
-from ..records import BATCH, PATCH, box_of, parts, reach, weigh
-from ..rowsums import rest, values
+from ..records import BATCH, PATCH, box_of, parts, reach, rest, weigh
+from ..rowsums import values
 from ..sums import power, take_up
 from .base import UNSEEN, contribute
 from .offsets import present
