@@ -159,7 +159,8 @@ class _Wide:
     def around(self, code: np.ndarray) -> np.ndarray:
         """Codes at most RINGS blocks from some of `code`, ascending."""
         for step in self.step:
-            code = np.unique(code[:, None] + step * np.arange(-RINGS, RINGS + 1))
+            code = np.sort((code[:, None] + step * np.arange(-RINGS, RINGS + 1)).ravel())
+            code = code[np.diff(code, prepend=-1) > 0]
         return code
 
     def owner(self, code: np.ndarray, cut: np.ndarray, empty: np.ndarray) -> np.ndarray:
