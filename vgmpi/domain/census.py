@@ -184,15 +184,17 @@ def _reached(at, near, owner, rank, far, row, to):
     """
     n = 0
     for b in range(len(at)):
-        begin = n
+        begin, last = n, rank
         for i in range(-RINGS, RINGS + 1):
             for j in range(-RINGS, RINGS + 1):
                 p = np.searchsorted(near, at[b] + i * far + j * row - RINGS)
                 for k in range(p, p + 2 * RINGS + 1):  # all of the column are there
-                    new = owner[k] >= 0 and owner[k] != rank
+                    if owner[k] == last or owner[k] == rank or owner[k] < 0:
+                        continue
+                    last, new = owner[k], True
                     for q in range(begin, n):
-                        new = new and to[1, q] != owner[k]
+                        new = new and to[1, q] != last
                     if new:
-                        to[0, n], to[1, n] = b, owner[k]
+                        to[0, n], to[1, n] = b, last
                         n += 1
     return n
