@@ -115,17 +115,19 @@ def run(
     on_frame: Callable[[Run], None] | None = None,
     ranks: Alone | None = None,
     threads: int = 1,
+    engine: str = "cpu",
 ) -> Run:
     """Run a scene to its end, from its start.
 
     folder: where files go; None: nothing is written. on_step, on_frame: called with the Run after
     every step and at every frame, the first at time 0. ranks: `vgmpi.domain.ranks.world()` under
-    mpirun, which is the default; all ranks call everything. Raises SceneError and StoreError; a
+    mpirun, which is the default; all ranks call everything. engine: "cpu", or "numpy": slow, on one
+    rank, for comparison. Raises SceneError and StoreError; a
     blow-up is code 3.
     """
     from .solver import run as runs
 
-    options = runs.Options(None if folder is None else Path(folder), threads)
+    options = runs.Options(None if folder is None else Path(folder), threads, engine)
     inner = runs.start(scene, ranks or world(), options)
     this = Run(inner)
     if on_step is not None:

@@ -78,6 +78,12 @@ def _add_flags_of_a_run(parser: argparse.ArgumentParser) -> None:
         "--threads", type=int, default=1, metavar="N", help="threads per rank, default 1"
     )
     parser.add_argument(
+        "--engine",
+        choices=("cpu", "numpy"),
+        default="cpu",
+        help="what computes: compiled code, or plain numpy: slow, on one rank, for comparison",
+    )
+    parser.add_argument(
         "--profile", action="store_true", help="say at the end what each rank did (profile.csv)"
     )
     parser.add_argument(
@@ -176,7 +182,11 @@ def _run(scene: Scene, folder: Path, given: argparse.Namespace, ranks: Alone) ->
     from .solver.state import Mismatch
 
     resume = _resume_from(given.resume, folder, ranks)
-    options = runs.Options(folder, given.threads, resume, given.stop_steps, given.stop_seconds)
+    options = runs.Options(
+        folder, given.threads, given.engine, resume, given.stop_steps, given.stop_seconds
+    )
+    if given.engine == "numpy" and (ranks.size > 1 or given.threads > 1):
+        return _refuse(["--engine numpy computes on one rank and one thread"], ranks)
     known = prepared.prepare(scene, ranks, folder)
     plan = prepared.plan_for(scene, known)
     refusal = too_large(plan.bytes(), ranks)

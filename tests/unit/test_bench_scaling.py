@@ -6,8 +6,8 @@ import pytest
 from tests import simulated
 from tests.simulate import begin
 from vgmpi.bench import __main__ as bench
-from vgmpi.bench import balance, scaling
-from vgmpi.domain.balance import BLOCK, predicted
+from vgmpi.bench import balance, census, scaling
+from vgmpi.domain.balance import BLOCK, cuts, owners, predicted
 
 CUBE = """
 [domain]
@@ -102,3 +102,16 @@ def test_a_wrong_scene_is_one_line(tmp_path, capsys):
     scene.write_text(CUBE.replace("cell", "cel"))
     assert bench.main(["balance", str(scene)]) == 2
     assert "scene.toml:4" in capsys.readouterr().err
+
+
+def test_census_as_a_command(capsys):
+    """What the others tell the rank in the middle is what a whole cube holds around it."""
+    assert bench.main(["census", "--ranks", "8", "--particles", "14000"]) == 0
+    row = capsys.readouterr().out.splitlines()[-1].split()
+    lattice, key, code = census.cube(8, 14_000)
+    owner = owners(key, cuts(key, np.ones(len(key)), 8, None))
+    block = lattice.block(code)
+    gap = np.abs(block[:, None] - block[owner == owner[len(owner) // 2]]).max(2).min(1)
+    assert row[:3] == ["8", str((gap == 0).sum()), str(((gap > 0) & (gap <= 2)).sum())]
+    tables = census.Sort(8, 14_000).once(looks=True)
+    assert (tables.own.sum(), (~tables.own).sum()) == ((gap == 0).sum(), (gap == 1).sum())

@@ -159,7 +159,8 @@ class _Wide:
     def around(self, code: np.ndarray) -> np.ndarray:
         """Codes at most RINGS blocks from some of `code`, ascending."""
         for step in self.step:
-            code = np.unique(code[:, None] + step * np.arange(-RINGS, RINGS + 1))
+            code = np.sort((code[:, None] + step * np.arange(-RINGS, RINGS + 1)).ravel())
+            code = code[np.diff(code, prepend=-1) > 0]
         return code
 
     def owner(self, code: np.ndarray, cut: np.ndarray, empty: np.ndarray) -> np.ndarray:
@@ -183,15 +184,17 @@ def _reached(at, near, owner, rank, far, row, to):
     """
     n = 0
     for b in range(len(at)):
-        begin = n
+        begin, last = n, rank
         for i in range(-RINGS, RINGS + 1):
             for j in range(-RINGS, RINGS + 1):
                 p = np.searchsorted(near, at[b] + i * far + j * row - RINGS)
                 for k in range(p, p + 2 * RINGS + 1):  # all of the column are there
-                    new = owner[k] >= 0 and owner[k] != rank
+                    if owner[k] == last or owner[k] == rank or owner[k] < 0:
+                        continue
+                    last, new = owner[k], True
                     for q in range(begin, n):
-                        new = new and to[1, q] != owner[k]
+                        new = new and to[1, q] != last
                     if new:
-                        to[0, n], to[1, n] = b, owner[k]
+                        to[0, n], to[1, n] = b, last
                         n += 1
     return n

@@ -76,6 +76,18 @@ class Group:
         gaps = np.repeat(self.start - np.concatenate([[0], np.cumsum(self.count)[:-1]]), self.count)
         return np.arange(n) + gaps
 
+    def get(self, name: str, at: np.ndarray) -> np.ndarray:
+        """A channel (planning/channels.py) of the particles at `at` (n,): (n, width)."""
+        return self.f[self.plan.channels[name].rows, at].T
+
+    def put(self, name: str, at: np.ndarray, values: np.ndarray) -> None:
+        """Inverse of `get`."""
+        self.f[self.plan.channels[name].rows, at] = values.T
+
+    def law_state(self, at: np.ndarray) -> tuple[np.ndarray, ...]:
+        """What the law carries of the particles at `at` (n,), as its functions take it."""
+        return tuple(row for name in self.plan.carries for row in self.get(name, at).T)
+
     def positions(self) -> np.ndarray:
         """Positions (n, 3) [m] in the order of `index`."""
         at = self.index()

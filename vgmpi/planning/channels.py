@@ -56,6 +56,11 @@ class Channels:
         """First row of a channel, -1 where there is none."""
         return self._by_name[name].first if name in self._by_name else -1
 
+    def width(self, dataset: str) -> int:
+        """Numbers of a particle in a dataset of a checkpoint."""
+        rows = self.datasets.get(dataset, slice(0, 0))
+        return rows.stop - rows.start
+
     @cached_property
     def rest(self) -> tuple[float, ...]:
         """(count,) a particle at rest, of no volume."""

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ..kernels.records import STATE, VOLUME
 from ..materials.base import function
 from ..output import layout
 from ..output.ledger import Rows
@@ -208,8 +207,8 @@ def _rows_near(group, point: tuple, dx: float) -> np.ndarray:
         if middle is not None:
             inside &= np.abs(x[:, a] - middle) < dx
     at = at[inside]
-    state = group.f[STATE : STATE + len(group.plan.rest), at]  # without what stands behind it
-    parts = [x[inside], group.f[0:3, at].T, group.f[VOLUME, at][:, None], state.T]
+    state = [group.get(name, at) for name in group.plan.carries]
+    parts = [x[inside], group.get("v", at), group.get("vol0", at), *state]
     return np.concatenate(parts, 1).astype(np.float64)
 
 

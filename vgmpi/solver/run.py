@@ -37,6 +37,7 @@ class Options:
 
     folder: Path | None  # None: nothing is written
     threads: int = 1
+    engine: str = "cpu"  # see solver.step.ENGINES
     resume: Path | None = None
     stop_steps: int = 0
     stop_seconds: float = 0.0
@@ -50,8 +51,11 @@ def begin(
     """The simulation at its start, or at the checkpoint to resume from; and the next frame's
     number. Collective.
     """
-    warm(plan, ranks)
-    simulation = Simulation(plan, ranks, known.colliders, options.threads, known.loads)
+    if options.engine == "cpu":
+        warm(plan, ranks)
+    simulation = Simulation(
+        plan, ranks, known.colliders, options.threads, known.loads, options.engine
+    )
     if options.resume is not None:
         path = options.resume
         with on_all(ranks, path, lambda: checkpoint.open(path)) as saved:

@@ -5,16 +5,8 @@ import numpy as np
 from ..domain.census import Census, census
 from ..domain.ranks import Alone
 from ..domain.state import LANES
-from ..kernels.records import AFFINE, STATE, VOLUME
 from ..materials.base import function
 from .step import Simulation
-
-PIECES = {
-    "v": slice(0, AFFINE),
-    "C": slice(AFFINE, VOLUME),
-    "vol0": slice(VOLUME, STATE),
-    "state": slice(STATE, None),
-}
 
 
 def frame_rows(simulation: Simulation, names: tuple[str, ...]) -> tuple[np.ndarray, dict]:
@@ -27,7 +19,7 @@ def frame_rows(simulation: Simulation, names: tuple[str, ...]) -> tuple[np.ndarr
     deforms = any("H" in group.carries or group.followed for group in simulation.plan.groups)
     for group in simulation.groups:
         at = group.index()
-        state = tuple(group.f[STATE : STATE + len(group.plan.rest), at])
+        state = group.law_state(at)
         J = np.asarray(function(group.plan.law, "volume_ratio")(group.plan.law, state), np.float32)
         row = {
             "x": group.positions().astype(np.float32),
@@ -35,7 +27,7 @@ def frame_rows(simulation: Simulation, names: tuple[str, ...]) -> tuple[np.ndarr
             "phase": np.full(len(at), group.plan.phase, np.int32),
         }
         if "velocity" in names:
-            row["velocity"] = group.f[0:3, at].T.astype(np.float32)
+            row["velocity"] = group.get("v", at).astype(np.float32)
         if "J" in names:
             row["J"] = J
         if "F" in names and deforms:
@@ -51,8 +43,8 @@ def _gradient(group, at, J) -> np.ndarray:
     """F, row by row, (n, 9): where nothing carries it the isotropic one of the volume."""
     if "H" not in group.plan.carries and not group.plan.followed:
         return (np.cbrt(J)[:, None] * np.eye(3).ravel()).astype(np.float32)
-    rows = group.plan.channels["F" if group.plan.followed else "H"].rows
-    return (group.f[rows, at].T + np.eye(3).ravel()).astype(np.float32)
+    carried = group.get("F" if group.plan.followed else "H", at)
+    return (carried + np.eye(3).ravel()).astype(np.float32)
 
 
 def _colour(group, at, colours) -> np.ndarray:
@@ -61,7 +53,7 @@ def _colour(group, at, colours) -> np.ndarray:
     count = 3 * group.plan.coefficients
     least = colours.least[group.plan.phase].ravel()[:count]
     if count:
-        out[:, :count] = group.f[group.plan.channels["colour"].rows, at].T + least
+        out[:, :count] = group.get("colour", at) + least
     return out
 
 
@@ -74,11 +66,11 @@ def by_id(simulation: Simulation, *names: str) -> list[np.ndarray]:
     parts = {
         "id": lambda group, at: group.ids[at],
         "x": lambda group, at: group.positions(),
-        "v": lambda group, at: group.f[PIECES["v"], at].T,
-        "C": lambda group, at: group.f[PIECES["C"], at].T,
-        "vol0": lambda group, at: group.f[VOLUME, at],
+        "v": lambda group, at: group.get("v", at),
+        "C": lambda group, at: group.get("C", at),
+        "vol0": lambda group, at: group.get("vol0", at)[:, 0],
         "J": lambda group, at: function(group.plan.law, "volume_ratio")(
-            group.plan.law, tuple(group.f[STATE : STATE + len(group.plan.rest), at])
+            group.plan.law, group.law_state(at)
         ),
         "object": lambda group, at: simulation.object_of(group.ids[at]),
     }
@@ -104,7 +96,7 @@ def save(simulation: Simulation) -> dict:
         at = group.index()
         rows = {"block": group.code, "count": group.count, "id": group.ids[at]}
         rows["x"] = np.ascontiguousarray(group.xi[:, at].T)
-        for name, channels in PIECES.items():
+        for name, channels in group.plan.channels.datasets.items():
             rows[name] = np.ascontiguousarray(group.f[channels, at].T)
         groups[f"group_{g:03d}"] = rows
     attrs = {
@@ -140,7 +132,7 @@ def restore(simulation: Simulation, saved) -> None:
                 f"{saved.path}: {name} is {saved.attrs.get(name)}, the scene has {value}"
             )
     for g, group in enumerate(simulation.groups):
-        have, wanted = saved.width(f"group_{g:03d}/state"), group.channels - STATE
+        have, wanted = saved.width(f"group_{g:03d}/state"), group.plan.channels.width("state")
         if have != wanted:
             raise Mismatch(
                 f"{saved.path}: a particle of {group.plan.name} carries {have} numbers besides its"
@@ -186,5 +178,5 @@ def _read_group(group, saved, name: str, table: Census, g: int, ranks: Alone) ->
     at = group.index()
     group.ids[at] = saved.read_rows(f"{name}/id", first, last)
     group.xi[:, at] = saved.read_rows(f"{name}/x", first, last).T
-    for piece, channels in PIECES.items():
+    for piece, channels in group.plan.channels.datasets.items():
         group.f[channels, at] = saved.read_rows(f"{name}/{piece}", first, last).T

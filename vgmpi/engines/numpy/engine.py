@@ -247,14 +247,14 @@ class Numpy:
     @staticmethod
     def _get(group: Group, name: str) -> np.ndarray:
         """A channel of all particles: (n, width)."""
-        return group.f[group.plan.channels[name].rows, group.index()].T.astype(np.float64)
+        return group.get(name, group.index()).astype(np.float64)
 
     @staticmethod
     def _put(group: Group, name: str, values: np.ndarray) -> None:
-        group.f[group.plan.channels[name].rows, group.index()] = values.T
+        group.put(name, group.index(), values)
 
     def _state(self, group: Group) -> tuple:
-        return tuple(row for name in group.plan.carries for row in self._get(group, name).T)
+        return tuple(row.astype(np.float64) for row in group.law_state(group.index()))
 
     def _put_state(self, group: Group, state: tuple) -> None:
         at = 0
