@@ -130,8 +130,8 @@ def take_up(nb, tables, layer, report, k):
         return
     sums, r = place(layer.sums.reshape(layer.sums.size)), place(layer.rest.reshape(layer.rest.size))
     phase = tables.phase[nb]
-    for k in range(tables.copied[nb], tables.copied[nb + 1]):
-        unite(sums, r, phase, nb, tables.copies[k], layer.sums.shape[1])
+    for copy_of in range(tables.copied[nb], tables.copied[nb + 1]):
+        unite(sums, r, phase, nb, tables.copies[copy_of], layer.sums.shape[1])
     if settle(sums, r, nb, phase, place(layer.nodes.reshape(layer.nodes.size))) != 0:
         if report[k] == 0 or nb < report[k] - 1:
             report[k] = nb + 1
