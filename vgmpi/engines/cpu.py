@@ -46,14 +46,14 @@ class Layer:
         self.name, self.full, self.real = name, full, plan.real
         self.sums = aligned((0, sums.words(plan.real), sums.BLOCK), np.float64)
         self.nodes = aligned((0, sums.BLOCK), plan.real)
-        self.asked = np.zeros(0, bool)
+        self.asked = np.zeros(0, np.uint8)
         self.sized = np.zeros(0)
         self.rest = np.zeros((len(plan.phases), sums.words(plan.real), 16))
 
     def adopt(self, asked: np.ndarray, phase_of_row: np.ndarray) -> None:
         """Make room for node blocks (n,), and for the copies of some behind them."""
         needed = len(phase_of_row) if asked.any() else 0
-        self.asked, self.phase = asked, phase_of_row[:needed]
+        self.asked, self.phase = asked.astype(np.uint8), phase_of_row[:needed]
         self.sums = grown(self.sums, needed)
         self.nodes = grown(self.nodes, len(asked) if needed else 0)
         self.nodes[:] = 0

@@ -17,7 +17,7 @@ from ..lanes.nodes import fourth_of, velocity, with_fourth
 from ..lanes.rows import repeat, spread
 from .couple import Fields, Here, couple_block, note_flux
 from .members import places
-from .sums import take_up
+from .sums import layer_of, rows_of, take_up
 from .tables import Sums
 from .touch import touch
 from .walls import constrain, tangential
@@ -45,19 +45,22 @@ def update(
     (n, 64, 4) outward normal and distance [m] of the collider; room: touch.Room of the calling
     thread; report: (3,) see sums.take_up, of momentum, offsets and impulses.
     """
-    nodes = place(momentum.nodes.reshape(momentum.nodes.size))
-    last = place(walls.cells)
-    first, at, phase_of, least_of = tables.first, tables.at, tables.phase, phases.least
+    rows, moved, spaced = rows_of(tables), layer_of(momentum), layer_of(offsets)
+    nodes, last, least_of = moved.nodes, place(walls.cells), place(phases.least)
+    if apart is not None:
+        pushed = layer_of(apart.impulses)
+    first, at, phase_of = place(tables.first), tables.at, rows.phase
+    push = repeat(step.fall, 0)
     for b in blocks:
         n0, n1 = first[b], first[b + 1]
         kept_apart = False
         for nb in range(n0, n1):
-            take_up(nb, tables, momentum, report, 0)
-            take_up(nb, tables, offsets, report, 1)
+            take_up(nb, rows, moved, report, 0)
+            take_up(nb, rows, spaced, report, 1)
             if apart is not None:
-                take_up(nb, tables, apart.impulses, report, 2)
-                kept_apart |= apart.impulses.asked[nb]
-            tiny, push = spread(nodes, ROUNDING * least_of[phase_of[nb]]), repeat(step.fall, 0)
+                take_up(nb, rows, pushed, report, 2)
+                kept_apart |= pushed.asked[nb] != 0
+            tiny = spread(nodes, ROUNDING * least_of[phase_of[nb]])
             for c in range(256 * nb, 256 * (nb + 1), 16):
                 store(nodes, c, velocity(load(nodes, c), push, tiny))
         low = 4 * at[b, 0] - 1, 4 * at[b, 1] - 1, 4 * at[b, 2] - 1

@@ -11,6 +11,8 @@ In double precision what the first word lost of a term is added to a second word
 its own. A node block is 64 nodes of four numbers: 256 first words, then 256 second ones if any.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ..device.jit import inline, kernel
@@ -122,28 +124,66 @@ def reset(sums, rest, rows, phase):
                 sums[row, w, c] = rest[phase[row], w, c & 15]
 
 
+class Rows(NamedTuple):
+    """What bringing sums together needs of NodeBlocks, by the places of the arrays."""
+
+    phase: np.ndarray
+    copied: np.ndarray
+    copies: np.ndarray
+
+
+class Layer(NamedTuple):
+    """A tables.Sums by the places of its arrays."""
+
+    sums: np.ndarray
+    rest: np.ndarray
+    asked: np.ndarray
+    nodes: np.ndarray
+    words: int
+
+
 @inline
-def take_up(nb, tables, layer, report, k):
-    """Bring the sums of a node block together and turn them to numbers. tables: NodeBlocks; layer:
-    Sums; report: (layers,) lowest node block + 1 of which a sum left its range, or 0; k: layer."""
-    if not layer.asked[nb]:
+def rows_of(tables):
+    """tables: NodeBlocks."""
+    return Rows(place(tables.phase), place(tables.copied), place(tables.copies))
+
+
+@inline
+def layer_of(layer):
+    """layer: tables.Sums."""
+    return Layer(
+        place(layer.sums.reshape(layer.sums.size)),
+        place(layer.rest.reshape(layer.rest.size)),
+        place(layer.asked),
+        place(layer.nodes.reshape(layer.nodes.size)),
+        layer.sums.shape[1],
+    )
+
+
+@inline
+def take_up(nb, rows, layer, report, which):
+    """Bring the sums of a node block together and turn them to numbers.
+
+    rows, layer: see `rows_of`, `layer_of`; report: (layers,) lowest node block + 1 of which a sum
+    left its range, or 0; which: layer.
+    """
+    if layer.asked[nb] == 0:
         return
-    sums, r = place(layer.sums.reshape(layer.sums.size)), place(layer.rest.reshape(layer.rest.size))
-    phase = tables.phase[nb]
-    for copy_of in range(tables.copied[nb], tables.copied[nb + 1]):
-        unite(sums, r, phase, nb, tables.copies[copy_of], layer.sums.shape[1])
-    if settle(sums, r, nb, phase, place(layer.nodes.reshape(layer.nodes.size))) != 0:
-        if report[k] == 0 or nb < report[k] - 1:
-            report[k] = nb + 1
+    phase = rows.phase[nb]
+    for c in range(rows.copied[nb], rows.copied[nb + 1]):
+        unite(layer.sums, layer.rest, phase, nb, rows.copies[c], layer.words)
+    if settle(layer.sums, layer.rest, nb, phase, layer.nodes) != 0:
+        if report[which] == 0 or nb < report[which] - 1:
+            report[which] = nb + 1
 
 
 @kernel
-def merge(rows, tables, layer):
+def merge(blocks, tables, layer):
     """Add what threads summed by themselves to some node blocks, before ranks exchange these."""
-    sums, r = place(layer.sums.reshape(layer.sums.size)), place(layer.rest.reshape(layer.rest.size))
-    for nb in rows:
-        for k in range(tables.copied[nb], tables.copied[nb + 1]):
-            unite(sums, r, tables.phase[nb], nb, tables.copies[k], layer.sums.shape[1])
+    rows, at = rows_of(tables), layer_of(layer)
+    for nb in blocks:
+        for c in range(rows.copied[nb], rows.copied[nb + 1]):
+            unite(at.sums, at.rest, rows.phase[nb], nb, rows.copies[c], at.words)
 
 
 @kernel

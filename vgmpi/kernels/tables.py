@@ -44,7 +44,7 @@ class Sums(NamedTuple):
 
     sums: np.ndarray  # (rows, words, 256) see kernels/sums.py
     rest: np.ndarray  # (phases, words, 16)
-    asked: np.ndarray  # (node blocks,) bool: who has terms here
+    asked: np.ndarray  # (node blocks,) uint8: 1 where it has terms
     nodes: np.ndarray  # (node blocks, 256) in the precision of the run
 
 

@@ -19,7 +19,7 @@ from ...lanes.rows import load_records, spread, store_records
 from ..patches import gather
 from ..records import BATCH, PATCH, box_of, parts, reach, rest, weigh
 from ..rowsums import values
-from ..sums import power, take_up
+from ..sums import layer_of, power, rows_of, take_up
 from .base import UNSEEN, contribute
 from .offsets import present
 
@@ -69,11 +69,12 @@ def blend(blocks, tables, layer, set_of, report, k):
     none; report, k: see sums.take_up.
     """
     first, phase = place(tables.first), place(tables.phase)
-    nodes = place(layer.nodes.reshape(layer.nodes.size))
+    rows, at = rows_of(tables), layer_of(layer)
+    nodes = at.nodes
     for b in blocks:
         n0, n1 = first[b], first[b + 1]
         for nb in range(n0, n1):
-            take_up(nb, tables, layer, report, k)
+            take_up(nb, rows, at, report, k)
         for nb in range(n0, n1):
             group = set_of[phase[nb]]
             met = False
