@@ -244,7 +244,7 @@ def runs(some, parts):
 
 @_inline
 def _runs_whole(count, records, weights, base, patch):
-    """As `runs` of whole rows makes it, in one loop: 2 % of a step less where registers suffice."""
+    """As `runs` of whole rows makes it, in one loop, where registers suffice."""
     k, zero = steps(patch, 0, 4), nothing(patch, 0, 4)
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = zero, zero, zero, zero, zero, zero, zero, zero, zero
     here = base[0]
