@@ -212,6 +212,20 @@ def _run_census(given: argparse.Namespace) -> int:
     return 0
 
 
+def _emulate(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("--ranks", nargs="+", type=int, default=[1, 8, 64], metavar="N")
+    say("--particles", type=int, default=100_000, metavar="N", help="per rank, default 100,000")
+    say("--steps", type=int, default=200, help="of each, in turns, default 200")
+
+
+def _run_emulate(given: argparse.Namespace) -> int:
+    from . import emulate
+
+    print(emulate.text(emulate.measure(given.ranks, given.particles, given.steps)))
+    return 0
+
+
 def _overhead(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--ranks", nargs="+", type=int, default=[1, 2], metavar="N")
     parser.add_argument("--steps", type=int, default=300, help="of a round, default 300")
@@ -318,6 +332,7 @@ COMMANDS = {  # what it does, its flags, how it runs
     "balance": ("how even a scene's work would be on many ranks", _balance, _run_balance),
     "census": ("what a sort costs one rank of many beside its particles", _census, _run_census),
     "couplings": ("what mixing and drag cost", _couplings, _run_couplings),
+    "emulate": ("one rank of many by its own tables", _emulate, _run_emulate),
     "extremes": ("scenes at the ends of what is allowed", _extremes, _run_extremes),
     "overhead": ("what a step costs beside its kernels", _overhead, _run_overhead),
     "spills": ("vectors that do not fit the registers", _spills, _run_spills),

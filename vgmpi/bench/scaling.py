@@ -56,7 +56,7 @@ def tables(ranks: int, blocks: int) -> dict:
 NEEDS = topology.Needs(np.zeros(1, np.int64), False, False, np.zeros(1, np.int64))
 
 
-class _Silent(Alone):
+class Silent(Alone):
     """Ranks that say nothing: to lay out messages."""
 
     def link(self, sends, receives):
@@ -65,7 +65,7 @@ class _Silent(Alone):
 
 def _of_rank(census: Census, lattice: Lattice, rank: int) -> list[float]:
     t = topology.build(census, lattice, rank, NEEDS)
-    messages = halo.Halo(_Silent(), t, 1)
+    messages = halo.Halo(Silent(), t, 1)
     size = messages.bytes_sent
     return [len(t.code), int(t.border.sum()), int(t.waits.sum()), size, len(messages.sends)]
 

@@ -19,7 +19,6 @@ from .ranks import Alone
 from .topology import Shared, Topology
 
 _HEADER = 2  # numbers at the front of a message
-_NODE = 4  # numbers of a node
 
 
 class HaloError(RuntimeError):
@@ -32,7 +31,8 @@ class Part(NamedTuple):
     layer: str
     blocks: np.ndarray  # (n,) node blocks
     masks: np.ndarray  # (n,) uint64 which of their nodes
-    numbers: np.ndarray  # (nodes * words * 4,) float64, part of the message
+    numbers: np.ndarray  # (3 n,) uint64, part of the message, for n words of nodes
+    tails: np.ndarray  # (n,) uint16, see kernels/sums.py
 
 
 class Halo:
@@ -84,14 +84,17 @@ class _Message:
             sends = lists_of.send_blocks, lists_of.send_masks
             receives = lists_of.receive_blocks, lists_of.receive_masks
             lists[layer] = sends if kind == "send" else receives
-        size = {k: _NODE * words * int(np.bitwise_count(m).sum()) for k, (_, m) in lists.items()}
-        self.buffer = np.zeros(_HEADER + sum(size.values()))
+        count = {k: words * int(np.bitwise_count(m).sum()) for k, (_, m) in lists.items()}
+        size = {k: 3 * n + (n + 3) // 4 for k, n in count.items()}
+        self.buffer = np.zeros(_HEADER + sum(size.values()), np.uint64)
         self.head = self.buffer[:_HEADER].view(np.int64)
         self.parts, at, self.seal = [], _HEADER, 0
         for layer, (blocks, masks) in lists.items():
             if len(blocks):
-                numbers = self.buffer[at : at + size[layer]]
-                self.parts.append(Part(layer, blocks, masks, numbers))
+                n = count[layer]
+                numbers = self.buffer[at : at + 3 * n]
+                tails = self.buffer[at + 3 * n : at + size[layer]].view(np.uint16)[:n]
+                self.parts.append(Part(layer, blocks, masks, numbers, tails))
                 self.seal = zlib.crc32(_listed(tables, blocks, masks), self.seal)
             at += size[layer]
 

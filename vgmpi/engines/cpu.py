@@ -205,14 +205,16 @@ class Cpu:
 
     def pack(self, part: Part) -> None:
         """Put this rank's sums into a part of a message."""
-        sums.pack(part.numbers, part.blocks, part.masks, self.layers[part.layer].sums)
+        bits = self.layers[part.layer].sums.view(np.uint64)
+        sums.pack(part.numbers, part.tails, part.blocks, part.masks, bits)
 
     def add(self, part: Part) -> None:
         """Add another rank's sums."""
         layer = self.layers[part.layer]
         sums.unpack(
-            part.numbers, part.blocks, part.masks, layer.sums, layer.rest, self.tables.phase
-        )
+            part.numbers, part.tails, part.blocks, part.masks, layer.sums, layer.rest,
+            self.tables.phase,
+        )  # fmt: skip
 
     def update(self, border: bool) -> None:
         """Turn sums into velocities: gravity, couplings, contact, walls; and into mean colours."""

@@ -23,10 +23,10 @@ from ..lanes.wide import (
     add_row,
     add_three,
     beyond,
-    copy,
     lowest,
     narrow,
-    take,
+    pack_node,
+    unpack_node,
     words_of,
 )
 from .walls import SIDE
@@ -187,35 +187,38 @@ def merge(blocks, tables, layer):
 
 
 @kernel
-def pack(buffer, blocks, masks, sums):
-    """Copy the sums of some nodes into the buffer. blocks: (n,); masks: (n,) bit k: node k of the
-    64 is wanted; sums: (rows, words, 256)."""
-    to, of, count = place(buffer), place(sums.reshape(sums.size)), sums.shape[1]
-    at = 0
+def pack(numbers, tails, blocks, masks, bits):
+    """The sums of some nodes as a message: 52 bits each, since the exponent is that of what they
+    rest at.
+
+    numbers: (3 n,) uint64 and tails: (n,) uint16 out, of n times four sums, node after node and
+    word after word (wide.pack_node); blocks: (m,); masks: (m,) uint64, bit k: node k of the 64 is
+    wanted; bits: sums (rows, words, 256) as uint64.
+    """
+    of, to, behind = place(bits.reshape(bits.size)), place(numbers), place(tails)
+    count, n = bits.shape[1], 0
     for q in range(len(blocks)):
         for w in range(count):
             here = BLOCK * (count * blocks[q] + w)
             left = masks[q]
             while left != 0:
-                node = lowest(left)
+                pack_node(to, 3 * n, behind, n, of, here + 4 * lowest(left))
                 left &= left - np.uint64(1)
-                copy(to, at, of, here + 4 * node)
-                at += 4
+                n += 1
 
 
 @kernel
-def unpack(buffer, blocks, masks, sums, rest, phase):
-    """Add what another rank summed, the inverse of `pack`."""
-    of, to, count = place(buffer), place(sums.reshape(sums.size)), sums.shape[1]
-    r = place(rest.reshape(rest.size))
-    at = 0
+def unpack(numbers, tails, blocks, masks, sums, rest, phase):
+    """Add what another rank summed, the inverse of `pack`. sums: (rows, words, 256); rest: (phases,
+    words, 16); phase: of each node block."""
+    of, behind, r = place(numbers), place(tails), place(rest.reshape(rest.size))
+    to, count, n = place(sums.reshape(sums.size)), sums.shape[1], 0
     for q in range(len(blocks)):
         for w in range(count):
             here = BLOCK * (count * blocks[q] + w)
             begins = COUNT * (count * phase[blocks[q]] + w)
             left = masks[q]
             while left != 0:
-                node = lowest(left)
+                unpack_node(to, here + 4 * lowest(left), of, 3 * n, behind, n, r, begins)
                 left &= left - np.uint64(1)
-                take(to, here + 4 * node, of, at, r, begins)
-                at += 4
+                n += 1

@@ -116,36 +116,64 @@ def words_of(typing, example):
     return types.intp(example), build
 
 
-@intrinsic
-def copy(typing, to, first, of, at):
-    """to[first:first + 4] = of[at:at + 4]."""
+_BITS = 52  # of a sum beside its sign and exponent, which are those of what it rests at
+_FOUR = ir.VectorType(ir.IntType(64), 4)
 
-    def build(context, builder, signature, arguments):
-        kind = ir.VectorType(ir.DoubleType(), 4)
-        a = address(context, builder, signature.args[0], *arguments[:2])
-        b = address(context, builder, signature.args[2], *arguments[2:])
-        value = builder.load(_pointer(builder, b, kind, 0), align=8)
-        builder.store(value, _pointer(builder, a, kind, 0), align=8)
-        return context.get_dummy_value()
 
-    return types.void(to, types.intp, of, types.intp), build
+def _each(*numbers):
+    return ir.Constant(_FOUR, list(numbers))
 
 
 @intrinsic
-def take(typing, to, first, of, at, rest, r):
-    """to[first:first + 4] += of[at:at + 4] - rest[r:r + 4]."""
+def pack_node(typing, to, at, tails, n, of, node):
+    """Four sums of[node ...] as 3 x 64 bits to to[at ...] and 16 bits to tails[n]: three times 52
+    bits, and behind each, and in the tail, a part of the fourth."""
 
     def build(context, builder, signature, arguments):
-        kind = ir.VectorType(ir.DoubleType(), 4)
-        a = address(context, builder, signature.args[0], *arguments[:2])
-        b = address(context, builder, signature.args[2], *arguments[2:4])
-        c = address(context, builder, signature.args[4], *arguments[4:])
-        a, b, c = (_pointer(builder, p, kind, 0) for p in (a, b, c))
-        more = builder.fsub(builder.load(b, align=8), builder.load(c, align=8))
-        builder.store(builder.fadd(builder.load(a, align=8), more), a, align=8)
+        to, at, tails, n, of, node = arguments
+        v = builder.load(_pointer(builder, builder.gep(of, [node]), _FOUR, 0), align=8)
+        v = builder.and_(v, _each(*[2**_BITS - 1] * 4))
+        last = builder.shuffle_vector(v, v, ir.Constant(ir.VectorType(ir.IntType(32), 4), [3] * 4))
+        last = builder.lshr(last, _each(0, 12, 24, 36))
+        more = builder.shl(last, _each(_BITS, _BITS, _BITS, 0))
+        out = builder.or_(v, more)
+        for lane in range(3):
+            number = builder.extract_element(out, ir.Constant(ir.IntType(32), lane))
+            place = builder.gep(to, [builder.add(at, ir.Constant(at.type, lane))])
+            builder.store(number, place, align=8)
+        tail = builder.extract_element(last, ir.Constant(ir.IntType(32), 3))
+        builder.store(builder.trunc(tail, ir.IntType(16)), builder.gep(tails, [n]), align=2)
         return context.get_dummy_value()
 
-    return types.void(to, types.intp, of, types.intp, rest, types.intp), build
+    return types.void(to, types.intp, tails, types.intp, of, types.intp), build
+
+
+@intrinsic
+def unpack_node(typing, sums, node, of, at, tails, n, rest, r):
+    """sums[node ...] += what `pack_node` packed, less rest[r ...]: four sums."""
+
+    def build(context, builder, signature, arguments):
+        sums, node, of, at, tails, n, rest, r = arguments
+        doubles = ir.VectorType(ir.DoubleType(), 4)
+        # the fourth number is another's, or the first tails
+        v = builder.load(_pointer(builder, builder.gep(of, [at]), _FOUR, 0), align=8)
+        parts = builder.shl(builder.lshr(v, _each(*[_BITS] * 4)), _each(0, 12, 24, 0))
+        last = builder.zext(builder.load(builder.gep(tails, [n]), align=2), ir.IntType(64))
+        last = builder.shl(last, ir.Constant(last.type, 36))
+        for lane in range(3):
+            part = builder.extract_element(parts, ir.Constant(ir.IntType(32), lane))
+            last = builder.or_(last, part)
+        v = builder.insert_element(v, last, ir.Constant(ir.IntType(32), 3))
+        at_rest = builder.load(_pointer(builder, builder.gep(rest, [r]), doubles, 0), align=8)
+        sign = builder.and_(builder.bitcast(at_rest, _FOUR), _each(*[-(2**_BITS)] * 4))
+        v = builder.or_(builder.and_(v, _each(*[2**_BITS - 1] * 4)), sign)
+        more = builder.fsub(builder.bitcast(v, doubles), at_rest)
+        place = _pointer(builder, builder.gep(sums, [node]), doubles, 0)
+        builder.store(builder.fadd(builder.load(place, align=8), more), place, align=8)
+        return context.get_dummy_value()
+
+    arguments = (sums, types.intp, of, types.intp, tails, types.intp, rest, types.intp)
+    return types.void(*arguments), build
 
 
 @intrinsic

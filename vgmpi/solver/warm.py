@@ -61,8 +61,8 @@ def _run_all(plan: Plan) -> None:
     for group in alone.groups:
         push(group.f, np.zeros(0, np.int64), np.zeros(3, plan.real))
         about(alone, group, 0, 0)
-    empty, masks = np.zeros(0), np.zeros(0, np.uint64)
+    empty, masks = np.zeros(0, np.uint64), np.zeros(0, np.uint64)
     for name in alone.needs.layers:
-        part = Part(name, np.zeros(0, np.int64), masks, empty)
+        part = Part(name, np.zeros(0, np.int64), masks, empty, np.zeros(0, np.uint16))
         alone.engine.pack(part)
         alone.engine.add(part)
