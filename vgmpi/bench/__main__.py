@@ -259,10 +259,12 @@ def _scaling(parser: argparse.ArgumentParser) -> None:
 
 
 def _run_scaling(given: argparse.Namespace) -> int:
-    from . import scaling
+    from . import census, scaling
 
     rows, busy, empty = scaling.measure(sorted({1, 2, *given.real}), given.particles, _say)
     found = scaling.constants(rows, busy, empty)
+    sort = census.measure(64, 100_000)
+    found["tables"] = 1e-3 * sort["kept"][0] / sort["blocks"] / scaling.STEPS_PER_SORT
     cores = len(os.sched_getaffinity(0))
     print(scaling.text(rows, found, given.latency, given.bandwidth, cores))
     return 0

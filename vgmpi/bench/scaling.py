@@ -29,7 +29,8 @@ FILL = 8 * EDGE**3  # particles of a full block
 SAMPLE = 8  # ranks of which tables are laid out
 CYCLES = 8  # from sort to sort, of which the quickest counts
 RANKS = (1, 8, 64, 512, 4096)
-PER_RANK = (10_000, 30_000, 100_000, 300_000)
+PER_RANK = (10_000, 30_000, 100_000, 300_000, 1_000_000)
+STEPS_PER_SORT = 19  # of the scene of the benchmark
 OVERLAPPED = 0.5  # share of a step's work during which messages may travel: P2G and grid
 
 
@@ -103,7 +104,8 @@ def predicted(c: dict, work: float, shared: float, size: float) -> float:
 
 def step(c: dict, ranks: int, particles: int, latency: float, bandwidth: float) -> float:
     """Seconds of a step with `particles` on each of `ranks`; latency [s], bandwidth [B/s] of one
-    rank's link."""
+    rank's link. c["tables"], if it is there: seconds of a sort's census and tables per own block,
+    by the steps from sort to sort."""
     blocks = max(1, round(particles / FILL))
     t = tables(ranks, blocks)
     work = particles * (1.0 + BLOCK / FILL) * t["own"] / t["mean"]
@@ -111,7 +113,8 @@ def step(c: dict, ranks: int, particles: int, latency: float, bandwidth: float) 
     travels = t["neighbours"] * latency + t["bytes"] / bandwidth
     hidden = OVERLAPPED * c["unit"] * work * (1.0 - t["border"] / t["own"])
     reduction = 2.0 * np.log2(ranks) * latency if ranks > 1 else 0.0
-    return computes + max(0.0, travels - hidden) + reduction + c["python"]
+    tables_again = c.get("tables", 0.0) * t["own"] if ranks > 1 else 0.0
+    return computes + max(0.0, travels - hidden) + reduction + tables_again + c["python"]
 
 
 def measure(real_ranks: list[int], particles: int, say) -> tuple[dict[int, list], list, float]:
@@ -146,6 +149,7 @@ def text(rows: dict[int, list], c: dict, latency: float, bandwidth: float, cores
         f" {1e9 * c['unit']:.1f} ns while the other core computes too,"
         f" {1e6 * c['shared']:.2f} us per node block shared, {1e9 * c['copied']:.3f} ns per byte"
         f" packed or unpacked, {1e6 * c['python']:.0f} us of Python",
+        f"a sort's census and tables: {1e9 * c.get('tables', 0.0):.0f} ns per own block and step",
         "real runs: processor time that a rank computes in a step (waiting not counted)",
         "   ranks  particles each   measured [us]: mean   largest   predicted: mean   largest"
         "   kB sent   neighbours",

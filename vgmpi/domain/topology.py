@@ -204,6 +204,8 @@ def _shared(near: _Segments, takes: dict, table, rank: int, count: int):
     index_at[near.at] = who
     found: dict[int, dict[str, Shared]] = {int(r): {} for r in others}
     for name, here in takes.items():
+        if not here.any() and name != "momentum":
+            continue
         out = shared_masks(near.at, who, here, table, index_at, near.box.steps, len(others), count)
         sends, receives, reaches = out
         border |= reaches

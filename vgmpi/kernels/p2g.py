@@ -15,10 +15,9 @@ base node is summed before it is added to the patch.
 from ..device.jit import kernel
 from ..lanes.lanes import place
 from .layers import colour, impulses, momentum, offsets  # noqa: F401  (what they contribute)
-from .layers.base import OFFSET, UNSEEN, contribute
+from .layers.base import OFFSET, UNSEEN, add, contribute
 from .patches import clear
 from .records import BATCH, PATCH, box_of, parts, reach, touched, weigh
-from .rowsums import scatter, scatter_slopes
 from .sums import push
 from .walls import SIDE, fold
 
@@ -49,10 +48,7 @@ def fill(rows, kind, law, segments, particles, sums, scratch, dt):
             at = start[s] + first
             weigh(n, at, cap, xi, f, base, weights)
             contribute(kind, law, n, at, cap, f, extra, records, dt)
-            if kind.splines > 0.0:
-                scatter_slopes(n, records, weights, base, patch)
-            else:
-                scatter(n, records, weights, base, patch)
+            add(kind, n, records, weights, base, patch)
         if kind.mirror != UNSEEN:
             fold(nodes, mirror[s], kind.mirror == OFFSET)
         push(patch, totals, into[s], box)

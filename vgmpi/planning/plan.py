@@ -154,16 +154,14 @@ class Plan:
             if self.group_of[k] >= 0:
                 # growth of a quarter, 16-padding, three index arrays while sorting
                 total += int(n * (1.4 * self.bytes_per_particle(self.group_of[k]) + 24))
-        blocks = self.particles / 300.0 + 1
-        width = self.real.itemsize
-        nodes = 64 * 4
+        width, nodes = self.real.itemsize, 64 * 4
         one = 8 * (1 if width == 4 else 2) + width  # a number's sum, and the number
         layers = 1 + (self.contact or self.collider) + any(group.apart for group in self.groups)
         layers += max(group.coefficients for group in self.groups)
         more = 0 if self.rules is None and not self.flip else 1 + self.drifts
-        per_block = nodes * (layers * one + more * width)
-        # a particle's block and those around it: about 2.5 node blocks of its phase
-        return total + int(2.5 * blocks * per_block)
+        # a block holds some 300 particles, and reaches node blocks that hold none
+        blocks = 4.0 * self.particles / 300.0 + 27 * len(self.phases)
+        return total + int(blocks * nodes * (layers * one + more * width))
 
 
 def make_plan(

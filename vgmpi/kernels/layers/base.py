@@ -5,8 +5,7 @@ Particles contribute to it by a kind of their own (`contribute`), threads and ra
 in any order (kernels/sums.py), the grid's update settles these to numbers. A layer's file says
 what a particle contributes, and by `full` how large a sum may become: the quanta follow from it.
 
-Every kind begins with `splines` (1: contributions along the slopes of the B-splines, 0: by moments)
-and `mirror`: what walls do to it.
+Every kind begins with `mirror`: what walls do to it.
 """
 
 from ...lanes.kinds import by_kind
@@ -22,3 +21,8 @@ def contribute(kind, law, count, at, cap, f, extra, records, dt):
     law: the group's; cap: numbers per channel; f: (channels * cap,); extra: (5 BATCH,) scratch; dt
     [s].
     """
+
+
+@by_kind
+def add(kind, count, records, weights, base, patch):
+    """Add records to a patch: rowsums.scatter, or along the slopes of the B-splines."""

@@ -18,14 +18,13 @@ from ...lanes.nodes import fourth_of
 from ...lanes.rows import load_records, spread, store_records
 from ..patches import gather
 from ..records import BATCH, PATCH, box_of, parts, reach, rest, weigh
-from ..rowsums import values
+from ..rowsums import scatter, values
 from ..sums import layer_of, power, rows_of, take_up
-from .base import UNSEEN, contribute
+from .base import UNSEEN, add, contribute
 from .offsets import present
 
 
 class Colour(NamedTuple):
-    splines: float
     mirror: float
     channel: float  # first of the coefficient's three
 
@@ -33,7 +32,7 @@ class Colour(NamedTuple):
 def kind(plan, group, coefficient: int) -> Colour:
     """What a group's particles contribute to the layer of a coefficient."""
     first = group.channels.first("colour") + 3 * coefficient
-    return Colour(*(plan.real.type(v) for v in (0.0, UNSEEN, first)))
+    return Colour(*(plan.real.type(v) for v in (UNSEEN, first)))
 
 
 def full(plan, dt: float, coefficient: int) -> np.ndarray:
@@ -59,6 +58,11 @@ def _colour(kind, law, count, at, cap, f, extra, records, dt):
                 zero, zero, zero, zero, zero, zero, zero, zero,
             ),
         )  # fmt: skip
+
+
+@add.of(Colour)
+def _add(kind, count, records, weights, base, patch):
+    scatter(count, records, weights, base, patch)
 
 
 @kernel

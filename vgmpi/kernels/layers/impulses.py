@@ -12,12 +12,12 @@ from ...lanes.rows import spread, store_records
 from ..records import AFFINE, STATE, VOLUME
 from ..sums import power
 from . import momentum
-from .base import VECTOR, contribute
+from .base import VECTOR, add, contribute
 
 
 class Impulses(NamedTuple):
-    splines: float
     mirror: float
+    splines: float  # 1: forces by the gradients of the B-splines, 0: by moments
     counted: float  # 1 where phases share space, so that nodes must know volumes
     porosity: float  # channel of the fluid's share of space, or -1
     dx: float  # [m]
@@ -27,7 +27,7 @@ def kind(plan, group) -> Impulses:
     """What a group's particles contribute."""
     real = plan.real.type
     counted, porosity = plan.rules is not None, group.channels.first("share")
-    return Impulses(*(real(v) for v in (plan.splines, VECTOR, counted, porosity, plan.dx)))
+    return Impulses(*(real(v) for v in (VECTOR, plan.splines, counted, porosity, plan.dx)))
 
 
 def full(plan, dt: float) -> np.ndarray:
@@ -65,3 +65,6 @@ def _impulses(kind, law, count, at, cap, f, extra, records, dt):
                 a, k * t11, c, zero, b, c, k * t22, zero,
             ),
         )  # fmt: skip
+
+
+add.of(Impulses)(momentum.by_slopes)

@@ -10,15 +10,16 @@ from ...lanes.lanes import load
 from ...lanes.laws import lane_state, stress
 from ...lanes.rows import spread, store_records
 from ..records import AFFINE, STATE, VOLUME
+from ..rowsums import scatter, scatter_slopes
 from ..sums import power
-from .base import VECTOR, contribute
+from .base import VECTOR, add, contribute
 
 
 class Momentum(NamedTuple):
     """With the stress's impulse."""
 
-    splines: float
     mirror: float
+    splines: float  # 1: forces by the gradients of the B-splines, 0: by moments
     density: float  # [kg/m3] of a particle's rest volume
     affine: float  # 1: particles carry the velocity's gradient (APIC), 0: they do not
     dx: float  # [m]
@@ -27,8 +28,8 @@ class Momentum(NamedTuple):
 class Inertia(NamedTuple):
     """Without: the impulses are a layer of their own."""
 
-    splines: float
     mirror: float
+    splines: float  # 1: forces by the gradients of the B-splines, 0: by moments
     density: float
     affine: float
     dx: float
@@ -37,7 +38,7 @@ class Inertia(NamedTuple):
 def kinds(plan, group) -> tuple[Momentum, Inertia]:
     """What a group's particles contribute, where their stress is part of it and where not."""
     real = plan.real.type
-    numbers = [real(v) for v in (plan.splines, VECTOR, group.density, plan.affine, plan.dx)]
+    numbers = [real(v) for v in (VECTOR, plan.splines, group.density, plan.affine, plan.dx)]
     return Momentum(*numbers), Inertia(*numbers)
 
 
@@ -97,3 +98,13 @@ def _inertia(kind, law, count, at, cap, f, extra, records, dt):
                 c0, c3, c6, zero, c1, c4, c7, zero, c2, c5, c8, zero,
             ),
         )  # fmt: skip
+
+
+@add.of(Momentum)
+@add.of(Inertia)
+def by_slopes(kind, count, records, weights, base, patch):
+    """As `scatter`, or along the slopes of the B-splines."""
+    if kind.splines > 0.0:
+        scatter_slopes(count, records, weights, base, patch)
+    else:
+        scatter(count, records, weights, base, patch)

@@ -11,14 +11,14 @@ from ...lanes.lanes import load, store
 from ...lanes.laws import lane_state, volume_ratio
 from ...lanes.rows import diagonal, fourth
 from ..records import STATE, VOLUME
+from ..rowsums import scatter
 from ..sums import power
-from .base import OFFSET, contribute
+from .base import OFFSET, add, contribute
 
 
 class Offsets(NamedTuple):
     """Of rest volumes."""
 
-    splines: float
     mirror: float
     share: float  # of the rest volume that the material takes up itself
     dx: float  # [m]
@@ -27,7 +27,6 @@ class Offsets(NamedTuple):
 class Present(NamedTuple):
     """Of volumes as they are now: where the stress is kept apart it is couplings that ask."""
 
-    splines: float
     mirror: float
     share: float
     dx: float
@@ -37,7 +36,7 @@ def kind(plan, group) -> Offsets | Present:
     """What a group's particles contribute."""
     real = plan.real.type
     made = Present if group.apart else Offsets
-    return made(*(real(v) for v in (0.0, OFFSET, group.share, plan.dx)))
+    return made(*(real(v) for v in (OFFSET, group.share, plan.dx)))
 
 
 def full(plan, dt: float) -> np.ndarray:
@@ -72,3 +71,9 @@ def _rest(kind, law, count, at, cap, f, extra, records, dt):
 def _present(kind, law, count, at, cap, f, extra, records, dt):
     present(law, count, at, cap, f, extra)
     _offsets(kind, count, extra, 0, records)
+
+
+@add.of(Offsets)
+@add.of(Present)
+def _add(kind, count, records, weights, base, patch):
+    scatter(count, records, weights, base, patch)
