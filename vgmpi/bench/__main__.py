@@ -212,6 +212,17 @@ def _run_census(given: argparse.Namespace) -> int:
     return 0
 
 
+def _accuracy(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--particles", type=int, default=4000, metavar="N", help="default 4,000")
+
+
+def _run_accuracy(given: argparse.Namespace) -> int:
+    from . import accuracy
+
+    print(accuracy.text(given.particles))
+    return 0
+
+
 def _emulate(parser: argparse.ArgumentParser) -> None:
     say = parser.add_argument
     say("--ranks", nargs="+", type=int, default=[1, 8, 64], metavar="N")
@@ -331,6 +342,7 @@ def _run_spills(given: argparse.Namespace) -> int:
 
 COMMANDS = {  # what it does, its flags, how it runs
     "speed": ("measure (the default)", _speed, _run_speed),
+    "accuracy": ("how exact single precision is", _accuracy, _run_accuracy),
     "balance": ("how even a scene's work would be on many ranks", _balance, _run_balance),
     "census": ("what a sort costs one rank of many beside its particles", _census, _run_census),
     "couplings": ("what mixing and drag cost", _couplings, _run_couplings),

@@ -67,7 +67,7 @@ class Rank:
         engine, (group,) = self.engine, self.engine.groups
         if step % AGAIN == 0:
             group.xi[:, : group.used], group.f[:, : group.used] = self.begin
-        engine.begin(dt, np.zeros(3))
+        engine.begin(dt, np.zeros(3), self.plan.dx / dt)
         for message in self.halo.receives:
             message.head[:] = step, message.seal
             for part in message.parts:

@@ -230,6 +230,7 @@ class Mpi(Alone):
                 self.mpi.Recv([part, n, row], source, self._round)
             if barrier is None and MPI.Request.Testall(sent):
                 barrier = self.mpi.Ibarrier()
+            os.sched_yield()  # more ranks than cores: let another answer
         return came
 
     def link(self, sends, receives):

@@ -36,8 +36,20 @@ class Report(NamedTuple):
 
     rate: float  # [1/s] least 1/dt that the particles allow
     far: float  # [cells] farthest from its block's middle
+    reach: tuple[float, float]  # what bounds the sums of the next step, see `fastest`
     wrong: list[tuple[int, int]]  # id of a particle that went wrong, and why (g2p.CRUSHED ...)
     beyond: list[Beyond]
+
+
+def fastest(plan: Plan, dt: float, reach: np.ndarray, pushed: float) -> float:
+    """Speed [m/s] above which the sums of a step of dt [s] hold no momentum per mass: the quanta
+    follow from it.
+
+    reach: of the step before, (2,): speed of particles and of what turns about them [m/s]; square
+    of the speed that stress gives, with what it may grow by [m2/s2]; pushed: by loads [m/s].
+    """
+    most = plan.dx / dt
+    return float(min(most, reach[0] + pushed + 4.0 * dt / plan.dx * reach[1]))
 
 
 class Engine(Protocol):
@@ -51,8 +63,8 @@ class Engine(Protocol):
     def adopt(self, tables: Topology, kept: bool) -> None:
         """Lay out what the tables ask for, after a sort; kept: they are those of before."""
 
-    def begin(self, dt: float, gravity: np.ndarray) -> None:
-        """Begin a step of dt [s] with gravity (3,) [m/s2]."""
+    def begin(self, dt: float, gravity: np.ndarray, speed: float) -> None:
+        """Begin a step of dt [s] with gravity (3,) [m/s2]; speed: see `fastest`."""
 
     def fill(self, border: bool) -> None:
         """Contribute this rank's segments: those that reach other ranks' nodes, or the others."""

@@ -42,7 +42,7 @@ class Layer:
     """The sums and values of a layer at the nodes of this rank."""
 
     def __init__(self, name: str, full, plan: Plan):
-        """full(dt) -> (phases, 4): how large a sum may become, see kernels/sums.py."""
+        """full(speed) -> (phases, 4): how large a sum may become, see kernels/sums.py."""
         self.name, self.full, self.real = name, full, plan.real
         self.sums = aligned((0, sums.words(plan.real), sums.BLOCK), np.float64)
         self.nodes = aligned((0, sums.BLOCK), plan.real)
@@ -59,9 +59,9 @@ class Layer:
         self.nodes[:] = 0
         self.sized = np.zeros(0)  # not at rest
 
-    def begin(self, dt: float) -> None:
-        """Choose the quanta of a step of dt [s]; sums that rest elsewhere are put to rest."""
-        full = self.full(dt)
+    def begin(self, speed: float) -> None:
+        """Choose the quanta; sums that rest elsewhere are put to rest. speed: base.fastest."""
+        full = self.full(speed)
         if not np.array_equal(full, self.sized):
             self.sized, self.rest = full, sums.rests(full, self.real)
             sums.reset(self.sums, self.rest, np.arange(len(self.phase)), self.phase)
@@ -108,7 +108,7 @@ class Cpu:
         ]
         self.pairs = members.tables(plan.rules) if plan.rules is not None else ()
         self.parts: list[Share] = []
-        self.reports = np.zeros((len(plan.groups), threads, 4))
+        self.reports = np.zeros((len(plan.groups), threads, 6))
         self.beyond = np.zeros((threads, len(self.layers) + 3), np.int64)
 
     # ---- after a sort ----------------------------------------------------------------------------
@@ -175,14 +175,16 @@ class Cpu:
 
     # ---- a step ----------------------------------------------------------------------------------
 
-    def begin(self, dt: float, gravity: np.ndarray) -> None:
+    def begin(self, dt: float, gravity: np.ndarray, speed: float) -> None:
         """Choose the quanta of the step's sums."""
         self.dt = dt
+        for scratch in self.scratch:
+            scratch.peak[:] = 0.0
         fall = np.zeros(4, self.plan.real)
         fall[:3] = dt * gravity
         self.step = Step(dt, self.plan.dx, fall)
         for layer in self.layers.values():
-            layer.begin(dt)
+            layer.begin(speed)
 
     def fill(self, border: bool) -> None:
         """Add what the particles contribute to the sums."""
@@ -251,10 +253,19 @@ class Cpu:
         )
         self.reports[:] = 0
         self.each(self._gather, motion)
-        rows = self.reports.reshape(-1, 4)
+        rows = self.reports.reshape(-1, 6)
         wrong = [(int(row[2]) - 1, int(row[3])) for row in rows if row[2] > 0]
         worst = rows.max(0)
-        return Report(float(worst[0]), float(worst[1]), wrong, self._found_beyond())
+        return Report(worst[0], worst[1], self._reach(worst), wrong, self._found_beyond())
+
+    def _reach(self, worst: np.ndarray) -> tuple[float, float]:
+        """What bounds the sums of the next step. A particle gives a node at most 1.5 sqrt(3) dx
+        away its speed and what it turns by; stress grows by its stiffness, rho c^2, times the
+        strain of a step at the most, and 3 times that is allowed for."""
+        turns, waves = np.sqrt(worst[5]), (worst[0] * self.plan.cfl * self.plan.dx) ** 2
+        stress = np.sqrt(max(float(scratch.peak.max()) for scratch in self.scratch))
+        inertia = self.plan.dx * (worst[4] + 2.6 * turns)
+        return inertia, 2.0 * stress + 3.0 * waves * turns * self.dt
 
     def _gather(self, thread: int, motion: g2p.Motion) -> None:
         scratch = self.scratch[thread]
@@ -320,13 +331,13 @@ class Cpu:
 def _layers(plan: Plan, apart: bool) -> list[Layer]:
     """The layers a scene needs; of volumes and offsets nothing exists where nothing may touch."""
     found = [
-        Layer("momentum", lambda dt: momentum.full(plan, dt), plan),
-        Layer("offsets", lambda dt: offsets.full(plan, dt), plan),
+        Layer("momentum", lambda speed: momentum.full(plan, speed), plan),
+        Layer("offsets", lambda _: offsets.full(plan), plan),
     ]
     if apart:
-        found.append(Layer("impulses", lambda dt: impulses.full(plan, dt), plan))
+        found.append(Layer("impulses", lambda speed: impulses.full(plan, speed), plan))
     for k in range(max((group.coefficients for group in plan.groups), default=0)):
-        found.append(Layer(hue(k), lambda dt, k=k: colour.full(plan, dt, k), plan))
+        found.append(Layer(hue(k), lambda _, k=k: colour.full(plan, k), plan))
     return found
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from ..device.jit import inline
 from ..lanes.kinds import by_kind
 from ..lanes.lanes import load, store
-from ..lanes.rows import spread
+from ..lanes.rows import higher, spread
 from .couple import LEAST_PORES
 from .patches import gather
 from .records import BATCH, PATCH, columns, patch_of
@@ -56,7 +56,8 @@ def set_aside(kind, count, weights, records, base, real, extra):
 
 @by_kind
 def keep(kind, f, p, cap, extra, n, v):
-    """The velocity of 16 particles from p, v as gathered: a tuple of three."""
+    """The velocity of 16 particles from p, v as gathered: a tuple of three. Returns the largest
+    part along an axis."""
 
 
 @by_kind
@@ -85,6 +86,7 @@ def _as_gathered(f, p, cap, v):
     store(f, p, v[0])
     store(f, p + cap, v[1])
     store(f, p + 2 * cap, v[2])
+    return higher(abs(v[0]), higher(abs(v[1]), abs(v[2])))
 
 
 # ---- nothing ------------------------------------------------------------------------------------
@@ -102,7 +104,7 @@ def _(kind, count, weights, records, base, real, extra):
 
 @keep.of(Nothing)
 def _(kind, f, p, cap, extra, n, v):
-    _as_gathered(f, p, cap, v)
+    return _as_gathered(f, p, cap, v)
 
 
 @moving.of(Nothing)
@@ -145,7 +147,7 @@ def _(kind, count, weights, records, base, real, extra):
 
 @keep.of(Sharing)
 def _(kind, f, p, cap, extra, n, v):
-    _as_gathered(f, p, cap, v)
+    return _as_gathered(f, p, cap, v)
 
 
 @moving.of(Sharing)
@@ -205,9 +207,11 @@ def _(kind, count, weights, records, base, real, extra):
 def _(kind, f, p, cap, extra, n, v):
     """A particle's own velocity and the grid's change of it, blended with the grid's velocity
     (Zhu & Bridson 2005)."""
-    for c in range(3):
-        own = load(f, p + c * cap) + load(extra, c * BATCH + n)
-        store(f, p + c * cap, v[c] + kind.share * (own - v[c]))
+    a, b, c = v
+    a = a + kind.share * (load(f, p) + load(extra, n) - a)
+    b = b + kind.share * (load(f, p + cap) + load(extra, BATCH + n) - b)
+    c = c + kind.share * (load(f, p + 2 * cap) + load(extra, 2 * BATCH + n) - c)
+    return _as_gathered(f, p, cap, (a, b, c))
 
 
 @moving.of(Blend)

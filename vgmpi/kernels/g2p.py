@@ -10,7 +10,7 @@ from ..device.jit import inline, kernel
 from ..device.limits import FARTHEST, LEAST_J, MOST_J, STRETCH
 from ..lanes.lanes import place, store
 from ..lanes.laws import advance, lane_state, store_state, volume_ratio, wave_speed2
-from ..lanes.rows import SOUND_ALL, largest, load_records, move, only, sound, spread
+from ..lanes.rows import SOUND_ALL, higher, largest, load_records, move, only, sound, spread
 from .beside import fetch, keep, moving, set_aside, strain, waves
 from .patches import gather
 from .records import AFFINE, BATCH, PATCH, STATE, box_of, parts, rest, touched, weigh
@@ -59,8 +59,9 @@ def g2p(rows, law, segments, particles, velocity, beside, scratch, numbers, moti
     """Velocity and its gradient from the grid to each particle; moves it and advances its state.
 
     rows: (n,) segments to do; velocity: (node blocks, 256) [m/s]; beside: a kind of beside.py;
-    report: (4,) running maxima: rate 1/dt [1/s], distance from the block's middle [cells]; then
-    id + 1 of a particle that went wrong and the reason.
+    report: (6,) running maxima: rate 1/dt [1/s], distance from the block's middle [cells]; then
+    id + 1 of a particle that went wrong and the reason; then maxima again: speed along an axis
+    [cells/s], squared size of the velocity gradient [1/s2].
     """
     cap = particles.f.shape[1]
     f, xi = particles.f.reshape(particles.f.size), particles.xi.reshape(particles.xi.size)
@@ -102,15 +103,16 @@ def _move(
     f, cap = cloud.f, cloud.cap
     dx, dt = numbers.dx, motion.dt
     k = 4.0 / dx
-    fastest = far = stretching = quick = spread(f, 0.0)
+    fastest = far = stretching = quick = carried = turning = spread(f, 0.0)
     shortest, never = spread(f, -1.0), spread(f, FASTEST_WAVE**2)
     least, most, single = spread(f, LEAST_J), spread(f, MOST_J), spread(f, 1.0)
     for n in range(0, count, 16):
         p = at + n
         left = count - n
         v0, v1, v2, fill, L = _gathered(records, 16 * n, k)
-        keep(beside, f, p, cap, extra, n, (v0, v1, v2))
+        carried = higher(carried, keep(beside, f, p, cap, extra, n, (v0, v1, v2)))
         _take_gradient(f, p, cap, L)
+        turning = higher(turning, _squared(L))
         v0, v1, v2 = moving(beside, split, extra, n, (v0, v1, v2))
         trace = L[0] + L[4] + L[8]
         L = strain(beside, split, f, p, cap, extra, n, L, fill, numbers)
@@ -139,6 +141,8 @@ def _move(
     rate = max(rate, largest(quick) / (FARTHEST * dx), largest(stretching) / STRETCH)
     report[0] = max(report[0], rate)
     report[1] = max(report[1], largest(far))
+    report[4] = max(report[4], largest(carried) / dx)
+    report[5] = max(report[5], largest(turning))
 
 
 @inline
@@ -149,6 +153,14 @@ def _gathered(records, at, k):
         k * r[12], k * r[13], k * r[14]
     )  # fmt: skip
     return r[0], r[1], r[2], r[3], (x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2])
+
+
+@inline
+def _squared(C):
+    """Sum of the squares of nine entries."""
+    one = C[0] * C[0] + C[1] * C[1] + C[2] * C[2]
+    other = C[3] * C[3] + C[4] * C[4] + C[5] * C[5]
+    return one + other + (C[6] * C[6] + C[7] * C[7] + C[8] * C[8])
 
 
 @inline

@@ -43,11 +43,13 @@ class Scratch(NamedTuple):
 
     real: np.ndarray  # (ROOM + more * MORE,) see `parts` and `patch_of`
     whole: np.ndarray  # (BATCH + 16 + 6,) int32: base rows of a batch, and behind them a box
+    peak: np.ndarray  # (16,) largest squared stress over density so far [m4/s4], in 16 parts
 
 
 def scratch(real: np.dtype, more: int) -> Scratch:
     """Scratch for a patch of velocities and `more` patches that are gathered beside it."""
-    return Scratch(aligned(ROOM + more * MORE, real), np.zeros(BATCH + 16 + 6, np.int32))
+    whole = np.zeros(BATCH + 16 + 6, np.int32)
+    return Scratch(aligned(ROOM + more * MORE, real), whole, aligned(16, real))
 
 
 @inline

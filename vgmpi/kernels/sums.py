@@ -31,7 +31,7 @@ from ..lanes.wide import (
 )
 from .walls import SIDE
 
-DIGITS = 45  # binary digits that a sum keeps of the number that is called full
+DIGITS = 46  # binary digits that a sum keeps of the number that is called full
 SECOND = 40  # digits that the second word begins behind the first
 
 
@@ -55,6 +55,12 @@ def power(values) -> np.ndarray:
     """Each number as a power of two that is not below it; 1 for 0."""
     values = np.asarray(values, np.float64)
     return np.exp2(np.ceil(np.log2(np.where(values > 0.0, values, 1.0))))
+
+
+def coarse(speed: float) -> float:
+    """A power of 8 that is not below a speed [m/s], so that it changes seldom; of none, a very
+    small one."""
+    return 8.0 ** np.ceil(np.log2(max(speed, 1e-30)) / 3.0)
 
 
 @inline

@@ -360,6 +360,18 @@ def only(typing, mask, values):
 
 
 @intrinsic
+def higher(typing, a, b):
+    """The larger of each two numbers; one that is no number does not count."""
+
+    def build(context, builder, signature, arguments):
+        name = f"llvm.maxnum.v{COUNT}f{a.real.bitwidth}"
+        kind = ir.FunctionType(a.vector, [a.vector, a.vector])
+        return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), arguments)
+
+    return a(a, b), build
+
+
+@intrinsic
 def largest(typing, values):
     """The largest of 16 numbers."""
 

@@ -8,7 +8,7 @@ from numba.extending import intrinsic
 from .lanes import COUNT, DOUBLES, OF, address
 
 BLOCK = 256  # sums of a node block; behind them, if any, those of the second word
-ROOM = 12.0  # a sum may leave rest by this part of it: 2^49 quanta, so that partial sums have room
+ROOM = 6.0  # a sum may leave rest by this part of it: 2^50 quanta, so that partial sums have room
 _TIES = 1.0 + 2.0**-52
 
 

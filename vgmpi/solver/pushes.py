@@ -24,15 +24,21 @@ class Pushes:
             [at[within(group.ids[at], load.ids)] for group, at in there] for load in self.loads
         ]
 
-    def push(self, groups: list[Group], time: float, dt: float) -> None:
-        """Velocities change by what the loads do in a step of dt [s] that begins at `time` [s]."""
+    def push(self, groups: list[Group], time: float, dt: float) -> float:
+        """Velocities change by what the loads do in a step of dt [s] that begins at `time` [s].
+        Returns by how much at the most [m/s], the same on all ranks."""
+        most = 0.0
         for loaded, places in zip(self.loads, self.places, strict=True):
             share = loaded.load.share(time, time + dt)
             if share == 0.0:
                 continue
+            fastest = 0.0
             for group, at in zip(groups, places, strict=True):
                 self.dv[:] = [dt * share * a for a in acceleration(loaded, group.plan.density)]
                 push(group.f, at, self.dv)
+                fastest = max(fastest, float(np.abs(self.dv).max()))
+            most += fastest
+        return most
 
     def impulse(self, t0: float, t1: float) -> np.ndarray:
         """What all loads give between two times [s], of all ranks: (3,) [N s]."""

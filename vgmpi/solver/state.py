@@ -103,6 +103,7 @@ def save(simulation: Simulation) -> dict:
         "time": simulation.time,
         "step": simulation.step,
         "rate": simulation.rate,
+        "reach": [float(part) for part in simulation.reach],
         "group_names": [group.name for group in simulation.plan.groups],
         "precision": simulation.plan.real.name,
         "cells": list(simulation.plan.cells),
@@ -140,6 +141,7 @@ def restore(simulation: Simulation, saved) -> None:
             )
     simulation.time, simulation.step = saved.attrs["time"], saved.attrs["step"]
     simulation.rate = saved.attrs["rate"]
+    simulation.reach = np.array(saved.attrs.get("reach", [np.inf, np.inf]))
     simulation.sorted_at = simulation.step
     rows = [_segments(simulation, saved, g) for g in range(len(plan.groups))]
     costs = np.array([group.cost for group in plan.groups])

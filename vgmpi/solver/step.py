@@ -14,12 +14,12 @@ from ..domain.halo import Halo
 from ..domain.ranks import Alone
 from ..domain.solids import Solids
 from ..domain.state import Group
-from ..engines.base import Engine, Report
+from ..engines.base import Engine, Report, fastest
 from ..engines.cpu import Cpu
 from ..engines.numpy.engine import Numpy
 from ..kernels import g2p
 from ..materials.base import function
-from ..planning.plan import Plan
+from ..planning.plan import GroupPlan, Plan
 from .pushes import Pushes
 
 REASONS = {
@@ -60,8 +60,8 @@ class Simulation:
     """Particles of all groups on this rank, and the clock. Collective: all ranks call the same
     methods.
 
-    time [s] and step are the state's; rate [1/s] is the least 1/dt the state allows; both are part
-    of a checkpoint.
+    time [s] and step are the state's; rate [1/s] is the least 1/dt the state allows; reach bounds
+    the sums of the next step (engines.base.fastest); all are part of a checkpoint.
     """
 
     def __init__(
@@ -89,11 +89,12 @@ class Simulation:
         self.time = 0.0
         self.step = 0
         self.rate = 0.0
+        self.reach = np.full(2, np.inf)
         self.sorts = 0
         self.sorted_at = 0
         self.sent = 0  # bytes this rank gave its neighbours
         self.moved = 0  # particles that left this rank for another
-        self.said = np.zeros(8)
+        self.said = np.zeros(10)
         self.clock = None  # a callable(name) that marks the end of a stage, or None
 
     def put(
@@ -115,7 +116,7 @@ class Simulation:
         of v [1/s], (n, 9), or None for 0; sh: (n, K, 3) colours, asked for where these travel.
         """
         group_of = np.array(self.plan.group_of)[thing] if len(thing) else thing
-        fastest = 0.0
+        least = np.zeros(3)  # rate, and reach
         for g, group in enumerate(self.groups):
             here = group_of == g
             block, xi = self.lattice.place(x[here], self.plan.real)
@@ -135,18 +136,25 @@ class Simulation:
                 # the fastest wave is at an end of the range, which the ranks agree on bit by bit
                 states += [(end, *group.plan.rest[1:]) for end in _ends(theta[here])]
             if here.any():
-                law = group.plan.law
-                waves = [function(law, "wave_speed2")(law, state) for state in states]
-                wave = np.sqrt(group.plan.bound(max(waves)))
-                speed = np.sqrt((v[here] ** 2).sum(1)).max()
-                fastest = max(fastest, float(wave + speed), float(speed) * self.plan.cfl / FARTHEST)
+                turns = C[here] if C is not None else np.zeros((1, 9))
+                least = np.maximum(least, self._bounds(group.plan, states, v[here], turns))
             migrate.arrive(group, block, xi, f, ids[here])
-        rate = fastest / (self.plan.cfl * self.plan.dx)
-        if C is not None and len(C):
-            rate = max(rate, float(np.abs(C[:, 0] + C[:, 4] + C[:, 8]).max()) / STRETCH)
-        self.rate = float(self.ranks.max(np.array([rate]))[0])
+        found = self.ranks.max(least)
+        self.rate, self.reach = float(found[0]), found[1:].copy()
         self.sort()
         self.moved = 0  # finding the first owners is no migration
+
+    def _bounds(self, group: GroupPlan, states: list, v: np.ndarray, C: np.ndarray) -> np.ndarray:
+        """(rate, reach) of particles of a group that begin in one of the states, see the class."""
+        law, dx, cfl = group.law, self.plan.dx, self.plan.cfl
+        wave2 = group.bound(max(function(law, "wave_speed2")(law, state) for state in states))
+        tau = [np.abs(function(law, "stress")(law, state, (0.0,) * 9)).sum() for state in states]
+        speed, wave = float(np.sqrt((v**2).sum(1)).max()), float(np.sqrt(wave2))
+        spin = float(np.sqrt((C**2).sum(1)).max())
+        rate = max((wave + speed) / (cfl * dx), speed / (FARTHEST * dx))
+        rate = max(rate, float(np.abs(C[:, 0] + C[:, 4] + C[:, 8]).max()) / STRETCH)
+        pressure = 2.0 * float(max(tau)) / (group.density * group.pores) + 3.0 * wave2 * spin / rate
+        return np.array([rate, speed + 2.6 * dx * spin, pressure])
 
     def sort(self) -> None:
         """Re-sort all particles, cut the curve anew if the load asks for it, and lay out the
@@ -194,13 +202,14 @@ class Simulation:
         """
         mark = self.clock or (lambda name: None)
         engine, halo = self.engine, self.halo
+        pushed = 0.0
         if self.loads is not None:
-            self.loads.push(self.groups, self.time, dt)
+            pushed = self.loads.push(self.groups, self.time, dt)
         gravity = self.gravity
         if self.plan.gravity_ramp:
             gravity = gravity * self.plan.gravity_share(self.time, self.time + dt)
         # x, v, C, state at n -> mass and momentum (with the stress at n over dt)
-        engine.begin(dt, gravity)
+        engine.begin(dt, gravity, fastest(self.plan, dt, self.reach, pushed))
         engine.fill(border=True)
         mark("p2g")
         halo.start(self.step, engine.pack)
@@ -226,18 +235,18 @@ class Simulation:
         mark("wait")
         if found[2]:
             raise BlowUp(self._blame(report))
-        self.rate = float(found[0])
+        self.rate, self.reach = float(found[0]), found[3:5].copy()
         if found[1] >= g2p.REACH:
             self.sort()
             mark("sort")
-        return found[3:]
+        return found[5:]
 
     def _agreed(self, report: Report, requests: tuple[float, ...]) -> np.ndarray:
-        """The step's one reduction: rate, farthest particle, whether something went wrong,
+        """The step's one reduction: rate, farthest particle, whether something went wrong, reach,
         requests."""
-        said = self.said[: 3 + len(requests)]
+        said = self.said[: 5 + len(requests)]
         said[:3] = report.rate, report.far, bool(report.wrong or report.beyond)
-        said[3:] = requests
+        said[3:5], said[5:] = report.reach, requests
         return self.ranks.max(said)
 
     def object_of(self, ids: np.ndarray) -> np.ndarray:

@@ -48,7 +48,7 @@ class Numpy:
             np.repeat(split[tables.group == g], group.count) for g, group in enumerate(self.groups)
         ]
 
-    def begin(self, dt: float, gravity: np.ndarray) -> None:
+    def begin(self, dt: float, gravity: np.ndarray, speed: float) -> None:
         self.dt, self.gravity = dt, gravity
 
     def pack(self, part: Part) -> None:
@@ -171,12 +171,12 @@ class Numpy:
                                                          strict=True)]  # fmt: skip
         wrong = [one for report in found for one in report.wrong]
         rate, far = (max(getattr(r, name) for r in found) for name in ("rate", "far"))
-        return Report(rate, far, wrong, [])
+        return Report(rate, far, (0.0, 0.0), wrong, [])
 
     def _gather(self, group: Group, stencil: Stencil, split: np.ndarray, step: int) -> Report:
         plan, dense, p = group.plan, self.dense, group.plan.phase
         if not len(split):
-            return Report(0.0, 0.0, [], [])
+            return Report(0.0, 0.0, (0.0, 0.0), [], [])
         for k in range(plan.coefficients):
             colour = self._get(group, "colour")
             colour[:, 3 * k : 3 * k + 3] = dense.gather(self.hues[k, p], stencil)[:, :3]
@@ -240,7 +240,7 @@ class Numpy:
         reason = np.select([~whole, ~tame, ~slow, ~inside], [CRUSHED, LOST, TOO_FAST, OUTSIDE], 0)
         wrong = [(int(group.ids[at[k]]), int(reason[k])) for k in np.flatnonzero(reason)]
         rate = float(np.where(good, rates, 0.0).max())
-        return Report(rate, float(np.abs(x).max()), wrong, [])
+        return Report(rate, float(np.abs(x).max()), (0.0, 0.0), wrong, [])
 
     # ---- a group's numbers, in double precision --------------------------------------------------
 

@@ -35,7 +35,7 @@ def kind(plan, group, coefficient: int) -> Colour:
     return Colour(*(plan.real.type(v) for v in (UNSEEN, first)))
 
 
-def full(plan, dt: float, coefficient: int) -> np.ndarray:
+def full(plan, coefficient: int) -> np.ndarray:
     """Powers of two (phases, 4): a cell's volume times the largest colour, and its volume."""
     volume = power(plan.dx**3)
     hue = volume * power(plan.colours.span[:, coefficient])
@@ -43,8 +43,9 @@ def full(plan, dt: float, coefficient: int) -> np.ndarray:
 
 
 @contribute.of(Colour)
-def _colour(kind, law, count, at, cap, f, extra, records, dt):
+def _colour(kind, law, count, at, cap, f, scratch, records, dt):
     zero = spread(f, 0.0)
+    extra = parts(scratch.real)[3]
     present(law, count, at, cap, f, extra)
     first = np.int64(kind.channel) * cap + at
     for n in range(0, count, 16):

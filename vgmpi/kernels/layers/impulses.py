@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...lanes.lanes import load
+from ...lanes.lanes import load, store
 from ...lanes.laws import lane_state, stress, volume_ratio
-from ...lanes.rows import spread, store_records
+from ...lanes.rows import higher, spread, store_records
 from ..records import AFFINE, STATE, VOLUME
 from ..sums import power
 from . import momentum
@@ -21,27 +21,31 @@ class Impulses(NamedTuple):
     counted: float  # 1 where phases share space, so that nodes must know volumes
     porosity: float  # channel of the fluid's share of space, or -1
     dx: float  # [m]
+    density: float  # [kg/m3]
 
 
 def kind(plan, group) -> Impulses:
     """What a group's particles contribute."""
     real = plan.real.type
     counted, porosity = plan.rules is not None, group.channels.first("share")
-    return Impulses(*(real(v) for v in (VECTOR, plan.splines, counted, porosity, plan.dx)))
+    return Impulses(
+        *(real(v) for v in (VECTOR, plan.splines, counted, porosity, plan.dx, group.density))
+    )
 
 
-def full(plan, dt: float) -> np.ndarray:
+def full(plan, speed: float) -> np.ndarray:
     """Powers of two (phases, 4): as of momentum, and the volume of a cell."""
-    out = momentum.full(plan, dt)
+    out = momentum.full(plan, speed)
     out[:, 3] = power(plan.dx**3)
     return out
 
 
 @contribute.of(Impulses)
-def _impulses(kind, law, count, at, cap, f, extra, records, dt):
+def _impulses(kind, law, count, at, cap, f, scratch, records, dt):
     porosity = np.int64(kind.porosity)
     zero = spread(f, 0.0)
     four = dt * 4.0 / kind.dx
+    peak, over = load(scratch.peak, 0), 1.0 / (kind.density * kind.density)
     for n in range(0, count, 16):
         p = at + n
         q = p + AFFINE * cap
@@ -52,10 +56,14 @@ def _impulses(kind, law, count, at, cap, f, extra, records, dt):
         state = lane_state(law, f, p + STATE * cap, cap)
         t00, t11, t22, t01, t02, t12 = stress(law, state, L)
         volume = load(f, p + VOLUME * cap)
-        k = -four * volume
+        k, over_pores = -four * volume, spread(f, 1.0)
         now = volume * volume_ratio(law, state) if kind.counted > 0.0 else zero
         if porosity >= 0:
-            k = k / load(f, p + porosity * cap)
+            share = load(f, p + porosity * cap)
+            k = k / share
+            over_pores = 1.0 / (share * share)
+        size = t00 * t00 + t11 * t11 + t22 * t22 + t01 * t01 + t02 * t02 + t12 * t12
+        peak = higher(peak, over * over_pores * size)
         a, b, c = k * t01, k * t02, k * t12
         store_records(
             records,
@@ -65,6 +73,7 @@ def _impulses(kind, law, count, at, cap, f, extra, records, dt):
                 a, k * t11, c, zero, b, c, k * t22, zero,
             ),
         )  # fmt: skip
+    store(scratch.peak, 0, peak)
 
 
 add.of(Impulses)(momentum.by_slopes)

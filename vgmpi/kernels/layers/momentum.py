@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...lanes.lanes import load
+from ...lanes.lanes import load, store
 from ...lanes.laws import lane_state, stress
-from ...lanes.rows import spread, store_records
+from ...lanes.rows import higher, spread, store_records
 from ..records import AFFINE, STATE, VOLUME
 from ..rowsums import scatter, scatter_slopes
-from ..sums import power
+from ..sums import coarse, power
 from .base import VECTOR, add, contribute
 
 
@@ -42,19 +42,20 @@ def kinds(plan, group) -> tuple[Momentum, Inertia]:
     return Momentum(*numbers), Inertia(*numbers)
 
 
-def full(plan, dt: float) -> np.ndarray:
-    """Powers of two (phases, 4): momentum of a full cell of a phase's densest material that crosses
-    one cell in dt [s], and its mass."""
+def full(plan, speed: float) -> np.ndarray:
+    """Powers of two (phases, 4): momentum of a full cell of a phase's densest material at a speed
+    [m/s], and its mass."""
     mass = power([phase.most for phase in plan.phases])
-    fast = mass * power(plan.dx / dt)
+    fast = mass * coarse(speed)
     return np.stack([fast, fast, fast, mass], 1)
 
 
 @contribute.of(Momentum)
-def _momentum(kind, law, count, at, cap, f, extra, records, dt):
+def _momentum(kind, law, count, at, cap, f, scratch, records, dt):
     zero = spread(f, 0.0)
     dx = kind.dx
     four = dt * 4.0 / (dx * dx)
+    peak, over = load(scratch.peak, 0), 1.0 / (kind.density * kind.density)
     for n in range(0, count, 16):
         p = at + n
         q = p + AFFINE * cap
@@ -63,6 +64,8 @@ def _momentum(kind, law, count, at, cap, f, extra, records, dt):
         c6, c7, c8 = load(f, q + 6 * cap), load(f, q + 7 * cap), load(f, q + 8 * cap)
         L = (c0, c1, c2, c3, c4, c5, c6, c7, c8)
         t00, t11, t22, t01, t02, t12 = stress(law, lane_state(law, f, p + STATE * cap, cap), L)
+        size = t00 * t00 + t11 * t11 + t22 * t22 + t01 * t01 + t02 * t02 + t12 * t12
+        peak = higher(peak, over * size)
         volume = load(f, p + VOLUME * cap)
         mass = kind.density * volume
         k, m = dx * four * volume, kind.affine * dx * mass
@@ -76,10 +79,11 @@ def _momentum(kind, law, count, at, cap, f, extra, records, dt):
                 m * c2 - k * t02, m * c5 - k * t12, m * c8 - k * t22, zero,
             ),
         )  # fmt: skip
+    store(scratch.peak, 0, peak)
 
 
 @contribute.of(Inertia)
-def _inertia(kind, law, count, at, cap, f, extra, records, dt):
+def _inertia(kind, law, count, at, cap, f, scratch, records, dt):
     zero = spread(f, 0.0)
     for n in range(0, count, 16):
         p = at + n

@@ -10,7 +10,7 @@ from ...device.jit import inline
 from ...lanes.lanes import load, store
 from ...lanes.laws import lane_state, volume_ratio
 from ...lanes.rows import diagonal, fourth
-from ..records import STATE, VOLUME
+from ..records import STATE, VOLUME, parts
 from ..rowsums import scatter
 from ..sums import power
 from .base import OFFSET, add, contribute
@@ -39,7 +39,7 @@ def kind(plan, group) -> Offsets | Present:
     return made(*(real(v) for v in (OFFSET, group.share, plan.dx)))
 
 
-def full(plan, dt: float) -> np.ndarray:
+def full(plan) -> np.ndarray:
     """Powers of two (phases, 4): a cell's volume times its width, and its volume."""
     far, volume = power(plan.dx**4), power(plan.dx**3)
     return np.tile([far, far, far, volume], (len(plan.phases), 1))
@@ -63,12 +63,13 @@ def _offsets(kind, count, volumes, first, records):
 
 
 @contribute.of(Offsets)
-def _rest(kind, law, count, at, cap, f, extra, records, dt):
+def _rest(kind, law, count, at, cap, f, scratch, records, dt):
     _offsets(kind, count, f, at + VOLUME * cap, records)
 
 
 @contribute.of(Present)
-def _present(kind, law, count, at, cap, f, extra, records, dt):
+def _present(kind, law, count, at, cap, f, scratch, records, dt):
+    extra = parts(scratch.real)[3]
     present(law, count, at, cap, f, extra)
     _offsets(kind, count, extra, 0, records)
 
