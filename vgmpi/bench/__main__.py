@@ -237,6 +237,22 @@ def _run_emulate(given: argparse.Namespace) -> int:
     return 0
 
 
+def _together(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("--laws", nargs="+", default=["fluid", "elastic"], metavar="LAW")
+    say("--particles", type=float, default=4e5, metavar="N", help="of all ranks, default 4e5")
+    say("--rounds", type=int, default=9, help="default 9")
+
+
+def _run_together(given: argparse.Namespace) -> int:
+    from . import together
+
+    how = int(given.particles), given.rounds
+    ranks = [together.ranks(law, *how, _say) for law in given.laws]
+    print(together.text(ranks, [together.threads(law, *how) for law in given.laws]))
+    return 0
+
+
 def _overhead(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--ranks", nargs="+", type=int, default=[1, 2], metavar="N")
     parser.add_argument("--steps", type=int, default=300, help="of a round, default 300")
@@ -352,6 +368,7 @@ COMMANDS = {  # what it does, its flags, how it runs
     "spills": ("vectors that do not fit the registers", _spills, _run_spills),
     "stability": ("the largest stable time step of every law", _stability, _run_stability),
     "scaling": ("predict many ranks from what is measured here", _scaling, _run_scaling),
+    "together": ("two ranks beside two runs, two threads", _together, _run_together),
     "compare": ("print two measurements side by side", _compare, _run_compare),
 }
 
