@@ -100,7 +100,9 @@ SCENES = {kind: (of_law(kind), "mixed", "") for kind in LAWS} | {
     ),
     "drag": (WATER + SAND + WET + BED + FLOW, "mixed", ""),
     "drag as printed": (
-        WATER + SAND + WET + BED + coupling("drag-paper", "water", "sand", "permeability = 2"), "mixed", "",
+        WATER + SAND + WET + BED + coupling("drag-paper", "water", "sand", "permeability = 2"),
+        "mixed",
+        "",
     ),
     "everything": (
         WATER + OIL + SAND + TOY + WET + OILY + BED + CUBE + POST + MIX + FLOW, "separate", "",

@@ -36,20 +36,40 @@ class Report(NamedTuple):
 
     rate: float  # [1/s] least 1/dt that the particles allow
     far: float  # [cells] farthest from its block's middle
-    reach: tuple[float, float]  # what bounds the sums of the next step, see `fastest`
+    reach: tuple[float, float, float]  # what bounds the sums of the next step, see `Reach`
     wrong: list[tuple[int, int]]  # id of a particle that went wrong, and why (g2p.CRUSHED ...)
     beyond: list[Beyond]
 
 
-def fastest(plan: Plan, dt: float, reach: np.ndarray, pushed: float) -> float:
-    """Speed [m/s] above which the sums of a step of dt [s] hold no momentum per mass: the quanta
-    follow from it.
+class Reach(NamedTuple):
+    """Maxima over all particles of the step before, which bound the sums of the next."""
 
-    reach: of the step before, (2,): speed of particles and of what turns about them [m/s]; square
-    of the speed that stress gives, with what it may grow by [m2/s2]; pushed: by loads [m/s].
-    """
-    most = plan.dx / dt
-    return float(min(most, reach[0] + pushed + 4.0 * dt / plan.dx * reach[1]))
+    speed: float  # [m/s] along an axis
+    turn: float  # [1/s] size of the velocity's gradient
+    stress: float  # [m2/s2] over density
+    rate: float  # [1/s] as of Report
+    dt: float  # [s] of that step
+
+    @classmethod
+    def of(cls, found: np.ndarray, rate: float, dt: float) -> "Reach":
+        """found: speed, turn, stress (3,)."""
+        return cls(float(found[0]), float(found[1]), float(found[2]), rate, dt)
+
+    def fastest(self, plan: Plan, dt: float, pushed: float) -> float:
+        """Speed [m/s] above which the sums of a step of dt [s] hold no momentum per mass: the
+        quanta follow from it. pushed: by loads [m/s].
+
+        A particle gives a node at most 1.5 sqrt(3) dx away its speed, what it turns by, and what
+        its stress does, which has grown by its stiffness, rho c^2, times the strain of a step at
+        the most; 3 times that is allowed for.
+        """
+        waves = (self.rate * plan.cfl * plan.dx) ** 2
+        stress = 2.0 * self.stress + 3.0 * waves * self.turn * self.dt
+        given = self.speed + pushed + 2.6 * plan.dx * self.turn + 4.0 * dt / plan.dx * stress
+        return float(min(plan.dx / dt, given))
+
+
+UNKNOWN = Reach(np.inf, np.inf, np.inf, np.inf, 0.0)
 
 
 class Engine(Protocol):
@@ -64,7 +84,7 @@ class Engine(Protocol):
         """Lay out what the tables ask for, after a sort; kept: they are those of before."""
 
     def begin(self, dt: float, gravity: np.ndarray, speed: float) -> None:
-        """Begin a step of dt [s] with gravity (3,) [m/s2]; speed: see `fastest`."""
+        """Begin a step of dt [s] with gravity (3,) [m/s2]; speed: Reach.fastest."""
 
     def fill(self, border: bool) -> None:
         """Contribute this rank's segments: those that reach other ranks' nodes, or the others."""

@@ -60,7 +60,7 @@ class Layer:
         self.sized = np.zeros(0)  # not at rest
 
     def begin(self, speed: float) -> None:
-        """Choose the quanta; sums that rest elsewhere are put to rest. speed: base.fastest."""
+        """Choose the quanta; sums that rest elsewhere are put to rest. speed: base.Reach."""
         full = self.full(speed)
         if not np.array_equal(full, self.sized):
             self.sized, self.rest = full, sums.rests(full, self.real)
@@ -256,16 +256,9 @@ class Cpu:
         rows = self.reports.reshape(-1, 6)
         wrong = [(int(row[2]) - 1, int(row[3])) for row in rows if row[2] > 0]
         worst = rows.max(0)
-        return Report(worst[0], worst[1], self._reach(worst), wrong, self._found_beyond())
-
-    def _reach(self, worst: np.ndarray) -> tuple[float, float]:
-        """What bounds the sums of the next step. A particle gives a node at most 1.5 sqrt(3) dx
-        away its speed and what it turns by; stress grows by its stiffness, rho c^2, times the
-        strain of a step at the most, and 3 times that is allowed for."""
-        turns, waves = np.sqrt(worst[5]), (worst[0] * self.plan.cfl * self.plan.dx) ** 2
-        stress = np.sqrt(max(float(scratch.peak.max()) for scratch in self.scratch))
-        inertia = self.plan.dx * (worst[4] + 2.6 * turns)
-        return inertia, 2.0 * stress + 3.0 * waves * turns * self.dt
+        stress = max(float(scratch.peak.max()) for scratch in self.scratch)
+        reach = self.plan.dx * worst[4], float(np.sqrt(worst[5])), float(np.sqrt(stress))
+        return Report(worst[0], worst[1], reach, wrong, self._found_beyond())
 
     def _gather(self, thread: int, motion: g2p.Motion) -> None:
         scratch = self.scratch[thread]

@@ -5,6 +5,7 @@ import numpy as np
 from ..domain.census import Census, census
 from ..domain.ranks import Alone
 from ..domain.state import LANES
+from ..engines.base import UNKNOWN, Reach
 from ..materials.base import function
 from .step import Simulation
 
@@ -103,7 +104,7 @@ def save(simulation: Simulation) -> dict:
         "time": simulation.time,
         "step": simulation.step,
         "rate": simulation.rate,
-        "reach": [float(part) for part in simulation.reach],
+        "reach": list(simulation.reach),
         "group_names": [group.name for group in simulation.plan.groups],
         "precision": simulation.plan.real.name,
         "cells": list(simulation.plan.cells),
@@ -141,7 +142,7 @@ def restore(simulation: Simulation, saved) -> None:
             )
     simulation.time, simulation.step = saved.attrs["time"], saved.attrs["step"]
     simulation.rate = saved.attrs["rate"]
-    simulation.reach = np.array(saved.attrs.get("reach", [np.inf, np.inf]))
+    simulation.reach = Reach(*saved.attrs.get("reach", UNKNOWN))
     simulation.sorted_at = simulation.step
     rows = [_segments(simulation, saved, g) for g in range(len(plan.groups))]
     costs = np.array([group.cost for group in plan.groups])

@@ -14,7 +14,7 @@ from ..domain.halo import Halo
 from ..domain.ranks import Alone
 from ..domain.solids import Solids
 from ..domain.state import Group
-from ..engines.base import Engine, Report, fastest
+from ..engines.base import UNKNOWN, Engine, Reach, Report
 from ..engines.cpu import Cpu
 from ..engines.numpy.engine import Numpy
 from ..kernels import g2p
@@ -61,7 +61,7 @@ class Simulation:
     methods.
 
     time [s] and step are the state's; rate [1/s] is the least 1/dt the state allows; reach bounds
-    the sums of the next step (engines.base.fastest); all are part of a checkpoint.
+    the sums of the next step; all are part of a checkpoint.
     """
 
     def __init__(
@@ -89,12 +89,12 @@ class Simulation:
         self.time = 0.0
         self.step = 0
         self.rate = 0.0
-        self.reach = np.full(2, np.inf)
+        self.reach = UNKNOWN
         self.sorts = 0
         self.sorted_at = 0
         self.sent = 0  # bytes this rank gave its neighbours
         self.moved = 0  # particles that left this rank for another
-        self.said = np.zeros(10)
+        self.said = np.zeros(12)
         self.clock = None  # a callable(name) that marks the end of a stage, or None
 
     def put(
@@ -116,7 +116,7 @@ class Simulation:
         of v [1/s], (n, 9), or None for 0; sh: (n, K, 3) colours, asked for where these travel.
         """
         group_of = np.array(self.plan.group_of)[thing] if len(thing) else thing
-        least = np.zeros(3)  # rate, and reach
+        least = np.zeros(4)
         for g, group in enumerate(self.groups):
             here = group_of == g
             block, xi = self.lattice.place(x[here], self.plan.real)
@@ -140,21 +140,22 @@ class Simulation:
                 least = np.maximum(least, self._bounds(group.plan, states, v[here], turns))
             migrate.arrive(group, block, xi, f, ids[here])
         found = self.ranks.max(least)
-        self.rate, self.reach = float(found[0]), found[1:].copy()
+        self.rate = float(found[0])
+        self.reach = Reach.of(found[1:], self.rate, 1.0 / self.rate)
         self.sort()
         self.moved = 0  # finding the first owners is no migration
 
     def _bounds(self, group: GroupPlan, states: list, v: np.ndarray, C: np.ndarray) -> np.ndarray:
-        """(rate, reach) of particles of a group that begin in one of the states, see the class."""
+        """(rate, speed, turn, stress) of particles of a group that begin in one of the states, as
+        of engines.base.Reach."""
         law, dx, cfl = group.law, self.plan.dx, self.plan.cfl
         wave2 = group.bound(max(function(law, "wave_speed2")(law, state) for state in states))
         tau = [np.abs(function(law, "stress")(law, state, (0.0,) * 9)).sum() for state in states]
         speed, wave = float(np.sqrt((v**2).sum(1)).max()), float(np.sqrt(wave2))
-        spin = float(np.sqrt((C**2).sum(1)).max())
         rate = max((wave + speed) / (cfl * dx), speed / (FARTHEST * dx))
         rate = max(rate, float(np.abs(C[:, 0] + C[:, 4] + C[:, 8]).max()) / STRETCH)
-        pressure = 2.0 * float(max(tau)) / (group.density * group.pores) + 3.0 * wave2 * spin / rate
-        return np.array([rate, speed + 2.6 * dx * spin, pressure])
+        stress = float(max(tau)) / (group.density * group.pores)
+        return np.array([rate, speed, float(np.sqrt((C**2).sum(1)).max()), stress])
 
     def sort(self) -> None:
         """Re-sort all particles, cut the curve anew if the load asks for it, and lay out the
@@ -209,7 +210,7 @@ class Simulation:
         if self.plan.gravity_ramp:
             gravity = gravity * self.plan.gravity_share(self.time, self.time + dt)
         # x, v, C, state at n -> mass and momentum (with the stress at n over dt)
-        engine.begin(dt, gravity, fastest(self.plan, dt, self.reach, pushed))
+        engine.begin(dt, gravity, self.reach.fastest(self.plan, dt, pushed))
         engine.fill(border=True)
         mark("p2g")
         halo.start(self.step, engine.pack)
@@ -235,18 +236,19 @@ class Simulation:
         mark("wait")
         if found[2]:
             raise BlowUp(self._blame(report))
-        self.rate, self.reach = float(found[0]), found[3:5].copy()
+        self.rate = float(found[0])
+        self.reach = Reach.of(found[3:6], self.rate, dt)
         if found[1] >= g2p.REACH:
             self.sort()
             mark("sort")
-        return found[5:]
+        return found[6:]
 
     def _agreed(self, report: Report, requests: tuple[float, ...]) -> np.ndarray:
         """The step's one reduction: rate, farthest particle, whether something went wrong, reach,
         requests."""
-        said = self.said[: 5 + len(requests)]
+        said = self.said[: 6 + len(requests)]
         said[:3] = report.rate, report.far, bool(report.wrong or report.beyond)
-        said[3:5], said[5:] = report.reach, requests
+        said[3:6], said[6:] = report.reach, requests
         return self.ranks.max(said)
 
     def object_of(self, ids: np.ndarray) -> np.ndarray:

@@ -171,12 +171,12 @@ class Numpy:
                                                          strict=True)]  # fmt: skip
         wrong = [one for report in found for one in report.wrong]
         rate, far = (max(getattr(r, name) for r in found) for name in ("rate", "far"))
-        return Report(rate, far, (0.0, 0.0), wrong, [])
+        return Report(rate, far, (0.0,) * 3, wrong, [])
 
     def _gather(self, group: Group, stencil: Stencil, split: np.ndarray, step: int) -> Report:
         plan, dense, p = group.plan, self.dense, group.plan.phase
         if not len(split):
-            return Report(0.0, 0.0, (0.0, 0.0), [], [])
+            return Report(0.0, 0.0, (0.0,) * 3, [], [])
         for k in range(plan.coefficients):
             colour = self._get(group, "colour")
             colour[:, 3 * k : 3 * k + 3] = dense.gather(self.hues[k, p], stencil)[:, :3]
@@ -240,7 +240,7 @@ class Numpy:
         reason = np.select([~whole, ~tame, ~slow, ~inside], [CRUSHED, LOST, TOO_FAST, OUTSIDE], 0)
         wrong = [(int(group.ids[at[k]]), int(reason[k])) for k in np.flatnonzero(reason)]
         rate = float(np.where(good, rates, 0.0).max())
-        return Report(rate, float(np.abs(x).max()), (0.0, 0.0), wrong, [])
+        return Report(rate, float(np.abs(x).max()), (0.0,) * 3, wrong, [])
 
     # ---- a group's numbers, in double precision --------------------------------------------------
 
