@@ -33,14 +33,17 @@ def start(command, env=None, cwd=ROOT) -> subprocess.Popen:
     )
 
 
+PATIENCE = 8  # limits are there to find what hangs, not machines that do other things as well
+
+
 def finish(process: subprocess.Popen, timeout=120) -> subprocess.CompletedProcess:
     """Wait for its end; its process group is killed when the time is over."""
     try:
-        out, err = process.communicate(timeout=timeout)
+        out, err = process.communicate(timeout=PATIENCE * timeout)
     except subprocess.TimeoutExpired:
         os.killpg(process.pid, signal.SIGKILL)
         out, err = process.communicate()
-        pytest.fail(f"no end within {timeout} s: {process.args}\n{out}\n{err}")
+        pytest.fail(f"no end within {PATIENCE * timeout} s: {process.args}\n{out}\n{err}")
     return subprocess.CompletedProcess(process.args, process.returncode, out, err)
 
 

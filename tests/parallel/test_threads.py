@@ -14,6 +14,7 @@ from tests.scenes import MIXED
 from tests.states import by_id, different, state
 from vgmpi.engines import cpu
 from vgmpi.kernels import sums
+from vgmpi.kernels.tables import Sums
 from vgmpi.solver.step import BlowUp
 
 STEPS = 80
@@ -83,6 +84,7 @@ def forget_to_rest(monkeypatch):
 
     def begin(self, dt):
         self.rest = sums.rests(self.full(dt), self.real)
+        self.tables = Sums(self.sums, self.rest, self.asked, self.nodes)
 
     monkeypatch.setattr(cpu.Layer, "begin", begin)
 

@@ -20,7 +20,7 @@ from ..planning.plan import Plan
 
 # generators of a sequence that fills the unit cube evenly (Roberts 2018): the dither of a step, the
 # same on every rank
-DITHER = np.array([0.8191725133961645, 0.6710436067037893, 0.5497004779019703])
+DITHER = (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)
 
 
 class Beyond(NamedTuple):

@@ -1,5 +1,6 @@
 """Compiled code on the processor's cores: the arrays and calls of a step."""
 
+import math
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -32,6 +33,7 @@ class Share(NamedTuple):
     """A group as its transfers need it, laid out for the tables in force."""
 
     group: Group
+    particles: Particles
     segments: Segments
     shares: Shares
     given: list[Contribution]
@@ -47,8 +49,9 @@ class Layer:
         self.sums = aligned((0, sums.words(plan.real), sums.BLOCK), np.float64)
         self.nodes = aligned((0, sums.BLOCK), plan.real)
         self.asked = np.zeros(0, np.uint8)
-        self.sized = np.zeros(0)
+        self.sized = 0.0  # speed that the quanta are for; 0: the sums are not at rest
         self.rest = np.zeros((len(plan.phases), sums.words(plan.real), 16))
+        self.tables = Sums(self.sums, self.rest, self.asked, self.nodes)
 
     def adopt(self, asked: np.ndarray, phase_of_row: np.ndarray) -> None:
         """Make room for node blocks (n,), and for the copies of some behind them."""
@@ -57,18 +60,15 @@ class Layer:
         self.sums = grown(self.sums, needed)
         self.nodes = grown(self.nodes, len(asked) if needed else 0)
         self.nodes[:] = 0
-        self.sized = np.zeros(0)  # not at rest
+        self.sized = 0.0
 
     def begin(self, speed: float) -> None:
-        """Choose the quanta; sums that rest elsewhere are put to rest. speed: base.Reach."""
-        full = self.full(speed)
-        if not np.array_equal(full, self.sized):
-            self.sized, self.rest = full, sums.rests(full, self.real)
+        """Choose the quanta; sums that rest elsewhere are put to rest. speed: a power of 8 [m/s]
+        that is not below base.Reach."""
+        if speed != self.sized:
+            self.sized, self.rest = speed, sums.rests(self.full(speed), self.real)
             sums.reset(self.sums, self.rest, np.arange(len(self.phase)), self.phase)
-
-    @property
-    def tables(self) -> Sums:
-        return Sums(self.sums, self.rest, self.asked, self.nodes)
+            self.tables = Sums(self.sums, self.rest, self.asked, self.nodes)
 
 
 class Cpu:
@@ -93,6 +93,7 @@ class Cpu:
         )
         self.apart = any(group.apart for group in plan.groups)
         self.layers = {layer.name: layer for layer in _layers(plan, self.apart)}
+        self.hues = [layer for name, layer in self.layers.items() if name.startswith(hue(0)[:-1])]
         self.words = sums.words(plan.real)
         self.sets = np.zeros(0, np.int64) if plan.colours is None else plan.colours.set_of
         # what particles gather besides: only for FLIP and where phases share space
@@ -122,7 +123,10 @@ class Cpu:
                 raise RuntimeError(f"group {group.plan.name}: segments do not match the census")
         if kept:
             self.parts = [
-                part._replace(segments=part.segments._replace(start=g.start, count=g.count))
+                part._replace(
+                    particles=_particles(g),
+                    segments=part.segments._replace(start=g.start, count=g.count),
+                )
                 for part, g in zip(self.parts, self.groups, strict=True)
             ]
             return
@@ -164,7 +168,8 @@ class Cpu:
         )  # fmt: skip
         takes = {name: found[rows] for name, found in tables.takes.items()}
         given = _contributions(self.plan, group.plan, takes, split)
-        return Share(group, segments, shares, given, _numbers(self.plan, group.plan))
+        numbers = _numbers(self.plan, group.plan)
+        return Share(group, _particles(group), segments, shares, given, numbers)
 
     def _limits(self, block: np.ndarray) -> np.ndarray:
         """Range of positions [cells from the block's middle] whose base node exists, half a cell
@@ -184,7 +189,7 @@ class Cpu:
         fall[:3] = dt * gravity
         self.step = Step(dt, self.plan.dx, fall)
         for layer in self.layers.values():
-            layer.begin(speed)
+            layer.begin(sums.coarse(speed))
 
     def fill(self, border: bool) -> None:
         """Add what the particles contribute to the sums."""
@@ -202,7 +207,7 @@ class Cpu:
             for given in part.given:
                 self.call(
                     p2g.fill, rows[given.chosen[rows]], given.kind, group.plan.law, part.segments,
-                    _particles(group), self.layers[given.layer].sums, self.scratch[thread], dt,
+                    part.particles, self.layers[given.layer].sums, self.scratch[thread], dt,
                 )  # fmt: skip
 
     def pack(self, part: Part) -> None:
@@ -235,29 +240,28 @@ class Cpu:
             apart, self.plan.rules, self.walls, self.phases, self.solids, self.room[thread],
             self.step, self.beyond[thread],
         )  # fmt: skip
-        for k, layer in enumerate(self._hues()):
+        for k, layer in enumerate(self.hues):
             self.call(
                 colour.blend, blocks, self.blocks, layer.tables, self.sets, self.beyond[thread],
                 3 + k,
             )  # fmt: skip
 
-    def _hues(self) -> list[Layer]:
-        return [layer for name, layer in self.layers.items() if name.startswith(hue(0)[:-1])]
-
     def gather(self, step: int) -> Report:
         """Move the particles by the velocities at the nodes."""
-        dither = np.modf(DITHER * step)[0]
         real = self.plan.real.type
         motion = g2p.Motion(
-            real(self.dt), real(self.plan.cfl), 2.0 ** BITS[self.plan.real], *map(float, dither)
-        )
+            real(self.dt), real(self.plan.cfl), 2.0 ** BITS[self.plan.real],
+            *(d * step % 1.0 for d in DITHER),
+        )  # fmt: skip
         self.reports[:] = 0
         self.each(self._gather, motion)
         rows = self.reports.reshape(-1, 6)
-        wrong = [(int(row[2]) - 1, int(row[3])) for row in rows if row[2] > 0]
-        worst = rows.max(0)
+        worst = rows.max(0).tolist()
+        wrong = []
+        if worst[2] > 0:
+            wrong = [(int(row[2]) - 1, int(row[3])) for row in rows if row[2] > 0]
         stress = max(float(scratch.peak.max()) for scratch in self.scratch)
-        reach = self.plan.dx * worst[4], float(np.sqrt(worst[5])), float(np.sqrt(stress))
+        reach = self.plan.dx * worst[4], math.sqrt(worst[5]), math.sqrt(stress)
         return Report(worst[0], worst[1], reach, wrong, self._found_beyond())
 
     def _gather(self, thread: int, motion: g2p.Motion) -> None:
@@ -265,7 +269,7 @@ class Cpu:
         for part, report in zip(self.parts, self.reports, strict=True):
             group, plan = part.group, part.group.plan
             rows = part.shares.all[thread]
-            particles = _particles(group)
+            particles = part.particles
             first = plan.channels.first("colour")
             for k in range(plan.coefficients):
                 nodes = self.layers[hue(k)].nodes
@@ -293,7 +297,7 @@ class Cpu:
         """The lowest node block of each layer of which a sum left its range."""
         if not self.beyond.any():
             return []
-        names = ["momentum", "offsets", "impulses", *(layer.name for layer in self._hues())]
+        names = ["momentum", "offsets", "impulses", *(layer.name for layer in self.hues)]
         found = []
         for k, name in enumerate(names):
             here = self.beyond[:, k]

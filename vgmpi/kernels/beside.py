@@ -56,8 +56,13 @@ def set_aside(kind, count, weights, records, base, real, extra):
 
 @by_kind
 def keep(kind, f, p, cap, extra, n, v):
-    """The velocity of 16 particles from p, v as gathered: a tuple of three. Returns the largest
-    part along an axis."""
+    """The velocity of 16 particles from p, v as gathered: a tuple of three."""
+
+
+@by_kind
+def kept(kind, f, p, cap, way, scale):
+    """The largest part of that velocity along an axis [cells per step]. way: of the velocity they
+    move by; scale: cells per step of 1 m/s."""
 
 
 @by_kind
@@ -86,7 +91,12 @@ def _as_gathered(f, p, cap, v):
     store(f, p, v[0])
     store(f, p + cap, v[1])
     store(f, p + 2 * cap, v[2])
-    return higher(abs(v[0]), higher(abs(v[1]), abs(v[2])))
+
+
+@inline
+def _largest(f, p, cap, scale):
+    x, y, z = load(f, p), load(f, p + cap), load(f, p + 2 * cap)
+    return scale * higher(abs(x), higher(abs(y), abs(z)))
 
 
 # ---- nothing ------------------------------------------------------------------------------------
@@ -104,7 +114,12 @@ def _(kind, count, weights, records, base, real, extra):
 
 @keep.of(Nothing)
 def _(kind, f, p, cap, extra, n, v):
-    return _as_gathered(f, p, cap, v)
+    _as_gathered(f, p, cap, v)
+
+
+@kept.of(Nothing)
+def _(kind, f, p, cap, way, scale):
+    return way
 
 
 @moving.of(Nothing)
@@ -147,7 +162,12 @@ def _(kind, count, weights, records, base, real, extra):
 
 @keep.of(Sharing)
 def _(kind, f, p, cap, extra, n, v):
-    return _as_gathered(f, p, cap, v)
+    _as_gathered(f, p, cap, v)
+
+
+@kept.of(Sharing)
+def _(kind, f, p, cap, way, scale):
+    return _largest(f, p, cap, scale) if kind.drifts else way
 
 
 @moving.of(Sharing)
@@ -211,7 +231,12 @@ def _(kind, f, p, cap, extra, n, v):
     a = a + kind.share * (load(f, p) + load(extra, n) - a)
     b = b + kind.share * (load(f, p + cap) + load(extra, BATCH + n) - b)
     c = c + kind.share * (load(f, p + 2 * cap) + load(extra, 2 * BATCH + n) - c)
-    return _as_gathered(f, p, cap, (a, b, c))
+    _as_gathered(f, p, cap, (a, b, c))
+
+
+@kept.of(Blend)
+def _(kind, f, p, cap, way, scale):
+    return _largest(f, p, cap, scale)
 
 
 @moving.of(Blend)

@@ -11,7 +11,7 @@ from ..device.limits import FARTHEST, LEAST_J, MOST_J, STRETCH
 from ..lanes.lanes import place, store
 from ..lanes.laws import advance, lane_state, store_state, volume_ratio, wave_speed2
 from ..lanes.rows import SOUND_ALL, higher, largest, load_records, move, only, sound, spread
-from .beside import fetch, keep, moving, set_aside, strain, waves
+from .beside import fetch, keep, kept, moving, set_aside, strain, waves
 from .patches import gather
 from .records import AFFINE, BATCH, PATCH, STATE, box_of, parts, rest, touched, weigh
 from .rowsums import moments, slopes
@@ -110,7 +110,7 @@ def _move(
         p = at + n
         left = count - n
         v0, v1, v2, fill, L = _gathered(records, 16 * n, k)
-        carried = higher(carried, keep(beside, f, p, cap, extra, n, (v0, v1, v2)))
+        keep(beside, f, p, cap, extra, n, (v0, v1, v2))
         _take_gradient(f, p, cap, L)
         turning = higher(turning, _squared(L))
         v0, v1, v2 = moving(beside, split, extra, n, (v0, v1, v2))
@@ -122,6 +122,7 @@ def _move(
         wave2 = waves(beside, f, p, cap, numbers, wave_speed2(law, state))
         m0, m1, m2 = (dt / dx) * v0, (dt / dx) * v1, (dt / dx) * v2
         longest = np.maximum(abs(m0), np.maximum(abs(m1), abs(m2)))
+        carried = higher(carried, kept(beside, f, p, cap, longest, dt / dx))
         # not a number lies between no bounds
         slow = sound(longest + 0.0 * (m0 + m1 + m2), shortest, single, left)
         whole = sound(J, least, most, left)
@@ -141,7 +142,7 @@ def _move(
     rate = max(rate, largest(quick) / (FARTHEST * dx), largest(stretching) / STRETCH)
     report[0] = max(report[0], rate)
     report[1] = max(report[1], largest(far))
-    report[4] = max(report[4], largest(carried) / dx)
+    report[4] = max(report[4], largest(carried) / dt)
     report[5] = max(report[5], largest(turning))
 
 

@@ -33,7 +33,8 @@ def fill(rows, kind, law, segments, particles, sums, scratch, dt):
     cap = particles.f.shape[1]
     f, xi = particles.f.reshape(particles.f.size), particles.xi.reshape(particles.xi.size)
     totals = place(sums.reshape(sums.size))
-    weights, records, patch, _ = parts(scratch.real)
+    weights, records, patch, extra = parts(scratch.real)
+    peak = place(scratch.peak)
     nodes = patch[:PATCH].reshape((SIDE, SIDE, SIDE, 4))
     base, box = scratch.whole, box_of(scratch.whole)
     start, count, into, mirror = segments.start, segments.count, segments.into, segments.mirror
@@ -47,7 +48,7 @@ def fill(rows, kind, law, segments, particles, sums, scratch, dt):
             n = min(BATCH, count[s] - first)
             at = start[s] + first
             weigh(n, at, cap, xi, f, base, weights)
-            contribute(kind, law, n, at, cap, f, scratch, records, dt)
+            contribute(kind, law, n, at, cap, f, extra, peak, records, dt)
             add(kind, n, records, weights, base, patch)
         if kind.mirror != UNSEEN:
             fold(nodes, mirror[s], kind.mirror == OFFSET)

@@ -11,6 +11,7 @@ In double precision what the first word lost of a term is added to a second word
 its own. A node block is 64 nodes of four numbers: 256 first words, then 256 second ones if any.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -60,7 +61,7 @@ def power(values) -> np.ndarray:
 def coarse(speed: float) -> float:
     """A power of 8 that is not below a speed [m/s], so that it changes seldom; of none, a very
     small one."""
-    return 8.0 ** np.ceil(np.log2(max(speed, 1e-30)) / 3.0)
+    return 8.0 ** math.ceil(math.log2(max(speed, 1e-30)) / 3.0)
 
 
 @inline

@@ -228,7 +228,7 @@ class Numpy:
         whole, tame = (J > LEAST_J) & (J < MOST_J), (wave2 > -1.0) & (wave2 < FASTEST_WAVE**2)
         slow = np.abs(way).max(1) < 1.0
         good = whole & tame & slow
-        dither = np.modf(DITHER * step)[0]
+        dither = np.array([d * step % 1.0 for d in DITHER])
         units = np.floor(2.0**group.bits * np.where(good[:, None], way, 0.0) + dither)
         group.xi[:, at] += units.T.astype(group.xi.dtype)
         x = np.ldexp(group.xi[:, at].T.astype(np.float64), -group.bits)

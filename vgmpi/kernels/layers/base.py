@@ -14,12 +14,12 @@ UNSEEN, VECTOR, OFFSET = 0.0, 1.0, 2.0  # walls leave it; reflect it as momentum
 
 
 @by_kind
-def contribute(kind, law, count, at, cap, f, scratch, records, dt):
+def contribute(kind, law, count, at, cap, f, extra, peak, records, dt):
     """Records (records.py) of `count` particles from `at`: a value at the particle 0-3, its slope
     per cell along x 4-7, y 8-11, z 12-15.
 
-    law: the group's; cap: numbers per channel; f: (channels * cap,); scratch: see
-    records.Scratch; dt [s].
+    law: the group's; cap: numbers per channel; f: (channels * cap,); extra: (5 BATCH,)
+    scratch; peak: see records.Scratch, by its place; dt [s].
     """
 
 

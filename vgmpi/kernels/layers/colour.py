@@ -43,9 +43,8 @@ def full(plan, coefficient: int) -> np.ndarray:
 
 
 @contribute.of(Colour)
-def _colour(kind, law, count, at, cap, f, scratch, records, dt):
+def _colour(kind, law, count, at, cap, f, extra, peak, records, dt):
     zero = spread(f, 0.0)
-    extra = parts(scratch.real)[3]
     present(law, count, at, cap, f, extra)
     first = np.int64(kind.channel) * cap + at
     for n in range(0, count, 16):

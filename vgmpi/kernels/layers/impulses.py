@@ -41,11 +41,11 @@ def full(plan, speed: float) -> np.ndarray:
 
 
 @contribute.of(Impulses)
-def _impulses(kind, law, count, at, cap, f, scratch, records, dt):
+def _impulses(kind, law, count, at, cap, f, extra, peak, records, dt):
     porosity = np.int64(kind.porosity)
     zero = spread(f, 0.0)
     four = dt * 4.0 / kind.dx
-    peak, over = load(scratch.peak, 0), 1.0 / (kind.density * kind.density)
+    most, over = load(peak, 0), 1.0 / (kind.density * kind.density)
     for n in range(0, count, 16):
         p = at + n
         q = p + AFFINE * cap
@@ -63,7 +63,7 @@ def _impulses(kind, law, count, at, cap, f, scratch, records, dt):
             k = k / share
             over_pores = 1.0 / (share * share)
         size = t00 * t00 + t11 * t11 + t22 * t22 + t01 * t01 + t02 * t02 + t12 * t12
-        peak = higher(peak, over * over_pores * size)
+        most = higher(most, over * over_pores * size)
         a, b, c = k * t01, k * t02, k * t12
         store_records(
             records,
@@ -73,7 +73,7 @@ def _impulses(kind, law, count, at, cap, f, scratch, records, dt):
                 a, k * t11, c, zero, b, c, k * t22, zero,
             ),
         )  # fmt: skip
-    store(scratch.peak, 0, peak)
+    store(peak, 0, most)
 
 
 add.of(Impulses)(momentum.by_slopes)

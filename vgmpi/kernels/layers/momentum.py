@@ -11,7 +11,7 @@ from ...lanes.laws import lane_state, stress
 from ...lanes.rows import higher, spread, store_records
 from ..records import AFFINE, STATE, VOLUME
 from ..rowsums import scatter, scatter_slopes
-from ..sums import coarse, power
+from ..sums import power
 from .base import VECTOR, add, contribute
 
 
@@ -44,18 +44,18 @@ def kinds(plan, group) -> tuple[Momentum, Inertia]:
 
 def full(plan, speed: float) -> np.ndarray:
     """Powers of two (phases, 4): momentum of a full cell of a phase's densest material at a speed
-    [m/s], and its mass."""
+    [m/s], a power of two, and its mass."""
     mass = power([phase.most for phase in plan.phases])
-    fast = mass * coarse(speed)
+    fast = mass * speed
     return np.stack([fast, fast, fast, mass], 1)
 
 
 @contribute.of(Momentum)
-def _momentum(kind, law, count, at, cap, f, scratch, records, dt):
+def _momentum(kind, law, count, at, cap, f, extra, peak, records, dt):
     zero = spread(f, 0.0)
     dx = kind.dx
     four = dt * 4.0 / (dx * dx)
-    peak, over = load(scratch.peak, 0), 1.0 / (kind.density * kind.density)
+    most, over = load(peak, 0), 1.0 / (kind.density * kind.density)
     for n in range(0, count, 16):
         p = at + n
         q = p + AFFINE * cap
@@ -65,7 +65,7 @@ def _momentum(kind, law, count, at, cap, f, scratch, records, dt):
         L = (c0, c1, c2, c3, c4, c5, c6, c7, c8)
         t00, t11, t22, t01, t02, t12 = stress(law, lane_state(law, f, p + STATE * cap, cap), L)
         size = t00 * t00 + t11 * t11 + t22 * t22 + t01 * t01 + t02 * t02 + t12 * t12
-        peak = higher(peak, over * size)
+        most = higher(most, over * size)
         volume = load(f, p + VOLUME * cap)
         mass = kind.density * volume
         k, m = dx * four * volume, kind.affine * dx * mass
@@ -79,11 +79,11 @@ def _momentum(kind, law, count, at, cap, f, scratch, records, dt):
                 m * c2 - k * t02, m * c5 - k * t12, m * c8 - k * t22, zero,
             ),
         )  # fmt: skip
-    store(scratch.peak, 0, peak)
+    store(peak, 0, most)
 
 
 @contribute.of(Inertia)
-def _inertia(kind, law, count, at, cap, f, scratch, records, dt):
+def _inertia(kind, law, count, at, cap, f, extra, peak, records, dt):
     zero = spread(f, 0.0)
     for n in range(0, count, 16):
         p = at + n

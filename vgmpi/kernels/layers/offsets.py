@@ -10,7 +10,7 @@ from ...device.jit import inline
 from ...lanes.lanes import load, store
 from ...lanes.laws import lane_state, volume_ratio
 from ...lanes.rows import diagonal, fourth
-from ..records import STATE, VOLUME, parts
+from ..records import STATE, VOLUME
 from ..rowsums import scatter
 from ..sums import power
 from .base import OFFSET, add, contribute
@@ -63,13 +63,12 @@ def _offsets(kind, count, volumes, first, records):
 
 
 @contribute.of(Offsets)
-def _rest(kind, law, count, at, cap, f, scratch, records, dt):
+def _rest(kind, law, count, at, cap, f, extra, peak, records, dt):
     _offsets(kind, count, f, at + VOLUME * cap, records)
 
 
 @contribute.of(Present)
-def _present(kind, law, count, at, cap, f, scratch, records, dt):
-    extra = parts(scratch.real)[3]
+def _present(kind, law, count, at, cap, f, extra, peak, records, dt):
     present(law, count, at, cap, f, extra)
     _offsets(kind, count, extra, 0, records)
 
