@@ -1,8 +1,7 @@
-"""The compiled solver and the slow reference side by side, on the same particles."""
+"""Two engines side by side, on the same particles: the compiled one and the one in plain numpy."""
 
 import numpy as np
 
-from tests.reference import Body, Reference
 from vgmpi.domain.ranks import Alone
 from vgmpi.solver.step import Simulation
 
@@ -10,49 +9,29 @@ from vgmpi.solver.step import Simulation
 TOLERANCE = {"double": 1e-12, "single": 1e-5}
 
 
-def beside(plan, colliders, x, v, volume, thing):
-    """(simulation, reference) of these particles; the reference has a body per phase.
+def beside(plan, colliders, x, v, volume, thing, engines=("cpu", "numpy"), **more):
+    """Simulations of these particles, one per engine.
 
-    x: (n, 3) [m]; v: (n, 3) [m/s]; volume: (n,) [m3]; thing: (n,) object of each.
+    x: (n, 3) [m]; v: (n, 3) [m/s]; volume: (n,) [m3]; thing: (n,) object of each; more: as of
+    Simulation.put.
     """
-    simulation = Simulation(plan, Alone(), colliders)
-    simulation.put(x, v, volume, np.arange(len(x)), thing)
-    bodies = []
-    for g, group in enumerate(plan.groups):
-        mine = np.array(plan.group_of)[thing] == g
-        assert group.phase == g, "the reference has one body per phase"
-        n = int(mine.sum())
-        law = type(group.law)(*(float(c) for c in group.law))
-        rest = [np.full(n, c) for c in group.rest]
-        bodies.append(
-            Body(law, group.density, x[mine], v[mine], np.zeros((n, 3, 3)), volume[mine], rest)
-        )
-    master = int(np.argmin([phase.mastery for phase in plan.phases]))
-    friction = plan.friction[0][1] if len(plan.phases) == 2 else plan.friction[1][0]
-    collider = colliders[0] if colliders else None
-    reference = Reference(
-        plan.cells, plan.dx, plan.gravity, plan.walls, bodies, friction, master, collider
-    )
-    return simulation, reference
+    found = [Simulation(plan, Alone(), colliders, engine=engine) for engine in engines]
+    for one in found:
+        one.put(x, v, volume, np.arange(len(x)), thing, **more)
+    return found
 
 
-def worst(simulation, reference):
+def worst(one, other):
     """Largest difference of each quantity, relative to its largest value; positions to a cell."""
     found = {}
-    for group, body in zip(simulation.groups, reference.bodies, strict=True):
-        at = group.index()
-        order = np.argsort(group.ids[at])
-        f = group.f[:, at][:, order].astype(np.float64)
-        compared = {
-            "x": (group.positions()[order], body.x, reference.dx),
-            "v": (f[0:3].T, body.v, np.abs(body.v).max()),
-            "C": (f[3:12].T, body.C.reshape(-1, 9), np.abs(body.C).max()),
-            "state": (
-                f[13 : 13 + len(body.state)],
-                np.array(body.state),
-                np.abs(np.array(body.state)).max(),
-            ),
-        }
-        for name, (got, want, scale) in compared.items():
-            found[f"{group.plan.name} {name}"] = float(np.abs(got - want).max() / scale)
+    for a, b in zip(one.groups, other.groups, strict=True):
+        at, there = (g.index()[np.argsort(g.ids[g.index()])] for g in (a, b))
+        place = [g.positions()[np.argsort(g.ids[g.index()])] for g in (a, b)]
+        apart = np.abs(place[0] - place[1]).max(initial=0.0)
+        found[f"{a.plan.name} x"] = float(apart / one.plan.dx)
+        for channel in a.plan.channels:
+            got, want = a.get(channel.name, at), b.get(channel.name, there).astype(np.float64)
+            scale = max(np.abs(want).max(initial=0.0), 1e-30)
+            difference = np.abs(got - want).max(initial=0.0)
+            found[f"{a.plan.name} {channel.name}"] = float(difference / scale)
     return found

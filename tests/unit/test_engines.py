@@ -8,12 +8,13 @@ symmetry and no contact hangs on a rounding error.
 import numpy as np
 import pytest
 
+from tests.beside import beside, worst
 from tests.scenes import LAWS, scene
-from vgmpi.domain.ranks import Alone
+from vgmpi import cli
 from vgmpi.prepare.build import build
 from vgmpi.prepare.motion import gradient
 from vgmpi.solver.prepared import known_of, plan_for
-from vgmpi.solver.step import ENGINES, Simulation
+from vgmpi.solver.step import ENGINES
 
 STEPS, SORT_AT = 6, 3
 HEAD = """
@@ -136,38 +137,17 @@ def simulations(folder, name):
     x = made.x + random.uniform(-0.2, 0.2, made.x.shape) * plan.dx
     x = np.clip(x, 0.01 * plan.dx, size - 0.01 * plan.dx)
     v = made.v0 + random.normal(0.0, 0.1, made.x.shape)
-    C, ids = gradient(loaded, x, made.object), np.arange(len(x))
-    found = {}
-    for engine in ENGINES:
-        found[engine] = Simulation(plan, Alone(), made.colliders, 1, made.loads, engine)
-        found[engine].put(x, v, made.vol0, ids, made.object, made.theta0, C, made.sh)
-    return found
-
-
-def differences(one, other):
-    """Largest difference of each channel, relative to its largest value; positions in cells."""
-    found = {"bound": abs(one.bound() / other.bound() - 1.0)}
-    for a, b in zip(one.groups, other.groups, strict=True):
-        at, there = a.index(), b.index()
-        at, there = at[np.argsort(a.ids[at])], there[np.argsort(b.ids[there])]
-        x = [
-            g.lattice.position(np.repeat(g.block, g.count, axis=0), g.xi[:, g.index()], g.real)
-            for g in (a, b)
-        ]
-        x = [p[np.argsort(g.ids[g.index()])] for p, g in zip(x, (a, b), strict=True)]
-        found[f"{a.plan.name} x"] = float(np.abs(x[0] - x[1]).max() / one.plan.dx)
-        for channel in a.plan.channels:
-            got, want = a.get(channel.name, at), b.get(channel.name, there)
-            scale = max(np.abs(want).max(), 1e-30)
-            found[f"{a.plan.name} {channel.name}"] = float(np.abs(got - want).max() / scale)
-    return found
+    C = gradient(loaded, x, made.object)
+    more = {"theta": made.theta0, "C": C, "sh": made.sh}
+    found = beside(plan, made.colliders, x, v, made.vol0, made.object, tuple(ENGINES), **more)
+    return dict(zip(ENGINES, found, strict=True))
 
 
 @pytest.mark.parametrize("name", SCENES)
 def test_engines_agree(tmp_path, name):
     every = simulations(tmp_path, name)
     slow = every.pop("numpy")
-    worst = 0.0
+    most = 0.0
     for step in range(STEPS):
         dt = 0.5 * slow.bound()
         for one in (slow, *every.values()):
@@ -175,18 +155,16 @@ def test_engines_agree(tmp_path, name):
                 one.sort()
             one.advance(dt)
     for engine, one in every.items():
-        found = differences(one, slow)
-        worst = max(worst, *found.values())
-        assert worst < 1e-12, (engine, {key: v for key, v in found.items() if v >= 1e-12})
+        found = worst(one, slow) | {"bound": abs(one.bound() / slow.bound() - 1.0)}
+        most = max(most, *found.values())
+        assert most < 1e-12, (engine, {key: v for key, v in found.items() if v >= 1e-12})
     touching = slow.engine.touching
-    print(f"{name}: {worst:.1e}, {touching} nodes in contact")
+    print(f"{name}: {most:.1e}, {touching} nodes in contact")
     assert touching > 10 or not ("contact" in name or name in ("collider", "flip", "everything"))
 
 
 def test_the_numpy_engine_wants_one_rank(tmp_path):
     """On several it says so at once, before anything is computed."""
-    from vgmpi import cli
-
     (tmp_path / "scene.toml").write_text(HEAD.replace("BOUNDARY", "").replace("ACCURACY", "")
                                          + SCENES["fluid"][0])  # fmt: skip
     with pytest.raises(SystemExit) as refused:
