@@ -112,9 +112,8 @@ def _move(
         v0, v1, v2, fill, L = _gathered(records, 16 * n, k)
         keep(beside, f, p, cap, extra, n, (v0, v1, v2))
         _take_gradient(f, p, cap, L)
-        turning = higher(turning, _squared(L))
         v0, v1, v2 = moving(beside, split, extra, n, (v0, v1, v2))
-        trace = L[0] + L[4] + L[8]
+        trace, turns = L[0] + L[4] + L[8], _squared(L)
         L = strain(beside, split, f, p, cap, extra, n, L, fill, numbers)
         state = advance(law, lane_state(law, f, p + STATE * cap, cap), L, dt)
         store_state(f, p + STATE * cap, cap, state)
@@ -122,7 +121,6 @@ def _move(
         wave2 = waves(beside, f, p, cap, numbers, wave_speed2(law, state))
         m0, m1, m2 = (dt / dx) * v0, (dt / dx) * v1, (dt / dx) * v2
         longest = np.maximum(abs(m0), np.maximum(abs(m1), abs(m2)))
-        carried = higher(carried, kept(beside, f, p, cap, longest, dt / dx))
         # not a number lies between no bounds
         slow = sound(longest + 0.0 * (m0 + m1 + m2), shortest, single, left)
         whole = sound(J, least, most, left)
@@ -130,6 +128,8 @@ def _move(
         good = slow & whole & tame
         x, y, z = _go(cloud, p, (only(good, m0), only(good, m1), only(good, m2)), motion)
         speed = np.sqrt(v0 * v0 + v1 * v1 + v2 * v2)
+        carried = higher(carried, only(good, kept(beside, f, p, cap, longest, dt / dx)))
+        turning = higher(turning, only(good, higher(turns, _squared(L))))
         fastest = np.maximum(fastest, only(good, np.sqrt(wave2) + speed))
         quick = np.maximum(quick, only(good, speed))
         stretching = np.maximum(stretching, only(good, abs(trace)))

@@ -347,6 +347,18 @@ def sound(typing, values, low, high, count):
 
 
 @intrinsic
+def first_lanes(typing, values, count):
+    """The first `count` numbers, 0 behind them; count may be above 16."""
+
+    def build(context, builder, signature, arguments):
+        mask = _first_lanes(builder, arguments[1])
+        bits = builder.bitcast(mask, ir.VectorType(ir.IntType(1), COUNT))
+        return builder.select(bits, arguments[0], values.constant(0.0))
+
+    return values(values, types.int64), build
+
+
+@intrinsic
 def only(typing, mask, values):
     """Values in the lanes of a mask, 0 elsewhere."""
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...lanes.lanes import load, store
 from ...lanes.laws import lane_state, stress, volume_ratio
-from ...lanes.rows import higher, spread, store_records
+from ...lanes.rows import first_lanes, higher, spread, store_records
 from ..records import AFFINE, STATE, VOLUME
 from ..sums import power
 from . import momentum
@@ -63,7 +63,7 @@ def _impulses(kind, law, count, at, cap, f, extra, peak, records, dt):
             k = k / share
             over_pores = 1.0 / (share * share)
         size = t00 * t00 + t11 * t11 + t22 * t22 + t01 * t01 + t02 * t02 + t12 * t12
-        most = higher(most, over * over_pores * size)
+        most = higher(most, first_lanes(over * over_pores * size, count - n))
         a, b, c = k * t01, k * t02, k * t12
         store_records(
             records,

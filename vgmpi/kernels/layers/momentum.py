@@ -8,7 +8,7 @@ import numpy as np
 
 from ...lanes.lanes import load, store
 from ...lanes.laws import lane_state, stress
-from ...lanes.rows import higher, spread, store_records
+from ...lanes.rows import first_lanes, higher, spread, store_records
 from ..records import AFFINE, STATE, VOLUME
 from ..rowsums import scatter, scatter_slopes
 from ..sums import power
@@ -65,7 +65,7 @@ def _momentum(kind, law, count, at, cap, f, extra, peak, records, dt):
         L = (c0, c1, c2, c3, c4, c5, c6, c7, c8)
         t00, t11, t22, t01, t02, t12 = stress(law, lane_state(law, f, p + STATE * cap, cap), L)
         size = t00 * t00 + t11 * t11 + t22 * t22 + t01 * t01 + t02 * t02 + t12 * t12
-        most = higher(most, over * size)
+        most = higher(most, first_lanes(over * size, count - n))
         volume = load(f, p + VOLUME * cap)
         mass = kind.density * volume
         k, m = dx * four * volume, kind.affine * dx * mass
