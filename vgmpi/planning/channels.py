@@ -40,6 +40,8 @@ class Channels:
         self._by_name: dict[str, Channel] = {}
         self.count = 0  # numbers of a particle
         for name, unit, values, dataset in rows:
+            if name in self._by_name:
+                raise TypeError(f"two channels are called {name!r}")
             self._by_name[name] = Channel(name, self.count, len(values), unit, values, dataset)
             self.count += len(values)
 

@@ -29,7 +29,12 @@ REASONS = {
     g2p.LOST: "its velocity or stress is not a number",
 }
 ENGINES: dict[str, type[Engine]] = {"cpu": Cpu, "numpy": Numpy}
-SUMMED = {"momentum": "mass or momentum", "offsets": "volume", "impulses": "impulse"}
+SUMMED = {
+    "momentum": "mass or momentum",
+    "offsets": "volume",
+    "impulses": "impulse",
+    "colour": "colour",
+}
 
 
 class BlowUp(RuntimeError):
@@ -270,7 +275,7 @@ class Simulation:
         rows = self.ranks.all_rows(np.array(mine, np.int64).reshape(-1, 5))
         *block, phase, layer = min(map(tuple, rows.tolist()))
         near = ", ".join(f"{(4 * b + 0.5) * self.plan.dx:.4g}" for b in block)
-        what = SUMMED.get(layers[layer], "colour")
+        what = SUMMED[layers[layer].split()[0]]
         return (
             f"phase '{self.plan.phases[phase].name}', near ({near}) m, {when}: the {what} at a node"
             " is beyond what a sum can hold"
