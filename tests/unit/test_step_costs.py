@@ -72,7 +72,7 @@ def test_an_empty_step_moves_nothing(tmp_path):
     """What `python -m vgmpi.bench overhead` times: kernels are called, and do nothing."""
     lay_out(Case("fluid", 64), ["single"], tmp_path)
     contestant = inside.Contestant({"folder": str(tmp_path / "single"), "ranks": 1, "threads": 1})
-    found = contestant.empty(20)
+    found = contestant.empty(100)  # Python keeps a store of freed tuples, which fills first
     assert 0 < found["us"] < 1e6 and found["stays"] < 100
     simulation = contestant.simulation
     (group,) = simulation.groups
