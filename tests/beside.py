@@ -21,6 +21,15 @@ def beside(plan, colliders, x, v, volume, thing, engines=("cpu", "numpy"), **mor
     return found
 
 
+def shaken(made, plan, seed):
+    """(x, v) of what prepare.build made, moved off its lattice at random: no sum cancels by
+    symmetry, no contact hangs on a rounding error."""
+    random, size = np.random.default_rng(seed), np.array(plan.cells) * plan.dx
+    x = made.x + random.uniform(-0.2, 0.2, made.x.shape) * plan.dx
+    x = np.clip(x, 0.01 * plan.dx, size - 0.01 * plan.dx)
+    return x, made.v0 + random.normal(0.0, 0.1, made.x.shape)
+
+
 def worst(one, other):
     """Largest difference of each quantity, relative to its largest value; positions to a cell."""
     found = {}

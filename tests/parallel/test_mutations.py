@@ -152,9 +152,9 @@ def plain_sums(monkeypatch):
 
     def begin(self, dt):
         self.rest = np.zeros_like(self.rest)
-        if self.sized == 0.0:
+        if self.speed == 0.0:
             self.sums[:] = 0
-            self.sized = 1.0
+            self.speed = 1.0
             self.tables = self.tables._replace(sums=self.sums, rest=self.rest, nodes=self.nodes)
             self.tables = self.tables._replace(asked=self.asked)
 

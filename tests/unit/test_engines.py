@@ -7,10 +7,9 @@ symmetry and no contact hangs on a rounding error.
 
 import logging
 
-import numpy as np
 import pytest
 
-from tests.beside import beside, worst
+from tests.beside import beside, shaken, worst
 from tests.scenes import LAWS, scene
 from vgmpi import cli
 from vgmpi.prepare.build import build
@@ -134,11 +133,7 @@ def simulations(folder, name):
     loaded = scene(folder, head + text)
     made = build(loaded)
     plan = plan_for(loaded, known_of(loaded, made))
-    random = np.random.default_rng(3)
-    size = np.array(plan.cells) * plan.dx
-    x = made.x + random.uniform(-0.2, 0.2, made.x.shape) * plan.dx
-    x = np.clip(x, 0.01 * plan.dx, size - 0.01 * plan.dx)
-    v = made.v0 + random.normal(0.0, 0.1, made.x.shape)
+    x, v = shaken(made, plan, 3)
     C = gradient(loaded, x, made.object)
     more = {"theta": made.theta0, "C": C, "sh": made.sh}
     found = beside(plan, made.colliders, x, v, made.vol0, made.object, tuple(ENGINES), **more)

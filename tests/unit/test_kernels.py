@@ -8,7 +8,7 @@ both precisions and the bound on the time step.
 import numpy as np
 import pytest
 
-from tests.beside import TOLERANCE, beside, worst
+from tests.beside import TOLERANCE, beside, shaken, worst
 from tests.scenes import scene
 from vgmpi.materials.base import function
 from vgmpi.prepare.build import build
@@ -81,11 +81,7 @@ def pair(folder, objects, walls, precision, seed=0, head=HEAD):
     loaded = scene(folder, text + objects)
     made = build(loaded)
     plan = plan_for(loaded, known_of(loaded, made))
-    random = np.random.default_rng(seed)
-    size = np.array(plan.cells) * plan.dx
-    x = made.x + random.uniform(-0.2, 0.2, made.x.shape) * plan.dx
-    x = np.clip(x, 0.01 * plan.dx, size - 0.01 * plan.dx)
-    v = made.v0 + random.normal(0.0, 0.1, made.x.shape)
+    x, v = shaken(made, plan, seed)
     return beside(plan, made.colliders, x, v, made.vol0, made.object)
 
 

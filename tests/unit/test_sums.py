@@ -27,7 +27,7 @@ def push_all(order, patches, table, boxes, totals):
 
 @kernel
 def settle_all(tables, layer, report):
-    rows, at = sums.rows_of(tables), sums.layer_of(layer)
+    rows, at = sums.blocks_at(tables), sums.sums_at(layer)
     for nb in range(len(tables.phase)):
         sums.take_up(nb, rows, at, report, 0)
 

@@ -5,7 +5,6 @@ import numpy as np
 from ..device.jit import kernel
 
 CELLS = 64  # of a block
-STAYS = 13  # of the 27 blocks around a block, the block itself
 
 
 @kernel

@@ -29,7 +29,7 @@ class Contribution(NamedTuple):
     chosen: np.ndarray  # (segments,) bool
 
 
-class Share(NamedTuple):
+class GroupWork(NamedTuple):
     """A group as its transfers need it, laid out for the tables in force."""
 
     group: Group
@@ -49,7 +49,8 @@ class Layer:
         self.sums = aligned((0, sums.words(plan.real), sums.BLOCK), np.float64)
         self.nodes = aligned((0, sums.BLOCK), plan.real)
         self.asked = np.zeros(0, np.uint8)
-        self.sized = 0.0  # speed that the quanta are for; 0: the sums are not at rest
+        self.speed = 0.0  # that the quanta are for; 0: the sums are not at rest
+        self.sized = np.zeros(0)  # `full` of it
         self.rest = np.zeros((len(plan.phases), sums.words(plan.real), 16))
         self.tables = Sums(self.sums, self.rest, self.asked, self.nodes)
 
@@ -60,13 +61,16 @@ class Layer:
         self.sums = grown(self.sums, needed)
         self.nodes = grown(self.nodes, len(asked) if needed else 0)
         self.nodes[:] = 0
-        self.sized = 0.0
+        self.speed, self.sized = 0.0, np.zeros(0)
 
     def begin(self, speed: float) -> None:
         """Choose the quanta; sums that rest elsewhere are put to rest. speed: a power of 8 [m/s]
         that is not below base.Reach."""
-        if speed != self.sized:
-            self.sized, self.rest = speed, sums.rests(self.full(speed), self.real)
+        if speed == self.speed:
+            return
+        self.speed, full = speed, self.full(speed)
+        if not np.array_equal(full, self.sized):
+            self.sized, self.rest = full, sums.rests(full, self.real)
             sums.reset(self.sums, self.rest, np.arange(len(self.phase)), self.phase)
             self.tables = Sums(self.sums, self.rest, self.asked, self.nodes)
 
@@ -93,12 +97,12 @@ class Cpu:
         )
         self.apart = any(group.apart for group in plan.groups)
         self.layers = {layer.name: layer for layer in _layers(plan, self.apart)}
-        self.hues = [layer for name, layer in self.layers.items() if name.startswith(hue(0)[:-1])]
+        self.hues = [self.layers[hue(k)] for k in range(_hues(plan))]
         self.words = sums.words(plan.real)
         self.sets = np.zeros(0, np.int64) if plan.colours is None else plan.colours.set_of
         # what particles gather besides: only for FLIP and where phases share space
         self.flux = aligned((0, sums.BLOCK), plan.real)
-        self.drift = self.flux
+        self.drift = aligned((0, sums.BLOCK), plan.real)  # the flux, where nothing drifts
         self.scratch = [
             records.scratch(plan.real, self.apart + plan.drifts) for _ in range(threads)
         ]
@@ -108,9 +112,9 @@ class Cpu:
             for _ in range(threads if self.apart else 0)
         ]
         self.pairs = members.tables(plan.rules) if plan.rules is not None else ()
-        self.parts: list[Share] = []
+        self.parts: list[GroupWork] = []
         self.reports = np.zeros((len(plan.groups), threads, 6))
-        self.beyond = np.zeros((threads, len(self.layers) + 3), np.int64)
+        self.beyond = np.zeros((threads, len(self.layers)), np.int64)
 
     # ---- after a sort ----------------------------------------------------------------------------
 
@@ -144,12 +148,13 @@ class Cpu:
             layer.adopt(tables.asked[name], phase_of_row)
         if self.apart:
             self.flux = grown(self.flux, len(tables.phase))
-            self.drift = grown(self.drift, len(tables.phase) if self.plan.drifts else 0)
+            drifts = self.plan.drifts
+            self.drift = grown(self.drift, len(tables.phase)) if drifts else self.flux
         self.block_shares = Shares(np.diff(tables.first), tables.waits, self.threads)
         both = [self._nodes_of(shared) for shared in tables.shared.values()]
         self.united = np.unique(np.concatenate([np.zeros(0, np.int64), *both]))
         self.parts = [
-            self._share(g, here, into[here], share)
+            self._work(g, here, into[here], share)
             for g, (here, share) in enumerate(zip(rows, shares, strict=True))
         ]
 
@@ -157,7 +162,7 @@ class Cpu:
     def _nodes_of(shared: dict) -> np.ndarray:
         return np.concatenate([lists.send_blocks for lists in shared.values()])
 
-    def _share(self, g: int, rows: np.ndarray, into: np.ndarray, shares: Shares) -> Share:
+    def _work(self, g: int, rows: np.ndarray, into: np.ndarray, shares: Shares) -> GroupWork:
         """What the transfers of a group need. rows: its segments in the tables."""
         group, tables = self.groups[g], self.tables
         block = tables.block[rows]
@@ -169,7 +174,7 @@ class Cpu:
         takes = {name: found[rows] for name, found in tables.takes.items()}
         given = _contributions(self.plan, group.plan, takes, split)
         numbers = _numbers(self.plan, group.plan)
-        return Share(group, _particles(group), segments, shares, given, numbers)
+        return GroupWork(group, _particles(group), segments, shares, given, numbers)
 
     def _limits(self, block: np.ndarray) -> np.ndarray:
         """Range of positions [cells from the block's middle] whose base node exists, half a cell
@@ -188,8 +193,9 @@ class Cpu:
         fall = np.zeros(4, self.plan.real)
         fall[:3] = dt * gravity
         self.step = Step(dt, self.plan.dx, fall)
+        coarse = sums.coarse(speed)
         for layer in self.layers.values():
-            layer.begin(sums.coarse(speed))
+            layer.begin(coarse)
 
     def fill(self, border: bool) -> None:
         """Add what the particles contribute to the sums."""
@@ -231,10 +237,10 @@ class Cpu:
         blocks = self.block_shares.of(border)[thread]
         layers, apart = self.layers, None
         if self.apart:
-            drift = self.drift if self.plan.drifts else self.flux
             apart = grid.Apart(
-                layers["impulses"].tables, self.flux, drift, self.apart_room[thread], self.pairs
-            )
+                layers["impulses"].tables, self.flux, self.drift, self.apart_room[thread],
+                self.pairs,
+            )  # fmt: skip
         self.call(
             grid.update, blocks, self.blocks, layers["momentum"].tables, layers["offsets"].tables,
             apart, self.plan.rules, self.walls, self.phases, self.solids, self.room[thread],
@@ -243,7 +249,7 @@ class Cpu:
         for k, layer in enumerate(self.hues):
             self.call(
                 colour.blend, blocks, self.blocks, layer.tables, self.sets, self.beyond[thread],
-                3 + k,
+                len(layers) - len(self.hues) + k,
             )  # fmt: skip
 
     def gather(self, step: int) -> Report:
@@ -290,16 +296,14 @@ class Cpu:
             return beside.Nothing(0.0)
         if self.plan.flip:
             return beside.Blend(self.flux, self.plan.real.type(self.plan.flip))
-        drift = self.drift if self.plan.drifts else self.flux
-        return beside.Sharing(self.flux, drift, int(self.plan.drifts))
+        return beside.Sharing(self.flux, self.drift, int(self.plan.drifts))
 
     def _found_beyond(self) -> list[Beyond]:
         """The lowest node block of each layer of which a sum left its range."""
         if not self.beyond.any():
             return []
-        names = ["momentum", "offsets", "impulses", *(layer.name for layer in self.hues)]
         found = []
-        for k, name in enumerate(names):
+        for k, name in enumerate(self.layers):
             here = self.beyond[:, k]
             if here.any():
                 nb = int(here[here > 0].min()) - 1
@@ -325,15 +329,21 @@ class Cpu:
             w.result()
 
 
+def _hues(plan: Plan) -> int:
+    """Coefficients of colour that travel with the steps, of the group with most."""
+    return max((group.coefficients for group in plan.groups), default=0)
+
+
 def _layers(plan: Plan, apart: bool) -> list[Layer]:
-    """The layers a scene needs; of volumes and offsets nothing exists where nothing may touch."""
+    """The layers a scene needs, in the order in which grid kernels report of them; of volumes and
+    offsets nothing exists where nothing may touch."""
     found = [
         Layer("momentum", lambda speed: momentum.full(plan, speed), plan),
         Layer("offsets", lambda _: offsets.full(plan), plan),
     ]
     if apart:
         found.append(Layer("impulses", lambda speed: impulses.full(plan, speed), plan))
-    for k in range(max((group.coefficients for group in plan.groups), default=0)):
+    for k in range(_hues(plan)):
         found.append(Layer(hue(k), lambda _, k=k: colour.full(plan, k), plan))
     return found
 

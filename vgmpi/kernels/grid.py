@@ -17,7 +17,7 @@ from ..lanes.nodes import fourth_of, velocity, with_fourth
 from ..lanes.rows import repeat, spread
 from .couple import Fields, Here, couple_block, note_flux
 from .members import places
-from .sums import layer_of, rows_of, take_up
+from .sums import blocks_at, sums_at, take_up
 from .tables import Sums
 from .touch import touch
 from .walls import constrain, tangential
@@ -45,10 +45,17 @@ def update(
     (n, 64, 4) outward normal and distance [m] of the collider; room: touch.Room of the calling
     thread; report: (3,) see sums.take_up, of momentum, offsets and impulses.
     """
-    rows, moved, spaced = rows_of(tables), layer_of(momentum), layer_of(offsets)
+    rows, moved, spaced = blocks_at(tables), sums_at(momentum), sums_at(offsets)
     nodes, last, least_of = moved.nodes, place(walls.cells), place(phases.least)
     if apart is not None:
-        pushed = layer_of(apart.impulses)
+        pushed = sums_at(apart.impulses)
+        fields = Fields(
+            rows.phase, least_of, last, nodes, pushed.nodes, spaced.nodes,
+            place(apart.flux.reshape(apart.flux.size)),
+            place(apart.drift.reshape(apart.drift.size)),
+        )  # fmt: skip
+        if rules is not None:
+            of, pairs = places(apart.room, apart.tables)
     first, at, phase_of = place(tables.first), tables.at, rows.phase
     push = repeat(step.fall, 0)
     for b in blocks:
@@ -60,15 +67,18 @@ def update(
             if apart is not None:
                 take_up(nb, rows, pushed, report, 2)
                 kept_apart |= pushed.asked[nb] != 0
-            tiny = spread(nodes, ROUNDING * least_of[phase_of[nb]])
-            for c in range(256 * nb, 256 * (nb + 1), 16):
-                store(nodes, c, velocity(load(nodes, c), push, tiny))
+            _fall(nb, nodes, push, ROUNDING * least_of[phase_of[nb]])
         low = 4 * at[b, 0] - 1, 4 * at[b, 1] - 1, 4 * at[b, 2] - 1
         at_wall = _at_wall(low, last)
         here = Here(n0, n1, tables.meets[b], at_wall, low[0], low[1], low[2])
         if apart is not None:
-            if kept_apart:
-                _begin_apart(here, tables, momentum, offsets, apart, rules, walls, phases, step)
+            if kept_apart and rules is None:
+                _push(here, fields, step.fall)
+            if rules is not None:
+                if kept_apart:
+                    if at_wall and tables.meets[b]:
+                        _along_walls(offsets.nodes, here, walls)
+                    couple_block(here, fields, of, pairs, step.dt, step.dx)
         if tables.meets[b] and _may_touch(n0, n1, phase_of, tables.solid[b], rules):
             touch(here, tables, tables.solid[b], momentum.nodes, offsets.nodes, solids, walls,
                   phases, rules, step.dx, room)  # fmt: skip
@@ -77,54 +87,11 @@ def update(
                 block = momentum.nodes[nb].reshape((64, 4))
                 constrain(block, low, walls.cells, walls.kinds, walls.friction)
         if apart is not None:
-            if kept_apart:
-                _end_apart(here, tables, momentum, offsets, apart, rules, walls, phases, step)
-
-
-@inline
-def _begin_apart(here, tables, momentum, offsets, apart, rules, walls, phases, step):
-    """What impulses that were kept apart do to the velocities of a block, before contact."""
-    if rules is None:
-        nodes = place(momentum.nodes.reshape(momentum.nodes.size))
-        forces = place(apart.impulses.nodes.reshape(apart.impulses.nodes.size))
-        flux = place(apart.flux.reshape(apart.flux.size))
-        _push(here, tables.phase, phases.least, nodes, forces, flux, step.fall)
-    if rules is not None:
-        if here.at_wall and here.meets:
-            for nb in range(here.n0, here.n1):
-                _along_walls(offsets.nodes[nb].reshape((64, 4)), here, walls)
-        fields = _fields(tables, momentum, offsets, apart, walls, phases)
-        of, pairs = places(apart.room, apart.tables)
-        couple_block(here, fields, of, pairs, step.dt, step.dx)
-
-
-@inline
-def _end_apart(here, tables, momentum, offsets, apart, rules, walls, phases, step):
-    """What particles gather beside the velocity, after walls."""
-    if rules is None:
-        nodes = place(momentum.nodes.reshape(momentum.nodes.size))
-        flux = place(apart.flux.reshape(apart.flux.size))
-        for c in range(256 * here.n0, 256 * here.n1, 16):
-            store(flux, c, load(nodes, c) - load(flux, c))
-    if rules is not None:
-        fields = _fields(tables, momentum, offsets, apart, walls, phases)
-        of, pairs = places(apart.room, apart.tables)
-        note_flux(here, fields, of, pairs, step.dx)
-
-
-@inline
-def _fields(tables, momentum, offsets, apart, walls, phases):
-    """The nodes' numbers by the places of their arrays."""
-    return Fields(
-        place(tables.phase),
-        place(phases.least),
-        place(walls.cells),
-        place(momentum.nodes.reshape(momentum.nodes.size)),
-        place(apart.impulses.nodes.reshape(apart.impulses.nodes.size)),
-        place(offsets.nodes.reshape(offsets.nodes.size)),
-        place(apart.flux.reshape(apart.flux.size)),
-        place(apart.drift.reshape(apart.drift.size)),
-    )
+            if kept_apart and rules is None:
+                _note_change(here, fields)
+            if rules is not None:
+                if kept_apart:
+                    note_flux(here, fields, of, pairs, step.dx)
 
 
 @inline
@@ -141,26 +108,42 @@ def _may_touch(n0, n1, phase, solid, rules):
 
 
 @inline
-def _push(here, phase, least, nodes, forces, flux, fall):
+def _fall(nb, nodes, push, tiny):
+    """Momentum to velocity after `push`, at the nodes of a node block that are not lighter than
+    tiny."""
+    for c in range(256 * nb, 256 * (nb + 1), 16):
+        store(nodes, c, velocity(load(nodes, c), push, spread(nodes, tiny)))
+
+
+@inline
+def _note_change(here, fields):
+    """The change of velocity since `_push`, into flux."""
+    for c in range(256 * here.n0, 256 * here.n1, 16):
+        store(fields.flux, c, load(fields.grid, c) - load(fields.flux, c))
+
+
+@inline
+def _push(here, fields, fall):
     """Add impulses that were kept apart to the velocities of a block, and note in flux those
-    before gravity and these, of which FLIP asks for the change. All fields by their places."""
+    before gravity and these, of which FLIP asks for the change."""
     push = repeat(fall, 0)
     for nb in range(here.n0, here.n1):
-        tiny = ROUNDING * least[phase[nb]]
+        tiny = ROUNDING * fields.least[fields.phase[nb]]
         for c in range(256 * nb, 256 * (nb + 1), 16):
-            row = load(nodes, c)
+            row = load(fields.grid, c)
             m = fourth_of(row)
-            store(flux, c, row - push)
-            change = select(m > tiny, load(forces, c) / m, 0.0)
-            store(nodes, c, with_fourth(row + change, row))
+            store(fields.flux, c, row - push)
+            change = select(m > tiny, load(fields.forces, c) / m, 0.0)
+            store(fields.grid, c, with_fourth(row + change, row))
 
 
 @inline
 def _along_walls(offsets, here, walls):
-    """Drop the part across walls of a node block's offsets (64, 4)."""
-    for node in range(64):
-        i, j, k = here.low_x + node // 16, here.low_y + node // 4 % 4, here.low_z + node % 4
-        tangential(offsets[node], i, j, k, walls.cells, walls.kinds)
+    """Drop the part across walls of a block's offsets (node blocks, 256)."""
+    for nb in range(here.n0, here.n1):
+        for node in range(64):
+            i, j, k = here.low_x + node // 16, here.low_y + node // 4 % 4, here.low_z + node % 4
+            tangential(offsets[nb, 4 * node :], i, j, k, walls.cells, walls.kinds)
 
 
 @inline

@@ -131,7 +131,7 @@ def reset(sums, rest, rows, phase):
                 sums[row, w, c] = rest[phase[row], w, c & 15]
 
 
-class Rows(NamedTuple):
+class BlocksAt(NamedTuple):
     """What bringing sums together needs of NodeBlocks, by the places of the arrays."""
 
     phase: np.ndarray
@@ -139,7 +139,7 @@ class Rows(NamedTuple):
     copies: np.ndarray
 
 
-class Layer(NamedTuple):
+class SumsAt(NamedTuple):
     """A tables.Sums by the places of its arrays."""
 
     sums: np.ndarray
@@ -150,15 +150,15 @@ class Layer(NamedTuple):
 
 
 @inline
-def rows_of(tables):
+def blocks_at(tables):
     """tables: NodeBlocks."""
-    return Rows(place(tables.phase), place(tables.copied), place(tables.copies))
+    return BlocksAt(place(tables.phase), place(tables.copied), place(tables.copies))
 
 
 @inline
-def layer_of(layer):
+def sums_at(layer):
     """layer: tables.Sums."""
-    return Layer(
+    return SumsAt(
         place(layer.sums.reshape(layer.sums.size)),
         place(layer.rest.reshape(layer.rest.size)),
         place(layer.asked),
@@ -168,29 +168,33 @@ def layer_of(layer):
 
 
 @inline
-def take_up(nb, rows, layer, report, which):
+def _unite_copies(nb, blocks, layer):
+    """Add what threads summed by themselves to a node block."""
+    for c in range(blocks.copied[nb], blocks.copied[nb + 1]):
+        unite(layer.sums, layer.rest, blocks.phase[nb], nb, blocks.copies[c], layer.words)
+
+
+@inline
+def take_up(nb, blocks, layer, report, which):
     """Bring the sums of a node block together and turn them to numbers.
 
-    rows, layer: see `rows_of`, `layer_of`; report: (layers,) lowest node block + 1 of which a sum
-    left its range, or 0; which: layer.
+    blocks, layer: see `blocks_at`, `sums_at`; report: (layers,) lowest node block + 1 of which a
+    sum left its range, or 0; which: layer.
     """
     if layer.asked[nb] == 0:
         return
-    phase = rows.phase[nb]
-    for c in range(rows.copied[nb], rows.copied[nb + 1]):
-        unite(layer.sums, layer.rest, phase, nb, rows.copies[c], layer.words)
-    if settle(layer.sums, layer.rest, nb, phase, layer.nodes) != 0:
+    _unite_copies(nb, blocks, layer)
+    if settle(layer.sums, layer.rest, nb, blocks.phase[nb], layer.nodes) != 0:
         if report[which] == 0 or nb < report[which] - 1:
             report[which] = nb + 1
 
 
 @kernel
-def merge(blocks, tables, layer):
+def merge(rows, tables, layer):
     """Add what threads summed by themselves to some node blocks, before ranks exchange these."""
-    rows, at = rows_of(tables), layer_of(layer)
-    for nb in blocks:
-        for c in range(rows.copied[nb], rows.copied[nb + 1]):
-            unite(at.sums, at.rest, rows.phase[nb], nb, rows.copies[c], at.words)
+    blocks, at = blocks_at(tables), sums_at(layer)
+    for nb in rows:
+        _unite_copies(nb, blocks, at)
 
 
 @kernel

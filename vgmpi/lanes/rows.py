@@ -104,12 +104,6 @@ def _slide(first):
 
 
 @intrinsic
-def slide_node(typing, row, following):
-    """The last three nodes of a row and the first of the one that follows it."""
-    return _slide(4)(typing, row, following)
-
-
-@intrinsic
 def slide_back(typing, before, row):
     """The last node of the row before and the first three of a row."""
     return _slide(12)(typing, before, row)

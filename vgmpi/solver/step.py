@@ -90,7 +90,7 @@ class Simulation:
         self.tables: topology.Topology
         self.census: Census
         self.cut: np.ndarray | None = None
-        self.halo: Halo
+        self.halo: Halo | None = None
         self.time = 0.0
         self.step = 0
         self.rate = 0.0
@@ -176,8 +176,7 @@ class Simulation:
     def adopt(self, census: Census) -> None:
         """Lay out tables and buffers for the census, whose segments the groups already hold. Where
         no segment came or went and none changed its owner, those of before serve again."""
-        first = not hasattr(self, "census")
-        kept = not first and _same_blocks(self.census, census)
+        kept = self.halo is not None and _same_blocks(self.census, census)
         self.census = census
         if not kept:
             self.tables = topology.build(
@@ -187,7 +186,7 @@ class Simulation:
         if self.loads is not None:
             self.loads.find(self.groups)
         if not kept:
-            if not first:
+            if self.halo is not None:
                 self.halo.link.close()
             self.halo = Halo(self.ranks, self.tables, self.engine.words)
 
@@ -208,6 +207,7 @@ class Simulation:
         """
         mark = self.clock or (lambda name: None)
         engine, halo = self.engine, self.halo
+        assert halo is not None  # particles were put
         pushed = 0.0
         if self.loads is not None:
             pushed = self.loads.push(self.groups, self.time, dt)

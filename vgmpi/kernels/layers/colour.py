@@ -19,7 +19,7 @@ from ...lanes.rows import load_records, spread, store_records
 from ..patches import gather
 from ..records import BATCH, PATCH, box_of, parts, reach, rest, weigh
 from ..rowsums import scatter, values
-from ..sums import layer_of, power, rows_of, take_up
+from ..sums import blocks_at, power, sums_at, take_up
 from .base import UNSEEN, add, contribute
 from .offsets import present
 
@@ -73,7 +73,7 @@ def blend(blocks, tables, layer, set_of, report, k):
     none; report, k: see sums.take_up.
     """
     first, phase = place(tables.first), place(tables.phase)
-    rows, at = rows_of(tables), layer_of(layer)
+    rows, at = blocks_at(tables), sums_at(layer)
     nodes = at.nodes
     for b in blocks:
         n0, n1 = first[b], first[b + 1]
