@@ -4,13 +4,14 @@ import importlib.util
 import io
 import json
 import shutil
+from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 import pytest
 
 from vgmpi.bench import __main__ as command
-from vgmpi.bench import roof, rounds, table
+from vgmpi.bench import against, roof, rounds, table
 from vgmpi.bench.rounds import Contestant, Worker, contest
 from vgmpi.bench.scene import BenchError, Case, lay_out
 from vgmpi.materials import registry
@@ -371,3 +372,15 @@ def test_particles_are_jittered_in_their_cells_and_move_as_said(small):
     cells = np.unique(np.floor(x / 0.01), axis=0, return_counts=True)
     assert len(cells[1]) == 64 and (cells[1] == 8).all()
     assert np.unique(np.round(x / 0.01 % 0.5, 3)).size > 100
+
+
+def test_another_checkout_is_the_one_that_runs(tmp_path, monkeypatch):
+    """Not this one twice: what lies in the other's folder counts."""
+    monkeypatch.setattr(against, "ROUND", 0.01)
+    here = Path(against.__file__).parents[2]
+    found = against.measure("fluid", 500, here, 2, lambda line: None)
+    assert found.shape == (2, 3) and (found > 0).all()
+    (tmp_path / "vgmpi").mkdir()
+    (tmp_path / "vgmpi/__init__.py").write_text("raise ImportError('of another checkout')\n")
+    with pytest.raises(BenchError, match="of another checkout"):
+        against.measure("fluid", 500, tmp_path, 1, lambda line: None)

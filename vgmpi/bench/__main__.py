@@ -253,6 +253,24 @@ def _run_together(given: argparse.Namespace) -> int:
     return 0
 
 
+def _against(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("tree", type=Path, help="another checkout of this program")
+    say("--laws", nargs="+", default=["fluid", "elastic"], metavar="LAW")
+    say("--particles", nargs="+", type=float, default=[1e5, 4e5, 1e6], metavar="N")
+    say("--rounds", type=int, default=9, help="default 9")
+
+
+def _run_against(given: argparse.Namespace) -> int:
+    from . import against
+
+    for law in given.laws:
+        for n in given.particles:
+            found = against.measure(law, int(n), given.tree.resolve(), given.rounds, _say)
+            print(against.line(law, int(n), found), flush=True)
+    return 0
+
+
 def _overhead(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--ranks", nargs="+", type=int, default=[1, 2], metavar="N")
     parser.add_argument("--steps", type=int, default=300, help="of a round, default 300")
@@ -359,6 +377,7 @@ def _run_spills(given: argparse.Namespace) -> int:
 COMMANDS = {  # what it does, its flags, how it runs
     "speed": ("measure (the default)", _speed, _run_speed),
     "accuracy": ("how exact single precision is", _accuracy, _run_accuracy),
+    "against": ("beside another checkout", _against, _run_against),
     "balance": ("how even a scene's work would be on many ranks", _balance, _run_balance),
     "census": ("what a sort costs one rank of many beside its particles", _census, _run_census),
     "couplings": ("what mixing and drag cost", _couplings, _run_couplings),

@@ -48,6 +48,7 @@ class Contestant:
     ranks: int = 1
     threads: int = 1
     cpu: str = ""  # "": what the machine has
+    tree: str = ""  # another checkout of this program; "": this one
 
     @property
     def name(self) -> str:
@@ -62,7 +63,8 @@ class Contestant:
 
     @property
     def label(self) -> str:
-        return " ".join(w for w in (self.name, self.precision, self.on, self.cpu) if w)
+        of = f"of {Path(self.tree).name}" if self.tree else ""
+        return " ".join(w for w in (self.name, self.precision, self.on, self.cpu, of) if w)
 
     @property
     def clock(self) -> str:
@@ -94,7 +96,7 @@ class Worker:
         command = [sys.executable, "-m", "vgmpi.bench.worker", json.dumps(given)]
         if contestant.ranks > 1:
             command = ["mpirun", "-n", str(contestant.ranks), *command]
-        package = str(Path(__file__).parents[2])
+        package = contestant.tree or str(Path(__file__).parents[2])
         env = {**OPEN_MPI, **os.environ, "PYTHONPATH": package}
         env |= AVX2 if contestant.cpu == "avx2" else {}
         listener = socket.socket(socket.AF_UNIX)
@@ -108,6 +110,7 @@ class Worker:
             self.process = subprocess.Popen(
                 command,
                 env=env,
+                cwd=package,  # python -m looks here first
                 stdin=subprocess.DEVNULL,
                 stdout=out,
                 stderr=subprocess.STDOUT,

@@ -1,11 +1,13 @@
 """Compiled code on the processor's cores: the arrays and calls of a step."""
 
 import math
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
 
+from ..device.calls import entry
 from ..device.memory import aligned, grown
 from ..domain.blocks import BITS, EDGE, Lattice
 from ..domain.halo import Part
@@ -115,12 +117,14 @@ class Cpu:
         self.parts: list[GroupWork] = []
         self.reports = np.zeros((len(plan.groups), threads, 6))
         self.beyond = np.zeros((threads, len(self.layers)), np.int64)
+        self.entries: dict[tuple, Callable] = {}  # compiled code for the arrays in force
 
     # ---- after a sort ----------------------------------------------------------------------------
 
     def adopt(self, tables: Topology, kept: bool = False) -> None:
         """Lay out nodes and segments after a sort. Where the tables are those of before, sums and
         copies stay."""
+        self.entries = {}
         rows = [np.flatnonzero(tables.group == g) for g in range(len(self.groups))]
         for group, here in zip(self.groups, rows, strict=True):
             if not np.array_equal(tables.code[here], group.code):
@@ -207,13 +211,14 @@ class Cpu:
 
     def _fill(self, thread: int, border: bool) -> None:
         dt = self.plan.real.type(self.dt)
-        for part in self.parts:
+        for g, part in enumerate(self.parts):
             group = part.group
             rows = part.shares.of(border)[thread]
-            for given in part.given:
+            for k, given in enumerate(part.given):
                 self.call(
-                    p2g.fill, rows[given.chosen[rows]], given.kind, group.plan.law, part.segments,
-                    part.particles, self.layers[given.layer].sums, self.scratch[thread], dt,
+                    (g, k), p2g.fill, rows[given.chosen[rows]], given.kind, group.plan.law,
+                    part.segments, part.particles, self.layers[given.layer].sums,
+                    self.scratch[thread], dt,
                 )  # fmt: skip
 
     def pack(self, part: Part) -> None:
@@ -242,14 +247,14 @@ class Cpu:
                 self.pairs,
             )  # fmt: skip
         self.call(
-            grid.update, blocks, self.blocks, layers["momentum"].tables, layers["offsets"].tables,
-            apart, self.plan.rules, self.walls, self.phases, self.solids, self.room[thread],
-            self.step, self.beyond[thread],
+            (), grid.update, blocks, self.blocks, layers["momentum"].tables,
+            layers["offsets"].tables, apart, self.plan.rules, self.walls, self.phases, self.solids,
+            self.room[thread], self.step, self.beyond[thread],
         )  # fmt: skip
         for k, layer in enumerate(self.hues):
             self.call(
-                colour.blend, blocks, self.blocks, layer.tables, self.sets, self.beyond[thread],
-                len(layers) - len(self.hues) + k,
+                (), colour.blend, blocks, self.blocks, layer.tables, self.sets,
+                self.beyond[thread], len(layers) - len(self.hues) + k,
             )  # fmt: skip
 
     def gather(self, step: int) -> Report:
@@ -272,7 +277,7 @@ class Cpu:
 
     def _gather(self, thread: int, motion: g2p.Motion) -> None:
         scratch = self.scratch[thread]
-        for part, report in zip(self.parts, self.reports, strict=True):
+        for g, (part, report) in enumerate(zip(self.parts, self.reports, strict=True)):
             group, plan = part.group, part.group.plan
             rows = part.shares.all[thread]
             particles = part.particles
@@ -280,15 +285,19 @@ class Cpu:
             for k in range(plan.coefficients):
                 nodes = self.layers[hue(k)].nodes
                 self.call(
-                    colour.take, rows, first + 3 * k, part.segments, particles, nodes, scratch
-                )
+                    (g,), colour.take, rows, first + 3 * k, part.segments, particles, nodes,
+                    scratch,
+                )  # fmt: skip
             self.call(
-                g2p.g2p, rows, plan.law, part.segments, particles, self.layers["momentum"].nodes,
-                self._beside(plan), scratch, part.numbers, motion, report[thread],
+                (g,), g2p.g2p, rows, plan.law, part.segments, particles,
+                self.layers["momentum"].nodes, self._beside(plan), scratch, part.numbers, motion,
+                report[thread],
             )  # fmt: skip
             if plan.followed:
                 at = plan.channels.first("F")
-                self.call(gradient.follow, rows, group.start, group.count, group.f, at, motion.dt)
+                self.call(
+                    (g,), gradient.follow, rows, group.start, group.count, group.f, at, motion.dt
+                )
 
     def _beside(self, plan: GroupPlan) -> tuple:
         """What a group's particles gather besides the velocity."""
@@ -313,11 +322,18 @@ class Cpu:
         self.beyond[:] = 0
         return found
 
-    @staticmethod
-    def call(kernel, rows: np.ndarray, *arguments) -> None:
-        """kernel(rows, *arguments) where there are rows."""
+    def call(self, of: tuple, kernel, rows: np.ndarray, *arguments) -> None:
+        """kernel(rows, *arguments) where there are rows. of: what tells a kernel's calls apart
+        whose arguments are of other types."""
         if len(rows):
-            kernel(rows, *arguments)
+            self.run(of, kernel, rows, *arguments)
+
+    def run(self, of: tuple, kernel, *arguments) -> None:
+        """kernel(*arguments); until the next sort, all calls of one kind take the same types."""
+        compiled = self.entries.get((kernel, of))
+        if compiled is None:
+            compiled = self.entries[kernel, of] = entry(kernel, *arguments)
+        compiled(*arguments)
 
     def each(self, work, *arguments) -> None:
         """work(thread, *arguments) on every thread."""

@@ -12,7 +12,7 @@ from ..lanes.lanes import place, store
 from ..lanes.laws import advance, lane_state, store_state, volume_ratio, wave_speed2
 from ..lanes.rows import SOUND_ALL, higher, largest, load_records, move, only, sound, spread
 from .beside import fetch, keep, kept, moving, set_aside, strain, waves
-from .patches import gather
+from .patches import expect, gather
 from .records import AFFINE, BATCH, PATCH, STATE, box_of, parts, rest, touched, weigh
 from .rowsums import moments, slopes
 from .walls import SIDE, reflect
@@ -72,7 +72,11 @@ def g2p(rows, law, segments, particles, velocity, beside, scratch, numbers, moti
     nodes = patch[:PATCH].reshape((SIDE, SIDE, SIDE, 4))
     patch[PATCH:] = 0
     base, box = scratch.whole, box_of(scratch.whole)
-    for s in rows:
+    flat = place(velocity.reshape(velocity.size))
+    for q in range(len(rows)):
+        s = rows[q]
+        if q + 1 < len(rows):
+            expect(flat, table[rows[q + 1]])
         touched(count[s], start[s], cap, xi, f, mirror[s], box)
         gather(patch, velocity, table[s], box)
         reflect(nodes, mirror[s])
@@ -120,7 +124,7 @@ def _move(
         J = volume_ratio(law, state)
         wave2 = waves(beside, f, p, cap, numbers, wave_speed2(law, state))
         m0, m1, m2 = (dt / dx) * v0, (dt / dx) * v1, (dt / dx) * v2
-        longest = np.maximum(abs(m0), np.maximum(abs(m1), abs(m2)))
+        longest = higher(abs(m0), higher(abs(m1), abs(m2)))
         # not a number lies between no bounds
         slow = sound(longest + 0.0 * (m0 + m1 + m2), shortest, single, left)
         whole = sound(J, least, most, left)
@@ -128,12 +132,12 @@ def _move(
         good = slow & whole & tame
         x, y, z = _go(cloud, p, (only(good, m0), only(good, m1), only(good, m2)), motion)
         speed = np.sqrt(v0 * v0 + v1 * v1 + v2 * v2)
-        carried = higher(carried, only(good, kept(beside, f, p, cap, longest, dt / dx)))
-        turning = higher(turning, only(good, higher(turns, _squared(L))))
-        fastest = np.maximum(fastest, only(good, np.sqrt(wave2) + speed))
-        quick = np.maximum(quick, only(good, speed))
-        stretching = np.maximum(stretching, only(good, abs(trace)))
-        far = np.maximum(far, np.maximum(abs(x), np.maximum(abs(y), abs(z))))
+        carried = higher(only(good, kept(beside, f, p, cap, longest, dt / dx)), carried)
+        turning = higher(only(good, higher(turns, _squared(L))), turning)
+        fastest = higher(only(good, np.sqrt(wave2) + speed), fastest)
+        quick = higher(only(good, speed), quick)
+        stretching = higher(only(good, abs(trace)), stretching)
+        far = higher(higher(abs(x), higher(abs(y), abs(z))), far)
         inside = _inside(f, x, y, z, limit, left)
         full = SOUND_ALL if left >= 16 else (1 << left) - 1
         if good & inside != full:

@@ -5,7 +5,7 @@ is one.
 """
 
 from ..device.jit import inline
-from ..lanes.lanes import load, store
+from ..lanes.lanes import ahead, load, store
 from ..lanes.rows import slide_back, spread
 from .walls import SIDE
 
@@ -37,3 +37,15 @@ def gather(patch, grid, blocks, box):
             here = load(grid[blocks[row + 1]], at)
             store(patch, to, slide_back(load(grid[blocks[row]], at), here))
             store(patch, to + 16, slide_back(here, load(grid[blocks[row + 2]], at)))
+
+
+@inline
+def expect(grid, blocks):
+    """Begin to fetch what `gather` is going to read. grid: (256 node blocks,) by its place."""
+    for i in range(SIDE):
+        for j in range(SIDE):
+            gi, gj = i + 3, j + 3
+            row = (gi >> 2) * 9 + (gj >> 2) * 3
+            at = ((gi & 3) * 16 + (gj & 3) * 4) * 4
+            for k in range(3):
+                ahead(grid, 256 * blocks[row + k] + at)

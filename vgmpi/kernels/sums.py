@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..device.jit import inline, kernel
-from ..lanes.lanes import COUNT, load, place, store
+from ..lanes.lanes import COUNT, ahead, load, place, store
 from ..lanes.wide import (
     BLOCK,
     add_node,
@@ -98,6 +98,9 @@ def settle(sums, rest, block, phase, nodes):
     first = load(rest, r)
     bad = 0
     for c in range(0, BLOCK, COUNT):
+        # of the node block that follows
+        ahead(sums, at + BLOCK * count + c)
+        ahead(nodes, to + BLOCK + c)
         value = load(sums, at + c) - first
         store(sums, at + c, first)
         bad |= beyond(value, first)

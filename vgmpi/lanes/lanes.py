@@ -20,6 +20,7 @@ from numba.extending import intrinsic, lower_builtin, models, overload, register
 from ..device.select import select
 
 COUNT = 16
+LINE = 64  # bytes of a cache line
 _FUSED = ("contract",)  # a product and a sum may round once; the same code serves all ranks
 
 
@@ -99,6 +100,24 @@ def place(typing, row):
         return cgutils.create_struct_proxy(signature.args[0])(context, builder, arguments[0]).data
 
     return types.CPointer(row.dtype)(row), build
+
+
+@intrinsic
+def ahead(typing, place, first):
+    """Begin to fetch the 16 numbers from place[first] on into a nearer cache; beyond the end of the
+    array nothing happens."""
+
+    def build(context, builder, signature, arguments):
+        at = address(context, builder, signature.args[0], *arguments)
+        at, word = builder.bitcast(at, ir.IntType(8).as_pointer()), ir.IntType(32)
+        kind = ir.FunctionType(ir.VoidType(), [at.type, word, word, word])
+        fetch = builder.module.declare_intrinsic("llvm.prefetch", [at.type], kind)
+        for line in range(0, COUNT * OF[place.dtype].real.bitwidth // 8, LINE):
+            here = builder.gep(at, [ir.Constant(ir.IntType(64), line)])
+            builder.call(fetch, [here, word(0), word(2), word(1)])
+        return context.get_dummy_value()
+
+    return types.void(place, first), build
 
 
 @intrinsic

@@ -367,12 +367,11 @@ def only(typing, mask, values):
 
 @intrinsic
 def higher(typing, a, b):
-    """The larger of each two numbers; one that is no number does not count."""
+    """a where it is larger, else b: an a that is no number does not count. One instruction, where
+    np.maximum takes four."""
 
     def build(context, builder, signature, arguments):
-        name = f"llvm.maxnum.v{COUNT}f{a.real.bitwidth}"
-        kind = ir.FunctionType(a.vector, [a.vector, a.vector])
-        return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), arguments)
+        return builder.select(builder.fcmp_ordered(">", *arguments), *arguments)
 
     return a(a, b), build
 

@@ -63,7 +63,7 @@ def _impulses(kind, law, count, at, cap, f, extra, peak, records, dt):
             k = k / share
             over_pores = 1.0 / (share * share)
         size = t00 * t00 + t11 * t11 + t22 * t22 + t01 * t01 + t02 * t02 + t12 * t12
-        most = higher(most, first_lanes(over * over_pores * size, count - n))
+        most = higher(first_lanes(over * over_pores * size, count - n), most)
         a, b, c = k * t01, k * t02, k * t12
         store_records(
             records,

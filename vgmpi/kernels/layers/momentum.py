@@ -65,7 +65,7 @@ def _momentum(kind, law, count, at, cap, f, extra, peak, records, dt):
         L = (c0, c1, c2, c3, c4, c5, c6, c7, c8)
         t00, t11, t22, t01, t02, t12 = stress(law, lane_state(law, f, p + STATE * cap, cap), L)
         size = t00 * t00 + t11 * t11 + t22 * t22 + t01 * t01 + t02 * t02 + t12 * t12
-        most = higher(most, first_lanes(over * size, count - n))
+        most = higher(first_lanes(over * size, count - n), most)
         volume = load(f, p + VOLUME * cap)
         mass = kind.density * volume
         k, m = dx * four * volume, kind.affine * dx * mass
