@@ -25,7 +25,7 @@ setup:
 
 demo: setup
 	$(PY) runs/assets/make_assets.py
-	mpirun -n 2 $(PY) -m vgmpi $(RUN)/scene.toml
+	mpirun -n 2 $(PY) -m vgmpi $(RUN)/scene.toml --overwrite
 	$(PY) -m postprocess.render $(RUN)/out $(RUN)/render.toml -o $(RUN)/out/video.mp4
 	@echo
 	@echo "video:    $(CURDIR)/$(RUN)/out/video.mp4"

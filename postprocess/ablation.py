@@ -124,7 +124,7 @@ def make_run(folder: Path) -> None:
     if not duck.is_file():
         maker = ROOT / "runs" / "assets" / "make_assets.py"
         _do([sys.executable, str(maker), str(duck.parent)])
-    _do([sys.executable, "-m", "vgmpi", str(scene), "-o", str(folder)])
+    _do([sys.executable, "-m", "vgmpi", str(scene), "-o", str(folder), "--overwrite"])
 
 
 def _do(command: list[str]) -> None:

@@ -116,23 +116,26 @@ def run(
     ranks: Alone | None = None,
     threads: int = 1,
     engine: str = "cpu",
+    overwrite: bool = False,
 ) -> Run:
     """Run a scene to its end, from its start.
 
     folder: where files go; None: nothing is written. on_step, on_frame: called with the Run after
     every step and at every frame, the first at time 0. ranks: `vgmpi.domain.ranks.world()` under
     mpirun, which is the default; all ranks call everything. engine: "cpu", or "numpy": slow, on one
-    rank, for comparison. Raises SceneError and StoreError; a
-    blow-up is code 3.
+    rank, for comparison. overwrite: replace a run that lies in the folder. Raises SceneError,
+    StoreError, and output.owner.FolderError where the folder is another run's; a blow-up is code 3.
     """
     from .solver import run as runs
 
-    options = runs.Options(None if folder is None else Path(folder), threads, engine)
-    inner = runs.start(scene, ranks or world(), options)
-    this = Run(inner)
-    if on_step is not None:
-        options.listeners.append(lambda simulation: on_step(this))
-    if on_frame is not None:
-        options.watchers.append(lambda run: on_frame(this))
-    this.code = inner.go()
+    options = runs.Options(
+        None if folder is None else Path(folder), threads, engine, overwrite=overwrite
+    )
+    with runs.started(scene, ranks or world(), options) as inner:
+        this = Run(inner)
+        if on_step is not None:
+            options.listeners.append(lambda simulation: on_step(this))
+        if on_frame is not None:
+            options.watchers.append(lambda run: on_frame(this))
+        this.code = inner.go()
     return this

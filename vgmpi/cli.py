@@ -9,7 +9,7 @@ import traceback
 from pathlib import Path
 
 from .domain.ranks import Alone, world
-from .output import checkpoint, layout, read, store
+from .output import checkpoint, layout, owner, read, store
 from .planning.price import describe
 from .scene.reader import load
 from .scene.scene import Scene
@@ -69,6 +69,14 @@ def _add_flags_of_a_run(parser: argparse.ArgumentParser) -> None:
         help="go on from a checkpoint; default: the latest valid one",
     )
     parser.add_argument(
+        "--change",
+        action="store_true",
+        help="with --resume: go on although the scene has changed; the run's history says how",
+    )
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace a run that lies in the output folder"
+    )
+    parser.add_argument(
         "--stop-after",
         default="",
         metavar="AMOUNT",
@@ -102,6 +110,10 @@ def arguments(argv: list[str] | None) -> argparse.Namespace:
     given = parser.parse_args(argv)
     if given.inspect is None and given.scene is None:
         parser.error("give a scene file, or --inspect FILE")
+    if given.change and given.resume is None:
+        parser.error("--change is for --resume")
+    if given.overwrite and given.resume is not None:
+        parser.error("--overwrite replaces a run, --resume goes on with it: give one of them")
     if given.threads < 1:
         parser.error(f"--threads: must be at least 1; got {given.threads}")
     try:
@@ -138,12 +150,15 @@ def main(argv: list[str] | None = None) -> int:
         return _command(given, ranks)
     except SceneError as error:
         return _refuse(error.lines, ranks)
-    except (store.StoreError, checkpoint.CheckpointError, read.RunError) as error:
+    except (
+        store.StoreError, owner.FolderError, checkpoint.CheckpointError, read.RunError
+    ) as error:  # fmt: skip
         if ranks.rank == 0:
             if given.verbose:
                 traceback.print_exc()
             print(f"vgmpi: {error}", file=sys.stderr)
-        return WRONG if isinstance(error, checkpoint.CheckpointError) else 1
+        asked = isinstance(error, checkpoint.CheckpointError | owner.FolderError)
+        return WRONG if asked else 1
     except KeyboardInterrupt:
         return 130
 
@@ -164,12 +179,14 @@ def _command(given: argparse.Namespace, ranks: Alone) -> int:
         return _run(scene, folder, given, ranks)
     from .solver import prepared  # --check stays quick
 
-    known = prepared.prepare(scene, ranks, folder if given.prepare else None)
     if given.prepare:
+        with owner.held(folder, ranks, into=given.overwrite):
+            known = prepared.prepare(scene, ranks, folder)
+            prepared.keep(scene, known, ranks, folder)
         if ranks.rank == 0:
             print(f"{sum(known.count):,} particles in {folder / layout.GAUSSIANS}")
         return 0
-    plan = prepared.plan_for(scene, known)
+    plan = prepared.plan_for(scene, prepared.prepare(scene, ranks, None))
     if ranks.rank == 0:
         print(describe(scene, plan, ranks.size))
     refusal = too_large(plan.bytes(), ranks)
@@ -177,55 +194,37 @@ def _command(given: argparse.Namespace, ranks: Alone) -> int:
 
 
 def _run(scene: Scene, folder: Path, given: argparse.Namespace, ranks: Alone) -> int:
-    from .solver import prepared, report  # numba comes in here
+    from .solver import report  # numba comes in here
     from .solver import run as runs
-    from .solver.state import Mismatch
 
-    resume = _resume_from(given.resume, folder, ranks)
-    options = runs.Options(
-        folder, given.threads, given.engine, resume, given.stop_steps, given.stop_seconds
-    )
     if given.engine == "numpy" and (ranks.size > 1 or given.threads > 1):
         return _refuse(["--engine numpy computes on one rank and one thread"], ranks)
-    known = prepared.prepare(scene, ranks, folder)
-    plan = prepared.plan_for(scene, known)
-    refusal = too_large(plan.bytes(), ranks)
-    if refusal and not given.force:
-        return _refuse([refusal + "; --force runs it anyway"], ranks)
-    if ranks.rank == 0 and not given.quiet:
-        print(describe(scene, plan, ranks.size), flush=True)
-    try:
-        run = runs.Runner(scene, plan, known, ranks, options)
-    except Mismatch as error:
-        return _refuse([str(error)], ranks)
-    clock = run.simulation.clock = report.Clock()
-    progress = report.Progress(run, given.quiet)
-    options.listeners.append(progress)
-    code = run.go()
-    progress.close()
-    said = [report.table(run, clock)]
-    if given.profile:
-        said.append(report.profile(run, clock))
+
+    def approve(plan) -> None:
+        refusal = too_large(plan.bytes(), ranks)
+        if refusal and not given.force:
+            raise SceneError([refusal + "; --force runs it anyway"])
+        if ranks.rank == 0 and not given.quiet:
+            print(describe(scene, plan, ranks.size), flush=True)
+
+    options = runs.Options(
+        folder, given.threads, given.engine, given.resume, given.stop_steps, given.stop_seconds,
+        given.overwrite, given.change,
+    )  # fmt: skip
+    with runs.started(scene, ranks, options, approve) as run:
+        clock = run.simulation.clock = report.Clock()
+        progress = report.Progress(run, given.quiet)
+        options.listeners.append(progress)
+        code = run.go()
+        progress.close()
+        said = [report.table(run, clock)]
+        if given.profile:
+            said.append(report.profile(run, clock))
     if ranks.rank == 0 and not given.quiet:
         print("\n".join(said))
         ended = {0: "done", 3: "blew up", 75: "stopped; go on with --resume"}[code]
         print(f"{ended}: {folder}", flush=True)
     return code
-
-
-def _resume_from(asked: str | None, folder: Path, ranks: Alone) -> Path | None:
-    """The checkpoint to go on from: the one named, or the latest valid. Raises CheckpointError."""
-    if asked is None:
-        return None
-    if asked:
-        checkpoint.verify(asked, ranks)
-        return Path(asked)
-    found = checkpoint.latest(folder / layout.CHECKPOINTS, ranks)
-    if found is None:
-        raise checkpoint.CheckpointError(
-            f"--resume: no valid checkpoint in {folder / layout.CHECKPOINTS}"
-        )
-    return found
 
 
 def too_large(needed: int, ranks: Alone) -> str:

@@ -146,6 +146,14 @@ class Quantity:
         return core_schema.no_info_plain_validator_function(self.parse)
 
 
+@dataclass(frozen=True, slots=True)
+class MayChange:
+    """Marks a key that may be another one when a run goes on from a checkpoint; said: what happens
+    then."""
+
+    said: str
+
+
 Length = Annotated[float, Quantity("m")]
 Positive = Annotated[float, Quantity("m", gt=0)]
 Share = Annotated[float, Quantity("1", ge=0, le=1)]
@@ -190,6 +198,10 @@ class TomlError(ValueError):
     def __init__(self, lines: list[str]):
         super().__init__("\n".join(lines))
         self.lines = lines
+
+    def also(self, line: str):
+        """The same error with a line behind the others."""
+        return type(self)([*self.lines, line])
 
 
 class SceneError(TomlError):

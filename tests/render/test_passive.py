@@ -21,7 +21,7 @@ from vgmpi.output.read import RunFiles, inspect
 from vgmpi.prepare import quality
 from vgmpi.prepare.build import build
 from vgmpi.prepare.passive import CARRIERS, bound
-from vgmpi.solver.prepared import prepare
+from vgmpi.solver.prepared import keep, prepare
 from vgmpi.splatting.splat import render
 
 RIDING = 'mesh = "duck.obj"\nprune = "auto"\npassive = true'
@@ -216,7 +216,8 @@ def test_a_run_with_riders(folder, tmp_path):
 def test_what_is_off_writes_nothing(folder, tmp_path):
     thin = RIDING.replace("passive = true", "passive = false")
     for name, keys in (("on", RIDING), ("off", thin), ("never", 'mesh = "duck.obj"')):
-        prepare(scene(folder, RUN.replace("SOURCE", keys)), Alone(), tmp_path / name)
+        made = scene(folder, RUN.replace("SOURCE", keys))
+        keep(made, prepare(made, Alone(), tmp_path / name), Alone(), tmp_path / name)
     groups = {}
     for name in ("on", "off", "never"):
         with h5py.File(tmp_path / name / layout.GAUSSIANS) as f:

@@ -115,11 +115,11 @@ def test_it_gets_into_the_run(tmp_path, precision):
 def test_files_carry_it(tmp_path):
     """gaussians.h5 has theta0 only if something is compressed."""
     from vgmpi.domain.ranks import Alone
-    from vgmpi.solver.prepared import prepare
+    from vgmpi.solver.prepared import keep, prepare
 
     for key, there in (('compressed = "hydrostatic"', True), ("", False)):
         known = scene(tmp_path, text() + key)
-        prepare(known, Alone(), tmp_path)
+        keep(known, prepare(known, Alone(), tmp_path), Alone(), tmp_path)
         rows = rest.read_slice(tmp_path / "gaussians.h5", 0, 10)
         assert ("theta0" in rows) == there
         if there:
@@ -129,7 +129,7 @@ def test_files_carry_it(tmp_path):
 def test_the_gradient_of_what_turns_and_waves(tmp_path):
     """It is the field's own and gets into a run; without spin and waves there is none."""
     from vgmpi.domain.ranks import Alone
-    from vgmpi.solver.run import Options, start
+    from vgmpi.solver.run import Options, started
 
     keys = "spin = [1, -2, 3]\nmode = { amplitude = [0.1, 0, 0.2], wave = [9, 4, -7], phase = 1 }\n"
     keys += '[[object]]\nname = "oil"\nmaterial = "oil"\nvelocity = [1, 0, 0]\n'
@@ -150,7 +150,7 @@ def test_the_gradient_of_what_turns_and_waves(tmp_path):
             moved.append(velocity(known.object[0], at, weight)[:-1])
         slope = (moved[0] - moved[1]) / 2e-5
         assert np.abs(found[first, :, b] - slope).max() < 1e-8
-    run = start(known, Alone(), Options(None))
-    (C,) = by_id(run.simulation, "C")
+    with started(known, Alone(), Options(None)) as run:
+        (C,) = by_id(run.simulation, "C")
     assert np.abs(C - found.reshape(-1, 9)).max() < 1e-15
     assert gradient(scene(tmp_path, text() + "velocity = [1, 0, 0]"), x, made.object[first]) is None

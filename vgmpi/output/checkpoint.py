@@ -175,6 +175,18 @@ def latest(folder: str | Path, ranks: Alone | None = None) -> Path | None:
     return path
 
 
+def chosen(asked: str, folder: Path, ranks: Alone) -> Path:
+    """The checkpoint `asked` for, or with "" the newest valid one in `folder`; collective. Raises
+    CheckpointError on all ranks."""
+    if asked:
+        verify(asked, ranks)
+        return Path(asked)
+    found = latest(folder, ranks)
+    if found is None:
+        raise CheckpointError(f"--resume: no valid checkpoint in {folder}")
+    return found
+
+
 def verify(path: str | Path, ranks: Alone | None = None) -> None:
     """Compare a checkpoint with its manifest; collective. Raises CheckpointError on all ranks."""
     problem = _problem(Path(path), ranks or Alone())

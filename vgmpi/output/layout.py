@@ -10,6 +10,7 @@ import numpy as np
 SCHEMA = 1  # raised when a reader of the old files would go wrong
 
 FRAMES, CHECKPOINTS = "frames", "checkpoints"  # folders inside the output folder
+LOCK = "run.lock"  # of the run that writes here now
 BLOWUP = "blowup"  # the same for the state in which a run ended
 SERIES, GAUSSIANS, LEDGER = "series.vtkhdf", "gaussians.h5", "ledger.csv"
 PROBE_NAME = "probe_{}.csv"

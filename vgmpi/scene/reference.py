@@ -8,7 +8,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from vgmpi import couplings, materials
-from vgmpi.scene import forms, loads, objects, probes, settings
+from vgmpi.scene import forms, loads, objects, probes, resume, settings
 from vgmpi.tables import Quantity, same_units
 
 _INTRO = """# The scene file
@@ -56,6 +56,7 @@ def scene_reference() -> str:
         parts.append(_section(f'[[coupling]] kind = "{kind}"', coupling))
     parts.append(_section("[[load]]", loads.Load))
     parts.append(_section("[[probe]]", probes.Probe))
+    parts.append(_may_change())
     return "\n".join(parts)
 
 
@@ -66,6 +67,18 @@ def _section(title: str, table: type[BaseModel]) -> str:
         cells = (f"`{name}`", _unit(field), _default(field), _allowed(field), _meaning(field))
         rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return "\n".join([f"## {title}", "", said, "", *rows, ""])
+
+
+def _may_change() -> str:
+    """What may be another key at a resume."""
+    rows = [f"| `{key}` | {said} |" for key, said in resume.may_change().items()]
+    head = (
+        "A run that goes on with `--resume` may have another value of these keys. All else must be"
+        " as it was: what is not is named with its line and both values. With `--change` the run"
+        " goes on even so, and its checkpoints keep a list of what was changed, when."
+    )
+    said = ["## Going on from a checkpoint", "", head, "", "| key | what happens |", "|---|---|"]
+    return "\n".join([*said, *rows, ""])
 
 
 def _presets(presets: dict[str, dict]) -> str:

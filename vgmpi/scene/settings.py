@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from vgmpi.tables import Positive, Quantity, Table
+from vgmpi.tables import MayChange, Positive, Quantity, Table
 
 WALLS = ("west", "east", "south", "north", "floor", "roof")
 MOST_CELLS = 2**15  # per axis: block coordinates fit the sort key
@@ -86,9 +86,13 @@ class Domain(Table):
 class Time(Table):
     """How long, how finely, and how often the state is written."""
 
-    end: Annotated[float, Quantity("s", gt=0)]
+    end: Annotated[float, Quantity("s", gt=0), MayChange("the run goes on to this time")]
     """simulated time"""
-    frames: Annotated[int, Field(strict=True, ge=2, le=100_000)] = 50
+    frames: Annotated[
+        int,
+        Field(strict=True, ge=2, le=100_000),
+        MayChange("from here on, frames are written at the new times; numbers go on"),
+    ] = 50
     """number of frames written at equal times, the first at 0 and the last at the end"""
     cfl: Annotated[float, Quantity("", gt=0, le=1)] = 0.4
     """share of the time a wave needs to cross a cell, taken as the step"""
@@ -136,24 +140,26 @@ class Accuracy(Table):
 class Output(Table):
     """What is written, where and how often."""
 
-    folder: Annotated[str, Field(min_length=1)] = "out"
+    folder: Annotated[str, Field(min_length=1), MayChange("the run goes on in that folder")] = "out"
     """relative to the scene's folder"""
-    fields: tuple[Literal["velocity", "J", "F"], ...] = ("velocity", "J", "F")
+    fields: Annotated[
+        tuple[Literal["velocity", "J", "F"], ...], MayChange("frames from here on have these")
+    ] = ("velocity", "J", "F")
     """besides the positions; drawings need F for elastic bodies and J for all others"""
-    checkpoint: Annotated[float, Quantity("s", ge=0)] = 600.0
+    checkpoint: Annotated[float, Quantity("s", ge=0), MayChange("holds from here on")] = 600.0
     """wall time between checkpoints; 0: none by time"""
-    checkpoint_steps: Annotated[int, Field(strict=True, ge=0)] = 0
+    checkpoint_steps: Annotated[int, Field(strict=True, ge=0), MayChange("holds from here on")] = 0
     """steps between checkpoints; 0: none by steps"""
 
 
 class Top(Table):
     """Keys above the first table."""
 
-    title: str = ""
+    title: Annotated[str, MayChange("is noted from here on")] = ""
     """for people"""
     seed: Annotated[int, Field(strict=True, ge=0, le=2**31)] = 1
     """of everything random: the points on a mesh's surface"""
-    allow_outside: bool = False
+    allow_outside: Annotated[bool, MayChange("holds from here on")] = False
     """whether files may lie outside the scene's folder"""
 
 

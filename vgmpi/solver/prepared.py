@@ -30,56 +30,59 @@ class Known:
     colliders: list
     loads: list
     shades: np.ndarray | None = None  # of colours that travel (colour_sets.shades)
-    rows: dict | None = None  # on rank 0, where there is no gaussians.h5: its datasets
+    # on rank 0, of particles that are in no gaussians.h5 yet: what belongs into it, see rest.write
+    rows: dict | None = None
+    scenery: dict | None = None
+    passive: dict | None = None
 
     @property
     def count(self) -> list[int]:
         return [thing["count"] for thing in self.objects]
 
 
-def prepare(scene: Scene, ranks: Alone, folder: Path | None) -> Known:
-    """Make the particles on rank 0 and write gaussians.h5 (or keep them, if folder is None).
-    Collective.
+def prepare(scene: Scene, ranks: Alone, folder: Path | None, resumed: bool = False) -> Known:
+    """Make the particles on rank 0, and write nothing. Collective.
 
-    Particles already there from the same objects are used again. Raises SceneError on all ranks.
+    Particles that gaussians.h5 in `folder` has from the same objects are used again; those of a run
+    that is `resumed` in any case. Raises SceneError on all ranks.
     """
-    said, known, rows = None, None, None
+    said, known, made = None, None, {}
     if ranks.rank == 0:
         try:
-            known, rows = _particles(scene, folder)
+            known, made = _particles(scene, folder, resumed)
         except Exception as error:  # every rank must hear of it, or they wait for ever
             said = error
     said = ranks.bcast(said)
     if said is not None:
         raise said
     known = ranks.bcast(known)
-    if folder is None and rows is not None:  # rank 0's
-        known.rows = rows[1]
-    if folder is not None and ranks.bcast(rows is not None):
-        scenery, rows, passive = rows or (None, None, None)
-        rest.write(
-            folder / layout.GAUSSIANS,
-            ranks,
-            rows,
-            known.objects,
-            scenery,
-            scene.resolved(),
-            digest(scene),
-            passive,
-        )
+    for name, rows in made.items():
+        setattr(known, name, rows)
     return known
 
 
-def _particles(scene: Scene, folder: Path | None):
-    """On rank 0: what all shall know, and (scenery, rows, passive) to write, None if they are on
-    disk."""
+def keep(scene: Scene, known: Known, ranks: Alone, folder: Path) -> None:
+    """Write gaussians.h5 where it does not hold these particles yet. Collective; StoreError on all
+    ranks."""
+    if not ranks.bcast(known.rows is not None):
+        return
+    rest.write(
+        folder / layout.GAUSSIANS, ranks, known.rows, known.objects, known.scenery,
+        scene.resolved(), digest(scene), known.passive,
+    )  # fmt: skip
+    known.rows = known.scenery = known.passive = None
+
+
+def _particles(scene: Scene, folder: Path | None, resumed: bool) -> tuple[Known, dict]:
+    """On rank 0: what all shall know, and the rest of Known where it is not on the disk."""
     path = folder / layout.GAUSSIANS if folder is not None else None
     moving = not any(thing.collider for thing in scene.object)
-    if path is not None and moving and rest.digest(path) == digest(scene):
+    there = path is not None and bool(rest.digest(path))
+    if there and moving and (resumed or rest.digest(path) == digest(scene)):
         log.info("particles as prepared before: %s", path)
         found = read_gaussians(path)
         loads = find(scene, found.x0, found.vol0, found.object)
-        return _known(scene, found.objects, found, found.x0, [], loads), None
+        return _known(scene, found.objects, found, found.x0, [], loads), {}
     from ..prepare.build import build  # scipy comes with it: only the rank that prepares waits
 
     made = build(scene)
@@ -104,7 +107,9 @@ def _particles(scene: Scene, folder: Path | None):
         p = made.passive
         passive = {"x0": p.x, "object": p.object, "cov0": p.cov0, "opacity": p.opacity, "sh": p.sh}
         passive |= {"carriers": p.carriers, "weights": p.weights}
-    return known_of(scene, made), (scenery, rows, passive)
+    if there and resumed:  # its colliders were made anew, its particles are as they were
+        return known_of(scene, made), {}
+    return known_of(scene, made), {"rows": rows, "scenery": scenery, "passive": passive}
 
 
 def known_of(scene: Scene, made) -> Known:

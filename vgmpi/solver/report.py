@@ -50,7 +50,7 @@ class Progress:
     """A bar with the time left on a terminal, otherwise a log line every ten seconds."""
 
     def __init__(self, run: Runner, quiet: bool):
-        self.run, self.end = run, float(run.plan.times[-1])
+        self.run, self.end = run, float(run.times[-1])
         self.began = self.said = time.monotonic()
         self.first = run.simulation.time
         shown = run.ranks.rank == 0 and not quiet
@@ -73,7 +73,7 @@ class Progress:
             log.info(
                 "%.4g of %.4g s, step %d, frame %d of %d, %.0f s left",
                 simulation.time, self.end, simulation.step,
-                self.run.frame, len(self.run.plan.times), left,
+                self.run.frame, len(self.run.times), left,
             )  # fmt: skip
 
     def close(self) -> None:

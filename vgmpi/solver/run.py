@@ -1,8 +1,10 @@
 """A run from scene to files: prepare, plan, step, write, stop."""
 
+import contextlib
 import logging
 import platform
 import subprocess
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -10,14 +12,15 @@ from pathlib import Path
 import numpy as np
 
 from ..domain.ranks import Alone
-from ..output import checkpoint, layout
+from ..output import checkpoint, layout, owner
 from ..output.frames import Frames
 from ..output.ledger import Ledger
 from ..planning.plan import Plan
 from ..planning.price import describe
 from ..prepare.motion import gradient
+from ..scene.resume import changes, may_change
 from ..scene.scene import Scene
-from .prepared import Known, on_all, plan_for, prepare, share
+from .prepared import Known, keep, on_all, plan_for, prepare, share
 from .probes import Probes
 from .requests import Requests
 from .state import frame_rows, restore, save
@@ -38,17 +41,19 @@ class Options:
     folder: Path | None  # None: nothing is written
     threads: int = 1
     engine: str = "cpu"  # see solver.step.ENGINES
-    resume: Path | None = None
+    resume: str | None = None  # a checkpoint's path; "": the newest valid one; None: from the start
     stop_steps: int = 0
     stop_seconds: float = 0.0
+    overwrite: bool = False  # replace a run that lies in the folder
+    change: bool = False  # resume although the scene has changed
     listeners: list = field(default_factory=list)  # each called with (simulation) after every step
     watchers: list = field(default_factory=list)  # each called with (run) at every frame
 
 
 def begin(
-    scene: Scene, plan: Plan, known: Known, ranks: Alone, options: Options
+    scene: Scene, plan: Plan, known: Known, ranks: Alone, options: Options, path: Path | None = None
 ) -> tuple[Simulation, int]:
-    """The simulation at its start, or at the checkpoint to resume from; and the next frame's
+    """The simulation at its start, or at the checkpoint `path` to resume from; and the next frame's
     number. Collective.
     """
     if options.engine == "cpu":
@@ -56,8 +61,7 @@ def begin(
     simulation = Simulation(
         plan, ranks, known.colliders, options.threads, known.loads, options.engine
     )
-    if options.resume is not None:
-        path = options.resume
+    if path is not None:
         with on_all(ranks, path, lambda: checkpoint.open(path)) as saved:
             restore(simulation, saved)
             return simulation, saved.attrs["frame"]
@@ -73,14 +77,21 @@ def begin(
 class Runner:
     """One run: its simulation and its files. Collective.
 
-    probes: rows of the scene's probes; frame: number of the next frame.
+    probes: rows of the scene's probes; frame: number of the next frame; times: of all frames [s],
+    of those that a resumed run has already only their number counts; history: what was changed at
+    resumes; path: of the checkpoint to resume from, or None.
     """
 
-    def __init__(self, scene: Scene, plan: Plan, known: Known, ranks: Alone, options: Options):
+    def __init__(
+        self, scene: Scene, plan: Plan, known: Known, ranks: Alone, options: Options,
+        path: Path | None = None, history: list[dict] | None = None,
+    ):  # fmt: skip
         self.scene, self.plan, self.options, self.ranks = scene, plan, options, ranks
         self.names = [thing["name"] for thing in known.objects]
-        self.simulation, self.frame = begin(scene, plan, known, ranks, options)
-        last_step = None if options.resume is None else self.simulation.step
+        self.history = history or []
+        self.simulation, self.frame = begin(scene, plan, known, ranks, options, path)
+        self.times = _times(plan.times, self.frame, self.simulation.time)
+        last_step = None if path is None else self.simulation.step
         self.probes = Probes(scene, self.simulation, options.folder, last_step)
         if options.folder is not None:
             self._open(options.folder, last_step)
@@ -105,12 +116,16 @@ class Runner:
             self._write_frame()
             self.probes.first()
         try:
-            while self.frame < len(self.plan.times):
+            while self.frame < len(self.times):
                 if self._step():
                     self._checkpoint()
                     return STOPPED
         except BlowUp as error:
             return self._blew_up(str(error).format(*self.names))
+        if simulation.step > self.first_step:
+            self._checkpoint()  # from which the run can be extended
+        else:
+            log.info("the run is at %g s: a later time.end extends it", simulation.time)
         return DONE
 
     def _step(self) -> bool:
@@ -120,17 +135,17 @@ class Runner:
         if self.plan.fixed_dt:
             self._warn_if_too_long(bound)
             bound = self.plan.fixed_dt
-        dt, lands = next_step(simulation.time, self.plan.times[self.frame], bound)
+        dt, lands = next_step(simulation.time, self.times[self.frame], bound)
         done, before = simulation.step + 1 - self.first_step, simulation.time
         stop, due = simulation.advance(dt, self.requests.flags(done))
         if lands:
-            simulation.time = float(self.plan.times[self.frame])
+            simulation.time = float(self.times[self.frame])
             self._write_frame()
         self.probes.after_step(before)
         for listener in self.options.listeners:
             listener(simulation)
         every = self.scene.output.checkpoint_steps
-        if stop and self.frame < len(self.plan.times):
+        if stop and self.frame < len(self.times):
             return True
         if due or (every and simulation.step % every == 0):
             self._checkpoint()
@@ -177,6 +192,7 @@ class Runner:
             "frame": self.frame,
             "scene_text": self.scene.text,
             "overrides": list(self.scene.overrides),
+            "history": self.history,
             "scene": self.scene.resolved(),
             "plan": describe(self.scene, self.plan, ranks=1).splitlines(),
             "versions": versions(),
@@ -193,10 +209,55 @@ class Runner:
             self.simulation.clock(stage)
 
 
-def start(scene: Scene, ranks: Alone, options: Options) -> Runner:
-    """Prepare, plan and set up a run. Raises SceneError, StoreError, CheckpointError, Mismatch."""
-    known = prepare(scene, ranks, options.folder)
-    return Runner(scene, plan_for(scene, known), known, ranks, options)
+def _times(times: np.ndarray, frame: int, now: float) -> np.ndarray:
+    """Times of all frames of a run that is at `now` [s] and writes frame number `frame` next."""
+    if frame == 0:
+        return times
+    ahead = times[times > now + 1e-6 * (times[1] - times[0])]
+    return np.concatenate([np.full(frame, now), ahead])
+
+
+@contextlib.contextmanager
+def started(
+    scene: Scene, ranks: Alone, options: Options, approve: Callable[[Plan], None] | None = None
+) -> Iterator[Runner]:
+    """Own the folder, check everything, and only then write: a run that is ready to go. Collective.
+
+    approve: called with the plan, may raise. Raises SceneError, StoreError, FolderError,
+    CheckpointError.
+    """
+    folder, resumed = options.folder, options.resume is not None
+    with contextlib.ExitStack() as stack:
+        path, history = None, []
+        if folder is not None:
+            stack.enter_context(owner.held(folder, ranks, resumed or options.overwrite))
+        if folder is not None and options.resume is not None:
+            path = checkpoint.chosen(options.resume, folder / layout.CHECKPOINTS, ranks)
+            history = _history(scene, path, ranks, options.change)
+        known = prepare(scene, ranks, folder, resumed)
+        plan = plan_for(scene, known)
+        if approve is not None:
+            approve(plan)
+        if folder is not None:
+            keep(scene, known, ranks, folder)
+        yield Runner(scene, plan, known, ranks, options, path, history)
+
+
+def _history(scene: Scene, path: Path, ranks: Alone, change: bool) -> list[dict]:
+    """What was changed at resumes, this one's with them. Raises SceneError where something is that
+    may not change, unless `change`. Collective."""
+    with on_all(ranks, path, lambda: checkpoint.open(path)) as saved:
+        attrs = saved.attrs
+    history, found = list(attrs.get("history", [])), changes(scene, attrs["scene"])
+    if not found:
+        return history
+    lines = scene.error(found).lines
+    if not change:
+        free = ", ".join(may_change())
+        raise scene.error(found).also(f"--resume may change {free}; with --change all else too")
+    for line in lines:
+        log.warning("changed from here on: %s", line)
+    return [*history, {"step": attrs["step"], "time": attrs["time"], "changes": lines}]
 
 
 def versions() -> dict[str, str]:

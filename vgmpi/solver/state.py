@@ -7,6 +7,7 @@ from ..domain.ranks import Alone
 from ..domain.state import LANES
 from ..engines.base import UNKNOWN, Reach
 from ..materials.base import function
+from ..output.checkpoint import CheckpointError
 from .step import Simulation
 
 
@@ -113,7 +114,7 @@ def save(simulation: Simulation) -> dict:
     return {"attrs": attrs, "groups": groups}
 
 
-class Mismatch(ValueError):
+class Mismatch(CheckpointError):
     """A checkpoint does not belong to this scene."""
 
 

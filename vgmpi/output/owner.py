@@ -1,0 +1,102 @@
+"""Whose a run folder is: one run at a time writes into it, and none replaces another unasked."""
+
+import contextlib
+import errno
+import fcntl
+import json
+import logging
+import os
+import socket
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from vgmpi.domain.ranks import Alone
+from vgmpi.output import layout, store
+
+log = logging.getLogger("vgmpi")
+
+WITHOUT = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP)  # a file system that keeps no locks
+
+
+class FolderError(RuntimeError):
+    """This run may not write into the folder; one line that says why."""
+
+
+@contextlib.contextmanager
+def held(folder: str | Path, ranks: Alone, into: bool) -> Iterator[None]:
+    """The folder is this run's inside the block. Collective.
+
+    into: also where a run lies in it already. Raises FolderError on all ranks where another run
+    writes there now, or one lies there and `into` is false; StoreError where the folder cannot be
+    made. The system drops the lock of a process that is killed, so what it leaves does not count.
+    """
+    folder, handle, said, error = Path(folder), None, "", None
+    made = False
+    if ranks.rank == 0:
+        try:
+            made = not folder.exists()
+            folder.mkdir(parents=True, exist_ok=True)
+            handle, said = _take(folder / layout.LOCK, ranks.size)
+            if not said and not into:
+                said = _holds(folder)
+        except OSError as caught:
+            error = caught
+    try:
+        store.agree(ranks, error, folder)
+        said = ranks.bcast(said)
+        if said:
+            raise FolderError(f"{folder}: {said}")
+        yield
+    finally:
+        if handle is not None:
+            (folder / layout.LOCK).unlink(missing_ok=True)
+            os.close(handle)
+            if made:
+                with contextlib.suppress(OSError):  # the run came to nothing: no trace is left
+                    folder.rmdir()
+
+
+def _take(path: Path, ranks: int) -> tuple[int | None, str]:
+    """(handle of the lock that is now ours, ""), or (None, who has it)."""
+    while True:
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            said = os.read(handle, 1000).decode(errors="replace")
+            os.close(handle)
+            return None, _another(said)
+        except OSError as caught:
+            if caught.errno not in WITHOUT:
+                os.close(handle)
+                raise
+            log.warning("%s: this file system keeps no locks: see to it that one run writes", path)
+        with contextlib.suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(handle), os.stat(path, follow_symlinks=False)):
+                break
+        os.close(handle)  # its owner ended and removed it meanwhile
+    now = time.strftime("%Y-%m-%d %H:%M:%S")
+    who = {"host": socket.gethostname(), "pid": os.getpid(), "ranks": ranks, "since": now}
+    os.ftruncate(handle, 0)
+    os.pwrite(handle, json.dumps(who).encode(), 0)
+    return handle, ""
+
+
+def _another(said: str) -> str:
+    try:
+        who = json.loads(said)
+        whose = f"process {who['pid']} on {who['host']}, {who['ranks']} ranks, since {who['since']}"
+    except (ValueError, KeyError, TypeError):
+        whose = "it has only begun"
+    return f"another run writes here now ({whose}); wait for its end, or -o another folder"
+
+
+def _holds(folder: Path) -> str:
+    """What of a run lies in the folder, and what can be done about it; "" if nothing does."""
+    frames = len(list((folder / layout.FRAMES).glob("frame_*.vtkhdf")))
+    kept = any((folder / layout.CHECKPOINTS).glob("checkpoint_*.json"))
+    if not frames and not kept and not (folder / layout.LEDGER).exists():
+        return ""
+    can = "--resume goes on with it, " if kept else ""
+    return f"a run lies here ({frames} frames); {can}--overwrite replaces it, -o takes another"
