@@ -17,7 +17,7 @@ from vgmpi.domain.ranks import Alone
 from vgmpi.domain.state import LANES, Group
 from vgmpi.engines.shares import Shares, copies
 from vgmpi.materials.elastic import Elastic
-from vgmpi.planning.plan import GroupPlan
+from vgmpi.planning.groups import GroupPlan
 from vgmpi.solver.state import save
 
 REALS = [np.dtype(np.float32), np.dtype(np.float64)]
