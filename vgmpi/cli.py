@@ -185,8 +185,10 @@ def _run(scene: Scene, folder: Path, given: argparse.Namespace, ranks: Alone) ->
     options = runs.Options(
         folder, given.threads, given.engine, resume, given.stop_steps, given.stop_seconds
     )
-    if given.engine == "numpy" and (ranks.size > 1 or given.threads > 1):
-        return _refuse(["--engine numpy computes on one rank and one thread"], ranks)
+    try:
+        runs.check(options, ranks)
+    except runs.Unfit as error:
+        return _refuse([f"--{error}"], ranks)
     known = prepared.prepare(scene, ranks, folder)
     plan = prepared.plan_for(scene, known)
     refusal = too_large(plan.bytes(), ranks)

@@ -77,6 +77,13 @@ def test_prepare_makes_the_particles_alone(scene, capsys):
     assert [p.name for p in (scene.parent / "out").iterdir()] == ["gaussians.h5"]
 
 
+def test_plain_numpy_has_one_thread(scene, capsys):
+    assert cli.main([str(scene), "--engine", "numpy", "--threads", "2"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == "--engine numpy computes on one rank and one thread; asked for 1 x 2"
+    assert sorted(p.name for p in scene.parent.iterdir()) == ["scene.toml"]
+
+
 def test_resume_without_a_checkpoint(scene, capsys):
     assert cli.main([str(scene), "--resume"]) == 2
     assert "no valid checkpoint" in capsys.readouterr().err

@@ -45,6 +45,19 @@ class Options:
     watchers: list = field(default_factory=list)  # each called with (run) at every frame
 
 
+class Unfit(ValueError):
+    """Options that do not go together, or not with these ranks."""
+
+
+def check(options: Options, ranks: Alone) -> None:
+    """Raises Unfit, before any work is done for a run that cannot be."""
+    if options.engine == "numpy" and (ranks.size > 1 or options.threads > 1):
+        raise Unfit(
+            "engine numpy computes on one rank and one thread; asked for"
+            f" {ranks.size} x {options.threads}"
+        )
+
+
 def begin(
     scene: Scene, plan: Plan, known: Known, ranks: Alone, options: Options
 ) -> tuple[Simulation, int]:
@@ -194,7 +207,10 @@ class Runner:
 
 
 def start(scene: Scene, ranks: Alone, options: Options) -> Runner:
-    """Prepare, plan and set up a run. Raises SceneError, StoreError, CheckpointError, Mismatch."""
+    """Prepare, plan and set up a run. Raises SceneError, StoreError, CheckpointError, Mismatch,
+    Unfit.
+    """
+    check(options, ranks)
     known = prepare(scene, ranks, options.folder)
     return Runner(scene, plan_for(scene, known), known, ranks, options)
 
