@@ -180,6 +180,7 @@ def _run(scene: Scene, folder: Path, given: argparse.Namespace, ranks: Alone) ->
     from .solver import prepared, report  # numba comes in here
     from .solver import run as runs
     from .solver.state import Mismatch
+    from .solver.step import BlowUp
 
     resume = _resume_from(given.resume, folder, ranks)
     options = runs.Options(
@@ -200,6 +201,9 @@ def _run(scene: Scene, folder: Path, given: argparse.Namespace, ranks: Alone) ->
         run = runs.Runner(scene, plan, known, ranks, options)
     except Mismatch as error:
         return _refuse([str(error)], ranks)
+    except BlowUp as error:
+        log.error("blow-up: %s", error)
+        return runs.BLEW_UP
     clock = run.simulation.clock = report.Clock()
     progress = report.Progress(run, given.quiet)
     options.listeners.append(progress)

@@ -5,8 +5,12 @@ import signal
 
 import pytest
 
-from tests.scenes import MIXED, write
+import vgmpi
+from tests import simulated
+from tests.scenes import MIXED, ROOM, write
 from vgmpi import cli
+from vgmpi.kernels.layers import momentum
+from vgmpi.solver.step import BlowUp
 
 
 @pytest.fixture(autouse=True)
@@ -82,6 +86,24 @@ def test_plain_numpy_has_one_thread(scene, capsys):
     (line,) = capsys.readouterr().err.splitlines()
     assert line == "--engine numpy computes on one rank and one thread; asked for 1 x 2"
     assert sorted(p.name for p in scene.parent.iterdir()) == ["scene.toml"]
+
+
+def test_a_blow_up_before_the_first_step_is_one_line(tmp_path, capsys, monkeypatch):
+    """A layer whose `full` is too small is found while the kernels are made ready."""
+    body = '[[object]]\nname = "lump"\nmaterial = "clay"\nshape = { box = [[0.1, 0.1, 0.1], '
+    scene = write(tmp_path, ROOM + body + "[0.2, 0.2, 0.2]] }\n")
+    full = momentum.full
+    monkeypatch.setattr(momentum, "full", lambda plan, speed: 1e-6 * full(plan, speed))
+    assert cli.main([str(scene), "-q"]) == 3
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("vgmpi: blow-up: before the first step, ")
+    assert "phase 'lump', near (" in line and "mass or momentum at a node is beyond" in line
+
+    def blown(ranks):
+        with pytest.raises(BlowUp, match="before the first step, .*phase 'lump'"):
+            vgmpi.run(vgmpi.load(scene), ranks=ranks)
+
+    simulated.run(2, blown)  # none waits for another
 
 
 def test_resume_without_a_checkpoint(scene, capsys):

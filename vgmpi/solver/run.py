@@ -84,7 +84,8 @@ def begin(
 
 
 class Runner:
-    """One run: its simulation and its files. Collective.
+    """One run: its simulation and its files. Collective. Raises BlowUp where not even the step that
+    readies the kernels can be made (warm.py).
 
     probes: rows of the scene's probes; frame: number of the next frame.
     """
@@ -92,7 +93,10 @@ class Runner:
     def __init__(self, scene: Scene, plan: Plan, known: Known, ranks: Alone, options: Options):
         self.scene, self.plan, self.options, self.ranks = scene, plan, options, ranks
         self.names = [thing["name"] for thing in known.objects]
-        self.simulation, self.frame = begin(scene, plan, known, ranks, options)
+        try:
+            self.simulation, self.frame = begin(scene, plan, known, ranks, options)
+        except BlowUp as error:
+            raise BlowUp(str(error).format(*self.names)) from None
         last_step = None if options.resume is None else self.simulation.step
         self.probes = Probes(scene, self.simulation, options.folder, last_step)
         if options.folder is not None:
@@ -208,7 +212,7 @@ class Runner:
 
 def start(scene: Scene, ranks: Alone, options: Options) -> Runner:
     """Prepare, plan and set up a run. Raises SceneError, StoreError, CheckpointError, Mismatch,
-    Unfit.
+    Unfit, BlowUp.
     """
     check(options, ranks)
     known = prepare(scene, ranks, options.folder)
