@@ -57,6 +57,42 @@ def test_a_wrong_scene_ends_with_2_and_writes_nothing(scene, capsys, flag):
     assert sorted(p.name for p in scene.parent.iterdir()) == ["scene.toml"]
 
 
+POST = """
+[[object]]
+name = "post"
+role = "scenery"
+collider = true
+shape = { box = [[0.1, 0.1, 0], [0.2, 0.2, 0.1]] }
+"""
+SPECK = """
+[[object]]
+name = "speck"
+material = "clay"
+shape = { sphere = { center = [0.2, 0.2, 0.2], radius = "1 mm" } }
+"""
+SHARELESS = SPECK.replace('"1 mm"', '"5 cm"') + (
+    'fraction_profile = { axis = "x", at = [0, 1], share = [0, 0] }\n'
+)
+
+
+@pytest.mark.parametrize(
+    "objects, says",
+    [
+        ("", "required table [[object]] is missing"),
+        (POST, "all objects are scenery: at least one must be a body"),
+        (POST + SPECK, "object.speck.shape: too small or thin: no particle fits in"),
+        (SHARELESS, "leaves no particle: its share is 0 everywhere"),
+    ],
+)
+@pytest.mark.parametrize("flag", ["--check", "--plan", "-q"])
+def test_a_scene_without_particles_is_refused(tmp_path, capsys, flag, objects, says):
+    """Every body has some, so that a run has a wave speed and with it a time step."""
+    assert cli.main([str(write(tmp_path, ROOM + objects)), flag]) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert all("scene.toml:" in line for line in said) and says in said[0], said
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["scene.toml"]
+
+
 def test_a_body_outside_the_domain_is_found_by_check(scene, capsys):
     assert cli.main([str(scene), "--check", "--set", "object.ball.position=[0.1, 0.12, 0.2]"]) == 2
     assert "outside the domain" in capsys.readouterr().err
