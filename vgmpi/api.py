@@ -122,8 +122,9 @@ def run(
     folder: where files go; None: nothing is written. on_step, on_frame: called with the Run after
     every step and at every frame, the first at time 0. ranks: `vgmpi.domain.ranks.world()` under
     mpirun, which is the default; all ranks call everything. engine: "cpu", or "numpy": slow, on one
-    rank, for comparison. Raises SceneError and StoreError; a
-    blow-up is code 3.
+    rank and one thread, for comparison. Raises SceneError, StoreError and, where engine, ranks
+    and threads do not go together, a ValueError; a blow-up is code 3, but
+    raised (BlowUp) where it comes before the first frame.
     """
     from .solver import run as runs
 

@@ -180,13 +180,16 @@ def _run(scene: Scene, folder: Path, given: argparse.Namespace, ranks: Alone) ->
     from .solver import prepared, report  # numba comes in here
     from .solver import run as runs
     from .solver.state import Mismatch
+    from .solver.step import BlowUp
 
     resume = _resume_from(given.resume, folder, ranks)
     options = runs.Options(
         folder, given.threads, given.engine, resume, given.stop_steps, given.stop_seconds
     )
-    if given.engine == "numpy" and (ranks.size > 1 or given.threads > 1):
-        return _refuse(["--engine numpy computes on one rank and one thread"], ranks)
+    try:
+        runs.check(options, ranks)
+    except runs.Unfit as error:
+        return _refuse([f"--{error}"], ranks)
     known = prepared.prepare(scene, ranks, folder)
     plan = prepared.plan_for(scene, known)
     refusal = too_large(plan.bytes(), ranks)
@@ -198,6 +201,9 @@ def _run(scene: Scene, folder: Path, given: argparse.Namespace, ranks: Alone) ->
         run = runs.Runner(scene, plan, known, ranks, options)
     except Mismatch as error:
         return _refuse([str(error)], ranks)
+    except BlowUp as error:
+        log.error("blow-up: %s", error)
+        return runs.BLEW_UP
     clock = run.simulation.clock = report.Clock()
     progress = report.Progress(run, given.quiet)
     options.listeners.append(progress)

@@ -45,6 +45,19 @@ class Options:
     watchers: list = field(default_factory=list)  # each called with (run) at every frame
 
 
+class Unfit(ValueError):
+    """Options that do not go together, or not with these ranks."""
+
+
+def check(options: Options, ranks: Alone) -> None:
+    """Raises Unfit, before any work is done for a run that cannot be."""
+    if options.engine == "numpy" and (ranks.size > 1 or options.threads > 1):
+        raise Unfit(
+            "engine numpy computes on one rank and one thread; asked for"
+            f" {ranks.size} x {options.threads}"
+        )
+
+
 def begin(
     scene: Scene, plan: Plan, known: Known, ranks: Alone, options: Options
 ) -> tuple[Simulation, int]:
@@ -71,7 +84,8 @@ def begin(
 
 
 class Runner:
-    """One run: its simulation and its files. Collective.
+    """One run: its simulation and its files. Collective. Raises BlowUp where not even the step that
+    readies the kernels can be made (warm.py).
 
     probes: rows of the scene's probes; frame: number of the next frame.
     """
@@ -79,7 +93,10 @@ class Runner:
     def __init__(self, scene: Scene, plan: Plan, known: Known, ranks: Alone, options: Options):
         self.scene, self.plan, self.options, self.ranks = scene, plan, options, ranks
         self.names = [thing["name"] for thing in known.objects]
-        self.simulation, self.frame = begin(scene, plan, known, ranks, options)
+        try:
+            self.simulation, self.frame = begin(scene, plan, known, ranks, options)
+        except BlowUp as error:
+            raise BlowUp(str(error).format(*self.names)) from None
         last_step = None if options.resume is None else self.simulation.step
         self.probes = Probes(scene, self.simulation, options.folder, last_step)
         if options.folder is not None:
@@ -194,7 +211,10 @@ class Runner:
 
 
 def start(scene: Scene, ranks: Alone, options: Options) -> Runner:
-    """Prepare, plan and set up a run. Raises SceneError, StoreError, CheckpointError, Mismatch."""
+    """Prepare, plan and set up a run. Raises SceneError, StoreError, CheckpointError, Mismatch,
+    Unfit, BlowUp.
+    """
+    check(options, ranks)
     known = prepare(scene, ranks, options.folder)
     return Runner(scene, plan_for(scene, known), known, ranks, options)
 
