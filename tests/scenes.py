@@ -195,7 +195,7 @@ permeability = 2e-2
 checkpoint_steps = 40
 """
 
-# a small ball of every law, falling onto each other in two heaps
+# a small ball of every law, falling onto each other in three heaps
 LAWS = {
     "fluid": "bulk_modulus = 3e4",
     "paste": 'preset = "ketchup"\nshear_modulus = 3e3',
@@ -210,10 +210,14 @@ LAWS = {
 
 
 def every_law(precision: str) -> str:
-    """The text of a scene in which balls of all laws collide."""
+    """The text of a scene in which balls of all laws collide: three side by side, and as many upon
+    each other as it takes.
+    """
+    rows = -(-len(LAWS) // 3)
+    cells = -(-(35 + 55 * rows) // 20)  # of 20 mm: 55 mm a row, and 35 mm
     text = f"""
 [domain]
-size = [0.3, 0.2, 0.2]
+size = [0.3, 0.2, {cells * 0.02}]
 cell = 0.02
 [time]
 end = 0.04

@@ -196,9 +196,7 @@ def _command(given: argparse.Namespace, ranks: Alone) -> int:
 def _run(scene: Scene, folder: Path, given: argparse.Namespace, ranks: Alone) -> int:
     from .solver import report  # numba comes in here
     from .solver import run as runs
-
-    if given.engine == "numpy" and (ranks.size > 1 or given.threads > 1):
-        return _refuse(["--engine numpy computes on one rank and one thread"], ranks)
+    from .solver.step import BlowUp
 
     def approve(plan) -> None:
         refusal = too_large(plan.bytes(), ranks)
@@ -211,15 +209,21 @@ def _run(scene: Scene, folder: Path, given: argparse.Namespace, ranks: Alone) ->
         folder, given.threads, given.engine, given.resume, given.stop_steps, given.stop_seconds,
         given.overwrite, given.change,
     )  # fmt: skip
-    with runs.started(scene, ranks, options, approve) as run:
-        clock = run.simulation.clock = report.Clock()
-        progress = report.Progress(run, given.quiet)
-        options.listeners.append(progress)
-        code = run.go()
-        progress.close()
-        said = [report.table(run, clock)]
-        if given.profile:
-            said.append(report.profile(run, clock))
+    try:
+        with runs.started(scene, ranks, options, approve) as run:
+            clock = run.simulation.clock = report.Clock()
+            progress = report.Progress(run, given.quiet)
+            options.listeners.append(progress)
+            code = run.go()
+            progress.close()
+            said = [report.table(run, clock)]
+            if given.profile:
+                said.append(report.profile(run, clock))
+    except runs.Unfit as error:
+        return _refuse([f"--{error}"], ranks)
+    except BlowUp as error:  # before the first frame
+        log.error("blow-up: %s", error)
+        return runs.BLEW_UP
     if ranks.rank == 0 and not given.quiet:
         print("\n".join(said))
         ended = {0: "done", 3: "blew up", 75: "stopped; go on with --resume"}[code]

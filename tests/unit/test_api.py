@@ -114,6 +114,20 @@ def test_the_same_with_and_without_files_and_ranks(tmp_path):
     assert (vgmpi.read(tmp_path / "out").frame(-1)["x"] == one["x"].astype(np.float32)).all()
 
 
+def test_plain_numpy_has_one_rank_and_one_thread(tmp_path):
+    scene = vgmpi.load("a.toml", text=SCENE)
+    for n, threads in ((1, 2), (2, 1)):
+
+        def refused(ranks, threads=threads):
+            with pytest.raises(ValueError, match="engine numpy computes on one rank") as caught:
+                vgmpi.run(scene, tmp_path / "out", ranks=ranks, threads=threads, engine="numpy")
+            return str(caught.value)
+
+        want = f"engine numpy computes on one rank and one thread; asked for {n} x {threads}"
+        assert simulated.run(n, refused) == [want] * n
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_blow_up_is_a_code():
     text = SCENE + "velocity = [0, 0, 300]\n"
     assert vgmpi.run(vgmpi.load("a.toml", text=text)).code == 3

@@ -86,7 +86,7 @@ def test_a_rank_knows_its_own_and_two_rings(size, fill, seed):
             table, cut = census.census(mine, LATTICE, ranks, costs, cut, 50)
             check(table, rows, cut, LATTICE, ranks.rank)
             own = table.owner == ranks.rank
-            work = balance.predicted(table.count[own], costs[table.group[own]]).sum()
+            work = balance.predicted(table.particles[own], costs[table.group[own]]).sum()
             assert table.load[ranks.rank] == work
             assert (ranks.each(cut) == cut).all() and len(cut) == ranks.size - 1
             assert (ranks.each(table.load) == table.load).all()
@@ -146,7 +146,7 @@ def heard(ranks, side):
         share = slice(len(rows) * one.rank // ranks, len(rows) * (one.rank + 1) // ranks)
         table, cut = census.census(rows[share], lattice, one, np.ones(1), None, 0)
         own = table.owner == one.rank
-        held = np.stack([table.key, table.code, table.group, table.count], 1)[own]
+        held = np.stack([table.key, table.code, table.group, table.particles], 1)[own]
         one.delivered, one.partners = 0, set()
         table, again = census.census(held, lattice, one, np.ones(1), cut, 1)
         assert again is cut

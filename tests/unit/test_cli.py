@@ -5,8 +5,12 @@ import signal
 
 import pytest
 
-from tests.scenes import MIXED, write
+import vgmpi
+from tests import simulated
+from tests.scenes import MIXED, ROOM, write
 from vgmpi import cli
+from vgmpi.kernels.layers import momentum
+from vgmpi.solver.step import BlowUp
 
 
 @pytest.fixture(autouse=True)
@@ -53,6 +57,42 @@ def test_a_wrong_scene_ends_with_2_and_writes_nothing(scene, capsys, flag):
     assert sorted(p.name for p in scene.parent.iterdir()) == ["scene.toml"]
 
 
+POST = """
+[[object]]
+name = "post"
+role = "scenery"
+collider = true
+shape = { box = [[0.1, 0.1, 0], [0.2, 0.2, 0.1]] }
+"""
+SPECK = """
+[[object]]
+name = "speck"
+material = "clay"
+shape = { sphere = { center = [0.2, 0.2, 0.2], radius = "1 mm" } }
+"""
+SHARELESS = SPECK.replace('"1 mm"', '"5 cm"') + (
+    'fraction_profile = { axis = "x", at = [0, 1], share = [0, 0] }\n'
+)
+
+
+@pytest.mark.parametrize(
+    "objects, says",
+    [
+        ("", "required table [[object]] is missing"),
+        (POST, "all objects are scenery: at least one must be a body"),
+        (POST + SPECK, "object.speck.shape: too small or thin: no particle fits in"),
+        (SHARELESS, "leaves no particle: its share is 0 everywhere"),
+    ],
+)
+@pytest.mark.parametrize("flag", ["--check", "--plan", "-q"])
+def test_a_scene_without_particles_is_refused(tmp_path, capsys, flag, objects, says):
+    """Every body has some, so that a run has a wave speed and with it a time step."""
+    assert cli.main([str(write(tmp_path, ROOM + objects)), flag]) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert all("scene.toml:" in line for line in said) and says in said[0], said
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["scene.toml"]
+
+
 def test_a_body_outside_the_domain_is_found_by_check(scene, capsys):
     assert cli.main([str(scene), "--check", "--set", "object.ball.position=[0.1, 0.12, 0.2]"]) == 2
     assert "outside the domain" in capsys.readouterr().err
@@ -75,6 +115,31 @@ def test_prepare_makes_the_particles_alone(scene, capsys):
     assert cli.main([str(scene), "--prepare"]) == 0
     assert "4,724 particles" in capsys.readouterr().out
     assert [p.name for p in (scene.parent / "out").iterdir()] == ["gaussians.h5"]
+
+
+def test_plain_numpy_has_one_thread(scene, capsys):
+    assert cli.main([str(scene), "--engine", "numpy", "--threads", "2"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == "--engine numpy computes on one rank and one thread; asked for 1 x 2"
+    assert sorted(p.name for p in scene.parent.iterdir()) == ["scene.toml"]
+
+
+def test_a_blow_up_before_the_first_step_is_one_line(tmp_path, capsys, monkeypatch):
+    """A layer whose `full` is too small is found while the kernels are made ready."""
+    body = '[[object]]\nname = "lump"\nmaterial = "clay"\nshape = { box = [[0.1, 0.1, 0.1], '
+    scene = write(tmp_path, ROOM + body + "[0.2, 0.2, 0.2]] }\n")
+    full = momentum.full
+    monkeypatch.setattr(momentum, "full", lambda plan, speed: 1e-6 * full(plan, speed))
+    assert cli.main([str(scene), "-q"]) == 3
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("vgmpi: blow-up: before the first step, ")
+    assert "phase 'lump', near (" in line and "mass or momentum at a node is beyond" in line
+
+    def blown(ranks):
+        with pytest.raises(BlowUp, match="before the first step, .*phase 'lump'"):
+            vgmpi.run(vgmpi.load(scene), ranks=ranks)
+
+    simulated.run(2, blown)  # none waits for another
 
 
 def test_resume_without_a_checkpoint(scene, capsys):

@@ -17,7 +17,7 @@ from vgmpi.domain.ranks import Alone
 from vgmpi.domain.state import LANES, Group
 from vgmpi.engines.shares import Shares, copies
 from vgmpi.materials.elastic import Elastic
-from vgmpi.planning.plan import GroupPlan
+from vgmpi.planning.groups import GroupPlan
 from vgmpi.solver.state import save
 
 REALS = [np.dtype(np.float32), np.dtype(np.float64)]
@@ -150,9 +150,9 @@ def test_every_particle_arrives_once(size, n, spread, seed, real):
             table, cut, _ = migrate.sort([group], ranks, cut, 50)
             check_order(group)
             here = table.owner == ranks.rank
-            assert (np.diff(table.key) > 0).all() and ranks.total(table.count[here].sum()) == n
+            assert (np.diff(table.key) > 0).all() and ranks.total(table.particles[here].sum()) == n
             assert (table.code[here] == group.code).all()
-            assert (table.count[here] == group.count).all()
+            assert (table.particles[here] == group.count).all()
             at = group.index()
             ids = group.ids[at]
             assert (group.f[:, at] == mark(ids, channels).astype(real)).all()

@@ -5,7 +5,7 @@ import pytest
 
 from tests.scenes import scene
 from tests.simulate import advance, begin
-from vgmpi.planning.plan import deforms
+from vgmpi.planning.groups import deforms
 from vgmpi.solver.state import by_id, frame_rows
 from vgmpi.solver.timestep import next_step
 

@@ -1,12 +1,15 @@
 """Plasticine and the corotated solid, held to numbers worked out by hand."""
 
+import numba
 import numpy as np
 import pytest
 from pydantic import ValidationError
 
 from tests.driven import drive, engines_differ, nanoseconds, rest_of, stress_of
 from tests.unit.test_paste import REALS, states
+from vgmpi.device import tensor
 from vgmpi.materials import registry
+from vgmpi.materials.stretching import Stretching
 
 
 def plasticine(**keys):
@@ -65,6 +68,18 @@ def test_engines_agree(real):
     law, eps = stuff.law(), np.finfo(real).eps
     print(f"{state / eps:.1f} eps, stress {tau / (law.lam + 2 * law.mu) / eps:.1f} eps")
     assert state < 10 * eps and tau < 30 * eps * (law.lam + 2 * law.mu)
+
+
+def test_solids_hand_on_what_they_carry_beside_their_stretch():
+    """Plain and compiled: H moves and tells the volume as it does alone."""
+    h, L = np.random.default_rng(4).uniform(-0.1, 0.1, (2, 9)).tolist()
+    for more in ((), (3.0,), (3.0, 5.0)):
+        for function in (lambda f: f, numba.njit):
+            advance, ratio = function(Stretching.advance), function(Stretching.volume_ratio)
+            moved = advance(0.0, (*h, *more), tuple(L), 1e-3)
+            assert moved[9:] == more
+            assert moved[:9] == tensor.moved_gradient_minus_one(h, L, 1e-3)
+            assert ratio(0.0, moved) == 1.0 + tensor.det_minus_one(moved[:9])
 
 
 def test_corotated_is_the_polar_formula():

@@ -71,9 +71,9 @@ def follow(path: Path, overrides: list[str], ranks: list[int], seconds: float, s
         if simulation.sorts > sorts:
             sorts = simulation.sorts
             found = simulation.census
-            work = predicted(found.count, costs[found.group])
+            work = predicted(found.particles, costs[found.group])
             for one in followed:
-                one.sorted(*by_block(found.key, work, found.count), steps[-1])
+                one.sorted(*by_block(found.key, work, found.particles), steps[-1])
             weights.append(0)
             say(f"{simulation.time:.4f} of {end:.4f} s, sort {sorts}")
         before = simulation.sorted_at

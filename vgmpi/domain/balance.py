@@ -44,7 +44,9 @@ def by_block(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Segments, ascending by key, to blocks: keys, work and particles of each."""
     first = np.flatnonzero(np.diff(key, prepend=-1))
-    return key[first], *(np.add.reduceat(a, first) if len(key) else a for a in (work, count))
+    if not len(key):  # reduceat takes no empty rows
+        return key, work, count
+    return key[first], np.add.reduceat(work, first), np.add.reduceat(count, first)
 
 
 def offers(

@@ -26,7 +26,7 @@ class Census(NamedTuple):
     key: np.ndarray  # (n,) place of the block on the Hilbert curve
     code: np.ndarray  # (n,) the block
     group: np.ndarray  # (n,)
-    count: np.ndarray  # (n,) particles
+    particles: np.ndarray  # (n,) how many of them
     owner: np.ndarray  # (n,) rank
     load: np.ndarray  # (ranks,) work of each rank, see balance.predicted
 
@@ -42,7 +42,7 @@ def census(
     Returns the Census and the cuts in force.
     """
     first = cut is None
-    if first:
+    if cut is None:
         cut = _guess(rows, ranks, costs)
     rows = _brought(rows, cut, ranks)
     known = ranks.each(_told(rows, cut, ranks.rank, costs))
@@ -51,8 +51,8 @@ def census(
         if cut is not old:
             rows = _brought(rows, cut, ranks)
             known = ranks.each(_told(rows, cut, ranks.rank, costs))
-    key, code, group, count = _with_rings(rows, lattice, ranks, cut, known[:, 1:]).T
-    return Census(key, code, group, count, balance.owners(key, cut), known[:, 0]), cut
+    key, code, group, particles = _with_rings(rows, lattice, ranks, cut, known[:, 1:]).T
+    return Census(key, code, group, particles, balance.owners(key, cut), known[:, 0]), cut
 
 
 def _guess(rows: np.ndarray, ranks: Alone, costs: np.ndarray) -> np.ndarray:

@@ -20,12 +20,12 @@ class Aim(NamedTuple):
 
     key: np.ndarray  # (n,)
     code: np.ndarray  # (n,) the same blocks, ascending
-    count: np.ndarray  # (n,) particles
+    particles: np.ndarray  # (n,) how many of them
     block: np.ndarray  # (segments, 27) which of the n each of the blocks around a segment is, or n
 
     def rows(self, group: int) -> np.ndarray:
         """As `census` takes them, (n, 4)."""
-        return np.stack([self.key, self.code, np.full_like(self.key, group), self.count], 1)
+        return np.stack([self.key, self.code, np.full_like(self.key, group), self.particles], 1)
 
 
 def sort(
@@ -97,7 +97,7 @@ def _settle(group: Group, ranks: Alone, codes, cut, tags: np.ndarray, aim: Aim) 
     number = np.zeros(sorting.CELLS * len(codes), np.int64)
     start, count, left = group.start, group.count, 0
     if ranks.size > 1:
-        left = int(aim.count[~mine].sum())
+        left = int(aim.particles[~mine].sum())
         gone, block = np.empty(left, np.int64), np.empty(left, np.int64)
         cell = np.empty(left, np.int64)
         sorting.leaving(start, count, tags, place, aim.block, gone, block, cell)

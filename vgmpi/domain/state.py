@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..device.memory import aligned
-from ..planning.plan import GroupPlan
+from ..planning.groups import GroupPlan
 from .blocks import BITS, INTEGER, Lattice
 from .sorting import gather_rows
 

@@ -18,7 +18,8 @@ from ..kernels import beside, g2p, gradient, grid, members, p2g, records, sums, 
 from ..kernels.layers import colour, impulses, momentum, offsets
 from ..kernels.tables import NodeBlocks, Particles, Phases, Segments, Step, Sums, Walls
 from ..kernels.walls import KINDS, patch_codes
-from ..planning.plan import GroupPlan, Plan
+from ..planning.groups import GroupPlan
+from ..planning.plan import Plan
 from .base import DITHER, Beyond, Report
 from .shares import Shares, copies
 

@@ -22,9 +22,11 @@ STUFFS: dict[str, dict] = {
 
 
 class Stretching(Material):
-    """A law with mu and lam [Pa] and density whose state is H = F - I, nine numbers.
+    """A law with mu and lam [Pa] and density whose state begins with H = F - I, nine numbers; what
+    follows them a move leaves as it is.
 
-    Its own are Law, cost, stress, wave_speed2 and energy.
+    Its own are Law, cost, stress, wave_speed2 and energy; `carries` and `advance` where there is
+    more to its state than H, `law` where Law has more numbers.
     """
 
     kind: str
@@ -47,8 +49,8 @@ class Stretching(Material):
 
     @staticmethod
     def advance(law, state, L, dt):
-        return moved_gradient_minus_one(state, L, dt)
+        return (*moved_gradient_minus_one(state[:9], L, dt), *state[9:])
 
     @staticmethod
     def volume_ratio(law, state):
-        return 1.0 + det_minus_one(state)
+        return 1.0 + det_minus_one(state[:9])

@@ -49,9 +49,9 @@ def colour_sets(scene: Scene) -> list[int | None]:
 def exchange(scene: Scene, phases, shades: np.ndarray | None) -> Exchange | None:
     """The Exchange of a scene, or None where no colour travels with the steps.
 
-    phases: plan.PhasePlan of each; shades: (objects, 2, K, 3) least and largest of each coefficient
-    of an object's colours, nan for objects without particles, or None if not known. A set of one
-    colour takes no part."""
+    phases: groups.PhasePlan of each; shades: (objects, 2, K, 3) least and largest of each
+    coefficient of an object's colours, nan for objects without particles, or None if not known. A
+    set of one colour takes no part."""
     if scene.appearance.colour_transfer != "step":
         return None
     asked = _asked(scene)

@@ -7,8 +7,8 @@ from ..scene.scene import Scene
 
 
 def rules(scene: Scene, groups, phases) -> Rules | None:
-    """The rules of a scene, None where no phases share space. groups: plan.GroupPlan of each,
-    phases: plan.PhasePlan of each.
+    """The rules of a scene, None where no phases share space. groups: GroupPlan of each, phases:
+    PhasePlan of each (groups.py).
 
     Raises SceneError where fluids that mix have one velocity field, or a group has more than one
     diffusion or slip time.

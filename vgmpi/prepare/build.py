@@ -9,7 +9,7 @@ import numpy as np
 
 from vgmpi.gaussians.checked import GaussianFileError
 from vgmpi.planning.colour_sets import colour_sets
-from vgmpi.planning.plan import deforms
+from vgmpi.planning.groups import deforms
 from vgmpi.prepare.collider import Collider
 from vgmpi.prepare.initial import begun
 from vgmpi.prepare.loaded import Loaded, find

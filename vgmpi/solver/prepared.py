@@ -46,7 +46,8 @@ def prepare(scene: Scene, ranks: Alone, folder: Path | None, resumed: bool = Fal
     Particles that gaussians.h5 in `folder` has from the same objects are used again; those of a run
     that is `resumed` in any case. Raises SceneError on all ranks.
     """
-    said, known, made = None, None, {}
+    said, known = None, None
+    made: dict[str, dict | None] = {}
     if ranks.rank == 0:
         try:
             known, made = _particles(scene, folder, resumed)
@@ -77,8 +78,9 @@ def _particles(scene: Scene, folder: Path | None, resumed: bool) -> tuple[Known,
     """On rank 0: what all shall know, and the rest of Known where it is not on the disk."""
     path = folder / layout.GAUSSIANS if folder is not None else None
     moving = not any(thing.collider for thing in scene.object)
-    there = path is not None and bool(rest.digest(path))
-    if there and moving and (resumed or rest.digest(path) == digest(scene)):
+    seal = "" if path is None else rest.digest(path)
+    there = bool(seal)
+    if path is not None and there and moving and (resumed or seal == digest(scene)):
         log.info("particles as prepared before: %s", path)
         found = read_gaussians(path)
         loads = find(scene, found.x0, found.vol0, found.object)

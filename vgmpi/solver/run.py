@@ -50,6 +50,19 @@ class Options:
     watchers: list = field(default_factory=list)  # each called with (run) at every frame
 
 
+class Unfit(ValueError):
+    """Options that do not go together, or not with these ranks."""
+
+
+def check(options: Options, ranks: Alone) -> None:
+    """Raises Unfit, before any work is done for a run that cannot be."""
+    if options.engine == "numpy" and (ranks.size > 1 or options.threads > 1):
+        raise Unfit(
+            "engine numpy computes on one rank and one thread; asked for"
+            f" {ranks.size} x {options.threads}"
+        )
+
+
 def begin(
     scene: Scene, plan: Plan, known: Known, ranks: Alone, options: Options, path: Path | None = None
 ) -> tuple[Simulation, int]:
@@ -75,7 +88,8 @@ def begin(
 
 
 class Runner:
-    """One run: its simulation and its files. Collective.
+    """One run: its simulation and its files. Collective. Raises BlowUp where not even the step that
+    readies the kernels can be made (warm.py).
 
     probes: rows of the scene's probes; frame: number of the next frame; times: of all frames [s],
     of those that a resumed run has already only their number counts; history: what was changed at
@@ -89,7 +103,10 @@ class Runner:
         self.scene, self.plan, self.options, self.ranks = scene, plan, options, ranks
         self.names = [thing["name"] for thing in known.objects]
         self.history = history or []
-        self.simulation, self.frame = begin(scene, plan, known, ranks, options, path)
+        try:
+            self.simulation, self.frame = begin(scene, plan, known, ranks, options, path)
+        except BlowUp as error:
+            raise BlowUp(str(error).format(*self.names)) from None
         self.times = _times(plan.times, self.frame, self.simulation.time)
         last_step = None if path is None else self.simulation.step
         self.probes = Probes(scene, self.simulation, options.folder, last_step)
@@ -224,8 +241,9 @@ def started(
     """Own the folder, check everything, and only then write: a run that is ready to go. Collective.
 
     approve: called with the plan, may raise. Raises SceneError, StoreError, FolderError,
-    CheckpointError.
+    CheckpointError, Unfit, BlowUp.
     """
+    check(options, ranks)
     folder, resumed = options.folder, options.resume is not None
     with contextlib.ExitStack() as stack:
         path, history = None, []

@@ -171,7 +171,7 @@ def _segments(simulation: Simulation, saved, g: int) -> np.ndarray:
 def _read_group(group, saved, name: str, table: Census, g: int, ranks: Alone) -> None:
     """Read the particles of this rank's blocks: the rows behind those of the ranks below it."""
     own = (table.group == g) & (table.owner == ranks.rank)
-    code, count = table.code[own], table.count[own]
+    code, count = table.code[own], table.particles[own]
     first = ranks.before(int(count.sum()))
     last = first + int(count.sum())
     padded = (count + LANES - 1) // LANES * LANES

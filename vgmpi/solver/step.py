@@ -19,7 +19,8 @@ from ..engines.cpu import Cpu
 from ..engines.numpy.engine import Numpy
 from ..kernels import g2p
 from ..materials.base import function
-from ..planning.plan import GroupPlan, Plan
+from ..planning.groups import GroupPlan
+from ..planning.plan import Plan
 from .pushes import Pushes
 
 REASONS = {

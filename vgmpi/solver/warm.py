@@ -9,7 +9,7 @@ from ..domain.halo import Part
 from ..domain.ranks import Alone
 from ..kernels.push import push
 from ..planning.plan import Plan
-from .step import Simulation
+from .step import BlowUp, Simulation
 from .watch import about, ledger
 
 log = logging.getLogger("vgmpi")
@@ -19,14 +19,15 @@ def warm(plan: Plan, ranks: Alone) -> None:
     """Have the kernels ready on every rank. Collective.
 
     Rank 0 compiles them first, so that the others find them in the cache; what is compiled already
-    all ranks load at once.
+    all ranks load at once. Raises BlowUp on all ranks where a step with them goes wrong on rank 0.
     """
     _same_processor(ranks)
     there = stamp([type(group.law) for group in plan.groups], plan.real)
     ready = ranks.bcast(there.exists())
-    if ranks.rank == 0 or ready:
-        _run_all(plan)
-    ranks.barrier()
+    wrong = _tried(plan) if ranks.rank == 0 or ready else ""
+    wrong = ranks.bcast(wrong)  # the others wait here for what rank 0 compiles
+    if wrong:
+        raise BlowUp(f"before the first step, a particle of every object in one place: {wrong}")
     if ranks.rank == 0:
         there.parent.mkdir(parents=True, exist_ok=True)
         there.touch()
@@ -46,6 +47,15 @@ def _same_processor(ranks: Alone) -> None:
             " NUMBA_CPU_FEATURES to a kind that all can run (docs/performance.md)",
             ", ".join(f"rank {rank}: {kind}" for kind, rank in first.items()),
         )
+
+
+def _tried(plan: Plan) -> str:
+    """What went wrong in `_run_all`; "" if nothing did."""
+    try:
+        _run_all(plan)
+    except BlowUp as error:
+        return str(error)
+    return ""
 
 
 def _run_all(plan: Plan) -> None:
