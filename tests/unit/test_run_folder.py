@@ -1,0 +1,208 @@
+"""A run folder has one owner; a resume knows its scene; a finished run goes on."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from tests.launch import ROOT
+from tests.scenes import write
+from vgmpi import cli
+from vgmpi.domain.ranks import Alone
+from vgmpi.output import checkpoint, layout, owner
+
+SCENE = """
+[domain]
+size = [0.2, 0.2, 0.2]
+cell = "2 cm"
+[time]
+end = "20 ms"
+frames = 3
+[accuracy]
+precision = "single"
+[material.water]
+kind = "fluid"
+max_speed = "2 m/s"
+[[object]]
+name = "drop"
+material = "water"
+shape = { sphere = { center = [0.1, 0.1, 0.1], radius = "4 cm" } }
+"""
+
+
+@pytest.fixture(autouse=True)
+def signals():
+    heard = {s: signal.getsignal(s) for s in (signal.SIGUSR1, signal.SIGTERM)}
+    yield
+    for number, handler in heard.items():
+        signal.signal(number, handler)
+
+
+@pytest.fixture
+def scene(tmp_path):
+    return write(tmp_path, SCENE)
+
+
+def run(scene, *flags):
+    return cli.main([str(scene), "-q", *flags])
+
+
+def files(folder):
+    """Every file below a folder and its bytes."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+@pytest.mark.parametrize("change", [[], ["--set", "material.water.density=900"], ["--prepare"]])
+def test_a_run_is_not_replaced_unasked(scene, capsys, change):
+    """Not a byte of it."""
+    assert run(scene) == 0
+    before = files(scene.parent / "out")
+    assert layout.LOCK not in before
+    assert run(scene, *change) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "a run lies here (3 frames); --resume goes on with it, --overwrite replaces it" in line
+    assert files(scene.parent / "out") == before
+    assert run(scene, *change, "--overwrite") == 0
+
+
+@pytest.mark.parametrize(
+    "flags",
+    [
+        ["--set", "material.water.density=900"],
+        ["--set", "domain.gravity=[0, 0, -3]"],
+        ["--set", "object.drop.velocity=[1, 0, 0]"],
+        ["--set", "accuracy.precision=double", "--change"],
+        ["--set", "domain.cell=1 cm", "--change"],
+    ],
+)
+def test_a_refused_resume_writes_nothing(scene, capsys, flags):
+    assert run(scene, "--stop-after", "3 steps") == 75
+    before = files(scene.parent / "out")
+    assert run(scene, "--resume", *flags) == 2
+    said = capsys.readouterr().err
+    assert "Traceback" not in said and files(scene.parent / "out") == before
+    if "--change" not in flags:
+        key, _, new = flags[1].partition("=")
+        first, last = said.splitlines()[0], said.splitlines()[-1]
+        assert key in said and "in the run so far" in first, said
+        assert "--resume may change title" in last and "--change" in last
+
+
+def test_a_change_is_noted_in_the_run(scene):
+    assert run(scene, "--stop-after", "3 steps") == 75
+    assert run(scene, "--resume", "--change", "--set", "domain.gravity=[0, 0, -3]") == 0
+    path = checkpoint.latest(scene.parent / "out" / layout.CHECKPOINTS)
+    with checkpoint.open(path) as saved:
+        (noted,) = saved.attrs["history"]
+    assert noted["step"] == 3
+    assert "[0.0, 0.0, -3.0], in the run so far [0.0, 0.0, -9.8]" in noted["changes"][0]
+
+
+def test_a_finished_run_goes_on_as_if_it_had_never_ended(scene):
+    """Frames of 20 ms and then to 40 ms are those of 40 ms at once, in every byte."""
+    longer = ("--set", "time.end=40 ms", "--set", "time.frames=5")
+    assert run(scene) == 0
+    assert run(scene, "--resume", *longer) == 0
+    assert run(scene, "-o", str(scene.parent / "whole"), *longer) == 0
+    one, other = files(scene.parent / "out"), files(scene.parent / "whole")
+    for name in ("ledger.csv", *(f"frames/frame_{k:05d}.vtkhdf" for k in range(5))):
+        assert one[name] == other[name], name
+
+
+def test_other_frame_times_go_on_in_order(scene):
+    """Frames were wanted at 0, 10, 20 ms and then every 5 ms up to 30."""
+    assert run(scene) == 0
+    assert run(scene, "--resume", "--set", "time.end=30 ms", "--set", "time.frames=7") == 0
+    from vgmpi.output.read import RunFiles
+
+    times = RunFiles(scene.parent / "out").times
+    assert list(times) == pytest.approx([0, 0.01, 0.02, 0.025, 0.03])
+
+
+HOLD = """
+import sys, time
+from vgmpi.domain.ranks import Alone
+from vgmpi.output import owner
+with owner.held(sys.argv[1], Alone(), into=True):
+    print("held", flush=True)
+    time.sleep(600)
+"""
+
+
+def test_two_runs_do_not_meet_and_a_killed_one_leaves_no_lock(scene, capsys):
+    out = scene.parent / "out"
+    other = subprocess.Popen(
+        [sys.executable, "-c", HOLD, out], cwd=ROOT, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert other.stdout.readline() == "held\n"
+        assert run(scene) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert f"another run writes here now (process {other.pid} on " in line
+        assert sorted(files(out)) == [layout.LOCK]
+    finally:
+        other.kill()
+        other.wait()
+    assert (out / layout.LOCK).exists()
+    assert run(scene) == 0
+    assert not (out / layout.LOCK).exists()
+
+
+def test_a_lock_that_is_a_link_is_not_followed(scene, capsys):
+    victim = scene.parent / "victim"
+    victim.write_text("precious")
+    (scene.parent / "out").mkdir()
+    os.symlink(victim, scene.parent / "out" / layout.LOCK)
+    assert run(scene) == 1
+    assert victim.read_text() == "precious" and "cannot write" in capsys.readouterr().err
+
+
+def test_a_run_that_comes_to_nothing_leaves_no_folder(scene, capsys, monkeypatch):
+    monkeypatch.setattr(cli, "memory", lambda: 1000)
+    assert run(scene) == 2
+    assert "GiB" in capsys.readouterr().err and not (scene.parent / "out").exists()
+
+
+def test_at_twenty_delays_one_of_two_runs_has_the_folder(tmp_path):
+    """Takers that come at any time: one at a time holds it, and it says who."""
+    holding, lost = tmp_path / "holding", 0
+    code = (
+        "import sys, time\n"
+        "from vgmpi.domain.ranks import Alone\n"
+        "from vgmpi.output import owner\n"
+        "time.sleep(float(sys.argv[2]))\n"
+        "for k in range(40):\n"
+        "    try:\n"
+        "        with owner.held(sys.argv[1], Alone(), into=True):\n"
+        "            mark = open(sys.argv[3], 'x')\n"
+        "            time.sleep(0.002)\n"
+        "            import os; os.unlink(sys.argv[3])\n"
+        "    except owner.FolderError:\n"
+        "        time.sleep(0.001)\n"
+    )
+    for pair in range(10):
+        both = [
+            subprocess.Popen(
+                [sys.executable, "-c", code, tmp_path / "out", str(0.001 * k * pair), holding],
+                cwd=ROOT,
+            )
+            for k in range(2)
+        ]
+        lost += sum(process.wait(timeout=120) != 0 for process in both)
+    assert lost == 0 and not holding.exists()
+
+
+def test_who_has_it_is_json(tmp_path):
+    with owner.held(tmp_path / "out", Alone(), into=False):
+        who = json.loads((tmp_path / "out" / layout.LOCK).read_text())
+        assert who["pid"] == os.getpid() and who["ranks"] == 1
+        assert time.strptime(who["since"], "%Y-%m-%d %H:%M:%S")
+    assert not (tmp_path / "out").exists()
