@@ -56,7 +56,7 @@ def rest_rows(total: int) -> dict[str, np.ndarray]:
     return {
         "x0": found["x"],
         "vol0": np.full(total, 1e-6),
-        "object": found["object"],
+        "object": np.zeros(total, np.int32),
         "cov0": np.tile([1e-4, 0, 0, 1e-4, 0, 1e-4], (total, 1)),
         "opacity": np.full(total, 0.5),
         "sh": found["x"][:, None, :],

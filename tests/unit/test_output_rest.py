@@ -71,6 +71,35 @@ def test_other_schema_is_refused(tmp_path, monkeypatch):
         read_gaussians(tmp_path / "gaussians.h5")
 
 
+@pytest.mark.parametrize("seed", range(100))
+def test_a_flipped_bit_is_found(tmp_path, seed):
+    """Wherever it is: the file is refused by name, or holds what was written."""
+    path, rows = tmp_path / "gaussians.h5", rest_rows(50)
+    rest.write(path, Alone(), rows, OBJECTS)
+    before, random = read_gaussians(path), np.random.default_rng(seed)
+    content = bytearray(path.read_bytes())
+    content[random.integers(len(content))] ^= 1 << int(random.integers(8))
+    path.write_bytes(content)
+    try:
+        after = read_gaussians(path)
+    except RunError as error:
+        assert str(path) in str(error) and "\n" not in str(error)
+        return
+    assert after.objects == before.objects and after.scene == before.scene
+    for name in rows:
+        assert (getattr(after, name) == getattr(before, name)).all()
+
+
+def test_rows_that_cannot_be_are_refused(tmp_path):
+    for change, said in (
+        ({"object": np.full(5, 2**30, np.int32)}, "object names objects that are not there"),
+        ({"x0": np.full((5, 3), np.nan)}, "x0 holds what is no number"),
+    ):
+        rest.write(tmp_path / "gaussians.h5", Alone(), {**rest_rows(5), **change}, OBJECTS)
+        with pytest.raises(RunError, match=said):
+            read_gaussians(tmp_path / "gaussians.h5")
+
+
 def test_ledger(tmp_path):
     book = ledger.Ledger(tmp_path, Alone())
     for step in (0, 10, 20, 30):

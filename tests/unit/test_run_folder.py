@@ -7,6 +7,8 @@ import subprocess
 import sys
 import time
 
+import h5py
+import numpy as np
 import pytest
 
 from tests.launch import ROOT
@@ -206,3 +208,18 @@ def test_who_has_it_is_json(tmp_path):
         assert who["pid"] == os.getpid() and who["ranks"] == 1
         assert time.strptime(who["since"], "%Y-%m-%d %H:%M:%S")
     assert not (tmp_path / "out").exists()
+
+
+def test_damaged_particles_are_made_anew_and_not_resumed_from(scene, capsys):
+    out = scene.parent / "out"
+    assert run(scene, "--prepare") == 0
+    whole = (out / layout.GAUSSIANS).read_bytes()
+    with h5py.File(out / layout.GAUSSIANS, "r+") as f:
+        f["x0"][7] += 1e-9
+    assert cli.main([str(scene), "--stop-after", "3 steps"]) == 75
+    assert "x0 is not what was written; the particles are made anew" in capsys.readouterr().err
+    assert (out / layout.GAUSSIANS).read_bytes() == whole
+    with h5py.File(out / layout.GAUSSIANS, "r+") as f:
+        f["vol0"][7] = np.nan
+    assert run(scene, "--resume") == 1
+    assert "damaged: vol0 is not what was written" in capsys.readouterr().err

@@ -138,6 +138,7 @@ GAUSSIAN_TEXTS = [
         "color, collider, and transform (4 x 4, source coordinates -> domain coordinates [m])",
     ),
     Dataset("scene", "()", "text", "", "JSON, the scene with every default filled in, SI"),
+    Dataset("crc", "()", "text", "", "JSON, CRC32 (zlib) of the bytes of every other dataset"),
 ]
 
 # ---- checkpoints/checkpoint_000000000.h5 ------------------------------------------------------

@@ -32,7 +32,7 @@ def opened(path: Path):
     try:
         with h5py.File(path, "r") as f:
             yield f
-    except (OSError, KeyError, ValueError, RuntimeError) as error:
+    except (OSError, KeyError, ValueError, RuntimeError, MemoryError) as error:
         if isinstance(error, RunError):
             raise
         raise RunError(f"{path}: broken or not a file of vgmpi: {_first_line(error)}") from None
@@ -100,24 +100,52 @@ def read_gaussians(path: str | Path) -> SimpleNamespace:
     """gaussians.h5: x0, vol0, object, v0 (None if nothing moves), theta0
     (None if nothing is compressed), cov0, opacity, sh, scenery (the
     same or None), passive (those of layout.PASSIVE or None), objects,
-    scene, digest. Raises RunError."""
+    scene, digest. Raises RunError, also where numbers are not those that were written."""
     with opened(Path(path)) as f:
         if f.attrs["schema"] != layout.SCHEMA:
             raise RunError(
                 f"{path}: its schema is {f.attrs['schema']}, this program's {layout.SCHEMA}"
             )
+        held = {name: f[name][()] for name in ("objects", "scene")}
         found = SimpleNamespace(v0=None, theta0=None, scenery=None, passive=None)
         for d in layout.GAUSSIAN:
             if d.name not in layout.OPTIONAL or d.name in f:
-                setattr(found, d.name, f[d.name][()])
+                held[d.name] = f[d.name][()]
+                setattr(found, d.name, held[d.name])
         for group, datasets in (("scenery", layout.SCENERY), ("passive", layout.PASSIVE)):
             if group in f:
                 arrays = {d.name: f[f"{group}/{d.name}"][()] for d in datasets}
+                held |= {f"{group}/{name}": array for name, array in arrays.items()}
                 setattr(found, group, SimpleNamespace(**arrays))
-        found.objects = json.loads(f["objects"][()])
-        found.scene = json.loads(f["scene"][()])
+        _check_sums(path, json.loads(f["crc"][()]) if "crc" in f else {}, held)
+        found.objects = json.loads(held["objects"])
+        found.scene = json.loads(held["scene"])
         found.digest = f.attrs["digest"].decode()
+        for prefix, part in (("", found), ("scenery/", found.scenery), ("passive/", found.passive)):
+            if part is not None and len(part.x0):
+                _check_rows(path, prefix, part, len(found.objects))
         return found
+
+
+def _check_sums(path: str | Path, sums: dict[str, int], held: dict) -> None:
+    """Raises RunError where something in gaussians.h5 is not what was written; files of before
+    have no sums."""
+    for name, want in sums.items():
+        if name not in held:
+            raise RunError(f"{path}: damaged: there is no {name}")
+        rows = held[name]
+        if isinstance(rows, bytes):
+            rows = np.frombuffer(rows, np.uint8)
+        if manifest.crc(np.ascontiguousarray(rows)) != want:
+            raise RunError(f"{path}: damaged: {name} is not what was written")
+
+
+def _check_rows(path: str | Path, prefix: str, rows: SimpleNamespace, objects: int) -> None:
+    """Raises RunError where a row cannot be."""
+    if not np.isfinite(rows.x0).all():
+        raise RunError(f"{path}: damaged: {prefix}x0 holds what is no number")
+    if rows.object.min() < 0 or rows.object.max() >= objects:
+        raise RunError(f"{path}: damaged: {prefix}object names objects that are not there")
 
 
 def inspect(path: str | Path) -> str:

@@ -1,13 +1,14 @@
 """gaussians.h5: the rest state of every particle and how it looks, a row per id, written once."""
 
 import json
+import zlib
 from pathlib import Path
 
 import h5py
 import numpy as np
 
 from vgmpi.domain.ranks import Alone
-from vgmpi.output import layout, read, store
+from vgmpi.output import layout, manifest, read, store
 
 
 def write(
@@ -38,10 +39,14 @@ def write(
             with store.create(path, Alone()) as f:
                 f.attr("", "schema", layout.SCHEMA)
                 f.attr("", "digest", digest)
-                f.text("objects", json.dumps(objects))
-                f.text("scene", json.dumps(scene or {}))
+                texts = {"objects": json.dumps(objects), "scene": json.dumps(scene or {})}
+                sums = {name: zlib.crc32(text.encode()) for name, text in texts.items()}
+                for name, text in texts.items():
+                    f.text(name, text)
                 for name, array in checked.items():
                     f.rows(name, array)
+                    sums[name] = manifest.crc(np.ascontiguousarray(array))
+                f.text("crc", json.dumps(sums))
         except store.StoreError as caught:
             error = caught.__cause__ if isinstance(caught.__cause__, Exception) else caught
     store.agree(ranks, error, path)

@@ -81,10 +81,15 @@ def _particles(scene: Scene, folder: Path | None, resumed: bool) -> tuple[Known,
     seal = "" if path is None else rest.digest(path)
     there = bool(seal)
     if path is not None and there and moving and (resumed or seal == digest(scene)):
-        log.info("particles as prepared before: %s", path)
-        found = read_gaussians(path)
-        loads = find(scene, found.x0, found.vol0, found.object)
-        return _known(scene, found.objects, found, found.x0, [], loads), {}
+        try:
+            found = read_gaussians(path)
+            log.info("particles as prepared before: %s", path)
+            loads = find(scene, found.x0, found.vol0, found.object)
+            return _known(scene, found.objects, found, found.x0, [], loads), {}
+        except RunError as error:
+            if resumed:
+                raise
+            log.warning("%s; the particles are made anew", error)
     from ..prepare.build import build  # scipy comes with it: only the rank that prepares waits
 
     made = build(scene)
