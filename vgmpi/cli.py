@@ -143,7 +143,8 @@ def main(argv: list[str] | None = None) -> int:
     if given.inspect is not None:
         return _inspect(given.inspect)
     _log_to_stderr(given, first=True)
-    listen()
+    if not (given.check or given.plan or given.prepare):
+        listen()
     ranks = Alone() if given.check else world()
     _log_to_stderr(given, first=ranks.rank == 0)
     try:

@@ -53,3 +53,15 @@ def test_simulated_ranks(n, want, tmp_path):
         f["particles/x"][-1, 0] += 1e-12
     with pytest.raises(checkpoint.CheckpointError, match="checksum of particles/x"):
         simulate(n, lambda ranks: checkpoint.verify(path, ranks))
+
+
+@pytest.mark.parametrize("length", [180, 245, 300])
+def test_long_paths(length, want, tmp_path):
+    """Open MPI ends the program where a path has more than about 244 bytes."""
+    folder = tmp_path
+    while len(str(folder)) < length:
+        folder /= "d" * min(60, length - len(str(folder)))
+    folder.mkdir(parents=True)
+    job = mpirun(2, "-m", "tests.parallel.files_job", folder, timeout=100)
+    assert job.returncode == 0, job.stderr
+    assert digests(folder) == want

@@ -223,3 +223,24 @@ def test_damaged_particles_are_made_anew_and_not_resumed_from(scene, capsys):
         f["vol0"][7] = np.nan
     assert run(scene, "--resume") == 1
     assert "damaged: vol0 is not what was written" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("where", ["../victim", "/tmp/victim", "link/victim"])
+def test_a_scene_does_not_write_where_it_likes(scene, capsys, where):
+    os.symlink(scene.parent.parent, scene.parent / "link")
+    text = scene.read_text()
+    scene.write_text(text + f'[output]\nfolder = "{where}"\n')
+    assert run(scene, "--check") == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    place = f"{scene}:{len(text.splitlines()) + 2}: output.folder: lies outside"
+    assert line.startswith(place) and "-o" in line
+    scene.write_text("allow_outside = true\n" + scene.read_text())
+    assert run(scene, "--check") == 0
+
+
+@pytest.mark.parametrize("flag", ["--check", "--plan"])
+def test_term_ends_what_only_looks(scene, monkeypatch, flag):
+    """The handler that asks a run for a checkpoint is not there."""
+    before = signal.getsignal(signal.SIGTERM)
+    assert run(scene, flag) == 0
+    assert signal.getsignal(signal.SIGTERM) is before

@@ -34,6 +34,7 @@ from vgmpi.domain.ranks import Alone
 log = logging.getLogger("vgmpi")
 
 PIECE = 1 << 28  # bytes per write or message: MPI counts end at 2^31
+LONGEST = 220  # bytes of a path that Open MPI 4.1 opens: it dies of one with more than about 244
 _told = False  # the notice about gathering comes once
 
 
@@ -133,7 +134,7 @@ class Store:
     def __init__(self, path: Path, ranks: Alone):
         self.path, self.ranks = path, ranks
         self.temporary = temporary_name(path)
-        self.gather = gathers(ranks)
+        self.gather = gathers(ranks) or len(os.fsencode(self.temporary)) > LONGEST
         self.memory = _Memory()
         self.file = h5py.File(self.memory, "w") if ranks.rank == 0 else None
         self._rows: list[tuple[str, np.ndarray, np.ndarray]] = []  # name, local rows, all counts

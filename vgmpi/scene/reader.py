@@ -81,6 +81,8 @@ class Reader:
             self.whole_cells(tables["domain"])
             self.at_rest(objects, tables["domain"])
         outside = top is not None and top.allow_outside
+        if tables.get("output"):
+            self.output_inside(tables["output"].folder, outside)
         files = {o.name: f for k, o in enumerate(objects) if o and (f := self.file(k, o, outside))}
         self.finish()
         return Scene(
@@ -261,6 +263,18 @@ class Reader:
                 )
             elif round(count) < 4:
                 self.wrong(path, f"must be at least 4 cells of {domain.cell:g} m; got {edge:g} m")
+
+    def output_inside(self, folder: str, outside: bool) -> None:
+        """A scene from elsewhere does not write where it likes."""
+        path, home = ("output", "folder"), self.source.folder
+        if outside or self.source.overridden(path):
+            return
+        if not (home / folder).resolve().is_relative_to(home.resolve()):
+            self.wrong(
+                path,
+                "lies outside the scene's folder: give it on the command line (-o), or set"
+                f" allow_outside = true at the top of the scene; {got(folder)}",
+            )
 
     def file(self, k: int, thing: Object, outside: bool) -> Path | None:
         """The file of an object, found to be there and allowed; None where it has none."""
