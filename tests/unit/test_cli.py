@@ -1,29 +1,14 @@
 """The command line: exit codes, and the lines a user gets."""
 
-import logging
-import signal
-
 import pytest
 
 import vgmpi
 from tests import simulated
+from tests.commands import leave_no_trace  # noqa: F401  of every test here
 from tests.scenes import MIXED, ROOM, write
 from vgmpi import cli
 from vgmpi.kernels.layers import momentum
 from vgmpi.solver.step import BlowUp
-
-
-@pytest.fixture(autouse=True)
-def leave_no_trace():
-    """main() sets up the log and listens to signals for the life of a program."""
-    log = logging.getLogger("vgmpi")
-    before = log.handlers[:], log.level, log.propagate
-    heard = [signal.getsignal(s) for s in (signal.SIGUSR1, signal.SIGTERM)]
-    yield
-    log.handlers[:], log.propagate = before[0], before[2]
-    log.setLevel(before[1])
-    signal.signal(signal.SIGUSR1, heard[0])
-    signal.signal(signal.SIGTERM, heard[1])
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 import pytest
 
+from tests.commands import leave_no_trace  # noqa: F401  of every test here
 from tests.launch import ROOT
 from tests.scenes import write
 from vgmpi import cli
@@ -34,14 +35,6 @@ name = "drop"
 material = "water"
 shape = { sphere = { center = [0.1, 0.1, 0.1], radius = "4 cm" } }
 """
-
-
-@pytest.fixture(autouse=True)
-def signals():
-    heard = {s: signal.getsignal(s) for s in (signal.SIGUSR1, signal.SIGTERM)}
-    yield
-    for number, handler in heard.items():
-        signal.signal(number, handler)
 
 
 @pytest.fixture

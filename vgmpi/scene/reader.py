@@ -11,7 +11,7 @@ from vgmpi.scene.loads import Load, load_complaints
 from vgmpi.scene.objects import Object, body_complaint, object_complaints
 from vgmpi.scene.probes import Probe, probe_complaints
 from vgmpi.scene.scene import Scene, mixed, phase_of
-from vgmpi.scene.settings import MOST_CELLS, SECTIONS, Domain, Top
+from vgmpi.scene.settings import MOST_CELLS, SECTIONS, Domain, Output, Top
 from vgmpi.source import Source
 from vgmpi.tables import SceneError, explain, got, nearest
 
@@ -81,9 +81,7 @@ class Reader:
             self.whole_cells(tables["domain"])
             self.at_rest(objects, tables["domain"])
         outside = top is not None and top.allow_outside
-        if tables.get("output"):
-            self.output_inside(tables["output"].folder, outside)
-        files = {o.name: f for k, o in enumerate(objects) if o and (f := self.file(k, o, outside))}
+        files = self.files(objects, tables.get("output"), outside)
         self.finish()
         return Scene(
             path=self.source.path,
@@ -264,10 +262,18 @@ class Reader:
             elif round(count) < 4:
                 self.wrong(path, f"must be at least 4 cells of {domain.cell:g} m; got {edge:g} m")
 
-    def output_inside(self, folder: str, outside: bool) -> None:
+    def files(self, objects: list[Any], output: Output | None, outside: bool) -> dict[str, Path]:
+        """The files of all objects by their names; and the folder to write into is the scene's
+        own."""
+        if output is not None and not outside:
+            self.output_inside(output.folder)
+        found = ((o, self.file(k, o, outside)) for k, o in enumerate(objects) if o)
+        return {o.name: file for o, file in found if file}
+
+    def output_inside(self, folder: str) -> None:
         """A scene from elsewhere does not write where it likes."""
         path, home = ("output", "folder"), self.source.folder
-        if outside or self.source.overridden(path):
+        if self.source.overridden(path):
             return
         if not (home / folder).resolve().is_relative_to(home.resolve()):
             self.wrong(
