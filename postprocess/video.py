@@ -64,9 +64,12 @@ class Film:
             coded += ["-crf", f"{round(50 - 3 * quality)}"]
             coded += ["-pix_fmt", "yuva420p" if clear else "yuv420p"]
         self.command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-v", "error", *raw]
-        self.command += ["-r", f"{fps}", "-i", "-", "-an", *coded, str(self.part)]
+        self.command += ["-r", f"{fps}", "-i", "-", "-an", *coded]
+        self.command.append(f"file:{self.part}")  # no URL, no flag
 
     def __enter__(self) -> "Film":
+        if self.path.is_dir():
+            raise VideoError(f"{self.path}: is a folder")
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self.log = tempfile.TemporaryFile()  # a pipe could fill up and block both sides
@@ -98,7 +101,10 @@ class Film:
                 self.ffmpeg.stdin.close()
             if self.ffmpeg.wait() != 0:
                 self._fail()
-            os.replace(self.part, self.path)
+            try:
+                os.replace(self.part, self.path)
+            except OSError as error:
+                raise VideoError(f"{self.path}: {error.strerror or error}") from None
         finally:
             self.part.unlink(missing_ok=True)
             self.log.close()

@@ -1,5 +1,7 @@
 """Pictures and videos on disk."""
 
+from pathlib import Path
+
 import imageio.v3 as iio
 import imageio_ffmpeg
 import numpy as np
@@ -81,6 +83,22 @@ def test_a_video_that_ends_badly_after_the_last_picture(tmp_path):
         with writer:
             pass
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["http://127.0.0.1:1/v.mp4", "-y.mp4", "concat:a|b.mp4", "%d.mp4"])
+def test_a_name_is_a_file_whatever_ffmpeg_would_make_of_it(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    with video.Film(name, 16, 16, fps=10) as mp4:
+        mp4.add(np.zeros((16, 16, 3), np.uint8))
+    assert Path(name).read_bytes()[4:8] == b"ftyp"
+    assert len([p for p in tmp_path.rglob("*") if p.is_file()]) == 1
+
+
+def test_a_folder_is_not_replaced_by_a_video(tmp_path):
+    (tmp_path / "v.mp4").mkdir()
+    with pytest.raises(video.VideoError, match="v.mp4: is a folder"):
+        with video.Film(tmp_path / "v.mp4", 16, 16, fps=10) as mp4:
+            mp4.add(np.zeros((16, 16, 3), np.uint8))
 
 
 def test_png_files_are_exact(tmp_path):

@@ -113,6 +113,35 @@ def test_a_restarted_job_resumes_if_there_is_a_checkpoint(
     assert ("--resume" in said) == resumes
 
 
+@pytest.mark.parametrize("name", ["[1]", "a\\b", "-n", "two words", "*"])
+def test_folders_of_any_name(job, tmp_path, monkeypatch, name):
+    """It finds the checkpoint in each, and none is a flag."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "end").write_text("0")
+    checkpoints = tmp_path / name / "checkpoints"
+    checkpoints.mkdir(parents=True)
+    (checkpoints / "checkpoint_000000007.json").touch()
+    job("scene.toml", OUT=name, SLURM_RESTART_COUNT="1").communicate(timeout=20)
+    said = (tmp_path / "srun").read_text()
+    assert "--resume" in said and f"-o {'./' if name[0] == '-' else ''}{name} " in said
+
+
+def test_a_node_that_broke_before_the_first_checkpoint(job, tmp_path):
+    """What the job before wrote is replaced."""
+    (tmp_path / "end").write_text("0")
+    job("scene.toml", OUT=str(tmp_path), SLURM_RESTART_COUNT="1").communicate(timeout=20)
+    assert "--overwrite" in (tmp_path / "srun").read_text()
+
+
+def test_tasks_of_an_array_have_their_own(job, tmp_path):
+    (tmp_path / "end").write_text("75")
+    array = {"SLURM_ARRAY_JOB_ID": "40", "SLURM_ARRAY_TASK_ID": "3", "MPI": "pmi2"}
+    job("a/scene.toml", "--set", "seed={task}", **array).communicate(timeout=20)
+    said = (tmp_path / "srun").read_text()
+    assert "--mpi=pmi2 " in said and "-o a/out-3 " in said and said.endswith("--set seed=3\n")
+    assert (tmp_path / "scontrol").read_text() == "requeue 40_3\n"
+
+
 def test_without_a_scene_it_says_how(job):
     process = job()
     process.communicate(timeout=20)
