@@ -1,6 +1,7 @@
 """From the tables of a TOML file to a checked scene, or to all that is wrong with it."""
 
 import math
+import os
 import re
 import shlex
 from pathlib import Path
@@ -275,8 +276,10 @@ class Reader:
         folder = self.source.folder
         given = self.source.overridden(path)  # on the command line, in which any file is meant
         candidates = [Path(name), folder / name] if given else [folder / name]
-        there = next((c for c in candidates if c.is_file()), None)
-        if there is None:
+        there = next((c for c in candidates if os.path.isfile(c)), None)
+        if there is None and "\0" in name:
+            self.wrong(path, f"no file has such a name; {got(name)}")
+        elif there is None:
             self.wrong(path, f"there is no file {candidates[-1]}{self.maker(candidates[-1])}")
         elif not (given or outside) and not there.resolve().is_relative_to(folder.resolve()):
             self.wrong(
@@ -293,7 +296,9 @@ class Reader:
         can make it, with the flags that a comment in the scene gives it; else nothing."""
         for above in missing.parents:
             script = above / "assets" / "make_assets.py"
-            if script.is_file() and f'"{missing.stem}": ' in script.read_text(errors="replace"):
+            if os.path.isfile(script) and f'"{missing.stem}": ' in script.read_text(
+                errors="replace"
+            ):
                 flags = FLAGS.search(self.source.text)
                 words = map(shlex.quote, (near(script), near(missing.parent)))
                 return f"; python {' '.join(words)}{flags[1] if flags else ''} makes it"
