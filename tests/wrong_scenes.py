@@ -212,6 +212,13 @@ CASES = {
     ),
     "opacity scale of a solid": ball("opacity_scale = 0.1", "opacity_scale", "is only for fluids"),
     "missing file": made_of('gaussians = "none.ply"', "gaussians", "there is no file "),
+    "file of a long name": made_of(f'mesh = "{"a" * 5000}.obj"', "mesh", "there is no file "),
+    "file with NUL": made_of('gaussians = "a\\u0000b.ply"', "gaussians", "no file has such a name"),
+    "folder with NUL": more(
+        '[output]\nfolder = "a\\u0000b"',
+        "output.folder",
+        "no folder has such a name; got 'a\\x00b'",
+    ),
     "file outside": made_of(
         'gaussians = "../outside.ply"',
         "gaussians",

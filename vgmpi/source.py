@@ -17,6 +17,8 @@ _BASIC = re.compile(r'"(?:[^"\\\n]|\\.)*"')
 _LITERAL = re.compile(r"'[^'\n]*'")
 _LONG = re.compile(r'"""(?:[^\\]|\\.)*?"{3,5}(?!")' + r"|'''.*?'{3,5}(?!')", re.DOTALL)
 _SCALAR = re.compile(r"[^,\]}\n#]*")
+_LONG_NUMBER = re.compile(r"[0-9_]{4300,}")  # more than Python turns into an integer
+DEEPEST = 100  # tables and lists in each other
 
 
 class Source:
@@ -38,34 +40,38 @@ class Source:
         read, is not TOML or cannot be overridden. old_names: by table at the top, what keys inside
         were called before and are called now; a warning says which were found."""
         self.path = Path(path)
+        if "\0" in str(path):
+            raise error([f"{printable(path)}: no file has such a name"])
         self.folder = self.path.resolve().parent
         try:
             self.text = self.path.read_bytes().decode() if text is None else text
             self.data = tomllib.loads(self.text)
+            self._line = key_lines(self.text)
         except OSError as caught:
-            raise error([f"{path}: {caught.strerror or caught}"]) from None
+            raise error([f"{printable(path)}: {caught.strerror or caught}"]) from None
         except UnicodeDecodeError as caught:
-            raise error([f"{path}: not UTF-8 text (byte {caught.start})"]) from None
-        except tomllib.TOMLDecodeError as caught:
-            raise error([_syntax(str(path), self.text, str(caught))]) from None
+            raise error([f"{printable(path)}: not UTF-8 text (byte {caught.start})"]) from None
         except RecursionError:
-            raise error([f"{path}: not valid TOML: nested too deeply"]) from None
-        self._line = key_lines(self.text)
+            raise error([f"{printable(path)}: not valid TOML: nested too deeply"]) from None
+        except ValueError as caught:  # not TOML, or a number too long to be read
+            raise error([_syntax(printable(path), self.text, str(caught))]) from None
         self._set: dict[tuple, str] = {}
         self._old_names = old_names or {}
         self._old: dict[tuple, str] = {}  # of keys by their new path, as they were written
+        self._refuse_extremes(error)
         for table, names in self._old_names.items():
             self._rename(self.data.get(table), (table,), names)
         bad = [said for item in overrides if (said := self._override(item))]
         if bad:
-            raise error(bad)
+            raise error([printable(said) for said in bad])
+        self._refuse_extremes(error)
         self._warn_of_old_names()
 
     def place(self, path: tuple) -> tuple[int, str]:
         """(line for sorting, "file:line" or "--set key=value") of a key, or of what holds it."""
         for stop in range(len(path), 0, -1):
             if path[:stop] in self._set:
-                return 10**9, f"--set {self._set[path[:stop]]}"
+                return 10**9, f"--set {_short(self._set[path[:stop]])}"
             if path[:stop] in self._line:
                 line = self._line[path[:stop]]
                 return line, f"{self.path}:{line}"
@@ -77,13 +83,13 @@ class Source:
         for path, said in errors:
             path = self._written(path)
             line, where = self.place(path)
-            placed.append((line, f"{where}: {self.key(path)}: {said}"))
+            placed.append((line, printable(f"{where}: {self.key(path)}: {said}")))
         placed.sort(key=lambda item: item[0])
         return list(dict.fromkeys(said for _, said in placed))
 
     def key(self, path: tuple) -> str:
         """The path as a user would write it: objects by name where they have one."""
-        parts = [str(part) for part in path]
+        parts = [str(p) if p != "" and "." not in str(p) else f'"{p}"' for p in path]
         if len(path) > 1 and isinstance(path[1], int):
             try:
                 name = self.data[path[0]][path[1]]["name"]
@@ -109,6 +115,25 @@ class Source:
     def overridden(self, path: tuple) -> bool:
         """Whether the value of this key came from the command line."""
         return any(path[:stop] in self._set for stop in range(1, len(path) + 1))
+
+    def _refuse_extremes(self, error: type[TomlError]) -> None:
+        """Raise for what TOML need not hold and nothing here is made for: integers of more than 64
+        bits, and tables and lists that are nested deeply."""
+        wrong: list[tuple[tuple, str]] = []
+        left: list[tuple[tuple, object]] = [((), self.data)]
+        while left:
+            path, here = left.pop()
+            if isinstance(here, int) and not -(2**63) <= here < 2**63:
+                wrong.append((path, f"must fit in 64 bits; got one of {here.bit_length()} bits"))
+            if not isinstance(here, dict | list):
+                continue
+            if len(path) > DEEPEST:
+                wrong.append((path[:3], f"must not be nested more than {DEEPEST} deep"))
+                continue
+            items = here.items() if isinstance(here, dict) else enumerate(here)
+            left += [((*path, k), value) for k, value in items]
+        if wrong:
+            raise error(self.lines(wrong))
 
     def _rename(self, here: object, path: tuple, names: Mapping[str, str]) -> None:
         """Give keys of old names the new ones, below `path`. Where both are there the old one
@@ -138,17 +163,19 @@ class Source:
             more = [said.removeprefix(f"{self.path}:") for _, said, _ in found[1:]]
             also = f" (so are those at {', '.join(more)})" if more else ""
             key = self.key(path)
-            log.warning("%s: %r is the old name of %s%s", where, old, key, also)
+            said = f"{where}: {old!r} is the old name of {key}{also}"
+            log.warning("%s", printable(said))
 
     def _override(self, item: str) -> str:
         """Apply one "key=value"; returns what is wrong with it, or nothing."""
+        given = f"--set {_short(item)}"
         key, sign, text = item.partition("=")
         parts = [part.strip().strip("\"'") for part in key.split(".")]
         names = self._old_names.get(parts[0], {})
         was = next((part for part in parts[2:] if part in names), "")
         parts = parts[:2] + [names.get(part, part) for part in parts[2:]]
         if not sign or not all(parts):
-            return f"--set {item}: expected key=value, for example domain.cell='1 cm'"
+            return f"{given}: expected key=value, for example domain.cell='1 cm'"
         here: dict | list = self.data
         path: tuple = ()
         for k, part in enumerate(parts):
@@ -156,7 +183,7 @@ class Source:
             if name is None:
                 known = [str(x.get("name", i)) for i, x in enumerate(here) if isinstance(x, dict)]
                 has = ", ".join(known) or f"{len(here)} items"
-                return f"--set {item}: {'.'.join(parts[:k])} has no item '{part}'; it has {has}"
+                return f"{given}: {'.'.join(parts[:k])} has no item '{part}'; it has {has}"
             path += (name,)
             if k == len(parts) - 1:
                 here[name] = _value(text)  # type: ignore[index]
@@ -165,7 +192,7 @@ class Source:
                 here.setdefault(name, {})
             here = here[name]  # type: ignore[index]
             if not isinstance(here, dict | list):
-                return f"--set {item}: {'.'.join(parts[: k + 1])} is not a table"
+                return f"{given}: {'.'.join(parts[: k + 1])} is not a table"
         self._set = {p: said for p, said in self._set.items() if p[: len(path)] != path}
         self._set[path] = item
         if was:
@@ -279,15 +306,29 @@ class _Scan:
         self.line.setdefault(path, bisect_right(self.breaks, at) + 1)
 
 
+def printable(text: object) -> str:
+    """The text on one line, with the characters that a terminal would obey written as "\\x1b"."""
+    shown = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
+    return "".join(shown)
+
+
+def _short(item: str) -> str:
+    return item if len(item) <= 200 else f"{item[:197]}..."
+
+
 def _syntax(path: str, text: str, said: str) -> str:
+    if "integer string conversion" in said:
+        long = _LONG_NUMBER.search(text)
+        above = text.count("\n", 0, long.start()) if long else 0
+        return f"{path}:{above + 1}: not valid TOML: an integer must fit in 64 bits"
     match = re.search(r"\(at line (\d+), column (\d+)\)", said)
     line = match[1] if match else str(max(1, len(text.splitlines())))
     column = f" (column {match[2]})" if match else ""
-    return f"{path}:{line}: not valid TOML: {said.partition(' (at ')[0]}{column}"
+    return printable(f"{path}:{line}: not valid TOML: {said.partition(' (at ')[0]}{column}")
 
 
 def _index(items: list, part: str) -> int | None:
-    if part.isdecimal():
+    if part.isdecimal() and len(part) < 10:
         return int(part) if int(part) < len(items) else None
     names = [item.get("name") if isinstance(item, dict) else None for item in items]
     return names.index(part) if part in names else None
@@ -297,6 +338,6 @@ def _value(text: str):
     """The TOML value, or the text itself: a shell eats the quotes of "1 cm"."""
     try:
         read = tomllib.loads(f"value = {text}")
-    except (tomllib.TOMLDecodeError, RecursionError):
+    except (ValueError, RecursionError):  # also of a number too long to be read
         return text.strip()
     return read["value"] if list(read) == ["value"] else text.strip()

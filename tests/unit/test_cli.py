@@ -33,6 +33,11 @@ def test_check_and_plan_write_nothing(scene, capsys):
     assert sorted(p.name for p in scene.parent.iterdir()) == ["scene.toml"]
 
 
+def test_a_title_is_one_line_that_no_terminal_obeys(scene, capsys):
+    assert cli.main([str(scene), "--plan", "--set", r'title="a\u001b[31m\nb"']) == 0
+    assert capsys.readouterr().out.startswith(r"a\x1b[31m\nb: 4,724 particles")
+
+
 @pytest.mark.parametrize("flag", ["--check", "--plan", "--prepare", "-q"])
 def test_a_wrong_scene_ends_with_2_and_writes_nothing(scene, capsys, flag):
     scene.write_text(scene.read_text().replace("cell = 0.02", 'cell = "2 kg"'))
@@ -157,6 +162,8 @@ def test_amounts(text, want):
 
 def test_inspect(scene, capsys):
     assert cli.main(["--inspect", str(scene.parent / "none.h5")]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+    assert cli.main(["--inspect", "a" * 5000]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
     cli.main([str(scene), "--prepare"])
     capsys.readouterr()

@@ -236,3 +236,77 @@ def test_new_names_need_no_word(tmp_path, caplog):
     path.write_text("[[object]]\nname = 'color'\ncolour = 1\n")
     assert Source(path, ["object.color.colour=2"], old_names=NAMES).data["object"][0]["colour"] == 2
     assert not caplog.records
+
+
+LONG = "9" * 5000
+
+
+@pytest.mark.parametrize(
+    "text, says",
+    [
+        (f"a = 1\nb = {LONG}", ":2: not valid TOML: an integer must fit in 64 bits"),
+        (f"a = 0x{'f' * 5000}", ":1: a: must fit in 64 bits; got one of 20000 bits"),
+        (f"\na = [1, -{2**63 + 1}]", ":2: a.1: must fit in 64 bits; got one of 64 bits"),
+        ("a = " + "[" * 101 + "]" * 101, ":1: a.0.0: must not be nested more than 100 deep"),
+        ("a" + ".a" * 3000 + " = 1", ":1: a.a.a: must not be nested more than 100 deep"),
+        ("[[object]]\na" + ".a" * 3000 + " = 1", ":2: object.0.a: must not be nested more"),
+    ],
+)
+def test_numbers_and_nesting_beyond_all_measure(tmp_path, text, says):
+    path = tmp_path / "a.toml"
+    path.write_text(text)
+    with pytest.raises(SceneError) as caught:
+        Source(path, old_names=NAMES)
+    (line,) = caught.value.lines
+    assert line.startswith(f"{path}{says}") and len(line) < 300
+
+
+def test_no_depth_of_nesting_is_too_much_to_be_told(tmp_path):
+    """Also where the text can be parsed and the lines of its keys are not found any more."""
+    path = tmp_path / "a.toml"
+    for depth in range(100, 700):
+        path.write_text("a = " + "[" * depth + "]" * depth)
+        if depth == 100:
+            assert Source(path).data
+            continue
+        with pytest.raises(SceneError, match="nested"):
+            Source(path)
+
+
+def test_numbers_beyond_all_measure_on_the_command_line(scene):
+    assert Source(scene, [f"new={LONG}"]).data["new"] == LONG  # a text: to be refused where read
+    for item, says in (
+        (f"new=0x{'f' * 5000}", "new: must fit in 64 bits; got one of 20000 bits"),
+        (f"object.{LONG}.x=1", "object has no item"),
+        ("new=" + "[" * 200 + "]" * 200, "new.0.0: must not be nested more than 100 deep"),
+    ):
+        with pytest.raises(SceneError) as caught:
+            Source(scene, [item])
+        (line,) = caught.value.lines
+        assert line.startswith(f"--set {item[:197]}...: ") and says in line
+
+
+def test_a_nul_in_the_name_of_a_file():
+    with pytest.raises(SceneError, match=r"^a\\x00b.toml: no file has such a name$"):
+        Source("a\0b.toml")
+
+
+def test_errors_hold_nothing_that_a_terminal_obeys(tmp_path, caplog):
+    path = tmp_path / "a\x1b[31m.toml"
+    path.write_text('"a b" = 1\n"c\\u001b[31m\\nd" = 2\n[[object]]\nname = "\\r"\ncolor = 1\n')
+    source = Source(path, old_names=NAMES)
+    shown = f"{tmp_path}/a\\x1b[31m.toml"
+    said = [(("c\x1b[31m\nd",), "got 'é\u202e'"), (("a b",), "is odd")]
+    assert source.key(("a b", "", "c.d", 0)) == 'a b.""."c.d".0'
+    assert source.lines(said) == [
+        f"{shown}:1: a b: is odd",
+        f"{shown}:2: c\\x1b[31m\\nd: got 'é\\u202e'",
+    ]
+    assert caplog.messages == [f"{shown}:5: 'color' is the old name of object.\\r.colour"]
+    with pytest.raises(SceneError, match=r"^--set a\\x1b: expected key=value"):
+        Source(path, ["a\x1b"])
+    path.write_text("\x1b")
+    with pytest.raises(SceneError) as caught:
+        Source(path)
+    assert caught.value.lines[0].startswith(f"{shown}:1: not valid TOML: ")
+    assert caught.value.lines[0].isprintable()

@@ -9,6 +9,7 @@ run.gaussians.cov0   (n, 6) [m2], a row per particle id
 import contextlib
 import functools
 import json
+import os
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -27,7 +28,7 @@ class RunError(RuntimeError):
 @contextlib.contextmanager
 def opened(path: Path):
     """An HDF5 file open for reading; any trouble with it becomes a RunError that names it."""
-    if not path.exists():
+    if not os.path.exists(path):  # also of a name too long for a file
         raise RunError(f"{path}: no such file")
     try:
         with h5py.File(path, "r") as f:

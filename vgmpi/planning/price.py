@@ -4,6 +4,7 @@ import math
 
 from ..couplings.base import CONTACT, RULES
 from ..scene.scene import Scene
+from ..source import printable
 from .plan import Plan, fastest
 
 # a step of one fluid particle on one core of an AVX-512 machine [ns]; see docs/performance.md
@@ -13,7 +14,7 @@ NS_PER_PARTICLE = {"single": 45.0, "double": 90.0}
 def describe(scene: Scene, plan: Plan, ranks: int) -> str:
     """What --plan prints: phases, fields, particles, memory, time step, steps, predicted time."""
     lines = [
-        f"{scene.title or scene.path.name}: {plan.particles:,} particles,"
+        f"{printable(scene.title or scene.path.name)}: {plan.particles:,} particles,"
         f" {scene.accuracy.precision} precision"
     ]
     nx, ny, nz = plan.cells

@@ -1,6 +1,9 @@
 """From the tables of a TOML file to a checked scene, or to all that is wrong with it."""
 
 import math
+import os
+import re
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +20,8 @@ from vgmpi.tables import SceneError, explain, got, nearest
 
 REQUIRED = ("domain", "time", "material", "object")
 LISTS = ("object", "coupling", "load", "probe")
+# of the command that a comment in a scene gives
+FLAGS = re.compile(r"# +python \S*make_assets\.py(?: [^\s-]\S*)?((?: --\w+(?: [\w.]+)+)+)")
 # what keys inside these were called before; the old names are still read
 OLD_NAMES = dict.fromkeys(("object", "load", "probe"), {"color": "colour"})
 
@@ -291,9 +296,11 @@ class Reader:
         folder = self.source.folder
         given = self.source.overridden(path)  # on the command line, in which any file is meant
         candidates = [Path(name), folder / name] if given else [folder / name]
-        there = next((c for c in candidates if c.is_file()), None)
-        if there is None:
-            self.wrong(path, f"there is no file {candidates[-1]}")
+        there = next((c for c in candidates if os.path.isfile(c)), None)
+        if there is None and "\0" in name:
+            self.wrong(path, f"no file has such a name; {got(name)}")
+        elif there is None:
+            self.wrong(path, f"there is no file {candidates[-1]}{self.maker(candidates[-1])}")
         elif not (given or outside) and not there.resolve().is_relative_to(folder.resolve()):
             self.wrong(
                 path,
@@ -303,3 +310,22 @@ class Reader:
         else:
             return there.resolve()
         return None
+
+    def maker(self, missing: Path) -> str:
+        """ "; python .../make_assets.py ... makes it" where a script beside or above a missing file
+        can make it, with the flags that a comment in the scene gives it; else nothing."""
+        for above in missing.parents:
+            script = above / "assets" / "make_assets.py"
+            if os.path.isfile(script) and f'"{missing.stem}": ' in script.read_text(
+                errors="replace"
+            ):
+                flags = FLAGS.search(self.source.text)
+                words = map(shlex.quote, (near(script), near(missing.parent)))
+                return f"; python {' '.join(words)}{flags[1] if flags else ''} makes it"
+        return ""
+
+
+def near(path: Path) -> str:
+    """The path from the current folder where it lies below that, else from the root."""
+    path, here = path.resolve(), Path.cwd()
+    return str(path.relative_to(here) if path.is_relative_to(here) else path)

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from vgmpi.tables import MayChange, Positive, Quantity, Table
 
@@ -137,10 +137,21 @@ class Accuracy(Table):
     """of the particles' and the grid's numbers"""
 
 
+def _name(value: str) -> str:
+    if "\0" in value:
+        raise ValueError("no folder has such a name")
+    return value
+
+
 class Output(Table):
     """What is written, where and how often."""
 
-    folder: Annotated[str, Field(min_length=1), MayChange("the run goes on in that folder")] = "out"
+    folder: Annotated[
+        str,
+        Field(min_length=1),
+        AfterValidator(_name),
+        MayChange("the run goes on in that folder"),
+    ] = "out"
     """relative to the scene's folder"""
     fields: Annotated[
         tuple[Literal["velocity", "J", "F"], ...], MayChange("frames from here on have these")
