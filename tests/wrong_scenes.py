@@ -76,6 +76,28 @@ CASES = {
     "missing key": ("end = ", "#", "time.end", "required key is missing: simulated time"),
     "wrong unit": ('end = "1 s"', 'end = "1 m"', "time.end", "units: s, ms, us, min, h"),
     "unknown unit": ('cell = "2 cm"', 'cell = "2 inch"', "domain.cell", "'inch' is not a unit"),
+    "end beyond all measure": (
+        'end = "1 s"',
+        "end = 1e308",
+        "time.end",
+        "must be from 1e-100",
+    ),
+    "no cfl to speak of": (
+        "frames = 11",
+        "cfl = 5e-324",
+        "time.cfl",
+        "from 1e-100 to 1e+100 in size; got 5e-324",
+    ),
+    "velocity whose square is no number": ball(
+        "velocity = [0, -1e160, 0]", "velocity.1", "from 1e-100 to 1e+100 in size; got -1e+160"
+    ),
+    "density of nothing": (
+        "density = 1000",
+        'density = "1e-160 g/cm3"',
+        "material.water.density",
+        "must be from 1e-100 to 1e+100 in size; got '1e-160 g/cm3'",
+    ),
+    "cell beyond all measure": ('"2 cm"', "1e300", "domain.cell", "from 1e-100 to 1e+100"),
     "no unit": ('cell = "2 cm"', 'cell = "2"', "domain.cell", "the text has no unit"),
     "out of bounds": ("= 1000", '= "-1 g/cm3"', "material.water.density", "must be > 0 kg/m3"),
     "not finite": ("= 1000", "= nan", "material.water.density", "must be > 0 kg/m3; got nan"),

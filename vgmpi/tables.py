@@ -50,6 +50,7 @@ _UNITS: dict[str, tuple[str | float, tuple[int, ...]]] = {
     "rad": ("1", (0, 0, 0, 0, 1)),
     "deg": (math.pi / 180, (0, 0, 0, 0, 1)),
 }
+LEAST, MOST = 1e-100, 1e100  # of a quantity that is not 0: its square and its cube are numbers
 _FACTOR = re.compile(r"(%|1|[A-Za-z]+)(?:\^?(-?\d))?")
 _TEXT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 
@@ -115,6 +116,10 @@ class Quantity:
         if bad:
             said = self.bounds("" if self.unit in ("", "1") else f" {self.unit}")
             raise ValueError(f"must be {said or 'finite'}")
+        signed = self.gt is not None or self.ge is not None  # others may come close to 0
+        if abs(number) > MOST or (signed and 0 < abs(number) < LEAST):
+            zero = "" if self.gt is not None else "0 or "
+            raise ValueError(f"must be {zero}from {LEAST:g} to {MOST:g} in size")
         return number
 
     def bounds(self, name: str = "") -> str:

@@ -94,6 +94,31 @@ def test_a_fixed_step_above_the_bound_names_the_material(scene, capsys):
     assert "time.dt" in line and "material 'rubber'" in line and "at most" in line
 
 
+@pytest.mark.parametrize(
+    "item, says",
+    [
+        ("time.end=1e20", "1e+20 s are too many steps of 0."),
+        ("time.dt=1e-90", "1e-90 s, set by time.dt; at most 4.5e+15 are possible"),
+        ("time.cfl=1e-90", "set by material 'rubber'"),
+        ("time.end=1e99", "set by material 'rubber'"),
+        ("object.ball.velocity=[1e90, 0, 0]", "set by material 'rubber'"),
+    ],
+)
+@pytest.mark.parametrize("flag", ["--plan", "-q"])
+def test_more_steps_than_the_time_can_tell_apart(scene, capsys, flag, item, says):
+    assert cli.main([str(scene), flag, "--set", item]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert ": time.end: " in line and " are too many steps of " in line and says in line
+    assert sorted(p.name for p in scene.parent.iterdir()) == ["scene.toml"]
+
+
+@pytest.mark.parametrize("flag", ["--plan", "-q"])
+def test_a_law_beyond_single_precision(scene, capsys, flag):
+    assert cli.main([str(scene), flag, "--set", "material.water.density=1e-90"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert ": material.water: its law has numbers beyond accuracy.precision = 'single'" in line
+
+
 def test_too_little_memory_is_refused(scene, capsys, monkeypatch):
     monkeypatch.setattr(cli, "memory", lambda: 1 << 20)
     assert cli.main([str(scene), "--plan"]) == 2

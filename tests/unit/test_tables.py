@@ -76,6 +76,17 @@ def test_a_unit_scales_and_nothing_else(number, name):
     assert Quantity("m").parse(f"{number!r} {name}") == pytest.approx(expected, rel=1e-15)
 
 
+def test_sizes_beyond_all_measure():
+    """Nothing is divided by what has no sign: it may come as close to 0 as it likes."""
+    for kind in (Quantity("m", gt=0), Quantity("m", ge=0)):
+        for bad in (5e-324, "1e-99 mm", 1e101, 10**200):
+            with pytest.raises(ValueError, match=r"from 1e-100 to 1e\+100 in size"):
+                kind.parse(bad)
+    assert Quantity("m", ge=0).parse(0) == 0 and Quantity("m").parse(-1e-200) == -1e-200
+    with pytest.raises(ValueError, match="must be 0 or from 1e-100"):
+        Quantity("m").parse(-1e101)
+
+
 def test_documented_units_measure_the_same():
     for si in ("m", "s", "Pa", "kg/m3", "m/s", "m/s2", "Pa s", "rad", "rad/s", "m2/s", "W"):
         names = same_units(si)

@@ -23,6 +23,7 @@ REALS: dict[str, np.dtype] = {
     "single": np.dtype(np.float32),
     "double": np.dtype(np.float64),
 }
+MOST_STEPS = 2.0**52  # beyond these a step is lost beside the time it is added to
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,7 @@ def make_plan(
     their `center` [m], without which bodies of one volume are told apart by their names alone, and
     with the `shades` of their colours (colour_sets.shades).
 
-    Raises SceneError where a fixed time step is above the bound.
+    Raises SceneError where a fixed time step is above the bound, or no step moves the time on.
     """
     # scenery has no material
     bodies = {k: scene.material[t.material] for k, t in enumerate(scene.object) if t.material}
@@ -143,7 +144,7 @@ def make_plan(
         flip=flip,
         gravity_ramp=scene.domain.gravity_ramp,
     )
-    _check_fixed_dt(scene, plan)
+    _check_steps(scene, plan)
     return plan
 
 
@@ -204,8 +205,17 @@ def _check_transfer(scene: Scene, flip: float, sharing: Rules | None) -> None:
         raise scene.error([(("accuracy", "transfer"), said)])
 
 
-def _check_fixed_dt(scene: Scene, plan: Plan) -> None:
+def _check_steps(scene: Scene, plan: Plan) -> None:
+    """Whether the laws are numbers, a fixed step is stable, and every step moves the time on."""
+    for group in plan.groups:
+        if not np.isfinite(group.law).all():
+            said = f"its law has numbers beyond accuracy.precision = {scene.accuracy.precision!r}"
+            raise scene.error([(("material", group.material), said)])
     bound, what = fastest(scene, plan)[0]
     if plan.fixed_dt > bound:
         said = f"{plan.fixed_dt:.4g} s is above the stable step of {what}: at most {bound:.4g} s"
         raise scene.error([(("time", "dt"), said)])
+    dt, what = (plan.fixed_dt, "time.dt") if plan.fixed_dt else (bound, what)
+    if not dt * MOST_STEPS >= plan.times[-1]:
+        said = f"{plan.times[-1]:.4g} s are too many steps of {dt:.4g} s, set by {what}"
+        raise scene.error([(("time", "end"), f"{said}; at most {MOST_STEPS:.2g} are possible")])
