@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from postprocess.settings import SettingsError
+from vgmpi.inputs import content
 from vgmpi.splatting.camera import Camera
 
 log = logging.getLogger("vgmpi")
@@ -240,11 +241,7 @@ def _number(told: dict[str, Any], name: str, low: float, high: float) -> float:
 
 def _read(path: Path) -> bytes:
     try:
-        if path.stat().st_size > LARGEST:
-            raise SettingsError([f"{path}: larger than {LARGEST >> 20} MB"])
-        return path.read_bytes()
+        return content(path, LARGEST)
     except (OSError, ValueError) as error:
-        if isinstance(error, SettingsError):
-            raise
         said = getattr(error, "strerror", None) or error
         raise SettingsError([f"{path}: {said}"]) from None

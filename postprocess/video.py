@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from vgmpi import inputs
+
 
 class VideoError(RuntimeError):
     """A picture or video that cannot be read or written; the message is one line."""
@@ -187,14 +189,12 @@ def background(value: str | tuple, width: int, height: int, folder: Path) -> np.
         return np.zeros(3)
     if value.startswith("#"):
         return np.array([int(value[i : i + 2], 16) for i in (1, 3, 5)]) / 255
-    import imageio.v3 as iio  # as scipy.ndimage, only for those who need it
-    from scipy import ndimage
+    from scipy import ndimage  # only for those who need it
 
     try:
-        picture = np.atleast_3d(iio.imread(folder / value, plugin="pillow"))
-    except Exception as error:  # the readers of picture formats raise all kinds
-        said = (str(error).splitlines() or ["unreadable"])[0]
-        raise VideoError(f"background: {folder / value}: {said}") from None
+        picture = np.atleast_3d(inputs.picture(folder / value))
+    except ValueError as error:
+        raise VideoError(f"background: {folder / value}: {error}") from None
     top = np.iinfo(picture.dtype).max if picture.dtype.kind == "u" else 1
     if picture.ndim != 3 or picture.shape[2] == 2:
         raise VideoError(f"background: {folder / value}: neither a grey nor a colour picture")

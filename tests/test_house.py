@@ -29,6 +29,7 @@ LAYERS = [
     {"materials", "couplings"},
     {"source"},
     {"tables"},
+    {"inputs"},
     {"device"},
     {"splatting"},
     {"gaussians"},
@@ -37,7 +38,7 @@ LAYERS = [
 ONLY = {
     "materials": {"tables", "device"},
     "couplings": {"tables", "device"},
-    "source": {"tables"},
+    "source": {"tables", "inputs"},
     "tables": set(),
 }
 POSTPROCESS = (
@@ -48,6 +49,7 @@ POSTPROCESS = (
     "vgmpi.domain.ranks",  # frames shared by the ranks of a launcher
     "vgmpi.source",  # render.toml is read as a scene is, and its mistakes are told the same way
     "vgmpi.tables",
+    "vgmpi.inputs",
     "postprocess",
 )
 OUTSIDE = {  # packages that only some files may use

@@ -7,6 +7,7 @@ from bisect import bisect_right
 from collections.abc import Mapping
 from pathlib import Path
 
+from vgmpi.inputs import MOST_TEXT, content
 from vgmpi.tables import SceneError, TomlError
 
 log = logging.getLogger("vgmpi")
@@ -44,7 +45,7 @@ class Source:
             raise error([f"{printable(path)}: no file has such a name"])
         self.folder = self.path.resolve().parent
         try:
-            self.text = self.path.read_bytes().decode() if text is None else text
+            self.text = content(self.path, MOST_TEXT).decode() if text is None else text
             self.data = tomllib.loads(self.text)
             self._line = key_lines(self.text)
         except OSError as caught:

@@ -28,8 +28,9 @@ class RunError(RuntimeError):
 @contextlib.contextmanager
 def opened(path: Path):
     """An HDF5 file open for reading; any trouble with it becomes a RunError that names it."""
-    if not os.path.exists(path):  # also of a name too long for a file
-        raise RunError(f"{path}: no such file")
+    if not os.path.isfile(path):  # also of a name too long for a file
+        said = "no regular file" if os.path.exists(path) else "no such file"
+        raise RunError(f"{path}: {said}")
     try:
         with h5py.File(path, "r") as f:
             yield f

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ..inputs import picture
+
 
 class TextureError(ValueError):
     """A texture that cannot be had; one line."""
@@ -82,13 +84,10 @@ def beside(path: Path, name: str) -> Path:
 
 def image(path: Path) -> np.ndarray:
     """A picture (height, width, 3), 0..1. Raises TextureError."""
-    from imageio.v3 import imread  # only scenes with textures pay the import
-
     try:
-        pixels = np.asarray(imread(path))
-    except Exception as error:  # its readers raise anything
-        said = (str(error).splitlines() or [type(error).__name__])[0]
-        raise TextureError(f"its picture {path.name} cannot be read: {said}") from None
+        pixels = picture(path)
+    except ValueError as error:
+        raise TextureError(f"its picture {path.name} cannot be read: {error}") from None
     if pixels.ndim == 2:
         pixels = np.repeat(pixels[:, :, None], 3, axis=2)
     if pixels.ndim != 3 or pixels.shape[2] not in (3, 4) or not pixels.size:

@@ -1,0 +1,94 @@
+"""What a user names is a regular file of bounded cost, wherever it is opened."""
+
+import os
+import struct
+import subprocess
+import sys
+import zlib
+
+import numpy as np
+import pytest
+
+from postprocess import camerafiles, video
+from postprocess.settings import SettingsError
+from tests.commands import leave_no_trace  # noqa: F401  of every test here
+from tests.launch import ROOT
+from vgmpi import cli, inputs
+from vgmpi.output.read import RunError, read_gaussians
+from vgmpi.prepare import texture
+
+
+def large(path, width=10_000, height=10_000):
+    """The head of a picture of that size, and nothing behind it: 2.4 GB once it is read."""
+
+    def chunk(kind, data):
+        return (
+            struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        )
+
+    head = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
+    body = chunk(b"IDAT", zlib.compress(bytes(1000))) + chunk(b"IEND", b"")
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + head + body)
+
+
+@pytest.fixture(params=["pipe", "/dev/zero", "folder"])
+def odd(request, tmp_path):
+    path = tmp_path / "odd"
+    if request.param == "pipe":
+        os.mkfifo(path)
+    elif request.param == "folder":
+        path.mkdir()
+    else:
+        os.symlink(request.param, path)
+    return path
+
+
+def test_a_scene_is_a_file(odd, capsys):
+    assert cli.main([str(odd), "--check"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"{odd}: is no regular file")
+
+
+def test_settings_cameras_and_backgrounds_are_files(odd):
+    with pytest.raises(SettingsError, match="is no regular file"):
+        camerafiles.transforms(odd)
+    with pytest.raises(video.VideoError, match="is no regular file"):
+        video.background(str(odd), 8, 8, odd.parent)
+    with pytest.raises(texture.TextureError, match="is no regular file"):
+        texture.image(odd)
+    with pytest.raises(RunError, match="no regular file"):
+        read_gaussians(odd)
+
+
+def test_settings_of_a_renderer_are_a_file(odd):
+    command = [sys.executable, "-m", "postprocess.render", odd.parent, odd]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 2 and "is no regular file" in done.stderr, done.stderr
+
+
+def test_a_scene_is_not_large(tmp_path, capsys):
+    path = tmp_path / "scene.toml"
+    with open(path, "wb") as f:
+        f.truncate(inputs.MOST_TEXT + 1)
+    assert cli.main([str(path), "--check"]) == 2
+    assert "has 16,777,217 bytes; at most 16,777,216 are read" in capsys.readouterr().err
+
+
+def test_pictures_are_not_large(tmp_path):
+    """Their head says so, before a pixel is read."""
+    path = tmp_path / "a.png"
+    large(path)
+    for read in (texture.image, lambda p: video.background(p.name, 8, 8, tmp_path)):
+        with pytest.raises(
+            (texture.TextureError, video.VideoError), match="has 10,000 x 10,000 pixels"
+        ):
+            read(path)
+
+
+def test_others_are_as_they_were(tmp_path):
+    import imageio.v3 as iio
+
+    pixels = np.arange(5 * 7 * 3, dtype=np.uint8).reshape(5, 7, 3)
+    iio.imwrite(tmp_path / "a.png", pixels)
+    assert (inputs.picture(tmp_path / "a.png") == pixels).all()
+    assert inputs.content(tmp_path / "a.png", 10**6) == (tmp_path / "a.png").read_bytes()
