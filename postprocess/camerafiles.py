@@ -33,8 +33,9 @@ def transforms(path: Path) -> Named:
 
     Its transform_matrix is camera to world with y up and z backward (OpenGL).
     """
+    raw = _read(path)
     try:
-        data = json.loads(_read(path))
+        data = json.loads(raw)
     except (ValueError, RecursionError) as error:
         said = "nested too deep" if isinstance(error, RecursionError) else error
         raise SettingsError([f"{path}: not readable as JSON: {said}"]) from None

@@ -191,4 +191,4 @@ def test_binary_models_cut_anywhere_are_one_line(tmp_path, file):
 def test_files_that_are_not_there(tmp_path):
     one_line(lambda: camerafiles.transforms(tmp_path / "t.json"), tmp_path / "t.json", "No such")
     one_line(lambda: camerafiles.colmap(tmp_path / "x"), tmp_path / "x" / "cameras.txt", "No such")
-    one_line(lambda: camerafiles.transforms(tmp_path), tmp_path, "directory")
+    one_line(lambda: camerafiles.transforms(tmp_path), tmp_path, f"{tmp_path}: is no regular")
