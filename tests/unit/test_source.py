@@ -158,7 +158,7 @@ def test_files_that_are_no_toml(tmp_path, content, says):
 
 def test_missing_file_and_folder(tmp_path):
     for path in (tmp_path / "none.toml", tmp_path):
-        with pytest.raises(SceneError, match="No such file|directory"):
+        with pytest.raises(SceneError, match="No such file|is no regular file"):
             Source(path)
 
 
