@@ -37,8 +37,12 @@ def test_colours_that_travel_with_every_step(tmp_path):
     assert (colour[kinds == 2].std(axis=0) > 0.001).all()
     flags = ("--resume", "--set", "appearance.colour_transfer=off")
     job = mpirun(2, "-m", "vgmpi", scene, "-q", "-o", tmp_path / "half", *flags, timeout=60)
+    assert job.returncode == 2
+    assert "colour_transfer: is 'off', in the run so far 'step'" in job.stderr
+    flags = (*flags, "--change")
+    job = mpirun(2, "-m", "vgmpi", scene, "-q", "-o", tmp_path / "half", *flags, timeout=60)
     said = [line for line in job.stderr.splitlines() if "checkpoint_" in line]
-    assert job.returncode == 2 and len(said) == 1
+    assert job.returncode == 2 and len(said) == 1, job.stderr
     assert "carries 5 numbers besides its motion, in this scene 2 (" in said[0]
 
 
