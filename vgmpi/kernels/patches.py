@@ -4,7 +4,7 @@ A row of a patch, eight nodes along z, is two vectors; it lies across three node
 is one.
 """
 
-from ..device.jit import inline
+from ..device.jit import inline, within
 from ..lanes.lanes import ahead, load, store
 from ..lanes.rows import slide_back, spread
 from .walls import SIDE
@@ -21,6 +21,14 @@ def clear(patch, box):
             store(patch, to + 16, none)
 
 
+@within
+def row_of(i, j):
+    """Of the row i, j of a patch: the first of the three node blocks it lies across, among the 27
+    around, and where it begins in each of them."""
+    gi, gj = i + 3, j + 3
+    return (gi >> 2) * 9 + (gj >> 2) * 3, ((gi & 3) * 16 + (gj & 3) * 4) * 4
+
+
 @inline
 def gather(patch, grid, blocks, box):
     """The nodes of a box of a patch (2048,) from the 27 node blocks around it.
@@ -28,11 +36,8 @@ def gather(patch, grid, blocks, box):
     box: (6,) first and last nodes along x, y, z; grid: (node blocks, 256).
     """
     for i in range(box[0], box[1]):
-        gi = i + 3
         for j in range(box[2], box[3]):
-            gj = j + 3
-            row = (gi >> 2) * 9 + (gj >> 2) * 3
-            at = ((gi & 3) * 16 + (gj & 3) * 4) * 4
+            row, at = row_of(i, j)
             to = (i * SIDE + j) * SIDE * 4
             here = load(grid[blocks[row + 1]], at)
             store(patch, to, slide_back(load(grid[blocks[row]], at), here))
@@ -44,8 +49,6 @@ def expect(grid, blocks):
     """Begin to fetch what `gather` is going to read. grid: (256 node blocks,) by its place."""
     for i in range(SIDE):
         for j in range(SIDE):
-            gi, gj = i + 3, j + 3
-            row = (gi >> 2) * 9 + (gj >> 2) * 3
-            at = ((gi & 3) * 16 + (gj & 3) * 4) * 4
+            row, at = row_of(i, j)
             for k in range(3):
                 ahead(grid, 256 * blocks[row + k] + at)

@@ -30,6 +30,7 @@ from ..lanes.wide import (
     unpack_node,
     words_of,
 )
+from .patches import row_of
 from .walls import SIDE
 
 DIGITS = 46  # binary digits that a sum keeps of the number that is called full
@@ -75,11 +76,8 @@ def push(patch, sums, blocks, box):
     size = BLOCK * words_of(patch)
     below, above = box[4] < 1, box[5] > 5
     for i in range(box[0], box[1]):
-        gi = i + 3
         for j in range(box[2], box[3]):
-            gj = j + 3
-            row = (gi >> 2) * 9 + (gj >> 2) * 3
-            at = ((gi & 3) * 16 + (gj & 3) * 4) * 4
+            row, at = row_of(i, j)
             of = (i * SIDE + j) * SIDE * 4
             if below:
                 add_node(sums, size * blocks[row] + at + 12, patch, of)
