@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import fcntl
+import itertools
 import json
 import logging
 import os
@@ -17,6 +18,7 @@ from vgmpi.output import layout, store
 log = logging.getLogger("vgmpi")
 
 WITHOUT = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP)  # a file system that keeps no locks
+TRIES = 1000  # at a folder that others make and remove meanwhile
 
 
 class FolderError(RuntimeError):
@@ -36,7 +38,6 @@ def held(folder: str | Path, ranks: Alone, into: bool) -> Iterator[None]:
     if ranks.rank == 0:
         try:
             made = not folder.exists()
-            folder.mkdir(parents=True, exist_ok=True)
             handle, said = _take(folder / layout.LOCK, ranks.size)
             if not said and not into:
                 said = _holds(folder)
@@ -58,9 +59,15 @@ def held(folder: str | Path, ranks: Alone, into: bool) -> Iterator[None]:
 
 
 def _take(path: Path, ranks: int) -> tuple[int | None, str]:
-    """(handle of the lock that is now ours, ""), or (None, who has it)."""
-    while True:
-        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+    """(handle of the lock that is now ours, ""), or (None, who has it). Makes its folder."""
+    for tries in itertools.count():
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+        except (FileNotFoundError, FileExistsError):
+            if tries == TRIES:
+                raise
+            continue  # who had it came to nothing and removed the folder meanwhile
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
