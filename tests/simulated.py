@@ -12,7 +12,7 @@ import numpy as np
 
 from vgmpi.domain.ranks import Alone, Link
 
-PATIENCE = 1200.0  # seconds before a rank that waits for another gives up
+from .launch import PATIENCE
 
 
 class Aborted(Exception):

@@ -6,12 +6,11 @@ sends particles from rank to rank.
 """
 
 import signal
-import time
 
 import pytest
 
 from tests.digests import digests
-from tests.launch import finish, mpirun, on_ranks, start
+from tests.launch import finish, mpirun, on_ranks, start, until
 from tests.scenes import MIXED, write
 
 pytestmark = pytest.mark.mpi
@@ -20,7 +19,7 @@ PRECISIONS = ("single", "double")
 
 
 def go(scene, out, n, *flags):
-    return mpirun(n, "-m", "vgmpi", scene, "-q", "-o", out, *flags, timeout=240)
+    return mpirun(n, "-m", "vgmpi", scene, "-q", "-o", out, *flags)
 
 
 @pytest.fixture(scope="module", params=PRECISIONS)
@@ -59,9 +58,7 @@ def test_stop_between_two_sorts_and_resume(one, tmp_path):
     flags = ("-o", tmp_path, "--set", "output.checkpoint_steps=0")
     running = start(on_ranks(3, "-m", "vgmpi", scene, *flags))
     frame = tmp_path / "frames" / "frame_00001.vtkhdf"
-    deadline = time.monotonic() + 200
-    while not frame.exists() and time.monotonic() < deadline and running.poll() is None:
-        time.sleep(0.01)
+    until(lambda: frame.exists() or running.poll() is not None, "no first frame")
     running.send_signal(signal.SIGUSR1)  # mpirun passes it on to the ranks
     job = finish(running)
     assert job.returncode == 75, job.stderr

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.mpi
 
 
 def go(scene, out, n, *flags, code=0):
-    job = mpirun(n, "-m", "vgmpi", scene, "-q", "-o", out, *flags, timeout=280)
+    job = mpirun(n, "-m", "vgmpi", scene, "-q", "-o", out, *flags)
     assert job.returncode == code, job.stderr
     return digests(out)
 
@@ -36,11 +36,11 @@ def test_colours_that_travel_with_every_step(tmp_path):
     assert not np.isnan(colour[kinds == 2]).any() and np.isnan(colour[kinds == 5]).all()
     assert (colour[kinds == 2].std(axis=0) > 0.001).all()
     flags = ("--resume", "--set", "appearance.colour_transfer=off")
-    job = mpirun(2, "-m", "vgmpi", scene, "-q", "-o", tmp_path / "half", *flags, timeout=60)
+    job = mpirun(2, "-m", "vgmpi", scene, "-q", "-o", tmp_path / "half", *flags)
     assert job.returncode == 2
     assert "colour_transfer: is 'off', in the run so far 'step'" in job.stderr
     flags = (*flags, "--change")
-    job = mpirun(2, "-m", "vgmpi", scene, "-q", "-o", tmp_path / "half", *flags, timeout=60)
+    job = mpirun(2, "-m", "vgmpi", scene, "-q", "-o", tmp_path / "half", *flags)
     said = [line for line in job.stderr.splitlines() if "checkpoint_" in line]
     assert job.returncode == 2 and len(said) == 1, job.stderr
     assert "carries 5 numbers besides its motion, in this scene 2 (" in said[0]

@@ -8,6 +8,6 @@ from tests.launch import mpirun
 @pytest.mark.mpi
 @pytest.mark.parametrize("n", [1, 2, 5])
 def test_rows_arrive_in_order_round_after_round(n):
-    job = mpirun(n, "-m", "tests.parallel.deliver_job", timeout=100)
+    job = mpirun(n, "-m", "tests.parallel.deliver_job")
     assert job.returncode == 0, job.stderr
     assert all(f"rank {r} done" in job.stdout for r in range(n))

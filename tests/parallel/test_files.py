@@ -33,7 +33,6 @@ def test_any_number_of_ranks(n, gather, want, tmp_path):
         "tests.parallel.files_job",
         tmp_path,
         env={"VGMPI_GATHER": str(gather)},
-        timeout=100,
     )
     assert job.returncode == 0, job.stderr
     parallel = h5py.get_config().mpi
@@ -62,6 +61,6 @@ def test_long_paths(length, want, tmp_path):
     while len(str(folder)) < length:
         folder /= "d" * min(60, length - len(str(folder)))
     folder.mkdir(parents=True)
-    job = mpirun(2, "-m", "tests.parallel.files_job", folder, timeout=100)
+    job = mpirun(2, "-m", "tests.parallel.files_job", folder)
     assert job.returncode == 0, job.stderr
     assert digests(folder) == want

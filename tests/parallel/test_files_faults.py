@@ -89,7 +89,6 @@ def test_full_disk(fault, rows, n, gather, small_disk, caplog):
         n,
         *("-m", "tests.parallel.fault_job", small_disk, fault, rows * 2 // n),
         env={"VGMPI_GATHER": str(gather)},
-        timeout=40,
     )
     assert "no space left on the disk" in check_full(job, small_disk, caplog)
 

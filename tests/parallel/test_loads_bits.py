@@ -61,7 +61,7 @@ wall = "all"
 
 
 def go(scene, out, n, *flags):
-    return mpirun(n, "-m", "vgmpi", scene, "-q", "-o", out, *flags, timeout=240)
+    return mpirun(n, "-m", "vgmpi", scene, "-q", "-o", out, *flags)
 
 
 @pytest.fixture(scope="module")

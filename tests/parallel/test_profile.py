@@ -13,7 +13,7 @@ pytestmark = pytest.mark.mpi
 def test_profile_has_a_row_per_rank(tmp_path):
     scene = write(tmp_path, MIXED.replace("PRECISION", "single"))
     flags = ("-o", tmp_path / "out", "--stop-after", "120 steps")
-    job = mpirun(2, "-m", "vgmpi", scene, *flags, "--profile", timeout=240)
+    job = mpirun(2, "-m", "vgmpi", scene, *flags, "--profile")
     assert job.returncode == 75, job.stderr
     rows = list(csv.DictReader(open(tmp_path / "out" / "profile.csv")))
     assert [row["rank"] for row in rows] == ["0", "1"]
@@ -28,9 +28,7 @@ def test_profile_has_a_row_per_rank(tmp_path):
 
 def test_no_profile_unless_asked_for(tmp_path):
     scene = write(tmp_path, MIXED.replace("PRECISION", "single"))
-    job = mpirun(
-        2, "-m", "vgmpi", scene, "-o", tmp_path / "out", "--stop-after", "1 step", timeout=240
-    )
+    job = mpirun(2, "-m", "vgmpi", scene, "-o", tmp_path / "out", "--stop-after", "1 step")
     assert job.returncode == 75, job.stderr
     assert not (tmp_path / "out" / "profile.csv").exists()
     assert "largest over mean" not in job.stdout.replace("predicted work over the mean", "")

@@ -19,7 +19,7 @@ END = "time.end=0.03"
 def forced(scene, out, n):
     """(digests, sorts, particles each rank sent) of a run that is cut anew at each sort."""
     flags = ("-o", out, "--set", END)
-    job = mpirun(n, "-m", "tests.parallel.rebalance_job", scene, *flags, timeout=240)
+    job = mpirun(n, "-m", "tests.parallel.rebalance_job", scene, *flags)
     assert job.returncode == 0, job.stderr
     said = re.findall(r"rank (\d+) sorted (\d+) times and sent (\d+) particles", job.stdout)
     assert sorted(int(rank) for rank, _, _ in said) == list(range(n))

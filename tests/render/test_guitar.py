@@ -44,7 +44,7 @@ def run(tmp_path_factory):
         pytest.skip(f"{GUITAR} is not here")
     out = tmp_path_factory.mktemp("guitar")
     flags = [word for setting in SETTINGS for word in ("--set", setting)]
-    job = mpirun(2, "-m", "vgmpi", FOLDER / "scene.toml", "-q", "-o", out, *flags, timeout=240)
+    job = mpirun(2, "-m", "vgmpi", FOLDER / "scene.toml", "-q", "-o", out, *flags)
     assert job.returncode == 0, job.stderr
     return RunFiles(out)
 

@@ -1,11 +1,9 @@
 """What the renderer writes: films, sequences, opacity and depth, several cameras, ranks."""
 
 import json
-import os
 import re
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import imageio.v3 as iio
@@ -13,6 +11,7 @@ import numpy as np
 import pytest
 
 from postprocess import painter, render, video
+from tests.launch import mpirun
 from tests.render import runs
 from tests.render.test_camerafiles import as_transforms
 from tests.render.test_video import gradient, read
@@ -20,6 +19,7 @@ from vgmpi.splatting.camera import look_at
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = "[picture]\nwidth = 96\nheight = 80\n"
+DRAW = ("-m", "postprocess.render")
 TWO = '[[camera]]\nname = "south"\nangle = 0\n[[camera]]\nname = "east"\nangle = 90\n'
 
 
@@ -165,26 +165,11 @@ def test_a_wrong_camera_file_ends_with_code_2_and_one_line(out, tmp_path, capfd)
     assert "cameras.txt: No such file" in said and "\n" not in said
 
 
-def mpirun(count, *argv):
-    if shutil.which("mpirun") is None:
-        pytest.skip("no mpirun")
-    start = ["mpirun", "--oversubscribe", "-n", str(count), sys.executable]
-    root = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
-    return subprocess.run(
-        [*start, "-m", "postprocess.render", *map(str, argv)],
-        cwd=ROOT,
-        env={**os.environ, **root},
-        capture_output=True,
-        text=True,
-        timeout=200,
-    )
-
-
 @pytest.mark.mpi
 @pytest.mark.parametrize("count", [2, 3])  # 3 do not divide the 4 frames
 def test_ranks_share_the_frames_without_changing_them(out, tmp_path, count):
     draw(out, tmp_path, TWO, "-o", tmp_path / "alone")
-    done = mpirun(count, out, tmp_path / "render.toml", "-o", tmp_path / "shared", "-q")
+    done = mpirun(count, *DRAW, out, tmp_path / "render.toml", "-o", tmp_path / "shared", "-q")
     assert done.returncode == 0, done.stderr
     said = re.sub(r"\x1b\[\d*m", "", done.stdout)  # some mpiruns colour what they pass on
     assert said.split() == [str(tmp_path / "shared" / name) for name in ("south", "east")]
@@ -203,17 +188,17 @@ def drawn_by(done):
 @pytest.mark.mpi
 def test_ranks_end_together_with_one_message(out, tmp_path):
     (tmp_path / "render.toml").write_text("[camera]\nfovv = 3\n")
-    done = mpirun(2, out, tmp_path / "render.toml", "-o", tmp_path / "v.mp4")
+    done = mpirun(2, *DRAW, out, tmp_path / "render.toml", "-o", tmp_path / "v.mp4")
     assert done.returncode == 2 and len(drawn_by(done)) == 1, done.stderr
     broken = tmp_path / "broken"
     shutil.copytree(out, broken)
     frame = sorted((broken / "frames").iterdir())[3]  # rank 1 meets it, in the second round
     frame.write_bytes(b"no frame")
-    done = mpirun(2, broken, "-o", tmp_path / "v.mp4", "-q")
+    done = mpirun(2, *DRAW, broken, "-o", tmp_path / "v.mp4", "-q")
     assert done.returncode == 2 and len(drawn_by(done)) == 1, done.stderr
     assert frame.name in done.stderr
     (tmp_path / "file").touch()  # rank 0 alone cannot write
-    done = mpirun(2, out, "-o", tmp_path / "file" / "pictures", "-q")
+    done = mpirun(2, *DRAW, out, "-o", tmp_path / "file" / "pictures", "-q")
     assert done.returncode == 2 and "Not a directory" in done.stderr, done.stderr
     assert not (tmp_path / "v.mp4").exists()
 

@@ -11,6 +11,7 @@ import pytest
 
 from postprocess import replay
 from postprocess.look import Look
+from tests.launch import PATIENCE
 from tests.render import runs
 from vgmpi.output.read import RunFiles
 
@@ -97,6 +98,7 @@ def test_a_browser_without_a_network_plays_it(html):
     with api.sync_playwright() as play:
         browser = play.chromium.launch(executable_path=program, args=FLAGS)
         page = browser.new_page(viewport={"width": 480, "height": 400})
+        page.set_default_timeout(1000 * PATIENCE)
         asked, errors = [], []
         page.on("request", lambda request: asked.append(request.url))
         page.on("pageerror", lambda error: errors.append(str(error)))
@@ -104,8 +106,8 @@ def test_a_browser_without_a_network_plays_it(html):
         page.goto(html.as_uri())
         page.get_by_text(re.compile("300 of")).wait_for()
         widths = []
-        for _ in range(40):
-            picture = iio.imread(io.BytesIO(page.screenshot(timeout=60000)))[..., :3].astype(int)
+        for _ in range(400):
+            picture = iio.imread(io.BytesIO(page.screenshot()))[..., :3].astype(int)
             red = (picture[..., 0] > 120) & (picture[..., 1] < 80) & (picture[..., 2] < 80)
             if red.sum() > 20:
                 blue = (picture[..., 2] > picture[..., 0] + 60).sum()

@@ -23,7 +23,7 @@ def made(tmp_path_factory):
     words = ["pruning", "--scenes", "balls_duck", "--ranks", "1", "--pixels", "96", "-o", folder]
     for key, value in TINY.items():
         words += ["--set", f"{key}={value}"]
-    done = launch.run([sys.executable, "-m", "postprocess.study", *words], timeout=240)
+    done = launch.run([sys.executable, "-m", "postprocess.study", *words])
     assert done.returncode == 0, done.stderr
     return folder, done.stdout
 

@@ -2,7 +2,6 @@
 
 import os
 import struct
-import subprocess
 import sys
 import zlib
 
@@ -11,8 +10,8 @@ import pytest
 
 from postprocess import camerafiles, video
 from postprocess.settings import SettingsError
+from tests import launch
 from tests.commands import leave_no_trace  # noqa: F401  of every test here
-from tests.launch import ROOT
 from vgmpi import cli, inputs
 from vgmpi.output.read import RunError, read_gaussians
 from vgmpi.prepare import texture
@@ -62,7 +61,7 @@ def test_settings_cameras_and_backgrounds_are_files(odd):
 
 def test_settings_of_a_renderer_are_a_file(odd):
     command = [sys.executable, "-m", "postprocess.render", odd.parent, odd]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
+    done = launch.run(command)
     assert done.returncode == 2 and "is no regular file" in done.stderr, done.stderr
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.commands import leave_no_trace  # noqa: F401  of every test here
-from tests.launch import ROOT
+from tests.launch import PATIENCE, ROOT
 from tests.scenes import write
 from vgmpi import cli
 from vgmpi.domain.ranks import Alone
@@ -191,7 +191,7 @@ def test_at_twenty_delays_one_of_two_runs_has_the_folder(tmp_path):
             )
             for k in range(2)
         ]
-        lost += sum(process.wait(timeout=120) != 0 for process in both)
+        lost += sum(process.wait(PATIENCE) != 0 for process in both)
     assert lost == 0 and not holding.exists()
 
 

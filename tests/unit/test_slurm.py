@@ -4,11 +4,10 @@ told."""
 import os
 import signal
 import subprocess
-import time
 
 import pytest
 
-from tests.launch import ROOT
+from tests.launch import PATIENCE, ROOT, until
 
 SCRIPT = ROOT / "slurm" / "vgmpi.sbatch"
 SRUN = """#!/bin/bash
@@ -52,13 +51,6 @@ def job(tmp_path):
         process.communicate()
 
 
-def until(path):
-    end = time.monotonic() + 10
-    while not path.exists():
-        assert time.monotonic() < end, f"no {path}"
-        time.sleep(0.02)
-
-
 def test_the_script_is_bash():
     assert subprocess.run(["bash", "-n", SCRIPT]).returncode == 0
     text = SCRIPT.read_text()
@@ -68,9 +60,9 @@ def test_the_script_is_bash():
 
 def test_usr1_reaches_the_step_and_the_job_queues_itself(job, tmp_path):
     process = job("runs/a/scene.toml", "--set", "time.end=1")
-    until(tmp_path / "running")
+    until((tmp_path / "running").exists, "the step does not run")
     process.send_signal(signal.SIGUSR1)  # the batch shell alone, as --signal=B: does
-    out, _ = process.communicate(timeout=20)
+    out, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 75
     assert (tmp_path / "heard").read_text() == "USR1\n"
     assert (tmp_path / "scontrol").read_text() == "requeue 42\n"
@@ -85,7 +77,7 @@ def test_usr1_reaches_the_step_and_the_job_queues_itself(job, tmp_path):
 def test_other_ends_are_ends(job, tmp_path, code):
     (tmp_path / "end").write_text(str(code))
     process = job("scene.toml")
-    process.communicate(timeout=20)
+    process.communicate(timeout=PATIENCE)
     assert process.returncode == code
     assert not (tmp_path / "scontrol").exists()
 
@@ -107,7 +99,7 @@ def test_a_restarted_job_resumes_if_there_is_a_checkpoint(
     folder.mkdir(parents=True)
     if there:
         (folder / "checkpoint_000000007.json").touch()
-    job("scene.toml", OUT=str(folder.parent), **environment).communicate(timeout=20)
+    job("scene.toml", OUT=str(folder.parent), **environment).communicate(timeout=PATIENCE)
     said = (tmp_path / "srun").read_text()
     assert f"-o {folder.parent} " in said
     assert ("--resume" in said) == resumes
@@ -121,7 +113,7 @@ def test_folders_of_any_name(job, tmp_path, monkeypatch, name):
     checkpoints = tmp_path / name / "checkpoints"
     checkpoints.mkdir(parents=True)
     (checkpoints / "checkpoint_000000007.json").touch()
-    job("scene.toml", OUT=name, SLURM_RESTART_COUNT="1").communicate(timeout=20)
+    job("scene.toml", OUT=name, SLURM_RESTART_COUNT="1").communicate(timeout=PATIENCE)
     said = (tmp_path / "srun").read_text()
     assert "--resume" in said and f"-o {'./' if name[0] == '-' else ''}{name} " in said
 
@@ -129,14 +121,14 @@ def test_folders_of_any_name(job, tmp_path, monkeypatch, name):
 def test_a_node_that_broke_before_the_first_checkpoint(job, tmp_path):
     """What the job before wrote is replaced."""
     (tmp_path / "end").write_text("0")
-    job("scene.toml", OUT=str(tmp_path), SLURM_RESTART_COUNT="1").communicate(timeout=20)
+    job("scene.toml", OUT=str(tmp_path), SLURM_RESTART_COUNT="1").communicate(timeout=PATIENCE)
     assert "--overwrite" in (tmp_path / "srun").read_text()
 
 
 def test_tasks_of_an_array_have_their_own(job, tmp_path):
     (tmp_path / "end").write_text("75")
     array = {"SLURM_ARRAY_JOB_ID": "40", "SLURM_ARRAY_TASK_ID": "3", "MPI": "pmi2"}
-    job("a/scene.toml", "--set", "seed={task}", **array).communicate(timeout=20)
+    job("a/scene.toml", "--set", "seed={task}", **array).communicate(timeout=PATIENCE)
     said = (tmp_path / "srun").read_text()
     assert "--mpi=pmi2 " in said and "-o a/out-3 " in said and said.endswith("--set seed=3\n")
     assert (tmp_path / "scontrol").read_text() == "requeue 40_3\n"
@@ -144,5 +136,5 @@ def test_tasks_of_an_array_have_their_own(job, tmp_path):
 
 def test_without_a_scene_it_says_how(job):
     process = job()
-    process.communicate(timeout=20)
+    process.communicate(timeout=PATIENCE)
     assert process.returncode != 0
