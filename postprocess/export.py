@@ -15,6 +15,7 @@ from tqdm import tqdm
 
 from postprocess import settings
 from postprocess.look import Look
+from vgmpi.ends import guarded
 from vgmpi.gaussians import files
 from vgmpi.gaussians.cloud import Cloud, principal
 from vgmpi.output.read import RunError, RunFiles
@@ -98,6 +99,7 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
+@guarded
 def main(argv: list[str] | None = None) -> int:
     args = parser().parse_args(argv)
     level = logging.WARNING if args.quiet else logging.INFO

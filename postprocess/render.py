@@ -17,6 +17,7 @@ from typing import Any
 
 from postprocess import settings, video
 from postprocess.painter import Drawn, OtherRankError, Painter, agree, by_processes, by_ranks
+from vgmpi.ends import guarded
 from vgmpi.output.read import RunError, RunFiles
 
 log = logging.getLogger("vgmpi")
@@ -199,6 +200,7 @@ def _sink(painter: Painter, number: int, path: Path) -> Any:
     return video.Film(path, *size, film.fps, film.quality, clear=painter.clear)
 
 
+@guarded
 def command() -> int:
     """main() in a process of its own: `vgmpi-render`."""
     # what the packages brought stays to the end: not to look through it again, then above all,

@@ -21,6 +21,7 @@ from postprocess.look import Look, seen
 from postprocess.painter import domain_box
 from postprocess.settings import CameraSettings, PictureSettings, SettingsError
 from postprocess.viewpoints import Viewpoint
+from vgmpi.ends import guarded
 from vgmpi.output.read import RunError, RunFiles
 
 log = logging.getLogger("vgmpi")
@@ -141,6 +142,7 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
+@guarded
 def main(argv: list[str] | None = None) -> int:
     args = parser().parse_args(argv)
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)

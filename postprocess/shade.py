@@ -4,8 +4,8 @@ Captures carry up to 48 numbers of colour per Gaussian, and every frame needs th
 """
 
 import numpy as np
-from numba import njit
 
+from vgmpi.caching import cached
 from vgmpi.gaussians import evolve
 from vgmpi.gaussians.sh import C0, C1, C2, C3
 
@@ -13,7 +13,7 @@ _A, _B, _C = C2
 _D, _E, _F, _G, _H = C3
 
 
-@njit(cache=True, error_model="numpy")
+@cached(error_model="numpy")
 def evaluate(sh, rows, directions):
     """Colours (m, 3) >= 0 of sh[rows], seen along `directions` (m, 3) of any length.
 
@@ -47,7 +47,7 @@ def evaluate(sh, rows, directions):
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@cached(error_model="numpy")
 def _turn_back(F, directions, bad):
     """Replace directions (m, 3) by R^T d, R the rotation in F (m, 9); mark rows it is not for.
 
@@ -90,7 +90,7 @@ def turn_back(F: np.ndarray, directions: np.ndarray) -> np.ndarray:
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def _solid(cov0, ids, rows, F, low, high, out, wild):
     """Write F cov0 F^T of the frame's `rows`; mark those whose stretches may leave low .. high.
 
@@ -128,7 +128,7 @@ def solid(
         out[torn] = evolve.solid(cov0[ids[torn]], F[torn])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def carried(there, at, offset, weights, x, F):
     """Positions [m] (m, 3) and F (m, 9) of Gaussians `there` (m,) that ride along with k particles.
 

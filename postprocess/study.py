@@ -6,6 +6,8 @@ Each study is a file of its own with its own flags: python -m postprocess.study 
 import importlib
 import sys
 
+from vgmpi.ends import guarded
+
 # name: the module whose main(flags) does it, and what it is
 STUDIES = {
     "pruning": ("postprocess.table_one", "speed and likeness with and without pruning (Table I)"),
@@ -13,6 +15,7 @@ STUDIES = {
 }
 
 
+@guarded
 def main(argv: list[str] | None = None) -> int:
     words = sys.argv[1:] if argv is None else argv
     if not words or words[0] not in STUDIES:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from vgmpi.ends import guarded
 from vgmpi.output import layout
 from vgmpi.output.read import RunError, RunFiles
 from vgmpi.splatting.camera import orbit_eye, overview
@@ -112,6 +113,7 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
+@guarded
 def main(argv: list[str] | None = None) -> int:
     args = parser().parse_args(argv)
     path = Path(args.output)

@@ -33,6 +33,8 @@ LAYERS = [
     {"device"},
     {"splatting"},
     {"gaussians"},
+    {"caching"},
+    {"ends"},
 ]
 # the layers that may be used, where that is less than all below
 ONLY = {
@@ -50,12 +52,15 @@ POSTPROCESS = (
     "vgmpi.source",  # render.toml is read as a scene is, and its mistakes are told the same way
     "vgmpi.tables",
     "vgmpi.inputs",
+    "vgmpi.caching",
+    "vgmpi.ends",
     "postprocess",
 )
 OUTSIDE = {  # packages that only some files may use
     "mpi4py": ("vgmpi/domain/ranks.py", "vgmpi/output/"),
     "h5py": ("vgmpi/output/",),
     "numba": (
+        "vgmpi/caching.py",
         "vgmpi/device/",
         "vgmpi/kernels/",
         "vgmpi/lanes/",

@@ -160,8 +160,6 @@ def main(argv: list[str] | None = None) -> int:
             print(f"vgmpi: {error}", file=sys.stderr)
         asked = isinstance(error, checkpoint.CheckpointError | owner.FolderError)
         return WRONG if asked else 1
-    except KeyboardInterrupt:
-        return 130
 
 
 def _command(given: argparse.Namespace, ranks: Alone) -> int:

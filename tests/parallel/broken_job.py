@@ -9,6 +9,7 @@ import numpy as np
 
 from vgmpi import cli
 from vgmpi.domain.blocks import MIDDLE
+from vgmpi.ends import guarded
 from vgmpi.solver.step import Simulation
 
 STEP = 5
@@ -51,4 +52,4 @@ def leave_the_domain():
 
 if __name__ == "__main__":
     globals()[sys.argv[1]]()
-    sys.exit(cli.main(sys.argv[2:]))
+    sys.exit(guarded(cli.main)(sys.argv[2:]))

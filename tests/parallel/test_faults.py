@@ -29,6 +29,7 @@ def test_an_exception_on_one_rank_ends_all(tmp_path):
     assert "rank 1 of 3 failed; all ranks end" in job.stderr
     assert "ValueError: a fault on purpose" in job.stderr
     assert "broken_job.py" in job.stderr, "no traceback"
+    assert "please report it" in job.stderr
 
 
 def test_a_blow_up_names_who_and_when(tmp_path):

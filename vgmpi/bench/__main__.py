@@ -8,6 +8,7 @@ import tempfile
 import time
 from pathlib import Path
 
+from ..ends import guarded
 from ..materials import registry
 from ..solver.run import versions
 from ..tables import SceneError
@@ -140,6 +141,7 @@ def machine() -> dict:
     return {"name": name, "cores": cores, "caches": ", ".join(caches) or "unknown"}
 
 
+@guarded
 def main(argv: list[str] | None = None) -> int:
     """Run the command; returns the exit code."""
     given = arguments(sys.argv[1:] if argv is None else argv)

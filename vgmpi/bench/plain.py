@@ -8,11 +8,12 @@ import time
 import numba
 import numpy as np
 
+from ..caching import cached
 from ..device import jit as _jit  # noqa: F401  (sets numba's cache folder first)
 from .dense import Dense
 
-compiled = numba.njit(cache=True, fastmath=True, error_model="numpy")
-shared = numba.njit(cache=True, fastmath=True, error_model="numpy", inline="always")
+compiled = cached(fastmath=True, error_model="numpy")
+shared = cached(fastmath=True, error_model="numpy", inline="always")
 
 # numba makes double precision of a single and a plain number
 _1 = np.float32(1)

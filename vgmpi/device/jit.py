@@ -13,6 +13,8 @@ from importlib.metadata import version
 import numba
 import numba.extending
 
+from ..caching import cached
+
 _PACKAGE = pathlib.Path(__file__).resolve().parent.parent
 _COMPILED = ("device", "materials", "couplings", "planning", "domain", "lanes", "kernels")
 
@@ -33,7 +35,7 @@ if "NUMBA_CACHE_DIR" not in os.environ:
 
 
 # no fastmath: the order of every sum is part of the result
-kernel = numba.njit(cache=True, nogil=True, error_model="numpy")
-inline = numba.njit(cache=True, nogil=True, error_model="numpy", inline="never")
+kernel = cached(nogil=True, error_model="numpy")
+inline = cached(nogil=True, error_model="numpy", inline="never")
 # in line: vectors handed over in memory cost more than the arithmetic of some rows
 within = numba.extending.register_jitable(forceinline=True)

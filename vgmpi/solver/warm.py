@@ -1,5 +1,6 @@
 """Compile every kernel a plan needs, or load it from numba's cache, before the first step."""
 
+import contextlib
 import logging
 
 import numpy as np
@@ -29,8 +30,9 @@ def warm(plan: Plan, ranks: Alone) -> None:
     if wrong:
         raise BlowUp(f"before the first step, a particle of every object in one place: {wrong}")
     if ranks.rank == 0:
-        there.parent.mkdir(parents=True, exist_ok=True)
-        there.touch()
+        with contextlib.suppress(OSError):  # a folder that cannot be written holds no code either
+            there.parent.mkdir(parents=True, exist_ok=True)
+            there.touch()
     elif not ready:
         _run_all(plan)
 

@@ -15,6 +15,8 @@ nothing.
 import numpy as np
 from numba import njit
 
+from vgmpi.caching import cached
+
 TILE = 16
 BATCH = 1 << 14  # Gaussians: their records stay in the caches while they are sorted and drawn
 _ROW = 4 * TILE
@@ -41,7 +43,7 @@ def new_canvas(height: int, width: int) -> np.ndarray:
     return canvas
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def _clear(canvas, height, width):
     """Pixels beyond the picture have stopped already."""
     nx = (width + TILE - 1) // TILE
@@ -68,7 +70,7 @@ def _alpha(s, opacity, level):
     return alpha if s <= level else _ZERO
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz", "nnan", "ninf"})
+@cached(nogil=True, error_model="numpy", fastmath={"contract", "nsz", "nnan", "ninf"})
 def _row(buf, at, first, a, b, c, opacity, level, red, green, blue):
     """Blend one Gaussian into a row of 16 pixels: s is a X^2 + b X + c, X = first + 0 .. 15."""
     if at < 0:  # tells the compiler that no index wraps around, which would keep the loop scalar
@@ -88,7 +90,7 @@ def _row(buf, at, first, a, b, c, opacity, level, red, green, blue):
         buf[at + 3 * TILE + k] += w * blue
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz", "nnan", "ninf"})
+@cached(nogil=True, error_model="numpy", fastmath={"contract", "nsz", "nnan", "ninf"})
 def _row_of_depths(buf, at, first, a, b, c, opacity, level, depth):
     """The same for depths: their weighted sum, and the one that brings the light below a half."""
     if at < 0:
@@ -109,7 +111,7 @@ def _row_of_depths(buf, at, first, a, b, c, opacity, level, depth):
         buf[at + 2 * TILE + k] = depth if crossing else buf[at + 2 * TILE + k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def _draw(buf, items, ellipses, looks, left, top, depths):
     """Draw the Gaussians of a batch in one tile; whether any of its pixels is still open.
 
@@ -146,7 +148,7 @@ def _draw(buf, items, ellipses, looks, left, top, depths):
     return _open_rows(buf)[1] >= 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def _open_rows(buf):
     """First and last row of a tile with a pixel that has not stopped; (16, -1) if there is none."""
     first, last = TILE, -1
@@ -159,7 +161,7 @@ def _open_rows(buf):
     return first, last
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def paint(order, ellipses, looks, bounds, canvas, nx, depths):
     """Draw Gaussians (see project) in `order` on the canvas (tiles, _CANVAS), nx tiles wide.
 
@@ -219,7 +221,7 @@ def paint(order, ellipses, looks, bounds, canvas, nx, depths):
                 is_open[t] = _draw(canvas[t], mine, near[0], near[1], left, top, depths)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def picture(canvas, background, image, transmittance):
     """Fill `image` (height, width, 3), over the background of that shape, and `transmittance`."""
     height, width = transmittance.shape
@@ -234,7 +236,7 @@ def picture(canvas, background, image, transmittance):
                 image[y, x, c] = tile[at + (c + 1) * TILE] + through * background[y, x, c]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def depths_of(canvas, expected, median):
     """Fill `expected` and `median` (height, width), infinite where there is nothing to tell."""
     height, width = expected.shape

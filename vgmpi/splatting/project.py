@@ -3,7 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from vgmpi.caching import cached
 
 
 class Rows(NamedTuple):
@@ -25,7 +26,7 @@ def by_depth(depth: np.ndarray) -> np.ndarray:
     return (key & np.uint64(0xFFFFFFFF)).astype(np.int64)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def _on_screen(u, v, z, c, w2c, fx, fy, limits):
     """2-D covariance xx, xy, yy [pixels^2] of a Gaussian at depth z with covariance c (6,).
 
@@ -44,7 +45,7 @@ def _on_screen(u, v, z, c, w2c, fx, fy, limits):
     return xx, mx * my * (a0 * q0 + a1 * q1 + a2 * q2), yy
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def _ellipse(m, at, xx, xy, yy, det, opacity, alpha_min, shape, rows):
     """Fill in row m but for its colours; whether the Gaussian covers any pixel of the picture.
 
@@ -99,7 +100,7 @@ def _rows(n: int) -> Rows:
     return Rows(np.empty((n, 5)), looks, np.empty((n, 4), dtype=np.int32))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def _project(
     x, cov, opacity, color, w2c, lens, shape, lowpass, antialias, alpha_min, rows, depth
 ):  # fmt: skip
@@ -158,7 +159,7 @@ def drop(
     return tuple(array[:m] for array in out)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def _drop(x, cov, opacity, lean, plane, lower, pixel, softness, shape, alpha_min, rows):
     """Fill in rows; how many."""
     m = 0

@@ -14,7 +14,8 @@ not depend on how the run was shared among ranks.
 import math
 
 import numpy as np
-from numba import njit
+
+from vgmpi.caching import cached
 
 EDGE = 4  # nodes along the edge of a block of nodes
 MOST_AGE = 100.0  # times T in one call of `relaxed`: the work grows with it
@@ -103,7 +104,7 @@ def _blocks(block: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
     return own.reshape(-1), np.ascontiguousarray(around.reshape(-1, 8)), len(known)
 
 
-@njit(cache=True, error_model="numpy")
+@cached(error_model="numpy")
 def _weights(offset, w):
     """Quadratic B-splines at the three nodes along each axis, into w (3, 3)."""
     for a in range(3):
@@ -113,14 +114,14 @@ def _weights(offset, w):
         w[a, 2] = 0.5 * (d - 0.5) * (d - 0.5)
 
 
-@njit(cache=True, error_model="numpy")
+@cached(error_model="numpy")
 def _node(around, own, i, j, k):
     """Row of the node i, j, k from the lowest node of the block of a particle."""
     beside = ((i >> 2) * 2 + (j >> 2)) * 2 + (k >> 2)
     return around[own, beside] * 64 + ((i & 3) * 4 + (j & 3)) * 4 + (k & 3)
 
 
-@njit(cache=True, error_model="numpy")
+@cached(error_model="numpy")
 def _collect(own, around, local, offset, volume, c, sums):
     """sums[i] += w_ip V_p c_p, particle after particle."""
     w = np.empty((3, 3))
@@ -135,7 +136,7 @@ def _collect(own, around, local, offset, volume, c, sums):
                         sums[node, m] += share * c[p, m]
 
 
-@njit(cache=True, error_model="numpy")
+@cached(error_model="numpy")
 def _spread(own, around, local, offset, full, nodes, c, out):
     """out_p = sum_i w_ip nodes_i; where a node has no volume c_p stands for it."""
     w = np.empty((3, 3))

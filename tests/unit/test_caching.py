@@ -1,0 +1,72 @@
+"""Compiled code on disk: damage is seen, and a folder that cannot be written is done without."""
+
+import logging
+import random
+from pathlib import Path
+
+import numba
+import pytest
+from numba.core import caching as numbas
+
+from vgmpi import caching
+
+
+def half(x):
+    return 0.5 * x + 0.125
+
+
+def fresh():
+    """The function as a new process finds it."""
+    return caching.cached(error_model="numpy")(half)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    assert fresh()(1.0) == 0.625
+    return tmp_path
+
+
+def test_it_is_found_again(folder):
+    assert sorted(p.suffix for p in folder.rglob("*.nb?")) == [".nbc", ".nbi"]
+    made = fresh()
+    assert made(3.0) == 1.625 and made.stats.cache_hits[(numba.float64,)] == 1
+
+
+@pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
+def test_a_damaged_one_is_compiled_anew(folder, suffix):
+    """40 bits, each of a whole file; then cut off, empty, and another's."""
+    (path,) = folder.rglob(f"*{suffix}")
+    draw = random.Random(5)
+    for k in range(43):
+        whole = path.read_bytes()
+        damaged = bytearray(whole)
+        if k < 40:
+            damaged[draw.randrange(len(whole))] ^= 1 << draw.randrange(8)
+        else:
+            damaged = [whole[: len(whole) // 2], b"", b"not numba's"][k - 40]
+        path.write_bytes(damaged)
+        made = fresh()
+        assert made(3.0) == 1.625
+        assert not made.stats.cache_hits, f"case {k}"
+        assert fresh()(3.0) == 1.625 and path.read_bytes() != damaged  # mended
+
+
+def test_what_numba_itself_wrote_is_no_trouble(folder):
+    for path in folder.rglob("*.nb?"):
+        path.write_bytes(path.read_bytes()[: -caching.SEAL])
+    assert fresh()(3.0) == 1.625
+    plain = numba.njit(cache=True, error_model="numpy")(half)
+    assert plain(3.0) == 1.625 and plain.stats.cache_hits  # and it reads ours
+
+
+def test_without_a_folder_it_runs_and_says_so_once(tmp_path, monkeypatch, caplog):
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "file" / "below"))
+    only = [numbas.UserProvidedCacheLocator]
+    monkeypatch.setattr(numbas.CacheImpl, "_locator_classes", only)
+    monkeypatch.setattr(caching, "_told", False)
+    with caplog.at_level(logging.WARNING, "vgmpi"):
+        assert fresh()(1.0) == fresh()(1.0) == 0.625
+    (said,) = caplog.messages
+    assert "NUMBA_CACHE_DIR" in said and not list(Path(tmp_path).rglob("*.nb?"))
