@@ -65,6 +65,12 @@ class Material(Table):
         """Volume of the matter itself per volume at rest; less than 1 where there are pores."""
         return 1.0
 
+    @property
+    def stiffening(self) -> float:
+        """How many times its moduli at rest a law's may become in a run: what --plan reckons with.
+        Elastic strains are not in it."""
+        return 1.0
+
 
 def complain(table: Any, key: str, said: str, value: Any = None) -> ValidationError:
     """The error that a table's own check raises about one of its keys. value: what was given,

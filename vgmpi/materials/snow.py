@@ -75,6 +75,11 @@ class Snow(Material):
         },
     }
 
+    @property
+    def stiffening(self) -> float:
+        """At Jp = 0, if the limit lets it."""
+        return min(self.hardening_limit, math.exp(self.hardening))
+
     def law(self) -> Law:
         mu, lam = lame(self.youngs_modulus, self.poisson_ratio)
         return Law(

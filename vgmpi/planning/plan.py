@@ -170,9 +170,9 @@ def _friction(scene: Scene, groups, phases: int) -> tuple[tuple[float, ...], ...
     return tuple(tuple(float(v) for v in row) for row in out)
 
 
-def fastest(scene: Scene, plan: Plan) -> list[tuple[float, str]]:
+def fastest(scene: Scene, plan: Plan, stiffened: bool = False) -> list[tuple[float, str]]:
     """(bound on the time step [s], what sets it) at the start, smallest first: of every body, and
-    of what diffuses.
+    of what diffuses. stiffened: with every law as stiff as a run can make it.
     """
     dx, found = scene.domain.cell, []
     for coupling in scene.coupling:
@@ -188,6 +188,7 @@ def fastest(scene: Scene, plan: Plan) -> list[tuple[float, str]]:
         rest = tuple(v for values in material.carries.values() for v in values)
         group = plan.groups[plan.group_of[k]]  # knows of the sand whose pores it fills
         wave = math.sqrt(group.bound(function(law, "wave_speed2")(law, rest)))
+        wave *= math.sqrt(material.stiffening) if stiffened else 1.0
         found.append((scene.time.cfl * dx / (wave + thing.speed), f"material {thing.material!r}"))
         if material.kinematic_viscosity > 0:
             bound = dx**2 / (6.0 * material.kinematic_viscosity)

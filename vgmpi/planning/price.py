@@ -7,6 +7,10 @@ from ..scene.scene import Scene
 from ..source import printable
 from .plan import Plan, fastest
 
+PRECISION = {
+    "double": "accuracy.precision = 'single' takes half the time and memory",
+    "single": "numbers of 7 digits; 'double' has 16 for twice the time",
+}
 # a step of one fluid particle on one core of an AVX-512 machine [ns]; see docs/performance.md
 NS_PER_PARTICLE = {"single": 45.0, "double": 90.0}
 
@@ -15,7 +19,7 @@ def describe(scene: Scene, plan: Plan, ranks: int) -> str:
     """What --plan prints: phases, fields, particles, memory, time step, steps, predicted time."""
     lines = [
         f"{printable(scene.title or scene.path.name)}: {plan.particles:,} particles,"
-        f" {scene.accuracy.precision} precision"
+        f" {scene.accuracy.precision} precision ({PRECISION[scene.accuracy.precision]})"
     ]
     nx, ny, nz = plan.cells
     lines.append(f"  grid        {nx} x {ny} x {nz} cells of {plan.dx:g} m, sparse 4^3 blocks")
@@ -45,21 +49,32 @@ def describe(scene: Scene, plan: Plan, ranks: int) -> str:
         f"  memory      {total / 2**20:.0f} MiB in all,"
         f" {total / ranks / 2**20:.0f} MiB per rank on {ranks} rank(s)"
     )
+    return "\n".join(lines + _steps(scene, plan, ranks))
+
+
+def _steps(scene: Scene, plan: Plan, ranks: int) -> list[str]:
+    """The time step, how many of them, and what they take: up to what hardening laws may make."""
     dt, what = fastest(scene, plan)[0]
-    dt = plan.fixed_dt or dt
-    steps = math.ceil(plan.times[-1] / dt)
-    lines.append(
-        f"  time step   {dt:.4g} s at the start, set by {'time.dt' if plan.fixed_dt else what}"
-    )
-    lines.append(
-        f"  steps       about {steps:,} for {plan.times[-1]:g} s and {len(plan.times)} frames"
-    )
+    least, harder = fastest(scene, plan, stiffened=True)[0]
+    if plan.fixed_dt:
+        dt, least, what = plan.fixed_dt, plan.fixed_dt, "time.dt"
     work = sum(
         n * plan.groups[g].cost for n, g in zip(plan.count, plan.group_of, strict=True) if g >= 0
     )
-    seconds = steps * work * NS_PER_PARTICLE[scene.accuracy.precision] * 1e-9 / ranks
-    lines.append(f"  time        about {_duration(seconds)} on {ranks} rank(s), one core each")
-    return "\n".join(lines)
+    each = work * NS_PER_PARTICLE[scene.accuracy.precision] * 1e-9 / ranks  # seconds of a step
+    few, many = (math.ceil(plan.times[-1] / d) for d in (dt, least))
+    steps, takes = f"about {few:,}", f"about {_duration(few * each)}"
+    if many > 1.1 * few:
+        steps, takes = (
+            f"{few:,} to {many:,}",
+            f"{_duration(few * each)} to {_duration(many * each)}",
+        )
+        what += f"; down to {least:.4g} s where {harder} hardens"
+    return [
+        f"  time step   {dt:.4g} s at the start, set by {what}",
+        f"  steps       {steps} for {plan.times[-1]:g} s and {len(plan.times)} frames",
+        f"  time        {takes} on {ranks} rank(s), one core each",
+    ]
 
 
 def _duration(seconds: float) -> str:

@@ -1,5 +1,6 @@
 """What rank 0 tells while a run goes on, and the table at its end."""
 
+import collections
 import csv
 import logging
 import os
@@ -51,8 +52,10 @@ class Progress:
 
     def __init__(self, run: Runner, quiet: bool):
         self.run, self.end = run, float(run.times[-1])
-        self.began = self.said = time.monotonic()
+        self.said = time.monotonic()
         self.first = run.simulation.time
+        # (wall, simulated) [s] of the last lines: steps become shorter where laws harden
+        self.latest = collections.deque([(self.said, self.first)], maxlen=6)
         shown = run.ranks.rank == 0 and not quiet
         self.bar = None
         if shown and sys.stderr.isatty():
@@ -68,8 +71,10 @@ class Progress:
             self.bar.update(simulation.time - self.bar.n)
         elif self.logs and time.monotonic() - self.said >= LOG_EVERY:
             self.said = time.monotonic()
-            share = (simulation.time - self.first) / max(self.end - self.first, 1e-300)
-            left = (self.said - self.began) * (1.0 - share) / max(share, 1e-9)
+            wall, simulated = self.latest[0]
+            pace = (self.said - wall) / max(simulation.time - simulated, 1e-300)
+            self.latest.append((self.said, simulation.time))
+            left = pace * (self.end - simulation.time)
             log.info(
                 "%.4g of %.4g s, step %d, frame %d of %d, %.0f s left",
                 simulation.time, self.end, simulation.step,

@@ -1,0 +1,85 @@
+"""What --plan says of steps and precision, and what a run says of the time left."""
+
+import logging
+import re
+from types import SimpleNamespace
+
+import pytest
+
+import vgmpi
+from tests.scenes import write
+from vgmpi.domain.ranks import Alone
+from vgmpi.planning.price import describe
+from vgmpi.solver import report
+from vgmpi.solver.prepared import plan_for, prepare
+
+SNOWBALL = """
+[domain]
+size = [0.32, 0.16, 0.16]
+cell = 0.02
+gravity = [0, 0, 0]
+[time]
+end = 0.025
+frames = 2
+[accuracy]
+precision = "single"
+[material.snow]
+kind = "snow"
+youngs_modulus = 1.4e5
+hardening = 10
+hardening_limit = 20
+[[object]]
+name = "ball"
+material = "snow"
+shape = { sphere = { center = [0, 0, 0], radius = 0.05 } }
+position = [0.08, 0.08, 0.03]
+velocity = [-6, 0, 0]
+"""
+
+
+def said_of(path):
+    scene = vgmpi.load(path)
+    return describe(scene, plan_for(scene, prepare(scene, Alone(), None)), 1)
+
+
+def test_snow_that_packs_takes_as_many_steps_as_the_plan_says(tmp_path):
+    path = write(tmp_path, SNOWBALL)
+    said = said_of(path)
+    few, many = (
+        int(n.replace(",", "")) for n in re.search(r"([\d,]+) to ([\d,]+) for", said).groups()
+    )
+    assert "where material 'snow' hardens" in said
+    assert re.search(r"time +(\d+) s to (\d+) s on", said)
+    run = vgmpi.run(vgmpi.load(path), None)
+    print(f"{few} to {many} steps said, {run.step} taken")
+    assert 1.2 * few < run.step < many
+
+
+def test_other_laws_take_one_number_of_steps(tmp_path):
+    text = SNOWBALL.replace('kind = "snow"', 'kind = "elastic"').replace("hardening", "# hardening")
+    said = said_of(write(tmp_path, text.replace("youngs", "density = 400\nyoungs")))
+    assert re.search(r"steps +about [\d,]+ for 0.025 s", said) and "hardens" not in said
+    assert "single precision (numbers of 7 digits" in said
+
+
+def test_a_fixed_step_is_no_range(tmp_path):
+    said = said_of(write(tmp_path, SNOWBALL.replace("frames = 2", "frames = 2\ndt = 1e-5")))
+    assert "steps       about 2,500 for" in said and "set by time.dt" in said
+
+
+def test_the_time_left_follows_the_pace_of_now(monkeypatch, caplog):
+    """10 s to the middle, and from there ten times as slow."""
+    run = SimpleNamespace(
+        times=[0.0, 1.0], ranks=Alone(), frame=1, simulation=SimpleNamespace(time=0.0)
+    )
+    now = [0.0]
+    monkeypatch.setattr(report.time, "monotonic", lambda: now[0])
+    progress = report.Progress(run, quiet=False)
+    with caplog.at_level(logging.INFO, "vgmpi"):
+        for wall in range(1, 101):
+            now[0] = float(wall)
+            at = 0.05 * wall if wall <= 10 else 0.5 + 0.005 * (wall - 10)
+            progress(SimpleNamespace(time=at, step=wall))
+    left = [int(re.search(r"(\d+) s left", line)[1]) for line in caplog.messages]
+    assert left[0] == 10
+    assert left[-1] == pytest.approx(0.05 / 0.005, abs=2)  # from the whole run: 5
