@@ -218,7 +218,10 @@ CASES = {
     ),
     "negative radius": ('"4 cm"', '"-4 cm"', "object.ball.shape.sphere.radius", "must be > 0 m"),
     "mixed phase": ball(
-        'phase = "fluid"', "phase", "'fluid' already holds a fluid, this is a solid"
+        'phase = "fluid"',
+        "phase",
+        "'fluid' already holds a fluid, object 'pool', this is a solid: to share one velocity"
+        " field, 'pool' must name it too",
     ),
     "an unknown colour transfer": (
         "[domain]",

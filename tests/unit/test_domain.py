@@ -93,7 +93,7 @@ def test_keys_of_a_domain_are_its_own():
 
 def group_plan():
     law = Elastic(kind="elastic", youngs_modulus=1e5).law()
-    return GroupPlan("a/b", 0, "b", law, 1000.0, (("H", (0.0,) * 9),), 1.0)
+    return GroupPlan("a/b", 0, "b", "solid", law, 1000.0, (("H", (0.0,) * 9),), 1.0)
 
 
 def mark(ids, channels):

@@ -75,6 +75,7 @@ OILY = body(
 MIX = coupling("mixing", "water", "oil", "diffusion = 2e-4\nslip_time = 3e-3")
 FLOW = coupling("drag", "water", "sand", "permeability = 2e-2")
 COLOURS = '[appearance]\ncolour_transfer = "step"\n'
+ONE = 'phase = "one"\n'
 RED, BLUE = 'colour = "#ff2010"', 'colour = "#1020ff"'
 
 
@@ -88,6 +89,9 @@ def of_law(kind):
 # text, walls, what is below [accuracy]
 SCENES = {kind: (of_law(kind), "mixed", "") for kind in LAWS} | {
     "contact": (WATER + TOY + POOL + CUBE, "mixed", ""),
+    "one field for all": (
+        WATER + TOY + SAND + ONE.join([POOL, CUBE, OTHER.replace("toy", "sand"), ""]), "mixed", "",
+    ),
     "three in contact": (
         WATER + TOY + POOL + CUBE + OTHER + coupling("contact", "toy", "toy", "friction = 0.4"),
         "separate",

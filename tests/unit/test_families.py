@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
+import vgmpi
+from tests.scenes import ROOM, scene
 from tests.simulate import advance, begin
 from vgmpi.solver.state import frame_rows
 from vgmpi.solver.watch import ledger
+from vgmpi.tables import SceneError
 
 BOX = "shape = { box = [[0, 0, 0], [0.04, 0.04, 0.04]] }"
 KINDS = {
@@ -61,10 +64,27 @@ def test_fluids_slip_and_others_rub_with_the_larger_coefficient(simulation):
 def test_frames_say_f_of_what_carries_it(simulation):
     _, fields = frame_rows(simulation, ("J", "F"))
     plan = simulation.plan
-    solids = [k for k, phase in enumerate(plan.phases) if phase.family == "solid"]
+    solids = [k for k, phase in enumerate(plan.phases) if phase.families == ("solid",)]
     isotropic = np.cbrt(fields["J"])[:, None] * np.eye(3, dtype=np.float32).ravel()
     others = ~np.isin(fields["phase"], solids)
     assert np.array_equal(fields["F"][others], isotropic[others])
     for solid in solids:
         here = fields["phase"] == solid
         assert not np.array_equal(fields["F"][here], isotropic[here])
+
+
+def test_one_field_for_all_but_not_with_what_shares_space(tmp_path):
+    """Methods with a single velocity field are `phase = "one"`; what mixes or flows has its own."""
+    text = ROOM + (
+        '[material.water]\nkind = "fluid"\n[material.oil]\nkind = "fluid"\ndensity = 900\n'
+    )
+    for name, of, x in (("pool", "water", 0.1), ("ball", "clay", 0.2), ("drop", "oil", 0.3)):
+        text += (
+            f'[[object]]\nname = "{name}"\nmaterial = "{of}"\nphase = "one"\n'
+            f"shape = {{ box = [[0, 0, 0], [0.06, 0.06, 0.06]] }}\nposition = [{x}, 0.2, 0]\n"
+        )
+    (phase,) = vgmpi.plan(scene(tmp_path, text)).phases
+    assert phase.name == "one" and phase.families == ("fluid", "solid")
+    mixes = '[[coupling]]\nkind = "mixing"\nbetween = ["water", "oil"]\n'
+    with pytest.raises(SceneError, match="'water' shares space with another phase by a coupling"):
+        vgmpi.plan(scene(tmp_path, text + mixes))

@@ -70,7 +70,7 @@ def exchange(scene: Scene, phases, shades: np.ndarray | None) -> Exchange | None
             sets.setdefault(meets[phase.objects[0]], []).append(k)
     for number, members in enumerate(sets.values()):
         # the higher degrees of a body that turns are told in axes that turn with it
-        turns = any(phases[k].family == "solid" for k in members)
+        turns = any("solid" in phases[k].families for k in members)
         every = [shades[m] for k in members for m in phases[k].objects]
         found = np.array([one for one in every if not np.isnan(one).any()])
         found = found[:, :, : 1 if turns else most]

@@ -30,6 +30,7 @@ class GroupPlan(NamedTuple):
     name: str  # phase/material
     phase: int
     material: str
+    family: str
     law: tuple  # numbers of the law, in the precision of the run
     density: float  # [kg/m3] at rest, pores included
     state: tuple[tuple[str, tuple[float, ...]], ...]  # what the law carries, by name, at rest
@@ -76,7 +77,7 @@ class PhasePlan(NamedTuple):
     """A phase: one velocity field on the grid."""
 
     name: str
-    family: str
+    families: tuple[str, ...]  # of its bodies
     objects: tuple[int, ...]  # rows of the scene's objects
     mastery: int  # 0 for the phase whose normals count first
     least: float  # [kg] one cell full of its lightest material
@@ -110,14 +111,15 @@ def phases_of(
             math.fsum(volume[k] * center[k][a] for k in of) / max(size, 1e-300) for a in range(3)
         ]
         placed = [float(f"{m:.9e}") for m in middle]
-        return MASTERY[bodies[of[0]].family], -float(f"{size:.9e}"), placed, name
+        first = min(MASTERY[bodies[k].family] for k in of)
+        return first, -float(f"{size:.9e}"), placed, name
 
     order = sorted(names, key=mastery)
     cell = scene.domain.cell**3
     return tuple(
         PhasePlan(
             name,
-            bodies[members[name][0]].family,
+            tuple(sorted({bodies[k].family for k in members[name]})),
             tuple(members[name]),
             order.index(name),
             min(bodies[k].bulk_density for k in members[name]) * cell,
@@ -154,6 +156,7 @@ def _group(phase: int, phase_label: str, name: str, material, real: np.dtype) ->
         name=f"{phase_label}/{name}",
         phase=phase,
         material=name,
+        family=material.family,
         law=typed,
         density=material.bulk_density,
         state=tuple((name, tuple(values)) for name, values in material.carries.items()),

@@ -31,7 +31,7 @@ def describe(scene: Scene, plan: Plan, ranks: int) -> str:
             fields = ", ".join(f"{name} {size}" for name, size in plan.fields(g).items())
             lines.append(
                 f"  phase       {phase.name}: {n:,} particles of {group.material}"
-                f" ({phase.family}), {plan.bytes_per_particle(g)} bytes each: {fields};"
+                f" ({group.family}), {plan.bytes_per_particle(g)} bytes each: {fields};"
                 f" once for all: density and {len(group.law)} numbers of the law"
             )
     for a in range(len(plan.phases)):

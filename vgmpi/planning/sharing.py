@@ -35,7 +35,7 @@ def rules(scene: Scene, groups, phases) -> Rules | None:
                 if coupling.rule == DRAG:
                     drag[a, b] = drag[b, a] = _coefficient(scene, coupling)
                     printed[a, b] = printed[b, a] = coupling.printed
-    fluid = np.array([phase.family == "fluid" for phase in phases])
+    fluid = np.array([phase.families == ("fluid",) for phase in phases])
     mix = connected(n, [p for p in pairs if pair[p] == MIXING])
     together = connected(n, pairs)
     # fluids that meet the same sand share its pores and the pressure in them

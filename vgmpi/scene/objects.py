@@ -162,8 +162,10 @@ class Object(Table):
     """fluids only. hydrostatic: at rest under gravity from the start, the pressure is the weight of
     the fluid between each particle and the object's top; without it a deep pool first bounces"""
     phase: str | None = None
-    """objects of one kind of material with the same phase share one velocity field: they stick
-    together instead of colliding. Default: all fluids share one, each solid has its own"""
+    """bodies with the same phase share one velocity field: they stick together instead of
+    colliding. Bodies of several kinds, a ball and snow, must all name it; the whole scene in one
+    is what methods with a single field do. Default: all fluids share one, all sand, all snow, each
+    solid has its own"""
     particles_per_cell: Annotated[int, BeforeValidator(_per_cell)] = 8
     """particles per full cell inside shapes, meshes and fillings: 1, 8, 27 or 64"""
     fill: Literal[True, False, "closed"] = True

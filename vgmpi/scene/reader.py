@@ -10,6 +10,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from vgmpi import couplings, materials
+from vgmpi.couplings.base import CONTACT
 from vgmpi.scene.loads import Load, load_complaints
 from vgmpi.scene.objects import Object, body_complaint, object_complaints
 from vgmpi.scene.probes import Probe, probe_complaints
@@ -65,7 +66,7 @@ class Reader:
         kinds = self.materials(data.get("material", {}))
         objects = self.objects(data.get("object", []), kinds)
         pairs = self.couplings(data.get("coupling", []), kinds)
-        self.one_family_per_phase(objects, kinds, pairs)
+        self.families_of_phases(objects, kinds, pairs)
         role = {o.name: o.role for o in objects if o} if None not in objects else None
         looks = tables.get("appearance")
         for k, name in enumerate((looks and looks.colour_bodies) or ()):
@@ -210,18 +211,33 @@ class Reader:
                 self.wrong((name, k, *inner), said)
         return found
 
-    def one_family_per_phase(self, objects: list[Any], kinds: dict[str, Any], pairs) -> None:
-        apart = mixed(c for c in pairs if c is not None)
-        first: dict[str, str] = {}
+    def families_of_phases(self, objects: list[Any], kinds: dict[str, Any], pairs) -> None:
+        """A phase holds several families only where all its bodies name it, and none of them
+        shares space with other phases."""
+        known = [c for c in pairs if c is not None]
+        apart = mixed(known)
+        shares = {name for c in known if c.rule != CONTACT for name in c.between}
+        first: dict[str, tuple[Object, str]] = {}
         for k, thing in enumerate(objects):
             made_of = kinds.get(thing.material) if thing else None
             if made_of is None:
                 continue
-            phase = phase_of(thing, made_of.family, apart)
-            other = first.setdefault(phase, made_of.family)
-            if other != made_of.family:
-                said = f"'{phase}' already holds a {other}, this is a {made_of.family}"
+            phase, family = phase_of(thing, made_of.family, apart), made_of.family
+            other, others = first.setdefault(phase, (thing, family))
+            if others == family:
+                continue
+            said = (
+                f"'{phase}' already holds a {others}, object {other.name!r}, this is a {family}: "
+            )
+            for one in (other, thing):
+                if one.phase is None:
+                    said += f"to share one velocity field, {one.name!r} must name it too"
+                elif one.material in shares:
+                    said += f"{one.material!r} shares space with another phase by a coupling"
+                else:
+                    continue
                 self.wrong(("object", k, "phase"), said)
+                break
 
     def unknown_material(self, path: tuple, name: str, kinds: dict[str, Any]) -> None:
         known = f"defined are {', '.join(kinds)}" if kinds else "none is defined"

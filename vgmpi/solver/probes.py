@@ -101,7 +101,7 @@ class Probes:
         """The particles within a cell of a point, group after group; on the other ranks, none."""
         plan, found = self.simulation.plan, []
         for g, group in enumerate(self.simulation.groups):
-            if fluids and plan.phases[group.plan.phase].family != "fluid":
+            if fluids and group.plan.family != "fluid":
                 continue
             rows = self.simulation.ranks.root_rows(_rows_near(group, point, plan.dx))
             if rows is not None and len(rows):

@@ -137,7 +137,7 @@ class Simulation:
                 shown = sh[here, :count] - self.plan.colours.least[group.plan.phase, :count]
                 f[channels["colour"].rows] = shown.reshape(len(shown), 3 * count).T
             states = [group.plan.rest]
-            if theta is not None and self.plan.phases[group.plan.phase].family == "fluid":
+            if theta is not None and group.plan.family == "fluid":
                 f[channels["theta"].rows] = theta[here]
                 # the fastest wave is at an end of the range, which the ranks agree on bit by bit
                 states += [(end, *group.plan.rest[1:]) for end in _ends(theta[here])]
