@@ -128,7 +128,8 @@ class Look:
             if faint and np.isclose(alpha_min, ALPHA_MIN):
                 alpha_min = ALPHA_MIN_FAINT
             if alpha_min < 0.999 * ALPHA_MIN:
-                reason = "the fluid is faint" if faint else "the scene asks for it"
+                own = "an object's alpha_min, or its opacity_scale below 0.1"
+                reason = "the fluid is faint" if faint else own
                 log.info("alpha_min = %g instead of 1/255: %s", alpha_min, reason)
         for number, entry in enumerate(self.objects):
             own = self.opacity[self.object == number]

@@ -42,7 +42,8 @@ def _parser() -> argparse.ArgumentParser:
     what.add_argument(
         "--prepare", action="store_true", help="make the particles (gaussians.h5) and stop"
     )
-    what.add_argument("--inspect", type=Path, metavar="FILE", help="say what an output file holds")
+    said = "say what an output file, a Gaussian file or a mesh holds"
+    what.add_argument("--inspect", type=Path, metavar="FILE", help=said)
     return parser
 
 
@@ -270,9 +271,11 @@ def _slurm_mismatch(ranks: Alone) -> str:
 
 
 def _inspect(path: Path) -> int:
+    from .prepare import inspect  # a run has no need of it
+
     try:
-        print(read.inspect(path))
-    except read.RunError as error:
+        print(inspect.inspect(path) if inspect.known(path) else read.inspect(path))
+    except (read.RunError, inspect.GaussianFileError, inspect.MeshError) as error:
         print(f"vgmpi: {error}", file=sys.stderr)
         return WRONG
     return 0

@@ -76,6 +76,9 @@ class Source:
             if path[:stop] in self._line:
                 line = self._line[path[:stop]]
                 return line, f"{self.path}:{line}"
+            for given, item in self._set.items():
+                if given[:stop] == path[:stop]:  # which made the table that holds it
+                    return 10**9, f"--set {_short(item)}"
         return 1, f"{self.path}:1"
 
     def lines(self, errors: list[tuple[tuple, str]]) -> list[str]:

@@ -1,5 +1,6 @@
 """The command line: exit codes, and the lines a user gets."""
 
+import numpy as np
 import pytest
 
 import vgmpi
@@ -7,6 +8,8 @@ from tests import simulated
 from tests.commands import leave_no_trace  # noqa: F401  of every test here
 from tests.scenes import MIXED, ROOM, write
 from vgmpi import cli
+from vgmpi.gaussians import files
+from vgmpi.gaussians.cloud import Cloud
 from vgmpi.kernels.layers import momentum
 from vgmpi.solver.step import BlowUp
 
@@ -194,3 +197,37 @@ def test_inspect(scene, capsys):
     capsys.readouterr()
     assert cli.main(["--inspect", str(scene.parent / "out" / "gaussians.h5")]) == 0
     assert "vol0" in capsys.readouterr().out
+
+
+def test_inspect_of_what_a_body_is_made_of(tmp_path, capsys):
+    cloud = tmp_path / "ball.ply"
+    x = np.arange(12.0).reshape(4, 3)
+    ones = np.ones((4, 1))
+    quat = ones * [1.0, 0, 0, 0]
+    files.write(cloud, Cloud(x, quat, 0.1 * ones * [1, 1, 1], ones[:, 0] / 2, np.zeros((4, 1, 3))))
+    assert cli.main(["--inspect", str(cloud)]) == 0
+    said = capsys.readouterr().out
+    assert "4 Gaussians, colours of degree 0" in said and "x 0 .. 9, y 1 .. 10" in said
+    mesh = tmp_path / "one.obj"
+    mesh.write_text("v 0 0 0\nv 2 0 0\nv 0 3 0\nf 1 2 3\n")
+    assert cli.main(["--inspect", str(mesh)]) == 0
+    said = capsys.readouterr().out
+    assert "a mesh of 1 triangles, 3 points, no colours" in said and "y 0 .. 3" in said
+    cloud.write_text("ply\n")
+    assert cli.main(["--inspect", str(cloud)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert str(cloud) in line
+
+
+def test_a_misspelt_override_is_named(scene, capsys):
+    assert cli.main([str(scene), "--check", "--set", "domian.cell='1 cm'"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("--set domian.cell='1 cm': domian: unknown key (did you mean 'domain'?)")
+
+
+def test_a_wrong_material_is_told_alone(scene, capsys):
+    """What depends on its kind is not told beside it."""
+    flags = ["--set", "material.water.density='3 m'", "--set", "object.pool.opacity_scale=0.5"]
+    assert cli.main([str(scene), "--check", *flags]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "material.water.density" in line

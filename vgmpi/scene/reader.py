@@ -171,7 +171,8 @@ class Reader:
             if thing and thing.passive and made_of and not follows:
                 said = "is only for solids that deform: it rides along with their F"
                 self.wrong(("object", k, "passive"), said)
-            if thing is None or (made_of and made_of.family == "fluid"):
+            unknown = thing is None or (thing.material in kinds and made_of is None)
+            if unknown or (made_of and made_of.family == "fluid"):
                 continue
             if "opacity_scale" in raw[k]:
                 self.wrong(
