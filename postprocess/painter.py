@@ -21,6 +21,8 @@ from vgmpi.splatting.camera import Camera
 
 log = logging.getLogger("vgmpi")
 
+LOOKS = 9  # at a run, to see where things are
+
 
 @dataclass(frozen=True)
 class Drawn:
@@ -55,7 +57,7 @@ class Painter:
     ):
         self.run, self.chosen = run, chosen
         self.alpha, self.depth = alpha, depth
-        self.box = domain_box(run)
+        self.box = reach(run)
         size = chosen.picture
         self.views = [
             Viewpoint(one, size, self.box, folder, longest) for one in chosen.views()
@@ -63,7 +65,8 @@ class Painter:
         self.grounds = [
             video.background(size.background, one.width, one.height, folder) for one in self.views
         ]
-        self.floor = size.floor.floor() if size.floor else None
+        photograph = any(ground.ndim == 3 for ground in self.grounds)
+        self.floor = size.floor.floor(photograph) if size.floor else None
         self.clear = size.background == "none"
         self.supersample = 1 if longest else size.supersample
         self.look = Look(run, chosen.look)
@@ -118,6 +121,24 @@ def domain_box(run: RunFiles) -> tuple[np.ndarray, np.ndarray]:
     except (KeyError, TypeError, ValueError):
         x = np.asarray(run.gaussians.x0)
         return x.min(axis=0), x.max(axis=0)
+
+
+def reach(run: RunFiles) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper corner [m] of what is to be seen: where the centres of Gaussians are at some
+    frames, spread over the run, and at rest; inside the domain."""
+    lower, upper = domain_box(run)
+    last = len(run) - 1
+    some = sorted({round(k * last / (LOOKS - 1)) for k in range(LOOKS)})
+    there = [np.asarray(run.frame(k)["x"]) for k in some]
+    scenery = run.gaussians.scenery
+    if scenery is not None:
+        there.append(np.asarray(scenery.x0))
+    there = [x for x in there if len(x)]
+    if not there:
+        return lower, upper
+    low = np.max([np.min([x.min(axis=0) for x in there], axis=0), lower], axis=0)
+    high = np.min([np.max([x.max(axis=0) for x in there], axis=0), upper], axis=0)
+    return low, np.maximum(low, high)
 
 
 Task = tuple[int, float]  # a frame's number and its part of the video

@@ -18,7 +18,7 @@ import numpy as np
 
 from postprocess import video
 from postprocess.look import Look, seen
-from postprocess.painter import domain_box
+from postprocess.painter import domain_box, reach
 from postprocess.settings import CameraSettings, PictureSettings, SettingsError
 from postprocess.viewpoints import Viewpoint
 from vgmpi.ends import guarded
@@ -27,28 +27,43 @@ from vgmpi.output.read import RunError, RunFiles
 log = logging.getLogger("vgmpi")
 
 LARGER = 4.0  # of a Gaussian's size at most, however few are shown
+SOLIDS = 0.75  # of the places, for bodies and scenery
 PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # places of cov (n, 6) in a matrix
 
 
 class Chosen:
     """The Gaussians that are shown: at most `count` of the run's, the same at every frame.
 
-    factor: by which their covariances grow, so that the body stays closed: (all / shown)^(2/3), as
-    for grains of the same total volume.
+    Bodies and scenery go before liquids, which are many and alike: they get SOLIDS of the places if
+    they need them. Within both, large Gaussians are kept rather than small ones, by chance in
+    proportion to their area. growth: by which the covariances of each grow, so that what is left
+    covers the area of all.
     """
 
     def __init__(self, look: Look, count: int, seed: int = 0):
         self.look = look
-        self.scenery = 0 if look.scenery is None else len(look.scenery[0])
-        self.particles = len(look.object)
-        riders = 0 if look.passive is None else len(look.passive.opacity)
-        self.all = self.scenery + self.particles + riders
-        shown = np.zeros(self.all, dtype=bool)
-        shown[np.random.default_rng(seed).permutation(self.all)[:count]] = True
+        scenery = look.scenery[1] if look.scenery is not None else np.zeros((0, 6))
+        riders = look.passive.cov0 if look.passive is not None else np.zeros((0, 6))
+        ends = [len(scenery), len(scenery) + len(look.object)]
+        # the sum of the squares of its axes: of a disc, its area but for a factor
+        area = np.concatenate([c[:, (0, 3, 5)].sum(1) for c in (scenery, look.cov0, riders)])
+        liquid = np.zeros(len(area), dtype=bool)
+        liquid[ends[0] : ends[1]] = look.fluid
+        self.all, places = len(area), min(count, len(area))
+        solids = len(area) - int(liquid.sum())
+        few = min(solids, max(round(SOLIDS * places), places - int(liquid.sum())))
+        # the `few` first of an exponential race have a chance in proportion to their weight
+        race = np.random.default_rng(seed).exponential(size=len(area)) / np.maximum(area, 1e-300)
+        shown, growth = np.zeros(len(area), dtype=bool), np.ones(len(area))
+        for those, most in ((~liquid, few), (liquid, places - few)):
+            at = np.flatnonzero(those)
+            kept = at[np.argsort(race[at])[:most]]
+            shown[kept] = True
+            if len(kept):
+                growth[kept] = min(area[at].sum() / area[kept].sum(), LARGER**2)
         self.count = int(shown.sum())
-        ends = [self.scenery, self.scenery + self.particles]
         self.still, self.moving, self.riding = np.split(shown, ends)
-        self.factor = min((self.all / self.count) ** (2 / 3), LARGER**2)
+        self.growth = np.split(growth, ends)
 
     def at(self, index: int, eye: np.ndarray) -> tuple[dict, dict]:
         """What viser draws of frame `index`, of the scenery and of all that moves."""
@@ -56,18 +71,21 @@ class Chosen:
         parts = self.look.parts(frame)
         still = np.flatnonzero(self.still)
         first = len(parts) - 1 - (self.look.passive is not None)  # the scenery stands before it
-        shown = [self.moving[np.asarray(frame["id"])]]
+        there = np.asarray(frame["id"])
+        shown, growth = [self.moving[there]], [self.growth[1][there]]
         if self.look.passive is not None:  # those whose carriers are all there
             shown.append(self.riding[parts[-1].rows])
+            growth.append(self.growth[2][parts[-1].rows])
         behind = seen(parts[:1], eye) if first else seen(parts, eye)
-        return self._drawn(behind, still), self._drawn(
-            seen(parts[first:], eye), np.flatnonzero(np.concatenate(shown))
+        rows = np.flatnonzero(np.concatenate(shown))
+        return self._drawn(behind, still, self.growth[0][still]), self._drawn(
+            seen(parts[first:], eye), rows, np.concatenate(growth)[rows]
         )
 
-    def _drawn(self, splats: Any, rows: np.ndarray) -> dict[str, np.ndarray]:
+    def _drawn(self, splats: Any, rows: np.ndarray, growth: np.ndarray) -> dict[str, np.ndarray]:
         cov = np.empty((len(rows), 3, 3), dtype=np.float32)
         for k, (i, j) in enumerate(PAIRS):
-            cov[:, i, j] = cov[:, j, i] = self.factor * splats.cov[rows, k]
+            cov[:, i, j] = cov[:, j, i] = growth * splats.cov[rows, k]
         return {
             "centers": splats.x[rows].astype(np.float32),
             "covariances": cov,
@@ -84,7 +102,7 @@ def page(run: RunFiles, numbers: list[int], count: int, seconds: float) -> tuple
         said = 'a replay needs the package viser: pip install "vgmpi[replay]"'
         raise RunError(said) from None
     chosen = Chosen(Look(run), count)
-    box = domain_box(run)
+    box = reach(run)
     view = Viewpoint(CameraSettings(), PictureSettings(width=1200), box, Path("."))
     eye = view.at(0.0, 0.0).eye
     logging.getLogger("websockets").setLevel(logging.ERROR)
@@ -95,8 +113,9 @@ def page(run: RunFiles, numbers: list[int], count: int, seconds: float) -> tuple
         server.initial_camera.position = tuple(eye)
         server.initial_camera.fov = np.radians(CameraSettings().fov)
         server.initial_camera.look_at = tuple(0.5 * (box[0] + box[1]))
+        edges = _edges(*domain_box(run))
         scene.add_line_segments(
-            "/domain", _edges(*box), colors=(150, 150, 150), thickness=1.0, thickness_units="screen"
+            "/domain", edges, colors=(150, 150, 150), thickness=1.0, thickness_units="screen"
         )
         serializer = server.get_scene_serializer()
         for k, index in enumerate(numbers):

@@ -143,11 +143,14 @@ class CameraSettings(_Table):
         return self
 
 
+GREY = (0.85, 0.85, 0.85)
+
+
 class FloorSettings(_Table):
     """A plane z = height under the Gaussians, and their shadow on it."""
 
     height: float = 0.0  # m
-    colour: Colour = (0.85, 0.85, 0.85)
+    colour: Colour | None = None  # default: light grey; over a picture none, only its shadow
     squares: Annotated[float, Field(gt=0)] | None = None  # side [m]; every other one in `other`
     other: Colour = (0.7, 0.7, 0.7)
     light: Direction = (0.3, 0.2, -1.0)  # in which it travels
@@ -160,9 +163,12 @@ class FloorSettings(_Table):
             raise ValueError("needs a light that points down, light = [x, y, -z]")
         return self
 
-    def floor(self) -> Floor:
+    def floor(self, photograph: bool) -> Floor:
+        """photograph: whether the background is a picture."""
         squares = None if self.squares is None else (self.other, self.squares)
-        return Floor(self.height, self.colour, squares, self.light, self.shadow, self.softness)
+        bare = photograph and squares is None
+        colour = self.colour or (None if bare else GREY)
+        return Floor(self.height, colour, squares, self.light, self.shadow, self.softness)
 
 
 class PictureSettings(_Table):

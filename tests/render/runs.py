@@ -76,11 +76,11 @@ def frame_fields(rows, k, frames):
     return {name: a.astype("f4") for name, a in fields.items()} | {"object": rows["object"]}
 
 
-def write(folder, frames=3, scene=True, **options):
+def write(folder, frames=3, scene=True, height=1.0, **options):
     """Write the run into `folder` and return it."""
     folder.mkdir(parents=True, exist_ok=True)
     rows, objects, scenery = rest_state(**options)
-    scene = {"domain": {"size": [1.0, 1.0, 1.0]}} if scene else {}
+    scene = {"domain": {"size": [1.0, 1.0, height]}} if scene else {}
     rest.write(folder / layout.GAUSSIANS, Alone(), rows, objects, scenery, scene)
     files = Frames(folder, Alone(), len(rows["x0"]))
     for k in range(frames):

@@ -8,7 +8,8 @@ from postprocess import render, settings
 from tests.render import runs
 
 CAMERA = '[camera]\nkind = "fixed"\neye = [0.5, -2.5, 1.8]\ntarget = [0.5, 0.5, 0.2]\n'
-SMALL = "[picture]\nwidth = 96\nheight = 80\nbackground = '#ff00ff'\n"
+SMALL = "[picture]\nwidth = 96\nheight = 80\n"
+MAGENTA = "background = '#ff00ff'\n"
 
 
 @pytest.fixture(scope="module")
@@ -24,9 +25,13 @@ def picture(out, folder, text):
 
 
 def test_a_floor_takes_the_place_of_the_background_and_carries_a_shadow(out, tmp_path):
-    floor = "floor = { height = -0.3, colour = '#80ff80', light = [0.6, -0.2, -1], shadow = %s }\n"
+    light = "light = [0.6, -0.2, -1]"
+    floor = MAGENTA + f"floor = {{ height = -0.3, colour = '#80ff80', {light}, shadow = %s }}\n"
+        MAGENTA
+        + "floor = { height = -0.3, colour = '#80ff80', light = [0.6, -0.2, -1], shadow = %s }\n"
+    )
     lit, dark = (picture(out, tmp_path, floor % strength) for strength in (0, 0.8))
-    plain = picture(out, tmp_path, "")
+    plain = picture(out, tmp_path, MAGENTA)
     magenta = (plain == (255, 0, 255)).all(axis=-1)
     green = (lit == (128, 255, 128)).all(axis=-1)
     assert green.sum() > 500 and (magenta | ~green).all()  # only where nothing was drawn
@@ -62,3 +67,20 @@ def test_mistakes_are_named_with_their_line(tmp_path, text, says):
         settings.load(file)
     (said,) = caught.value.lines
     assert says in said and said.startswith(f"{file}:") and "\n" not in said
+
+
+def test_over_a_picture_a_floor_is_its_shadow(out, tmp_path):
+    """Unless it has a colour; elsewhere the photograph stays as it is."""
+    photograph = np.random.default_rng(2).integers(60, 255, (80, 96, 3), dtype=np.uint8)
+    iio.imwrite(tmp_path / "photo.png", photograph)
+    behind = "background = 'photo.png'\nfloor = { height = -0.3, light = [0.6, -0.2, -1], %s }\n"
+    plain = picture(out, tmp_path, behind.partition("\n")[0] + "\n")
+    dark = picture(out, tmp_path, behind % "shadow = 0.8")
+    assert (dark == plain).all(axis=-1).mean() > 0.3
+    nothing = (plain == photograph).all(axis=-1)  # drawn over it
+    shaded = nothing & (dark[..., 1] < 0.5 * plain[..., 1])
+    assert shaded.sum() > 50
+    ratio = dark[shaded] / plain[shaded]
+    assert np.ptp(ratio, axis=1).max() < 0.03  # darker, of the same colour
+    grey = picture(out, tmp_path, behind % "shadow = 0, colour = '#80ff80'")
+    assert (grey == (128, 255, 128)).all(axis=-1).sum() > 500

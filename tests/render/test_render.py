@@ -8,13 +8,15 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from postprocess import render, video, view
+from postprocess import painter, render, video, view
+from postprocess.settings import Settings
 from tests.render import runs
 from tests.render.test_video import read
 from vgmpi.domain.ranks import Alone
 from vgmpi.gaussians import ply
 from vgmpi.output import layout, rest
 from vgmpi.output.frames import Frames
+from vgmpi.output.read import RunFiles
 from vgmpi.splatting import splat
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -268,3 +270,14 @@ def test_a_real_capture_is_recognisable_on_a_turning_body(tmp_path):
     assert 10 * np.log10(255**2 / np.mean((got - other) ** 2)) < 25  # the measure tells poses apart
     dark = (got < 200).any(axis=2)
     assert 0.01 < dark.mean() < 0.3
+
+
+def test_a_tall_domain_does_not_make_the_subject_small(tmp_path):
+    """The camera that nobody set looks at where Gaussians are, at whatever frame."""
+    for height in (1.0, 20.0):
+        made = runs.write(tmp_path / str(height), height=height)
+        low, high = painter.reach(RunFiles(made))
+        np.testing.assert_allclose(low, [0, 0, 0], atol=1e-6)
+        np.testing.assert_allclose(high, [1, 1, 0.85], atol=0.06)
+        picture = painter.Painter(RunFiles(made), Settings(), made).draw(0)
+        assert (picture < 250).any(axis=-1).mean() > 0.25

@@ -47,13 +47,33 @@ def test_the_same_gaussians_are_shown_at_every_frame(out):
         np.testing.assert_allclose(moving["centers"], x, atol=1e-6)
         assert len(moving["centers"]) == len(rest)
         assert moving["opacities"].shape == (len(rest), 1)
-    np.testing.assert_allclose(chosen.factor, (total / 100) ** (2 / 3))
+
+
+def test_bodies_go_before_liquids_and_large_before_small(out):
+    """What is left covers as much as all; of bodies nothing is lost while there are places."""
+    look = Look(RunFiles(out))
+    liquid = int(look.fluid.sum())
+    chosen = replay.Chosen(look, 600)
+    kept = chosen.moving & look.fluid
+    assert chosen.still.all() and chosen.moving[~look.fluid].all() and kept.sum() < liquid
+    area = look.cov0[:, (0, 3, 5)].sum(axis=1)
+    assert chosen.growth[1][kept] @ area[kept] == pytest.approx(area[look.fluid].sum())
+    assert (chosen.growth[1][~look.fluid] == 1).all() and (chosen.growth[0] == 1).all()
+    look.cov0[look.fluid] *= np.where(np.arange(liquid) % 2, 100.0, 1.0)[:, None]
+    kept = replay.Chosen(look, 400).moving[look.fluid]
+    assert kept[1::2].sum() > 5 * kept[::2].sum()
+
+
+def test_few_places_are_shared(out):
+    look = Look(RunFiles(out))
+    chosen = replay.Chosen(look, 40)
+    assert (chosen.moving & look.fluid).sum() == 10 and chosen.count == 40
 
 
 def test_all_of_a_small_run_is_shown_as_it_is(out):
     look = Look(RunFiles(out))
     chosen = replay.Chosen(look, 10**6)
-    assert chosen.count == chosen.all and chosen.factor == 1
+    assert chosen.count == chosen.all and all((g == 1).all() for g in chosen.growth)
     still, _ = chosen.at(0, np.array([3.0, 0, 1]))
     np.testing.assert_allclose(still["covariances"][0], np.diag([9e-4, 9e-4, 1e-6]), rtol=1e-5)
 

@@ -22,7 +22,8 @@ ALPHA_MIN = 1e-3  # of a shadow: blurred Gaussians are faint and many
 
 @dataclass(frozen=True)
 class Floor:
-    """height: of the plane z = height [m]. color: 0..1, of all squares or every other one.
+    """height: of the plane z = height [m]. color: 0..1, of all squares or every other one; None:
+    it has no look of its own, only its shadow is seen, on what the background shows.
 
     squares: the colour of the others and the side [m], or None. light: the direction in which light
     travels, downwards. shadow: how much of the light is taken where nothing passes, 0..1. softness:
@@ -30,7 +31,7 @@ class Floor:
     """
 
     height: float = 0.0
-    color: tuple[float, float, float] = (0.85, 0.85, 0.85)
+    color: tuple[float, float, float] | None = (0.85, 0.85, 0.85)
     squares: tuple[tuple[float, float, float], float] | None = None
     light: tuple[float, float, float] = (0.3, 0.2, -1.0)
     shadow: float = 0.6
@@ -43,6 +44,8 @@ class Floor:
             raise ValueError("allowed: shadow 0..1, softness from 0")
         if self.squares is not None and not self.squares[1] > 0:
             raise ValueError("the squares of a floor need a side > 0")
+        if self.squares is not None and self.color is None:
+            raise ValueError("the squares of a floor need its color")
 
 
 @dataclass(frozen=True)
@@ -114,7 +117,7 @@ def ground(
     at = eye[:2] + depth[:, None] * drift[:, :2]
     # metres of floor in a pixel, the long way
     wide = depth * (drift**2).sum(axis=1) / (min(camera.fx, camera.fy) * down[seen])
-    color = _pattern(floor, at, wide)
+    color = out[seen] if floor.color is None else _pattern(floor, at, wide)
     rows, columns = ((at[:, ::-1] - shadow.lower[::-1]) / shadow.pixel - 0.5).T
     from scipy.ndimage import map_coordinates  # slow to load: only for those with a floor
 
