@@ -26,10 +26,8 @@ def picture(out, folder, text):
 
 def test_a_floor_takes_the_place_of_the_background_and_carries_a_shadow(out, tmp_path):
     light = "light = [0.6, -0.2, -1]"
-    floor = MAGENTA + f"floor = {{ height = -0.3, colour = '#80ff80', {light}, shadow = %s }}\n"
-        MAGENTA
-        + "floor = { height = -0.3, colour = '#80ff80', light = [0.6, -0.2, -1], shadow = %s }\n"
-    )
+    key = f"{{ height = -0.3, colour = '#80ff80', {light}, shadow = %s }}"
+    floor = f"{MAGENTA}floor = {key}\n"
     lit, dark = (picture(out, tmp_path, floor % strength) for strength in (0, 0.8))
     plain = picture(out, tmp_path, MAGENTA)
     magenta = (plain == (255, 0, 255)).all(axis=-1)
