@@ -1,5 +1,6 @@
 """The names a script uses, and that the example of docs/api.md runs as it stands."""
 
+import ast
 import os
 import re
 import subprocess
@@ -15,7 +16,8 @@ from tests import simulated
 from tests.launch import mpirun
 
 ROOT = Path(__file__).resolve().parents[2]
-(EXAMPLE,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "api.md").read_text(), re.DOTALL)
+PAGE = (ROOT / "docs" / "api.md").read_text()
+EXAMPLE, SERIES, SWEEP = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 SCENE = """
 [domain]
@@ -51,6 +53,30 @@ def test_the_example_of_the_docs(tmp_path):
     assert job.returncode == 0, job.stderr
     expected(job.stdout)
     assert (tmp_path / "out" / "probe_ball.csv").exists()
+
+
+def test_the_series_and_the_sweep_of_the_docs(tmp_path):
+    """One after the other, as the page has them."""
+    end = "\nprint(points.n_points, flat)\n"
+    (tmp_path / "script.py").write_text(EXAMPLE + SERIES + SWEEP + end)
+    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "script.py"]
+    job = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True)
+    assert job.returncode == 0, job.stderr
+    points, table = job.stdout.splitlines()[-1].split(maxsplit=1)
+    assert points == "552"
+    flat = ast.literal_eval(table)
+    assert list(flat) == [2e4, 5e4, 1e5, 2e5]
+    assert list(flat.values()) == sorted(set(flat.values())) and flat[2e4] < 0.06 < flat[2e5] < 0.1
+
+
+def test_what_does_not_fit_is_one_line(tmp_path):
+    (tmp_path / "scene.toml").write_text(SCENE)
+    scene = vgmpi.load(tmp_path / "scene.toml")
+    with pytest.raises(ValueError, match="engine must be one of cpu, numpy; got 'nonsense'"):
+        vgmpi.run(scene, engine="nonsense")
+    with pytest.raises(ValueError, match="threads must be at least 1"):
+        vgmpi.run(scene, threads=0)
 
 
 @pytest.mark.mpi

@@ -24,7 +24,7 @@ from .prepared import Known, keep, on_all, plan_for, prepare, share
 from .probes import Probes
 from .requests import Requests
 from .state import frame_rows, restore, save
-from .step import BlowUp, Simulation
+from .step import ENGINES, BlowUp, Simulation
 from .timestep import next_step
 from .warm import warm
 from .watch import ledger
@@ -56,6 +56,10 @@ class Unfit(ValueError):
 
 def check(options: Options, ranks: Alone) -> None:
     """Raises Unfit, before any work is done for a run that cannot be."""
+    if options.engine not in ENGINES:
+        raise Unfit(f"engine must be one of {', '.join(ENGINES)}; got {options.engine!r}")
+    if options.threads < 1:
+        raise Unfit(f"threads must be at least 1; got {options.threads}")
     if options.engine == "numpy" and (ranks.size > 1 or options.threads > 1):
         raise Unfit(
             "engine numpy computes on one rank and one thread; asked for"
