@@ -191,7 +191,7 @@ LEDGER_COLUMNS = [
         Dataset(f"angular_{a}", "", "f8", "kg m2/s", f"angular momentum about {a} and the origin")
         for a in "xyz"
     ),
-    Dataset("kinetic", "", "f8", "J", "kinetic energy, of the affine motion too (up to 1 % above that of `velocity`)"),
+    Dataset("kinetic", "", "f8", "J", "kinetic energy, of the affine motion of APIC too"),
     Dataset("elastic", "", "f8", "J", "elastic energy"),
     Dataset("potential", "", "f8", "J", "energy of height in gravity"),
     Dataset("J_min", "", "f8", "1", "smallest volume ratio, as in the frames"),
