@@ -97,7 +97,7 @@ def auto(
             good, found = middle, tried
         else:
             bad = middle
-    how = f"prune = auto, {good:.3g} of each cell and at least {least}"
+    how = f"prune = auto: {100 * good:.3g} % of the Gaussians of each cell stay, at least {least}"
     return _told(cloud, found, how, portrait)
 
 
