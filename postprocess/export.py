@@ -124,7 +124,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _export(args: argparse.Namespace, folder: Path) -> None:
     run = RunFiles(args.out)
-    numbers = chosen(args.frames, len(run))
+    numbers = run.present(chosen(args.frames, len(run)))
     look = Look(run, settings.load(args.settings).look)
     folder.mkdir(parents=True, exist_ok=True)
     suffix = f".{args.format}"

@@ -21,6 +21,7 @@ import numpy as np
 
 from postprocess.settings import LookSettings, SettingsError
 from vgmpi.gaussians.sh import COEFFICIENTS
+from vgmpi.output.read import RunError
 from vgmpi.splatting.smoothing import MOST_AGE, Transfer
 
 log = logging.getLogger("vgmpi")
@@ -146,23 +147,36 @@ class FrameColours:
         size and time of writing: reading all frames would take longer than one picture."""
         told = (VERSION, self.time, self.dx, self.columns)
         text = hashlib.sha256(repr(told).encode() + self.set.tobytes() + self.first.tobytes())
-        for k, path in enumerate(self.run.frames[: index + 1]):
-            stat = path.stat()
+        for k in range(index + 1):
+            path = self.run.path(k)
+            try:
+                stat = path.stat(follow_symlinks=False)
+            except OSError as error:
+                said = f"{path}: {error.strerror}: colours that relax need every frame"
+                raise RunError(said) from None
             said = (path.name, stat.st_size, stat.st_mtime_ns, float(self.run.times[k]))
             text.update(repr(said).encode())
             yield text.hexdigest()
 
     def _path(self, index: int) -> Path:
-        return Path(self.run.folder) / FOLDER / f"{self.run.frames[index].stem}.npz"
+        return Path(self.run.folder) / FOLDER / f"{self.run.path(index).stem}.npz"
 
     def _read(self, index: int, key: str) -> np.ndarray | None:
-        """Colours kept under this key, or None."""
+        """Colours kept under this key, or None: what is damaged or a link is made anew."""
+        path = self._path(index)
         try:
-            with np.load(self._path(index)) as kept:
+            if path.is_symlink() or not path.is_file():
+                return None
+            with zipfile.ZipFile(path) as held:  # it holds a checksum of every array
+                size = sum(info.file_size for info in held.infolist())
+            if size > 4096 + self.first.nbytes:
+                return None
+            with np.load(path) as kept:
                 if str(kept["key"]) == key and kept["colour"].shape == self.shape:
-                    return kept["colour"]
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-            pass
+                    found = kept["colour"]
+                    return found if np.isfinite(found).all() else None
+        except Exception:  # zipfile and numpy raise all kinds of what is in a file
+            log.warning("%s: damaged: made anew", path)
         return None
 
     def _write(self, index: int, key: str, state: np.ndarray) -> None:
@@ -172,7 +186,8 @@ class FrameColours:
         temporary = path.with_name(f"{path.stem}.{os.getpid()}.tmp")
         try:
             path.parent.mkdir(exist_ok=True)
-            with open(temporary, "wb") as file:
+            temporary.unlink(missing_ok=True)
+            with open(temporary, "xb") as file:  # new: no link is followed
                 np.savez(file, key=np.array(key), colour=state)
             temporary.replace(path)  # other processes see all of it or nothing
         except OSError as error:

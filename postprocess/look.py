@@ -61,15 +61,18 @@ class Look:
         """Frame `index` of the run, with the colours it has then as "sh" (n, K, 3) where colour
         travels."""
         frame = self.run.frame(index)
-        self.check(frame)
+        self.check(frame, f"frame {index}")
         sh = self.colours.at(index, frame)
         return frame if sh is None else {**frame, "sh": sh}
 
-    def check(self, frame: dict[str, np.ndarray]) -> None:
-        """Raises RunError if a frame does not belong to the run."""
+    def check(self, frame: dict[str, np.ndarray], name: str = "a frame") -> None:
+        """Raises RunError if a frame does not belong to the run, or cannot be drawn."""
         rows = np.asarray(frame["id"])
         if len(rows) and not 0 <= rows.min() <= rows.max() < len(self.object):
-            raise RunError("a frame holds particles that gaussians.h5 does not know")
+            raise RunError(f"{name} holds particles that gaussians.h5 does not know")
+        for field in ("x", "F", "J"):
+            if field in frame and not np.isfinite(frame[field]).all():
+                raise RunError(f"{name} holds a {field} that is no number")
 
     def splats(self, frame: dict[str, np.ndarray], eye: np.ndarray) -> Splats:
         """The Gaussians of a frame as seen from `eye` [m]; scenery first, it never moves.

@@ -127,9 +127,10 @@ def reach(run: RunFiles) -> tuple[np.ndarray, np.ndarray]:
     """Lower and upper corner [m] of what is to be seen: where the centres of Gaussians are at some
     frames, spread over the run, and at rest; inside the domain."""
     lower, upper = domain_box(run)
-    last = len(run) - 1
-    some = sorted({round(k * last / (LOOKS - 1)) for k in range(LOOKS)})
-    there = [np.asarray(run.frame(k)["x"]) for k in some]
+    numbers, there = sorted(run.frames), []
+    for at in np.unique(np.linspace(0, len(numbers) - 1, LOOKS).round().astype(int)):
+        with contextlib.suppress(RunError):  # told when it is to be drawn
+            there.append(run.positions(numbers[at]))
     scenery = run.gaussians.scenery
     if scenery is not None:
         there.append(np.asarray(scenery.x0))

@@ -28,7 +28,7 @@ LAUNCHED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS")
 
 
 def frame_numbers(run: RunFiles, asked: settings.FrameSettings) -> list[int]:
-    """The frames to draw. Raises RunError if there are none."""
+    """The frames to draw, also of those that are missing. Raises RunError if there are none."""
     count = len(run)
     last = count - 1 if asked.last is None else min(asked.last, count - 1)
     numbers = list(range(asked.first, last + 1, asked.every))
@@ -165,8 +165,11 @@ def _video(painter: Painter, output: Path, beside: Path, args: Any, ranks: Any) 
     from tqdm import tqdm
 
     begin = time.perf_counter()
-    numbers = frame_numbers(painter.run, painter.chosen.frames)
-    tasks = [(index, k / max(len(numbers) - 1, 1)) for k, index in enumerate(numbers)]
+    asked = frame_numbers(painter.run, painter.chosen.frames)
+    numbers = painter.run.present(asked)
+    # the camera goes on behind a frame that is missing as if it were there
+    parts = {index: k / max(len(asked) - 1, 1) for k, index in enumerate(asked)}
+    tasks = [(index, parts[index]) for index in numbers]
     if ranks is None:
         drawn = by_processes(painter, beside, tasks, args.jobs)
     else:
@@ -178,7 +181,9 @@ def _video(painter: Painter, output: Path, beside: Path, args: Any, ranks: Any) 
     paths = [of_view(output, painter, number) for number in range(len(painter.views))]
     with contextlib.ExitStack() as stack:
         stack.enter_context(contextlib.closing(drawn))  # other processes end with this one
-        films = [stack.enter_context(_sink(painter, k, path)) for k, path in enumerate(paths)]
+        films = [
+            stack.enter_context(_sink(painter, k, path, numbers)) for k, path in enumerate(paths)
+        ]
         bar = tqdm(drawn, total=len(numbers), unit="frame", disable=True if args.quiet else None)
         for index, views in zip(numbers, bar):
             for number, (film, one) in enumerate(zip(films, views)):
@@ -191,11 +196,11 @@ def _video(painter: Painter, output: Path, beside: Path, args: Any, ranks: Any) 
     return 0
 
 
-def _sink(painter: Painter, number: int, path: Path) -> Any:
+def _sink(painter: Painter, number: int, path: Path, frames: list[int]) -> Any:
     """What takes the pictures of one camera, in order."""
     view, film = painter.views[number], painter.chosen.video
     if not path.suffix:
-        return video.Sequence(path, frame_numbers(painter.run, painter.chosen.frames))
+        return video.Sequence(path, frames)
     size = (view.width, view.height)
     return video.Film(path, *size, film.fps, film.quality, clear=painter.clear)
 

@@ -172,7 +172,7 @@ def main(argv: list[str] | None = None) -> int:
         if args.particles < 1 or args.every < 1 or not 0.1 <= args.fps <= 240:
             raise RunError("allowed: --particles and --every from 1, --fps 0.1 to 240")
         run = RunFiles(args.out)
-        numbers = list(range(0, len(run), args.every))
+        numbers = run.present(range(0, len(run), args.every))
         with open(os.devnull, "w") as quiet, contextlib.redirect_stdout(quiet):
             html, chosen = page(run, numbers, args.particles, 1 / args.fps)
         video.write(output, html.encode())

@@ -159,7 +159,7 @@ def simulated(path: Path, folder: Path, overrides: list[str], args: argparse.Nam
     if done.returncode:
         raise StudyError(f"{path}: the run ended with {done.returncode}:\n{done.stderr[-2000:]}")
     run = RunFiles(folder)
-    written = [frame.stat().st_mtime_ns for frame in run.frames[1:]]
+    written = [run.path(k).stat().st_mtime_ns for k in range(1, len(run))]
     seconds = (written[-1] - written[0]) * 1e-9 / (len(written) - 1)
     told = re.findall(r"'([^']+)': (\d+) particles on its surface, (\d+) inside", done.stderr)
     return Made(run, seconds, {name: (int(skin), int(inner)) for name, skin, inner in told})

@@ -169,7 +169,9 @@ def write(path: str | Path, data: bytes) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
-            part.write_bytes(data)
+            part.unlink(missing_ok=True)
+            with open(part, "xb") as f:  # new: no link is followed
+                f.write(data)
             os.replace(part, path)
         finally:
             part.unlink(missing_ok=True)

@@ -14,10 +14,11 @@ MOST_TEXT = 16 << 20  # bytes of a scene or of settings
 MOST_PIXELS = 1 << 26  # of a picture: 1.5 GB as numbers, which is what a reader needs
 
 
-def content(path: str | Path, most: int) -> bytes:
+def content(path: str | Path, most: int, follow: bool = True) -> bytes:
     """What is in a file. Raises OSError, also where it is no regular file (a pipe or a device, of
-    which reading may never end) or has more than `most` bytes."""
-    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    which reading may never end), has more than `most` bytes, or is a link and `follow` false."""
+    way = 0 if follow else os.O_NOFOLLOW
+    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | way)
     try:
         found = os.fstat(handle)
         if not stat.S_ISREG(found.st_mode):

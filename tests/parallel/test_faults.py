@@ -5,6 +5,7 @@ import sys
 
 import pytest
 
+from tests.damaged import forge
 from tests.launch import ROOT, mpirun, run
 from tests.scenes import MIXED, write
 from vgmpi.output.read import RunFiles
@@ -90,6 +91,24 @@ def test_stop_after_steps(tmp_path):
     job = mpirun(1, "-m", "vgmpi", scene, "-o", tmp_path / "out", "--resume", "--stop-after", "4")
     assert job.returncode == 75, job.stderr
     assert (tmp_path / "out" / "checkpoints" / "checkpoint_000000017.h5").exists()
+
+
+def test_a_forged_checkpoint_ends_all_ranks_with_one_line(tmp_path):
+    """Its checksums are right, and what is wrong lies in the last rank's share."""
+    scene = write(tmp_path, SCENE)
+    flags = ("-m", "vgmpi", scene, "-q", "-o", tmp_path / "out")
+    assert mpirun(2, *flags, "--stop-after", "2 steps", timeout=60).returncode == 75
+    path = tmp_path / "out" / "checkpoints" / "checkpoint_000000002.h5"
+
+    def beyond(f):
+        f["group_001/x"][-1] = 1 << 62
+
+    forge(path, beyond)
+    job = mpirun(3, *flags, "--resume", timeout=60)
+    assert job.returncode == 2, job.stderr
+    (line,) = [line for line in job.stderr.splitlines() if path.name in line]
+    assert f"{path}: group_001/x: row " in line and "outside its block or the domain" in line
+    assert "Traceback" not in job.stderr and "ignal" not in job.stderr
 
 
 @pytest.mark.parametrize(

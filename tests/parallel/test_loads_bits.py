@@ -8,6 +8,8 @@ import pytest
 from tests.digests import digests
 from tests.launch import mpirun
 from tests.scenes import MIXED, write
+from vgmpi.domain.ranks import Alone
+from vgmpi.output import layout, ledger
 
 pytestmark = pytest.mark.mpi
 
@@ -108,8 +110,12 @@ def test_stop_and_resume(one, tmp_path):
     assert 0.012 < float(rows(out, "cube")[stop]["time"]) < 0.028
     job = go(scene, tmp_path, 3, "--stop-after", f"{stop} steps")
     assert job.returncode == 75, job.stderr
-    with open(tmp_path / "probe_cube.csv", "a") as f:
-        f.write(f"0.05,{stop + 1}" + ",1.0" * 13 + "\n0.05,99")  # a kill after the checkpoint
+    # a kill after the checkpoint
+    columns = layout.PROBE_COLUMNS["object"]
+    table = ledger.Rows(tmp_path / "probe_cube.csv", columns, Alone(), last_step=stop)
+    table.append([{d.name: 1.0 for d in columns} | {"time": 0.05, "step": stop + 1}])
+    with open(table.path, "a") as f:
+        f.write("0.05,99")
     job = go(scene, tmp_path, 2, "--resume")
     assert job.returncode == 0, job.stderr
     found = digests(tmp_path)

@@ -187,6 +187,8 @@ def test_a_broken_or_unwritable_cache_costs_time_only(made, caplog):
     kept = run.folder / FOLDER / "frame_00003.npz"
     kept.write_bytes(kept.read_bytes()[:100])
     np.testing.assert_array_equal(Look(RunFiles(made[0]), chosen).frame(3)["sh"], want)
+    assert "frame_00003.npz: damaged: made anew" in caplog.text
+    caplog.clear()
     for path in (run.folder / FOLDER).iterdir():
         path.unlink()
     (run.folder / FOLDER).rmdir()

@@ -17,6 +17,7 @@ from tests.scenes import write
 from vgmpi import cli
 from vgmpi.domain.ranks import Alone
 from vgmpi.output import checkpoint, layout, owner
+from vgmpi.output.read import RunError, RunFiles
 
 SCENE = """
 [domain]
@@ -201,6 +202,12 @@ def test_who_has_it_is_json(tmp_path):
         assert who["pid"] == os.getpid() and who["ranks"] == 1
         assert time.strptime(who["since"], "%Y-%m-%d %H:%M:%S")
     assert not (tmp_path / "out").exists()
+
+
+def test_a_run_that_was_only_prepared_is_told_from_none(scene, capsys):
+    assert run(scene, "--prepare") == 0
+    with pytest.raises(RunError, match="no frames in it .*; its particles are prepared"):
+        RunFiles(scene.parent / "out")
 
 
 def test_damaged_particles_are_made_anew_and_not_resumed_from(scene, capsys):

@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 
 from vgmpi.domain.ranks import Alone
-from vgmpi.output import layout, manifest, store
+from vgmpi.output import layout, manifest, plain, store
 
 log = logging.getLogger("vgmpi")
 
@@ -196,13 +196,19 @@ def verify(path: str | Path, ranks: Alone | None = None) -> None:
 
 def _problem(path, ranks):
     """Why a checkpoint is not valid, or None; each rank reads its share."""
-    text = b""
+    text = ""
     try:
         manifest.check(path, ranks.rank, ranks.size)
     except manifest.Broken as broken:
-        text = f"{broken}\n".encode()
-    every = bytes(ranks.all_rows(np.frombuffer(text, np.uint8))).decode()
-    return every.splitlines()[0] if every else None
+        text = str(broken)
+    return first_of(ranks, text) or None
+
+
+def first_of(ranks: Alone, text: str) -> str:
+    """The line of the lowest rank that has one to say, "" if none has. Collective."""
+    mine = f"{text}\n".encode() if text else b""
+    every = bytes(ranks.all_rows(np.frombuffer(mine, np.uint8))).decode()
+    return every.splitlines()[0] if every else ""
 
 
 class Checkpoint:
@@ -212,8 +218,11 @@ class Checkpoint:
         self.path = Path(path)
         try:
             self.file = h5py.File(self.path, "r")
+            plain.check(self.file)
             self.attrs: dict = json.loads(self.file["attrs"][()])
-        except (OSError, KeyError, ValueError) as error:
+            if not isinstance(self.attrs, dict):
+                raise ValueError("attrs is no table")
+        except (OSError, LookupError, ValueError, TypeError, RuntimeError) as error:
             raise CheckpointError(f"{path}: not a checkpoint: {store.reason(error)}") from None
 
     def __enter__(self):
@@ -233,6 +242,10 @@ class Checkpoint:
     def width(self, name: str) -> int:
         """Numbers in a row of a dataset."""
         return int(np.prod(self.file[name].shape[1:]))
+
+    def form(self, name: str) -> tuple[tuple[int, ...], np.dtype]:
+        """Shape and type of a dataset."""
+        return self.file[name].shape, self.file[name].dtype
 
     def read_rows(self, name: str, start: int, stop: int) -> np.ndarray:
         """Rows start .. stop - 1 of a dataset."""

@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 
 from vgmpi.domain.ranks import Alone
-from vgmpi.output import layout, store
+from vgmpi.output import intact, layout, read, store
 
 log = logging.getLogger("vgmpi")
 
@@ -54,16 +54,20 @@ class Frames:
         frames.mkdir(parents=True, exist_ok=True)
         store.remove_temporaries(frames)
         for path in sorted(frames.glob("frame_*.vtkhdf")):
-            number = path.stem.removeprefix("frame_")
-            if not number.isdigit():
+            number = layout.frame_number(path.name)
+            if number is None:
                 continue
-            if int(number) >= first:
+            if number >= first:
                 path.unlink()
                 continue
             try:
-                self._written[int(number)] = _look(path)
-            except (OSError, KeyError) as error:
-                log.warning("%s is left out of the series: %s", path, store.reason(error))
+                self._written[number] = _look(path, number)
+            except read.RunError as error:
+                log.warning("%s; it is left out of the series", error)
+        for number in sorted(set(range(first)) - set(self._written)):
+            path = frames / layout.FRAME_NAME.format(number)
+            if not path.exists():
+                log.warning("%s: missing; it is left out of the series", path)
         if self._written:
             self._write_series()
         else:
@@ -102,6 +106,8 @@ class Frames:
             count = self._topology(f, len(redistribute.ids))
             f.whole("VTKHDF/FieldData/time", np.array([time], np.float64))
             f.whole("VTKHDF/FieldData/step", np.array([step], np.int64))
+            f.whole("frame", np.array(index, np.int64))
+            f.seal()
         self._written[index] = _Written(path.name, time, step, count, arrays, self.index_dtype)
         error = None
         if self.ranks.rank == 0:
@@ -133,7 +139,8 @@ class Frames:
 
     def _write_series(self):
         """All frames as virtual datasets with paths relative to the series; on one rank."""
-        frames = [self._written[i] for i in sorted(self._written)]
+        numbers = sorted(self._written)
+        frames = [self._written[i] for i in numbers]
         counts = [w.rows for w in frames]
         with store.create(self.folder / layout.SERIES, Alone()) as s:
             s.attr("", "schema", layout.SCHEMA)
@@ -156,11 +163,13 @@ class Frames:
                 "Vertices/NumberOfCells",
                 "Vertices/NumberOfConnectivityIds",
             ):
-                root[name] = np.array(counts, np.int64)
+                s.whole(f"VTKHDF/{name}", np.array(counts, np.int64))
             for kind in EMPTY_KINDS:
                 for name, values in _empty_cells(len(frames)).items():
-                    root[f"{kind}/{name}"] = values
-            _steps(root, frames, counts, arrays)
+                    s.whole(f"VTKHDF/{kind}/{name}", values)
+            _steps(s, frames, counts, arrays)
+            s.whole("frames", np.array(numbers, np.int64))
+            s.seal()
 
 
 def _empty_cells(parts):
@@ -173,25 +182,28 @@ def _empty_cells(parts):
     }
 
 
-def _steps(root, frames, counts, arrays):
+def _steps(s, frames, counts, arrays):
     """The group that makes a time series of the parts."""
     n = len(frames)
     first = np.cumsum([0, *counts[:-1]]).astype(np.int64)
     cells = np.zeros((n, 4), np.int64)  # columns: Vertices, Lines, Polygons, Strips
     cells[:, 0] = first
-    steps = root.create_group("Steps")
-    steps.attrs["NSteps"] = np.int64(n)
-    steps["Values"] = np.array([w.time for w in frames])
-    steps["PartOffsets"] = np.arange(n, dtype=np.int64)
-    steps["NumberOfParts"] = np.ones(n, np.int64)
-    steps["PointOffsets"] = first
-    steps["CellOffsets"] = cells  # VTK adds the part's number: Offsets has n + 1 entries per part
-    steps["ConnectivityIdOffsets"] = cells
-    for name in arrays:
-        steps[f"PointDataOffsets/{name}"] = first
+    s.attr("VTKHDF/Steps", "NSteps", np.int64(n))
+    steps = {
+        "Values": np.array([w.time for w in frames]),
+        "PartOffsets": np.arange(n, dtype=np.int64),
+        "NumberOfParts": np.ones(n, np.int64),
+        "PointOffsets": first,
+        # VTK adds the part's number: Offsets has n + 1 entries per part
+        "CellOffsets": cells,
+        "ConnectivityIdOffsets": cells,
+    }
+    steps |= {f"PointDataOffsets/{name}": first for name in arrays}
     for name in ("time", "step"):
         steps[f"FieldDataOffsets/{name}"] = np.arange(n, dtype=np.int64)
         steps[f"FieldDataSizes/{name}"] = np.ones((n, 2), np.int64)
+    for name, values in steps.items():
+        s.whole(f"VTKHDF/Steps/{name}", values)
 
 
 def _virtual(root, name, frames, counts, shape, dtype):
@@ -208,10 +220,12 @@ def _virtual(root, name, frames, counts, shape, dtype):
     root.create_virtual_dataset(name, whole)
 
 
-def _look(path: Path) -> _Written:
-    """What the series must know of a frame written earlier."""
-    with h5py.File(path) as f:
+def _look(path: Path, number: int) -> _Written:
+    """What the series must know of a frame written earlier. Raises RunError."""
+    with read.opened(path) as f:
         root = f["VTKHDF"]
+        told = ("FieldData/time", "FieldData/step", "NumberOfPoints")
+        intact.check_frame(f, number, {f"VTKHDF/{name}": root[name][()] for name in told})
         arrays = {k: (d.shape[1:], d.dtype.str[1:]) for k, d in root["PointData"].items()}
         arrays = {n: arrays[n] for n in ("id", *FIELDS) if n in arrays}  # in the order of writing
         return _Written(

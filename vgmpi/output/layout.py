@@ -3,6 +3,7 @@
 `python -m vgmpi.output.layout > docs/file-format.md` writes the page that people read.
 """
 
+import re
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,9 @@ BLOWUP = "blowup"  # the same for the state in which a run ended
 SERIES, GAUSSIANS, LEDGER = "series.vtkhdf", "gaussians.h5", "ledger.csv"
 PROBE_NAME = "probe_{}.csv"
 FRAME_NAME = "frame_{:05d}.vtkhdf"
+MOST_FRAMES = 1_000_000
 CHECKPOINT_NAME = "checkpoint_{:09d}.h5"  # its manifest: the same name, .json
+CRC = "crc"  # the dataset or column that holds the checksums of the others
 CRC_ROWS = 1 << 16  # rows per checksum in a manifest
 
 
@@ -27,6 +30,13 @@ class Dataset(NamedTuple):
     dtype: str
     unit: str
     meaning: str
+
+
+def frame_number(name: str) -> int | None:
+    """Number of the frame that a file of this name is; None where it is no name of a frame."""
+    match = re.fullmatch(r"frame_([0-9]{5,6})\.vtkhdf", name)
+    number = int(match[1]) if match else -1
+    return number if FRAME_NAME.format(number) == name else None
 
 
 def row_shape(dataset: Dataset) -> tuple[int | None, ...]:
@@ -83,6 +93,11 @@ FRAME_TOPOLOGY = [
     Dataset("Vertices/Offsets", "(n + 1,)", "i4|i8", "1", "0, 1, ... n"),
     Dataset("Lines/*", "(0 or 1,)", "i8", "1", "empty; VTK asks for them (also Polygons, Strips)"),
 ]
+SUMS = Dataset(CRC, "()", "text", "", "JSON, CRC32 (zlib) of the bytes of every other dataset")
+FRAME_OWN = [
+    Dataset("frame", "()", "i8", "1", "number of the frame, as in the name of its file"),
+    SUMS,
+]
 
 # ---- series.vtkhdf ----------------------------------------------------------------------------
 SERIES_STEPS = [
@@ -95,6 +110,10 @@ SERIES_STEPS = [
     Dataset("Steps/PointDataOffsets/*", "(frames,)", "i8", "1", "the same, for each array"),
     Dataset("Steps/FieldDataOffsets/*", "(frames,)", "i8", "1", "row of each frame's value"),
     Dataset("Steps/FieldDataSizes/*", "(frames, 2)", "i8", "1", "1 component, 1 row"),
+]
+SERIES_OWN = [
+    Dataset("frames", "(frames,)", "i8", "1", "numbers of the frames"),
+    SUMS._replace(meaning="as in a frame, of the datasets that are not virtual"),
 ]
 
 # ---- gaussians.h5 -----------------------------------------------------------------------------
@@ -138,7 +157,7 @@ GAUSSIAN_TEXTS = [
         "color, collider, and transform (4 x 4, source coordinates -> domain coordinates [m])",
     ),
     Dataset("scene", "()", "text", "", "JSON, the scene with every default filled in, SI"),
-    Dataset("crc", "()", "text", "", "JSON, CRC32 (zlib) of the bytes of every other dataset"),
+    SUMS,
 ]
 
 # ---- checkpoints/checkpoint_000000000.h5 ------------------------------------------------------
@@ -197,6 +216,10 @@ LEDGER_COLUMNS = [
     Dataset("J_min", "", "f8", "1", "smallest volume ratio, as in the frames"),
     Dataset("J_max", "", "f8", "1", "largest volume ratio, as in the frames"),
 ]
+
+ROW_SUM = Dataset(
+    CRC, "", "i8", "1", "CRC32 (zlib) of the row's text before it, going on from the row above"
+)
 
 # ---- probe_NAME.csv ---------------------------------------------------------------------------
 _WHEN = LEDGER_COLUMNS[:2]
@@ -257,6 +280,26 @@ and f8 are single and double precision, i4 and i8 whole numbers. HDF5 files are 
 uncompressed, readable with any HDF5 since 1.8 (series.vtkhdf: 1.10). A file has its final name only
 when it is complete: it is written as `NAME.tmp`, brought to the disk, then renamed. The bytes of
 every file are the same for any number of ranks.
+
+What is read is what was written: every file holds checksums (a checkpoint's are in its manifest),
+and whoever reads compares them and names the file, and the dataset or line, that is damaged. Files
+are plain: one that is a link, or that has its numbers in another file, is refused, but for
+series.vtkhdf, which is put together of the frames of its folder. `--inspect FILE` verifies a whole
+file.
+"""
+ABOUT_CHECKPOINTS = f"""\
+`checkpoint_000000000.json`, the manifest, is written last: size of the file, and for every dataset
+its shape, type and a CRC32 (zlib) for each {CRC_ROWS} rows. A checkpoint without a manifest, or one
+that differs from it or from its name, is passed over. The last two are kept. At a resume every row
+is also held against the scene (numbers, positions in the domain, particles of the group, each there
+once): what cannot be ends it with one line and exit code 2.
+"""
+ABOUT_TABLES = """\
+A row per frame and phase, numbers with all their digits. A row that was changed since is named with
+its line where the table is read, and a resume refuses it; a last line without an end, cut off by a
+kill, is left out. `crc` is `zlib.crc32(words, before)`: words are the bytes of the line before its
+last comma, before is the crc of the line above, 0 in the first. Tables of earlier versions have no
+`crc`, and get it at a resume.
 """
 
 
@@ -274,19 +317,25 @@ def page() -> str:
     parts = [
         INTRODUCTION,
         "## frames/frame_00000.vtkhdf\n",
-        "VTKHDF 2.0 PolyData, one part, rows in ascending `id`. `id` and `x` are always there, "
+        "VTKHDF 2.0 PolyData, one part, rows in ascending `id`. A frame is known by its number: "
+        "where one is missing the others keep theirs, and the renderer says which it leaves out. "
+        "`id` and `x` are always there, "
         "the others as the scene asks for them. Covariance, opacity and colour are not repeated "
         "here: a renderer takes them from gaussians.h5 by `id` and moves them with F or J.\n",
         _table([d for d in FRAME if d.name != "x"], "VTKHDF/PointData/"),
         _table([d._replace(name="Points") for d in FRAME if d.name == "x"], "VTKHDF/"),
         _table(FRAME_FIELD_DATA, "VTKHDF/FieldData/"),
         _table(FRAME_TOPOLOGY, "VTKHDF/"),
-        "Attributes: `VTKHDF/Type`, `VTKHDF/Version`, and `/schema` (whole number).\n",
+        _table(FRAME_OWN),
+        "Attributes: `VTKHDF/Type`, `VTKHDF/Version`, and `/schema` (whole number). Frames of "
+        "earlier versions have no `frame` and no `crc`: they are read, and nothing vouches for "
+        "them.\n",
         "## series.vtkhdf\n",
         "The frames one after the other, as virtual datasets of the same names: it holds no "
         "numbers itself and finds the frames beside it, from any working directory. It is valid "
         "after every frame.\n",
         _table(SERIES_STEPS, "VTKHDF/"),
+        _table(SERIES_OWN),
         "## gaussians.h5\n",
         "A row per particle id, also for particles that are not there yet. Objects are "
         "contiguous, in the order of the scene.\n",
@@ -305,18 +354,15 @@ def page() -> str:
         "the same bits on any number of ranks.\n",
         _table(CHECKPOINT),
         _table(CHECKPOINT_TEXTS),
-        "`checkpoint_000000000.json`, the manifest, is written last: size of the file, and for "
-        f"every dataset its shape, type and a CRC32 (zlib) for each {CRC_ROWS} rows. A checkpoint "
-        "without a manifest, or one that differs from it, is passed over. The last two are "
-        "kept.\n",
+        ABOUT_CHECKPOINTS,
         "## ledger.csv\n",
-        "A row per frame and phase, numbers with all their digits.\n",
-        _table(LEDGER_COLUMNS),
+        ABOUT_TABLES,
+        _table([*LEDGER_COLUMNS, ROW_SUM]),
         "Momentum and energy change by gravity, walls, colliders and loads. With "
         "`domain.gravity_ramp` the potential energy is that of gravity at its full strength.\n",
         "## probe_NAME.csv\n",
         "A row per due time, written after the step that reaches it, numbers with all their "
-        "digits; its columns by what the probe measures:\n",
+        "digits; its columns by what the probe measures, and `crc` as in ledger.csv:\n",
         *(f"### {kind}\n\n{_table(columns)}" for kind, columns in PROBE_COLUMNS.items()),
     ]
     return "\n".join(parts)

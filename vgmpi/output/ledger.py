@@ -1,22 +1,32 @@
 """Tables that grow while a run goes on, in a form that opens in anything: ledger.csv and
-probe_NAME.csv."""
+probe_NAME.csv. A checksum ends every row, so that what was changed since is found, and where."""
 
 import csv
+import errno
+import logging
 import os
-from collections.abc import Iterable
+import zlib
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
+from vgmpi import inputs
 from vgmpi.domain.ranks import Alone
 from vgmpi.output import layout, store
+from vgmpi.output.read import RunError
+
+log = logging.getLogger("vgmpi")
 
 COLUMNS = [d.name for d in layout.LEDGER_COLUMNS]
+MOST_BYTES = 1 << 32  # of a table
+KINDS: dict[str, Callable] = {"f8": float, "i8": int, "text": str}
 
 
 class Rows:
     """Appends to a CSV file of these columns; `last_step` None starts anew, else rows after that
     step are dropped first. kept: the rows that were not, on rank 0.
 
-    Collective: all ranks call, rank 0 writes. Raises StoreError on all ranks alike.
+    Collective: all ranks call, rank 0 writes. Raises StoreError on all ranks alike, and RunError
+    where the rows that are there are damaged.
     """
 
     def __init__(
@@ -28,7 +38,10 @@ class Rows:
     ):
         self.path, self.columns, self.ranks = path, columns, ranks
         self.kept: list[dict] = []
-        self._do(lambda: self._start(last_step))
+        self._sum = 0  # of the last row
+        if last_step is not None:
+            _on_root(ranks, lambda: self._keep(last_step))
+        self._do(self._start)
 
     def _do(self, action):
         error = None
@@ -39,32 +52,47 @@ class Rows:
                 error = caught
         store.agree(self.ranks, error, self.path)
 
-    def _start(self, last_step):
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        if last_step is not None and self.path.exists():
+    def _keep(self, last_step):
+        if os.path.lexists(self.path):
             self.kept = [r for r in read(self.path, self.columns) if r["step"] <= last_step]
-        lines = [",".join(d.name for d in self.columns), *map(self._line, self.kept)]
-        store.replace_text(self.path, "\n".join(lines) + "\n")
+        else:
+            log.warning("%s is not there: it begins behind step %d", self.path, last_step)
+
+    def _start(self):
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        text, self._sum = self._text(self.kept)
+        store.replace_text(self.path, _header(self.columns) + "\n" + text)
 
     def append(self, rows: Iterable[dict]) -> None:
         """Dicts with all columns; those of rank 0 count."""
-        text = "".join(self._line(row) + "\n" for row in rows)
 
         def write():
-            size = self.path.stat().st_size
+            text, after = self._text(rows)
+            way = os.O_WRONLY | os.O_APPEND | os.O_NOFOLLOW
+            handle = os.open(self.path, way)
+            size = os.fstat(handle).st_size
             try:
-                with open(self.path, "a", encoding="utf-8") as f:
+                with open(handle, "a", encoding="utf-8", closefd=False) as f:
                     f.write(text)
                     f.flush()
-                    os.fsync(f.fileno())
+                    os.fsync(handle)
             except OSError:
-                os.truncate(self.path, size)  # no half lines
+                os.truncate(handle, size)  # no half lines
                 raise
+            finally:
+                os.close(handle)
+            self._sum = after
 
         self._do(write)
 
-    def _line(self, row):
-        return ",".join(_word(row[d.name]) for d in self.columns)
+    def _text(self, rows):
+        """The lines of rows that follow the last one, and the sum of their last."""
+        lines, value = [], self._sum
+        for row in rows:
+            words = ",".join(_word(row[d.name]) for d in self.columns)
+            value = zlib.crc32(words.encode(), value)
+            lines.append(f"{words},{value}\n")
+        return "".join(lines), value
 
 
 class Ledger(Rows):
@@ -74,19 +102,99 @@ class Ledger(Rows):
         super().__init__(Path(folder) / layout.LEDGER, layout.LEDGER_COLUMNS, ranks, last_step)
 
 
+def check(tables: dict[Path, list[layout.Dataset]], ranks: Alone) -> None:
+    """Look at the tables that a resumed run goes on with, before anything is written. Collective.
+
+    tables: columns by the path. Raises RunError on all ranks.
+    """
+
+    def look():
+        for path, columns in tables.items():
+            if os.path.lexists(path):
+                try:
+                    read(path, columns)
+                except RunError as error:
+                    can = "put a copy of it back, or move it away: then it begins anew"
+                    raise RunError(f"{error}; to go on, {can}") from None
+
+    _on_root(ranks, look)
+
+
+def _on_root(ranks, action):
+    """action() on rank 0; its RunError is that of all ranks."""
+    said = None
+    if ranks.rank == 0:
+        try:
+            action()
+        except RunError as error:
+            said = error
+    said = ranks.bcast(said)
+    if said is not None:
+        raise said
+
+
 def _word(value):
     if isinstance(value, str):
         return '"' + value.replace('"', '""') + '"' if set(value) & set(',"\n') else value
     return repr(value.item() if hasattr(value, "item") else value)
 
 
+def _header(columns, sealed=True):
+    return ",".join(d.name for d in [*columns, layout.ROW_SUM][: None if sealed else -1])
+
+
 def read(path: str | Path, columns: list[layout.Dataset] = layout.LEDGER_COLUMNS) -> list[dict]:
-    """Rows of a file of these columns; a last line that was cut off is left out."""
-    kinds = {d.name: {"f8": float, "i8": int, "text": str}[d.dtype] for d in columns}
+    """Rows of a file of these columns; a last line that was cut off is left out. Raises RunError,
+    which names the line of the first row that is not what was written. Rows of earlier versions
+    have no checksums: only what is no number is found there."""
+    try:
+        text = inputs.content(path, MOST_BYTES, follow=False)
+    except OSError as error:
+        link = error.errno == errno.ELOOP
+        said = "is a link to elsewhere" if link else error.strerror
+        raise RunError(f"{path}: {said}") from None
+    head, *lines = text.split(b"\n")
+    sealed = head == _header(columns).encode()
+    if not lines or not (sealed or head == _header(columns, sealed=False).encode()):
+        raise RunError(f"{path}:1: damaged: its columns are not {_header(columns)}")
+    last, before = lines.pop(), 0  # behind the last end of a line: nothing, or what was cut off
     rows = []
-    with open(path, encoding="utf-8", newline="") as f:
-        for row in csv.DictReader(f):
-            if None in row.values() or row.keys() != kinds.keys():
-                continue
-            rows.append({name: kind(row[name]) for name, kind in kinds.items()})
+    for number, line in enumerate(lines, 2):
+        words, before, whole = _unsealed(line, before) if sealed else (line, 0, True)
+        row = _parsed(words, columns) if whole else None
+        if row is None:
+            raise RunError(f"{path}:{number}: damaged: this row is not what was written")
+        rows.append(row)
+    if last:
+        words, wanted, whole = _unsealed(last, before) if sealed else (last, 0, True)
+        row = _parsed(words, columns) if whole else None
+        if row is not None:
+            rows.append(row)
+        elif sealed and not _cut(last, words, wanted, len(columns)):
+            number = len(lines) + 2
+            raise RunError(f"{path}:{number}: damaged: this row is not what was written")
     return rows
+
+
+def _unsealed(line, before):
+    """The row's text, the checksum it must have, and whether that is there. before: that of the row
+    above."""
+    words, _, told = line.rpartition(b",")
+    wanted = zlib.crc32(words, before)
+    return words, wanted, told == b"%d" % wanted
+
+
+def _cut(line, words, wanted, columns):
+    """Whether a line without an end may be the beginning of a row."""
+    some = next(csv.reader([line.decode(errors="replace")]), [])
+    return len(some) <= columns or (b"%d" % wanted).startswith(line[len(words) + 1 :])
+
+
+def _parsed(words, columns):
+    """A row as a dict; None where a word is not of its column's kind."""
+    try:
+        (found,) = csv.reader([words.decode()])
+        pairs = zip(columns, found, strict=True)
+        return {d.name: KINDS[d.dtype](word) for d, word in pairs}
+    except (ValueError, csv.Error):
+        return None

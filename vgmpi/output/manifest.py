@@ -5,6 +5,7 @@ manifest is written last and holds a CRC32 per dataset and run of layout.CRC_ROW
 """
 
 import json
+import re
 import zlib
 from collections.abc import Iterable
 from pathlib import Path
@@ -12,8 +13,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from vgmpi.output import layout
+from vgmpi import inputs
+from vgmpi.output import layout, plain
 
+MOST_BYTES = 1 << 30  # of a manifest: ten a chunk of a dataset
 POLYNOMIAL = 0xEDB88320  # of CRC-32, bits reversed
 
 
@@ -84,47 +87,98 @@ def _multiply(a, b):
 
 
 def load(checkpoint: Path) -> dict:
-    """The manifest of a checkpoint. Raises Broken."""
+    """The manifest of a checkpoint, every entry of the type it must have. Raises Broken."""
     try:
-        manifest = json.loads(path_of(checkpoint).read_text(encoding="utf-8"))
-        manifest["datasets"], manifest["bytes"]
+        text = inputs.content(path_of(checkpoint), MOST_BYTES, follow=False)
+        manifest = json.loads(text)
     except FileNotFoundError:
         raise Broken("it has no manifest: writing it was not finished") from None
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, RecursionError):
         raise Broken("its manifest is not readable") from None
-    if manifest.get("schema") != layout.SCHEMA:
-        raise Broken(f"its schema is {manifest.get('schema')}, this program's {layout.SCHEMA}")
+    schema = manifest.get("schema") if isinstance(manifest, dict) else None
+    if schema != layout.SCHEMA:
+        raise Broken(f"its schema is {schema!r:.20}, this program's {layout.SCHEMA}")
+    if not _whole(manifest.get("bytes")) or not isinstance(manifest.get("datasets"), dict):
+        raise Broken("its manifest is not readable")
+    for name, entry in manifest["datasets"].items():
+        if not isinstance(entry, dict) or set(entry) != {"shape", "dtype", "crc"}:
+            raise Broken(f"its manifest does not tell of {name!r:.60}")
+        lists = (entry["shape"], entry["crc"])
+        if not all(isinstance(one, list) and all(map(_whole, one)) for one in lists):
+            raise Broken(f"its manifest does not tell of {name!r:.60}")
     return manifest
 
 
+def _whole(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
+
+
 def check(checkpoint: Path, share: int = 0, shares: int = 1) -> None:
-    """Compare every `shares`-th chunk, from number `share` on, with the manifest. Raises Broken."""
+    """Compare every `shares`-th chunk, from number `share` on, with the manifest, and what is not
+    in chunks too. Raises Broken."""
     manifest = load(checkpoint)
+    if checkpoint.is_symlink():
+        raise Broken("it is a link to elsewhere")
     try:
         size = checkpoint.stat().st_size
     except OSError:
         raise Broken("the file is missing") from None
     if size != manifest["bytes"]:
         raise Broken(f"it has {size} bytes instead of {manifest['bytes']}")
-    turn = 0
     try:
         with h5py.File(checkpoint, "r") as f:
-            for name, entry in manifest["datasets"].items():
-                dataset = f[name]
-                _check_form(name, dataset, entry)
-                for chunk, want in enumerate(entry["crc"]):
-                    if turn % shares == share and crc(_chunk(dataset, chunk)) != want:
-                        raise Broken(f"the checksum of {name}, chunk {chunk}, is wrong")
-                    turn += 1
-    except (OSError, KeyError, RuntimeError) as error:
-        raise Broken(f"it is not readable ({str(error).splitlines()[0]})") from None
+            plain.check(f)
+            _compare(f, manifest, share, shares)
+            _check_step(checkpoint, manifest, json.loads(f["attrs"][()]))
+    except Broken:
+        raise
+    except plain.Damaged as damaged:
+        raise Broken(str(damaged)) from None
+    except Exception as error:  # HDF5, h5py and json raise all kinds of what is in a file
+        said = (str(error).splitlines() or [type(error).__name__])[0]
+        raise Broken(f"it is not readable ({said})") from None
+
+
+def _compare(f, manifest, share, shares):
+    known, turn = layout.named(layout.CHECKPOINT), 0
+    held: set[str] = set()
+    f.visititems(lambda name, item: held.add(name) if isinstance(item, h5py.Dataset) else None)
+    odd = sorted(held ^ set(manifest["datasets"]))
+    if odd:
+        raise Broken(f"{odd[0]} is in one of the file and its manifest alone")
+    rows: dict[str, int] = {}
+    for name, entry in manifest["datasets"].items():
+        dataset = f[name]
+        _check_form(name, dataset, entry)
+        group, _, member = name.partition("/")
+        if member:
+            form = known.get(f"*/{member}")
+            if form is None or not layout.fits(form, dataset):
+                raise Broken(f"{name} is not as the layout has it: {dataset.dtype} {dataset.shape}")
+            kind = f"{group}{form.shape[:2]}"  # (n or (b
+            if rows.setdefault(kind, len(dataset)) != len(dataset):
+                raise Broken(f"{name} has {len(dataset)} rows instead of {rows[kind]}")
+        for chunk, want in enumerate(entry["crc"]):
+            if turn % shares == share and crc(_chunk(dataset, chunk)) != want:
+                raise Broken(f"the checksum of {name}, chunk {chunk}, is wrong")
+            turn += 1
 
 
 def _check_form(name, dataset, entry):
     if list(dataset.shape) != entry["shape"] or len(entry["crc"]) != chunks_of(dataset.shape):
         raise Broken(f"{name} has shape {dataset.shape} instead of {tuple(entry['shape'])}")
-    if entry["dtype"] != "text" and dataset.dtype.str != entry["dtype"]:
-        raise Broken(f"{name} has type {dataset.dtype.str} instead of {entry['dtype']}")
+    if (dataset.dtype.str if dataset.dtype.kind != "S" else "text") != entry["dtype"]:
+        raise Broken(f"{name} has type {dataset.dtype.str} instead of {entry['dtype']!r:.20}")
+
+
+def _check_step(checkpoint, manifest, attrs):
+    """The file's name, its manifest and the file itself tell of one moment."""
+    match = re.fullmatch(r"checkpoint_([0-9]+)\.h5", checkpoint.name)
+    for said in ([int(match[1])] if match else []) + [manifest.get("step")]:
+        if said != attrs["step"]:
+            raise Broken(f"it is of step {attrs['step']!r:.20}, not {said!r:.20}")
+    if manifest.get("time") != attrs.get("time"):
+        raise Broken(f"it is of {attrs.get('time')!r:.30} s, not {manifest.get('time')!r:.30}")
 
 
 def _chunk(dataset, chunk):

@@ -9,14 +9,18 @@ run.gaussians.cov0   (n, 6) [m2], a row per particle id
 import contextlib
 import functools
 import json
+import logging
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from types import SimpleNamespace
 
 import h5py
 import numpy as np
 
-from vgmpi.output import layout, manifest
+from vgmpi.output import intact, layout, manifest, plain
+
+log = logging.getLogger("vgmpi")
 
 INSPECT_ROWS = 1 << 20  # rows looked at together when a file is described
 
@@ -26,17 +30,23 @@ class RunError(RuntimeError):
 
 
 @contextlib.contextmanager
-def opened(path: Path):
-    """An HDF5 file open for reading; any trouble with it becomes a RunError that names it."""
+def opened(path: Path, series: bool = False):
+    """An HDF5 file of a run open for reading; any trouble with it becomes a RunError that names it.
+    series: see plain.check."""
+    if os.path.islink(path):
+        raise RunError(f"{path}: is a link to elsewhere, which no file of a run is")
     if not os.path.isfile(path):  # also of a name too long for a file
         said = "no regular file" if os.path.exists(path) else "no such file"
         raise RunError(f"{path}: {said}")
     try:
         with h5py.File(path, "r") as f:
+            plain.check(f, series)
             yield f
-    except (OSError, KeyError, ValueError, RuntimeError, MemoryError) as error:
-        if isinstance(error, RunError):
-            raise
+    except RunError:
+        raise
+    except plain.Damaged as damaged:
+        raise RunError(f"{path}: {damaged}") from None
+    except Exception as error:  # HDF5, h5py and json raise all kinds of what is in a file
         raise RunError(f"{path}: broken or not a file of vgmpi: {_first_line(error)}") from None
 
 
@@ -45,43 +55,106 @@ def _first_line(error):
 
 
 class RunFiles:
-    """The files of one run, read when asked for. Raises RunError."""
+    """The files of one run, read when asked for. Raises RunError.
+
+    frames: paths of those that are there, by number. Frames are known by their numbers: of one that
+    is missing the others keep theirs, and `len` counts it.
+    """
 
     def __init__(self, folder: str | Path):
         self.folder = Path(folder)
         if not self.folder.is_dir():
             raise RunError(f"{self.folder}: no such folder")
-        frames = sorted((self.folder / layout.FRAMES).glob("frame_*.vtkhdf"))
-        self.frames = [p for p in frames if p.stem.removeprefix("frame_").isdigit()]
+        self.frames: dict[int, Path] = {}
+        foreign = []
+        for path in sorted((self.folder / layout.FRAMES).glob("*.vtkhdf")):
+            number = layout.frame_number(path.name)
+            if number is None:
+                foreign.append(path.name)
+            else:
+                self.frames[number] = path
+        if foreign:
+            some = ", ".join(map(ascii, foreign[:3])) + ", ..." * (len(foreign) > 3)
+            log.warning("%s: no frames of this run: %s", self.folder / layout.FRAMES, some)
         if not self.frames:
-            raise RunError(f"{self.folder}: no frames in it ({layout.FRAMES}/frame_*.vtkhdf)")
+            said = f"{self.folder}: no frames in it ({layout.FRAMES}/frame_*.vtkhdf)"
+            if (self.folder / layout.GAUSSIANS).exists():
+                said += "; its particles are prepared, python -m vgmpi scene.toml runs it"
+            raise RunError(said)
+        self._told = False  # of frames without checksums
+        self._count = max(*self.frames, *self._listed()) + 1
+
+    def _listed(self) -> list[int]:
+        """Numbers of the frames that the series tells of: the last ones may be missing too."""
+        path = self.folder / layout.SERIES
+        if not path.exists():
+            return [0, 0]
+        try:
+            with opened(path, series=True) as f:
+                return [0, 0, *intact.listed(f)]
+        except RunError as error:
+            log.warning("%s", error)
+            return [0, 0]
 
     def __len__(self):
-        return len(self.frames)
+        return self._count
+
+    def path(self, i: int) -> Path:
+        """Of frame i, whether it is there or not."""
+        return self.folder / layout.FRAMES / layout.FRAME_NAME.format(i)
+
+    def present(self, numbers: Iterable[int]) -> list[int]:
+        """Those of the frames that are there; says in one line which are not. Raises RunError where
+        none is."""
+        asked = list(numbers)
+        there = [i for i in asked if i in self.frames]
+        missing = [i for i in asked if i not in self.frames]
+        if missing:
+            some = ", ".join(map(str, missing[:10])) + ", ..." * (len(missing) > 10)
+            said = f"{self.folder / layout.FRAMES}: missing: {some}"
+            if not there:
+                raise RunError(said)
+            log.warning("%s: left out, no other frame stands for them", said)
+        return there
 
     @functools.cached_property
     def times(self) -> np.ndarray:
-        """Simulated time of every frame [s], (frames,)."""
-        return np.array([self._time(path) for path in self.frames])
+        """Simulated time of every frame [s], (frames,); nan of those that are missing."""
+        return np.array(
+            [self._time(i) if i in self.frames else np.nan for i in range(len(self))], np.float64
+        )
 
-    def _time(self, path):
-        with opened(path) as f:
-            return f["VTKHDF/FieldData/time"][0]
+    def _time(self, i):
+        with opened(self.path(i)) as f:
+            time = f["VTKHDF/FieldData/time"][()]
+            intact.check_frame(f, i, {"VTKHDF/FieldData/time": time})
+            return float(time[0])
+
+    def positions(self, i: int) -> np.ndarray:
+        """Positions in frame i alone (n, 3) [m]. Raises RunError."""
+        with opened(self.path(i)) as f:
+            held = {"VTKHDF/Points": f["VTKHDF/Points"][()]}
+            intact.check_frame(f, i, held)
+        return held["VTKHDF/Points"]
 
     def frame(self, i: int) -> dict[str, np.ndarray]:
         """Arrays of frame i by the names of layout.FRAME: id and x always, the others as they are
         there."""
         if not -len(self) <= i < len(self):
             raise RunError(f"{self.folder}: no frame {i}, there are {len(self)}")
-        path = self.frames[i]
-        with opened(path) as f:
-            root = f["VTKHDF"]
-            arrays = {name: d[()] for name, d in root["PointData"].items()}
-            arrays = {"id": arrays.pop("id"), "x": root["Points"][()], **arrays}
-            count = int(root["NumberOfPoints"][0])
-        wrong = [name for name, a in arrays.items() if len(a) != count]
-        if wrong:
-            raise RunError(f"{path}: broken: {', '.join(wrong)} should have {count} rows")
+        number = i % len(self)
+        with opened(self.path(number)) as f:
+            names = [f"VTKHDF/PointData/{name}" for name in f["VTKHDF/PointData"]]
+            names += ["VTKHDF/Points", "VTKHDF/NumberOfPoints"]
+            held = {name: f[name][()] for name in names}
+            intact.check_frame(f, number, held)
+            count = int(held.pop("VTKHDF/NumberOfPoints")[0])
+            arrays = {name.removeprefix("VTKHDF/PointData/"): a for name, a in held.items()}
+            arrays = {"id": arrays.pop("id"), "x": arrays.pop("VTKHDF/Points"), **arrays}
+            intact.check_arrays(arrays, count)
+            if layout.CRC not in f and not self._told:
+                self._told = True
+                log.info("%s: frames of an earlier version, without checksums", self.folder)
         return arrays
 
     @functools.cached_property
@@ -104,10 +177,6 @@ def read_gaussians(path: str | Path) -> SimpleNamespace:
     same or None), passive (those of layout.PASSIVE or None), objects,
     scene, digest. Raises RunError, also where numbers are not those that were written."""
     with opened(Path(path)) as f:
-        if f.attrs["schema"] != layout.SCHEMA:
-            raise RunError(
-                f"{path}: its schema is {f.attrs['schema']}, this program's {layout.SCHEMA}"
-            )
         held = {name: f[name][()] for name in ("objects", "scene")}
         found = SimpleNamespace(v0=None, theta0=None, scenery=None, passive=None)
         for d in layout.GAUSSIAN:
@@ -119,51 +188,24 @@ def read_gaussians(path: str | Path) -> SimpleNamespace:
                 arrays = {d.name: f[f"{group}/{d.name}"][()] for d in datasets}
                 held |= {f"{group}/{name}": array for name, array in arrays.items()}
                 setattr(found, group, SimpleNamespace(**arrays))
-        _check_sums(path, json.loads(f["crc"][()]) if "crc" in f else {}, held)
+        intact.check_gaussians(f, held)
         found.objects = json.loads(held["objects"])
         found.scene = json.loads(held["scene"])
         found.digest = f.attrs["digest"].decode()
-        for prefix, part in (("", found), ("scenery/", found.scenery), ("passive/", found.passive)):
-            if part is not None and len(part.x0):
-                _check_rows(path, prefix, part, len(found.objects))
+        intact.check_objects(found)
         return found
-
-
-def _check_sums(path: str | Path, sums: dict[str, int], held: dict) -> None:
-    """Raises RunError where something in gaussians.h5 is not what was written; files of before
-    have no sums."""
-    for name, want in sums.items():
-        if name not in held:
-            raise RunError(f"{path}: damaged: there is no {name}")
-        rows = held[name]
-        if isinstance(rows, bytes):
-            rows = np.frombuffer(rows, np.uint8)
-        if manifest.crc(np.ascontiguousarray(rows)) != want:
-            raise RunError(f"{path}: damaged: {name} is not what was written")
-
-
-def _check_rows(path: str | Path, prefix: str, rows: SimpleNamespace, objects: int) -> None:
-    """Raises RunError where a row cannot be."""
-    if not np.isfinite(rows.x0).all():
-        raise RunError(f"{path}: damaged: {prefix}x0 holds what is no number")
-    if rows.object.min() < 0 or rows.object.max() >= objects:
-        raise RunError(f"{path}: damaged: {prefix}object names objects that are not there")
 
 
 def inspect(path: str | Path) -> str:
     """What any of our HDF5 files holds, as text. Raises RunError."""
     path = Path(path)
-    with opened(path) as f:
+    there = path.resolve()  # who names a link means what it leads to
+    with opened(there, series=True) as f:
         kind = _kind(f)
-        lines = [f"{path}: {kind}, {path.stat().st_size / 1e6:.1f} MB"]
-        lines += _summary(path, f, kind)
-        names: list[str] = []
-        f.visititems(
-            lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None
-        )
+        lines = [f"{path}: {kind}, {there.stat().st_size / 1e6:.1f} MB"]
+        lines += _summary(there, f, kind)
         units = _units(kind)
-        for name in names:
-            lines.append(_line(name, f[name], units))
+        lines += [_line(name, f[name], units) for name in intact.datasets(f)]
     return "\n".join(lines)
 
 
@@ -180,14 +222,17 @@ def _kind(f):
 def _summary(path, f, kind):
     """The lines that matter most."""
     if kind == "frame":
-        data = f["VTKHDF/FieldData"]
-        return [f"time {data['time'][0]:.9g} s, step {data['step'][0]}"]
+        data, number = f["VTKHDF/FieldData"], layout.frame_number(path.name)
+        state = _state(lambda: intact.check_frame(f, number, _all(f)), f)
+        return [f"time {data['time'][0]:.9g} s, step {data['step'][0]}; {state}"]
     if kind == "series of frames":
         times = f["VTKHDF/Steps/Values"][()]
+        _check_series(path, f, times)
         return [f"{len(times)} frames, time {times[0]:.9g} .. {times[-1]:.9g} s"]
     if kind == "gaussians":
         objects = json.loads(f["objects"][()])
-        return [
+        lines = [_state(lambda: intact.check_gaussians(f, _all(f)), f)]
+        return lines + [
             "object {}: {} {}, {} rows from {}".format(
                 i, *(o.get(k, "-") for k in ("name", "kind", "count", "first"))
             )
@@ -200,6 +245,31 @@ def _summary(path, f, kind):
     except manifest.Broken as broken:
         state = f"NOT VALID: {broken}"
     return [f"time {attrs.get('time')} s, step {attrs.get('step')}; {state}"]
+
+
+def _all(f):
+    """Every dataset but the checksums."""
+    return {name: f[name][()] for name in intact.datasets(f) if name != layout.CRC}
+
+
+def _state(check, f):
+    """What a check of the whole file says."""
+    try:
+        check()
+    except plain.Damaged as damaged:
+        return f"NOT VALID: {damaged}"
+    known = layout.CRC in f
+    return "agrees with its checksums" if known else "of an earlier version, without checksums"
+
+
+def _check_series(path, f, times):
+    """HDF5 reads zeros for a frame that is not there: say so first. Raises RunError."""
+    intact.check_series(f)
+    for number, time in zip(intact.listed(f), times, strict=True):
+        frame = path.parent / layout.FRAMES / layout.FRAME_NAME.format(number)
+        with opened(frame) as f:
+            if f["VTKHDF/FieldData/time"][0] != time:
+                raise RunError(f"{path}: damaged: {frame.name} is not at {time:.9g} s")
 
 
 def _units(kind):

@@ -6,6 +6,7 @@ there at all.
         f.whole("times", array)             from rank 0
         f.text("attrs", "...")              from rank 0
         f.attr("", "schema", 1)             from rank 0; "" is the root group
+        f.seal()                            checksums of all datasets so far
 
 All is written at the end of the block, under a temporary name, brought to the disk, and then
 renamed. An error on any rank (no space left, say) raises the same StoreError on all of them, and
@@ -21,15 +22,18 @@ a collective write would leave the others waiting for ever.
 import contextlib
 import errno
 import io
+import json
 import logging
 import os
 import re
+import zlib
 from pathlib import Path
 
 import h5py
 import numpy as np
 
 from vgmpi.domain.ranks import Alone
+from vgmpi.output import layout, manifest
 
 log = logging.getLogger("vgmpi")
 
@@ -99,7 +103,8 @@ def replace_text(path: Path, text: str) -> None:
     """Write a small text file so that it is there whole or not at all. Not collective."""
     temporary = temporary_name(path)
     try:
-        with open(temporary, "w", encoding="utf-8") as f:
+        temporary.unlink(missing_ok=True)
+        with open(temporary, "x", encoding="utf-8") as f:  # new: no link is followed
             f.write(text)
             f.flush()
             os.fsync(f.fileno())
@@ -138,6 +143,7 @@ class Store:
         self.memory = _Memory()
         self.file = h5py.File(self.memory, "w") if ranks.rank == 0 else None
         self._rows: list[tuple[str, np.ndarray, np.ndarray]] = []  # name, local rows, all counts
+        self._sums: dict[str, int] = {}  # CRC32 of each dataset, of `rows` from `seal` on; rank 0
 
     def rows(self, name: str, local: np.ndarray) -> None:
         """A dataset from the rows of all ranks, in rank order; any may have none. Collective."""
@@ -146,6 +152,7 @@ class Store:
         self._rows.append((name, local, counts))
         if self.file is None:
             return
+        self._sums[name] = 0
         plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
         plan.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
         plan.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
@@ -157,14 +164,26 @@ class Store:
     def whole(self, name: str, array: np.ndarray | None) -> None:
         """A small dataset whose values rank 0 has."""
         if self.file is not None:
+            self._sums[name] = manifest.crc(np.ascontiguousarray(array))
             self.file.create_dataset(name, data=array)
 
     def text(self, name: str, text: str) -> None:
         """A text of any length, from rank 0 (attributes end at 64 KiB)."""
         if self.file is not None:
             data = text.encode()
+            self._sums[name] = zlib.crc32(data)
             kind = h5py.string_dtype("utf-8", max(1, len(data)))
             self.file.create_dataset(name, (), kind, data=data)
+
+    def seal(self) -> None:
+        """A text with the CRC32 of every dataset so far, the same on any number of ranks.
+        Collective."""
+        mine = [(k, manifest.crc(rows), rows.nbytes) for k, (_, rows, _) in enumerate(self._rows)]
+        parts = self.ranks.root_rows(np.array(mine, np.int64).reshape(-1, 3))
+        if self.file is not None and parts is not None:
+            crcs = manifest.join(parts.tolist(), len(mine))
+            self._sums |= {name: crc for (name, _, _), crc in zip(self._rows, crcs)}
+            self.text(layout.CRC, json.dumps(self._sums))
 
     def attr(self, where: str, name: str, value) -> None:
         """An attribute of a group (made if not there) or dataset, from rank 0."""
@@ -253,7 +272,7 @@ class Store:
         handle = None
         if self.ranks.rank == 0:
             try:
-                handle = os.open(self.temporary, os.O_WRONLY)
+                handle = os.open(self.temporary, os.O_WRONLY | os.O_NOFOLLOW)
             except OSError as caught:
                 error = caught
         for number, (_, local, counts) in enumerate(self._rows):
@@ -279,7 +298,7 @@ class Store:
                 yield piece if rank == 0 else self.ranks.root_rows(piece)  # rank 0 has its own
 
     def _sync(self):
-        handle = os.open(self.temporary, os.O_RDWR)
+        handle = os.open(self.temporary, os.O_RDWR | os.O_NOFOLLOW)
         try:
             os.fsync(handle)  # on every rank: each machine holds its own unwritten pages
         finally:

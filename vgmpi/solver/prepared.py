@@ -3,6 +3,7 @@
 import hashlib
 import json
 import logging
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from ..domain.ranks import Alone
 from ..output import checkpoint, layout, rest, store
-from ..output.read import RunError, read_gaussians
+from ..output.read import RunError, opened, read_gaussians
 from ..planning.colour_sets import shades
 from ..planning.plan import Plan, make_plan
 from ..prepare import texture
@@ -80,6 +81,8 @@ def _particles(scene: Scene, folder: Path | None, resumed: bool) -> tuple[Known,
     moving = not any(thing.collider for thing in scene.object)
     seal = "" if path is None else rest.digest(path)
     there = bool(seal)
+    if path is not None and not there:
+        _complain(path, resumed)
     if path is not None and there and moving and (resumed or seal == digest(scene)):
         try:
             found = read_gaussians(path)
@@ -117,6 +120,19 @@ def _particles(scene: Scene, folder: Path | None, resumed: bool) -> tuple[Known,
     if there and resumed:  # its colliders were made anew, its particles are as they were
         return known_of(scene, made), {}
     return known_of(scene, made), {"rows": rows, "scenery": scenery, "passive": passive}
+
+
+def _complain(path: Path, resumed: bool) -> None:
+    """Of a file that is there and cannot be read; one that a resumed run needs is an error."""
+    if not os.path.lexists(path):
+        return
+    try:
+        with opened(path):
+            pass
+    except RunError as error:
+        if resumed:
+            raise
+        log.warning("%s; the particles are made anew", error)
 
 
 def known_of(scene: Scene, made) -> Known:

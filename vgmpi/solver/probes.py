@@ -18,6 +18,14 @@ from .step import Simulation
 from .watch import about
 
 
+def files(scene: Scene, folder: Path) -> dict[Path, list[layout.Dataset]]:
+    """The files of all probes and their columns."""
+    return {
+        folder / layout.PROBE_NAME.format(probe.name): layout.PROBE_COLUMNS[probe.kind]
+        for probe in scene.probe
+    }
+
+
 class Probes:
     """All probes of a run and their rows so far, on rank 0. Collective.
 
@@ -32,9 +40,7 @@ class Probes:
         self.files: dict[str, Rows] = {}
         if folder is None:
             return
-        for probe in scene.probe:
-            path = folder / layout.PROBE_NAME.format(probe.name)
-            columns = layout.PROBE_COLUMNS[probe.kind]
+        for probe, (path, columns) in zip(scene.probe, files(scene, folder).items(), strict=True):
             self.files[probe.name] = Rows(path, columns, simulation.ranks, last_step)
             self.rows[probe.name] = list(self.files[probe.name].kept)
 

@@ -1,7 +1,6 @@
 """What rank 0 tells while a run goes on, and the table at its end."""
 
 import collections
-import csv
 import logging
 import os
 import sys
@@ -10,6 +9,7 @@ import time
 import numpy as np
 from tqdm import tqdm
 
+from ..output import store
 from .run import Runner
 from .step import Simulation
 from .watch import drift
@@ -135,10 +135,8 @@ def profile(run: Runner, clock: Clock) -> str:
     if rows is None or run.options.folder is None:
         return ""
     path = run.options.folder / "profile.csv"
-    with open(path, "w", newline="") as f:
-        table = csv.writer(f)
-        table.writerow(PROFILE)
-        table.writerows([f"{value:.6g}" for value in row] for row in rows)
+    words = [PROFILE, *([f"{value:.6g}" for value in row] for row in rows)]
+    store.replace_text(path, "".join(",".join(line) + "\n" for line in words))
     said = ["rank particles work/mean", *(f"{stage} [s]" for stage in STAGES)]
     lines = ["  ".join([*said, "neighbours  kB/step  moved"])]
     for row in rows[:SHOWN]:

@@ -15,13 +15,15 @@ from ..domain.ranks import Alone
 from ..output import checkpoint, layout, owner
 from ..output.frames import Frames
 from ..output.ledger import Ledger
+from ..output.ledger import check as check_tables
 from ..planning.plan import Plan
 from ..planning.price import describe
 from ..prepare.motion import gradient
 from ..scene.resume import changes, may_change
 from ..scene.scene import Scene
+from .bounds import check_attrs
 from .prepared import Known, keep, on_all, plan_for, prepare, share
-from .probes import Probes
+from .probes import Probes, files
 from .requests import Requests
 from .state import frame_rows, restore, save
 from .step import ENGINES, BlowUp, Simulation
@@ -245,7 +247,7 @@ def started(
     """Own the folder, check everything, and only then write: a run that is ready to go. Collective.
 
     approve: called with the plan, may raise. Raises SceneError, StoreError, FolderError,
-    CheckpointError, Unfit, BlowUp.
+    CheckpointError, RunError, Unfit, BlowUp.
     """
     check(options, ranks)
     folder, resumed = options.folder, options.resume is not None
@@ -256,6 +258,9 @@ def started(
         if folder is not None and options.resume is not None:
             path = checkpoint.chosen(options.resume, folder / layout.CHECKPOINTS, ranks)
             history = _history(scene, path, ranks, options.change)
+            check_tables(
+                {folder / layout.LEDGER: layout.LEDGER_COLUMNS, **files(scene, folder)}, ranks
+            )
         known = prepare(scene, ranks, folder, resumed)
         plan = plan_for(scene, known)
         if approve is not None:
@@ -267,9 +272,10 @@ def started(
 
 def _history(scene: Scene, path: Path, ranks: Alone, change: bool) -> list[dict]:
     """What was changed at resumes, this one's with them. Raises SceneError where something is that
-    may not change, unless `change`. Collective."""
+    may not change, unless `change`; CheckpointError where attrs are none. Collective."""
     with on_all(ranks, path, lambda: checkpoint.open(path)) as saved:
         attrs = saved.attrs
+    check_attrs(path, attrs)
     history, found = list(attrs.get("history", [])), changes(scene, attrs["scene"])
     if not found:
         return history

@@ -7,7 +7,7 @@ from ..domain.ranks import Alone
 from ..domain.state import LANES
 from ..engines.base import UNKNOWN, Reach
 from ..materials.base import function
-from ..output.checkpoint import CheckpointError
+from .bounds import Mismatch, check_attrs, check_rows
 from .step import Simulation
 
 
@@ -114,13 +114,9 @@ def save(simulation: Simulation) -> dict:
     return {"attrs": attrs, "groups": groups}
 
 
-class Mismatch(CheckpointError):
-    """A checkpoint does not belong to this scene."""
-
-
 def restore(simulation: Simulation, saved) -> None:
     """Take up a checkpoint (output.checkpoint.Checkpoint) on this number of ranks, without
-    re-sorting. Collective.
+    re-sorting. Collective. Raises Mismatch on all ranks.
     """
     plan = simulation.plan
     want = {
@@ -134,13 +130,8 @@ def restore(simulation: Simulation, saved) -> None:
             raise Mismatch(
                 f"{saved.path}: {name} is {saved.attrs.get(name)}, the scene has {value}"
             )
-    for g, group in enumerate(simulation.groups):
-        have, wanted = saved.width(f"group_{g:03d}/state"), group.plan.channels.width("state")
-        if have != wanted:
-            raise Mismatch(
-                f"{saved.path}: a particle of {group.plan.name} carries {have} numbers besides its"
-                f" motion, in this scene {wanted} (material, deforms, appearance.colour_transfer)"
-            )
+    check_attrs(saved.path, saved.attrs, run=False)
+    check_rows(simulation, saved)
     simulation.time, simulation.step = saved.attrs["time"], saved.attrs["step"]
     simulation.rate = saved.attrs["rate"]
     simulation.reach = Reach(*saved.attrs.get("reach", UNKNOWN))
