@@ -71,15 +71,23 @@ def test_a_particle_outside_is_never_lost_in_silence(tmp_path):
     assert "left the domain" in job.stderr
 
 
-def test_slurm_started_another_number(tmp_path):
+def test_slurm_started_tasks_that_are_alone(tmp_path):
     scene = write(tmp_path, SCENE)
-    flags = ("-m", "vgmpi", scene, "-q", "-o", tmp_path / "out")
-    job = mpirun(2, *flags, timeout=60, env={"SLURM_NTASKS": "4"})
+    flags = (sys.executable, "-m", "vgmpi", scene, "-q", "-o", tmp_path / "out")
+    job = run(flags, timeout=60, env={"SLURM_NTASKS": "4"})
     assert job.returncode == 2
     lines = [line for line in job.stderr.splitlines() if "SLURM" in line]
-    assert len(lines) == 1 and "4 tasks" in lines[0] and "MPI sees 2" in lines[0]
+    assert len(lines) == 1 and "4 tasks" in lines[0] and "MPI sees 1" in lines[0]
     assert not (tmp_path / "out").exists()
-    job = run([sys.executable, *flags, "--plan"], timeout=60, env={"SLURM_NTASKS": "1"})
+    job = run([*flags, "--plan"], timeout=60, env={"SLURM_NTASKS": "1"})
+    assert job.returncode == 0, job.stderr
+
+
+def test_ranks_of_mpirun_in_a_job_of_slurm(tmp_path):
+    """On all nodes but the first they have the environment of mpirun's daemons, a task per node."""
+    scene = write(tmp_path, SCENE)
+    alone = {"SLURM_NTASKS": "1", "SLURM_STEP_NUM_TASKS": "1"}
+    job = mpirun(2, "-m", "vgmpi", scene, "--plan", timeout=60, env=alone)
     assert job.returncode == 0, job.stderr
 
 
