@@ -3,11 +3,14 @@
 # Installs only what is missing, so a second call installs nothing. For Debian 12, Ubuntu 24.04 and their kin,
 # as root or as a user with sudo.
 #   PYTHON=python3.12 ./setup.sh    another interpreter (3.11 or newer)
+#   EXTRAS= ./setup.sh              without what tests, docs and pages of a run want (names from pyproject.toml)
+# Without root, or elsewhere: slurm/README.md.
 set -euo pipefail
 cd "$(dirname "$0")"
 
 H5PY=3.16.0  # no wheel carries parallel HDF5, so this one version is built here
 PYTHON=${PYTHON:-python3}
+EXTRAS=${EXTRAS-test,dev,docs,validate,replay}
 VENV=.venv
 
 say() { echo "setup: $*"; }
@@ -33,7 +36,7 @@ sys.exit(not os.path.exists(os.path.join(sysconfig.get_path("include"), "Python.
     local root=()
     if [ "$(id -u)" != 0 ]; then
         command -v sudo >/dev/null || fail "missing packages: ${missing[*]}. Install them as root and call again;" \
-            "or use \`pip install .\`, which runs on one rank without them."
+            "or use \`pip install .\`, which runs on one rank without them; slurm/README.md says how ranks work without root."
         root=(sudo)
     fi
     say "system packages: ${missing[*]}"
@@ -69,8 +72,8 @@ parallel_h5py() {
         { tail -20 "$log" >&2; fail "building h5py failed; the whole output is in $log"; }
 }
 
-# The stamp says for which set-up script, package list and interpreter the folder was filled.
-stamp() { cat setup.sh pyproject.toml <("$PYTHON" -V) | sha256sum | cut -d' ' -f1; }
+# The stamp says for which set-up script, package list, interpreter and extras the folder was filled.
+stamp() { cat setup.sh pyproject.toml <("$PYTHON" -V; echo "$EXTRAS") | sha256sum | cut -d' ' -f1; }
 
 system_packages
 want=$(stamp)
@@ -81,7 +84,7 @@ if [ "$(cat "$VENV/ready" 2>/dev/null)" != "$want" ] ||
     parallel_h5py
     say "Python packages"
     pip_install "setuptools>=77,<90" wheel
-    pip_install --no-build-isolation -e ".[test,dev,docs,validate,replay]"
+    pip_install --no-build-isolation -e ".${EXTRAS:+[$EXTRAS]}"
     echo "$want" > "$VENV/ready"
     say "ready"
 fi

@@ -260,13 +260,15 @@ def memory() -> int:
 
 
 def _slurm_mismatch(ranks: Alone) -> str:
-    """One line if SLURM started another number of tasks than MPI sees, else ""."""
+    """One line if SLURM started tasks that do not find each other, else "". Where they do, SLURM's
+    number says nothing: mpirun starts its daemons as tasks, one for each node.
+    """
     tasks = os.environ.get("SLURM_STEP_NUM_TASKS") or os.environ.get("SLURM_NTASKS")
-    if not tasks or not tasks.isdigit() or int(tasks) == ranks.size:
+    if ranks.size > 1 or not tasks or not tasks.isdigit() or int(tasks) <= 1:
         return ""
     return (
         f"SLURM started {tasks} tasks but MPI sees {ranks.size}:"
-        " use srun --mpi=pmix (see slurm/vgmpi.sbatch), or mpirun with as many ranks as tasks"
+        " use srun with another --mpi, or mpirun (slurm/README.md)"
     )
 
 

@@ -3,6 +3,7 @@
 mpirun -n N python -m tests.parallel.broken_job FAULT SCENE [FLAGS]
 """
 
+import os
 import sys
 
 import numpy as np
@@ -45,6 +46,20 @@ def leave_the_domain():
                 block = np.repeat(group.block, group.count, axis=0)[group.ids[at] == 7]
                 assert block[0, 0] == 0
                 group.xi[0, here] = int((-0.7 - MIDDLE) * 2.0**group.bits)  # 0.7 cells outside
+        return real(self, *arguments)
+
+    Simulation.advance = advance
+
+
+def linger():
+    """A job of SLURM that takes a second for each step after the first checkpoint, unless it
+    was queued again: time for what happens to it.
+    """
+    real = Simulation.advance
+
+    def advance(self, *arguments):
+        if self.step >= 40 and os.environ.get("SLURM_RESTART_COUNT", "0") == "0":
+            time.sleep(1)
         return real(self, *arguments)
 
     Simulation.advance = advance

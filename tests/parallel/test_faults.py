@@ -68,15 +68,23 @@ def test_a_particle_outside_is_never_lost_in_silence(tmp_path):
     assert "left the domain" in job.stderr
 
 
-def test_slurm_started_another_number(tmp_path):
+def test_slurm_started_tasks_that_are_alone(tmp_path):
     scene = write(tmp_path, SCENE)
-    flags = ("-m", "vgmpi", scene, "-q", "-o", tmp_path / "out")
-    job = mpirun(2, *flags, env={"SLURM_NTASKS": "4"})
+    flags = (sys.executable, "-m", "vgmpi", scene, "-q", "-o", tmp_path / "out")
+    job = run(flags, env={"SLURM_NTASKS": "4"})
     assert job.returncode == 2
     lines = [line for line in job.stderr.splitlines() if "SLURM" in line]
-    assert len(lines) == 1 and "4 tasks" in lines[0] and "MPI sees 2" in lines[0]
+    assert len(lines) == 1 and "4 tasks" in lines[0] and "MPI sees 1" in lines[0]
     assert not (tmp_path / "out").exists()
-    job = run([sys.executable, *flags, "--plan"], env={"SLURM_NTASKS": "1"})
+    job = run([*flags, "--plan"], env={"SLURM_NTASKS": "1"})
+    assert job.returncode == 0, job.stderr
+
+
+def test_ranks_of_mpirun_in_a_job_of_slurm(tmp_path):
+    """On all nodes but the first they have the environment of mpirun's daemons, a task per node."""
+    scene = write(tmp_path, SCENE)
+    alone = {"SLURM_NTASKS": "1", "SLURM_STEP_NUM_TASKS": "1"}
+    job = mpirun(2, "-m", "vgmpi", scene, "--plan", env=alone)
     assert job.returncode == 0, job.stderr
 
 
@@ -97,14 +105,14 @@ def test_a_forged_checkpoint_ends_all_ranks_with_one_line(tmp_path):
     """Its checksums are right, and what is wrong lies in the last rank's share."""
     scene = write(tmp_path, SCENE)
     flags = ("-m", "vgmpi", scene, "-q", "-o", tmp_path / "out")
-    assert mpirun(2, *flags, "--stop-after", "2 steps", timeout=60).returncode == 75
+    assert mpirun(2, *flags, "--stop-after", "2 steps").returncode == 75
     path = tmp_path / "out" / "checkpoints" / "checkpoint_000000002.h5"
 
     def beyond(f):
         f["group_001/x"][-1] = 1 << 62
 
     forge(path, beyond)
-    job = mpirun(3, *flags, "--resume", timeout=60)
+    job = mpirun(3, *flags, "--resume")
     assert job.returncode == 2, job.stderr
     (line,) = [line for line in job.stderr.splitlines() if path.name in line]
     assert f"{path}: group_001/x: row " in line and "outside its block or the domain" in line

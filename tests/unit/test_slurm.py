@@ -12,6 +12,7 @@ from tests.launch import PATIENCE, ROOT, until
 SCRIPT = ROOT / "slurm" / "vgmpi.sbatch"
 SRUN = """#!/bin/bash
 echo "$@" >> "$LOG/srun"
+echo "$SLURM_WAIT $SLURM_KILL_BAD_EXIT" > "$LOG/patience"
 trap 'echo USR1 >> "$LOG/heard"; sleep 0.3; exit 75' USR1
 touch "$LOG/running"
 for i in $(seq 100); do [ -e "$LOG/end" ] && exit "$(cat "$LOG/end")"; sleep 0.05; done
@@ -25,7 +26,7 @@ echo "$@" >> "$LOG/scontrol"
 @pytest.fixture
 def job(tmp_path):
     """Starts the script; returns a function job(*arguments, **environment)."""
-    for name, text in {"srun": SRUN, "scontrol": SCONTROL}.items():
+    for name, text in {"srun": SRUN, "mpirun": SRUN, "scontrol": SCONTROL}.items():
         (tmp_path / "bin").mkdir(exist_ok=True)
         (tmp_path / "bin" / name).write_text(text)
         (tmp_path / "bin" / name).chmod(0o755)
@@ -132,6 +133,23 @@ def test_tasks_of_an_array_have_their_own(job, tmp_path):
     said = (tmp_path / "srun").read_text()
     assert "--mpi=pmi2 " in said and "-o a/out-3 " in said and said.endswith("--set seed=3\n")
     assert (tmp_path / "scontrol").read_text() == "requeue 40_3\n"
+
+
+@pytest.mark.parametrize("environment, seconds", [({}, 30), ({"SLURM_WAIT": "7"}, 7)])
+def test_ranks_that_are_left_over_end(job, tmp_path, environment, seconds):
+    """But not those that end with the first to stop with a checkpoint."""
+    (tmp_path / "end").write_text("137")
+    process = job("scene.toml", **environment)
+    out, _ = process.communicate(timeout=PATIENCE)
+    assert (tmp_path / "patience").read_text() == f"{seconds} 0\n"
+    assert process.returncode == 137
+    assert "ended by signal 9; RESUME=1 with the same command goes on" in out
+
+
+def test_mpirun_instead_of_srun(job, tmp_path):
+    (tmp_path / "end").write_text("0")
+    job("scene.toml", MPI="mpirun").communicate(timeout=PATIENCE)
+    assert (tmp_path / "srun").read_text().startswith("--bind-to none python -m vgmpi scene.toml")
 
 
 def test_without_a_scene_it_says_how(job):
