@@ -33,6 +33,7 @@ LAYERS = [
     {"device"},
     {"splatting"},
     {"gaussians"},
+    {"room"},
 ]
 # the layers that may be used, where that is less than all below
 ONLY = {
@@ -50,6 +51,7 @@ POSTPROCESS = (
     "vgmpi.source",  # render.toml is read as a scene is, and its mistakes are told the same way
     "vgmpi.tables",
     "vgmpi.inputs",
+    "vgmpi.room",
     "postprocess",
 )
 OUTSIDE = {  # packages that only some files may use
