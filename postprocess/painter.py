@@ -15,6 +15,7 @@ from postprocess import settings, video
 from postprocess.look import Look, seen
 from postprocess.parts import Part
 from postprocess.viewpoints import Viewpoint
+from vgmpi import room
 from vgmpi.output.read import RunError, RunFiles
 from vgmpi.splatting import floor, splat
 from vgmpi.splatting.camera import Camera
@@ -62,15 +63,30 @@ class Painter:
         self.views = [
             Viewpoint(one, size, self.box, folder, longest) for one in chosen.views()
         ]  # before all that takes long: mistakes in files show at once
+        self.supersample = 1 if longest else size.supersample
+        self.afford()
         self.grounds = [
             video.background(size.background, one.width, one.height, folder) for one in self.views
         ]
         photograph = any(ground.ndim == 3 for ground in self.grounds)
         self.floor = size.floor.floor(photograph) if size.floor else None
         self.clear = size.background == "none"
-        self.supersample = 1 if longest else size.supersample
         self.look = Look(run, chosen.look)
         self.alpha_min = self.look.alpha_min(chosen.splatting.alpha_min)
+
+    def afford(self, at_once: int = 1) -> None:
+        """Raises SettingsError where `at_once` pictures do not fit into the memory of a machine."""
+        view = max(self.views, key=lambda one: one.width * one.height)
+        pixels = view.width * view.height * self.supersample**2
+        said = f"{view.width} x {view.height} pixels"
+        if self.supersample > 1:
+            said = f"{self.supersample} draws {said} as {self.supersample**2} times as many"
+        key = "picture.supersample" if self.supersample > 1 else "picture.width"
+        often = f", {at_once} pictures at once" if at_once > 1 else ""
+        try:
+            room.check(at_once * splat.BYTES * pixels, f"{key}: {said}{often}: at least")
+        except room.TooLarge as error:
+            raise settings.SettingsError([str(error)]) from None
 
     def camera(self, part: float) -> Camera:
         """The first camera at a part 0..1 of the video."""

@@ -89,7 +89,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         if ranks is None:
             return _draw(*_prepare(args), args, None)
-        return _draw(*agree(ranks, lambda: _prepare(args)), args, ranks)
+        return _draw(*agree(ranks, lambda: _prepare(args, ranks.here)), args, ranks)
     except OtherRankError:
         return 2
     except settings.SettingsError as error:
@@ -102,8 +102,11 @@ def main(argv: list[str] | None = None) -> int:
     return 2
 
 
-def _prepare(args: argparse.Namespace) -> tuple[Painter, Path, Path]:
-    """The painter, the output and the folder of render.toml. Raises errors of one line."""
+def _prepare(args: argparse.Namespace, here: int = 1) -> tuple[Painter, Path, Path]:
+    """The painter, the output and the folder of render.toml. Raises errors of one line.
+
+    here: processes of this machine that draw.
+    """
     output = output_path(args)
     chosen = settings.load(args.settings)
     if chosen.picture.background == "none" and output.suffix in video.FORMATS:
@@ -119,6 +122,8 @@ def _prepare(args: argparse.Namespace) -> tuple[Painter, Path, Path]:
         depth=args.depth is not None,
         longest=PREVIEW if args.preview else None,
     )
+    if output.suffix != ".png":
+        painter.afford(max(here, min(args.jobs, len(painter.run))))
     return painter, output, beside
 
 

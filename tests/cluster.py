@@ -135,8 +135,12 @@ class Cluster:
         """`sbatch WORDS` in the folder cwd; returns the job's number. Its output: cwd/JOB.out."""
         done = subprocess.run(
             ["sbatch", "--parsable", f"--output={cwd}/%x-%j.out", *(str(word) for word in words)],
-            env={**self.env, **environment}, cwd=cwd, capture_output=True, text=True, timeout=PATIENCE,
-        )  # fmt: skip
+            env={**self.env, **environment},
+            cwd=cwd,
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE,
+        )
         assert done.returncode == 0, done.stderr
         return done.stdout.strip()
 

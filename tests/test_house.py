@@ -35,6 +35,7 @@ LAYERS = [
     {"gaussians"},
     {"caching"},
     {"ends"},
+    {"room"},
 ]
 # the layers that may be used, where that is less than all below
 ONLY = {
@@ -54,6 +55,7 @@ POSTPROCESS = (
     "vgmpi.inputs",
     "vgmpi.caching",
     "vgmpi.ends",
+    "vgmpi.room",
     "postprocess",
 )
 OUTSIDE = {  # packages that only some files may use

@@ -8,6 +8,7 @@ import sys
 import traceback
 from pathlib import Path
 
+from . import room
 from .domain.ranks import Alone, world
 from .output import checkpoint, layout, owner, read, store
 from .planning.price import describe
@@ -234,29 +235,13 @@ def _run(scene: Scene, folder: Path, given: argparse.Namespace, ranks: Alone) ->
 def too_large(needed: int, ranks: Alone) -> str:
     """One line if the run needs more than 90 % of the machine's memory, else ""."""
     share = needed * ranks.here / ranks.size
-    have = memory()
+    have = room.free()
     if have and share > 0.9 * have:
         return (
             f"needs about {share / 2**30:.1f} GiB on this machine, which has"
             f" {have / 2**30:.1f} GiB free (90 % may be used)"
         )
     return ""
-
-
-def memory() -> int:
-    """Bytes this process may still take: free memory, or what the control group leaves; 0 if not
-    known.
-    """
-    found = []
-    try:
-        with open("/proc/meminfo") as f:
-            found += [int(line.split()[1]) * 1024 for line in f if line.startswith("MemAvailable")]
-        limit = Path("/sys/fs/cgroup/memory.max").read_text().strip()
-        if limit != "max":
-            found.append(int(limit) - int(Path("/sys/fs/cgroup/memory.current").read_text()))
-    except (OSError, ValueError):
-        pass
-    return min(found, default=0)
 
 
 def _slurm_mismatch(ranks: Alone) -> str:

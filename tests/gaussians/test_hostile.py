@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from tests.gaussians import files as written
 from tests.gaussians import hostile
 from tests.launch import PATIENCE
+from vgmpi import room
 from vgmpi.gaussians import files
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -125,5 +126,19 @@ def test_any_damage_gives_a_cloud_or_the_one_error(tmp_path_factory, case, cut, 
         assert "\n" not in str(error)
     else:
         assert len(cloud) > 0
-        assert np.isfinite(cloud.cov()).all() or np.abs(cloud.scale).max() > 1e100
+        assert np.isfinite(cloud.cov().astype(np.float32)).all()
         assert ((cloud.opacity >= 0) & (cloud.opacity <= 1)).all()
+
+
+@pytest.mark.parametrize("suffix", GOOD)
+def test_what_does_not_fit_is_told_with_the_first_rows(tmp_path, monkeypatch, suffix):
+    path = tmp_path / f"cloud{suffix}"
+    path.write_bytes(GOOD[suffix][0])
+    count = len(files.read(path))
+    for free in (100 * count, 1000 * count):  # bytes: two thirds and six times what they take
+        monkeypatch.setattr(room, "free", lambda swap=False, free=free: free)
+        if free > 500 * count:
+            assert len(files.read(path)) == count
+        else:
+            with pytest.raises(files.GaussianFileError, match=f"its {count} Gaussians take at"):
+                files.read(path)

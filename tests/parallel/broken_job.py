@@ -5,6 +5,7 @@ mpirun -n N python -m tests.parallel.broken_job FAULT SCENE [FLAGS]
 
 import os
 import sys
+import time
 
 import numpy as np
 

@@ -118,7 +118,7 @@ def test_the_time_limit(cluster, submit, lingering, one, tmp_path):
         submit((*limit, "--array=7"), PYTHON=lingering) + "_7",
     ]
     for job in jobs:
-        cluster.until_ended(job, 120, or_restarted=True)
+        cluster.until_ended(job, or_restarted=True)
         cluster.say("scontrol", "update", f"job={job}", "timelimit=60")  # once is enough
     for job, folder in zip(jobs, ("out", "out-7")):
         ended = cluster.until_ended(job)

@@ -2,7 +2,11 @@
 
 import pytest
 
-from postprocess import settings
+from postprocess import render, settings
+from postprocess.painter import Painter
+from tests.render import runs
+from vgmpi import room
+from vgmpi.output.read import RunFiles
 
 FULL = """
 [camera]
@@ -194,3 +198,28 @@ def test_the_old_spelling_of_colour_is_read_with_a_word(tmp_path, caplog):
     assert record.getMessage() == f"{where}: 'color' is the old name of picture.floor.colour"
     with pytest.raises(settings.SettingsError, match=":3: picture.floor.colour: must be a colour"):
         load(tmp_path, text.replace("#ff0000", "ff0000"))
+
+
+def test_pictures_that_do_not_fit(tmp_path, monkeypatch):
+    """Told before anything is drawn, with the key that makes them large; a preview is small."""
+    runs.write(tmp_path)
+    run, large = RunFiles(tmp_path), {"width": 8192, "height": 8192}
+    monkeypatch.setattr(room, "free", lambda swap=False: 20 << 30)
+    finer = settings.Settings(picture=large | {"supersample": 4})
+    with pytest.raises(settings.SettingsError, match="picture.supersample: 4 draws 8192 x 8192"):
+        Painter(run, finer, tmp_path)
+    painter = Painter(run, settings.Settings(picture=large), tmp_path)
+    painter.afford(9)
+    with pytest.raises(settings.SettingsError, match="pixels, 16 pictures at once: at least 32 G"):
+        painter.afford(16)
+    Painter(run, finer, tmp_path, longest=400)
+
+
+def test_a_picture_too_large_is_one_line_and_exit_code_2(tmp_path, monkeypatch, capsys):
+    runs.write(tmp_path)
+    (tmp_path / "render.toml").write_text("[picture]\nwidth = 8192\nheight = 8192\n")
+    monkeypatch.setattr(room, "free", lambda swap=False: 3 << 30)
+    command = [str(tmp_path), str(tmp_path / "render.toml"), "-q"]
+    assert render.main([*command, "--jobs", "2"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "picture.width: 8192 x 8192 pixels, 2 pictures at once: at least 4 GiB; 3 GiB" in line

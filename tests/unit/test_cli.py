@@ -7,7 +7,7 @@ import vgmpi
 from tests import simulated
 from tests.commands import leave_no_trace  # noqa: F401  of every test here
 from tests.scenes import MIXED, ROOM, write
-from vgmpi import cli
+from vgmpi import cli, room
 from vgmpi.gaussians import files
 from vgmpi.gaussians.cloud import Cloud
 from vgmpi.kernels.layers import momentum
@@ -123,7 +123,7 @@ def test_a_law_beyond_single_precision(scene, capsys, flag):
 
 
 def test_too_little_memory_is_refused(scene, capsys, monkeypatch):
-    monkeypatch.setattr(cli, "memory", lambda: 1 << 20)
+    monkeypatch.setattr(room, "free", lambda swap=False: 1 << (30 if swap else 20))
     assert cli.main([str(scene), "--plan"]) == 2
     assert "90 %" in capsys.readouterr().err
     assert cli.main([str(scene), "--plan", "--force"]) == 0

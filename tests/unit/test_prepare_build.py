@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.scenes import ROOM, scene
 from vgmpi.gaussians import files, ply
 from vgmpi.gaussians.cloud import Cloud, full
 from vgmpi.gaussians.sh import dc_from_rgb, rotate
@@ -288,3 +289,25 @@ def test_real_files(path):
     box = np.prod(np.ptp(made.x[guitar], axis=0))
     assert 0.02 * box < made.vol0[guitar].sum() < 0.6 * box
     assert made.vol0[spot].sum() == pytest.approx(1.1895e-3 * (0.06 / 0.1109) ** 3, rel=0.04)
+
+
+def test_overlaps_are_those_of_every_pair(tmp_path, caplog):
+    """Each pair in the order of the scene, with the volume that both fill."""
+    random = np.random.default_rng(4)
+    low = np.round(random.uniform(0, 0.2, (25, 3)), 2)
+    high = low + np.round(random.uniform(0.03, 0.12, (25, 3)), 2)
+    boxes = "".join(
+        f'[[object]]\nname = "b{k}"\nmaterial = "clay"\nshape = {{ box = [{a}, {b}] }}\n'
+        for k, (a, b) in enumerate(zip(low.tolist(), high.tolist()))
+    )
+    build(scene(tmp_path, ROOM + boxes))
+    expected = []
+    edge = high - low
+    for a in range(25):
+        for b in range(a + 1, 25):
+            both = np.clip(np.minimum(high[a], high[b]) - np.maximum(low[a], low[b]), 0, None)
+            if both.prod() > 0.021 * min(edge[a].prod(), edge[b].prod()):
+                expected.append(f"'b{a}' and 'b{b}' overlap by {1e3 * both.prod():.3g} l")
+    assert len(expected) > 30
+    said = [r.getMessage().split(":")[0] for r in caplog.records if "overlap" in r.getMessage()]
+    assert said == expected

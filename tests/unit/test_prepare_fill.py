@@ -237,7 +237,7 @@ def test_share_by_neighbours_at_walls_corners_and_in_sheets():
 def test_share_by_count_is_exact_for_what_it_counts():
     voxels = Voxels(np.array([1, 1, 1]), (2, 2, 2), 0.3)
     fine = np.array([[0.35, 0.35, 0.35], [0.45, 0.35, 0.35], [0.65, 0.8, 0.8], [9.0, 9.0, 9.0]])
-    share = share_by_count(voxels, fine, 3)
+    share = share_by_count(voxels, [fine[:1], fine[1:]], 3)
     assert share[0, 0, 0] == 2 / 27 and share[1, 1, 1] == 1 / 27 and share.sum() == 3 / 27
 
 

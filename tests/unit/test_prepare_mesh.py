@@ -111,13 +111,44 @@ def test_the_same_key_gives_the_same_samples():
     assert np.array_equal(a.x, b.x) and not np.array_equal(a.x[:100], c.x[:100])
 
 
-def test_spread_is_what_one_by_one_gives():
+@pytest.mark.parametrize("few", [None, 10, 150])
+def test_spread_is_what_one_by_one_gives(monkeypatch, few):
+    """Also in parts, as where points crowd."""
+    if few is not None:
+        monkeypatch.setattr(mesh, "_FEW", few)
+        monkeypatch.setattr(mesh, "_PAIRS", 0)
     x = np.random.default_rng(2).random((400, 3))
     kept = []
     for k in range(len(x)):
         if all(np.linalg.norm(x[k] - x[j]) > 0.15 for j in kept):
             kept.append(k)
     assert np.array_equal(mesh.spread(x, 0.15), kept)
+
+
+def test_crowds_are_seen_before_their_pairs_are_made(monkeypatch):
+    tree, sizes = mesh.cKDTree, []
+
+    class Watched(tree):
+        def query_pairs(self, *args, **kwargs):
+            found = super().query_pairs(*args, **kwargs)
+            sizes.append(len(found))
+            return found
+
+    monkeypatch.setattr(mesh, "cKDTree", Watched)
+    x = np.random.default_rng(2).random((20_000, 3))
+    x[::4] *= 0.01  # a quarter in a corner: 12 million pairs
+    kept = mesh.spread(x, 0.02)
+    assert max(sizes) < mesh._FEW**2 / 2 and len(sizes) > 1
+    assert len(tree(x[kept]).query_pairs(0.02)) == 0
+    away = tree(x[kept]).query(x)[0]
+    assert away.max() <= 0.02
+
+
+def test_crossings_in_parts_are_the_same(monkeypatch):
+    m = ball(rings=8)
+    every = lattice_inside(m, 0.01)
+    monkeypatch.setattr(mesh, "_CROSSINGS", 30)
+    assert np.array_equal(lattice_inside(m, 0.01), every) and len(every)
 
 
 def test_vertex_colors_are_interpolated():

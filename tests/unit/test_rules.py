@@ -12,6 +12,7 @@ from vgmpi.couplings.mixing import Mixing
 from vgmpi.device import limits
 from vgmpi.planning.colour_sets import colour_sets
 from vgmpi.planning.plan import make_plan
+from vgmpi.planning.sharing import connected
 from vgmpi.prepare.build import build
 from vgmpi.scene.scene import mixed
 
@@ -130,3 +131,19 @@ def test_the_theory_tells_the_same_limits(said, numbers):
     (found,) = re.findall(said, THEORY)
     found = found if isinstance(found, tuple) else (found,)
     assert tuple(map(number, found)) == numbers
+
+
+def test_sets_are_connected_whatever_the_order_of_the_pairs():
+    """Also along a chain, whose pairs come last first."""
+    chain = [(k, k + 1) for k in range(6)]
+    for pairs in (chain, chain[::-1], [(5, 2), (2, 0), (1, 3), (3, 3)], [(k, k) for k in range(8)]):
+        found = connected(9, pairs)
+        for a in range(9):
+            assert (found[a] < 0) == all(a not in pair for pair in pairs)
+        reached = np.eye(9, dtype=int)
+        for a, b in pairs:
+            reached[a, b] = reached[b, a] = 1
+        reached = np.linalg.matrix_power(reached, 9) > 0
+        named = found >= 0
+        same = found[:, None] == found[None, :]
+        assert np.array_equal(same[named][:, named], reached[named][:, named])

@@ -12,10 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
+from vgmpi import room
 from vgmpi.gaussians.cloud import Cloud
 
 log = logging.getLogger("vgmpi")
 
+LARGEST = 1e18  # of positions and sizes: their squares are numbers in single precision
 MOST = 100_000_000  # Gaussians in a file: no capture has more, and a broken count often does
 BLOCK = 1 << 14  # rows decoded together; a multiple of the 256 that share bounds in a .ply
 _BROKEN_LIMIT = 0.01  # share of unusable rows (NaN, no rotation) that is dropped with a warning
@@ -67,6 +69,7 @@ def gathered(count: int, decoded: Callable[[int, int], Columns]) -> Cloud:
     decoded(start, stop): the columns of these rows. Raises GaussianFileError.
     """
     parts: list[Columns] = []
+    what = "not finite (or above 1e18), have no size or no rotation"
     broken, first = 0, None
     for start in range(0, count_checked(count), BLOCK):
         stop = min(start + BLOCK, count)
@@ -79,14 +82,24 @@ def gathered(count: int, decoded: Callable[[int, int], Columns]) -> Cloud:
         if broken > _BROKEN_LIMIT * count or not good.any():
             seen = "" if stop == count else "at least "
             raise GaussianFileError(
-                f"{seen}{broken:,} of {count:,} Gaussians are not finite, have no size or no"
-                f" rotation; the first is row {first}"
+                f"{seen}{broken:,} of {count:,} Gaussians are {what}; the first is row {first}"
             )
+        if not parts:
+            _afford(count, kept)
         parts.append(kept)
     if broken:
-        said = "%d of %d Gaussians are not finite, have no size or no rotation: dropped"
-        log.warning(said, broken, count)
+        log.warning("%d of %d Gaussians are %s: dropped", broken, count, what)
     return Cloud(*(np.concatenate(column) for column in zip(*parts)))
+
+
+def _afford(count: int, some: Columns) -> None:
+    """Raises GaussianFileError where `count` Gaussians like these do not fit into the memory: part
+    after part, and then all together."""
+    each = sum(column[0].nbytes for column in some)
+    try:
+        room.check(2 * (1 - _BROKEN_LIMIT) * count * each, f"its {count:,} Gaussians take at least")
+    except room.TooLarge as error:
+        raise GaussianFileError(str(error)) from None
 
 
 def _usable(x, quat, scale, opacity, sh) -> tuple[np.ndarray, Columns]:
@@ -96,7 +109,8 @@ def _usable(x, quat, scale, opacity, sh) -> tuple[np.ndarray, Columns]:
     sh = sh.astype(np.float32)
     good = (length > 1e-8) & np.isfinite(length) & np.isfinite(opacity)
     good &= (scale >= 0).all(axis=1) & (scale > 0).any(axis=1)
-    for value in (x, scale, sh.reshape(n, -1)):
-        good &= np.isfinite(value).all(axis=1)
+    good &= np.isfinite(sh.reshape(n, -1)).all(axis=1)
+    for value in (x, scale):
+        good &= (np.abs(value) <= LARGEST).all(axis=1)
     quat = quat[good] / length[good, None]
     return good, (x[good], quat, scale[good], np.clip(opacity[good], 0.0, 1.0), sh[good])

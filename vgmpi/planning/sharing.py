@@ -86,8 +86,11 @@ def _one_sand_per_phase(scene: Scene, couplings, groups, of) -> None:
 def connected(n: int, pairs: list[tuple[int, int]]) -> np.ndarray:
     """Number of the connected set of each of n phases, -1 for those in no pair: (n,)."""
     lowest = np.arange(n)
-    for _ in pairs:
+    moved = True
+    while moved:  # mostly twice, also with thousands of bodies
+        moved = False
         for a, b in pairs:
+            moved |= bool(lowest[a] != lowest[b])
             lowest[a] = lowest[b] = min(lowest[a], lowest[b])
     named = np.isin(np.arange(n), pairs)
     found = np.full(n, -1)

@@ -6,10 +6,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy import sparse
 
+from vgmpi import room
 from vgmpi.gaussians.checked import GaussianFileError
 from vgmpi.planning.colour_sets import colour_sets
 from vgmpi.planning.groups import deforms
+from vgmpi.prepare import cost
 from vgmpi.prepare.collider import Collider
 from vgmpi.prepare.initial import begun
 from vgmpi.prepare.loaded import Loaded, find
@@ -78,8 +81,9 @@ class Prepared:
 
 
 def build(scene: Scene) -> Prepared:
-    """Make all particles of a scene. Raises SceneError with all objects that cannot be made, or
-    loads that act on nothing."""
+    """Make all particles of a scene. Raises SceneError with all objects that cannot be made or do
+    not fit into the memory, or loads that act on nothing."""
+    cost.afford(scene)
     pieces: list[Piece] = []
     errors: list[tuple[tuple, str]] = []
     for k, thing in enumerate(scene.object):
@@ -89,8 +93,11 @@ def build(scene: Scene) -> Prepared:
             errors.append((("object", k, error.key), str(error)))
         except (GaussianFileError, MeshError) as error:
             errors.append((("object", k, thing.source), str(error)))
+        except room.TooLarge as error:
+            errors.append((cost.key(scene, k), f"object '{thing.name}': {error}"))
     if errors:
         raise scene.error(errors)
+    cost.fits(scene, {k: len(piece.cloud) for k, piece in enumerate(pieces)}, cost.JOINED)
     _warn_of_overlaps(scene, pieces)
     _warn_of_locking(scene)
     return _together(scene, pieces)
@@ -108,17 +115,22 @@ def _warn_of_overlaps(scene: Scene, pieces: list[Piece]) -> None:
     if not bodies:
         return
     voxels = Voxels.around(np.concatenate([pieces[k].cloud.x for k in bodies]), spacing, margin=0)
-    held = {k: np.unique(voxels.index(pieces[k].cloud.x)) for k in bodies}
-    for at, a in enumerate(bodies):
-        for b in bodies[at + 1 :]:
-            shared = len(np.intersect1d(held[a], held[b], assume_unique=True))
-            if shared > 0.02 * min(len(held[a]), len(held[b])):
-                log.warning(
-                    "'%s' and '%s' overlap by %.3g l: they will push each other apart",
-                    scene.object[a].name,
-                    scene.object[b].name,
-                    1e3 * shared * spacing**3,
-                )
+    held = [np.unique(voxels.index(pieces[k].cloud.x)) for k in bodies]
+    size = np.array([len(each) for each in held])
+    place = np.unique(np.concatenate(held), return_inverse=True)[1].ravel()
+    rows = np.repeat(np.arange(len(bodies)), size)
+    has = sparse.csr_array((np.ones(len(rows), dtype=np.int64), (rows, place)))
+    shared = sparse.triu(has @ has.T, k=1).tocsr()  # voxels of each pair that has any
+    shared.sort_indices()
+    one, other = shared.nonzero()
+    for a, b, count in zip(one, other, shared.data, strict=True):
+        if count > 0.02 * min(size[a], size[b]):
+            log.warning(
+                "'%s' and '%s' overlap by %.3g l: they will push each other apart",
+                scene.object[bodies[a]].name,
+                scene.object[bodies[b]].name,
+                1e3 * count * spacing**3,
+            )
 
 
 def _warn_of_locking(scene: Scene) -> None:

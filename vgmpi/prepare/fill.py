@@ -6,8 +6,9 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from vgmpi import room
 from vgmpi.gaussians.cloud import Cloud
-from vgmpi.prepare.voxels import Voxels, covered
+from vgmpi.prepare.voxels import NEIGHBOURS, Voxels, covered
 
 # shares of all directions in which the surface is met, seen from inside a shell with holes
 CERTAIN = 0.85  # inside: the corner between two outer walls has 3/4
@@ -16,6 +17,7 @@ VOTES = 5  # of 6 axis directions that meet the surface, quick to find: likely i
 LEAKING = 0.5  # share of what is likely inside below which the closed filling has leaked out
 _WEIGHT = {1: 1 / 21, 2: 4 / 105, 3: 9 / 280}  # of directions along faces, edges, corners
 _AXES = [step for step in itertools.product((-1, 0, 1), repeat=3) if sum(map(abs, step)) == 1]
+_ADVICE = "remove outliers with select, or set fill = false"
 _LARGEST = 2**29  # voxels in the box of one object
 
 
@@ -36,10 +38,11 @@ def interior(cloud: Cloud, spacing: float, mode: bool | str) -> tuple[np.ndarray
     voxels = Voxels.around(cloud.x, spacing)
     if np.prod(np.array(voxels.shape, dtype=float)) > _LARGEST:
         size = " x ".join(map(str, voxels.shape))
-        raise TooLarge(
-            f"its box of {size} voxels of {spacing:g} m is too large to fill: remove outliers with"
-            " select, or set fill = false"
-        )
+        raise TooLarge(f"its box of {size} voxels of {spacing:g} m is too large to fill: {_ADVICE}")
+    try:
+        voxels.afford(NEIGHBOURS)  # which share what is filled
+    except room.TooLarge as error:
+        raise TooLarge(f"{error}: {_ADVICE}") from None
     surface = covered(cloud, voxels)
     inside = ndimage.binary_fill_holes(surface) & ~surface
     if mode is True:

@@ -3,12 +3,17 @@
 import contextlib
 import io
 import logging
+import math
+import mmap
+import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from vgmpi import room
 from vgmpi.gaussians.cloud import Cloud, rotation_matrices
 from vgmpi.gaussians.sh import dc_from_rgb
 from vgmpi.prepare import texture
@@ -20,6 +25,14 @@ FORMATS = (".obj", ".stl", ".ply", ".vtk", ".vtu")
 FEWEST = 20_000  # Gaussians on a surface, so that a small object is drawn smoothly
 FLATNESS = 0.1  # thickness of a disc relative to its radius
 RADIUS = 0.6  # standard deviation of a disc relative to sqrt(area / number)
+LEAST, MOST = 1e-100, 1e100  # size of a mesh in the units of its file
+_LEAST_AREA = 1e-200  # [m2]
+_FILE = 1.5  # bytes that a byte of a file becomes, at least
+_GRID = re.compile(rb"DIMENSIONS\s+(\d{1,18}(?:\s+\d{1,18}){2})", re.IGNORECASE)
+_FREE_GRID = 1 << 20  # points of a grid that any file may have
+_CROSSINGS = 1 << 22  # of triangles with lines that are looked at together
+_FEW, _PAIRS = 4096, 50  # points whose pairs always fit; pairs per point in all, usual are 10
+_CANDIDATE = 80  # bytes of a candidate, at least
 _CROWD = 5  # candidates per point that is kept
 _SNUG = 0.72  # least distance of two points relative to sqrt(area / number)
 
@@ -50,6 +63,7 @@ def read(path: Path) -> Mesh:
     if path.suffix.lower() not in FORMATS:
         raise MeshError(f"{path}: cannot be read as a mesh: allowed are {', '.join(FORMATS)}")
     try:
+        room.check(_FILE * path.stat().st_size, f"its {path.stat().st_size:,} bytes take at least")
         found = _read_obj(path) if path.suffix.lower() == ".obj" else _read_any(path)
     except (Exception, SystemExit) as error:  # meshio's readers raise anything, and may exit
         said = str(error).splitlines()
@@ -60,6 +74,9 @@ def read(path: Path) -> Mesh:
     low, high = found.triangles.min(), found.triangles.max()
     if not np.isfinite(found.points).all() or low < 0 or high >= len(found.points):
         raise MeshError(f"{path}: has points that are not finite or triangles without points")
+    extent = float(np.ptp(found.points[found.triangles.ravel()], axis=0).max())
+    if not LEAST <= extent <= MOST or np.abs(found.points).max() > MOST:
+        raise MeshError(f"{path}: is {extent:.3g} large; allowed are {LEAST:g} to {MOST:g}")
     return found
 
 
@@ -70,6 +87,8 @@ def _read_any(path: Path) -> Mesh:
         with open(path, "rb") as file:
             if b"end_header" not in file.read(1 << 16):
                 raise ValueError("its header has no end")
+    if path.suffix.lower() == ".vtk":
+        _check_grid(path)
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         found = meshio.read(path)
     points = np.asarray(found.points, dtype=np.float64)
@@ -83,6 +102,16 @@ def _read_any(path: Path) -> Mesh:
     return Mesh(points, np.concatenate(fans).astype(np.int64), colors)
 
 
+def _check_grid(path: Path) -> None:
+    """Raises ValueError where a grid has more points, which need not be there, than the file."""
+    size = path.stat().st_size
+    with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
+        for found in _GRID.finditer(text):
+            points = math.prod(map(int, found[1].split()))
+            if points > max(_FREE_GRID, size):
+                raise ValueError(f"its grid has {points:,} points, the file {size:,} bytes")
+
+
 def _read_obj(path: Path) -> Mesh:
     """Points, their colours, faces and textures of a Wavefront file.
 
@@ -92,7 +121,7 @@ def _read_obj(path: Path) -> Mesh:
     places: list[list[float]] = []
     corners: list[tuple[int, int]] = []  # point and texture coordinate (-1: none), 3 per triangle
     painted, libraries, material = [], [], ""
-    for line in path.read_text(errors="replace").splitlines():
+    for line in _lines(path):
         words = line.split()
         match words[:1]:
             case ["v"]:
@@ -113,6 +142,12 @@ def _read_obj(path: Path) -> Mesh:
     x = np.array([point[:3] for point in points], dtype=np.float64).reshape(-1, 3)
     index = np.array(corners, dtype=np.int64).reshape(-1, 3, 2)
     return Mesh(x, index[:, :, 0], rgb, _paint(path, libraries, painted, places, index[:, :, 1]))
+
+
+def _lines(path: Path) -> Iterator[str]:
+    with open(path, errors="replace") as file:
+        for line in file:
+            yield from line.splitlines()  # also at the ends of lines that few systems know
 
 
 def _corner(word: str, points: int, places: int) -> tuple[int, int]:
@@ -168,13 +203,20 @@ def _vertex_colors(data: dict, count: int) -> np.ndarray | None:
 def sample(mesh: Mesh, spacing: float, color: tuple, opacity: float, key: list[int]) -> Cloud:
     """Flat Gaussians spread evenly (Poisson disc) over a placed mesh, `spacing` / 2 [m] apart.
 
-    key: integers that choose the random numbers; the same ones give the same points.
+    key: integers that choose the random numbers; the same ones give the same points. Raises
+    MeshError for a mesh without area, room.TooLarge.
     """
     corner = mesh.corners()
-    cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    double = np.linalg.norm(cross, axis=1)
-    area = double.sum() / 2
-    wanted = int(max(FEWEST, area / (spacing / 2) ** 2))
+    with np.errstate(over="ignore", under="ignore"):  # such an area is refused
+        cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+        double = np.linalg.norm(cross, axis=1)
+        area = double.sum() / 2
+    if not (_LEAST_AREA < area < np.inf):
+        raise MeshError(f"its triangles have an area of {area:.3g} m2: they are lines or points")
+    wanted = max(FEWEST, area / (spacing / 2) ** 2)
+    said = f"{wanted:.3g} Gaussians, {spacing / 2:g} m apart on a surface of {area:.3g} m2, take"
+    room.check(_CANDIDATE * _CROWD * wanted, f"{said} at least")
+    wanted = int(wanted)
     random = np.random.Generator(np.random.Philox(np.random.SeedSequence(key)))
     draw = random.random((_CROWD * wanted, 3))
     edges = np.cumsum(double)
@@ -211,13 +253,48 @@ def toward(normal: np.ndarray) -> np.ndarray:
 def spread(x: np.ndarray, distance: float) -> np.ndarray:
     """Indices of points no two of which are closer than `distance` [m]; earlier points win.
 
-    What taking the points one by one would give, but in a few vectorised rounds.
+    What taking the points one by one would give, but in a few vectorised rounds. Where points lie
+    so close that their pairs would fill the memory, as on triangles that lie over each other, part
+    after part: what is near a point that was taken is out before pairs are looked for.
     """
-    pairs = cKDTree(x).query_pairs(distance, output_type="ndarray")  # (m, 2), first < second
-    taken = np.zeros(len(x), dtype=bool)
-    open_ = np.ones(len(x), dtype=bool)
+    taken = np.empty(0, dtype=np.int64)
+    first, part = 0, len(x)
+    while first < len(x):
+        rest = np.arange(first, min(first + part, len(x)))
+        if len(taken):
+            beyond = np.nextafter(distance, np.inf)
+            rest = rest[cKDTree(x[taken]).query(x[rest], distance_upper_bound=beyond)[0] > distance]
+        tree = cKDTree(x[rest]) if len(rest) else None
+        if tree and _crowded(tree, distance, _PAIRS * len(x)):
+            part = max(len(rest) // 8, _FEW)
+            continue
+        if tree:
+            pairs = tree.query_pairs(distance, output_type="ndarray")  # (m, 2), first < second
+            taken = np.concatenate([taken, rest[_first_ones(len(rest), pairs)]])
+        first += part
+        part = first  # as many again
+    return taken
+
+
+def _crowded(tree: cKDTree, distance: float, most: int) -> bool:
+    """Whether points have more than about `most` neighbours in all: as some of them tell, at first
+    few, since those of a crowd take long."""
+    if tree.n <= _FEW:
+        return False
+    for some in (64, _FEW):
+        seen = tree.data[:: max(1, tree.n // some)]
+        near = tree.query_ball_point(seen, distance, return_length=True)
+        if near.mean() * tree.n > most:
+            return True
+    return False
+
+
+def _first_ones(count: int, pairs: np.ndarray) -> np.ndarray:
+    """Which of `count` things to take, in their order, where no pair (m, 2) may be taken."""
+    taken = np.zeros(count, dtype=bool)
+    open_ = np.ones(count, dtype=bool)
     while open_.any():
-        waits = np.zeros(len(x), dtype=bool)
+        waits = np.zeros(count, dtype=bool)
         waits[pairs[:, 1]] = True
         new = open_ & ~waits
         taken |= new
@@ -256,19 +333,29 @@ def _winding(corner: np.ndarray, points: np.ndarray, h: float) -> np.ndarray:
     low, high = np.maximum(low, start), np.minimum(high, start + size - 1)
     span = np.maximum(high - low + 1, 0)
     count = span[:, 0] * span[:, 1]
-    tri = np.repeat(np.arange(len(corner)), count)
-    nth = np.arange(len(tri)) - np.repeat(np.cumsum(count) - count, count)
-    cell = low[tri] + np.stack([nth // span[tri, 1], nth % span[tri, 1]], axis=1)
-    line = (cell + 0.5) * h + aside
-    a, b, c = (corner[tri, k] for k in range(3))
+    below = np.zeros(len(points), dtype=np.int64)
+    columns = _flat(column - start, size)
+    # part after part: of many large triangles each has a crossing on every line
+    last = np.cumsum(count)
+    ends = np.searchsorted(last, np.arange(_CROSSINGS, last[-1] + _CROSSINGS, _CROSSINGS), "right")
+    for part in np.split(np.arange(len(corner)), np.unique(np.minimum(ends, len(corner)))):
+        tri = np.repeat(part, count[part])
+        nth = np.arange(len(tri)) - np.repeat(np.cumsum(count[part]) - count[part], count[part])
+        cell = low[tri] + np.stack([nth // span[tri, 1], nth % span[tri, 1]], axis=1)
+        hit, height, sign = _hits(corner[tri], (cell + 0.5) * h + aside)
+        below += _crossings_below(_flat(cell[hit] - start, size), height, sign, columns, points)
+    return below
+
+
+def _hits(corner: np.ndarray, line: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which of the triangles (n, 3, 3) their lines (n, 2) along the third coordinate meet, where,
+    and with which sign."""
+    a, b, c = (corner[:, k] for k in range(3))
     u, v, w = (_area(p, q, line) for p, q in ((b, c), (c, a), (a, b)))
     twice = u + v + w
     hit = (((u > 0) & (v > 0) & (w > 0)) | ((u < 0) & (v < 0) & (w < 0))) & (twice != 0)
     u, v, w, twice = u[hit], v[hit], w[hit], twice[hit]
-    height = (u * a[hit, 2] + v * b[hit, 2] + w * c[hit, 2]) / twice
-    return _crossings_below(
-        _flat(cell[hit] - start, size), height, np.sign(twice), _flat(column - start, size), points
-    )
+    return hit, (u * a[hit, 2] + v * b[hit, 2] + w * c[hit, 2]) / twice, np.sign(twice)
 
 
 def _area(p: np.ndarray, q: np.ndarray, x: np.ndarray) -> np.ndarray:

@@ -1,20 +1,30 @@
 """One object after the other: read or sampled, placed, filled, coloured, weighed, thinned."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vgmpi.gaussians import files
+from vgmpi.gaussians.checked import LARGEST
 from vgmpi.gaussians.cloud import Cloud
 from vgmpi.gaussians.evolve import BALLS
 from vgmpi.gaussians.sh import dc_from_rgb
-from vgmpi.prepare import fill, mesh, prune, shapes
+from vgmpi.prepare import cost, fill, mesh, prune, shapes
 from vgmpi.prepare.collider import Collider, ShapeCollider, VoxelCollider
-from vgmpi.prepare.place import Placement, PlacementError, place, turn
+from vgmpi.prepare.cost import spacing_of
+from vgmpi.prepare.place import Placement, PlacementError, check_inside, corners, place, turn
 from vgmpi.prepare.select import selected
-from vgmpi.prepare.voxels import Voxels, share_by_count, share_by_neighbours, volumes
+from vgmpi.prepare.voxels import (
+    COUNTED,
+    DISTANCES,
+    NEIGHBOURS,
+    Voxels,
+    share_by_count,
+    share_by_neighbours,
+    volumes,
+)
 from vgmpi.scene.objects import Object
 from vgmpi.scene.scene import Scene
 
@@ -41,12 +51,12 @@ class Piece:
 def make(scene: Scene, number: int) -> Piece:
     """Object `number` of the scene in the domain.
 
-    Raises PlacementError, GaussianFileError or MeshError where that cannot be done.
+    Raises PlacementError, GaussianFileError, MeshError or room.TooLarge where that cannot be done.
     """
     thing = scene.object[number]
     piece = _MAKE[thing.source](scene, number, thing)
     if thing.role == "body":  # fillings and samples too
-        _inside(scene, thing, piece.cloud.x.min(axis=0), piece.cloud.x.max(axis=0), 0.0)
+        check_inside(scene, thing, piece.cloud.x.min(axis=0), piece.cloud.x.max(axis=0), 0.0)
         said = ""
         if thing.prune != "off":
             piece, said = _pruned(scene, thing, piece)
@@ -60,16 +70,29 @@ def make(scene: Scene, number: int) -> Piece:
 def _from_shape(scene: Scene, k: int, thing: Object) -> Piece:
     shape, spacing = thing.shape, spacing_of(scene, thing)
     at = place(thing, lambda d: shapes.reach(shape, d))
-    low, high = _corners(at, lambda d: shapes.reach(shape, d))
+    low, high = corners(at, lambda d: shapes.reach(shape, d))
     if thing.role == "body":
-        _inside(scene, thing, low, high, 1e-6 * spacing)  # before a huge lattice is searched
+        check_inside(scene, thing, low, high, 1e-6 * spacing)  # before a huge lattice is searched
+    more = at.scale * shapes.bulge(shape)
+    cost.within_numbers(scene, thing, low - more, high + more)
+
+    def deep(points: np.ndarray) -> np.ndarray:
+        return at.scale * shapes.distance(shape, at.own(points))
+
+    skin = 1.01 * spacing if thing.role == "scenery" else np.inf
 
     def wanted(points: np.ndarray) -> np.ndarray:
-        deep = at.scale * shapes.distance(shape, at.own(points))
-        return (deep < 0) & (deep > -1.01 * spacing) if thing.role == "scenery" else deep < 0
+        d = deep(points)
+        return (d < 0) & (d > -skin)
 
-    more = at.scale * shapes.bulge(shape)
-    x = shapes.lattice(wanted, low - more, high + more, spacing)
+    def none(middles: np.ndarray) -> np.ndarray:
+        d, half = deep(middles), np.sqrt(3.0) / 2 * shapes.BLOCK * spacing
+        return (d > half) | (d < -skin - half)
+
+    region = low - more, high + more, spacing
+    cubes = shapes.steady(shape) and shapes.worth_cubes(*region)
+    cost.looked_at(shapes.span(*region) / (shapes.BLOCK**3 if cubes else 1))
+    x = shapes.lattice(wanted, *region, none if cubes else None)
     if not len(x):
         said = f"too small or thin: no particle fits in, their spacing is {spacing:g} m"
         raise PlacementError("shape", said)
@@ -89,22 +112,28 @@ def _from_mesh(scene: Scene, k: int, thing: Object) -> Piece:
     found = mesh.read(scene.files[thing.name])
     at = place(thing, lambda d: float((found.points @ d).max()))
     placed = replace(found, points=at.points(found.points))
+    low, high = placed.points.min(axis=0), placed.points.max(axis=0)
+    cost.within_numbers(scene, thing, low, high)
     if thing.role == "body":
-        low, high = placed.points.min(axis=0), placed.points.max(axis=0)
-        _inside(scene, thing, low, high, 1e-6 * spacing)
+        check_inside(scene, thing, low, high, 1e-6 * spacing)
+    filled = thing.role == "body" or thing.collider
+
+    def search(h: float) -> tuple:
+        return (lambda points: mesh.inside(placed, points, h)), low, high, h
+
+    fine = spacing / _FINENESS
+    if filled:
+        cost.looked_at(shapes.span(low, high, fine))
+        places = shapes.span(low, high, spacing)
+        cost.afford_inside(scene, k, places, lambda h: len(shapes.lattice(*search(h))))
     surface = mesh.sample(placed, spacing, thing.colour, thing.opacity, [scene.seed, k])
     normal = mesh.normals(surface)
     rgb = shaded(surface.rgb, normal, 0.0 if _is_fluid(scene, thing) else scene.appearance.shade)
     surface.sh[:, 0] = dc_from_rgb(rgb)
-    if thing.role == "scenery" and not thing.collider:
+    if not filled:
         return Piece(surface, np.zeros(len(surface)), at)
-    low, high = placed.points.min(axis=0), placed.points.max(axis=0)
-
-    def lattice(h: float) -> np.ndarray:
-        return shapes.lattice(lambda points: mesh.inside(placed, points, h), low, high, h)
-
-    fine = lattice(spacing / _FINENESS)
-    return _solid(scene, thing, surface, lattice(spacing), np.empty((0, 3)), at, fine)
+    inner = shapes.lattice(*search(spacing))
+    return _solid(scene, k, surface, inner, np.empty((0, 3)), at, shapes.searched(*search(fine)))
 
 
 def _from_gaussians(scene: Scene, k: int, thing: Object) -> Piece:
@@ -114,15 +143,19 @@ def _from_gaussians(scene: Scene, k: int, thing: Object) -> Piece:
         raise PlacementError("select", "selects no Gaussian of the file")
     at = place(thing, lambda d: float((cloud.x @ d).max()))
     cloud = at.cloud(cloud)
+    cost.within_numbers(scene, thing, cloud.x.min(axis=0), cloud.x.max(axis=0))
+    if not cloud.scale.max() <= LARGEST:
+        said = f"makes a Gaussian {cloud.scale.max():.3g} m large; at most {LARGEST:g} m"
+        raise PlacementError(cost.sized(thing), said)
     if thing.role == "scenery" and not thing.collider:
         return Piece(cloud, np.zeros(len(cloud)), at)
     if thing.role == "body":
-        _inside(scene, thing, cloud.x.min(axis=0), cloud.x.max(axis=0), 0.0)
+        check_inside(scene, thing, cloud.x.min(axis=0), cloud.x.max(axis=0), 0.0)
     try:
         inner, gaps = fill.interior(cloud, spacing, thing.fill)
     except fill.TooLarge as error:
         raise PlacementError("fill", str(error)) from None
-    return _solid(scene, thing, cloud, inner, gaps, at)
+    return _solid(scene, k, cloud, inner, gaps, at)
 
 
 _MAKE: dict[str, Callable[[Scene, int, Object], Piece]] = {
@@ -134,32 +167,34 @@ _MAKE: dict[str, Callable[[Scene, int, Object], Piece]] = {
 
 def _solid(
     scene: Scene,
-    thing: Object,
+    k: int,
     surface: Cloud,
     inner: np.ndarray,
     gaps: np.ndarray,
     at: Placement,
-    fine: np.ndarray | None = None,
+    fine: Iterable[np.ndarray] | None = None,
 ) -> Piece:
     """A surface and lattice points inside and on it: as a body, or as scenery that others hit.
 
     inner (m, 3), gaps (g, 3) [m]: see fill.interior. fine: points inside of a lattice _FINENESS
-    times as fine, where the form is known exactly.
+    times as fine, part after part, where the form is known exactly. Raises room.TooLarge.
     """
-    spacing = spacing_of(scene, thing)
+    thing, spacing = scene.object[k], spacing_of(scene, scene.object[k])
     shell = np.concatenate([surface.x, gaps])
     voxels = Voxels.around(np.concatenate([shell, inner]), spacing)
     inner = inner[~np.isin(voxels.index(inner), voxels.index(shell))]
-    if thing.fill is False:
-        share = np.zeros(voxels.shape)
-        share.ravel()[voxels.index(shell)] = 1.0
-    elif fine is None:
-        share = share_by_neighbours(voxels, shell, inner)
-    else:
+    share = None  # every voxel counts in full
+    if fine is not None:
+        voxels.afford(COUNTED)
         share = share_by_count(voxels, fine, _FINENESS)
+    elif thing.fill is not False:
+        voxels.afford(NEIGHBOURS)
+        share = share_by_neighbours(voxels, shell, inner)
     if thing.role == "scenery":
-        collider = VoxelCollider.of(thing.name, voxels, share >= 0.5)
+        voxels.afford(DISTANCES)
+        collider = VoxelCollider.of(thing.name, voxels, voxels.solid(share, shell))
         return Piece(surface, np.zeros(len(surface)), at, collider)
+    cost.fits(scene, {k: len(shell) + len(inner)}, cost.MADE)
     # what covers the gaps is drawn already, so their particles carry mass only
     unseen = fill.filling(gaps, surface, spacing, 0.0)
     filled = fill.filling(inner, surface, spacing, thing.opacity)
@@ -205,31 +240,5 @@ def shaded(rgb: np.ndarray, normal: np.ndarray, amount: float) -> np.ndarray:
     return rgb * (1.0 - amount * (1.0 - facing))[:, None]
 
 
-def spacing_of(scene: Scene, thing: Object) -> float:
-    """Distance [m] of particles on the lattice."""
-    return scene.domain.cell / round(thing.particles_per_cell ** (1 / 3))
-
-
 def _is_fluid(scene: Scene, thing: Object) -> bool:
     return thing.role == "body" and scene.material[thing.material].family == "fluid"
-
-
-def _corners(at: Placement, reach: Callable[[np.ndarray], float]) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper corner (3,) [m] of an object in the domain."""
-    high = at.scale * np.array([reach(row) for row in at.rotation]) + at.shift
-    low = -at.scale * np.array([reach(-row) for row in at.rotation]) + at.shift
-    return low, high
-
-
-def _inside(scene: Scene, thing: Object, low: np.ndarray, high: np.ndarray, slack: float) -> None:
-    """Raises PlacementError where an object reaches out of the domain by more than `slack` [m]."""
-    size = np.asarray(scene.domain.size)
-    out = []
-    for axis, name in enumerate("xyz"):
-        if low[axis] < -slack or high[axis] > size[axis] + slack:
-            reaches = f"{name} = {low[axis]:.4g} .. {high[axis]:.4g} m"
-            out.append(f"it reaches {reaches}, the domain 0 .. {size[axis]:g} m")
-    if out:
-        key = "position" if thing.position is not None else "origin"
-        key = key if getattr(thing, key) is not None else thing.source
-        raise PlacementError(key, f"the object lies outside the domain: {'; '.join(out)}")

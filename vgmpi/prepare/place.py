@@ -7,6 +7,7 @@ import numpy as np
 
 from vgmpi.gaussians.cloud import Cloud
 from vgmpi.scene.objects import Object
+from vgmpi.scene.scene import Scene
 
 # rows: the file's axes that become x, y and z
 _UP = {
@@ -17,6 +18,9 @@ _UP = {
     "x": ((0, 1, 0), (0, 0, 1), (1, 0, 0)),
     "-x": ((0, 1, 0), (0, 0, -1), (-1, 0, 0)),
 }
+
+
+FLAT = 1e-100  # extent of what has none, in its own units
 
 
 class PlacementError(ValueError):
@@ -88,7 +92,7 @@ def _scale(thing: Object, up: np.ndarray, reach: Callable[[np.ndarray], float]) 
         wanted = getattr(thing, key)
         if wanted is not None:
             extent = reach(up[axis]) + reach(-up[axis])
-            if not extent > 0:
+            if not extent > FLAT:
                 raise PlacementError(key, "the object is flat in this direction: no scale gives it")
             return wanted / extent
     return thing.scale or 1.0
@@ -99,3 +103,32 @@ def axis_rotation(axis: tuple, angle: float) -> np.ndarray:
     x, y, z = axis
     k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * (k @ k)
+
+
+def corners(at: Placement, reach: Callable[[np.ndarray], float]) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper corner (3,) [m] of an object in the domain."""
+    high = at.scale * np.array([reach(row) for row in at.rotation]) + at.shift
+    low = -at.scale * np.array([reach(-row) for row in at.rotation]) + at.shift
+    return low, high
+
+
+def check_inside(
+    scene: Scene, thing: Object, low: np.ndarray, high: np.ndarray, slack: float
+) -> None:
+    """Raises PlacementError where an object reaches out of the domain by more than `slack` [m]."""
+    size = np.asarray(scene.domain.size)
+    out = []
+    for axis, name in enumerate("xyz"):
+        if low[axis] < -slack or high[axis] > size[axis] + slack:
+            reaches = f"{name} = {low[axis]:.4g} .. {high[axis]:.4g} m"
+            out.append(f"it reaches {reaches}, the domain 0 .. {size[axis]:g} m")
+    if out:
+        raise PlacementError(
+            where_placed(thing), f"the object lies outside the domain: {'; '.join(out)}"
+        )
+
+
+def where_placed(thing: Object) -> str:
+    """The key that says where an object stands."""
+    given = (key for key in ("position", "origin") if getattr(thing, key) is not None)
+    return next(given, thing.source)

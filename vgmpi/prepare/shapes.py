@@ -3,14 +3,20 @@
 Distances are in the shape's own coordinates [m], negative inside.
 """
 
+from collections.abc import Callable, Iterator
+
 import numpy as np
 
 from vgmpi.scene.forms import Cone, Rod, Shape, Torus
+
+Judge = Callable[[np.ndarray], np.ndarray]  # of points (n, 3), bool (n,)
 
 # Lattice points are judged this share of a spacing up from where they lie, so that a face that
 # runs exactly through a layer of points takes the layer at the low side and leaves the one at the
 # high side, whatever rounding says.
 TIE = 1e-6
+BLOCK = 16  # points along an edge of the cubes that are looked at as a whole
+_MOST = 500_000  # points looked at together
 
 
 def distance(shape: Shape, points: np.ndarray) -> np.ndarray:
@@ -40,9 +46,11 @@ def distance(shape: Shape, points: np.ndarray) -> np.ndarray:
             along, across = _about_axis(form, points)
             return np.hypot(across - form.radius, along) - form.tube
         case "union":
-            return _union([distance(part, points) for part in form], shape.blend)
-    inside, *cut = (distance(part, points) for part in form)
-    return np.max([inside, *(-d for d in cut)], axis=0)
+            return _union((distance(part, points) for part in form), shape.blend)
+    out = distance(form[0], points)
+    for part in form[1:]:  # one after the other: there may be hundreds
+        out = np.maximum(out, -distance(part, points))
+    return out
 
 
 def reach(shape: Shape, direction: np.ndarray) -> float:
@@ -88,6 +96,13 @@ def bulge(shape: Shape) -> float:
     return max(bulge(part) for part in parts) + (len(parts) - 1) * (shape.blend or 0.0) / 4
 
 
+def steady(shape: Shape) -> bool:
+    """Whether `distance` changes by no more than the way between two points. Near an ellipsoid it
+    does not hold."""
+    parts = getattr(shape, shape.form) if shape.form in ("union", "difference") else ()
+    return shape.form != "ellipsoid" and all(steady(part) for part in parts)
+
+
 def colors(shape: Shape, points: np.ndarray, default: tuple) -> np.ndarray:
     """Colour (n, 3) of `points`: of the first part of a union that holds them, else `default`."""
     own = shape.colour or default
@@ -95,9 +110,12 @@ def colors(shape: Shape, points: np.ndarray, default: tuple) -> np.ndarray:
         return colors(shape.difference[0], points, own)
     out = np.tile(np.asarray(own, dtype=float), (len(points), 1))
     if shape.form == "union":
-        depths = np.array([distance(part, points) for part in shape.union])
-        # points of no part (scenery's skin, rounding) take the nearest
-        holder = np.where((depths <= 0).any(axis=0), (depths <= 0).argmax(0), depths.argmin(0))
+        holder, nearest = np.zeros(len(points), dtype=np.int64), np.full(len(points), np.inf)
+        for k, part in enumerate(shape.union):
+            # points of no part (scenery's skin, rounding) take the nearest
+            depth = distance(part, points)
+            nearer = (nearest > 0) & (depth < nearest)
+            holder[nearer], nearest[nearer] = k, depth[nearer]
         for k, part in enumerate(shape.union):
             mine = holder == k
             out[mine] = colors(part, points[mine], own)
@@ -115,24 +133,73 @@ def normals(shape: Shape, points: np.ndarray, step: float) -> np.ndarray:
     return np.where(size > 0, out / np.maximum(size, 1e-300), (0.0, 0.0, 1.0))
 
 
-def lattice(inside, low: np.ndarray, high: np.ndarray, spacing: float) -> np.ndarray:
+def lattice(
+    inside: Judge, low: np.ndarray, high: np.ndarray, spacing: float, none: Judge | None = None
+) -> np.ndarray:
     """Points (n, 3) of the lattice of cell centres (i + 1/2) spacing for which `inside` is true.
 
-    inside: called with points (m, 3), slab by slab so that memory stays bounded, returns (m,) bool.
-    low, high: corners (3,) [m] of the region searched.
+    inside: called with points (m, 3), few at a time so that memory stays bounded, returns (m,)
+    bool. low, high: corners (3,) [m] of the region searched. none: for the middles (b, 3) of cubes
+    of BLOCK points, whether `inside` is true of none in each (b,); these are not searched.
     """
+    return np.concatenate([np.empty((0, 3)), *searched(inside, low, high, spacing, none)])
+
+
+def searched(
+    inside: Judge, low: np.ndarray, high: np.ndarray, spacing: float, none: Judge | None = None
+) -> Iterator[np.ndarray]:
+    """The points of `lattice`, part after part in their order."""
+    start, stop = _ends(low, high, spacing)
+    if none is None:
+        for index in _boxes(start, stop, np.array([1, 1, 1]), _MOST):
+            points = (index + 0.5) * spacing
+            yield points[inside(points + TIE * spacing)]
+        return
+    cube = np.stack(np.meshgrid(*[np.arange(BLOCK)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    size = stop - start
+    for first in range(start[0], stop[0], BLOCK):  # a layer of cubes, whose points are then sorted
+        layer = [np.empty((0, 3), dtype=np.int64)]
+        corner = np.array([first, start[1], start[2]])
+        for cubes in _boxes(corner, np.array([first + 1, *stop[1:]]), np.array([BLOCK] * 3), _MOST):
+            middles = (cubes + BLOCK / 2 + TIE) * spacing
+            cubes = cubes[~none(middles)]
+            for at in range(0, len(cubes), _MOST // BLOCK**3):
+                some = cubes[at : at + _MOST // BLOCK**3]
+                index = (some[:, None] + cube).reshape(-1, 3)
+                index = index[(index < stop).all(axis=1)]
+                layer.append(index[inside((index + 0.5) * spacing + TIE * spacing)])
+        index = np.concatenate(layer)
+        place = (index - start) @ np.array([size[1] * size[2], size[2], 1])
+        yield (index[np.argsort(place)] + 0.5) * spacing
+
+
+def worth_cubes(low: np.ndarray, high: np.ndarray, spacing: float) -> bool:
+    """Whether the region is so wide that looking at cubes of points first saves time."""
+    return BLOCK * span(low[1:], high[1:], spacing) >= _MOST
+
+
+def span(low: np.ndarray, high: np.ndarray, spacing: float) -> float:
+    """How many points of a lattice lie in the region that `lattice` searches; about."""
+    return float(np.prod(np.ceil((np.asarray(high) - low) / spacing) + 2.0))
+
+
+def _ends(low, high, spacing: float) -> tuple[np.ndarray, np.ndarray]:
+    """Indices (3,) of the first point of a lattice in a region, and of the one after the last."""
     start = np.floor(np.asarray(low) / spacing).astype(np.int64) - 1
-    stop = np.ceil(np.asarray(high) / spacing).astype(np.int64) + 1
-    y, z = (np.arange(a, b) for a, b in zip(start[1:], stop[1:], strict=True))
-    sheet = max(1, len(y) * len(z))
-    thick = max(1, 500_000 // sheet)
-    found = [np.empty((0, 3))]
-    for first in range(start[0], stop[0], thick):
-        x = np.arange(first, min(first + thick, stop[0]))
-        index = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1).reshape(-1, 3)
-        points = (index + 0.5) * spacing
-        found.append(points[inside(points + TIE * spacing)])
-    return np.concatenate(found)
+    return start, np.ceil(np.asarray(high) / spacing).astype(np.int64) + 1
+
+
+def _boxes(start, stop, step, most: int) -> Iterator[np.ndarray]:
+    """Indices (m, 3) from start to stop in steps (all (3,)), in order, about `most` at a time."""
+    x, y, z = (range(*map(int, ends)) for ends in zip(start, stop, step, strict=True))
+    high = min(len(z), most)
+    wide = min(len(y), max(1, most // max(1, high))) if high == len(z) else 1
+    deep = max(1, most // max(1, high * wide)) if wide == len(y) else 1
+    for i in range(0, len(x), deep):
+        for j in range(0, len(y), max(1, wide)):
+            for k in range(0, len(z), max(1, high)):
+                axes = (x[i : i + deep], y[j : j + wide], z[k : k + high])
+                yield np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def _length(v: np.ndarray) -> np.ndarray:
@@ -151,14 +218,14 @@ def _from_ellipsoid(x: np.ndarray, radii: np.ndarray) -> np.ndarray:
     return np.where(k1 > 0, near, -radii.min())
 
 
-def _union(parts: list[np.ndarray], blend: float | None) -> np.ndarray:
+def _union(parts: Iterator[np.ndarray], blend: float | None) -> np.ndarray:
     """Distance (n,) to the parts together, of the distances to each.
 
     Blended (Quilez 2013): each pair within `blend` of each other loses up to a quarter of it, so
     that edges between them become parabolas; slopes stay at most 1.
     """
-    out = parts[0]
-    for part in parts[1:]:
+    out = next(parts)
+    for part in parts:
         lower = np.minimum(out, part)
         if blend is not None:
             lower = lower - np.maximum(blend - np.abs(out - part), 0.0) ** 2 / (4 * blend)

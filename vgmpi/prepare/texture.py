@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..inputs import picture
+from ..inputs import MOST_TEXT, content, picture
 
 
 class TextureError(ValueError):
@@ -57,7 +57,10 @@ def pictures(path: Path, libraries: list[str]) -> dict[str, Path]:
     """
     found, name = {}, ""
     for library in libraries:
-        text = beside(path, library).read_text(errors="replace")
+        try:
+            text = content(beside(path, library), MOST_TEXT).decode(errors="replace")
+        except OSError as error:
+            raise TextureError(f"names {library!r}, which {error.strerror}") from None
         for words in (line.split(maxsplit=1) for line in text.splitlines()):
             if len(words) == 2 and words[0] == "newmtl":
                 name = words[1].strip()
@@ -101,8 +104,9 @@ def files(path: Path) -> list[Path]:
     """All files beside a mesh that its colours come from; none where they cannot be had."""
     if path.suffix.lower() != ".obj":
         return []
-    lines = (line.split(maxsplit=1) for line in path.read_text(errors="replace").splitlines())
-    libraries = [words[1] for words in lines if len(words) == 2 and words[0] == "mtllib"]
+    with open(path, errors="replace") as file:
+        words = (line.split(maxsplit=1) for whole in file for line in whole.splitlines())
+        libraries = [found[1] for found in words if len(found) == 2 and found[0] == "mtllib"]
     try:
         used = pictures(path, libraries)
         return [*(beside(path, name) for name in libraries), *used.values()]

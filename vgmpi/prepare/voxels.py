@@ -1,13 +1,17 @@
 """Voxels of the particle spacing, aligned with the lattice of particles: occupancy and volumes."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
 
+from vgmpi import room
 from vgmpi.gaussians.cloud import Cloud, rotation_matrices
 
 COVERED = 0.3  # summed opacity from which a voxel counts as part of a surface
+# bytes of a voxel that shares by counts and by neighbours take at least, and a collider's distances
+COUNTED, NEIGHBOURS, DISTANCES = 8, 24, 28
 LEAST = 0.02  # part of a voxel that particles in it stand for at least
 _REACH = 1.5  # standard deviations over which a Gaussian covers voxels
 _MOST = 12  # samples along one axis of a Gaussian
@@ -27,6 +31,20 @@ class Voxels:
         start = np.floor(x.min(axis=0) / spacing).astype(np.int64) - margin
         stop = np.floor(x.max(axis=0) / spacing).astype(np.int64) + 1 + margin
         return cls(start, tuple(int(n) for n in stop - start), spacing)
+
+    def afford(self, each: int) -> None:
+        """Raises room.TooLarge where `each` bytes for every voxel are more than there are."""
+        size = " x ".join(map(str, self.shape))
+        needed = each * float(np.prod(np.array(self.shape, dtype=float)))
+        room.check(needed, f"its box of {size} voxels of {self.spacing:g} m takes at least")
+
+    def solid(self, share: np.ndarray | None, shell: np.ndarray) -> np.ndarray:
+        """Voxels (shape, bool) that are at least half inside; without shares those of a shell."""
+        if share is not None:
+            return share >= 0.5
+        out = np.zeros(self.shape, dtype=bool)
+        out.ravel()[self.index(shell)] = True
+        return out
 
     def index(self, x: np.ndarray) -> np.ndarray:
         """Flat index (n,) of the voxel of each point; -1 outside the box."""
@@ -58,20 +76,28 @@ def share_by_neighbours(voxels: Voxels, shell: np.ndarray, inner: np.ndarray) ->
     return np.where(kind[0] > 0, share, kind[1])
 
 
-def share_by_count(voxels: Voxels, fine: np.ndarray, fineness: int) -> np.ndarray:
-    """As share_by_neighbours, from the points inside (m, 3) of a `fineness` times finer lattice."""
-    size = int(np.prod(voxels.shape))
-    at = voxels.index(fine)
-    return (np.bincount(at[at >= 0], minlength=size) / fineness**3).reshape(voxels.shape)
+def share_by_count(voxels: Voxels, fine: Iterable[np.ndarray], fineness: int) -> np.ndarray:
+    """As share_by_neighbours, from the points inside of a `fineness` times finer lattice, in parts
+    (m, 3)."""
+    total = np.zeros(int(np.prod(voxels.shape)), dtype=np.int64)
+    for part in fine:
+        at = voxels.index(part)
+        at = at[at >= 0]
+        if len(at):
+            first = at.min()
+            counts = np.bincount(at - first)
+            total[first : first + len(counts)] += counts
+    return (total / fineness**3).reshape(voxels.shape)
 
 
-def volumes(voxels: Voxels, x: np.ndarray, share: np.ndarray) -> np.ndarray:
+def volumes(voxels: Voxels, x: np.ndarray, share: np.ndarray | None) -> np.ndarray:
     """Volume [m3] of each particle (n,): its voxel's part inside, shared by the particles in it.
 
-    x: (n, 3). share: (shape), raised to LEAST where a particle is: all need some mass.
+    x: (n, 3). share: (shape), raised to LEAST where a particle is: all need some mass; without it
+    all of a voxel is inside.
     """
     _, mine, count = np.unique(voxels.index(x), return_inverse=True, return_counts=True)
-    part = np.maximum(share.ravel()[voxels.index(x)], LEAST)
+    part = 1.0 if share is None else np.maximum(share.ravel()[voxels.index(x)], LEAST)
     return voxels.spacing**3 * part / count[mine]
 
 

@@ -164,7 +164,9 @@ def digest(scene: Scene) -> str:
     seal = hashlib.sha256(json.dumps(scene.resolved(), sort_keys=True).encode())
     for name in sorted(scene.files):
         for path in (Path(scene.files[name]), *texture.files(Path(scene.files[name]))):
-            seal.update(path.read_bytes())
+            with open(path, "rb") as file:  # of any size
+                while part := file.read(1 << 20):
+                    seal.update(part)
     for path in sorted(Path(__file__).parent.parent.glob("prepare/*.py")):
         seal.update(path.read_bytes())
     return seal.hexdigest()

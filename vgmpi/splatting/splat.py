@@ -19,6 +19,7 @@ from vgmpi.splatting.paint import TILE, depths_of, new_canvas, paint, picture
 from vgmpi.splatting.project import by_depth, project
 
 ALPHA_MIN = 1 / 255
+BYTES = 32  # of a pixel that is drawn, at least: canvas, picture and transmittance
 DEPTHS = ("expected", "median")
 BACKENDS = ("cpu", "gsplat")
 ALPHA_MIN_RANGE = (1e-5, 0.5)  # e^-s is accurate on the part of its range that these need
