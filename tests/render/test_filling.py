@@ -8,6 +8,8 @@ import pytest
 
 from tests.bodies import FORMS
 from tests.filling import DIRECTIONS, PICTURE, alike, scene_of, written
+from tests.unit.test_prepare_fill import shell
+from vgmpi.gaussians import ply
 from vgmpi.prepare import fill
 from vgmpi.prepare.build import build
 from vgmpi.prepare.pieces import make
@@ -59,6 +61,16 @@ def test_no_camera_sees_what_fills_the_guitar(folder):
     file = folder / GUITAR.name
     file.write_bytes(GUITAR.read_bytes())
     hold(file, 20, 'up = "-y"\nheight = 0.3')
+
+
+def test_what_a_closed_skin_encloses_is_drawn_and_hidden(folder):
+    """A ball of 20,000 discs hides it; its particles come to light when it breaks."""
+    file = folder / "ball.ply"
+    ply.write(file, shell())
+    filled, hollow = of(file, "true"), of(file, "false")
+    inside = np.arange(len(filled.cloud)) >= filled.skin
+    assert inside.sum() > 20_000 and (filled.cloud.opacity[inside] > 0.9).all()
+    assert alike(filled.cloud, hollow.cloud, DIRECTIONS).min() >= LIKE
 
 
 @pytest.mark.parametrize("name", FORMS)
