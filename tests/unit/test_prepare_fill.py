@@ -78,7 +78,7 @@ def agreement(cloud, whole, solid, h, mode=True):
     True are those whose middle is inside and through which no surface runs. solid: tells which
     points are inside; whole: the cloud without its holes.
     """
-    inner, _ = fill.interior(cloud, h, mode)
+    inner = fill.interior(cloud, h, mode).inner
     voxels = Voxels.around(whole.x, h, margin=4)
     surface = covered(whole, voxels).ravel()
     surface[voxels.index(whole.x)] = True
@@ -106,37 +106,59 @@ def test_closed_shells_are_filled(across, mode):
 def test_a_leaking_shell_is_filled_by_sight(direction, across):
     """8 % of a ball's surface are missing; a flat lid over them leaves out 1.8 % of its volume."""
     leaking, h = cap(shell(), direction), 0.2 / across
+    assert not fill.interior(leaking, h, True).enclosed.any()
     assert agreement(leaking, shell(), in_ball, h, "closed") == 0.0
     assert agreement(leaking, shell(), in_ball, h) >= 0.95
 
 
-def test_sight_counts_directions():
-    """What a hole takes away, and a wall that diagonal lines could slip through."""
+@pytest.mark.parametrize("across", [24, 48])
+@pytest.mark.parametrize("where, least", [("outer", 0.9), ("inner", 0.97), ("under", 0.97)])
+def test_a_leaking_ring_is_filled_by_sight(where, least, across):
+    """The hole in its middle is met all around too, and looks into the tube where that is open."""
+    whole = ring()
+    x = whole.x - MIDDLE
+    out, up = np.hypot(x[:, 0], x[:, 1]) - 0.065, x[:, 2]
+    turned, around = np.arctan2(up, out), np.arctan2(x[:, 1], x[:, 0])
+    lacking = {
+        "outer": (np.abs(turned - 1) < 0.8) & (np.abs(around) < 1),  # a patch of 10 %
+        "inner": (np.abs(turned) > np.pi * 5 / 6) & (np.abs(around) < np.pi / 2),
+        "under": np.abs(turned + np.pi / 2) < np.pi / 6,
+    }[where]
+    assert agreement(whole.select(~lacking), whole, in_ring, 0.2 / across) >= least
+
+
+def test_openness_counts_directions():
+    """What a hole lets in, less from below, and a wall that diagonal lines could slip through."""
     box = np.zeros((9, 9, 9), bool)
     box[1:8, 1:8, 1:8] = True
     box[2:7, 2:7, 2:7] = False
-    assert fill.sight(box)[4, 4, 4] == pytest.approx(1.0)
-    assert fill.sight(box)[0, 0, 0] == pytest.approx(9 / 280)  # one corner looks at it
+    assert fill.openness(box)[4, 4, 4] == 0
     box[2:7, 2:7, 7] = False
-    assert fill.sight(box)[4, 4, 4] == pytest.approx(1 - 1 / 21)
-    assert fill.sight(box)[4, 4, 6] == pytest.approx(1 - 1 / 21 - 4 * 4 / 105 - 4 * 9 / 280)
+    straight, half = 1 / 21, 1 / 21 + 4 * 4 / 105 + 4 * 9 / 280
+    assert fill.openness(box)[4, 4, 4] == pytest.approx(straight)
+    assert fill.openness(box)[4, 4, 6] == pytest.approx(half)
+    assert fill.openness(box, (0, 0, -1))[4, 4, 6] == pytest.approx(fill.BELOW * half)
     wall = np.zeros((9, 9, 9), bool)
     index = np.indices(wall.shape)
     wall[index.sum(0) == 12] = True  # diagonal lines from (1, 1, 1) pass sums 11 and 13
-    assert fill.sight(wall)[1, 1, 1] == pytest.approx(3 * 4 / 105 + 9 / 280)
+    seen = 3 * 4 / 105 + 9 / 280 + (1 - fill.BELOW) * half
+    assert fill.openness(wall)[1, 1, 1] == pytest.approx(1 - seen)
 
 
 def test_hollow_stays_hollow():
-    inner, gaps = fill.interior(shell(), 0.01, False)
-    assert len(inner) == len(gaps) == 0
+    inner, enclosed, gaps = fill.interior(shell(), 0.01, False)
+    assert len(inner) == len(enclosed) == len(gaps) == 0
 
 
-def test_a_closed_shell_with_a_dent_is_not_filled_by_sight():
-    """Sight would fill a cavity that is open to the outside; a closed surface needs none."""
+@pytest.mark.parametrize("leaks", [False, True])
+def test_a_dent_is_not_filled(leaks):
+    """A shaft is met all around as the inside is, but from its outer side."""
     solid = np.zeros((20, 20, 20), bool)
     solid[2:18, 2:18, 2:18] = True
-    solid[8:12, 8:12, 8:18] = False  # a shaft from the top
+    solid[8:12, 8:12, 8:18] = False  # from the top
     surface = solid & ~ndimage.binary_erosion(solid)
+    if leaks:
+        surface[4:8, 4:8, 2] = False
     h = 0.01
     x = Voxels(np.zeros(3, int), solid.shape, h).centers(surface)
     n = len(x)
@@ -147,10 +169,10 @@ def test_a_closed_shell_with_a_dent_is_not_filled_by_sight():
         np.full(n, 0.9),
         np.zeros((n, 1, 3)),
     )
-    inner, _ = fill.interior(cloud, h, True)
+    inner, enclosed, _ = fill.interior(cloud, h, True)
+    assert enclosed.all() != leaks
     shaft = (np.abs(inner[:, :2] - 0.1) < 0.02).all(axis=1) & (inner[:, 2] > 0.08)
     assert len(inner) > 1000 and not shaft.any()
-    assert fill.enclosed_by_sight(surface)[9, 9, 12]
 
 
 def test_coarse_captures_are_closed_by_the_extent_of_their_gaussians():
@@ -160,7 +182,8 @@ def test_coarse_captures_are_closed_by_the_extent_of_their_gaussians():
     by_centres[voxels.index(coarse.x)] = True
     surface = covered(coarse, voxels)
     assert surface.sum() > 2 * by_centres.sum()
-    inner, gaps = fill.interior(coarse, h, "closed")
+    inner, enclosed, gaps = fill.interior(coarse, h, "closed")
+    assert enclosed.all()
     assert len(inner) > 2000 and len(gaps) > 300
     away = np.linalg.norm(gaps - MIDDLE, axis=1)
     assert away.min() > 0.075 and away.max() < 0.125
@@ -171,7 +194,7 @@ def test_coarse_captures_are_closed_by_the_extent_of_their_gaussians():
 def test_faint_gaussians_are_no_surface():
     faint = shell()
     faint = Cloud(faint.x, faint.quat, faint.scale, faint.opacity * 1e-4, faint.sh)
-    assert len(fill.interior(faint, 0.01, True)[0]) == 0
+    assert len(fill.interior(faint, 0.01, True).inner) == 0
 
 
 def test_a_stray_gaussian_far_away_is_told():
@@ -184,7 +207,7 @@ def test_a_stray_gaussian_far_away_is_told():
 
 def test_filled_gaussians_take_the_colour_of_the_nearest_surface():
     cloud = shell()
-    inner, _ = fill.interior(cloud, 0.01, True)
+    inner = fill.interior(cloud, 0.01, True).inner
     inside = fill.filling(inner, cloud, 0.01, 0.8)
     top = inner[:, 2] > MIDDLE[2] + 0.015
     assert np.allclose(inside.rgb[top], (0.9, 0.1, 0.1), atol=1e-5)
@@ -198,7 +221,7 @@ def test_filled_gaussians_take_the_colour_of_the_nearest_surface():
 @pytest.mark.parametrize("h, tolerance", [(0.02, 0.06), (0.01, 0.03), (0.005, 0.01)])
 def test_volume_of_a_solid_is_that_of_its_form(h, tolerance):
     cloud = shell()
-    inner, gaps = fill.interior(cloud, h, True)
+    inner, _, gaps = fill.interior(cloud, h, True)
     outer = np.concatenate([cloud.x, gaps])
     voxels = Voxels.around(outer, h)
     both = np.concatenate([outer, inner])

@@ -88,7 +88,10 @@ def build(scene: Scene) -> Prepared:
     errors: list[tuple[tuple, str]] = []
     for k, thing in enumerate(scene.object):
         try:
-            pieces.append(begun(scene, thing, make(scene, k)))
+            piece = begun(scene, thing, make(scene, k))
+            pieces.append(piece)
+            if piece.said:
+                log.info("'%s': %s", thing.name, _told(scene, thing, piece))
         except PlacementError as error:
             errors.append((("object", k, error.key), str(error)))
         except (GaussianFileError, MeshError) as error:
@@ -101,6 +104,13 @@ def build(scene: Scene) -> Prepared:
     _warn_of_overlaps(scene, pieces)
     _warn_of_locking(scene)
     return _together(scene, pieces)
+
+
+def _told(scene: Scene, thing: Object, piece: Piece) -> str:
+    """What was made of a body, and what it weighs."""
+    volume = float(piece.volume.sum())
+    mass = scene.material[thing.material].bulk_density * volume
+    return f"{piece.said}: {1e3 * volume:.3g} l, {mass:.3g} kg"
 
 
 def _warn_of_overlaps(scene: Scene, pieces: list[Piece]) -> None:

@@ -1,6 +1,5 @@
 """One object after the other: read or sampled, placed, filled, coloured, weighed, thinned."""
 
-import logging
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
@@ -14,7 +13,15 @@ from vgmpi.gaussians.sh import dc_from_rgb
 from vgmpi.prepare import cost, fill, mesh, prune, shapes
 from vgmpi.prepare.collider import Collider, ShapeCollider, VoxelCollider
 from vgmpi.prepare.cost import spacing_of
-from vgmpi.prepare.place import Placement, PlacementError, check_inside, corners, place, turn
+from vgmpi.prepare.place import (
+    Placement,
+    PlacementError,
+    check_inside,
+    corners,
+    place,
+    turn,
+    upright,
+)
 from vgmpi.prepare.select import selected
 from vgmpi.prepare.voxels import (
     COUNTED,
@@ -27,8 +34,6 @@ from vgmpi.prepare.voxels import (
 )
 from vgmpi.scene.objects import Object
 from vgmpi.scene.scene import Scene
-
-log = logging.getLogger("vgmpi")
 
 LIGHT = np.array([0.36, -0.48, 0.80])  # unit vector towards the painted light
 _FINENESS = 3  # of the lattice that measures meshes, relative to that of their particles
@@ -46,6 +51,7 @@ class Piece:
     theta: np.ndarray | None = None  # ln J at the start, where it is not 0
     skin: int = 0  # the first rows, which lie on its surface; the others fill it
     passive: Cloud | None = None  # Gaussians without mass that ride along
+    said: str = ""  # how many particles became of it, and what of it weighs
 
 
 def make(scene: Scene, number: int) -> Piece:
@@ -57,14 +63,32 @@ def make(scene: Scene, number: int) -> Piece:
     piece = _MAKE[thing.source](scene, number, thing)
     if thing.role == "body":  # fillings and samples too
         check_inside(scene, thing, piece.cloud.x.min(axis=0), piece.cloud.x.max(axis=0), 0.0)
-        said = ""
+        whole, thinned = piece, ""
         if thing.prune != "off":
-            piece, said = _pruned(scene, thing, piece)
+            piece, thinned = _pruned(scene, thing, piece)
         if thing.source != "shape":
-            inner = len(piece.cloud) - piece.skin
-            log.info("'%s': %d particles on its surface, %d inside%s", thing.name, piece.skin,
-                     inner, said)  # fmt: skip
+            said = (
+                f"{piece.skin} particles on its surface, {len(piece.cloud) - piece.skin} inside"
+                f"{thinned}; {_what_counts(thing, whole)}"
+            )
+            piece = replace(piece, said=said)
     return piece
+
+
+def _what_counts(thing: Object, piece: Piece) -> str:
+    """What of a body its volume and its mass are, and how much of it cannot be drawn."""
+    if thing.source == "mesh":
+        return "with its inside"
+    if thing.fill is False:
+        return "hollow, a skin one voxel thick"
+    if len(piece.cloud) == piece.skin:
+        return "no inside found, a skin half a voxel thick"
+    if thing.fill == "closed":
+        return "with its inside where the skin is closed"
+    unseen = int((piece.cloud.opacity[piece.skin :] == 0).sum())
+    if unseen and thing.opacity > 0:
+        return f"with its inside, {unseen} particles of which lie behind holes and are not drawn"
+    return "with its inside"
 
 
 def _from_shape(scene: Scene, k: int, thing: Object) -> Piece:
@@ -133,7 +157,8 @@ def _from_mesh(scene: Scene, k: int, thing: Object) -> Piece:
     if not filled:
         return Piece(surface, np.zeros(len(surface)), at)
     inner = shapes.lattice(*search(spacing))
-    return _solid(scene, k, surface, inner, np.empty((0, 3)), at, shapes.searched(*search(fine)))
+    lack = fill.Lack(inner, np.ones(len(inner), dtype=bool), np.empty((0, 3)))
+    return _solid(scene, k, surface, lack, at, shapes.searched(*search(fine)))
 
 
 def _from_gaussians(scene: Scene, k: int, thing: Object) -> Piece:
@@ -152,10 +177,10 @@ def _from_gaussians(scene: Scene, k: int, thing: Object) -> Piece:
     if thing.role == "body":
         check_inside(scene, thing, cloud.x.min(axis=0), cloud.x.max(axis=0), 0.0)
     try:
-        inner, gaps = fill.interior(cloud, spacing, thing.fill)
+        lack = fill.interior(cloud, spacing, thing.fill, upright(thing, at))
     except fill.TooLarge as error:
         raise PlacementError("fill", str(error)) from None
-    return _solid(scene, k, cloud, inner, gaps, at)
+    return _solid(scene, k, cloud, lack, at)
 
 
 _MAKE: dict[str, Callable[[Scene, int, Object], Piece]] = {
@@ -169,20 +194,20 @@ def _solid(
     scene: Scene,
     k: int,
     surface: Cloud,
-    inner: np.ndarray,
-    gaps: np.ndarray,
+    lack: fill.Lack,
     at: Placement,
     fine: Iterable[np.ndarray] | None = None,
 ) -> Piece:
     """A surface and lattice points inside and on it: as a body, or as scenery that others hit.
 
-    inner (m, 3), gaps (g, 3) [m]: see fill.interior. fine: points inside of a lattice _FINENESS
-    times as fine, part after part, where the form is known exactly. Raises room.TooLarge.
+    fine: points inside of a lattice _FINENESS times as fine, part after part, where the form is
+    known exactly. Raises room.TooLarge.
     """
-    thing, spacing = scene.object[k], spacing_of(scene, scene.object[k])
+    thing, spacing, gaps = scene.object[k], spacing_of(scene, scene.object[k]), lack.gaps
     shell = np.concatenate([surface.x, gaps])
-    voxels = Voxels.around(np.concatenate([shell, inner]), spacing)
-    inner = inner[~np.isin(voxels.index(inner), voxels.index(shell))]
+    voxels = Voxels.around(np.concatenate([shell, lack.inner]), spacing)
+    below = ~np.isin(voxels.index(lack.inner), voxels.index(shell))
+    inner, drawn = lack.inner[below], lack.enclosed[below] | (thing.fill == "shown")
     share = None  # every voxel counts in full
     if fine is not None:
         voxels.afford(COUNTED)
@@ -197,7 +222,8 @@ def _solid(
     cost.fits(scene, {k: len(shell) + len(inner)}, cost.MADE)
     # what covers the gaps is drawn already, so their particles carry mass only
     unseen = fill.filling(gaps, surface, spacing, 0.0)
-    filled = fill.filling(inner, surface, spacing, thing.opacity)
+    # through a hole a camera would see what fills a body: there it carries mass only as well
+    filled = fill.filling(inner, surface, spacing, np.where(drawn, thing.opacity, 0.0))
     cloud = fill.joined(fill.joined(surface, unseen), filled)
     skin = len(surface) + len(gaps)
     return Piece(cloud, volumes(voxels, cloud.x, share), at, skin=skin)

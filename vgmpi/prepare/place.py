@@ -87,6 +87,11 @@ def place(thing: Object, reach: Callable[[np.ndarray], float]) -> Placement:
     return Placement(rotation, scale, np.asarray(thing.position) - base)
 
 
+def upright(thing: Object, at: Placement) -> np.ndarray:
+    """Unit vector (3,) that pointed up in the object's own file, in the domain."""
+    return at.rotation @ np.asarray(_UP[thing.up], dtype=float)[2]
+
+
 def _scale(thing: Object, up: np.ndarray, reach: Callable[[np.ndarray], float]) -> float:
     for axis, key in enumerate(("width", "depth", "height")):
         wanted = getattr(thing, key)
