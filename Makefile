@@ -33,8 +33,7 @@ demo: setup
 	@echo "ParaView: $(CURDIR)/$(RUN)/out/series.vtkhdf"
 
 test: setup lint
-	$(PY) -m pytest -n auto --maxprocesses 4 --dist loadfile -m "not slow and not mpi"
-	$(PY) -m pytest -m "not slow and mpi"
+	$(PY) -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder -m "not slow"
 
 validate: setup
 	$(PY) -m tests.validation

@@ -115,7 +115,7 @@ def test_small_load(tmp_path):
     [
         pytest.param(1, marks=pytest.mark.slow),
         pytest.param(2, marks=pytest.mark.slow),
-        5,
+        pytest.param(5, marks=pytest.mark.slow),
         pytest.param(10, marks=pytest.mark.slow),
     ],
 )

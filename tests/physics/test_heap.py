@@ -158,6 +158,7 @@ def hold_fill(found, cells):
          source="a cell holds a cell's volume", note="single precision, all frames")  # fmt: skip
 
 
+@pytest.mark.slow
 def test_half_submerged_heap(tmp_path):
     found = settle(tmp_path, 40)
     hold_level(found, 40)

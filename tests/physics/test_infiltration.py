@@ -8,6 +8,7 @@ the first moments, when the front is thinner than a cell; the speed after that i
 """
 
 import numpy as np
+import pytest
 
 from tests.held import held
 from tests.simulate import advance, begin, by_id
@@ -59,6 +60,7 @@ def sinking(times):
     return np.array(found)
 
 
+@pytest.mark.slow
 def test_water_sinks_as_green_and_ampt_say(tmp_path):
     simulation, made = begin(tmp_path, SCENE)
     water = made.object == 0
