@@ -42,7 +42,8 @@ def ranks_of_launcher() -> Any:
 
     MPI is started only then: it takes half a second.
     """
-    if max(int(os.environ.get(name, "1") or 1) for name in LAUNCHED) <= 1:
+    told = [os.environ.get(name, "") for name in LAUNCHED]
+    if max(int(size) if size.isdecimal() else 1 for size in told) <= 1:
         return None
     from vgmpi.domain.ranks import world
 

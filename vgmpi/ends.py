@@ -1,5 +1,6 @@
 """How a command ends when something happens that nobody foresaw."""
 
+import contextlib
 import functools
 import os
 import sys
@@ -22,6 +23,9 @@ def guarded(main: Callable[..., int]) -> Callable[..., int]:
 
     @functools.wraps(main)
     def command(*arguments: Any, **named: Any) -> int:
+        with contextlib.suppress(AttributeError):  # a stream that somebody put in its place
+            # a title may have letters that the terminal has not
+            sys.stdout.reconfigure(errors="backslashreplace")
         try:
             code = main(*arguments, **named)
             sys.stdout.flush()

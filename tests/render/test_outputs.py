@@ -208,3 +208,9 @@ def test_the_processes_of_a_launcher_are_counted(monkeypatch):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("SLURM_NTASKS", "8")  # a job's script, not one of its tasks
     assert render.ranks_of_launcher() is None
+
+
+def test_a_size_that_no_launcher_set(out, tmp_path, monkeypatch):
+    for name in render.LAUNCHED:
+        monkeypatch.setenv(name, "abc")
+    assert render.ranks_of_launcher() is None

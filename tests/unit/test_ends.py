@@ -47,6 +47,14 @@ def test_a_full_disk_behind_stdout(unbuffered, monkeypatch):
     assert done.stderr == "vgmpi: cannot write to stdout: No space left on device\n"
 
 
+def test_letters_that_the_terminal_has_not():
+    code = (
+        "import sys; from vgmpi import ends; sys.exit(ends.guarded(lambda: print('Größe') or 0)())"
+    )
+    done = run([sys.executable, "-c", code], env={"PYTHONIOENCODING": "ascii", "LANG": "C"})
+    assert done.returncode == 0 and done.stdout == "Gr\\xf6\\xdfe\n" and done.stderr == ""
+
+
 def test_nobody_reads_on():
     words = " ".join(str(word) for word in PLAN)
     done = run(["bash", "-c", f"{words} | head -c 5; echo ${{PIPESTATUS[0]}}"])
