@@ -18,6 +18,7 @@ from tests.launch import OPEN_MPI, PATIENCE, ROOT
 
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "scontrol", "sinfo", "srun", "setpriv")
 NODES = ("n1", "n2")
+START = PATIENCE / 4  # seconds in which all daemons are there
 ENDED = ("COMPLETED", "FAILED", "TIMEOUT", "CANCELLED", "NODE_FAIL", "OUT_OF_MEMORY")
 
 # A job that queues itself again begins only when its old credential has expired (two minutes unless
@@ -65,6 +66,10 @@ def missing() -> str:
     return "" if os.geteuid() == 0 else "SLURM's daemons want root"
 
 
+class Unable(RuntimeError):
+    """SLURM's daemons do not find each other on this machine."""
+
+
 class Cluster:
     """Jobs go in by `submit`; `close` ends all that it started, and every task of every job."""
 
@@ -82,6 +87,9 @@ class Cluster:
         self.daemons: list[subprocess.Popen] = []
         try:
             self._begin()
+        except AssertionError as error:
+            self.close()
+            raise Unable(str(error)) from None
         except BaseException:
             self.close()
             raise
@@ -101,12 +109,12 @@ class Cluster:
         ]
         link = self.folder / "munge.socket"
         self._daemon("munged", "--foreground", "--force", *files, f"--socket={link}")
-        self.until(link.exists, "munged's socket")
+        self.until(link.exists, "munged's socket", START)
         self._daemon("slurmctld", "-D", "-f", self.env["SLURM_CONF"])
         for node in NODES:
             self._daemon("slurmd", "-D", "-N", node, "-f", self.env["SLURM_CONF"])
         self.until(
-            lambda: self.say("sinfo", "-h", "-o", "%D %T") == f"{len(NODES)} idle\n", "nodes"
+            lambda: self.say("sinfo", "-h", "-o", "%D %T") == f"{len(NODES)} idle\n", "nodes", START
         )
 
     def _daemon(self, *command):
@@ -181,9 +189,9 @@ class Cluster:
                     found[int(has["SLURM_PROCID"])] = int(entry.name)
         return found
 
-    def until(self, true, what: str) -> None:
+    def until(self, true, what: str, seconds: float = PATIENCE) -> None:
         """Wait; what never comes fails the test and says what the daemons said."""
-        end = time.monotonic() + PATIENCE
+        end = time.monotonic() + seconds
         while not true():
             gone = [process.args for process in self.daemons if process.poll() is not None]
             assert not gone and time.monotonic() < end, f"no {what}; ended: {gone}\n{self._logs()}"
