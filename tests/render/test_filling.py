@@ -131,5 +131,13 @@ def test_what_weighs_is_said(bodies, caplog):
     assert "0 inside; hollow, a skin one voxel thick: " in said["false"]
 
 
+def test_snow_breaks_and_so_is_drawn_whole(bodies):
+    snow = 'material = "snow"\n[material.snow]\nkind = "snow"\n'
+    keys = f'[[object]]\nname = "snowman"\ngaussians = "FILE"\nposition = [0.3, 0.3, 0.1]\n{snow}'
+    file = bodies["figure"][1]
+    made = make(scene_of(file, "true", CELL, keys.replace("FILE", str(file))), 1)
+    assert len(made.cloud) - made.skin > 3000 and (made.cloud.opacity[made.skin :] > 0).all()
+
+
 def test_the_picture_of_the_pages_is_small():
     assert PICTURE.stat().st_size < 200_000

@@ -207,7 +207,7 @@ def _solid(
     shell = np.concatenate([surface.x, gaps])
     voxels = Voxels.around(np.concatenate([shell, lack.inner]), spacing)
     below = ~np.isin(voxels.index(lack.inner), voxels.index(shell))
-    inner, drawn = lack.inner[below], lack.enclosed[below] | (thing.fill == "shown")
+    inner = lack.inner[below]
     share = None  # every voxel counts in full
     if fine is not None:
         voxels.afford(COUNTED)
@@ -222,7 +222,10 @@ def _solid(
     cost.fits(scene, {k: len(shell) + len(inner)}, cost.MADE)
     # what covers the gaps is drawn already, so their particles carry mass only
     unseen = fill.filling(gaps, surface, spacing, 0.0)
-    # through a hole a camera would see what fills a body: there it carries mass only as well
+    # through a hole a camera would see what fills a body: there it carries mass only as well. What
+    # flows or breaks comes to light anyway
+    comes = thing.fill == "shown" or scene.material[thing.material].family in BALLS
+    drawn = lack.enclosed[below] | comes
     filled = fill.filling(inner, surface, spacing, np.where(drawn, thing.opacity, 0.0))
     cloud = fill.joined(fill.joined(surface, unseen), filled)
     skin = len(surface) + len(gaps)

@@ -169,10 +169,10 @@ class Object(Table):
     particles_per_cell: Annotated[int, BeforeValidator(_per_cell)] = 8
     """particles per full cell inside shapes, meshes and fillings: 1, 8, 27 or 64"""
     fill: Literal[True, False, "closed", "shown"] = True
-    """fill a capture's hollow inside. true: also through holes in its surface, behind which it has
-    mass but is not drawn, as a camera would see it; "shown": the same and all drawn, for what melts
-    or breaks; "closed": only where the surface is closed; false: leave it hollow, a skin that is
-    one voxel thick"""
+    """fill a capture's hollow inside. true: also through holes in its surface, behind which a solid
+    has mass but is not drawn, as a camera would see it; "shown": the same and all drawn, for a
+    solid that breaks; "closed": only where the surface is closed; false: leave it hollow, a skin
+    that is one voxel thick"""
     prune: Literal["off", "auto", "paper"] = "off"
     """fewer particles for a capture or a mesh; those left take over mass and look. auto: down to 8
     per cell (or `particles_per_cell`), as far as it still looks the same at rest (40 dB inside its
