@@ -44,7 +44,7 @@ def campaign(count: int, seed: int, folder: Path) -> Result:
 
         def case(k: int, random: np.random.Generator, own: Path) -> str:
             kind = list(FILES)[k % len(FILES)]
-            way = list(DAMAGES)[k // len(FILES) % len(DAMAGES)]
+            way = list(DAMAGES)[(k + k // len(FILES)) % len(DAMAGES)]  # few cases: all ways
             out, look = own / "out", damaged.LOOKS[kind][1]
             shutil.copytree(whole, out)
             path, other = (out / name for name in FILES[kind])

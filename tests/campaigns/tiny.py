@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import h5py
+
 from tests import scenes
 from tests.damaged import PROBE
 from tests.digests import files
@@ -77,8 +79,8 @@ def manifests(out: Path) -> list[Path]:
 
 
 def check(out: Path) -> None:
-    """All files that lie there under their own names are whole. Raises what names the one that is
-    not."""
+    """All files that lie there under their own names are whole, and no checkpoint was lost. Raises
+    what names the one that is not."""
     for path in manifests(out):
         checkpoint.verify(path.with_suffix(".h5"))
     for name, columns in TABLES.items():
@@ -92,6 +94,11 @@ def check(out: Path) -> None:
     if any(out.glob("frames/*.vtkhdf")):
         run = RunFiles(out)
         assert sorted(run.frames) == list(range(len(run))), "a frame is missing between others"
+        with h5py.File(run.path(-1 % len(run))) as f:
+            step = int(f["VTKHDF/FieldData/step"][0])
+        kept = [int(path.stem.rpartition("_")[2]) for path in manifests(out)]
+        due = max(step - 1, 0) // EVERY * EVERY  # at the frame's own step it comes after the frame
+        assert max(kept, default=0) >= due, f"checkpoints {kept} at step {step}: one was lost"
 
 
 def ends_the_same(scene: Path, out: Path, want: dict[str, bytes]) -> str:
