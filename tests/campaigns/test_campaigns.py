@@ -14,7 +14,7 @@ def _each():
         yield pytest.param(one, marks=marks, id=name)
 
 
-@pytest.mark.parametrize("one", _each())
+@pytest.mark.parametrize("one", list(_each()))
 def test_a_small_campaign(one, tmp_path):
     result = one.campaign(one.SMALL, 0, tmp_path)
     assert result.failures == [] and result.tried == one.SMALL <= one.COUNT
