@@ -9,11 +9,12 @@ export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM = 1
 export OMPI_MCA_rmaps_base_oversubscribe = 1
 export OMPI_MCA_btl_vader_single_copy_mechanism = none
 
-.PHONY: help setup demo test lint validate docs site matrix clean
+.PHONY: help setup demo test campaigns lint validate docs site matrix clean
 
 help:
 	@echo "make demo      set-up, a simulation on 2 ranks, its video"
 	@echo "make test      set-up, then all tests but the long ones"
+	@echo "make campaigns kills, full disks, damaged files and odd inputs in large numbers: minutes"
 	@echo "make validate  the long tests; rewrites docs/validation.md"
 	@echo "make lint      ruff and mypy only"
 	@echo "make docs      rewrite docs/scene.md and docs/file-format.md from the code"
@@ -34,6 +35,10 @@ demo: setup
 
 test: setup lint
 	$(PY) -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder -m "not slow"
+
+# fewer or others: .venv/bin/python -m tests.campaigns kills --count 10 --seed 7
+campaigns: setup
+	$(PY) -m tests.campaigns
 
 validate: setup
 	$(PY) -m tests.validation

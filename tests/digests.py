@@ -1,8 +1,17 @@
-"""What the files of a run hold, as one sha256 per dataset."""
+"""What the files of a run hold: their bytes, or one sha256 per dataset."""
 
 import hashlib
 
 import h5py
+
+
+def files(folder) -> dict[str, bytes]:
+    """Every file below a folder and its bytes."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
 
 
 def digests(folder) -> dict[str, str]:

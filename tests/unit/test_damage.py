@@ -151,6 +151,20 @@ def test_a_copy_under_another_number_is_not_drawn(out):
         RunFiles(out).frame(1)
 
 
+@pytest.mark.parametrize(
+    "name, other",
+    [
+        ("frames/frame_00001.vtkhdf", layout.SERIES),
+        (layout.SERIES, "frames/frame_00001.vtkhdf"),
+        (layout.GAUSSIANS, "checkpoints/checkpoint_000000200.h5"),
+    ],
+)
+def test_a_file_under_the_name_of_another_kind_is_named(out, name, other):
+    (out / name).write_bytes((out / other).read_bytes())
+    with pytest.raises(RunError, match=f"{(out / name).name}: damaged: it is a .*, not a "):
+        inspect(out / name)
+
+
 def test_a_resume_tells_of_frames_that_are_gone(out, caplog):
     (out / "frames" / "frame_00000.vtkhdf").unlink()
     damaged.flip(out / "frames" / "frame_00001.vtkhdf", 0, 0)

@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 
 from tests.commands import leave_no_trace  # noqa: F401  of every test here
+from tests.digests import files
 from tests.launch import PATIENCE, ROOT
 from tests.scenes import write
 from vgmpi import cli
 from vgmpi.domain.ranks import Alone
-from vgmpi.output import checkpoint, layout, owner
+from vgmpi.output import checkpoint, layout, ledger, owner
 from vgmpi.output.read import RunError, RunFiles
 
 SCENE = """
@@ -45,15 +46,6 @@ def scene(tmp_path):
 
 def run(scene, *flags):
     return cli.main([str(scene), "-q", *flags])
-
-
-def files(folder):
-    """Every file below a folder and its bytes."""
-    return {
-        str(path.relative_to(folder)): path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
 
 
 @pytest.mark.parametrize("change", [[], ["--set", "material.water.density=900"], ["--prepare"]])
@@ -90,6 +82,28 @@ def test_a_refused_resume_writes_nothing(scene, capsys, flags):
         first, last = said.splitlines()[0], said.splitlines()[-1]
         assert key in said and "in the run so far" in first, said
         assert "--resume may change title" in last and "--change" in last
+
+
+@pytest.mark.parametrize("keep", [2, 1])
+def test_a_table_without_its_last_rows_is_named_at_a_resume(scene, capsys, keep):
+    """No line of it is damaged: the checkpoint knows how far it went. Without any row it begins
+    anew, as one that was moved away does."""
+    assert run(scene) == 0
+    path, out = scene.parent / "out" / layout.LEDGER, scene.parent / "out"
+    lines = path.read_text().splitlines(keepends=True)
+    assert len(lines) > 2
+    path.write_text("".join(lines[:keep]))
+    before = files(out)
+    longer = ("--set", "time.end=40 ms", "--set", "time.frames=5")
+    if keep == 2:
+        assert run(scene, "--resume", *longer) == 1
+        (line,) = capsys.readouterr().err.splitlines()
+        assert "ledger.csv: damaged: its rows up to step " in line and "put a copy of it" in line
+        assert files(out) == before
+        path.write_text("".join(lines))
+    assert run(scene, "--resume", *longer) == 0
+    told = {row["step"] for row in ledger.read(path)}
+    assert (0 in told) == (keep == 2) and len(told) >= 2
 
 
 def test_a_change_is_noted_in_the_run(scene):
@@ -162,7 +176,7 @@ def test_a_lock_that_is_a_link_is_not_followed(scene, capsys):
 
 
 def test_a_run_that_comes_to_nothing_leaves_no_folder(scene, capsys, monkeypatch):
-    monkeypatch.setattr(cli, "memory", lambda: 1000)
+    monkeypatch.setattr(cli.room, "free", lambda swap=False: 1 << 40 if swap else 1000)
     assert run(scene) == 2
     assert "GiB" in capsys.readouterr().err and not (scene.parent / "out").exists()
 

@@ -296,7 +296,8 @@ once): what cannot be ends it with one line and exit code 2.
 """
 ABOUT_TABLES = """\
 A row per frame and phase, numbers with all their digits. A row that was changed since is named with
-its line where the table is read, and a resume refuses it; a last line without an end, cut off by a
+its line where the table is read, and a resume refuses it, also one that lacks its last rows: the
+checkpoint knows the `crc` of the last row before it. A last line without an end, cut off by a
 kill, is left out. `crc` is `zlib.crc32(words, before)`: words are the bytes of the line before its
 last comma, before is the crc of the line above, 0 in the first. Tables of earlier versions have no
 `crc`, and get it at a resume.

@@ -23,7 +23,8 @@ KINDS: dict[str, Callable] = {"f8": float, "i8": int, "text": str}
 
 class Rows:
     """Appends to a CSV file of these columns; `last_step` None starts anew, else rows after that
-    step are dropped first. kept: the rows that were not, on rank 0.
+    step are dropped first. kept: the rows that were not; sum: the checksum of the last row, which
+    stands for all; both on rank 0.
 
     Collective: all ranks call, rank 0 writes. Raises StoreError on all ranks alike, and RunError
     where the rows that are there are damaged.
@@ -38,7 +39,7 @@ class Rows:
     ):
         self.path, self.columns, self.ranks = path, columns, ranks
         self.kept: list[dict] = []
-        self._sum = 0  # of the last row
+        self.sum = 0
         if last_step is not None:
             _on_root(ranks, lambda: self._keep(last_step))
         self._do(self._start)
@@ -60,14 +61,14 @@ class Rows:
 
     def _start(self):
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        text, self._sum = self._text(self.kept)
+        text, self.sum = _lines(self.kept, self.columns)
         store.replace_text(self.path, _header(self.columns) + "\n" + text)
 
     def append(self, rows: Iterable[dict]) -> None:
         """Dicts with all columns; those of rank 0 count."""
 
         def write():
-            text, after = self._text(rows)
+            text, after = _lines(rows, self.columns, self.sum)
             way = os.O_WRONLY | os.O_APPEND | os.O_NOFOLLOW
             handle = os.open(self.path, way)
             size = os.fstat(handle).st_size
@@ -81,18 +82,9 @@ class Rows:
                 raise
             finally:
                 os.close(handle)
-            self._sum = after
+            self.sum = after
 
         self._do(write)
-
-    def _text(self, rows):
-        """The lines of rows that follow the last one, and the sum of their last."""
-        lines, value = [], self._sum
-        for row in rows:
-            words = ",".join(_word(row[d.name]) for d in self.columns)
-            value = zlib.crc32(words.encode(), value)
-            lines.append(f"{words},{value}\n")
-        return "".join(lines), value
 
 
 class Ledger(Rows):
@@ -102,22 +94,46 @@ class Ledger(Rows):
         super().__init__(Path(folder) / layout.LEDGER, layout.LEDGER_COLUMNS, ranks, last_step)
 
 
-def check(tables: dict[Path, list[layout.Dataset]], ranks: Alone) -> None:
-    """Look at the tables that a resumed run goes on with, before anything is written. Collective.
+def check(
+    tables: dict[Path, list[layout.Dataset]], ranks: Alone, step: int, sums: dict[str, int]
+) -> None:
+    """Look at the tables that a run resumed at `step` goes on with, before anything is written.
+    Collective.
 
-    tables: columns by the path. Raises RunError on all ranks.
+    tables: columns by the path. sums: what Rows.sum was at that step, by the name of the file, of
+    those that were there. Raises RunError on all ranks.
     """
 
     def look():
         for path, columns in tables.items():
             if os.path.lexists(path):
                 try:
-                    read(path, columns)
+                    _compare(path, columns, step, sums.get(path.name))
                 except RunError as error:
                     can = "put a copy of it back, or move it away: then it begins anew"
                     raise RunError(f"{error}; to go on, {can}") from None
 
     _on_root(ranks, look)
+
+
+def _compare(path, columns, step, wanted):
+    """A table ends anywhere in a line where a run was killed, but never before `step`."""
+    rows = [row for row in read(path, columns) if row["step"] <= step]
+    if wanted is None or _lines(rows, columns)[1] == wanted:
+        return
+    if rows:
+        raise RunError(f"{path}: damaged: its rows up to step {step} are not those of this run")
+    log.warning("%s has no rows up to step %d: it begins behind it", path, step)
+
+
+def _lines(rows, columns, before=0):
+    """The lines of rows, and the checksum of their last. before: that of the row above them."""
+    lines = []
+    for row in rows:
+        words = ",".join(_word(row[d.name]) for d in columns)
+        before = zlib.crc32(words.encode(), before)
+        lines.append(f"{words},{before}\n")
+    return "".join(lines), before
 
 
 def _on_root(ranks, action):

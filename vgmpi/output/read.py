@@ -202,6 +202,7 @@ def inspect(path: str | Path) -> str:
     there = path.resolve()  # who names a link means what it leads to
     with opened(there, series=True) as f:
         kind = _kind(f)
+        _check_name(there, kind)
         lines = [f"{path}: {kind}, {there.stat().st_size / 1e6:.1f} MB"]
         lines += _summary(there, f, kind)
         units = _units(kind)
@@ -217,6 +218,18 @@ def _kind(f):
     if "objects" in f:
         return "gaussians"
     raise RunError(f"{f.filename}: not a file of vgmpi")
+
+
+def _check_name(path, kind):
+    """A file under a name of ours is of that kind."""
+    names = {
+        "frame": layout.frame_number(path.name) is not None,
+        "series of frames": path.name == layout.SERIES,
+        "gaussians": path.name == layout.GAUSSIANS,
+    }
+    for wanted, is_so in names.items():
+        if is_so and kind != wanted:
+            raise RunError(f"{path}: damaged: it is a {kind}, not a {wanted}")
 
 
 def _summary(path, f, kind):

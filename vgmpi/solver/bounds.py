@@ -25,7 +25,7 @@ class Mismatch(checkpoint.CheckpointError):
 def check_attrs(path: Any, attrs: dict, run: bool = True) -> None:
     """Raises Mismatch where clock and numbers of a checkpoint's attrs are none.
 
-    run: also of what only a run's checkpoints have: scene, frame, history.
+    run: also of what only a run's checkpoints have: scene, frame, history, tables.
     """
     reach = attrs.get("reach", [0.0])
     good = {
@@ -40,6 +40,7 @@ def check_attrs(path: Any, attrs: dict, run: bool = True) -> None:
         good["scene"] = isinstance(attrs.get("scene"), dict)
         history = attrs.get("history", [])
         good["history"] = isinstance(history, list)
+        good["tables"] = isinstance(attrs.get("tables", {}), dict)
     for name, is_good in good.items():
         if not is_good:
             raise Mismatch(f"{path}: attrs: {name} cannot be {attrs.get(name)!r:.60}")

@@ -14,7 +14,7 @@ import numpy as np
 from ..domain.ranks import Alone
 from ..output import checkpoint, layout, owner
 from ..output.frames import Frames
-from ..output.ledger import Ledger
+from ..output.ledger import Ledger, Rows
 from ..output.ledger import check as check_tables
 from ..planning.plan import Plan
 from ..planning.price import describe
@@ -216,6 +216,7 @@ class Runner:
             "scene_text": self.scene.text,
             "overrides": list(self.scene.overrides),
             "history": self.history,
+            "tables": {table.path.name: table.sum for table in self._tables()},
             "scene": self.scene.resolved(),
             "plan": describe(self.scene, self.plan, ranks=1).splitlines(),
             "versions": versions(),
@@ -226,6 +227,9 @@ class Runner:
         )
         self.requests.checkpointed()
         self._mark("write")
+
+    def _tables(self) -> list[Rows]:
+        return [self.ledger, *self.probes.files.values()]
 
     def _mark(self, stage: str) -> None:
         if self.simulation.clock is not None:
@@ -257,10 +261,10 @@ def started(
             stack.enter_context(owner.held(folder, ranks, resumed or options.overwrite))
         if folder is not None and options.resume is not None:
             path = checkpoint.chosen(options.resume, folder / layout.CHECKPOINTS, ranks)
-            history = _history(scene, path, ranks, options.change)
-            check_tables(
-                {folder / layout.LEDGER: layout.LEDGER_COLUMNS, **files(scene, folder)}, ranks
-            )
+            attrs = _attrs(path, ranks)
+            history = _history(scene, attrs, options.change)
+            tables = {folder / layout.LEDGER: layout.LEDGER_COLUMNS, **files(scene, folder)}
+            check_tables(tables, ranks, attrs["step"], attrs.get("tables", {}))
         known = prepare(scene, ranks, folder, resumed)
         plan = plan_for(scene, known)
         if approve is not None:
@@ -270,12 +274,16 @@ def started(
         yield Runner(scene, plan, known, ranks, options, path, history)
 
 
-def _history(scene: Scene, path: Path, ranks: Alone, change: bool) -> list[dict]:
-    """What was changed at resumes, this one's with them. Raises SceneError where something is that
-    may not change, unless `change`; CheckpointError where attrs are none. Collective."""
+def _attrs(path: Path, ranks: Alone) -> dict:
+    """What a checkpoint says of its run. Raises CheckpointError where it cannot be. Collective."""
     with on_all(ranks, path, lambda: checkpoint.open(path)) as saved:
-        attrs = saved.attrs
-    check_attrs(path, attrs)
+        check_attrs(path, saved.attrs)
+        return saved.attrs
+
+
+def _history(scene: Scene, attrs: dict, change: bool) -> list[dict]:
+    """What was changed at resumes, this one's with them. Raises SceneError where something is that
+    may not change, unless `change`."""
     history, found = list(attrs.get("history", [])), changes(scene, attrs["scene"])
     if not found:
         return history
