@@ -225,6 +225,12 @@ def _sub(found: re.Pattern, text: str, random: random.Random, other) -> str:
     places = [m for m in found.finditer(text) if not any(a <= m.start() < b for a, b in comments)]
     if not places:
         return text
+    if random.random() < 0.5:  # keys that are there once, such as cell, get as much as others
+        by_key: dict[str, list[re.Match]] = {}
+        for m in places:
+            line = text[text.rfind("\n", 0, m.start()) + 1 :]
+            by_key.setdefault(line.partition("=")[0].strip(), []).append(m)
+        places = by_key[random.choice(sorted(by_key))]
     match = random.choice(places)
     return text[: match.start()] + other(match) + text[match.end() :]
 
