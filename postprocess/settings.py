@@ -9,19 +9,22 @@ from pydantic import (
     ConfigDict,
     Field,
     ValidationError,
+    field_validator,
     model_validator,
 )
 
 from vgmpi.source import Source
 from vgmpi.splatting.floor import Floor
 from vgmpi.splatting.splat import ALPHA_MIN_RANGE
-from vgmpi.tables import Colour, Table, TomlError, colour, explain, three
+from vgmpi.tables import LEAST, MOST, Colour, Table, TomlError, colour, explain, three
 
 
 def _vector(value: Any) -> tuple[float, float, float]:
     numbers = three(value)
     if numbers is None:
         raise ValueError("must be three numbers [x, y, z]")
+    if max(map(abs, numbers)) > MOST:
+        raise ValueError(f"must be of numbers up to {MOST:g} in size")
     return numbers
 
 
@@ -29,6 +32,8 @@ def _direction(value: Any) -> tuple[float, float, float]:
     value = _vector(value)
     if not any(value):
         raise ValueError("must be a direction that is not zero")
+    if max(map(abs, value)) < LEAST:
+        raise ValueError(f"must be a direction of a length from {LEAST:g}")
     return value
 
 
@@ -55,6 +60,14 @@ class SettingsError(TomlError):
 
 class _Table(Table):
     model_config = ConfigDict(allow_inf_nan=False)
+
+    @field_validator("*")
+    @classmethod
+    def _of_a_size(cls, value: Any) -> Any:
+        """Squares and cubes of all numbers are numbers."""
+        if isinstance(value, float) and value and not LEAST <= abs(value) <= MOST:
+            raise ValueError(f"must be 0 or from {LEAST:g} to {MOST:g} in size")
+        return value
 
 
 class Key(_Table):

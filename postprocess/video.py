@@ -196,10 +196,12 @@ def background(value: str | tuple, width: int, height: int, folder: Path) -> np.
     try:
         picture = np.atleast_3d(inputs.picture(folder / value))
     except ValueError as error:
-        raise VideoError(f"background: {folder / value}: {error}") from None
+        raise VideoError(f"picture.background: {folder / value}: {error}") from None
     top = np.iinfo(picture.dtype).max if picture.dtype.kind == "u" else 1
     if picture.ndim != 3 or picture.shape[2] == 2:
-        raise VideoError(f"background: {folder / value}: neither a grey nor a colour picture")
+        raise VideoError(
+            f"picture.background: {folder / value}: neither a grey nor a colour picture"
+        )
     picture = np.broadcast_to(picture[..., :3], (*picture.shape[:2], 3)) / top
     h, w = picture.shape[:2]
     keep_h, keep_w = min(h, round(w * height / width)), min(w, round(h * width / height))

@@ -10,8 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
+from vgmpi import room
+
 MOST_TEXT = 16 << 20  # bytes of a scene or of settings
 MOST_PIXELS = 1 << 26  # of a picture: 1.5 GB as numbers, which is what a reader needs
+_PIXEL = 24  # bytes of one as numbers, at least
 
 
 def content(path: str | Path, most: int, follow: bool = True) -> bytes:
@@ -48,6 +51,7 @@ def picture(path: str | Path) -> np.ndarray:
         if width * height > MOST_PIXELS:
             said = f"has {width:,} x {height:,} pixels"
             raise ValueError(f"{said}; at most {MOST_PIXELS:,} in all are read")
+        room.check(_PIXEL * width * height, f"its {width:,} x {height:,} pixels take at least")
         return np.asarray(iio.imread(path, plugin="pillow"))
     except Exception as error:  # the readers of picture formats raise all kinds
         raise ValueError((str(error).splitlines() or ["unreadable"])[0]) from None

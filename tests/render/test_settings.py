@@ -223,3 +223,20 @@ def test_a_picture_too_large_is_one_line_and_exit_code_2(tmp_path, monkeypatch, 
     assert render.main([*command, "--jobs", "2"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "picture.width: 8192 x 8192 pixels, 2 pictures at once: at least 4 GiB; 3 GiB" in line
+
+
+@pytest.mark.parametrize(
+    "keys, says",
+    [
+        ("target = [1e160, 0, 0]", "camera.0.target: must be of numbers up to 1e+100 in size"),
+        ("up = [0, 0, 1e-200]", "camera.0.up: must be a direction of a length from 1e-100"),
+        ("distance = 1e160", "camera.0.distance: must be 0 or from 1e-100 to 1e+100 in size"),
+        ("near = 5e-324", "camera.0.near: must be 0 or from 1e-100 to 1e+100 in size"),
+    ],
+)
+def test_numbers_whose_squares_are_none(tmp_path, keys, says):
+    with pytest.raises(settings.SettingsError) as caught:
+        load(tmp_path, f"[camera]\n{keys}")
+    [line] = caught.value.lines
+    assert line.startswith(f"{tmp_path / 'render.toml'}:2: ")
+    assert says.replace(".0.", ".") in line.replace(".0.", ".")

@@ -12,7 +12,7 @@ from postprocess import camerafiles, video
 from postprocess.settings import SettingsError
 from tests import launch
 from tests.commands import leave_no_trace  # noqa: F401  of every test here
-from vgmpi import cli, inputs
+from vgmpi import cli, inputs, room
 from vgmpi.output.read import RunError, read_gaussians
 from vgmpi.prepare import texture
 
@@ -82,6 +82,17 @@ def test_pictures_are_not_large(tmp_path):
             (texture.TextureError, video.VideoError), match="has 10,000 x 10,000 pixels"
         ):
             read(path)
+
+
+def test_pictures_fit_into_the_memory(tmp_path, monkeypatch):
+    path = tmp_path / "a.png"
+    large(path, 5000, 5000)
+    monkeypatch.setattr(room, "free", lambda swap=False: 500 << 20)
+    key = f"picture.background: {path}: "  # where it stands in render.toml
+    with pytest.raises(texture.TextureError, match="its 5,000 x 5,000 pixels take at least"):
+        texture.image(path)
+    with pytest.raises(video.VideoError, match=f"^{key}its 5,000 x 5,000 pixels take at least"):
+        video.background(path.name, 8, 8, tmp_path)
 
 
 def test_others_are_as_they_were(tmp_path):

@@ -3,9 +3,6 @@
 import contextlib
 import io
 import logging
-import math
-import mmap
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +14,7 @@ from vgmpi import room
 from vgmpi.gaussians.cloud import Cloud, rotation_matrices
 from vgmpi.gaussians.sh import dc_from_rgb
 from vgmpi.prepare import texture
+from vgmpi.prepare.bounded import bounded
 from vgmpi.prepare.texture import Paint
 
 log = logging.getLogger("vgmpi")
@@ -28,8 +26,6 @@ RADIUS = 0.6  # standard deviation of a disc relative to sqrt(area / number)
 LEAST, MOST = 1e-100, 1e100  # size of a mesh in the units of its file
 _LEAST_AREA = 1e-200  # [m2]
 _FILE = 1.5  # bytes that a byte of a file becomes, at least
-_GRID = re.compile(rb"DIMENSIONS\s+(\d{1,18}(?:\s+\d{1,18}){2})", re.IGNORECASE)
-_FREE_GRID = 1 << 20  # points of a grid that any file may have
 _CROSSINGS = 1 << 22  # of triangles with lines that are looked at together
 _FEW, _PAIRS = 4096, 50  # points whose pairs always fit; pairs per point in all, usual are 10
 _CANDIDATE = 80  # bytes of a candidate, at least
@@ -83,13 +79,8 @@ def read(path: Path) -> Mesh:
 def _read_any(path: Path) -> Mesh:
     import meshio  # half a second to import: only scenes with such a mesh pay it
 
-    if path.suffix.lower() == ".ply":  # meshio waits for the end of the header for ever
-        with open(path, "rb") as file:
-            if b"end_header" not in file.read(1 << 16):
-                raise ValueError("its header has no end")
-    if path.suffix.lower() == ".vtk":
-        _check_grid(path)
-    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said), bounded(path):
         found = meshio.read(path)
     points = np.asarray(found.points, dtype=np.float64)
     points = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))  # a flat mesh has no z
@@ -100,16 +91,6 @@ def _read_any(path: Path) -> Mesh:
             fans += [cells[:, (0, k, k + 1)] for k in range(1, cells.shape[1] - 1)]
     colors = _vertex_colors(found.point_data, len(points))
     return Mesh(points, np.concatenate(fans).astype(np.int64), colors)
-
-
-def _check_grid(path: Path) -> None:
-    """Raises ValueError where a grid has more points, which need not be there, than the file."""
-    size = path.stat().st_size
-    with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
-        for found in _GRID.finditer(text):
-            points = math.prod(map(int, found[1].split()))
-            if points > max(_FREE_GRID, size):
-                raise ValueError(f"its grid has {points:,} points, the file {size:,} bytes")
 
 
 def _read_obj(path: Path) -> Mesh:
