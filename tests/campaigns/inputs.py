@@ -19,7 +19,7 @@ from tests.gaussians import files as written
 from tests.gaussians import hostile
 from tests.render import runs
 
-NAME = "spoiled input files"
+NAME = "inputs"
 COUNT = 300
 SMALL = 24
 

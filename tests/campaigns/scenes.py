@@ -12,7 +12,7 @@ from tests.campaigns import worker
 from tests.campaigns.result import Result
 from tests.campaigns.spoiled import Spoiler
 
-NAME = "spoiled scenes"
+NAME = "scenes"
 COUNT = 1500
 SMALL = 25
 

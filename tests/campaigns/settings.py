@@ -12,7 +12,7 @@ from tests.campaigns.result import Result
 from tests.campaigns.spoiled import Spoiler
 from tests.render import runs, test_settings
 
-NAME = "spoiled render.toml"
+NAME = "settings"
 COUNT = 500
 SMALL = 20
 
