@@ -93,6 +93,14 @@ class Kept:
         self.attrs = json.loads(json.dumps(attrs))  # as it comes back from a file
         self.rows = rows
 
+    def names(self, group):
+        if group == "/":
+            return ["attrs", *sorted({name.partition("/")[0] for name in self.rows})]
+        return sorted(name.partition("/")[2] for name in self.rows if name.startswith(f"{group}/"))
+
+    def form(self, name):
+        return self.rows[name].shape, self.rows[name].dtype
+
     def count(self, name):
         return len(self.rows[name])
 
