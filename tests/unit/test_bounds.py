@@ -6,7 +6,6 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.commands import leave_no_trace  # noqa: F401  of every test here
 from tests.damaged import forge
 from tests.scenes import write
 from tests.unit.test_run_folder import SCENE, files

@@ -5,7 +5,6 @@ import pytest
 
 import vgmpi
 from tests import simulated
-from tests.commands import leave_no_trace  # noqa: F401  of every test here
 from tests.scenes import MIXED, ROOM, write
 from vgmpi import cli, room
 from vgmpi.gaussians import files

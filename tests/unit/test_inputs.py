@@ -11,7 +11,6 @@ import pytest
 from postprocess import camerafiles, video
 from postprocess.settings import SettingsError
 from tests import launch
-from tests.commands import leave_no_trace  # noqa: F401  of every test here
 from vgmpi import cli, inputs, room
 from vgmpi.output.read import RunError, read_gaussians
 from vgmpi.prepare import texture

@@ -11,7 +11,6 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.commands import leave_no_trace  # noqa: F401  of every test here
 from tests.digests import files
 from tests.launch import PATIENCE, ROOT
 from tests.scenes import write
