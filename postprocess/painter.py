@@ -1,6 +1,7 @@
 """Frames of a run as pictures: the Gaussians of a frame are worked out once for all cameras."""
 
 import contextlib
+import functools
 import logging
 import multiprocessing
 import pickle
@@ -58,10 +59,10 @@ class Painter:
     ):
         self.run, self.chosen = run, chosen
         self.alpha, self.depth = alpha, depth
-        self.box = reach(run)
         size = chosen.picture
+        box = functools.cache(lambda: reach(run))  # of files that some cameras have no need of
         self.views = [
-            Viewpoint(one, size, self.box, folder, longest) for one in chosen.views()
+            Viewpoint(one, size, box, folder, longest) for one in chosen.views()
         ]  # before all that takes long: mistakes in files show at once
         self.supersample = 1 if longest else size.supersample
         self.afford()

@@ -103,7 +103,7 @@ def page(run: RunFiles, numbers: list[int], count: int, seconds: float) -> tuple
         raise RunError(said) from None
     chosen = Chosen(Look(run), count)
     box = reach(run)
-    view = Viewpoint(CameraSettings(), PictureSettings(width=1200), box, Path("."))
+    view = Viewpoint(CameraSettings(), PictureSettings(width=1200), lambda: box, Path("."))
     eye = view.at(0.0, 0.0).eye
     logging.getLogger("websockets").setLevel(logging.ERROR)
     server = viser.ViserServer(host="127.0.0.1", port=_free_port(), verbose=False)

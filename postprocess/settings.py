@@ -156,9 +156,6 @@ class CameraSettings(_Table):
         return self
 
 
-GREY = (0.85, 0.85, 0.85)
-
-
 class FloorSettings(_Table):
     """A plane z = height under the Gaussians, and their shadow on it."""
 
@@ -180,7 +177,7 @@ class FloorSettings(_Table):
         """photograph: whether the background is a picture."""
         squares = None if self.squares is None else (self.other, self.squares)
         bare = photograph and squares is None
-        colour = self.colour or (None if bare else GREY)
+        colour = self.colour or (None if bare else Floor.color)
         return Floor(self.height, colour, squares, self.light, self.shadow, self.softness)
 
 

@@ -1,6 +1,7 @@
 """The cameras of render.toml as functions of the part of the video and the time of the run."""
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,16 +14,17 @@ from vgmpi.splatting.camera import HEIGHT, NEAR, Camera, look_at, orbit_eye, ove
 class Viewpoint:
     """Where one camera stands.
 
-    asked: its table. size: width and height of the picture where no file tells them. box: lower and
-    upper corner of what is to be seen [m]. beside: folder of render.toml. longest: if given, the
-    picture is scaled so that its longer side has so many pixels at most. Raises SettingsError.
+    asked: its table. size: width and height of the picture where no file tells them. box: gives
+    lower and upper corner of what is to be seen [m]; only cameras that need it ask. beside: folder
+    of render.toml. longest: if given, the picture is scaled so that its longer side has so many
+    pixels at most. Raises SettingsError.
     """
 
     def __init__(
         self,
         asked: CameraSettings,
         size: PictureSettings,
-        box: tuple[np.ndarray, np.ndarray],
+        box: Callable[[], tuple[np.ndarray, np.ndarray]],
         beside: Path,
         longest: int | None = None,
     ):
@@ -49,7 +51,7 @@ class Viewpoint:
 
     def _overview(self, angles) -> tuple[np.ndarray, float, float]:
         asked = self.asked
-        return overview(*self.box, asked.fov, self.width / self.height, angles, asked.up)
+        return overview(*self.box(), asked.fov, self.width / self.height, angles, asked.up)
 
     def _look(self, eye, target, fov: float) -> Camera:
         asked = self.asked
@@ -57,7 +59,11 @@ class Viewpoint:
 
     def _target(self) -> np.ndarray:
         asked = self.asked.target
-        return np.array(asked) if asked is not None else 0.5 * (self.box[0] + self.box[1])
+        return np.array(asked) if asked is not None else self._middle()
+
+    def _middle(self) -> np.ndarray:
+        lower, upper = self.box()
+        return 0.5 * (lower + upper)
 
     def _orbit(self, part: float, time: float) -> Camera:
         asked = self.asked
@@ -96,8 +102,7 @@ class Viewpoint:
             camera = _between(camera, self.listed[first + 1], place - first)
         near = self.asked.near
         if near is None:
-            middle = 0.5 * (self.box[0] + self.box[1])
-            near = max(min(NEAR, 0.05 * np.linalg.norm(middle - camera.eye)), 1e-6)
+            near = max(min(NEAR, 0.05 * np.linalg.norm(self._middle() - camera.eye)), 1e-6)
         return dataclasses.replace(camera, near=near)
 
 

@@ -4,6 +4,7 @@ numba believes what it finds there. Here what is damaged counts as absent and is
 where no folder can be written nothing is kept.
 """
 
+import functools
 import logging
 import pickle
 import zlib
@@ -16,7 +17,6 @@ from numba.core.caching import IndexDataCacheFile
 log = logging.getLogger("vgmpi")
 
 SEAL = 4  # bytes behind what numba writes, where its own readers do not look
-_told = False
 
 
 def cached(**options: Any) -> Callable[[Callable], Any]:
@@ -37,14 +37,13 @@ def cached(**options: Any) -> Callable[[Callable], Any]:
     return compiled
 
 
+@functools.cache
 def _tell() -> None:
-    global _told
-    if not _told:
-        log.warning(
-            "compiled code cannot be kept: no folder for it can be written; every process compiles"
-            " for itself (set NUMBA_CACHE_DIR to a folder that can)"
-        )
-    _told = True
+    """Once."""
+    log.warning(
+        "compiled code cannot be kept: no folder for it can be written; every process compiles"
+        " for itself (set NUMBA_CACHE_DIR to a folder that can)"
+    )
 
 
 class _Sealed(IndexDataCacheFile):

@@ -18,25 +18,17 @@ from tests.campaigns.result import Result
 from tests.gaussians import files as written
 from tests.gaussians import hostile
 from tests.render import runs
+from tests.scenes import ROOM
 
 NAME = "inputs"
 COUNT = 300
 SMALL = 24
 
-SCENE = """
-[domain]
-size = [0.4, 0.4, 0.4]
-cell = 0.02
-[time]
-end = 1
-[material.clay]
-kind = "elastic"
-density = 400
-youngs_modulus = 1e5
+SCENE = f"""{ROOM}
 [[object]]
 name = "thing"
 material = "clay"
-{source} = "{file}"
+{{source}} = "{{file}}"
 height = 0.1
 position = [0.2, 0.2, 0.2]
 """

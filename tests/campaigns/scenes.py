@@ -130,21 +130,15 @@ def keys() -> list[str]:
 def campaign(count: int, seed: int, folder: Path) -> Result:
     """count: of scenes. Those that fail stay in the folder."""
     folder.mkdir(parents=True, exist_ok=True)
-    good = bases(folder)
-    spoiler = Spoiler(good, keys())
+    spoiler = Spoiler(bases(folder), keys())
     cases, paths = [], []
-    for k in range(count):
-        draw = random.Random(f"{seed} {k}")
-        paths.append(folder / f"{k:04}.toml")
-        paths[k].write_bytes(spoiler.spoiled(draw))
+    for draw, path in spoiler.files(count, seed, folder):
+        paths.append(path)
         sets = _overrides(spoiler, draw) if draw.random() < 0.15 else []
         flags = [f"--set={each}" for each in sets]
-        cases.append([["vgmpi", str(paths[k]), what, *flags] for what in ("--check", "--plan")])
-    warm = []  # what is compiled for a pruned mesh, and for all kinds of keys
-    for k in (0, -1):
-        path = folder / f"good{k}.toml"
-        path.write_text(good[k])
-        warm += [["vgmpi", str(path), "--check"], ["vgmpi", str(path), "--plan"]]
+        cases.append([["vgmpi", str(path), what, *flags] for what in ("--check", "--plan")])
+    first, *_, last = spoiler.good(folder)  # a pruned mesh, and all kinds of keys are compiled
+    warm = [["vgmpi", str(path), what] for path in (first, last) for what in ("--check", "--plan")]
     return worker.judged(paths, cases, warm, _where, _named)
 
 

@@ -1,7 +1,6 @@
 """Spoiled render.toml through the renderer: a small picture, or each mistake gets its line."""
 
 import json
-import random
 import re
 from pathlib import Path
 
@@ -94,20 +93,14 @@ def campaign(count: int, seed: int, folder: Path) -> Result:
     """count: of settings. Those that fail stay in the folder."""
     folder.mkdir(parents=True, exist_ok=True)
     run = runs.write(folder / "run")
-    good = bases(folder)
-    spoiler = Spoiler(good, keys())
+    spoiler = Spoiler(bases(folder), keys())
     cases, paths = [], []
-    for k in range(count):
-        draw = random.Random(f"{seed} {k}")
-        paths.append(folder / f"{k:04}.toml")
-        paths[k].write_bytes(spoiler.spoiled(draw))
+    for draw, path in spoiler.files(count, seed, folder):
+        paths.append(path)
         flags = draw.choice((["--preview"], ["--preview"], ["--frame", "1"]))
-        cases.append([drawn(run, paths[k], folder, *flags)])
-    warm = []
-    for k, text in enumerate(good):  # each way to draw is compiled
-        path = folder / f"good{k}.toml"
-        path.write_text(text)
-        warm.append(drawn(run, path, folder, "--preview"))
+        cases.append([drawn(run, path, folder, *flags)])
+    # each way to draw is compiled
+    warm = [drawn(run, path, folder, "--preview") for path in spoiler.good(folder)]
     return worker.judged(paths, cases, warm, _where, _named)
 
 

@@ -2,6 +2,8 @@
 
 import random
 import re
+from collections.abc import Iterator
+from pathlib import Path
 
 _WORD = re.compile(r'"[^"\n]*"|[-+]?\b\d+(?:\.\d*)?(?:[eE][-+]?\d+)?\b|\btrue\b|\bfalse\b')
 _NUMBER = re.compile(r"(?<![\w#.])[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?")
@@ -45,6 +47,21 @@ class Spoiler:
         if not gentle and random.random() < 0.15:
             data = _bytes_flipped(data, random)
         return data
+
+    def files(self, count: int, seed: int, folder: Path) -> Iterator[tuple[random.Random, Path]]:
+        """`count` spoiled texts in files of the folder, each with the random numbers it is of: the
+        same whatever their count."""
+        for k in range(count):
+            draw, path = random.Random(f"{seed} {k}"), folder / f"{k:04}.toml"
+            path.write_bytes(self.spoiled(draw))
+            yield draw, path
+
+    def good(self, folder: Path) -> list[Path]:
+        """The texts as they are, in files of the folder."""
+        paths = [folder / f"good{k}.toml" for k in range(len(self.texts))]
+        for path, text in zip(paths, self.texts, strict=True):
+            path.write_text(text)
+        return paths
 
     def value(self, random: random.Random) -> str:
         """Something that may stand behind a sign =."""

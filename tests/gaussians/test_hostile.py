@@ -27,19 +27,18 @@ GOOD = {
 
 # reads the files of a folder; the peak memory is the kernel's, set back before each file
 READ = """
-import json, pathlib, re, sys, time
+import json, pathlib, sys, time
+from tests import peak
 from vgmpi.gaussians import files
 for path in sorted(pathlib.Path(sys.argv[1]).iterdir()):
-    pathlib.Path("/proc/self/clear_refs").write_text("5")
+    peak.forget()
     begin = time.process_time()
     try:
         said = f"read {len(files.read(path))}"
     except files.GaussianFileError as error:
         said = str(error)
     seconds = time.process_time() - begin
-    status = pathlib.Path("/proc/self/status").read_text()
-    peak = int(re.search(r"VmHWM:\\s+(\\d+) kB", status)[1]) / 1024
-    print(json.dumps([path.name, seconds, peak, said]))
+    print(json.dumps([path.name, seconds, peak.megabytes(), said]))
 """
 
 

@@ -27,7 +27,7 @@ def viewpoint(folder, text, longest=None):
     path = folder / "render.toml"
     path.write_text(text)
     chosen = settings.load(path)
-    return Viewpoint(chosen.views()[0], chosen.picture, BOX, folder, longest)
+    return Viewpoint(chosen.views()[0], chosen.picture, lambda: BOX, folder, longest)
 
 
 def fov(camera):

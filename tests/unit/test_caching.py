@@ -65,7 +65,7 @@ def test_without_a_folder_it_runs_and_says_so_once(tmp_path, monkeypatch, caplog
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "file" / "below"))
     only = [numbas.UserProvidedCacheLocator]
     monkeypatch.setattr(numbas.CacheImpl, "_locator_classes", only)
-    monkeypatch.setattr(caching, "_told", False)
+    caching._tell.cache_clear()
     with caplog.at_level(logging.WARNING, "vgmpi"):
         assert fresh()(1.0) == fresh()(1.0) == 0.625
     (said,) = caplog.messages

@@ -185,17 +185,16 @@ CASES = {
 
 # the commands of a list, one after the other; the peak memory is the kernel's, set back before each
 CHECK = """
-import contextlib, io, json, pathlib, re, sys
+import contextlib, io, json, sys
+from tests import peak
 from vgmpi import cli, room
 room.free = lambda swap=False: 8 << 30  # on any machine
 for command in json.loads(sys.argv[1]):
-    pathlib.Path("/proc/self/clear_refs").write_text("5")
+    peak.forget()
     with contextlib.redirect_stderr(io.StringIO()) as said:
         code = cli.main(command)
-    status = pathlib.Path("/proc/self/status").read_text()
-    peak = int(re.search(r"VmHWM:\\\\s+(\\\\d+) kB", status)[1]) / 1024
-    print(json.dumps([code, peak, said.getvalue()]))
-""".replace("\\\\", "\\")
+    print(json.dumps([code, peak.megabytes(), said.getvalue()]))
+"""
 
 
 @pytest.fixture(scope="module")

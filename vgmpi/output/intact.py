@@ -20,13 +20,6 @@ GAUSSIAN_FORMS = {
 }  # fmt: skip
 
 
-def datasets(f: h5py.File) -> list[str]:
-    """Names of all datasets."""
-    found: list[str] = []
-    f.visititems(lambda name, item: found.append(name) if isinstance(item, h5py.Dataset) else None)
-    return found
-
-
 def sums(f: h5py.File) -> dict[str, int] | None:
     """CRC32 by the name of the dataset; None in files of earlier versions. Raises Damaged."""
     if layout.CRC not in f:
@@ -94,7 +87,7 @@ def check_series(f: h5py.File) -> None:
     listed(f)
     if layout.CRC not in f:
         return
-    names = datasets(f)
+    names = plain.datasets(f)
     virtual = [name for name in names if f[name].is_virtual]
     held = {name: f[name][()] for name in names if name not in virtual and name != layout.CRC}
     check_sums(f, held)

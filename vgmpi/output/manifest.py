@@ -141,9 +141,7 @@ def check(checkpoint: Path, share: int = 0, shares: int = 1) -> None:
 
 def _compare(f, manifest, share, shares):
     known, turn = layout.named(layout.CHECKPOINT), 0
-    held: set[str] = set()
-    f.visititems(lambda name, item: held.add(name) if isinstance(item, h5py.Dataset) else None)
-    odd = sorted(held ^ set(manifest["datasets"]))
+    odd = sorted(set(plain.datasets(f)) ^ set(manifest["datasets"]))
     if odd:
         raise Broken(f"{odd[0]} is in one of the file and its manifest alone")
     rows: dict[str, int] = {}

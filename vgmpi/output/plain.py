@@ -49,6 +49,15 @@ def check(file: h5py.File, series: bool = False) -> None:
                 raise Damaged(f"{name} is neither a group nor a dataset")
 
 
+def datasets(file: h5py.File) -> list[str]:
+    """Names of all datasets."""
+    found: list[str] = []
+    file.visititems(
+        lambda name, item: found.append(name) if isinstance(item, h5py.Dataset) else None
+    )
+    return found
+
+
 def _check_dataset(name, dataset, size, series):
     if series and dataset.is_virtual:
         if None in sources(dataset):

@@ -82,19 +82,19 @@ class RunFiles:
                 said += "; its particles are prepared, python -m vgmpi scene.toml runs it"
             raise RunError(said)
         self._told = False  # of frames without checksums
-        self._count = max(*self.frames, *self._listed()) + 1
+        self._count = max([*self.frames, *self._listed()]) + 1
 
     def _listed(self) -> list[int]:
         """Numbers of the frames that the series tells of: the last ones may be missing too."""
         path = self.folder / layout.SERIES
         if not path.exists():
-            return [0, 0]
+            return []
         try:
             with opened(path, series=True) as f:
-                return [0, 0, *intact.listed(f)]
+                return intact.listed(f)
         except RunError as error:
             log.warning("%s", error)
-            return [0, 0]
+            return []
 
     def __len__(self):
         return self._count
@@ -206,7 +206,7 @@ def inspect(path: str | Path) -> str:
         lines = [f"{path}: {kind}, {there.stat().st_size / 1e6:.1f} MB"]
         lines += _summary(there, f, kind)
         units = _units(kind)
-        lines += [_line(name, f[name], units) for name in intact.datasets(f)]
+        lines += [_line(name, f[name], units) for name in plain.datasets(f)]
     return "\n".join(lines)
 
 
@@ -262,7 +262,7 @@ def _summary(path, f, kind):
 
 def _all(f):
     """Every dataset but the checksums."""
-    return {name: f[name][()] for name in intact.datasets(f) if name != layout.CRC}
+    return {name: f[name][()] for name in plain.datasets(f) if name != layout.CRC}
 
 
 def _state(check, f):
