@@ -151,6 +151,33 @@ def test_crossings_in_parts_are_the_same(monkeypatch):
     assert np.array_equal(lattice_inside(m, 0.01), every) and len(every)
 
 
+@pytest.mark.parametrize("many", [0, mesh._MANY])
+def test_crossings_below_are_those_that_are_counted_one_by_one(monkeypatch, many):
+    """Also of lines without any, and of points that lie on one."""
+    monkeypatch.setattr(mesh, "_MANY", many)
+    random = np.random.default_rng(5)
+    lines, columns = random.integers(0, 9, 40), random.integers(0, 12, 300)
+    heights, signs = random.integers(0, 9, 40) / 8, random.choice([-1.0, 1.0], 40)
+    points = np.stack([columns, columns, random.integers(-1, 10, 300) / 8], axis=1)
+    want = [
+        sum(s for line, z, s in zip(lines, heights, signs) if line == c and z <= p[2])
+        for c, p in zip(columns, points)
+    ]
+    assert mesh._crossings_below(lines, heights, signs, columns, points).tolist() == want
+
+
+def test_two_directions_that_agree_need_no_third():
+    """Of a soup of triangles, where the directions often do not."""
+    h, random = 0.02, np.random.default_rng(3)
+    soup = Mesh(random.random((120, 3)) * 0.4, np.arange(120).reshape(40, 3))
+    points = (np.stack(np.meshgrid(*[np.arange(20)] * 3), axis=-1).reshape(-1, 3) + 0.5) * h
+    orders = [[(axis + 1) % 3, (axis + 2) % 3, axis] for axis in range(3)]
+    ways = [mesh._winding(soup.corners()[:, :, o], points[:, o], h) != 0 for o in orders]
+    want = np.sum(ways, axis=0) >= 2
+    assert (mesh.inside(soup, points, h) == want).all()
+    assert 500 < want.sum() < 7000 and 500 < np.sum(ways[0] != ways[1])
+
+
 def test_vertex_colors_are_interpolated():
     m = cube([0, 0, 0], [0.1, 0.1, 0.1])
     rgb = (m.points / 0.1) * (0.8, 0.6, 0.0)

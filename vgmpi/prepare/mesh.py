@@ -26,6 +26,7 @@ RADIUS = 0.6  # standard deviation of a disc relative to sqrt(area / number)
 LEAST, MOST = 1e-100, 1e100  # size of a mesh in the units of its file
 _LEAST_AREA = 1e-200  # [m2]
 _FILE = 1.5  # bytes that a byte of a file becomes, at least
+_MANY = 64  # crossings on one line that are looked at one by one
 _CROSSINGS = 1 << 22  # of triangles with lines that are looked at together
 _FEW, _PAIRS = 4096, 50  # points whose pairs always fit; pairs per point in all, usual are 10
 _CANDIDATE = 80  # bytes of a candidate, at least
@@ -292,11 +293,17 @@ def inside(mesh: Mesh, points: np.ndarray, spacing: float) -> np.ndarray:
     Along each axis a line through the points counts the signed crossings below each; two of three
     axes must agree, so that a hole in the mesh does not turn a whole line inside out.
     """
-    votes = np.zeros(len(points), dtype=np.int8)
-    for axis in range(3):
+    corner = mesh.corners()
+
+    def along(axis: int, points: np.ndarray) -> np.ndarray:
         order = [(axis + 1) % 3, (axis + 2) % 3, axis]
-        votes += _winding(mesh.corners()[:, :, order], points[:, order], spacing) != 0
-    return votes >= 2
+        return _winding(corner[:, :, order], points[:, order], spacing) != 0
+
+    votes, other = along(0, points), along(1, points)
+    differ = np.flatnonzero(votes != other)  # elsewhere the third has nothing to say
+    if len(differ):
+        votes[differ] = along(2, points[differ])
+    return votes
 
 
 def _winding(corner: np.ndarray, points: np.ndarray, h: float) -> np.ndarray:
@@ -350,6 +357,27 @@ def _flat(cell: np.ndarray, size: np.ndarray) -> np.ndarray:
 
 def _crossings_below(lines, heights, signs, columns, points) -> np.ndarray:
     """For each point the sum of `signs` of the crossings on its line that lie lower."""
+    if not len(lines):
+        return np.zeros(len(points), dtype=np.int64)
+    count = np.bincount(lines, minlength=columns.max() + 1)
+    if count.max() > _MANY:
+        return _by_sorting(lines, heights, signs, columns, points)
+    order = np.lexsort((heights, lines))
+    z, sign = heights[order], signs[order].astype(np.int64)
+    first = np.cumsum(count) - count
+    out = np.zeros(len(points), dtype=np.int64)
+    at = np.flatnonzero(count[columns])  # points above all crossings of their lines so far
+    here, left = first[columns[at]], count[columns[at]]
+    for _ in range(count.max()):
+        below = z[here] <= points[at, 2]
+        out[at] += np.where(below, sign[here], 0)
+        more = below & (left > 1)
+        at, here, left = at[more], here[more] + 1, left[more] - 1
+    return out
+
+
+def _by_sorting(lines, heights, signs, columns, points) -> np.ndarray:
+    """The same for lines with any number of crossings."""
     line = np.concatenate([lines, columns])
     z = np.concatenate([heights, points[:, 2]])
     sign = np.concatenate([signs, np.zeros(len(columns))]).astype(np.int64)
