@@ -1,5 +1,6 @@
 """render.toml: camera, picture, video and splatting, checked before anything is drawn."""
 
+import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -16,7 +17,17 @@ from pydantic import (
 from vgmpi.source import Source
 from vgmpi.splatting.floor import Floor
 from vgmpi.splatting.splat import ALPHA_MIN_RANGE
-from vgmpi.tables import LEAST, MOST, Colour, Table, TomlError, colour, explain, three
+from vgmpi.tables import (
+    LEAST,
+    MOST,
+    Colour,
+    Quantity,
+    Table,
+    TomlError,
+    colour,
+    explain,
+    three,
+)
 
 
 def _vector(value: Any) -> tuple[float, float, float]:
@@ -37,6 +48,16 @@ def _direction(value: Any) -> tuple[float, float, float]:
     return value
 
 
+def _degrees(value: Any) -> Any:
+    """Of a text with a unit; numbers are degrees already."""
+    if not isinstance(value, str):
+        return value
+    try:
+        return round(math.degrees(Quantity("rad").parse(value)), 12)
+    except ValueError:
+        raise ValueError("must be a number of degrees, or a text as '30 deg', '0.5 rad'") from None
+
+
 def _background(value: Any) -> tuple[float, float, float] | str:
     if isinstance(value, str) and value and not value.startswith("#"):
         return value
@@ -47,6 +68,7 @@ def _background(value: Any) -> tuple[float, float, float] | str:
 
 
 Vector = Annotated[tuple[float, float, float], BeforeValidator(_vector)]
+Degrees = Annotated[float, BeforeValidator(_degrees)]
 Direction = Annotated[tuple[float, float, float], BeforeValidator(_direction)]
 Background = Annotated[tuple[float, float, float] | str, BeforeValidator(_background)]
 
@@ -81,7 +103,7 @@ class Key(_Table):
     """where the camera stands: [x, y, z]"""
     target: Vector | None = None
     """what it looks at"""
-    fov: Annotated[float, Field(ge=1e-3, le=170)] | None = None
+    fov: Annotated[Degrees, Field(ge=1e-3, le=170)] | None = None
     """degrees"""
 
     @model_validator(mode="after")
@@ -125,13 +147,13 @@ class CameraSettings(_Table):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,40}$")] | None = None
     target: Vector | None = None
     up: Direction = (0.0, 0.0, 1.0)
-    fov: Annotated[float, Field(gt=0, lt=170)] = 40.0  # vertical
+    fov: Annotated[Degrees, Field(gt=0, lt=170)] = 40.0  # vertical
     near: Annotated[float, Field(gt=0)] | None = None
     eye: Vector | None = None
     distance: Annotated[float, Field(gt=0)] | None = None  # from target to eye
     height: float | None = None  # of the eye above the target
     turns: float = 0.0  # full circles over the video
-    angle: float = 25.0  # at the first frame; 0 looks from -y, 90 from +x
+    angle: Degrees = 25.0  # at the first frame; 0 looks from -y, 90 from +x
     keys: Annotated[tuple[Key, ...], AfterValidator(_path)] | None = None
     file: str | None = None  # relative to the folder of render.toml, as the next
     folder: str | None = None

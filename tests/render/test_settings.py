@@ -78,7 +78,17 @@ def test_a_fixed_camera(tmp_path):
     assert s.splatting.options() == {"lowpass": 0.3, "antialias": False}
 
 
+@pytest.mark.parametrize(
+    "said, want", [("30", 30), ('"30 deg"', 30), ('"0.5 rad"', 28.64788975654), ('"33 deg"', 33)]
+)
+def test_angles_are_degrees_or_have_a_unit(tmp_path, said, want):
+    s = load(tmp_path, f"[camera]\nangle = {said}\nfov = {said}")
+    assert s.camera[0].angle == s.camera[0].fov == want
+
+
 BAD = {
+    "an angle in metres": ('[camera]\nfov = "3 m"', 2, "camera.fov", "or a text as '30 deg'"),
+    "an angle too wide": ('[camera]\nfov = "3 rad"', 2, "camera.fov", "less than 170"),
     "an unknown table": ("[camara]\nfov = 3", 1, "camara", "did you mean 'camera'?"),
     "an unknown key": ("[camera]\n\nfovv = 3", 3, "camera.fovv", "did you mean 'fov'?"),
     "a key outside its table": ("\nfov = 3", 2, "fov", "known here: camera"),
