@@ -1,6 +1,5 @@
 """What a run looks like at a frame: rest Gaussians and moving particles become things to draw."""
 
-import difflib
 import logging
 
 import numpy as np
@@ -10,6 +9,7 @@ from postprocess.frame_colours import FrameColours
 from postprocess.parts import BALL, FIXED, FOLLOW, ROUND, SWELL, Part, Passive, ViewColours
 from postprocess.settings import LookSettings, SettingsError
 from vgmpi.gaussians import evolve
+from vgmpi.misspelt import nearest
 from vgmpi.output.read import RunError
 from vgmpi.splatting.splat import ALPHA_MIN, Splats
 
@@ -133,7 +133,8 @@ class Look:
             if alpha_min < 0.999 * ALPHA_MIN:
                 own = "an object's alpha_min, or its opacity_scale below 0.1"
                 reason = "the fluid is faint" if faint else own
-                log.info("alpha_min = %g instead of 1/255: %s", alpha_min, reason)
+                said = "faint Gaussians are drawn too, down to alpha_min = %g (usual: 1/255): %s"
+                log.info(said, alpha_min, reason)
         for number, entry in enumerate(self.objects):
             own = self.opacity[self.object == number]
             lost = np.count_nonzero(own < alpha_min)
@@ -190,9 +191,8 @@ def _opacity_scales(objects: list[dict], chosen: LookSettings) -> list[float]:
     names = [str(entry.get("name")) for entry in objects]
     for name in chosen.opacity_scale:
         if name not in names:
-            near = difflib.get_close_matches(name, names, 1)
-            hint = f" (did you mean '{near[0]}'?)" if near else ""
-            said = f"there is no object '{name}'{hint}; known: {', '.join(names)}"
+            near = nearest(name, names)
+            said = f"there is no object '{name}'{near}; known: {', '.join(names)}"
             raise SettingsError([f"look.opacity_scale: {said}"])
     if chosen.opacity == "fixed":
         return [1.0] * len(objects)

@@ -36,13 +36,14 @@ LAYERS = [
     {"caching"},
     {"ends"},
     {"room"},
+    {"misspelt"},
 ]
 # the layers that may be used, where that is less than all below
 ONLY = {
-    "materials": {"tables", "device"},
+    "materials": {"tables", "device", "misspelt"},
     "couplings": {"tables", "device"},
     "source": {"tables", "inputs"},
-    "tables": set(),
+    "tables": {"misspelt"},
 }
 POSTPROCESS = (
     "vgmpi.output.read",
@@ -53,6 +54,7 @@ POSTPROCESS = (
     "vgmpi.source",  # render.toml is read as a scene is, and its mistakes are told the same way
     "vgmpi.tables",
     "vgmpi.inputs",
+    "vgmpi.misspelt",
     "vgmpi.caching",
     "vgmpi.ends",
     "vgmpi.room",

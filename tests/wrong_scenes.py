@@ -237,6 +237,7 @@ CASES = {
     ),
     "opacity scale of a solid": ball("opacity_scale = 0.1", "opacity_scale", "is only for fluids"),
     "missing file": made_of('gaussians = "none.ply"', "gaussians", "there is no file "),
+    "misspelt file": made_of('mesh = "scena.toml"', "mesh", "(did you mean 'scene.toml'?)"),
     "file of a long name": made_of(f'mesh = "{"a" * 5000}.obj"', "mesh", "there is no file "),
     "file with NUL": made_of('gaussians = "a\\u0000b.ply"', "gaussians", "no file has such a name"),
     "folder with NUL": more(
@@ -297,7 +298,7 @@ CASES = {
         "must be later than after = 2 s; got 1 s",
     ),
     "force in kilograms": load_with(
-        'force = [0, 0, "1 kg"]', "force.2", "'kg' does not measure this; expected a number [N]"
+        'force = [0, 0, "1 kg"]', "force.2", "'kg' does not measure a force; expected a number [N]"
     ),
     "region of two forms": load_with(
         "force = [0, 0, 1]\nregion = { cube = 1 }", "region", "has no form: give one of box, sphere"

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from vgmpi import room
+from vgmpi.misspelt import nearest_file
 
 MOST_TEXT = 16 << 20  # bytes of a scene or of settings
 MOST_PIXELS = 1 << 26  # of a picture: 1.5 GB as numbers, which is what a reader needs
@@ -21,7 +22,11 @@ def content(path: str | Path, most: int, follow: bool = True) -> bytes:
     """What is in a file. Raises OSError, also where it is no regular file (a pipe or a device, of
     which reading may never end), has more than `most` bytes, or is a link and `follow` false."""
     way = 0 if follow else os.O_NOFOLLOW
-    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | way)
+    try:
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | way)
+    except FileNotFoundError as error:
+        said = f"{error.strerror}{nearest_file(Path(path)) if follow else ''}"
+        raise FileNotFoundError(error.errno, said, str(path)) from None
     try:
         found = os.fstat(handle)
         if not stat.S_ISREG(found.st_mode):
@@ -42,7 +47,9 @@ def picture(path: str | Path) -> np.ndarray:
     from PIL import Image
 
     try:
-        if not stat.S_ISREG(os.stat(path).st_mode):
+        if not os.path.exists(path):
+            raise ValueError(f"no such file{nearest_file(Path(path))}")
+        if not os.path.isfile(path):
             raise ValueError("is no regular file")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from vgmpi.inputs import MOST_TEXT, content
-from vgmpi.tables import SceneError, TomlError
+from vgmpi.tables import SceneError, TomlError, unit
 
 log = logging.getLogger("vgmpi")
 
@@ -19,6 +19,9 @@ _LITERAL = re.compile(r"'[^'\n]*'")
 _LONG = re.compile(r'"""(?:[^\\]|\\.)*?"{3,5}(?!")' + r"|'''.*?'{3,5}(?!')", re.DOTALL)
 _SCALAR = re.compile(r"[^,\]}\n#]*")
 _LONG_NUMBER = re.compile(r"[0-9_]{4300,}")  # more than Python turns into an integer
+# what stands behind a sign = or in a list and is no number, quotes and brackets taken aside
+_BARE_VALUE = re.compile(r"[=,\[]\s*([^\s=,\[\]{}\"'][^=,\[\]{}\"']{0,100})")
+_NUMBER = re.compile(r"[-+]?[0-9][0-9_.]*(?:[eE][-+]?[0-9]+)?\s*([A-Za-z%][^\n]*?)\s*")
 DEEPEST = 100  # tables and lists in each other
 
 
@@ -49,7 +52,7 @@ class Source:
             self.data = tomllib.loads(self.text)
             self._line = key_lines(self.text)
         except OSError as caught:
-            raise error([f"{printable(path)}: {caught.strerror or caught}"]) from None
+            raise error([printable(f"{path}: {caught.strerror or caught}")]) from None
         except UnicodeDecodeError as caught:
             raise error([f"{printable(path)}: not UTF-8 text (byte {caught.start})"]) from None
         except RecursionError:
@@ -328,7 +331,24 @@ def _syntax(path: str, text: str, said: str) -> str:
     match = re.search(r"\(at line (\d+), column (\d+)\)", said)
     line = match[1] if match else str(max(1, len(text.splitlines())))
     column = f" (column {match[2]})" if match else ""
-    return printable(f"{path}:{line}: not valid TOML: {said.partition(' (at ')[0]}{column}")
+    hint = _unquoted(text.split("\n")[int(line) - 1][:1000]) if match else ""
+    return printable(f"{path}:{line}: not valid TOML: {said.partition(' (at ')[0]}{column}{hint}")
+
+
+def _unquoted(line: str) -> str:
+    """The hint at the first value of a line that lacks its quotes: `0.6 s`, or a word; else ""."""
+    for value in _BARE_VALUE.findall(_BASIC.sub('""', _LITERAL.sub('""', line)).partition("#")[0]):
+        number, name = _NUMBER.fullmatch(value), value.strip()
+        word = _BARE.fullmatch(name) and name[0].isalpha()
+        if name in ("true", "false", "inf", "nan") or not (number or word):
+            continue
+        try:
+            unit(number[1] if number else "")
+        except ValueError:
+            continue
+        what = "a value with a unit" if number else "a word"
+        return f'; {what} needs quotes: "{name}"'
+    return ""
 
 
 def _index(items: list, part: str) -> int | None:

@@ -4,16 +4,16 @@ A field is declared `density: Annotated[float, Quantity("kg/m3", gt=0)] = 1000.0
 file it is a number in SI or a text such as "1 g/cm3". Inside the program there is only SI.
 """
 
-import difflib
 import math
 import re
-from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Annotated, Any, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 from pydantic_core import core_schema
+
+from vgmpi.misspelt import nearest
 
 _BASE = ("m", "kg", "s", "K", "rad")
 _UNITS: dict[str, tuple[str | float, tuple[int, ...]]] = {
@@ -50,6 +50,12 @@ _UNITS: dict[str, tuple[str | float, tuple[int, ...]]] = {
     "rad": ("1", (0, 0, 0, 0, 1)),
     "deg": (math.pi / 180, (0, 0, 0, 0, 1)),
 }
+_MEASURED = {  # what a unit is for, as an error says it
+    "": "a plain number", "1": "a share", "m": "a length", "s": "a time", "Hz": "a rate",
+    "N": "a force", "Pa": "a pressure or a stiffness", "Pa s": "a viscosity",
+    "kg/m3": "a density", "m/s": "a speed", "m/s2": "an acceleration", "m2/s": "a diffusion",
+    "rad": "an angle", "rad/s": "a turning speed", "rad/m": "an angle per length",
+}  # fmt: skip
 LEAST, MOST = 1e-100, 1e100  # of a quantity that is not 0: its square and its cube are numbers
 _FACTOR = re.compile(r"(%|1|[A-Za-z]+)(?:\^?(-?\d))?")
 _TEXT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
@@ -141,7 +147,8 @@ class Quantity:
         except ValueError as error:
             raise ValueError(f"{error}; {hint}") from None
         if powers != unit(self.unit)[1]:
-            said = f"'{match[2]}' does not measure this" if match[2] else "the text has no unit"
+            what = _MEASURED.get(self.unit, "this")
+            said = f"'{match[2]}' does not measure {what}" if match[2] else "the text has no unit"
             raise ValueError(f"{said}; {hint}")
         if not 1e-300 < abs(float(match[1])) < 1e300:  # no huge integers out of "1e999999999 m"
             return float(match[1])
@@ -218,12 +225,6 @@ def explain(error: ValidationError, table: type[BaseModel]) -> list[tuple[tuple,
     return [_explain(dict(item), table) for item in error.errors(include_url=False)]
 
 
-def nearest(word: object, known: Iterable[str]) -> str:
-    """ " (did you mean 'x'?)" where a known word is close to this one, else nothing."""
-    near = difflib.get_close_matches(str(word).lower(), list(known), 1)
-    return f" (did you mean '{near[0]}'?)" if near else ""
-
-
 def got(value: object) -> str:
     """The value as the user wrote it, short."""
     shown = str(value).lower() if isinstance(value, bool) else repr(value)
@@ -235,7 +236,8 @@ def _explain(item: dict, table: type[BaseModel]) -> tuple[tuple, str]:
     if kind == "extra_forbidden":
         holder = table_at(table, path[:-1])
         known = list(holder.model_fields) if holder else []
-        return path, f"unknown key{nearest(path[-1], known)}; known here: {', '.join(known)}"
+        near = nearest(path[-1], known)  # a list of thirty keys would hide it
+        return path, f"unknown key{near or '; known here: ' + ', '.join(known)}"
     if kind == "missing" and isinstance(path[-1], int):
         return path[:-1], f"has too few values; {got(value)}"
     if kind == "missing":

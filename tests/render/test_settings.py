@@ -79,7 +79,7 @@ def test_a_fixed_camera(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "said, want", [("30", 30), ('"30 deg"', 30), ('"0.5 rad"', 28.64788975654), ('"33 deg"', 33)]
+    "said, want", [("30", 30), ('"30 deg"', 30), ('"0.5 rad"', 28.647889756541), ('"33 deg"', 33)]
 )
 def test_angles_are_degrees_or_have_a_unit(tmp_path, said, want):
     s = load(tmp_path, f"[camera]\nangle = {said}\nfov = {said}")

@@ -101,3 +101,18 @@ def test_others_are_as_they_were(tmp_path):
     iio.imwrite(tmp_path / "a.png", pixels)
     assert (inputs.picture(tmp_path / "a.png") == pixels).all()
     assert inputs.content(tmp_path / "a.png", 10**6) == (tmp_path / "a.png").read_bytes()
+
+
+def test_a_file_that_is_not_there_is_named_as_it_may_be_meant(tmp_path, capsys):
+    (tmp_path / "Bridge.toml").touch()
+    (tmp_path / "pictures").mkdir()
+    (tmp_path / "pictures" / "sky.png").touch()
+    assert cli.main([str(tmp_path / "brigde.toml"), "--check"]) == 2
+    said = f"{tmp_path}/brigde.toml: No such file or directory (did you mean 'Bridge.toml'?)\n"
+    assert capsys.readouterr().err == said
+    with pytest.raises(video.VideoError, match=r"no such file \(did you mean 'sky.png'\?\)"):
+        video.background("pictures/skyy.png", 8, 8, tmp_path)
+    with pytest.raises(video.VideoError, match=r"no such file \(did you mean 'pictures'\?\)"):
+        video.background("picture/sky.png", 8, 8, tmp_path)
+    with pytest.raises(SettingsError, match="No such file or directory$"):
+        camerafiles.transforms(tmp_path / "a.json")

@@ -143,6 +143,11 @@ def test_set_that_cannot_be_applied(scene, item, says):
         (b"a = 1\nb = = 2\n", ":2: not valid TOML: Invalid value (column 5)"),
         (b"a = 1\na = 2\n", ":2: not valid TOML: Cannot overwrite a value"),
         (b"a = [1,\n2\n", ":2: not valid TOML: "),
+        (b"a = 1\nend = 0.6 s\n", '(column 11); a value with a unit needs quotes: "0.6 s"'),
+        (b"size = ['1 cm', 2 cm] # m", '; a value with a unit needs quotes: "2 cm"'),
+        (b"angle = -1.5e2 deg # 2 m", '; a value with a unit needs quotes: "-1.5e2 deg"'),
+        (b"share = 10%", '; a value with a unit needs quotes: "10%"'),
+        (b"a = 1\nkind = fluid\n", ":2: not valid TOML: Invalid value (column 8); a word needs"),
         (b"a = '\xff'", ": not UTF-8 text (byte 5)"),
         (b"a = " + b"[" * 5000, ": not valid TOML: "),
     ],
@@ -154,6 +159,16 @@ def test_files_that_are_no_toml(tmp_path, content, says):
         Source(path)
     assert len(caught.value.lines) == 1 and "\n" not in caught.value.lines[0]
     assert caught.value.lines[0].startswith(str(path)) and says in caught.value.lines[0]
+
+
+@pytest.mark.parametrize(
+    "line", ["a = 5 apples", "a = true b", "a = = 2", 'a = "2 cm', 'a = "2 s" 3']
+)
+def test_no_hint_where_quotes_do_not_help(tmp_path, line):
+    (tmp_path / "a.toml").write_text(line)
+    with pytest.raises(SceneError, match="not valid TOML") as caught:
+        Source(tmp_path / "a.toml")
+    assert "needs quotes" not in caught.value.lines[0]
 
 
 def test_missing_file_and_folder(tmp_path):

@@ -22,7 +22,8 @@ from typing import Any, ClassVar, Literal, get_args
 from pydantic import BaseModel, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from ..tables import Table, nearest
+from ..misspelt import nearest
+from ..tables import Table
 
 registry: dict[str, type] = {}
 

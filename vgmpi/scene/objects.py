@@ -7,8 +7,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, model_validator
 
+from vgmpi.misspelt import nearest
 from vgmpi.scene.forms import Axis, Corners, Shape, Sphere, shape_complaints
-from vgmpi.tables import Colour, Length, Point, Positive, Quantity, Share, Table, nearest
+from vgmpi.tables import Colour, Length, Point, Positive, Quantity, Share, Table
 
 SOURCES = ("gaussians", "mesh", "shape")
 SIZES = ("height", "width", "depth", "scale")

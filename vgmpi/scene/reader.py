@@ -11,13 +11,14 @@ from pydantic import BaseModel, ValidationError
 
 from vgmpi import couplings, materials
 from vgmpi.couplings.base import CONTACT
+from vgmpi.misspelt import nearest, nearest_file
 from vgmpi.scene.loads import Load, load_complaints
 from vgmpi.scene.objects import Object, body_complaint, object_complaints
 from vgmpi.scene.probes import Probe, probe_complaints
 from vgmpi.scene.scene import Scene, mixed, phase_of
 from vgmpi.scene.settings import MOST_CELLS, SECTIONS, Domain, Output, Top
 from vgmpi.source import Source
-from vgmpi.tables import SceneError, explain, got, nearest
+from vgmpi.tables import SceneError, explain, got
 
 REQUIRED = ("domain", "time", "material", "object")
 LISTS = ("object", "coupling", "load", "probe")
@@ -51,7 +52,8 @@ class Reader:
         known = (*Top.model_fields, *SECTIONS, "material", *LISTS)
         for key in data:
             if key not in known:
-                self.wrong((key,), f"unknown key{nearest(key, known)}; known: {', '.join(known)}")
+                near = nearest(key, known) or f"; known: {', '.join(known)}"
+                self.wrong((key,), f"unknown key{near}")
         for key in REQUIRED:
             if key not in data:
                 header = "[[object]]" if key == "object" else f"[{key}]"
@@ -317,7 +319,9 @@ class Reader:
         if there is None and "\0" in name:
             self.wrong(path, f"no file has such a name; {got(name)}")
         elif there is None:
-            self.wrong(path, f"there is no file {candidates[-1]}{self.maker(candidates[-1])}")
+            missing = candidates[-1]
+            near = self.maker(missing) or nearest_file(missing)
+            self.wrong(path, f"there is no file {missing}{near}")
         elif not (given or outside) and not there.resolve().is_relative_to(folder.resolve()):
             self.wrong(
                 path,
