@@ -5,7 +5,7 @@ import signal
 
 import pytest
 
-HEARD = {s: signal.getsignal(s) for s in (signal.SIGUSR1, signal.SIGTERM)}
+HEARD = {s: signal.getsignal(s) for s in (signal.SIGUSR1, signal.SIGTERM, signal.SIGINT)}
 
 
 @pytest.fixture(autouse=True)

@@ -7,6 +7,11 @@ Nothing is loaded before it is asked for.
 """
 
 import importlib
+import os
+
+# with colorama, where that is installed, numba ends every program with an escape code on stdout,
+# which a file behind mpirun gets too
+os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
 
 __all__ = ["Run", "SceneError", "load", "plan", "read", "run"]
 

@@ -4,6 +4,7 @@ import argparse
 import logging
 import os
 import re
+import signal
 import sys
 import traceback
 from pathlib import Path
@@ -11,6 +12,7 @@ from pathlib import Path
 from . import room
 from .domain.ranks import Alone, world
 from .output import checkpoint, layout, owner, read, store
+from .planning.plan import Plan
 from .planning.price import describe
 from .scene.reader import load
 from .scene.scene import Scene
@@ -21,7 +23,8 @@ log = logging.getLogger("vgmpi")
 
 WRONG = 2
 EXIT_CODES = """exit codes: 0 done, 1 unexpected error, 2 something in the scene or the flags is
-wrong, 3 the simulation blew up (what was written before is whole), 75 stopped with a checkpoint"""
+wrong, 3 the simulation blew up (what was written before is whole), 75 stopped with a checkpoint
+(also by the first Ctrl-C once steps are made), 130 interrupted"""
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -82,7 +85,7 @@ def _add_flags_of_a_run(parser: argparse.ArgumentParser) -> None:
         "--stop-after",
         default="",
         metavar="AMOUNT",
-        help='stop with a checkpoint after "500 steps" or "10 min" of wall time',
+        help='stop with a checkpoint after "500 steps", or "90 s", "10 min", "2 h" of wall time',
     )
     parser.add_argument(
         "--threads", type=int, default=1, metavar="N", help="threads per rank, default 1"
@@ -126,13 +129,13 @@ def arguments(argv: list[str] | None) -> argparse.Namespace:
 
 
 def _amount(text: str) -> tuple[int, float]:
-    """(steps, seconds) of "500", "500 steps", "90 s", "10 min", "2 h"; raises ValueError."""
+    """(steps, seconds) of "500 steps", "90 s", "10 min", "2 h"; raises ValueError."""
     if not text:
         return 0, 0.0
-    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*(steps?|s|min|h|)\s*", text)
+    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*(steps?|s|min|h)\s*", text)
     if not match or float(match[1]) <= 0:
         raise ValueError(f"must be like '500 steps', '90 s', '10 min' or '2 h'; got {text!r}")
-    if match[2] in ("", "step", "steps"):
+    if match[2].startswith("step"):
         if "." in match[1]:
             raise ValueError(f"steps must be a whole number; got {text!r}")
         return int(match[1]), 0.0
@@ -146,7 +149,7 @@ def main(argv: list[str] | None = None) -> int:
         return _inspect(given.inspect)
     _log_to_stderr(given, first=True)
     if not (given.check or given.plan or given.prepare):
-        listen()
+        listen(signal.SIGUSR1, signal.SIGTERM)
     ranks = Alone() if given.check else world()
     _log_to_stderr(given, first=ranks.rank == 0)
     try:
@@ -187,9 +190,14 @@ def _command(given: argparse.Namespace, ranks: Alone) -> int:
         if ranks.rank == 0:
             print(f"{sum(known.count):,} particles in {folder / layout.GAUSSIANS}")
         return 0
+    reached = 0.0
+    if given.resume is not None:
+        from .solver.run import goes_on_from
+
+        reached = goes_on_from(given.resume, folder, ranks)[1]["time"]
     plan = prepared.plan_for(scene, prepared.prepare(scene, ranks, None))
     if ranks.rank == 0:
-        print(describe(scene, plan, ranks.size))
+        print(describe(scene, plan, ranks.size, reached))
     refusal = too_large(plan.bytes(), ranks)
     return _refuse([refusal], ranks) if refusal and not given.force else 0
 
@@ -199,12 +207,12 @@ def _run(scene: Scene, folder: Path, given: argparse.Namespace, ranks: Alone) ->
     from .solver import run as runs
     from .solver.step import BlowUp
 
-    def approve(plan) -> None:
+    def approve(plan: Plan, reached: float) -> None:
         refusal = too_large(plan.bytes(), ranks)
         if refusal and not given.force:
             raise SceneError([refusal + "; --force runs it anyway"])
         if ranks.rank == 0 and not given.quiet:
-            print(describe(scene, plan, ranks.size), flush=True)
+            print(describe(scene, plan, ranks.size, reached), flush=True)
 
     options = runs.Options(
         folder, given.threads, given.engine, given.resume, given.stop_steps, given.stop_seconds,
@@ -215,6 +223,8 @@ def _run(scene: Scene, folder: Path, given: argparse.Namespace, ranks: Alone) ->
             clock = run.simulation.clock = report.Clock()
             progress = report.Progress(run, given.quiet)
             options.listeners.append(progress)
+            if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as behind a script's &
+                listen(signal.SIGINT)
             code = run.go()
             progress.close()
             said = [report.table(run, clock)]

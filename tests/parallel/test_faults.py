@@ -96,7 +96,9 @@ def test_stop_after_steps(tmp_path):
     assert [p.name for p in (tmp_path / "out" / "checkpoints").glob("*.h5")] == [
         "checkpoint_000000013.h5"
     ]
-    job = mpirun(1, "-m", "vgmpi", scene, "-o", tmp_path / "out", "--resume", "--stop-after", "4")
+    job = mpirun(
+        1, "-m", "vgmpi", scene, "-o", tmp_path / "out", "--resume", "--stop-after", "4 steps"
+    )
     assert job.returncode == 75, job.stderr
     assert (tmp_path / "out" / "checkpoints" / "checkpoint_000000017.h5").exists()
 

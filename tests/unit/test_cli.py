@@ -1,10 +1,13 @@
 """The command line: exit codes, and the lines a user gets."""
 
+import sys
+
 import numpy as np
 import pytest
 
 import vgmpi
-from tests import simulated
+from tests import launch, simulated
+from tests.launch import ROOT
 from tests.scenes import MIXED, ROOM, write
 from vgmpi import cli, room
 from vgmpi.gaussians import files
@@ -45,10 +48,11 @@ def test_a_wrong_scene_ends_with_2_and_writes_nothing(scene, capsys, flag):
     scene.write_text(scene.read_text().replace("cell = 0.02", 'cell = "2 kg"'))
     assert cli.main([str(scene), flag]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"{scene}:6: domain.cell: ") and "'kg' does not measure this" in line
+    assert line.startswith(f"{scene}:6: domain.cell: ") and "'kg' does not measure a length" in line
     assert sorted(p.name for p in scene.parent.iterdir()) == ["scene.toml"]
 
 
+TETRAHEDRON = "f 1 2 3\nf 1 4 2\nf 2 4 3\nf 1 3 4\n"
 POST = """
 [[object]]
 name = "post"
@@ -164,19 +168,20 @@ def test_resume_without_a_checkpoint(scene, capsys):
     assert "no valid checkpoint" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("amount", ["0", "ten", "5.5 steps", "-3 s", "3 days"])
+@pytest.mark.parametrize("amount", ["0", "0 steps", "12", "ten", "5.5 steps", "-3 s", "3 days"])
 def test_amounts_that_make_no_sense(scene, capsys, amount):
     with pytest.raises(SystemExit) as ended:
         cli.main([str(scene), f"--stop-after={amount}"])
     assert ended.value.code == 2
-    assert "--stop-after" in capsys.readouterr().err
+    assert "--stop-after: " in (said := capsys.readouterr().err)
+    assert "500 steps" in said or "whole number" in said
 
 
 @pytest.mark.parametrize(
     "text, want",
     [
         ("", (0, 0.0)),
-        ("12", (12, 0.0)),
+        ("12 steps", (12, 0.0)),
         ("1 step", (1, 0.0)),
         ("90 s", (0, 90.0)),
         ("1.5 min", (0, 90.0)),
@@ -221,7 +226,42 @@ def test_inspect_of_what_a_body_is_made_of(tmp_path, capsys):
 def test_a_misspelt_override_is_named(scene, capsys):
     assert cli.main([str(scene), "--check", "--set", "domian.cell='1 cm'"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("--set domian.cell='1 cm': domian: unknown key (did you mean 'domain'?)")
+    assert line == "--set domian.cell='1 cm': domian: unknown key (did you mean 'domain'?)"
+    assert cli.main([str(scene), "--check", "--set", "object.ball.materail=water"]) == 2
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert line.endswith("unknown key (did you mean 'material'?)"), "the hint is hidden"
+
+
+def test_the_scene_that_the_reference_begins_with(tmp_path, capsys):
+    text = (ROOT / "docs" / "scene.md").read_text().split("```toml\n")[1].split("```")[0]
+    scene = write(tmp_path, text)
+    assert cli.main([str(scene), "--check"]) == 2
+    assert "there is no file" in capsys.readouterr().err
+    x = 0.4 * np.stack(np.meshgrid(*[np.arange(8.0)] * 3), axis=-1).reshape(-1, 3)
+    ones = np.ones((len(x), 1))
+    quat, scale = ones * [1.0, 0, 0, 0], 0.2 * ones * [1, 1, 1]
+    files.write(tmp_path / "duck.ply", Cloud(x, quat, scale, ones[:, 0], np.zeros((len(x), 1, 3))))
+    assert cli.main([str(scene), "--check"]) == 0, capsys.readouterr().err
+
+
+def test_what_may_lie_on_its_side_gets_a_hint(scene, capsys):
+    """A body from a file that does not say which way is up; others do not."""
+    (scene.parent / "pole.obj").write_text("v 0 0 0\nv 0 3 0\nv .1 3 0\nv .1 0 .1\n" + TETRAHEDRON)
+    pole = '[[object]]\nname = "pole"\nmaterial = "rubber"\nmesh = "pole.obj"\n'
+    scene.write_text(scene.read_text() + pole + "position = [0.2, 0.1, 0]\n")
+    assert cli.main([str(scene), "--check"]) == 2
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if "object.pole" in line]
+    assert "outside the domain" in line and 'most captures need up = "-y"' in line
+    assert cli.main([str(scene), "--check", "--set", "object.pole.up=z"]) == 2
+    assert "most captures" not in capsys.readouterr().err
+
+
+def test_no_escape_codes_of_numbas(tmp_path):
+    """Where colorama is installed, which other programs bring."""
+    pytest.importorskip("colorama")
+    says = "from numba.core import errors; print(errors.termcolor().errmsg('word'))"
+    done = launch.run([sys.executable, "-c", f"import vgmpi; {says}"])
+    assert done.stdout == "word\n", done.stderr
 
 
 def test_a_wrong_material_is_told_alone(scene, capsys):

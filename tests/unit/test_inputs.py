@@ -12,7 +12,7 @@ from postprocess import camerafiles, video
 from postprocess.settings import SettingsError
 from tests import launch
 from vgmpi import cli, inputs, room
-from vgmpi.output.read import RunError, read_gaussians
+from vgmpi.output.read import RunError, RunFiles, inspect, read_gaussians
 from vgmpi.prepare import texture
 
 
@@ -114,5 +114,9 @@ def test_a_file_that_is_not_there_is_named_as_it_may_be_meant(tmp_path, capsys):
         video.background("pictures/skyy.png", 8, 8, tmp_path)
     with pytest.raises(video.VideoError, match=r"no such file \(did you mean 'pictures'\?\)"):
         video.background("picture/sky.png", 8, 8, tmp_path)
+    with pytest.raises(RunError, match=r"no such folder \(did you mean 'pictures'\?\)"):
+        RunFiles(tmp_path / "picture")
+    with pytest.raises(RunError, match=r"no such file \(did you mean 'sky.png'\?\)"):
+        inspect(tmp_path / "pictures" / "sky.h5")
     with pytest.raises(SettingsError, match="No such file or directory$"):
         camerafiles.transforms(tmp_path / "a.json")

@@ -67,6 +67,46 @@ def test_a_fixed_step_is_no_range(tmp_path):
     assert "steps       about 2,500 for" in said and "set by time.dt" in said
 
 
+PLATE = """
+[domain]
+size = [0.32, 0.16, 0.16]
+cell = 0.01
+[time]
+end = 0.025
+[material.rubber]
+kind = "elastic"
+density = 400
+youngs_modulus = 1e5
+[material.water]
+kind = "fluid"
+max_speed = 2
+[[object]]
+name = "plate"
+material = "rubber"
+shape = { box = [[-0.06, -0.06, 0], [0.06, 0.06, 0.03]] }
+rotation = { axis = "x", angle = "40 deg" }
+position = [0.15, 0.08, 0.03]
+[[object]]
+name = "ball"
+material = "rubber"
+shape = { sphere = { center = [0.26, 0.08, 0.1], radius = 0.04 } }
+"""
+POOL = """
+[[object]]
+name = "pool"
+material = "water"
+shape = { box = [[0, 0, 0], [0.32, 0.16, 0.02]] }
+"""
+
+
+def test_solids_too_thin_for_fluids_are_named(tmp_path):
+    """However they are turned; where there is nothing to float in, they are not."""
+    (line,) = [s for s in said_of(write(tmp_path, PLATE + POOL)).splitlines() if "thin" in s]
+    found = re.fullmatch(r"  thin        plate (\S+) cells thick, under 6: how .* inexact", line)
+    assert float(found[1]) == pytest.approx(3.0, abs=0.6)
+    assert "thin " not in said_of(write(tmp_path, PLATE))
+
+
 def test_the_time_left_follows_the_pace_of_now(monkeypatch, caplog):
     """10 s to the middle, and from there ten times as slow."""
     run = SimpleNamespace(

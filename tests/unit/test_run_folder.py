@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 import pytest
 
+import vgmpi
 from tests.digests import files
 from tests.launch import PATIENCE, ROOT
 from tests.scenes import write
@@ -18,6 +19,9 @@ from vgmpi import cli
 from vgmpi.domain.ranks import Alone
 from vgmpi.output import checkpoint, layout, ledger, owner
 from vgmpi.output.read import RunError, RunFiles
+from vgmpi.solver import report, requests
+from vgmpi.solver.requests import Requests
+from vgmpi.solver.run import Runner
 
 SCENE = """
 [domain]
@@ -36,6 +40,7 @@ name = "drop"
 material = "water"
 shape = { sphere = { center = [0.1, 0.1, 0.1], radius = "4 cm" } }
 """
+NUMPY = ("--engine", "numpy")
 
 
 @pytest.fixture
@@ -219,8 +224,78 @@ def test_who_has_it_is_json(tmp_path):
 
 def test_a_run_that_was_only_prepared_is_told_from_none(scene, capsys):
     assert run(scene, "--prepare") == 0
+    out = scene.parent / "out"
     with pytest.raises(RunError, match="no frames in it .*; its particles are prepared"):
-        RunFiles(scene.parent / "out")
+        RunFiles(out)
+    said = rf"out: a run goes on here and has written no frame yet \(process {os.getpid()} on "
+    with owner.held(out, Alone(), into=True), pytest.raises(RunError, match=said):
+        RunFiles(out)  # while it compiles
+    assert owner.writer(out) == "" and owner.writer(out.parent / "none") == ""
+
+
+def interrupted_at(monkeypatch, steps):
+    """A run gets Ctrl-C once in front of each of these steps; the number of steps begun."""
+    begun, flags = [0], Requests.flags
+
+    def counted(self, done):
+        begun[0] += 1
+        if begun[0] in steps:
+            signal.raise_signal(signal.SIGINT)
+        return flags(self, done)
+
+    monkeypatch.setattr(requests, "_heard", [])
+    monkeypatch.setattr(Requests, "flags", counted)
+    return begun
+
+
+def test_ctrl_c_stops_with_a_checkpoint(scene, capsys, monkeypatch):
+    begun = interrupted_at(monkeypatch, [3])
+    assert cli.main([str(scene), *NUMPY]) == 75 and begun == [3]
+    said = capsys.readouterr()
+    assert said.err.count("interrupted: stops with a checkpoint; Ctrl-C again ends at once") == 1
+    assert "stopped; go on with --resume" in said.out
+    (saved,) = (scene.parent / "out" / layout.CHECKPOINTS).glob("*.h5")
+    assert saved.name == "checkpoint_000000003.h5"
+
+
+def test_ctrl_c_again_ends_at_once(scene, monkeypatch):
+    begun = interrupted_at(monkeypatch, [2])
+    monkeypatch.setattr(Runner, "_checkpoint", lambda self: signal.raise_signal(signal.SIGINT))
+    with pytest.raises(KeyboardInterrupt):  # of which the command makes exit code 130
+        run(scene, *NUMPY)
+    assert begun == [2]
+
+
+def test_ctrl_c_before_the_first_step_ends_at_once(scene, monkeypatch):
+    monkeypatch.setattr(report, "Clock", lambda: signal.raise_signal(signal.SIGINT))
+    with pytest.raises(KeyboardInterrupt):
+        run(scene, *NUMPY)
+    assert not list((scene.parent / "out").glob("frames/*"))
+
+
+def test_ctrl_c_from_python_is_python_s(scene, monkeypatch):
+    begun = interrupted_at(monkeypatch, [2])
+    with pytest.raises(KeyboardInterrupt):
+        vgmpi.run(vgmpi.load(scene), engine="numpy")
+    assert begun == [2]
+
+
+def test_what_a_script_ignores_stays_ignored(scene, monkeypatch):
+    """As of a command behind `&` in a script."""
+    monkeypatch.setattr(requests, "_heard", [])
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    interrupted_at(monkeypatch, [2])
+    assert run(scene, *NUMPY) == 0
+
+
+def test_the_plan_of_a_resume_is_of_what_is_left(scene, capsys):
+    assert cli.main([str(scene), *NUMPY, "--set", "time.end=10 ms", "--set", "time.frames=2"]) == 0
+    assert "for 0.01 s and 2 frames" in capsys.readouterr().out
+    for flag in ("--plan", "--engine=numpy"):
+        assert cli.main([str(scene), flag, "--resume"]) == 0
+        assert "for 0.01 of 0.02 s and 1 of 3 frames" in capsys.readouterr().out
+    assert cli.main([str(scene), "--plan", "--resume"]) == 0
+    assert "steps       about 0 for 0 of 0.02 s and 0 of 3 frames" in capsys.readouterr().out
 
 
 def test_damaged_particles_are_made_anew_and_not_resumed_from(scene, capsys):

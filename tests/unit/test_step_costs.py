@@ -1,6 +1,8 @@
 """What a step must not cost: memory, and time beside its kernels."""
 
+import logging
 import tracemalloc
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from tests.simulate import begin
 from vgmpi.bench import inside
 from vgmpi.bench.scene import Case, lay_out
 from vgmpi.device.processor import stamp
+from vgmpi.domain.ranks import Alone
 from vgmpi.solver import warm
 
 
@@ -102,6 +105,22 @@ def test_ranks_on_different_processors_are_told(caplog):
 def test_ranks_on_equal_processors_are_not(caplog):
     simulated.run(3, warm._same_processor)
     assert caplog.text == ""
+
+
+def test_the_first_compilation_is_told(tmp_path, monkeypatch, caplog):
+    """Before it begins, and where nothing is left to compile not at all."""
+    plan = SimpleNamespace(groups=[], real=np.float32)
+    there = tmp_path / "new" / "seal.compiled"
+    seen = []
+    monkeypatch.setattr(warm, "stamp", lambda *kind: there)
+    monkeypatch.setattr(warm, "_run_all", lambda plan: seen.append(caplog.messages[:]))
+    with caplog.at_level(logging.INFO, "vgmpi"):
+        warm.warm(plan, Alone())
+        (line,) = caplog.messages
+        assert line.startswith("compiling for this processor, once for these materials: ")
+        assert seen == [[line]] and there.exists()
+        warm.warm(plan, Alone())
+    assert caplog.messages == [line]
 
 
 def test_stamps_tell_kernels_apart():

@@ -71,9 +71,13 @@ def _take(path: Path, ranks: int) -> tuple[int | None, str]:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            said = os.read(handle, 1000).decode(errors="replace")
+            other = _who(os.read(handle, 1000))
             os.close(handle)
-            return None, _another(said)
+            if tries < 3:
+                time.sleep(0.01)
+                continue  # `writer` may look at it in this moment
+            said = f"another run writes here now ({other}); wait for its end"
+            return None, f"{said}, or -o another folder"
         except OSError as caught:
             if caught.errno not in WITHOUT:
                 os.close(handle)
@@ -90,13 +94,29 @@ def _take(path: Path, ranks: int) -> tuple[int | None, str]:
     return handle, ""
 
 
-def _another(said: str) -> str:
+def writer(folder: Path) -> str:
+    """Who writes into the folder now, in words; "" where nobody does or it cannot be told."""
+    try:
+        handle = os.open(folder / layout.LOCK, os.O_RDONLY | os.O_NOFOLLOW)
+    except OSError:
+        return ""
+    try:
+        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        return ""
+    except BlockingIOError:
+        return _who(os.read(handle, 1000))
+    except OSError:
+        return ""
+    finally:
+        os.close(handle)
+
+
+def _who(said: bytes) -> str:
     try:
         who = json.loads(said)
-        whose = f"process {who['pid']} on {who['host']}, {who['ranks']} ranks, since {who['since']}"
+        return f"process {who['pid']} on {who['host']}, {who['ranks']} ranks, since {who['since']}"
     except (ValueError, KeyError, TypeError):
-        whose = "it has only begun"
-    return f"another run writes here now ({whose}); wait for its end, or -o another folder"
+        return "it has only begun"
 
 
 def _holds(folder: Path) -> str:

@@ -18,7 +18,8 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 
-from vgmpi.output import intact, layout, manifest, plain
+from vgmpi.misspelt import nearest_file
+from vgmpi.output import intact, layout, manifest, owner, plain
 
 log = logging.getLogger("vgmpi")
 
@@ -64,7 +65,7 @@ class RunFiles:
     def __init__(self, folder: str | Path):
         self.folder = Path(folder)
         if not self.folder.is_dir():
-            raise RunError(f"{self.folder}: no such folder")
+            raise RunError(f"{self.folder}: no such folder{nearest_file(self.folder)}")
         self.frames: dict[int, Path] = {}
         foreign = []
         for path in sorted((self.folder / layout.FRAMES).glob("*.vtkhdf")):
@@ -78,7 +79,9 @@ class RunFiles:
             log.warning("%s: no frames of this run: %s", self.folder / layout.FRAMES, some)
         if not self.frames:
             said = f"{self.folder}: no frames in it ({layout.FRAMES}/frame_*.vtkhdf)"
-            if (self.folder / layout.GAUSSIANS).exists():
+            if who := owner.writer(self.folder):
+                said = f"{self.folder}: a run goes on here and has written no frame yet ({who})"
+            elif (self.folder / layout.GAUSSIANS).exists():
                 said += "; its particles are prepared, python -m vgmpi scene.toml runs it"
             raise RunError(said)
         self._told = False  # of frames without checksums
@@ -199,6 +202,8 @@ def read_gaussians(path: str | Path) -> SimpleNamespace:
 def inspect(path: str | Path) -> str:
     """What any of our HDF5 files holds, as text. Raises RunError."""
     path = Path(path)
+    if not os.path.exists(path):
+        raise RunError(f"{path}: no such file{nearest_file(path)}")
     there = path.resolve()  # who names a link means what it leads to
     with opened(there, series=True) as f:
         kind = _kind(f)

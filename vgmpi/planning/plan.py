@@ -53,6 +53,7 @@ class Plan:
     splines: bool = False  # strains and forces by gradients of the B-splines
     flip: float = 0.0  # share of FLIP's velocity, see scene.accuracy
     gravity_ramp: float = 0.0  # [s] in which gravity grows
+    thickness: tuple[float, ...] = ()  # of every solid body, where it is known, for others nan [m]
 
     @property
     def drifts(self) -> bool:
@@ -63,6 +64,10 @@ class Plan:
     @property
     def particles(self) -> int:
         return sum(self.count)
+
+    def ahead(self, now: float) -> np.ndarray:
+        """Times [s] of the frames that a run which is at `now` [s] has yet to write."""
+        return self.times[self.times > now + 1e-6 * (self.times[1] - self.times[0])]
 
     def gravity_share(self, t0: float, t1: float) -> float:
         """Mean of gravity between two times [s], as a share of its full strength."""

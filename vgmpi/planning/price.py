@@ -11,12 +11,16 @@ PRECISION = {
     "double": "accuracy.precision = 'single' takes half the time and memory",
     "single": "numbers of 7 digits; 'double' has 16 for twice the time",
 }
+THIN = 6  # cells, of which contact reaches over one on either side
 # a step of one fluid particle on one core of an AVX-512 machine [ns]; see docs/performance.md
 NS_PER_PARTICLE = {"single": 45.0, "double": 90.0}
 
 
-def describe(scene: Scene, plan: Plan, ranks: int) -> str:
-    """What --plan prints: phases, fields, particles, memory, time step, steps, predicted time."""
+def describe(scene: Scene, plan: Plan, ranks: int, reached: float = 0.0) -> str:
+    """What --plan prints: phases, fields, particles, memory, time step, steps, predicted time.
+
+    reached: time [s] from which the run goes on; steps and time are those that are left.
+    """
     lines = [
         f"{printable(scene.title or scene.path.name)}: {plan.particles:,} particles,"
         f" {scene.accuracy.precision} precision ({PRECISION[scene.accuracy.precision]})"
@@ -44,15 +48,31 @@ def describe(scene: Scene, plan: Plan, ranks: int) -> str:
         "  walls       "
         + ", ".join(f"{w[0]}" + (f" (friction {w[1]:g})" if w[1] else "") for w in plan.walls)
     )
+    lines += _thin(scene, plan)
     total = plan.bytes()
     lines.append(
         f"  memory      {total / 2**20:.0f} MiB in all,"
         f" {total / ranks / 2**20:.0f} MiB per rank on {ranks} rank(s)"
     )
-    return "\n".join(lines + _steps(scene, plan, ranks))
+    return "\n".join(lines + _steps(scene, plan, ranks, reached))
 
 
-def _steps(scene: Scene, plan: Plan, ranks: int) -> list[str]:
+def _thin(scene: Scene, plan: Plan) -> list[str]:
+    """A line where solid bodies that fluids may touch are so thin that it is inexact."""
+    if not any(group.family == "fluid" for group in plan.groups):
+        return []
+    found = [
+        f"{printable(scene.object[k].name)} {thick / plan.dx:.1f}"
+        for k, thick in enumerate(plan.thickness)
+        if thick < THIN * plan.dx
+    ]
+    if not found:
+        return []
+    said = f"cells thick, under {THIN}: how fluids carry and touch such bodies is inexact"
+    return [f"  thin        {', '.join(found)} {said}"]
+
+
+def _steps(scene: Scene, plan: Plan, ranks: int, reached: float) -> list[str]:
     """The time step, how many of them, and what they take: up to what hardening laws may make."""
     dt, what = fastest(scene, plan)[0]
     least, harder = fastest(scene, plan, stiffened=True)[0]
@@ -62,7 +82,12 @@ def _steps(scene: Scene, plan: Plan, ranks: int) -> list[str]:
         n * plan.groups[g].cost for n, g in zip(plan.count, plan.group_of, strict=True) if g >= 0
     )
     each = work * NS_PER_PARTICLE[scene.accuracy.precision] * 1e-9 / ranks  # seconds of a step
-    few, many = (math.ceil(plan.times[-1] / d) for d in (dt, least))
+    end, frames = float(plan.times[-1]), len(plan.times)
+    left, span = end, f"{end:g} s and {frames} frames"
+    if reached > 0:
+        left, ahead = max(end - reached, 0.0), len(plan.ahead(reached))
+        span = f"{left:.4g} of {end:g} s and {ahead} of {frames} frames"
+    few, many = (math.ceil(left / d) for d in (dt, least))
     steps, takes = f"about {few:,}", f"about {_duration(few * each)}"
     if many > 1.1 * few:
         steps, takes = (
@@ -72,7 +97,7 @@ def _steps(scene: Scene, plan: Plan, ranks: int) -> list[str]:
         what += f"; down to {least:.4g} s where {harder} hardens"
     return [
         f"  time step   {dt:.4g} s at the start, set by {what}",
-        f"  steps       {steps} for {plan.times[-1]:g} s and {len(plan.times)} frames",
+        f"  steps       {steps} for {span}",
         f"  time        {takes} on {ranks} rank(s), one core each",
     ]
 

@@ -128,6 +128,8 @@ def check_inside(
             reaches = f"{name} = {low[axis]:.4g} .. {high[axis]:.4g} m"
             out.append(f"it reaches {reaches}, the domain 0 .. {size[axis]:g} m")
     if out:
+        if thing.source != "shape" and "up" not in thing.model_fields_set:
+            out.append('if it lies on its side: most captures need up = "-y", most meshes "y"')
         raise PlacementError(
             where_placed(thing), f"the object lies outside the domain: {'; '.join(out)}"
         )

@@ -19,6 +19,30 @@ A scene is a TOML file. Numbers are in SI units; a text with a unit, such as `"2
 or `"35 deg"`, is read as that unit. z points up. A key whose default is *required* must be given.
 Errors are reported all at once, each with its line, and nothing is written then.
 
+A whole scene, in which a capture falls into water; all that it leaves out has a default:
+
+```toml
+[domain]
+size = ["1 m", "1 m", "1 m"]
+cell = "2 cm"
+[time]
+end = "1 s"
+[material]
+water = { kind = "fluid", max_speed = "3 m/s" }
+rubber = { kind = "elastic", density = 400, youngs_modulus = "0.1 MPa" }
+[[object]]
+name = "pool"
+material = "water"
+shape = { box = [[0, 0, 0], [1, 1, 0.2]] }
+[[object]]
+name = "duck"
+material = "rubber"
+gaussians = "duck.ply"                    # any Gaussian file in the scene's folder
+up = "-y"                                 # the axis of the file that points up
+height = "25 cm"
+position = ["50 cm", "50 cm", "40 cm"]    # of the middle of its base
+```
+
 Any key can be replaced on the command line: `--set domain.cell='1 cm'`,
 `--set object.duck.height='20 cm'` (objects by name, or by number from 0). Paths are relative to the
 scene's folder and must lie in it, unless `allow_outside = true` or the path comes from `--set`,

@@ -91,7 +91,11 @@ class Time(Table):
     frames: Annotated[
         int,
         Field(strict=True, ge=2, le=100_000),
-        MayChange("from here on, frames are written at the new times; numbers go on"),
+        MayChange(
+            "from here on, frames are written at the new times; numbers go on. It counts the frames"
+            " of the whole run: a later time.end alone writes them further apart, and for the same"
+            " time between them it grows too, to 1 + (frames - 1) new end / old end"
+        ),
     ] = 50
     """number of frames written at equal times, the first at 0 and the last at the end"""
     cfl: Annotated[float, Quantity("", gt=0, le=1)] = 0.4

@@ -4,7 +4,7 @@ import hashlib
 import json
 import logging
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +31,7 @@ class Known:
     colliders: list
     loads: list
     shades: np.ndarray | None = None  # of colours that travel (colour_sets.shades)
+    thickness: tuple[float, ...] = ()  # of every solid body, nan for other objects [m]
     # on rank 0, of particles that are in no gaussians.h5 yet: what belongs into it, see rest.write
     rows: dict | None = None
     scenery: dict | None = None
@@ -148,13 +149,27 @@ def _known(scene, objects, rest, x, colliders, loads) -> Known:
     center = (np.array(moment) / np.maximum(total, 1e-300)).T
     travel = scene.appearance.colour_transfer == "step"
     hues = shades(len(objects), rest.object, rest.sh) if travel else None
-    return Known(objects, total.tolist(), center.tolist(), colliders, loads, hues)
+    thick = tuple(
+        _thickness(x[thing == k], total[k]) if told.get("family") == "solid" else np.nan
+        for k, told in enumerate(objects)
+    )
+    return Known(objects, total.tolist(), center.tolist(), colliders, loads, hues, thick)
+
+
+def _thickness(x: np.ndarray, volume: float) -> float:
+    """Least extent [m] of a body of `volume` [m3] with particles at x (n, 3), along the axes and
+    those of its inertia, with half their spacing on either side."""
+    x = x - x.mean(axis=0)
+    across = np.concatenate([np.eye(3), np.linalg.eigh(x.T @ x)[1].T])
+    extent = np.ptp(x @ across.T, axis=0)
+    return float(extent.min() + np.cbrt(volume / len(x)))
 
 
 def plan_for(scene: Scene, known: Known) -> Plan:
     """What the scene needs with these particles. Raises SceneError."""
     colliders = bool(known.colliders)
-    return make_plan(scene, known.count, known.volume, colliders, known.center, known.shades)
+    plan = make_plan(scene, known.count, known.volume, colliders, known.center, known.shades)
+    return replace(plan, thickness=known.thickness)
 
 
 def digest(scene: Scene) -> str:

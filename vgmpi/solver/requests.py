@@ -2,20 +2,31 @@
 is due.
 """
 
+import logging
 import signal
 import time
+
+log = logging.getLogger("vgmpi")
 
 _heard: list[str] = []  # names of the signals that came
 
 
-def listen() -> None:
-    """Take USR1 and TERM as a wish to stop with a checkpoint.
+def listen(*signals: signal.Signals) -> None:
+    """Take these signals as a wish to stop with a checkpoint; of INT only the first one: the next
+    ends the program at once.
 
-    Called before anything that takes time: a job may get its signal while it still compiles. The
-    run then stops after its first step.
+    USR1 and TERM are called for before anything that takes time: a job may get its signal while it
+    still compiles. The run then stops after its first step.
     """
-    for number in (signal.SIGUSR1, signal.SIGTERM):
-        signal.signal(number, lambda n, frame: _heard.append(signal.Signals(n).name))
+    for number in signals:
+        signal.signal(number, _hear)
+
+
+def _hear(number: int, frame: object) -> None:
+    """What is said of it is said in `flags`: here a line of the log may be half written."""
+    _heard.append(signal.Signals(number).name)
+    if number == signal.SIGINT:
+        signal.signal(number, signal.default_int_handler)
 
 
 class Requests:
@@ -25,6 +36,7 @@ class Requests:
         self, stop_steps: int = 0, stop_seconds: float = 0.0, checkpoint_seconds: float = 0.0
     ):
         self.began = self.saved = time.monotonic()
+        self.told = False  # what an interrupt does
         self.stop_steps = stop_steps
         self.stop_seconds = stop_seconds
         self.checkpoint_seconds = checkpoint_seconds
@@ -33,6 +45,9 @@ class Requests:
         """(stop, checkpoint) as this rank sees it after `steps` steps of this run."""
         now = time.monotonic()
         stop = bool(_heard)
+        if not self.told and signal.SIGINT.name in _heard:
+            self.told = True
+            log.info("interrupted: stops with a checkpoint; Ctrl-C again ends at once")
         stop |= 0 < self.stop_steps <= steps
         stop |= 0 < self.stop_seconds <= now - self.began
         due = 0 < self.checkpoint_seconds <= now - self.saved

@@ -113,7 +113,7 @@ class Runner:
             self.simulation, self.frame = begin(scene, plan, known, ranks, options, path)
         except BlowUp as error:
             raise BlowUp(str(error).format(*self.names)) from None
-        self.times = _times(plan.times, self.frame, self.simulation.time)
+        self.times = _times(plan, self.frame, self.simulation.time)
         last_step = None if path is None else self.simulation.step
         self.probes = Probes(scene, self.simulation, options.folder, last_step)
         if options.folder is not None:
@@ -236,49 +236,53 @@ class Runner:
             self.simulation.clock(stage)
 
 
-def _times(times: np.ndarray, frame: int, now: float) -> np.ndarray:
+def _times(plan: Plan, frame: int, now: float) -> np.ndarray:
     """Times of all frames of a run that is at `now` [s] and writes frame number `frame` next."""
     if frame == 0:
-        return times
-    ahead = times[times > now + 1e-6 * (times[1] - times[0])]
-    return np.concatenate([np.full(frame, now), ahead])
+        return plan.times
+    return np.concatenate([np.full(frame, now), plan.ahead(now)])
 
 
 @contextlib.contextmanager
 def started(
-    scene: Scene, ranks: Alone, options: Options, approve: Callable[[Plan], None] | None = None
+    scene: Scene,
+    ranks: Alone,
+    options: Options,
+    approve: Callable[[Plan, float], None] | None = None,
 ) -> Iterator[Runner]:
     """Own the folder, check everything, and only then write: a run that is ready to go. Collective.
 
-    approve: called with the plan, may raise. Raises SceneError, StoreError, FolderError,
-    CheckpointError, RunError, Unfit, BlowUp.
+    approve: called with the plan and the time [s] from which the run goes on, may raise. Raises
+    SceneError, StoreError, FolderError, CheckpointError, RunError, Unfit, BlowUp.
     """
     check(options, ranks)
     folder, resumed = options.folder, options.resume is not None
     with contextlib.ExitStack() as stack:
-        path, history = None, []
+        path, history, reached = None, [], 0.0
         if folder is not None:
             stack.enter_context(owner.held(folder, ranks, resumed or options.overwrite))
         if folder is not None and options.resume is not None:
-            path = checkpoint.chosen(options.resume, folder / layout.CHECKPOINTS, ranks)
-            attrs = _attrs(path, ranks)
+            path, attrs = goes_on_from(options.resume, folder, ranks)
+            reached = attrs["time"]
             history = _history(scene, attrs, options.change)
             tables = {folder / layout.LEDGER: layout.LEDGER_COLUMNS, **files(scene, folder)}
             check_tables(tables, ranks, attrs["step"], attrs.get("tables", {}))
         known = prepare(scene, ranks, folder, resumed)
         plan = plan_for(scene, known)
         if approve is not None:
-            approve(plan)
+            approve(plan, reached)
         if folder is not None:
             keep(scene, known, ranks, folder)
         yield Runner(scene, plan, known, ranks, options, path, history)
 
 
-def _attrs(path: Path, ranks: Alone) -> dict:
-    """What a checkpoint says of its run. Raises CheckpointError where it cannot be. Collective."""
+def goes_on_from(given: str, folder: Path, ranks: Alone) -> tuple[Path, dict]:
+    """The checkpoint that `--resume` means, and what it says of its run. Raises CheckpointError
+    where there is none or it cannot be. Collective."""
+    path = checkpoint.chosen(given, folder / layout.CHECKPOINTS, ranks)
     with on_all(ranks, path, lambda: checkpoint.open(path)) as saved:
         check_attrs(path, saved.attrs)
-        return saved.attrs
+        return path, saved.attrs
 
 
 def _history(scene: Scene, attrs: dict, change: bool) -> list[dict]:

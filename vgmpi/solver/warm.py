@@ -25,6 +25,8 @@ def warm(plan: Plan, ranks: Alone) -> None:
     _same_processor(ranks)
     there = stamp([type(group.law) for group in plan.groups], plan.real)
     ready = ranks.bcast(there.exists())
+    if ranks.rank == 0 and not ready:
+        log.info("compiling for this processor, once for these materials: a minute or two")
     wrong = _tried(plan) if ranks.rank == 0 or ready else ""
     wrong = ranks.bcast(wrong)  # the others wait here for what rank 0 compiles
     if wrong:
