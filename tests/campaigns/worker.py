@@ -27,6 +27,8 @@ from tests.campaigns.result import Result
 
 ROOT = Path(__file__).parents[2]
 SECONDS = 10  # of processor time that a command may take
+EACH = 1e-4  # and for each particle that it makes of a mesh or a capture, and says so
+MOST_SECONDS = 60  # in any case
 WAITING = 1200  # seconds by the wall clock: what waits for something that never comes
 MEGABYTES = 1000  # that the process may hold at a time, all that is imported included
 LONGEST = 3000  # characters of a line
@@ -34,6 +36,7 @@ FREE = 128 << 20  # bytes that room.free tells: what is larger is refused on eve
 MODULES = {"vgmpi": ("vgmpi.__main__", "main"), "render": ("postprocess.render", "command")}
 _ADDRESSES = 16 << 30  # bytes: so that a fault does not take the machine with it
 _CASES = 200  # of a process: what the ones before left behind is not counted for long
+_MADE = re.compile(r"(\d+) particles on its surface, (\d+) inside")
 _FAULT = re.compile(r"(Warning: |Traceback|please report it|object \{|Fatal Python error)")
 
 
@@ -49,7 +52,7 @@ class Said(NamedTuple):
     def fault(self) -> str:
         """What no command may do whatever it is given; "" if it did none of that."""
         if self.code == -signal.SIGPROF:
-            return f"more than {SECONDS} s of processor time: {self._where()}"
+            return f"more than {MOST_SECONDS} s of processor time: {self._where()}"
         if self.code == -signal.SIGALRM:
             return f"nothing for {WAITING} s"
         if self.code not in (0, 2):
@@ -57,8 +60,9 @@ class Said(NamedTuple):
         if found := _FAULT.search(self.err):
             at = self.err.rfind("\n", 0, found.start()) + 1
             return self.err[at:].splitlines()[0]
-        if self.seconds > SECONDS:
-            return f"{self.seconds:.1f} s of processor time"
+        made = sum(int(n) for pair in _MADE.findall(self.err) for n in pair)
+        if self.seconds > SECONDS + EACH * made:
+            return f"{self.seconds:.1f} s of processor time, {made:,} particles made"
         if self.peak > MEGABYTES:
             return f"{self.peak:.0f} MB"
         return ""
@@ -155,7 +159,7 @@ def _serve() -> None:
         os.lseek(2, 0, os.SEEK_SET)
         peak.forget()
         begin = time.process_time()
-        signal.setitimer(signal.ITIMER_PROF, 1.2 * SECONDS if limited else 0)
+        signal.setitimer(signal.ITIMER_PROF, MOST_SECONDS if limited else 0)
         signal.alarm(WAITING)
         try:
             code = _program(program)()

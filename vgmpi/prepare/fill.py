@@ -152,9 +152,12 @@ def filling(x: np.ndarray, surface: Cloud, spacing: float, opacity: float | np.n
     """
     visible = surface.opacity > min(0.3, float(surface.opacity.max()) / 2)
     shown = surface.select(visible)
-    near = cKDTree(shown.x).query(x)[1] if len(x) else np.empty(0, dtype=int)
+    colour = shown.sh[:, 0]
+    near: np.ndarray | int = 0
+    if len(x) and (colour != colour[:1]).any():  # deep inside, the nearest takes long to be found
+        near = cKDTree(shown.x).query(x)[1]
     sh = np.zeros((len(x), *surface.sh.shape[1:]), dtype=np.float32)
-    sh[:, 0] = shown.sh[near, 0]
+    sh[:, 0] = colour[near]
     return Cloud(
         x,
         np.tile([1.0, 0.0, 0.0, 0.0], (len(x), 1)),

@@ -150,7 +150,9 @@ def _known(scene, objects, rest, x, colliders, loads) -> Known:
     travel = scene.appearance.colour_transfer == "step"
     hues = shades(len(objects), rest.object, rest.sh) if travel else None
     thick = tuple(
-        _thickness(x[thing == k], total[k]) if told.get("family") == "solid" else np.nan
+        _thickness(x[told["first"] : told["first"] + told["count"]], total[k])
+        if told.get("family") == "solid"
+        else np.nan
         for k, told in enumerate(objects)
     )
     return Known(objects, total.tolist(), center.tolist(), colliders, loads, hues, thick)
