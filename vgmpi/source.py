@@ -75,13 +75,13 @@ class Source:
         """(line for sorting, "file:line" or "--set key=value") of a key, or of what holds it."""
         for stop in range(len(path), 0, -1):
             if path[:stop] in self._set:
-                return 10**9, f"--set {_short(self._set[path[:stop]])}"
+                return 10**9, f"--set {short(self._set[path[:stop]])}"
             if path[:stop] in self._line:
                 line = self._line[path[:stop]]
                 return line, f"{self.path}:{line}"
             for given, item in self._set.items():
                 if given[:stop] == path[:stop]:  # which made the table that holds it
-                    return 10**9, f"--set {_short(item)}"
+                    return 10**9, f"--set {short(item)}"
         return 1, f"{self.path}:1"
 
     def lines(self, errors: list[tuple[tuple, str]]) -> list[str]:
@@ -175,7 +175,7 @@ class Source:
 
     def _override(self, item: str) -> str:
         """Apply one "key=value"; returns what is wrong with it, or nothing."""
-        given = f"--set {_short(item)}"
+        given = f"--set {short(item)}"
         key, sign, text = item.partition("=")
         parts = [part.strip().strip("\"'") for part in key.split(".")]
         names = self._old_names.get(parts[0], {})
@@ -319,7 +319,8 @@ def printable(text: object) -> str:
     return "".join(shown)
 
 
-def _short(item: str) -> str:
+def short(item: str) -> str:
+    """Of something that a file holds, as much as a line bears."""
     return item if len(item) <= 200 else f"{item[:197]}..."
 
 

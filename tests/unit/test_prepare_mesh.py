@@ -362,3 +362,12 @@ position = [0.2, 0.2, 0.2]
     assert digest(loaded) == one
     imwrite(tmp_path / "pictures" / "tiles.png", TILES[::-1])
     assert digest(loaded) != one
+
+
+def test_what_a_library_says_of_a_file_is_a_line_for_people(tmp_path):
+    path = tmp_path / "a.obj"
+    path.write_text(f"v 0 0 {'9' * 5000}_\n")
+    with pytest.raises(mesh.MeshError) as caught:
+        mesh.read(path)
+    assert "could not convert string to float: '999" in str(caught.value)
+    assert len(str(caught.value)) < 300 + len(str(path))

@@ -16,6 +16,7 @@ from vgmpi.gaussians.sh import dc_from_rgb
 from vgmpi.prepare import texture
 from vgmpi.prepare.bounded import bounded
 from vgmpi.prepare.texture import Paint
+from vgmpi.source import printable, short
 
 log = logging.getLogger("vgmpi")
 
@@ -64,7 +65,8 @@ def read(path: Path) -> Mesh:
         found = _read_obj(path) if path.suffix.lower() == ".obj" else _read_any(path)
     except (Exception, SystemExit) as error:  # meshio's readers raise anything, and may exit
         said = str(error).splitlines()
-        reason = said[0] if said and not isinstance(error, SystemExit) else "no mesh meshio reads"
+        ours = not said or isinstance(error, SystemExit)
+        reason = "no mesh meshio reads" if ours else short(printable(said[0]))
         raise MeshError(f"{path}: cannot be read as a mesh: {reason}") from None
     if not len(found.triangles):
         raise MeshError(f"{path}: holds no triangles or polygons")
