@@ -29,9 +29,9 @@ FIELDS = {
     "Sand and water": "drag settling infiltration ponded heap terzaghi porous pores consolidation",
     "Mixing": "mixing diffusion rayleigh slip_time separation",
     "Contact": "contact collision incline plate float archimedes renumber pairs free",
-    "Solids": "bar cantilever beam spin metal foam plasticine solid",
+    "Solids": "bar torsion cantilever beam spin metal foam plasticine solid",
     "Sand and snow": "sand snow granular",
-    "Liquids": "dam poiseuille vortices viscosity hydrostatic fluid paste column",
+    "Liquids": "dam slosh poiseuille vortices viscosity hydrostatic fluid paste column",
     "Colours": "colour",
     "Conservation and loads": "conservation loads",
 }

@@ -24,7 +24,9 @@ def test_phases_that_share_space(precision, tmp_path):
 
 
 def test_colours_that_travel_with_every_step(tmp_path):
+    """And AFLIP with every coupling."""
     text = SHARED.replace("PRECISION", "single")
+    text = text.replace("[accuracy]", '[accuracy]\ntransfer = "aflip"')
     for name, colour in {"pores": "#ff2010", "pool": "#1020ff", "jug": "#ffffff"}.items():
         text = text.replace(f'name = "{name}"', f'name = "{name}"\ncolor = "{colour}"')
     looks = '[appearance]\ncolour_transfer = "step"\n[material.water]'

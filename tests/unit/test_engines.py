@@ -74,6 +74,7 @@ MIX = coupling("mixing", "water", "oil", "diffusion = 2e-4\nslip_time = 3e-3")
 FLOW = coupling("drag", "water", "sand", "permeability = 2e-2")
 COLOURS = '[appearance]\ncolour_transfer = "step"\n'
 ONE = 'phase = "one"\n'
+AFLIP = 'transfer = "aflip"\ndamping = "5 ms"'
 RED, BLUE = 'colour = "#ff2010"', 'colour = "#1020ff"'
 
 
@@ -111,7 +112,12 @@ SCENES = {kind: (of_law(kind), "mixed", "") for kind in LAWS} | {
     "everything": (
         WATER + OIL + SAND + TOY + WET + OILY + BED + CUBE + POST + MIX + FLOW, "separate", "",
     ),
-    "flip": (WATER + TOY + POOL + CUBE, "mixed", 'transfer = "flip"'),
+    "flip": (WATER + TOY + POOL + CUBE, "mixed", 'transfer = "flip"\ndamping = "3 ms"'),
+    "flip by steps": (WATER + TOY + POOL + CUBE, "mixed", 'transfer = "flip"\nflip = 0.9'),
+    "aflip": (WATER + OIL + WET + OILY + MIX, "mixed", AFLIP),
+    "aflip and everything": (
+        WATER + OIL + SAND + TOY + WET + OILY + BED + CUBE + POST + MIX + FLOW, "separate", AFLIP,
+    ),
     "pic with splines": (
         WATER + TOY + POOL + CUBE, "mixed", 'transfer = "pic"\ngradient = "splines"',
     ),

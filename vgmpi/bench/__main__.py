@@ -352,7 +352,12 @@ def _run_extremes(given: argparse.Namespace) -> int:
 def _stability(parser: argparse.ArgumentParser) -> None:
     say = parser.add_argument
     say("--only", nargs="+", default=[], metavar="NAME", help="laws or couplings; default: all")
-    say("--transfer", nargs="+", choices=("apic", "flip", "pic"), default=["apic", "flip", "pic"])
+    say(
+        "--transfer",
+        nargs="+",
+        choices=("apic", "aflip", "flip", "pic"),
+        default=["apic", "aflip", "flip", "pic"],
+    )
     say("--precision", nargs="+", choices=("single", "double"), default=["single", "double"])
 
 

@@ -20,7 +20,7 @@ from ..solver.step import BlowUp, Simulation
 from ..solver.watch import ledger
 from .extreme_scenes import DX, WATER, box, coupling, of_law, toml
 
-TRANSFERS, PRECISIONS = ("apic", "flip", "pic"), ("single", "double")
+TRANSFERS, PRECISIONS = ("apic", "aflip", "flip", "pic"), ("single", "double")
 CELLS = (6, 6, 10)
 STEPS = 300
 GROWTH = 4.0

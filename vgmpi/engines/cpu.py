@@ -103,12 +103,11 @@ class Cpu:
         self.hues = [self.layers[hue(k)] for k in range(_hues(plan))]
         self.words = sums.words(plan.real)
         self.sets = np.zeros(0, np.int64) if plan.colours is None else plan.colours.set_of
-        # what particles gather besides: only for FLIP and where phases share space
-        self.flux = aligned((0, sums.BLOCK), plan.real)
-        self.drift = aligned((0, sums.BLOCK), plan.real)  # the flux, where nothing drifts
-        self.scratch = [
-            records.scratch(plan.real, self.apart + plan.drifts) for _ in range(threads)
-        ]
+        # what particles gather besides, where something asks for it
+        self.gathered = {"flux": plan.rules is not None, "drift": plan.drifts, "change": plan.keeps}
+        self.beside = {name: aligned((0, sums.BLOCK), plan.real) for name in self.gathered}
+        more = sum(map(bool, self.gathered.values()))
+        self.scratch = [records.scratch(plan.real, more) for _ in range(threads)]
         self.room = [touch.room(len(plan.phases)) for _ in range(threads)]
         self.apart_room = [
             members.room(len(plan.phases), plan.real, aligned)
@@ -151,10 +150,9 @@ class Cpu:
         phase_of_row = np.concatenate([tables.phase, np.repeat(tables.phase, np.diff(copied))])
         for name, layer in self.layers.items():
             layer.adopt(tables.asked[name], phase_of_row)
-        if self.apart:
-            self.flux = grown(self.flux, len(tables.phase))
-            drifts = self.plan.drifts
-            self.drift = grown(self.drift, len(tables.phase)) if drifts else self.flux
+        for name, asked in self.gathered.items():
+            if asked:
+                self.beside[name] = grown(self.beside[name], len(tables.phase))
         self.block_shares = Shares(np.diff(tables.first), tables.waits, self.threads)
         both = [self._nodes_of(shared) for shared in tables.shared.values()]
         self.united = np.unique(np.concatenate([np.zeros(0, np.int64), *both]))
@@ -244,8 +242,8 @@ class Cpu:
         layers, apart = self.layers, None
         if self.apart:
             apart = grid.Apart(
-                layers["impulses"].tables, self.flux, self.drift, self.apart_room[thread],
-                self.pairs,
+                layers["impulses"].tables, **self.beside, noted=int(self.plan.keeps is not None),
+                room=self.apart_room[thread], tables=self.pairs,
             )  # fmt: skip
         self.call(
             (), grid.update, blocks, self.blocks, layers["momentum"].tables,
@@ -304,9 +302,14 @@ class Cpu:
         """What a group's particles gather besides the velocity."""
         if not plan.apart:
             return beside.Nothing(0.0)
-        if self.plan.flip:
-            return beside.Blend(self.flux, self.plan.real.type(self.plan.flip))
-        return beside.Sharing(self.flux, self.drift, int(self.plan.drifts))
+        flux, drift, drifts = self.beside["flux"], self.beside["drift"], int(self.plan.drifts)
+        keeps, change = self.plan.keeps, self.beside["change"]
+        if keeps is None:
+            return beside.Sharing(flux, drift, drifts)
+        share = self.plan.real.type(keeps.over(self.dt))
+        if plan.shares:
+            return beside.BlendSharing(flux, drift, drifts, change, share)
+        return beside.Blend(change, share)
 
     def _found_beyond(self) -> list[Beyond]:
         """The lowest node block of each layer of which a sum left its range."""

@@ -1,5 +1,5 @@
 """What particles gather beside the velocity, by kind: nothing; where phases share space the flux of
-volume and the drift; for FLIP the change of velocity.
+volume and the drift; for FLIP the change of velocity; or all of these.
 
 Every kind says what it fetches from the grid for a segment (`fetch`), what it sets aside for a
 batch (`set_aside`), and how that enters the particle: its velocity (`keep`), the velocity it moves
@@ -20,6 +20,7 @@ from .records import BATCH, PATCH, columns, patch_of
 from .rowsums import moments, values
 from .walls import SIDE, reflect
 
+CHANGE = 5 * BATCH  # where the change of velocity is set aside
 RELAX = 10.0  # [1/s] at which a fluid in pores gives way where there is more volume than space
 
 
@@ -38,10 +39,20 @@ class Sharing(NamedTuple):
 
 
 class Blend(NamedTuple):
-    """FLIP."""
+    """FLIP and AFLIP."""
 
     change: np.ndarray  # (node blocks, 256) of velocity [m/s]
-    share: float  # of the particle's own velocity that it keeps
+    share: float  # that particles keep of what the grid does not see
+
+
+class BlendSharing(NamedTuple):
+    """Both."""
+
+    flux: np.ndarray
+    drift: np.ndarray
+    drifts: int
+    change: np.ndarray
+    share: float
 
 
 @by_kind
@@ -51,7 +62,7 @@ def fetch(kind, blocks, box, mirror, real):
 
 @by_kind
 def set_aside(kind, count, weights, records, base, real, extra):
-    """What a batch gathers from them, into extra (5 BATCH,)."""
+    """What a batch gathers from them, into extra (8 BATCH,)."""
 
 
 @by_kind
@@ -142,6 +153,11 @@ def _(kind, f, p, cap, numbers, wave2):
 
 @fetch.of(Sharing)
 def _(kind, blocks, box, mirror, real):
+    _read_sharing(kind, blocks, box, mirror, real)
+
+
+@inline
+def _read_sharing(kind, blocks, box, mirror, real):
     _read(kind.flux, blocks, box, mirror, patch_of(real, 0))
     if kind.drifts:
         _read(kind.drift, blocks, box, mirror, patch_of(real, 1))
@@ -149,6 +165,11 @@ def _(kind, blocks, box, mirror, real):
 
 @set_aside.of(Sharing)
 def _(kind, count, weights, records, base, real, extra):
+    _aside_flux(kind, count, weights, records, base, real, extra)
+
+
+@inline
+def _aside_flux(kind, count, weights, records, base, real, extra):
     """Divergence of the flux [cells/s], share of space, drift [m/s]."""
     moments(count, records, weights, base, patch_of(real, 0))
     for n in range(count):
@@ -170,6 +191,7 @@ def _(kind, f, p, cap, way, scale):
     return _largest(f, p, cap, scale) if kind.drifts else way
 
 
+@moving.of(BlendSharing)
 @moving.of(Sharing)
 def _(kind, split, extra, n, v):
     x, y, z = v
@@ -180,6 +202,7 @@ def _(kind, split, extra, n, v):
     return x, y, z
 
 
+@strain.of(BlendSharing)
 @strain.of(Sharing)
 def _(kind, split, f, p, cap, extra, n, L, fill, numbers):
     """A fluid's volume changes by the flux of all that share its space. Where sand is, its pores'
@@ -200,6 +223,7 @@ def _(kind, split, f, p, cap, extra, n, L, fill, numbers):
     return (c0 + more, c1, c2, c3, c4 + more, c5, c6, c7, c8 + more)
 
 
+@waves.of(BlendSharing)
 @waves.of(Sharing)
 def _(kind, f, p, cap, numbers, wave2):
     porosity = np.int64(numbers.porosity)
@@ -219,21 +243,29 @@ def _(kind, blocks, box, mirror, real):
 
 @set_aside.of(Blend)
 def _(kind, count, weights, records, base, real, extra):
-    moments(count, records, weights, base, patch_of(real, 0))
-    columns(count, records, extra, 0, BATCH)
+    _aside_change(count, weights, records, base, patch_of(real, 0), extra)
 
 
+@inline
+def _aside_change(count, weights, records, base, patch, extra):
+    """The change of velocity [m/s], behind all else."""
+    values(count, records, weights, base, patch)
+    columns(count, records, extra, CHANGE, BATCH)
+
+
+@keep.of(BlendSharing)
 @keep.of(Blend)
 def _(kind, f, p, cap, extra, n, v):
     """A particle's own velocity and the grid's change of it, blended with the grid's velocity
-    (Zhu & Bridson 2005)."""
+    (Zhu & Bridson 2005; with its gradient, AFLIP: Fei 2021)."""
     a, b, c = v
-    a = a + kind.share * (load(f, p) + load(extra, n) - a)
-    b = b + kind.share * (load(f, p + cap) + load(extra, BATCH + n) - b)
-    c = c + kind.share * (load(f, p + 2 * cap) + load(extra, 2 * BATCH + n) - c)
+    a = a + kind.share * (load(f, p) + load(extra, CHANGE + n) - a)
+    b = b + kind.share * (load(f, p + cap) + load(extra, CHANGE + BATCH + n) - b)
+    c = c + kind.share * (load(f, p + 2 * cap) + load(extra, CHANGE + 2 * BATCH + n) - c)
     _as_gathered(f, p, cap, (a, b, c))
 
 
+@kept.of(BlendSharing)
 @kept.of(Blend)
 def _(kind, f, p, cap, way, scale):
     return _largest(f, p, cap, scale)
@@ -252,3 +284,18 @@ def _(kind, split, f, p, cap, extra, n, L, fill, numbers):
 @waves.of(Blend)
 def _(kind, f, p, cap, numbers, wave2):
     return wave2
+
+
+# ---- both ---------------------------------------------------------------------------------------
+
+
+@fetch.of(BlendSharing)
+def _(kind, blocks, box, mirror, real):
+    _read_sharing(kind, blocks, box, mirror, real)
+    _read(kind.change, blocks, box, mirror, patch_of(real, 1 + kind.drifts))
+
+
+@set_aside.of(BlendSharing)
+def _(kind, count, weights, records, base, real, extra):
+    _aside_flux(kind, count, weights, records, base, real, extra)
+    _aside_change(count, weights, records, base, patch_of(real, 1 + kind.drifts), extra)

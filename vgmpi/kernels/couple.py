@@ -47,6 +47,7 @@ class Fields(NamedTuple):
     offsets: np.ndarray  # as long: offsets [m4] and volume, where the block `meets`
     flux: np.ndarray  # as long: what particles gather besides velocity
     drift: np.ndarray  # as long: drifts [m/s]
+    change: np.ndarray  # as long: of velocity [m/s]
 
 
 @inline

@@ -27,8 +27,11 @@ class Apart(NamedTuple):
     """Where the stress's impulses are kept apart from momentum."""
 
     impulses: Sums  # [kg m/s], and volumes [m3]
-    flux: np.ndarray  # (node blocks, 256) what particles gather besides velocity
-    drift: np.ndarray  # (node blocks, 256) drifts [m/s]; any array where there are none
+    # (node blocks, 256) what particles gather besides velocity; any array where there is none
+    flux: np.ndarray  # of volume [m/s]
+    drift: np.ndarray  # [m/s]
+    change: np.ndarray  # of velocity [m/s], by all but gravity's pull at rest
+    noted: int  # whether the change is asked for (FLIP)
     room: tuple  # members.Room of the calling thread
     tables: tuple  # members.Tables
 
@@ -40,10 +43,9 @@ def update(
     """Velocities [m/s] at the nodes of some blocks, in place of momentum.
 
     blocks: (n,) the blocks to do; tables: NodeBlocks; momentum, offsets: Sums; apart: an Apart, or
-    None; rules: how phases share space (couple.Rules), or None; with apart and no rules the change
-    of velocity is noted, which FLIP asks for; walls, phases, step: see kernels/tables.py; solids:
-    (n, 64, 4) outward normal and distance [m] of the collider; room: touch.Room of the calling
-    thread; report: (3,) see sums.take_up, of momentum, offsets and impulses.
+    None; rules: how phases share space (couple.Rules), or None; walls, phases, step: see
+    kernels/tables.py; solids: (n, 64, 4) outward normal and distance [m] of the collider; room:
+    touch.Room of the calling thread; report: (3,) see sums.take_up: momentum, offsets, impulses.
     """
     rows, moved, spaced = blocks_at(tables), sums_at(momentum), sums_at(offsets)
     nodes, last, least_of = moved.nodes, place(walls.cells), place(phases.least)
@@ -53,10 +55,11 @@ def update(
             rows.phase, least_of, last, nodes, pushed.nodes, spaced.nodes,
             place(apart.flux.reshape(apart.flux.size)),
             place(apart.drift.reshape(apart.drift.size)),
+            place(apart.change.reshape(apart.change.size)),
         )  # fmt: skip
         if rules is not None:
             of, pairs = places(apart.room, apart.tables)
-    first, at, phase_of = place(tables.first), tables.at, rows.phase
+    first, phase_of = place(tables.first), rows.phase
     push = repeat(step.fall, 0)
     for b in blocks:
         n0, n1 = first[b], first[b + 1]
@@ -68,30 +71,40 @@ def update(
                 take_up(nb, rows, pushed, report, 2)
                 kept_apart |= pushed.asked[nb] != 0
             _fall(nb, nodes, push, ROUNDING * least_of[phase_of[nb]])
-        low = 4 * at[b, 0] - 1, 4 * at[b, 1] - 1, 4 * at[b, 2] - 1
-        at_wall = _at_wall(low, last)
-        here = Here(n0, n1, tables.meets[b], at_wall, low[0], low[1], low[2])
+        here = _here(b, n0, n1, tables, last)
         if apart is not None:
+            noted = kept_apart and apart.noted
+            if noted:
+                _note_before(here, fields, step.fall)
             if kept_apart and rules is None:
-                _push(here, fields, step.fall)
+                _push(here, fields)
             if rules is not None:
+                if noted:
+                    _push_others(here, fields, pairs)
                 if kept_apart:
-                    if at_wall and tables.meets[b]:
+                    if here.at_wall and here.meets:
                         _along_walls(offsets.nodes, here, walls)
                     couple_block(here, fields, of, pairs, step.dt, step.dx)
-        if tables.meets[b] and _may_touch(n0, n1, phase_of, tables.solid[b], rules):
+        if here.meets and _may_touch(n0, n1, phase_of, tables.solid[b], rules):
             touch(here, tables, tables.solid[b], momentum.nodes, offsets.nodes, solids, walls,
                   phases, rules, step.dx, room)  # fmt: skip
-        if at_wall:
-            for nb in range(n0, n1):
-                block = momentum.nodes[nb].reshape((64, 4))
-                constrain(block, low, walls.cells, walls.kinds, walls.friction)
+        if here.at_wall:
+            _stop_at_walls(here, momentum.nodes, walls)
         if apart is not None:
-            if kept_apart and rules is None:
-                _note_change(here, fields)
             if rules is not None:
                 if kept_apart:
                     note_flux(here, fields, of, pairs, step.dx)
+            if noted:
+                _note_change(here, fields)
+
+
+@inline
+def _stop_at_walls(here, velocities, walls):
+    """What the walls leave of the velocities (node blocks, 256) of a block."""
+    low = here.low_x, here.low_y, here.low_z
+    for nb in range(here.n0, here.n1):
+        block = velocities[nb].reshape((64, 4))
+        constrain(block, low, walls.cells, walls.kinds, walls.friction)
 
 
 @inline
@@ -117,24 +130,47 @@ def _fall(nb, nodes, push, tiny):
 
 @inline
 def _note_change(here, fields):
-    """The change of velocity since `_push`, into flux."""
+    """The change of velocity since `_note_before`."""
     for c in range(256 * here.n0, 256 * here.n1, 16):
-        store(fields.flux, c, load(fields.grid, c) - load(fields.flux, c))
+        store(fields.change, c, load(fields.grid, c) - load(fields.change, c))
 
 
 @inline
-def _push(here, fields, fall):
-    """Add impulses that were kept apart to the velocities of a block, and note in flux those
-    before gravity and these, of which FLIP asks for the change."""
+def _note_before(here, fields, fall):
+    """The velocities of a block before gravity and impulses that were kept apart."""
     push = repeat(fall, 0)
+    for c in range(256 * here.n0, 256 * here.n1, 16):
+        store(fields.change, c, load(fields.grid, c) - push)
+
+
+@inline
+def _push(here, fields):
+    """Add impulses that were kept apart to the velocities of a block."""
     for nb in range(here.n0, here.n1):
-        tiny = ROUNDING * fields.least[fields.phase[nb]]
-        for c in range(256 * nb, 256 * (nb + 1), 16):
-            row = load(fields.grid, c)
-            m = fourth_of(row)
-            store(fields.flux, c, row - push)
-            change = select(m > tiny, load(fields.forces, c) / m, 0.0)
-            store(fields.grid, c, with_fourth(row + change, row))
+        _push_one(nb, fields)
+
+
+@inline
+def _push_one(nb, fields):
+    tiny = ROUNDING * fields.least[fields.phase[nb]]
+    for c in range(256 * nb, 256 * (nb + 1), 16):
+        row = load(fields.grid, c)
+        m = fourth_of(row)
+        change = select(m > tiny, load(fields.forces, c) / m, 0.0)
+        store(fields.grid, c, with_fourth(row + change, row))
+
+
+@inline
+def _push_others(here, fields, rules):
+    """As `_push`, of all phases of a block but the fluids that share space, whose pressure acts on
+    others too (couple.py). rules: members.Tables by places."""
+    for nb in range(here.n0, here.n1):
+        p = fields.phase[nb]
+        if rules.together[p] < 0 or rules.fluid[p] == 0:
+            _push_one(nb, fields)
+            for c in range(256 * nb, 256 * (nb + 1), 16):  # no more of it is to act
+                row = load(fields.forces, c)
+                store(fields.forces, c, with_fourth(0.0 * row, row))
 
 
 @inline
@@ -144,6 +180,13 @@ def _along_walls(offsets, here, walls):
         for node in range(64):
             i, j, k = here.low_x + node // 16, here.low_y + node // 4 % 4, here.low_z + node % 4
             tangential(offsets[nb, 4 * node :], i, j, k, walls.cells, walls.kinds)
+
+
+@inline
+def _here(b, n0, n1, tables, last):
+    """What block b is; last: cells of the domain."""
+    low = 4 * tables.at[b, 0] - 1, 4 * tables.at[b, 1] - 1, 4 * tables.at[b, 2] - 1
+    return Here(n0, n1, tables.meets[b], _at_wall(low, last), low[0], low[1], low[2])
 
 
 @inline

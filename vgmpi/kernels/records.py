@@ -33,7 +33,7 @@ ROW = SIDE * 4  # numbers of a patch from one (i, j) to (i, j + 1)
 PLANE = SIDE * ROW
 PATCH = SIDE * PLANE
 SCRATCH = BATCH * 16  # numbers a batch of records takes
-EXTRA = 5 * BATCH  # numbers set aside per batch
+EXTRA = 8 * BATCH  # numbers set aside per batch
 MORE = PATCH + 16  # a patch, and the vector that its last row may be read with
 ROOM = 2 * SCRATCH + MORE + EXTRA  # numbers of a transfer with one patch, see `parts`
 
@@ -55,7 +55,7 @@ def scratch(real: np.dtype, more: int) -> Scratch:
 @inline
 def parts(real):
     """A transfer's numbers in parts: weights and records of a batch, a patch with 16 places behind
-    it, and five numbers per particle of a batch."""
+    it, and eight numbers per particle of a batch."""
     behind = ROOM - EXTRA
     weights, records = real[:SCRATCH], real[SCRATCH : 2 * SCRATCH]
     return weights, records, real[2 * SCRATCH : behind], real[behind:ROOM]

@@ -7,6 +7,7 @@ a field the plan does not name does not exist.
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from ..couplings.contact import Contact
 from ..materials.base import function
 from ..scene.loads import mean_share
 from ..scene.scene import Scene
+from ..scene.settings import Accuracy
 from .colour_sets import Exchange, exchange
 from .groups import GroupPlan, PhasePlan, completed, groups_of, phases_of
 from .sharing import rules
@@ -24,6 +26,17 @@ REALS: dict[str, np.dtype] = {
     "double": np.dtype(np.float64),
 }
 MOST_STEPS = 2.0**52  # beyond these a step is lost beside the time it is added to
+
+
+class Keeps(NamedTuple):
+    """How much particles keep of the motion that the grid does not see (FLIP)."""
+
+    share: float  # in each step
+    damping: float  # [s] in which they lose all but 1 / e of it
+
+    def over(self, dt: float) -> float:
+        """The share they keep in a step of dt [s]."""
+        return self.share * math.exp(-dt / self.damping)
 
 
 @dataclass(frozen=True)
@@ -51,7 +64,7 @@ class Plan:
     colours: Exchange | None = None  # those that travel with every step
     affine: bool = True  # particles carry the velocity's gradient (APIC)
     splines: bool = False  # strains and forces by gradients of the B-splines
-    flip: float = 0.0  # share of FLIP's velocity, see scene.accuracy
+    keeps: Keeps | None = None  # FLIP and AFLIP
     gravity_ramp: float = 0.0  # [s] in which gravity grows
     thickness: tuple[float, ...] = ()  # of every solid body, where it is known, for others nan [m]
 
@@ -95,7 +108,7 @@ class Plan:
         one = 8 * (1 if width == 4 else 2) + width  # a number's sum, and the number
         layers = 1 + (self.contact or self.collider) + any(group.apart for group in self.groups)
         layers += max(group.coefficients for group in self.groups)
-        more = 0 if self.rules is None and not self.flip else 1 + self.drifts
+        more = (self.rules is not None) + (self.keeps is not None) + self.drifts
         # a block holds some 300 particles, and reaches node blocks that hold none
         blocks = 4.0 * self.particles / 300.0 + 27 * len(self.phases)
         return total + int(blocks * nodes * (layers * one + more * width))
@@ -122,8 +135,8 @@ def make_plan(
     groups, group_of = groups_of(scene, bodies, phases, real)
     sharing = rules(scene, groups, phases)
     colours = exchange(scene, phases, shades)
-    flip = scene.accuracy.flip if scene.accuracy.transfer == "flip" else 0.0
-    _check_transfer(scene, flip, sharing)
+    _check_transfer(scene, sharing)
+    keeps = _keeps(scene.accuracy)
     plan = Plan(
         cells=scene.domain.cells,
         dx=scene.domain.cell,
@@ -131,7 +144,7 @@ def make_plan(
         gravity=scene.domain.gravity,
         walls=tuple(scene.domain.walls),
         phases=phases,
-        groups=tuple(completed(scene, group, sharing, colours, flip) for group in groups),
+        groups=tuple(completed(scene, group, sharing, colours, keeps) for group in groups),
         group_of=group_of,
         first_id=tuple(int(n) for n in np.concatenate([[0], np.cumsum(count)[:-1]])),
         count=tuple(int(n) for n in count),
@@ -144,9 +157,9 @@ def make_plan(
         rate=_rate(bodies.values(), sharing, scene.domain.cell),
         rules=sharing,
         colours=colours,
-        affine=scene.accuracy.transfer == "apic",
+        affine=scene.accuracy.affine,
         splines=scene.accuracy.gradient == "splines",
-        flip=flip,
+        keeps=keeps,
         gravity_ramp=scene.domain.gravity_ramp,
     )
     _check_steps(scene, plan)
@@ -201,14 +214,19 @@ def fastest(scene: Scene, plan: Plan, stiffened: bool = False) -> list[tuple[flo
     return sorted(found)
 
 
-def _check_transfer(scene: Scene, flip: float, sharing: Rules | None) -> None:
-    apic, splines = scene.accuracy.transfer == "apic", scene.accuracy.gradient == "splines"
-    if splines and (apic or sharing is not None):
+def _keeps(accuracy: Accuracy) -> Keeps | None:
+    """What the scene asks particles to keep."""
+    if accuracy.transfer not in ("flip", "aflip"):
+        return None
+    if accuracy.flip is not None:
+        return Keeps(accuracy.flip, math.inf)
+    return Keeps(1.0, accuracy.damping)
+
+
+def _check_transfer(scene: Scene, sharing: Rules | None) -> None:
+    if scene.accuracy.gradient == "splines" and (scene.accuracy.affine or sharing is not None):
         said = "splines are for pic and flip, in scenes without mixing and drag"
         raise scene.error([(("accuracy", "gradient"), said)])
-    if flip and sharing is not None:
-        said = "flip is not for scenes with mixing or drag: choose apic or pic"
-        raise scene.error([(("accuracy", "transfer"), said)])
 
 
 def _check_steps(scene: Scene, plan: Plan) -> None:

@@ -103,6 +103,7 @@ def build(scene: Scene) -> Prepared:
     cost.fits(scene, {k: len(piece.cloud) for k, piece in enumerate(pieces)}, cost.JOINED)
     _warn_of_overlaps(scene, pieces)
     _warn_of_locking(scene)
+    _tell_of_share(scene)
     return _together(scene, pieces)
 
 
@@ -151,6 +152,16 @@ def _warn_of_locking(scene: Scene) -> None:
         if ratio > 0.45:
             log.warning("material '%s': poisson_ratio = %g is above 0.45: it will bend too stiffly",
                         name, ratio)  # fmt: skip
+
+
+def _tell_of_share(scene: Scene) -> None:
+    """What a share of FLIP in each step means."""
+    if scene.accuracy.flip is not None:
+        log.info(
+            "accuracy.flip = %g is kept in each step: the shorter the step, the more is lost;"
+            " accuracy.damping is a time",
+            scene.accuracy.flip,
+        )
 
 
 def _together(scene: Scene, pieces: list[Piece]) -> Prepared:

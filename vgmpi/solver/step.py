@@ -54,12 +54,12 @@ def _apart(plan: Plan) -> bool | topology.Near:
     """Where the stress's impulses are kept apart: for FLIP, and where phases share space."""
     rules = plan.rules
     if rules is None:
-        return bool(plan.flip)
+        return plan.keeps is not None
     same = rules.together[:, None] == rules.together[None, :]
     shares = same & (rules.together >= 0)[:, None] & ~np.eye(len(same), dtype=bool)
     asks = (rules.pair == CONTACT) & ~np.eye(len(same), dtype=bool)
     asks |= (rules.pair == MIXING) & rules.drifting[:, None]
-    return topology.Near(shares, asks, rules.fluid)
+    return topology.Near(shares, asks, rules.fluid, plan.keeps is not None)
 
 
 class Simulation:

@@ -125,18 +125,23 @@ class Numpy:
         still = np.where(some, self.momentum / np.where(some, mass[..., None], 1.0), 0.0)
         v = np.where(some, still + self.dt * self.gravity, 0.0)
         self.contact.along_walls(self.offset)
+        if plan.keeps is not None:  # all that does not share its pressure with others
+            by_itself = np.ones(len(v), bool)
+            if plan.rules is not None:
+                by_itself = (plan.rules.together < 0) | ~np.asarray(plan.rules.fluid, bool)
+            own = np.where(some, self.forces / np.where(some, mass[..., None], 1.0), 0.0)
+            v[by_itself] += own[by_itself]
+            self.forces[by_itself] = 0.0
         if self.sharing is not None:
             V = self.sharing.volumes(mass, counted)
             self.drift = self.sharing.act(v, mass, self.forces, V, self.offset, self.dt)
-        elif self.apart:
-            v += np.where(some, self.forces / np.where(some, mass[..., None], 1.0), 0.0)
         self.touching = self.contact.act(v, mass, self.offset, volume)
         for phase in v:
             dense.constrain(phase)
         if self.sharing is not None:
             self.flux, self.share, self.full = self.sharing.flux(v, mass, V)
             v = v - self.drift
-        elif self.apart:
+        if plan.keeps is not None:
             self.change = v - still
         self.v = v
         for fields in self._seen():
@@ -150,7 +155,7 @@ class Numpy:
         found = [self.v]
         if self.sharing is not None:
             found += [self.flux, self.drift]
-        elif self.apart:
+        if self.plan.keeps is not None:
             found.append(self.change)
         return found
 
@@ -184,13 +189,12 @@ class Numpy:
         v, L = dense.gather(self.v[p], stencil), dense.gather_slopes(self.v[p], stencil)
         trace, moves = np.abs(np.trace(L, axis1=1, axis2=2)), v
         own = v
-        if plan.apart and self.plan.flip:
-            own = v + self.plan.flip * (
-                self._get(group, "v") + dense.gather(self.change[p], stencil) - v
-            )
+        if self.plan.keeps is not None:
+            change = dense.gather(self.change[p], stencil)
+            own = v + self.plan.keeps.over(self.dt) * (self._get(group, "v") + change - v)
         self._put(group, "v", own)
         self._put(group, "C", L.reshape(-1, 9))
-        if plan.apart and self.sharing is not None:
+        if plan.shares:
             moves = v + np.where(split[:, None], dense.gather(self.drift[p], stencil), 0.0)
             L = self._strain(group, stencil, split, L)
         law, rows = self._law(group), tuple(L.reshape(-1, 9).T)
