@@ -88,6 +88,29 @@ def test_a_refused_resume_writes_nothing(scene, capsys, flags):
         assert "--resume may change title" in last and "--change" in last
 
 
+def test_particles_of_another_run_are_named(scene, tmp_path, capsys):
+    """As many as this one's, in a file that is whole."""
+    out, other = scene.parent / "out", tmp_path / "other"
+    assert run(scene, "--stop-after", "3 steps", *NUMPY) == 75
+    moved = ("--set", "object.drop.position=[0.12, 0.1, 0.1]")
+    assert run(scene, "--prepare", "-o", str(other), *moved) == 0
+    own = (out / layout.GAUSSIANS).read_bytes()
+    (out / layout.GAUSSIANS).write_bytes((other / layout.GAUSSIANS).read_bytes())
+    before = files(out)
+    capsys.readouterr()
+    assert run(scene, "--resume", *NUMPY) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "is of other particles than" in line and "gaussians.h5" in line
+    assert files(out) == before
+    with pytest.raises(RunError, match="frame_00000.*other particles than gaussians.h5 beside it"):
+        RunFiles(out).frame(0)
+    with pytest.raises(RunError, match="other particles"):
+        RunFiles(out).positions(0)
+    (out / layout.GAUSSIANS).write_bytes(own)
+    assert run(scene, "--resume", *NUMPY) == 0
+    assert len(RunFiles(out).frame(2)["id"]) == len(RunFiles(out).gaussians.x0)
+
+
 @pytest.mark.parametrize("keep", [2, 1])
 def test_a_table_without_its_last_rows_is_named_at_a_resume(scene, capsys, keep):
     """No line of it is damaged: the checkpoint knows how far it went. Without any row it begins

@@ -352,12 +352,8 @@ def _run_extremes(given: argparse.Namespace) -> int:
 def _stability(parser: argparse.ArgumentParser) -> None:
     say = parser.add_argument
     say("--only", nargs="+", default=[], metavar="NAME", help="laws or couplings; default: all")
-    say(
-        "--transfer",
-        nargs="+",
-        choices=("apic", "aflip", "flip", "pic"),
-        default=["apic", "aflip", "flip", "pic"],
-    )
+    every = ["apic", "aflip", "flip", "pic"]
+    say("--transfer", nargs="+", choices=every, default=every)
     say("--precision", nargs="+", choices=("single", "double"), default=["single", "double"])
 
 

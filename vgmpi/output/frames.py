@@ -35,9 +35,17 @@ class _Written(NamedTuple):
 
 class Frames:
     """Writes the frames of one run into `folder`; frames from number `first` on are removed at the
-    start."""
+    start. particles: identity of their gaussians.h5 (rest.identity), None where there is none."""
 
-    def __init__(self, folder: str | Path, ranks: Alone, total_ids: int, first: int = 0):
+    def __init__(
+        self,
+        folder: str | Path,
+        ranks: Alone,
+        total_ids: int,
+        first: int = 0,
+        particles: int | None = None,
+    ):
+        self.particles = particles
         self.folder, self.ranks, self.total_ids = Path(folder), ranks, total_ids
         self.index_dtype = "i4" if total_ids < 2**31 - 1 else "i8"
         self._written: dict[int, _Written] = {}
@@ -107,6 +115,8 @@ class Frames:
             f.whole("VTKHDF/FieldData/time", np.array([time], np.float64))
             f.whole("VTKHDF/FieldData/step", np.array([step], np.int64))
             f.whole("frame", np.array(index, np.int64))
+            if self.particles is not None:
+                f.whole("gaussians", np.array(self.particles, np.uint32))
             f.seal()
         self._written[index] = _Written(path.name, time, step, count, arrays, self.index_dtype)
         error = None

@@ -2,6 +2,7 @@
 types, shapes and ranges, so that nothing else ever reaches a kernel."""
 
 import json
+import zlib
 from types import SimpleNamespace
 
 import h5py
@@ -61,14 +62,30 @@ def _check_head(f, known):
         raise Damaged(f"it holds {foreign[0]!a:.60}, which is not of such a file")
 
 
-def check_frame(f: h5py.File, number: int | None, held: dict) -> None:
-    """number: that its name says. Raises Damaged, also where it is another frame's file."""
+def identity(f: h5py.File) -> int | None:
+    """By which the particles of a gaussians.h5 are known; None of earlier versions. Raises Damaged.
+
+    Its texts are left out: they tell of the scene, of which something may change at a resume."""
+    found = sums(f)
+    if found is None:
+        return None
+    texts = {d.name for d in layout.GAUSSIAN_TEXTS}
+    told = json.dumps(sorted(pair for pair in found.items() if pair[0] not in texts))
+    return zlib.crc32(told.encode())
+
+
+def check_frame(f: h5py.File, number: int | None, held: dict, of: int | None = None) -> None:
+    """number: that its name says; of: identity of the gaussians.h5 beside it. Raises Damaged, also
+    where it is another frame's file or one of other particles."""
     _check_head(f, {"VTKHDF", *(d.name for d in layout.FRAME_OWN)})
     if layout.CRC in f:
         said = f["frame"][()]
-        check_sums(f, {**held, "frame": said})
+        named = {name: f[name][()] for name in ("gaussians",) if name in f}
+        check_sums(f, {**held, "frame": said, **named})
         if number is not None and int(said) != number:
             raise Damaged(f"it is frame {int(said)}, not {number}")
+        if of is not None and named and int(named["gaussians"]) != of:
+            raise Damaged(f"it is of other particles than {layout.GAUSSIANS} beside it")
 
 
 def listed(f: h5py.File) -> list[int]:

@@ -96,6 +96,7 @@ FRAME_TOPOLOGY = [
 SUMS = Dataset(CRC, "()", "text", "", "JSON, CRC32 (zlib) of the bytes of every other dataset")
 FRAME_OWN = [
     Dataset("frame", "()", "i8", "1", "number of the frame, as in the name of its file"),
+    Dataset("gaussians", "()", "u4", "1", "by which the gaussians.h5 of its particles is known"),
     SUMS,
 ]
 
@@ -330,7 +331,8 @@ def page() -> str:
         _table(FRAME_OWN),
         "Attributes: `VTKHDF/Type`, `VTKHDF/Version`, and `/schema` (whole number). Frames of "
         "earlier versions have no `frame` and no `crc`: they are read, and nothing vouches for "
-        "them.\n",
+        "them. `gaussians` is the CRC32 of the checksums in gaussians.h5, those of its texts left "
+        "out, as JSON pairs in the order of their names; checkpoints have it too.\n",
         "## series.vtkhdf\n",
         "The frames one after the other, as virtual datasets of the same names: it holds no "
         "numbers itself and finds the frames beside it, from any working directory. It is valid "

@@ -137,7 +137,7 @@ class RunFiles:
         """Positions in frame i alone (n, 3) [m]. Raises RunError."""
         with opened(self.path(i)) as f:
             held = {"VTKHDF/Points": f["VTKHDF/Points"][()]}
-            intact.check_frame(f, i, held)
+            intact.check_frame(f, i, held, self._particles)
         return held["VTKHDF/Points"]
 
     def frame(self, i: int) -> dict[str, np.ndarray]:
@@ -150,7 +150,7 @@ class RunFiles:
             names = [f"VTKHDF/PointData/{name}" for name in f["VTKHDF/PointData"]]
             names += ["VTKHDF/Points", "VTKHDF/NumberOfPoints"]
             held = {name: f[name][()] for name in names}
-            intact.check_frame(f, number, held)
+            intact.check_frame(f, number, held, self._particles)
             count = int(held.pop("VTKHDF/NumberOfPoints")[0])
             arrays = {name.removeprefix("VTKHDF/PointData/"): a for name, a in held.items()}
             arrays = {"id": arrays.pop("id"), "x": arrays.pop("VTKHDF/Points"), **arrays}
@@ -159,6 +159,15 @@ class RunFiles:
                 self._told = True
                 log.info("%s: frames of an earlier version, without checksums", self.folder)
         return arrays
+
+    @functools.cached_property
+    def _particles(self) -> int | None:
+        """Identity of gaussians.h5, where it can be told: who reads the file says what is wrong."""
+        try:
+            with opened(self.folder / layout.GAUSSIANS) as f:
+                return intact.identity(f)
+        except RunError:
+            return None
 
     @functools.cached_property
     def gaussians(self) -> SimpleNamespace:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ..domain.ranks import Alone
-from ..output import checkpoint, layout, owner
+from ..output import checkpoint, layout, owner, rest
 from ..output.frames import Frames
 from ..output.ledger import Ledger, Rows
 from ..output.ledger import check as check_tables
@@ -125,7 +125,8 @@ class Runner:
         self.latest: list[dict] = []
 
     def _open(self, folder: Path, last_step: int | None) -> None:
-        self.frames = Frames(folder, self.ranks, self.plan.particles, self.frame)
+        self.particles = _identity(folder, self.ranks)
+        self.frames = Frames(folder, self.ranks, self.plan.particles, self.frame, self.particles)
         self.ledger = Ledger(folder, self.ranks, last_step)
         self.checkpoints = folder / layout.CHECKPOINTS
         if last_step is None:
@@ -216,6 +217,7 @@ class Runner:
             "scene_text": self.scene.text,
             "overrides": list(self.scene.overrides),
             "history": self.history,
+            "gaussians": self.particles,
             "tables": {table.path.name: table.sum for table in self._tables()},
             "scene": self.scene.resolved(),
             "plan": describe(self.scene, self.plan, ranks=1).splitlines(),
@@ -273,7 +275,19 @@ def started(
             approve(plan, reached)
         if folder is not None:
             keep(scene, known, ranks, folder)
+        if folder is not None and path is not None:
+            want, found = attrs.get("gaussians"), _identity(folder, ranks)
+            if want is not None and found != want:
+                said = f"{path}: is of other particles than {folder / layout.GAUSSIANS}"
+                raise checkpoint.CheckpointError(said)
         yield Runner(scene, plan, known, ranks, options, path, history)
+
+
+def _identity(folder: Path, ranks: Alone) -> int | None:
+    """By which the particles of a run are known. Collective."""
+    return on_all(
+        ranks, folder / layout.GAUSSIANS, lambda: rest.identity(folder / layout.GAUSSIANS)
+    )
 
 
 def goes_on_from(given: str, folder: Path, ranks: Alone) -> tuple[Path, dict]:
