@@ -104,7 +104,7 @@ def test_tables_are_those_of_the_whole(ranks, apart):
     costs = np.ones(2)
     if apart is not None:
         pair = ~np.eye(2, dtype=bool)
-        apart = topology.Near(pair, pair, np.ones(2, bool))
+        apart = topology.Near(pair, pair, np.ones(2, bool), every=False)
     needs = topology.Needs(np.array([0, 1]), True, apart or False, np.zeros(2, np.int64))
     whole, _ = census.census(rows, LATTICE, Alone(), costs, None, 0)
 

@@ -28,7 +28,7 @@ def solve(n, phase, grid, forces, offsets, cells, least, room, rules, dt, dx, dr
     here = Here(0, n, True, False, 9, 9, 9)
     fields = Fields(
         place(phase), place(least), place(cells), place(grid), place(forces), place(offsets),
-        place(drift), place(drift),
+        place(drift), place(drift), place(drift),
     )  # fmt: skip
     couple_block(here, fields, of, rules, dt, dx)
 

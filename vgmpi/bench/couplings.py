@@ -1,5 +1,6 @@
 """What sharing space costs: fluids that mix, and sand that a fluid flows through, beside
-the same tank filled with one fluid; and the same fluid in two colours that travel with every step.
+the same tank filled with one fluid; and the same fluid with AFLIP, and in two colours that travel
+with every step.
 
 Each pair is measured in turns, so that what else the machine does touches both alike.
 """
@@ -24,6 +25,7 @@ cell = 0.01
 [time]
 end = 1
 [accuracy]
+transfer = "{transfer}"
 precision = "{precision}"
 [material.water]
 kind = "fluid"
@@ -71,8 +73,10 @@ COLOURS = """
 [appearance]
 colour_transfer = "step"
 """
+AFLIP = "with AFLIP"
 SCENES = {  # name -> what lies below the water, couplings, depth of it as a share of the tank's
     "fluid": (LAYER.replace("{made_of}", "water"), 0.5),
+    AFLIP: (LAYER.replace("{made_of}", "water"), 0.5),
     "colours with every step": (
         LAYER.replace("{made_of}", 'water"\ncolor = "#ff8000') + COLOURS,
         0.5,
@@ -109,7 +113,7 @@ def _tank(name: str, particles: int, precision: str, folder: Path) -> Simulation
     low = round(share * deep)
     keys = {
         "side": side / 100, "high": 2 * side / 100, "low": low / 100, "top": deep / 100,
-        "precision": precision,
+        "precision": precision, "transfer": "aflip" if name == AFLIP else "apic",
     }  # fmt: skip
     text = TANK if share < 1.0 else TANK[: TANK.index("[[object]]")]
     path = folder / "scene.toml"

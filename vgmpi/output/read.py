@@ -19,7 +19,7 @@ import h5py
 import numpy as np
 
 from vgmpi.misspelt import nearest_file
-from vgmpi.output import intact, layout, manifest, owner, plain
+from vgmpi.output import intact, layout, manifest, plain
 
 log = logging.getLogger("vgmpi")
 
@@ -78,6 +78,8 @@ class RunFiles:
             some = ", ".join(map(ascii, foreign[:3])) + ", ..." * (len(foreign) > 3)
             log.warning("%s: no frames of this run: %s", self.folder / layout.FRAMES, some)
         if not self.frames:
+            from vgmpi.output import owner  # MPI comes with it: only who finds nothing waits
+
             said = f"{self.folder}: no frames in it ({layout.FRAMES}/frame_*.vtkhdf)"
             if who := owner.writer(self.folder):
                 said = f"{self.folder}: a run goes on here and has written no frame yet ({who})"
