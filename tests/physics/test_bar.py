@@ -9,6 +9,7 @@ between 8, 16 and 32 cells; error below 1e-3 at 32 and at 64 cells.
 import numpy as np
 import pytest
 
+from tests import swings
 from tests.held import held
 from tests.simulate import begin, by_id
 
@@ -57,12 +58,9 @@ def frequency(folder, cells):
         (v,) = by_id(simulation, "v")
         times.append(simulation.time)
         values.append((v[:, 0] * shape).sum())
-    times, values = np.array(times), np.array(values)
-    at = np.flatnonzero(np.sign(values[1:]) != np.sign(values[:-1]))
-    crossing = times[at] + (times[at + 1] - times[at]) * values[at] / (values[at] - values[at + 1])
     # symplectic Euler staggers v half a step: a constant shift that differences of crossings do not
     # see
-    return (len(crossing) - 1) / 2 / (crossing[-1] - crossing[0])
+    return 1 / swings.period(times, values)
 
 
 def test_frequency_converges_with_second_order(tmp_path):

@@ -54,7 +54,7 @@ class Near(NamedTuple):
     shares: np.ndarray  # (phases, phases) bool: which do
     contact: np.ndarray  # (phases, phases) bool: whether a pair asks for volumes and offsets
     fluid: np.ndarray  # (phases,) bool
-    every: bool  # all others, and they elsewhere, keep them apart too
+    every: bool  # elsewhere too, and all other phases (FLIP)
 
 
 class Needs(NamedTuple):
@@ -230,9 +230,8 @@ def _who_contributes(box, at, phase, group, needs: Needs, solid) -> dict[str, np
         takes["impulses"] = every
     elif needs.apart:
         apart, close = needs.apart, _close(box, at, phase, int(needs.phase_of.max()) + 1)[:, at]
-        takes["impulses"] = (apart.shares[phase].T & close).any(0) & apart.fluid[
-            phase
-        ] | apart.every
+        sharing = (apart.shares[phase].T & close).any(0) & apart.fluid[phase]
+        takes["impulses"] = sharing | apart.every
         beside = np.zeros(len(at), bool) if solid is None else _by_solid(box, solid)[at]
         wanted &= (apart.contact[phase].T & close).any(0) | beside
     takes["offsets"] = wanted

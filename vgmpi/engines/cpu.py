@@ -104,9 +104,10 @@ class Cpu:
         self.words = sums.words(plan.real)
         self.sets = np.zeros(0, np.int64) if plan.colours is None else plan.colours.set_of
         # what particles gather besides, where something asks for it
-        self.gathered = {"flux": plan.rules is not None, "drift": plan.drifts, "change": plan.keeps}
+        kept = plan.keeps is not None
+        self.gathered = {"flux": plan.rules is not None, "drift": plan.drifts, "change": kept}
         self.beside = {name: aligned((0, sums.BLOCK), plan.real) for name in self.gathered}
-        more = sum(map(bool, self.gathered.values()))
+        more = sum(self.gathered.values())
         self.scratch = [records.scratch(plan.real, more) for _ in range(threads)]
         self.room = [touch.room(len(plan.phases)) for _ in range(threads)]
         self.apart_room = [
@@ -242,7 +243,7 @@ class Cpu:
         layers, apart = self.layers, None
         if self.apart:
             apart = grid.Apart(
-                layers["impulses"].tables, **self.beside, noted=int(self.plan.keeps is not None),
+                layers["impulses"].tables, **self.beside, noted=int(self.gathered["change"]),
                 room=self.apart_room[thread], tables=self.pairs,
             )  # fmt: skip
         self.call(
@@ -302,14 +303,13 @@ class Cpu:
         """What a group's particles gather besides the velocity."""
         if not plan.apart:
             return beside.Nothing(0.0)
-        flux, drift, drifts = self.beside["flux"], self.beside["drift"], int(self.plan.drifts)
-        keeps, change = self.plan.keeps, self.beside["change"]
+        keeps, has = self.plan.keeps, self.beside
+        sharing = beside.Sharing(has["flux"], has["drift"], int(self.plan.drifts))
         if keeps is None:
-            return beside.Sharing(flux, drift, drifts)
-        share = self.plan.real.type(keeps.over(self.dt))
-        if plan.shares:
-            return beside.BlendSharing(flux, drift, drifts, change, share)
-        return beside.Blend(change, share)
+            return sharing
+        patch = 1 + sharing.drifts if plan.shares else 0
+        blend = beside.Blend(has["change"], self.plan.real.type(keeps.over(self.dt)), patch)
+        return beside.Both(sharing, blend) if plan.shares else blend
 
     def _found_beyond(self) -> list[Beyond]:
         """The lowest node block of each layer of which a sum left its range."""

@@ -43,16 +43,14 @@ class Blend(NamedTuple):
 
     change: np.ndarray  # (node blocks, 256) of velocity [m/s]
     share: float  # that particles keep of what the grid does not see
+    patch: int  # which of the patches beside the velocity's is its own
 
 
-class BlendSharing(NamedTuple):
-    """Both."""
+class Both(NamedTuple):
+    """Of phases that share space, with FLIP or AFLIP."""
 
-    flux: np.ndarray
-    drift: np.ndarray
-    drifts: int
-    change: np.ndarray
-    share: float
+    sharing: Sharing
+    blend: Blend
 
 
 @by_kind
@@ -153,11 +151,6 @@ def _(kind, f, p, cap, numbers, wave2):
 
 @fetch.of(Sharing)
 def _(kind, blocks, box, mirror, real):
-    _read_sharing(kind, blocks, box, mirror, real)
-
-
-@inline
-def _read_sharing(kind, blocks, box, mirror, real):
     _read(kind.flux, blocks, box, mirror, patch_of(real, 0))
     if kind.drifts:
         _read(kind.drift, blocks, box, mirror, patch_of(real, 1))
@@ -165,11 +158,6 @@ def _read_sharing(kind, blocks, box, mirror, real):
 
 @set_aside.of(Sharing)
 def _(kind, count, weights, records, base, real, extra):
-    _aside_flux(kind, count, weights, records, base, real, extra)
-
-
-@inline
-def _aside_flux(kind, count, weights, records, base, real, extra):
     """Divergence of the flux [cells/s], share of space, drift [m/s]."""
     moments(count, records, weights, base, patch_of(real, 0))
     for n in range(count):
@@ -191,7 +179,6 @@ def _(kind, f, p, cap, way, scale):
     return _largest(f, p, cap, scale) if kind.drifts else way
 
 
-@moving.of(BlendSharing)
 @moving.of(Sharing)
 def _(kind, split, extra, n, v):
     x, y, z = v
@@ -202,7 +189,6 @@ def _(kind, split, extra, n, v):
     return x, y, z
 
 
-@strain.of(BlendSharing)
 @strain.of(Sharing)
 def _(kind, split, f, p, cap, extra, n, L, fill, numbers):
     """A fluid's volume changes by the flux of all that share its space. Where sand is, its pores'
@@ -223,7 +209,6 @@ def _(kind, split, f, p, cap, extra, n, L, fill, numbers):
     return (c0 + more, c1, c2, c3, c4 + more, c5, c6, c7, c8 + more)
 
 
-@waves.of(BlendSharing)
 @waves.of(Sharing)
 def _(kind, f, p, cap, numbers, wave2):
     porosity = np.int64(numbers.porosity)
@@ -238,22 +223,16 @@ def _(kind, f, p, cap, numbers, wave2):
 
 @fetch.of(Blend)
 def _(kind, blocks, box, mirror, real):
-    _read(kind.change, blocks, box, mirror, patch_of(real, 0))
+    _read(kind.change, blocks, box, mirror, patch_of(real, kind.patch))
 
 
 @set_aside.of(Blend)
 def _(kind, count, weights, records, base, real, extra):
-    _aside_change(count, weights, records, base, patch_of(real, 0), extra)
-
-
-@inline
-def _aside_change(count, weights, records, base, patch, extra):
     """The change of velocity [m/s], behind all else."""
-    values(count, records, weights, base, patch)
+    values(count, records, weights, base, patch_of(real, kind.patch))
     columns(count, records, extra, CHANGE, BATCH)
 
 
-@keep.of(BlendSharing)
 @keep.of(Blend)
 def _(kind, f, p, cap, extra, n, v):
     """A particle's own velocity and the grid's change of it, blended with the grid's velocity
@@ -265,7 +244,6 @@ def _(kind, f, p, cap, extra, n, v):
     _as_gathered(f, p, cap, (a, b, c))
 
 
-@kept.of(BlendSharing)
 @kept.of(Blend)
 def _(kind, f, p, cap, way, scale):
     return _largest(f, p, cap, scale)
@@ -289,13 +267,38 @@ def _(kind, f, p, cap, numbers, wave2):
 # ---- both ---------------------------------------------------------------------------------------
 
 
-@fetch.of(BlendSharing)
+@fetch.of(Both)
 def _(kind, blocks, box, mirror, real):
-    _read_sharing(kind, blocks, box, mirror, real)
-    _read(kind.change, blocks, box, mirror, patch_of(real, 1 + kind.drifts))
+    fetch(kind.sharing, blocks, box, mirror, real)
+    fetch(kind.blend, blocks, box, mirror, real)
 
 
-@set_aside.of(BlendSharing)
+@set_aside.of(Both)
 def _(kind, count, weights, records, base, real, extra):
-    _aside_flux(kind, count, weights, records, base, real, extra)
-    _aside_change(count, weights, records, base, patch_of(real, 1 + kind.drifts), extra)
+    set_aside(kind.sharing, count, weights, records, base, real, extra)
+    set_aside(kind.blend, count, weights, records, base, real, extra)
+
+
+@keep.of(Both)
+def _(kind, f, p, cap, extra, n, v):
+    keep(kind.blend, f, p, cap, extra, n, v)
+
+
+@kept.of(Both)
+def _(kind, f, p, cap, way, scale):
+    return kept(kind.blend, f, p, cap, way, scale)
+
+
+@moving.of(Both)
+def _(kind, split, extra, n, v):
+    return moving(kind.sharing, split, extra, n, v)
+
+
+@strain.of(Both)
+def _(kind, split, f, p, cap, extra, n, L, fill, numbers):
+    return strain(kind.sharing, split, f, p, cap, extra, n, L, fill, numbers)
+
+
+@waves.of(Both)
+def _(kind, f, p, cap, numbers, wave2):
+    return waves(kind.sharing, f, p, cap, numbers, wave2)

@@ -30,7 +30,7 @@ class Apart(NamedTuple):
     # (node blocks, 256) what particles gather besides velocity; any array where there is none
     flux: np.ndarray  # of volume [m/s]
     drift: np.ndarray  # [m/s]
-    change: np.ndarray  # of velocity [m/s], by all but gravity's pull at rest
+    change: np.ndarray  # of velocity [m/s]
     noted: int  # whether the change is asked for (FLIP)
     room: tuple  # members.Room of the calling thread
     tables: tuple  # members.Tables
@@ -75,7 +75,7 @@ def update(
         if apart is not None:
             noted = kept_apart and apart.noted
             if noted:
-                _note_before(here, fields, step.fall)
+                _note_before(here, fields, push)
             if kept_apart and rules is None:
                 _push(here, fields)
             if rules is not None:
@@ -136,9 +136,8 @@ def _note_change(here, fields):
 
 
 @inline
-def _note_before(here, fields, fall):
-    """The velocities of a block before gravity and impulses that were kept apart."""
-    push = repeat(fall, 0)
+def _note_before(here, fields, push):
+    """The velocities of a block before gravity's `push` and impulses that were kept apart."""
     for c in range(256 * here.n0, 256 * here.n1, 16):
         store(fields.change, c, load(fields.grid, c) - push)
 
