@@ -8,10 +8,13 @@ Nothing is loaded before it is asked for.
 
 import importlib
 import os
+import sys
 
 # with colorama, where that is installed, numba ends every program with an escape code on stdout,
-# which a file behind mpirun gets too
-os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
+# which a file behind mpirun gets too; a numba that is there already has read its settings, and by a
+# change would read all anew and forget device/jit.py's folder
+if "numba" not in sys.modules:
+    os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
 
 __all__ = ["Run", "SceneError", "load", "plan", "read", "run"]
 

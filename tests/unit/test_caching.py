@@ -1,14 +1,18 @@
 """Compiled code on disk: damage is seen, and a folder that cannot be written is done without."""
 
 import logging
+import os
 import random
+import sys
 from pathlib import Path
 
 import numba
 import pytest
 from numba.core import caching as numbas
 
+from tests import launch
 from vgmpi import caching
+from vgmpi.device import jit, processor
 
 
 def half(x):
@@ -70,3 +74,25 @@ def test_without_a_folder_it_runs_and_says_so_once(tmp_path, monkeypatch, caplog
         assert fresh()(1.0) == fresh()(1.0) == 0.625
     (said,) = caplog.messages
     assert "NUMBA_CACHE_DIR" in said and not list(Path(tmp_path).rglob("*.nb?"))
+
+
+AFTER_NUMBA = """
+import numba
+import vgmpi
+from vgmpi.device import jit
+numba.njit(lambda x: x + 1.0)(2.0)  # reads the settings again where the environment has changed
+print(numba.config.CACHE_DIR == str(jit.cache_folder()))
+"""
+
+
+def test_where_numba_came_first_the_folder_stays(monkeypatch):
+    """Numba forgets what is not in the environment once a variable of its own there has changed."""
+    for name in [name for name in os.environ if name.startswith("NUMBA_")]:
+        monkeypatch.delenv(name)
+    done = launch.run([sys.executable, "-c", AFTER_NUMBA])
+    assert done.stdout == "True\n", done.stdout + done.stderr
+
+
+def test_without_a_folder_the_stamp_is_not_in_the_current_one(monkeypatch):
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
+    assert processor.stamp("fluid").parent == jit.cache_folder()

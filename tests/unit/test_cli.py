@@ -257,9 +257,10 @@ def test_what_may_lie_on_its_side_gets_a_hint(scene, capsys):
     assert "most captures" not in capsys.readouterr().err
 
 
-def test_no_escape_codes_of_numbas(tmp_path):
+def test_no_escape_codes_of_numbas(monkeypatch):
     """Where colorama is installed, which other programs bring."""
     pytest.importorskip("colorama")
+    monkeypatch.delenv("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", raising=False)  # set here by us
     says = "from numba.core import errors; print(errors.termcolor().errmsg('word'))"
     done = launch.run([sys.executable, "-c", f"import vgmpi; {says}"])
     assert done.stdout == "word\n", done.stderr

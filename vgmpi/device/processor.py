@@ -8,6 +8,8 @@ import zlib
 from llvmlite import binding
 from numba import config
 
+from .jit import cache_folder
+
 _SUM = """
 target triple = "{triple}"
 define <16 x float> @sum(<16 x float> %a, <16 x float> %b) {{
@@ -50,4 +52,4 @@ def widest(triple: str, name: str, features: str) -> int:
 def stamp(*kind) -> pathlib.Path:
     """A file that exists where the kernels for `kind`, anything with a fixed text, are compiled."""
     seal = hashlib.sha256(f"{kind} {processor()}".encode()).hexdigest()[:16]
-    return pathlib.Path(config.CACHE_DIR) / f"{seal}.compiled"
+    return pathlib.Path(config.CACHE_DIR or cache_folder()) / f"{seal}.compiled"
