@@ -1,6 +1,7 @@
 """From a scene to particles: order, numbers, placement, volumes, looks, colliders, determinism."""
 
 import json
+import logging
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 
@@ -243,6 +244,17 @@ def test_bodies_in_one_place_are_told(path, caplog):
     caplog.clear()
     build(load(path))
     assert "overlap" not in caplog.text
+
+
+@pytest.mark.parametrize("transfer", ["apic", "aflip", "flip", "pic"])
+def test_a_share_per_step_is_told_where_it_counts(tmp_path, caplog, transfer):
+    lump = '[[object]]\nname = "lump"\nmaterial = "clay"\n'
+    lump += "shape = { sphere = { center = [0.1, 0.1, 0.1], radius = 0.05 } }"
+    shares = f'[accuracy]\nflip = 0.95\ntransfer = "{transfer}"\n'
+    with caplog.at_level(logging.INFO, "vgmpi"):
+        build(scene(tmp_path, ROOM + shares + lump))
+    told = "accuracy.flip = 0.95 is kept in each step" in caplog.text
+    assert told == (transfer in ("aflip", "flip"))
 
 
 def test_all_objects_are_tried_before_giving_up(path):

@@ -216,7 +216,7 @@ def fastest(scene: Scene, plan: Plan, stiffened: bool = False) -> list[tuple[flo
 
 def _keeps(accuracy: Accuracy) -> Keeps | None:
     """What the scene asks particles to keep."""
-    if accuracy.transfer not in ("flip", "aflip"):
+    if not accuracy.keeps:
         return None
     if accuracy.flip is not None:
         return Keeps(accuracy.flip, math.inf)

@@ -155,8 +155,8 @@ def _warn_of_locking(scene: Scene) -> None:
 
 
 def _tell_of_share(scene: Scene) -> None:
-    """What a share of FLIP in each step means."""
-    if scene.accuracy.flip is not None:
+    """What a share of FLIP in each step means, where it counts."""
+    if scene.accuracy.keeps and scene.accuracy.flip is not None:
         log.info(
             "accuracy.flip = %g is kept in each step: the shorter the step, the more is lost;"
             " accuracy.damping is a time",

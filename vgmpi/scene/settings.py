@@ -150,6 +150,11 @@ class Accuracy(Table):
         """Whether particles carry the velocity's gradient (APIC)."""
         return self.transfer in ("apic", "aflip")
 
+    @property
+    def keeps(self) -> bool:
+        """Whether particles keep what the grid does not see (FLIP), for a time or by a share."""
+        return self.transfer in ("aflip", "flip")
+
 
 def _name(value: str) -> str:
     if "\0" in value:
