@@ -7,9 +7,11 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import get_args
 
 from ..ends import guarded
 from ..materials import registry
+from ..scene.settings import Transfer
 from ..solver.run import versions
 from ..tables import SceneError
 from . import roof, rounds, table
@@ -352,7 +354,7 @@ def _run_extremes(given: argparse.Namespace) -> int:
 def _stability(parser: argparse.ArgumentParser) -> None:
     say = parser.add_argument
     say("--only", nargs="+", default=[], metavar="NAME", help="laws or couplings; default: all")
-    every = ["apic", "aflip", "flip", "pic"]
+    every = list(get_args(Transfer))
     say("--transfer", nargs="+", choices=every, default=every)
     say("--precision", nargs="+", choices=("single", "double"), default=["single", "double"])
 

@@ -8,6 +8,7 @@ motion and the weight can give, and nothing blows up.
 
 import warnings
 from dataclasses import dataclass
+from typing import get_args
 
 import numpy as np
 
@@ -15,12 +16,13 @@ from ..domain.ranks import Alone
 from ..materials import registry
 from ..prepare.build import build
 from ..scene.reader import load
+from ..scene.settings import Transfer
 from ..solver.prepared import known_of, plan_for
 from ..solver.step import BlowUp, Simulation
 from ..solver.watch import ledger
 from .extreme_scenes import DX, WATER, box, coupling, of_law, toml
 
-TRANSFERS, PRECISIONS = ("apic", "aflip", "flip", "pic"), ("single", "double")
+TRANSFERS, PRECISIONS = get_args(Transfer), ("single", "double")
 CELLS = (6, 6, 10)
 STEPS = 300
 GROWTH = 4.0

@@ -9,6 +9,7 @@ from vgmpi.tables import MayChange, Positive, Quantity, Table
 WALLS = ("west", "east", "south", "north", "floor", "roof")
 MOST_CELLS = 2**15  # per axis: block coordinates fit the sort key
 Acceleration = Annotated[float, Quantity("m/s2")]
+Transfer = Literal["apic", "aflip", "flip", "pic"]
 
 
 def _wall(value: Any) -> Any:
@@ -129,7 +130,7 @@ class Appearance(Table):
 class Accuracy(Table):
     """Numbers and their transfer between particles and grid."""
 
-    transfer: Literal["apic", "aflip", "flip", "pic"] = "apic"
+    transfer: Transfer = "apic"
     """apic keeps linear and angular momentum; aflip keeps also what is too fine for the grid, for
     the time `damping`, so that waves and vibrations last, and takes 1.6 to 1.8 times as long; flip
     does without apic's gradients, at some noise; pic damps"""
