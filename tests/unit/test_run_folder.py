@@ -17,9 +17,10 @@ from tests.launch import PATIENCE, ROOT
 from tests.scenes import write
 from vgmpi import cli
 from vgmpi.domain.ranks import Alone
-from vgmpi.output import checkpoint, layout, ledger, owner
+from vgmpi.output import checkpoint, layout, ledger, owner, read
 from vgmpi.output.read import RunError, RunFiles
 from vgmpi.solver import report, requests
+from vgmpi.solver import run as runs
 from vgmpi.solver.requests import Requests
 from vgmpi.solver.run import Runner
 
@@ -109,6 +110,14 @@ def test_particles_of_another_run_are_named(scene, tmp_path, capsys):
     (out / layout.GAUSSIANS).write_bytes(own)
     assert run(scene, "--resume", *NUMPY) == 0
     assert len(RunFiles(out).frame(2)["id"]) == len(RunFiles(out).gaussians.x0)
+
+
+def test_a_resume_asks_once_whose_particles_they_are(scene, monkeypatch):
+    assert run(scene, "--stop-after", "3 steps", *NUMPY) == 75
+    asked = []
+    monkeypatch.setattr(runs, "identity", lambda path: asked.append(path) or read.identity(path))
+    assert run(scene, "--resume", *NUMPY) == 0
+    assert asked == [scene.parent / "out" / layout.GAUSSIANS]
 
 
 @pytest.mark.parametrize("keep", [2, 1])

@@ -35,7 +35,7 @@ class _Written(NamedTuple):
 
 class Frames:
     """Writes the frames of one run into `folder`; frames from number `first` on are removed at the
-    start. particles: identity of their gaussians.h5 (rest.identity), None where there is none."""
+    start. particles: identity of their gaussians.h5 (read.identity), None where there is none."""
 
     def __init__(
         self,

@@ -2,7 +2,6 @@
 types, shapes and ranges, so that nothing else ever reaches a kernel."""
 
 import json
-import zlib
 from types import SimpleNamespace
 
 import h5py
@@ -60,18 +59,6 @@ def _check_head(f, known):
     foreign = sorted(set(f) - known)
     if foreign:
         raise Damaged(f"it holds {foreign[0]!a:.60}, which is not of such a file")
-
-
-def identity(f: h5py.File) -> int | None:
-    """By which the particles of a gaussians.h5 are known; None of earlier versions. Raises Damaged.
-
-    Its texts are left out: they tell of the scene, of which something may change at a resume."""
-    found = sums(f)
-    if found is None:
-        return None
-    texts = {d.name for d in layout.GAUSSIAN_TEXTS}
-    told = json.dumps(sorted(pair for pair in found.items() if pair[0] not in texts))
-    return zlib.crc32(told.encode())
 
 
 def check_frame(f: h5py.File, number: int | None, held: dict, of: int | None = None) -> None:

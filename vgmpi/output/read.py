@@ -11,6 +11,7 @@ import functools
 import json
 import logging
 import os
+import zlib
 from collections.abc import Iterable
 from pathlib import Path
 from types import SimpleNamespace
@@ -166,8 +167,7 @@ class RunFiles:
     def _particles(self) -> int | None:
         """Identity of gaussians.h5, where it can be told: who reads the file says what is wrong."""
         try:
-            with opened(self.folder / layout.GAUSSIANS) as f:
-                return intact.identity(f)
+            return identity(self.folder / layout.GAUSSIANS)
         except RunError:
             return None
 
@@ -183,6 +183,18 @@ class RunFiles:
     def scene(self) -> dict:
         """The scene with every default filled in."""
         return self.gaussians.scene
+
+
+def identity(path: str | Path) -> int | None:
+    """By which the particles of a gaussians.h5 are known; None of earlier versions. Its texts are
+    left out: they tell of the scene, of which something may change at a resume. Raises RunError."""
+    with opened(Path(path)) as f:
+        found = intact.sums(f)
+    if found is None:
+        return None
+    texts = {d.name for d in layout.GAUSSIAN_TEXTS}
+    told = json.dumps(sorted(pair for pair in found.items() if pair[0] not in texts))
+    return zlib.crc32(told.encode())
 
 
 def read_gaussians(path: str | Path) -> SimpleNamespace:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from vgmpi.domain.ranks import Alone
-from vgmpi.output import intact, layout, read, store
+from vgmpi.output import layout, read, store
 
 
 def write(
@@ -69,12 +69,6 @@ def read_slice(path: str | Path, start: int, stop: int) -> dict[str, np.ndarray]
     with read.opened(Path(path)) as f:
         names = [d.name for d in layout.GAUSSIAN if d.name in f]
         return {name: f[name][start:stop] for name in names}
-
-
-def identity(path: str | Path) -> int | None:
-    """By which its particles are known (intact.identity). Raises read.RunError."""
-    with read.opened(Path(path)) as f:
-        return intact.identity(f)
 
 
 def digest(path: str | Path) -> str:

@@ -12,10 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from ..domain.ranks import Alone
-from ..output import checkpoint, layout, owner, rest
+from ..output import checkpoint, layout, owner
 from ..output.frames import Frames
 from ..output.ledger import Ledger, Rows
 from ..output.ledger import check as check_tables
+from ..output.read import identity
 from ..planning.plan import Plan
 from ..planning.price import describe
 from ..prepare.motion import gradient
@@ -99,13 +100,15 @@ class Runner:
 
     probes: rows of the scene's probes; frame: number of the next frame; times: of all frames [s],
     of those that a resumed run has already only their number counts; history: what was changed at
-    resumes; path: of the checkpoint to resume from, or None.
+    resumes; path: of the checkpoint to resume from, or None; particles: their identity
+    (output.read.identity), None where nothing is written.
     """
 
     def __init__(
         self, scene: Scene, plan: Plan, known: Known, ranks: Alone, options: Options,
-        path: Path | None = None, history: list[dict] | None = None,
+        path: Path | None = None, history: list[dict] | None = None, particles: int | None = None,
     ):  # fmt: skip
+        self.particles = particles
         self.scene, self.plan, self.options, self.ranks = scene, plan, options, ranks
         self.names = [thing["name"] for thing in known.objects]
         self.history = history or []
@@ -125,7 +128,6 @@ class Runner:
         self.latest: list[dict] = []
 
     def _open(self, folder: Path, last_step: int | None) -> None:
-        self.particles = _identity(folder, self.ranks)
         self.frames = Frames(folder, self.ranks, self.plan.particles, self.frame, self.particles)
         self.ledger = Ledger(folder, self.ranks, last_step)
         self.checkpoints = folder / layout.CHECKPOINTS
@@ -260,7 +262,7 @@ def started(
     check(options, ranks)
     folder, resumed = options.folder, options.resume is not None
     with contextlib.ExitStack() as stack:
-        path, history, reached = None, [], 0.0
+        path, history, reached, particles = None, [], 0.0, None
         if folder is not None:
             stack.enter_context(owner.held(folder, ranks, resumed or options.overwrite))
         if folder is not None and options.resume is not None:
@@ -275,19 +277,11 @@ def started(
             approve(plan, reached)
         if folder is not None:
             keep(scene, known, ranks, folder)
-        if folder is not None and path is not None:
-            want, found = attrs.get("gaussians"), _identity(folder, ranks)
-            if want is not None and found != want:
-                said = f"{path}: is of other particles than {folder / layout.GAUSSIANS}"
-                raise checkpoint.CheckpointError(said)
-        yield Runner(scene, plan, known, ranks, options, path, history)
-
-
-def _identity(folder: Path, ranks: Alone) -> int | None:
-    """By which the particles of a run are known. Collective."""
-    return on_all(
-        ranks, folder / layout.GAUSSIANS, lambda: rest.identity(folder / layout.GAUSSIANS)
-    )
+            made = folder / layout.GAUSSIANS
+            particles = on_all(ranks, made, lambda: identity(made))
+            if path is not None and attrs.get("gaussians") not in (None, particles):
+                raise checkpoint.CheckpointError(f"{path}: is of other particles than {made}")
+        yield Runner(scene, plan, known, ranks, options, path, history, particles)
 
 
 def goes_on_from(given: str, folder: Path, ranks: Alone) -> tuple[Path, dict]:
