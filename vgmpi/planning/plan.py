@@ -66,7 +66,8 @@ class Plan:
     splines: bool = False  # strains and forces by gradients of the B-splines
     keeps: Keeps | None = None  # FLIP and AFLIP
     gravity_ramp: float = 0.0  # [s] in which gravity grows
-    thickness: tuple[float, ...] = ()  # of every solid body, where it is known, for others nan [m]
+    # [m], of every solid body, for other objects nan; none where no fluid is, or it is not known
+    thickness: tuple[float, ...] = ()
 
     @property
     def drifts(self) -> bool:

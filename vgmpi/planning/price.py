@@ -59,8 +59,6 @@ def describe(scene: Scene, plan: Plan, ranks: int, reached: float = 0.0) -> str:
 
 def _thin(scene: Scene, plan: Plan) -> list[str]:
     """A line where solid bodies that fluids may touch are so thin that it is inexact."""
-    if not any(group.family == "fluid" for group in plan.groups):
-        return []
     found = [
         f"{printable(scene.object[k].name)} {thick / plan.dx:.1f}"
         for k, thick in enumerate(plan.thickness)

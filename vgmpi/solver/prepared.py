@@ -31,7 +31,7 @@ class Known:
     colliders: list
     loads: list
     shades: np.ndarray | None = None  # of colours that travel (colour_sets.shades)
-    thickness: tuple[float, ...] = ()  # of every solid body, nan for other objects [m]
+    thickness: tuple[float, ...] = ()  # as plan.Plan has it
     # on rank 0, of particles that are in no gaussians.h5 yet: what belongs into it, see rest.write
     rows: dict | None = None
     scenery: dict | None = None
@@ -149,13 +149,20 @@ def _known(scene, objects, rest, x, colliders, loads) -> Known:
     center = (np.array(moment) / np.maximum(total, 1e-300)).T
     travel = scene.appearance.colour_transfer == "step"
     hues = shades(len(objects), rest.object, rest.sh) if travel else None
-    thick = tuple(
-        _thickness(x[told["first"] : told["first"] + told["count"]], total[k])
+    thick = _thicknesses(objects, x, total)
+    return Known(objects, total.tolist(), center.tolist(), colliders, loads, hues, thick)
+
+
+def _thicknesses(objects: list[dict], x: np.ndarray, volume: np.ndarray) -> tuple[float, ...]:
+    """Of every solid body, nan for other objects [m]; none where no fluid can touch them."""
+    if not any(told.get("family") == "fluid" for told in objects):
+        return ()
+    return tuple(
+        _thickness(x[told["first"] : told["first"] + told["count"]], volume[k])
         if told.get("family") == "solid"
         else np.nan
         for k, told in enumerate(objects)
     )
-    return Known(objects, total.tolist(), center.tolist(), colliders, loads, hues, thick)
 
 
 def _thickness(x: np.ndarray, volume: float) -> float:
