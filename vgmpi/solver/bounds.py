@@ -54,9 +54,12 @@ def _count(value, most=1 << 62):
     return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < most
 
 
-def check_rows(simulation: Simulation, saved: checkpoint.Checkpoint) -> None:
-    """Raises Mismatch on all ranks where a dataset is not as this scene's plan has it, or a row
-    cannot be. Collective."""
+def check_rows(
+    simulation: Simulation, saved: checkpoint.Checkpoint
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """This rank's share of the segments of every group: code and count of each, (n,). Raises
+    Mismatch on all ranks where a dataset is not as this scene's plan has it, or a row cannot be.
+    Collective."""
     names = [f"group_{g:03d}" for g in range(len(simulation.groups))]
     if saved.names("/") != ["attrs", *names]:
         raise Mismatch(f"{saved.path}: holds {', '.join(saved.names('/'))}")
@@ -85,6 +88,7 @@ def check_rows(simulation: Simulation, saved: checkpoint.Checkpoint) -> None:
             ids.append(mine)
     _agree(saved, ranks, problem)
     _agree(saved, ranks, _twice(simulation, ids))
+    return shares
 
 
 def _agree(saved, ranks, problem):

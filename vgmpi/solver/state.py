@@ -131,12 +131,12 @@ def restore(simulation: Simulation, saved) -> None:
                 f"{saved.path}: {name} is {saved.attrs.get(name)}, the scene has {value}"
             )
     check_attrs(saved.path, saved.attrs, run=False)
-    check_rows(simulation, saved)
+    shares = check_rows(simulation, saved)
     simulation.time, simulation.step = saved.attrs["time"], saved.attrs["step"]
     simulation.rate = saved.attrs["rate"]
     simulation.reach = Reach(*saved.attrs.get("reach", UNKNOWN))
     simulation.sorted_at = simulation.step
-    rows = [_segments(simulation, saved, g) for g in range(len(plan.groups))]
+    rows = [_segments(simulation, g, *share) for g, share in enumerate(shares)]
     costs = np.array([group.cost for group in plan.groups])
     table, simulation.cut = census(
         np.concatenate(rows), simulation.lattice, simulation.ranks, costs, None, 0
@@ -146,16 +146,9 @@ def restore(simulation: Simulation, saved) -> None:
     simulation.adopt(table)
 
 
-def _segments(simulation: Simulation, saved, g: int) -> np.ndarray:
-    """This rank's share of a group's segments, whoever will own them: (n, 4) of key, code, group,
-    count."""
-    name, ranks = f"group_{g:03d}", simulation.ranks
-    first, last = (
-        saved.count(f"{name}/block") * r // ranks.size for r in (ranks.rank, ranks.rank + 1)
-    )
-    code = saved.read_rows(f"{name}/block", first, last)
+def _segments(simulation: Simulation, g: int, code: np.ndarray, count: np.ndarray) -> np.ndarray:
+    """Segments of a group, whoever will own them: (n, 4) of key, code, group, count."""
     key = simulation.lattice.key(simulation.lattice.block(code))
-    count = saved.read_rows(f"{name}/count", first, last)
     return np.stack([key, code, np.full_like(key, g), count], 1)
 
 
