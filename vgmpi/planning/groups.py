@@ -21,7 +21,7 @@ MASTERY = {
     "sand": 2,
     "fluid": 3,
 }  # whose surface gives the normal where two phases touch
-KEEPING_COST = 1.7  # of FLIP and AFLIP, relative to the same without: 1.55 to 1.77
+KEEPING_COST = 1.7  # of FLIP and AFLIP, relative to the same without (`vgmpi.bench couplings`)
 COLOUR_COST = 0.6  # of a coefficient of colour that travels, relative to a fluid's step
 
 

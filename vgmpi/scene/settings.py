@@ -132,7 +132,7 @@ class Accuracy(Table):
 
     transfer: Transfer = "apic"
     """apic keeps linear and angular momentum; aflip keeps also what is too fine for the grid, for
-    the time `damping`, so that waves and vibrations last, and takes 1.6 to 1.8 times as long; flip
+    the time `damping`, so that waves and vibrations last, and takes about 1.7 times as long; flip
     does without apic's gradients, at some noise; pic damps"""
     damping: Annotated[float, Quantity("s", gt=0)] = 0.1
     """aflip, flip: time in which particles lose all but 1/e of what the grid does not see"""
