@@ -31,7 +31,10 @@ def begin(folder: Path, text: str, ranks=None, velocity=None, threads: int = 1):
     v = made.v0 if velocity is None else velocity(made.x)
     rows = (made.x, v, made.vol0, np.arange(n), made.object, made.theta0)
     C = gradient(loaded, made.x, made.object) if velocity is None else None
-    simulation.put(*(row[mine] for row in rows), None if C is None else C[mine], made.sh[mine])
+    surface = None if made.surface0 is None else made.surface0[mine]
+    simulation.put(
+        *(row[mine] for row in rows), None if C is None else C[mine], made.sh[mine], surface
+    )
     return simulation, made
 
 

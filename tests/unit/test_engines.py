@@ -144,7 +144,17 @@ def simulations(folder, name):
     x, v = shaken(made, plan, 3)
     C = gradient(loaded, x, made.object)
     more = {"theta": made.theta0, "C": C, "sh": made.sh}
-    found = beside(plan, made.colliders, x, v, made.vol0, made.object, tuple(ENGINES), **more)
+    found = beside(
+        plan,
+        made.colliders,
+        x,
+        v,
+        made.vol0,
+        made.object,
+        tuple(ENGINES),
+        surface=made.surface0,
+        **more,
+    )
     return dict(zip(ENGINES, found, strict=True))
 
 

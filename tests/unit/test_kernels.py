@@ -82,7 +82,7 @@ def pair(folder, objects, walls, precision, seed=0, head=HEAD):
     made = build(loaded)
     plan = plan_for(loaded, known_of(loaded, made))
     x, v = shaken(made, plan, seed)
-    return beside(plan, made.colliders, x, v, made.vol0, made.object)
+    return beside(plan, made.colliders, x, v, made.vol0, made.object, surface=made.surface0)
 
 
 def compare(simulation, reference, precision):

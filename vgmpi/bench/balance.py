@@ -61,7 +61,8 @@ def follow(path: Path, overrides: list[str], ranks: list[int], seconds: float, s
     made = build(scene)
     plan = plan_for(scene, known_of(scene, made))
     simulation = Simulation(plan, Alone(), made.colliders)
-    simulation.put(made.x, made.v0, made.vol0, np.arange(len(made.x)), made.object)
+    ids = np.arange(len(made.x))
+    simulation.put(made.x, made.v0, made.vol0, ids, made.object, surface=made.surface0)
     end = min(seconds or plan.times[-1], float(plan.times[-1]))
     followed = [Followed(n) for n in ranks]
     costs = np.array([group.cost for group in plan.groups])

@@ -122,7 +122,9 @@ def _tank(name: str, particles: int, precision: str, folder: Path) -> Simulation
     made = build(scene)
     simulation = Simulation(plan_for(scene, known_of(scene, made)), Alone())
     ids = np.arange(len(made.x))
-    simulation.put(made.x, made.v0, made.vol0, ids, made.object, made.theta0, None, made.sh)
+    simulation.put(
+        made.x, made.v0, made.vol0, ids, made.object, made.theta0, None, made.sh, made.surface0
+    )
     for _ in range(3):
         simulation.advance(0.5 * simulation.bound())
     return simulation

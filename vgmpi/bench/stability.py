@@ -109,7 +109,7 @@ class Column:
         made = self.made
         simulation = Simulation(self.plan, Alone())
         x = made.x + self.plan.dx * np.random.default_rng(4).uniform(-JITTER, JITTER, v.shape)
-        simulation.put(x, v, made.vol0, np.arange(len(v)), made.object)
+        simulation.put(x, v, made.vol0, np.arange(len(v)), made.object, surface=made.surface0)
         return simulation
 
     @staticmethod

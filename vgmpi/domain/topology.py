@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .blocks import Lattice
+from .blocks import EDGE, Lattice
 from .census import Census
 from .overlap import NEIGHBOURS, number, shared_masks
 
@@ -64,6 +64,8 @@ class Needs(NamedTuple):
     contact: bool  # phases may touch at all
     apart: bool | Near  # where the stress's impulses are kept apart from momentum: True: everywhere
     hues: np.ndarray  # (groups,) coefficients of colour that travel with every step
+    surface: np.ndarray  # (phases,) bool: contact knows the surfaces of its bodies
+    planes: tuple[tuple[int, int], ...]  # (axis, node) of the walls that push these by contact
 
     @property
     def layers(self) -> list[str]:
@@ -164,7 +166,7 @@ def _tables(near: _Segments, takes: dict, around, rank: int, needs: Needs, solid
     at = box.block(flat[new])
     solid_of = np.full(len(new), -1, np.int64) if solid is None else solid(at)
     asked = {name: _touched(table[found], len(nodes)) for name, found in takes.items()}
-    meets = ((np.diff(first) > 1) & needs.contact) | (solid_of >= 0)
+    meets = ((np.diff(first) > 1) & needs.contact) | (solid_of >= 0) | _at_plane(at, needs)
     meets &= np.logical_or.reduceat(asked["offsets"], new)
     shared, border, waits = _shared(near, takes, table, rank, len(nodes))
     return Topology(
@@ -234,6 +236,11 @@ def _who_contributes(box, at, phase, group, needs: Needs, solid) -> dict[str, np
         takes["impulses"] = sharing | apart.every
         beside = np.zeros(len(at), bool) if solid is None else _by_solid(box, solid)[at]
         wanted &= (apart.contact[phase].T & close).any(0) | beside
+    if needs.planes:
+        every = box.block(np.arange(int(np.prod(box.shape))))
+        wanted = wanted | (
+            box.spread(_at_plane(every, needs), np.logical_or)[at] & needs.surface[phase]
+        )
     takes["offsets"] = wanted
     for k in range(int(needs.hues.max(initial=0))):
         takes[hue(k)] = needs.hues[group] > k
@@ -260,6 +267,14 @@ def _close(box, at, phase, phases: int) -> np.ndarray:
         here = box.full(False, bool)
         here[at[phase == k]] = True
         found[k] = box.spread(here, np.logical_or)
+    return found
+
+
+def _at_plane(block: np.ndarray, needs: Needs) -> np.ndarray:
+    """Whether blocks (n, 3) hold a node of a wall that pushes by contact: (n,) bool."""
+    found = np.zeros(len(block), bool)
+    for axis, node in needs.planes:
+        found |= block[:, axis] == (node + 1) // EDGE
     return found
 
 

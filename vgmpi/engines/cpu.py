@@ -17,7 +17,7 @@ from ..domain.topology import Topology, hue
 from ..kernels import beside, g2p, gradient, grid, members, p2g, records, sums, touch
 from ..kernels.layers import colour, impulses, momentum, offsets
 from ..kernels.tables import NodeBlocks, Particles, Phases, Segments, Step, Sums, Walls
-from ..kernels.walls import KINDS, patch_codes
+from ..kernels.walls import KINDS, SEPARATE, patch_codes
 from ..planning.groups import GroupPlan
 from ..planning.plan import Plan
 from .base import DITHER, Beyond, Report
@@ -92,11 +92,13 @@ class Cpu:
         self.solids = np.zeros((0, 64, 4), plan.real) if solids is None else solids.nodes
         kinds = np.array([KINDS[kind] for kind, _ in plan.walls], np.int64).reshape(3, 2)
         friction = np.array([mu for _, mu in plan.walls]).reshape(3, 2)
-        self.walls = Walls(np.array(plan.cells), kinds, friction)
+        met = np.where(kinds == SEPARATE, 0, kinds)
+        self.walls = Walls(np.array(plan.cells), kinds, met, friction)
         self.phases = Phases(
             np.array([phase.least for phase in plan.phases]),
             np.array([phase.mastery for phase in plan.phases]),
             np.array(plan.friction),
+            np.array([phase.surface for phase in plan.phases]),
         )
         self.apart = any(group.apart for group in plan.groups)
         self.layers = {layer.name: layer for layer in _layers(plan, self.apart)}
@@ -171,9 +173,10 @@ class Cpu:
         group, tables = self.groups[g], self.tables
         block = tables.block[rows]
         split = tables.takes["impulses"][rows] if self.apart else np.zeros(len(rows), bool)
+        kinds = self.walls.met if group.plan.surface else self.walls.kinds
         segments = Segments(
             group.start, group.count, tables.table[rows], into, split, self._limits(block),
-            patch_codes(block, self.plan.cells, self.walls.kinds),
+            patch_codes(block, self.plan.cells, kinds),
         )  # fmt: skip
         takes = {name: found[rows] for name, found in tables.takes.items()}
         given = _contributions(self.plan, group.plan, takes, split)

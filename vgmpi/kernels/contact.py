@@ -1,17 +1,22 @@
 """Contact of phases at one node: where their surfaces are, and the impulses that keep them apart.
 
-Criterion and normal come from the volume V and the mean offset X / V of a phase's particles from
-the node: for a half space the offset tells how far outside it the node lies (`outside`). Velocity
-alone would act 1.2 to 2 cells too early. Impulses of all pairs of a node are found together
-(accumulated Jacobi from the same velocities): a sweep one pair after the other would depend on how
-phases are numbered.
+Of solids the nodes know the surface itself: its normal and their distance from it, means of what
+the particles carry (layers/offsets.py), so that neighbouring nodes agree and what slides is not
+glued. Of what flows they know the volume V and the mean offset X / V of the particles: for a half
+space that tells how far outside it the node lies (`outside`). Velocity alone would act 1.2 to 2
+cells too early. Impulses of all pairs of a node are found together (accumulated Jacobi from the
+same velocities): a sweep one pair after the other would depend on how phases are numbered.
 """
 
 import numpy as np
 
 from ..device.jit import inline
 
-TOUCH = 0.25  # gap [cells] below which two surfaces touch
+TOUCH = 0.25  # gap [cells] below which two surfaces touch, one of them of what flows
+CLOSE = 0.02  # the same of surfaces that are both known
+# from the middle between two known surfaces [cells] to the nodes that keep them apart: forces that
+# act deeper have a shorter arm, and press ahead of where bodies meet
+LAYER = 0.75
 SWEEPS = 16
 
 
@@ -32,38 +37,65 @@ def outside(m):
 
 
 @inline
-def surface_normal(normal, master, other, dx):
-    """Outward normal of `master` into normal (3,); False where there is none.
+def surface_normal(normal, a, b, mass_a, mass_b, known_a, known_b, dx):
+    """Outward normal of phase a, towards b, into normal (3,); False where there is none.
 
-    master, other: (4,) offset sums [m4] and volume [m3].
+    a, b: (4,) of the layer of offsets; mass [kg]; known: whether these are of a surface. Of two
+    known ones the mean, in which counts more whose particles agree more, as on a face; else the
+    known one's, else the first one's with particles to one side.
     """
-    size = np.sqrt(master[0] * master[0] + master[1] * master[1] + master[2] * master[2])
-    sign, source = -1.0, master
-    if not size > 1e-6 * dx * master[3]:
-        size = np.sqrt(other[0] * other[0] + other[1] * other[1] + other[2] * other[2])
-        sign, source = 1.0, other
-        if not size > 1e-6 * dx * other[3]:
-            return False
+    if known_a or known_b:
+        wa = _agreement(a, mass_a) if known_a else 0.0
+        wb = _agreement(b, mass_b) if known_b else 0.0
+        for c in range(3):
+            normal[c] = wa * a[c] - wb * b[c]
+        return _normalise(normal, 0.0)
     for c in range(3):
-        normal[c] = sign * source[c] / size
+        normal[c] = -a[c]
+    if _normalise(normal, 1e-6 * dx * a[3]):
+        return True
+    for c in range(3):
+        normal[c] = b[c]
+    return _normalise(normal, 1e-6 * dx * b[3])
+
+
+@inline
+def _agreement(side, mass):
+    """Over its mass, a high power of the length of a mean normal: 1 on a face, little at an edge,
+    whose direction is that of neither face."""
+    x, y, z = side[0] / mass, side[1] / mass, side[2] / mass
+    long2 = x * x + y * y + z * z
+    long8 = long2 * long2 * long2 * long2
+    return long8 * long8 * long8 * long8 / mass
+
+
+@inline
+def _normalise(n, least):
+    """A vector (3,) to length 1; False where it is not longer than least."""
+    size = np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
+    if not size > least:
+        return False
+    for c in range(3):
+        n[c] /= size
     return True
 
 
 @inline
-def gap(normal, master, other, dx):
-    """Distance [cells] between two phases' surfaces along the master's normal."""
-    a = -(master[0] * normal[0] + master[1] * normal[1] + master[2] * normal[2]) / (master[3] * dx)
-    b = (other[0] * normal[0] + other[1] * normal[1] + other[2] * normal[2]) / (other[3] * dx)
-    return outside(a) + outside(b)
+def distance(n, sign, side, mass, known, dx):
+    """Distance [cells] of a node outside a phase, whose outward normal there is sign n (3,)."""
+    if known:
+        return side[3] / (mass * dx)
+    along = side[0] * n[0] + side[1] * n[1] + side[2] * n[2]
+    return outside(-sign * along / (side[3] * dx))
 
 
 @inline
-def collider_gap(normal, distance, other, dx):
-    """As `gap`, for a rigid collider whose outward normal and distance [m] at the node are
-    known.
-    """
-    b = (other[0] * normal[0] + other[1] * normal[1] + other[2] * normal[2]) / (other[3] * dx)
-    return distance / dx + outside(b)
+def touching(one, other, known):
+    """Whether two surfaces touch, from both of which a node's distances [cells] are given; known:
+    both are."""
+    if known:
+        return one + other <= CLOSE and abs(one - other) <= 2.0 * LAYER
+    return one + other <= TOUCH
 
 
 @inline

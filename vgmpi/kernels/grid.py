@@ -85,11 +85,12 @@ def update(
                     if here.at_wall and here.meets:
                         _along_walls(offsets.nodes, here, walls)
                     couple_block(here, fields, of, pairs, step.dt, step.dx)
-        if here.meets and _may_touch(n0, n1, phase_of, tables.solid[b], rules):
+        rigid = tables.solid[b] >= 0 or here.at_wall
+        if here.meets and _may_touch(n0, n1, phase_of, rigid, rules):
             touch(here, tables, tables.solid[b], momentum.nodes, offsets.nodes, solids, walls,
                   phases, rules, step.dx, room)  # fmt: skip
         if here.at_wall:
-            _stop_at_walls(here, momentum.nodes, walls)
+            _stop_at_walls(here, momentum.nodes, walls, tables.phase, phases.surface)
         if apart is not None:
             if rules is not None:
                 if kept_apart:
@@ -99,18 +100,20 @@ def update(
 
 
 @inline
-def _stop_at_walls(here, velocities, walls):
-    """What the walls leave of the velocities (node blocks, 256) of a block."""
+def _stop_at_walls(here, velocities, walls, phase, surface):
+    """What the walls leave of the velocities (node blocks, 256) of a block. phase: (node blocks,);
+    surface: of each phase, whether contact knows it."""
     low = here.low_x, here.low_y, here.low_z
     for nb in range(here.n0, here.n1):
         block = velocities[nb].reshape((64, 4))
-        constrain(block, low, walls.cells, walls.kinds, walls.friction)
+        kinds = walls.met if surface[phase[nb]] else walls.kinds
+        constrain(block, low, walls.cells, kinds, walls.friction)
 
 
 @inline
-def _may_touch(n0, n1, phase, solid, rules):
-    """Whether contact acts between any two phases of a block, or one and the collider."""
-    if rules is None or solid >= 0:
+def _may_touch(n0, n1, phase, rigid, rules):
+    """Whether contact acts between any two phases of a block, or one and what does not move."""
+    if rules is None or rigid:
         return True
     if rules is not None:
         for a in range(n0, n1):

@@ -53,6 +53,7 @@ class Walls(NamedTuple):
 
     cells: np.ndarray  # (3,) of the domain
     kinds: np.ndarray  # (3, 2) see walls.KINDS
+    met: np.ndarray  # (3, 2) the same, 0 for one that pushes known surfaces by contact
     friction: np.ndarray  # (3, 2)
 
 
@@ -62,6 +63,7 @@ class Phases(NamedTuple):
     least: np.ndarray  # (phases,) [kg] of a cell full of its lightest material
     mastery: np.ndarray  # (phases,) whose surface gives the normal: lowest first
     friction: np.ndarray  # (phases + 1, phases), the last row for colliders
+    surface: np.ndarray  # (phases,) bool: contact knows the surfaces of its bodies
 
 
 class Step(NamedTuple):

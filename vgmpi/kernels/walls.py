@@ -4,7 +4,8 @@ A stick or slip wall stands on a node plane and mirrors what is inside: the mome
 the ghost nodes beyond it is folded back, reflected, onto their mirror nodes, and the ghosts'
 velocities are read from the mirror. That makes the wall second order (a plain clamp at the wall
 node is first order). Since every particle that touches a ghost node touches its mirror node too,
-both happen inside a patch. A separate wall only pushes; it is a clamp with Coulomb friction.
+both happen inside a patch. A separate wall only pushes; it is a clamp with Coulomb friction, but
+for bodies whose surfaces are known: these meet it as they meet colliders (touch.py).
 
 A patch meets a wall by a code: 4 * (index of the wall's nodes in the patch) + kind; 0 where it
 meets none.
@@ -14,14 +15,14 @@ import numpy as np
 
 from ..device.jit import inline
 
-STICK, SLIP, SEPARATE = 1, 2, 3
+STICK, SLIP, SEPARATE = 1, 2, 3  # 0: a wall that is not met at the nodes
 KINDS = {"stick": STICK, "slip": SLIP, "separate": SEPARATE}
 SIDE = 8
 
 
 def patch_codes(block: np.ndarray, cells: tuple, kinds: np.ndarray) -> np.ndarray:
-    """Wall codes of patches. block: (n, 3) block coordinates; kinds: (3, 2) wall kinds -> (n, 3, 2)
-    int32.
+    """Wall codes of patches. block: (n, 3) block coordinates; kinds: (3, 2) wall kinds, 0 for one
+    that is not met -> (n, 3, 2) int32.
 
     Block b holds base nodes 4 b - 1 .. 4 b + 2, so its patch begins at node 4 b - 2.
     """
@@ -30,7 +31,7 @@ def patch_codes(block: np.ndarray, cells: tuple, kinds: np.ndarray) -> np.ndarra
         for side, node in ((0, 0), (1, cells[a])):
             at = node - (4 * block[:, a] - 2)
             ghost = at - 1 if side == 0 else at + 1
-            met = (at >= 1) & (at <= 6) & (ghost >= 0) & (ghost <= 7)
+            met = (at >= 1) & (at <= 6) & (ghost >= 0) & (ghost <= 7) & (kinds[a, side] > 0)
             codes[met, a, side] = 4 * at[met] + kinds[a, side]
     return codes
 
@@ -108,7 +109,7 @@ def constrain(nodes, low, cells, kinds, friction):
             for plane in range(4):
                 node = low[a] + plane
                 into = -node if side == 0 else node - cells[a]
-                if into < 0 or (into > 0 and kind != SEPARATE):
+                if kind == 0 or into < 0 or (into > 0 and kind != SEPARATE):
                     continue
                 for j in range(4):
                     for k in range(4):

@@ -124,11 +124,20 @@ GAUSSIAN = [
     Dataset("object", "(n,)", "i4", "1", "number of the object in the list `objects`"),
     Dataset("v0", "(n, 3)", "f8", "m/s", "velocity at the start; only if something moves then"),
     Dataset("theta0", "(n,)", "f8", "1", "ln J at the start; only if something is compressed then"),
+    Dataset(
+        "surface0",
+        "(n, 10)",
+        "f4",
+        "1, m, 1/m",
+        "surface of a solid at rest: outward normal, as long as it is sure, signed distance"
+        " (negative inside), and the normal's gradient xx, xy, xz, yy, yz, zz; only if one may"
+        " touch something",
+    ),
     Dataset("cov0", "(n, 6)", "f4", "m2", "rest covariance: xx, xy, xz, yy, yz, zz"),
     Dataset("opacity", "(n,)", "f4", "1", "0 to 1"),
     Dataset("sh", "(n, K, 3)", "f4", "1", "spherical harmonics of the colour, K = 1, 4, 9 or 16"),
 ]
-OPTIONAL = ("v0", "theta0")
+OPTIONAL = ("v0", "theta0", "surface0")
 SCENERY = [
     Dataset("x0", "(m, 3)", "f8", "m", "position; scenery has no mass and does not move"),
     Dataset("object", "(m,)", "i4", "1", "number of the object in the list `objects`"),

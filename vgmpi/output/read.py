@@ -199,12 +199,12 @@ def identity(path: str | Path) -> int | None:
 
 def read_gaussians(path: str | Path) -> SimpleNamespace:
     """gaussians.h5: x0, vol0, object, v0 (None if nothing moves), theta0
-    (None if nothing is compressed), cov0, opacity, sh, scenery (the
-    same or None), passive (those of layout.PASSIVE or None), objects,
+    (None if nothing is compressed), surface0 (None if no solid touches anything), cov0,
+    opacity, sh, scenery (the same or None), passive (those of layout.PASSIVE or None), objects,
     scene, digest. Raises RunError, also where numbers are not those that were written."""
     with opened(Path(path)) as f:
         held = {name: f[name][()] for name in ("objects", "scene")}
-        found = SimpleNamespace(v0=None, theta0=None, scenery=None, passive=None)
+        found = SimpleNamespace(v0=None, theta0=None, surface0=None, scenery=None, passive=None)
         for d in layout.GAUSSIAN:
             if d.name not in layout.OPTIONAL or d.name in f:
                 held[d.name] = f[d.name][()]

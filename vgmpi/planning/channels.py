@@ -28,14 +28,23 @@ HEAD = (("v", 3, "m/s"), ("C", 9, "1/s"), ("vol0", 1, "m3"))
 class Channels:
     """The channels of a group, in their order; by name: `channels["C"]`."""
 
-    def __init__(self, state: dict[str, tuple[float, ...]], share: bool, follows: bool, hues: int):
+    def __init__(
+        self,
+        state: dict[str, tuple[float, ...]],
+        share: bool = False,
+        follows: bool = False,
+        surface: bool = False,
+        hues: int = 0,
+    ):
         """state: what the law carries, by name, at rest; share: of space, of fluids in pores;
-        follows: the total deformation gradient less 1, for drawing; hues: coefficients of colour
-        that travel with every step."""
+        follows: the total deformation gradient less 1; surface: of its body at rest, the outward
+        normal [1], as long as it is sure, and signed distance [m] there, and the normal's gradient
+        [1/m]: xx, xy, xz, yy, yz, zz; hues: coefficients of colour that travel with every step."""
         rows = [(name, unit, (0.0,) * width, name) for name, width, unit in HEAD]
         rows += [(name, "1", tuple(values), "state") for name, values in state.items()]
         rows += [("share", "1", (1.0,), "state")] * share
         rows += [("F", "1", (0.0,) * 9, "state")] * follows
+        rows += [("surface", "1, m, 1/m", (0.0,) * 10, "state")] * surface
         rows += [("colour", "1", (0.0,) * 3 * hues, "state")] * (hues > 0)
         self._by_name: dict[str, Channel] = {}
         self.count = 0  # numbers of a particle

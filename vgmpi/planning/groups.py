@@ -43,6 +43,7 @@ class GroupPlan(NamedTuple):
     stiff: float = 0.0  # [m2/s2] squared speed of waves that such sand adds
     dense: float = 1.0  # density relative to such sand's grains, at least 1
     followed: bool = False  # carries its total deformation gradient, which its law does not know
+    surface: bool = False  # its particles know the surface of their body at rest
     coefficients: int = 0  # of its colours, which travel with every step
 
     @property
@@ -63,7 +64,7 @@ class GroupPlan(NamedTuple):
     @property
     def channels(self) -> Channels:
         """What its particles carry."""
-        return _channels(self.state, self.porous, self.followed, self.coefficients)
+        return _channels(self.state, self.porous, self.followed, self.surface, self.coefficients)
 
     def bound(self, wave2):
         """Squared wave speed [m2/s2], that of the law being wave2, in the pores at the start."""
@@ -71,8 +72,8 @@ class GroupPlan(NamedTuple):
 
 
 @lru_cache(maxsize=64)
-def _channels(state: tuple, porous: bool, followed: bool, coefficients: int) -> Channels:
-    return Channels(dict(state), porous, followed, coefficients)
+def _channels(state: tuple, *has) -> Channels:
+    return Channels(dict(state), *has)
 
 
 class PhasePlan(NamedTuple):
@@ -84,6 +85,7 @@ class PhasePlan(NamedTuple):
     mastery: int  # 0 for the phase whose normals count first
     least: float  # [kg] one cell full of its lightest material
     most: float  # [kg] one cell full of its densest
+    surface: bool = False  # contact knows the surfaces of its bodies, and not their particles alone
 
 
 def deforms(scene: Scene, thing: Object) -> bool:
@@ -95,11 +97,29 @@ def deforms(scene: Scene, thing: Object) -> bool:
     return asked and ("H" in material.carries or "F" in scene.output.fields)
 
 
+def surfaced(scene: Scene) -> frozenset[str]:
+    """Names of the phases of which contact may know the surfaces: of solids alone, where there is
+    something to touch."""
+    families: dict[str, set[str]] = {}
+    for thing in scene.object:
+        if thing.material is not None:
+            of = families.setdefault(scene.phase_of(thing) or "", set())
+            of.add(scene.material[thing.material].family)
+    touches = len(families) > 1 or any(thing.collider for thing in scene.object)
+    touches |= any(kind == "separate" for kind, _ in scene.domain.walls)
+    return frozenset(name for name, of in families.items() if touches and of == {"solid"})
+
+
 def phases_of(
-    scene: Scene, bodies: dict, volume: list[float], center: list[list[float]]
+    scene: Scene,
+    bodies: dict,
+    volume: list[float],
+    center: list[list[float]],
+    surface: list[bool],
 ) -> tuple[PhasePlan, ...]:
     """The phases of a scene, by name. bodies: material of each object that has one; volume [m3] and
-    center [m] of each object."""
+    center [m] of each object; surface: of each, whether its particles know it (prepare/outline.py).
+    """
     members: dict[str, list[int]] = {}
     for k in bodies:
         members.setdefault(scene.phase_of(scene.object[k]) or "", []).append(k)
@@ -117,7 +137,7 @@ def phases_of(
         return first, -float(f"{size:.9e}"), placed, name
 
     order = sorted(names, key=mastery)
-    cell = scene.domain.cell**3
+    cell, known = scene.domain.cell**3, surfaced(scene)
     return tuple(
         PhasePlan(
             name,
@@ -126,6 +146,7 @@ def phases_of(
             order.index(name),
             min(bodies[k].bulk_density for k in members[name]) * cell,
             max(bodies[k].bulk_density for k in members[name]) * cell,
+            name in known and all(surface[k] for k in members[name]),
         )
         for name in names
     )
@@ -142,10 +163,16 @@ def groups_of(
     asked = {of for k, of in key.items() if deforms(scene, scene.object[k])}
     groups = (_group(number[p], p, m, scene.material[m], real) for p, m in wanted)
     found = tuple(
-        group._replace(followed=of in asked and "H" not in group.carries)
+        _followed(group, of in asked, phases[group.phase].surface)
         for of, group in zip(wanted, groups, strict=True)
     )
     return found, tuple(wanted.index(key[k]) if k in key else -1 for k in range(len(scene.object)))
+
+
+def _followed(group: GroupPlan, drawn: bool, surface: bool) -> GroupPlan:
+    """The group with what tells how its bodies and their surfaces have deformed."""
+    known = "H" in group.carries
+    return group._replace(followed=(drawn or surface) and not known, surface=surface)
 
 
 def _group(phase: int, phase_label: str, name: str, material, real: np.dtype) -> GroupPlan:

@@ -76,6 +76,17 @@ class Plan:
         return self.rules is not None and bool(self.rules.drifting_apart.any())
 
     @property
+    def planes(self) -> tuple[tuple[int, int], ...]:
+        """(axis, node) of the walls that push known surfaces by contact."""
+        if not any(phase.surface for phase in self.phases):
+            return ()
+        return tuple(
+            (k // 2, k % 2 * self.cells[k // 2])
+            for k, (kind, _) in enumerate(self.walls)
+            if kind == "separate"
+        )
+
+    @property
     def particles(self) -> int:
         return sum(self.count)
 
@@ -107,7 +118,8 @@ class Plan:
                 total += int(n * (1.4 * self.bytes_per_particle(self.group_of[k]) + 24))
         width, nodes = self.real.itemsize, 64 * 4
         one = 8 * (1 if width == 4 else 2) + width  # a number's sum, and the number
-        layers = 1 + (self.contact or self.collider) + any(group.apart for group in self.groups)
+        touches = self.contact or self.collider or bool(self.planes)
+        layers = 1 + touches + any(group.apart for group in self.groups)
         layers += max(group.coefficients for group in self.groups)
         more = (self.rules is not None) + (self.keeps is not None) + self.drifts
         # a block holds some 300 particles, and reaches node blocks that hold none
@@ -122,17 +134,21 @@ def make_plan(
     collider: bool,
     center: list[list[float]] | None = None,
     shades: np.ndarray | None = None,
+    surface: list[bool] | None = None,
 ) -> Plan:
     """The plan of a scene whose objects have `count` particles of `volume` [m3] in total each, with
     their `center` [m], without which bodies of one volume are told apart by their names alone, and
-    with the `shades` of their colours (colour_sets.shades).
+    with the `shades` of their colours (colour_sets.shades); surface: of each, whether its particles
+    know it, of none by default.
 
     Raises SceneError where a fixed time step is above the bound, or no step moves the time on.
     """
     # scenery has no material
     bodies = {k: scene.material[t.material] for k, t in enumerate(scene.object) if t.material}
     real = REALS[scene.accuracy.precision]
-    phases = phases_of(scene, bodies, volume, center or [[0.0] * 3] * len(volume))
+    phases = phases_of(
+        scene, bodies, volume, center or [[0.0] * 3] * len(volume), surface or [False] * len(volume)
+    )
     groups, group_of = groups_of(scene, bodies, phases, real)
     sharing = rules(scene, groups, phases)
     colours = exchange(scene, phases, shades)

@@ -18,6 +18,7 @@ from vgmpi.prepare.initial import begun
 from vgmpi.prepare.loaded import Loaded, find
 from vgmpi.prepare.mesh import MeshError
 from vgmpi.prepare.motion import velocity
+from vgmpi.prepare.outline import outlined
 from vgmpi.prepare.passive import bound
 from vgmpi.prepare.pieces import Piece, make
 from vgmpi.prepare.place import PlacementError
@@ -78,6 +79,7 @@ class Prepared:
     theta0: np.ndarray  # (n,) ln J at the start
     loads: list[Loaded]
     passive: Passive | None = None
+    surface0: np.ndarray | None = None  # (n, 10) see planning/channels.py, where asked for
 
 
 def build(scene: Scene) -> Prepared:
@@ -89,7 +91,7 @@ def build(scene: Scene) -> Prepared:
     for k, thing in enumerate(scene.object):
         try:
             piece = begun(scene, thing, make(scene, k))
-            pieces.append(piece)
+            pieces.append(outlined(scene, thing, piece))
             if piece.said:
                 log.info("'%s': %s", thing.name, _told(scene, thing, piece))
         except PlacementError as error:
@@ -196,7 +198,19 @@ def _together(scene: Scene, pieces: list[Piece]) -> Prepared:
         theta0=_rows(pieces, bodies, _theta),
         loads=find(scene, x, vol0, owner),
         passive=_riding(pieces, objects, terms),
+        surface0=_surfaces(pieces, bodies),
     )
+
+
+def _surfaces(pieces: list[Piece], bodies: list[int]) -> np.ndarray | None:
+    """Surfaces of all bodies, zeros of those that have none; None where no body has one."""
+    if all(pieces[k].surface is None for k in bodies):
+        return None
+    rows = (
+        np.zeros((len(pieces[k].cloud), 10)) if pieces[k].surface is None else pieces[k].surface
+        for k in bodies
+    )  # fmt: skip
+    return np.concatenate(list(rows)).astype(np.float32)
 
 
 def _riding(pieces: list[Piece], objects: list[dict[str, Any]], terms: int) -> Passive | None:
@@ -238,6 +252,7 @@ def _describe(
         "transform": piece.placement.matrix(),
         "color": list(thing.colour),
         "collider": thing.collider,
+        "surface": piece.surface is not None,
     }
 
 

@@ -1,6 +1,6 @@
 """Colliders: the signed distance of scenery, exact for shapes, on voxels for clouds and meshes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
@@ -9,6 +9,8 @@ from vgmpi.prepare import shapes
 from vgmpi.prepare.place import Placement, turn
 from vgmpi.prepare.voxels import Voxels
 from vgmpi.scene.forms import Shape
+
+SMOOTH = 1.0  # standard deviation [voxels] over which the distances of a body's voxels are smoothed
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,10 @@ class VoxelCollider:
         inside = ndimage.distance_transform_edt(solid)
         cells = np.where(solid, 0.5 - inside, out - 0.5)
         return cls(name, voxels, cells * voxels.spacing)
+
+    def smoothed(self) -> "VoxelCollider":
+        """Without the stairs of voxels: a mean over a voxel and those beside it."""
+        return replace(self, values=ndimage.gaussian_filter(self.values, SMOOTH))
 
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Signed distance [m] (m,) of `points` (m, 3) [m], negative inside; linear in between."""

@@ -52,6 +52,8 @@ class Piece:
     skin: int = 0  # the first rows, which lie on its surface; the others fill it
     passive: Cloud | None = None  # Gaussians without mass that ride along
     said: str = ""  # how many particles became of it, and what of it weighs
+    outline: Callable[[], Collider] | None = None  # what measures distances from its surface
+    surface: np.ndarray | None = None  # (n, 10) what contact knows of that (outline.py)
 
 
 def make(scene: Scene, number: int) -> Piece:
@@ -125,10 +127,11 @@ def _from_shape(scene: Scene, k: int, thing: Object) -> Piece:
     if not _is_fluid(scene, thing):
         normal = shapes.normals(shape, own, 0.5 * spacing / at.scale)
         rgb = shaded(rgb, turn(at.rotation, normal), scene.appearance.shade)
-    collider = ShapeCollider(thing.name, shape, at, spacing / 2) if thing.collider else None
+    surface = ShapeCollider(thing.name, shape, at, spacing / 2)
     return Piece(
-        round_cloud(x, spacing, rgb, thing.opacity), np.full(len(x), spacing**3), at, collider
-    )
+        round_cloud(x, spacing, rgb, thing.opacity), np.full(len(x), spacing**3), at,
+        surface if thing.collider else None, outline=lambda: surface,
+    )  # fmt: skip
 
 
 def _from_mesh(scene: Scene, k: int, thing: Object) -> Piece:
@@ -229,7 +232,12 @@ def _solid(
     filled = fill.filling(inner, surface, spacing, np.where(drawn, thing.opacity, 0.0))
     cloud = fill.joined(fill.joined(surface, unseen), filled)
     skin = len(surface) + len(gaps)
-    return Piece(cloud, volumes(voxels, cloud.x, share), at, skin=skin)
+
+    def outline() -> VoxelCollider:
+        voxels.afford(DISTANCES)
+        return VoxelCollider.of(thing.name, voxels, voxels.solid(share, shell)).smoothed()
+
+    return Piece(cloud, volumes(voxels, cloud.x, share), at, skin=skin, outline=outline)
 
 
 def _pruned(scene: Scene, thing: Object, piece: Piece) -> tuple[Piece, str]:

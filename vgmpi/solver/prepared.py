@@ -109,6 +109,8 @@ def _particles(scene: Scene, folder: Path | None, resumed: bool) -> tuple[Known,
         rows["v0"] = made.v0
     if made.theta0.any():
         rows["theta0"] = made.theta0
+    if made.surface0 is not None:
+        rows["surface0"] = made.surface0
     scenery = None
     if made.scenery is not None:
         s = made.scenery
@@ -177,7 +179,10 @@ def _thickness(x: np.ndarray, volume: float) -> float:
 def plan_for(scene: Scene, known: Known) -> Plan:
     """What the scene needs with these particles. Raises SceneError."""
     colliders = bool(known.colliders)
-    plan = make_plan(scene, known.count, known.volume, colliders, known.center, known.shades)
+    surface = [bool(thing.get("surface")) for thing in known.objects]
+    plan = make_plan(
+        scene, known.count, known.volume, colliders, known.center, known.shades, surface
+    )
     return replace(plan, thickness=known.thickness)
 
 

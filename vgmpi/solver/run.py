@@ -89,8 +89,9 @@ def begin(
     v = rows.get("v0", np.zeros_like(rows["x0"]))
     C = gradient(scene, rows["x0"], rows["object"])
     simulation.put(
-        rows["x0"], v, rows["vol0"], ids, rows["object"], rows.get("theta0"), C, rows.get("sh")
-    )
+        rows["x0"], v, rows["vol0"], ids, rows["object"], rows.get("theta0"), C, rows.get("sh"),
+        rows.get("surface0"),
+    )  # fmt: skip
     return simulation, 0
 
 

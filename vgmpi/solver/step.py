@@ -47,7 +47,8 @@ def _needs(plan: Plan) -> topology.Needs:
     phase_of, hues = (np.array(rows, np.int64) for rows in zip(
         *((group.phase, group.coefficients) for group in plan.groups), strict=True
     ))  # fmt: skip
-    return topology.Needs(phase_of, plan.contact, _apart(plan), hues)
+    surface = np.array([phase.surface for phase in plan.phases])
+    return topology.Needs(phase_of, plan.contact, _apart(plan), hues, surface, plan.planes)
 
 
 def _apart(plan: Plan) -> bool | topology.Near:
@@ -113,14 +114,19 @@ class Simulation:
         theta: np.ndarray | None = None,
         C: np.ndarray | None = None,
         sh: np.ndarray | None = None,
+        surface: np.ndarray | None = None,
     ) -> None:
         """Take particles, unstrained or compressed, in any order, any share on any rank.
         Collective; once, at the start.
 
         x: positions [m], (n, 3); v: velocities [m/s], (n, 3); volume: rest volumes [m3], (n,); ids:
         (n,); thing: object of each, (n,); theta: ln J of fluids, (n,), or None for 0; C: gradients
-        of v [1/s], (n, 9), or None for 0; sh: (n, K, 3) colours, asked for where these travel.
+        of v [1/s], (n, 9), or None for 0; sh: (n, K, 3) colours, asked for where these travel;
+        surface: (n, 10) of solids, see planning/channels.py, asked for where something may touch.
+        Raises ValueError where it is not given.
         """
+        if surface is None and any(group.surface for group in self.plan.groups):
+            raise ValueError("the plan has contact of solids: their surfaces are asked for")
         group_of = np.array(self.plan.group_of)[thing] if len(thing) else thing
         least = np.zeros(4)
         for g, group in enumerate(self.groups):
@@ -132,6 +138,8 @@ class Simulation:
             if C is not None:
                 f[channels["C"].rows] = C[here].T
             f[channels["vol0"].rows] = volume[here]
+            if group.plan.surface:
+                f[channels["surface"].rows] = surface[here].T
             count = group.plan.coefficients
             if count and sh is not None and self.plan.colours is not None:
                 shown = sh[here, :count] - self.plan.colours.least[group.plan.phase, :count]

@@ -69,7 +69,10 @@ def _run_all(plan: Plan) -> None:
     alone = Simulation(plan, Alone())
     n = len(things)
     ids = np.array(plan.first_id)[things]
-    alone.put(np.tile(middle, (n, 1)), np.zeros((n, 3)), np.full(n, plan.dx**3), ids, things)
+    alone.put(
+        np.tile(middle, (n, 1)), np.zeros((n, 3)), np.full(n, plan.dx**3), ids, things,
+        surface=np.zeros((n, 10)),
+    )  # fmt: skip
     alone.advance(1e-6 * alone.bound())
     ledger(alone)
     for group in alone.groups:

@@ -1,7 +1,8 @@
 """Contact of phases, node by node: who touches whom, and the impulses that keep them apart.
 
-The rule is docs/theory.md's: surfaces are found from the volumes and mean offsets of a phase's
-particles; impulses of all pairs of a node are found together, by accumulated Jacobi sweeps.
+The rule is docs/theory.md's: surfaces of solids are known, those of others are found from the
+volumes and mean offsets of a phase's particles; impulses of all pairs of a node are found together,
+by accumulated Jacobi sweeps.
 """
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from ...couplings.base import CONTACT
 from ...device.limits import TOUCHING
 from ...domain.solids import REACH
-from ...kernels.contact import SWEEPS, TOUCH
+from ...kernels.contact import CLOSE, LAYER, SWEEPS, TOUCH
 from ...planning.plan import Plan
 from .dense import Dense
 
@@ -34,6 +35,14 @@ class Contact:
         if collider is not None:
             self.collider = collider.reshape(*dense.shape, 4)
             self.near = self.collider[..., 3] < REACH * plan.dx
+        # walls that push what has a surface: (axis, side, node, friction)
+        self.pushing = [
+            (axis, int(node > 0), node, plan.walls[2 * axis + int(node > 0)][1])
+            for axis, node in plan.planes
+        ]
+        self.planes = np.zeros(dense.shape, int)  # on how many of them a node lies
+        for axis, _, node, _ in self.pushing:
+            np.moveaxis(self.planes, axis, 0)[node + 1] += 1
         self.least = np.array([TOUCHING * phase.least for phase in plan.phases])
         self.walls = dense
 
@@ -44,54 +53,101 @@ class Contact:
                 np.moveaxis(offset, axis + 1, 0)[wall, ..., axis] = 0.0
 
     def act(self, v: np.ndarray, mass: np.ndarray, offset: np.ndarray, volume: np.ndarray) -> int:
-        """Change velocities v (phases, ..., 3) where phases touch and approach. Returns at how many
-        nodes."""
+        """Change velocities v (phases, ..., 3) where phases touch and approach. offset, volume: of
+        phases whose surfaces are known, mass times normal and mass times distance. Returns at how
+        many nodes."""
         here = mass > self.least[:, None, None, None]
-        several = here.sum(0) + self.near > 1
+        several = here.sum(0) + self.near + self.planes > 1
         acted = 0
         for node in map(tuple, np.argwhere(several & here.any(0))):
             at = (slice(None), *node)
-            pairs = self._pairs(node, np.flatnonzero(here[at]), v[at], offset[at], volume[at])
+            sides = [
+                _Side(self.dx, phase.surface, X, V, m)
+                for phase, X, V, m in zip(self.plan.phases, offset[at], volume[at], mass[at],
+                                          strict=True)
+            ]  # fmt: skip
+            pairs = self._pairs(node, np.flatnonzero(here[at]), v[at], sides)
             if pairs:
                 _resolve(v[at], mass[at], pairs)
                 acted += 1
         return acted
 
-    def _pairs(self, node, there, v, X, V) -> list[tuple]:
+    def _pairs(self, node, there, v, sides) -> list[tuple]:
         """(master or -1, other, normal of the master, friction) of the pairs that touch. One that
         is alone at its node and parts is left out."""
         plan, rules = self.plan, self.plan.rules
         solid = self.collider[node] if self.near[node] else None
-        alone = len(there) + (solid is not None) == 2
+        alone = len(there) + (solid is not None) + self.planes[node] == 2
         found = []
         for q, one in enumerate(there):
-            if solid is not None and V[one] > 0:
-                n, distance = solid[:3], solid[3] / self.dx
-                gap = distance + outside((X[one] @ n) / (V[one] * self.dx))
-                if not (alone and v[one] @ n >= 0) and gap <= TOUCH:
-                    found.append((-1, one, n, plan.friction[len(plan.phases)][one]))
+            if solid is not None and sides[one].there:
+                friction = plan.friction[len(plan.phases)][one]
+                self._rigid(found, alone, one, v[one], sides[one], solid, friction)
             for other in there[q + 1 :]:
                 if rules is not None and rules.pair[one, other] != CONTACT:
                     continue
                 first = plan.phases[one].mastery < plan.phases[other].mastery
                 a, b = (one, other) if first else (other, one)
-                n = self._normal(X[a], X[b], V[a], V[b])
+                n = _normal(sides[a], sides[b])
                 if n is None or (alone and (v[a] - v[b]) @ n <= 0):
                     continue
-                ma, mb = -(X[a] @ n) / (V[a] * self.dx), (X[b] @ n) / (V[b] * self.dx)
-                if outside(ma) + outside(mb) <= TOUCH:
+                if _touching(sides[a].distance(n), sides[b].distance(-n),
+                             sides[a].known and sides[b].known):  # fmt: skip
                     found.append((a, b, n, plan.friction[one][other]))
+        for axis, side, number, friction in self.pushing:
+            if node[axis] == number + 1:
+                wall = np.zeros(4)
+                wall[axis] = 1.0 - 2.0 * side
+                for one in there:
+                    if sides[one].known and sides[one].there:
+                        self._rigid(found, alone, one, v[one], sides[one], wall, friction)
         return found
 
-    def _normal(self, Xa, Xb, Va, Vb):
-        """Outward normal of the master, None where there is none."""
-        if not (Va > 0 and Vb > 0):
-            return None
-        for X, V, sign in ((Xa, Va, -1.0), (Xb, Vb, 1.0)):
-            size = np.linalg.norm(X)
-            if size > 1e-6 * self.dx * V:
-                return sign * X / size
+    def _rigid(self, found, alone, one, v, side, surface, friction) -> None:
+        """Note that a phase touches what does not move: surface: (4,) normal and distance [m]."""
+        n, distance = surface[:3], surface[3] / self.dx
+        if not (alone and v @ n >= 0) and _touching(distance, side.distance(-n), side.known):
+            found.append((-1, one, n, friction))
+
+
+class _Side:
+    """What a node knows of a phase there."""
+
+    def __init__(self, dx: float, known: bool, X: np.ndarray, V: float, mass: float):
+        self.dx, self.known, self.X, self.V, self.mass = dx, known, X, V, mass
+        self.there = bool(X.any()) if known else V > 0
+
+    def distance(self, n: np.ndarray) -> float:
+        """Of the node outside the phase [cells], whose normal there is n."""
+        if self.known:
+            return self.V / (self.mass * self.dx)
+        return outside(-(self.X @ n) / (self.V * self.dx))
+
+
+def _normal(a: _Side, b: _Side):
+    """Outward normal of a, None where there is none."""
+    if not (a.there and b.there):
         return None
+    if a.known or b.known:
+        n = np.zeros(3)
+        for side, sign in ((a, 1.0), (b, -1.0)):
+            if side.known:
+                mean = side.X / side.mass
+                n += sign * (mean @ mean) ** 16 * mean
+        size = np.linalg.norm(n)
+        return n / size if size > 0 else None
+    for side, sign in ((a, -1.0), (b, 1.0)):
+        size = np.linalg.norm(side.X)
+        if size > 1e-6 * side.dx * side.V:
+            return sign * side.X / size
+    return None
+
+
+def _touching(one: float, other: float, known: bool) -> bool:
+    """Whether surfaces touch, from which a node is so far [cells]; known: both are."""
+    if known:
+        return one + other <= CLOSE and abs(one - other) <= 2 * LAYER
+    return one + other <= TOUCH
 
 
 def _resolve(v: np.ndarray, mass: np.ndarray, pairs: list[tuple]) -> None:

@@ -113,8 +113,9 @@ class Dense:
                     along[inside] += along[beyond] * by
                     along[beyond] = 0.0
 
-    def constrain(self, v: np.ndarray) -> None:
-        """What the walls leave of velocities."""
+    def constrain(self, v: np.ndarray, surface: bool = False) -> None:
+        """What the walls leave of velocities; surface: of a phase that meets walls which only push
+        by contact."""
         for axis, kind, friction, wall, _, beyond in self.ends():
             along = np.moveaxis(v, axis, 0)
             inward = 1.0 if wall == 1 else -1.0
@@ -122,17 +123,18 @@ class Dense:
                 along[wall] = 0.0
             elif kind == "slip":
                 along[wall, ..., axis] = 0.0
-            else:
+            elif not surface:
                 for plane in (wall, beyond):
                     _push_back(along[plane], axis, inward, friction)
 
-    def mirror(self, v: np.ndarray) -> None:
-        """Velocities beyond the walls as the particles near them see them."""
+    def mirror(self, v: np.ndarray, surface: bool = False) -> None:
+        """Velocities beyond the walls as the particles near them see them; surface: as of
+        `constrain`."""
         for axis, kind, _, wall, inside, beyond in self.ends():
             along = np.moveaxis(v, axis, 0)
             if kind != "separate":
                 along[beyond] = along[inside] * self.sign(kind, axis)
-            else:
+            elif not surface:
                 inward = 1.0 if wall == 1 else -1.0
                 least = -inward * along[inside][..., axis]
                 most = np.maximum(inward * along[beyond][..., axis], least)

@@ -19,6 +19,7 @@ from ...domain.topology import Topology
 from ...kernels.beside import RELAX
 from ...kernels.couple import LEAST_PORES
 from ...kernels.g2p import CRUSHED, FASTEST_WAVE, LOST, OUTSIDE, TOO_FAST
+from ...kernels.layers.offsets import DEEPEST
 from ...materials.base import function
 from ...planning.plan import Plan
 from ..base import DITHER, Report
@@ -101,15 +102,39 @@ class Numpy:
         if self.apart:
             dense.sum_forces(self.forces[p], stencil, np.where(apart, tau, 0.0))
             dense.sum(self.counted[p], stencil, np.where(split, J * vol0[:, 0], 0.0)[:, None])
-        V = plan.share * vol0 * (J[:, None] if plan.apart else 1.0)
-        dense.sum(self.volume[p], stencil, V)
-        # the particle as seen from the node
-        still = np.zeros((len(m), 3))
-        dense.sum(self.offset[p], stencil, still, -V[:, :, None] * np.eye(3))
+        if plan.surface:
+            normal, distance, curve, sure = self._surface(group)
+            sure = (m * sure)[:, None]
+            dense.sum(self.offset[p], stencil, sure * normal, sure[:, None] * curve)
+            there = m[:, None] * distance[:, None]
+            dense.sum(self.volume[p], stencil, there, m[:, None, None] * normal[:, None])
+        else:
+            V = plan.share * vol0 * (J[:, None] if plan.apart else 1.0)
+            dense.sum(self.volume[p], stencil, V)
+            # the particle as seen from the node
+            still = np.zeros((len(m), 3))
+            dense.sum(self.offset[p], stencil, still, -V[:, :, None] * np.eye(3))
         for k in range(plan.coefficients):
             colour = self._get(group, "colour")[:, 3 * k : 3 * k + 3]
             rows = (J * vol0[:, 0])[:, None] * np.column_stack([colour, np.ones(len(m))])
             dense.sum(self.hues[k, p], stencil, rows)
+
+    def _surface(self, group: Group) -> tuple[np.ndarray, ...]:
+        """Of the body's surface as it is now: normal (n, 3), signed distance (n,) [m], the normal's
+        gradient (n, 3, 3) [1/m], and how sure it is (n,)."""
+        rest = self._get(group, "surface")
+        sure = np.linalg.norm(rest[:, :3], axis=1)
+        bend = rest[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)
+        F = np.eye(3) + self._get(group, "F" if group.plan.followed else "H").reshape(-1, 3, 3)
+        back = np.linalg.inv(F)
+        slope = np.einsum("nba,nb->na", back, rest[:, :3])  # F^-T n0
+        size = np.linalg.norm(slope, axis=1)
+        some, deep = size > 0, DEEPEST * self.plan.dx
+        normal = np.where(some[:, None], slope / np.where(some, size, 1.0)[:, None], 0.0)
+        shrinks = np.where(some, sure / np.where(some, size, 1.0), 0.0)  # 1 / |F^-T n0|
+        curve = np.einsum("nba,nbc,ncd->nad", back, bend, back)  # F^-T K0 F^-1
+        distance = np.clip(shrinks * rest[:, 3], -deep, deep)
+        return normal, distance, shrinks[:, None, None] * curve, sure
 
     # ---- nodes -----------------------------------------------------------------------------------
 
@@ -136,8 +161,8 @@ class Numpy:
             V = self.sharing.volumes(mass, counted)
             self.drift = self.sharing.act(v, mass, self.forces, V, self.offset, self.dt)
         self.touching = self.contact.act(v, mass, self.offset, volume)
-        for phase in v:
-            dense.constrain(phase)
+        for velocities, phase in zip(v, plan.phases, strict=True):
+            dense.constrain(velocities, phase.surface)
         if self.sharing is not None:
             self.flux, self.share, self.full = self.sharing.flux(v, mass, V)
             v = v - self.drift
@@ -145,8 +170,8 @@ class Numpy:
             self.change = v - still
         self.v = v
         for fields in self._seen():
-            for field in fields:
-                dense.mirror(field)
+            for field, phase in zip(fields, plan.phases, strict=True):
+                dense.mirror(field, phase.surface)
         if plan.colours is not None:
             self._blend(plan.colours.set_of)
 
