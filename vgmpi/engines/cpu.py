@@ -98,6 +98,7 @@ class Cpu:
             np.array([phase.least for phase in plan.phases]),
             np.array([phase.mastery for phase in plan.phases]),
             np.array(plan.friction),
+            np.array(plan.stiff),
             np.array([phase.surface for phase in plan.phases]),
         )
         self.apart = any(group.apart for group in plan.groups)

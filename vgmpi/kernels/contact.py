@@ -2,11 +2,15 @@
 
 Of solids the nodes know the surface itself: its normal and their distance from it, means of what
 the particles carry (layers/offsets.py), so that neighbouring nodes agree and what slides is not
-glued. Of what flows they know the volume V and the mean offset X / V of the particles: for a half
-space that tells how far outside it the node lies (`outside`). Velocity alone would act 1.2 to 2
-cells too early. Impulses of all pairs of a node are found together (accumulated Jacobi from the
-same velocities): a sweep one pair after the other would depend on how phases are numbered.
+glued. Where they are sure of it bodies meet by an elastic layer (`press`); at edges, and with what
+flows, by impulses that let nothing approach. Of what flows the nodes know the volume V and the mean
+offset X / V of the particles: for a half space that tells how far outside it the node lies
+(`outside`). Velocity alone would act 1.2 to 2 cells too early. Impulses of all pairs of a node are
+found together (accumulated Jacobi from the same velocities): a sweep one pair after the other would
+depend on how phases are numbered.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +21,9 @@ CLOSE = 0.02  # the same of surfaces that are both known
 # from the middle between two known surfaces [cells] to the nodes that keep them apart: forces that
 # act deeper have a shorter arm, and press ahead of where bodies meet
 LAYER = 0.75
+SURE = 0.9  # length of a mean normal above which the particles of a node agree on it
+SOFT = 0.25  # overlap [cells] that an elastic layer takes up
+LARGEST = 1.5  # share of a cell's face that one node may have
 SWEEPS = 16
 
 
@@ -70,6 +77,13 @@ def _agreement(side, mass):
 
 
 @inline
+def sure(side, mass):
+    """Whether the particles at a node agree where the surface is. side: (4,) of known ones."""
+    x, y, z = side[0] / mass, side[1] / mass, side[2] / mass
+    return x * x + y * y + z * z > SURE * SURE
+
+
+@inline
 def _normalise(n, least):
     """A vector (3,) to length 1; False where it is not longer than least."""
     size = np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
@@ -89,13 +103,84 @@ def distance(n, sign, side, mass, known, dx):
     return outside(-sign * along / (side[3] * dx))
 
 
+class Meeting(NamedTuple):
+    """Two phases at a node, the first -1 for what does not move."""
+
+    a: int
+    b: int
+    one: float  # distance [cells] of the node outside a
+    other: float  # outside b
+    known: bool  # both surfaces are
+    sure: bool  # and their normals
+    share: float  # of a cell's face that is the node's, where they are sure
+    stiff: float  # [Pa] of the two in series
+    friction: float
+
+
 @inline
-def touching(one, other, known):
-    """Whether two surfaces touch, from both of which a node's distances [cells] are given; known:
-    both are."""
-    if known:
-        return one + other <= CLOSE and abs(one - other) <= 2.0 * LAYER
-    return one + other <= TOUCH
+def touching(m):
+    """Whether a Meeting's surfaces are so near that they may not approach."""
+    gap = m.one + m.other
+    if m.known:
+        return gap <= (-SOFT if m.sure else CLOSE) and abs(m.one - m.other) <= 2.0 * LAYER
+    return gap <= TOUCH
+
+
+@inline
+def filled(D):
+    """Share of a cell's mass that a node has D cells outside a half space (quadratic B-splines)."""
+    if D >= 0.5:
+        far = max(1.5 - D, 0.0)
+        return far * far * far / 6.0
+    if D >= -0.5:
+        return 0.5 - 0.75 * D + D * D * D / 3.0
+    far = max(1.5 + D, 0.0)
+    return 1.0 - far * far * far / 6.0
+
+
+@inline
+def share_of(mass, full, D):
+    """Share of a cell's face that belongs to a node D cells outside a body: less than 1 at its
+    edges. mass [kg] of the node; full [kg] of a cell full of the body."""
+    return min(mass / (full * max(filled(D), 1e-3)), LARGEST)
+
+
+@inline
+def press(change, v, mass, m, n, dt, dx):
+    """What the elastic layer of a Meeting does in dt [s], and its friction, added to change (count,
+    3) of the velocities v (count, 3).
+
+    The layer is a cell of the two materials, under the nodes' faces; along n (3,), which points out
+    of a. It has an energy: what falls jumps off again, what rolls is pressed as much behind as
+    ahead, and a normal that is a bit wrong brakes nothing. A node that has hardly any mass is not
+    thrown: in a step it parts by half the overlap at the most.
+    """
+    deep, middle = min(-m.one - m.other, SOFT), 0.5 * abs(m.one - m.other)
+    if not (deep > 0.0 and middle < 1.0):
+        return
+    r0, r1, r2 = -v[m.b, 0], -v[m.b, 1], -v[m.b, 2]
+    reduced = mass[m.b]
+    if m.a >= 0:
+        r0, r1, r2 = r0 + v[m.a, 0], r1 + v[m.a, 1], r2 + v[m.a, 2]
+        reduced = mass[m.a] * mass[m.b] / (mass[m.a] + mass[m.b])
+    rn = r0 * n[0] + r1 * n[1] + r2 * n[2]
+    push = dt * m.stiff * deep * m.share * (1.0 - middle) * dx * dx
+    push = min(push, reduced * (max(rn, 0.0) + 0.5 * deep * dx / dt))
+    r0, r1, r2 = r0 - rn * n[0], r1 - rn * n[1], r2 - rn * n[2]
+    size = np.sqrt(r0 * r0 + r1 * r1 + r2 * r2)
+    most = m.friction * push
+    rub = most / size if size * reduced > most else reduced
+    i0, i1, i2 = push * n[0] + rub * r0, push * n[1] + rub * r1, push * n[2] + rub * r2
+    if m.a >= 0:
+        _add(change[m.a], i0, i1, i2, -1.0 / mass[m.a])
+    _add(change[m.b], i0, i1, i2, 1.0 / mass[m.b])
+
+
+@inline
+def _add(to, x, y, z, k):
+    to[0] += k * x
+    to[1] += k * y
+    to[2] += k * z
 
 
 @inline

@@ -88,7 +88,7 @@ def update(
         rigid = tables.solid[b] >= 0 or here.at_wall
         if here.meets and _may_touch(n0, n1, phase_of, rigid, rules):
             touch(here, tables, tables.solid[b], momentum.nodes, offsets.nodes, solids, walls,
-                  phases, rules, step.dx, room)  # fmt: skip
+                  phases, rules, step, room)  # fmt: skip
         if here.at_wall:
             _stop_at_walls(here, momentum.nodes, walls, tables.phase, phases.surface)
         if apart is not None:

@@ -63,6 +63,7 @@ class Phases(NamedTuple):
     least: np.ndarray  # (phases,) [kg] of a cell full of its lightest material
     mastery: np.ndarray  # (phases,) whose surface gives the normal: lowest first
     friction: np.ndarray  # (phases + 1, phases), the last row for colliders
+    stiff: np.ndarray  # (phases,) [Pa] to waves, of its stiffest law at rest
     surface: np.ndarray  # (phases,) bool: contact knows the surfaces of its bodies
 
 

@@ -10,7 +10,16 @@ import numpy as np
 from ..couplings.base import CONTACT
 from ..device.jit import inline
 from ..device.limits import TOUCHING
-from .contact import distance, resolve, surface_normal, touching
+from .contact import (
+    Meeting,
+    distance,
+    press,
+    resolve,
+    share_of,
+    sure,
+    surface_normal,
+    touching,
+)
 from .walls import SEPARATE, tangential
 
 
@@ -21,57 +30,73 @@ class Room(NamedTuple):
     v: np.ndarray  # (n, 3) velocities
     mass: np.ndarray  # (n,)
     here: np.ndarray  # (n,) node block of each phase that is there
+    change: np.ndarray  # (n, 3) of the velocities, by elastic layers
     normals: np.ndarray  # (m, 7) normal, and scratch of `resolve`
     impulse: np.ndarray  # (m, 4)
     friction: np.ndarray  # (m,)
     master: np.ndarray  # (m,)
     other: np.ndarray  # (m,)
     touches: np.ndarray  # (n,) pairs that touch each phase
+    plane: np.ndarray  # (4,) a wall's normal, and 0
+    row: np.ndarray  # (n,) its friction
+
+
+class There(NamedTuple):
+    """A node."""
+
+    active: int  # phases
+    node: int  # number in its block
+    alone: bool  # two meet there, and no third
 
 
 def room(n: int) -> Room:
     """Scratch for n phases."""
     m = n * (n + 1) // 2 + 3 * n
     return Room(
-        v=np.zeros((n, 3)), mass=np.zeros(n), here=np.zeros(n, np.int64),
+        v=np.zeros((n, 3)), change=np.zeros((n, 3)), mass=np.zeros(n), here=np.zeros(n, np.int64),
         normals=np.zeros((m, 7)), impulse=np.zeros((m, 4)), friction=np.zeros(m),
         master=np.zeros(m, np.int64), other=np.zeros(m, np.int64), touches=np.zeros(n, np.int64),
+        plane=np.zeros(4), row=np.zeros(n),
     )  # fmt: skip
 
 
 @inline
-def touch(here, tables, solid, velocities, offsets, solids, walls, phases, rules, dx, room):
+def touch(here, tables, solid, velocities, offsets, solids, walls, phases, rules, step, room):
     """Contact in a block. here: couple.Here; solid: the collider's row in solids, or -1; velocities
     with masses, and offsets: (node blocks, 256)."""
     pushes = here.at_wall and _may_push(walls)
     for node in range(64):
         active = _active(here, node, velocities, tables.phase, phases.least, room.here)
-        i, j, k = here.low_x + node // 16, here.low_y + node // 4 % 4, here.low_z + node % 4
-        planes = _planes(i, j, k, walls) if pushes else 0
+        at = here.low_x + node // 16, here.low_y + node // 4 % 4, here.low_z + node % 4
+        planes = _planes(at, walls) if pushes else 0
         if active == 0 or active + (solid >= 0) + planes < 2:
             continue
         for q in range(active):
             nb = room.here[q]
-            tangential(offsets[nb, 4 * node :], i, j, k, walls.cells, walls.kinds)
+            tangential(offsets[nb, 4 * node :], at[0], at[1], at[2], walls.cells, walls.kinds)
             for c in range(3):
                 room.v[q, c] = velocities[nb, 4 * node + c]
+                room.change[q, c] = 0
             room.mass[q] = velocities[nb, 4 * node + 3]
-        alone = active + (solid >= 0) + planes == 2
-        pairs = _pairs(
-            active, node, tables.phase, offsets, solid, solids, phases, rules, dx, alone, room
-        )
-        if planes:
-            at = i, j, k
-            pairs = _on_walls(
-                pairs, active, node, tables.phase, offsets, at, walls, phases, dx, alone, room
+            room.touches[q] = 0
+        there = There(active, node, active + (solid >= 0) + planes == 2)
+        pairs = _pairs(there, tables.phase, offsets, phases, rules, step, room)
+        if solid >= 0:
+            surface = solids[solid, node]
+            row = phases.friction[len(phases.mastery)]
+            pairs = _on_rigid(
+                pairs, there, tables.phase, offsets, surface, row, True, phases, step, room
             )
-        if pairs == 0:
-            continue
-        share = room.touches[:active].max()
-        resolve(
-            room.v, room.mass, active, room.normals, room.friction, room.master, room.other, pairs,
-            share, room.impulse,
-        )  # fmt: skip
+        if planes:
+            pairs = _on_walls(pairs, there, tables.phase, offsets, at, walls, phases, step, room)
+        for q in range(active):
+            for c in range(3):
+                room.v[q, c] += room.change[q, c]
+        if pairs > 0:
+            resolve(
+                room.v, room.mass, active, room.normals, room.friction, room.master, room.other,
+                pairs, room.touches[:active].max(), room.impulse,
+            )  # fmt: skip
         for q in range(active):
             for c in range(3):
                 velocities[room.here[q], 4 * node + c] = room.v[q, c]
@@ -90,79 +115,103 @@ def _active(here, node, velocities, phase, least, found):
 
 
 @inline
-def _pairs(active, node, phase, offsets, solid, solids, phases, rules, dx, alone, room):
-    """The touching pairs of a node, in phase order: masters, normals and friction. Returns how
-    many. A pair that is `alone` at its node and parts is left out: nothing acts on it.
-    """
+def _pairs(there, phase, offsets, phases, rules, step, room):
+    """The phases that touch each other, in their order: those that meet by an elastic layer into
+    room.change, the others as pairs: masters, normals and friction. Returns how many pairs."""
     pairs = 0
-    room.touches[:active] = 0
-    for q in range(active):
-        ph, mine = phase[room.here[q]], offsets[room.here[q], 4 * node :]
-        known = phases.surface[ph]
-        if solid >= 0 and _there(mine, known):
-            surface = solids[solid, node]
-            far = surface[3] / dx
-            if _on_rigid(alone, room.v[q], surface, far, mine, room.mass[q], known, dx):
-                friction = phases.friction[len(phases.mastery), ph]
-                _note(room, pairs, -1, q, surface, friction)
-                pairs += 1
-        for r in range(q + 1, active):
+    for q in range(there.active):
+        ph = phase[room.here[q]]
+        for r in range(q + 1, there.active):
             other = phase[room.here[r]]
             if rules is not None:
                 if rules.pair[ph, other] != CONTACT:
                     continue
             a, b = (q, r) if phases.mastery[ph] < phases.mastery[other] else (r, q)
-            if _on_each_other(alone, a, b, node, phase, offsets, phases, dx, room, pairs):
-                _note(room, pairs, a, b, room.normals[pairs], phases.friction[ph, other])
-                room.touches[a] += 1
-                pairs += 1
+            pairs = _on_each_other(pairs, there, a, b, phase, offsets, phases, step, room)
     return pairs
 
 
 @inline
-def _note(room, k, master, other, normal, friction):
-    """Write down pair k."""
-    for c in range(3):
-        room.normals[k, c] = normal[c]
-    room.master[k], room.other[k], room.friction[k] = master, other, friction
-    room.touches[other] += 1
+def _on_each_other(pairs, there, a, b, phase, offsets, phases, step, room):
+    """Take up what two phases do to each other."""
+    pa, pb, place = phase[room.here[a]], phase[room.here[b]], 4 * there.node
+    xa, xb = offsets[room.here[a], place:], offsets[room.here[b], place:]
+    ka, kb = phases.surface[pa], phases.surface[pb]
+    if not (_has(xa, ka) and _has(xb, kb)):
+        return pairs
+    ma, mb, n = room.mass[a], room.mass[b], room.normals[pairs]
+    if not surface_normal(n, xa, xb, ma, mb, ka, kb, step.dx):
+        return pairs
+    known = ka and kb
+    one = distance(n, 1.0, xa, ma, ka, step.dx)
+    other = distance(n, -1.0, xb, mb, kb, step.dx)
+    certain, share, stiff = False, 0.0, 0.0
+    if known:
+        certain = sure(xa, ma) and sure(xb, mb)
+        share = min(share_of(ma, phases.least[pa], one), share_of(mb, phases.least[pb], other))
+        stiff = phases.stiff[pa] * phases.stiff[pb] / (phases.stiff[pa] + phases.stiff[pb])
+    friction = phases.friction[pa, pb]
+    meeting = Meeting(a, b, one, other, known, certain, share, stiff, friction)
+    return _take_up(pairs, there, meeting, n, step, room)
 
 
 @inline
-def _there(side, known):
+def _on_rigid(pairs, there, phase, offsets, surface, friction, flows, phases, step, room):
+    """Take up what something that does not move does to all phases. surface: (4,) its normal, and
+    its distance [m]; friction: (phases,); flows: also to those whose surfaces are not known."""
+    for q in range(there.active):
+        ph, mine = phase[room.here[q]], offsets[room.here[q], 4 * there.node :]
+        known, mass, n = phases.surface[ph], room.mass[q], room.normals[pairs]
+        if not ((flows or known) and _has(mine, known)):
+            continue
+        for c in range(3):
+            n[c] = surface[c]
+        other = distance(n, -1.0, mine, mass, known, step.dx)
+        certain, share = False, 0.0
+        if known:
+            certain, share = sure(mine, mass), share_of(mass, phases.least[ph], other)
+        far = surface[3] / step.dx
+        meeting = Meeting(
+            -1, q, far, other, known, certain, share, phases.stiff[ph], friction[ph]
+        )  # fmt: skip
+        pairs = _take_up(pairs, there, meeting, n, step, room)
+    return pairs
+
+
+@inline
+def _take_up(pairs, there, meeting, n, step, room):
+    """Let a Meeting act, n (3,): what it does at once into room.change, and where nothing may
+    approach as one pair more. A pair that is alone at its node and parts is left out: nothing acts
+    on it."""
+    if meeting.sure:
+        press(room.change, room.v, room.mass, meeting, n, step.dt, step.dx)
+    if not touching(meeting) or (there.alone and _parts(room.v, meeting, n)):
+        return pairs
+    room.master[pairs], room.other[pairs] = meeting.a, meeting.b
+    room.friction[pairs] = meeting.friction
+    room.touches[meeting.b] += 1
+    if meeting.a >= 0:
+        room.touches[meeting.a] += 1
+    return pairs + 1
+
+
+@inline
+def _parts(v, meeting, n):
+    """Whether two phases part along n."""
+    nearing = 0.0
+    for c in range(3):
+        nearing -= v[meeting.b, c] * n[c]
+        if meeting.a >= 0:
+            nearing += v[meeting.a, c] * n[c]
+    return nearing <= 0.0
+
+
+@inline
+def _has(side, known):
     """Whether a phase has any surface at a node. side: (4,) of the layer of offsets."""
     if known:
         return side[0] != 0.0 or side[1] != 0.0 or side[2] != 0.0
     return side[3] > 0.0
-
-
-@inline
-def _on_rigid(alone, v, normal, far, mine, mass, known, dx):
-    """Whether a phase touches what does not move, whose normal is given and its distance `far`
-    [cells] from the node."""
-    parts = v[0] * normal[0] + v[1] * normal[1] + v[2] * normal[2] >= 0
-    if alone and parts:
-        return False
-    return touching(far, distance(normal, -1.0, mine, mass, known, dx), known)
-
-
-@inline
-def _on_each_other(alone, a, b, node, phase, offsets, phases, dx, room, k):
-    """Whether two phases touch; the first one's normal out into room.normals[k]."""
-    xa, xb = offsets[room.here[a], 4 * node :], offsets[room.here[b], 4 * node :]
-    known_a, known_b = phases.surface[phase[room.here[a]]], phases.surface[phase[room.here[b]]]
-    if not (_there(xa, known_a) and _there(xb, known_b)):
-        return False
-    ma, mb, n = room.mass[a], room.mass[b], room.normals[k]
-    if not surface_normal(n, xa, xb, ma, mb, known_a, known_b, dx):
-        return False
-    nearing = 0.0
-    for c in range(3):
-        nearing += (room.v[a, c] - room.v[b, c]) * n[c]
-    if alone and nearing <= 0:
-        return False
-    one, other = distance(n, 1.0, xa, ma, known_a, dx), distance(n, -1.0, xb, mb, known_b, dx)
-    return touching(one, other, known_a and known_b)
 
 
 @inline
@@ -176,35 +225,26 @@ def _may_push(walls):
 
 
 @inline
-def _plane(walls, a, side, node):
-    """Whether a node, by its number along axis a, lies on a wall that only pushes."""
-    return walls.kinds[a, side] == SEPARATE and node == side * walls.cells[a]
-
-
-@inline
-def _planes(i, j, k, walls):
+def _planes(at, walls):
     """On how many walls that only push a node lies."""
     count = 0
-    for side in range(2):
-        count += _plane(walls, 0, side, i) + _plane(walls, 1, side, j) + _plane(walls, 2, side, k)
+    for a in range(3):
+        for side in range(2):
+            count += walls.kinds[a, side] == SEPARATE and at[a] == side * walls.cells[a]
     return count
 
 
 @inline
-def _on_walls(pairs, active, node, phase, offsets, at, walls, phases, dx, alone, room):
-    """Add the pairs of walls and the surfaces that touch them."""
+def _on_walls(pairs, there, phase, offsets, at, walls, phases, step, room):
+    """Take up what walls that only push do to the phases whose surfaces are known."""
+    surface, row = room.plane, room.row
     for a in range(3):
         for side in range(2):
-            if not _plane(walls, a, side, at[a]):
+            if walls.kinds[a, side] != SEPARATE or at[a] != side * walls.cells[a]:
                 continue
-            for q in range(active):
-                known = phases.surface[phase[room.here[q]]]
-                mine, normal = offsets[room.here[q], 4 * node :], room.normals[pairs]
-                if not (known and _there(mine, known)):
-                    continue
-                normal[0] = normal[1] = normal[2] = 0.0
-                normal[a] = 1.0 - 2.0 * side
-                if _on_rigid(alone, room.v[q], normal, 0.0, mine, room.mass[q], known, dx):
-                    _note(room, pairs, -1, q, normal, walls.friction[a, side])
-                    pairs += 1
+            surface[0] = surface[1] = surface[2] = 0.0
+            surface[a] = 1.0 - 2.0 * side
+            for k in range(len(row)):
+                row[k] = walls.friction[a, side]
+            pairs = _on_rigid(pairs, there, phase, offsets, surface, row, False, phases, step, room)
     return pairs

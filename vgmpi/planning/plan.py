@@ -54,6 +54,7 @@ class Plan:
     first_id: tuple[int, ...]  # of each object
     count: tuple[int, ...]  # particles of each object
     friction: tuple[tuple[float, ...], ...]  # (phases + 1, phases), the last row for colliders
+    stiff: tuple[float, ...]  # [Pa] to waves, of every phase's stiffest law at rest
     contact: bool  # two phases or more: they may touch
     collider: bool
     times: np.ndarray  # (frames,) [s]
@@ -166,6 +167,7 @@ def make_plan(
         first_id=tuple(int(n) for n in np.concatenate([[0], np.cumsum(count)[:-1]])),
         count=tuple(int(n) for n in count),
         friction=_friction(scene, groups, len(phases)),
+        stiff=_stiff(groups, len(phases)),
         contact=len(phases) > 1,
         collider=collider,
         times=np.linspace(0.0, scene.time.end, scene.time.frames),
@@ -203,6 +205,15 @@ def _friction(scene: Scene, groups, phases: int) -> tuple[tuple[float, ...], ...
             mu = named.get(frozenset((a.material, b.material)), default)
             out[a.phase, b.phase] = max(out[a.phase, b.phase], mu)
     return tuple(tuple(float(v) for v in row) for row in out)
+
+
+def _stiff(groups: tuple[GroupPlan, ...], phases: int) -> tuple[float, ...]:
+    """Density times the squared speed of waves at rest [Pa], of each phase the largest."""
+    out = [0.0] * phases
+    for group in groups:
+        wave2 = float(function(group.law, "wave_speed2")(group.law, group.rest))
+        out[group.phase] = max(out[group.phase], group.density * wave2)
+    return tuple(out)
 
 
 def fastest(scene: Scene, plan: Plan, stiffened: bool = False) -> list[tuple[float, str]]:

@@ -10,7 +10,7 @@ import numpy as np
 from ...couplings.base import CONTACT
 from ...device.limits import TOUCHING
 from ...domain.solids import REACH
-from ...kernels.contact import CLOSE, LAYER, SWEEPS, TOUCH
+from ...kernels.contact import CLOSE, LARGEST, LAYER, SOFT, SURE, SWEEPS, TOUCH
 from ...planning.plan import Plan
 from .dense import Dense
 
@@ -52,76 +52,119 @@ class Contact:
             if kind != "separate":
                 np.moveaxis(offset, axis + 1, 0)[wall, ..., axis] = 0.0
 
-    def act(self, v: np.ndarray, mass: np.ndarray, offset: np.ndarray, volume: np.ndarray) -> int:
-        """Change velocities v (phases, ..., 3) where phases touch and approach. offset, volume: of
-        phases whose surfaces are known, mass times normal and mass times distance. Returns at how
-        many nodes."""
+    def act(
+        self, v: np.ndarray, mass: np.ndarray, offset: np.ndarray, volume: np.ndarray, dt: float
+    ) -> int:
+        """Change velocities v (phases, ..., 3) where phases touch. offset, volume: of phases whose
+        surfaces are known, mass times normal and mass times distance; dt [s]. Returns at how many
+        nodes one acted on another."""
         here = mass > self.least[:, None, None, None]
         several = here.sum(0) + self.near + self.planes > 1
         acted = 0
         for node in map(tuple, np.argwhere(several & here.any(0))):
             at = (slice(None), *node)
             sides = [
-                _Side(self.dx, phase.surface, X, V, m)
+                _Side(self.dx, phase.surface, phase.least, X, V, m)
                 for phase, X, V, m in zip(self.plan.phases, offset[at], volume[at], mass[at],
                                           strict=True)
             ]  # fmt: skip
-            pairs = self._pairs(node, np.flatnonzero(here[at]), v[at], sides)
+            there = np.flatnonzero(here[at])
+            alone = len(there) + self.near[node] + self.planes[node] == 2
+            change, pairs = np.zeros_like(v[at]), []
+            for a, b, n, one, other, friction, stiff in self._meetings(node, there, sides):
+                known = a is None or sides[a].known
+                known, sure = known and sides[b].known, known and sides[b].sure
+                sure = sure and (a is None or sides[a].sure)
+                r = (v[at][a] if a is not None else 0.0) - v[at][b]
+                if sure:
+                    body = sides[b].share(other)
+                    share = body if a is None else min(body, sides[a].share(one))
+                    push = _push(r, mass[at], a, b, n, one, other, share * stiff, friction,
+                                 dt, self.dx)  # fmt: skip
+                    acted += bool(push.any())
+                    if a is not None:
+                        change[a] -= push / mass[at][a]
+                    change[b] += push / mass[at][b]
+                if _touching(one, other, known, sure) and not (alone and r @ n <= 0):
+                    pairs.append((-1 if a is None else a, b, n, friction))
+            v[at] += change
             if pairs:
                 _resolve(v[at], mass[at], pairs)
                 acted += 1
         return acted
 
-    def _pairs(self, node, there, v, sides) -> list[tuple]:
-        """(master or -1, other, normal of the master, friction) of the pairs that touch. One that
-        is alone at its node and parts is left out."""
+    def _meetings(self, node, there, sides):
+        """Who may touch at a node: (a or None for what does not move, b, normal of a, distances
+        from both [cells], friction, stiffness [Pa])."""
         plan, rules = self.plan, self.plan.rules
-        solid = self.collider[node] if self.near[node] else None
-        alone = len(there) + (solid is not None) + self.planes[node] == 2
-        found = []
         for q, one in enumerate(there):
-            if solid is not None and sides[one].there:
-                friction = plan.friction[len(plan.phases)][one]
-                self._rigid(found, alone, one, v[one], sides[one], solid, friction)
             for other in there[q + 1 :]:
                 if rules is not None and rules.pair[one, other] != CONTACT:
                     continue
                 first = plan.phases[one].mastery < plan.phases[other].mastery
                 a, b = (one, other) if first else (other, one)
                 n = _normal(sides[a], sides[b])
-                if n is None or (alone and (v[a] - v[b]) @ n <= 0):
-                    continue
-                if _touching(sides[a].distance(n), sides[b].distance(-n),
-                             sides[a].known and sides[b].known):  # fmt: skip
-                    found.append((a, b, n, plan.friction[one][other]))
+                if n is not None:
+                    stiff = 1.0 / (1.0 / plan.stiff[a] + 1.0 / plan.stiff[b])
+                    far = sides[a].distance(n), sides[b].distance(-n)
+                    yield a, b, n, *far, plan.friction[one][other], stiff
+        rigid = [(*self.collider[node], plan.friction[-1], True)] if self.near[node] else []
         for axis, side, number, friction in self.pushing:
             if node[axis] == number + 1:
-                wall = np.zeros(4)
-                wall[axis] = 1.0 - 2.0 * side
-                for one in there:
-                    if sides[one].known and sides[one].there:
-                        self._rigid(found, alone, one, v[one], sides[one], wall, friction)
-        return found
-
-    def _rigid(self, found, alone, one, v, side, surface, friction) -> None:
-        """Note that a phase touches what does not move: surface: (4,) normal and distance [m]."""
-        n, distance = surface[:3], surface[3] / self.dx
-        if not (alone and v @ n >= 0) and _touching(distance, side.distance(-n), side.known):
-            found.append((-1, one, n, friction))
+                n = np.zeros(3)
+                n[axis] = 1.0 - 2.0 * side
+                rigid.append((*n, 0.0, [friction] * len(sides), False))
+        for *n, far, friction, flows in rigid:
+            for b in there:
+                if sides[b].there and (flows or sides[b].known):
+                    out = np.array(n)
+                    yield (
+                        None, b, out, far / self.dx, sides[b].distance(-out), friction[b],
+                        plan.stiff[b],
+                    )  # fmt: skip
 
 
 class _Side:
     """What a node knows of a phase there."""
 
-    def __init__(self, dx: float, known: bool, X: np.ndarray, V: float, mass: float):
-        self.dx, self.known, self.X, self.V, self.mass = dx, known, X, V, mass
+    def __init__(self, dx: float, known: bool, full: float, X: np.ndarray, V: float, mass: float):
+        self.dx, self.known, self.X, self.V, self.mass, self.full = dx, known, X, V, mass, full
         self.there = bool(X.any()) if known else V > 0
+        self.sure = known and self.there and float(np.linalg.norm(X / mass)) > SURE
 
     def distance(self, n: np.ndarray) -> float:
         """Of the node outside the phase [cells], whose normal there is n."""
         if self.known:
             return self.V / (self.mass * self.dx)
         return outside(-(self.X @ n) / (self.V * self.dx))
+
+    def share(self, distance: float) -> float:
+        """Of a cell's face that is the node's."""
+        return min(self.mass / (self.full * max(filled(distance), 1e-3)), LARGEST)
+
+
+def filled(D: float) -> float:
+    """Share of a cell's mass at a node D cells outside a half space (quadratic B-splines)."""
+    if abs(D) >= 1.5:
+        return float(D < 0)
+    if abs(D) <= 0.5:
+        return 0.5 - 0.75 * D + D**3 / 3.0
+    tail = (1.5 - abs(D)) ** 3 / 6.0
+    return tail if D > 0 else 1.0 - tail
+
+
+def _push(r, mass, a, b, n, one, other, stiff, friction, dt, dx) -> np.ndarray:
+    """Impulse (3,) [kg m/s] on b of an elastic layer, with friction. r: velocity of a less b's."""
+    deep, middle = min(-one - other, SOFT), abs(one - other) / 2
+    if deep <= 0.0 or middle >= 1.0:
+        return np.zeros(3)
+    reduced = mass[b] if a is None else mass[a] * mass[b] / (mass[a] + mass[b])
+    push = dt * stiff * deep * (1.0 - middle) * dx**2
+    push = min(push, reduced * (max(r @ n, 0.0) + 0.5 * deep * dx / dt))
+    slide = r - (r @ n) * n
+    size = float(np.linalg.norm(slide))
+    rub = friction * push / size if size * reduced > friction * push else reduced
+    return push * n + rub * slide
 
 
 def _normal(a: _Side, b: _Side):
@@ -143,10 +186,10 @@ def _normal(a: _Side, b: _Side):
     return None
 
 
-def _touching(one: float, other: float, known: bool) -> bool:
-    """Whether surfaces touch, from which a node is so far [cells]; known: both are."""
+def _touching(one: float, other: float, known: bool, sure: bool) -> bool:
+    """Whether surfaces may not approach, from which a node is so far [cells]; known: both are."""
     if known:
-        return one + other <= CLOSE and abs(one - other) <= 2 * LAYER
+        return one + other <= (-SOFT if sure else CLOSE) and abs(one - other) <= 2 * LAYER
     return one + other <= TOUCH
 
 

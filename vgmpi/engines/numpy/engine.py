@@ -160,7 +160,7 @@ class Numpy:
         if self.sharing is not None:
             V = self.sharing.volumes(mass, counted)
             self.drift = self.sharing.act(v, mass, self.forces, V, self.offset, self.dt)
-        self.touching = self.contact.act(v, mass, self.offset, volume)
+        self.touching = self.contact.act(v, mass, self.offset, volume, self.dt)
         for velocities, phase in zip(v, plan.phases, strict=True):
             dense.constrain(velocities, phase.surface)
         if self.sharing is not None:
