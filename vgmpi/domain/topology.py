@@ -64,8 +64,8 @@ class Needs(NamedTuple):
     contact: bool  # phases may touch at all
     apart: bool | Near  # where the stress's impulses are kept apart from momentum: True: everywhere
     hues: np.ndarray  # (groups,) coefficients of colour that travel with every step
-    surface: np.ndarray  # (phases,) bool: contact knows the surfaces of its bodies
-    planes: tuple[tuple[int, int], ...]  # (axis, node) of the walls that push these by contact
+    surface: np.ndarray = np.zeros(0, bool)  # (phases,) contact knows the surfaces of its bodies
+    planes: tuple[tuple[int, int], ...] = ()  # (axis, node) of the walls that push these by contact
 
     @property
     def layers(self) -> list[str]:
