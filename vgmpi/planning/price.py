@@ -48,7 +48,7 @@ def describe(scene: Scene, plan: Plan, ranks: int, reached: float = 0.0) -> str:
         "  walls       "
         + ", ".join(f"{w[0]}" + (f" (friction {w[1]:g})" if w[1] else "") for w in plan.walls)
     )
-    lines += _thin(scene, plan)
+    lines += _thin(scene, plan) + _sheets(plan)
     total = plan.bytes()
     lines.append(
         f"  memory      {total / 2**20:.0f} MiB in all,"
@@ -68,6 +68,17 @@ def _thin(scene: Scene, plan: Plan) -> list[str]:
         return []
     said = f"cells thick, under {THIN}: how fluids carry and touch such bodies is inexact"
     return [f"  thin        {', '.join(found)} {said}"]
+
+
+def _sheets(plan: Plan) -> list[str]:
+    """Name the solids that contact knows by their particles alone."""
+    if not any(phase.surface for phase in plan.phases):
+        return []
+    found = [p.name for p in plan.phases if p.families == ("solid",) and not p.surface]
+    if not found:
+        return []
+    said = "thinner than some two cells: their sides touch by particles, less exactly"
+    return [f"  sheets      {', '.join(map(printable, found))} {said}"]
 
 
 def _steps(scene: Scene, plan: Plan, ranks: int, reached: float) -> list[str]:
