@@ -138,7 +138,7 @@ class Simulation:
             if C is not None:
                 f[channels["C"].rows] = C[here].T
             f[channels["vol0"].rows] = volume[here]
-            if group.plan.surface:
+            if group.plan.surface and surface is not None:
                 f[channels["surface"].rows] = surface[here].T
             count = group.plan.coefficients
             if count and sh is not None and self.plan.colours is not None:
