@@ -201,10 +201,22 @@ def planned(folder, text):
     return plan_for(loaded, known_of(loaded, made)), made
 
 
-@pytest.mark.parametrize("thick, known", [(0.02, False), (0.06, True)])
-def test_a_sheet_has_none(tmp_path, thick, known):
-    """The two sides of a sheet of one cell cancel at the nodes; contact finds it by particles."""
-    sheet = f"shape = {{ box = [[-0.08, -0.08, 0], [0.08, 0.08, {thick}]] }}"
+THIN = {
+    "sheet of 1 cell": (0.16, 0.16, 0.02), "of 1.5": (0.16, 0.16, 0.03),
+    "rod of 1 cell": (0.02, 0.16, 0.02), "of 1.5 ": (0.03, 0.16, 0.03),
+}  # fmt: skip
+THICK = {
+    "sheet of 2": (0.16, 0.16, 0.04), "rod of 2": (0.04, 0.16, 0.04), "cube of 2": (0.04,) * 3,
+    "cube of 4": (0.08,) * 3,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("size", [*THIN.values(), *THICK.values()], ids=[*THIN, *THICK])
+def test_a_sheet_has_none(tmp_path, size):
+    """The two sides of a sheet of one cell cancel at the nodes; contact finds it by particles.
+    Edges, however many there are, are not thin."""
+    known, low = size in THICK.values(), [-v / 2 for v in size]
+    sheet = f"shape = {{ box = [{low}, {[-v for v in low]}] }}"
     ball = f'[[object]]\nname = "ball"\nmaterial = "clay"\n{SPHERE}\nposition = [0.2, 0.2, 0.2]\n'
     plan, made = planned(tmp_path, body(sheet, 0.14, name="sheet") + ball)
     told = {thing["name"]: thing for thing in made.objects}
