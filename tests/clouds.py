@@ -108,13 +108,16 @@ def box(precision):
         loaded = scene(Path(folder), SOUP.replace("PRECISION", precision))
         made = build(loaded)
     count = [thing["count"] for thing in made.objects]
-    plan = make_plan(loaded, count, [0.04**3] * len(count), True)
+    solid = [thing["family"] == "solid" for thing in made.objects]
+    plan = make_plan(loaded, count, [0.04**3] * len(count), True, surface=solid)
+    assert [phase.surface for phase in plan.phases] == [True, False]
     assert [group.phase for group in plan.groups] == [0, 1, 1], "two groups in one phase"
     return plan, made.colliders
 
 
 def cloud(case, plan):
-    """(plan with the case's numbers, x, v, volume, thing): particles in the order of their ids."""
+    """(plan with the case's numbers, x, v, volume, thing, surface): particles in the order of their
+    ids."""
     random = np.random.default_rng(case.seed)
     count = (*case.counts, 0)
     first = np.concatenate([[0], np.cumsum(count)[:-1]])
@@ -129,4 +132,13 @@ def cloud(case, plan):
     v = 3.0 * random.normal(size=(4, 3))[thing] + 0.3 * random.normal(size=x.shape)
     volume = (plan.dx / 2) ** 3 * random.uniform(0.5, 1.5, len(thing))
     plan = dataclasses.replace(plan, first_id=tuple(int(n) for n in first), count=count)
-    return plan, x, v, volume, thing
+    return plan, x, v, volume, thing, outlines(random, len(x), plan.dx)
+
+
+def outlines(random, n, dx):
+    """Surfaces (n, 10) as contact would know them: of some bodies normals that agree, so that these
+    meet by an elastic layer, of others any; distances and gradients within a cell."""
+    normal = random.normal(size=3) + random.choice([0.0, 0.3, 3.0]) * random.normal(size=(n, 3))
+    normal *= (random.choice([1.0, 0.5], n) / np.linalg.norm(normal, axis=1))[:, None]
+    away, bend = random.normal(0.0, 0.5 * dx, n), random.uniform(-0.5, 0.5, (n, 6)) / dx
+    return np.column_stack([normal, away, random.choice([0.0, 1.0]) * bend]).astype(np.float32)

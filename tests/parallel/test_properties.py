@@ -76,9 +76,9 @@ def go_on(simulation, case, until, lot=None):
 def expected(case, precision):
     """(attrs, rows, sorts) on one rank, or what its blow-up says."""
     plan, colliders = box(precision)
-    plan, x, v, volume, thing = cloud(case, plan)
+    plan, x, v, volume, thing, surface = cloud(case, plan)
     simulation = Simulation(plan, Alone(), colliders)
-    simulation.put(x, v, volume, np.arange(len(x)), thing)
+    simulation.put(x, v, volume, np.arange(len(x)), thing, surface=surface)
     try:
         go_on(simulation, case, case.steps)
     except BlowUp as error:
@@ -109,13 +109,14 @@ def look(simulation):
 def found(case, precision, seen):
     """The same in the case's way, rows in the order of keys. Counts in `seen` what it met."""
     plan, colliders = box(precision)
-    plan, x, v, volume, thing = cloud(case, plan)
+    plan, x, v, volume, thing, surface = cloud(case, plan)
     random = np.random.default_rng(case.seed + 1)
     order, share = random.permutation(len(x)), random.integers(0, case.ranks[0], len(x))
 
     def put(simulation):
         here = order[share[order] == simulation.ranks.rank]
-        simulation.put(x[here], v[here], volume[here], here, thing[here])
+        rows = (row[here] for row in (x, v, volume))
+        simulation.put(*rows, here, thing[here], surface=surface[here])
 
     def leg(number, until, begin):
         lot = Lot(case, number)

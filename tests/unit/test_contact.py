@@ -3,13 +3,21 @@
 import numpy as np
 import pytest
 
+from vgmpi.engines.numpy import contact as plain
 from vgmpi.kernels.contact import (
+    CLOSE,
+    LAYER,
+    SOFT,
     TOUCH,
-    collider_gap,
-    gap,
+    Meeting,
+    distance,
+    filled,
     outside,
+    press,
     resolve,
+    share_of,
     surface_normal,
+    touching,
 )
 
 
@@ -195,20 +203,180 @@ def sums(d, normal, dx):
     return np.append(mean_offset(d) * dx * volume * np.array(normal), volume)
 
 
+def gap(n, a, b, dx):
+    """Distance [cells] between two phases whose surfaces are not known."""
+    return distance(n, 1.0, a, 1.0, False, dx) + distance(n, -1.0, b, 1.0, False, dx)
+
+
 @pytest.mark.parametrize("a, b", [(-0.2, 0.3), (0.1, 0.1), (0.4, -0.6), (0.3, 0.6)])
 def test_gap_of_two_half_spaces(a, b):
     """The master below the node by a, the other above by b: they are a + b apart."""
     dx, up = 0.02, np.array([0.6, 0.0, 0.8])
-    n = np.zeros(3)
+    n, flows = np.zeros(3), (1.0, 1.0, False, False, dx)
     pair = sums(a, -up, dx), sums(b, up, dx)
-    assert surface_normal(n, *pair, dx)
+    assert surface_normal(n, *pair, *flows)
     assert np.allclose(n, up)
     assert gap(n, *pair, dx) == pytest.approx(a + b, abs=0.006)
     # a node in the midst of the master has no normal of its own: the other's counts
     buried = np.array([0.0, 0.0, 0.0, 1e-6])
     n[:] = 0
-    assert surface_normal(n, buried, sums(b, up, dx), dx)
+    assert surface_normal(n, buried, sums(b, up, dx), *flows)
     assert np.allclose(n, up)
     assert gap(n, buried, sums(b, up, dx), dx) < TOUCH
-    assert not surface_normal(n, buried, buried, dx)
-    assert collider_gap(up, a * dx, sums(b, up, dx), dx) == pytest.approx(a + b, abs=0.004)
+    assert not surface_normal(n, buried, buried, *flows)
+
+
+def known(normal, away, mass, dx):
+    """What a node knows (4,) of a surface whose mean normal (3,) is this, `away` [cells] off."""
+    return np.append(mass * np.array(normal), mass * away * dx)
+
+
+def test_normal_and_distance_of_known_surfaces():
+    dx, up, n = 0.02, np.array([0.6, 0.0, 0.8]), np.zeros(3)
+    face, light = known(up, 0.3, 5.0, dx), known(-up, -0.2, 1e-3, dx)
+    assert surface_normal(n, face, light, 5.0, 1e-3, True, True, dx)
+    assert n == pytest.approx(up)
+    assert distance(n, 1.0, face, 5.0, True, dx) == pytest.approx(0.3)
+    assert distance(n, -1.0, light, 1e-3, True, dx) == pytest.approx(-0.2)
+    # each counts alike whatever its mass: between two faces that are not parallel, the mean
+    assert surface_normal(n, face, known([0, 0, -1], 0, 1e-3, dx), 5.0, 1e-3, True, True, dx)
+    assert n == pytest.approx((up + [0, 0, 1]) / np.linalg.norm(up + [0, 0, 1]))
+    # an edge, of which the particles disagree, hardly turns a face's
+    edge = known([-0.7, 0, 0], 0, 5.0, dx)
+    assert surface_normal(n, edge, known([0, 0, -1], 0, 5.0, dx), 5.0, 5.0, True, True, dx)
+    assert n @ [0, 0, 1] > 0.9999
+    # with what flows the known one's counts, whichever is first
+    pool = sums(0.1, [1, 0, 0], dx)
+    assert surface_normal(n, face, pool, 5.0, 1.0, True, False, dx)
+    assert n == pytest.approx(up)
+    assert surface_normal(n, pool, face, 1.0, 5.0, False, True, dx)
+    assert n == pytest.approx(-up)
+    still = np.zeros(4)
+    assert not surface_normal(n, still, still, 1.0, 1.0, True, True, dx)
+
+
+def test_filled_is_what_a_half_space_gives():
+    """The quadratic B-spline's integral from D on, by the midpoint rule."""
+    n = 300_000
+    u = (np.arange(n) + 0.5) / n * 3.0 - 1.5
+    w = np.where(np.abs(u) < 0.5, 0.75 - u**2, 0.5 * (1.5 - np.abs(u)) ** 2)
+    beyond = np.append(np.cumsum(w[::-1])[::-1], 0.0) * 3.0 / n
+    edges = np.linspace(-1.5, 1.5, n + 1)
+    for D in np.linspace(-1.7, 1.7, 171):
+        assert filled(D) == pytest.approx(np.interp(D, edges, beyond), abs=1e-9)
+        assert plain.filled(D) == pytest.approx(filled(D), abs=1e-14)
+
+
+def test_share_of_a_face():
+    """All of it where the node has what a half space gives, less at an edge, never much more."""
+    for D in (-1.0, -0.3, 0.0, 0.4, 1.0):
+        assert share_of(3.0 * filled(D), 3.0, D) == pytest.approx(1.0)
+        assert share_of(1.5 * filled(D), 3.0, D) == pytest.approx(0.5)
+        assert share_of(30.0, 3.0, D) == 1.5
+
+
+def meeting(one=-0.05, other=-0.05, a=0, sure=True, known=True, stiff=1e5, friction=0.0):
+    return Meeting(a, 1 if a == 0 else 0, one, other, known, sure, 1.0, stiff, friction)
+
+
+def pushed(v, mass, m, n, dt, dx):
+    """Changes (count, 3) of velocities by an elastic layer."""
+    change = np.zeros_like(v)
+    press(change, v, mass, m, n, dt, dx)
+    return change
+
+
+def layers(count, bodies):
+    """Arguments of `pushed` at random, deep and shallow, fast and slow, heavy and light, of
+    `bodies` that move."""
+    for seed in range(count):
+        random = np.random.default_rng(seed)
+        one, other = random.uniform(-0.4, 0.3, 2)
+        friction = random.choice([0.0, random.uniform(0, 1.5)])
+        stiff = 10.0 ** random.uniform(2, 8)
+        m = meeting(one, other, bodies - 2, stiff=stiff, friction=friction)
+        m = m._replace(share=random.uniform(0, 1.5))
+        n = random.normal(size=3)
+        v = random.normal(size=(bodies, 3)) * random.choice([0.0, 0.01, 10.0])
+        mass = 10.0 ** random.uniform(-9, 1, bodies)
+        yield v, mass, m, n / np.linalg.norm(n), 10.0 ** random.uniform(-6, -3), 0.02
+
+
+@pytest.mark.parametrize("bodies", [1, 2])
+def test_a_layer_pushes_apart_and_rubs_no_more_than_that(bodies):
+    """Momentum to rounding; no pull; Coulomb's friction, which never turns what slides; what is
+    light is not thrown further than half the overlap in a step. As in plain numpy."""
+    acted = stuck = slid = held = 0
+    for v, mass, m, n, dt, dx in layers(2000, bodies):
+        change = pushed(v, mass, m, n, dt, dx)
+        if m.one + m.other >= 0:
+            assert not change.any()
+            continue
+        acted += 1
+        impulse = mass[m.b] * change[m.b]
+        size = np.linalg.norm(impulse)
+        if bodies == 2:
+            assert np.abs(mass[0] * change[0] + impulse).max() <= 1e-14 * size
+        before = (v[0] if bodies == 2 else 0.0) - v[m.b]
+        after = before + (change[0] if bodies == 2 else 0.0) - change[m.b]
+        push = impulse @ n
+        rub = impulse - push * n
+        assert push >= 0
+        assert np.linalg.norm(rub) <= m.friction * push * (1 + 1e-9) + 1e-14 * size
+        slip, left = before - (before @ n) * n, after - (after @ n) * n
+        scale = np.linalg.norm(before) + np.linalg.norm(after)
+        assert slip @ left >= -1e-12 * scale**2, "friction turns it"
+        assert np.linalg.norm(left) <= np.linalg.norm(slip) + 1e-12 * scale
+        stuck += m.friction > 0 and slip.any() and np.linalg.norm(left) < 1e-9 * scale
+        slid += np.linalg.norm(left) > 1e-9 * scale and bool(np.linalg.norm(rub) > 0)
+        deep = min(-m.one - m.other, SOFT)
+        assert -(after @ n) <= max(-(before @ n), 0) + 0.5 * deep * dx / dt * (1 + 1e-9)
+        full = dt * m.stiff * m.share * deep * (1 - abs(m.one - m.other) / 2) * dx**2
+        assert push <= full * (1 + 1e-9)
+        held += push < 0.99 * full
+        a = None if m.a < 0 else m.a
+        twin = plain._push(before, mass, a, m.b, n, m.one, m.other, m.stiff * m.share,
+                           m.friction, dt, dx)  # fmt: skip
+        assert impulse == pytest.approx(twin, rel=1e-9, abs=1e-12 * size)
+    assert min(stuck, slid, held, acted - held) > 20, (acted, stuck, slid, held)
+
+
+def test_a_layer_gives_back_what_it_takes():
+    """Two bodies run into each other and part at the speeds of an elastic collision."""
+    dx, n, mass = 0.02, np.array([0.0, 0.6, 0.8]), np.array([0.01, 0.03])
+    v = np.array([0.4 * n + [1.0, 0, 0], -0.1 * n])
+    start, gap, dt, deepest, steps = v.copy(), 0.01, 1e-6, 0.0, 0
+    while gap <= 0.01:
+        v += pushed(v, mass, meeting(gap / 2, gap / 2, stiff=1e6), n, dt, dx)
+        gap += dt * (v[1] - v[0]) @ n / dx
+        deepest, steps = min(deepest, gap), steps + 1
+    assert -SOFT < deepest < -0.01, "it uses no more of the layer than that has"
+    assert steps > 100
+    mean = (mass[:, None] * start).sum(0) / mass.sum()
+    along = 2 * ((mean - start) @ n)[:, None] * n
+    assert v == pytest.approx(start + along, abs=1e-3)
+    assert v[:, 0] == pytest.approx([1.0, 0.0], abs=1e-12), "nothing rubs"
+
+
+def test_no_layer_far_from_the_middle():
+    """A node a cell and more from the middle between two surfaces pushes nothing, at it most."""
+    v, mass, n = np.zeros((2, 3)), np.ones(2), np.array([0.0, 0.0, 1.0])
+    push = [
+        pushed(v, mass, meeting(-0.05 + s, -0.05 - s), n, 1e-4, 0.02)[1, 2]
+        for s in (0.0, 0.25, 0.5, 0.75, 1.0, 1.2)
+    ]
+    assert push == pytest.approx(push[0] * np.array([1, 0.75, 0.5, 0.25, 0, 0]))
+    assert push[0] > 0
+
+
+@pytest.mark.parametrize("known, sure, limit", [
+    (True, True, -SOFT), (True, False, CLOSE), (False, False, TOUCH)
+])  # fmt: skip
+def test_what_touches(known, sure, limit):
+    """Below a gap that depends on what is known; of known surfaces near their middle only."""
+    for off in (0.0, 0.5, 0.99 * LAYER, 1.01 * LAYER):
+        near = off < LAYER or not known
+        for gap, reached in ((limit - 1e-9, True), (limit + 1e-9, False)):
+            m = meeting(gap / 2 + off, gap / 2 - off, known=known, sure=sure)
+            assert touching(m) == (reached and near)
+            assert plain._touching(m.one, m.other, known, sure) == (reached and near)

@@ -62,6 +62,11 @@ POST = (
     '[[object]]\nname = "post"\nrole = "scenery"\ncollider = true\nposition = [0.13, 0.08, 0.04]\n'
     "shape = { sphere = { center = [0, 0, 0], radius = 0.04 } }\n"
 )
+SLABS = body(  # whose faces are wide enough to be sure of
+    "lower", "toy", "box = [[0.02, 0.02, 0], [0.18, 0.14, 0.06]]", "velocity = [0, 0, -0.5]"
+) + body(
+    "upper", "toy", "box = [[0.01, 0.02, 0.06], [0.17, 0.14, 0.12]]", "velocity = [1, 0.5, -1]"
+)
 BED = body(
     "bed", "sand", "box = [[0.02, 0.02, 0], [0.14, 0.14, 0.07]]", "velocity = [0.1, -0.6, 0]"
 )
@@ -96,6 +101,7 @@ SCENES = {kind: (of_law(kind), "mixed", "") for kind in LAWS} | {
         "separate",
         "",
     ),
+    "contact of faces": (TOY + SLABS, "separate", ""),
     "collider": (WATER + TOY + POOL + CUBE + POST, "mixed", ""),
     "mixing": (WATER + OIL + WET + OILY + MIX, "mixed", ""),
     "mixing as printed": (

@@ -122,7 +122,9 @@ def test_it_takes_memory_only_where_it_is_asked_for(tmp_path):
     }  # fmt: skip
     size = {g.material: plan.bytes_per_particle(k) for k, g in enumerate(plan.groups)}
     assert size["grains"] - size["flakes"] == 9 * 8
-    assert size["tin"] - size["flakes"] == 9 * 8
+    known = {group.material for group in plan.groups if group.surface}
+    assert known <= {"tin", "rubber"} and "tin" in known
+    assert size["tin"] - size["flakes"] == 9 * 8 + 10 * 8  # and its body's surface
 
 
 @pytest.mark.parametrize(

@@ -29,9 +29,13 @@ def test_numbers_of_a_material_are_in_no_particle(tmp_path):
     rubber = [g for g, group in enumerate(simulation.plan.groups) if group.material == "rubber"]
     assert len(rubber) == 2
     for g in rubber:
-        assert simulation.plan.fields(g) == {"x": 12, "v": 12, "C": 36, "vol0": 4, "H": 36, "id": 8}
+        moving = {"x": 12, "v": 12, "C": 36, "vol0": 4, "H": 36}
+        surface = {"surface": 40} if simulation.plan.groups[g].surface else {}
+        assert simulation.plan.fields(g) == {**moving, **surface, "id": 8}
+    assert any(group.surface for group in simulation.plan.groups)
     # in the file an object's number leads to what is written once, in the list of objects
     rows = {d.name for d in layout.GAUSSIAN}
-    assert rows == {"x0", "vol0", "object", "v0", "theta0", "cov0", "opacity", "sh"}
+    own = {"x0", "vol0", "object", "v0", "theta0", "surface0", "cov0", "opacity", "sh"}
+    assert rows == own
     assert not rows & set(made.objects[0])
     assert {"density", "opacity_scale", "material", "phase"} <= set(made.objects[0])

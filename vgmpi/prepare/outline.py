@@ -14,9 +14,9 @@ from vgmpi.scene.objects import Object
 from vgmpi.scene.scene import Scene
 
 NEAR = 0.6  # cells from the surface within which a body is looked at for how thin it is
-# slope of the distance over a cell below which the other side is less than a cell away, and the
-# share of a body's particles at the surface that may be so
-FLAT, THIN = 0.75, 0.2
+# cells that a body is deep a cell below its surface, whose edges are so too, and the share of its
+# particles at the surface below which it may be less
+DEEP, THIN = 0.6, 0.2
 ON_WALL, FACING = 0.25, 0.7  # cells from a wall, and cosine, by which a face lies on it
 FULL = [4, 5, 6, 5, 7, 8, 6, 8, 9]  # the nine of the six second derivatives
 SHARP = 8.0  # a normal that turns by 1 over the root of this in a cell is half sure
@@ -36,10 +36,11 @@ def outlined(scene: Scene, thing: Object, piece: Piece) -> Piece:
     dx, outline, x = scene.domain.cell, piece.outline(), piece.cloud.x
     distance, slope, bend = around(outline, x, dx / 2)
     steep = np.sqrt((slope**2).sum(axis=1))
-    outer = distance > -NEAR * dx
-    if (steep[outer] < FLAT).mean() > THIN:
-        return done
     normal = slope / np.maximum(steep, 1e-300)[:, None]
+    outer = distance > -NEAR * dx
+    below = (x - (distance + dx)[:, None] * normal)[outer]
+    if (outline.distance(below) > -DEEP * dx).mean() > THIN:
+        return done
     bend *= np.minimum(1.0, BENT / dx / np.maximum(np.abs(bend).max(axis=1), 1e-300))[:, None]
     surface = np.column_stack([normal, distance, bend])
     _open_at_walls(scene, x, surface)

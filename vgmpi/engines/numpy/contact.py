@@ -130,7 +130,11 @@ class _Side:
     def __init__(self, dx: float, known: bool, full: float, X: np.ndarray, V: float, mass: float):
         self.dx, self.known, self.X, self.V, self.mass, self.full = dx, known, X, V, mass, full
         self.there = bool(X.any()) if known else V > 0
-        self.sure = known and self.there and float(np.linalg.norm(X / mass)) > SURE
+
+    @property
+    def sure(self) -> bool:
+        """Whether its particles agree where the surface is."""
+        return self.known and self.there and float(np.linalg.norm(self.X / self.mass)) > SURE
 
     def distance(self, n: np.ndarray) -> float:
         """Of the node outside the phase [cells], whose normal there is n."""
