@@ -1,6 +1,8 @@
 """A block floats: its submerged fraction is its density over the water's (Archimedes).
 
-Tolerance: .05. The block is dropped from half a draught too high and the level, told by the water's
+It is twice as wide as high: one of .6 times the water's density floats upright where its width is
+more than 1.2 of its height, b^2 / (12 s h) > (1 - s) h / 2; a cube turns on its edge. Tolerance:
+.05. The block is dropped from half a draught too high and the level, told by the water's
 topmost particles, read at rest. Contact lets surfaces rest at up to a quarter of a cell, so the
 block displaces its own volume and a layer around it; a block that is W cells wide floats too high
 by about 2 gap / W of its draught for each pair of sides in the water, and gap / height more. That
@@ -56,11 +58,11 @@ class Afloat(NamedTuple):
 
 
 def float_up(folder, edge, side, slab, drop, end, viscosity=1.0):
-    """A block with edges of `edge` cells, in a tank that leaves `side` cells beside it."""
-    n, depth = edge + 2 * side, edge + 4
+    """A block of `edge` cells and twice as wide, in a tank that leaves `side` cells beside it."""
+    n, depth = 2 * edge + 2 * side, edge + 4
     low = depth - round(SHARE * edge) + drop
-    deep, y0, y1 = (4, 0, 4) if slab else (n, side, side + edge)
-    corners = [[side, y0, low], [side + edge, y1, low + edge]]
+    deep, y0, y1 = (4, 0, 4) if slab else (n, side, side + 2 * edge)
+    corners = [[side, y0, low], [side + 2 * edge, y1, low + edge]]
     text = SCENE.format(
         wide=round(n * DX, 6), deep=round(deep * DX, 6), high=round((depth + edge + drop) * DX, 6),
         depth=round(depth * DX, 6), block=[[round(c * DX, 6) for c in p] for p in corners],
@@ -98,7 +100,7 @@ def read(x, volume, block, edge, side, slab):
 def hold(found, edge, slab):
     assert found.drift < 0.02, "it still moves"
     held(
-        f"Archimedes, {'slab' if slab else 'cube'} of {edge} cells",
+        f"Archimedes, {'slab' if slab else 'square plate'} of {edge} cells",
         found.submerged,
         SHARE,
         0.05,
@@ -120,18 +122,18 @@ def test_slab(tmp_path, edge):
 
 
 @pytest.mark.slow
-def test_cube_of_8_cells(tmp_path):
+def test_square_plate_of_8_cells(tmp_path):
     hold(float_up(tmp_path, 8, 6, slab=False, drop=2, end=1.6), 8, slab=False)
 
 
 @pytest.mark.slow
-def test_small_cube(tmp_path):
+def test_small_plate(tmp_path):
     """6 cells: it floats too high by what its gaps displace."""
     found = float_up(tmp_path, 6, 6, slab=False, drop=2, end=1.6)
-    swelled = SHARE * (6 / (6 + 2 * found.beside)) ** 2 - found.below / 6
+    swelled = SHARE * (12 / (12 + 2 * found.beside)) ** 2 - found.below / 6
     print(found)
     held(
-        "Archimedes, cube of 6 cells, gaps displace too",
+        "Archimedes, square plate of 6 cells, gaps displace too",
         found.submerged,
         swelled,
         0.03,

@@ -44,7 +44,7 @@ PAIRS = [
 ]
 HEAD = """
 [domain]
-size = [{width}, 0.24, 0.48]
+size = [{width}, {deep}, 0.48]
 cell = 0.02
 gravity = [0, 0, {gravity}]
 [time]
@@ -86,7 +86,7 @@ def fall(folder, upper, lower, end, every):
     fluid = {upper: "upper", lower: "lower"}.get("fluid", "")
     low, high = (0, 0.24) if fluid == "upper" else (0.06, 0.18)  # a liquid falls as a layer
     head = HEAD.format(
-        width=0.24, gravity=-9.8, precision="single", one=LAWS[upper], other=LAWS[lower]
+        width=0.24, deep=0.24, gravity=-9.8, precision="single", one=LAWS[upper], other=LAWS[lower]
     )
     simulation, made = begin(folder, head + FALL.format(low=low, high=high))
     above, order = made.object == 0, list(LAWS)
@@ -145,7 +145,7 @@ def test_comes_to_rest(tmp_path, pair):
 def test_momentum(tmp_path, pair):
     """Askew, so that friction acts too."""
     head = HEAD.format(
-        width=0.4, gravity=0, precision="double", one=LAWS[pair[0]], other=LAWS[pair[1]]
+        width=0.4, deep=0.32, gravity=0, precision="double", one=LAWS[pair[0]], other=LAWS[pair[1]]
     )
     simulation, made = begin(tmp_path, head + MEET)
     before, scale = totals(simulation)["momentum"], mass_speed(simulation, made)

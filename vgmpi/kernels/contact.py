@@ -22,6 +22,7 @@ CLOSE = 0.02  # the same of surfaces that are both known
 # act deeper have a shorter arm, and press ahead of where bodies meet
 LAYER = 0.75
 SURE = 0.9  # length of a mean normal above which the particles of a node agree on it
+EASE = 0.02  # overlap [cells] from which an elastic layer pushes: bodies that just touch may part
 SOFT = 0.25  # overlap [cells] that an elastic layer takes up
 LARGEST = 1.5  # share of a cell's face that one node may have
 SWEEPS = 16
@@ -155,7 +156,7 @@ def press(change, v, mass, m, n, dt, dx):
     ahead, and a normal that is a bit wrong brakes nothing. A node that has hardly any mass is not
     thrown: in a step it parts by half the overlap at the most.
     """
-    deep, middle = min(-m.one - m.other, SOFT), 0.5 * abs(m.one - m.other)
+    deep, middle = min(-m.one - m.other - EASE, SOFT), 0.5 * abs(m.one - m.other)
     if not (deep > 0.0 and middle < 1.0):
         return
     r0, r1, r2 = -v[m.b, 0], -v[m.b, 1], -v[m.b, 2]

@@ -10,7 +10,7 @@ import numpy as np
 from ...couplings.base import CONTACT
 from ...device.limits import TOUCHING
 from ...domain.solids import REACH
-from ...kernels.contact import CLOSE, LARGEST, LAYER, SOFT, SURE, SWEEPS, TOUCH
+from ...kernels.contact import CLOSE, EASE, LARGEST, LAYER, SOFT, SURE, SWEEPS, TOUCH
 from ...planning.plan import Plan
 from .dense import Dense
 
@@ -159,7 +159,7 @@ def filled(D: float) -> float:
 
 def _push(r, mass, a, b, n, one, other, stiff, friction, dt, dx) -> np.ndarray:
     """Impulse (3,) [kg m/s] on b of an elastic layer, with friction. r: velocity of a less b's."""
-    deep, middle = min(-one - other, SOFT), abs(one - other) / 2
+    deep, middle = min(-one - other - EASE, SOFT), abs(one - other) / 2
     if deep <= 0.0 or middle >= 1.0:
         return np.zeros(3)
     reduced = mass[b] if a is None else mass[a] * mass[b] / (mass[a] + mass[b])
