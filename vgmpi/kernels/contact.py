@@ -22,7 +22,8 @@ CLOSE = 0.02  # the same of surfaces that are both known
 # act deeper have a shorter arm, and press ahead of where bodies meet
 LAYER = 0.75
 SURE = 0.9  # length of a mean normal above which the particles of a node agree on it
-EASE = 0.02  # overlap [cells] from which an elastic layer pushes: bodies that just touch may part
+EASE = 0.01  # overlap [cells] from which an elastic layer pushes: bodies that just touch may part
+LAYERS = 0.4  # stiffness of the layer: that of two and a half cells
 SOFT = 0.25  # overlap [cells] that an elastic layer takes up
 LARGEST = 1.5  # share of a cell's face that one node may have
 SWEEPS = 16
@@ -151,10 +152,10 @@ def press(change, v, mass, m, n, dt, dx):
     """What the elastic layer of a Meeting does in dt [s], and its friction, added to change (count,
     3) of the velocities v (count, 3).
 
-    The layer is a cell of the two materials, under the nodes' faces; along n (3,), which points out
-    of a. It has an energy: what falls jumps off again, what rolls is pressed as much behind as
-    ahead, and a normal that is a bit wrong brakes nothing. A node that has hardly any mass is not
-    thrown: in a step it parts by half the overlap at the most.
+    The layer is two and a half cells of the two materials, under the nodes' faces; along n (3,),
+    which points out of a. It has an energy: what falls jumps off again, what rolls is pressed as
+    much behind as ahead, and a normal that is a bit wrong brakes nothing. A node that has hardly
+    any mass is not thrown: in a step it parts by half the overlap at the most.
     """
     deep, middle = min(-m.one - m.other - EASE, SOFT), 0.5 * abs(m.one - m.other)
     if not (deep > 0.0 and middle < 1.0):
@@ -165,7 +166,7 @@ def press(change, v, mass, m, n, dt, dx):
         r0, r1, r2 = r0 + v[m.a, 0], r1 + v[m.a, 1], r2 + v[m.a, 2]
         reduced = mass[m.a] * mass[m.b] / (mass[m.a] + mass[m.b])
     rn = r0 * n[0] + r1 * n[1] + r2 * n[2]
-    push = dt * m.stiff * deep * m.share * (1.0 - middle) * dx * dx
+    push = dt * LAYERS * m.stiff * deep * m.share * (1.0 - middle) * dx * dx
     push = min(push, reduced * (max(rn, 0.0) + 0.5 * deep * dx / dt))
     r0, r1, r2 = r0 - rn * n[0], r1 - rn * n[1], r2 - rn * n[2]
     size = np.sqrt(r0 * r0 + r1 * r1 + r2 * r2)

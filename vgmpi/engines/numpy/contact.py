@@ -10,7 +10,7 @@ import numpy as np
 from ...couplings.base import CONTACT
 from ...device.limits import TOUCHING
 from ...domain.solids import REACH
-from ...kernels.contact import CLOSE, EASE, LARGEST, LAYER, SOFT, SURE, SWEEPS, TOUCH
+from ...kernels.contact import CLOSE, EASE, LARGEST, LAYER, LAYERS, SOFT, SURE, SWEEPS, TOUCH
 from ...planning.plan import Plan
 from .dense import Dense
 
@@ -163,7 +163,7 @@ def _push(r, mass, a, b, n, one, other, stiff, friction, dt, dx) -> np.ndarray:
     if deep <= 0.0 or middle >= 1.0:
         return np.zeros(3)
     reduced = mass[b] if a is None else mass[a] * mass[b] / (mass[a] + mass[b])
-    push = dt * stiff * deep * (1.0 - middle) * dx**2
+    push = dt * LAYERS * stiff * deep * (1.0 - middle) * dx**2
     push = min(push, reduced * (max(r @ n, 0.0) + 0.5 * deep * dx / dt))
     slide = r - (r @ n) * n
     size = float(np.linalg.norm(slide))
