@@ -17,7 +17,7 @@ from vgmpi.kernels import sums
 from vgmpi.kernels.tables import Sums
 from vgmpi.solver.step import BlowUp
 
-STEPS = 80
+STEPS = 120
 # longer, so that ranks with neighbours have blocks away from these
 LONG = (
     MIXED.replace("PRECISION", "double")
