@@ -8,8 +8,8 @@ from vgmpi.kernels.contact import (
     CLOSE,
     EASE,
     LAYER,
-    LAYERS,
     SOFT,
+    SPRING,
     TOUCH,
     Meeting,
     distance,
@@ -333,7 +333,7 @@ def test_a_layer_pushes_apart_and_rubs_no_more_than_that(bodies):
         slid += np.linalg.norm(left) > 1e-9 * scale and bool(np.linalg.norm(rub) > 0)
         deep = min(-m.one - m.other - EASE, SOFT)
         assert -(after @ n) <= max(-(before @ n), 0) + 0.5 * deep * dx / dt * (1 + 1e-9)
-        full = LAYERS * dt * m.stiff * m.share * deep * (1 - abs(m.one - m.other) / 2) * dx**2
+        full = SPRING * dt * m.stiff * m.share * deep * (1 - abs(m.one - m.other) / 2) * dx**2
         assert push <= full * (1 + 1e-9)
         held += push < 0.99 * full
         a = None if m.a < 0 else m.a

@@ -149,18 +149,8 @@ def simulations(folder, name):
     plan = plan_for(loaded, known_of(loaded, made))
     x, v = shaken(made, plan, 3)
     C = gradient(loaded, x, made.object)
-    more = {"theta": made.theta0, "C": C, "sh": made.sh}
-    found = beside(
-        plan,
-        made.colliders,
-        x,
-        v,
-        made.vol0,
-        made.object,
-        tuple(ENGINES),
-        surface=made.surface0,
-        **more,
-    )
+    more = {"theta": made.theta0, "C": C, "sh": made.sh, "surface": made.surface0}
+    found = beside(plan, made.colliders, x, v, made.vol0, made.object, tuple(ENGINES), **more)
     return dict(zip(ENGINES, found, strict=True))
 
 

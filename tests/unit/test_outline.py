@@ -15,8 +15,9 @@ from vgmpi.gaussians import ply
 from vgmpi.kernels.layers.offsets import DEEPEST
 from vgmpi.output import layout
 from vgmpi.output.read import read_gaussians
+from vgmpi.planning.channels import BEND
 from vgmpi.prepare.build import build
-from vgmpi.prepare.outline import BENT, FULL, SHARP
+from vgmpi.prepare.outline import BENT, SHARP
 from vgmpi.solver.prepared import keep, known_of, plan_for, prepare
 from vgmpi.solver.step import Simulation
 
@@ -98,7 +99,7 @@ def test_the_gradient_of_a_spheres_normal(tmp_path):
     outer = r[:, 0] > RADIUS - DX
     n = (away / r)[outer]
     exact = (np.eye(3) - n[:, :, None] * n[:, None, :]) / r[outer][:, :, None]
-    found = surface[outer][:, FULL].reshape(-1, 3, 3)
+    found = surface[outer][:, BEND].reshape(-1, 3, 3)
     assert np.abs(found - exact).max() * DX < 0.01
     assert np.abs(exact[:, 0, 1]).max() * DX > 0.1
 

@@ -78,7 +78,7 @@ SCENES = {  # name -> what lies below the water, couplings, depth of it as a sha
     "fluid": (LAYER.replace("{made_of}", "water"), 0.5),
     AFLIP: (LAYER.replace("{made_of}", "water"), 0.5),
     "colours with every step": (
-        LAYER.replace("{made_of}", 'water"\ncolor = "#ff8000') + COLOURS,
+        LAYER.replace("{made_of}", 'water"\ncolour = "#ff8000') + COLOURS,
         0.5,
     ),
     "mixing, two layers": (LAYER.replace("{made_of}", "milk") + MIXING, 0.5),

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..planning.plan import Plane
 from .blocks import EDGE, Lattice
 from .census import Census
 from .overlap import NEIGHBOURS, number, shared_masks
@@ -65,7 +66,7 @@ class Needs(NamedTuple):
     apart: bool | Near  # where the stress's impulses are kept apart from momentum: True: everywhere
     hues: np.ndarray  # (groups,) coefficients of colour that travel with every step
     surface: np.ndarray = np.zeros(0, bool)  # (phases,) contact knows the surfaces of its bodies
-    planes: tuple[tuple[int, int], ...] = ()  # (axis, node) of the walls that push these by contact
+    planes: tuple[Plane, ...] = ()  # walls that push these by contact
 
     @property
     def layers(self) -> list[str]:
@@ -97,6 +98,11 @@ class _Box:
     def block(self, at: np.ndarray) -> np.ndarray:
         """Inverse of `at`: (n, 3)."""
         return np.stack(np.unravel_index(at, self.shape), 1) + self.low
+
+    @property
+    def every(self) -> np.ndarray:
+        """All blocks: (n, 3)."""
+        return self.block(np.arange(int(np.prod(self.shape))))
 
     def full(self, value, dtype) -> np.ndarray:
         return np.full(int(np.prod(self.shape)), value, dtype)
@@ -237,10 +243,8 @@ def _who_contributes(box, at, phase, group, needs: Needs, solid) -> dict[str, np
         beside = np.zeros(len(at), bool) if solid is None else _by_solid(box, solid)[at]
         wanted &= (apart.contact[phase].T & close).any(0) | beside
     if needs.planes:
-        every = box.block(np.arange(int(np.prod(box.shape))))
-        wanted = wanted | (
-            box.spread(_at_plane(every, needs), np.logical_or)[at] & needs.surface[phase]
-        )
+        close_by = box.spread(_at_plane(box.every, needs), np.logical_or)[at]
+        wanted = wanted | (close_by & needs.surface[phase])
     takes["offsets"] = wanted
     for k in range(int(needs.hues.max(initial=0))):
         takes[hue(k)] = needs.hues[group] > k
@@ -273,15 +277,14 @@ def _close(box, at, phase, phases: int) -> np.ndarray:
 def _at_plane(block: np.ndarray, needs: Needs) -> np.ndarray:
     """Whether blocks (n, 3) hold a node of a wall that pushes by contact: (n,) bool."""
     found = np.zeros(len(block), bool)
-    for axis, node in needs.planes:
-        found |= block[:, axis] == (node + 1) // EDGE
+    for plane in needs.planes:
+        found |= block[:, plane.axis] == (plane.node + 1) // EDGE
     return found
 
 
 def _by_solid(box, solid) -> np.ndarray:
     """Whether the collider is at most a block away: per block of the box."""
-    every = box.block(np.arange(int(np.prod(box.shape))))
-    return box.spread(solid(every) >= 0, np.logical_or)
+    return box.spread(solid(box.every) >= 0, np.logical_or)
 
 
 def _nothing(needs: Needs) -> Topology:

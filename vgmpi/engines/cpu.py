@@ -17,7 +17,7 @@ from ..domain.topology import Topology, hue
 from ..kernels import beside, g2p, gradient, grid, members, p2g, records, sums, touch
 from ..kernels.layers import colour, impulses, momentum, offsets
 from ..kernels.tables import NodeBlocks, Particles, Phases, Segments, Step, Sums, Walls
-from ..kernels.walls import KINDS, SEPARATE, patch_codes
+from ..kernels.walls import KINDS, patch_codes
 from ..planning.groups import GroupPlan
 from ..planning.plan import Plan
 from .base import DITHER, Beyond, Report
@@ -92,7 +92,9 @@ class Cpu:
         self.solids = np.zeros((0, 64, 4), plan.real) if solids is None else solids.nodes
         kinds = np.array([KINDS[kind] for kind, _ in plan.walls], np.int64).reshape(3, 2)
         friction = np.array([mu for _, mu in plan.walls]).reshape(3, 2)
-        met = np.where(kinds == SEPARATE, 0, kinds)
+        met = kinds.copy()
+        for plane in plan.planes:
+            met[plane.axis, plane.side] = 0
         self.walls = Walls(np.array(plan.cells), kinds, met, friction)
         self.phases = Phases(
             np.array([phase.least for phase in plan.phases]),

@@ -23,7 +23,7 @@ CLOSE = 0.02  # the same of surfaces that are both known
 LAYER = 0.75
 SURE = 0.9  # length of a mean normal above which the particles of a node agree on it
 EASE = 0.01  # overlap [cells] from which an elastic layer pushes: bodies that just touch may part
-LAYERS = 0.4  # stiffness of the layer: that of two and a half cells
+SPRING = 0.4  # stiffness of the layer, over a cell's: that of two and a half cells
 SOFT = 0.25  # overlap [cells] that an elastic layer takes up
 LARGEST = 1.5  # share of a cell's face that one node may have
 SWEEPS = 16
@@ -72,8 +72,7 @@ def surface_normal(normal, a, b, mass_a, mass_b, known_a, known_b, dx):
 def _agreement(side, mass):
     """Over its mass, a high power of the length of a mean normal: 1 on a face, little at an edge,
     whose direction is that of neither face."""
-    x, y, z = side[0] / mass, side[1] / mass, side[2] / mass
-    long2 = x * x + y * y + z * z
+    long2 = _long2(side, mass)
     long8 = long2 * long2 * long2 * long2
     return long8 * long8 * long8 * long8 / mass
 
@@ -81,8 +80,14 @@ def _agreement(side, mass):
 @inline
 def sure(side, mass):
     """Whether the particles at a node agree where the surface is. side: (4,) of known ones."""
+    return _long2(side, mass) > SURE * SURE
+
+
+@inline
+def _long2(side, mass):
+    """Squared length of the mean normal."""
     x, y, z = side[0] / mass, side[1] / mass, side[2] / mass
-    return x * x + y * y + z * z > SURE * SURE
+    return x * x + y * y + z * z
 
 
 @inline
@@ -166,7 +171,7 @@ def press(change, v, mass, m, n, dt, dx):
         r0, r1, r2 = r0 + v[m.a, 0], r1 + v[m.a, 1], r2 + v[m.a, 2]
         reduced = mass[m.a] * mass[m.b] / (mass[m.a] + mass[m.b])
     rn = r0 * n[0] + r1 * n[1] + r2 * n[2]
-    push = dt * LAYERS * m.stiff * deep * m.share * (1.0 - middle) * dx * dx
+    push = dt * SPRING * m.stiff * deep * m.share * (1.0 - middle) * dx * dx
     push = min(push, reduced * (max(rn, 0.0) + 0.5 * deep * dx / dt))
     r0, r1, r2 = r0 - rn * n[0], r1 - rn * n[1], r2 - rn * n[2]
     size = np.sqrt(r0 * r0 + r1 * r1 + r2 * r2)

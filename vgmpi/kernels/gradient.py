@@ -7,8 +7,8 @@ Gaussians are to follow all of it, it is carried beside the law's state and noth
 from ..device.jit import kernel
 from ..device.tensor import moved_gradient_minus_one
 from ..lanes import laws as _laws  # noqa: F401  (makes the tensors' functions callable
-from ..lanes.lanes import COUNT, load, store
-from .records import AFFINE
+from ..lanes.lanes import COUNT, store
+from .records import AFFINE, nine
 
 
 @kernel
@@ -22,16 +22,7 @@ def follow(segments, start, count, f, first, dt):
     for s in segments:
         for p in range(start[s], start[s] + count[s], COUNT):
             q, h = p + AFFINE * cap, p + first * cap
-            c = (
-                load(flat, q), load(flat, q + cap), load(flat, q + 2 * cap),
-                load(flat, q + 3 * cap), load(flat, q + 4 * cap), load(flat, q + 5 * cap),
-                load(flat, q + 6 * cap), load(flat, q + 7 * cap), load(flat, q + 8 * cap),
-            )  # fmt: skip
-            old = (
-                load(flat, h), load(flat, h + cap), load(flat, h + 2 * cap),
-                load(flat, h + 3 * cap), load(flat, h + 4 * cap), load(flat, h + 5 * cap),
-                load(flat, h + 6 * cap), load(flat, h + 7 * cap), load(flat, h + 8 * cap),
-            )  # fmt: skip
+            c, old = nine(flat, q, cap), nine(flat, h, cap)
             h0, h1, h2, h3, h4, h5, h6, h7, h8 = moved_gradient_minus_one(old, c, dt)
             store(flat, h, h0)
             store(flat, h + cap, h1)

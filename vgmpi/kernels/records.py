@@ -14,6 +14,7 @@ import numpy as np
 
 from ..device.jit import inline, within
 from ..device.memory import aligned
+from ..lanes.lanes import load
 from ..lanes.rows import (
     QUARTERS,
     cell_offset,
@@ -126,6 +127,17 @@ def _note_rows(n, p, cap, xi, base):
     """Where 16 particles' base rows begin in a patch."""
     row = cell_offset(xi, p, PLANE) + cell_offset(xi, cap + p, ROW)
     store_whole(base, n, row + cell_offset(xi, 2 * cap + p, 4))
+
+
+@within
+def nine(f, p, cap):
+    """A tensor of 16 particles from p on, row by row, of which f (channels * cap,) holds the first
+    number there."""
+    return (
+        load(f, p), load(f, p + cap), load(f, p + 2 * cap),
+        load(f, p + 3 * cap), load(f, p + 4 * cap), load(f, p + 5 * cap),
+        load(f, p + 6 * cap), load(f, p + 7 * cap), load(f, p + 8 * cap),
+    )  # fmt: skip
 
 
 @within

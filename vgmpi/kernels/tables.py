@@ -53,7 +53,7 @@ class Walls(NamedTuple):
 
     cells: np.ndarray  # (3,) of the domain
     kinds: np.ndarray  # (3, 2) see walls.KINDS
-    met: np.ndarray  # (3, 2) the same, 0 for one that pushes known surfaces by contact
+    met: np.ndarray  # (3, 2) the same as known surfaces have it: 0 where contact pushes them
     friction: np.ndarray  # (3, 2)
 
 

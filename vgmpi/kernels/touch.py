@@ -20,7 +20,7 @@ from .contact import (
     surface_normal,
     touching,
 )
-from .walls import SEPARATE, tangential
+from .walls import tangential
 
 
 class Room(NamedTuple):
@@ -148,6 +148,7 @@ def _on_each_other(pairs, there, a, b, phase, offsets, phases, step, room):
     certain, share, stiff = False, 0.0, 0.0
     if known:
         certain = sure(xa, ma) and sure(xb, mb)
+    if certain:
         share = min(share_of(ma, phases.least[pa], one), share_of(mb, phases.least[pb], other))
         stiff = phases.stiff[pa] * phases.stiff[pb] / (phases.stiff[pa] + phases.stiff[pb])
     friction = phases.friction[pa, pb]
@@ -167,9 +168,8 @@ def _on_rigid(pairs, there, phase, offsets, surface, friction, flows, phases, st
         for c in range(3):
             n[c] = surface[c]
         other = distance(n, -1.0, mine, mass, known, step.dx)
-        certain, share = False, 0.0
-        if known:
-            certain, share = sure(mine, mass), share_of(mass, phases.least[ph], other)
+        certain = known and sure(mine, mass)
+        share = share_of(mass, phases.least[ph], other) if certain else 0.0
         far = surface[3] / step.dx
         meeting = Meeting(
             -1, q, far, other, known, certain, share, phases.stiff[ph], friction[ph]
@@ -216,31 +216,31 @@ def _has(side, known):
 
 @inline
 def _may_push(walls):
-    """Whether any wall lets go of what touches it."""
+    """Whether any wall pushes known surfaces."""
     for a in range(3):
         for side in range(2):
-            if walls.kinds[a, side] == SEPARATE:
+            if walls.met[a, side] == 0:
                 return True
     return False
 
 
 @inline
 def _planes(at, walls):
-    """On how many walls that only push a node lies."""
+    """On how many walls that push known surfaces a node lies."""
     count = 0
     for a in range(3):
         for side in range(2):
-            count += walls.kinds[a, side] == SEPARATE and at[a] == side * walls.cells[a]
+            count += walls.met[a, side] == 0 and at[a] == side * walls.cells[a]
     return count
 
 
 @inline
 def _on_walls(pairs, there, phase, offsets, at, walls, phases, step, room):
-    """Take up what walls that only push do to the phases whose surfaces are known."""
+    """Take up what walls do that push known surfaces."""
     surface, row = room.plane, room.row
     for a in range(3):
         for side in range(2):
-            if walls.kinds[a, side] != SEPARATE or at[a] != side * walls.cells[a]:
+            if walls.met[a, side] != 0 or at[a] != side * walls.cells[a]:
                 continue
             surface[0] = surface[1] = surface[2] = 0.0
             surface[a] = 1.0 - 2.0 * side

@@ -5,6 +5,10 @@ checkpoint holds them. Records, state, files, memory and docs read it.
 from functools import cached_property
 from typing import NamedTuple
 
+# of a body's surface: normal 0-2, distance 3, and the normal's gradient, whose six make nine
+SURFACE = 10
+BEND = [4, 5, 6, 5, 7, 8, 6, 8, 9]
+
 
 class Channel(NamedTuple):
     """Numbers of a particle that belong together: rows first .. first + width of its floats."""
@@ -44,7 +48,7 @@ class Channels:
         rows += [(name, "1", tuple(values), "state") for name, values in state.items()]
         rows += [("share", "1", (1.0,), "state")] * share
         rows += [("F", "1", (0.0,) * 9, "state")] * follows
-        rows += [("surface", "1, m, 1/m", (0.0,) * 10, "state")] * surface
+        rows += [("surface", "1, m, 1/m", (0.0,) * SURFACE, "state")] * surface
         rows += [("colour", "1", (0.0,) * 3 * hues, "state")] * (hues > 0)
         self._by_name: dict[str, Channel] = {}
         self.count = 0  # numbers of a particle

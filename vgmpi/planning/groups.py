@@ -137,7 +137,7 @@ def phases_of(
         return first, -float(f"{size:.9e}"), placed, name
 
     order = sorted(names, key=mastery)
-    cell, known = scene.domain.cell**3, surfaced(scene)
+    cell = scene.domain.cell**3
     return tuple(
         PhasePlan(
             name,
@@ -146,7 +146,7 @@ def phases_of(
             order.index(name),
             min(bodies[k].bulk_density for k in members[name]) * cell,
             max(bodies[k].bulk_density for k in members[name]) * cell,
-            name in known and all(surface[k] for k in members[name]),
+            all(surface[k] for k in members[name]),
         )
         for name in names
     )

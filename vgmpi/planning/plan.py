@@ -39,6 +39,15 @@ class Keeps(NamedTuple):
         return self.share * math.exp(-dt / self.damping)
 
 
+class Plane(NamedTuple):
+    """A wall that pushes known surfaces by contact."""
+
+    axis: int
+    side: int  # 0 at the node 0, 1 at the other end
+    node: int
+    friction: float
+
+
 @dataclass(frozen=True)
 class Plan:
     """Everything the solver is told. SI units."""
@@ -77,13 +86,13 @@ class Plan:
         return self.rules is not None and bool(self.rules.drifting_apart.any())
 
     @property
-    def planes(self) -> tuple[tuple[int, int], ...]:
-        """(axis, node) of the walls that push known surfaces by contact."""
+    def planes(self) -> tuple[Plane, ...]:
+        """The walls that push known surfaces by contact."""
         if not any(phase.surface for phase in self.phases):
             return ()
         return tuple(
-            (k // 2, k % 2 * self.cells[k // 2])
-            for k, (kind, _) in enumerate(self.walls)
+            Plane(k // 2, k % 2, k % 2 * self.cells[k // 2], friction)
+            for k, (kind, friction) in enumerate(self.walls)
             if kind == "separate"
         )
 

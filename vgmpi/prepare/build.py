@@ -10,8 +10,9 @@ from scipy import sparse
 
 from vgmpi import room
 from vgmpi.gaussians.checked import GaussianFileError
+from vgmpi.planning.channels import SURFACE
 from vgmpi.planning.colour_sets import colour_sets
-from vgmpi.planning.groups import deforms
+from vgmpi.planning.groups import deforms, surfaced
 from vgmpi.prepare import cost
 from vgmpi.prepare.collider import Collider
 from vgmpi.prepare.initial import begun
@@ -88,10 +89,12 @@ def build(scene: Scene) -> Prepared:
     cost.afford(scene)
     pieces: list[Piece] = []
     errors: list[tuple[tuple, str]] = []
+    touched = surfaced(scene)
     for k, thing in enumerate(scene.object):
         try:
             piece = begun(scene, thing, make(scene, k))
-            pieces.append(outlined(scene, thing, piece))
+            asked = thing.role == "body" and scene.phase_of(thing) in touched
+            pieces.append(outlined(scene, piece, asked))
             if piece.said:
                 log.info("'%s': %s", thing.name, _told(scene, thing, piece))
         except PlacementError as error:
@@ -206,11 +209,11 @@ def _surfaces(pieces: list[Piece], bodies: list[int]) -> np.ndarray | None:
     """Surfaces of all bodies, zeros of those that have none; None where no body has one."""
     if all(pieces[k].surface is None for k in bodies):
         return None
-    rows = (
-        np.zeros((len(pieces[k].cloud), 10)) if pieces[k].surface is None else pieces[k].surface
-        for k in bodies
-    )  # fmt: skip
-    return np.concatenate(list(rows)).astype(np.float32)
+    return _rows(pieces, bodies, _surface).astype(np.float32)
+
+
+def _surface(piece: Piece) -> np.ndarray:
+    return np.zeros((len(piece.cloud), SURFACE)) if piece.surface is None else piece.surface
 
 
 def _riding(pieces: list[Piece], objects: list[dict[str, Any]], terms: int) -> Passive | None:

@@ -7,10 +7,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from vgmpi.kernels.layers.offsets import DEEPEST
-from vgmpi.planning.groups import surfaced
+from vgmpi.planning.channels import BEND
 from vgmpi.prepare.collider import Collider
 from vgmpi.prepare.pieces import Piece
-from vgmpi.scene.objects import Object
 from vgmpi.scene.scene import Scene
 
 NEAR = 0.6  # cells from the surface within which a body is looked at for how thin it is
@@ -18,20 +17,15 @@ NEAR = 0.6  # cells from the surface within which a body is looked at for how th
 # particles at the surface below which it may be less
 DEEP, THIN = 0.6, 0.2
 ON_WALL, FACING = 0.25, 0.7  # cells from a wall, and cosine, by which a face lies on it
-FULL = [4, 5, 6, 5, 7, 8, 6, 8, 9]  # the nine of the six second derivatives
 SHARP = 8.0  # a normal that turns by 1 over the root of this in a cell is half sure
 BENT = 0.5  # most that a normal may turn over a cell: edges are as round as two cells
 
 
-def outlined(scene: Scene, thing: Object, piece: Piece) -> Piece:
-    """The piece with what contact knows of its surface, where it asks for that and the body is not
+def outlined(scene: Scene, piece: Piece, asked: bool) -> Piece:
+    """The piece with what contact knows of its surface, where that is asked for and the body is not
     thinner than some two cells: of a sheet the two sides cancel, and its particles tell more."""
     done = replace(piece, outline=None)
-    if (
-        thing.role != "body"
-        or piece.outline is None
-        or scene.phase_of(thing) not in surfaced(scene)
-    ):
+    if piece.outline is None or not asked:
         return done
     dx, outline, x = scene.domain.cell, piece.outline(), piece.cloud.x
     distance, slope, bend = around(outline, x, dx / 2)
@@ -69,7 +63,7 @@ def _open_at_walls(scene: Scene, x: np.ndarray, surface: np.ndarray) -> None:
     other = free[at]
     found, way = surface[other], x[ends] - x[other]
     close = (way**2).sum(axis=1) < (2 * dx) ** 2
-    turn = np.einsum("nab,nb->na", found[:, FULL].reshape(-1, 3, 3), way) * close[:, None]
+    turn = np.einsum("nab,nb->na", found[:, BEND].reshape(-1, 3, 3), way) * close[:, None]
     found[:, 3] += ((found[:, :3] + 0.5 * turn) * way).sum(axis=1)
     found[:, :3] += turn
     found[:, :3] /= np.maximum(np.sqrt((found[:, :3] ** 2).sum(axis=1)), 1e-300)[:, None]

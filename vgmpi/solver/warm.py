@@ -9,6 +9,7 @@ from ..device.processor import processor, stamp
 from ..domain.halo import Part
 from ..domain.ranks import Alone
 from ..kernels.push import push
+from ..planning.channels import SURFACE
 from ..planning.plan import Plan
 from .step import BlowUp, Simulation
 from .watch import about, ledger
@@ -71,7 +72,7 @@ def _run_all(plan: Plan) -> None:
     ids = np.array(plan.first_id)[things]
     alone.put(
         np.tile(middle, (n, 1)), np.zeros((n, 3)), np.full(n, plan.dx**3), ids, things,
-        surface=np.zeros((n, 10)),
+        surface=np.zeros((n, SURFACE)),
     )  # fmt: skip
     alone.advance(1e-6 * alone.bound())
     ledger(alone)

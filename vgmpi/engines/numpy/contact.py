@@ -10,7 +10,7 @@ import numpy as np
 from ...couplings.base import CONTACT
 from ...device.limits import TOUCHING
 from ...domain.solids import REACH
-from ...kernels.contact import CLOSE, EASE, LARGEST, LAYER, LAYERS, SOFT, SURE, SWEEPS, TOUCH
+from ...kernels.contact import CLOSE, EASE, LARGEST, LAYER, SOFT, SPRING, SURE, SWEEPS, TOUCH
 from ...planning.plan import Plan
 from .dense import Dense
 
@@ -35,14 +35,9 @@ class Contact:
         if collider is not None:
             self.collider = collider.reshape(*dense.shape, 4)
             self.near = self.collider[..., 3] < REACH * plan.dx
-        # walls that push what has a surface: (axis, side, node, friction)
-        self.pushing = [
-            (axis, int(node > 0), node, plan.walls[2 * axis + int(node > 0)][1])
-            for axis, node in plan.planes
-        ]
-        self.planes = np.zeros(dense.shape, int)  # on how many of them a node lies
-        for axis, _, node, _ in self.pushing:
-            np.moveaxis(self.planes, axis, 0)[node + 1] += 1
+        self.planes = np.zeros(dense.shape, int)  # on how many of the plan's a node lies
+        for plane in plan.planes:
+            np.moveaxis(self.planes, plane.axis, 0)[plane.node + 1] += 1
         self.least = np.array([TOUCHING * phase.least for phase in plan.phases])
         self.walls = dense
 
@@ -68,28 +63,26 @@ class Contact:
                 for phase, X, V, m in zip(self.plan.phases, offset[at], volume[at], mass[at],
                                           strict=True)
             ]  # fmt: skip
-            there = np.flatnonzero(here[at])
+            there, u, m = np.flatnonzero(here[at]), v[at], mass[at]
             alone = len(there) + self.near[node] + self.planes[node] == 2
-            change, pairs = np.zeros_like(v[at]), []
+            change, pairs = np.zeros_like(u), []
             for a, b, n, one, other, friction, stiff in self._meetings(node, there, sides):
-                known = a is None or sides[a].known
-                known, sure = known and sides[b].known, known and sides[b].sure
-                sure = sure and (a is None or sides[a].sure)
-                r = (v[at][a] if a is not None else 0.0) - v[at][b]
+                both = {b: other} if a is None else {a: one, b: other}  # that move
+                known = all(sides[k].known for k in both)
+                sure = known and all(sides[k].sure for k in both)
+                r = (u[a] if a is not None else 0.0) - u[b]
                 if sure:
-                    body = sides[b].share(other)
-                    share = body if a is None else min(body, sides[a].share(one))
-                    push = _push(r, mass[at], a, b, n, one, other, share * stiff, friction,
-                                 dt, self.dx)  # fmt: skip
+                    share = min(sides[k].share(far) for k, far in both.items())
+                    push = _push(r, m, a, b, n, one, other, share * stiff, friction, dt, self.dx)
                     acted += bool(push.any())
                     if a is not None:
-                        change[a] -= push / mass[at][a]
-                    change[b] += push / mass[at][b]
+                        change[a] -= push / m[a]
+                    change[b] += push / m[b]
                 if _touching(one, other, known, sure) and not (alone and r @ n <= 0):
                     pairs.append((-1 if a is None else a, b, n, friction))
-            v[at] += change
+            u += change
             if pairs:
-                _resolve(v[at], mass[at], pairs)
+                _resolve(u, m, pairs)
                 acted += 1
         return acted
 
@@ -109,11 +102,11 @@ class Contact:
                     far = sides[a].distance(n), sides[b].distance(-n)
                     yield a, b, n, *far, plan.friction[one][other], stiff
         rigid = [(*self.collider[node], plan.friction[-1], True)] if self.near[node] else []
-        for axis, side, number, friction in self.pushing:
-            if node[axis] == number + 1:
+        for plane in plan.planes:
+            if node[plane.axis] == plane.node + 1:
                 n = np.zeros(3)
-                n[axis] = 1.0 - 2.0 * side
-                rigid.append((*n, 0.0, [friction] * len(sides), False))
+                n[plane.axis] = 1.0 - 2.0 * plane.side
+                rigid.append((*n, 0.0, [plane.friction] * len(sides), False))
         for *n, far, friction, flows in rigid:
             for b in there:
                 if sides[b].there and (flows or sides[b].known):
@@ -163,7 +156,7 @@ def _push(r, mass, a, b, n, one, other, stiff, friction, dt, dx) -> np.ndarray:
     if deep <= 0.0 or middle >= 1.0:
         return np.zeros(3)
     reduced = mass[b] if a is None else mass[a] * mass[b] / (mass[a] + mass[b])
-    push = dt * LAYERS * stiff * deep * (1.0 - middle) * dx**2
+    push = dt * SPRING * stiff * deep * (1.0 - middle) * dx**2
     push = min(push, reduced * (max(r @ n, 0.0) + 0.5 * deep * dx / dt))
     slide = r - (r @ n) * n
     size = float(np.linalg.norm(slide))

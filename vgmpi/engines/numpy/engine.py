@@ -21,6 +21,7 @@ from ...kernels.couple import LEAST_PORES
 from ...kernels.g2p import CRUSHED, FASTEST_WAVE, LOST, OUTSIDE, TOO_FAST
 from ...kernels.layers.offsets import DEEPEST
 from ...materials.base import function
+from ...planning.channels import BEND
 from ...planning.plan import Plan
 from ..base import DITHER, Report
 from .contact import Contact
@@ -124,7 +125,7 @@ class Numpy:
         gradient (n, 3, 3) [1/m], and how sure it is (n,)."""
         rest = self._get(group, "surface")
         sure = np.linalg.norm(rest[:, :3], axis=1)
-        bend = rest[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)
+        bend = rest[:, BEND].reshape(-1, 3, 3)
         F = np.eye(3) + self._get(group, "F" if group.plan.followed else "H").reshape(-1, 3, 3)
         back = np.linalg.inv(F)
         slope = np.einsum("nba,nb->na", back, rest[:, :3])  # F^-T n0

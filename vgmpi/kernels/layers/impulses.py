@@ -9,7 +9,7 @@ import numpy as np
 from ...lanes.lanes import load, store
 from ...lanes.laws import lane_state, stress, volume_ratio
 from ...lanes.rows import first_lanes, higher, spread, store_records
-from ..records import AFFINE, STATE, VOLUME
+from ..records import AFFINE, STATE, VOLUME, nine
 from ..sums import power
 from . import momentum
 from .base import VECTOR, add, contribute
@@ -48,11 +48,7 @@ def _impulses(kind, law, count, at, cap, f, extra, peak, records, dt):
     most, over = load(peak, 0), 1.0 / (kind.density * kind.density)
     for n in range(0, count, 16):
         p = at + n
-        q = p + AFFINE * cap
-        c0, c1, c2 = load(f, q), load(f, q + cap), load(f, q + 2 * cap)
-        c3, c4, c5 = load(f, q + 3 * cap), load(f, q + 4 * cap), load(f, q + 5 * cap)
-        c6, c7, c8 = load(f, q + 6 * cap), load(f, q + 7 * cap), load(f, q + 8 * cap)
-        L = (c0, c1, c2, c3, c4, c5, c6, c7, c8)
+        L = nine(f, p + AFFINE * cap, cap)
         state = lane_state(law, f, p + STATE * cap, cap)
         t00, t11, t22, t01, t02, t12 = stress(law, state, L)
         volume = load(f, p + VOLUME * cap)

@@ -9,7 +9,7 @@ import numpy as np
 from ...lanes.lanes import load, store
 from ...lanes.laws import lane_state, stress
 from ...lanes.rows import first_lanes, higher, spread, store_records
-from ..records import AFFINE, STATE, VOLUME
+from ..records import AFFINE, STATE, VOLUME, nine
 from ..rowsums import scatter, scatter_slopes
 from ..sums import power
 from .base import VECTOR, add, contribute
@@ -58,11 +58,8 @@ def _momentum(kind, law, count, at, cap, f, extra, peak, records, dt):
     most, over = load(peak, 0), 1.0 / (kind.density * kind.density)
     for n in range(0, count, 16):
         p = at + n
-        q = p + AFFINE * cap
-        c0, c1, c2 = load(f, q), load(f, q + cap), load(f, q + 2 * cap)
-        c3, c4, c5 = load(f, q + 3 * cap), load(f, q + 4 * cap), load(f, q + 5 * cap)
-        c6, c7, c8 = load(f, q + 6 * cap), load(f, q + 7 * cap), load(f, q + 8 * cap)
-        L = (c0, c1, c2, c3, c4, c5, c6, c7, c8)
+        L = nine(f, p + AFFINE * cap, cap)
+        c0, c1, c2, c3, c4, c5, c6, c7, c8 = L
         t00, t11, t22, t01, t02, t12 = stress(law, lane_state(law, f, p + STATE * cap, cap), L)
         size = t00 * t00 + t11 * t11 + t22 * t22 + t01 * t01 + t02 * t02 + t12 * t12
         most = higher(first_lanes(over * size, count - n), most)
@@ -87,19 +84,17 @@ def _inertia(kind, law, count, at, cap, f, extra, peak, records, dt):
     zero = spread(f, 0.0)
     for n in range(0, count, 16):
         p = at + n
-        q = p + AFFINE * cap
         mass = kind.density * load(f, p + VOLUME * cap)
         m = kind.affine * kind.dx * mass
-        c0, c1, c2 = m * load(f, q), m * load(f, q + cap), m * load(f, q + 2 * cap)
-        c3, c4, c5 = m * load(f, q + 3 * cap), m * load(f, q + 4 * cap), m * load(f, q + 5 * cap)
-        c6, c7, c8 = m * load(f, q + 6 * cap), m * load(f, q + 7 * cap), m * load(f, q + 8 * cap)
+        c0, c1, c2, c3, c4, c5, c6, c7, c8 = nine(f, p + AFFINE * cap, cap)
         v0, v1, v2 = load(f, p), load(f, p + cap), load(f, p + 2 * cap)
         store_records(
             records,
             16 * n,
             (
                 mass * v0, mass * v1, mass * v2, mass,
-                c0, c3, c6, zero, c1, c4, c7, zero, c2, c5, c8, zero,
+                m * c0, m * c3, m * c6, zero, m * c1, m * c4, m * c7, zero,
+                m * c2, m * c5, m * c8, zero,
             ),
         )  # fmt: skip
 

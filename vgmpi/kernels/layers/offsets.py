@@ -18,7 +18,7 @@ from ...device.tensor import cofactors, product, product_transposed
 from ...lanes.lanes import load, store
 from ...lanes.laws import lane_state, volume_ratio
 from ...lanes.rows import diagonal, fourth, store_records
-from ..records import STATE, VOLUME
+from ..records import STATE, VOLUME, nine
 from ..rowsums import scatter
 from ..sums import power
 from .base import OFFSET, add, contribute
@@ -110,11 +110,8 @@ def _surface(kind, law, count, at, cap, f, extra, peak, records, dt):
     for n in range(0, count, 16):
         p = at + n
         q, s = p + np.int64(kind.gradient) * cap, p + np.int64(kind.surface) * cap
-        F = (
-            1.0 + load(f, q), load(f, q + cap), load(f, q + 2 * cap),
-            load(f, q + 3 * cap), 1.0 + load(f, q + 4 * cap), load(f, q + 5 * cap),
-            load(f, q + 6 * cap), load(f, q + 7 * cap), 1.0 + load(f, q + 8 * cap),
-        )  # fmt: skip
+        h0, h1, h2, h3, h4, h5, h6, h7, h8 = nine(f, q, cap)
+        F = (1.0 + h0, h1, h2, h3, 1.0 + h4, h5, h6, h7, 1.0 + h8)
         x, y, z, d = load(f, s), load(f, s + cap), load(f, s + 2 * cap), load(f, s + 3 * cap)
         xx, xy, xz = load(f, s + 4 * cap), load(f, s + 5 * cap), load(f, s + 6 * cap)
         yy, yz, zz = load(f, s + 7 * cap), load(f, s + 8 * cap), load(f, s + 9 * cap)
