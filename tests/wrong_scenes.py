@@ -175,7 +175,7 @@ CASES = {
         'title = "good"',
         'title = "good"\n[accuracy]\ntransfer = "flop"',
         "accuracy.transfer",
-        "must be one of apic, aflip, flip, pic (did you mean 'flip'?); got 'flop'",
+        "must be one of apic, restored, aflip, flip, pic (did you mean 'flip'?); got 'flop'",
     ),
     "output field": (
         'title = "good"',

@@ -2,9 +2,10 @@
 
 Theory: u = U sin(k x) cos(k z), w = -U cos(k x) sin(k z), k = pi / L, in a box of edge L with slip
 walls solves the Navier-Stokes equations with U falling as exp(-2 nu k^2 t) (Taylor and Green 1937).
-No free surface, no end: what is measured is viscosity, and what the transfers add to it. That falls
-as dx^4 / dt: 4 % at 16 cells with UL / nu = 1, .3 % at 32.
-Tolerance: 3 % of the rate. PIC and FLIP are shown beside.
+No free surface, no end: what is measured is viscosity, and what the transfers add to it. With APIC
+that falls as dx^4 / dt, 4 % at 16 cells with UL / nu = 1, 12 % at 24 with 10; where motion is
+restored nothing of it is left.
+Tolerance: 3 % of the rate. Other transfers are shown beside.
 """
 
 import numpy as np
@@ -41,7 +42,7 @@ mode = [
 """
 
 
-def decay(folder, cells, nu, transfer="apic"):
+def decay(folder, cells, nu, transfer="restored"):
     """(times [1 / (2 nu k^2)], amplitudes [U]) over one e-folding time."""
     dx = L / cells
     text = SCENE.format(dx=dx, deep=4 * dx, mu=1000 * nu, transfer=transfer, k=K)
@@ -64,8 +65,12 @@ def rate(times, amplitudes):
 
 @pytest.mark.parametrize(
     "cells, nu",
-    [(24, 1e-3), pytest.param(48, 1e-4, marks=pytest.mark.slow)],
-    ids=["quick", "thin"],
+    [
+        (24, 1e-3),
+        pytest.param(24, 1e-4, marks=pytest.mark.slow),
+        pytest.param(48, 1e-4, marks=pytest.mark.slow),
+    ],
+    ids=["quick", "thin, coarse", "thin"],
 )
 def test_decay(tmp_path, cells, nu):
     times, found = decay(tmp_path, cells, nu)
@@ -86,7 +91,7 @@ def test_decay(tmp_path, cells, nu):
 @pytest.mark.slow
 def test_beside_other_transfers(tmp_path):
     """What other transfers add to the viscosity; not more than they were seen to."""
-    for transfer, most in (("aflip", 1.05), ("flip", 1.3), ("pic", 12.0)):
+    for transfer, most in (("apic", 1.1), ("aflip", 1.05), ("flip", 1.3), ("pic", 12.0)):
         found = rate(*decay(tmp_path, 16, 1e-3, transfer))
         held(
             f"Taylor-Green vortices with {transfer.upper()}",

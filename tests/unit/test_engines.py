@@ -124,6 +124,11 @@ SCENES = {kind: (of_law(kind), "mixed", "") for kind in LAWS} | {
     "aflip and everything": (
         WATER + OIL + SAND + TOY + WET + OILY + BED + CUBE + POST + MIX + FLOW, "separate", AFLIP,
     ),
+    "apic": (WATER + TOY + POOL + CUBE + POST, "separate", 'transfer = "apic"'),
+    "apic and everything": (
+        WATER + OIL + SAND + TOY + WET + OILY + BED + CUBE + POST + MIX + FLOW, "mixed",
+        'transfer = "apic"',
+    ),
     "pic with splines": (
         WATER + TOY + POOL + CUBE, "mixed", 'transfer = "pic"\ngradient = "splines"',
     ),

@@ -246,7 +246,7 @@ def test_bodies_in_one_place_are_told(path, caplog):
     assert "overlap" not in caplog.text
 
 
-@pytest.mark.parametrize("transfer", ["apic", "aflip", "flip", "pic"])
+@pytest.mark.parametrize("transfer", ["apic", "restored", "aflip", "flip", "pic"])
 def test_a_share_per_step_is_told_where_it_counts(tmp_path, caplog, transfer):
     lump = '[[object]]\nname = "lump"\nmaterial = "clay"\n'
     lump += "shape = { sphere = { center = [0.1, 0.1, 0.1], radius = 0.05 } }"

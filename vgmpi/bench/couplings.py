@@ -1,6 +1,6 @@
 """What sharing space costs: fluids that mix, and sand that a fluid flows through, beside
-the same tank filled with one fluid; and the same fluid with AFLIP, and in two colours that travel
-with every step.
+the same tank filled with one fluid; and the same fluid with its motion restored, with AFLIP, and in
+two colours that travel with every step.
 
 Each pair is measured in turns, so that what else the machine does touches both alike.
 """
@@ -73,9 +73,11 @@ COLOURS = """
 [appearance]
 colour_transfer = "step"
 """
-AFLIP = "with AFLIP"
+AFLIP, RESTORED = "with AFLIP", "with motion restored"
+TRANSFERS = {AFLIP: "aflip", RESTORED: "restored"}
 SCENES = {  # name -> what lies below the water, couplings, depth of it as a share of the tank's
     "fluid": (LAYER.replace("{made_of}", "water"), 0.5),
+    RESTORED: (LAYER.replace("{made_of}", "water"), 0.5),
     AFLIP: (LAYER.replace("{made_of}", "water"), 0.5),
     "colours with every step": (
         LAYER.replace("{made_of}", 'water"\ncolour = "#ff8000') + COLOURS,
@@ -113,7 +115,7 @@ def _tank(name: str, particles: int, precision: str, folder: Path) -> Simulation
     low = round(share * deep)
     keys = {
         "side": side / 100, "high": 2 * side / 100, "low": low / 100, "top": deep / 100,
-        "precision": precision, "transfer": "aflip" if name == AFLIP else "apic",
+        "precision": precision, "transfer": TRANSFERS.get(name, "apic"),
     }  # fmt: skip
     text = TANK if share < 1.0 else TANK[: TANK.index("[[object]]")]
     path = folder / "scene.toml"
@@ -130,7 +132,7 @@ def _tank(name: str, particles: int, precision: str, folder: Path) -> Simulation
     return simulation
 
 
-def _time(simulation: Simulation, steps: int = 20) -> dict:
+def _time(simulation: Simulation, steps: int = 24) -> dict:
     """ns per particle and step by stage, sorting spread over the steps between two sorts."""
     clock = simulation.clock = Stages(time.thread_time)
     began = time.thread_time()

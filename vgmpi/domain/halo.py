@@ -11,6 +11,7 @@ ranks that disagree stop instead of adding the wrong thing. The engine packs and
 """
 
 import zlib
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -38,12 +39,13 @@ class Part(NamedTuple):
 class Halo:
     """Buffers and lists of nodes, made anew when the tables are."""
 
-    def __init__(self, ranks: Alone, tables: Topology, words: int):
-        """words: doubles per sum."""
+    def __init__(self, ranks: Alone, tables: Topology, words: int, layers: Sequence[str] = ()):
+        """words: doubles per sum; layers: that travel, all by default."""
         self.rank = ranks.rank
         self.sends: list[_Message] = []
         self.receives: list[_Message] = []
-        for rank, shared in tables.shared.items():
+        for rank, every in tables.shared.items():
+            shared = {layer: every[layer] for layer in layers or every if layer in every}
             for messages, kind in ((self.sends, "send"), (self.receives, "receive")):
                 message = _Message(rank, shared, kind, tables, words)
                 if message.parts:

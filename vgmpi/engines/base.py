@@ -2,6 +2,9 @@
 
     begin, fill(border), pack ... fill(inner), update(inner) ... add, update(border), gather
 
+A step of no time passes velocities alone through the grid, and ends by `restore` in the place of
+`gather`.
+
 An engine keeps the particles of a rank (`groups`), contributes them to the nodes (`fill`), hands
 the sums that other ranks need to the halo and takes up theirs (`pack`, `add`), finds the nodes'
 velocities (`update`) and moves the particles (`gather`).
@@ -66,6 +69,7 @@ class Reach(NamedTuple):
         waves = (self.rate * plan.cfl * plan.dx) ** 2
         stress = 2.0 * self.stress + 3.0 * waves * self.turn * self.dt
         given = self.speed + pushed + 2.6 * plan.dx * self.turn + 4.0 * dt / plan.dx * stress
+        given *= 1.0 + 4.0 * plan.restores  # more than transfers can have lost
         return float(min(plan.dx / dt, given))
 
 
@@ -84,7 +88,8 @@ class Engine(Protocol):
         """Lay out what the tables ask for, after a sort; kept: they are those of before."""
 
     def begin(self, dt: float, gravity: np.ndarray, speed: float) -> None:
-        """Begin a step of dt [s] with gravity (3,) [m/s2]; speed: Reach.fastest."""
+        """Begin a step of dt [s], or of no time, with gravity (3,) [m/s2]; speed:
+        Reach.fastest."""
 
     def fill(self, border: bool) -> None:
         """Contribute this rank's segments: those that reach other ranks' nodes, or the others."""
@@ -100,3 +105,7 @@ class Engine(Protocol):
 
     def gather(self, step: int) -> Report:
         """Move the particles."""
+
+    def restore(self, times: int) -> list[Beyond]:
+        """Give the particles `times` what their motion has lost by a step of no time. Returns what
+        Report has of sums."""

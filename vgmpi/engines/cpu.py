@@ -14,7 +14,7 @@ from ..domain.halo import Part
 from ..domain.solids import Solids
 from ..domain.state import Group
 from ..domain.topology import Topology, hue
-from ..kernels import beside, g2p, gradient, grid, members, p2g, records, sums, touch
+from ..kernels import beside, g2p, gradient, grid, members, p2g, records, restore, sums, touch
 from ..kernels.layers import colour, impulses, momentum, offsets
 from ..kernels.tables import NodeBlocks, Particles, Phases, Segments, Step, Sums, Walls
 from ..kernels.walls import KINDS, patch_codes
@@ -40,6 +40,7 @@ class GroupWork(NamedTuple):
     segments: Segments
     shares: Shares
     given: list[Contribution]
+    moving: Contribution  # in a step of no time
     numbers: g2p.Numbers
 
 
@@ -183,8 +184,9 @@ class Cpu:
         )  # fmt: skip
         takes = {name: found[rows] for name, found in tables.takes.items()}
         given = _contributions(self.plan, group.plan, takes, split)
+        moving = Contribution("momentum", momentum.kinds(self.plan, group.plan)[1], split | True)
         numbers = _numbers(self.plan, group.plan)
-        return GroupWork(group, _particles(group), segments, shares, given, numbers)
+        return GroupWork(group, _particles(group), segments, shares, given, moving, numbers)
 
     def _limits(self, block: np.ndarray) -> np.ndarray:
         """Range of positions [cells from the block's middle] whose base node exists, half a cell
@@ -211,7 +213,7 @@ class Cpu:
         """Add what the particles contribute to the sums."""
         self.each(self._fill, border)
         if border and self.threads > 1:
-            for layer in self.layers.values():
+            for layer in self.layers.values() if self.dt else [self.layers["momentum"]]:
                 if len(layer.phase):
                     sums.merge(self.united, self.blocks, layer.tables)
 
@@ -220,6 +222,12 @@ class Cpu:
         for g, part in enumerate(self.parts):
             group = part.group
             rows = part.shares.of(border)[thread]
+            if not self.dt:
+                self.call(
+                    ("still",), p2g.fill, rows, part.moving.kind, None, part.segments,
+                    part.particles, self.layers["momentum"].sums, self.scratch[thread], dt,
+                )  # fmt: skip
+                continue
             for k, given in enumerate(part.given):
                 self.call(
                     (g, k), p2g.fill, rows[given.chosen[rows]], given.kind, group.plan.law,
@@ -247,6 +255,12 @@ class Cpu:
     def _update(self, thread: int, border: bool) -> None:
         blocks = self.block_shares.of(border)[thread]
         layers, apart = self.layers, None
+        if not self.dt:
+            self.call(
+                (), restore.mean, blocks, self.blocks, layers["momentum"].tables, self.phases,
+                self.step, self.beyond[thread],
+            )  # fmt: skip
+            return
         if self.apart:
             apart = grid.Apart(
                 layers["impulses"].tables, **self.beside, noted=int(self.gathered["change"]),
@@ -304,6 +318,19 @@ class Cpu:
                 self.call(
                     (g,), gradient.follow, rows, group.start, group.count, group.f, at, motion.dt
                 )
+
+    def restore(self, times: int) -> list[Beyond]:
+        """Give the particles `times` what a step of no time has taken from their motion."""
+        self.each(self._restore, self.plan.real.type(times))
+        return self._found_beyond()
+
+    def _restore(self, thread: int, times: float) -> None:
+        dx = self.plan.real.type(self.plan.dx)
+        for part in self.parts:
+            self.call(
+                (), restore.give_back, part.shares.all[thread], times, part.segments,
+                part.particles, self.layers["momentum"].nodes, self.scratch[thread], dx,
+            )  # fmt: skip
 
     def _beside(self, plan: GroupPlan) -> tuple:
         """What a group's particles gather besides the velocity."""

@@ -113,7 +113,7 @@ def _move(
     for n in range(0, count, 16):
         p = at + n
         left = count - n
-        v0, v1, v2, fill, L = _gathered(records, 16 * n, k)
+        v0, v1, v2, fill, L = gathered(records, 16 * n, k)
         keep(beside, f, p, cap, extra, n, (v0, v1, v2))
         _take_gradient(f, p, cap, L)
         v0, v1, v2 = moving(beside, split, extra, n, (v0, v1, v2))
@@ -151,7 +151,7 @@ def _move(
 
 
 @inline
-def _gathered(records, at, k):
+def gathered(records, at, k):
     """Of 16 records: velocity, the fourth number, the velocity's gradient."""
     r = load_records(records, at)
     x, y, z = (k * r[4], k * r[5], k * r[6]), (k * r[8], k * r[9], k * r[10]), (

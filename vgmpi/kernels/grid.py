@@ -70,7 +70,7 @@ def update(
             if apart is not None:
                 take_up(nb, rows, pushed, report, 2)
                 kept_apart |= pushed.asked[nb] != 0
-            _fall(nb, nodes, push, ROUNDING * least_of[phase_of[nb]])
+            fall(nb, nodes, push, ROUNDING * least_of[phase_of[nb]])
         here = _here(b, n0, n1, tables, last)
         if apart is not None:
             noted = kept_apart and apart.noted
@@ -124,7 +124,7 @@ def _may_touch(n0, n1, phase, rigid, rules):
 
 
 @inline
-def _fall(nb, nodes, push, tiny):
+def fall(nb, nodes, push, tiny):
     """Momentum to velocity after `push`, at the nodes of a node block that are not lighter than
     tiny."""
     for c in range(256 * nb, 256 * (nb + 1), 16):

@@ -21,6 +21,7 @@ MASTERY = {
     "sand": 2,
     "fluid": 3,
 }  # whose surface gives the normal where two phases touch
+RESTORING_COST = 0.75  # of a step of no time, relative to a step (`vgmpi.bench couplings`)
 KEEPING_COST = 1.7  # of FLIP and AFLIP, relative to the same without (`vgmpi.bench couplings`)
 COLOUR_COST = 0.6  # of a coefficient of colour that travels, relative to a fluid's step
 
@@ -195,12 +196,16 @@ def _group(phase: int, phase_label: str, name: str, material, real: np.dtype) ->
 
 
 def completed(
-    scene: Scene, group: GroupPlan, sharing: Rules | None, colours: Exchange | None, keeps: object
-) -> GroupPlan:
-    """The group with what it needs to share space, for colours that travel, and for FLIP."""
+    scene: Scene, group: GroupPlan, sharing: Rules | None, colours: Exchange | None, keeps: object,
+    restores: int,
+) -> GroupPlan:  # fmt: skip
+    """The group with what it needs to share space, for colours that travel, for FLIP, and for
+    motion that is restored every few steps."""
     group = _shared(scene, group, sharing)
     if colours is not None:
         group = _coloured(group, int(colours.coefficients[group.phase]))
+    if restores:
+        group = group._replace(cost=group.cost * (1.0 + RESTORING_COST / restores))
     if keeps is None:
         return group
     return group._replace(apart=True, cost=group.cost * KEEPING_COST)

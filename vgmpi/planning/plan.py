@@ -25,6 +25,9 @@ REALS: dict[str, np.dtype] = {
     "single": np.dtype(np.float32),
     "double": np.dtype(np.float64),
 }
+# motion is restored after some steps: seldom costs less; in half a period of the shortest waves it
+# would give these more than they lost, and they grow
+SELDOM, SWING = 3, 1.6  # at most these steps, and these cells that a wave goes
 MOST_STEPS = 2.0**52  # beyond these a step is lost beside the time it is added to
 
 
@@ -75,6 +78,7 @@ class Plan:
     affine: bool = True  # particles carry the velocity's gradient (APIC)
     splines: bool = False  # strains and forces by gradients of the B-splines
     keeps: Keeps | None = None  # FLIP and AFLIP
+    restores: int = 0  # steps after which motion gets back what transfers took; 0: never
     gravity_ramp: float = 0.0  # [s] in which gravity grows
     # [m], of every solid body, for other objects nan; none where no fluid is, or it is not known
     thickness: tuple[float, ...] = ()
@@ -163,7 +167,7 @@ def make_plan(
     sharing = rules(scene, groups, phases)
     colours = exchange(scene, phases, shades)
     _check_transfer(scene, sharing)
-    keeps = _keeps(scene.accuracy)
+    keeps, restores = _keeps(scene.accuracy), _restores(scene)
     plan = Plan(
         cells=scene.domain.cells,
         dx=scene.domain.cell,
@@ -171,7 +175,9 @@ def make_plan(
         gravity=scene.domain.gravity,
         walls=tuple(scene.domain.walls),
         phases=phases,
-        groups=tuple(completed(scene, group, sharing, colours, keeps) for group in groups),
+        groups=tuple(
+            completed(scene, group, sharing, colours, keeps, restores) for group in groups
+        ),
         group_of=group_of,
         first_id=tuple(int(n) for n in np.concatenate([[0], np.cumsum(count)[:-1]])),
         count=tuple(int(n) for n in count),
@@ -188,6 +194,7 @@ def make_plan(
         affine=scene.accuracy.affine,
         splines=scene.accuracy.gradient == "splines",
         keeps=keeps,
+        restores=restores,
         gravity_ramp=scene.domain.gravity_ramp,
     )
     _check_steps(scene, plan)
@@ -258,6 +265,11 @@ def _keeps(accuracy: Accuracy) -> Keeps | None:
     if accuracy.flip is not None:
         return Keeps(accuracy.flip, math.inf)
     return Keeps(1.0, accuracy.damping)
+
+
+def _restores(scene: Scene) -> int:
+    """After how many steps motion is restored, or 0."""
+    return max(1, min(SELDOM, int(SWING / scene.time.cfl))) if scene.accuracy.restores else 0
 
 
 def _check_transfer(scene: Scene, sharing: Rules | None) -> None:

@@ -14,7 +14,7 @@ from ..domain.halo import Halo
 from ..domain.ranks import Alone
 from ..domain.solids import Solids
 from ..domain.state import Group
-from ..engines.base import UNKNOWN, Engine, Reach, Report
+from ..engines.base import UNKNOWN, Beyond, Engine, Reach, Report
 from ..engines.cpu import Cpu
 from ..engines.numpy.engine import Numpy
 from ..kernels import g2p
@@ -93,6 +93,7 @@ class Simulation:
         self.census: Census
         self.cut: np.ndarray | None = None
         self.halo: Halo | None = None
+        self.motion: Halo | None = None  # of a step of no time
         self.time = 0.0
         self.step = 0
         self.rate = 0.0
@@ -195,9 +196,15 @@ class Simulation:
         if self.loads is not None:
             self.loads.find(self.groups)
         if not kept:
-            if self.halo is not None:
-                self.halo.link.close()
-            self.halo = Halo(self.ranks, self.tables, self.engine.words)
+            self.halo = self._exchange(self.halo)
+            if self.plan.restores:
+                self.motion = self._exchange(self.motion, ["momentum"])
+
+    def _exchange(self, before: Halo | None, layers: Sequence[str] = ()) -> Halo:
+        """The exchange of layers by the tables in force, in the place of the one before."""
+        if before is not None:
+            before.link.close()
+        return Halo(self.ranks, self.tables, self.engine.words, layers)
 
     @property
     def load(self) -> np.ndarray:
@@ -215,35 +222,21 @@ class Simulation:
         Raises BlowUp, on all ranks, after the step in which a particle went wrong.
         """
         mark = self.clock or (lambda name: None)
-        engine, halo = self.engine, self.halo
-        assert halo is not None  # particles were put
+        engine = self.engine
+        every, beyond = self.plan.restores, []
+        if every and self.step and self.step % every == 0:
+            beyond = self.restore(dt)
         pushed = 0.0
         if self.loads is not None:
             pushed = self.loads.push(self.groups, self.time, dt)
         gravity = self.gravity
         if self.plan.gravity_ramp:
             gravity = gravity * self.plan.gravity_share(self.time, self.time + dt)
-        # x, v, C, state at n -> mass and momentum (with the stress at n over dt)
         engine.begin(dt, gravity, self.reach.fastest(self.plan, dt, pushed))
-        engine.fill(border=True)
-        mark("p2g")
-        halo.start(self.step, engine.pack)
-        mark("halo")
-        engine.fill(border=False)
-        mark("p2g")
-        halo.link.nudge()
-        # node velocities at n + 1: gravity, contact, walls
-        engine.update(border=False)
-        mark("grid")
-        halo.link.wait()
-        mark("wait")
-        halo.finish(self.step, engine.add)
-        mark("halo")
-        engine.update(border=True)
-        mark("grid")
+        self._to_nodes(self.halo)
         report = engine.gather(self.step)  # v, C, x, state at n + 1
+        report = report._replace(beyond=beyond + report.beyond)
         mark("g2p")
-        self.sent += halo.bytes_sent
         self.time += dt
         self.step += 1
         found = self._agreed(report, requests)
@@ -256,6 +249,39 @@ class Simulation:
             self.sort()
             mark("sort")
         return found[6:]
+
+    def restore(self, dt: float) -> list[Beyond]:
+        """Give the particles what transfers have taken from their motion in the last steps. A step
+        of no time passes it through the grid: what that takes, each of them took. Collective. dt:
+        of the next step [s]."""
+        self.engine.begin(0.0, np.zeros(3), self.reach.fastest(self.plan, dt, 0.0))
+        self._to_nodes(self.motion)
+        beyond = self.engine.restore(self.plan.restores)
+        if self.clock:
+            self.clock("g2p")
+        return beyond
+
+    def _to_nodes(self, halo: Halo | None) -> None:
+        """x, v, C, state at n -> mass and momentum (with the stress at n over dt) -> velocities at
+        the nodes at n + 1: gravity, couplings, contact, walls."""
+        engine, mark = self.engine, self.clock or (lambda name: None)
+        assert halo is not None  # particles were put
+        engine.fill(border=True)
+        mark("p2g")
+        halo.start(self.step, engine.pack)
+        mark("halo")
+        engine.fill(border=False)
+        mark("p2g")
+        halo.link.nudge()
+        engine.update(border=False)
+        mark("grid")
+        halo.link.wait()
+        mark("wait")
+        halo.finish(self.step, engine.add)
+        mark("halo")
+        engine.update(border=True)
+        mark("grid")
+        self.sent += halo.bytes_sent
 
     def _agreed(self, report: Report, requests: tuple[float, ...]) -> np.ndarray:
         """The step's one reduction: rate, farthest particle, whether something went wrong, reach,

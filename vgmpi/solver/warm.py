@@ -75,6 +75,8 @@ def _run_all(plan: Plan) -> None:
         surface=np.zeros((n, SURFACE)),
     )  # fmt: skip
     alone.advance(1e-6 * alone.bound())
+    if plan.restores:
+        alone.restore(1e-6 * alone.bound())
     ledger(alone)
     for group in alone.groups:
         push(group.f, np.zeros(0, np.int64), np.zeros(3, plan.real))

@@ -23,7 +23,7 @@ from ...kernels.layers.offsets import DEEPEST
 from ...materials.base import function
 from ...planning.channels import BEND
 from ...planning.plan import Plan
-from ..base import DITHER, Report
+from ..base import DITHER, Beyond, Report
 from .contact import Contact
 from .dense import Dense, Stencil
 from .sharing import Sharing
@@ -65,6 +65,7 @@ class Numpy:
         volumes, offsets, colours."""
         if border:
             return
+        # in a step of no time stress gives no impulse: what is summed for others nobody reads
         n, shape = len(self.plan.phases), self.dense.shape
         self.mass, self.volume, self.counted = (np.zeros((n, *shape, 1)) for _ in range(3))
         self.momentum, self.forces, self.offset = (np.zeros((n, *shape, 3)) for _ in range(3))
@@ -149,6 +150,11 @@ class Numpy:
         mass = np.where(mass > least, mass, 0.0)
         some = mass[..., None] > 0
         still = np.where(some, self.momentum / np.where(some, mass[..., None], 1.0), 0.0)
+        if not self.dt:
+            self.v = still
+            for velocities, phase in zip(still, plan.phases, strict=True):
+                dense.mirror(velocities, phase.surface)
+            return
         v = np.where(some, still + self.dt * self.gravity, 0.0)
         self.contact.along_walls(self.offset)
         if plan.keeps is not None:  # all that does not share its pressure with others
@@ -203,6 +209,17 @@ class Numpy:
         wrong = [one for report in found for one in report.wrong]
         rate, far = (max(getattr(r, name) for r in found) for name in ("rate", "far"))
         return Report(rate, far, (0.0,) * 3, wrong, [])
+
+    def restore(self, times: int) -> list[Beyond]:
+        """Give the particles `times` what a step of no time has taken from their motion."""
+        for group, stencil in zip(self.groups, self.stencils, strict=True):
+            if len(group):
+                field = self.v[group.plan.phase]
+                v, L = self.dense.gather(field, stencil), self.dense.gather_slopes(field, stencil)
+                for name, left in (("v", v), ("C", L.reshape(-1, 9))):
+                    own = self._get(group, name)
+                    self._put(group, name, own + times * (own - left))
+        return []
 
     def _gather(self, group: Group, stencil: Stencil, split: np.ndarray, step: int) -> Report:
         plan, dense, p = group.plan, self.dense, group.plan.phase

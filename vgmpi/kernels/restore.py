@@ -1,0 +1,80 @@
+"""What transfers took from the particles' motion, given back: it passes through the grid in a step
+of no time, and what it loses by that is what each transfer of the last steps took.
+"""
+
+from ..device.jit import inline, kernel
+from ..device.limits import ROUNDING
+from ..lanes.lanes import load, place, store
+from ..lanes.rows import repeat
+from .g2p import gathered
+from .grid import fall
+from .patches import expect, gather
+from .records import AFFINE, BATCH, PATCH, box_of, parts, rest, touched, weigh
+from .rowsums import moments
+from .sums import blocks_at, sums_at, take_up
+from .walls import SIDE, reflect
+
+
+@kernel
+def mean(blocks, tables, momentum, phases, step, report):
+    """Velocities [m/s] at the nodes of some blocks in place of momentum, and no more: no gravity,
+    couplings, contact or walls. See grid.update."""
+    rows, moved = blocks_at(tables), sums_at(momentum)
+    first, phase_of, least_of = place(tables.first), rows.phase, place(phases.least)
+    push = repeat(step.fall, 0)
+    for b in blocks:
+        for nb in range(first[b], first[b + 1]):
+            take_up(nb, rows, moved, report, 0)
+            fall(nb, moved.nodes, push, ROUNDING * least_of[phase_of[nb]])
+
+
+@kernel
+def give_back(rows, times, segments, particles, velocity, scratch, dx):
+    """To each particle `times` what its velocity and its velocity's gradient lose by the way to the
+    grid and back.
+
+    rows: (n,) segments to do; velocity: (node blocks, 256) [m/s].
+    """
+    cap = particles.f.shape[1]
+    f, xi = particles.f.reshape(particles.f.size), particles.xi.reshape(particles.xi.size)
+    start, count, table, mirror = segments.start, segments.count, segments.table, segments.mirror
+    weights, records, patch, _ = parts(scratch.real)
+    nodes = patch[:PATCH].reshape((SIDE, SIDE, SIDE, 4))
+    patch[PATCH:] = 0
+    base, box = scratch.whole, box_of(scratch.whole)
+    flat = place(velocity.reshape(velocity.size))
+    for q in range(len(rows)):
+        s = rows[q]
+        if q + 1 < len(rows):
+            expect(flat, table[rows[q + 1]])
+        touched(count[s], start[s], cap, xi, f, mirror[s], box)
+        gather(patch, velocity, table[s], box)
+        reflect(nodes, mirror[s])
+        for first in range(0, count[s], BATCH):
+            n = min(BATCH, count[s] - first)
+            at = start[s] + first
+            weigh(n, at, cap, xi, f, base, weights)
+            moments(n, records, weights, base, patch)
+            rest(n, records)
+            for m in range(0, n, 16):
+                v0, v1, v2, _, L = gathered(records, 16 * m, 4.0 / dx)
+                p, q = at + m, at + m + AFFINE * cap
+                _give(f, p, times, v0)
+                _give(f, p + cap, times, v1)
+                _give(f, p + 2 * cap, times, v2)
+                _give(f, q, times, L[0])
+                _give(f, q + cap, times, L[1])
+                _give(f, q + 2 * cap, times, L[2])
+                _give(f, q + 3 * cap, times, L[3])
+                _give(f, q + 4 * cap, times, L[4])
+                _give(f, q + 5 * cap, times, L[5])
+                _give(f, q + 6 * cap, times, L[6])
+                _give(f, q + 7 * cap, times, L[7])
+                _give(f, q + 8 * cap, times, L[8])
+
+
+@inline
+def _give(f, p, times, left):
+    """A number of 16 particles, of which a transfer leaves `left`."""
+    own = load(f, p)
+    store(f, p, own + times * (own - left))
