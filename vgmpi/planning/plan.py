@@ -25,9 +25,9 @@ REALS: dict[str, np.dtype] = {
     "single": np.dtype(np.float32),
     "double": np.dtype(np.float64),
 }
-# motion is restored after some steps: seldom costs less; in half a period of the shortest waves it
-# would give these more than they lost, and they grow
-SELDOM, SWING = 3, 1.6  # at most these steps, and these cells that a wave goes
+# motion is restored after some steps: seldom costs less; where the shortest waves swing to and fro
+# in that time they get back more than they lost, and grow (docs/extremes.md)
+SELDOM, SWING = 3, 1.3  # most steps; most cells that a wave goes
 MOST_STEPS = 2.0**52  # beyond these a step is lost beside the time it is added to
 
 
