@@ -13,7 +13,7 @@ from tests import simulated
 from tests.scenes import MIXED
 from tests.states import by_id, different, state
 from vgmpi.domain import balance, halo, overlap, sorting, topology
-from vgmpi.engines import cpu
+from vgmpi.engines import cpu, layers
 from vgmpi.solver import step
 
 STEPS = 240
@@ -158,13 +158,13 @@ def plain_sums(monkeypatch):
             self.tables = self.tables._replace(sums=self.sums, rest=self.rest, nodes=self.nodes)
             self.tables = self.tables._replace(asked=self.asked)
 
-    monkeypatch.setattr(cpu.Layer, "begin", begin)
+    monkeypatch.setattr(layers.Layer, "begin", begin)
     monkeypatch.setattr(cpu.Cpu, "_found_beyond", lambda self: [])
 
 
 def quanta_of_its_own(monkeypatch):
     """One rank keeps fewer digits than the others."""
-    real = cpu.Layer.begin
+    real = layers.Layer.begin
 
     def begin(self, dt):
         if threading.current_thread().name == "rank 1":
@@ -175,7 +175,7 @@ def quanta_of_its_own(monkeypatch):
         else:
             real(self, dt)
 
-    monkeypatch.setattr(cpu.Layer, "begin", begin)
+    monkeypatch.setattr(layers.Layer, "begin", begin)
 
 
 def add_twice(monkeypatch):

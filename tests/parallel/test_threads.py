@@ -12,7 +12,7 @@ import pytest
 from tests import simulated
 from tests.scenes import MIXED
 from tests.states import by_id, different, state
-from vgmpi.engines import cpu
+from vgmpi.engines import cpu, layers
 from vgmpi.kernels import sums
 from vgmpi.kernels.tables import Sums
 from vgmpi.solver.step import BlowUp
@@ -86,7 +86,7 @@ def forget_to_rest(monkeypatch):
         self.rest = sums.rests(self.full(dt), self.real)
         self.tables = Sums(self.sums, self.rest, self.asked, self.nodes)
 
-    monkeypatch.setattr(cpu.Layer, "begin", begin)
+    monkeypatch.setattr(layers.Layer, "begin", begin)
 
 
 def a_thread_is_left_out(monkeypatch):

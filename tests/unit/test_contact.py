@@ -372,7 +372,7 @@ def test_no_layer_far_from_the_middle():
 
 
 @pytest.mark.parametrize("known, sure, limit", [
-    (True, True, -SOFT), (True, False, CLOSE), (False, False, TOUCH)
+    (True, True, -SOFT), (True, False, CLOSE), (False, True, -SOFT), (False, False, TOUCH)
 ])  # fmt: skip
 def test_what_touches(known, sure, limit):
     """Below a gap that depends on what is known; of known surfaces near their middle only."""

@@ -102,6 +102,7 @@ end = {STEPS * self.dt!r}
 frames = 2
 dt = {self.dt!r}
 [accuracy]
+transfer = "apic"
 precision = "{precision}"
 [material.stuff]
 {material}

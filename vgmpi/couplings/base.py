@@ -46,6 +46,13 @@ class Rules(NamedTuple):
         """Those whose drift is kept out of their momentum; as printed it is not: (n,) bool."""
         return self._of_phases((self.diffusion > 0.0) & ~np.asarray(self.printed_mix, bool))
 
+    @property
+    def as_one(self) -> np.ndarray:
+        """The mixing group of phases that have one velocity, no slip is left in it; -1 of others:
+        (n,)."""
+        still = (np.asarray(self.slip_time) == 0.0) & ~np.asarray(self.printed_mix, bool)
+        return np.where(self._of_phases(still), self.mix, -1)
+
     def _of_phases(self, mixes: np.ndarray) -> np.ndarray:
         """(mixes,) bool of the mixing groups as (n,) of the phases, False for those in none."""
         return np.append(mixes, False)[self.mix]  # -1 is the last

@@ -15,21 +15,14 @@ from ..domain.solids import Solids
 from ..domain.state import Group
 from ..domain.topology import Topology, hue
 from ..kernels import beside, g2p, gradient, grid, members, p2g, records, restore, sums, touch
-from ..kernels.layers import colour, impulses, momentum, offsets
-from ..kernels.tables import NodeBlocks, Particles, Phases, Segments, Step, Sums, Walls
+from ..kernels.layers import colour, momentum
+from ..kernels.tables import NodeBlocks, Particles, Phases, Segments, Step, Walls
 from ..kernels.walls import KINDS, patch_codes
 from ..planning.groups import GroupPlan
 from ..planning.plan import Plan
 from .base import DITHER, Beyond, Report
+from .layers import Contribution, contributions, hues, layers
 from .shares import Shares, copies
-
-
-class Contribution(NamedTuple):
-    """What some segments of a group give to a layer."""
-
-    layer: str
-    kind: tuple  # kernels.layers
-    chosen: np.ndarray  # (segments,) bool
 
 
 class GroupWork(NamedTuple):
@@ -42,41 +35,6 @@ class GroupWork(NamedTuple):
     given: list[Contribution]
     moving: Contribution  # in a step of no time
     numbers: g2p.Numbers
-
-
-class Layer:
-    """The sums and values of a layer at the nodes of this rank."""
-
-    def __init__(self, name: str, full, plan: Plan):
-        """full(speed) -> (phases, 4): how large a sum may become, see kernels/sums.py."""
-        self.name, self.full, self.real = name, full, plan.real
-        self.sums = aligned((0, sums.words(plan.real), sums.BLOCK), np.float64)
-        self.nodes = aligned((0, sums.BLOCK), plan.real)
-        self.asked = np.zeros(0, np.uint8)
-        self.speed = 0.0  # that the quanta are for; 0: the sums are not at rest
-        self.sized = np.zeros(0)  # `full` of it
-        self.rest = np.zeros((len(plan.phases), sums.words(plan.real), 16))
-        self.tables = Sums(self.sums, self.rest, self.asked, self.nodes)
-
-    def adopt(self, asked: np.ndarray, phase_of_row: np.ndarray) -> None:
-        """Make room for node blocks (n,), and for the copies of some behind them."""
-        needed = len(phase_of_row) if asked.any() else 0
-        self.asked, self.phase = asked.astype(np.uint8), phase_of_row[:needed]
-        self.sums = grown(self.sums, needed)
-        self.nodes = grown(self.nodes, len(asked) if needed else 0)
-        self.nodes[:] = 0
-        self.speed, self.sized = 0.0, np.zeros(0)
-
-    def begin(self, speed: float) -> None:
-        """Choose the quanta; sums that rest elsewhere are put to rest. speed: a power of 8 [m/s]
-        that is not below base.Reach."""
-        if speed == self.speed:
-            return
-        self.speed, full = speed, self.full(speed)
-        if not np.array_equal(full, self.sized):
-            self.sized, self.rest = full, sums.rests(full, self.real)
-            sums.reset(self.sums, self.rest, np.arange(len(self.phase)), self.phase)
-            self.tables = Sums(self.sums, self.rest, self.asked, self.nodes)
 
 
 class Cpu:
@@ -105,10 +63,12 @@ class Cpu:
             np.array([phase.surface for phase in plan.phases]),
         )
         self.apart = any(group.apart for group in plan.groups)
-        self.layers = {layer.name: layer for layer in _layers(plan, self.apart)}
-        self.hues = [self.layers[hue(k)] for k in range(_hues(plan))]
+        self.layers = {layer.name: layer for layer in layers(plan, self.apart)}
+        self.hues = [self.layers[hue(k)] for k in range(hues(plan))]
         self.words = sums.words(plan.real)
         self.sets = np.zeros(0, np.int64) if plan.colours is None else plan.colours.set_of
+        alone = np.full(len(plan.phases), -1)
+        self.as_one = alone if plan.rules is None else plan.rules.as_one
         # what particles gather besides, where something asks for it
         kept = plan.keeps is not None
         self.gathered = {"flux": plan.rules is not None, "drift": plan.drifts, "change": kept}
@@ -183,7 +143,7 @@ class Cpu:
             patch_codes(block, self.plan.cells, kinds),
         )  # fmt: skip
         takes = {name: found[rows] for name, found in tables.takes.items()}
-        given = _contributions(self.plan, group.plan, takes, split)
+        given = contributions(self.plan, group.plan, takes, split)
         moving = Contribution("momentum", momentum.kinds(self.plan, group.plan)[1], split | True)
         numbers = _numbers(self.plan, group.plan)
         return GroupWork(group, _particles(group), segments, shares, given, moving, numbers)
@@ -257,8 +217,8 @@ class Cpu:
         layers, apart = self.layers, None
         if not self.dt:
             self.call(
-                (), restore.mean, blocks, self.blocks, layers["momentum"].tables, self.phases,
-                self.step, self.beyond[thread],
+                (), restore.settle, blocks, self.blocks, layers["momentum"].tables, self.as_one,
+                self.phases, self.step, self.beyond[thread],
             )  # fmt: skip
             return
         if self.apart:
@@ -380,40 +340,6 @@ class Cpu:
         waiting = [self.pool.submit(work, k, *arguments) for k in range(self.threads)]
         for w in waiting:
             w.result()
-
-
-def _hues(plan: Plan) -> int:
-    """Coefficients of colour that travel with the steps, of the group with most."""
-    return max((group.coefficients for group in plan.groups), default=0)
-
-
-def _layers(plan: Plan, apart: bool) -> list[Layer]:
-    """The layers a scene needs, in the order in which grid kernels report of them; of volumes and
-    offsets nothing exists where nothing may touch."""
-    found = [
-        Layer("momentum", lambda speed: momentum.full(plan, speed), plan),
-        Layer("offsets", lambda _: offsets.full(plan), plan),
-    ]
-    if apart:
-        found.append(Layer("impulses", lambda speed: impulses.full(plan, speed), plan))
-    for k in range(_hues(plan)):
-        found.append(Layer(hue(k), lambda _, k=k: colour.full(plan, k), plan))
-    return found
-
-
-def _contributions(plan: Plan, group: GroupPlan, takes: dict, split) -> list[Contribution]:
-    """What a group's segments give to each layer."""
-    whole, inert = momentum.kinds(plan, group)
-    found = [
-        Contribution("momentum", whole, ~split),
-        Contribution("offsets", offsets.kind(plan, group), takes["offsets"]),
-    ]
-    if group.apart:
-        found.append(Contribution("momentum", inert, split))
-        found.append(Contribution("impulses", impulses.kind(plan, group), split))
-    for k in range(group.coefficients):
-        found.append(Contribution(hue(k), colour.kind(plan, group, k), takes[hue(k)]))
-    return [given for given in found if given.chosen.any()]
 
 
 def _numbers(plan: Plan, group: GroupPlan) -> g2p.Numbers:

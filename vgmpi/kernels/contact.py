@@ -118,7 +118,7 @@ class Meeting(NamedTuple):
     one: float  # distance [cells] of the node outside a
     other: float  # outside b
     known: bool  # both surfaces are
-    sure: bool  # and their normals
+    sure: bool  # there is a known one, and all that are agree on their normals
     share: float  # of a cell's face that is the node's, where they are sure
     stiff: float  # [Pa] of the two in series
     friction: float
@@ -130,7 +130,7 @@ def touching(m):
     gap = m.one + m.other
     if m.known:
         return gap <= (-SOFT if m.sure else CLOSE) and abs(m.one - m.other) <= 2.0 * LAYER
-    return gap <= TOUCH
+    return gap <= (-SOFT if m.sure else TOUCH)
 
 
 @inline

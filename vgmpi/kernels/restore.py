@@ -8,6 +8,7 @@ from ..lanes.lanes import load, place, store
 from ..lanes.rows import repeat
 from .g2p import gathered
 from .grid import fall
+from .layers.colour import mean
 from .patches import expect, gather
 from .records import AFFINE, BATCH, PATCH, box_of, parts, rest, touched, weigh
 from .rowsums import moments
@@ -16,16 +17,26 @@ from .walls import SIDE, reflect
 
 
 @kernel
-def mean(blocks, tables, momentum, phases, step, report):
+def settle(blocks, tables, momentum, as_one, phases, step, report):
     """Velocities [m/s] at the nodes of some blocks in place of momentum, and no more: no gravity,
-    couplings, contact or walls. See grid.update."""
+    contact or walls. See grid.update. as_one: (phases,) those of one number have one velocity,
+    -1: each its own."""
     rows, moved = blocks_at(tables), sums_at(momentum)
     first, phase_of, least_of = place(tables.first), rows.phase, place(phases.least)
-    push = repeat(step.fall, 0)
+    push, nodes = repeat(step.fall, 0), moved.nodes
     for b in blocks:
-        for nb in range(first[b], first[b + 1]):
+        n0, n1 = first[b], first[b + 1]
+        for nb in range(n0, n1):
             take_up(nb, rows, moved, report, 0)
-            fall(nb, moved.nodes, push, ROUNDING * least_of[phase_of[nb]])
+        for nb in range(n0, n1):
+            group = as_one[phase_of[nb]]
+            met = False
+            for other in range(n0, nb):
+                met = met or as_one[phase_of[other]] == group
+            if group < 0:
+                fall(nb, nodes, push, ROUNDING * least_of[phase_of[nb]])
+            elif not met:
+                mean(nb, n1, group, phase_of, as_one, nodes)
 
 
 @kernel

@@ -148,6 +148,10 @@ def _on_each_other(pairs, there, a, b, phase, offsets, phases, step, room):
     certain, share, stiff = False, 0.0, 0.0
     if known:
         certain = sure(xa, ma) and sure(xb, mb)
+    elif ka:
+        certain = sure(xa, ma)
+    elif kb:
+        certain = sure(xb, mb)
     if certain:
         share = min(share_of(ma, phases.least[pa], one), share_of(mb, phases.least[pb], other))
         stiff = phases.stiff[pa] * phases.stiff[pb] / (phases.stiff[pa] + phases.stiff[pb])

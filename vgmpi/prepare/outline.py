@@ -17,7 +17,7 @@ NEAR = 0.6  # cells from the surface within which a body is looked at for how th
 # particles at the surface below which it may be less
 DEEP, THIN = 0.6, 0.2
 ON_WALL, FACING = 0.25, 0.7  # cells from a wall, and cosine, by which a face lies on it
-SHARP = 8.0  # a normal that turns by 1 over the root of this in a cell is half sure
+SHARP = 5.0  # a normal that turns by 1 over the root of this in a cell is half sure
 BENT = 0.5  # most that a normal may turn over a cell: edges are as round as two cells
 
 

@@ -10,7 +10,17 @@ import numpy as np
 from ...couplings.base import CONTACT
 from ...device.limits import TOUCHING
 from ...domain.solids import REACH
-from ...kernels.contact import CLOSE, EASE, LARGEST, LAYER, SOFT, SPRING, SURE, SWEEPS, TOUCH
+from ...kernels.contact import (
+    CLOSE,
+    EASE,
+    LARGEST,
+    LAYER,
+    SOFT,
+    SPRING,
+    SURE,
+    SWEEPS,
+    TOUCH,
+)
 from ...planning.plan import Plan
 from .dense import Dense
 
@@ -69,7 +79,8 @@ class Contact:
             for a, b, n, one, other, friction, stiff in self._meetings(node, there, sides):
                 both = {b: other} if a is None else {a: one, b: other}  # that move
                 known = all(sides[k].known for k in both)
-                sure = known and all(sides[k].sure for k in both)
+                sure = any(sides[k].known for k in both)
+                sure = sure and all(sides[k].sure for k in both if sides[k].known)
                 r = (u[a] if a is not None else 0.0) - u[b]
                 if sure:
                     share = min(sides[k].share(far) for k, far in both.items())
@@ -184,10 +195,11 @@ def _normal(a: _Side, b: _Side):
 
 
 def _touching(one: float, other: float, known: bool, sure: bool) -> bool:
-    """Whether surfaces may not approach, from which a node is so far [cells]; known: both are."""
+    """Whether surfaces may not approach, from which a node is so far [cells]; known: both are;
+    sure: one is, and all that are agree."""
     if known:
         return one + other <= (-SOFT if sure else CLOSE) and abs(one - other) <= 2 * LAYER
-    return one + other <= TOUCH
+    return one + other <= (-SOFT if sure else TOUCH)
 
 
 def _resolve(v: np.ndarray, mass: np.ndarray, pairs: list[tuple]) -> None:

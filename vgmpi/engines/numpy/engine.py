@@ -151,8 +151,8 @@ class Numpy:
         some = mass[..., None] > 0
         still = np.where(some, self.momentum / np.where(some, mass[..., None], 1.0), 0.0)
         if not self.dt:
-            self.v = still
-            for velocities, phase in zip(still, plan.phases, strict=True):
+            self.v = self._as_one(still, mass)
+            for velocities, phase in zip(self.v, plan.phases, strict=True):
                 dense.mirror(velocities, phase.surface)
             return
         v = np.where(some, still + self.dt * self.gravity, 0.0)
@@ -181,6 +181,17 @@ class Numpy:
                 dense.mirror(field, phase.surface)
         if plan.colours is not None:
             self._blend(plan.colours.set_of)
+
+    def _as_one(self, v: np.ndarray, mass: np.ndarray) -> np.ndarray:
+        """Velocities with the mean of those phases that have one velocity."""
+        groups = np.full(len(v), -1) if self.plan.rules is None else self.plan.rules.as_one
+        for group in np.unique(groups[groups >= 0]):
+            m = mass[groups == group][..., None]
+            some, total = m.sum(0) > 0, m.sum(0)
+            v[groups == group] = np.where(
+                some, (m * v[groups == group]).sum(0) / np.where(some, total, 1.0), 0.0
+            )
+        return v
 
     def _seen(self) -> list[np.ndarray]:
         """All velocities that particles gather."""

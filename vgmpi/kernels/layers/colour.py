@@ -85,12 +85,13 @@ def blend(blocks, tables, layer, set_of, report, k):
             for other in range(n0, nb):
                 met = met or set_of[phase[other]] == group
             if group >= 0 and not met:
-                _mean(nb, n1, group, phase, set_of, nodes)
+                mean(nb, n1, group, phase, set_of, nodes)
 
 
 @inline
-def _mean(nb, last, group, phase, set_of, nodes):
-    """The mean of node block nb and of those behind it that are of its set, into all of them."""
+def mean(nb, last, group, phase, set_of, nodes):
+    """The mean, sums over the fourth of them, of node block nb and of those behind it that are of
+    its set, into all of them."""
     for c in range(0, 256, 16):
         total = load(nodes, 256 * nb + c)
         for other in range(nb + 1, last):
