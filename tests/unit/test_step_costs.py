@@ -2,7 +2,6 @@
 
 import logging
 import tracemalloc
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -45,7 +44,6 @@ def compiled_allocations(simulation, dt):
 def test_compiled_code_allocates_nothing_in_its_loops(mixed):
     """As much for all segments and blocks as for one of each."""
     simulation, dt = mixed
-    simulation.plan = replace(simulation.plan, restores=1)  # every step is like any other
     for_all = compiled_allocations(simulation, dt)
 
     def first(of, kernel, rows, *arguments):

@@ -44,7 +44,7 @@ class Case:
     """What fills the box: a law, or the name of one of COUPLED."""
 
     name: str
-    transfer: str = "restored"
+    transfer: str = "apic"
     precision: str = "double"
 
     @property

@@ -25,6 +25,8 @@ SURE = 0.9  # length of a mean normal above which the particles of a node agree 
 EASE = 0.01  # overlap [cells] from which an elastic layer pushes: bodies that just touch may part
 SPRING = 0.4  # stiffness of the layer, over a cell's: that of two and a half cells
 SOFT = 0.25  # overlap [cells] that an elastic layer takes up
+AHEAD = 0.15  # gap [cells] from which the layer pushes what flows, of which less is sure
+FLOWING = 0.05  # overlap [cells] beyond which that comes no nearer
 LARGEST = 1.5  # share of a cell's face that one node may have
 SWEEPS = 16
 
@@ -130,7 +132,7 @@ def touching(m):
     gap = m.one + m.other
     if m.known:
         return gap <= (-SOFT if m.sure else CLOSE) and abs(m.one - m.other) <= 2.0 * LAYER
-    return gap <= (-SOFT if m.sure else TOUCH)
+    return gap <= (-FLOWING if m.sure else TOUCH)
 
 
 @inline
@@ -162,7 +164,8 @@ def press(change, v, mass, m, n, dt, dx):
     much behind as ahead, and a normal that is a bit wrong brakes nothing. A node that has hardly
     any mass is not thrown: in a step it parts by half the overlap at the most.
     """
-    deep, middle = min(-m.one - m.other - EASE, SOFT), 0.5 * abs(m.one - m.other)
+    begins = EASE if m.known else -AHEAD
+    deep, middle = min(-m.one - m.other - begins, SOFT), 0.5 * abs(m.one - m.other)
     if not (deep > 0.0 and middle < 1.0):
         return
     r0, r1, r2 = -v[m.b, 0], -v[m.b, 1], -v[m.b, 2]

@@ -130,7 +130,7 @@ class Appearance(Table):
 class Accuracy(Table):
     """Numbers and their transfer between particles and grid."""
 
-    transfer: Transfer = "restored"
+    transfer: Transfer = "apic"
     """apic keeps linear and angular momentum; restored is apic that gives back, every few steps,
     what transfers took, so that waves and vibrations last, and takes about 1.2 times as long; aflip
     keeps what is too fine for the grid, for the time `damping`, and takes about 1.7 times as long;

@@ -235,7 +235,7 @@ class Simulation:
         engine.begin(dt, gravity, self.reach.fastest(self.plan, dt, pushed))
         self._to_nodes(self.halo)
         report = engine.gather(self.step)  # v, C, x, state at n + 1
-        report = report._replace(beyond=beyond + report.beyond)
+        report.beyond.extend(beyond)
         mark("g2p")
         self.time += dt
         self.step += 1

@@ -11,8 +11,10 @@ from ...couplings.base import CONTACT
 from ...device.limits import TOUCHING
 from ...domain.solids import REACH
 from ...kernels.contact import (
+    AHEAD,
     CLOSE,
     EASE,
+    FLOWING,
     LARGEST,
     LAYER,
     SOFT,
@@ -84,7 +86,10 @@ class Contact:
                 r = (u[a] if a is not None else 0.0) - u[b]
                 if sure:
                     share = min(sides[k].share(far) for k, far in both.items())
-                    push = _push(r, m, a, b, n, one, other, share * stiff, friction, dt, self.dx)
+                    gap = one + other + (EASE if known else -AHEAD)
+                    push = _push(
+                        r, m, a, b, n, gap, one - other, share * stiff, friction, dt, self.dx
+                    )
                     acted += bool(push.any())
                     if a is not None:
                         change[a] -= push / m[a]
@@ -161,9 +166,10 @@ def filled(D: float) -> float:
     return tail if D > 0 else 1.0 - tail
 
 
-def _push(r, mass, a, b, n, one, other, stiff, friction, dt, dx) -> np.ndarray:
-    """Impulse (3,) [kg m/s] on b of an elastic layer, with friction. r: velocity of a less b's."""
-    deep, middle = min(-one - other - EASE, SOFT), abs(one - other) / 2
+def _push(r, mass, a, b, n, gap, lean, stiff, friction, dt, dx) -> np.ndarray:
+    """Impulse (3,) [kg m/s] on b of an elastic layer, with friction. r: velocity of a less b's;
+    gap: sum of the distances from both [cells] less where it begins; lean: their difference."""
+    deep, middle = min(-gap, SOFT), abs(lean) / 2
     if deep <= 0.0 or middle >= 1.0:
         return np.zeros(3)
     reduced = mass[b] if a is None else mass[a] * mass[b] / (mass[a] + mass[b])
@@ -199,7 +205,7 @@ def _touching(one: float, other: float, known: bool, sure: bool) -> bool:
     sure: one is, and all that are agree."""
     if known:
         return one + other <= (-SOFT if sure else CLOSE) and abs(one - other) <= 2 * LAYER
-    return one + other <= (-SOFT if sure else TOUCH)
+    return one + other <= (-FLOWING if sure else TOUCH)
 
 
 def _resolve(v: np.ndarray, mass: np.ndarray, pairs: list[tuple]) -> None:
