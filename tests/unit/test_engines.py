@@ -80,6 +80,7 @@ FLOW = coupling("drag", "water", "sand", "permeability = 2e-2")
 COLOURS = '[appearance]\ncolour_transfer = "step"\n'
 ONE = 'phase = "one"\n'
 AFLIP = 'transfer = "aflip"\ndamping = "5 ms"'
+RESTORED = 'transfer = "restored"'
 RED, BLUE = 'colour = "#ff2010"', 'colour = "#1020ff"'
 
 
@@ -124,10 +125,12 @@ SCENES = {kind: (of_law(kind), "mixed", "") for kind in LAWS} | {
     "aflip and everything": (
         WATER + OIL + SAND + TOY + WET + OILY + BED + CUBE + POST + MIX + FLOW, "separate", AFLIP,
     ),
-    "apic": (WATER + TOY + POOL + CUBE + POST, "separate", 'transfer = "apic"'),
-    "apic and everything": (
-        WATER + OIL + SAND + TOY + WET + OILY + BED + CUBE + POST + MIX + FLOW, "mixed",
-        'transfer = "apic"',
+    "restored": (WATER + TOY + POOL + CUBE + POST, "separate", RESTORED),
+    "restored, as one fluid": (
+        WATER + OIL + WET + OILY + coupling("mixing", "water", "oil", ""), "mixed", RESTORED,
+    ),
+    "restored and everything": (
+        WATER + OIL + SAND + TOY + WET + OILY + BED + CUBE + POST + MIX + FLOW, "mixed", RESTORED,
     ),
     "pic with splines": (
         WATER + TOY + POOL + CUBE, "mixed", 'transfer = "pic"\ngradient = "splines"',
