@@ -17,7 +17,7 @@ NEAR = 0.6  # cells from the surface within which a body is looked at for how th
 # particles at the surface below which it may be less
 DEEP, THIN = 0.6, 0.2
 ON_WALL, FACING = 0.25, 0.7  # cells from a wall, and cosine, by which a face lies on it
-SHARP = 5.0  # a normal that turns by 1 over the root of this in a cell is half sure
+SHARP = 5.7  # a normal that turns by 1 over the root of this in a cell is half sure
 BENT = 0.5  # most that a normal may turn over a cell: edges are as round as two cells
 
 
@@ -38,7 +38,7 @@ def outlined(scene: Scene, piece: Piece, asked: bool) -> Piece:
     bend *= np.minimum(1.0, BENT / dx / np.maximum(np.abs(bend).max(axis=1), 1e-300))[:, None]
     surface = np.column_stack([normal, distance, bend])
     _open_at_walls(scene, x, surface)
-    surface[:, :3] /= 1.0 + (SHARP * dx**2 * (surface[:, 4:] ** 2).sum(axis=1))[:, None] ** 2
+    surface[:, :3] /= 1.0 + (SHARP * dx**2 * (surface[:, 4:] ** 2).sum(axis=1))[:, None] ** 4
     surface[:, 3] = np.maximum(surface[:, 3], -DEEPEST * dx)
     return replace(done, surface=surface)
 
