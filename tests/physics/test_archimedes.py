@@ -111,7 +111,7 @@ def hold(found, edge, slab):
 
 
 def test_slab_of_8_cells(tmp_path):
-    hold(float_up(tmp_path, 8, 8, slab=True, drop=2, end=2.4, viscosity=2.0), 8, slab=True)
+    hold(float_up(tmp_path, 8, 8, slab=True, drop=2, end=2.4, viscosity=4.0), 8, slab=True)
 
 
 @pytest.mark.slow

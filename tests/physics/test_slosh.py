@@ -19,7 +19,7 @@ from tests.swings import keeps, period
 L, H = 0.2, 0.1
 K = np.pi / L
 PERIOD = 2 * np.pi / np.sqrt(9.8 * K * np.tanh(K * H))  # [s]
-RESTORED, AFLIP = 'transfer = "restored"', 'transfer = "aflip"'
+APIC, AFLIP = 'transfer = "apic"', 'transfer = "aflip"'
 SCENE = """
 [domain]
 size = [0.2, {deep!r}, 0.16]
@@ -73,15 +73,15 @@ def sloshing(folder, cells, accuracy="", cfl=0.4, particles=27, modulus=2e4):
     [(20, 0.02, 0.06), pytest.param(40, 0.01, 0.02, marks=pytest.mark.slow)],
 )
 def test_a_wave_lasts(tmp_path, cells, most_off, most_lost):
-    """Restored, and with AFLIP. What APIC loses is shown beside."""
+    """By default, where motion is restored, and with AFLIP. What APIC loses is shown beside."""
     note = f"{cells} cells per wave, 27 particles per cell"
     lamb = {"source": "Lamb, Hydrodynamics, art. 228", "note": note}
     lost = {"unit": "of the amplitude in a period", "kind": "below", **lamb}
-    for accuracy, name in ((RESTORED, ", restored"), (AFLIP, " with AFLIP")):
+    for accuracy, name in (("", ""), (AFLIP, " with AFLIP")):
         lasts, left = sloshing(tmp_path, cells, accuracy)
         held(f"sloshing: period{name}, {cells} cells", lasts, PERIOD, most_off, unit="s", **lamb)
         held(f"sloshing: loss{name}, {cells} cells", 1 - left, 0.0, most_lost, **lost)
-    apic = 1 - sloshing(tmp_path, cells)[1]
+    apic = 1 - sloshing(tmp_path, cells, APIC)[1]
     held(f"sloshing: loss with APIC, {cells} cells", apic, 0.0, most_lost, **lost, expected=False)
 
 
@@ -90,7 +90,7 @@ def test_losses_are_per_second(tmp_path):
     wave lasts there too."""
     apic, ours, aflip = (
         [1 - sloshing(tmp_path, 20, accuracy, cfl=cfl)[1] for cfl in (0.4, 0.2)]
-        for accuracy in ("", RESTORED, AFLIP)
+        for accuracy in (APIC, "", AFLIP)
     )
     say = {"unit": "of the amplitude in a period", "note": "20 cells per wave"}
     held("sloshing: loss at half the step", ours[1], 0.0, 0.06, kind="below",
@@ -105,7 +105,7 @@ def test_losses_are_per_second(tmp_path):
 @pytest.mark.parametrize("modulus, particles", [(2e4, 8), (2e5, 27), (2e5, 8)])
 def test_stiff_liquids_lock(tmp_path, modulus, particles):
     """What is known to be wrong: more strains are asked than nodes can follow."""
-    found, _ = sloshing(tmp_path, 20, RESTORED, particles=particles, modulus=modulus)
+    found, _ = sloshing(tmp_path, 20, particles=particles, modulus=modulus)
     note = "20 cells per wave, 10 cm of water"
     say = {"unit": "s", "source": "Lamb, Hydrodynamics, art. 228", "note": note}
     held(f"sloshing: period, k = {modulus:g} Pa, {particles} per cell", found, PERIOD, 0.02,

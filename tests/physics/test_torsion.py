@@ -47,7 +47,7 @@ def twist(x):
     return np.stack([-rate * r[:, 1], rate * r[:, 0], np.zeros(len(x))], 1)
 
 
-def twisting(folder, accuracy, particles=27):
+def twisting(folder, accuracy="", particles=27):
     """(period [s], share of the amplitude that a period leaves) of a bar 32 cells long."""
     dx = L / 32
     text = SCENE.format(dx=dx, accuracy=accuracy, particles=particles)
@@ -67,7 +67,7 @@ def twisting(folder, accuracy, particles=27):
 def test_a_twist_lasts(tmp_path):
     """Ten periods; with APIC beside."""
     say = {"source": "Saint-Venant", "note": "32 x 8 x 8 cells, 27 particles per cell"}
-    lasts, left = twisting(tmp_path, 'transfer = "restored"')
+    lasts, left = twisting(tmp_path)
     held("torsion of a bar: frequency", 1 / lasts, 1 / PERIOD, 0.03, unit="Hz", **say)
     say |= {"kind": "above", "unit": "of the energy after 10 periods"}
     held("torsion of a bar: energy", left**20, 1.0, 0.9, **say)

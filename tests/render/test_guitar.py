@@ -1,13 +1,16 @@
 """A real capture as an elastic body that falls into water, on two ranks: is it still that guitar?
 
-The last frame is drawn, and the capture from its own file, moved as a rigid body to where the
-particles are. Both pictures must agree inside the guitar's outline; scrambled particles must not.
+The last frame is drawn, and the capture from its own file, moved to where the particles are: as a
+rigid body, then bent by squares of the place, since water makes a guitar of rubber swing by
+millimetres. Both pictures must agree inside the guitar's outline; scrambled particles must not.
 """
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.polynomial.polynomial import polyvander3d
 
 from postprocess.look import Look
 from postprocess.render import Painter
@@ -29,10 +32,10 @@ SETTINGS = (
     "domain.cell='4 cm'",
     "time.end='0.1 s'",
     "time.frames=3",
-    # as slow as it takes for a rigid body to be a fair comparison
+    # as slow as it takes for a smoothly bent body to be a fair comparison
     "object.capture.velocity=[0, 0, '-1 m/s']",
 )
-BOUND = 20.0  # [dB] an error of a tenth of full brightness, root mean square
+BOUND = 25.0  # [dB] an error of .056 of full brightness, root mean square
 WHITE = np.ones(3)
 
 pytestmark = [pytest.mark.data, pytest.mark.mpi]
@@ -69,12 +72,23 @@ def rigid(x0, x):
 
 
 def moved_capture(run, frame):
-    """The capture from its own file, placed as the scene asked, then moved with the particles."""
+    """The capture from its own file, placed as the scene asked, then moved and bent with the
+    particles."""
     transform = np.array(run.objects[number(run)]["transform"])
     scale = np.cbrt(np.linalg.det(transform[:3, :3]))
     cloud = ply.read(GUITAR).transformed(transform[:3, :3] / scale, scale, transform[:3, 3])
-    R, t = rigid(np.asarray(run.gaussians.x0)[frame["id"]], frame["x"].astype(float))
-    return cloud.transformed(R, 1.0, t)
+    x0, x = np.asarray(run.gaussians.x0)[frame["id"]], frame["x"].astype(float)
+    R, t = rigid(x0, x)
+    cloud = cloud.transformed(R, 1.0, t)
+    there, middle = x0 @ R.T + t, x.mean(0)
+    bend = np.linalg.lstsq(squares(there - middle), x - there, rcond=None)[0]
+    print(f"bent by {1e3 * np.abs(squares(there - middle) @ bend).max():.1f} mm at the most")
+    return dataclasses.replace(cloud, x=cloud.x + squares(cloud.x - middle) @ bend)
+
+
+def squares(x):
+    """(n, 27): products of the coordinates of x (n, 3), each up to its square."""
+    return polyvander3d(*x.T, (2, 2, 2))
 
 
 def camera(run):

@@ -108,6 +108,29 @@ def test_solids_too_thin_for_fluids_are_named(tmp_path, monkeypatch):
     assert "thin " not in said_of(write(tmp_path, PLATE))
 
 
+def line_of(said, name):
+    found = [s for s in said.splitlines() if s.startswith(f"  {name} ")]
+    return found[0] if found else None
+
+
+def test_what_motion_restored_costs_is_named(tmp_path):
+    """Every three steps at the default Courant factor, every two at half a cell; not with APIC."""
+    line = line_of(said_of(write(tmp_path, PLATE)), "transfer")
+    assert "given back every 3 steps" in line and '"apic" takes 0.80 of the time' in line
+    longer = PLATE.replace("end = 0.025", "end = 0.025\ncfl = 0.5")
+    assert "every 2 steps" in line_of(said_of(write(tmp_path, longer)), "transfer")
+    apic = PLATE + '[accuracy]\ntransfer = "apic"\n'
+    assert line_of(said_of(write(tmp_path, apic)), "transfer") is None
+
+
+def test_solids_of_few_particles_are_named(tmp_path):
+    """Those that bend too easily, not what flows."""
+    line = line_of(said_of(write(tmp_path, PLATE + POOL)), "bending")
+    assert line.startswith("  bending     8 particles per cell of solids") and "27: 6 %" in line
+    finer = PLATE.replace('material = "rubber"', 'material = "rubber"\nparticles_per_cell = 27')
+    assert line_of(said_of(write(tmp_path, finer + POOL)), "bending") is None
+
+
 def test_the_time_left_follows_the_pace_of_now(monkeypatch, caplog):
     """10 s to the middle, and from there ten times as slow."""
     run = SimpleNamespace(

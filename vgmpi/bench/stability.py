@@ -44,7 +44,7 @@ class Case:
     """What fills the box: a law, or the name of one of COUPLED."""
 
     name: str
-    transfer: str = "apic"
+    transfer: str = "restored"
     precision: str = "double"
 
     @property

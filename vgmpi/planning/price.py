@@ -60,13 +60,14 @@ def describe(scene: Scene, plan: Plan, ranks: int, reached: float = 0.0) -> str:
 
 
 def _restored(plan: Plan) -> list[str]:
-    """What it costs to restore motion."""
+    """What it costs to restore motion, and what would cost less."""
     if not plan.restores:
         return []
     often = f"every {plan.restores} steps" if plan.restores > 1 else "with every step"
-    said = f"what transfers take from motion is given back {often}, for"
+    less = 1 / (1 + RESTORING_COST / plan.restores)
     return [
-        f"  transfer    {said} {1 + RESTORING_COST / plan.restores:.2f} times the time of 'apic'"
+        f"  transfer    what transfers take from motion is given back {often};"
+        f' accuracy.transfer = "apic" takes {less:.2f} of the time, and waves and spin die sooner'
     ]
 
 

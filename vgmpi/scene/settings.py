@@ -130,11 +130,12 @@ class Appearance(Table):
 class Accuracy(Table):
     """Numbers and their transfer between particles and grid."""
 
-    transfer: Transfer = "apic"
-    """apic keeps linear and angular momentum; restored is apic that gives back, every few steps,
-    what transfers took, so that waves and vibrations last, and takes about 1.2 times as long; aflip
-    keeps what is too fine for the grid, for the time `damping`, and takes about 1.7 times as long;
-    flip does without apic's gradients, at some noise; pic damps"""
+    transfer: Transfer = "restored"
+    """restored is apic that gives back, every few steps, what transfers took, so that waves and
+    vibrations last; apic takes .8 of its time and loses with every step, up to a third of a wave's
+    height in a period. Both keep linear and angular momentum. aflip keeps what is too fine for the
+    grid, for the time `damping`, and takes 1.3 times as long; flip does without apic's gradients,
+    at some noise; pic damps"""
     damping: Annotated[float, Quantity("s", gt=0)] = 0.1
     """aflip, flip: time in which particles lose all but 1/e of what the grid does not see"""
     flip: Annotated[float, Quantity("", gt=0, le=1)] | None = None
