@@ -1,61 +1,97 @@
-"""A column of dry sand collapses in a channel: how far it runs out.
+"""Columns of dry sand collapse: how far they run out and how high they stay.
 
-Published: Lube, Huppert, Sparks, Freundt, Collapses of two-dimensional granular columns (2005,
-Phys. Rev. E 72, 041301): a column of length L against a wall, a = height / length, runs out by dL =
-1.2 a L for a < 2.3 (and 1.9 a^(2/3) L above), whatever the grains and the floor. The channel is a
-slab 4 cells wide between slipping walls, the floor holds. (Columns of round cross-section follow
-another law: Lube et al. 2004.) Tolerance: 30 %; the run-out grows with the resolution.
+Published: tests/columns.py. Sand: the presets, whose angles are the angles of repose of the grains
+of the experiments, none of them fitted. Motion is restored: with APIC alone transfers hold sand
+back, the more the fewer cells there are. The channel is a slab 4 cells wide between slipping walls,
+the floor holds. Front: where sand lies deeper than 1/40 of the column's length. Single
+particles count there: another step or cell moves it by 5 to 10 %. Tolerances: 10 % between walls
+where a is 1 or 2, 20 % for lower and taller columns, 15 % for beads, 25 % for round columns. Low
+and round ones fall short: a skirt thinner than a cell is not seen, and what else is not known.
 """
 
-import numpy as np
+import math
+
 import pytest
 
-from tests.simulate import advance, begin, by_id, totals
+from tests.columns import LENGTH, Column, collapse, height, run_out
+from tests.held import held
 
-CELLS, DX, GRAVITY = 16, 0.01, 9.81
-L = CELLS * DX
-SCENE = """
-[domain]
-size = [{long}, 0.04, {high}]
-cell = 0.01
-gravity = [0, 0, -9.81]
-boundary = {{ default = "slip", floor = "stick" }}
-[time]
-end = 1
-[accuracy]
-precision = "single"
-[material.sand]
-kind = "sand"
-friction_angle = "31 deg"
-match = "plane-strain"
-youngs_modulus = 5e5
-[[object]]
-name = "column"
-material = "sand"
-shape = {{ box = [[0, 0, 0], [{edge}, 0.04, {top}]] }}
-"""
+WALLS = "Lube et al. 2005, between walls"
+BEADS = "Lajeunesse et al. 2005, between walls"
+ROUND = "Lube et al. 2004, round"
 
 
-def front(x, volume):
-    """Largest x [m] connected to the wall by sand at least dx / 2 deep."""
-    held = np.bincount((x[:, 0] / DX).astype(int), volume, minlength=400)
-    return np.argmax(held / (DX * 0.04) < DX / 2) * DX
+def fallen(column, folder):
+    """What is left when it rests, none lost and energy only taken."""
+    found = collapse(column, folder)
+    across = column.width if column.form == "plane" else math.pi / 4 * LENGTH
+    density = 2500 * 0.62 if column.sand == "glass beads" else 2650 * 0.6
+    assert found.mass == pytest.approx(density * column.a * LENGTH**2 * across, rel=0.01)
+    assert found.lost, "energy grew"
+    assert found.kinetic < 1e-3, "it still moves"
+    return found
+
+
+def compared(found, tolerance, source, expected=True, high=None):
+    column = found.column
+    named = column.sand if column.angle is None else f"{column.angle:g} degrees {column.match}"
+    case = f"column of {named}, {column.form}, a = {column.a:g}, {column.cells} cells"
+    ran = found.front(), run_out(column), tolerance
+    held(f"{case}: run-out", *ran, source=source, note=column.transfer, expected=expected)
+    if high:
+        stood = found.height, height(column), high
+        held(f"{case}: height", *stood, source=source, note=column.transfer)
 
 
 @pytest.mark.parametrize("a", [1, 2])
 def test_run_out(tmp_path, a):
-    text = SCENE.format(long=6 * L, high=round(a * L + 0.02, 6), edge=L, top=a * L)
-    simulation, made = begin(tmp_path, text)
-    before = totals(simulation)
-    advance(simulation, 4.5 * np.sqrt(a * L / GRAVITY))
-    after = totals(simulation)
-    (x,) = by_id(simulation, "x")
-    found = (front(x, made.vol0) - L) / L
-    still = after["kinetic"] / before["energy"]
-    print(
-        f"column a = {a}: run-out {found:.2f}, published {1.2 * a:.2f}; kinetic share {still:.1e}"
+    compared(fallen(Column("plane", a, 16), tmp_path), 0.1, WALLS, high=0.1)
+
+
+def test_the_angle_of_repose_is_not_that_of_triaxial_tests(tmp_path):
+    """Sand matched to Mohr-Coulomb where it is pressed along an axis is too strong in a channel."""
+    column = Column("plane", 1, 16, angle=31, match="triaxial")
+    compared(fallen(column, tmp_path), 0.1, WALLS, expected=False)
+
+
+def grows(tmp_path, transfer, cells):
+    """Run-out with few cells over that with twice as many."""
+    coarse, fine = (
+        fallen(Column("plane", 1, n, transfer=transfer), tmp_path).front() for n in cells
     )
-    assert after["mass"] == pytest.approx(1590 * a * L * L * 0.04, rel=1e-6)
-    assert after["energy"] < before["energy"]
-    assert still < 1e-3, "it still moves"
-    assert found == pytest.approx(1.2 * a, rel=0.3)
+    return coarse / fine
+
+
+def test_run_out_depends_little_on_the_cell(tmp_path):
+    case = "column of quartz sand, plane, a = 1: run-out, 8 cells over 16"
+    held(case, grows(tmp_path, "restored", (8, 16)), 1, 0.1, note="restored motion")
+
+
+def test_transfers_hold_sand_back(tmp_path):
+    """What restored motion gives back."""
+    case = "column of quartz sand, plane, a = 1: run-out, 8 cells over 16, APIC"
+    held(case, grows(tmp_path, "apic", (8, 16)), 1, 0.1, note="APIC", expected=False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("a", [1, 2])
+def test_run_out_on_a_finer_grid(tmp_path, a):
+    compared(fallen(Column("plane", a, 32), tmp_path), 0.1, WALLS, high=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("a", [0.5, 3, 5])
+def test_low_and_tall(tmp_path, a):
+    compared(fallen(Column("plane", a, 16), tmp_path), 0.2, WALLS)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("a", [1, 2])
+def test_beads_of_glass(tmp_path, a):
+    compared(fallen(Column("plane", a, 16, "glass beads"), tmp_path), 0.15, BEADS)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("a", [0.5, 1, 2])
+def test_round(tmp_path, a):
+    compared(fallen(Column("round", a, 16), tmp_path), 0.25, ROUND)

@@ -42,9 +42,10 @@ class Sand(Yielding):
     poisson_ratio: Annotated[float, Quantity("", ge=0, lt=0.5)] = 0.3
     """of the bulk"""
     friction_angle: Annotated[float, Quantity("rad", gt=0, lt=1.5707)] = math.radians(32)
-    """angle of internal friction; also of the steepest slope of dry sand"""
-    match: Literal["triaxial", "plane-strain"] = "triaxial"
-    """test in which the cone meets Mohr-Coulomb: along one axis, or with one axis kept as it is"""
+    """how strong the sand is, by the test that `match` names"""
+    match: Literal["slope", "plane-strain", "triaxial"] = "slope"
+    """what friction_angle was measured in: slope, the slope that flowing sand comes to rest at;
+    plane-strain, a test with one axis kept as it is; triaxial, one pressed along an axis"""
     cohesion: Annotated[float, Quantity("Pa", ge=0)] = 0.0
     """shear strength without pressure, as of moist sand; tension up to cohesion / tan(angle)"""
     friction: Annotated[float, Quantity("", ge=0)] = 0.5
@@ -55,16 +56,30 @@ class Sand(Yielding):
     family: ClassVar[Family] = "sand"
     carries: ClassVar = {"B": (0.0,) * 6, "v_c": (0.0,)}
     # grains of quartz; angles and stiffness of loose and dense sand: Bowles, Foundation Analysis
-    # and Design, 5th ed. 1996; cohesion of moist sand, some 1 kPa: Richefeu, El
-    # Youssoufi and Radjai, Phys. Rev. E 73 (2006) 051304
+    # and Design, 5th ed. 1996 (dense: pressed along an axis, with the dilatancy of dense sand);
+    # cohesion of moist sand, some 1 kPa, in shear boxes: Richefeu, El Youssoufi and Radjai, Phys.
+    # Rev. E 73 (2006) 051304. Quartz sand of Lube et al. 2004 and 2005, beads of Lajeunesse,
+    # Monnier and Homsy, Phys. Fluids 17 (2005) 103302: their angles of repose
     presets: ClassVar[dict[str, dict]] = {
         "dry sand": {"porosity": 0.42, "youngs_modulus": 1e7, "friction_angle": math.radians(32)},
-        "dense sand": {"porosity": 0.34, "youngs_modulus": 5e7, "friction_angle": math.radians(40)},
+        "dense sand": {
+            "porosity": 0.34,
+            "youngs_modulus": 5e7,
+            "friction_angle": math.radians(40),
+            "match": "triaxial",
+        },
         "wet sand": {
             "porosity": 0.42,
             "youngs_modulus": 1e7,
             "friction_angle": math.radians(33),
             "cohesion": 1000.0,
+        },
+        "quartz sand": {"porosity": 0.4, "youngs_modulus": 1e7, "friction_angle": math.radians(31)},
+        "glass beads": {
+            "density": 2500.0,
+            "porosity": 0.38,
+            "youngs_modulus": 1e7,
+            "friction_angle": math.radians(22),
         },
     }
 
@@ -84,6 +99,10 @@ class Sand(Yielding):
         alpha = math.sqrt(2 / 3) * 2 * sine / (3 - sine)
         if self.match == "plane-strain":
             alpha = math.sqrt(2) * sine / 3
+        elif self.match == "slope":
+            # sand that keeps its volume slides along planes at 45 degrees to the principal axes,
+            # where shear over pressure is not the tangent but the sine of plane strain (Davis 1968)
+            alpha = math.sqrt(2) * math.tan(self.friction_angle) / 3
         bulk = 3 * lam + 2 * mu  # three times the bulk modulus: mean stress per mean strain
         tip = self.cohesion / math.tan(self.friction_angle) / bulk
         return Law(mu, lam, 3 * alpha * bulk / (2 * mu), tip, self.bulk_density)

@@ -105,13 +105,17 @@ def _may_change() -> str:
     return "\n".join([*said, *rows, ""])
 
 
+def _given(value: float | str) -> str:
+    return f'`"{value}"`' if isinstance(value, str) else f"{value:.4g}"
+
+
 def _presets(presets: dict[str, dict]) -> str:
     """What each preset gives."""
     keys = list(dict.fromkeys(key for values in presets.values() for key in values))
     rows = ["| preset | " + " | ".join(f"`{key}`" for key in keys) + " |"]
     rows.append("|---" * (len(keys) + 1) + "|")
     for name, values in presets.items():
-        given = (f"{values[key]:.4g}" if key in values else "" for key in keys)
+        given = (_given(values[key]) if key in values else "" for key in keys)
         rows.append(f'| `"{name}"` | ' + " | ".join(given) + " |")
     return "\n".join(["Presets, in SI units; a key that is given wins:", "", *rows, ""])
 
