@@ -282,10 +282,11 @@ def meeting(one=-0.05, other=-0.05, a=0, sure=True, known=True, stiff=1e5, frict
     return Meeting(a, 1 if a == 0 else 0, one, other, known, sure, 1.0, stiff, friction)
 
 
-def pushed(v, mass, m, n, dt, dx):
-    """Changes (count, 3) of velocities by an elastic layer."""
+def pushed(v, mass, m, n, dt, dx, slope=None):
+    """Changes (count, 3) of velocities by an elastic layer. slope (count, 3): of these, per cell
+    along the normal of each."""
     change = np.zeros_like(v)
-    press(change, v, mass, m, n, dt, dx)
+    press(change, v, np.zeros_like(v) if slope is None else slope, mass, m, n, dt, dx)
     return change
 
 
@@ -301,17 +302,18 @@ def layers(count, bodies):
         m = m._replace(share=random.uniform(0, 1.5))
         n = random.normal(size=3)
         v = random.normal(size=(bodies, 3)) * random.choice([0.0, 0.01, 10.0])
+        slope = random.normal(size=(bodies, 3)) * random.choice([0.0, 0.01, 10.0])
         mass = 10.0 ** random.uniform(-9, 1, bodies)
-        yield v, mass, m, n / np.linalg.norm(n), 10.0 ** random.uniform(-6, -3), 0.02
+        yield v, slope, mass, m, n / np.linalg.norm(n), 10.0 ** random.uniform(-6, -3), 0.02
 
 
 @pytest.mark.parametrize("bodies", [1, 2])
 def test_a_layer_pushes_apart_and_rubs_no_more_than_that(bodies):
-    """Momentum to rounding; no pull; Coulomb's friction, which never turns what slides; what is
-    light is not thrown further than half the overlap in a step. As in plain numpy."""
+    """Momentum to rounding; no pull; Coulomb's friction, which never turns how the surfaces slide;
+    what is light is not thrown further than half the overlap in a step. As in plain numpy."""
     acted = stuck = slid = held = 0
-    for v, mass, m, n, dt, dx in layers(2000, bodies):
-        change = pushed(v, mass, m, n, dt, dx)
+    for v, slope, mass, m, n, dt, dx in layers(2000, bodies):
+        change = pushed(v, mass, m, n, dt, dx, slope)
         if m.one + m.other >= -EASE:
             assert not change.any()
             continue
@@ -326,8 +328,12 @@ def test_a_layer_pushes_apart_and_rubs_no_more_than_that(bodies):
         rub = impulse - push * n
         assert push >= 0
         assert np.linalg.norm(rub) <= m.friction * push * (1 + 1e-9) + 1e-14 * size
-        slip, left = before - (before @ n) * n, after - (after @ n) * n
-        scale = np.linalg.norm(before) + np.linalg.norm(after)
+        slides = before + m.other * slope[m.b]
+        if bodies == 2:
+            slides -= m.one * slope[0]
+        slip = slides - (slides @ n) * n
+        left = slip + (after - before) - ((after - before) @ n) * n
+        scale = np.linalg.norm(slides) + np.linalg.norm(after - before)
         assert slip @ left >= -1e-12 * scale**2, "friction turns it"
         assert np.linalg.norm(left) <= np.linalg.norm(slip) + 1e-12 * scale
         stuck += m.friction > 0 and slip.any() and np.linalg.norm(left) < 1e-9 * scale
@@ -339,8 +345,8 @@ def test_a_layer_pushes_apart_and_rubs_no_more_than_that(bodies):
         held += push < 0.99 * full
         a = None if m.a < 0 else m.a
         gap, lean = m.one + m.other + EASE, m.one - m.other
-        twin = plain._push(before, mass, a, m.b, n, gap, lean, m.stiff * m.share, m.friction,
-                           dt, dx)  # fmt: skip
+        twin = plain._push(before, slides, mass, a, m.b, n, gap, lean, m.stiff * m.share,
+                           m.friction, dt, dx)  # fmt: skip
         assert impulse == pytest.approx(twin, rel=1e-9, abs=1e-12 * size)
     assert min(stuck, slid, held, acted - held) > 20, (acted, stuck, slid, held)
 

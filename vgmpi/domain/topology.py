@@ -67,12 +67,14 @@ class Needs(NamedTuple):
     hues: np.ndarray  # (groups,) coefficients of colour that travel with every step
     surface: np.ndarray = np.zeros(0, bool)  # (phases,) contact knows the surfaces of its bodies
     planes: tuple[Plane, ...] = ()  # walls that push these by contact
+    rubs: bool = False  # some of these rub against something
 
     @property
     def layers(self) -> list[str]:
         """Names of all layers, in the order in which they are summed."""
         hues = [hue(k) for k in range(int(self.hues.max(initial=0)))]
-        return ["momentum", "offsets", *["impulses"] * bool(self.apart), *hues]
+        more = ["impulses"] * bool(self.apart) + ["shear"] * self.rubs
+        return ["momentum", "offsets", *more, *hues]
 
 
 def hue(coefficient: int) -> str:
@@ -246,6 +248,8 @@ def _who_contributes(box, at, phase, group, needs: Needs, solid) -> dict[str, np
         close_by = box.spread(_at_plane(box.every, needs), np.logical_or)[at]
         wanted = wanted | (close_by & needs.surface[phase])
     takes["offsets"] = wanted
+    if needs.rubs:
+        takes["shear"] = wanted & needs.surface[phase]
     for k in range(int(needs.hues.max(initial=0))):
         takes[hue(k)] = needs.hues[group] > k
     return takes

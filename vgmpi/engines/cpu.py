@@ -226,10 +226,11 @@ class Cpu:
                 layers["impulses"].tables, **self.beside, noted=int(self.gathered["change"]),
                 room=self.apart_room[thread], tables=self.pairs,
             )  # fmt: skip
+        shear = layers["shear"].tables if self.plan.rubs else None
+        summed = grid.Summed(layers["momentum"].tables, layers["offsets"].tables)
         self.call(
-            (), grid.update, blocks, self.blocks, layers["momentum"].tables,
-            layers["offsets"].tables, apart, self.plan.rules, self.walls, self.phases, self.solids,
-            self.room[thread], self.step, self.beyond[thread],
+            (), grid.update, blocks, self.blocks, summed, shear, apart, self.plan.rules,
+            self.walls, self.phases, self.solids, self.room[thread], self.step, self.beyond[thread],
         )  # fmt: skip
         for k, layer in enumerate(self.hues):
             self.call(

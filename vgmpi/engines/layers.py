@@ -9,7 +9,7 @@ import numpy as np
 from ..device.memory import aligned, grown
 from ..domain.topology import hue
 from ..kernels import sums
-from ..kernels.layers import colour, impulses, momentum, offsets
+from ..kernels.layers import colour, impulses, momentum, offsets, shear
 from ..kernels.tables import Sums
 from ..planning.groups import GroupPlan
 from ..planning.plan import Plan
@@ -72,6 +72,8 @@ def layers(plan: Plan, apart: bool) -> list[Layer]:
     ]
     if apart:
         found.append(Layer("impulses", lambda speed: impulses.full(plan, speed), plan))
+    if plan.rubs:
+        found.append(Layer("shear", lambda speed: momentum.full(plan, speed), plan))
     for k in range(hues(plan)):
         found.append(Layer(hue(k), lambda _, k=k: colour.full(plan, k), plan))
     return found
@@ -87,6 +89,8 @@ def contributions(plan: Plan, group: GroupPlan, takes: dict, split) -> list[Cont
     if group.apart:
         found.append(Contribution("momentum", inert, split))
         found.append(Contribution("impulses", impulses.kind(plan, group), split))
+    if plan.rubs and group.surface:
+        found.append(Contribution("shear", shear.kind(plan, group), takes["shear"]))
     for k in range(group.coefficients):
         found.append(Contribution(hue(k), colour.kind(plan, group, k), takes[hue(k)]))
     return [given for given in found if given.chosen.any()]

@@ -155,9 +155,10 @@ def share_of(mass, full, D):
 
 
 @inline
-def press(change, v, mass, m, n, dt, dx):
+def press(change, v, slope, mass, m, n, dt, dx):
     """What the elastic layer of a Meeting does in dt [s], and its friction, added to change (count,
-    3) of the velocities v (count, 3).
+    3) of the velocities v (count, 3). slope (count, 3): how these change per cell along the normal
+    of a known surface, so that what rubs is told how fast the surfaces slide, and not the node.
 
     The layer is two and a half cells of the two materials, under the nodes' faces; along n (3,),
     which points out of a. It has an energy: what falls jumps off again, what rolls is pressed as
@@ -176,6 +177,14 @@ def press(change, v, mass, m, n, dt, dx):
     rn = r0 * n[0] + r1 * n[1] + r2 * n[2]
     push = dt * SPRING * m.stiff * deep * m.share * (1.0 - middle) * dx * dx
     push = min(push, reduced * (max(rn, 0.0) + 0.5 * deep * dx / dt))
+    r0, r1, r2 = (
+        r0 + m.other * slope[m.b, 0], r1 + m.other * slope[m.b, 1], r2 + m.other * slope[m.b, 2],
+    )  # fmt: skip
+    if m.a >= 0:
+        r0, r1, r2 = (
+            r0 - m.one * slope[m.a, 0], r1 - m.one * slope[m.a, 1], r2 - m.one * slope[m.a, 2],
+        )  # fmt: skip
+    rn = r0 * n[0] + r1 * n[1] + r2 * n[2]
     r0, r1, r2 = r0 - rn * n[0], r1 - rn * n[1], r2 - rn * n[2]
     size = np.sqrt(r0 * r0 + r1 * r1 + r2 * r2)
     most = m.friction * push

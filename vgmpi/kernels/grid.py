@@ -23,6 +23,13 @@ from .touch import touch
 from .walls import constrain, tangential
 
 
+class Summed(NamedTuple):
+    """What every scene has."""
+
+    momentum: Sums
+    offsets: Sums
+
+
 class Apart(NamedTuple):
     """Where the stress's impulses are kept apart from momentum."""
 
@@ -37,26 +44,23 @@ class Apart(NamedTuple):
 
 
 @kernel
-def update(
-    blocks, tables, momentum, offsets, apart, rules, walls, phases, solids, room, step, report
-):  # fmt: skip
+def update(blocks, tables, summed, shear, apart, rules, walls, phases, solids, room, step, report):
     """Velocities [m/s] at the nodes of some blocks, in place of momentum.
 
-    blocks: (n,) the blocks to do; tables: NodeBlocks; momentum, offsets: Sums; apart: an Apart, or
-    None; rules: how phases share space (couple.Rules), or None; walls, phases, step: see
-    kernels/tables.py; solids: (n, 64, 4) outward normal and distance [m] of the collider; room:
-    touch.Room of the calling thread; report: (3,) see sums.take_up: momentum, offsets, impulses.
+    blocks: (n,) the blocks to do; tables: NodeBlocks; summed: Summed; shear: Sums, or None; apart:
+    an Apart, or None; rules: how phases share space (couple.Rules), or None; walls, phases, step:
+    see kernels/tables.py; solids: (n, 64, 4) outward normal and distance [m] of the collider; room:
+    touch.Room of the calling thread; report: (layers,) see sums.take_up: momentum, offsets,
+    impulses, shear.
     """
+    momentum, offsets = summed.momentum, summed.offsets
     rows, moved, spaced = blocks_at(tables), sums_at(momentum), sums_at(offsets)
     nodes, last, least_of = moved.nodes, place(walls.cells), place(phases.least)
+    if shear is not None:
+        sheared = sums_at(shear)
     if apart is not None:
         pushed = sums_at(apart.impulses)
-        fields = Fields(
-            rows.phase, least_of, last, nodes, pushed.nodes, spaced.nodes,
-            place(apart.flux.reshape(apart.flux.size)),
-            place(apart.drift.reshape(apart.drift.size)),
-            place(apart.change.reshape(apart.change.size)),
-        )  # fmt: skip
+        fields = _fields(rows, least_of, last, nodes, pushed.nodes, spaced.nodes, apart)
         if rules is not None:
             of, pairs = places(apart.room, apart.tables)
     first, phase_of = place(tables.first), rows.phase
@@ -70,6 +74,8 @@ def update(
             if apart is not None:
                 take_up(nb, rows, pushed, report, 2)
                 kept_apart |= pushed.asked[nb] != 0
+            if shear is not None:
+                take_up(nb, rows, sheared, report, 2 if apart is None else 3)
             fall(nb, nodes, push, ROUNDING * least_of[phase_of[nb]])
         here = _here(b, n0, n1, tables, last)
         if apart is not None:
@@ -87,8 +93,8 @@ def update(
                     couple_block(here, fields, of, pairs, step.dt, step.dx)
         rigid = tables.solid[b] >= 0 or here.at_wall
         if here.meets and _may_touch(n0, n1, phase_of, rigid, rules):
-            touch(here, tables, tables.solid[b], momentum.nodes, offsets.nodes, solids, walls,
-                  phases, rules, step, room)  # fmt: skip
+            touch(here, tables, tables.solid[b], summed, shear, solids, walls, phases, rules,
+                  step, room)  # fmt: skip
         if here.at_wall:
             _stop_at_walls(here, momentum.nodes, walls, tables.phase, phases.surface)
         if apart is not None:
@@ -97,6 +103,17 @@ def update(
                     note_flux(here, fields, of, pairs, step.dx)
             if noted:
                 _note_change(here, fields)
+
+
+@inline
+def _fields(rows, least, cells, grid, forces, offsets, apart):
+    """What coupling needs of nodes. rows: sums.BlocksAt; arrays by their places."""
+    return Fields(
+        rows.phase, least, cells, grid, forces, offsets,
+        place(apart.flux.reshape(apart.flux.size)),
+        place(apart.drift.reshape(apart.drift.size)),
+        place(apart.change.reshape(apart.change.size)),
+    )  # fmt: skip
 
 
 @inline

@@ -14,7 +14,7 @@ base node is summed before it is added to the patch.
 
 from ..device.jit import kernel
 from ..lanes.lanes import place
-from .layers import colour, impulses, momentum, offsets  # noqa: F401  (what they contribute)
+from .layers import colour, impulses, momentum, offsets, shear  # noqa: F401  (what they give)
 from .layers.base import OFFSET, UNSEEN, add, contribute
 from .patches import clear
 from .records import BATCH, PATCH, box_of, parts, reach, touched, weigh

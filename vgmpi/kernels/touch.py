@@ -30,6 +30,7 @@ class Room(NamedTuple):
     v: np.ndarray  # (n, 3) velocities
     mass: np.ndarray  # (n,)
     here: np.ndarray  # (n,) node block of each phase that is there
+    slope: np.ndarray  # (n, 3) of the velocity per cell along a known surface's normal
     change: np.ndarray  # (n, 3) of the velocities, by elastic layers
     normals: np.ndarray  # (m, 7) normal, and scratch of `resolve`
     impulse: np.ndarray  # (m, 4)
@@ -53,7 +54,8 @@ def room(n: int) -> Room:
     """Scratch for n phases."""
     m = n * (n + 1) // 2 + 3 * n
     return Room(
-        v=np.zeros((n, 3)), change=np.zeros((n, 3)), mass=np.zeros(n), here=np.zeros(n, np.int64),
+        v=np.zeros((n, 3)), slope=np.zeros((n, 3)), change=np.zeros((n, 3)), mass=np.zeros(n),
+        here=np.zeros(n, np.int64),
         normals=np.zeros((m, 7)), impulse=np.zeros((m, 4)), friction=np.zeros(m),
         master=np.zeros(m, np.int64), other=np.zeros(m, np.int64), touches=np.zeros(n, np.int64),
         plane=np.zeros(4), row=np.zeros(n),
@@ -61,9 +63,10 @@ def room(n: int) -> Room:
 
 
 @inline
-def touch(here, tables, solid, velocities, offsets, solids, walls, phases, rules, step, room):
-    """Contact in a block. here: couple.Here; solid: the collider's row in solids, or -1; velocities
-    with masses, and offsets: (node blocks, 256)."""
+def touch(here, tables, solid, summed, shear, solids, walls, phases, rules, step, room):
+    """Contact in a block. here: couple.Here; solid: the collider's row in solids, or -1; summed:
+    grid.Summed, of which the momenta are velocities by now; shear: Sums, or None."""
+    velocities, offsets = summed.momentum.nodes, summed.offsets.nodes
     pushes = here.at_wall and _may_push(walls)
     for node in range(64):
         active = _active(here, node, velocities, tables.phase, phases.least, room.here)
@@ -78,6 +81,9 @@ def touch(here, tables, solid, velocities, offsets, solids, walls, phases, rules
                 room.v[q, c] = velocities[nb, 4 * node + c]
                 room.change[q, c] = 0
             room.mass[q] = velocities[nb, 4 * node + 3]
+            if shear is not None:
+                for c in range(3):
+                    room.slope[q, c] = shear.nodes[nb, 4 * node + c] / room.mass[q]
             room.touches[q] = 0
         there = There(active, node, active + (solid >= 0) + planes == 2)
         pairs = _pairs(there, tables.phase, offsets, phases, rules, step, room)
@@ -188,7 +194,7 @@ def _take_up(pairs, there, meeting, n, step, room):
     approach as one pair more. A pair that is alone at its node and parts is left out: nothing acts
     on it."""
     if meeting.sure:
-        press(room.change, room.v, room.mass, meeting, n, step.dt, step.dx)
+        press(room.change, room.v, room.slope, room.mass, meeting, n, step.dt, step.dx)
     if not touching(meeting) or (there.alone and _parts(room.v, meeting, n)):
         return pairs
     room.master[pairs], room.other[pairs] = meeting.a, meeting.b

@@ -101,6 +101,16 @@ class Plan:
         )
 
     @property
+    def rubs(self) -> bool:
+        """Whether a body whose surface is known rubs against something."""
+        found = [plane.friction for plane in self.planes]
+        for p, phase in enumerate(self.phases):
+            if phase.surface:
+                found += [mu for q, mu in enumerate(self.friction[p]) if q != p]
+                found += [self.friction[-1][p]] * self.collider
+        return any(mu > 0 for mu in found)
+
+    @property
     def particles(self) -> int:
         return sum(self.count)
 
@@ -133,7 +143,7 @@ class Plan:
         width, nodes = self.real.itemsize, 64 * 4
         one = 8 * (1 if width == 4 else 2) + width  # a number's sum, and the number
         touches = self.contact or self.collider or bool(self.planes)
-        layers = 1 + touches + any(group.apart for group in self.groups)
+        layers = 1 + touches + self.rubs + any(group.apart for group in self.groups)
         layers += max(group.coefficients for group in self.groups)
         more = (self.rules is not None) + (self.keeps is not None) + self.drifts
         # a block holds some 300 particles, and reaches node blocks that hold none

@@ -34,6 +34,7 @@ SUMMED = {
     "momentum": "mass or momentum",
     "offsets": "volume",
     "impulses": "impulse",
+    "shear": "velocity's gradient",
     "colour": "colour",
 }
 
@@ -48,7 +49,9 @@ def _needs(plan: Plan) -> topology.Needs:
         *((group.phase, group.coefficients) for group in plan.groups), strict=True
     ))  # fmt: skip
     surface = np.array([phase.surface for phase in plan.phases])
-    return topology.Needs(phase_of, plan.contact, _apart(plan), hues, surface, plan.planes)
+    return topology.Needs(
+        phase_of, plan.contact, _apart(plan), hues, surface, plan.planes, plan.rubs
+    )
 
 
 def _apart(plan: Plan) -> bool | topology.Near:

@@ -60,11 +60,13 @@ class Contact:
                 np.moveaxis(offset, axis + 1, 0)[wall, ..., axis] = 0.0
 
     def act(
-        self, v: np.ndarray, mass: np.ndarray, offset: np.ndarray, volume: np.ndarray, dt: float
-    ) -> int:
+        self, v: np.ndarray, mass: np.ndarray, offset: np.ndarray, volume: np.ndarray,
+        slope: np.ndarray, dt: float,
+    ) -> int:  # fmt: skip
         """Change velocities v (phases, ..., 3) where phases touch. offset, volume: of phases whose
-        surfaces are known, mass times normal and mass times distance; dt [s]. Returns at how many
-        nodes one acted on another."""
+        surfaces are known, mass times normal and mass times distance; slope: change of v per cell
+        along such a surface's normal, 0 of others; dt [s]. Returns at how many nodes one acted on
+        another."""
         here = mass > self.least[:, None, None, None]
         several = here.sum(0) + self.near + self.planes > 1
         acted = 0
@@ -85,11 +87,15 @@ class Contact:
                 sure = sure and all(sides[k].sure for k in both if sides[k].known)
                 r = (u[a] if a is not None else 0.0) - u[b]
                 if sure:
+                    slides = r + other * slope[at][b]
+                    if a is not None:
+                        slides = slides - one * slope[at][a]
                     share = min(sides[k].share(far) for k, far in both.items())
                     gap = one + other + (EASE if known else -AHEAD)
                     push = _push(
-                        r, m, a, b, n, gap, one - other, share * stiff, friction, dt, self.dx
-                    )
+                        r, slides, m, a, b, n, gap, one - other, share * stiff, friction, dt,
+                        self.dx,
+                    )  # fmt: skip
                     acted += bool(push.any())
                     if a is not None:
                         change[a] -= push / m[a]
@@ -166,16 +172,17 @@ def filled(D: float) -> float:
     return tail if D > 0 else 1.0 - tail
 
 
-def _push(r, mass, a, b, n, gap, lean, stiff, friction, dt, dx) -> np.ndarray:
+def _push(r, slides, mass, a, b, n, gap, lean, stiff, friction, dt, dx) -> np.ndarray:
     """Impulse (3,) [kg m/s] on b of an elastic layer, with friction. r: velocity of a less b's;
-    gap: sum of the distances from both [cells] less where it begins; lean: their difference."""
+    slides: that of their surfaces; gap: sum of the distances from both [cells] less where it
+    begins; lean: their difference."""
     deep, middle = min(-gap, SOFT), abs(lean) / 2
     if deep <= 0.0 or middle >= 1.0:
         return np.zeros(3)
     reduced = mass[b] if a is None else mass[a] * mass[b] / (mass[a] + mass[b])
     push = dt * SPRING * stiff * deep * (1.0 - middle) * dx**2
     push = min(push, reduced * (max(r @ n, 0.0) + 0.5 * deep * dx / dt))
-    slide = r - (r @ n) * n
+    slide = slides - (slides @ n) * n
     size = float(np.linalg.norm(slide))
     rub = friction * push / size if size * reduced > friction * push else reduced
     return push * n + rub * slide

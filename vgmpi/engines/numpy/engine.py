@@ -68,7 +68,9 @@ class Numpy:
         # in a step of no time stress gives no impulse: what is summed for others nobody reads
         n, shape = len(self.plan.phases), self.dense.shape
         self.mass, self.volume, self.counted = (np.zeros((n, *shape, 1)) for _ in range(3))
-        self.momentum, self.forces, self.offset = (np.zeros((n, *shape, 3)) for _ in range(3))
+        self.momentum, self.forces, self.offset, self.shear = (
+            np.zeros((n, *shape, 3)) for _ in range(4)
+        )
         hues = max(group.coefficients for group in self.plan.groups)
         self.hues = np.zeros((hues, n, *shape, 4))
         self.stencils = [self._stencil(group) for group in self.groups]
@@ -77,6 +79,7 @@ class Numpy:
         for p in range(n):
             self.dense.fold(self.momentum[p], self.mass[p])
             self.dense.fold(self.forces[p], self.counted[p])
+            self.dense.fold(self.shear[p], None)
             self.dense.fold(self.offset[p], self.volume[p], kind="slip")
 
     def _stencil(self, group: Group) -> Stencil:
@@ -110,6 +113,8 @@ class Numpy:
             dense.sum(self.offset[p], stencil, sure * normal, sure[:, None] * curve)
             there = m[:, None] * distance[:, None]
             dense.sum(self.volume[p], stencil, there, m[:, None, None] * normal[:, None])
+            along = np.einsum("nab,nb->na", C.reshape(-1, 3, 3), normal)
+            dense.sum(self.shear[p], stencil, self.plan.dx * m[:, None] * along)
         else:
             V = plan.share * vol0 * (J[:, None] if plan.apart else 1.0)
             dense.sum(self.volume[p], stencil, V)
@@ -167,7 +172,8 @@ class Numpy:
         if self.sharing is not None:
             V = self.sharing.volumes(mass, counted)
             self.drift = self.sharing.act(v, mass, self.forces, V, self.offset, self.dt)
-        self.touching = self.contact.act(v, mass, self.offset, volume, self.dt)
+        slope = np.where(some, self.shear / np.where(some, mass[..., None], 1.0), 0.0)
+        self.touching = self.contact.act(v, mass, self.offset, volume, slope, self.dt)
         for velocities, phase in zip(v, plan.phases, strict=True):
             dense.constrain(velocities, phase.surface)
         if self.sharing is not None:
