@@ -16,7 +16,7 @@ BLOCK = """
 size = [0.4, 0.4, 0.4]
 cell = 0.02
 gravity = [0, 0, GRAVITY]
-gravity_ramp = RAMP
+RAMP
 [time]
 end = 0.02
 frames = 2
@@ -42,8 +42,8 @@ END = 0.02  # [s]
 AREA, VOLUME = 0.08 * 0.08, 0.08 * 0.08 * 0.12  # of the block's top [m2] and of the block [m3]
 
 
-def free(folder, loads, gravity=0.0, ramp=0.0):
-    text = BLOCK.replace("GRAVITY", str(gravity)).replace("RAMP", str(ramp))
+def free(folder, loads, gravity=0.0, ramp="gravity_ramp = 0"):
+    text = BLOCK.replace("GRAVITY", str(gravity)).replace("RAMP", ramp)
     simulation, made = begin(folder, text + loads)
     advance(simulation, END)
     assert simulation.step > 15
@@ -114,7 +114,7 @@ def test_the_mean_of_a_ramp():
 
 def test_gravity_grows(tmp_path):
     """Half a cosine of 12 ms: as much as gravity 6 ms later."""
-    simulation, momentum = free(tmp_path, "", gravity=-9.8, ramp=0.012)
+    simulation, momentum = free(tmp_path, "", gravity=-9.8, ramp="gravity_ramp = 0.012")
     mass = 1000 * VOLUME + 500 * VOLUME / 2
     want = -9.8 * mass * (END - 0.006)
     assert abs(momentum[2] - want) < 1e-12 * abs(want) and abs(momentum[:2]).max() < 1e-12
@@ -124,7 +124,7 @@ def test_gravity_grows(tmp_path):
 
 def test_shared_by_volume(tmp_path):
     """Two materials in one load: the first step gives the light one twice the speed."""
-    text = BLOCK.replace("GRAVITY", "0").replace("RAMP", "0")
+    text = BLOCK.replace("GRAVITY", "0").replace("RAMP", "")
     load = '[[load]]\nobject = ["block", "rider"]\nforce = [0, 0, 3]\n'
     simulation, _ = begin(tmp_path, text + load)
     simulation.loads.push(simulation.groups, 0.0, 1e-3)
@@ -137,7 +137,7 @@ def test_shared_by_volume(tmp_path):
 
 def test_the_region_is_taken_at_the_start(tmp_path):
     """The layer at the top is pressed; it keeps the load after sorts."""
-    text = BLOCK.replace("GRAVITY", "0").replace("RAMP", "0")
+    text = BLOCK.replace("GRAVITY", "0").replace("RAMP", "")
     load = '[[load]]\nobject = "block"\npressure = "1 kPa"\nface = "top"\n'
     simulation, made = begin(tmp_path, text + load, velocity=lambda x: 0 * x + [1.5, 1.0, 0.5])
 
@@ -157,5 +157,18 @@ def test_the_region_is_taken_at_the_start(tmp_path):
 
 
 def test_no_load_no_cost(tmp_path):
-    simulation, _ = begin(tmp_path, BLOCK.replace("GRAVITY", "0").replace("RAMP", "0"))
+    simulation, _ = begin(tmp_path, BLOCK.replace("GRAVITY", "0").replace("RAMP", ""))
     assert simulation.loads is None
+
+
+def test_gravity_by_keyframes(tmp_path):
+    """A body that falls freely has the integral of gravity times its mass, over any steps."""
+    keys = (
+        'gravity_keyframes = [{ time = "4 ms", gravity = [0, 0, -9.8] },'
+        ' { time = "17 ms", gravity = [9.8, 0, 0] }]'
+    )
+    simulation, momentum = free(tmp_path, "", gravity=-9.8, ramp=keys)
+    turn = 9.8 * 0.013 * 2 / np.pi  # a quarter of a turn in 13 ms
+    want = np.array([turn + 9.8 * 0.003, 0.0, -turn - 9.8 * 0.004])
+    mass = totals(simulation)["mass"]
+    assert np.abs(momentum - mass * want).max() < 1e-12 * mass * 9.8 * END

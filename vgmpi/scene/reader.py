@@ -12,6 +12,7 @@ from pydantic import BaseModel, ValidationError
 from vgmpi import couplings, materials
 from vgmpi.couplings.base import CONTACT
 from vgmpi.misspelt import nearest, nearest_file
+from vgmpi.scene.gravity import gravity_complaints
 from vgmpi.scene.loads import Load, load_complaints
 from vgmpi.scene.objects import Object, body_complaint, object_complaints
 from vgmpi.scene.probes import Probe, probe_complaints
@@ -74,6 +75,8 @@ class Reader:
         for k, name in enumerate((looks and looks.colour_bodies) or ()):
             if said := body_complaint(name, role):
                 self.wrong(("appearance", "colour_bodies", k), said)
+        for inner, said in gravity_complaints(data.get("domain", {})):
+            self.wrong(("domain", *inner), said)
         fluid = any(m is None or m.family == "fluid" for m in kinds.values())
         size = tables["domain"].size if tables.get("domain") else None
         loads = self.listed(

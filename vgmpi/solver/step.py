@@ -230,8 +230,8 @@ class Simulation:
         if self.loads is not None:
             pushed = self.loads.push(self.groups, self.time, dt)
         gravity = self.gravity
-        if self.plan.gravity_ramp:
-            gravity = gravity * self.plan.gravity_share(self.time, self.time + dt)
+        if self.plan.gravity_ramp or self.plan.gravity_keys:
+            gravity = self.plan.gravity_between(self.time, self.time + dt)
         engine.begin(dt, gravity, self.reach.fastest(self.plan, dt, pushed))
         self._to_nodes(self.halo)
         report = engine.gather(self.step)  # v, C, x, state at n + 1
