@@ -40,6 +40,10 @@ until = "41 ms"
 object = "cube"
 pressure = "100 Pa"
 face = "east"
+[[load]]
+object = "ball"
+spin = [5, 0, 9]
+after = "23 ms"
 [[probe]]
 name = "deep"
 every = "7 ms"
@@ -109,7 +113,7 @@ def test_ranks(one, n, tmp_path):
 
 
 def test_stop_and_resume(one, tmp_path):
-    """Stopped on three ranks while all loads grow and gravity turns, then on with two. What was written
+    """Stopped on three ranks while loads grow and gravity turns, then on with two. What was written
     behind the checkpoint is written anew."""
     scene, want, out = one
     stop = int(rows(out, "cube")[-1]["step"]) // 3
