@@ -43,8 +43,7 @@ def advance(simulation: Simulation, end: float) -> None:
     lands = False
     while not lands:
         dt, lands = next_step(simulation.time, end, simulation.bound())
-        simulation.advance(dt)
-    simulation.time = end
+        simulation.advance(dt, end=end if lands else None)
 
 
 def totals(simulation: Simulation) -> dict[str, np.ndarray | float]:

@@ -1,5 +1,5 @@
-"""Loads, probes and growing gravity do not touch the promise: the same bits in every file for any
-number of ranks, and after a restart in the middle of a ramp."""
+"""Loads, probes and gravity that turns do not touch the promise: the same bits in every file for
+any number of ranks, and after a restart in the middle of a ramp and of the turn."""
 
 import csv
 
@@ -17,7 +17,13 @@ pytestmark = pytest.mark.mpi
 # at every step
 SCENE = (
     MIXED.replace("PRECISION", "double").replace(
-        "cell = 0.02\n", 'cell = 0.02\ngravity_ramp = "40 ms"\n'
+        "cell = 0.02\n",
+        """cell = 0.02
+gravity_keyframes = [
+  { time = "5 ms", gravity = [0, 0, -9.8] },
+  { time = "40 ms", gravity = [4.9, 1, -8] },
+]
+""",
     )
     + """
 [[load]]
@@ -34,6 +40,10 @@ until = "41 ms"
 object = "cube"
 pressure = "100 Pa"
 face = "east"
+[[load]]
+object = "ball"
+spin = [5, 0, 9]
+after = "23 ms"
 [[probe]]
 name = "deep"
 every = "7 ms"
@@ -103,7 +113,7 @@ def test_ranks(one, n, tmp_path):
 
 
 def test_stop_and_resume(one, tmp_path):
-    """Stopped on three ranks while all loads and gravity grow, then on with two. What was written
+    """Stopped on three ranks while loads grow and gravity turns, then on with two. What was written
     behind the checkpoint is written anew."""
     scene, want, out = one
     stop = int(rows(out, "cube")[-1]["step"]) // 3

@@ -16,7 +16,7 @@ BLOCK = """
 size = [0.4, 0.4, 0.4]
 cell = 0.02
 gravity = [0, 0, GRAVITY]
-gravity_ramp = RAMP
+RAMP
 [time]
 end = 0.02
 frames = 2
@@ -42,8 +42,8 @@ END = 0.02  # [s]
 AREA, VOLUME = 0.08 * 0.08, 0.08 * 0.08 * 0.12  # of the block's top [m2] and of the block [m3]
 
 
-def free(folder, loads, gravity=0.0, ramp=0.0):
-    text = BLOCK.replace("GRAVITY", str(gravity)).replace("RAMP", str(ramp))
+def free(folder, loads, gravity=0.0, ramp="gravity_ramp = 0"):
+    text = BLOCK.replace("GRAVITY", str(gravity)).replace("RAMP", ramp)
     simulation, made = begin(folder, text + loads)
     advance(simulation, END)
     assert simulation.step > 15
@@ -114,7 +114,7 @@ def test_the_mean_of_a_ramp():
 
 def test_gravity_grows(tmp_path):
     """Half a cosine of 12 ms: as much as gravity 6 ms later."""
-    simulation, momentum = free(tmp_path, "", gravity=-9.8, ramp=0.012)
+    simulation, momentum = free(tmp_path, "", gravity=-9.8, ramp="gravity_ramp = 0.012")
     mass = 1000 * VOLUME + 500 * VOLUME / 2
     want = -9.8 * mass * (END - 0.006)
     assert abs(momentum[2] - want) < 1e-12 * abs(want) and abs(momentum[:2]).max() < 1e-12
@@ -124,10 +124,10 @@ def test_gravity_grows(tmp_path):
 
 def test_shared_by_volume(tmp_path):
     """Two materials in one load: the first step gives the light one twice the speed."""
-    text = BLOCK.replace("GRAVITY", "0").replace("RAMP", "0")
+    text = BLOCK.replace("GRAVITY", "0").replace("RAMP", "")
     load = '[[load]]\nobject = ["block", "rider"]\nforce = [0, 0, 3]\n'
     simulation, _ = begin(tmp_path, text + load)
-    simulation.loads.push(simulation.groups, 0.0, 1e-3)
+    simulation.loads.push(simulation.groups, 0.0, 1e-3, 1e-3)
     v, thing = by_id(simulation, "v", "object")
     speeds = [np.unique(v[thing == k][:, 2]) for k in (0, 1)]
     assert [len(s) for s in speeds] == [1, 1]
@@ -137,7 +137,7 @@ def test_shared_by_volume(tmp_path):
 
 def test_the_region_is_taken_at_the_start(tmp_path):
     """The layer at the top is pressed; it keeps the load after sorts."""
-    text = BLOCK.replace("GRAVITY", "0").replace("RAMP", "0")
+    text = BLOCK.replace("GRAVITY", "0").replace("RAMP", "")
     load = '[[load]]\nobject = "block"\npressure = "1 kPa"\nface = "top"\n'
     simulation, made = begin(tmp_path, text + load, velocity=lambda x: 0 * x + [1.5, 1.0, 0.5])
 
@@ -157,5 +157,83 @@ def test_the_region_is_taken_at_the_start(tmp_path):
 
 
 def test_no_load_no_cost(tmp_path):
-    simulation, _ = begin(tmp_path, BLOCK.replace("GRAVITY", "0").replace("RAMP", "0"))
+    simulation, _ = begin(tmp_path, BLOCK.replace("GRAVITY", "0").replace("RAMP", ""))
     assert simulation.loads is None
+
+
+def test_gravity_by_keyframes(tmp_path):
+    """A body that falls freely has the integral of gravity times its mass, over any steps."""
+    keys = (
+        'gravity_keyframes = [{ time = "4 ms", gravity = [0, 0, -9.8] },'
+        ' { time = "17 ms", gravity = [9.8, 0, 0] }]'
+    )
+    simulation, momentum = free(tmp_path, "", gravity=-9.8, ramp=keys)
+    turn = 9.8 * 0.013 * 2 / np.pi  # a quarter of a turn in 13 ms
+    want = np.array([turn + 9.8 * 0.003, 0.0, -turn - 9.8 * 0.004])
+    mass = totals(simulation)["mass"]
+    assert np.abs(momentum - mass * want).max() < 1e-12 * mass * 9.8 * END
+
+
+AT_ONCE = {
+    "impulse": ("impulse = [1e-3, -2e-3, 5e-4]", (1e-3, -2e-3, 5e-4)),
+    "velocity": ("velocity = [0, 0.3, 0]", (0, 0.3 * 1000 * VOLUME, 0)),
+}
+
+
+@pytest.mark.parametrize("after", ["0 s", "5.1 ms"])
+@pytest.mark.parametrize("case", AT_ONCE)
+def test_what_is_given_at_once(tmp_path, case, after):
+    """Once, in the step of its time, whatever the steps."""
+    says, want = AT_ONCE[case]
+    load = f'[[load]]\nobject = "block"\n{says}\nafter = "{after}"\n'
+    _, momentum = free(tmp_path, load)
+    assert np.abs(momentum - want).max() < 1e-12 * np.abs(want).max()
+
+
+def test_it_is_given_once_where_a_frame_ends_a_step(tmp_path):
+    """Its time is that of many frames that end a step; the time is met to the last bit."""
+    text = BLOCK.replace("GRAVITY", "0").replace("RAMP", "")
+    given = ""
+    ends = [0.1 * k / 30 for k in range(1, 6)]
+    for end in ends:
+        given += f'[[load]]\nobject = "block"\nvelocity = [0.1, 0, 0]\nafter = {end!r}\n'
+    simulation, _ = begin(tmp_path, text + given)
+    for k, end in enumerate(ends):
+        before = totals(simulation)["momentum"][0]
+        assert before == pytest.approx(0.1 * k * 1000 * VOLUME, rel=1e-12, abs=1e-15)
+        advance(simulation, end)
+        simulation.advance(1e-6)
+
+
+@pytest.mark.parametrize("transfer", ["restored", "flip"])
+def test_a_change_of_spin(tmp_path, transfer):
+    """A body at rest gets w about its centre: no momentum, and I w of angular momentum, of which
+    the particles of APIC have a part each, dx2 / 2 of their mass."""
+    load = '[[load]]\nobject = ["block", "rider"]\nspin = [0, 0, 3]\nafter = "2 ms"\n'
+    text = BLOCK.replace("GRAVITY", "0").replace("RAMP", "")
+    simulation, made = begin(tmp_path, text + load + f'[accuracy]\ntransfer = "{transfer}"\n')
+    mass = made.vol0 * np.array([1000.0, 500.0])[made.object]
+    r = made.x - (mass[:, None] * made.x).sum(0) / mass.sum()
+    if transfer == "flip":
+        simulation.loads.push(simulation.groups, 0.002, 0.003, 0.001)
+        v, C = by_id(simulation, "v", "C")
+        assert np.abs(v - np.cross([0, 0, 3], r)).max() < 1e-13 and not C.any()
+        return
+    advance(simulation, 0.0021)
+    got, inertia = totals(simulation), (mass * (r[:, 0] ** 2 + r[:, 1] ** 2 + 0.02**2 / 2)).sum()
+    assert np.abs(got["momentum"]).max() < 1e-14
+    assert got["angular"] == pytest.approx([0, 0, 3 * inertia], rel=1e-10, abs=1e-12)
+
+
+def test_steps_know_of_a_kick(tmp_path):
+    """4 m/s within one step, in cells of 2 cm: no step but that one is shorter, and nothing blows
+    up."""
+    text = BLOCK.replace("GRAVITY", "0").replace("RAMP", "")
+    load = '[[load]]\nobject = "block"\nvelocity = [4, 0, 0]\nafter = "2 ms"\n'
+    simulation, _ = begin(tmp_path, text + load)
+    free = simulation.bound()
+    assert simulation.bound() == free and free < 0.002
+    while simulation.time + free < 0.002:
+        simulation.advance(free)
+    assert simulation.bound() < 0.4 * 0.02 / 4 < free + 0.4 * 0.02 / 4
+    advance(simulation, 0.01)

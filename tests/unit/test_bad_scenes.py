@@ -74,6 +74,39 @@ def test_water_is_compressed_by_its_weight_only(tmp_path, key, says):
     assert lines(path) == [f"{path}:{line}: object.pool.compressed: {says}"]
 
 
+FIRST = 'gravity_keyframes = [{ time = "1 s", gravity = [0, 0, -9.8] }'
+
+
+@pytest.mark.parametrize(
+    "key, where, says",
+    [
+        (
+            FIRST + ', { time = "800 ms", gravity = [1, 0, 0] }]',
+            "gravity_keyframes.1.time",
+            "must be later than the keyframe before, 1 s; got 0.8 s",
+        ),
+        (
+            FIRST.replace("1 s", "0 s") + "]",
+            "gravity_keyframes.0.time",
+            "must be > 0 s; got '0 s'",
+        ),
+        (
+            FIRST.replace("gravity = [0,", "pull = [0,") + "]",
+            "gravity_keyframes.0.gravity",
+            "required key is missing: acceleration of gravity then",
+        ),
+        (
+            FIRST + ']\ngravity_ramp = "1 s"',
+            "gravity_ramp",
+            "gravity_keyframes and gravity_ramp given at once: a ramp is a keyframe too",
+        ),
+    ],
+)
+def test_gravity_has_its_keyframes_in_order(tmp_path, key, where, says):
+    path, _ = broken(tmp_path, 'cell = "2 cm"', f'cell = "2 cm"\n{key}')
+    assert any(line.endswith(f"domain.{where}: {says}") for line in lines(path)), lines(path)
+
+
 def test_there_are_at_least_twenty():
     assert len(CASES) + len(BUILD_CASES) >= 20
 

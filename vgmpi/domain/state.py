@@ -90,7 +90,9 @@ class Group:
 
     def positions(self) -> np.ndarray:
         """Positions (n, 3) [m] in the order of `index`."""
-        at = self.index()
-        return self.lattice.position(
-            np.repeat(self.block, self.count, axis=0), self.xi[:, at], self.real
-        )
+        return self.positions_at(self.index())
+
+    def positions_at(self, at: np.ndarray) -> np.ndarray:
+        """Positions (n, 3) [m] of the particles at `at` (n,)."""
+        block = self.block[np.searchsorted(self.start, at, side="right") - 1]
+        return self.lattice.position(block, self.xi[:, at], self.real)

@@ -371,7 +371,8 @@ def page() -> str:
         ABOUT_TABLES,
         _table([*LEDGER_COLUMNS, ROW_SUM]),
         "Momentum and energy change by gravity, walls, colliders and loads. With "
-        "`domain.gravity_ramp` the potential energy is that of gravity at its full strength.\n",
+        "`domain.gravity_ramp` the potential energy is that of gravity at its full strength, with "
+        "`domain.gravity_keyframes` that of gravity then.\n",
         "## probe_NAME.csv\n",
         "A row per due time, written after the step that reaches it, numbers with all their "
         "digits; its columns by what the probe measures, and `crc` as in ledger.csv:\n",

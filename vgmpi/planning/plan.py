@@ -14,6 +14,7 @@ import numpy as np
 from ..couplings.base import MIXING, Rules
 from ..couplings.contact import Contact
 from ..materials.base import function
+from ..scene.gravity import Keys, at, mean
 from ..scene.loads import mean_share
 from ..scene.scene import Scene
 from ..scene.settings import Accuracy
@@ -80,6 +81,7 @@ class Plan:
     keeps: Keeps | None = None  # FLIP and AFLIP
     restores: int = 0  # steps after which motion gets back what transfers took; 0: never
     gravity_ramp: float = 0.0  # [s] in which gravity grows
+    gravity_keys: Keys = ()  # where it changes, from the start on
     # [m], of every solid body, for other objects nan; none where no fluid is, or it is not known
     thickness: tuple[float, ...] = ()
 
@@ -118,9 +120,15 @@ class Plan:
         """Times [s] of the frames that a run which is at `now` [s] has yet to write."""
         return self.times[self.times > now + 1e-6 * (self.times[1] - self.times[0])]
 
-    def gravity_share(self, t0: float, t1: float) -> float:
-        """Mean of gravity between two times [s], as a share of its full strength."""
-        return mean_share(t0, t1, self.gravity_ramp)
+    def gravity_between(self, t0: float, t1: float) -> np.ndarray:
+        """Mean gravity (3,) [m/s2] between two times [s]."""
+        if self.gravity_keys:
+            return mean(self.gravity_keys, t0, t1)
+        return np.array(self.gravity) * mean_share(t0, t1, self.gravity_ramp)
+
+    def gravity_at(self, time: float) -> np.ndarray:
+        """Gravity (3,) [m/s2] at a time [s], a ramp's at its full strength."""
+        return at(self.gravity_keys, time) if self.gravity_keys else np.array(self.gravity)
 
     def bytes_per_particle(self, group: int) -> int:
         """Memory of one particle: position, channels, id."""
@@ -206,9 +214,15 @@ def make_plan(
         keeps=keeps,
         restores=restores,
         gravity_ramp=scene.domain.gravity_ramp,
+        gravity_keys=_gravity_keys(scene),
     )
     _check_steps(scene, plan)
     return plan
+
+
+def _gravity_keys(scene: Scene) -> Keys:
+    keys = scene.domain.gravity_keyframes
+    return ((0.0, scene.domain.gravity), *((k.time, k.gravity) for k in keys)) if keys else ()
 
 
 def _rate(materials, sharing: Rules | None, dx: float) -> float:

@@ -15,8 +15,9 @@ class Loaded(NamedTuple):
 
     load: Load
     ids: np.ndarray  # (m, 2) runs of particle ids, first and last, ascending
-    density: tuple[float, float, float]  # [N per m3 of rest volume], 0 for an acceleration
-    total: tuple[float, float, float]  # [N] on all of them at full strength
+    # [N per m3 of rest volume, or N s per m3], 0 for what all get alike
+    density: tuple[float, float, float]
+    total: tuple[float, float, float]  # [N, or N s] on all of them at full strength
 
 
 def find(scene: Scene, x: np.ndarray, vol0: np.ndarray, thing: np.ndarray) -> list[Loaded]:
@@ -44,13 +45,14 @@ def find(scene: Scene, x: np.ndarray, vol0: np.ndarray, thing: np.ndarray) -> li
 
 
 def _loaded(scene, load, chosen, spacing, x, vol0, thing) -> Loaded:
-    if load.acceleration is not None:
+    alike = load.acceleration or load.velocity or (load.spin and (0.0, 0.0, 0.0))
+    if alike is not None:
         made_of = [o.material and scene.material[o.material].bulk_density for o in scene.object]
         density = np.array([rho or 0.0 for rho in made_of])
         mass = float((density[thing[chosen]] * vol0[chosen]).sum())
-        total = tuple(mass * a for a in load.acceleration)
+        total = tuple(mass * a for a in alike)
         return Loaded(load, runs(chosen), (0.0, 0.0, 0.0), total)
-    total = load.force
+    total = load.force or load.impulse
     if load.pressure is not None:
         low, high = x[chosen].min(axis=0), x[chosen].max(axis=0)
         axis, side = FACES[load.face]

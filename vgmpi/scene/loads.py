@@ -10,7 +10,10 @@ from vgmpi.scene.objects import body_complaint, one_complaint
 from vgmpi.tables import Quantity, Table
 
 Newton = Annotated[float, Quantity("N")]
+NewtonSecond = Annotated[float, Quantity("N s")]
 Acceleration = Annotated[float, Quantity("m/s2")]
+Speed = Annotated[float, Quantity("m/s")]
+Turning = Annotated[float, Quantity("rad/s")]
 # axis and side of each face; a pressure on it pushes the other way
 FACES = {
     "west": (0, -1),
@@ -20,7 +23,9 @@ FACES = {
     "bottom": (2, -1),
     "top": (2, 1),
 }
-STRENGTHS = ("force", "pressure", "acceleration")
+LASTING = ("force", "pressure", "acceleration")
+AT_ONCE = ("impulse", "velocity", "spin")  # given in one step
+STRENGTHS = (*LASTING, *AT_ONCE)
 
 
 def _listed(value: Any) -> Any:
@@ -28,8 +33,9 @@ def _listed(value: Any) -> Any:
 
 
 class Load(Table):
-    """A push on bodies, besides gravity: exactly one of force, pressure, acceleration. It changes
-    the momentum and the energy that ledger.csv shows.
+    """A push on bodies, besides gravity: exactly one of force, pressure, acceleration, which last,
+    and impulse, velocity, spin, which are given all at once, `after` a time. It changes the
+    momentum and the energy that ledger.csv shows.
     """
 
     object: Annotated[tuple[str, ...], BeforeValidator(_listed)]
@@ -46,16 +52,30 @@ class Load(Table):
     """where the pressure acts: towards low x, high x, low y, high y, low z, high z"""
     acceleration: tuple[Acceleration, Acceleration, Acceleration] | None = None
     """of every particle"""
+    impulse: tuple[NewtonSecond, NewtonSecond, NewtonSecond] | None = None
+    """on all of them together, shared by rest volume"""
+    velocity: tuple[Speed, Speed, Speed] | None = None
+    """by which that of every particle changes"""
+    spin: tuple[Turning, Turning, Turning] | None = None
+    """angular velocity by which that of all of them changes, about their centre of mass then"""
     ramp: Annotated[float, Quantity("s", ge=0)] = 0.0
-    """time in which the load grows from 0, as half a cosine; 0: at once"""
+    """time in which a load that lasts grows from 0, as half a cosine; 0: at once"""
     after: Annotated[float, Quantity("s", ge=0)] = 0.0
-    """when it begins"""
+    """when it begins, or is given: in the step that begins then or comes to it"""
     until: Annotated[float, Quantity("s", gt=0)] | None = None
-    """when it ends; default: never"""
+    """when a load that lasts ends; default: never"""
 
-    def share(self, t0: float, t1: float) -> float:
-        """Mean of the load between two times [s], as a share of its full strength."""
-        return mean_share(t0, t1, self.ramp, self.after, self.until)
+    @property
+    def at_once(self) -> bool:
+        """Whether it is given in one step."""
+        return any(getattr(self, key) is not None for key in AT_ONCE)
+
+    def amount(self, t0: float, t1: float, dt: float) -> float:
+        """What it gives between two times [s] that are dt [s] apart, over its full strength [s]; of
+        one that is given at once 1 or 0: the step that holds its time gives it."""
+        if self.at_once:
+            return float(t0 <= self.after < t1)
+        return dt * mean_share(t0, t1, self.ramp, self.after, self.until)
 
 
 def mean_share(
@@ -91,6 +111,9 @@ def load_complaints(
         found.append((("face",), f"required with pressure: one of {', '.join(FACES)}"))
     if "face" in raw and "pressure" not in raw:
         found.append((("face",), "is for pressure only"))
+    for key in ("ramp", "until"):
+        if key in raw and not any(strong in raw for strong in LASTING):
+            found.append(((key,), "is for loads that last, this one is given at once"))
     if "region" in raw:
         found += shape_complaints(raw["region"], ("region",))
     if load is None:

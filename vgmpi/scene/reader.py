@@ -12,11 +12,12 @@ from pydantic import BaseModel, ValidationError
 from vgmpi import couplings, materials
 from vgmpi.couplings.base import CONTACT
 from vgmpi.misspelt import nearest, nearest_file
+from vgmpi.scene.gravity import gravity_complaints
 from vgmpi.scene.loads import Load, load_complaints
 from vgmpi.scene.objects import Object, body_complaint, object_complaints
 from vgmpi.scene.probes import Probe, probe_complaints
 from vgmpi.scene.scene import Scene, mixed, phase_of
-from vgmpi.scene.settings import MOST_CELLS, SECTIONS, Domain, Output, Top
+from vgmpi.scene.settings import MOST_CELLS, SECTIONS, Appearance, Domain, Output, Top
 from vgmpi.source import Source
 from vgmpi.tables import SceneError, explain, got
 
@@ -70,10 +71,9 @@ class Reader:
         pairs = self.couplings(data.get("coupling", []), kinds)
         self.families_of_phases(objects, kinds, pairs)
         role = {o.name: o.role for o in objects if o} if None not in objects else None
-        looks = tables.get("appearance")
-        for k, name in enumerate((looks and looks.colour_bodies) or ()):
-            if said := body_complaint(name, role):
-                self.wrong(("appearance", "colour_bodies", k), said)
+        self.colour_bodies(tables.get("appearance"), role)
+        for inner, said in gravity_complaints(data.get("domain", {})):
+            self.wrong(("domain", *inner), said)
         fluid = any(m is None or m.family == "fluid" for m in kinds.values())
         size = tables["domain"].size if tables.get("domain") else None
         loads = self.listed(
@@ -107,6 +107,11 @@ class Reader:
             source=self.source,
             **tables,
         )
+
+    def colour_bodies(self, looks: Appearance | None, role: dict[str, str] | None) -> None:
+        for k, name in enumerate((looks and looks.colour_bodies) or ()):
+            if said := body_complaint(name, role):
+                self.wrong(("appearance", "colour_bodies", k), said)
 
     def wrong(self, path: tuple, said: str) -> None:
         self.errors.append((path, said))

@@ -8,7 +8,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from vgmpi import couplings, materials
-from vgmpi.scene import forms, loads, objects, probes, resume, settings
+from vgmpi.scene import forms, gravity, loads, objects, probes, resume, settings
 from vgmpi.tables import Quantity, same_units
 
 _INTRO = """# The scene file
@@ -55,6 +55,7 @@ def scene_reference() -> str:
     parts = [_INTRO, _section("Top of the file", settings.Top)]
     for name, table in settings.SECTIONS.items():
         parts.append(_section(f"[{name}]", table))
+    parts.append(_section("[domain] gravity_keyframes", gravity.GravityKeyframe))
     parts.append(_section("[domain] boundary", settings.Boundary))
     parts.append(_section("A wall", settings.Wall))
     for kind, material in materials.registry.items():

@@ -4,6 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
+from vgmpi.scene.gravity import GravityKeyframe
 from vgmpi.tables import MayChange, Positive, Quantity, Table
 
 WALLS = ("west", "east", "south", "north", "floor", "roof")
@@ -68,6 +69,9 @@ class Domain(Table):
     """acceleration of gravity"""
     gravity_ramp: Annotated[float, Quantity("s", ge=0)] = 0.0
     """time in which gravity grows from 0, as half a cosine; 0: it is there at once"""
+    gravity_keyframes: tuple[GravityKeyframe, ...] = ()
+    """{ time, gravity } in order of time: from `gravity` at the start it turns and changes at an
+    even pace from one to the next, as in a container that tilts; after the last it stays"""
     boundary: Annotated[Boundary, BeforeValidator(_boundary)] = Boundary()
     """what the walls do: a kind for all of them, or a table"""
 

@@ -128,7 +128,7 @@ class Probes:
         total = rows.sum(0)
         mass, momentum = float(total[0]), total[1:4]
         rate, dt = self._rate(probe, momentum)
-        weight = mass * np.array(plan.gravity) * self._gravity(dt)
+        weight = mass * self._gravity(dt)
         return (
             {"mass": mass}
             | _vector("center", total[4:7] / mass)
@@ -138,9 +138,9 @@ class Probes:
         )
 
     def wall(self, probe: Probe) -> dict:
-        plan, mass, momentum = self.simulation.plan, 0.0, np.zeros(3)
+        mass, momentum = 0.0, np.zeros(3)
         for group in self.simulation.groups:
-            mine = about(self.simulation, group, 0, plan.particles)
+            mine = about(self.simulation, group, 0, self.simulation.plan.particles)
             rows = self.simulation.ranks.root_rows(mine)
             if rows is not None and len(rows):
                 total = rows.sum(0)
@@ -148,7 +148,7 @@ class Probes:
         if self.simulation.ranks.rank != 0:
             return {}
         rate, dt = self._rate(probe, momentum)
-        given = mass * np.array(plan.gravity) * self._gravity(dt)
+        given = mass * self._gravity(dt)
         if dt and self.simulation.loads is not None:
             now = self.simulation.time
             given = given + self.simulation.loads.impulse(now - dt, now) / dt
@@ -163,9 +163,10 @@ class Probes:
         dt = self.simulation.time - before["time"]
         return (momentum - [before[f"momentum_{a}"] for a in "xyz"]) / dt, dt
 
-    def _gravity(self, dt: float) -> float:
+    def _gravity(self, dt: float) -> np.ndarray:
+        """Its mean over the last dt [s]: (3,) [m/s2]."""
         now = self.simulation.time
-        return self.simulation.plan.gravity_share(now - dt, now) if dt else 0.0
+        return self.simulation.plan.gravity_between(now - dt, now) if dt else np.zeros(3)
 
 
 MEASURE = {

@@ -164,9 +164,9 @@ class Runner:
             bound = self.plan.fixed_dt
         dt, lands = next_step(simulation.time, self.times[self.frame], bound)
         done, before = simulation.step + 1 - self.first_step, simulation.time
-        stop, due = simulation.advance(dt, self.requests.flags(done))
+        end = float(self.times[self.frame]) if lands else None
+        stop, due = simulation.advance(dt, self.requests.flags(done), end)
         if lands:
-            simulation.time = float(self.times[self.frame])
             self._write_frame()
         self.probes.after_step(before)
         for listener in self.options.listeners:

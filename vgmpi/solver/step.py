@@ -89,7 +89,7 @@ class Simulation:
         self.solids = Solids(list(colliders), self.lattice, plan.real) if colliders else None
         self.engine: Engine = ENGINES[engine](plan, self.lattice, self.solids, threads)
         self.groups: list[Group] = self.engine.groups
-        self.loads = Pushes(list(loads), plan.real) if loads else None
+        self.loads = Pushes(list(loads), plan, ranks) if loads else None
         self.gravity = np.array(plan.gravity)
         self.needs = _needs(plan)
         self.tables: topology.Topology
@@ -216,11 +216,19 @@ class Simulation:
         return self.census.load / SHARES
 
     def bound(self) -> float:
-        """Largest stable time step [s] of the present state."""
-        return 1.0 / max(self.rate, self.plan.rate)
+        """Largest stable time step [s] of the present state, and of what loads give in it at
+        once."""
+        rate = max(self.rate, self.plan.rate)
+        if self.loads is not None:
+            speed = self.loads.soon(self.groups, self.time, 1.0 / rate)
+            rate += speed / (min(self.plan.cfl, FARTHEST) * self.plan.dx)
+        return 1.0 / rate
 
-    def advance(self, dt: float, requests: tuple[float, ...] = ()) -> np.ndarray:
-        """One step of dt [s]: time n to n + 1. Returns the maxima over all ranks of `requests`.
+    def advance(
+        self, dt: float, requests: tuple[float, ...] = (), end: float | None = None
+    ) -> np.ndarray:
+        """One step of dt [s]: time n to n + 1, which is `end` [s] where that is given. Returns the
+        maxima over all ranks of `requests`.
 
         Raises BlowUp, on all ranks, after the step in which a particle went wrong.
         """
@@ -229,18 +237,18 @@ class Simulation:
         every, beyond = self.plan.restores, []
         if every and self.step and self.step % every == 0:
             beyond = self.restore(dt)
-        pushed = 0.0
+        pushed, end = 0.0, self.time + dt if end is None else end
         if self.loads is not None:
-            pushed = self.loads.push(self.groups, self.time, dt)
+            pushed = self.loads.push(self.groups, self.time, end, dt)
         gravity = self.gravity
-        if self.plan.gravity_ramp:
-            gravity = gravity * self.plan.gravity_share(self.time, self.time + dt)
+        if self.plan.gravity_ramp or self.plan.gravity_keys:
+            gravity = self.plan.gravity_between(self.time, end)
         engine.begin(dt, gravity, self.reach.fastest(self.plan, dt, pushed))
         self._to_nodes(self.halo)
         report = engine.gather(self.step)  # v, C, x, state at n + 1
         report.beyond.extend(beyond)
         mark("g2p")
-        self.time += dt
+        self.time = end
         self.step += 1
         found = self._agreed(report, requests)
         mark("wait")

@@ -20,7 +20,7 @@ def ledger(simulation: Simulation) -> list[dict]:
         rows = np.empty((len(group.start), COLUMNS))
         ledger_rows(
             group.plan.law, group.start, group.count, group.block, group.xi, group.f, group.bits,
-            group.plan.density, plan.dx, np.array(plan.gravity), rows,
+            group.plan.density, plan.dx, plan.gravity_at(simulation.time), rows,
         )  # fmt: skip
         found.append(simulation.ranks.root_rows(rows))
     if simulation.ranks.rank != 0:
