@@ -7,7 +7,7 @@ radius b, C = (b^3 + 2 a^3) / (b^3 - a^3) / 2 (Lamb, Hydrodynamics, art. 93); of
 of a sphere of its volume. The liquid is compressible (c = 4.5 m/s), so that sound goes to and fro
 in the box: what is held is a mean. Motion is restored: with APIC water keeps a boundary layer.
 Tolerances: speed 5 % over a radius; way of the first half radius 12 %. Missed, as strict xfails: it
-coasts at 6 % less (APIC: a third less), and a light sphere rises with 19 % less.
+coasts at 5 to 6 % less (APIC: a third less), and a light sphere rises with 17 to 19 % less.
 """
 
 import numpy as np
@@ -86,7 +86,7 @@ def ball(folder, cells, ratio, g=0.0, speed=0.0, until=1.0):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="6 % slow: contact still takes a little of the motion")
+@pytest.mark.xfail(strict=True, reason="5 to 6 % slow: contact still takes a little of the motion")
 def test_it_coasts(tmp_path):
     """Three times as dense as water, 6 cells in radius."""
     exact = 3 / (3 + added_mass(6))
@@ -102,7 +102,9 @@ def test_it_coasts(tmp_path):
     "ratio",
     [
         3.0,
-        pytest.param(0.1, marks=pytest.mark.xfail(strict=True, reason="a light one is 19 % slow")),
+        pytest.param(
+            0.1, marks=pytest.mark.xfail(strict=True, reason="a light one is 17 to 19 % slow")
+        ),
     ],
 )
 def test_it_is_let_go(tmp_path, ratio):
