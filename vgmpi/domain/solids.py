@@ -15,6 +15,8 @@ class Solids:
     normal(points) -> (m, 3).
     """
 
+    moves = None  # they are at rest
+
     def __init__(self, colliders: list, lattice: Lattice, real: np.dtype):
         self._low = -1  # node blocks reach one block beyond the particles'
         self._shape = np.array(lattice.shape) + 2

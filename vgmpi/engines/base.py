@@ -16,6 +16,7 @@ import numpy as np
 
 from ..domain.blocks import Lattice
 from ..domain.halo import Part
+from ..domain.movers import Movers
 from ..domain.solids import Solids
 from ..domain.state import Group
 from ..domain.topology import Topology
@@ -82,7 +83,9 @@ class Engine(Protocol):
     groups: list[Group]
     words: int  # doubles per sum, of which messages are made
 
-    def __init__(self, plan: Plan, lattice: Lattice, solids: Solids | None, threads: int): ...
+    def __init__(
+        self, plan: Plan, lattice: Lattice, solids: Solids | Movers | None, threads: int
+    ): ...
 
     def adopt(self, tables: Topology, kept: bool) -> None:
         """Lay out what the tables ask for, after a sort; kept: they are those of before."""

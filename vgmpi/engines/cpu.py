@@ -11,6 +11,7 @@ from ..device.calls import entry
 from ..device.memory import aligned, grown
 from ..domain.blocks import BITS, EDGE, Lattice
 from ..domain.halo import Part
+from ..domain.movers import Movers
 from ..domain.solids import Solids
 from ..domain.state import Group
 from ..domain.topology import Topology, hue
@@ -44,11 +45,14 @@ class Cpu:
     to copies, which are united before anyone reads the sums. That touches no bit of them.
     """
 
-    def __init__(self, plan: Plan, lattice: Lattice, solids: Solids | None, threads: int = 1):
+    def __init__(
+        self, plan: Plan, lattice: Lattice, solids: Solids | Movers | None, threads: int = 1
+    ):
         self.plan, self.threads = plan, threads
         self.groups = [Group(group, lattice, plan.real) for group in plan.groups]
         self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
-        self.solids = np.zeros((0, 64, 4), plan.real) if solids is None else solids.nodes
+        self.solids = solids
+        self.none = np.zeros((0, 64, 4), plan.real)  # of colliders
         kinds = np.array([KINDS[kind] for kind, _ in plan.walls], np.int64).reshape(3, 2)
         friction = np.array([mu for _, mu in plan.walls]).reshape(3, 2)
         met = kinds.copy()
@@ -226,11 +230,15 @@ class Cpu:
                 layers["impulses"].tables, **self.beside, noted=int(self.gathered["change"]),
                 room=self.apart_room[thread], tables=self.pairs,
             )  # fmt: skip
+        rigid, moves = self.none, None
+        if self.solids is not None:
+            rigid, moves = self.solids.nodes, self.solids.moves
         shear = layers["shear"].tables if self.plan.rubs else None
         summed = grid.Summed(layers["momentum"].tables, layers["offsets"].tables)
         self.call(
             (), grid.update, blocks, self.blocks, summed, shear, apart, self.plan.rules,
-            self.walls, self.phases, self.solids, self.room[thread], self.step, self.beyond[thread],
+            self.walls, self.phases, grid.Rigid(rigid, moves), self.room[thread], self.step,
+            self.beyond[thread],
         )  # fmt: skip
         for k, layer in enumerate(self.hues):
             self.call(

@@ -29,6 +29,8 @@ AHEAD = 0.15  # gap [cells] from which the layer pushes what flows, of which les
 FLOWING = 0.05  # overlap [cells] beyond which that comes no nearer
 LARGEST = 1.5  # share of a cell's face that one node may have
 SWEEPS = 16
+# rows of velocities, from their end, of what is rigid: of walls, which rest, and of the collider
+RESTS, GOES = -1, -2
 
 
 @inline
@@ -113,9 +115,9 @@ def distance(n, sign, side, mass, known, dx):
 
 
 class Meeting(NamedTuple):
-    """Two phases at a node, the first -1 for what does not move."""
+    """Two phases at a node, the first may be a rigid body."""
 
-    a: int
+    a: int  # or RESTS or GOES
     b: int
     one: float  # distance [cells] of the node outside a
     other: float  # outside b
@@ -157,8 +159,9 @@ def share_of(mass, full, D):
 @inline
 def press(change, v, slope, mass, m, n, dt, dx):
     """What the elastic layer of a Meeting does in dt [s], and its friction, added to change (count,
-    3) of the velocities v (count, 3). slope (count, 3): how these change per cell along the normal
-    of a known surface, so that what rubs is told how fast the surfaces slide, and not the node.
+    3) of the velocities v (count + 2, 3), behind which stand those of rigid bodies. slope (count,
+    3): how these change per cell along the normal of a known surface, so that what rubs is told how
+    fast the surfaces slide, and not the node.
 
     The layer is two and a half cells of the two materials, under the nodes' faces; along n (3,),
     which points out of a. It has an energy: what falls jumps off again, what rolls is pressed as
@@ -169,10 +172,9 @@ def press(change, v, slope, mass, m, n, dt, dx):
     deep, middle = min(-m.one - m.other - begins, SOFT), 0.5 * abs(m.one - m.other)
     if not (deep > 0.0 and middle < 1.0):
         return
-    r0, r1, r2 = -v[m.b, 0], -v[m.b, 1], -v[m.b, 2]
+    r0, r1, r2 = v[m.a, 0] - v[m.b, 0], v[m.a, 1] - v[m.b, 1], v[m.a, 2] - v[m.b, 2]
     reduced = mass[m.b]
     if m.a >= 0:
-        r0, r1, r2 = r0 + v[m.a, 0], r1 + v[m.a, 1], r2 + v[m.a, 2]
         reduced = mass[m.a] * mass[m.b] / (mass[m.a] + mass[m.b])
     rn = r0 * n[0] + r1 * n[1] + r2 * n[2]
     push = dt * SPRING * m.stiff * deep * m.share * (1.0 - middle) * dx * dx
@@ -204,10 +206,10 @@ def _add(to, x, y, z, k):
 
 @inline
 def resolve(v, mass, count, normals, friction, pair_a, pair_b, pairs, share, impulse):
-    """Change the velocities v (count, 3) of the phases of a node so that no touching pair
-    approaches.
+    """Change the velocities v (count + 2, 3) of the phases of a node, behind which stand those of
+    rigid bodies, so that no touching pair approaches.
 
-    pair_a is the master (-1: a rigid collider at rest); normals: (pairs, 3) its outward normals;
+    pair_a is the master (or RESTS or GOES); normals: (pairs, 3) its outward normals;
     friction: (pairs,); share: most pairs that touch one phase; impulse: scratch (pairs, 4), normal
     and tangential impulse so far [kg m/s]. Momentum is exact: what one phase gains the other loses.
     """
@@ -217,12 +219,10 @@ def resolve(v, mass, count, normals, friction, pair_a, pair_b, pairs, share, imp
         change = 0.0
         for q in range(pairs):
             a, b, n = pair_a[q], pair_b[q], normals[q]
+            r0, r1, r2 = v[a, 0] - v[b, 0], v[a, 1] - v[b, 1], v[a, 2] - v[b, 2]
+            reduced = mass[b]
             if a >= 0:
-                r0, r1, r2 = v[a, 0] - v[b, 0], v[a, 1] - v[b, 1], v[a, 2] - v[b, 2]
                 reduced = mass[a] * mass[b] / (mass[a] + mass[b])
-            else:
-                r0, r1, r2 = -v[b, 0], -v[b, 1], -v[b, 2]
-                reduced = mass[b]
             rn = r0 * n[0] + r1 * n[1] + r2 * n[2]
             total = max(0.0, impulse[q, 0] + relax * reduced * rn)
             k = relax * reduced

@@ -23,6 +23,13 @@ from .touch import touch
 from .walls import constrain, tangential
 
 
+class Rigid(NamedTuple):
+    """Colliders, at the nodes of the blocks they are near."""
+
+    nodes: np.ndarray  # (n, 64, 4) outward normal and distance [m] of the nearest
+    moves: np.ndarray | None  # (n, 64, 3) its velocity [m/s], or None: all are at rest
+
+
 class Summed(NamedTuple):
     """What every scene has."""
 
@@ -49,7 +56,7 @@ def update(blocks, tables, summed, shear, apart, rules, walls, phases, solids, r
 
     blocks: (n,) the blocks to do; tables: NodeBlocks; summed: Summed; shear: Sums, or None; apart:
     an Apart, or None; rules: how phases share space (couple.Rules), or None; walls, phases, step:
-    see kernels/tables.py; solids: (n, 64, 4) outward normal and distance [m] of the collider; room:
+    see kernels/tables.py; solids: Rigid; room:
     touch.Room of the calling thread; report: (layers,) see sums.take_up: momentum, offsets,
     impulses, shear.
     """

@@ -11,6 +11,8 @@ from ..couplings.base import CONTACT
 from ..device.jit import inline
 from ..device.limits import TOUCHING
 from .contact import (
+    GOES,
+    RESTS,
     Meeting,
     distance,
     press,
@@ -27,7 +29,7 @@ class Room(NamedTuple):
     """Scratch of one thread for the contact of n phases, a collider and walls at one node; m
     pairs."""
 
-    v: np.ndarray  # (n, 3) velocities
+    v: np.ndarray  # (n + 2, 3) velocities, the last two of the collider and of walls
     mass: np.ndarray  # (n,)
     here: np.ndarray  # (n,) node block of each phase that is there
     slope: np.ndarray  # (n, 3) of the velocity per cell along a known surface's normal
@@ -54,7 +56,7 @@ def room(n: int) -> Room:
     """Scratch for n phases."""
     m = n * (n + 1) // 2 + 3 * n
     return Room(
-        v=np.zeros((n, 3)), slope=np.zeros((n, 3)), change=np.zeros((n, 3)), mass=np.zeros(n),
+        v=np.zeros((n + 2, 3)), slope=np.zeros((n, 3)), change=np.zeros((n, 3)), mass=np.zeros(n),
         here=np.zeros(n, np.int64),
         normals=np.zeros((m, 7)), impulse=np.zeros((m, 4)), friction=np.zeros(m),
         master=np.zeros(m, np.int64), other=np.zeros(m, np.int64), touches=np.zeros(n, np.int64),
@@ -64,7 +66,7 @@ def room(n: int) -> Room:
 
 @inline
 def touch(here, tables, solid, summed, shear, solids, walls, phases, rules, step, room):
-    """Contact in a block. here: couple.Here; solid: the collider's row in solids, or -1; summed:
+    """Contact in a block. here: couple.Here; solid: its row in solids (grid.Rigid), or -1; summed:
     grid.Summed, of which the momenta are velocities by now; shear: Sums, or None."""
     velocities, offsets = summed.momentum.nodes, summed.offsets.nodes
     pushes = here.at_wall and _may_push(walls)
@@ -88,10 +90,13 @@ def touch(here, tables, solid, summed, shear, solids, walls, phases, rules, step
         there = There(active, node, active + (solid >= 0) + planes == 2)
         pairs = _pairs(there, tables.phase, offsets, phases, rules, step, room)
         if solid >= 0:
-            surface = solids[solid, node]
+            surface = solids.nodes[solid, node]
             row = phases.friction[len(phases.mastery)]
+            if solids.moves is not None:
+                for c in range(3):
+                    room.v[GOES, c] = solids.moves[solid, node, c]
             pairs = _on_rigid(
-                pairs, there, tables.phase, offsets, surface, row, True, phases, step, room
+                pairs, there, tables.phase, offsets, surface, row, GOES, phases, step, room
             )
         if planes:
             pairs = _on_walls(pairs, there, tables.phase, offsets, at, walls, phases, step, room)
@@ -167,13 +172,14 @@ def _on_each_other(pairs, there, a, b, phase, offsets, phases, step, room):
 
 
 @inline
-def _on_rigid(pairs, there, phase, offsets, surface, friction, flows, phases, step, room):
-    """Take up what something that does not move does to all phases. surface: (4,) its normal, and
-    its distance [m]; friction: (phases,); flows: also to those whose surfaces are not known."""
+def _on_rigid(pairs, there, phase, offsets, surface, friction, a, phases, step, room):
+    """Take up what something rigid does to phases. surface: (4,) its normal, and its distance [m];
+    friction: (phases,); a: GOES, a collider's, or RESTS, a wall's, which meets those alone whose
+    surfaces are known."""
     for q in range(there.active):
         ph, mine = phase[room.here[q]], offsets[room.here[q], 4 * there.node :]
         known, mass, n = phases.surface[ph], room.mass[q], room.normals[pairs]
-        if not ((flows or known) and _has(mine, known)):
+        if not ((a == GOES or known) and _has(mine, known)):
             continue
         for c in range(3):
             n[c] = surface[c]
@@ -182,7 +188,7 @@ def _on_rigid(pairs, there, phase, offsets, surface, friction, flows, phases, st
         share = share_of(mass, phases.least[ph], other) if certain else 0.0
         far = surface[3] / step.dx
         meeting = Meeting(
-            -1, q, far, other, known, certain, share, phases.stiff[ph], friction[ph]
+            a, q, far, other, known, certain, share, phases.stiff[ph], friction[ph]
         )  # fmt: skip
         pairs = _take_up(pairs, there, meeting, n, step, room)
     return pairs
@@ -211,8 +217,7 @@ def _parts(v, meeting, n):
     nearing = 0.0
     for c in range(3):
         nearing -= v[meeting.b, c] * n[c]
-        if meeting.a >= 0:
-            nearing += v[meeting.a, c] * n[c]
+        nearing += v[meeting.a, c] * n[c]
     return nearing <= 0.0
 
 
@@ -256,5 +261,5 @@ def _on_walls(pairs, there, phase, offsets, at, walls, phases, step, room):
             surface[a] = 1.0 - 2.0 * side
             for k in range(len(row)):
                 row[k] = walls.friction[a, side]
-            pairs = _on_rigid(pairs, there, phase, offsets, surface, row, False, phases, step, room)
+            pairs = _on_rigid(pairs, there, phase, offsets, surface, row, RESTS, phases, step, room)
     return pairs

@@ -14,7 +14,7 @@ from vgmpi.planning.channels import SURFACE
 from vgmpi.planning.colour_sets import colour_sets
 from vgmpi.planning.groups import deforms, surfaced
 from vgmpi.prepare import cost
-from vgmpi.prepare.collider import Collider
+from vgmpi.prepare.collider import Collider, moving
 from vgmpi.prepare.initial import begun
 from vgmpi.prepare.loaded import Loaded, find
 from vgmpi.prepare.mesh import MeshError
@@ -197,7 +197,11 @@ def _together(scene: Scene, pieces: list[Piece]) -> Prepared:
         **_looks(pieces, bodies, terms),
         scenery=scenery,
         objects=objects,
-        colliders=[piece.collider for piece in pieces if piece.collider is not None],
+        colliders=[
+            moving(piece.collider, thing.motion)
+            for piece, thing in zip(pieces, scene.object, strict=True)
+            if piece.collider is not None
+        ],
         theta0=_rows(pieces, bodies, _theta),
         loads=find(scene, x, vol0, owner),
         passive=_riding(pieces, objects, terms),

@@ -6,9 +6,10 @@ import numpy as np
 from scipy import ndimage
 
 from vgmpi.prepare import shapes
-from vgmpi.prepare.place import Placement, turn
+from vgmpi.prepare.place import Placement, corners, turn
 from vgmpi.prepare.voxels import Voxels
 from vgmpi.scene.forms import Shape
+from vgmpi.scene.motion import Course, Motion
 
 SMOOTH = 1.0  # standard deviation [voxels] over which the distances of a body's voxels are smoothed
 
@@ -21,6 +22,13 @@ class ShapeCollider:
     shape: Shape
     placement: Placement
     step: float
+    course: Course | None = None  # how it moves; distances are those at the start
+
+    def ends(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper corner (3,) [m] of a box that holds it."""
+        low, high = corners(self.placement, lambda d: shapes.reach(self.shape, d))
+        more = self.placement.scale * shapes.bulge(self.shape)
+        return low - more, high + more
 
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Signed distance [m] (m,) of `points` (m, 3) [m], negative inside."""
@@ -43,6 +51,12 @@ class VoxelCollider:
     name: str
     voxels: Voxels
     values: np.ndarray
+    course: Course | None = None
+
+    def ends(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper corner (3,) [m] of a box that holds it."""
+        low = np.array(self.voxels.start) * self.voxels.spacing
+        return low, low + np.array(self.voxels.shape) * self.voxels.spacing
 
     @classmethod
     def of(cls, name: str, voxels: Voxels, solid: np.ndarray) -> "VoxelCollider":
@@ -79,3 +93,13 @@ class VoxelCollider:
 
 
 Collider = ShapeCollider | VoxelCollider
+
+
+def moving(collider: Collider, motion: Motion | None) -> Collider:
+    """The collider with its motion, which is about the middle of its extent where it says nothing
+    else."""
+    if motion is None:
+        return collider
+    low, high = collider.ends()
+    middle = motion.about or tuple(float(m) for m in (low + high) / 2)
+    return replace(collider, course=Course(motion, middle))

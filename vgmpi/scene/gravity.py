@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from vgmpi.scene.keyframes import Time, ascending
 from vgmpi.tables import Quantity, Table
 
 Vector = tuple[float, float, float]
@@ -17,7 +18,7 @@ LEVEL = 1e-6  # sine of an angle [rad] below which two directions are one, or op
 class GravityKeyframe(Table):
     """Gravity at a time."""
 
-    time: Annotated[float, Quantity("s", gt=0)]
+    time: Time
     """when; keyframes are in order of time"""
     gravity: tuple[Acceleration, Acceleration, Acceleration]
     """acceleration of gravity then"""
@@ -71,18 +72,4 @@ def gravity_complaints(raw: Any) -> list[tuple[tuple, str]]:
     if raw.get("gravity_ramp"):
         said = "gravity_keyframes and gravity_ramp given at once: a ramp is a keyframe too"
         found.append((("gravity_ramp",), said))
-    before: Any = 0.0
-    for k, key in enumerate(keys):
-        time = _time(key)
-        if time is not None and before is not None and k and time <= before:
-            said = f"must be later than the keyframe before, {before:g} s; got {time:g} s"
-            found.append((("gravity_keyframes", k, "time"), said))
-        before = time
-    return found
-
-
-def _time(key: Any) -> float | None:
-    try:
-        return Quantity("s", gt=0).parse(key["time"])
-    except (ValueError, TypeError, KeyError):
-        return None  # said by the table
+    return found + ascending(keys, ("gravity_keyframes",))

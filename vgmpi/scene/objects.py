@@ -9,6 +9,7 @@ from pydantic import BeforeValidator, model_validator
 
 from vgmpi.misspelt import nearest
 from vgmpi.scene.forms import Axis, Corners, Shape, Sphere, shape_complaints
+from vgmpi.scene.motion import Motion, motion_complaints
 from vgmpi.tables import Colour, Length, Point, Positive, Quantity, Share, Table
 
 SOURCES = ("gaussians", "mesh", "shape")
@@ -198,6 +199,8 @@ class Object(Table):
     opacity_scale is below 0.1"""
     collider: bool = False
     """scenery only: bodies collide with it"""
+    motion: Motion | None = None
+    """colliders only: how it moves; without it, it is at rest"""
 
     @property
     def source(self) -> str:
@@ -272,6 +275,9 @@ def object_complaints(raw: dict) -> list[tuple[tuple, str]]:
         found.append((("fraction_profile",), said))
     if raw.get("collider") is True and not scenery:
         found.append((("collider",), 'is only for role = "scenery": bodies collide anyway'))
+    if "motion" in raw and raw.get("collider") is not True:
+        found.append((("motion",), "is only for scenery with collider = true"))
+    found += motion_complaints(raw.get("motion"), ("motion",))
     return found
 
 

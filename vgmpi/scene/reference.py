@@ -8,7 +8,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from vgmpi import couplings, materials
-from vgmpi.scene import forms, gravity, loads, objects, probes, resume, settings
+from vgmpi.scene import forms, gravity, loads, motion, objects, probes, resume, settings
 from vgmpi.tables import Quantity, same_units
 
 _INTRO = """# The scene file
@@ -74,6 +74,8 @@ def scene_reference() -> str:
         "rotation": objects.Rotation,
         "mode": objects.Mode,
         "fraction_profile": objects.Profile,
+        "motion": motion.Motion,
+        "motion keyframes": motion.Keyframe,
     }
     for name, inside in inner.items():
         parts.append(_section(f"[[object]] {name}", inside))

@@ -11,6 +11,7 @@ from ..domain.balance import SHARES
 from ..domain.blocks import Lattice
 from ..domain.census import Census
 from ..domain.halo import Halo
+from ..domain.movers import Movers
 from ..domain.ranks import Alone
 from ..domain.solids import Solids
 from ..domain.state import Group
@@ -86,7 +87,12 @@ class Simulation:
         self.plan = plan
         self.ranks = ranks
         self.lattice = Lattice(plan.cells, plan.dx)
-        self.solids = Solids(list(colliders), self.lattice, plan.real) if colliders else None
+        self.movers: Movers | None = None
+        if any(collider.course is not None for collider in colliders):
+            self.movers = Movers(list(colliders), self.lattice, plan.real)
+        self.solids: Movers | Solids | None = self.movers
+        if colliders and self.movers is None:
+            self.solids = Solids(list(colliders), self.lattice, plan.real)
         self.engine: Engine = ENGINES[engine](plan, self.lattice, self.solids, threads)
         self.groups: list[Group] = self.engine.groups
         self.loads = Pushes(list(loads), plan, ranks) if loads else None
@@ -190,11 +196,16 @@ class Simulation:
         """Lay out tables and buffers for the census, whose segments the groups already hold. Where
         no segment came or went and none changed its owner, those of before serve again."""
         kept = self.halo is not None and _same_blocks(self.census, census)
+        kept &= self.movers is None  # which are near other blocks now
         self.census = census
+        if self.movers is not None:
+            self.movers.stand(self.time)
         if not kept:
             self.tables = topology.build(
                 census, self.lattice, self.ranks.rank, self.needs, self.solids
             )
+            if self.movers is not None:
+                self.movers.take(self.tables.at[self.tables.solid >= 0])
         self.engine.adopt(self.tables, kept)
         if self.loads is not None:
             self.loads.find(self.groups)
@@ -222,6 +233,8 @@ class Simulation:
         if self.loads is not None:
             speed = self.loads.soon(self.groups, self.time, 1.0 / rate)
             rate += speed / (min(self.plan.cfl, FARTHEST) * self.plan.dx)
+        if self.movers is not None:
+            rate = self.movers.rate(self.time, rate)
         return 1.0 / rate
 
     def advance(
@@ -240,6 +253,9 @@ class Simulation:
         pushed, end = 0.0, self.time + dt if end is None else end
         if self.loads is not None:
             pushed = self.loads.push(self.groups, self.time, end, dt)
+        if self.movers is not None:
+            self.movers.go(self.time, end, dt)
+            pushed += self.plan.dx * self.movers.travels(self.time, end) / dt
         gravity = self.gravity
         if self.plan.gravity_ramp or self.plan.gravity_keys:
             gravity = self.plan.gravity_between(self.time, end)
@@ -256,7 +272,7 @@ class Simulation:
             raise BlowUp(self._blame(report))
         self.rate = float(found[0])
         self.reach = Reach.of(found[3:6], self.rate, dt)
-        if found[1] >= g2p.REACH:
+        if found[1] >= g2p.REACH or (self.movers is not None and self.movers.strayed(self.time)):
             self.sort()
             mark("sort")
         return found[6:]

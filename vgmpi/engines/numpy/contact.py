@@ -39,19 +39,25 @@ def outside(m: float) -> float:
 
 
 class Contact:
-    """collider: outward normal and distance [m] at all nodes, (n, 4), or None."""
+    """Who touches whom."""
 
-    def __init__(self, plan: Plan, dense: Dense, collider: np.ndarray | None):
-        self.plan, self.dx, self.collider = plan, plan.dx, np.zeros((0, 4))
+    def __init__(self, plan: Plan, dense: Dense):
+        self.plan, self.dx, self.shape = plan, plan.dx, dense.shape
+        self.collider, self.moves = np.zeros((0, 4)), np.zeros((*dense.shape, 3))
         self.near = np.zeros(dense.shape, bool)  # to a collider
-        if collider is not None:
-            self.collider = collider.reshape(*dense.shape, 4)
-            self.near = self.collider[..., 3] < REACH * plan.dx
         self.planes = np.zeros(dense.shape, int)  # on how many of the plan's a node lies
         for plane in plan.planes:
             np.moveaxis(self.planes, plane.axis, 0)[plane.node + 1] += 1
         self.least = np.array([TOUCHING * phase.least for phase in plan.phases])
         self.walls = dense
+
+    def meet(self, collider: np.ndarray, moves: np.ndarray | None = None) -> None:
+        """collider: outward normal and distance [m] of the nearest at all nodes, (n, 4); moves: its
+        velocity [m/s] (n, 3), or None where all are at rest."""
+        self.collider = collider.reshape(*self.shape, 4)
+        self.near = self.collider[..., 3] < REACH * self.dx
+        if moves is not None:
+            self.moves = moves.reshape(*self.shape, 3)
 
     def along_walls(self, offset: np.ndarray) -> None:
         """The mirror image cancels what lies across a mirroring wall. offset: (phases, ..., 3)."""
@@ -80,12 +86,12 @@ class Contact:
             there, u, m = np.flatnonzero(here[at]), v[at], mass[at]
             alone = len(there) + self.near[node] + self.planes[node] == 2
             change, pairs = np.zeros_like(u), []
-            for a, b, n, one, other, friction, stiff in self._meetings(node, there, sides):
+            for a, b, n, one, other, friction, stiff, base in self._meetings(node, there, sides):
                 both = {b: other} if a is None else {a: one, b: other}  # that move
                 known = all(sides[k].known for k in both)
                 sure = any(sides[k].known for k in both)
                 sure = sure and all(sides[k].sure for k in both if sides[k].known)
-                r = (u[a] if a is not None else 0.0) - u[b]
+                r = (u[a] if a is not None else base) - u[b]
                 if sure:
                     slides = r + other * slope[at][b]
                     if a is not None:
@@ -101,7 +107,7 @@ class Contact:
                         change[a] -= push / m[a]
                     change[b] += push / m[b]
                 if _touching(one, other, known, sure) and not (alone and r @ n <= 0):
-                    pairs.append((-1 if a is None else a, b, n, friction))
+                    pairs.append((-1 if a is None else a, b, n, friction, base))
             u += change
             if pairs:
                 _resolve(u, m, pairs)
@@ -109,8 +115,8 @@ class Contact:
         return acted
 
     def _meetings(self, node, there, sides):
-        """Who may touch at a node: (a or None for what does not move, b, normal of a, distances
-        from both [cells], friction, stiffness [Pa])."""
+        """Who may touch at a node: (a or None for what is rigid, b, normal of a, distances from
+        both [cells], friction, stiffness [Pa], velocity of what is rigid [m/s])."""
         plan, rules = self.plan, self.plan.rules
         for q, one in enumerate(there):
             for other in there[q + 1 :]:
@@ -122,20 +128,22 @@ class Contact:
                 if n is not None:
                     stiff = 1.0 / (1.0 / plan.stiff[a] + 1.0 / plan.stiff[b])
                     far = sides[a].distance(n), sides[b].distance(-n)
-                    yield a, b, n, *far, plan.friction[one][other], stiff
-        rigid = [(*self.collider[node], plan.friction[-1], True)] if self.near[node] else []
+                    yield a, b, n, *far, plan.friction[one][other], stiff, np.zeros(3)
+        rigid = []
+        if self.near[node]:
+            rigid = [(*self.collider[node], plan.friction[-1], True, self.moves[node])]
         for plane in plan.planes:
             if node[plane.axis] == plane.node + 1:
                 n = np.zeros(3)
                 n[plane.axis] = 1.0 - 2.0 * plane.side
-                rigid.append((*n, 0.0, [plane.friction] * len(sides), False))
-        for *n, far, friction, flows in rigid:
+                rigid.append((*n, 0.0, [plane.friction] * len(sides), False, np.zeros(3)))
+        for *n, far, friction, flows, base in rigid:
             for b in there:
                 if sides[b].there and (flows or sides[b].known):
                     out = np.array(n)
                     yield (
                         None, b, out, far / self.dx, sides[b].distance(-out), friction[b],
-                        plan.stiff[b],
+                        plan.stiff[b], base,
                     )  # fmt: skip
 
 
@@ -218,7 +226,7 @@ def _touching(one: float, other: float, known: bool, sure: bool) -> bool:
 def _resolve(v: np.ndarray, mass: np.ndarray, pairs: list[tuple]) -> None:
     """Change the velocities (phases, 3) of a node so that no touching pair approaches."""
     touches = np.zeros(len(mass), int)
-    for a, b, _, _ in pairs:
+    for a, b, *_ in pairs:
         touches[b] += 1
         if a >= 0:
             touches[a] += 1
@@ -226,8 +234,8 @@ def _resolve(v: np.ndarray, mass: np.ndarray, pairs: list[tuple]) -> None:
     normal, slide = np.zeros(len(pairs)), np.zeros((len(pairs), 3))
     for _ in range(SWEEPS if len(pairs) > 1 else 1):
         change, pushes = 0.0, []
-        for q, (a, b, n, friction) in enumerate(pairs):
-            r = (v[a] if a >= 0 else 0.0) - v[b]
+        for q, (a, b, n, friction, base) in enumerate(pairs):
+            r = (v[a] if a >= 0 else base) - v[b]
             reduced = mass[a] * mass[b] / (mass[a] + mass[b]) if a >= 0 else mass[b]
             approach = r @ n
             total = max(0.0, normal[q] + relax * reduced * approach)
@@ -238,7 +246,7 @@ def _resolve(v: np.ndarray, mass: np.ndarray, pairs: list[tuple]) -> None:
             pushes.append((total - normal[q]) * n + (t - slide[q]))
             change = max(change, abs(total - normal[q]) / reduced)
             normal[q], slide[q] = total, t
-        for (a, b, _, _), push in zip(pairs, pushes, strict=True):
+        for (a, b, *_), push in zip(pairs, pushes, strict=True):
             if a >= 0:
                 v[a] -= push / mass[a]
             v[b] += push / mass[b]

@@ -13,6 +13,7 @@ import numpy as np
 from ...device.limits import FARTHEST, LEAST_J, MOST_J, ROUNDING, STRETCH
 from ...domain.blocks import EDGE, Lattice
 from ...domain.halo import Part
+from ...domain.movers import Movers
 from ...domain.solids import Solids
 from ...domain.state import Group
 from ...domain.topology import Topology
@@ -26,6 +27,7 @@ from ...planning.plan import Plan
 from ..base import DITHER, Beyond, Report
 from .contact import Contact
 from .dense import Dense, Stencil
+from .movers import place
 from .sharing import Sharing
 
 
@@ -34,11 +36,15 @@ class Numpy:
 
     words = 1
 
-    def __init__(self, plan: Plan, lattice: Lattice, solids: Solids | None, threads: int = 1):
+    def __init__(
+        self, plan: Plan, lattice: Lattice, solids: Solids | Movers | None, threads: int = 1
+    ):
         self.plan, self.dense = plan, Dense(plan)
         self.groups = [Group(group, lattice, plan.real) for group in plan.groups]
-        collider = None if solids is None else solids.surface(self.dense.points())
-        self.contact = Contact(plan, self.dense, collider)
+        self.contact = Contact(plan, self.dense)
+        self.movers = solids if isinstance(solids, Movers) else None
+        if isinstance(solids, Solids):
+            self.contact.meet(solids.surface(self.dense.points()))
         self.sharing = None if plan.rules is None else Sharing(plan.rules, self.dense)
         self.apart = any(group.apart for group in plan.groups)
 
@@ -161,6 +167,9 @@ class Numpy:
                 dense.mirror(velocities, phase.surface)
             return
         v = np.where(some, still + self.dt * self.gravity, 0.0)
+        if self.movers is not None:
+            points = self.dense.points()
+            self.contact.meet(*place(self.movers.table, points, self.dt, plan.dx))
         self.contact.along_walls(self.offset)
         if plan.keeps is not None:  # all that does not share its pressure with others
             by_itself = np.ones(len(v), bool)

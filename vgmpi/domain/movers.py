@@ -1,0 +1,135 @@
+"""Colliders of which some move, as the grid sees them step by step."""
+
+import numpy as np
+
+from .blocks import EDGE, Lattice
+from .sampled import Sampled, place
+from .solids import REACH
+
+FINE = 0.5  # cells between the points at which a collider's distance is known
+STRAY = 1.0  # cells that a collider may go before the blocks near it are found anew
+FAR = 0.3  # cells that one may go in a step
+HALVES = 20  # times at which a step is shortened for that
+_MOST = 500_000  # points looked at together
+
+
+class Movers:
+    """Distance, normal and velocity of the nearest collider, for the node blocks they can touch
+    until one has gone STRAY cells. All know the same; nothing is sent.
+
+    nodes: (n, 64, 4) outward normal and distance [m]; moves: (n, 64, 3) velocity [m/s]; blocks (n,
+    3). Colliders offer, at rest, distance(points) -> (m,) [m] and ends() -> its corners, and
+    `course`, or None for one at rest.
+    """
+
+    def __init__(self, colliders: list, lattice: Lattice, real: np.dtype):
+        self.dx, self.real, self.colliders = lattice.dx, real, colliders
+        self.table = _sampled(colliders, lattice.dx)
+        self.far = [_far(collider) for collider in colliders]
+        self.since = 0.0  # [s] when blocks were found
+        self.now = 0.0
+        self.take(np.zeros((0, 3), np.int64))
+
+    def __call__(self, block: np.ndarray) -> np.ndarray:
+        """Numbers of those of the blocks (n, 3) that a collider is near, among these; else -1."""
+        near = self._near(block)
+        return np.where(near, np.cumsum(near) - 1, -1)
+
+    def _near(self, block: np.ndarray) -> np.ndarray:
+        centre = (EDGE * block - 1 + (EDGE - 1) / 2) * self.dx
+        limit = (0.5 * np.sqrt(3.0) * (EDGE - 1) + REACH + STRAY) * self.dx
+        near = np.zeros(len(block), bool)
+        for m, collider in enumerate(self.colliders):
+            left = np.flatnonzero(~near)
+            if not len(left):
+                break
+            x, r = centre[left] - self.table.about[m] - self.table.move[m], self.table.rotation[m]
+            # written out: all ranks must agree, and a matrix product's rounding may differ
+            own = x[:, :1] * r[0] + x[:, 1:2] * r[1] + x[:, 2:] * r[2] + self.table.about[m]
+            low, high = collider.ends()
+            out = np.maximum(np.maximum(low - own, own - high), 0.0)
+            close = (out**2).sum(axis=1) < limit**2
+            near[left[close]] = collider.distance(own[close]) < limit
+        return near
+
+    def take(self, blocks: np.ndarray) -> None:
+        """The blocks (n, 3) of this rank that a collider is near, in the order of their numbers."""
+        self.blocks, self.since = np.ascontiguousarray(blocks), self.now
+        self.nodes = np.zeros((len(blocks), 64, 4), self.real)
+        self.moves = np.zeros((len(blocks), 64, 3), self.real)
+
+    def stand(self, time: float) -> None:
+        """Colliders stand where they are at a time [s]."""
+        self.now = time
+        for m, collider in enumerate(self.colliders):
+            if collider.course is not None:
+                pose = collider.course.pose(time)
+                self.table.rotation[m], self.table.move[m] = pose.rotation, pose.move
+
+    def go(self, time: float, end: float, dt: float) -> None:
+        """Where they are at a time [s], and how they move until `end`, dt [s] later."""
+        self.stand(time)
+        for m, collider in enumerate(self.colliders):
+            if collider.course is not None:
+                pose = collider.course.pose(end)
+                self.table.rotation_end[m], self.table.move_end[m] = pose.rotation, pose.move
+        place(self.blocks, self.table, dt, self.dx, self.nodes, self.moves)
+
+    def travels(self, t0: float, t1: float) -> float:
+        """How far a point of one goes between two times [s], at the most [cells]."""
+        return max(
+            c.course.travels(t0, t1, far) / self.dx
+            for c, far in zip(self.colliders, self.far, strict=True)
+            if c.course is not None
+        )
+
+    def rate(self, time: float, rate: float) -> float:
+        """1 / dt [1/s], `rate` or more, of a step in which none goes farther than it may."""
+        for _ in range(HALVES):
+            gone = self.travels(time, time + 1.0 / rate)
+            if gone <= FAR:
+                break
+            rate *= max(1.1, gone / FAR)
+        return rate
+
+    def strayed(self, time: float) -> bool:
+        """Whether the blocks near them have to be found anew."""
+        return self.travels(self.since, time) > STRAY / 2
+
+
+def _far(collider) -> float:
+    """Largest distance [m] of a point of a collider from the axis it turns about."""
+    if collider.course is None:
+        return 0.0
+    low, high = (end - collider.course.about for end in collider.ends())
+    corners = np.stack(np.meshgrid(*zip(low, high, strict=True), indexing="ij"), -1).reshape(-1, 3)
+    axis = np.array(collider.course.motion.axis)
+    return float(np.sqrt((np.cross(axis, corners) ** 2).sum(axis=1)).max())
+
+
+def _sampled(colliders: list, dx: float) -> Sampled:
+    """The signed distances of colliders at rest, each on a lattice around it."""
+    values, shapes, starts, spacing = [], [], [], FINE * dx
+    for collider in colliders:
+        low, high = collider.ends()
+        start = low - (REACH + 1) * dx
+        shape = np.ceil((high - low + 2 * (REACH + 1) * dx) / spacing).astype(np.int64) + 1
+        values.append(_on_lattice(collider, start, shape, spacing))
+        shapes.append(shape)
+        starts.append(start)
+    m = len(colliders)
+    about = [c.course.about if c.course is not None else (0.0, 0.0, 0.0) for c in colliders]
+    first = np.concatenate([[0], np.cumsum([len(v) for v in values])[:-1]]).astype(np.int64)
+    turned = np.tile(np.eye(3), (m, 1, 1))
+    return Sampled(
+        np.concatenate(values), first, np.array(shapes), np.array(starts), spacing,
+        np.array(about), turned, np.zeros((m, 3)), turned.copy(), np.zeros((m, 3)),
+    )  # fmt: skip
+
+
+def _on_lattice(collider, start: np.ndarray, shape: np.ndarray, spacing: float) -> np.ndarray:
+    out = np.empty(int(np.prod(shape)))
+    for low in range(0, len(out), _MOST):
+        index = np.stack(np.unravel_index(np.arange(low, min(low + _MOST, len(out))), shape), -1)
+        out[low : low + _MOST] = collider.distance(start + spacing * index)
+    return out
