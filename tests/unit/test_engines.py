@@ -62,6 +62,13 @@ POST = (
     '[[object]]\nname = "post"\nrole = "scenery"\ncollider = true\nposition = [0.13, 0.08, 0.04]\n'
     "shape = { sphere = { center = [0, 0, 0], radius = 0.04 } }\n"
 )
+TURNING = 'motion = { velocity = [0.3, 0, -0.2], spin = "90 rpm", axis = [1, 1, 0] }\n'
+SWEEPING = (
+    '[[object]]\nname = "paddle"\nrole = "scenery"\ncollider = true\n'
+    "shape = { box = [[0, 0.03, 0.01], [0.03, 0.12, 0.1]] }\n"
+    'rotation = { axis = "z", angle = "20 deg" }\n'
+    'motion = { keyframes = [{ time = "20 ms", angle = "30 deg", move = [0.02, 0, 0] }] }\n'
+)
 SLABS = body(  # whose faces are wide enough to be sure of
     "lower", "toy", "box = [[0.02, 0.02, 0], [0.18, 0.14, 0.06]]", "velocity = [0, 0, -0.5]"
 ) + body(
@@ -104,6 +111,7 @@ SCENES = {kind: (of_law(kind), "mixed", "") for kind in LAWS} | {
     ),
     "contact of faces": (TOY + SLABS, "separate", ""),
     "collider": (WATER + TOY + POOL + CUBE + POST, "mixed", ""),
+    "colliders that move": (WATER + TOY + POOL + CUBE + POST + TURNING + SWEEPING, "mixed", ""),
     "mixing": (WATER + OIL + WET + OILY + MIX, "mixed", ""),
     "mixing as printed": (
         WATER + OIL + WET + OILY + coupling("mixing-paper", "water", "oil", "diffusion = 1e-5"),

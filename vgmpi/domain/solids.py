@@ -15,8 +15,6 @@ class Solids:
     normal(points) -> (m, 3).
     """
 
-    moves = None  # they are at rest
-
     def __init__(self, colliders: list, lattice: Lattice, real: np.dtype):
         self._low = -1  # node blocks reach one block beyond the particles'
         self._shape = np.array(lattice.shape) + 2
@@ -32,6 +30,7 @@ class Solids:
         inside = np.stack(np.meshgrid(*(np.arange(EDGE),) * 3, indexing="ij"), -1).reshape(-1, 3)
         points = (EDGE * block[near][:, None, :] - 1 + inside).reshape(-1, 3) * dx
         self._colliders = colliders
+        self.moves = np.zeros((0, 64, 3), real)  # they are at rest
         self.nodes = self.surface(points).astype(real).reshape(-1, 64, 4)
 
     def surface(self, points: np.ndarray) -> np.ndarray:

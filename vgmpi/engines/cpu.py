@@ -52,7 +52,7 @@ class Cpu:
         self.groups = [Group(group, lattice, plan.real) for group in plan.groups]
         self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
         self.solids = solids
-        self.none = np.zeros((0, 64, 4), plan.real)  # of colliders
+        self.none = grid.Rigid(np.zeros((0, 64, 4), plan.real), np.zeros((0, 64, 3), plan.real))
         kinds = np.array([KINDS[kind] for kind, _ in plan.walls], np.int64).reshape(3, 2)
         friction = np.array([mu for _, mu in plan.walls]).reshape(3, 2)
         met = kinds.copy()
@@ -230,14 +230,14 @@ class Cpu:
                 layers["impulses"].tables, **self.beside, noted=int(self.gathered["change"]),
                 room=self.apart_room[thread], tables=self.pairs,
             )  # fmt: skip
-        rigid, moves = self.none, None
-        if self.solids is not None:
-            rigid, moves = self.solids.nodes, self.solids.moves
+        rigid = (
+            self.none if self.solids is None else grid.Rigid(self.solids.nodes, self.solids.moves)
+        )
         shear = layers["shear"].tables if self.plan.rubs else None
         summed = grid.Summed(layers["momentum"].tables, layers["offsets"].tables)
         self.call(
             (), grid.update, blocks, self.blocks, summed, shear, apart, self.plan.rules,
-            self.walls, self.phases, grid.Rigid(rigid, moves), self.room[thread], self.step,
+            self.walls, self.phases, rigid, self.room[thread], self.step,
             self.beyond[thread],
         )  # fmt: skip
         for k, layer in enumerate(self.hues):

@@ -27,7 +27,7 @@ class Rigid(NamedTuple):
     """Colliders, at the nodes of the blocks they are near."""
 
     nodes: np.ndarray  # (n, 64, 4) outward normal and distance [m] of the nearest
-    moves: np.ndarray | None  # (n, 64, 3) its velocity [m/s], or None: all are at rest
+    moves: np.ndarray  # (n, 64, 3) its velocity [m/s]; (0, 64, 3) where all are at rest
 
 
 class Summed(NamedTuple):

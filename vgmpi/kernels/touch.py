@@ -92,7 +92,7 @@ def touch(here, tables, solid, summed, shear, solids, walls, phases, rules, step
         if solid >= 0:
             surface = solids.nodes[solid, node]
             row = phases.friction[len(phases.mastery)]
-            if solids.moves is not None:
+            if len(solids.moves) > 0:
                 for c in range(3):
                     room.v[GOES, c] = solids.moves[solid, node, c]
             pairs = _on_rigid(
