@@ -15,14 +15,20 @@ def middle(simulation, made, name) -> tuple[np.ndarray, np.ndarray]:
 
 
 def spin(simulation, made, name, axis) -> float:
-    """Angular momentum over moment of inertia [rad/s] about an axis through its centre, with what
-    the particles themselves turn by (APIC: C at a quarter of a cell squared)."""
+    """Angular momentum over moment of inertia [rad/s] about an axis through its centre."""
+    momentum, inertia = angular(simulation, made, name, axis)
+    return momentum / inertia
+
+
+def angular(simulation, made, name, axis) -> tuple[float, float]:
+    """Angular momentum [rad m5/s] and moment of inertia [m5] over density about an axis through its
+    centre, with what the particles themselves turn by (APIC: C at a quarter of a cell squared)."""
     x, v, C, m = _of(simulation, made, name, "x", "v", "C", "vol0")
     at, u = middle(simulation, made, name)
     a, b = PLANES[axis]
     r, w, C, own = x - at, v - u, C.reshape(-1, 3, 3), simulation.plan.dx**2 / 4
     momentum = r[:, a] * w[:, b] - r[:, b] * w[:, a] + own * (C[:, b, a] - C[:, a, b])
-    return float((m * momentum).sum() / (m * (r[:, a] ** 2 + r[:, b] ** 2 + 2 * own)).sum())
+    return float((m * momentum).sum()), float((m * (r[:, a] ** 2 + r[:, b] ** 2 + 2 * own)).sum())
 
 
 def _of(simulation, made, name, *fields) -> list[np.ndarray]:

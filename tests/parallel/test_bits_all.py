@@ -20,10 +20,7 @@ def go(scene, out, n, *flags, code=0):
 
 @pytest.mark.parametrize("precision", ["single", pytest.param("double", marks=pytest.mark.slow)])
 def test_phases_that_share_space(precision, tmp_path):
-    """And motion that is restored."""
-    text = SHARED.replace("PRECISION", precision)
-    text = text.replace("[accuracy]", '[accuracy]\ntransfer = "restored"')
-    same_everywhere(write(tmp_path, text), tmp_path)
+    same_everywhere(write(tmp_path, SHARED.replace("PRECISION", precision)), tmp_path)
 
 
 def test_colours_that_travel_with_every_step(tmp_path):

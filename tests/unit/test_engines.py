@@ -133,6 +133,7 @@ SCENES = {kind: (of_law(kind), "mixed", "") for kind in LAWS} | {
     "aflip and everything": (
         WATER + OIL + SAND + TOY + WET + OILY + BED + CUBE + POST + MIX + FLOW, "separate", AFLIP,
     ),
+    "apic": (WATER + TOY + POOL + CUBE + POST, "mixed", 'transfer = "apic"'),
     "restored": (WATER + TOY + POOL + CUBE + POST, "separate", RESTORED),
     "restored, as one fluid": (
         WATER + OIL + WET + OILY + coupling("mixing", "water", "oil", ""), "mixed", RESTORED,

@@ -19,6 +19,8 @@ from vgmpi import cli
 from vgmpi.domain.ranks import Alone
 from vgmpi.output import checkpoint, layout, ledger, owner, read
 from vgmpi.output.read import RunError, RunFiles
+from vgmpi.scene.reader import load
+from vgmpi.scene.resume import changes
 from vgmpi.solver import report, requests
 from vgmpi.solver import run as runs
 from vgmpi.solver.requests import Requests
@@ -140,6 +142,17 @@ def test_a_table_without_its_last_rows_is_named_at_a_resume(scene, capsys, keep)
     assert run(scene, "--resume", *longer) == 0
     told = {row["step"] for row in ledger.read(path)}
     assert (0 in told) == (keep == 2) and len(told) >= 2
+
+
+def test_a_key_that_is_new_and_not_used_is_no_change(scene):
+    """A run begun before gravity had keyframes goes on."""
+    now = load(scene)
+    before = json.loads(json.dumps(now.resolved()))
+    del before["domain"]["gravity_keyframes"]
+    assert changes(now, before) == []
+    keys = 'domain.gravity_keyframes=[{time="1 s", gravity=[0, 0, 0]}]'
+    (said,) = changes(load(scene, [keys]), before)
+    assert said[0] == ("domain", "gravity_keyframes")
 
 
 def test_a_change_is_noted_in_the_run(scene):

@@ -90,9 +90,15 @@ class Group:
 
     def positions(self) -> np.ndarray:
         """Positions (n, 3) [m] in the order of `index`."""
-        return self.positions_at(self.index())
+        at = self.index()
+        return self.lattice.position(
+            np.repeat(self.block, self.count, axis=0), self.xi[:, at], self.real
+        )
+
+    def segment_of(self, at: np.ndarray) -> np.ndarray:
+        """Segments (n,) of the particles at `at` (n,)."""
+        return np.searchsorted(self.start, at, side="right") - 1
 
     def positions_at(self, at: np.ndarray) -> np.ndarray:
         """Positions (n, 3) [m] of the particles at `at` (n,)."""
-        block = self.block[np.searchsorted(self.start, at, side="right") - 1]
-        return self.lattice.position(block, self.xi[:, at], self.real)
+        return self.lattice.position(self.block[self.segment_of(at)], self.xi[:, at], self.real)

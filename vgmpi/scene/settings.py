@@ -69,7 +69,7 @@ class Domain(Table):
     """acceleration of gravity"""
     gravity_ramp: Annotated[float, Quantity("s", ge=0)] = 0.0
     """time in which gravity grows from 0, as half a cosine; 0: it is there at once"""
-    gravity_keyframes: tuple[GravityKeyframe, ...] = ()
+    gravity_keyframes: tuple[GravityKeyframe, ...] | None = None
     """{ time, gravity } in order of time: from `gravity` at the start it turns and changes at an
     even pace from one to the next, as in a container that tilts; after the last it stays"""
     boundary: Annotated[Boundary, BeforeValidator(_boundary)] = Boundary()

@@ -13,7 +13,8 @@ from ..prepare.loaded import Loaded
 
 class Pushes:
     """Pushes this rank's loaded particles. `find` after every sort, `push` before every transfer to
-    the grid; the same bits on any number of ranks, since each particle is pushed by itself.
+    the grid; the same bits on any number of ranks, since each particle is pushed by itself, or
+    about a middle that is summed in the order of the segments.
     """
 
     def __init__(self, loads: list[Loaded], plan: Plan, ranks: Alone):
@@ -69,8 +70,7 @@ class Pushes:
         for group, at, here in zip(groups, places, x, strict=True):
             mass = group.plan.density * group.get("vol0", at).astype(float)
             rows = np.zeros((len(group.start), 4))
-            segment = np.searchsorted(group.start, at, side="right") - 1
-            np.add.at(rows, segment, np.concatenate([mass, mass * here], axis=1))
+            np.add.at(rows, group.segment_of(at), np.concatenate([mass, mass * here], axis=1))
             found = self.ranks.root_rows(rows)
             if found is not None:
                 total += found.sum(0)
