@@ -181,8 +181,9 @@ def test_half_submerged_heap_on_a_finer_grid(fine):
 PILES = pytest.mark.xfail(
     strict=True,
     reason="reached 2.1 on both grids, for a moment: where the wave runs back off the heap"
-    " particles pile up at every other node of the surface, which the pressure, told by J, does not feel; a"
-    " pure fluid that sloshes does the same. With apic, which takes more of the wave, 1.3 and 1.6",
+    " particles pile up at every other node of the surface, which the pressure, told by J, does"
+    " not feel; a pure fluid that sloshes does the same. With apic, which takes more of the wave,"
+    " 1.3 and 1.6",
 )
 
 
