@@ -55,7 +55,7 @@ def kinds(look: Look, frame: dict[str, np.ndarray], count: int) -> np.ndarray:
     """SCENERY, SOLID or LOOSE for each of the `count` Gaussians of a frame, in the order drawn."""
     loose = np.array([entry.get("family") in BALLS for entry in look.objects])
     moving = np.where(loose[look.object[frame["id"]]], LOOSE, SOLID)
-    still = 0 if look.scenery is None else len(look.scenery[0])
+    still = 0 if look.scenery is None else len(look.scenery.x0)
     passive = count - still - len(moving)  # only solids have any
     return np.concatenate([np.full(still, SCENERY), moving, np.full(passive, SOLID)])
 

@@ -6,7 +6,18 @@ import numpy as np
 
 from postprocess import shade
 from postprocess.frame_colours import FrameColours
-from postprocess.parts import BALL, FIXED, FOLLOW, ROUND, SWELL, Part, Passive, ViewColours
+from postprocess.parts import (
+    BALL,
+    FIXED,
+    FOLLOW,
+    ROUND,
+    SWELL,
+    Part,
+    Passive,
+    Scenery,
+    ViewColours,
+    moving,
+)
 from postprocess.settings import LookSettings, SettingsError
 from vgmpi.gaussians import evolve
 from vgmpi.misspelt import nearest
@@ -47,12 +58,7 @@ class Look:
         self.scenery = None
         scenery = getattr(rest, "scenery", None)
         if scenery is not None and len(scenery.x0):
-            self.scenery = (
-                np.asarray(scenery.x0, dtype=np.float64),
-                np.asarray(scenery.cov0, dtype=np.float64),
-                np.asarray(scenery.opacity, dtype=np.float64) * factor[scenery.object],
-                ViewColours(np.asarray(scenery.sh)),
-            )
+            self.scenery = Scenery(scenery, self.objects, factor)
         self.passive = None
         if getattr(rest, "passive", None) is not None:
             self.passive = Passive(rest, rules, turns, factor)
@@ -73,9 +79,11 @@ class Look:
         for field in ("x", "F", "J"):
             if field in frame and not np.isfinite(frame[field]).all():
                 raise RunError(f"{name} holds a {field} that is no number")
+        if self.scenery is not None and len(frame.get("poses", ())) != len(moving(self.objects)):
+            raise RunError(f"{name} does not say where each object is that moves")
 
     def splats(self, frame: dict[str, np.ndarray], eye: np.ndarray) -> Splats:
-        """The Gaussians of a frame as seen from `eye` [m]; scenery first, it never moves.
+        """The Gaussians of a frame as seen from `eye` [m]; scenery first.
 
         frame: arrays id, x, and J (all but elastic bodies), F (those) as in the frame's file; and
         sh where the colours are no longer those at rest (see `frame`). Raises RunError.
@@ -97,8 +105,7 @@ class Look:
         if self.passive is not None:
             parts.append(self.passive.part(frame))
         if self.scenery is not None:
-            x, cov, opacity, color = self.scenery
-            parts.insert(0, Part(x, cov, opacity, color, np.arange(len(x))))
+            parts.insert(0, self.scenery.part(frame))
         return parts
 
     def _covariances(self, rows: np.ndarray, frame: dict[str, np.ndarray]) -> np.ndarray:

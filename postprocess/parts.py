@@ -64,6 +64,41 @@ class Part(NamedTuple):
         return sh
 
 
+class Scenery:
+    """Gaussians without mass that stay where they are, or move as rigid bodies.
+
+    rows: scenery of gaussians.h5. objects: as there. factor: for every object what opacities are
+    multiplied with.
+    """
+
+    def __init__(self, rows, objects: list[dict], factor: np.ndarray):
+        self.x0 = np.asarray(rows.x0, dtype=np.float64)
+        self.cov0 = np.asarray(rows.cov0, dtype=np.float64)
+        self.opacity = np.asarray(rows.opacity, dtype=np.float64) * factor[rows.object]
+        self.color = ViewColours(np.asarray(rows.sh))
+        self.moving = [np.flatnonzero(rows.object == k) for k in moving(objects)]
+
+    def part(self, frame: dict[str, np.ndarray]) -> Part:
+        """Where they are in a frame."""
+        every = np.arange(len(self.x0))
+        if not self.moving:
+            return Part(self.x0, self.cov0, self.opacity, self.color, every)
+        x, cov, turned, F = self.x0.copy(), self.cov0.copy(), [], []
+        for at, pose in zip(self.moving, frame["poses"], strict=True):
+            rotation = np.broadcast_to(pose[:3, :3].reshape(9), (len(at), 9))
+            x[at] = self.x0[at] @ pose[:3, :3].T + pose[:3, 3]
+            cov[at] = evolve.solid(self.cov0[at], rotation)
+            turned.append(at[self.color.view_dependent[at]])
+            F.append(rotation[: len(turned[-1])])
+        turning = np.concatenate(turned)
+        return Part(x, cov, self.opacity, self.color, every, turning, np.concatenate(F))
+
+
+def moving(objects: list[dict]) -> list[int]:
+    """Numbers of the objects that frames have poses of."""
+    return [k for k, entry in enumerate(objects) if entry.get("moves")]
+
+
 class Passive:
     """Gaussians without mass, moved by the particles that carry them.
 

@@ -19,6 +19,7 @@ import numpy as np
 from postprocess import video
 from postprocess.look import Look, seen
 from postprocess.painter import domain_box, reach
+from postprocess.parts import moving
 from postprocess.settings import CameraSettings, PictureSettings, SettingsError
 from postprocess.viewpoints import Viewpoint
 from vgmpi.ends import guarded
@@ -42,7 +43,7 @@ class Chosen:
 
     def __init__(self, look: Look, count: int, seed: int = 0):
         self.look = look
-        scenery = look.scenery[1] if look.scenery is not None else np.zeros((0, 6))
+        scenery = look.scenery.cov0 if look.scenery is not None else np.zeros((0, 6))
         riders = look.passive.cov0 if look.passive is not None else np.zeros((0, 6))
         ends = [len(scenery), len(scenery) + len(look.object)]
         # the sum of the squares of its axes: of a disc, its area but for a factor
@@ -118,11 +119,12 @@ def page(run: RunFiles, numbers: list[int], count: int, seconds: float) -> tuple
             "/domain", edges, colors=(150, 150, 150), thickness=1.0, thickness_units="screen"
         )
         serializer = server.get_scene_serializer()
+        moves = bool(moving(run.objects))
         for k, index in enumerate(numbers):
-            still, moving = chosen.at(index, eye)
-            if k == 0 and len(still["centers"]):
+            still, loose = chosen.at(index, eye)
+            if (k == 0 or moves) and len(still["centers"]):
                 scene.add_gaussian_splats("/scenery", **still)
-            scene.add_gaussian_splats("/particles", **moving)
+            scene.add_gaussian_splats("/particles", **loose)
             serializer.insert_sleep(seconds)
         html = serializer.as_html()
     finally:

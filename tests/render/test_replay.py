@@ -36,7 +36,7 @@ def html(out, tmp_path_factory):
 def test_the_same_gaussians_are_shown_at_every_frame(out):
     look = Look(RunFiles(out))
     chosen = replay.Chosen(look, 100)
-    total = len(look.object) + len(look.scenery[0])
+    total = len(look.object) + len(look.scenery.x0)
     assert (chosen.all, chosen.count) == (total, 100)
     assert chosen.still.sum() + chosen.moving.sum() == 100
     rest = np.asarray(RunFiles(out).gaussians.x0)[chosen.moving]

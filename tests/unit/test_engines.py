@@ -62,9 +62,11 @@ POST = (
     '[[object]]\nname = "post"\nrole = "scenery"\ncollider = true\nposition = [0.13, 0.08, 0.04]\n'
     "shape = { sphere = { center = [0, 0, 0], radius = 0.04 } }\n"
 )
-TURNING = 'motion = { velocity = [0.3, 0, -0.2], spin = "90 rpm", axis = [1, 1, 0] }\n'
+TURNING = (
+    'motion = { velocity = [0.3, 0, -0.2], spin = "90 rpm", axis = [1, 1, 0], until = "0.1 s" }\n'
+)
 SWEEPING = (
-    '[[object]]\nname = "paddle"\nrole = "scenery"\ncollider = true\n'
+    '[[object]]\nname = "paddle"\nrole = "scenery"\ncollider = true\nfriction = 0.4\n'
     "shape = { box = [[0, 0.03, 0.01], [0.03, 0.12, 0.1]] }\n"
     'rotation = { axis = "z", angle = "20 deg" }\n'
     'motion = { keyframes = [{ time = "20 ms", angle = "30 deg", move = [0.02, 0, 0] }] }\n'

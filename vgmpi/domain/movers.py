@@ -17,15 +17,17 @@ class Movers:
     """Distance, normal and velocity of the nearest collider, for the node blocks they can touch
     until one has gone STRAY cells. All know the same; nothing is sent.
 
-    nodes: (n, 64, 4) outward normal and distance [m]; moves: (n, 64, 3) velocity [m/s]; blocks (n,
-    3). Colliders offer, at rest, distance(points) -> (m,) [m] and ends() -> its corners, and
+    nodes: (n, 64, 4) outward normal and distance [m]; moves: (n, 64, 3) velocity [m/s]; whose: (n,
+    64) number of the nearest, where that is `asked`, else (0, 64); blocks (n, 3). Colliders offer,
+    at rest, distance(points) -> (m,) [m] and ends() -> its corners, and
     `course`, or None for one at rest.
     """
 
-    def __init__(self, colliders: list, lattice: Lattice, real: np.dtype):
+    def __init__(self, colliders: list, lattice: Lattice, real: np.dtype, asked: bool = False):
         self.dx, self.real, self.colliders = lattice.dx, real, colliders
+        self.asked = asked
         self.table = _sampled(colliders, lattice.dx)
-        self.far = [_far(collider) for collider in colliders]
+        self.far = [far_of(collider) for collider in colliders]
         self.since = 0.0  # [s] when blocks were found
         self.now = 0.0
         self.take(np.zeros((0, 3), np.int64))
@@ -57,6 +59,7 @@ class Movers:
         self.blocks, self.since = np.ascontiguousarray(blocks), self.now
         self.nodes = np.zeros((len(blocks), 64, 4), self.real)
         self.moves = np.zeros((len(blocks), 64, 3), self.real)
+        self.whose = np.zeros((len(blocks) * self.asked, 64), np.int64)
 
     def stand(self, time: float) -> None:
         """Colliders stand where they are at a time [s]."""
@@ -73,7 +76,12 @@ class Movers:
             if collider.course is not None:
                 pose = collider.course.pose(end)
                 self.table.rotation_end[m], self.table.move_end[m] = pose.rotation, pose.move
-        place(self.blocks, self.table, dt, self.dx, self.nodes, self.moves)
+        place(self.blocks, self.table, dt, self.dx, self.nodes, self.moves, self.whose)
+
+    def poses(self, time: float) -> np.ndarray:
+        """Place at the start -> place at a time [s], of those that move: (m, 4, 4) [m]."""
+        courses = [c.course for c in self.colliders if c.course is not None]
+        return np.stack([course.matrix(time) for course in courses])
 
     def travels(self, t0: float, t1: float) -> float:
         """How far a point of one goes between two times [s], at the most [cells]."""
@@ -97,7 +105,7 @@ class Movers:
         return self.travels(self.since, time) > STRAY / 2
 
 
-def _far(collider) -> float:
+def far_of(collider) -> float:
     """Largest distance [m] of a point of a collider from the axis it turns about."""
     if collider.course is None:
         return 0.0

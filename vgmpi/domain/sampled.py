@@ -78,10 +78,11 @@ def _carry(movers, m, own, x, dt, velocity):
 
 
 @kernel
-def place(blocks, movers, dt, dx, nodes, moves):
+def place(blocks, movers, dt, dx, nodes, moves, whose):
     """The nearest collider at the nodes of blocks (n, 3): outward normal and distance [m] into
     nodes (n, 64, 4), where none is near at an infinite one; and into moves (n, 64, 3) the mean
-    velocity [m/s] in a step of dt [s] of its surface nearest to the node."""
+    velocity [m/s] in a step of dt [s] of its surface nearest to the node; into whose (n, 64) its
+    number, or (0, 64)."""
     x, own, found, velocity = np.zeros(3), np.zeros(3), np.zeros(4), np.zeros(3)
     normal, surface = np.zeros(3), np.zeros(3)
     count = len(movers.first)
@@ -108,6 +109,8 @@ def place(blocks, movers, dt, dx, nodes, moves):
                     ) / size
                     nodes[b, node, k] = normal[k]
                 nodes[b, node, 3] = d
+                if len(whose) > 0:
+                    whose[b, node] = m
                 depth = min(max(d, -2.0 * dx), 2.0 * dx)
                 for k in range(3):
                     surface[k] = x[k] - depth * normal[k]

@@ -10,12 +10,13 @@ REACH = 3.0  # cells from a collider's surface within which its nodes are kept
 class Solids:
     """Distance and outward normal of all colliders together, for the node blocks they can touch.
 
-    nodes: (n, 64, 4) outward normal and distance [m]. Called with blocks (m, 3) it gives their
+    nodes: (n, 64, 4) outward normal and distance [m]; whose: (n, 64) the number of the nearest,
+    where that is `asked`, else (0, 64). Called with blocks (m, 3) it gives their
     rows, -1 where there is none. Colliders offer distance(points) -> (m,) [m], negative inside, and
     normal(points) -> (m, 3).
     """
 
-    def __init__(self, colliders: list, lattice: Lattice, real: np.dtype):
+    def __init__(self, colliders: list, lattice: Lattice, real: np.dtype, asked: bool = False):
         self._low = -1  # node blocks reach one block beyond the particles'
         self._shape = np.array(lattice.shape) + 2
         grid = np.stack(np.meshgrid(*(np.arange(n) for n in self._shape), indexing="ij"), -1)
@@ -31,17 +32,21 @@ class Solids:
         points = (EDGE * block[near][:, None, :] - 1 + inside).reshape(-1, 3) * dx
         self._colliders = colliders
         self.moves = np.zeros((0, 64, 3), real)  # they are at rest
-        self.nodes = self.surface(points).astype(real).reshape(-1, 64, 4)
+        nodes, whose = self.surface(points)
+        self.nodes = nodes.astype(real).reshape(-1, 64, 4)
+        self.whose = whose[: len(whose) * asked].reshape(-1, 64)
 
-    def surface(self, points: np.ndarray) -> np.ndarray:
-        """Outward normal and distance [m] of the nearest collider at points (n, 3) [m]: (n, 4)."""
-        out = np.full((len(points), 4), np.inf)
-        for collider in self._colliders:
+    def surface(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Outward normal and distance [m] (n, 4) of the nearest collider at points (n, 3) [m], and
+        its number (n,)."""
+        out, whose = np.full((len(points), 4), np.inf), np.zeros(len(points), np.int64)
+        for number, collider in enumerate(self._colliders):
             distance = collider.distance(points)
             closer = distance < out[:, 3]
             out[closer, 3] = distance[closer]
             out[closer, :3] = collider.normal(points[closer])
-        return out
+            whose[closer] = number
+        return out, whose
 
     def __call__(self, block: np.ndarray) -> np.ndarray:
         b = block - self._low

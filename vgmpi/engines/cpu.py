@@ -52,7 +52,9 @@ class Cpu:
         self.groups = [Group(group, lattice, plan.real) for group in plan.groups]
         self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
         self.solids = solids
-        self.none = grid.Rigid(np.zeros((0, 64, 4), plan.real), np.zeros((0, 64, 3), plan.real))
+        self.none = grid.Rigid(
+            np.zeros((0, 64, 4), plan.real), np.zeros((0, 64, 3), plan.real), np.zeros((0, 64), int)
+        )
         kinds = np.array([KINDS[kind] for kind, _ in plan.walls], np.int64).reshape(3, 2)
         friction = np.array([mu for _, mu in plan.walls]).reshape(3, 2)
         met = kinds.copy()
@@ -230,9 +232,9 @@ class Cpu:
                 layers["impulses"].tables, **self.beside, noted=int(self.gathered["change"]),
                 room=self.apart_room[thread], tables=self.pairs,
             )  # fmt: skip
-        rigid = (
-            self.none if self.solids is None else grid.Rigid(self.solids.nodes, self.solids.moves)
-        )
+        rigid, solids = self.none, self.solids
+        if solids is not None:
+            rigid = grid.Rigid(solids.nodes, solids.moves, solids.whose)
         shear = layers["shear"].tables if self.plan.rubs else None
         summed = grid.Summed(layers["momentum"].tables, layers["offsets"].tables)
         self.call(

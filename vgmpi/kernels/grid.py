@@ -28,6 +28,7 @@ class Rigid(NamedTuple):
 
     nodes: np.ndarray  # (n, 64, 4) outward normal and distance [m] of the nearest
     moves: np.ndarray  # (n, 64, 3) its velocity [m/s]; (0, 64, 3) where all are at rest
+    whose: np.ndarray  # (n, 64) number of it; (0, 64) where all have the same friction
 
 
 class Summed(NamedTuple):

@@ -91,7 +91,8 @@ def touch(here, tables, solid, summed, shear, solids, walls, phases, rules, step
         pairs = _pairs(there, tables.phase, offsets, phases, rules, step, room)
         if solid >= 0:
             surface = solids.nodes[solid, node]
-            row = phases.friction[len(phases.mastery)]
+            number = solids.whose[solid, node] if len(solids.whose) > 0 else 0
+            row = phases.friction[len(phases.mastery) + number]
             if len(solids.moves) > 0:
                 for c in range(3):
                     room.v[GOES, c] = solids.moves[solid, node, c]

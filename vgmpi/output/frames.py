@@ -82,13 +82,19 @@ class Frames:
             (self.folder / layout.SERIES).unlink(missing_ok=True)
 
     def write(
-        self, index: int, time: float, step: int, ids: np.ndarray, fields: dict[str, np.ndarray]
+        self,
+        index: int,
+        time: float,
+        step: int,
+        ids: np.ndarray,
+        fields: dict[str, np.ndarray],
+        poses: np.ndarray | None = None,
     ) -> Path:
         """Write one frame and the series; collective.
 
         time: [s]. ids: particle numbers of this rank, (n_local,). fields: rows in the order of
-        `ids`; "x" must be there, the others are those of layout.FRAME. Raises StoreError on all
-        ranks alike.
+        `ids`; "x" must be there, the others are those of layout.FRAME. poses: of what moves
+        without mass (m, 4, 4), the same on all ranks. Raises StoreError on all ranks alike.
         """
         path = self.folder / layout.FRAMES / layout.FRAME_NAME.format(index)
         names = [d.name for d in layout.FRAME if d.name in fields]
@@ -117,6 +123,8 @@ class Frames:
             f.whole("frame", np.array(index, np.int64))
             if self.particles is not None:
                 f.whole("gaussians", np.array(self.particles, np.uint32))
+            if poses is not None:
+                f.whole("poses", poses)
             f.seal()
         self._written[index] = _Written(path.name, time, step, count, arrays, self.index_dtype)
         error = None

@@ -67,7 +67,7 @@ def check_frame(f: h5py.File, number: int | None, held: dict, of: int | None = N
     _check_head(f, {"VTKHDF", *(d.name for d in layout.FRAME_OWN)})
     if layout.CRC in f:
         said = f["frame"][()]
-        named = {name: f[name][()] for name in ("gaussians",) if name in f}
+        named = {name: f[name][()] for name in ("gaussians", "poses") if name in f}
         check_sums(f, {**held, "frame": said, **named})
         if number is not None and int(said) != number:
             raise Damaged(f"it is frame {int(said)}, not {number}")
@@ -123,6 +123,14 @@ def check_arrays(arrays: dict[str, np.ndarray], count: int) -> None:
     ids = arrays["id"]
     if len(ids) and (ids[0] < 0 or (np.diff(ids) <= 0).any()):
         raise Damaged("id does not ascend")
+
+
+def poses(rows: np.ndarray) -> np.ndarray:
+    """Those of a frame. Raises Damaged where they cannot be any."""
+    form = layout.named(layout.FRAME_OWN)["poses"]
+    if not layout.fits(form, rows) or not np.isfinite(rows).all():
+        raise Damaged(f"poses are {rows.dtype} {rows.shape}, not {form.dtype} {form.shape}")
+    return rows
 
 
 def check_gaussians(f: h5py.File, held: dict) -> None:

@@ -97,6 +97,14 @@ SUMS = Dataset(CRC, "()", "text", "", "JSON, CRC32 (zlib) of the bytes of every 
 FRAME_OWN = [
     Dataset("frame", "()", "i8", "1", "number of the frame, as in the name of its file"),
     Dataset("gaussians", "()", "u4", "1", "by which the gaussians.h5 of its particles is known"),
+    Dataset(
+        "poses",
+        "(m, 4, 4)",
+        "f8",
+        "m",
+        "of each object that `moves`, in their order: place at the start -> place now; only if one"
+        " does",
+    ),
     SUMS,
 ]
 
@@ -139,7 +147,7 @@ GAUSSIAN = [
 ]
 OPTIONAL = ("v0", "theta0", "surface0")
 SCENERY = [
-    Dataset("x0", "(m, 3)", "f8", "m", "position; scenery has no mass and does not move"),
+    Dataset("x0", "(m, 3)", "f8", "m", "position at the start; it stays unless its object `moves`"),
     Dataset("object", "(m,)", "i4", "1", "number of the object in the list `objects`"),
     Dataset("cov0", "(m, 6)", "f4", "m2", "covariance: xx, xy, xz, yy, yz, zz"),
     Dataset("opacity", "(m,)", "f4", "1", "0 to 1"),
@@ -164,7 +172,8 @@ GAUSSIAN_TEXTS = [
         "deforms (whether F of the frames is that of its particles), phase, "
         "colour_set (colours travel among objects of one number), "
         "density [kg/m3] with its pores, first and count (its rows), opacity_scale, alpha_min, "
-        "color, collider, and transform (4 x 4, source coordinates -> domain coordinates [m])",
+        "color, collider, moves (only of those: frames have their `poses`), "
+        "and transform (4 x 4, source coordinates -> domain coordinates [m])",
     ),
     Dataset("scene", "()", "text", "", "JSON, the scene with every default filled in, SI"),
     SUMS,

@@ -145,7 +145,7 @@ class RunFiles:
 
     def frame(self, i: int) -> dict[str, np.ndarray]:
         """Arrays of frame i by the names of layout.FRAME: id and x always, the others as they are
-        there."""
+        there; and poses (m, 4, 4) where objects without mass move."""
         if not -len(self) <= i < len(self):
             raise RunError(f"{self.folder}: no frame {i}, there are {len(self)}")
         number = i % len(self)
@@ -158,6 +158,8 @@ class RunFiles:
             arrays = {name.removeprefix("VTKHDF/PointData/"): a for name, a in held.items()}
             arrays = {"id": arrays.pop("id"), "x": arrays.pop("VTKHDF/Points"), **arrays}
             intact.check_arrays(arrays, count)
+            if "poses" in f:
+                arrays["poses"] = intact.poses(f["poses"][()])
             if layout.CRC not in f and not self._told:
                 self._told = True
                 log.info("%s: frames of an earlier version, without checksums", self.folder)

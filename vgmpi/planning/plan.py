@@ -66,7 +66,8 @@ class Plan:
     group_of: tuple[int, ...]  # group of each object, -1 for scenery
     first_id: tuple[int, ...]  # of each object
     count: tuple[int, ...]  # particles of each object
-    friction: tuple[tuple[float, ...], ...]  # (phases + 1, phases), the last row for colliders
+    # (phases + 1, phases), the last row for colliders; or a row for each, where one has its own
+    friction: tuple[tuple[float, ...], ...]
     stiff: tuple[float, ...]  # [Pa] to waves, of every phase's stiffest law at rest
     contact: bool  # two phases or more: they may touch
     collider: bool
@@ -109,7 +110,7 @@ class Plan:
         for p, phase in enumerate(self.phases):
             if phase.surface:
                 found += [mu for q, mu in enumerate(self.friction[p]) if q != p]
-                found += [self.friction[-1][p]] * self.collider
+                found += [row[p] for row in self.friction[len(self.phases) :]] * self.collider
         return any(mu > 0 for mu in found)
 
     @property
@@ -232,18 +233,25 @@ def _rate(materials, sharing: Rules | None, dx: float) -> float:
 
 
 def _friction(scene: Scene, groups, phases: int) -> tuple[tuple[float, ...], ...]:
-    """Friction of every pair of phases; of two materials that meet in one pair of phases the
-    largest counts.
+    """Friction of every pair of phases, and of phases on colliders; of two materials that meet in
+    one pair of phases the largest counts.
     """
+    own = [thing.friction for thing in scene.object if thing.collider]
+    own = own if any(mu is not None for mu in own) else [None]
     named = {frozenset(c.between): c.friction for c in scene.coupling if isinstance(c, Contact)}
-    out = np.zeros((phases + 1, phases))
+    out = np.zeros((phases + len(own), phases))
     for a in groups:
         one = scene.material[a.material]
-        out[phases, a.phase] = max(out[phases, a.phase], Contact.default_friction(one, one))
+        out[phases:, a.phase] = np.maximum(
+            out[phases:, a.phase], Contact.default_friction(one, one)
+        )
         for b in groups:
             default = Contact.default_friction(one, scene.material[b.material])
             mu = named.get(frozenset((a.material, b.material)), default)
             out[a.phase, b.phase] = max(out[a.phase, b.phase], mu)
+    for c, given in enumerate(own):
+        if given is not None:
+            out[phases + c] = given
     return tuple(tuple(float(v) for v in row) for row in out)
 
 

@@ -15,6 +15,7 @@ from vgmpi.planning.colour_sets import colour_sets
 from vgmpi.planning.groups import deforms, surfaced
 from vgmpi.prepare import cost
 from vgmpi.prepare.collider import Collider, moving
+from vgmpi.prepare.courses import astray
 from vgmpi.prepare.initial import begun
 from vgmpi.prepare.loaded import Loaded, find
 from vgmpi.prepare.mesh import MeshError
@@ -94,7 +95,9 @@ def build(scene: Scene) -> Prepared:
         try:
             piece = begun(scene, thing, make(scene, k))
             asked = thing.role == "body" and scene.phase_of(thing) in touched
+            piece = replace(piece, collider=moving(piece.collider, thing.motion))
             pieces.append(outlined(scene, piece, asked))
+            errors += [(("object", k, *key), said) for key, said in astray(scene, piece.collider)]
             if piece.said:
                 log.info("'%s': %s", thing.name, _told(scene, thing, piece))
         except PlacementError as error:
@@ -197,11 +200,7 @@ def _together(scene: Scene, pieces: list[Piece]) -> Prepared:
         **_looks(pieces, bodies, terms),
         scenery=scenery,
         objects=objects,
-        colliders=[
-            moving(piece.collider, thing.motion)
-            for piece, thing in zip(pieces, scene.object, strict=True)
-            if piece.collider is not None
-        ],
+        colliders=[piece.collider for piece in pieces if piece.collider is not None],
         theta0=_rows(pieces, bodies, _theta),
         loads=find(scene, x, vol0, owner),
         passive=_riding(pieces, objects, terms),
@@ -260,7 +259,7 @@ def _describe(
         "color": list(thing.colour),
         "collider": thing.collider,
         "surface": piece.surface is not None,
-    }
+    } | ({"moves": True} if thing.motion is not None else {})
 
 
 def _theta(piece: Piece) -> np.ndarray:

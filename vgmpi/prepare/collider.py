@@ -95,10 +95,10 @@ class VoxelCollider:
 Collider = ShapeCollider | VoxelCollider
 
 
-def moving(collider: Collider, motion: Motion | None) -> Collider:
+def moving(collider: Collider | None, motion: Motion | None) -> Collider | None:
     """The collider with its motion, which is about the middle of its extent where it says nothing
     else."""
-    if motion is None:
+    if collider is None or motion is None:
         return collider
     low, high = collider.ends()
     middle = motion.about or tuple(float(m) for m in (low + high) / 2)

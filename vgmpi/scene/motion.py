@@ -14,6 +14,7 @@ from vgmpi.tables import Point, Quantity, Table
 
 Angle = Annotated[float, Quantity("rad")]
 Speed = Annotated[float, Quantity("m/s")]
+LOOKS = 16  # at a leg of a motion, for where it is fastest
 WAYS = ("keyframes", "velocity", "spin")
 
 
@@ -101,16 +102,35 @@ class Course:
             np.array([before, *times, after]), np.array([rows[0], *rows, rows[-1]])
         )
 
+    def legs(self, end: float) -> list[tuple[float, float, tuple]]:
+        """(from, to [s], key in the scene) of its parts until `end` [s]."""
+        if self.motion.keyframes:
+            times = self._rows[0]
+            rows = list(zip(times[:-1], times[1:], strict=True))
+            return [(float(a), float(b), ("keyframes", k)) for k, (a, b) in enumerate(rows)]
+        key = "velocity" if self.motion.velocity is not None else "spin"
+        last = min(end, self.motion.until) if self.motion.until is not None else end
+        return [(0.0, last, (key,))]
+
+    def fastest(self, t0: float, t1: float, far: float) -> float:
+        """Largest speed [m/s] of its points between two times [s]; far: see `travels`."""
+        times = np.linspace(t0, t1, LOOKS + 1)
+        parts = zip(times[:-1], times[1:], strict=True)
+        return LOOKS / (t1 - t0) * max(self.travels(a, b, far) for a, b in parts)
+
     def pose(self, time: float) -> Pose:
         """Where it is at a time [s]."""
         move, angle = self.at(time)
         return Pose(_rotation(self.motion.axis, angle), move)
 
-    def during(self, t0: float, t1: float) -> tuple[np.ndarray, np.ndarray]:
-        """Mean velocity (3,) [m/s] of the point about which it turns, and mean angular velocity
-        (3,) [rad/s], between two times [s]: after the step it is where it should be."""
-        (first, a0), (last, a1) = self.at(t0), self.at(t1)
-        return (last - first) / (t1 - t0), (a1 - a0) / (t1 - t0) * np.array(self.motion.axis)
+    def matrix(self, time: float) -> np.ndarray:
+        """Place at the start -> place at a time [s]: (4, 4) [m]."""
+        pose, about = self.pose(time), np.array(self.about)
+        out = np.eye(4)
+        out[:3, :3] = pose.rotation
+        # written out: all ranks must agree, and a matrix product's rounding may differ
+        out[:3, 3] = about + pose.move - (pose.rotation * about).sum(axis=1)
+        return out
 
     def travels(self, t0: float, t1: float, far: float) -> float:
         """How far its points go between two times [s], at the most [m]; far: the largest distance

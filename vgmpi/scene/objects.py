@@ -201,6 +201,9 @@ class Object(Table):
     """scenery only: bodies collide with it"""
     motion: Motion | None = None
     """colliders only: how it moves; without it, it is at rest"""
+    friction: Annotated[float, Quantity("", ge=0)] | None = None
+    """colliders only: Coulomb friction of all that slides on it. Default: that of what slides on
+    its own material"""
 
     @property
     def source(self) -> str:
@@ -275,8 +278,9 @@ def object_complaints(raw: dict) -> list[tuple[tuple, str]]:
         found.append((("fraction_profile",), said))
     if raw.get("collider") is True and not scenery:
         found.append((("collider",), 'is only for role = "scenery": bodies collide anyway'))
-    if "motion" in raw and raw.get("collider") is not True:
-        found.append((("motion",), "is only for scenery with collider = true"))
+    for key in ("motion", "friction"):
+        if key in raw and raw.get("collider") is not True:
+            found.append(((key,), "is only for scenery with collider = true"))
     found += motion_complaints(raw.get("motion"), ("motion",))
     return found
 

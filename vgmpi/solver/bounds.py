@@ -30,6 +30,7 @@ def check_attrs(path: Any, attrs: dict, run: bool = True) -> None:
     reach = attrs.get("reach", [0.0])
     good = {
         "time": _number(attrs.get("time")) and 0.0 <= attrs["time"] < 1e100,
+        "sorted_time": _number(since := attrs.get("sorted_time", 0.0)) and 0.0 <= since < 1e100,
         "step": _count(attrs.get("step")),
         "rate": _number(attrs.get("rate")) and 0.0 <= attrs["rate"] < math.inf,
         "reach": isinstance(reach, list) and all(_number(one) and one >= 0.0 for one in reach),

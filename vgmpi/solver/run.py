@@ -195,7 +195,8 @@ class Runner:
         simulation, folder = self.simulation, self.options.folder / layout.BLOWUP
         ids, fields = frame_rows(simulation, self.scene.output.fields)
         frames = Frames(folder, self.ranks, self.plan.particles)
-        path = frames.write(0, simulation.time, simulation.step, ids, fields)
+        poses = simulation.poses()
+        path = frames.write(0, simulation.time, simulation.step, ids, fields, poses)
         log.error("blow-up: %s; frames and checkpoints are whole, this state is in %s", said, path)
         return BLEW_UP
 
@@ -204,7 +205,8 @@ class Runner:
         self.latest = ledger(simulation)
         if self.options.folder is not None:
             ids, fields = frame_rows(simulation, self.scene.output.fields)
-            self.frames.write(self.frame, simulation.time, simulation.step, ids, fields)
+            now, step = simulation.time, simulation.step
+            self.frames.write(self.frame, now, step, ids, fields, simulation.poses())
             self.ledger.append(self.latest)
         for watcher in self.options.watchers:
             watcher(self)

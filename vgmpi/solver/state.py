@@ -111,6 +111,8 @@ def save(simulation: Simulation) -> dict:
         "cells": list(simulation.plan.cells),
         "dx": simulation.plan.dx,
     }
+    if simulation.movers is not None:
+        attrs["sorted_time"] = simulation.sorted_time
     return {"attrs": attrs, "groups": groups}
 
 
@@ -136,6 +138,7 @@ def restore(simulation: Simulation, saved) -> None:
     simulation.rate = saved.attrs["rate"]
     simulation.reach = Reach(*saved.attrs.get("reach", UNKNOWN))
     simulation.sorted_at = simulation.step
+    simulation.sorted_time = saved.attrs.get("sorted_time", simulation.time)
     rows = [_segments(simulation, g, *share) for g, share in enumerate(shares)]
     costs = np.array([group.cost for group in plan.groups])
     table, simulation.cut = census(

@@ -87,12 +87,13 @@ class Simulation:
         self.plan = plan
         self.ranks = ranks
         self.lattice = Lattice(plan.cells, plan.dx)
+        asked = len(plan.friction) > len(plan.phases) + 1  # a collider's friction is its own
         self.movers: Movers | None = None
         if any(collider.course is not None for collider in colliders):
-            self.movers = Movers(list(colliders), self.lattice, plan.real)
+            self.movers = Movers(list(colliders), self.lattice, plan.real, asked)
         self.solids: Movers | Solids | None = self.movers
         if colliders and self.movers is None:
-            self.solids = Solids(list(colliders), self.lattice, plan.real)
+            self.solids = Solids(list(colliders), self.lattice, plan.real, asked)
         self.engine: Engine = ENGINES[engine](plan, self.lattice, self.solids, threads)
         self.groups: list[Group] = self.engine.groups
         self.loads = Pushes(list(loads), plan, ranks) if loads else None
@@ -109,6 +110,7 @@ class Simulation:
         self.reach = UNKNOWN
         self.sorts = 0
         self.sorted_at = 0
+        self.sorted_time = 0.0  # [s], of that; for movers
         self.sent = 0  # bytes this rank gave its neighbours
         self.moved = 0  # particles that left this rank for another
         self.said = np.zeros(12)
@@ -188,6 +190,7 @@ class Simulation:
         steps = self.step - self.sorted_at
         census, self.cut, left = migrate.sort(self.groups, self.ranks, self.cut, steps)
         self.moved += left
+        self.sorted_time = self.time
         self.adopt(census)
         self.sorted_at = self.step
         self.sorts += 1
@@ -199,7 +202,7 @@ class Simulation:
         kept &= self.movers is None  # which are near other blocks now
         self.census = census
         if self.movers is not None:
-            self.movers.stand(self.time)
+            self.movers.stand(self.sorted_time)
         if not kept:
             self.tables = topology.build(
                 census, self.lattice, self.ranks.rank, self.needs, self.solids
@@ -219,6 +222,11 @@ class Simulation:
         if before is not None:
             before.link.close()
         return Halo(self.ranks, self.tables, self.engine.words, layers)
+
+    def poses(self) -> np.ndarray | None:
+        """Where moving colliders are now: (m, 4, 4), place at the start -> place [m]; None where
+        none moves."""
+        return None if self.movers is None else self.movers.poses(self.time)
 
     @property
     def load(self) -> np.ndarray:

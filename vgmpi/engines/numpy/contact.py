@@ -44,6 +44,7 @@ class Contact:
     def __init__(self, plan: Plan, dense: Dense):
         self.plan, self.dx, self.shape = plan, plan.dx, dense.shape
         self.collider, self.moves = np.zeros((0, 4)), np.zeros((*dense.shape, 3))
+        self.friction = np.zeros((0, 0))
         self.near = np.zeros(dense.shape, bool)  # to a collider
         self.planes = np.zeros(dense.shape, int)  # on how many of the plan's a node lies
         for plane in plan.planes:
@@ -51,9 +52,13 @@ class Contact:
         self.least = np.array([TOUCHING * phase.least for phase in plan.phases])
         self.walls = dense
 
-    def meet(self, collider: np.ndarray, moves: np.ndarray | None = None) -> None:
-        """collider: outward normal and distance [m] of the nearest at all nodes, (n, 4); moves: its
-        velocity [m/s] (n, 3), or None where all are at rest."""
+    def meet(
+        self, collider: np.ndarray, whose: np.ndarray, moves: np.ndarray | None = None
+    ) -> None:
+        """collider: outward normal and distance [m] of the nearest at all nodes, (n, 4); whose: its
+        number (n,); moves: its velocity [m/s] (n, 3), or None where all are at rest."""
+        rows = np.array(self.plan.friction)[len(self.plan.phases) :]
+        self.friction = rows[np.minimum(whose, len(rows) - 1)].reshape(*self.shape, -1)
         self.collider = collider.reshape(*self.shape, 4)
         self.near = self.collider[..., 3] < REACH * self.dx
         if moves is not None:
@@ -131,7 +136,7 @@ class Contact:
                     yield a, b, n, *far, plan.friction[one][other], stiff, np.zeros(3)
         rigid = []
         if self.near[node]:
-            rigid = [(*self.collider[node], plan.friction[-1], True, self.moves[node])]
+            rigid = [(*self.collider[node], self.friction[node], True, self.moves[node])]
         for plane in plan.planes:
             if node[plane.axis] == plane.node + 1:
                 n = np.zeros(3)

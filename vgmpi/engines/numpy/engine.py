@@ -44,7 +44,7 @@ class Numpy:
         self.contact = Contact(plan, self.dense)
         self.movers = solids if isinstance(solids, Movers) else None
         if isinstance(solids, Solids):
-            self.contact.meet(solids.surface(self.dense.points()))
+            self.contact.meet(*solids.surface(self.dense.points()))
         self.sharing = None if plan.rules is None else Sharing(plan.rules, self.dense)
         self.apart = any(group.apart for group in plan.groups)
 

@@ -7,10 +7,11 @@ from ...domain.sampled import Sampled
 
 def place(
     table: Sampled, points: np.ndarray, dt: float, dx: float
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Outward normal and distance [m] (n, 4) of the nearest collider at points (n, 3) [m], and the
-    mean velocity [m/s] (n, 3) of its surface there in a step of dt [s]."""
+    mean velocity [m/s] (n, 3) of its surface there in a step of dt [s], and its number (n,)."""
     nodes, moves = np.zeros((len(points), 4)), np.zeros((len(points), 3))
+    whose = np.zeros(len(points), np.int64)
     nodes[:, 3] = np.inf
     for m in range(len(table.first)):
         about, R = table.about[m], table.rotation[m]
@@ -24,8 +25,8 @@ def place(
         surface = points[near] - np.clip(distance[chosen], -2 * dx, 2 * dx)[:, None] * normal
         body = (surface - about - table.move[m]) @ R
         end = body @ table.rotation_end[m].T + about + table.move_end[m]
-        moves[near] = (end - surface) / dt
-    return nodes, moves
+        moves[near], whose[near] = (end - surface) / dt, m
+    return nodes, whose, moves
 
 
 def sample(table: Sampled, m: int, own: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,0 +1,84 @@
+"""Colliders that move do not touch the promise: the same bits in every file for any number of ranks
+and threads, and after a restart in the middle of a motion."""
+
+import h5py
+import numpy as np
+import pytest
+
+from tests.digests import digests
+from tests.launch import mpirun
+from tests.scenes import MIXED, write
+
+pytestmark = pytest.mark.mpi
+
+SCENE = (
+    MIXED.replace("PRECISION", "single")
+    + """
+[[object]]
+name = "paddle"
+role = "scenery"
+collider = true
+friction = 0.3
+shape = { box = [[0.26, 0.04, 0.01], [0.31, 0.2, 0.12]] }
+motion = { axis = [1, 2, 0], keyframes = [
+  { time = "20 ms", move = [-0.03, 0, 0] },
+  { time = "55 ms", move = [0.01, 0, 0.02], angle = "25 deg" },
+] }
+[[object]]
+name = "roller"
+role = "scenery"
+collider = true
+shape = { cylinder = { ends = [[0.06, 0.02, 0.13], [0.06, 0.22, 0.13]], radius = 0.03 } }
+motion = { spin = "300 rpm", axis = "y", velocity = [0.2, 0, 0], until = "40 ms" }
+"""
+)
+
+
+def go(scene, out, n, *flags):
+    return mpirun(n, "-m", "vgmpi", scene, "-q", "-o", out, *flags)
+
+
+@pytest.fixture(scope="module")
+def one(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("moving")
+    scene = write(folder, SCENE)
+    job = go(scene, folder / "one", 1)
+    assert job.returncode == 0, job.stderr
+    return scene, digests(folder / "one"), folder / "one"
+
+
+def frames(found):
+    return {name: sha for name, sha in found.items() if "frame_" in name or "ledger" in name}
+
+
+def poses(folder, number):
+    with h5py.File(folder / "frames" / f"frame_{number:05d}.vtkhdf") as f:
+        return f["poses"][()], f["VTKHDF/FieldData/step"][0]
+
+
+def test_they_move(one):
+    _, _, out = one
+    first, last = poses(out, 0)[0], poses(out, 3)[0]
+    assert first.shape[1:] == (4, 4) and np.allclose(first, np.eye(4))
+    assert np.allclose(last[-2, :3, 3] - (np.eye(3) - last[-2, :3, :3]) @ [0.285, 0.12, 0.065],
+                       [0.01, 0, 0.02], atol=1e-12)  # fmt: skip
+    assert np.arccos((np.trace(last[-2, :3, :3]) - 1) / 2) == pytest.approx(np.radians(25))
+
+
+@pytest.mark.parametrize("n, flags", [(2, ()), (3, ()), (1, ("--threads", "2"))])
+def test_ranks_and_threads(one, n, flags, tmp_path):
+    scene, want, _ = one
+    job = go(scene, tmp_path, n, *flags)
+    assert job.returncode == 0, job.stderr
+    assert digests(tmp_path) == want
+
+
+def test_stop_and_resume(one, tmp_path):
+    """Stopped on three ranks in the middle of both motions, then on with two."""
+    scene, want, out = one
+    stop = int(poses(out, 3)[1]) // 2
+    job = go(scene, tmp_path, 3, "--stop-after", f"{stop} steps")
+    assert job.returncode == 75, job.stderr
+    job = go(scene, tmp_path, 2, "--resume")
+    assert job.returncode == 0, job.stderr
+    assert frames(digests(tmp_path)) == frames(want)

@@ -1,0 +1,226 @@
+"""How colliders move: where they are at a time, what their files say, and what is refused."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from postprocess.look import Look
+from tests.render import runs
+from tests.unit.test_bad_scenes import broken, lines
+from tests.wrong_scenes import LAST
+from vgmpi.domain.movers import far_of
+from vgmpi.domain.ranks import Alone
+from vgmpi.gaussians.cloud import full
+from vgmpi.gaussians.sh import evaluate
+from vgmpi.output.frames import Frames
+from vgmpi.output.read import RunError, RunFiles
+from vgmpi.prepare.build import build
+from vgmpi.prepare.collider import moving
+from vgmpi.scene.motion import Course, Motion
+from vgmpi.scene.reader import load
+
+KEYS = [
+    {"time": "1 s", "move": [1, 0, 0], "angle": "90 deg"},
+    {"time": "3 s", "move": [1, 0, 0], "angle": "90 deg"},
+    {"time": "4 s", "move": [0, 2, 0], "angle": "-30 deg"},
+]
+
+
+def course(about=(0.0, 0.0, 0.0), **keys):
+    return Course(Motion(**keys), about)
+
+
+def test_it_is_where_its_keyframes_say():
+    for pace in ("smooth", "linear"):
+        way = course(keyframes=KEYS, pace=pace)
+        for key in KEYS:
+            move, angle = way.at(float(key["time"].split()[0]))
+            assert np.allclose(move, key["move"], atol=1e-12)
+            assert np.degrees(angle) == pytest.approx(float(key["angle"].split()[0]))
+        assert np.allclose(way.at(9.0)[0], (0, 2, 0)) and np.allclose(way.at(0.0)[0], 0)
+
+
+def test_smooth_begins_and_ends_at_rest_and_stays_between_alike():
+    way, h = course(keyframes=KEYS), 1e-5
+    for time in (h, 4.0 - h):  # it moves by the square of the time from there
+        near = 0.0 if time < 1 else 4.0
+        assert np.abs(way.at(time)[0] - way.at(near)[0]).max() < 1e-8
+    for time in np.linspace(1, 3, 7):
+        assert np.allclose(way.at(time)[0], (1, 0, 0), atol=1e-12)
+    dense = np.array([way.at(t)[0] for t in np.linspace(0, 4, 401)])
+    assert dense.min() > -1e-12 and dense[:, 0].max() < 1 + 1e-12 and dense[:, 1].max() < 2 + 1e-12
+
+
+def test_linear_has_an_even_pace():
+    way = course(keyframes=KEYS, pace="linear")
+    assert np.allclose(way.at(0.25)[0], (0.25, 0, 0)) and np.allclose(way.at(3.5)[0], (0.5, 1, 0))
+
+
+def test_velocity_and_spin_until():
+    way = course((1.0, 0.0, 0.0), velocity=[0, 0, 2], spin="1 rad/s", until="0.5 s", axis="z")
+    there = way.matrix(7.0) @ [2.0, 0.0, 0.0, 1.0]  # a point a metre from the axis
+    assert np.allclose(there[:3], (1 + np.cos(0.5), np.sin(0.5), 1.0), atol=1e-12)
+    assert way.fastest(0.0, 0.5, 1.0) == pytest.approx(3.0)  # 2 m/s, and 1 rad/s at 1 m
+
+
+def test_a_turn_bends_space_for_none():
+    way = course((0.3, -0.2, 0.1), spin=3.0, velocity=[1, 2, 3], axis=[1, 1, 0])
+    pose = way.pose(0.7)
+    assert np.allclose(pose.rotation @ pose.rotation.T, np.eye(3), atol=1e-14)
+    assert np.allclose((way.matrix(0.7) @ [0.3, -0.2, 0.1, 1])[:3], [1.0, 1.2, 2.2], atol=1e-14)
+
+
+PADDLE = """
+[[object]]
+name = "paddle"
+role = "scenery"
+collider = true
+shape = {{ box = [[0.1, 0.1, 0.15], [0.2, 0.2, 0.25]] }}
+{}
+"""
+WAY = "motion = {{ {} }}"
+
+
+@pytest.mark.parametrize(
+    "keys, where, says",
+    [
+        (WAY.format(""), "motion", "has no motion: give keyframes, velocity or spin"),
+        (
+            WAY.format('keyframes = [{ time = "1 s" }, { time = "1 s" }]'),
+            "motion.keyframes.1.time",
+            "must be later than the keyframe before, 1 s; got 1 s",
+        ),
+        (WAY.format("keyframes = []"), "motion.keyframes", "has no keyframe"),
+        (
+            WAY.format('keyframes = [{ move = [0, 0, "1 cm"] }]'),
+            "motion.keyframes.0.time",
+            "required key is missing: when; keyframes are in order of time",
+        ),
+        (
+            WAY.format('keyframes = [{ time = "1 s" }], spin = 3'),
+            "motion.spin",
+            "keyframes and spin given at once: give keyframes, or velocity and spin",
+        ),
+        (
+            WAY.format('spin = 3, pace = "linear"'),
+            "motion.pace",
+            "is for keyframes only",
+        ),
+        (
+            WAY.format('keyframes = [{ time = "1 s" }], until = "2 s"'),
+            "motion.until",
+            "is for velocity and spin only",
+        ),
+        (WAY.format("velocity = [1, 2]"), "motion.velocity", "has too few values; got [1, 2]"),
+        (
+            WAY.format("spin = 3, axis = [0, 0, 0]"),
+            "motion.axis",
+            "must be 'x', 'y', 'z' or three numbers that are not all 0",
+        ),
+        ("friction = -1", "friction", "must be >= 0"),
+    ],
+)
+def test_wrong_motions(tmp_path, keys, where, says):
+    path, _ = broken(tmp_path, LAST, LAST + PADDLE.format(keys))
+    found = lines(path)
+    assert any(f"object.paddle.{where}: {says}" in line for line in found), found
+    assert all(line.startswith(f"{path}:") for line in found)
+
+
+@pytest.mark.parametrize("key", ["motion = { spin = 3 }", "friction = 0.1"])
+def test_only_colliders_move(tmp_path, key):
+    path, _ = broken(tmp_path, LAST, LAST + PADDLE.format(key).replace("collider = true", ""))
+    said = f"object.paddle.{key.split()[0]}: is only for scenery with collider = true"
+    assert any(line.endswith(said) for line in lines(path)), lines(path)
+
+
+@pytest.mark.parametrize(
+    "keys, where, says",
+    [
+        (
+            WAY.format('keyframes = [{ time = "1 s" }, { time = "2 s", move = [0, 0, 0.18] }]'),
+            "motion.keyframes.1",
+            "leads out of the domain: at 2 s all of it is at z = 0.33 .. 0.43 m; the domain is"
+            " 0 .. 0.32 m",
+        ),
+        (WAY.format("velocity = [-0.21, 0, 0]"), "motion.velocity", "leads out of the domain"),
+    ],
+)
+def test_a_motion_stays_in_the_domain(tmp_path, keys, where, says):
+    path, _ = broken(tmp_path, LAST, LAST + PADDLE.format(keys))
+    found = lines(path, make=lambda path, _: build(load(path)))
+    assert len(found) == 1 and f": object.paddle.{where}: {says}" in found[0], found
+
+
+def test_a_fixed_step_is_short_enough_for_every_keyframe(tmp_path):
+    """.18 m in 60 ms, three times the mean where it is fastest: 9 m/s at the most."""
+    keys = 'keyframes = [{ time = "1 s" }, { time = "1060 ms", move = [0, 0, 0.1] }]'
+    text = LAST + PADDLE.format(WAY.format(keys))
+    path, _ = broken(tmp_path, LAST, text)
+    build(load(path))
+    found = lines(path, ["time.dt=4 ms"], make=lambda p, o: build(load(p, o)))
+    assert len(found) == 1 and "object.paddle.motion.keyframes.1: moves at up to 2." in found[0]
+    assert "cells in a step of time.dt = 0.004 s: at most 0.3 are possible" in found[0]
+
+
+def test_thin_colliders_are_warned_of(tmp_path, caplog):
+    path, _ = broken(tmp_path, LAST, LAST + PADDLE.format(""))
+    build(load(path))
+    assert "thick" not in caplog.text
+    path.write_text(path.read_text().replace("[0.2, 0.2, 0.25]", "[0.2, 0.2, 0.18]"))
+    build(load(path))
+    assert "collider 'paddle' is 1.5 cells thick" in caplog.text
+
+
+def test_the_farthest_point_from_the_axis(tmp_path):
+    path, _ = broken(tmp_path, LAST, LAST + PADDLE.format(WAY.format("spin = 1")))
+    collider = build(load(path)).colliders[0]
+    assert far_of(collider) == pytest.approx(np.hypot(0.05, 0.05))
+    assert far_of(moving(collider, None)) == far_of(collider)
+    about = moving(collider, Motion(spin=1.0, about=(0.1, 0.1, 0.0)))
+    assert far_of(about) == pytest.approx(np.hypot(0.1, 0.1))
+
+
+def turned():
+    """The floor of the small run turns by a quarter about the vertical through 0.5, 0.5."""
+    return course((0.5, 0.5, 0.0), spin=np.pi / 2, velocity=[0, 0, 0.25]).matrix(1.0)
+
+
+def test_the_renderer_sees_scenery_where_it_is():
+    rows, objects, ground = runs.rest_state()
+    ground["cov0"] = runs.diagonal(0.03**2, 0.01**2, 1e-6, len(ground["x0"]))
+    ground["sh"] = runs.sh(runs.BROWN, len(ground["x0"]), 4)
+    ground["sh"][:, 3, 0] = 0.3  # redder along x
+    objects[2]["moves"] = True
+    held = SimpleNamespace(**rows, scenery=SimpleNamespace(**ground))
+    look = Look(SimpleNamespace(gaussians=held, objects=objects))
+    fields = {"id": np.arange(len(rows["x0"])), **runs.frame_fields(rows, 0, 3)}
+    with pytest.raises(RunError, match="does not say where each object is that moves"):
+        look.splats(fields, runs.rotation(0)[0])
+    pose, still = turned(), np.eye(4)
+    eye = np.array([0.5, -2.0, 1.0])
+    seen = [look.splats({**fields, "poses": np.array([each])}, eye) for each in (still, pose)]
+    n = len(ground["x0"])
+    x = ground["x0"] - [0.5, 0.5, 0]
+    assert np.allclose(seen[0].x[:n], ground["x0"])
+    want = np.stack([-x[:, 1] + 0.5, x[:, 0] + 0.5, x[:, 2] + 0.25], 1)
+    assert np.allclose(seen[1].x[:n], want)
+    assert np.allclose(full(seen[1].cov[:n])[0], np.diag([0.01**2, 0.03**2, 1e-6]), atol=1e-9)
+    # its own colours towards where the eye is in its frame
+    back = (seen[1].x[:n] - eye) @ pose[:3, :3]
+    back /= np.linalg.norm(back, axis=1)[:, None]
+    assert np.allclose(seen[1].color[:n], evaluate(ground["sh"], back), atol=1e-5)
+    assert np.abs(seen[1].color[:n] - seen[0].color[:n]).max() > 0.01
+
+
+def test_frames_hold_poses_and_damage_is_named(tmp_path):
+    x = np.zeros((3, 3), np.float32)
+    Frames(tmp_path, Alone(), 3).write(0, 0.0, 0, np.arange(3), {"x": x}, np.array([turned()]))
+    assert np.array_equal(RunFiles(tmp_path).frame(0)["poses"], [turned()])
+    path = tmp_path / "frames" / "frame_00000.vtkhdf"
+    data = path.read_bytes()
+    at = data.index(turned().tobytes())
+    path.write_bytes(data[: at + 3] + bytes([data[at + 3] ^ 1]) + data[at + 4 :])
+    with pytest.raises(RunError, match="poses is not what was written"):
+        RunFiles(tmp_path).frame(0)

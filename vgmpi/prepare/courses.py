@@ -1,0 +1,82 @@
+"""Whether what a scene moves can go where it is sent, in the time it is given."""
+
+import itertools
+import logging
+
+import numpy as np
+
+from vgmpi.domain.movers import FAR, far_of
+from vgmpi.prepare.collider import Collider
+from vgmpi.scene.motion import Course
+from vgmpi.scene.scene import Scene
+
+log = logging.getLogger("vgmpi")
+
+THIN = 2.0  # cells, below which a collider is not seen as it is
+UNSURE = 0.25  # cells, of a thickness that is found on a lattice
+MOST = 2_000_000  # points looked at to find that
+
+
+def astray(scene: Scene, collider: Collider | None) -> list[tuple[tuple, str]]:
+    """(key of its object, text) for each part of a collider's motion that leaves the domain, or is
+    too fast for a fixed time step. Warns of one that is thin."""
+    if collider is None:
+        return []
+    thick = _thickness(collider, scene.domain.cell)
+    if thick < (THIN - UNSURE) * scene.domain.cell:
+        log.warning(
+            "collider '%s' is %.2g cells thick where it is thickest: below %g what it keeps apart"
+            " may pass", collider.name, thick / scene.domain.cell, THIN,
+        )  # fmt: skip
+    if collider.course is None:
+        return []
+    found = []
+    for t0, t1, key in collider.course.legs(scene.time.end):
+        said = _too_fast(scene, collider, t0, t1) or _outside(scene, collider, t1)
+        found += [(("motion", *key), said)] if said else []
+    return found
+
+
+def _too_fast(scene: Scene, collider: Collider, t0: float, t1: float) -> str:
+    speed = _course(collider).fastest(t0, t1, far_of(collider))
+    most, dt = FAR * scene.domain.cell, scene.time.dt
+    if speed * dt <= most:
+        return ""
+    gone = speed * dt / scene.domain.cell
+    return (
+        f"moves at up to {speed:.4g} m/s, {gone:.3g} cells in a step of time.dt = {dt:g} s: at most"
+        f" {FAR:g} are possible, by time.dt = {most / speed:.2g} s or without time.dt"
+    )
+
+
+def _outside(scene: Scene, collider: Collider, time: float) -> str:
+    """Of one that is nowhere in the domain at a time [s]."""
+    corners = np.array(list(itertools.product(*zip(*collider.ends(), strict=True))))
+    pose = _course(collider).matrix(time)
+    corners = corners @ pose[:3, :3].T + pose[:3, 3]
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    for a, name in enumerate("xyz"):
+        size = scene.domain.size[a]
+        if high[a] < 0 or low[a] > size:
+            return (
+                f"leads out of the domain: at {time:g} s all of it is at {name} = {low[a]:.4g} .."
+                f" {high[a]:.4g} m; the domain is 0 .. {size:g} m"
+            )
+    return ""
+
+
+def _course(collider: Collider) -> Course:
+    assert collider.course is not None
+    return collider.course
+
+
+def _thickness(collider: Collider, dx: float) -> float:
+    """Twice the greatest depth [m] of a point in it, to half a cell; infinite where there would be
+    too many points to look at."""
+    low, high = collider.ends()
+    counts = 2 * np.ceil((high - low) / dx).astype(int) + 1  # the middle is one of them
+    if np.prod(counts.astype(float)) > MOST:
+        return np.inf
+    axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    return -2.0 * float(collider.distance(points).min())
