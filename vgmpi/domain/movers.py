@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ..scene.motion import Courses
 from .blocks import EDGE, Lattice
 from .sampled import Sampled, place
 from .solids import REACH
@@ -27,69 +28,64 @@ class Movers:
         self.dx, self.real, self.colliders = lattice.dx, real, colliders
         self.asked = asked
         self.table = _sampled(colliders, lattice.dx)
-        self.far = [far_of(collider) for collider in colliders]
+        self.moving = [m for m, collider in enumerate(colliders) if collider.course is not None]
+        self.courses = Courses([colliders[m].course for m in self.moving])
+        self.far = np.array([far_of(colliders[m]) for m in self.moving])
         self.since = 0.0  # [s] when blocks were found
         self.now = 0.0
         self.take(np.zeros((0, 3), np.int64))
 
     def __call__(self, block: np.ndarray) -> np.ndarray:
         """Numbers of those of the blocks (n, 3) that a collider is near, among these; else -1."""
-        near = self._near(block)
+        near = np.zeros(len(block), bool)
+        for m in range(len(self.colliders)):
+            near[self._near(m, block)] = True
         return np.where(near, np.cumsum(near) - 1, -1)
 
-    def _near(self, block: np.ndarray) -> np.ndarray:
-        centre = (EDGE * block - 1 + (EDGE - 1) / 2) * self.dx
+    def _near(self, m: int, block: np.ndarray) -> np.ndarray:
+        """Which of the blocks (n, 3) a collider is near."""
+        collider, table = self.colliders[m], self.table
         limit = (0.5 * np.sqrt(3.0) * (EDGE - 1) + REACH + STRAY) * self.dx
-        near = np.zeros(len(block), bool)
-        for m, collider in enumerate(self.colliders):
-            left = np.flatnonzero(~near)
-            if not len(left):
-                break
-            x, r = centre[left] - self.table.about[m] - self.table.move[m], self.table.rotation[m]
-            # written out: all ranks must agree, and a matrix product's rounding may differ
-            own = x[:, :1] * r[0] + x[:, 1:2] * r[1] + x[:, 2:] * r[2] + self.table.about[m]
-            low, high = collider.ends()
-            out = np.maximum(np.maximum(low - own, own - high), 0.0)
-            close = (out**2).sum(axis=1) < limit**2
-            near[left[close]] = collider.distance(own[close]) < limit
-        return near
+        x = (EDGE * block - 1 + (EDGE - 1) / 2) * self.dx - table.about[m] - table.move[m]
+        r = table.rotation[m]
+        # written out: all ranks must agree, and a matrix product's rounding may differ
+        own = x[:, :1] * r[0] + x[:, 1:2] * r[1] + x[:, 2:] * r[2] + table.about[m]
+        low, high = collider.ends()
+        out = np.maximum(np.maximum(low - own, own - high), 0.0)
+        close = np.flatnonzero((out**2).sum(axis=1) < limit**2)
+        return close[collider.distance(own[close]) < limit]
 
     def take(self, blocks: np.ndarray) -> None:
         """The blocks (n, 3) of this rank that a collider is near, in the order of their numbers."""
         self.blocks, self.since = np.ascontiguousarray(blocks), self.now
+        near = [self._near(m, self.blocks) for m in range(len(self.colliders))]
+        at = np.concatenate(near)
+        order = np.argsort(at, kind="stable")
+        who = np.repeat(np.arange(len(near)), [len(each) for each in near])[order]
+        self.near = np.searchsorted(at[order], np.arange(len(blocks) + 1)), who
         self.nodes = np.zeros((len(blocks), 64, 4), self.real)
         self.moves = np.zeros((len(blocks), 64, 3), self.real)
         self.whose = np.zeros((len(blocks) * self.asked, 64), np.int64)
 
     def stand(self, time: float) -> None:
         """Colliders stand where they are at a time [s]."""
-        self.now = time
-        for m, collider in enumerate(self.colliders):
-            if collider.course is not None:
-                pose = collider.course.pose(time)
-                self.table.rotation[m], self.table.move[m] = pose.rotation, pose.move
+        self.now, table = time, self.table
+        table.rotation[self.moving], table.move[self.moving] = self.courses.poses(time)
 
     def go(self, time: float, end: float, dt: float) -> None:
         """Where they are at a time [s], and how they move until `end`, dt [s] later."""
         self.stand(time)
-        for m, collider in enumerate(self.colliders):
-            if collider.course is not None:
-                pose = collider.course.pose(end)
-                self.table.rotation_end[m], self.table.move_end[m] = pose.rotation, pose.move
-        place(self.blocks, self.table, dt, self.dx, self.nodes, self.moves, self.whose)
+        table = self.table
+        table.rotation_end[self.moving], table.move_end[self.moving] = self.courses.poses(end)
+        place(self.blocks, *self.near, table, dt, self.dx, self.nodes, self.moves, self.whose)
 
     def poses(self, time: float) -> np.ndarray:
         """Place at the start -> place at a time [s], of those that move: (m, 4, 4) [m]."""
-        courses = [c.course for c in self.colliders if c.course is not None]
-        return np.stack([course.matrix(time) for course in courses])
+        return self.courses.matrices(time)
 
     def travels(self, t0: float, t1: float) -> float:
         """How far a point of one goes between two times [s], at the most [cells]."""
-        return max(
-            c.course.travels(t0, t1, far) / self.dx
-            for c, far in zip(self.colliders, self.far, strict=True)
-            if c.course is not None
-        )
+        return float(self.courses.travels(t0, t1, self.far).max()) / self.dx
 
     def rate(self, time: float, rate: float) -> float:
         """1 / dt [1/s], `rate` or more, of a step in which none goes farther than it may."""
@@ -106,9 +102,7 @@ class Movers:
 
 
 def far_of(collider) -> float:
-    """Largest distance [m] of a point of a collider from the axis it turns about."""
-    if collider.course is None:
-        return 0.0
+    """Largest distance [m] of a point of a collider that moves from the axis it turns about."""
     low, high = (end - collider.course.about for end in collider.ends())
     corners = np.stack(np.meshgrid(*zip(low, high, strict=True), indexing="ij"), -1).reshape(-1, 3)
     axis = np.array(collider.course.motion.axis)

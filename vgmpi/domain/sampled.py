@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..device.jit import inline, kernel
+from .solids import REACH
 
 
 class Sampled(NamedTuple):
@@ -78,26 +79,25 @@ def _carry(movers, m, own, x, dt, velocity):
 
 
 @kernel
-def place(blocks, movers, dt, dx, nodes, moves, whose):
-    """The nearest collider at the nodes of blocks (n, 3): outward normal and distance [m] into
-    nodes (n, 64, 4), where none is near at an infinite one; and into moves (n, 64, 3) the mean
-    velocity [m/s] in a step of dt [s] of its surface nearest to the node; into whose (n, 64) its
-    number, or (0, 64)."""
+def place(blocks, first, near, movers, dt, dx, nodes, moves, whose):
+    """The nearest collider at the nodes of blocks (n, 3), of those that are near a block:
+    near[first[b] : first[b + 1]]. Outward normal and distance [m] into nodes (n, 64, 4), where none
+    is near an infinite one; into moves (n, 64, 3) the mean velocity [m/s] in a step of dt [s] of
+    its surface nearest to the node; into whose (n, 64) its number, or (0, 64)."""
     x, own, found, velocity = np.zeros(3), np.zeros(3), np.zeros(4), np.zeros(3)
     normal, surface = np.zeros(3), np.zeros(3)
-    count = len(movers.first)
     for b in range(len(blocks)):
         for node in range(64):
             nodes[b, node, 3] = np.inf
-        for m in range(count):
-            if not _may_reach(movers, m, blocks[b], dx, x, own):
-                continue
+        for m in near[first[b] : first[b + 1]]:
             for node in range(64):
                 x[0] = (4 * blocks[b, 0] - 1 + node // 16) * dx
                 x[1] = (4 * blocks[b, 1] - 1 + node // 4 % 4) * dx
                 x[2] = (4 * blocks[b, 2] - 1 + node % 4) * dx
                 _own(movers, m, x, own)
-                if not _sample(movers, m, own, found) or found[3] >= nodes[b, node, 3]:
+                if not _sample(movers, m, own, found):
+                    continue
+                if found[3] >= min(nodes[b, node, 3], REACH * dx):
                     continue
                 size = np.sqrt(found[0] ** 2 + found[1] ** 2 + found[2] ** 2)
                 if size == 0.0:
@@ -118,18 +118,3 @@ def place(blocks, movers, dt, dx, nodes, moves, whose):
                 _carry(movers, m, own, surface, dt, velocity)
                 for k in range(3):
                     moves[b, node, k] = velocity[k]
-
-
-@inline
-def _may_reach(movers, m, block, dx, x, own):
-    """Whether a node of a block may lie on the lattice of a collider."""
-    for k in range(3):
-        x[k] = (4 * block[k] + 0.5) * dx
-    _own(movers, m, x, own)
-    out2, half = 0.0, 1.5 * np.sqrt(3.0) * dx
-    for k in range(3):
-        low = movers.start[m, k]
-        high = low + (movers.shape[m, k] - 1) * movers.spacing
-        out = max(low - own[k], own[k] - high, 0.0)
-        out2 += out * out
-    return out2 <= half * half

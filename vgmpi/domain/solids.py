@@ -4,7 +4,9 @@ import numpy as np
 
 from .blocks import EDGE, Lattice
 
-REACH = 3.0  # cells from a collider's surface within which its nodes are kept
+# cells from a collider's surface within which its nodes are kept: beyond, none keeps anything apart
+# from it, see kernels/contact.py (a node is at most 1.5 deep in what flows, which is met at .25)
+REACH = 1.8
 
 
 class Solids:

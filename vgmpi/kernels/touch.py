@@ -10,6 +10,7 @@ import numpy as np
 from ..couplings.base import CONTACT
 from ..device.jit import inline
 from ..device.limits import TOUCHING
+from ..domain.solids import REACH
 from .contact import (
     GOES,
     RESTS,
@@ -74,7 +75,8 @@ def touch(here, tables, solid, summed, shear, solids, walls, phases, rules, step
         active = _active(here, node, velocities, tables.phase, phases.least, room.here)
         at = here.low_x + node // 16, here.low_y + node // 4 % 4, here.low_z + node % 4
         planes = _planes(at, walls) if pushes else 0
-        if active == 0 or active + (solid >= 0) + planes < 2:
+        rigid = solid >= 0 and solids.nodes[solid, node, 3] < REACH * step.dx
+        if active == 0 or active + rigid + planes < 2:
             continue
         for q in range(active):
             nb = room.here[q]
@@ -87,9 +89,9 @@ def touch(here, tables, solid, summed, shear, solids, walls, phases, rules, step
                 for c in range(3):
                     room.slope[q, c] = shear.nodes[nb, 4 * node + c] / room.mass[q]
             room.touches[q] = 0
-        there = There(active, node, active + (solid >= 0) + planes == 2)
+        there = There(active, node, active + rigid + planes == 2)
         pairs = _pairs(there, tables.phase, offsets, phases, rules, step, room)
-        if solid >= 0:
+        if rigid:
             surface = solids.nodes[solid, node]
             number = solids.whose[solid, node] if len(solids.whose) > 0 else 0
             row = phases.friction[len(phases.mastery) + number]

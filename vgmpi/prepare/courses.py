@@ -7,7 +7,7 @@ import numpy as np
 
 from vgmpi.domain.movers import FAR, far_of
 from vgmpi.prepare.collider import Collider
-from vgmpi.scene.motion import Course
+from vgmpi.scene.motion import Courses
 from vgmpi.scene.scene import Scene
 
 log = logging.getLogger("vgmpi")
@@ -30,15 +30,15 @@ def astray(scene: Scene, collider: Collider | None) -> list[tuple[tuple, str]]:
         )  # fmt: skip
     if collider.course is None:
         return []
-    found = []
+    found, courses = [], Courses([collider.course])
     for t0, t1, key in collider.course.legs(scene.time.end):
-        said = _too_fast(scene, collider, t0, t1) or _outside(scene, collider, t1)
+        speed = float(courses.fastest(t0, t1, np.array([far_of(collider)]))[0])
+        said = _too_fast(scene, speed) or _outside(scene, collider, courses, t1)
         found += [(("motion", *key), said)] if said else []
     return found
 
 
-def _too_fast(scene: Scene, collider: Collider, t0: float, t1: float) -> str:
-    speed = _course(collider).fastest(t0, t1, far_of(collider))
+def _too_fast(scene: Scene, speed: float) -> str:
     most, dt = FAR * scene.domain.cell, scene.time.dt
     if speed * dt <= most:
         return ""
@@ -49,10 +49,10 @@ def _too_fast(scene: Scene, collider: Collider, t0: float, t1: float) -> str:
     )
 
 
-def _outside(scene: Scene, collider: Collider, time: float) -> str:
+def _outside(scene: Scene, collider: Collider, courses: Courses, time: float) -> str:
     """Of one that is nowhere in the domain at a time [s]."""
     corners = np.array(list(itertools.product(*zip(*collider.ends(), strict=True))))
-    pose = _course(collider).matrix(time)
+    pose = courses.matrices(time)[0]
     corners = corners @ pose[:3, :3].T + pose[:3, 3]
     low, high = corners.min(axis=0), corners.max(axis=0)
     for a, name in enumerate("xyz"):
@@ -63,11 +63,6 @@ def _outside(scene: Scene, collider: Collider, time: float) -> str:
                 f" {high[a]:.4g} m; the domain is 0 .. {size:g} m"
             )
     return ""
-
-
-def _course(collider: Collider) -> Course:
-    assert collider.course is not None
-    return collider.course
 
 
 def _thickness(collider: Collider, dx: float) -> float:

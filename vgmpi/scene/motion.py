@@ -1,8 +1,8 @@
 """How a rigid collider moves: its keyframes in a scene, and where it is at a time."""
 
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -53,97 +53,112 @@ class Motion(Table):
 
 
 @dataclass(frozen=True)
-class Pose:
-    """x = rotation (x0 - about) + about + move, of points at x0 at the start."""
-
-    rotation: np.ndarray  # (3, 3)
-    move: np.ndarray  # (3,) [m]
-
-
-@dataclass(frozen=True)
 class Course:
     """A motion about a point that is known. about: (3,) [m]."""
 
     motion: Motion
     about: tuple[float, float, float]
 
-    def at(self, time: float) -> tuple[np.ndarray, float]:
-        """(move (3,) [m], angle [rad]) at a time [s]."""
-        motion = self.motion
-        if not motion.keyframes:
-            passed = min(time, motion.until) if motion.until is not None else time
-            return passed * np.array(motion.velocity or (0.0, 0.0, 0.0)), passed * (
-                motion.spin or 0
-            )
-        times, rows = self._rows
-        inside = min(time, times[-1])
-        if self._smooth is not None:
-            found = self._smooth(inside)
-        else:
-            found = np.array([np.interp(inside, times, row) for row in rows.T])
-        return found[:3], float(found[3])
-
-    @cached_property
-    def _rows(self) -> tuple[np.ndarray, np.ndarray]:
-        keys = self.motion.keyframes
-        times = np.array([0.0, *(key.time for key in keys)])
-        return times, np.array([(0.0,) * 4, *((*key.move, key.angle) for key in keys)])
-
-    @cached_property
-    def _smooth(self) -> Any:
-        if self.motion.pace == "linear":
-            return None
-        from scipy.interpolate import PchipInterpolator  # no scene without motion waits for it
-
-        times, rows = self._rows
-        # a keyframe more at either end, alike: so it begins and ends at rest
-        before, after = times[0] - (times[1] - times[0]), 2 * times[-1] - times[-2]
-        return PchipInterpolator(
-            np.array([before, *times, after]), np.array([rows[0], *rows, rows[-1]])
-        )
-
     def legs(self, end: float) -> list[tuple[float, float, tuple]]:
         """(from, to [s], key in the scene) of its parts until `end` [s]."""
         if self.motion.keyframes:
-            times = self._rows[0]
-            rows = list(zip(times[:-1], times[1:], strict=True))
-            return [(float(a), float(b), ("keyframes", k)) for k, (a, b) in enumerate(rows)]
+            times = [0.0, *(key.time for key in self.motion.keyframes)]
+            return [(a, b, ("keyframes", k)) for k, (a, b) in enumerate(pairwise(times))]
         key = "velocity" if self.motion.velocity is not None else "spin"
         last = min(end, self.motion.until) if self.motion.until is not None else end
         return [(0.0, last, (key,))]
 
-    def fastest(self, t0: float, t1: float, far: float) -> float:
-        """Largest speed [m/s] of its points between two times [s]; far: see `travels`."""
-        times = np.linspace(t0, t1, LOOKS + 1)
-        parts = zip(times[:-1], times[1:], strict=True)
-        return LOOKS / (t1 - t0) * max(self.travels(a, b, far) for a, b in parts)
+    @property
+    def cubics(self) -> tuple[np.ndarray, np.ndarray]:
+        """Its parts: when each begins (n,) [s], and of each the coefficients (n, 4, 4) of move x,
+        y, z [m] and angle [rad], powers of the time since from the third down."""
+        motion = self.motion
+        if motion.keyframes:
+            keys = motion.keyframes
+            times = np.array([0.0, *(key.time for key in keys)])
+            rows = np.array([(0.0,) * 4, *((*key.move, key.angle) for key in keys)])
+            found = _linear(times, rows) if motion.pace == "linear" else _smooth(times, rows)
+            return times, np.concatenate([found, _resting(rows[-1])])
+        rate = np.array([*(motion.velocity or (0.0, 0.0, 0.0)), motion.spin or 0.0])
+        going = np.zeros((1, 4, 4))
+        going[0, :, 2] = rate
+        if motion.until is None:
+            return np.zeros(1), going
+        return np.array([0.0, motion.until]), np.concatenate([going, _resting(motion.until * rate)])
 
-    def pose(self, time: float) -> Pose:
-        """Where it is at a time [s]."""
-        move, angle = self.at(time)
-        return Pose(_rotation(self.motion.axis, angle), move)
 
-    def matrix(self, time: float) -> np.ndarray:
-        """Place at the start -> place at a time [s]: (4, 4) [m]."""
-        pose, about = self.pose(time), np.array(self.about)
-        out = np.eye(4)
-        out[:3, :3] = pose.rotation
+def _resting(row: np.ndarray) -> np.ndarray:
+    out = np.zeros((1, 4, 4))
+    out[0, :, 3] = row
+    return out
+
+
+def _linear(times: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    out = np.zeros((len(times) - 1, 4, 4))
+    out[:, :, 2] = np.diff(rows, axis=0) / np.diff(times)[:, None]
+    out[:, :, 3] = rows[:-1]
+    return out
+
+
+def _smooth(times: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    from scipy.interpolate import PchipInterpolator  # no scene without motion waits for it
+
+    # a keyframe more at either end, alike: so it begins and ends at rest
+    before, after = times[0] - (times[1] - times[0]), 2 * times[-1] - times[-2]
+    found = PchipInterpolator([before, *times, after], [rows[0], *rows, rows[-1]])
+    return found.c[:, 1:-1].transpose(1, 2, 0)
+
+
+class Courses:
+    """Where bodies that move are, all together: m of them."""
+
+    def __init__(self, courses: Sequence[Course]):
+        self.about = np.array([course.about for course in courses])  # (m, 3) [m]
+        self._parts = [course.cubics for course in courses]
+        self._since, self._until = np.full((2, len(courses)), np.inf)
+        self._now = np.zeros((len(courses), 4, 4))  # of the parts that are in force
+        k = np.zeros((len(courses), 3, 3))  # of their axes: k x = axis x x
+        x, y, z = np.array([course.motion.axis for course in courses]).T
+        k[:, 0, 1], k[:, 0, 2], k[:, 1, 2], k[:, 1, 0], k[:, 2, 0], k[:, 2, 1] = -z, y, -x, z, -y, x
+        self._turns = k, (k[:, :, :, None] * k[:, None, :, :]).sum(axis=2)
+
+    def at(self, time: float) -> np.ndarray:
+        """Move [m] and angle [rad] at a time [s]: (m, 4)."""
+        for m in np.flatnonzero((time < self._since) | (time >= self._until)):
+            times, cubics = self._parts[m]
+            part = max(int(np.searchsorted(times, time, "right")) - 1, 0)
+            self._since[m], self._now[m] = times[part], cubics[part]
+            self._until[m] = times[part + 1] if part + 1 < len(times) else np.inf
+        t, c = (time - self._since)[:, None], self._now
+        return ((c[:, :, 0] * t + c[:, :, 1]) * t + c[:, :, 2]) * t + c[:, :, 3]
+
+    def poses(self, time: float) -> tuple[np.ndarray, np.ndarray]:
+        """Rotations (m, 3, 3) and moves (m, 3) [m] at a time [s]: what was at x at the start is at
+        rotation (x - about) + about + move. Right-handed (Rodrigues)."""
+        found, (k, k2) = self.at(time), self._turns
+        angle = found[:, 3, None, None]
+        return np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * k2, found[:, :3]
+
+    def matrices(self, time: float) -> np.ndarray:
+        """Place at the start -> place at a time [s]: (m, 4, 4) [m]."""
+        rotation, move = self.poses(time)
+        out = np.tile(np.eye(4), (len(move), 1, 1))
+        out[:, :3, :3] = rotation
         # written out: all ranks must agree, and a matrix product's rounding may differ
-        out[:3, 3] = about + pose.move - (pose.rotation * about).sum(axis=1)
+        out[:, :3, 3] = self.about + move - (rotation * self.about[:, None, :]).sum(axis=2)
         return out
 
-    def travels(self, t0: float, t1: float, far: float) -> float:
-        """How far its points go between two times [s], at the most [m]; far: the largest distance
-        of one from the axis [m]."""
-        (first, a0), (last, a1) = self.at(t0), self.at(t1)
-        return math.sqrt(((last - first) ** 2).sum()) + abs(a1 - a0) * far
+    def travels(self, t0: float, t1: float, far: np.ndarray) -> np.ndarray:
+        """How far points of each go between two times [s], at the most (m,) [m]; far (m,): the
+        largest distance of one from the axis [m]."""
+        gone = self.at(t1) - self.at(t0)
+        return np.sqrt((gone[:, :3] ** 2).sum(axis=1)) + np.abs(gone[:, 3]) * far
 
-
-def _rotation(axis: tuple, angle: float) -> np.ndarray:
-    """(3, 3) about a unit axis, right-handed (Rodrigues)."""
-    x, y, z = axis
-    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + math.sin(angle) * k + (1.0 - math.cos(angle)) * (k @ k)
+    def fastest(self, t0: float, t1: float, far: np.ndarray) -> np.ndarray:
+        """Largest speed [m/s] of points of each between two times [s]; far: see `travels`."""
+        times = np.linspace(t0, t1, LOOKS + 1)
+        parts = [self.travels(a, b, far) for a, b in pairwise(times)]
+        return LOOKS / (t1 - t0) * np.max(parts, axis=0)
 
 
 def motion_complaints(raw: Any, path: tuple) -> list[tuple[tuple, str]]:
