@@ -117,7 +117,7 @@ def test_slab_of_8_cells(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("edge", [12, 20])
 def test_slab(tmp_path, edge):
-    found = float_up(tmp_path, edge, 8, slab=True, drop=edge // 4, end=2.4, viscosity=edge / 4)
+    found = float_up(tmp_path, edge, 8, slab=True, drop=edge // 4, end=2.4, viscosity=edge / 2)
     hold(found, edge, slab=True)
 
 
@@ -129,7 +129,7 @@ def test_square_plate_of_8_cells(tmp_path):
 @pytest.mark.slow
 def test_small_plate(tmp_path):
     """6 cells: it floats too high by what its gaps displace."""
-    found = float_up(tmp_path, 6, 6, slab=False, drop=2, end=1.6)
+    found = float_up(tmp_path, 6, 6, slab=False, drop=2, end=2.4, viscosity=3.0)
     swelled = SHARE * (12 / (12 + 2 * found.beside)) ** 2 - found.below / 6
     print(found)
     held(
