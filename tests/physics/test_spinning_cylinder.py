@@ -115,7 +115,7 @@ def _rise(squares, heights):
     return np.polyfit(squares, heights, 1)[0] * RADIUS**2
 
 
-@pytest.mark.parametrize("cells, ends", [(10, 1.4), pytest.param(16, 2.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cells, ends", [(10, 1.4)])
 def test_rises(tmp_path, cells, ends):
     squares, heights, turns, strayed = spun(tmp_path, cells, ends)
     name = f"liquid in a turning cylinder of {cells} cells in radius"
