@@ -119,10 +119,16 @@ SERIES_OWN = [
 
 # ---- gaussians.h5 -----------------------------------------------------------------------------
 GAUSSIAN = [
-    Dataset("x0", "(n, 3)", "f8", "m", "position at the start, in the domain"),
+    Dataset("x0", "(n, 3)", "f8", "m", "position at the start, in the domain; at a source's mouth"),
     Dataset("vol0", "(n,)", "f8", "m3", "rest volume"),
     Dataset("object", "(n,)", "i4", "1", "number of the object in the list `objects`"),
-    Dataset("v0", "(n, 3)", "f8", "m/s", "velocity at the start; only if something moves then"),
+    Dataset(
+        "v0",
+        "(n, 3)",
+        "f8",
+        "m/s",
+        "velocity at the start, or at a source's mouth; only if something moves then",
+    ),
     Dataset("theta0", "(n,)", "f8", "1", "ln J at the start; only if something is compressed then"),
     Dataset(
         "surface0",
@@ -160,7 +166,7 @@ GAUSSIAN_TEXTS = [
         "()",
         "text",
         "",
-        "JSON, an entry per object of the scene: name, role, material, kind, family, "
+        "JSON, an entry per object, then per source: name, role, material, kind, family, "
         "deforms (whether F of the frames is that of its particles), phase, "
         "colour_set (colours travel among objects of one number), "
         "density [kg/m3] with its pores, first and count (its rows), opacity_scale, alpha_min, "
@@ -225,6 +231,12 @@ LEDGER_COLUMNS = [
     Dataset("potential", "", "f8", "J", "energy of height in gravity"),
     Dataset("J_min", "", "f8", "1", "smallest volume ratio, as in the frames"),
     Dataset("J_max", "", "f8", "1", "largest volume ratio, as in the frames"),
+]
+FLOW_COLUMNS = [  # with sources or sinks
+    Dataset("count_in", "", "i8", "1", "particles that were there at the start or came since"),
+    Dataset("mass_in", "", "f8", "kg", "their mass"),
+    Dataset("count_out", "", "i8", "1", "particles that ended in sinks"),
+    Dataset("mass_out", "", "f8", "kg", "their mass"),
 ]
 
 ROW_SUM = Dataset(
@@ -349,8 +361,8 @@ def page() -> str:
         _table(SERIES_STEPS, "VTKHDF/"),
         _table(SERIES_OWN),
         "## gaussians.h5\n",
-        "A row per particle id, also for particles that are not there yet. Objects are "
-        "contiguous, in the order of the scene.\n",
+        "A row per particle id, also for particles that are not there yet: frames hold those that "
+        "are. Objects are contiguous, in the order of the scene; sources follow, layer by layer.\n",
         _table(GAUSSIAN),
         "Drawn, but without mass (only if the scene has scenery):\n",
         _table(SCENERY, "scenery/"),
@@ -370,7 +382,10 @@ def page() -> str:
         "## ledger.csv\n",
         ABOUT_TABLES,
         _table([*LEDGER_COLUMNS, ROW_SUM]),
-        "Momentum and energy change by gravity, walls, colliders and loads. With "
+        "Before `crc`, only with `[[source]]` or `[[sink]]`; count_in - count_out is `count`, "
+        "exactly, and mass_in - mass_out is `mass`, to rounding:\n",
+        _table(FLOW_COLUMNS),
+        "Momentum and energy change by gravity, walls, colliders, loads, sources and sinks. With "
         "`domain.gravity_ramp` the potential energy is that of gravity at its full strength, with "
         "`domain.gravity_keyframes` that of gravity then.\n",
         "## probe_NAME.csv\n",
