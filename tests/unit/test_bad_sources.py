@@ -1,6 +1,6 @@
 """Every error of a wrong source or sink names its line, its key, and what would be right.
 
-As test_bad_scenes.py: a good scene gets more tables, or a table of them another text.
+As test_bad_scenes.py: a good scene gets more tables, and a piece of their text is another one.
 """
 
 import pytest
@@ -33,7 +33,7 @@ shape = { box = [[0.05, 0.1, 0.1], [0.08, 0.2, 0.3]] }
 PROBE = '[[probe]]\nname = "all"\nrate = 10\nwall = "all"\n'
 DISC = 'disc = { center = [0.1, 0.16, 0.2], radius = "2 cm" }'
 
-# old text, new text, key as reported, what the message must say; the line is where `new` stands
+# old text, new text, key as reported, what the message must say
 CASES = {
     "unknown material": (
         'material = "water"',
@@ -195,28 +195,31 @@ BUILD_CASES = {
 }
 
 
-def lines(tmp_path, old, new, make):
-    """What is said of the changed scene, and the lines that the change touches."""
-    whole = GOOD + SOURCE + SINK
-    at = whole.index(old, len(GOOD))
-    path = tmp_path / "scene.toml"
-    path.write_text(whole[:at] + new + whole[at + len(old) :])
-    with pytest.raises(SceneError) as caught:
-        make(path)
-    first = whole[:at].count("\n") + 1
-    return path, caught.value.lines, range(first, first + new.count("\n") + 1)
-
-
 @pytest.mark.parametrize("name", [*CASES, *BUILD_CASES])
 def test_error_has_its_line_key_and_advice(tmp_path, name):
+    """The line is that of the key, or of the table's header where the key is not there."""
     old, new, key, says = {**CASES, **BUILD_CASES}[name]
-    make = load if name in CASES else lambda path: build(load(path))
-    path, found, touched = lines(tmp_path, old, new, make)
-    assert len(found) == 1 and f": {key}: " in found[0] and says in found[0], found
-    file, _, number = found[0].partition(f": {key}: ")[0].rpartition(":")
+    whole = GOOD + SOURCE + SINK
+    at = whole.index(old, len(GOOD))
+    text = whole[:at] + new + whole[at + len(old) :]
+    path = tmp_path / "scene.toml"
+    path.write_text(text)
+    with pytest.raises(SceneError) as caught:
+        load(path) if name in CASES else build(load(path))
+    (found,) = caught.value.lines
+    assert f": {key}: " in found and says in found
+    file, _, number = found.partition(f": {key}: ")[0].rpartition(":")
     assert file == str(path)
-    # a table without a key is named by the line of its header
-    assert int(number) in touched or says.startswith("has no"), found[0]
+    table, thing, *inner = key.split(".")
+    rows = text.splitlines()[: int(number)]
+    header = max(k for k, row in enumerate(rows) if row.startswith("[["))
+    assert rows[header] == f"[[{table}]]"
+    assert text.splitlines()[header + 1] == f'name = "{thing}"'
+    assert (
+        rows[-1].startswith(f"{inner[0]} =")
+        if inner and "#" not in new
+        else header == len(rows) - 1
+    )
 
 
 def test_the_good_scene_is_good(tmp_path):

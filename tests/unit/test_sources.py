@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 
 from tests.scenes import scene
-from tests.simulate import advance, begin, by_id
-from vgmpi.domain.ranks import Alone
+from tests.simulate import begin
 from vgmpi.prepare.build import build
 from vgmpi.scene import nozzle
 from vgmpi.solver.prepared import known_of, plan_for
 from vgmpi.solver.sinks import remove
-from vgmpi.solver.watch import ledger
 
 TANK = """
 [domain]
