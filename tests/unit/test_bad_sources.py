@@ -215,11 +215,8 @@ def test_error_has_its_line_key_and_advice(tmp_path, name):
     header = max(k for k, row in enumerate(rows) if row.startswith("[["))
     assert rows[header] == f"[[{table}]]"
     assert text.splitlines()[header + 1] == f'name = "{thing}"'
-    assert (
-        rows[-1].startswith(f"{inner[0]} =")
-        if inner and "#" not in new
-        else header == len(rows) - 1
-    )
+    there = bool(inner) and "#" not in new
+    assert rows[-1].startswith(f"{inner[0]} =") if there else header == len(rows) - 1
 
 
 def test_the_good_scene_is_good(tmp_path):
