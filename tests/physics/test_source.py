@@ -80,7 +80,7 @@ def test_a_jet_falls_on_a_parabola(jet):
     assert len(t) > 8 and fell[-1] < MOUTH[2] - 7 * DX
     held(
         "A jet on its parabola", np.abs(z - fell).max() / DX, 0.0, 0.5,
-        kind="below", unit="cells", source="Galilei: z = z0 - g t^2 / 2", 
+        kind="below", unit="cells", source="Galilei: z = z0 - g t^2 / 2",
         note="jet of 3 cells, 9 cells down; its nozzle holds it as if .3 cells longer",
         curves={"jet": (t, z), "parabola": (t, fell)}, axes=("time since the mouth [s]", "z [m]"),
     )  # fmt: skip
