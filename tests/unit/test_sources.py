@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.scenes import scene
-from tests.simulate import begin
+from tests.simulate import advance, begin, by_id
 from vgmpi.prepare.build import build
 from vgmpi.scene import nozzle
 from vgmpi.solver.prepared import known_of, plan_for
@@ -159,6 +159,42 @@ def test_extending_needs_an_end(tmp_path):
     known = known_of(one := scene(tmp_path / "ends", ends), build(one))
     longer = scene(tmp_path / "longer", ends.replace("end = 0.2", "end = 0.4"))
     assert plan_for(longer, known).sources[0].layers == 15
+
+
+def carried(simulation):
+    """Which rows of `by_id` are in a nozzle, of the only source."""
+    (source,) = simulation.plan.sources
+    (ids,) = by_id(simulation, "id")
+    n, now = len(source.mouth), simulation.time
+    first, last = (source.first + n * by(now) for by in (source.passed_by, source.born_by))
+    return (ids >= first) & (ids < last)
+
+
+def test_what_is_carried_has_the_flow_and_the_state_of_rest(tmp_path):
+    """After a step, and after motion was restored."""
+    simulation, _ = begin(tmp_path, TANK + TAP.replace('"x"', "[1, 0, -1]"))
+    want = np.array([1, 0, -1]) / 2**0.5
+    for time in (0.0, 0.03, 0.06):
+        advance(simulation, time) if time else None
+        for _ in range(2):
+            v, C, J, vol0 = by_id(simulation, "v", "C", "J", "vol0")
+            here = carried(simulation)
+            assert here.sum() == 4 * 32
+            np.testing.assert_allclose(v[here] - want, 0.0, atol=1e-15)
+            assert (C[here] == 0).all() and (J[here] == 1).all()
+            np.testing.assert_allclose(vol0[here], 1e-6, rtol=1e-14)
+            simulation.restore(0.5 * simulation.bound())
+    assert (by_id(simulation, "C")[0][~here] != 0).any()
+
+
+def test_the_time_step_knows_what_comes(tmp_path):
+    """Also before it is there, so that the first step with it is no longer."""
+    fast = TAP.replace("velocity = 1", 'velocity = 20\nstart = "20 ms"')
+    simulation, _ = begin(tmp_path, TANK + fast)
+    wave = np.sqrt(2e4 / 1000)
+    assert len(by_id(simulation, "id")[0]) == simulation.plan.starts_with
+    most = 0.4 * 0.02 / (wave + 20)
+    assert 0.5 * most < simulation.bound() <= most
 
 
 def test_what_is_removed_leaves_the_others_in_order(tmp_path):

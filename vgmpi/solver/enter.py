@@ -85,6 +85,15 @@ def bounds(plan: Plan, group: GroupPlan, states: list, v: np.ndarray, C: np.ndar
     return np.array([rate, speed, float(np.sqrt((C**2).sum(1)).max()), stress])
 
 
+def idle(plan: Plan) -> np.ndarray:
+    """The same where there is no particle at all: of one of the first group at rest, which moves as
+    fast as its waves."""
+    group = plan.groups[0]
+    wave2 = float(function(group.law, "wave_speed2")(group.law, group.rest))
+    v = np.array([[np.sqrt(group.bound(wave2)), 0.0, 0.0]])
+    return bounds(plan, group, [group.rest], v, np.zeros((1, 9)))
+
+
 def _ends(values: np.ndarray) -> list[float]:
     """Smallest and largest of (n,) values; nothing of none."""
     return [float(values.min()), float(values.max())] if len(values) else []

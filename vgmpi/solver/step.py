@@ -20,7 +20,7 @@ from ..engines.cpu import Cpu
 from ..engines.numpy.engine import Numpy
 from ..kernels import g2p
 from ..planning.plan import Plan
-from .enter import Rows, enter
+from .enter import Rows, enter, idle
 from .inflow import Sources
 from .pushes import Pushes
 from .sinks import Sinks
@@ -260,6 +260,8 @@ class Simulation:
         mark("wait")
         if found[2]:
             raise BlowUp(self._blame(report))
+        if self.tally is not None and not found[0]:
+            found[[0, 3, 4, 5]] = idle(self.plan)
         self.rate = float(found[0])
         self.reach = Reach.of(found[3:6], self.rate, dt)
         born = self.sources is not None and self._come(before, found, dt)

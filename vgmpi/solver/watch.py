@@ -103,5 +103,6 @@ def drift(first: list[dict], last: list[dict]) -> str:
     low, high = min(e["J_min"] for e in last), max(e["J_max"] for e in last)
     return (
         f"mass {mass[1]:.6g} kg ({said} {change:+.1e}), "
-        f"energy {energy[0]:.4g} -> {energy[1]:.4g} J, J {low:.3f} .. {high:.3f}"
+        f"energy {energy[0]:.4g} -> {energy[1]:.4g} J"
+        + (f", J {low:.3f} .. {high:.3f}" if low <= high else "; no particle is left")
     )
