@@ -197,6 +197,29 @@ def test_the_time_step_knows_what_comes(tmp_path):
     assert 0.5 * most < simulation.bound() <= most
 
 
+SINK = '[[sink]]\nname = "hole"\nshape = { box = [[0.21, 0, 0], [0.4, 0.2, 0.4]] }\n'
+
+
+def test_a_sink_takes_after_every_fourth_step_and_a_sort_follows(tmp_path):
+    """Then engines know of it. What is gone does not come back, and nothing else is gone."""
+    simulation, made = begin(tmp_path, TANK + SINK, velocity=lambda x: x * 0 + [1.0, 0, 0])
+    before, taken = set(range(len(made.x))), 0
+    while simulation.time < 0.06:
+        simulation.advance(simulation.bound())
+        ids, x = by_id(simulation, "id", "x")
+        there = set(ids.tolist())
+        assert there <= before
+        if there < before:
+            taken += 1
+            assert simulation.step % 4 == 0 and simulation.sorted_at == simulation.step
+        if simulation.step % 4 == 0:
+            assert (x[:, 0] <= 0.21).all()
+        before = there
+    assert taken >= 2
+    ((came, _, went, _),) = simulation.tally.totals(simulation.ranks)
+    assert came == len(made.x) and went == came - len(before)
+
+
 def test_what_is_removed_leaves_the_others_in_order(tmp_path):
     simulation, _ = begin(tmp_path, TANK)
     (group,) = simulation.groups
