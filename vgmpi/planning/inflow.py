@@ -104,6 +104,11 @@ def layers(scene: Scene, source: Inflow) -> int:
     return max(0, math.floor(min(found, MOST_LAYERS)))
 
 
+def sink_plans(scene: Scene) -> tuple[SinkPlan, ...]:
+    """The sinks of a scene."""
+    return tuple(SinkPlan(sink.name, sink.shape) for sink in scene.sink)
+
+
 def source_plans(scene: Scene, group_of: tuple, count: list[int]) -> tuple[SourcePlan, ...]:
     """The sources of a scene of whose things `count` particles are kept ready. Raises SceneError
     where more are asked for: what was kept ready by the run so far is all that can come."""

@@ -20,7 +20,7 @@ from ..scene.scene import Scene
 from ..scene.settings import Accuracy
 from .colour_sets import Exchange, exchange
 from .groups import GroupPlan, PhasePlan, completed, groups_of, phases_of
-from .inflow import SinkPlan, SourcePlan, source_plans
+from .inflow import SinkPlan, SourcePlan, sink_plans, source_plans
 from .sharing import rules
 
 REALS: dict[str, np.dtype] = {
@@ -190,10 +190,9 @@ def make_plan(
     """
     # scenery has no material
     bodies = {k: scene.material[t.material] for k, t in enumerate(scene.things) if t.material}
-    real = REALS[scene.accuracy.precision]
-    phases = phases_of(
-        scene, bodies, volume, center or [[0.0] * 3] * len(volume), surface or [False] * len(volume)
-    )
+    real, n = REALS[scene.accuracy.precision], len(volume)
+    center, surface = center or [[0.0] * 3] * n, surface or [False] * n
+    phases = phases_of(scene, bodies, volume, center, surface)
     groups, group_of = groups_of(scene, bodies, phases, real)
     sharing = rules(scene, groups, phases)
     colours = exchange(scene, phases, shades)
@@ -228,8 +227,8 @@ def make_plan(
         restores=restores,
         gravity_ramp=scene.domain.gravity_ramp,
         gravity_keys=_gravity_keys(scene),
-        sources=source_plans(scene, group_of, count) if scene.inflow else (),
-        sinks=tuple(SinkPlan(sink.name, sink.shape) for sink in scene.sink),
+        sources=source_plans(scene, group_of, count),
+        sinks=sink_plans(scene),
     )
     _check_steps(scene, plan)
     return plan

@@ -57,16 +57,7 @@ class Reader:
 
     def scene(self, overrides: tuple[str, ...]) -> Scene:
         data = self.source.data
-        known = (*Top.model_fields, *SECTIONS, "material", *LISTS)
-        for key in data:
-            if key not in known:
-                near = nearest(key, known) or f"; known: {', '.join(known)}"
-                self.wrong((key,), f"unknown key{near}")
-        for key in REQUIRED:
-            if key not in data and not (key == "object" and data.get("source")):
-                header = "[[object]]" if key == "object" else f"[{key}]"
-                header = "[material.name]" if key == "material" else header
-                self.wrong((key,), f"required table {header} is missing")
+        self.keys(data)
         top = self.table(Top, {k: v for k, v in data.items() if k in Top.model_fields}, ())
         tables = {
             name: self.table(table, data.get(name, {}), (name,))
@@ -77,9 +68,7 @@ class Reader:
         objects = self.objects(data.get("object", []), kinds)
         pairs = self.couplings(data.get("coupling", []), kinds)
         sources = self.sources(data.get("source", []), kinds, tables, objects)
-        named = [(("object", k), thing) for k, thing in enumerate(objects)]
-        named += [(("source", k), source) for k, source in enumerate(sources)]
-        self.families_of_phases(named, kinds, pairs)
+        self.families_of_phases({"object": objects, "source": sources}, kinds, pairs)
         role = {o.name: o.role for o in objects if o} if None not in objects else None
         self.colour_bodies(tables.get("appearance"), role)
         for inner, said in gravity_complaints(data.get("domain", {})):
@@ -124,6 +113,19 @@ class Reader:
             source=self.source,
             **tables,
         )
+
+    def keys(self, data: dict) -> None:
+        """Whether what stands at the top is known, and all that must is there."""
+        known = (*Top.model_fields, *SECTIONS, "material", *LISTS)
+        for key in data:
+            if key not in known:
+                near = nearest(key, known) or f"; known: {', '.join(known)}"
+                self.wrong((key,), f"unknown key{near}")
+        for key in REQUIRED:
+            if key not in data and not (key == "object" and data.get("source")):
+                header = "[[object]]" if key == "object" else f"[{key}]"
+                header = "[material.name]" if key == "material" else header
+                self.wrong((key,), f"required table {header} is missing")
 
     def colour_bodies(self, looks: Appearance | None, role: dict[str, str] | None) -> None:
         for k, name in enumerate((looks and looks.colour_bodies) or ()):
@@ -251,14 +253,16 @@ class Reader:
                 self.unknown_material(("source", k, "material"), source.material, kinds)
         return found
 
-    def families_of_phases(self, things: list[tuple], kinds: dict[str, Any], pairs) -> None:
+    def families_of_phases(
+        self, things: dict[str, list], kinds: dict[str, Any], pairs: list
+    ) -> None:
         """A phase holds several families only where all its bodies name it, and none of them
         shares space with other phases."""
         known = [c for c in pairs if c is not None]
         apart = mixed(known)
         shares = {name for c in known if c.rule != CONTACT for name in c.between}
         first: dict[str, tuple[Object | Inflow, str]] = {}
-        for path, thing in things:
+        for path, thing in (((of, k), t) for of in things for k, t in enumerate(things[of])):
             made_of = kinds.get(thing.material) if thing else None
             if made_of is None:
                 continue
