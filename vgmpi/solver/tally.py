@@ -4,11 +4,13 @@ order and the ranks on which it was do not matter."""
 import numpy as np
 
 from ..domain.ranks import Alone
+from ..domain.state import Group
 from ..planning.plan import Plan
 from .enter import Rows
 
 BITS = 52  # of a cell's volume: no particle's volume is finer
 LIMB, LIMBS = 31, 4  # bits and number of the whole numbers by which a sum travels
+MASK = (1 << LIMB) - 1
 
 
 class Tally:
@@ -31,22 +33,28 @@ class Tally:
         self._add(group, volume, 2)
 
     def _add(self, group: int, volume: np.ndarray, first: int) -> None:
+        self.part[group][first] += len(volume)
+        self.part[group][first + 1] += self._counted(volume)
+
+    def _counted(self, volume: np.ndarray) -> int:
+        """The sum of volumes (n,) [m3] in whole numbers, in two parts that hold it."""
         cells = np.asarray(volume, self.plan.real).astype(np.float64) / self.plan.dx**3
-        whole = np.rint(np.ldexp(cells, BITS)).astype(object)
-        self.part[group][first] += len(whole)
-        self.part[group][first + 1] += int(whole.sum())
+        whole = np.rint(np.ldexp(cells, BITS)).astype(np.int64)
+        high, low = int((whole >> LIMB).sum()), int((whole & MASK).sum())
+        return (high << LIMB) + low
+
+    def there(self, groups: list[Group], ranks: Alone) -> list[list[int]]:
+        """Particles and volume of each group that are there now, as they are counted here: rows
+        [particles, volume], on every rank. Collective."""
+        mine = []
+        for group in groups:
+            volume = group.get("vol0", group.index())[:, 0]
+            mine.append([len(volume), self._counted(volume)])
+        return united(mine, ranks)
 
     def totals(self, ranks: Alone) -> list[list[int]]:
         """The same of all ranks together, on every rank. Collective."""
-        mask = (1 << LIMB) - 1
-        mine = [
-            [number >> LIMB * k & mask for number in row for k in range(LIMBS)] for row in self.part
-        ]
-        every = ranks.all_rows(np.array(mine, np.int64)[None]).sum(0).tolist()
-        return [
-            [sum(row[LIMBS * c + k] << LIMB * k for k in range(LIMBS)) for c in range(4)]
-            for row in every
-        ]
+        return united(self.part, ranks)
 
     def adopt(self, totals: list[list[int]], ranks: Alone) -> None:
         """Go on from what all ranks had together."""
@@ -57,3 +65,13 @@ class Tally:
         """Mass [kg] of a volume as it is counted here."""
         cells = volume / (1 << BITS)
         return float(self.plan.groups[group].density * self.plan.dx**3 * cells)
+
+
+def united(rows: list[list[int]], ranks: Alone) -> list[list[int]]:
+    """Sums over all ranks of whole numbers of any size, on every rank. Collective."""
+    mine = [[one >> LIMB * k & MASK for one in row for k in range(LIMBS)] for row in rows]
+    every = ranks.all_rows(np.array(mine, np.int64)[None]).sum(0).tolist()
+    return [
+        [sum(row[at + k] << LIMB * k for k in range(LIMBS)) for at in range(0, len(row), LIMBS)]
+        for row in every
+    ]

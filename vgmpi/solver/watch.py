@@ -24,26 +24,29 @@ def ledger(simulation: Simulation) -> list[dict]:
             group.plan.density, plan.dx, plan.gravity_at(simulation.time), rows,
         )  # fmt: skip
         found.append(simulation.ranks.root_rows(rows))
-    flow = None
-    if simulation.tally is not None:
-        flow = simulation.tally.totals(simulation.ranks)
+    tally, flow = simulation.tally, []
+    if tally is not None:
+        gone = tally.totals(simulation.ranks)
+        there = tally.there(simulation.groups, simulation.ranks)
+        flow = [[*row, *now] for row, now in zip(gone, there, strict=True)]
     if simulation.ranks.rank != 0:
         return []
     entries = [_entry(simulation, k, found) for k in range(len(plan.phases))]
-    if simulation.tally is not None and flow is not None:
+    if tally is not None:
         for k, entry in enumerate(entries):
-            entry |= _flow(simulation.tally, k, flow)
+            entry |= _flow(tally, k, flow)
     return entries
 
 
 def _flow(tally: Tally, phase: int, totals: list[list[int]]) -> dict:
-    """What of a phase was there at the start or came since, and what went; the particles that are
-    there now."""
+    """What of a phase was there at the start or came since, what went, and what is there now,
+    counted the same way. totals: particles and volume of each of them, by group."""
     members = [g for g, group in enumerate(tally.plan.groups) if group.phase == phase]
-    came, went = (sum(totals[g][c] for g in members) for c in (0, 2))
-    brought, taken = (sum(tally.mass(g, totals[g][c]) for g in members) for c in (1, 3))
+    came, went, count = (sum(totals[g][c] for g in members) for c in (0, 2, 4))
+    brought, taken, mass = (sum(tally.mass(g, totals[g][c]) for g in members) for c in (1, 3, 5))
     return {
-        "count": came - went,
+        "count": count,
+        "mass": mass,
         "count_in": came,
         "mass_in": brought,
         "count_out": went,
