@@ -132,7 +132,7 @@ CASES = {
         SINK,
         SINK + PROBE,
         "probe.all.wall",
-        "is not for scenes with [[source]] or [[sink]]",
+        "is not for scenes where particles come or go",
     ),
     "another phase's": (
         'velocity = "1 m/s"',
@@ -172,7 +172,7 @@ BUILD_CASES = {
         "[[0.5, 0.1, 0.2], [0.6, 0.2, 0.3]]",
         "[[0.5, 0.1, 0.09], [0.6, 0.2, 0.3]]",
         "sink.drain.shape",
-        "a sink that eats a body at the start: it holds particles of 'pool'",
+        "a sink that eats a body at the start: 'drain' holds particles of 'pool'",
     ),
     "a solid": (
         'material = "water"',

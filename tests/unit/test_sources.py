@@ -220,6 +220,28 @@ def test_a_sink_takes_after_every_fourth_step_and_a_sort_follows(tmp_path):
     assert came == len(made.x) and went == came - len(before)
 
 
+@pytest.mark.parametrize("wall, v", [("east", [1, 0, 0]), ("south", [0, -1, 0])])
+def test_an_open_wall_does_nothing_to_what_leaves(tmp_path, wall, v):
+    """A block that drifts out keeps its velocity to the last particle."""
+    text = TANK.replace("[time]", f'boundary = {{ {wall} = "open" }}\ngravity = [0, 0, 0]\n[time]')
+    text = text.replace("[[0, 0, 0], [0.2, 0.2, 0.04]]", "[[0.3, 0.04, 0.1], [0.36, 0.1, 0.16]]")
+    simulation, made = begin(tmp_path, text + f"velocity = {v}\n")
+    while simulation.time < 0.15:
+        simulation.advance(min(simulation.bound(), 0.0015))
+        (now,) = by_id(simulation, "v")
+        assert np.abs(now - v).max(initial=0.0) < 1e-12
+        if len(now) == 0:
+            break
+    ((came, _, went, _),) = simulation.tally.totals(simulation.ranks)
+    assert came == went == len(made.x) == 216
+
+
+def test_a_pool_at_an_open_wall_is_refused(tmp_path):
+    text = TANK.replace("[time]", 'boundary = { west = "open" }\n[time]')
+    with pytest.raises(ValueError, match="'west' holds particles of 'pool'"):
+        build(scene(tmp_path, text))
+
+
 def test_what_is_removed_leaves_the_others_in_order(tmp_path):
     simulation, _ = begin(tmp_path, TANK)
     (group,) = simulation.groups

@@ -10,8 +10,10 @@ import numpy as np
 from ..scene import nozzle
 from ..scene.forms import Shape
 from ..scene.scene import Scene
+from ..scene.settings import WALLS
 from ..scene.sources import Inflow
 
+BEHIND = 4  # cells: farther no particle is
 MOST_LAYERS = 2.0**40  # their numbers are exact beside the times they pass
 
 
@@ -105,8 +107,18 @@ def layers(scene: Scene, source: Inflow) -> int:
 
 
 def sink_plans(scene: Scene) -> tuple[SinkPlan, ...]:
-    """The sinks of a scene."""
-    return tuple(SinkPlan(sink.name, sink.shape) for sink in scene.sink)
+    """The sinks of a scene, then its open walls: a cell deep, and all that lies behind them."""
+    found = [SinkPlan(sink.name, sink.shape) for sink in scene.sink]
+    dx, size = scene.domain.cell, scene.domain.size
+    for name in scene.domain.open_walls:
+        axis, side = divmod(WALLS.index(name), 2)
+        low, high = [-BEHIND * dx] * 3, [edge + BEHIND * dx for edge in size]
+        if side:
+            low[axis] = size[axis] - dx
+        else:
+            high[axis] = dx
+        found.append(SinkPlan(name, Shape.model_validate({"box": [low, high]})))
+    return tuple(found)
 
 
 def source_plans(scene: Scene, group_of: tuple, count: list[int]) -> tuple[SourcePlan, ...]:

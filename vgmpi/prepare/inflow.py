@@ -7,7 +7,7 @@ import numpy as np
 
 from vgmpi import room
 from vgmpi.planning.groups import surfaced
-from vgmpi.planning.inflow import layers, speed
+from vgmpi.planning.inflow import layers, sink_plans, speed
 from vgmpi.prepare import cost
 from vgmpi.prepare.collider import Collider
 from vgmpi.prepare.pieces import Piece, round_cloud
@@ -71,15 +71,17 @@ def check(scene: Scene, pieces: list[Piece], colliders: list[Collider]) -> None:
         points = _nozzle(source, scene.domain.cell)
         said = [*_solid(scene, source), *_blocked(scene, k, points, bodies, colliders)]
         found += [(("source", k, key), line) for key, line in said[:1]]  # one of them is enough
-    for k, sink in enumerate(scene.sink):
+    for k, sink in enumerate(sink_plans(scene)):
         eaten = [
             name
             for name, x in bodies.items()
             if (distance(sink.shape, x + TIE * scene.domain.cell) < 0).any()
         ]
         if eaten:
-            said = f"a sink that eats a body at the start: it holds particles of '{eaten[0]}'"
-            found.append((("sink", k, "shape"), said))
+            said = f"'{sink.name}' holds particles of '{eaten[0]}'"
+            said = f"a sink that eats a body at the start: {said}"
+            wall = k >= len(scene.sink)
+            found.append((("domain", "boundary") if wall else ("sink", k, "shape"), said))
     if found:
         raise scene.error(found)
 
@@ -108,7 +110,7 @@ def _blocked(
     for other in scene.inflow[:k]:
         if _inside(other, dx, points).any():
             yield key, f"lies in the nozzle of source '{other.name}'"
-    for sink in scene.sink:
+    for sink in sink_plans(scene):
         if (distance(sink.shape, points) < 0).any():
             yield key, f"lies in the sink '{sink.name}': nothing would come"
 

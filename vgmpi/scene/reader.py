@@ -87,11 +87,12 @@ class Reader:
         sinks = self.listed(
             data.get("sink", []), "sink", Sink, lambda raw, _: sink_complaints(raw, sources)
         )
-        if sources or sinks:
+        domain = tables.get("domain")
+        if sources or sinks or (domain and domain.open_walls):
             self.errors += balance_complaints(probes)
-        if tables.get("domain"):
-            self.whole_cells(tables["domain"])
-            self.at_rest(objects, tables["domain"])
+        if domain:
+            self.whole_cells(domain)
+            self.at_rest(objects, domain)
         outside = top is not None and top.allow_outside
         files = self.files(objects, tables.get("output"), outside)
         self.finish()

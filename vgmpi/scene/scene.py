@@ -56,6 +56,11 @@ class Scene:
         """Objects, then sources: all that particles can be of."""
         return (*self.object, *self.inflow)
 
+    @property
+    def flows(self) -> bool:
+        """Whether particles come or go."""
+        return bool(self.inflow or self.sink or self.domain.open_walls)
+
     def phase_of(self, thing: Object | Inflow) -> str | None:
         """Name of the velocity field a body shares; None for scenery."""
         if thing.material is None:

@@ -270,7 +270,7 @@ def started(
             path, attrs = goes_on_from(options.resume, folder, ranks)
             reached = attrs["time"]
             history = _history(scene, attrs, options.change)
-            columns = ledger_columns(bool(scene.inflow or scene.sink))
+            columns = ledger_columns(scene.flows)
             tables = {folder / layout.LEDGER: columns, **files(scene, folder)}
             check_tables(tables, ranks, attrs["step"], attrs.get("tables", {}))
         known = prepare(scene, ranks, folder, resumed)
