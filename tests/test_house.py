@@ -97,6 +97,7 @@ COMPILED = (
     "vgmpi/domain/blocks.py",
     "vgmpi/domain/census.py",
     "vgmpi/domain/overlap.py",
+    "vgmpi/domain/sampled.py",
     "vgmpi/bench/plain.py",
     "vgmpi/bench/roof.py",
 )

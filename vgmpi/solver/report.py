@@ -98,6 +98,8 @@ def table(run: Runner, clock: Clock) -> str:
     wall = clock.last - clock.began
     steps = simulation.step - run.first_step
     particles = run.plan.particles
+    if run.plan.flows:  # those that are there now
+        particles = max(1, sum(entry["count"] for entry in run.latest))
     lines = [f"{steps:,} steps of {particles:,} particles in {wall:.1f} s on {ranks.size} rank(s)"]
     if steps and wall > 0:
         rate = steps * particles / wall
