@@ -51,7 +51,7 @@ lint: setup
 
 docs: setup
 	$(PY) -m vgmpi.scene > docs/scene.md
-	$(PY) -m vgmpi.output.layout > docs/file-format.md
+	$(PY) -m vgmpi.output.page > docs/file-format.md
 
 site: docs
 	NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build --strict

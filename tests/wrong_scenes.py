@@ -119,7 +119,7 @@ CASES = {
         'floor = "stick"',
         'floor = "stik"',
         "domain.boundary.floor.kind",
-        "must be one of stick, slip, separate (did you mean 'stick'?); got 'stik'",
+        "must be one of stick, slip, separate, open (did you mean 'stick'?); got 'stik'",
     ),
     "friction of a slip wall": (
         'floor = "stick"',

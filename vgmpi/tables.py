@@ -54,6 +54,7 @@ _MEASURED = {  # what a unit is for, as an error says it
     "": "a plain number", "1": "a share", "m": "a length", "s": "a time", "Hz": "a rate",
     "N": "a force", "Pa": "a pressure or a stiffness", "Pa s": "a viscosity",
     "kg/m3": "a density", "m/s": "a speed", "m/s2": "an acceleration", "m2/s": "a diffusion",
+    "kg/s": "a mass per time", "m3/s": "a volume per time",
     "rad": "an angle", "rad/s": "a turning speed", "rad/m": "an angle per length",
 }  # fmt: skip
 LEAST, MOST = 1e-100, 1e100  # of a quantity that is not 0: its square and its cube are numbers
@@ -91,6 +92,7 @@ def same_units(si: str) -> list[str]:
         "Pa s": ["mPa s"],
     }
     extra |= {"rad/s": ["deg/s"], "m2/s": ["cm2/s"]}
+    extra |= {"kg/s": ["g/s", "t/h"], "m3/s": ["l/s", "l/min"]}
     found = named + extra.get(si, [])
     return found if si in (*found, "", "1") else [si, *found]
 

@@ -5,6 +5,7 @@ in double precision. Particles are moved off their lattice at random, so that no
 symmetry and no contact hangs on a rounding error.
 """
 
+import numpy as np
 import pytest
 
 from tests.beside import beside, shaken, worst
@@ -30,6 +31,7 @@ ACCURACY
 """
 WALLS = {
     "mixed": 'default = "slip", floor = "stick", west = { kind = "separate", friction = 0.2 }',
+    "open": 'default = "slip", floor = "stick", east = "open"',
     "separate": 'default = { kind = "separate", friction = 0.3 }',
 }
 
@@ -79,6 +81,11 @@ SLABS = body(  # whose faces are wide enough to be sure of
 BED = body(
     "bed", "sand", "box = [[0.02, 0.02, 0], [0.14, 0.14, 0.07]]", "velocity = [0.1, -0.6, 0]"
 )
+TAP = (
+    '[[source]]\nname = "tap"\nmaterial = "water"\ndirection = [1, 0, -0.5]\nvelocity = 8\n'
+    "disc = { center = [0.15, 0.13, 0.12], radius = 0.012 }\n"
+)
+HOLE = '[[sink]]\nname = "hole"\nshape = { box = [[0, 0, 0.065], [0.0325, 0.16, 0.16]] }\n'
 WET = body("wet", "water", "box = [[0, 0, 0], [0.11, 0.16, 0.09]]", "fraction = 0.6")
 OILY = body(
     "oily", "oil", "box = [[0.05, 0, 0.02], [0.2, 0.16, 0.1]]",
@@ -149,6 +156,10 @@ SCENES = {kind: (of_law(kind), "mixed", "") for kind in LAWS} | {
     "colours": (
         COLOURS + WATER + OIL + MIX + WET + RED + "\n" + OILY + BLUE + "\n", "mixed", "",
     ),
+    "open walls": (
+        WATER + TOY + POOL.replace("0.2, 0.16, 0.06", "0.175, 0.16, 0.06") + CUBE, "open", "",
+    ),
+    "sources and sinks": (WATER + TOY + POOL + CUBE + TAP + HOLE, "mixed", ""),
     "followed": (
         material("tin", 'kind = "metal"\nyoungs_modulus = 1e6\nyield_stress = 2e3')
         + body("ball", "tin", "sphere = { center = [0.1, 0.08, 0.05], radius = 0.045 }",
@@ -190,6 +201,10 @@ def test_engines_agree(tmp_path, name):
         assert most < 1e-12, (engine, {key: v for key, v in found.items() if v >= 1e-12})
     touching = slow.engine.touching
     print(f"{name}: {most:.1e}, {touching} nodes in contact")
+    if slow.plan.sources:
+        came, went = np.array(slow.tally.totals(slow.ranks))[:, [0, 2]].T
+        assert went.max() > 0 and came.sum() > slow.plan.starts_with + 4 * 4  # those at the start
+        assert all(one.tally.part == slow.tally.part for one in every.values())
     assert touching > 10 or not ("contact" in name or name in ("collider", "flip", "everything"))
 
 

@@ -45,17 +45,22 @@ def sort(
 
 
 def arrive(group: Group, block: np.ndarray, xi: np.ndarray, f: np.ndarray, ids: np.ndarray) -> None:
-    """Give a group its first particles on this rank, in any order: block (n, 3), xi (3, n), f
-    (channels, n), ids (n,).
+    """Give a group more particles on this rank, in any order: block (n, 3), xi (3, n), f
+    (channels, n), ids (n,). They stand behind the others, in segments of their own, until the next
+    sort.
     """
     code = group.lattice.code(block)
     order = np.argsort(code, kind="stable")
-    group.reserve(len(ids))
-    n = len(ids)
-    group.xi[:, :n], group.f[:, :n], group.ids[:n] = xi[:, order], f[:, order], ids[order]
+    first, end = group.used, group.used + len(ids)
+    group.reserve(end)
+    group.xi[:, first:end], group.f[:, first:end] = xi[:, order], f[:, order]
+    group.ids[first:end] = ids[order]
     codes, start, count = np.unique(code[order], return_index=True, return_counts=True)
-    group.segments(codes, start, count)
-    group.used = n
+    group.segments(
+        np.append(group.code, codes), np.append(group.start, first + start),
+        np.append(group.count, count),
+    )  # fmt: skip
+    group.used = end
 
 
 def _tag(group: Group) -> tuple[np.ndarray, Aim]:

@@ -5,7 +5,8 @@ the ghost nodes beyond it is folded back, reflected, onto their mirror nodes, an
 velocities are read from the mirror. That makes the wall second order (a plain clamp at the wall
 node is first order). Since every particle that touches a ghost node touches its mirror node too,
 both happen inside a patch. A separate wall only pushes; it is a clamp with Coulomb friction, but
-for bodies whose surfaces are known: these meet it as they meet colliders (touch.py).
+for bodies whose surfaces are known: these meet it as they meet colliders (touch.py). An open wall
+does nothing: what comes near it ends (solver/sinks.py).
 
 A patch meets a wall by a code: 4 * (index of the wall's nodes in the patch) + kind; 0 where it
 meets none.
@@ -15,8 +16,8 @@ import numpy as np
 
 from ..device.jit import inline
 
-STICK, SLIP, SEPARATE = 1, 2, 3  # 0: a wall that is not met at the nodes
-KINDS = {"stick": STICK, "slip": SLIP, "separate": SEPARATE}
+STICK, SLIP, SEPARATE, OPEN = 1, 2, 3, 4  # 0: a wall that is met by contact, not at the nodes
+KINDS = {"stick": STICK, "slip": SLIP, "separate": SEPARATE, "open": OPEN}
 SIDE = 8
 
 
@@ -31,7 +32,8 @@ def patch_codes(block: np.ndarray, cells: tuple, kinds: np.ndarray) -> np.ndarra
         for side, node in ((0, 0), (1, cells[a])):
             at = node - (4 * block[:, a] - 2)
             ghost = at - 1 if side == 0 else at + 1
-            met = (at >= 1) & (at <= 6) & (ghost >= 0) & (ghost <= 7) & (kinds[a, side] > 0)
+            met = (at >= 1) & (at <= 6) & (ghost >= 0) & (ghost <= 7)
+            met &= 0 < kinds[a, side] < OPEN
             codes[met, a, side] = 4 * at[met] + kinds[a, side]
     return codes
 
@@ -109,7 +111,7 @@ def constrain(nodes, low, cells, kinds, friction):
             for plane in range(4):
                 node = low[a] + plane
                 into = -node if side == 0 else node - cells[a]
-                if kind == 0 or into < 0 or (into > 0 and kind != SEPARATE):
+                if kind == 0 or kind == OPEN or into < 0 or (into > 0 and kind != SEPARATE):
                     continue
                 for j in range(4):
                     for k in range(4):
@@ -146,7 +148,5 @@ def tangential(offset, i, j, k, cells, kinds):
     """
     for a in range(3):
         node = i if a == 0 else (j if a == 1 else k)
-        if (node == 0 and kinds[a, 0] != SEPARATE) or (
-            node == cells[a] and kinds[a, 1] != SEPARATE
-        ):
+        if (node == 0 and kinds[a, 0] < SEPARATE) or (node == cells[a] and kinds[a, 1] < SEPARATE):
             offset[a] = 0

@@ -90,8 +90,15 @@ class Rows:
 class Ledger(Rows):
     """ledger.csv: mass, momentum and energy of every phase at every frame, a row per phase."""
 
-    def __init__(self, folder: str | Path, ranks: Alone, last_step: int | None = None):
-        super().__init__(Path(folder) / layout.LEDGER, layout.LEDGER_COLUMNS, ranks, last_step)
+    def __init__(
+        self, folder: str | Path, ranks: Alone, last_step: int | None = None, flows: bool = False
+    ):
+        super().__init__(Path(folder) / layout.LEDGER, ledger_columns(flows), ranks, last_step)
+
+
+def ledger_columns(flows: bool) -> list[layout.Dataset]:
+    """Columns of ledger.csv; flows: whether particles come and go."""
+    return [*layout.LEDGER_COLUMNS, *layout.FLOW_COLUMNS] if flows else layout.LEDGER_COLUMNS
 
 
 def check(
@@ -170,6 +177,8 @@ def read(path: str | Path, columns: list[layout.Dataset] = layout.LEDGER_COLUMNS
         said = "is a link to elsewhere" if link else error.strerror
         raise RunError(f"{path}: {said}") from None
     head, *lines = text.split(b"\n")
+    if columns is layout.LEDGER_COLUMNS and head == _header(ledger_columns(True)).encode():
+        columns = ledger_columns(True)
     sealed = head == _header(columns).encode()
     if not lines or not (sealed or head == _header(columns, sealed=False).encode()):
         raise RunError(f"{path}:1: damaged: its columns are not {_header(columns)}")

@@ -30,11 +30,11 @@ def colour_sets(scene: Scene) -> list[int | None]:
 
     Files tell it (`colour_set` of an object), so that a renderer need not know of couplings.
     """
-    phase_of = [scene.phase_of(thing) for thing in scene.object]
+    phase_of = [scene.phase_of(thing) for thing in scene.things]
     names = sorted({name for name in phase_of if name is not None})
     number = {name: k for k, name in enumerate(names)}
     of: dict[str, set[int]] = {}
-    for thing, name in zip(scene.object, phase_of, strict=True):
+    for thing, name in zip(scene.things, phase_of, strict=True):
         if name is not None:
             of.setdefault(str(thing.material), set()).add(number[name])
     pairs = [(k, k) for k in range(len(names))]  # each with itself
@@ -57,7 +57,7 @@ def exchange(scene: Scene, phases, shades: np.ndarray | None) -> Exchange | None
     asked = _asked(scene)
     most = COEFFICIENTS[scene.appearance.colour_degree]
     if shades is None:
-        shades = np.zeros((len(scene.object), 2, most, 3)) + np.array([0.0, 1.0])[:, None, None]
+        shades = np.zeros((len(scene.things), 2, most, 3)) + np.array([0.0, 1.0])[:, None, None]
     shades = shades[:, :, :most]
     set_of = np.full(len(phases), -1)
     count = np.zeros(len(phases), np.int64)
@@ -87,7 +87,7 @@ def _asked(scene: Scene) -> set[int]:
     """Rows of the objects whose colours travel."""
     names = scene.appearance.colour_bodies
     found = set()
-    for k, thing in enumerate(scene.object):
+    for k, thing in enumerate(scene.things):
         if thing.material:
             fluid = scene.material[thing.material].family == "fluid"
             if fluid if names is None else thing.name in names:

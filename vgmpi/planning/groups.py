@@ -12,6 +12,7 @@ from ..couplings.base import DRAG, Rules
 from ..materials.base import function, state_channels
 from ..scene.objects import Object
 from ..scene.scene import Scene
+from ..scene.sources import Inflow
 from .channels import Channels
 from .colour_sets import Exchange
 
@@ -82,14 +83,14 @@ class PhasePlan(NamedTuple):
 
     name: str
     families: tuple[str, ...]  # of its bodies
-    objects: tuple[int, ...]  # rows of the scene's objects
+    objects: tuple[int, ...]  # rows of the scene's things
     mastery: int  # 0 for the phase whose normals count first
     least: float  # [kg] one cell full of its lightest material
     most: float  # [kg] one cell full of its densest
     surface: bool = False  # contact knows the surfaces of its bodies, and not their particles alone
 
 
-def deforms(scene: Scene, thing: Object) -> bool:
+def deforms(scene: Scene, thing: Object | Inflow) -> bool:
     """Whether frames have a body's total deformation gradient, for its Gaussians to follow."""
     if thing.material is None:
         return False
@@ -102,7 +103,7 @@ def surfaced(scene: Scene) -> frozenset[str]:
     """Names of the phases of which contact may know the surfaces: of solids alone, where there is
     something to touch."""
     families: dict[str, set[str]] = {}
-    for thing in scene.object:
+    for thing in scene.things:
         if thing.material is not None:
             of = families.setdefault(scene.phase_of(thing) or "", set())
             of.add(scene.material[thing.material].family)
@@ -123,7 +124,7 @@ def phases_of(
     """
     members: dict[str, list[int]] = {}
     for k in bodies:
-        members.setdefault(scene.phase_of(scene.object[k]) or "", []).append(k)
+        members.setdefault(scene.phase_of(scene.things[k]) or "", []).append(k)
     names = sorted(members)
 
     def mastery(name):
@@ -158,16 +159,16 @@ def groups_of(
 ) -> tuple[tuple[GroupPlan, ...], tuple[int, ...]]:
     """A group for each phase and material that meet in a body, before phases share space; and the
     group of each object, -1 for scenery. bodies: as of phases_of; real: type of its numbers."""
-    key = {k: (scene.phase_of(scene.object[k]) or "", scene.object[k].material) for k in bodies}
+    key = {k: (scene.phase_of(scene.things[k]) or "", scene.things[k].material) for k in bodies}
     wanted = sorted(set(key.values()))
     number = {phase.name: k for k, phase in enumerate(phases)}
-    asked = {of for k, of in key.items() if deforms(scene, scene.object[k])}
+    asked = {of for k, of in key.items() if deforms(scene, scene.things[k])}
     groups = (_group(number[p], p, m, scene.material[m], real) for p, m in wanted)
     found = tuple(
         _followed(group, of in asked, phases[group.phase].surface)
         for of, group in zip(wanted, groups, strict=True)
     )
-    return found, tuple(wanted.index(key[k]) if k in key else -1 for k in range(len(scene.object)))
+    return found, tuple(wanted.index(key[k]) if k in key else -1 for k in range(len(scene.things)))
 
 
 def _followed(group: GroupPlan, drawn: bool, surface: bool) -> GroupPlan:

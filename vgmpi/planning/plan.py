@@ -20,6 +20,7 @@ from ..scene.scene import Scene
 from ..scene.settings import Accuracy
 from .colour_sets import Exchange, exchange
 from .groups import GroupPlan, PhasePlan, completed, groups_of, phases_of
+from .inflow import SinkPlan, SourcePlan, sink_plans, source_plans
 from .sharing import rules
 
 REALS: dict[str, np.dtype] = {
@@ -63,9 +64,9 @@ class Plan:
     walls: tuple[tuple[str, float], ...]  # west, east, south, north, floor, roof
     phases: tuple[PhasePlan, ...]
     groups: tuple[GroupPlan, ...]
-    group_of: tuple[int, ...]  # group of each object, -1 for scenery
-    first_id: tuple[int, ...]  # of each object
-    count: tuple[int, ...]  # particles of each object
+    group_of: tuple[int, ...]  # group of each object, -1 for scenery; then of each source
+    first_id: tuple[int, ...]  # of each object and source
+    count: tuple[int, ...]  # particles of each object; of each source all that may come
     # (phases + 1, phases), the last row for colliders; or a row for each, where one has its own
     friction: tuple[tuple[float, ...], ...]
     stiff: tuple[float, ...]  # [Pa] to waves, of every phase's stiffest law at rest
@@ -85,6 +86,18 @@ class Plan:
     gravity_keys: Keys = ()  # where it changes, from the start on
     # [m], of every solid body, for other objects nan; none where no fluid is, or it is not known
     thickness: tuple[float, ...] = ()
+    sources: tuple[SourcePlan, ...] = ()
+    sinks: tuple[SinkPlan, ...] = ()
+
+    @property
+    def flows(self) -> bool:
+        """Whether particles come and go."""
+        return bool(self.sources or self.sinks)
+
+    @property
+    def starts_with(self) -> int:
+        """Particles of all objects: they have the first ids."""
+        return self.sources[0].first if self.sources else self.particles
 
     @property
     def drifts(self) -> bool:
@@ -177,11 +190,10 @@ def make_plan(
     Raises SceneError where a fixed time step is above the bound, or no step moves the time on.
     """
     # scenery has no material
-    bodies = {k: scene.material[t.material] for k, t in enumerate(scene.object) if t.material}
-    real = REALS[scene.accuracy.precision]
-    phases = phases_of(
-        scene, bodies, volume, center or [[0.0] * 3] * len(volume), surface or [False] * len(volume)
-    )
+    bodies = {k: scene.material[t.material] for k, t in enumerate(scene.things) if t.material}
+    real, n = REALS[scene.accuracy.precision], len(volume)
+    center, surface = center or [[0.0] * 3] * n, surface or [False] * n
+    phases = phases_of(scene, bodies, volume, center, surface)
     groups, group_of = groups_of(scene, bodies, phases, real)
     sharing = rules(scene, groups, phases)
     colours = exchange(scene, phases, shades)
@@ -216,6 +228,8 @@ def make_plan(
         restores=restores,
         gravity_ramp=scene.domain.gravity_ramp,
         gravity_keys=_gravity_keys(scene),
+        sources=source_plans(scene, group_of, count),
+        sinks=sink_plans(scene),
     )
     _check_steps(scene, plan)
     return plan
@@ -274,7 +288,8 @@ def fastest(scene: Scene, plan: Plan, stiffened: bool = False) -> list[tuple[flo
             one, other = coupling.between
             bound = dx**2 / (6.0 * coupling.diffusion)
             found.append((bound, f"the diffusion of materials {one!r} and {other!r}"))
-    for k, thing in enumerate(scene.object):
+    speeds = [thing.speed for thing in scene.object] + [source.speed for source in plan.sources]
+    for k, thing in enumerate(scene.things):
         if thing.material is None:
             continue
         material = scene.material[thing.material]
@@ -283,7 +298,7 @@ def fastest(scene: Scene, plan: Plan, stiffened: bool = False) -> list[tuple[flo
         group = plan.groups[plan.group_of[k]]  # knows of the sand whose pores it fills
         wave = math.sqrt(group.bound(function(law, "wave_speed2")(law, rest)))
         wave *= math.sqrt(material.stiffening) if stiffened else 1.0
-        found.append((scene.time.cfl * dx / (wave + thing.speed), f"material {thing.material!r}"))
+        found.append((scene.time.cfl * dx / (wave + speeds[k]), f"material {thing.material!r}"))
         if material.kinematic_viscosity > 0:
             bound = dx**2 / (6.0 * material.kinematic_viscosity)
             found.append((bound, f"the viscosity of material {thing.material!r}"))

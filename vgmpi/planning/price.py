@@ -6,6 +6,7 @@ from ..couplings.base import CONTACT, RULES
 from ..scene.scene import Scene
 from ..source import printable
 from .groups import RESTORING_COST
+from .inflow import SourcePlan
 from .plan import Plan, fastest
 
 PRECISION = {
@@ -50,6 +51,7 @@ def describe(scene: Scene, plan: Plan, ranks: int, reached: float = 0.0) -> str:
         "  walls       "
         + ", ".join(f"{w[0]}" + (f" (friction {w[1]:g})" if w[1] else "") for w in plan.walls)
     )
+    lines += _flows(plan)
     lines += _restored(plan) + _thin(scene, plan) + _sheets(plan) + _bending(scene, plan)
     total = plan.bytes()
     lines.append(
@@ -57,6 +59,23 @@ def describe(scene: Scene, plan: Plan, ranks: int, reached: float = 0.0) -> str:
         f" {total / ranks / 2**20:.0f} MiB per rank on {ranks} rank(s)"
     )
     return "\n".join(lines + _steps(scene, plan, ranks, reached))
+
+
+def _flows(plan: Plan) -> list[str]:
+    """What comes, and where it ends: memory and time are told for all of it."""
+    found = [
+        f"  source      {printable(source.name)}: {source.layers * len(source.mouth):,} particles,"
+        f" {len(source.mouth)} every {source.period:.4g} s, at {source.speed:.4g} m/s:"
+        f" {_flow(plan, source):.4g} kg/s"
+        for source in plan.sources
+    ]
+    return found + [f"  sink        {printable(sink.name)}" for sink in plan.sinks]
+
+
+def _flow(plan: Plan, source: SourcePlan) -> float:
+    """Mass that a source brings per time [kg/s]."""
+    density = plan.groups[source.group].density
+    return density * len(source.mouth) * source.volume / source.period
 
 
 def _restored(plan: Plan) -> list[str]:
@@ -98,9 +117,9 @@ def _sheets(plan: Plan) -> list[str]:
 def _bending(scene: Scene, plan: Plan) -> list[str]:
     """Say of solids with few particles how soft they are (tests/physics/test_cantilever.py)."""
     found = {
-        scene.object[k].particles_per_cell
+        scene.things[k].particles_per_cell
         for phase in plan.phases if phase.families == ("solid",) for k in phase.objects
-        if scene.object[k].particles_per_cell < FINE
+        if scene.things[k].particles_per_cell < FINE
     }  # fmt: skip
     if not found:
         return []

@@ -13,7 +13,7 @@ from vgmpi.gaussians.checked import GaussianFileError
 from vgmpi.planning.channels import SURFACE
 from vgmpi.planning.colour_sets import colour_sets
 from vgmpi.planning.groups import deforms, surfaced
-from vgmpi.prepare import cost
+from vgmpi.prepare import cost, inflow
 from vgmpi.prepare.collider import Collider, moving
 from vgmpi.prepare.courses import astray
 from vgmpi.prepare.initial import begun
@@ -27,6 +27,7 @@ from vgmpi.prepare.place import PlacementError
 from vgmpi.prepare.voxels import Voxels
 from vgmpi.scene.objects import Object
 from vgmpi.scene.scene import Scene
+from vgmpi.scene.sources import Inflow
 
 log = logging.getLogger("vgmpi")
 
@@ -88,6 +89,7 @@ def build(scene: Scene) -> Prepared:
     """Make all particles of a scene. Raises SceneError with all objects that cannot be made or do
     not fit into the memory, or loads that act on nothing."""
     cost.afford(scene)
+    inflow.afford(scene)
     pieces: list[Piece] = []
     errors: list[tuple[tuple, str]] = []
     touched = surfaced(scene)
@@ -112,7 +114,8 @@ def build(scene: Scene) -> Prepared:
     _warn_of_overlaps(scene, pieces)
     _warn_of_locking(scene)
     _tell_of_share(scene)
-    return _together(scene, pieces)
+    inflow.check(scene, pieces, [p.collider for p in pieces if p.collider is not None])
+    return _together(scene, [*pieces, *inflow.poured(scene)])
 
 
 def _told(scene: Scene, thing: Object, piece: Piece) -> str:
@@ -173,12 +176,12 @@ def _tell_of_share(scene: Scene) -> None:
 
 
 def _together(scene: Scene, pieces: list[Piece]) -> Prepared:
-    bodies = [k for k, thing in enumerate(scene.object) if thing.role == "body"]
+    bodies = [k for k, thing in enumerate(scene.things) if thing.role != "scenery"]
     decor = [k for k, thing in enumerate(scene.object) if thing.role == "scenery"]
     terms = max(piece.cloud.sh.shape[1] for piece in pieces)
     objects, first, sets = [], 0, colour_sets(scene)
-    for k, thing in enumerate(scene.object):
-        count = len(pieces[k].cloud) if thing.role == "body" else 0
+    for k, thing in enumerate(scene.things):
+        count = len(pieces[k].cloud) if thing.role != "scenery" else 0
         objects.append(_describe(scene, thing, pieces[k], sets[k], first, count))
         first += count
     scenery = None
@@ -192,9 +195,7 @@ def _together(scene: Scene, pieces: list[Piece]) -> Prepared:
     vol0, owner = _rows(pieces, bodies, lambda p: p.volume), _owners(pieces, bodies)
     return Prepared(
         x=x,
-        v0=np.concatenate(
-            [velocity(scene.object[k], pieces[k].cloud.x, pieces[k].volume) for k in bodies]
-        ),
+        v0=np.concatenate([_velocity(scene, k, pieces[k]) for k in bodies]),
         vol0=vol0,
         object=owner,
         **_looks(pieces, bodies, terms),
@@ -206,6 +207,13 @@ def _together(scene: Scene, pieces: list[Piece]) -> Prepared:
         passive=_riding(pieces, objects, terms),
         surface0=_surfaces(pieces, bodies),
     )
+
+
+def _velocity(scene: Scene, k: int, piece: Piece) -> np.ndarray:
+    thing = scene.things[k]
+    if isinstance(thing, Inflow):
+        return inflow.velocity(scene, thing, len(piece.cloud))
+    return velocity(thing, piece.cloud.x, piece.volume)
 
 
 def _surfaces(pieces: list[Piece], bodies: list[int]) -> np.ndarray | None:
@@ -236,8 +244,9 @@ def _riding(pieces: list[Piece], objects: list[dict[str, Any]], terms: int) -> P
 
 
 def _describe(
-    scene: Scene, thing: Object, piece: Piece, colour_set: int | None, first: int, count: int
-) -> dict[str, Any]:
+    scene: Scene, thing: Object | Inflow, piece: Piece, colour_set: int | None, first: int,
+    count: int,
+) -> dict[str, Any]:  # fmt: skip
     """What files say about one object; JSON values."""
     material = scene.material[thing.material] if thing.material else None
     family = material.family if material else None

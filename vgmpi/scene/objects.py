@@ -50,7 +50,8 @@ def checked_name(value: Any) -> str:
     return value
 
 
-def _per_cell(value: Any) -> int:
+def per_cell(value: Any) -> int:
+    """Particles per cell, a cube of a whole number."""
     if isinstance(value, bool) or value not in PER_CELL:
         raise ValueError("must be 1, 8, 27 or 64: a whole number of particles per cell and axis")
     return int(value)
@@ -168,7 +169,7 @@ class Object(Table):
     colliding. Bodies of several kinds, a ball and snow, must all name it; the whole scene in one
     is what methods with a single field do. Default: all fluids share one, all sand, all snow, each
     solid has its own"""
-    particles_per_cell: Annotated[int, BeforeValidator(_per_cell)] = 8
+    particles_per_cell: Annotated[int, BeforeValidator(per_cell)] = 8
     """particles per full cell inside shapes, meshes and fillings: 1, 8, 27 or 64"""
     fill: Literal[True, False, "closed", "shown"] = True
     """fill a capture's hollow inside. true: also through holes in its surface, behind which a solid
@@ -220,7 +221,12 @@ class Object(Table):
         """The faintest contribution that is drawn."""
         if self.alpha_min is not None:
             return self.alpha_min
-        return 1 / 255 if self.opacity_scale >= 0.1 else 1e-4
+        return drawn_from(self.opacity_scale)
+
+
+def drawn_from(opacity_scale: float) -> float:
+    """The faintest contribution that is drawn where nothing else is asked for."""
+    return 1 / 255 if opacity_scale >= 0.1 else 1e-4
 
 
 def body_complaint(name: Any, role: dict[str, str] | None) -> str:

@@ -38,7 +38,8 @@ class Probe(Table):
     wall: Literal["all"] | None = None
     """"all": mean force of the bodies on all walls and colliders together since the row before,
     from the balance of momentum: weight and loads less the rate of the bodies' momentum. One wall
-    alone is not told apart: z is what floor and roof bear, and the friction at the sides"""
+    alone is not told apart: z is what floor and roof bear, and the friction at the sides.
+    Not for scenes where particles come or go"""
 
     @property
     def kind(self) -> str:

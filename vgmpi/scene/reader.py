@@ -18,11 +18,18 @@ from vgmpi.scene.objects import Object, body_complaint, object_complaints
 from vgmpi.scene.probes import Probe, probe_complaints
 from vgmpi.scene.scene import Scene, mixed, phase_of
 from vgmpi.scene.settings import MOST_CELLS, SECTIONS, Appearance, Domain, Output, Top
+from vgmpi.scene.sources import (
+    Inflow,
+    Sink,
+    balance_complaints,
+    sink_complaints,
+    source_complaints,
+)
 from vgmpi.source import Source
 from vgmpi.tables import SceneError, explain, got
 
 REQUIRED = ("domain", "time", "material", "object")
-LISTS = ("object", "coupling", "load", "probe")
+LISTS = ("object", "coupling", "load", "probe", "source", "sink")
 # of the command that a comment in a scene gives
 FLAGS = re.compile(r"# +python \S*make_assets\.py(?: [^\s-]\S*)?((?: --\w+(?: [\w.]+)+)+)")
 # what keys inside these were called before; the old names are still read
@@ -50,16 +57,7 @@ class Reader:
 
     def scene(self, overrides: tuple[str, ...]) -> Scene:
         data = self.source.data
-        known = (*Top.model_fields, *SECTIONS, "material", *LISTS)
-        for key in data:
-            if key not in known:
-                near = nearest(key, known) or f"; known: {', '.join(known)}"
-                self.wrong((key,), f"unknown key{near}")
-        for key in REQUIRED:
-            if key not in data:
-                header = "[[object]]" if key == "object" else f"[{key}]"
-                header = "[material.name]" if key == "material" else header
-                self.wrong((key,), f"required table {header} is missing")
+        self.keys(data)
         top = self.table(Top, {k: v for k, v in data.items() if k in Top.model_fields}, ())
         tables = {
             name: self.table(table, data.get(name, {}), (name,))
@@ -69,7 +67,8 @@ class Reader:
         kinds = self.materials(data.get("material", {}))
         objects = self.objects(data.get("object", []), kinds)
         pairs = self.couplings(data.get("coupling", []), kinds)
-        self.families_of_phases(objects, kinds, pairs)
+        sources = self.sources(data.get("source", []), kinds, tables, objects)
+        self.families_of_phases({"object": objects, "source": sources}, kinds, pairs)
         role = {o.name: o.role for o in objects if o} if None not in objects else None
         self.colour_bodies(tables.get("appearance"), role)
         for inner, said in gravity_complaints(data.get("domain", {})):
@@ -85,9 +84,15 @@ class Reader:
             Probe,
             lambda raw, probe: probe_complaints(raw, probe, role, size, fluid),
         )
-        if tables.get("domain"):
-            self.whole_cells(tables["domain"])
-            self.at_rest(objects, tables["domain"])
+        sinks = self.listed(
+            data.get("sink", []), "sink", Sink, lambda raw, _: sink_complaints(raw, sources)
+        )
+        domain = tables.get("domain")
+        if sources or sinks or (domain and domain.open_walls):
+            self.errors += balance_complaints(probes)
+        if domain:
+            self.whole_cells(domain)
+            self.at_rest(objects, domain)
         outside = top is not None and top.allow_outside
         files = self.files(objects, tables.get("output"), outside)
         self.finish()
@@ -102,11 +107,26 @@ class Reader:
             coupling=tuple(pairs),
             load=tuple(loads),
             probe=tuple(probes),
+            inflow=tuple(sources),
+            sink=tuple(sinks),
             files=files,
             overrides=overrides,
             source=self.source,
             **tables,
         )
+
+    def keys(self, data: dict) -> None:
+        """Whether what stands at the top is known, and all that must is there."""
+        known = (*Top.model_fields, *SECTIONS, "material", *LISTS)
+        for key in data:
+            if key not in known:
+                near = nearest(key, known) or f"; known: {', '.join(known)}"
+                self.wrong((key,), f"unknown key{near}")
+        for key in REQUIRED:
+            if key not in data and not (key == "object" and data.get("source")):
+                header = "[[object]]" if key == "object" else f"[{key}]"
+                header = "[material.name]" if key == "material" else header
+                self.wrong((key,), f"required table {header} is missing")
 
     def colour_bodies(self, looks: Appearance | None, role: dict[str, str] | None) -> None:
         for k, name in enumerate((looks and looks.colour_bodies) or ()):
@@ -165,9 +185,10 @@ class Reader:
             made_of = item.get("material")
             if isinstance(made_of, str) and made_of not in kinds:
                 self.unknown_material(("object", k, "material"), made_of, kinds)
-        if not raw:
+        pours = bool(self.source.data.get("source"))
+        if not raw and not pours:
             self.wrong(("object",), "there is no object")
-        elif all(item.get("role") == "scenery" for item in raw):
+        elif not pours and all(item.get("role") == "scenery" for item in raw):
             self.wrong(("object",), "all objects are scenery: at least one must be a body")
         for k, thing in enumerate(found):
             made_of = kinds.get(thing.material) if thing else None
@@ -219,14 +240,30 @@ class Reader:
                 self.wrong((name, k, *inner), said)
         return found
 
-    def families_of_phases(self, objects: list[Any], kinds: dict[str, Any], pairs) -> None:
+    def sources(
+        self, raw: Any, kinds: dict[str, Any], tables: dict[str, Any], objects: list[Any]
+    ) -> list[Any]:
+        """The sources, None for those with errors."""
+
+        def complaints(item: dict, source: Inflow | None) -> list[tuple[tuple, str]]:
+            return source_complaints(item, source, kinds, tables, objects)
+
+        found = self.listed(raw, "source", Inflow, complaints)
+        for k, source in enumerate(found):
+            if source is not None and source.material not in kinds:
+                self.unknown_material(("source", k, "material"), source.material, kinds)
+        return found
+
+    def families_of_phases(
+        self, things: dict[str, list], kinds: dict[str, Any], pairs: list
+    ) -> None:
         """A phase holds several families only where all its bodies name it, and none of them
         shares space with other phases."""
         known = [c for c in pairs if c is not None]
         apart = mixed(known)
         shares = {name for c in known if c.rule != CONTACT for name in c.between}
-        first: dict[str, tuple[Object, str]] = {}
-        for k, thing in enumerate(objects):
+        first: dict[str, tuple[Object | Inflow, str]] = {}
+        for path, thing in (((of, k), t) for of in things for k, t in enumerate(things[of])):
             made_of = kinds.get(thing.material) if thing else None
             if made_of is None:
                 continue
@@ -244,7 +281,7 @@ class Reader:
                     said += f"{one.material!r} shares space with another phase by a coupling"
                 else:
                     continue
-                self.wrong(("object", k, "phase"), said)
+                self.wrong((*path, "phase"), said)
                 break
 
     def unknown_material(self, path: tuple, name: str, kinds: dict[str, Any]) -> None:

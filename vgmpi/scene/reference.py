@@ -8,7 +8,18 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from vgmpi import couplings, materials
-from vgmpi.scene import forms, gravity, loads, motion, objects, probes, resume, settings
+from vgmpi.scene import (
+    forms,
+    gravity,
+    loads,
+    motion,
+    nozzle,
+    objects,
+    probes,
+    resume,
+    settings,
+    sources,
+)
 from vgmpi.tables import Quantity, same_units
 
 _INTRO = """# The scene file
@@ -81,6 +92,10 @@ def scene_reference() -> str:
         parts.append(_section(f"[[object]] {name}", inside))
     for kind, coupling in couplings.registry.items():
         parts.append(_section(f'[[coupling]] kind = "{kind}"', coupling))
+    parts.append(_section("[[source]]", sources.Inflow))
+    parts.append(_section("[[source]] disc", nozzle.Disc))
+    parts.append(_section("[[source]] rectangle", nozzle.Rectangle))
+    parts.append(_section("[[sink]]", sources.Sink))
     parts.append(_section("[[load]]", loads.Load))
     parts.append(_section("[[probe]]", probes.Probe))
     parts.append(_may_change())

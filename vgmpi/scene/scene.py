@@ -17,6 +17,7 @@ from vgmpi.scene.settings import (
     Output,
     Time,
 )
+from vgmpi.scene.sources import Inflow, Sink
 from vgmpi.source import Source
 from vgmpi.tables import SceneError
 
@@ -25,8 +26,8 @@ from vgmpi.tables import SceneError
 class Scene:
     """Everything a scene file says, with defaults filled in. SI units.
 
-    `object` and `coupling` are in file order; `folder` is where the file lies; `text` is its text,
-    without the overrides, which `overrides` lists.
+    `object`, `inflow` and `coupling` are in file order; `folder` is where the file lies; `text`
+    is its text, without the overrides, which `overrides` lists.
     """
 
     path: Path
@@ -41,6 +42,8 @@ class Scene:
     coupling: tuple[Any, ...] = ()
     load: tuple[Load, ...] = ()
     probe: tuple[Probe, ...] = ()
+    inflow: tuple[Inflow, ...] = ()  # [[source]]
+    sink: tuple[Sink, ...] = ()
     appearance: Appearance = Appearance()
     accuracy: Accuracy = Accuracy()
     output: Output = Output()
@@ -48,7 +51,17 @@ class Scene:
     overrides: tuple[str, ...] = ()
     source: Source | None = field(default=None, repr=False, compare=False)
 
-    def phase_of(self, thing: Object) -> str | None:
+    @property
+    def things(self) -> tuple[Object | Inflow, ...]:
+        """Objects, then sources: all that particles can be of."""
+        return (*self.object, *self.inflow)
+
+    @property
+    def flows(self) -> bool:
+        """Whether particles come or go."""
+        return bool(self.inflow or self.sink or self.domain.open_walls)
+
+    def phase_of(self, thing: Object | Inflow) -> str | None:
         """Name of the velocity field a body shares; None for scenery."""
         if thing.material is None:
             return None
@@ -62,6 +75,13 @@ class Scene:
     def resolved(self) -> dict[str, Any]:
         """Everything with defaults filled in, as plain JSON values."""
         tables = {name: getattr(self, name).model_dump(mode="json") for name in SECTIONS}
+        # left out where there are none, as in runs begun before they could be
+        some = {"source": self.inflow, "sink": self.sink}
+        flows = {
+            name: [x.model_dump(mode="json", exclude_none=True) for x in found]
+            for name, found in some.items()
+            if found
+        }
         return {
             "title": self.title,
             "seed": self.seed,
@@ -71,10 +91,11 @@ class Scene:
             "coupling": [c.model_dump(mode="json") for c in self.coupling],
             "load": [x.model_dump(mode="json", exclude_none=True) for x in self.load],
             "probe": [p.model_dump(mode="json", exclude_none=True) for p in self.probe],
+            **flows,
         }
 
 
-def phase_of(thing: Object, family: str, mixed: frozenset[str] = frozenset()) -> str:
+def phase_of(thing: Object | Inflow, family: str, mixed: frozenset[str] = frozenset()) -> str:
     """Name of the velocity field a body shares: all fluids one, but those of a material that is
     `mixed` with another; all sand, all snow one each; every solid its own."""
     alone = {"solid": thing.name, "fluid": thing.material if thing.material in mixed else family}

@@ -20,8 +20,9 @@ def _wall(value: Any) -> Any:
 class Wall(Table):
     """What a wall does to the material that touches it."""
 
-    kind: Literal["stick", "slip", "separate"] = "slip"
-    """stick: no motion. slip: no motion through the wall. separate: material may also leave it"""
+    kind: Literal["stick", "slip", "separate", "open"] = "slip"
+    """stick: no motion. slip: no motion through the wall. separate: material may also leave it.
+    open: nothing holds; particles within a cell of it end as in a sink of the wall's name"""
     friction: Annotated[float, Quantity("", ge=0)] = 0.0
     """Coulomb coefficient, for separate walls: the others do not rub or do not slide"""
 
@@ -80,6 +81,11 @@ class Domain(Table):
         """Number of cells along x, y and z."""
         nx, ny, nz = (round(edge / self.cell) for edge in self.size)
         return nx, ny, nz
+
+    @property
+    def open_walls(self) -> list[str]:
+        """Names of the walls at which particles end."""
+        return [name for name, (kind, _) in zip(WALLS, self.walls, strict=True) if kind == "open"]
 
     @property
     def walls(self) -> list[tuple[str, float]]:

@@ -55,6 +55,21 @@ def _count(value, most=1 << 62):
     return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < most
 
 
+def check_flow(simulation: Simulation, saved: checkpoint.Checkpoint) -> list[list[int]]:
+    """What came and went so far (tally.Tally.totals). Raises Mismatch where that does not fit the
+    particles that are there."""
+    found: Any = saved.attrs.get("flow")
+    groups = len(simulation.groups)
+    good = isinstance(found, list) and len(found) == groups
+    for g, row in enumerate(found if good else []):
+        good = good and isinstance(row, list) and len(row) == 4
+        good = good and all(_count(one, 1 << 120) for one in row)
+        good = good and row[0] - row[2] == saved.count(f"group_{g:03d}/id")
+    if not good:
+        raise Mismatch(f"{saved.path}: attrs: flow cannot be {found!r:.60}")
+    return found
+
+
 def check_rows(
     simulation: Simulation, saved: checkpoint.Checkpoint
 ) -> list[tuple[np.ndarray, np.ndarray]]:

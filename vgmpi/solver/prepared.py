@@ -121,7 +121,10 @@ def _particles(scene: Scene, folder: Path | None, resumed: bool) -> tuple[Known,
         passive = {"x0": p.x, "object": p.object, "cov0": p.cov0, "opacity": p.opacity, "sh": p.sh}
         passive |= {"carriers": p.carriers, "weights": p.weights}
     if there and resumed:  # its colliders were made anew, its particles are as they were
-        return known_of(scene, made), {}
+        known = known_of(scene, made)
+        if scene.inflow and path is not None:  # of what comes there are as many as were kept ready
+            known = replace(known, objects=read_gaussians(path).objects)
+        return known, {}
     return known_of(scene, made), {"rows": rows, "scenery": scenery, "passive": passive}
 
 
@@ -161,7 +164,7 @@ def _thicknesses(objects: list[dict], x: np.ndarray, volume: np.ndarray) -> tupl
         return ()
     return tuple(
         _thickness(x[told["first"] : told["first"] + told["count"]], volume[k])
-        if told.get("family") == "solid"
+        if told.get("family") == "solid" and told["role"] == "body"
         else np.nan
         for k, told in enumerate(objects)
     )

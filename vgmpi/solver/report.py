@@ -98,6 +98,8 @@ def table(run: Runner, clock: Clock) -> str:
     wall = clock.last - clock.began
     steps = simulation.step - run.first_step
     particles = run.plan.particles
+    if run.plan.flows:  # those that are there now
+        particles = max(1, sum(entry["count"] for entry in run.latest))
     lines = [f"{steps:,} steps of {particles:,} particles in {wall:.1f} s on {ranks.size} rank(s)"]
     if steps and wall > 0:
         rate = steps * particles / wall
@@ -107,7 +109,7 @@ def table(run: Runner, clock: Clock) -> str:
         for k, stage in enumerate(STAGES):
             mean, most = every[:, k].mean(), every[:, k].max()
             lines.append(f"  {stage:6s} {mean:12.2f} s {most:9.2f} s {mean * per:10.1f}")
-        most = simulation.load.max() / simulation.load.mean()
+        most = simulation.load.max() / (simulation.load.mean() or 1.0)  # nothing may be left
         lines.append(f"  imbalance  {most:.3f} (largest rank's predicted work over the mean)")
         sent = simulation.sent / steps / 1e3
         lines.append(f"  sorts      {simulation.sorts}, halo {sent:.0f} kB per step from rank 0")
@@ -128,7 +130,7 @@ def profile(run: Runner, clock: Clock) -> str:
     neighbours = len(simulation.halo.sends) if simulation.halo is not None else 0
     mine = [
         ranks.rank, sum(len(group) for group in simulation.groups),
-        simulation.load[ranks.rank] / simulation.load.mean(), *clock.spent.values(),
+        simulation.load[ranks.rank] / (simulation.load.mean() or 1.0), *clock.spent.values(),
         neighbours, simulation.sent / steps, simulation.moved, clock.startup,
     ]  # fmt: skip
     rows = ranks.root_rows(np.array([mine], np.float64))

@@ -14,7 +14,7 @@ import numpy as np
 from ..domain.ranks import Alone
 from ..output import checkpoint, layout, owner
 from ..output.frames import Frames
-from ..output.ledger import Ledger, Rows
+from ..output.ledger import Ledger, Rows, ledger_columns
 from ..output.ledger import check as check_tables
 from ..output.read import identity
 from ..planning.plan import Plan
@@ -130,7 +130,7 @@ class Runner:
 
     def _open(self, folder: Path, last_step: int | None) -> None:
         self.frames = Frames(folder, self.ranks, self.plan.particles, self.frame, self.particles)
-        self.ledger = Ledger(folder, self.ranks, last_step)
+        self.ledger = Ledger(folder, self.ranks, last_step, self.plan.flows)
         self.checkpoints = folder / layout.CHECKPOINTS
         if last_step is None:
             checkpoint.clear(self.checkpoints, self.ranks)
@@ -272,7 +272,8 @@ def started(
             path, attrs = goes_on_from(options.resume, folder, ranks)
             reached = attrs["time"]
             history = _history(scene, attrs, options.change)
-            tables = {folder / layout.LEDGER: layout.LEDGER_COLUMNS, **files(scene, folder)}
+            columns = ledger_columns(scene.flows)
+            tables = {folder / layout.LEDGER: columns, **files(scene, folder)}
             check_tables(tables, ranks, attrs["step"], attrs.get("tables", {}))
         known = prepare(scene, ranks, folder, resumed)
         plan = plan_for(scene, known)

@@ -7,7 +7,7 @@ from ..domain.ranks import Alone
 from ..domain.state import LANES
 from ..engines.base import UNKNOWN, Reach
 from ..materials.base import function
-from .bounds import Mismatch, check_attrs, check_rows
+from .bounds import Mismatch, check_attrs, check_flow, check_rows
 from .step import Simulation
 
 
@@ -113,6 +113,8 @@ def save(simulation: Simulation) -> dict:
     }
     if simulation.movers is not None:
         attrs["sorted_time"] = simulation.sorted_time
+    if simulation.tally is not None:
+        attrs["flow"] = simulation.tally.totals(simulation.ranks)
     return {"attrs": attrs, "groups": groups}
 
 
@@ -134,6 +136,8 @@ def restore(simulation: Simulation, saved) -> None:
             )
     check_attrs(saved.path, saved.attrs, run=False)
     shares = check_rows(simulation, saved)
+    if simulation.tally is not None:
+        simulation.tally.adopt(check_flow(simulation, saved), simulation.ranks)
     simulation.time, simulation.step = saved.attrs["time"], saved.attrs["step"]
     simulation.rate = saved.attrs["rate"]
     simulation.reach = Reach(*saved.attrs.get("reach", UNKNOWN))

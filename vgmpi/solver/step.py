@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..couplings.base import CONTACT, MIXING
-from ..device.limits import FARTHEST, LEAST_J, MOST_J, STRETCH
+from ..device.limits import FARTHEST, LEAST_J, MOST_J
 from ..domain import migrate, topology
 from ..domain.balance import SHARES
 from ..domain.blocks import Lattice
@@ -19,10 +19,12 @@ from ..engines.base import UNKNOWN, Beyond, Engine, Reach, Report
 from ..engines.cpu import Cpu
 from ..engines.numpy.engine import Numpy
 from ..kernels import g2p
-from ..materials.base import function
-from ..planning.groups import GroupPlan
 from ..planning.plan import Plan
+from .enter import Rows, enter, idle
+from .inflow import Sources
 from .pushes import Pushes
+from .sinks import Sinks
+from .tally import Tally
 
 REASONS = {
     g2p.CRUSHED: f"its volume ratio J left {LEAST_J:g} .. {MOST_J:g} or is not a number",
@@ -97,6 +99,9 @@ class Simulation:
         self.engine: Engine = ENGINES[engine](plan, self.lattice, self.solids, threads)
         self.groups: list[Group] = self.engine.groups
         self.loads = Pushes(list(loads), plan, ranks) if loads else None
+        self.tally = Tally(plan) if plan.flows else None
+        self.sources = Sources(plan, ranks) if plan.sources else None
+        self.sinks = Sinks(plan, self.tally) if self.tally is not None and plan.sinks else None
         self.gravity = np.array(plan.gravity)
         self.needs = _needs(plan)
         self.tables: topology.Topology
@@ -129,7 +134,8 @@ class Simulation:
         surface: np.ndarray | None = None,
     ) -> None:
         """Take particles, unstrained or compressed, in any order, any share on any rank.
-        Collective; once, at the start.
+        Collective; once, at the start. Particles of
+        sources are left out: they come when it is their time.
 
         x: positions [m], (n, 3); v: velocities [m/s], (n, 3); volume: rest volumes [m3], (n,); ids:
         (n,); thing: object of each, (n,); theta: ln J of fluids, (n,), or None for 0; C: gradients
@@ -139,49 +145,30 @@ class Simulation:
         """
         if surface is None and any(group.surface for group in self.plan.groups):
             raise ValueError("the plan has contact of solids: their surfaces are asked for")
-        group_of = np.array(self.plan.group_of)[thing] if len(thing) else thing
-        least = np.zeros(4)
-        for g, group in enumerate(self.groups):
-            here = group_of == g
-            block, xi = self.lattice.place(x[here], self.plan.real)
-            channels = group.plan.channels
-            f = np.repeat(np.array(channels.rest, self.plan.real)[:, None], len(xi[0]), axis=1)
-            f[channels["v"].rows] = v[here].T
-            if C is not None:
-                f[channels["C"].rows] = C[here].T
-            f[channels["vol0"].rows] = volume[here]
-            if group.plan.surface and surface is not None:
-                f[channels["surface"].rows] = surface[here].T
-            count = group.plan.coefficients
-            if count and sh is not None and self.plan.colours is not None:
-                shown = sh[here, :count] - self.plan.colours.least[group.plan.phase, :count]
-                f[channels["colour"].rows] = shown.reshape(len(shown), 3 * count).T
-            states = [group.plan.rest]
-            if theta is not None and group.plan.family == "fluid":
-                f[channels["theta"].rows] = theta[here]
-                # the fastest wave is at an end of the range, which the ranks agree on bit by bit
-                states += [(end, *group.plan.rest[1:]) for end in _ends(theta[here])]
-            if here.any():
-                turns = C[here] if C is not None else np.zeros((1, 9))
-                least = np.maximum(least, self._bounds(group.plan, states, v[here], turns))
-            migrate.arrive(group, block, xi, f, ids[here])
-        found = self.ranks.max(least)
+        rows = Rows(x, v, volume, ids, thing, theta, C, sh, surface)
+        if self.plan.sources:
+            rows = rows.only(ids < self.plan.starts_with)
+        found = self.ranks.max(self._enter([rows, *self._born(None)]))
+        if self.sources is not None:
+            found = self.sources.bound(found, self.time)
         self.rate = float(found[0])
         self.reach = Reach.of(found[1:], self.rate, 1.0 / self.rate)
         self.sort()
         self.moved = 0  # finding the first owners is no migration
 
-    def _bounds(self, group: GroupPlan, states: list, v: np.ndarray, C: np.ndarray) -> np.ndarray:
-        """(rate, speed, turn, stress) of particles of a group that begin in one of the states, as
-        of engines.base.Reach."""
-        law, dx, cfl = group.law, self.plan.dx, self.plan.cfl
-        wave2 = group.bound(max(function(law, "wave_speed2")(law, state) for state in states))
-        tau = [np.abs(function(law, "stress")(law, state, (0.0,) * 9)).sum() for state in states]
-        speed, wave = float(np.sqrt((v**2).sum(1)).max()), float(np.sqrt(wave2))
-        rate = max((wave + speed) / (cfl * dx), speed / (FARTHEST * dx))
-        rate = max(rate, float(np.abs(C[:, 0] + C[:, 4] + C[:, 8]).max()) / STRETCH)
-        stress = float(max(tau)) / (group.density * group.pores)
-        return np.array([rate, speed, float(np.sqrt((C**2).sum(1)).max()), stress])
+    def _born(self, before: float | None) -> list[Rows]:
+        """What sources bring on this rank after `before` [s], None: at the start, up to now."""
+        return [] if self.sources is None else self.sources.bring(before, self.time)
+
+    def _enter(self, parts: list[Rows]) -> np.ndarray:
+        """Give particles to the groups of this rank; returns what bounds their steps and sums,
+        (4,). A sort must follow."""
+        least = np.zeros(4)
+        for rows in parts:
+            least = np.maximum(least, enter(self.plan, self.lattice, self.groups, rows))
+            if self.tally is not None:
+                self.tally.come(rows)
+        return least
 
     def sort(self) -> None:
         """Re-sort all particles, cut the curve anew if the load asks for it, and lay out the
@@ -212,6 +199,8 @@ class Simulation:
         self.engine.adopt(self.tables, kept)
         if self.loads is not None:
             self.loads.find(self.groups)
+        if self.sources is not None:
+            self.sources.find(self.groups, self.time)
         if not kept:
             self.halo = self._exchange(self.halo)
             if self.plan.restores:
@@ -272,18 +261,41 @@ class Simulation:
         report = engine.gather(self.step)  # v, C, x, state at n + 1
         report.beyond.extend(beyond)
         mark("g2p")
-        self.time = end
+        before, self.time = self.time, end
         self.step += 1
+        report = self._flow(report)
         found = self._agreed(report, requests)
         mark("wait")
         if found[2]:
             raise BlowUp(self._blame(report))
+        if self.tally is not None and not found[0]:
+            found[[0, 3, 4, 5]] = idle(self.plan)
         self.rate = float(found[0])
         self.reach = Reach.of(found[3:6], self.rate, dt)
-        if found[1] >= g2p.REACH or (self.movers is not None and self.movers.strayed(self.time)):
+        born = self.sources is not None and self._come(before, found, dt)
+        strayed = self.movers is not None and self.movers.strayed(self.time)
+        if found[1] >= g2p.REACH or strayed or born:
             self.sort()
             mark("sort")
         return found[6:]
+
+    def _flow(self, report: Report) -> Report:
+        """Carry what is in nozzles to where it is now, and take away what is in sinks."""
+        if self.sources is not None:
+            report = self.sources.carry(report, self.time)
+        if self.sinks is not None and self.sinks.take(self.groups, self.step):
+            report = report._replace(far=float(g2p.REACH))  # a sort follows, on all ranks
+        return report
+
+    def _come(self, before: float, found: np.ndarray, dt: float) -> bool:
+        """Bring what was born after `before` [s]; time step and sums reckon with what comes.
+        Returns whether something was born: a sort must follow, on all ranks. found: of the step."""
+        assert self.sources is not None
+        least = self.sources.bound(found[[0, 3, 4, 5]], self.time)
+        self.rate = float(least[0])
+        self.reach = Reach.of(least[1:], self.rate, dt)
+        self._enter(self._born(before))
+        return self.sources.due(before, self.time)
 
     def restore(self, dt: float) -> list[Beyond]:
         """Give the particles what transfers have taken from their motion in the last steps. A step
@@ -292,6 +304,8 @@ class Simulation:
         self.engine.begin(0.0, np.zeros(3), self.reach.fastest(self.plan, dt, 0.0))
         self._to_nodes(self.motion)
         beyond = self.engine.restore(self.plan.restores)
+        if self.sources is not None:
+            self.sources.hold()
         if self.clock:
             self.clock("g2p")
         return beyond
@@ -358,8 +372,3 @@ def _same_blocks(before: Census, after: Census) -> bool:
         np.array_equal(getattr(before, name), getattr(after, name))
         for name in ("code", "group", "owner")
     )
-
-
-def _ends(values: np.ndarray) -> list[float]:
-    """Smallest and largest of (n,) values; nothing of none."""
-    return [float(values.min()), float(values.max())] if len(values) else []

@@ -2,6 +2,7 @@
 
 import contextlib
 import logging
+from dataclasses import replace
 
 import numpy as np
 
@@ -67,7 +68,7 @@ def _run_all(plan: Plan) -> None:
     """A particle per object through one step, a sort and the ledger."""
     middle = 0.5 * np.array(plan.cells) * plan.dx
     things = np.array([k for k, g in enumerate(plan.group_of) if g >= 0 and plan.count[k]])
-    alone = Simulation(plan, Alone())
+    alone = Simulation(replace(plan, sources=(), sinks=()), Alone())
     n = len(things)
     ids = np.array(plan.first_id)[things]
     alone.put(

@@ -7,6 +7,7 @@ import numpy as np
 from ..domain.state import Group
 from ..kernels.measure import COLUMNS, ledger_rows, object_rows
 from .step import Simulation
+from .tally import Tally
 
 
 def ledger(simulation: Simulation) -> list[dict]:
@@ -23,9 +24,34 @@ def ledger(simulation: Simulation) -> list[dict]:
             group.plan.density, plan.dx, plan.gravity_at(simulation.time), rows,
         )  # fmt: skip
         found.append(simulation.ranks.root_rows(rows))
+    tally, flow = simulation.tally, []
+    if tally is not None:
+        gone = tally.totals(simulation.ranks)
+        there = tally.there(simulation.groups, simulation.ranks)
+        flow = [[*row, *now] for row, now in zip(gone, there, strict=True)]
     if simulation.ranks.rank != 0:
         return []
-    return [_entry(simulation, k, found) for k in range(len(plan.phases))]
+    entries = [_entry(simulation, k, found) for k in range(len(plan.phases))]
+    if tally is not None:
+        for k, entry in enumerate(entries):
+            entry |= _flow(tally, k, flow)
+    return entries
+
+
+def _flow(tally: Tally, phase: int, totals: list[list[int]]) -> dict:
+    """What of a phase was there at the start or came since, what went, and what is there now,
+    counted the same way. totals: particles and volume of each of them, by group."""
+    members = [g for g, group in enumerate(tally.plan.groups) if group.phase == phase]
+    came, went, count = (sum(totals[g][c] for g in members) for c in (0, 2, 4))
+    brought, taken, mass = (sum(tally.mass(g, totals[g][c]) for g in members) for c in (1, 3, 5))
+    return {
+        "count": count,
+        "mass": mass,
+        "count_in": came,
+        "mass_in": brought,
+        "count_out": went,
+        "mass_out": taken,
+    }
 
 
 def _entry(simulation: Simulation, phase: int, found: list) -> dict:
@@ -67,12 +93,19 @@ def about(simulation: Simulation, group: Group, first: int, last: int) -> np.nda
 def drift(first: list[dict], last: list[dict]) -> str:
     """What changed between two ledgers, in one line: mass and energy of all phases together."""
     mass = [sum(e["mass"] for e in entries) for entries in (first, last)]
+    flow = [
+        sum(e.get("mass_in", 0.0) - e.get("mass_out", 0.0) for e in entries)
+        for entries in (first, last)
+    ]
+    change = mass[1] - mass[0] - (flow[1] - flow[0])
+    said = "change" if not any(flow) else "less what came and went: change"
     energy = [
         sum(e["kinetic"] + e["elastic"] + e["potential"] for e in entries)
         for entries in (first, last)
     ]
     low, high = min(e["J_min"] for e in last), max(e["J_max"] for e in last)
     return (
-        f"mass {mass[1]:.6g} kg (change {mass[1] - mass[0]:+.1e}), "
-        f"energy {energy[0]:.4g} -> {energy[1]:.4g} J, J {low:.3f} .. {high:.3f}"
+        f"mass {mass[1]:.6g} kg ({said} {change:+.1e}), "
+        f"energy {energy[0]:.4g} -> {energy[1]:.4g} J"
+        + (f", J {low:.3f} .. {high:.3f}" if low <= high else "; no particle is left")
     )

@@ -88,11 +88,14 @@ class Dense:
     # ---- walls -----------------------------------------------------------------------------------
 
     def ends(self):
-        """(axis, kind, friction, places of the wall's nodes, of those inside, beyond) of walls."""
+        """(axis, kind, friction, places of the wall's nodes, of those inside, beyond) of walls, but
+        for open ones, which do nothing."""
         for axis in range(3):
-            yield axis, *self.walls[2 * axis], 1, 2, 0
             last = self.cells[axis] + 1
-            yield axis, *self.walls[2 * axis + 1], last, last - 1, last + 1
+            for side, places in enumerate(((1, 2, 0), (last, last - 1, last + 1))):
+                kind, friction = self.walls[2 * axis + side]
+                if kind != "open":
+                    yield axis, kind, friction, *places
 
     @staticmethod
     def sign(kind: str, axis: int) -> np.ndarray:

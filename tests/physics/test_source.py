@@ -1,0 +1,110 @@
+"""A jet from a nozzle: it falls as a stone does, brings what it should to a particle, and is as
+dense as it should from its first cell on.
+
+Exact: a body of fluid that nothing touches falls on a parabola (Galilei), and a mass flow is the
+density times the area times the speed.
+"""
+
+import numpy as np
+import pytest
+
+from tests.held import held
+from tests.simulate import advance, begin, by_id, totals
+
+DX, U, G = 0.02, 1.25, 9.8
+MOUTH = np.array([0.1, 0.1, 0.36])
+START, END = 0.013, 0.4
+SCENE = f"""
+[domain]
+size = [0.6, 0.2, 0.44]
+cell = {DX}
+gravity = [0, 0, {-G}]
+[time]
+end = {END}
+[material.water]
+kind = "fluid"
+bulk_modulus = 5e4
+[[source]]
+name = "jet"
+material = "water"
+disc = {{ center = {MOUTH.tolist()}, radius = 0.03 }}
+direction = "x"
+velocity = {U}
+start = {START}
+[[sink]]
+name = "ground"
+shape = {{ box = [[0, 0, 0], [0.6, 0.2, 0.06]] }}
+"""
+
+
+@pytest.fixture(scope="module")
+def jet(tmp_path_factory):
+    simulation, _ = begin(tmp_path_factory.mktemp("jet"), SCENE)
+    yield simulation
+
+
+def passed(simulation):
+    """Particles that have passed the mouth by now, as they should be counted."""
+    (source,) = simulation.plan.sources
+    layers = np.floor((simulation.time - START) * U / source.spacing + 0.5)
+    return int(len(source.mouth) * max(layers, 0))
+
+
+def test_a_jet_falls_on_a_parabola(jet):
+    (source,) = jet.plan.sources
+    n = len(source.mouth)
+    for time in (0.005, 0.05, 0.11, 0.2, 0.31, END):
+        advance(jet, time)
+        ids, x = by_id(jet, "id", "x")
+        behind = x[:, 0] <= MOUTH[0]
+        ((came, _, went, _),) = jet.tally.totals(jet.ranks)
+        assert (~behind).sum() + went == passed(jet)
+        assert came == n * source.born_by(time) and len(ids) == came - went
+        # what is carried lies on its lattice to rounding
+        carried = source.places(ids[behind], time)
+        assert np.abs(x[behind] - carried).max(initial=0.0) < 1e-12
+    held(
+        "What a source brought", passed(jet), n * (END - START) * U / source.spacing, n / 2,
+        kind="absolute", unit="1",
+        source="density times area times speed; whole layers", note="32 particles in a layer",
+    )  # fmt: skip
+    assert went > 10 * n
+    flown = x[~behind]
+    away = (flown[:, 0] - MOUTH[0]) / U
+    bins = np.floor(away / 0.02).astype(int)
+    middle = [(away[bins == k].mean(), flown[bins == k, 2].mean()) for k in np.unique(bins)]
+    t, z = np.array(middle).T
+    high = z > MOUTH[2] - 9 * DX
+    t, z = t[high], z[high]
+    fell = MOUTH[2] - G / 2 * t**2
+    assert len(t) > 8 and fell[-1] < MOUTH[2] - 7 * DX
+    held(
+        "A jet on its parabola", np.abs(z - fell).max() / DX, 0.0, 0.5,
+        kind="below", unit="cells", source="Galilei: z = z0 - g t^2 / 2",
+        note="jet of 3 cells, 9 cells down; its nozzle holds it as if .3 cells longer",
+        curves={"jet": (t, z), "parabola": (t, fell)}, axes=("time since the mouth [s]", "z [m]"),
+    )  # fmt: skip
+
+
+def test_a_jet_is_dense_from_its_first_cell(jet):
+    """Particles in the first three cells, and their volumes."""
+    advance(jet, END) if jet.time < END else None
+    x, J = by_id(jet, "x", "J")
+    (source,) = jet.plan.sources
+    near = (x[:, 0] > MOUTH[0]) & (x[:, 0] < MOUTH[0] + 3 * DX)
+    wanted = len(source.mouth) * 3 * DX / source.spacing
+    held(
+        "Particles in a jet's first cells", near.sum(), wanted, 0.06, unit="1",
+        source="those of the lattice", note="3 cells; a layer is a sixth of it",
+    )  # fmt: skip
+    held(
+        "Volume ratio in a jet's first cells", J[near].mean(), 1.0, 0.01, unit="1",
+        source="at rest", note="3 cells",
+    )  # fmt: skip
+
+
+def test_mass_is_kept(jet):
+    before = totals(jet)["mass"]
+    ((_, brought, _, taken),) = jet.tally.totals(jet.ranks)
+    there = jet.tally.mass(0, brought) - jet.tally.mass(0, taken)
+    assert abs(before - there) < 1e-14 * jet.tally.mass(0, brought)

@@ -1,0 +1,81 @@
+"""Particles that end: those inside a sink leave their groups, after every fourth step."""
+
+import numpy as np
+
+from ..domain.state import Group
+from ..planning.inflow import SinkPlan
+from ..planning.plan import Plan
+from ..prepare.shapes import bulge, distance, reach
+from .tally import Tally
+
+EVERY = 4  # steps, by their numbers: a restart does not change when
+STRAYS = 4.0  # cells from its block's middle that a particle keeps within before a sort
+
+
+class _Region:
+    """A sink, and the box that holds it."""
+
+    def __init__(self, sink: SinkPlan):
+        self.shape = sink.shape
+        axes = np.eye(3)
+        more = bulge(sink.shape)
+        self.low = np.array([-reach(sink.shape, -axis) for axis in axes]) - more
+        self.high = np.array([reach(sink.shape, axis) for axis in axes]) + more
+
+    def near(self, group: Group, dx: float) -> np.ndarray:
+        """Which segments may have particles inside: (segments,)."""
+        middle, room = (4 * group.block + 1.5) * dx, STRAYS * dx
+        inside = (middle >= self.low - room) & (middle <= self.high + room)
+        return np.asarray(inside.all(axis=1))
+
+
+class Sinks:
+    """The sinks of a run."""
+
+    def __init__(self, plan: Plan, tally: Tally):
+        self.plan, self.tally = plan, tally
+        self.regions = [_Region(sink) for sink in plan.sinks]
+
+    def take(self, groups: list[Group], step: int) -> bool:
+        """Take away this rank's particles that are in a sink after step number `step`. Returns
+        whether there were any: then a sort must follow on all ranks."""
+        if step % EVERY:
+            return False
+        found = [self._of(group, g) for g, group in enumerate(groups)]
+        return any(found)
+
+    def _of(self, group: Group, g: int) -> bool:
+        some = False
+        for region in self.regions:
+            near = np.flatnonzero(region.near(group, self.plan.dx) & (group.count > 0))
+            if not len(near):
+                continue
+            at = _places(group, near)
+            gone = distance(region.shape, group.positions_at(at)) < 0
+            if gone.any():
+                some = True
+                self.tally.take(g, group.get("vol0", at[gone])[:, 0])
+                remove(group, at[gone])
+        return some
+
+
+def _places(group: Group, segments: np.ndarray) -> np.ndarray:
+    """Places of the particles of some segments, one after the other."""
+    count = group.count[segments]
+    first = np.cumsum(count) - count
+    return np.arange(count.sum()) + np.repeat(group.start[segments] - first, count)
+
+
+def remove(group: Group, places: np.ndarray) -> None:
+    """Take the particles at `places` (n,) out of their segments; the others move up in order."""
+    of = group.segment_of(places)
+    segments = np.unique(of)
+    at = _places(group, segments)
+    kept = at[~np.isin(at, places)]
+    count = group.count.copy()
+    count -= np.bincount(of, minlength=len(count))
+    group.segments(group.code, group.start, count)
+    to = _places(group, segments)
+    for rows in (group.xi, group.f, group.ids[None]):
+        rows[:, to] = rows[:, kept]  # what is read is a copy
+    group.ids[np.setdiff1d(at, to, assume_unique=True)] = -1
