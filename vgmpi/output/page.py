@@ -33,8 +33,8 @@ ABOUT_CHECKPOINTS = f"""\
 `checkpoint_000000000.json`, the manifest, is written last: size of the file, and for every dataset
 its shape, type and a CRC32 (zlib) for each {layout.CRC_ROWS} rows. A checkpoint without a
 manifest, or one that differs from it or from its name, is passed over. The last two are kept. At a
-resume every row is also held against the scene (numbers, positions in the domain, particles of the group, each there
-once): what cannot be ends it with one line and exit code 2.
+resume every row is also held against the scene (numbers, positions in the domain, particles of the
+group, each there once): what cannot be ends it with one line and exit code 2.
 """
 ABOUT_TABLES = """\
 A row per frame and phase, numbers with all their digits. A row that was changed since is named with
