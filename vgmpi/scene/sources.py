@@ -60,6 +60,7 @@ class Inflow(Table):
     role: ClassVar[str] = "source"
     collider: ClassVar[bool] = False
     deforms: ClassVar[bool | None] = None
+    motion: ClassVar[None] = None
 
     @property
     def opening(self) -> Disc | Rectangle:
