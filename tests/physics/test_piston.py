@@ -7,8 +7,11 @@ Scientists, section 6.2). The piston is a box collider that keyframes move along
 from 0 within a period. Heights of the surface, means over hats of two cells to each side, are taken
 between 2 and 3 depths from the piston, in a period that begins two and a half after the first waves
 have come there and ends before any comes back, and a sine of omega is fitted to each. Slab of 4
-cells; water that its weight compresses by 1 % at the bottom. Tolerance: 10 %. Known to be wrong:
-all are 8 % too low, with finer grids too, and 26 % with 27 particles per cell (k h = 1.2, 6 cells).
+cells; water that its weight compresses by 1 % at the bottom. Waves are a tenth of the depth high.
+Tolerance: 10 %. All are too low: what a piston displaces is right, but what it makes dies on the
+way, the more the fewer cells a depth and a wave have (k h = 1.2: 22, 16, 10 % of 6, 8, 12 cells),
+and more with 27 particles per cell than with 8 (6 cells: 26 for 22 %). Short waves in deep water
+miss the tolerance.
 """
 
 import numpy as np
@@ -18,6 +21,7 @@ from tests.held import held
 from tests.simulate import advance, begin, by_id
 
 G, H = 9.8, 0.1  # [m/s2], depth [m]
+HEIGHT = 0.1  # of the waves over the depth
 AT = 4  # cells from the wall behind the piston to its face at rest
 SCENE = """
 [domain]
@@ -54,7 +58,7 @@ def waves(folder, kh, cells):
     """(H / S, times (n,) [s], heights (n,) [m] above the water at rest 2.5 depths from the piston,
     stroke [m]). cells: of the depth."""
     omega, fast, share = theory(kh)
-    dx, period, stroke = H / cells, 2 * np.pi / omega, 0.05 * H / share
+    dx, period, stroke = H / cells, 2 * np.pi / omega, HEIGHT * H / share
     # speed of the group of waves, at which their height travels
     group = 0.5 * (1 + 2 * kh / np.sinh(2 * kh)) * omega * H / kh
     ends = 2.5 * H / group + 3.5 * period
@@ -95,15 +99,15 @@ def _level(x, volume, gauge, dx):
 
 
 @pytest.mark.parametrize(
-    "kh, cells",
+    "kh, cells, good",
     [
-        (1.2, 6),
-        pytest.param(0.7, 8, marks=pytest.mark.slow),
-        pytest.param(1.2, 8, marks=pytest.mark.slow),
-        pytest.param(2.0, 10, marks=pytest.mark.slow),
+        (1.2, 6, False),
+        pytest.param(0.7, 12, True, marks=pytest.mark.slow),
+        pytest.param(1.2, 12, True, marks=pytest.mark.slow),
+        pytest.param(2.0, 12, False, marks=pytest.mark.slow),
     ],
 )
-def test_height_over_stroke(tmp_path, kh, cells):
+def test_height_over_stroke(tmp_path, kh, cells, good):
     found, t, level, stroke = waves(tmp_path, kh, cells)
     omega, _, share = theory(kh)
     swings = 0.5 * stroke * np.minimum(omega * t / (2 * np.pi), 1.0) * np.sin(omega * t)
@@ -119,4 +123,6 @@ def test_height_over_stroke(tmp_path, kh, cells):
             "piston [m]": (t, swings),
         },
         axes=("time [s]", "height, way [m]"),
+        expected=good,
     )
+    assert 0.7 < found / share < 1.1
