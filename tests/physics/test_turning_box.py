@@ -111,16 +111,21 @@ def _stays_inside(name, strays, walls=4):
 
 
 def _surface(x, angle, level):
-    """Heights (n,) [m] of the highest particles of columns one cell wide and where these are (n,)
-    [m], of columns which meet `level` [m] more than a cell and a half from walls."""
-    column = (x[:, 0] / DX).astype(int)
+    """Heights (n,) [m] of the surface at the middle of cells and where these are (n,) [m], of cells
+    in which `level` [m] is more than a cell and a half from walls: of the highest particles within
+    a cell, means over the eight rows of particles across the slice. In a single cell there may be
+    none at the surface: of a liquid that is turned without mixing whole rows come to lie elsewhere.
+    """
+    column, row = (x[:, 0] / DX).astype(int), (x[:, 1] / (DX / 2)).astype(int)
     found = []
     for k in np.unique(column):
         at = (k + 0.5) * DX
         own = _in_box(np.array([[at, 0.0, level]]), angle)[0]
         deep = max(abs(own[0]) - LONG / 2, abs(own[2]) - HIGH / 2)
         if deep < -1.5 * DX:
-            found.append((at, x[column == k, 2].max() + DX / 4))
+            here = np.abs(x[:, 0] - at) < DX
+            tops = [x[here & (row == r), 2].max() for r in np.unique(row[here])]
+            found.append((at, np.mean(tops) + DX / 4))
     return np.array(found).T
 
 

@@ -24,6 +24,11 @@ from vgmpi.kernels.contact import (
 )
 
 
+def _with_rigid(v):
+    """Velocities (phases, 3), and behind them those of what is rigid, at rest."""
+    return np.concatenate([v, np.zeros((2, 3))])
+
+
 class Node:
     """Phases with random masses and velocities, and pairs (a, b, outward normal of a, friction)."""
 
@@ -40,13 +45,14 @@ class Node:
     def resolve(self):
         """Velocities afterwards (phases, 3)."""
         k = len(self.pairs)
-        v, normals, impulse = self.v.copy(), np.zeros((k, 7)), np.zeros((k, 4))
+        n = len(self.v)
+        v, normals, impulse = _with_rigid(self.v), np.zeros((k, 7)), np.zeros((k, 4))
         normals[:, :3] = [n for _, _, n, _ in self.pairs]
         a, b = (np.array([p[c] for p in self.pairs], np.int64) for c in (0, 1))
         share = np.bincount(np.concatenate([a[a >= 0], b])).max()
         mu = np.array([p[3] for p in self.pairs])
-        resolve(v, self.m, len(v), normals, mu, a, b, k, share, impulse)
-        return v
+        resolve(v, self.m, n, normals, mu, a, b, k, share, impulse)
+        return v[:n]
 
     def approach(self, v):
         """Speed at which each pair approaches (pairs,)."""
@@ -286,7 +292,8 @@ def pushed(v, mass, m, n, dt, dx, slope=None):
     """Changes (count, 3) of velocities by an elastic layer. slope (count, 3): of these, per cell
     along the normal of each."""
     change = np.zeros_like(v)
-    press(change, v, np.zeros_like(v) if slope is None else slope, mass, m, n, dt, dx)
+    slope = np.zeros_like(v) if slope is None else slope
+    press(change, _with_rigid(v), slope, mass, m, n, dt, dx)
     return change
 
 

@@ -12,7 +12,7 @@ from vgmpi.scene.scene import Scene
 
 log = logging.getLogger("vgmpi")
 
-THIN = 3.0  # cells, below which what a collider keeps apart may pass where two of its walls meet
+THIN = 2.0  # cells, below which a collider is not seen as it is; three where two of its walls meet
 UNSURE = 0.25  # cells, of a thickness that is found on a lattice
 MOST = 2_000_000  # points looked at to find that
 
