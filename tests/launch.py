@@ -75,3 +75,8 @@ def on_ranks(n, *arguments) -> list:
 def mpirun(n, *arguments, env=None, cwd=ROOT) -> subprocess.CompletedProcess:
     """Run python ARGUMENTS on n ranks."""
     return run(on_ranks(n, *arguments), env, cwd)
+
+
+def go(scene, out, n, *flags) -> subprocess.CompletedProcess:
+    """Run a scene into the folder `out` on n ranks."""
+    return mpirun(n, "-m", "vgmpi", scene, "-q", "-o", out, *flags)

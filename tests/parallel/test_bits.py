@@ -10,16 +10,12 @@ import signal
 import pytest
 
 from tests.digests import digests
-from tests.launch import finish, mpirun, on_ranks, start, until
+from tests.launch import finish, go, on_ranks, start, until
 from tests.scenes import MIXED, write
 
 pytestmark = pytest.mark.mpi
 
 PRECISIONS = ("single", "double")
-
-
-def go(scene, out, n, *flags):
-    return mpirun(n, "-m", "vgmpi", scene, "-q", "-o", out, *flags)
 
 
 @pytest.fixture(scope="module", params=PRECISIONS)

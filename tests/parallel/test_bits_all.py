@@ -5,15 +5,15 @@ import numpy as np
 import pytest
 
 from tests.digests import digests
-from tests.launch import mpirun
+from tests.launch import go
 from tests.scenes import LAWS, SHARED, every_law, write
 from vgmpi.materials import registry
 
 pytestmark = pytest.mark.mpi
 
 
-def go(scene, out, n, *flags, code=0):
-    job = mpirun(n, "-m", "vgmpi", scene, "-q", "-o", out, *flags)
+def bits(scene, out, n, *flags, code=0):
+    job = go(scene, out, n, *flags)
     assert job.returncode == code, job.stderr
     return digests(out)
 
@@ -38,11 +38,11 @@ def test_colours_that_travel_with_every_step(tmp_path):
     assert not np.isnan(colour[kinds == 2]).any() and np.isnan(colour[kinds == 5]).all()
     assert (colour[kinds == 2].std(axis=0) > 0.001).all()
     flags = ("--resume", "--set", "appearance.colour_transfer=off")
-    job = mpirun(2, "-m", "vgmpi", scene, "-q", "-o", tmp_path / "half", *flags)
+    job = go(scene, tmp_path / "half", 2, *flags)
     assert job.returncode == 2
     assert "colour_transfer: is 'off', in the run so far 'step'" in job.stderr
     flags = (*flags, "--change")
-    job = mpirun(2, "-m", "vgmpi", scene, "-q", "-o", tmp_path / "half", *flags)
+    job = go(scene, tmp_path / "half", 2, *flags)
     said = [line for line in job.stderr.splitlines() if "checkpoint_" in line]
     assert job.returncode == 2 and len(said) == 1, job.stderr
     assert "carries 5 numbers besides its motion, in this scene 2 (" in said[0]
@@ -50,14 +50,14 @@ def test_colours_that_travel_with_every_step(tmp_path):
 
 def same_everywhere(scene, tmp_path):
     """Bits of all files on 1, 2, 3 ranks, by 2 threads, and after a restart."""
-    want = go(scene, tmp_path / "1", 1)
+    want = bits(scene, tmp_path / "1", 1)
     assert sum("frame_" in name for name in want) > 20
     for n in (2, 3):
-        assert go(scene, tmp_path / str(n), n) == want, n
-    assert go(scene, tmp_path / "threads", 1, "--threads", 2) == want
+        assert bits(scene, tmp_path / str(n), n) == want, n
+    assert bits(scene, tmp_path / "threads", 1, "--threads", 2) == want
     half = tmp_path / "half"
-    go(scene, half, 3, "--stop-after", "50 steps", code=75)
-    found = go(scene, half, 2, "--resume")
+    bits(scene, half, 3, "--stop-after", "50 steps", code=75)
+    found = bits(scene, half, 2, "--resume")
     frames = {name: sha for name, sha in want.items() if "frame_" in name or "ledger" in name}
     assert {name: found.get(name) for name in frames} == frames
 
@@ -65,6 +65,6 @@ def same_everywhere(scene, tmp_path):
 def test_every_law(tmp_path):
     assert set(LAWS) == set(registry)
     scene = write(tmp_path, every_law("single"))
-    want = go(scene, tmp_path / "1", 1)
+    want = bits(scene, tmp_path / "1", 1)
     for n in (2, 3):
-        assert go(scene, tmp_path / str(n), n) == want, n
+        assert bits(scene, tmp_path / str(n), n) == want, n

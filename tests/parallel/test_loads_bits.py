@@ -6,7 +6,7 @@ import csv
 import pytest
 
 from tests.digests import digests
-from tests.launch import mpirun
+from tests.launch import go
 from tests.scenes import MIXED, write
 from vgmpi.domain.ranks import Alone
 from vgmpi.output import layout, ledger
@@ -70,10 +70,6 @@ every = "7 ms"
 wall = "all"
 """
 )
-
-
-def go(scene, out, n, *flags):
-    return mpirun(n, "-m", "vgmpi", scene, "-q", "-o", out, *flags)
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.digests import digests
-from tests.launch import mpirun
+from tests.launch import go
 from tests.scenes import MIXED, write
 
 pytestmark = pytest.mark.mpi
@@ -32,10 +32,6 @@ shape = { cylinder = { ends = [[0.06, 0.02, 0.13], [0.06, 0.22, 0.13]], radius =
 motion = { spin = "300 rpm", axis = "y", velocity = [0.2, 0, 0], until = "40 ms" }
 """
 )
-
-
-def go(scene, out, n, *flags):
-    return mpirun(n, "-m", "vgmpi", scene, "-q", "-o", out, *flags)
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import csv
 import pytest
 
 from tests.digests import digests
-from tests.launch import mpirun
+from tests.launch import go
 from tests.scenes import MIXED, write
 
 pytestmark = pytest.mark.mpi
@@ -39,10 +39,6 @@ name = "tray"
 shape = { box = [[0.26, 0.16, 0], [0.36, 0.24, 0.05]] }
 """
 )
-
-
-def go(scene, out, n, *flags):
-    return mpirun(n, "-m", "vgmpi", scene, "-q", "-o", out, *flags)
 
 
 @pytest.fixture(scope="module")
