@@ -20,8 +20,8 @@ class Movers:
 
     nodes: (n, 64, 4) outward normal and distance [m]; moves: (n, 64, 3) velocity [m/s]; whose: (n,
     64) number of the nearest, where that is `asked`, else (0, 64); blocks (n, 3). Colliders offer,
-    at rest, distance(points) -> (m,) [m] and ends() -> its corners, and
-    `course`, or None for one at rest.
+    at rest, distance(points) -> (m,) [m] and ends() -> its corners, and `course`, or None for one
+    at rest.
     """
 
     def __init__(self, colliders: list, lattice: Lattice, real: np.dtype, asked: bool = False):

@@ -13,9 +13,9 @@ class Solids:
     """Distance and outward normal of all colliders together, for the node blocks they can touch.
 
     nodes: (n, 64, 4) outward normal and distance [m]; whose: (n, 64) the number of the nearest,
-    where that is `asked`, else (0, 64). Called with blocks (m, 3) it gives their
-    rows, -1 where there is none. Colliders offer distance(points) -> (m,) [m], negative inside, and
-    normal(points) -> (m, 3).
+    where that is `asked`, else (0, 64). Called with blocks (m, 3) it gives their rows, -1 where
+    there is none. Colliders offer distance(points) -> (m,) [m], negative inside, and normal(points)
+    -> (m, 3).
     """
 
     def __init__(self, colliders: list, lattice: Lattice, real: np.dtype, asked: bool = False):

@@ -70,11 +70,12 @@ class Group:
 
     def index(self) -> np.ndarray:
         """Places of this rank's particles, segment after segment."""
-        n = len(self)
-        if n == 0:
-            return np.zeros(0, np.int64)
-        gaps = np.repeat(self.start - np.concatenate([[0], np.cumsum(self.count)[:-1]]), self.count)
-        return np.arange(n) + gaps
+        return self.places(slice(None))
+
+    def places(self, segments: np.ndarray | slice) -> np.ndarray:
+        """Those of the particles of some segments."""
+        start, count = self.start[segments], self.count[segments]
+        return np.arange(count.sum()) + np.repeat(start - np.cumsum(count) + count, count)
 
     def get(self, name: str, at: np.ndarray) -> np.ndarray:
         """A channel (planning/channels.py) of the particles at `at` (n,): (n, width)."""

@@ -39,6 +39,11 @@ class SourcePlan(NamedTuple):
         return self.spacing / self.speed
 
     @property
+    def velocity(self) -> np.ndarray:
+        """Of what comes (3,) [m/s]."""
+        return self.speed * np.array(self.direction)
+
+    @property
     def volume(self) -> float:
         """Rest volume of a particle [m3]."""
         return self.spacing**3

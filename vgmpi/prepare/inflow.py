@@ -100,7 +100,7 @@ def _blocked(
 ) -> Iterator[tuple[str, str]]:
     """(key, text) of what lies in the nozzle of source k, whose points (m, 3) these are."""
     source, dx = scene.inflow[k], scene.domain.cell
-    key = "disc" if source.disc is not None else "rectangle"
+    key = source.shaped
     for collider in colliders:
         if (collider.distance(points) < 0).any():
             yield key, f"lies inside the collider '{collider.name}'"

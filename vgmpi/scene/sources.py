@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import BeforeValidator
 
 from vgmpi.scene.forms import Axis, Shape, shape_complaints
-from vgmpi.scene.nozzle import Disc, Rectangle, box, too_small
+from vgmpi.scene.nozzle import Disc, Rectangle, box, spacing, too_small
 from vgmpi.scene.objects import checked_name, drawn_from, one_complaint, per_cell
 from vgmpi.scene.settings import Domain
 from vgmpi.tables import Colour, Quantity, Share, Table
@@ -63,9 +63,15 @@ class Inflow(Table):
     motion: ClassVar[None] = None
 
     @property
+    def shaped(self) -> str:
+        """The key that gives its mouth."""
+        return next(key for key in OPENINGS if getattr(self, key) is not None)
+
+    @property
     def opening(self) -> Disc | Rectangle:
         """Its mouth."""
-        return next(one for one in (self.disc, self.rectangle) if one is not None)
+        found: Disc | Rectangle = getattr(self, self.shaped)
+        return found
 
     @property
     def drawn_from(self) -> float:
@@ -116,10 +122,9 @@ def _text(raw: dict, key: str) -> bool:
 
 def _misplaced(source: Inflow, domain: Domain) -> list[tuple[tuple, str]]:
     """(path, text) where the nozzle is no place for particles."""
-    key = "disc" if source.disc is not None else "rectangle"
     if too_small(source, domain.cell):
-        spacing = domain.cell / round(source.particles_per_cell ** (1 / 3))
-        return [((key,), f"too small: no particle fits in, their spacing is {spacing:g} m")]
+        apart = spacing(source, domain.cell)
+        return [((source.shaped,), f"too small: no particle fits in, their spacing is {apart:g} m")]
     low, high = box(source, domain.cell)
     beyond = (low < 0) | (high > domain.size)
     if not beyond.any():
@@ -129,7 +134,7 @@ def _misplaced(source: Inflow, domain: Domain) -> list[tuple[tuple, str]]:
         f"the nozzle leaves the domain: with two cells behind its mouth it reaches"
         f" {'xyz'[a]} = {low[a]:.4g} .. {high[a]:.4g} m, the domain 0 .. {domain.size[a]:g} m"
     )
-    return [((key,), said)]
+    return [((source.shaped,), said)]
 
 
 def sink_complaints(raw: dict, sources: list[Any]) -> list[tuple[tuple, str]]:

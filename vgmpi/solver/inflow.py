@@ -54,14 +54,10 @@ class Sources:
         self.carried: list[_Carried] = []
         self.least = np.zeros(4)  # bounds as of enter.bounds while something comes
         for source in plan.sources:
-            group, v = plan.groups[source.group], self._velocity(source)[None]
+            group, v = plan.groups[source.group], source.velocity[None]
             found = bounds(plan, group, [group.rest], v, np.zeros((1, 9)))
             self.least = np.maximum(self.least, found)
         self.last = max(source.passes(source.layers - 1) for source in plan.sources)
-
-    @staticmethod
-    def _velocity(source: SourcePlan) -> np.ndarray:
-        return source.speed * np.array(source.direction)
 
     def bound(self, found: np.ndarray, time: float) -> np.ndarray:
         """Maxima (rate, speed, turn, stress) over all particles, with those of what comes."""
@@ -106,7 +102,7 @@ class Sources:
                 if channel.name not in OWN:
                     one.group.f[channel.rows, one.at] = np.array(channel.rest)[:, None]
             if len(one.at):
-                one.group.put("v", one.at, np.tile(self._velocity(one.source), (len(one.at), 1)))
+                one.group.put("v", one.at, np.tile(one.source.velocity, (len(one.at), 1)))
 
     def due(self, before: float | None, time: float) -> bool:
         """Whether a layer is born after `before` [s], None: the start, up to and with `time`."""
@@ -128,7 +124,7 @@ class Sources:
     def _rows(self, source: SourcePlan, first: int, last: int, time: float) -> Rows:
         n = len(source.mouth)
         ids = source.first + np.arange(first * n, last * n)
-        v = np.tile(self._velocity(source), (len(ids), 1))
+        v = np.tile(source.velocity, (len(ids), 1))
         sh = np.zeros((len(ids), self._coefficients(), 3))
         sh[:, 0] = dc_from_rgb(np.array(source.colour)).astype(np.float32)  # as in files
         return Rows(

@@ -192,26 +192,25 @@ class Runner:
         if self.options.folder is None:
             log.error("blow-up: %s", said)
             return BLEW_UP
-        simulation, folder = self.simulation, self.options.folder / layout.BLOWUP
-        ids, fields = frame_rows(simulation, self.scene.output.fields)
-        frames = Frames(folder, self.ranks, self.plan.particles)
-        poses = simulation.poses()
-        path = frames.write(0, simulation.time, simulation.step, ids, fields, poses)
+        folder = self.options.folder / layout.BLOWUP
+        path = self._put_frame(Frames(folder, self.ranks, self.plan.particles), 0)
         log.error("blow-up: %s; frames and checkpoints are whole, this state is in %s", said, path)
         return BLEW_UP
 
     def _write_frame(self) -> None:
-        simulation = self.simulation
-        self.latest = ledger(simulation)
+        self.latest = ledger(self.simulation)
         if self.options.folder is not None:
-            ids, fields = frame_rows(simulation, self.scene.output.fields)
-            now, step = simulation.time, simulation.step
-            self.frames.write(self.frame, now, step, ids, fields, simulation.poses())
+            self._put_frame(self.frames, self.frame)
             self.ledger.append(self.latest)
         for watcher in self.options.watchers:
             watcher(self)
         self.frame += 1
         self._mark("write")
+
+    def _put_frame(self, frames: Frames, number: int) -> Path:
+        now = self.simulation
+        ids, fields = frame_rows(now, self.scene.output.fields)
+        return frames.write(number, now.time, now.step, ids, fields, now.poses())
 
     def _checkpoint(self) -> None:
         if self.options.folder is None:

@@ -50,7 +50,7 @@ class Sinks:
             near = np.flatnonzero(region.near(group, self.plan.dx) & (group.count > 0))
             if not len(near):
                 continue
-            at = _places(group, near)
+            at = group.places(near)
             gone = distance(region.shape, group.positions_at(at)) < 0
             if gone.any():
                 some = True
@@ -59,23 +59,16 @@ class Sinks:
         return some
 
 
-def _places(group: Group, segments: np.ndarray) -> np.ndarray:
-    """Places of the particles of some segments, one after the other."""
-    count = group.count[segments]
-    first = np.cumsum(count) - count
-    return np.arange(count.sum()) + np.repeat(group.start[segments] - first, count)
-
-
 def remove(group: Group, places: np.ndarray) -> None:
     """Take the particles at `places` (n,) out of their segments; the others move up in order."""
     of = group.segment_of(places)
     segments = np.unique(of)
-    at = _places(group, segments)
+    at = group.places(segments)
     kept = at[~np.isin(at, places)]
     count = group.count.copy()
     count -= np.bincount(of, minlength=len(count))
     group.segments(group.code, group.start, count)
-    to = _places(group, segments)
+    to = group.places(segments)
     for rows in (group.xi, group.f, group.ids[None]):
         rows[:, to] = rows[:, kept]  # what is read is a copy
     group.ids[np.setdiff1d(at, to, assume_unique=True)] = -1

@@ -112,7 +112,7 @@ def save(simulation: Simulation) -> dict:
         "dx": simulation.plan.dx,
     }
     if simulation.movers is not None:
-        attrs["sorted_time"] = simulation.sorted_time
+        attrs["sorted_time"] = simulation.movers.since
     if simulation.tally is not None:
         attrs["flow"] = simulation.tally.totals(simulation.ranks)
     return {"attrs": attrs, "groups": groups}
@@ -142,7 +142,8 @@ def restore(simulation: Simulation, saved) -> None:
     simulation.rate = saved.attrs["rate"]
     simulation.reach = Reach(*saved.attrs.get("reach", UNKNOWN))
     simulation.sorted_at = simulation.step
-    simulation.sorted_time = saved.attrs.get("sorted_time", simulation.time)
+    if simulation.movers is not None:  # the blocks near them are those of the last sort
+        simulation.movers.stand(saved.attrs.get("sorted_time", simulation.time))
     rows = [_segments(simulation, g, *share) for g, share in enumerate(shares)]
     costs = np.array([group.cost for group in plan.groups])
     table, simulation.cut = census(

@@ -32,6 +32,7 @@ REASONS = {
     g2p.TOO_FAST: "it would move more than a cell in one step",
     g2p.LOST: "its velocity or stress is not a number",
 }
+BOUNDS = [0, 3, 4, 5]  # of a step's maxima over the ranks, those of enter.bounds
 ENGINES: dict[str, type[Engine]] = {"cpu": Cpu, "numpy": Numpy}
 SUMMED = {
     "momentum": "mass or momentum",
@@ -115,7 +116,6 @@ class Simulation:
         self.reach = UNKNOWN
         self.sorts = 0
         self.sorted_at = 0
-        self.sorted_time = 0.0  # [s], of that; for movers
         self.sent = 0  # bytes this rank gave its neighbours
         self.moved = 0  # particles that left this rank for another
         self.said = np.zeros(12)
@@ -134,8 +134,8 @@ class Simulation:
         surface: np.ndarray | None = None,
     ) -> None:
         """Take particles, unstrained or compressed, in any order, any share on any rank.
-        Collective; once, at the start. Particles of
-        sources are left out: they come when it is their time.
+        Collective; once, at the start. Particles of sources are left out: they come when it is
+        their time.
 
         x: positions [m], (n, 3); v: velocities [m/s], (n, 3); volume: rest volumes [m3], (n,); ids:
         (n,); thing: object of each, (n,); theta: ln J of fluids, (n,), or None for 0; C: gradients
@@ -177,7 +177,8 @@ class Simulation:
         steps = self.step - self.sorted_at
         census, self.cut, left = migrate.sort(self.groups, self.ranks, self.cut, steps)
         self.moved += left
-        self.sorted_time = self.time
+        if self.movers is not None:
+            self.movers.stand(self.time)
         self.adopt(census)
         self.sorted_at = self.step
         self.sorts += 1
@@ -188,8 +189,6 @@ class Simulation:
         kept = self.halo is not None and _same_blocks(self.census, census)
         kept &= self.movers is None  # which are near other blocks now
         self.census = census
-        if self.movers is not None:
-            self.movers.stand(self.sorted_time)
         if not kept:
             self.tables = topology.build(
                 census, self.lattice, self.ranks.rank, self.needs, self.solids
@@ -269,10 +268,14 @@ class Simulation:
         if found[2]:
             raise BlowUp(self._blame(report))
         if self.tally is not None and not found[0]:
-            found[[0, 3, 4, 5]] = idle(self.plan)
+            found[BOUNDS] = idle(self.plan)
+        if self.sources is not None:
+            found[BOUNDS] = self.sources.bound(found[BOUNDS], self.time)
         self.rate = float(found[0])
         self.reach = Reach.of(found[3:6], self.rate, dt)
-        born = self.sources is not None and self._come(before, found, dt)
+        born = self.sources is not None and self.sources.due(before, self.time)
+        if born:
+            self._enter(self._born(before))
         strayed = self.movers is not None and self.movers.strayed(self.time)
         if found[1] >= g2p.REACH or strayed or born:
             self.sort()
@@ -286,16 +289,6 @@ class Simulation:
         if self.sinks is not None and self.sinks.take(self.groups, self.step):
             report = report._replace(far=float(g2p.REACH))  # a sort follows, on all ranks
         return report
-
-    def _come(self, before: float, found: np.ndarray, dt: float) -> bool:
-        """Bring what was born after `before` [s]; time step and sums reckon with what comes.
-        Returns whether something was born: a sort must follow, on all ranks. found: of the step."""
-        assert self.sources is not None
-        least = self.sources.bound(found[[0, 3, 4, 5]], self.time)
-        self.rate = float(least[0])
-        self.reach = Reach.of(least[1:], self.rate, dt)
-        self._enter(self._born(before))
-        return self.sources.due(before, self.time)
 
     def restore(self, dt: float) -> list[Beyond]:
         """Give the particles what transfers have taken from their motion in the last steps. A step

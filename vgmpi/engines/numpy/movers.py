@@ -8,8 +8,8 @@ from ...domain.sampled import Sampled
 def place(
     table: Sampled, points: np.ndarray, dt: float, dx: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Outward normal and distance [m] (n, 4) of the nearest collider at points (n, 3) [m], and the
-    mean velocity [m/s] (n, 3) of its surface there in a step of dt [s], and its number (n,)."""
+    """Outward normal and distance [m] (n, 4) of the nearest collider at points (n, 3) [m], its
+    number (n,), and the mean velocity [m/s] (n, 3) of its surface there in a step of dt [s]."""
     nodes, moves = np.zeros((len(points), 4)), np.zeros((len(points), 3))
     whose = np.zeros(len(points), np.int64)
     nodes[:, 3] = np.inf
