@@ -40,10 +40,10 @@ def begin(folder: Path, text: str, ranks=None, velocity=None, threads: int = 1):
 
 def advance(simulation: Simulation, end: float) -> None:
     """Steps up to `end` [s]."""
-    lands = False
-    while not lands:
-        dt, lands = next_step(simulation.time, end, simulation.bound())
-        simulation.advance(dt, end=end if lands else None)
+    while simulation.time < end:
+        goal = simulation.ahead(end)
+        dt, lands = next_step(simulation.time, goal, simulation.bound())
+        simulation.advance(dt, end=goal if lands else None)
 
 
 def totals(simulation: Simulation) -> dict[str, np.ndarray | float]:

@@ -100,6 +100,15 @@ RESTORED = 'transfer = "restored"'
 RED, BLUE = 'colour = "#ff2010"', 'colour = "#1020ff"'
 
 
+TUMBLING = (
+    'motion = { velocity = [-1, 0.5, -1], spin = "300 rpm", axis = [1, 0, 2], until = "2 ms" }\n'
+)
+DRIVEN = CUBE[: CUBE.index("velocity")] + TUMBLING
+HELD = BED[: BED.index("velocity")] + 'frozen_until = "0.7 ms"\n'
+LETTING_GO = HELD + 'release = "from above"\nreleased_by = "2 ms"\n'
+TIN = material("tin", 'kind = "metal"\nyoungs_modulus = 1e6\nyield_stress = 2e3')
+
+
 def of_law(kind):
     """A ball of a law that meets the floor."""
     ball = "sphere = { center = [0.1, 0.08, 0.05], radius = 0.045 }"
@@ -160,8 +169,15 @@ SCENES = {kind: (of_law(kind), "mixed", "") for kind in LAWS} | {
         WATER + TOY + POOL.replace("0.2, 0.16, 0.06", "0.175, 0.16, 0.06") + CUBE, "open", "",
     ),
     "sources and sinks": (WATER + TOY + POOL + CUBE + TAP + HOLE, "mixed", ""),
+    "driven, in contact": (WATER + TOY + POOL + DRIVEN + OTHER + POST, "separate", ""),
+    "let go": (WATER + SAND + TOY + POOL + HELD + DRIVEN, "mixed", ""),
+    "let go in layers": (WATER + SAND + WET.replace("0.11", "0.2") + LETTING_GO + FLOW, "mixed",
+                         AFLIP),
+    "driven tin": (
+        WATER + TIN + POOL + DRIVEN.replace("toy", "tin") + "deforms = true\n", "mixed", RESTORED,
+    ),
     "followed": (
-        material("tin", 'kind = "metal"\nyoungs_modulus = 1e6\nyield_stress = 2e3')
+        TIN
         + body("ball", "tin", "sphere = { center = [0.1, 0.08, 0.05], radius = 0.045 }",
                "velocity = [0.5, 0.3, -2]\ndeforms = true"),
         "mixed",

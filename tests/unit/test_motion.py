@@ -9,7 +9,6 @@ from postprocess.look import Look
 from tests.render import runs
 from tests.unit.test_bad_scenes import broken, lines
 from tests.wrong_scenes import LAST
-from vgmpi.domain.movers import far_of
 from vgmpi.domain.ranks import Alone
 from vgmpi.gaussians.cloud import full
 from vgmpi.gaussians.sh import evaluate
@@ -143,7 +142,8 @@ def test_wrong_motions(tmp_path, keys, where, says):
 @pytest.mark.parametrize("key", ["motion = { spin = 3 }", "friction = 0.1"])
 def test_only_colliders_move(tmp_path, key):
     path, _ = broken(tmp_path, LAST, LAST + PADDLE.format(key).replace("collider = true", ""))
-    said = f"object.paddle.{key.split()[0]}: is only for scenery with collider = true"
+    only = {"motion": "is for bodies, and for", "friction": "is only for"}[key.split()[0]]
+    said = f"object.paddle.{key.split()[0]}: {only} scenery with collider = true"
     assert any(line.endswith(said) for line in lines(path)), lines(path)
 
 
@@ -188,9 +188,9 @@ def test_thin_colliders_are_warned_of(tmp_path, caplog):
 def test_the_farthest_point_from_the_axis(tmp_path):
     path, _ = broken(tmp_path, LAST, LAST + PADDLE.format(WAY.format("spin = 1")))
     collider = build(load(path)).colliders[0]
-    assert far_of(collider) == pytest.approx(np.hypot(0.05, 0.05))
+    assert collider.course.far(*collider.ends()) == pytest.approx(np.hypot(0.05, 0.05))
     about = moving(collider, Motion(spin=1.0, about=(0.1, 0.1, 0.0)))
-    assert far_of(about) == pytest.approx(np.hypot(0.1, 0.1))
+    assert about.course.far(*about.ends()) == pytest.approx(np.hypot(0.1, 0.1))
 
 
 def turned():

@@ -1,5 +1,7 @@
 """Colliders of which some move, as the grid sees them step by step."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ..scene.motion import Courses
@@ -30,7 +32,7 @@ class Movers:
         self.table = _sampled(colliders, lattice.dx)
         self.moving = [m for m, collider in enumerate(colliders) if collider.course is not None]
         self.courses = Courses([colliders[m].course for m in self.moving])
-        self.far = np.array([far_of(colliders[m]) for m in self.moving])
+        self.far = np.array([colliders[m].course.far(*colliders[m].ends()) for m in self.moving])
         self.since = 0.0  # [s] when blocks were found
         self.now = 0.0
         self.take(np.zeros((0, 3), np.int64))
@@ -89,24 +91,22 @@ class Movers:
 
     def rate(self, time: float, rate: float) -> float:
         """1 / dt [1/s], `rate` or more, of a step in which none goes farther than it may."""
-        for _ in range(HALVES):
-            gone = self.travels(time, time + 1.0 / rate)
-            if gone <= FAR:
-                break
-            rate *= max(1.1, gone / FAR)
-        return rate
+        return shortened(self.travels, time, rate)
 
     def strayed(self, time: float) -> bool:
         """Whether the blocks near them have to be found anew."""
         return self.travels(self.since, time) > STRAY / 2
 
 
-def far_of(collider) -> float:
-    """Largest distance [m] of a point of a collider that moves from the axis it turns about."""
-    low, high = (end - collider.course.about for end in collider.ends())
-    corners = np.stack(np.meshgrid(*zip(low, high, strict=True), indexing="ij"), -1).reshape(-1, 3)
-    axis = np.array(collider.course.motion.axis)
-    return float(np.sqrt((np.cross(axis, corners) ** 2).sum(axis=1)).max())
+def shortened(travels: Callable[[float, float], float], time: float, rate: float) -> float:
+    """1 / dt [1/s], `rate` or more, of a step in which what moves goes no more than FAR.
+    travels(t0, t1): how far it goes [cells]."""
+    for _ in range(HALVES):
+        gone = travels(time, time + 1.0 / rate)
+        if gone <= FAR:
+            break
+        rate *= max(1.1, gone / FAR)
+    return rate
 
 
 def _sampled(colliders: list, dx: float) -> Sampled:

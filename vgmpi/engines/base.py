@@ -15,6 +15,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from ..domain.blocks import Lattice
+from ..domain.driven import Driven
 from ..domain.halo import Part
 from ..domain.movers import Movers
 from ..domain.solids import Solids
@@ -84,8 +85,9 @@ class Engine(Protocol):
     words: int  # doubles per sum, of which messages are made
 
     def __init__(
-        self, plan: Plan, lattice: Lattice, solids: Solids | Movers | None, threads: int
-    ): ...
+        self, plan: Plan, lattice: Lattice, solids: Solids | Movers | None, threads: int,
+        driven: Driven | None = None,
+    ): ...  # fmt: skip
 
     def adopt(self, tables: Topology, kept: bool) -> None:
         """Lay out what the tables ask for, after a sort; kept: they are those of before."""

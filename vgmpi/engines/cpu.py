@@ -10,12 +10,14 @@ import numpy as np
 from ..device.calls import entry
 from ..device.memory import aligned, grown
 from ..domain.blocks import BITS, EDGE, Lattice
+from ..domain.driven import NOTHING, TURNED, Driven
 from ..domain.halo import Part
 from ..domain.movers import Movers
 from ..domain.solids import Solids
 from ..domain.state import Group
 from ..domain.topology import Topology, hue
 from ..kernels import beside, g2p, gradient, grid, members, p2g, records, restore, sums, touch
+from ..kernels.driven import carry
 from ..kernels.layers import colour, momentum
 from ..kernels.tables import NodeBlocks, Particles, Phases, Segments, Step, Walls
 from ..kernels.walls import KINDS, patch_codes
@@ -46,15 +48,18 @@ class Cpu:
     """
 
     def __init__(
-        self, plan: Plan, lattice: Lattice, solids: Solids | Movers | None, threads: int = 1
-    ):
+        self, plan: Plan, lattice: Lattice, solids: Solids | Movers | None, threads: int = 1,
+        driven: Driven | None = None,
+    ):  # fmt: skip
+        self.driven = driven
         self.plan, self.threads = plan, threads
         self.groups = [Group(group, lattice, plan.real) for group in plan.groups]
         self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
         self.solids = solids
         self.none = grid.Rigid(
-            np.zeros((0, 64, 4), plan.real), np.zeros((0, 64, 3), plan.real), np.zeros((0, 64), int)
-        )
+            np.zeros((0, 64, 4), plan.real), np.zeros((0, 64, 3), plan.real),
+            np.zeros((0, 64), int), NOTHING if driven is None else driven.ways,
+        )  # fmt: skip
         kinds = np.array([KINDS[kind] for kind, _ in plan.walls], np.int64).reshape(3, 2)
         friction = np.array([mu for _, mu in plan.walls]).reshape(3, 2)
         met = kinds.copy()
@@ -189,6 +194,8 @@ class Cpu:
             group = part.group
             rows = part.shares.of(border)[thread]
             if not self.dt:
+                if group.plan.driven:  # and loses nothing by transfers
+                    continue
                 self.call(
                     ("still",), p2g.fill, rows, part.moving.kind, None, part.segments,
                     part.particles, self.layers["momentum"].sums, self.scratch[thread], dt,
@@ -234,7 +241,7 @@ class Cpu:
             )  # fmt: skip
         rigid, solids = self.none, self.solids
         if solids is not None:
-            rigid = grid.Rigid(solids.nodes, solids.moves, solids.whose)
+            rigid = rigid._replace(nodes=solids.nodes, moves=solids.moves, whose=solids.whose)
         shear = layers["shear"].tables if self.plan.rubs else None
         summed = grid.Summed(layers["momentum"].tables, layers["offsets"].tables)
         self.call(
@@ -272,6 +279,9 @@ class Cpu:
             group, plan = part.group, part.group.plan
             rows = part.shares.all[thread]
             particles = part.particles
+            if plan.driven:
+                self._carry(part, rows, motion, report[thread])
+                continue
             first = plan.channels.first("colour")
             for k in range(plan.coefficients):
                 nodes = self.layers[hue(k)].nodes
@@ -290,6 +300,17 @@ class Cpu:
                     (g,), gradient.follow, rows, group.start, group.count, group.f, at, motion.dt
                 )
 
+    def _carry(self, part: GroupWork, rows: np.ndarray, motion: g2p.Motion, report) -> None:
+        """Move what is driven; what is held stays."""
+        group, driven = part.group, self.driven
+        assert driven is not None
+        if group.plan.phase in driven.phases:
+            turned = np.array([group.plan.channels.first(name) for name in TURNED])
+            self.call(
+                (), carry, rows, part.segments, group.block, part.particles, group.plan.phase,
+                driven.ways, turned, self.plan.dx, self.dt, motion, report,
+            )  # fmt: skip
+
     def restore(self, times: int) -> list[Beyond]:
         """Give the particles `times` what a step of no time has taken from their motion."""
         self.each(self._restore, self.plan.real.type(times))
@@ -298,6 +319,8 @@ class Cpu:
     def _restore(self, thread: int, times: float) -> None:
         dx = self.plan.real.type(self.plan.dx)
         for part in self.parts:
+            if part.group.plan.driven:
+                continue
             self.call(
                 (), restore.give_back, part.shares.all[thread], times, part.segments,
                 part.particles, self.layers["momentum"].nodes, self.scratch[thread], dx,

@@ -83,7 +83,9 @@ def contributions(plan: Plan, group: GroupPlan, takes: dict, split) -> list[Cont
     """What a group's segments give to each layer."""
     whole, inert = momentum.kinds(plan, group)
     found = [
-        Contribution("momentum", whole, ~split),
+        Contribution("momentum", inert, split | True)  # no stress moves what is driven
+        if group.driven
+        else Contribution("momentum", whole, ~split),
         Contribution("offsets", offsets.kind(plan, group), takes["offsets"]),
     ]
     if group.apart:

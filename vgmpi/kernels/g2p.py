@@ -208,17 +208,17 @@ def _blame(ids, p, count, whole, tame, slow, inside, report):
     for lane in range(count):
         bit = 1 << lane
         if whole & bit == 0:
-            _note(report, ids[p + lane], CRUSHED)
+            note(report, ids[p + lane], CRUSHED)
         elif tame & bit == 0:
-            _note(report, ids[p + lane], LOST)
+            note(report, ids[p + lane], LOST)
         elif slow & bit == 0:
-            _note(report, ids[p + lane], TOO_FAST)
+            note(report, ids[p + lane], TOO_FAST)
         elif inside & bit == 0:
-            _note(report, ids[p + lane], OUTSIDE)
+            note(report, ids[p + lane], OUTSIDE)
 
 
 @inline
-def _note(report, number, reason):
+def note(report, number, reason):
     """Keep the lowest id of the particles that went wrong, and why."""
     if report[2] == 0.0 or number + 1.0 < report[2]:
         report[2] = number + 1.0

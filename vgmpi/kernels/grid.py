@@ -12,10 +12,12 @@ from ..couplings.base import CONTACT
 from ..device.jit import inline, kernel
 from ..device.limits import ROUNDING
 from ..device.select import select
+from ..domain.driven import Ways
 from ..lanes.lanes import load, place, store
 from ..lanes.nodes import fourth_of, velocity, with_fourth
 from ..lanes.rows import repeat, spread
 from .couple import Fields, Here, couple_block, note_flux
+from .driven import prescribe
 from .members import places
 from .sums import blocks_at, sums_at, take_up
 from .tables import Sums
@@ -24,11 +26,13 @@ from .walls import constrain, tangential
 
 
 class Rigid(NamedTuple):
-    """Colliders, at the nodes of the blocks they are near."""
+    """What nothing turns aside: colliders, at the nodes of the blocks they are near, and what is
+    driven."""
 
     nodes: np.ndarray  # (n, 64, 4) outward normal and distance [m] of the nearest
     moves: np.ndarray  # (n, 64, 3) its velocity [m/s]; (0, 64, 3) where all are at rest
     whose: np.ndarray  # (n, 64) number of it; (0, 64) where all have the same friction
+    ways: Ways  # of no phases where nothing is driven
 
 
 class Summed(NamedTuple):
@@ -86,6 +90,7 @@ def update(blocks, tables, summed, shear, apart, rules, walls, phases, solids, r
                 take_up(nb, rows, sheared, report, 2 if apart is None else 3)
             fall(nb, nodes, push, ROUNDING * least_of[phase_of[nb]])
         here = _here(b, n0, n1, tables, last)
+        prescribe(here, momentum.nodes, tables.phase, solids.ways, step.dx)
         if apart is not None:
             noted = kept_apart and apart.noted
             if noted:

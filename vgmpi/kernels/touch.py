@@ -10,6 +10,7 @@ import numpy as np
 from ..couplings.base import CONTACT
 from ..device.jit import inline
 from ..device.limits import TOUCHING
+from ..domain.driven import HEAVY
 from ..domain.solids import REACH
 from .contact import (
     GOES,
@@ -32,6 +33,7 @@ class Room(NamedTuple):
 
     v: np.ndarray  # (n + 2, 3) velocities, the last two of the collider and of walls
     mass: np.ndarray  # (n,)
+    heavy: np.ndarray  # (n,) the same, beyond all measure of what is driven
     here: np.ndarray  # (n,) node block of each phase that is there
     slope: np.ndarray  # (n, 3) of the velocity per cell along a known surface's normal
     change: np.ndarray  # (n, 3) of the velocities, by elastic layers
@@ -58,7 +60,7 @@ def room(n: int) -> Room:
     m = n * (n + 1) // 2 + 3 * n
     return Room(
         v=np.zeros((n + 2, 3)), slope=np.zeros((n, 3)), change=np.zeros((n, 3)), mass=np.zeros(n),
-        here=np.zeros(n, np.int64),
+        heavy=np.zeros(n), here=np.zeros(n, np.int64),
         normals=np.zeros((m, 7)), impulse=np.zeros((m, 4)), friction=np.zeros(m),
         master=np.zeros(m, np.int64), other=np.zeros(m, np.int64), touches=np.zeros(n, np.int64),
         plane=np.zeros(4), row=np.zeros(n),
@@ -69,7 +71,7 @@ def room(n: int) -> Room:
 def touch(here, tables, solid, summed, shear, solids, walls, phases, rules, step, room):
     """Contact in a block. here: couple.Here; solid: its row in solids (grid.Rigid), or -1; summed:
     grid.Summed, of which the momenta are velocities by now; shear: Sums, or None."""
-    velocities, offsets = summed.momentum.nodes, summed.offsets.nodes
+    velocities, offsets, ways = summed.momentum.nodes, summed.offsets.nodes, solids.ways
     pushes = here.at_wall and _may_push(walls)
     for node in range(64):
         active = _active(here, node, velocities, tables.phase, phases.least, room.here)
@@ -84,13 +86,15 @@ def touch(here, tables, solid, summed, shear, solids, walls, phases, rules, step
             for c in range(3):
                 room.v[q, c] = velocities[nb, 4 * node + c]
                 room.change[q, c] = 0
-            room.mass[q] = velocities[nb, 4 * node + 3]
+            room.mass[q] = room.heavy[q] = velocities[nb, 4 * node + 3]
+            if _driven(ways, tables.phase[nb]):
+                room.heavy[q] *= HEAVY
             if shear is not None:
                 for c in range(3):
                     room.slope[q, c] = shear.nodes[nb, 4 * node + c] / room.mass[q]
             room.touches[q] = 0
         there = There(active, node, active + rigid + planes == 2)
-        pairs = _pairs(there, tables.phase, offsets, phases, rules, step, room)
+        pairs = _pairs(there, tables.phase, offsets, phases, rules, ways, step, room)
         if rigid:
             surface = solids.nodes[solid, node]
             number = solids.whose[solid, node] if len(solids.whose) > 0 else 0
@@ -99,21 +103,29 @@ def touch(here, tables, solid, summed, shear, solids, walls, phases, rules, step
                 for c in range(3):
                     room.v[GOES, c] = solids.moves[solid, node, c]
             pairs = _on_rigid(
-                pairs, there, tables.phase, offsets, surface, row, GOES, phases, step, room
+                pairs, there, tables.phase, offsets, surface, row, GOES, phases, ways, step, room
             )
         if planes:
-            pairs = _on_walls(pairs, there, tables.phase, offsets, at, walls, phases, step, room)
+            pairs = _on_walls(
+                pairs, there, tables.phase, offsets, at, walls, phases, ways, step, room
+            )
         for q in range(active):
             for c in range(3):
                 room.v[q, c] += room.change[q, c]
         if pairs > 0:
             resolve(
-                room.v, room.mass, active, room.normals, room.friction, room.master, room.other,
+                room.v, room.heavy, active, room.normals, room.friction, room.master, room.other,
                 pairs, room.touches[:active].max(), room.impulse,
             )  # fmt: skip
         for q in range(active):
             for c in range(3):
                 velocities[room.here[q], 4 * node + c] = room.v[q, c]
+
+
+@inline
+def _driven(ways, phase):
+    """Whether a phase is driven."""
+    return len(ways.driven) > 0 and ways.driven[phase]
 
 
 @inline
@@ -129,7 +141,7 @@ def _active(here, node, velocities, phase, least, found):
 
 
 @inline
-def _pairs(there, phase, offsets, phases, rules, step, room):
+def _pairs(there, phase, offsets, phases, rules, ways, step, room):
     """The phases that touch each other, in their order: those that meet by an elastic layer into
     room.change, the others as pairs: masters, normals and friction. Returns how many pairs."""
     pairs = 0
@@ -140,6 +152,8 @@ def _pairs(there, phase, offsets, phases, rules, step, room):
             if rules is not None:
                 if rules.pair[ph, other] != CONTACT:
                     continue
+            if _driven(ways, ph) and _driven(ways, other):
+                continue
             a, b = (q, r) if phases.mastery[ph] < phases.mastery[other] else (r, q)
             pairs = _on_each_other(pairs, there, a, b, phase, offsets, phases, step, room)
     return pairs
@@ -175,7 +189,7 @@ def _on_each_other(pairs, there, a, b, phase, offsets, phases, step, room):
 
 
 @inline
-def _on_rigid(pairs, there, phase, offsets, surface, friction, a, phases, step, room):
+def _on_rigid(pairs, there, phase, offsets, surface, friction, a, phases, ways, step, room):
     """Take up what something rigid does to phases. surface: (4,) its normal, and its distance [m];
     friction: (phases,); a: GOES, a collider's, or RESTS, a wall's, which meets those alone whose
     surfaces are known."""
@@ -183,6 +197,8 @@ def _on_rigid(pairs, there, phase, offsets, surface, friction, a, phases, step, 
         ph, mine = phase[room.here[q]], offsets[room.here[q], 4 * there.node :]
         known, mass, n = phases.surface[ph], room.mass[q], room.normals[pairs]
         if not ((a == GOES or known) and _has(mine, known)):
+            continue
+        if _driven(ways, ph):
             continue
         for c in range(3):
             n[c] = surface[c]
@@ -203,7 +219,7 @@ def _take_up(pairs, there, meeting, n, step, room):
     approach as one pair more. A pair that is alone at its node and parts is left out: nothing acts
     on it."""
     if meeting.sure:
-        press(room.change, room.v, room.slope, room.mass, meeting, n, step.dt, step.dx)
+        press(room.change, room.v, room.slope, room.heavy, meeting, n, step.dt, step.dx)
     if not touching(meeting) or (there.alone and _parts(room.v, meeting, n)):
         return pairs
     room.master[pairs], room.other[pairs] = meeting.a, meeting.b
@@ -253,7 +269,7 @@ def _planes(at, walls):
 
 
 @inline
-def _on_walls(pairs, there, phase, offsets, at, walls, phases, step, room):
+def _on_walls(pairs, there, phase, offsets, at, walls, phases, ways, step, room):
     """Take up what walls do that push known surfaces."""
     surface, row = room.plane, room.row
     for a in range(3):
@@ -264,5 +280,7 @@ def _on_walls(pairs, there, phase, offsets, at, walls, phases, step, room):
             surface[a] = 1.0 - 2.0 * side
             for k in range(len(row)):
                 row[k] = walls.friction[a, side]
-            pairs = _on_rigid(pairs, there, phase, offsets, surface, row, RESTS, phases, step, room)
+            pairs = _on_rigid(
+                pairs, there, phase, offsets, surface, row, RESTS, phases, ways, step, room
+            )
     return pairs

@@ -47,6 +47,7 @@ class GroupPlan(NamedTuple):
     followed: bool = False  # carries its total deformation gradient, which its law does not know
     surface: bool = False  # its particles know the surface of their body at rest
     coefficients: int = 0  # of its colours, which travel with every step
+    driven: bool = False  # its motion is prescribed (driven.py)
 
     @property
     def porous(self) -> bool:
@@ -83,11 +84,12 @@ class PhasePlan(NamedTuple):
 
     name: str
     families: tuple[str, ...]  # of its bodies
-    objects: tuple[int, ...]  # rows of the scene's things
+    objects: tuple[int, ...]  # rows of the scene's things that are ever in it
     mastery: int  # 0 for the phase whose normals count first
     least: float  # [kg] one cell full of its lightest material
     most: float  # [kg] one cell full of its densest
     surface: bool = False  # contact knows the surfaces of its bodies, and not their particles alone
+    driven: bool = False  # its velocity is prescribed
 
 
 def deforms(scene: Scene, thing: Object | Inflow) -> bool:
@@ -107,7 +109,8 @@ def surfaced(scene: Scene) -> frozenset[str]:
         if thing.material is not None:
             of = families.setdefault(scene.phase_of(thing) or "", set())
             of.add(scene.material[thing.material].family)
-    touches = len(families) > 1 or any(thing.collider for thing in scene.object)
+    touches = len(families) > 1
+    touches |= any(thing.collider or thing.driven for thing in scene.object)
     touches |= any(kind == "separate" for kind, _ in scene.domain.walls)
     return frozenset(name for name, of in families.items() if touches and of == {"solid"})
 
@@ -118,11 +121,13 @@ def phases_of(
     volume: list[float],
     center: list[list[float]],
     surface: list[bool],
+    driven: dict[str, tuple[int, ...]],
 ) -> tuple[PhasePlan, ...]:
     """The phases of a scene, by name. bodies: material of each object that has one; volume [m3] and
-    center [m] of each object; surface: of each, whether its particles know it (prepare/outline.py).
+    center [m] of each object; surface: of each, whether its particles know it (prepare/outline.py);
+    driven: the bodies of phases of what is driven, by their names.
     """
-    members: dict[str, list[int]] = {}
+    members = {name: list(rows) for name, rows in driven.items()}
     for k in bodies:
         members.setdefault(scene.phase_of(scene.things[k]) or "", []).append(k)
     names = sorted(members)
@@ -149,6 +154,7 @@ def phases_of(
             min(bodies[k].bulk_density for k in members[name]) * cell,
             max(bodies[k].bulk_density for k in members[name]) * cell,
             all(surface[k] for k in members[name]),
+            name in driven,
         )
         for name in names
     )

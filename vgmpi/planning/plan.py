@@ -19,6 +19,7 @@ from ..scene.loads import mean_share
 from ..scene.scene import Scene
 from ..scene.settings import Accuracy
 from .colour_sets import Exchange, exchange
+from .driven import DrivenPlan, Extents, driven_phases, driven_plans
 from .groups import GroupPlan, PhasePlan, completed, groups_of, phases_of
 from .inflow import SinkPlan, SourcePlan, sink_plans, source_plans
 from .sharing import rules
@@ -88,6 +89,7 @@ class Plan:
     thickness: tuple[float, ...] = ()
     sources: tuple[SourcePlan, ...] = ()
     sinks: tuple[SinkPlan, ...] = ()
+    driven: tuple[DrivenPlan, ...] = ()
 
     @property
     def flows(self) -> bool:
@@ -162,6 +164,9 @@ class Plan:
             if self.group_of[k] >= 0:
                 # growth of a quarter, 16-padding, three index arrays while sorting
                 total += int(n * (1.4 * self.bytes_per_particle(self.group_of[k]) + 24))
+        for kept in self.driven:  # there is room for them in two groups
+            n = sum(self.count[k] for k in kept.things)
+            total += int(n * 1.4 * self.bytes_per_particle(kept.joins))
         width, nodes = self.real.itemsize, 64 * 4
         one = 8 * (1 if width == 4 else 2) + width  # a number's sum, and the number
         touches = self.contact or self.collider or bool(self.planes)
@@ -181,24 +186,25 @@ def make_plan(
     center: list[list[float]] | None = None,
     shades: np.ndarray | None = None,
     surface: list[bool] | None = None,
+    extents: Extents | None = None,
 ) -> Plan:
     """The plan of a scene whose objects have `count` particles of `volume` [m3] in total each, with
     their `center` [m], without which bodies of one volume are told apart by their names alone, and
     with the `shades` of their colours (colour_sets.shades); surface: of each, whether its particles
-    know it, of none by default.
-
-    Raises SceneError where a fixed time step is above the bound, or no step moves the time on.
-    """
+    know it, of none by default; extents: see driven.driven_plans. Raises SceneError where a fixed
+    time step is above the bound, or no step moves the time on."""
     # scenery has no material
     bodies = {k: scene.material[t.material] for k, t in enumerate(scene.things) if t.material}
     real, n = REALS[scene.accuracy.precision], len(volume)
     center, surface = center or [[0.0] * 3] * n, surface or [False] * n
-    phases = phases_of(scene, bodies, volume, center, surface)
-    groups, group_of = groups_of(scene, bodies, phases, real)
-    sharing = rules(scene, groups, phases)
+    phases = phases_of(scene, bodies, volume, center, surface, driven_phases(scene))
+    plain, group_of = groups_of(scene, bodies, phases, real)
+    sharing = rules(scene, plain, phases)
     colours = exchange(scene, phases, shades)
     _check_transfer(scene, sharing)
     keeps, restores = _keeps(scene.accuracy), _restores(scene)
+    whole = tuple(completed(scene, group, sharing, colours, keeps, restores) for group in plain)
+    driven, groups, group_of = driven_plans(scene, whole, group_of, phases, extents or {})
     plan = Plan(
         cells=scene.domain.cells,
         dx=scene.domain.cell,
@@ -206,9 +212,7 @@ def make_plan(
         gravity=scene.domain.gravity,
         walls=tuple(scene.domain.walls),
         phases=phases,
-        groups=tuple(
-            completed(scene, group, sharing, colours, keeps, restores) for group in groups
-        ),
+        groups=groups,
         group_of=group_of,
         first_id=tuple(int(n) for n in np.concatenate([[0], np.cumsum(count)[:-1]])),
         count=tuple(int(n) for n in count),
@@ -230,6 +234,7 @@ def make_plan(
         gravity_keys=_gravity_keys(scene),
         sources=source_plans(scene, group_of, count),
         sinks=sink_plans(scene),
+        driven=driven,
     )
     _check_steps(scene, plan)
     return plan

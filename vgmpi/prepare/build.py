@@ -15,7 +15,7 @@ from vgmpi.planning.colour_sets import colour_sets
 from vgmpi.planning.groups import deforms, surfaced
 from vgmpi.prepare import cost, inflow
 from vgmpi.prepare.collider import Collider, moving
-from vgmpi.prepare.courses import astray
+from vgmpi.prepare.courses import astray, leaves
 from vgmpi.prepare.initial import begun
 from vgmpi.prepare.loaded import Loaded, find
 from vgmpi.prepare.mesh import MeshError
@@ -99,7 +99,8 @@ def build(scene: Scene) -> Prepared:
             asked = thing.role == "body" and scene.phase_of(thing) in touched
             piece = replace(piece, collider=moving(piece.collider, thing.motion))
             pieces.append(outlined(scene, piece, asked))
-            errors += [(("object", k, *key), said) for key, said in astray(scene, piece.collider)]
+            wrong = astray(scene, piece.collider) + leaves(scene, thing, piece.cloud.x)
+            errors += [(("object", k, *key), said) for key, said in wrong]
             if piece.said:
                 log.info("'%s': %s", thing.name, _told(scene, thing, piece))
         except PlacementError as error:
@@ -268,7 +269,7 @@ def _describe(
         "color": list(thing.colour),
         "collider": thing.collider,
         "surface": piece.surface is not None,
-    } | ({"moves": True} if thing.motion is not None else {})
+    } | ({"moves": True} if thing.collider and thing.motion is not None else {})
 
 
 def _theta(piece: Piece) -> np.ndarray:

@@ -5,9 +5,11 @@ import logging
 
 import numpy as np
 
-from vgmpi.domain.movers import FAR, far_of
+from vgmpi.domain.movers import FAR
+from vgmpi.planning.driven import course_of
 from vgmpi.prepare.collider import Collider
-from vgmpi.scene.motion import Courses
+from vgmpi.scene.motion import LOOKS, Courses
+from vgmpi.scene.objects import Object
 from vgmpi.scene.scene import Scene
 
 log = logging.getLogger("vgmpi")
@@ -32,10 +34,60 @@ def astray(scene: Scene, collider: Collider | None) -> list[tuple[tuple, str]]:
         return []
     found, courses = [], Courses([collider.course])
     for t0, t1, key in collider.course.legs(scene.time.end):
-        speed = float(courses.fastest(t0, t1, np.array([far_of(collider)]))[0])
-        said = _too_fast(scene, speed) or _outside(scene, collider, courses, t1)
+        far = collider.course.far(*collider.ends())
+        said = _too_fast(scene, float(courses.fastest(t0, t1, np.array([far]))[0]))
+        said = said or _outside(scene, collider, courses, t1)
         found += [(("motion", *key), said)] if said else []
     return found
+
+
+def leaves(scene: Scene, thing: Object, x: np.ndarray) -> list[tuple[tuple, str]]:
+    """(key of its object, text) for each part of the motion of a body, with particles at x (n, 3)
+    [m], that takes some of it out of the domain, or is too fast for a fixed time step."""
+    if not thing.driven or thing.motion is None or not len(x):
+        return []
+    low, high = extent(x)
+    course = course_of(thing, low, high)
+    found, courses, hull = [], Courses([course]), _hull(x)
+    for t0, t1, key in course.legs(scene.time.end):
+        far = np.array([course.far(low, high)])
+        said = _too_fast(scene, float(courses.fastest(t0, t1, far)[0]))
+        for time in np.linspace(t0, t1, LOOKS + 1)[1:]:
+            said = said or _beyond(scene, hull, courses, float(time))
+        found += [(("motion", *key), said)] if said else []
+    return found
+
+
+def extent(x: np.ndarray) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Lower and upper corner [m] of particles at x (n, 3) [m]; of none, the origin."""
+    if not len(x):
+        return (0.0,) * 3, (0.0,) * 3
+    return tuple(map(float, x.min(axis=0))), tuple(map(float, x.max(axis=0)))
+
+
+def _hull(x: np.ndarray) -> np.ndarray:
+    """Those of the points x (n, 3) that are farthest out in any direction."""
+    from scipy.spatial import ConvexHull, QhullError  # only where a body is driven
+
+    try:
+        return x[ConvexHull(x).vertices]
+    except QhullError:  # flat
+        return x
+
+
+def _beyond(scene: Scene, x: np.ndarray, courses: Courses, time: float) -> str:
+    """Of a body with points at x (n, 3) [m] at the start, of which one is outside the domain at a
+    time [s]."""
+    pose = courses.matrices(time)[0]
+    at = x @ pose[:3, :3].T + pose[:3, 3]
+    for a, name in enumerate("xyz"):
+        low, high, size = at[:, a].min(), at[:, a].max(), scene.domain.size[a]
+        if low < 0 or high > size:
+            return (
+                f"takes the body out of the domain: at {time:.4g} s it is at {name} ="
+                f" {low:.4g} .. {high:.4g} m; the domain is 0 .. {size:g} m"
+            )
+    return ""
 
 
 def _too_fast(scene: Scene, speed: float) -> str:

@@ -1,5 +1,6 @@
-"""How a rigid collider moves: its keyframes in a scene, and where it is at a time."""
+"""How a collider or a driven body moves: its keyframes in a scene, and where it is at a time."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -19,7 +20,7 @@ WAYS = ("keyframes", "velocity", "spin")
 
 
 class Keyframe(Table):
-    """Where a collider is at a time, from where it stands at the start."""
+    """Where something is at a time, from where it stands at the start."""
 
     time: Time
     """when; keyframes are in order of time"""
@@ -50,6 +51,13 @@ class Motion(Table):
     extent"""
     axis: Axis = (0.0, 0.0, 1.0)
     """the axis it turns about: "x", "y", "z" or three numbers; right-handed"""
+
+    @property
+    def ends(self) -> float:
+        """When it ends [s]."""
+        if self.keyframes:
+            return self.keyframes[-1].time
+        return math.inf if self.until is None else self.until
 
 
 @dataclass(frozen=True)
@@ -85,6 +93,22 @@ class Course:
         if motion.until is None:
             return np.zeros(1), going
         return np.array([0.0, motion.until]), np.concatenate([going, _resting(motion.until * rate)])
+
+    def far(self, low, high) -> float:
+        """Largest distance [m] from the axis it turns about of a point between two corners (3,)
+        [m]."""
+        ends = np.array([low, high]) - self.about
+        corners = np.stack(np.meshgrid(*ends.T, indexing="ij"), -1).reshape(-1, 3)
+        return float(np.sqrt((np.cross(self.motion.axis, corners) ** 2).sum(axis=1)).max())
+
+    def rates(self, time: float) -> tuple[np.ndarray, np.ndarray]:
+        """Velocity (3,) [m/s] of its point `about`, and angular velocity (3,) [rad/s], at a time
+        [s]; at the end of a part those of that part."""
+        times, cubics = self.cubics
+        part = max(int(np.searchsorted(times, time, "left")) - 1, 0)
+        t, c = time - times[part], cubics[part]
+        found = (3.0 * c[:, 0] * t + 2.0 * c[:, 1]) * t + c[:, 2]
+        return found[:3], found[3] * np.array(self.motion.axis)
 
 
 def _resting(row: np.ndarray) -> np.ndarray:
@@ -159,6 +183,13 @@ class Courses:
         times = np.linspace(t0, t1, LOOKS + 1)
         parts = [self.travels(a, b, far) for a, b in pairwise(times)]
         return LOOKS / (t1 - t0) * np.max(parts, axis=0)
+
+
+def turning(spin: Sequence[float] | np.ndarray) -> list[float]:
+    """The gradient (9,) [1/s], row by row, of the velocity of what turns with an angular velocity
+    (3,) [rad/s]."""
+    x, y, z = spin
+    return [0.0, -z, y, z, 0.0, -x, -y, x, 0.0]
 
 
 def motion_complaints(raw: Any, path: tuple) -> list[tuple[tuple, str]]:

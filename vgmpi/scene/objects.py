@@ -9,6 +9,7 @@ from pydantic import BeforeValidator, model_validator
 
 from vgmpi.misspelt import nearest
 from vgmpi.scene.forms import Axis, Corners, Shape, Sphere, shape_complaints
+from vgmpi.scene.keyframes import Time
 from vgmpi.scene.motion import Motion, motion_complaints
 from vgmpi.tables import Colour, Length, Point, Positive, Quantity, Share, Table
 
@@ -28,7 +29,12 @@ OF_BODIES = (
     "prune_scale",
     "passive",
     "deforms",
+    "frozen_until",
+    "release",
+    "released_by",
 )
+# what a body that is driven does not have: it moves as it is told, and shares its space with none
+NOT_DRIVEN = ("velocity", "spin", "mode", "fraction", "fraction_profile")
 
 Velocity = tuple[
     Annotated[float, Quantity("m/s")],
@@ -201,7 +207,17 @@ class Object(Table):
     collider: bool = False
     """scenery only: bodies collide with it"""
     motion: Motion | None = None
-    """colliders only: how it moves; without it, it is at rest"""
+    """how a collider or a body moves, whatever meets it. A body that is driven deforms no more and
+    gives way to nothing; when its motion ends it goes on by itself, with the velocity it has then.
+    A collider without it is at rest"""
+    frozen_until: Time | None = None
+    """bodies only, of any material: it stays where and as it is until then, whatever meets it, and
+    is let go. What it shall begin with is a load that is given `after` this time"""
+    release: Literal["from below", "from above"] | None = None
+    """bodies that are frozen, solids excepted: let go one layer of a cell after the other, from
+    `frozen_until` on. Default: all at once"""
+    released_by: Time | None = None
+    """with `release`: when the last layer is let go"""
     friction: Annotated[float, Quantity("", ge=0)] | None = None
     """colliders only: Coulomb friction of all that slides on it. Default: that of what slides on
     its own material"""
@@ -210,6 +226,12 @@ class Object(Table):
     def source(self) -> str:
         """Which of gaussians, mesh, shape it is made from."""
         return next(key for key in SOURCES if getattr(self, key) is not None)
+
+    @property
+    def driven(self) -> bool:
+        """Whether it is a body that is moved, or held, whatever meets it."""
+        moves = self.motion is not None or self.frozen_until is not None
+        return self.role == "body" and moves
 
     @property
     def speed(self) -> float:
@@ -284,10 +306,47 @@ def object_complaints(raw: dict) -> list[tuple[tuple, str]]:
         found.append((("fraction_profile",), said))
     if raw.get("collider") is True and not scenery:
         found.append((("collider",), 'is only for role = "scenery": bodies collide anyway'))
-    for key in ("motion", "friction"):
-        if key in raw and raw.get("collider") is not True:
-            found.append(((key,), "is only for scenery with collider = true"))
+    collider = raw.get("collider") is True
+    if "friction" in raw and not collider:
+        found.append((("friction",), "is only for scenery with collider = true"))
+    if "motion" in raw and scenery and not collider:
+        found.append((("motion",), "is for bodies, and for scenery with collider = true"))
     found += motion_complaints(raw.get("motion"), ("motion",))
+    return found + ([] if scenery else _driven_complaints(raw))
+
+
+def _driven_complaints(raw: dict) -> list[tuple[tuple, str]]:
+    """(path, text) for keys of a body that do not go with its motion, or with its being frozen."""
+    found: list[tuple[tuple, str]] = []
+    driven = [key for key in ("motion", "frozen_until") if key in raw]
+    if len(driven) > 1:
+        said = "motion and frozen_until given at once: give one"
+        found.append((("frozen_until",), said))
+    for key in NOT_DRIVEN if driven else ():
+        if key not in raw:
+            continue
+        said = f"is not for a body with {driven[0]}: until it is let go it "
+        told = "moves as that says" if driven[0] == "motion" else "stays where it is"
+        said += "shares its space with none" if "fraction" in key else told
+        if key in ("velocity", "spin") and driven == ["frozen_until"]:
+            said += f"; [[load]] {key} with after = frozen_until gives it one then"
+        found.append(((key,), said))
+    for key, other in (("release", "frozen_until"), ("released_by", "release")):
+        if key in raw and other not in raw:
+            found.append(((key,), f"is only for bodies with {other}"))
+    if "release" in raw and "released_by" not in raw:
+        found.append((("release",), "needs released_by: when the last layer is let go"))
+    return found
+
+
+def release_complaints(thing: Object, family: str) -> list[tuple[str, str]]:
+    """(key, text) for what keeps a body of a family from being let go as it is asked to be."""
+    found, first, last = [], thing.frozen_until, thing.released_by
+    if thing.release is not None and family == "solid":
+        found.append(("release", "is not for solids: their layers would come apart"))
+    if first is not None and last is not None and last <= first:
+        said = f"must be later than frozen_until = {first:g} s; got {last:g} s"
+        found.append(("released_by", said))
     return found
 
 

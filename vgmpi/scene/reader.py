@@ -14,7 +14,7 @@ from vgmpi.couplings.base import CONTACT
 from vgmpi.misspelt import nearest, nearest_file
 from vgmpi.scene.gravity import gravity_complaints
 from vgmpi.scene.loads import Load, load_complaints
-from vgmpi.scene.objects import Object, body_complaint, object_complaints
+from vgmpi.scene.objects import Object, body_complaint, object_complaints, release_complaints
 from vgmpi.scene.probes import Probe, probe_complaints
 from vgmpi.scene.scene import Scene, mixed, phase_of
 from vgmpi.scene.settings import MOST_CELLS, SECTIONS, Appearance, Domain, Output, Top
@@ -199,6 +199,9 @@ class Reader:
             if thing and thing.passive and made_of and not follows:
                 said = "is only for solids that deform: it rides along with their F"
                 self.wrong(("object", k, "passive"), said)
+            if thing and made_of:
+                for key, said in release_complaints(thing, made_of.family):
+                    self.wrong(("object", k, key), said)
             unknown = thing is None or (thing.material in kinds and made_of is None)
             if unknown or (made_of and made_of.family == "fluid"):
                 continue

@@ -61,6 +61,7 @@ class Inflow(Table):
     collider: ClassVar[bool] = False
     deforms: ClassVar[bool | None] = None
     motion: ClassVar[None] = None
+    driven: ClassVar[bool] = False
 
     @property
     def shaped(self) -> str:

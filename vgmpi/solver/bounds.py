@@ -32,6 +32,7 @@ def check_attrs(path: Any, attrs: dict, run: bool = True) -> None:
         "time": _number(attrs.get("time")) and 0.0 <= attrs["time"] < 1e100,
         "sorted_time": _number(since := attrs.get("sorted_time", 0.0)) and 0.0 <= since < 1e100,
         "step": _count(attrs.get("step")),
+        "since": _count(attrs.get("since", 0)),
         "rate": _number(attrs.get("rate")) and 0.0 <= attrs["rate"] < math.inf,
         "reach": isinstance(reach, list) and all(_number(one) and one >= 0.0 for one in reach),
     }
@@ -160,7 +161,10 @@ def _rows(simulation, saved, g, first, block):
     ids = saved.read_rows(f"{name}/id", first, last)
     wrong = (ids < 0) | (ids >= plan.particles)
     if not wrong.any():
-        wrong = np.array(plan.group_of)[simulation.object_of(ids)] != g
+        thing = simulation.object_of(ids)
+        wrong = np.array(plan.group_of)[thing] != g
+        for one in plan.driven:  # what was let go is in the group that it joins
+            wrong &= ~(np.isin(thing, one.things) & (one.joins == g))
     if wrong.any():
         row = int(np.argmax(wrong))
         return f"{name}/id: row {first + row}: {ids[row]} is no particle of it", ids[:0]

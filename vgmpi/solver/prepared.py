@@ -4,7 +4,7 @@ import hashlib
 import json
 import logging
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +13,10 @@ from ..domain.ranks import Alone
 from ..output import checkpoint, layout, rest, store
 from ..output.read import RunError, opened, read_gaussians
 from ..planning.colour_sets import shades
+from ..planning.driven import Extents
 from ..planning.plan import Plan, make_plan
 from ..prepare import texture
+from ..prepare.courses import extent
 from ..prepare.loaded import find
 from ..scene.scene import Scene
 
@@ -32,6 +34,7 @@ class Known:
     loads: list
     shades: np.ndarray | None = None  # of colours that travel (colour_sets.shades)
     thickness: tuple[float, ...] = ()  # as plan.Plan has it
+    extents: Extents = field(default_factory=dict)  # of what is driven
     # on rank 0, of particles that are in no gaussians.h5 yet: what belongs into it, see rest.write
     rows: dict | None = None
     scenery: dict | None = None
@@ -155,7 +158,12 @@ def _known(scene, objects, rest, x, colliders, loads) -> Known:
     travel = scene.appearance.colour_transfer == "step"
     hues = shades(len(objects), rest.object, rest.sh) if travel else None
     thick = _thicknesses(objects, x, total)
-    return Known(objects, total.tolist(), center.tolist(), colliders, loads, hues, thick)
+    extents = {
+        k: extent(x[objects[k]["first"] :][: objects[k]["count"]])
+        for k, body in enumerate(scene.object)
+        if body.driven
+    }
+    return Known(objects, total.tolist(), center.tolist(), colliders, loads, hues, thick, extents)
 
 
 def _thicknesses(objects: list[dict], x: np.ndarray, volume: np.ndarray) -> tuple[float, ...]:
@@ -184,8 +192,9 @@ def plan_for(scene: Scene, known: Known) -> Plan:
     colliders = bool(known.colliders)
     surface = [bool(thing.get("surface")) for thing in known.objects]
     plan = make_plan(
-        scene, known.count, known.volume, colliders, known.center, known.shades, surface
-    )
+        scene, known.count, known.volume, colliders, known.center, known.shades, surface,
+        known.extents,
+    )  # fmt: skip
     return replace(plan, thickness=known.thickness)
 
 

@@ -118,12 +118,15 @@ class Probes:
         assert probe.object is not None
         plan = self.simulation.plan
         k = [thing.name for thing in self.scene.object].index(probe.object)
-        group = self.simulation.groups[plan.group_of[k]]
+        members = [plan.group_of[k]]
+        members += [one.joins for one in plan.driven if k in one.things]
         last = plan.first_id[k] + plan.count[k] - 1
-        rows = self.simulation.ranks.root_rows(
-            about(self.simulation, group, plan.first_id[k], last)
-        )
-        if rows is None:
+        rows = np.zeros((0, 7))
+        for g in members:
+            mine = about(self.simulation, self.simulation.groups[g], plan.first_id[k], last)
+            found = self.simulation.ranks.root_rows(mine)
+            rows = rows if found is None else np.concatenate([rows, found])
+        if self.simulation.ranks.rank != 0:
             return {}
         total = rows.sum(0)
         mass, momentum = float(total[0]), total[1:4]

@@ -9,6 +9,7 @@ from ..domain.state import Group
 from ..kernels.push import push
 from ..planning.plan import Plan
 from ..prepare.loaded import Loaded
+from ..scene.motion import turning
 
 
 class Pushes:
@@ -52,8 +53,8 @@ class Pushes:
         """Turn particles about their centre of mass. Returns as `push`."""
         x = [group.positions_at(at) for group, at in zip(groups, places, strict=True)]
         middle = self._middle(groups, places, x)
-        wx, wy, wz = spin = loaded.load.spin or (0.0, 0.0, 0.0)
-        turns = np.array([0, -wz, wy, wz, 0, -wx, -wy, wx, 0])
+        spin = loaded.load.spin or (0.0, 0.0, 0.0)
+        turns = np.array(turning(spin))
         fastest = 0.0
         for group, at, here in zip(groups, places, x, strict=True):
             dv = np.cross(spin, here - middle).astype(group.f.dtype)

@@ -162,11 +162,12 @@ class Runner:
         if self.plan.fixed_dt:
             self._warn_if_too_long(bound)
             bound = self.plan.fixed_dt
-        dt, lands = next_step(simulation.time, self.times[self.frame], bound)
+        frame = float(self.times[self.frame])
+        goal = simulation.ahead(frame)
+        dt, lands = next_step(simulation.time, goal, bound)
         done, before = simulation.step + 1 - self.first_step, simulation.time
-        end = float(self.times[self.frame]) if lands else None
-        stop, due = simulation.advance(dt, self.requests.flags(done), end)
-        if lands:
+        stop, due = simulation.advance(dt, self.requests.flags(done), goal if lands else None)
+        if lands and goal == frame:
             self._write_frame()
         self.probes.after_step(before)
         for listener in self.options.listeners:

@@ -113,6 +113,8 @@ def save(simulation: Simulation) -> dict:
     }
     if simulation.movers is not None:
         attrs["sorted_time"] = simulation.movers.since
+    if simulation.driven is not None:
+        attrs["since"] = simulation.since
     if simulation.tally is not None:
         attrs["flow"] = simulation.tally.totals(simulation.ranks)
     return {"attrs": attrs, "groups": groups}
@@ -142,6 +144,7 @@ def restore(simulation: Simulation, saved) -> None:
     simulation.rate = saved.attrs["rate"]
     simulation.reach = Reach(*saved.attrs.get("reach", UNKNOWN))
     simulation.sorted_at = simulation.step
+    simulation.since = saved.attrs.get("since", 0)
     if simulation.movers is not None:  # the blocks near them are those of the last sort
         simulation.movers.stand(saved.attrs.get("sorted_time", simulation.time))
     rows = [_segments(simulation, g, *share) for g, share in enumerate(shares)]

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..couplings.base import CONTACT, MIXING
 from ..device.limits import FARTHEST, LEAST_J, MOST_J
 from ..domain import migrate, topology
 from ..domain.balance import SHARES
 from ..domain.blocks import Lattice
 from ..domain.census import Census
+from ..domain.driven import Driven
 from ..domain.halo import Halo
 from ..domain.movers import Movers
 from ..domain.ranks import Alone
@@ -20,8 +20,10 @@ from ..engines.cpu import Cpu
 from ..engines.numpy.engine import Numpy
 from ..kernels import g2p
 from ..planning.plan import Plan
+from .driven import Releases
 from .enter import Rows, enter, idle
 from .inflow import Sources
+from .needs import needs
 from .pushes import Pushes
 from .sinks import Sinks
 from .tally import Tally
@@ -45,29 +47,6 @@ SUMMED = {
 
 class BlowUp(RuntimeError):
     """The state can no longer be trusted. Names the object, the particle and the step."""
-
-
-def _needs(plan: Plan) -> topology.Needs:
-    """What the scene asks of the tables."""
-    phase_of, hues = (np.array(rows, np.int64) for rows in zip(
-        *((group.phase, group.coefficients) for group in plan.groups), strict=True
-    ))  # fmt: skip
-    surface = np.array([phase.surface for phase in plan.phases])
-    return topology.Needs(
-        phase_of, plan.contact, _apart(plan), hues, surface, plan.planes, plan.rubs
-    )
-
-
-def _apart(plan: Plan) -> bool | topology.Near:
-    """Where the stress's impulses are kept apart: for FLIP, and where phases share space."""
-    rules = plan.rules
-    if rules is None:
-        return plan.keeps is not None
-    same = rules.together[:, None] == rules.together[None, :]
-    shares = same & (rules.together >= 0)[:, None] & ~np.eye(len(same), dtype=bool)
-    asks = (rules.pair == CONTACT) & ~np.eye(len(same), dtype=bool)
-    asks |= (rules.pair == MIXING) & rules.drifting[:, None]
-    return topology.Near(shares, asks, rules.fluid, plan.keeps is not None)
 
 
 class Simulation:
@@ -97,14 +76,17 @@ class Simulation:
         self.solids: Movers | Solids | None = self.movers
         if colliders and self.movers is None:
             self.solids = Solids(list(colliders), self.lattice, plan.real, asked)
-        self.engine: Engine = ENGINES[engine](plan, self.lattice, self.solids, threads)
+        self.driven = Driven(plan) if plan.driven else None
+        self.engine: Engine = ENGINES[engine](plan, self.lattice, self.solids, threads, self.driven)
         self.groups: list[Group] = self.engine.groups
         self.loads = Pushes(list(loads), plan, ranks) if loads else None
         self.tally = Tally(plan) if plan.flows else None
         self.sources = Sources(plan, ranks) if plan.sources else None
         self.sinks = Sinks(plan, self.tally) if self.tally is not None and plan.sinks else None
+        self.releases = Releases(plan, self.tally) if plan.driven else None
+        self.since = 0  # step at which something was let go: from then on restoring counts
         self.gravity = np.array(plan.gravity)
-        self.needs = _needs(plan)
+        self.needs = needs(plan)
         self.tables: topology.Topology
         self.census: Census
         self.cut: np.ndarray | None = None
@@ -231,6 +213,8 @@ class Simulation:
             rate += speed / (min(self.plan.cfl, FARTHEST) * self.plan.dx)
         if self.movers is not None:
             rate = self.movers.rate(self.time, rate)
+        if self.driven is not None:  # while all is held, nothing bounds a step
+            rate = self.driven.rate(self.time, max(rate, 1.0 / float(self.plan.times[-1])))
         return 1.0 / rate
 
     def advance(
@@ -243,8 +227,8 @@ class Simulation:
         """
         mark = self.clock or (lambda name: None)
         engine = self.engine
-        every, beyond = self.plan.restores, []
-        if every and self.step and self.step % every == 0:
+        every, beyond, steps = self.plan.restores, [], self.step - self.since
+        if every and steps and steps % every == 0:
             beyond = self.restore(dt)
         pushed, end = 0.0, self.time + dt if end is None else end
         if self.loads is not None:
@@ -252,6 +236,9 @@ class Simulation:
         if self.movers is not None:
             self.movers.go(self.time, end, dt)
             pushed += self.plan.dx * self.movers.travels(self.time, end) / dt
+        if self.driven is not None:
+            self.driven.go(self.time, end, dt)
+            pushed += self.plan.dx * self.driven.travels(self.time, end) / dt
         gravity = self.gravity
         if self.plan.gravity_ramp or self.plan.gravity_keys:
             gravity = self.plan.gravity_between(self.time, end)
@@ -267,20 +254,34 @@ class Simulation:
         mark("wait")
         if found[2]:
             raise BlowUp(self._blame(report))
-        if self.tally is not None and not found[0]:
+        if not found[0] and (self.tally is not None or self.driven is not None):
             found[BOUNDS] = idle(self.plan)
+            found[0] = 0.0 if self.tally is None else found[0]  # all of it is driven
         if self.sources is not None:
             found[BOUNDS] = self.sources.bound(found[BOUNDS], self.time)
+        freed = self.releases is not None and self.releases.due(before, self.time)
+        if freed:
+            found[BOUNDS] = np.maximum(found[BOUNDS], self._let_go(before))
         self.rate = float(found[0])
         self.reach = Reach.of(found[3:6], self.rate, dt)
         born = self.sources is not None and self.sources.due(before, self.time)
         if born:
             self._enter(self._born(before))
         strayed = self.movers is not None and self.movers.strayed(self.time)
-        if found[1] >= g2p.REACH or strayed or born:
+        if found[1] >= g2p.REACH or strayed or born or freed:
             self.sort()
             mark("sort")
         return found[6:]
+
+    def _let_go(self, before: float) -> np.ndarray:
+        """Let go what is due after `before` [s]. Returns what bounds the steps of it, (4,)."""
+        assert self.releases is not None
+        self.since = self.step
+        return self.releases.let_go(self.groups, before, self.time, self.ranks)
+
+    def ahead(self, goal: float) -> float:
+        """The time [s] up to `goal` at which steps must land next."""
+        return goal if self.releases is None else self.releases.ahead(self.time, goal)
 
     def _flow(self, report: Report) -> Report:
         """Carry what is in nozzles to where it is now, and take away what is in sinks."""

@@ -32,6 +32,11 @@ class Tally:
         """volume: (n,) [m3] of the particles that went."""
         self._add(group, volume, 2)
 
+    def goes_over(self, group: int, joins: int, volume: np.ndarray) -> None:
+        """volume: (n,) [m3] of the particles that went from one group to another."""
+        self._add(group, volume, 2)
+        self._add(joins, volume, 0)
+
     def _add(self, group: int, volume: np.ndarray, first: int) -> None:
         self.part[group][first] += len(volume)
         self.part[group][first + 1] += self._counted(volume)

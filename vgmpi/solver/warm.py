@@ -65,7 +65,18 @@ def _tried(plan: Plan) -> str:
 
 
 def _run_all(plan: Plan) -> None:
-    """A particle per object through one step, a sort and the ledger."""
+    """A particle per object through one step, a sort and the ledger; also of each that is let go
+    in the run."""
+    _run(plan)
+    if plan.driven:
+        group_of = list(plan.group_of)
+        for one in plan.driven:
+            for k in one.things:
+                group_of[k] = one.joins
+        _run(replace(plan, group_of=tuple(group_of)))
+
+
+def _run(plan: Plan) -> None:
     middle = 0.5 * np.array(plan.cells) * plan.dx
     things = np.array([k for k, g in enumerate(plan.group_of) if g >= 0 and plan.count[k]])
     alone = Simulation(replace(plan, sources=(), sinks=()), Alone())

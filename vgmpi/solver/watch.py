@@ -7,7 +7,7 @@ import numpy as np
 from ..domain.state import Group
 from ..kernels.measure import COLUMNS, ledger_rows, object_rows
 from .step import Simulation
-from .tally import Tally
+from .tally import Tally, united
 
 
 def ledger(simulation: Simulation) -> list[dict]:
@@ -29,9 +29,15 @@ def ledger(simulation: Simulation) -> list[dict]:
         gone = tally.totals(simulation.ranks)
         there = tally.there(simulation.groups, simulation.ranks)
         flow = [[*row, *now] for row, now in zip(gone, there, strict=True)]
+    counts: list[list[int]] = []
+    if plan.driven:  # what is let go changes its phase
+        counts = united([[len(group)] for group in simulation.groups], simulation.ranks)
     if simulation.ranks.rank != 0:
         return []
     entries = [_entry(simulation, k, found) for k in range(len(plan.phases))]
+    for k, entry in enumerate(entries if counts else ()):
+        members = [g for g, group in enumerate(plan.groups) if group.phase == k]
+        entry["count"] = sum(counts[g][0] for g in members)
     if tally is not None:
         for k, entry in enumerate(entries):
             entry |= _flow(tally, k, flow)

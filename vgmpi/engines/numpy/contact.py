@@ -71,10 +71,11 @@ class Contact:
                 np.moveaxis(offset, axis + 1, 0)[wall, ..., axis] = 0.0
 
     def act(
-        self, v: np.ndarray, mass: np.ndarray, offset: np.ndarray, volume: np.ndarray,
-        slope: np.ndarray, dt: float,
+        self, v: np.ndarray, mass: np.ndarray, heavy: np.ndarray, offset: np.ndarray,
+        volume: np.ndarray, slope: np.ndarray, dt: float,
     ) -> int:  # fmt: skip
-        """Change velocities v (phases, ..., 3) where phases touch. offset, volume: of phases whose
+        """Change velocities v (phases, ..., 3) where phases touch. heavy: mass, beyond all measure
+        of what is driven; offset, volume: of phases whose
         surfaces are known, mass times normal and mass times distance; slope: change of v per cell
         along such a surface's normal, 0 of others; dt [s]. Returns at how many nodes one acted on
         another."""
@@ -88,7 +89,7 @@ class Contact:
                 for phase, X, V, m in zip(self.plan.phases, offset[at], volume[at], mass[at],
                                           strict=True)
             ]  # fmt: skip
-            there, u, m = np.flatnonzero(here[at]), v[at], mass[at]
+            there, u, m = np.flatnonzero(here[at]), v[at], heavy[at]
             alone = len(there) + self.near[node] + self.planes[node] == 2
             change, pairs = np.zeros_like(u), []
             for a, b, n, one, other, friction, stiff, base in self._meetings(node, there, sides):
@@ -127,6 +128,8 @@ class Contact:
             for other in there[q + 1 :]:
                 if rules is not None and rules.pair[one, other] != CONTACT:
                     continue
+                if plan.phases[one].driven and plan.phases[other].driven:
+                    continue
                 first = plan.phases[one].mastery < plan.phases[other].mastery
                 a, b = (one, other) if first else (other, one)
                 n = _normal(sides[a], sides[b])
@@ -144,6 +147,8 @@ class Contact:
                 rigid.append((*n, 0.0, [plane.friction] * len(sides), False, np.zeros(3)))
         for *n, far, friction, flows, base in rigid:
             for b in there:
+                if plan.phases[b].driven:
+                    continue
                 if sides[b].there and (flows or sides[b].known):
                     out = np.array(n)
                     yield (

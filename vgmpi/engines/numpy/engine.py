@@ -12,6 +12,7 @@ import numpy as np
 
 from ...device.limits import FARTHEST, LEAST_J, MOST_J, ROUNDING, STRETCH
 from ...domain.blocks import EDGE, Lattice
+from ...domain.driven import Driven
 from ...domain.halo import Part
 from ...domain.movers import Movers
 from ...domain.solids import Solids
@@ -27,6 +28,7 @@ from ...planning.plan import Plan
 from ..base import DITHER, Beyond, Report
 from .contact import Contact
 from .dense import Dense, Stencil
+from .driven import carry, prescribe
 from .movers import place
 from .sharing import Sharing
 
@@ -37,8 +39,10 @@ class Numpy:
     words = 1
 
     def __init__(
-        self, plan: Plan, lattice: Lattice, solids: Solids | Movers | None, threads: int = 1
-    ):
+        self, plan: Plan, lattice: Lattice, solids: Solids | Movers | None, threads: int = 1,
+        driven: Driven | None = None,
+    ):  # fmt: skip
+        self.driven = driven
         self.plan, self.dense = plan, Dense(plan)
         self.groups = [Group(group, lattice, plan.real) for group in plan.groups]
         self.contact = Contact(plan, self.dense)
@@ -105,7 +109,9 @@ class Numpy:
         affine = m[:, None, None] * C.reshape(-1, 3, 3) if self.plan.affine else None
         dense.sum(self.mass[p], stencil, m[:, None])
         dense.sum(self.momentum[p], stencil, m[:, None] * v, affine)
-        tau = self.dt * vol0[:, :, None] * self._stress(group, law, state, C)
+        if plan.driven:  # no stress moves it
+            split = np.zeros(len(m), bool)
+        tau = self.dt * vol0[:, :, None] * self._stress(group, law, state, C) * (not plan.driven)
         if plan.porous:
             tau = np.where(split[:, None, None], tau / self._get(group, "share")[:, :, None], tau)
         apart = split[:, None, None]
@@ -181,8 +187,11 @@ class Numpy:
         if self.sharing is not None:
             V = self.sharing.volumes(mass, counted)
             self.drift = self.sharing.act(v, mass, self.forces, V, self.offset, self.dt)
+        heavy = mass.copy()
+        if self.driven is not None:
+            prescribe(v, heavy, self.driven.ways, dense.points(), plan.dx)
         slope = np.where(some, self.shear / np.where(some, mass[..., None], 1.0), 0.0)
-        self.touching = self.contact.act(v, mass, self.offset, volume, slope, self.dt)
+        self.touching = self.contact.act(v, mass, heavy, self.offset, volume, slope, self.dt)
         for velocities, phase in zip(v, plan.phases, strict=True):
             dense.constrain(velocities, phase.surface)
         if self.sharing is not None:
@@ -239,7 +248,7 @@ class Numpy:
     def restore(self, times: int) -> list[Beyond]:
         """Give the particles `times` what a step of no time has taken from their motion."""
         for group, stencil in zip(self.groups, self.stencils, strict=True):
-            if len(group):
+            if len(group) and not group.plan.driven:
                 field = self.v[group.plan.phase]
                 v, L = self.dense.gather(field, stencil), self.dense.gather_slopes(field, stencil)
                 for name, left in (("v", v), ("C", L.reshape(-1, 9))):
@@ -251,6 +260,9 @@ class Numpy:
         plan, dense, p = group.plan, self.dense, group.plan.phase
         if not len(split):
             return Report(0.0, 0.0, (0.0,) * 3, [], [])
+        if plan.driven:
+            assert self.driven is not None
+            return carry(group, self.driven, self.dt, step)
         for k in range(plan.coefficients):
             colour = self._get(group, "colour")
             colour[:, 3 * k : 3 * k + 3] = dense.gather(self.hues[k, p], stencil)[:, :3]

@@ -1,0 +1,81 @@
+"""Bodies that are driven, and those that are let go, keep the promise: the same bits in every file
+for any number of ranks and threads, and after a restart between two layers that are let go."""
+
+import pytest
+
+from tests.digests import digests
+from tests.launch import go
+from tests.scenes import MIXED, write
+from vgmpi.output import checkpoint
+from vgmpi.output.ledger import read
+from vgmpi.solver.bounds import Mismatch, check_attrs
+
+pytestmark = pytest.mark.mpi
+
+SCENE = (
+    MIXED.replace("PRECISION", "single").replace(
+        "velocity = [-2, 0, 0]\nspin = [0, 5, 0]",
+        'motion = { velocity = [-2, 0, -1], spin = "300 rpm", axis = [1, 2, 0], until = "25 ms" }',
+    )
+    + """
+[material.sand]
+kind = "sand"
+youngs_modulus = 2e5
+[[object]]
+name = "castle"
+material = "sand"
+shape = { box = [[0.17, 0.04, 0], [0.27, 0.2, 0.07]] }
+frozen_until = "15 ms"
+release = "from above"
+released_by = "35 ms"
+"""
+)
+
+
+@pytest.fixture(scope="module")
+def one(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("driven")
+    scene = write(folder, SCENE)
+    job = go(scene, folder / "one", 1)
+    assert job.returncode == 0, job.stderr
+    return scene, digests(folder / "one"), folder / "one"
+
+
+def frames(found):
+    return {name: sha for name, sha in found.items() if "frame_" in name or "ledger" in name}
+
+
+def test_they_are_let_go(one):
+    rows = read(one[2] / "ledger.csv")
+    count = {(row["phase"], round(1e3 * row["time"])): row["count"] for row in rows}
+    whole = count["castle (frozen)", 0]
+    assert whole > 1000 and count["sand", 0] == count["cube", 0] == 0
+    assert 0 < count["sand", 20] < whole and count["cube (driven)", 20] > 0
+    assert count["sand", 40] == whole and count["cube (driven)", 40] == 0
+    mass = {t: sum(r["mass"] for r in rows if r["step"] == t) for t in {r["step"] for r in rows}}
+    assert len({round(m, 12) for m in mass.values()}) == 1 and len(mass) == 4
+
+
+@pytest.mark.parametrize("n, flags", [(2, ()), (3, ()), (1, ("--threads", "2"))])
+def test_ranks_and_threads(one, n, flags, tmp_path):
+    scene, want, _ = one
+    job = go(scene, tmp_path, n, *flags)
+    assert job.returncode == 0, job.stderr
+    assert digests(tmp_path) == want
+
+
+def test_stop_and_resume(one, tmp_path):
+    """Stopped on three ranks while half of the layers are let go, then on with two."""
+    scene, want, out = one
+    steps = {row["step"]: row["time"] for row in read(out / "ledger.csv")}
+    stop = next(step for step, time in steps.items() if time > 0.019)
+    job = go(scene, tmp_path, 3, "--stop-after", f"{stop + 7} steps")
+    assert job.returncode == 75, job.stderr
+    path = max((tmp_path / "checkpoints").glob("*.h5"))
+    with checkpoint.open(path) as saved:
+        assert 0 < saved.attrs["since"] < saved.attrs["step"]
+        with pytest.raises(Mismatch, match="since cannot be -1"):
+            check_attrs(path, saved.attrs | {"since": -1})
+    job = go(scene, tmp_path, 2, "--resume")
+    assert job.returncode == 0, job.stderr
+    assert frames(digests(tmp_path)) == frames(want)
