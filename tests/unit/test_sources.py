@@ -126,10 +126,11 @@ def test_layers_are_counted_as_their_times_are(tmp_path):
     (tap,) = plan(tmp_path, TAP).sources
     times = np.linspace(0, 0.3, 1001)
     for k in range(tap.layers):  # and exactly when they are
-        times = np.append(times, [tap.born(k), tap.passes(k)])
+        times = np.append(times, [tap.born(k), tap.passes(k), tap.let_go(k)])
     for time in times:
         assert tap.born_by(time) == sum(tap.born(k) <= time for k in range(tap.layers))
         assert tap.passed_by(time) == sum(tap.passes(k) <= time for k in range(tap.layers))
+        assert tap.free_by(time) == sum(tap.let_go(k) <= time for k in range(tap.layers))
 
 
 def test_a_scene_of_a_source_alone(tmp_path):
@@ -166,7 +167,7 @@ def carried(simulation):
     (source,) = simulation.plan.sources
     (ids,) = by_id(simulation, "id")
     n, now = len(source.mouth), simulation.time
-    first, last = (source.first + n * by(now) for by in (source.passed_by, source.born_by))
+    first, last = (source.first + n * by(now) for by in (source.free_by, source.born_by))
     return (ids >= first) & (ids < last)
 
 
@@ -179,7 +180,7 @@ def test_what_is_carried_has_the_flow_and_the_state_of_rest(tmp_path):
         for _ in range(2):
             v, C, J, vol0 = by_id(simulation, "v", "C", "J", "vol0")
             here = carried(simulation)
-            assert here.sum() == 4 * 32
+            assert here.sum() == 3 * 32  # of four layers the first is .25 cells from the mouth
             np.testing.assert_allclose(v[here] - want, 0.0, atol=1e-15)
             assert (C[here] == 0).all() and (J[here] == 1).all()
             np.testing.assert_allclose(vol0[here], 1e-6, rtol=1e-14)
