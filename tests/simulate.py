@@ -17,7 +17,9 @@ from vgmpi.solver.watch import ledger
 __all__ = ["advance", "begin", "by_id", "mass_speed", "totals"]
 
 
-def begin(folder: Path, text: str, ranks=None, velocity=None, threads: int = 1):
+def begin(
+    folder: Path, text: str, ranks=None, velocity=None, threads: int = 1, engine: str = "cpu"
+):
     """(Simulation, Prepared) of a scene's text. velocity: x (n, 3) -> v (n, 3) instead of the
     scene's.
     """
@@ -25,7 +27,7 @@ def begin(folder: Path, text: str, ranks=None, velocity=None, threads: int = 1):
     loaded = scene(folder, text)
     made = build(loaded)
     plan = plan_for(loaded, known_of(loaded, made))
-    simulation = Simulation(plan, ranks, made.colliders, threads, made.loads)
+    simulation = Simulation(plan, ranks, made.colliders, threads, made.loads, engine)
     n = len(made.x)
     mine = slice(n * ranks.rank // ranks.size, n * (ranks.rank + 1) // ranks.size)
     v = made.v0 if velocity is None else velocity(made.x)

@@ -2,7 +2,10 @@
 dense as it should from its first cell on.
 
 Exact: a body of fluid that nothing touches falls on a parabola (Galilei), and a mass flow is the
-density times the area times the speed.
+density times the area times the speed. What is in the nozzle does not fall, and shares nodes with
+what has just left it: let go at the mouth, a jet falls as if it left .30 cells further on (measured
+over the fall; .26 to .35 with speeds of 2.5 to .5 m/s), .57 cells too high after 20 cells of fall.
+So it is let go .3 cells earlier.
 """
 
 import numpy as np
@@ -12,11 +15,11 @@ from tests.held import held
 from tests.simulate import advance, begin, by_id, totals
 
 DX, U, G = 0.02, 1.25, 9.8
-MOUTH = np.array([0.1, 0.1, 0.36])
-START, END = 0.013, 0.4
+MOUTH = np.array([0.1, 0.1, 0.56])
+START, END = 0.013, 0.44
 SCENE = f"""
 [domain]
-size = [0.6, 0.2, 0.44]
+size = [0.7, 0.2, 0.64]
 cell = {DX}
 gravity = [0, 0, {-G}]
 [time]
@@ -33,7 +36,7 @@ velocity = {U}
 start = {START}
 [[sink]]
 name = "ground"
-shape = {{ box = [[0, 0, 0], [0.6, 0.2, 0.06]] }}
+shape = {{ box = [[0, 0, 0], [0.7, 0.2, 0.06]] }}
 """
 
 
@@ -60,9 +63,10 @@ def test_a_jet_falls_on_a_parabola(jet):
         ((came, _, went, _),) = jet.tally.totals(jet.ranks)
         assert (~behind).sum() + went == passed(jet)
         assert came == n * source.born_by(time) and len(ids) == came - went
-        # what is carried lies on its lattice to rounding
-        carried = source.places(ids[behind], time)
-        assert np.abs(x[behind] - carried).max(initial=0.0) < 1e-12
+        # what is carried lies on its lattice to rounding, and what is let go behind the mouth near
+        off = np.abs(x[behind] - source.places(ids[behind], time)).max(axis=1, initial=0.0)
+        free = ids[behind] < source.first + n * source.free_by(time)
+        assert off[~free].max(initial=0.0) < 1e-12 and off[free].max(initial=0.0) < 0.02 * DX
     held(
         "What a source brought", passed(jet), n * (END - START) * U / source.spacing, n / 2,
         kind="absolute", unit="1",
@@ -74,14 +78,14 @@ def test_a_jet_falls_on_a_parabola(jet):
     bins = np.floor(away / 0.02).astype(int)
     middle = [(away[bins == k].mean(), flown[bins == k, 2].mean()) for k in np.unique(bins)]
     t, z = np.array(middle).T
-    high = z > MOUTH[2] - 9 * DX
+    high = z > MOUTH[2] - 22 * DX  # the sink takes the jet 25 cells down
     t, z = t[high], z[high]
     fell = MOUTH[2] - G / 2 * t**2
-    assert len(t) > 8 and fell[-1] < MOUTH[2] - 7 * DX
+    assert len(t) >= 15 and fell[-1] < MOUTH[2] - 20 * DX
     held(
-        "A jet on its parabola", np.abs(z - fell).max() / DX, 0.0, 0.5,
+        "A jet on its parabola", np.abs(z - fell).max() / DX, 0.0, 0.2,
         kind="below", unit="cells", source="Galilei: z = z0 - g t^2 / 2",
-        note="jet of 3 cells, 9 cells down; its nozzle holds it as if .3 cells longer",
+        note="jet of 3 cells, 20 cells down",
         curves={"jet": (t, z), "parabola": (t, fell)}, axes=("time since the mouth [s]", "z [m]"),
     )  # fmt: skip
 

@@ -116,7 +116,8 @@ class Shape(Table):
     union: tuple["Shape", ...] | None = None
     """list of shapes; where they overlap the first one gives the colour"""
     difference: tuple["Shape", ...] | None = None
-    """list of shapes: the first without all others"""
+    """list of shapes: the first without all others. What cuts a hole into a collider must reach
+    three cells out of it on both sides: water stops at its ends, too"""
     blend: Positive | None = None
     """unions only: edges where parts meet are rounded over about this length; where surfaces of
     parts coincide they move out by a quarter of it"""

@@ -19,7 +19,8 @@ SECTIONS_NEEDED = ("domain", "time")
 class Inflow(Table):
     """A nozzle out of which material pours: exactly one of disc, rectangle, and exactly one of
     velocity, rate, flow. Behind its mouth, upstream, lies a nozzle two cells long, in the domain:
-    in it particles are carried along at the speed of the flow, whatever is before them.
+    in it particles are carried along at the speed of the flow, whatever is before them, until they
+    are let go .3 cells before the mouth.
     """
 
     name: Annotated[str, BeforeValidator(checked_name)]

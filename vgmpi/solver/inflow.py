@@ -1,9 +1,9 @@
 """What sources bring in a run: layers that are born, are carried to the mouth, and let go.
 
 Where a particle of a nozzle is follows from its id and the time alone (planning/inflow.py), so that
-what has passed the mouth is right to a particle at any time, on any number of ranks and after a
-restart. Between its birth and the mouth a particle has the velocity of the flow and the state of
-rest, whatever the grid says.
+what is let go is right to a particle at any time, on any number of ranks and after a restart. Until
+then a particle has the velocity of the flow and the state of rest, whatever the grid says. It is
+let go a little before the mouth (EARLY of planning/inflow.py), so that its fall begins there.
 """
 
 from typing import NamedTuple
@@ -30,18 +30,18 @@ class _Carried(NamedTuple):
     at: np.ndarray  # (n,) places
     block: np.ndarray  # (n, 3)
     ids: np.ndarray  # (n,)
-    passes: np.ndarray  # (n,) [s] when each is let go
+    let_go: np.ndarray  # (n,) [s] when each is
 
     def after(self, time: float) -> "_Carried":
-        """Those that have not passed the mouth at a time [s]."""
-        still = self.passes > time
+        """Those that are not let go up to a time [s]."""
+        still = self.let_go > time
         if still.all():
             return self
         return self._replace(
             at=self.at[still],
             block=self.block[still],
             ids=self.ids[still],
-            passes=self.passes[still],
+            let_go=self.let_go[still],
         )
 
 
@@ -68,17 +68,17 @@ class Sources:
         self.carried = []
         for source in self.plan.sources:
             n, group = len(source.mouth), groups[source.group]
-            first = source.first + source.passed_by(time) * n
+            first = source.first + source.free_by(time) * n
             last = source.first + source.born_by(time) * n
             at = group.index()
             at = at[(group.ids[at] >= first) & (group.ids[at] < last)]
             block, ids = group.block[group.segment_of(at)], group.ids[at]
-            passes = source.passes((ids - source.first) // n)
-            self.carried.append(_Carried(source, group, at, block, ids, passes))
+            let_go = source.let_go((ids - source.first) // n)
+            self.carried.append(_Carried(source, group, at, block, ids, let_go))
 
     def carry(self, report: Report, time: float) -> Report:
-        """Put what is carried where it is at `time` [s], the end of the step; let go what has
-        passed the mouth. Returns the report with how far it has come."""
+        """Put what is carried where it is at `time` [s], the end of the step; let go whose time
+        it is. Returns the report with how far it has come."""
         far = report.far
         for one in self.carried:
             if len(one.at):

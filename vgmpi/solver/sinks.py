@@ -38,7 +38,7 @@ class Sinks:
 
     def take(self, groups: list[Group], step: int) -> bool:
         """Take away this rank's particles that are in a sink after step number `step`. Returns
-        whether there were any: then a sort must follow on all ranks."""
+        whether there were any: then others of this rank have other places."""
         if step % EVERY:
             return False
         found = [self._of(group, g) for g, group in enumerate(groups)]
@@ -60,15 +60,16 @@ class Sinks:
 
 
 def remove(group: Group, places: np.ndarray) -> None:
-    """Take the particles at `places` (n,) out of their segments; the others move up in order."""
+    """Take the particles at `places` (n,) out of their segments; the others move up in order. What
+    is free is as a sort leaves it, and segments stay until the next one, if with nothing in them:
+    tables follow from segments, here and in a run that goes on from a checkpoint."""
     of = group.segment_of(places)
     segments = np.unique(of)
     at = group.places(segments)
     kept = at[~np.isin(at, places)]
-    count = group.count.copy()
-    count -= np.bincount(of, minlength=len(count))
-    group.segments(group.code, group.start, count)
+    group.count = group.count - np.bincount(of, minlength=len(group.count))
     to = group.places(segments)
-    for rows in (group.xi, group.f, group.ids[None]):
+    free = np.setdiff1d(at, to, assume_unique=True)
+    for rows, nothing in ((group.xi, 0), (group.f, 0), (group.ids[None], -1)):
         rows[:, to] = rows[:, kept]  # what is read is a copy
-    group.ids[np.setdiff1d(at, to, assume_unique=True)] = -1
+        rows[:, free] = nothing

@@ -177,15 +177,20 @@ class Simulation:
             )
             if self.movers is not None:
                 self.movers.take(self.tables.at[self.tables.solid >= 0])
+        self._hand_over(kept)
+        if not kept:
+            self.halo = self._exchange(self.halo)
+            if self.plan.restores:
+                self.motion = self._exchange(self.motion, ["momentum"])
+
+    def _hand_over(self, kept: bool) -> None:
+        """Tell the engine, loads and sources of the segments in force. kept: the tables are those
+        that the engine has."""
         self.engine.adopt(self.tables, kept)
         if self.loads is not None:
             self.loads.find(self.groups)
         if self.sources is not None:
             self.sources.find(self.groups, self.time)
-        if not kept:
-            self.halo = self._exchange(self.halo)
-            if self.plan.restores:
-                self.motion = self._exchange(self.motion, ["momentum"])
 
     def _exchange(self, before: Halo | None, layers: Sequence[str] = ()) -> Halo:
         """The exchange of layers by the tables in force, in the place of the one before."""
@@ -288,7 +293,7 @@ class Simulation:
         if self.sources is not None:
             report = self.sources.carry(report, self.time)
         if self.sinks is not None and self.sinks.take(self.groups, self.step):
-            report = report._replace(far=float(g2p.REACH))  # a sort follows, on all ranks
+            self._hand_over(kept=True)
         return report
 
     def restore(self, dt: float) -> list[Beyond]:
