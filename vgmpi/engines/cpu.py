@@ -16,12 +16,14 @@ from ..domain.solids import Solids
 from ..domain.state import Group
 from ..domain.topology import Topology, hue
 from ..kernels import beside, g2p, gradient, grid, members, p2g, records, restore, sums, touch
+from ..kernels.given import Ghosts
 from ..kernels.layers import colour, momentum
 from ..kernels.tables import NodeBlocks, Particles, Phases, Segments, Step, Walls
 from ..kernels.walls import KINDS, patch_codes
 from ..planning.groups import GroupPlan
 from ..planning.plan import Plan
 from .base import DITHER, Beyond, Report
+from .given import Givers
 from .layers import Contribution, contributions, hues, layers
 from .shares import Shares, copies
 
@@ -36,6 +38,7 @@ class GroupWork(NamedTuple):
     given: list[Contribution]
     moving: Contribution  # in a step of no time
     numbers: g2p.Numbers
+    ghosts: Ghosts | None  # where somebody asks what walls give
 
 
 class Cpu:
@@ -86,11 +89,21 @@ class Cpu:
             members.room(len(plan.phases), plan.real, aligned)
             for _ in range(threads if self.apart else 0)
         ]
+        self.givers: Givers | None = None
         self.pairs = members.tables(plan.rules) if plan.rules is not None else ()
         self.parts: list[GroupWork] = []
         self.reports = np.zeros((len(plan.groups), threads, 6))
         self.beyond = np.zeros((threads, len(self.layers)), np.int64)
         self.entries: dict[tuple, Callable] = {}  # compiled code for the arrays in force
+
+    def feel(self, rows: int, quanta: np.ndarray, rank: int) -> None:
+        """Sum what is rigid gives, from now on."""
+        self.givers = Givers(self.plan, rows, quanta, rank, self.threads)
+
+    def given(self) -> np.ndarray:
+        """What it has given since this was asked."""
+        assert self.givers is not None
+        return self.givers.taken()
 
     # ---- after a sort ----------------------------------------------------------------------------
 
@@ -129,6 +142,9 @@ class Cpu:
         self.block_shares = Shares(np.diff(tables.first), tables.waits, self.threads)
         both = [self._nodes_of(shared) for shared in tables.shared.values()]
         self.united = np.unique(np.concatenate([np.zeros(0, np.int64), *both]))
+        if self.givers is not None:
+            self.givers.adopt(tables)
+            self.room = self.givers.rooms(self.room)
         self.parts = [
             self._work(g, here, into[here], share)
             for g, (here, share) in enumerate(zip(rows, shares, strict=True))
@@ -152,7 +168,12 @@ class Cpu:
         given = contributions(self.plan, group.plan, takes, split)
         moving = Contribution("momentum", momentum.kinds(self.plan, group.plan)[1], split | True)
         numbers = _numbers(self.plan, group.plan)
-        return GroupWork(group, _particles(group), segments, shares, given, moving, numbers)
+        ghosts = None
+        if self.givers is not None:
+            ghosts = self.givers.ghosts(block, segments.mirror)
+        return GroupWork(
+            group, _particles(group), segments, shares, given, moving, numbers, ghosts
+        )  # fmt: skip
 
     def _limits(self, block: np.ndarray) -> np.ndarray:
         """Range of positions [cells from the block's middle] whose base node exists, half a cell
@@ -192,13 +213,14 @@ class Cpu:
                 self.call(
                     ("still",), p2g.fill, rows, part.moving.kind, None, part.segments,
                     part.particles, self.layers["momentum"].sums, self.scratch[thread], dt,
+                    self._ghosts(part, thread),
                 )  # fmt: skip
                 continue
             for k, given in enumerate(part.given):
                 self.call(
                     (g, k), p2g.fill, rows[given.chosen[rows]], given.kind, group.plan.law,
                     part.segments, part.particles, self.layers[given.layer].sums,
-                    self.scratch[thread], dt,
+                    self.scratch[thread], dt, self._ghosts(part, thread, given.layer),
                 )  # fmt: skip
 
     def pack(self, part: Part) -> None:
@@ -282,7 +304,7 @@ class Cpu:
             self.call(
                 (g,), g2p.g2p, rows, plan.law, part.segments, particles,
                 self.layers["momentum"].nodes, self._beside(plan), scratch, part.numbers, motion,
-                report[thread],
+                report[thread], self._ghosts(part, thread),
             )  # fmt: skip
             if plan.followed:
                 at = plan.channels.first("F")
@@ -301,7 +323,14 @@ class Cpu:
             self.call(
                 (), restore.give_back, part.shares.all[thread], times, part.segments,
                 part.particles, self.layers["momentum"].nodes, self.scratch[thread], dx,
+                self._ghosts(part, thread),
             )  # fmt: skip
+
+    def _ghosts(self, part: GroupWork, thread: int, layer: str = "momentum") -> Ghosts | None:
+        """What a thread's transfers tell of walls, None where nobody asks or the layer has none."""
+        if self.givers is None or part.ghosts is None:
+            return None
+        return self.givers.of(part.ghosts, thread, layer, self.dt)
 
     def _beside(self, plan: GroupPlan) -> tuple:
         """What a group's particles gather besides the velocity."""

@@ -88,6 +88,7 @@ class Plan:
     thickness: tuple[float, ...] = ()
     sources: tuple[SourcePlan, ...] = ()
     sinks: tuple[SinkPlan, ...] = ()
+    feels: bool = False  # what each collider and wall gives is summed
 
     @property
     def flows(self) -> bool:
@@ -230,6 +231,7 @@ def make_plan(
         gravity_keys=_gravity_keys(scene),
         sources=source_plans(scene, group_of, count),
         sinks=sink_plans(scene),
+        feels=any(probe.feels for probe in scene.probe),
     )
     _check_steps(scene, plan)
     return plan

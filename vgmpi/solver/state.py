@@ -7,7 +7,7 @@ from ..domain.ranks import Alone
 from ..domain.state import LANES
 from ..engines.base import UNKNOWN, Reach
 from ..materials.base import function
-from .bounds import Mismatch, check_attrs, check_flow, check_rows
+from .bounds import Mismatch, check_attrs, check_flow, check_given, check_rows
 from .step import Simulation
 
 
@@ -113,6 +113,8 @@ def save(simulation: Simulation) -> dict:
     }
     if simulation.movers is not None:
         attrs["sorted_time"] = simulation.movers.since
+    if simulation.given is not None:
+        attrs["given"] = simulation.given.saved()
     if simulation.tally is not None:
         attrs["flow"] = simulation.tally.totals(simulation.ranks)
     return {"attrs": attrs, "groups": groups}
@@ -152,6 +154,9 @@ def restore(simulation: Simulation, saved) -> None:
     for g, group in enumerate(simulation.groups):
         _read_group(group, saved, f"group_{g:03d}", table, g, simulation.ranks)
     simulation.adopt(table)
+    if simulation.given is not None:
+        simulation.given.weigh(simulation.groups)
+        simulation.given.adopt(check_given(saved))
 
 
 def _segments(simulation: Simulation, g: int, code: np.ndarray, count: np.ndarray) -> np.ndarray:

@@ -21,6 +21,7 @@ from ..engines.numpy.engine import Numpy
 from ..kernels import g2p
 from ..planning.plan import Plan
 from .enter import Rows, enter, idle
+from .given import Given
 from .inflow import Sources
 from .pushes import Pushes
 from .sinks import Sinks
@@ -90,7 +91,8 @@ class Simulation:
         self.plan = plan
         self.ranks = ranks
         self.lattice = Lattice(plan.cells, plan.dx)
-        asked = len(plan.friction) > len(plan.phases) + 1  # a collider's friction is its own
+        # a collider's friction is its own, or what it gives is asked for
+        asked = len(plan.friction) > len(plan.phases) + 1 or plan.feels
         self.movers: Movers | None = None
         if any(collider.course is not None for collider in colliders):
             self.movers = Movers(list(colliders), self.lattice, plan.real, asked)
@@ -99,6 +101,9 @@ class Simulation:
             self.solids = Solids(list(colliders), self.lattice, plan.real, asked)
         self.engine: Engine = ENGINES[engine](plan, self.lattice, self.solids, threads)
         self.groups: list[Group] = self.engine.groups
+        self.given = Given(plan, colliders, ranks) if plan.feels else None
+        if self.given is not None:
+            self.engine.feel(len(self.given.totals), self.given.quanta, ranks.rank)
         self.loads = Pushes(list(loads), plan, ranks) if loads else None
         self.tally = Tally(plan) if plan.flows else None
         self.sources = Sources(plan, ranks) if plan.sources else None
@@ -153,6 +158,8 @@ class Simulation:
             found = self.sources.bound(found, self.time)
         self.rate = float(found[0])
         self.reach = Reach.of(found[1:], self.rate, 1.0 / self.rate)
+        if self.given is not None:
+            self.given.weigh(self.groups)
         self.sort()
         self.moved = 0  # finding the first owners is no migration
 
@@ -244,6 +251,8 @@ class Simulation:
         mark = self.clock or (lambda name: None)
         engine = self.engine
         every, beyond = self.plan.restores, []
+        if self.given is not None:
+            self.given.begin(dt)
         if every and self.step and self.step % every == 0:
             beyond = self.restore(dt)
         pushed, end = 0.0, self.time + dt if end is None else end
@@ -258,6 +267,8 @@ class Simulation:
         engine.begin(dt, gravity, self.reach.fastest(self.plan, dt, pushed))
         self._to_nodes(self.halo)
         report = engine.gather(self.step)  # v, C, x, state at n + 1
+        if self.given is not None:
+            self.given.take(engine.given(), self.movers)
         report.beyond.extend(beyond)
         mark("g2p")
         before, self.time = self.time, end
