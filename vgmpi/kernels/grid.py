@@ -75,9 +75,8 @@ def update(blocks, tables, summed, shear, apart, rules, walls, phases, solids, r
     first, phase_of = place(tables.first), rows.phase
     push = repeat(step.fall, 0)
     for b in blocks:
-        n0, n1 = first[b], first[b + 1]
+        n0, n1, kept_apart = first[b], first[b + 1], False
         at_block(room.given, b)
-        kept_apart = False
         for nb in range(n0, n1):
             take_up(nb, rows, moved, report, 0)
             take_up(nb, rows, spaced, report, 1)
@@ -106,9 +105,7 @@ def update(blocks, tables, summed, shear, apart, rules, walls, phases, solids, r
             touch(here, tables, tables.solid[b], summed, shear, solids, walls, phases, rules,
                   step, room)  # fmt: skip
         if here.at_wall:
-            _stop_at_walls(
-                here, momentum.nodes, walls, tables.phase, phases.surface, room.given
-            )
+            _stop_at_walls(here, momentum.nodes, walls, tables.phase, phases.surface, room.given)
         if apart is not None:
             if rules is not None:
                 if kept_apart:

@@ -153,8 +153,8 @@ def _tell(patch, mirror, ghosts, share, s):
 
 @inline
 def constrain(nodes, low, cells, kinds, friction, given):
-    """What the walls leave of the velocities of a node block (64, 4) whose first node is `low`; what
-    they give to it, into given (given.Given) where that is not None."""
+    """What the walls leave of the velocities of a node block (64, 4) whose first node is `low`.
+    given: given.Given, which is told what they give to it, or None."""
     for a in range(3):
         stride = 16 if a == 0 else (4 if a == 1 else 1)
         one, two = (4, 1) if a == 0 else ((16, 1) if a == 1 else (16, 4))

@@ -196,8 +196,7 @@ def make_plan(
     center, surface = center or [[0.0] * 3] * n, surface or [False] * n
     phases = phases_of(scene, bodies, volume, center, surface)
     groups, group_of = groups_of(scene, bodies, phases, real)
-    sharing = rules(scene, groups, phases)
-    colours = exchange(scene, phases, shades)
+    sharing, colours = rules(scene, groups, phases), exchange(scene, phases, shades)
     _check_transfer(scene, sharing)
     keeps, restores = _keeps(scene.accuracy), _restores(scene)
     plan = Plan(

@@ -15,8 +15,8 @@ SIDES = ("west", "east", "south", "north", "floor", "roof")
 
 class Probe(Table):
     """A measurement, written to probe_NAME.csv: exactly one of pressure, level, velocity, object,
-    wall, collider. A row is written after the first step at or after each due time, and says its own time:
-    probes do not change the steps.
+    wall, collider. A row is written after the first step at or after each due time, and says its
+    own time: probes do not change the steps.
     """
 
     name: Annotated[str, BeforeValidator(checked_name)]

@@ -23,8 +23,10 @@ from ...kernels.contact import (
     SWEEPS,
     TOUCH,
 )
+from ...kernels.given import WALLS
 from ...planning.plan import Plan
 from .dense import Dense
+from .given import Given
 
 
 def outside(m: float) -> float:
@@ -51,6 +53,8 @@ class Contact:
             np.moveaxis(self.planes, plane.axis, 0)[plane.node + 1] += 1
         self.least = np.array([TOUCHING * phase.least for phase in plan.phases])
         self.walls = dense
+        self.whose = np.zeros(dense.shape, int)
+        self.given: Given | None = None  # where somebody asks what rigid things give
 
     def meet(
         self, collider: np.ndarray, whose: np.ndarray, moves: np.ndarray | None = None
@@ -60,6 +64,7 @@ class Contact:
         rows = np.array(self.plan.friction)[len(self.plan.phases) :]
         self.friction = rows[np.minimum(whose, len(rows) - 1)].reshape(*self.shape, -1)
         self.collider = collider.reshape(*self.shape, 4)
+        self.whose = whose.reshape(self.shape)
         self.near = self.collider[..., 3] < REACH * self.dx
         if moves is not None:
             self.moves = moves.reshape(*self.shape, 3)
@@ -91,7 +96,8 @@ class Contact:
             there, u, m = np.flatnonzero(here[at]), v[at], mass[at]
             alone = len(there) + self.near[node] + self.planes[node] == 2
             change, pairs = np.zeros_like(u), []
-            for a, b, n, one, other, friction, stiff, base in self._meetings(node, there, sides):
+            for a, b, n, one, other, friction, stiff, rigid in self._meetings(node, there, sides):
+                row, base = rigid
                 both = {b: other} if a is None else {a: one, b: other}  # that move
                 known = all(sides[k].known for k in both)
                 sure = any(sides[k].known for k in both)
@@ -108,20 +114,28 @@ class Contact:
                         self.dx,
                     )  # fmt: skip
                     acted += bool(push.any())
+                    self._tell(node, row, push, base)
                     if a is not None:
                         change[a] -= push / m[a]
                     change[b] += push / m[b]
                 if _touching(one, other, known, sure) and not (alone and r @ n <= 0):
-                    pairs.append((-1 if a is None else a, b, n, friction, base))
+                    pairs.append((-1 if a is None else a, b, n, friction, base, row))
             u += change
             if pairs:
-                _resolve(u, m, pairs)
+                for pair, push in zip(pairs, _resolve(u, m, pairs), strict=True):
+                    self._tell(node, pair[-1], push, pair[-2])
                 acted += 1
         return acted
 
+    def _tell(self, node: tuple, row: int | None, push: np.ndarray, speed: np.ndarray) -> None:
+        """An impulse (3,) at a node by what has a row in Given, and moves by speed (3,) [m/s]."""
+        if self.given is not None and row is not None:
+            self.given.add(row, self.given.points[node], push, float(push @ speed))
+
     def _meetings(self, node, there, sides):
         """Who may touch at a node: (a or None for what is rigid, b, normal of a, distances from
-        both [cells], friction, stiffness [Pa], velocity of what is rigid [m/s])."""
+        both [cells], friction, stiffness [Pa], of what is rigid its row in Given and its velocity
+        [m/s])."""
         plan, rules = self.plan, self.plan.rules
         for q, one in enumerate(there):
             for other in there[q + 1 :]:
@@ -133,22 +147,24 @@ class Contact:
                 if n is not None:
                     stiff = 1.0 / (1.0 / plan.stiff[a] + 1.0 / plan.stiff[b])
                     far = sides[a].distance(n), sides[b].distance(-n)
-                    yield a, b, n, *far, plan.friction[one][other], stiff, np.zeros(3)
+                    yield a, b, n, *far, plan.friction[one][other], stiff, (None, np.zeros(3))
         rigid = []
         if self.near[node]:
-            rigid = [(*self.collider[node], self.friction[node], True, self.moves[node])]
+            own = int(self.whose[node]), self.moves[node]
+            rigid = [(*self.collider[node], self.friction[node], True, own)]
         for plane in plan.planes:
             if node[plane.axis] == plane.node + 1:
                 n = np.zeros(3)
                 n[plane.axis] = 1.0 - 2.0 * plane.side
-                rigid.append((*n, 0.0, [plane.friction] * len(sides), False, np.zeros(3)))
-        for *n, far, friction, flows, base in rigid:
+                own = 2 * plane.axis + plane.side - WALLS, np.zeros(3)
+                rigid.append((*n, 0.0, [plane.friction] * len(sides), False, own))
+        for *n, far, friction, flows, own in rigid:
             for b in there:
                 if sides[b].there and (flows or sides[b].known):
                     out = np.array(n)
                     yield (
                         None, b, out, far / self.dx, sides[b].distance(-out), friction[b],
-                        plan.stiff[b], base,
+                        plan.stiff[b], own,
                     )  # fmt: skip
 
 
@@ -228,8 +244,9 @@ def _touching(one: float, other: float, known: bool, sure: bool) -> bool:
     return one + other <= (-FLOWING if sure else TOUCH)
 
 
-def _resolve(v: np.ndarray, mass: np.ndarray, pairs: list[tuple]) -> None:
-    """Change the velocities (phases, 3) of a node so that no touching pair approaches."""
+def _resolve(v: np.ndarray, mass: np.ndarray, pairs: list[tuple]) -> list[np.ndarray]:
+    """Change the velocities (phases, 3) of a node so that no touching pair approaches. Returns
+    the impulse of each pair on its second."""
     touches = np.zeros(len(mass), int)
     for a, b, *_ in pairs:
         touches[b] += 1
@@ -239,7 +256,7 @@ def _resolve(v: np.ndarray, mass: np.ndarray, pairs: list[tuple]) -> None:
     normal, slide = np.zeros(len(pairs)), np.zeros((len(pairs), 3))
     for _ in range(SWEEPS if len(pairs) > 1 else 1):
         change, pushes = 0.0, []
-        for q, (a, b, n, friction, base) in enumerate(pairs):
+        for q, (a, b, n, friction, base, _) in enumerate(pairs):
             r = (v[a] if a >= 0 else base) - v[b]
             reduced = mass[a] * mass[b] / (mass[a] + mass[b]) if a >= 0 else mass[b]
             approach = r @ n
@@ -257,3 +274,4 @@ def _resolve(v: np.ndarray, mass: np.ndarray, pairs: list[tuple]) -> None:
             v[b] += push / mass[b]
         if change < 1e-13:
             break
+    return [normal[q] * pair[2] + slide[q] for q, pair in enumerate(pairs)]
