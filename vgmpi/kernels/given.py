@@ -25,8 +25,10 @@ class Given(NamedTuple):
     quanta: np.ndarray  # (7,) what 1 of them is worth: powers of two
     counts: np.ndarray  # (blocks, 64) uint8: nodes that this rank counts, and no other
     now: np.ndarray  # (3,) block, node and row at work
-    at: np.ndarray  # (3,) [m] where that node is
+    node: np.ndarray  # (3,) [m] where that node is
+    at: np.ndarray  # (3,) [m] where the surface is that acts on it
     pairs: np.ndarray  # (m,) row of each pair that meets at a node
+    places: np.ndarray  # (m, 3) [m] where its rigid surface is
     first: int  # row of the first wall
     dx: float  # [m]
 
@@ -48,7 +50,8 @@ def given(rows: int, quanta: np.ndarray, phases: int, dx: float) -> Given:
     m = phases * (phases + 1) // 2 + 3 * phases
     return Given(
         np.zeros((rows, NUMBERS), np.int64), quanta, np.zeros((0, 64), np.uint8),
-        np.zeros(3, np.int64), np.zeros(3), np.zeros(m, np.int64), rows - WALLS, dx,
+        np.zeros(3, np.int64), np.zeros(3), np.zeros(3), np.zeros(m, np.int64), np.zeros((m, 3)),
+        rows - WALLS, dx,
     )  # fmt: skip
 
 
@@ -80,14 +83,16 @@ def at_node(given, node, i, j, k):
     """What follows is at a node of it, (i, j, k) of the domain."""
     if given is not None:
         given.now[1] = node
-        given.at[0], given.at[1], given.at[2] = i * given.dx, j * given.dx, k * given.dx
+        given.node[0], given.node[1], given.node[2] = i * given.dx, j * given.dx, k * given.dx
 
 
 @inline
-def by_collider(given, number):
-    """What follows is done by a collider."""
+def by_collider(given, number, surface):
+    """What follows is done by a collider. surface: (4,) its outward normal, and distance [m]."""
     if given is not None:
         given.now[2] = number
+        for c in range(3):
+            given.at[c] = given.node[c] - surface[3] * surface[c]
 
 
 @inline
@@ -95,6 +100,8 @@ def by_wall(given, a, side):
     """What follows is done by a wall."""
     if given is not None:
         given.now[2] = given.first + 2 * a + side
+        for c in range(3):
+            given.at[c] = given.node[c]
 
 
 @inline
@@ -109,6 +116,8 @@ def pressed(given, before, after, mass, speed, was, pairs):
     if given is not None:
         for q in range(was, pairs):
             given.pairs[q] = given.now[2]
+            for c in range(3):
+                given.places[q, c] = given.at[c]
         if _counted(given):
             m = np.float64(mass)
             jx, jy, jz = (
@@ -130,7 +139,7 @@ def resolved(given, pairs, room):
                     jy = push[0] * n[1] + push[2]
                     jz = push[0] * n[2] + push[3]
                     work = jx * speed[0] + jy * speed[1] + jz * speed[2]
-                    _add(given, given.pairs[q], given.at, jx, jy, jz, work)
+                    _add(given, given.pairs[q], given.places[q], jx, jy, jz, work)
 
 
 @inline
@@ -140,10 +149,10 @@ def stopped(given, a, side, plane, node, low, before, v):
     if given is not None:
         at_node(given, node, low[0] + node // 16, low[1] + node // 4 % 4, low[2] + node % 4)
         if _counted(given):
-            given.at[a] = plane * given.dx
+            given.node[a] = plane * given.dx
             m = np.float64(v[3])
             jx, jy, jz = m * (v[0] - before[0]), m * (v[1] - before[1]), m * (v[2] - before[2])
-            _add(given, given.first + 2 * a + side, given.at, jx, jy, jz, 0.0)
+            _add(given, given.first + 2 * a + side, given.node, jx, jy, jz, 0.0)
 
 
 # ---- in patches ---------------------------------------------------------------------------------

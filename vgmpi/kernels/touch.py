@@ -97,7 +97,7 @@ def touch(here, tables, solid, summed, shear, solids, walls, phases, rules, step
         if rigid:
             surface = solids.nodes[solid, node]
             number = solids.whose[solid, node] if len(solids.whose) > 0 else 0
-            by_collider(room.given, number)
+            by_collider(room.given, number, surface)
             rows = phases.friction[len(phases.mastery) :]
             row = rows[min(number, len(rows) - 1)]  # of all, or its own
             if len(solids.moves) > 0:

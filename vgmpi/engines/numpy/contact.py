@@ -28,6 +28,8 @@ from ...planning.plan import Plan
 from .dense import Dense
 from .given import Given
 
+NOBODY = None, np.zeros(3), np.zeros(4)  # who is rigid where two phases meet
+
 
 def outside(m: float) -> float:
     """Distance [cells] of a node outside a half space of particles that lie m cells off on average:
@@ -97,12 +99,11 @@ class Contact:
             alone = len(there) + self.near[node] + self.planes[node] == 2
             change, pairs = np.zeros_like(u), []
             for a, b, n, one, other, friction, stiff, rigid in self._meetings(node, there, sides):
-                row, base = rigid
                 both = {b: other} if a is None else {a: one, b: other}  # that move
                 known = all(sides[k].known for k in both)
                 sure = any(sides[k].known for k in both)
                 sure = sure and all(sides[k].sure for k in both if sides[k].known)
-                r = (u[a] if a is not None else base) - u[b]
+                r = (u[a] if a is not None else rigid[1]) - u[b]
                 if sure:
                     slides = r + other * slope[at][b]
                     if a is not None:
@@ -114,28 +115,30 @@ class Contact:
                         self.dx,
                     )  # fmt: skip
                     acted += bool(push.any())
-                    self._tell(node, row, push, base)
+                    self._tell(node, rigid, push)
                     if a is not None:
                         change[a] -= push / m[a]
                     change[b] += push / m[b]
                 if _touching(one, other, known, sure) and not (alone and r @ n <= 0):
-                    pairs.append((-1 if a is None else a, b, n, friction, base, row))
+                    pairs.append((-1 if a is None else a, b, n, friction, rigid))
             u += change
             if pairs:
                 for pair, push in zip(pairs, _resolve(u, m, pairs), strict=True):
-                    self._tell(node, pair[-1], push, pair[-2])
+                    self._tell(node, pair[-1], push)
                 acted += 1
         return acted
 
-    def _tell(self, node: tuple, row: int | None, push: np.ndarray, speed: np.ndarray) -> None:
-        """An impulse (3,) at a node by what has a row in Given, and moves by speed (3,) [m/s]."""
+    def _tell(self, node: tuple, rigid: tuple, push: np.ndarray) -> None:
+        """An impulse (3,) at a node, by one of `_meetings`."""
+        row, speed, surface = rigid
         if self.given is not None and row is not None:
-            self.given.add(row, self.given.points[node], push, float(push @ speed))
+            at = self.given.points[node] - surface[3] * surface[:3]
+            self.given.add(row, at, push, float(push @ speed))
 
     def _meetings(self, node, there, sides):
         """Who may touch at a node: (a or None for what is rigid, b, normal of a, distances from
-        both [cells], friction, stiffness [Pa], of what is rigid its row in Given and its velocity
-        [m/s])."""
+        both [cells], friction, stiffness [Pa], of what is rigid its row in Given, velocity
+        [m/s], normal and distance [m])."""
         plan, rules = self.plan, self.plan.rules
         for q, one in enumerate(there):
             for other in there[q + 1 :]:
@@ -147,16 +150,16 @@ class Contact:
                 if n is not None:
                     stiff = 1.0 / (1.0 / plan.stiff[a] + 1.0 / plan.stiff[b])
                     far = sides[a].distance(n), sides[b].distance(-n)
-                    yield a, b, n, *far, plan.friction[one][other], stiff, (None, np.zeros(3))
+                    yield a, b, n, *far, plan.friction[one][other], stiff, NOBODY
         rigid = []
         if self.near[node]:
-            own = int(self.whose[node]), self.moves[node]
+            own = int(self.whose[node]), self.moves[node], self.collider[node]
             rigid = [(*self.collider[node], self.friction[node], True, own)]
         for plane in plan.planes:
             if node[plane.axis] == plane.node + 1:
                 n = np.zeros(3)
                 n[plane.axis] = 1.0 - 2.0 * plane.side
-                own = 2 * plane.axis + plane.side - WALLS, np.zeros(3)
+                own = 2 * plane.axis + plane.side - WALLS, np.zeros(3), np.zeros(4)
                 rigid.append((*n, 0.0, [plane.friction] * len(sides), False, own))
         for *n, far, friction, flows, own in rigid:
             for b in there:
@@ -256,7 +259,7 @@ def _resolve(v: np.ndarray, mass: np.ndarray, pairs: list[tuple]) -> list[np.nda
     normal, slide = np.zeros(len(pairs)), np.zeros((len(pairs), 3))
     for _ in range(SWEEPS if len(pairs) > 1 else 1):
         change, pushes = 0.0, []
-        for q, (a, b, n, friction, base, _) in enumerate(pairs):
+        for q, (a, b, n, friction, (_, base, _)) in enumerate(pairs):
             r = (v[a] if a >= 0 else base) - v[b]
             reduced = mass[a] * mass[b] / (mass[a] + mass[b]) if a >= 0 else mass[b]
             approach = r @ n
