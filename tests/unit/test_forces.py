@@ -68,16 +68,16 @@ motion = { velocity = [1, 0.2, -0.5], spin = "90 rpm", axis = [1, 1, 0] }
 """
 
 
-def scene(tmp_path, bodies, walls="slip", transfer="restored", more=""):
+def scene(tmp_path, bodies, walls="slip", transfer="restored", end=0.01):
     """A scene with all of its probes, a row at every step."""
     text = HEAD.replace("WALLS", walls if "{" in walls else f'"{walls}"')
-    text = text.replace("TRANSFER", transfer) + bodies + more
+    text = text.replace("TRANSFER", transfer) + bodies
     for name in ("post", "paddle"):
         if f'"{name}"' in bodies:
             text += f'[[probe]]\nname = "{name}"\nevery = "1 us"\ncollider = "{name}"\n'
     for name in ("all", *SIDES):
         text += f'[[probe]]\nname = "{name}"\nevery = "1 us"\nwall = "{name}"\n'
-    return vgmpi.load(tmp_path / "scene.toml", text=text)
+    return vgmpi.load(tmp_path / "scene.toml", (f"time.end={end}",), text)
 
 
 def rows(run, name, key, axes="xyz"):
@@ -132,8 +132,8 @@ def test_all_together_are_the_balance(tmp_path, case):
 def test_engines_agree(tmp_path, case):
     """On every wall and collider by itself: force, torque, work."""
     bodies, walls, transfer = CASES[case]
-    asked = scene(tmp_path, bodies, walls, transfer)
-    fast, slow = (vgmpi.run(asked, engine=engine, stop_steps=8) for engine in ("cpu", "numpy"))
+    asked = scene(tmp_path, bodies, walls, transfer, 0.004)
+    fast, slow = (vgmpi.run(asked, engine=engine) for engine in ("cpu", "numpy"))
     for name in parts(fast):
         for key in ("impulse", "swing"):
             got, want = rows(fast, name, key), rows(slow, name, key)
@@ -223,11 +223,9 @@ def without(text):
 
 def test_nobody_asks_nothing_is_there(tmp_path):
     """No arrays, nothing in checkpoints, and the same particles as where somebody does."""
-    asked = scene(tmp_path, POOL + PADDLE)
-    plain = vgmpi.load(tmp_path / "plain.toml", text=without(asked.text))
-    runs = [
-        vgmpi.run(one, tmp_path / str(k), stop_steps=10) for k, one in enumerate((asked, plain))
-    ]
+    asked = scene(tmp_path, POOL + PADDLE, end=0.004)
+    plain = vgmpi.load(tmp_path / "plain.toml", ("time.end=0.004",), without(asked.text))
+    runs = [vgmpi.run(one, tmp_path / str(k)) for k, one in enumerate((asked, plain))]
     kept = []
     for k in range(2):
         path = checkpoint.latest(tmp_path / str(k) / "checkpoints")
@@ -247,7 +245,7 @@ def test_nobody_asks_nothing_is_there(tmp_path):
     "asks, said",
     [
         ('collider = "cube"', "'cube' is no collider: scenery with collider = true is"),
-        ('collider = "past"', "there is no collider 'past' (post?); known: post"),
+        ('collider = "past"', "there is no collider 'past' (did you mean 'post'?); known: post"),
         ('wall = "ceiling"', "wall"),
     ],
 )

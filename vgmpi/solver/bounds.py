@@ -76,7 +76,7 @@ def check_given(saved: checkpoint.Checkpoint) -> dict:
     Raises Mismatch where it cannot be."""
     found: Any = saved.attrs.get("given", {"mass": 0.0, "totals": []})
     good = isinstance(found, dict) and _number(found.get("mass")) and 0.0 <= found["mass"] < 1e100
-    rows = found.get("totals") if good else None
+    rows: Any = found.get("totals") if good else None
     good = isinstance(rows, list)
     for row in rows if good else []:
         good = good and isinstance(row, list) and len(row) == NUMBERS

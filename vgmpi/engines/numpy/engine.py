@@ -70,10 +70,9 @@ class Numpy:
         ]
 
     def begin(self, dt: float, gravity: np.ndarray, speed: float) -> None:
-        self.dt, self.gravity, self.share, self.kept = dt, gravity, 1.0, 0.0
+        self.dt, self.gravity, self.mirrors, self.kept = dt, gravity, 1.0, 0.0
         if self.tells is not None:
-            self.tells.begin(dt)
-            self.share, self.kept = self.tells.share, self.tells.kept
+            self.mirrors, self.kept = self.tells.shares(dt)
 
     def pack(self, part: Part) -> None:
         raise RuntimeError("the numpy engine runs on one rank")
@@ -99,7 +98,7 @@ class Numpy:
         for g, group in enumerate(self.groups):
             self._contribute(group, self.stencils[g], self.split[g])
         for p in range(n):
-            self.dense.fold(self.momentum[p], self.mass[p], tell=self._tell(p, self.share))
+            self.dense.fold(self.momentum[p], self.mass[p], tell=self._tell(p, self.mirrors))
             self.dense.fold(self.forces[p], None, tell=self._tell(p, 1.0))
             self.dense.fold(None, self.counted[p])
             self.dense.fold(self.shear[p], None)
@@ -181,7 +180,7 @@ class Numpy:
         if not self.dt:
             self.v = self._as_one(still, mass)
             for p, phase in enumerate(plan.phases):
-                dense.mirror(self.v[p], phase.surface, self._tell(p, self.share))
+                dense.mirror(self.v[p], phase.surface, self._tell(p, self.mirrors))
             return
         v = np.where(some, still + self.dt * self.gravity, 0.0)
         if self.movers is not None:
@@ -228,7 +227,7 @@ class Numpy:
 
     def _seen(self) -> list[tuple[np.ndarray, float]]:
         """All velocities that particles gather, and how much of each they take up as their own."""
-        found = [(self.v, self.share)]
+        found = [(self.v, self.mirrors)]
         if self.sharing is not None:
             found += [(self.flux, 0.0), (self.drift, 0.0)]
         if self.plan.keeps is not None:

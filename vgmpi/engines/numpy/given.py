@@ -9,21 +9,20 @@ from .dense import Dense
 
 class Given:
     """sums: (rows, 7) impulse, its moment about the domain's origin and work, of colliders and then
-    of walls. share, kept: how much of what mirrors of momentum, and of the velocity's change, do
-    reaches particles."""
+    of walls."""
 
     def __init__(self, plan: Plan, dense: Dense, rows: int, quanta: np.ndarray):
         self.plan, self.rows, self.quanta = plan, rows, quanta
         self.points = dense.points().reshape(*dense.shape, 3)
         self.sums = np.zeros((rows, NUMBERS))
         self.mass: dict[tuple, np.ndarray] = {}  # by phase and wall: own mass of the nodes beyond
-        self.share, self.kept = 1.0, 0.0
 
-    def begin(self, dt: float) -> None:
-        """Of a step of dt [s], or of no time."""
+    def shares(self, dt: float) -> tuple[float, float]:
+        """How much of what mirrors of momentum, and of the velocity's change, do reaches particles
+        in a step of dt [s], or of no time."""
         keeps = self.plan.keeps
-        self.kept = 0.0 if keeps is None or not dt else keeps.over(dt)
-        self.share = 1.0 - self.kept if dt else -float(self.plan.restores)
+        kept = 0.0 if keeps is None or not dt else keeps.over(dt)
+        return 1.0 - kept if dt else -float(self.plan.restores), kept
 
     def taken(self) -> np.ndarray:
         """The sums, as whole numbers of the quanta; they begin anew."""
