@@ -144,10 +144,10 @@ def test_engines_agree(tmp_path, case):
         )
 
 
-# 9 x 3 cells of water, 10.5 deep, at rest
+# 9 x 4 cells of water, 10.5 deep, at rest
 TANK = """
 [domain]
-size = [0.18, 0.06, 0.36]
+size = [0.18, 0.08, 0.36]
 cell = 0.02
 [time]
 end = 0.02
@@ -161,7 +161,7 @@ bulk_modulus = 2e5
 name = "water"
 material = "water"
 compressed = "hydrostatic"
-shape = { box = [[0, 0, 0], [0.18, 0.06, 0.21]] }
+shape = { box = [[0, 0, 0], [0.18, 0.08, 0.21]] }
 """
 
 
@@ -172,13 +172,13 @@ def test_water_at_rest_in_a_tank(tmp_path):
     )
     run = vgmpi.run(vgmpi.load(tmp_path / "scene.toml", text=text))
     last = {name: run.probes[name][-1] for name in SIDES}
-    weight = 1000 * 9.8 * 0.21 * 0.18 * 0.06
+    weight = 1000 * 9.8 * 0.21 * 0.18 * 0.08
     assert last["floor"]["force_z"] == pytest.approx(-weight, rel=2e-3)
     assert max(abs(last["floor"][f"torque_{a}"]) for a in "xyz") < 1e-3 * weight * 0.18
     assert last["roof"]["force_z"] == 0.0
     below = 0.21 / 3 - 0.36 / 2  # from the middle of a side to where its force acts
     for name, axis, sign, width in (
-        ("west", "x", -1, 0.06), ("east", "x", 1, 0.06), ("south", "y", -1, 0.18),
+        ("west", "x", -1, 0.08), ("east", "x", 1, 0.08), ("south", "y", -1, 0.18),
         ("north", "y", 1, 0.18),
     ):  # fmt: skip
         push = sign * 1000 * 9.8 * 0.21**2 / 2 * width
@@ -191,17 +191,17 @@ def test_water_at_rest_in_a_tank(tmp_path):
 
 def test_work_is_what_force_and_torque_do(tmp_path):
     """Of one that moves without turning its velocity times the impulse that it gives; of one that
-    turns its angle times that impulse's moment."""
+    turns its spin times that impulse's moment, but for the chord that a step takes of the arc."""
     slides = PADDLE.replace(', spin = "90 rpm", axis = [1, 1, 0]', "")
     turns = PADDLE.replace("velocity = [1, 0.2, -0.5], ", "").replace("[1, 1, 0]", "[0, 1, 0]")
-    for paddle, key, speed in (
-        (slides, "impulse", [1, 0.2, -0.5]), (turns, "swing", [0, 3 * np.pi, 0])
+    for paddle, key, speed, within in (
+        (slides, "impulse", [1, 0.2, -0.5], 1e-9), (turns, "swing", [0, 3 * np.pi, 0], 0.01)
     ):  # fmt: skip
         run = vgmpi.run(scene(tmp_path, POOL + paddle))
         last = run.probes["paddle"][-1]
         by = -sum(last[f"{key}_{a}"] * w for a, w in zip("xyz", speed))
         assert abs(by) > 1e-3
-        assert last["all_work"] == pytest.approx(by, rel=1e-5)
+        assert last["all_work"] == pytest.approx(by, rel=within)
         total = sum(row["work"] for row in run.probes["paddle"][1:])
         assert total == pytest.approx(last["all_work"], rel=1e-9)
 
