@@ -254,3 +254,13 @@ def test_what_cannot_be_asked(tmp_path, asks, said):
     with pytest.raises(SceneError) as caught:
         scene(tmp_path, text)
     assert any("probe" in line and said in line for line in caught.value.lines)
+
+
+def test_where_particles_go_the_balance_alone_is_refused(tmp_path):
+    open_end = HEAD.replace("WALLS", '"slip", east = "open"').replace("TRANSFER", "apic") + POOL
+    asks = '[[probe]]\nname = "a"\nrate = 1\nwall = '
+    with pytest.raises(SceneError) as caught:
+        vgmpi.load(tmp_path / "scene.toml", text=f'{open_end}{asks}"all"\n')
+    assert any("wall" in line and "balance" in line for line in caught.value.lines)
+    scene = vgmpi.load(tmp_path / "scene.toml", text=f'{open_end}{asks}"floor"\n')
+    assert scene.probe[0].feels
