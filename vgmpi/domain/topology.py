@@ -82,6 +82,20 @@ def hue(coefficient: int) -> str:
     return f"colour {coefficient}"
 
 
+def counted(tables: Topology, rank: int) -> np.ndarray:
+    """Which nodes of its blocks this rank counts where each may count once: of the ranks that reach
+    a node the lowest does. (blocks, 64) uint8."""
+    taken = np.zeros(len(tables.phase), np.uint64)
+    for other, layers in tables.shared.items():
+        if other < rank and "momentum" in layers:
+            taken[layers["momentum"].receive_blocks] |= layers["momentum"].receive_masks
+    of_block = np.repeat(np.arange(len(tables.at)), np.diff(tables.first))
+    here = np.zeros(len(tables.at), np.uint64)
+    np.bitwise_or.at(here, of_block, taken)
+    bits = here[:, None] >> np.arange(64, dtype=np.uint64) & np.uint64(1)
+    return (bits == 0).astype(np.uint8)
+
+
 class _Box:
     """Dense maps over the blocks around this rank's own."""
 

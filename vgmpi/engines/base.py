@@ -89,6 +89,14 @@ class Engine(Protocol):
         driven: Driven | None = None,
     ): ...  # fmt: skip
 
+    def feel(self, rows: int, quanta: np.ndarray, rank: int) -> None:
+        """From now on sum what colliders and walls give to bodies: `rows` of them, in whole numbers
+        of quanta (7,), which change from step to step; rank: this one."""
+
+    def given(self) -> np.ndarray:
+        """What they gave on this rank since this was asked: (rows, 7) int64, of colliders and then
+        of walls the impulse, its moment about the domain's origin, and the work."""
+
     def adopt(self, tables: Topology, kept: bool) -> None:
         """Lay out what the tables ask for, after a sort; kept: they are those of before."""
 

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,26 +17,17 @@ from ..domain.state import Group
 from ..domain.topology import Topology, hue
 from ..kernels import beside, g2p, gradient, grid, members, p2g, records, restore, sums, touch
 from ..kernels.driven import carry
+from ..kernels.given import Ghosts
 from ..kernels.layers import colour, momentum
-from ..kernels.tables import NodeBlocks, Particles, Phases, Segments, Step, Walls
+from ..kernels.tables import NodeBlocks, Phases, Segments, Step, Walls
 from ..kernels.walls import KINDS, patch_codes
 from ..planning.groups import GroupPlan
 from ..planning.plan import Plan
 from .base import DITHER, Beyond, Report
+from .given import Givers
 from .layers import Contribution, contributions, hues, layers
 from .shares import Shares, copies
-
-
-class GroupWork(NamedTuple):
-    """A group as its transfers need it, laid out for the tables in force."""
-
-    group: Group
-    particles: Particles
-    segments: Segments
-    shares: Shares
-    given: list[Contribution]
-    moving: Contribution  # in a step of no time
-    numbers: g2p.Numbers
+from .work import GroupWork, numbers_of, particles_of
 
 
 class Cpu:
@@ -91,11 +81,21 @@ class Cpu:
             members.room(len(plan.phases), plan.real, aligned)
             for _ in range(threads if self.apart else 0)
         ]
+        self.givers: Givers | None = None
         self.pairs = members.tables(plan.rules) if plan.rules is not None else ()
         self.parts: list[GroupWork] = []
         self.reports = np.zeros((len(plan.groups), threads, 6))
         self.beyond = np.zeros((threads, len(self.layers)), np.int64)
         self.entries: dict[tuple, Callable] = {}  # compiled code for the arrays in force
+
+    def feel(self, rows: int, quanta: np.ndarray, rank: int) -> None:
+        """Sum what is rigid gives, from now on."""
+        self.givers = Givers(self.plan, rows, quanta, rank, self.threads)
+
+    def given(self) -> np.ndarray:
+        """What it has given since this was asked."""
+        assert self.givers is not None
+        return self.givers.taken()
 
     # ---- after a sort ----------------------------------------------------------------------------
 
@@ -110,7 +110,7 @@ class Cpu:
         if kept:
             self.parts = [
                 part._replace(
-                    particles=_particles(g),
+                    particles=particles_of(g),
                     segments=part.segments._replace(start=g.start, count=g.count),
                 )
                 for part, g in zip(self.parts, self.groups, strict=True)
@@ -134,6 +134,9 @@ class Cpu:
         self.block_shares = Shares(np.diff(tables.first), tables.waits, self.threads)
         both = [self._nodes_of(shared) for shared in tables.shared.values()]
         self.united = np.unique(np.concatenate([np.zeros(0, np.int64), *both]))
+        if self.givers is not None:
+            self.givers.adopt(tables)
+            self.room = self.givers.rooms(self.room)
         self.parts = [
             self._work(g, here, into[here], share)
             for g, (here, share) in enumerate(zip(rows, shares, strict=True))
@@ -156,8 +159,13 @@ class Cpu:
         takes = {name: found[rows] for name, found in tables.takes.items()}
         given = contributions(self.plan, group.plan, takes, split)
         moving = Contribution("momentum", momentum.kinds(self.plan, group.plan)[1], split | True)
-        numbers = _numbers(self.plan, group.plan)
-        return GroupWork(group, _particles(group), segments, shares, given, moving, numbers)
+        numbers = numbers_of(self.plan, group.plan)
+        ghosts = None
+        if self.givers is not None:
+            ghosts = self.givers.ghosts(block, segments.mirror)
+        return GroupWork(
+            group, particles_of(group), segments, shares, given, moving, numbers, ghosts
+        )  # fmt: skip
 
     def _limits(self, block: np.ndarray) -> np.ndarray:
         """Range of positions [cells from the block's middle] whose base node exists, half a cell
@@ -199,13 +207,14 @@ class Cpu:
                 self.call(
                     ("still",), p2g.fill, rows, part.moving.kind, None, part.segments,
                     part.particles, self.layers["momentum"].sums, self.scratch[thread], dt,
+                    self._ghosts(part, thread),
                 )  # fmt: skip
                 continue
             for k, given in enumerate(part.given):
                 self.call(
                     (g, k), p2g.fill, rows[given.chosen[rows]], given.kind, group.plan.law,
                     part.segments, part.particles, self.layers[given.layer].sums,
-                    self.scratch[thread], dt,
+                    self.scratch[thread], dt, self._ghosts(part, thread, given.layer),
                 )  # fmt: skip
 
     def pack(self, part: Part) -> None:
@@ -292,7 +301,7 @@ class Cpu:
             self.call(
                 (g,), g2p.g2p, rows, plan.law, part.segments, particles,
                 self.layers["momentum"].nodes, self._beside(plan), scratch, part.numbers, motion,
-                report[thread],
+                report[thread], self._ghosts(part, thread),
             )  # fmt: skip
             if plan.followed:
                 at = plan.channels.first("F")
@@ -324,7 +333,14 @@ class Cpu:
             self.call(
                 (), restore.give_back, part.shares.all[thread], times, part.segments,
                 part.particles, self.layers["momentum"].nodes, self.scratch[thread], dx,
+                self._ghosts(part, thread),
             )  # fmt: skip
+
+    def _ghosts(self, part: GroupWork, thread: int, layer: str = "momentum") -> Ghosts | None:
+        """What a thread's transfers tell of walls, None where nobody asks or the layer has none."""
+        if self.givers is None or part.ghosts is None:
+            return None
+        return self.givers.of(part.ghosts, thread, layer, self.dt)
 
     def _beside(self, plan: GroupPlan) -> tuple:
         """What a group's particles gather besides the velocity."""
@@ -374,14 +390,3 @@ class Cpu:
         waiting = [self.pool.submit(work, k, *arguments) for k in range(self.threads)]
         for w in waiting:
             w.result()
-
-
-def _numbers(plan: Plan, group: GroupPlan) -> g2p.Numbers:
-    numbers = (
-        plan.splines, group.stiff, group.dense, beside.RELAX, group.channels.first("share"), plan.dx
-    )  # fmt: skip
-    return g2p.Numbers(*map(plan.real.type, numbers))
-
-
-def _particles(group: Group) -> Particles:
-    return Particles(group.xi, group.f, group.ids)

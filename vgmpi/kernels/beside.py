@@ -15,6 +15,7 @@ from ..lanes.kinds import by_kind
 from ..lanes.lanes import load, store
 from ..lanes.rows import higher, spread
 from .couple import LEAST_PORES
+from .given import kept_of
 from .patches import gather
 from .records import BATCH, PATCH, columns, patch_of
 from .rowsums import moments, values
@@ -54,8 +55,9 @@ class Both(NamedTuple):
 
 
 @by_kind
-def fetch(kind, blocks, box, mirror, real):
-    """The patches of a segment that shares space, or of any for FLIP, into its thread's scratch."""
+def fetch(kind, blocks, box, mirror, real, ghosts, s):
+    """The patches of a segment s that shares space, or of any for FLIP, into its thread's scratch.
+    ghosts: given.Ghosts, or None."""
 
 
 @by_kind
@@ -90,9 +92,10 @@ def waves(kind, f, p, cap, numbers, wave2):
 
 
 @inline
-def _read(grid, blocks, box, mirror, patch):
+def _read(grid, blocks, box, mirror, patch, ghosts, s):
     gather(patch, grid, blocks, box)
-    reflect(patch[:PATCH].reshape((SIDE, SIDE, SIDE, 4)), mirror)
+    share = kept_of(ghosts)
+    reflect(patch[:PATCH].reshape((SIDE, SIDE, SIDE, 4)), mirror, ghosts, share, s)
 
 
 @inline
@@ -112,7 +115,7 @@ def _largest(f, p, cap, scale):
 
 
 @fetch.of(Nothing)
-def _(kind, blocks, box, mirror, real):
+def _(kind, blocks, box, mirror, real, ghosts, s):
     pass
 
 
@@ -150,10 +153,10 @@ def _(kind, f, p, cap, numbers, wave2):
 
 
 @fetch.of(Sharing)
-def _(kind, blocks, box, mirror, real):
-    _read(kind.flux, blocks, box, mirror, patch_of(real, 0))
+def _(kind, blocks, box, mirror, real, ghosts, s):
+    _read(kind.flux, blocks, box, mirror, patch_of(real, 0), None, s)
     if kind.drifts:
-        _read(kind.drift, blocks, box, mirror, patch_of(real, 1))
+        _read(kind.drift, blocks, box, mirror, patch_of(real, 1), None, s)
 
 
 @set_aside.of(Sharing)
@@ -222,8 +225,8 @@ def _(kind, f, p, cap, numbers, wave2):
 
 
 @fetch.of(Blend)
-def _(kind, blocks, box, mirror, real):
-    _read(kind.change, blocks, box, mirror, patch_of(real, kind.patch))
+def _(kind, blocks, box, mirror, real, ghosts, s):
+    _read(kind.change, blocks, box, mirror, patch_of(real, kind.patch), ghosts, s)
 
 
 @set_aside.of(Blend)
@@ -268,9 +271,9 @@ def _(kind, f, p, cap, numbers, wave2):
 
 
 @fetch.of(Both)
-def _(kind, blocks, box, mirror, real):
-    fetch(kind.sharing, blocks, box, mirror, real)
-    fetch(kind.blend, blocks, box, mirror, real)
+def _(kind, blocks, box, mirror, real, ghosts, s):
+    fetch(kind.sharing, blocks, box, mirror, real, ghosts, s)
+    fetch(kind.blend, blocks, box, mirror, real, ghosts, s)
 
 
 @set_aside.of(Both)

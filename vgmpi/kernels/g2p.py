@@ -12,6 +12,7 @@ from ..lanes.lanes import place, store
 from ..lanes.laws import advance, lane_state, store_state, volume_ratio, wave_speed2
 from ..lanes.rows import SOUND_ALL, higher, largest, load_records, move, only, sound, spread
 from .beside import fetch, keep, kept, moving, set_aside, strain, waves
+from .given import share_of
 from .patches import expect, gather
 from .records import AFFINE, BATCH, PATCH, STATE, box_of, parts, rest, touched, weigh
 from .rowsums import moments, slopes
@@ -55,10 +56,13 @@ class Cloud(NamedTuple):
 
 
 @kernel
-def g2p(rows, law, segments, particles, velocity, beside, scratch, numbers, motion, report):
+def g2p(
+    rows, law, segments, particles, velocity, beside, scratch, numbers, motion, report, ghosts
+):  # fmt: skip
     """Velocity and its gradient from the grid to each particle; moves it and advances its state.
 
     rows: (n,) segments to do; velocity: (node blocks, 256) [m/s]; beside: a kind of beside.py;
+    ghosts: given.Ghosts, or None;
     report: (6,) running maxima: rate 1/dt [1/s], distance from the block's middle [cells]; then
     id + 1 of a particle that went wrong and the reason; then maxima again: speed along an axis
     [cells/s], squared size of the velocity gradient [1/s2].
@@ -73,15 +77,16 @@ def g2p(rows, law, segments, particles, velocity, beside, scratch, numbers, moti
     patch[PATCH:] = 0
     base, box = scratch.whole, box_of(scratch.whole)
     flat = place(velocity.reshape(velocity.size))
+    share = share_of(ghosts)
     for q in range(len(rows)):
         s = rows[q]
         if q + 1 < len(rows):
             expect(flat, table[rows[q + 1]])
         touched(count[s], start[s], cap, xi, f, mirror[s], box)
         gather(patch, velocity, table[s], box)
-        reflect(nodes, mirror[s])
+        reflect(nodes, mirror[s], ghosts, share, s)
         if split[s]:
-            fetch(beside, table[s], box, mirror[s], scratch.real)
+            fetch(beside, table[s], box, mirror[s], scratch.real, ghosts, s)
         for first in range(0, count[s], BATCH):
             n = min(BATCH, count[s] - first)
             at = start[s] + first

@@ -18,6 +18,7 @@ from ..lanes.nodes import fourth_of, velocity, with_fourth
 from ..lanes.rows import repeat, spread
 from .couple import Fields, Here, couple_block, note_flux
 from .driven import prescribe
+from .given import at_block
 from .members import places
 from .sums import blocks_at, sums_at, take_up
 from .tables import Sums
@@ -78,8 +79,8 @@ def update(blocks, tables, summed, shear, apart, rules, walls, phases, solids, r
     first, phase_of = place(tables.first), rows.phase
     push = repeat(step.fall, 0)
     for b in blocks:
-        n0, n1 = first[b], first[b + 1]
-        kept_apart = False
+        n0, n1, kept_apart = first[b], first[b + 1], False
+        at_block(room.given, b)
         for nb in range(n0, n1):
             take_up(nb, rows, moved, report, 0)
             take_up(nb, rows, spaced, report, 1)
@@ -109,7 +110,7 @@ def update(blocks, tables, summed, shear, apart, rules, walls, phases, solids, r
             touch(here, tables, tables.solid[b], summed, shear, solids, walls, phases, rules,
                   step, room)  # fmt: skip
         if here.at_wall:
-            _stop_at_walls(here, momentum.nodes, walls, tables.phase, phases.surface)
+            _stop_at_walls(here, momentum.nodes, walls, tables.phase, phases.surface, room.given)
         if apart is not None:
             if rules is not None:
                 if kept_apart:
@@ -130,14 +131,14 @@ def _fields(rows, least, cells, grid, forces, offsets, apart):
 
 
 @inline
-def _stop_at_walls(here, velocities, walls, phase, surface):
+def _stop_at_walls(here, velocities, walls, phase, surface, given):
     """What the walls leave of the velocities (node blocks, 256) of a block. phase: (node blocks,);
-    surface: of each phase, whether contact knows it."""
+    surface: of each phase, whether contact knows it; given: given.Given, or None."""
     low = here.low_x, here.low_y, here.low_z
     for nb in range(here.n0, here.n1):
         block = velocities[nb].reshape((64, 4))
         kinds = walls.met if surface[phase[nb]] else walls.kinds
-        constrain(block, low, walls.cells, kinds, walls.friction)
+        constrain(block, low, walls.cells, kinds, walls.friction, given)
 
 
 @inline

@@ -23,12 +23,12 @@ from .walls import SIDE, fold
 
 
 @kernel
-def fill(rows, kind, law, segments, particles, sums, scratch, dt):
+def fill(rows, kind, law, segments, particles, sums, scratch, dt, ghosts):
     """What particles contribute to a layer: of each segment into its patch, and that to the sums.
 
     rows: (n,) the segments to do; kind: the layer's (layers.base); law: the group's; segments,
     particles: see kernels/tables.py; sums: (rows, words, 256); scratch: the calling thread's; dt
-    [s].
+    [s]; ghosts: given.Ghosts, or None.
     """
     cap = particles.f.shape[1]
     f, xi = particles.f.reshape(particles.f.size), particles.xi.reshape(particles.xi.size)
@@ -51,5 +51,5 @@ def fill(rows, kind, law, segments, particles, sums, scratch, dt):
             contribute(kind, law, n, at, cap, f, extra, peak, records, dt)
             add(kind, n, records, weights, base, patch)
         if kind.mirror != UNSEEN:
-            fold(nodes, mirror[s], kind.mirror == OFFSET)
+            fold(nodes, mirror[s], kind.mirror == OFFSET, ghosts, s)
         push(patch, totals, into[s], box)

@@ -7,6 +7,7 @@ from ..device.limits import ROUNDING
 from ..lanes.lanes import load, place, store
 from ..lanes.rows import repeat
 from .g2p import gathered
+from .given import share_of
 from .grid import fall
 from .layers.colour import mean
 from .patches import expect, gather
@@ -40,11 +41,12 @@ def settle(blocks, tables, momentum, as_one, phases, step, report):
 
 
 @kernel
-def give_back(rows, times, segments, particles, velocity, scratch, dx):
+def give_back(rows, times, segments, particles, velocity, scratch, dx, ghosts):
     """To each particle `times` what its velocity and its velocity's gradient lose by the way to the
     grid and back.
 
-    rows: (n,) segments to do; velocity: (node blocks, 256) [m/s].
+    rows: (n,) segments to do; velocity: (node blocks, 256) [m/s]; ghosts: given.Ghosts,
+    or None.
     """
     cap = particles.f.shape[1]
     f, xi = particles.f.reshape(particles.f.size), particles.xi.reshape(particles.xi.size)
@@ -54,13 +56,14 @@ def give_back(rows, times, segments, particles, velocity, scratch, dx):
     patch[PATCH:] = 0
     base, box = scratch.whole, box_of(scratch.whole)
     flat = place(velocity.reshape(velocity.size))
+    share = share_of(ghosts)
     for q in range(len(rows)):
         s = rows[q]
         if q + 1 < len(rows):
             expect(flat, table[rows[q + 1]])
         touched(count[s], start[s], cap, xi, f, mirror[s], box)
         gather(patch, velocity, table[s], box)
-        reflect(nodes, mirror[s])
+        reflect(nodes, mirror[s], ghosts, share, s)
         for first in range(0, count[s], BATCH):
             n = min(BATCH, count[s] - first)
             at = start[s] + first

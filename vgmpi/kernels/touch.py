@@ -24,6 +24,7 @@ from .contact import (
     surface_normal,
     touching,
 )
+from .given import Given, at_node, by_collider, by_wall, pressed, resolved
 from .walls import tangential
 
 
@@ -45,6 +46,7 @@ class Room(NamedTuple):
     touches: np.ndarray  # (n,) pairs that touch each phase
     plane: np.ndarray  # (4,) a wall's normal, and 0
     row: np.ndarray  # (n,) its friction
+    given: Given | None = None  # what rigid things give, where somebody asks for it
 
 
 class There(NamedTuple):
@@ -94,11 +96,14 @@ def touch(here, tables, solid, summed, shear, solids, walls, phases, rules, step
                     room.slope[q, c] = shear.nodes[nb, 4 * node + c] / room.mass[q]
             room.touches[q] = 0
         there = There(active, node, active + rigid + planes == 2)
+        at_node(room.given, node, at[0], at[1], at[2])
         pairs = _pairs(there, tables.phase, offsets, phases, rules, ways, step, room)
         if rigid:
             surface = solids.nodes[solid, node]
             number = solids.whose[solid, node] if len(solids.whose) > 0 else 0
-            row = phases.friction[len(phases.mastery) + number]
+            by_collider(room.given, number, surface)
+            rows = phases.friction[len(phases.mastery) :]
+            row = rows[min(number, len(rows) - 1)]  # of all, or its own
             if len(solids.moves) > 0:
                 for c in range(3):
                     room.v[GOES, c] = solids.moves[solid, node, c]
@@ -117,6 +122,7 @@ def touch(here, tables, solid, summed, shear, solids, walls, phases, rules, step
                 room.v, room.heavy, active, room.normals, room.friction, room.master, room.other,
                 pairs, room.touches[:active].max(), room.impulse,
             )  # fmt: skip
+            resolved(room.given, pairs, room)
         for q in range(active):
             for c in range(3):
                 velocities[room.here[q], 4 * node + c] = room.v[q, c]
@@ -209,7 +215,10 @@ def _on_rigid(pairs, there, phase, offsets, surface, friction, a, phases, ways, 
         meeting = Meeting(
             a, q, far, other, known, certain, share, phases.stiff[ph], friction[ph]
         )  # fmt: skip
+        change, was = room.change[q], pairs
+        before = change[0], change[1], change[2]
         pairs = _take_up(pairs, there, meeting, n, step, room)
+        pressed(room.given, before, change, mass, room.v[a], was, pairs)
     return pairs
 
 
@@ -278,6 +287,7 @@ def _on_walls(pairs, there, phase, offsets, at, walls, phases, ways, step, room)
                 continue
             surface[0] = surface[1] = surface[2] = 0.0
             surface[a] = 1.0 - 2.0 * side
+            by_wall(room.given, a, side)
             for k in range(len(row)):
                 row[k] = walls.friction[a, side]
             pairs = _on_rigid(

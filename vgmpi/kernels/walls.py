@@ -15,6 +15,7 @@ meets none.
 import numpy as np
 
 from ..device.jit import inline
+from .given import folded, mirrored, stopped, weighed
 
 STICK, SLIP, SEPARATE, OPEN = 1, 2, 3, 4  # 0: a wall that is met by contact, not at the nodes
 KINDS = {"stick": STICK, "slip": SLIP, "separate": SEPARATE, "open": OPEN}
@@ -49,10 +50,11 @@ def _node(patch, a, plane, i, j):
 
 
 @inline
-def fold(patch, mirror, as_offset):
+def fold(patch, mirror, as_offset, ghosts, s):
     """Add what lies on the ghost nodes of stick and slip walls to their mirror nodes, reflected.
 
-    as_offset: the patch holds volume and offset, which a wall always reflects as slip does.
+    as_offset: the patch holds volume and offset, which a wall always reflects as slip does; ghosts:
+    given.Ghosts where momentum's change is to be told of segment s, or None.
     """
     for a in range(3):
         for side in range(2):
@@ -66,15 +68,33 @@ def fold(patch, mirror, as_offset):
                 for j in range(SIDE):
                     inner = _node(patch, a, wall + step, i, j)
                     ghost = _node(patch, a, wall - step, i, j)
+                    folded(ghosts, s, a, side, wall, i, j, ghost, kind == STICK)
                     for c in range(4):
                         odd = c == a or (kind == STICK and c < 3 and not as_offset)
                         inner[c] += -ghost[c] if odd else ghost[c]
                         ghost[c] = 0
+    if ghosts is not None:
+        _weigh(patch, mirror, ghosts, s)
 
 
 @inline
-def reflect(patch, mirror):
-    """Set the velocities of the ghost nodes beyond walls from their mirror nodes."""
+def _weigh(patch, mirror, ghosts, s):
+    """Keep the masses beyond walls that only push."""
+    for a in range(3):
+        for side in range(2):
+            code = mirror[a, side]
+            if code & 3 != SEPARATE:
+                continue
+            beyond = (code >> 2) - 1 if side == 0 else (code >> 2) + 1
+            for i in range(SIDE):
+                for j in range(SIDE):
+                    weighed(ghosts, s, a, side, i, j, _node(patch, a, beyond, i, j))
+
+
+@inline
+def reflect(patch, mirror, ghosts, share, s):
+    """Set the velocities of the ghost nodes beyond walls from their mirror nodes. ghosts: see
+    `fold`; share: of what that gives, how much particles take up."""
     for a in range(3):
         for side in range(2):
             code = mirror[a, side]
@@ -97,12 +117,44 @@ def reflect(patch, mirror):
                         elif c == a:
                             # a wall that only pushes: interpolated at the wall the flow must not
                             # enter it
+                            before = ghost[c]
                             ghost[c] = step * max(step * ghost[c], -step * inner[c])
+                            more = ghost[c] - before
+                            x, y, z = _along(a, more)
+                            mirrored(ghosts, share, s, a, side, wall, i, j, x, y, z)
+    if ghosts is not None:
+        _tell(patch, mirror, ghosts, share, s)
 
 
 @inline
-def constrain(nodes, low, cells, kinds, friction):
-    """What the walls leave of the velocities of a node block (64, 4) whose first node is `low`."""
+def _along(a, value):
+    """A vector along axis a."""
+    none = 0.0 * value
+    return value if a == 0 else none, value if a == 1 else none, value if a == 2 else none
+
+
+@inline
+def _tell(patch, mirror, ghosts, share, s):
+    """What differs from their mirror image beyond stick and slip walls, when all is reflected."""
+    for a in range(3):
+        for side in range(2):
+            code = mirror[a, side]
+            if code == 0 or code & 3 == SEPARATE:
+                continue
+            wall = code >> 2
+            step = 1 if side == 0 else -1
+            for i in range(SIDE):
+                for j in range(SIDE):
+                    inner = _node(patch, a, wall + step, i, j)
+                    ghost = _node(patch, a, wall - step, i, j)
+                    x, y, z = ghost[0] - inner[0], ghost[1] - inner[1], ghost[2] - inner[2]
+                    mirrored(ghosts, share, s, a, side, wall, i, j, x, y, z)
+
+
+@inline
+def constrain(nodes, low, cells, kinds, friction, given):
+    """What the walls leave of the velocities of a node block (64, 4) whose first node is `low`.
+    given: given.Given, which is told what they give to it, or None."""
     for a in range(3):
         stride = 16 if a == 0 else (4 if a == 1 else 1)
         one, two = (4, 1) if a == 0 else ((16, 1) if a == 1 else (16, 4))
@@ -115,7 +167,9 @@ def constrain(nodes, low, cells, kinds, friction):
                     continue
                 for j in range(4):
                     for k in range(4):
-                        v = nodes[plane * stride + j * one + k * two]
+                        at = plane * stride + j * one + k * two
+                        v = nodes[at]
+                        before = v[0], v[1], v[2]
                         if kind == STICK:
                             v[0] = v[1] = v[2] = 0
                         elif kind == SLIP:
@@ -125,6 +179,7 @@ def constrain(nodes, low, cells, kinds, friction):
                             if push > 0:
                                 v[a] = 0
                                 slow(v, friction[a, side] * push)
+                        stopped(given, a, side, side * cells[a], at, low, before, v)
 
 
 @inline

@@ -254,6 +254,26 @@ ROW_SUM = Dataset(
 
 # ---- probe_NAME.csv ---------------------------------------------------------------------------
 _WHEN = LEDGER_COLUMNS[:2]
+_GIVEN = [
+    *(
+        Dataset(f"force_{a}", "", "f8", "N", f"mean force along {a} of the bodies on it since the "
+                "row before; nan in the first row")
+        for a in "xyz"
+    ),
+    *(
+        Dataset(f"torque_{a}", "", "f8", "N m", f"mean torque about {a} since the row before; nan "
+                "in the first row")
+        for a in "xyz"
+    ),
+    *(
+        Dataset(f"impulse_{a}", "", "f8", "N s", f"along {a}: the force's sum over time so far")
+        for a in "xyz"
+    ),
+    *(
+        Dataset(f"swing_{a}", "", "f8", "N m s", f"about {a}: the torque's sum over time so far")
+        for a in "xyz"
+    ),
+]  # fmt: skip
 PROBE_COLUMNS = {
     "pressure": [
         *_WHEN,
@@ -287,5 +307,13 @@ PROBE_COLUMNS = {
                     "since the row before; nan in the first row")
             for a in "xyz"
         ),
+    ],
+    "one wall": [*_WHEN, *_GIVEN],
+    "collider": [
+        *_WHEN,
+        *_GIVEN,
+        Dataset("work", "", "f8", "J", "work that it has done on the bodies since the row before; "
+                "nan in the first row"),
+        Dataset("all_work", "", "f8", "J", "work that it has done on them so far"),
     ],
 }  # fmt: skip

@@ -90,6 +90,7 @@ class Plan:
     sources: tuple[SourcePlan, ...] = ()
     sinks: tuple[SinkPlan, ...] = ()
     driven: tuple[DrivenPlan, ...] = ()
+    feels: bool = False  # what each collider and wall gives is summed
 
     @property
     def flows(self) -> bool:
@@ -199,8 +200,7 @@ def make_plan(
     center, surface = center or [[0.0] * 3] * n, surface or [False] * n
     phases = phases_of(scene, bodies, volume, center, surface, driven_phases(scene))
     plain, group_of = groups_of(scene, bodies, phases, real)
-    sharing = rules(scene, plain, phases)
-    colours = exchange(scene, phases, shades)
+    sharing, colours = rules(scene, plain, phases), exchange(scene, phases, shades)
     _check_transfer(scene, sharing)
     keeps, restores = _keeps(scene.accuracy), _restores(scene)
     whole = tuple(completed(scene, group, sharing, colours, keeps, restores) for group in plain)
@@ -235,6 +235,7 @@ def make_plan(
         sources=source_plans(scene, group_of, count),
         sinks=sink_plans(scene),
         driven=driven,
+        feels=any(probe.feels for probe in scene.probe),
     )
     _check_steps(scene, plan)
     return plan

@@ -5,16 +5,18 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator
 
-from vgmpi.scene.objects import body_complaint, checked_name, one_complaint
+from vgmpi.misspelt import nearest
+from vgmpi.scene.objects import Object, body_complaint, checked_name, one_complaint
 from vgmpi.tables import Length, Point, Quantity, Table
 
-KINDS = ("pressure", "level", "velocity", "object", "wall")
+KINDS = ("pressure", "level", "velocity", "object", "wall", "collider")
+SIDES = ("west", "east", "south", "north", "floor", "roof")
 
 
 class Probe(Table):
     """A measurement, written to probe_NAME.csv: exactly one of pressure, level, velocity, object,
-    wall. A row is written after the first step at or after each due time, and says its own time:
-    probes do not change the steps.
+    wall, collider. A row is written after the first step at or after each due time, and says its
+    own time: probes do not change the steps.
     """
 
     name: Annotated[str, BeforeValidator(checked_name)]
@@ -35,16 +37,28 @@ class Probe(Table):
     object: str | None = None
     """a body's mass, centre of mass, mean velocity, momentum, and the mean force on it since the
     row before: the rate of its momentum without its weight"""
-    wall: Literal["all"] | None = None
+    wall: Literal["all", "west", "east", "south", "north", "floor", "roof"] | None = None
     """"all": mean force of the bodies on all walls and colliders together since the row before,
-    from the balance of momentum: weight and loads less the rate of the bodies' momentum. One wall
-    alone is not told apart: z is what floor and roof bear, and the friction at the sides.
-    Not for scenes where particles come or go"""
+    from the balance of momentum: weight and loads less the rate of the bodies' momentum: z is what
+    floor and roof bear, and the friction at the sides. Not for scenes where particles come or go.
+    The name of one wall: mean force of the bodies on it since the row before, and mean torque about
+    its middle"""
+    collider: str | None = None
+    """a collider, moving or not: mean force of the bodies on it since the row before, mean torque
+    about the point that it turns about (where that is now; of one at rest the middle of its
+    extent), and the work that it has done on them since then"""
 
     @property
     def kind(self) -> str:
         """What it measures."""
+        if self.wall in SIDES:
+            return "one wall"
         return next(kind for kind in KINDS if getattr(self, kind) is not None)
+
+    @property
+    def feels(self) -> bool:
+        """Whether it asks what a collider or a wall of its own gives."""
+        return self.collider is not None or self.wall in SIDES
 
     @property
     def period(self) -> float:
@@ -64,9 +78,11 @@ def probe_complaints(
     role: dict[str, str] | None,
     size: tuple[float, float, float] | None,
     fluid: bool,
+    colliders: list[str] | None,
 ) -> list[tuple[tuple, str]]:
     """(path, text) for what is wrong with one probe beside its values. probe: as read, None if
-    that failed; role: see objects.body_complaint; size: of the domain [m]; fluid: is there any.
+    that failed; role: see objects.body_complaint; size: of the domain [m]; fluid: is there any;
+    colliders: names, or None where they are not known.
     """
     found = one_complaint(raw, KINDS, "measures nothing")
     if "rate" not in raw and "every" not in raw:
@@ -77,6 +93,8 @@ def probe_complaints(
         return found
     said = body_complaint(probe.object, role)
     found += [(("object",), said)] if said else []
+    said = _collider_complaint(probe.collider, role, colliders)
+    found += [(("collider",), said)] if said else []
     for key in ("pressure", "level", "velocity"):
         point = getattr(probe, key)
         if point is None:
@@ -88,3 +106,22 @@ def probe_complaints(
                 said = f"lies outside the domain, 0 .. {size[axis]:g} m; got {x:g} m"
                 found.append(((key, axis), said))
     return found
+
+
+def collider_names(objects: list[Object | None]) -> list[str] | None:
+    """Names of the colliders among objects as read, None where one failed."""
+    if None in objects:
+        return None
+    return [thing.name for thing in objects if thing is not None and thing.collider]
+
+
+def _collider_complaint(
+    name: str | None, role: dict[str, str] | None, colliders: list[str] | None
+) -> str:
+    """Why `name` is not the name of a collider, or nothing."""
+    if name is None or role is None or colliders is None or name in colliders:
+        return ""
+    if name in role:
+        return f"'{name}' is no collider: scenery with collider = true is"
+    known = f"known: {', '.join(colliders)}" if colliders else "there is none"
+    return f"there is no collider '{name}'{nearest(name, colliders)}; {known}"

@@ -15,7 +15,7 @@ from vgmpi.misspelt import nearest, nearest_file
 from vgmpi.scene.gravity import gravity_complaints
 from vgmpi.scene.loads import Load, load_complaints
 from vgmpi.scene.objects import Object, body_complaint, object_complaints, release_complaints
-from vgmpi.scene.probes import Probe, probe_complaints
+from vgmpi.scene.probes import Probe, collider_names, probe_complaints
 from vgmpi.scene.scene import Scene, mixed, phase_of
 from vgmpi.scene.settings import MOST_CELLS, SECTIONS, Appearance, Domain, Output, Top
 from vgmpi.scene.sources import (
@@ -78,11 +78,12 @@ class Reader:
         loads = self.listed(
             data.get("load", []), "load", Load, lambda raw, load: load_complaints(raw, load, role)
         )
+        colliders = collider_names(objects)
         probes = self.listed(
             data.get("probe", []),
             "probe",
             Probe,
-            lambda raw, probe: probe_complaints(raw, probe, role, size, fluid),
+            lambda raw, probe: probe_complaints(raw, probe, role, size, fluid, colliders),
         )
         sinks = self.listed(
             data.get("sink", []), "sink", Sink, lambda raw, _: sink_complaints(raw, sources)

@@ -153,4 +153,5 @@ def sink_complaints(raw: dict, sources: list[Any]) -> list[tuple[tuple, str]]:
 def balance_complaints(probes: list[Any]) -> list[tuple[tuple, str]]:
     """(path, text) of probes that measure by a balance, in a scene with sources or sinks."""
     said = "is not for scenes where particles come or go: these are no part of its balance"
-    return [(("probe", k, "wall"), said) for k, probe in enumerate(probes) if probe and probe.wall]
+    every = enumerate(probes)
+    return [(("probe", k, "wall"), said) for k, one in every if one and one.wall == "all"]

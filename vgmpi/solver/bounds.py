@@ -12,6 +12,7 @@ import numpy as np
 
 from ..domain.blocks import BITS, EDGE, INTEGER, MIDDLE
 from ..kernels.g2p import REACH
+from ..kernels.given import NUMBERS
 from ..output import checkpoint, layout
 from .step import Simulation
 
@@ -68,6 +69,21 @@ def check_flow(simulation: Simulation, saved: checkpoint.Checkpoint) -> list[lis
         good = good and row[0] - row[2] == saved.count(f"group_{g:03d}/id")
     if not good:
         raise Mismatch(f"{saved.path}: attrs: flow cannot be {found!r:.60}")
+    return found
+
+
+def check_given(saved: checkpoint.Checkpoint) -> dict:
+    """What colliders and walls gave so far (given.Given.saved); nothing where the run did not ask.
+    Raises Mismatch where it cannot be."""
+    found: Any = saved.attrs.get("given", {"mass": 0.0, "totals": []})
+    good = isinstance(found, dict) and _number(found.get("mass")) and 0.0 <= found["mass"] < 1e100
+    rows: Any = found.get("totals") if good else None
+    good = isinstance(rows, list)
+    for row in rows if good else []:
+        good = good and isinstance(row, list) and len(row) == NUMBERS
+        good = good and all(_number(one) and abs(one) < 1e100 for one in row)
+    if not good:
+        raise Mismatch(f"{saved.path}: attrs: given cannot be {found!r:.60}")
     return found
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from ..materials.base import function
 from ..output import layout
 from ..output.ledger import Rows
-from ..scene.probes import Probe
+from ..scene.probes import SIDES, Probe
 from ..scene.scene import Scene
 from .step import Simulation
 from .watch import about
@@ -157,6 +157,29 @@ class Probes:
             given = given + self.simulation.loads.impulse(now - dt, now) / dt
         return _vector("momentum", momentum) | _vector("force", given - rate)
 
+    def one_wall(self, probe: Probe) -> dict:
+        return self._given(probe, SIDES.index(probe.wall or "") - len(SIDES))
+
+    def collider(self, probe: Probe) -> dict:
+        assert self.simulation.given is not None
+        row = self.simulation.given.names.index(probe.collider)
+        work = float(self.simulation.given.totals[row, 6])
+        before = self.rows[probe.name][-1]["all_work"] if self.rows[probe.name] else np.nan
+        return self._given(probe, row) | {"work": work - before, "all_work": work}
+
+    def _given(self, probe: Probe, row: int) -> dict:
+        """Force and torque on a collider or a wall, by its row in Given."""
+        assert self.simulation.given is not None
+        so_far = -self.simulation.given.totals[row]  # of the bodies on it
+        impulse, swing = _vector("impulse", so_far[:3]), _vector("swing", so_far[3:6])
+        force, torque = np.full((2, 3), np.nan)
+        if self.rows[probe.name]:
+            last = self.rows[probe.name][-1]
+            dt = self.simulation.time - last["time"]
+            force = np.array([impulse[name] - last[name] for name in impulse]) / dt
+            torque = np.array([swing[name] - last[name] for name in swing]) / dt
+        return _vector("force", force) | _vector("torque", torque) | impulse | swing
+
     def _rate(self, probe: Probe, momentum: np.ndarray) -> tuple[np.ndarray, float]:
         """Mean rate of momentum [N] since the row before, and the time [s] since then; nan and 0 in
         the first row."""
@@ -178,6 +201,8 @@ MEASURE = {
     "velocity": Probes.velocity,
     "object": Probes.object,
     "wall": Probes.wall,
+    "one wall": Probes.one_wall,
+    "collider": Probes.collider,
 }
 
 

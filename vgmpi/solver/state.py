@@ -7,7 +7,7 @@ from ..domain.ranks import Alone
 from ..domain.state import LANES
 from ..engines.base import UNKNOWN, Reach
 from ..materials.base import function
-from .bounds import Mismatch, check_attrs, check_flow, check_rows
+from .bounds import Mismatch, check_attrs, check_flow, check_given, check_rows
 from .step import Simulation
 
 
@@ -115,6 +115,8 @@ def save(simulation: Simulation) -> dict:
         attrs["sorted_time"] = simulation.movers.since
     if simulation.driven is not None:
         attrs["since"] = simulation.since
+    if simulation.given is not None:
+        attrs["given"] = simulation.given.saved()
     if simulation.tally is not None:
         attrs["flow"] = simulation.tally.totals(simulation.ranks)
     return {"attrs": attrs, "groups": groups}
@@ -155,6 +157,9 @@ def restore(simulation: Simulation, saved) -> None:
     for g, group in enumerate(simulation.groups):
         _read_group(group, saved, f"group_{g:03d}", table, g, simulation.ranks)
     simulation.adopt(table)
+    if simulation.given is not None:
+        simulation.given.weigh(simulation.groups)
+        simulation.given.adopt(check_given(saved))
 
 
 def _segments(simulation: Simulation, g: int, code: np.ndarray, count: np.ndarray) -> np.ndarray:

@@ -22,6 +22,7 @@ from ..kernels import g2p
 from ..planning.plan import Plan
 from .driven import Releases
 from .enter import Rows, enter, idle
+from .given import Given
 from .inflow import Sources
 from .needs import needs
 from .pushes import Pushes
@@ -69,7 +70,8 @@ class Simulation:
         self.plan = plan
         self.ranks = ranks
         self.lattice = Lattice(plan.cells, plan.dx)
-        asked = len(plan.friction) > len(plan.phases) + 1  # a collider's friction is its own
+        # a collider's friction is its own, or what it gives is asked for
+        asked = len(plan.friction) > len(plan.phases) + 1 or plan.feels
         self.movers: Movers | None = None
         if any(collider.course is not None for collider in colliders):
             self.movers = Movers(list(colliders), self.lattice, plan.real, asked)
@@ -79,6 +81,9 @@ class Simulation:
         self.driven = Driven(plan) if plan.driven else None
         self.engine: Engine = ENGINES[engine](plan, self.lattice, self.solids, threads, self.driven)
         self.groups: list[Group] = self.engine.groups
+        self.given = Given(plan, colliders, ranks) if plan.feels else None
+        if self.given is not None:
+            self.engine.feel(len(self.given.totals), self.given.quanta, ranks.rank)
         self.loads = Pushes(list(loads), plan, ranks) if loads else None
         self.tally = Tally(plan) if plan.flows else None
         self.sources = Sources(plan, ranks) if plan.sources else None
@@ -135,6 +140,8 @@ class Simulation:
             found = self.sources.bound(found, self.time)
         self.rate = float(found[0])
         self.reach = Reach.of(found[1:], self.rate, 1.0 / self.rate)
+        if self.given is not None:
+            self.given.weigh(self.groups)
         self.sort()
         self.moved = 0  # finding the first owners is no migration
 
@@ -233,23 +240,19 @@ class Simulation:
         mark = self.clock or (lambda name: None)
         engine = self.engine
         every, beyond, steps = self.plan.restores, [], self.step - self.since
+        if self.given is not None:
+            self.given.begin(dt)
         if every and steps and steps % every == 0:
             beyond = self.restore(dt)
-        pushed, end = 0.0, self.time + dt if end is None else end
-        if self.loads is not None:
-            pushed = self.loads.push(self.groups, self.time, end, dt)
-        if self.movers is not None:
-            self.movers.go(self.time, end, dt)
-            pushed += self.plan.dx * self.movers.travels(self.time, end) / dt
-        if self.driven is not None:
-            self.driven.go(self.time, end, dt)
-            pushed += self.plan.dx * self.driven.travels(self.time, end) / dt
-        gravity = self.gravity
+        end = self.time + dt if end is None else end
+        pushed, gravity = self._pushed(end, dt), self.gravity
         if self.plan.gravity_ramp or self.plan.gravity_keys:
             gravity = self.plan.gravity_between(self.time, end)
         engine.begin(dt, gravity, self.reach.fastest(self.plan, dt, pushed))
         self._to_nodes(self.halo)
         report = engine.gather(self.step)  # v, C, x, state at n + 1
+        if self.given is not None:
+            self.given.take(engine.given(), self.movers)
         report.beyond.extend(beyond)
         mark("g2p")
         before, self.time = self.time, end
@@ -277,6 +280,18 @@ class Simulation:
             self.sort()
             mark("sort")
         return found[6:]
+
+    def _pushed(self, end: float, dt: float) -> float:
+        """Let loads and what moves act until `end`, dt [s] from now. Returns by how much they
+        change velocities [m/s], at the most."""
+        pushed = 0.0
+        if self.loads is not None:
+            pushed = self.loads.push(self.groups, self.time, end, dt)
+        for moved in (self.movers, self.driven):
+            if moved is not None:
+                moved.go(self.time, end, dt)
+                pushed += self.plan.dx * moved.travels(self.time, end) / dt
+        return pushed
 
     def _let_go(self, before: float) -> np.ndarray:
         """Let go what is due after `before` [s]. Returns what bounds the steps of it, (4,)."""

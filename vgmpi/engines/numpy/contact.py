@@ -23,8 +23,12 @@ from ...kernels.contact import (
     SWEEPS,
     TOUCH,
 )
+from ...kernels.given import WALLS
 from ...planning.plan import Plan
 from .dense import Dense
+from .given import Given
+
+NOBODY = None, np.zeros(3), np.zeros(4)  # who is rigid where two phases meet
 
 
 def outside(m: float) -> float:
@@ -51,6 +55,8 @@ class Contact:
             np.moveaxis(self.planes, plane.axis, 0)[plane.node + 1] += 1
         self.least = np.array([TOUCHING * phase.least for phase in plan.phases])
         self.walls = dense
+        self.whose = np.zeros(dense.shape, int)
+        self.given: Given | None = None  # where somebody asks what rigid things give
 
     def meet(
         self, collider: np.ndarray, whose: np.ndarray, moves: np.ndarray | None = None
@@ -60,6 +66,7 @@ class Contact:
         rows = np.array(self.plan.friction)[len(self.plan.phases) :]
         self.friction = rows[np.minimum(whose, len(rows) - 1)].reshape(*self.shape, -1)
         self.collider = collider.reshape(*self.shape, 4)
+        self.whose = whose.reshape(self.shape)
         self.near = self.collider[..., 3] < REACH * self.dx
         if moves is not None:
             self.moves = moves.reshape(*self.shape, 3)
@@ -92,12 +99,12 @@ class Contact:
             there, u, m = np.flatnonzero(here[at]), v[at], heavy[at]
             alone = len(there) + self.near[node] + self.planes[node] == 2
             change, pairs = np.zeros_like(u), []
-            for a, b, n, one, other, friction, stiff, base in self._meetings(node, there, sides):
+            for a, b, n, one, other, friction, stiff, rigid in self._meetings(node, there, sides):
                 both = {b: other} if a is None else {a: one, b: other}  # that move
                 known = all(sides[k].known for k in both)
                 sure = any(sides[k].known for k in both)
                 sure = sure and all(sides[k].sure for k in both if sides[k].known)
-                r = (u[a] if a is not None else base) - u[b]
+                r = (u[a] if a is not None else rigid[1]) - u[b]
                 if sure:
                     slides = r + other * slope[at][b]
                     if a is not None:
@@ -109,20 +116,30 @@ class Contact:
                         self.dx,
                     )  # fmt: skip
                     acted += bool(push.any())
+                    self._tell(node, rigid, push)
                     if a is not None:
                         change[a] -= push / m[a]
                     change[b] += push / m[b]
                 if _touching(one, other, known, sure) and not (alone and r @ n <= 0):
-                    pairs.append((-1 if a is None else a, b, n, friction, base))
+                    pairs.append((-1 if a is None else a, b, n, friction, rigid))
             u += change
             if pairs:
-                _resolve(u, m, pairs)
+                for pair, push in zip(pairs, _resolve(u, m, pairs), strict=True):
+                    self._tell(node, pair[-1], push)
                 acted += 1
         return acted
 
+    def _tell(self, node: tuple, rigid: tuple, push: np.ndarray) -> None:
+        """An impulse (3,) at a node, by one of `_meetings`."""
+        row, speed, surface = rigid
+        if self.given is not None and row is not None:
+            at = self.given.points[node] - surface[3] * surface[:3]
+            self.given.add(row, at, push, float(push @ speed))
+
     def _meetings(self, node, there, sides):
         """Who may touch at a node: (a or None for what is rigid, b, normal of a, distances from
-        both [cells], friction, stiffness [Pa], velocity of what is rigid [m/s])."""
+        both [cells], friction, stiffness [Pa], of what is rigid its row in Given, velocity
+        [m/s], normal and distance [m])."""
         plan, rules = self.plan, self.plan.rules
         for q, one in enumerate(there):
             for other in there[q + 1 :]:
@@ -136,16 +153,18 @@ class Contact:
                 if n is not None:
                     stiff = 1.0 / (1.0 / plan.stiff[a] + 1.0 / plan.stiff[b])
                     far = sides[a].distance(n), sides[b].distance(-n)
-                    yield a, b, n, *far, plan.friction[one][other], stiff, np.zeros(3)
+                    yield a, b, n, *far, plan.friction[one][other], stiff, NOBODY
         rigid = []
         if self.near[node]:
-            rigid = [(*self.collider[node], self.friction[node], True, self.moves[node])]
+            own = int(self.whose[node]), self.moves[node], self.collider[node]
+            rigid = [(*self.collider[node], self.friction[node], True, own)]
         for plane in plan.planes:
             if node[plane.axis] == plane.node + 1:
                 n = np.zeros(3)
                 n[plane.axis] = 1.0 - 2.0 * plane.side
-                rigid.append((*n, 0.0, [plane.friction] * len(sides), False, np.zeros(3)))
-        for *n, far, friction, flows, base in rigid:
+                own = 2 * plane.axis + plane.side - WALLS, np.zeros(3), np.zeros(4)
+                rigid.append((*n, 0.0, [plane.friction] * len(sides), False, own))
+        for *n, far, friction, flows, own in rigid:
             for b in there:
                 if plan.phases[b].driven:
                     continue
@@ -153,7 +172,7 @@ class Contact:
                     out = np.array(n)
                     yield (
                         None, b, out, far / self.dx, sides[b].distance(-out), friction[b],
-                        plan.stiff[b], base,
+                        plan.stiff[b], own,
                     )  # fmt: skip
 
 
@@ -233,8 +252,9 @@ def _touching(one: float, other: float, known: bool, sure: bool) -> bool:
     return one + other <= (-FLOWING if sure else TOUCH)
 
 
-def _resolve(v: np.ndarray, mass: np.ndarray, pairs: list[tuple]) -> None:
-    """Change the velocities (phases, 3) of a node so that no touching pair approaches."""
+def _resolve(v: np.ndarray, mass: np.ndarray, pairs: list[tuple]) -> list[np.ndarray]:
+    """Change the velocities (phases, 3) of a node so that no touching pair approaches. Returns
+    the impulse of each pair on its second."""
     touches = np.zeros(len(mass), int)
     for a, b, *_ in pairs:
         touches[b] += 1
@@ -244,7 +264,7 @@ def _resolve(v: np.ndarray, mass: np.ndarray, pairs: list[tuple]) -> None:
     normal, slide = np.zeros(len(pairs)), np.zeros((len(pairs), 3))
     for _ in range(SWEEPS if len(pairs) > 1 else 1):
         change, pushes = 0.0, []
-        for q, (a, b, n, friction, base) in enumerate(pairs):
+        for q, (a, b, n, friction, (_, base, _)) in enumerate(pairs):
             r = (v[a] if a >= 0 else base) - v[b]
             reduced = mass[a] * mass[b] / (mass[a] + mass[b]) if a >= 0 else mass[b]
             approach = r @ n
@@ -262,3 +282,4 @@ def _resolve(v: np.ndarray, mass: np.ndarray, pairs: list[tuple]) -> None:
             v[b] += push / mass[b]
         if change < 1e-13:
             break
+    return [normal[q] * pair[2] + slide[q] for q, pair in enumerate(pairs)]

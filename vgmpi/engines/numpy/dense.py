@@ -104,23 +104,32 @@ class Dense:
         sign[axis] = -1.0
         return sign
 
-    def fold(self, vectors: np.ndarray | None, numbers: np.ndarray | None, kind=None) -> None:
+    def fold(self, vectors, numbers, kind=None, tell=None) -> None:
         """Add what fell beyond the mirroring walls to the mirror image of its node. kind: of the
-        mirror, in place of the wall's."""
-        for axis, wall, _, _, inside, beyond in self.ends():
+        mirror, in place of the wall's; tell: given.Teller of momentum, or None."""
+        for axis, wall, _, plane, inside, beyond in self.ends():
             if wall == "separate":
                 continue
+            if tell is not None:
+                beyond_it = np.moveaxis(vectors, axis, 0)[beyond]
+                tell.folded(axis, plane, beyond_it, self.sign(wall, axis))
+                if numbers is not None:
+                    tell.weighed(axis, plane, np.moveaxis(numbers, axis, 0)[beyond])
             for field, by in ((vectors, self.sign(kind or wall, axis)), (numbers, 1.0)):
                 if field is not None:
                     along = np.moveaxis(field, axis, 0)
                     along[inside] += along[beyond] * by
                     along[beyond] = 0.0
+        for axis, wall, _, plane, _, beyond in self.ends():
+            if wall == "separate" and tell is not None and numbers is not None:
+                tell.weighed(axis, plane, np.moveaxis(numbers, axis, 0)[beyond])
 
-    def constrain(self, v: np.ndarray, surface: bool = False) -> None:
+    def constrain(self, v: np.ndarray, surface: bool = False, tell=None) -> None:
         """What the walls leave of velocities; surface: of a phase that meets walls which only push
-        by contact."""
+        by contact; tell: given.Teller, or None."""
         for axis, kind, friction, wall, _, beyond in self.ends():
             along = np.moveaxis(v, axis, 0)
+            before = along[[wall, beyond]]
             inward = 1.0 if wall == 1 else -1.0
             if kind == "stick":
                 along[wall] = 0.0
@@ -129,10 +138,13 @@ class Dense:
             elif not surface:
                 for plane in (wall, beyond):
                     _push_back(along[plane], axis, inward, friction)
+            if tell is not None:
+                tell.stopped(axis, wall, wall, along[wall] - before[0])
+                tell.stopped(axis, wall, beyond, along[beyond] - before[1])
 
-    def mirror(self, v: np.ndarray, surface: bool = False) -> None:
+    def mirror(self, v: np.ndarray, surface: bool = False, tell=None) -> None:
         """Velocities beyond the walls as the particles near them see them; surface: as of
-        `constrain`."""
+        `constrain`; tell: given.Teller, or None."""
         for axis, kind, _, wall, inside, beyond in self.ends():
             along = np.moveaxis(v, axis, 0)
             if kind != "separate":
@@ -141,7 +153,15 @@ class Dense:
                 inward = 1.0 if wall == 1 else -1.0
                 least = -inward * along[inside][..., axis]
                 most = np.maximum(inward * along[beyond][..., axis], least)
+                change = np.zeros_like(along[beyond])
+                change[..., axis] = inward * most - along[beyond][..., axis]
                 along[beyond][..., axis] = inward * most
+                if tell is not None:
+                    tell.mirrored(axis, wall, change)
+        for axis, kind, _, wall, inside, beyond in self.ends():
+            if tell is not None and kind != "separate":
+                along = np.moveaxis(v, axis, 0)
+                tell.mirrored(axis, wall, along[beyond] - along[inside])
 
     def even(self, field: np.ndarray) -> np.ndarray:
         """Numbers with what mirroring walls show of them beyond."""

@@ -29,6 +29,7 @@ from ..base import DITHER, Beyond, Report
 from .contact import Contact
 from .dense import Dense, Stencil
 from .driven import carry, prescribe
+from .given import Given, Teller
 from .movers import place
 from .sharing import Sharing
 
@@ -50,7 +51,19 @@ class Numpy:
         if isinstance(solids, Solids):
             self.contact.meet(*solids.surface(self.dense.points()))
         self.sharing = None if plan.rules is None else Sharing(plan.rules, self.dense)
+        self.tells: Given | None = None
         self.apart = any(group.apart for group in plan.groups)
+
+    def feel(self, rows: int, quanta: np.ndarray, rank: int) -> None:
+        self.tells = self.contact.given = Given(self.plan, self.dense, rows, quanta)
+
+    def given(self) -> np.ndarray:
+        assert self.tells is not None
+        return self.tells.taken()
+
+    def _tell(self, p: int, share: float, mass: np.ndarray | None = None) -> Teller | None:
+        """Told what walls do to a phase, None where nobody asks."""
+        return None if self.tells is None else Teller(self.tells, p, share, mass)
 
     def adopt(self, tables: Topology, kept: bool = False) -> None:
         if tables.shared:
@@ -61,7 +74,9 @@ class Numpy:
         ]
 
     def begin(self, dt: float, gravity: np.ndarray, speed: float) -> None:
-        self.dt, self.gravity = dt, gravity
+        self.dt, self.gravity, self.mirrors, self.kept = dt, gravity, 1.0, 0.0
+        if self.tells is not None:
+            self.mirrors, self.kept = self.tells.shares(dt)
 
     def pack(self, part: Part) -> None:
         raise RuntimeError("the numpy engine runs on one rank")
@@ -87,8 +102,9 @@ class Numpy:
         for g, group in enumerate(self.groups):
             self._contribute(group, self.stencils[g], self.split[g])
         for p in range(n):
-            self.dense.fold(self.momentum[p], self.mass[p])
-            self.dense.fold(self.forces[p], self.counted[p])
+            self.dense.fold(self.momentum[p], self.mass[p], tell=self._tell(p, self.mirrors))
+            self.dense.fold(self.forces[p], None, tell=self._tell(p, 1.0))
+            self.dense.fold(None, self.counted[p])
             self.dense.fold(self.shear[p], None)
             self.dense.fold(self.offset[p], self.volume[p], kind="slip")
 
@@ -169,8 +185,8 @@ class Numpy:
         still = np.where(some, self.momentum / np.where(some, mass[..., None], 1.0), 0.0)
         if not self.dt:
             self.v = self._as_one(still, mass)
-            for velocities, phase in zip(self.v, plan.phases, strict=True):
-                dense.mirror(velocities, phase.surface)
+            for p, phase in enumerate(plan.phases):
+                dense.mirror(self.v[p], phase.surface, self._tell(p, self.mirrors))
             return
         v = np.where(some, still + self.dt * self.gravity, 0.0)
         if self.movers is not None:
@@ -192,17 +208,18 @@ class Numpy:
             prescribe(v, heavy, self.driven.ways, dense.points(), plan.dx)
         slope = np.where(some, self.shear / np.where(some, mass[..., None], 1.0), 0.0)
         self.touching = self.contact.act(v, mass, heavy, self.offset, volume, slope, self.dt)
-        for velocities, phase in zip(v, plan.phases, strict=True):
-            dense.constrain(velocities, phase.surface)
+        for p, phase in enumerate(plan.phases):
+            dense.constrain(v[p], phase.surface, self._tell(p, 1.0, mass[p]))
         if self.sharing is not None:
             self.flux, self.share, self.full = self.sharing.flux(v, mass, V)
             v = v - self.drift
         if plan.keeps is not None:
             self.change = v - still
         self.v = v
-        for fields in self._seen():
-            for field, phase in zip(fields, plan.phases, strict=True):
-                dense.mirror(field, phase.surface)
+        for fields, share in self._seen():
+            for p, phase in enumerate(plan.phases):
+                tell = self._tell(p, share) if share else None
+                dense.mirror(fields[p], phase.surface, tell)
         if plan.colours is not None:
             self._blend(plan.colours.set_of)
 
@@ -217,13 +234,13 @@ class Numpy:
             )
         return v
 
-    def _seen(self) -> list[np.ndarray]:
-        """All velocities that particles gather."""
-        found = [self.v]
+    def _seen(self) -> list[tuple[np.ndarray, float]]:
+        """All velocities that particles gather, and how much of each they take up as their own."""
+        found = [(self.v, self.mirrors)]
         if self.sharing is not None:
-            found += [self.flux, self.drift]
+            found += [(self.flux, 0.0), (self.drift, 0.0)]
         if self.plan.keeps is not None:
-            found.append(self.change)
+            found.append((self.change, self.kept))
         return found
 
     def _blend(self, set_of: np.ndarray) -> None:

@@ -1,0 +1,70 @@
+"""What colliders and walls give is summed on any number of ranks and threads to the same bits, also
+across a restart."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from tests.digests import digests
+from tests.launch import go
+from tests.parallel.test_moving_bits import SCENE
+from tests.scenes import write
+from vgmpi.scene.probes import SIDES
+
+pytestmark = pytest.mark.mpi
+
+COLLIDERS = ("post", "paddle", "roller")
+ASKED = SCENE + "".join(
+    f'[[probe]]\nname = "{name}"\nrate = "200 Hz"\n{key} = "{name}"\n'
+    for key, names in (("wall", ("all", *SIDES)), ("collider", COLLIDERS))
+    for name in names
+)
+
+
+@pytest.fixture(scope="module")
+def one(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("forces")
+    scene = write(folder, ASKED)
+    job = go(scene, folder / "one", 1)
+    assert job.returncode == 0, job.stderr
+    return scene, digests(folder / "one"), folder / "one"
+
+
+def column(folder, name, key):
+    with open(folder / f"probe_{name}.csv") as f:
+        return np.array([float(row[key]) for row in csv.DictReader(f)])
+
+
+def test_they_are_felt(one):
+    """In single precision all together are the balance to its digits."""
+    _, _, out = one
+    assert np.abs(column(out, "paddle", "all_work")[-1]) > 1e-3
+    assert np.abs(column(out, "roller", "torque_y")[1:]).max() > 1e-3
+    for axis in "xyz":
+        key = f"force_{axis}"
+        together = sum(column(out, name, key)[1:] for name in (*SIDES, *COLLIDERS))
+        balance = column(out, "all", key)[1:]
+        assert np.abs(together - balance).max() < 1e-5 * np.abs(balance).max()
+
+
+@pytest.mark.parametrize("n, flags", [(2, ()), (3, ()), (1, ("--threads", "2"))])
+def test_ranks_and_threads(one, n, flags, tmp_path):
+    scene, want, _ = one
+    job = go(scene, tmp_path, n, *flags)
+    assert job.returncode == 0, job.stderr
+    assert digests(tmp_path) == want
+
+
+def test_stop_and_resume(one, tmp_path):
+    """Between two rows: what was given since the last one is in the checkpoint."""
+    scene, want, out = one
+    stop = int(column(out, "paddle", "step")[-1]) // 2 + 1
+    job = go(scene, tmp_path, 2, "--stop-after", f"{stop} steps")
+    assert job.returncode == 75, job.stderr
+    job = go(scene, tmp_path, 1, "--resume")
+    assert job.returncode == 0, job.stderr
+    found = digests(tmp_path)
+    rows = [name for name in want if name.startswith("probe_")]
+    assert len(rows) == 10
+    assert [name for name in rows if found[name] != want[name]] == []

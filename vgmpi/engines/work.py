@@ -1,0 +1,36 @@
+"""What the transfers of a group need, laid out for the tables in force."""
+
+from typing import NamedTuple
+
+from ..domain.state import Group
+from ..kernels import beside, g2p
+from ..kernels.given import Ghosts
+from ..kernels.tables import Particles, Segments
+from ..planning.groups import GroupPlan
+from ..planning.plan import Plan
+from .layers import Contribution
+from .shares import Shares
+
+
+class GroupWork(NamedTuple):
+    """A group as its transfers need it, laid out for the tables in force."""
+
+    group: Group
+    particles: Particles
+    segments: Segments
+    shares: Shares
+    given: list[Contribution]
+    moving: Contribution  # in a step of no time
+    numbers: g2p.Numbers
+    ghosts: Ghosts | None  # where somebody asks what walls give
+
+
+def numbers_of(plan: Plan, group: GroupPlan) -> g2p.Numbers:
+    found = (
+        plan.splines, group.stiff, group.dense, beside.RELAX, group.channels.first("share"), plan.dx
+    )  # fmt: skip
+    return g2p.Numbers(*map(plan.real.type, found))
+
+
+def particles_of(group: Group) -> Particles:
+    return Particles(group.xi, group.f, group.ids)
