@@ -3,14 +3,15 @@
 Theory: what is let go knows nothing of the time before: from then on it does what one does that
 begins then (positions to 1e-12 m). A body that is driven is a wall to all others: a ball that falls
 on a slab that is held jumps off with the speed with which it came, but for what rings in it, and
-one that a slab runs into with a velocity u goes off with 2 u (elastic, a mass without bounds). Free
+one that a slab runs into with a velocity u goes off with 2 u (elastic, a mass without bounds). What
+a body that is driven gives, the others get: momentum to rounding, its work as their energy. Free
 of all forces what was driven keeps its momentum and its spin when it is let go. Double precision.
 """
 
 import numpy as np
 
 from tests.held import held
-from tests.simulate import advance, begin, by_id, totals
+from tests.simulate import advance, begin, by_id, ledger, totals
 
 HEAD = """
 [domain]
@@ -125,3 +126,38 @@ def test_what_was_driven_keeps_its_motion(tmp_path):
     lost = np.linalg.norm(found["angular"] - spin) / np.linalg.norm(spin)
     held("let go: change of spin in a turn", lost, 0.0, 2e-3, kind="absolute",
          note="it was not strained by turning while it was driven, and is then")  # fmt: skip
+
+
+SMOOTH = '[[coupling]]\nkind = "contact"\nbetween = ["rubber", "rubber"]\nfriction = 0\n'
+PROBE = '[[probe]]\nname = "slab"\nrate = 100\ncollider = "slab"\n'
+
+
+def _thrown(tmp_path, motion):
+    """(momentum and energy that a slab's motion gave a ball, impulse and work that are told)."""
+    text = head("[0.3, 0.3, 0.3]", 0.01, 0) + BALL.replace("HEIGHT", "0.135")
+    motion = f'motion = {{ {motion}, until = "0.1 s" }}\n'
+    simulation, _ = begin(tmp_path, text.replace("SPEED", "0") + motion + SMOOTH + PROBE)
+    advance(simulation, 0.0999)
+    impulse, work = simulation.given.totals[0, :3], simulation.given.totals[0, 6]
+    return *_of_ball(simulation), impulse, work
+
+
+def test_what_it_gives_the_others_get(tmp_path):
+    turning = 'velocity = [0.1, 0, 0.3], spin = "2 rad/s", axis = [1, 1, 0]'
+    momentum, _, impulse, _ = _thrown(tmp_path, turning)
+    scale = np.linalg.norm(momentum)
+    lost = np.abs(momentum - impulse).max() / scale
+    assert scale > 0.2
+    held("driven slab: impulse given less the ball's momentum", lost, 0.0, 1e-12, kind="absolute")
+
+
+def test_its_work_is_the_energy_of_the_others(tmp_path):
+    momentum, energy, _, work = _thrown(tmp_path, "velocity = [0, 0, 0.3]")
+    note = "no friction; the ball rings, which counts"
+    held("driven slab: energy of the ball, of the work", energy, work, 0.01, unit="J", note=note)
+
+
+def _of_ball(simulation):
+    """Momentum (3,) and energy of the ball."""
+    row = next(row for row in ledger(simulation) if row["phase"] == "ball")
+    return np.array([row[f"momentum_{a}"] for a in "xyz"]), row["kinetic"] + row["elastic"]

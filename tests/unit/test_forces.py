@@ -244,7 +244,10 @@ def test_nobody_asks_nothing_is_there(tmp_path):
 @pytest.mark.parametrize(
     "asks, said",
     [
-        ('collider = "cube"', "'cube' is no collider: scenery with collider = true is"),
+        (
+            'collider = "cube"',
+            "'cube' is no collider: scenery with collider = true is",
+        ),
         ('collider = "past"', "there is no collider 'past' (did you mean 'post'?); known: post"),
         ('wall = "ceiling"', "wall"),
     ],

@@ -16,25 +16,34 @@ class Ways(NamedTuple):
     """How what was at x goes in a step, by phases: (turn (x - about) + shift) dt."""
 
     driven: np.ndarray  # (phases,) bool
+    row: np.ndarray  # (phases,) of what they give, -1 of others: behind all colliders
     about: np.ndarray  # (phases, 3) [m]
     turn: np.ndarray  # (phases, 3, 3) [1/s]
     shift: np.ndarray  # (phases, 3) [m/s]
 
 
-NOTHING = Ways(np.zeros(0, bool), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)))
+def _none(phases: int) -> Ways:
+    """Ways of phases of which none is driven."""
+    return Ways(
+        np.zeros(phases, bool), np.full(phases, -1), np.zeros((phases, 3)),
+        np.zeros((phases, 3, 3)), np.zeros((phases, 3)),
+    )  # fmt: skip
+
+
+NOTHING = _none(0)
 
 
 class Driven:
     """What is driven. All ranks know the same."""
 
-    def __init__(self, plan: Plan):
+    def __init__(self, plan: Plan, colliders: int):
         self.dx, phases = plan.dx, len(plan.phases)
         at = [plan.groups[one.group].phase for one in plan.driven]
-        self.ways = Ways(
-            np.zeros(phases, bool), np.zeros((phases, 3)), np.zeros((phases, 3, 3)),
-            np.zeros((phases, 3)),
-        )  # fmt: skip
+        self.ways = _none(phases)
         self.ways.driven[at] = True
+        self.ways.row[at] = colliders + np.arange(len(at))
+        for p, one in zip(at, plan.driven, strict=True):
+            self.ways.about[p] = one.about
         plans = plan.driven
         moving = [(p, one) for p, one in zip(at, plans, strict=True) if one.course is not None]
         self.phases = [p for p, _ in moving]

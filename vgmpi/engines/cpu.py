@@ -338,7 +338,7 @@ class Cpu:
 
     def _ghosts(self, part: GroupWork, thread: int, layer: str = "momentum") -> Ghosts | None:
         """What a thread's transfers tell of walls, None where nobody asks or the layer has none."""
-        if self.givers is None or part.ghosts is None:
+        if self.givers is None or part.ghosts is None or part.group.plan.driven:
             return None
         return self.givers.of(part.ghosts, thread, layer, self.dt)
 

@@ -1,4 +1,5 @@
-"""What is rigid gives to bodies in a step: impulse, its moment and work, by collider and wall.
+"""What is rigid gives to bodies in a step: impulse, its moment and work, by collider, body that is
+driven, and wall.
 
 Sums are whole numbers of quanta, so that their terms may come in any order. Where nobody asks for
 them `given` is None, and nothing of this is compiled in. Terms come from three places: what rigid
@@ -21,7 +22,8 @@ PLANE = 64  # nodes of a patch in a plane
 class Given(NamedTuple):
     """Sums of one thread, and at which node and for whom it is at work."""
 
-    sums: np.ndarray  # (rows, 7) int64, rows: colliders, then walls: west, east; south, north; ...
+    # (rows, 7) int64, rows: colliders, what is driven, then walls: west, east; south, north; ...
+    sums: np.ndarray
     quanta: np.ndarray  # (7,) what 1 of them is worth: powers of two
     counts: np.ndarray  # (blocks, 64) uint8: nodes that this rank counts, and no other
     now: np.ndarray  # (3,) block, node and row at work
@@ -128,16 +130,33 @@ def pressed(given, before, after, mass, speed, was, pairs):
 
 
 @inline
+def drove(given, row, before, after, mass, speed, was, pairs):
+    """As `pressed`, of a body that is driven: it acts where the node is. row: its own, -1 where
+    none of two phases is driven."""
+    if given is not None:
+        for q in range(was, pairs):
+            given.pairs[q] = row
+        if row >= 0:
+            given.now[2] = row
+            for c in range(3):
+                given.at[c] = given.node[c]
+            pressed(given, before, after, mass, speed, was, pairs)
+
+
+@inline
 def resolved(given, pairs, room):
-    """Impulses of pairs of which one is rigid. room: touch.Room."""
+    """Impulses of pairs of which one is rigid or driven. room: touch.Room."""
     if given is not None:
         if _counted(given):
             for q in range(pairs):
-                if room.master[q] < 0:
-                    n, push, speed = room.normals[q], room.impulse[q], room.v[room.master[q]]
-                    jx = push[0] * n[0] + push[1]
-                    jy = push[0] * n[1] + push[2]
-                    jz = push[0] * n[2] + push[3]
+                if given.pairs[q] >= 0:
+                    a, b, n, push = room.master[q], room.other[q], room.normals[q], room.impulse[q]
+                    # of two phases the one that is driven is the heavier by far
+                    first = a < 0 or room.heavy[a] > room.heavy[b]
+                    k, speed = (1.0, room.v[a]) if first else (-1.0, room.v[b])
+                    jx = k * (push[0] * n[0] + push[1])
+                    jy = k * (push[0] * n[1] + push[2])
+                    jz = k * (push[0] * n[2] + push[3])
                     work = jx * speed[0] + jy * speed[1] + jz * speed[2]
                     _add(given, given.pairs[q], given.places[q], jx, jy, jz, work)
 

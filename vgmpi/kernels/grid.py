@@ -110,7 +110,7 @@ def update(blocks, tables, summed, shear, apart, rules, walls, phases, solids, r
             touch(here, tables, tables.solid[b], summed, shear, solids, walls, phases, rules,
                   step, room)  # fmt: skip
         if here.at_wall:
-            _stop_at_walls(here, momentum.nodes, walls, tables.phase, phases.surface, room.given)
+            _stop_at_walls(here, momentum.nodes, walls, tables.phase, phases, solids, room.given)
         if apart is not None:
             if rules is not None:
                 if kept_apart:
@@ -131,13 +131,15 @@ def _fields(rows, least, cells, grid, forces, offsets, apart):
 
 
 @inline
-def _stop_at_walls(here, velocities, walls, phase, surface, given):
+def _stop_at_walls(here, velocities, walls, phase, phases, solids, given):
     """What the walls leave of the velocities (node blocks, 256) of a block. phase: (node blocks,);
-    surface: of each phase, whether contact knows it; given: given.Given, or None."""
+    solids: Rigid; given: given.Given, or None."""
     low = here.low_x, here.low_y, here.low_z
     for nb in range(here.n0, here.n1):
         block = velocities[nb].reshape((64, 4))
-        kinds = walls.met if surface[phase[nb]] else walls.kinds
+        if len(solids.ways.driven) > 0 and solids.ways.driven[phase[nb]]:
+            continue  # it goes where it is sent
+        kinds = walls.met if phases.surface[phase[nb]] else walls.kinds
         constrain(block, low, walls.cells, kinds, walls.friction, given)
 
 

@@ -24,7 +24,7 @@ from .contact import (
     surface_normal,
     touching,
 )
-from .given import Given, at_node, by_collider, by_wall, pressed, resolved
+from .given import Given, at_node, by_collider, by_wall, drove, pressed, resolved
 from .walls import tangential
 
 
@@ -161,12 +161,12 @@ def _pairs(there, phase, offsets, phases, rules, ways, step, room):
             if _driven(ways, ph) and _driven(ways, other):
                 continue
             a, b = (q, r) if phases.mastery[ph] < phases.mastery[other] else (r, q)
-            pairs = _on_each_other(pairs, there, a, b, phase, offsets, phases, step, room)
+            pairs = _on_each_other(pairs, there, a, b, phase, offsets, phases, ways, step, room)
     return pairs
 
 
 @inline
-def _on_each_other(pairs, there, a, b, phase, offsets, phases, step, room):
+def _on_each_other(pairs, there, a, b, phase, offsets, phases, ways, step, room):
     """Take up what two phases do to each other."""
     pa, pb, place = phase[room.here[a]], phase[room.here[b]], 4 * there.node
     xa, xb = offsets[room.here[a], place:], offsets[room.here[b], place:]
@@ -191,7 +191,13 @@ def _on_each_other(pairs, there, a, b, phase, offsets, phases, step, room):
         stiff = phases.stiff[pa] * phases.stiff[pb] / (phases.stiff[pa] + phases.stiff[pb])
     friction = phases.friction[pa, pb]
     meeting = Meeting(a, b, one, other, known, certain, share, stiff, friction)
-    return _take_up(pairs, there, meeting, n, step, room)
+    by, on = (a, b) if _driven(ways, pa) else (b, a)
+    change, was = room.change[on], pairs
+    before = change[0], change[1], change[2]
+    pairs = _take_up(pairs, there, meeting, n, step, room)
+    row = ways.row[phase[room.here[by]]] if len(ways.row) > 0 else -1
+    drove(room.given, row, before, change, room.mass[on], room.v[by], was, pairs)
+    return pairs
 
 
 @inline

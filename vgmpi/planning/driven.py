@@ -7,6 +7,8 @@ is let go its particles join the group in which they would have begun.
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from ..scene.motion import Course
 from ..scene.objects import Object
 from ..scene.scene import Scene
@@ -30,6 +32,7 @@ class DrivenPlan(NamedTuple):
     group: int  # as long as they are driven
     joins: int  # the group afterwards
     course: Course | None  # how they move; None: they are held
+    about: tuple[float, float, float]  # [m] what they turn about, or their middle
     far: float  # [m] of a particle from the axis they turn about, at the most
     layers: tuple[Layer, ...]  # in order of time; none where they are never let go
 
@@ -80,11 +83,13 @@ def driven_plans(
             begins[k] = len(more)
         boxes = [extents[k] for k in rows if k in extents]
         layers, course, far = _layers(first, boxes, scene.domain.cell), None, 0.0
+        corners = boxes or [((0.0,) * 3, (0.0,) * 3)]
+        low, high = np.min([a for a, _ in corners], axis=0), np.max([b for _, b in corners], axis=0)
+        about = tuple(0.5 * (low + high))
         if first.motion is not None:
-            low, high = boxes[0] if boxes else ((0.0,) * 3, (0.0,) * 3)
             course = course_of(first, low, high)
-            far = course.far(low, high)
-        plans.append(DrivenPlan(rows, len(more), joins, course, far, layers))
+            about, far = course.about, course.far(low, high)
+        plans.append(DrivenPlan(rows, len(more), joins, course, about, far, layers))
         more.append(own)
     return tuple(plans), tuple(more), tuple(begins)
 

@@ -44,9 +44,10 @@ class Probe(Table):
     The name of one wall: mean force of the bodies on it since the row before, and mean torque about
     its middle"""
     collider: str | None = None
-    """a collider, moving or not: mean force of the bodies on it since the row before, mean torque
-    about the point that it turns about (where that is now; of one at rest the middle of its
-    extent), and the work that it has done on them since then"""
+    """a collider, moving or not, or a body while it is driven (those that are frozen alike as one):
+    mean force of the others on it since the row before, mean torque about the point that it turns
+    about (where that is now; of one at rest the middle of its extent), and the work that it has
+    done on them since then"""
 
     @property
     def kind(self) -> str:
@@ -109,10 +110,16 @@ def probe_complaints(
 
 
 def collider_names(objects: list[Object | None]) -> list[str] | None:
-    """Names of the colliders among objects as read, None where one failed."""
+    """Names of the colliders among objects as read, and of the bodies that are driven; None where
+    one failed."""
     if None in objects:
         return None
-    return [thing.name for thing in objects if thing is not None and thing.collider]
+    return [thing.name for thing in objects if thing is not None and _pushes(thing)]
+
+
+def _pushes(thing: Object) -> bool:
+    """Whether nothing turns it aside."""
+    return thing.collider or thing.driven
 
 
 def _collider_complaint(
@@ -122,6 +129,9 @@ def _collider_complaint(
     if name is None or role is None or colliders is None or name in colliders:
         return ""
     if name in role:
-        return f"'{name}' is no collider: scenery with collider = true is"
+        return (
+            f"'{name}' is no collider: scenery with collider = true is, and a body with motion or"
+            " frozen_until"
+        )
     known = f"known: {', '.join(colliders)}" if colliders else "there is none"
     return f"there is no collider '{name}'{nearest(name, colliders)}; {known}"

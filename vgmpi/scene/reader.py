@@ -89,8 +89,8 @@ class Reader:
             data.get("sink", []), "sink", Sink, lambda raw, _: sink_complaints(raw, sources)
         )
         domain = tables.get("domain")
-        if sources or sinks or (domain and domain.open_walls):
-            self.errors += balance_complaints(probes)
+        flows = bool(sources or sinks or (domain and domain.open_walls))
+        self.errors += balance_complaints(probes, flows, objects)
         if domain:
             self.whole_cells(domain)
             self.at_rest(objects, domain)

@@ -150,8 +150,16 @@ def sink_complaints(raw: dict, sources: list[Any]) -> list[tuple[tuple, str]]:
     return found
 
 
-def balance_complaints(probes: list[Any]) -> list[tuple[tuple, str]]:
-    """(path, text) of probes that measure by a balance, in a scene with sources or sinks."""
+def balance_complaints(
+    probes: list[Any], flows: bool, objects: list[Any]
+) -> list[tuple[tuple, str]]:
+    """(path, text) of probes that measure by a balance, in a scene where something comes or goes
+    (flows) or bodies are driven."""
+    driven = any(thing and thing.driven for thing in objects)
+    if not (flows or driven):
+        return []
     said = "is not for scenes where particles come or go: these are no part of its balance"
+    if driven:
+        said = "is not for scenes with bodies that are driven: what drives them is no part of it"
     every = enumerate(probes)
     return [(("probe", k, "wall"), said) for k, one in every if one and one.wall == "all"]

@@ -1,11 +1,12 @@
-"""What each collider and each wall has given to the bodies since the start: impulse, its moment and
-work, the same bits on any number of ranks."""
+"""What each collider, each body that is driven and each wall has given to the others since the
+start: impulse, its moment and work, the same bits on any number of ranks."""
 
 import math
 from collections.abc import Sequence
 
 import numpy as np
 
+from ..domain.driven import Driven
 from ..domain.movers import Movers
 from ..domain.ranks import Alone
 from ..domain.state import Group
@@ -18,17 +19,20 @@ BITS = 62  # of whole numbers
 
 class Given:
     """totals: (rows, 7) impulse [kg m/s] on the bodies, its moment [kg m2/s] about the row's own
-    point, work [J]; colliders in the scene's order, then west, east, south, north, floor, roof.
+    point, work [J]; colliders in the scene's order, what is driven, then west, east, south, north,
+    floor, roof.
 
-    A collider's point is what it turns about, where that is at the time; of one at rest the middle
-    of its extent; of a wall its middle. mass: [kg] that bodies do not exceed.
+    The point of a collider, or of a body that is driven, is what it turns about, where that is at
+    the time; of one at rest the middle of its extent; of a wall its middle. mass:
+    [kg] that bodies do not exceed.
     """
 
     def __init__(self, plan: Plan, colliders: Sequence, ranks: Alone):
         self.plan, self.ranks = plan, ranks
-        self.names = [collider.name for collider in colliders]
+        self.colliders = [collider.name for collider in colliders]
         self.moving = [m for m, one in enumerate(colliders) if one.course is not None]
-        self.points = np.array([*map(_point, colliders), *_middles(plan)])
+        driven = [one.about for one in plan.driven]
+        self.points = np.array([*map(_point, colliders), *driven, *_middles(plan)])
         self.totals = np.zeros((len(self.points), NUMBERS))
         self.quanta = np.ones(NUMBERS)
         self.mass = 0.0
@@ -57,12 +61,21 @@ class Given:
         self.quanta[:3], self.quanta[3:6] = one, one * _power(far)
         self.quanta[6] = one * _power(4.0 * speed)
 
-    def take(self, counted: np.ndarray, movers: Movers | None) -> None:
+    def row(self, name: str, thing: int) -> int:
+        """That of a collider by its name, or of a body that is driven by its number."""
+        if name in self.colliders:
+            return self.colliders.index(name)
+        found = [k for k, one in enumerate(self.plan.driven) if thing in one.things]
+        return len(self.colliders) + found[0]
+
+    def take(self, counted: np.ndarray, movers: Movers | None, driven: Driven | None) -> None:
         """Add what a step gave on this rank, (rows, 7) whole numbers. Collective."""
         found = self.ranks.sum(counted) * self.quanta
-        about = self.points
+        about = self.points.copy()
+        if driven is not None:
+            phases = [self.plan.groups[one.group].phase for one in self.plan.driven]
+            about[driven.ways.row[phases]] = driven.ways.about[phases]
         if movers is not None:
-            about = about.copy()
             table = movers.table
             about[self.moving] = (table.about + table.move)[self.moving]
         (px, py, pz), (jx, jy, jz) = about.T, found[:, :3].T

@@ -162,7 +162,9 @@ class Probes:
 
     def collider(self, probe: Probe) -> dict:
         assert self.simulation.given is not None
-        row = self.simulation.given.names.index(probe.collider)
+        names = [thing.name for thing in self.scene.object]
+        name = probe.collider or ""
+        row = self.simulation.given.row(name, names.index(name))
         work = float(self.simulation.given.totals[row, 6])
         before = self.rows[probe.name][-1]["all_work"] if self.rows[probe.name] else np.nan
         return self._given(probe, row) | {"work": work - before, "all_work": work}

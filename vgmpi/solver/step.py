@@ -78,7 +78,7 @@ class Simulation:
         self.solids: Movers | Solids | None = self.movers
         if colliders and self.movers is None:
             self.solids = Solids(list(colliders), self.lattice, plan.real, asked)
-        self.driven = Driven(plan) if plan.driven else None
+        self.driven = Driven(plan, len(colliders)) if plan.driven else None
         self.engine: Engine = ENGINES[engine](plan, self.lattice, self.solids, threads, self.driven)
         self.groups: list[Group] = self.engine.groups
         self.given = Given(plan, colliders, ranks) if plan.feels else None
@@ -252,7 +252,7 @@ class Simulation:
         self._to_nodes(self.halo)
         report = engine.gather(self.step)  # v, C, x, state at n + 1
         if self.given is not None:
-            self.given.take(engine.given(), self.movers)
+            self.given.take(engine.given(), self.movers, self.driven)
         report.beyond.extend(beyond)
         mark("g2p")
         before, self.time = self.time, end

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...couplings.base import CONTACT
 from ...device.limits import TOUCHING
+from ...domain.driven import NOTHING
 from ...domain.solids import REACH
 from ...kernels.contact import (
     AHEAD,
@@ -28,7 +29,7 @@ from ...planning.plan import Plan
 from .dense import Dense
 from .given import Given
 
-NOBODY = None, np.zeros(3), np.zeros(4)  # who is rigid where two phases meet
+NOBODY = None, np.zeros(3), np.zeros(4), 1.0  # who is rigid where two phases meet
 
 
 def outside(m: float) -> float:
@@ -56,6 +57,7 @@ class Contact:
         self.least = np.array([TOUCHING * phase.least for phase in plan.phases])
         self.walls = dense
         self.whose = np.zeros(dense.shape, int)
+        self.ways = NOTHING  # of what is driven
         self.given: Given | None = None  # where somebody asks what rigid things give
 
     def meet(
@@ -99,7 +101,9 @@ class Contact:
             there, u, m = np.flatnonzero(here[at]), v[at], heavy[at]
             alone = len(there) + self.near[node] + self.planes[node] == 2
             change, pairs = np.zeros_like(u), []
-            for a, b, n, one, other, friction, stiff, rigid in self._meetings(node, there, sides):
+            for a, b, n, one, other, friction, stiff, rigid in self._meetings(
+                node, there, sides, u
+            ):
                 both = {b: other} if a is None else {a: one, b: other}  # that move
                 known = all(sides[k].known for k in both)
                 sure = any(sides[k].known for k in both)
@@ -131,15 +135,23 @@ class Contact:
 
     def _tell(self, node: tuple, rigid: tuple, push: np.ndarray) -> None:
         """An impulse (3,) at a node, by one of `_meetings`."""
-        row, speed, surface = rigid
+        row, speed, surface, sign = rigid
         if self.given is not None and row is not None:
             at = self.given.points[node] - surface[3] * surface[:3]
-            self.given.add(row, at, push, float(push @ speed))
+            self.given.add(row, at, sign * push, sign * float(push @ speed))
 
-    def _meetings(self, node, there, sides):
+    def _by(self, a: int, b: int, u: np.ndarray) -> tuple:
+        """Of two phases with velocities u (phases, 3) the one that is driven, as of `_meetings`."""
+        for one, sign in ((a, 1.0), (b, -1.0)):
+            if len(self.ways.driven) and self.ways.driven[one]:
+                return int(self.ways.row[one]), u[one].copy(), np.zeros(4), sign
+        return NOBODY
+
+    def _meetings(self, node, there, sides, u):
         """Who may touch at a node: (a or None for what is rigid, b, normal of a, distances from
-        both [cells], friction, stiffness [Pa], of what is rigid its row in Given, velocity
-        [m/s], normal and distance [m])."""
+        both [cells], friction, stiffness [Pa], of what is rigid or driven its row in Given,
+        velocity [m/s], normal and distance [m], and 1 where it is a, or rigid, else -1). u:
+        velocities (phases, 3)."""
         plan, rules = self.plan, self.plan.rules
         for q, one in enumerate(there):
             for other in there[q + 1 :]:
@@ -153,16 +165,16 @@ class Contact:
                 if n is not None:
                     stiff = 1.0 / (1.0 / plan.stiff[a] + 1.0 / plan.stiff[b])
                     far = sides[a].distance(n), sides[b].distance(-n)
-                    yield a, b, n, *far, plan.friction[one][other], stiff, NOBODY
+                    yield a, b, n, *far, plan.friction[one][other], stiff, self._by(a, b, u)
         rigid = []
         if self.near[node]:
-            own = int(self.whose[node]), self.moves[node], self.collider[node]
+            own = int(self.whose[node]), self.moves[node], self.collider[node], 1.0
             rigid = [(*self.collider[node], self.friction[node], True, own)]
         for plane in plan.planes:
             if node[plane.axis] == plane.node + 1:
                 n = np.zeros(3)
                 n[plane.axis] = 1.0 - 2.0 * plane.side
-                own = 2 * plane.axis + plane.side - WALLS, np.zeros(3), np.zeros(4)
+                own = 2 * plane.axis + plane.side - WALLS, np.zeros(3), np.zeros(4), 1.0
                 rigid.append((*n, 0.0, [plane.friction] * len(sides), False, own))
         for *n, far, friction, flows, own in rigid:
             for b in there:

@@ -47,6 +47,8 @@ class Numpy:
         self.plan, self.dense = plan, Dense(plan)
         self.groups = [Group(group, lattice, plan.real) for group in plan.groups]
         self.contact = Contact(plan, self.dense)
+        if driven is not None:
+            self.contact.ways = driven.ways
         self.movers = solids if isinstance(solids, Movers) else None
         if isinstance(solids, Solids):
             self.contact.meet(*solids.surface(self.dense.points()))
@@ -63,7 +65,8 @@ class Numpy:
 
     def _tell(self, p: int, share: float, mass: np.ndarray | None = None) -> Teller | None:
         """Told what walls do to a phase, None where nobody asks."""
-        return None if self.tells is None else Teller(self.tells, p, share, mass)
+        driven = self.plan.phases[p].driven  # which goes where it is sent
+        return None if self.tells is None or driven else Teller(self.tells, p, share, mass)
 
     def adopt(self, tables: Topology, kept: bool = False) -> None:
         if tables.shared:
