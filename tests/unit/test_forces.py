@@ -144,6 +144,45 @@ def test_engines_agree(tmp_path, case):
         )
 
 
+STIRRER = CUBE[: CUBE.index("velocity")] + (
+    'motion = { velocity = [-1, 0.5, -1], spin = "120 rpm", axis = [1, 0, 3] }\n'
+)
+
+
+@pytest.mark.parametrize("bodies, walls", [(POOL + STIRRER + POST, "stick"),
+                                           (POOL + POST + STIRRER + HEAP.replace("heap", "castle")
+                                            .replace("[0.12, 0.16, 0.1]", "[0.04, 0.04, 0.14]")
+                                            .replace("velocity = [0.5, -0.7, -0.3]",
+                                                     'frozen_until = "1 s"'), PUSHES)])  # fmt: skip
+def test_bodies_that_are_driven(tmp_path, bodies, walls):
+    """What they, walls and colliders give is all that the water got; both engines tell the same."""
+    text = HEAD.replace("WALLS", walls if "{" in walls else f'"{walls}"')
+    text = text.replace("TRANSFER", "restored") + bodies
+    for name in ("post", "cube", *["castle"] * ("castle" in bodies)):
+        text += f'[[probe]]\nname = "{name}"\nevery = "1 us"\ncollider = "{name}"\n'
+    for name in SIDES:
+        text += f'[[probe]]\nname = "{name}"\nevery = "1 us"\nwall = "{name}"\n'
+    asked = vgmpi.load(
+        tmp_path / "scene.toml", ("time.end=0.004",),
+        text + '[[probe]]\nname = "water"\nevery = "1 us"\nobject = "pool"\n',
+    )  # fmt: skip
+    fast, slow = (vgmpi.run(asked, engine=engine) for engine in ("cpu", "numpy"))
+    single = [name for name in fast.probes if name != "water"]
+    dt = np.diff([row["time"] for row in fast.probes["water"]])[:, None]
+    got = rows(fast, "water", "force") * dt
+    given = -sum(rows(fast, name, "force") for name in single) * dt
+    scale = np.abs(rows(fast, "water", "momentum")).max()
+    assert np.abs(got - given).max() < 1e-12 * scale
+    for name in ("cube", *["castle"] * ("castle" in bodies)):
+        assert np.abs(rows(fast, name, "impulse")).max() > 1e-3 * scale, name
+    for name in single:
+        for key in ("impulse", "swing"):
+            one, other = rows(fast, name, key), rows(slow, name, key)
+            assert np.abs(one - other).max() < 1e-9 * max(1e-2, np.abs(other).max()), (name, key)
+    works = [run.probes["cube"][-1]["all_work"] for run in (fast, slow)]
+    assert works[0] == pytest.approx(works[1], rel=1e-9) and works[0] > 0
+
+
 # 9 x 4 cells of water, 10.5 deep, at rest
 TANK = """
 [domain]
@@ -267,3 +306,11 @@ def test_where_particles_go_the_balance_alone_is_refused(tmp_path):
     assert any("wall" in line and "balance" in line for line in caught.value.lines)
     scene = vgmpi.load(tmp_path / "scene.toml", text=f'{open_end}{asks}"floor"\n')
     assert scene.probe[0].feels
+    held = open_end.replace(', east = "open"', "") + 'frozen_until = "1 s"\n'
+    with pytest.raises(SceneError) as caught:
+        vgmpi.load(
+            tmp_path / "scene.toml", text=f'{held.replace("velocity = ", "# ")}{asks}"all"\n'
+        )
+    assert any(
+        "wall: is not for scenes with bodies that are driven" in x for x in caught.value.lines
+    )

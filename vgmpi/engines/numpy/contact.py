@@ -276,7 +276,7 @@ def _resolve(v: np.ndarray, mass: np.ndarray, pairs: list[tuple]) -> list[np.nda
     normal, slide = np.zeros(len(pairs)), np.zeros((len(pairs), 3))
     for _ in range(SWEEPS if len(pairs) > 1 else 1):
         change, pushes = 0.0, []
-        for q, (a, b, n, friction, (_, base, _)) in enumerate(pairs):
+        for q, (a, b, n, friction, (_, base, *_)) in enumerate(pairs):
             r = (v[a] if a >= 0 else base) - v[b]
             reduced = mass[a] * mass[b] / (mass[a] + mass[b]) if a >= 0 else mass[b]
             approach = r @ n
