@@ -10,6 +10,7 @@ from vgmpi.engines.cpu import Cpu
 from vgmpi.planning.plan import make_plan
 from vgmpi.prepare.build import build
 from vgmpi.scene.reader import load
+from vgmpi.tables import SceneError
 
 BALL = 'name = "ball"\n'
 POOL = 'name = "pool"\n'
@@ -191,10 +192,10 @@ def test_what_moves_goes_where_it_is_sent_and_goes_on_so(tmp_path):
 
 def test_steps_are_short_enough_for_what_moves(tmp_path):
     text = TWO.replace("RELEASE", "below").replace("[0.3, 0, 0.5]", "[-3, 0, 0]")
-    simulation, _ = begin(tmp_path, text.replace('spin = "2 rad/s"', 'spin = "300 rad/s"'))
-    assert simulation.bound() < 0.3 * 0.01 / (3 + 300 * 0.02)
-    slow, _ = begin(tmp_path, text.replace('spin = "2 rad/s"', 'spin = "1 rad/s"'))
-    assert slow.bound() > 1.4 * simulation.bound()
+    simulation, _ = begin(tmp_path, text.replace('spin = "2 rad/s"', 'spin = "1000 rad/s"'))
+    simulation.advance(1e-6)
+    limit = 0.3 * 0.01 / (3 + 1000 * np.hypot(0.0175, 0.0175))  # of its outermost particles
+    assert 0.8 * limit < simulation.bound() < limit
 
 
 def test_while_all_is_held_steps_are_as_long_as_frames(tmp_path):
@@ -219,3 +220,45 @@ def test_off_is_off(tmp_path):
     simulation, _ = begin(tmp_path, text[: text.rindex("[[object]]")])
     assert simulation.driven is None and simulation.releases is None
     assert isinstance(simulation.engine, Cpu) and not simulation.engine.none.ways.driven.size
+
+
+GATE = """
+[domain]
+size = [0.24, 0.08, 0.16]
+cell = 0.02
+boundary = { default = "slip", east = { kind = "slip", until = "50 ms" } }
+[time]
+end = 0.2
+frames = 3
+[material.water]
+kind = "fluid"
+bulk_modulus = 2e4
+[[object]]
+name = "pool"
+material = "water"
+shape = { box = [[0, 0, 0], [0.24, 0.08, 0.1]] }
+compressed = "hydrostatic"
+"""
+
+
+def test_a_wall_vanishes(tmp_path):
+    """What it held is at rest before; then it leaves, and is counted."""
+    simulation, made = begin(tmp_path, GATE)
+    advance(simulation, 0.0499)
+    (row,) = ledger(simulation)
+    assert row["count_out"] == 0
+    assert row["kinetic"] < 1e-4 * abs(row["potential"])
+    advance(simulation, 0.05)
+    codes = [part.segments.mirror[:, 0, 1] for part in simulation.engine.parts]
+    assert not np.concatenate(codes).any()
+    advance(simulation, 0.2)
+    (row,) = ledger(simulation)
+    assert 0.15 * len(made.x) < row["count_out"] < 0.8 * len(made.x)
+    assert row["count"] + row["count_out"] == len(made.x) == row["count_in"]
+
+
+def test_an_open_wall_does_not_vanish(tmp_path):
+    with pytest.raises(SceneError) as caught:
+        scene(tmp_path, GATE.replace('kind = "slip", until', 'kind = "open", until'))
+    said = 'domain.boundary.east: until is not for kind = "open": it is from the start on'
+    assert any(said in line for line in caught.value.lines), caught.value.lines

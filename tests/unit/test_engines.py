@@ -33,6 +33,8 @@ WALLS = {
     "mixed": 'default = "slip", floor = "stick", west = { kind = "separate", friction = 0.2 }',
     "open": 'default = "slip", floor = "stick", east = "open"',
     "separate": 'default = { kind = "separate", friction = 0.3 }',
+    "vanishing": 'default = { kind = "separate", friction = 0.3 }, floor = "stick", '
+    'east = { kind = "slip", until = "0.5 ms" }, north = { kind = "separate", until = "0.8 ms" }',
 }
 
 
@@ -168,6 +170,7 @@ SCENES = {kind: (of_law(kind), "mixed", "") for kind in LAWS} | {
     "open walls": (
         WATER + TOY + POOL.replace("0.2, 0.16, 0.06", "0.175, 0.16, 0.06") + CUBE, "open", "",
     ),
+    "walls that vanish": (WATER + TOY + POOL + CUBE + OTHER, "vanishing", ""),
     "sources and sinks": (WATER + TOY + POOL + CUBE + TAP + HOLE, "mixed", ""),
     "driven, in contact": (WATER + TOY + POOL + DRIVEN + OTHER + POST, "separate", ""),
     "let go": (WATER + SAND + TOY + POOL + HELD + DRIVEN, "mixed", ""),

@@ -100,6 +100,9 @@ class Engine(Protocol):
     def adopt(self, tables: Topology, kept: bool) -> None:
         """Lay out what the tables ask for, after a sort; kept: they are those of before."""
 
+    def open(self, wall: int) -> None:
+        """A wall (west, east, south, north, floor, roof) has vanished."""
+
     def begin(self, dt: float, gravity: np.ndarray, speed: float) -> None:
         """Begin a step of dt [s], or of no time, with gravity (3,) [m/s2]; speed:
         Reach.fastest."""

@@ -132,8 +132,8 @@ class Cpu:
             if asked:
                 self.beside[name] = grown(self.beside[name], len(tables.phase))
         self.block_shares = Shares(np.diff(tables.first), tables.waits, self.threads)
-        both = [self._nodes_of(shared) for shared in tables.shared.values()]
-        self.united = np.unique(np.concatenate([np.zeros(0, np.int64), *both]))
+        sent = [one.send_blocks for found in tables.shared.values() for one in found.values()]
+        self.united = np.unique(np.concatenate([np.zeros(0, np.int64), *sent]))
         if self.givers is not None:
             self.givers.adopt(tables)
             self.room = self.givers.rooms(self.room)
@@ -142,27 +142,20 @@ class Cpu:
             for g, (here, share) in enumerate(zip(rows, shares, strict=True))
         ]
 
-    @staticmethod
-    def _nodes_of(shared: dict) -> np.ndarray:
-        return np.concatenate([lists.send_blocks for lists in shared.values()])
-
     def _work(self, g: int, rows: np.ndarray, into: np.ndarray, shares: Shares) -> GroupWork:
         """What the transfers of a group need. rows: its segments in the tables."""
         group, tables = self.groups[g], self.tables
-        block = tables.block[rows]
         split = tables.takes["impulses"][rows] if self.apart else np.zeros(len(rows), bool)
-        kinds = self.walls.met if group.plan.surface else self.walls.kinds
         segments = Segments(
-            group.start, group.count, tables.table[rows], into, split, self._limits(block),
-            patch_codes(block, self.plan.cells, kinds),
+            group.start, group.count, tables.table[rows], into, split, self._limits(group.block),
+            self._mirror(group),
         )  # fmt: skip
         takes = {name: found[rows] for name, found in tables.takes.items()}
         given = contributions(self.plan, group.plan, takes, split)
         moving = Contribution("momentum", momentum.kinds(self.plan, group.plan)[1], split | True)
-        numbers = numbers_of(self.plan, group.plan)
-        ghosts = None
+        numbers, ghosts = numbers_of(self.plan, group.plan), None
         if self.givers is not None:
-            ghosts = self.givers.ghosts(block, segments.mirror)
+            ghosts = self.givers.ghosts(group.block, segments.mirror)
         return GroupWork(
             group, particles_of(group), segments, shares, given, moving, numbers, ghosts
         )  # fmt: skip
@@ -173,6 +166,18 @@ class Cpu:
         low = -2.0 - EDGE * block
         high = np.array(self.plan.cells) - 1.0 - EDGE * block
         return np.stack([np.maximum(low, -5.0), np.minimum(high, 5.0)], -1)
+
+    def open(self, wall: int) -> None:
+        """A wall has vanished."""
+        for kinds in (self.walls.kinds, self.walls.met):
+            kinds[divmod(wall, 2)] = KINDS["open"]
+        for part in self.parts:
+            part.segments.mirror[:] = self._mirror(part.group)
+
+    def _mirror(self, group: Group) -> np.ndarray:
+        """Codes of the walls that a group's segments meet."""
+        kinds = self.walls.met if group.plan.surface else self.walls.kinds
+        return patch_codes(group.block, self.plan.cells, kinds)
 
     # ---- a step ----------------------------------------------------------------------------------
 

@@ -101,6 +101,7 @@ class SinkPlan(NamedTuple):
 
     name: str
     shape: Shape
+    since: float = 0.0  # [s]
 
 
 def speed(scene: Scene, source: Inflow) -> float:
@@ -135,7 +136,8 @@ def sink_plans(scene: Scene) -> tuple[SinkPlan, ...]:
             low[axis] = size[axis] - dx
         else:
             high[axis] = dx
-        found.append(SinkPlan(name, Shape.model_validate({"box": [low, high]})))
+        since = scene.domain.opens[WALLS.index(name)] or 0.0
+        found.append(SinkPlan(name, Shape.model_validate({"box": [low, high]}), since))
     return tuple(found)
 
 

@@ -90,6 +90,7 @@ class Plan:
     sources: tuple[SourcePlan, ...] = ()
     sinks: tuple[SinkPlan, ...] = ()
     driven: tuple[DrivenPlan, ...] = ()
+    opens: tuple[float | None, ...] = (None,) * 6  # [s] when each wall vanishes
     feels: bool = False  # what each collider and wall gives is summed
 
     @property
@@ -194,7 +195,6 @@ def make_plan(
     with the `shades` of their colours (colour_sets.shades); surface: of each, whether its particles
     know it, of none by default; extents: see driven.driven_plans. Raises SceneError where a fixed
     time step is above the bound, or no step moves the time on."""
-    # scenery has no material
     bodies = {k: scene.material[t.material] for k, t in enumerate(scene.things) if t.material}
     real, n = REALS[scene.accuracy.precision], len(volume)
     center, surface = center or [[0.0] * 3] * n, surface or [False] * n
@@ -235,6 +235,7 @@ def make_plan(
         sources=source_plans(scene, group_of, count),
         sinks=sink_plans(scene),
         driven=driven,
+        opens=tuple(scene.domain.opens),
         feels=any(probe.feels for probe in scene.probe),
     )
     _check_steps(scene, plan)

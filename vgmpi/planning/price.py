@@ -49,7 +49,12 @@ def describe(scene: Scene, plan: Plan, ranks: int, reached: float = 0.0) -> str:
             lines.append(f"  {RULES[rule]:11s} {names}: {how}")
     lines.append(
         "  walls       "
-        + ", ".join(f"{w[0]}" + (f" (friction {w[1]:g})" if w[1] else "") for w in plan.walls)
+        + ", ".join(
+            f"{w[0]}"
+            + (f" (friction {w[1]:g})" if w[1] else "")
+            + (f" until {time:g} s" if time is not None else "")
+            for w, time in zip(plan.walls, plan.opens, strict=True)
+        )
     )
     lines += _flows(plan)
     lines += _restored(plan) + _thin(scene, plan) + _sheets(plan) + _bending(scene, plan)

@@ -71,7 +71,8 @@ def check(scene: Scene, pieces: list[Piece], colliders: list[Collider]) -> None:
         points = _nozzle(source, scene.domain.cell)
         said = [*_solid(scene, source), *_blocked(scene, k, points, bodies, colliders)]
         found += [(("source", k, key), line) for key, line in said[:1]]  # one of them is enough
-    for k, sink in enumerate(sink_plans(scene)):
+    begun = [(k, sink) for k, sink in enumerate(sink_plans(scene)) if not sink.since]
+    for k, sink in begun:
         eaten = [
             name
             for name, x in bodies.items()

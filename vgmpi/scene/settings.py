@@ -25,9 +25,13 @@ class Wall(Table):
     open: nothing holds; particles within a cell of it end as in a sink of the wall's name"""
     friction: Annotated[float, Quantity("", ge=0)] = 0.0
     """Coulomb coefficient, for separate walls: the others do not rub or do not slide"""
+    until: Annotated[float, Quantity("s", gt=0)] | None = None
+    """when the wall vanishes, as a gate that is torn away: from then on it is open"""
 
     @model_validator(mode="after")
     def _rubs(self) -> "Wall":
+        if self.until is not None and self.kind == "open":
+            raise ValueError('until is not for kind = "open": it is from the start on')
         if self.friction and self.kind != "separate":
             raise ValueError('friction is for kind = "separate" only')
         return self
@@ -84,14 +88,23 @@ class Domain(Table):
 
     @property
     def open_walls(self) -> list[str]:
-        """Names of the walls at which particles end."""
-        return [name for name, (kind, _) in zip(WALLS, self.walls, strict=True) if kind == "open"]
+        """Names of the walls at which particles end, at once or after a time."""
+        walls = zip(WALLS, self.walls, self.opens, strict=True)
+        return [name for name, (kind, _), time in walls if kind == "open" or time is not None]
+
+    @property
+    def opens(self) -> list[float | None]:
+        """When each of the six vanishes [s]; None: never."""
+        return [wall.until for wall in self._walls]
 
     @property
     def walls(self) -> list[tuple[str, float]]:
         """(kind, friction) of the west, east, south, north, floor and roof wall."""
-        chosen = [getattr(self.boundary, name) or self.boundary.default for name in WALLS]
-        return [(wall.kind, wall.friction) for wall in chosen]
+        return [(wall.kind, wall.friction) for wall in self._walls]
+
+    @property
+    def _walls(self) -> list[Wall]:
+        return [getattr(self.boundary, name) or self.boundary.default for name in WALLS]
 
 
 class Time(Table):

@@ -1,10 +1,12 @@
-"""What is driven is let go: its particles join the groups in which they go on by themselves."""
+"""What is let go: bodies that were driven, whose particles join the groups in which they go on by
+themselves, and what walls held that vanish."""
 
 import numpy as np
 
 from ..domain.migrate import arrive
 from ..domain.ranks import Alone
 from ..domain.state import Group
+from ..engines.base import Engine
 from ..materials.base import function
 from ..planning.driven import DrivenPlan, Layer
 from ..planning.plan import Plan
@@ -20,8 +22,8 @@ class Releases:
     """What a run lets go, and when: by the time alone, so that all ranks do it together. A sort
     must follow."""
 
-    def __init__(self, plan: Plan, tally: Tally | None):
-        self.plan, self.tally = plan, tally
+    def __init__(self, plan: Plan, tally: Tally | None, engine: Engine):
+        self.plan, self.tally, self.engine = plan, tally, engine
         self.layers = sorted(
             ((layer, one) for one in plan.driven for layer in one.layers),
             key=lambda pair: pair[0].time,
@@ -29,8 +31,15 @@ class Releases:
 
     def next(self, time: float) -> float:
         """When something is let go after a time [s]; infinite where nothing is."""
-        after = (layer.time for layer, _ in self.layers if layer.time > time * SAME)
-        return min(after, default=np.inf)
+        times = [layer.time for layer, _ in self.layers]
+        times += [opens for opens in self.plan.opens if opens is not None]
+        return min((one for one in times if one > time * SAME), default=np.inf)
+
+    def open_walls(self, time: float) -> None:
+        """Open the walls that have vanished by a time [s]."""
+        for wall, opens in enumerate(self.plan.opens):
+            if opens is not None and opens <= time * SAME:
+                self.engine.open(wall)
 
     def ahead(self, time: float, goal: float) -> float:
         """The time [s] up to `goal` at which steps must land next after a time."""
@@ -45,6 +54,7 @@ class Releases:
         """Let go what is due. Returns what bounds the steps and sums of it, (4,) as of
         enter.bounds, on every rank. Collective."""
         found = np.zeros(4)
+        self.open_walls(time)
         for layer, one in self.layers:
             if before * SAME < layer.time <= time * SAME:
                 found = np.maximum(found, self._let_go(groups, layer, one))

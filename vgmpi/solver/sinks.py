@@ -16,7 +16,7 @@ class _Region:
     """A sink, and the box that holds it."""
 
     def __init__(self, sink: SinkPlan):
-        self.shape = sink.shape
+        self.shape, self.since = sink.shape, sink.since
         axes = np.eye(3)
         more = bulge(sink.shape)
         self.low = np.array([-reach(sink.shape, -axis) for axis in axes]) - more
@@ -36,17 +36,20 @@ class Sinks:
         self.plan, self.tally = plan, tally
         self.regions = [_Region(sink) for sink in plan.sinks]
 
-    def take(self, groups: list[Group], step: int) -> bool:
-        """Take away this rank's particles that are in a sink after step number `step`. Returns
+    def take(self, groups: list[Group], step: int, time: float) -> bool:
+        """Take away this rank's particles that are in a sink after step number `step`, at a time
+        [s]. Returns
         whether there were any: then others of this rank have other places."""
         if step % EVERY:
             return False
-        found = [self._of(group, g) for g, group in enumerate(groups)]
+        found = [self._of(group, g, time) for g, group in enumerate(groups)]
         return any(found)
 
-    def _of(self, group: Group, g: int) -> bool:
+    def _of(self, group: Group, g: int, time: float) -> bool:
         some = False
         for region in self.regions:
+            if time < region.since:
+                continue
             near = np.flatnonzero(region.near(group, self.plan.dx) & (group.count > 0))
             if not len(near):
                 continue

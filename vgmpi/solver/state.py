@@ -113,7 +113,7 @@ def save(simulation: Simulation) -> dict:
     }
     if simulation.movers is not None:
         attrs["sorted_time"] = simulation.movers.since
-    if simulation.driven is not None:
+    if simulation.releases is not None:
         attrs["since"] = simulation.since
     if simulation.given is not None:
         attrs["given"] = simulation.given.saved()
@@ -147,6 +147,8 @@ def restore(simulation: Simulation, saved) -> None:
     simulation.reach = Reach(*saved.attrs.get("reach", UNKNOWN))
     simulation.sorted_at = simulation.step
     simulation.since = saved.attrs.get("since", 0)
+    if simulation.releases is not None:
+        simulation.releases.open_walls(simulation.time)
     if simulation.movers is not None:  # the blocks near them are those of the last sort
         simulation.movers.stand(saved.attrs.get("sorted_time", simulation.time))
     rows = [_segments(simulation, g, *share) for g, share in enumerate(shares)]

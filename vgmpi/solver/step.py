@@ -88,7 +88,8 @@ class Simulation:
         self.tally = Tally(plan) if plan.flows else None
         self.sources = Sources(plan, ranks) if plan.sources else None
         self.sinks = Sinks(plan, self.tally) if self.tally is not None and plan.sinks else None
-        self.releases = Releases(plan, self.tally) if plan.driven else None
+        lets_go = bool(plan.driven) or any(time is not None for time in plan.opens)
+        self.releases = Releases(plan, self.tally, self.engine) if lets_go else None
         self.since = 0  # step at which something was let go: from then on restoring counts
         self.gravity = np.array(plan.gravity)
         self.needs = needs(plan)
@@ -307,7 +308,7 @@ class Simulation:
         """Carry what is in nozzles to where it is now, and take away what is in sinks."""
         if self.sources is not None:
             report = self.sources.carry(report, self.time)
-        if self.sinks is not None and self.sinks.take(self.groups, self.step):
+        if self.sinks is not None and self.sinks.take(self.groups, self.step, self.time):
             self._hand_over(kept=True)
         return report
 

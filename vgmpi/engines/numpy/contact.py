@@ -51,9 +51,8 @@ class Contact:
         self.collider, self.moves = np.zeros((0, 4)), np.zeros((*dense.shape, 3))
         self.friction = np.zeros((0, 0))
         self.near = np.zeros(dense.shape, bool)  # to a collider
-        self.planes = np.zeros(dense.shape, int)  # on how many of the plan's a node lies
-        for plane in plan.planes:
-            np.moveaxis(self.planes, plane.axis, 0)[plane.node + 1] += 1
+        self.planes, self.there = np.zeros(dense.shape, int), plan.planes
+        self._lay()
         self.least = np.array([TOUCHING * phase.least for phase in plan.phases])
         self.walls = dense
         self.whose = np.zeros(dense.shape, int)
@@ -72,6 +71,17 @@ class Contact:
         self.near = self.collider[..., 3] < REACH * self.dx
         if moves is not None:
             self.moves = moves.reshape(*self.shape, 3)
+
+    def open(self, axis: int, side: int) -> None:
+        """A wall has vanished."""
+        self.there = tuple(one for one in self.there if (one.axis, one.side) != (axis, side))
+        self._lay()
+
+    def _lay(self) -> None:
+        """On how many planes, of walls that push, each node lies."""
+        self.planes[:] = 0
+        for plane in self.there:
+            np.moveaxis(self.planes, plane.axis, 0)[plane.node + 1] += 1
 
     def along_walls(self, offset: np.ndarray) -> None:
         """The mirror image cancels what lies across a mirroring wall. offset: (phases, ..., 3)."""
@@ -170,7 +180,7 @@ class Contact:
         if self.near[node]:
             own = int(self.whose[node]), self.moves[node], self.collider[node], 1.0
             rigid = [(*self.collider[node], self.friction[node], True, own)]
-        for plane in plan.planes:
+        for plane in self.there:
             if node[plane.axis] == plane.node + 1:
                 n = np.zeros(3)
                 n[plane.axis] = 1.0 - 2.0 * plane.side

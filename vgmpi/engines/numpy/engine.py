@@ -56,6 +56,15 @@ class Numpy:
         self.tells: Given | None = None
         self.apart = any(group.apart for group in plan.groups)
 
+    def open(self, wall: int) -> None:
+        axis, side = divmod(wall, 2)
+        kind, _ = self.dense.walls[wall]
+        self.dense.walls = tuple(
+            ("open", 0.0) if k == wall else one for k, one in enumerate(self.dense.walls)
+        )
+        if kind != "open":
+            self.contact.open(axis, side)
+
     def feel(self, rows: int, quanta: np.ndarray, rank: int) -> None:
         self.tells = self.contact.given = Given(self.plan, self.dense, rows, quanta)
 
