@@ -3,21 +3,25 @@
 A lumpy ball of flat discs (opacity 0.95, plain colours) that fills most of a picture of 800 x 800
 pixels, half of its kernels on the closed surface and half inside, drawn from 12 sides by the same
 calls as a video. With --fluid all of it is faint balls (opacity 0.02, alpha_min 1e-4), which hide
-nothing. Times are of the processor, so other work on the machine disturbs them less.
+nothing; with --surface they are a liquid with a surface. Times are of the processor, so other work on the machine disturbs them less.
 """
 
 import argparse
 import multiprocessing
 import sys
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 
+from postprocess.liquids import Liquids
 from postprocess.look import Look
+from postprocess.settings import LiquidSettings
 from vgmpi.gaussians.sh import dc_from_rgb
 from vgmpi.splatting import splat
 from vgmpi.splatting.camera import Camera, look_at, orbit_eye
+from vgmpi.splatting.light import Light
 
 PAPER = {71_000: 0.07, 191_000: 0.13, 368_000: 0.26}  # kernels: seconds on an A100 (its Table I)
 ASKED = {71_000: 0.09, 191_000: 0.16, 368_000: 0.26}
@@ -91,9 +95,9 @@ def turned(angle: float) -> np.ndarray:
 
 
 class Subject:
-    """The object and 12 cameras around it."""
+    """The object and 12 cameras around it. surface: of a fluid, whether it gets one."""
 
-    def __init__(self, kernels: int, fluid: bool = False):
+    def __init__(self, kernels: int, fluid: bool = False, surface: bool = False):
         rest, x = lumpy_ball(kernels, fluid)
         family = "fluid" if fluid else "solid"
         entry = {"name": "object", "family": family, "deforms": not fluid, "opacity_scale": 1.0}
@@ -103,6 +107,9 @@ class Subject:
         F = np.tile(turned(0).astype("f4"), (kernels, 1))
         J = np.ones(kernels, dtype="f4")
         self.frame = {"id": np.arange(kernels), "x": x, "F": F, "J": J}
+        box = (np.full(3, -0.5), np.full(3, 0.5))
+        chosen = (LiquidSettings(), Light(), lambda: box, Path())
+        self.liquids = Liquids(self.look, *chosen) if surface else None
 
     @staticmethod
     def camera(number: int) -> Camera:
@@ -112,16 +119,27 @@ class Subject:
     def draw(self, number: int) -> tuple[float, float, np.ndarray]:
         """Seconds of processor time to Gaussians and to pixels, and the picture."""
         camera = self.camera(number % CAMERAS)
+        if self.liquids is not None:
+            return self._draw_surface(camera)
         begin = time.process_time()
         splats = self.look.splats(self.frame, camera.eye)
         between = time.process_time()
         image, _ = splat.render(splats, camera, alpha_min=self.alpha_min)
         return between - begin, time.process_time() - between, image
 
+    def _draw_surface(self, camera: Camera) -> tuple[float, float, np.ndarray]:
+        background = np.ones((SIZE, SIZE, 3), dtype=np.float32)
+        options = {"lowpass": 0.3, "antialias": False, "alpha_min": splat.ALPHA_MIN}
+        begin = time.process_time()
+        parts = self.look.parts(self.frame)
+        between = time.process_time()
+        image, _ = self.liquids.render(self.frame, parts, camera, background, None, **options)
+        return between - begin, time.process_time() - between, image
 
-def measured(kernels: int, rounds: int, fluid: bool = False) -> np.ndarray:
+
+def measured(kernels: int, rounds: int, fluid: bool = False, surface: bool = False) -> np.ndarray:
     """Seconds of processor time to Gaussians and to pixels, (12 rounds, 2)."""
-    subject = Subject(kernels, fluid)
+    subject = Subject(kernels, fluid, surface)
     subject.draw(0)  # compiles, or loads what is compiled
     return np.array([subject.draw(number)[:2] for number in range(rounds * CAMERAS)])
 
@@ -167,6 +185,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--kernels", type=int, nargs="+", default=list(PAPER), help="sizes to measure")
     p.add_argument("--rounds", type=int, default=3, help="times that each side is drawn [3]")
     p.add_argument("--fluid", action="store_true", help="faint balls instead of a solid body")
+    p.add_argument("--surface", action="store_true", help="a liquid with a surface instead")
     p.add_argument("--jobs", type=int, default=1, help="measure the gain of this many processes")
     return p
 
@@ -185,9 +204,10 @@ def main(argv: list[str] | None = None) -> int:
     print(f"{SIZE} x {SIZE} pixels, {CAMERAS} cameras, seconds of processor time per picture")
     print("                    median                              minimum   paper's")
     print(" kernels  to Gaussians   to pixels       both   asked       both      A100")
-    tables = ({}, {}) if args.fluid else (ASKED, PAPER)
+    fluid = args.fluid or args.surface
+    tables = ({}, {}) if fluid else (ASKED, PAPER)
     for kernels in args.kernels:
-        seconds = measured(kernels, args.rounds, args.fluid)
+        seconds = measured(kernels, args.rounds, fluid, args.surface)
         to_gaussians, to_pixels = np.median(seconds, axis=0)
         both = seconds.sum(axis=1)
         asked, paper = (f"{table[kernels]:.2f}" if kernels in table else "-" for table in tables)

@@ -53,6 +53,8 @@ class Look:
         self.opacity = np.asarray(rest.opacity, dtype=np.float64) * factor[self.object]
         self.vol0 = np.asarray(rest.vol0, dtype=np.float64)
         self.cov0 = np.asarray(rest.cov0, dtype=np.float64)
+        self.spacing = float(np.cbrt(np.median(self.vol0))) if len(self.vol0) else 1.0
+        self.grain = _grain(self.objects, chosen)
         self.color = ViewColours(np.asarray(rest.sh))
         self.colours = FrameColours(run, chosen)
         self.scenery = None
@@ -102,6 +104,8 @@ class Look:
         turning = np.flatnonzero(self.turns[rows] & color.view_dependent[at])
         F = _deformation(frame)[turning] if len(turning) else None
         parts = [Part(x, cov, self.opacity[rows], color, at, turning, F)]
+        if self.grain is not None:
+            parts[0] = parts[0].brighter(1 + self.grain[self.object[rows]] * _random(rows))
         if self.passive is not None:
             parts.append(self.passive.part(frame))
         if self.scenery is not None:
@@ -123,17 +127,18 @@ class Look:
             cov[of] = evolve.rounded(cov[of], J[of])
         return cov
 
-    def alpha_min(self, asked: float | None) -> float:
+    def alpha_min(self, asked: float | None, surface: bool = False) -> float:
         """The alpha below which a Gaussian is left out of a pixel: as asked, or what suits the run.
 
-        Says so when it is not the usual 1/255, and warns of objects that nobody will see.
+        Says so when it is not the usual 1/255, and warns of objects that nobody will see. surface:
+        whether fluids are drawn with one, and not as Gaussians.
         """
         alpha_min = asked
         if alpha_min is None:
             # a scene gives every object one: 1/255 where nobody thought about it
             alpha_min = min([o["alpha_min"] for o in self.objects if o.get("alpha_min")] or [1.0])
             alpha_min = ALPHA_MIN if alpha_min == 1.0 else alpha_min
-            fluid = self.opacity[self.fluid & (self.opacity > 0)]
+            fluid = self.opacity[self.fluid & (self.opacity > 0) & (not surface)]
             faint = len(fluid) > 0 and np.median(fluid) <= FAINT
             if faint and np.isclose(alpha_min, ALPHA_MIN):
                 alpha_min = ALPHA_MIN_FAINT
@@ -143,6 +148,8 @@ class Look:
                 said = "faint Gaussians are drawn too, down to alpha_min = %g (usual: 1/255): %s"
                 log.info(said, alpha_min, reason)
         for number, entry in enumerate(self.objects):
+            if surface and entry.get("family") == "fluid":
+                continue
             own = self.opacity[self.object == number]
             lost = np.count_nonzero(own < alpha_min)
             if lost and lost > 0.05 * len(own):
@@ -163,6 +170,31 @@ def seen(parts: list[Part], eye: np.ndarray) -> Splats:
     if len(arrays) == 1:
         return Splats(*arrays[0])
     return Splats(*(np.concatenate(fields) for fields in zip(*arrays)))
+
+
+def _grain(objects: list[dict], chosen: LookSettings) -> np.ndarray | None:
+    """How much brighter or darker each object's particles may be than their colour, (objects,)."""
+    if not chosen.grain:
+        return None
+    names = [str(entry.get("name")) for entry in objects]
+    _known("look.grain", chosen.grain, names)
+    return np.array([chosen.grain.get(name, 0.0) for name in names])
+
+
+def _random(rows: np.ndarray) -> np.ndarray:
+    """A number of -1..1 for each particle, always the same for its row (S. Vigna's splitmix64)."""
+    bits = (rows.astype(np.uint64) + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
+    bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return (bits >> np.uint64(11)).astype(np.float64) * 2.0**-52 - 1.0
+
+
+def _known(key: str, said: dict, names: list[str]) -> None:
+    for name in said:
+        if name not in names:
+            near = nearest(name, names)
+            text = f"there is no object '{name}'{near}; known: {', '.join(names)}"
+            raise SettingsError([f"{key}: {text}"])
 
 
 def _deformation(frame: dict[str, np.ndarray]) -> np.ndarray:
@@ -196,11 +228,7 @@ def _turns(entry: dict, chosen: LookSettings) -> bool:
 def _opacity_scales(objects: list[dict], chosen: LookSettings) -> list[float]:
     """The factor on the opacities of each object: fluids are drawn thinner."""
     names = [str(entry.get("name")) for entry in objects]
-    for name in chosen.opacity_scale:
-        if name not in names:
-            near = nearest(name, names)
-            said = f"there is no object '{name}'{near}; known: {', '.join(names)}"
-            raise SettingsError([f"look.opacity_scale: {said}"])
+    _known("look.opacity_scale", chosen.opacity_scale, names)
     if chosen.opacity == "fixed":
         return [1.0] * len(objects)
     scales = []

@@ -5,7 +5,7 @@ import functools
 import logging
 import multiprocessing
 import pickle
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 
 from postprocess import settings, video
+from postprocess.liquids import Liquids
 from postprocess.look import Look, seen
 from postprocess.parts import Part
 from postprocess.viewpoints import Viewpoint
 from vgmpi import room
 from vgmpi.output.read import RunError, RunFiles
-from vgmpi.splatting import floor, splat
+from vgmpi.splatting import floor, light, liquid, splat
 from vgmpi.splatting.camera import Camera
 
 log = logging.getLogger("vgmpi")
@@ -65,15 +66,21 @@ class Painter:
             Viewpoint(one, size, box, folder, longest) for one in chosen.views()
         ]  # before all that takes long: mistakes in files show at once
         self.supersample = 1 if longest else size.supersample
+        self.surface = chosen.look.liquid == "surface"
         self.afford()
         self.grounds = [
             video.background(size.background, one.width, one.height, folder) for one in self.views
         ]
         photograph = any(ground.ndim == 3 for ground in self.grounds)
-        self.floor = size.floor.floor(photograph) if size.floor else None
+        self.light = chosen.light.light() if chosen.light else None
+        self.floor = size.floor.floor(photograph, self.light) if size.floor else None
         self.clear = size.background == "none"
         self.look = Look(run, chosen.look)
-        self.alpha_min = self.look.alpha_min(chosen.splatting.alpha_min)
+        self.liquids = None
+        if self.surface:
+            sun = self.light or light.Light()
+            self.liquids = Liquids(self.look, chosen.liquid, sun, box, folder)
+        self.alpha_min = self.look.alpha_min(chosen.splatting.alpha_min, self.surface)
 
     def afford(self, at_once: int = 1) -> None:
         """Raises SettingsError where `at_once` pictures do not fit into the memory of a machine."""
@@ -85,7 +92,8 @@ class Painter:
         key = "picture.supersample" if self.supersample > 1 else "picture.width"
         often = f", {at_once} pictures at once" if at_once > 1 else ""
         try:
-            room.check(at_once * splat.BYTES * pixels, f"{key}: {said}{often}: at least")
+            each = liquid.BYTES if self.surface else splat.BYTES
+            room.check(at_once * each * pixels, f"{key}: {said}{often}: at least")
         except room.TooLarge as error:
             raise settings.SettingsError([str(error)]) from None
 
@@ -99,20 +107,19 @@ class Painter:
 
     def views_of(self, index: int, part: float) -> list[Drawn]:
         """Frame `index` at a part 0..1 of the video, from every camera."""
-        parts = self.look.parts(self.look.frame(index))
+        frame = self.look.frame(index)
+        parts = self._lit(self.look.parts(frame))
         time = float(self.run.times[index]) if self._by_time() else 0.0
         cameras = [view.at(part, time) for view in self.views]
-        return [self._drawn(parts, *pair) for pair in zip(cameras, self.grounds)]
+        draw = self._drawn if self.liquids is None else self._with_surface(frame)
+        return [draw(parts, *pair) for pair in zip(cameras, self.grounds)]
 
     def _by_time(self) -> bool:  # the times of a run are in as many files as it has frames
         return any(one.keys and one.keys[0].time is not None for one in self.chosen.views())
 
     def _drawn(self, parts: list[Part], camera: Camera, ground: np.ndarray) -> Drawn:
         splats = seen(parts, camera.eye)
-        if self.floor is not None:
-            fine = splat.finer(camera, self.supersample)
-            under = splat.behind(ground, camera, self.supersample)
-            ground = floor.ground(self.floor, floor.cast(splats, self.floor), fine, under)
+        ground = self._ground(splats, camera, ground)
         image, left, *depth = splat.render(
             splats,
             camera,
@@ -122,6 +129,49 @@ class Painter:
             depth="median" if self.depth else None,
             **self.chosen.splatting.options(),
         )
+        return self._finished(image, left, *depth)
+
+    def _lit(self, parts: list[Part]) -> list[Part]:
+        """The parts in the light, if there is one."""
+        if self.light is None:
+            return parts
+        x, cov, opacity = (np.concatenate([p[k] for p in parts]) for k in range(3))
+        splats = splat.Splats(x, cov, opacity, np.zeros((len(x), 3)))
+        bright = light.lit(splats, self.light, self.look.spacing)
+        ends = np.cumsum([len(part.x) for part in parts])[:-1]
+        return [part.brighter(own) for part, own in zip(parts, np.split(bright, ends))]
+
+    def _with_surface(self, frame: dict[str, np.ndarray]) -> Callable[..., Drawn]:
+        """What draws this frame with liquids that have a surface."""
+
+        def drawn(parts: list[Part], camera: Camera, ground: np.ndarray) -> Drawn:
+            ground = self._ground(seen(parts, camera.eye), camera, ground)
+            fine = splat.finer(camera, self.supersample)
+            image, left, *depth = self.liquids.render(
+                frame,
+                parts,
+                fine,
+                splat.behind(ground, camera, self.supersample),
+                self.floor,
+                alpha_min=self.alpha_min,
+                asked=self.depth,
+                **self.chosen.splatting.options(),
+            )
+            return self._finished(*splat.coarser((image, left, *depth), self.supersample))
+
+        return drawn
+
+    def _ground(self, splats: splat.Splats, camera: Camera, ground: np.ndarray) -> np.ndarray:
+        """What stands behind the Gaussians, as fine as it is drawn where there is a floor."""
+        if self.floor is None:
+            return ground
+        fine = splat.finer(camera, self.supersample)
+        under = splat.behind(ground, camera, self.supersample)
+        cast = floor.cast(splats, self.floor)
+        contact = floor.touch(splats, self.floor) if self.floor.contact else None
+        return floor.ground(self.floor, cast, fine, under, contact)
+
+    def _finished(self, image: np.ndarray, left: np.ndarray, *depth: np.ndarray) -> Drawn:
         if self.clear:
             picture = video.with_transparency(image, 1 - left)
         else:

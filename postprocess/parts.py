@@ -38,7 +38,7 @@ class Part(NamedTuple):
     """Gaussians of a frame. x: (n, 3) [m]. cov: (n, 6) [m2]. opacity: (n,) in 0..1.
 
     color, rows: their coefficients are color.sh[rows], (n, K, 3). turning: which of them have
-    turned with the rotations in F (m, 9).
+    turned with the rotations in F (m, 9). bright: what colours are multiplied with, (n,).
     """
 
     x: np.ndarray
@@ -48,13 +48,31 @@ class Part(NamedTuple):
     rows: np.ndarray
     turning: np.ndarray = np.empty(0, dtype=np.int64)
     F: np.ndarray | None = None
+    bright: np.ndarray | None = None
 
     def seen_from(self, eye: np.ndarray) -> tuple[np.ndarray, ...]:
         """The fields of Splats for an `eye` [m]."""
         directions = self.x - eye
         if len(self.turning):  # shows towards d what it showed at rest towards R^T d
             directions[self.turning] = shade.turn_back(self.F, directions[self.turning])
-        return self.x, self.cov, self.opacity, self.color(self.rows, directions)
+        color = self.color(self.rows, directions)
+        if self.bright is not None:
+            color = color * self.bright[:, None]
+        return self.x, self.cov, self.opacity, color
+
+    def brighter(self, factor: np.ndarray) -> "Part":
+        """The same with colours multiplied by `factor` (n,)."""
+        return self._replace(bright=factor if self.bright is None else self.bright * factor)
+
+    def only(self, keep: np.ndarray) -> "Part":
+        """Those for which `keep` (n,) is true."""
+        those = keep[self.turning]
+        place = np.cumsum(keep) - 1
+        return Part(
+            self.x[keep], self.cov[keep], self.opacity[keep], self.color, self.rows[keep],
+            place[self.turning[those]], None if self.F is None else self.F[those],
+            None if self.bright is None else self.bright[keep],
+        )  # fmt: skip
 
     def coefficients(self) -> np.ndarray:
         """Colours for any eye, turned along (n, K, 3) float32."""

@@ -16,6 +16,7 @@ from pydantic import (
 
 from vgmpi.source import Source
 from vgmpi.splatting.floor import Floor
+from vgmpi.splatting.light import Light
 from vgmpi.splatting.splat import ALPHA_MIN_RANGE
 from vgmpi.tables import (
     LEAST,
@@ -195,12 +196,19 @@ class FloorSettings(_Table):
             raise ValueError("needs a light that points down, light = [x, y, -z]")
         return self
 
-    def floor(self, photograph: bool) -> Floor:
-        """photograph: whether the background is a picture."""
+    def floor(self, photograph: bool, light: Light | None = None) -> Floor:
+        """photograph: whether the background is a picture. light: of all things, whose direction,
+        shadow and softness count where the floor is not told its own."""
         squares = None if self.squares is None else (self.other, self.squares)
         bare = photograph and squares is None
         colour = self.colour or (None if bare else Floor.color)
-        return Floor(self.height, colour, squares, self.light, self.shadow, self.softness)
+        own = {name: getattr(self, name) for name in ("light", "shadow", "softness")}
+        if light is not None:
+            said = self.model_fields_set
+            usual = {"light": light.direction, "shadow": light.shadow, "softness": light.softness}
+            own = {name: own[name] if name in said else usual[name] for name in own}
+        contact = light.contact if light is not None else 0.0
+        return Floor(self.height, colour, squares, **own, contact=contact)
 
 
 class PictureSettings(_Table):
@@ -241,9 +249,43 @@ class SplattingSettings(_Table):
         return {"lowpass": self.lowpass or usual, "antialias": self.mode != "classic"}
 
 
+class SurroundingsSettings(_Table):
+    """What liquids mirror: a gradient, or a picture of all directions."""
+
+    zenith: Colour = (0.45, 0.65, 0.9)
+    horizon: Colour = (0.93, 0.95, 0.97)
+    ground: Colour = (0.5, 0.48, 0.45)
+    picture: str | None = None  # twice as wide as high, up above; relative to render.toml's folder
+
+
+class LightSettings(_Table):
+    """A light from far away: shadows on all that is drawn, and shades of what is turned away."""
+
+    direction: Direction = Light.direction  # in which it travels
+    shadow: Annotated[float, Field(ge=0, le=1)] = Light.shadow
+    softness: Annotated[float, Field(ge=0, le=1)] = Light.softness
+    shade: Annotated[float, Field(ge=0, le=1)] = Light.shade
+    contact: Annotated[float, Field(ge=0, le=1)] = Light.contact
+
+    def light(self) -> Light:
+        return Light(**dict(self))
+
+
+class LiquidSettings(_Table):
+    """Liquids that are drawn with a surface (look.liquid = "surface")."""
+
+    index: Annotated[float, Field(ge=1.0, le=3.0)] = 1.333  # of refraction
+    # way after which white light has the liquid's colour [m]; default: a third of what is in view
+    clear: Annotated[float, Field(gt=0)] | None = None
+    highlight: Annotated[float, Field(ge=0, le=100)] = 2.0
+    roughness: Annotated[Degrees, Field(ge=0.1, le=60)] = 3.0  # half width of the highlight
+    surroundings: SurroundingsSettings = SurroundingsSettings()
+
+
 class LookSettings(_Table):
     """How Gaussians follow their particles. None: what the scene says (vgmpi/scene/settings.py)."""
 
+    liquid: Literal["gaussians", "surface"] = "gaussians"  # how fluids are drawn
     colour_transfer: Literal["off", "frame", "relax"] | None = None  # step is the run's own
     colour_time: Annotated[float, Field(gt=0)] | None = None  # s
     colour_degree: Annotated[int, Field(strict=True, ge=0, le=3)] | None = None
@@ -254,6 +296,8 @@ class LookSettings(_Table):
     # shapes of fluids, sand and snow; None: deformation where F is known, else volume
     normalise: Literal["volume", "radius", "deformation"] | None = None
     opacity_scale: dict[str, Annotated[float, Field(ge=0, le=1)]] = {}  # by the object's name
+    # by the object's name: up to how much brighter or darker each particle is than its colour
+    grain: dict[str, Annotated[float, Field(ge=0, le=1)]] = {}
 
     def colours(self) -> dict[str, Any]:
         """What is said of colours that travel, by the names of the scene's [appearance]."""
@@ -275,6 +319,8 @@ class Settings(_Table):
     frames: FrameSettings = FrameSettings()
     splatting: SplattingSettings = SplattingSettings()
     look: LookSettings = LookSettings()
+    liquid: LiquidSettings = LiquidSettings()
+    light: LightSettings | None = None
 
     def views(self) -> tuple[CameraSettings, ...]:
         """The cameras that draw, one or more."""

@@ -193,19 +193,22 @@ def background(value: str | tuple, width: int, height: int, folder: Path) -> np.
         return np.array([int(value[i : i + 2], 16) for i in (1, 3, 5)]) / 255
     from scipy import ndimage  # only for those who need it
 
-    try:
-        picture = np.atleast_3d(inputs.picture(folder / value))
-    except ValueError as error:
-        raise VideoError(f"picture.background: {folder / value}: {error}") from None
-    top = np.iinfo(picture.dtype).max if picture.dtype.kind == "u" else 1
-    if picture.ndim != 3 or picture.shape[2] == 2:
-        raise VideoError(
-            f"picture.background: {folder / value}: neither a grey nor a colour picture"
-        )
-    picture = np.broadcast_to(picture[..., :3], (*picture.shape[:2], 3)) / top
+    picture = photograph("picture.background", folder / value)
     h, w = picture.shape[:2]
     keep_h, keep_w = min(h, round(w * height / width)), min(w, round(h * width / height))
     y, x = (h - keep_h) // 2, (w - keep_w) // 2
     picture = picture[y : y + max(keep_h, 1), x : x + max(keep_w, 1)]
     scale = (height / picture.shape[0], width / picture.shape[1], 1)
     return np.clip(ndimage.zoom(picture, scale, order=1, grid_mode=True, mode="nearest"), 0, 1)
+
+
+def photograph(key: str, path: Path) -> np.ndarray:
+    """Colours 0..1 of a picture file, (height, width, 3). Raises VideoError that names the key."""
+    try:
+        picture = np.atleast_3d(inputs.picture(path))
+    except ValueError as error:
+        raise VideoError(f"{key}: {path}: {error}") from None
+    top = np.iinfo(picture.dtype).max if picture.dtype.kind == "u" else 1
+    if picture.ndim != 3 or picture.shape[2] == 2:
+        raise VideoError(f"{key}: {path}: neither a grey nor a colour picture")
+    return np.broadcast_to(picture[..., :3], (*picture.shape[:2], 3)) / top

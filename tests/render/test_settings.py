@@ -123,6 +123,22 @@ BAD = {
     "a time of nothing": ("[look]\ncolour_time = 0", 2, "look.colour_time", "greater than 0"),
     "a degree too high": ("[look]\ncolour_degree = 4", 2, "look.colour_degree", "less than"),
     "an unknown look": ("[look]\nopacitie = 1", 2, "look.opacitie", "did you mean 'opacity'?"),
+    "an unknown way of liquids": (
+        '[look]\nliquid = "glass"',
+        2,
+        "look.liquid",
+        "must be one of gaussians, surface; got 'glass'",
+    ),
+    "less than air refracts": ("[liquid]\nindex = 0.9", 2, "liquid.index", "equal to 1"),
+    "surroundings of no colour": (
+        '[liquid.surroundings]\nzenith = "blue"',
+        2,
+        "liquid.surroundings.zenith",
+        "a colour such as",
+    ),
+    "a light of no direction": ("[light]\ndirection = [0, 0, 0]", 2, "light.direction", "not zero"),
+    "more shadow than light": ("[light]\nshadow = 1.5", 2, "light.shadow", "equal to 1"),
+    "grain above 1": ("[look.grain]\nsand = 2", 2, "look.grain.sand", "equal to 1"),
     "a scale above 1": (
         "[look]\n\n[look.opacity_scale]\nwater = 0.1\nmilk = 2",
         5,

@@ -10,7 +10,12 @@ A tile's canvas holds for each row 16 numbers each of: transmittance, red, green
 depth, the weighted depth, the median depth, the sum of the weights). The transmittance of a pixel
 that has stopped is negative: then the next Gaussian stops it again, whatever it is, and adds
 nothing.
+
+Where a picture is drawn in two layers, before and behind a surface, every pixel has a depth of its
+own: a Gaussian leaves out the pixels on whose other side its middle is.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -55,6 +60,24 @@ def _clear(canvas, height, width):
                 canvas[t, j * _ROW + k] = _ONE if inside else -_ONE
 
 
+class Side(NamedTuple):
+    """What is drawn on one side of a depth per pixel."""
+
+    depth: np.ndarray  # (n,) float32 of the Gaussians [m]
+    limit: np.ndarray  # (tiles, 256) float32 [m], see `tiled`
+    behind: bool  # or before
+
+
+def tiled(limit: np.ndarray) -> np.ndarray:
+    """Depths (height, width) as a canvas holds its pixels: float32 (tiles, 256), 0 beyond."""
+    height, width = limit.shape
+    ny, nx = -(-height // TILE), -(-width // TILE)
+    padded = np.zeros((ny * TILE, nx * TILE), dtype=np.float32)
+    padded[:height, :width] = limit
+    tiles = padded.reshape(ny, TILE, nx, TILE).swapaxes(1, 2)
+    return np.ascontiguousarray(tiles.reshape(ny * nx, TILE * TILE))
+
+
 @njit(inline="always")
 def _alpha(s, opacity, level):
     """What a Gaussian covers of a pixel: min(0.99, opacity e^-s), nothing beyond its level."""
@@ -71,14 +94,21 @@ def _alpha(s, opacity, level):
 
 
 @cached(nogil=True, error_model="numpy", fastmath={"contract", "nsz", "nnan", "ninf"})
-def _row(buf, at, first, a, b, c, opacity, level, red, green, blue):
-    """Blend one Gaussian into a row of 16 pixels: s is a X^2 + b X + c, X = first + 0 .. 15."""
+def _row(buf, at, first, a, b, c, opacity, level, color, limits, z, behind):
+    """Blend one Gaussian into a row of 16 pixels: s is a X^2 + b X + c, X = first + 0 .. 15.
+
+    limits, z, behind: None, or depths of the tile's pixels, that of the Gaussian, and whether it is
+    drawn where it is behind the pixel's, or before.
+    """
+    red, green, blue = color
     if at < 0:  # tells the compiler that no index wraps around, which would keep the loop scalar
         return
     for k in range(TILE):
         X = np.float32(k) + first
         s = c + X * (a * X + b)
         alpha = _alpha(s, opacity, level)
+        if limits is not None:
+            alpha = alpha if (z >= limits[at // 4 + k]) == behind else _ZERO
         before = buf[at + k]
         w = alpha * before
         after = before - w
@@ -91,7 +121,7 @@ def _row(buf, at, first, a, b, c, opacity, level, red, green, blue):
 
 
 @cached(nogil=True, error_model="numpy", fastmath={"contract", "nsz", "nnan", "ninf"})
-def _row_of_depths(buf, at, first, a, b, c, opacity, level, depth):
+def _row_of_depths(buf, at, first, a, b, c, opacity, level, depth, limits, z, behind):
     """The same for depths: their weighted sum, and the one that brings the light below a half."""
     if at < 0:
         return
@@ -99,6 +129,8 @@ def _row_of_depths(buf, at, first, a, b, c, opacity, level, depth):
         X = np.float32(k) + first
         s = c + X * (a * X + b)
         alpha = _alpha(s, opacity, level)
+        if limits is not None:
+            alpha = alpha if (z >= limits[at // 4 + k]) == behind else _ZERO
         before = buf[at + k]
         w = alpha * before
         after = before - w
@@ -112,10 +144,11 @@ def _row_of_depths(buf, at, first, a, b, c, opacity, level, depth):
 
 
 @cached(nogil=True, error_model="numpy")
-def _draw(buf, items, ellipses, looks, left, top, depths):
+def _draw(buf, items, ellipses, looks, left, top, depths, limits, z, behind):
     """Draw the Gaussians of a batch in one tile; whether any of its pixels is still open.
 
-    depths: whether `looks` hold a depth for red, and depths are drawn instead of colours.
+    depths: whether `looks` hold a depth for red, and depths are drawn instead of colours. limits,
+    z, behind: as for a row, with the depths of all Gaussians of the batch.
     """
     first, last = _open_rows(buf)
     count = 0
@@ -138,13 +171,20 @@ def _draw(buf, items, ellipses, looks, left, top, depths):
         first_x, first_y = np.float32(left + 0.5 - rx), np.float32(top + 0.5 - ry)
         fa, fb, fc = np.float32(a), np.float32(b), np.float32(c)
         opacity, level, red, green, blue = looks[p]
+        color, own = (red, green, blue), None if limits is None else z[p]
         for j in range(y0, y1 + 1):
             Y = np.float32(j) + first_y
             at = s0 + Y * (sy + fc * Y)
             if depths:
-                _row_of_depths(buf, j * _ROW, first_x, fa, sx + fb * Y, at, opacity, level, red)
+                _row_of_depths(
+                    buf, j * _ROW, first_x, fa, sx + fb * Y, at, opacity, level, red,
+                    limits, own, behind,
+                )  # fmt: skip
             else:
-                _row(buf, j * _ROW, first_x, fa, sx + fb * Y, at, opacity, level, red, green, blue)
+                _row(
+                    buf, j * _ROW, first_x, fa, sx + fb * Y, at, opacity, level, color,
+                    limits, own, behind,
+                )  # fmt: skip
     return _open_rows(buf)[1] >= 0
 
 
@@ -162,10 +202,25 @@ def _open_rows(buf):
 
 
 @cached(nogil=True, error_model="numpy")
-def paint(order, ellipses, looks, bounds, canvas, nx, depths):
+def _share(boxes, is_open, nx, fill, items):
+    """Write each Gaussian's number and its rows into the lists of the open tiles that its box
+    touches."""
+    for p in range(len(boxes)):
+        y0, y1 = boxes[p, 2], boxes[p, 3]
+        for ty in range(y0 // TILE, y1 // TILE + 1):
+            rows = max(y0 - ty * TILE, 0) << 4 | min(y1 - ty * TILE, TILE - 1)
+            for tx in range(boxes[p, 0] // TILE, boxes[p, 1] // TILE + 1):
+                t = ty * nx + tx
+                if is_open[t]:
+                    items[fill[t]] = p << 8 | rows
+                    fill[t] += 1
+
+
+@cached(nogil=True, error_model="numpy")
+def paint(order, ellipses, looks, bounds, canvas, nx, depths, side):
     """Draw Gaussians (see project) in `order` on the canvas (tiles, _CANVAS), nx tiles wide.
 
-    depths: draw depths, which `looks` hold for red, instead of colours.
+    depths: draw depths, which `looks` hold for red, instead of colours. side: None, or a Side.
     """
     tiles = len(canvas)
     is_open = np.ones(tiles, dtype=np.uint8)
@@ -205,20 +260,21 @@ def paint(order, ellipses, looks, bounds, canvas, nx, depths):
             fill[t] = starts[t]
         if starts[tiles] > len(items):
             items = np.empty(2 * starts[tiles], dtype=np.int32)
-        for p in range(kept):
-            y0, y1 = boxes[p, 2], boxes[p, 3]
-            for ty in range(y0 // TILE, y1 // TILE + 1):
-                rows = max(y0 - ty * TILE, 0) << 4 | min(y1 - ty * TILE, TILE - 1)
-                for tx in range(boxes[p, 0] // TILE, boxes[p, 1] // TILE + 1):
-                    t = ty * nx + tx
-                    if is_open[t]:
-                        items[fill[t]] = p << 8 | rows
-                        fill[t] += 1
+        _share(boxes[:kept], is_open, nx, fill, items)
+        depth = None if side is None else side.depth[chosen[:kept]]
         for t in range(tiles):
             if starts[t + 1] > starts[t]:
                 mine = items[starts[t] : starts[t + 1]]
                 left, top = (t % nx) * TILE, (t // nx) * TILE
-                is_open[t] = _draw(canvas[t], mine, near[0], near[1], left, top, depths)
+                if side is None:
+                    is_open[t] = _draw(
+                        canvas[t], mine, near[0], near[1], left, top, depths, None, None, None
+                    )
+                else:
+                    is_open[t] = _draw(
+                        canvas[t], mine, near[0], near[1], left, top, depths,
+                        side.limit[t], depth, side.behind,
+                    )  # fmt: skip
 
 
 @cached(nogil=True, error_model="numpy")

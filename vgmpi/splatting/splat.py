@@ -71,7 +71,7 @@ def render(
         drawn = gsplat_backend.render(splats, fine, under, **options)
     else:
         drawn = _render(splats, fine, under, **options)
-    return drawn if supersample == 1 else _coarser(drawn, supersample)
+    return coarser(drawn, supersample)
 
 
 def _render(splats, camera, background, *, lowpass, antialias, alpha_min, depth):
@@ -88,7 +88,7 @@ def _render(splats, camera, background, *, lowpass, antialias, alpha_min, depth)
     )
     order, nx = by_depth(z), -(-camera.width // TILE)
     canvas = new_canvas(*shape)
-    paint(order, ellipses, looks, bounds, canvas, nx, False)
+    paint(order, ellipses, looks, bounds, canvas, nx, False, None)
     image = np.empty((*shape, 3), dtype=np.float32)
     transmittance = np.empty(shape, dtype=np.float32)
     picture(canvas, background, image, transmittance)
@@ -97,7 +97,7 @@ def _render(splats, camera, background, *, lowpass, antialias, alpha_min, depth)
     # drawn a second time with depths for colours: so pictures alone pay nothing for it
     looks[:, 2] = z
     canvas = new_canvas(*shape)
-    paint(order, ellipses, looks, bounds, canvas, nx, True)
+    paint(order, ellipses, looks, bounds, canvas, nx, True, None)
     found = {kind: np.empty(shape, dtype=np.float32) for kind in DEPTHS}
     depths_of(canvas, found["expected"], found["median"])
     return image, transmittance, found[depth]
@@ -118,12 +118,14 @@ def behind(background: np.ndarray, camera: Camera, times: int) -> np.ndarray:
     return np.broadcast_to(background, shape)
 
 
-def _coarser(drawn: tuple[np.ndarray, ...], times: int) -> tuple[np.ndarray, ...]:
+def coarser(drawn: tuple[np.ndarray, ...], times: int) -> tuple[np.ndarray, ...]:
     """Means over squares of `times` x `times` pixels; of depths, over what is not infinite.
 
     Depths are weighted by what is opaque there, so that a pixel at an edge keeps the nearer
     thing's.
     """
+    if times == 1:
+        return drawn
     image, left, *rest = drawn
     means = [
         _blocks(image, times).mean(axis=2),
