@@ -9,11 +9,12 @@ export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM = 1
 export OMPI_MCA_rmaps_base_oversubscribe = 1
 export OMPI_MCA_btl_vader_single_copy_mechanism = none
 
-.PHONY: help setup demo test campaigns lint validate docs site matrix clean
+.PHONY: help setup demo test gallery campaigns lint validate docs site matrix clean
 
 help:
 	@echo "make demo      set-up, a simulation on 2 ranks, its video"
 	@echo "make test      set-up, then all tests but the long ones"
+	@echo "make gallery   the showcases on 2 ranks, their videos and docs/gallery.md: an hour"
 	@echo "make campaigns kills, full disks, damaged files and odd inputs in large numbers: minutes"
 	@echo "make validate  the long tests; rewrites docs/validation.md"
 	@echo "make lint      ruff and mypy only"
@@ -32,6 +33,9 @@ demo: setup
 	@echo "video:    $(CURDIR)/$(RUN)/out/video.mp4"
 	@echo "frames:   $(CURDIR)/$(RUN)/out/frames/"
 	@echo "ParaView: $(CURDIR)/$(RUN)/out/series.vtkhdf"
+
+gallery: setup
+	$(PY) runs/gallery.py --variants
 
 test: setup lint
 	$(PY) -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder -m "not slow"

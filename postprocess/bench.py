@@ -3,7 +3,8 @@
 A lumpy ball of flat discs (opacity 0.95, plain colours) that fills most of a picture of 800 x 800
 pixels, half of its kernels on the closed surface and half inside, drawn from 12 sides by the same
 calls as a video. With --fluid all of it is faint balls (opacity 0.02, alpha_min 1e-4), which hide
-nothing; with --surface they are a liquid with a surface. Times are of the processor, so other work on the machine disturbs them less.
+nothing; with --surface they are a liquid with a surface. Times are of the processor, so other work
+on the machine disturbs them less.
 """
 
 import argparse

@@ -79,7 +79,7 @@ def losses(made: Cloud, suffix: str) -> list[str]:
     if beyond := np.count_nonzero(np.abs(made.sh[:, 1:]) > most):
         found.append(f"a {suffix} holds coefficients of -{most}..{most}: {beyond:,} are cut")
     faint = np.count_nonzero((made.opacity > 0) & (made.opacity < 0.5 / 255))
-    if suffix != ".ply" and faint:
+    if suffix not in (".ply", files.GLTF) and faint:
         said = f"opacities are 255ths in a {suffix}: {faint:,} of {len(made):,} Gaussians vanish"
         found.append(f"{said}; a .ply keeps them")
     return found
@@ -91,9 +91,10 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("settings", nargs="?", help="render.toml: its table [look]")
     p.add_argument("--frames", help="a number, or first:last:every as in Python [all]")
     p.add_argument("-o", "--output", help="folder of the files [OUT/gaussians]")
-    kinds = [suffix.removeprefix(".") for suffix in (*files.KINDS, files.COMPRESSED)]
+    kinds = [suffix.removeprefix(".") for suffix in (*files.KINDS, files.COMPRESSED, files.GLTF)]
     p.add_argument("--format", choices=kinds, default=kinds[0], help="kind of the files [ply]")
-    p.add_argument("--up", choices=UP, default="z", help="up in the file; captures: --up=-y [z]")
+    up = "up in the file; captures: --up=-y [z; of a .glb y]"
+    p.add_argument("--up", choices=UP, help=up)
     p.add_argument("--no-scenery", action="store_true", help="only what moves")
     p.add_argument("-q", "--quiet", action="store_true", help="warnings and errors only")
     return p
@@ -131,8 +132,9 @@ def _export(args: argparse.Namespace, folder: Path) -> None:
     said: set[str] = set()
     for index in tqdm(numbers, unit="frame", disable=True if args.quiet else None):
         made = cloud(look, look.frame(index), not args.no_scenery)
-        if args.up != "z":
-            made = made.transformed(UP[args.up])
+        up = args.up or ("y" if suffix == files.GLTF else "z")
+        if up != "z":
+            made = made.transformed(UP[up])
         for line in losses(made, suffix):
             kind = line.split(":")[0]
             if kind not in said:  # once for all frames

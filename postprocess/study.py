@@ -11,6 +11,10 @@ from vgmpi.ends import guarded
 # name: the module whose main(flags) does it, and what it is
 STUDIES = {
     "pruning": ("postprocess.table_one", "speed and likeness with and without pruning (Table I)"),
+    "statements": (
+        "postprocess.statements",
+        "what the paper says of its scenes, in the gallery's runs",
+    ),
     "ablation": ("postprocess.ablation", "a splash drawn without one part of the method at a time"),
 }
 

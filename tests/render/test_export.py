@@ -9,6 +9,7 @@ import pytest
 
 from postprocess import export
 from postprocess.look import Look
+from tests.gaussians.test_glb import parsed
 from tests.render import runs
 from tests.render.test_look import fake, frame
 from vgmpi.gaussians import files
@@ -201,6 +202,16 @@ def test_the_command_runs_by_itself(out, tmp_path, kind):
     )
     assert done.returncode == 0, done.stderr
     assert len(files.read(tmp_path / f"frame_00000.{kind}")) == 400 + runs.WATER + runs.BAR
+
+
+def test_a_gltf_has_y_up(out, tmp_path):
+    words = [str(out), "--frames", "0", "-q", "-o", str(tmp_path)]
+    assert export.main([*words, "--format", "glb"]) == 0
+    assert export.main([*words, "--format", "ply"]) == 0
+    x = files.read(tmp_path / "frame_00000.ply").x
+    _, values = parsed(tmp_path / "frame_00000.glb")
+    turned = np.column_stack([x[:, 0], x[:, 2], -x[:, 1]])
+    np.testing.assert_allclose(values["POSITION"], turned, atol=1e-6)
 
 
 @pytest.mark.data

@@ -15,7 +15,7 @@ from vgmpi.tables import SceneError
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = sorted(p.parent.name for p in (ROOT / "runs").glob("*/scene.toml"))
-MADE = ("ablation", "balls_duck", "capture", "faucet_ducks", "splash")  # with Gaussians
+MADE = ("ablation", "balls_duck", "capture", "faucet", "faucet_ducks", "splash")  # with Gaussians
 FEWER = ("--gaussians", "12000")  # enough to see that a scene is right
 
 

@@ -3,11 +3,12 @@
 from pathlib import Path
 from types import ModuleType
 
-from vgmpi.gaussians import dotsplat, ply, spz
+from vgmpi.gaussians import dotsplat, glb, ply, spz
 from vgmpi.gaussians.checked import GaussianFileError
 from vgmpi.gaussians.cloud import Cloud
 
 KINDS: dict[str, ModuleType] = {".ply": ply, ".splat": dotsplat, ".spz": spz}
+GLTF = ".glb"  # is only written
 COMPRESSED = ".compressed.ply"  # the end of a .ply that is to be written in SuperSplat's layout
 
 
@@ -23,8 +24,13 @@ def write(path: str | Path, cloud: Cloud) -> None:
 
     Raises GaussianFileError, OSError.
     """
-    compressed = Path(path).name.lower().endswith(COMPRESSED)
-    (ply.write_compressed if compressed else _kind(path).write)(path, cloud)
+    name = Path(path).name.lower()
+    if name.endswith(GLTF):
+        glb.write(path, cloud)
+    elif name.endswith(COMPRESSED):
+        ply.write_compressed(path, cloud)
+    else:
+        _kind(path).write(path, cloud)
 
 
 def _kind(path: str | Path) -> ModuleType:

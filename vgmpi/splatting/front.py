@@ -22,6 +22,7 @@ STEP = 0.02  # of its depth: by more, two pixels see different things behind the
 LANE = 16  # pixels that are filtered together
 _ZERO, _ONE = np.float32(0), np.float32(1)
 SMALL = 3.0  # pixels: radius of a ball where the front is looked for
+EVEN = 3  # means of 3 x 3 such pixels
 COVERED = 1.25  # pixels: radius of a ball where its way through the liquid is looked for
 MOST = 24  # pixels of the filter to each side
 RADIUS = (3 / (4 * np.pi)) ** (1 / 3)  # spacings: of a ball as large as a particle
@@ -122,11 +123,13 @@ def through(
     behind = np.ascontiguousarray(behind[fold // 2 :: fold, fold // 2 :: fold])
     sums = np.zeros((*behind.shape, 5), dtype=np.float32)
     _ways(x, radius, color, 1.5 * opacity / radius, w2c, coarse, behind, sums)
-    # balls are round: a pixel's mean with its neighbours is the liquid's
-    passed = np.zeros_like(sums)
-    _even(sums, behind, passed)
+    # balls are round and stand in rows: a pixel's mean with its neighbours is the liquid's
+    for _ in range(EVEN):
+        passed = np.zeros_like(sums)
+        _even(sums, behind, passed)
+        sums = passed
     out = np.empty((camera.height, camera.width, 5), dtype=np.float32)
-    _finer(passed, fold, out)
+    _finer(sums, fold, out)
     return out
 
 

@@ -1,0 +1,166 @@
+"""python -m postprocess.study statements: what the paper says of its scenes, measured in ours.
+
+Reads the runs that `python runs/gallery.py --small --variants` leaves in runs/*/out/small, or with
+--full those of full size. Lengths are told in cm.
+"""
+
+import argparse
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from vgmpi.output.read import RunError, RunFiles
+
+RUNS = Path(__file__).resolve().parents[1] / "runs"
+
+
+class Seen:
+    """A run at its frames: particles of a body by its name."""
+
+    def __init__(self, folder: Path):
+        self.run = RunFiles(folder)
+        self.names = [str(o["name"]) for o in self.run.objects]
+        self.object = np.asarray(self.run.gaussians.object)
+        self.volume = np.asarray(self.run.gaussians.vol0)
+        self.cell = float(self.run.scene["domain"]["cell"])
+
+    def of(self, name: str, frame: int = -1) -> np.ndarray:
+        """Places [m] (n, 3) of a body's particles."""
+        fields = self.run.frame(len(self.run) + frame if frame < 0 else frame)
+        mine = self.object[fields["id"]] == self.names.index(name)
+        return np.asarray(fields["x"], dtype=np.float64)[mine]
+
+
+def segregation(seen: Seen) -> tuple[float, float]:
+    """Variance of the concentration of the heavy liquid over cells of two spacings of the grid,
+    over that of liquids apart; and how much higher the light one's middle lies [m]."""
+    light, heavy = seen.of("light"), seen.of("heavy")
+    edge = 2 * seen.cell
+    both = np.floor(np.concatenate([light, heavy]) / edge).astype(int)
+    _, at = np.unique(both, axis=0, return_inverse=True)
+    at = at.ravel()
+    count = np.bincount(at)
+    share = np.bincount(at[len(light) :], minlength=len(count)) / count
+    mean = np.average(share, weights=count)
+    variance = np.average((share - mean) ** 2, weights=count)
+    return variance / (mean * (1 - mean)), light[:, 2].mean() - heavy[:, 2].mean()
+
+
+def surface(x: np.ndarray, at: np.ndarray, within: float) -> np.ndarray:
+    """Heights [m] of the highest of particles x (n, 3) near each of points (m, 2), nan for none."""
+    out = np.full(len(at), np.nan)
+    for k, place in enumerate(at):
+        near = np.abs(x[:, :2] - place).max(axis=1) < within
+        if near.any():
+            out[k] = x[near, 2].max()
+    return out
+
+
+def mixing(runs: Path) -> Iterator[tuple[str, str]]:
+    for label, said in (("sharp", "0"), ("", "2e-4"), ("fast", "2e-3")):
+        apart, higher = segregation(Seen(runs / "two_liquids" / label))
+        yield (
+            f"two liquids, diffusion {said} m2/s: variance of concentration; light above heavy",
+            f"{apart:.2f} of that apart; {100 * higher:.1f} cm",
+        )
+
+
+def flood(runs: Path) -> Iterator[tuple[str, str]]:
+    for label, said in (("fine", "1e-3"), ("", "1e-2"), ("coarse", "5e-2")):
+        seen = Seen(runs / "castle_flood" / label)
+        begin, end = seen.of("castle", 0), seen.of("castle")
+        downstream = (end[:, 0] > begin[:, 0].max() + seen.cell).mean()
+        fallen = begin[:, 2].mean() - end[:, 2].mean()
+        yield (
+            f"castle in a wave, permeability {said} m/s: sand moved on; fallen; lowest 1 cm",
+            f"{downstream:.0%}; {100 * fallen:.1f} cm; {(end[:, 2] < 0.01).mean():.0%}",
+        )
+
+
+def floats(runs: Path) -> Iterator[tuple[str, str]]:
+    seen = Seen(runs / "water_on_snow")
+    level = np.percentile(seen.of("water")[:, 2], 90)
+    snow = seen.of("wall")
+    yield (
+        "snow of .4 in water: above the level that 90 % of the water lies below",
+        (f"{(snow[:, 2] > level).mean():.0%} of the snow"),
+    )
+    seen = Seen(runs / "sandbox")
+    for name, said in (("cork", "0.13"), ("wood", "0.94"), ("iron", "3.8")):
+        rise = seen.of(name)[:, 2].mean() - seen.of(name, 0)[:, 2].mean()
+        yield f"body of {said} of the sand's density, tilted: rises by", f"{100 * rise:+.1f} cm"
+
+
+def mound(runs: Path) -> Iterator[tuple[str, str]]:
+    seen = Seen(runs / "castle_falls")
+    sand, dents = seen.of("castle"), []
+    for name in ("ball", "cube"):
+        body = seen.of(name)
+        middle, size = body[:, :2].mean(axis=0), np.ptp(body[:, :2], axis=0).max() / 2
+        angle = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+        ring = middle + 1.6 * size * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        around = np.nanmean(surface(sand, ring, seen.cell))
+        dents.append(f"{name} {100 * (around - body[:, 2].min()):.1f} cm")
+    yield "bodies that fall into the mound: lowest point below the sand around", ", ".join(dents)
+    low, high = sand[:, :2].min(axis=0), sand[:, :2].max(axis=0)
+    slopes = []
+    for axis in range(2):
+        middle = 0.5 * (low + high)
+        for side in (-1, 1):
+            at = np.tile(middle, (60, 1))
+            at[:, axis] += side * np.linspace(0.02, (high - low)[axis] / 2, 60)
+            z = surface(sand, at, seen.cell)
+            flank = np.isfinite(z) & (z > 0.2 * np.nanmax(z)) & (z < 0.8 * np.nanmax(z))
+            if flank.sum() > 4:
+                slopes.append(abs(np.polyfit(at[flank, axis], z[flank], 1)[0]))
+    yield (
+        "heap of sand of 32 degrees: slope of its flanks",
+        (f"{np.degrees(np.arctan(np.mean(slopes))):.0f} degrees"),
+    )
+
+
+def parting(runs: Path) -> Iterator[tuple[str, str]]:
+    for label, said in (("", "a field for each"), ("one_field", "one field for all")):
+        seen = Seen(runs / "snowman" / label)
+        found = []
+        for frame in range(len(seen.run)):
+            ball = seen.of("ball", frame)
+            if len(ball) < 0.5 * (seen.object == seen.names.index("ball")).sum():
+                break
+            middle = ball.mean(axis=0)
+            radius = np.linalg.norm(ball - middle, axis=1).max()
+            snow = seen.of("snowman", frame)
+            close = (np.linalg.norm(snow - middle, axis=1) < radius + 2 * seen.cell).mean()
+            found.append((seen.run.times[frame], middle[0], close))
+        time, x, close = found[-1]
+        yield (
+            f"ball and snowman, {said}: where the ball is, snow within two cells of it",
+            f"x = {100 * x:.0f} cm at {time:.2f} s, {close:.1%}",
+        )
+
+
+def main(argv: list[str] | None = None) -> int:
+    p = argparse.ArgumentParser(prog="python -m postprocess.study statements", description=__doc__)
+    p.add_argument("--full", action="store_true", help="the runs of full size")
+    given = p.parse_args(argv)
+    print("| what | found |\n|---|---|")
+    try:
+        for each in (mixing, flood, floats, mound, parting):
+            for what, found in each(_Folders(given.full)):
+                print(f"| {what} | {found} |")
+    except RunError as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
+class _Folders:
+    """runs/NAME/out, or its folder of small runs, by runs / NAME / label."""
+
+    def __init__(self, full: bool):
+        self.below = Path("out") if full else Path("out", "small")
+
+    def __truediv__(self, name: str) -> Path:
+        return RUNS / name / self.below

@@ -1,0 +1,156 @@
+"""Run the scenes of the gallery on two ranks, draw their videos and write docs/gallery.md.
+
+    python runs/gallery.py                    all of them: about an hour
+    python runs/gallery.py faucet snowman     these; the page keeps what is known of the others
+    python runs/gallery.py --variants         also the variants of each
+    python runs/gallery.py --small            cells of twice the size, and no page: minutes
+
+Each scene's frames, video and record.json lie in runs/NAME/out (small ones in out/small), the
+variants of a scene in folders below it. The page has five pictures of each and what it cost.
+"""
+
+import argparse
+import csv
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import imageio.v3 as iio
+import numpy as np
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent
+PAGE, PICTURES = ROOT / "docs" / "gallery.md", ROOT / "docs" / "pictures"
+TIMES = (0.0, 0.15, 0.3, 0.5, 1.0)  # of a run, of its five pictures
+WIDE = 320  # pixels of each
+ONE = ["object.snowman.phase=one", "object.ball.phase=one"]
+# folder: its variants, each a name, what is said of it and what is set
+SCENES: dict[str, list[tuple[str, str, list[str]]]] = {
+    "faucet": [],
+    "castle_falls": [],
+    "snowball": [],
+    "water_on_snow": [],
+    "castle_flood": [
+        ("fine", "permeability 1 mm/s", ["coupling.0.permeability=1e-3"]),
+        ("coarse", "permeability 5 cm/s", ["coupling.0.permeability=5e-2"]),
+    ],
+    "snowman": [("one_field", "all bodies in one velocity field", ONE)],
+    "two_liquids": [
+        ("sharp", "no diffusion", ["coupling.0.diffusion=0"]),
+        ("fast", "diffusion 20 cm2/s", ["coupling.0.diffusion=2e-3"]),
+    ],
+    "sandbox": [],
+}
+MPI = {
+    "OMPI_ALLOW_RUN_AS_ROOT": "1",
+    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
+    "OMPI_MCA_rmaps_base_oversubscribe": "1",
+    "OMPI_MCA_btl_vader_single_copy_mechanism": "none",
+}
+
+
+def call(*words: str | Path) -> float:
+    """Run a command; seconds by the clock. Ends the program where it fails."""
+    begin = time.perf_counter()
+    environment = {**os.environ, **MPI, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run([str(w) for w in words], cwd=ROOT, env=environment)
+    if done.returncode:
+        sys.exit(done.returncode)
+    return time.perf_counter() - begin
+
+
+def run(name: str, out: Path, sets: list[str]) -> dict:
+    """One simulation with its video; what it cost."""
+    scene, chosen = HERE / name / "scene.toml", HERE / name / "render.toml"
+    flags = [word for one in sets for word in ("--set", one)]
+    python = sys.executable
+    solver = ["mpirun", "-n", "2", python, "-m", "vgmpi", scene, "-o", out, "--overwrite", "-q"]
+    simulated = call(*solver, *flags)
+    drawing = [python, "-m", "postprocess.render", out, chosen, "--jobs", "2", "-q"]
+    drawn = call(*drawing, "-o", out / "video.mp4", "--frames", out / "png")
+    with open(out / "ledger.csv") as file:
+        rows = list(csv.DictReader(file))
+    first, last = ([r for r in rows if r["time"] == rows[k]["time"]] for k in (0, -1))
+    count, mass = (sum(float(r[key]) for r in last) for key in ("count", "mass"))
+    # all that ever came, or what was there at first
+    came = sum(
+        float(r.get("mass_in") or r["mass"]) for r in (last if "mass_in" in rows[0] else first)
+    )
+    lost = came - sum(float(r.get("mass_out") or 0) for r in last) - mass
+    known = {"simulated": simulated, "drawn": drawn, "particles": int(count)}
+    return {**known, "mass_lost": abs(lost) / came}
+
+
+def strip(out: Path, to: Path) -> None:
+    """Five pictures of a run side by side."""
+    pictures = sorted((out / "png").glob("*.png"))
+    shown = []
+    for part in TIMES:
+        picture = iio.imread(pictures[round(part * (len(pictures) - 1))])
+        step = max(picture.shape[1] // WIDE, 1)
+        height, width = (n // step * step for n in picture.shape[:2])
+        blocks = picture[:height, :width].reshape(height // step, step, width // step, step, 3)
+        shown.append(blocks.mean(axis=(1, 3)).round().astype(np.uint8))
+    iio.imwrite(to, np.hstack(shown), quality=85)
+
+
+def page(machine: str) -> str:
+    """docs/gallery.md of the records that there are."""
+    out = [
+        "# Gallery",
+        "",
+        "<!-- made by: python runs/gallery.py -->",
+        "",
+        "Scenes after those of the paper. Each folder has its scene, its render.toml and a README",
+        "that says what one should see and what one sees. Times are by the clock on two ranks, the",
+        f"pictures by two processes, of {machine}.",
+        "",
+    ]
+    for name, variants in SCENES.items():
+        title = (HERE / name / "README.md").read_text().splitlines()[0].lstrip("# ")
+        out += [f"## {title}", "", f"[runs/{name}](../runs/{name}/README.md)", ""]
+        for label, said in [("", "")] + [(label, said) for label, said, _ in variants]:
+            record = HERE / name / "out" / label / "record.json"
+            image = PICTURES / f"gallery-{name}{'-' + label if label else ''}.jpg"
+            if not (record.is_file() and image.is_file()):
+                continue
+            known = json.loads(record.read_text())
+            also = f"{said}: " if said else ""
+            cost = f"{known['simulated']:.0f} s, and {known['drawn']:.0f} s for 50 pictures"
+            kept = f"mass kept to {known['mass_lost']:.0e}"
+            out += [f"![{title} {said}](pictures/{image.name})".replace(" ]", "]"), ""]
+            out += [f"{also}{known['particles']:,} particles at the end, {cost}; {kept}.", ""]
+    return "\n".join(out).rstrip() + "\n"
+
+
+def main() -> None:
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    p.add_argument("scenes", nargs="*", metavar="NAME", help=", ".join(SCENES))
+    p.add_argument("--small", action="store_true", help="cells of 2 cm")
+    p.add_argument("--variants", action="store_true", help="also those of each scene")
+    given = p.parse_args()
+    unknown = set(given.scenes) - set(SCENES)
+    if unknown:
+        p.error(f"there is no {', '.join(sorted(unknown))}; allowed: {', '.join(SCENES)}")
+    call(sys.executable, HERE / "assets" / "make_assets.py", HERE / "faucet" / "assets")
+    for name in given.scenes or SCENES:
+        chosen = [("", "", []), *(SCENES[name] if given.variants else [])]
+        for label, _, sets in chosen:
+            base = HERE / name / "out" / ("small" if given.small else "")
+            more = ['domain.cell="2 cm"'] if given.small else []
+            known = run(name, base / label, sets + more)
+            (base / label / "record.json").write_text(json.dumps(known))
+            print(name, label, known, flush=True)
+            if not given.small:
+                image = PICTURES / f"gallery-{name}{'-' + label if label else ''}.jpg"
+                strip(base / label, image)
+    if not given.small:
+        PAGE.write_text(page(f"{platform.processor() or platform.machine()} machine"))
+
+
+if __name__ == "__main__":
+    main()

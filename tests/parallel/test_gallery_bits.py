@@ -1,0 +1,43 @@
+"""The scenes of the gallery, coarse and short: the same bits on any number of ranks."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+from tests.digests import digests
+from tests.launch import go
+from vgmpi.output.ledger import read
+
+pytestmark = pytest.mark.mpi
+
+RUNS = Path(__file__).resolve().parents[2] / "runs"
+SHORT = ("--set", "domain.cell=4 cm", "--set", "time.end=0.04", "--set", "time.frames=2")
+
+
+def _gallery():
+    spec = importlib.util.spec_from_file_location("gallery", RUNS / "gallery.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module", autouse=True)
+def ducks(tmp_path_factory):
+    """What the scene of the faucet needs, made where it is not."""
+    gallery = _gallery()
+    if not (RUNS / "faucet" / "assets" / "duck.ply").is_file():
+        gallery.call(gallery.sys.executable, RUNS / "assets/make_assets.py", RUNS / "faucet/assets")
+
+
+@pytest.mark.parametrize("name", sorted(_gallery().SCENES))
+def test_the_same_bits(name, tmp_path):
+    found = []
+    for n in (1, 2, 3):
+        job = go(RUNS / name / "scene.toml", tmp_path / str(n), n, *SHORT)
+        assert job.returncode == 0, job.stderr
+        found.append(digests(tmp_path / str(n)))
+    assert found[0] == found[1] == found[2]
+    rows = read(tmp_path / "1" / "ledger.csv")
+    last = max(row["step"] for row in rows)
+    assert last > 10 and sum(row["count"] for row in rows if row["step"] == last) > 1000
