@@ -28,7 +28,12 @@ class Solids:
         half = 0.5 * np.sqrt(3.0) * (EDGE - 1)
         near = np.zeros(len(block), bool)
         for collider in colliders:
-            near |= collider.distance(centre) < (half + REACH) * dx
+            close = collider.distance(centre) < (half + REACH) * dx
+            if getattr(collider, "hull", None) is not None:  # it goes on for ever
+                low, high = collider.ends()
+                beyond = np.maximum(np.maximum(low - centre, centre - high), 0.0)
+                close &= (beyond**2).sum(axis=1) < ((half + REACH) * dx) ** 2
+            near |= close
         self._row = np.where(near, np.cumsum(near) - 1, -1)
         inside = np.stack(np.meshgrid(*(np.arange(EDGE),) * 3, indexing="ij"), -1).reshape(-1, 3)
         points = (EDGE * block[near][:, None, :] - 1 + inside).reshape(-1, 3) * dx

@@ -14,7 +14,7 @@ from vgmpi.planning.channels import SURFACE
 from vgmpi.planning.colour_sets import colour_sets
 from vgmpi.planning.groups import deforms, surfaced
 from vgmpi.prepare import cost, inflow
-from vgmpi.prepare.collider import Collider, moving
+from vgmpi.prepare.collider import Collider, ShapeCollider, moving
 from vgmpi.prepare.courses import astray, leaves
 from vgmpi.prepare.initial import begun
 from vgmpi.prepare.loaded import Loaded, find
@@ -202,12 +202,22 @@ def _together(scene: Scene, pieces: list[Piece]) -> Prepared:
         **_looks(pieces, bodies, terms),
         scenery=scenery,
         objects=objects,
-        colliders=[piece.collider for piece in pieces if piece.collider is not None],
+        colliders=_colliders(scene, pieces, x),
         theta0=_rows(pieces, bodies, _theta),
         loads=find(scene, x, vol0, owner),
         passive=_riding(pieces, objects, terms),
         surface0=_surfaces(pieces, bodies),
     )
+
+
+def _colliders(scene: Scene, pieces: list[Piece], x: np.ndarray) -> list[Collider]:
+    """What bodies, whose particles are at x (n, 3) [m], collide with."""
+    size, dx = np.array(scene.domain.size), scene.domain.cell
+    return [
+        one.around(x, size, dx) if isinstance(one, ShapeCollider) else one
+        for one in (piece.collider for piece in pieces)
+        if one is not None
+    ]
 
 
 def _velocity(scene: Scene, k: int, piece: Piece) -> np.ndarray:

@@ -11,24 +11,58 @@ from vgmpi.prepare.voxels import Voxels
 from vgmpi.scene.forms import Shape
 from vgmpi.scene.motion import Course, Motion
 
+FAR = 1e6  # half the edge of a box beyond which nothing is, in a shape's own units
 SMOOTH = 1.0  # standard deviation [voxels] over which the distances of a body's voxels are smoothed
 
 
 @dataclass(frozen=True)
 class ShapeCollider:
-    """A shape that does not move. step: half the width [m] of the differences in `normal`."""
+    """A shape that does not move. step: half the width [m] of the differences in `normal`. hull: of
+    a container that holds all there is, the container itself; `shape` then has no outer side."""
 
     name: str
     shape: Shape
     placement: Placement
     step: float
     course: Course | None = None  # how it moves; distances are those at the start
+    hull: Shape | None = None
 
     def ends(self) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper corner (3,) [m] of a box that holds it."""
-        low, high = corners(self.placement, lambda d: shapes.reach(self.shape, d))
-        more = self.placement.scale * shapes.bulge(self.shape)
+        shape = self.hull or self.shape
+        low, high = corners(self.placement, lambda d: shapes.reach(shape, d))
+        more = self.placement.scale * shapes.bulge(shape)
         return low - more, high + more
+
+    def around(self, x: np.ndarray, size: np.ndarray, dx: float) -> "ShapeCollider":
+        """The same without its outer side, where all matter, at x (n, 3) [m], is in a hollow out of
+        which no way leads; else itself. size: of the domain [m] (3,); dx: cells [m].
+
+        Seen from inside its walls are then as thick as one likes: at a node beyond the middle of a
+        thin one the nearest face is the outer one, which would hold nothing that comes from inside.
+        """
+        if self.shape.form != "difference" or not len(x):
+            return self
+        solid, *hollows = self.shape.difference
+        low, high = self.ends()
+        first = np.floor(np.maximum(low - 2 * dx, 0.0) / dx).astype(np.int64)
+        last = np.ceil(np.minimum(high + 2 * dx, size) / dx).astype(np.int64)
+        index = np.floor(x / dx).astype(np.int64) - first
+        if (last <= first).any() or (index < 0).any() or (index >= last - first).any():
+            return self
+        free, outside = np.empty(last - first, bool), np.empty(last - first, bool)
+        layer = np.indices((1, *(last - first)[1:])).reshape(3, -1).T + first
+        for k in range(len(free)):
+            own = self.placement.own((layer + (k, 0, 0) + 0.5) * dx)
+            free[k] = (shapes.distance(self.shape, own) > 0).reshape(free[k].shape)
+            outside[k] = (shapes.distance(solid, own) > 0).reshape(free[k].shape)
+        parts, _ = ndimage.label(free)
+        held = parts[tuple(np.unique(index, axis=0).T)]
+        if (held == 0).any() or np.isin(held, parts[free & outside]).any():
+            return self
+        wide = Shape(box=((-FAR,) * 3, (FAR,) * 3))
+        sealed = self.shape.model_copy(update={"difference": (wide, *hollows)})
+        return replace(self, shape=sealed, hull=self.shape)
 
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Signed distance [m] (m,) of `points` (m, 3) [m], negative inside."""
