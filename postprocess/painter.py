@@ -5,7 +5,7 @@ import functools
 import logging
 import multiprocessing
 import pickle
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,10 +20,11 @@ from postprocess.viewpoints import Viewpoint
 from vgmpi import room
 from vgmpi.output.read import RunError, RunFiles
 from vgmpi.splatting import floor, light, liquid, splat
-from vgmpi.splatting.camera import Camera
+from vgmpi.splatting.camera import Camera, through_lens
 
 log = logging.getLogger("vgmpi")
 
+Pixels = tuple[np.ndarray, ...]  # picture, what comes through, and depths where asked for
 LOOKS = 9  # at a run, to see where things are
 
 
@@ -75,6 +76,8 @@ class Painter:
         self.light = chosen.light.light() if chosen.light else None
         self.floor = size.floor.floor(photograph, self.light) if size.floor else None
         self.clear = size.background == "none"
+        blurs = chosen.video.shutter > 0 or any(one.aperture > 0 for one in chosen.views())
+        self.samples = size.samples if blurs and not longest else 1
         self.look = Look(run, chosen.look)
         self.liquids = None
         if self.surface:
@@ -108,28 +111,60 @@ class Painter:
     def views_of(self, index: int, part: float) -> list[Drawn]:
         """Frame `index` at a part 0..1 of the video, from every camera."""
         frame = self.look.frame(index)
-        parts = self._lit(self.look.parts(frame))
         time = float(self.run.times[index]) if self._by_time() else 0.0
         cameras = [view.at(part, time) for view in self.views]
-        draw = self._drawn if self.liquids is None else self._with_surface(frame)
-        return [draw(parts, *pair) for pair in zip(cameras, self.grounds)]
+        found = [self._pixels(frame, cameras, 0)]
+        for sample in range(1, self.samples):
+            found.append(self._pixels(self._moment(frame, index, sample), cameras, sample))
+        return [self._finished(self._mean(views)) for views in zip(*found)]
+
+    def _mean(self, views: tuple[Pixels, ...]) -> Pixels:
+        """Of the samples of a view; its depths are those of the first."""
+        if len(views) == 1:
+            return views[0]
+        image, left = (sum(one[k] for one in views) / len(views) for k in (0, 1))
+        return image, left, *views[0][2:]
+
+    def _moment(self, frame: dict[str, np.ndarray], index: int, sample: int) -> dict:
+        """The frame a little later, while the shutter is open: particles go on as they do."""
+        shutter = self.chosen.video.shutter
+        if shutter == 0:
+            return frame
+        if "velocity" not in frame:
+            raise RunError("video.shutter: the frames hold no velocity: see output.fields")
+        times = self.run.times
+        near = min(index, len(times) - 2) if len(times) > 1 else 0
+        step = float(times[near + 1] - times[near]) if len(times) > 1 else 0.0
+        later = shutter * step * sample / self.samples
+        return {**frame, "x": frame["x"] + later * np.asarray(frame["velocity"], dtype=np.float64)}
+
+    def _pixels(self, frame: dict, cameras: list[Camera], sample: int) -> list[Pixels]:
+        """Picture, what comes through and depths of a frame from every camera."""
+        parts = self._lit(self.look.parts(frame))
+        found = []
+        for one, camera, ground in zip(self.chosen.views(), cameras, self.grounds):
+            if one.aperture > 0:
+                camera = through_lens(camera, one.aperture, one.focus, sample, self.samples)
+            found.append(self._drawn(frame, parts, camera, ground))
+        return found
 
     def _by_time(self) -> bool:  # the times of a run are in as many files as it has frames
         return any(one.keys and one.keys[0].time is not None for one in self.chosen.views())
 
-    def _drawn(self, parts: list[Part], camera: Camera, ground: np.ndarray) -> Drawn:
+    def _drawn(self, frame: dict, parts: list[Part], camera: Camera, ground: np.ndarray) -> Pixels:
         splats = seen(parts, camera.eye)
         ground = self._ground(splats, camera, ground)
-        image, left, *depth = splat.render(
-            splats,
-            camera,
-            ground,
-            alpha_min=self.alpha_min,
-            supersample=self.supersample,
-            depth="median" if self.depth else None,
-            **self.chosen.splatting.options(),
+        options = {"alpha_min": self.alpha_min, **self.chosen.splatting.options()}
+        if self.liquids is None:
+            depth = "median" if self.depth else None
+            options |= {"supersample": self.supersample, "depth": depth}
+            return splat.render(splats, camera, ground, **options)
+        fine = splat.finer(camera, self.supersample)
+        under = splat.behind(ground, camera, self.supersample)
+        found = self.liquids.render(
+            frame, parts, fine, under, self.floor, asked=self.depth, **options
         )
-        return self._finished(image, left, *depth)
+        return splat.coarser(found, self.supersample)
 
     def _lit(self, parts: list[Part]) -> list[Part]:
         """The parts in the light, if there is one."""
@@ -141,26 +176,6 @@ class Painter:
         ends = np.cumsum([len(part.x) for part in parts])[:-1]
         return [part.brighter(own) for part, own in zip(parts, np.split(bright, ends))]
 
-    def _with_surface(self, frame: dict[str, np.ndarray]) -> Callable[..., Drawn]:
-        """What draws this frame with liquids that have a surface."""
-
-        def drawn(parts: list[Part], camera: Camera, ground: np.ndarray) -> Drawn:
-            ground = self._ground(seen(parts, camera.eye), camera, ground)
-            fine = splat.finer(camera, self.supersample)
-            image, left, *depth = self.liquids.render(
-                frame,
-                parts,
-                fine,
-                splat.behind(ground, camera, self.supersample),
-                self.floor,
-                alpha_min=self.alpha_min,
-                asked=self.depth,
-                **self.chosen.splatting.options(),
-            )
-            return self._finished(*splat.coarser((image, left, *depth), self.supersample))
-
-        return drawn
-
     def _ground(self, splats: splat.Splats, camera: Camera, ground: np.ndarray) -> np.ndarray:
         """What stands behind the Gaussians, as fine as it is drawn where there is a floor."""
         if self.floor is None:
@@ -171,7 +186,8 @@ class Painter:
         contact = floor.touch(splats, self.floor) if self.floor.contact else None
         return floor.ground(self.floor, cast, fine, under, contact)
 
-    def _finished(self, image: np.ndarray, left: np.ndarray, *depth: np.ndarray) -> Drawn:
+    def _finished(self, pixels: Pixels) -> Drawn:
+        image, left, *depth = pixels
         if self.clear:
             picture = video.with_transparency(image, 1 - left)
         else:

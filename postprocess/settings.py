@@ -129,13 +129,14 @@ def _path(keys: tuple[Key, ...]) -> tuple[Key, ...]:
     return keys
 
 
+LENS = ("aperture", "focus")
 # what a camera of each kind may be told, besides kind and name
 CAMERA_KEYS = {
-    "orbit": ("target", "up", "fov", "near", "distance", "height", "turns", "angle"),
-    "fixed": ("target", "up", "fov", "near", "eye"),
-    "keyframes": ("target", "up", "fov", "near", "keys"),
-    "transforms": ("near", "file", "image", "scale"),
-    "colmap": ("near", "folder", "image", "scale"),
+    "orbit": (*LENS, "target", "up", "fov", "near", "distance", "height", "turns", "angle"),
+    "fixed": (*LENS, "target", "up", "fov", "near", "eye"),
+    "keyframes": (*LENS, "target", "up", "fov", "near", "keys"),
+    "transforms": (*LENS, "near", "file", "image", "scale"),
+    "colmap": (*LENS, "near", "folder", "image", "scale"),
 }
 CAMERA_NEEDS = {"fixed": "eye = [x, y, z]", "keyframes": "keys = [...]"}
 CAMERA_NEEDS |= {"transforms": "file = 'transforms.json'", "colmap": "folder = 'sparse/0'"}
@@ -160,6 +161,8 @@ class CameraSettings(_Table):
     folder: str | None = None
     image: str | None = None  # the one camera of a file to look through
     scale: Annotated[float, Field(gt=0, le=4)] = 1.0  # of a file's picture sizes
+    aperture: Annotated[float, Field(ge=0)] = 0.0  # radius of the lens: what is not in focus blurs
+    focus: Annotated[float, Field(gt=0)] | None = None  # how far what is sharp is, along the axis
 
     @model_validator(mode="after")
     def _fits_kind(self):
@@ -174,6 +177,8 @@ class CameraSettings(_Table):
             raise ValueError(f"a camera of kind '{self.kind}' needs {needs}")
         if self.eye is not None and self.eye == self.target:
             raise ValueError("eye and target are the same point")
+        if self.aperture > 0 and self.focus is None:
+            raise ValueError("a camera with an aperture needs focus")
         if None not in (self.height, self.distance) and abs(self.height) >= self.distance:
             raise ValueError("height must be less than distance")
         return self
@@ -216,6 +221,7 @@ class PictureSettings(_Table):
     height: Annotated[int, Field(ge=16, le=8192)] = 800
     background: Background = "#ffffff"
     supersample: Annotated[int, Field(ge=1, le=4)] = 1
+    samples: Annotated[int, Field(ge=2, le=256)] = 16  # of an aperture and of a shutter
     floor: FloorSettings | None = None
 
     @model_validator(mode="after")
@@ -228,6 +234,7 @@ class PictureSettings(_Table):
 class VideoSettings(_Table):
     fps: Annotated[float, Field(ge=1, le=240)] = 25.0
     quality: Annotated[float, Field(ge=0, le=10)] = 8.0
+    shutter: Annotated[float, Field(ge=0, le=1)] = 0.0  # share of a frame's time that it is open
 
 
 class FrameSettings(_Table):

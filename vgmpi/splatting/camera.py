@@ -1,6 +1,6 @@
 """Pinhole cameras in the OpenCV convention: x to the right, y down, z forward."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -62,6 +62,19 @@ def look_at(
     focal = 0.5 * height / np.tan(0.5 * np.radians(fov))
     near = min(NEAR, 0.05 * distance) if near is None else near
     return Camera(world_to_camera, focal, focal, width / 2, height / 2, width, height, near)
+
+
+def through_lens(
+    camera: Camera, aperture: float, focus: float, sample: int, samples: int
+) -> Camera:
+    """The camera from one of `samples` points of a lens of radius `aperture` [m], even over it (H.
+    Vogel's spiral, 1979); what is at the depth `focus` [m] stays where it is in the picture."""
+    turn = sample * np.pi * (3 - np.sqrt(5))
+    off = aperture * np.sqrt((sample + 0.5) / samples) * np.array([np.cos(turn), np.sin(turn)])
+    matrix = camera.world_to_camera.copy()
+    matrix[:2, 3] -= off
+    cx, cy = camera.cx + camera.fx * off[0] / focus, camera.cy + camera.fy * off[1] / focus
+    return replace(camera, world_to_camera=matrix, cx=float(cx), cy=float(cy))
 
 
 def orbit_eye(
