@@ -10,6 +10,7 @@ import pytest
 
 from tests.converting import BOX, CELL, ONE, egg, named, scene_of, several
 from vgmpi.convert.__main__ import main
+from vgmpi.device import flow
 from vgmpi.gaussians import files
 from vgmpi.prepare.build import build
 
@@ -184,6 +185,8 @@ def test_every_other_key_is_named(convert):
     assert all(named(lines, key) for key in given)
     assert "did you mean 'softening'?" in named(lines, "sofening")[0]
     assert "render.toml" in named(lines, "init_radius")[0]
+    lines = convert(ONE | {"material": "metal", "yield_stress": 9, "xi": 0.1})[1]
+    assert "a switch" in named(lines, "xi")[0]
     assert convert(ONE | {"rpic_damping": -1.0})[0].accuracy.transfer == "pic"
 
 
@@ -197,3 +200,33 @@ def test_the_command(tmp_path, capsys):
     assert "--overwrite" in capsys.readouterr().err
     assert main([str(config), "-o", str(scene), "--overwrite"]) == 0
     assert main([str(config), "-o", str(tmp_path / "no" / "s.toml")]) == 2
+
+
+def made_of(convert, **more):
+    return convert(ONE | more)[0].material["body"].law()
+
+
+def test_bodies_yield_where_theirs_do(convert):
+    """By what the laws compute with: sizes of deviators, as theirs."""
+    metal = made_of(convert, material="metal", yield_stress=100, hardening=1, xi=0.1)
+    assert 2 * metal.mu * metal.strain == pytest.approx(100)
+    root = math.sqrt(2 / 3)  # plastic strain in tension per size of it
+    assert 2 * metal.mu * metal.slope * root == pytest.approx(2 * metal.mu * 0.1)
+    clay = made_of(convert, material="plasticine", yield_stress=100, softening=50)
+    assert 2 * clay.mu * clay.strain == pytest.approx(100)
+    assert 2 * clay.mu * clay.slope * root == pytest.approx(50)
+    foam = made_of(convert, material="foam", yield_stress=30, plastic_viscosity=8)
+    assert 2 * foam.mu * foam.strain == pytest.approx(root * 30)
+    dt = 1e-4  # the share of what is beyond that flows in a step
+    theirs = 1 / (1 + 8 / (2 * foam.mu * dt))
+    assert flow.bingham(foam.mu * dt, foam.viscosity) == pytest.approx(theirs)
+    stiff = made_of(convert, material="foam", yield_stress=30)
+    assert 2 * stiff.mu * stiff.strain == pytest.approx(root * 30)
+
+
+def test_sand_slides_where_theirs_does(convert):
+    sand = made_of(convert, material="sand", friction_angle=30)
+    alpha = math.sqrt(2 / 3) * 2 * 0.5 / 2.5
+    # |e| = -(3 lam + 2 mu) / (2 mu) alpha tr(e), with three times the mean for the trace
+    assert sand.slope == pytest.approx((3 * sand.lam + 2 * sand.mu) / (2 * sand.mu) * alpha * 3)
+    assert sand.tip == 0

@@ -182,3 +182,4 @@ def test_what_is_static_is_scenery(convert):
     frames = scene.object[0].motion.keyframes
     assert [(key.time, key.angle) for key in frames] == [(0.1, 0), (0.15, pytest.approx(-0.075))]
     assert named(lines, "material_params.0.E")
+    assert named(lines, "material_params.0.static")

@@ -120,3 +120,10 @@ def test_files_that_are_not_there(refused, tmp_path):
 def test_a_configuration_that_is_not_there(tmp_path, capsys):
     assert main([str(tmp_path / "no.json"), "-o", str(tmp_path / "s.toml")]) == 2
     assert "no.json: No such file" in capsys.readouterr().err
+
+
+def test_more_files_than_bodies(refused, tmp_path):
+    two = ["--gaussians", "a.ply", "--gaussians", "b.ply"]
+    assert refused(json.dumps(ONE), *two) == [
+        "--gaussians: must be given once for each body, of which there are 1; got 2"
+    ]

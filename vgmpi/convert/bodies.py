@@ -67,7 +67,7 @@ def make(
             table |= {"role": "scenery", "collider": True}
         else:
             table["material"] = name
-            out.materials[name] = law | _other(law, piece.other, body.law.density)
+            out.materials[name] = law | _other(law, piece.other)
         if standing.file is None:
             table["shape"] = {"box": [(low - ends[0]).tolist(), (high - ends[0]).tolist()]}
         else:
@@ -113,13 +113,12 @@ def _wide(piece: Piece, inner: np.ndarray, standing: Standing) -> np.ndarray:
     ])  # fmt: skip
 
 
-def _other(law: Table, part: keys.Part | None, density: float) -> Table:
+def _other(law: Table, part: keys.Part | None) -> Table:
     """What additional_material_params changes in a material."""
     if part is None:
         return {}
-    share = law["density"] / density  # of sand, that of its grains
-    own = density if part.density is None else part.density
-    return {"youngs_modulus": part.E, "poisson_ratio": part.nu, "density": share * own}
+    density = law["density"] if part.density is None else part.density
+    return {"youngs_modulus": part.E, "poisson_ratio": part.nu, "density": density}
 
 
 def _moved(more: Table, origin: np.ndarray) -> Table:
@@ -173,7 +172,8 @@ def _placed(config: Config, k: int, standing: Standing, origin: np.ndarray, fold
 
 def look(config: Config, k: int, standing: Standing, law: Table | None, report: Report) -> Table:
     """What a body looks like, and what of its filling is not here."""
-    body, out = config.bodies[k], {}
+    body = config.bodies[k]
+    out: Table = {}
     stand, at = body.stand, body.stand_at
     if stand.particle_filling is not None:
         _tell_of_filling(config, k, standing, report)

@@ -132,6 +132,11 @@ def _cuboid(
     shares = [s.inside(in_box(one.point, one.size)) for s in standings]
     if one.reset == 1:
         report.lost((*at, "reset"), one.reset, RESET)
+    if any(one.velocity) and config.several:
+        report.lost(
+            at, value, "it stays and carries along what is in it, as a belt; none does here"
+        )
+        return
     if any(shares):
         for k, share in enumerate(shares):
             if share and _part(standings[k], share, at, value, report):
@@ -142,11 +147,6 @@ def _cuboid(
         return
     if one.start_time > 0 or one.end_time < config.end:
         report.lost(at, value, "a collider is there from the start to the end here")
-        return
-    if any(one.velocity) and config.several:
-        report.lost(
-            at, value, "it stays and carries along what is in it, as a belt; none does here"
-        )
         return
     table: Table = {"box": [np.subtract(one.point, one.size), np.add(one.point, one.size)]}
     if any(one.velocity):

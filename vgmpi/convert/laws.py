@@ -67,9 +67,16 @@ def material(config: Config, k: int, report: Report) -> Table:
 
 def held(body: Body, report: Report) -> None:
     """Name what a body that is only held does not need."""
-    for key in dict.fromkeys(("material", "density", *OF_LAWS, "additional_material_params")):
+    why = "it is scenery that others collide with; theirs slows what shares a node with it"
+    report.partly((*body.law_at, "static"), True, why)
+    if getattr(body.law, "static_inf", False):
+        report.lost(
+            (*body.law_at, "static_inf"), True, "colliders do not hold fast what meets them"
+        )
+    why = "the body is held (static): it is scenery here, which has no material"
+    numbers = ("material", "density", *OF_LAWS, *PLASTIC, "rpic_damping", "pic_damping")
+    for key in dict.fromkeys((*numbers, "additional_material_params")):
         if body.law.given(key):
-            why = "the body is held (static): it is scenery here, which has no material"
             report.lost((*body.law_at, key), getattr(body.law, key), why)
 
 
@@ -85,6 +92,9 @@ def _tell_unused(config: Config, body: Body, kind: str, report: Report) -> None:
         if key in READ[kind] and body.law.given(key):
             why = "VersaGauss reads it and computes without it"
             report.lost((*body.law_at, key), getattr(body.law, key), why)
+    if body.law.given("static_inf"):
+        why = "the body is not static"
+        report.lost((*body.law_at, "static_inf"), body.law.static_inf, why)  # type: ignore[attr-defined]
     if body.law.given("pic_damping"):
         why = f"{theirs} reads it and computes without it"
         report.lost((*body.law_at, "pic_damping"), body.law.pic_damping, why)
@@ -122,14 +132,14 @@ def _tell_of_hencky(config: Config, k: int, report: Report, theirs: str) -> None
 
 
 def _tell_of_flag(config: Config, k: int, report: Report) -> None:
-    """`hardening` is a switch, and does nothing unless it is 1."""
+    """`hardening` is a switch: unless it is 1 it does nothing, and neither does xi."""
     body = config.bodies[k]
-    if body.law.given("hardening") and effective(config, k, "hardening") != 1:
-        at = (*body.law_at, "hardening")
-        report.lost(at, body.law.hardening, "it is a switch there, on with 1 only: none hardens")
-        if body.law.given("xi") and body.law.material == "metal":  # type: ignore[attr-defined]
-            why = "hardening is off, without which theirs has no use of it"
-            report.lost((*body.law_at, "xi"), body.law.xi, why)
+    if effective(config, k, "hardening") == 1:
+        return
+    why = "hardening is a switch there, on with 1 only: nothing hardens"
+    for key in ("hardening", "xi"):
+        if body.law.given(key):
+            report.lost((*body.law_at, key), getattr(body.law, key), why)
 
 
 def _metal(config: Config, k: int, report: Report) -> Table:
@@ -203,9 +213,15 @@ def _plasticine(config: Config, k: int, report: Report) -> Table:
                 why = "without a yield_stress theirs never yields"
                 report.lost((*body.law_at, key), getattr(body.law, key), why)
         return _elastic(body.law, "corotated")
-    _tell_of_hencky(config, k, report, "theirs is fixed corotated below the yield stress")
-    if not config.several:
+    theirs = "theirs is fixed corotated below the yield stress"
+    if config.several:
+        theirs += ", and lowers one for all its particles"
+        if body.law.given("hardening"):
+            why = "VersaGauss hardens plasticine by xi, whatever it is"
+            report.lost((*body.law_at, "hardening"), body.law.hardening, why)
+    else:
         _tell_of_flag(config, k, report)
+    _tell_of_hencky(config, k, report, theirs)
     softening = 0.1 if config.several else body.law.softening
     at = (*body.law_at, "softening")
     fall = softening - _hardening(config, k)  # of |s| per size of plastic strain

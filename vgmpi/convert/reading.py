@@ -145,7 +145,9 @@ def _conditions(
     raw: list[Any], several: bool, errors: list[tuple[Where, str]]
 ) -> list[tuple[int, keys.Condition]]:
     """Those without errors. VersaGauss has one kind more."""
-    known = {**keys.CONDITIONS, **({"add_plane": keys.Plane} if several else {})}
+    known: dict[str, type[keys.Condition]] = dict(keys.CONDITIONS)
+    if several:
+        known["add_plane"] = keys.Plane
     found = []
     for k, item in enumerate(raw):
         at: Where = ("boundary_conditions", k)

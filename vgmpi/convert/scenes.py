@@ -10,7 +10,7 @@ from vgmpi import materials
 from vgmpi.convert import keys, laws, written
 from vgmpi.convert.bodies import look, make, materials_of
 from vgmpi.convert.conditions import Acting, acting
-from vgmpi.convert.reading import Config, Report, Where, read, refused
+from vgmpi.convert.reading import Config, ConvertError, Report, Where, read, refused
 from vgmpi.convert.standing import Standing, find_file, stand
 from vgmpi.convert.walls import Room, room
 from vgmpi.misspelt import nearest
@@ -34,10 +34,13 @@ def converted(path: Path, gaussians: list[Path], folder: Path) -> tuple[str, lis
     """
     config = read(path)
     report = Report(path)
+    if len(gaussians) > len(config.bodies):
+        said = f"must be given once for each body, of which there are {len(config.bodies)}"
+        raise ConvertError([f"{path}: --gaussians: {said}; got {len(gaussians)}"])
     standings = _standings(config, gaussians, report)
     space = room(config, standings, report)
     made_of = materials_of(config, report)
-    families = [materials.registry[m["kind"]].family if m else "" for m in made_of]
+    families = [_family(m) for m in made_of]
     found = acting(config, standings, families, space, report)
     ends = np.array([space.low, space.high]) * config.cell
     emitted = _emitter(config, standings, ends, made_of, report)
@@ -72,9 +75,14 @@ def converted(path: Path, gaussians: list[Path], folder: Path) -> tuple[str, lis
         raise refused(path, ("preprocess_params",), "no body is left in the domain")
     return written.text(
         {key: value for key, value in top.items() if value not in ([], {})},
-        _head(config, standings, ends[0]),
+        _head(config, standings, space),
         _tail(report),
     ), report.lines
+
+
+def _family(law: Table | None) -> str:
+    """Of a material; "" for a body that is held."""
+    return materials.registry[law["kind"]].family if law else ""  # type: ignore[attr-defined]
 
 
 def _standings(config: Config, gaussians: list[Path], report: Report) -> list[Standing]:
@@ -134,13 +142,14 @@ def _settings(config: Config, space: Room, report: Report) -> Table:
 
 def _transfer(config: Config, report: Report) -> str:
     """Theirs is APIC, with damping of what shears; or PIC."""
+    moving = [body for body in config.bodies if not getattr(body.law, "static", False)]
     damped = [
-        body for body in config.bodies
+        body for body in moving
         if not (config.several and body.law.material in ("fluid", "snow"))  # type: ignore[attr-defined]
     ]  # fmt: skip
     pic = [body.law.rpic_damping < SMALL for body in damped]
     how = "pic" if pic and all(pic) else "apic"
-    for body in config.bodies:
+    for body in moving:
         value, at = body.law.rpic_damping, (*body.law_at, "rpic_damping")
         if not value or not body.law.given("rpic_damping"):
             continue
@@ -195,7 +204,7 @@ def _emitter(
         why = "a source pours in a direction, which is that of gravity along z for want of another"
     elif not (low < high).all() or one.start_time >= min(one.end_time, config.end):
         why = "nothing comes: no box, or no time is left for it"
-    elif materials.registry[(made_of[k] or {})["kind"]].family == "solid":
+    elif _family(made_of[k]) == "solid":
         why = "solids do not pour"
     else:
         down = g[2] < 0
@@ -257,18 +266,24 @@ def _tables(config: Config) -> Iterator[tuple[Where, keys.Keys]]:
             yield (*body.stand_at, "particle_filling"), body.stand.particle_filling
     for k, condition in config.conditions:
         yield ("boundary_conditions", k), condition
-    if getattr(config.run, "add_particle", None) is not None:
-        yield ("add_particle",), config.run.add_particle  # type: ignore[union-attr]
+    more = getattr(config.run, "add_particle", None)
+    if more is not None:
+        yield ("add_particle",), more
 
 
-def _head(config: Config, standings: list[Standing], origin: np.ndarray) -> list[str]:
+def _head(config: Config, standings: list[Standing], space: Room) -> list[str]:
     theirs = "VersaGauss" if config.several else "PhysGaussian"
     lines = [
         f"Made by python -m vgmpi.convert from {config.path.name}, a configuration of {theirs}."
     ]
+    origin = space.low * config.cell
     if origin.any():
         shift = ", ".join(written.number(c) for c in origin)
         lines.append(f"Places are those of its box less ({shift}): the domain begins at its walls.")
+    if "open" in space.kinds.values():
+        lines.append(
+            "Where theirs has no wall, sides are open: what comes within a cell of them ends."
+        )
     boxes = [one.name for one in standings if one.file is None]
     if boxes:
         lines.append(f"A box stands in place of the Gaussians of: {', '.join(boxes)}.")
