@@ -10,6 +10,7 @@ import pytest
 
 from tests.converting import BOX, CELL, ONE, egg, named, scene_of, several
 from vgmpi.convert.__main__ import main
+from vgmpi.convert.scenes import converted
 from vgmpi.device import flow
 from vgmpi.gaussians import files
 from vgmpi.prepare.build import build
@@ -230,3 +231,52 @@ def test_sand_slides_where_theirs_does(convert):
     # |e| = -(3 lam + 2 mu) / (2 mu) alpha tr(e), with three times the mean for the trace
     assert sand.slope == pytest.approx((3 * sand.lam + 2 * sand.mu) / (2 * sand.mu) * alpha * 3)
     assert sand.tip == 0
+
+
+def leaves(value, at=()):
+    """Places of all numbers, words and switches."""
+    items = value.items() if isinstance(value, dict) else enumerate(value)
+    for key, one in items:
+        if isinstance(one, dict | list):
+            yield from leaves(one, (*at, key))
+        else:
+            yield (*at, key)
+
+
+def changed(config, at):
+    """The configuration with another value at one place."""
+    out = here = json.loads(json.dumps(config))
+    for key in at[:-1]:
+        here = here[key]
+    value = here[at[-1]]
+    more = value + 1 if isinstance(value, int) else 1.05 * value + 0.003
+    here[at[-1]] = not value if isinstance(value, bool) else more
+    return out
+
+
+def test_no_key_is_dropped_without_a_word(tmp_path, capture):
+    """Another value makes another scene, or another line."""
+    part = {"point": [1, 1, 9], "size": [0.1, 0.1, 0.1], "E": 1e4, "nu": 0.1, "density": 9}
+    config = ONE | {
+        "material": "plasticine", "yield_stress": 90, "softening": 40, "hardening": 2, "xi": 3,
+        "plastic_viscosity": 4, "friction_angle": 30, "rpic_damping": 0.2, "pic_damping": 0.1,
+        "grid_v_damping_scale": 0.9, "grid_lim": 2, "scale": 0.7, "show_hint": False,
+        "init_radius": 2, "additional_material_params": [part], "unheard": 5,
+        "particle_filling": {
+            "n_grid": 70, "density_threshold": 5, "search_threshold": 1, "smooth": True,
+            "search_exclude_direction": 2, "ray_cast_direction": 1, "max_particles_num": 1000,
+            "max_partciels_per_cell": 2, "visualize": True, "boundary": [0.8, 1, 0.8, 1, 0.8, 1],
+        },
+    }  # fmt: skip
+
+    def text(config):
+        path = tmp_path / "config.json"
+        path.write_text(json.dumps(config))
+        return converted(path, [capture], tmp_path)[0]
+
+    found = list(leaves(config))
+    assert len(found) > 40
+    for at in found:
+        # the line of a box shows where it begins
+        if at != ("material",) and (at[0] != "additional_material_params" or at[2] == "point"):
+            assert text(changed(config, at)) != text(config), at

@@ -173,6 +173,19 @@ def test_what_comes_with_every_frame_is_a_source(convert):
     assert not scene.inflow and named(lines, "add_particle")
 
 
+def test_what_only_pours_is_in_no_walls_way(convert, capture):
+    plane = {"type": "add_plane", "x_plane": [1.8, 2.2], "y_plane": [0, 4], "z_plane": [0, 4]}
+    water = ({"material": "fluid", "bulk_modulus": 900}, {"center_point": [2, 2, 2.5]})
+    more = {"boundary": [1.6, 2.4, 1.7, 2.3, 2.4, 2.6], "additional": True}
+    some = several(water, boundary_conditions=[plane])
+    assert named(convert(some, capture)[1], "boundary_conditions.0.x_plane")
+    scene, lines = convert(some | {"add_particle": more}, capture)
+    assert scene.domain.size[0] == pytest.approx(0.4) and named(
+        lines, "preprocess_params.0.model_path"
+    )
+    assert not named(lines, "boundary_conditions.0.x_plane")
+
+
 def test_what_is_static_is_scenery(convert):
     bowl = ({"static": True, "E": 5e3}, {"center_point": [2, 2, 1]})
     ball = ({}, {"center_point": [2, 2, 2.5]})

@@ -53,9 +53,7 @@ def converted(path: Path, gaussians: list[Path], folder: Path) -> tuple[str, lis
             stuff[standing.name] = made_of[k] or {}
             of.append(standing.name)
             emitted["source"] |= look(config, k, standing, made_of[k], report)
-            if standing.file is not None:
-                at = (*config.bodies[k].stand_at, "model_path")
-                report.lost(at, str(standing.file), "what a source pours has one colour here")
+            _tell_of_source(config, k, standing, report)
             continue
         some = make(config, k, standing, ends, found.of.get(k, {}), made_of[k], folder, report)
         stuff |= some.materials
@@ -229,6 +227,20 @@ def _emitter(
     why = "a source of the same volume per time if their box is full; theirs comes at rest, at once"
     report.partly(at, one, why)
     return {"object": k, "source": source}
+
+
+def _tell_of_source(config: Config, k: int, standing: Standing, report: Report) -> None:
+    """Name what a source in place of a body does without."""
+    body = config.bodies[k]
+    keep = ("scale", "center_point", "rotation_degree", "rotation_axis", "opacity_threshold")
+    for key in keep:
+        told = standing.file is None and key not in ("scale", "center_point")
+        if body.stand.given(key) and not told:
+            why = "a source fills the box of add_particle, whatever lies in it"
+            report.lost((*body.stand_at, key), getattr(body.stand, key), why)
+    if standing.file is not None:
+        at = (*body.stand_at, "model_path")
+        report.lost(at, str(standing.file), "what a source pours has one colour here")
 
 
 def _whole(config: Config, report: Report) -> None:

@@ -74,7 +74,7 @@ def _beyond(config: Config, plane: Plane, standings: list[Standing]) -> str:
     """Why a wall cannot stand there, or nothing. What has no file yet is cut to fit."""
     wall = plane.node * config.cell
     for k, one in enumerate(standings):
-        if one.x is None or getattr(config.bodies[k].law, "static", False):
+        if one.x is None or not _moves(config, k):
             continue
         if plane.kind == "stick" and one.straight:  # what stays behind it is held, and only drawn
             continue
@@ -82,6 +82,13 @@ def _beyond(config: Config, plane: Plane, standings: list[Standing]) -> str:
         if out > 0:
             return f"'{one.name}' reaches {out:.3g} beyond it, where nothing can be here"
     return ""
+
+
+def _moves(config: Config, k: int) -> bool:
+    """Whether a body is one that walls hold: neither held itself nor but the mould of a source."""
+    more = getattr(config.run, "add_particle", None)
+    mould = more is not None and more.additional and more.object_material_index == k
+    return not (mould or getattr(config.bodies[k].law, "static", False))
 
 
 def _planes(
@@ -167,10 +174,7 @@ def _slab(config: Config, one: keys.Cuboid, at: Where, standings: list[Standing]
         return None
     low, high = np.subtract(one.point, one.size), np.add(one.point, one.size)
     cell, most = config.cell, config.run.grid_lim
-    bodies = [
-        s for s, body in zip(standings, config.bodies, strict=True)
-        if not getattr(body.law, "static", False)
-    ]  # fmt: skip
+    bodies = [s for k, s in enumerate(standings) if _moves(config, k)]
     value = {"type": one.type, "point": list(one.point), "size": list(one.size)}
     for axis in range(3):
         others = [a for a in range(3) if a != axis]
