@@ -9,6 +9,8 @@ import pytest
 import vgmpi
 from tests.scenes import write
 from vgmpi.domain.ranks import Alone
+from vgmpi.materials import registry
+from vgmpi.planning.pace import ASSUMED, Pace
 from vgmpi.planning.price import describe
 from vgmpi.solver import prepared, report
 from vgmpi.solver.prepared import plan_for, prepare
@@ -147,3 +149,28 @@ def test_the_time_left_follows_the_pace_of_now(monkeypatch, caplog):
     left = [int(re.search(r"(\d+) s left", line)[1]) for line in caplog.messages]
     assert left[0] == 10
     assert left[-1] == pytest.approx(0.05 / 0.005, abs=2)  # from the whole run: 5
+
+
+def test_the_time_is_that_of_the_processor(tmp_path):
+    """A pool and a ball of it; in a scene of one law twice as fast takes half as long."""
+    scene = vgmpi.load(write(tmp_path, PLATE + POOL + '[accuracy]\ntransfer = "apic"\n'))
+    plan = plan_for(scene, prepare(scene, Alone(), None))
+    fluid, solid = plan.count[2], plan.count[0] + plan.count[1]
+
+    def takes(pace):
+        said = describe(scene, plan, 1, pace=pace)
+        steps = re.search(r"steps +about ([\d,]+) for", said)[1].replace(",", "")
+        found = re.search(r"time +about (\d+) s on 1 rank\(s\), one core each, as told", said)
+        return float(found[1]), int(steps)
+
+    seconds, steps = takes(Pace(4e4, 7e4, "as told"))
+    assert seconds == pytest.approx(1e-9 * steps * (4e4 * fluid + 7e4 * solid), abs=1)
+    assert takes(Pace(2e4, 3.5e4, "as told"))[0] == pytest.approx(seconds / 2, abs=1)
+
+
+def test_other_laws_go_by_their_cost_beside_an_elastic_one():
+    pace = Pace(20.0, 28.0, "")
+    assert pace.law(registry["fluid"](kind="fluid")) == 20.0
+    assert pace.law(registry["sand"](kind="sand", youngs_modulus=1e5)) == pytest.approx(50.0)
+    for assumed in ASSUMED.values():
+        assert assumed.elastic == pytest.approx(assumed.fluid * registry["elastic"].cost)

@@ -7,6 +7,7 @@ from ..scene.scene import Scene
 from ..source import printable
 from .groups import RESTORING_COST
 from .inflow import SourcePlan
+from .pace import ASSUMED, Pace
 from .plan import Plan, fastest
 
 PRECISION = {
@@ -15,15 +16,17 @@ PRECISION = {
 }
 THIN = 6  # cells, of which contact reaches over one on either side
 FINE = 27  # particles per cell of solids that bend well enough
-# a step of one fluid particle on one core of an AVX-512 machine [ns]; see docs/performance.md
-NS_PER_PARTICLE = {"single": 45.0, "double": 90.0}
 
 
-def describe(scene: Scene, plan: Plan, ranks: int, reached: float = 0.0) -> str:
+def describe(
+    scene: Scene, plan: Plan, ranks: int, reached: float = 0.0, pace: Pace | None = None
+) -> str:
     """What --plan prints: phases, fields, particles, memory, time step, steps, predicted time.
 
-    reached: time [s] from which the run goes on; steps and time are those that are left.
+    reached: time [s] from which the run goes on; steps and time are those that are left. pace: of
+    the processors, which is assumed where it is not given.
     """
+    pace = pace or ASSUMED[scene.accuracy.precision]
     lines = [
         f"{printable(scene.title or scene.path.name)}: {plan.particles:,} particles,"
         f" {scene.accuracy.precision} precision ({PRECISION[scene.accuracy.precision]})"
@@ -63,7 +66,7 @@ def describe(scene: Scene, plan: Plan, ranks: int, reached: float = 0.0) -> str:
         f"  memory      {total / 2**20:.0f} MiB in all,"
         f" {total / ranks / 2**20:.0f} MiB per rank on {ranks} rank(s)"
     )
-    return "\n".join(lines + _steps(scene, plan, ranks, reached))
+    return "\n".join(lines + _steps(scene, plan, ranks, reached, pace))
 
 
 def _flows(plan: Plan) -> list[str]:
@@ -132,16 +135,13 @@ def _bending(scene: Scene, plan: Plan) -> list[str]:
     return [f"  bending     {', '.join(map(str, sorted(found)))} {said} 4 %)"]
 
 
-def _steps(scene: Scene, plan: Plan, ranks: int, reached: float) -> list[str]:
+def _steps(scene: Scene, plan: Plan, ranks: int, reached: float, pace: Pace) -> list[str]:
     """The time step, how many of them, and what they take: up to what hardening laws may make."""
     dt, what = fastest(scene, plan)[0]
     least, harder = fastest(scene, plan, stiffened=True)[0]
     if plan.fixed_dt:
         dt, least, what = plan.fixed_dt, plan.fixed_dt, "time.dt"
-    work = sum(
-        n * plan.groups[g].cost for n, g in zip(plan.count, plan.group_of, strict=True) if g >= 0
-    )
-    each = work * NS_PER_PARTICLE[scene.accuracy.precision] * 1e-9 / ranks  # seconds of a step
+    each = 1e-9 * _work(scene, plan, pace) / ranks  # seconds of a step
     end, frames = float(plan.times[-1]), len(plan.times)
     left, span = end, f"{end:g} s and {frames} frames"
     if reached > 0:
@@ -158,8 +158,18 @@ def _steps(scene: Scene, plan: Plan, ranks: int, reached: float) -> list[str]:
     return [
         f"  time step   {dt:.4g} s at the start, set by {what}",
         f"  steps       {steps} for {span}",
-        f"  time        {takes} on {ranks} rank(s), one core each",
+        f"  time        {takes} on {ranks} rank(s), one core each, {pace.of}",
     ]
+
+
+def _work(scene: Scene, plan: Plan, pace: Pace) -> float:
+    """Time of a step on one core [ns]."""
+    total = 0.0
+    for count, g in zip(plan.count, plan.group_of, strict=True):
+        if g >= 0:
+            material = scene.material[plan.groups[g].material]
+            total += count * pace.law(material) * plan.groups[g].cost / material.cost
+    return total
 
 
 def _duration(seconds: float) -> str:
