@@ -10,6 +10,7 @@ import vgmpi
 from tests.scenes import write
 from vgmpi.domain.ranks import Alone
 from vgmpi.materials import registry
+from vgmpi.planning.features import step
 from vgmpi.planning.pace import ASSUMED, Pace
 from vgmpi.planning.price import describe
 from vgmpi.solver import prepared, report
@@ -152,20 +153,22 @@ def test_the_time_left_follows_the_pace_of_now(monkeypatch, caplog):
 
 
 def test_the_time_is_that_of_the_processor(tmp_path):
-    """A pool and a ball of it; in a scene of one law twice as fast takes half as long."""
-    scene = vgmpi.load(write(tmp_path, PLATE + POOL + '[accuracy]\ntransfer = "apic"\n'))
+    """On any number of ranks, with what a step takes beside its particles."""
+    scene = vgmpi.load(write(tmp_path, PLATE + POOL))
     plan = plan_for(scene, prepare(scene, Alone(), None))
-    fluid, solid = plan.count[2], plan.count[0] + plan.count[1]
 
-    def takes(pace):
-        said = describe(scene, plan, 1, pace=pace)
+    def takes(pace, ranks=1):
+        said = describe(scene, plan, ranks, pace=pace)
         steps = re.search(r"steps +about ([\d,]+) for", said)[1].replace(",", "")
-        found = re.search(r"time +about (\d+) s on 1 rank\(s\), one core each, as told", said)
-        return float(found[1]), int(steps)
+        line = line_of(said, "time       ")
+        assert line.endswith(f" s on {ranks} rank(s), one core each, as told")
+        return float(re.search(r"about (\d+) s on", line)[1]), int(steps)
 
-    seconds, steps = takes(Pace(4e4, 7e4, "as told"))
-    assert seconds == pytest.approx(1e-9 * steps * (4e4 * fluid + 7e4 * solid), abs=1)
-    assert takes(Pace(2e4, 3.5e4, "as told"))[0] == pytest.approx(seconds / 2, abs=1)
+    pace = Pace(6e3, 8.4e3, "as told")
+    seconds, steps = takes(pace)
+    assert seconds == pytest.approx(steps * (1e-9 * step(scene, plan, pace) + 1e-4), abs=1)
+    assert takes(Pace(3e3, 4.2e3, "as told"))[0] == pytest.approx(seconds / 2, rel=0.03)
+    assert takes(pace, ranks=4)[0] == pytest.approx(seconds / 4, rel=0.1)
 
 
 def test_other_laws_go_by_their_cost_beside_an_elastic_one():

@@ -5,6 +5,7 @@ import math
 from ..couplings.base import CONTACT, RULES
 from ..scene.scene import Scene
 from ..source import printable
+from .features import step, table
 from .groups import RESTORING_COST
 from .inflow import SourcePlan
 from .pace import ASSUMED, Pace
@@ -15,6 +16,7 @@ PRECISION = {
     "single": "numbers of 7 digits; 'double' has 16 for twice the time",
 }
 THIN = 6  # cells, of which contact reaches over one on either side
+STEP = 1e-4  # [s] of a step beside its kernels (`python -m vgmpi.bench overhead`)
 FINE = 27  # particles per cell of solids that bend well enough
 
 
@@ -61,6 +63,7 @@ def describe(
     )
     lines += _flows(plan)
     lines += _restored(plan) + _thin(scene, plan) + _sheets(plan) + _bending(scene, plan)
+    lines += table(scene, plan, pace)
     total = plan.bytes()
     lines.append(
         f"  memory      {total / 2**20:.0f} MiB in all,"
@@ -141,7 +144,7 @@ def _steps(scene: Scene, plan: Plan, ranks: int, reached: float, pace: Pace) -> 
     least, harder = fastest(scene, plan, stiffened=True)[0]
     if plan.fixed_dt:
         dt, least, what = plan.fixed_dt, plan.fixed_dt, "time.dt"
-    each = 1e-9 * _work(scene, plan, pace) / ranks  # seconds of a step
+    each = 1e-9 * step(scene, plan, pace) / ranks + STEP  # seconds of a step
     end, frames = float(plan.times[-1]), len(plan.times)
     left, span = end, f"{end:g} s and {frames} frames"
     if reached > 0:
@@ -160,16 +163,6 @@ def _steps(scene: Scene, plan: Plan, ranks: int, reached: float, pace: Pace) -> 
         f"  steps       {steps} for {span}",
         f"  time        {takes} on {ranks} rank(s), one core each, {pace.of}",
     ]
-
-
-def _work(scene: Scene, plan: Plan, pace: Pace) -> float:
-    """Time of a step on one core [ns]."""
-    total = 0.0
-    for count, g in zip(plan.count, plan.group_of, strict=True):
-        if g >= 0:
-            material = scene.material[plan.groups[g].material]
-            total += count * pace.law(material) * plan.groups[g].cost / material.cost
-    return total
 
 
 def _duration(seconds: float) -> str:
