@@ -61,6 +61,17 @@ between = ["water", "sand"]
 kind = "drag"
 permeability = 1e-3
 """
+MILK = """
+[material.milk]
+kind = "fluid"
+[[object]]
+name = "milk"
+material = "milk"
+shape = { box = [[0.06, 0.06, 0.14], [0.26, 0.26, 0.18]] }
+[[coupling]]
+between = ["water", "milk"]
+kind = "mixing"
+"""
 POST = """
 [[object]]
 name = "post"
@@ -99,8 +110,9 @@ def names(folder, more="", transfer="apic"):
         (
             BED,
             "apic",
-            ["law fluid", "space that phases share", "law sand", "space that phases share"],
+            ["law fluid", "drag", "law sand", "drag"],
         ),
+        (MILK, "apic", ["law fluid", "mixing", "law fluid", "mixing"]),
         (POST, "apic", ["law fluid", "colliders"]),
         (POST + MOVES, "apic", ["law fluid", "colliders", "colliders that move"]),
         (POST + PROBE, "apic", ["law fluid", "colliders", "probes of what colliders give"]),

@@ -137,8 +137,9 @@ def test_solids_of_few_particles_are_named(tmp_path):
 def test_the_time_left_follows_the_pace_of_now(monkeypatch, caplog):
     """10 s to the middle, and from there ten times as slow."""
     run = SimpleNamespace(
-        times=[0.0, 1.0], ranks=Alone(), frame=1, simulation=SimpleNamespace(time=0.0)
-    )
+        times=[0.0, 1.0], ranks=Alone(), frame=1, simulation=SimpleNamespace(time=0.0),
+        plan=SimpleNamespace(sources=()),
+    )  # fmt: skip
     now = [0.0]
     monkeypatch.setattr(report.time, "monotonic", lambda: now[0])
     progress = report.Progress(run, quiet=False)

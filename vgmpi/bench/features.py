@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..solver.step import Simulation
-from .couplings import ready, spent
+from .couplings import MIXING, ready, spent
 
 THICK = 8  # cells of a slab
 HEAD = """
@@ -27,6 +27,10 @@ precision = "{precision}"
 [material.water]
 kind = "fluid"
 bulk_modulus = 1e5
+[material.milk]
+kind = "fluid"
+density = 1030
+bulk_modulus = 1e5
 [material.clay]
 kind = "elastic"
 density = 1000
@@ -39,13 +43,13 @@ shape = {{ box = [[0, 0, 0], [{side!r}, {side!r}, {thick!r}]] }}
 position = [{half!r}, {half!r}, {z!r}]
 {keys}
 """
-PROBES = """
+PROBE = """
 [[probe]]
 name = "felt {k}"
 collider = "slab {k}"
 rate = 100
 """
-CLAY, WATER = 'material = "clay"', 'material = "water"'
+CLAY, WATER, MILK = 'material = "clay"', 'material = "water"', 'material = "milk"'
 PLATE = 'role = "scenery"\ncollider = true'
 ONE = '\nphase = "one"'
 
@@ -54,7 +58,8 @@ class Case(NamedTuple):
     """The keys of the slabs, in turns from below, and what else the scene has."""
 
     slabs: tuple[str, ...]
-    more: str = ""  # once for each slab that is a collider
+    probe: str = ""  # of each slab that is a collider
+    more: str = ""
 
 
 class Feature(NamedTuple):
@@ -69,11 +74,12 @@ PAIRS = (
     Feature("contact of solids", Case((CLAY + ONE, CLAY + ONE)), Case((CLAY, CLAY))),
     Feature("contact of a fluid with a solid",
             Case((CLAY + ONE, WATER + ONE)), Case((CLAY, WATER))),
+    Feature("mixing", Case((WATER, MILK)), Case((WATER, MILK), more=MIXING)),
     Feature("colliders in a fluid", Case((WATER, "")), Case((WATER, PLATE))),
     Feature("colliders that move",
             Case((WATER, PLATE)), Case((WATER, PLATE + "\nmotion = { velocity = [0.01, 0, 0] }"))),
     Feature("a probe of force on every collider",
-            Case((WATER, PLATE)), Case((WATER, PLATE), more=PROBES)),
+            Case((WATER, PLATE)), Case((WATER, PLATE), probe=PROBE)),
 )  # fmt: skip
 PLAIN = Case((WATER,))
 
@@ -124,8 +130,8 @@ def text_of(case: Case, particles: int, precision: str) -> str:
         own = case.slabs[k % len(case.slabs)]
         if own:
             text += SLAB.format(k=k, z=k * THICK / 100, keys=own, **keys)
-            text += case.more.format(k=k) if "collider" in own else ""
-    return text
+            text += case.probe.format(k=k) if "collider" in own else ""
+    return text + case.more
 
 
 def text(rows: list[dict]) -> str:

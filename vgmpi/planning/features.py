@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from ..couplings.base import CONTACT
+from ..couplings.base import CONTACT, DRAG, MIXING
 from ..scene.scene import Scene
 from ..source import printable
 from .groups import COLOUR_COST, KEEPING_COST, RESTORING_COST
@@ -10,13 +10,14 @@ from .pace import Pace
 from .plan import Plan
 
 # of a fluid's step, for each particle that stands at most a block from what it may touch
-# (`python -m vgmpi.bench features`, where all meets; less in scenes: runs/sandbox by 1.2)
+# (`python -m vgmpi.bench features`; there fluids and solids meet in every block: 1.7 to 2.1)
 SOLIDS_COST = 2.1  # contact of solids whose surfaces are known
-TOUCHING_COST = 1.5  # contact of others
+TOUCHING_COST = 1.2  # contact of others, as in runs/sandbox
 COLLIDER_COST = 1.3  # colliders at rest
 MOVING_COST = 0.6  # more where some move
 FELT_COST = 1.2  # more where a probe asks what they give
-SHARING_COST = 0.75  # mixing and drag (`python -m vgmpi.bench couplings`)
+MIXING_COST = 2.0
+DRAG_COST = 0.75  # (`python -m vgmpi.bench couplings`: wet sand throughout)
 BLOCK_COST = 35.0  # of a block beside its particles (docs/performance.md)
 FULL = 512  # particles of the blocks by which a Pace is measured
 
@@ -55,19 +56,23 @@ def _meetings(plan: Plan, g: int, fluid: float, own: dict[str, int]) -> list[Fea
     group, found = plan.groups[g], []
     p = group.phase
     around = [(plan.count[k], plan.surroundings[k]) for k in _rows(plan, g)]
-    solids = touching = shares = 0.0
+    solids = touching = mixing = drag = 0.0
     for q, phase in enumerate(plan.phases):
         near = _mean([(n, dict(one.phases).get(phase.name, 0.0)) for n, one in around])
-        if plan.rules is not None and plan.rules.pair[p, q] != CONTACT:
-            shares += near
+        rule = CONTACT if plan.rules is None else plan.rules.pair[p, q]
+        if rule == MIXING:
+            mixing += near
+        elif rule == DRAG:
+            drag += near
         elif phase.surface and plan.phases[p].surface:
             solids += near
         else:
             touching += near
-    shares, met = min(shares, 1.0), min(solids + touching, 1.0)
-    if shares or own["share"]:
-        ns = fluid * SHARING_COST * shares
-        found.append(Feature(_near("space that phases share", shares), ns, own["share"]))
+    mixing, drag, met = min(mixing, 1.0), min(drag, 1.0), min(solids + touching, 1.0)
+    if mixing:
+        found.append(Feature(_near("mixing", mixing), fluid * MIXING_COST * mixing))
+    if drag or own["share"]:
+        found.append(Feature(_near("drag", drag), fluid * DRAG_COST * drag, own["share"]))
     if met or own["surface"]:
         ns = fluid * (SOLIDS_COST if solids > touching else TOUCHING_COST) * met
         found.append(Feature(_near("contact", met), ns, own["surface"]))

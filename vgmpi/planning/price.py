@@ -151,11 +151,11 @@ def _steps(scene: Scene, plan: Plan, ranks: int, reached: float, pace: Pace) -> 
         left, ahead = max(end - reached, 0.0), len(plan.ahead(reached))
         span = f"{left:.4g} of {end:g} s and {ahead} of {frames} frames"
     few, many = (math.ceil(left / d) for d in (dt, least))
-    steps, takes = f"about {few:,}", f"about {_duration(few * each)}"
+    steps, takes = f"about {few:,}", f"about {duration(few * each)}"
     if many > 1.1 * few:
         steps, takes = (
             f"{few:,} to {many:,}",
-            f"{_duration(few * each)} to {_duration(many * each)}",
+            f"{duration(few * each)} to {duration(many * each)}",
         )
         what += f"; down to {least:.4g} s where {harder} hardens"
     return [
@@ -165,7 +165,8 @@ def _steps(scene: Scene, plan: Plan, ranks: int, reached: float, pace: Pace) -> 
     ]
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
+    """For people."""
     if seconds < 120:
         return f"{seconds:.0f} s"
     if seconds < 7200:
