@@ -230,6 +230,7 @@ def _calibrate(ranks: Alone) -> int:
 def _run(scene: Scene, folder: Path, given: argparse.Namespace, ranks: Alone) -> int:
     from .solver import calibrate, report  # numba comes in here
     from .solver import run as runs
+    from .solver.advice import Seen, advice
     from .solver.step import BlowUp
 
     def approve(plan: Plan, reached: float) -> None:
@@ -249,12 +250,16 @@ def _run(scene: Scene, folder: Path, given: argparse.Namespace, ranks: Alone) ->
         with runs.started(scene, ranks, options, approve) as run:
             clock = run.simulation.clock = report.Clock()
             progress = report.Progress(run, given.quiet)
-            options.listeners.append(progress)
+            seen = Seen()
+            options.listeners += [progress, seen.step]
+            options.watchers.append(lambda run: seen.frame(run.latest))
             if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as behind a script's &
                 listen(signal.SIGINT)
             code = run.go()
             progress.close()
             said = [report.table(run, clock)]
+            if code == runs.DONE and run.first_step == 0:  # all of the run was seen
+                said += advice(scene, run.plan, seen)
             if given.profile:
                 said.append(report.profile(run, clock))
     except runs.Unfit as error:

@@ -5,6 +5,7 @@ import math
 from ..couplings.base import CONTACT, RULES
 from ..scene.scene import Scene
 from ..source import printable
+from .advice import stiffer
 from .features import step, table
 from .groups import RESTORING_COST
 from .inflow import SourcePlan
@@ -161,6 +162,7 @@ def _steps(scene: Scene, plan: Plan, ranks: int, reached: float, pace: Pace) -> 
     return [
         f"  time step   {dt:.4g} s at the start, set by {what}",
         f"  steps       {steps} for {span}",
+        *stiffer(scene, plan),
         f"  time        {takes} on {ranks} rank(s), one core each, {pace.of}",
     ]
 
