@@ -133,7 +133,18 @@ def render(
     above = front.ABOVE * typical
     behind = image.copy()
     optics.shade(
-        depth, through, behind, far, lens, turn, sky.picture, medium, typical, above, image, left
+        1 / depth,
+        through,
+        behind,
+        far,
+        lens,
+        turn,
+        sky.picture,
+        medium,
+        typical,
+        above,
+        image,
+        left,
     )
     dark = np.broadcast_to(np.float32(0), image.shape)
     before, passes = layers.picture(dark, depth, behind=False)
