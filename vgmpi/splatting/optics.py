@@ -189,7 +189,8 @@ def shade(near, through, behind, far, lens, turn, sky, medium, spacing, above, i
 
     near: 1 / depth [1/m] of its front, 0 where it is not; through: see vgmpi.splatting.front.
     behind, far: picture and depth [m] of what lies behind. lens: fx, fy, cx, cy, near. turn: (3, 3)
-    from the world to the camera. spacing: of particles [m]. above: how much farther out than the surface the front is [m].
+    from the world to the camera. spacing: of particles [m]. above: how much farther out than the
+    surface the front is [m].
     """
     height, width = left.shape
     normal, start, ray, mirrored = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
