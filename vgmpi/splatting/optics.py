@@ -36,13 +36,15 @@ class Sky(NamedTuple):
 class Medium(NamedTuple):
     """index: of refraction. clear: way [m] after which white light has the liquid's colour.
     light: (3,) unit vector towards the light. highlight: how bright that is mirrored. rough: of the
-    surface, the highlight's half width [rad]."""
+    surface, the highlight's half width [rad]. shade: how much is taken of the liquid's own light
+    where its surface is turned away, 0..1."""
 
     index: float
     clear: float
     light: np.ndarray
     highlight: float
     rough: float
+    shade: float = 0.0
 
 
 def gradient(zenith, horizon, ground) -> Sky:
@@ -169,8 +171,9 @@ def _lit(mirrored, turn, sky, medium, out):
 
 
 @_part
-def _weakened(color, through, clear):
-    """Light `color` (3,) after its way through the liquid; what of it comes through."""
+def _weakened(color, through, clear, bright):
+    """Light `color` (3,) after its way through the liquid, whose own light is as bright; what of it
+    comes through."""
     way, passes = through[0], np.exp(-through[4])
     share, part = np.float32(1.0) / way, np.float32(way / clear)
     for m in range(3):
@@ -179,7 +182,7 @@ def _weakened(color, through, clear):
         at = int(tone)
         log = _LOGS[at] + (tone - np.float32(at)) * (_LOGS[at + 1] - _LOGS[at])
         tint = np.exp(log * part)
-        color[m] = passes * tint * color[m] + (1.0 - passes) * own
+        color[m] = passes * tint * color[m] + (1.0 - passes) * bright * own
     return passes
 
 
@@ -194,7 +197,10 @@ def shade(near, through, behind, far, lens, turn, sky, medium, spacing, above, i
     """
     height, width = left.shape
     normal, start, ray, mirrored = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    place, color, sent = np.empty(2), np.empty(3), np.empty(3)
+    place, color, sent, toward = np.empty(2), np.empty(3), np.empty(3), np.zeros(3)
+    for m in range(3):
+        for n in range(3):
+            toward[m] += turn[m, n] * medium.light[n]
     for j in range(height):
         for k in range(width):
             way = float(through[j, k, 0])
@@ -215,7 +221,9 @@ def shade(near, through, behind, far, lens, turn, sky, medium, spacing, above, i
                 start[m] += above / cosine * look[m]
             _met(start, ray, way, lens, far, place)
             _sample(behind, place[0], place[1], color)
-            passes = _weakened(color, through[j, k], medium.clear)
+            faces = normal[0] * toward[0] + normal[1] * toward[1] + normal[2] * toward[2]
+            bright = 1.0 - 0.5 * medium.shade * (1.0 - faces)
+            passes = _weakened(color, through[j, k], medium.clear, bright)
             _lit(mirrored, turn, sky, medium, sent)
             share = fresnel(cosine, medium.index)
             edge = min(1.0, way / (EDGE * spacing))
