@@ -123,6 +123,18 @@ def sheet(to: Path) -> None:
         iio.imwrite(to, np.vstack(rows), quality=88)
 
 
+def machine() -> str:
+    """What the times are of."""
+    info = Path("/proc/cpuinfo")
+    said = info.read_text() if info.is_file() else ""
+    name = next((s.split(":")[1] for s in said.splitlines() if s.startswith("model name")), "")
+    vectors = next(
+        (v for flag, v in (("avx512f", "AVX-512"), ("avx2", "AVX2")) if flag in said), ""
+    )
+    cores = f"{os.cpu_count()} cores of {name.strip() or platform.machine()}"
+    return f"{cores} with {vectors}" if vectors else cores
+
+
 def page(machine: str) -> str:
     """docs/gallery.md of the records that there are."""
     out = [
@@ -146,7 +158,9 @@ def page(machine: str) -> str:
             known = json.loads(record.read_text())
             also = f"{said}: " if said else ""
             cost = f"{known['simulated']:.0f} s, and {known['drawn']:.0f} s for 50 pictures"
-            kept = f"mass kept to {known['mass_lost']:.0e}"
+            kept = "no mass lost"
+            if known["mass_lost"]:
+                kept = f"{known['mass_lost']:.0e} of the mass lost, by rounding"
             out += [f"![{title} {said}](pictures/{image.name})".replace(" ]", "]"), ""]
             out += [f"{also}{known['particles']:,} particles at the end, {cost}; {kept}.", ""]
     return "\n".join(out).rstrip() + "\n"
@@ -181,7 +195,7 @@ def main() -> None:
                 strip(name, base / label, image)
     if not given.small:
         sheet(PICTURES / "gallery.jpg")
-        PAGE.write_text(page(f"{platform.processor() or platform.machine()} machine"))
+        PAGE.write_text(page(machine()))
 
 
 if __name__ == "__main__":
