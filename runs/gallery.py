@@ -149,7 +149,7 @@ def page(machine: str) -> str:
     ]
     for name, variants in SCENES.items():
         title = (HERE / name / "README.md").read_text().splitlines()[0].lstrip("# ")
-        out += [f"## {title}", "", f"[runs/{name}](../runs/{name}/README.md)", ""]
+        out += [f"## {title}", "", f"`runs/{name}`", ""]
         for label, said in [("", "")] + [(label, said) for label, said, _ in variants]:
             record = HERE / name / "out" / label / "record.json"
             image = PICTURES / f"gallery-{name}{'-' + label if label else ''}.jpg"

@@ -82,7 +82,7 @@ OUTSIDE = {  # packages that only some files may use
     ),
     "pyvista": ("postprocess/",),
     "viser": ("postprocess/replay.py",),
-    "tqdm": ("vgmpi/solver/report.py", "postprocess/"),
+    "tqdm": ("vgmpi/solver/report.py", "vgmpi/study/runs.py", "postprocess/"),
     "taichi": ("vgmpi/bench/taichi_rival.py",),
     "warp": ("vgmpi/bench/warp_rival.py",),
     "gsply": ("vgmpi/gaussians/ply.py",),

@@ -6,7 +6,7 @@ from pathlib import Path
 from .choice import Measured, best
 from .knobs import PLAIN, Setting
 
-LABEL = {"fontsize": 7, "xytext": (4, 3), "textcoords": "offset points"}  # of a point of the plot
+BESIDE = (4, 3)  # points from a run's mark to its name
 
 
 def table(found: list[Measured], finest: Setting, said: str) -> list[str]:
@@ -47,7 +47,8 @@ def plot(found: list[Measured], path: Path, said: str) -> None:
         series = set(dict(m.setting.knobs)) <= {"cells"}
         axes.loglog(m.cpu, 100 * m.error, "o" if series else "s", color="C0" if series else "C1")
         name = " ".join(f"{k} {v}" for k, v in m.setting.knobs) or "the scene"
-        axes.annotate(name, (m.cpu, 100 * m.error), **LABEL)
+        at = (m.cpu, 100 * m.error)
+        axes.annotate(name, at, BESIDE, textcoords="offset points", fontsize=7)
     axes.set_xlabel("processor time [s]")
     axes.set_ylabel(f"error [%]: {said}", fontsize=8)
     figure.tight_layout()
