@@ -140,7 +140,7 @@ class Painter:
 
     def _pixels(self, frame: dict, cameras: list[Camera], sample: int) -> list[Pixels]:
         """Picture, what comes through and depths of a frame from every camera."""
-        parts = self._lit(self.look.parts(frame))
+        parts = self._lit(self.look.parts(frame), frame)
         found = []
         for one, camera, ground in zip(self.chosen.views(), cameras, self.grounds):
             if one.aperture > 0:
@@ -166,13 +166,14 @@ class Painter:
         )
         return splat.coarser(found, self.supersample)
 
-    def _lit(self, parts: list[Part]) -> list[Part]:
+    def _lit(self, parts: list[Part], frame: dict) -> list[Part]:
         """The parts in the light, if there is one."""
         if self.light is None:
             return parts
         x, cov, opacity = (np.concatenate([p[k] for p in parts]) for k in range(3))
         splats = splat.Splats(x, cov, opacity, np.zeros((len(x), 3)))
-        bright = light.lit(splats, self.light, self.look.spacing)
+        liquid = None if self.liquids is None else self.liquids.among(parts, frame)
+        bright = light.lit(splats, self.light, self.look.spacing, liquid)
         ends = np.cumsum([len(part.x) for part in parts])[:-1]
         return [part.brighter(own) for part, own in zip(parts, np.split(bright, ends))]
 

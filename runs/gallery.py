@@ -4,6 +4,7 @@
     python runs/gallery.py faucet snowman     these; the page keeps what is known of the others
     python runs/gallery.py --variants         also the variants of each
     python runs/gallery.py --small            cells of twice the size, and no page: minutes
+    python runs/gallery.py --draw             videos and page of runs that are there
 
 Each scene's frames, video and record.json lie in runs/NAME/out (small ones in out/small), the
 variants of a scene in folders below it. The page has five pictures of each and what it cost.
@@ -26,8 +27,13 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
 PAGE, PICTURES = ROOT / "docs" / "gallery.md", ROOT / "docs" / "pictures"
 TIMES = (0.0, 0.15, 0.3, 0.5, 1.0)  # of a run, of its five pictures
+FAST = {"snowman": (0.0, 0.041, 0.062, 0.09, 0.3), "snowball": (0.0, 0.1, 0.15, 0.35, 1.0)}
 WIDE = 320  # pixels of each
 ONE = ["object.snowman.phase=one", "object.ball.phase=one"]
+BEST = {  # of a run, the picture of the first page
+    "faucet": 0.3, "castle_falls": 1.0, "snowball": 0.12, "water_on_snow": 0.3,
+    "castle_flood": 0.2, "snowman": 0.062, "two_liquids": 0.3, "sandbox": 1.0,
+}  # fmt: skip
 # folder: its variants, each a name, what is said of it and what is set
 SCENES: dict[str, list[tuple[str, str, list[str]]]] = {
     "faucet": [],
@@ -63,15 +69,22 @@ def call(*words: str | Path) -> float:
     return time.perf_counter() - begin
 
 
-def run(name: str, out: Path, sets: list[str]) -> dict:
-    """One simulation with its video; what it cost."""
-    scene, chosen = HERE / name / "scene.toml", HERE / name / "render.toml"
+def simulate(name: str, out: Path, sets: list[str]) -> float:
+    """Seconds that it took."""
     flags = [word for one in sets for word in ("--set", one)]
-    python = sys.executable
-    solver = ["mpirun", "-n", "2", python, "-m", "vgmpi", scene, "-o", out, "--overwrite", "-q"]
-    simulated = call(*solver, *flags)
-    drawing = [python, "-m", "postprocess.render", out, chosen, "--jobs", "2", "-q"]
-    drawn = call(*drawing, "-o", out / "video.mp4", "--frames", out / "png")
+    solver = ["mpirun", "-n", "2", sys.executable, "-m", "vgmpi", HERE / name / "scene.toml"]
+    return call(*solver, "-o", out, "--overwrite", "-q", *flags)
+
+
+def draw(name: str, out: Path) -> float:
+    """Seconds that the video took."""
+    drawing = [sys.executable, "-m", "postprocess.render", out, HERE / name / "render.toml"]
+    last = ["--jobs", "2", "-q", "-o", out / "video.mp4", "--frames", out / "png"]
+    return call(*drawing, *last)
+
+
+def known_of(out: Path, simulated: float, drawn: float) -> dict:
+    """What a run cost and kept."""
     with open(out / "ledger.csv") as file:
         rows = list(csv.DictReader(file))
     first, last = ([r for r in rows if r["time"] == rows[k]["time"]] for k in (0, -1))
@@ -85,17 +98,41 @@ def run(name: str, out: Path, sets: list[str]) -> dict:
     return {**known, "mass_lost": abs(lost) / came}
 
 
-def strip(out: Path, to: Path) -> None:
-    """Five pictures of a run side by side."""
+def small(out: Path, part: float) -> np.ndarray:
+    """The picture at a part 0..1 of a run."""
     pictures = sorted((out / "png").glob("*.png"))
-    shown = []
-    for part in TIMES:
-        picture = iio.imread(pictures[round(part * (len(pictures) - 1))])
-        step = max(picture.shape[1] // WIDE, 1)
-        height, width = (n // step * step for n in picture.shape[:2])
-        blocks = picture[:height, :width].reshape(height // step, step, width // step, step, 3)
-        shown.append(blocks.mean(axis=(1, 3)).round().astype(np.uint8))
+    picture = iio.imread(pictures[round(part * (len(pictures) - 1))])
+    step = max(picture.shape[1] // WIDE, 1)
+    height, width = (n // step * step for n in picture.shape[:2])
+    blocks = picture[:height, :width].reshape(height // step, step, width // step, step, 3)
+    return blocks.mean(axis=(1, 3)).round().astype(np.uint8)
+
+
+def strip(name: str, out: Path, to: Path) -> None:
+    """Five pictures of a scene's run side by side."""
+    shown = [small(out, part) for part in FAST.get(name, TIMES)]
     iio.imwrite(to, np.hstack(shown), quality=85)
+
+
+def sheet(to: Path) -> None:
+    """The best picture of each scene, if all have been run."""
+    if all((HERE / name / "out" / "png").is_dir() for name in SCENES):
+        shown = [small(HERE / name / "out", BEST[name]) for name in SCENES]
+        half = len(shown) // 2
+        rows = [np.hstack(row) for row in (shown[:half], shown[half:])]
+        iio.imwrite(to, np.vstack(rows), quality=88)
+
+
+def machine() -> str:
+    """What the times are of."""
+    info = Path("/proc/cpuinfo")
+    said = info.read_text() if info.is_file() else ""
+    name = next((s.split(":")[1] for s in said.splitlines() if s.startswith("model name")), "")
+    vectors = next(
+        (v for flag, v in (("avx512f", "AVX-512"), ("avx2", "AVX2")) if flag in said), ""
+    )
+    cores = f"{os.cpu_count()} cores of {name.strip() or platform.machine()}"
+    return f"{cores} with {vectors}" if vectors else cores
 
 
 def page(machine: str) -> str:
@@ -112,7 +149,7 @@ def page(machine: str) -> str:
     ]
     for name, variants in SCENES.items():
         title = (HERE / name / "README.md").read_text().splitlines()[0].lstrip("# ")
-        out += [f"## {title}", "", f"[runs/{name}](../runs/{name}/README.md)", ""]
+        out += [f"## {title}", "", f"`runs/{name}`", ""]
         for label, said in [("", "")] + [(label, said) for label, said, _ in variants]:
             record = HERE / name / "out" / label / "record.json"
             image = PICTURES / f"gallery-{name}{'-' + label if label else ''}.jpg"
@@ -121,7 +158,9 @@ def page(machine: str) -> str:
             known = json.loads(record.read_text())
             also = f"{said}: " if said else ""
             cost = f"{known['simulated']:.0f} s, and {known['drawn']:.0f} s for 50 pictures"
-            kept = f"mass kept to {known['mass_lost']:.0e}"
+            kept = "no mass lost"
+            if known["mass_lost"]:
+                kept = f"{known['mass_lost']:.0e} of the mass lost, by rounding"
             out += [f"![{title} {said}](pictures/{image.name})".replace(" ]", "]"), ""]
             out += [f"{also}{known['particles']:,} particles at the end, {cost}; {kept}.", ""]
     return "\n".join(out).rstrip() + "\n"
@@ -131,6 +170,7 @@ def main() -> None:
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     p.add_argument("scenes", nargs="*", metavar="NAME", help=", ".join(SCENES))
     p.add_argument("--small", action="store_true", help="cells of 2 cm")
+    p.add_argument("--draw", action="store_true", help="only the videos, of runs that are there")
     p.add_argument("--variants", action="store_true", help="also those of each scene")
     given = p.parse_args()
     unknown = set(given.scenes) - set(SCENES)
@@ -142,14 +182,20 @@ def main() -> None:
         for label, _, sets in chosen:
             base = HERE / name / "out" / ("small" if given.small else "")
             more = ['domain.cell="2 cm"'] if given.small else []
-            known = run(name, base / label, sets + more)
-            (base / label / "record.json").write_text(json.dumps(known))
+            record = base / label / "record.json"
+            if given.draw:
+                took = json.loads(record.read_text())["simulated"]
+            else:
+                took = simulate(name, base / label, sets + more)
+            known = known_of(base / label, took, draw(name, base / label))
+            record.write_text(json.dumps(known))
             print(name, label, known, flush=True)
             if not given.small:
                 image = PICTURES / f"gallery-{name}{'-' + label if label else ''}.jpg"
-                strip(base / label, image)
+                strip(name, base / label, image)
     if not given.small:
-        PAGE.write_text(page(f"{platform.processor() or platform.machine()} machine"))
+        sheet(PICTURES / "gallery.jpg")
+        PAGE.write_text(page(machine()))
 
 
 if __name__ == "__main__":
