@@ -141,14 +141,15 @@ def main(argv: list[str] | None = None) -> int:
     p.add_argument("--full", action="store_true", help="the runs of full size")
     given = p.parse_args(argv)
     print("| what | found |\n|---|---|")
-    try:
-        for each in (mixing, flood, floats, mound, parting):
+    code = 0
+    for each in (mixing, flood, floats, mound, parting):
+        try:
             for what, found in each(_Folders(given.full)):
                 print(f"| {what} | {found} |")
-    except RunError as error:
-        print(error, file=sys.stderr)
-        return 2
-    return 0
+        except RunError as error:  # the others may be there
+            print(error, file=sys.stderr)
+            code = 2
+    return code
 
 
 class _Folders:
