@@ -11,10 +11,8 @@ variants of a scene in folders below it. The page has five pictures of each and 
 """
 
 import argparse
-import csv
 import json
 import os
-import platform
 import subprocess
 import sys
 import time
@@ -23,11 +21,17 @@ from pathlib import Path
 import imageio.v3 as iio
 import numpy as np
 
+from vgmpi.bench.__main__ import machine
+from vgmpi.bench.rounds import OPEN_MPI
+from vgmpi.device.processor import vector_bytes
+from vgmpi.output import layout, ledger
+
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
 PAGE, PICTURES = ROOT / "docs" / "gallery.md", ROOT / "docs" / "pictures"
 TIMES = (0.0, 0.15, 0.3, 0.5, 1.0)  # of a run, of its five pictures
 FAST = {"snowman": (0.0, 0.041, 0.062, 0.09, 0.3), "snowball": (0.0, 0.1, 0.15, 0.35, 1.0)}
+VECTORS = {64: "AVX-512", 32: "AVX2"}  # by their bytes
 WIDE = 320  # pixels of each
 ONE = ["object.snowman.phase=one", "object.ball.phase=one"]
 BEST = {  # of a run, the picture of the first page
@@ -51,18 +55,12 @@ SCENES: dict[str, list[tuple[str, str, list[str]]]] = {
     ],
     "sandbox": [],
 }
-MPI = {
-    "OMPI_ALLOW_RUN_AS_ROOT": "1",
-    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
-    "OMPI_MCA_rmaps_base_oversubscribe": "1",
-    "OMPI_MCA_btl_vader_single_copy_mechanism": "none",
-}
 
 
 def call(*words: str | Path) -> float:
     """Run a command; seconds by the clock. Ends the program where it fails."""
     begin = time.perf_counter()
-    environment = {**os.environ, **MPI, "PYTHONPATH": str(ROOT)}
+    environment = {**OPEN_MPI, **os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run([str(w) for w in words], cwd=ROOT, env=environment)
     if done.returncode:
         sys.exit(done.returncode)
@@ -85,17 +83,15 @@ def draw(name: str, out: Path) -> float:
 
 def known_of(out: Path, simulated: float, drawn: float) -> dict:
     """What a run cost and kept."""
-    with open(out / "ledger.csv") as file:
-        rows = list(csv.DictReader(file))
+    rows = ledger.read(out / layout.LEDGER)
     first, last = ([r for r in rows if r["time"] == rows[k]["time"]] for k in (0, -1))
-    count, mass = (sum(float(r[key]) for r in last) for key in ("count", "mass"))
+    count, mass = (sum(r[key] for r in last) for key in ("count", "mass"))
     # all that ever came, or what was there at first
-    came = sum(
-        float(r.get("mass_in") or r["mass"]) for r in (last if "mass_in" in rows[0] else first)
-    )
-    lost = came - sum(float(r.get("mass_out") or 0) for r in last) - mass
+    flows = "mass_in" in rows[0]
+    came = sum(r["mass_in"] for r in last) if flows else sum(r["mass"] for r in first)
+    gone = sum(r["mass_out"] for r in last) if flows else 0.0
     known = {"simulated": simulated, "drawn": drawn, "particles": int(count)}
-    return {**known, "mass_lost": abs(lost) / came}
+    return {**known, "mass_lost": abs(came - gone - mass) / came}
 
 
 def small(out: Path, part: float) -> np.ndarray:
@@ -123,16 +119,10 @@ def sheet(to: Path) -> None:
         iio.imwrite(to, np.vstack(rows), quality=88)
 
 
-def machine() -> str:
+def told() -> str:
     """What the times are of."""
-    info = Path("/proc/cpuinfo")
-    said = info.read_text() if info.is_file() else ""
-    name = next((s.split(":")[1] for s in said.splitlines() if s.startswith("model name")), "")
-    vectors = next(
-        (v for flag, v in (("avx512f", "AVX-512"), ("avx2", "AVX2")) if flag in said), ""
-    )
-    cores = f"{os.cpu_count()} cores of {name.strip() or platform.machine()}"
-    return f"{cores} with {vectors}" if vectors else cores
+    known, vectors = machine(), VECTORS.get(vector_bytes(), "")
+    return f"{known['cores']} cores of {known['name']}" + (f" with {vectors}" if vectors else "")
 
 
 def page(machine: str) -> str:
@@ -195,7 +185,7 @@ def main() -> None:
                 strip(name, base / label, image)
     if not given.small:
         sheet(PICTURES / "gallery.jpg")
-        PAGE.write_text(page(machine()))
+        PAGE.write_text(page(told()))
 
 
 if __name__ == "__main__":

@@ -26,6 +26,11 @@ class Setting:
         """A folder's name."""
         return "_".join(f"{knob}-{value}" for knob, value in self.knobs) or "as_it_is"
 
+    @property
+    def of_grid(self) -> bool:
+        """Whether it sets the cells alone, or nothing."""
+        return set(dict(self.knobs)) <= {"cells"}
+
     def and_then(self, other: "Setting") -> "Setting":
         """Both: where they set the same, the other."""
         later = dict(other.knobs)
@@ -41,9 +46,8 @@ PLAIN = Setting((), ())
 def cells(scene: Scene) -> list[int]:
     """Numbers of cells along the longest edge, from few to many, near steps of sqrt(2) around the
     scene's own, of which every edge is a whole number."""
-    own = scene.domain.cells
-    longest, common = max(own), gcd(*own)
-    unit = longest // common  # the longest edge is a multiple of it
+    own, unit = scene.domain.cells, unit_of(scene)
+    longest = max(own)
     fewest = max(unit, unit * -(-FEWEST * longest // (min(own) * unit)))
     found = {longest}
     for k in range(-COARSER, FINER + 1):
@@ -51,6 +55,16 @@ def cells(scene: Scene) -> list[int]:
         if count >= fewest:
             found.add(count)
     return sorted(found)
+
+
+def unit_of(scene: Scene) -> int:
+    """Every edge is a whole number of cells where the longest one is a multiple of so many."""
+    return max(scene.domain.cells) // gcd(*scene.domain.cells)
+
+
+def grid(scene: Scene, count: int) -> Setting:
+    """The scene as it stands where it has that many cells."""
+    return PLAIN if count == max(scene.domain.cells) else of_cells(scene, count)
 
 
 def of_cells(scene: Scene, count: int) -> Setting:
@@ -119,7 +133,7 @@ def sweep(scene: Scene, vary: tuple[str, ...]) -> tuple[list[Setting], Setting]:
     else is given: the smallest cells in double precision."""
     own = max(scene.domain.cells)
     grids = cells(scene) if "cell" in vary else [own]
-    series = [of_cells(scene, n) if n != own else PLAIN for n in grids]
+    series = [grid(scene, n) for n in grids]
     finest = series[-1]
     if "precision" in vary and scene.accuracy.precision == "single":
         finest = finest.and_then(others(scene, "precision")[0])

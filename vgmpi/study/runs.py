@@ -3,15 +3,18 @@ that is done is not done again."""
 
 import hashlib
 import json
+import os
 import resource
 import subprocess
 import sys
-import time
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 from tqdm import tqdm
 
+from ..bench.rounds import OPEN_MPI
+from ..scene.scene import Scene
+from ..solver.probes import files
 from .errors import Outcome
 from .knobs import Setting
 
@@ -24,18 +27,10 @@ class StudyError(RuntimeError):
 
 
 @dataclass(frozen=True)
-class Took:
-    """cpu: processor time of all ranks [s], from the second step on. wall: by the clock [s]."""
-
-    cpu: float
-    wall: float
-
-
-@dataclass(frozen=True)
 class Study:
     """Runs of a scene below `folder`, on so many ranks."""
 
-    scene: Path
+    scene: Scene
     folder: Path
     ranks: int = 1
 
@@ -43,17 +38,18 @@ class Study:
         """The folder of a run."""
         return self.folder / setting.name
 
-    def done(self, setting: Setting) -> Took | None:
-        """What a run took, if it is there and of this scene as it is now."""
+    def done(self, setting: Setting) -> float | None:
+        """Processor time [s] of all ranks of a run from its second step on, if it is there and of
+        this scene as it is now."""
         try:
             record = json.loads((self.place(setting) / RECORD).read_text())
-            if record.pop("of") == self._of(setting):
-                return Took(**record)
+            if record["of"] == self._of(setting):
+                return float(record["cpu"])
         except (OSError, ValueError, KeyError, TypeError):
             pass
         return None
 
-    def run(self, setting: Setting) -> Took:
+    def run(self, setting: Setting) -> float:
         """The same, run if it is not there. Raises StudyError."""
         found = self.done(setting)
         if found is None:
@@ -61,12 +57,12 @@ class Study:
             self._call(setting, "--overwrite", "--stop-after", "1 steps")
             before = self._call(setting, "--resume", "--stop-after", "1 steps")
             took = self._call(setting, "--resume")
-            found = Took(max(took.cpu - before.cpu, 1e-3), took.wall)
-            record = {"of": self._of(setting), **asdict(found)}
+            found = max(took - before, 1e-3)
+            record = {"of": self._of(setting), "cpu": found}
             (self.place(setting) / RECORD).write_text(json.dumps(record))
         return found
 
-    def all(self, settings: list[Setting]) -> dict[Setting, Took]:
+    def all(self, settings: list[Setting]) -> dict[Setting, float]:
         """Every one of them, with a bar."""
         bar = tqdm(settings, desc="study", unit="run", disable=None)
         found = {}
@@ -77,24 +73,25 @@ class Study:
 
     def outcome(self, setting: Setting) -> Outcome:
         """What a run that is done says."""
-        return Outcome(self.place(setting))
+        folder = self.place(setting)
+        return Outcome(folder, files(self.scene, folder))
 
     def _of(self, setting: Setting) -> str:
-        text = self.scene.read_bytes() + repr(setting.overrides).encode()
-        return hashlib.sha256(text).hexdigest()[:16]
+        text = self.scene.text + repr(setting.overrides)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
 
-    def _call(self, setting: Setting, *how: str) -> Took:
+    def _call(self, setting: Setting, *how: str) -> float:
+        """Processor time [s] of a start of the program and of its ranks."""
         folder = self.place(setting)
         launcher = ["mpirun", "-n", str(self.ranks)] if self.ranks > 1 else []
         flags = [word for one in setting.overrides for word in ("--set", one)]
-        program = [sys.executable, "-m", "vgmpi", str(self.scene), "-o", str(folder), "-q"]
-        before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-        made = subprocess.run([*launcher, *program, *how, *flags], capture_output=True, text=True)
-        wall = time.perf_counter() - begin
+        program = [sys.executable, "-m", "vgmpi", str(self.scene.path), "-o", str(folder), "-q"]
+        words, env = [*launcher, *program, *how, *flags], {**OPEN_MPI, **os.environ}
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        made = subprocess.run(words, env=env, capture_output=True, text=True)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         # mpirun has an exit code of its own for ranks that stopped
         if made.returncode not in (0, STOPPED):
             lines = made.stderr.strip().splitlines() or [f"exit code {made.returncode}"]
             raise StudyError(f"{setting.name}: {lines[-1]} ({folder})")
-        spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-        return Took(spent, wall)
+        return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime

@@ -41,10 +41,10 @@ def plot(found: list[Measured], path: Path, said: str) -> None:
 
     figure, axes = pyplot.subplots(figsize=(6, 4), dpi=120)
     shown = [m for m in found if m.error > 0]
-    front = [m for m in best(shown)]
+    front = best(shown)
     axes.loglog([m.cpu for m in front], [100 * m.error for m in front], "-", color="0.7")
     for m in shown:
-        series = set(dict(m.setting.knobs)) <= {"cells"}
+        series = m.setting.of_grid
         axes.loglog(m.cpu, 100 * m.error, "o" if series else "s", color="C0" if series else "C1")
         name = " ".join(f"{k} {v}" for k, v in m.setting.knobs) or "the scene"
         at = (m.cpu, 100 * m.error)

@@ -15,10 +15,10 @@ from ..scene.scene import Scene
 from ..source import Source
 from ..tables import Quantity, SceneError
 from . import errors, knobs, told
-from .choice import SLACK, Choice, Measured, Model
+from .choice import SLACK, Measured, Model
 from .errors import Outcome
 from .knobs import Setting
-from .runs import Study, StudyError, Took
+from .runs import Study, StudyError
 
 DEFAULT = ("cell", "precision", "transfer", "stiffness")
 MEASURES = {"places": errors.elsewhere, "energy": errors.energy, "probes": errors.probe}
@@ -84,10 +84,10 @@ def main(argv: list[str]) -> int:
     given = arguments(argv)
     try:
         scene = load(given.scene)
-        study = Study(given.scene, given.output, given.ranks)
+        study = Study(scene, given.output, given.ranks)
         settings, finest = knobs.sweep(scene, given.vary)
         took = study.all(settings)
-        found = measured(scene, study, given, took, finest)
+        found = measured(study, given, took, finest)
     except SceneError as error:
         print("\n".join(error.lines), file=sys.stderr)
         return 2
@@ -106,9 +106,8 @@ def main(argv: list[str]) -> int:
 
 
 def measured(
-    scene: Scene, study: Study, given: argparse.Namespace, took: dict[Setting, Took],
-    finest: Setting,
-) -> list[Measured]:  # fmt: skip
+    study: Study, given: argparse.Namespace, took: dict[Setting, float], finest: Setting
+) -> list[Measured]:
     """Each run with its error."""
     if given.curve:
         times, values = np.loadtxt(given.curve, delimiter=",", usecols=(0, 1), comments="#").T
@@ -122,10 +121,11 @@ def measured(
             return MEASURES[given.measure](one, reference)
 
     found = []
-    for setting, each in took.items():
-        count = int(dict(setting.knobs).get("cells", max(scene.domain.cells)))
+    own = max(study.scene.domain.cells)
+    for setting, cpu in took.items():
+        count = int(dict(setting.knobs).get("cells", own))
         error = 0.0 if setting == finest and not given.curve else off(study.outcome(setting))
-        found.append(Measured(setting, each.cpu, error, count))
+        found.append(Measured(setting, cpu, error, count))
     return found
 
 
@@ -133,8 +133,8 @@ def _chosen(scene: Scene, given: argparse.Namespace, found: list[Measured]) -> i
     if given.budget is None and given.error is None:
         return 0
     grids = [m.cells for m in found]  # nothing is said of others than those in between
-    counts = [n for n in range(min(grids), max(grids) + 1) if _whole(scene, n)]
-    model = Model(scene, found, counts)
+    counts = range(min(grids), max(grids) + 1, knobs.unit_of(scene))
+    model = Model(scene, found, list(counts))
     if given.error is not None:
         choice, what = model.within_error(given.error), f"{100 * given.error:g} %"
         if choice and given.budget is not None and choice.cpu > SLACK * given.budget:
@@ -154,12 +154,7 @@ def _chosen(scene: Scene, given: argparse.Namespace, found: list[Measured]) -> i
     return 0
 
 
-def _whole(scene: Scene, count: int) -> bool:
-    cell = max(scene.domain.size) / count
-    return all(abs(edge / cell - round(edge / cell)) < 1e-9 * count for edge in scene.domain.size)
-
-
-def write(scene: Path, choice: Choice, what: str, path: Path) -> None:
+def write(scene: Path, choice: Measured, what: str, path: Path) -> None:
     """The scene with what was chosen."""
     said = f"{choice.cpu:.0f} s of processor time and {100 * choice.error:.2g} % expected"
     head = [f"{scene.name} within {what}: {said}", *choice.setting.overrides]
