@@ -203,5 +203,6 @@ def test_the_command_says_it_at_the_end(tmp_path, capsys):
     lines = [s for s in capsys.readouterr().out.splitlines() if s.startswith("advice:")]
     assert len(lines) == 2
     speed = float(re.search(r"faster than (\S+) m/s", lines[0])[1])
-    assert 0.5 <= speed <= 0.5 * np.sqrt(3) * 1.02 and "water.max_speed" in lines[0]
+    # of one axis, and the drop's corners breathe a little
+    assert 0.5 <= speed <= 0.5 * np.sqrt(3) * 1.1 and "water.max_speed" in lines[0]
     assert "'table' neither moved" in lines[1]

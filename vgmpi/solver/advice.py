@@ -58,7 +58,9 @@ def _softer(scene: Scene, plan: Plan, seen: Seen) -> list[str]:
     bounds = fastest(scene, plan)
     dt, what = bounds[0]
     name = next((name for name in scene.material if what == f"material {name!r}"), None)
-    material = scene.material.get(name)
+    if name is None:
+        return []
+    material = scene.material[name]
     if plan.fixed_dt or not isinstance(material, Fluid) or material.depth is not None:
         return []
     if any(group.porous for group in plan.groups if group.material == name):
