@@ -38,17 +38,24 @@ BEST = {  # of a run, the picture of the first page
     "faucet": 0.3, "castle_falls": 1.0, "snowball": 0.12, "water_on_snow": 0.3,
     "castle_flood": 0.2, "snowman": 0.062, "two_liquids": 0.3, "sandbox": 1.0,
 }  # fmt: skip
-# folder: its variants, each a name, what is said of it and what is set
+SLOW = ["object.ball.velocity=[1, 0, 0.5]", "time.end=1"]
+# folder: its variants, each a name, what is said of it and what is set. One that has a scene of its
+# own, NAME/VARIANT.toml, keeps its cells
 SCENES: dict[str, list[tuple[str, str, list[str]]]] = {
     "faucet": [],
-    "castle_falls": [],
+    "castle_falls": [("poured", "the same sand, poured slowly", [])],
     "snowball": [],
     "water_on_snow": [],
     "castle_flood": [
         ("fine", "permeability 1 mm/s", ["coupling.0.permeability=1e-3"]),
-        ("coarse", "permeability 5 cm/s", ["coupling.0.permeability=5e-2"]),
+        ("gravel", "permeability 10 cm/s", ["coupling.0.permeability=0.1"]),
+        ("cobbles", "permeability 1 m/s", ["coupling.0.permeability=1"]),
     ],
-    "snowman": [("one_field", "all bodies in one velocity field", ONE)],
+    "snowman": [
+        ("one_field", "all bodies in one velocity field", ONE),
+        ("slow", "the ball at 1 m/s", SLOW),
+        ("slow_one_field", "the ball at 1 m/s, all bodies in one velocity field", SLOW + ONE),
+    ],
     "two_liquids": [
         ("sharp", "no diffusion", ["coupling.0.diffusion=0"]),
         ("fast", "diffusion 20 cm2/s", ["coupling.0.diffusion=2e-3"]),
@@ -67,10 +74,15 @@ def call(*words: str | Path) -> float:
     return time.perf_counter() - begin
 
 
-def simulate(name: str, out: Path, sets: list[str]) -> float:
+def simulate(name: str, label: str, out: Path, sets: list[str], small: bool) -> float:
     """Seconds that it took."""
+    scene = HERE / name / f"{label or 'scene'}.toml"
+    if not scene.is_file():
+        scene = HERE / name / "scene.toml"
+    if small and scene.stem == "scene":
+        sets = [*sets, 'domain.cell="2 cm"']
     flags = [word for one in sets for word in ("--set", one)]
-    solver = ["mpirun", "-n", "2", sys.executable, "-m", "vgmpi", HERE / name / "scene.toml"]
+    solver = ["mpirun", "-n", "2", sys.executable, "-m", "vgmpi", scene]
     return call(*solver, "-o", out, "--overwrite", "-q", *flags)
 
 
@@ -171,12 +183,11 @@ def main() -> None:
         chosen = [("", "", []), *(SCENES[name] if given.variants else [])]
         for label, _, sets in chosen:
             base = HERE / name / "out" / ("small" if given.small else "")
-            more = ['domain.cell="2 cm"'] if given.small else []
             record = base / label / "record.json"
             if given.draw:
                 took = json.loads(record.read_text())["simulated"]
             else:
-                took = simulate(name, base / label, sets + more)
+                took = simulate(name, label, base / label, sets, given.small)
             known = known_of(base / label, took, draw(name, base / label))
             record.write_text(json.dumps(known))
             print(name, label, known, flush=True)
