@@ -34,7 +34,20 @@ class Liquids:
         towards = -np.asarray(light.direction, dtype=np.float64)
         towards /= np.linalg.norm(towards)
         rough = float(np.radians(chosen.roughness))
-        self.medium = optics.Medium(chosen.index, clear, towards, chosen.highlight, rough)
+        self.medium = optics.Medium(
+            chosen.index, clear, towards, chosen.highlight, rough, light.shade
+        )
+
+    def among(self, parts: list[Part], frame: dict[str, np.ndarray]) -> np.ndarray:
+        """Which Gaussians of all parts are of these liquids."""
+        found = [np.zeros(len(part.x), bool) for part in parts]
+        found[self._particles] = self.look.fluid[np.asarray(frame["id"])]
+        return np.concatenate(found)
+
+    @property
+    def _particles(self) -> int:
+        """Which of the parts they are among: scenery comes first."""
+        return int(self.look.scenery is not None)
 
     def render(
         self,
@@ -47,7 +60,7 @@ class Liquids:
     ) -> tuple[np.ndarray, ...]:
         """A frame's parts (Look.parts) as vgmpi.splatting.liquid.render draws them, over a
         background with a floor or without one (None)."""
-        at = int(self.look.scenery is not None)  # scenery comes first, then particles
+        at = self._particles
         particles, fluid = parts[at], self.look.fluid[np.asarray(frame["id"])]
         rest = [*parts[:at], particles.only(~fluid), *parts[at + 1 :]]
         _, _, opacity, color = particles.only(fluid).seen_from(camera.eye)

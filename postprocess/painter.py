@@ -113,9 +113,12 @@ class Painter:
         frame = self.look.frame(index)
         time = float(self.run.times[index]) if self._by_time() else 0.0
         cameras = [view.at(part, time) for view in self.views]
-        found = [self._pixels(frame, cameras, 0)]
-        for sample in range(1, self.samples):
-            found.append(self._pixels(self._moment(frame, index, sample), cameras, sample))
+        found, parts, now = [], [], frame
+        for sample in range(self.samples):
+            if sample == 0 or self.chosen.video.shutter > 0:  # else they stay where they are
+                now = self._moment(frame, index, sample)
+                parts = self._lit(self.look.parts(now), now)
+            found.append(self._pixels(now, parts, cameras, sample))
         return [self._finished(self._mean(views)) for views in zip(*found)]
 
     def _mean(self, views: tuple[Pixels, ...]) -> Pixels:
@@ -128,7 +131,7 @@ class Painter:
     def _moment(self, frame: dict[str, np.ndarray], index: int, sample: int) -> dict:
         """The frame a little later, while the shutter is open: particles go on as they do."""
         shutter = self.chosen.video.shutter
-        if shutter == 0:
+        if sample == 0:
             return frame
         if "velocity" not in frame:
             raise RunError("video.shutter: the frames hold no velocity: see output.fields")
@@ -138,12 +141,13 @@ class Painter:
         later = shutter * step * sample / self.samples
         return {**frame, "x": frame["x"] + later * np.asarray(frame["velocity"], dtype=np.float64)}
 
-    def _pixels(self, frame: dict, cameras: list[Camera], sample: int) -> list[Pixels]:
-        """Picture, what comes through and depths of a frame from every camera."""
-        parts = self._lit(self.look.parts(frame))
+    def _pixels(
+        self, frame: dict, parts: list[Part], cameras: list[Camera], sample: int
+    ) -> list[Pixels]:
+        """Picture, what comes through and depths of a frame's parts from every camera."""
         found = []
         for one, camera, ground in zip(self.chosen.views(), cameras, self.grounds):
-            if one.aperture > 0:
+            if one.aperture > 0 and self.samples > 1:
                 camera = through_lens(camera, one.aperture, one.focus, sample, self.samples)
             found.append(self._drawn(frame, parts, camera, ground))
         return found
@@ -166,13 +170,14 @@ class Painter:
         )
         return splat.coarser(found, self.supersample)
 
-    def _lit(self, parts: list[Part]) -> list[Part]:
+    def _lit(self, parts: list[Part], frame: dict) -> list[Part]:
         """The parts in the light, if there is one."""
         if self.light is None:
             return parts
         x, cov, opacity = (np.concatenate([p[k] for p in parts]) for k in range(3))
         splats = splat.Splats(x, cov, opacity, np.zeros((len(x), 3)))
-        bright = light.lit(splats, self.light, self.look.spacing)
+        liquid = None if self.liquids is None else self.liquids.among(parts, frame)
+        bright = light.lit(splats, self.light, self.look.spacing, liquid)
         ends = np.cumsum([len(part.x) for part in parts])[:-1]
         return [part.brighter(own) for part, own in zip(parts, np.split(bright, ends))]
 

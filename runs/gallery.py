@@ -4,16 +4,15 @@
     python runs/gallery.py faucet snowman     these; the page keeps what is known of the others
     python runs/gallery.py --variants         also the variants of each
     python runs/gallery.py --small            cells of twice the size, and no page: minutes
+    python runs/gallery.py --draw             videos and page of runs that are there
 
 Each scene's frames, video and record.json lie in runs/NAME/out (small ones in out/small), the
 variants of a scene in folders below it. The page has five pictures of each and what it cost.
 """
 
 import argparse
-import csv
 import json
 import os
-import platform
 import subprocess
 import sys
 import time
@@ -22,80 +21,120 @@ from pathlib import Path
 import imageio.v3 as iio
 import numpy as np
 
+from vgmpi.bench.__main__ import machine
+from vgmpi.bench.rounds import OPEN_MPI
+from vgmpi.device.processor import vector_bytes
+from vgmpi.output import layout, ledger
+
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
 PAGE, PICTURES = ROOT / "docs" / "gallery.md", ROOT / "docs" / "pictures"
 TIMES = (0.0, 0.15, 0.3, 0.5, 1.0)  # of a run, of its five pictures
+FAST = {"snowman": (0.0, 0.041, 0.062, 0.09, 0.3), "snowball": (0.0, 0.1, 0.15, 0.35, 1.0)}
+VECTORS = {64: "AVX-512", 32: "AVX2"}  # by their bytes
 WIDE = 320  # pixels of each
 ONE = ["object.snowman.phase=one", "object.ball.phase=one"]
-# folder: its variants, each a name, what is said of it and what is set
+BEST = {  # of a run, the picture of the first page
+    "faucet": 0.3, "castle_falls": 1.0, "snowball": 0.12, "water_on_snow": 0.3,
+    "castle_flood": 0.2, "snowman": 0.062, "two_liquids": 0.3, "sandbox": 1.0,
+}  # fmt: skip
+SLOW = ["object.ball.velocity=[1, 0, 0.5]", "time.end=1"]
+# folder: its variants, each a name, what is said of it and what is set. One that has a scene of its
+# own, NAME/VARIANT.toml, keeps its cells
 SCENES: dict[str, list[tuple[str, str, list[str]]]] = {
     "faucet": [],
-    "castle_falls": [],
+    "castle_falls": [("poured", "the same sand, poured slowly", [])],
     "snowball": [],
     "water_on_snow": [],
     "castle_flood": [
         ("fine", "permeability 1 mm/s", ["coupling.0.permeability=1e-3"]),
-        ("coarse", "permeability 5 cm/s", ["coupling.0.permeability=5e-2"]),
+        ("gravel", "permeability 10 cm/s", ["coupling.0.permeability=0.1"]),
+        ("cobbles", "permeability 1 m/s", ["coupling.0.permeability=1"]),
     ],
-    "snowman": [("one_field", "all bodies in one velocity field", ONE)],
+    "snowman": [
+        ("one_field", "all bodies in one velocity field", ONE),
+        ("slow", "the ball at 1 m/s", SLOW),
+        ("slow_one_field", "the ball at 1 m/s, all bodies in one velocity field", SLOW + ONE),
+    ],
     "two_liquids": [
         ("sharp", "no diffusion", ["coupling.0.diffusion=0"]),
         ("fast", "diffusion 20 cm2/s", ["coupling.0.diffusion=2e-3"]),
     ],
     "sandbox": [],
 }
-MPI = {
-    "OMPI_ALLOW_RUN_AS_ROOT": "1",
-    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
-    "OMPI_MCA_rmaps_base_oversubscribe": "1",
-    "OMPI_MCA_btl_vader_single_copy_mechanism": "none",
-}
 
 
 def call(*words: str | Path) -> float:
     """Run a command; seconds by the clock. Ends the program where it fails."""
     begin = time.perf_counter()
-    environment = {**os.environ, **MPI, "PYTHONPATH": str(ROOT)}
+    environment = {**OPEN_MPI, **os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run([str(w) for w in words], cwd=ROOT, env=environment)
     if done.returncode:
         sys.exit(done.returncode)
     return time.perf_counter() - begin
 
 
-def run(name: str, out: Path, sets: list[str]) -> dict:
-    """One simulation with its video; what it cost."""
-    scene, chosen = HERE / name / "scene.toml", HERE / name / "render.toml"
+def simulate(name: str, label: str, out: Path, sets: list[str], small: bool) -> float:
+    """Seconds that it took."""
+    scene = HERE / name / f"{label or 'scene'}.toml"
+    if not scene.is_file():
+        scene = HERE / name / "scene.toml"
+    if small and scene.stem == "scene":
+        sets = [*sets, 'domain.cell="2 cm"']
     flags = [word for one in sets for word in ("--set", one)]
-    python = sys.executable
-    solver = ["mpirun", "-n", "2", python, "-m", "vgmpi", scene, "-o", out, "--overwrite", "-q"]
-    simulated = call(*solver, *flags)
-    drawing = [python, "-m", "postprocess.render", out, chosen, "--jobs", "2", "-q"]
-    drawn = call(*drawing, "-o", out / "video.mp4", "--frames", out / "png")
-    with open(out / "ledger.csv") as file:
-        rows = list(csv.DictReader(file))
+    solver = ["mpirun", "-n", "2", sys.executable, "-m", "vgmpi", scene]
+    return call(*solver, "-o", out, "--overwrite", "-q", *flags)
+
+
+def draw(name: str, out: Path) -> float:
+    """Seconds that the video took."""
+    drawing = [sys.executable, "-m", "postprocess.render", out, HERE / name / "render.toml"]
+    last = ["--jobs", "2", "-q", "-o", out / "video.mp4", "--frames", out / "png"]
+    return call(*drawing, *last)
+
+
+def known_of(out: Path, simulated: float, drawn: float) -> dict:
+    """What a run cost and kept."""
+    rows = ledger.read(out / layout.LEDGER)
     first, last = ([r for r in rows if r["time"] == rows[k]["time"]] for k in (0, -1))
-    count, mass = (sum(float(r[key]) for r in last) for key in ("count", "mass"))
+    count, mass = (sum(r[key] for r in last) for key in ("count", "mass"))
     # all that ever came, or what was there at first
-    came = sum(
-        float(r.get("mass_in") or r["mass"]) for r in (last if "mass_in" in rows[0] else first)
-    )
-    lost = came - sum(float(r.get("mass_out") or 0) for r in last) - mass
+    flows = "mass_in" in rows[0]
+    came = sum(r["mass_in"] for r in last) if flows else sum(r["mass"] for r in first)
+    gone = sum(r["mass_out"] for r in last) if flows else 0.0
     known = {"simulated": simulated, "drawn": drawn, "particles": int(count)}
-    return {**known, "mass_lost": abs(lost) / came}
+    return {**known, "mass_lost": abs(came - gone - mass) / came}
 
 
-def strip(out: Path, to: Path) -> None:
-    """Five pictures of a run side by side."""
+def small(out: Path, part: float) -> np.ndarray:
+    """The picture at a part 0..1 of a run."""
     pictures = sorted((out / "png").glob("*.png"))
-    shown = []
-    for part in TIMES:
-        picture = iio.imread(pictures[round(part * (len(pictures) - 1))])
-        step = max(picture.shape[1] // WIDE, 1)
-        height, width = (n // step * step for n in picture.shape[:2])
-        blocks = picture[:height, :width].reshape(height // step, step, width // step, step, 3)
-        shown.append(blocks.mean(axis=(1, 3)).round().astype(np.uint8))
+    picture = iio.imread(pictures[round(part * (len(pictures) - 1))])
+    step = max(picture.shape[1] // WIDE, 1)
+    height, width = (n // step * step for n in picture.shape[:2])
+    blocks = picture[:height, :width].reshape(height // step, step, width // step, step, 3)
+    return blocks.mean(axis=(1, 3)).round().astype(np.uint8)
+
+
+def strip(name: str, out: Path, to: Path) -> None:
+    """Five pictures of a scene's run side by side."""
+    shown = [small(out, part) for part in FAST.get(name, TIMES)]
     iio.imwrite(to, np.hstack(shown), quality=85)
+
+
+def sheet(to: Path) -> None:
+    """The best picture of each scene, if all have been run."""
+    if all((HERE / name / "out" / "png").is_dir() for name in SCENES):
+        shown = [small(HERE / name / "out", BEST[name]) for name in SCENES]
+        half = len(shown) // 2
+        rows = [np.hstack(row) for row in (shown[:half], shown[half:])]
+        iio.imwrite(to, np.vstack(rows), quality=88)
+
+
+def told() -> str:
+    """What the times are of."""
+    known, vectors = machine(), VECTORS.get(vector_bytes(), "")
+    return f"{known['cores']} cores of {known['name']}" + (f" with {vectors}" if vectors else "")
 
 
 def page(machine: str) -> str:
@@ -112,7 +151,7 @@ def page(machine: str) -> str:
     ]
     for name, variants in SCENES.items():
         title = (HERE / name / "README.md").read_text().splitlines()[0].lstrip("# ")
-        out += [f"## {title}", "", f"[runs/{name}](../runs/{name}/README.md)", ""]
+        out += [f"## {title}", "", f"`runs/{name}`", ""]
         for label, said in [("", "")] + [(label, said) for label, said, _ in variants]:
             record = HERE / name / "out" / label / "record.json"
             image = PICTURES / f"gallery-{name}{'-' + label if label else ''}.jpg"
@@ -121,7 +160,9 @@ def page(machine: str) -> str:
             known = json.loads(record.read_text())
             also = f"{said}: " if said else ""
             cost = f"{known['simulated']:.0f} s, and {known['drawn']:.0f} s for 50 pictures"
-            kept = f"mass kept to {known['mass_lost']:.0e}"
+            kept = "no mass lost"
+            if known["mass_lost"]:
+                kept = f"{known['mass_lost']:.0e} of the mass lost, by rounding"
             out += [f"![{title} {said}](pictures/{image.name})".replace(" ]", "]"), ""]
             out += [f"{also}{known['particles']:,} particles at the end, {cost}; {kept}.", ""]
     return "\n".join(out).rstrip() + "\n"
@@ -131,6 +172,7 @@ def main() -> None:
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     p.add_argument("scenes", nargs="*", metavar="NAME", help=", ".join(SCENES))
     p.add_argument("--small", action="store_true", help="cells of 2 cm")
+    p.add_argument("--draw", action="store_true", help="only the videos, of runs that are there")
     p.add_argument("--variants", action="store_true", help="also those of each scene")
     given = p.parse_args()
     unknown = set(given.scenes) - set(SCENES)
@@ -141,15 +183,20 @@ def main() -> None:
         chosen = [("", "", []), *(SCENES[name] if given.variants else [])]
         for label, _, sets in chosen:
             base = HERE / name / "out" / ("small" if given.small else "")
-            more = ['domain.cell="2 cm"'] if given.small else []
-            known = run(name, base / label, sets + more)
-            (base / label / "record.json").write_text(json.dumps(known))
+            record = base / label / "record.json"
+            if given.draw:
+                took = json.loads(record.read_text())["simulated"]
+            else:
+                took = simulate(name, label, base / label, sets, given.small)
+            known = known_of(base / label, took, draw(name, base / label))
+            record.write_text(json.dumps(known))
             print(name, label, known, flush=True)
             if not given.small:
                 image = PICTURES / f"gallery-{name}{'-' + label if label else ''}.jpg"
-                strip(base / label, image)
+                strip(name, base / label, image)
     if not given.small:
-        PAGE.write_text(page(f"{platform.processor() or platform.machine()} machine"))
+        sheet(PICTURES / "gallery.jpg")
+        PAGE.write_text(page(told()))
 
 
 if __name__ == "__main__":

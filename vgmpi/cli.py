@@ -12,7 +12,7 @@ from pathlib import Path
 from . import room
 from .domain.ranks import Alone, world
 from .output import checkpoint, layout, owner, read, store
-from .planning.plan import Plan
+from .planning.plan import REALS, Plan
 from .planning.price import describe
 from .scene.reader import load
 from .scene.scene import Scene
@@ -48,6 +48,11 @@ def _parser() -> argparse.ArgumentParser:
     )
     said = "say what an output file, a Gaussian file or a mesh holds"
     what.add_argument("--inspect", type=Path, metavar="FILE", help=said)
+    parser.add_argument(
+        "--calibrate",
+        action="store_true",
+        help="measure anew how fast this processor is, which --plan does once and keeps",
+    )
     return parser
 
 
@@ -113,8 +118,10 @@ def arguments(argv: list[str] | None) -> argparse.Namespace:
     parser = _parser()
     _add_flags_of_a_run(parser)
     given = parser.parse_args(argv)
-    if given.inspect is None and given.scene is None:
-        parser.error("give a scene file, or --inspect FILE")
+    if given.inspect is None and given.scene is None and not given.calibrate:
+        parser.error("give a scene file, --inspect FILE or --calibrate")
+    if given.scene is None and (given.check or given.plan or given.prepare):
+        parser.error("give a scene file")
     if given.change and given.resume is None:
         parser.error("--change is for --resume")
     if given.overwrite and given.resume is not None:
@@ -148,7 +155,7 @@ def main(argv: list[str] | None = None) -> int:
     if given.inspect is not None:
         return _inspect(given.inspect)
     _log_to_stderr(given, first=True)
-    if not (given.check or given.plan or given.prepare):
+    if given.scene is not None and not (given.check or given.plan or given.prepare):
         listen(signal.SIGUSR1, signal.SIGTERM)
     ranks = Alone() if given.check else world()
     _log_to_stderr(given, first=ranks.rank == 0)
@@ -168,6 +175,8 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _command(given: argparse.Namespace, ranks: Alone) -> int:
+    if given.scene is None:
+        return _calibrate(ranks)
     scene = load(given.scene, given.set)
     folder = given.output or scene.folder / scene.output.folder
     if given.check:
@@ -197,14 +206,31 @@ def _command(given: argparse.Namespace, ranks: Alone) -> int:
         reached = goes_on_from(given.resume, folder, ranks)[1]["time"]
     plan = prepared.plan_for(scene, prepared.prepare(scene, ranks, None))
     if ranks.rank == 0:
-        print(describe(scene, plan, ranks.size, reached))
+        from .solver import calibrate
+
+        pace = calibrate.pace(scene.accuracy.precision, anew=given.calibrate)
+        print(describe(scene, plan, ranks.size, reached, pace))
     refusal = too_large(plan.bytes(), ranks)
     return _refuse([refusal], ranks) if refusal and not given.force else 0
 
 
+def _calibrate(ranks: Alone) -> int:
+    """Measure this processor in every precision."""
+    from .solver import calibrate
+
+    for precision in REALS if ranks.rank == 0 else ():
+        pace = calibrate.pace(precision, anew=True)
+        print(
+            f"{precision:6s}  {pace.fluid:.1f} ns per particle and step of a fluid,"
+            f" {pace.elastic:.1f} elastic: {pace.of}"
+        )
+    return 0
+
+
 def _run(scene: Scene, folder: Path, given: argparse.Namespace, ranks: Alone) -> int:
-    from .solver import report  # numba comes in here
+    from .solver import calibrate, report  # numba comes in here
     from .solver import run as runs
+    from .solver.advice import Seen, advice
     from .solver.step import BlowUp
 
     def approve(plan: Plan, reached: float) -> None:
@@ -212,7 +238,9 @@ def _run(scene: Scene, folder: Path, given: argparse.Namespace, ranks: Alone) ->
         if refusal and not given.force:
             raise SceneError([refusal + "; --force runs it anyway"])
         if ranks.rank == 0 and not given.quiet:
-            print(describe(scene, plan, ranks.size, reached), flush=True)
+            how = scene.accuracy.precision
+            pace = calibrate.pace(how, anew=True) if given.calibrate else calibrate.kept(how)
+            print(describe(scene, plan, ranks.size, reached, pace), flush=True)
 
     options = runs.Options(
         folder, given.threads, given.engine, given.resume, given.stop_steps, given.stop_seconds,
@@ -222,12 +250,16 @@ def _run(scene: Scene, folder: Path, given: argparse.Namespace, ranks: Alone) ->
         with runs.started(scene, ranks, options, approve) as run:
             clock = run.simulation.clock = report.Clock()
             progress = report.Progress(run, given.quiet)
-            options.listeners.append(progress)
+            seen = Seen()
+            options.listeners += [progress, seen.step]
+            options.watchers.append(lambda run: seen.frame(run.latest))
             if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as behind a script's &
                 listen(signal.SIGINT)
             code = run.go()
             progress.close()
             said = [report.table(run, clock)]
+            if code == runs.DONE and run.first_step == 0:  # all of the run was seen
+                said += advice(scene, run.plan, seen)
             if given.profile:
                 said.append(report.profile(run, clock))
     except runs.Unfit as error:

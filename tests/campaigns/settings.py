@@ -73,6 +73,8 @@ def bases(folder: Path) -> list[str]:
     (folder / "sparse/images.txt").write_text("1 0.70710678 0.70710678 0 0 0 0 2 1 a.png\n\n")
     found = [path.read_text() for path in sorted(worker.ROOT.glob("runs/*/render.toml"))]
     found = [re.sub(r"(?m)^#.*\n|^ *\w+ *= *[0-9.]+ *$", "", text) for text in found]
+    # of a body that the run has
+    found = [re.sub(r"grain *= *\{.*\}", "grain = { pool = 0.06 }", text) for text in found]
     full = test_settings.FULL.replace('"milk"', '"pool"').replace("water = ", "pool = ")
     full = full.replace('"relax"', '"off"')  # the run does not tell its cells
     return [*found, full.replace('"my duck"', "bar").replace("last = 10", "last = 2"), PHOTOGRAPH,

@@ -9,6 +9,9 @@ import pytest
 import vgmpi
 from tests.scenes import write
 from vgmpi.domain.ranks import Alone
+from vgmpi.materials import registry
+from vgmpi.planning.features import step
+from vgmpi.planning.pace import ASSUMED, Pace
 from vgmpi.planning.price import describe
 from vgmpi.solver import prepared, report
 from vgmpi.solver.prepared import plan_for, prepare
@@ -134,8 +137,9 @@ def test_solids_of_few_particles_are_named(tmp_path):
 def test_the_time_left_follows_the_pace_of_now(monkeypatch, caplog):
     """10 s to the middle, and from there ten times as slow."""
     run = SimpleNamespace(
-        times=[0.0, 1.0], ranks=Alone(), frame=1, simulation=SimpleNamespace(time=0.0)
-    )
+        times=[0.0, 1.0], ranks=Alone(), frame=1, simulation=SimpleNamespace(time=0.0),
+        plan=SimpleNamespace(sources=()),
+    )  # fmt: skip
     now = [0.0]
     monkeypatch.setattr(report.time, "monotonic", lambda: now[0])
     progress = report.Progress(run, quiet=False)
@@ -147,3 +151,30 @@ def test_the_time_left_follows_the_pace_of_now(monkeypatch, caplog):
     left = [int(re.search(r"(\d+) s left", line)[1]) for line in caplog.messages]
     assert left[0] == 10
     assert left[-1] == pytest.approx(0.05 / 0.005, abs=2)  # from the whole run: 5
+
+
+def test_the_time_is_that_of_the_processor(tmp_path):
+    """On any number of ranks, with what a step takes beside its particles."""
+    scene = vgmpi.load(write(tmp_path, PLATE + POOL))
+    plan = plan_for(scene, prepare(scene, Alone(), None))
+
+    def takes(pace, ranks=1):
+        said = describe(scene, plan, ranks, pace=pace)
+        steps = re.search(r"steps +about ([\d,]+) for", said)[1].replace(",", "")
+        line = line_of(said, "time       ")
+        assert line.endswith(f" s on {ranks} rank(s), one core each, as told")
+        return float(re.search(r"about (\d+) s on", line)[1]), int(steps)
+
+    pace = Pace(6e3, 8.4e3, "as told")
+    seconds, steps = takes(pace)
+    assert seconds == pytest.approx(steps * (1e-9 * step(scene, plan, pace) + 1e-4), abs=1)
+    assert takes(Pace(3e3, 4.2e3, "as told"))[0] == pytest.approx(seconds / 2, rel=0.03)
+    assert takes(pace, ranks=4)[0] == pytest.approx(seconds / 4, rel=0.1)
+
+
+def test_other_laws_go_by_their_cost_beside_an_elastic_one():
+    pace = Pace(20.0, 28.0, "")
+    assert pace.law(registry["fluid"](kind="fluid")) == 20.0
+    assert pace.law(registry["sand"](kind="sand", youngs_modulus=1e5)) == pytest.approx(50.0)
+    for assumed in ASSUMED.values():
+        assert assumed.elastic == pytest.approx(assumed.fluid * registry["elastic"].cost)

@@ -327,10 +327,11 @@ def _couplings(parser: argparse.ArgumentParser) -> None:
 
 
 def _run_couplings(given: argparse.Namespace) -> int:
-    from . import couplings
+    from . import couplings, features
 
-    rows = couplings.measure(int(given.particles), given.rounds, given.precision, _say)
-    print(couplings.text(rows))
+    study = features if given.command == "features" else couplings
+    rows = study.measure(int(given.particles), given.rounds, given.precision, _say)
+    print(study.text(rows))
     return 0
 
 
@@ -388,6 +389,7 @@ COMMANDS = {  # what it does, its flags, how it runs
     "couplings": ("what mixing and drag cost", _couplings, _run_couplings),
     "emulate": ("one rank of many by its own tables", _emulate, _run_emulate),
     "extremes": ("scenes at the ends of what is allowed", _extremes, _run_extremes),
+    "features": ("what contact, colliders and probes cost", _couplings, _run_couplings),
     "overhead": ("what a step costs beside its kernels", _overhead, _run_overhead),
     "spills": ("vectors that do not fit the registers", lambda _: None, _run_spills),
     "stability": ("the largest stable time step of every law", _stability, _run_stability),

@@ -103,7 +103,7 @@ def measure(particles: int, rounds: int, precision: str, say) -> list[dict]:
         for k in range(rounds):
             say(f"round {k + 1} of {rounds}")
             for tank, row in zip(tanks, rows, strict=True):
-                row["rounds"].append(_time(tank))
+                row["rounds"].append(spent(tank))
     return rows
 
 
@@ -120,9 +120,14 @@ def _tank(name: str, particles: int, precision: str, folder: Path) -> Simulation
     text = TANK if share < 1.0 else TANK[: TANK.index("[[object]]")]
     path = folder / "scene.toml"
     path.write_text((text + below).format(**keys))
+    return ready(path)
+
+
+def ready(path: Path) -> Simulation:
+    """The simulation of a scene file, its first steps made."""
     scene = load(path)
     made = build(scene)
-    simulation = Simulation(plan_for(scene, known_of(scene, made)), Alone())
+    simulation = Simulation(plan_for(scene, known_of(scene, made)), Alone(), made.colliders)
     ids = np.arange(len(made.x))
     simulation.put(
         made.x, made.v0, made.vol0, ids, made.object, made.theta0, None, made.sh, made.surface0
@@ -132,15 +137,15 @@ def _tank(name: str, particles: int, precision: str, folder: Path) -> Simulation
     return simulation
 
 
-def _time(simulation: Simulation, steps: int = 24) -> dict:
+def spent(simulation: Simulation, steps: int = 24) -> dict:
     """ns per particle and step by stage, sorting spread over the steps between two sorts."""
     clock = simulation.clock = Stages(time.thread_time)
     began = time.thread_time()
     for _ in range(steps):
         simulation.advance(0.5 * simulation.bound())
-    spent = {"time": time.thread_time() - began, **clock.spent}
+    stages = {"time": time.thread_time() - began, **clock.spent}
     simulation.clock = None
-    return {k: 1e9 * v / steps / simulation.plan.particles for k, v in spent.items()}
+    return {k: 1e9 * v / steps / simulation.plan.particles for k, v in stages.items()}
 
 
 def text(rows: list[dict]) -> str:
@@ -148,7 +153,7 @@ def text(rows: list[dict]) -> str:
     pure = next(row for row in rows if row["name"] == PURE)
     lines = [f"{'':34s} particles   ns  least   p2g  grid   g2p   rate beside a fluid's"]
     for row in rows:
-        spent = [r["time"] for r in row["rounds"]]
+        times = [r["time"] for r in row["rounds"]]
         ratio = np.median(
             [p["time"] / r["time"] for p, r in zip(pure["rounds"], row["rounds"], strict=True)]
         )
@@ -157,7 +162,7 @@ def text(rows: list[dict]) -> str:
             for s in ("p2g", "grid", "g2p")
         )
         lines.append(
-            f"{row['name']:34s} {row['particles']:9,} {np.median(spent):5.1f} {min(spent):5.1f}"
+            f"{row['name']:34s} {row['particles']:9,} {np.median(times):5.1f} {min(times):5.1f}"
             f"{stages} {ratio:12.2f}"
         )
     return "\n".join(lines)

@@ -19,6 +19,12 @@ _PACKAGE = pathlib.Path(__file__).resolve().parent.parent
 _COMPILED = ("device", "materials", "couplings", "planning", "domain", "lanes", "kernels")
 
 
+def user_folder() -> pathlib.Path:
+    """Where this program keeps what it can make again."""
+    root = os.environ.get("XDG_CACHE_HOME") or pathlib.Path.home() / ".cache"
+    return pathlib.Path(root) / "vgmpi"
+
+
 def cache_folder() -> pathlib.Path:
     """The folder of compiled kernels for these sources, this numba and this kind of processor."""
     seal = hashlib.sha256()
@@ -26,8 +32,7 @@ def cache_folder() -> pathlib.Path:
         for path in sorted((_PACKAGE / folder).rglob("*.py")):
             seal.update(path.name.encode() + path.read_bytes())
     seal.update(f"{version('numba')} {platform.python_version()} {platform.machine()}".encode())
-    root = os.environ.get("XDG_CACHE_HOME") or pathlib.Path.home() / ".cache"
-    return pathlib.Path(root) / "vgmpi" / seal.hexdigest()[:16]
+    return user_folder() / seal.hexdigest()[:16]
 
 
 if "NUMBA_CACHE_DIR" not in os.environ:

@@ -3,12 +3,15 @@
 import functools
 import hashlib
 import pathlib
+import platform
 import zlib
 
 from llvmlite import binding
 from numba import config
 
-from .jit import cache_folder
+from .jit import cache_folder, user_folder
+
+__all__ = ["model", "processor", "stamp", "user_folder", "vector_bytes", "widest"]
 
 _SUM = """
 target triple = "{triple}"
@@ -17,6 +20,18 @@ define <16 x float> @sum(<16 x float> %a, <16 x float> %b) {{
   ret <16 x float> %c
 }}
 """
+
+
+def model() -> str:
+    """The processor by the name its maker gave it, and the kind code is compiled for."""
+    name = platform.machine() or "unknown"
+    try:
+        lines = pathlib.Path("/proc/cpuinfo").read_text().splitlines()
+        found = (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+        name = next(found, name)
+    except OSError:
+        pass  # not Linux
+    return f"{name} ({processor()})"
 
 
 def processor() -> str:

@@ -23,6 +23,7 @@ from .driven import DrivenPlan, Extents, driven_phases, driven_plans
 from .groups import GroupPlan, PhasePlan, completed, groups_of, phases_of
 from .inflow import SinkPlan, SourcePlan, sink_plans, source_plans
 from .sharing import rules
+from .surroundings import Surroundings
 
 REALS: dict[str, np.dtype] = {
     "single": np.dtype(np.float32),
@@ -87,6 +88,7 @@ class Plan:
     gravity_keys: Keys = ()  # where it changes, from the start on
     # [m], of every solid body, for other objects nan; none where no fluid is, or it is not known
     thickness: tuple[float, ...] = ()
+    surroundings: tuple[Surroundings, ...] = ()  # of each object and source, where they are known
     sources: tuple[SourcePlan, ...] = ()
     sinks: tuple[SinkPlan, ...] = ()
     driven: tuple[DrivenPlan, ...] = ()

@@ -5,8 +5,11 @@ import math
 from ..couplings.base import CONTACT, RULES
 from ..scene.scene import Scene
 from ..source import printable
+from .advice import stiffer
+from .features import step, table
 from .groups import RESTORING_COST
 from .inflow import SourcePlan
+from .pace import ASSUMED, Pace
 from .plan import Plan, fastest
 
 PRECISION = {
@@ -14,16 +17,19 @@ PRECISION = {
     "single": "numbers of 7 digits; 'double' has 16 for twice the time",
 }
 THIN = 6  # cells, of which contact reaches over one on either side
+STEP = 1e-4  # [s] of a step beside its kernels (`python -m vgmpi.bench overhead`)
 FINE = 27  # particles per cell of solids that bend well enough
-# a step of one fluid particle on one core of an AVX-512 machine [ns]; see docs/performance.md
-NS_PER_PARTICLE = {"single": 45.0, "double": 90.0}
 
 
-def describe(scene: Scene, plan: Plan, ranks: int, reached: float = 0.0) -> str:
+def describe(
+    scene: Scene, plan: Plan, ranks: int, reached: float = 0.0, pace: Pace | None = None
+) -> str:
     """What --plan prints: phases, fields, particles, memory, time step, steps, predicted time.
 
-    reached: time [s] from which the run goes on; steps and time are those that are left.
+    reached: time [s] from which the run goes on; steps and time are those that are left. pace: of
+    the processors, which is assumed where it is not given.
     """
+    pace = pace or ASSUMED[scene.accuracy.precision]
     lines = [
         f"{printable(scene.title or scene.path.name)}: {plan.particles:,} particles,"
         f" {scene.accuracy.precision} precision ({PRECISION[scene.accuracy.precision]})"
@@ -58,12 +64,13 @@ def describe(scene: Scene, plan: Plan, ranks: int, reached: float = 0.0) -> str:
     )
     lines += _flows(plan)
     lines += _restored(plan) + _thin(scene, plan) + _sheets(plan) + _bending(scene, plan)
+    lines += table(scene, plan, pace)
     total = plan.bytes()
     lines.append(
         f"  memory      {total / 2**20:.0f} MiB in all,"
         f" {total / ranks / 2**20:.0f} MiB per rank on {ranks} rank(s)"
     )
-    return "\n".join(lines + _steps(scene, plan, ranks, reached))
+    return "\n".join(lines + _steps(scene, plan, ranks, reached, pace))
 
 
 def _flows(plan: Plan) -> list[str]:
@@ -132,37 +139,36 @@ def _bending(scene: Scene, plan: Plan) -> list[str]:
     return [f"  bending     {', '.join(map(str, sorted(found)))} {said} 4 %)"]
 
 
-def _steps(scene: Scene, plan: Plan, ranks: int, reached: float) -> list[str]:
+def _steps(scene: Scene, plan: Plan, ranks: int, reached: float, pace: Pace) -> list[str]:
     """The time step, how many of them, and what they take: up to what hardening laws may make."""
     dt, what = fastest(scene, plan)[0]
     least, harder = fastest(scene, plan, stiffened=True)[0]
     if plan.fixed_dt:
         dt, least, what = plan.fixed_dt, plan.fixed_dt, "time.dt"
-    work = sum(
-        n * plan.groups[g].cost for n, g in zip(plan.count, plan.group_of, strict=True) if g >= 0
-    )
-    each = work * NS_PER_PARTICLE[scene.accuracy.precision] * 1e-9 / ranks  # seconds of a step
+    each = 1e-9 * step(scene, plan, pace) / ranks + STEP  # seconds of a step
     end, frames = float(plan.times[-1]), len(plan.times)
     left, span = end, f"{end:g} s and {frames} frames"
     if reached > 0:
         left, ahead = max(end - reached, 0.0), len(plan.ahead(reached))
         span = f"{left:.4g} of {end:g} s and {ahead} of {frames} frames"
     few, many = (math.ceil(left / d) for d in (dt, least))
-    steps, takes = f"about {few:,}", f"about {_duration(few * each)}"
+    steps, takes = f"about {few:,}", f"about {duration(few * each)}"
     if many > 1.1 * few:
         steps, takes = (
             f"{few:,} to {many:,}",
-            f"{_duration(few * each)} to {_duration(many * each)}",
+            f"{duration(few * each)} to {duration(many * each)}",
         )
         what += f"; down to {least:.4g} s where {harder} hardens"
     return [
         f"  time step   {dt:.4g} s at the start, set by {what}",
         f"  steps       {steps} for {span}",
-        f"  time        {takes} on {ranks} rank(s), one core each",
+        *stiffer(scene, plan),
+        f"  time        {takes} on {ranks} rank(s), one core each, {pace.of}",
     ]
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
+    """For people."""
     if seconds < 120:
         return f"{seconds:.0f} s"
     if seconds < 7200:

@@ -18,7 +18,7 @@ from vgmpi.scene.settings import (
     Time,
 )
 from vgmpi.scene.sources import Inflow, Sink
-from vgmpi.source import Source
+from vgmpi.source import Source, printable
 from vgmpi.tables import SceneError
 
 
@@ -71,6 +71,11 @@ class Scene:
         """The error for (path of a key, what is wrong with it), found after loading."""
         source = self.source or Source(self.path, self.overrides)
         return SceneError(source.lines(found))
+
+    def place(self, path: tuple) -> str:
+        """A key and where it stands, or what holds it: "material.water.gamma (scene.toml:12)"."""
+        source = self.source or Source(self.path, self.overrides)
+        return printable(f"{source.key(path)} ({source.place(path)[1]})")
 
     def resolved(self) -> dict[str, Any]:
         """Everything with defaults filled in, as plain JSON values."""

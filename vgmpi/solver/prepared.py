@@ -15,10 +15,12 @@ from ..output.read import RunError, opened, read_gaussians
 from ..planning.colour_sets import shades
 from ..planning.driven import Extents
 from ..planning.plan import Plan, make_plan
+from ..planning.surroundings import Surroundings
 from ..prepare import texture
 from ..prepare.courses import extent
 from ..prepare.loaded import find
 from ..scene.scene import Scene
+from .surroundings import surroundings
 
 log = logging.getLogger("vgmpi")
 
@@ -34,6 +36,7 @@ class Known:
     loads: list
     shades: np.ndarray | None = None  # of colours that travel (colour_sets.shades)
     thickness: tuple[float, ...] = ()  # as plan.Plan has it
+    surroundings: tuple[Surroundings, ...] = ()
     extents: Extents = field(default_factory=dict)  # of what is driven
     # on rank 0, of particles that are in no gaussians.h5 yet: what belongs into it, see rest.write
     rows: dict | None = None
@@ -163,7 +166,10 @@ def _known(scene, objects, rest, x, colliders, loads) -> Known:
         for k, body in enumerate(scene.object)
         if body.driven
     }
-    return Known(objects, total.tolist(), center.tolist(), colliders, loads, hues, thick, extents)
+    near = surroundings(scene, objects, x, colliders)
+    return Known(
+        objects, total.tolist(), center.tolist(), colliders, loads, hues, thick, near, extents
+    )
 
 
 def _thicknesses(objects: list[dict], x: np.ndarray, volume: np.ndarray) -> tuple[float, ...]:
@@ -195,7 +201,7 @@ def plan_for(scene: Scene, known: Known) -> Plan:
         scene, known.count, known.volume, colliders, known.center, known.shades, surface,
         known.extents,
     )  # fmt: skip
-    return replace(plan, thickness=known.thickness)
+    return replace(plan, thickness=known.thickness, surroundings=known.surroundings)
 
 
 def digest(scene: Scene) -> str:

@@ -1,7 +1,7 @@
 """What rank 0 tells while a run goes on, and the table at its end."""
 
-import collections
 import logging
+import math
 import os
 import sys
 import time
@@ -10,6 +10,8 @@ import numpy as np
 from tqdm import tqdm
 
 from ..output import store
+from ..planning.price import duration
+from .left import Left, work_of
 from .run import Runner
 from .step import Simulation
 from .watch import drift
@@ -52,34 +54,36 @@ class Progress:
 
     def __init__(self, run: Runner, quiet: bool):
         self.run, self.end = run, float(run.times[-1])
-        self.said = time.monotonic()
-        self.first = run.simulation.time
-        # (wall, simulated) [s] of the last lines: steps become shorter where laws harden
-        self.latest = collections.deque([(self.said, self.first)], maxlen=6)
+        self.said, first = time.monotonic(), run.simulation.time
+        self.left = Left(work_of(run.plan))
         shown = run.ranks.rank == 0 and not quiet
         self.bar = None
         if shown and sys.stderr.isatty():
-            form = "{l_bar}{bar}| {n:.3f}/{total:.3f} s [{elapsed}<{remaining}{postfix}]"
-            self.bar = tqdm(total=self.end, initial=self.first, bar_format=form, leave=False)
+            form = "{l_bar}{bar}| {n:.3f}/{total:.3f} s [{elapsed}{postfix}]"
+            self.bar = tqdm(total=self.end, initial=first, bar_format=form, leave=False)
         self.logs = shown and self.bar is None
 
     def __call__(self, simulation: Simulation) -> None:
+        if self.bar is None and not self.logs:
+            return
+        now = time.monotonic()
+        self.left.step(now, simulation.time)
         if self.bar is not None:
-            self.bar.set_postfix_str(
-                f"step {simulation.step}, frame {self.run.frame}", refresh=False
-            )
+            where = f"step {simulation.step}, frame {self.run.frame}"
+            self.bar.set_postfix_str(f"{self._left()}{where}", refresh=False)
             self.bar.update(simulation.time - self.bar.n)
-        elif self.logs and time.monotonic() - self.said >= LOG_EVERY:
-            self.said = time.monotonic()
-            wall, simulated = self.latest[0]
-            pace = (self.said - wall) / max(simulation.time - simulated, 1e-300)
-            self.latest.append((self.said, simulation.time))
-            left = pace * (self.end - simulation.time)
+        elif now - self.said >= LOG_EVERY:
+            self.said = now
             log.info(
-                "%.4g of %.4g s, step %d, frame %d of %d, %.0f s left",
-                simulation.time, self.end, simulation.step,
-                self.run.frame, len(self.run.times), left,
+                "%.4g of %.4g s, %sstep %d, frame %d of %d",
+                simulation.time, self.end, self._left(), simulation.step, self.run.frame,
+                len(self.run.times),
             )  # fmt: skip
+
+    def _left(self) -> str:
+        """The time left, once two steps are made."""
+        seconds = self.left.seconds(self.end)
+        return "" if math.isnan(seconds) else f"{duration(seconds)} left, "
 
     def close(self) -> None:
         if self.bar is not None:

@@ -22,7 +22,7 @@ STEP = 0.02  # of its depth: by more, two pixels see different things behind the
 LANE = 16  # pixels that are filtered together
 _ZERO, _ONE = np.float32(0), np.float32(1)
 SMALL = 3.0  # pixels: radius of a ball where the front is looked for
-EVEN = 3  # means of 3 x 3 such pixels
+EVEN = 8  # means of 3 x 3 such pixels
 COVERED = 1.25  # pixels: radius of a ball where its way through the liquid is looked for
 MOST = 24  # pixels of the filter to each side
 RADIUS = (3 / (4 * np.pi)) ** (1 / 3)  # spacings: of a ball as large as a particle
@@ -139,12 +139,13 @@ def _view(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     return np.ascontiguousarray(camera.world_to_camera, dtype=np.float64), lens
 
 
-@cached(nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy", inline="always")
 def _extent(X, Y, Z, R, lens, height, width):
     """First and last column and row that a ball may cover."""
     near = max(Z - R, lens[4])
-    rx, ry = lens[0] * R / near, lens[1] * R / near
-    px, py = lens[0] * X / Z + lens[2], lens[1] * Y / Z + lens[3]
+    wide, far = R / near, 1.0 / Z
+    rx, ry = lens[0] * wide, lens[1] * wide
+    px, py = lens[0] * X * far + lens[2], lens[1] * Y * far + lens[3]
     x0, x1 = max(0, int(np.floor(px - rx - 0.5))), min(width - 1, int(np.ceil(px + rx - 0.5)))
     y0, y1 = max(0, int(np.floor(py - ry - 0.5))), min(height - 1, int(np.ceil(py + ry - 0.5)))
     return x0, x1, y0, y1
@@ -154,6 +155,7 @@ def _extent(X, Y, Z, R, lens, height, width):
 def _balls(x, radius, w2c, lens, depth):
     """Depth (height, width) of the nearest ball."""
     height, width = depth.shape
+    wide, high = 1.0 / lens[0], 1.0 / lens[1]
     for i in range(len(x)):
         a, b, c, R = x[i, 0], x[i, 1], x[i, 2], radius[i]
         Z = w2c[2, 0] * a + w2c[2, 1] * b + w2c[2, 2] * c + w2c[2, 3]
@@ -164,9 +166,9 @@ def _balls(x, radius, w2c, lens, depth):
         x0, x1, y0, y1 = _extent(X, Y, Z, R, lens, height, width)
         rest = X * X + Y * Y + Z * Z - R * R
         for j in range(y0, y1 + 1):
-            v = (j + 0.5 - lens[3]) / lens[1]
+            v = (j + 0.5 - lens[3]) * high
             for k in range(x0, x1 + 1):
-                u = (k + 0.5 - lens[2]) / lens[0]
+                u = (k + 0.5 - lens[2]) * wide
                 square, along = u * u + v * v + 1.0, u * X + v * Y + Z
                 root = along * along - square * rest
                 if root > 0.0:
@@ -179,6 +181,7 @@ def _balls(x, radius, w2c, lens, depth):
 def _ways(x, radius, color, thin, w2c, lens, behind, sums):
     """Add to sums (height, width, 5) the ways through balls in front of `behind`."""
     height, width = behind.shape
+    wide, high = 1.0 / lens[0], 1.0 / lens[1]
     for i in range(len(x)):
         a, b, c, R = x[i, 0], x[i, 1], x[i, 2], radius[i]
         Z = w2c[2, 0] * a + w2c[2, 1] * b + w2c[2, 2] * c + w2c[2, 3]
@@ -188,24 +191,24 @@ def _ways(x, radius, color, thin, w2c, lens, behind, sums):
         Y = w2c[1, 0] * a + w2c[1, 1] * b + w2c[1, 2] * c + w2c[1, 3]
         x0, x1, y0, y1 = _extent(X, Y, Z, R, lens, height, width)
         # a ball of less than a pixel gives that pixel its volume
-        side = Z / lens[0]
+        side, whole = Z * wide, X * X + Y * Y + Z * Z - R * R
         if R < side:
             x0 = x1 = min(max(int(lens[0] * X / Z + lens[2]), 0), width - 1)
             y0 = y1 = min(max(int(lens[1] * Y / Z + lens[3]), 0), height - 1)
         for j in range(y0, y1 + 1):
-            v = (j + 0.5 - lens[3]) / lens[1]
+            v = (j + 0.5 - lens[3]) * high
             for k in range(x0, x1 + 1):
                 if Z > behind[j, k]:
                     continue
-                u = (k + 0.5 - lens[2]) / lens[0]
+                u = (k + 0.5 - lens[2]) * wide
                 if R < side:
                     way = 4.0 / 3.0 * np.pi * R**3 / (side * side)
                 else:
                     square, along = u * u + v * v + 1.0, u * X + v * Y + Z
-                    far = X * X + Y * Y + Z * Z - along * along / square
-                    if far >= R * R:
+                    inner = along * along / square - whole
+                    if inner <= 0.0:
                         continue
-                    way = 2.0 * np.sqrt(R * R - far)
+                    way = 2.0 * np.sqrt(inner)
                 sums[j, k, 0] += way
                 for m in range(3):
                     sums[j, k, 1 + m] += way * color[i, m]

@@ -7,7 +7,7 @@ map which is the larger the farther before it stands what is in the way (R. Fern
 closer soft shadows", 2005).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -40,17 +40,24 @@ class Light:
     contact: float = 0.5
 
 
-def lit(splats: Splats, light: Light, spacing: float) -> np.ndarray:
+def lit(
+    splats: Splats, light: Light, spacing: float, liquid: np.ndarray | None = None
+) -> np.ndarray:
     """By how much the Gaussians' colours are dimmed in this light, 0..1 (n,). spacing: of
-    neighbours inside of bodies [m]."""
+    neighbours inside of bodies [m]. liquid: (n,) which are of a liquid with a surface: light passes
+    them, and optics.py shades what it draws of them."""
     factor = np.ones(len(splats.x))
     if not len(factor):
         return factor
     if light.shadow > 0:
-        factor *= 1 - light.shadow * (1 - reached(splats, light))
-    if light.shade > 0:
+        throws = splats
+        if liquid is not None:
+            throws = replace(splats, opacity=np.where(liquid, 0.0, splats.opacity))
+        factor *= 1 - light.shadow * (1 - reached(throws, light))
+    there = np.arange(len(factor)) if liquid is None else np.flatnonzero(~liquid)
+    if light.shade > 0 and len(there):
         way = -np.asarray(light.direction) / np.linalg.norm(light.direction)
-        factor *= 1 - light.shade * 0.5 * (1 - faces(splats.x, spacing) @ way)
+        factor[there] *= 1 - light.shade * 0.5 * (1 - faces(splats.x[there], spacing) @ way)
     return factor
 
 

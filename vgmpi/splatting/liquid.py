@@ -132,8 +132,9 @@ def render(
     turn = np.ascontiguousarray(camera.world_to_camera[:3, :3])
     above = front.ABOVE * typical
     behind = image.copy()
+    near = 1 / depth
     optics.shade(
-        depth, through, behind, far, lens, turn, sky.picture, medium, typical, above, image, left
+        near, through, behind, far, lens, turn, sky.picture, medium, typical, above, image, left
     )
     dark = np.broadcast_to(np.float32(0), image.shape)
     before, passes = layers.picture(dark, depth, behind=False)

@@ -16,7 +16,14 @@ from vgmpi.caching import cached
 CLOSE = 0.5  # pixels: that near it is found
 STEPS = 6  # in search of the place that a refracted ray meets
 EDGE = 0.25  # spacings: a liquid less thick than this is drawn over what lies behind it in part
-DARKEST = np.float32(0.02)  # of a colour: light of it does not vanish on the way at once
+DARKEST = 0.02  # of a colour: light of it does not vanish on the way at once
+SEEN = 4.0  # half widths of the highlight, beyond which it is not seen
+TONES = 256  # colours whose logarithms are known; those between are not far from linear
+_LOGS = np.log(np.maximum(np.arange(TONES + 2) / TONES, DARKEST)).astype(np.float32)
+
+
+# of shade: in one piece it takes two thirds of the time
+_part = cached(nogil=True, error_model="numpy", inline="always")
 
 
 class Sky(NamedTuple):
@@ -29,13 +36,15 @@ class Sky(NamedTuple):
 class Medium(NamedTuple):
     """index: of refraction. clear: way [m] after which white light has the liquid's colour.
     light: (3,) unit vector towards the light. highlight: how bright that is mirrored. rough: of the
-    surface, the highlight's half width [rad]."""
+    surface, the highlight's half width [rad]. shade: how much is taken of the liquid's own light
+    where its surface is turned away, 0..1."""
 
     index: float
     clear: float
     light: np.ndarray
     highlight: float
     rough: float
+    shade: float = 0.0
 
 
 def gradient(zenith, horizon, ground) -> Sky:
@@ -48,7 +57,7 @@ def gradient(zenith, horizon, ground) -> Sky:
     return Sky(np.ascontiguousarray(np.where(up > 0, above, below)[:, None, :], dtype=np.float32))
 
 
-@cached(nogil=True, error_model="numpy")
+@_part
 def fresnel(cosine, index):
     """Share of light without polarisation that a surface mirrors, from outside, at an angle of
     incidence of this cosine."""
@@ -58,11 +67,19 @@ def fresnel(cosine, index):
     return 0.5 * (across * across + along * along)
 
 
-@cached(nogil=True, error_model="numpy")
+@_part
+def _angle(cosine):
+    """arccos, to 7e-5 (Abramowitz and Stegun, 4.4.45)."""
+    c = min(abs(cosine), 1.0)
+    least = np.sqrt(1.0 - c) * (1.5707288 + c * (-0.2121144 + c * (0.0742610 - 0.0187293 * c)))
+    return least if cosine >= 0.0 else np.pi - least
+
+
+@_part
 def _lookup(sky, x, y, z, out):
     """Colour of the surroundings in a direction (unit), into out (3,)."""
     rows, columns = sky.shape[0], sky.shape[1]
-    v = np.arccos(min(1.0, max(-1.0, z))) / np.pi * rows - 0.5
+    v = _angle(z) / np.pi * rows - 0.5
     u = (np.arctan2(y, x) / (2.0 * np.pi) + 0.5) * columns - 0.5 if columns > 1 else 0.0
     j, k = int(np.floor(v)), int(np.floor(u))
     fv, fu = v - j, u - k
@@ -74,7 +91,7 @@ def _lookup(sky, x, y, z, out):
         out[m] = one + fv * (two - one)
 
 
-@cached(nogil=True, error_model="numpy")
+@_part
 def _sample(picture, px, py, out):
     """Colour of a picture at a point [pixels], linear between centres, into out (3,)."""
     height, width = picture.shape[0], picture.shape[1]
@@ -87,36 +104,36 @@ def _sample(picture, px, py, out):
         out[m] = one + fv * (two - one)
 
 
-@cached(nogil=True, error_model="numpy")
-def _slope(depth, j, k, step_j, step_k, spacing):
-    """Difference of 1 / depth to a neighbour, per pixel: of the two sides the lesser one, so that
-    an edge does not bend what lies before it."""
-    height, width = depth.shape
-    here = 1.0 / depth[j, k]
+@_part
+def _slope(near, j, k, step_j, step_k, spacing):
+    """Difference of near, 1 / depth, to a neighbour, per pixel: of the two sides the lesser one, so
+    that an edge does not bend what lies before it."""
+    height, width = near.shape
+    here = near[j, k]
     found, best = 0.0, np.inf
     for side in (-1, 1):
         a, b = j + side * step_j, k + side * step_k
-        if 0 <= a < height and 0 <= b < width and depth[a, b] < np.inf:
-            if abs(depth[a, b] - depth[j, k]) < 4.0 * spacing:
-                slope = side * (1.0 / depth[a, b] - here)
+        if 0 <= a < height and 0 <= b < width:
+            slope = side * (near[a, b] - here)
+            if abs(slope) < 4.0 * spacing * near[a, b] * here:
                 if abs(slope) < best:
                     best, found = abs(slope), slope
     return found
 
 
-@cached(nogil=True, error_model="numpy")
-def _normal(depth, j, k, lens, spacing, out):
-    """Unit normal of the front towards the eye, in the camera's axes, into out (3,)."""
+@_part
+def _normal(near, j, k, u, v, lens, spacing, out):
+    """Unit normal of the front towards the eye, in the camera's axes, into out (3,), at the point
+    of a pixel on the plane z = 1."""
     # of the plane 1 / z = a u + b v + c, u = x / z: a x + b y + c z = 1
-    a = _slope(depth, j, k, 0, 1, spacing) * lens[0]
-    b = _slope(depth, j, k, 1, 0, spacing) * lens[1]
-    u, v = (k + 0.5 - lens[2]) / lens[0], (j + 0.5 - lens[3]) / lens[1]
-    c = 1.0 / depth[j, k] - a * u - b * v
-    size = np.sqrt(a * a + b * b + c * c)
-    out[0], out[1], out[2] = -a / size, -b / size, -c / size
+    a = _slope(near, j, k, 0, 1, spacing) * lens[0]
+    b = _slope(near, j, k, 1, 0, spacing) * lens[1]
+    c = near[j, k] - a * u - b * v
+    size = 1.0 / np.sqrt(a * a + b * b + c * c)
+    out[0], out[1], out[2] = -a * size, -b * size, -c * size
 
 
-@cached(nogil=True, error_model="numpy")
+@_part
 def _met(start, ray, way, lens, far, place):
     """Where a ray from `start` along `ray` meets what is `far` (height, width) [m], in pixels, into
     place (2,). way: through the liquid, for what is infinitely far."""
@@ -124,8 +141,9 @@ def _met(start, ray, way, lens, far, place):
     length = way
     for step in range(STEPS):
         z = max(start[2] + length * ray[2], lens[4])
-        place[0] = lens[0] * (start[0] + length * ray[0]) / z + lens[2]
-        place[1] = lens[1] * (start[1] + length * ray[1]) / z + lens[3]
+        near = 1.0 / z
+        place[0] = lens[0] * (start[0] + length * ray[0]) * near + lens[2]
+        place[1] = lens[1] * (start[1] + length * ray[1]) * near + lens[3]
         j = min(max(int(place[1]), 0), height - 1)
         k = min(max(int(place[0]), 0), width - 1)
         if not far[j, k] < np.inf or ray[2] < 0.05:
@@ -136,7 +154,7 @@ def _met(start, ray, way, lens, far, place):
         length += more if step == 0 else 0.7 * more
 
 
-@cached(nogil=True, error_model="numpy")
+@_part
 def _lit(mirrored, turn, sky, medium, out):
     """Light that comes along a mirrored ray (3,) of the camera's axes, into out (3,)."""
     x = turn[0, 0] * mirrored[0] + turn[1, 0] * mirrored[1] + turn[2, 0] * mirrored[2]
@@ -144,45 +162,56 @@ def _lit(mirrored, turn, sky, medium, out):
     z = turn[0, 2] * mirrored[0] + turn[1, 2] * mirrored[1] + turn[2, 2] * mirrored[2]
     _lookup(sky, x, y, z, out)
     along = min(x * medium.light[0] + y * medium.light[1] + z * medium.light[2], 1.0)
-    if along > 0.5 and medium.highlight > 0.0:
-        off = np.arccos(along) / medium.rough
+    # 1 - a^2 / 2 is less than the cosine of a
+    if medium.highlight > 0.0 and along > 1.0 - 0.5 * (SEEN * medium.rough) ** 2:
+        off = _angle(along) / medium.rough
         glint = medium.highlight * np.exp(-0.7 * off * off)
         for m in range(3):
             out[m] += glint
 
 
-@cached(nogil=True, error_model="numpy")
-def _weakened(color, through, clear):
-    """Light `color` (3,) after its way through the liquid; what of it comes through."""
+@_part
+def _weakened(color, through, clear, bright):
+    """Light `color` (3,) after its way through the liquid, whose own light is as bright; what of it
+    comes through."""
     way, passes = through[0], np.exp(-through[4])
+    share, part = np.float32(1.0) / way, np.float32(way / clear)
     for m in range(3):
-        own = through[1 + m] / way
-        tint = np.exp(np.log(max(own, DARKEST)) * np.float32(way / clear))
-        color[m] = passes * tint * color[m] + (1.0 - passes) * own
+        own = through[1 + m] * share
+        tone = min(max(own, np.float32(0.0)), np.float32(1.0)) * np.float32(TONES)
+        at = int(tone)
+        log = _LOGS[at] + (tone - np.float32(at)) * (_LOGS[at + 1] - _LOGS[at])
+        tint = np.exp(log * part)
+        color[m] = passes * tint * color[m] + (1.0 - passes) * bright * own
     return passes
 
 
 @cached(nogil=True, error_model="numpy")
-def shade(depth, through, behind, far, lens, turn, sky, medium, spacing, above, image, left):
+def shade(near, through, behind, far, lens, turn, sky, medium, spacing, above, image, left):
     """Draw a liquid over `image` (height, width, 3) and `left` (height, width), what comes through.
 
-    depth, through: of its front, see vgmpi.splatting.front. behind, far: picture and depth [m] of
-    what lies behind. lens: fx, fy, cx, cy, near. turn: (3, 3) from the world to the camera.
-    spacing: of particles [m]. above: how much farther out than the surface the front is [m].
+    near: 1 / depth [1/m] of its front, 0 where it is not; through: see vgmpi.splatting.front.
+    behind, far: picture and depth [m] of what lies behind. lens: fx, fy, cx, cy, near. turn: (3, 3)
+    from the world to the camera. spacing: of particles [m]. above: how much farther out than the
+    surface the front is [m].
     """
     height, width = left.shape
     normal, start, ray, mirrored = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    place, color, sent = np.empty(2), np.empty(3), np.empty(3)
+    place, color, sent, toward = np.empty(2), np.empty(3), np.empty(3), np.zeros(3)
+    for m in range(3):
+        for n in range(3):
+            toward[m] += turn[m, n] * medium.light[n]
     for j in range(height):
         for k in range(width):
-            z, way = depth[j, k], float(through[j, k, 0])
-            if not z < np.inf or way <= 0.0:
+            way = float(through[j, k, 0])
+            if near[j, k] == 0.0 or way <= 0.0:
                 continue
-            _normal(depth, j, k, lens, spacing, normal)
+            z = 1.0 / near[j, k]
             x, y = (k + 0.5 - lens[2]) / lens[0], (j + 0.5 - lens[3]) / lens[1]
-            size = np.sqrt(x * x + y * y + 1.0)
+            _normal(near, j, k, x, y, lens, spacing, normal)
+            size = 1.0 / np.sqrt(x * x + y * y + 1.0)
             start[0], start[1], start[2] = x * z, y * z, z
-            look = (x / size, y / size, 1.0 / size)
+            look = (x * size, y * size, size)
             facing = -(look[0] * normal[0] + look[1] * normal[1] + look[2] * normal[2])
             cosine = min(max(facing, 0.02), 1.0)
             inner = np.sqrt(1.0 - (1.0 - cosine * cosine) / (medium.index * medium.index))
@@ -192,7 +221,9 @@ def shade(depth, through, behind, far, lens, turn, sky, medium, spacing, above, 
                 start[m] += above / cosine * look[m]
             _met(start, ray, way, lens, far, place)
             _sample(behind, place[0], place[1], color)
-            passes = _weakened(color, through[j, k], medium.clear)
+            faces = normal[0] * toward[0] + normal[1] * toward[1] + normal[2] * toward[2]
+            bright = 1.0 - 0.5 * medium.shade * (1.0 - faces)
+            passes = _weakened(color, through[j, k], medium.clear, bright)
             _lit(mirrored, turn, sky, medium, sent)
             share = fresnel(cosine, medium.index)
             edge = min(1.0, way / (EDGE * spacing))

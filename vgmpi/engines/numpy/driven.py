@@ -40,4 +40,4 @@ def carry(group: Group, driven: Driven, dt: float, step: int) -> Report:
     cells = np.array(group.lattice.cells)
     outside = ~((place > -0.5) & (place < cells + 0.5)).all(1)
     wrong = [(int(group.ids[at[k]]), OUTSIDE) for k in np.flatnonzero(outside)]
-    return Report(0.0, float(np.abs(x).max()), (0.0,) * 3, wrong, [])
+    return Report(0.0, float(np.abs(x).max()), (float(np.abs(v).max()), 0.0, 0.0), wrong, [])

@@ -272,7 +272,9 @@ class Numpy:
                                                          strict=True)]  # fmt: skip
         wrong = [one for report in found for one in report.wrong]
         rate, far = (max(getattr(r, name) for r in found) for name in ("rate", "far"))
-        return Report(rate, far, (0.0,) * 3, wrong, [])
+        # no sum is in quanta here, which turn and stress are for
+        reach = max(r.reach[0] for r in found), 0.0, 0.0
+        return Report(rate, far, reach, wrong, [])
 
     def restore(self, times: int) -> list[Beyond]:
         """Give the particles `times` what a step of no time has taken from their motion."""
@@ -354,7 +356,8 @@ class Numpy:
         reason = np.select([~whole, ~tame, ~slow, ~inside], [CRUSHED, LOST, TOO_FAST, OUTSIDE], 0)
         wrong = [(int(group.ids[at[k]]), int(reason[k])) for k in np.flatnonzero(reason)]
         rate = float(np.where(good, rates, 0.0).max())
-        return Report(rate, float(np.abs(x).max()), (0.0,) * 3, wrong, [])
+        reach = float(np.abs(v[good]).max(initial=0.0)), 0.0, 0.0
+        return Report(rate, float(np.abs(x).max()), reach, wrong, [])
 
     # ---- a group's numbers, in double precision --------------------------------------------------
 

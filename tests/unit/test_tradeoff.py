@@ -1,0 +1,158 @@
+"""The study of accuracy and time: what it varies, what it measures, what it chooses."""
+
+import csv
+import shutil
+
+import numpy as np
+import pytest
+
+from tests.scenes import scene, write
+from vgmpi.scene.reader import load
+from vgmpi.study import knobs, tradeoff
+from vgmpi.study.choice import Measured, Model, best
+from vgmpi.study.errors import Outcome, elsewhere, energy
+from vgmpi.study.knobs import PLAIN, Setting
+
+SCENE = """
+[domain]
+size = [0.32, 0.16, 0.24]
+cell = 0.02
+[time]
+end = 0.05
+frames = 3
+[material.water]
+kind = "fluid"
+max_speed = 2
+[[object]]
+name = "block"
+material = "water"
+shape = { box = [[0, 0, 0], [0.1, 0.16, 0.16]] }
+"""
+
+
+@pytest.fixture
+def block(tmp_path):
+    return scene(tmp_path, SCENE)
+
+
+def test_cells_are_near_steps_of_sqrt_2_and_whole(block):
+    # 16 x 8 x 12: the longest edge is a multiple of 4 cells
+    assert knobs.cells(block) == [12, 16, 24]
+    for count in knobs.cells(block):
+        (override,) = knobs.of_cells(block, count).overrides
+        cell = float(override.partition("=")[2])
+        assert all(abs(edge / cell - round(edge / cell)) < 1e-9 for edge in block.domain.size)
+
+
+def test_liquids_are_made_softer_by_the_key_that_the_scene_has(tmp_path, block):
+    softer, stiffer = knobs.others(block, "stiffness")
+    assert softer.overrides == ("material.water.compression=0.04",)
+    assert stiffer.overrides == ("material.water.compression=0.0025",)
+    plain = scene(tmp_path, SCENE.replace("max_speed = 2", "bulk_modulus = 1e5"))
+    softer, _ = knobs.others(plain, "stiffness")
+    assert softer.overrides == ("material.water.bulk_modulus=25000.0",)
+
+
+def test_knobs_with_nothing_to_turn_are_left_out(tmp_path):
+    text = SCENE.replace('kind = "fluid"\nmax_speed = 2', 'kind = "elastic"\nyoungs_modulus = 1e5')
+    rubber = scene(tmp_path, text.replace("end = 0.05", "end = 0.05\ndt = 1e-4"))
+    assert knobs.others(rubber, "stiffness") == [] == knobs.others(rubber, "cfl")
+
+
+def test_the_later_of_two_settings_wins():
+    coarse = Setting((("cells", "8"),), ("domain.cell=0.04",))
+    single = Setting((("precision", "single"),), ("accuracy.precision=single",))
+    fine = Setting((("cells", "32"),), ("domain.cell=0.01",))
+    both = coarse.and_then(single).and_then(fine)
+    assert both.name == "precision-single_cells-32"
+    assert both.overrides == ("accuracy.precision=single", "domain.cell=0.01")
+
+
+def test_the_best_are_beaten_by_none():
+    runs = [
+        Measured(Setting((("k", str(k)),), ()), cpu, error, 8)
+        for k, (cpu, error) in enumerate([(1, 0.5), (2, 0.6), (3, 0.2), (4, 0.2), (5, 0.1)])
+    ]
+    assert [m.cpu for m in best(runs)] == [1, 3, 5]
+
+
+def measured(block):
+    """As if time went with the fourth power of the cells, and the error as their size."""
+    single = knobs.others(block, "precision")[0]
+    runs = []
+    for n in (8, 16, 24):
+        setting = PLAIN if n == 16 else knobs.of_cells(block, n)
+        runs.append(Measured(setting, (n / 16) ** 4 * 10.0, 0.0 if n == 24 else 0.16 / n, n))
+    return [*runs, Measured(single, 5.0, 0.01000001, 16)]
+
+
+def test_cells_between_those_that_were_run_are_found(block):
+    model = Model(block, measured(block), [8, 12, 16, 20, 24])
+    cheap = model.within_error(0.0134)
+    assert dict(cheap.setting.knobs) == {"cells": "12", "precision": "single"}
+    assert cheap.cpu == pytest.approx(0.5 * 10 * 0.75**4, rel=1e-6)
+    assert cheap.error == pytest.approx(0.16 / 12, rel=1e-3)
+    good = model.within_budget(12.3)
+    assert dict(good.setting.knobs) == {"cells": "20", "precision": "single"}
+    assert model.within_error(1e-4) is None and model.within_budget(1e-3) is None
+
+
+def test_a_run_of_two_precisions_is_told_and_a_scene_is_written(tmp_path, capsys):
+    path = write(tmp_path, SCENE)
+    flags = [str(path), "-o", str(tmp_path / "study"), "--vary", "precision", "--budget", "1 h"]
+    assert tradeoff.main(flags) == 0
+    said = capsys.readouterr().out
+    assert "precision single" in said and "scene_chosen.toml" in said
+    with open(tmp_path / "study" / "tradeoff.csv") as file:
+        rows = {row["setting"]: row for row in csv.DictReader(file)}
+    assert set(rows) == {"as_it_is", "precision-single"}
+    assert 0 < float(rows["precision-single"]["error"]) < 1e-4
+    assert load(tmp_path / "scene_chosen.toml").domain.cell == 0.02
+    # again: nothing is run, the same is said
+    stamps = {p: p.stat().st_mtime_ns for p in (tmp_path / "study").glob("*/ledger.csv")}
+    assert len(stamps) == 2 and tradeoff.main(flags) == 0
+    assert capsys.readouterr().out == said
+    assert all(p.stat().st_mtime_ns == t for p, t in stamps.items())
+    # a run that is no more is made again
+    shutil.rmtree(tmp_path / "study" / "precision-single")
+    assert tradeoff.main(flags) == 0
+    one, other = (Outcome(tmp_path / "study" / n) for n in ("as_it_is", "precision-single"))
+    assert elsewhere(one, one) == 0 == energy(one, one)
+    assert 0 < elsewhere(other, one) < 1e-4
+
+
+def test_mass_that_is_elsewhere_is_counted(tmp_path, monkeypatch):
+    moved = np.array([[0.3, 0.1, 0.0], [0.0, 0.4, 0.2]])
+    still = np.array([[0.4, 0.0, 0.0], [0.0, 0.4, 0.2]])
+
+    class Told:
+        times = np.zeros(2)
+
+        def __init__(self, spread):
+            self.found = spread
+
+        def spread(self, frame):
+            return self.found
+
+    assert elsewhere(Told(moved), Told(still)) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    "flags, said",
+    [
+        (["--vary", "cells"], "unknown: cells"),
+        (["--budget", "5 kg"], "'kg' does not measure a time"),
+        (["--error", "0"], "must be > 0"),
+        (["--curve", "a.csv"], "go together"),
+    ],
+)
+def test_wrong_flags_are_told(tmp_path, capsys, flags, said):
+    with pytest.raises(SystemExit) as ended:
+        tradeoff.main([str(write(tmp_path, SCENE)), *flags])
+    assert ended.value.code == 2 and said in capsys.readouterr().err
+
+
+def test_a_scene_that_is_wrong_is_told(tmp_path, capsys):
+    path = write(tmp_path, SCENE.replace("end = 0.05", "end = -1"))
+    assert tradeoff.main([str(path)]) == 2
+    assert "scene.toml:6: time.end" in capsys.readouterr().err

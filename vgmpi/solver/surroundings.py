@@ -1,0 +1,77 @@
+"""How bodies stand at the start, by the blocks that their particles lie in: for --plan."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..domain.blocks import EDGE, Lattice
+from ..domain.solids import REACH
+from ..planning.driven import driven_phases
+from ..planning.surroundings import Surroundings
+from ..scene.scene import Scene
+
+_AROUND = np.stack(np.meshgrid(*(np.arange(-1, 2),) * 3, indexing="ij"), -1).reshape(-1, 1, 3)
+_NONE = np.zeros(0, np.int64)
+
+
+def surroundings(
+    scene: Scene, objects: list[dict], x: np.ndarray, colliders: Sequence
+) -> tuple[Surroundings, ...]:
+    """Of each object and source; nothing is known of sources. objects: first and count of each
+    one's rows in x (n, 3) [m]."""
+    lattice = Lattice(scene.domain.cells, scene.domain.cell)
+    found = [_blocks(lattice, x[told["first"] :][: told["count"]]) for told in objects]
+    found = found[: len(scene.object)]
+    own = [scene.phase_of(thing) for thing in scene.object]
+    for name, rows in driven_phases(scene).items():
+        for k in rows:
+            own[k] = name
+    beside = {
+        name: _spread(
+            lattice, [code for (code, _), of in zip(found, own, strict=True) if of == name]
+        )
+        for name in sorted({name for name in own if name is not None})
+    }
+    near = _by(lattice, [code for code, _ in found], colliders)
+    out = [
+        Surroundings(
+            len(code),
+            tuple((p, _share(code, count, there)) for p, there in beside.items() if p != own[k]),
+            _share(code, count, near),
+        )
+        for k, (code, count) in enumerate(found)
+    ]
+    return (*out, *[Surroundings()] * (len(objects) - len(out)))
+
+
+def _blocks(lattice: Lattice, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Codes (m,) of the blocks in which particles at x (n, 3) [m] lie, and how many in each."""
+    block = np.floor((x / lattice.dx + 0.5) / EDGE).astype(np.int64)
+    return np.unique(lattice.code(block), return_counts=True)
+
+
+def _share(code: np.ndarray, count: np.ndarray, there: np.ndarray) -> float:
+    return float(count[np.isin(code, there)].sum() / max(count.sum(), 1))
+
+
+def _spread(lattice: Lattice, codes: list[np.ndarray]) -> np.ndarray:
+    """Codes of the blocks and of all beside them."""
+    block = (lattice.block(np.unique(np.concatenate([_NONE, *codes]))) + _AROUND).reshape(-1, 3)
+    inside = ((block >= 0) & (block < lattice.shape)).all(axis=1)
+    return np.unique(lattice.code(block[inside]))
+
+
+def _by(lattice: Lattice, codes: list[np.ndarray], colliders: Sequence) -> np.ndarray:
+    """Codes of blocks at most one away from those that a collider may touch."""
+    if not colliders:
+        return _NONE
+    wide = _spread(lattice, codes)
+    centre = (EDGE * lattice.block(wide) - 1 + (EDGE - 1) / 2) * lattice.dx
+    limit = (0.5 * np.sqrt(3.0) * (EDGE - 1) + REACH) * lattice.dx
+    close = np.zeros(len(wide), bool)
+    for collider in colliders:
+        low, high = collider.ends()
+        out = np.maximum(np.maximum(low - centre, centre - high), 0.0)
+        rows = np.flatnonzero((out**2).sum(axis=1) < limit**2)
+        close[rows] |= collider.distance(centre[rows]) < limit
+    return _spread(lattice, [wide[close]])

@@ -1,0 +1,97 @@
+"""The runs of a study, each a process of its own in a folder of its own, and what each took. A run
+that is done is not done again."""
+
+import hashlib
+import json
+import os
+import resource
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from tqdm import tqdm
+
+from ..bench.rounds import OPEN_MPI
+from ..scene.scene import Scene
+from ..solver.probes import files
+from .errors import Outcome
+from .knobs import Setting
+
+RECORD = "study.json"
+STOPPED = 75  # exit code of a run that was stopped with a checkpoint
+
+
+class StudyError(RuntimeError):
+    """A run of the study did not come to its end; one line that says which, and why."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """Runs of a scene below `folder`, on so many ranks."""
+
+    scene: Scene
+    folder: Path
+    ranks: int = 1
+
+    def place(self, setting: Setting) -> Path:
+        """The folder of a run."""
+        return self.folder / setting.name
+
+    def done(self, setting: Setting) -> float | None:
+        """Processor time [s] of all ranks of a run from its second step on, if it is there and of
+        this scene as it is now."""
+        try:
+            record = json.loads((self.place(setting) / RECORD).read_text())
+            if record["of"] == self._of(setting):
+                return float(record["cpu"])
+        except (OSError, ValueError, KeyError, TypeError):
+            pass
+        return None
+
+    def run(self, setting: Setting) -> float:
+        """The same, run if it is not there. Raises StudyError."""
+        found = self.done(setting)
+        if found is None:
+            # compiles, which is not what is measured
+            self._call(setting, "--overwrite", "--stop-after", "1 steps")
+            before = self._call(setting, "--resume", "--stop-after", "1 steps")
+            took = self._call(setting, "--resume")
+            found = max(took - before, 1e-3)
+            record = {"of": self._of(setting), "cpu": found}
+            (self.place(setting) / RECORD).write_text(json.dumps(record))
+        return found
+
+    def all(self, settings: list[Setting]) -> dict[Setting, float]:
+        """Every one of them, with a bar."""
+        bar = tqdm(settings, desc="study", unit="run", disable=None)
+        found = {}
+        for setting in bar:
+            bar.set_postfix_str(setting.name)
+            found[setting] = self.run(setting)
+        return found
+
+    def outcome(self, setting: Setting) -> Outcome:
+        """What a run that is done says."""
+        folder = self.place(setting)
+        return Outcome(folder, files(self.scene, folder))
+
+    def _of(self, setting: Setting) -> str:
+        text = self.scene.text + repr(setting.overrides)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    def _call(self, setting: Setting, *how: str) -> float:
+        """Processor time [s] of a start of the program and of its ranks."""
+        folder = self.place(setting)
+        launcher = ["mpirun", "-n", str(self.ranks)] if self.ranks > 1 else []
+        flags = [word for one in setting.overrides for word in ("--set", one)]
+        program = [sys.executable, "-m", "vgmpi", str(self.scene.path), "-o", str(folder), "-q"]
+        words, env = [*launcher, *program, *how, *flags], {**OPEN_MPI, **os.environ}
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        made = subprocess.run(words, env=env, capture_output=True, text=True)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        # mpirun has an exit code of its own for ranks that stopped
+        if made.returncode not in (0, STOPPED):
+            lines = made.stderr.strip().splitlines() or [f"exit code {made.returncode}"]
+            raise StudyError(f"{setting.name}: {lines[-1]} ({folder})")
+        return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
