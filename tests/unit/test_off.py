@@ -223,6 +223,13 @@ def test_what_is_defined_and_not_used_changes_nothing(tmp_path, plain):
             assert np.array_equal(one, other)
 
 
+def test_what_is_not_used_bounds_no_step(tmp_path):
+    """A fixed one is not refused for fluids of which one is not there; they would bear 7 us."""
+    fixed = PLAIN.replace("end = 1", "end = 1\ndt = 1e-4")
+    unused = UNUSED.replace("diffusion = 1e-4", "diffusion = 10")
+    assert begin(tmp_path, fixed + unused)[0].plan.fixed_dt == 1e-4
+
+
 WITH_SAND = PLAIN.replace('"fluid"\nbulk_modulus = 5e4', '"sand"')
 IN_PORES = PLAIN.replace('name = "pool"', 'name = "pool"\nfraction = 0.4') + GRAINS + WITHIN
 RED = BESIDE + 'colour = "#ff0000"\n'

@@ -292,8 +292,9 @@ def fastest(scene: Scene, plan: Plan, stiffened: bool = False) -> list[tuple[flo
     of what diffuses. stiffened: with every law as stiff as a run can make it.
     """
     dx, found = scene.domain.cell, []
+    used = {group.material for group in plan.groups}
     for coupling in scene.coupling:
-        if coupling.rule == MIXING and coupling.diffusion > 0:
+        if coupling.rule == MIXING and coupling.diffusion > 0 and used.issuperset(coupling.between):
             one, other = coupling.between
             bound = dx**2 / (6.0 * coupling.diffusion)
             found.append((bound, f"the diffusion of materials {one!r} and {other!r}"))

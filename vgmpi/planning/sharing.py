@@ -35,6 +35,8 @@ def rules(scene: Scene, groups, phases) -> Rules | None:
                 if coupling.rule == DRAG:
                     drag[a, b] = drag[b, a] = _coefficient(scene, coupling)
                     printed[a, b] = printed[b, a] = coupling.printed
+    if not pairs:
+        return None  # of materials that nothing is made of
     fluid = np.array([phase.families == ("fluid",) for phase in phases])
     mix = connected(n, [p for p in pairs if pair[p] == MIXING])
     together = connected(n, pairs)
