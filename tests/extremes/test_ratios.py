@@ -23,12 +23,33 @@ CORNERS = {
     "fluid on elastic, 100 times denser and stiffer": Pair(("elastic", "fluid"), 1e-2, 1e-2),
     "sand on elastic, 10 times denser": Pair(("elastic", "sand"), density=1e-1),
 }
+MIXTURES = {  # powers of ten of density and stiffness, slip time [s]
+    "as one, 1e4 times denser and stiffer": (4, 4, 0.0),
+    "slipping, 1e2 times denser and stiffer": (2, 2, ratios.SLIP),
+    "slipping a little, 1e2 times denser and stiffer": (2, 2, 1e-3),
+    "slipping, 1e3 times denser": (3, 0, ratios.SLIP),
+}
 FEW = [Pair(SOLIDS, per_cell=n) for n in ((64, 1), (1, 64))]
 
 
 @pytest.mark.parametrize("name", CORNERS)
 def test_the_default_has_a_margin_where_bodies_differ(name):
     assert Joint(CORNERS[name]).stable(MARGIN)
+
+
+@pytest.mark.parametrize("name", MIXTURES)
+def test_the_default_has_a_margin_where_fluids_that_mix_differ(name):
+    density, stiffness, slip_time = MIXTURES[name]
+    mixed = ratios._mixing(0.0, slip_time)
+    assert Joint(Pair(MIXED, 10.0**density, 10.0**stiffness, coupled=mixed)).stable(MARGIN)
+
+
+def test_fluids_that_slip_and_differ_by_1e4_do_not_blow_up():
+    """Of what is left of the stiff one's waves, 2500 times as fast, a step knows before it is
+    taken."""
+    joint = Joint(Pair(MIXED, 1e4, 1e4, coupled=ratios._mixing(0.0, ratios.SLIP)))
+    assert joint.plan.groups[0].slips > 2000.0
+    assert joint.stable(MARGIN)
 
 
 @pytest.mark.parametrize("pair", FEW, ids=lambda pair: ":".join(map(str, pair.per_cell)))

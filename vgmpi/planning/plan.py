@@ -22,7 +22,7 @@ from .colour_sets import Exchange, exchange
 from .driven import DrivenPlan, Extents, driven_phases, driven_plans
 from .groups import GroupPlan, PhasePlan, completed, groups_of, phases_of
 from .inflow import SinkPlan, SourcePlan, sink_plans, source_plans
-from .sharing import rules
+from .sharing import rules, slipping
 from .surroundings import Surroundings
 
 REALS: dict[str, np.dtype] = {
@@ -206,6 +206,8 @@ def make_plan(
     _check_transfer(scene, sharing)
     keeps, restores = _keeps(scene.accuracy), _restores(scene)
     whole = tuple(completed(scene, group, sharing, colours, keeps, restores) for group in plain)
+    slips = slipping(whole, sharing, scene.time.cfl * scene.domain.cell)
+    whole = tuple(g._replace(slips=s) for g, s in zip(whole, slips, strict=True))
     driven, groups, group_of = driven_plans(scene, whole, group_of, phases, extents or {})
     plan = Plan(
         cells=scene.domain.cells,
