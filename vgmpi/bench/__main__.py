@@ -363,13 +363,11 @@ def _stability(parser: argparse.ArgumentParser) -> None:
 def _run_stability(given: argparse.Namespace) -> int:
     from . import ratios, stability
 
-    if given.ratios:
-        for text in ratios.lines(given.only, given.transfer or ["restored"]):
-            print(text, flush=True)
-        return 0
-    print(stability.HEAD)
-    for case in stability.cases(given.only, given.transfer, given.precision):
-        print(stability.line(case, stability.largest(case)), flush=True)
+    rows = ratios.lines(given.only, given.transfer or ["restored"])
+    if not given.ratios:
+        rows = stability.lines(given.only, given.transfer, given.precision)
+    for text in rows:
+        print(text, flush=True)
     return 0
 
 

@@ -7,7 +7,7 @@ motion and the weight can give, and nothing blows up. ratios.py has two bodies t
 """
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import get_args
 
@@ -174,8 +174,14 @@ def cases(names: list[str], transfers: list[str] | None, precisions: list[str]) 
 HEAD = f"{'filling':20s} {'transfer':9s} {'precision':10s} {'largest factor':15s} over default"
 
 
-def line(case: Case, found: float) -> str:
-    """A row of the table."""
+def lines(names: list[str], transfers: list[str] | None, precisions: list[str]) -> Iterator[str]:
+    """The table as text, row by row as they are found. Arguments as of `cases`."""
+    yield HEAD
+    for case in cases(names, transfers, precisions):
+        yield _line(case, largest(case))
+
+
+def _line(case: Case, found: float) -> str:
     default = 1.0 if case.name in COUPLED else DEFAULT
     more = ">= " if found >= RUNGS[-1] else ""
     return (

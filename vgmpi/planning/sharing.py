@@ -120,14 +120,15 @@ def _mixing_numbers(scene: Scene, couplings, of, mix) -> list[tuple[float, float
     return [found[group] for group in sorted(found) if group >= 0]
 
 
-def slipping(groups, rules: Rules | None, way: float) -> list[float]:
-    """Squared speed of waves in a space that each group shares with fluids through which it slips,
-    relative to its own at rest; 1 where none is much faster than those of the fluids alone, and of
-    all but the stiffer of two (docs/theory.md). way: what a wave may go in a step [m].
+def slipping(groups: tuple, rules: Rules | None, way: float) -> tuple:
+    """The groups with the squared speed of waves in a space that each shares with fluids through
+    which it slips, relative to its own at rest: 1 where none is much faster than those of the
+    fluids alone, and of all but the stiffer of two (docs/theory.md). way: what a wave may go in a
+    step [m].
     """
     found = [1.0] * len(groups)
     if rules is None:
-        return found
+        return groups
     slip_time = np.append(np.where(rules.printed_mix, 0.0, rules.slip_time), 0.0)  # -1 is the last
     of = [int(rules.mix[g.phase]) for g in groups]
     free = [k for k, mix in enumerate(of) if slip_time[mix] > 0.0]
@@ -139,7 +140,7 @@ def slipping(groups, rules: Rules | None, way: float) -> list[float]:
                 fastest = _slipping_waves(ends[k], ends[m], slip_time[of[k]], way)
                 if fastest > SPARE * max(own[k], own[m]):
                     found[k] = max(found[k], fastest / own[k])
-    return found
+    return tuple(g._replace(slips=s) for g, s in zip(groups, found, strict=True))
 
 
 def _wave2(group) -> float:
