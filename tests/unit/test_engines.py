@@ -133,6 +133,9 @@ SCENES = {kind: (of_law(kind), "mixed", "") for kind in LAWS} | {
     "collider": (WATER + TOY + POOL + CUBE + POST, "mixed", ""),
     "colliders that move": (WATER + TOY + POOL + CUBE + POST + TURNING + SWEEPING, "mixed", ""),
     "mixing": (WATER + OIL + WET + OILY + MIX, "mixed", ""),
+    "mixing with slip": (
+        WATER + OIL.replace("800", "50").replace("1e4", "1e3") + WET + OILY + MIX, "mixed", "",
+    ),
     "mixing as printed": (
         WATER + OIL + WET + OILY + coupling("mixing-paper", "water", "oil", "diffusion = 1e-5"),
         "mixed",

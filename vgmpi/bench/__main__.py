@@ -354,18 +354,20 @@ def _run_extremes(given: argparse.Namespace) -> int:
 
 def _stability(parser: argparse.ArgumentParser) -> None:
     say = parser.add_argument
+    say("--ratios", action="store_true", help="where two meet that differ, in words by --only")
     say("--only", nargs="+", default=[], metavar="NAME", help="laws or couplings; default: all")
-    every = list(get_args(Transfer))
-    say("--transfer", nargs="+", choices=every, default=every)
+    say("--transfer", nargs="+", choices=get_args(Transfer), help="default: all or restored")
     say("--precision", nargs="+", choices=("single", "double"), default=["single", "double"])
 
 
 def _run_stability(given: argparse.Namespace) -> int:
-    from . import stability
+    from . import ratios, stability
 
-    print(stability.HEAD)
-    for case in stability.cases(given.only, given.transfer, given.precision):
-        print(stability.line(case, stability.largest(case)), flush=True)
+    rows = ratios.lines(given.only, given.transfer or ["restored"])
+    if not given.ratios:
+        rows = stability.lines(given.only, given.transfer, given.precision)
+    for text in rows:
+        print(text, flush=True)
     return 0
 
 
@@ -387,7 +389,7 @@ COMMANDS = {  # what it does, its flags, how it runs
     "extremes": ("scenes at the ends of what is allowed", _extremes, _run_extremes),
     "features": ("what contact, colliders and probes cost", _couplings, _run_couplings),
     "overhead": ("what a step costs beside its kernels", _overhead, _run_overhead),
-    "spills": ("vectors that do not fit the registers", lambda parser: None, _run_spills),
+    "spills": ("vectors that do not fit the registers", lambda _: None, _run_spills),
     "stability": ("the largest stable time step of every law", _stability, _run_stability),
     "scaling": ("predict many ranks from what is measured here", _scaling, _run_scaling),
     "together": ("two ranks beside two runs, two threads", _together, _run_together),

@@ -27,7 +27,8 @@ class GroupWork(NamedTuple):
 
 def numbers_of(plan: Plan, group: GroupPlan) -> g2p.Numbers:
     found = (
-        plan.splines, group.stiff, group.dense, beside.RELAX, group.channels.first("share"), plan.dx
+        plan.splines, group.stiff, group.dense, group.slips, beside.RELAX,
+        group.channels.first("share"), plan.dx,
     )  # fmt: skip
     return g2p.Numbers(*map(plan.real.type, found))
 

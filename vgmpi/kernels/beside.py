@@ -215,6 +215,7 @@ def _(kind, split, f, p, cap, extra, n, L, fill, numbers):
 @waves.of(Sharing)
 def _(kind, f, p, cap, numbers, wave2):
     porosity = np.int64(numbers.porosity)
+    wave2 = wave2 * numbers.slips
     if porosity >= 0:
         share = load(f, p + porosity * cap)
         wave2 = wave2 * (1.0 + (1.0 / share - 1.0) * numbers.dense) + numbers.stiff

@@ -29,6 +29,7 @@ class Numbers(NamedTuple):
     splines: float  # 1: strains by the gradients of the B-splines, 0: by moments
     stiff: float  # [m2/s2] squared speed of waves that sand in the same space adds
     dense: float  # density relative to that sand's grains, at least 1
+    slips: float  # squared speed of waves where a fluid slips through others, relative to its own
     relax: float  # [1/s] rate at which a fluid gives way where there is more volume than space
     porosity: float  # channel of the fluid's share of space, or -1
     dx: float  # [m]

@@ -44,6 +44,7 @@ class GroupPlan(NamedTuple):
     pores: float = 1.0  # least share of space at the start, of fluids that flow through sand
     stiff: float = 0.0  # [m2/s2] squared speed of waves that such sand adds
     dense: float = 1.0  # density relative to such sand's grains, at least 1
+    slips: float = 1.0  # squared speed of waves where it slips through others, relative to its own
     followed: bool = False  # carries its total deformation gradient, which its law does not know
     surface: bool = False  # its particles know the surface of their body at rest
     coefficients: int = 0  # of its colours, which travel with every step
@@ -71,7 +72,7 @@ class GroupPlan(NamedTuple):
 
     def bound(self, wave2):
         """Squared wave speed [m2/s2], that of the law being wave2, in the pores at the start."""
-        return wave2 * (1.0 + (1.0 / self.pores - 1.0) * self.dense) + self.stiff
+        return wave2 * self.slips * (1.0 + (1.0 / self.pores - 1.0) * self.dense) + self.stiff
 
 
 @lru_cache(maxsize=64)

@@ -22,7 +22,7 @@ from .colour_sets import Exchange, exchange
 from .driven import DrivenPlan, Extents, driven_phases, driven_plans
 from .groups import GroupPlan, PhasePlan, completed, groups_of, phases_of
 from .inflow import SinkPlan, SourcePlan, sink_plans, source_plans
-from .sharing import rules
+from .sharing import rules, slipping
 from .surroundings import Surroundings
 
 REALS: dict[str, np.dtype] = {
@@ -193,10 +193,9 @@ def make_plan(
     extents: Extents | None = None,
 ) -> Plan:
     """The plan of a scene whose objects have `count` particles of `volume` [m3] in total each, with
-    their `center` [m], without which bodies of one volume are told apart by their names alone, and
-    with the `shades` of their colours (colour_sets.shades); surface: of each, whether its particles
-    know it, of none by default; extents: see driven.driven_plans. Raises SceneError where a fixed
-    time step is above the bound, or no step moves the time on."""
+    their `center` [m], without which bodies of one volume are told apart by their names alone;
+    shades: see colour_sets.shades; surface: of each, whether its particles know it, of none by
+    default; extents: see driven.driven_plans. Raises SceneError where no step is as it must be."""
     bodies = {k: scene.material[t.material] for k, t in enumerate(scene.things) if t.material}
     real, n = REALS[scene.accuracy.precision], len(volume)
     center, surface = center or [[0.0] * 3] * n, surface or [False] * n
@@ -206,6 +205,7 @@ def make_plan(
     _check_transfer(scene, sharing)
     keeps, restores = _keeps(scene.accuracy), _restores(scene)
     whole = tuple(completed(scene, group, sharing, colours, keeps, restores) for group in plain)
+    whole = slipping(whole, sharing, scene.time.cfl * scene.domain.cell)
     driven, groups, group_of = driven_plans(scene, whole, group_of, phases, extents or {})
     plan = Plan(
         cells=scene.domain.cells,
@@ -292,8 +292,9 @@ def fastest(scene: Scene, plan: Plan, stiffened: bool = False) -> list[tuple[flo
     of what diffuses. stiffened: with every law as stiff as a run can make it.
     """
     dx, found = scene.domain.cell, []
+    used = {group.material for group in plan.groups}
     for coupling in scene.coupling:
-        if coupling.rule == MIXING and coupling.diffusion > 0:
+        if coupling.rule == MIXING and coupling.diffusion > 0 and used.issuperset(coupling.between):
             one, other = coupling.between
             bound = dx**2 / (6.0 * coupling.diffusion)
             found.append((bound, f"the diffusion of materials {one!r} and {other!r}"))

@@ -3,7 +3,12 @@
 import numpy as np
 
 from ..couplings.base import DRAG, MIXING, Rules
+from ..materials.base import function
 from ..scene.scene import Scene
+
+SPARE = 1.25  # squared speed of waves, over the fastest fluid's own, that the step's margin bears
+SHARES = 1001  # of one of two fluids, at which their waves are looked at
+ROUNDS = 60  # of the speed of waves that goes with its step: half the error of each is left
 
 
 def rules(scene: Scene, groups, phases) -> Rules | None:
@@ -35,6 +40,8 @@ def rules(scene: Scene, groups, phases) -> Rules | None:
                 if coupling.rule == DRAG:
                     drag[a, b] = drag[b, a] = _coefficient(scene, coupling)
                     printed[a, b] = printed[b, a] = coupling.printed
+    if not pairs:
+        return None  # of materials that nothing is made of
     fluid = np.array([phase.families == ("fluid",) for phase in phases])
     mix = connected(n, [p for p in pairs if pair[p] == MIXING])
     together = connected(n, pairs)
@@ -111,3 +118,47 @@ def _mixing_numbers(scene: Scene, couplings, of, mix) -> list[tuple[float, float
                 said = "fluids that mix with one another must have the same numbers and kind"
                 raise scene.error([(("coupling", k), said)])
     return [found[group] for group in sorted(found) if group >= 0]
+
+
+def slipping(groups: tuple, rules: Rules | None, way: float) -> tuple:
+    """The groups with the squared speed of waves in a space that each shares with fluids through
+    which it slips, relative to its own at rest: 1 where none is much faster than those of the
+    fluids alone, and of all but the stiffer of two (docs/theory.md). way: what a wave may go in a
+    step [m].
+    """
+    found = [1.0] * len(groups)
+    if rules is None:
+        return groups
+    slip_time = np.append(np.where(rules.printed_mix, 0.0, rules.slip_time), 0.0)  # -1 is the last
+    of = [int(rules.mix[g.phase]) for g in groups]
+    free = [k for k, mix in enumerate(of) if slip_time[mix] > 0.0]
+    own = {k: _wave2(groups[k]) for k in free}
+    ends = {k: (groups[k].density, own[k]) for k in free}
+    for k in free:
+        for m in free:
+            if of[m] == of[k] and np.prod(ends[k]) > np.prod(ends[m]):
+                fastest = _slipping_waves(ends[k], ends[m], slip_time[of[k]], way)
+                if fastest > SPARE * max(own[k], own[m]):
+                    found[k] = max(found[k], fastest / own[k])
+    return tuple(g._replace(slips=s) for g, s in zip(groups, found, strict=True))
+
+
+def _wave2(group) -> float:
+    """Squared wave speed [m2/s2] of a group at rest."""
+    return float(function(group.law, "wave_speed2")(group.law, group.rest))
+
+
+def _slipping_waves(one, other, slip_time: float, way: float) -> float:
+    """Largest squared speed of waves [m2/s2], at any shares, in a space that two fluids share. one,
+    other: density [kg/m3] and squared speed of each alone."""
+    a = np.linspace(0.0, 1.0, SHARES)
+    (d0, c0), (d1, c1) = one, other
+    modulus = a * d0 * c0 + (1.0 - a) * d1 * c1
+    mean = a * d0 + (1.0 - a) * d1
+    together = modulus / mean
+    apart = modulus * (a / d0 + (1.0 - a) / d1)
+    found = apart
+    for _ in range(ROUNDS):  # downwards, to what slips in a step of way / speed
+        step = way / np.sqrt(found)
+        found = together + (apart - together) / (1.0 + step / (2.0 * slip_time))
+    return float(found.max())

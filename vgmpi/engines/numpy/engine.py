@@ -337,6 +337,7 @@ class Numpy:
         dx, dt, at = self.plan.dx, self.dt, group.index()
         J = np.broadcast_to(function(law, "volume_ratio")(law, state), trace.shape)
         wave2 = np.broadcast_to(function(law, "wave_speed2")(law, state), trace.shape)
+        wave2 = wave2 * group.plan.slips
         if group.plan.porous:
             share = self._get(group, "share")[:, 0]
             wave2 = wave2 * (1.0 + (1.0 / share - 1.0) * group.plan.dense) + group.plan.stiff
