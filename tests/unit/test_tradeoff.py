@@ -1,17 +1,23 @@
 """The study of accuracy and time: what it varies, what it measures, what it chooses."""
 
 import csv
+import os
+import re
 import shutil
+import subprocess
 
 import numpy as np
 import pytest
 
+from tests.launch import ROOT
 from tests.scenes import scene, write
 from vgmpi.scene.reader import load
 from vgmpi.study import knobs, tradeoff
 from vgmpi.study.choice import Measured, Model, best
 from vgmpi.study.errors import Outcome, elsewhere, energy
 from vgmpi.study.knobs import PLAIN, Setting
+from vgmpi.study.runs import Study, StudyError
+from vgmpi.study.tradeoff import DEFAULT
 
 SCENE = """
 [domain]
@@ -37,7 +43,7 @@ def block(tmp_path):
 
 def test_cells_are_near_steps_of_sqrt_2_and_whole(block):
     # 16 x 8 x 12: the longest edge is a multiple of 4 cells
-    assert knobs.cells(block) == [12, 16, 24]
+    assert knobs.cells(block) == [8, 12, 16, 24]
     for count in knobs.cells(block):
         (override,) = knobs.of_cells(block, count).overrides
         cell = float(override.partition("=")[2])
@@ -113,12 +119,54 @@ def test_a_run_of_two_precisions_is_told_and_a_scene_is_written(tmp_path, capsys
     assert len(stamps) == 2 and tradeoff.main(flags) == 0
     assert capsys.readouterr().out == said
     assert all(p.stat().st_mtime_ns == t for p, t in stamps.items())
+    assert tradeoff.main([*flags, "--run"]) == 0
+    assert re.search(r"it took \d+ s and is 0 % off", capsys.readouterr().out)
     # a run that is no more is made again
     shutil.rmtree(tmp_path / "study" / "precision-single")
     assert tradeoff.main(flags) == 0
     one, other = (Outcome(tmp_path / "study" / n) for n in ("as_it_is", "precision-single"))
     assert elsewhere(one, one) == 0 == energy(one, one)
     assert 0 < elsewhere(other, one) < 1e-4
+
+
+def test_an_array_of_jobs_shares_the_runs(tmp_path, monkeypatch):
+    """slurm/study.sbatch, where every run is noted and none is made."""
+    path, ran = write(tmp_path, SCENE), []
+    monkeypatch.setattr(Study, "run", lambda study, setting: ran.append(setting.name) or 1.0)
+    flags = [str(path), "-o", str(tmp_path / "study"), "--vary", "cell,precision,transfer"]
+    for part in ("1/3", "2/3", "3/3"):
+        before = len(ran)
+        assert tradeoff.main([*flags, "--part", part]) == 0
+        assert len(ran) > before
+    assert len(set(ran)) == len(ran) == len(knobs.sweep(load(path), DEFAULT[:3])[0])
+    told = tmp_path / "told"
+    told.write_text('#!/bin/bash\necho "$@"\n')
+    told.chmod(0o755)
+    env = {
+        **os.environ,
+        "PYTHON": str(told),
+        "SLURM_ARRAY_TASK_ID": "2",
+        "SLURM_ARRAY_TASK_MAX": "8",
+    }
+    made = subprocess.run(
+        ["bash", ROOT / "slurm" / "study.sbatch", "a.toml", "--vary", "cell"],
+        env=env, capture_output=True, text=True,
+    )  # fmt: skip
+    assert made.stdout.split() == (
+        ["-m", "vgmpi.study", "tradeoff", "a.toml", "--vary", "cell", "--part", "2/8"]
+    )
+
+
+def test_a_run_that_is_refused_is_left_out(tmp_path, capsys):
+    """In coarse cells an open wall eats the block."""
+    text = SCENE.replace("cell = 0.02", 'cell = 0.02\nboundary = { east = "open" }')
+    path = write(tmp_path, text.replace("[0.1, 0.16", "[0.3, 0.16"))
+    study = Study(load(path), tmp_path / "study")
+    coarse = knobs.of_cells(study.scene, 8)
+    assert study.all([coarse], set()) == {}
+    assert "left out: cells-8: " in capsys.readouterr().err
+    with pytest.raises(StudyError, match="a sink that eats a body"):
+        study.all([coarse], {coarse})
 
 
 def test_mass_that_is_elsewhere_is_counted(tmp_path, monkeypatch):
@@ -144,6 +192,9 @@ def test_mass_that_is_elsewhere_is_counted(tmp_path, monkeypatch):
         (["--budget", "5 kg"], "'kg' does not measure a time"),
         (["--error", "0"], "must be > 0"),
         (["--curve", "a.csv"], "go together"),
+        (["--run"], "is for --budget and --error"),
+        (["--part", "3/2"], "K from 1 to N"),
+        (["--part", "two"], "K from 1 to N"),
     ],
 )
 def test_wrong_flags_are_told(tmp_path, capsys, flags, said):

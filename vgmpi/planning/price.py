@@ -5,6 +5,7 @@ import math
 from ..couplings.base import CONTACT, RULES
 from ..scene.scene import Scene
 from ..source import printable
+from . import marks
 from .advice import stiffer
 from .features import step, table
 from .groups import RESTORING_COST
@@ -64,7 +65,7 @@ def describe(
     )
     lines += _flows(plan)
     lines += _restored(plan) + _thin(scene, plan) + _sheets(plan) + _bending(scene, plan)
-    lines += table(scene, plan, pace)
+    lines += marks.told(scene) + table(scene, plan, pace)
     total = plan.bytes()
     lines.append(
         f"  memory      {total / 2**20:.0f} MiB in all,"

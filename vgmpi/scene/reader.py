@@ -12,6 +12,7 @@ from pydantic import BaseModel, ValidationError
 from vgmpi import couplings, materials
 from vgmpi.couplings.base import CONTACT
 from vgmpi.misspelt import nearest, nearest_file
+from vgmpi.scene import levels
 from vgmpi.scene.gravity import gravity_complaints
 from vgmpi.scene.loads import Load, load_complaints
 from vgmpi.scene.objects import Object, body_complaint, object_complaints, release_complaints
@@ -56,7 +57,7 @@ class Reader:
         self.errors: list[tuple[tuple, str]] = []
 
     def scene(self, overrides: tuple[str, ...]) -> Scene:
-        data = self.source.data
+        data = levels.filled(self.source.data)
         self.keys(data)
         top = self.table(Top, {k: v for k, v in data.items() if k in Top.model_fields}, ())
         tables = {

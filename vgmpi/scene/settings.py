@@ -69,7 +69,8 @@ class Domain(Table):
     size: tuple[Positive, Positive, Positive]
     """edges of the box: whole numbers of cells"""
     cell: Positive
-    """grid spacing dx"""
+    """grid spacing dx; with accuracy.level it need not be given, where cells of about that size fit
+    all edges"""
     gravity: tuple[Acceleration, Acceleration, Acceleration] = (0.0, 0.0, -9.8)
     """acceleration of gravity"""
     gravity_ramp: Annotated[float, Quantity("s", ge=0)] = 0.0
@@ -153,6 +154,10 @@ class Appearance(Table):
 class Accuracy(Table):
     """Numbers and their transfer between particles and grid."""
 
+    level: Literal["draft", "standard", "high"] | None = None
+    """what keys are that are not given. draft, standard, high: domain.cell such that the longest
+    edge has 32, 64, 96 cells or a few more, precision single, single, double, compression of
+    liquids 4 %, 1 %, 1 %"""
     transfer: Transfer = "restored"
     """restored is apic that gives back, every few steps, what transfers took, so that waves and
     vibrations last; apic takes .8 of its time and loses with every step, up to a third of a wave's

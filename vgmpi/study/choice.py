@@ -54,7 +54,8 @@ class Model:
         plain = {m.cells: m for m in found if m.setting.of_grid}
         self.cpu = {n: plain[n].cpu for n in sorted(plain)}
         # the finest is what the others are held to: its error is not known
-        self.error = {n: plain[n].error for n in sorted(plain) if plain[n].error > 0}
+        held = {m.cells for m in found if m.error == 0} if len(plain) > 1 else set()
+        self.error = {n: plain[n].error for n in sorted(plain) if n not in held}
         base = plain[own]
         self.turned = [(PLAIN, 1.0, 0.0)]
         for m in found:

@@ -1,6 +1,7 @@
 """How far two runs of a scene are apart: where its bodies are, how they move, what probes tell."""
 
 import functools
+import re
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,8 @@ import numpy as np
 from ..output import layout, ledger
 from ..output.read import RunError, RunFiles
 
+AXIS = re.compile("_[xyz]$")  # of a column
+ROUNDING = 1e-6  # of values: what is no change
 BOXES = 16  # of the lattice on which bodies are compared, along the longest edge
 
 
@@ -74,17 +77,24 @@ def elsewhere(one: Outcome, other: Outcome) -> float:
     return float(np.mean(found)) if found else 0.0
 
 
-def _apart(times, values, other_times, others) -> float:
-    """Root of the mean square of the difference over the range of the others, at their times; what
-    is no number, as what is measured where nothing is, is left out."""
+def _apart(times, values, other_times, others, span: float | None = None) -> float:
+    """Root of the mean square of the difference over the range of the others, or `span`, at their
+    times; what is no number, as what is measured where nothing is, is left out."""
     some, known = np.isfinite(values), np.isfinite(others)
     if not (some.any() and known.any()):
         return 0.0
     times, values = times[some], values[some]
     other_times, others = other_times[known], others[known]
     there = np.interp(other_times, times, values)
-    span = float(np.ptp(others))
+    span = _span(others) if span is None else span
     return float(np.sqrt(np.mean((there - others) ** 2))) / span if span > 0 else 0.0
+
+
+def _span(values: np.ndarray) -> float:
+    """The range of values; 0 where they are the same but for rounding."""
+    known = values[np.isfinite(values)]
+    span = float(np.ptp(known)) if len(known) else 0.0
+    return span if span > ROUNDING * np.abs(known).max(initial=0.0) else 0.0
 
 
 def energy(one: Outcome, other: Outcome) -> float:
@@ -97,7 +107,12 @@ def probe(one: Outcome, other: Outcome) -> float:
     found = [0.0]
     for name in other.probes:
         a, b = one.probe(name), other.probe(name)
-        found += [_apart(a["time"], a[key], b["time"], b[key]) for key in b if key != "time"]
+        for key in b:
+            if key != "time":
+                # a vector's components have the range of the one that changes most
+                beside = [b[k] for k in b if AXIS.sub("", k) == AXIS.sub("", key)]
+                span = max(_span(one) for one in beside)
+                found.append(_apart(a["time"], a[key], b["time"], b[key], span))
     return max(found)
 
 

@@ -7,7 +7,7 @@ from ..scene.scene import Scene
 
 STEP = 2**0.5  # of cells, from one to the next
 COARSER, FINER = 3, 1  # such steps from the scene's own cell
-FEWEST = 6  # cells along the shortest edge
+FEWEST = 4  # cells along the shortest edge
 STIFFER = {"softer": 4.0, "stiffer": 0.25}  # times the compression that liquids are allowed
 CFL = (0.2, 0.4)
 PER_CELL = 27

@@ -62,13 +62,20 @@ class Study:
             (self.place(setting) / RECORD).write_text(json.dumps(record))
         return found
 
-    def all(self, settings: list[Setting]) -> dict[Setting, float]:
-        """Every one of them, with a bar."""
+    def all(self, settings: list[Setting], needed: set[Setting]) -> dict[Setting, float]:
+        """Every one of them, with a bar; those that a scene refuses, as open walls do bodies that
+        coarse cells bring too near, are told and left out. Raises StudyError for those that are
+        needed."""
         bar = tqdm(settings, desc="study", unit="run", disable=None)
         found = {}
         for setting in bar:
             bar.set_postfix_str(setting.name)
-            found[setting] = self.run(setting)
+            try:
+                found[setting] = self.run(setting)
+            except StudyError as error:
+                if setting in needed:
+                    raise
+                bar.write(f"left out: {error}", file=sys.stderr)
         return found
 
     def outcome(self, setting: Setting) -> Outcome:
@@ -77,14 +84,15 @@ class Study:
         return Outcome(folder, files(self.scene, folder))
 
     def _of(self, setting: Setting) -> str:
-        text = self.scene.text + repr(setting.overrides)
+        text = self.scene.text + repr((*self.scene.overrides, *setting.overrides))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     def _call(self, setting: Setting, *how: str) -> float:
         """Processor time [s] of a start of the program and of its ranks."""
         folder = self.place(setting)
         launcher = ["mpirun", "-n", str(self.ranks)] if self.ranks > 1 else []
-        flags = [word for one in setting.overrides for word in ("--set", one)]
+        overrides = (*self.scene.overrides, *setting.overrides)
+        flags = [word for one in overrides for word in ("--set", one)]
         program = [sys.executable, "-m", "vgmpi", str(self.scene.path), "-o", str(folder), "-q"]
         words, env = [*launcher, *program, *how, *flags], {**OPEN_MPI, **os.environ}
         before = resource.getrusage(resource.RUSAGE_CHILDREN)

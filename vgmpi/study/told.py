@@ -7,6 +7,7 @@ from .choice import Measured, best
 from .knobs import PLAIN, Setting
 
 BESIDE = (4, 3)  # points from a run's mark to its name
+NONE = 1e-3  # of the worst error: not drawn
 
 
 def table(found: list[Measured], finest: Setting, said: str) -> list[str]:
@@ -33,14 +34,16 @@ def rows(found: list[Measured], path: Path) -> None:
 
 
 def plot(found: list[Measured], path: Path, said: str) -> None:
-    """Error over processor time. Raises ImportError without matplotlib."""
+    """Error over processor time, but of what has none to speak of beside the worst: the finest run,
+    and it in another precision. Raises ImportError without matplotlib."""
     import matplotlib
 
     matplotlib.use("Agg")
-    from matplotlib import pyplot
+    from matplotlib import pyplot, ticker
 
     figure, axes = pyplot.subplots(figsize=(6, 4), dpi=120)
-    shown = [m for m in found if m.error > 0]
+    worst = max(m.error for m in found)
+    shown = [m for m in found if m.error > NONE * worst]
     front = best(shown)
     axes.loglog([m.cpu for m in front], [100 * m.error for m in front], "-", color="0.7")
     for m in shown:
@@ -49,10 +52,14 @@ def plot(found: list[Measured], path: Path, said: str) -> None:
         name = " ".join(f"{k} {v}" for k, v in m.setting.knobs) or "the scene"
         at = (m.cpu, 100 * m.error)
         axes.annotate(name, at, BESIDE, textcoords="offset points", fontsize=7)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
+        axis.set_major_formatter(ticker.FormatStrFormatter("%g"))
+        axis.set_minor_formatter(ticker.NullFormatter())
     axes.set_xlabel("processor time [s]")
     axes.set_ylabel(f"error [%]: {said}", fontsize=8)
     figure.tight_layout()
-    figure.savefig(path)
+    figure.savefig(path, bbox_inches="tight")  # names may stand out
     pyplot.close(figure)
 
 

@@ -2,7 +2,9 @@
 run or a curve from elsewhere; a table, a plot, a recommendation, and a scene within a budget."""
 
 import argparse
+import re
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -16,7 +18,6 @@ from ..source import Source
 from ..tables import Quantity, SceneError
 from . import errors, knobs, told
 from .choice import SLACK, Measured, Model
-from .errors import Outcome
 from .knobs import Setting
 from .runs import Study, StudyError
 
@@ -36,6 +37,9 @@ def arguments(argv: list[str]) -> argparse.Namespace:
         formatter_class=argparse.RawTextHelpFormatter,
     )  # fmt: skip
     p.add_argument("scene", type=Path)
+    p.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="in all runs, as in vgmpi"
+    )
     p.add_argument("-o", "--output", type=Path, help="folder of the study [SCENE's/tradeoff]")
     p.add_argument("--vary", default=",".join(DEFAULT), help=f"of {','.join(knobs.KNOBS)}")
     p.add_argument("--ranks", type=int, default=1, help="of each run")
@@ -54,11 +58,20 @@ def arguments(argv: list[str]) -> argparse.Namespace:
         metavar="SHARE",
         help="write the cheapest scene that is off by no more, such as '2 %%'",
     )
+    p.add_argument("--part", metavar="K/N", help="only every Nth run, from the Kth on; no table")
+    p.add_argument("--run", action="store_true", help="run that scene, and tell what came of it")
     given = p.parse_args(argv)
     given.vary = tuple(word.strip() for word in given.vary.split(",") if word.strip())
     unknown = [word for word in given.vary if word not in knobs.KNOBS]
     if unknown:
         p.error(f"--vary: unknown: {', '.join(unknown)}; known: {', '.join(knobs.KNOBS)}")
+    if given.part is not None:
+        part = re.fullmatch(r"(\d{1,6})/(\d{1,6})", given.part)
+        given.part = part and (int(part[1]), int(part[2]))
+        if not given.part or not 1 <= given.part[0] <= given.part[1]:
+            p.error("--part: K/N, with K from 1 to N, such as 2/8")
+    if given.run and given.budget is None and given.error is None:
+        p.error("--run is for --budget and --error")
     if bool(given.curve) != bool(given.column):
         p.error("--curve and --column go together")
     for name, unit in (("budget", "s"), ("error", "1")):
@@ -83,11 +96,19 @@ def _amount(p: argparse.ArgumentParser, name: str, text: str, unit: str) -> floa
 def main(argv: list[str]) -> int:
     given = arguments(argv)
     try:
-        scene = load(given.scene)
+        scene = load(given.scene, given.set)
         study = Study(scene, given.output, given.ranks)
         settings, finest = knobs.sweep(scene, given.vary)
-        took = study.all(settings)
-        found = measured(study, given, took, finest)
+        if given.part:
+            study.all(settings[given.part[0] - 1 :: given.part[1]], set())
+            return 0
+        took = study.all(settings, {knobs.PLAIN, finest})
+        off = off_of(study, given, finest)
+        own = max(scene.domain.cells)
+        found = [
+            Measured(one, cpu, off(one), int(dict(one.knobs).get("cells", own)))
+            for one, cpu in took.items()
+        ]
     except SceneError as error:
         print("\n".join(error.lines), file=sys.stderr)
         return 2
@@ -102,34 +123,22 @@ def main(argv: list[str]) -> int:
     except ImportError:
         print("no plot: pip install 'vgmpi[validate]'", file=sys.stderr)
     print("\n".join(told.words(found, finest)))
-    return _chosen(scene, given, found)
+    return _chosen(study, given, found, off)
 
 
-def measured(
-    study: Study, given: argparse.Namespace, took: dict[Setting, float], finest: Setting
-) -> list[Measured]:
-    """Each run with its error."""
+def off_of(study: Study, given: argparse.Namespace, finest: Setting) -> Callable[[Setting], float]:
+    """By how much a run is off: the curve that is given, or the finest run."""
     if given.curve:
         times, values = np.loadtxt(given.curve, delimiter=",", usecols=(0, 1), comments="#").T
-
-        def off(one: Outcome) -> float:
-            return errors.curve(one, given.column, times, values)
-    else:
-        reference = study.outcome(finest)
-
-        def off(one: Outcome) -> float:
-            return MEASURES[given.measure](one, reference)
-
-    found = []
-    own = max(study.scene.domain.cells)
-    for setting, cpu in took.items():
-        count = int(dict(setting.knobs).get("cells", own))
-        error = 0.0 if setting == finest and not given.curve else off(study.outcome(setting))
-        found.append(Measured(setting, cpu, error, count))
-    return found
+        return lambda one: errors.curve(study.outcome(one), given.column, times, values)
+    reference, measure = study.outcome(finest), MEASURES[given.measure]
+    return lambda one: 0.0 if one == finest else measure(study.outcome(one), reference)
 
 
-def _chosen(scene: Scene, given: argparse.Namespace, found: list[Measured]) -> int:
+def _chosen(
+    study: Study, given: argparse.Namespace, found: list[Measured], off: Callable[[Setting], float]
+) -> int:
+    scene = study.scene
     if given.budget is None and given.error is None:
         return 0
     grids = [m.cells for m in found]  # nothing is said of others than those in between
@@ -146,16 +155,24 @@ def _chosen(scene: Scene, given: argparse.Namespace, found: list[Measured]) -> i
         print(f"no setting stays within {what}", file=sys.stderr)
         return 2
     path = given.scene.with_name(f"{given.scene.stem}_chosen.toml")
-    write(given.scene, choice, what, path)
+    write(scene, choice, what, path)
     expected = f"{choice.cpu:.0f} s of processor time, {100 * choice.error:.2g} % off"
     print(
         f"{path}: {expected}, as expected: {' '.join(choice.setting.overrides) or 'as it stands'}"
     )
+    if given.run:
+        try:
+            cpu = study.run(choice.setting)
+            print(f"it took {cpu:.0f} s and is {100 * off(choice.setting):.2g} % off")
+        except (StudyError, errors.RunError) as error:
+            print(f"vgmpi: {error}", file=sys.stderr)
+            return 1
     return 0
 
 
-def write(scene: Path, choice: Measured, what: str, path: Path) -> None:
+def write(scene: Scene, choice: Measured, what: str, path: Path) -> None:
     """The scene with what was chosen."""
     said = f"{choice.cpu:.0f} s of processor time and {100 * choice.error:.2g} % expected"
-    head = [f"{scene.name} within {what}: {said}", *choice.setting.overrides]
-    path.write_text(written.text(Source(scene, choice.setting.overrides).data, head, []))
+    overrides = (*scene.overrides, *choice.setting.overrides)
+    head = [f"{scene.path.name} within {what}: {said}", *overrides]
+    path.write_text(written.text(Source(scene.path, overrides).data, head, []))
