@@ -1,5 +1,6 @@
 """What would make a scene cheaper: said with key and line where it is right, and nowhere else."""
 
+import csv
 import re
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from tests.scenes import write
 from vgmpi import cli
+from vgmpi.planning import studied
 from vgmpi.planning.plan import fastest
 from vgmpi.planning.price import describe
 from vgmpi.prepare.build import build
@@ -206,3 +208,46 @@ def test_the_command_says_it_at_the_end(tmp_path, capsys):
     # of one axis, and the drop's corners breathe a little
     assert 0.5 <= speed <= 0.5 * np.sqrt(3) * 1.1 and "water.max_speed" in lines[0]
     assert "'table' neither moved" in lines[1]
+
+
+ROWS = [  # setting, cells, processor time [s], error, what is set
+    ("as_it_is", 20, 10.0, 0.02, ""),
+    ("precision-single", 20, 5.0, 0.0201, "accuracy.precision=single"),
+    ("transfer-apic", 20, 7.0, 0.05, "accuracy.transfer=apic"),
+    ("cfl-0.2", 20, 20.0, 0.01, "time.cfl=0.2"),
+]
+
+
+def studied_lines(folder, rows=ROWS, of=None, overrides=()):
+    path = write(folder, SCENE)
+    plain = load(path)
+    (folder / studied.FOLDER).mkdir(exist_ok=True)
+    with open(folder / studied.FOLDER / studied.TABLE, "w", newline="") as file:
+        out = csv.writer(file)
+        out.writerows(
+            [studied.COLUMNS, *((*row, of or studied.fingerprint(plain)) for row in rows)]
+        )
+    scene = load(path, overrides)
+    plan = plan_for(scene, known_of(scene, build(scene)))
+    return [s for s in describe(scene, plan, 1).splitlines() if "in the study" in s]
+
+
+def test_a_study_beside_the_scene_is_quoted(tmp_path):
+    (line,) = studied_lines(tmp_path)  # not what is worse, nor what is dearer
+    assert "accuracy.precision (" in line and "with single instead it took 0.50 of the time" in line
+    assert "2 % off instead of 2 % in the study (tradeoff/tradeoff.csv)" in line
+    assert re.search(r"scene\.toml:\d+\)", line)
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        {"overrides": ("domain.cell=0.04",)},  # another scene
+        {"of": "0123456789abcdef"},
+        {"rows": ROWS[:1]},
+        {"rows": ROWS[1:]},  # one that was stopped before its table was whole
+        {"rows": [ROWS[0], ("precision-single", 20, "fast", "", "accuracy.precision=single")]},
+    ],
+)
+def test_no_study_of_this_scene_is_quoted_where_there_is_none(tmp_path, how):
+    assert studied_lines(tmp_path, **how) == []

@@ -5,7 +5,7 @@ import math
 from ..couplings.base import CONTACT, RULES
 from ..scene.scene import Scene
 from ..source import printable
-from . import marks
+from . import marks, studied
 from .advice import stiffer
 from .features import step, table
 from .groups import RESTORING_COST
@@ -164,6 +164,7 @@ def _steps(scene: Scene, plan: Plan, ranks: int, reached: float, pace: Pace) -> 
         f"  time step   {dt:.4g} s at the start, set by {what}",
         f"  steps       {steps} for {span}",
         *stiffer(scene, plan),
+        *studied.told(scene),
         f"  time        {takes} on {ranks} rank(s), one core each, {pace.of}",
     ]
 

@@ -356,7 +356,7 @@ def _prune_complaints(raw: dict, sources: list[str]) -> list[tuple[tuple, str]]:
         found.append((("prune",), "is only for objects made of gaussians or a mesh"))
     if how == "paper" and "prune_scale" not in raw:
         found.append((("prune",), "needs prune_scale: the paper keeps shares by a volume scale"))
-    if how != "paper" and "prune_scale" in raw:
+    if "prune_scale" in raw and how != "paper" and raw.get("prune") != "off":
         found.append((("prune_scale",), 'is only for prune = "paper"'))
     if how == "off" and raw.get("passive") is True:
         found.append((("passive",), 'needs prune = "auto" or "paper": what is pruned rides along'))

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from math import gcd
 
+from ..planning.studied import PLAIN as AS_IT_IS
 from ..scene.scene import Scene
 
 STEP = 2**0.5  # of cells, from one to the next
@@ -11,6 +12,8 @@ FEWEST = 4  # cells along the shortest edge
 STIFFER = {"softer": 4.0, "stiffer": 0.25}  # times the compression that liquids are allowed
 CFL = (0.2, 0.4)
 PER_CELL = 27
+SCALES = (0.5, 0.2, 0.05)  # of pruning as the paper has it
+DEGREES = (0, 1, 3)  # of the harmonics by which colours travel
 
 
 @dataclass(frozen=True)
@@ -24,7 +27,7 @@ class Setting:
     @property
     def name(self) -> str:
         """A folder's name."""
-        return "_".join(f"{knob}-{value}" for knob, value in self.knobs) or "as_it_is"
+        return "_".join(f"{knob}-{value}" for knob, value in self.knobs) or AS_IT_IS
 
     @property
     def of_grid(self) -> bool:
@@ -81,10 +84,12 @@ def others(scene: Scene, knob: str) -> list[Setting]:
         "cfl": _cfl,
         "stiffness": _stiffness,
         "particles": _particles,
+        "pruning": _pruning,
+        "colours": _colours,
     }[knob](scene)
 
 
-KNOBS = ("cell", "precision", "transfer", "cfl", "stiffness", "particles")
+KNOBS = ("cell", "precision", "transfer", "cfl", "stiffness", "particles", "pruning", "colours")
 
 
 def _precision(scene: Scene) -> list[Setting]:
@@ -128,15 +133,44 @@ def _particles(scene: Scene) -> list[Setting]:
     return [Setting((("particles", str(PER_CELL)),), tuple(overrides))] if overrides else []
 
 
+def _pruning(scene: Scene) -> list[Setting]:
+    """None first, where the scene has some."""
+    things = [t for t in scene.object if t.role == "body" and t.source in ("gaussians", "mesh")]
+    if not things:
+        return []
+
+    def setting(label: str, **values: object) -> Setting:
+        keys = [f"object.{t.name}.{key}={v}" for t in things for key, v in values.items()]
+        return Setting((("pruning", label),), tuple(keys))
+
+    found = [setting("off", prune="off")] if any(t.prune != "off" for t in things) else []
+    if not any(t.prune != "off" for t in things):
+        found.append(setting("auto", prune="auto"))
+    same = {t.prune_scale for t in things}
+    scales = [s for s in SCALES if same != {s}]
+    return found + [setting(f"{s:g}", prune="paper", prune_scale=s) for s in scales]
+
+
+def _colours(scene: Scene) -> list[Setting]:
+    """They change the price, and what is drawn, but no motion."""
+    look = scene.appearance
+    if look.colour_transfer != "step":
+        return [Setting((("colours", "step"),), ("appearance.colour_transfer=step",))]
+    degrees = [d for d in DEGREES if d != look.colour_degree]
+    return [Setting((("colours", f"{d}"),), (f"appearance.colour_degree={d}",)) for d in degrees]
+
+
 def sweep(scene: Scene, vary: tuple[str, ...]) -> tuple[list[Setting], Setting]:
     """All runs of a study, and among them the finest, which the others are held to where nothing
-    else is given: the smallest cells in double precision."""
+    else is given: the smallest cells in double precision, all Gaussians."""
     own = max(scene.domain.cells)
     grids = cells(scene) if "cell" in vary else [own]
     series = [grid(scene, n) for n in grids]
     finest = series[-1]
     if "precision" in vary and scene.accuracy.precision == "single":
         finest = finest.and_then(others(scene, "precision")[0])
+    if "pruning" in vary and any(t.prune != "off" for t in scene.object):
+        finest = finest.and_then(_pruning(scene)[0])
     turned = [one for knob in vary if knob != "cell" for one in others(scene, knob)]
     found = dict.fromkeys([*series, *turned, finest])
     return list(found), finest

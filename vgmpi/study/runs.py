@@ -1,7 +1,6 @@
 """The runs of a study, each a process of its own in a folder of its own, and what each took. A run
 that is done is not done again."""
 
-import hashlib
 import json
 import os
 import resource
@@ -13,6 +12,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from ..bench.rounds import OPEN_MPI
+from ..planning.studied import fingerprint
 from ..scene.scene import Scene
 from ..solver.probes import files
 from .errors import Outcome
@@ -43,7 +43,7 @@ class Study:
         this scene as it is now."""
         try:
             record = json.loads((self.place(setting) / RECORD).read_text())
-            if record["of"] == self._of(setting):
+            if record["of"] == fingerprint(self.scene, setting.overrides):
                 return float(record["cpu"])
         except (OSError, ValueError, KeyError, TypeError):
             pass
@@ -58,7 +58,7 @@ class Study:
             before = self._call(setting, "--resume", "--stop-after", "1 steps")
             took = self._call(setting, "--resume")
             found = max(took - before, 1e-3)
-            record = {"of": self._of(setting), "cpu": found}
+            record = {"of": fingerprint(self.scene, setting.overrides), "cpu": found}
             (self.place(setting) / RECORD).write_text(json.dumps(record))
         return found
 
@@ -82,10 +82,6 @@ class Study:
         """What a run that is done says."""
         folder = self.place(setting)
         return Outcome(folder, files(self.scene, folder))
-
-    def _of(self, setting: Setting) -> str:
-        text = self.scene.text + repr((*self.scene.overrides, *setting.overrides))
-        return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     def _call(self, setting: Setting, *how: str) -> float:
         """Processor time [s] of a start of the program and of its ranks."""

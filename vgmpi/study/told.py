@@ -3,6 +3,8 @@
 import csv
 from pathlib import Path
 
+from ..planning.studied import COLUMNS, fingerprint
+from ..scene.scene import Scene
 from .choice import Measured, best
 from .knobs import PLAIN, Setting
 
@@ -21,15 +23,15 @@ def table(found: list[Measured], finest: Setting, said: str) -> list[str]:
     return out
 
 
-def rows(found: list[Measured], path: Path) -> None:
+def rows(scene: Scene, found: list[Measured], path: Path) -> None:
     """The same as CSV, with what --set takes."""
     with open(path, "w", newline="") as file:
         out = csv.writer(file)
-        out.writerow(["setting", "cells", "cpu_s", "error", "set"])
+        out.writerow(COLUMNS)
         for m in found:
             out.writerow(
                 [m.setting.name, m.cells, f"{m.cpu:.4g}", f"{m.error:.6g}",
-                 " ".join(m.setting.overrides)]
+                 " ".join(m.setting.overrides), fingerprint(scene)]
             )  # fmt: skip
 
 

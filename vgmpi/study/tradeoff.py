@@ -12,16 +12,19 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from ..convert import written
+from ..planning.studied import FOLDER, TABLE
 from ..scene.reader import load
 from ..scene.scene import Scene
 from ..source import Source
 from ..tables import Quantity, SceneError
 from . import errors, knobs, told
-from .choice import SLACK, Measured, Model
+from .choice import Measured, Model
 from .knobs import Setting
 from .runs import Study, StudyError
 
+TRIES = 5  # times that a choice is run, and chosen anew where it is not as expected
 DEFAULT = ("cell", "precision", "transfer", "stiffness")
+RUN = f"run that scene; where it is not as expected, choose anew, up to {TRIES} times"
 MEASURES = {"places": errors.elsewhere, "energy": errors.energy, "probes": errors.probe}
 SAID = {
     "places": "share of the mass that is elsewhere",
@@ -59,7 +62,7 @@ def arguments(argv: list[str]) -> argparse.Namespace:
         help="write the cheapest scene that is off by no more, such as '2 %%'",
     )
     p.add_argument("--part", metavar="K/N", help="only every Nth run, from the Kth on; no table")
-    p.add_argument("--run", action="store_true", help="run that scene, and tell what came of it")
+    p.add_argument("--run", action="store_true", help=RUN)
     given = p.parse_args(argv)
     given.vary = tuple(word.strip() for word in given.vary.split(",") if word.strip())
     unknown = [word for word in given.vary if word not in knobs.KNOBS]
@@ -78,7 +81,7 @@ def arguments(argv: list[str]) -> argparse.Namespace:
         text = getattr(given, name)
         if text is not None:
             setattr(given, name, _amount(p, name, text, unit))
-    given.output = given.output or given.scene.resolve().parent / "tradeoff"
+    given.output = given.output or given.scene.resolve().parent / FOLDER
     return given
 
 
@@ -117,7 +120,7 @@ def main(argv: list[str]) -> int:
         return 1
     name = "curve" if given.curve else given.measure
     print("\n".join(told.table(found, finest, SAID[name])))
-    told.rows(found, given.output / "tradeoff.csv")
+    told.rows(scene, found, given.output / TABLE)
     try:
         told.plot(found, given.output / "tradeoff.png", SAID[name])
     except ImportError:
@@ -138,41 +141,56 @@ def off_of(study: Study, given: argparse.Namespace, finest: Setting) -> Callable
 def _chosen(
     study: Study, given: argparse.Namespace, found: list[Measured], off: Callable[[Setting], float]
 ) -> int:
-    scene = study.scene
+    """The scene that meets what is asked for, written."""
     if given.budget is None and given.error is None:
         return 0
-    grids = [m.cells for m in found]  # nothing is said of others than those in between
-    counts = range(min(grids), max(grids) + 1, knobs.unit_of(scene))
-    model = Model(scene, found, list(counts))
-    if given.error is not None:
-        choice, what = model.within_error(given.error), f"{100 * given.error:g} %"
-        if choice and given.budget is not None and choice.cpu > SLACK * given.budget:
-            print(f"{what} takes {choice.cpu:.0f} s, more than the budget", file=sys.stderr)
-            return 2
-    else:
-        choice, what = model.within_budget(given.budget), f"{given.budget:g} s"
+    aims = [] if given.error is None else [f"{100 * given.error:g} %"]
+    aims += [] if given.budget is None else [f"{given.budget:g} s"]
+    what, tries = " and ".join(aims), TRIES if given.run else 0
+    try:
+        choice, found = choose(study, found, off, (given.error, given.budget), tries)
+    except (StudyError, errors.RunError) as error:
+        print(f"vgmpi: {error}", file=sys.stderr)
+        return 1
     if choice is None:
         print(f"no setting stays within {what}", file=sys.stderr)
         return 2
     path = given.scene.with_name(f"{given.scene.stem}_chosen.toml")
-    write(scene, choice, what, path)
-    expected = f"{choice.cpu:.0f} s of processor time, {100 * choice.error:.2g} % off"
-    print(
-        f"{path}: {expected}, as expected: {' '.join(choice.setting.overrides) or 'as it stands'}"
-    )
-    if given.run:
-        try:
-            cpu = study.run(choice.setting)
-            print(f"it took {cpu:.0f} s and is {100 * off(choice.setting):.2g} % off")
-        except (StudyError, errors.RunError) as error:
-            print(f"vgmpi: {error}", file=sys.stderr)
-            return 1
+    how = "as was found" if choice in found else "as expected"
+    write(study.scene, choice, f"{what}: {_said(choice)}, {how}", path)
+    print(f"{path}: {_said(choice)}, {how}: {' '.join(choice.setting.overrides) or 'as it stands'}")
     return 0
+
+
+def choose(
+    study: Study,
+    found: list[Measured],
+    off: Callable[[Setting], float],
+    aim: tuple[float | None, float | None],
+    tries: int,
+) -> tuple[Measured | None, list[Measured]]:
+    """What meets an error and a time [s], and all that was run by then. What is chosen is run, and
+    chosen anew with what came of it, up to so many times; after that among what was run. Raises
+    StudyError, RunError."""
+    grids = [m.cells for m in found]  # nothing is said of others than those in between
+    counts = list(range(min(grids), max(grids) + 1, knobs.unit_of(study.scene)))
+    for _ in range(tries):
+        choice = Model(study.scene, found, counts).within(*aim)
+        if choice is None or choice.setting in {m.setting for m in found}:
+            return choice, found
+        cpu = study.run(choice.setting)
+        one = Measured(choice.setting, cpu, off(choice.setting), choice.cells)
+        print(f"{choice.setting.name}: expected {_said(choice)}; it took {_said(one)}", flush=True)
+        found = [*found, one]
+    return Model(study.scene, found, counts).within(*aim, run=tries > 0), found
+
+
+def _said(one: Measured) -> str:
+    return f"{one.cpu:.3g} s of processor time, {100 * one.error:.2g} % off"
 
 
 def write(scene: Scene, choice: Measured, what: str, path: Path) -> None:
     """The scene with what was chosen."""
-    said = f"{choice.cpu:.0f} s of processor time and {100 * choice.error:.2g} % expected"
     overrides = (*scene.overrides, *choice.setting.overrides)
-    head = [f"{scene.path.name} within {what}: {said}", *overrides]
+    head = [f"{scene.path.name} within {what}", *overrides]
     path.write_text(written.text(Source(scene.path, overrides).data, head, []))
