@@ -118,6 +118,7 @@ PRINT = (
     "vgmpi/bench/__main__.py",
     "vgmpi/convert/__main__.py",
     "vgmpi/study/__main__.py",
+    "vgmpi/study/energy.py",
     "vgmpi/study/tradeoff.py",
 )
 

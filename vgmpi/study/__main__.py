@@ -8,7 +8,10 @@ import sys
 
 from ..ends import guarded
 
-STUDIES = {"tradeoff": "accuracy and time of a scene, over its cells and other knobs"}
+STUDIES = {
+    "tradeoff": "accuracy and time of a scene, over its cells and other knobs",
+    "energy": "what is left of its motion after many steps, with each transfer",
+}
 
 
 @guarded
