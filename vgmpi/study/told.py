@@ -9,12 +9,23 @@ from .choice import Measured, best
 from .knobs import PLAIN, Setting
 
 BESIDE = (4, 3)  # points from a run's mark to its name
-NONE = 1e-3  # of the worst error: not drawn
+
+
+def _apart(found: list[Measured], finest: Setting) -> list[Measured]:
+    """Without the finest run and what differs from it by its precision alone: what these are off is
+    no error but rounding."""
+
+    def grid(one: Setting) -> set:
+        return {(knob, value) for knob, value in one.knobs if knob != "precision"}
+
+    if all(m.error > 0 for m in found if m.setting == finest):
+        return found  # held to a curve
+    return [m for m in found if grid(m.setting) != grid(finest) or m.setting == PLAIN != finest]
 
 
 def table(found: list[Measured], finest: Setting, said: str) -> list[str]:
     """A line per run, from cheap to dear."""
-    front = best(found)
+    front = best(_apart(found, finest))
     out = [f"error: {said}", "", "| setting | processor time | error | |", "|---|---|---|---|"]
     for m in sorted(found, key=lambda m: m.cpu):
         what = ", ".join(f"{knob} {value}" for knob, value in m.setting.knobs) or "the scene"
@@ -35,17 +46,16 @@ def rows(scene: Scene, found: list[Measured], path: Path) -> None:
             )  # fmt: skip
 
 
-def plot(found: list[Measured], path: Path, said: str) -> None:
-    """Error over processor time, but of what has none to speak of beside the worst: the finest run,
-    and it in another precision. Raises ImportError without matplotlib."""
+def plot(found: list[Measured], finest: Setting, path: Path, said: str) -> None:
+    """Error over processor time. Raises ImportError without matplotlib."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot, ticker
 
     figure, axes = pyplot.subplots(figsize=(6, 4), dpi=120)
-    worst = max(m.error for m in found)
-    shown = [m for m in found if m.error > NONE * worst]
+    off = [m for m in found if m.error > 0]
+    shown = [m for m in _apart(found, finest) if m in off] or off
     front = best(shown)
     axes.loglog([m.cpu for m in front], [100 * m.error for m in front], "-", color="0.7")
     for m in shown:

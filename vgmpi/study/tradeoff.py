@@ -122,7 +122,7 @@ def main(argv: list[str]) -> int:
     print("\n".join(told.table(found, finest, SAID[name])))
     told.rows(scene, found, given.output / TABLE)
     try:
-        told.plot(found, given.output / "tradeoff.png", SAID[name])
+        told.plot(found, finest, given.output / "tradeoff.png", SAID[name])
     except ImportError:
         print("no plot: pip install 'vgmpi[validate]'", file=sys.stderr)
     print("\n".join(told.words(found, finest)))
