@@ -54,6 +54,42 @@ def test_what_is_given_wins(tmp_path):
     assert scene.material["water"].compression == 0.05
 
 
+CUP = """
+[[object]]
+name = "cup"
+material = "wood"
+mesh = "cup.stl"
+height = 0.1
+position = [0.5, 0.2, 0.1]
+"""
+LEFT = [
+    'prune = "off"',
+    'prune = "paper"\nprune_scale = 0.3',
+    'role = "scenery"',
+]
+
+
+@pytest.mark.parametrize("level, how", [("draft", "auto"), ("standard", "off"), ("high", "off")])
+def test_draft_prunes_what_may_be_pruned(tmp_path, level, how):
+    (tmp_path / "cup.stl").touch()
+    scene = load(write(tmp_path, SCENE + CUP), [f"accuracy.level={level}"])
+    assert [thing.prune for thing in scene.object] == ["off", how]
+
+
+@pytest.mark.parametrize("line", LEFT)
+def test_draft_leaves_pruning_that_is_given_and_scenery(tmp_path, line):
+    (tmp_path / "cup.stl").touch()
+    text = SCENE + CUP + line + "\n"
+    text = text.replace('material = "wood"\nmesh', "mesh") if "scenery" in line else text
+    cup = load(write(tmp_path, text)).object[1]
+    plain = load(
+        write(
+            tmp_path, text.replace('level = "draft"', "").replace("[time]", "cell = 0.025\n[time]")
+        )
+    ).object[1]
+    assert cup == plain
+
+
 def test_without_a_level_nothing_changes():
     data = tomllib.loads(SCENE.replace('level = "draft"', ""))
     assert filled(data) is data

@@ -12,20 +12,22 @@ from vgmpi.tables import Positive
 
 EDGES = TypeAdapter(tuple[Positive, Positive, Positive])
 FEWEST = 4  # cells along an edge
+PRUNING = ("prune", "prune_scale", "passive")
 
 
 @dataclass(frozen=True)
 class Level:
     """cells: along the longest edge, at least; compression of liquids given by max_speed or
-    depth."""
+    depth; prune: of bodies made of Gaussians or a mesh."""
 
     cells: int
     precision: str
     compression: float
+    prune: str = "off"
 
 
 LEVELS = {
-    "draft": Level(32, "single", 0.04),
+    "draft": Level(32, "single", 0.04, prune="auto"),
     "standard": Level(64, "single", 0.01),
     "high": Level(96, "double", 0.01),
 }
@@ -46,6 +48,9 @@ def filled(data: dict[str, Any]) -> dict[str, Any]:
         out["domain"] = {**domain, **({"cell": cell} if cell else {})}
     if isinstance(materials, dict):
         out["material"] = {key: _liquid(one, level) for key, one in materials.items()}
+    objects = data.get("object")
+    if isinstance(objects, list) and level.prune != "off":
+        out["object"] = [_pruned(one, level) for one in objects]
     return out
 
 
@@ -66,3 +71,10 @@ def _cell(size: Any, least: int) -> float | None:
 def _liquid(given: Any, level: Level) -> Any:
     stiff = isinstance(given, dict) and ("max_speed" in given or "depth" in given)
     return {"compression": level.compression, **given} if stiff else given
+
+
+def _pruned(given: Any, level: Level) -> Any:
+    made = isinstance(given, dict) and ("gaussians" in given or "mesh" in given)
+    if not made or given.get("role") == "scenery" or not given.keys().isdisjoint(PRUNING):
+        return given
+    return {"prune": level.prune, **given}

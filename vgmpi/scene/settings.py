@@ -157,7 +157,7 @@ class Accuracy(Table):
     level: Literal["draft", "standard", "high"] | None = None
     """what keys are that are not given. draft, standard, high: domain.cell such that the longest
     edge has 32, 64, 96 cells or a few more, precision single, single, double, compression of
-    liquids 4 %, 1 %, 1 %"""
+    liquids 4 %, 1 %, 1 %; draft prunes bodies made of Gaussians or meshes (prune = "auto")"""
     transfer: Transfer = "restored"
     """restored is apic that gives back, every few steps, what transfers took, so that waves and
     vibrations last; apic takes .8 of its time and loses with every step, up to a third of a wave's
