@@ -10,6 +10,32 @@ from tests.scenes import LAWS, SHARED, every_law, write
 from vgmpi.materials import registry
 
 pytestmark = pytest.mark.mpi
+POOL = """
+[domain]
+size = [0.32, 0.16, 0.16]
+cell = 0.01
+[time]
+end = 0.1
+frames = 21
+[accuracy]
+precision = "single"
+volume = "kept"
+[material.water]
+kind = "fluid"
+max_speed = 2
+[material.rubber]
+kind = "elastic"
+density = 500
+youngs_modulus = 1e5
+[[object]]
+name = "column"
+material = "water"
+shape = { box = [[0, 0, 0], [0.12, 0.16, 0.12]] }
+[[object]]
+name = "toy"
+material = "rubber"
+shape = { sphere = { center = [0.2, 0.08, 0.04], radius = 0.035 } }
+"""
 
 
 def bits(scene, out, n, *flags, code=0):
@@ -46,6 +72,10 @@ def test_colours_that_travel_with_every_step(tmp_path):
     said = [line for line in job.stderr.splitlines() if "checkpoint_" in line]
     assert job.returncode == 2 and len(said) == 1, job.stderr
     assert "carries 5 numbers besides its motion, in this scene 2 (" in said[0]
+
+
+def test_volume_that_is_kept(tmp_path):
+    same_everywhere(write(tmp_path, POOL), tmp_path)
 
 
 def same_everywhere(scene, tmp_path):

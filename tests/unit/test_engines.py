@@ -29,6 +29,7 @@ end = 1
 precision = "double"
 ACCURACY
 """
+KEPT = 'volume = "kept"'
 WALLS = {
     "mixed": 'default = "slip", floor = "stick", west = { kind = "separate", friction = 0.2 }',
     "open": 'default = "slip", floor = "stick", east = "open"',
@@ -169,6 +170,14 @@ SCENES = {kind: (of_law(kind), "mixed", "") for kind in LAWS} | {
     ),
     "colours": (
         COLOURS + WATER + OIL + MIX + WET + RED + "\n" + OILY + BLUE + "\n", "mixed", "",
+    ),
+    "volume kept": (WATER + TOY + POOL + CUBE + POST, "mixed", KEPT),
+    "volume kept, aflip": (WATER + TOY + POOL + CUBE, "separate", f"{AFLIP}\n{KEPT}"),
+    "volume kept, splines": (
+        WATER + TOY + POOL + CUBE, "mixed", f'transfer = "pic"\ngradient = "splines"\n{KEPT}',
+    ),
+    "volume kept, open": (
+        WATER + TOY + POOL.replace("0.2, 0.16, 0.06", "0.175, 0.16, 0.06") + CUBE, "open", KEPT,
     ),
     "open walls": (
         WATER + TOY + POOL.replace("0.2, 0.16, 0.06", "0.175, 0.16, 0.06") + CUBE, "open", "",

@@ -349,6 +349,11 @@ class Cpu:
 
     def _beside(self, plan: GroupPlan) -> tuple:
         """What a group's particles gather besides the velocity."""
+        inner = self._others(plan)
+        return beside.Kept(inner, self.plan.real.type(plan.space)) if plan.space else inner
+
+    def _others(self, plan: GroupPlan) -> tuple:
+        """The same without what holds its volume."""
         if not plan.apart:
             return beside.Nothing(0.0)
         keeps, has = self.plan.keeps, self.beside

@@ -3,7 +3,8 @@ volume and the drift; for FLIP the change of velocity; or all of these.
 
 Every kind says what it fetches from the grid for a segment (`fetch`), what it sets aside for a
 batch (`set_aside`), and how that enters the particle: its velocity (`keep`), the velocity it moves
-by (`moving`), its strain (`strain`) and its waves (`waves`).
+by (`moving`), its strain (`strain`) and its waves (`waves`). `Kept` goes with any of the others: it
+holds the volume of a fluid to the space that it takes.
 """
 
 from typing import NamedTuple
@@ -17,12 +18,18 @@ from ..lanes.rows import higher, spread
 from .couple import LEAST_PORES
 from .given import kept_of
 from .patches import gather
-from .records import BATCH, PATCH, columns, patch_of
+from .records import BATCH, PATCH, STATE, columns, patch_of
 from .rowsums import moments, values
-from .walls import SIDE, reflect
+from .walls import SIDE, reflect, whole_at_walls
 
 CHANGE = 5 * BATCH  # where the change of velocity is set aside
 RELAX = 10.0  # [1/s] at which a fluid in pores gives way where there is more volume than space
+
+
+RETURN = 5.0  # [1/s] at which a fluid's volume comes to be that of the space it takes
+# below a free surface less is gathered than is there, by some .3 to .4 of how much that changes in
+# a cell (1.25 cells below it .026 and .09); spray, where much less is gathered, tells nothing
+SURFACE, SPRAY, DENSE = 0.4, 0.8, 0.9
 
 
 class Nothing(NamedTuple):
@@ -54,6 +61,18 @@ class Both(NamedTuple):
     blend: Blend
 
 
+class Kept(NamedTuple):
+    """Of fluids whose volume is held to the space that they take."""
+
+    inner: tuple  # one of the others
+    space: float  # [1/kg] of what fills a cell at rest
+
+
+@by_kind
+def complete(kind, nodes, mirror):
+    """What has to be done to the masses of a segment's patch."""
+
+
 @by_kind
 def fetch(kind, blocks, box, mirror, real, ghosts, s):
     """The patches of a segment s that shares space, or of any for FLIP, into its thread's scratch.
@@ -82,8 +101,9 @@ def moving(kind, split, extra, n, v):
 
 
 @by_kind
-def strain(kind, split, f, p, cap, extra, n, L, fill, numbers):
-    """The velocity gradient that their law is told, L as gathered: a tuple of nine."""
+def strain(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
+    """The velocity gradient that their law is told, L as gathered: a tuple of nine. fill, slope:
+    the fourth number as gathered, and a quarter of its slope per cell, a tuple of three."""
 
 
 @by_kind
@@ -114,6 +134,11 @@ def _largest(f, p, cap, scale):
 # ---- nothing ------------------------------------------------------------------------------------
 
 
+@complete.of(Nothing)
+def _(kind, nodes, mirror):
+    pass
+
+
 @fetch.of(Nothing)
 def _(kind, blocks, box, mirror, real, ghosts, s):
     pass
@@ -140,7 +165,7 @@ def _(kind, split, extra, n, v):
 
 
 @strain.of(Nothing)
-def _(kind, split, f, p, cap, extra, n, L, fill, numbers):
+def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
     return L
 
 
@@ -150,6 +175,11 @@ def _(kind, f, p, cap, numbers, wave2):
 
 
 # ---- phases that share space --------------------------------------------------------------------
+
+
+@complete.of(Sharing)
+def _(kind, nodes, mirror):
+    pass
 
 
 @fetch.of(Sharing)
@@ -193,7 +223,7 @@ def _(kind, split, extra, n, v):
 
 
 @strain.of(Sharing)
-def _(kind, split, f, p, cap, extra, n, L, fill, numbers):
+def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
     """A fluid's volume changes by the flux of all that share its space. Where sand is, its pores'
     share of space is noted at the particle; where more volume than space was gathered (fill > 1),
     the volume ratio relaxes."""
@@ -223,6 +253,11 @@ def _(kind, f, p, cap, numbers, wave2):
 
 
 # ---- FLIP ---------------------------------------------------------------------------------------
+
+
+@complete.of(Blend)
+def _(kind, nodes, mirror):
+    pass
 
 
 @fetch.of(Blend)
@@ -259,7 +294,7 @@ def _(kind, split, extra, n, v):
 
 
 @strain.of(Blend)
-def _(kind, split, f, p, cap, extra, n, L, fill, numbers):
+def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
     return L
 
 
@@ -269,6 +304,11 @@ def _(kind, f, p, cap, numbers, wave2):
 
 
 # ---- both ---------------------------------------------------------------------------------------
+
+
+@complete.of(Both)
+def _(kind, nodes, mirror):
+    pass
 
 
 @fetch.of(Both)
@@ -299,10 +339,64 @@ def _(kind, split, extra, n, v):
 
 
 @strain.of(Both)
-def _(kind, split, f, p, cap, extra, n, L, fill, numbers):
-    return strain(kind.sharing, split, f, p, cap, extra, n, L, fill, numbers)
+def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
+    return strain(kind.sharing, split, f, p, cap, extra, n, L, fill, slope, numbers)
 
 
 @waves.of(Both)
 def _(kind, f, p, cap, numbers, wave2):
     return waves(kind.sharing, f, p, cap, numbers, wave2)
+
+
+# ---- volume that is held to space ---------------------------------------------------------------
+
+
+@complete.of(Kept)
+def _(kind, nodes, mirror):
+    whole_at_walls(nodes, mirror)
+
+
+@fetch.of(Kept)
+def _(kind, blocks, box, mirror, real, ghosts, s):
+    fetch(kind.inner, blocks, box, mirror, real, ghosts, s)
+
+
+@set_aside.of(Kept)
+def _(kind, count, weights, records, base, real, extra):
+    set_aside(kind.inner, count, weights, records, base, real, extra)
+
+
+@keep.of(Kept)
+def _(kind, f, p, cap, extra, n, v):
+    keep(kind.inner, f, p, cap, extra, n, v)
+
+
+@kept.of(Kept)
+def _(kind, f, p, cap, way, scale):
+    return kept(kind.inner, f, p, cap, way, scale)
+
+
+@moving.of(Kept)
+def _(kind, split, extra, n, v):
+    return moving(kind.inner, split, extra, n, v)
+
+
+@strain.of(Kept)
+def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
+    """What is crowded is told to shrink, so that its pressure grows, and what has room inside the
+    fluid to swell: by what a cell's mass and the particle's J differ, at the rate RETURN."""
+    L = strain(kind.inner, split, f, p, cap, extra, n, L, fill, slope, numbers)
+    zero = 0.0 * fill
+    crowd, J = kind.space * fill, np.exp(load(f, p + STATE * cap))
+    more = crowd * J - 1.0
+    x, y, z = slope
+    near = (4.0 * SURFACE) * kind.space * np.sqrt(x * x + y * y + z * z)
+    inner = np.minimum(np.maximum((crowd - SPRAY) * (1.0 / (DENSE - SPRAY)), zero), zero + 1.0)
+    off = np.maximum(more, zero) + inner * np.minimum(more + near, zero)
+    less = (RETURN / 3.0) * off
+    return (L[0] - less, L[1], L[2], L[3], L[4] - less, L[5], L[6], L[7], L[8] - less)
+
+
+@waves.of(Kept)
+def _(kind, f, p, cap, numbers, wave2):
+    return waves(kind.inner, f, p, cap, numbers, wave2)

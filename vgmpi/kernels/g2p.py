@@ -11,7 +11,7 @@ from ..device.limits import FARTHEST, LEAST_J, MOST_J, STRETCH
 from ..lanes.lanes import place, store
 from ..lanes.laws import advance, lane_state, store_state, volume_ratio, wave_speed2
 from ..lanes.rows import SOUND_ALL, higher, largest, load_records, move, only, sound, spread
-from .beside import fetch, keep, kept, moving, set_aside, strain, waves
+from .beside import complete, fetch, keep, kept, moving, set_aside, strain, waves
 from .given import share_of
 from .patches import expect, gather
 from .records import AFFINE, BATCH, PATCH, STATE, box_of, parts, rest, touched, weigh
@@ -86,6 +86,7 @@ def g2p(
         touched(count[s], start[s], cap, xi, f, mirror[s], box)
         gather(patch, velocity, table[s], box)
         reflect(nodes, mirror[s], ghosts, share, s)
+        complete(beside, nodes, mirror[s])
         if split[s]:
             fetch(beside, table[s], box, mirror[s], scratch.real, ghosts, s)
         for first in range(0, count[s], BATCH):
@@ -120,11 +121,12 @@ def _move(
         p = at + n
         left = count - n
         v0, v1, v2, fill, L = gathered(records, 16 * n, k)
+        slope = rises(records, 16 * n)
         keep(beside, f, p, cap, extra, n, (v0, v1, v2))
         _take_gradient(f, p, cap, L)
         v0, v1, v2 = moving(beside, split, extra, n, (v0, v1, v2))
         trace, turns = L[0] + L[4] + L[8], _squared(L)
-        L = strain(beside, split, f, p, cap, extra, n, L, fill, numbers)
+        L = strain(beside, split, f, p, cap, extra, n, L, fill, slope, numbers)
         state = advance(law, lane_state(law, f, p + STATE * cap, cap), L, dt)
         store_state(f, p + STATE * cap, cap, state)
         J = volume_ratio(law, state)
@@ -164,6 +166,13 @@ def gathered(records, at, k):
         k * r[12], k * r[13], k * r[14]
     )  # fmt: skip
     return r[0], r[1], r[2], r[3], (x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2])
+
+
+@inline
+def rises(records, at):
+    """Of 16 records: a quarter of the fourth number's slope per cell."""
+    r = load_records(records, at)
+    return r[7], r[11], r[15]
 
 
 @inline

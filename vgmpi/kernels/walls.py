@@ -127,6 +127,21 @@ def reflect(patch, mirror, ghosts, share, s):
 
 
 @inline
+def whole_at_walls(patch, mirror):
+    """Complete the masses of nodes on stick and slip walls, which hold what one side of them gave:
+    the other is its image."""
+    for a in range(3):
+        for side in range(2):
+            code = mirror[a, side]
+            if code == 0 or code & 3 == SEPARATE:
+                continue
+            for i in range(SIDE):
+                for j in range(SIDE):
+                    node = _node(patch, a, code >> 2, i, j)
+                    node[3] = 2.0 * node[3]
+
+
+@inline
 def _along(a, value):
     """A vector along axis a."""
     none = 0.0 * value

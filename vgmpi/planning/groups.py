@@ -49,6 +49,7 @@ class GroupPlan(NamedTuple):
     surface: bool = False  # its particles know the surface of their body at rest
     coefficients: int = 0  # of its colours, which travel with every step
     driven: bool = False  # its motion is prescribed (driven.py)
+    space: float = 0.0  # [1/kg] of what fills a cell, of fluids whose volume is held to it; or 0
 
     @property
     def porous(self) -> bool:
@@ -238,6 +239,20 @@ def _shared(scene: Scene, group: GroupPlan, sharing: Rules | None) -> GroupPlan:
                 dense=max(group.dense, group.density / sand.density),
             )
     return group
+
+
+def held(scene: Scene, group: GroupPlan, phase: PhasePlan) -> GroupPlan:
+    """The group with what holds its volume to the space that it takes, if it is a liquid by itself.
+    Raises SceneError where liquids of other densities have its field."""
+    if scene.accuracy.volume != "kept" or group.carries[:1] != ("theta",) or group.shares:
+        return group
+    if phase.least < phase.most:
+        said = (
+            f"{phase.name!r} holds liquids of different density, whose cells do not tell how full"
+            " they are; give each a phase of its own, or a coupling of kind 'mixing'"
+        )
+        raise scene.error([(("accuracy", "volume"), said)])
+    return group._replace(space=1.0 / (group.density * scene.domain.cell**3))
 
 
 def _coloured(group: GroupPlan, count: int) -> GroupPlan:

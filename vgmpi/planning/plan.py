@@ -20,7 +20,7 @@ from ..scene.scene import Scene
 from ..scene.settings import Accuracy
 from .colour_sets import Exchange, exchange
 from .driven import DrivenPlan, Extents, driven_phases, driven_plans
-from .groups import GroupPlan, PhasePlan, completed, groups_of, phases_of
+from .groups import GroupPlan, PhasePlan, completed, groups_of, held, phases_of
 from .inflow import SinkPlan, SourcePlan, sink_plans, source_plans
 from .sharing import rules, slipping
 from .surroundings import Surroundings
@@ -206,6 +206,7 @@ def make_plan(
     keeps, restores = _keeps(scene.accuracy), _restores(scene)
     whole = tuple(completed(scene, group, sharing, colours, keeps, restores) for group in plain)
     whole = slipping(whole, sharing, scene.time.cfl * scene.domain.cell)
+    whole = tuple(held(scene, group, phases[group.phase]) for group in whole)
     driven, groups, group_of = driven_plans(scene, whole, group_of, phases, extents or {})
     plan = Plan(
         cells=scene.domain.cells,

@@ -173,6 +173,10 @@ class Accuracy(Table):
     """how strains and forces are taken. splines: by the gradients of the B-splines, with pic and
     flip alone; a bending body that turns against the grid keeps its stiffness, with 64 particles
     per cell"""
+    volume: Literal["followed", "kept"] = "followed"
+    """of liquids that do not mix and flow through no sand. followed: as the grid expands along
+    their way, by which water that splashes or sways for long loses height; kept: held besides to
+    the space that they take, which takes some time more"""
     precision: Literal["double", "single"] = "double"
     """of the particles' and the grid's numbers"""
 

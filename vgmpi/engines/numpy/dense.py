@@ -163,6 +163,14 @@ class Dense:
                 along = np.moveaxis(v, axis, 0)
                 tell.mirrored(axis, wall, along[beyond] - along[inside])
 
+    def whole(self, mass: np.ndarray) -> np.ndarray:
+        """Masses with the images of mirroring walls: on them, which hold one side's, and beyond."""
+        mass = mass.copy()
+        for axis, kind, _, wall, _, _ in self.ends():
+            if kind != "separate":
+                np.moveaxis(mass, axis, 0)[wall] *= 2.0
+        return self.even(mass)
+
     def even(self, field: np.ndarray) -> np.ndarray:
         """Numbers with what mirroring walls show of them beyond."""
         field = field.copy()
