@@ -1,9 +1,9 @@
 """Water that has splashed fills as much space as before.
 
 A column collapses in a closed tank and sways: after some seconds its lower half has the density
-that it had at the start. Particles that carry their volume as the grid expanded along their way crowd
-once they are in disorder: that is shown beside (`accuracy.volume = "followed"`). At rest, in the
-rows in which it was filled, holding the volume changes nothing. Height is no measure here: the
+that it had at the start. Particles that carry their volume as the grid expanded along their way
+crowd once they are in disorder: that is shown beside (`accuracy.volume = "followed"`). At rest, in
+the rows in which it was filled, holding the volume changes nothing. Height is no measure here: the
 surface is drawn out over two cells, and sways.
 Tolerance: 4 %, of which 1 % is what the fastest motion may compress.
 """
