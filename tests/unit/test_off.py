@@ -284,6 +284,7 @@ FEATURES = {
         {"given", "engine.room.given", "engine.parts.ghosts"},
         {"Given", "Ghosts"},
     ),
+    "volume that is kept": (PLAIN + '[accuracy]\nvolume = "kept"\n', set(), {"Kept"}),
     "flip": (
         PLAIN + '[accuracy]\ntransfer = "flip"\n',
         {"engine.layers.impulses", "engine.beside.change", "engine.apart_room",

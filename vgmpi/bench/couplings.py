@@ -1,6 +1,6 @@
 """What sharing space costs: fluids that mix, and sand that a fluid flows through, beside
-the same tank filled with one fluid; and the same fluid with its motion restored, with AFLIP, and in
-two colours that travel with every step.
+the same tank filled with one fluid; and the same fluid with its motion restored, its volume kept,
+with AFLIP, and in two colours that travel with every step.
 
 Each pair is measured in turns, so that what else the machine does touches both alike.
 """
@@ -27,6 +27,7 @@ end = 1
 [accuracy]
 transfer = "{transfer}"
 precision = "{precision}"
+volume = "{volume}"
 [material.water]
 kind = "fluid"
 bulk_modulus = 1e5
@@ -73,11 +74,12 @@ COLOURS = """
 [appearance]
 colour_transfer = "step"
 """
-AFLIP, RESTORED = "with AFLIP", "with motion restored"
+AFLIP, RESTORED, KEPT = "with AFLIP", "with motion restored", "with its volume kept"
 TRANSFERS = {AFLIP: "aflip", RESTORED: "restored"}
 SCENES = {  # name -> what lies below the water, couplings, depth of it as a share of the tank's
     "fluid": (LAYER.replace("{made_of}", "water"), 0.5),
     RESTORED: (LAYER.replace("{made_of}", "water"), 0.5),
+    KEPT: (LAYER.replace("{made_of}", "water"), 0.5),
     AFLIP: (LAYER.replace("{made_of}", "water"), 0.5),
     "colours with every step": (
         LAYER.replace("{made_of}", 'water"\ncolour = "#ff8000') + COLOURS,
@@ -116,6 +118,7 @@ def _tank(name: str, particles: int, precision: str, folder: Path) -> Simulation
     keys = {
         "side": side / 100, "high": 2 * side / 100, "low": low / 100, "top": deep / 100,
         "precision": precision, "transfer": TRANSFERS.get(name, "apic"),
+        "volume": "kept" if name == KEPT else "followed",
     }  # fmt: skip
     text = TANK if share < 1.0 else TANK[: TANK.index("[[object]]")]
     path = folder / "scene.toml"

@@ -15,19 +15,18 @@ from ..domain.movers import Movers
 from ..domain.solids import Solids
 from ..domain.state import Group
 from ..domain.topology import Topology, hue
-from ..kernels import beside, g2p, gradient, grid, members, p2g, records, restore, sums, touch
+from ..kernels import g2p, gradient, grid, members, p2g, records, restore, sums, touch
 from ..kernels.driven import carry
 from ..kernels.given import Ghosts
 from ..kernels.layers import colour, momentum
 from ..kernels.tables import NodeBlocks, Phases, Segments, Step, Walls
 from ..kernels.walls import KINDS, patch_codes
-from ..planning.groups import GroupPlan
 from ..planning.plan import Plan
 from .base import DITHER, Beyond, Report
 from .given import Givers
 from .layers import Contribution, contributions, hues, layers
 from .shares import Shares, copies
-from .work import GroupWork, numbers_of, particles_of
+from .work import GroupWork, gathers, numbers_of, particles_of
 
 
 class Cpu:
@@ -303,9 +302,10 @@ class Cpu:
                     (g,), colour.take, rows, first + 3 * k, part.segments, particles, nodes,
                     scratch,
                 )  # fmt: skip
+            beside = gathers(self.plan, plan, self.beside, self.dt)
             self.call(
                 (g,), g2p.g2p, rows, plan.law, part.segments, particles,
-                self.layers["momentum"].nodes, self._beside(plan), scratch, part.numbers, motion,
+                self.layers["momentum"].nodes, beside, scratch, part.numbers, motion,
                 report[thread], self._ghosts(part, thread),
             )  # fmt: skip
             if plan.followed:
@@ -346,23 +346,6 @@ class Cpu:
         if self.givers is None or part.ghosts is None or part.group.plan.driven:
             return None
         return self.givers.of(part.ghosts, thread, layer, self.dt)
-
-    def _beside(self, plan: GroupPlan) -> tuple:
-        """What a group's particles gather besides the velocity."""
-        inner = self._others(plan)
-        return beside.Kept(inner, self.plan.real.type(plan.space)) if plan.space else inner
-
-    def _others(self, plan: GroupPlan) -> tuple:
-        """The same without what holds its volume."""
-        if not plan.apart:
-            return beside.Nothing(0.0)
-        keeps, has = self.plan.keeps, self.beside
-        sharing = beside.Sharing(has["flux"], has["drift"], int(self.plan.drifts))
-        if keeps is None:
-            return sharing
-        patch = 1 + sharing.drifts if plan.shares else 0
-        blend = beside.Blend(has["change"], self.plan.real.type(keeps.over(self.dt)), patch)
-        return beside.Both(sharing, blend) if plan.shares else blend
 
     def _found_beyond(self) -> list[Beyond]:
         """The lowest node block of each layer of which a sum left its range."""

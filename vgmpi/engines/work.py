@@ -6,6 +6,7 @@ from ..domain.state import Group
 from ..kernels import beside, g2p
 from ..kernels.given import Ghosts
 from ..kernels.tables import Particles, Segments
+from ..kernels.volume import Kept
 from ..planning.groups import GroupPlan
 from ..planning.plan import Plan
 from .layers import Contribution
@@ -35,3 +36,22 @@ def numbers_of(plan: Plan, group: GroupPlan) -> g2p.Numbers:
 
 def particles_of(group: Group) -> Particles:
     return Particles(group.xi, group.f, group.ids)
+
+
+def gathers(plan: Plan, group: GroupPlan, has: dict, dt: float) -> tuple:
+    """What a group's particles gather besides the velocity in a step of dt [s]: a kind of
+    kernels/beside.py. has: what nodes have of it, by name."""
+    inner = _others(plan, group, has, dt)
+    return Kept(inner, plan.real.type(group.space)) if group.space else inner
+
+
+def _others(plan: Plan, group: GroupPlan, has: dict, dt: float) -> tuple:
+    """The same without what holds its volume."""
+    if not group.apart:
+        return beside.Nothing(0.0)
+    sharing = beside.Sharing(has["flux"], has["drift"], int(plan.drifts))
+    if plan.keeps is None:
+        return sharing
+    patch = 1 + sharing.drifts if group.shares else 0
+    blend = beside.Blend(has["change"], plan.real.type(plan.keeps.over(dt)), patch)
+    return beside.Both(sharing, blend) if group.shares else blend

@@ -3,8 +3,7 @@ volume and the drift; for FLIP the change of velocity; or all of these.
 
 Every kind says what it fetches from the grid for a segment (`fetch`), what it sets aside for a
 batch (`set_aside`), and how that enters the particle: its velocity (`keep`), the velocity it moves
-by (`moving`), its strain (`strain`) and its waves (`waves`). `Kept` goes with any of the others: it
-holds the volume of a fluid to the space that it takes.
+by (`moving`), its strain (`strain`) and its waves (`waves`). Of the volume of liquids: volume.py.
 """
 
 from typing import NamedTuple
@@ -18,18 +17,12 @@ from ..lanes.rows import higher, spread
 from .couple import LEAST_PORES
 from .given import kept_of
 from .patches import gather
-from .records import BATCH, PATCH, STATE, columns, patch_of
+from .records import BATCH, PATCH, columns, patch_of
 from .rowsums import moments, values
-from .walls import SIDE, reflect, whole_at_walls
+from .walls import SIDE, reflect
 
 CHANGE = 5 * BATCH  # where the change of velocity is set aside
 RELAX = 10.0  # [1/s] at which a fluid in pores gives way where there is more volume than space
-
-
-RETURN = 5.0  # [1/s] at which a fluid's volume comes to be that of the space it takes
-# below a free surface less is gathered than is there, by some .3 to .4 of how much that changes in
-# a cell (1.25 cells below it .026 and .09); spray, where much less is gathered, tells nothing
-SURFACE, SPRAY, DENSE = 0.4, 0.8, 0.9
 
 
 class Nothing(NamedTuple):
@@ -59,13 +52,6 @@ class Both(NamedTuple):
 
     sharing: Sharing
     blend: Blend
-
-
-class Kept(NamedTuple):
-    """Of fluids whose volume is held to the space that they take."""
-
-    inner: tuple  # one of the others
-    space: float  # [1/kg] of what fills a cell at rest
 
 
 @by_kind
@@ -346,57 +332,3 @@ def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
 @waves.of(Both)
 def _(kind, f, p, cap, numbers, wave2):
     return waves(kind.sharing, f, p, cap, numbers, wave2)
-
-
-# ---- volume that is held to space ---------------------------------------------------------------
-
-
-@complete.of(Kept)
-def _(kind, nodes, mirror):
-    whole_at_walls(nodes, mirror)
-
-
-@fetch.of(Kept)
-def _(kind, blocks, box, mirror, real, ghosts, s):
-    fetch(kind.inner, blocks, box, mirror, real, ghosts, s)
-
-
-@set_aside.of(Kept)
-def _(kind, count, weights, records, base, real, extra):
-    set_aside(kind.inner, count, weights, records, base, real, extra)
-
-
-@keep.of(Kept)
-def _(kind, f, p, cap, extra, n, v):
-    keep(kind.inner, f, p, cap, extra, n, v)
-
-
-@kept.of(Kept)
-def _(kind, f, p, cap, way, scale):
-    return kept(kind.inner, f, p, cap, way, scale)
-
-
-@moving.of(Kept)
-def _(kind, split, extra, n, v):
-    return moving(kind.inner, split, extra, n, v)
-
-
-@strain.of(Kept)
-def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
-    """What is crowded is told to shrink, so that its pressure grows, and what has room inside the
-    fluid to swell: by what a cell's mass and the particle's J differ, at the rate RETURN."""
-    L = strain(kind.inner, split, f, p, cap, extra, n, L, fill, slope, numbers)
-    zero = 0.0 * fill
-    crowd, J = kind.space * fill, np.exp(load(f, p + STATE * cap))
-    more = crowd * J - 1.0
-    x, y, z = slope
-    near = (4.0 * SURFACE) * kind.space * np.sqrt(x * x + y * y + z * z)
-    inner = np.minimum(np.maximum((crowd - SPRAY) * (1.0 / (DENSE - SPRAY)), zero), zero + 1.0)
-    off = np.maximum(more, zero) + inner * np.minimum(more + near, zero)
-    less = (RETURN / 3.0) * off
-    return (L[0] - less, L[1], L[2], L[3], L[4] - less, L[5], L[6], L[7], L[8] - less)
-
-
-@waves.of(Kept)
-def _(kind, f, p, cap, numbers, wave2):
-    return waves(kind.inner, f, p, cap, numbers, wave2)

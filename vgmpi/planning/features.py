@@ -5,7 +5,7 @@ from typing import NamedTuple
 from ..couplings.base import CONTACT, DRAG, MIXING
 from ..scene.scene import Scene
 from ..source import printable
-from .groups import COLOUR_COST, KEEPING_COST, RESTORING_COST
+from .groups import COLOUR_COST, HOLDING_COST, KEEPING_COST, RESTORING_COST
 from .pace import Pace
 from .plan import Plan
 
@@ -43,6 +43,8 @@ def features(scene: Scene, plan: Plan, g: int, pace: Pace) -> list[Feature]:
         found.append(Feature("restored transfer", law * RESTORING_COST / plan.restores))
     if plan.keeps is not None:
         found.append(Feature(f"{scene.accuracy.transfer} transfer", law * (KEEPING_COST - 1.0)))
+    if group.space:
+        found.append(Feature("volume that is kept", law * HOLDING_COST))
     if group.coefficients:
         ns = pace.fluid * COLOUR_COST * group.coefficients
         found.append(Feature("colours that travel", ns, own["colour"]))

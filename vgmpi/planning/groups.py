@@ -23,6 +23,7 @@ MASTERY = {
     "fluid": 3,
 }  # whose surface gives the normal where two phases touch
 RESTORING_COST = 0.75  # of a step of no time, relative to a step (`vgmpi.bench couplings`)
+HOLDING_COST = 0.1  # of volume that is kept (`vgmpi.bench couplings`)
 KEEPING_COST = 1.7  # of FLIP and AFLIP, relative to the same without (`vgmpi.bench couplings`)
 COLOUR_COST = 0.6  # of a coefficient of colour that travels, relative to a fluid's step
 
@@ -241,9 +242,15 @@ def _shared(scene: Scene, group: GroupPlan, sharing: Rules | None) -> GroupPlan:
     return group
 
 
-def held(scene: Scene, group: GroupPlan, phase: PhasePlan) -> GroupPlan:
-    """The group with what holds its volume to the space that it takes, if it is a liquid by itself.
-    Raises SceneError where liquids of other densities have its field."""
+def held(
+    scene: Scene, groups: tuple[GroupPlan, ...], phases: tuple[PhasePlan, ...]
+) -> tuple[GroupPlan, ...]:
+    """The groups with what holds their volume to the space that they take, which are liquids by
+    themselves. Raises SceneError where liquids of other densities have the field of one."""
+    return tuple(_held(scene, group, phases[group.phase]) for group in groups)
+
+
+def _held(scene: Scene, group: GroupPlan, phase: PhasePlan) -> GroupPlan:
     if scene.accuracy.volume != "kept" or group.carries[:1] != ("theta",) or group.shares:
         return group
     if phase.least < phase.most:
@@ -252,7 +259,8 @@ def held(scene: Scene, group: GroupPlan, phase: PhasePlan) -> GroupPlan:
             " they are; give each a phase of its own, or a coupling of kind 'mixing'"
         )
         raise scene.error([(("accuracy", "volume"), said)])
-    return group._replace(space=1.0 / (group.density * scene.domain.cell**3))
+    space = 1.0 / (group.density * scene.domain.cell**3)
+    return group._replace(space=space, cost=group.cost * (1.0 + HOLDING_COST))
 
 
 def _coloured(group: GroupPlan, count: int) -> GroupPlan:

@@ -205,8 +205,7 @@ def make_plan(
     _check_transfer(scene, sharing)
     keeps, restores = _keeps(scene.accuracy), _restores(scene)
     whole = tuple(completed(scene, group, sharing, colours, keeps, restores) for group in plain)
-    whole = slipping(whole, sharing, scene.time.cfl * scene.domain.cell)
-    whole = tuple(held(scene, group, phases[group.phase]) for group in whole)
+    whole = held(scene, slipping(whole, sharing, scene.time.cfl * scene.domain.cell), phases)
     driven, groups, group_of = driven_plans(scene, whole, group_of, phases, extents or {})
     plan = Plan(
         cells=scene.domain.cells,

@@ -18,7 +18,7 @@ from ...domain.movers import Movers
 from ...domain.solids import Solids
 from ...domain.state import Group
 from ...domain.topology import Topology
-from ...kernels.beside import DENSE, RELAX, RETURN, SPRAY, SURFACE
+from ...kernels.beside import RELAX
 from ...kernels.couple import LEAST_PORES
 from ...kernels.g2p import CRUSHED, FASTEST_WAVE, LOST, OUTSIDE, TOO_FAST
 from ...kernels.layers.offsets import DEEPEST
@@ -32,6 +32,7 @@ from .driven import carry, prescribe
 from .given import Given, Teller
 from .movers import place
 from .sharing import Sharing
+from .volume import held
 
 
 class Numpy:
@@ -310,7 +311,8 @@ class Numpy:
             moves = v + np.where(split[:, None], dense.gather(self.drift[p], stencil), 0.0)
             L = self._strain(group, stencil, split, L)
         if plan.space:
-            L = self._held(group, stencil, L)
+            J = np.exp(self._get(group, "theta")[:, 0])
+            L = held(dense, self.mass[p], stencil, plan.space, J, L)
         law, rows = self._law(group), tuple(L.reshape(-1, 9).T)
         state = function(law, "advance")(law, self._state(group), rows, self.dt)
         self._put_state(group, state)
@@ -334,18 +336,6 @@ class Numpy:
             rate = rate / share - RELAX * np.maximum(full - 1.0, 0.0)
         more = np.where(split, (rate - np.trace(L, axis1=1, axis2=2)) / 3.0, 0.0)
         return L + more[:, None, None] * np.eye(3)
-
-    def _held(self, group, stencil, L) -> np.ndarray:
-        """What is crowded shrinks, and what has room inside the fluid swells, by what a cell's mass
-        and the particle's J differ."""
-        dense, mass = self.dense, self.dense.whole(self.mass[group.plan.phase])
-        crowd = group.plan.space * dense.gather(mass, stencil)[:, 0]
-        slope = dense.gather_slopes(mass, stencil)[:, 0]
-        more = crowd * np.exp(self._get(group, "theta")[:, 0]) - 1.0
-        near = SURFACE * group.plan.space * self.plan.dx * np.linalg.norm(slope, axis=1)
-        inner = np.clip((crowd - SPRAY) / (DENSE - SPRAY), 0.0, 1.0)
-        off = np.maximum(more, 0.0) + inner * np.minimum(more + near, 0.0)
-        return L - (RETURN / 3.0 * off)[:, None, None] * np.eye(3)
 
     def _move(self, group, v, trace, law, state, step) -> Report:
         dx, dt, at = self.plan.dx, self.dt, group.index()
