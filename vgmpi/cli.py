@@ -49,6 +49,12 @@ def _parser() -> argparse.ArgumentParser:
     said = "say what an output file, a Gaussian file or a mesh holds"
     what.add_argument("--inspect", type=Path, metavar="FILE", help=said)
     parser.add_argument(
+        "--rehearse",
+        action="store_true",
+        help="with --plan: play the scene in coarser cells first, some fortieth of the work, and"
+        " tell steps and time by where things go",
+    )
+    parser.add_argument(
         "--calibrate",
         action="store_true",
         help="measure anew how fast this processor is, which --plan does once and keeps",
@@ -122,6 +128,8 @@ def arguments(argv: list[str] | None) -> argparse.Namespace:
         parser.error("give a scene file, --inspect FILE or --calibrate")
     if given.scene is None and (given.check or given.plan or given.prepare):
         parser.error("give a scene file")
+    if given.rehearse and (not given.plan or given.resume is not None):
+        parser.error("--rehearse is for --plan, of a run from the start")
     if given.change and given.resume is None:
         parser.error("--change is for --resume")
     if given.overwrite and given.resume is not None:
@@ -204,12 +212,15 @@ def _command(given: argparse.Namespace, ranks: Alone) -> int:
         from .solver.run import goes_on_from
 
         reached = goes_on_from(given.resume, folder, ranks)[1]["time"]
-    plan = prepared.plan_for(scene, prepared.prepare(scene, ranks, None))
+    known = prepared.prepare(scene, ranks, None)
+    plan = prepared.plan_for(scene, known)
     if ranks.rank == 0:
         from .solver import calibrate
+        from .solver.rehearse import rehearse
 
         pace = calibrate.pace(scene.accuracy.precision, anew=given.calibrate)
-        print(describe(scene, plan, ranks.size, reached, pace))
+        seen = rehearse(scene, plan, known) if given.rehearse else None
+        print(describe(scene, plan, ranks.size, reached, pace, seen))
     refusal = too_large(plan.bytes(), ranks)
     return _refuse([refusal], ranks) if refusal and not given.force else 0
 

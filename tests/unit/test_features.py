@@ -159,7 +159,8 @@ def test_surroundings_are_those_of_the_solvers_tables(tmp_path):
         asked = tables.takes["offsets"][tables.group == g]
         share = group.count[asked].sum() / group.count.sum()
         (k,) = (k for k, of in enumerate(plan.group_of) if of == g)
-        ((_, phase),), collider = plan.surroundings[k].phases, plan.surroundings[k].collider
+        (near,), collider = plan.surroundings[k].phases, plan.surroundings[k].collider
+        phase = near.share
         print(f"{group.plan.name}: {share:.3f} asked, {phase:.3f} and {collider:.3f} near")
         assert plan.surroundings[k].blocks == len(group.count)
         assert max(phase, collider) <= share + 1e-12 and share <= phase + collider + 1e-12

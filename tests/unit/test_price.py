@@ -12,7 +12,7 @@ from vgmpi.domain.ranks import Alone
 from vgmpi.materials import registry
 from vgmpi.planning.features import step
 from vgmpi.planning.pace import ASSUMED, Pace
-from vgmpi.planning.price import describe
+from vgmpi.planning.price import FRAME, WRITTEN, describe
 from vgmpi.solver import prepared, report
 from vgmpi.solver.prepared import plan_for, prepare
 
@@ -167,9 +167,13 @@ def test_the_time_is_that_of_the_processor(tmp_path):
 
     pace = Pace(6e3, 8.4e3, "as told")
     seconds, steps = takes(pace)
-    assert seconds == pytest.approx(steps * (1e-9 * step(scene, plan, pace) + 1e-4), abs=1)
-    assert takes(Pace(3e3, 4.2e3, "as told"))[0] == pytest.approx(seconds / 2, rel=0.03)
-    assert takes(pace, ranks=4)[0] == pytest.approx(seconds / 4, rel=0.1)
+    written = len(plan.times) * (FRAME + WRITTEN * plan.particles)
+    takes_step = 1e-9 * step(scene, plan, pace) + 1e-4
+    assert seconds == pytest.approx(steps * takes_step + written, abs=1)
+    half = takes(Pace(3e3, 4.2e3, "as told"))[0] - written
+    assert half == pytest.approx((seconds - written) / 2, rel=0.03)
+    four = takes(pace, ranks=4)[0] - len(plan.times) * FRAME
+    assert four == pytest.approx((seconds - written) / 4, rel=0.1)
 
 
 def test_other_laws_go_by_their_cost_beside_an_elastic_one():

@@ -259,7 +259,7 @@ def _run_together(given: argparse.Namespace) -> int:
 
 def _against(parser: argparse.ArgumentParser) -> None:
     say = parser.add_argument
-    say("tree", type=Path, help="another checkout of this program")
+    say("tree", type=Path, help="another checkout, or the word stripped: without features")
     say("--laws", nargs="+", default=["fluid", "elastic"], metavar="LAW")
     say("--particles", nargs="+", type=float, default=[1e5, 4e5, 1e6], metavar="N")
     say("--rounds", type=int, default=9, help="default 9")
@@ -268,10 +268,8 @@ def _against(parser: argparse.ArgumentParser) -> None:
 def _run_against(given: argparse.Namespace) -> int:
     from . import against
 
-    for law in given.laws:
-        for n in given.particles:
-            found = against.measure(law, int(n), given.tree.resolve(), given.rounds, _say)
-            print(against.line(law, int(n), found), flush=True)
+    for line in against.lines(given.tree, given.laws, given.particles, given.rounds, _say):
+        print(line, flush=True)
     return 0
 
 

@@ -1,17 +1,19 @@
-"""This program beside another checkout of it, such as the last release: processor time of a step
-on one core, in turns.
+"""This program beside another checkout of it, such as the last release, or beside a copy in which
+features do not exist (stripped.py): processor time of a step on one core, in turns.
 """
 
 import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 
 from .rounds import Contestant, Worker
 from .scene import BenchError, Case, lay_out
+from .stripped import same_bits, stripped
 
 LAY_OUT = """
 import sys
@@ -19,7 +21,23 @@ from pathlib import Path
 from vgmpi.bench.scene import Case, lay_out
 lay_out(Case(sys.argv[1], int(sys.argv[2])), ["single"], Path(sys.argv[3]))
 """
+STRIPPED = Path("stripped")
 ROUND = 4.0  # [s] of both programs' turns
+
+
+def lines(
+    tree: Path, laws: list[str], particles: list[float], rounds: int, say: Callable
+) -> Iterator[str]:
+    """What is found, as text; tree: a folder, or the word for a stripped copy. Raises BenchError
+    where `tree` cannot."""
+    with tempfile.TemporaryDirectory(prefix="vgmpi-bench-") as folder:
+        if tree == STRIPPED:
+            tree = stripped(Path(folder))
+            same = same_bits(tree, Path(folder))
+            yield f"a fluid beside a solid: {'the same bits' if same else 'OTHER BITS'}"
+        for law in laws:
+            for n in map(int, particles):
+                yield line(law, n, measure(law, n, tree.resolve(), rounds, say))
 
 
 def measure(law: str, particles: int, tree: Path, rounds: int, say) -> np.ndarray:

@@ -113,7 +113,7 @@ def near(tank: Simulation) -> float:
     """Share of the particles that stand so near to something that it may touch them."""
     plan = tank.plan
     found = [
-        max(one.collider, *(share for _, share in one.phases), 0.0) for one in plan.surroundings
+        max(one.collider, *(near.share for near in one.phases), 0.0) for one in plan.surroundings
     ]
     return float(np.average(found, weights=plan.count))
 

@@ -9,15 +9,24 @@ from .groups import COLOUR_COST, HOLDING_COST, KEEPING_COST, RESTORING_COST
 from .pace import Pace
 from .plan import Plan
 
-# of a fluid's step, for each particle that stands at most a block from what it may touch
-# (`python -m vgmpi.bench features`; there fluids and solids meet in every block: 1.7 to 2.1)
-SOLIDS_COST = 2.1  # contact of solids whose surfaces are known
-TOUCHING_COST = 1.2  # contact of others, as in runs/sandbox
+
+class Meeting(NamedTuple):
+    """What it costs to stand at most a block from what may be touched, in steps of a fluid's
+    particle (`python -m vgmpi.bench features`, `couplings`; runs/two_liquids, water_on_snow)."""
+
+    particle: float
+    block: float  # of particles
+    nodes: float  # a block of them that both reach
+
+
+SOLIDS = Meeting(1.6, 100.0, 85.0)  # contact of solids whose surfaces are known
+TOUCHING = Meeting(0.8, 100.0, 85.0)  # contact of others
+MIXES = Meeting(1.3, 200.0, 65.0)
+DRAGS = Meeting(0.4, 60.0, 65.0)
+# of a fluid's step, for each particle that stands at most a block from a collider
 COLLIDER_COST = 1.3  # colliders at rest
 MOVING_COST = 0.6  # more where some move
 FELT_COST = 1.2  # more where a probe asks what they give
-MIXING_COST = 2.0
-DRAG_COST = 0.75  # (`python -m vgmpi.bench couplings`: wet sand throughout)
 BLOCK_COST = 35.0  # of a block beside its particles (docs/performance.md)
 FULL = 512  # particles of the blocks by which a Pace is measured
 
@@ -55,30 +64,47 @@ def features(scene: Scene, plan: Plan, g: int, pace: Pace) -> list[Feature]:
 
 def _meetings(plan: Plan, g: int, fluid: float, own: dict[str, int]) -> list[Feature]:
     """What other phases cost the group's particles as they stand."""
-    group, found = plan.groups[g], []
-    p = group.phase
-    around = [(plan.count[k], plan.surroundings[k]) for k in _rows(plan, g)]
-    solids = touching = mixing = drag = 0.0
+    p, found = plan.groups[g].phase, []
+    met: dict[str, list[tuple[Meeting, str]]] = {}
     for q, phase in enumerate(plan.phases):
-        near = _mean([(n, dict(one.phases).get(phase.name, 0.0)) for n, one in around])
-        rule = CONTACT if plan.rules is None else plan.rules.pair[p, q]
-        if rule == MIXING:
-            mixing += near
-        elif rule == DRAG:
-            drag += near
-        elif phase.surface and plan.phases[p].surface:
-            solids += near
-        else:
-            touching += near
-    mixing, drag, met = min(mixing, 1.0), min(drag, 1.0), min(solids + touching, 1.0)
-    if mixing:
-        found.append(Feature(_near("mixing", mixing), fluid * MIXING_COST * mixing))
-    if drag or own["share"]:
-        found.append(Feature(_near("drag", drag), fluid * DRAG_COST * drag, own["share"]))
-    if met or own["surface"]:
-        ns = fluid * (SOLIDS_COST if solids > touching else TOUCHING_COST) * met
-        found.append(Feature(_near("contact", met), ns, own["surface"]))
+        if q != p:
+            name, how = _rule(plan, p, q)
+            met.setdefault(name, []).append((how, phase.name))
+    kept = {"drag": own["share"], "contact": own["surface"]}
+    for name in ("mixing", "drag", "contact"):
+        near, ns = _met(plan, g, met.get(name, []))
+        if near or kept.get(name):
+            found.append(Feature(_near(name, near), fluid * ns, kept.get(name, 0)))
     return found
+
+
+def _rule(plan: Plan, p: int, q: int) -> tuple[str, Meeting]:
+    rule = CONTACT if plan.rules is None else plan.rules.pair[p, q]
+    if rule == MIXING:
+        return "mixing", MIXES
+    if rule == DRAG:
+        return "drag", DRAGS
+    surfaces = plan.phases[p].surface and plan.phases[q].surface
+    return "contact", SOLIDS if surfaces else TOUCHING
+
+
+def _met(plan: Plan, g: int, met: list[tuple[Meeting, str]]) -> tuple[float, float]:
+    """Share of the group's particles that are near, and what that costs in the mean over all of
+    them, in steps of a fluid's particle."""
+    n = near = cost = 0.0
+    for k in _rows(plan, g):
+        count, around = plan.count[k], plan.surroundings[k]
+        there = {one.phase: one for one in around.phases}
+        here = [(how, there[phase]) for how, phase in met if phase in there]
+        n += count
+        near += count * min(sum(one.share for _, one in here), 1.0)
+        # what is near several of them is not so several times
+        wide = max(sum(one.blocks for _, one in here) / max(around.blocks, 1), 1.0)
+        cost += sum(
+            (how.particle * count * one.share + how.block * one.blocks + how.nodes * one.nodes)
+            / wide for how, one in here
+        )  # fmt: skip
+    return (near / n, cost / n) if n else (0.0, 0.0)
 
 
 def _colliders(scene: Scene, plan: Plan, g: int, fluid: float) -> list[Feature]:

@@ -12,23 +12,28 @@ from .groups import RESTORING_COST
 from .inflow import SourcePlan
 from .pace import ASSUMED, Pace
 from .plan import Plan, fastest
+from .rehearsal import Rehearsal
 
 PRECISION = {
     "double": "accuracy.precision = 'single' takes half the time and memory",
     "single": "numbers of 7 digits; 'double' has 16 for twice the time",
 }
 THIN = 6  # cells, of which contact reaches over one on either side
+# [s] of a frame, and of a particle in it (a run's `--profile`: write)
+FRAME, WRITTEN = 0.065, 1e-7
 STEP = 1e-4  # [s] of a step beside its kernels (`python -m vgmpi.bench overhead`)
 FINE = 27  # particles per cell of solids that bend well enough
 
 
 def describe(
-    scene: Scene, plan: Plan, ranks: int, reached: float = 0.0, pace: Pace | None = None
-) -> str:
+    scene: Scene, plan: Plan, ranks: int, reached: float = 0.0, pace: Pace | None = None,
+    rehearsal: Rehearsal | None = None,
+) -> str:  # fmt: skip
     """What --plan prints: phases, fields, particles, memory, time step, steps, predicted time.
 
     reached: time [s] from which the run goes on; steps and time are those that are left. pace: of
-    the processors, which is assumed where it is not given.
+    the processors, which is assumed where it is not given. rehearsal: what it has shown, of a run
+    from the start.
     """
     pace = pace or ASSUMED[scene.accuracy.precision]
     lines = [
@@ -71,7 +76,7 @@ def describe(
         f"  memory      {total / 2**20:.0f} MiB in all,"
         f" {total / ranks / 2**20:.0f} MiB per rank on {ranks} rank(s)"
     )
-    return "\n".join(lines + _steps(scene, plan, ranks, reached, pace))
+    return "\n".join(lines + _steps(scene, plan, ranks, reached, pace, rehearsal))
 
 
 def _flows(plan: Plan) -> list[str]:
@@ -140,24 +145,31 @@ def _bending(scene: Scene, plan: Plan) -> list[str]:
     return [f"  bending     {', '.join(map(str, sorted(found)))} {said} 4 %)"]
 
 
-def _steps(scene: Scene, plan: Plan, ranks: int, reached: float, pace: Pace) -> list[str]:
+def _steps(
+    scene: Scene, plan: Plan, ranks: int, reached: float, pace: Pace, seen: Rehearsal | None
+) -> list[str]:
     """The time step, how many of them, and what they take: up to what hardening laws may make."""
     dt, what = fastest(scene, plan)[0]
     least, harder = fastest(scene, plan, stiffened=True)[0]
     if plan.fixed_dt:
         dt, least, what = plan.fixed_dt, plan.fixed_dt, "time.dt"
     each = 1e-9 * step(scene, plan, pace) / ranks + STEP  # seconds of a step
+    if seen is not None:
+        each = 1e-9 * seen.time(scene, plan, pace) / seen.steps / ranks + STEP
     end, frames = float(plan.times[-1]), len(plan.times)
     left, span = end, f"{end:g} s and {frames} frames"
     if reached > 0:
-        left, ahead = max(end - reached, 0.0), len(plan.ahead(reached))
-        span = f"{left:.4g} of {end:g} s and {ahead} of {frames} frames"
+        left, frames = max(end - reached, 0.0), len(plan.ahead(reached))
+        span = f"{left:.4g} of {end:g} s and {frames} of {len(plan.times)} frames"
     few, many = (math.ceil(left / d) for d in (dt, least))
-    steps, takes = f"about {few:,}", f"about {duration(few * each)}"
+    if seen is not None:
+        few = many = math.ceil(seen.steps)
+    written = (FRAME + WRITTEN * sum(plan.count) / ranks) * frames
+    steps, takes = f"about {few:,}", f"about {duration(few * each + written)}"
     if many > 1.1 * few:
         steps, takes = (
             f"{few:,} to {many:,}",
-            f"{duration(few * each)} to {duration(many * each)}",
+            f"{duration(few * each + written)} to {duration(many * each + written)}",
         )
         what += f"; down to {least:.4g} s where {harder} hardens"
     return [

@@ -1,0 +1,140 @@
+"""A scene played in coarser cells tells the steps of its own, and what they cost where things meet.
+
+Costs are those of one told pace, so that no clock has a say: of the run itself, looked at as often,
+and of the rehearsal.
+"""
+
+import dataclasses
+import re
+
+import pytest
+
+import vgmpi
+from tests.scenes import write
+from vgmpi import cli
+from vgmpi.domain.ranks import Alone
+from vgmpi.planning.features import step
+from vgmpi.planning.pace import Pace
+from vgmpi.planning.price import describe
+from vgmpi.solver.prepared import plan_for, prepare
+from vgmpi.solver.rehearse import _stands, rehearse
+from vgmpi.solver.run import Options, started
+
+PACE = Pace(70.0, 80.0, "as told")
+FALLS = """
+[domain]
+size = [0.64, 0.16, 0.32]
+cell = 0.016
+[time]
+end = 0.5
+frames = 6
+[accuracy]
+precision = "single"
+[material.water]
+kind = "fluid"
+max_speed = 2
+[material.rubber]
+kind = "elastic"
+density = 900
+youngs_modulus = 2e4
+[[object]]
+name = "column"
+material = "water"
+shape = { box = [[0, 0, 0], [0.16, 0.16, 0.24]] }
+[[object]]
+name = "block"
+material = "rubber"
+shape = { box = [[0.4, 0.032, 0], [0.48, 0.128, 0.08]] }
+"""
+BLOCK = "box = [[0.4, 0.032, 0], [0.48, 0.128, 0.08]]"
+CRUMB = "sphere = { center = [0.4, 0.08, 0.1], radius = 0.01 }"
+TAP = """
+[[source]]
+name = "tap"
+material = "water"
+disc = { center = [0.56, 0.08, 0.2], radius = 0.03 }
+direction = [0, 0, -1]
+velocity = 1
+"""
+
+
+def seen(folder, text):
+    """The scene, its plan, what a rehearsal shows and what the run itself does (steps, ns)."""
+    scene = vgmpi.load(write(folder, text))
+    known = prepare(scene, Alone(), None)
+    plan = plan_for(scene, known)
+    spent, done = 0.0, 0
+    with started(scene, Alone(), Options(None)) as run:
+
+        def look(run):
+            nonlocal spent, done
+            simulation = run.simulation
+            if run.frame:
+                now = _stands(scene, plan, known, simulation, simulation.step - done)
+                as_now = dataclasses.replace(plan, count=now.number, surroundings=now.around)
+                spent += now.steps * step(scene, as_now, PACE)
+                done = simulation.step
+
+        run.options.watchers.append(look)
+        run.go()
+    return scene, plan, rehearse(scene, plan, known), done, spent
+
+
+@pytest.mark.parametrize("text", [FALLS, FALLS + TAP], ids=["falls", "pours"])
+def test_steps_and_their_cost_are_those_of_the_run(tmp_path, text):
+    scene, plan, found, steps, spent = seen(tmp_path, text)
+    assert found.cell > 1.5 * scene.domain.cell
+    told, at_the_start = found.time(scene, plan, PACE), steps * step(scene, plan, PACE)
+    print(f"steps {found.steps:.0f} of {steps}, cost {told / spent:.3f}", at_the_start / spent)
+    assert found.steps == pytest.approx(steps, rel=0.08)
+    assert told == pytest.approx(spent, rel=0.2)
+    if text is FALLS:
+        assert at_the_start < 0.8 * spent  # nothing touches yet
+    said = describe(scene, plan, 1, pace=PACE, rehearsal=found)
+    assert f"about {round(found.steps + 0.5):,} for" in said
+    seconds = float(re.search(r"time  +about (\d+) s on", said)[1])
+    assert seconds == pytest.approx(1e-9 * told + 1e-4 * found.steps + 0.065 * 6, abs=1)
+
+
+def test_what_comes_counts_from_when_it_is_there(tmp_path):
+    scene, plan, found, *_ = seen(tmp_path, FALLS + TAP)
+    comes = [moment.number[2] for moment in found.moments]
+    assert comes == sorted(comes) and comes[0] < 0.4 * comes[-1]
+    assert comes[-1] == pytest.approx(plan.count[2], rel=0.1)
+    assert found.moments[-1].around[2].blocks > found.moments[0].around[2].blocks
+
+
+def test_a_fixed_step_gives_its_steps(tmp_path):
+    text = FALLS.replace("end = 0.5", "end = 0.1\ndt = 2e-4")
+    _, _, found, steps, _ = seen(tmp_path, text)
+    assert steps >= 500 and found.steps == pytest.approx(steps, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        (FALLS.replace("cell = 0.016", "cell = 0.032"), "it has too few cells"),
+        (FALLS.replace("0.016", "0.02").replace(BLOCK, CRUMB), "too small or thin"),
+    ],
+)  # fmt: skip
+def test_it_says_why_it_cannot(tmp_path, caplog, text, why):
+    scene = vgmpi.load(write(tmp_path, text))
+    known = prepare(scene, Alone(), None)
+    with caplog.at_level("WARNING", "vgmpi"):
+        assert rehearse(scene, plan_for(scene, known), known) is None
+    assert re.search(f"cannot be rehearsed in coarser cells: (\\S+: \\S+: )?{why}", caplog.text)
+
+
+@pytest.mark.parametrize("flags", [["--rehearse"], ["--plan", "--rehearse", "--resume"]])
+def test_it_is_for_plan_and_from_the_start(tmp_path, capsys, flags):
+    with pytest.raises(SystemExit) as ended:
+        cli.main([str(write(tmp_path, FALLS)), *flags])
+    assert ended.value.code == 2
+    assert "--rehearse is for --plan, of a run from the start" in capsys.readouterr().err
+
+
+def test_nothing_is_written(tmp_path, capsys):
+    path = write(tmp_path, FALLS.replace("end = 0.5", "end = 0.05"))
+    assert cli.main([str(path), "--plan", "--rehearse"]) == 0
+    assert list(tmp_path.iterdir()) == [path]
+    assert "vgmpi: rehearsing in cells of 0.04 m" in capsys.readouterr().err

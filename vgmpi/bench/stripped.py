@@ -1,0 +1,113 @@
+"""A copy of this program in which features do not exist, to be run beside it: sand, colours that
+travel with steps, phases that share space, volume that is kept, and motion that is prescribed.
+
+The files of materials and couplings are left out. Of the other modules every function has another
+body: it raises, but for those that every scene asks whether it has the feature, which answer no.
+"""
+
+import ast
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from ..output.read import RunFiles
+from .scene import BenchError
+
+HERE = Path(__file__).parents[1]
+LEFT_OUT = (
+    "materials/sand.py", "couplings/mixing.py", "couplings/mixing_paper.py", "couplings/drag.py",
+    "couplings/drag_paper.py",
+)  # fmt: skip
+KEPT = ""
+# of each module: what its functions answer where they do not raise; those that are kept are
+ANSWERS: dict[str, dict[str, str]] = {
+    "planning/sharing.py": {
+        "rules": "return None",
+        "slipping": "return groups",
+        "connected": KEPT,
+    },  # fmt: skip
+    "planning/colour_sets.py": {"exchange": "return None", "colour_sets": KEPT},
+    "planning/driven.py": {
+        "driven_phases": "return {}",
+        "driven_plans": "return (), groups, group_of",
+    },
+    "kernels/couple.py": {},
+    "kernels/layers/colour.py": {},
+    "kernels/volume.py": {},
+    "kernels/driven.py": {"prescribe": "return"},
+    "domain/movers.py": {},
+    "domain/sampled.py": {},
+    "domain/driven.py": {"_none": KEPT},
+    "solver/driven.py": {},
+    "prepare/courses.py": {"astray": "return []", "leaves": "return []"},
+}
+PLAIN = """
+[domain]
+size = [0.32, 0.32, 0.32]
+cell = 0.02
+[time]
+end = 0.05
+[accuracy]
+precision = "single"
+[material.water]
+kind = "fluid"
+bulk_modulus = 5e4
+[material.toy]
+kind = "elastic"
+youngs_modulus = 1e5
+[[object]]
+name = "pool"
+material = "water"
+shape = { box = [[0, 0, 0], [0.16, 0.16, 0.16]] }
+[[object]]
+name = "toy"
+material = "toy"
+shape = { box = [[0.16, 0, 0], [0.24, 0.16, 0.16]] }
+"""
+ABSENT = 'raise RuntimeError("this feature does not exist here")'
+
+
+def stripped(folder: Path) -> Path:
+    """The copy, below a folder."""
+    tree = folder / "stripped"
+    shutil.copytree(HERE, tree / "vgmpi", ignore=shutil.ignore_patterns("__pycache__"))
+    for name in LEFT_OUT:
+        (tree / "vgmpi" / name).unlink()
+    for name, answers in ANSWERS.items():
+        path = tree / "vgmpi" / name
+        path.write_text(without(path.read_text(), answers))
+    return tree
+
+
+def without(text: str, answers: dict[str, str]) -> str:
+    """A module's text whose functions raise, or answer as told by their names."""
+    module = ast.parse(text)
+    for node in ast.walk(module):
+        if isinstance(node, ast.FunctionDef):
+            answer = answers.get(node.name, ABSENT)
+            node.body = ast.parse(answer).body or node.body
+    return ast.unparse(module)
+
+
+def same_bits(tree: Path, folder: Path) -> bool:
+    """Whether a scene that has none of the features comes to the same there. Raises BenchError
+    where it does not run."""
+    found = []
+    for name, code in (("here", HERE.parent), ("there", tree)):
+        place = folder / name
+        place.mkdir()
+        (place / "scene.toml").write_text(PLAIN)
+        words = [sys.executable, "-m", "vgmpi", "scene.toml", "-q"]
+        env = {**os.environ, "PYTHONPATH": str(code)}
+        made = subprocess.run(words, cwd=place, env=env, capture_output=True, text=True)
+        if made.returncode:
+            raise BenchError(f"{code}: {(made.stderr.splitlines() or ['failed'])[-1]}")
+        found.append(RunFiles(place / "out").frame(-1))
+    ours, theirs = found
+    return ours.keys() == theirs.keys() and all(
+        np.array_equal(ours[key], theirs[key]) for key in ours
+    )
