@@ -88,12 +88,13 @@ def test_a_ratio_is_the_first_one_s_over_the_other_s():
 def test_the_table_says_where_the_margin_is_less(monkeypatch):
     found = iter([0.0, 1.2, 1.3, ratios.RUNGS[-1], *[2.0] * 5])
     monkeypatch.setattr(ratios, "largest", lambda pair: next(found))
-    row = list(ratios.lines(["elastic on elastic: stiffness"], ["apic"]))[1]
+    row = list(ratios.lines(["elastic on elastic: stiffness"], ["restored"]))[1]
     assert row.split()[4:] == ["<", "0.5", "1.20", "!", "1.30", ">=", "2.8", *["2.00"] * 5]
 
 
 def test_every_row_has_its_columns():
-    for table in ratios.tables("apic"):
-        for pairs in table.rows.values():
-            assert len(pairs) == len(table.columns)
-            assert all(pair.transfer == "apic" for pair in pairs)
+    for transfer in ("restored", "apic"):
+        for table in ratios.tables(transfer):
+            for pairs in table.rows.values():
+                assert len(pairs) == len(table.columns)
+                assert all(pair.transfer == transfer for pair in pairs)

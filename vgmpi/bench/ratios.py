@@ -160,7 +160,8 @@ class Table:
 
 def tables(transfer: str = "restored") -> list[Table]:
     """All that is measured."""
-    plain = tuple(format(r, ".0e").replace("e-0", "e-").replace("e+0", "e") for r in RATIOS)
+    ratios = _ratios(transfer)
+    plain = tuple(format(r, ".0e").replace("e-0", "e-").replace("e+0", "e") for r in ratios)
     return [
         Table("contact, by ratio", plain, _contacts(transfer)),
         Table("contact, by particles per cell", tuple(f"{a}:{b}" for a, b in PER_CELL), {
@@ -175,11 +176,11 @@ def tables(transfer: str = "restored") -> list[Table]:
         }),
         Table("drag, by ratio of stiffness", plain, {
             f"permeability {k:g} m/s": tuple(
-                Pair(WET, stiffness=r, coupled=_drag(k), transfer=transfer) for r in RATIOS
+                Pair(WET, stiffness=r, coupled=_drag(k), transfer=transfer) for r in ratios
             )
-            for k in (1e-2, 1e-12)
+            for k in (1e-2, 1e-4, 1e-8, 1e-12)
         }),
-        Table("mixing, by ratio", plain[4:], _mixtures(transfer)),
+        Table("mixing, by ratio", plain[len(ratios) // 2 :], _mixtures(transfer)),
     ]  # fmt: skip
 
 
@@ -194,10 +195,15 @@ WAYS = {
 }
 
 
+def _ratios(transfer: str) -> tuple[float, ...]:
+    """All with the transfer that is the default, with others every second one."""
+    return RATIOS if transfer == "restored" else RATIOS[::2]
+
+
 def _contacts(transfer: str) -> dict[str, tuple[Pair, ...]]:
     return {
         f"{over} on {under}: {way}": tuple(
-            Pair((under, over), r**d, r**s, transfer=transfer) for r in RATIOS
+            Pair((under, over), r**d, r**s, transfer=transfer) for r in _ratios(transfer)
         )
         for under, over in LEANING
         for way, (d, s) in WAYS.items()
@@ -214,7 +220,8 @@ def _mixtures(transfer: str) -> dict[str, tuple[Pair, ...]]:
                     name = f"slip {slip:g} s, D {D:g} m2/s: {way}"
                     found[name] = tuple(
                         Pair(MIXED, r**d, r**s, coupled=coupled, transfer=transfer)
-                        for r in RATIOS[4:]  # the other way round it is the same
+                        for r in _ratios(transfer)
+                        if r >= 1.0  # the other way round it is the same
                     )
     return found
 
