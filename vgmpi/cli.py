@@ -12,6 +12,7 @@ from pathlib import Path
 from . import room
 from .domain.ranks import Alone, world
 from .output import checkpoint, layout, owner, read, store
+from .planning.pace import ASSUMED
 from .planning.plan import REALS, Plan
 from .planning.price import describe
 from .scene.reader import load
@@ -51,8 +52,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--rehearse",
         action="store_true",
-        help="with --plan: play the scene in coarser cells first, some fortieth of the work, and"
-        " tell steps and time by where things go",
+        help="play the scene in coarser cells first, some tenth of the work, so that --plan, or a"
+        " run, tells its time by where things go",
     )
     parser.add_argument(
         "--calibrate",
@@ -128,8 +129,8 @@ def arguments(argv: list[str] | None) -> argparse.Namespace:
         parser.error("give a scene file, --inspect FILE or --calibrate")
     if given.scene is None and (given.check or given.plan or given.prepare):
         parser.error("give a scene file")
-    if given.rehearse and (not given.plan or given.resume is not None):
-        parser.error("--rehearse is for --plan, of a run from the start")
+    if given.rehearse and (given.check or given.prepare or given.resume is not None):
+        parser.error("--rehearse is for a run from the start, or for --plan")
     if given.change and given.resume is None:
         parser.error("--change is for --resume")
     if given.overwrite and given.resume is not None:
@@ -242,16 +243,25 @@ def _run(scene: Scene, folder: Path, given: argparse.Namespace, ranks: Alone) ->
     from .solver import calibrate, report  # numba comes in here
     from .solver import run as runs
     from .solver.advice import Seen, advice
+    from .solver.left import Left
+    from .solver.prepared import Known
+    from .solver.rehearse import rehearse
     from .solver.step import BlowUp
 
-    def approve(plan: Plan, reached: float) -> None:
+    left = None
+
+    def approve(plan: Plan, reached: float, known: Known) -> None:
+        nonlocal left
         refusal = too_large(plan.bytes(), ranks)
         if refusal and not given.force:
             raise SceneError([refusal + "; --force runs it anyway"])
         if ranks.rank == 0 and not given.quiet:
             how = scene.accuracy.precision
             pace = calibrate.pace(how, anew=True) if given.calibrate else calibrate.kept(how)
-            print(describe(scene, plan, ranks.size, reached, pace), flush=True)
+            seen = rehearse(scene, plan, known) if given.rehearse else None
+            if seen is not None:
+                left = Left(*seen.ahead(scene, plan, pace or ASSUMED[how]))
+            print(describe(scene, plan, ranks.size, reached, pace, seen), flush=True)
 
     options = runs.Options(
         folder, given.threads, given.engine, given.resume, given.stop_steps, given.stop_seconds,
@@ -260,7 +270,7 @@ def _run(scene: Scene, folder: Path, given: argparse.Namespace, ranks: Alone) ->
     try:
         with runs.started(scene, ranks, options, approve) as run:
             clock = run.simulation.clock = report.Clock()
-            progress = report.Progress(run, given.quiet)
+            progress = report.Progress(run, given.quiet, left)
             seen = Seen()
             options.listeners += [progress, seen.step]
             options.watchers.append(lambda run: seen.frame(run.latest))

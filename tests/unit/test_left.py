@@ -136,3 +136,13 @@ def test_what_is_still_to_come_is_counted(tmp_path):
     assert work_of(make_plan(scene(tmp_path, JET + '[[sink]]\nname = "drain"\n'
         'shape = { box = [[0, 0, 0], [0.05, 0.05, 0.05]] }\n'), [3200, 40_000], [0.0004, 0.005],
         False))(0.7) == 1.0  # fmt: skip
+
+
+def test_what_is_known_of_steps_to_come_counts():
+    """From the middle on steps cost twice as much, and there are three times as many: nothing that
+    the first half shows."""
+    took = np.concatenate([np.full(1000, 0.1), np.full(3000, 0.2)])
+    dt = np.concatenate([np.full(1000, 3e-3), np.full(3000, 1e-3)])
+    known = Left(lambda time: 1.0 + (time > 3.0), lambda time: 5.0 * (1.0 + 2.0 * (time > 3.0)))
+    assert within(follow(took, dt, left=known), 0.06, 0.02)
+    assert not within(follow(took, dt), 0.5, 0.02)

@@ -7,15 +7,20 @@ and of the rehearsal.
 import dataclasses
 import re
 
+import numpy as np
 import pytest
 
 import vgmpi
 from tests.scenes import write
 from vgmpi import cli
 from vgmpi.domain.ranks import Alone
+from vgmpi.output.read import RunFiles
+from vgmpi.planning import rehearsal
 from vgmpi.planning.features import step
 from vgmpi.planning.pace import Pace
 from vgmpi.planning.price import describe
+from vgmpi.planning.rehearsal import Rehearsal, Standing
+from vgmpi.solver import report
 from vgmpi.solver.prepared import plan_for, prepare
 from vgmpi.solver.rehearse import _stands, rehearse
 from vgmpi.solver.run import Options, started
@@ -80,11 +85,15 @@ def seen(folder, text):
     return scene, plan, rehearse(scene, plan, known), done, spent
 
 
+def at(time, steps):
+    return Standing(time, steps, (), ())
+
+
 @pytest.mark.parametrize("text", [FALLS, FALLS + TAP], ids=["falls", "pours"])
 def test_steps_and_their_cost_are_those_of_the_run(tmp_path, text):
     scene, plan, found, steps, spent = seen(tmp_path, text)
     assert found.cell > 1.5 * scene.domain.cell
-    told, at_the_start = found.time(scene, plan, PACE), steps * step(scene, plan, PACE)
+    told, at_the_start = found.work(scene, plan, PACE).sum(), steps * step(scene, plan, PACE)
     print(f"steps {found.steps:.0f} of {steps}, cost {told / spent:.3f}", at_the_start / spent)
     assert found.steps == pytest.approx(steps, rel=0.08)
     assert told == pytest.approx(spent, rel=0.2)
@@ -125,12 +134,23 @@ def test_it_says_why_it_cannot(tmp_path, caplog, text, why):
     assert re.search(f"cannot be rehearsed in coarser cells: (\\S+: \\S+: )?{why}", caplog.text)
 
 
-@pytest.mark.parametrize("flags", [["--rehearse"], ["--plan", "--rehearse", "--resume"]])
+def test_what_is_ahead_adds_up_to_all_of_it(monkeypatch):
+    """100, 200 and 200 steps in turns of .1 s, of 7 ns each."""
+    monkeypatch.setattr(rehearsal, "step", lambda scene, plan, pace: 7.0)
+    monkeypatch.setattr(rehearsal, "replace", lambda plan, **what: plan)
+    found = Rehearsal(0.1, 0.0, (at(0.1, 100.0), at(0.2, 200.0), at(0.3, 200.0)))
+    work, often = found.ahead(None, None, PACE)
+    times = np.linspace(0.0, 0.3, 3001)
+    assert np.mean([often(time) for time in times]) * 0.3 == pytest.approx(500.0, rel=0.03)
+    assert work(0.1) == 7.0 + 1e5 and often(0.3) == often(9.0) == pytest.approx(2000.0)
+
+
+@pytest.mark.parametrize("flags", [["--check"], ["--prepare"], ["--plan", "--resume"]])
 def test_it_is_for_plan_and_from_the_start(tmp_path, capsys, flags):
     with pytest.raises(SystemExit) as ended:
-        cli.main([str(write(tmp_path, FALLS)), *flags])
+        cli.main([str(write(tmp_path, FALLS)), "--rehearse", *flags])
     assert ended.value.code == 2
-    assert "--rehearse is for --plan, of a run from the start" in capsys.readouterr().err
+    assert "--rehearse is for a run from the start, or for --plan" in capsys.readouterr().err
 
 
 def test_nothing_is_written(tmp_path, capsys):
@@ -138,3 +158,23 @@ def test_nothing_is_written(tmp_path, capsys):
     assert cli.main([str(path), "--plan", "--rehearse"]) == 0
     assert list(tmp_path.iterdir()) == [path]
     assert "vgmpi: rehearsing in cells of 0.04 m" in capsys.readouterr().err
+
+
+def test_a_run_tells_its_time_by_it(tmp_path, monkeypatch, capsys):
+    """What a run says that is left, and its files, which are those of one without."""
+    path = write(tmp_path, FALLS.replace("end = 0.5", "end = 0.05"))
+    given = []
+
+    class Seen(report.Progress):
+        def __init__(self, run, quiet, left=None):
+            super().__init__(run, quiet, left)
+            given.append(left)
+
+    monkeypatch.setattr(report, "Progress", Seen)
+    assert cli.main([str(path), "--rehearse", "-o", str(tmp_path / "with")]) == 0
+    assert cli.main([str(path), "-o", str(tmp_path / "without")]) == 0
+    assert cli.main([str(path), "--rehearse", "-q", "-o", str(tmp_path / "quiet")]) == 0
+    assert given[0].often(0.02) > 1 and given[1:] == [None, None]  # nobody is told, none is played
+    one, other = (RunFiles(tmp_path / name).frame(-1) for name in ("with", "without"))
+    assert all(np.array_equal(one[key], other[key]) for key in one)
+    assert capsys.readouterr().err.count("rehearsing in cells of") == 1

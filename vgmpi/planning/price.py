@@ -12,7 +12,7 @@ from .groups import RESTORING_COST
 from .inflow import SourcePlan
 from .pace import ASSUMED, Pace
 from .plan import Plan, fastest
-from .rehearsal import Rehearsal
+from .rehearsal import STEP, Rehearsal
 
 PRECISION = {
     "double": "accuracy.precision = 'single' takes half the time and memory",
@@ -21,7 +21,6 @@ PRECISION = {
 THIN = 6  # cells, of which contact reaches over one on either side
 # [s] of a frame, and of a particle in it (a run's `--profile`: write)
 FRAME, WRITTEN = 0.065, 1e-7
-STEP = 1e-4  # [s] of a step beside its kernels (`python -m vgmpi.bench overhead`)
 FINE = 27  # particles per cell of solids that bend well enough
 
 
@@ -155,7 +154,7 @@ def _steps(
         dt, least, what = plan.fixed_dt, plan.fixed_dt, "time.dt"
     each = 1e-9 * step(scene, plan, pace) / ranks + STEP  # seconds of a step
     if seen is not None:
-        each = 1e-9 * seen.time(scene, plan, pace) / seen.steps / ranks + STEP
+        each = 1e-9 * seen.work(scene, plan, pace).sum() / seen.steps / ranks + STEP
     end, frames = float(plan.times[-1]), len(plan.times)
     left, span = end, f"{end:g} s and {frames} frames"
     if reached > 0:

@@ -14,14 +14,19 @@ LEAST_STEPS, STEPS = 20.0, 0.05  # of time steps: their number, and share of tho
 class Left:
     """Told of every step. The first one counts as the start: it loads, and may compile."""
 
-    def __init__(self, work: Callable[[float], float] = lambda time: 1.0):
-        """work(time): of a step at a time [s], in any unit."""
-        self.work = work
+    def __init__(
+        self,
+        work: Callable[[float], float] = lambda time: 1.0,
+        often: Callable[[float], float] = lambda time: 1.0,
+    ):
+        """What is known of steps at a time [s], in any unit: work(time), of one, and often(time),
+        how many there are in a second."""
+        self.work, self.often = work, often
         self.began = self.wall = self.time = math.nan
         self.steps = 0
-        # what is old fades: wall time [s], with its steps and their work; time [s], with its steps
+        # what is old fades: wall time [s], with its steps and their work; steps foreseen and made
         self.spent = self.made = self.done = 0.0
-        self.simulated = self.latest = 0.0
+        self.foreseen = self.latest = 0.0
 
     def step(self, wall: float, time: float) -> None:
         """A step has ended, at a time [s], when a clock on the wall said `wall` [s]."""
@@ -36,16 +41,17 @@ class Left:
         self.spent, self.made = old * self.spent + took, old * self.made + 1.0
         self.done = old * self.done + self.work(time)
         old = math.exp(-1.0 / max(LEAST_STEPS, STEPS * self.steps))
-        self.simulated, self.latest = old * self.simulated + dt, old * self.latest + 1.0
+        self.foreseen = old * self.foreseen + self.often(time) * dt
+        self.latest = old * self.latest + 1.0
 
     def seconds(self, end: float) -> float:
         """Wall time [s] until the simulated time `end` [s]; nan before the second step."""
-        if not self.done or not self.simulated:
+        if not self.done or not self.foreseen:
             return math.nan
         ahead, parts = max(end - self.time, 0.0), 16
-        steps = ahead * self.latest / self.simulated
-        mean = sum(self.work(self.time + ahead * (k + 0.5) / parts) for k in range(parts)) / parts
-        return steps * mean * self.spent / self.done
+        times = [self.time + ahead * (k + 0.5) / parts for k in range(parts)]
+        work = ahead / parts * sum(self.often(time) * self.work(time) for time in times)
+        return work * self.latest / self.foreseen * self.spent / self.done
 
 
 def work_of(plan: Plan) -> Callable[[float], float]:

@@ -97,4 +97,4 @@ def _stands(
     apart = [of.reshape(-1, 3) for of in np.split(x, np.cumsum(there)[:-1])]
     share = zip(there, simulation.plan.count, plan.count, strict=True)
     count = tuple(round(n / max(of, 1) * own) for n, of, own in share)
-    return Standing(steps, count, standing(scene, apart, known.colliders))
+    return Standing(simulation.time, steps, count, standing(scene, apart, known.colliders))

@@ -52,10 +52,10 @@ def _age() -> float:
 class Progress:
     """A bar with the time left on a terminal, otherwise a log line every ten seconds."""
 
-    def __init__(self, run: Runner, quiet: bool):
+    def __init__(self, run: Runner, quiet: bool, left: Left | None = None):
         self.run, self.end = run, float(run.times[-1])
         self.said, first = time.monotonic(), run.simulation.time
-        self.left = Left(work_of(run.plan))
+        self.left = left or Left(work_of(run.plan))
         shown = run.ranks.rank == 0 and not quiet
         self.bar = None
         if shown and sys.stderr.isatty():

@@ -255,12 +255,13 @@ def started(
     scene: Scene,
     ranks: Alone,
     options: Options,
-    approve: Callable[[Plan, float], None] | None = None,
+    approve: Callable[[Plan, float, Known], None] | None = None,
 ) -> Iterator[Runner]:
     """Own the folder, check everything, and only then write: a run that is ready to go. Collective.
 
-    approve: called with the plan and the time [s] from which the run goes on, may raise. Raises
-    SceneError, StoreError, FolderError, CheckpointError, RunError, Unfit, BlowUp.
+    approve: called with the plan, the time [s] from which the run goes on, and what is known of its
+    particles; may raise. Raises SceneError, StoreError, FolderError, CheckpointError, RunError,
+    Unfit, BlowUp.
     """
     check(options, ranks)
     folder, resumed = options.folder, options.resume is not None
@@ -278,7 +279,7 @@ def started(
         known = prepare(scene, ranks, folder, resumed)
         plan = plan_for(scene, known)
         if approve is not None:
-            approve(plan, reached)
+            approve(plan, reached, known)
         if folder is not None:
             keep(scene, known, ranks, folder)
             made = folder / layout.GAUSSIANS
