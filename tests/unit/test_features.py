@@ -1,5 +1,8 @@
 """The price of each feature: lines of what the scene has and nothing else, and how bodies stand."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from tests import scenes
@@ -165,6 +168,33 @@ def test_surroundings_are_those_of_the_solvers_tables(tmp_path):
         assert plan.surroundings[k].blocks == len(group.count)
         assert max(phase, collider) <= share + 1e-12 and share <= phase + collider + 1e-12
         assert 0.1 < share < 0.95
+
+
+def test_what_both_reach_are_the_solvers_blocks_of_nodes(tmp_path):
+    """Those of places where more than one phase has some."""
+    text = TANK.replace("TRANSFER", "apic") + BALL.replace("HEIGHT", "0.19")
+    simulation, made = begin(tmp_path, text)
+    scene = load(tmp_path / "scene.toml")
+    plan = plan_for(scene, known_of(scene, made))
+    tables = simulation.tables
+    shared = int((np.diff(tables.first) > 1).sum())
+    for k in range(2):
+        (near,) = plan.surroundings[k].phases
+        assert near.nodes == shared > 10
+        code = simulation.groups[plan.group_of[k]].block
+        assert 0 < near.blocks <= len(code) == plan.surroundings[k].blocks
+
+
+def test_what_meets_in_thin_blocks_costs_more(tmp_path):
+    """The same share of the particles, a quarter of them in each block."""
+    scene, plan = planned(tmp_path, BALL.replace("HEIGHT", "0.19"))
+
+    def contact(plan):
+        found = {one.name.split(",")[0]: one for one in features.features(scene, plan, 0, PACE)}
+        return found["contact"].ns
+
+    fewer = replace(plan, count=tuple(n // 4 for n in plan.count))
+    assert contact(fewer) > 2.0 * contact(plan) > 0.0
 
 
 def test_a_block_that_is_not_full_costs_more(tmp_path):
