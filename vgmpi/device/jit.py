@@ -16,6 +16,9 @@ import numba.extending
 from ..caching import cached
 
 _PACKAGE = pathlib.Path(__file__).resolve().parent.parent
+# whether a product and a sum may become one instruction that rounds once. Switched off, this
+# program's results are those of a card (engines/cuda), bit by bit, and it is slower by a tenth
+CONTRACTS = os.environ.get("VGMPI_CONTRACTION", "on") != "off"
 _COMPILED = ("device", "materials", "couplings", "planning", "domain", "lanes", "kernels")
 
 
@@ -31,7 +34,7 @@ def cache_folder() -> pathlib.Path:
     for folder in _COMPILED:
         for path in sorted((_PACKAGE / folder).rglob("*.py")):
             seal.update(path.name.encode() + path.read_bytes())
-    seal.update(f"{version('numba')} {platform.python_version()} {platform.machine()}".encode())
+    seal.update(f"{CONTRACTS} {version('numba')} {platform.python_version()} {platform.machine()}".encode())
     return user_folder() / seal.hexdigest()[:16]
 
 

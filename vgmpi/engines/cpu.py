@@ -24,7 +24,7 @@ from ..kernels.walls import KINDS, patch_codes
 from ..planning.plan import Plan
 from .base import DITHER, Beyond, Report
 from .given import Givers
-from .layers import Contribution, contributions, hues, layers
+from .layers import Contribution, Layer, contributions, hues, layers
 from .shares import Shares, copies
 from .work import GroupWork, gathers, numbers_of, particles_of
 
@@ -36,13 +36,15 @@ class Cpu:
     to copies, which are united before anyone reads the sums. That touches no bit of them.
     """
 
+    GROUP, LAYER = Group, Layer  # where arrays lie: an engine may have them elsewhere
+
     def __init__(
         self, plan: Plan, lattice: Lattice, solids: Solids | Movers | None, threads: int = 1,
         driven: Driven | None = None,
     ):  # fmt: skip
         self.driven = driven
         self.plan, self.threads = plan, threads
-        self.groups = [Group(group, lattice, plan.real) for group in plan.groups]
+        self.groups = [self.GROUP(group, lattice, plan.real) for group in plan.groups]
         self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
         self.solids = solids
         self.none = grid.Rigid(
@@ -63,7 +65,7 @@ class Cpu:
             np.array([phase.surface for phase in plan.phases]),
         )
         self.apart = any(group.apart for group in plan.groups)
-        self.layers = {layer.name: layer for layer in layers(plan, self.apart)}
+        self.layers = {layer.name: layer for layer in layers(plan, self.apart, self.LAYER)}
         self.hues = [self.layers[hue(k)] for k in range(hues(plan))]
         self.words = sums.words(plan.real)
         self.sets = np.zeros(0, np.int64) if plan.colours is None else plan.colours.set_of
@@ -129,7 +131,7 @@ class Cpu:
             layer.adopt(tables.asked[name], phase_of_row)
         for name, asked in self.gathered.items():
             if asked:
-                self.beside[name] = grown(self.beside[name], len(tables.phase))
+                self.beside[name] = self.room_for(self.beside[name], len(tables.phase))
         self.block_shares = Shares(np.diff(tables.first), tables.waits, self.threads)
         sent = [one.send_blocks for found in tables.shared.values() for one in found.values()]
         self.united = np.unique(np.concatenate([np.zeros(0, np.int64), *sent]))
@@ -140,6 +142,11 @@ class Cpu:
             self._work(g, here, into[here], share)
             for g, (here, share) in enumerate(zip(rows, shares, strict=True))
         ]
+
+    @staticmethod
+    def room_for(values, rows: int):
+        """An array of node blocks with room for that many."""
+        return grown(values, rows)
 
     def _work(self, g: int, rows: np.ndarray, into: np.ndarray, shares: Shares) -> GroupWork:
         """What the transfers of a group need. rows: its segments in the tables."""

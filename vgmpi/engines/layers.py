@@ -63,19 +63,19 @@ def hues(plan: Plan) -> int:
     return max((group.coefficients for group in plan.groups), default=0)
 
 
-def layers(plan: Plan, apart: bool) -> list[Layer]:
+def layers(plan: Plan, apart: bool, made=Layer) -> list[Layer]:
     """The layers a scene needs, in the order in which grid kernels report of them; of volumes and
-    offsets nothing exists where nothing may touch."""
+    offsets nothing exists where nothing may touch. made: their class."""
     found = [
-        Layer("momentum", lambda speed: momentum.full(plan, speed), plan),
-        Layer("offsets", lambda _: offsets.full(plan), plan),
+        made("momentum", lambda speed: momentum.full(plan, speed), plan),
+        made("offsets", lambda _: offsets.full(plan), plan),
     ]
     if apart:
-        found.append(Layer("impulses", lambda speed: impulses.full(plan, speed), plan))
+        found.append(made("impulses", lambda speed: impulses.full(plan, speed), plan))
     if plan.rubs:
-        found.append(Layer("shear", lambda speed: momentum.full(plan, speed), plan))
+        found.append(made("shear", lambda speed: momentum.full(plan, speed), plan))
     for k in range(hues(plan)):
-        found.append(Layer(hue(k), lambda _, k=k: colour.full(plan, k), plan))
+        found.append(made(hue(k), lambda _, k=k: colour.full(plan, k), plan))
     return found
 
 

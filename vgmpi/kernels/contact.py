@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..device.jit import inline
+from ..device.root import cube_root
 
 TOUCH = 0.25  # gap [cells] below which two surfaces touch, one of them of what flows
 CLOSE = 0.02  # the same of surfaces that are both known
@@ -45,7 +46,7 @@ def outside(m):
         return min((m - 0.375) / 0.75, 1.5)
     if m <= 0.0:
         return -1.5
-    s = np.cbrt(m)
+    s = cube_root(m)
     return -1.5 + s * (1.524778 + s * (0.998001 + s * (-1.124705 + s * 0.933773)))
 
 
@@ -213,7 +214,9 @@ def resolve(v, mass, count, normals, friction, pair_a, pair_b, pairs, share, imp
     friction: (pairs,); share: most pairs that touch one phase; impulse: scratch (pairs, 4), normal
     and tangential impulse so far [kg m/s]. Momentum is exact: what one phase gains the other loses.
     """
-    impulse[:pairs] = 0
+    for q in range(pairs):
+        for c in range(4):
+            impulse[q, c] = 0
     relax = 1.0 / share
     for _ in range(SWEEPS if pairs > 1 else 1):
         change = 0.0

@@ -123,7 +123,8 @@ def _weigh(count, c, fields, of):
     for q in range(count):
         nb = of.block[q]
         m = fourth_of(load(fields.grid, 256 * nb + c))
-        m = select(m > ROUNDING * fields.least[fields.phase[nb]], m, 0.0)
+        tiny = spread(of.M, ROUNDING * fields.least[fields.phase[nb]])
+        m = select(m > tiny, m, 0.0)
         store(of.M, ROW * q, m)
         here = here + select(m > 0.0, 1.0, 0.0 * m)
     return here
@@ -142,7 +143,7 @@ def volumes(count, c, forces, of):
             own = np.maximum(fourth_of(load(forces, 256 * of.block[q] + c)), 0.0)
             fluid = fluid + own
         else:
-            own = of.grains[q] * load(of.M, ROW * q)
+            own = spread(of.V, of.grains[q]) * load(of.M, ROW * q)
             grains = grains + own
         store(of.V, ROW * q, own)
     both = (fluid > 0.0) & (grains > 0.0)
@@ -196,7 +197,7 @@ def _mix(g, count, c, shared, fields, of, diffusion, keep, sign, dt, dx, noted):
         if of.group[q] == g:
             row = load(grid, 256 * of.block[q] + c)
             u = load(of.U, ROW * q) if drifts else 0.0 * mass
-            moved = mean + keep * (row - mean) + u
+            moved = mean + spread(of.V, keep) * (row - mean) + u
             if noted:
                 store(fields.drift, 256 * of.block[q] + c, select(some, u, 0.0 * u))
             store(grid, 256 * of.block[q] + c, with_fourth(select(some, moved, row), row))
@@ -219,16 +220,16 @@ def _drift(g, count, c, mass, offsets, of, strength, most):
         if of.group[q] == g:
             part, m = load(of.V, ROW * q) / volume, load(of.M, ROW * q)
             change = (load(offsets, 256 * of.block[q] + c) - part * slope) / volume
-            u = strength * change / np.maximum(part, LEAST_PART)
+            u = spread(of.V, strength) * change / np.maximum(part, LEAST_PART)
             u = select((volume > 0.0) & (m > 0.0), u, 0.0)
             mean = mean + m * u
             store(of.U, ROW * q, u)
-    mean = select(mass > 0.0, mean / mass, 0.0)
+    mean, fastest = select(mass > 0.0, mean / mass, 0.0), spread(of.V, most)
     for q in range(count):
         if of.group[q] == g:
             u = load(of.U, ROW * q) - mean
             size = np.sqrt(squared(u))
-            u = u * select(size > most, most / size, 1.0)
+            u = u * select(size > fastest, fastest / size, 1.0)
             again = again + load(of.M, ROW * q) * u
             store(of.U, ROW * q, u)
     again = select(mass > 0.0, again / mass, 0.0)
@@ -248,12 +249,12 @@ def _drag(count, c, fluid, grains, of, dt):
             if strength > 0.0:
                 sand, water = (b, a) if of.wet[a] else (a, b)
                 Vs, Vw, n = load(of.V, ROW * sand), load(of.V, ROW * water), of.pores[sand]
-                bulk = Vs / (1.0 - n) * (Vw / fluid)
-                wet = Vw / n * (Vs / grains)
-                exchange = dt * strength * np.minimum(bulk, wet)
+                bulk = Vs / spread(of.V, 1.0 - n) * (Vw / fluid)
+                wet = Vw / spread(of.V, n) * (Vs / grains)
+                exchange = spread(of.V, dt * strength) * np.minimum(bulk, wet)
                 if of.printed[a * count + b] > 0.0:
                     ma, mb = load(of.M, ROW * a), load(of.M, ROW * b)
-                    exchange = strength * (ma * (mb / (ma + mb)))
+                    exchange = spread(of.V, strength) * (ma * (mb / (ma + mb)))
                 exchange = select((Vs > 0.0) & (Vw > 0.0), exchange, 0.0)
             store(of.K, ROW * (a * count + b), exchange)
             store(of.K, ROW * (b * count + a), exchange)

@@ -5,6 +5,7 @@ import numpy as np
 from ..device.jit import inline, kernel
 from ..device.tensor import moved_gradient_minus_one
 from ..lanes import laws as _laws  # noqa: F401  (makes the tensors' functions callable)
+from ..lanes.team import each
 from .g2p import OUTSIDE, note
 from .records import AFFINE
 
@@ -17,7 +18,7 @@ def prescribe(here, nodes, phase, ways, dx):
         p = phase[nb]
         if not ways.driven[p]:
             continue
-        for node in range(64):
+        for node in each(64):
             x = (here.low_x + node // 16) * dx - ways.about[p, 0]
             y = (here.low_y + node // 4 % 4) * dx - ways.about[p, 1]
             z = (here.low_z + node % 4) * dx - ways.about[p, 2]
@@ -36,24 +37,25 @@ def carry(rows, segments, block, particles, phase, ways, turned, dx, dt, motion,
     without a rate.
     """
     xi, f = particles.xi, particles.f
-    turn, way, x = ways.turn[phase], np.zeros(3), np.zeros(3)
+    turn, about = ways.turn[phase], ways.about[phase]
     dither = (motion.dither_x, motion.dither_y, motion.dither_z)
     far, fast = 0.0, 0.0
     for s in rows:
-        for p in range(segments.start[s], segments.start[s] + segments.count[s]):
-            for a in range(3):
-                cell = float(xi[a, p]) / motion.one + 4 * block[s, a] + 1.5
-                x[a] = cell * dx - ways.about[phase, a]
+        for n in each(segments.count[s]):
+            p = segments.start[s] + n
+            x = _apart(0, p, xi, block[s], motion.one, dx, about)
+            y = _apart(1, p, xi, block[s], motion.one, dx, about)
+            z = _apart(2, p, xi, block[s], motion.one, dx, about)
             inside = True
             for a in range(3):
-                v = turn[a, 0] * x[0] + turn[a, 1] * x[1] + turn[a, 2] * x[2]
+                v = turn[a, 0] * x + turn[a, 1] * y + turn[a, 2] * z
                 v += ways.shift[phase, a]
                 f[a, p] = v
-                way[a] = v * dt / dx
-                xi[a, p] += int(np.floor(way[a] * motion.one + dither[a]))
+                way = v * dt / dx
+                xi[a, p] += int(np.floor(way * motion.one + dither[a]))
                 at = float(xi[a, p]) / motion.one
                 inside &= segments.limit[s, a, 0] < at < segments.limit[s, a, 1]
-                far, fast = max(far, abs(at)), max(fast, abs(way[a]))
+                far, fast = max(far, abs(at)), max(fast, abs(way))
             if not inside:
                 note(report, particles.ids[p], OUTSIDE)
             for a in range(3):
@@ -64,8 +66,21 @@ def carry(rows, segments, block, particles, phase, ways, turned, dx, dt, motion,
     for a in range(3):
         for b in range(3):
             squared += turn[a, b] * turn[a, b]
+    went(report, far, fast / dt, squared)
+
+
+@inline
+def _apart(a, p, xi, block, one, dx, about):
+    """How far along axis a a particle is from the place about which it turns [m]."""
+    cell = float(xi[a, p]) / one + 4 * block[a] + 1.5
+    return cell * dx - about[a]
+
+
+@inline
+def went(report, far, speed, squared):
+    """Take up what bounds the next step."""
     report[1] = max(report[1], far)
-    report[4] = max(report[4], fast / dt)
+    report[4] = max(report[4], speed)
     report[5] = max(report[5], squared)
 
 

@@ -150,11 +150,17 @@ def _move(
         full = SOUND_ALL if left >= 16 else (1 << left) - 1
         if good & inside != full:
             _blame(cloud.ids, p, min(16, left), whole, tame, slow, inside, report)
+    tell(report, fastest, far, quick, stretching, carried, turning, motion, dx)
+
+
+@inline
+def tell(report, fastest, far, quick, stretching, carried, turning, motion, dx):
+    """Take up what bounds the next step: vectors of maxima."""
     rate = largest(fastest) / (motion.cfl * dx)
     rate = max(rate, largest(quick) / (FARTHEST * dx), largest(stretching) / STRETCH)
     report[0] = max(report[0], rate)
     report[1] = max(report[1], largest(far))
-    report[4] = max(report[4], largest(carried) / dt)
+    report[4] = max(report[4], largest(carried) / motion.dt)
     report[5] = max(report[5], largest(turning))
 
 

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..device.jit import inline
+from ..lanes.team import count_up
 
 NUMBERS = 7  # of a row: impulse [kg m/s], moment about the domain's origin [kg m2/s], work [J]
 WALLS = 6
@@ -61,13 +62,13 @@ def given(rows: int, quanta: np.ndarray, phases: int, dx: float) -> Given:
 def _add(given, row, at, jx, jy, jz, work):
     """An impulse (3,) [kg m/s] on bodies at a place [m], and its work [J]."""
     own, quanta = given.sums[row], given.quanta
-    own[0] += np.int64(np.rint(jx / quanta[0]))
-    own[1] += np.int64(np.rint(jy / quanta[1]))
-    own[2] += np.int64(np.rint(jz / quanta[2]))
-    own[3] += np.int64(np.rint((at[1] * jz - at[2] * jy) / quanta[3]))
-    own[4] += np.int64(np.rint((at[2] * jx - at[0] * jz) / quanta[4]))
-    own[5] += np.int64(np.rint((at[0] * jy - at[1] * jx) / quanta[5]))
-    own[6] += np.int64(np.rint(work / quanta[6]))
+    count_up(own, 0, np.int64(np.rint(jx / quanta[0])))
+    count_up(own, 1, np.int64(np.rint(jy / quanta[1])))
+    count_up(own, 2, np.int64(np.rint(jz / quanta[2])))
+    count_up(own, 3, np.int64(np.rint((at[1] * jz - at[2] * jy) / quanta[3])))
+    count_up(own, 4, np.int64(np.rint((at[2] * jx - at[0] * jz) / quanta[4])))
+    count_up(own, 5, np.int64(np.rint((at[0] * jy - at[1] * jx) / quanta[5])))
+    count_up(own, 6, np.int64(np.rint(work / quanta[6])))
 
 
 # ---- at nodes -----------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from ..domain.driven import Ways
 from ..lanes.lanes import load, place, store
 from ..lanes.nodes import fourth_of, velocity, with_fourth
 from ..lanes.rows import repeat, spread
+from ..lanes.team import each, meet
 from .couple import Fields, Here, couple_block, note_flux
 from .driven import prescribe
 from .given import at_block
@@ -91,7 +92,9 @@ def update(blocks, tables, summed, shear, apart, rules, walls, phases, solids, r
                 take_up(nb, rows, sheared, report, 2 if apart is None else 3)
             fall(nb, nodes, push, ROUNDING * least_of[phase_of[nb]])
         here = _here(b, n0, n1, tables, last)
+        meet()
         prescribe(here, momentum.nodes, tables.phase, solids.ways, step.dx)
+        meet()
         if apart is not None:
             noted = kept_apart and apart.noted
             if noted:
@@ -104,13 +107,17 @@ def update(blocks, tables, summed, shear, apart, rules, walls, phases, solids, r
                 if kept_apart:
                     if here.at_wall and here.meets:
                         _along_walls(offsets.nodes, here, walls)
+                        meet()
                     couple_block(here, fields, of, pairs, step.dt, step.dx)
         rigid = tables.solid[b] >= 0 or here.at_wall
+        meet()
         if here.meets and _may_touch(n0, n1, phase_of, rigid, rules):
             touch(here, tables, tables.solid[b], summed, shear, solids, walls, phases, rules,
                   step, room)  # fmt: skip
+        meet()
         if here.at_wall:
             _stop_at_walls(here, momentum.nodes, walls, tables.phase, phases, solids, room.given)
+        meet()
         if apart is not None:
             if rules is not None:
                 if kept_apart:
@@ -187,7 +194,7 @@ def _push(here, fields):
 
 @inline
 def _push_one(nb, fields):
-    tiny = ROUNDING * fields.least[fields.phase[nb]]
+    tiny = spread(fields.grid, ROUNDING * fields.least[fields.phase[nb]])
     for c in range(256 * nb, 256 * (nb + 1), 16):
         row = load(fields.grid, c)
         m = fourth_of(row)
@@ -212,7 +219,7 @@ def _push_others(here, fields, rules):
 def _along_walls(offsets, here, walls):
     """Drop the part across walls of a block's offsets (node blocks, 256)."""
     for nb in range(here.n0, here.n1):
-        for node in range(64):
+        for node in each(64):
             i, j, k = here.low_x + node // 16, here.low_y + node // 4 % 4, here.low_z + node % 4
             tangential(offsets[nb, 4 * node :], i, j, k, walls.cells, walls.kinds)
 

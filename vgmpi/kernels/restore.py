@@ -71,20 +71,26 @@ def give_back(rows, times, segments, particles, velocity, scratch, dx, ghosts):
             moments(n, records, weights, base, patch)
             rest(n, records)
             for m in range(0, n, 16):
-                v0, v1, v2, _, L = gathered(records, 16 * m, 4.0 / dx)
-                p, q = at + m, at + m + AFFINE * cap
-                _give(f, p, times, v0)
-                _give(f, p + cap, times, v1)
-                _give(f, p + 2 * cap, times, v2)
-                _give(f, q, times, L[0])
-                _give(f, q + cap, times, L[1])
-                _give(f, q + 2 * cap, times, L[2])
-                _give(f, q + 3 * cap, times, L[3])
-                _give(f, q + 4 * cap, times, L[4])
-                _give(f, q + 5 * cap, times, L[5])
-                _give(f, q + 6 * cap, times, L[6])
-                _give(f, q + 7 * cap, times, L[7])
-                _give(f, q + 8 * cap, times, L[8])
+                give(f, at + m, cap, times, records, 16 * m, dx)
+
+
+@inline
+def give(f, p, cap, times, records, at, dx):
+    """To 16 particles from p, of what was gathered from records[at] on."""
+    v0, v1, v2, _, L = gathered(records, at, 4.0 / dx)
+    q = p + AFFINE * cap
+    _give(f, p, times, v0)
+    _give(f, p + cap, times, v1)
+    _give(f, p + 2 * cap, times, v2)
+    _give(f, q, times, L[0])
+    _give(f, q + cap, times, L[1])
+    _give(f, q + 2 * cap, times, L[2])
+    _give(f, q + 3 * cap, times, L[3])
+    _give(f, q + 4 * cap, times, L[4])
+    _give(f, q + 5 * cap, times, L[5])
+    _give(f, q + 6 * cap, times, L[6])
+    _give(f, q + 7 * cap, times, L[7])
+    _give(f, q + 8 * cap, times, L[8])
 
 
 @inline

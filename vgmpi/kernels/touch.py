@@ -12,6 +12,7 @@ from ..device.jit import inline
 from ..device.limits import TOUCHING
 from ..domain.driven import HEAVY
 from ..domain.solids import REACH
+from ..lanes.team import each
 from .contact import (
     GOES,
     RESTS,
@@ -75,7 +76,7 @@ def touch(here, tables, solid, summed, shear, solids, walls, phases, rules, step
     grid.Summed, of which the momenta are velocities by now; shear: Sums, or None."""
     velocities, offsets, ways = summed.momentum.nodes, summed.offsets.nodes, solids.ways
     pushes = here.at_wall and _may_push(walls)
-    for node in range(64):
+    for node in each(64):
         active = _active(here, node, velocities, tables.phase, phases.least, room.here)
         at = here.low_x + node // 16, here.low_y + node // 4 % 4, here.low_z + node % 4
         planes = _planes(at, walls) if pushes else 0
@@ -120,12 +121,21 @@ def touch(here, tables, solid, summed, shear, solids, walls, phases, rules, step
         if pairs > 0:
             resolve(
                 room.v, room.heavy, active, room.normals, room.friction, room.master, room.other,
-                pairs, room.touches[:active].max(), room.impulse,
+                pairs, _most(room.touches, active), room.impulse,
             )  # fmt: skip
             resolved(room.given, pairs, room)
         for q in range(active):
             for c in range(3):
                 velocities[room.here[q], 4 * node + c] = room.v[q, c]
+
+
+@inline
+def _most(touches, active):
+    """Pairs that touch the phase with most."""
+    found = touches[0]
+    for q in range(1, active):
+        found = max(found, touches[q])
+    return found
 
 
 @inline

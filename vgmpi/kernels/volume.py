@@ -63,7 +63,7 @@ def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
     crowd, J = kind.space * fill, np.exp(load(f, p + STATE * cap))
     more = crowd * J - 1.0
     x, y, z = slope
-    near = (4.0 * SURFACE) * kind.space * np.sqrt(x * x + y * y + z * z)
+    near = (4.0 * SURFACE) * np.sqrt(x * x + y * y + z * z) * kind.space
     inner = np.minimum(np.maximum((crowd - SPRAY) * (1.0 / (DENSE - SPRAY)), zero), zero + 1.0)
     off = np.maximum(more, zero) + inner * np.minimum(more + near, zero)
     less = (RETURN / 3.0) * off

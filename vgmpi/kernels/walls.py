@@ -15,6 +15,7 @@ meets none.
 import numpy as np
 
 from ..device.jit import inline
+from ..lanes.team import each, meet
 from .given import folded, mirrored, stopped, weighed
 
 STICK, SLIP, SEPARATE, OPEN = 1, 2, 3, 4  # 0: a wall that is met by contact, not at the nodes
@@ -64,15 +65,16 @@ def fold(patch, mirror, as_offset, ghosts, s):
                 continue
             wall = code >> 2
             step = 1 if side == 0 else -1
-            for i in range(SIDE):
-                for j in range(SIDE):
-                    inner = _node(patch, a, wall + step, i, j)
-                    ghost = _node(patch, a, wall - step, i, j)
-                    folded(ghosts, s, a, side, wall, i, j, ghost, kind == STICK)
-                    for c in range(4):
-                        odd = c == a or (kind == STICK and c < 3 and not as_offset)
-                        inner[c] += -ghost[c] if odd else ghost[c]
-                        ghost[c] = 0
+            for q in each(SIDE * SIDE):
+                i, j = q // SIDE, q % SIDE
+                inner = _node(patch, a, wall + step, i, j)
+                ghost = _node(patch, a, wall - step, i, j)
+                folded(ghosts, s, a, side, wall, i, j, ghost, kind == STICK)
+                for c in range(4):
+                    odd = c == a or (kind == STICK and c < 3 and not as_offset)
+                    inner[c] += -ghost[c] if odd else ghost[c]
+                    ghost[c] = 0
+            meet()
     if ghosts is not None:
         _weigh(patch, mirror, ghosts, s)
 
@@ -86,9 +88,9 @@ def _weigh(patch, mirror, ghosts, s):
             if code & 3 != SEPARATE:
                 continue
             beyond = (code >> 2) - 1 if side == 0 else (code >> 2) + 1
-            for i in range(SIDE):
-                for j in range(SIDE):
-                    weighed(ghosts, s, a, side, i, j, _node(patch, a, beyond, i, j))
+            for q in each(SIDE * SIDE):
+                i, j = q // SIDE, q % SIDE
+                weighed(ghosts, s, a, side, i, j, _node(patch, a, beyond, i, j))
 
 
 @inline
@@ -103,25 +105,26 @@ def reflect(patch, mirror, ghosts, share, s):
             wall = code >> 2
             kind = code & 3
             step = 1 if side == 0 else -1
-            for i in range(SIDE):
-                for j in range(SIDE):
-                    inner = _node(patch, a, wall + step, i, j)
-                    ghost = _node(patch, a, wall - step, i, j)
-                    if kind != SEPARATE:
-                        ghost[3] = inner[3]
-                    for c in range(3):
-                        if kind == STICK or (kind == SLIP and c == a):
-                            ghost[c] = -inner[c]
-                        elif kind == SLIP:
-                            ghost[c] = inner[c]
-                        elif c == a:
-                            # a wall that only pushes: interpolated at the wall the flow must not
-                            # enter it
-                            before = ghost[c]
-                            ghost[c] = step * max(step * ghost[c], -step * inner[c])
-                            more = ghost[c] - before
-                            x, y, z = _along(a, more)
-                            mirrored(ghosts, share, s, a, side, wall, i, j, x, y, z)
+            for q in each(SIDE * SIDE):
+                i, j = q // SIDE, q % SIDE
+                inner = _node(patch, a, wall + step, i, j)
+                ghost = _node(patch, a, wall - step, i, j)
+                if kind != SEPARATE:
+                    ghost[3] = inner[3]
+                for c in range(3):
+                    if kind == STICK or (kind == SLIP and c == a):
+                        ghost[c] = -inner[c]
+                    elif kind == SLIP:
+                        ghost[c] = inner[c]
+                    elif c == a:
+                        # a wall that only pushes: interpolated at the wall the flow must not
+                        # enter it
+                        before = ghost[c]
+                        ghost[c] = step * max(step * ghost[c], -step * inner[c])
+                        more = ghost[c] - before
+                        x, y, z = _along(a, more)
+                        mirrored(ghosts, share, s, a, side, wall, i, j, x, y, z)
+            meet()
     if ghosts is not None:
         _tell(patch, mirror, ghosts, share, s)
 
@@ -135,10 +138,10 @@ def whole_at_walls(patch, mirror):
             code = mirror[a, side]
             if code == 0 or code & 3 == SEPARATE:
                 continue
-            for i in range(SIDE):
-                for j in range(SIDE):
-                    node = _node(patch, a, code >> 2, i, j)
-                    node[3] = 2.0 * node[3]
+            for q in each(SIDE * SIDE):
+                node = _node(patch, a, code >> 2, q // SIDE, q % SIDE)
+                node[3] = 2.0 * node[3]
+            meet()
 
 
 @inline
@@ -158,12 +161,12 @@ def _tell(patch, mirror, ghosts, share, s):
                 continue
             wall = code >> 2
             step = 1 if side == 0 else -1
-            for i in range(SIDE):
-                for j in range(SIDE):
-                    inner = _node(patch, a, wall + step, i, j)
-                    ghost = _node(patch, a, wall - step, i, j)
-                    x, y, z = ghost[0] - inner[0], ghost[1] - inner[1], ghost[2] - inner[2]
-                    mirrored(ghosts, share, s, a, side, wall, i, j, x, y, z)
+            for q in each(SIDE * SIDE):
+                i, j = q // SIDE, q % SIDE
+                inner = _node(patch, a, wall + step, i, j)
+                ghost = _node(patch, a, wall - step, i, j)
+                x, y, z = ghost[0] - inner[0], ghost[1] - inner[1], ghost[2] - inner[2]
+                mirrored(ghosts, share, s, a, side, wall, i, j, x, y, z)
 
 
 @inline
@@ -180,21 +183,21 @@ def constrain(nodes, low, cells, kinds, friction, given):
                 into = -node if side == 0 else node - cells[a]
                 if kind == 0 or kind == OPEN or into < 0 or (into > 0 and kind != SEPARATE):
                     continue
-                for j in range(4):
-                    for k in range(4):
-                        at = plane * stride + j * one + k * two
-                        v = nodes[at]
-                        before = v[0], v[1], v[2]
-                        if kind == STICK:
-                            v[0] = v[1] = v[2] = 0
-                        elif kind == SLIP:
+                for q in each(16):
+                    at = plane * stride + q // 4 * one + q % 4 * two
+                    v = nodes[at]
+                    before = v[0], v[1], v[2]
+                    if kind == STICK:
+                        v[0] = v[1] = v[2] = 0
+                    elif kind == SLIP:
+                        v[a] = 0
+                    else:
+                        push = -v[a] if side == 0 else v[a]
+                        if push > 0:
                             v[a] = 0
-                        else:
-                            push = -v[a] if side == 0 else v[a]
-                            if push > 0:
-                                v[a] = 0
-                                slow(v, friction[a, side] * push)
-                        stopped(given, a, side, side * cells[a], at, low, before, v)
+                            slow(v, friction[a, side] * push)
+                    stopped(given, a, side, side * cells[a], at, low, before, v)
+                meet()
 
 
 @inline

@@ -31,5 +31,5 @@ def by_kind(stub):
     def choose(kind, *_):
         return table.get(kind.instance_class) if isinstance(kind, types.BaseNamedTuple) else None
 
-    stub.of = of
+    stub.of, stub.table = of, table
     return stub

@@ -17,11 +17,13 @@ from numba.core.typing import signature
 from numba.core.typing.templates import AbstractTemplate, infer_global
 from numba.extending import intrinsic, lower_builtin, models, overload, register_model
 
+from ..device.jit import CONTRACTS
 from ..device.select import select
 
 COUNT = 16
 LINE = 64  # bytes of a cache line
-_FUSED = ("contract",)  # a product and a sum may round once; the same code serves all ranks
+# a product and a sum may round once; the same code serves all ranks
+_FUSED = ("contract",) if CONTRACTS else ()
 
 
 class Lanes(types.Type):

@@ -54,7 +54,7 @@ def full(plan, speed: float) -> np.ndarray:
 def _momentum(kind, law, count, at, cap, f, extra, peak, records, dt):
     zero = spread(f, 0.0)
     dx = kind.dx
-    four = dt * 4.0 / (dx * dx)
+    four = spread(f, dt) * 4.0 / (dx * dx)  # as a vector: a plain number would be a double
     most, over = load(peak, 0), 1.0 / (kind.density * kind.density)
     for n in range(0, count, 16):
         p = at + n

@@ -1,0 +1,126 @@
+"""What lies in a card's memory: particles, layers, and copies of the host's tables."""
+
+import numpy as np
+from numba import cuda
+
+from ...domain.state import Group
+from ...kernels import sums
+from ...kernels.tables import Particles, Sums
+from ..layers import Layer
+
+ROWS = ("xi", "f", "ids")  # of a group
+
+
+def to_card(array: np.ndarray):
+    """A copy of an array in the card's memory."""
+    return cuda.to_device(np.ascontiguousarray(array))
+
+
+class Copies:
+    """Copies of the host's arrays, made when they are first asked for."""
+
+    def __init__(self) -> None:
+        self.kept: dict[int, tuple] = {}  # id of the host's array: it, and its copy
+
+    def of(self, one):
+        """An array's copy; of a tuple the tuple of what its arrays have for copies."""
+        if isinstance(one, np.ndarray):
+            if id(one) not in self.kept:
+                self.kept[id(one)] = one, to_card(one)
+            return self.kept[id(one)][1]
+        return like(one, self.of) if isinstance(one, tuple) else one
+
+    def new(self, one):
+        """The same of arrays that may have changed."""
+        self.forget(one)
+        return self.of(one)
+
+    def forget(self, one) -> None:
+        """An array, or those of a tuple, have changed."""
+        if isinstance(one, tuple):
+            for part in one:
+                self.forget(part)
+        else:
+            self.kept.pop(id(one), None)
+
+    def clear(self) -> None:
+        self.kept.clear()
+
+
+def like(one: tuple, go) -> tuple:
+    """A tuple of what `go` makes of its parts."""
+    parts = [go(part) for part in one]
+    return type(one)(*parts) if hasattr(one, "_fields") else tuple(parts)
+
+
+class CardGroup(Group):
+    """Particles that are where they were changed last: in the card's memory or the host's.
+
+    Whoever reads or writes xi, f or ids gets the host's arrays, and the card takes them from there
+    when it needs them again; a step reads and writes the card's alone.
+    """
+
+    def __init__(self, plan, lattice, real):
+        self._host: dict[str, np.ndarray] = {}
+        self._card: dict = {}
+        self._newest: dict[str, str] = {}
+        super().__init__(plan, lattice, real)
+
+    def on_card(self, writes: bool = False) -> Particles:
+        """The card's arrays; writes: they are about to be changed there."""
+        for name in ROWS:
+            if self._newest[name] == "host":
+                self._card[name] = to_card(self._host[name])
+                self._newest[name] = "both"
+        if writes:
+            self._newest["xi"] = self._newest["f"] = "card"
+        return Particles(*(self._card[name] for name in ROWS))
+
+    def _get(self, name: str) -> np.ndarray:
+        if self._newest[name] == "card":
+            self._card[name].copy_to_host(self._host[name])
+        self._newest[name] = "host"
+        return self._host[name]
+
+    def _set(self, name: str, array: np.ndarray) -> None:
+        self._host[name], self._newest[name] = array, "host"
+
+    xi = property(lambda self: self._get("xi"), lambda self, array: self._set("xi", array))
+    f = property(lambda self: self._get("f"), lambda self, array: self._set("f", array))
+    ids = property(lambda self: self._get("ids"), lambda self, array: self._set("ids", array))
+
+
+class CardLayer(Layer):
+    """Sums and values of a layer in the card's memory."""
+
+    reset = None  # reset(layer): puts the sums to rest
+
+    def adopt(self, asked: np.ndarray, phase_of_row: np.ndarray) -> None:
+        """Make room for node blocks (n,)."""
+        needed = len(phase_of_row) if asked.any() else 0
+        self.asked, self.phase = asked.astype(np.uint8), phase_of_row[:needed]
+        words = sums.words(self.real)
+        self.sums = card_room(self.sums, needed, (words, sums.BLOCK), np.float64)
+        self.nodes = card_room(self.nodes, len(asked) if needed else 0, (sums.BLOCK,), self.real)
+        self.nodes.copy_to_device(np.zeros(self.nodes.shape, self.real))
+        self.of_asked, self.of_phase = to_card(self.asked), to_card(self.phase)
+        self.speed, self.sized = 0.0, np.zeros(0)
+
+    def begin(self, speed: float) -> None:
+        """Choose the quanta; sums that rest elsewhere are put to rest."""
+        if speed == self.speed:
+            return
+        self.speed, full = speed, self.full(speed)
+        if not np.array_equal(full, self.sized):
+            self.sized, self.rest = full, sums.rests(full, self.real)
+            self.of_rest = to_card(self.rest)
+            self.tables = Sums(self.sums, self.of_rest, self.of_asked, self.nodes)
+            self.reset(self)
+
+
+def card_room(array, rows: int, shape: tuple, kind):
+    """An array of the card with that many rows: the one there is, if it is large enough and not
+    much larger."""
+    if not isinstance(array, np.ndarray) and rows <= array.shape[0] <= 2 * rows:
+        return array
+    return cuda.device_array((rows + rows // 8, *shape), kind)
