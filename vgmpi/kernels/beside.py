@@ -16,10 +16,10 @@ from ..lanes.lanes import load, store
 from ..lanes.rows import higher, spread
 from .couple import LEAST_PORES
 from .given import kept_of
-from .patches import gather
-from .records import BATCH, PATCH, columns, patch_of
+from .patches import gather, nodes_of
+from .records import BATCH, columns, patch_of
 from .rowsums import moments, values
-from .walls import SIDE, reflect
+from .walls import reflect
 
 CHANGE = 5 * BATCH  # where the change of velocity is set aside
 RELAX = 10.0  # [1/s] at which a fluid in pores gives way where there is more volume than space
@@ -101,7 +101,7 @@ def waves(kind, f, p, cap, numbers, wave2):
 def _read(grid, blocks, box, mirror, patch, ghosts, s):
     gather(patch, grid, blocks, box)
     share = kept_of(ghosts)
-    reflect(patch[:PATCH].reshape((SIDE, SIDE, SIDE, 4)), mirror, ghosts, share, s)
+    reflect(nodes_of(patch), mirror, ghosts, share, s)
 
 
 @inline

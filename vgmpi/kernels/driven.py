@@ -12,7 +12,7 @@ from .records import AFFINE
 
 @inline
 def prescribe(here, nodes, phase, ways, dx):
-    """Velocities of what is driven at the nodes of a block, nodes (node blocks, 256). here:
+    """Velocities of what is driven at the nodes of a block, nodes (256 node blocks,). here:
     couple.Here; ways: domain.driven.Ways."""
     for nb in range(here.n0, here.n1 if len(ways.driven) > 0 else here.n0):
         p = phase[nb]
@@ -24,7 +24,8 @@ def prescribe(here, nodes, phase, ways, dx):
             z = (here.low_z + node % 4) * dx - ways.about[p, 2]
             for c in range(3):
                 turn = ways.turn[p, c]
-                nodes[nb, 4 * node + c] = turn[0] * x + turn[1] * y + turn[2] * z + ways.shift[p, c]
+                at = 256 * nb + 4 * node + c
+                nodes[at] = turn[0] * x + turn[1] * y + turn[2] * z + ways.shift[p, c]
 
 
 @kernel

@@ -13,10 +13,10 @@ from ..lanes.laws import advance, lane_state, store_state, volume_ratio, wave_sp
 from ..lanes.rows import SOUND_ALL, higher, largest, load_records, move, only, sound, spread
 from .beside import complete, fetch, keep, kept, moving, set_aside, strain, waves
 from .given import share_of
-from .patches import expect, gather
+from .patches import expect, gather, nodes_of
 from .records import AFFINE, BATCH, PATCH, STATE, box_of, parts, rest, touched, weigh
 from .rowsums import moments, slopes
-from .walls import SIDE, reflect
+from .walls import reflect
 
 REACH = 3  # cells from the block's middle within which a particle's base node lies in its patch
 CRUSHED, OUTSIDE, TOO_FAST, LOST = 1, 2, 3, 4  # what can go wrong with a particle
@@ -74,7 +74,7 @@ def g2p(
     start, count, table = segments.start, segments.count, segments.table
     split, limit, mirror = segments.split, segments.limit, segments.mirror
     weights, records, patch, extra = parts(scratch.real)
-    nodes = patch[:PATCH].reshape((SIDE, SIDE, SIDE, 4))
+    nodes = nodes_of(patch)
     patch[PATCH:] = 0
     base, box = scratch.whole, box_of(scratch.whole)
     flat = place(velocity.reshape(velocity.size))

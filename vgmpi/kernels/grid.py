@@ -16,7 +16,7 @@ from ..domain.driven import Ways
 from ..lanes.lanes import load, place, store
 from ..lanes.nodes import fourth_of, velocity, with_fourth
 from ..lanes.rows import repeat, spread
-from ..lanes.team import each, meet
+from ..lanes.team import each, flat, meet
 from .couple import Fields, Here, couple_block, note_flux
 from .driven import prescribe
 from .given import at_block
@@ -25,6 +25,8 @@ from .sums import blocks_at, sums_at, take_up
 from .tables import Sums
 from .touch import touch
 from .walls import constrain, tangential
+
+TOUCHES = True  # whether anything may touch in a scene: a program for a card knows
 
 
 class Rigid(NamedTuple):
@@ -70,8 +72,7 @@ def update(blocks, tables, summed, shear, apart, rules, walls, phases, solids, r
     momentum, offsets = summed.momentum, summed.offsets
     rows, moved, spaced = blocks_at(tables), sums_at(momentum), sums_at(offsets)
     nodes, last, least_of = moved.nodes, place(walls.cells), place(phases.least)
-    if shear is not None:
-        sheared = sums_at(shear)
+    sheared = None if shear is None else sums_at(shear)
     if apart is not None:
         pushed = sums_at(apart.impulses)
         fields = _fields(rows, least_of, last, nodes, pushed.nodes, spaced.nodes, apart)
@@ -93,7 +94,7 @@ def update(blocks, tables, summed, shear, apart, rules, walls, phases, solids, r
             fall(nb, nodes, push, ROUNDING * least_of[phase_of[nb]])
         here = _here(b, n0, n1, tables, last)
         meet()
-        prescribe(here, momentum.nodes, tables.phase, solids.ways, step.dx)
+        prescribe(here, nodes, phase_of, solids.ways, step.dx)
         meet()
         if apart is not None:
             noted = kept_apart and apart.noted
@@ -106,17 +107,17 @@ def update(blocks, tables, summed, shear, apart, rules, walls, phases, solids, r
                     _push_others(here, fields, pairs)
                 if kept_apart:
                     if here.at_wall and here.meets:
-                        _along_walls(offsets.nodes, here, walls)
+                        _along_walls(spaced.nodes, here, walls)
                         meet()
                     couple_block(here, fields, of, pairs, step.dt, step.dx)
         rigid = tables.solid[b] >= 0 or here.at_wall
         meet()
-        if here.meets and _may_touch(n0, n1, phase_of, rigid, rules):
-            touch(here, tables, tables.solid[b], summed, shear, solids, walls, phases, rules,
-                  step, room)  # fmt: skip
+        if TOUCHES and here.meets and _may_touch(n0, n1, phase_of, rigid, rules):
+            touch(here, tables, tables.solid[b], nodes, spaced.nodes, sheared, solids, walls,
+                  phases, rules, step, room)  # fmt: skip
         meet()
         if here.at_wall:
-            _stop_at_walls(here, momentum.nodes, walls, tables.phase, phases, solids, room.given)
+            _stop_at_walls(here, nodes, walls, phase_of, phases, solids, room.given)
         meet()
         if apart is not None:
             if rules is not None:
@@ -131,23 +132,20 @@ def _fields(rows, least, cells, grid, forces, offsets, apart):
     """What coupling needs of nodes. rows: sums.BlocksAt; arrays by their places."""
     return Fields(
         rows.phase, least, cells, grid, forces, offsets,
-        place(apart.flux.reshape(apart.flux.size)),
-        place(apart.drift.reshape(apart.drift.size)),
-        place(apart.change.reshape(apart.change.size)),
+        flat(apart.flux), flat(apart.drift), flat(apart.change),
     )  # fmt: skip
 
 
 @inline
 def _stop_at_walls(here, velocities, walls, phase, phases, solids, given):
-    """What the walls leave of the velocities (node blocks, 256) of a block. phase: (node blocks,);
+    """What the walls leave of the velocities (256 node blocks,) of a block. phase: (node blocks,);
     solids: Rigid; given: given.Given, or None."""
     low = here.low_x, here.low_y, here.low_z
     for nb in range(here.n0, here.n1):
-        block = velocities[nb].reshape((64, 4))
         if len(solids.ways.driven) > 0 and solids.ways.driven[phase[nb]]:
             continue  # it goes where it is sent
         kinds = walls.met if phases.surface[phase[nb]] else walls.kinds
-        constrain(block, low, walls.cells, kinds, walls.friction, given)
+        constrain(velocities, 256 * nb, low, walls.cells, kinds, walls.friction, given)
 
 
 @inline
@@ -217,11 +215,11 @@ def _push_others(here, fields, rules):
 
 @inline
 def _along_walls(offsets, here, walls):
-    """Drop the part across walls of a block's offsets (node blocks, 256)."""
+    """Drop the part across walls of a block's offsets (256 node blocks,)."""
     for nb in range(here.n0, here.n1):
         for node in each(64):
             i, j, k = here.low_x + node // 16, here.low_y + node // 4 % 4, here.low_z + node % 4
-            tangential(offsets[nb, 4 * node :], i, j, k, walls.cells, walls.kinds)
+            tangential(offsets, 256 * nb + 4 * node, i, j, k, walls.cells, walls.kinds)
 
 
 @inline

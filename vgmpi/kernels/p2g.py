@@ -16,10 +16,10 @@ from ..device.jit import kernel
 from ..lanes.lanes import place
 from .layers import colour, impulses, momentum, offsets, shear  # noqa: F401  (what they give)
 from .layers.base import OFFSET, UNSEEN, add, contribute
-from .patches import clear
-from .records import BATCH, PATCH, box_of, parts, reach, touched, weigh
+from .patches import clear, nodes_of
+from .records import BATCH, box_of, parts, reach, touched, weigh
 from .sums import push
-from .walls import SIDE, fold
+from .walls import fold
 
 
 @kernel
@@ -35,7 +35,7 @@ def fill(rows, kind, law, segments, particles, sums, scratch, dt, ghosts):
     totals = place(sums.reshape(sums.size))
     weights, records, patch, extra = parts(scratch.real)
     peak = place(scratch.peak)
-    nodes = patch[:PATCH].reshape((SIDE, SIDE, SIDE, 4))
+    nodes = nodes_of(patch)
     base, box = scratch.whole, box_of(scratch.whole)
     start, count, into, mirror = segments.start, segments.count, segments.into, segments.mirror
     for s in rows:

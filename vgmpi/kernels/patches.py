@@ -30,6 +30,12 @@ def row_of(i, j):
 
 
 @inline
+def nodes_of(patch):
+    """A patch by nodes: (8, 8, 8, 4)."""
+    return patch[: SIDE * SIDE * SIDE * 4].reshape((SIDE, SIDE, SIDE, 4))
+
+
+@inline
 def gather(patch, grid, blocks, box):
     """The nodes of a box of a patch (2048,) from the 27 node blocks around it.
 

@@ -10,11 +10,11 @@ from .g2p import gathered
 from .given import share_of
 from .grid import fall
 from .layers.colour import mean
-from .patches import expect, gather
+from .patches import expect, gather, nodes_of
 from .records import AFFINE, BATCH, PATCH, box_of, parts, rest, touched, weigh
 from .rowsums import moments
 from .sums import blocks_at, sums_at, take_up
-from .walls import SIDE, reflect
+from .walls import reflect
 
 
 @kernel
@@ -52,7 +52,7 @@ def give_back(rows, times, segments, particles, velocity, scratch, dx, ghosts):
     f, xi = particles.f.reshape(particles.f.size), particles.xi.reshape(particles.xi.size)
     start, count, table, mirror = segments.start, segments.count, segments.table, segments.mirror
     weights, records, patch, _ = parts(scratch.real)
-    nodes = patch[:PATCH].reshape((SIDE, SIDE, SIDE, 4))
+    nodes = nodes_of(patch)
     patch[PATCH:] = 0
     base, box = scratch.whole, box_of(scratch.whole)
     flat = place(velocity.reshape(velocity.size))

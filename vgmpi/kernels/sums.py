@@ -18,6 +18,7 @@ import numpy as np
 
 from ..device.jit import inline, kernel
 from ..lanes.lanes import COUNT, ahead, load, place, store
+from ..lanes.team import flat
 from ..lanes.wide import (
     BLOCK,
     add_node,
@@ -160,11 +161,11 @@ def blocks_at(tables):
 def sums_at(layer):
     """layer: tables.Sums."""
     return SumsAt(
-        place(layer.sums.reshape(layer.sums.size)),
-        place(layer.rest.reshape(layer.rest.size)),
+        flat(layer.sums),
+        flat(layer.rest),
         place(layer.asked),
-        place(layer.nodes.reshape(layer.nodes.size)),
-        layer.sums.shape[1],
+        flat(layer.nodes),
+        words_of(layer.nodes),
     )
 
 

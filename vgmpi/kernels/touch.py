@@ -71,10 +71,12 @@ def room(n: int) -> Room:
 
 
 @inline
-def touch(here, tables, solid, summed, shear, solids, walls, phases, rules, step, room):
-    """Contact in a block. here: couple.Here; solid: its row in solids (grid.Rigid), or -1; summed:
-    grid.Summed, of which the momenta are velocities by now; shear: Sums, or None."""
-    velocities, offsets, ways = summed.momentum.nodes, summed.offsets.nodes, solids.ways
+def touch(
+    here, tables, solid, velocities, offsets, shear, solids, walls, phases, rules, step, room
+):  # fmt: skip
+    """Contact in a block. here: couple.Here; solid: its row in solids (grid.Rigid), or -1;
+    velocities, offsets: (256 node blocks,); shear: sums.SumsAt, or None."""
+    ways = solids.ways
     pushes = here.at_wall and _may_push(walls)
     for node in each(64):
         active = _active(here, node, velocities, tables.phase, phases.least, room.here)
@@ -85,16 +87,17 @@ def touch(here, tables, solid, summed, shear, solids, walls, phases, rules, step
             continue
         for q in range(active):
             nb = room.here[q]
-            tangential(offsets[nb, 4 * node :], at[0], at[1], at[2], walls.cells, walls.kinds)
+            of = 256 * nb + 4 * node
+            tangential(offsets, of, at[0], at[1], at[2], walls.cells, walls.kinds)
             for c in range(3):
-                room.v[q, c] = velocities[nb, 4 * node + c]
+                room.v[q, c] = velocities[of + c]
                 room.change[q, c] = 0
-            room.mass[q] = room.heavy[q] = velocities[nb, 4 * node + 3]
+            room.mass[q] = room.heavy[q] = velocities[of + 3]
             if _driven(ways, tables.phase[nb]):
                 room.heavy[q] *= HEAVY
             if shear is not None:
                 for c in range(3):
-                    room.slope[q, c] = shear.nodes[nb, 4 * node + c] / room.mass[q]
+                    room.slope[q, c] = shear.nodes[of + c] / room.mass[q]
             room.touches[q] = 0
         there = There(active, node, active + rigid + planes == 2)
         at_node(room.given, node, at[0], at[1], at[2])
@@ -126,7 +129,7 @@ def touch(here, tables, solid, summed, shear, solids, walls, phases, rules, step
             resolved(room.given, pairs, room)
         for q in range(active):
             for c in range(3):
-                velocities[room.here[q], 4 * node + c] = room.v[q, c]
+                velocities[256 * room.here[q] + 4 * node + c] = room.v[q, c]
 
 
 @inline
@@ -136,6 +139,13 @@ def _most(touches, active):
     for q in range(1, active):
         found = max(found, touches[q])
     return found
+
+
+@inline
+def _side(offsets, nb, node):
+    """What the layer of offsets says of a phase at a node: four numbers."""
+    at = 256 * nb + 4 * node
+    return offsets[at], offsets[at + 1], offsets[at + 2], offsets[at + 3]
 
 
 @inline
@@ -150,7 +160,7 @@ def _active(here, node, velocities, phase, least, found):
     too few digits of where their particles are."""
     active = 0
     for nb in range(here.n0, here.n1):
-        if velocities[nb, 4 * node + 3] > TOUCHING * least[phase[nb]]:
+        if velocities[256 * nb + 4 * node + 3] > TOUCHING * least[phase[nb]]:
             found[active] = nb
             active += 1
     return active
@@ -178,8 +188,8 @@ def _pairs(there, phase, offsets, phases, rules, ways, step, room):
 @inline
 def _on_each_other(pairs, there, a, b, phase, offsets, phases, ways, step, room):
     """Take up what two phases do to each other."""
-    pa, pb, place = phase[room.here[a]], phase[room.here[b]], 4 * there.node
-    xa, xb = offsets[room.here[a], place:], offsets[room.here[b], place:]
+    pa, pb = phase[room.here[a]], phase[room.here[b]]
+    xa, xb = _side(offsets, room.here[a], there.node), _side(offsets, room.here[b], there.node)
     ka, kb = phases.surface[pa], phases.surface[pb]
     if not (_has(xa, ka) and _has(xb, kb)):
         return pairs
@@ -216,7 +226,7 @@ def _on_rigid(pairs, there, phase, offsets, surface, friction, a, phases, ways, 
     friction: (phases,); a: GOES, a collider's, or RESTS, a wall's, which meets those alone whose
     surfaces are known."""
     for q in range(there.active):
-        ph, mine = phase[room.here[q]], offsets[room.here[q], 4 * there.node :]
+        ph, mine = phase[room.here[q]], _side(offsets, room.here[q], there.node)
         known, mass, n = phases.surface[ph], room.mass[q], room.normals[pairs]
         if not ((a == GOES or known) and _has(mine, known)):
             continue

@@ -170,9 +170,9 @@ def _tell(patch, mirror, ghosts, share, s):
 
 
 @inline
-def constrain(nodes, low, cells, kinds, friction, given):
-    """What the walls leave of the velocities of a node block (64, 4) whose first node is `low`.
-    given: given.Given, which is told what they give to it, or None."""
+def constrain(nodes, first, low, cells, kinds, friction, given):
+    """What the walls leave of the velocities of a node block, nodes[first:first + 256], whose first
+    node is `low`. given: given.Given, which is told what they give to it, or None."""
     for a in range(3):
         stride = 16 if a == 0 else (4 if a == 1 else 1)
         one, two = (4, 1) if a == 0 else ((16, 1) if a == 1 else (16, 4))
@@ -185,41 +185,43 @@ def constrain(nodes, low, cells, kinds, friction, given):
                     continue
                 for q in each(16):
                     at = plane * stride + q // 4 * one + q % 4 * two
-                    v = nodes[at]
-                    before = v[0], v[1], v[2]
+                    v = first + 4 * at
+                    before = nodes[v], nodes[v + 1], nodes[v + 2]
                     if kind == STICK:
-                        v[0] = v[1] = v[2] = 0
+                        nodes[v] = nodes[v + 1] = nodes[v + 2] = 0
                     elif kind == SLIP:
-                        v[a] = 0
+                        nodes[v + a] = 0
                     else:
-                        push = -v[a] if side == 0 else v[a]
+                        push = -nodes[v + a] if side == 0 else nodes[v + a]
                         if push > 0:
-                            v[a] = 0
-                            slow(v, friction[a, side] * push)
-                    stopped(given, a, side, side * cells[a], at, low, before, v)
+                            nodes[v + a] = 0
+                            slow(nodes, v, friction[a, side] * push)
+                    after = nodes[v], nodes[v + 1], nodes[v + 2], nodes[v + 3]
+                    stopped(given, a, side, side * cells[a], at, low, before, after)
                 meet()
 
 
 @inline
-def slow(v, most):
-    """Reduce the length of v (3,) by at most `most`: Coulomb friction on what is left after the
-    normal part.
+def slow(nodes, at, most):
+    """Reduce the length of a velocity, nodes[at:at + 3], by at most `most`: Coulomb friction on
+    what is left after the normal part.
     """
-    size = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    x, y, z = nodes[at], nodes[at + 1], nodes[at + 2]
+    size = np.sqrt(x * x + y * y + z * z)
     if size > most:
         keep = (size - most) / size
     else:
         keep = 0.0 * most
     for c in range(3):
-        v[c] *= keep
+        nodes[at + c] *= keep
 
 
 @inline
-def tangential(offset, i, j, k, cells, kinds):
-    """Drop the normal part of a volume offset (4,) at the nodes of a mirroring wall, where its
-    mirror cancels it.
+def tangential(offsets, at, i, j, k, cells, kinds):
+    """Drop the normal part of a volume offset, offsets[at:at + 4], at the nodes of a mirroring
+    wall, where its mirror cancels it.
     """
     for a in range(3):
         node = i if a == 0 else (j if a == 1 else k)
         if (node == 0 and kinds[a, 0] < SEPARATE) or (node == cells[a] and kinds[a, 1] < SEPARATE):
-            offset[a] = 0
+            offsets[at + a] = 0

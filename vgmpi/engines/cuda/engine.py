@@ -18,7 +18,7 @@ from ..cpu import Cpu
 from ..work import GroupWork, gathers
 from . import nodes, transfer
 from .launch import Launcher
-from .memory import CardGroup, CardLayer, Copies, card_room, to_card
+from .memory import CardGroup, CardLayer, Copies, card_room, flattened, to_card
 from .nodes import NODES
 from .numbers import constants, polynomials
 from .particle import PARTICLE
@@ -51,6 +51,7 @@ class Cuda(Cpu):
         common = constants(plan.real) | polynomials(plan.real) | {
             "WORDS": self.words, "PHASES": phases, "SPLINES": bool(plan.splines),
             "PAIRS": phases * (phases + 1) // 2 + 3 * phases,
+            "TOUCHES": phases > 1 or solids is not None or bool(plan.planes),
             "PITCH": 16 if plan.splines else 17, "BESIDE": patches * transfer.PATCH + 16,
         }  # fmt: skip
         # the simulator knows no half warps: there a team is a block
@@ -70,7 +71,7 @@ class Cuda(Cpu):
 
     def _reset(self, layer: CardLayer) -> None:
         self._half(
-            NODES, nodes.reset, len(layer.phase), layer.sums.reshape(layer.sums.size),
+            NODES, nodes.reset, len(layer.phase), layer.tables.sums,
             layer.of_rest, layer.of_phase,
         )  # fmt: skip
 
@@ -140,7 +141,7 @@ class Cuda(Cpu):
         ghosts = self._ghosts(part, 0, one.layer)
         self._half(
             PARTICLE, transfer.fill, len(rows), rows, one.kind, group.plan.law, work.segments,
-            group.on_card(), layer.sums.reshape(layer.sums.size), layer.of_rest, group.plan.phase,
+            group.on_card(), layer.tables.sums, layer.of_rest, group.plan.phase,
             self.peaks, self.real(self.dt), hasattr(one.kind, "splines"), self.copies.of(ghosts),
         )  # fmt: skip
 
@@ -151,7 +152,7 @@ class Cuda(Cpu):
         self._half(
             NODES, nodes.pack, len(part.blocks), numbers, tails,
             *self.copies.of((part.blocks, part.masks)), self._first(part),
-            layer.sums.reshape(layer.sums.size),
+            layer.tables.sums,
         )  # fmt: skip
         numbers.copy_to_host(part.numbers)
         tails.copy_to_host(part.tails)
@@ -167,7 +168,7 @@ class Cuda(Cpu):
         self._half(
             NODES, nodes.unpack, len(part.blocks), *self.copies.new((part.numbers, part.tails)),
             *self.copies.of((part.blocks, part.masks)), self._first(part),
-            layer.sums.reshape(layer.sums.size), layer.of_rest, self.on_card.phase,
+            layer.tables.sums, layer.of_rest, self.on_card.phase,
         )  # fmt: skip
 
     def update(self, border: bool) -> None:
@@ -203,7 +204,7 @@ class Cuda(Cpu):
 
     def _beside(self) -> dict:
         """What is gathered beside velocity, as the card has it."""
-        return {name: self.copies.of(values) for name, values in self.beside.items()}
+        return {name: flattened(self.copies.of(one)) for name, one in self.beside.items()}
 
     def _rigid(self) -> grid.Rigid:
         """Colliders and what is driven, as they are now."""
@@ -234,7 +235,7 @@ class Cuda(Cpu):
                 turned = np.array([plan.channels.first(name) for name in TURNED])
                 self.wholes.launch(
                     count, PARTICLE, transfer.carried, work.all, work.segments, copy(group.block),
-                    group.on_card(writes=True), plan.phase, self.copies.new(self.driven.ways),
+                    group.on_card(True, flat=False), plan.phase, self.copies.new(self.driven.ways),
                     copy(turned), self.plan.dx, self.dt, motion, self.most, self.worst,
                 )  # fmt: skip
             return
@@ -242,13 +243,13 @@ class Cuda(Cpu):
         for k in range(plan.coefficients):
             self.wholes.launch(
                 count, PARTICLE, transfer.take, work.all, first + 3 * k, work.segments,
-                group.on_card(writes=True), self.layers[hue(k)].nodes,
+                group.on_card(writes=True), self.layers[hue(k)].tables.nodes,
             )  # fmt: skip
         beside = gathers(self.plan, plan, self._beside(), self.dt)
         ghosts = copy(self._ghosts(part, 0))
         self.wholes.launch(
             count, PARTICLE, transfer.g2p, work.all, group.plan.law, work.segments,
-            group.on_card(writes=True), self.layers["momentum"].nodes, beside, part.numbers,
+            group.on_card(writes=True), self.layers["momentum"].tables.nodes, beside, part.numbers,
             g2p.Motion(*map(real, motion)), self.found, self.worst, ghosts,
         )  # fmt: skip
         if plan.followed:
@@ -280,8 +281,8 @@ class Cuda(Cpu):
             if not part.group.plan.driven:
                 self.wholes.launch(
                     len(work.all), PARTICLE, transfer.give_back, work.all, self.real(times),
-                    work.segments, part.group.on_card(writes=True), self.layers["momentum"].nodes,
-                    self.real(self.plan.dx), self.copies.of(self._ghosts(part, 0)),
+                    work.segments, part.group.on_card(writes=True),
+                    self.layers["momentum"].tables.nodes, self.real(self.plan.dx), self.copies.of(self._ghosts(part, 0)),
                 )  # fmt: skip
         return self._found_beyond()
 

@@ -16,6 +16,11 @@ def to_card(array: np.ndarray):
     return cuda.to_device(np.ascontiguousarray(array))
 
 
+def flattened(array):
+    """An array of the card's as a row of numbers."""
+    return array.reshape(array.size)
+
+
 class Copies:
     """Copies of the host's arrays, made when they are first asked for."""
 
@@ -66,15 +71,17 @@ class CardGroup(Group):
         self._newest: dict[str, str] = {}
         super().__init__(plan, lattice, real)
 
-    def on_card(self, writes: bool = False) -> Particles:
-        """The card's arrays; writes: they are about to be changed there."""
+    def on_card(self, writes: bool = False, flat: bool = True) -> Particles:
+        """The card's arrays; writes: they are about to be changed there; flat: one channel behind
+        the other."""
         for name in ROWS:
             if self._newest[name] == "host":
                 self._card[name] = to_card(self._host[name])
                 self._newest[name] = "both"
         if writes:
             self._newest["xi"] = self._newest["f"] = "card"
-        return Particles(*(self._card[name] for name in ROWS))
+        found = [self._card[name] for name in ROWS]
+        return Particles(*(flattened(one) for one in found) if flat else found)
 
     def _get(self, name: str) -> np.ndarray:
         if self._newest[name] == "card":
@@ -114,7 +121,9 @@ class CardLayer(Layer):
         if not np.array_equal(full, self.sized):
             self.sized, self.rest = full, sums.rests(full, self.real)
             self.of_rest = to_card(self.rest)
-            self.tables = Sums(self.sums, self.of_rest, self.of_asked, self.nodes)
+            of = map(flattened, (self.sums, self.of_rest, self.nodes))
+            flat_sums, flat_rest, flat_nodes = of
+            self.tables = Sums(flat_sums, flat_rest, self.of_asked, flat_nodes)
             self.reset(self)
 
 

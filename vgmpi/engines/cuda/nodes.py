@@ -16,7 +16,7 @@ from ...kernels.sums import take_up
 from ...kernels.touch import Room
 from ...lanes import lanes, nodes, rows, wide
 from .numbers import PLAIN
-from .particle import TEAMWORK
+from .particle import TEAMWORK, VIEWS
 from .program import SIMULATED, Mode
 from .team import each, meet, number, rank
 
@@ -103,6 +103,10 @@ def largest(value):
     return max(max(a, b), max(c, d))
 
 
+def words_of(example):
+    return WORDS
+
+
 def settled(nb, blocks, layer, report, which):
     """sums.take_up: there are no copies on a card."""
     if layer.asked[nb] != 0:
@@ -127,9 +131,10 @@ NODES = Mode(
         lanes.load: load, lanes.store: store, lanes.place: place, rows.spread: spread,
         rows.repeat: repeat, rows.largest: largest, nodes.fourth_of: fourth_of,
         nodes.with_fourth: with_fourth, nodes.squared: squared, nodes.velocity: velocity,
-        take_up: settled,
+        take_up: settled, wide.words_of: words_of,
     },
     {},
+    VIEWS,
 )  # fmt: skip
 
 

@@ -136,8 +136,27 @@ def gather(patch, grid, blocks, box):
     for q in team.each(PATCH):
         i, j, n = (q >> 8) + 3, ((q >> 5) & 7) + 3, ((q >> 2) & 7) + 3
         nb = blocks[(i >> 2) * 9 + (j >> 2) * 3 + (n >> 2)]
-        patch[q] = grid[nb, (i & 3) * 64 + (j & 3) * 16 + (n & 3) * 4 + (q & 3)]
+        patch[q] = grid[256 * nb + (i & 3) * 64 + (j & 3) * 16 + (n & 3) * 4 + (q & 3)]
     team.meet()
+
+
+def node_of(patch, a, plane, i, j):
+    """The node (i, j) of a plane across axis a, of a flat patch."""
+    if a == 0:
+        return patch[256 * plane + 32 * i + 4 * j : 256 * plane + 32 * i + 4 * j + 4]
+    if a == 1:
+        return patch[256 * i + 32 * plane + 4 * j : 256 * i + 32 * plane + 4 * j + 4]
+    return patch[256 * i + 32 * j + 4 * plane : 256 * i + 32 * j + 4 * plane + 4]
+
+
+def nodes_of(patch):
+    """A patch by nodes: here it stays flat (`node_of`)."""
+    return patch
+
+
+def flat(array):
+    """Arrays of a card are."""
+    return array
 
 
 def patch_of(real, k):
@@ -169,8 +188,9 @@ def went(report, far, speed, squared):
 
 TEAMWORK = {
     lanes_team.each: team.each, lanes_team.meet: team.meet, lanes_team.count_up: team.count_up,
+    lanes_team.flat: flat,
 }  # fmt: skip
-VIEWS = frozenset({patch_of, walls._node.py_func})
+VIEWS = frozenset({patch_of, node_of, nodes_of, flat})
 PARTICLE = Mode(
     "particle",
     PLAIN | TEAMWORK | {
@@ -182,6 +202,7 @@ PARTICLE = Mode(
         parts.slope_middle: middle, parts.slope_change: change,
         rowsums.moments: _gathers("moments"), rowsums.slopes: _gathers("slopes"),
         rowsums.values: _gathers("values"), patches.gather: gather, records.patch_of: patch_of,
+        walls._node: node_of, patches.nodes_of: nodes_of,
         g2p.note: note, g2p.tell: tell, driven.went: went,
     },
     # a thread's own batch is one particle

@@ -153,6 +153,10 @@ class _Change(ast.NodeTransformer):
         if isinstance(node, ast.Attribute):
             owner = self._tree(node.value)
             return dict(owner[1]).get(node.attr) if isinstance(owner, tuple) else None
+        if isinstance(node, ast.IfExp):
+            test = self.visit(copy.deepcopy(node.test))
+            known = isinstance(test, ast.Constant)
+            return self._tree(node.body if test.value else node.orelse) if known else None
         if isinstance(node, ast.Call):
             called = self._value(node.func)
             if hasattr(called, "like"):

@@ -19,7 +19,7 @@ from ...kernels.gradient import turn
 from ...kernels.layers.base import OFFSET, UNSEEN, contribute
 from ...kernels.records import PATCH, weigh
 from ...kernels.rowsums import moments, slopes, values
-from ...kernels.walls import SIDE, fold, reflect
+from ...kernels.walls import fold, reflect
 from .nodes import own_ghosts
 from .particle import gather
 from .program import SIMULATED
@@ -56,10 +56,9 @@ def fill(rows, kind, law, segments, particles, sums, rest, phase, peaks, dt, alo
         cuda.atomic.max(peaks, 0, peak)
         meet()
         if kind.mirror != UNSEEN:
-            nodes = patch[:PATCH].reshape((SIDE, SIDE, SIDE, 4))
             now, at = cuda.local.array(3, np.int64), cuda.local.array(6, np.float64)
             mine = own_ghosts(ghosts, now, at)
-            fold(nodes, segments.mirror[s], kind.mirror == OFFSET, mine, s)
+            fold(patch, segments.mirror[s], kind.mirror == OFFSET, mine, s)
             meet()
         _push(patch, segments.into[s], sums, rest[phase])
 
@@ -67,8 +66,8 @@ def fill(rows, kind, law, segments, particles, sums, rest, phase, peaks, dt, alo
 def _sums(s, kind, law, segments, particles, patch, words, bases, dt, along):
     """What a segment's particles contribute, into its patch; returns the thread's peak (records.
     Scratch)."""
-    cap, lane = particles.f.shape[1], rank()
-    f, xi = particles.f.reshape(particles.f.size), particles.xi.reshape(particles.xi.size)
+    cap, lane = particles.ids.size, rank()
+    f, xi = particles.f, particles.xi
     extra = cuda.local.array(8, REAL)
     peak = cuda.local.array(1, REAL)
     peak[0] = 0
@@ -188,8 +187,7 @@ fused = _exact if SIMULATED else _fma
 def _begin(real, s, segments, velocity, ghosts):
     """A segment's patch of velocities, reflected at walls, into real."""
     gather(real, velocity, segments.table[s], 0)
-    nodes = real[:PATCH].reshape((SIDE, SIDE, SIDE, 4))
-    reflect(nodes, segments.mirror[s], ghosts, given.share_of(ghosts), s)
+    reflect(real, segments.mirror[s], ghosts, given.share_of(ghosts), s)
     meet()
 
 
@@ -200,13 +198,13 @@ def g2p(rows, law, segments, particles, velocity, beside, numbers, motion, maxim
     mine = own_ghosts(ghosts, now, at)
     real, s = cuda.shared.array(BESIDE, REAL), rows[number()]
     _begin(real, s, segments, velocity, mine)
-    complete(beside, real[:PATCH].reshape((SIDE, SIDE, SIDE, 4)), segments.mirror[s])
+    complete(beside, real, segments.mirror[s])
     split = segments.split[s]
     if split:
         fetch(beside, segments.table[s], 0, segments.mirror[s], real, mine, s)
     meet()
-    cap = particles.f.shape[1]
-    f, xi = particles.f.reshape(particles.f.size), particles.xi.reshape(particles.xi.size)
+    cap = particles.ids.size
+    f, xi = particles.f, particles.xi
     cloud = Cloud(f, xi, particles.ids, cap)
     weights = cuda.local.array(16, REAL)
     record = cuda.local.array(16, REAL)
@@ -256,8 +254,8 @@ def give_back(rows, times, segments, particles, velocity, dx, ghosts):
     mine = own_ghosts(ghosts, now, at)
     real, s = cuda.shared.array(BESIDE, REAL), rows[number()]
     _begin(real, s, segments, velocity, mine)
-    cap = particles.f.shape[1]
-    f, xi = particles.f.reshape(particles.f.size), particles.xi.reshape(particles.xi.size)
+    cap = particles.ids.size
+    f, xi = particles.f, particles.xi
     weights = cuda.local.array(16, REAL)
     record = cuda.local.array(16, REAL)
     base = cuda.local.array(1, np.int32)
@@ -273,8 +271,8 @@ def take(rows, channel, segments, particles, nodes):
     real = cuda.shared.array(BESIDE, REAL)
     s = rows[number()]
     gather(real, nodes, segments.table[s], 0)
-    cap = particles.f.shape[1]
-    f, xi = particles.f.reshape(particles.f.size), particles.xi.reshape(particles.xi.size)
+    cap = particles.ids.size
+    f, xi = particles.f, particles.xi
     weights = cuda.local.array(16, REAL)
     record = cuda.local.array(16, REAL)
     base = cuda.local.array(1, np.int32)
@@ -288,8 +286,7 @@ def take(rows, channel, segments, particles, nodes):
 
 def follow(rows, segments, particles, first, dt):
     """Deformations that laws do not know: kernels/gradient.py."""
-    s, cap = rows[number()], particles.f.shape[1]
-    f = particles.f.reshape(particles.f.size)
+    s, cap, f = rows[number()], particles.ids.size, particles.f
     for n in each(segments.count[s]):
         turn(f, segments.start[s] + n, cap, first, dt)
 
