@@ -10,7 +10,7 @@ from . import balance, sorting
 from .blocks import Lattice
 from .census import Census, census
 from .ranks import Alone
-from .state import LANES, Group
+from .state import Group
 
 _NEAR = (-1, 0, 1)
 
@@ -65,9 +65,7 @@ def arrive(group: Group, block: np.ndarray, xi: np.ndarray, f: np.ndarray, ids: 
 
 def _tag(group: Group) -> tuple[np.ndarray, Aim]:
     """Where each particle of a group goes: tags (see sorting.tag), and the blocks."""
-    tags = np.empty(group.f.shape[1], np.int32)
-    number = np.zeros((len(group.start), 27), np.int64)
-    sorting.tag(group.start, group.count, group.xi, group.bits, tags, number)
+    tags, number = group.tag()
     return tags, aimed(group.lattice, group.code, number)
 
 
@@ -99,24 +97,15 @@ def _settle(group: Group, ranks: Alone, codes, cut, tags: np.ndarray, aim: Aim) 
     place = np.full(len(aim.code) + 1, -1)
     place[:-1][mine] = by_code[np.searchsorted(codes[by_code], aim.code[mine])]
     place = place[aim.block]
-    number = np.zeros(sorting.CELLS * len(codes), np.int64)
-    start, count, left = group.start, group.count, 0
+    came, left = 0, 0
     if ranks.size > 1:
         left = int(aim.particles[~mine].sum())
-        gone, block = np.empty(left, np.int64), np.empty(left, np.int64)
-        cell = np.empty(left, np.int64)
-        sorting.leaving(start, count, tags, place, aim.block, gone, block, cell)
-    sorting.aim(start, count, tags, place, number)
+        gone, block, cell = group.leaving(tags, place, aim.block, left)
+    number = group.aim(tags, place, len(codes))
     if ranks.size > 1:
-        came = _swap(group, ranks, gone, owner[block], aim.code[block], cell)
-        tags = _receive(group, tags, came, codes, by_code, number)
-        start, count = np.append(start, group.used), np.append(count, len(came))
-    new_start = np.empty(len(codes), np.int64)
-    size = number.reshape(-1, sorting.CELLS).sum(1)
-    source = np.empty(int(size.sum()) + LANES * len(size), np.uint32)
-    end = sorting.arrange(start, count, tags, group.ids, number, LANES, new_start, source)
-    group.permute(new_start, size, source, end)
-    group.segments(codes, new_start, size)
+        found = _swap(group, ranks, gone, owner[block], aim.code[block], cell)
+        tags, came = _receive(group, tags, found, codes, by_code, number), len(found)
+    group.arrange(tags, number, came, codes)
     return left
 
 
@@ -130,12 +119,9 @@ def _receive(group: Group, tags, came, codes, by_code, number) -> np.ndarray:
     at = np.searchsorted(codes[by_code], came[:, 0])
     if len(codes) == 0 or (codes[by_code[np.minimum(at, len(codes) - 1)]] != came[:, 0]).any():
         raise RuntimeError("particles came for a block of another rank")
-    if group.f.shape[1] > len(tags):
-        tags = np.pad(tags, (0, group.f.shape[1] - len(tags)))
     to = by_code[at] * sorting.CELLS + came[:, 1]
-    tags[group.used : group.used + len(came)] = to
     number += np.bincount(to, minlength=len(number))
-    return tags
+    return group.tagged(tags, to)
 
 
 def _swap(group: Group, ranks: Alone, gone, to, code, cell) -> np.ndarray:
@@ -143,16 +129,11 @@ def _swap(group: Group, ranks: Alone, gone, to, code, cell) -> np.ndarray:
     code and cell (n, 2) of what came.
     """
     whole = group.xi.dtype  # all travels as whole numbers of the particles' own size
-    where = np.stack([group.ids[gone], code, cell], 1).view(whole)
+    where = np.stack([group.ids_at(gone), code, cell], 1).view(whole)
     packed = np.empty((len(gone), 3 + group.channels + where.shape[1]), whole)
-    sorting.pick_up(gone, group.xi, packed, 0)
-    sorting.pick_up(gone, group.f.view(whole), packed, 3)
+    group.pick_up(gone, packed)
     packed[:, 3 + group.channels :] = where
     got = ranks.deliver(packed, to)
-    n, first = len(got), group.used
-    group.reserve(first + n)
-    sorting.put_down(got, 0, group.xi, first)
-    sorting.put_down(got, 3, group.f.view(whole), first)
     where = np.ascontiguousarray(got[:, 3 + group.channels :]).view(np.int64)
-    group.ids[first : first + n] = where[:, 0]
+    group.put_down(got, where[:, 0])
     return where[:, 1:]

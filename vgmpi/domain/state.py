@@ -4,6 +4,7 @@ import numpy as np
 
 from ..device.memory import aligned
 from ..planning.groups import GroupPlan
+from . import sorting
 from .blocks import BITS, INTEGER, Lattice
 from .sorting import gather_rows
 
@@ -55,6 +56,64 @@ class Group:
             setattr(self, name, new)
         self.ids[have:] = -1
         self.spare = np.empty(cap, np.int64)  # one channel while it is sorted
+
+    # ---- a sort (migrate.py) ------------------------------------------------------------------
+
+    def tag(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where each particle goes: tags (see sorting.tag), and particles by block around each
+        segment's, (segments, 27)."""
+        tags = np.empty(self.f.shape[1], np.int32)
+        number = np.zeros((len(self.start), 27), np.int64)
+        sorting.tag(self.start, self.count, self.xi, self.bits, tags, number)
+        return tags, number
+
+    def leaving(self, tags, place, block, left: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The `left` particles that leave this rank: their places, where they go and their cells,
+        see sorting.leaving."""
+        gone, to, cell = (np.empty(left, np.int64) for _ in range(3))
+        sorting.leaving(self.start, self.count, tags, place, block, gone, to, cell)
+        return gone, to, cell
+
+    def aim(self, tags, place: np.ndarray, segments: int) -> np.ndarray:
+        """Tags to targets, see sorting.aim; returns how many particles there are of each:
+        (64 segments,)."""
+        number = np.zeros(sorting.CELLS * segments, np.int64)
+        sorting.aim(self.start, self.count, tags, place, number)
+        return number
+
+    def ids_at(self, at: np.ndarray) -> np.ndarray:
+        """Ids of the particles at `at` (n,)."""
+        return self.ids[at]
+
+    def pick_up(self, gone: np.ndarray, packed: np.ndarray) -> None:
+        """Particles at `gone` into rows of packed, (n, 3 + channels and more)."""
+        sorting.pick_up(gone, self.xi, packed, 0)
+        sorting.pick_up(gone, self.f.view(self.xi.dtype), packed, 3)
+
+    def put_down(self, packed: np.ndarray, ids: np.ndarray) -> None:
+        """Particles that came stand behind the others."""
+        first = self.used
+        self.reserve(first + len(packed))
+        sorting.put_down(packed, 0, self.xi, first)
+        sorting.put_down(packed, 3, self.f.view(self.xi.dtype), first)
+        self.ids[first : first + len(packed)] = ids
+
+    def tagged(self, tags, to: np.ndarray):
+        """Tags with the targets of those that came."""
+        if self.f.shape[1] > len(tags):
+            tags = np.pad(tags, (0, self.f.shape[1] - len(tags)))
+        tags[self.used : self.used + len(to)] = to
+        return tags
+
+    def arrange(self, tags, number: np.ndarray, came: int, codes: np.ndarray) -> None:
+        """Bring the particles, and those that came, into the segments of blocks `codes`."""
+        start, count = np.append(self.start, self.used), np.append(self.count, came)
+        new_start = np.empty(len(codes), np.int64)
+        size = number.reshape(-1, sorting.CELLS).sum(1)
+        source = np.empty(int(size.sum()) + LANES * len(size), np.uint32)
+        end = sorting.arrange(start, count, tags, self.ids, number, LANES, new_start, source)
+        self.permute(new_start, size, source, end)
+        self.segments(codes, new_start, size)
 
     def permute(self, start: np.ndarray, count: np.ndarray, source: np.ndarray, end: int) -> None:
         """Bring the particles into new segments: the one at `new` is the one that was at

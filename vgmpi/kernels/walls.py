@@ -120,7 +120,8 @@ def reflect(patch, mirror, ghosts, share, s):
                         # a wall that only pushes: interpolated at the wall the flow must not
                         # enter it
                         before = ghost[c]
-                        ghost[c] = step * max(step * ghost[c], -step * inner[c])
+                        most = max(ghost[c], -inner[c])
+                        ghost[c] = most if side == 0 else min(ghost[c], -inner[c])
                         more = ghost[c] - before
                         x, y, z = _along(a, more)
                         mirrored(ghosts, share, s, a, side, wall, i, j, x, y, z)

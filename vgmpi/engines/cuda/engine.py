@@ -4,27 +4,28 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import cuda
 
+from ...device.limits import FARTHEST, STRETCH
 from ...domain.blocks import BITS
 from ...domain.driven import TURNED
 from ...domain.halo import Part
 from ...domain.topology import Topology, hue
-from ...device.limits import FARTHEST, STRETCH
 from ...kernels import g2p, grid, sums
 from ...kernels.tables import Segments, Step
 from ..base import DITHER, Beyond, Report
 from ..cpu import Cpu
 from ..work import GroupWork, gathers
 from . import nodes, transfer
+from .group import CardGroup
 from .launch import Launcher
-from .memory import CardGroup, CardLayer, Copies, card_room, flattened, to_card
+from .memory import CardLayer, Copies, card_room, flattened, to_card
 from .nodes import NODES
 from .numbers import constants, polynomials
 from .particle import PARTICLE
 from .program import SIMULATED, Program
 
 HALF = 16  # threads of a team that stands for a vector
+MOVED = ("xi", "f")
 FINE = (1 << 62) - 1  # no particle is wrong, no sum beyond its range
 
 
@@ -39,7 +40,7 @@ class Work(NamedTuple):
 class Cuda(Cpu):
     """One rank's particles and nodes on a card. See engines/base.py."""
 
-    GROUP, LAYER = CardGroup, CardLayer
+    GROUP, LAYER, LAUNCHER = CardGroup, CardLayer, Launcher
 
     def __init__(self, plan, lattice, solids, threads=1, driven=None):
         super().__init__(plan, lattice, solids, 1, driven)
@@ -57,17 +58,19 @@ class Cuda(Cpu):
         # the simulator knows no half warps: there a team is a block
         teams = 1 if SIMULATED else 2
         half = common | {"TEAM": HALF, "TEAMS": teams}
-        self.halves = Launcher(Program(plan.real, half), HALF * teams)
+        self.halves = self.LAUNCHER(Program(plan.real, half), HALF * teams)
         self.teams = teams
         threads = HALF if SIMULATED else 128
         whole = common | {"TEAM": threads, "TEAMS": 1}
-        self.wholes = Launcher(Program(plan.real, whole), threads)
-        self.found = cuda.to_device(np.zeros(6, self.real))
-        self.most, self.worst = cuda.to_device(np.zeros(6)), cuda.to_device(np.full(1, FINE))
-        self.peaks = cuda.to_device(np.zeros(1, self.real))
-        self.past = cuda.to_device(np.full(len(self.layers), FINE))
+        self.wholes = self.LAUNCHER(Program(plan.real, whole), threads)
+        self.found = to_card(np.zeros(6, self.real))
+        self.most, self.worst = to_card(np.zeros(6)), to_card(np.full(1, FINE))
+        self.peaks = to_card(np.zeros(1, self.real))
+        self.past = to_card(np.full(len(self.layers), FINE))
         for layer in self.layers.values():
             layer.reset = self._reset
+        for group in self.groups:
+            group.launcher = self.wholes
 
     def _reset(self, layer: CardLayer) -> None:
         self._half(
@@ -235,7 +238,7 @@ class Cuda(Cpu):
                 turned = np.array([plan.channels.first(name) for name in TURNED])
                 self.wholes.launch(
                     count, PARTICLE, transfer.carried, work.all, work.segments, copy(group.block),
-                    group.on_card(True, flat=False), plan.phase, self.copies.new(self.driven.ways),
+                    group.on_card(MOVED, flat=False), plan.phase, self.copies.new(self.driven.ways),
                     copy(turned), self.plan.dx, self.dt, motion, self.most, self.worst,
                 )  # fmt: skip
             return
@@ -243,19 +246,19 @@ class Cuda(Cpu):
         for k in range(plan.coefficients):
             self.wholes.launch(
                 count, PARTICLE, transfer.take, work.all, first + 3 * k, work.segments,
-                group.on_card(writes=True), self.layers[hue(k)].tables.nodes,
+                group.on_card(MOVED), self.layers[hue(k)].tables.nodes,
             )  # fmt: skip
         beside = gathers(self.plan, plan, self._beside(), self.dt)
         ghosts = copy(self._ghosts(part, 0))
         self.wholes.launch(
             count, PARTICLE, transfer.g2p, work.all, group.plan.law, work.segments,
-            group.on_card(writes=True), self.layers["momentum"].tables.nodes, beside, part.numbers,
+            group.on_card(MOVED), self.layers["momentum"].tables.nodes, beside, part.numbers,
             g2p.Motion(*map(real, motion)), self.found, self.worst, ghosts,
         )  # fmt: skip
         if plan.followed:
             self.wholes.launch(
                 count, PARTICLE, transfer.follow, work.all, work.segments,
-                group.on_card(writes=True), plan.channels.first("F"), motion.dt,
+                group.on_card(MOVED), plan.channels.first("F"), motion.dt,
             )  # fmt: skip
 
     def _report(self) -> Report:
@@ -281,8 +284,9 @@ class Cuda(Cpu):
             if not part.group.plan.driven:
                 self.wholes.launch(
                     len(work.all), PARTICLE, transfer.give_back, work.all, self.real(times),
-                    work.segments, part.group.on_card(writes=True),
-                    self.layers["momentum"].tables.nodes, self.real(self.plan.dx), self.copies.of(self._ghosts(part, 0)),
+                    work.segments, part.group.on_card(MOVED),
+                    self.layers["momentum"].tables.nodes, self.real(self.plan.dx),
+                    self.copies.of(self._ghosts(part, 0)),
                 )  # fmt: skip
         return self._found_beyond()
 

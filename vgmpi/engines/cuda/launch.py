@@ -50,7 +50,9 @@ class Launcher:
         name = f"kernel_{called}"
         text = f"def {name}({', '.join(taken)}):\n    {called}({given})\n"
         exec(compile(text, f"<{name}>", "exec"), self.program.space)
-        return cuda.jit(self.program.space[name], **options())
+        made = self.program.space[name]
+        # no optimisation at link time either: it would contract
+        return cuda.jit(made) if SIMULATED else cuda.jit(lto=False)(made)
 
     def _put_together(self, one: Any, taken: list[str], inside: bool = False) -> str:
         """The text that makes an argument of what is taken: numbers that are part of a tuple and
@@ -69,10 +71,20 @@ class Launcher:
         return taken[-1]
 
 
-def options() -> dict:
-    """What kernels are compiled with: a product and a sum stay two instructions (program.py has no
-    fused ones), as on a processor with VGMPI_CONTRACTION=off."""
-    return {} if SIMULATED else {"fastmath": False}
+def without_contraction() -> None:
+    """From now on a product and a sum stay two instructions, as on a processor with
+    VGMPI_CONTRACTION=off. numba has no such option: the one of NVVM is added to those it gives."""
+    usual = nvvm.compile_ir
+    if not hasattr(usual, "plain"):
+        compiled = lambda ir, **options: usual(ir, **options, fma=0)  # noqa: E731
+        compiled.plain = True
+        nvvm.compile_ir = compiled
+
+
+if not SIMULATED:
+    from numba.cuda.cudadrv import nvvm
+
+    without_contraction()
 
 
 def form_of(one: Any) -> Any:
@@ -93,7 +105,7 @@ def _form(one: Any) -> Any:
         return None
     if hasattr(one, "dtype") and hasattr(one, "ndim") and one.ndim:
         return np.dtype(one.dtype).str, one.ndim
-    return type(one)
+    return float if isinstance(one, np.float64) else type(one)
 
 
 def numbers_of(arguments: Any) -> list:
@@ -103,6 +115,6 @@ def numbers_of(arguments: Any) -> list:
         if isinstance(one, tuple):
             inner = [p for p in one if not isinstance(p, bool | int) or isinstance(p, np.generic)]
             found += numbers_of(inner)
-        elif one is not None:
-            found.append(one)
+        elif one is not None:  # a plain number is a double also for the simulator
+            found.append(np.float64(one) if type(one) is float else one)
     return found

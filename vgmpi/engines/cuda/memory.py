@@ -1,19 +1,24 @@
-"""What lies in a card's memory: particles, layers, and copies of the host's tables."""
+"""What lies in a card's memory beside particles: layers, and copies of the host's tables."""
 
 import numpy as np
 from numba import cuda
 
-from ...domain.state import Group
 from ...kernels import sums
-from ...kernels.tables import Particles, Sums
+from ...kernels.tables import Sums
 from ..layers import Layer
 
-ROWS = ("xi", "f", "ids")  # of a group
+# where arrays are made; without a card kernels can be compiled for arrays of the host's
+WHERE = [cuda]
 
 
 def to_card(array: np.ndarray):
     """A copy of an array in the card's memory."""
-    return cuda.to_device(np.ascontiguousarray(array))
+    return WHERE[0].to_device(np.ascontiguousarray(array))
+
+
+def new(shape, kind):
+    """An array in the card's memory, of any values."""
+    return WHERE[0].device_array(shape, kind)
 
 
 def flattened(array):
@@ -58,45 +63,6 @@ def like(one: tuple, go) -> tuple:
     return type(one)(*parts) if hasattr(one, "_fields") else tuple(parts)
 
 
-class CardGroup(Group):
-    """Particles that are where they were changed last: in the card's memory or the host's.
-
-    Whoever reads or writes xi, f or ids gets the host's arrays, and the card takes them from there
-    when it needs them again; a step reads and writes the card's alone.
-    """
-
-    def __init__(self, plan, lattice, real):
-        self._host: dict[str, np.ndarray] = {}
-        self._card: dict = {}
-        self._newest: dict[str, str] = {}
-        super().__init__(plan, lattice, real)
-
-    def on_card(self, writes: bool = False, flat: bool = True) -> Particles:
-        """The card's arrays; writes: they are about to be changed there; flat: one channel behind
-        the other."""
-        for name in ROWS:
-            if self._newest[name] == "host":
-                self._card[name] = to_card(self._host[name])
-                self._newest[name] = "both"
-        if writes:
-            self._newest["xi"] = self._newest["f"] = "card"
-        found = [self._card[name] for name in ROWS]
-        return Particles(*(flattened(one) for one in found) if flat else found)
-
-    def _get(self, name: str) -> np.ndarray:
-        if self._newest[name] == "card":
-            self._card[name].copy_to_host(self._host[name])
-        self._newest[name] = "host"
-        return self._host[name]
-
-    def _set(self, name: str, array: np.ndarray) -> None:
-        self._host[name], self._newest[name] = array, "host"
-
-    xi = property(lambda self: self._get("xi"), lambda self, array: self._set("xi", array))
-    f = property(lambda self: self._get("f"), lambda self, array: self._set("f", array))
-    ids = property(lambda self: self._get("ids"), lambda self, array: self._set("ids", array))
-
-
 class CardLayer(Layer):
     """Sums and values of a layer in the card's memory."""
 
@@ -132,4 +98,4 @@ def card_room(array, rows: int, shape: tuple, kind):
     much larger."""
     if not isinstance(array, np.ndarray) and rows <= array.shape[0] <= 2 * rows:
         return array
-    return cuda.device_array((rows + rows // 8, *shape), kind)
+    return new((rows + rows // 8, *shape), kind)

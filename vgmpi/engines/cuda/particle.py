@@ -9,7 +9,8 @@ from numba import cuda
 
 from ...kernels import driven, g2p, patches, records, rowsums, walls
 from ...kernels.layers import offsets
-from ...lanes import lanes, parts, rows, team as lanes_team
+from ...lanes import lanes, parts, rows
+from ...lanes import team as lanes_team
 from . import team
 from .numbers import PLAIN
 from .program import Mode
@@ -198,7 +199,8 @@ PARTICLE = Mode(
         rows.first_lanes: first_lanes, rows.largest: largest, rows.sound: sound, rows.only: only,
         rows.store_records: store_records, rows.load_records: load_records,
         rows.store_whole: store_whole, offsets._offsets: offsets_record,
-        parts.load: part_load, parts.store: store, parts.repeat: repeat, parts.nothing: nothing, parts.steps: steps, parts.stretch: part_load,
+        parts.load: part_load, parts.store: store, parts.repeat: repeat, parts.nothing: nothing,
+        parts.steps: steps, parts.stretch: part_load,
         parts.slope_middle: middle, parts.slope_change: change,
         rowsums.moments: _gathers("moments"), rowsums.slopes: _gathers("slopes"),
         rowsums.values: _gathers("values"), patches.gather: gather, records.patch_of: patch_of,

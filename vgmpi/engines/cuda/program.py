@@ -112,7 +112,9 @@ class Program:
 
 def on_card(function: Callable) -> Callable:
     """A function that kernels call. The simulator runs it as it is."""
-    return function if SIMULATED else cuda.jit(device=True, forceinline=True)(function)
+    if SIMULATED:
+        return function
+    return cuda.jit(device=True, forceinline=True, lto=False)(function)
 
 
 class _Change(ast.NodeTransformer):
