@@ -1,16 +1,18 @@
-"""numba's CUDA simulator with one thread at work at a time, in a chosen order: what two threads do
-to one number between two barriers then shows in every run, or in one of some orders.
+"""numba's CUDA simulator with the threads of a block in turns, from barrier to barrier, in a chosen
+order: what two threads do to one number between two barriers then shows in every run, or in one of
+some orders; and barriers that not all threads come to are found.
 
 Importing this switches the simulator on; it must be imported before numba.
 """
 
 import os
 import sys
-import threading
+from types import SimpleNamespace
 
 os.environ["NUMBA_ENABLE_CUDASIM"] = "1"
 
 import numpy as np  # noqa: E402
+from greenlet import greenlet  # noqa: E402
 from numba.cuda.simulator import kernel, kernelapi  # noqa: E402
 
 SEED: list[int | None] = [None]  # of the order of the threads; None: as they are numbered
@@ -20,74 +22,56 @@ class Divergence(AssertionError):
     """Threads of a block wait at different barriers."""
 
 
-class _Thread(kernel.BlockThread):
-    """A thread that runs when it is told to, until it waits or ends."""
+class _Thread:
+    """A thread of a card: what the simulator asks of one."""
 
-    def __init__(self, *arguments):
-        super().__init__(*arguments)
-        self.go, self.stopped = threading.Semaphore(0), threading.Semaphore(0)
-        self.ended, self.at = False, ()
-
-    def run(self):
-        self.go.acquire()
-        super().run()
-        self.ended = True
-        self.stopped.release()
+    def __init__(self, work, grid_point, block_point, block_dim):
+        self.blockIdx, self.threadIdx = kernel.Dim3(*grid_point), kernel.Dim3(*block_point)
+        x, y, z = block_point
+        self.thread_id = x + block_dim[0] * (y + block_dim[1] * z)
+        self.at = ()
+        self.line = greenlet(work)
 
     def syncthreads(self):
-        frame, self.at = sys._getframe(2), []
-        while frame is not None and frame.f_code.co_name != "target" and len(self.at) < 12:
-            self.at.append((frame.f_code.co_name, frame.f_lineno))
+        frame, at = sys._getframe(2), []
+        while frame is not None and len(at) < 8:
+            at.append((frame.f_code.co_name, frame.f_lineno))
             frame = frame.f_back
-        self.at = tuple(self.at)
-        self.stopped.release()
-        self.go.acquire()
-        if self.abort:
-            raise RuntimeError("another thread failed")
+        self.at = tuple(at)
+        self.line.parent.switch()
 
-    def step(self):
-        """Run to the next barrier."""
-        self.go.release()
-        self.stopped.acquire()
+
+_now: list[_Thread | None] = [None]
 
 
 class _Block(kernel.BlockManager):
     def run(self, grid_point, *args):
-        threads = []
+        live = []
         for block_point in np.ndindex(*self._block_dim):
-            one = _Thread(lambda: self._f(*args), self, grid_point, block_point, self._debug)
-            one.start()
-            threads.append(one)
-        live = list(threads)
+            live.append(
+                _Thread(lambda: self._f(*args), grid_point, block_point, self._block_dim)
+            )
         if SEED[0] is not None:
             np.random.default_rng([SEED[0], *grid_point]).shuffle(live)
         while live:
             for one in live:
-                one.step()
-                if one.exception:
-                    _abort(threads)
-                    raise one.exception[0].with_traceback(one.exception[1])
-            ended = [one for one in live if one.ended]
-            live = [one for one in live if not one.ended]
+                _now[0] = one
+                one.line.switch()
+            ended = sum(one.line.dead for one in live)
+            live = [one for one in live if not one.line.dead]
             places = {one.at for one in live}
             if len(places) > 1 or (live and ended):
-                _abort(threads)
-                raise Divergence(f"threads wait at {sorted(places)}, {len(ended)} have ended")
+                raise Divergence(f"threads wait at {sorted(places)}, {ended} have ended")
 
 
-def _abort(threads) -> None:
-    for one in threads:
-        one.abort = True
-        if not one.ended:
-            one.go.release()
+def _shared(self, shape, dtype, alignment=None):
+    """As the simulator's own, which reads the text of all callers to know the line it is on."""
+    caller = sys._getframe(1)
+    key = caller.f_code.co_filename, caller.f_lineno
+    if key not in self._allocations:
+        self._allocations[key] = np.empty(shape, dtype)
+    return self._allocations[key]
 
 
-_lock, _array = threading.Lock(), kernelapi.FakeCUDAShared.array
-
-
-def _one_at_a_time(self, *arguments, **options):
-    with _lock:
-        return _array(self, *arguments, **options)
-
-
-kernel.BlockManager = _Block
+kernel.BlockManager, kernelapi.FakeCUDAShared.array = _Block, _shared
+kernelapi.threading = SimpleNamespace(current_thread=lambda: _now[0])

@@ -104,9 +104,10 @@ def _add_flags_of_a_run(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--engine",
-        choices=("cpu", "numpy"),
+        choices=("cpu", "cuda", "numpy"),
         default="cpu",
-        help="what computes: compiled code, or plain numpy: slow, on one rank, for comparison",
+        help="what computes: this processor, a graphics card for each rank (docs/cuda.md), or plain"
+        " numpy: slow, on one rank, for comparison",
     )
     parser.add_argument(
         "--profile", action="store_true", help="say at the end what each rank did (profile.csv)"
@@ -222,8 +223,20 @@ def _command(given: argparse.Namespace, ranks: Alone) -> int:
         pace = calibrate.pace(scene.accuracy.precision, anew=given.calibrate)
         seen = rehearse(scene, plan, known) if given.rehearse else None
         print(describe(scene, plan, ranks.size, reached, pace, seen))
+        if given.engine == "cuda":
+            print(_card(ranks).told(plan, ranks.size))
     refusal = too_large(plan.bytes(), ranks)
     return _refuse([refusal], ranks) if refusal and not given.force else 0
+
+
+def _card(ranks: Alone):
+    """What knows of cards. Exits with code 2 where the extra for them is not installed."""
+    try:
+        from .engines.cuda import card
+    except ImportError as error:
+        said = f"--engine cuda needs `pip install 'vgmpi[cuda]'`: {error}"
+        raise SystemExit(_refuse([said], ranks)) from None
+    return card
 
 
 def _calibrate(ranks: Alone) -> int:
@@ -253,6 +266,8 @@ def _run(scene: Scene, folder: Path, given: argparse.Namespace, ranks: Alone) ->
     def approve(plan: Plan, reached: float, known: Known) -> None:
         nonlocal left
         refusal = too_large(plan.bytes(), ranks)
+        if given.engine == "cuda":
+            refusal = refusal or _card(ranks).too_large(plan, ranks)
         if refusal and not given.force:
             raise SceneError([refusal + "; --force runs it anyway"])
         if ranks.rank == 0 and not given.quiet:

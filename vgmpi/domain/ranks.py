@@ -20,6 +20,7 @@ class Alone:
     rank = 0
     size = 1
     here = 1  # ranks on this machine
+    place = 0  # which of them this is
     mpi = None
 
     def barrier(self) -> None:
@@ -133,7 +134,7 @@ class Mpi(Alone):
         self.size = self.mpi.Get_size()
         self._round = 1
         neighbours = self.mpi.Split_type(MPI.COMM_TYPE_SHARED)
-        self.here = neighbours.Get_size()
+        self.here, self.place = neighbours.Get_size(), neighbours.Get_rank()
         neighbours.Free()
 
     def barrier(self):

@@ -27,7 +27,7 @@ from .prepared import Known, keep, on_all, plan_for, prepare, share
 from .probes import Probes, files
 from .requests import Requests
 from .state import frame_rows, restore, save
-from .step import ENGINES, BlowUp, Simulation
+from .step import CARD, ENGINES, BlowUp, Simulation
 from .timestep import next_step
 from .warm import warm
 from .watch import ledger
@@ -59,8 +59,8 @@ class Unfit(ValueError):
 
 def check(options: Options, ranks: Alone) -> None:
     """Raises Unfit, before any work is done for a run that cannot be."""
-    if options.engine not in ENGINES:
-        raise Unfit(f"engine must be one of {', '.join(ENGINES)}; got {options.engine!r}")
+    if options.engine not in (*ENGINES, CARD):
+        raise Unfit(f"engine must be one of {', '.join((*ENGINES, CARD))}; got {options.engine!r}")
     if options.threads < 1:
         raise Unfit(f"threads must be at least 1; got {options.threads}")
     if options.engine == "numpy" and (ranks.size > 1 or options.threads > 1):
@@ -68,6 +68,24 @@ def check(options: Options, ranks: Alone) -> None:
             "engine numpy computes on one rank and one thread; asked for"
             f" {ranks.size} x {options.threads}"
         )
+    if options.engine == CARD:
+        _find_card(options, ranks)
+
+
+def _find_card(options: Options, ranks: Alone) -> None:
+    """Choose this rank's card. Raises Unfit, on all ranks, where one of them has none."""
+    said = f"engine cuda has no threads; asked for {options.threads}"
+    if options.threads == 1:
+        try:
+            from ..engines.cuda import card
+
+            said = card.choose(ranks.place)
+        except ImportError as error:
+            said = f"engine cuda needs `pip install 'vgmpi[cuda]'`: {error}"
+    missing = ranks.all_rows(np.array([[ranks.rank]] if said else np.zeros((0, 1)), np.int64))
+    if len(missing):
+        first = int(missing.min())
+        raise Unfit(ranks.bcast(said) or f"engine cuda finds no card on rank {first}")
 
 
 def begin(

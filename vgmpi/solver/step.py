@@ -36,7 +36,8 @@ REASONS = {
     g2p.LOST: "its velocity or stress is not a number",
 }
 BOUNDS = [0, 3, 4, 5]  # of a step's maxima over the ranks, those of enter.bounds
-ENGINES: dict[str, type[Engine]] = {"cpu": Cpu, "numpy": Numpy}
+ENGINES: dict[str, type[Engine]] = {"cpu": Cpu, "numpy": Numpy}  # those of every machine
+CARD = "cuda"  # asks for a card and the extra of that name, which is imported where it is named
 SUMMED = {
     "momentum": "mass or momentum",
     "offsets": "volume",
@@ -79,7 +80,9 @@ class Simulation:
         if colliders and self.movers is None:
             self.solids = Solids(list(colliders), self.lattice, plan.real, asked)
         self.driven = Driven(plan, len(colliders)) if plan.driven else None
-        self.engine: Engine = ENGINES[engine](plan, self.lattice, self.solids, threads, self.driven)
+        self.engine: Engine = engine_of(engine)(
+            plan, self.lattice, self.solids, threads, self.driven
+        )
         self.groups: list[Group] = self.engine.groups
         self.given = Given(plan, colliders, ranks) if plan.feels else None
         if self.given is not None:
@@ -379,6 +382,15 @@ class Simulation:
             f"phase '{self.plan.phases[phase].name}', near ({near}) m, {when}: the {what} at a node"
             " is beyond what a sum can hold"
         )
+
+
+def engine_of(name: str) -> type[Engine]:
+    """The engine of a name."""
+    if name == CARD:
+        from ..engines.cuda.engine import Cuda
+
+        return Cuda
+    return ENGINES[name]
 
 
 def _same_blocks(before: Census, after: Census) -> bool:

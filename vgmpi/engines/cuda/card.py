@@ -1,0 +1,51 @@
+"""The card of a rank: which it is, and whether a scene fits into its memory."""
+
+import numpy as np
+from numba import cuda
+
+from ...domain.ranks import Alone
+from ...planning.plan import Plan
+from ...room import gib
+from .program import SIMULATED
+
+
+def choose(place: int) -> str:
+    """Take the card of the `place`-th rank of this machine: they are dealt out in turn. Returns
+    what is wrong, in one line, or ""."""
+    if SIMULATED:
+        return ""
+    try:
+        count = len(cuda.gpus)
+        if count:
+            cuda.select_device(place % count)
+    except cuda.cudadrv.error.CudaSupportError as error:
+        said = " ".join(str(error).replace(":", " ").split())
+        return f"engine cuda finds no card: {said or 'no driver'}"
+    return "" if count else "engine cuda finds no card"
+
+
+def free() -> int | None:
+    """Bytes that are free on this rank's card; None where there is no card to ask."""
+    if SIMULATED:
+        return None
+    try:
+        return int(cuda.current_context().get_memory_info().free)
+    except cuda.cudadrv.error.CudaSupportError:
+        return None
+
+
+def told(plan: Plan, ranks: int) -> str:
+    """A line of --plan: what the arrays take that Plan.bytes counts, all of which a card holds."""
+    have = free()
+    there = "no card is here to ask" if have is None else f"{gib(have)} are free"
+    return f"card         {gib(plan.bytes() / ranks)} on the card of each rank; {there}"
+
+
+def too_large(plan: Plan, ranks: Alone) -> str:
+    """One line, on all ranks, if the share of one of them does not fit, else "". Collective."""
+    have = free()
+    least = -ranks.max(np.array([-np.inf if have is None else -float(have)]))[0]
+    needs = plan.bytes() / ranks.size
+    if needs <= 0.95 * least:
+        return ""
+    return f"needs about {gib(needs)} on the card of each rank, of which one has {gib(least)} free"
