@@ -48,9 +48,7 @@ class _Block(kernel.BlockManager):
     def run(self, grid_point, *args):
         live = []
         for block_point in np.ndindex(*self._block_dim):
-            live.append(
-                _Thread(lambda: self._f(*args), grid_point, block_point, self._block_dim)
-            )
+            live.append(_Thread(lambda: self._f(*args), grid_point, block_point, self._block_dim))
         if SEED[0] is not None:
             np.random.default_rng([SEED[0], *grid_point]).shuffle(live)
         while live:

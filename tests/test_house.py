@@ -73,6 +73,7 @@ OUTSIDE = {  # packages that only some files may use
         "vgmpi/splatting/",
         "vgmpi/bench/plain.py",
         "vgmpi/bench/spills.py",
+        "vgmpi/engines/cuda/",
         "postprocess/",
     ),
     "llvmlite": (
@@ -109,6 +110,7 @@ LINES_OF_A_FILE, LINES_OF_A_FUNCTION, ARGUMENTS, POSITIONS = 400, 60, 12, 8
 TENSORS = (
     "vgmpi/device/",
     "vgmpi/kernels/",
+    "vgmpi/engines/cuda/",
     "vgmpi/gaussians/evolve.py",
     "postprocess/shade.py",
 )

@@ -13,8 +13,8 @@ from tests.scenes import LAWS, scene
 from vgmpi import cli
 from vgmpi.prepare.build import build
 from vgmpi.prepare.motion import gradient
+from vgmpi.solver.engines import ENGINES
 from vgmpi.solver.prepared import known_of, plan_for
-from vgmpi.solver.step import ENGINES
 
 STEPS, SORT_AT = 6, 3
 HEAD = """

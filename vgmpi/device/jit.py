@@ -34,7 +34,9 @@ def cache_folder() -> pathlib.Path:
     for folder in _COMPILED:
         for path in sorted((_PACKAGE / folder).rglob("*.py")):
             seal.update(path.name.encode() + path.read_bytes())
-    seal.update(f"{CONTRACTS} {version('numba')} {platform.python_version()} {platform.machine()}".encode())
+    seal.update(
+        f"{CONTRACTS} {version('numba')} {platform.python_version()} {platform.machine()}".encode()
+    )
     return user_folder() / seal.hexdigest()[:16]
 
 

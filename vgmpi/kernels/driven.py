@@ -5,7 +5,7 @@ import numpy as np
 from ..device.jit import inline, kernel
 from ..device.tensor import moved_gradient_minus_one
 from ..lanes import laws as _laws  # noqa: F401  (makes the tensors' functions callable)
-from ..lanes.team import each
+from ..lanes.team import each, meet
 from .g2p import OUTSIDE, note
 from .records import AFFINE
 
@@ -14,6 +14,7 @@ from .records import AFFINE
 def prescribe(here, nodes, phase, ways, dx):
     """Velocities of what is driven at the nodes of a block, nodes (256 node blocks,). here:
     couple.Here; ways: domain.driven.Ways."""
+    meet()
     for nb in range(here.n0, here.n1 if len(ways.driven) > 0 else here.n0):
         p = phase[nb]
         if not ways.driven[p]:
@@ -26,6 +27,7 @@ def prescribe(here, nodes, phase, ways, dx):
                 turn = ways.turn[p, c]
                 at = 256 * nb + 4 * node + c
                 nodes[at] = turn[0] * x + turn[1] * y + turn[2] * z + ways.shift[p, c]
+    meet()
 
 
 @kernel

@@ -93,9 +93,7 @@ def update(blocks, tables, summed, shear, apart, rules, walls, phases, solids, r
                 take_up(nb, rows, sheared, report, 2 if apart is None else 3)
             fall(nb, nodes, push, ROUNDING * least_of[phase_of[nb]])
         here = _here(b, n0, n1, tables, last)
-        meet()
         prescribe(here, nodes, phase_of, solids.ways, step.dx)
-        meet()
         if apart is not None:
             noted = kept_apart and apart.noted
             if noted:
@@ -108,17 +106,13 @@ def update(blocks, tables, summed, shear, apart, rules, walls, phases, solids, r
                 if kept_apart:
                     if here.at_wall and here.meets:
                         _along_walls(spaced.nodes, here, walls)
-                        meet()
                     couple_block(here, fields, of, pairs, step.dt, step.dx)
         rigid = tables.solid[b] >= 0 or here.at_wall
-        meet()
         if TOUCHES and here.meets and _may_touch(n0, n1, phase_of, rigid, rules):
             touch(here, tables, tables.solid[b], nodes, spaced.nodes, sheared, solids, walls,
                   phases, rules, step, room)  # fmt: skip
-        meet()
         if here.at_wall:
             _stop_at_walls(here, nodes, walls, phase_of, phases, solids, room.given)
-        meet()
         if apart is not None:
             if rules is not None:
                 if kept_apart:
@@ -141,6 +135,7 @@ def _stop_at_walls(here, velocities, walls, phase, phases, solids, given):
     """What the walls leave of the velocities (256 node blocks,) of a block. phase: (node blocks,);
     solids: Rigid; given: given.Given, or None."""
     low = here.low_x, here.low_y, here.low_z
+    meet()
     for nb in range(here.n0, here.n1):
         if len(solids.ways.driven) > 0 and solids.ways.driven[phase[nb]]:
             continue  # it goes where it is sent
@@ -220,6 +215,7 @@ def _along_walls(offsets, here, walls):
         for node in each(64):
             i, j, k = here.low_x + node // 16, here.low_y + node // 4 % 4, here.low_z + node % 4
             tangential(offsets, 256 * nb + 4 * node, i, j, k, walls.cells, walls.kinds)
+    meet()
 
 
 @inline

@@ -12,7 +12,7 @@ from ..device.jit import inline
 from ..device.limits import TOUCHING
 from ..domain.driven import HEAVY
 from ..domain.solids import REACH
-from ..lanes.team import each
+from ..lanes.team import each, meet
 from .contact import (
     GOES,
     RESTS,
@@ -76,8 +76,8 @@ def touch(
 ):  # fmt: skip
     """Contact in a block. here: couple.Here; solid: its row in solids (grid.Rigid), or -1;
     velocities, offsets: (256 node blocks,); shear: sums.SumsAt, or None."""
-    ways = solids.ways
-    pushes = here.at_wall and _may_push(walls)
+    ways, pushes = solids.ways, here.at_wall and _may_push(walls)
+    meet()
     for node in each(64):
         active = _active(here, node, velocities, tables.phase, phases.least, room.here)
         at = here.low_x + node // 16, here.low_y + node // 4 % 4, here.low_z + node % 4
@@ -130,6 +130,7 @@ def touch(
         for q in range(active):
             for c in range(3):
                 velocities[256 * room.here[q] + 4 * node + c] = room.v[q, c]
+    meet()
 
 
 @inline

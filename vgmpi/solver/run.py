@@ -23,11 +23,12 @@ from ..prepare.motion import gradient
 from ..scene.resume import changes, may_change
 from ..scene.scene import Scene
 from .bounds import check_attrs
+from .engines import CARD, ENGINES
 from .prepared import Known, keep, on_all, plan_for, prepare, share
 from .probes import Probes, files
 from .requests import Requests
 from .state import frame_rows, restore, save
-from .step import CARD, ENGINES, BlowUp, Simulation
+from .step import BlowUp, Simulation
 from .timestep import next_step
 from .warm import warm
 from .watch import ledger
@@ -43,7 +44,7 @@ class Options:
 
     folder: Path | None  # None: nothing is written
     threads: int = 1
-    engine: str = "cpu"  # see solver.step.ENGINES
+    engine: str = "cpu"  # see solver.engines
     resume: str | None = None  # a checkpoint's path; "": the newest valid one; None: from the start
     stop_steps: int = 0
     stop_seconds: float = 0.0

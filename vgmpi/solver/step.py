@@ -16,11 +16,10 @@ from ..domain.ranks import Alone
 from ..domain.solids import Solids
 from ..domain.state import Group
 from ..engines.base import UNKNOWN, Beyond, Engine, Reach, Report
-from ..engines.cpu import Cpu
-from ..engines.numpy.engine import Numpy
 from ..kernels import g2p
 from ..planning.plan import Plan
 from .driven import Releases
+from .engines import engine_of
 from .enter import Rows, enter, idle
 from .given import Given
 from .inflow import Sources
@@ -36,8 +35,6 @@ REASONS = {
     g2p.LOST: "its velocity or stress is not a number",
 }
 BOUNDS = [0, 3, 4, 5]  # of a step's maxima over the ranks, those of enter.bounds
-ENGINES: dict[str, type[Engine]] = {"cpu": Cpu, "numpy": Numpy}  # those of every machine
-CARD = "cuda"  # asks for a card and the extra of that name, which is imported where it is named
 SUMMED = {
     "momentum": "mass or momentum",
     "offsets": "volume",
@@ -382,15 +379,6 @@ class Simulation:
             f"phase '{self.plan.phases[phase].name}', near ({near}) m, {when}: the {what} at a node"
             " is beyond what a sum can hold"
         )
-
-
-def engine_of(name: str) -> type[Engine]:
-    """The engine of a name."""
-    if name == CARD:
-        from ..engines.cuda.engine import Cuda
-
-        return Cuda
-    return ENGINES[name]
 
 
 def _same_blocks(before: Census, after: Census) -> bool:

@@ -6,7 +6,7 @@ from numba import cuda
 from ...domain.ranks import Alone
 from ...planning.plan import Plan
 from ...room import gib
-from .program import SIMULATED
+from .words import SIMULATED
 
 
 def choose(place: int) -> str:

@@ -47,7 +47,7 @@ class Compiled(NamedTuple):
 
     def count(self, pattern: str) -> int:
         """Instructions that a pattern finds in the PTX."""
-        return len(re.findall(pattern, self.ptx))
+        return len(re.findall(pattern, self.ptx, re.MULTILINE))
 
 
 class _Host(np.ndarray):
@@ -76,17 +76,19 @@ class Compiler(Launcher):
     """Compiles what is launched, and runs nothing."""
 
     cards: tuple[int, ...] = ()
+    only: tuple[str, ...] = ()  # names of kernels; none: all
     found: dict[tuple, Compiled] = {}  # noqa: RUF012  (one table for all programs of a scene)
 
     def launch(self, blocks, mode, function, *arguments):
-        for card in self.cards:
+        wanted = not self.only or function.__name__ in self.only
+        for card in self.cards if wanted else ():
             key = id(self), function, card, tuple(map(form_of, arguments))
             if key not in self.found:
                 self.found[key] = self._made(mode, function, arguments, card)
 
     def _made(self, mode, function, arguments, card: int) -> Compiled:
         made = self.kernel(mode, function, arguments).kernel.py_func
-        kinds = types.void(*map(_type, numbers_of(arguments)))
+        kinds = types.void(*map(_type, numbers_of(arguments)))  # type: ignore[attr-defined]
         ptx, _ = cuda.compile_ptx(made, kinds, cc=divmod(card, 10))
         laws = [type(one).__name__ for one in arguments if type(one).__name__.endswith("Law")]
         return Compiled(
@@ -145,12 +147,13 @@ def assembled(ptx: str, card: int) -> tuple[int, int, int, int]:
     return int(registers[1]), stack, stores + loads, int(shared[1]) if shared else 0
 
 
-def without_card(cards: tuple[int, ...]) -> type[Cuda]:
-    """The engine that compiles for these compute capabilities, on a machine without a card."""
+def without_card(cards: tuple[int, ...], only: tuple[str, ...] = ()) -> type[Cuda]:
+    """The engine that compiles for these compute capabilities, on a machine without a card. only:
+    names of kernels, where not all are wanted."""
     memory.WHERE[0] = NO_CARD
     # a kernel that calls functions asks for the card it is compiled on
     dispatcher.get_current_device = lambda: SimpleNamespace(compute_capability=(8, 0))
-    Compiler.cards, Compiler.found = cards, {}
+    Compiler.cards, Compiler.found, Compiler.only = cards, {}, only
     return CompiledOnly
 
 

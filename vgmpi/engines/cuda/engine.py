@@ -1,7 +1,7 @@
 """The engine of a card: the processor's tables and kernels, with arrays and loops of the card's."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,7 +22,8 @@ from .memory import CardLayer, Copies, card_room, flattened, to_card
 from .nodes import NODES
 from .numbers import constants, polynomials
 from .particle import PARTICLE
-from .program import SIMULATED, Program
+from .program import Program
+from .words import SIMULATED
 
 HALF = 16  # threads of a team that stands for a vector
 MOVED = ("xi", "f")
@@ -33,7 +34,7 @@ class Work(NamedTuple):
     """A group's tables in the card's memory, and lists of segments."""
 
     segments: Segments
-    all: object  # (n,) segments
+    all: Any  # (n,) segments
     given: dict  # {(contribution, border): (n,) segments}
 
 
@@ -140,7 +141,8 @@ class Cuda(Cpu):
                 self._fill_one(part, work, one, work.given[k, border])
 
     def _fill_one(self, part: GroupWork, work: Work, one, rows) -> None:
-        group, layer = part.group, self.layers[one.layer]
+        group: Any = part.group
+        layer: Any = self.layers[one.layer]
         ghosts = self._ghosts(part, 0, one.layer)
         self._half(
             PARTICLE, transfer.fill, len(rows), rows, one.kind, group.plan.law, work.segments,
@@ -151,7 +153,7 @@ class Cuda(Cpu):
     def pack(self, part: Part) -> None:
         """Put this rank's sums into a part of a message."""
         numbers, tails = self.copies.of((part.numbers, part.tails))
-        layer = self.layers[part.layer]
+        layer: Any = self.layers[part.layer]
         self._half(
             NODES, nodes.pack, len(part.blocks), numbers, tails,
             *self.copies.of((part.blocks, part.masks)), self._first(part),
@@ -167,7 +169,7 @@ class Cuda(Cpu):
 
     def add(self, part: Part) -> None:
         """Add another rank's sums."""
-        layer = self.layers[part.layer]
+        layer: Any = self.layers[part.layer]
         self._half(
             NODES, nodes.unpack, len(part.blocks), *self.copies.new((part.numbers, part.tails)),
             *self.copies.of((part.blocks, part.masks)), self._first(part),
@@ -231,9 +233,11 @@ class Cuda(Cpu):
         return self._report()
 
     def _gather_one(self, part: GroupWork, work: Work, motion: g2p.Motion) -> None:
-        group, plan, copy = part.group, part.group.plan, self.copies.of
+        group: Any = part.group
+        plan, copy = group.plan, self.copies.of
         count, real = len(work.all), self.real
         if plan.driven:
+            assert self.driven is not None
             if plan.phase in self.driven.phases:
                 turned = np.array([plan.channels.first(name) for name in TURNED])
                 self.wholes.launch(
@@ -281,10 +285,11 @@ class Cuda(Cpu):
     def restore(self, times: int) -> list[Beyond]:
         """Give the particles `times` what a step of no time has taken from their motion."""
         for part, work in zip(self.parts, self.work, strict=True):
-            if not part.group.plan.driven:
+            group: Any = part.group
+            if not group.plan.driven:
                 self.wholes.launch(
                     len(work.all), PARTICLE, transfer.give_back, work.all, self.real(times),
-                    work.segments, part.group.on_card(MOVED),
+                    work.segments, group.on_card(MOVED),
                     self.layers["momentum"].tables.nodes, self.real(self.plan.dx),
                     self.copies.of(self._ghosts(part, 0)),
                 )  # fmt: skip

@@ -8,13 +8,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import cuda
 
-from .program import SIMULATED, Mode, Program, safe, tree_of
+from .program import Program
+from .words import SIMULATED, Mode, safe, tree_of
 
 
 class Launch(NamedTuple):
     """A kernel for arguments of one form."""
 
-    kernel: Callable
+    kernel: Any
     threads: int  # of a block
 
 
@@ -52,7 +53,7 @@ class Launcher:
         exec(compile(text, f"<{name}>", "exec"), self.program.space)
         made = self.program.space[name]
         # no optimisation at link time either: it would contract
-        return cuda.jit(made) if SIMULATED else cuda.jit(lto=False)(made)
+        return cuda.jit(made) if SIMULATED else cuda.jit(lto=False)(made)  # type: ignore[call-arg]
 
     def _put_together(self, one: Any, taken: list[str], inside: bool = False) -> str:
         """The text that makes an argument of what is taken: numbers that are part of a tuple and
@@ -75,10 +76,13 @@ def without_contraction() -> None:
     """From now on a product and a sum stay two instructions, as on a processor with
     VGMPI_CONTRACTION=off. numba has no such option: the one of NVVM is added to those it gives."""
     usual = nvvm.compile_ir
-    if not hasattr(usual, "plain"):
-        compiled = lambda ir, **options: usual(ir, **options, fma=0)  # noqa: E731
-        compiled.plain = True
-        nvvm.compile_ir = compiled
+    if not hasattr(usual, "usual"):
+
+        def plain(ir: Any, **options: Any) -> Any:
+            return usual(ir, **options, fma=0)
+
+        setattr(plain, "usual", usual)  # noqa: B010
+        setattr(nvvm, "compile_ir", plain)  # noqa: B010
 
 
 if not SIMULATED:

@@ -1,5 +1,8 @@
 """What lies in a card's memory beside particles: layers, and copies of the host's tables."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 from numba import cuda
 
@@ -8,7 +11,7 @@ from ...kernels.tables import Sums
 from ..layers import Layer
 
 # where arrays are made; without a card kernels can be compiled for arrays of the host's
-WHERE = [cuda]
+WHERE: list[Any] = [cuda]
 
 
 def to_card(array: np.ndarray):
@@ -66,7 +69,10 @@ def like(one: tuple, go) -> tuple:
 class CardLayer(Layer):
     """Sums and values of a layer in the card's memory."""
 
-    reset = None  # reset(layer): puts the sums to rest
+    reset: Callable  # reset(layer): puts the sums to rest; the engine's
+    sums: Any
+    nodes: Any
+    of_rest: Any
 
     def adopt(self, asked: np.ndarray, phase_of_row: np.ndarray) -> None:
         """Make room for node blocks (n,)."""

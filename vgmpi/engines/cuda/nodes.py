@@ -17,8 +17,8 @@ from ...kernels.touch import Room
 from ...lanes import lanes, nodes, rows, wide
 from .numbers import PLAIN
 from .particle import TEAMWORK, VIEWS
-from .program import SIMULATED, Mode
 from .team import each, meet, number, rank
+from .words import SIMULATED, Mode
 
 BLOCK = 256
 TEAM = TEAMS = 16

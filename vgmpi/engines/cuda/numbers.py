@@ -10,7 +10,7 @@ from numba import cuda
 
 from ...device.select import select
 from ...lanes import functions, rows
-from .program import SIMULATED, Written
+from .words import SIMULATED, Written
 
 # constants of a program, by its precision: see `constants`
 REAL = WHOLE = None

@@ -13,7 +13,7 @@ from ...lanes import lanes, parts, rows
 from ...lanes import team as lanes_team
 from . import team
 from .numbers import PLAIN
-from .program import Mode
+from .words import Mode
 
 PATCH = records.PATCH
 REAL = None
@@ -59,11 +59,15 @@ def store_records(array, at, numbers):
 
 
 def load_records(array, at):
-    return (
+    first = (
         array[at], array[at + 1], array[at + 2], array[at + 3], array[at + 4], array[at + 5],
-        array[at + 6], array[at + 7], array[at + 8], array[at + 9], array[at + 10], array[at + 11],
-        array[at + 12], array[at + 13], array[at + 14], array[at + 15],
+        array[at + 6], array[at + 7],
     )  # fmt: skip
+    second = (
+        array[at + 8], array[at + 9], array[at + 10], array[at + 11], array[at + 12],
+        array[at + 13], array[at + 14], array[at + 15],
+    )  # fmt: skip
+    return first + second
 
 
 def store_whole(array, at, value):

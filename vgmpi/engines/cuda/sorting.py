@@ -10,8 +10,8 @@ from numba import cuda
 from ...domain.sorting import CELLS
 from .numbers import PLAIN
 from .particle import TEAMWORK
-from .program import Mode
 from .team import each, meet, number, rank
+from .words import Mode
 
 BITS = 29
 WHOLE = None

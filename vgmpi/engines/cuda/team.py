@@ -6,7 +6,7 @@ block. It waits for itself alone.
 
 from numba import cuda
 
-from .program import SIMULATED
+from .words import SIMULATED
 
 # what a program of the card knows as constants (program.py)
 TEAM = TEAMS = 16

@@ -22,8 +22,8 @@ from ...kernels.rowsums import moments, slopes, values
 from ...kernels.walls import fold, reflect
 from .nodes import own_ghosts
 from .particle import gather
-from .program import SIMULATED
 from .team import each, meet, number, rank
+from .words import SIMULATED
 
 RUN = records.BATCH  # records after which a run ends in any case
 ROW, PLANE = records.ROW, records.PLANE

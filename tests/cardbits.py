@@ -1,0 +1,161 @@
+"""A card's engine in the simulator beside the processor's, bit by bit: a program of its own, since
+numba must know from the start that it simulates.
+
+    python -m tests.cardbits single 2 fluid contact      precision, steps, scenes of test_engines
+    python -m tests.cardbits single 2 fluid --break NAME --order 3
+
+Prints a line per scene, `same` or `OTHER` and what differs; the processor does not contract
+products and sums, and scenes have cells twice as wide as in test_engines. --order: of the threads
+of a block; --break: something of the card's engine is broken first (BREAKS), to see that it is
+found.
+"""
+
+import argparse
+import os
+import sys
+import tempfile
+import warnings
+from pathlib import Path
+
+import tests.cudasim as cudasim
+
+os.environ["VGMPI_CONTRACTION"] = "off"
+
+import numpy as np  # noqa: E402
+from numba import cuda  # noqa: E402
+
+from tests.beside import beside, shaken, worst  # noqa: E402
+from tests.scenes import scene  # noqa: E402
+from tests.unit import test_engines as engines  # noqa: E402
+from vgmpi.engines.cuda import group, nodes, sorting, team, transfer  # noqa: E402
+from vgmpi.engines.cuda.engine import Cuda  # noqa: E402
+from vgmpi.engines.cuda.nodes import from_lane  # noqa: E402
+from vgmpi.lanes import team as lanes_team  # noqa: E402
+from vgmpi.prepare.build import build  # noqa: E402
+from vgmpi.prepare.motion import gradient  # noqa: E402
+from vgmpi.solver.prepared import known_of, plan_for  # noqa: E402
+
+SORT_AT = 1
+
+
+def simulations(name: str, precision: str, which: tuple[str, ...]):
+    """Simulations of the same particles, one per engine."""
+    text, walls, accuracy = engines.SCENES[name]
+    head = engines.HEAD.replace("BOUNDARY", engines.WALLS[walls]).replace("ACCURACY", accuracy)
+    head = head.replace('"double"', f'"{precision}"').replace("cell = 0.02", "cell = 0.04")
+    # what cells so wide have no room for
+    text = text.replace("radius = 0.012", "radius = 0.03").replace("0.175, 0.16", "0.155, 0.16")
+    with tempfile.TemporaryDirectory() as folder:
+        loaded = scene(Path(folder), head + text)
+        made = build(loaded)
+        plan = plan_for(loaded, known_of(loaded, made))
+    x, v = shaken(made, plan, 3)
+    C = gradient(loaded, x, made.object)
+    more = {"theta": made.theta0, "C": C, "sh": made.sh, "surface": made.surface0}
+    return beside(plan, made.colliders, x, v, made.vol0, made.object, which, **more)
+
+
+def differences(one, other) -> list[str]:
+    """What is not the same in two simulations, bit by bit."""
+    found = [name for name in ("rate", "reach") if getattr(one, name) != getattr(other, name)]
+    if one.given is not None and one.given.totals.tobytes() != other.given.totals.tobytes():
+        found.append("what rigid things gave")
+    for a, b in zip(one.groups, other.groups, strict=True):
+        at = a.index()
+        if not (np.array_equal(at, b.index()) and np.array_equal(a.ids[at], b.ids[at])):
+            return [f"{a.plan.name}: order"]
+        if not np.array_equal(a.xi[:, at], b.xi[:, at]):
+            found.append(f"{a.plan.name}: x")
+        for channel in a.plan.channels:
+            mine, theirs = a.get(channel.name, at), b.get(channel.name, at)
+            if mine.tobytes() != theirs.tobytes():
+                gap = np.abs(mine - theirs).max() / max(np.abs(mine).max(), 1e-300)
+                found.append(f"{a.plan.name}: {channel.name} {gap:.0e}")
+    return found
+
+
+def compared(name: str, precision: str, steps: int) -> str:
+    """A line about one scene."""
+    which = ("cpu", "cuda", "numpy") if precision == "double" else ("cpu", "cuda")
+    every = simulations(name, precision, which)
+    for step in range(steps):
+        dt = 0.5 * every[0].bound()
+        for one in every:
+            if step == SORT_AT:
+                one.sort()
+            one.advance(dt)
+        found = differences(*every[:2])
+        if found:
+            return f"OTHER {name}, step {step}: {'; '.join(found)}"
+    count = sum(len(g) for g in every[0].groups)
+    far = f", {max(worst(*every[1:]).values()):.0e} from numpy" if len(every) > 2 else ""
+    return f"same {name}, {steps} steps, {count} particles{far}"
+
+
+# ---- broken on purpose --------------------------------------------------------------------------
+
+
+def _own_node(here):
+    return team.rank() >> 2
+
+
+def _never():
+    pass
+
+
+def _no_order(begin, taken, ids, source):
+    pass
+
+
+def _shuffled(self, part):
+    found = USUAL(self, part)
+    rows = {key: group.to_card(rows.copy_to_host()[::-1][1:]) for key, rows in found.given.items()}
+    return found._replace(given=rows)
+
+
+def _from_its_neighbour(row, push, least):
+    mass = from_lane(row, cuda.threadIdx.x & 15)
+    moved = row / mass + push
+    return moved if (cuda.threadIdx.x & 3) < 3 else row
+
+
+def _reversed(self, part):
+    found = USUAL(self, part)
+    rows = {key: group.to_card(rows.copy_to_host()[::-1]) for key, rows in found.given.items()}
+    return found._replace(given=rows)
+
+
+BREAKS = {
+    "ownership": lambda: setattr(transfer, "_node", _own_node),  # two threads, one number
+    "meeting": lambda: setattr(transfer, "meet", _never),  # records are read before they are made
+    "meeting at nodes": lambda: nodes.NODES.stands_in.update({lanes_team.meet: _never}),
+    "order": lambda: setattr(sorting, "order", _no_order),  # of a cell's particles
+    "list": lambda: setattr(Cuda, "_laid_out", _shuffled),  # a segment is left out
+    "lane": lambda: nodes.NODES.stands_in.update({nodes.nodes.velocity: _from_its_neighbour}),
+    # and what must not matter: sums take segments in any order
+    "reversed": lambda: setattr(Cuda, "_laid_out", _reversed),
+}
+
+
+USUAL = Cuda._laid_out
+
+
+def main(argv: list[str]) -> int:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("precision", choices=("single", "double"))
+    parser.add_argument("steps", type=int)
+    parser.add_argument("scenes", nargs="+")
+    parser.add_argument("--order", type=int)
+    parser.add_argument("--break", dest="broken", choices=BREAKS)
+    given = parser.parse_args(argv)
+    warnings.filterwarnings("ignore", category=RuntimeWarning)
+    cudasim.SEED[0] = given.order
+    if given.broken:
+        BREAKS[given.broken]()
+    for name in given.scenes:
+        print(compared(name, given.precision, given.steps), flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,82 @@
+"""The card's engine in numba's simulator gives the processor's bits: every law, walls, contact,
+couplings, transfers, colours, colliders that move, sources; and what is broken there is found.
+
+The processor does not contract products and sums here (VGMPI_CONTRACTION=off), as a card does not.
+Each test is a program of its own (tests/cardbits.py).
+"""
+
+import sys
+
+import pytest
+
+from tests.launch import finish, start
+
+pytest.importorskip("numba_cuda", reason="the extra `cuda` is not installed")
+pytest.importorskip("greenlet", reason="the simulator's threads take turns by greenlet")
+
+SHORT = {  # name: precision, steps, scenes
+    "flow": ("single", 10, ["fluid", "paste", "foam"]),
+    "grains": ("single", 10, ["sand", "snow", "metal"]),
+    "solids": ("single", 10, ["elastic", "corotated", "plasticine"]),
+    "contact": ("single", 3, ["contact", "three in contact", "contact of faces"]),
+    "walls": ("single", 2, ["walls that vanish", "open walls", "colliders that move"]),
+    "transfers": ("single", 4, ["flip by steps", "apic", "pic with splines", "restored"]),
+    "couplings": ("single", 2, ["mixing", "drag"]),
+    "more": ("single", 3, ["sources and sinks", "followed", "driven tin", "volume kept"]),
+    "double": ("double", 2, ["fluid", "sand", "elastic", "contact"]),
+}
+LONG = {
+    "colours": ("single", 3, ["colours", "restored and everything"]),
+    "drag": ("single", 3, ["drag as printed", "mixing as printed", "mixing with slip"]),
+    "all": ("single", 3, ["everything", "aflip and everything", "one field for all"]),
+    "aflip": ("single", 4, ["flip", "aflip", "volume kept, aflip", "volume kept, splines"]),
+    "driven": ("single", 4, ["driven, in contact", "let go", "let go in layers", "collider"]),
+    "kept": ("single", 3, ["volume kept, open", "restored, as one fluid"]),
+    "double, all": ("double", 3, ["everything", "restored and everything", "colours", "flip",
+                                  "snow", "metal", "plasticine", "foam", "paste", "corotated",
+                                  "colliders that move", "driven tin"]),
+}  # fmt: skip
+
+
+def told(*arguments) -> list[str]:
+    job = finish(start([sys.executable, "-m", "tests.cardbits", *map(str, arguments)]))
+    assert job.returncode == 0, job.stderr[-2000:]
+    return job.stdout.splitlines()
+
+
+def check(precision, steps, scenes):
+    lines = told(precision, steps, *scenes)
+    print("\n".join(lines))
+    assert [line for line in lines if not line.startswith("same ")] == []
+    assert len(lines) == len(scenes)
+    if precision == "double":  # and as near to plain numpy as the processor's engine
+        assert all(float(line.split()[-3]) < 1e-12 for line in lines)
+
+
+@pytest.mark.parametrize("name", SHORT)
+def test_the_card_has_the_processors_bits(name):
+    check(*SHORT[name])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LONG)
+def test_the_card_has_the_processors_bits_with_all_else(name):
+    check(*LONG[name])
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_the_order_of_threads_and_segments_does_not_matter(order):
+    (line,) = told("single", 2, "contact", "--order", order, "--break", "reversed")
+    assert line.startswith("same "), line
+
+
+@pytest.mark.parametrize(
+    "what", ["ownership", "meeting", "meeting at nodes", "order", "list", "lane"]
+)
+def test_what_is_broken_is_found(what):
+    job = finish(
+        start([sys.executable, "-m", "tests.cardbits", "single", "2", "contact", "--order", "1",
+               "--break", what])
+    )  # fmt: skip
+    assert "same" not in job.stdout
+    assert "OTHER contact" in job.stdout or "BlowUp" in job.stderr, job.stderr[-2000:]
