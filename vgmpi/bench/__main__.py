@@ -14,7 +14,7 @@ from ..materials import registry
 from ..scene.settings import Transfer
 from ..solver.run import versions
 from ..tables import SceneError
-from . import roof, rounds, table
+from . import card, roof, rounds, table
 from .rounds import Contestant
 from .scene import BenchError, Case, lay_out
 
@@ -23,6 +23,8 @@ def arguments(argv: list[str]) -> argparse.Namespace:
     """The flags; `speed` is meant where no command is named."""
     if "--compare" in argv:
         argv = ["compare", *(word for word in argv if word != "--compare")]
+    elif argv[:2] == ["--engine", "cuda"]:
+        argv = ["card", *argv[2:]]
     elif not argv or argv[0] not in (*COMMANDS, "-h", "--help"):
         argv = ["speed", *argv]
     parser = argparse.ArgumentParser(prog="python -m vgmpi.bench", description=__doc__)
@@ -36,10 +38,9 @@ def arguments(argv: list[str]) -> argparse.Namespace:
 
 def _speed(parser: argparse.ArgumentParser) -> None:
     def number(text: str) -> int:
-        value = int(float(text))
-        if value < 1:
+        if int(float(text)) < 1:
             raise ValueError
-        return value
+        return int(float(text))
 
     say = parser.add_argument
     say("--particles", nargs="+", type=number, default=[100_000], metavar="N", help="1e5 4e5 1e6")
@@ -259,7 +260,7 @@ def _run_together(given: argparse.Namespace) -> int:
 
 def _against(parser: argparse.ArgumentParser) -> None:
     say = parser.add_argument
-    say("tree", type=Path, help="another checkout, or the word stripped: without features")
+    say("tree", type=Path, help="another checkout, or stripped: without features, or uncontracted")
     say("--laws", nargs="+", default=["fluid", "elastic"], metavar="LAW")
     say("--particles", nargs="+", type=float, default=[1e5, 4e5, 1e6], metavar="N")
     say("--rounds", type=int, default=9, help="default 9")
@@ -380,6 +381,7 @@ COMMANDS = {  # what it does, its flags, how it runs
     "speed": ("measure (the default)", _speed, _run_speed),
     "accuracy": ("how exact single precision is", _accuracy, _run_accuracy),
     "against": ("beside another checkout", _against, _run_against),
+    "card": ("a graphics card beside others on it, or what its kernels take", card.flags, card.run),
     "balance": ("how even a scene's work would be on many ranks", _balance, _run_balance),
     "census": ("what a sort costs one rank of many beside its particles", _census, _run_census),
     "couplings": ("what mixing and drag cost", _couplings, _run_couplings),

@@ -22,27 +22,31 @@ from vgmpi.bench.scene import Case, lay_out
 lay_out(Case(sys.argv[1], int(sys.argv[2])), ["single"], Path(sys.argv[3]))
 """
 STRIPPED = Path("stripped")
+UNCONTRACTED = Path("uncontracted")
 ROUND = 4.0  # [s] of both programs' turns
 
 
 def lines(
     tree: Path, laws: list[str], particles: list[float], rounds: int, say: Callable
 ) -> Iterator[str]:
-    """What is found, as text; tree: a folder, or the word for a stripped copy. Raises BenchError
-    where `tree` cannot."""
+    """What is found, as text; tree: a folder, or a word: for a stripped copy, or for this program
+    without contraction. Raises BenchError where `tree` cannot."""
     with tempfile.TemporaryDirectory(prefix="vgmpi-bench-") as folder:
         if tree == STRIPPED:
             tree = stripped(Path(folder))
             same = same_bits(tree, Path(folder))
             yield f"a fluid beside a solid: {'the same bits' if same else 'OTHER BITS'}"
+        more: tuple[tuple[str, str], ...] = ()
+        if tree == UNCONTRACTED:
+            tree, more = Path(__file__).parents[2], (("VGMPI_CONTRACTION", "off"),)
         for law in laws:
             for n in map(int, particles):
-                yield line(law, n, measure(law, n, tree.resolve(), rounds, say))
+                yield line(law, n, measure(law, n, tree.resolve(), rounds, say, more))
 
 
-def measure(law: str, particles: int, tree: Path, rounds: int, say) -> np.ndarray:
+def measure(law: str, particles: int, tree: Path, rounds: int, say, more=()) -> np.ndarray:
     """Nanoseconds per particle and step of this program, of that of `tree`, and the ratio of
-    neighbours in time, all medians of a round: (rounds, 3).
+    neighbours in time, all medians of a round: (rounds, 3). more: of its environment.
 
     Both prepare the scene themselves, since gaussians.h5 knows the program it is of. Raises
     BenchError where `tree` cannot.
@@ -63,7 +67,7 @@ def measure(law: str, particles: int, tree: Path, rounds: int, say) -> np.ndarra
         workers = []
         try:
             workers.append(Worker(Contestant("own"), case, ours))
-            workers.append(Worker(Contestant("own", tree=str(tree)), case, theirs))
+            workers.append(Worker(Contestant("own", tree=str(tree), more=more), case, theirs))
             return _turns(workers, particles, rounds, say)
         finally:
             for worker in workers:

@@ -2,9 +2,12 @@
 a rival needs nothing of this program but its own tool.
 """
 
+import os
 import time
 
 import numpy as np
+
+CARD = os.environ.get("VGMPI_BENCH_DEVICE") == "cuda"  # the rivals compute on a card
 
 
 class Dense:
@@ -20,7 +23,7 @@ class Dense:
     def __init__(self, given: dict):
         self.numbers = given["numbers"]
         self.threads = given["threads"]
-        if self.threads > 1:
+        if self.threads > 1 or CARD:
             self.clock = time.perf_counter
         with np.load(given["particles"]) as file:
             self.id, self.x0, self.v0 = file["id"], file["x"], file["v"]

@@ -2,16 +2,18 @@
 steps, timed through the clock of its stages.
 """
 
+import os
 import time
 from pathlib import Path
 
 import numpy as np
 
+from ..domain.halo import Part
 from ..domain.ranks import Alone, world
 from ..output import layout, rest
 from ..scene.reader import load
 from ..solver.prepared import digest, plan_for, prepare
-from ..solver.run import Options, begin, versions
+from ..solver.run import Options, begin, check, versions
 from ..solver.watch import ledger
 from .scene import STEPS, BenchError, to_dense
 
@@ -45,11 +47,20 @@ class Contestant:
             raise BenchError("the program's sources changed meanwhile: measure again")
         known = prepare(scene, self.ranks, folder)
         plan = plan_for(scene, known)
-        self.start = (scene, plan, known, self.ranks, Options(folder, given["threads"]))
+        card = os.environ.get("VGMPI_BENCH_DEVICE") == "cuda"
+        options = Options(folder, given["threads"], "cuda" if card else "cpu")
+        check(options, self.ranks)
+        self.start = (scene, plan, known, self.ranks, options)
         self.dt = plan.fixed_dt
         # one thread: its own time, so that what else the machine does counts little
         alone = given["threads"] == 1 and self.ranks.size == 1
         self.now = time.thread_time if alone else time.perf_counter
+        self.launches = [0]
+        if card:
+            from ..engines.cuda.card import finished_at
+            from ..engines.cuda.launch import COUNTED
+
+            self.now, self.launches = finished_at, COUNTED
         self.restart()
 
     def restart(self) -> None:
@@ -77,11 +88,12 @@ class Contestant:
             self.cycle()  # memory and code are warm, and the first sort is over
         self.ranks.barrier()
         clock = self.simulation.clock = Stages(self.now)
-        began, wall = clock.last, time.perf_counter()
+        began, wall, launches = clock.last, time.perf_counter(), self.launches[0]
         steps = sum(self.cycle() for _ in range(units))
         seconds, wall = self.now() - began, time.perf_counter() - wall
         self.simulation.clock = None
-        return {"steps": steps, "seconds": seconds, "wall": wall, "stages": clock.spent}
+        found = {"steps": steps, "seconds": seconds, "wall": wall, "stages": clock.spent}
+        return found | {"launches": (self.launches[0] - launches) / steps}
 
     def check(self, steps: int, path: str) -> dict:
         """Write ids, positions (as the rivals see them) and velocities after `steps` steps."""
@@ -96,3 +108,21 @@ class Contestant:
             v=np.concatenate([g.f[0:3, g.index()].T for g in groups]),
         )
         return {"mass": sum(entry["mass"] for entry in ledger(self.simulation))}
+
+    def halo(self, blocks: int) -> dict:
+        """Seconds to make a message of whole node blocks and to add one, the least of some."""
+        engine = self.simulation.engine
+        engine.begin(self.dt, self.simulation.gravity, 1.0)
+        chosen = np.arange(min(blocks, len(engine.tables.phase)))
+        masks = np.full(len(chosen), ~np.uint64(0))
+        count = 64 * len(chosen) * engine.words
+        part = Part(
+            "momentum", chosen, masks, np.zeros(3 * count, np.uint64), np.zeros(count, np.uint16)
+        )
+        took = {"pack": np.inf, "add": np.inf}
+        for _ in range(10):
+            for name in took:
+                began = self.now()
+                getattr(engine, name)(part)
+                took[name] = min(took[name], self.now() - began)
+        return {**took, "blocks": len(chosen), "bytes": part.numbers.nbytes + part.tails.nbytes}

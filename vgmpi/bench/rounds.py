@@ -49,6 +49,8 @@ class Contestant:
     threads: int = 1
     cpu: str = ""  # "": what the machine has
     tree: str = ""  # another checkout of this program; "": this one
+    card: bool = False  # on a graphics card
+    more: tuple[tuple[str, str], ...] = ()  # of its environment
 
     @property
     def name(self) -> str:
@@ -57,6 +59,8 @@ class Contestant:
     @property
     def on(self) -> str:
         """Where it runs, for people."""
+        if self.card:
+            return "card"
         if self.ranks > 1:
             return f"{self.ranks} ranks"
         return f"{self.threads} threads" if self.threads > 1 else "1 core"
@@ -68,7 +72,7 @@ class Contestant:
 
     @property
     def clock(self) -> str:
-        return "wall" if self.ranks * self.threads > 1 else "cpu"
+        return "wall" if self.card or self.ranks * self.threads > 1 else "cpu"
 
     def obstacle(self) -> str:
         """Why it cannot start here, or ""."""
@@ -99,6 +103,8 @@ class Worker:
         package = contestant.tree or str(Path(__file__).parents[2])
         env = {**OPEN_MPI, **os.environ, "PYTHONPATH": package}
         env |= AVX2 if contestant.cpu == "avx2" else {}
+        env |= {"VGMPI_BENCH_DEVICE": "cuda"} if contestant.card else {}
+        env |= dict(contestant.more)
         listener = socket.socket(socket.AF_UNIX)
         try:
             listener.bind(address)

@@ -7,7 +7,7 @@ import time
 import numpy as np
 import taichi as ti
 
-from .dense import Dense
+from .dense import CARD, Dense
 
 
 class Contestant(Dense):
@@ -16,7 +16,7 @@ class Contestant(Dense):
 
     def build(self):
         ti.init(
-            arch=ti.cpu,
+            arch=ti.cuda if CARD else ti.cpu,
             cpu_max_num_threads=self.threads,
             default_fp=ti.f32,
             offline_cache=False,

@@ -7,8 +7,9 @@ import time
 import numpy as np
 import warp as wp
 
-from .dense import Dense
+from .dense import CARD, Dense
 
+DEVICE = "cuda" if CARD else "cpu"
 wp.config.quiet = True
 wp.config.enable_backward = False  # no code for gradients: half the time to compile
 
@@ -122,11 +123,11 @@ class Contestant(Dense):
     def build(self):
         wp.init()
         n, cells = self.count, self.numbers["cells"]
-        self.C = wp.zeros(n, dtype=wp.mat33, device="cpu")
-        self.J = wp.zeros(n, dtype=float, device="cpu")
+        self.C = wp.zeros(n, dtype=wp.mat33, device=DEVICE)
+        self.J = wp.zeros(n, dtype=float, device=DEVICE)
         grid = (cells, cells, cells)
-        self.grid_v = wp.zeros(grid, dtype=wp.vec3, device="cpu")
-        self.grid_m = wp.zeros(grid, dtype=float, device="cpu")
+        self.grid_v = wp.zeros(grid, dtype=wp.vec3, device=DEVICE)
+        self.grid_m = wp.zeros(grid, dtype=float, device=DEVICE)
         law = self.numbers["constants"]
         given = self.given = Numbers()
         given.is_fluid = int(self.numbers["law"] == "fluid")
@@ -136,9 +137,9 @@ class Contestant(Dense):
 
     def load(self, x, v):
         rest = np.tile(np.eye(3, dtype=np.float32), (self.count, 1, 1))
-        self.x = wp.array(x, dtype=wp.vec3, device="cpu")
-        self.v = wp.array(v, dtype=wp.vec3, device="cpu")
-        self.F = wp.array(rest, dtype=wp.mat33, device="cpu")
+        self.x = wp.array(x, dtype=wp.vec3, device=DEVICE)
+        self.v = wp.array(v, dtype=wp.vec3, device=DEVICE)
+        self.F = wp.array(rest, dtype=wp.mat33, device=DEVICE)
         self.C.zero_()
         self.J.fill_(1.0)
 
@@ -148,9 +149,12 @@ class Contestant(Dense):
         self.grid_m.zero_()
         state = [self.x, self.v, self.C, self.F, self.J, self.grid_v, self.grid_m]
         push = self.numbers["gravity"] * dt
-        wp.launch(p2g, self.count, [*state, self.given], device="cpu")
-        wp.launch(update, self.grid_m.shape, [self.grid_v, self.grid_m, push], device="cpu")
-        wp.launch(g2p, self.count, [self.x, self.v, self.C, self.grid_v, dx, dt], device="cpu")
+        wp.launch(p2g, self.count, [*state, self.given], device=DEVICE)
+        wp.launch(update, self.grid_m.shape, [self.grid_v, self.grid_m, push], device=DEVICE)
+        wp.launch(g2p, self.count, [self.x, self.v, self.C, self.grid_v, dx, dt], device=DEVICE)
+
+    def finish(self):
+        wp.synchronize()
 
     def state(self):
         return self.x.numpy(), self.v.numpy()

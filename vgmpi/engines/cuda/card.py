@@ -1,11 +1,14 @@
 """The card of a rank: which it is, and whether a scene fits into its memory."""
 
+import time
+
 import numpy as np
 from numba import cuda
 
 from ...domain.ranks import Alone
 from ...planning.plan import Plan
 from ...room import gib
+from . import memory
 from .words import SIMULATED
 
 
@@ -49,3 +52,21 @@ def too_large(plan: Plan, ranks: Alone) -> str:
     if needs <= 0.95 * least:
         return ""
     return f"needs about {gib(needs)} on the card of each rank, of which one has {gib(least)} free"
+
+
+def finished_at() -> float:
+    """The time [s] at which all that was launched has ended, for clocks."""
+    if not SIMULATED:
+        cuda.synchronize()
+    return time.perf_counter()
+
+
+def copies(size: int) -> float:
+    """Bytes per second that a copy of `size` bytes within the card reads and writes."""
+    one, other = memory.to_card(np.zeros(size, np.uint8)), memory.to_card(np.zeros(size, np.uint8))
+    best = np.inf
+    for _ in range(10):
+        began = finished_at()
+        other.copy_to_device(one)
+        best = min(best, finished_at() - began)
+    return 2 * size / best
