@@ -80,7 +80,7 @@ def _find_card(options: Options, ranks: Alone) -> None:
         try:
             from ..engines.cuda import card
 
-            said = card.choose(ranks.place)
+            said = card.choose(ranks.place, ranks.rank)
         except ImportError as error:
             said = f"engine cuda needs `pip install 'vgmpi[cuda]'`: {error}"
     missing = ranks.all_rows(np.array([[ranks.rank]] if said else np.zeros((0, 1)), np.int64))

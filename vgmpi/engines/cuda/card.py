@@ -1,6 +1,8 @@
 """The card of a rank: which it is, and whether a scene fits into its memory."""
 
+import functools
 import time
+from collections.abc import Callable
 
 import numpy as np
 from numba import cuda
@@ -9,12 +11,37 @@ from ...domain.ranks import Alone
 from ...planning.plan import Plan
 from ...room import gib
 from . import memory
+from .launch import LAST
 from .words import SIMULATED
 
+RANK = [0]  # that this process is
+# what a card's driver raises; the simulator has none
+FAILURES: tuple[type[Exception], ...] = ()
+if not SIMULATED:
+    FAILURES = (cuda.cudadrv.driver.CudaAPIError, cuda.cudadrv.driver.LinkerError)
 
-def choose(place: int) -> str:
+
+def named(method: Callable) -> Callable:
+    """A method of an engine, a failure of whose card names rank, kernel and step; all ranks end by
+    what is raised (domain/ranks.py)."""
+
+    @functools.wraps(method)
+    def go(self, *arguments, **words):
+        try:
+            return method(self, *arguments, **words)
+        except FAILURES as error:
+            raise RuntimeError(
+                f"the card of rank {RANK[0]} failed in step {self.at}, at kernel {LAST[0]} or one"
+                f" before it: {error}"
+            ) from error
+
+    return go
+
+
+def choose(place: int, rank: int = 0) -> str:
     """Take the card of the `place`-th rank of this machine: they are dealt out in turn. Returns
     what is wrong, in one line, or ""."""
+    RANK[0] = rank
     if SIMULATED:
         return ""
     try:

@@ -16,6 +16,7 @@ from ..base import DITHER, Beyond, Report
 from ..cpu import Cpu
 from ..work import GroupWork, gathers
 from . import nodes, transfer
+from .card import named
 from .group import CardGroup
 from .launch import Launcher
 from .memory import CardLayer, Copies, card_room, flattened, to_card
@@ -47,6 +48,7 @@ class Cuda(Cpu):
         super().__init__(plan, lattice, solids, 1, driven)
         self.real = plan.real.type
         self.copies = Copies()
+        self.at = 0  # step, for what is said of a card that fails
         self.work: list[Work] = []
         phases = len(plan.phases)
         patches = 1 + sum(self.gathered.values())
@@ -89,6 +91,7 @@ class Cuda(Cpu):
     def room_for(values, rows: int):
         return card_room(values, rows, (sums.BLOCK,), values.dtype)
 
+    @named
     def adopt(self, tables: Topology, kept: bool = False) -> None:
         """Lay out nodes and segments after a sort."""
         super().adopt(tables, kept)
@@ -125,12 +128,14 @@ class Cuda(Cpu):
 
     # ---- a step ----------------------------------------------------------------------------------
 
+    @named
     def begin(self, dt: float, gravity: np.ndarray, speed: float) -> None:
         """Choose the quanta of the step's sums."""
         super().begin(dt, gravity, speed)
         self.peaks.copy_to_device(np.zeros(1, self.real))
         self.step = Step(float(dt), float(self.plan.dx), to_card(self.step.fall))
 
+    @named
     def fill(self, border: bool) -> None:
         """Add what the particles contribute to the sums."""
         for part, work in zip(self.parts, self.work, strict=True):
@@ -150,6 +155,7 @@ class Cuda(Cpu):
             self.peaks, self.real(self.dt), hasattr(one.kind, "splines"), self.copies.of(ghosts),
         )  # fmt: skip
 
+    @named
     def pack(self, part: Part) -> None:
         """Put this rank's sums into a part of a message."""
         numbers, tails = self.copies.of((part.numbers, part.tails))
@@ -167,6 +173,7 @@ class Cuda(Cpu):
         count = self.words * np.bitwise_count(part.masks).astype(np.int64)
         return to_card(np.cumsum(count) - count)
 
+    @named
     def add(self, part: Part) -> None:
         """Add another rank's sums."""
         layer: Any = self.layers[part.layer]
@@ -176,6 +183,7 @@ class Cuda(Cpu):
             layer.tables.sums, layer.of_rest, self.on_card.phase,
         )  # fmt: skip
 
+    @named
     def update(self, border: bool) -> None:
         """Turn sums into velocities: gravity, couplings, contact, walls; and into mean colours."""
         blocks, copy = self.todo[border], self.copies.of
@@ -219,8 +227,10 @@ class Cuda(Cpu):
         moves = self.driven is not None or (solids is not None and len(solids.moves) > 0)
         return self.copies.new(rigid) if moves else self.copies.of(rigid)
 
+    @named
     def gather(self, step: int) -> Report:
         """Move the particles by the velocities at the nodes."""
+        self.at = step + 1
         motion = g2p.Motion(
             self.real(self.dt), self.real(self.plan.cfl), 2.0 ** BITS[self.plan.real],
             *(d * step % 1.0 for d in DITHER),
@@ -282,6 +292,7 @@ class Cuda(Cpu):
         reach = speed, math.sqrt(max(float(turning), most[5])), math.sqrt(stress)
         return Report(rate, max(float(far), most[1]), reach, wrong, self._found_beyond())
 
+    @named
     def restore(self, times: int) -> list[Beyond]:
         """Give the particles `times` what a step of no time has taken from their motion."""
         for part, work in zip(self.parts, self.work, strict=True):
@@ -303,6 +314,7 @@ class Cuda(Cpu):
         self.beyond[0] = np.where(past == FINE, 0, past)
         return super()._found_beyond()
 
+    @named
     def given(self) -> np.ndarray:
         """What rigid things gave."""
         assert self.givers is not None

@@ -13,6 +13,7 @@ from .program import Program
 from .words import SIMULATED, Mode, safe, tree_of
 
 COUNTED = [0]  # launches so far
+LAST = ["none"]  # the kernel that was launched last
 
 
 class Launch(NamedTuple):
@@ -33,7 +34,7 @@ class Launcher:
     def launch(self, blocks: int, mode: Mode, function: Callable, *arguments: Any) -> None:
         """function(*arguments) by `blocks` blocks; arrays are the card's."""
         if blocks:
-            COUNTED[0] += 1
+            COUNTED[0], LAST[0] = COUNTED[0] + 1, function.__name__
             found = self.kernel(mode, function, arguments)
             found.kernel[blocks, found.threads](*numbers_of(arguments))
 
