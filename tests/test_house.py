@@ -15,6 +15,7 @@ ROOT = Path(__file__).parents[1]
 
 # each may import itself and what stands below it
 LAYERS = [
+    {"images"},
     {"study"},
     {"bench"},
     {"cli", "__main__", "api"},
@@ -42,11 +43,15 @@ LAYERS = [
 ]
 # the layers that may be used, where that is less than all below
 ONLY = {
+    "images": {
+        "prepare", "convert", "scene", "materials", "source", "tables", "inputs", "splatting",
+        "gaussians", "ends", "room", "misspelt",
+    },
     "materials": {"tables", "device", "misspelt"},
     "couplings": {"tables", "device"},
     "source": {"tables", "inputs"},
     "tables": {"misspelt"},
-}
+}  # fmt: skip
 POSTPROCESS = (
     "vgmpi.output.read",
     "vgmpi.output.layout",
@@ -86,7 +91,10 @@ OUTSIDE = {  # packages that only some files may use
     "taichi": ("vgmpi/bench/taichi_rival.py",),
     "warp": ("vgmpi/bench/warp_rival.py",),
     "gsply": ("vgmpi/gaussians/ply.py",),
-    "torch": ("vgmpi/splatting/gsplat_backend.py",),
+    "torch": ("vgmpi/splatting/gsplat_backend.py", "vgmpi/images/learned/"),
+    "transformers": ("vgmpi/images/learned/",),
+    "cv2": ("vgmpi/images/masks.py",),
+    "tomlkit": ("vgmpi/images/layout.py",),
     "gsplat": ("vgmpi/splatting/gsplat_backend.py",),
 }
 COMPILED = (
@@ -117,6 +125,7 @@ PRINT = (
     "vgmpi/cli.py",
     "vgmpi/bench/__main__.py",
     "vgmpi/convert/__main__.py",
+    "vgmpi/images/__main__.py",
     "vgmpi/study/__main__.py",
     "vgmpi/study/energy.py",
     "vgmpi/study/tradeoff.py",
@@ -218,6 +227,9 @@ def test_imports_run_one_way(file):
         ("vgmpi/bench/rounds.py", "taichi"),
         ("vgmpi/bench/taichi_rival.py", "warp"),
         ("vgmpi/splatting/splat.py", "torch"),
+        ("vgmpi/solver/run.py", "vgmpi.images.made"),
+        ("vgmpi/images/made.py", "vgmpi.solver.run"),
+        ("vgmpi/images/found.py", "transformers"),
     ],
 )
 def test_the_rule_sees_a_wrong_import(file, imported):

@@ -1,0 +1,191 @@
+"""A photograph and its layout become a folder with a scene."""
+
+import logging
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from vgmpi.gaussians.cloud import Cloud
+from vgmpi.images import bodies, colours, found, photograph, placing, scenes, shown, stuff
+from vgmpi.images import layout as layouts
+from vgmpi.images.bodies import BodyError
+from vgmpi.images.files import Folder
+from vgmpi.images.layout import LayoutError, Told
+from vgmpi.images.photograph import Photograph
+from vgmpi.images.placing import PlacingError, Seen
+from vgmpi.images.view import View
+from vgmpi.scene.reader import load
+from vgmpi.tables import SceneError
+
+log = logging.getLogger("vgmpi.images")
+
+FOV, PITCH = 50.0, 15.0  # degrees, where nothing is known of the camera
+Guess = tuple[tuple, Any, str]
+
+
+class Made(NamedTuple):
+    """What came out. alike: how much the first frame looks like the photograph inside each mask
+    [dB]."""
+
+    names: list[str]
+    alike: list[float]
+
+
+def make(photo_path: Path, layout_path: Path, out: Path, overwrite: bool = False) -> Made:
+    """All of it. Raises LayoutError, PhotographError, MaskError, OSError; nothing is written then,
+    but the bodies that generators have made."""
+    photo = photograph.read(photo_path)
+    told = layouts.read(layout_path)
+    folder = Folder(out, overwrite)
+    names = [thing.name for thing in told.layout.object]
+    masks = found.find(told, photo, found.grabcut)
+    found.hidden(masks, names)
+    guesses: list[Guess] = []
+    view = _view(told, photo, guesses)
+    seen = _seen(told, photo, view, masks, guesses)
+    placed = _placed(told, view, seen)
+    materials = _materials(told, guesses)
+    _tell(told, view, placed, guesses)
+    eye = np.array([0.0, 0.0, placed.eye])
+    things = [
+        _thing(thing.name, stand.cloud, eye, name)
+        for thing, stand, name in zip(told.layout.object, placed.stands, materials)
+    ]
+    asked = told.layout.scene
+    space = scenes.room(things, asked.cells)
+    every = [one.mask for one in masks]
+    background = shown.painted_out(photo.rgb, every)
+    camera = view.camera(eye, scenes.near(eye))
+    clouds = [one.cloud.transformed(np.eye(3), 1.0, one.at) for one in things]
+    drawn = shown.frame(clouds, camera, background / 255.0)
+    alike = [shown.alike(drawn, photo.rgb, mask) for mask in every]
+    for thing, mask in zip(things, masks):
+        folder.picture(f"masks/{thing.name}.png", np.where(mask.mask, 255, 0).astype(np.uint8))
+        folder.picture(f"crops/{thing.name}.png", shown.crop(photo.rgb, mask.mask))
+        folder.gaussians(f"{thing.name}.ply", thing.cloud)
+        if not mask.given:
+            k = names.index(thing.name)
+            where = layouts.relative(out / "masks" / f"{thing.name}.png", told.source.folder)
+            guesses.append((("object", k, "mask"), where, mask.how))
+    folder.picture("background.png", background)
+    folder.picture("check.png", shown.beside(photo.rgb, drawn, every))
+    folder.text("render.toml", scenes.render(view, eye - space.low, "background.png"))
+    title = f"from {photo_path.name}"
+    folder.text("scene.toml", scenes.scene(things, space, asked.end, asked.frames, title))
+    folder.whole(layout_path, layouts.rewritten(told.source.text, guesses))
+    folder.write()
+    _checked(out)
+    for name, value in zip(names, alike):
+        log.info("'%s': the first frame agrees with the photograph to %.1f dB", name, value)
+    return Made(names, alike)
+
+
+def _view(told: Told, photo: Photograph, guesses: list[Guess]) -> View:
+    """The photograph's camera, guessed where the layout does not tell."""
+    asked = told.layout.camera
+    height, width = photo.rgb.shape[:2]
+    fov, pitch = asked.fov, asked.pitch
+    if fov is None:
+        fov, why = (photo.fov, "the photograph's EXIF") if photo.fov else (FOV, "a usual lens")
+        fov = round(min(max(fov, 5.0), 140.0), 3)
+        guesses.append((("camera", "fov"), fov, f"degrees, guessed: {why}"))
+        log.info("camera: fov %g degrees, guessed: %s", fov, why)
+    if pitch is None:
+        pitch, why = PITCH, "as one looks at a table"
+        guesses.append((("camera", "pitch"), pitch, f"degrees, guessed: {why}"))
+        log.info("camera: pitch %g degrees, guessed: %s", pitch, why)
+    return View(width, height, fov, pitch)
+
+
+def _seen(
+    told: Told, photo: Photograph, view: View, masks: list[found.Found], guesses: list[Guess]
+) -> list[Seen]:
+    """The bodies of all objects about the eye."""
+    seen = []
+    for k, (thing, one) in enumerate(zip(told.layout.object, masks)):
+        form = thing.form or "inflate"
+        if thing.form is None:
+            guesses.append((("object", k, "form"), form, "guessed: the usual one"))
+        thick = thing.thickness
+        if thick is None:
+            thick = bodies.THICKNESS
+            if form == "extrude":
+                guesses.append((("object", k, "thickness"), thick, "of its width, guessed"))
+        try:
+            surface = bodies.body(one.mask, view, form, thick)
+        except BodyError as error:
+            raise told.wrong((("object", k, "form"), str(error))) from None
+        cloud = colours.gaussians(surface, photo.rgb, one.mask, view, seed=k + 1)
+        log.info("'%s': %s, %d Gaussians", thing.name, form, len(cloud))
+        seen.append(Seen(thing, cloud))
+    return seen
+
+
+def _placed(told: Told, view: View, seen: list[Seen]) -> placing.Placed:
+    """The places of all objects, told line by line."""
+    try:
+        placed = placing.place(seen, view.forward, told.layout.camera.height)
+    except PlacingError as error:
+        k = [thing.name for thing in told.layout.object].index(error.name)
+        raise told.wrong((("object", k, error.key), str(error))) from None
+    for line in placed.lines:
+        log.info("%s", line)
+    return placed
+
+
+def _tell(told: Told, view: View, placed: placing.Placed, guesses: list[Guess]) -> None:
+    """The places as guesses of the layout."""
+    if told.layout.camera.height is None:
+        value = _short(placed.eye)
+        guesses.append((("camera", "height"), value, "m above the floor, from what is known"))
+    for k, (thing, stand) in enumerate(zip(told.layout.object, placed.stands)):
+        low, high = stand.floor_box(placed.eye)
+        if thing.support is None:
+            guesses.append((("object", k, "support"), layouts.FLOOR, "guessed: it stands"))
+        if thing.height is None:
+            guesses.append((("object", k, "height"), _short(high[2] - low[2]), "m, as it is seen"))
+        if thing.distance is None:
+            value = _short(stand.distance(view.forward))
+            guesses.append((("object", k, "distance"), value, "m from the eye along its axis"))
+
+
+def _materials(told: Told, guesses: list[Guess]) -> list[str]:
+    """The names of what all objects are made of."""
+    names, wrong = [], []
+    for k, thing in enumerate(told.layout.object):
+        name = thing.material
+        if name is None:
+            name, why = stuff.guessed(thing.name, thing.text)
+            guesses.append((("object", k, "material"), name, f"guessed: {why}"))
+            log.info("'%s': %s, guessed: %s", thing.name, name, why)
+        else:
+            try:
+                stuff.keys(name)
+            except ValueError as error:
+                wrong.append((("object", k, "material"), str(error)))
+        names.append(name)
+    if wrong:
+        raise told.wrong(*wrong)
+    return names
+
+
+def _thing(name: str, cloud: Cloud, eye: np.ndarray, material: str) -> scenes.Thing:
+    """An object as the scene has it: about the middle of its base."""
+    low, high = cloud.x.min(axis=0), cloud.x.max(axis=0)
+    base = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
+    own = cloud.transformed(np.eye(3), 1.0, -base)
+    return scenes.Thing(name, own, base + eye, material, stuff.keys(material))
+
+
+def _checked(out: Path) -> None:
+    """The scene is right, which is only to be seen when its files are there. Raises LayoutError."""
+    try:
+        load(out / "scene.toml")
+    except SceneError as error:
+        raise LayoutError(error.lines) from None
+
+
+def _short(value: float) -> float:
+    """In five digits."""
+    return float(f"{value:.5g}")
