@@ -27,6 +27,10 @@ def arguments(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "-o", "--output", type=Path, required=True, metavar="FOLDER", help="where the scene goes"
     )
+    parser.add_argument(
+        "--find", action="store_true",
+        help="propose a layout with boxes of what may be objects, and stop there",
+    )  # fmt: skip
     parser.add_argument("--overwrite", action="store_true", help="replace a scene that was changed")
     return parser.parse_args(argv)
 
@@ -36,12 +40,17 @@ def main(argv: list[str] | None = None) -> int:
     """The command; returns the exit code."""
     given = arguments(argv)
     from .layout import LayoutError
-    from .made import make
+    from .made import make, propose
     from .masks import MaskError
     from .photograph import PhotographError
 
     lines = _listen()
     try:
+        if given.find:
+            where = propose(given.photo, given.layout, given.output)
+            print(f"{where}: proposed; {given.output / 'find.png'} shows the boxes")
+            print("next: names and one height in it, then the same without --find")
+            return 0
         if given.layout is None:
             raise LayoutError(["no layout is given: --find proposes one"])
         make(given.photo, given.layout, given.output, given.overwrite)

@@ -168,8 +168,8 @@ class ObjectTable(Table):
         return self
 
 
-class Layout(Table):
-    """A layout.toml."""
+class Empty(Table):
+    """A layout.toml before its objects are proposed."""
 
     camera: CameraTable = CameraTable()
     masks: MasksTable = MasksTable()
@@ -177,6 +177,11 @@ class Layout(Table):
     materials: MaterialsTable = MaterialsTable()
     bodies: BodiesTable = BodiesTable()
     scene: SceneTable = SceneTable()
+
+
+class Layout(Empty):
+    """A layout.toml."""
+
     object: Annotated[tuple[ObjectTable, ...], Field(min_length=1, max_length=MOST)]
 
 
@@ -198,6 +203,9 @@ class Told(NamedTuple):
 def read(path: Path) -> Told:
     """The layout in a file. Raises LayoutError, all that is wrong at once."""
     source = Source(path, error=LayoutError)
+    if not source.data.get("object"):
+        said = "object: no object is told: [[object]] tables with a name and a box each"
+        raise LayoutError([f"{source.path}:1: {said}; --find proposes some"])
     try:
         told = Told(Layout.model_validate(source.data), source)
     except ValidationError as error:
@@ -206,6 +214,18 @@ def read(path: Path) -> Told:
     if wrong:
         raise told.wrong(*wrong)
     return told
+
+
+def read_empty(path: Path) -> tuple[Empty, Source]:
+    """A layout without objects, for which these are to be proposed. Raises LayoutError."""
+    source = Source(path, error=LayoutError)
+    if source.data.get("object"):
+        said = "object: there are objects already: --find proposes them where there are none"
+        raise LayoutError([f"{source.place(('object', 0))[1]}: {said}"])
+    try:
+        return Empty.model_validate({k: v for k, v in source.data.items() if k != "object"}), source
+    except ValidationError as error:
+        raise LayoutError(source.lines(explain(error, Empty))) from None
 
 
 def _names(layout: Layout) -> list[tuple[tuple, str]]:

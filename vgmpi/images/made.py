@@ -7,11 +7,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from vgmpi.gaussians.cloud import Cloud
-from vgmpi.images import bodies, colours, found, photograph, placing, scenes, shown, stuff
+from vgmpi.images import bodies, colours, found, photograph, placing, proposed, scenes, shown, stuff
 from vgmpi.images import layout as layouts
 from vgmpi.images.bodies import BodyError
 from vgmpi.images.files import Folder
 from vgmpi.images.layout import LayoutError, Told
+from vgmpi.images.masks import MaskError
 from vgmpi.images.photograph import Photograph
 from vgmpi.images.placing import PlacingError, Seen
 from vgmpi.images.view import View
@@ -79,6 +80,28 @@ def make(photo_path: Path, layout_path: Path, out: Path, overwrite: bool = False
     for name, value in zip(names, alike):
         log.info("'%s': the first frame agrees with the photograph to %.1f dB", name, value)
     return Made(names, alike)
+
+
+def propose(photo_path: Path, layout_path: Path | None, out: Path) -> Path:
+    """Write a layout with boxes of what may be objects, and find.png with them; returns the
+    layout's path. layout_path: a layout without objects, or where one shall be; default: in `out`.
+    Raises LayoutError, PhotographError, MaskError, OSError."""
+    photo = photograph.read(photo_path)
+    where = layout_path if layout_path is not None else out / "layout.toml"
+    given = ""
+    if where.exists():
+        given = layouts.read_empty(where)[1].text
+    folder = Folder(out, overwrite=True)
+    boxes = proposed.standing_out(photo.rgb)
+    if not boxes:
+        raise MaskError(f"{photo_path}: nothing in it stands out: boxes must be given by hand")
+    for k, box in enumerate(boxes):
+        size = f"{box.right - box.left} x {box.bottom - box.top} pixels"
+        log.info("'thing %d': proposed, %s, as it stands out from its rows", k + 1, size)
+    folder.picture("find.png", proposed.drawn(photo.rgb, boxes))
+    folder.whole(where, proposed.text(boxes, photo, given))
+    folder.write()
+    return where
 
 
 def _view(told: Told, photo: Photograph, guesses: list[Guess]) -> View:

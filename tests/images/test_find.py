@@ -1,0 +1,78 @@
+"""--find proposes boxes around what stands out, in a layout to go on with."""
+
+import re
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests import photographs
+from vgmpi.images import layout as layouts
+from vgmpi.images import masks, proposed
+from vgmpi.images.__main__ import main
+
+pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")
+
+
+def filled(box):
+    found = np.zeros(photographs.three().rgb.shape[:2], dtype=bool)
+    found[box[1] : box[3], box[0] : box[2]] = True
+    return found
+
+
+def test_boxes_are_around_the_things_and_the_layout_goes_on(tmp_path):
+    photo, _ = photographs.put(tmp_path)
+    out = tmp_path / "out"
+    assert main([str(photo), "--find", "-o", str(out)]) == 0
+    told = layouts.read(out / "layout.toml")
+    assert np.asarray(Image.open(out / "find.png")).shape == (480, 640, 3)
+    names, true = {}, photographs.three().masks
+    for name, mask in zip(photographs.NAMES, true):
+        scores = {
+            thing.name: masks.iou(filled(masks.box_of(mask)), filled(thing.box))
+            for thing in told.layout.object
+        }
+        best = max(scores, key=scores.get)
+        print(name, scores[best])
+        assert scores[best] >= 0.75
+        names[best] = name
+    assert len(names) == len(told.layout.object) == 3
+    text = (out / "layout.toml").read_text()
+    for proposal, name in names.items():
+        text = text.replace(proposal, name)
+    text = re.sub(r'(name = "cup"\n.*\n)# (height.*\n)', r"\1\2", text)
+    (out / "layout.toml").write_text(text)
+    assert main([str(photo), str(out / "layout.toml"), "-o", str(out)]) == 0
+    for name, mask in zip(photographs.NAMES, true):
+        found = np.asarray(Image.open(out / "masks" / f"{name}.png")) > 0
+        assert masks.iou(found, mask) >= 0.95
+
+
+def test_settings_of_a_layout_without_objects_are_kept(tmp_path):
+    photo, layout = photographs.put(tmp_path, "# mine\n[camera]\nfov = 38  # measured\n")
+    assert main([str(photo), str(layout), "--find", "-o", str(tmp_path / "out")]) == 0
+    assert layout.read_text().startswith("# mine\n[camera]\nfov = 38  # measured\n")
+    told = layouts.read(layout).layout
+    assert told.camera.fov == 38 and len(told.object) == 3
+
+
+def test_objects_that_are_there_are_not_overwritten(tmp_path, capsys):
+    photo, layout = photographs.put(tmp_path)
+    text = layout.read_text()
+    assert main([str(photo), str(layout), "--find", "-o", str(tmp_path / "out")]) == 2
+    assert "there are objects already" in capsys.readouterr().err
+    assert layout.read_text() == text and not (tmp_path / "out").exists()
+
+
+def test_a_picture_of_nothing_has_no_proposals(tmp_path, capsys):
+    path = tmp_path / "grey.png"
+    Image.fromarray(np.full((200, 300, 3), 120, np.uint8)).save(path)
+    assert main([str(path), "--find", "-o", str(tmp_path / "out")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"{path}: nothing in it stands out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_boxes_that_are_one_are_proposed_once():
+    one, same, other = masks.Box(0, 0, 50, 50), masks.Box(5, 5, 45, 45), masks.Box(45, 0, 90, 50)
+    assert proposed.distinct([one, same, other]) == [one, other]
