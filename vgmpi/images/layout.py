@@ -11,11 +11,12 @@ from vgmpi.images.bodies import Form
 from vgmpi.misspelt import nearest
 from vgmpi.scene.objects import checked_name
 from vgmpi.source import Source
-from vgmpi.tables import Positive, Quantity, Table, TomlError, explain, got
+from vgmpi.tables import Quantity, Table, TomlError, explain, got
 
 FLOOR = "floor"
 MOST = 64  # objects
 LONGEST_NAME = 60
+SMALLEST, LARGEST = 1e-5, 1e5  # m, of what is in a photograph
 
 
 class LayoutError(TomlError):
@@ -56,11 +57,12 @@ def _support(value: Any) -> str | float:
     if isinstance(value, str) and value[:1].isalpha():
         return value
     try:
-        return Quantity("m", ge=0).parse(value)
+        return Quantity("m", ge=0, le=LARGEST).parse(value)
     except ValueError as error:
         raise ValueError(f"{error}; or 'floor', or the name of another object") from None
 
 
+Length = Annotated[float, Quantity("m", ge=SMALLEST, le=LARGEST)]
 Degrees = Annotated[float, BeforeValidator(_degrees)]
 Support = Annotated[str | float, BeforeValidator(_support)]
 Box = Annotated[tuple[int, int, int, int], BeforeValidator(_box)]
@@ -75,7 +77,7 @@ class CameraTable(Table):
     """vertical field of view"""
     pitch: Annotated[Degrees, Field(ge=-30, le=80)] | None = None
     """by how much it looks down"""
-    height: Positive | None = None
+    height: Length | None = None
     """of the eye above the floor, the plane that things stand on"""
 
 
@@ -144,9 +146,9 @@ class ObjectTable(Table):
     material: str | None = None
     form: Form | None = None
     thickness: Annotated[float, Quantity("1", ge=0.02, le=4)] | None = None
-    height: Positive | None = None
+    height: Length | None = None
     support: Support | None = None
-    distance: Positive | None = None
+    distance: Length | None = None
     yaw: Annotated[Degrees, Field(ge=-360, le=360)] | None = None
     body: str | None = None
     up: Axis | None = None
@@ -182,7 +184,7 @@ class Empty(Table):
 class Layout(Empty):
     """A layout.toml."""
 
-    object: Annotated[tuple[ObjectTable, ...], Field(min_length=1, max_length=MOST)]
+    object: Annotated[tuple[ObjectTable, ...], Field(max_length=MOST)]
 
 
 class Told(NamedTuple):

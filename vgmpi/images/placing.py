@@ -73,6 +73,12 @@ def place(seen: list[Seen], forward: np.ndarray, eye: float | None) -> Placed:
     the floor [m] where it is known. Raises PlacingError."""
     order = _order(seen)
     lines: list[str] = []
+    for one in order:
+        if one.low[2] >= 0 and one.asked.distance is None and _on_floor(one.asked.support):
+            said = "its lowest point is seen above the horizon, where no floor is: give another"
+            raise PlacingError(
+                one.asked.name, "support", f"{said} support, distance, or camera.pitch"
+            )
     if eye is None:
         eye, said = _eye(seen, order)
         lines.append(said)
@@ -87,6 +93,10 @@ def place(seen: list[Seen], forward: np.ndarray, eye: float | None) -> Placed:
     for one in order:
         lines += _held(one, stands, eye, forward)
     return Placed([stands[one.asked.name] for one in seen], eye, lines)
+
+
+def _on_floor(support: str | float | None) -> bool:
+    return support in (None, FLOOR, 0.0)
 
 
 def _order(seen: list[Seen]) -> list[Seen]:
