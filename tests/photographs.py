@@ -2,11 +2,13 @@
 
 import functools
 import importlib.util
+import tomllib
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
+from vgmpi.gaussians import files
 from vgmpi.images import masks
 from vgmpi.images.view import View
 
@@ -67,3 +69,19 @@ def put(folder, text=None):
     Image.fromarray(three().rgb).save(photo)
     where.write_text(layout() if text is None else text)
     return photo, where
+
+
+def eye_of(out):
+    """Where the camera of render.toml is [m]; above the floor, in the domain's coordinates."""
+    return np.array(tomllib.loads((out / "render.toml").read_text())["camera"]["eye"])
+
+
+def corners(out, name):
+    """Lower and upper corner (2, 3) of an object about the eye, as scene.toml and render.toml have
+    it [m]."""
+    scene = tomllib.loads((out / "scene.toml").read_text())
+    thing = next(one for one in scene["object"] if one["name"] == name)
+    x = files.read(out / thing["gaussians"]).x
+    low, high = x.min(axis=0), x.max(axis=0)
+    base = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]]
+    return np.array([low, high]) - base + thing["position"] - eye_of(out)

@@ -30,6 +30,7 @@ LAYERS = [
     {"convert"},
     {"scene"},
     {"materials", "couplings"},
+    {"camerafiles"},
     {"source"},
     {"tables"},
     {"inputs"},
@@ -45,7 +46,7 @@ LAYERS = [
 ONLY = {
     "images": {
         "prepare", "convert", "scene", "materials", "source", "tables", "inputs", "splatting",
-        "gaussians", "ends", "room", "misspelt",
+        "gaussians", "ends", "room", "misspelt", "camerafiles",
     },
     "materials": {"tables", "device", "misspelt"},
     "couplings": {"tables", "device"},
@@ -62,6 +63,7 @@ POSTPROCESS = (
     "vgmpi.tables",
     "vgmpi.inputs",
     "vgmpi.misspelt",
+    "vgmpi.camerafiles",
     "vgmpi.caching",
     "vgmpi.ends",
     "vgmpi.room",
@@ -85,7 +87,7 @@ OUTSIDE = {  # packages that only some files may use
         "vgmpi/device/processor.py",
         "vgmpi/lanes/",
     ),
-    "pyvista": ("postprocess/",),
+    "pyvista": ("postprocess/", "vgmpi/images/hull.py"),
     "viser": ("postprocess/replay.py",),
     "tqdm": ("vgmpi/solver/report.py", "vgmpi/study/runs.py", "postprocess/"),
     "taichi": ("vgmpi/bench/taichi_rival.py",),

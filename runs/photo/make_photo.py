@@ -54,15 +54,15 @@ class Drawn(NamedTuple):
     masks: list[np.ndarray]
 
 
-def draw(things: list, view: View, eye: float, seed: int = 1) -> Drawn:
-    """The photograph of things on a floor, by a camera `eye` [m] above it. Without things: of the
-    table and the wall alone."""
+def draw(things: list, view: View, eye: float | np.ndarray, seed: int = 1) -> Drawn:
+    """The photograph of things on a floor, by a camera `eye` [m] above it or at a place (3,).
+    Without things: of the table and the wall alone."""
     rows, columns = np.meshgrid(
         *(np.arange(n * FINE) for n in (view.height, view.width)), indexing="ij"
     )
     at = (np.stack([columns, rows], -1) + 0.5) / FINE
     ray = view.rays(at).reshape(-1, 3)
-    start = np.array([0.0, 0.0, eye])
+    start = np.array([0.0, 0.0, eye]) if np.ndim(eye) == 0 else np.asarray(eye)
     colour, which = _background(ray, start, things)
     best = np.full(len(ray), np.inf)
     for k, thing in enumerate(things):
@@ -95,7 +95,7 @@ def _background(ray: np.ndarray, start: np.ndarray, things: list) -> tuple[np.nd
     """Colours (n, 3) of table and wall, and -1 for nobody (n,)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         down = np.where(ray[:, 2] < 0, -start[2] / ray[:, 2], np.inf)
-        wall = np.where(ray[:, 1] > 0, WALL / ray[:, 1], np.inf)
+        wall = np.where(ray[:, 1] > 0, (WALL - start[1]) / ray[:, 1], np.inf)
     table = down < wall
     place = start + np.where(table, down, wall)[:, None] * ray
     board = np.floor(place[:, 1] / 0.045)

@@ -13,7 +13,6 @@ from postprocess import settings
 from postprocess.painter import Painter
 from tests import photographs
 from tests.launch import run
-from vgmpi.gaussians import files
 from vgmpi.images import masks, shown
 from vgmpi.images.__main__ import main
 from vgmpi.output.read import RunFiles
@@ -32,18 +31,6 @@ def made(tmp_path_factory):
     return folder, time.process_time() - begun
 
 
-def corners(out, name, key="position"):
-    """Lower and upper corner (2, 3) of an object about the eye, as scene.toml and render.toml have
-    it [m]."""
-    scene = tomllib.loads((out / "scene.toml").read_text())
-    eye = np.array(tomllib.loads((out / "render.toml").read_text())["camera"]["eye"])
-    thing = next(one for one in scene["object"] if one["name"] == name)
-    x = files.read(out / thing["gaussians"]).x
-    low, high = x.min(axis=0), x.max(axis=0)
-    base = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]]
-    return np.array([low, high]) - base + thing[key] - eye
-
-
 def test_masks_find_the_things(made):
     folder, _ = made
     found = [
@@ -57,7 +44,7 @@ def test_masks_find_the_things(made):
 @pytest.mark.parametrize("k", range(3), ids=photographs.NAMES)
 def test_places_and_sizes_are_the_true_ones(made, k):
     truth = photographs.EXTENTS[k] - (0, 0, photographs.EYE)
-    found = corners(made[0] / "out", photographs.NAMES[k])
+    found = photographs.corners(made[0] / "out", photographs.NAMES[k])
     size = np.ptp(found, axis=0) / np.ptp(truth, axis=0) - 1
     depth = found.mean(axis=0) @ photographs.VIEW.forward
     true_depth = truth.mean(axis=0) @ photographs.VIEW.forward
@@ -130,7 +117,8 @@ def test_a_second_run_keeps_what_was_guessed_and_what_was_changed(made, tmp_path
     assert layout.read_text() == text
     first, second = made[0] / "out", tmp_path / "again"
     for name in photographs.NAMES:
-        assert np.allclose(corners(first, name), corners(second, name), atol=2e-4)
+        before, after = (photographs.corners(out, name) for out in (first, second))
+        assert np.allclose(before, after, atol=2e-4)
     scene = tomllib.loads((second / "scene.toml").read_text())
     assert scene["material"]["jelly"]["preset"] == "jelly" and "rubber" not in scene["material"]
 

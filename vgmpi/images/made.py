@@ -2,19 +2,19 @@
 
 import logging
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from vgmpi.gaussians.cloud import Cloud
-from vgmpi.images import bodies, colours, found, photograph, placing, proposed, scenes, shown, stuff
+from vgmpi.images import found, photograph, placing, proposed, scenes, shown, sources, stuff
 from vgmpi.images import layout as layouts
-from vgmpi.images.bodies import BodyError
 from vgmpi.images.files import Folder
 from vgmpi.images.layout import LayoutError, Told
 from vgmpi.images.masks import MaskError
 from vgmpi.images.photograph import Photograph
 from vgmpi.images.placing import PlacingError, Seen
+from vgmpi.images.sources import Guess, Scenery
 from vgmpi.images.view import View
 from vgmpi.scene.reader import load
 from vgmpi.tables import SceneError
@@ -22,7 +22,6 @@ from vgmpi.tables import SceneError
 log = logging.getLogger("vgmpi.images")
 
 FOV, PITCH = 50.0, 15.0  # degrees, where nothing is known of the camera
-Guess = tuple[tuple, Any, str]
 
 
 class Made(NamedTuple):
@@ -44,7 +43,7 @@ def make(photo_path: Path, layout_path: Path, out: Path, overwrite: bool = False
     found.hidden(masks, names)
     guesses: list[Guess] = []
     view = _view(told, photo, guesses)
-    seen = _seen(told, photo, view, masks, guesses)
+    seen = sources.all_of(Scenery(told, photo, view, out), masks, guesses)
     placed = _placed(told, view, seen)
     materials = _materials(told, guesses)
     _tell(told, view, placed, guesses)
@@ -119,30 +118,6 @@ def _view(told: Told, photo: Photograph, guesses: list[Guess]) -> View:
         guesses.append((("camera", "pitch"), pitch, f"degrees, guessed: {why}"))
         log.info("camera: pitch %g degrees, guessed: %s", pitch, why)
     return View(width, height, fov, pitch)
-
-
-def _seen(
-    told: Told, photo: Photograph, view: View, masks: list[found.Found], guesses: list[Guess]
-) -> list[Seen]:
-    """The bodies of all objects about the eye."""
-    seen = []
-    for k, (thing, one) in enumerate(zip(told.layout.object, masks)):
-        form = thing.form or "inflate"
-        if thing.form is None:
-            guesses.append((("object", k, "form"), form, "guessed: the usual one"))
-        thick = thing.thickness
-        if thick is None:
-            thick = bodies.THICKNESS
-            if form == "extrude":
-                guesses.append((("object", k, "thickness"), thick, "of its width, guessed"))
-        try:
-            surface = bodies.body(one.mask, view, form, thick)
-        except BodyError as error:
-            raise told.wrong((("object", k, "form"), str(error))) from None
-        cloud = colours.gaussians(surface, photo.rgb, one.mask, view, seed=k + 1)
-        log.info("'%s': %s, %d Gaussians", thing.name, form, len(cloud))
-        seen.append(Seen(thing, cloud))
-    return seen
 
 
 def _placed(told: Told, view: View, seen: list[Seen]) -> placing.Placed:
