@@ -1,7 +1,10 @@
-"""Draw the photograph of this example: python runs/photo/make_photo.py [photo.png].
+"""Draw the photograph of this example: python runs/photo/make_photo.py [folder].
 
-A table before a wall, lit from the left: balls, cups and boxes, ray-traced in numpy. The same bytes
-every time. `draw` also tells which pixels are whose, so that tests know the truth.
+--sheet FILE: six frames of its run as one picture, for docs/pictures.md.
+
+A table before a wall, lit from the left: balls, cans and boxes, ray-traced in numpy. The same bytes
+every time. `draw` also tells which pixels are whose, so that tests know the truth. photo.png and
+its layout.toml go to runs/photo/made, where the example's commands look for them.
 """
 
 import sys
@@ -184,3 +187,89 @@ def _box(thing: Box, start: np.ndarray, ray: np.ndarray):
     frame = ((np.abs(place - 0.5) > 0.44) & (np.abs(normal) < 0.5)).any(axis=1)
     paint = np.where(frame[:, None], 0.75 * np.asarray(thing.colour), thing.colour)
     return t, normal, paint
+
+
+MILK, GLASS = (0.93, 0.92, 0.88), (0.96, 0.95, 0.92)
+TABLE = [
+    Ball((0.005, 0.56, 0.215), 0.042, (0.86, 0.42, 0.10)),
+    Can((0.0, 0.58, 0.0), 0.052, 0.11, GLASS, MILK),
+    Box((0.125, 0.55, 0.0), (0.215, 0.61, 0.06), (0.70, 0.12, 0.20)),
+    Ball((-0.17, 0.60, 0.045), 0.045, (0.16, 0.42, 0.66)),
+]
+PHOTO = View(720, 480, 40.0, 12.0), 0.26  # and the height of the eye [m]
+SHOWN = (0, 5, 8, 11, 15, 30)  # frames on the sheet
+LAYOUT = """# What is in photo.png. The first start writes every guess here, the next one keeps it.
+[camera]
+fov = {view.fov}  # degrees; known here, since the photograph is drawn
+pitch = {view.pitch}
+
+[scene]
+end = "0.6 s"
+frames = 31
+cells = 60
+
+[[object]]
+name = "orange"
+box = {boxes[0]}
+support = "17 cm"  # it is in the air: its lowest point is so high above the table
+
+[[object]]
+name = "glass of milk"
+box = {boxes[1]}
+form = "revolve"
+height = "11 cm"  # the one length that is known
+material = "milk"
+
+[[object]]
+name = "jelly"
+box = {boxes[2]}
+form = "extrude"
+thickness = 0.67
+
+[[object]]
+name = "ball"
+box = {boxes[3]}
+"""
+
+
+def box(mask: np.ndarray) -> list[int]:
+    """As somebody draws it by hand: some pixels too large."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    return [int(v) for v in (columns[0] - 7, rows[0] - 6, columns[-1] + 8, rows[-1] + 7)]
+
+
+def sheet(folder: Path, path: Path) -> None:
+    """Six frames of the run in a folder, as one picture."""
+    from PIL import Image
+
+    from postprocess import settings
+    from postprocess.painter import Painter
+    from vgmpi.output.read import RunFiles
+
+    chosen = settings.load(folder / "render.toml")
+    painter = Painter(RunFiles(folder / "out"), chosen, folder)
+    frames = [painter.draw(k)[70:440, 60:680] for k in SHOWN]
+    rows = [np.concatenate(frames[k : k + 3], axis=1) for k in (0, 3)]
+    made = Image.fromarray(np.concatenate(rows))
+    made.resize((made.width * 2 // 3, made.height * 2 // 3)).save(path, quality=88)
+
+
+def main() -> None:
+    from PIL import Image
+
+    folder = Path(__file__).parent / "made"
+    if sys.argv[1:2] == ["--sheet"]:
+        sheet(folder, Path(sys.argv[2]))
+        return
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else folder
+    folder.mkdir(parents=True, exist_ok=True)
+    view, eye = PHOTO
+    drawn = draw(TABLE, view, eye)
+    Image.fromarray(drawn.rgb).save(folder / "photo.png")
+    boxes = [box(mask) for mask in drawn.masks]
+    (folder / "layout.toml").write_text(LAYOUT.format(view=view, boxes=boxes))
+    print(f"{folder}: photo.png and layout.toml")
+
+
+if __name__ == "__main__":
+    main()

@@ -23,6 +23,7 @@ DEEP = 24  # places along the way into the picture of what is extruded
 THICKNESS = 0.6  # of what is extruded, relative to its width, where nothing is told
 _STEEP = 0.6  # slope relative to that of a line of sight from which circles make its cone
 SMOOTH = 1.0  # pixels: an outline of pixels is jagged, and the smallest circle counts
+INSET = 0.6  # pixels
 _SMALL = 0.1  # of the largest radius: a body has no thinner ends
 
 
@@ -48,6 +49,7 @@ def body(mask: np.ndarray, view: View, form: Form, thickness: float = THICKNESS)
     mask: (height, width) bool, not empty. thickness: of what is extruded, how far it goes into the
     picture relative to its width. Raises BodyError.
     """
+    mask = inner(mask)
     if form == "inflate":
         return _inflated(mask, view)
     if form == "extrude":
@@ -74,16 +76,25 @@ def poisson_height(inside: np.ndarray) -> np.ndarray:
     return np.sqrt(4 * np.maximum(u, 0))[1:-1, 1:-1]
 
 
+def inner(mask: np.ndarray) -> np.ndarray:
+    """Shares of pixels (height, width), a half where an outline lies INSET inside the mask's:
+    Gaussians on a rim are seen that far beyond it."""
+    deep = ndimage.distance_transform_edt(mask) - ndimage.distance_transform_edt(~mask)
+    deep = ndimage.gaussian_filter(deep - np.where(mask, 0.5, -0.5), SMOOTH)
+    soft = np.clip(deep - INSET + 0.5, 0, 1)
+    return soft if soft.max() > 0.9 else mask.astype(np.float64)
+
+
 def within(mask: np.ndarray, view: View, points: np.ndarray) -> np.ndarray:
     """Whether points (..., 3) about the eye are seen inside the mask (...)."""
     return share(mask, view, points) > 0.5
 
 
 def share(mask: np.ndarray, view: View, points: np.ndarray) -> np.ndarray:
-    """A mask where points (..., 3) about the eye are seen (...), between its pixels."""
+    """A mask of shares where points (..., 3) about the eye are seen (...), between its pixels."""
     at, _ = view.pixels(points)
     soft = ndimage.map_coordinates(
-        mask.astype(np.float32), np.nan_to_num(at[..., ::-1] - 0.5, nan=-9.0).reshape(-1, 2).T,
+        mask, np.nan_to_num(at[..., ::-1] - 0.5, nan=-9.0).reshape(-1, 2).T,
         order=1, cval=0.0,
     )  # fmt: skip
     return soft.reshape(at.shape[:-1])
@@ -91,8 +102,8 @@ def share(mask: np.ndarray, view: View, points: np.ndarray) -> np.ndarray:
 
 def _lattice(mask: np.ndarray, view: View) -> Lattice:
     """The outline on the upright plane a distance of 1 away, in places of one size."""
-    box = box_of(mask)
-    rim = np.argwhere(mask)[:, ::-1] + 0.5
+    box = box_of(mask > 0.5)
+    rim = np.argwhere(mask > 0.5)[:, ::-1] + 0.5
     rays = view.rays(rim)
     if not (rays[:, 1] > 0.05).all():
         said = f"lies far below or above a camera that looks down by {view.pitch:g} degrees"
@@ -112,7 +123,7 @@ def _lattice(mask: np.ndarray, view: View) -> Lattice:
 def _inflated(mask: np.ndarray, view: View) -> Mesh:
     """Two fields of heights along the lines of sight, over the plane that the middle of the outline
     is seen at a right angle on; they share their rim."""
-    rays = view.rays(np.argwhere(mask)[:, ::-1] + 0.5)
+    rays = view.rays(np.argwhere(mask > 0.5)[:, ::-1] + 0.5)
     ahead = rays.mean(axis=0)
     ahead /= np.linalg.norm(ahead)
     right = np.cross(ahead, (0.0, 0.0, 1.0) if abs(ahead[2]) < 0.9 else (0.0, 1.0, 0.0))
@@ -179,8 +190,7 @@ def _revolved(mask: np.ndarray, view: View) -> Mesh:
     turn = 2 * np.pi * np.arange(ROUND) / ROUND
     radii = np.linspace(0, most, ACROSS // 2)
     h, t, r = np.meshgrid(heights, turn, radii, indexing="ij")
-    smooth = ndimage.gaussian_filter(mask.astype(np.float32), SMOOTH)
-    seen = share(smooth, view, np.stack([axis + r * np.cos(t), 1 + r * np.sin(t), h], -1))
+    seen = share(mask, view, np.stack([axis + r * np.cos(t), 1 + r * np.sin(t), h], -1))
     reach = _first_below(seen) * radii[1]  # (heights, turn)
     radius = ndimage.median_filter(reach.min(axis=1), 5, mode="nearest")
     first, last = _ends(heights, radius, (at.up[rows[0]], at.up[rows[-1]]))

@@ -76,13 +76,13 @@ def _one(thing: ObjectTable, told: Told, photo: Photograph, finder: Finder) -> F
     by = told.layout.masks.by
     if thing.mask is not None:
         key, how = "mask", f"the mask {thing.mask}"
-    elif box is None and not clicks and not (thing.text and by == "sam3"):
+    elif box is None and not clicks:
         if photo.alpha is None:
             said = "needs a box = [left, top, right, bottom] in pixels, or a mask = 'file.png'"
             raise _KeyedError("box", f"{said}; --find proposes boxes")
         key, how = "box", "what the picture's alpha shows"
     else:
-        key = "box" if box is not None else "clicks" if clicks else "text"
+        key = "box" if box is not None else "clicks"
         how = f"found by {by} from its {key}"
     try:
         if thing.mask is not None:

@@ -92,9 +92,9 @@ class MasksTable(Table):
 class DepthTable(Table):
     """Who tells how far objects are."""
 
-    by: Literal["floor", "model"] = "floor"
+    by: Literal["floor", "depth-anything"] = "floor"
     weights: str = ""
-    """of Depth Anything or Depth Pro: as of masks"""
+    """of Depth Anything: as of masks"""
 
 
 class MaterialsTable(Table):

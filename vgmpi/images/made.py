@@ -7,11 +7,23 @@ from typing import NamedTuple
 import numpy as np
 
 from vgmpi.gaussians.cloud import Cloud
-from vgmpi.images import found, photograph, placing, proposed, scenes, shown, sources, stuff
+from vgmpi.images import (
+    airborne,
+    found,
+    models,
+    photograph,
+    placing,
+    proposed,
+    scenes,
+    shown,
+    sources,
+    stuff,
+)
 from vgmpi.images import layout as layouts
 from vgmpi.images.files import Folder
 from vgmpi.images.layout import LayoutError, Told
 from vgmpi.images.masks import MaskError
+from vgmpi.images.models import Models
 from vgmpi.images.photograph import Photograph
 from vgmpi.images.placing import PlacingError, Seen
 from vgmpi.images.sources import Guess, Scenery
@@ -39,24 +51,26 @@ def make(photo_path: Path, layout_path: Path, out: Path, overwrite: bool = False
     told = layouts.read(layout_path)
     folder = Folder(out, overwrite)
     names = [thing.name for thing in told.layout.object]
-    masks = found.find(told, photo, found.grabcut)
+    asked = models.load(told)
+    masks = found.find(told, photo, asked.finder)
     found.hidden(masks, names)
     guesses: list[Guess] = []
     view = _view(told, photo, guesses)
     seen = sources.all_of(Scenery(told, photo, view, out), masks, guesses)
-    placed = _placed(told, view, seen)
-    materials = _materials(told, guesses)
+    seen, eye = _lifted(told, photo, view, seen, masks, asked, guesses)
+    placed = _placed(told, view, seen, eye)
+    materials = _materials(told, photo, masks, asked, guesses)
     _tell(told, view, placed, guesses)
-    eye = np.array([0.0, 0.0, placed.eye])
+    eye_at = np.array([0.0, 0.0, placed.eye])
     things = [
-        _thing(thing.name, stand.cloud, eye, name)
+        _thing(thing.name, stand.cloud, eye_at, name)
         for thing, stand, name in zip(told.layout.object, placed.stands, materials)
     ]
-    asked = told.layout.scene
-    space = scenes.room(things, asked.cells)
+    wanted = told.layout.scene
+    space = scenes.room(things, wanted.cells)
     every = [one.mask for one in masks]
     background = shown.painted_out(photo.rgb, every)
-    camera = view.camera(eye, scenes.near(eye))
+    camera = view.camera(eye_at, scenes.near(eye_at))
     clouds = [one.cloud.transformed(np.eye(3), 1.0, one.at) for one in things]
     drawn = shown.frame(clouds, camera, background / 255.0)
     alike = [shown.alike(drawn, photo.rgb, mask) for mask in every]
@@ -70,9 +84,9 @@ def make(photo_path: Path, layout_path: Path, out: Path, overwrite: bool = False
             guesses.append((("object", k, "mask"), where, mask.how))
     folder.picture("background.png", background)
     folder.picture("check.png", shown.beside(photo.rgb, drawn, every))
-    folder.text("render.toml", scenes.render(view, eye - space.low, "background.png"))
+    folder.text("render.toml", scenes.render(view, eye_at - space.low, "background.png"))
     title = f"from {photo_path.name}"
-    folder.text("scene.toml", scenes.scene(things, space, asked.end, asked.frames, title))
+    folder.text("scene.toml", scenes.scene(things, space, wanted.end, wanted.frames, title))
     folder.whole(layout_path, layouts.rewritten(told.source.text, guesses))
     folder.write()
     _checked(out)
@@ -87,18 +101,16 @@ def propose(photo_path: Path, layout_path: Path | None, out: Path) -> Path:
     Raises LayoutError, PhotographError, MaskError, OSError."""
     photo = photograph.read(photo_path)
     where = layout_path if layout_path is not None else out / "layout.toml"
-    given = ""
-    if where.exists():
-        given = layouts.read_empty(where)[1].text
+    empty, source = layouts.read_empty(where) if where.exists() else (layouts.Empty(), None)
     folder = Folder(out, overwrite=True)
-    boxes = proposed.standing_out(photo.rgb)
+    boxes = models.proposer(empty, source.folder if source else where.parent)(photo.rgb)
     if not boxes:
         raise MaskError(f"{photo_path}: nothing in it stands out: boxes must be given by hand")
     for k, box in enumerate(boxes):
         size = f"{box.right - box.left} x {box.bottom - box.top} pixels"
         log.info("'thing %d': proposed, %s, as it stands out from its rows", k + 1, size)
     folder.picture("find.png", proposed.drawn(photo.rgb, boxes))
-    folder.whole(where, proposed.text(boxes, photo, given))
+    folder.whole(where, proposed.text(boxes, photo, source.text if source else ""))
     folder.write()
     return where
 
@@ -120,16 +132,54 @@ def _view(told: Told, photo: Photograph, guesses: list[Guess]) -> View:
     return View(width, height, fov, pitch)
 
 
-def _placed(told: Told, view: View, seen: list[Seen]) -> placing.Placed:
+def _placed(told: Told, view: View, seen: list[Seen], eye: float | None) -> placing.Placed:
     """The places of all objects, told line by line."""
     try:
-        placed = placing.place(seen, view.forward, told.layout.camera.height)
+        placed = placing.place(seen, view.forward, eye)
     except PlacingError as error:
         k = [thing.name for thing in told.layout.object].index(error.name)
         raise told.wrong((("object", k, error.key), str(error))) from None
     for line in placed.lines:
         log.info("%s", line)
     return placed
+
+
+def _lifted(
+    told: Told, photo: Photograph, view: View, seen: list[Seen], masks: list[found.Found],
+    asked: Models, guesses: list[Guess],
+) -> tuple[list[Seen], float | None]:  # fmt: skip
+    """The objects with the heights of what a model sees in the air, and of the eye above the floor
+    where it is known by then."""
+    eye = told.layout.camera.height
+    if asked.depth is None or all(one.asked.support is not None for one in seen):
+        return seen, eye
+    nearness = asked.depth.nearness(photo.rgb)
+    fit = airborne.floor_fit(nearness, [one.mask for one in masks], view)
+    if fit is None:
+        log.warning("depth: too little of the floor is seen: all objects stand on it")
+        return seen, eye
+    lifts = [
+        airborne.lift(nearness, mask.mask, one.low[2], one.front(view.forward), fit)
+        if one.asked.support is None
+        else None
+        for one, mask in zip(seen, masks)
+    ]
+    standing = [one for one, up in zip(seen, lifts) if up is None]
+    if eye is None and any(one.asked.height for one in standing):
+        eye = placing.place(standing, view.forward, None).eye
+    if eye is None:
+        log.warning("depth: how high the camera is, no object tells that stands: nothing is lifted")
+        return seen, eye
+    out = []
+    for k, (one, up) in enumerate(zip(seen, lifts)):
+        if up is not None:
+            height = _short(up[0] * eye)
+            why = f"m above the floor, as depths have it: {up[1] * eye:.3g} m away"
+            guesses.append((("object", k, "support"), height, why))
+            log.info("'%s': its lowest point is %g %s", one.asked.name, height, why)
+            one = one._replace(asked=one.asked.model_copy(update={"support": height}))
+        out.append(one)
+    return out, eye
 
 
 def _tell(told: Told, view: View, placed: placing.Placed, guesses: list[Guess]) -> None:
@@ -139,7 +189,8 @@ def _tell(told: Told, view: View, placed: placing.Placed, guesses: list[Guess]) 
         guesses.append((("camera", "height"), value, "m above the floor, from what is known"))
     for k, (thing, stand) in enumerate(zip(told.layout.object, placed.stands)):
         low, high = stand.floor_box(placed.eye)
-        if thing.support is None:
+        lifted = any(path == ("object", k, "support") for path, *_ in guesses)
+        if thing.support is None and not lifted:
             guesses.append((("object", k, "support"), layouts.FLOOR, "guessed: it stands"))
         if thing.height is None:
             guesses.append((("object", k, "height"), _short(high[2] - low[2]), "m, as it is seen"))
@@ -148,13 +199,18 @@ def _tell(told: Told, view: View, placed: placing.Placed, guesses: list[Guess]) 
             guesses.append((("object", k, "distance"), value, "m from the eye along its axis"))
 
 
-def _materials(told: Told, guesses: list[Guess]) -> list[str]:
+def _materials(
+    told: Told, photo: Photograph, masks: list[found.Found], asked: Models, guesses: list[Guess]
+) -> list[str]:
     """The names of what all objects are made of."""
     names, wrong = [], []
-    for k, thing in enumerate(told.layout.object):
+    for k, (thing, one) in enumerate(zip(told.layout.object, masks)):
         name = thing.material
         if name is None:
             name, why = stuff.guessed(thing.name, thing.text)
+            if asked.clip is not None:
+                ranks = asked.clip.ranked(shown.crop(photo.rgb, one.mask), stuff.words())
+                name, why = stuff.ranked(ranks)
             guesses.append((("object", k, "material"), name, f"guessed: {why}"))
             log.info("'%s': %s, guessed: %s", thing.name, name, why)
         else:

@@ -40,6 +40,10 @@ class Seen(NamedTuple):
     def high(self) -> np.ndarray:
         return self.cloud.x.max(axis=0)
 
+    def front(self, forward: np.ndarray) -> float:
+        """Depth of what of it is seen, about a quarter into it; forward: the camera's axis (3,)."""
+        return float(np.quantile(self.cloud.x @ forward, 0.25))
+
     @property
     def tall(self) -> float:
         return float(self.high[2] - self.low[2])

@@ -9,7 +9,8 @@ from vgmpi.convert import written
 from vgmpi.gaussians.cloud import Cloud
 from vgmpi.images.view import View
 
-BESIDE, ABOVE = 0.5, 0.3  # room around what is there, of its largest extent
+BESIDE, ABOVE = 0.8, 0.3  # room around what is there, of its largest extent
+GAP = 0.2  # cells between things and the floor: soft ones press some way into what they stand on
 FRICTION = 0.4  # of the floor
 _MARK = "# made by python -m vgmpi.images, sum "
 
@@ -46,6 +47,7 @@ def room(things: list[Thing], cells: int) -> Room:
     counts = np.ceil((high - low) / cell).astype(int)
     middle = (low + high)[:2] / 2
     low[:2] = middle - counts[:2] * cell / 2
+    low[2] = -GAP * cell
     return Room(low, counts, cell)
 
 
@@ -90,7 +92,6 @@ def render(view: View, eye: np.ndarray, background: str) -> str:
             "near": near(eye),
         },
         "picture": {"width": view.width, "height": view.height, "background": background},
-        "look": {"normalise": "radius"},
     }
     head = ["The photograph's camera; behind everything the photograph, its objects painted out."]
     return sealed(written.text(top, head, []))

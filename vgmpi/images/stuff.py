@@ -34,7 +34,7 @@ def _liquid(preset: str, speed: float = 3.0) -> Keys:
 STUFF = {
     "water": Stuff(
         _liquid("water"),
-        "water coffee tea espresso milk juice wine beer lemonade soup cola cocoa drink puddle",
+        "water milk coffee tea espresso juice wine beer lemonade soup cola cocoa drink puddle",
     ),
     "honey": Stuff(_liquid("honey"), "honey syrup caramel"),
     "oil": Stuff(_liquid("oil"), "oil"),
@@ -74,15 +74,29 @@ def known() -> list[str]:
 
 
 def keys(name: str) -> Keys:
-    """The keys of the scene's material for a name of ours or of a preset. Raises ValueError."""
+    """The keys of the scene's material for a name of ours, of a preset, or of a thing that is known
+    to be of one. Raises ValueError."""
     if name in STUFF:
         return dict(STUFF[name].keys)
     for kind, table in materials.registry.items():
         if name in table.presets:  # type: ignore[attr-defined]
             more = {"max_speed": 3.0} if kind == "fluid" else {}
             return {"kind": "elastic" if kind == "corotated" else kind, "preset": name, **more}
+    if name in _WORDS:
+        return dict(STUFF[_WORDS[name]].keys)
     names = known()
     raise ValueError(f"no such material{nearest(name, names)}; known: {', '.join(names)}")
+
+
+def words() -> list[str]:
+    """Names of things of which it is known what they are made of."""
+    return list(_WORDS)
+
+
+def ranked(ranks: list[tuple[str, float]]) -> tuple[str, str]:
+    """What an object is made of by things that it looks like, the likeliest first, and why."""
+    likely = ", ".join(f"{word} {share:.2f}" for word, share in ranks[:3])
+    return _WORDS[ranks[0][0]], f"looks like {likely}"
 
 
 def guessed(name: str, text: str | None) -> tuple[str, str]:
