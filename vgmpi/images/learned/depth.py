@@ -33,11 +33,11 @@ class Depth:
         return 1 / np.maximum(full, 1e-6) if self.metric else full
 
     def size(self, height: int, width: int) -> tuple[int, int]:
-        """Rows and columns that the model is given: whole patches, in nearly the same shape."""
-        by = self.side / min(height, width)
-        return tuple(
-            max(self.patch, round(n * by / self.patch) * self.patch) for n in (height, width)
-        )  # type: ignore[return-value]
+        """Rows and columns that the model is given: whole patches, in nearly the same shape, one of
+        them the side it was made for, whichever changes the picture less."""
+        by = min((self.side / n for n in (height, width)), key=lambda scale: abs(1 - scale))
+        rows, columns = (max(1, round(n * by / self.patch)) for n in (height, width))
+        return rows * self.patch, columns * self.patch
 
 
 def load(weights: str) -> Depth:
