@@ -211,7 +211,7 @@ cells = 60
 [[object]]
 name = "orange"
 box = {boxes[0]}
-support = "17 cm"  # it is in the air: its lowest point is so high above the table
+support = "17.3 cm"  # it is in the air: its lowest point is so high above the table
 
 [[object]]
 name = "glass of milk"
@@ -248,7 +248,7 @@ def sheet(folder: Path, path: Path) -> None:
 
     chosen = settings.load(folder / "render.toml")
     painter = Painter(RunFiles(folder / "out"), chosen, folder)
-    frames = [painter.draw(k)[70:440, 60:680] for k in SHOWN]
+    frames = [painter.draw(k)[70:, 50:670] for k in SHOWN]
     rows = [np.concatenate(frames[k : k + 3], axis=1) for k in (0, 3)]
     made = Image.fromarray(np.concatenate(rows))
     made.resize((made.width * 2 // 3, made.height * 2 // 3)).save(path, quality=88)

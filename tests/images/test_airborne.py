@@ -7,9 +7,10 @@ from tests import photographs
 from vgmpi.images import airborne, bodies
 from vgmpi.images.__main__ import main
 from vgmpi.images.models import Models
+from vgmpi.images.view import View
 
 pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")
-drawing, VIEW, EYE = photographs.drawing, photographs.VIEW, photographs.EYE
+drawing, VIEW, EYE = photographs.drawing, View(400, 300, 38.0, 18.0), photographs.EYE
 BALLS = [
     drawing.Ball((-0.08, 0.55, 0.04), 0.04, (0.2, 0.4, 0.7)),  # on the floor
     drawing.Ball((0.08, 0.60, 0.13), 0.04, (0.8, 0.4, 0.1)),  # 9 cm above it

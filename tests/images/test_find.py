@@ -1,15 +1,19 @@
 """--find proposes boxes around what stands out, in a layout to go on with."""
 
 import re
+import sys
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from tests import photographs
+from tests.launch import ROOT, run
 from vgmpi.images import layout as layouts
 from vgmpi.images import masks, proposed
 from vgmpi.images.__main__ import main
+from vgmpi.prepare.build import build
+from vgmpi.scene.reader import load
 
 pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")
 
@@ -76,3 +80,24 @@ def test_a_picture_of_nothing_has_no_proposals(tmp_path, capsys):
 def test_boxes_that_are_one_are_proposed_once():
     one, same, other = masks.Box(0, 0, 50, 50), masks.Box(5, 5, 45, 45), masks.Box(45, 0, 90, 50)
     assert proposed.distinct([one, same, other]) == [one, other]
+
+
+def test_the_example_is_made_and_its_scene_is_right(tmp_path):
+    """runs/photo, as its README has it, up to the run."""
+    script = ROOT / "runs" / "photo" / "make_photo.py"
+    assert run([sys.executable, script, tmp_path]).returncode == 0
+    photo, layout = tmp_path / "photo.png", tmp_path / "layout.toml"
+    assert main([str(photo), str(layout), "-o", str(tmp_path)]) == 0
+    made = build(load(tmp_path / "scene.toml"))
+    assert len(made.x) > 100_000
+    told = {thing.name: thing for thing in layouts.read(layout).layout.object}
+    assert told["orange"].material == "fruit" and told["jelly"].material == "jelly"
+    eye = photographs.eye_of(tmp_path)
+    truth = photographs.drawing.TABLE[0]
+    found = photographs.corners(tmp_path, "orange").mean(axis=0)
+    view_eye = photographs.drawing.PHOTO[1]
+    off = found - (np.array(truth.middle) - (0, 0, view_eye))
+    print("the orange is off by", off.round(4), "m; the eye by", round(eye[2] - view_eye, 4))
+    # near the height of the eye, distances follow from small angles: 1 % of the eye's are 3 % of its
+    assert np.abs(off[[0, 2]]).max() < 0.01 and abs(off[1]) < 0.1 * found[1]
+    assert abs(eye[2] / view_eye - 1) < 0.03

@@ -212,10 +212,10 @@ def test_alpha_is_a_mask(folder, capsys):
 
 def test_a_large_photograph_is_made_smaller(folder, capsys):
     """Boxes and masks stay in the pixels of its file."""
-    large = Image.fromarray(pixels()).resize((12 * WIDTH, 12 * HEIGHT), Image.Resampling.BICUBIC)
+    large = Image.fromarray(pixels()).resize((9 * WIDTH, 9 * HEIGHT), Image.Resampling.BICUBIC)
     large.save(folder / "photo.jpg")
     code, lines = told(
-        folder, folder / "photo.jpg", GOOD + f"box = {[12 * v for v in BOX]}\n", capsys
+        folder, folder / "photo.jpg", GOOD + f"box = {[9 * v for v in BOX]}\n", capsys
     )
     assert code == 0, lines
     found = np.asarray(Image.open(folder / "out" / "masks" / "ball.png")) > 0

@@ -24,6 +24,7 @@ sys.exit(main(sys.argv[1:]))
     "package, head, pip",
     [
         ("cv2", "", "pip install 'vgmpi[images]'"),
+        ("tomlkit", "", "pip install 'vgmpi[images]'"),
         ("torch", '[masks]\nby = "sam2"', "pip install 'vgmpi[learned]'"),
         ("transformers", '[materials]\nby = "clip"', "pip install 'vgmpi[learned]'"),
         ("torch", '[depth]\nby = "depth-anything"', "pip install 'vgmpi[learned]'"),

@@ -267,9 +267,12 @@ def _supports(layout: Layout) -> list[tuple[tuple, str]]:
 
 def rewritten(text: str, guesses: list[tuple[tuple, Any, str]]) -> str:
     """The text of a layout with values that it did not have, each with the reason behind it; all
-    else stays as it was written. guesses: path of the key, value, reason."""
-    import tomlkit
-
+    else stays as it was written. guesses: path of the key, value, reason. Raises LayoutError."""
+    try:
+        import tomlkit
+    except ImportError:
+        said = "writing guesses into a layout needs tomlkit: pip install 'vgmpi[images]'"
+        raise LayoutError([said]) from None
     held = tomlkit.parse(text)
     for path, value, reason in guesses:
         here: Any = held
