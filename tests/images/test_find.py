@@ -98,6 +98,6 @@ def test_the_example_is_made_and_its_scene_is_right(tmp_path):
     view_eye = photographs.drawing.PHOTO[1]
     off = found - (np.array(truth.middle) - (0, 0, view_eye))
     print("the orange is off by", off.round(4), "m; the eye by", round(eye[2] - view_eye, 4))
-    # near the height of the eye, distances follow from small angles: 1 % of the eye's are 3 % of its
+    # seen at a small angle, distances are told badly: 1 % of the eye's height are 3 % of its
     assert np.abs(off[[0, 2]]).max() < 0.01 and abs(off[1]) < 0.1 * found[1]
     assert abs(eye[2] / view_eye - 1) < 0.03

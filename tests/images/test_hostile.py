@@ -212,7 +212,8 @@ def test_alpha_is_a_mask(folder, capsys):
 
 def test_a_large_photograph_is_made_smaller(folder, capsys):
     """Boxes and masks stay in the pixels of its file."""
-    large = Image.fromarray(pixels()).resize((9 * WIDTH, 9 * HEIGHT), Image.Resampling.BICUBIC)
+    size = (9 * WIDTH - 1, 9 * HEIGHT - 1)
+    large = Image.fromarray(pixels()).resize(size, Image.Resampling.BICUBIC)
     large.save(folder / "photo.jpg")
     code, lines = told(
         folder, folder / "photo.jpg", GOOD + f"box = {[9 * v for v in BOX]}\n", capsys
@@ -222,6 +223,12 @@ def test_a_large_photograph_is_made_smaller(folder, capsys):
     assert max(found.shape) == 1280
     small = np.asarray(Image.fromarray(disc()).resize(found.shape[::-1]))
     assert masks.iou(found, small) > 0.95
+    # its own mask, which is as small, is taken by the next start
+    assert main([str(folder / "photo.jpg"), str(folder / "layout.toml"), "-o", str(folder)]) == 0
+    given = Image.fromarray(disc()).resize(size)
+    given.save(folder / "mask.png")
+    code, lines = told(folder, folder / "photo.jpg", GOOD + 'mask = "mask.png"\n', capsys)
+    assert code == 0, lines
 
 
 @pytest.mark.parametrize("what", ["a pipe", "a folder", "the output is a file"])

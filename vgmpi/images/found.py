@@ -86,7 +86,7 @@ def _one(thing: ObjectTable, told: Told, photo: Photograph, finder: Finder) -> F
         how = f"found by {by} from its {key}"
     try:
         if thing.mask is not None:
-            mask = _small(photograph.grey(told.path(thing.mask), photo.size), photo)
+            mask = _small(photograph.grey(told.path(thing.mask), photo), photo)
         elif how.startswith("what"):
             assert photo.alpha is not None
             mask = masks.largest(photo.alpha > 127)

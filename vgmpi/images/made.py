@@ -20,6 +20,7 @@ from vgmpi.images import (
     stuff,
 )
 from vgmpi.images import layout as layouts
+from vgmpi.images.background import painted_out
 from vgmpi.images.files import Folder
 from vgmpi.images.layout import LayoutError, Told
 from vgmpi.images.masks import MaskError
@@ -69,7 +70,7 @@ def make(photo_path: Path, layout_path: Path, out: Path, overwrite: bool = False
     wanted = told.layout.scene
     space = scenes.room(things, wanted.cells)
     every = [one.mask for one in masks]
-    background = shown.painted_out(photo.rgb, every)
+    background = painted_out(photo.rgb, every)
     camera = view.camera(eye_at, scenes.near(eye_at))
     clouds = [one.cloud.transformed(np.eye(3), 1.0, one.at) for one in things]
     drawn = shown.frame(clouds, camera, background / 255.0)

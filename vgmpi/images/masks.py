@@ -34,7 +34,7 @@ def opencv():
     try:
         import cv2
     except ImportError:
-        said = "GrabCut and painting out need OpenCV: pip install 'vgmpi[images]'"
+        said = "GrabCut needs OpenCV: pip install 'vgmpi[images]'"
         raise MaskError(said) from None
     cv2.setNumThreads(1)
     cv2.setRNGSeed(_SEED)

@@ -21,21 +21,16 @@ class PhotographError(ValueError):
 class Photograph(NamedTuple):
     """rgb: (height, width, 3) uint8. alpha: (height, width) uint8, or None where all is opaque.
 
-    reduced: pixels of the file per pixel here. fov: vertical [degrees], None where the file does
-    not tell.
+    size: width and height in the file, turned upright. reduced: pixels there per pixel here. fov:
+    vertical [degrees], None where the file does not tell.
     """
 
     path: Path
     rgb: np.ndarray
     alpha: np.ndarray | None
+    size: tuple[int, int]
     reduced: float
     fov: float | None
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height in the file, turned upright [pixels]."""
-        height, width = self.rgb.shape[:2]
-        return round(width * self.reduced), round(height * self.reduced)
 
 
 def read(path: Path) -> Photograph:
@@ -67,12 +62,15 @@ def read(path: Path) -> Photograph:
     every = np.asarray(turned.convert("RGBA"))
     alpha = every[..., 3]
     clear = None if (alpha == 255).all() else np.ascontiguousarray(alpha)
-    return Photograph(path, np.ascontiguousarray(every[..., :3]), clear, reduced, fov)
+    return Photograph(
+        path, np.ascontiguousarray(every[..., :3]), clear, (width, height), reduced, fov
+    )
 
 
-def grey(path: Path, size: tuple[int, int]) -> np.ndarray:
+def grey(path: Path, photo: Photograph) -> np.ndarray:
     """The mask in a file, (height, width) bool: its alpha where it has one, else what is brighter
-    than the middle. size: width and height it must have in the file. Raises PhotographError."""
+    than the middle. It is as large as the photograph's file, or as what is made of that here.
+    Raises PhotographError."""
     from PIL import Image, ImageOps
 
     try:
@@ -82,8 +80,9 @@ def grey(path: Path, size: tuple[int, int]) -> np.ndarray:
             turned = ImageOps.exif_transpose(shown).convert("RGBA")
     except Exception as error:
         raise PhotographError(f"{path}: {_said(error)}") from None
-    if turned.size != size:
-        said = "has {} x {} pixels, the photograph {} x {}".format(*turned.size, *size)
+    here = (photo.rgb.shape[1], photo.rgb.shape[0])
+    if turned.size not in (photo.size, here):
+        said = "has {} x {} pixels, the photograph {} x {}".format(*turned.size, *photo.size)
         raise PhotographError(f"{path}: {said}")
     every = np.asarray(turned)
     if (every[..., 3] < 255).any():

@@ -1,28 +1,15 @@
-"""Pictures of what was made: the background without the objects, the first frame, check.png."""
+"""Pictures of what was made: the first frame, check.png, the objects alone."""
 
 import numpy as np
 from scipy import ndimage
 
 from vgmpi.gaussians import sh as harmonics
 from vgmpi.gaussians.cloud import Cloud
-from vgmpi.images.masks import MaskError, opencv
 from vgmpi.splatting import splat
 from vgmpi.splatting.camera import Camera
 from vgmpi.splatting.decibels import decibels
 
-BEYOND = 3  # pixels around a mask that are painted out too
-RADIUS = 4  # pixels that painting out looks at
 CROP = 1.2  # of the longer side of an object's box: the square that generators are given
-
-
-def painted_out(rgb: np.ndarray, masks: list[np.ndarray]) -> np.ndarray:
-    """The photograph (height, width, 3) uint8 without its objects (Telea 2004)."""
-    cv2 = opencv()
-    every = np.logical_or.reduce(masks)
-    hole = ndimage.binary_dilation(every, iterations=BEYOND)
-    if hole.all():
-        raise MaskError("the objects fill the whole picture: no background is left")
-    return cv2.inpaint(rgb, hole.astype(np.uint8), RADIUS, cv2.INPAINT_TELEA)
 
 
 def frame(clouds: list[Cloud], camera: Camera, background: np.ndarray) -> np.ndarray:
