@@ -101,3 +101,29 @@ def test_the_example_is_made_and_its_scene_is_right(tmp_path):
     # seen at a small angle, distances are told badly: 1 % of the eye's height are 3 % of its
     assert np.abs(off[[0, 2]]).max() < 0.01 and abs(off[1]) < 0.1 * found[1]
     assert abs(eye[2] / view_eye - 1) < 0.03
+
+
+def test_threads_are_no_part_of_a_mask():
+    """As an edge of a table behind a cup makes them, where it has its colour."""
+    y, x = np.mgrid[:120, :160]
+    disc = (x - 80) ** 2 + (y - 60) ** 2 < 40**2
+    found = masks.opened(disc | (y == 22), masks.Box(35, 15, 125, 105))
+    assert masks.iou(found, disc) > 0.99 and not found[22, :60].any()
+    thin = np.zeros((120, 160), bool)
+    thin[60, 40:120] = True  # nothing but a thread: it stays
+    assert (masks.opened(thin, masks.Box(40, 20, 120, 100)) == thin).all()
+
+
+def test_clicks_say_what_is_it_and_what_is_not():
+    """Two discs that touch, of nearly one colour: a click parts them, another brings one back."""
+    y, x = np.mgrid[:160, :240] + 0.5
+    left, right = ((x - c) ** 2 + (y - 80) ** 2 < 36**2 for c in (92, 146))
+    rgb = np.full((160, 240, 3), (110, 120, 130), np.uint8)
+    rgb[left], rgb[right] = (200, 60, 40), (60, 160, 60)
+    noise = np.random.default_rng(1).integers(-5, 6, rgb.shape)
+    rgb = np.clip(rgb.astype(int) + noise, 0, 255).astype(np.uint8)
+    box = masks.Box(40, 36, 200, 124)
+    both = masks.grabcut(rgb, box, [])
+    assert masks.iou(both, left | right) > 0.95
+    one = masks.grabcut(rgb, box, [(160.0, 80.0, False), (80.0, 80.0, True)])
+    assert masks.iou(one, left & ~right) > 0.95

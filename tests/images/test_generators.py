@@ -133,6 +133,20 @@ def test_a_killed_run_goes_on_where_it_was(tmp_path):
     assert (tmp_path / "out" / "scene.toml").exists()
 
 
+def test_ctrl_c_ends_the_program_too(tmp_path):
+    wait = 'import os; (here / "pid").write_text(str(os.getpid())); time.sleep(600)'
+    ducks.put(tmp_path, 40, standin(tmp_path, wait), KNOWN)
+    command = [sys.executable, "-m", "vgmpi.images", tmp_path / "photo.png"]
+    begun = start([*command, tmp_path / "layout.toml", "-o", tmp_path / "out"], cwd=ROOT)
+    until(lambda: (tmp_path / "pid").exists() and (tmp_path / "pid").read_text(), "it starts")
+    child = int((tmp_path / "pid").read_text())
+    begun.send_signal(signal.SIGINT)
+    assert finish(begun).returncode == 130
+    with pytest.raises(ProcessLookupError):
+        os.kill(child, 0)
+    assert sorted(p.name for p in (tmp_path / "out" / "bodies").iterdir()) == ["duck.png"]
+
+
 WRONG = {
     "no interpreter": ("", "/opt/no/such/python", "bodies.python: /opt/no/such/python: no interp"),
     "no program": ("", "/etc/passwd", "no interpreter: Permission denied"),

@@ -12,6 +12,7 @@ ROUNDS = 6  # of GrabCut
 CLICK = 0.008  # radius of what a click is sure of, relative to the picture's longer side
 MARGIN = 0.35  # of the box's size: as much of the background around it is looked at
 FEWEST = 64  # pixels of an object
+ALIKE = 12  # difference of colours, 0..255, of what a click is for
 THREAD = 0.025  # of the shorter side of a box: what is thinner is no part of an object
 _SEED = 1
 
@@ -56,9 +57,14 @@ def grabcut(rgb: np.ndarray, box: Box, clicks: list[tuple[float, float, bool]]) 
     label = np.full(part.shape[:2], cv2.GC_BGD, dtype=np.uint8)
     label[box.top - y0 : box.bottom - y0, box.left - x0 : box.right - x0] = cv2.GC_PR_FGD
     radius = max(1, round(CLICK * max(width, height)))
-    for x, y, is_it in clicks:
+    for x, y, is_it in sorted(clicks, key=lambda click: click[2]):  # what is it goes last
+        at = (int(x) - x0, int(y) - y0)
+        if not (0 <= at[0] < part.shape[1] and 0 <= at[1] < part.shape[0]):
+            continue  # beyond what is looked at nothing is the object's
+        if not is_it:
+            label[_alike(cv2, part, at)] = cv2.GC_BGD
         kind = cv2.GC_FGD if is_it else cv2.GC_BGD
-        cv2.circle(label, (int(x) - x0, int(y) - y0), radius, int(kind), -1)
+        cv2.circle(label, at, radius, int(kind), -1)
     if not (label == cv2.GC_BGD).any():
         raise MaskError("the box is the whole picture: nothing is left that is background")
     back, fore = np.zeros((1, 65)), np.zeros((1, 65))
@@ -70,6 +76,16 @@ def grabcut(rgb: np.ndarray, box: Box, clicks: list[tuple[float, float, bool]]) 
     found = np.zeros((height, width), dtype=bool)
     found[y0:y1, x0:x1] = (label == cv2.GC_FGD) | (label == cv2.GC_PR_FGD)
     return largest(opened(found, box))
+
+
+def _alike(cv2, part: np.ndarray, at: tuple[int, int]) -> np.ndarray:
+    """What around a place has its colour, (height, width) bool: a click alone is a few pixels, of
+    which the colours of all others would take no notice."""
+    smooth = cv2.GaussianBlur(part, (0, 0), 1.5)
+    found = np.zeros((part.shape[0] + 2, part.shape[1] + 2), dtype=np.uint8)
+    way = 4 | cv2.FLOODFILL_MASK_ONLY | cv2.FLOODFILL_FIXED_RANGE | (255 << 8)
+    cv2.floodFill(smooth, found, at, 0, (ALIKE,) * 3, (ALIKE,) * 3, way)
+    return found[1:-1, 1:-1] > 0
 
 
 def opened(mask: np.ndarray, box: Box) -> np.ndarray:
