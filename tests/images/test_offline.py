@@ -139,4 +139,3 @@ def test_a_scene_that_was_changed_is_kept(made, capsys):
     assert "end = 2.0" in (out / "scene.toml").read_text()
     assert main([*command, "--overwrite"]) == 0
     assert "end = 1.0" in (out / "scene.toml").read_text()
-    assert main(command) == 0  # it is its own again

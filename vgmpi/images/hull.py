@@ -28,7 +28,8 @@ EDGES = 1.0  # voxels over which the hull is smoothed: edges between its views a
 SOFT = 0.7  # pixels over which an outline is smoothed
 MOST = 40_000  # Gaussians
 FACING = 2  # power of the cosine by which pictures that face a place count
-STEEP = 0.5  # of a line of sight's slope from which on what grows so is the cone below a body
+MISSED = 2  # layers of voxels at a tip, which is round, that may not grow so
+STEEP = 0.85  # of a line of sight's slope from which on what grows so is the cone below a body
 HIDDEN = 2.5  # voxels behind what is seen from where on a place is hidden
 
 
@@ -173,8 +174,12 @@ def _footed(volume: Volume, shots: list[Shot], up: str) -> Volume:
     radius = ndimage.uniform_filter1d(np.sqrt(area / np.pi), 3, mode="nearest")
     grows = np.gradient(radius)
     first = int(np.flatnonzero(area)[0])
-    steep = np.flatnonzero(grows[first : first + len(area) // 3] >= STEEP / min(rise))
-    foot = first + (int(steep[-1]) + 1 if len(steep) else 0)
+    foot = first
+    for k in range(first, first + len(area) // 3):
+        if grows[k] >= STEEP / min(rise):
+            foot = k + 1
+        elif k > foot + MISSED:
+            break
     inside = np.moveaxis(volume.inside.copy(), at, 0)
     below = slice(0, foot) if axis[at] > 0 else slice(len(area) - foot, None)
     inside[below] = 0
