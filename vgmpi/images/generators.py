@@ -4,11 +4,14 @@ They are given files and give a file; what they have made is kept, so that a sta
 makes only what is missing.
 """
 
+import ctypes
+import glob
 import hashlib
 import json
 import logging
 import os
 import re
+import shutil
 import signal
 import subprocess
 import tempfile
@@ -84,6 +87,8 @@ def make(name: str, crop: bytes, asked: BodiesTable, beside: Path, out: Path) ->
         except GaussianFileError as error:
             log.warning("'%s': made anew: %s", name, error)
     folder.mkdir(parents=True, exist_ok=True)
+    for left in folder.glob(f".{glob.escape(name)}.*"):  # of a start that was killed
+        shutil.rmtree(left, ignore_errors=True)
     picture = folder / f"{name}.png"
     replace(picture, crop)
     log.info("'%s': %s makes its body ...", name, asked.by)
@@ -115,6 +120,7 @@ def _run(asked: BodiesTable, script: Path, picture: Path, made: Path) -> None:
         try:
             child = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=said, stderr=said, start_new_session=True,
+                preexec_fn=_ends_with_us,
                 env={k: v for k, v in os.environ.items() if k != "PYTHONPATH"},
             )  # fmt: skip
         except OSError as error:
@@ -133,6 +139,15 @@ def _run(asked: BodiesTable, script: Path, picture: Path, made: Path) -> None:
         raise told(asked, code, text)
     if not made.is_file():
         raise GeneratorError(f"{asked.by}: it ended well, but wrote no {made.name}")
+
+
+def _ends_with_us() -> None:
+    """In the child: it is killed when we are, or it would go on to fill the card that the next
+    start wants (Linux)."""
+    set_death_signal = 1  # PR_SET_PDEATHSIG
+    prctl = getattr(ctypes.CDLL(None), "prctl", None)
+    if prctl is not None:
+        prctl(set_death_signal, int(signal.SIGKILL))
 
 
 def told(asked: BodiesTable, code: int, text: str) -> GeneratorError:
