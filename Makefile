@@ -72,4 +72,4 @@ matrix:
 	done
 
 clean:
-	rm -rf runs/*/out site .cache/matrix .pytest_cache .ruff_cache .mypy_cache .hypothesis
+	rm -rf runs/*/out runs/photo/made site .cache/matrix .pytest_cache .ruff_cache .mypy_cache .hypothesis

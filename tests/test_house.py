@@ -15,6 +15,7 @@ ROOT = Path(__file__).parents[1]
 
 # each may import itself and what stands below it
 LAYERS = [
+    {"images"},
     {"study"},
     {"bench"},
     {"cli", "__main__", "api"},
@@ -29,6 +30,7 @@ LAYERS = [
     {"convert"},
     {"scene"},
     {"materials", "couplings"},
+    {"camerafiles"},
     {"source"},
     {"tables"},
     {"inputs"},
@@ -42,11 +44,15 @@ LAYERS = [
 ]
 # the layers that may be used, where that is less than all below
 ONLY = {
+    "images": {
+        "prepare", "convert", "scene", "materials", "source", "tables", "inputs", "splatting",
+        "gaussians", "ends", "room", "misspelt", "camerafiles",
+    },
     "materials": {"tables", "device", "misspelt"},
     "couplings": {"tables", "device"},
     "source": {"tables", "inputs"},
     "tables": {"misspelt"},
-}
+}  # fmt: skip
 POSTPROCESS = (
     "vgmpi.output.read",
     "vgmpi.output.layout",
@@ -57,6 +63,7 @@ POSTPROCESS = (
     "vgmpi.tables",
     "vgmpi.inputs",
     "vgmpi.misspelt",
+    "vgmpi.camerafiles",
     "vgmpi.caching",
     "vgmpi.ends",
     "vgmpi.room",
@@ -81,13 +88,16 @@ OUTSIDE = {  # packages that only some files may use
         "vgmpi/device/processor.py",
         "vgmpi/lanes/",
     ),
-    "pyvista": ("postprocess/",),
+    "pyvista": ("postprocess/", "vgmpi/images/hull.py"),
     "viser": ("postprocess/replay.py",),
     "tqdm": ("vgmpi/solver/report.py", "vgmpi/study/runs.py", "postprocess/"),
     "taichi": ("vgmpi/bench/taichi_rival.py",),
     "warp": ("vgmpi/bench/warp_rival.py",),
     "gsply": ("vgmpi/gaussians/ply.py",),
-    "torch": ("vgmpi/splatting/gsplat_backend.py",),
+    "torch": ("vgmpi/splatting/gsplat_backend.py", "vgmpi/images/learned/"),
+    "transformers": ("vgmpi/images/learned/",),
+    "cv2": ("vgmpi/images/masks.py",),
+    "tomlkit": ("vgmpi/images/layout.py",),
     "gsplat": ("vgmpi/splatting/gsplat_backend.py",),
 }
 COMPILED = (
@@ -119,6 +129,7 @@ PRINT = (
     "vgmpi/cli.py",
     "vgmpi/bench/__main__.py",
     "vgmpi/convert/__main__.py",
+    "vgmpi/images/__main__.py",
     "vgmpi/study/__main__.py",
     "vgmpi/study/energy.py",
     "vgmpi/study/tradeoff.py",
@@ -220,6 +231,9 @@ def test_imports_run_one_way(file):
         ("vgmpi/bench/rounds.py", "taichi"),
         ("vgmpi/bench/taichi_rival.py", "warp"),
         ("vgmpi/splatting/splat.py", "torch"),
+        ("vgmpi/solver/run.py", "vgmpi.images.made"),
+        ("vgmpi/images/made.py", "vgmpi.solver.run"),
+        ("vgmpi/images/found.py", "transformers"),
     ],
 )
 def test_the_rule_sees_a_wrong_import(file, imported):

@@ -10,7 +10,7 @@ from vgmpi.scene.objects import Object
 from vgmpi.scene.scene import Scene
 
 # rows: the file's axes that become x, y and z
-_UP = {
+UP = {
     "z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
     "-z": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
     "y": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
@@ -74,7 +74,7 @@ def place(thing: Object, reach: Callable[[np.ndarray], float]) -> Placement:
     reach(direction (3,)): largest x . direction over the object's points, in its own coordinates.
     Raises PlacementError where a flat object is to be scaled along its thickness.
     """
-    up = np.asarray(_UP[thing.up], dtype=float)
+    up = np.asarray(UP[thing.up], dtype=float)
     scale = _scale(thing, up, reach)
     rotation = up
     for step in thing.rotation:
@@ -89,7 +89,7 @@ def place(thing: Object, reach: Callable[[np.ndarray], float]) -> Placement:
 
 def upright(thing: Object, at: Placement) -> np.ndarray:
     """Unit vector (3,) that pointed up in the object's own file, in the domain."""
-    return at.rotation @ np.asarray(_UP[thing.up], dtype=float)[2]
+    return at.rotation @ np.asarray(UP[thing.up], dtype=float)[2]
 
 
 def _scale(thing: Object, up: np.ndarray, reach: Callable[[np.ndarray], float]) -> float:
