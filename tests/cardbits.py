@@ -146,10 +146,13 @@ def main(argv: list[str]) -> int:
     parser.add_argument("steps", type=int)
     parser.add_argument("scenes", nargs="+")
     parser.add_argument("--order", type=int)
+    parser.add_argument("--halves", action="store_true", help="two half warps a block, as a card")
     parser.add_argument("--break", dest="broken", choices=BREAKS)
     given = parser.parse_args(argv)
     warnings.filterwarnings("ignore", category=RuntimeWarning)
     cudasim.SEED[0] = given.order
+    if given.halves:
+        cudasim.TEAM[0], team.HALVES[0] = 16, 2
     if given.broken:
         BREAKS[given.broken]()
     for name in given.scenes:

@@ -16,6 +16,7 @@ from greenlet import greenlet  # noqa: E402
 from numba.cuda.simulator import kernel, kernelapi  # noqa: E402
 
 SEED: list[int | None] = [None]  # of the order of the threads; None: as they are numbered
+TEAM = [1024]  # threads that a barrier holds: 16 for half warps, of which a block may have several
 
 
 class Divergence(AssertionError):
@@ -46,20 +47,30 @@ _now: list[_Thread | None] = [None]
 
 class _Block(kernel.BlockManager):
     def run(self, grid_point, *args):
-        live = []
+        threads = []
         for block_point in np.ndindex(*self._block_dim):
-            live.append(_Thread(lambda: self._f(*args), grid_point, block_point, self._block_dim))
+            threads.append(
+                _Thread(lambda: self._f(*args), grid_point, block_point, self._block_dim)
+            )
         if SEED[0] is not None:
-            np.random.default_rng([SEED[0], *grid_point]).shuffle(live)
-        while live:
-            for one in live:
-                _now[0] = one
-                one.line.switch()
-            ended = sum(one.line.dead for one in live)
-            live = [one for one in live if not one.line.dead]
-            places = {one.at for one in live}
-            if len(places) > 1 or (live and ended):
-                raise Divergence(f"threads wait at {sorted(places)}, {ended} have ended")
+            np.random.default_rng([SEED[0], *grid_point]).shuffle(threads)
+        teams: dict[int, list[_Thread]] = {}
+        for one in threads:
+            teams.setdefault(one.thread_id // TEAM[0], []).append(one)
+        while teams:
+            teams = {k: left for k, team in teams.items() if (left := _to_the_next_barrier(team))}
+
+
+def _to_the_next_barrier(team):
+    """Run the threads of a team that have not ended; returns those that wait."""
+    for one in team:
+        _now[0] = one
+        one.line.switch()
+    live = [one for one in team if not one.line.dead]
+    places, ended = {one.at for one in live}, len(team) - len(live)
+    if len(places) > 1 or (live and ended):
+        raise Divergence(f"threads wait at {sorted(places)}, {ended} have ended")
+    return live
 
 
 def _shared(self, shape, dtype, alignment=None):

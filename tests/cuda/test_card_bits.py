@@ -70,6 +70,12 @@ def test_the_order_of_threads_and_segments_does_not_matter(order):
     assert line.startswith("same "), line
 
 
+def test_two_half_warps_of_a_block_do_not_meet():
+    """As on a card: each waits for itself alone."""
+    lines = told("single", 2, "contact", "sand", "--halves", "--order", 3)
+    assert [line[:5] for line in lines] == ["same ", "same "], lines
+
+
 @pytest.mark.parametrize(
     "what", ["ownership", "meeting", "meeting at nodes", "order", "list", "lane"]
 )

@@ -15,7 +15,7 @@ from ...kernels.tables import Segments, Step
 from ..base import DITHER, Beyond, Report
 from ..cpu import Cpu
 from ..work import GroupWork, gathers
-from . import nodes, transfer
+from . import nodes, team, transfer
 from .card import named
 from .group import CardGroup
 from .launch import Launcher
@@ -58,8 +58,7 @@ class Cuda(Cpu):
             "TOUCHES": phases > 1 or solids is not None or bool(plan.planes),
             "PITCH": 16 if plan.splines else 17, "BESIDE": patches * transfer.PATCH + 16,
         }  # fmt: skip
-        # the simulator knows no half warps: there a team is a block
-        teams = 1 if SIMULATED else 2
+        teams = team.HALVES[0]
         half = common | {"TEAM": HALF, "TEAMS": teams}
         self.halves = self.LAUNCHER(Program(plan.real, half), HALF * teams)
         self.teams = teams

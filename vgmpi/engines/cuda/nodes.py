@@ -60,10 +60,10 @@ def _from_lane(value, lane):
 
 def _from_thread(value, lane):
     """The same for the simulator, which has no shuffles."""
-    pool = cuda.shared.array(16, REAL)
-    pool[cuda.threadIdx.x] = value
+    pool, team = cuda.shared.array((TEAMS, 16), REAL), cuda.threadIdx.x // 16
+    pool[team, cuda.threadIdx.x & 15] = value
     meet()
-    found = pool[lane]
+    found = pool[team, lane]
     meet()
     return found
 

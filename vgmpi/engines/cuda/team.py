@@ -11,6 +11,8 @@ from .words import SIMULATED
 # what a program of the card knows as constants (program.py)
 TEAM = TEAMS = 16
 REAL = None
+# half warps of a block. The simulator has barriers for whole blocks alone
+HALVES = [1 if SIMULATED else 2]
 
 
 def number():
