@@ -76,7 +76,7 @@ class Compiler(Launcher):
     """Compiles what is launched, and runs nothing."""
 
     cards: tuple[int, ...] = ()
-    only: tuple[str, ...] = ()  # names of kernels; none: all
+    only: tuple[str, ...] = ()  # names of functions; none: all
     found: dict[tuple, Compiled] = {}  # noqa: RUF012  (one table for all programs of a scene)
 
     def launch(self, blocks, mode, function, *arguments):
@@ -91,8 +91,11 @@ class Compiler(Launcher):
         kinds = types.void(*map(_type, numbers_of(arguments)))  # type: ignore[attr-defined]
         ptx, _ = cuda.compile_ptx(made, kinds, cc=divmod(card, 10))
         laws = [type(one).__name__ for one in arguments if type(one).__name__.endswith("Law")]
+        name = function.__name__
+        if name == "fill":  # a kernel for each kind of contribution
+            name = f"fill {type(arguments[1]).__name__.lower()}"
         return Compiled(
-            function.__name__, (laws or ["-"])[0].removesuffix("Law").lower(), card, self.threads,
+            name, (laws or ["-"])[0].removesuffix("Law").lower(), card, self.threads,
             *assembled(ptx, card), ptx,
         )  # fmt: skip
 
