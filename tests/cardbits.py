@@ -44,7 +44,8 @@ def simulations(name: str, precision: str, which: tuple[str, ...]):
     head = engines.HEAD.replace("BOUNDARY", engines.WALLS[walls]).replace("ACCURACY", accuracy)
     head = head.replace('"double"', f'"{precision}"').replace("cell = 0.02", "cell = 0.04")
     # what cells so wide have no room for
-    text = text.replace("radius = 0.012", "radius = 0.03").replace("0.175, 0.16", "0.155, 0.16")
+    text = text.replace("[0.15, 0.13, 0.12], radius = 0.012", "[0.13, 0.125, 0.09], radius = 0.028")
+    text = text.replace("0.175, 0.16", "0.155, 0.16").replace("0.0325, 0.16", "0.028, 0.16")
     with tempfile.TemporaryDirectory() as folder:
         loaded = scene(Path(folder), head + text)
         made = build(loaded)

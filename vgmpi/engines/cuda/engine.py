@@ -94,8 +94,9 @@ class Cuda(Cpu):
     def adopt(self, tables: Topology, kept: bool = False) -> None:
         """Lay out nodes and segments after a sort."""
         super().adopt(tables, kept)
+        self.copies.clear()
+        self.firsts: dict[int, Any] = {}
         if not kept:
-            self.copies.clear()
             self.todo = {
                 border: self.copies.of(self.block_shares.of(border)[0]) for border in (False, True)
             }
@@ -105,7 +106,6 @@ class Cuda(Cpu):
     def _laid_out(self, part: GroupWork) -> Work:
         copy = self.copies.of
         of = part.segments
-        self.copies.forget((of.start, of.count))
         segments = Segments(
             copy(of.start), copy(of.count), copy(of.table), copy(of.into), copy(of.split),
             to_card(of.limit.astype(self.real)), copy(of.mirror),
@@ -169,8 +169,10 @@ class Cuda(Cpu):
 
     def _first(self, part: Part):
         """Number of the first sums of each node block in a message."""
-        count = self.words * np.bitwise_count(part.masks).astype(np.int64)
-        return to_card(np.cumsum(count) - count)
+        if id(part.masks) not in self.firsts:
+            count = self.words * np.bitwise_count(part.masks).astype(np.int64)
+            self.firsts[id(part.masks)] = to_card(np.cumsum(count) - count)
+        return self.firsts[id(part.masks)]
 
     @named
     def add(self, part: Part) -> None:
@@ -252,7 +254,7 @@ class Cuda(Cpu):
                 self.wholes.launch(
                     count, PARTICLE, transfer.carried, work.all, work.segments, copy(group.block),
                     group.on_card(MOVED, flat=False), plan.phase, self.copies.new(self.driven.ways),
-                    copy(turned), self.plan.dx, self.dt, motion, self.most, self.worst,
+                    to_card(turned), self.plan.dx, self.dt, motion, self.most, self.worst,
                 )  # fmt: skip
             return
         first = plan.channels.first("colour")
