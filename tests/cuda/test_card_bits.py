@@ -10,6 +10,7 @@ import sys
 import pytest
 
 from tests.launch import finish, start
+from tests.unit.test_engines import SCENES
 
 pytest.importorskip("numba_cuda", reason="the extra `cuda` is not installed")
 pytest.importorskip("greenlet", reason="the simulator's threads take turns by greenlet")
@@ -25,17 +26,6 @@ SHORT = {  # name: precision, steps, scenes
     "more": ("single", 3, ["sources and sinks", "followed", "driven tin", "volume kept"]),
     "double": ("double", 2, ["fluid", "sand", "elastic", "contact"]),
 }
-LONG = {
-    "colours": ("single", 3, ["colours", "restored and everything"]),
-    "drag": ("single", 3, ["drag as printed", "mixing as printed", "mixing with slip"]),
-    "all": ("single", 3, ["everything", "aflip and everything", "one field for all"]),
-    "aflip": ("single", 4, ["flip", "aflip", "volume kept, aflip", "volume kept, splines"]),
-    "driven": ("single", 4, ["driven, in contact", "let go", "let go in layers", "collider"]),
-    "kept": ("single", 3, ["volume kept, open", "restored, as one fluid"]),
-    "double, all": ("double", 3, ["everything", "restored and everything", "colours", "flip",
-                                  "snow", "metal", "plasticine", "foam", "paste", "corotated",
-                                  "colliders that move", "driven tin"]),
-}  # fmt: skip
 
 
 def told(*arguments) -> list[str]:
@@ -59,9 +49,10 @@ def test_the_card_has_the_processors_bits(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", LONG)
-def test_the_card_has_the_processors_bits_with_all_else(name):
-    check(*LONG[name])
+@pytest.mark.parametrize("precision, steps", [("single", 10), ("double", 3)])
+@pytest.mark.parametrize("name", SCENES)
+def test_the_card_has_the_processors_bits_in_every_scene(name, precision, steps):
+    check(precision, steps, [name])
 
 
 @pytest.mark.parametrize("order", [1, 2])
