@@ -123,9 +123,10 @@ def run(
     folder: where files go; None: nothing is written. on_step, on_frame: called with the Run after
     every step and at every frame, the first at time 0. ranks: `vgmpi.domain.ranks.world()` under
     mpirun, which is the default; all ranks call everything. engine: "cpu", "cuda": a card for each
-    rank (docs/cuda.md), or "numpy": slow, on one rank and one thread, for comparison. overwrite: replace
-    a run that lies in the folder. Raises SceneError, StoreError, output.owner.FolderError where the
-    folder is another run's, and a ValueError where engine, ranks and threads do not go together; a blow-up is code 3, but raised
+    rank (docs/cuda.md), or "numpy": slow, on one rank and one thread, for comparison. overwrite:
+    replace a run that lies in the folder. Raises SceneError, StoreError, output.owner.FolderError
+    where the folder is another run's, and a ValueError where engine, ranks and threads do not go
+    together; a blow-up is code 3, but raised
     (BlowUp) where it comes before the first frame.
     """
     from .solver import run as runs
