@@ -15,6 +15,7 @@ ROOT = Path(__file__).parents[1]
 
 # each may import itself and what stands below it
 LAYERS = [
+    {"fit"},
     {"study"},
     {"bench"},
     {"cli", "__main__", "api"},
@@ -117,6 +118,7 @@ PRINT = (
     "vgmpi/cli.py",
     "vgmpi/bench/__main__.py",
     "vgmpi/convert/__main__.py",
+    "vgmpi/fit/__main__.py",
     "vgmpi/study/__main__.py",
     "vgmpi/study/energy.py",
     "vgmpi/study/tradeoff.py",
