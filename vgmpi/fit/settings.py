@@ -83,6 +83,8 @@ class Target(Table):
     """of a table: its column of times"""
     time_unit: Annotated[float, Field(gt=0, strict=True)] = 1.0
     """of a table: what 1 in that column is in s"""
+    time_zero: Annotated[float, Field(strict=True)] = 0.0
+    """of a table: when its time 0 is in the scene [s]"""
     value_unit: Annotated[float, Field(gt=0, strict=True)] = 1.0
     """of a table: what 1 in the columns compared is in SI"""
     where: dict[str, str] = {}
@@ -108,7 +110,7 @@ class Target(Table):
 
 KEYS = {
     "frames": ("bodies", "boxes"),
-    "table": ("probe", "columns", "time", "time_unit", "value_unit", "where"),
+    "table": ("probe", "columns", "time", "time_unit", "time_zero", "value_unit", "where"),
 }
 
 

@@ -116,7 +116,7 @@ class Measured(Target):
         self.columns = files(file.scene, Path())[tables[str(asked.probe)]]
         head, rows = self._rows()
         self.pairs = self._pairs(head)
-        times = self._numbers(rows, asked.time) * asked.time_unit
+        times = self._numbers(rows, asked.time) * asked.time_unit + asked.time_zero
         held = _held(np.argsort(np.argsort(times, kind="stable")), asked.hold_out)
         table = {p: self._numbers(rows, t) * asked.value_unit for p, t in self.pairs.items()}
         self._check_times(times, table)
