@@ -10,7 +10,7 @@ from ..study.runs import StudyError
 from .trials import Spent, Trial, Trials
 
 SURE = 0.95
-ALIKE = 0.1  # smallest over largest singular value, of columns of length 1, below which it is tried
+ALIKE = 0.3  # smallest over largest singular value, of columns of length 1, below which it is tried
 FAR = 0.25  # of the range: how far two are moved together, to see whether anything shows
 SHOWS = 0.05  # of what one of them alone does: less is nothing
 PART = 0.3  # of a direction of length 1, from which a parameter has part in it
@@ -35,10 +35,10 @@ def same(trials: Trials, u: np.ndarray, J: np.ndarray) -> list[int]:
     and as far along one of them alone."""
     if len(u) < 2:
         return []
-    length = np.maximum(np.linalg.norm(J, axis=0), 1e-300)
-    _, singular, directions = np.linalg.svd(J / length, full_matrices=False)
-    if singular[-1] > ALIKE * singular[0]:
+    if not alike(J):
         return []
+    length = np.maximum(np.linalg.norm(J, axis=0), 1e-300)
+    directions = np.linalg.svd(J / length, full_matrices=False)[2]
     way = directions[-1] / length
     members = [int(k) for k in np.flatnonzero(np.abs(directions[-1]) > PART)]
     way = np.where(np.isin(np.arange(len(u)), members), way, 0.0)
@@ -53,6 +53,13 @@ def same(trials: Trials, u: np.ndarray, J: np.ndarray) -> list[int]:
     at = trials.off(here, stage)
     moved = [np.linalg.norm(trials.off(t, stage) - at) for t in (together, one)]
     return members if moved[0] < SHOWS * moved[1] else []
+
+
+def alike(J: np.ndarray) -> bool:
+    """Whether the differences (n, parameters) suggest that some parameters do the same."""
+    length = np.maximum(np.linalg.norm(J, axis=0), 1e-300)
+    singular = np.linalg.svd(J / length, compute_uv=False)
+    return bool(singular[-1] < ALIKE * singular[0])
 
 
 def _inside(u: np.ndarray, way: np.ndarray) -> np.ndarray:

@@ -36,7 +36,9 @@ def find(file: FitFile, trials: Trials) -> Found:
         u = search.scan(trials, u, method.scan)
         _refuse_blind(file, trials)
         trials.what = "told apart"
-        _refuse_same(file, trials, u, trials.slopes(u, stage, method.step))
+        if len(u) > 1 and apart.alike(trials.slopes(u, stage, method.step)):
+            # differences to both sides: those to one bend, each parameter's another way
+            _refuse_same(file, trials, u, trials.slopes(u, stage, method.step, both=True))
     except Spent:
         tries = f"{len(trials.all)} of {method.runs} runs are used before the search begins"
         said = f"{tries}, with a scan of {method.scan} for each parameter: give more runs"
