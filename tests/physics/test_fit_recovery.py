@@ -17,7 +17,9 @@ EXAMPLE = Path(__file__).parents[2] / "runs" / "consolidation"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["stiffness", "friction", "yield stress"])
+@pytest.mark.parametrize(
+    "name", ["stiffness", "viscosity", "friction", "yield stress", "friction angle", "permeability"]
+)
 def test_it_is_found_again(tmp_path, name):
     case = CASES[name]
     found = recover(case, tmp_path, honest(case, tmp_path), 0)
