@@ -78,8 +78,11 @@ def least(trials: Trials, u: np.ndarray, share: float) -> np.ndarray:
 
 
 def cma(trials: Trials, u: np.ndarray, seed: int) -> np.ndarray:
-    """CMA-ES (Hansen 2016) by the package cmaes. Raises ImportError without it."""
-    from cmaes import CMA
+    """CMA-ES (Hansen 2016) by the package cmaes. Raises StudyError without it."""
+    try:
+        from cmaes import CMA
+    except ImportError:
+        raise StudyError("method.kind = 'cma' needs: pip install 'vgmpi[fit]'") from None
 
     trials.what = "search"
     inside = np.tile([0.0, 1.0], (len(u), 1))
