@@ -16,6 +16,7 @@ ROOT = Path(__file__).parents[1]
 # each may import itself and what stands below it
 LAYERS = [
     {"images"},
+    {"fit"},
     {"study"},
     {"bench"},
     {"cli", "__main__", "api"},
@@ -130,6 +131,7 @@ PRINT = (
     "vgmpi/bench/__main__.py",
     "vgmpi/convert/__main__.py",
     "vgmpi/images/__main__.py",
+    "vgmpi/fit/__main__.py",
     "vgmpi/study/__main__.py",
     "vgmpi/study/energy.py",
     "vgmpi/study/tradeoff.py",

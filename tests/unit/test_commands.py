@@ -16,7 +16,8 @@ NO_COMMAND = {"postprocess/bench.py"}
 
 def test_every_program_has_a_command():
     programs = [
-        ROOT / "vgmpi" / of / "__main__.py" for of in (".", "bench", "convert", "images", "study")
+        ROOT / "vgmpi" / of / "__main__.py"
+        for of in (".", "bench", "convert", "fit", "images", "study")
     ]
     for path in (ROOT / "postprocess").glob("*.py"):
         tree = ast.parse(path.read_text())

@@ -34,11 +34,11 @@ class Outcome:
         return float(self.run.scene["material"][made_of]["density"]) if made_of else 0.0
 
     @functools.cache  # noqa: B019  that of the finest run is asked for by every other
-    def spread(self, frame: int) -> np.ndarray:
+    def spread(self, frame: int, along: int = BOXES) -> np.ndarray:
         """Mass [kg] of each body in each box of the lattice (bodies, boxes), linear in between, so
-        that nothing jumps from one to the next."""
+        that nothing jumps from one to the next. along: boxes along the longest edge."""
         fields = self.run.frame(frame)
-        edge = self.size.max() / BOXES
+        edge = self.size.max() / along
         shape = np.ceil(self.size / edge).astype(int) + 2
         at = np.asarray(fields["x"], float) / edge + 0.5
         low = np.floor(at).astype(int)
@@ -51,6 +51,11 @@ class Outcome:
             box = np.ravel_multi_index(tuple((low + corner).clip(0, shape - 1).T), tuple(shape))
             total += np.bincount(owner * boxes + box, weight * mass, len(total))
         return total.reshape(-1, boxes)
+
+    @functools.cached_property
+    def whole(self) -> np.ndarray:
+        """Mass [kg] of each body with all that will come of it (bodies,)."""
+        return np.bincount(self._of, self._mass)
 
     def probe(self, name: str) -> dict[str, np.ndarray]:
         """Columns of a probe's file, but the steps. Raises RunError."""

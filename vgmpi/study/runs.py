@@ -87,16 +87,24 @@ class Study:
     def _call(self, setting: Setting, *how: str) -> float:
         """Processor time [s] of a start of the program and of its ranks."""
         folder = self.place(setting)
-        launcher = ["mpirun", "-n", str(self.ranks)] if self.ranks > 1 else []
-        overrides = (*self.scene.overrides, *setting.overrides)
-        flags = [word for one in overrides for word in ("--set", one)]
-        program = [sys.executable, "-m", "vgmpi", str(self.scene.path), "-o", str(folder), "-q"]
-        words, env = [*launcher, *program, *how, *flags], {**OPEN_MPI, **os.environ}
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        made = subprocess.run(words, env=env, capture_output=True, text=True)
+        code, said = started(self.scene, setting.overrides, folder, self.ranks, *how)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         # mpirun has an exit code of its own for ranks that stopped
-        if made.returncode not in (0, STOPPED):
-            lines = made.stderr.strip().splitlines() or [f"exit code {made.returncode}"]
-            raise StudyError(f"{setting.name}: {lines[-1]} ({folder})")
+        if code not in (0, STOPPED):
+            raise StudyError(f"{setting.name}: {said} ({folder})")
         return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def started(
+    scene: Scene, overrides: tuple[str, ...], folder: Path, ranks: int, *how: str
+) -> tuple[int, str]:
+    """Exit code of the program, run on a scene with more set into a folder, and the last line that
+    it said on stderr. how: flags."""
+    launcher = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
+    flags = [word for one in (*scene.overrides, *overrides) for word in ("--set", one)]
+    program = [sys.executable, "-m", "vgmpi", str(scene.path), "-o", str(folder), "-q"]
+    words, env = [*launcher, *program, *how, *flags], {**OPEN_MPI, **os.environ}
+    made = subprocess.run(words, env=env, capture_output=True, text=True)
+    lines = made.stderr.strip().splitlines() or [f"exit code {made.returncode}"]
+    return made.returncode, lines[-1]
