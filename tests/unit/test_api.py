@@ -75,7 +75,7 @@ def test_the_series_and_the_sweep_of_the_docs(tmp_path):
 def test_what_does_not_fit_is_one_line(tmp_path):
     (tmp_path / "scene.toml").write_text(SCENE)
     scene = vgmpi.load(tmp_path / "scene.toml")
-    with pytest.raises(ValueError, match="engine must be one of cpu, numpy; got 'nonsense'"):
+    with pytest.raises(ValueError, match="engine must be one of cpu, numpy, cuda; got 'nonsense'"):
         vgmpi.run(scene, engine="nonsense")
     with pytest.raises(ValueError, match="threads must be at least 1"):
         vgmpi.run(scene, threads=0)
