@@ -4,9 +4,8 @@ import numpy as np
 
 from .jit import within
 
-_THIRD = (
-    715094163 << 32
-)  # of the exponent's bias, less what makes a third of the bits best (fdlibm)
+# of the exponent's bias, less what makes a third of the bits best (fdlibm)
+_THIRD = 715094163 << 32
 
 
 @within

@@ -16,7 +16,7 @@ from ...kernels.sums import take_up
 from ...kernels.touch import Room
 from ...lanes import lanes, nodes, rows, wide
 from .numbers import PLAIN
-from .particle import TEAMWORK, VIEWS
+from .particle import TEAMWORK, VIEWS, place, spread
 from .team import each, meet, number, rank
 from .words import SIMULATED, Mode
 
@@ -38,14 +38,6 @@ def load(row, at):
 
 def store(row, at, value):
     row[at + (cuda.threadIdx.x & 15)] = value
-
-
-def place(array):
-    return array
-
-
-def spread(like, value):
-    return REAL(value)
 
 
 def repeat(row, at):
@@ -264,7 +256,7 @@ def pack(numbers, tails, blocks, masks, first, sums):
             bit = np.uint64(1) << np.uint64(node)
             if mask & bit != np.uint64(0):
                 for w in range(WORDS):
-                    n = first[q] + w * count + cuda.popc(mask & (bit - np.uint64(1)))
+                    n = first[q] + w * count + _before(mask, bit)
                     at = BLOCK * (WORDS * blocks[q] + w) + 4 * node
                     a = sums[at].view(np.uint64) & BITS_OF_SUM
                     b = sums[at + 1].view(np.uint64) & BITS_OF_SUM
@@ -286,7 +278,7 @@ def unpack(numbers, tails, blocks, masks, first, sums, rest, phase):
             bit = np.uint64(1) << np.uint64(node)
             if mask & bit != np.uint64(0):
                 for w in range(WORDS):
-                    n = first[q] + w * count + cuda.popc(mask & (bit - np.uint64(1)))
+                    n = first[q] + w * count + _before(mask, bit)
                     at = BLOCK * (WORDS * blocks[q] + w) + 4 * node
                     last = np.uint64(tails[n]) << THIRTY_SIX
                     for c in range(3):
@@ -296,6 +288,11 @@ def unpack(numbers, tails, blocks, masks, first, sums, rest, phase):
                         sums[at + c] += _unpacked(whole, r)
                     r = rest[phase[blocks[q]], w, (4 * node + 3) & 15]
                     sums[at + 3] += _unpacked(last, r)
+
+
+def _before(mask, bit):
+    """How many nodes of a mask come before that of a bit."""
+    return cuda.popc(mask & (bit - np.uint64(1)))
 
 
 def _unpacked(whole, r):
