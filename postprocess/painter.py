@@ -5,7 +5,7 @@ import functools
 import logging
 import multiprocessing
 import pickle
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -46,7 +46,8 @@ class Painter:
     """Draws frames of one run with one set of settings.
 
     chosen: settings.Settings. folder: of the render.toml, for the files it names. alpha, depth:
-    whether to work these out too. longest: of a preview, the longer side of its picture.
+    whether to work these out too. longest: of a preview, the longer side of its picture. box: gives
+    lower and upper corner of what is to be seen [m]; default: where the run's Gaussians are.
     """
 
     def __init__(
@@ -58,11 +59,14 @@ class Painter:
         alpha: bool = False,
         depth: bool = False,
         longest: int | None = None,
+        box: Callable[[], tuple[np.ndarray, np.ndarray]] | None = None,
     ):
         self.run, self.chosen = run, chosen
         self.alpha, self.depth = alpha, depth
         size = chosen.picture
-        box = functools.cache(lambda: reach(run))  # of files that some cameras have no need of
+        box = box or functools.cache(
+            lambda: reach(run)
+        )  # of files that some cameras have no need of
         self.views = [
             Viewpoint(one, size, box, folder, longest) for one in chosen.views()
         ]  # before all that takes long: mistakes in files show at once
@@ -110,6 +114,10 @@ class Painter:
 
     def views_of(self, index: int, part: float) -> list[Drawn]:
         """Frame `index` at a part 0..1 of the video, from every camera."""
+        return [self._finished(pixels) for pixels in self.pixels_of(index, part)]
+
+    def pixels_of(self, index: int, part: float) -> list[Pixels]:
+        """The same before it is rounded: colours 0..1 (height, width, 3), what comes through."""
         frame = self.look.frame(index)
         time = float(self.run.times[index]) if self._by_time() else 0.0
         cameras = [view.at(part, time) for view in self.views]
@@ -119,7 +127,7 @@ class Painter:
                 now = self._moment(frame, index, sample)
                 parts = self._lit(self.look.parts(now), now)
             found.append(self._pixels(now, parts, cameras, sample))
-        return [self._finished(self._mean(views)) for views in zip(*found)]
+        return [self._mean(views) for views in zip(*found)]
 
     def _mean(self, views: tuple[Pixels, ...]) -> Pixels:
         """Of the samples of a view; its depths are those of the first."""

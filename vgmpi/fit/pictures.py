@@ -1,0 +1,54 @@
+"""Runs as pictures: what the renderer makes of their files, before it is rounded."""
+
+from pathlib import Path
+
+import numpy as np
+
+from postprocess import settings
+from postprocess.painter import Painter
+from postprocess.video import VideoError
+
+from ..output.read import RunError, RunFiles
+
+
+class Pictures:
+    """A render.toml of one camera, by which all runs are drawn alike. longest: pixels of the longer
+    side at most. Raises postprocess.settings.SettingsError."""
+
+    def __init__(self, path: Path, longest: int | None = None):
+        self.path, self.longest = path, longest
+        self.chosen = settings.load(path)
+        if len(self.chosen.views()) > 1:
+            raise self._wrong("camera: several cameras; a fit looks through one")
+        if self.chosen.picture.background == "none":
+            raise self._wrong("picture.background: 'none' is not compared: give a colour")
+
+    def frames(self, count: int) -> list[int]:
+        """Numbers of the frames that are drawn, of a run that has so many."""
+        asked = self.chosen.frames
+        last = count - 1 if asked.last is None else min(asked.last, count - 1)
+        return list(range(asked.first, last + 1, asked.every))
+
+    def of(self, folder: Path, frames: list[int] | None = None) -> np.ndarray:
+        """Pictures of a run, (frames, height, width, 3) of 0..1; of those frames that `frames()`
+        tells, or of these among them. Raises RunError, SettingsError."""
+        run = RunFiles(folder)
+        all_frames = self.frames(len(run))
+        parts = {index: k / max(len(all_frames) - 1, 1) for k, index in enumerate(all_frames)}
+        try:
+            painter = Painter(
+                run, self.chosen, self.path.parent, longest=self.longest, box=self._box
+            )
+            wanted = all_frames if frames is None else frames
+            return np.stack([painter.pixels_of(k, parts[k])[0][0] for k in wanted])
+        except VideoError as error:
+            raise RunError(str(error)) from None
+
+    def _box(self):
+        """What is left out of a camera is chosen by where things are in a run: not the same for two
+        of them."""
+        said = "give eye and target (of an orbit target and distance), and liquid.clear: what is"
+        raise self._wrong(f"camera: {said} left out follows the run, another way in each")
+
+    def _wrong(self, said: str) -> settings.SettingsError:
+        return settings.SettingsError([f"{self.path}: {said}"])
