@@ -9,7 +9,7 @@ from ..study.knobs import Setting
 from ..study.runs import StudyError
 from .axes import Axis, setting
 from .runs import Done, Runs
-from .targets import Target
+from .target import Target
 
 
 class Spent(RuntimeError):

@@ -1,0 +1,38 @@
+"""What runs are held to: numbers, of a run the same ones, and which of them are held out."""
+
+from pathlib import Path
+
+import numpy as np
+
+
+class Target:
+    """stages: from coarse to fine. values: of each stage, (n,). held: (n,) of each stage, which are
+    not fitted. Lengths of the residual are shares of the target."""
+
+    def __init__(self) -> None:
+        self.values: list[np.ndarray] = []
+        self.held: list[np.ndarray] = []
+        self.said = ""  # what the loss is
+
+    @property
+    def stages(self) -> int:
+        return len(self.values)
+
+    def of(self, folder: Path, stage: int) -> np.ndarray:
+        """The numbers of a run (n,). Raises RunError."""
+        raise NotImplementedError
+
+    def off(self, folder: Path, stage: int) -> tuple[np.ndarray, np.ndarray]:
+        """How far a run is off: where it is fitted, and where it is held out; of each the mean
+        square is the loss squared."""
+        off, held = self.of(folder, stage) - self.values[stage], self.held[stage]
+        return off[~held], off[held]
+
+    def notes(self, folder: Path) -> list[str]:
+        """What else is to be said of a run, for the report: lines."""
+        return []
+
+
+def held_out(number: np.ndarray, every: int) -> np.ndarray:
+    """Which of the numbered ones are held out: one in so many, never the first."""
+    return number % every == every - 1 if every else np.zeros(len(number), bool)
