@@ -1,5 +1,6 @@
-"""Scenes in which one number shows, for fits that have to find it again from an honest reference:
-a run in cells half as large, of another seed, in the other precision, with noise on what it tells.
+"""Numbers of scenes found again from an honest reference: a run in cells half as large, of another
+seed, in the other precision, with noise on what its probe tells, or on its pictures, which a camera
+took that is off by a pixel.
 
 python -m tests.recovery [NAME ...] [--repeats 10] prints what each fit finds.
 """
@@ -14,254 +15,88 @@ from pathlib import Path
 
 import numpy as np
 
+from postprocess.video import to_bytes, write_png
 from tests.fitted import made
+from tests.recoverable import CASES, Case
 from vgmpi import api
 from vgmpi.fit.find import find, interval
+from vgmpi.fit.pictures import Pictures
 from vgmpi.fit.runs import Runs
 from vgmpi.fit.settings import FitFile
 from vgmpi.fit.targets import target_of
 from vgmpi.fit.trials import Trials
 
-NOISE = 0.05  # of a column's range
+NOISE = 0.05  # of a column's range, of white
+WIDTH, HEIGHT = 128, 96  # pixels
 
-ROOM = """
-[domain]
-size = {size}
-cell = {cell}
-boundary = {walls}
-gravity = {gravity}
-[time]
-end = {end}
-frames = 2
-[accuracy]
-precision = "single"
+VIEW = """
+[camera]
+kind = "fixed"
+eye = {eye}
+target = {target}
+fov = {fov}
+[picture]
+width = {width}
+height = {height}
+background = "#808080"
 """
-DOWN = [0, 0, -9.81]
 
-
-@dataclass(frozen=True)
-class Case:
-    """A scene, what is looked for in it, its true value, range and start, and the probe's columns
-    that show it."""
-
-    scene: str
-    key: str
-    true: float
-    range: tuple[float, float]
-    start: float
-    probe: str
-    columns: tuple[str, ...]
-
-
-def room(size, cell, end, walls='"slip"', gravity=DOWN):
-    return ROOM.format(size=size, cell=cell, end=end, walls=walls, gravity=gravity)
-
-
-# a column that stands fast is pulled for a moment and swings along its axis
-STIFFNESS = Case(
-    room([0.08, 0.08, 0.28], 0.01, 0.12, '{ default = "slip", floor = "stick" }', [0, 0, 0])
-    + """
-[material.rubber]
-kind = "elastic"
-youngs_modulus = 2e4
-[[object]]
-name = "column"
-material = "rubber"
-shape = { box = [[0.02, 0.02, 0], [0.06, 0.06, 0.2]] }
-[[load]]
-object = "column"
-acceleration = [0, 0, 2]
-[[probe]]
-name = "it"
-object = "column"
-rate = 500
-""",
-    "material.rubber.youngs_modulus", 2e4, (2e3, 4e5), 2e5, "it", ("center_z",),
-)  # fmt: skip
-
-# vortices in a box die out (Taylor and Green 1937)
-VISCOSITY = Case(
-    room([0.1, 0.05, 0.1], 0.00625, 0.25, gravity=[0, 0, 0])
-    + """
-[material.oil]
-kind = "fluid"
-density = 1000
-bulk_modulus = 200
-viscosity = 1
-[[object]]
-name = "oil"
-material = "oil"
-shape = { box = [[0, 0, 0], [0.1, 0.05, 0.1]] }
-mode = [
-    { amplitude = [0.005, 0, -0.005], wave = [31.41592653589793, 0, 31.41592653589793] },
-    { amplitude = [0.005, 0, 0.005], wave = [31.41592653589793, 0, -31.41592653589793] },
-]
-[[probe]]
-name = "it"
-velocity = [0.05, 0.025, 0.0875]
-rate = 100
-""",
-    "material.oil.viscosity", 1.0, (0.1, 10.0), 8.0, "it", ("velocity_x",),
-)  # fmt: skip
-
-# a block that slides until it stops
-FRICTION = Case(
-    room([0.4, 0.16, 0.12], 0.01, 0.3,
-         '{ default = "slip", floor = { kind = "separate", friction = 0.3 } }')
-    + """
-[material.clay]
-kind = "elastic"
-youngs_modulus = 2e5
-[[object]]
-name = "block"
-material = "clay"
-shape = { box = [[0.03, 0.04, 0], [0.11, 0.12, 0.04]] }
-velocity = [0.8, 0, 0]
-[[probe]]
-name = "it"
-object = "block"
-rate = 200
-""",
-    "domain.boundary.floor.friction", 0.3, (0.02, 1.5), 0.05, "it", ("center_x", "velocity_x"),
-)  # fmt: skip
-
-# a block that is thrown down and does not get up again
-YIELD = Case(
-    room([0.2, 0.2, 0.16], 0.01, 0.05, gravity=[0, 0, 0])
-    + """
-[material.putty]
-kind = "plasticine"
-density = 1500
-youngs_modulus = 5e5
-yield_stress = 8e3
-[[object]]
-name = "block"
-material = "putty"
-shape = { box = [[0.06, 0.06, 0.01], [0.14, 0.14, 0.13]] }
-velocity = [0, 0, -3]
-[[probe]]
-name = "it"
-object = "block"
-rate = 1000
-""",
-    "material.putty.yield_stress", 8e3, (5e2, 1e5), 6e4, "it", ("center_z", "velocity_z"),
-)  # fmt: skip
-
-# a column of sand that runs out between walls
-ANGLE = Case(
-    room([0.48, 0.08, 0.16], 0.01, 0.5, '{ default = "slip", floor = "stick" }')
-    + """
-[material.grains]
-kind = "sand"
-youngs_modulus = 1e6
-friction_angle = "32 deg"
-[[object]]
-name = "column"
-material = "grains"
-shape = { box = [[0, 0, 0], [0.1, 0.08, 0.14]] }
-[[probe]]
-name = "it"
-object = "column"
-rate = 100
-""",
-    "material.grains.friction_angle", 0.5585, (0.06, 1.1), 0.08, "it", ("center_x", "center_z"),
-)  # fmt: skip
-
-# a block that comes to float
-DENSITY = Case(
-    room([0.16, 0.16, 0.2], 0.01, 0.5)
-    + """
-[material.water]
-kind = "fluid"
-bulk_modulus = 5e4
-[material.wood]
-kind = "elastic"
-density = 500
-youngs_modulus = 1e5
-[[object]]
-name = "pool"
-material = "water"
-shape = { box = [[0, 0, 0], [0.16, 0.16, 0.08]] }
-[[object]]
-name = "block"
-material = "wood"
-shape = { box = [[0.05, 0.05, 0.085], [0.11, 0.11, 0.145]] }
-[[probe]]
-name = "it"
-object = "block"
-rate = 100
-""",
-    "material.wood.density", 500.0, (60.0, 950.0), 90.0, "it", ("center_z",),
-)  # fmt: skip
-
-# sand full of water is pressed, and the water seeps out of it (Terzaghi)
-PERMEABILITY = Case(
-    room([0.08, 0.08, 0.48], 0.02, 0.3, gravity=[0, 0, 0])
-    + """
-[material.water]
-kind = "fluid"
-bulk_modulus = 1e6
-[material.grains]
-kind = "sand"
-density = 2650
-porosity = 0.4
-youngs_modulus = 1.5e5
-[[object]]
-name = "pores"
-material = "water"
-shape = { box = [[0, 0, 0], [0.08, 0.08, 0.4]] }
-fraction = 0.4
-[[object]]
-name = "sand"
-material = "grains"
-shape = { box = [[0, 0, 0], [0.08, 0.08, 0.4]] }
-[[load]]
-object = "sand"
-pressure = 500
-face = "top"
-ramp = 0.035
-[[coupling]]
-between = ["water", "grains"]
-kind = "drag"
-permeability = 1e-2
-[[probe]]
-name = "it"
-pressure = [0.04, 0.04, 0.02]
-rate = 100
-""",
-    "coupling.0.permeability", 1e-2, (1e-3, 0.2), 1e-1, "it", ("pressure",),
-)  # fmt: skip
-
-CASES = {
-    "stiffness": STIFFNESS,
-    "viscosity": VISCOSITY,
-    "friction": FRICTION,
-    "yield stress": YIELD,
-    "friction angle": ANGLE,
-    "density": DENSITY,
-    "permeability": PERMEABILITY,
-}
+FIT = """
+[[parameter]]
+key = "{key}"
+range = [{low!r}, {high!r}]
+start = {start!r}
+[target]
+{target}
+"""
 
 
 def honest(case: Case, folder: Path) -> dict[str, np.ndarray]:
-    """What the probe tells of a run in cells half as large, of another seed, in the other
-    precision: times [s] and the columns."""
+    """What is told of a run in cells half as large, of another seed, in the other precision: times
+    [s] and columns of its probe, or "pictures" (frames, height, width, 3) from a camera that is off
+    by a pixel."""
     scene = api.load(folder / "scene.toml", (), case.scene)
     changes = {"domain.cell": scene.domain.cell / 2, "accuracy.precision": "double", "seed": 2}
-    run = api.run(api.load(folder / "scene.toml", changes, case.scene))
+    fine = api.load(folder / "scene.toml", changes, case.scene)
+    run = api.run(fine, folder / "reference" if case.camera else None, overwrite=True)
     assert run.code == 0
-    rows = run.probes[case.probe]
-    return {c: np.array([r[c] for r in rows]) for c in ("time", *case.columns)}
+    if not case.camera:
+        rows = run.probes["it"]
+        return {c: np.array([r[c] for r in rows]) for c in ("time", *case.columns)}
+    eye, target, fov = case.camera
+    (folder / "off.toml").write_text(view(eye, aside(eye, target, fov), fov))
+    pictures = Pictures(folder / "off.toml")
+    return {"pictures": pictures.of(folder / "reference", list(range(scene.time.frames)))}
 
 
-def noisy(rows: dict[str, np.ndarray], columns, path: Path, seed: int) -> None:
-    """The table with noise of NOISE of each column's range."""
+def aside(eye, target, fov: float) -> list[float]:
+    """What the camera looks at when it is turned by a pixel."""
+    way = np.subtract(target, eye)
+    right = np.cross(way, [0, 0, 1])
+    right /= np.linalg.norm(right)
+    up = np.cross(right, way / np.linalg.norm(way))
+    pixel = 2 * np.tan(np.radians(fov / 2)) * np.linalg.norm(way) / HEIGHT
+    return (target + pixel * (0.8 * right + 0.6 * up)).tolist()
+
+
+def view(eye, target, fov: float) -> str:
+    """A render.toml."""
+    return VIEW.format(eye=list(eye), target=list(target), fov=fov, width=WIDTH, height=HEIGHT)
+
+
+def noisy(told: dict[str, np.ndarray], columns, folder: Path, seed: int) -> None:
+    """The same with noise, of NOISE of each column's range or of white, as files."""
     chance = np.random.default_rng(seed)
-    out = dict(rows)
+    if "pictures" in told:
+        noise = NOISE * chance.normal(size=told["pictures"].shape)
+        for k, picture in enumerate(told["pictures"] + noise):
+            write_png(folder / "film" / f"{k:03d}.png", to_bytes(picture))
+        return
+    out = dict(told)
     for c in columns:
-        width = np.nanmax(rows[c]) - np.nanmin(rows[c])
-        out[c] = rows[c] + NOISE * width * chance.normal(size=len(rows[c]))
-    with open(path, "w", newline="") as f:
+        width = np.nanmax(told[c]) - np.nanmin(told[c])
+        out[c] = told[c] + NOISE * width * chance.normal(size=len(told[c]))
+    with open(folder / "noisy.csv", "w", newline="") as f:
         csv.writer(f).writerows([list(out), *zip(*out.values())])
 
 
@@ -278,20 +113,19 @@ class Result:
         return self.interval[0] <= true <= self.interval[1]
 
 
-def recover(case: Case, folder: Path, rows: dict[str, np.ndarray], seed: int) -> Result:
+def recover(case: Case, folder: Path, told: dict[str, np.ndarray], seed: int) -> Result:
     """A fit to the reference with that noise."""
-    text = f"""
-[[parameter]]
-key = "{case.key}"
-range = [{case.range[0]!r}, {case.range[1]!r}]
-start = {case.start!r}
-[target]
-table = "noisy.csv"
-probe = "{case.probe}"
-columns = {list(case.columns)}
-"""
-    scene, fit = made(folder, case.scene, text.replace("'", '"'))
-    noisy(rows, case.columns, folder / "noisy.csv", seed)
+    if case.camera:
+        target = 'video = "film"\nrender = "render.toml"\ncamera_shift = 3'
+        (folder / "render.toml").write_text(view(*case.camera))
+    else:
+        columns = ", ".join(f'"{c}"' for c in case.columns)
+        target = f'table = "noisy.csv"\nprobe = "it"\ncolumns = [{columns}]'
+    text = FIT.format(
+        key=case.key, low=case.range[0], high=case.range[1], start=case.start, target=target
+    )
+    scene, fit = made(folder, case.scene, text)
+    noisy(told, case.columns, folder, seed)
     file = FitFile(fit, api.load(scene))
     began = time.perf_counter()
     runs = Runs(file.scene, folder / "runs")
@@ -310,9 +144,9 @@ def main() -> int:
     for name in given.names or CASES:
         case = CASES[name]
         with tempfile.TemporaryDirectory() as place:
-            rows, inside, off = honest(case, Path(place)), 0, []
+            told, inside, off = honest(case, Path(place)), 0, []
             for seed in range(given.repeats):
-                one = recover(case, Path(place), rows, seed)
+                one = recover(case, Path(place), told, seed)
                 inside, off = inside + one.covers(case.true), [*off, one.value / case.true - 1]
                 ends = " .. ".join(f"{x:.5g}" for x in one.interval)
                 said = f"{one.value:.5g} ({100 * off[-1]:+.2f} %), {ends}, {one.runs} runs"

@@ -7,12 +7,14 @@ import argparse
 import sys
 from pathlib import Path
 
+from postprocess.video import VideoError
+
 from ..ends import guarded
 from ..output.read import RunError
 from ..scene.reader import load
 from ..study.runs import StudyError
 from ..tables import TomlError
-from . import told
+from . import beside, told
 from .find import Found, find, interval
 from .runs import Runs
 from .settings import FitFile
@@ -61,14 +63,13 @@ def main(argv: list[str] | None = None) -> int:
             print(f"{trial.number:4d} {trial.what:13s} {values}: {off}", flush=True)
 
         trials.heard = heard
-        found = find(file, trials)
+        _write(file, find(file, trials), trials, given.output)
     except TomlError as error:
         print("\n".join(error.lines), file=sys.stderr)
         return 2
-    except (StudyError, RunError) as error:
+    except (StudyError, RunError, VideoError) as error:
         print(f"vgmpi: {error}", file=sys.stderr)
         return 1
-    _write(file, found, trials, given.output)
     return 0
 
 
@@ -79,6 +80,8 @@ def _write(file: FitFile, found: Found, trials: Trials, folder: Path) -> None:
         told.plot(file, found, trials, folder / "loss.png")
     except ImportError:
         print("no plot: pip install 'vgmpi[validate]'", file=sys.stderr)
+    if trials.target.pictures is not None:
+        beside.write(trials.target, found.best.done.folder, folder / "beside.mp4")
     for k, axis in enumerate(file.axes):
         ends = interval(found, file, k)
         sure = "how sure is not known" if ends is None else f"{ends[0]:.6g} .. {ends[1]:.6g}"

@@ -13,6 +13,7 @@ SURE = 0.95
 ALIKE = 0.3  # smallest over largest singular value, of columns of length 1, below which it is tried
 FAR = 0.25  # of the range: how far two are moved together, to see whether anything shows
 SHOWS = 0.05  # of what one of them alone does: less is nothing
+TWO_GRIDS = 3.0  # of an error told by two grids, for an interval of 95 % (Roache 1994, GCI)
 PART = 0.3  # of a direction of length 1, from which a parameter has part in it
 
 
@@ -74,13 +75,14 @@ def _inside(u: np.ndarray, way: np.ndarray) -> np.ndarray:
 
 
 def known(trials: Trials, best: Trial, J: np.ndarray, grid: bool) -> Known:
-    """Intervals of 95 %. noise: of least squares, for errors that know nothing of each other.
-    cells: what differs from a run of coarser cells, as far as the parameters can make up for it,
-    taken to fall with the cells' size."""
+    """Intervals of 95 %. noise: of least squares, for errors that know nothing of each other, or
+    in pictures of those beside them, over which these are blurred. cells: what differs from a run
+    of coarser cells, as far as the parameters can make up for it, taken to fall with the cells'
+    size, and thrice that."""
     stage = trials.target.stages - 1
-    off = trials.off(best, stage)
+    off, alike = trials.off(best, stage), trials.target.alike[stage]
     shown = (np.abs(J).max(1) > 0) | (off != 0)
-    free = max(int(shown.sum()) - J.shape[1], 1)
+    free = max(int(shown.sum() / alike) - J.shape[1], 1)
     inverse = np.linalg.pinv(J.T @ J)
     spread = np.sqrt(np.diag(inverse) * float(off @ off) / free)
     noise = float(student.ppf(0.5 + SURE / 2, free)) * spread
@@ -108,5 +110,5 @@ def _of_cells(trials: Trials, best: Trial, J: np.ndarray) -> tuple[np.ndarray, i
         if run.done.whole:
             change = trials.off(run, stage) - trials.off(best, stage)
             moved = np.linalg.lstsq(J, change, rcond=1e-6)[0]
-            return np.abs(moved) / (own / count - 1), count
+            return TWO_GRIDS * np.abs(moved) / (own / count - 1), count
     return np.zeros(len(best.u)), None

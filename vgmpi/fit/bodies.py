@@ -7,6 +7,7 @@ import numpy as np
 from ..misspelt import nearest
 from ..output.read import RunError
 from ..study.errors import Outcome
+from .pictures import SHOWN, Pictures
 from .settings import FitFile
 from .target import Target, held_out
 
@@ -40,12 +41,15 @@ class Frames(Target):
             raw = [self._shares(other, boxes, range(len(other.times))) for boxes in asked.boxes]
         except RunError as error:
             raise file.wrong(("target", "frames"), f"{error}; got '{asked.frames}'") from None
-        self.boxes = asked.boxes
+        self.boxes, self.alike = asked.boxes, [1.0] * len(asked.boxes)
         self.unit = [float(np.sqrt(np.mean(one**2))) for one in raw]
         self.values = [one.ravel() / unit for one, unit in zip(raw, self.unit)]
         held = held_out(np.arange(len(self.times)), asked.hold_out)
         self.held = [np.repeat(held, one[0].size) for one in raw]
         self._check_times(file)
+        self.other = folder
+        if asked.render is not None:
+            self.pictures = Pictures(file.folder / asked.render, SHOWN)
 
     def _check_times(self, file: FitFile) -> None:
         """Frames are of the same times."""
@@ -56,7 +60,11 @@ class Frames(Target):
         if off.any():
             said = f"has a frame at {self.times[off][0]:g} s, of which the scene has none"
             raise file.wrong(("target", "frames"), f"{said}: its time.end and time.frames say when")
-        self.frames = near
+        self.frames = [int(k) for k in near]
+
+    def shown(self) -> np.ndarray:
+        assert self.pictures is not None
+        return self.pictures.of(self.other, list(range(len(self.times))))
 
     def _shares(self, outcome: Outcome, boxes: int, frames) -> np.ndarray:
         """(frames, bodies, boxes), of each body's mass."""

@@ -7,8 +7,11 @@ import numpy as np
 from postprocess import settings
 from postprocess.painter import Painter
 from postprocess.video import VideoError
+from postprocess.viewpoints import Viewpoint
 
 from ..output.read import RunError, RunFiles
+
+SHOWN = 640  # pixels of the longer side of what is there to be looked at
 
 
 class Pictures:
@@ -23,26 +26,34 @@ class Pictures:
         if self.chosen.picture.background == "none":
             raise self._wrong("picture.background: 'none' is not compared: give a colour")
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height [pixels] of what is drawn."""
+        view = Viewpoint(
+            self.chosen.views()[0], self.chosen.picture, self._box, self.path.parent, self.longest
+        )
+        return view.width, view.height
+
     def frames(self, count: int) -> list[int]:
         """Numbers of the frames that are drawn, of a run that has so many."""
         asked = self.chosen.frames
         last = count - 1 if asked.last is None else min(asked.last, count - 1)
         return list(range(asked.first, last + 1, asked.every))
 
-    def of(self, folder: Path, frames: list[int] | None = None) -> np.ndarray:
-        """Pictures of a run, (frames, height, width, 3) of 0..1; of those frames that `frames()`
-        tells, or of these among them. Raises RunError, SettingsError."""
+    def of(self, folder: Path, frames: list[int]) -> np.ndarray:
+        """Pictures of these frames of a run, (frames, height, width, 3) of 0..1. Raises RunError,
+        SettingsError."""
         run = RunFiles(folder)
-        all_frames = self.frames(len(run))
-        parts = {index: k / max(len(all_frames) - 1, 1) for k, index in enumerate(all_frames)}
+        drawn = self.frames(len(run))  # along which a camera goes its way
+        parts = {index: k / max(len(drawn) - 1, 1) for k, index in enumerate(drawn)}
         try:
             painter = Painter(
                 run, self.chosen, self.path.parent, longest=self.longest, box=self._box
             )
-            wanted = all_frames if frames is None else frames
-            return np.stack([painter.pixels_of(k, parts[k])[0][0] for k in wanted])
+            found = [painter.pixels_of(k, parts.get(k, 0.0))[0][0] for k in frames]
         except VideoError as error:
             raise RunError(str(error)) from None
+        return np.stack(found)
 
     def _box(self):
         """What is left out of a camera is chosen by where things are in a run: not the same for two

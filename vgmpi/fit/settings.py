@@ -9,7 +9,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, mo
 from ..scene.reader import load as load_scene
 from ..scene.scene import Scene
 from ..source import Source
-from ..tables import SceneError, Table, TomlError, explain, got
+from ..tables import Quantity, SceneError, Table, TomlError, explain, got
 from .axes import Axis, missing, value_at
 
 FEWEST_RUNS, MOST_PARAMETERS = 3, 20
@@ -34,6 +34,12 @@ def _finer(value: tuple[int, ...]) -> tuple[int, ...]:
     return value
 
 
+def _sharper(value: tuple[float, ...]) -> tuple[float, ...]:
+    if not value or sorted(set(value), reverse=True) != list(value):
+        raise ValueError("must be one number or more, each smaller than the one before")
+    return value
+
+
 def _some(value: tuple[Any, ...]) -> tuple[Any, ...]:
     if not 1 <= len(value) <= MOST_PARAMETERS:
         raise ValueError(f"must be from 1 to {MOST_PARAMETERS} tables; got {len(value)}")
@@ -41,6 +47,7 @@ def _some(value: tuple[Any, ...]) -> tuple[Any, ...]:
 
 
 Number = Annotated[Any, BeforeValidator(_number)]
+Blur = Annotated[float, Field(ge=0, le=1000)]
 Share = Annotated[float, Field(gt=0, le=0.5, strict=True)]
 
 
@@ -58,7 +65,23 @@ class Parameter(Table):
 
 
 class Target(Table):
-    """What runs are held to: exactly one of frames, table."""
+    """What runs are held to: exactly one of video, frames, table."""
+
+    video: str | None = None
+    """a video, or a folder of .png, of what the scene shows; relative to fit.toml"""
+    render: str | None = None
+    """of a video: the render.toml by which runs are drawn to lie beside it, with one camera that is
+    told where it stands; of frames: of the video of both beside each other"""
+    blur: Annotated[tuple[Blur, ...], AfterValidator(_sharper)] | None = None
+    """of a video: over how many pixels pictures are blurred, from coarse to fine; default: a
+    16th, a 48th and a 140th of their width"""
+    pixels: Annotated[int, Field(ge=16, le=1024, strict=True)] = 128
+    """of a video: of the longer side of the pictures that are compared, at most"""
+    camera_shift: Annotated[float, Field(ge=0, le=100)] = 0.0
+    """of a video: pixels that its camera may be off; of a run the shift that suits best counts"""
+    frame_time: Annotated[float, Quantity("s", gt=0)] | None = None
+    """of a video: time between its pictures; those of a moment of which the scene has a frame are
+    compared; default: its pictures are the frames that render.toml draws, one by one"""
 
     frames: str | None = None
     """folder of a run, of the same domain and the same bodies by name; relative to fit.toml"""
@@ -84,7 +107,7 @@ class Target(Table):
     time_unit: Annotated[float, Field(gt=0, strict=True)] = 1.0
     """of a table: what 1 in that column is in s"""
     time_zero: Annotated[float, Field(strict=True)] = 0.0
-    """of a table: when its time 0 is in the scene [s]"""
+    """of a table, or of a video with frame_time: when its time 0 is in the scene [s]"""
     value_unit: Annotated[float, Field(gt=0, strict=True)] = 1.0
     """of a table: what 1 in the columns compared is in SI"""
     where: dict[str, str] = {}
@@ -101,6 +124,10 @@ class Target(Table):
         wrong = [name for name in wrong if name not in allowed]
         if wrong:
             raise ValueError(f"a target of {given[0]} has no {', '.join(wrong)}")
+        if self.video is not None and self.render is None:
+            raise ValueError(
+                "a video needs render: the render.toml that draws runs as it shows them"
+            )
         if self.table is not None and self.probe is None:
             raise ValueError("a table needs probe: which one of the scene measures the same")
         if self.hold_out == 1:
@@ -109,7 +136,8 @@ class Target(Table):
 
 
 KEYS = {
-    "frames": ("bodies", "boxes"),
+    "video": ("render", "blur", "pixels", "camera_shift", "frame_time", "time_zero"),
+    "frames": ("bodies", "boxes", "render"),
     "table": ("probe", "columns", "time", "time_unit", "time_zero", "value_unit", "where"),
 }
 

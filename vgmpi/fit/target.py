@@ -4,6 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
+from .pictures import Pictures
+
 
 class Target:
     """stages: from coarse to fine. values: of each stage, (n,). held: (n,) of each stage, which are
@@ -12,7 +14,10 @@ class Target:
     def __init__(self) -> None:
         self.values: list[np.ndarray] = []
         self.held: list[np.ndarray] = []
+        self.alike = [1.0]  # of each stage: how many of the numbers beside each other err together
         self.said = ""  # what the loss is
+        self.frames: list[int] = []  # of a run: those that are compared
+        self.pictures: Pictures | None = None  # as which runs are shown, where it is known
 
     @property
     def stages(self) -> int:
@@ -27,6 +32,11 @@ class Target:
         square is the loss squared."""
         off, held = self.of(folder, stage) - self.values[stage], self.held[stage]
         return off[~held], off[held]
+
+    def shown(self) -> np.ndarray:
+        """What is to be seen of the target at these frames, (frames, height, width, 3) of 0..1 as
+        large as `pictures` draws. Raises RunError."""
+        raise NotImplementedError
 
     def notes(self, folder: Path) -> list[str]:
         """What else is to be said of a run, for the report: lines."""

@@ -69,6 +69,7 @@ def report(file: FitFile, found: Found, trials: Trials) -> str:
     out.append(f"At the start: {first.loss:.4g}. Runs: {len(trials.all)}.")
     if found.spent:
         out.append("The runs were used up before the search had come to rest: give more.")
+    out += trials.target.notes(best.done.folder)
     for k, axis in enumerate(file.axes):
         if not AT_END < best.u[k] < 1 - AT_END:
             out.append(f"{axis.key} is at the end of its range: it may lie beyond.")
@@ -106,7 +107,8 @@ def _cells_said(file: FitFile, found: Found) -> str:
     return (
         f"*cells*: from one run with {beside} cells along the longest edge instead of {own}: how"
         " far the parameters would have to move to make up for it, taken to fall with the cells'"
-        " size. What the target has and the scene has not is in neither."
+        " size, and thrice that (Roache's index of two grids). What the target has and the scene"
+        " has not is in neither."
     )
 
 
