@@ -69,12 +69,12 @@ def test_target_and_fit_are_shown_beside_each_other(folder, capsys):
     found_in(folder, 'video = "pictures"', "shown")
     frames = imageio_ffmpeg.read_frames(str(folder / "shown" / "beside.mp4"))
     width, height = next(frames)["size"]
-    assert (width, height) == (2 * 128 + 4, 96)
+    assert (width, height) == (2 * 128 + 2, 96)
     shown = [np.frombuffer(f, np.uint8).reshape(height, width, 3).astype(int) for f in frames]
     asked = list(pictures_in(folder / "pictures"))
     assert len(shown) == len(asked) == 7
     for one, target in zip(shown, asked):
-        left, right = one[:, :128], one[:, 132:]
+        left, right = one[:, :128], one[:, 130:]
         assert np.abs(left - target).mean() < 2 and np.abs(right - target).mean() < 2
     assert np.abs(shown[0][:, :128] - shown[4][:, :128]).mean() > 1  # it moves
 

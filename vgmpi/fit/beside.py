@@ -8,7 +8,7 @@ from postprocess.video import Film, to_bytes
 
 from .target import Target
 
-BETWEEN = 4  # pixels
+BETWEEN = 2  # pixels
 
 
 def write(target: Target, folder: Path, path: Path) -> None:
@@ -21,6 +21,6 @@ def write(target: Target, folder: Path, path: Path) -> None:
     film = target.pictures.chosen.video
     with Film(path, *size, film.fps, film.quality) as out:
         for one, other in zip(left, right):
-            picture = np.ones((height, size[0], 3))
+            picture = np.zeros((height, size[0], 3))
             picture[:, :width], picture[:, width + BETWEEN :] = one, other
             out.add(to_bytes(picture))
