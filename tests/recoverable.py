@@ -77,7 +77,7 @@ mode = [
 [[probe]]
 name = "it"
 velocity = [0.05, 0.025, 0.0875]
-rate = 100
+rate = 400
 """,
     "material.oil.viscosity", 1.0, (0.1, 10.0), 8.0, ("velocity_x",),
 )  # fmt: skip

@@ -13,6 +13,7 @@ from postprocess import render
 from postprocess.video import to_bytes, write_png
 from tests.fitted import BALL, FIT, made, reference
 from tests.recovery import aside, view
+from vgmpi import room
 from vgmpi.fit import __main__ as fit
 from vgmpi.fit import video
 from vgmpi.fit.films import pictures_in, scaled
@@ -128,13 +129,16 @@ def test_pictures_of_the_same_moments_are_compared(folder):
 def test_some_frames_are_held_out(folder):
     target = made_target(folder, 'video = "pictures"\nhold_out = 3')
     assert target.held_pictures.tolist() == [False, False, True, False, False, True, False]
-    each = 96 * 128 * 3
-    assert [len(x) for x in target.off(folder / "reference", 0)] == [5 * each, 2 * each]
+    each = [12 * 16 * 3, 48 * 64 * 3, 96 * 128 * 3]  # as far apart as they are blurred
+    for stage in range(3):
+        off = target.off(folder / "reference", stage)
+        assert [len(x) for x in off] == [5 * each[stage], 2 * each[stage]]
 
 
 def test_videos_are_scaled_to_what_is_compared(folder):
     target = made_target(folder, 'video = "film.mp4"\npixels = 64\nblur = [4, 1]')
-    assert target.stages == 2 and len(target.values[0]) == 7 * 48 * 64 * 3
+    assert target.stages == 2 and len(target.values[1]) == 7 * 48 * 64 * 3
+    assert len(target.values[0]) == 7 * 12 * 16 * 3
     fitted, _ = target.off(folder / "reference", 1)
     assert np.sqrt(np.mean(fitted**2)) < 0.2
 
@@ -163,6 +167,14 @@ def test_pictures_are_moved(by):
     inside = np.s_[:, 6:-6, 6:-6]
     moved = video.shifted(film, np.array(by, float))[inside]
     assert np.abs(moved - other[inside]).max() < 0.005 * np.abs(film).max()
+
+
+def test_what_does_not_fit_is_refused(folder, monkeypatch, capsys):
+    monkeypatch.setattr(room, "free", lambda swap=False: 3 << 20)
+    scene, file = made(folder, BALL, text('video = "pictures"'))
+    assert fit.main([str(scene), str(file), "-o", str(folder / "large")]) == 2
+    told = capsys.readouterr().err
+    assert "target.pixels: 40 runs of such pictures take 0.0487 GiB; 0.00293 GiB are free" in told
 
 
 def test_pictures_of_all_kinds_are_read(tmp_path):

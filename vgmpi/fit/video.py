@@ -7,12 +7,14 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
+from .. import room
 from .films import pictures_in, scaled
 from .pictures import SHOWN, Pictures
 from .settings import FitFile
 from .target import Target, held_out
 
 WIDTHS = (16, 48, 140)  # of a picture: shares of it by which films are blurred
+LEAST = 2 / 255  # change of a colour in a video
 SAME_TIME = 1e-3  # of the time between frames
 SHIFTS = 4  # rounds in which a camera that is off is found
 
@@ -36,13 +38,23 @@ class Video(Target):
         film = film[self.used]
         self.held_pictures = held_out(np.arange(len(film)), asked.hold_out)
         self.film = [self._blurred(film, stage) for stage in range(len(self.blur))]
-        self.unit = [float(np.sqrt(np.mean((one - one.mean(0)) ** 2))) for one in self.film]
-        if min(self.unit) < 1 / 255:
+        change = [one - one.mean(0) for one in self.film]
+        if np.abs(change[-1]).max() < LEAST:
             raise file.wrong(("target", "video"), "shows nothing that changes")
-        self.values = [one.ravel() / unit for one, unit in zip(self.film, self.unit)]
-        self.held = [np.repeat(self.held_pictures, one[0].size) for one in self.film]
+        self.unit = [float(np.sqrt(np.mean(one**2))) for one in change]
+        # of pictures that are blurred, every so many pixels tell all
+        self.apart = [max(1, math.floor(pixels)) for pixels in self.blur]
+        self.values = [self._numbers(one, stage) for stage, one in enumerate(self.film)]
+        each = [len(values) // len(film) for values in self.values]
+        self.held = [np.repeat(self.held_pictures, count) for count in each]
         self.size = f"{width} x {height}"
-        self.alike = [max(1.0, 4 * math.pi * pixels**2) for pixels in self.blur]
+        beside = zip(self.blur, self.apart)
+        self.alike = [max(1.0, 4 * math.pi * (pixels / step) ** 2) for pixels, step in beside]
+        most = file.settings.method.runs * sum(map(len, self.values)) * np.float32().itemsize
+        try:
+            room.check(most, f"{file.settings.method.runs} runs of such pictures take")
+        except room.TooLarge as error:
+            raise file.wrong(("target", "pixels"), f"{error}; got {asked.pixels}") from None
         # a run is looked at for each stage in turn
         self.raw = functools.lru_cache(8)(lambda folder: self.compared.of(folder, self.frames))
 
@@ -89,7 +101,11 @@ class Video(Target):
         film = self._blurred(self.raw(folder), stage)
         if self.most:
             film = shifted(film, self._shift(film, stage))
-        return film.ravel() / self.unit[stage]
+        return self._numbers(film, stage)
+
+    def _numbers(self, film: np.ndarray, stage: int) -> np.ndarray:
+        step = self.apart[stage]
+        return film[:, ::step, ::step].ravel() / self.unit[stage]
 
     def _shift(self, film: np.ndarray, stage: int) -> np.ndarray:
         """How far [pixels down, right] a run's pictures are moved to lie on the video's as well as
