@@ -23,7 +23,10 @@ ASSETS = {
     "splash": {"duck": "duck"},
     "capture": {"capture": "duck"},
     "balls_duck": {"duck": "duck", "left ball": "ball", "right ball": "ball"},
-    "faucet_ducks": {f"{which} duck": "duck" for which in ("first", "second", "third")},
+    **dict.fromkeys(
+        ("faucet", "faucet_ducks"),
+        {f"{which} duck": "duck" for which in ("first", "second", "third")},
+    ),
 }
 
 SMALL = """
