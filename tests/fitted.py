@@ -44,7 +44,7 @@ columns = ["center_z", "velocity_z"]
 [method]
 runs = 40
 scan = 4
-grid = false
+grid = "none"
 """
 
 

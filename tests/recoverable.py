@@ -20,7 +20,8 @@ DOWN = [0, 0, -9.81]
 @dataclass(frozen=True)
 class Case:
     """A scene, what is looked for in it, its true value, range and start, and what shows it: the
-    columns of probe "it", or pictures of a camera (eye, target, field of view)."""
+    columns of probe "it", or pictures of a camera (eye, target, field of view). grid: of the fit,
+    "finer" where the room is too thin for larger cells."""
 
     scene: str
     key: str
@@ -29,6 +30,7 @@ class Case:
     start: float
     columns: tuple[str, ...] = ()
     camera: tuple = ()
+    grid: str = "coarser"
 
 
 def room(size, cell, end, walls='"slip"', gravity=DOWN):
@@ -150,7 +152,7 @@ rate = 100
 
 # a slab that comes to float, twice as wide as high, between slipping walls
 DENSITY = Case(
-    room([0.28, 0.08, 0.24], 0.01, 0.9)
+    room([0.4, 0.04, 0.32], 0.01, 0.8)
     + """
 [material.water]
 kind = "fluid"
@@ -164,21 +166,21 @@ youngs_modulus = 5e4
 name = "slab"
 material = "wood"
 colour = "#b03010"
-shape = { box = [[0.06, 0, 0.09], [0.22, 0.08, 0.17]] }
+shape = { box = [[0.08, 0, 0.12], [0.32, 0.04, 0.24]] }
 [[object]]
 name = "pool"
 material = "water"
 colour = "#3060d0"
 [[object.shape.difference]]
-box = [[0, 0, 0], [0.28, 0.08, 0.12]]
+box = [[0, 0, 0], [0.4, 0.04, 0.16]]
 [[object.shape.difference]]
-box = [[0.06, 0, 0.09], [0.22, 0.08, 0.17]]
+box = [[0.08, 0, 0.12], [0.32, 0.04, 0.24]]
 [[probe]]
 name = "it"
 object = "slab"
 rate = 100
 """,
-    "material.wood.density", 500.0, (60.0, 950.0), 90.0, ("center_z",),
+    "material.wood.density", 500.0, (60.0, 950.0), 90.0, ("center_z",), grid="finer",
 )  # fmt: skip
 
 # sand full of water is pressed, and the water seeps out of it (Terzaghi)
@@ -288,5 +290,5 @@ CASES = {
     "friction, seen": seen(FRICTION, (0.2, -0.8, 0.3), (0.2, 0.08, 0.03), 22),
     "yield stress, seen": seen(YIELD, (0.1, -0.5, 0.15), (0.1, 0.1, 0.06), 20),
     "friction angle, seen": seen(ANGLE, (0.24, -0.9, 0.2), (0.24, 0.04, 0.06), 24),
-    "density, seen": seen(DENSITY, (0.14, -0.7, 0.16), (0.14, 0.04, 0.1), 22),
+    "density, seen": seen(DENSITY, (0.2, -0.9, 0.2), (0.2, 0.02, 0.14), 22),
 }

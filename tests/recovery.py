@@ -48,6 +48,8 @@ range = [{low!r}, {high!r}]
 start = {start!r}
 [target]
 {target}
+[method]
+grid = "{grid}"
 """
 
 
@@ -121,8 +123,9 @@ def recover(case: Case, folder: Path, told: dict[str, np.ndarray], seed: int) ->
     else:
         columns = ", ".join(f'"{c}"' for c in case.columns)
         target = f'table = "noisy.csv"\nprobe = "it"\ncolumns = [{columns}]'
+    low, high = case.range
     text = FIT.format(
-        key=case.key, low=case.range[0], high=case.range[1], start=case.start, target=target
+        key=case.key, low=low, high=high, start=case.start, target=target, grid=case.grid
     )
     scene, fit = made(folder, case.scene, text)
     noisy(told, case.columns, folder, seed)

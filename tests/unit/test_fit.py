@@ -6,6 +6,7 @@ import json
 import random
 import shutil
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ import pytest
 from tests import launch
 from tests.fitted import BALL, FIT, command, go, made, reference
 from vgmpi.fit import __main__ as fit
+from vgmpi.fit import apart
 from vgmpi.fit.axes import Axis, value_at
 from vgmpi.fit.runs import RECORD
 from vgmpi.scene.reader import load
@@ -123,7 +125,7 @@ def test_frames_are_fitted_and_a_runs_mass_tells_nothing(folder, capsys):
     """From coarse boxes to fine ones. Of the other run only where things are counts: it is twice as
     heavy and as stiff, and what is found is the stiffness at the scene's own density."""
     reference(folder, BALL, {"material.rubber.density": 2000, KEY: 4e4}, "heavy")
-    text = FIT[: FIT.index("[target]")] + '[target]\nframes = "heavy"\n[method]\ngrid = false\n'
+    text = FIT[: FIT.index("[target]")] + '[target]\nframes = "heavy"\n[method]\ngrid = "none"\n'
     scene, file = made(folder, BALL, text)
     out = folder / "frames"
     assert fit.main([str(scene), str(file), "-o", str(out)]) == 0
@@ -162,6 +164,47 @@ def test_what_changes_nothing_is_refused(folder, capsys):
     assert fit.main([str(scene), str(file), "-o", str(folder / "blind")]) == 2
     told = capsys.readouterr().err
     assert told.startswith(f"{file}:2: parameter.0.key: ") and "nothing that the target" in told
+
+
+class InCells:
+    """Runs that are off by so much in u as the cells are large (of the scene's: 1)."""
+
+    def __init__(self, scene, slope):
+        self.runs, self.target = SimpleNamespace(scene=scene), SimpleNamespace(stages=1)
+        self.what, self.slope, self.asked = "", slope, []
+
+    def ask(self, points, beside):
+        self.asked.append(dict(beside.knobs)["cells"])
+        return [SimpleNamespace(done=SimpleNamespace(whole=True), cells=int(self.asked[-1]))]
+
+    def off(self, trial, stage):
+        return self.slope * 0.01 * 12 / trial.cells
+
+
+@pytest.mark.parametrize("grid, count", [("coarser", 6), ("finer", 24)])
+def test_cells_have_part_in_the_interval(folder, grid, count):
+    """Thrice what the cells of the scene are off by, told by larger ones or by smaller ones, of an
+    error that falls with their size (Roache 1994)."""
+    slope = np.array([[1.0], [-2.0], [0.5]])
+    trials = InCells(load(folder / "scene.toml"), slope[:, 0])
+    best = SimpleNamespace(u=(0.5,), cells=12)
+    shift, beside = apart.of_cells(trials, best, slope, grid)
+    assert beside == count and trials.asked == [str(count)]
+    assert shift == pytest.approx([3 * 0.01])
+    assert apart.of_cells(trials, best, slope, "none")[1] is None and len(trials.asked) == 1
+
+
+@pytest.mark.parametrize("grid, count", [("coarser", 6), ("finer", 24)])
+def test_a_run_in_other_cells_is_told(folder, grid, count):
+    text = FIT.replace('grid = "none"', f'grid = "{grid}"')
+    scene, file = made(folder, BALL, text)
+    assert fit.main([str(scene), str(file), "-o", str(folder / grid)]) == 0
+    last = rows(folder / grid)[-1]
+    assert last["cells"] == str(count) and last["what"] == f"{grid} cells"
+    report = (folder / grid / "report.md").read_text()
+    assert f"from one run with {count} cells along the longest edge instead of 12" in report
+    low, high = report.split(f"| {KEY} | ")[1].split(" | ")[1].split(" .. ")
+    assert float(low) < 2e4 < float(high)
 
 
 def test_axes_go_there_and_back():

@@ -1,10 +1,12 @@
 """What a fit can tell: intervals, and parameters that cannot be told apart."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import t as student
 
+from ..scene.scene import Scene
 from ..study import knobs
 from ..study.runs import StudyError
 from .trials import Spent, Trial, Trials
@@ -74,10 +76,10 @@ def _inside(u: np.ndarray, way: np.ndarray) -> np.ndarray:
     return best
 
 
-def known(trials: Trials, best: Trial, J: np.ndarray, grid: bool) -> Known:
+def known(trials: Trials, best: Trial, J: np.ndarray, grid: str) -> Known:
     """Intervals of 95 %. noise: of least squares, for errors that know nothing of each other, or
     in pictures of those beside them, over which these are blurred. cells: what differs from a run
-    of coarser cells, as far as the parameters can make up for it, taken to fall with the cells'
+    in other cells, as far as the parameters can make up for it, taken to fall with the cells'
     size, and thrice that."""
     stage = trials.target.stages - 1
     off, alike = trials.off(best, stage), trials.target.alike[stage]
@@ -89,18 +91,19 @@ def known(trials: Trials, best: Trial, J: np.ndarray, grid: bool) -> Known:
     scale = np.maximum(np.sqrt(np.diag(inverse)), 1e-300)
     length = np.maximum(np.linalg.norm(J, axis=0), 1e-300)
     singular = np.linalg.svd(J / length, compute_uv=False)
-    shift, beside = _of_cells(trials, best, J) if grid else (np.zeros(len(best.u)), None)
+    shift, beside = of_cells(trials, best, J, grid)
     return Known(noise, shift, inverse / np.outer(scale, scale), singular, beside)
 
 
-def _of_cells(trials: Trials, best: Trial, J: np.ndarray) -> tuple[np.ndarray, int | None]:
-    """How far coarser cells move what is found (parameters,), for those of the scene; and how many
-    cells it was along the longest edge: half, or as many more as it takes."""
+def of_cells(
+    trials: Trials, best: Trial, J: np.ndarray, grid: str
+) -> tuple[np.ndarray, int | None]:
+    """How far what is found is off for the cells of the scene (parameters,), by one run in others;
+    and how many it had along the longest edge: half, or as many more as it takes, or twice."""
     scene, stage = trials.runs.scene, trials.target.stages - 1
-    own, unit = max(scene.domain.cells), knobs.unit_of(scene)
-    fewest = -(-knobs.FEWEST * own // min(scene.domain.cells))
-    trials.what = "coarser cells"
-    for count in range(unit * -(-max(own // 2, fewest) // unit), own, unit):
+    own = max(scene.domain.cells)
+    trials.what = f"{grid} cells"
+    for count in _counts(scene, grid):
         try:
             (run,) = trials.ask([np.array(best.u)], knobs.of_cells(scene, count))
         except Spent:
@@ -110,5 +113,18 @@ def _of_cells(trials: Trials, best: Trial, J: np.ndarray) -> tuple[np.ndarray, i
         if run.done.whole:
             change = trials.off(run, stage) - trials.off(best, stage)
             moved = np.linalg.lstsq(J, change, rcond=1e-6)[0]
-            return TWO_GRIDS * np.abs(moved) / (own / count - 1), count
+            # of what falls with the cells' size: the share that is left in those of the scene
+            left = 1 / abs(1 - own / count)
+            return TWO_GRIDS * np.abs(moved) * left, count
     return np.zeros(len(best.u)), None
+
+
+def _counts(scene: Scene, grid: str) -> Iterable[int]:
+    """Cells along the longest edge that tell what those of the scene do, best ones first."""
+    own, unit = max(scene.domain.cells), knobs.unit_of(scene)
+    if grid == "none":
+        return ()
+    if grid == "finer":
+        return (2 * own,)
+    fewest = -(-knobs.FEWEST * own // min(scene.domain.cells))
+    return range(unit * -(-max(own // 2, fewest) // unit), own, unit)

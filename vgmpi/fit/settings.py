@@ -154,8 +154,9 @@ class Method(Table):
     """runs spread over each parameter's range before anything else"""
     step: Share = 0.02
     """of differences: share of the value, of a range that is not logarithmic share of the range"""
-    grid: bool = True
-    """one more run at the end, with coarser cells, tells what the cells do to what is found"""
+    grid: Literal["coarser", "finer", "none"] = "coarser"
+    """one more run at the end, in cells up to twice as large, or half as large (it takes as long as
+    ten), tells what the cells do to what is found"""
     seed: Annotated[int, Field(ge=0, strict=True)] = 1
     """of CMA-ES"""
 

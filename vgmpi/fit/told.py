@@ -103,7 +103,7 @@ def _cells_said(file: FitFile, found: Found) -> str:
     assert found.known is not None
     own, beside = max(file.scene.domain.cells), found.known.beside
     if beside is None:
-        return "*cells*: not known, as no run of coarser cells was made."
+        return "*cells*: not known, as no run in other cells was made."
     return (
         f"*cells*: from one run with {beside} cells along the longest edge instead of {own}: how"
         " far the parameters would have to move to make up for it, taken to fall with the cells'"
