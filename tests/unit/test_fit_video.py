@@ -15,7 +15,7 @@ from tests.fitted import BALL, FIT, made, reference
 from tests.recovery import aside, view
 from vgmpi import room
 from vgmpi.fit import __main__ as fit
-from vgmpi.fit import video
+from vgmpi.fit import beside, video
 from vgmpi.fit.films import pictures_in, scaled
 from vgmpi.fit.pictures import Pictures
 from vgmpi.fit.settings import FitFile
@@ -66,18 +66,32 @@ def test_what_was_put_in_is_found(folder, name, capsys):
     assert "Held out: " in report and "Compared: 7 pictures of 128 x 96 pixels." in report
 
 
-def test_target_and_fit_are_shown_beside_each_other(folder, capsys):
-    found_in(folder, 'video = "pictures"', "shown")
-    frames = imageio_ffmpeg.read_frames(str(folder / "shown" / "beside.mp4"))
+def halves(path):
+    """Left and right of a video of two beside each other (frames, height, width, 3)."""
+    frames = imageio_ffmpeg.read_frames(str(path))
     width, height = next(frames)["size"]
     assert (width, height) == (2 * 128 + 2, 96)
-    shown = [np.frombuffer(f, np.uint8).reshape(height, width, 3).astype(int) for f in frames]
-    asked = list(pictures_in(folder / "pictures"))
-    assert len(shown) == len(asked) == 7
-    for one, target in zip(shown, asked):
-        left, right = one[:, :128], one[:, 130:]
-        assert np.abs(left - target).mean() < 2 and np.abs(right - target).mean() < 2
-    assert np.abs(shown[0][:, :128] - shown[4][:, :128]).mean() > 1  # it moves
+    shown = np.stack([np.frombuffer(f, np.uint8).reshape(height, width, 3) for f in frames])
+    return shown[:, :, :128].astype(int), shown[:, :, 130:].astype(int)
+
+
+def test_target_and_fit_are_shown_beside_each_other(folder, capsys):
+    found_in(folder, 'video = "pictures"', "shown")
+    asked = np.stack(list(pictures_in(folder / "pictures"))).astype(int)
+    for half in halves(folder / "shown" / "beside.mp4"):
+        assert len(half) == 7 and np.abs(half - asked).mean() < 2
+    assert np.abs(asked[0] - asked[4]).mean() > 1  # it moves
+
+
+def test_the_target_is_to_the_left(folder):
+    reference(folder, BALL, {KEY: 2e5}, "stiff")
+    target = made_target(folder, 'video = "pictures"')
+    beside.write(target, folder / "stiff", folder / "two.mp4")
+    left, right = halves(folder / "two.mp4")
+    asked = np.stack(list(pictures_in(folder / "pictures"))).astype(int)
+    other = to_bytes(Pictures(folder / "render.toml").of(folder / "stiff", list(range(7))))
+    assert np.abs(left - asked).mean() < 2 and np.abs(right - other).mean() < 2
+    assert np.abs(right[4] - asked[4]).mean() > 2
 
 
 def test_frames_of_another_run_are_shown_too_where_render_is_given(folder, capsys):
