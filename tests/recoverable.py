@@ -124,7 +124,7 @@ velocity = [0, 0, -3]
 [[probe]]
 name = "it"
 object = "block"
-rate = 1000
+rate = 5000
 """,
     "material.putty.yield_stress", 8e3, (5e2, 1e5), 6e4, ("center_z", "velocity_z"),
 )  # fmt: skip
