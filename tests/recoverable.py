@@ -108,7 +108,7 @@ rate = 200
 
 # a block that is thrown down and does not get up again
 YIELD = Case(
-    room([0.2, 0.2, 0.16], 0.01, 0.05, gravity=[0, 0, 0])
+    room([0.2, 0.2, 0.16], 0.2 / 30, 0.05, gravity=[0, 0, 0])
     + """
 [material.putty]
 kind = "plasticine"
