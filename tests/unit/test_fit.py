@@ -186,12 +186,24 @@ def test_cells_have_part_in_the_interval(folder, grid, count):
     """Thrice what the cells of the scene are off by, told by larger ones or by smaller ones, of an
     error that falls with their size (Roache 1994)."""
     slope = np.array([[1.0], [-2.0], [0.5]])
-    trials = InCells(load(folder / "scene.toml"), slope[:, 0])
+    trials = InCells(load(made(folder, BALL, FIT)[0]), slope[:, 0])
     best = SimpleNamespace(u=(0.5,), cells=12)
     shift, beside = apart.of_cells(trials, best, slope, grid)
     assert beside == count and trials.asked == [str(count)]
     assert shift == pytest.approx([3 * 0.01])
     assert apart.of_cells(trials, best, slope, "none")[1] is None and len(trials.asked) == 1
+
+
+def test_numbers_that_err_together_count_less(folder):
+    """An interval from n numbers, of which so many beside each other err together, is wider by
+    their root; by it least squares of smooth noise cover as they should."""
+    trials = InCells(load(made(folder, BALL, FIT)[0]), np.random.default_rng(0).normal(size=400))
+    best = SimpleNamespace(u=(0.5,), cells=12)
+    noise = []
+    for together in (1.0, 4.0):
+        trials.target.alike = [together]
+        noise.append(apart.known(trials, best, np.ones((400, 1)), "none").noise[0])
+    assert noise[1] == pytest.approx(2 * noise[0], rel=0.03)
 
 
 @pytest.mark.parametrize("grid, count", [("coarser", 6), ("finer", 24)])

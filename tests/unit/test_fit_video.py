@@ -116,7 +116,8 @@ def test_a_camera_that_is_off_is_made_up_for(folder, capsys):
 
 def test_a_camera_is_off_by_no_more_than_it_may(folder, capsys):
     found_in(folder, 'video = "off"\ncamera_shift = 0.5', "little")
-    assert "as far as camera_shift lets it" in (folder / "little" / "report.md").read_text()
+    report = (folder / "little" / "report.md").read_text()
+    assert "moved by -0.50 to the right and +0.50 down (as far as camera_shift lets it)" in report
 
 
 def made_target(folder, keys, scene=BALL):
@@ -153,6 +154,8 @@ def test_videos_are_scaled_to_what_is_compared(folder):
     target = made_target(folder, 'video = "film.mp4"\npixels = 64\nblur = [4, 1]')
     assert target.stages == 2 and len(target.values[1]) == 7 * 48 * 64 * 3
     assert len(target.values[0]) == 7 * 12 * 16 * 3
+    # white noise that is blurred over so many pixels errs together on 4 pi as many squared
+    assert target.alike == pytest.approx([4 * np.pi, 4 * np.pi])
     fitted, _ = target.off(folder / "reference", 1)
     assert np.sqrt(np.mean(fitted**2)) < 0.2
 
