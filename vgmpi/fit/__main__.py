@@ -1,7 +1,8 @@
 """python -m vgmpi.fit scene.toml fit.toml -o fit: numbers of a scene, found from frames of another
 run or from what was measured or published.
 
-Runs are kept below the output folder by their parameters: a fit that was stopped goes on."""
+Runs are kept below the output folder by their parameters: a fit that was stopped goes on, and
+the same command several times at once shares the runs."""
 
 import argparse
 import sys
@@ -55,7 +56,7 @@ def main(argv: list[str] | None = None) -> int:
         given.output.mkdir(parents=True, exist_ok=True)
 
         def heard(trial: Trial) -> None:
-            told.rows(file.axes, list(trials.all.values()), given.output / TABLE)
+            told.rows(file.axes, list(trials.all.values()), given.output / TABLE, whole=False)
             values = ", ".join(f"{a.key} {v:.6g}" for a, v in zip(file.axes, trial.values))
             off = f"loss {trial.loss:.4g}" if trial.done.whole else "blew up"
             print(f"{trial.number:4d} {trial.what:13s} {values}: {off}", flush=True)
@@ -74,7 +75,8 @@ def main(argv: list[str] | None = None) -> int:
 
 def _write(file: FitFile, found: Found, trials: Trials, folder: Path) -> None:
     told.scene(file, found, folder / "fitted.toml")
-    (folder / "report.md").write_text(told.report(file, found, trials))
+    told.rows(file.axes, list(trials.all.values()), folder / TABLE)
+    told.replaced(folder / "report.md", told.report(file, found, trials).encode())
     try:
         told.plot(file, found, trials, folder / "loss.png")
     except ImportError:
