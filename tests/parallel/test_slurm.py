@@ -8,8 +8,10 @@ import pytest
 
 from tests.cluster import Cluster, Unable, missing
 from tests.digests import digests
+from tests.fitted import BALL, FIT, go, made, reference
 from tests.launch import ROOT, run
 from tests.scenes import MIXED, write
+from tests.unit.test_fit import bits
 from vgmpi.output.read import RunFiles
 
 pytestmark = [
@@ -109,6 +111,23 @@ def test_an_array(cluster, submit, one, tmp_path):
     want = {name: sha for name, sha in one[1].items() if "checkpoints" not in name}
     found = digests(tmp_path / "out-4")
     assert {name: found[name] for name in want} == want
+
+
+def test_a_fit_as_an_array(cluster, tmp_path):
+    """Three jobs on two nodes share its runs, with the same bits as one process."""
+    short = BALL.replace("end = 0.06", "end = 0.02").replace("frames = 7", "frames = 3")
+    scene, file = made(tmp_path, short, FIT.replace("runs = 40", "runs = 14"))
+    reference(tmp_path, short)
+    done = go(scene, file, tmp_path / "alone")
+    assert done.returncode == 0, done.stderr
+    words = (ROOT / "slurm" / "fit.sbatch", scene, file, "-o", tmp_path / "fit")
+    job = cluster.submit("--array=1-3", *words, cwd=tmp_path, PYTHON=sys.executable)
+    for task in (1, 2, 3):
+        ended = cluster.until_ended(f"{job}_{task}")
+        text = said(tmp_path, f"fit-{ended['JobId']}")
+        assert ended["JobState"] == "COMPLETED" and "report.md" in text, text
+    assert bits(tmp_path / "fit") == bits(tmp_path / "alone")
+    assert not list(tmp_path.glob("fit/**/*.lock"))
 
 
 def test_the_time_limit(cluster, submit, lingering, one, tmp_path):

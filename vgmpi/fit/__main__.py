@@ -1,7 +1,8 @@
 """python -m vgmpi.fit scene.toml fit.toml -o fit: numbers of a scene, found from frames of another
 run or from what was measured or published.
 
-Runs are kept below the output folder by their parameters: a fit that was stopped goes on."""
+Runs are kept below the output folder by their parameters: a fit that was stopped goes on, and
+the same command several times at once shares the runs."""
 
 import argparse
 import sys
@@ -10,6 +11,7 @@ from pathlib import Path
 from postprocess.video import VideoError
 
 from ..ends import guarded
+from ..output.owner import claimed
 from ..output.read import RunError
 from ..scene.reader import load
 from ..study.runs import StudyError
@@ -57,7 +59,7 @@ def main(argv: list[str] | None = None) -> int:
         given.output.mkdir(parents=True, exist_ok=True)
 
         def heard(trial: Trial) -> None:
-            told.rows(file.axes, list(trials.all.values()), given.output / TABLE)
+            told.rows(file.axes, list(trials.all.values()), given.output / TABLE, whole=False)
             values = ", ".join(f"{a.key} {v:.6g}" for a, v in zip(file.axes, trial.values))
             off = f"loss {trial.loss:.4g}" if trial.done.whole else "blew up"
             print(f"{trial.number:4d} {trial.what:13s} {values}: {off}", flush=True)
@@ -75,13 +77,16 @@ def main(argv: list[str] | None = None) -> int:
 
 def _write(file: FitFile, found: Found, trials: Trials, folder: Path) -> None:
     told.scene(file, found, folder / "fitted.toml")
-    (folder / "report.md").write_text(told.report(file, found, trials))
+    told.rows(file.axes, list(trials.all.values()), folder / TABLE)
+    told.replaced(folder / "report.md", told.report(file, found, trials).encode())
     try:
         told.plot(file, found, trials, folder / "loss.png")
     except ImportError:
         print("no plot: pip install 'vgmpi[validate]'", file=sys.stderr)
     if trials.target.pictures is not None:
-        beside.write(trials.target, found.best.done.folder, folder / "beside.mp4")
+        with claimed(folder / "beside.lock") as mine:  # one of several processes draws it
+            if mine is not None:
+                beside.write(trials.target, found.best.done.folder, folder / "beside.mp4")
     for k, axis in enumerate(file.axes):
         ends = interval(found, file, k)
         sure = "how sure is not known" if ends is None else f"{ends[0]:.6g} .. {ends[1]:.6g}"

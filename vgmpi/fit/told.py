@@ -3,12 +3,12 @@
 import csv
 import io
 import os
+import secrets
 from pathlib import Path
 
 import numpy as np
 
 from ..convert import written
-from ..output.store import replace_text
 from ..source import Source
 from .axes import Axis
 from .find import Found, interval
@@ -19,9 +19,19 @@ HARDLY = 0.95  # correlation from which two are hardly told apart
 AT_END = 1e-3  # of a range: what is found so near to its end may lie beyond
 
 
-def rows(axes: list[Axis], trials: list[Trial], path: Path) -> None:
+def replaced(path: Path, data: bytes) -> None:
+    """Write a file whole; also where other processes of the same fit do so in this moment."""
+    own = path.with_name(f"{path.name}.{secrets.token_hex(8)}.tmp")
+    try:
+        own.write_bytes(data)
+        os.replace(own, path)
+    finally:
+        own.unlink(missing_ok=True)
+
+
+def rows(axes: list[Axis], trials: list[Trial], path: Path, whole: bool = True) -> None:
     """Every run: what for, its parameters [SI], how far it is off what is fitted and what is held
-    out, seconds, its folder."""
+    out, seconds, its folder. Not whole: left alone where another process has told as much."""
     text = io.StringIO()
     out = csv.writer(text, lineterminator="\n")
     keys = [axis.key for axis in axes]
@@ -33,7 +43,9 @@ def rows(axes: list[Axis], trials: list[Trial], path: Path) -> None:
         out.writerow(
             [t.number, t.what, *values, cells, *off, f"{t.done.seconds:g}", t.done.folder.name]
         )
-    replace_text(path, text.getvalue())
+    data = text.getvalue().encode()
+    if whole or not (path.exists() and path.read_bytes().startswith(data)):
+        replaced(path, data)
 
 
 def _cell(value: float) -> str:
@@ -52,7 +64,7 @@ def scene(file: FitFile, found: Found, path: Path) -> None:
                 thing[key] = os.path.relpath(there, path.parent.resolve())
                 data = {"allow_outside": True, **data}
     head = [f"{base.path.name} with what was fitted", *found.best.setting.overrides]
-    replace_text(path, written.text(data, head, []))
+    replaced(path, written.text(data, head, []).encode())
 
 
 def report(file: FitFile, found: Found, trials: Trials) -> str:
@@ -156,5 +168,7 @@ def plot(file: FitFile, found: Found, trials: Trials, path: Path) -> None:
     all_axes[0][0].set_ylabel("loss")
     all_axes[0][0].legend(fontsize=7)
     figure.tight_layout()
-    figure.savefig(path)
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png")
+    replaced(path, picture.getvalue())
     pyplot.close(figure)

@@ -54,10 +54,8 @@ class Trials:
         if not new:
             return [self.all[one] for one in wanted]
         at = dict(zip(wanted, points))
-        size = max(1, self.runs.jobs)
-        for k in range(0, len(new), size):  # told as they come
-            for one, done in zip(new[k : k + size], self.runs.all(new[k : k + size])):
-                self._note(one, at[one], done)
+        for one, done in zip(new, self.runs.all(new), strict=True):  # told as they come
+            self._note(one, at[one], done)
         return [self.all[one] for one in wanted]
 
     def _note(self, one: Setting, u: np.ndarray, done: Done) -> None:

@@ -58,6 +58,22 @@ def held(folder: str | Path, ranks: Alone, into: bool) -> Iterator[None]:
                     folder.rmdir()
 
 
+@contextlib.contextmanager
+def claimed(path: Path) -> Iterator[int | None]:
+    """A lock file of its own is this process's inside the block: the handle that holds it, None
+    where another has it. Not collective; raises OSError.
+
+    A child that is given the handle (pass_fds) holds it until it too has ended.
+    """
+    handle = _take(path, 1)[0]
+    try:
+        yield handle
+    finally:
+        if handle is not None:
+            path.unlink(missing_ok=True)
+            os.close(handle)
+
+
 def _take(path: Path, ranks: int) -> tuple[int | None, str]:
     """(handle of the lock that is now ours, ""), or (None, who has it). Makes its folder."""
     for tries in itertools.count():

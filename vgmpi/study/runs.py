@@ -97,14 +97,15 @@ class Study:
 
 
 def started(
-    scene: Scene, overrides: tuple[str, ...], folder: Path, ranks: int, *how: str
-) -> tuple[int, str]:
+    scene: Scene, overrides: tuple[str, ...], folder: Path, ranks: int, *how: str,
+    held: tuple[int, ...] = (),
+) -> tuple[int, str]:  # fmt: skip
     """Exit code of the program, run on a scene with more set into a folder, and the last line that
-    it said on stderr. how: flags."""
+    it said on stderr. how: flags; held: handles of locks that it holds as long as it runs."""
     launcher = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
     flags = [word for one in (*scene.overrides, *overrides) for word in ("--set", one)]
     program = [sys.executable, "-m", "vgmpi", str(scene.path), "-o", str(folder), "-q"]
     words, env = [*launcher, *program, *how, *flags], {**OPEN_MPI, **os.environ}
-    made = subprocess.run(words, env=env, capture_output=True, text=True)
+    made = subprocess.run(words, env=env, capture_output=True, text=True, pass_fds=held)
     lines = made.stderr.strip().splitlines() or [f"exit code {made.returncode}"]
     return made.returncode, lines[-1]
