@@ -3,6 +3,7 @@ cannot be told apart is refused."""
 
 import csv
 import json
+import os
 import random
 import shutil
 import time
@@ -10,13 +11,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import pyvista
 
 from tests import launch
 from tests.fitted import BALL, FIT, command, go, made, reference
 from vgmpi.fit import __main__ as fit
-from vgmpi.fit import apart
+from vgmpi.fit import apart, axes
 from vgmpi.fit.axes import Axis, value_at
-from vgmpi.fit.runs import RECORD
+from vgmpi.fit.runs import RECORD, Runs
 from vgmpi.scene.reader import load
 
 KEY = "material.rubber.youngs_modulus"
@@ -119,6 +121,26 @@ def test_a_scene_that_was_changed_is_run_anew(folder, whole):
     scene.write_text(BALL.replace("velocity = [0, 0, -1.0]", "velocity = [0, 0, -1.1]"))
     assert fit.main([str(scene), str(folder / "short.toml"), "-o", str(out)]) == 0
     assert not {r["folder"] for r in rows(out)} & {r["folder"] for r in rows(whole)}
+
+
+def test_a_file_that_was_changed_is_run_anew(tmp_path):
+    """A mesh of another shape under the same name, of the same size and time."""
+    cube = pyvista.Cube(center=(0.12, 0.12, 0.08), x_length=0.08, y_length=0.08, z_length=0.08)
+    cube.triangulate().save(tmp_path / "body.stl")
+    shape = "shape = { sphere = { center = [0.12, 0.12, 0.06], radius = 0.05 } }"
+    text = BALL.replace(shape, 'mesh = "body.stl"\nposition = [0.12, 0.12, 0.04]')
+    assert text != BALL
+    scene, _ = made(tmp_path, text, FIT)
+    setting = axes.setting([axes.Axis(KEY, 4e3, 4e5, 2e5, True)], [0.5])
+    runs = Runs(load(scene), tmp_path / "runs")
+    (done,) = runs.all([setting])
+    assert Runs(load(scene), tmp_path / "runs").done(setting) == done
+    before = (tmp_path / "body.stl").stat()
+    cube.scale((1, 1, 1.2), inplace=True)
+    cube.triangulate().save(tmp_path / "body.stl")
+    os.utime(tmp_path / "body.stl", ns=(before.st_atime_ns, before.st_mtime_ns))
+    assert (tmp_path / "body.stl").stat().st_size == before.st_size
+    assert Runs(load(scene), tmp_path / "runs").done(setting) is None
 
 
 def test_frames_are_fitted_and_a_runs_mass_tells_nothing(folder, capsys):

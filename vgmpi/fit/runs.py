@@ -2,6 +2,8 @@
 again, so that a fit that was stopped goes on as if it had not been. Several processes may make
 them at once, each those that no other has begun."""
 
+import functools
+import hashlib
 import json
 import os
 import shutil
@@ -49,7 +51,20 @@ class Runs:
 
     def place(self, setting: Setting) -> Path:
         """The folder of a run."""
-        return self.folder / fingerprint(self.scene, setting.overrides)
+        return self.folder / fingerprint(self.scene, (*setting.overrides, *self._contents))
+
+    @functools.cached_property
+    def _contents(self) -> tuple[str, ...]:
+        """What is in the files that the scene names, meshes and captures: a run of others is
+        another one. Raises StudyError."""
+        found = []
+        for name, path in sorted(self.scene.files.items()):
+            try:
+                with open(path, "rb") as file:
+                    found.append(f"{name} {hashlib.file_digest(file, 'sha256').hexdigest()}")
+            except OSError as error:
+                raise StudyError(f"{path}: {error.strerror or error}") from None
+        return tuple(found)
 
     def done(self, setting: Setting) -> Done | None:
         """A run that is there, whole, of this scene as it is now."""

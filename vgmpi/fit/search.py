@@ -88,8 +88,10 @@ def cma(trials: Trials, u: np.ndarray, seed: int) -> np.ndarray:
     inside = np.tile([0.0, 1.0], (len(u), 1))
     search = CMA(mean=u, sigma=SPREAD, bounds=inside, seed=seed)
     try:
-        while not search.should_stop() and search._sigma > NARROW:
+        spread = SPREAD
+        while not search.should_stop() and spread > NARROW:
             points = [search.ask() for _ in range(search.population_size)]
+            spread = float(np.std(points, axis=0).max())
             made = trials.ask(points)
             losses = [t.loss if t.done.whole else 1e6 for t in made]
             search.tell(list(zip(points, losses)))

@@ -1,0 +1,70 @@
+"""Fits whose runs are on ranks or side by side: the same bits as in one process."""
+
+import csv
+import os
+import signal
+
+import pytest
+
+from tests import launch
+from tests.fitted import BALL, FIT, command, go, made, reference
+from tests.unit.test_fit import bits
+from vgmpi.fit.runs import RECORD
+
+SHORT = BALL.replace("end = 0.06", "end = 0.02").replace("frames = 7", "frames = 3")
+FEW = FIT.replace("runs = 40", "runs = 14")
+
+pytestmark = pytest.mark.mpi
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory):
+    """A folder with a scene and a fit, and in it what one process alone made of them."""
+    launch.on_ranks(1)  # skips where there is no mpirun
+    folder = tmp_path_factory.mktemp("ranks")
+    scene, file = made(folder, SHORT, FEW)
+    reference(folder, SHORT)
+    done = go(scene, file, folder / "alone")
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.mark.parametrize("flags", [("--ranks", "2"), ("--jobs", "2"), ("--jobs=2", "--ranks=2")])
+def test_the_same_bits(alone, flags):
+    out = alone / "".join(flags)
+    done = go(alone / "scene.toml", alone / "fit.toml", out, *flags)
+    assert done.returncode == 0, done.stderr
+    assert bits(out) == bits(alone / "alone")
+
+
+def test_a_run_that_blows_up_is_told(alone, tmp_path):
+    """A stiffness at which the ball is pressed through the floor: on ranks as in one process, and
+    the fit goes on with the others."""
+    text = FEW.replace('["4 kPa", "400 kPa"]', '["5 Pa", "400 kPa"]')
+    text = text.replace("reference/", f"{alone}/reference/")
+    fast = SHORT.replace("velocity = [0, 0, -1.0]", "velocity = [0, 0, -8.0]")
+    scene, file = made(tmp_path, fast, text)
+    found = []
+    for ranks in ("1", "2"):
+        done = go(scene, file, tmp_path / ranks, "--ranks", ranks)
+        assert done.returncode == 0, done.stderr
+        with open(tmp_path / ranks / "fit.csv") as f:
+            found.append([(row["loss"], row["held_out"]) for row in csv.DictReader(f)])
+    assert found[0] == found[1]
+    assert ("blew up", "") in found[0] and any(loss != "blew up" for loss, _ in found[0])
+
+
+@pytest.mark.parametrize("flags", [(), ("--jobs", "2"), ("--ranks", "2")])
+def test_ctrl_c_ends_it_and_it_goes_on(alone, flags):
+    out = alone / f"stopped{''.join(flags)}"
+    begun = launch.start(command(alone / "scene.toml", alone / "fit.toml", out, *flags))
+    launch.until(lambda: len(list(out.glob(f"runs/*/{RECORD}"))) >= 2, "two runs")
+    os.killpg(begun.pid, signal.SIGINT)  # as a terminal does, to all of them
+    done = launch.finish(begun)
+    assert done.returncode == 130 and "Traceback" not in done.stderr, done.stderr
+    with pytest.raises(ProcessLookupError):  # none of them is left
+        os.killpg(begun.pid, 0)
+    assert not (out / "fitted.toml").exists()
+    again = go(alone / "scene.toml", alone / "fit.toml", out, *flags)
+    assert again.returncode == 0, again.stderr
+    assert bits(out) == bits(alone / "alone")
