@@ -3,8 +3,10 @@ key and what is allowed, before anything is run or loaded."""
 
 import json
 
+import numpy as np
 import pytest
 
+from postprocess.video import write_png
 from tests import tasted
 from tests.fitted import BALL, made
 from vgmpi.fit import __main__ as fit
@@ -45,6 +47,7 @@ def beside(tmp_path):
     whole(tmp_path / "model")
     tasted.rendered(tmp_path, 64)
     (tmp_path / "broken.png").write_text("no picture")
+    write_png(tmp_path / "wide.png", np.zeros((60, 90, 3), np.uint8))
     return tmp_path
 
 
@@ -88,6 +91,9 @@ WRONG = {
     "a size too small": ("draws", "size = [8, 64]\ndraws", 10, "sds.size.0", "equal to 16"),
     "a size between": (
         "draws", "size = [64, 72]\ndraws", 10, "sds.size", "72 pixels are no multiple of 16"
+    ),
+    "a size of another shape": (
+        "draws", "size = [64, 128]\ndraws", 10, "sds.size", "another shape than what is drawn"
     ),
     "frames between": ("frames = 5", "frames = 6", 11, "sds.frames", "multiple of 4, such as 5"),
     "more frames than drawn": ("frames = 5", "frames = 9", 11, "sds.frames", "7 frames of the"),
@@ -193,7 +199,11 @@ def test_weights_in_half_precision_alone_are_taken(beside):
 
 @pytest.mark.parametrize(
     "picture, said",
-    [("gone.png", "no such file"), ("broken.png", "cannot identify image file")],
+    [
+        ("gone.png", "no such file"),
+        ("broken.png", "cannot identify image file"),
+        ("wide.png", "is of another shape, 90 x 60 pixels, than the 64 x 64 of the rest"),
+    ],
 )
 def test_a_first_picture_that_cannot_be_read_is_told(beside, capsys, monkeypatch, picture, said):
     monkeypatch.setattr("vgmpi.fit.taste.kinds.flow.Flow.by", "image")

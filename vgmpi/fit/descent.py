@@ -38,7 +38,7 @@ def search(file: FitFile, trials: Trials) -> Liked:
     if trials.most < fewest:
         said = f"must be {fewest} or more for {count} parameters of [sds]"
         raise file.wrong(("method", "runs"), f"{said}; got {method.runs}")
-    u, trials.kept = fitted.start(file), 1
+    u = fitted.start(file)
     try:
         if method.scan:
             u = fitted.scan(trials, u, method.scan)
@@ -135,8 +135,8 @@ def _told(file: FitFile, slopes: list[np.ndarray], best: int) -> list[str]:
     ]  # fmt: skip
     for k, axis in enumerate(file.axes):
         out.append(f"| {axis.key} | {slopes[0][k]:.3g} | {slopes[best][k]:.3g} |")
-    rounds = f"{len(slopes)} gradients of score distillation, each of {2 * len(file.axes) + 1} runs"
-    return [*out, "", f"{rounds}, over the whole range of a parameter."]
+    rounds = f"{len(slopes)} gradients by score distillation, each of {2 * len(file.axes) + 1} runs"
+    return [*out, "", f"{rounds}. They are per number of a code, over a parameter's whole range."]
 
 
 def _by_loss(trials: Trials, u: np.ndarray, seed: int) -> Liked:
@@ -145,7 +145,7 @@ def _by_loss(trials: Trials, u: np.ndarray, seed: int) -> Liked:
     told = ["How sure this is, is not known: a model's taste has no residuals that would tell."]
     if len(u) > 1:
         found = fitted.cma(trials, u, seed)
-        return Liked(found, len(trials.all) >= trials.most - trials.kept, told)
+        return Liked(found, len(trials.all) >= trials.most, told)
     trials.what, spent = "search", False
     seen = sorted(t.u[0] for t in trials.all.values())
     low = max([x for x in seen if x < u[0]], default=0.0)

@@ -59,7 +59,6 @@ def find(file: FitFile, trials: Trials) -> Found:
 def _liked(file: FitFile, trials: Trials) -> Found:
     """By a model's taste. Raises FitFileError, StudyError, ImportError."""
     liked = descent.search(file, trials)
-    trials.kept, trials.what = 0, "found"
     (best,) = trials.ask([liked.u])
     return Found(best, None, liked.spent, tuple(liked.told))
 

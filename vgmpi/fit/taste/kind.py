@@ -58,11 +58,11 @@ class Kind:
         raise NotImplementedError
 
     def needs(self, count: int, width: int, height: int) -> float:
-        """Bytes that it takes at most, about: what reads the prompt is there before the rest is
-        loaded, and gone then."""
-        each = BYTES[self.asked.precision]
-        rest = each * self.denoises.numbers + FLOAT * self.codes.numbers
-        return max(each * self.reads.numbers, rest + self.busy(count, width, height))
+        """Bytes that it takes at most, about: what reads the prompt is gone before what guesses
+        noise is loaded."""
+        each, busy = BYTES[self.asked.precision], self.busy(count, width, height)
+        numbers = max(self.reads.numbers, self.denoises.numbers)
+        return each * numbers + FLOAT * self.codes.numbers + busy
 
     def load(self, device: str, image: Any) -> None:
         """Weights and conditions. image: (1, 3, height, width) of -1..1 where it goes by one.

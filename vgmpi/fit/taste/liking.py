@@ -7,6 +7,7 @@ import importlib.metadata
 import importlib.util
 import json
 import os
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from ... import inputs, room
-from ...output.store import temporary_name
 from ...study.runs import StudyError
 from ..pictures import Pictures
 from ..runs import RECORD
@@ -26,6 +26,7 @@ from .kind import Kind, kind_of
 from .settings import Sds
 
 PACKAGES = ("torch", "diffusers", "transformers", "accelerate")
+SAME_SHAPE = 0.02  # of width over height
 
 
 class Taste(Target):
@@ -85,6 +86,9 @@ class Taste(Target):
             said = f"{wrong[0]} pixels are no multiple of {step}, which the model needs"
             where = ("sds", "size") if self.asked.size else ("sds", "render")
             raise self.file.wrong(where, f"{said}: give size, or render.toml another")
+        if not _alike(self.size, self.drawn.size):
+            said = f"is of another shape than what is drawn, {_shown(self.drawn.size)} pixels"
+            raise self.file.wrong(("sds", "size"), f"{said}; got {_shown(self.size)}")
 
     def _picture(self) -> np.ndarray:
         """The first picture (height, width, 3) of 0..1, as large as the model sees it."""
@@ -95,6 +99,9 @@ class Taste(Target):
             raw = np.atleast_3d(inputs.picture(path))
             if raw.dtype != np.uint8 or raw.shape[2] not in (1, 3, 4):
                 raise ValueError("neither a grey nor a colour picture of 8 bits")
+            if not _alike(raw.shape[1::-1], self.size):
+                said = f"is of another shape, {_shown(raw.shape[1::-1])} pixels"
+                raise ValueError(f"{said}, than the {_shown(self.size)} of the rest")
         except ValueError as error:
             said = f"{error}; got '{self.asked.image}'"
             raise self.file.wrong(("sds", "image"), said) from None
@@ -113,7 +120,7 @@ class Taste(Target):
                 _check_card(needed, what)
         except room.TooLarge as error:
             raise self.file.wrong(("sds", "model"), str(error)) from None
-        shown = f"{len(self.numbers)} frames of {self.size[0]} x {self.size[1]} pixels"
+        shown = f"{len(self.numbers)} frames of {_shown(self.size)} pixels"
         return f"{what} {room.gib(needed)} of memory on {_device(self.asked)}, for {shown}"
 
     @functools.cached_property
@@ -236,12 +243,19 @@ class Taste(Target):
             return None
 
     def _keep(self, folder: Path, name: str, numbers: np.ndarray) -> None:
-        """There whole, or not at all."""
-        place = self._place(folder, name)
-        beside = temporary_name(place)
-        with open(beside, "wb") as f:
+        """There whole, or not at all; processes that share a fit write the same, each its own."""
+        with tempfile.NamedTemporaryFile(dir=folder, suffix=".tmp", delete=False) as f:
             np.savez(f, numbers=numbers, key=self._mark(folder))
-        os.replace(beside, place)
+        os.replace(f.name, self._place(folder, name))
+
+
+def _alike(one: tuple[int, ...], other: tuple[int, ...]) -> bool:
+    """Whether two pictures of so many pixels are of the same shape."""
+    return abs(one[0] * other[1] / (one[1] * other[0]) - 1) <= SAME_SHAPE
+
+
+def _shown(size: tuple[int, ...]) -> str:
+    return f"{size[0]} x {size[1]}"
 
 
 def _packages() -> None:

@@ -20,7 +20,7 @@ def _rising(value: tuple[float, float]) -> tuple[float, float]:
 
 
 Text = Annotated[str, AfterValidator(_some)]
-Level = Annotated[float, Field(gt=0, lt=1, strict=True)]
+Noise = Annotated[float, Field(gt=0, lt=1, strict=True)]
 Pixels = Annotated[int, Field(ge=16, le=8192, strict=True)]
 
 
@@ -42,7 +42,7 @@ class Sds(Table):
     default: the model's kind's"""
     draws: Annotated[int, Field(ge=1, le=1000, strict=True)] = 8
     """of noise, the same for all runs"""
-    times: Annotated[tuple[Level, Level], AfterValidator(_rising)] = (0.2, 0.8)
+    times: Annotated[tuple[Noise, Noise], AfterValidator(_rising)] = (0.2, 0.8)
     """least and largest level of noise, of 0 .. 1, over which they are spread"""
     seed: Annotated[int, Field(ge=0, le=2**31, strict=True)] = 1
     """of the draws"""

@@ -6,6 +6,7 @@ from ..distilled import Level
 from ..folder import ModelError, Part
 from ..kind import BYTES, FLOAT, Kind
 
+TOKENIZERS = ("T5TokenizerFast", "T5Tokenizer", "TokenizersBackend", "PreTrainedTokenizerFast")
 WORDS = 512  # tokens of a prompt, as the pipeline has it
 STEPS = 1000  # of time
 LAYERS = 12  # as many numbers as this times a token's are there at a time
@@ -21,7 +22,7 @@ class Flow(Kind):
         super().__init__(folder, asked)
         if "transformer_2" in folder.parts or folder.index.get("expand_timesteps"):
             raise ModelError("is a Wan 2.2 of two models, or of one time per token; 2.1 is known")
-        folder.plain("tokenizer", tuple(filter(None, (folder.parts.get("tokenizer"),))), None)
+        folder.plain("tokenizer", TOKENIZERS, None)
         if self.denoises.config.get("image_dim"):
             raise ModelError("is a Wan that goes by a picture; those of a text are known")
 
@@ -55,8 +56,9 @@ class Flow(Kind):
         import torch
         import transformers
 
-        made = getattr(transformers, self.folder.parts["tokenizer"], transformers.AutoTokenizer)
-        words = made.from_pretrained(self.folder.path / "tokenizer", local_files_only=True)
+        words = transformers.AutoTokenizer.from_pretrained(
+            self.folder.path / "tokenizer", local_files_only=True
+        )
         reading = self.reading()
 
         def one(text: str) -> Any:
