@@ -96,8 +96,9 @@ OUTSIDE = {  # packages that only some files may use
     "taichi": ("vgmpi/bench/taichi_rival.py",),
     "warp": ("vgmpi/bench/warp_rival.py",),
     "gsply": ("vgmpi/gaussians/ply.py",),
-    "torch": ("vgmpi/splatting/gsplat_backend.py", "vgmpi/images/learned/"),
-    "transformers": ("vgmpi/images/learned/",),
+    "torch": ("vgmpi/splatting/gsplat_backend.py", "vgmpi/images/learned/", "vgmpi/fit/taste/"),
+    "transformers": ("vgmpi/images/learned/", "vgmpi/fit/taste/"),
+    "diffusers": ("vgmpi/fit/taste/",),
     "cv2": ("vgmpi/images/masks.py",),
     "tomlkit": ("vgmpi/images/layout.py",),
     "gsplat": ("vgmpi/splatting/gsplat_backend.py",),
@@ -237,6 +238,8 @@ def test_imports_run_one_way(file):
         ("vgmpi/solver/run.py", "vgmpi.images.made"),
         ("vgmpi/images/made.py", "vgmpi.solver.run"),
         ("vgmpi/images/found.py", "transformers"),
+        ("vgmpi/fit/descent.py", "torch"),
+        ("vgmpi/fit/targets.py", "diffusers"),
     ],
 )
 def test_the_rule_sees_a_wrong_import(file, imported):
@@ -374,6 +377,7 @@ def test_reading_a_folder_reads_nothing_else(file):
         ("vgmpi.bench.dense", "numba"),  # a rival's process holds nothing but its own tool
         ("postprocess.view", "mpi4py"),
         ("postprocess.render", "mpi4py"),
+        ("vgmpi.fit.__main__", "torch"),
     ],
 )
 def test_what_is_not_loaded(module, absent):

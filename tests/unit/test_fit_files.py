@@ -55,7 +55,7 @@ WRONG = {
         "parameter.0.range", "the scene's own value, 20000, is not from 4000 to 10000",
     ),
     "no target": (TARGET, "", 1, "target", "required key is missing: [target]"),
-    "nothing to hold to": (*target("hold_out = 5"), 5, "target", "give exactly one of frames"),
+    "nothing to hold to": (*target("hold_out = 5"), 5, "target", "give exactly one of video"),
     "two targets": (
         *target('frames = "a"\ntable = "b"\nprobe = "ball"'), 5, "target", "given at once",
     ),

@@ -5,6 +5,7 @@ Runs are kept below the output folder by their parameters: a fit that was stoppe
 the same command several times at once shares the runs."""
 
 import argparse
+import math
 import sys
 from pathlib import Path
 
@@ -54,6 +55,8 @@ def main(argv: list[str] | None = None) -> int:
         scene = load(given.scene, given.set)
         file = FitFile(given.fit, scene)
         target = target_of(file)
+        if target.before:
+            print(target.before, flush=True)
         runs = Runs(scene, given.output / RUNS, given.ranks, given.jobs)
         trials = Trials(runs, file.axes, target, file.settings.method.runs)
         given.output.mkdir(parents=True, exist_ok=True)
@@ -61,8 +64,9 @@ def main(argv: list[str] | None = None) -> int:
         def heard(trial: Trial) -> None:
             told.rows(file.axes, list(trials.all.values()), given.output / TABLE, whole=False)
             values = ", ".join(f"{a.key} {v:.6g}" for a, v in zip(file.axes, trial.values))
-            off = f"loss {trial.loss:.4g}" if trial.done.whole else "blew up"
-            print(f"{trial.number:4d} {trial.what:13s} {values}: {off}", flush=True)
+            loss = "" if math.isnan(trial.loss) else f": loss {trial.loss:.4g}"
+            off = loss if trial.done.whole else ": blew up"
+            print(f"{trial.number:4d} {trial.what:13s} {values}{off}", flush=True)
 
         trials.heard = heard
         _write(file, find(file, trials), trials, given.output)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..study.runs import StudyError
-from . import apart, search
+from . import apart, descent, search
 from .settings import FitFile, FitFileError
 from .trials import Spent, Trial, Trials
 
@@ -16,17 +16,21 @@ BESIDE = 4  # runs behind the search besides its differences: two to tell apart,
 @dataclass(frozen=True)
 class Found:
     """What came of a fit. best: the run of the values found; known: what is sure of them, None
-    where runs were spent before; spent: whether the search ended because of that."""
+    where it cannot be told; spent: whether the search ended because runs were; unsure: why it
+    cannot be told, in lines."""
 
     best: Trial
     known: apart.Known | None
     spent: bool
+    unsure: tuple[str, ...] = ("No runs were left to tell how sure this is.",)
 
 
 def find(file: FitFile, trials: Trials) -> Found:
     """Look over the ranges, refuse what nothing can be told of, search, and tell how sure it is.
     Raises FitFileError for parameters that cannot be told apart, StudyError, ImportError."""
     method = file.settings.method
+    if file.settings.sds is not None:
+        return _liked(file, trials)
     trials.kept = 2 * len(file.axes) + BESIDE
     if trials.most <= trials.kept + 2:
         said = f"must be {trials.kept + 3} or more for {len(file.axes)} parameters"
@@ -50,6 +54,13 @@ def find(file: FitFile, trials: Trials) -> Found:
     spent = len(trials.all) >= trials.most - trials.kept
     trials.kept = 0
     return _sure(file, trials, u, spent)
+
+
+def _liked(file: FitFile, trials: Trials) -> Found:
+    """By a model's taste. Raises FitFileError, StudyError, ImportError."""
+    liked = descent.search(file, trials)
+    (best,) = trials.ask([liked.u])
+    return Found(best, None, liked.spent, tuple(liked.told))
 
 
 def _sure(file: FitFile, trials: Trials, u: np.ndarray, spent: bool) -> Found:

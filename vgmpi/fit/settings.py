@@ -11,6 +11,7 @@ from ..scene.scene import Scene
 from ..source import Source
 from ..tables import Quantity, SceneError, Table, TomlError, explain, got
 from .axes import Axis, missing, value_at
+from .taste.settings import Sds
 
 FEWEST_RUNS, MOST_PARAMETERS = 3, 20
 
@@ -48,6 +49,7 @@ def _some(value: tuple[Any, ...]) -> tuple[Any, ...]:
 
 Number = Annotated[Any, BeforeValidator(_number)]
 Blur = Annotated[float, Field(ge=0, le=1000)]
+_ABSENT: Any = None  # a target is asked for where there is one: [sds] stands in its place
 Share = Annotated[float, Field(gt=0, le=0.5, strict=True)]
 
 
@@ -145,9 +147,9 @@ KEYS = {
 class Method(Table):
     """How it is looked for."""
 
-    kind: Literal["least-squares", "cma"] = "least-squares"
+    kind: Literal["least-squares", "cma", "descent"] = "least-squares"
     """least squares by differences, or CMA-ES (pip install 'vgmpi[fit]'), for losses with many
-    valleys"""
+    valleys; of [sds] descent along the model's gradient, the default there, or cma"""
     runs: Annotated[int, Field(ge=FEWEST_RUNS, strict=True)] = 40
     """at most so many, those that are kept from before counted too"""
     scan: Annotated[int, Field(ge=0, le=100, strict=True)] = 5
@@ -164,10 +166,19 @@ class Method(Table):
 class Settings(Table):
     parameter: Annotated[tuple[Parameter, ...], AfterValidator(_some)]
     """[[parameter]]: what is looked for"""
-    target: Target
-    """[target]: what runs are held to"""
+    target: Target = _ABSENT
+    """[target]: what runs are held to; or"""
+    sds: Sds | None = None
+    """[sds]: a video model that says what it thinks of them"""
     method: Method = Method()
     """[method]: how"""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _descends(cls, data: Any) -> Any:
+        """The default of method.kind is another with [sds]."""
+        method = data.get("method", {}) if isinstance(data, dict) and "sds" in data else None
+        return data | {"method": {"kind": "descent"} | method} if type(method) is dict else data
 
 
 class FitFile:
@@ -182,7 +193,7 @@ class FitFile:
             self.settings = Settings.model_validate(self.source.data)
         except ValidationError as error:
             raise FitFileError(self.source.lines(explain(error, Settings))) from None
-        found: list[tuple[tuple, str]] = []
+        found = self._held_to()
         self.axes: list[Axis] = []
         for k, parameter in enumerate(self.settings.parameter):
             if parameter.key in [one.key for one in self.settings.parameter[:k]]:
@@ -193,6 +204,20 @@ class FitFile:
                 self.axes.append(axis)
         if found:
             raise FitFileError(self.source.lines(found))
+
+    def _held_to(self) -> list[tuple[tuple, str]]:
+        """What is wrong with what runs are held to, and with how."""
+        asked, kind = self.settings, self.settings.method.kind
+        if asked.target is None and asked.sds is None:
+            return [(("target",), "required key is missing: [target], or [sds]")]
+        if asked.target is not None and asked.sds is not None:
+            return [(("sds",), "[target] and [sds] given at once: give exactly one of both")]
+        if asked.sds is None and kind == "descent":
+            return [(("method", "kind"), f"goes with [sds] alone; {got(kind)}")]
+        if asked.sds is not None and kind == "least-squares":
+            said = "a model's taste has no residuals: must be one of descent, cma"
+            return [(("method", "kind"), f"{said}; {got(kind)}")]
+        return []
 
     def wrong(self, path: tuple, said: str) -> FitFileError:
         """The error for a key, found after loading."""

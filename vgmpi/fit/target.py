@@ -12,6 +12,7 @@ class Target:
     not fitted. Lengths of the residual are shares of the target."""
 
     def __init__(self) -> None:
+        self.before = ""  # what is to be said before anything is run
         self.values: list[np.ndarray] = []
         self.held: list[np.ndarray] = []
         self.alike = [1.0]  # of each stage: how many of the numbers beside each other err together

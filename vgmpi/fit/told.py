@@ -38,7 +38,7 @@ def rows(axes: list[Axis], trials: list[Trial], path: Path, whole: bool = True) 
     out.writerow(["run", "what", *keys, "cells", "loss", "held_out", "seconds", "folder"])
     for t in trials:
         cells = dict(t.setting.knobs).get("cells", "")
-        off = ["blew up" if not t.done.whole else f"{t.loss:.9g}", _cell(t.held)]
+        off = ["blew up" if not t.done.whole else _cell(t.loss), _cell(t.held)]
         values = [repr(v) for v in t.values]
         out.writerow(
             [t.number, t.what, *values, cells, *off, f"{t.done.seconds:g}", t.done.folder.name]
@@ -86,7 +86,7 @@ def report(file: FitFile, found: Found, trials: Trials) -> str:
         if not AT_END < best.u[k] < 1 - AT_END:
             out.append(f"{axis.key} is at the end of its range: it may lie beyond.")
     if known is None:
-        return "\n".join([*out, "No runs were left to tell how sure this is.", ""])
+        return "\n".join([*out, *found.unsure, ""])
     out += ["", "## How sure", ""]
     out += [
         "*noise*: of least squares with differences to both sides, for errors of the target that"

@@ -1,7 +1,7 @@
 """The runs that a search has asked for so far, in its order, and how far each is off."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,7 +19,8 @@ class Spent(RuntimeError):
 @dataclass(frozen=True)
 class Trial:
     """A run: its number from 1, what for, where it lies (parameters,), and how far it is off what
-    is fitted and what is held out, nan where it blew up or nothing is held out."""
+    is fitted and what is held out, nan where it blew up, was not looked at or nothing is held
+    out."""
 
     number: int
     what: str
@@ -43,26 +44,37 @@ class Trials:
         self.all: dict[Setting, Trial] = {}
         self._off: dict[tuple[Setting, int], tuple[np.ndarray, np.ndarray]] = {}
 
-    def ask(self, points: list[np.ndarray], beside: Setting | None = None) -> list[Trial]:
-        """The runs at points (parameters,) of 0 .. 1; beside: what each sets as well. Raises Spent
-        before any of them, and StudyError."""
+    def ask(
+        self, points: list[np.ndarray], beside: Setting | None = None, look: bool = True
+    ) -> list[Trial]:
+        """The runs at points (parameters,) of 0 .. 1; beside: what each sets as well; look: whether
+        to tell how far they are off. Raises Spent before any of them, and StudyError."""
         wanted = [setting(self.axes, u) for u in points]
         wanted = [one.and_then(beside) if beside else one for one in wanted]
         new = [one for one in dict.fromkeys(wanted) if one not in self.all]
         if len(self.all) + len(new) > self.most - self.kept:
             raise Spent
-        if not new:
-            return [self.all[one] for one in wanted]
         at = dict(zip(wanted, points))
         for one, done in zip(new, self.runs.all(new), strict=True):  # told as they come
-            self._note(one, at[one], done)
-        return [self.all[one] for one in wanted]
+            self._note(one, at[one], done, look)
+        return [self._seen(one) if look else self.all[one] for one in wanted]
 
-    def _note(self, one: Setting, u: np.ndarray, done: Done) -> None:
+    def _seen(self, one: Setting) -> Trial:
+        """The run of a setting, looked at now if it was not before."""
+        trial = self.all[one]
+        if trial.done.whole and np.isnan(trial.loss):
+            loss, held = self._losses(one, trial.done)
+            self.all[one] = replace(trial, loss=loss, held=held)
+        return self.all[one]
+
+    def _losses(self, one: Setting, done: Done) -> tuple[float, float]:
+        fitted, out = self._read(one, done, self.target.stages - 1)
+        return _rms(fitted), _rms(out)
+
+    def _note(self, one: Setting, u: np.ndarray, done: Done, look: bool) -> None:
         loss = held = float("nan")
-        if done.whole:
-            fitted, out = self._read(one, done, self.target.stages - 1)
-            loss, held = _rms(fitted), _rms(out)
+        if done.whole and look:
+            loss, held = self._losses(one, done)
         place = tuple(float(x) for x in u)
         values = tuple(axis.value(x) for axis, x in zip(self.axes, place, strict=True))
         trial = Trial(len(self.all) + 1, self.what, place, values, one, done, loss, held)
@@ -85,9 +97,9 @@ class Trials:
         return _rms(self.off(trial, stage))
 
     def best(self) -> Trial:
-        """The run that is least off, of those that set the parameters alone."""
+        """The run that is least off, of those that set the parameters alone and were looked at."""
         plain = [t for t in self.all.values() if len(t.setting.knobs) == len(self.axes)]
-        whole = [t for t in plain if t.done.whole]
+        whole = [t for t in plain if t.done.whole and not np.isnan(t.loss)]
         if not whole:
             raise StudyError("every run blew up")
         return min(whole, key=lambda t: (t.loss, t.number))
@@ -97,13 +109,13 @@ class Trials:
         share, inwards; or to both sides, of twice that. Raises StudyError, Spent."""
         steps = np.array([axis.step(share) * (2 if both else 1) for axis in self.axes])
         sign = np.where(u + steps > 1, -1.0, 1.0)
-        ahead = [_moved(u, k, sign[k] * steps[k]) for k in range(len(u))]
-        behind = [_moved(u, k, -sign[k] * steps[k]) if both else u for k in range(len(u))]
+        ahead = [moved(u, k, sign[k] * steps[k]) for k in range(len(u))]
+        behind = [moved(u, k, -sign[k] * steps[k]) if both else u for k in range(len(u))]
         trials = self.ask([*ahead, *behind])
         columns = []
         for k, one in enumerate(zip(trials[: len(u)], trials[len(u) :])):
             if not one[0].done.whole:  # blew up: to the other side
-                (other,) = self.ask([_moved(u, k, -sign[k] * steps[k])])
+                (other,) = self.ask([moved(u, k, -sign[k] * steps[k])])
                 one = (other, self.ask([u])[0])
             if not (one[0].done.whole and one[1].done.whole):
                 raise StudyError(f"runs blow up beside {', '.join(one[1].setting.overrides)}")
@@ -112,7 +124,7 @@ class Trials:
         return np.stack(columns, axis=1)
 
 
-def _moved(u: np.ndarray, k: int, by: float) -> np.ndarray:
+def moved(u: np.ndarray, k: int, by: float) -> np.ndarray:
     """A point moved along one parameter, within the range."""
     out = np.array(u, float)
     out[k] = min(max(out[k] + by, 0.0), 1.0)
