@@ -216,7 +216,7 @@ permeability = 1e-2
 [[probe]]
 name = "it"
 pressure = [0.04, 0.04, 0.02]
-rate = 100
+rate = 400
 """,
     "coupling.0.permeability", 1e-2, (1e-3, 0.2), 1e-1, ("pressure",),
 )  # fmt: skip
