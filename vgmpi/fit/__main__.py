@@ -1,5 +1,5 @@
-"""python -m vgmpi.fit scene.toml fit.toml -o fit: numbers of a scene, found from frames of another
-run or from what was measured or published.
+"""python -m vgmpi.fit scene.toml fit.toml -o fit: numbers of a scene, found from a video, from
+frames of another run, from what was measured or published, or by a video model's taste.
 
 Runs are kept below the output folder by their parameters: a fit that was stopped goes on, and
 the same command several times at once shares the runs."""
