@@ -16,7 +16,7 @@ import pyvista
 from tests import launch
 from tests.fitted import BALL, FIT, command, go, made, reference
 from vgmpi.fit import __main__ as fit
-from vgmpi.fit import apart, axes
+from vgmpi.fit import apart, axes, search
 from vgmpi.fit.axes import Axis, value_at
 from vgmpi.fit.runs import RECORD, Runs
 from vgmpi.scene.reader import load
@@ -239,6 +239,25 @@ def test_a_run_in_other_cells_is_told(folder, grid, count):
     assert f"from one run with {count} cells along the longest edge instead of 12" in report
     low, high = report.split(f"| {KEY} | ")[1].split(" | ")[1].split(" .. ")
     assert float(low) < 2e4 < float(high)
+
+
+def test_one_run_that_is_left_tells_nothing_of_a_parameter():
+    """Where all others blew up: it is not refused as one that changes nothing."""
+
+    class Left:
+        axes, target = [None], SimpleNamespace(stages=1)
+        all = {
+            k: SimpleNamespace(u=(u,), done=SimpleNamespace(whole=whole), off=off)
+            for k, (u, whole, off) in enumerate([(0.1, False, 9.0), (0.5, True, 1.0)])
+        }
+
+        def off(self, trial, stage):
+            return np.array([trial.off])
+
+    left = Left()
+    assert search.blind(left) == []
+    left.all = {**left.all, 2: SimpleNamespace(u=(0.9,), done=left.all[1].done, off=1.0)}
+    assert search.blind(left) == [0]
 
 
 def test_axes_go_there_and_back():

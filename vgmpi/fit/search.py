@@ -37,13 +37,13 @@ def blind(trials: Trials) -> list[int]:
     found = []
     runs = [t for t in trials.all.values() if t.done.whole]
     for k in range(len(trials.axes)):
-        seen = 0.0
+        seen = []  # of pairs of runs that differ in it alone; none where the others blew up
         for one in runs:
             others = [t for t in runs if _apart_in(t, one) == {k}]
             off = [trials.off(t, trials.target.stages - 1) for t in others]
             here = trials.off(one, trials.target.stages - 1)
-            seen = max([seen, *(float(np.sqrt(np.mean((o - here) ** 2))) for o in off)])
-        if seen < LOOSE:
+            seen += [float(np.sqrt(np.mean((o - here) ** 2))) for o in off]
+        if seen and max(seen) < LOOSE:
             found.append(k)
     return found
 
