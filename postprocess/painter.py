@@ -64,9 +64,8 @@ class Painter:
         self.run, self.chosen = run, chosen
         self.alpha, self.depth = alpha, depth
         size = chosen.picture
-        box = box or functools.cache(
-            lambda: reach(run)
-        )  # of files that some cameras have no need of
+        # of files that some cameras have no need of
+        box = box or functools.cache(lambda: reach(run))
         self.views = [
             Viewpoint(one, size, box, folder, longest) for one in chosen.views()
         ]  # before all that takes long: mistakes in files show at once

@@ -30,10 +30,10 @@ LAUNCHED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS")
 def frame_numbers(run: RunFiles, asked: settings.FrameSettings) -> list[int]:
     """The frames to draw, also of those that are missing. Raises RunError if there are none."""
     count = len(run)
-    last = count - 1 if asked.last is None else min(asked.last, count - 1)
-    numbers = list(range(asked.first, last + 1, asked.every))
+    numbers = asked.numbers(count)
     if not numbers:
-        raise RunError(f"frames {asked.first}..{last}: the run has the frames 0..{count - 1}")
+        said = f"frames {asked.first}..{asked.end(count)}"
+        raise RunError(f"{said}: the run has the frames 0..{count - 1}")
     return numbers
 
 

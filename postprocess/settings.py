@@ -242,6 +242,14 @@ class FrameSettings(_Table):
     last: Annotated[int, Field(ge=0)] | None = None
     every: Annotated[int, Field(ge=1)] = 1
 
+    def numbers(self, count: int) -> list[int]:
+        """The frames to draw of a run that has so many."""
+        return list(range(self.first, self.end(count) + 1, self.every))
+
+    def end(self, count: int) -> int:
+        """The frame behind which none is drawn."""
+        return count - 1 if self.last is None else min(self.last, count - 1)
+
 
 class SplattingSettings(_Table):
     """`classic` is what captures are trained for; the others keep tiny Gaussians thin."""

@@ -63,6 +63,18 @@ def reference(folder: Path, text: str, changes: dict | None = None, name="refere
     return folder / name
 
 
+SHORT = BALL.replace("end = 0.06", "end = 0.02").replace("frames = 7", "frames = 3")
+
+
+def fitted_alone(folder: Path, fit: str) -> Path:
+    """The folder with the short scene and a fit, and in alone/ what one process made of them."""
+    scene, file = made(folder, SHORT, fit)
+    reference(folder, SHORT)
+    done = go(scene, file, folder / "alone")
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
 def command(scene: Path, fit: Path, out: Path, *flags) -> list:
     """The command of a fit."""
     return [sys.executable, "-m", "vgmpi.fit", scene, fit, "-o", out, *flags]

@@ -7,11 +7,10 @@ import signal
 import pytest
 
 from tests import launch
-from tests.fitted import BALL, FIT, command, go, made, reference
+from tests.fitted import FIT, SHORT, command, fitted_alone, go, made
 from tests.unit.test_fit import bits
 from vgmpi.fit.runs import RECORD
 
-SHORT = BALL.replace("end = 0.06", "end = 0.02").replace("frames = 7", "frames = 3")
 FEW = FIT.replace("runs = 40\nscan = 4", "runs = 10\nscan = 2")
 
 pytestmark = pytest.mark.mpi
@@ -21,12 +20,7 @@ pytestmark = pytest.mark.mpi
 def alone(tmp_path_factory):
     """A folder with a scene and a fit, and in it what one process alone made of them."""
     launch.on_ranks(1)  # skips where there is no mpirun
-    folder = tmp_path_factory.mktemp("ranks")
-    scene, file = made(folder, SHORT, FEW)
-    reference(folder, SHORT)
-    done = go(scene, file, folder / "alone")
-    assert done.returncode == 0, done.stderr
-    return folder
+    return fitted_alone(tmp_path_factory.mktemp("ranks"), FEW)
 
 
 @pytest.mark.parametrize("flags", [("--ranks", "2"), ("--jobs=2", "--ranks=2")])

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from tests import launch
-from tests.fitted import BALL, FIT, go, made, reference
+from tests.fitted import FIT, fitted_alone
 from tests.unit.test_fit import bits
 from vgmpi.fit import search
 from vgmpi.fit.axes import setting
@@ -17,7 +17,6 @@ from vgmpi.fit.settings import FitFile
 from vgmpi.output.owner import claimed
 from vgmpi.scene.reader import load
 
-SHORT = BALL.replace("end = 0.06", "end = 0.02").replace("frames = 7", "frames = 3")
 FEW = FIT.replace("runs = 40", "runs = 14")
 # the command of a fit that notes each run it begins, and stays in the one of a number for ever
 NOTED = """
@@ -41,12 +40,7 @@ sys.exit(fit.main(sys.argv[3:]))
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory):
     """A folder with a scene and a fit, and in it what one process alone made of them."""
-    folder = tmp_path_factory.mktemp("shared")
-    scene, file = made(folder, SHORT, FEW)
-    reference(folder, SHORT)
-    done = go(scene, file, folder / "alone")
-    assert done.returncode == 0, done.stderr
-    return folder
+    return fitted_alone(tmp_path_factory.mktemp("shared"), FEW)
 
 
 def begun(folder, out, stays=0, *flags):

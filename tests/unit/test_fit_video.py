@@ -255,6 +255,15 @@ def test_a_wrong_file_is_told_by_its_line(folder, capsys, name):
     assert not (folder / "wrong").exists()
 
 
+def test_a_render_toml_that_draws_nothing_is_told(folder, capsys):
+    (folder / "none.toml").write_text(view(*CAMERA) + "[frames]\nfirst = 9\n")
+    keys = f'{VIDEO}\nframe_time = "10 ms"'
+    scene, file = made(folder, BALL, text(keys).replace("render.toml", "none.toml"))
+    assert fit.main([str(scene), str(file), "-o", str(folder / "none")]) == 2
+    told = capsys.readouterr().err.strip()
+    assert told == f"{file}:6: target.render: draws none of the scene's 7 frames; got 'none.toml'"
+
+
 @pytest.mark.parametrize(
     "old, new, said",
     [

@@ -21,6 +21,7 @@ from . import beside, told
 from .find import Found, find, interval
 from .runs import Runs
 from .settings import FitFile
+from .shared import replaced
 from .targets import target_of
 from .trials import Trial, Trials
 
@@ -82,7 +83,7 @@ def main(argv: list[str] | None = None) -> int:
 def _write(file: FitFile, found: Found, trials: Trials, folder: Path) -> None:
     told.scene(file, found, folder / "fitted.toml")
     told.rows(file.axes, list(trials.all.values()), folder / TABLE)
-    told.replaced(folder / "report.md", told.report(file, found, trials).encode())
+    replaced(folder / "report.md", told.report(file, found, trials).encode())
     try:
         told.plot(file, found, trials, folder / "loss.png")
     except ImportError:

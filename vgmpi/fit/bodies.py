@@ -9,7 +9,7 @@ from ..output.read import RunError
 from ..study.errors import Outcome
 from .pictures import SHOWN, Pictures
 from .settings import FitFile
-from .target import Target, held_out
+from .target import Target, frames_at, held_out
 
 SAME_TIME = 1e-6  # of the time between frames
 
@@ -54,9 +54,8 @@ class Frames(Target):
     def _check_times(self, file: FitFile) -> None:
         """Frames are of the same times."""
         time = file.scene.time
-        own = np.linspace(0, time.end, time.frames)
-        near = np.abs(own[None, :] - self.times[:, None]).argmin(1)
-        off = np.abs(own[near] - self.times) > SAME_TIME * time.end / (time.frames - 1)
+        near, apart = frames_at(time, self.times, range(time.frames))
+        off = apart > SAME_TIME
         if off.any():
             said = f"has a frame at {self.times[off][0]:g} s, of which the scene has none"
             raise file.wrong(("target", "frames"), f"{said}: its time.end and time.frames say when")

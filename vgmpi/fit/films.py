@@ -61,8 +61,13 @@ def scaled(picture: np.ndarray, width: int, height: int) -> np.ndarray:
     from PIL import Image
 
     h, w = picture.shape[:2]
-    if abs(w * height / (h * width) - 1) > SAME_SHAPE:
+    if not alike((w, h), (width, height)):
         raise ValueError(f"is {w} x {h} pixels; render.toml draws {width} x {height}")
     if (w, h) != (width, height):
         picture = np.asarray(Image.fromarray(picture).resize((width, height), Image.Resampling.BOX))
     return picture.astype(np.float32) / 255
+
+
+def alike(one: tuple[int, ...], other: tuple[int, ...]) -> bool:
+    """Whether two pictures of so many pixels are of the same shape."""
+    return abs(one[0] * other[1] / (one[1] * other[0]) - 1) <= SAME_SHAPE

@@ -36,9 +36,7 @@ class Pictures:
 
     def frames(self, count: int) -> list[int]:
         """Numbers of the frames that are drawn, of a run that has so many."""
-        asked = self.chosen.frames
-        last = count - 1 if asked.last is None else min(asked.last, count - 1)
-        return list(range(asked.first, last + 1, asked.every))
+        return self.chosen.frames.numbers(count)
 
     def of(self, folder: Path, frames: list[int]) -> np.ndarray:
         """Pictures of these frames of a run, (frames, height, width, 3) of 0..1. Raises RunError,

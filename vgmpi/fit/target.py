@@ -1,9 +1,11 @@
 """What runs are held to: numbers, of a run the same ones, and which of them are held out."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from ..scene.settings import Time
 from .pictures import Pictures
 
 
@@ -42,6 +44,14 @@ class Target:
     def notes(self, folder: Path) -> list[str]:
         """What else is to be said of a run, for the report: lines."""
         return []
+
+
+def frames_at(time: Time, at: np.ndarray, among: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Of a scene's frames with these numbers those nearest to times `at` (n,) [s], as places in
+    `among`; and how far they are off, over the time between frames."""
+    own = np.linspace(0, time.end, time.frames)[list(among)]
+    near = np.abs(own[None, :] - at[:, None]).argmin(1)
+    return near, np.abs(own[near] - at) * (time.frames - 1) / time.end
 
 
 def held_out(number: np.ndarray, every: int) -> np.ndarray:

@@ -3,7 +3,6 @@
 import csv
 import io
 import os
-import secrets
 from pathlib import Path
 
 import numpy as np
@@ -13,20 +12,11 @@ from ..source import Source
 from .axes import Axis
 from .find import Found, interval
 from .settings import FitFile
+from .shared import replaced
 from .trials import Trial, Trials
 
 HARDLY = 0.95  # correlation from which two are hardly told apart
 AT_END = 1e-3  # of a range: what is found so near to its end may lie beyond
-
-
-def replaced(path: Path, data: bytes) -> None:
-    """Write a file whole; also where other processes of the same fit do so in this moment."""
-    own = path.with_name(f"{path.name}.{secrets.token_hex(8)}.tmp")
-    try:
-        own.write_bytes(data)
-        os.replace(own, path)
-    finally:
-        own.unlink(missing_ok=True)
 
 
 def rows(axes: list[Axis], trials: list[Trial], path: Path, whole: bool = True) -> None:

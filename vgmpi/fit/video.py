@@ -11,7 +11,7 @@ from .. import room
 from .films import pictures_in, scaled
 from .pictures import SHOWN, Pictures
 from .settings import FitFile
-from .target import Target, held_out
+from .target import Target, frames_at, held_out
 
 WIDTHS = (16, 48, 140)  # of a picture: shares of it by which films are blurred
 LEAST = 2 / 255  # change of a colour in a video
@@ -60,8 +60,9 @@ class Video(Target):
 
     def _read(self, file: FitFile) -> np.ndarray:
         """(pictures, height, width, 3) in the size that runs are drawn in. Raises FitFileError."""
+        size = self.compared.size
         try:
-            found = [scaled(picture, *self.compared.size) for picture in pictures_in(self.path)]
+            found = [scaled(picture, *size) for picture in pictures_in(self.path)]
         except ValueError as error:
             given = file.settings.target.video
             raise file.wrong(("target", "video"), f"{error}; got '{given}'") from None
@@ -75,20 +76,22 @@ class Video(Target):
         """Numbers of the scene's frames, and which of so many pictures show these moments."""
         asked, time = file.settings.target, file.scene.time
         drawn = self.compared.frames(time.frames)
-        times = np.linspace(0, time.end, time.frames)
-        apart = time.end / (time.frames - 1)
+        if not drawn:
+            said = f"draws none of the scene's {time.frames} frames; got '{asked.render}'"
+            raise file.wrong(("target", "render"), said)
         if asked.frame_time is None:
             if count > len(drawn):
                 said = f"has {count} pictures; of the scene {len(drawn)} frames are drawn"
                 raise file.wrong(("target", "video"), f"{said}: time.end and time.frames say when")
             return drawn[:count], np.arange(count)
         at = asked.time_zero + asked.frame_time * np.arange(count)
-        near = np.abs(times[drawn][None, :] - at[:, None]).argmin(1)
-        fits = np.abs(times[drawn][near] - at) < SAME_TIME * apart
+        near, apart = frames_at(time, at, drawn)
+        fits = apart < SAME_TIME
         if fits.sum() < 2:
+            every = time.end / (time.frames - 1)
             said = f"{fits.sum()} pictures are of a moment of which the scene has a frame, every"
             raise file.wrong(
-                ("target", "frame_time"), f"{said} {apart:g} s: two or more are needed"
+                ("target", "frame_time"), f"{said} {every:g} s: two or more are needed"
             )
         return [drawn[k] for k in near[fits]], np.flatnonzero(fits)
 
@@ -122,8 +125,8 @@ class Video(Target):
 
     def shown(self) -> np.ndarray:
         wanted, size = set(self.used.tolist()), self.large.size
-        film = [p for k, p in enumerate(pictures_in(self.path)) if k in wanted]
-        return np.stack([scaled(picture, *size) for picture in film])
+        film = enumerate(pictures_in(self.path))  # one after the other: they may be large
+        return np.stack([scaled(picture, *size) for k, picture in film if k in wanted])
 
     def notes(self, folder: Path) -> list[str]:
         stage = self.stages - 1

@@ -5,9 +5,8 @@ import functools
 import hashlib
 import importlib.metadata
 import importlib.util
+import io
 import json
-import os
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,9 +15,11 @@ import numpy as np
 
 from ... import inputs, room
 from ...study.runs import StudyError
+from ..films import alike
 from ..pictures import Pictures
 from ..runs import RECORD
 from ..settings import FitFile
+from ..shared import replaced
 from ..target import Target
 from . import distilled
 from .folder import ModelError
@@ -26,7 +27,6 @@ from .kind import Kind, kind_of
 from .settings import Sds
 
 PACKAGES = ("torch", "diffusers", "transformers", "accelerate")
-SAME_SHAPE = 0.02  # of width over height
 
 
 class Taste(Target):
@@ -86,7 +86,7 @@ class Taste(Target):
             said = f"{wrong[0]} pixels are no multiple of {step}, which the model needs"
             where = ("sds", "size") if self.asked.size else ("sds", "render")
             raise self.file.wrong(where, f"{said}: give size, or render.toml another")
-        if not _alike(self.size, self.drawn.size):
+        if not alike(self.size, self.drawn.size):
             said = f"is of another shape than what is drawn, {_shown(self.drawn.size)} pixels"
             raise self.file.wrong(("sds", "size"), f"{said}; got {_shown(self.size)}")
 
@@ -99,7 +99,7 @@ class Taste(Target):
             raw = np.atleast_3d(inputs.picture(path))
             if raw.dtype != np.uint8 or raw.shape[2] not in (1, 3, 4):
                 raise ValueError("neither a grey nor a colour picture of 8 bits")
-            if not _alike(raw.shape[1::-1], self.size):
+            if not alike(raw.shape[1::-1], self.size):
                 said = f"is of another shape, {_shown(raw.shape[1::-1])} pixels"
                 raise ValueError(f"{said}, than the {_shown(self.size)} of the rest")
         except ValueError as error:
@@ -137,18 +137,18 @@ class Taste(Target):
 
     def of(self, folder: Path, stage: int) -> np.ndarray:
         """(draws,)"""
-        found = self._kept(folder, "loss")
-        if found is None:
-            self._ask(folder)
-            found = self._kept(folder, "loss")
-        return np.asarray(found)
+        return self._answer(folder, "loss")
 
     def pull(self, folder: Path) -> np.ndarray:
         """What pulls at a run's code, of all draws (n,)."""
-        found = self._kept(folder, "pull")
+        return self._answer(folder, "pull")
+
+    def _answer(self, folder: Path, name: str) -> np.ndarray:
+        """What the model said of a run; it is asked where that is not kept."""
+        found = self._kept(folder, name)
         if found is None:
             self._ask(folder)
-            found = self._kept(folder, "pull")
+            found = self._kept(folder, name)
         return np.asarray(found)
 
     def code(self, folder: Path) -> np.ndarray:
@@ -244,14 +244,9 @@ class Taste(Target):
 
     def _keep(self, folder: Path, name: str, numbers: np.ndarray) -> None:
         """There whole, or not at all; processes that share a fit write the same, each its own."""
-        with tempfile.NamedTemporaryFile(dir=folder, suffix=".tmp", delete=False) as f:
-            np.savez(f, numbers=numbers, key=self._mark(folder))
-        os.replace(f.name, self._place(folder, name))
-
-
-def _alike(one: tuple[int, ...], other: tuple[int, ...]) -> bool:
-    """Whether two pictures of so many pixels are of the same shape."""
-    return abs(one[0] * other[1] / (one[1] * other[0]) - 1) <= SAME_SHAPE
+        content = io.BytesIO()
+        np.savez(content, numbers=numbers, key=self._mark(folder))
+        replaced(self._place(folder, name), content.getvalue())
 
 
 def _shown(size: tuple[int, ...]) -> str:

@@ -7,8 +7,8 @@ from typing import Any
 
 from ..distilled import Level, draw
 from ..folder import ModelError, Part
-from ..kind import BYTES, Kind, by_picture, coarser
-from .epsilon import unet
+from ..kind import BYTES, Kind, by_picture
+from .epsilon import unet, unet_step
 
 GRAIN = 0.02  # noise on the first picture, as the pipeline adds it
 CLIP = ((0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.27577711))
@@ -32,8 +32,7 @@ class Edm(Kind):
         return self.folder.part("image_encoder", ("CLIPVisionModelWithProjection",))
 
     def step(self) -> int:
-        blocks = len(self.denoises.config.get("block_out_channels", (0, 0, 0, 0)))
-        return coarser(self.codes) * 2 ** (blocks - 1)
+        return unet_step(self.denoises, self.codes)
 
     def busy(self, count: int, width: int, height: int) -> float:
         each = BYTES[self.asked.precision]

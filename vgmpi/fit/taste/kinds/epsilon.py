@@ -29,8 +29,7 @@ class Epsilon(Kind):
         return self.folder.part("text_encoder", ("CLIPTextModel",))
 
     def step(self) -> int:
-        blocks = len(self.denoises.config.get("block_out_channels", (0, 0, 0, 0)))
-        return coarser(self.codes) * 2 ** (blocks - 1)
+        return unet_step(self.denoises, self.codes)
 
     def busy(self, count: int, width: int, height: int) -> float:
         return unet(self.denoises, self.codes, BYTES[self.asked.precision], count, width * height)
@@ -77,6 +76,12 @@ class Epsilon(Kind):
         if self.guesses == "v_prediction":  # v = a eps - s z (Salimans and Ho 2022)
             return level.signal * told.to(z_t.dtype) + level.noise * z_t
         return told.to(z_t.dtype)
+
+
+def unet_step(denoises: Part, codes: Part) -> int:
+    """Pixels of which width and height are multiples, of a U-net on a coder of single pictures."""
+    blocks = len(denoises.config.get("block_out_channels", (0, 0, 0, 0)))
+    return coarser(codes) * 2 ** (blocks - 1)
 
 
 def unet(denoises: Part, codes: Part, each: int, count: int, pixels: int) -> float:
