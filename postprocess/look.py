@@ -51,6 +51,10 @@ class Look:
         self.rule = rules[self.object]
         self.turns = turns[self.object]
         self.opacity = np.asarray(rest.opacity, dtype=np.float64) * factor[self.object]
+        self.shade = getattr(rest, "shade", None)  # of light painted on colours
+        self.opacity_scales = np.array(
+            [chosen.opacity_scale.get(str(o.get("name")), np.nan) for o in self.objects] or [np.nan]
+        )
         self.vol0 = np.asarray(rest.vol0, dtype=np.float64)
         self.cov0 = np.asarray(rest.cov0, dtype=np.float64)
         self.spacing = float(np.cbrt(np.median(self.vol0))) if len(self.vol0) else 1.0

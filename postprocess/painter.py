@@ -70,23 +70,34 @@ class Painter:
             Viewpoint(one, size, box, folder, longest) for one in chosen.views()
         ]  # before all that takes long: mistakes in files show at once
         self.supersample = 1 if longest else size.supersample
-        self.surface = chosen.look.liquid == "surface"
+        self.surface = chosen.look.liquid == "surface" and not chosen.studio
         self.afford()
         self.grounds = [
-            video.background(size.background, one.width, one.height, folder) for one in self.views
+            video.background(chosen.background, one.width, one.height, folder) for one in self.views
         ]
         photograph = any(ground.ndim == 3 for ground in self.grounds)
         self.light = chosen.light.light() if chosen.light else None
-        self.floor = size.floor.floor(photograph, self.light) if size.floor else None
-        self.clear = size.background == "none"
-        blurs = chosen.video.shutter > 0 or any(one.aperture > 0 for one in chosen.views())
+        self.floor = None
+        if size.floor and size.floor.kind != "none":
+            self.floor = size.floor.floor(photograph, self.light)
+        self.clear = chosen.background == "none"
+        blurs = chosen.video.shutter > 0
+        if not chosen.studio:  # which blurs by depth
+            blurs = blurs or any(one.aperture > 0 for one in chosen.views())
         self.samples = size.samples if blurs and not longest else 1
         self.look = Look(run, chosen.look)
         self.liquids = None
         if self.surface:
             sun = self.light or light.Light()
             self.liquids = Liquids(self.look, chosen.liquid, sun, box, folder)
-        self.alpha_min = self.look.alpha_min(chosen.splatting.alpha_min, self.surface)
+        self.alpha_min = self.look.alpha_min(
+            chosen.splatting.alpha_min, self.surface or chosen.studio
+        )
+        self.studio = None
+        if chosen.studio:
+            from postprocess.studio import Studio  # compiles much: not for preset "paper"
+
+            self.studio = Studio(self.look, chosen, box, folder, quick=longest is not None)
 
     def afford(self, at_once: int = 1) -> None:
         """Raises SettingsError where `at_once` pictures do not fit into the memory of a machine."""
@@ -124,7 +135,10 @@ class Painter:
         for sample in range(self.samples):
             if sample == 0 or self.chosen.video.shutter > 0:  # else they stay where they are
                 now = self._moment(frame, index, sample)
-                parts = self._lit(self.look.parts(now), now)
+                if self.studio is None:
+                    parts = self._lit(self.look.parts(now), now)
+                else:
+                    parts = self.studio.moment(now, index)
             found.append(self._pixels(now, parts, cameras, sample))
         return [self._mean(views) for views in zip(*found)]
 
@@ -154,10 +168,22 @@ class Painter:
         """Picture, what comes through and depths of a frame's parts from every camera."""
         found = []
         for one, camera, ground in zip(self.chosen.views(), cameras, self.grounds):
+            if self.studio is not None:
+                found.append(self._in_studio(parts, camera, ground, one))
+                continue
             if one.aperture > 0 and self.samples > 1:
                 camera = through_lens(camera, one.aperture, one.focus, sample, self.samples)
             found.append(self._drawn(frame, parts, camera, ground))
         return found
+
+    def _in_studio(self, moment: Any, camera: Camera, ground: np.ndarray, one: Any) -> Pixels:
+        """A frame from one camera, lit; in `supersample` times as many pixels, then averaged."""
+        times = self.supersample
+        fine = splat.finer(camera, times)
+        under = splat.behind(ground, camera, times)
+        options = {"alpha_min": self.alpha_min, **self.chosen.splatting.options()}
+        lens = (one.aperture, one.focus or 1.0)
+        return splat.coarser(self.studio.render(moment, fine, under, options, lens), times)
 
     def _by_time(self) -> bool:  # the times of a run are in as many files as it has frames
         return any(one.keys and one.keys[0].time is not None for one in self.chosen.views())

@@ -39,6 +39,7 @@ class Part(NamedTuple):
 
     color, rows: their coefficients are color.sh[rows], (n, K, 3). turning: which of them have
     turned with the rotations in F (m, 9). bright: what colours are multiplied with, (n,).
+    there, deformation: of riders, which of them these are and their F (n, 9).
     """
 
     x: np.ndarray
@@ -49,6 +50,8 @@ class Part(NamedTuple):
     turning: np.ndarray = np.empty(0, dtype=np.int64)
     F: np.ndarray | None = None
     bright: np.ndarray | None = None
+    there: np.ndarray | None = None
+    deformation: np.ndarray | None = None
 
     def seen_from(self, eye: np.ndarray) -> tuple[np.ndarray, ...]:
         """The fields of Splats for an `eye` [m]."""
@@ -73,6 +76,12 @@ class Part(NamedTuple):
             place[self.turning[those]], None if self.F is None else self.F[those],
             None if self.bright is None else self.bright[keep],
         )  # fmt: skip
+
+    def only_rows(self, rows: np.ndarray) -> "Part":
+        """Those of the rows (m,), in ascending order."""
+        keep = np.zeros(len(self.x), bool)
+        keep[rows] = True
+        return self.only(keep)
 
     def coefficients(self) -> np.ndarray:
         """Colours for any eye, turned along (n, K, 3) float32."""
@@ -146,7 +155,8 @@ class Passive:
         color, rows = self._colours(frame, there, at)
         turning = np.flatnonzero(self.turns[there] & color.view_dependent[rows])
         cov = self._covariances(there, F)
-        return Part(x, cov, self.opacity[there], color, rows, turning, F[turning])
+        opacity = self.opacity[there]
+        return Part(x, cov, opacity, color, rows, turning, F[turning], None, there, F)
 
     def _colours(
         self, frame: dict, there: np.ndarray, at: np.ndarray

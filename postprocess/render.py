@@ -110,7 +110,7 @@ def _prepare(args: argparse.Namespace, here: int = 1) -> tuple[Painter, Path, Pa
     """
     output = output_path(args)
     chosen = settings.load(args.settings)
-    if chosen.picture.background == "none" and output.suffix in video.FORMATS:
+    if chosen.background == "none" and output.suffix in video.FORMATS:
         if output.suffix not in video.TRANSPARENT:
             said = f"{output.suffix} has no transparency: allowed: .webm, .png, a folder"
             raise settings.SettingsError([f"picture.background: 'none': {said}"])

@@ -18,6 +18,7 @@ from vgmpi.source import Source
 from vgmpi.splatting.floor import Floor
 from vgmpi.splatting.light import Light
 from vgmpi.splatting.splat import ALPHA_MIN_RANGE
+from vgmpi.studio import lighting
 from vgmpi.tables import (
     LEAST,
     MOST,
@@ -187,7 +188,11 @@ class CameraSettings(_Table):
 class FloorSettings(_Table):
     """A plane z = height under the Gaussians, and their shadow on it."""
 
+    # studio: tiles with faint joints that fade into the backdrop; none: there is no floor; plain: of
+    # one color or in squares. Default: studio, or plain where colors are given
+    kind: Literal["studio", "plain", "none"] | None = None
     height: float = 0.0  # m
+    tiles: Annotated[float, Field(ge=0)] | None = None  # edge of the studio's tiles [m]; 0: none
     colour: Colour | None = None  # default: light grey; over a picture none, only its shadow
     squares: Annotated[float, Field(gt=0)] | None = None  # side [m]; every other one in `other`
     other: Colour = (0.7, 0.7, 0.7)
@@ -219,7 +224,11 @@ class FloorSettings(_Table):
 class PictureSettings(_Table):
     width: Annotated[int, Field(ge=16, le=8192)] = 800  # pixels
     height: Annotated[int, Field(ge=16, le=8192)] = 800
-    background: Background = "#ffffff"
+    background: Background | None = (
+        None  # default: the studio's backdrop; white with preset "paper"
+    )
+    tone: Literal["neutral", "none"] | None = None  # curve from light to display values
+    edges: Annotated[int, Field(ge=1, le=8)] = 3  # rays across a pixel where neighbors differ
     supersample: Annotated[int, Field(ge=1, le=4)] = 1
     samples: Annotated[int, Field(ge=2, le=256)] = 16  # of an aperture and of a shutter
     floor: FloorSettings | None = None
@@ -276,19 +285,31 @@ class SurroundingsSettings(_Table):
 class LightSettings(_Table):
     """A light from far away: shadows on all that is drawn, and shades of what is turned away."""
 
-    direction: Direction = Light.direction  # in which it travels
+    direction: Direction | None = None  # in which it travels
+    key: Annotated[float, Field(ge=0, le=10)] = lighting.KEY  # strength on a surface that faces it
+    sky: Annotated[float, Field(ge=0, le=10)] = lighting.SKY  # strength of the light from all sides
+    width: Annotated[float, Field(ge=0.005, le=0.5)] = lighting.WIDTH  # half width: soft shadows
+    cells: Annotated[int, Field(ge=16, le=400)] = 150  # of what hides light, along the domain
+    captures: Annotated[float, Field(ge=0, le=1)] = 0.5  # how much of it captures take
     shadow: Annotated[float, Field(ge=0, le=1)] = Light.shadow
     softness: Annotated[float, Field(ge=0, le=1)] = Light.softness
     shade: Annotated[float, Field(ge=0, le=1)] = Light.shade
     contact: Annotated[float, Field(ge=0, le=1)] = Light.contact
 
     def light(self) -> Light:
-        return Light(**dict(self))
+        """The light of preset "paper"."""
+        names = ("shadow", "softness", "shade", "contact")
+        own = {name: getattr(self, name) for name in names}
+        return Light(self.direction or Light.direction, **own)
 
 
 class LiquidSettings(_Table):
     """Liquids that are drawn with a surface (look.liquid = "surface")."""
 
+    method: Literal["field", "filter"] | None = None  # a field in space, or a filter of depths
+    fine: Annotated[float, Field(ge=1, le=4)] = 3.0  # cells of the field in a spacing
+    scatter: Annotated[float, Field(ge=0)] | None = None  # own light [1/m]; by the opacities
+    walls: bool = True  # whether the domain's walls cut it flat
     index: Annotated[float, Field(ge=1.0, le=3.0)] = 1.333  # of refraction
     # way after which white light has the liquid's colour [m]; default: a third of what is in view
     clear: Annotated[float, Field(gt=0)] | None = None
@@ -297,10 +318,21 @@ class LiquidSettings(_Table):
     surroundings: SurroundingsSettings = SurroundingsSettings()
 
 
+def _ascending(value: tuple[float, float]) -> tuple[float, float]:
+    if not 1.0 <= value[0] <= value[1] <= 20.0:
+        raise ValueError("must be two numbers [low, high] with 1 <= low <= high <= 20")
+    return value
+
+
 class LookSettings(_Table):
     """How Gaussians follow their particles. None: what the scene says (vgmpi/scene/settings.py)."""
 
-    liquid: Literal["gaussians", "surface"] = "gaussians"  # how fluids are drawn
+    preset: Literal["studio", "paper"] = "studio"  # paper: Gaussians as they are, without a studio
+    liquid: Literal["gaussians", "surface"] | None = None  # how fluids are drawn
+    children: Annotated[int, Field(strict=True, ge=1, le=64)] = 16  # of a particle of sand or snow
+    tear: Annotated[tuple[float, float], AfterValidator(_ascending)] = (1.8, 4.5)  # spacings
+    dust: Annotated[float, Field(ge=0, le=1)] = 0.03  # opacity
+    foam: Annotated[float, Field(ge=0, le=1)] = 0.8  # most that is white
     colour_transfer: Literal["off", "frame", "relax"] | None = None  # step is the run's own
     colour_time: Annotated[float, Field(gt=0)] | None = None  # s
     colour_degree: Annotated[int, Field(strict=True, ge=0, le=3)] | None = None
@@ -340,6 +372,19 @@ class Settings(_Table):
     def views(self) -> tuple[CameraSettings, ...]:
         """The cameras that draw, one or more."""
         return self.camera
+
+    @property
+    def studio(self) -> bool:
+        """Whether pictures are drawn by the studio: not where another way is asked for."""
+        if self.look.liquid == "gaussians" or self.liquid.method == "filter":
+            return False
+        return self.look.preset == "studio"
+
+    @property
+    def background(self) -> tuple[float, float, float] | str:
+        """Of the picture, white where nothing is said."""
+        asked = self.picture.background
+        return "#ffffff" if asked is None else asked
 
 
 def load(path: str | Path | None) -> Settings:

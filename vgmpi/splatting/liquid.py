@@ -6,6 +6,7 @@ Gaussian to the side of the front on which its middle is (paint.Side); front.py 
 optics.py what the liquid shows.
 """
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,6 +39,7 @@ class Layers:
     def __init__(self, splats: Splats, camera: Camera, lowpass, antialias, alpha_min):
         self.shape = (camera.height, camera.width)
         lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.near])
+        kept = np.empty(len(splats.x), np.int64)
         *self.rows, z = project(
             *(np.ascontiguousarray(getattr(splats, f)) for f in ("x", "cov", "opacity", "color")),
             np.ascontiguousarray(camera.world_to_camera, dtype=np.float64),
@@ -46,8 +48,18 @@ class Layers:
             float(lowpass),
             bool(antialias),
             float(alpha_min),
+            kept,
         )
+        self.kept = kept[: len(z)]
         self.order, self.z = by_depth(z), z.astype(np.float32)
+
+    def with_colors(self, color: np.ndarray) -> "Layers":
+        """The same Gaussians in other colors (n, 3); projection and order are shared."""
+        other = copy.copy(self)
+        looks = self.rows[1].copy()
+        looks[:, 2:5] = color[self.kept]
+        other.rows = [self.rows[0], looks, self.rows[2]]
+        return other
 
     def _painted(self, looks, side: Side | None, depths: bool) -> np.ndarray:
         canvas = new_canvas(*self.shape)

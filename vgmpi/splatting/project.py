@@ -79,15 +79,16 @@ def project(
     lowpass: float,
     antialias: bool,
     alpha_min: float,
+    kept: np.ndarray | None = None,
 ) -> tuple[np.ndarray, ...]:
     """The Gaussians in view: the arrays of `Rows` (m, ..), and depths (m,).
 
-    lens: fx, fy, cx, cy, near. Comparisons are written so that they fail for NaN: a broken Gaussian
-    is left out.
+    lens: fx, fy, cx, cy, near. kept: (n,) int64, whose first m become the numbers of those in view.
+    Comparisons are written so that they fail for NaN: a broken Gaussian is left out.
     """
     out, depth, shape = _rows(len(x)), np.empty(len(x)), (height, width)
     options = shape, lowpass, antialias, alpha_min
-    m = _project(x, cov, opacity, color, w2c, lens, *options, out, depth)
+    m = _project(x, cov, opacity, color, w2c, lens, *options, out, depth, kept)
     return *(array[:m] for array in out), depth[:m]
 
 
@@ -102,9 +103,9 @@ def _rows(n: int) -> Rows:
 
 @cached(nogil=True, error_model="numpy")
 def _project(
-    x, cov, opacity, color, w2c, lens, shape, lowpass, antialias, alpha_min, rows, depth
+    x, cov, opacity, color, w2c, lens, shape, lowpass, antialias, alpha_min, rows, depth, kept
 ):  # fmt: skip
-    """Fill in rows and depth; how many."""
+    """Fill in rows, depth and, unless None, kept; how many."""
     height, width = shape
     fx, fy, cx, cy, near = lens
     mx, my = 0.15 * width / fx, 0.15 * height / fy
@@ -129,6 +130,8 @@ def _project(
         if not _ellipse(m, at, xx, xy, yy, det, o, alpha_min, shape, rows):
             continue
         depth[m] = z
+        if kept is not None:
+            kept[m] = i
         for c in range(3):
             rows.looks[m, 2 + c] = color[i, c]
         m += 1

@@ -1,0 +1,234 @@
+"""The picture: opaque things, the liquid, its drops, and more rays where neighbors differ.
+
+Every pixel of the liquid has one ray through its middle. Where the first surface, its depth, its
+normal or the light changes between neighbors, a pixel is drawn again with rays on a sheared lattice
+and averaged in display values.
+"""
+
+import numpy as np
+
+from vgmpi.caching import cached
+from vgmpi.studio.compiling import RAY
+from vgmpi.studio.drops import shade_drop
+from vgmpi.studio.liquid import direction, shade_ray
+from vgmpi.studio.rays import first_hit
+from vgmpi.studio.tone import shown
+
+CONTRAST = 10 / 255  # display values between neighbors from which a pixel is refined
+BEND = 0.90  # cosine between neighbors' normals, below which
+SCRATCH = 72
+
+
+@cached(**RAY)
+def _shown_over(red, green, blue, through, flags):
+    """Display values of light of which `through` is left to a background.
+
+    flags: 1 for the tone curve, 2 where the background is clear: then what covers it is shown as if
+    it were alone, times what it covers.
+    """
+    if not flags & 2:
+        return shown(red, green, blue, flags & 1)
+    cover = 1.0 - through
+    if cover < 1e-4:
+        return 0.0, 0.0, 0.0
+    red, green, blue = shown(red / cover, green / cover, blue / cover, flags & 1)
+    return red * cover, green * cover, blue * cover
+
+
+@cached(**RAY)
+def change_of_normal(hits, normals, j, k):
+    """Largest change of the surface's normal to a neighbor on the same surface."""
+    here, most = abs(hits[j, k]), 0.0
+    height, width = hits.shape
+    for side in range(4):
+        a = j + (1 if side == 0 else -1 if side == 1 else 0)
+        b = k + (1 if side == 2 else -1 if side == 3 else 0)
+        if not (0 <= a < height and 0 <= b < width) or not abs(hits[a, b]) < 1e30:
+            continue
+        if abs(abs(hits[a, b]) - here) > 0.02 * here:
+            continue
+        u = normals[a, b, 0] - normals[j, k, 0]
+        v = normals[a, b, 1] - normals[j, k, 1]
+        w = normals[a, b, 2] - normals[j, k, 2]
+        most = max(most, np.sqrt(u * u + v * v + w * w))
+    return min(most, 0.8)
+
+
+@cached(**RAY)
+def _ray(stage, drop_depth, drop_normal, hit, wall, pixel, blur, reach, at, d, p, work, out):
+    """Light and what comes through at a painted pixel `at` (row, column) along d (3,), into out (7,).
+
+    hit: way to the liquid, below 0 for none. Returns the depth along the ray.
+    """
+    view = stage.buffers
+    j, k, size = at
+    drop = drop_depth[j, k] * size
+    opaque = view.depth[j, k] * size
+    if drop < 1e6 and (hit < 0.0 or drop < hit) and drop < opaque:
+        for m in range(3):
+            p[m] = view.eye[m] + drop * d[m]
+        shade_drop(stage, p, d, drop_normal[j, k], view.light[j, k], work, out)
+        out[3] = 0.0
+        return drop
+    if hit >= 0.0:
+        for m in range(3):
+            p[m] = view.eye[m] + hit * d[m]
+        shade_ray(stage, p, d, wall, pixel * hit, blur, reach, work, out)
+        return hit
+    for m in range(3):
+        out[m] = view.light[j, k, m]
+    out[3] = -1.0
+    return opaque
+
+
+@cached(nogil=True, error_model="numpy", fastmath=True)
+def compose(
+    stage, left, drop_depth, drop_normal, hits, normals, pixel, reach, flags, image, alpha, depth
+):
+    """Draw every pixel once.
+
+    Args:
+        stage: what is there; its view is `times` as fine as the picture.
+        left: what comes through to the background, as fine as the view.
+        drop_depth, drop_normal: of drops, as fine as the view.
+        hits, normals: of the first surfaces (liquid.find_surface), as fine as the picture.
+        pixel: width of a pixel at a way of 1 m [m].
+        reach: how far the key's light is looked for [m].
+        flags: of `_shown_over`.
+        image: (height, width, 3) out, display values.
+        alpha: (height, width) out, what comes through.
+        depth: (height, width) out [m].
+    """
+    view = stage.buffers
+    height, width = hits.shape
+    times = view.depth.shape[0] // height
+    d, p, work, out = np.empty(3), np.empty(3), np.empty(SCRATCH), np.empty(7)
+    share = 1.0 / (times * times)
+    for j in range(height):
+        for k in range(width):
+            touched = abs(hits[j, k]) < 1e30
+            red = green = blue = through = 0.0
+            nearest, weight = 0.0, 0.0
+            for a in range(times):
+                for b in range(times):
+                    u, v = j * times + a, k * times + b
+                    touched = touched or drop_depth[u, v] < 1e6
+                    r, g, c = _shown_over(
+                        view.light[u, v, 0],
+                        view.light[u, v, 1],
+                        view.light[u, v, 2],
+                        left[u, v],
+                        flags,
+                    )
+                    red, green, blue = red + share * r, green + share * g, blue + share * c
+                    through += share * left[u, v]
+                    if view.depth[u, v] < 1e6:
+                        w = 1.0 - left[u, v]
+                        nearest, weight = nearest + w * view.depth[u, v], weight + w
+            depth[j, k] = nearest / weight if weight > 0.0 else np.inf
+            if touched:
+                size = direction(view, (k + 0.5) / width, (j + 0.5) / height, d)
+                u, v = j * times + times // 2, k * times + times // 2
+                hit = abs(hits[j, k]) if abs(hits[j, k]) < 1e30 else -1.0
+                blur = change_of_normal(hits, normals, j, k) if hit >= 0.0 else 0.0
+                t = _ray(
+                    stage, drop_depth, drop_normal, hit, hits[j, k] < 0.0, pixel, blur, reach,
+                    (u, v, size), d, p, work, out,
+                )  # fmt: skip
+                if out[3] >= 0.0:
+                    red, green, blue = _shown_over(out[0], out[1], out[2], out[3], flags)
+                    through, depth[j, k] = out[3], t / size
+            image[j, k, 0], image[j, k, 1], image[j, k, 2] = red, green, blue
+            alpha[j, k] = through
+
+
+@cached(nogil=True, error_model="numpy")
+def rough_pixels(stage, hits, normals, drop_depth, image, marked):
+    """Mark the pixels (height, width) between which surface or light changes; how many there are."""
+    height, width = hits.shape
+    times = drop_depth.shape[0] // height
+    marked[:] = False
+    for j in range(height):
+        for k in range(width):
+            here = abs(hits[j, k])
+            for side in range(2):
+                a, b = (j + 1, k) if side == 0 else (j, k + 1)
+                if a >= height or b >= width:
+                    continue
+                there = abs(hits[a, b])
+                if not (here < 1e30 or there < 1e30):
+                    continue
+                differs = (here < 1e30) != (there < 1e30)
+                if not differs:
+                    dot = 0.0
+                    for m in range(3):
+                        dot += normals[j, k, m] * normals[a, b, m]
+                    differs = dot < BEND or abs(here - there) > 0.03 * here
+                if not differs:
+                    for m in range(3):
+                        if abs(image[j, k, m] - image[a, b, m]) > CONTRAST:
+                            differs = True
+                if differs:
+                    marked[j, k] = True
+                    marked[a, b] = True
+            for a in range(times):
+                for b in range(times):
+                    if drop_depth[j * times + a, k * times + b] < 1e6:
+                        marked[j, k] = True
+    count = 0
+    for j in range(height):
+        for k in range(width):
+            count += marked[j, k]
+    return count
+
+
+@cached(nogil=True, error_model="numpy", fastmath=True)
+def refine(
+    stage,
+    left,
+    drop_depth,
+    drop_normal,
+    hits,
+    normals,
+    marked,
+    samples,
+    pixel,
+    reach,
+    flags,
+    image,
+    alpha,
+):
+    """Draw the marked pixels again with samples x samples rays each."""
+    view, field = stage.buffers, stage.medium.field
+    height, width = hits.shape
+    rows, columns = view.depth.shape
+    d, p, work, out = np.empty(3), np.empty(3), np.empty(SCRATCH), np.empty(7)
+    share = 1.0 / (samples * samples)
+    for j in range(height):
+        for k in range(width):
+            if not marked[j, k]:
+                continue
+            blur = change_of_normal(hits, normals, j, k) if abs(hits[j, k]) < 1e30 else 0.3
+            red = green = blue = through = 0.0
+            for a in range(samples):
+                for b in range(samples):
+                    x = k + (b + (a + 0.5) / samples) / samples
+                    y = j + (a + (b + 0.5) / samples) / samples
+                    u = min(int(y * rows / height), rows - 1)
+                    v = min(int(x * columns / width), columns - 1)
+                    size = direction(view, x / width, y / height, d)
+                    hit, wall = first_hit(
+                        field, view.eye[0], view.eye[1], view.eye[2], d[0], d[1], d[2],
+                        view.lens[4], view.depth[u, v] * size,
+                    )  # fmt: skip
+                    _ray(
+                        stage, drop_depth, drop_normal, hit, wall, pixel, blur, reach,
+                        (u, v, size), d, p, work, out,
+                    )  # fmt: skip
+                    if out[3] < 0.0:
+                        out[3] = left[u, v]
+                    r, g, c = _shown_over(out[0], out[1], out[2], out[3], flags)
+                    red, green, blue = red + share * r, green + share * g, blue + share * c
+                    through += share * out[3]
+            image[j, k, 0], image[j, k, 1], image[j, k, 2] = red, green, blue
+            alpha[j, k] = through

@@ -1,0 +1,157 @@
+"""Spray: particles that the liquid's field does not hold, as stretched drops; and foam.
+
+References:
+    M. Ihmsen, N. Akinci, G. Akinci, M. Teschner. Unified spray, foam and air bubbles for
+    particle-based fluids. The Visual Computer 28, 2012.
+"""
+
+import numpy as np
+
+from vgmpi.caching import cached
+from vgmpi.studio.compiling import RAY
+from vgmpi.studio.grid import KERNEL, deposit, new_grid, sample
+from vgmpi.studio.hashing import uniform
+from vgmpi.studio.lighting import mirrored_sky
+from vgmpi.studio.rays import far_light
+
+ALONE = 0.46  # density at a particle below which it is a drop
+DROPS = 6  # of a particle
+EXPOSED = 0.008  # s: over which a drop is drawn out along its way
+LIFE = 0.35  # s: in which foam fades
+RATE = 1.7  # 1/s at most that it grows by, per life
+
+
+def spray(
+    x: np.ndarray, velocity: np.ndarray, ids: np.ndarray, density: np.ndarray, spacing: float
+):
+    """Drops as spheroids.
+
+    Args:
+        x: (n, 3) positions of the liquid's particles [m].
+        velocity: (n, 3) [m/s].
+        ids: (n,) their numbers.
+        density: (n,) of the field at them.
+        spacing: [m].
+
+    Returns:
+        middles (m, 3) [m], unit axes (m, 3), long and short half axes (m,) [m].
+    """
+    alone = np.flatnonzero(density < ALONE)
+    if not len(alone):
+        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0)
+    ids, v = ids[alone], velocity[alone]
+    speed = np.linalg.norm(v, axis=1)
+    axis = np.where(speed[:, None] > 1e-3, v / np.maximum(speed, 1e-3)[:, None], [0.0, 0.0, 1.0])
+    near = np.clip((density[alone] - 0.16) / 0.3, 0, 1)
+    middles, longs, shorts = [], [], []
+    for c in range(DROPS):
+        size = spacing * (0.06 + 0.24 * uniform(ids, 5 + c) ** 2.5) * (0.8 + 0.6 * near)
+        off = np.stack([uniform(ids, 12 + 3 * c + a) for a in range(3)], axis=1) - 0.5
+        middles.append(x[alone] + off * spacing * 1.3 * (1 - 0.4 * near)[:, None])
+        longs.append(size + np.minimum(0.5 * EXPOSED * speed, 2.0 * size))
+        shorts.append(size)
+    axes = np.tile(axis, (DROPS, 1))
+    return np.concatenate(middles), axes, np.concatenate(longs), np.concatenate(shorts)
+
+
+@cached(nogil=True, error_model="numpy", fastmath=True)
+def paint_drops(x, axis, long, short, view, depth, normal):
+    """Nearest spheroids: depth (height, width) [m] and world normal (height, width, 3) per pixel."""
+    height, width = depth.shape
+    w, lens = view.pose, view.lens
+    for i in range(len(x)):
+        Z = w[2, 0] * x[i, 0] + w[2, 1] * x[i, 1] + w[2, 2] * x[i, 2] + w[2, 3]
+        if Z < lens[4]:
+            continue
+        X = w[0, 0] * x[i, 0] + w[0, 1] * x[i, 1] + w[0, 2] * x[i, 2] + w[0, 3]
+        Y = w[1, 0] * x[i, 0] + w[1, 1] * x[i, 1] + w[1, 2] * x[i, 2] + w[1, 3]
+        px, py = lens[0] * X / Z + lens[2], lens[1] * Y / Z + lens[3]
+        R = 1.2 * long[i] * lens[0] / Z + 1.0
+        if not (px + R > 0 and py + R > 0 and px - R < width and py - R < height):
+            continue
+        a0 = w[0, 0] * axis[i, 0] + w[0, 1] * axis[i, 1] + w[0, 2] * axis[i, 2]
+        a1 = w[1, 0] * axis[i, 0] + w[1, 1] * axis[i, 1] + w[1, 2] * axis[i, 2]
+        a2 = w[2, 0] * axis[i, 0] + w[2, 1] * axis[i, 1] + w[2, 2] * axis[i, 2]
+        s2, l2 = short[i] ** 2, long[i] ** 2
+        kk = 1.0 / l2 - 1.0 / s2
+        # |y|^2 / s2 + kk (a . y)^2 = 1 of y = t (u, v, 1) - c
+        for j in range(max(0, int(py - R)), min(height - 1, int(py + R)) + 1):
+            for k in range(max(0, int(px - R)), min(width - 1, int(px + R)) + 1):
+                u, v = (k + 0.5 - lens[2]) / lens[0], (j + 0.5 - lens[3]) / lens[1]
+                da, ca = u * a0 + v * a1 + a2, X * a0 + Y * a1 + Z * a2
+                A = (u * u + v * v + 1.0) / s2 + kk * da * da
+                B = (u * X + v * Y + Z) / s2 + kk * da * ca
+                C = (X * X + Y * Y + Z * Z) / s2 + kk * ca * ca - 1.0
+                D = B * B - A * C
+                if D <= 0.0:
+                    continue
+                t = (B - np.sqrt(D)) / A
+                if t < depth[j, k] and t < view.depth[j, k]:
+                    depth[j, k] = t
+                    y0, y1, y2 = t * u - X, t * v - Y, t - Z
+                    along = y0 * a0 + y1 * a1 + y2 * a2
+                    n0 = y0 / s2 + kk * along * a0
+                    n1 = y1 / s2 + kk * along * a1
+                    n2 = y2 / s2 + kk * along * a2
+                    size = 1.0 / np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+                    for m in range(3):
+                        normal[j, k, m] = size * (w[0, m] * n0 + w[1, m] * n1 + w[2, m] * n2)
+
+
+@cached(**RAY)
+def shade_drop(stage, p, d, n, behind, work, out):
+    """Light of a drop at p (3,) with normal n (3,) along the ray d (3,), into out (3,).
+
+    behind: (3,) light of what is seen beside it.
+    """
+    t, mirrored, seen = work[:3], work[3:6], work[6:9]
+    cosine = max(-(d[0] * n[0] + d[1] * n[1] + d[2] * n[2]), 0.02)
+    share = 0.02 + 0.98 * (1.0 - cosine) ** 5
+    mirrored_sky(
+        stage.rig, d[0] + 2.0 * cosine * n[0], d[1] + 2.0 * cosine * n[1], d[2] + 2.0 * cosine * n[2],
+        0.15, mirrored,
+    )  # fmt: skip
+    size = 0.0
+    for m in range(3):
+        t[m] = d[m] - 0.55 * n[m] * np.sqrt(1.0 - cosine)
+        size += t[m] * t[m]
+    size = 1.0 / np.sqrt(size)
+    far_light(
+        stage, p[0], p[1], p[2], t[0] * size, t[1] * size, t[2] * size, True, 0.1, work[9:12], seen
+    )
+    for m in range(3):
+        out[m] = share * min(mirrored[m], 4.0) + (1.0 - share) * (0.6 * seen[m] + 0.4 * behind[m])
+
+
+def foam(
+    before: np.ndarray,
+    ids: np.ndarray,
+    x: np.ndarray,
+    velocity: np.ndarray,
+    spacing: float,
+    dt: float,
+) -> np.ndarray:
+    """Foam of the particles a frame later: it hangs on them, and fades.
+
+    Args:
+        before: (all,) share of foam of every particle a frame ago, changed in place.
+        ids: (n,) numbers of the liquid's particles that are there.
+        x: (n, 3) positions [m].
+        velocity: (n, 3) [m/s].
+        spacing: [m].
+        dt: time since then [s].
+    """
+    total = new_grid(x.min(axis=0) - 3 * spacing, x.max(axis=0) + 3 * spacing, 1.5 * spacing)
+    sums = total._replace(values=np.zeros((*total.values.shape, 4), np.float32))
+    values = np.column_stack([velocity, (velocity**2).sum(axis=1)])
+    deposit(x, np.full(len(x), 3.0 * spacing), np.full(len(x), KERNEL / 27), values, total, sums)
+    mean = sums.values / np.maximum(total.values, 1e-6)[..., None]
+    spread = np.maximum(mean[..., 3] - (mean[..., :3] ** 2).sum(axis=-1), 0.0)
+    rough = sample(total._replace(values=np.sqrt(spread).astype(np.float32)), x)
+    dense = sample(total, x)
+    top = np.clip((0.95 - dense / max(float(np.percentile(dense, 90)), 1e-9)) / 0.4, 0, 1)
+    speed = np.linalg.norm(velocity, axis=1)
+    made = np.clip((rough - 0.09) / 0.25, 0, 1) * np.clip((speed - 0.4) / 1.2, 0, 1)
+    before *= np.exp(-dt / LIFE)
+    before[ids] = np.minimum(before[ids] + RATE * 6.0 * dt * made * (0.35 + 0.65 * top), 1.0)
+    return before

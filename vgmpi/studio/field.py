@@ -1,0 +1,427 @@
+"""Density field of a liquid in sparse blocks; its surface is where the density is 1/2.
+
+    rho(x) = sum_p a w(|V_p^-1 (x - x_p)| / (R s_p)),  w(q) = (1 - q^2)^3,  a = 315 / (64 pi R^3)
+
+V_p is the stretch of the seeding lattice around particle p (lattice.py). The amplitude is not
+divided by det V: where the lattice is whole, rho is that of the lattice at rest, so thin sheets
+keep rho = 1. At walls rho is divided by the share of the round kernel inside of the domain, so that
+it stays 1 up to the wall, which cuts a flat face.
+
+Blocks of 8^3 cells exist only near the surface. What is filled around a particle farther than its
+kernel reaches is not deposited: blocks in there are marked full. Cubes of 4 cells know how far away
+the next one is that the surface may cross, so that rays leap.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vgmpi.caching import cached
+from vgmpi.studio.compiling import RAY
+from vgmpi.studio.grid import KERNEL, Grid, deposit, new_grid
+
+SIGMA = 0.68  # spacings: standard deviation of a kernel
+REACH = SIGMA * np.sqrt(11.0)  # spacings: its radius
+BLOCK = 8  # cells
+_SHIFT, _LAST = 3, 7
+_NODES = BLOCK + 1  # of a block, with those of its upper neighbors
+BRICK = 4  # cells of the cubes that rays leap over
+FULL = -2  # a block inside of the liquid
+MARGIN = 1.5  # spacings: of what counts as deep inside
+FILLED = 0.9  # of the density of the bulk: a cell that has it is full
+LEAST_SHARE = 0.3  # of a kernel inside of the domain that rho is divided by
+MOST_CELLS = 1.6e8  # of the grid if it were dense, above which cells become coarser
+
+
+class Field(NamedTuple):
+    """Attributes:
+    index: (bx, by, bz) int32: number of a block; -1: empty, -2: full.
+    bricks: (2 bx, 2 by, 2 bz) int16, of cubes of 4 cells: 0 where the surface may be; -d where it is
+        empty and the next cube that is not is d cubes away; d where it is full.
+    values: (blocks, 9, 9, 9) float32, node values.
+    lower: (3,) position of the first node [m].
+    cell: edge [m].
+    box: (6,) lower and upper corner of where the liquid can be [m].
+    walls: (6,) whether that is a wall: -x -y -z +x +y +z.
+    """
+
+    index: np.ndarray
+    bricks: np.ndarray
+    values: np.ndarray
+    lower: np.ndarray
+    cell: float
+    box: np.ndarray
+    walls: np.ndarray
+
+
+class Interior(NamedTuple):
+    """Distances to what is not filled, on a coarse grid, and the mean values of particles there.
+
+    Attributes:
+        distance: grid of distances [m].
+        means: grid of the particles' mean values, (nx, ny, nz, channels).
+        density: grid of densities, 1 in the bulk.
+    """
+
+    distance: Grid
+    means: Grid
+    density: Grid
+
+
+def empty_field() -> Field:
+    """A field without any liquid."""
+    index = np.full((1, 1, 1), -1, np.int32)
+    values = np.zeros((1, _NODES, _NODES, _NODES), np.float32)
+    box = np.array([0.0, 0.0, 0.0, -1.0, -1.0, -1.0])
+    bricks = np.full((2, 2, 2), -1, np.int16)
+    return Field(index, bricks, values, np.zeros(3), 1.0, box, np.zeros(6, bool))
+
+
+def wall_share(at: np.ndarray, low: float, high: float, sigma: float) -> np.ndarray:
+    """Share of a Gaussian at places `at` (n,) that lies within low .. high."""
+    from scipy.special import ndtr
+
+    inside = np.clip(at, low, high)
+    return np.maximum(ndtr((inside - low) / sigma) - ndtr((inside - high) / sigma), LEAST_SHARE)
+
+
+def wall_shares(grid_lower, shape, cell, box, walls, sigma) -> list[np.ndarray]:
+    """The same along the three axes of a grid; walls that are open are infinitely far away."""
+    out = []
+    for a in range(3):
+        at = grid_lower[a] + cell * np.arange(shape[a])
+        low = box[a] if walls[a] else -np.inf
+        high = box[3 + a] if walls[3 + a] else np.inf
+        out.append(wall_share(at, low, high, sigma).astype(np.float32))
+    return out
+
+
+def interior(
+    x: np.ndarray, spacing: np.ndarray, values: np.ndarray, box: np.ndarray, walls: np.ndarray
+) -> Interior:
+    """Where a liquid fills space, and the means of its particles' values.
+
+    Args:
+        x: (n, 3) positions [m].
+        spacing: (n,) of the particles [m].
+        values: (n, channels).
+        box: (6,) corners of the domain [m].
+        walls: (6,) whether it ends there.
+    """
+    from scipy import ndimage
+
+    cell = float(np.median(spacing))
+    reach = 2.2
+    ends = x.min(axis=0) - 3 * cell, x.max(axis=0) + 3 * cell
+    low = np.where(walls[:3], np.maximum(ends[0], box[:3] - 3 * cell), ends[0])
+    high = np.where(walls[3:], np.minimum(ends[1], box[3:] + 3 * cell), ends[1])
+    total, sums = new_grid(low, high, cell), new_grid(low, high, cell, values.shape[1])
+    deposit(x, reach * spacing, np.full(len(x), KERNEL / reach**3), values, total, sums)
+    known = total.values > 1e-4
+    sums.values[known] /= total.values[known][:, None]
+    sums.values[~known] = np.average(values, axis=0)
+    shape = total.values.shape
+    for a, share in enumerate(
+        wall_shares(total.lower, shape, cell, box, walls, reach / np.sqrt(11) * cell)
+    ):
+        total.values[:] /= share.reshape([-1 if k == a else 1 for k in range(3)])
+    full = total.values > FILLED
+    # beyond a wall it goes on
+    places = [
+        np.clip(
+            np.arange(shape[a]),
+            np.ceil((box[a] - total.lower[a]) / cell - 1e-6) if walls[a] else 0,
+            np.floor((box[3 + a] - total.lower[a]) / cell + 1e-6) if walls[3 + a] else shape[a] - 1,
+        ).astype(int)
+        for a in range(3)
+    ]
+    full = full[np.ix_(*places)]
+    # what lies beyond the grid is only ever behind a wall
+    distance = ndimage.distance_transform_edt(full) if not full.all() else np.full(shape, 1e3)
+    far = Grid((distance * cell).astype(np.float32), total.lower, cell)
+    return Interior(far, sums, total)
+
+
+def liquid_field(
+    x: np.ndarray,
+    spacing: np.ndarray,
+    stretch: np.ndarray,
+    inside: Interior,
+    box: np.ndarray,
+    walls: np.ndarray,
+    fine: float,
+) -> Field:
+    """The density field of a liquid.
+
+    Args:
+        x: (n, 3) positions [m].
+        spacing: (n,) of the particles [m].
+        stretch: (n, 6) upper triangles of V.
+        inside: of `interior`.
+        box: (6,) corners of the domain [m].
+        walls: (6,) whether it ends there.
+        fine: cells in a spacing.
+    """
+    s = float(np.median(spacing))
+    half = np.sqrt(
+        np.stack(
+            [
+                stretch[:, 0] ** 2 + stretch[:, 1] ** 2 + stretch[:, 2] ** 2,
+                stretch[:, 1] ** 2 + stretch[:, 3] ** 2 + stretch[:, 4] ** 2,
+                stretch[:, 2] ** 2 + stretch[:, 4] ** 2 + stretch[:, 5] ** 2,
+            ],
+            axis=1,
+        )
+    )
+    half *= (REACH * spacing)[:, None]
+    low, high = (x - half).min(axis=0), (x + half).max(axis=0)
+    low = np.where(walls[:3], np.maximum(low, box[:3]), low)
+    high = np.where(walls[3:], np.minimum(high, box[3:]), high)
+    cells = np.prod(np.maximum(high - low, s) / s) * fine**3
+    cell = s / fine * max(1.0, float(np.cbrt(cells / MOST_CELLS)))
+    first = np.floor(low / (BLOCK * cell)).astype(np.int64) * BLOCK
+    blocks = ((np.ceil(high / cell) + 1 - first) / BLOCK).astype(np.int64) + 1
+    lower = first * cell
+    far = inside.distance
+    surface = _deep(x, half.max(axis=1), far.values, far.lower, far.cell, MARGIN * s)
+    x, half, spacing = x[surface], half[surface], spacing[surface]
+    metric = _metric(stretch[surface], REACH * spacing)
+    index = np.full(tuple(blocks), -1, np.int32)
+    scale = np.array([cell, KERNEL / REACH**3])
+    _mark(x, half, lower, cell, index)
+    touched = np.flatnonzero(index.ravel() >= 0)
+    index.ravel()[touched] = np.arange(len(touched))
+    raw = np.zeros((max(len(touched), 1), BLOCK, BLOCK, BLOCK), np.float32)
+    _deposit_blocks(x, half, metric, lower, scale, index, raw)
+    nodes = blocks * BLOCK + 1
+    shares = wall_shares(lower, nodes, cell, box, walls, SIGMA * s)
+    values = np.empty((len(raw), _NODES, _NODES, _NODES), np.float32)
+    _fill_states(index, far.values, far.lower, far.cell, lower, cell, MARGIN * s)
+    _assemble(index, raw, shares[0], shares[1], shares[2], far, lower, cell, MARGIN * s, values)
+    limits = np.concatenate([lower, lower + (nodes - 1) * cell])
+    limits[:3] = np.where(walls[:3], box[:3], limits[:3])
+    limits[3:] = np.where(walls[3:], box[3:], limits[3:])
+    return Field(
+        index, _bricks(index, values), values, lower, cell, limits, np.asarray(walls, bool)
+    )
+
+
+def _bricks(index: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """How far rays may leap, for every cube of 4 cells."""
+    from scipy.ndimage import distance_transform_cdt
+
+    state = np.empty(tuple(2 * n for n in index.shape), np.int8)
+    _states(index, values, state)
+    out = np.zeros(state.shape, np.int16)
+    for kind in (-1, 1):
+        mine = state == kind
+        if mine.all():
+            out[:] = kind * 500
+        elif mine.any():
+            away = distance_transform_cdt(mine, metric="chessboard")
+            out[mine] = kind * np.minimum(away[mine], 500)
+    return out
+
+
+@cached(nogil=True, error_model="numpy")
+def _states(index, values, state):
+    """-1 for cubes below 1/2, 1 for cubes above, 0 for others."""
+    for i in range(state.shape[0]):
+        for j in range(state.shape[1]):
+            for k in range(state.shape[2]):
+                n = index[i >> 1, j >> 1, k >> 1]
+                if n < 0:
+                    state[i, j, k] = 1 if n == FULL else -1
+                    continue
+                a, b, c = (i & 1) * BRICK, (j & 1) * BRICK, (k & 1) * BRICK
+                low, high = np.float32(1e9), np.float32(-1e9)
+                for p in range(a, a + BRICK + 1):
+                    for q in range(b, b + BRICK + 1):
+                        for r in range(c, c + BRICK + 1):
+                            v = values[n, p, q, r]
+                            low, high = min(low, v), max(high, v)
+                state[i, j, k] = -1 if high < 0.5 else 1 if low > 0.5 else 0
+
+
+def _metric(stretch: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """Upper triangles (n, 6) of V^-2 / radius^2."""
+    full = stretch[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+    inverse = np.linalg.inv(full) / radius[:, None, None]
+    return (inverse @ inverse).reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]]
+
+
+@cached(nogil=True, error_model="numpy")
+def _deep(x, reach, far, lower, cell, margin):
+    """Rows of the particles whose kernels come near to a surface."""
+    out, count = np.empty(len(x), np.int64), 0
+    for p in range(len(x)):
+        at0 = min(max(int((x[p, 0] - lower[0]) / cell), 0), far.shape[0] - 2)
+        at1 = min(max(int((x[p, 1] - lower[1]) / cell), 0), far.shape[1] - 2)
+        at2 = min(max(int((x[p, 2] - lower[2]) / cell), 0), far.shape[2] - 2)
+        least = far[at0, at1, at2]
+        for c in range(1, 8):
+            least = min(least, far[at0 + (c >> 2), at1 + ((c >> 1) & 1), at2 + (c & 1)])
+        if least <= reach[p] + margin + cell:
+            out[count] = p
+            count += 1
+    return out[:count]
+
+
+@cached(nogil=True, error_model="numpy")
+def _mark(x, half, lower, cell, index):
+    """Mark the blocks that kernels touch with 0."""
+    size = BLOCK * cell
+    for p in range(len(x)):
+        a0 = max(int((x[p, 0] - half[p, 0] - lower[0]) / size), 0)
+        a1 = max(int((x[p, 1] - half[p, 1] - lower[1]) / size), 0)
+        a2 = max(int((x[p, 2] - half[p, 2] - lower[2]) / size), 0)
+        b0 = min(int((x[p, 0] + half[p, 0] - lower[0]) / size), index.shape[0] - 1)
+        b1 = min(int((x[p, 1] + half[p, 1] - lower[1]) / size), index.shape[1] - 1)
+        b2 = min(int((x[p, 2] + half[p, 2] - lower[2]) / size), index.shape[2] - 1)
+        for i in range(a0, b0 + 1):
+            for j in range(a1, b1 + 1):
+                for k in range(a2, b2 + 1):
+                    index[i, j, k] = 0
+
+
+@cached(nogil=True, error_model="numpy", fastmath=True)
+def _deposit_blocks(x, half, metric, lower, scale, index, raw):
+    cell, amplitude = scale[0], np.float32(scale[1])
+    top0, top1, top2 = (
+        (index.shape[0] << 3) - 1,
+        (index.shape[1] << 3) - 1,
+        (index.shape[2] << 3) - 1,
+    )
+    for p in range(len(x)):
+        X, Y, Z = (
+            (x[p, 0] - lower[0]) / cell,
+            (x[p, 1] - lower[1]) / cell,
+            (x[p, 2] - lower[2]) / cell,
+        )
+        e0, e1 = half[p, 0] / cell, half[p, 1] / cell
+        c2 = metric[p, 5] * cell * cell
+        for i in range(max(0, int(np.ceil(X - e0))), min(top0, int(np.floor(X + e0))) + 1):
+            dx = (i - X) * cell
+            for j in range(max(0, int(np.ceil(Y - e1))), min(top1, int(np.floor(Y + e1))) + 1):
+                dy = (j - Y) * cell
+                c0 = (
+                    1.0
+                    - dx * (metric[p, 0] * dx + 2.0 * metric[p, 1] * dy)
+                    - metric[p, 3] * dy * dy
+                )
+                c1 = (metric[p, 2] * dx + metric[p, 4] * dy) * cell
+                root = c1 * c1 + c0 * c2
+                if root <= 0.0:
+                    continue
+                root = np.sqrt(root)
+                k = max(0, int(np.ceil(Z + (-c1 - root) / c2)))
+                last = min(top2, int(np.floor(Z + (-c1 + root) / c2)))
+                f0, f1, f2 = np.float32(c0), np.float32(-2.0 * c1), np.float32(-c2)
+                while k <= last:
+                    b = index[i >> _SHIFT, j >> _SHIFT, k >> _SHIFT]
+                    stop = min(last, k | _LAST)
+                    row = raw[b, i & _LAST, j & _LAST]
+                    at = k & _LAST
+                    z = np.float32(k - Z)
+                    for n in range(stop - k + 1):
+                        d = z + np.float32(n)
+                        t = f0 + d * (f1 + d * f2)
+                        row[at + n] += amplitude * t * t * t
+                    k = stop + 1
+
+
+@cached(nogil=True, error_model="numpy")
+def _fill_states(index, far, far_lower, far_cell, lower, cell, margin):
+    """Mark untouched blocks that lie inside of the liquid as full."""
+    for i in range(index.shape[0]):
+        for j in range(index.shape[1]):
+            for k in range(index.shape[2]):
+                if index[i, j, k] >= 0:
+                    continue
+                at0 = (lower[0] + (i + 0.5) * BLOCK * cell - far_lower[0]) / far_cell
+                at1 = (lower[1] + (j + 0.5) * BLOCK * cell - far_lower[1]) / far_cell
+                at2 = (lower[2] + (k + 0.5) * BLOCK * cell - far_lower[2]) / far_cell
+                a = min(max(int(at0 + 0.5), 0), far.shape[0] - 1)
+                b = min(max(int(at1 + 0.5), 0), far.shape[1] - 1)
+                c = min(max(int(at2 + 0.5), 0), far.shape[2] - 1)
+                outside = max(abs(at0 - a), abs(at1 - b), abs(at2 - c)) > 4.0 * BLOCK
+                if far[a, b, c] > margin and not outside:
+                    index[i, j, k] = FULL
+                else:
+                    index[i, j, k] = -1
+
+
+@cached(nogil=True, error_model="numpy")
+def _assemble(index, raw, share0, share1, share2, far, lower, cell, margin, values):
+    """Node values of every block from its own and its upper neighbors' sums."""
+    for bi in range(index.shape[0]):
+        for bj in range(index.shape[1]):
+            for bk in range(index.shape[2]):
+                own = index[bi, bj, bk]
+                if own < 0:
+                    continue
+                for i in range(_NODES):
+                    for j in range(_NODES):
+                        for k in range(_NODES):
+                            a, b, c = bi + (i >> 3), bj + (j >> 3), bk + (k >> 3)
+                            v = np.float32(0.0)
+                            if a < index.shape[0] and b < index.shape[1] and c < index.shape[2]:
+                                other = index[a, b, c]
+                                if other >= 0:
+                                    v = raw[other, i & _LAST, j & _LAST, k & _LAST]
+                                elif other == FULL:
+                                    v = np.float32(1.0)
+                            gi, gj, gk = bi * BLOCK + i, bj * BLOCK + j, bk * BLOCK + k
+                            v /= share0[gi] * share1[gj] * share2[gk]
+                            if v < 1.0:
+                                x = (lower[0] + gi * cell - far.lower[0]) / far.cell
+                                y = (lower[1] + gj * cell - far.lower[1]) / far.cell
+                                z = (lower[2] + gk * cell - far.lower[2]) / far.cell
+                                p = min(max(int(x + 0.5), 0), far.values.shape[0] - 1)
+                                q = min(max(int(y + 0.5), 0), far.values.shape[1] - 1)
+                                r = min(max(int(z + 0.5), 0), far.values.shape[2] - 1)
+                                if far.values[p, q, r] > margin:
+                                    v = np.float32(1.0)
+                            values[own, i, j, k] = v
+
+
+@cached(**RAY)
+def density(field, x, y, z):
+    """rho at grid coordinates, 0 outside of the grid."""
+    nx, ny, nz = field.index.shape
+    if not (x >= 0.0 and y >= 0.0 and z >= 0.0):
+        return np.float32(0.0)
+    i, j, k = int(x), int(y), int(z)
+    if i >= nx << 3 or j >= ny << 3 or k >= nz << 3:
+        return np.float32(0.0)
+    n = field.index[i >> 3, j >> 3, k >> 3]
+    if n < 0:
+        return np.float32(1.0) if n == FULL else np.float32(0.0)
+    a, b, c = np.float32(x - i), np.float32(y - j), np.float32(z - k)
+    i, j, k = i & 7, j & 7, k & 7
+    v = field.values[n]
+    v00 = v[i, j, k] + c * (v[i, j, k + 1] - v[i, j, k])
+    v01 = v[i, j + 1, k] + c * (v[i, j + 1, k + 1] - v[i, j + 1, k])
+    v10 = v[i + 1, j, k] + c * (v[i + 1, j, k + 1] - v[i + 1, j, k])
+    v11 = v[i + 1, j + 1, k] + c * (v[i + 1, j + 1, k + 1] - v[i + 1, j + 1, k])
+    v0, v1 = v00 + b * (v01 - v00), v10 + b * (v11 - v10)
+    return v0 + a * (v1 - v0)
+
+
+@cached(nogil=True, error_model="numpy")
+def _densities(field, x, out):
+    for p in range(len(x)):
+        out[p] = density(
+            field,
+            (x[p, 0] - field.lower[0]) / field.cell,
+            (x[p, 1] - field.lower[1]) / field.cell,
+            (x[p, 2] - field.lower[2]) / field.cell,
+        )
+
+
+def densities(field: Field, x: np.ndarray) -> np.ndarray:
+    """rho (n,) at the points x (n, 3) [m], those beyond a wall moved onto it."""
+    x = np.clip(x, field.box[:3], field.box[3:]) if len(x) else x
+    out = np.empty(len(x))
+    _densities(field, np.ascontiguousarray(x, dtype=np.float64), out)
+    return out

@@ -1,0 +1,53 @@
+"""Normals of bodies: at rest once, from the density of their Gaussians; then they turn along."""
+
+import numpy as np
+
+from vgmpi.caching import cached
+from vgmpi.studio.grid import KERNEL, deposit, new_grid, trilinear
+
+REACH = 3.0  # spacings of the kernels
+MOST = 3e7  # cells
+
+
+def density_normals(x: np.ndarray, spacing: float) -> np.ndarray:
+    """Vectors (n, 3) away from where points x (n, 3) [m] are denser; 1 long at a surface, less inside."""
+    from scipy import ndimage
+
+    if not len(x):
+        return np.zeros((0, 3))
+    spacing = max(spacing, float(np.ptp(x, axis=0).max()) / 300, 1e-9)
+    total = new_grid(x.min(axis=0) - 4 * spacing, x.max(axis=0) + 4 * spacing, spacing)
+    none = total._replace(values=np.zeros((1, 1, 1, 0), np.float32))
+    n = len(x)
+    deposit(
+        x, np.full(n, REACH * spacing), np.full(n, KERNEL / REACH**3), np.zeros((n, 0)), total, none
+    )
+    smooth = ndimage.gaussian_filter(total.values, 0.7)
+    out = np.empty((n, 3))
+    _gradients(np.ascontiguousarray((x - total.lower) / spacing), smooth, out)
+    size = np.linalg.norm(out, axis=1)
+    usual = np.percentile(size, 90)
+    return out / np.maximum(size, 0.5 * usual + 1e-12)[:, None]
+
+
+@cached(nogil=True, error_model="numpy", fastmath=True)
+def _gradients(at, v, out):
+    for p in range(len(at)):
+        x, y, z = at[p, 0], at[p, 1], at[p, 2]
+        out[p, 0] = trilinear(v, x - 1.0, y, z) - trilinear(v, x + 1.0, y, z)
+        out[p, 1] = trilinear(v, x, y - 1.0, z) - trilinear(v, x, y + 1.0, z)
+        out[p, 2] = trilinear(v, x, y, z - 1.0) - trilinear(v, x, y, z + 1.0)
+
+
+@cached(nogil=True, error_model="numpy", fastmath=True)
+def turned(normals, F, out):
+    """Normals (n, 3) of surfaces that deform by F (n, 9): along cof(F) n, as long as before."""
+    for p in range(len(normals)):
+        a, b, c, d, e, f, g, h, k = F[p]
+        x, y, z = normals[p, 0], normals[p, 1], normals[p, 2]
+        u = (e * k - f * h) * x + (f * g - d * k) * y + (d * h - e * g) * z
+        v = (c * h - b * k) * x + (a * k - c * g) * y + (b * g - a * h) * z
+        w = (b * f - c * e) * x + (c * d - a * f) * y + (a * e - b * d) * z
+        size = np.sqrt(u * u + v * v + w * w)
+        scale = np.sqrt(x * x + y * y + z * z) / size if size > 1e-12 else 0.0
+        out[p, 0], out[p, 1], out[p, 2] = u * scale, v * scale, w * scale
