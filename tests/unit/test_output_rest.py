@@ -21,7 +21,7 @@ def scenery(n=4):
 
 def test_rest_state_comes_back(tmp_path):
     path = tmp_path / "gaussians.h5"
-    rows = rest_rows(50)
+    rows = {**rest_rows(50), "shade": np.linspace(0.7, 1, 50)}
 
     def job(ranks):
         mine = rows if ranks.rank == 0 else None
@@ -77,6 +77,9 @@ def test_rows_that_cannot_be_are_refused(tmp_path):
         ({"x0": np.full((5, 3), np.nan)}, "x0 holds what is no number"),
         ({"opacity": np.full(5, np.inf)}, "opacity holds what is no number"),
         ({"sh": np.zeros((5, 2, 3))}, "sh has 2 coefficients, not 1, 4, 9 or 16"),
+        ({"shade": np.full(5, np.nan)}, "shade holds what is no number"),
+        ({"shade": np.array([1, 1, 0, 1, 1])}, "shade holds what is not above 0 and at most 1"),
+        ({"shade": np.array([1, 1, 1.01, 1, 1])}, "shade holds what is not above 0 and at most 1"),
     ):
         rest.write(tmp_path / "gaussians.h5", Alone(), {**rest_rows(5), **change}, OBJECTS)
         with pytest.raises(RunError, match=said):

@@ -35,7 +35,7 @@ def test_numbers_of_a_material_are_in_no_particle(tmp_path):
     assert any(group.surface for group in simulation.plan.groups)
     # in the file an object's number leads to what is written once, in the list of objects
     rows = {d.name for d in layout.GAUSSIAN}
-    own = {"x0", "vol0", "object", "v0", "theta0", "surface0", "cov0", "opacity", "sh"}
+    own = {"x0", "vol0", "object", "v0", "theta0", "surface0", "cov0", "opacity", "sh", "shade"}
     assert rows == own
     assert not rows & set(made.objects[0])
     assert {"density", "opacity_scale", "material", "phase"} <= set(made.objects[0])

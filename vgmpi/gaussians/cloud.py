@@ -13,7 +13,8 @@ class Cloud:
 
     x: centres (n, 3) float64. quat: unit quaternions w, x, y, z (n, 4) float64. scale: standard
     deviations along the own axes (n, 3) float64. opacity: 0..1 (n,) float64. sh: colour
-    coefficients (n, K, 3) float32, K = 1, 4, 9, 16.
+    coefficients (n, K, 3) float32, K = 1, 4, 9, 16. shade: what its colours were multiplied with
+    by a painted light (n,) float32, above 0 and at most 1; None where there is none.
     """
 
     x: np.ndarray
@@ -21,6 +22,7 @@ class Cloud:
     scale: np.ndarray
     opacity: np.ndarray
     sh: np.ndarray
+    shade: np.ndarray | None = None
 
     def __post_init__(self):
         n = len(self.x)
@@ -34,6 +36,11 @@ class Cloud:
         if coefficients.shape not in allowed:
             raise ValueError(f"Cloud.sh has shape {coefficients.shape}, expected one of {allowed}")
         object.__setattr__(self, "sh", coefficients)
+        if self.shade is not None:
+            shade = np.ascontiguousarray(self.shade, dtype=np.float32)
+            if shade.shape != (n,):
+                raise ValueError(f"Cloud.shade has shape {shade.shape}, expected {(n,)}")
+            object.__setattr__(self, "shade", shade)
 
     def __len__(self) -> int:
         return len(self.x)
@@ -43,6 +50,11 @@ class Cloud:
         """Colours without their view dependence, in 0..1 (n, 3)."""
         return np.clip(harmonics.rgb_from_dc(self.sh[:, 0].astype(np.float64)), 0.0, 1.0)
 
+    @property
+    def shades(self) -> np.ndarray:
+        """`shade` (n,), 1 where no light was painted."""
+        return np.ones(len(self), dtype=np.float32) if self.shade is None else self.shade
+
     def cov(self) -> np.ndarray:
         """Covariances as upper triangles xx, xy, xz, yy, yz, zz [length^2], (n, 6)."""
         root = rotation_matrices(self.quat) * self.scale[:, None, :]
@@ -51,7 +63,12 @@ class Cloud:
     def select(self, mask: np.ndarray) -> "Cloud":
         """The Gaussians of a boolean mask or an index array, in its order."""
         return Cloud(
-            self.x[mask], self.quat[mask], self.scale[mask], self.opacity[mask], self.sh[mask]
+            self.x[mask],
+            self.quat[mask],
+            self.scale[mask],
+            self.opacity[mask],
+            self.sh[mask],
+            None if self.shade is None else self.shade[mask],
         )
 
     def transformed(
@@ -73,6 +90,7 @@ class Cloud:
             scale * self.scale,
             self.opacity,
             harmonics.rotate(self.sh, rotation),
+            self.shade,
         )
 
 

@@ -150,6 +150,8 @@ def check_gaussians(f: h5py.File, held: dict) -> None:
             raise Damaged(f"{name} holds what is no number")
         if form.name == "sh" and rows.shape[1] not in (1, 4, 9, 16):
             raise Damaged(f"{name} has {rows.shape[1]} coefficients, not 1, 4, 9 or 16")
+        if form.name == "shade" and not ((rows > 0) & (rows <= 1)).all():
+            raise Damaged(f"{name} holds what is not above 0 and at most 1")
 
 
 def check_objects(found: SimpleNamespace) -> None:

@@ -150,14 +150,25 @@ GAUSSIAN = [
     Dataset("cov0", "(n, 6)", "f4", "m2", "rest covariance: xx, xy, xz, yy, yz, zz"),
     Dataset("opacity", "(n,)", "f4", "1", "0 to 1"),
     Dataset("sh", "(n, K, 3)", "f4", "1", "spherical harmonics of the colour, K = 1, 4, 9 or 16"),
+    Dataset(
+        "shade",
+        "(n,)",
+        "f4",
+        "1",
+        "factor, 0.001 to 1, by which `appearance.shade` darkened the colour; (0.5 + 0.2820948"
+        " sh[:, 0]) / shade is the colour without that light; of one that stands for several"
+        " (`prune`) their mean; only if one is not 1",
+    ),
 ]
-OPTIONAL = ("v0", "theta0", "surface0")
+OPTIONAL = ("v0", "theta0", "surface0", "shade")  # those that some files lack, also of groups
+SHADE = Dataset("shade", "(m,)", "f4", "1", "as above, of these; only if one is not 1")
 SCENERY = [
     Dataset("x0", "(m, 3)", "f8", "m", "position at the start; it stays unless its object `moves`"),
     Dataset("object", "(m,)", "i4", "1", "number of the object in the list `objects`"),
     Dataset("cov0", "(m, 6)", "f4", "m2", "covariance: xx, xy, xz, yy, yz, zz"),
     Dataset("opacity", "(m,)", "f4", "1", "0 to 1"),
     Dataset("sh", "(m, K, 3)", "f4", "1", "spherical harmonics of the colour"),
+    SHADE,
 ]
 PASSIVE = [
     Dataset("x0", "(p, 3)", "f8", "m", "position at rest"),
@@ -167,6 +178,7 @@ PASSIVE = [
     Dataset("sh", "(p, K, 3)", "f4", "1", "spherical harmonics of the colour"),
     Dataset("carriers", "(p, 4)", "i8", "1", "numbers of the particles that carry it"),
     Dataset("weights", "(p, 4)", "f4", "1", "their weights; they add up to 1"),
+    SHADE._replace(shape="(p,)"),
 ]
 GAUSSIAN_TEXTS = [
     Dataset(

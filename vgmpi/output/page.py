@@ -72,8 +72,8 @@ def page() -> str:
         _table(layout.FRAME_OWN),
         "Attributes: `VTKHDF/Type`, `VTKHDF/Version`, and `/schema` (whole number). Frames of "
         "earlier versions have no `frame` and no `crc`: they are read, and nothing vouches for "
-        "them. `gaussians` is the CRC32 of the checksums in gaussians.h5, those of its texts left "
-        "out, as JSON pairs in the order of their names; checkpoints have it too.\n",
+        "them. `gaussians` is the CRC32 of the checksums in gaussians.h5, those of its texts and "
+        "`shade` left out, as JSON pairs in the order of their names; checkpoints have it too.\n",
         "## series.vtkhdf\n",
         "The frames one after the other, as virtual datasets of the same names: it holds no "
         "numbers itself and finds the frames beside it, from any working directory. It is valid "

@@ -189,39 +189,46 @@ class RunFiles:
 
 def identity(path: str | Path) -> int | None:
     """By which the particles of a gaussians.h5 are known; None of earlier versions. Its texts are
-    left out: they tell of the scene, of which something may change at a resume. Raises RunError."""
+    left out: they tell of the scene, of which something may change at a resume; and what tells of
+    the light on colours, which earlier versions did not keep. Raises RunError."""
     with opened(Path(path)) as f:
         found = intact.sums(f)
     if found is None:
         return None
-    texts = {d.name for d in layout.GAUSSIAN_TEXTS}
-    told = json.dumps(sorted(pair for pair in found.items() if pair[0] not in texts))
+    less = {d.name for d in layout.GAUSSIAN_TEXTS}
+    less |= {f"{group}shade" for group in ("", "scenery/", "passive/")}
+    told = json.dumps(sorted(pair for pair in found.items() if pair[0] not in less))
     return zlib.crc32(told.encode())
 
 
 def read_gaussians(path: str | Path) -> SimpleNamespace:
     """gaussians.h5: x0, vol0, object, v0 (None if nothing moves), theta0
     (None if nothing is compressed), surface0 (None if no solid touches anything), cov0,
-    opacity, sh, scenery (the same or None), passive (those of layout.PASSIVE or None), objects,
-    scene, digest. Raises RunError, also where numbers are not those that were written."""
+    opacity, sh, shade (None if no light is painted on it), scenery (those of layout.SCENERY or
+    None), passive (those of layout.PASSIVE or None), objects, scene, digest. Raises RunError, also
+    where numbers are not those that were written."""
     with opened(Path(path)) as f:
         held = {name: f[name][()] for name in ("objects", "scene")}
-        found = SimpleNamespace(v0=None, theta0=None, surface0=None, scenery=None, passive=None)
-        for d in layout.GAUSSIAN:
-            if d.name not in layout.OPTIONAL or d.name in f:
-                held[d.name] = f[d.name][()]
-                setattr(found, d.name, held[d.name])
+        found = _arrays(f, "", layout.GAUSSIAN, held)
+        found.scenery = found.passive = None
         for group, datasets in (("scenery", layout.SCENERY), ("passive", layout.PASSIVE)):
             if group in f:
-                arrays = {d.name: f[f"{group}/{d.name}"][()] for d in datasets}
-                held |= {f"{group}/{name}": array for name, array in arrays.items()}
-                setattr(found, group, SimpleNamespace(**arrays))
+                setattr(found, group, _arrays(f, f"{group}/", datasets, held))
         intact.check_gaussians(f, held)
         found.objects = json.loads(held["objects"])
         found.scene = json.loads(held["scene"])
         found.digest = f.attrs["digest"].decode()
         intact.check_objects(found)
         return found
+
+
+def _arrays(f, prefix, datasets, held):
+    """The datasets by their names, None for one of layout.OPTIONAL that is not there; those that
+    are there go to `held` too, by their names in the file."""
+    there = [d.name for d in datasets if d.name not in layout.OPTIONAL or prefix + d.name in f]
+    arrays = {name: f[prefix + name][()] for name in there}
+    held |= {prefix + name: array for name, array in arrays.items()}
+    return SimpleNamespace(**{d.name: arrays.get(d.name) for d in datasets})
 
 
 def inspect(path: str | Path) -> str:

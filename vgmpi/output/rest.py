@@ -22,17 +22,17 @@ def write(
     """Write the file from what rank 0 has; collective, the arguments of the others are ignored.
 
     rows: the datasets of layout.GAUSSIAN, all but layout.OPTIONAL must be there. scenery, passive:
-    those of layout.SCENERY and layout.PASSIVE, or None. objects: the list of the objects; scene:
-    the scene resolved; both JSON-able. Raises StoreError on all ranks.
+    those of layout.SCENERY and layout.PASSIVE likewise, or None. objects: the list of the objects;
+    scene: the scene resolved; both JSON-able. Raises StoreError on all ranks.
     """
     path = Path(path)
     error: Exception | None = None
     if ranks.rank == 0:
-        checked = _checked(rows, layout.GAUSSIAN, set(layout.OPTIONAL), "")
+        checked = _checked(rows, layout.GAUSSIAN, "")
         if scenery is not None:
-            checked |= _checked(scenery, layout.SCENERY, set(), "scenery/")
+            checked |= _checked(scenery, layout.SCENERY, "scenery/")
         if passive is not None:
-            checked |= _checked(passive, layout.PASSIVE, set(), "passive/")
+            checked |= _checked(passive, layout.PASSIVE, "passive/")
         try:
             with store.create(path, Alone()) as f:
                 f.attr("", "schema", layout.SCHEMA)
@@ -47,10 +47,10 @@ def write(
     store.agree(ranks, error, path)
 
 
-def _checked(rows, datasets, optional, prefix):
+def _checked(rows, datasets, prefix):
     """Arrays in the types of the layout, keyed by their names in the file."""
     names = {d.name for d in datasets}
-    if set(rows) - names or names - optional - set(rows):
+    if set(rows) - names or names - set(layout.OPTIONAL) - set(rows):
         raise ValueError(f"{prefix or 'particles'}: want {sorted(names)}, got {sorted(rows)}")
     found = {}
     for d in datasets:

@@ -36,14 +36,15 @@ Pieces = list[Piece] | dict[int, Piece]  # by the row of their object
 
 @dataclass(frozen=True)
 class Scenery:
-    """Gaussians that are only drawn: x (s, 3) [m], cov0 (s, 6) [m2], opacity (s,), sh (s, K, 3)
-    and object (s,), the row of each one's object in the scene."""
+    """Gaussians that are only drawn: x (s, 3) [m], cov0 (s, 6) [m2], opacity (s,), sh (s, K, 3),
+    object (s,), the row of each one's object in the scene, and shade (s,) as in Prepared."""
 
     x: np.ndarray
     cov0: np.ndarray
     opacity: np.ndarray
     sh: np.ndarray
     object: np.ndarray
+    shade: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,7 @@ class Passive:
     object: np.ndarray
     carriers: np.ndarray
     weights: np.ndarray
+    shade: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,7 @@ class Prepared:
     loads: list[Loaded]
     passive: Passive | None = None
     surface0: np.ndarray | None = None  # (n, 10) see planning/channels.py, where asked for
+    shade: np.ndarray | None = None  # (n,) of the light painted on sh; None where it is 1 for all
 
 
 def build(scene: Scene) -> Prepared:
@@ -286,8 +289,9 @@ def _theta(piece: Piece) -> np.ndarray:
     return np.zeros(len(piece.cloud)) if piece.theta is None else piece.theta
 
 
-def _looks(pieces: Pieces, chosen: list[int], terms: int) -> dict[str, np.ndarray]:
-    """Covariance, opacity and padded colour coefficients, in single precision."""
+def _looks(pieces: Pieces, chosen: list[int], terms: int) -> dict[str, Any]:
+    """Covariance, opacity, padded colour coefficients and the light on them, in single
+    precision."""
 
     def padded(piece: Piece) -> np.ndarray:
         sh = piece.cloud.sh
@@ -297,7 +301,16 @@ def _looks(pieces: Pieces, chosen: list[int], terms: int) -> dict[str, np.ndarra
         "cov0": _rows(pieces, chosen, lambda p: p.cloud.cov().astype(np.float32)),
         "opacity": _rows(pieces, chosen, lambda p: p.cloud.opacity.astype(np.float32)),
         "sh": _rows(pieces, chosen, padded),
+        "shade": _shade(pieces, chosen),
     }
+
+
+def _shade(pieces: Pieces, chosen: list[int]) -> np.ndarray | None:
+    """Factors (n,) of the light painted on colours; None where all are 1."""
+    if all(pieces[k].cloud.shade is None for k in chosen):
+        return None
+    found = _rows(pieces, chosen, lambda p: p.cloud.shades)
+    return found if (found != 1).any() else None
 
 
 def _rows(pieces: Pieces, chosen: list[int], part: Callable[[Piece], Any]) -> np.ndarray:

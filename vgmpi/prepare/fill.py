@@ -146,7 +146,8 @@ def _shifted(sheet: np.ndarray, by: tuple[int, int]) -> np.ndarray:
 
 
 def filling(x: np.ndarray, surface: Cloud, spacing: float, opacity: float | np.ndarray) -> Cloud:
-    """Round Gaussians at `x` (n, 3) in the plain colour of the nearest well visible one.
+    """Round Gaussians at `x` (n, 3) in the plain colour, and its light, of the nearest well visible
+    one.
 
     opacity: of all, or of each (n,).
     """
@@ -164,10 +165,15 @@ def filling(x: np.ndarray, surface: Cloud, spacing: float, opacity: float | np.n
         np.full((len(x), 3), 0.45 * spacing),
         np.full(len(x), opacity),
         sh,
+        None if shown.shade is None else np.broadcast_to(shown.shade[near], len(x)),
     )
 
 
 def joined(first: Cloud, second: Cloud) -> Cloud:
     """Both clouds, one after the other."""
     names = ("x", "quat", "scale", "opacity", "sh")
-    return Cloud(*(np.concatenate([getattr(first, n), getattr(second, n)]) for n in names))
+    painted = first.shade is not None or second.shade is not None
+    return Cloud(
+        *(np.concatenate([getattr(first, n), getattr(second, n)]) for n in names),
+        np.concatenate([first.shades, second.shades]) if painted else None,
+    )

@@ -49,10 +49,11 @@ def heirs(x: np.ndarray, kept: np.ndarray, skin: np.ndarray) -> np.ndarray:
 def merged(
     cloud: Cloud, share: np.ndarray, heir: np.ndarray, kept: np.ndarray, skin: np.ndarray
 ) -> Cloud:
-    """The kept Gaussians, each in the middle and in the mean colour of those it stands for.
+    """The kept Gaussians, each in the middle and in the mean colour and light of those it stands
+    for.
 
-    share (n,): chance of each to stay. heir (n,): see `heirs`. kept, skin (n,) bool. Middle and
-    colour are weighted by what is seen of each.
+    share (n,): chance of each to stay. heir (n,): see `heirs`. kept, skin (n,) bool. Means are
+    weighted by what is seen of each.
     """
     weight = shown(cloud)
     weight = np.maximum(weight, 1e-9 * max(float(weight.max()), 1e-300))
@@ -75,7 +76,8 @@ def merged(
         x[on] += OUTER * grown[:, None] * outer
         # no further than the body reaches: it may lie against the edge of the domain
         x = np.clip(x, cloud.x.min(axis=0), cloud.x.max(axis=0))
-    return Cloud(x, cloud.quat[kept], wider, cloud.opacity[kept], mean(cloud.sh))
+    shade = None if cloud.shade is None else mean(cloud.shade)
+    return Cloud(x, cloud.quat[kept], wider, cloud.opacity[kept], mean(cloud.sh), shade)
 
 
 def _layers(cloud: Cloud, kept: np.ndarray, skin: np.ndarray) -> np.ndarray:

@@ -36,6 +36,7 @@ from vgmpi.scene.objects import Object
 from vgmpi.scene.scene import Scene
 
 LIGHT = np.array([0.36, -0.48, 0.80])  # unit vector towards the painted light
+DARKEST = 1e-3  # least factor of it that is kept, so that colours can be divided by it
 _FINENESS = 3  # of the lattice that measures meshes, relative to that of their particles
 _BALL = (3 / (4 * np.pi)) ** (1 / 3)  # radius of a ball of volume 1
 
@@ -123,13 +124,13 @@ def _from_shape(scene: Scene, k: int, thing: Object) -> Piece:
         said = f"too small or thin: no particle fits in, their spacing is {spacing:g} m"
         raise PlacementError("shape", said)
     own = at.own(x)
-    rgb = shapes.colors(shape, own, thing.colour)
+    rgb, shade = shapes.colors(shape, own, thing.colour), None
     if not _is_fluid(scene, thing):
         normal = shapes.normals(shape, own, 0.5 * spacing / at.scale)
-        rgb = shaded(rgb, turn(at.rotation, normal), scene.appearance.shade)
+        rgb, shade = shaded(rgb, turn(at.rotation, normal), scene.appearance.shade)
     surface = ShapeCollider(thing.name, shape, at, spacing / 2)
     return Piece(
-        round_cloud(x, spacing, rgb, thing.opacity), np.full(len(x), spacing**3), at,
+        round_cloud(x, spacing, rgb, thing.opacity, shade), np.full(len(x), spacing**3), at,
         surface if thing.collider else None, outline=lambda: surface,
     )  # fmt: skip
 
@@ -154,9 +155,10 @@ def _from_mesh(scene: Scene, k: int, thing: Object) -> Piece:
         places = shapes.span(low, high, spacing)
         cost.afford_inside(scene, k, places, lambda h: len(shapes.lattice(*search(h))))
     surface = mesh.sample(placed, spacing, thing.colour, thing.opacity, [scene.seed, k])
-    normal = mesh.normals(surface)
-    rgb = shaded(surface.rgb, normal, 0.0 if _is_fluid(scene, thing) else scene.appearance.shade)
+    amount = 0.0 if _is_fluid(scene, thing) else scene.appearance.shade
+    rgb, shade = shaded(surface.rgb, mesh.normals(surface), amount)
     surface.sh[:, 0] = dc_from_rgb(rgb)
+    surface = replace(surface, shade=shade)
     if not filled:
         return Piece(surface, np.zeros(len(surface)), at)
     inner = shapes.lattice(*search(spacing))
@@ -256,8 +258,13 @@ def _pruned(scene: Scene, thing: Object, piece: Piece) -> tuple[Piece, str]:
     return made, f"; {found.said}"
 
 
-def round_cloud(x: np.ndarray, spacing: float, rgb: np.ndarray, opacity: float) -> Cloud:
-    """Round Gaussians at lattice points (n, 3), as large as the ball of a lattice cell's volume."""
+def round_cloud(
+    x: np.ndarray, spacing: float, rgb: np.ndarray, opacity: float, shade: np.ndarray | None = None
+) -> Cloud:
+    """Round Gaussians at lattice points (n, 3), as large as the ball of a lattice cell's volume.
+
+    rgb (n, 3), shade (n,): as `shaded` gives them.
+    """
     n = len(x)
     return Cloud(
         x,
@@ -265,16 +272,23 @@ def round_cloud(x: np.ndarray, spacing: float, rgb: np.ndarray, opacity: float) 
         np.full((n, 3), _BALL * spacing),
         np.full(n, opacity),
         dc_from_rgb(rgb)[:, None, :].astype(np.float32),
+        shade,
     )
 
 
-def shaded(rgb: np.ndarray, normal: np.ndarray, amount: float) -> np.ndarray:
-    """Colours (n, 3) darkened by up to `amount` where the surface faces away from the light.
+def shaded(
+    rgb: np.ndarray, normal: np.ndarray, amount: float
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Colours (n, 3) darkened by up to `amount` where the surface faces away from the light, and
+    the factors (n,) of that, at least DARKEST; None where `amount` is 0.
 
-    Gaussians carry no lights: without this a plain body is a flat silhouette.
+    Gaussians carry no lights: without this a plain body is a flat silhouette. A renderer that has
+    lights divides by the factors.
     """
     facing = 0.5 + 0.5 * (normal * LIGHT).sum(axis=1)
-    return rgb * (1.0 - amount * (1.0 - facing))[:, None]
+    factor = 1.0 - amount * (1.0 - facing)
+    kept = np.clip(factor, DARKEST, 1.0).astype(np.float32) if amount else None
+    return rgb * factor[:, None], kept
 
 
 def _is_fluid(scene: Scene, thing: Object) -> bool:

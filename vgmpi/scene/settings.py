@@ -148,7 +148,8 @@ class Appearance(Table):
     """names of the bodies whose colours travel, among those of one phase and of fluids that mix;
     with step all bodies of their phases; default: all fluids"""
     shade: Annotated[float, Quantity("", ge=0, le=1)] = 0.3
-    """light painted on solid shapes and meshes, by the way their surface faces; 0: none"""
+    """light painted on solid shapes and meshes, by the way their surface faces; 0: none. The factor
+    is kept in gaussians.h5 (`shade`), so that a renderer with a light of its own can take it out"""
 
 
 class Accuracy(Table):

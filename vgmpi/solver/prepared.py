@@ -117,21 +117,26 @@ def _particles(scene: Scene, folder: Path | None, resumed: bool) -> tuple[Known,
         rows["theta0"] = made.theta0
     if made.surface0 is not None:
         rows["surface0"] = made.surface0
-    scenery = None
-    if made.scenery is not None:
-        s = made.scenery
-        scenery = {"x0": s.x, "object": s.object, "cov0": s.cov0, "opacity": s.opacity, "sh": s.sh}
-    passive = None
-    if made.passive is not None:
-        p = made.passive
-        passive = {"x0": p.x, "object": p.object, "cov0": p.cov0, "opacity": p.opacity, "sh": p.sh}
-        passive |= {"carriers": p.carriers, "weights": p.weights}
+    if made.shade is not None:
+        rows["shade"] = made.shade
+    scenery = _massless(made.scenery)
+    passive = _massless(made.passive, "carriers", "weights")
     if there and resumed:  # its colliders were made anew, its particles are as they were
         known = known_of(scene, made)
         if scene.inflow and path is not None:  # of what comes there are as many as were kept ready
             known = replace(known, objects=read_gaussians(path).objects)
         return known, {}
     return known_of(scene, made), {"rows": rows, "scenery": scenery, "passive": passive}
+
+
+def _massless(part, *more: str) -> dict[str, np.ndarray] | None:
+    """Datasets of Gaussians without mass (scenery, passive ones), by their names in the file; None
+    where there are none. more: names of those that not all of them have."""
+    if part is None:
+        return None
+    names = ("object", "cov0", "opacity", "sh", "shade", *more)
+    found = {"x0": part.x} | {name: getattr(part, name) for name in names}
+    return {name: rows for name, rows in found.items() if rows is not None}
 
 
 def _complain(path: Path, resumed: bool) -> None:
