@@ -38,7 +38,6 @@ COATED = 2  # times as fine as the picture is what is painted, where edges are r
 STRETCH = 0.5, 3.0  # least and largest of a liquid's kernels
 GRAIN_STRETCH = 0.8, 3.2
 BYTES = 420  # of a pixel that is drawn, at least
-DEFAULT_FINE = 3.0
 
 
 @dataclass
@@ -83,7 +82,7 @@ class Studio:
         self.tone = 0 if chosen.picture.tone == "none" else 1
         self.rig = _rig(chosen, folder)
         self.torn, self.links = tearing(look, chosen.look.tear)
-        self.foam_at: tuple[int, np.ndarray] | None = None
+        self.made: dict[int, tuple] = {}  # foam by frame
 
     # ---- a frame ---------------------------------------------------------------------------
 
@@ -103,9 +102,8 @@ class Studio:
         medium, spray = self._medium(frame, index, ids, x, rows, parts[at])
         plane = self._plane(pyramid)
         stage = Stage(medium, pyramid, self.rig, plane, _no_view())
-        reach = 1.3 * float(np.linalg.norm(self.domain.size))
         if len(rows) and plane.kind != ground.NONE:
-            deferred.tint_ground(stage, reach)
+            deferred.tint_ground(stage)
         plane = ground.closed(plane)
         return Moment(
             opaque, normals, kinds, shades, grain, medium, pyramid, plane, spray, len(rows) > 0
@@ -207,34 +205,33 @@ class Studio:
         return SCATTER * (np.maximum(self.bodies.opaqueness[ids], 0.02) / USUAL_OPACITY) ** 2
 
     def _foam(self, index: int) -> np.ndarray:
-        """Foam of every particle at a frame, from the frames before it."""
-        run, bodies = self.look.run, self.bodies
-        first, value = max(index - HISTORY, 0), np.zeros(len(bodies.fluid))
-        times = run.times
-        for k in range(first, index + 1):
+        """Foam of every particle at a frame, from the frames before it: as many for every picture,
+        so that it is the same whoever draws which."""
+        run, value = self.look.run, np.zeros(len(self.bodies.fluid))
+        for k in range(max(index - HISTORY, 0), index + 1):
             if k not in run.frames:
                 continue
-            key = ("foam", k)
-            frame = self._history(k)
-            if frame is None:
-                continue
-            ids, x, velocity = frame
-            if not len(ids):
-                continue
-            dt = float(times[k] - times[k - 1]) if k > 0 and np.isfinite(times[k - 1]) else 0.0
-            s = float(np.median(bodies.spacing[ids]))
-            value = drops.foam(value, ids, x, velocity, s, max(dt, 0.0))
+            if k not in self.made:
+                self.made = {
+                    n: made for n, made in self.made.items() if index - HISTORY <= n <= index
+                }
+                self.made[k] = self._foam_of(k)
+            before = run.times[k - 1] if k > 0 else np.nan
+            dt = float(run.times[k] - before) if np.isfinite(before) else 0.0
+            drops.foam_later(value, *self.made[k], max(dt, 0.0))
         return value
 
-    def _history(self, k: int):
-        """Numbers, places and velocities of the liquid's particles at a frame."""
+    def _foam_of(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Numbers of the liquid's particles at a frame, and how much foam they make."""
         frame = self.look.run.frame(k)
-        if "velocity" not in frame:
-            return None
         ids = np.asarray(frame["id"])
         rows = np.flatnonzero(self.bodies.fluid[ids])
+        if "velocity" not in frame or not len(rows):
+            return ids[:0], np.zeros(0)
         velocity = np.nan_to_num(np.asarray(frame["velocity"], dtype=np.float64)[rows])
-        return ids[rows], np.asarray(frame["x"], dtype=np.float64)[rows], velocity
+        spacing = float(np.median(self.bodies.spacing[ids[rows]]))
+        x = np.asarray(frame["x"], dtype=np.float64)[rows]
+        return ids[rows], drops.foam_made(x, velocity, spacing)
 
     def _plane(self, pyramid) -> ground.Ground:
         """The ground, lit."""
@@ -320,16 +317,13 @@ class Studio:
         pixel = 1.0 / camera.fx
         liquid.find_surface(stage, np.ascontiguousarray(near), hits, normals, pixel)
         image, alpha, depth = np.empty((*shape, 3)), np.empty(shape), np.empty(shape, np.float32)
-        reach = 1.3 * float(np.linalg.norm(self.domain.size))
         given = (drop_depth, drop_normal, hits, normals)
         flags = self.tone + (2 if self.chosen.background == "none" else 0)
-        compose.compose(stage, left, *given, pixel, reach, flags, image, alpha, depth)
+        compose.compose(stage, left, *given, pixel, flags, image, alpha, depth)
         if self.edges > 1:
             marked = np.zeros(shape, np.bool_)
             if compose.rough_pixels(stage, hits, normals, drop_depth, image, marked):
-                compose.refine(
-                    stage, left, *given, marked, self.edges, pixel, reach, flags, image, alpha
-                )
+                compose.refine(stage, left, *given, marked, self.edges, pixel, flags, image, alpha)
         return image.astype(np.float32), alpha.astype(np.float32), depth
 
     def _background(self, picture: np.ndarray, fine: Camera) -> np.ndarray:

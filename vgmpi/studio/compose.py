@@ -55,8 +55,8 @@ def change_of_normal(hits, normals, j, k):
 
 
 @cached(**RAY)
-def _ray(stage, drop_depth, drop_normal, hit, wall, pixel, blur, reach, at, d, p, work, out):
-    """Light and what comes through at a painted pixel `at` (row, column) along d (3,), into out (7,).
+def _ray(stage, drop_depth, drop_normal, hit, wall, pixel, blur, at, d, p, work, out):
+    """Light and what comes through at a painted pixel `at` (row, column) along d (3,), into out (8,).
 
     hit: way to the liquid, below 0 for none. Returns the depth along the ray.
     """
@@ -73,7 +73,7 @@ def _ray(stage, drop_depth, drop_normal, hit, wall, pixel, blur, reach, at, d, p
     if hit >= 0.0:
         for m in range(3):
             p[m] = view.eye[m] + hit * d[m]
-        shade_ray(stage, p, d, wall, pixel * hit, blur, reach, work, out)
+        shade_ray(stage, p, d, wall, pixel * hit, blur, work, out)
         return hit
     for m in range(3):
         out[m] = view.light[j, k, m]
@@ -82,9 +82,7 @@ def _ray(stage, drop_depth, drop_normal, hit, wall, pixel, blur, reach, at, d, p
 
 
 @cached(nogil=True, error_model="numpy", fastmath=True)
-def compose(
-    stage, left, drop_depth, drop_normal, hits, normals, pixel, reach, flags, image, alpha, depth
-):
+def compose(stage, left, drop_depth, drop_normal, hits, normals, pixel, flags, image, alpha, depth):
     """Draw every pixel once.
 
     Args:
@@ -93,7 +91,6 @@ def compose(
         drop_depth, drop_normal: of drops, as fine as the view.
         hits, normals: of the first surfaces (liquid.find_surface), as fine as the picture.
         pixel: width of a pixel at a way of 1 m [m].
-        reach: how far the key's light is looked for [m].
         flags: of `_shown_over`.
         image: (height, width, 3) out, display values.
         alpha: (height, width) out, what comes through.
@@ -102,7 +99,7 @@ def compose(
     view = stage.buffers
     height, width = hits.shape
     times = view.depth.shape[0] // height
-    d, p, work, out = np.empty(3), np.empty(3), np.empty(SCRATCH), np.empty(7)
+    d, p, work, out = np.empty(3), np.empty(3), np.empty(SCRATCH), np.empty(8)
     share = 1.0 / (times * times)
     for j in range(height):
         for k in range(width):
@@ -131,8 +128,9 @@ def compose(
                 u, v = j * times + times // 2, k * times + times // 2
                 hit = abs(hits[j, k]) if abs(hits[j, k]) < 1e30 else -1.0
                 blur = change_of_normal(hits, normals, j, k) if hit >= 0.0 else 0.0
+                out[7] = -1.0
                 t = _ray(
-                    stage, drop_depth, drop_normal, hit, hits[j, k] < 0.0, pixel, blur, reach,
+                    stage, drop_depth, drop_normal, hit, hits[j, k] < 0.0, pixel, blur,
                     (u, v, size), d, p, work, out,
                 )  # fmt: skip
                 if out[3] >= 0.0:
@@ -193,7 +191,6 @@ def refine(
     marked,
     samples,
     pixel,
-    reach,
     flags,
     image,
     alpha,
@@ -202,7 +199,7 @@ def refine(
     view, field = stage.buffers, stage.medium.field
     height, width = hits.shape
     rows, columns = view.depth.shape
-    d, p, work, out = np.empty(3), np.empty(3), np.empty(SCRATCH), np.empty(7)
+    d, p, work, out = np.empty(3), np.empty(3), np.empty(SCRATCH), np.empty(8)
     share = 1.0 / (samples * samples)
     for j in range(height):
         for k in range(width):
@@ -210,6 +207,7 @@ def refine(
                 continue
             blur = change_of_normal(hits, normals, j, k) if abs(hits[j, k]) < 1e30 else 0.3
             red = green = blue = through = 0.0
+            out[7] = -1.0  # the same key for all rays of a pixel
             for a in range(samples):
                 for b in range(samples):
                     x = k + (b + (a + 0.5) / samples) / samples
@@ -222,7 +220,7 @@ def refine(
                         view.lens[4], view.depth[u, v] * size,
                     )  # fmt: skip
                     _ray(
-                        stage, drop_depth, drop_normal, hit, wall, pixel, blur, reach,
+                        stage, drop_depth, drop_normal, hit, wall, pixel, blur,
                         (u, v, size), d, p, work, out,
                     )  # fmt: skip
                     if out[3] < 0.0:

@@ -57,7 +57,7 @@ def shade_background(stage, picture, block):
 
 
 @cached(nogil=True, error_model="numpy", fastmath=True)
-def tint_ground(stage, reach):
+def tint_ground(stage):
     """Take from the ground's light what the liquid absorbs on the light's way to it."""
     plane, medium, rig = stage.plane, stage.medium, stage.rig
     depth, values = np.zeros(3), np.zeros(8)

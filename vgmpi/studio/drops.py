@@ -18,7 +18,7 @@ ALONE = 0.46  # density at a particle below which it is a drop
 DROPS = 6  # of a particle
 EXPOSED = 0.008  # s: over which a drop is drawn out along its way
 LIFE = 0.35  # s: in which foam fades
-RATE = 1.7  # 1/s at most that it grows by, per life
+RATE = 10.2  # 1/s at most that it grows by
 
 
 def spray(
@@ -123,23 +123,13 @@ def shade_drop(stage, p, d, n, behind, work, out):
         out[m] = share * min(mirrored[m], 4.0) + (1.0 - share) * (0.6 * seen[m] + 0.4 * behind[m])
 
 
-def foam(
-    before: np.ndarray,
-    ids: np.ndarray,
-    x: np.ndarray,
-    velocity: np.ndarray,
-    spacing: float,
-    dt: float,
-) -> np.ndarray:
-    """Foam of the particles a frame later: it hangs on them, and fades.
+def foam_made(x: np.ndarray, velocity: np.ndarray, spacing: float) -> np.ndarray:
+    """How much air particles trap, 0..1: where the flow is rough, fast and thin.
 
     Args:
-        before: (all,) share of foam of every particle a frame ago, changed in place.
-        ids: (n,) numbers of the liquid's particles that are there.
         x: (n, 3) positions [m].
         velocity: (n, 3) [m/s].
         spacing: [m].
-        dt: time since then [s].
     """
     total = new_grid(x.min(axis=0) - 3 * spacing, x.max(axis=0) + 3 * spacing, 1.5 * spacing)
     sums = total._replace(values=np.zeros((*total.values.shape, 4), np.float32))
@@ -152,6 +142,17 @@ def foam(
     top = np.clip((0.95 - dense / max(float(np.percentile(dense, 90)), 1e-9)) / 0.4, 0, 1)
     speed = np.linalg.norm(velocity, axis=1)
     made = np.clip((rough - 0.09) / 0.25, 0, 1) * np.clip((speed - 0.4) / 1.2, 0, 1)
+    return made * (0.35 + 0.65 * top)
+
+
+def foam_later(before: np.ndarray, ids: np.ndarray, made: np.ndarray, dt: float) -> None:
+    """Foam of all particles a time dt [s] later, in place: it hangs on them, fades, and is made.
+
+    Args:
+        before: (all,) share of foam of every particle.
+        ids: (n,) numbers of the liquid's particles that are there.
+        made: (n,) of `foam_made`.
+        dt: [s].
+    """
     before *= np.exp(-dt / LIFE)
-    before[ids] = np.minimum(before[ids] + RATE * 6.0 * dt * made * (0.35 + 0.65 * top), 1.0)
-    return before
+    before[ids] = np.minimum(before[ids] + RATE * dt * made, 1.0)

@@ -21,9 +21,11 @@ from vgmpi.studio.compiling import RAY
 from vgmpi.studio.grid import KERNEL, Grid, deposit, new_grid
 
 SIGMA = 0.68  # spacings: standard deviation of a kernel
+SMOOTH = 0.4  # spacings: standard deviation by which the field is smoothed
 REACH = SIGMA * np.sqrt(11.0)  # spacings: its radius
 BLOCK = 8  # cells
 _SHIFT, _LAST = 3, 7
+_ZERO = np.float32(0)
 _NODES = BLOCK + 1  # of a block, with those of its upper neighbors
 BRICK = 4  # cells of the cubes that rays leap over
 FULL = -2  # a block inside of the liquid
@@ -163,6 +165,7 @@ def liquid_field(
         fine: cells in a spacing.
     """
     s = float(np.median(spacing))
+    stretch, amplitude = _smoothed(stretch)
     half = np.sqrt(
         np.stack(
             [
@@ -187,12 +190,12 @@ def liquid_field(
     x, half, spacing = x[surface], half[surface], spacing[surface]
     metric = _metric(stretch[surface], REACH * spacing)
     index = np.full(tuple(blocks), -1, np.int32)
-    scale = np.array([cell, KERNEL / REACH**3])
+    amplitude = amplitude[surface] * KERNEL / REACH**3
     _mark(x, half, lower, cell, index)
     touched = np.flatnonzero(index.ravel() >= 0)
     index.ravel()[touched] = np.arange(len(touched))
     raw = np.zeros((max(len(touched), 1), BLOCK, BLOCK, BLOCK), np.float32)
-    _deposit_blocks(x, half, metric, lower, scale, index, raw)
+    _deposit_blocks(x, half, metric, amplitude, lower, cell, index, raw)
     nodes = blocks * BLOCK + 1
     shares = wall_shares(lower, nodes, cell, box, walls, SIGMA * s)
     values = np.empty((len(raw), _NODES, _NODES, _NODES), np.float32)
@@ -204,6 +207,20 @@ def liquid_field(
     return Field(
         index, _bricks(index, values), values, lower, cell, limits, np.asarray(walls, bool)
     )
+
+
+def _smoothed(stretch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Stretches (n, 6) of kernels that are smoothed by a Gaussian, and their amplitudes (n,).
+
+    Variances add: V^2 + (SMOOTH / SIGMA)^2; a kernel that is wider is as much lower.
+    """
+    full = stretch[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+    square = full @ full
+    square[:, (0, 1, 2), (0, 1, 2)] += (SMOOTH / SIGMA) ** 2
+    w, q = np.linalg.eigh(square)
+    wide = (q * np.sqrt(w)[:, None, :]) @ q.transpose(0, 2, 1)
+    lower = np.linalg.det(full) / np.sqrt(w.prod(axis=1))
+    return wide.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]], lower
 
 
 def _bricks(index: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -285,14 +302,15 @@ def _mark(x, half, lower, cell, index):
 
 
 @cached(nogil=True, error_model="numpy", fastmath=True)
-def _deposit_blocks(x, half, metric, lower, scale, index, raw):
-    cell, amplitude = scale[0], np.float32(scale[1])
+def _deposit_blocks(x, half, metric, weight, lower, cell, index, raw):
+
     top0, top1, top2 = (
         (index.shape[0] << 3) - 1,
         (index.shape[1] << 3) - 1,
         (index.shape[2] << 3) - 1,
     )
     for p in range(len(x)):
+        amplitude = np.float32(weight[p])
         X, Y, Z = (
             (x[p, 0] - lower[0]) / cell,
             (x[p, 1] - lower[1]) / cell,
@@ -316,18 +334,18 @@ def _deposit_blocks(x, half, metric, lower, scale, index, raw):
                 root = np.sqrt(root)
                 k = max(0, int(np.ceil(Z + (-c1 - root) / c2)))
                 last = min(top2, int(np.floor(Z + (-c1 + root) / c2)))
+                if k > last:
+                    continue
                 f0, f1, f2 = np.float32(c0), np.float32(-2.0 * c1), np.float32(-c2)
-                while k <= last:
-                    b = index[i >> _SHIFT, j >> _SHIFT, k >> _SHIFT]
-                    stop = min(last, k | _LAST)
+                for block in range(k >> _SHIFT, (last >> _SHIFT) + 1):
+                    b = index[i >> _SHIFT, j >> _SHIFT, block]
                     row = raw[b, i & _LAST, j & _LAST]
-                    at = k & _LAST
-                    z = np.float32(k - Z)
-                    for n in range(stop - k + 1):
+                    z = np.float32((block << _SHIFT) - Z)
+                    for n in range(BLOCK):  # all eight: one vector
                         d = z + np.float32(n)
                         t = f0 + d * (f1 + d * f2)
-                        row[at + n] += amplitude * t * t * t
-                    k = stop + 1
+                        t = t if t > _ZERO else _ZERO
+                        row[n] += amplitude * t * t * t
 
 
 @cached(nogil=True, error_model="numpy")

@@ -28,6 +28,7 @@ from vgmpi.studio.rays import (
 
 SURFACES = 8  # that a ray meets at most
 AROUND = 1.5  # m beyond which nothing is mirrored but sky and ground
+FILM = 1.5  # cells: of air between liquid and ground that is not seen
 WHITE = 0.86  # albedo of foam
 
 
@@ -73,16 +74,16 @@ def _mirrored(stage, p, r, blur, work, out):
 
 
 @cached(**RAY)
-def shade_ray(stage, p, d, wall, pixel, blur, reach, work, out):
+def shade_ray(stage, p, d, wall, pixel, blur, work, out):
     """Light of the liquid along a ray that enters it at p (3,) with direction d (3,).
 
     Args:
         wall: whether it enters through a wall.
         pixel: width of a pixel there [m].
         blur: change of the normal over a pixel.
-        reach: how far the key's light is looked for [m].
-        work: (64,) scratch.
-        out: (7,) light, what comes through from behind the picture, and the unit normal.
+        work: (72,) scratch.
+        out: (8,) light, what comes through from behind the picture, the unit normal, and the share
+            of the key's light that comes, below 0 where it is not known yet.
     """
     medium, rig = stage.medium, stage.rig
     n, r, t, col, depth, own = (
@@ -121,10 +122,12 @@ def shade_ray(stage, p, d, wall, pixel, blur, reach, work, out):
         depth[m] = own[m] * way
     passes, through, more = _through(stage, q, t, blur, depth, work, col)
     way += more
-    key = cone(
-        stage.pyramid, p[0], p[1], p[2], rig.toward[0], rig.toward[1], rig.toward[2], rig.width,
-        2.0 * stage.pyramid.cell, EXTINCTION,
-    )  # fmt: skip
+    if out[7] < 0.0:
+        out[7] = cone(
+            stage.pyramid, p[0], p[1], p[2], rig.toward[0], rig.toward[1], rig.toward[2], rig.width,
+            2.0 * stage.pyramid.cell, EXTINCTION,
+        )  # fmt: skip
+    key = out[7]
     glow = 1.0 - np.exp(-own[7] * way)
     for m in range(3):
         inside = own[3 + m] * (0.45 * rig.key[m] * (0.3 + 0.7 * key) + 0.9 * rig.horizon[m])
@@ -151,9 +154,9 @@ def _unit(v):
 
 @cached(**RAY)
 def _on_ground(stage, q):
-    """Whether a point at the lower wall lies on the ground."""
+    """Whether a point at the lower wall lies on the ground, or a film of air above it."""
     plane, field = stage.plane, stage.medium.field
-    low = q[2] - field.box[2] < 1e-3 * field.cell
+    low = q[2] - field.box[2] < FILM * field.cell
     return low and plane.kind != NONE and abs(field.box[2] - plane.height) < 0.5 * field.cell
 
 
@@ -203,7 +206,7 @@ def _through(stage, q, t, blur, depth, work, out):
             passes *= 1.0 - share
             inside = not inside
         _unit(t)
-    far_light(stage, q[0], q[1], q[2], t[0], t[1], t[2], straight, blur, work[:3], out)
+    far_light(stage, q[0], q[1], q[2], t[0], t[1], t[2], True, blur, work[:3], out)
     return passes, 1.0 if straight and stage.plane.kind == NONE else 0.0, total
 
 

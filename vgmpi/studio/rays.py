@@ -17,6 +17,7 @@ from vgmpi.studio.lighting import Rig, mirrored_sky
 from vgmpi.studio.occlusion import SOLID, TINT, Occlusion, clip, leap, level_value
 
 STEP = 0.8  # cells
+SMOOTH = 1.0  # cells: from which the normal of the surface is taken, at least
 BISECTIONS = 6
 MOST_STEPS = 4000
 LEFT, CROSSED, MET = 0, 1, 2  # how a way ends: nowhere, at the surface, at something opaque
@@ -132,7 +133,7 @@ def surface_normal(field, p, wide, n):
     """
     c = 1.0 / field.cell
     x, y, z = (p[0] - field.lower[0]) * c, (p[1] - field.lower[1]) * c, (p[2] - field.lower[2]) * c
-    r = max(1.0, wide * c)
+    r = max(SMOOTH, wide * c)
     n[0] = density(field, x - r, y, z) - density(field, x + r, y, z)
     n[1] = density(field, x, y - r, z) - density(field, x, y + r, z)
     n[2] = density(field, x, y, z - r) - density(field, x, y, z + r)

@@ -11,6 +11,8 @@ from vgmpi.studio.compiling import RAY
 
 START = 0.8 - 0.04  # of the brightest channel, above which it is compressed
 DESATURATION = 0.15
+ENTRIES = 8192  # of sRGB values that are known; those between are linear to 1e-5
+_TABLE = 1.055 * (np.arange(ENTRIES + 2) / ENTRIES) ** (1 / 2.4) - 0.055
 
 
 def to_linear(display: np.ndarray) -> np.ndarray:
@@ -59,7 +61,11 @@ def shown(red, green, blue, tone):
 @cached(**RAY)
 def _encoded(c):
     c = min(max(c, 0.0), 1.0)
-    return 12.92 * c if c < 0.0031308 else 1.055 * c ** (1.0 / 2.4) - 0.055
+    if c < 0.0031308:
+        return 12.92 * c
+    at = c * ENTRIES
+    k = int(at)
+    return _TABLE[k] + (at - k) * (_TABLE[k + 1] - _TABLE[k])
 
 
 @cached(nogil=True, error_model="numpy", fastmath=True)
