@@ -90,7 +90,7 @@ class LiquidSettings(RenderTable):
     """Liquids that are drawn with a surface (look.liquid = "surface")."""
 
     method: Literal["field", "filter"] | None = None  # a field in space, or a filter of depths
-    fine: Annotated[float, Field(ge=1, le=4)] = 3.0  # cells of the field in a spacing
+    fine: Annotated[float, Field(ge=1, le=4)] = 2.5  # cells of the field in a spacing
     scatter: Annotated[float, Field(ge=0)] | None = None  # own light [1/m]; by the opacities
     walls: bool = True  # whether the domain's walls cut it flat
     index: Annotated[float, Field(ge=1.0, le=3.0)] = 1.333  # of refraction
