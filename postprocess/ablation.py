@@ -26,6 +26,7 @@ log = logging.getLogger("vgmpi")
 ROOT = Path(__file__).resolve().parents[1]
 HOME = ROOT / "runs" / "ablation"
 FULL = {
+    "preset": "paper",  # the studio draws fluids by no Gaussians
     "covariance": "evolve",
     "harmonics": "rotate",
     "opacity": "scaled",
@@ -64,7 +65,7 @@ def study(
 
     base: settings of a render.toml in the folder `beside`. Raises RunError, SettingsError.
     """
-    if base.picture.background == "none":
+    if base.background == "none":
         said = "'none': what fluids let through is compared, before a colour or a picture"
         raise settings.SettingsError([f"picture.background: {said}"])
     done: list[Variant] = []

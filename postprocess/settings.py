@@ -1,63 +1,31 @@
-"""render.toml: camera, picture, video and splatting, checked before anything is drawn."""
+"""render.toml: camera, picture, video and splatting, checked before anything is drawn. What it says
+of how things look is in appearance.py."""
 
-import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
     BeforeValidator,
-    ConfigDict,
     Field,
     ValidationError,
-    field_validator,
     model_validator,
 )
 
+from postprocess.appearance import (
+    Degrees,
+    Direction,
+    LightSettings,
+    LiquidSettings,
+    LookSettings,
+    RenderTable,
+    Vector,
+)
 from vgmpi.source import Source
 from vgmpi.splatting.floor import Floor
 from vgmpi.splatting.light import Light
 from vgmpi.splatting.splat import ALPHA_MIN_RANGE
-from vgmpi.studio import lighting
-from vgmpi.tables import (
-    LEAST,
-    MOST,
-    Colour,
-    Quantity,
-    Table,
-    TomlError,
-    colour,
-    explain,
-    three,
-)
-
-
-def _vector(value: Any) -> tuple[float, float, float]:
-    numbers = three(value)
-    if numbers is None:
-        raise ValueError("must be three numbers [x, y, z]")
-    if max(map(abs, numbers)) > MOST:
-        raise ValueError(f"must be of numbers up to {MOST:g} in size")
-    return numbers
-
-
-def _direction(value: Any) -> tuple[float, float, float]:
-    value = _vector(value)
-    if not any(value):
-        raise ValueError("must be a direction that is not zero")
-    if max(map(abs, value)) < LEAST:
-        raise ValueError(f"must be a direction of a length from {LEAST:g}")
-    return value
-
-
-def _degrees(value: Any) -> Any:
-    """Of a text with a unit; numbers are degrees already."""
-    if not isinstance(value, str):
-        return value
-    try:
-        return round(math.degrees(Quantity("rad").parse(value)), 12)
-    except ValueError:
-        raise ValueError("must be a number of degrees, or a text as '30 deg', '0.5 rad'") from None
+from vgmpi.tables import Colour, TomlError, colour, explain
 
 
 def _background(value: Any) -> tuple[float, float, float] | str:
@@ -69,9 +37,6 @@ def _background(value: Any) -> tuple[float, float, float] | str:
         raise ValueError(f"{error}, 'none', or the name of a picture") from None
 
 
-Vector = Annotated[tuple[float, float, float], BeforeValidator(_vector)]
-Degrees = Annotated[float, BeforeValidator(_degrees)]
-Direction = Annotated[tuple[float, float, float], BeforeValidator(_direction)]
 Background = Annotated[tuple[float, float, float] | str, BeforeValidator(_background)]
 
 
@@ -82,19 +47,7 @@ class SettingsError(TomlError):
     """What is wrong with a render.toml, or with what it asks for."""
 
 
-class _Table(Table):
-    model_config = ConfigDict(allow_inf_nan=False)
-
-    @field_validator("*")
-    @classmethod
-    def _of_a_size(cls, value: Any) -> Any:
-        """Squares and cubes of all numbers are numbers."""
-        if isinstance(value, float) and value and not LEAST <= abs(value) <= MOST:
-            raise ValueError(f"must be 0 or from {LEAST:g} to {MOST:g} in size")
-        return value
-
-
-class Key(_Table):
+class Key(RenderTable):
     """A point of a camera's path."""
 
     part: Annotated[float, Field(ge=0, le=1)] | None = None
@@ -143,7 +96,7 @@ CAMERA_NEEDS = {"fixed": "eye = [x, y, z]", "keyframes": "keys = [...]"}
 CAMERA_NEEDS |= {"transforms": "file = 'transforms.json'", "colmap": "folder = 'sparse/0'"}
 
 
-class CameraSettings(_Table):
+class CameraSettings(RenderTable):
     """Lengths in m, angles in degrees. What is left out is chosen so that the domain is in view."""
 
     kind: Literal["orbit", "fixed", "keyframes", "transforms", "colmap"] = "orbit"
@@ -185,11 +138,11 @@ class CameraSettings(_Table):
         return self
 
 
-class FloorSettings(_Table):
+class FloorSettings(RenderTable):
     """A plane z = height under the Gaussians, and their shadow on it."""
 
-    # studio: tiles with faint joints that fade into the backdrop; none: there is no floor; plain: of
-    # one color or in squares. Default: studio, or plain where colors are given
+    # studio: tiles with faint joints that fade into the backdrop; none: there is no floor; plain:
+    # of one color or in squares. Default: studio, or plain where colors are given
     kind: Literal["studio", "plain", "none"] | None = None
     height: float = 0.0  # m
     tiles: Annotated[float, Field(ge=0)] | None = None  # edge of the studio's tiles [m]; 0: none
@@ -221,12 +174,11 @@ class FloorSettings(_Table):
         return Floor(self.height, colour, squares, **own, contact=contact)
 
 
-class PictureSettings(_Table):
+class PictureSettings(RenderTable):
     width: Annotated[int, Field(ge=16, le=8192)] = 800  # pixels
     height: Annotated[int, Field(ge=16, le=8192)] = 800
-    background: Background | None = (
-        None  # default: the studio's backdrop; white with preset "paper"
-    )
+    # default: the studio's backdrop; white with preset "paper"
+    background: Background | None = None
     tone: Literal["neutral", "none"] | None = None  # curve from light to display values
     edges: Annotated[int, Field(ge=1, le=8)] = 3  # rays across a pixel where neighbors differ
     supersample: Annotated[int, Field(ge=1, le=4)] = 1
@@ -240,13 +192,13 @@ class PictureSettings(_Table):
         return self
 
 
-class VideoSettings(_Table):
+class VideoSettings(RenderTable):
     fps: Annotated[float, Field(ge=1, le=240)] = 25.0
     quality: Annotated[float, Field(ge=0, le=10)] = 8.0
     shutter: Annotated[float, Field(ge=0, le=1)] = 0.0  # share of a frame's time that it is open
 
 
-class FrameSettings(_Table):
+class FrameSettings(RenderTable):
     first: Annotated[int, Field(ge=0)] = 0
     last: Annotated[int, Field(ge=0)] | None = None
     every: Annotated[int, Field(ge=1)] = 1
@@ -260,7 +212,7 @@ class FrameSettings(_Table):
         return count - 1 if self.last is None else min(self.last, count - 1)
 
 
-class SplattingSettings(_Table):
+class SplattingSettings(RenderTable):
     """`classic` is what captures are trained for; the others keep tiny Gaussians thin."""
 
     mode: Literal["classic", "antialias", "mip"] = "classic"
@@ -273,91 +225,13 @@ class SplattingSettings(_Table):
         return {"lowpass": self.lowpass or usual, "antialias": self.mode != "classic"}
 
 
-class SurroundingsSettings(_Table):
-    """What liquids mirror: a gradient, or a picture of all directions."""
-
-    zenith: Colour = (0.45, 0.65, 0.9)
-    horizon: Colour = (0.93, 0.95, 0.97)
-    ground: Colour = (0.5, 0.48, 0.45)
-    picture: str | None = None  # twice as wide as high, up above; relative to render.toml's folder
-
-
-class LightSettings(_Table):
-    """A light from far away: shadows on all that is drawn, and shades of what is turned away."""
-
-    direction: Direction | None = None  # in which it travels
-    key: Annotated[float, Field(ge=0, le=10)] = lighting.KEY  # strength on a surface that faces it
-    sky: Annotated[float, Field(ge=0, le=10)] = lighting.SKY  # strength of the light from all sides
-    width: Annotated[float, Field(ge=0.005, le=0.5)] = lighting.WIDTH  # half width: soft shadows
-    cells: Annotated[int, Field(ge=16, le=400)] = 150  # of what hides light, along the domain
-    captures: Annotated[float, Field(ge=0, le=1)] = 0.5  # how much of it captures take
-    shadow: Annotated[float, Field(ge=0, le=1)] = Light.shadow
-    softness: Annotated[float, Field(ge=0, le=1)] = Light.softness
-    shade: Annotated[float, Field(ge=0, le=1)] = Light.shade
-    contact: Annotated[float, Field(ge=0, le=1)] = Light.contact
-
-    def light(self) -> Light:
-        """The light of preset "paper"."""
-        names = ("shadow", "softness", "shade", "contact")
-        own = {name: getattr(self, name) for name in names}
-        return Light(self.direction or Light.direction, **own)
-
-
-class LiquidSettings(_Table):
-    """Liquids that are drawn with a surface (look.liquid = "surface")."""
-
-    method: Literal["field", "filter"] | None = None  # a field in space, or a filter of depths
-    fine: Annotated[float, Field(ge=1, le=4)] = 2.5  # cells of the field in a spacing
-    scatter: Annotated[float, Field(ge=0)] | None = None  # own light [1/m]; by the opacities
-    walls: bool = True  # whether the domain's walls cut it flat
-    index: Annotated[float, Field(ge=1.0, le=3.0)] = 1.333  # of refraction
-    # way after which white light has the liquid's colour [m]; default: a third of what is in view
-    clear: Annotated[float, Field(gt=0)] | None = None
-    highlight: Annotated[float, Field(ge=0, le=100)] = 2.0
-    roughness: Annotated[Degrees, Field(ge=0.1, le=60)] = 3.0  # half width of the highlight
-    surroundings: SurroundingsSettings = SurroundingsSettings()
-
-
-def _ascending(value: tuple[float, float]) -> tuple[float, float]:
-    if not 1.0 <= value[0] <= value[1] <= 20.0:
-        raise ValueError("must be two numbers [low, high] with 1 <= low <= high <= 20")
-    return value
-
-
-class LookSettings(_Table):
-    """How Gaussians follow their particles. None: what the scene says (vgmpi/scene/settings.py)."""
-
-    preset: Literal["studio", "paper"] = "studio"  # paper: Gaussians as they are, without a studio
-    liquid: Literal["gaussians", "surface"] | None = None  # how fluids are drawn
-    children: Annotated[int, Field(strict=True, ge=1, le=64)] = 16  # of a particle of sand or snow
-    tear: Annotated[tuple[float, float], AfterValidator(_ascending)] = (1.8, 4.5)  # spacings
-    dust: Annotated[float, Field(ge=0, le=1)] = 0.03  # opacity
-    foam: Annotated[float, Field(ge=0, le=1)] = 0.8  # most that is white
-    colour_transfer: Literal["off", "frame", "relax"] | None = None  # step is the run's own
-    colour_time: Annotated[float, Field(gt=0)] | None = None  # s
-    colour_degree: Annotated[int, Field(strict=True, ge=0, le=3)] | None = None
-    colour_bodies: tuple[str, ...] | None = None
-    covariance: Literal["evolve", "fixed"] = "evolve"  # fixed: the shapes at rest
-    harmonics: Literal["rotate", "fixed"] = "rotate"  # fixed: colours do not turn with solids
-    opacity: Literal["scaled", "fixed"] = "scaled"  # fixed: as captured, no opacity_scale
-    # shapes of fluids, sand and snow; None: deformation where F is known, else volume
-    normalise: Literal["volume", "radius", "deformation"] | None = None
-    opacity_scale: dict[str, Annotated[float, Field(ge=0, le=1)]] = {}  # by the object's name
-    # by the object's name: up to how much brighter or darker each particle is than its colour
-    grain: dict[str, Annotated[float, Field(ge=0, le=1)]] = {}
-
-    def colours(self) -> dict[str, Any]:
-        """What is said of colours that travel, by the names of the scene's [appearance]."""
-        return {k: v for k, v in self if k.startswith("colour_") and v is not None}
-
-
 def _listed(value: Any) -> Any:
     if not isinstance(value, dict | list):
         raise ValueError("must be a table [camera], or several tables [[camera]]")
     return [value] if isinstance(value, dict) else value
 
 
-class Settings(_Table):
+class Settings(RenderTable):
     camera: Annotated[tuple[CameraSettings, ...], BeforeValidator(_listed), Field(min_length=1)] = (
         CameraSettings(),
     )
@@ -379,6 +253,13 @@ class Settings(_Table):
         if self.look.liquid == "gaussians" or self.liquid.method == "filter":
             return False
         return self.look.preset == "studio"
+
+    def on_paper(self) -> "Settings":
+        """The same in the paper's way, where nothing is said of a preset."""
+        if "preset" in self.look.model_fields_set:
+            return self
+        look = self.look.model_copy(update={"preset": "paper"})
+        return self.model_copy(update={"look": look})
 
     @property
     def background(self) -> tuple[float, float, float] | str:

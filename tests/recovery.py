@@ -39,6 +39,8 @@ fov = {fov}
 width = {width}
 height = {height}
 background = "#808080"
+[look]
+preset = "paper"
 """
 
 FIT = """

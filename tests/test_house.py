@@ -36,6 +36,7 @@ LAYERS = [
     {"tables"},
     {"inputs"},
     {"device"},
+    {"studio"},
     {"splatting"},
     {"gaussians"},
     {"caching"},
@@ -59,6 +60,7 @@ POSTPROCESS = (
     "vgmpi.output.layout",
     "vgmpi.gaussians",
     "vgmpi.splatting",
+    "vgmpi.studio",
     "vgmpi.domain.ranks",  # frames shared by the ranks of a launcher
     "vgmpi.source",  # render.toml is read as a scene is, and its mistakes are told the same way
     "vgmpi.tables",
@@ -80,6 +82,7 @@ OUTSIDE = {  # packages that only some files may use
         "vgmpi/kernels/",
         "vgmpi/lanes/",
         "vgmpi/splatting/",
+        "vgmpi/studio/",
         "vgmpi/bench/plain.py",
         "vgmpi/bench/spills.py",
         "vgmpi/engines/cuda/",
@@ -125,6 +128,7 @@ TENSORS = (
     "vgmpi/kernels/",
     "vgmpi/engines/cuda/",
     "vgmpi/gaussians/evolve.py",
+    "vgmpi/studio/normals.py",
     "postprocess/shade.py",
 )
 # what is still too large; a line goes when it is mended, and none comes
@@ -235,6 +239,8 @@ def test_imports_run_one_way(file):
         ("vgmpi/bench/rounds.py", "taichi"),
         ("vgmpi/bench/taichi_rival.py", "warp"),
         ("vgmpi/splatting/splat.py", "torch"),
+        ("vgmpi/splatting/splat.py", "vgmpi.studio.field"),
+        ("vgmpi/studio/field.py", "vgmpi.device.jit"),
         ("vgmpi/solver/run.py", "vgmpi.images.made"),
         ("vgmpi/images/made.py", "vgmpi.solver.run"),
         ("vgmpi/images/found.py", "transformers"),

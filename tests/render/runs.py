@@ -11,6 +11,13 @@ WATER, BAR = 6**3, 40
 BLUE, RED, BROWN = (0.2, 0.4, 0.9), (0.9, 0.1, 0.1), (0.5, 0.4, 0.3)
 
 
+def on_paper(text):
+    """A render.toml that draws Gaussians as they are."""
+    if "[look]" in text:
+        return text.replace("[look]", '[look]\npreset = "paper"')
+    return 'look.preset = "paper"\n' + text
+
+
 def rotation(angle):
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

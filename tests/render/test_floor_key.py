@@ -18,7 +18,7 @@ def out(tmp_path_factory):
 
 
 def picture(out, folder, text):
-    (folder / "render.toml").write_text(CAMERA + SMALL + text)
+    (folder / "render.toml").write_text(runs.on_paper(CAMERA + SMALL + text))
     path = folder / "a.png"
     assert render.main([str(out), str(folder / "render.toml"), "-o", str(path), "-q"]) == 0
     return iio.imread(path).astype(int)

@@ -91,8 +91,13 @@ def squares(x):
     return polyvander3d(*x.T, (2, 2, 2))
 
 
+def painter(run):
+    """Of Gaussians as they are: light from elsewhere is no capture's."""
+    return Painter(run, load(FOLDER / "render.toml").on_paper(), FOLDER)
+
+
 def camera(run):
-    return Painter(run, load(FOLDER / "render.toml"), FOLDER).camera(0.0)
+    return painter(run).camera(0.0)
 
 
 def drawn(run, frame):
@@ -128,7 +133,7 @@ def test_it_is_recognisable(run):
     """The whole picture, as the video shows it: the water is there too."""
     picture, outline = expected(run, frame_of(run, -1))
     assert outline.mean() > 0.02, "the camera does not see it"
-    shown = Painter(run, load(FOLDER / "render.toml"), FOLDER).draw(len(run) - 1) / 255.0
+    shown = painter(run).draw(len(run) - 1) / 255.0
     reached = psnr(shown, picture, outline)
     print(f"guitar in the water against the capture: {reached:.1f} dB in {outline.sum()} pixels")
     assert reached > BOUND

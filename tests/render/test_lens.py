@@ -49,7 +49,7 @@ def test_the_mean_of_a_lens_is_wider_and_as_bright():
 
 def painter(tmp_path, text):
     path = tmp_path / "render.toml"
-    path.write_text("[picture]\nwidth = 96\nheight = 80\nsamples = 8\n" + text)
+    path.write_text(runs.on_paper("[picture]\nwidth = 96\nheight = 80\nsamples = 8\n" + text))
     run = RunFiles(runs.write(tmp_path / f"run{len(list(tmp_path.iterdir()))}", frames=3))
     return Painter(run, load(path), tmp_path)
 

@@ -34,7 +34,7 @@ def out(whole, tmp_path):
 
 def draw(out, folder, *argv):
     folder.mkdir(exist_ok=True)
-    (folder / "render.toml").write_text(SMALL)
+    (folder / "render.toml").write_text(runs.on_paper(SMALL))
     return render.main([str(out), str(folder / "render.toml"), *map(str, argv)])
 
 

@@ -29,7 +29,7 @@ def out(tmp_path_factory):
 
 def draw(out, folder, text, *argv):
     """Call the command with a render.toml; it must succeed."""
-    (folder / "render.toml").write_text(SMALL + text)
+    (folder / "render.toml").write_text(runs.on_paper(SMALL + text))
     assert render.main([str(out), str(folder / "render.toml"), "-q", *map(str, argv)]) == 0
 
 
@@ -76,8 +76,8 @@ def test_liquids_with_a_surface_on_any_number_of_processes(out, tmp_path):
 
 
 def test_surroundings_that_are_no_picture(out, tmp_path, capsys):
-    text = SMALL + '[look]\nliquid = "surface"\n[liquid.surroundings]\npicture = "sky.png"\n'
-    (tmp_path / "render.toml").write_text(text)
+    sky = '[look]\nliquid = "surface"\n[liquid.surroundings]\npicture = "sky.png"\n'
+    (tmp_path / "render.toml").write_text(runs.on_paper(SMALL + sky))
     assert render.main([str(out), str(tmp_path / "render.toml"), "-q"]) == 2
     assert "liquid.surroundings.picture: " in capsys.readouterr().err
 

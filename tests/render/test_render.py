@@ -31,7 +31,7 @@ def out(tmp_path_factory):
 
 def toml(folder, text=""):
     path = folder / "render.toml"
-    path.write_text(SMALL + text)
+    path.write_text(runs.on_paper(SMALL + text))
     return str(path)
 
 
@@ -97,12 +97,28 @@ def test_one_frame_as_a_picture_and_a_background(out, tmp_path):
 
 
 def test_without_settings_the_whole_domain_is_in_view(out, tmp_path):
-    assert render.main([str(out), "-o", str(tmp_path / "a.png"), "-q"]) == 0
+    (tmp_path / "r.toml").write_text(runs.on_paper(""))
+    shown = [str(out), str(tmp_path / "r.toml"), "-o", str(tmp_path / "a.png"), "-q"]
+    assert render.main(shown) == 0
     picture = iio.imread(tmp_path / "a.png")
     assert picture.shape == (800, 800, 3)
     edge = np.concatenate([picture[0], picture[-1], picture[:, 0], picture[:, -1]])
     assert (edge > 220).all()  # but for the soft rim of the floor
     assert (picture < 200).any(axis=2).mean() > 0.1
+    # without a file, from the same place
+    assert render.main([str(out), "-o", str(tmp_path / "b.png"), "-q"]) == 0
+    studio = iio.imread(tmp_path / "b.png")
+    assert studio.shape == picture.shape and np.ptp(studio[0].astype(int), axis=0).max() < 8
+    paper, other = (bluest(one) for one in (picture, studio))
+    np.testing.assert_allclose(paper, other, atol=20)  # of water that is faint on paper
+
+
+def bluest(picture):
+    """Middle (row, column) of the water."""
+    p = picture.astype(int)
+    y, x = np.nonzero(p[..., 2] > p[..., 0] + 60)
+    assert len(y) > 1000
+    return y.mean(), x.mean()
 
 
 def test_a_run_without_a_domain_is_drawn_around_its_particles(tmp_path):
@@ -167,7 +183,7 @@ SLOW = (  # to load, and of no use for one picture
 )
 PREVIEW = """
 import gc, runpy, sys
-sys.argv = sys.argv[:2] + ["--preview"]
+sys.argv += ["--preview"]
 try:
     runpy.run_module("postprocess.render", run_name="__main__")
 except SystemExit as end:
@@ -175,10 +191,11 @@ except SystemExit as end:
 """
 
 
-def test_a_preview_loads_nothing_that_it_does_not_need(out):
-    ended = subprocess.run(
-        [sys.executable, "-c", PREVIEW, str(out)], cwd=ROOT, capture_output=True, text=True
-    )
+@pytest.mark.parametrize("preset", ["paper", "studio"])
+def test_a_preview_loads_nothing_that_it_does_not_need(out, tmp_path, preset):
+    (tmp_path / "r.toml").write_text(f'look.preset = "{preset}"\n')
+    command = [sys.executable, "-c", PREVIEW, str(out), str(tmp_path / "r.toml")]
+    ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     path, last = ended.stdout.splitlines()
     assert Path(path).name == "preview.png" and Path(path).is_file()
     code, frozen, *loaded = last.split()
@@ -254,11 +271,13 @@ def test_a_real_capture_is_recognisable_on_a_turning_body(tmp_path):
     x = (c.x - middle) @ R.T + middle + shift
     fields = {"x": x.astype("f4"), "F": np.tile(R.reshape(9), (n, 1)).astype("f4")}
     Frames(tmp_path, Alone(), n).write(0, 0.0, 0, np.arange(n), fields)
-    assert render.main([str(tmp_path), "-o", str(tmp_path / "a.png"), "-q"]) == 0
+    file = tmp_path / "render.toml"
+    file.write_text(runs.on_paper(""))
+    assert render.main([str(tmp_path), str(file), "-o", str(tmp_path / "a.png"), "-q"]) == 0
     got = iio.imread(tmp_path / "a.png").astype(float)
 
     turned = c.transformed(np.eye(3), 1.0, -middle).transformed(R, 1.0, middle + shift)
-    painter = render.Painter(render.RunFiles(tmp_path), render.settings.Settings(), tmp_path)
+    painter = render.Painter(render.RunFiles(tmp_path), render.settings.load(file), tmp_path)
     camera = painter.camera(0.0)
     splats = splat.Splats(turned.x, turned.cov(), turned.opacity, turned.rgb)
     image, _ = splat.render(splats, camera, (1.0, 1.0, 1.0))

@@ -160,6 +160,14 @@ def test_videos_are_scaled_to_what_is_compared(folder):
     assert np.sqrt(np.mean(fitted**2)) < 0.2
 
 
+@pytest.mark.parametrize("preset, studio", [(None, False), ("paper", False), ("studio", True)])
+def test_a_fit_draws_gaussians_unless_it_is_told_otherwise(tmp_path, preset, studio):
+    asked = view(*CAMERA).replace('[look]\npreset = "paper"\n', "")
+    more = f'[look]\npreset = "{preset}"\n' if preset else ""
+    (tmp_path / "render.toml").write_text(asked + more)
+    assert Pictures(tmp_path / "render.toml").chosen.studio == studio
+
+
 def test_a_run_is_drawn_as_the_renderer_draws_it(folder):
     own = Pictures(folder / "render.toml").of(folder / "reference", [0, 3])
     for picture, name in zip(own, ("frame_00000.png", "frame_00003.png")):

@@ -15,15 +15,16 @@ SHOWN = 640  # pixels of the longer side of what is there to be looked at
 
 
 class Pictures:
-    """A render.toml of one camera, by which all runs are drawn alike. longest: pixels of the longer
-    side at most. Raises postprocess.settings.SettingsError."""
+    """A render.toml of one camera, by which all runs are drawn alike; as on paper where it says no
+    look.preset. longest: pixels of the longer side at most. Raises
+    postprocess.settings.SettingsError."""
 
     def __init__(self, path: Path, longest: int | None = None):
         self.path, self.longest = path, longest
-        self.chosen = settings.load(path)
+        self.chosen = settings.load(path).on_paper()
         if len(self.chosen.views()) > 1:
             raise self._wrong("camera: several cameras; a fit looks through one")
-        if self.chosen.picture.background == "none":
+        if self.chosen.background == "none":
             raise self._wrong("picture.background: 'none' is not compared: give a colour")
 
     @property

@@ -92,8 +92,12 @@ def render(view: View, eye: np.ndarray, background: str) -> str:
             "near": near(eye),
         },
         "picture": {"width": view.width, "height": view.height, "background": background},
+        "look": {"preset": "paper"},
     }
-    head = ["The photograph's camera; behind everything the photograph, its objects painted out."]
+    head = [
+        "The photograph's camera; behind everything the photograph, its objects painted out. The",
+        'light is in their colours: preset = "studio" would light them once more.',
+    ]
     return sealed(written.text(top, head, []))
 
 

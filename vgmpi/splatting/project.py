@@ -87,8 +87,8 @@ def project(
     Comparisons are written so that they fail for NaN: a broken Gaussian is left out.
     """
     out, depth, shape = _rows(len(x)), np.empty(len(x)), (height, width)
-    options = shape, lowpass, antialias, alpha_min
-    m = _project(x, cov, opacity, color, w2c, lens, *options, out, depth, kept)
+    camera, options = (w2c, lens, shape), (lowpass, antialias, alpha_min)
+    m = _project(x, cov, opacity, color, camera, *options, out, depth, kept)
     return *(array[:m] for array in out), depth[:m]
 
 
@@ -102,10 +102,9 @@ def _rows(n: int) -> Rows:
 
 
 @cached(nogil=True, error_model="numpy")
-def _project(
-    x, cov, opacity, color, w2c, lens, shape, lowpass, antialias, alpha_min, rows, depth, kept
-):  # fmt: skip
+def _project(x, cov, opacity, color, camera, lowpass, antialias, alpha_min, rows, depth, kept):
     """Fill in rows, depth and, unless None, kept; how many."""
+    w2c, lens, shape = camera
     height, width = shape
     fx, fy, cx, cy, near = lens
     mx, my = 0.15 * width / fx, 0.15 * height / fy
