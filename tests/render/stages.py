@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from postprocess.studio import STRETCH
 from vgmpi.splatting.camera import look_at
 from vgmpi.studio import compose, deferred, field, ground, lattice, lighting, liquid, tone
 from vgmpi.studio import occlusion as hiding
@@ -25,7 +26,7 @@ def sphere(radius, spacing, middle):
     return x[np.linalg.norm(x, axis=1) < radius] + middle
 
 
-def stretched(x0, x, spacing, limits=(0.5, 3.0), torn=100.0):
+def stretched(x0, x, spacing, limits=STRETCH, torn=100.0):
     """Stretches (n, 6) of the lattice x0 (n, 3) that is now at x (n, 3)."""
     n = len(x0)
     every = np.arange(n)
