@@ -35,7 +35,9 @@ BEHIND_WALL = 0.12  # of the clear way, that is seen of a liquid behind a wall a
 HISTORY = 12  # frames that foam remembers
 DIRECTION = (0.55, 0.35, -1.0)  # in which the key's light travels
 COATED = 2  # times as fine as the picture is what is painted, where edges are refined
-STRETCH = 0.5, 3.0  # least and largest of a liquid's kernels
+STRETCH = 0.4, 3.0  # least and largest of a liquid's kernels
+FASTEST = 1e4  # m/s
+THICKEST = 1e6  # 1/m that a liquid absorbs or scatters
 GRAIN_STRETCH = 0.8, 3.2
 BYTES = 420  # of a pixel that is drawn, at least
 
@@ -95,10 +97,11 @@ class Studio:
         at = int(look.scenery is not None)
         solid = np.flatnonzero(~(bodies.fluid[ids] | bodies.granular[ids]))
         opaque, normals, kinds, shades = bodies.opaque(parts, at, frame, solid)
-        granular = np.flatnonzero(bodies.granular[ids])
+        near = self._near(x)
+        granular = np.flatnonzero(bodies.granular[ids] & near)
         grain = self._grain(x, ids, granular, parts[at]) if len(granular) else None
         pyramid = self._pyramid(opaque, x, ids, granular, parts[at], solid, at)
-        rows = np.flatnonzero(bodies.fluid[ids])
+        rows = np.flatnonzero(bodies.fluid[ids] & near)
         medium, spray = self._medium(frame, index, ids, x, rows, parts[at])
         plane = self._plane(pyramid)
         stage = Stage(medium, pyramid, self.rig, plane, _no_view())
@@ -165,7 +168,7 @@ class Studio:
             return none, drops.spray(x[:0], x[:0], ids[:0], np.zeros(0), 1.0)
         velocity = np.zeros((len(rows), 3))
         if "velocity" in frame:
-            velocity = np.nan_to_num(np.asarray(frame["velocity"], dtype=np.float64)[rows])
+            velocity = _speeds(frame["velocity"], rows)
         spacing = bodies.spacing[ids[rows]]
         s = float(np.median(spacing))
         color = display.to_linear(np.clip(_plain(part.only_rows(rows)), 0, 1))
@@ -178,7 +181,7 @@ class Studio:
         white = np.zeros(len(rows))
         if self.chosen.look.foam > 0 and "velocity" in frame:
             white = self._foam(index)[ids[rows]]
-        values = np.column_stack([absorbs, color, white, scatter])
+        values = np.minimum(np.column_stack([absorbs, color, white, scatter]), THICKEST)
         walls, box = self.domain.walls, self.domain.box
         inside = field.interior(x[rows], spacing, values, box, walls)
         stretch = self._stretches(x, ids, rows, STRETCH)
@@ -225,13 +228,17 @@ class Studio:
         """Numbers of the liquid's particles at a frame, and how much foam they make."""
         frame = self.look.run.frame(k)
         ids = np.asarray(frame["id"])
-        rows = np.flatnonzero(self.bodies.fluid[ids])
+        x = np.asarray(frame["x"], dtype=np.float64)
+        rows = np.flatnonzero(self.bodies.fluid[ids] & self._near(x))
         if "velocity" not in frame or not len(rows):
             return ids[:0], np.zeros(0)
-        velocity = np.nan_to_num(np.asarray(frame["velocity"], dtype=np.float64)[rows])
         spacing = float(np.median(self.bodies.spacing[ids[rows]]))
-        x = np.asarray(frame["x"], dtype=np.float64)[rows]
-        return ids[rows], drops.foam_made(x, velocity, spacing)
+        return ids[rows], drops.foam_made(x[rows], _speeds(frame["velocity"], rows), spacing)
+
+    def _near(self, x: np.ndarray) -> np.ndarray:
+        """Whether points (n, 3) are where grids reach: not farther off than two domains."""
+        away = 2.0 * float(self.domain.size.max())
+        return ((x > self.domain.low - away) & (x < self.domain.high + away)).all(axis=1)
 
     def _plane(self, pyramid) -> ground.Ground:
         """The ground, lit."""
@@ -380,6 +387,11 @@ class Studio:
         if (kind == one).all():
             return albedo, normals, (1 - left)[..., None] * one.astype(np.float32), left
         return albedo, normals, layers.with_colors(kind).picture(black)[0], left
+
+
+def _speeds(velocity: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Velocities (n, 3) [m/s] of rows, as numbers whose squares are some."""
+    return np.clip(np.nan_to_num(np.asarray(velocity)[rows].astype(np.float64)), -FASTEST, FASTEST)
 
 
 def _round(x: float) -> float:

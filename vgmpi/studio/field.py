@@ -118,6 +118,7 @@ def interior(
     low = np.where(walls[:3], np.maximum(ends[0], box[:3] - 3 * cell), ends[0])
     high = np.where(walls[3:], np.minimum(ends[1], box[3:] + 3 * cell), ends[1])
     total, sums = new_grid(low, high, cell), new_grid(low, high, cell, values.shape[1])
+    cell = total.cell  # coarser where particles are far apart
     deposit(x, reach * spacing, np.full(len(x), KERNEL / reach**3), values, total, sums)
     known = total.values > 1e-4
     sums.values[known] /= total.values[known][:, None]

@@ -62,6 +62,7 @@ def heap(x: np.ndarray, spacing: np.ndarray) -> Heap:
 
     s = float(np.median(spacing))
     total = new_grid(x.min(axis=0) - 4 * s, x.max(axis=0) + 4 * s, s)
+    s = total.cell  # coarser where particles are far apart
     none = total._replace(values=np.zeros((1, 1, 1, 0), np.float32))
     weight = np.full(len(x), KERNEL / REACH**3)
     deposit(x, REACH * spacing, weight, np.zeros((len(x), 0)), total, none)

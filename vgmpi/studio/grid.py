@@ -7,6 +7,7 @@ import numpy as np
 from vgmpi.caching import cached
 from vgmpi.studio.compiling import RAY
 
+MOST_NODES = 6e7  # of a grid, above which its cells become coarser
 KERNEL = 315 / (64 * np.pi)  # of (1 - q^2)^3 with radius 1: its integral is 1
 
 
@@ -26,6 +27,8 @@ class Grid(NamedTuple):
 
 def new_grid(lower: np.ndarray, upper: np.ndarray, cell: float, channels: int = 0) -> Grid:
     """A grid of zeros over lower .. upper whose nodes lie on multiples of the cell."""
+    sides = np.maximum((np.asarray(upper) - lower) / cell, 1.0)
+    cell = cell * max(1.0, float(np.cbrt(np.prod(sides) / MOST_NODES)), float(sides.max()) / 1e6)
     first = np.floor(np.asarray(lower) / cell)
     shape = tuple((np.ceil(np.asarray(upper) / cell) - first).astype(int) + 1)
     shape += (channels,) if channels else ()

@@ -21,6 +21,7 @@ from vgmpi.caching import cached
 NEIGHBORS = 14  # of a particle without a lattice
 TOLERANCE = 0.08  # spacings by which places of a lattice may be off
 ON_LATTICE = 0.9  # share of particles with a lattice neighbor from which on it is one
+FLAT = 0.001  # of the cubed trace of rest neighbors' moments: determinant of a plane of them
 NOISE_CELLS = 3.0  # spacings: edge of the cells of the noise that tears
 
 
@@ -204,7 +205,14 @@ def _fit(p, x, k, row_of, links, step, limit, A, B, M):
             for a in range(3):
                 B[a, b] += w * D[a] * D[b]
     # a plane of neighbors says nothing about its normal: there the lattice is as at rest
-    small = 0.02 * (B[0, 0] + B[1, 1] + B[2, 2]) + 1e-30
+    trace = B[0, 0] + B[1, 1] + B[2, 2]
+    det = (
+        B[0, 0] * (B[1, 1] * B[2, 2] - B[1, 2] * B[1, 2])
+        - B[0, 1] * (B[0, 1] * B[2, 2] - B[1, 2] * B[0, 2])
+        + B[0, 2] * (B[0, 1] * B[1, 2] - B[1, 1] * B[0, 2])
+    )
+    flat = max(1.0 - det / (FLAT * trace * trace * trace + 1e-300), 0.0)
+    small = 0.02 * flat * trace + 1e-30
     for a in range(3):
         B[a, a] += small
         A[a, a] += small

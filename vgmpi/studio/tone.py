@@ -22,7 +22,10 @@ def to_linear(display: np.ndarray) -> np.ndarray:
 
 
 def scene_linear(display: np.ndarray, tone: bool) -> np.ndarray:
-    """Linear light that is shown as these display values: the inverse of `show`."""
+    """Linear light that is shown as these display values: the inverse of `show`.
+
+    Saturated bright colors need light below 0 in their least channel, as the curve desaturates.
+    """
     c = to_linear(display)
     if not tone:
         return c
@@ -32,11 +35,11 @@ def scene_linear(display: np.ndarray, tone: bool) -> np.ndarray:
     before = d * d / (1.0 - bright) - d + START
     g = 1.0 - 1.0 / (DESATURATION * (before - bright) + 1.0)
     colored = (c - g * bright) / np.maximum(1.0 - g, 1e-6) * (before / np.maximum(bright, 1e-6))
-    c = np.where(peak > START, np.maximum(colored, 0.0), c)
+    c = np.where(peak > START, colored, c)
     least = c.min(axis=-1, keepdims=True)
-    # x - offset of the least channel: x^2 6.25 below 0.08, x - 0.04 above
+    # x - offset of the least channel: x below 0, x^2 6.25 below 0.08, x - 0.04 above
     offset = np.where(least < 0.04, np.sqrt(np.maximum(least, 0.0) / 6.25) - least, 0.04)
-    return c + offset
+    return c + np.where(least < 0.0, 0.0, offset)
 
 
 @cached(**RAY)
@@ -44,7 +47,9 @@ def shown(red, green, blue, tone):
     """Display values of linear light."""
     if tone:
         least = min(red, min(green, blue))
-        offset = least - 6.25 * least * least if least < 0.08 else 0.04
+        offset = 0.0
+        if least > 0.0:
+            offset = least - 6.25 * least * least if least < 0.08 else 0.04
         red, green, blue = red - offset, green - offset, blue - offset
         peak = max(red, max(green, blue))
         if peak > START:
@@ -74,5 +79,5 @@ def show(light, tone, out):
     for j in range(light.shape[0]):
         for k in range(light.shape[1]):
             out[j, k, 0], out[j, k, 1], out[j, k, 2] = shown(
-                max(light[j, k, 0], 0.0), max(light[j, k, 1], 0.0), max(light[j, k, 2], 0.0), tone
+                light[j, k, 0], light[j, k, 1], light[j, k, 2], tone
             )
