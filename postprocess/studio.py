@@ -126,7 +126,7 @@ class Studio:
         stretch = self._stretches(x, ids, rows, GRAIN_STRETCH)
         spacing = bodies.spacing[ids[rows]]
         floor = self.domain.low[2] if self.domain.walls[2] else -np.inf
-        seen = grains.heap(x[rows], spacing)
+        seen = grains.heap(x[rows], spacing, float(floor))
         return (
             x[rows],
             ids[rows],

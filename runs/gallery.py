@@ -5,6 +5,7 @@
     python runs/gallery.py --variants         also the variants of each
     python runs/gallery.py --small            cells of twice the size, and no page: minutes
     python runs/gallery.py --draw             videos and page of runs that are there
+    python runs/gallery.py --stills           only the page's five pictures of each, of runs that are there
 
 Each scene's frames, video and record.json lie in runs/NAME/out (small ones in out/small), the
 variants of a scene in folders below it. The page has five pictures of each and what it cost.
@@ -86,14 +87,26 @@ def simulate(name: str, label: str, out: Path, sets: list[str], small: bool) -> 
     return call(*solver, "-o", out, "--overwrite", "-q", *flags)
 
 
-def draw(name: str, out: Path) -> float:
-    """Seconds that the video took."""
+def draw(name: str, out: Path) -> tuple[float, int]:
+    """Seconds that the video took, and how many pictures it has."""
     drawing = [sys.executable, "-m", "postprocess.render", out, HERE / name / "render.toml"]
     last = ["--jobs", "2", "-q", "-o", out / "video.mp4", "--frames", out / "png"]
-    return call(*drawing, *last)
+    took = call(*drawing, *last)
+    return took, len(list((out / "png").glob("*.png")))
 
 
-def known_of(out: Path, simulated: float, drawn: float) -> dict:
+def draw_stills(name: str, out: Path) -> tuple[float, int]:
+    """Seconds that the page's pictures took, and how many they are."""
+    count, took = len(list((out / layout.FRAMES).glob("*.vtkhdf"))), 0.0
+    numbers = sorted({round(part * (count - 1)) for part in (*FAST.get(name, TIMES), BEST[name])})
+    for number in numbers:
+        picture = out / "png" / f"frame_{number:05d}.png"
+        drawing = [sys.executable, "-m", "postprocess.render", out, HERE / name / "render.toml"]
+        took += call(*drawing, "--frame", str(number), "-q", "-o", picture)
+    return took, len(numbers)
+
+
+def known_of(out: Path, simulated: float, drawn: float, pictures: int) -> dict:
     """What a run cost and kept."""
     rows = ledger.read(out / layout.LEDGER)
     first, last = ([r for r in rows if r["time"] == rows[k]["time"]] for k in (0, -1))
@@ -102,14 +115,14 @@ def known_of(out: Path, simulated: float, drawn: float) -> dict:
     flows = "mass_in" in rows[0]
     came = sum(r["mass_in"] for r in last) if flows else sum(r["mass"] for r in first)
     gone = sum(r["mass_out"] for r in last) if flows else 0.0
-    known = {"simulated": simulated, "drawn": drawn, "particles": int(count)}
+    known = {"simulated": simulated, "drawn": drawn, "pictures": pictures, "particles": int(count)}
     return {**known, "mass_lost": abs(came - gone - mass) / came}
 
 
 def small(out: Path, part: float) -> np.ndarray:
     """The picture at a part 0..1 of a run."""
-    pictures = sorted((out / "png").glob("*.png"))
-    picture = iio.imread(pictures[round(part * (len(pictures) - 1))])
+    count = len(list((out / layout.FRAMES).glob("*.vtkhdf")))
+    picture = iio.imread(out / "png" / f"frame_{round(part * (count - 1)):05d}.png")
     step = max(picture.shape[1] // WIDE, 1)
     height, width = (n // step * step for n in picture.shape[:2])
     blocks = picture[:height, :width].reshape(height // step, step, width // step, step, 3)
@@ -145,8 +158,9 @@ def page(machine: str) -> str:
         "<!-- made by: python runs/gallery.py -->",
         "",
         "Scenes after those of the paper. Each folder has its scene, its render.toml and a README",
-        "that says what one should see and what one sees. Times are by the clock on two ranks, the",
-        f"pictures by two processes, of {machine}.",
+        "that says what one should see and what one sees. Pictures are the studio's with no setting",
+        "but a camera. Times are by the clock on two ranks; a picture, its program's start included,",
+        f"is drawn by one process; of {machine}.",
         "",
     ]
     for name, variants in SCENES.items():
@@ -159,7 +173,8 @@ def page(machine: str) -> str:
                 continue
             known = json.loads(record.read_text())
             also = f"{said}: " if said else ""
-            cost = f"{known['simulated']:.0f} s, and {known['drawn']:.0f} s for 50 pictures"
+            each = known["drawn"] / known.get("pictures", 50)
+            cost = f"{known['simulated']:.0f} s, and {each:.1f} s a picture"
             kept = "no mass lost"
             if known["mass_lost"]:
                 kept = f"{known['mass_lost']:.0e} of the mass lost, by rounding"
@@ -173,6 +188,7 @@ def main() -> None:
     p.add_argument("scenes", nargs="*", metavar="NAME", help=", ".join(SCENES))
     p.add_argument("--small", action="store_true", help="cells of 2 cm")
     p.add_argument("--draw", action="store_true", help="only the videos, of runs that are there")
+    p.add_argument("--stills", action="store_true", help="only the page's pictures, of runs that are there")
     p.add_argument("--variants", action="store_true", help="also those of each scene")
     given = p.parse_args()
     unknown = set(given.scenes) - set(SCENES)
@@ -184,11 +200,13 @@ def main() -> None:
         for label, _, sets in chosen:
             base = HERE / name / "out" / ("small" if given.small else "")
             record = base / label / "record.json"
-            if given.draw:
+            out = base / label
+            if given.draw or given.stills:
                 took = json.loads(record.read_text())["simulated"]
             else:
-                took = simulate(name, label, base / label, sets, given.small)
-            known = known_of(base / label, took, draw(name, base / label))
+                took = simulate(name, label, out, sets, given.small)
+            drawn = draw_stills(name, out) if given.stills else draw(name, out)
+            known = known_of(out, took, *drawn)
             record.write_text(json.dumps(known))
             print(name, label, known, flush=True)
             if not given.small:

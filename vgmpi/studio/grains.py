@@ -51,12 +51,13 @@ class Heap(NamedTuple):
     normal: np.ndarray
 
 
-def heap(x: np.ndarray, spacing: np.ndarray) -> Heap:
+def heap(x: np.ndarray, spacing: np.ndarray, floor: float = -np.inf) -> Heap:
     """Densities and normals of the particles of sand and snow that may be seen.
 
     Args:
         x: (n, 3) positions [m].
         spacing: (n,) [m].
+        floor: height of what they lie on, which goes on below [m].
     """
     from scipy import ndimage
 
@@ -66,6 +67,8 @@ def heap(x: np.ndarray, spacing: np.ndarray) -> Heap:
     none = total._replace(values=np.zeros((1, 1, 1, 0), np.float32))
     weight = np.full(len(x), KERNEL / REACH**3)
     deposit(x, REACH * spacing, weight, np.zeros((len(x), 0)), total, none)
+    if np.isfinite(floor):
+        _mirror(total.values, (floor - total.lower[2]) / s)
     full = ndimage.minimum_filter(total.values, 5)
     at = np.round((x - total.lower) / s).astype(int)
     rows = np.flatnonzero(full[at[:, 0], at[:, 1], at[:, 2]] <= BURIED)
@@ -74,6 +77,19 @@ def heap(x: np.ndarray, spacing: np.ndarray) -> Heap:
     places = np.ascontiguousarray((x[rows] - total.lower) / s)
     _normals(places, total.values, smooth, density, normal)
     return Heap(rows, density, normal)
+
+
+def _mirror(values: np.ndarray, plane: float) -> None:
+    """Let what lies above a plane (in nodes along z) go on below it, and count on both sides."""
+    from vgmpi.studio.field import wall_share
+
+    nodes = np.arange(values.shape[2])
+    above = nodes >= plane
+    share = wall_share(nodes[above], plane, np.inf, REACH / np.sqrt(11.0))
+    values[:, :, above] /= share.astype(np.float32)
+    for k in nodes[~above]:
+        other = min(int(round(2 * plane - k)), values.shape[2] - 1)
+        values[:, :, k] = values[:, :, max(other, int(np.ceil(plane)))]
 
 
 @cached(nogil=True, error_model="numpy", fastmath=True)
@@ -149,7 +165,7 @@ def _scatter(
         s, V, number = spacing[p], stretch[p], ids[p]
         thin = min(max((0.75 - density[p]) / 0.5, 0.0), 1.0)
         # sparse: a puff around the particle; dense: fills its cell
-        wide = s * (1.15 + (0.9 if sandy[p] else 0.35) * thin)
+        wide = s * (1.15 + (1.3 if sandy[p] else 0.35) * thin)
         base = SIZE * s * (8.0 / count) ** (1.0 / 3.0) * (1.0 - 0.45 * thin)
         shift0, shift1, shift2 = _random(number, 0), _random(number, 1), _random(number, 2)
         tone, rough = (0.42, 0.8) if sandy[p] else (0.06, 0.35)
