@@ -225,11 +225,13 @@ def test_ranks_end_together_with_one_message(out, tmp_path):
     shutil.copytree(out, broken)
     frame = sorted((broken / "frames").iterdir())[3]  # rank 1 meets it, in the second round
     frame.write_bytes(b"no frame")
-    done = mpirun(2, *DRAW, broken, "-o", tmp_path / "v.mp4", "-q")
+    small = tmp_path / "small.toml"
+    small.write_text(runs.on_paper(SMALL))
+    done = mpirun(2, *DRAW, broken, small, "-o", tmp_path / "v.mp4", "-q")
     assert done.returncode == 2 and len(drawn_by(done)) == 1, done.stderr
     assert frame.name in done.stderr
     (tmp_path / "file").touch()  # rank 0 alone cannot write
-    done = mpirun(2, *DRAW, out, "-o", tmp_path / "file" / "pictures", "-q")
+    done = mpirun(2, *DRAW, out, small, "-o", tmp_path / "file" / "pictures", "-q")
     assert done.returncode == 2 and "Not a directory" in done.stderr, done.stderr
     assert not (tmp_path / "v.mp4").exists()
 

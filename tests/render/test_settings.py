@@ -266,3 +266,31 @@ def test_numbers_whose_squares_are_none(tmp_path, keys, says):
     [line] = caught.value.lines
     assert line.startswith(f"{tmp_path / 'render.toml'}:2: ")
     assert says.replace(".0.", ".") in line.replace(".0.", ".")
+
+
+@pytest.mark.parametrize(
+    "text, studio, on_paper",
+    [
+        ("", True, False),
+        ('[look]\npreset = "studio"', True, True),
+        ('[look]\npreset = "paper"', False, False),
+        ('[look]\nliquid = "surface"', True, False),
+        ('[look]\nliquid = "gaussians"', False, False),
+        ('[liquid]\nmethod = "filter"', False, False),
+    ],
+)
+def test_who_draws(tmp_path, text, studio, on_paper):
+    """The studio, unless another way is asked for; and where paper is the default."""
+    chosen = load(tmp_path, text)
+    assert chosen.studio == studio and chosen.on_paper().studio == on_paper
+
+
+def test_the_background_is_white_where_none_is_said(tmp_path):
+    assert load(tmp_path, "").background == "#ffffff"
+    assert load(tmp_path, '[picture]\nbackground = "none"').background == "none"
+
+
+@pytest.mark.parametrize("tear", ["[2, 1.5]", "[0.5, 3]", "[2, 30]"])
+def test_a_tear_that_is_no_range(tmp_path, tear):
+    with pytest.raises(settings.SettingsError, match="look.tear: must be two numbers"):
+        load(tmp_path, f"[look]\ntear = {tear}")
