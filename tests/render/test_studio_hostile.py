@@ -13,7 +13,19 @@ from vgmpi.output.read import RunError, RunFiles
 NO_TABLE = ["3", '"sun"', "true", "[1, 2]", "nan", "inf", "-1", "1e300", "[]", '[["a"]]']
 NO_NUMBER = ['"many"', "nan", "inf", "-inf", "-1", "1e300", "[]", "[1, 2, 3]", "{}", "1979-05-27"]
 NO_SHARE = [*NO_NUMBER, "1.0001", "-1e-9", "1e-300"]
-NO_WORD = ["3", "nan", "-inf", "true", "[]", '["studio"]', '""', '"Studio"', '"stud"', "{}", '"a\\nb"']
+NO_WORD = [
+    "3",
+    "nan",
+    "-inf",
+    "true",
+    "[]",
+    '["studio"]',
+    '""',
+    '"Studio"',
+    '"stud"',
+    "{}",
+    '"a\\nb"',
+]
 BAD = {
     "look.preset": NO_WORD,
     "look.children": [*NO_NUMBER, "0", "65", "1.5", "true", '"16"'],
@@ -74,7 +86,9 @@ def small(folder, chosen, index=0, eye=None, near=None, change=None):
     chosen["picture"] = {"width": 32, "height": 24} | chosen.get("picture", {})
     if eye is not None:
         chosen["camera"] = {"kind": "fixed", "eye": eye, "target": (0.5, 0.5, 0.3)}
-    painter = Painter(RunFiles(folder), settings.Settings.model_validate(chosen), folder, alpha=True)
+    painter = Painter(
+        RunFiles(folder), settings.Settings.model_validate(chosen), folder, alpha=True
+    )
     if change is not None:
         painter.look.run = Changed(painter.look.run, change)
     (image, left, *_) = painter.pixels_of(index, 0.0)[0]
@@ -228,7 +242,14 @@ def test_a_scene_without_a_domain(tmp_path):
 
 @pytest.mark.parametrize(
     "eye",
-    [(0.5, 0.5, 0.31), (0.3, 0.3, 0.2), (0.5, 0.4, -0.5), (0.5, 0.2, 1e-9), (1e6, 0, 1e6), (9, 9, 0)],
+    [
+        (0.5, 0.5, 0.31),
+        (0.3, 0.3, 0.2),
+        (0.5, 0.4, -0.5),
+        (0.5, 0.2, 1e-9),
+        (1e6, 0, 1e6),
+        (9, 9, 0),
+    ],
     ids=["in the liquid", "on a wall", "below the ground", "on the ground", "far", "at the rim"],
 )
 def test_cameras_at_odd_places(run, eye):

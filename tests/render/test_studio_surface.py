@@ -45,9 +45,7 @@ def test_a_stretched_slab_has_no_ripple_and_no_holes(times):
     """Against half of the rows of particles, which round kernels would show."""
     x0 = stages.grid_points(SLAB, S)
     x = x0 * [times, 1, 1 / times]
-    found, _ = stages.field_of(
-        x, S, FAR, stages.OPEN, fine=3.0, stretch=stages.stretched(x0, x, S)
-    )
+    found, _ = stages.field_of(x, S, FAR, stages.OPEN, fine=3.0, stretch=stages.stretched(x0, x, S))
     xs, ys = middle((0, 24 * S * times), (0, 16 * S), 4 * S)
     top, bottom = heights(found, xs, ys, -3 * S, 9 * S)
     assert np.isfinite(top).all()
@@ -99,8 +97,10 @@ def test_a_pool_ends_on_the_planes_of_its_walls():
     rows, columns = np.indices(on.shape)
     for axis in (0, 1):
         _, q = stages.wall_at(view, axis, 0.0)
-        outline |= (q[..., 1 - axis] > 0) & (q[..., 1 - axis] < wide) & (
-            (q[..., 2] > 0) & (q[..., 2] < 20 * S)
+        outline |= (
+            (q[..., 1 - axis] > 0)
+            & (q[..., 1 - axis] < wide)
+            & ((q[..., 2] > 0) & (q[..., 2] < 20 * S))
         )
     assert not (outline & ~on).any()
 
