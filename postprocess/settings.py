@@ -262,6 +262,14 @@ class Settings(RenderTable):
         return self.model_copy(update={"look": look})
 
     @property
+    def toned(self) -> bool:
+        """Whether light is shown through the tone curve: not before a background that was asked
+        for, whose colors it could not all show."""
+        if self.picture.tone is None:
+            return self.picture.background in (None, "none")
+        return self.picture.tone == "neutral"
+
+    @property
     def background(self) -> tuple[float, float, float] | str:
         """Of the picture, white where nothing is said."""
         asked = self.picture.background

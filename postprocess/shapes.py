@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from postprocess.look import Look
-from postprocess.parts import Part, moving
+from postprocess.parts import Part
 from vgmpi.studio import lattice, normals
 
 GRANULAR = ("sand", "snow")

@@ -1,8 +1,8 @@
 """Frames of a run in a studio's light: what `[look] preset = "studio"` draws.
 
 What does not depend on the camera is worked out once for a frame: stretches of the lattices, the
-liquid's density field, the pyramid of what hides light, and the ground's light. A camera then paints
-what is opaque (albedo, normal, kind, depth), lights it, and sends rays through the liquid.
+liquid's density field, the pyramid of what hides light, and the ground's light. A camera then
+paints what is opaque (albedo, normal, kind, depth), lights it, and sends rays through the liquid.
 """
 
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from postprocess import video
+from postprocess.lights import ground_of, rig_of
 from postprocess.look import Look
 from postprocess.parts import Part
 from postprocess.settings import Settings
@@ -20,12 +20,12 @@ from postprocess.shapes import Bodies, domain_of, tearing
 from vgmpi.splatting.camera import Camera
 from vgmpi.splatting.liquid import Layers
 from vgmpi.splatting.splat import Splats, finer
-from vgmpi.studio import compose, deferred, drops, field, grains, ground, lattice, lighting, liquid
+from vgmpi.studio import compose, deferred, drops, field, grains, ground, lattice, liquid
 from vgmpi.studio import occlusion as hiding
 from vgmpi.studio import tone as display
 from vgmpi.studio.defocus import defocus
 from vgmpi.studio.grid import Grid
-from vgmpi.studio.rays import Medium, Stage, View
+from vgmpi.studio.stage import Medium, Stage, View
 
 CLEAR = 0.8  # m that one sees through a liquid, where 1.2 m are in view
 IN_VIEW = 1.2  # m
@@ -33,7 +33,6 @@ SCATTER = 1.5  # 1/m: own light of a liquid whose Gaussians have the usual opaci
 USUAL_OPACITY = 0.05  # scale of the Gaussians of a clear liquid
 BEHIND_WALL = 0.12  # of the clear way, that is seen of a liquid behind a wall at least
 HISTORY = 12  # frames that foam remembers
-DIRECTION = (0.55, 0.35, -1.0)  # in which the key's light travels
 COATED = 2  # times as fine as the picture is what is painted, where edges are refined
 STRETCH = 0.4, 3.0  # least and largest of a liquid's kernels
 FASTEST = 1e4  # m/s
@@ -81,8 +80,8 @@ class Studio:
         self.bodies = Bodies(look)
         self.edges = 1 if quick else chosen.picture.edges
         self.times = COATED if self.edges > 1 else 1
-        self.tone = 0 if chosen.picture.tone == "none" else 1
-        self.rig = _rig(chosen, folder)
+        self.tone = int(chosen.toned)
+        self.rig = rig_of(chosen, folder)
         self.torn, self.links = tearing(look, chosen.look.tear)
         self.made: dict[int, tuple] = {}  # foam by frame
 
@@ -103,7 +102,7 @@ class Studio:
         pyramid = self._pyramid(opaque, x, ids, granular, parts[at], solid, at)
         rows = np.flatnonzero(bodies.fluid[ids] & near)
         medium, spray = self._medium(frame, index, ids, x, rows, parts[at])
-        plane = self._plane(pyramid)
+        plane = ground_of(self.chosen, self.domain, pyramid, self.rig)
         stage = Stage(medium, pyramid, self.rig, plane, _no_view())
         if len(rows) and plane.kind != ground.NONE:
             deferred.tint_ground(stage)
@@ -240,45 +239,6 @@ class Studio:
         away = 2.0 * float(self.domain.size.max())
         return ((x > self.domain.low - away) & (x < self.domain.high + away)).all(axis=1)
 
-    def _plane(self, pyramid) -> ground.Ground:
-        """The ground, lit."""
-        picture, asked = self.chosen.picture, self.chosen.picture.floor
-        given = picture.background
-        photograph = isinstance(given, str) and not given.startswith("#") and given != "none"
-        kind, height, tile = (
-            ground.TILES,
-            0.0,
-            0.12 * max(float(np.max(self.domain.size[:2])), 1e-9),
-        )
-        color, other, back = ground.COLOR, ground.COLOR, ground.BACKDROP
-        if photograph:
-            kind = ground.SHADOW if asked is not None else ground.NONE
-        elif given == "none":
-            kind = ground.NONE
-        lean = 0.35
-        if given is not None and not photograph:
-            back, lean = tuple(video.background(given, 1, 1, Path("."))), 0.0
-        if asked is not None:
-            height = asked.height
-            plain = asked.kind == "plain" or (asked.kind is None and asked.colour is not None)
-            if asked.kind == "none":
-                kind = ground.NONE
-            elif plain or asked.squares is not None:
-                kind = ground.SQUARES if asked.squares is not None else ground.TILES
-                color, other = asked.colour or (0.85, 0.85, 0.85), asked.other
-                tile = asked.squares or 0.0
-            else:
-                color = asked.colour or color
-            if asked.tiles is not None:
-                tile = asked.tiles
-        elif kind == ground.TILES:
-            tile = 0.12 * _round(float(np.max(self.domain.size[:2])) / 0.96)
-        back = display.scene_linear(np.array(back, dtype=np.float64), bool(self.tone))
-        return ground.ground(
-            kind, height, self.domain.low, self.domain.high, pyramid, self.rig,
-            display.to_linear(np.array(color)), display.to_linear(np.array(other)), tile, back, lean,
-        )  # fmt: skip
-
     # ---- a picture -------------------------------------------------------------------------
 
     def render(
@@ -341,7 +301,7 @@ class Studio:
             return np.zeros((fine.height, fine.width, 3), np.float32)
         if not photograph:
             return np.zeros((1, 1, 3), np.float32)
-        linear = display.scene_linear(np.asarray(picture, dtype=np.float64), bool(self.tone))
+        linear = display.scene_linear(np.asarray(picture, dtype=np.float64), self.chosen.toned)
         wide = linear.astype(np.float32).repeat(self.times, axis=0).repeat(self.times, axis=1)
         return np.ascontiguousarray(wide)
 
@@ -394,11 +354,6 @@ def _speeds(velocity: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return np.clip(np.nan_to_num(np.asarray(velocity)[rows].astype(np.float64)), -FASTEST, FASTEST)
 
 
-def _round(x: float) -> float:
-    """A power of two near to x, so that tiles look alike in scenes of all sizes."""
-    return 2.0 ** round(np.log2(max(x, 1e-9)))
-
-
 def _plain(part: Part) -> np.ndarray:
     """Colors as seen from everywhere (n, 3)."""
     color = part.color.plain[part.rows]
@@ -424,22 +379,3 @@ def _no_view() -> View:
     none = np.zeros((1, 1, 3), np.float32)
     depth = np.full((1, 1), np.inf, np.float32)
     return View(none, depth, none, np.eye(4), np.ones(5), np.zeros(3), False)
-
-
-def _rig(chosen: Settings, folder: Path) -> lighting.Rig:
-    light, wet = chosen.light, chosen.liquid
-    around, surroundings, picture = wet.surroundings, None, None
-    if around.picture is not None:
-        found = video.photograph("liquid.surroundings.picture", folder / around.picture)
-        picture = display.to_linear(found)
-    elif "surroundings" in wet.model_fields_set:
-        colors = (around.zenith, around.horizon, around.ground)
-        surroundings = tuple(display.to_linear(np.array(c)) for c in colors)
-    direction = DIRECTION if light is None or light.direction is None else light.direction
-    strength = {}
-    if light is not None:
-        strength = {"key": light.key, "sky": light.sky, "width": light.width}
-    highlight = wet.highlight / 2.0
-    return lighting.rig(
-        direction, **strength, highlight=highlight, surroundings=surroundings, picture=picture
-    )

@@ -5,7 +5,7 @@
     python runs/gallery.py --variants         also the variants of each
     python runs/gallery.py --small            cells of twice the size, and no page: minutes
     python runs/gallery.py --draw             videos and page of runs that are there
-    python runs/gallery.py --stills           only the page's five pictures of each, of runs that are there
+    python runs/gallery.py --stills           only the page's five pictures of each that is there
 
 Each scene's frames, video and record.json lie in runs/NAME/out (small ones in out/small), the
 variants of a scene in folders below it. The page has five pictures of each and what it cost.
@@ -158,9 +158,10 @@ def page(machine: str) -> str:
         "<!-- made by: python runs/gallery.py -->",
         "",
         "Scenes after those of the paper. Each folder has its scene, its render.toml and a README",
-        "that says what one should see and what one sees. Pictures are the studio's with no setting",
-        "but a camera. Times are by the clock on two ranks; a picture, its program's start included,",
-        f"is drawn by one process; of {machine}.",
+        "that says what one should see and what one sees. Pictures are the studio's, with no",
+        "setting but a camera. Times are by the clock on two ranks; a picture, its program's start",
+        "included, is drawn by one process;",
+        f"of {machine}.",
         "",
     ]
     for name, variants in SCENES.items():
@@ -188,7 +189,9 @@ def main() -> None:
     p.add_argument("scenes", nargs="*", metavar="NAME", help=", ".join(SCENES))
     p.add_argument("--small", action="store_true", help="cells of 2 cm")
     p.add_argument("--draw", action="store_true", help="only the videos, of runs that are there")
-    p.add_argument("--stills", action="store_true", help="only the page's pictures, of runs that are there")
+    p.add_argument(
+        "--stills", action="store_true", help="only the page's pictures, of runs that are there"
+    )
     p.add_argument("--variants", action="store_true", help="also those of each scene")
     given = p.parse_args()
     unknown = set(given.scenes) - set(SCENES)

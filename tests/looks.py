@@ -5,8 +5,8 @@
     python -m tests.looks cost splash RUN            processor time and memory of a picture
 
 Rows: the largest spectral power of the high-passed luminance in a box, and that over the median of
-its ring of wavelengths; noise alone gives 11 to 13 for the second. Flicker: the particles go on with
-their velocity for 0 to 0.2 ms; the rms of the second difference of the three pictures over the
+its ring of wavelengths; noise alone gives 11 to 13 for the second. Flicker: the particles go on
+with their velocity for 0 to 0.2 ms; the rms of the second difference of the three pictures over the
 pixels that change [levels of 255], and as part of the change.
 """
 
@@ -23,10 +23,13 @@ from postprocess.painter import Painter
 from vgmpi.output.read import RunFiles
 
 SIZE = {"width": 960, "height": 640}
+LENS = {"fov": 34, "angle": 25}
 CAMERAS = {
-    "splash": {"target": (0.48, 0.24, 0.15), "distance": 1.62, "height": 0.62, "fov": 36, "angle": 18},
-    "snowball": {"target": (0.38, 0.22, 0.14), "distance": 1.15, "height": 0.40, "fov": 34, "angle": 25},
-    "castle_falls": {"target": (0.44, 0.36, 0.1), "distance": 1.3, "height": 0.48, "fov": 34, "angle": 25},
+    "splash": {
+        "target": (0.48, 0.24, 0.15), "distance": 1.62, "height": 0.62, "fov": 36, "angle": 18,
+    },
+    "snowball": {"target": (0.38, 0.22, 0.14), "distance": 1.15, "height": 0.40, **LENS},
+    "castle_falls": {"target": (0.44, 0.36, 0.1), "distance": 1.3, "height": 0.48, **LENS},
 }  # fmt: skip
 FRAMES = {"splash": 8, "snowball": 4, "castle_falls": 7}
 BOXES = {

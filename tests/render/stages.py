@@ -1,4 +1,5 @@
-"""Small stages for tests of the studio: liquid of a lattice, a ground, a camera, and their picture."""
+"""Small stages for tests of the studio: liquid of a lattice, a ground, a camera, and their
+picture."""
 
 import numpy as np
 
@@ -6,7 +7,7 @@ from postprocess.studio import STRETCH
 from vgmpi.splatting.camera import look_at
 from vgmpi.studio import compose, deferred, field, ground, lattice, lighting, liquid, tone
 from vgmpi.studio import occlusion as hiding
-from vgmpi.studio.rays import Medium, Stage, View
+from vgmpi.studio.stage import Medium, Stage, View
 
 INDEX = 1.333
 WALLED = np.ones(6, bool)
@@ -121,7 +122,7 @@ def draw(stage, covered=False):
     none, turned = np.full(shape, np.inf, np.float32), np.zeros((*shape, 3), np.float32)
     image, alpha, depth = np.empty((*shape, 3)), np.empty(shape), np.empty(shape, np.float32)
     pixel = 1.0 / view.lens[0]
-    compose.compose(stage, left, none, turned, hits, normals, pixel, 2.0, 0, image, alpha, depth)
+    compose.compose(stage, left, none, turned, hits, normals, pixel, 0, image, alpha, depth)
     return tone.to_linear(image)
 
 

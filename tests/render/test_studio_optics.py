@@ -107,7 +107,8 @@ def test_as_much_is_mirrored_as_fresnel_says(pool, angle):
 @pytest.mark.parametrize("uniform", [True, False])
 @pytest.mark.parametrize("absorbs", [(3.0, 1.3, 0.3), (0.3, 4.0, 1.7)])
 def test_light_is_weakened_on_its_way(pool, absorbs, uniform):
-    """From a white ground, seen 40 degrees from above; as one color, and from the grid of colors."""
+    """From a white ground, seen 40 degrees from above; as one color, and from the grid of
+    colors."""
     medium = clear(pool, absorbs)._replace(uniform=uniform)
     stage = stages.stage_of(medium, stages.oblique(40, SURFACE))
     plane = stages.plain(ground.TILES, stage.pyramid, stage.rig)
@@ -193,7 +194,7 @@ def test_shadows_have_the_color_of_the_liquid(pool, elevation):
     rig = stages.dark_rig((np.cos(e), 0.0, -np.sin(e)), key=(0.9, 0.8, 0.7))
     stage = stages.stage_of(clear(pool, absorbs), stages.oblique(0, SURFACE), rig)
     stage = stage._replace(plane=stages.plain(ground.TILES, stage.pyramid, rig))
-    deferred.tint_ground(stage, 2.0)
+    deferred.tint_ground(stage)
     plane = stage.plane
     column, row = ((np.array([0.4, 0.3]) - plane.lower) / plane.texel).astype(int)
     expected = rig.key * np.sin(e) * np.exp(-absorbs * DEEP / np.sin(e))

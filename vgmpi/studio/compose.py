@@ -56,7 +56,8 @@ def change_of_normal(hits, normals, j, k):
 
 @cached(**RAY)
 def _ray(stage, drop_depth, drop_normal, hit, wall, pixel, blur, at, d, p, work, out):
-    """Light and what comes through at a painted pixel `at` (row, column) along d (3,), into out (8,).
+    """Light and what comes through at a painted pixel `at` (row, column) along d (3,), into out
+    (8,).
 
     hit: way to the liquid, below 0 for none. Returns the depth along the ray.
     """
@@ -142,7 +143,8 @@ def compose(stage, left, drop_depth, drop_normal, hits, normals, pixel, flags, i
 
 @cached(nogil=True, error_model="numpy")
 def rough_pixels(stage, hits, normals, drop_depth, image, marked):
-    """Mark the pixels (height, width) between which surface or light changes; how many there are."""
+    """Mark the pixels (height, width) between which surface or light changes; how many there
+    are."""
     height, width = hits.shape
     times = drop_depth.shape[0] // height
     marked[:] = False

@@ -7,7 +7,7 @@ import numpy as np
 
 from vgmpi.caching import cached
 from vgmpi.studio.compiling import RAY
-from vgmpi.studio.ground import NONE, SHADOW, TILES, SQUARES, backdrop, ground_color, ground_light
+from vgmpi.studio.ground import NONE, SHADOW, backdrop, ground_color, ground_light
 from vgmpi.studio.lighting import ambient
 from vgmpi.studio.liquid import direction
 from vgmpi.studio.occlusion import EXTINCTION, cone
@@ -27,7 +27,7 @@ def shade_background(stage, picture, block):
     """
     view, plane = stage.buffers, stage.plane
     height, width = view.depth.shape
-    d, light, work = np.empty(3), np.empty(3), np.empty(3)
+    d, light = np.empty(3), np.empty(3)
     taken = picture.shape[0] > 1
     for j in range(height):
         for k in range(width):
@@ -60,7 +60,7 @@ def shade_background(stage, picture, block):
 def tint_ground(stage):
     """Take from the ground's light what the liquid absorbs on the light's way to it."""
     plane, medium, rig = stage.plane, stage.medium, stage.rig
-    depth, values = np.zeros(3), np.zeros(8)
+    depth, values, p = np.zeros(3), np.zeros(8), np.zeros(3)
     rows, columns = plane.light.shape[0], plane.light.shape[1]
     up = max(rig.toward[2], 0.0)
     for j in range(rows):
@@ -69,17 +69,8 @@ def tint_ground(stage):
                 plane.lower[0] + (k + 0.5) * plane.texel,
                 plane.lower[1] + (j + 0.5) * plane.texel,
             )
-            way = liquid_depth(
-                medium,
-                x,
-                y,
-                plane.height,
-                rig.toward[0],
-                rig.toward[1],
-                rig.toward[2],
-                depth,
-                values,
-            )
+            p[0], p[1], p[2] = x, y, plane.height
+            way = liquid_depth(medium, p, rig.toward, depth, values)
             if way <= 0.0:
                 continue
             key = cone(
@@ -123,17 +114,7 @@ def light_at(stage, p, n, sand, liquid, key, sky, work):
         key[m] = rig.key[m] * comes
     if liquid:
         depth, values = work[:3], work[3:]
-        way = liquid_depth(
-            stage.medium,
-            p[0],
-            p[1],
-            p[2],
-            rig.toward[0],
-            rig.toward[1],
-            rig.toward[2],
-            depth,
-            values,
-        )
+        way = liquid_depth(stage.medium, p, rig.toward, depth, values)
         if way > 0.0:
             for m in range(3):
                 key[m] *= np.exp(-depth[m])
@@ -161,7 +142,7 @@ def surface_light(rig, d, n, albedo, kind, gloss, captures, key, sky, free, out)
     cosine = n[0] * rig.toward[0] + n[1] * rig.toward[1] + n[2] * rig.toward[2]
     wrap = WRAP + 0.10 * sand + 0.38 * snow
     diffuse = max((cosine + wrap) / (1.0 + wrap), 0.0)
-    soft, lit = 1.0, 1.0
+
     if snow > 0.01:
         diffuse = diffuse ** (1.0 + 0.35 * snow)
         free = free ** (1.0 - 0.5 * snow)
@@ -171,7 +152,7 @@ def surface_light(rig, d, n, albedo, kind, gloss, captures, key, sky, free, out)
     facing = max(-(n[0] * d[0] + n[1] * d[1] + n[2] * d[2]), 0.0)
     spot = gloss * (0.35 * half**60 + 0.06 * half**8) if cosine > 0.0 else 0.0
     rim = gloss * (0.04 + 0.5 * (1.0 - facing) ** 5)
-    reference = 0.0
+
     for m in range(3):
         a = albedo[m]
         s = key[m]
@@ -205,35 +186,17 @@ def shade_opaque(stage, albedo, normal, kinds, left, block, liquid, captures):
     height, width = view.depth.shape
     n, mean, p, d = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     key, sky, kind, color, out = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    work = np.empty(11)
-    thick = 3.0 * stage.pyramid.cell
+    work, thick, free = np.empty(11), 3.0 * stage.pyramid.cell, 1.0
     for j0 in range(0, height, block):
         for k0 in range(0, width, block):
             j1, k1 = min(j0 + block, height), min(k0 + block, width)
-            # whether the block shows one surface
-            low, high, count, least = 1e30, 0.0, 0, 1.0
-            mean[:] = 0.0
-            for j in range(j0, j1):
-                for k in range(k0, k1):
-                    cover = 1.0 - left[j, k]
-                    if cover > 0.5 and view.depth[j, k] < 1e6:
-                        count += 1
-                        low, high = min(low, view.depth[j, k]), max(high, view.depth[j, k])
-                        _painted_normal(normal, cover, j, k, n)
-                        for m in range(3):
-                            mean[m] += n[m]
-            size = np.sqrt(mean[0] ** 2 + mean[1] ** 2 + mean[2] ** 2)
-            shared = count == (j1 - j0) * (k1 - k0) and high - low < thick and size > 0.9 * count
-            free = 1.0
+            z = _shared_depth(view.depth, normal, left, (j0, j1, k0, k1), thick, n, mean)
+            shared = z > 0.0
             if shared:
-                for m in range(3):
-                    mean[m] /= size
-                z = 0.5 * (low + high)
                 s = direction(view, 0.5 * (k0 + k1) / width, 0.5 * (j0 + j1) / height, d)
                 for m in range(3):
                     p[m] = view.eye[m] + z * s * d[m]
-                sand = kinds[j0, k0, 0]
-                free = light_at(stage, p, mean, sand, liquid, key, sky, work)
+                free = light_at(stage, p, mean, kinds[j0, k0, 0], liquid, key, sky, work)
             for j in range(j0, j1):
                 for k in range(k0, k1):
                     through = left[j, k]
@@ -256,6 +219,33 @@ def shade_opaque(stage, albedo, normal, kinds, left, block, liquid, captures):
                     surface_light(rig, d, n, color, kind, gloss, captures, key, sky, free, out)
                     for m in range(3):
                         view.light[j, k, m] += cover * out[m]
+
+
+@cached(**RAY)
+def _shared_depth(depth, normal, left, block, thick, n, mean):
+    """Depth of a block of pixels that shows one surface, 0 where it shows more; its normal into
+    mean.
+
+    block: first and last row, first and last column. thick: of one surface [m]. n: (3,) scratch.
+    """
+    low, high, count = 1e30, 0.0, 0
+    mean[0] = mean[1] = mean[2] = 0.0
+    for j in range(block[0], block[1]):
+        for k in range(block[2], block[3]):
+            cover = 1.0 - left[j, k]
+            if not (cover > 0.5 and depth[j, k] < 1e6):
+                return 0.0
+            count += 1
+            low, high = min(low, depth[j, k]), max(high, depth[j, k])
+            _painted_normal(normal, cover, j, k, n)
+            for m in range(3):
+                mean[m] += n[m]
+    size = np.sqrt(mean[0] ** 2 + mean[1] ** 2 + mean[2] ** 2)
+    if high - low >= thick or size <= 0.9 * count:
+        return 0.0
+    for m in range(3):
+        mean[m] /= size
+    return 0.5 * (low + high)
 
 
 @cached(**RAY)

@@ -12,7 +12,7 @@ from vgmpi.studio.compiling import RAY
 from vgmpi.studio.grid import KERNEL, deposit, new_grid, sample
 from vgmpi.studio.hashing import uniform
 from vgmpi.studio.lighting import mirrored_sky
-from vgmpi.studio.rays import far_light
+from vgmpi.studio.surroundings import far_light
 
 ALONE = 0.46  # density at a particle below which it is a drop
 DROPS = 6  # of a particle
@@ -56,7 +56,8 @@ def spray(
 
 @cached(nogil=True, error_model="numpy", fastmath=True)
 def paint_drops(x, axis, long, short, view, depth, normal):
-    """Nearest spheroids: depth (height, width) [m] and world normal (height, width, 3) per pixel."""
+    """Nearest spheroids: depth (height, width) [m] and world normal (height, width, 3) per
+    pixel."""
     height, width = depth.shape
     w, lens = view.pose, view.lens
     for i in range(len(x)):
@@ -108,7 +109,8 @@ def shade_drop(stage, p, d, n, behind, work, out):
     cosine = max(-(d[0] * n[0] + d[1] * n[1] + d[2] * n[2]), 0.02)
     share = 0.02 + 0.98 * (1.0 - cosine) ** 5
     mirrored_sky(
-        stage.rig, d[0] + 2.0 * cosine * n[0], d[1] + 2.0 * cosine * n[1], d[2] + 2.0 * cosine * n[2],
+        stage.rig, d[0] + 2.0 * cosine * n[0], d[1] + 2.0 * cosine * n[1], d[2] + 2.0 * cosine *
+        n[2],
         0.15, mirrored,
     )  # fmt: skip
     size = 0.0

@@ -17,18 +17,23 @@ from typing import NamedTuple
 import numpy as np
 
 from vgmpi.caching import cached
+from vgmpi.studio.blocks import (
+    BLOCK,
+    FULL,
+    NODES,
+    assemble_nodes,
+    deposit_blocks,
+    mark_blocks,
+    mark_bricks,
+    mark_full_blocks,
+    rows_near_surface,
+)
 from vgmpi.studio.compiling import RAY
 from vgmpi.studio.grid import KERNEL, Grid, deposit, new_grid
 
 SIGMA = 0.68  # spacings: standard deviation of a kernel
 SMOOTH = 0.4  # spacings: standard deviation by which the field is smoothed
 REACH = SIGMA * np.sqrt(11.0)  # spacings: its radius
-BLOCK = 8  # cells
-_SHIFT, _LAST = 3, 7
-_ZERO = np.float32(0)
-_NODES = BLOCK + 1  # of a block, with those of its upper neighbors
-BRICK = 4  # cells of the cubes that rays leap over
-FULL = -2  # a block inside of the liquid
 MARGIN = 1.5  # spacings: of what counts as deep inside
 FILLED = 0.9  # of the density of the bulk: a cell that has it is full
 LEAST_SHARE = 0.3  # of a kernel inside of the domain that rho is divided by
@@ -38,7 +43,8 @@ MOST_CELLS = 1.6e8  # of the grid if it were dense, above which cells become coa
 class Field(NamedTuple):
     """Attributes:
     index: (bx, by, bz) int32: number of a block; -1: empty, -2: full.
-    bricks: (2 bx, 2 by, 2 bz) int16, of cubes of 4 cells: 0 where the surface may be; -d where it is
+    bricks: (2 bx, 2 by, 2 bz) int16, of cubes of 4 cells: 0 where the surface may be; -d where it
+    is
         empty and the next cube that is not is d cubes away; d where it is full.
     values: (blocks, 9, 9, 9) float32, node values.
     lower: (3,) position of the first node [m].
@@ -73,7 +79,7 @@ class Interior(NamedTuple):
 def empty_field() -> Field:
     """A field without any liquid."""
     index = np.full((1, 1, 1), -1, np.int32)
-    values = np.zeros((1, _NODES, _NODES, _NODES), np.float32)
+    values = np.zeros((1, NODES, NODES, NODES), np.float32)
     box = np.array([0.0, 0.0, 0.0, -1.0, -1.0, -1.0])
     bricks = np.full((2, 2, 2), -1, np.int16)
     return Field(index, bricks, values, np.zeros(3), 1.0, box, np.zeros(6, bool))
@@ -167,17 +173,7 @@ def liquid_field(
     """
     s = float(np.median(spacing))
     stretch, amplitude = _smoothed(stretch)
-    half = np.sqrt(
-        np.stack(
-            [
-                stretch[:, 0] ** 2 + stretch[:, 1] ** 2 + stretch[:, 2] ** 2,
-                stretch[:, 1] ** 2 + stretch[:, 3] ** 2 + stretch[:, 4] ** 2,
-                stretch[:, 2] ** 2 + stretch[:, 4] ** 2 + stretch[:, 5] ** 2,
-            ],
-            axis=1,
-        )
-    )
-    half *= (REACH * spacing)[:, None]
+    half = _half_extents(stretch, REACH * spacing)
     low, high = (x - half).min(axis=0), (x + half).max(axis=0)
     low = np.where(walls[:3], np.maximum(low, box[:3]), low)
     high = np.where(walls[3:], np.minimum(high, box[3:]), high)
@@ -187,21 +183,23 @@ def liquid_field(
     blocks = ((np.ceil(high / cell) + 1 - first) / BLOCK).astype(np.int64) + 1
     lower = first * cell
     far = inside.distance
-    surface = _deep(x, half.max(axis=1), far.values, far.lower, far.cell, MARGIN * s)
+    surface = rows_near_surface(x, half.max(axis=1), far.values, far.lower, far.cell, MARGIN * s)
     x, half, spacing = x[surface], half[surface], spacing[surface]
     metric = _metric(stretch[surface], REACH * spacing)
     index = np.full(tuple(blocks), -1, np.int32)
     amplitude = amplitude[surface] * KERNEL / REACH**3
-    _mark(x, half, lower, cell, index)
+    mark_blocks(x, half, lower, cell, index)
     touched = np.flatnonzero(index.ravel() >= 0)
     index.ravel()[touched] = np.arange(len(touched))
     raw = np.zeros((max(len(touched), 1), BLOCK, BLOCK, BLOCK), np.float32)
-    _deposit_blocks(x, half, metric, amplitude, lower, cell, index, raw)
+    deposit_blocks(x, half, metric, amplitude, lower, cell, index, raw)
     nodes = blocks * BLOCK + 1
     shares = wall_shares(lower, nodes, cell, box, walls, SIGMA * s)
-    values = np.empty((len(raw), _NODES, _NODES, _NODES), np.float32)
-    _fill_states(index, far.values, far.lower, far.cell, lower, cell, MARGIN * s)
-    _assemble(index, raw, shares[0], shares[1], shares[2], far, lower, cell, MARGIN * s, values)
+    values = np.empty((len(raw), NODES, NODES, NODES), np.float32)
+    mark_full_blocks(index, far.values, far.lower, far.cell, lower, cell, MARGIN * s)
+    assemble_nodes(
+        index, raw, shares[0], shares[1], shares[2], far, lower, cell, MARGIN * s, values
+    )
     limits = np.concatenate([lower, lower + (nodes - 1) * cell])
     limits[:3] = np.where(walls[:3], box[:3], limits[:3])
     limits[3:] = np.where(walls[3:], box[3:], limits[3:])
@@ -229,7 +227,7 @@ def _bricks(index: np.ndarray, values: np.ndarray) -> np.ndarray:
     from scipy.ndimage import distance_transform_cdt
 
     state = np.empty(tuple(2 * n for n in index.shape), np.int8)
-    _states(index, values, state)
+    mark_bricks(index, values, state)
     out = np.zeros(state.shape, np.int16)
     for kind in (-1, 1):
         mine = state == kind
@@ -241,24 +239,11 @@ def _bricks(index: np.ndarray, values: np.ndarray) -> np.ndarray:
     return out
 
 
-@cached(nogil=True, error_model="numpy")
-def _states(index, values, state):
-    """-1 for cubes below 1/2, 1 for cubes above, 0 for others."""
-    for i in range(state.shape[0]):
-        for j in range(state.shape[1]):
-            for k in range(state.shape[2]):
-                n = index[i >> 1, j >> 1, k >> 1]
-                if n < 0:
-                    state[i, j, k] = 1 if n == FULL else -1
-                    continue
-                a, b, c = (i & 1) * BRICK, (j & 1) * BRICK, (k & 1) * BRICK
-                low, high = np.float32(1e9), np.float32(-1e9)
-                for p in range(a, a + BRICK + 1):
-                    for q in range(b, b + BRICK + 1):
-                        for r in range(c, c + BRICK + 1):
-                            v = values[n, p, q, r]
-                            low, high = min(low, v), max(high, v)
-                state[i, j, k] = -1 if high < 0.5 else 1 if low > 0.5 else 0
+def _half_extents(stretch: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """Half edges (n, 3) of the boxes around kernels."""
+    rows = (stretch[:, [0, 1, 2]], stretch[:, [1, 3, 4]], stretch[:, [2, 4, 5]])
+    square = np.stack([(row**2).sum(axis=1) for row in rows], axis=1)
+    return radius[:, None] * np.sqrt(square)
 
 
 def _metric(stretch: np.ndarray, radius: np.ndarray) -> np.ndarray:
@@ -266,142 +251,6 @@ def _metric(stretch: np.ndarray, radius: np.ndarray) -> np.ndarray:
     full = stretch[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
     inverse = np.linalg.inv(full) / radius[:, None, None]
     return (inverse @ inverse).reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]]
-
-
-@cached(nogil=True, error_model="numpy")
-def _deep(x, reach, far, lower, cell, margin):
-    """Rows of the particles whose kernels come near to a surface."""
-    out, count = np.empty(len(x), np.int64), 0
-    for p in range(len(x)):
-        at0 = min(max(int((x[p, 0] - lower[0]) / cell), 0), far.shape[0] - 2)
-        at1 = min(max(int((x[p, 1] - lower[1]) / cell), 0), far.shape[1] - 2)
-        at2 = min(max(int((x[p, 2] - lower[2]) / cell), 0), far.shape[2] - 2)
-        least = far[at0, at1, at2]
-        for c in range(1, 8):
-            least = min(least, far[at0 + (c >> 2), at1 + ((c >> 1) & 1), at2 + (c & 1)])
-        if least <= reach[p] + margin + cell:
-            out[count] = p
-            count += 1
-    return out[:count]
-
-
-@cached(nogil=True, error_model="numpy")
-def _mark(x, half, lower, cell, index):
-    """Mark the blocks that kernels touch with 0."""
-    size = BLOCK * cell
-    for p in range(len(x)):
-        a0 = max(int((x[p, 0] - half[p, 0] - lower[0]) / size), 0)
-        a1 = max(int((x[p, 1] - half[p, 1] - lower[1]) / size), 0)
-        a2 = max(int((x[p, 2] - half[p, 2] - lower[2]) / size), 0)
-        b0 = min(int((x[p, 0] + half[p, 0] - lower[0]) / size), index.shape[0] - 1)
-        b1 = min(int((x[p, 1] + half[p, 1] - lower[1]) / size), index.shape[1] - 1)
-        b2 = min(int((x[p, 2] + half[p, 2] - lower[2]) / size), index.shape[2] - 1)
-        for i in range(a0, b0 + 1):
-            for j in range(a1, b1 + 1):
-                for k in range(a2, b2 + 1):
-                    index[i, j, k] = 0
-
-
-@cached(nogil=True, error_model="numpy", fastmath=True)
-def _deposit_blocks(x, half, metric, weight, lower, cell, index, raw):
-
-    top0, top1, top2 = (
-        (index.shape[0] << 3) - 1,
-        (index.shape[1] << 3) - 1,
-        (index.shape[2] << 3) - 1,
-    )
-    for p in range(len(x)):
-        amplitude = np.float32(weight[p])
-        X, Y, Z = (
-            (x[p, 0] - lower[0]) / cell,
-            (x[p, 1] - lower[1]) / cell,
-            (x[p, 2] - lower[2]) / cell,
-        )
-        e0, e1 = half[p, 0] / cell, half[p, 1] / cell
-        c2 = metric[p, 5] * cell * cell
-        for i in range(max(0, int(np.ceil(X - e0))), min(top0, int(np.floor(X + e0))) + 1):
-            dx = (i - X) * cell
-            for j in range(max(0, int(np.ceil(Y - e1))), min(top1, int(np.floor(Y + e1))) + 1):
-                dy = (j - Y) * cell
-                c0 = (
-                    1.0
-                    - dx * (metric[p, 0] * dx + 2.0 * metric[p, 1] * dy)
-                    - metric[p, 3] * dy * dy
-                )
-                c1 = (metric[p, 2] * dx + metric[p, 4] * dy) * cell
-                root = c1 * c1 + c0 * c2
-                if root <= 0.0:
-                    continue
-                root = np.sqrt(root)
-                k = max(0, int(np.ceil(Z + (-c1 - root) / c2)))
-                last = min(top2, int(np.floor(Z + (-c1 + root) / c2)))
-                if k > last:
-                    continue
-                f0, f1, f2 = np.float32(c0), np.float32(-2.0 * c1), np.float32(-c2)
-                for block in range(k >> _SHIFT, (last >> _SHIFT) + 1):
-                    b = index[i >> _SHIFT, j >> _SHIFT, block]
-                    row = raw[b, i & _LAST, j & _LAST]
-                    z = np.float32((block << _SHIFT) - Z)
-                    for n in range(BLOCK):  # all eight: one vector
-                        d = z + np.float32(n)
-                        t = f0 + d * (f1 + d * f2)
-                        t = t if t > _ZERO else _ZERO
-                        row[n] += amplitude * t * t * t
-
-
-@cached(nogil=True, error_model="numpy")
-def _fill_states(index, far, far_lower, far_cell, lower, cell, margin):
-    """Mark untouched blocks that lie inside of the liquid as full."""
-    for i in range(index.shape[0]):
-        for j in range(index.shape[1]):
-            for k in range(index.shape[2]):
-                if index[i, j, k] >= 0:
-                    continue
-                at0 = (lower[0] + (i + 0.5) * BLOCK * cell - far_lower[0]) / far_cell
-                at1 = (lower[1] + (j + 0.5) * BLOCK * cell - far_lower[1]) / far_cell
-                at2 = (lower[2] + (k + 0.5) * BLOCK * cell - far_lower[2]) / far_cell
-                a = min(max(int(at0 + 0.5), 0), far.shape[0] - 1)
-                b = min(max(int(at1 + 0.5), 0), far.shape[1] - 1)
-                c = min(max(int(at2 + 0.5), 0), far.shape[2] - 1)
-                outside = max(abs(at0 - a), abs(at1 - b), abs(at2 - c)) > 4.0 * BLOCK
-                if far[a, b, c] > margin and not outside:
-                    index[i, j, k] = FULL
-                else:
-                    index[i, j, k] = -1
-
-
-@cached(nogil=True, error_model="numpy")
-def _assemble(index, raw, share0, share1, share2, far, lower, cell, margin, values):
-    """Node values of every block from its own and its upper neighbors' sums."""
-    for bi in range(index.shape[0]):
-        for bj in range(index.shape[1]):
-            for bk in range(index.shape[2]):
-                own = index[bi, bj, bk]
-                if own < 0:
-                    continue
-                for i in range(_NODES):
-                    for j in range(_NODES):
-                        for k in range(_NODES):
-                            a, b, c = bi + (i >> 3), bj + (j >> 3), bk + (k >> 3)
-                            v = np.float32(0.0)
-                            if a < index.shape[0] and b < index.shape[1] and c < index.shape[2]:
-                                other = index[a, b, c]
-                                if other >= 0:
-                                    v = raw[other, i & _LAST, j & _LAST, k & _LAST]
-                                elif other == FULL:
-                                    v = np.float32(1.0)
-                            gi, gj, gk = bi * BLOCK + i, bj * BLOCK + j, bk * BLOCK + k
-                            v /= share0[gi] * share1[gj] * share2[gk]
-                            if v < 1.0:
-                                x = (lower[0] + gi * cell - far.lower[0]) / far.cell
-                                y = (lower[1] + gj * cell - far.lower[1]) / far.cell
-                                z = (lower[2] + gk * cell - far.lower[2]) / far.cell
-                                p = min(max(int(x + 0.5), 0), far.values.shape[0] - 1)
-                                q = min(max(int(y + 0.5), 0), far.values.shape[1] - 1)
-                                r = min(max(int(z + 0.5), 0), far.values.shape[2] - 1)
-                                if far.values[p, q, r] > margin:
-                                    v = np.float32(1.0)
-                            values[own, i, j, k] = v
 
 
 @cached(**RAY)

@@ -37,6 +37,34 @@ class Grains(NamedTuple):
     sandy: np.ndarray
 
 
+class Seeds(NamedTuple):
+    """Particles that get children, a row each.
+
+    Attributes:
+        x: positions [m].
+        ids: numbers, uint64.
+        spacing: [m].
+        stretch: (n, 6) of the lattice around them.
+        color: (n, 3) display values.
+        sandy: whether of sand.
+        density: around them, 1 inside of bodies.
+        normal: (n, 3).
+        lonely: 0..1, how much they have come apart.
+        dusty: whether they have dust.
+    """
+
+    x: np.ndarray
+    ids: np.ndarray
+    spacing: np.ndarray
+    stretch: np.ndarray
+    color: np.ndarray
+    sandy: np.ndarray
+    density: np.ndarray
+    normal: np.ndarray
+    lonely: np.ndarray
+    dusty: np.ndarray
+
+
 class Heap(NamedTuple):
     """What is known of the particles of sand and snow before anybody looks at them.
 
@@ -137,11 +165,12 @@ def grains(
     )  # fmt: skip
     gray = color.mean(axis=1, keepdims=True)
     base = np.where(sandy[:, None], gray + SAND_CHROMA * (color - gray), color)
-    _scatter(
+    seeds = Seeds(
         np.ascontiguousarray(x[rows], dtype=np.float64), ids[rows].astype(np.uint64), spacing[rows],
         stretch[rows], base[rows], sandy[rows], seen.density[front], seen.normal[front], lonely,
-        dusty, low_discrepancy(children), float(floor), float(dust), out,
+        dusty,
     )  # fmt: skip
+    _scatter(seeds, low_discrepancy(children), float(floor), float(dust), out)
     return out
 
 
@@ -156,73 +185,76 @@ def _random(number, stream):
 
 
 @cached(nogil=True, error_model="numpy")
-def _scatter(
-    x, ids, spacing, stretch, color, sandy, density, normal, lonely, dusty, points, floor, dust, out
-):
-    at, count = 0, len(points)
-    n, axis = np.empty(3), np.empty(3)
-    for p in range(len(x)):
-        s, V, number = spacing[p], stretch[p], ids[p]
-        thin = min(max((0.75 - density[p]) / 0.5, 0.0), 1.0)
-        # sparse: a puff around the particle; dense: fills its cell
-        wide = s * (1.15 + (1.3 if sandy[p] else 0.35) * thin)
-        base = SIZE * s * (8.0 / count) ** (1.0 / 3.0) * (1.0 - 0.45 * thin)
-        shift0, shift1, shift2 = _random(number, 0), _random(number, 1), _random(number, 2)
-        tone, rough = (0.42, 0.8) if sandy[p] else (0.06, 0.35)
-        flat = 0.0 if sandy[p] else 0.8 * lonely[p]
-        for c in range(count):
-            u0 = (points[c, 0] + shift0) % 1.0 - 0.5
-            u1 = (points[c, 1] + shift1) % 1.0 - 0.5
-            u2 = (points[c, 2] + shift2) % 1.0 - 0.5
-            spread = _random(number, 10 + 8 * (c % 16)) + _random(number, 11 + 8 * (c % 16)) - 1.0
-            sd = base * np.exp(0.55 * spread) * (1.0 + 0.5 * flat)
-            out.x[at, 0] = x[p, 0] + wide * (V[0] * u0 + V[1] * u1 + V[2] * u2)
-            out.x[at, 1] = x[p, 1] + wide * (V[1] * u0 + V[3] * u1 + V[4] * u2)
-            out.x[at, 2] = max(
-                x[p, 2] + wide * (V[2] * u0 + V[4] * u1 + V[5] * u2), floor + 0.3 * sd
-            )
-            size = 0.0
-            for m in range(3):
-                j = _random(number, 12 + m + 8 * (c % 16)) - 0.5
-                axis[m] = j
-                n[m] = normal[p, m] + rough * j
-                size += j * j
-            size = 1.0 / max(np.sqrt(size), 1e-6)
-            # flakes: discs that lie about, where snow has come apart
-            k = 0
-            for a in range(3):
-                for b in range(a, 3):
-                    flake = flat * axis[a] * axis[b] * size * size
-                    out.cov[at, k] = sd * sd * ((1.0 if a == b else 0.0) - flake)
-                    k += 1
-            out.opacity[at] = OPACITY
-            t = 1.0 + tone * (
-                _random(number, 15 + 8 * (c % 16)) + _random(number, 16 + 8 * (c % 16)) - 1.0
-            )
-            hue = 0.05 * (_random(number, 17 + 8 * (c % 16)) - 0.5) if sandy[p] else 0.0
-            out.color[at, 0] = min(max(color[p, 0] * t * (1.0 + hue), 0.0), 1.0)
-            out.color[at, 1] = min(max(color[p, 1] * t, 0.0), 1.0)
-            out.color[at, 2] = min(max(color[p, 2] * t * (1.0 - 1.6 * hue), 0.0), 1.0)
-            for m in range(3):
-                out.normal[at, m] = n[m]
-            out.sandy[at] = sandy[p]
+def _scatter(seeds, points, floor, dust, out):
+    at = 0
+    axis = np.empty(3)
+    for p in range(len(seeds.x)):
+        for c in range(len(points)):
+            _place_child(seeds, p, c, points, floor, axis, at, out)
             at += 1
-        if dusty[p]:
-            sd = s * (1.2 + 1.6 * _random(number, 140))
-            k = 0
-            for a in range(3):
-                for b in range(a, 3):
-                    VV = 0.0
-                    for m in range(3):
-                        i = min(a, m) * (5 - min(a, m)) // 2 + max(a, m)
-                        j = min(b, m) * (5 - min(b, m)) // 2 + max(b, m)
-                        VV += V[i] * V[j]
-                    out.cov[at, k] = sd * sd * (0.25 * VV + (0.75 if a == b else 0.0))
-                    k += 1
-            for m in range(3):
-                out.x[at, m] = x[p, m] + 1.2 * s * (_random(number, 141 + m) - 0.5)
-                out.color[at, m] = min(color[p, m] * 1.03, 1.0)
-                out.normal[at, m] = normal[p, m]
-            out.opacity[at] = dust * lonely[p]
-            out.sandy[at] = sandy[p]
+        if seeds.dusty[p]:
+            _place_dust(seeds, p, dust, at, out)
             at += 1
+
+
+@cached(nogil=True, error_model="numpy")
+def _place_child(seeds, p, c, points, floor, axis, at, out):
+    """Fill row `at` with child c of particle p. points: (children, 3) in the unit cube."""
+    s, V, number, sandy = seeds.spacing[p], seeds.stretch[p], seeds.ids[p], seeds.sandy[p]
+    count, stream = len(points), 8 * (c % 16)
+    thin = min(max((0.75 - seeds.density[p]) / 0.5, 0.0), 1.0)
+    # sparse: a puff around the particle; dense: fills its cell
+    wide = s * (1.15 + (1.3 if sandy else 0.35) * thin)
+    flat = 0.0 if sandy else 0.8 * seeds.lonely[p]
+    u0 = (points[c, 0] + _random(number, 0)) % 1.0 - 0.5
+    u1 = (points[c, 1] + _random(number, 1)) % 1.0 - 0.5
+    u2 = (points[c, 2] + _random(number, 2)) % 1.0 - 0.5
+    spread = _random(number, 10 + stream) + _random(number, 11 + stream) - 1.0
+    sd = SIZE * s * (8.0 / count) ** (1.0 / 3.0) * (1.0 - 0.45 * thin)
+    sd *= np.exp(0.55 * spread) * (1.0 + 0.5 * flat)
+    x = seeds.x[p]
+    out.x[at, 0] = x[0] + wide * (V[0] * u0 + V[1] * u1 + V[2] * u2)
+    out.x[at, 1] = x[1] + wide * (V[1] * u0 + V[3] * u1 + V[4] * u2)
+    out.x[at, 2] = max(x[2] + wide * (V[2] * u0 + V[4] * u1 + V[5] * u2), floor + 0.3 * sd)
+    tone, rough = (0.42, 0.8) if sandy else (0.06, 0.35)
+    size = 0.0
+    for m in range(3):
+        axis[m] = _random(number, 12 + m + stream) - 0.5
+        out.normal[at, m] = seeds.normal[p, m] + rough * axis[m]
+        size += axis[m] * axis[m]
+    size, k = 1.0 / max(np.sqrt(size), 1e-6), 0
+    # flakes: discs that lie about, where snow has come apart
+    for a in range(3):
+        for b in range(a, 3):
+            flake = flat * axis[a] * axis[b] * size * size
+            out.cov[at, k] = sd * sd * ((1.0 if a == b else 0.0) - flake)
+            k += 1
+    out.opacity[at], out.sandy[at] = OPACITY, sandy
+    tint = 1.0 + tone * (_random(number, 15 + stream) + _random(number, 16 + stream) - 1.0)
+    hue = 0.05 * (_random(number, 17 + stream) - 0.5) if sandy else 0.0
+    color = seeds.color[p]
+    out.color[at, 0] = min(max(color[0] * tint * (1.0 + hue), 0.0), 1.0)
+    out.color[at, 1] = min(max(color[1] * tint, 0.0), 1.0)
+    out.color[at, 2] = min(max(color[2] * tint * (1.0 - 1.6 * hue), 0.0), 1.0)
+
+
+@cached(nogil=True, error_model="numpy")
+def _place_dust(seeds, p, dust, at, out):
+    """Fill row `at` with the dust around particle p; dust: its opacity where p is alone."""
+    s, V, number, k = seeds.spacing[p], seeds.stretch[p], seeds.ids[p], 0
+    sd = s * (1.2 + 1.6 * _random(number, 140))
+    for a in range(3):
+        for b in range(a, 3):
+            square = 0.0
+            for m in range(3):
+                i = min(a, m) * (5 - min(a, m)) // 2 + max(a, m)
+                j = min(b, m) * (5 - min(b, m)) // 2 + max(b, m)
+                square += V[i] * V[j]
+            out.cov[at, k] = sd * sd * (0.25 * square + (0.75 if a == b else 0.0))
+            k += 1
+    for m in range(3):
+        out.x[at, m] = seeds.x[p, m] + 1.2 * s * (_random(number, 141 + m) - 0.5)
+        out.color[at, m] = min(seeds.color[p, m] * 1.03, 1.0)
+        out.normal[at, m] = seeds.normal[p, m]
+    out.opacity[at] = dust * seeds.lonely[p]
+    out.sandy[at] = seeds.sandy[p]

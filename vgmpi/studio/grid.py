@@ -131,6 +131,7 @@ def deposit(
     """
     _deposit(
         np.ascontiguousarray(x, dtype=np.float64), np.ascontiguousarray(radius, dtype=np.float64),
-        np.ascontiguousarray(weight, dtype=np.float64), np.ascontiguousarray(values, dtype=np.float64),
+        np.ascontiguousarray(weight, dtype=np.float64), np.ascontiguousarray(values,
+        dtype=np.float64),
         total.lower, total.cell, total.values, sums.values,
     )  # fmt: skip

@@ -1,4 +1,5 @@
-"""The studio's ground and backdrop: a plane with faint joints, lit by a map, that fades far away."""
+"""The studio's ground and backdrop: a plane with faint joints, lit by a map, that fades far
+away."""
 
 from typing import NamedTuple
 
@@ -92,7 +93,8 @@ def ground(
 
 
 def closed(plane: Ground) -> Ground:
-    """The same, its light led over to that of far away at the map's rim, so that there is no seam."""
+    """The same, its light led over to that of far away at the map's rim, so that there is no
+    seam."""
     light = plane.light
     rim = np.concatenate([light[0], light[-1], light[:, 0], light[:, -1]])
     far = np.percentile(rim, 90, axis=0) if plane.kind != NONE else plane.far
@@ -203,7 +205,8 @@ def ground_color(plane, x, y, wide, out):
 
 @cached(**RAY)
 def backdrop(plane, up, out):
-    """Light from behind everything in a direction whose unit vector rises by `up`, into out (3,)."""
+    """Light from behind everything in a direction whose unit vector rises by `up`, into out
+    (3,)."""
     t = smooth(0.0, 0.6, up)
     for m in range(3):
         out[m] = plane.backdrop[m] * (1.0 - plane.lean * t)

@@ -67,7 +67,8 @@ def link(x0: np.ndarray, spacing: float) -> Links:
 
 
 def _lattice_neighbors(x0: np.ndarray, spacing: float) -> np.ndarray:
-    """Rows of the neighbors one spacing off along each axis (n, 6) int32, -1 where there is none."""
+    """Rows of the neighbors one spacing off along each axis (n, 6) int32, -1 where there is
+    none."""
     out = np.full((len(x0), 6), -1, np.int32)
     if not len(x0):
         return out
@@ -240,7 +241,7 @@ def jacobi(C, Q):
     """Diagonalize the symmetric C (3, 3) in place; the eigenvectors become the columns of Q."""
     Q[:] = 0.0
     Q[0, 0] = Q[1, 1] = Q[2, 2] = 1.0
-    for sweep in range(12):
+    for _ in range(12):
         off = C[0, 1] ** 2 + C[0, 2] ** 2 + C[1, 2] ** 2
         if off < 1e-22 * (C[0, 0] ** 2 + C[1, 1] ** 2 + C[2, 2] ** 2):
             break

@@ -1,4 +1,5 @@
-"""Light of the studio: a key from far away, a sky, what the ground throws back, and its mirror image.
+"""Light of the studio: a key from far away, a sky, what the ground throws back, and its mirror
+image.
 
 Everything is linear. The key is a soft box; ambient light is gathered by cones over the hemisphere,
 each with its own transmittance and the sky's or the ground's color.
@@ -94,7 +95,7 @@ def mirrored_sky(rig, d0, d1, d2, blur, out):
 
     blur: angle over which it is averaged, so that no glint is narrower than a pixel.
     """
-    rows, columns = rig.picture.shape[0], rig.picture.shape[1]
+    rows = rig.picture.shape[0]
     if rows > 1:
         _look_up(rig.picture, d0, d1, d2, out)
     else:

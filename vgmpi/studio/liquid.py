@@ -9,22 +9,12 @@ import numpy as np
 
 from vgmpi.caching import cached
 from vgmpi.studio.compiling import RAY
-from vgmpi.studio.field import density
 from vgmpi.studio.grid import trilinear_values
 from vgmpi.studio.ground import NONE, SHADOW, ground_color
 from vgmpi.studio.lighting import mirrored_sky, smooth
 from vgmpi.studio.occlusion import EXTINCTION, cone
-from vgmpi.studio.rays import (
-    CROSSED,
-    LEFT,
-    MET,
-    far_light,
-    first_hit,
-    follow,
-    liquid_depth,
-    rho_at,
-    surface_normal,
-)
+from vgmpi.studio.rays import CROSSED, LEFT, MET, first_hit, follow, surface_normal
+from vgmpi.studio.surroundings import far_light
 
 SURFACES = 8  # that a ray meets at most
 AROUND = 1.5  # m beyond which nothing is mirrored but sky and ground
@@ -60,11 +50,7 @@ def _mirrored(stage, p, r, blur, work, out):
     if end == CROSSED:  # the liquid again: its own color, and the sky that it mirrors
         medium = stage.medium
         values = work[3:11]
-        tint = medium.tint
-        trilinear_values(
-            tint.values, (q[0] - tint.lower[0]) / tint.cell, (q[1] - tint.lower[1]) / tint.cell,
-            (q[2] - tint.lower[2]) / tint.cell, values,
-        )  # fmt: skip
+        _look_up_tint(medium.tint, q, values)
         mirrored_sky(stage.rig, r[0], r[1], abs(r[2]), blur, out)
         for m in range(3):
             own = values[3 + m] * (0.3 * stage.rig.key[m] + 0.5 * stage.rig.horizon[m])
@@ -106,15 +92,10 @@ def shade_ray(stage, p, d, wall, pixel, blur, work, out):
     mirrored = work[48:51]
     _mirrored(stage, p, r, 2.0 * blur, work, mirrored)
     q = work[51:54]
-    tint = medium.tint
     for m in range(3):
         q[m] = p[m] - 1.5 * medium.field.cell * n[m]
         depth[m] = 0.0
-    trilinear_values(
-        tint.values, (q[0] - tint.lower[0]) / tint.cell, (q[1] - tint.lower[1]) / tint.cell,
-        (q[2] - tint.lower[2]) / tint.cell, own,
-    )  # fmt: skip
-    facing = 0.5 + 0.5 * (n[0] * rig.toward[0] + n[1] * rig.toward[1] + n[2] * rig.toward[2])
+    _look_up_tint(medium.tint, q, own)
     for m in range(3):
         q[m] = p[m]
     way = medium.least if wall else 0.0
@@ -138,10 +119,26 @@ def shade_ray(stage, p, d, wall, pixel, blur, work, out):
     out[3] = (1.0 - share) * passes * (1.0 - glow) * clear * through
     if medium.foam > 0.0 and own[6] > 0.01:
         cover = medium.foam * smooth(0.12, 0.9, own[6]) * min(1.0, way / (6.0 * medium.field.cell))
-        for m in range(3):
-            white = WHITE * (rig.key[m] * facing * (0.25 + 0.75 * key) + 0.8 * rig.horizon[m])
-            out[m] += cover * (white - out[m])
-        out[3] *= 1.0 - cover
+        _cover_with_foam(rig, n, key, cover, out)
+
+
+@cached(**RAY)
+def _look_up_tint(tint, q, values):
+    """What the liquid's particles are like around q (3,), into values (8,)."""
+    trilinear_values(
+        tint.values, (q[0] - tint.lower[0]) / tint.cell, (q[1] - tint.lower[1]) / tint.cell,
+        (q[2] - tint.lower[2]) / tint.cell, values,
+    )  # fmt: skip
+
+
+@cached(**RAY)
+def _cover_with_foam(rig, n, key, cover, out):
+    """Lay foam over light out (3,) and what comes through out[3]; n (3,): the surface's normal."""
+    facing = 0.5 + 0.5 * (n[0] * rig.toward[0] + n[1] * rig.toward[1] + n[2] * rig.toward[2])
+    for m in range(3):
+        white = WHITE * (rig.key[m] * facing * (0.25 + 0.75 * key) + 0.8 * rig.horizon[m])
+        out[m] += cover * (white - out[m])
+    out[3] *= 1.0 - cover
 
 
 @cached(**RAY)
@@ -171,7 +168,7 @@ def _through(stage, q, t, blur, depth, work, out):
     medium = stage.medium
     n, air = work[54:57], work[57:60]
     passes, total, inside, straight = 1.0, 0.0, True, True
-    for surface in range(SURFACES):
+    for _ in range(SURFACES):
         end, way = follow(stage, q, t, inside, 1e3, depth if inside else air, work[:20], out)
         if inside:
             total += way
@@ -244,7 +241,8 @@ def find_surface(stage, near, hits, normals, reach):
 
 @cached(**RAY)
 def direction(view, u, v, d):
-    """Unit direction of the ray at a place 0..1 of the picture, into d (3,); its length per depth."""
+    """Unit direction of the ray at a place 0..1 of the picture, into d (3,); its length per
+    depth."""
     rows, columns = view.depth.shape
     a = (u * columns - view.lens[2]) / view.lens[0]
     b = (v * rows - view.lens[3]) / view.lens[1]

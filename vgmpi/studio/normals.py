@@ -10,7 +10,8 @@ MOST = 3e7  # cells
 
 
 def density_normals(x: np.ndarray, spacing: float) -> np.ndarray:
-    """Vectors (n, 3) away from where points x (n, 3) [m] are denser; 1 long at a surface, less inside."""
+    """Vectors (n, 3) away from where points x (n, 3) [m] are denser; 1 long at a surface, less
+    inside."""
     from scipy import ndimage
 
     if not len(x):

@@ -1,0 +1,168 @@
+"""Sparse blocks of a density field: which there are, and the sums of kernels at their nodes."""
+
+import numpy as np
+
+from vgmpi.caching import cached
+
+BLOCK = 8  # cells of a block's edge
+NODES = BLOCK + 1  # of a block, with those of its upper neighbors
+BRICK = 4  # cells of the cubes that rays leap over
+FULL = -2  # a block inside of the liquid
+_SHIFT, _LAST = 3, 7
+_ZERO = np.float32(0)
+
+
+@cached(nogil=True, error_model="numpy")
+def mark_bricks(index, values, state):
+    """-1 for cubes below 1/2, 1 for cubes above, 0 for others."""
+    for i in range(state.shape[0]):
+        for j in range(state.shape[1]):
+            for k in range(state.shape[2]):
+                n = index[i >> 1, j >> 1, k >> 1]
+                if n < 0:
+                    state[i, j, k] = 1 if n == FULL else -1
+                    continue
+                a, b, c = (i & 1) * BRICK, (j & 1) * BRICK, (k & 1) * BRICK
+                low, high = np.float32(1e9), np.float32(-1e9)
+                for p in range(a, a + BRICK + 1):
+                    for q in range(b, b + BRICK + 1):
+                        for r in range(c, c + BRICK + 1):
+                            v = values[n, p, q, r]
+                            low, high = min(low, v), max(high, v)
+                state[i, j, k] = -1 if high < 0.5 else 1 if low > 0.5 else 0
+
+
+@cached(nogil=True, error_model="numpy")
+def rows_near_surface(x, reach, far, lower, cell, margin):
+    """Rows of the particles whose kernels come near to a surface."""
+    out, count = np.empty(len(x), np.int64), 0
+    for p in range(len(x)):
+        at0 = min(max(int((x[p, 0] - lower[0]) / cell), 0), far.shape[0] - 2)
+        at1 = min(max(int((x[p, 1] - lower[1]) / cell), 0), far.shape[1] - 2)
+        at2 = min(max(int((x[p, 2] - lower[2]) / cell), 0), far.shape[2] - 2)
+        least = far[at0, at1, at2]
+        for c in range(1, 8):
+            least = min(least, far[at0 + (c >> 2), at1 + ((c >> 1) & 1), at2 + (c & 1)])
+        if least <= reach[p] + margin + cell:
+            out[count] = p
+            count += 1
+    return out[:count]
+
+
+@cached(nogil=True, error_model="numpy")
+def mark_blocks(x, half, lower, cell, index):
+    """Mark the blocks that kernels touch with 0."""
+    size = BLOCK * cell
+    for p in range(len(x)):
+        a0 = max(int((x[p, 0] - half[p, 0] - lower[0]) / size), 0)
+        a1 = max(int((x[p, 1] - half[p, 1] - lower[1]) / size), 0)
+        a2 = max(int((x[p, 2] - half[p, 2] - lower[2]) / size), 0)
+        b0 = min(int((x[p, 0] + half[p, 0] - lower[0]) / size), index.shape[0] - 1)
+        b1 = min(int((x[p, 1] + half[p, 1] - lower[1]) / size), index.shape[1] - 1)
+        b2 = min(int((x[p, 2] + half[p, 2] - lower[2]) / size), index.shape[2] - 1)
+        for i in range(a0, b0 + 1):
+            for j in range(a1, b1 + 1):
+                for k in range(a2, b2 + 1):
+                    index[i, j, k] = 0
+
+
+@cached(nogil=True, error_model="numpy", fastmath=True)
+def deposit_blocks(x, half, metric, weight, lower, cell, index, raw):
+
+    top0, top1, top2 = (
+        (index.shape[0] << 3) - 1,
+        (index.shape[1] << 3) - 1,
+        (index.shape[2] << 3) - 1,
+    )
+    for p in range(len(x)):
+        amplitude = np.float32(weight[p])
+        X, Y, Z = (
+            (x[p, 0] - lower[0]) / cell,
+            (x[p, 1] - lower[1]) / cell,
+            (x[p, 2] - lower[2]) / cell,
+        )
+        e0, e1 = half[p, 0] / cell, half[p, 1] / cell
+        c2 = metric[p, 5] * cell * cell
+        for i in range(max(0, int(np.ceil(X - e0))), min(top0, int(np.floor(X + e0))) + 1):
+            dx = (i - X) * cell
+            for j in range(max(0, int(np.ceil(Y - e1))), min(top1, int(np.floor(Y + e1))) + 1):
+                dy = (j - Y) * cell
+                c0 = (
+                    1.0
+                    - dx * (metric[p, 0] * dx + 2.0 * metric[p, 1] * dy)
+                    - metric[p, 3] * dy * dy
+                )
+                c1 = (metric[p, 2] * dx + metric[p, 4] * dy) * cell
+                root = c1 * c1 + c0 * c2
+                if root <= 0.0:
+                    continue
+                root = np.sqrt(root)
+                k = max(0, int(np.ceil(Z + (-c1 - root) / c2)))
+                last = min(top2, int(np.floor(Z + (-c1 + root) / c2)))
+                if k > last:
+                    continue
+                f0, f1, f2 = np.float32(c0), np.float32(-2.0 * c1), np.float32(-c2)
+                for block in range(k >> _SHIFT, (last >> _SHIFT) + 1):
+                    b = index[i >> _SHIFT, j >> _SHIFT, block]
+                    row = raw[b, i & _LAST, j & _LAST]
+                    z = np.float32((block << _SHIFT) - Z)
+                    for n in range(BLOCK):  # all eight: one vector
+                        d = z + np.float32(n)
+                        t = f0 + d * (f1 + d * f2)
+                        t = t if t > _ZERO else _ZERO
+                        row[n] += amplitude * t * t * t
+
+
+@cached(nogil=True, error_model="numpy")
+def mark_full_blocks(index, far, far_lower, far_cell, lower, cell, margin):
+    """Mark untouched blocks that lie inside of the liquid as full."""
+    for i in range(index.shape[0]):
+        for j in range(index.shape[1]):
+            for k in range(index.shape[2]):
+                if index[i, j, k] >= 0:
+                    continue
+                at0 = (lower[0] + (i + 0.5) * BLOCK * cell - far_lower[0]) / far_cell
+                at1 = (lower[1] + (j + 0.5) * BLOCK * cell - far_lower[1]) / far_cell
+                at2 = (lower[2] + (k + 0.5) * BLOCK * cell - far_lower[2]) / far_cell
+                a = min(max(int(at0 + 0.5), 0), far.shape[0] - 1)
+                b = min(max(int(at1 + 0.5), 0), far.shape[1] - 1)
+                c = min(max(int(at2 + 0.5), 0), far.shape[2] - 1)
+                outside = max(abs(at0 - a), abs(at1 - b), abs(at2 - c)) > 4.0 * BLOCK
+                if far[a, b, c] > margin and not outside:
+                    index[i, j, k] = FULL
+                else:
+                    index[i, j, k] = -1
+
+
+@cached(nogil=True, error_model="numpy")
+def assemble_nodes(index, raw, share0, share1, share2, far, lower, cell, margin, values):
+    """Node values of every block from its own and its upper neighbors' sums."""
+    for bi in range(index.shape[0]):
+        for bj in range(index.shape[1]):
+            for bk in range(index.shape[2]):
+                own = index[bi, bj, bk]
+                if own < 0:
+                    continue
+                for i in range(NODES):
+                    for j in range(NODES):
+                        for k in range(NODES):
+                            a, b, c = bi + (i >> 3), bj + (j >> 3), bk + (k >> 3)
+                            v = np.float32(0.0)
+                            if a < index.shape[0] and b < index.shape[1] and c < index.shape[2]:
+                                other = index[a, b, c]
+                                if other >= 0:
+                                    v = raw[other, i & _LAST, j & _LAST, k & _LAST]
+                                elif other == FULL:
+                                    v = np.float32(1.0)
+                            gi, gj, gk = bi * BLOCK + i, bj * BLOCK + j, bk * BLOCK + k
+                            v /= share0[gi] * share1[gj] * share2[gk]
+                            if v < 1.0:
+                                x = (lower[0] + gi * cell - far.lower[0]) / far.cell
+                                y = (lower[1] + gj * cell - far.lower[1]) / far.cell
+                                z = (lower[2] + gk * cell - far.lower[2]) / far.cell
+                                p = min(max(int(x + 0.5), 0), far.values.shape[0] - 1)
+                                q = min(max(int(y + 0.5), 0), far.values.shape[1] - 1)
+                                r = min(max(int(z + 0.5), 0), far.values.shape[2] - 1)
+                                if far.values[p, q, r] > margin:
+                                    v = np.float32(1.0)
+                            values[own, i, j, k] = v
