@@ -11,7 +11,7 @@ import numpy as np
 
 from vgmpi.caching import cached
 from vgmpi.studio.compiling import RAY
-from vgmpi.studio.occlusion import DIFFUSE, cone
+from vgmpi.studio.occlusion import wide_cone
 
 KEY_COLOR = (1.0, 0.95, 0.88)
 HORIZON, ZENITH = (0.80, 0.84, 0.90), (0.68, 0.80, 1.0)
@@ -142,16 +142,17 @@ def _look_up(picture, x, y, z, out):
 
 
 # cones over a hemisphere: around the normal, and a ring; shares of its cosine-weighted light
-RING = 6
-_TILT = np.radians(57.0)
+# (found against the open share of floors beside walls, in corners, and of balls)
+RING = 8
+_TILT, _UPRIGHT = np.radians(38.025), 0.11
 CONES = np.array(
-    [[0.0, 0.0, 1.0, 0.28]]
+    [[0.0, 0.0, 1.0, _UPRIGHT]]
     + [
-        [np.sin(_TILT) * np.cos(a), np.sin(_TILT) * np.sin(a), np.cos(_TILT), 0.72 / RING]
+        [np.sin(_TILT) * np.cos(a), np.sin(_TILT) * np.sin(a), np.cos(_TILT), (1 - _UPRIGHT) / RING]
         for a in 2 * np.pi * (np.arange(RING) + 0.25) / RING
     ]
 )
-SPREAD = 0.5  # half width of these cones (tangent)
+SPREAD = 0.4156  # half width of these cones (tangent)
 
 
 @cached(**RAY)
@@ -173,7 +174,7 @@ def ambient(pyramid, rig, x, y, z, n0, n1, n2, floor, start, out):
     for c in range(len(CONES)):
         u, v, w, weight = CONES[c, 0], CONES[c, 1], CONES[c, 2], CONES[c, 3]
         d0, d1, d2 = u * a0 + v * b0 + w * n0, u * a1 + v * b1 + w * n1, u * a2 + v * b2 + w * n2
-        passes = weight * cone(pyramid, x, y, z, d0, d1, d2, SPREAD, start, DIFFUSE)
+        passes = weight * wide_cone(pyramid, x, y, z, d0, d1, d2, SPREAD, start)
         t = smooth(-0.25, 0.25, d2)
         up = max(d2, 0.0)
         for m in range(3):

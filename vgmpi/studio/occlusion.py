@@ -19,7 +19,10 @@ from vgmpi.studio.compiling import RAY
 
 LEVELS = 5
 EXTINCTION = 2.2  # per width of a cone, of what is filled
-DIFFUSE = 1.1  # the same of the wide cones of ambient light
+# the same of the wide cones of ambient light; of what is filled by a density s, s / (1 + SOFT - s):
+# a thin wall hides all that is behind it, the rim of a cell next to a floor little
+DIFFUSE, SOFT = 3.98, 1.056
+STRIDE = 1.2  # widths of a wide cone
 TINT = 4  # cells of the pyramid in one of the colors
 SOLID = 0.45  # density from which a ray has met something opaque
 
@@ -233,6 +236,28 @@ def cone(pyramid, p0, p1, p2, d0, d1, d2, tangent, start, extinction):
         if s > 0.0:
             passes *= np.exp(-extinction * s * step / wide)
         t += step
+    return passes
+
+
+@cached(**RAY)
+def wide_cone(pyramid, p0, p1, p2, d0, d1, d2, tangent, start):
+    """The same along a cone of ambient light, whose steps are no longer than the largest cells."""
+    begin, far = clip(pyramid.lower, pyramid.upper, p0, p1, p2, d0, d1, d2)
+    t, passes = max(start, begin), 1.0
+    cell, last = pyramid.cell, len(pyramid.offsets) - 1
+    widest = cell * (1 << last)
+    while t < far and passes > 0.02:
+        wide = min(max(2.0 * tangent * t, cell), widest)
+        level = np.log2(wide / cell)
+        q = min(int(level), last)
+        f = level - q
+        x, y, z = p0 + t * d0, p1 + t * d1, p2 + t * d2
+        s = level_value(pyramid, q, x, y, z)
+        if f > 0.0 and q < last:
+            s += f * (level_value(pyramid, q + 1, x, y, z) - s)
+        if s > 0.0:
+            passes *= np.exp(-DIFFUSE * STRIDE * s / (1.0 + SOFT - s))
+        t += STRIDE * wide
     return passes
 
 
