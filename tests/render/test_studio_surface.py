@@ -133,8 +133,8 @@ def test_nothing_and_one_particle():
     )
     with_one = np.isfinite(stages.find(stage)[0])
     found = stage.medium.field
-    # a kernel of its own: 315 / (64 pi R^3) of R = .68 sqrt(11) spacings is less than 1/2
-    peak = 315 / (64 * np.pi * (0.68 * np.sqrt(11)) ** 3)
+    # a kernel of its own: 315 / (64 pi R^3) of R = sqrt(11 (.68^2 + .3^2)) spacings, less than 1/2
+    peak = 315 / (64 * np.pi * (11 * (0.68**2 + 0.3**2)) ** 1.5)
     assert field.densities(found, np.full((1, 3), 0.5))[0] == pytest.approx(peak, rel=0.02)
     assert not with_one.any()
     none = stage._replace(medium=stage.medium._replace(field=empty))

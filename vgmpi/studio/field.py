@@ -32,7 +32,7 @@ from vgmpi.studio.compiling import RAY
 from vgmpi.studio.grid import KERNEL, Grid, deposit, new_grid
 
 SIGMA = 0.68  # spacings: standard deviation of a kernel
-SMOOTH = 0.4  # spacings: standard deviation by which the field is smoothed
+SMOOTH = 0.3  # spacings: standard deviation by which the field is smoothed
 REACH = SIGMA * np.sqrt(11.0)  # spacings: its radius
 MARGIN = 1.5  # spacings: of what counts as deep inside
 FILLED = 0.9  # of the density of the bulk: a cell that has it is full
@@ -194,7 +194,7 @@ def liquid_field(
     raw = np.zeros((max(len(touched), 1), BLOCK, BLOCK, BLOCK), np.float32)
     deposit_blocks(x, half, metric, amplitude, lower, cell, index, raw)
     nodes = blocks * BLOCK + 1
-    shares = wall_shares(lower, nodes, cell, box, walls, SIGMA * s)
+    shares = wall_shares(lower, nodes, cell, box, walls, np.hypot(SIGMA, SMOOTH) * s)
     values = np.empty((len(raw), NODES, NODES, NODES), np.float32)
     mark_full_blocks(index, far.values, far.lower, far.cell, lower, cell, MARGIN * s)
     assemble_nodes(

@@ -11,7 +11,7 @@ from vgmpi.studio.compiling import RAY
 
 START = 0.8 - 0.04  # of the brightest channel, above which it is compressed
 DESATURATION = 0.15
-ENTRIES = 8192  # of sRGB values that are known; those between are linear to 1e-5
+ENTRIES = 32768  # of sRGB values that are known; those between are linear to 1e-6
 _TABLE = 1.055 * (np.arange(ENTRIES + 2) / ENTRIES) ** (1 / 2.4) - 0.055
 
 
