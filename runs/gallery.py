@@ -159,8 +159,7 @@ def page(machine: str) -> str:
         "",
         "Scenes after those of the paper. Each folder has its scene, its render.toml and a README",
         "that says what one should see and what one sees. Pictures are the studio's, with no",
-        "setting but a camera. Times are by the clock on two ranks; a picture, its program's start",
-        "included, is drawn by one process;",
+        "setting but a camera. Times are by the clock on two ranks, the pictures by two processes,",
         f"of {machine}.",
         "",
     ]
@@ -174,8 +173,9 @@ def page(machine: str) -> str:
                 continue
             known = json.loads(record.read_text())
             also = f"{said}: " if said else ""
-            each = known["drawn"] / known.get("pictures", 50)
-            cost = f"{known['simulated']:.0f} s, and {each:.1f} s a picture"
+            cost = f"{known['simulated']:.0f} s"
+            if known.get("pictures", 0) > len(TIMES) + 1:  # a few tell the program's start
+                cost += f", and {known['drawn']:.0f} s for {known['pictures']} pictures"
             kept = "no mass lost"
             if known["mass_lost"]:
                 kept = f"{known['mass_lost']:.0e} of the mass lost, by rounding"

@@ -3,6 +3,7 @@
     python -m tests.looks rows splash RUN            rows of the seeding lattice in a picture
     python -m tests.looks flicker splash RUN         what changes though nothing but a little moves
     python -m tests.looks cost splash RUN            processor time and memory of a picture
+    python -m tests.looks steps splash RUN -o a.jpg  what a picture is made of, side by side
 
 Rows: the largest spectral power of the high-passed luminance in a box, and that over the median of
 its ring of wavelengths; noise alone gives 11 to 13 for the second. Flicker: the particles go on
@@ -125,13 +126,46 @@ def cost(name: str, run: str) -> None:
         print(f"{name}, {label}: {min(took):.2f} s of a processor, {most:.2f} GiB at most")
 
 
+def steps(name: str, run: str, to: str) -> None:
+    """Write what a picture is made of: albedo, normals, light without the liquid, the picture."""
+    import imageio.v3 as iio
+
+    from vgmpi.studio import tone
+
+    one, kept = painter(name, run), {}
+    paint, composed = one.studio._paint, one.studio._composed
+
+    def painted(*arguments):
+        kept["painted"] = paint(*arguments)
+        return kept["painted"]
+
+    def drawn(stage, *rest):
+        kept["light"] = stage.buffers.light.copy()
+        return composed(stage, *rest)
+
+    one.studio._paint, one.studio._composed = painted, drawn
+    picture = one.draw(FRAMES[name])
+    albedo, normal, _, left = kept["painted"]
+    light = np.empty(kept["light"].shape)
+    tone.show(kept["light"], 1, light)
+    shown = np.empty(light.shape)
+    tone.show(albedo, 0, shown)
+    parts = [shown + left[..., None], normal + left[..., None], light]
+    small = [np.clip(255 * part[::4, ::4], 0, 255).astype(np.uint8) for part in parts]
+    iio.imwrite(to, np.hstack([*small, picture[::2, ::2]]), quality=88)
+
+
 def main() -> None:
     """Command line."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    p.add_argument("what", choices=("rows", "flicker", "cost"))
+    p.add_argument("what", choices=("rows", "flicker", "cost", "steps"))
     p.add_argument("scene", choices=sorted(CAMERAS))
     p.add_argument("run", help="folder of the finished run")
+    p.add_argument("-o", "--output", default="steps.jpg", help="of steps [steps.jpg]")
     chosen = p.parse_args()
+    if chosen.what == "steps":
+        steps(chosen.scene, chosen.run, chosen.output)
+        return
     {"rows": rows, "flicker": flicker, "cost": cost}[chosen.what](chosen.scene, chosen.run)
 
 
