@@ -1,4 +1,4 @@
-"""Small stages for tests of the studio: liquid of a lattice, a ground, a camera, and their picture."""
+"""Small stages for tests of the studio: liquid of a lattice, ground, camera, and their picture."""
 
 import numpy as np
 

@@ -110,7 +110,7 @@ def test_a_white_ball_in_an_even_sky_is_as_bright_as_the_sky(drop, kind, cells):
 
 
 def test_nothing_is_brighter_than_its_light():
-    """Any normal, color and shadow: at most the key, the sky where it is open; sand, snow, others."""
+    """Any normal, color and shadow: at most the key, the sky where it is open; sand, snow."""
     rng = np.random.default_rng(5)
     rig = stages.dark_rig((0.5, 0.3, -0.8), key=(1.0, 0.9, 0.8), horizon=0.5, zenith=0.6)
     full, out = np.array([0.6, 0.5, 0.7]), np.empty(3)

@@ -1,7 +1,7 @@
-"""The studio's surface of a liquid: rho = 1/2 of lattices that are stretched, at walls, and of little.
+"""The studio's surface of a liquid: rho = 1/2 of stretched lattices, at walls, and of little.
 
-Geometry: a lattice of spacing s fills boxes of edge s around its particles, so its true surface lies
-s / 2 beyond the outermost ones; a slab that is stretched k times along x is k times as thin.
+Geometry: a lattice of spacing s fills boxes of edge s around its particles, so its true surface
+lies s / 2 beyond the outermost ones; a slab that is stretched k times along x is k times as thin.
 """
 
 import numpy as np
@@ -57,7 +57,7 @@ def test_a_stretched_slab_has_no_ripple_and_no_holes(times):
 
 @pytest.mark.parametrize("fine", [2.0, 3.0])
 def test_water_at_rest_is_level_up_to_its_walls(fine):
-    """20 x 20 x 12 spacings in a box of that width: the level is 12 spacings, in corners as well."""
+    """20 x 20 x 12 spacings in a box of that width: the level is 12 spacings, in corners."""
     box = (0, 0, 0, 20 * S, 20 * S, 30 * S)
     found, _ = stages.field_of(stages.grid_points((20, 20, 12), S), S, box, fine=fine)
     edge = 1e-4 * S
