@@ -107,7 +107,7 @@ def test_as_much_is_mirrored_as_fresnel_says(pool, angle):
 @pytest.mark.parametrize("uniform", [True, False])
 @pytest.mark.parametrize("absorbs", [(3.0, 1.3, 0.3), (0.3, 4.0, 1.7)])
 def test_light_is_weakened_on_its_way(pool, absorbs, uniform):
-    """From a white ground, seen 40 degrees from above; as one color, and from the grid of colors."""
+    """From a white ground, seen 40 degrees from above; as one color, and from the grid of them."""
     medium = clear(pool, absorbs)._replace(uniform=uniform)
     stage = stages.stage_of(medium, stages.oblique(40, SURFACE))
     plane = stages.plain(ground.TILES, stage.pyramid, stage.rig)
