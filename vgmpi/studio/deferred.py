@@ -254,7 +254,9 @@ def _painted_normal(normal, cover, j, k, n):
     for m in range(3):
         n[m] = normal[j, k, m] / cover * 2.0 - 1.0
         size += n[m] * n[m]
-    size = 1.0 / np.sqrt(max(size, 1e-9))
+    if size < 1e-9:  # what has none is seen from above
+        n[0], n[1], n[2], size = 0.0, 0.0, 1.0, 1.0
+    size = 1.0 / np.sqrt(size)
     for m in range(3):
         n[m] *= size
 

@@ -23,6 +23,7 @@ EXTINCTION = 2.2  # per width of a cone, of what is filled
 # a thin wall hides all that is behind it, the rim of a cell next to a floor little
 DIFFUSE, SOFT = 3.98, 1.056
 STRIDE = 1.2  # widths of a wide cone
+MOST_STEPS = 500
 TINT = 4  # cells of the pyramid in one of the colors
 SOLID = 0.45  # density from which a ray has met something opaque
 
@@ -246,7 +247,9 @@ def wide_cone(pyramid, p0, p1, p2, d0, d1, d2, tangent, start):
     t, passes = max(start, begin), 1.0
     cell, last = pyramid.cell, len(pyramid.offsets) - 1
     widest = cell * (1 << last)
-    while t < far and passes > 0.02:
+    for _n in range(MOST_STEPS):
+        if t >= far or passes <= 0.02:
+            break
         wide = min(max(2.0 * tangent * t, cell), widest)
         level = np.log2(wide / cell)
         q = min(int(level), last)
