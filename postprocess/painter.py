@@ -25,6 +25,7 @@ from vgmpi.splatting.camera import Camera, through_lens
 log = logging.getLogger("vgmpi")
 
 Pixels = tuple[np.ndarray, ...]  # picture, what comes through, and depths where asked for
+STUDIO_BYTES = 400  # of a pixel that the studio draws, at least
 LOOKS = 9  # at a run, to see where things are
 
 
@@ -110,6 +111,7 @@ class Painter:
         often = f", {at_once} pictures at once" if at_once > 1 else ""
         try:
             each = liquid.BYTES if self.surface else splat.BYTES
+            each = STUDIO_BYTES if self.chosen.studio else each
             room.check(at_once * each * pixels, f"{key}: {said}{often}: at least")
         except room.TooLarge as error:
             raise settings.SettingsError([str(error)]) from None

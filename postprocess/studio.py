@@ -38,7 +38,6 @@ STRETCH = 0.4, 3.0  # least and largest of a liquid's kernels
 FASTEST = 1e4  # m/s
 THICKEST = 1e6  # 1/m that a liquid absorbs or scatters
 GRAIN_STRETCH = 0.8, 3.2
-BYTES = 420  # of a pixel that is drawn, at least
 
 
 @dataclass
