@@ -230,11 +230,14 @@ def test_pictures_that_do_not_fit(tmp_path, monkeypatch):
     """Told before anything is drawn, with the key that makes them large; a preview is small."""
     runs.write(tmp_path)
     run, large = RunFiles(tmp_path), {"width": 8192, "height": 8192}
+    paper = {"preset": "paper"}
     monkeypatch.setattr(room, "free", lambda swap=False: 20 << 30)
-    finer = settings.Settings(picture=large | {"supersample": 4})
+    finer = settings.Settings(look=paper, picture=large | {"supersample": 4})
     with pytest.raises(settings.SettingsError, match="picture.supersample: 4 draws 8192 x 8192"):
         Painter(run, finer, tmp_path)
-    painter = Painter(run, settings.Settings(picture=large), tmp_path)
+    with pytest.raises(settings.SettingsError, match="picture.width: 8192 x 8192 pixels: at least"):
+        Painter(run, settings.Settings(picture=large), tmp_path)  # the studio keeps more of a pixel
+    painter = Painter(run, settings.Settings(look=paper, picture=large), tmp_path)
     painter.afford(9)
     with pytest.raises(settings.SettingsError, match="pixels, 16 pictures at once: at least 32 G"):
         painter.afford(16)
@@ -243,7 +246,8 @@ def test_pictures_that_do_not_fit(tmp_path, monkeypatch):
 
 def test_a_picture_too_large_is_one_line_and_exit_code_2(tmp_path, monkeypatch, capsys):
     runs.write(tmp_path)
-    (tmp_path / "render.toml").write_text("[picture]\nwidth = 8192\nheight = 8192\n")
+    text = 'look.preset = "paper"\n[picture]\nwidth = 8192\nheight = 8192\n'
+    (tmp_path / "render.toml").write_text(text)
     monkeypatch.setattr(room, "free", lambda swap=False: 3 << 30)
     command = [str(tmp_path), str(tmp_path / "render.toml"), "-q"]
     assert render.main([*command, "--jobs", "2"]) == 2
