@@ -262,6 +262,12 @@ class Settings(RenderTable):
         return self.model_copy(update={"look": look})
 
     @property
+    def on_photograph(self) -> bool:
+        """Whether the background is a picture from a file."""
+        asked = self.picture.background
+        return isinstance(asked, str) and not asked.startswith("#") and asked != "none"
+
+    @property
     def toned(self) -> bool:
         """Whether light is shown through the tone curve: not before a background that was asked
         for, whose colors it could not all show."""

@@ -175,7 +175,7 @@ class Studio:
             low, high = self.box()
             clear = CLEAR * max(float(np.linalg.norm(high - low)), 1e-9) / IN_VIEW
         absorbs = -np.log(np.clip(color, 0.03, 0.97)) / clear
-        scatter = self._scattering(ids[rows], spacing)
+        scatter = self._scattering(ids[rows])
         white = np.zeros(len(rows))
         if self.chosen.look.foam > 0 and "velocity" in frame:
             white = self._foam(index)[ids[rows]]
@@ -199,7 +199,7 @@ class Studio:
         density = field.densities(found, x[rows])
         return medium, drops.spray(x[rows], velocity, ids[rows], density, s)
 
-    def _scattering(self, ids, spacing) -> np.ndarray:
+    def _scattering(self, ids) -> np.ndarray:
         """Own light of the liquid's particles [1/m]: the more opaque their Gaussians, the more."""
         if self.chosen.liquid.scatter is not None:
             return np.full(len(ids), float(self.chosen.liquid.scatter))
@@ -295,10 +295,9 @@ class Studio:
     def _background(self, picture: np.ndarray, fine: Camera) -> np.ndarray:
         """Linear, as fine as it is painted; (1, 1, 3) where the studio has its own."""
         given = self.chosen.picture.background
-        photograph = isinstance(given, str) and not given.startswith("#") and given != "none"
         if given == "none":
             return np.zeros((fine.height, fine.width, 3), np.float32)
-        if not photograph:
+        if not self.chosen.on_photograph:
             return np.zeros((1, 1, 3), np.float32)
         linear = display.scene_linear(np.asarray(picture, dtype=np.float64), self.chosen.toned)
         wide = linear.astype(np.float32).repeat(self.times, axis=0).repeat(self.times, axis=1)

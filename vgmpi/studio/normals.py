@@ -6,7 +6,6 @@ from vgmpi.caching import cached
 from vgmpi.studio.grid import KERNEL, deposit, new_grid, trilinear
 
 REACH = 3.0  # spacings of the kernels
-MOST = 3e7  # cells
 
 
 def density_normals(x: np.ndarray, spacing: float) -> np.ndarray:
