@@ -19,7 +19,10 @@ _PACKAGE = pathlib.Path(__file__).resolve().parent.parent
 # whether a product and a sum may become one instruction that rounds once. Switched off, this
 # program's results are those of a card (engines/cuda), bit by bit, and it is slower by a tenth
 CONTRACTS = os.environ.get("VGMPI_CONTRACTION", "on") != "off"
-_COMPILED = ("device", "materials", "couplings", "planning", "domain", "lanes", "kernels")
+_COMPILED = (
+    "gaussians", "splatting", "studio", "device", "materials", "couplings", "planning", "domain",
+    "lanes", "kernels",
+)  # fmt: skip
 
 
 def user_folder() -> pathlib.Path:

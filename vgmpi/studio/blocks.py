@@ -113,6 +113,8 @@ def deposit_blocks(x, half, metric, weight, lower, cell, index, raw):
             for j in range(j0, j1 + 1):
                 for k in range(k0, k1 + 1):
                     number = np.int64(index[i >> _SHIFT, j, k])
+                    if number < 0:  # touched by a rounding error alone
+                        continue
                     at = np.uint64((number << 3 * _SHIFT) + plane)
                     a, b = j * BLOCK - Y, k * BLOCK - Z
                     # 1 - q^2 = c + y (cy + f y + g z) + z (cz + h z) of node y, z of the block
