@@ -83,11 +83,21 @@ class Studio:
         self.rig = rig_of(chosen, folder)
         self.torn, self.links = tearing(look, chosen.look.tear)
         self.made: dict[int, tuple] = {}  # foam by frame
+        self.first: ground.Ground | None = None  # at the first frame
 
     # ---- a frame ---------------------------------------------------------------------------
 
     def moment(self, frame: dict[str, np.ndarray], index: int) -> Moment:
         """All that does not depend on the camera."""
+        made, asked = self._moment(frame, index), self.chosen.picture.floor
+        if asked is not None and asked.kind == "photograph":
+            if self.first is None:
+                number = min(self.look.run.frames)
+                self.first = self._moment(self.look.frame(number), number).plane
+            made.plane = ground.since(made.plane, self.first)
+        return made
+
+    def _moment(self, frame: dict[str, np.ndarray], index: int) -> Moment:
         look, bodies = self.look, self.bodies
         parts = look.parts(frame)
         ids = np.asarray(frame["id"])

@@ -91,12 +91,18 @@ def render(view: View, eye: np.ndarray, background: str) -> str:
             "fov": view.fov,
             "near": near(eye),
         },
-        "picture": {"width": view.width, "height": view.height, "background": background},
-        "look": {"preset": "paper"},
+        "picture": {
+            "width": view.width,
+            "height": view.height,
+            "background": background,
+            "floor": {"kind": "photograph"},
+        },
+        "light": {"captures": 0},
     }
     head = [
         "The photograph's camera; behind everything the photograph, its objects painted out. The",
-        'light is in their colours: preset = "studio" would light them once more.',
+        "light is in their colors, and their first shadows are in the photograph: no light is added",
+        "to them, and the only shadows are those of what moves.",
     ]
     return sealed(written.text(top, head, []))
 
