@@ -32,8 +32,10 @@ IN_VIEW = 1.2  # m
 SCATTER = 1.5  # 1/m: own light of a liquid whose Gaussians have the usual opacity
 USUAL_OPACITY = 0.05  # scale of the Gaussians of a clear liquid
 BEHIND_WALL = 0.12  # of the clear way, that is seen of a liquid behind a wall at least
+CAPTURES = 0.5  # of the studio's light that captures take
 HISTORY = 12  # frames that foam remembers
 COATED = 2  # times as fine as the picture is what is painted, where edges are refined
+TOUCHES = 0.9  # spacings from a liquid within which nothing is a drop
 STRETCH = 0.4, 3.0  # least and largest of a liquid's kernels
 FASTEST = 1e4  # m/s
 THICKEST = 1e6  # 1/m that a liquid absorbs or scatters
@@ -186,6 +188,7 @@ class Studio:
             clear = CLEAR * max(float(np.linalg.norm(high - low)), 1e-9) / IN_VIEW
         absorbs = -np.log(np.clip(color, 0.03, 0.97)) / clear
         scatter = self._scattering(ids[rows])
+        color = color * self._unlit()[bodies.captured[ids[rows]].astype(int)]
         white = np.zeros(len(rows))
         if self.chosen.look.foam > 0 and "velocity" in frame:
             white = self._foam(index)[ids[rows]]
@@ -207,7 +210,16 @@ class Studio:
             mean,
         )
         density = field.densities(found, x[rows])
+        density = np.where(_on_surface(found, x[rows], density, s), 1.0, density)
         return medium, drops.spray(x[rows], velocity, ids[rows], density, s)
+
+    def _unlit(self) -> np.ndarray:
+        """Factors (2, 3) on the linear colors of liquids, and of those of captures, whose colors
+        hold a light: divided by a liquid's usual light as far as they take none of the studio's."""
+        light = self.chosen.light
+        takes = light.captures if light else CAPTURES
+        usual = 0.45 * self.rig.key + 0.9 * self.rig.horizon
+        return np.stack([np.ones(3), takes + (1.0 - takes) / np.maximum(usual, 0.1)])
 
     def _scattering(self, ids) -> np.ndarray:
         """Own light of the liquid's particles [1/m]: the more opaque their Gaussians, the more."""
@@ -271,7 +283,7 @@ class Studio:
         albedo, normals, kinds, left = painted
         stage = Stage(moment.medium, moment.pyramid, self.rig, moment.plane, view)
         deferred.shade_background(stage, taken, self.times)
-        captures = self.chosen.light.captures if self.chosen.light else 0.5
+        captures = self.chosen.light.captures if self.chosen.light else CAPTURES
         deferred.shade_opaque(
             stage, albedo, normals, kinds, left, self.times, moment.liquid, captures
         )
@@ -355,6 +367,15 @@ class Studio:
         if (kind == one).all():
             return albedo, normals, (1 - left)[..., None] * one.astype(np.float32), left
         return albedo, normals, layers.with_colors(kind).picture(black)[0], left
+
+
+def _on_surface(found: field.Field, x: np.ndarray, density: np.ndarray, spacing: float):
+    """Whether points (n, 3) [m] out of a liquid touch it: these are no drops."""
+    out = np.zeros(len(x), bool)
+    alone = np.flatnonzero(density < drops.ALONE)
+    for way in np.concatenate([np.eye(3), -np.eye(3)]):
+        out[alone] |= field.densities(found, x[alone] + TOUCHES * spacing * way) >= 0.5
+    return out
 
 
 def _speeds(velocity: np.ndarray, rows: np.ndarray) -> np.ndarray:

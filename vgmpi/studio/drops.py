@@ -9,7 +9,7 @@ import numpy as np
 
 from vgmpi.caching import cached
 from vgmpi.studio.compiling import RAY
-from vgmpi.studio.grid import KERNEL, deposit, new_grid, sample
+from vgmpi.studio.grid import KERNEL, deposit, new_grid, sample, trilinear_values
 from vgmpi.studio.hashing import uniform
 from vgmpi.studio.lighting import mirrored_sky
 from vgmpi.studio.surroundings import far_light
@@ -19,6 +19,7 @@ DROPS = 6  # of a particle
 EXPOSED = 0.008  # s: over which a drop is drawn out along its way
 LIFE = 0.35  # s: in which foam fades
 RATE = 10.2  # 1/s at most that it grows by
+THICK = 2.0  # cells of the field: way through a drop
 
 
 def spray(
@@ -121,8 +122,17 @@ def shade_drop(stage, p, d, n, behind, work, out):
     far_light(
         stage, p[0], p[1], p[2], t[0] * size, t[1] * size, t[2] * size, True, 0.1, work[9:12], seen
     )
+    # what is turbid has light of its own, as in liquid.shade_ray
+    own, tint, rig = work[12:20], stage.medium.tint, stage.rig
+    trilinear_values(
+        tint.values, (p[0] - tint.lower[0]) / tint.cell, (p[1] - tint.lower[1]) / tint.cell,
+        (p[2] - tint.lower[2]) / tint.cell, own,
+    )  # fmt: skip
+    glow = 1.0 - np.exp(-own[7] * THICK * stage.medium.field.cell)
     for m in range(3):
-        out[m] = share * min(mirrored[m], 4.0) + (1.0 - share) * (0.6 * seen[m] + 0.4 * behind[m])
+        inside = own[3 + m] * (0.45 * rig.key[m] + 0.9 * rig.horizon[m])
+        through = (1.0 - glow) * (0.6 * seen[m] + 0.4 * behind[m]) + glow * inside
+        out[m] = share * min(mirrored[m], 4.0) + (1.0 - share) * through
 
 
 def foam_made(x: np.ndarray, velocity: np.ndarray, spacing: float) -> np.ndarray:
