@@ -40,6 +40,7 @@ def _background(value: Any) -> tuple[float, float, float] | str:
 Background = Annotated[tuple[float, float, float] | str, BeforeValidator(_background)]
 
 
+CAPTURES = 0.5  # of the studio's light that captures take
 OLD_NAMES = {"picture": {"color": "colour"}}  # what keys inside were called before
 
 
@@ -274,6 +275,15 @@ class Settings(RenderTable):
     def on_photograph(self) -> bool:
         """Whether the background is a picture from a file."""
         return self.picture.on_photograph
+
+    @property
+    def captures(self) -> float:
+        """How much of the studio's light captures take, 0..1: none before a photograph that holds
+        their first shadows."""
+        if self.light is not None and self.light.captures is not None:
+            return self.light.captures
+        floor = self.picture.floor
+        return 0.0 if floor is not None and floor.kind == "photograph" else CAPTURES
 
     @property
     def toned(self) -> bool:

@@ -32,7 +32,6 @@ IN_VIEW = 1.2  # m
 SCATTER = 1.5  # 1/m: own light of a liquid whose Gaussians have the usual opacity
 USUAL_OPACITY = 0.05  # scale of the Gaussians of a clear liquid
 BEHIND_WALL = 0.12  # of the clear way, that is seen of a liquid behind a wall at least
-CAPTURES = 0.5  # of the studio's light that captures take
 HISTORY = 12  # frames that foam remembers
 COATED = 2  # times as fine as the picture is what is painted, where edges are refined
 TOUCHES = 0.9  # spacings from a liquid within which nothing is a drop
@@ -216,8 +215,7 @@ class Studio:
     def _unlit(self) -> np.ndarray:
         """Factors (2, 3) on the linear colors of liquids, and of those of captures, whose colors
         hold a light: divided by a liquid's usual light as far as they take none of the studio's."""
-        light = self.chosen.light
-        takes = light.captures if light else CAPTURES
+        takes = self.chosen.captures
         usual = 0.45 * self.rig.key + 0.9 * self.rig.horizon
         return np.stack([np.ones(3), takes + (1.0 - takes) / np.maximum(usual, 0.1)])
 
@@ -283,9 +281,8 @@ class Studio:
         albedo, normals, kinds, left = painted
         stage = Stage(moment.medium, moment.pyramid, self.rig, moment.plane, view)
         deferred.shade_background(stage, taken, self.times)
-        captures = self.chosen.light.captures if self.chosen.light else CAPTURES
         deferred.shade_opaque(
-            stage, albedo, normals, kinds, left, self.times, moment.liquid, captures
+            stage, albedo, normals, kinds, left, self.times, moment.liquid, self.chosen.captures
         )
         far = np.full(view.depth.shape, np.inf, np.float32)
         turned = np.zeros((*far.shape, 3), np.float32)

@@ -92,7 +92,7 @@ def before(chosen: settings.Settings, tables: dict[str, dict[str, Any]]) -> sett
         chosen: of the scene's render.toml.
         tables: what is said beside the camera and the size of the picture.
     """
-    said = chosen.model_dump(exclude_unset=True)
+    said = chosen.model_dump(exclude_unset=True, exclude={"light"})
     said["camera"] = list(said.get("camera", [{}]))
     for name, table in tables.items():
         said[name] = {**said.get(name, {}), **table}

@@ -97,12 +97,11 @@ def render(view: View, eye: np.ndarray, background: str) -> str:
             "background": background,
             "floor": {"kind": "photograph"},
         },
-        "light": {"captures": 0},
     }
     head = [
         "The photograph's camera; behind everything the photograph, its objects painted out. The",
-        "light is in their colors, and their first shadows are in the photograph: no light is added",
-        "to them, and the only shadows are those of what moves.",
+        "light is in their colors, and the photograph holds their first shadows: no light is",
+        "added, and the only shadows are those that come later.",
     ]
     return sealed(written.text(top, head, []))
 
