@@ -34,7 +34,6 @@ USUAL_OPACITY = 0.05  # scale of the Gaussians of a clear liquid
 BEHIND_WALL = 0.12  # of the clear way, that is seen of a liquid behind a wall at least
 HISTORY = 12  # frames that foam remembers
 COATED = 2  # times as fine as the picture is what is painted, where edges are refined
-TOUCHES = 0.9  # spacings from a liquid within which nothing is a drop
 STRETCH = 0.4, 3.0  # least and largest of a liquid's kernels
 FASTEST = 1e4  # m/s
 THICKEST = 1e6  # 1/m that a liquid absorbs or scatters
@@ -174,7 +173,7 @@ class Studio:
         if not len(rows):
             tint = Grid(np.zeros((2, 2, 2, 8), np.float32), np.zeros(3), 1.0)
             none = Medium(field.empty_field(), tint, 1.333, 0.0, True, 0.0, np.zeros(8))
-            return none, drops.spray(x[:0], x[:0], ids[:0], np.zeros(0), 1.0)
+            return none, drops.spray(x[:0], x[:0], ids[:0], none.field, 1.0)
         velocity = np.zeros((len(rows), 3))
         if "velocity" in frame:
             velocity = _speeds(frame["velocity"], rows)
@@ -208,9 +207,7 @@ class Studio:
             float(foam),
             mean,
         )
-        density = field.densities(found, x[rows])
-        density = np.where(_on_surface(found, x[rows], density, s), 1.0, density)
-        return medium, drops.spray(x[rows], velocity, ids[rows], density, s)
+        return medium, drops.spray(x[rows], velocity, ids[rows], found, s)
 
     def _unlit(self) -> np.ndarray:
         """Factors (2, 3) on the linear colors of liquids, and of those of captures, whose colors
@@ -364,15 +361,6 @@ class Studio:
         if (kind == one).all():
             return albedo, normals, (1 - left)[..., None] * one.astype(np.float32), left
         return albedo, normals, layers.with_colors(kind).picture(black)[0], left
-
-
-def _on_surface(found: field.Field, x: np.ndarray, density: np.ndarray, spacing: float):
-    """Whether points (n, 3) [m] out of a liquid touch it: these are no drops."""
-    out = np.zeros(len(x), bool)
-    alone = np.flatnonzero(density < drops.ALONE)
-    for way in np.concatenate([np.eye(3), -np.eye(3)]):
-        out[alone] |= field.densities(found, x[alone] + TOUCHES * spacing * way) >= 0.5
-    return out
 
 
 def _speeds(velocity: np.ndarray, rows: np.ndarray) -> np.ndarray:

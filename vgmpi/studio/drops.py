@@ -9,6 +9,7 @@ import numpy as np
 
 from vgmpi.caching import cached
 from vgmpi.studio.compiling import RAY
+from vgmpi.studio.field import Field, densities
 from vgmpi.studio.grid import KERNEL, deposit, new_grid, sample, trilinear_values
 from vgmpi.studio.hashing import uniform
 from vgmpi.studio.lighting import mirrored_sky
@@ -17,6 +18,7 @@ from vgmpi.studio.rays import first_hit
 from vgmpi.studio.surroundings import far_light, project
 
 ALONE = 0.46  # density at a particle below which it is a drop
+TOUCHES = 0.9  # spacings from the liquid's surface within which nothing is a drop
 DROPS = 6  # of a particle
 EXPOSED = 0.008  # s: over which a drop is drawn out along its way
 LIFE = 0.35  # s: in which foam fades
@@ -24,22 +26,25 @@ RATE = 10.2  # 1/s at most that it grows by
 THICK = 2.0  # cells of the field: way through a drop
 
 
-def spray(
-    x: np.ndarray, velocity: np.ndarray, ids: np.ndarray, density: np.ndarray, spacing: float
-):
+def spray(x: np.ndarray, velocity: np.ndarray, ids: np.ndarray, liquid: Field, spacing: float):
     """Drops as spheroids.
 
     Args:
         x: (n, 3) positions of the liquid's particles [m].
         velocity: (n, 3) [m/s].
         ids: (n,) their numbers.
-        density: (n,) of the field at them.
+        liquid: what holds the others.
         spacing: [m].
 
     Returns:
         middles (m, 3) [m], unit axes (m, 3), long and short half axes (m,) [m].
     """
+    density = densities(liquid, x)
     alone = np.flatnonzero(density < ALONE)
+    touch = np.zeros(len(alone), bool)
+    for way in np.concatenate([np.eye(3), -np.eye(3)]):
+        touch |= densities(liquid, x[alone] + TOUCHES * spacing * way) >= 0.5
+    alone = alone[~touch]
     if not len(alone):
         return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0)
     ids, v = ids[alone], velocity[alone]

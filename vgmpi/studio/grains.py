@@ -22,7 +22,7 @@ BURIED = 0.85  # density of all cells around, from which on a particle is not se
 OPACITY = 0.95
 SIZE = 0.28  # spacings: standard deviation of one of eight children
 SAND_CHROMA = 0.62  # of what looks like sand without a light
-FOOT = 2.2  # spacings by which grains at the foot of a heap roll aside, at most
+FOOT = 3.0, 4.0  # spacings by which grains at a heap's foot roll aside at most, and its height
 BEHIND = -0.35  # cosine between normal and way to the eye, below which a dense particle is hidden
 
 
@@ -223,7 +223,8 @@ def _place_child(seeds, p, c, points, floor, axis, at, out):
     sd *= np.exp(0.55 * spread) * (1.0 + 0.5 * flat)
     x = seeds.x[p]
     # at the foot of a heap rows of the lattice come apart: grains roll aside
-    rolls = FOOT * s * _loose(V) * min(max(2.0 - (x[2] - floor) / s, 0.0), 1.0) if sandy else 0.0
+    rolls = FOOT[0] * s * _loose(V) if sandy else 0.0
+    rolls *= min(max(FOOT[1] - (x[2] - floor) / s, 0.0), 1.0)
     aside = 150 + 4 * (c % 16)
     r0 = rolls * (_random(number, aside) + _random(number, aside + 1) - 1.0)
     r1 = rolls * (_random(number, aside + 2) + _random(number, aside + 3) - 1.0)
