@@ -312,9 +312,8 @@ class Studio:
         if self.edges > 1:
             marked = np.zeros(shape, np.bool_)
             if compose.rough_pixels(stage, hits, normals, drop_depth, image, marked):
-                compose.refine(
-                    stage, left, *given, marked, self.edges, pixel, flags, keys, image, alpha
-                )
+                drawn = image, alpha, keys
+                compose.refine(stage, left, *given, marked, self.edges, pixel, flags, drawn)
         return image.astype(np.float32), alpha.astype(np.float32), depth
 
     def _background(self, picture: np.ndarray, fine: Camera) -> np.ndarray:

@@ -143,7 +143,7 @@ def shade_drop(stage, p, d, n, behind, work, out):
     own, tint, rig = work[12:20], stage.medium.tint, stage.rig
     trilinear_values(
         tint.values, (p[0] - tint.lower[0]) / tint.cell, (p[1] - tint.lower[1]) / tint.cell,
-        (p[2] - tint.lower[2]) / tint.cell, own,
+        (p[2] - tint.lower[2]) / tint.cell, 8, own,
     )  # fmt: skip
     glow = 1.0 - np.exp(-own[7] * THICK * stage.medium.field.cell)
     for m in range(3):
