@@ -86,9 +86,11 @@ def test_a_drop_shows_the_liquid_behind_it():
     drops.paint_drops(middle, axis, np.array([0.03]), np.array([0.03]), view, depth, normal)
     hits, normals = stages.find(stage)
     image, alpha = np.empty((*depth.shape, 3)), np.empty(depth.shape)
-    far, left = np.empty(depth.shape, np.float32), np.ones(depth.shape, np.float32)
+    far, keys = np.empty(depth.shape, np.float32), np.empty(depth.shape, np.float32)
+    left = np.ones(depth.shape, np.float32)
     pixel = 1.0 / view.lens[0]
-    compose.compose(stage, left, depth, normal, hits, normals, pixel, 0, image, alpha, far)
+    drawn = image, alpha, far, keys
+    compose.compose(stage, left, depth, normal, hits, normals, pixel, 0, *drawn)
     image = tone.to_linear(image)
     inside = np.isfinite(depth)
     water = image[50:70, 20:30].mean(axis=(0, 1))

@@ -11,11 +11,11 @@ from vgmpi.studio.ground import NONE, SHADOW, backdrop, ground_color, ground_lig
 from vgmpi.studio.lighting import ambient
 from vgmpi.studio.liquid import direction
 from vgmpi.studio.occlusion import EXTINCTION, cone
-from vgmpi.studio.rays import liquid_depth
+from vgmpi.studio.rays import liquid_depth, rho_at
 
 WRAP = 0.12  # of the key around a body; more of sand and of snow
 HAZE = 0.65, 0.6  # share of the sky's light under the liquid that it absorbs, and of how much
-TURNED = 0.35  # share of the key that a liquid's surfaces mirror or bend away from its shadow
+TURNED = 0.5  # share of the key that is lost to a shadow beside a liquid, by total reflection
 BRIGHTEST = 1.15  # of a capture in the studio's light, against the light that it holds
 
 
@@ -79,10 +79,13 @@ def tint_ground(stage):
                 stage.pyramid, x, y, plane.height, rig.toward[0], rig.toward[1], rig.toward[2],
                 rig.width, 1.2 * stage.pyramid.cell, EXTINCTION,
             )  # fmt: skip
+            # light that would leave through a side is mirrored there; a film lets it go on
+            leaves = rho_at(medium.field, x, y, plane.height + 0.5 * medium.field.cell) < 0.5
+            turned = TURNED * min(way / thick, 1.0) if leaves else 0.0
             for m in range(3):
                 direct = rig.key[m] * up * key
                 rest = plane.light[j, k, m] - direct
-                passes = np.exp(-depth[m]) * (1.0 - TURNED * min(way / thick, 1.0))
+                passes = np.exp(-depth[m]) * (1.0 - turned)
                 plane.light[j, k, m] = direct * passes + rest * (
                     1.0 - HAZE[0] + HAZE[0] * np.exp(-HAZE[1] * depth[m])
                 )

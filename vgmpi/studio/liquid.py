@@ -110,8 +110,13 @@ def shade_ray(stage, p, d, wall, pixel, blur, work, out):
         )  # fmt: skip
     key = out[7]
     glow = 1.0 - np.exp(-own[7] * way)
+    # light that is scattered back near the surface: more where it faces the key and the sky
+    lit = 0.5 + 1.1 * max(n[0] * rig.toward[0] + n[1] * rig.toward[1] + n[2] * rig.toward[2], 0.0)
+    open_sky = 0.78 + 0.22 * n[2]
     for m in range(3):
-        inside = own[3 + m] * (0.45 * rig.key[m] * (0.3 + 0.7 * key) + 0.9 * rig.horizon[m])
+        inside = own[3 + m] * (
+            0.45 * rig.key[m] * (0.3 + 0.7 * key) * lit + 0.9 * rig.horizon[m] * open_sky
+        )
         met = passes * col[m] + (1.0 - passes) * rig.horizon[m]
         light = np.exp(-depth[m]) * (1.0 - glow) * met + glow * inside
         out[m] = share * mirrored[m] + (1.0 - share) * light
