@@ -25,7 +25,7 @@ from vgmpi.studio import occlusion as hiding
 from vgmpi.studio import tone as display
 from vgmpi.studio.defocus import defocus
 from vgmpi.studio.grid import Grid
-from vgmpi.studio.stage import Medium, Stage, View
+from vgmpi.studio.stage import Medium, Stage, no_view, view_of
 
 CLEAR = 0.8  # m that one sees through a liquid, where 1.2 m are in view
 IN_VIEW = 1.2  # m
@@ -114,7 +114,7 @@ class Studio:
         rows = np.flatnonzero(bodies.fluid[ids] & near)
         medium, spray = self._medium(frame, index, ids, x, rows, parts[at])
         plane = ground_of(self.chosen, self.domain, pyramid, self.rig)
-        stage = Stage(medium, pyramid, self.rig, plane, _no_view())
+        stage = Stage(medium, pyramid, self.rig, plane, no_view())
         if len(rows) and plane.kind != ground.NONE:
             deferred.tint_ground(stage)
         plane = ground.closed(plane)
@@ -276,7 +276,7 @@ class Studio:
             lens: radius of the lens and depth of what is sharp [m]; 0 and 0 for a pinhole.
         """
         fine = finer(camera, self.times)
-        shape, view = (camera.height, camera.width), _view(fine)
+        shape, view = (camera.height, camera.width), view_of(fine)
         taken = self._background(picture, fine)
         view = view._replace(picture=taken.shape[0] > 1)
         splats, normal, kind = self._splats(moment, camera.eye)
@@ -386,18 +386,3 @@ def _unshaded(part: Part, shade: np.ndarray | None, ids: np.ndarray) -> np.ndarr
     """Display values (n, 3) without the light that was painted on them."""
     color = _plain(part)
     return np.clip(color if shade is None else color / shade[ids][:, None], 0, 1)
-
-
-def _view(camera: Camera) -> View:
-    shape = (camera.height, camera.width)
-    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.near])
-    pose = np.ascontiguousarray(camera.world_to_camera, dtype=np.float64)
-    light, behind = (np.zeros((*shape, 3), np.float32) for _ in range(2))
-    depth = np.full(shape, np.inf, np.float32)
-    return View(light, depth, behind, pose, lens, np.ascontiguousarray(camera.eye), False)
-
-
-def _no_view() -> View:
-    none = np.zeros((1, 1, 3), np.float32)
-    depth = np.full((1, 1), np.inf, np.float32)
-    return View(none, depth, none, np.eye(4), np.ones(5), np.zeros(3), False)

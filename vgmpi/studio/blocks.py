@@ -67,6 +67,33 @@ def mark_blocks(x, half, lower, cell, index):
 
 
 @cached(nogil=True, error_model="numpy", fastmath=True)
+def _add_plane(raw, at, y, z, m, first, height):
+    """Add a kernel to the 64 nodes of a plane of a block: eight vectors.
+
+    Args:
+        raw: node values, in/out.
+        at: row of the plane's first node.
+        y, z: (64,) places of its nodes in it.
+        m: (6,) upper triangle of the matrix of q^2 [1/cells2].
+        first: place of the first node from the kernel's middle [cells].
+        height: of the kernel.
+    """
+    d, a, b = first
+    # 1 - q^2 = c + y (cy + f y + g z) + z (cz + h z)
+    c = np.float32(
+        1.0 - m[0] * d * d - m[3] * a * a - m[5] * b * b
+        - 2.0 * (m[1] * d * a + m[2] * d * b + m[4] * a * b)
+    )  # fmt: skip
+    cy = np.float32(-2.0 * (m[1] * d + m[3] * a + m[4] * b))
+    cz = np.float32(-2.0 * (m[2] * d + m[4] * a + m[5] * b))
+    f, g, h = np.float32(-m[3]), np.float32(-2.0 * m[4]), np.float32(-m[5])
+    for n in range(BLOCK * BLOCK):
+        t = c + y[n] * (cy + f * y[n] + g * z[n]) + z[n] * (cz + h * z[n])
+        t = t if t > _ZERO else _ZERO
+        raw[at + np.uint64(n)] += height * t * t * t
+
+
+@cached(nogil=True, error_model="numpy", fastmath=True)
 def deposit_blocks(x, half, metric, weight, lower, cell, index, raw):
     """Add weight (1 - q^2)^3 of every kernel to the nodes of the blocks that it touches.
 
@@ -95,7 +122,6 @@ def deposit_blocks(x, half, metric, weight, lower, cell, index, raw):
         )
         e, height = half[p, 0] * scale, np.float32(weight[p])
         inverse = 1.0 / (m[3] * m[5] - m[4] * m[4])
-        f, g, h = np.float32(-m[3]), np.float32(-2.0 * m[4]), np.float32(-m[5])
         for i in range(max(0, int(np.ceil(X - e))), min(top, int(np.floor(X + e))) + 1):
             d = i - X
             # an ellipse in this plane: its middle, and its half edges where it is cut
@@ -116,18 +142,9 @@ def deposit_blocks(x, half, metric, weight, lower, cell, index, raw):
                     if number < 0:  # touched by a rounding error alone
                         continue
                     at = np.uint64((number << 3 * _SHIFT) + plane)
-                    a, b = j * BLOCK - Y, k * BLOCK - Z
-                    # 1 - q^2 = c + y (cy + f y + g z) + z (cz + h z) of node y, z of the block
-                    c = np.float32(
-                        1.0 - m[0] * d * d - m[3] * a * a - m[5] * b * b
-                        - 2.0 * (m[1] * d * a + m[2] * d * b + m[4] * a * b)
+                    _add_plane(
+                        raw, at, y, z, m, (d, j * BLOCK - Y, k * BLOCK - Z), height
                     )  # fmt: skip
-                    cy = np.float32(-2.0 * (m[1] * d + m[3] * a + m[4] * b))
-                    cz = np.float32(-2.0 * (m[2] * d + m[4] * a + m[5] * b))
-                    for n in range(BLOCK * BLOCK):  # a plane of the block: eight vectors
-                        t = c + y[n] * (cy + f * y[n] + g * z[n]) + z[n] * (cz + h * z[n])
-                        t = t if t > _ZERO else _ZERO
-                        raw[at + np.uint64(n)] += height * t * t * t
 
 
 @cached(nogil=True, error_model="numpy")

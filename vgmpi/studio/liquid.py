@@ -19,6 +19,7 @@ from vgmpi.studio.surroundings import far_light
 SURFACES = 8  # that a ray meets at most
 AROUND = 1.5  # m beyond which nothing is mirrored but sky and ground
 FILM = 1.5  # cells: of air between liquid and ground that is not seen
+FAINT = 0.03  # share up to which only sky and ground are mirrored: the rest is 2 levels at most
 WHITE = 0.86  # albedo of foam
 
 
@@ -38,13 +39,18 @@ def fresnel(cosine, ratio):
 
 
 @cached(**RAY)
-def _mirrored(stage, p, r, blur, work, out):
-    """Light that comes along the mirrored ray r (3,) to p (3,) on the liquid, into out (3,)."""
+def _mirrored(stage, p, r, blur, follows, work, out):
+    """Light that comes along the mirrored ray r (3,) to p (3,) on the liquid, into out (3,).
+
+    follows: whether liquid and opaque things are looked for.
+    """
     q, depth = work[20:23], work[23:26]
     for m in range(3):
         q[m] = p[m]
         depth[m] = 0.0
-    end, way = follow(stage, q, r, False, AROUND, depth, work[:20], out)
+    end = LEFT
+    if follows:
+        end, way = follow(stage, q, r, False, AROUND, depth, work[:20], out)
     if end == MET:
         return
     if end == CROSSED:  # the liquid again: its own color, and the sky that it mirrors
@@ -57,6 +63,15 @@ def _mirrored(stage, p, r, blur, work, out):
             out[m] = 0.35 * min(out[m], 1.0) + 0.5 * own
         return
     far_light(stage, p[0], p[1], p[2], r[0], r[1], r[2], False, blur, work[:3], out)
+
+
+@cached(**RAY)
+def _scattered(rig, n, key, m):
+    """Light of color m that a white liquid scatters back below a surface of normal n (3,): more
+    where it faces the key and the sky. key: share of the key that comes."""
+    facing = max(n[0] * rig.toward[0] + n[1] * rig.toward[1] + n[2] * rig.toward[2], 0.0)
+    direct = 0.45 * rig.key[m] * (0.3 + 0.7 * key) * (0.5 + 1.1 * facing)
+    return direct + 0.9 * rig.horizon[m] * (0.78 + 0.22 * n[2])
 
 
 @cached(**RAY)
@@ -90,7 +105,7 @@ def shade_ray(stage, p, d, wall, pixel, blur, work, out):
     _unit(t)
     _unit(r)
     mirrored = work[48:51]
-    _mirrored(stage, p, r, 2.0 * blur, work, mirrored)
+    _mirrored(stage, p, r, 2.0 * blur, share > FAINT, work, mirrored)
     q = work[51:54]
     for m in range(3):
         q[m] = p[m] - 1.5 * medium.field.cell * n[m]
@@ -110,13 +125,8 @@ def shade_ray(stage, p, d, wall, pixel, blur, work, out):
         )  # fmt: skip
     key = out[7]
     glow = 1.0 - np.exp(-own[7] * way)
-    # light that is scattered back near the surface: more where it faces the key and the sky
-    lit = 0.5 + 1.1 * max(n[0] * rig.toward[0] + n[1] * rig.toward[1] + n[2] * rig.toward[2], 0.0)
-    open_sky = 0.78 + 0.22 * n[2]
     for m in range(3):
-        inside = own[3 + m] * (
-            0.45 * rig.key[m] * (0.3 + 0.7 * key) * lit + 0.9 * rig.horizon[m] * open_sky
-        )
+        inside = own[3 + m] * _scattered(rig, n, key, m)
         met = passes * col[m] + (1.0 - passes) * rig.horizon[m]
         light = np.exp(-depth[m]) * (1.0 - glow) * met + glow * inside
         out[m] = share * mirrored[m] + (1.0 - share) * light

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vgmpi.splatting.camera import Camera
 from vgmpi.studio.field import Field
 from vgmpi.studio.grid import Grid
 from vgmpi.studio.ground import Ground
@@ -63,3 +64,20 @@ class Stage(NamedTuple):
     rig: Rig
     plane: Ground
     buffers: View
+
+
+def view_of(camera: Camera) -> View:
+    """An empty view of a camera, as large as its picture."""
+    shape = (camera.height, camera.width)
+    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.near])
+    pose = np.ascontiguousarray(camera.world_to_camera, dtype=np.float64)
+    light, behind = (np.zeros((*shape, 3), np.float32) for _ in range(2))
+    depth = np.full(shape, np.inf, np.float32)
+    return View(light, depth, behind, pose, lens, np.ascontiguousarray(camera.eye), False)
+
+
+def no_view() -> View:
+    """The view of no camera: nothing is seen."""
+    none = np.zeros((1, 1, 3), np.float32)
+    depth = np.full((1, 1), np.inf, np.float32)
+    return View(none, depth, none, np.eye(4), np.ones(5), np.zeros(3), False)
