@@ -30,8 +30,8 @@ NAMES = {
     "warp_rival": "Warp",
 }
 INSIDE = "vgmpi.bench.inside"  # what a study of makers asks for
-# where the worker lies in a checkout of this program, in a later one first
-WORKERS = ("vgmpi/bench/worker.py",)
+# what the worker is called in a checkout of this program, in a later one first
+WORKERS = ("vgmpi.bench.worker",)
 AVX2 = {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "+avx2,+fma,+bmi,+bmi2"}
 # what two contestants may differ by after the check's steps: rounding of single precision, for the
 # rivals of positions counted from the grid's corner
@@ -89,8 +89,8 @@ class Contestant:
 def worker_of(tree: Path) -> str:
     """The module of a checkout that a contestant's process runs. Raises BenchError."""
     for name in WORKERS:
-        if (tree / name).is_file():
-            return name.removesuffix(".py").replace("/", ".")
+        if (tree / f"{name.replace('.', '/')}.py").is_file():
+            return name
     raise BenchError(f"{tree}: no checkout of this program: it has none of {', '.join(WORKERS)}")
 
 
