@@ -33,6 +33,8 @@ SCATTER = 1.5  # 1/m: own light of a liquid whose Gaussians have the usual opaci
 USUAL_OPACITY = 0.05  # scale of the Gaussians of a clear liquid
 BEHIND_WALL = 0.12  # of the clear way, that is seen of a liquid behind a wall at least
 HISTORY = 12  # frames that foam remembers
+PREVIEW = 2  # frames from which one is taken for the foam of a preview
+COARSER = 0.75  # cells of grids in a preview, of a picture's
 COATED = 2  # times as fine as the picture is what is painted, where edges are refined
 STRETCH = 0.4, 3.0  # least and largest of a liquid's kernels
 FASTEST = 1e4  # m/s
@@ -68,7 +70,7 @@ class Studio:
         chosen: render.toml.
         box: gives lower and upper corner of what is to be seen [m].
         folder: of render.toml, for the files it names.
-        quick: whether edges are not refined.
+        quick: whether it is for a preview: edges are not refined, and grids are coarser.
     """
 
     def __init__(
@@ -77,7 +79,7 @@ class Studio:
         self.look, self.chosen, self.box = look, chosen, box
         self.domain = domain_of(look.run, chosen.liquid.walls)
         self.bodies = Bodies(look)
-        self.edges = 1 if quick else chosen.picture.edges
+        self.quick, self.edges = quick, 1 if quick else chosen.picture.edges
         self.times = COATED if self.edges > 1 else 1
         self.tone = int(chosen.toned)
         self.rig = rig_of(chosen, folder)
@@ -155,6 +157,8 @@ class Studio:
         volume = np.concatenate(volumes) if xs else np.zeros(0)
         color = np.concatenate(colors) if xs else np.zeros((0, 3))
         cells = self.chosen.light.cells if self.chosen.light else 150
+        if self.quick:
+            cells = max(int(COARSER * cells), 1)
         return hiding.occlusion(points, volume, color, self.domain.low, self.domain.high, cells)
 
     def _medium(self, frame, index, ids, x, rows, part) -> tuple[Medium, tuple]:
@@ -183,7 +187,8 @@ class Studio:
         walls, box = self.domain.walls, self.domain.box
         inside = field.interior(x[rows], spacing, values, box, walls)
         stretch = self._stretches(x, ids, rows, STRETCH)
-        found = field.liquid_field(x[rows], spacing, stretch, inside, box, walls, chosen.fine)
+        fine = chosen.fine * (COARSER if self.quick else 1.0)
+        found = field.liquid_field(x[rows], spacing, stretch, inside, box, walls, fine)
         uniform = bool((np.ptp(values[:, :3], axis=0) < 1e-3 * values[:, :3].max()).all())
         foam = self.chosen.look.foam if white.any() else 0.0
         mean = np.ascontiguousarray(values.mean(axis=0))
@@ -209,7 +214,8 @@ class Studio:
         """Foam of every particle at a frame, from the frames before it: as many for every picture,
         so that it is the same whoever draws which."""
         run, value = self.look.run, np.zeros(len(self.bodies.fluid))
-        for k in range(max(index - HISTORY, 0), index + 1):
+        step = PREVIEW if self.quick else 1
+        for k in range(max(index - HISTORY, index % step), index + 1, step):
             if k not in run.frames:
                 continue
             if k not in self.made:
@@ -217,7 +223,7 @@ class Studio:
                     n: made for n, made in self.made.items() if index - HISTORY <= n <= index
                 }
                 self.made[k] = self._foam_of(k)
-            before = run.times[k - 1] if k > 0 else np.nan
+            before = run.times[k - step] if k >= step else np.nan
             dt = float(run.times[k] - before) if np.isfinite(before) else 0.0
             drops.foam_later(value, *self.made[k], max(dt, 0.0))
         return value
@@ -284,12 +290,15 @@ class Studio:
         liquid.find_surface(stage, np.ascontiguousarray(near), hits, normals, pixel)
         image, alpha, depth = np.empty((*shape, 3)), np.empty(shape), np.empty(shape, np.float32)
         given = (drop_depth, drop_normal, hits, normals)
+        keys = np.empty(shape, np.float32)
         flags = self.tone + (2 if self.chosen.background == "none" else 0)
-        compose.compose(stage, left, *given, pixel, flags, image, alpha, depth)
+        compose.compose(stage, left, *given, pixel, flags, image, alpha, depth, keys)
         if self.edges > 1:
             marked = np.zeros(shape, np.bool_)
             if compose.rough_pixels(stage, hits, normals, drop_depth, image, marked):
-                compose.refine(stage, left, *given, marked, self.edges, pixel, flags, image, alpha)
+                compose.refine(
+                    stage, left, *given, marked, self.edges, pixel, flags, keys, image, alpha
+                )
         return image.astype(np.float32), alpha.astype(np.float32), depth
 
     def _background(self, picture: np.ndarray, fine: Camera) -> np.ndarray:

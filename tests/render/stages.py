@@ -122,7 +122,8 @@ def draw(stage, covered=False):
     none, turned = np.full(shape, np.inf, np.float32), np.zeros((*shape, 3), np.float32)
     image, alpha, depth = np.empty((*shape, 3)), np.empty(shape), np.empty(shape, np.float32)
     pixel = 1.0 / view.lens[0]
-    compose.compose(stage, left, none, turned, hits, normals, pixel, 0, image, alpha, depth)
+    keys = np.empty(hits.shape, np.float32)
+    compose.compose(stage, left, none, turned, hits, normals, pixel, 0, image, alpha, depth, keys)
     return tone.to_linear(image)
 
 

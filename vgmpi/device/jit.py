@@ -19,8 +19,11 @@ _PACKAGE = pathlib.Path(__file__).resolve().parent.parent
 # whether a product and a sum may become one instruction that rounds once. Switched off, this
 # program's results are those of a card (engines/cuda), bit by bit, and it is slower by a tenth
 CONTRACTS = os.environ.get("VGMPI_CONTRACTION", "on") != "off"
-# folders of all that is compiled for a run; tests/unit/test_names_as_data.py holds that none lacks
-COMPILED = ("device", "materials", "couplings", "planning", "domain", "lanes", "kernels")
+# folders of all that is compiled; tests/unit/test_names_as_data.py holds that none lacks
+COMPILED = (
+    "gaussians", "splatting", "studio", "device", "materials", "couplings", "planning", "domain",
+    "lanes", "kernels",
+)  # fmt: skip
 
 
 def user_folder() -> pathlib.Path:

@@ -68,49 +68,66 @@ def mark_blocks(x, half, lower, cell, index):
 
 @cached(nogil=True, error_model="numpy", fastmath=True)
 def deposit_blocks(x, half, metric, weight, lower, cell, index, raw):
+    """Add weight (1 - q^2)^3 of every kernel to the nodes of the blocks that it touches.
 
-    top0, top1, top2 = (
-        (index.shape[0] << 3) - 1,
-        (index.shape[1] << 3) - 1,
-        (index.shape[2] << 3) - 1,
-    )
+    Args:
+        x: (n, 3) positions [m].
+        half: (n, 3) half edges of the boxes around kernels [m].
+        metric: (n, 6) upper triangles of the matrix of q^2 [1/m2].
+        weight: (n,) at their middles.
+        lower: (3,) position of the first node [m].
+        cell: edge [m].
+        index: (bx, by, bz) number of a block.
+        raw: (blocks * 512,) in/out, values of their nodes.
+    """
+    top = index.shape[0] * BLOCK - 1
+    y, z = np.empty(BLOCK * BLOCK, np.float32), np.empty(BLOCK * BLOCK, np.float32)
+    for n in range(BLOCK * BLOCK):
+        y[n], z[n] = np.float32(n >> _SHIFT), np.float32(n & _LAST)
+    m, scale = np.empty(6), 1.0 / cell
     for p in range(len(x)):
-        amplitude = np.float32(weight[p])
+        for k in range(6):
+            m[k] = metric[p, k] * cell * cell
         X, Y, Z = (
-            (x[p, 0] - lower[0]) / cell,
-            (x[p, 1] - lower[1]) / cell,
-            (x[p, 2] - lower[2]) / cell,
+            (x[p, 0] - lower[0]) * scale,
+            (x[p, 1] - lower[1]) * scale,
+            (x[p, 2] - lower[2]) * scale,
         )
-        e0, e1 = half[p, 0] / cell, half[p, 1] / cell
-        c2 = metric[p, 5] * cell * cell
-        for i in range(max(0, int(np.ceil(X - e0))), min(top0, int(np.floor(X + e0))) + 1):
-            dx = (i - X) * cell
-            for j in range(max(0, int(np.ceil(Y - e1))), min(top1, int(np.floor(Y + e1))) + 1):
-                dy = (j - Y) * cell
-                c0 = (
-                    1.0
-                    - dx * (metric[p, 0] * dx + 2.0 * metric[p, 1] * dy)
-                    - metric[p, 3] * dy * dy
-                )
-                c1 = (metric[p, 2] * dx + metric[p, 4] * dy) * cell
-                root = c1 * c1 + c0 * c2
-                if root <= 0.0:
-                    continue
-                root = np.sqrt(root)
-                k = max(0, int(np.ceil(Z + (-c1 - root) / c2)))
-                last = min(top2, int(np.floor(Z + (-c1 + root) / c2)))
-                if k > last:
-                    continue
-                f0, f1, f2 = np.float32(c0), np.float32(-2.0 * c1), np.float32(-c2)
-                for block in range(k >> _SHIFT, (last >> _SHIFT) + 1):
-                    b = index[i >> _SHIFT, j >> _SHIFT, block]
-                    row = raw[b, i & _LAST, j & _LAST]
-                    z = np.float32((block << _SHIFT) - Z)
-                    for n in range(BLOCK):  # all eight: one vector
-                        d = z + np.float32(n)
-                        t = f0 + d * (f1 + d * f2)
+        e, height = half[p, 0] * scale, np.float32(weight[p])
+        inverse = 1.0 / (m[3] * m[5] - m[4] * m[4])
+        f, g, h = np.float32(-m[3]), np.float32(-2.0 * m[4]), np.float32(-m[5])
+        for i in range(max(0, int(np.ceil(X - e))), min(top, int(np.floor(X + e))) + 1):
+            d = i - X
+            # an ellipse in this plane: its middle, and its half edges where it is cut
+            u = (m[4] * m[2] - m[5] * m[1]) * d * inverse
+            v = (m[4] * m[1] - m[3] * m[2]) * d * inverse
+            most = 1.0 - d * (m[0] * d + m[1] * u + m[2] * v)
+            if most <= 0.0:
+                continue
+            wide, tall = np.sqrt(most * m[5] * inverse), np.sqrt(most * m[3] * inverse)
+            j0 = max(int(np.floor(Y + u - wide)) + 1, 0) >> _SHIFT
+            j1 = min(int(np.floor(Y + u + wide)) >> _SHIFT, index.shape[1] - 1)
+            k0 = max(int(np.floor(Z + v - tall)) + 1, 0) >> _SHIFT
+            k1 = min(int(np.floor(Z + v + tall)) >> _SHIFT, index.shape[2] - 1)
+            plane = (i & _LAST) << (2 * _SHIFT)
+            for j in range(j0, j1 + 1):
+                for k in range(k0, k1 + 1):
+                    number = np.int64(index[i >> _SHIFT, j, k])
+                    if number < 0:  # touched by a rounding error alone
+                        continue
+                    at = np.uint64((number << 3 * _SHIFT) + plane)
+                    a, b = j * BLOCK - Y, k * BLOCK - Z
+                    # 1 - q^2 = c + y (cy + f y + g z) + z (cz + h z) of node y, z of the block
+                    c = np.float32(
+                        1.0 - m[0] * d * d - m[3] * a * a - m[5] * b * b
+                        - 2.0 * (m[1] * d * a + m[2] * d * b + m[4] * a * b)
+                    )  # fmt: skip
+                    cy = np.float32(-2.0 * (m[1] * d + m[3] * a + m[4] * b))
+                    cz = np.float32(-2.0 * (m[2] * d + m[4] * a + m[5] * b))
+                    for n in range(BLOCK * BLOCK):  # a plane of the block: eight vectors
+                        t = c + y[n] * (cy + f * y[n] + g * z[n]) + z[n] * (cz + h * z[n])
                         t = t if t > _ZERO else _ZERO
-                        row[n] += amplitude * t * t * t
+                        raw[at + np.uint64(n)] += height * t * t * t
 
 
 @cached(nogil=True, error_model="numpy")

@@ -16,6 +16,9 @@ from vgmpi.studio.tone import shown
 
 CONTRAST = 10 / 255  # display values between neighbors from which a pixel is refined
 BEND = 0.90  # cosine between neighbors' normals, below which
+AGREE = (
+    3 / 255
+)  # display values by which the first rays of a pixel differ, where more are not drawn
 SCRATCH = 72
 
 
@@ -82,8 +85,42 @@ def _ray(stage, drop_depth, drop_normal, hit, wall, pixel, blur, at, d, p, work,
     return opaque
 
 
+@cached(**RAY)
+def _opaque_pixel(view, left, j, k, times, flags, out):
+    """Display values of a pixel without the liquid, and what comes through, into out (4,).
+
+    Returns the mean depth [m], infinite where nothing is.
+    """
+    out[0] = out[1] = out[2] = out[3] = 0.0
+    share, nearest, weight = 1.0 / (times * times), 0.0, 0.0
+    for u in range(j * times, (j + 1) * times):
+        for v in range(k * times, (k + 1) * times):
+            light, through = view.light[u, v], left[u, v]
+            r, g, b = _shown_over(light[0], light[1], light[2], through, flags)
+            out[0] += share * r
+            out[1] += share * g
+            out[2] += share * b
+            out[3] += share * through
+            if view.depth[u, v] < 1e6:
+                nearest += (1.0 - through) * view.depth[u, v]
+                weight += 1.0 - through
+    return nearest / weight if weight > 0.0 else np.inf
+
+
+@cached(**RAY)
+def _has_drop(drop_depth, j, k, times):
+    """Whether a drop covers a part of a pixel."""
+    for u in range(j * times, (j + 1) * times):
+        for v in range(k * times, (k + 1) * times):
+            if drop_depth[u, v] < 1e6:
+                return True
+    return False
+
+
 @cached(nogil=True, error_model="numpy", fastmath=True)
-def compose(stage, left, drop_depth, drop_normal, hits, normals, pixel, flags, image, alpha, depth):
+def compose(
+    stage, left, drop_depth, drop_normal, hits, normals, pixel, flags, image, alpha, depth, keys
+):
     """Draw every pixel once.
 
     Args:
@@ -96,49 +133,33 @@ def compose(stage, left, drop_depth, drop_normal, hits, normals, pixel, flags, i
         image: (height, width, 3) out, display values.
         alpha: (height, width) out, what comes through.
         depth: (height, width) out [m].
+        keys: (height, width) out, share of the key's light on the liquid; -1 for none.
     """
     view = stage.buffers
     height, width = hits.shape
     times = view.depth.shape[0] // height
     d, p, work, out = np.empty(3), np.empty(3), np.empty(SCRATCH), np.empty(8)
-    share = 1.0 / (times * times)
     for j in range(height):
         for k in range(width):
-            touched = abs(hits[j, k]) < 1e30
-            red = green = blue = through = 0.0
-            nearest, weight = 0.0, 0.0
-            for a in range(times):
-                for b in range(times):
-                    u, v = j * times + a, k * times + b
-                    touched = touched or drop_depth[u, v] < 1e6
-                    r, g, c = _shown_over(
-                        view.light[u, v, 0],
-                        view.light[u, v, 1],
-                        view.light[u, v, 2],
-                        left[u, v],
-                        flags,
-                    )
-                    red, green, blue = red + share * r, green + share * g, blue + share * c
-                    through += share * left[u, v]
-                    if view.depth[u, v] < 1e6:
-                        w = 1.0 - left[u, v]
-                        nearest, weight = nearest + w * view.depth[u, v], weight + w
-            depth[j, k] = nearest / weight if weight > 0.0 else np.inf
-            if touched:
+            wet, drawn = abs(hits[j, k]) < 1e30, False
+            out[7] = -1.0
+            if wet or _has_drop(drop_depth, j, k, times):
                 size = direction(view, (k + 0.5) / width, (j + 0.5) / height, d)
                 u, v = j * times + times // 2, k * times + times // 2
-                hit = abs(hits[j, k]) if abs(hits[j, k]) < 1e30 else -1.0
-                blur = change_of_normal(hits, normals, j, k) if hit >= 0.0 else 0.0
-                out[7] = -1.0
                 t = _ray(
-                    stage, drop_depth, drop_normal, hit, hits[j, k] < 0.0, pixel, blur,
+                    stage, drop_depth, drop_normal, abs(hits[j, k]) if wet else -1.0,
+                    hits[j, k] < 0.0, pixel, change_of_normal(hits, normals, j, k) if wet else 0.0,
                     (u, v, size), d, p, work, out,
                 )  # fmt: skip
-                if out[3] >= 0.0:
-                    red, green, blue = _shown_over(out[0], out[1], out[2], out[3], flags)
-                    through, depth[j, k] = out[3], t / size
-            image[j, k, 0], image[j, k, 1], image[j, k, 2] = red, green, blue
-            alpha[j, k] = through
+                drawn = out[3] >= 0.0
+            if drawn:
+                depth[j, k] = t / size
+                red, green, blue = _shown_over(out[0], out[1], out[2], out[3], flags)
+                out[0], out[1], out[2] = red, green, blue
+            else:
+                depth[j, k] = _opaque_pixel(view, left, j, k, times, flags, out)
+            image[j, k, 0], image[j, k, 1], image[j, k, 2] = out[0], out[1], out[2]
+            alpha[j, k], keys[j, k] = out[3], out[7]
 
 
 @cached(nogil=True, error_model="numpy")
@@ -171,15 +192,35 @@ def rough_pixels(stage, hits, normals, drop_depth, image, marked):
                 if differs:
                     marked[j, k] = True
                     marked[a, b] = True
-            for a in range(times):
-                for b in range(times):
-                    if drop_depth[j * times + a, k * times + b] < 1e6:
-                        marked[j, k] = True
+            if _has_drop(drop_depth, j, k, times):
+                marked[j, k] = True
     count = 0
     for j in range(height):
         for k in range(width):
             count += marked[j, k]
     return count
+
+
+@cached(**RAY)
+def _sample(stage, left, drops, at, pixel, blur, flags, d, p, work, out):
+    """Display values along the ray through a place of the picture, `at` (row, column) 0..1.
+
+    drops: depth and normal of drops. Returns red, green, blue and what comes through.
+    """
+    view = stage.buffers
+    rows, columns = view.depth.shape
+    y, x = at
+    j, k = min(int(y * rows), rows - 1), min(int(x * columns), columns - 1)
+    size = direction(view, x, y, d)
+    hit, wall = first_hit(
+        stage.medium.field, view.eye[0], view.eye[1], view.eye[2], d[0], d[1], d[2],
+        view.lens[4], view.depth[j, k] * size,
+    )  # fmt: skip
+    _ray(stage, *drops, hit, wall, pixel, blur, (j, k, size), d, p, work, out)
+    if out[3] < 0.0:
+        out[3] = left[j, k]
+    red, green, blue = _shown_over(out[0], out[1], out[2], out[3], flags)
+    return red, green, blue, out[3]
 
 
 @cached(nogil=True, error_model="numpy", fastmath=True)
@@ -194,41 +235,40 @@ def refine(
     samples,
     pixel,
     flags,
+    keys,
     image,
     alpha,
 ):
-    """Draw the marked pixels again with samples x samples rays each."""
-    view, field = stage.buffers, stage.medium.field
+    """Draw the marked pixels again with samples x samples rays each.
+
+    The rays of a lattice's diagonal are first; where they agree they are enough.
+    """
     height, width = hits.shape
-    rows, columns = view.depth.shape
     d, p, work, out = np.empty(3), np.empty(3), np.empty(SCRATCH), np.empty(8)
-    share = 1.0 / (samples * samples)
+    total, low, high = np.empty(4), np.empty(4), np.empty(4)
+    drops = drop_depth, drop_normal
     for j in range(height):
         for k in range(width):
             if not marked[j, k]:
                 continue
             blur = change_of_normal(hits, normals, j, k) if abs(hits[j, k]) < 1e30 else 0.3
-            red = green = blue = through = 0.0
-            out[7] = -1.0  # the same key for all rays of a pixel
-            for a in range(samples):
-                for b in range(samples):
-                    x = k + (b + (a + 0.5) / samples) / samples
-                    y = j + (a + (b + 0.5) / samples) / samples
-                    u = min(int(y * rows / height), rows - 1)
-                    v = min(int(x * columns / width), columns - 1)
-                    size = direction(view, x / width, y / height, d)
-                    hit, wall = first_hit(
-                        field, view.eye[0], view.eye[1], view.eye[2], d[0], d[1], d[2],
-                        view.lens[4], view.depth[u, v] * size,
-                    )  # fmt: skip
-                    _ray(
-                        stage, drop_depth, drop_normal, hit, wall, pixel, blur,
-                        (u, v, size), d, p, work, out,
-                    )  # fmt: skip
-                    if out[3] < 0.0:
-                        out[3] = left[u, v]
-                    r, g, c = _shown_over(out[0], out[1], out[2], out[3], flags)
-                    red, green, blue = red + share * r, green + share * g, blue + share * c
-                    through += share * out[3]
-            image[j, k, 0], image[j, k, 1], image[j, k, 2] = red, green, blue
-            alpha[j, k] = through
+            total[:], low[:], high[:] = 0.0, 1e9, -1e9
+            out[7], count = keys[j, k], 0  # the same key for all rays of a pixel
+            for n in range(samples * samples):
+                a, b = n % samples, (n + n // samples) % samples
+                if n == samples and max(
+                    high[0] - low[0], high[1] - low[1], high[2] - low[2], high[3] - low[3]
+                ) < AGREE:  # fmt: skip
+                    break
+                at = (
+                    (j + (a + (b + 0.5) / samples) / samples) / height,
+                    (k + (b + (a + 0.5) / samples) / samples) / width,
+                )
+                values = _sample(stage, left, drops, at, pixel, blur, flags, d, p, work, out)
+                for m in range(4):
+                    total[m] += values[m]
+                    low[m], high[m] = min(low[m], values[m]), max(high[m], values[m])
+                count += 1
+            for m in range(3):
+                image[j, k, m] = total[m] / count
+            alpha[j, k] = total[3] / count

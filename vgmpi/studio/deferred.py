@@ -29,31 +29,32 @@ def shade_background(stage, picture, block):
     height, width = view.depth.shape
     d, light = np.empty(3), np.empty(3)
     taken = picture.shape[0] > 1
-    for j in range(height):
-        for k in range(width):
-            out = view.behind[j, k]
-            if taken:
-                for m in range(3):
-                    out[m] = picture[j, k, m]
-            size = direction(view, (k + 0.5) / width, (j + 0.5) / height, d)
+    for j0 in range(0, height, block):
+        for k0 in range(0, width, block):
+            j1, k1 = min(j0 + block, height), min(k0 + block, width)
+            size = direction(view, 0.5 * (k0 + k1) / width, 0.5 * (j0 + j1) / height, d)
             down = -d[2]
             t = (view.eye[2] - plane.height) / down if down > 1e-6 else -1.0
-            if plane.kind == NONE or t <= 0.0 or t > 1e6:
-                if not taken:
-                    backdrop(plane, d[2], light)
-                    for m in range(3):
-                        out[m] = light[m]
-                continue
+            on = plane.kind != NONE and 0.0 < t <= 1e6
             x, y = view.eye[0] + t * d[0], view.eye[1] + t * d[1]
-            if plane.kind == SHADOW:
+            if not on:
+                backdrop(plane, d[2], light)
+            elif plane.kind == SHADOW:
                 ground_light(plane, x, y, light)
                 for m in range(3):
-                    out[m] *= min(light[m] / max(plane.far[m], 1e-6), 1.0)
+                    light[m] = min(light[m] / max(plane.far[m], 1e-6), 1.0)
             else:
-                wide = t / (view.lens[0] * down / size) if down > 1e-3 else 1e3
+                wide = block * t / (view.lens[0] * down / size) if down > 1e-3 else 1e3
                 ground_color(plane, x, y, wide, light)
-                for m in range(3):
-                    out[m] = light[m]
+            for j in range(j0, j1):
+                for k in range(k0, k1):
+                    out = view.behind[j, k]
+                    for m in range(3):
+                        out[m] = picture[j, k, m] if taken else light[m]
+                        if on and plane.kind == SHADOW:
+                            out[m] = light[m] * (picture[j, k, m] if taken else 0.0)
+                        elif on:
+                            out[m] = light[m]
 
 
 @cached(nogil=True, error_model="numpy", fastmath=True)

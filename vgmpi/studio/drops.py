@@ -133,7 +133,7 @@ def foam_made(x: np.ndarray, velocity: np.ndarray, spacing: float) -> np.ndarray
         velocity: (n, 3) [m/s].
         spacing: [m].
     """
-    total = new_grid(x.min(axis=0) - 3 * spacing, x.max(axis=0) + 3 * spacing, 1.5 * spacing)
+    total = new_grid(x.min(axis=0) - 3 * spacing, x.max(axis=0) + 3 * spacing, 2 * spacing)
     sums = total._replace(values=np.zeros((*total.values.shape, 4), np.float32))
     values = np.column_stack([velocity, (velocity**2).sum(axis=1)])
     deposit(x, np.full(len(x), 3.0 * spacing), np.full(len(x), KERNEL / 27), values, total, sums)

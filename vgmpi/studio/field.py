@@ -30,6 +30,7 @@ from vgmpi.studio.blocks import (
 )
 from vgmpi.studio.compiling import RAY
 from vgmpi.studio.grid import KERNEL, Grid, deposit, new_grid
+from vgmpi.studio.lattice import jacobi
 
 SIGMA = 0.68  # spacings: standard deviation of a kernel
 SMOOTH = 0.3  # spacings: standard deviation by which the field is smoothed
@@ -172,8 +173,8 @@ def liquid_field(
         fine: cells in a spacing.
     """
     s = float(np.median(spacing))
-    stretch, amplitude = _smoothed(stretch)
-    half = _half_extents(stretch, REACH * spacing)
+    half, metric, amplitude = np.empty((len(x), 3)), np.empty((len(x), 6)), np.empty(len(x))
+    _kernels(np.ascontiguousarray(stretch), REACH * spacing, half, metric, amplitude)
     low, high = (x - half).min(axis=0), (x + half).max(axis=0)
     low = np.where(walls[:3], np.maximum(low, box[:3]), low)
     high = np.where(walls[3:], np.minimum(high, box[3:]), high)
@@ -184,15 +185,14 @@ def liquid_field(
     lower = first * cell
     far = inside.distance
     surface = rows_near_surface(x, half.max(axis=1), far.values, far.lower, far.cell, MARGIN * s)
-    x, half, spacing = x[surface], half[surface], spacing[surface]
-    metric = _metric(stretch[surface], REACH * spacing)
+    x, half, metric = x[surface], half[surface], metric[surface]
     index = np.full(tuple(blocks), -1, np.int32)
     amplitude = amplitude[surface] * KERNEL / REACH**3
     mark_blocks(x, half, lower, cell, index)
     touched = np.flatnonzero(index.ravel() >= 0)
     index.ravel()[touched] = np.arange(len(touched))
     raw = np.zeros((max(len(touched), 1), BLOCK, BLOCK, BLOCK), np.float32)
-    deposit_blocks(x, half, metric, amplitude, lower, cell, index, raw)
+    deposit_blocks(x, half, metric, amplitude, lower, cell, index, raw.ravel())
     nodes = blocks * BLOCK + 1
     shares = wall_shares(lower, nodes, cell, box, walls, np.hypot(SIGMA, SMOOTH) * s)
     values = np.empty((len(raw), NODES, NODES, NODES), np.float32)
@@ -208,18 +208,43 @@ def liquid_field(
     )
 
 
-def _smoothed(stretch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Stretches (n, 6) of kernels that are smoothed by a Gaussian, and their amplitudes (n,).
+@cached(nogil=True, error_model="numpy")
+def _kernels(stretch, radius, half, metric, amplitude):
+    """Kernels of stretches (n, 6), smoothed by a Gaussian: variances add, V^2 + (SMOOTH / SIGMA)^2,
+    and a kernel that is wider is as much lower.
 
-    Variances add: V^2 + (SMOOTH / SIGMA)^2; a kernel that is wider is as much lower.
+    Args:
+        stretch: (n, 6) upper triangles of V.
+        radius: (n,) of the kernels at rest [m].
+        half: (n, 3) out, half edges of the boxes around them [m].
+        metric: (n, 6) out, upper triangles of W^-2 / radius^2 [1/m2], W the wider stretch.
+        amplitude: (n,) out, det V / det W.
     """
-    full = stretch[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
-    square = full @ full
-    square[:, (0, 1, 2), (0, 1, 2)] += (SMOOTH / SIGMA) ** 2
-    w, q = np.linalg.eigh(square)
-    wide = (q * np.sqrt(w)[:, None, :]) @ q.transpose(0, 2, 1)
-    lower = np.linalg.det(full) / np.sqrt(w.prod(axis=1))
-    return wide.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]], lower
+    add = (SMOOTH / SIGMA) ** 2
+    C, Q = np.empty((3, 3)), np.empty((3, 3))
+    for p in range(len(stretch)):
+        C[0, 0], C[0, 1], C[0, 2] = stretch[p, 0], stretch[p, 1], stretch[p, 2]
+        C[1, 0], C[1, 1], C[1, 2] = stretch[p, 1], stretch[p, 3], stretch[p, 4]
+        C[2, 0], C[2, 1], C[2, 2] = stretch[p, 2], stretch[p, 4], stretch[p, 5]
+        jacobi(C, Q)
+        square = radius[p] * radius[p]
+        lower, k = 1.0, 0
+        for m in range(3):
+            v = C[m, m] * C[m, m]
+            lower *= v / (v + add)
+            C[m, m] = v + add
+        amplitude[p] = np.sqrt(lower)
+        for a in range(3):
+            half[p, a] = radius[p] * np.sqrt(
+                Q[a, 0] * Q[a, 0] * C[0, 0] + Q[a, 1] * Q[a, 1] * C[1, 1]
+                + Q[a, 2] * Q[a, 2] * C[2, 2]
+            )  # fmt: skip
+            for b in range(a, 3):
+                metric[p, k] = (
+                    Q[a, 0] * Q[b, 0] / C[0, 0] + Q[a, 1] * Q[b, 1] / C[1, 1]
+                    + Q[a, 2] * Q[b, 2] / C[2, 2]
+                ) / square  # fmt: skip
+                k += 1
 
 
 def _bricks(index: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -237,20 +262,6 @@ def _bricks(index: np.ndarray, values: np.ndarray) -> np.ndarray:
             away = distance_transform_cdt(mine, metric="chessboard")
             out[mine] = kind * np.minimum(away[mine], 500)
     return out
-
-
-def _half_extents(stretch: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """Half edges (n, 3) of the boxes around kernels."""
-    rows = (stretch[:, [0, 1, 2]], stretch[:, [1, 3, 4]], stretch[:, [2, 4, 5]])
-    square = np.stack([(row**2).sum(axis=1) for row in rows], axis=1)
-    return radius[:, None] * np.sqrt(square)
-
-
-def _metric(stretch: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """Upper triangles (n, 6) of V^-2 / radius^2."""
-    full = stretch[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
-    inverse = np.linalg.inv(full) / radius[:, None, None]
-    return (inverse @ inverse).reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]]
 
 
 @cached(**RAY)

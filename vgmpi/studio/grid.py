@@ -52,19 +52,21 @@ def trilinear(v, x, y, z):
 
 
 @cached(**RAY)
-def trilinear_values(v, x, y, z, out):
-    """Values of a grid of channels at grid coordinates moved into it, into out (channels,)."""
+def trilinear_values(v, x, y, z, count, out):
+    """First `count` values of a grid of channels at grid coordinates moved into it, into out
+    (count,)."""
     nx, ny, nz = v.shape[0], v.shape[1], v.shape[2]
     x, y, z = min(max(x, 0.0), nx - 1.0), min(max(y, 0.0), ny - 1.0), min(max(z, 0.0), nz - 1.0)
     i, j, k = min(int(x), nx - 2), min(int(y), ny - 2), min(int(z), nz - 2)
     a, b, c = x - i, y - j, z - k
-    for m in range(v.shape[3]):
-        v00 = v[i, j, k, m] + c * (v[i, j, k + 1, m] - v[i, j, k, m])
-        v01 = v[i, j + 1, k, m] + c * (v[i, j + 1, k + 1, m] - v[i, j + 1, k, m])
-        v10 = v[i + 1, j, k, m] + c * (v[i + 1, j, k + 1, m] - v[i + 1, j, k, m])
-        v11 = v[i + 1, j + 1, k, m] + c * (v[i + 1, j + 1, k + 1, m] - v[i + 1, j + 1, k, m])
-        v0, v1 = v00 + b * (v01 - v00), v10 + b * (v11 - v10)
-        out[m] = v0 + a * (v1 - v0)
+    p, q, r, s = (1.0 - a) * (1.0 - b), (1.0 - a) * b, a * (1.0 - b), a * b
+    d = 1.0 - c
+    for m in range(count):
+        below = p * v[i, j, k, m] + q * v[i, j + 1, k, m]
+        below += r * v[i + 1, j, k, m] + s * v[i + 1, j + 1, k, m]
+        above = p * v[i, j, k + 1, m] + q * v[i, j + 1, k + 1, m]
+        above += r * v[i + 1, j, k + 1, m] + s * v[i + 1, j + 1, k + 1, m]
+        out[m] = d * below + c * above
 
 
 @cached(nogil=True, error_model="numpy")

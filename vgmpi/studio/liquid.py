@@ -127,7 +127,7 @@ def _look_up_tint(tint, q, values):
     """What the liquid's particles are like around q (3,), into values (8,)."""
     trilinear_values(
         tint.values, (q[0] - tint.lower[0]) / tint.cell, (q[1] - tint.lower[1]) / tint.cell,
-        (q[2] - tint.lower[2]) / tint.cell, values,
+        (q[2] - tint.lower[2]) / tint.cell, 8, values,
     )  # fmt: skip
 
 

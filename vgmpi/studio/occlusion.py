@@ -24,6 +24,7 @@ EXTINCTION = 2.2  # per width of a cone, of what is filled
 DIFFUSE, SOFT = 3.98, 1.056
 STRIDE = 1.2  # widths of a wide cone
 MOST_STEPS = 500
+SUPPORT = 3.0  # widths of a cone, that its samples reach
 TINT = 4  # cells of the pyramid in one of the colors
 SOLID = 0.45  # density from which a ray has met something opaque
 
@@ -224,20 +225,32 @@ def cone(pyramid, p0, p1, p2, d0, d1, d2, tangent, start, extinction):
     begin, far = clip(pyramid.lower, pyramid.upper, p0, p1, p2, d0, d1, d2)
     t, passes = max(start, begin), 1.0
     cell, last = pyramid.cell, len(pyramid.offsets) - 1
+    q, size, clear = 0, cell, 0.0
     while t < far and passes > 0.02:
         wide = max(2.0 * tangent * t, cell)
-        level = np.log2(wide / cell)
-        q = min(int(level), last)
-        f = min(level - q, 1.0)
-        x, y, z = p0 + t * d0, p1 + t * d1, p2 + t * d2
-        s = level_value(pyramid, q, x, y, z)
-        if f > 0.0 and q < last:
-            s += f * (level_value(pyramid, q + 1, x, y, z) - s)
         step = max(0.6 * wide, 0.7 * cell)
+        if t + SUPPORT * wide < clear:  # nothing is there
+            t += step
+            continue
+        while q < last and wide >= 2.0 * size:
+            q, size = q + 1, 2.0 * size
+        x, y, z = p0 + t * d0, p1 + t * d1, p2 + t * d2
+        s = _between_levels(pyramid, q, wide / size - 1.0, x, y, z)
         if s > 0.0:
             passes *= np.exp(-extinction * s * step / wide)
+        else:
+            clear = t + leap(pyramid, x, y, z)
         t += step
     return passes
+
+
+@cached(**RAY)
+def _between_levels(pyramid, q, f, x, y, z):
+    """Density at a point [m], between levels q and q + 1."""
+    s = level_value(pyramid, q, x, y, z)
+    if f > 0.0 and q + 1 < len(pyramid.offsets):
+        s += min(f, 1.0) * (level_value(pyramid, q + 1, x, y, z) - s)
+    return s
 
 
 @cached(**RAY)
@@ -247,19 +260,22 @@ def wide_cone(pyramid, p0, p1, p2, d0, d1, d2, tangent, start):
     t, passes = max(start, begin), 1.0
     cell, last = pyramid.cell, len(pyramid.offsets) - 1
     widest = cell * (1 << last)
+    q, size, clear = 0, cell, 0.0
     for _n in range(MOST_STEPS):
         if t >= far or passes <= 0.02:
             break
         wide = min(max(2.0 * tangent * t, cell), widest)
-        level = np.log2(wide / cell)
-        q = min(int(level), last)
-        f = level - q
+        if t + SUPPORT * wide < clear:
+            t += STRIDE * wide
+            continue
+        while q < last and wide >= 2.0 * size:
+            q, size = q + 1, 2.0 * size
         x, y, z = p0 + t * d0, p1 + t * d1, p2 + t * d2
-        s = level_value(pyramid, q, x, y, z)
-        if f > 0.0 and q < last:
-            s += f * (level_value(pyramid, q + 1, x, y, z) - s)
+        s = _between_levels(pyramid, q, wide / size - 1.0, x, y, z)
         if s > 0.0:
             passes *= np.exp(-DIFFUSE * STRIDE * s / (1.0 + SOFT - s))
+        else:
+            clear = t + leap(pyramid, x, y, z)
         t += STRIDE * wide
     return passes
 

@@ -13,9 +13,11 @@ from vgmpi.studio.grid import trilinear_values
 from vgmpi.studio.occlusion import clip, leap
 from vgmpi.studio.surroundings import opaque_at
 
-STEP = 0.8  # cells
+STEP = 0.8  # cells, at the surface
+LONGER = 2.0  # shares of it, per density off the surface's
 SMOOTH = 1.0  # cells: from which the normal of the surface is taken, at least
-BISECTIONS = 6
+SECANTS = 6  # to find a crossing at most
+NEAR = 1e-3  # of the density, to 1/2, that is a crossing
 MOST_STEPS = 4000
 LEFT, CROSSED, MET = 0, 1, 2  # how a way ends: nowhere, at the surface, at something opaque
 VISIBLE = 2.5  # cells of the pyramid: how thick what is seen is at least
@@ -118,10 +120,35 @@ def absorb(medium, p, d, begin, end, share, depth, values):
         (p[0] + middle * d[0] - tint.lower[0]) / tint.cell,
         (p[1] + middle * d[1] - tint.lower[1]) / tint.cell,
         (p[2] + middle * d[2] - tint.lower[2]) / tint.cell,
+        3,
         values,
     )
     for m in range(3):
         depth[m] += way * values[m]
+
+
+@cached(**RAY)
+def crossing(field, u, v, w, d0, d1, d2, a, b, inside):
+    """Way [cells] between a and b at which a ray crosses the surface, just before it.
+
+    u, v, w: grid coordinates of way 0. inside: whether it is in the liquid at a. By regula falsi
+    (Illinois): where it does not end on the near side of the surface, a is returned.
+    """
+    sign = -1.0 if inside else 1.0
+    fa = sign * (density(field, u + a * d0, v + a * d1, w + a * d2) - 0.5)
+    fb = sign * (density(field, u + b * d0, v + b * d1, w + b * d2) - 0.5)
+    if fa >= 0.0 or fb <= 0.0:
+        return a
+    for _ in range(SECANTS):
+        t = (a * fb - b * fa) / (fb - fa)
+        f = sign * (density(field, u + t * d0, v + t * d1, w + t * d2) - 0.5)
+        if f > 0.0:
+            b, fb, fa = t, f, 0.5 * fa
+        else:
+            a, fa, fb = t, f, 0.5 * fb
+            if f > -NEAR:
+                break
+    return a
 
 
 @cached(**RAY)
@@ -148,21 +175,16 @@ def first_hit(field, p0, p1, p2, d0, d1, d2, near, far):
             t += way + 1e-4
             sure, first = t, False
             continue
-        if density(field, u, v, w) > 0.5:
+        rho = density(field, u, v, w)
+        if rho > 0.5:
             if first:
                 return t * field.cell, True
-            a, b = sure, t
-            for _ in range(BISECTIONS):
-                t = 0.5 * (a + b)
-                if density(field, u0 + t * d0, v0 + t * d1, w0 + t * d2) > 0.5:
-                    b = t
-                else:
-                    a = t
-            return 0.5 * (a + b) * field.cell, False
+            t = crossing(field, u0, v0, w0, d0, d1, d2, sure, t, False)
+            return t * field.cell, False
         sure, first = t, False
         if t >= end - 2e-6:
             return -1.0, False
-        t += STEP
+        t += STEP * (1.0 + LONGER * abs(rho - 0.5))
     return -1.0, False
 
 
@@ -183,17 +205,10 @@ def _meet(stage, p, d, a, b, thick, place, out):
 def _cross(field, p, d, a, b, inside):
     """Last way between a and b [m] at which a ray is still inside, or outside, of the liquid."""
     c = 1.0 / field.cell
-    for _ in range(BISECTIONS):
-        t = 0.5 * (a + b)
-        f = density(
-            field, (p[0] + t * d[0] - field.lower[0]) * c, (p[1] + t * d[1] - field.lower[1]) * c,
-            (p[2] + t * d[2] - field.lower[2]) * c,
-        )  # fmt: skip
-        if (f > 0.5) == inside:
-            a = t
-        else:
-            b = t
-    return a
+    return field.cell * crossing(
+        field, (p[0] - field.lower[0]) * c, (p[1] - field.lower[1]) * c,
+        (p[2] - field.lower[2]) * c, d[0], d[1], d[2], a * c, b * c, inside,
+    )  # fmt: skip
 
 
 @cached(**RAY)
@@ -235,9 +250,10 @@ def _ask_surface(medium, p, d, t, sure, inside, step):
         if inside and not medium.uniform:
             way = min(way, 4.0 * medium.tint.cell)
         return False, t, t + way, t + way + 1e-4 * field.cell
-    if (density(field, u, v, w) > 0.5) != inside:
+    rho = density(field, u, v, w)
+    if (rho > 0.5) != inside:
         return True, _cross(field, p, d, sure, t, inside), sure, t
-    return False, t, t, t + step
+    return False, t, t, t + step * (1.0 + LONGER * abs(rho - 0.5))
 
 
 @cached(**RAY)
@@ -274,7 +290,7 @@ def follow(stage, p, d, inside, far, depth, work, out):
         if t >= far:
             t = far
             break
-        if inside and not medium.uniform and t > counted:
+        if inside and not medium.uniform and t > counted + medium.tint.cell:
             absorb(medium, p, d, counted, t, 1.0, depth, values)
             counted = t
         if t >= opaque:

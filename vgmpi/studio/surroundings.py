@@ -71,6 +71,7 @@ def opaque_at(stage, x, y, z, thick, place, out):
         (x - pyramid.lower[0]) / size,
         (y - pyramid.lower[1]) / size,
         (z - pyramid.lower[2]) / size,
+        3,
         out,
     )
     # its light is guessed: half of the key, most of the sky
