@@ -73,7 +73,7 @@ class LightSettings(RenderTable):
     sky: Annotated[float, Field(ge=0, le=10)] = lighting.SKY  # strength of the light from all sides
     width: Annotated[float, Field(ge=0.005, le=0.5)] = lighting.WIDTH  # half width: soft shadows
     cells: Annotated[int, Field(ge=16, le=400)] = 150  # of what hides light, along the domain
-    captures: Annotated[float, Field(ge=0, le=1)] = 0.5  # how much of it captures take
+    captures: Annotated[float, Field(ge=0, le=1)] | None = None  # how much of it captures take
     shadow: Annotated[float, Field(ge=0, le=1)] = Light.shadow
     softness: Annotated[float, Field(ge=0, le=1)] = Light.softness
     shade: Annotated[float, Field(ge=0, le=1)] = Light.shade

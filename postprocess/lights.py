@@ -29,7 +29,7 @@ def ground_of(chosen: Settings, domain: Domain, pyramid: Any, rig: lighting.Rig)
         kind = ground.SHADOW if asked is not None else ground.NONE
     elif given == "none":
         kind = ground.NONE
-    lean = 0.35
+    lean = 0.5
     if given is not None and not photograph:
         back, lean = tuple(video.background(given, 1, 1, Path("."))), 0.0
     if asked is not None:

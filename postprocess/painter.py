@@ -79,7 +79,8 @@ class Painter:
         photograph = any(ground.ndim == 3 for ground in self.grounds)
         self.light = chosen.light.light() if chosen.light else None
         self.floor = None
-        if size.floor and size.floor.kind != "none" and not chosen.studio:  # which has its own
+        drawn = size.floor and size.floor.kind not in ("none", "photograph")
+        if drawn and not chosen.studio:  # which has its own
             self.floor = size.floor.floor(photograph, self.light)
         self.clear = chosen.background == "none"
         blurs = chosen.video.shutter > 0

@@ -40,6 +40,7 @@ def _background(value: Any) -> tuple[float, float, float] | str:
 Background = Annotated[tuple[float, float, float] | str, BeforeValidator(_background)]
 
 
+CAPTURES = 0.5  # of the studio's light that captures take
 OLD_NAMES = {"picture": {"color": "colour"}}  # what keys inside were called before
 
 
@@ -142,8 +143,9 @@ class FloorSettings(RenderTable):
     """A plane z = height under the Gaussians, and their shadow on it."""
 
     # studio: tiles with faint joints that fade into the backdrop; none: there is no floor; plain:
-    # of one color or in squares. Default: studio, or plain where colors are given
-    kind: Literal["studio", "plain", "none"] | None = None
+    # of one color or in squares; photograph: only shadows that have come since the first frame,
+    # since the background holds the others. Default: studio, or plain where colors are given
+    kind: Literal["studio", "plain", "photograph", "none"] | None = None
     height: float = 0.0  # m
     tiles: Annotated[float, Field(ge=0)] | None = None  # edge of the studio's tiles [m]; 0: none
     colour: Colour | None = None  # default: light grey; over a picture none, only its shadow
@@ -185,10 +187,18 @@ class PictureSettings(RenderTable):
     samples: Annotated[int, Field(ge=2, le=256)] = 16  # of an aperture and of a shutter
     floor: FloorSettings | None = None
 
+    @property
+    def on_photograph(self) -> bool:
+        """Whether the background is a picture from a file."""
+        asked = self.background
+        return isinstance(asked, str) and not asked.startswith("#") and asked != "none"
+
     @model_validator(mode="after")
     def _one_ground(self):
         if self.floor is not None and self.background == "none":
             raise ValueError('a transparent background ("none") leaves no room for a floor')
+        if self.floor is not None and self.floor.kind == "photograph" and not self.on_photograph:
+            raise ValueError('a floor of kind "photograph" needs a picture as background')
         return self
 
 
@@ -264,8 +274,16 @@ class Settings(RenderTable):
     @property
     def on_photograph(self) -> bool:
         """Whether the background is a picture from a file."""
-        asked = self.picture.background
-        return isinstance(asked, str) and not asked.startswith("#") and asked != "none"
+        return self.picture.on_photograph
+
+    @property
+    def captures(self) -> float:
+        """How much of the studio's light captures take, 0..1: none before a photograph that holds
+        their first shadows."""
+        if self.light is not None and self.light.captures is not None:
+            return self.light.captures
+        floor = self.picture.floor
+        return 0.0 if floor is not None and floor.kind == "photograph" else CAPTURES
 
     @property
     def toned(self) -> bool:

@@ -85,11 +85,21 @@ class Studio:
         self.rig = rig_of(chosen, folder)
         self.torn, self.links = tearing(look, chosen.look.tear)
         self.made: dict[int, tuple] = {}  # foam by frame
+        self.first: ground.Ground | None = None  # at the first frame
 
     # ---- a frame ---------------------------------------------------------------------------
 
     def moment(self, frame: dict[str, np.ndarray], index: int) -> Moment:
         """All that does not depend on the camera."""
+        made, asked = self._moment(frame, index), self.chosen.picture.floor
+        if asked is not None and asked.kind == "photograph":
+            if self.first is None:
+                number = min(self.look.run.frames)
+                self.first = self._moment(self.look.frame(number), number).plane
+            made.plane = ground.since(made.plane, self.first)
+        return made
+
+    def _moment(self, frame: dict[str, np.ndarray], index: int) -> Moment:
         look, bodies = self.look, self.bodies
         parts = look.parts(frame)
         ids = np.asarray(frame["id"])
@@ -167,7 +177,7 @@ class Studio:
         if not len(rows):
             tint = Grid(np.zeros((2, 2, 2, 8), np.float32), np.zeros(3), 1.0)
             none = Medium(field.empty_field(), tint, 1.333, 0.0, True, 0.0, np.zeros(8))
-            return none, drops.spray(x[:0], x[:0], ids[:0], np.zeros(0), 1.0)
+            return none, drops.spray(x[:0], x[:0], ids[:0], none.field, 1.0)
         velocity = np.zeros((len(rows), 3))
         if "velocity" in frame:
             velocity = _speeds(frame["velocity"], rows)
@@ -180,6 +190,7 @@ class Studio:
             clear = CLEAR * max(float(np.linalg.norm(high - low)), 1e-9) / IN_VIEW
         absorbs = -np.log(np.clip(color, 0.03, 0.97)) / clear
         scatter = self._scattering(ids[rows])
+        color = color * self._unlit()[bodies.captured[ids[rows]].astype(int)]
         white = np.zeros(len(rows))
         if self.chosen.look.foam > 0 and "velocity" in frame:
             white = self._foam(index)[ids[rows]]
@@ -201,8 +212,14 @@ class Studio:
             float(foam),
             mean,
         )
-        density = field.densities(found, x[rows])
-        return medium, drops.spray(x[rows], velocity, ids[rows], density, s)
+        return medium, drops.spray(x[rows], velocity, ids[rows], found, s)
+
+    def _unlit(self) -> np.ndarray:
+        """Factors (2, 3) on the linear colors of liquids, and of those of captures, whose colors
+        hold a light: divided by a liquid's usual light as far as they take none of the studio's."""
+        takes = self.chosen.captures
+        usual = 0.45 * self.rig.key + 0.9 * self.rig.horizon
+        return np.stack([np.ones(3), takes + (1.0 - takes) / np.maximum(usual, 0.1)])
 
     def _scattering(self, ids) -> np.ndarray:
         """Own light of the liquid's particles [1/m]: the more opaque their Gaussians, the more."""
@@ -267,9 +284,8 @@ class Studio:
         albedo, normals, kinds, left = painted
         stage = Stage(moment.medium, moment.pyramid, self.rig, moment.plane, view)
         deferred.shade_background(stage, taken, self.times)
-        captures = self.chosen.light.captures if self.chosen.light else 0.5
         deferred.shade_opaque(
-            stage, albedo, normals, kinds, left, self.times, moment.liquid, captures
+            stage, albedo, normals, kinds, left, self.times, moment.liquid, self.chosen.captures
         )
         far = np.full(view.depth.shape, np.inf, np.float32)
         turned = np.zeros((*far.shape, 3), np.float32)
@@ -296,9 +312,8 @@ class Studio:
         if self.edges > 1:
             marked = np.zeros(shape, np.bool_)
             if compose.rough_pixels(stage, hits, normals, drop_depth, image, marked):
-                compose.refine(
-                    stage, left, *given, marked, self.edges, pixel, flags, keys, image, alpha
-                )
+                drawn = image, alpha, keys
+                compose.refine(stage, left, *given, marked, self.edges, pixel, flags, drawn)
         return image.astype(np.float32), alpha.astype(np.float32), depth
 
     def _background(self, picture: np.ndarray, fine: Camera) -> np.ndarray:

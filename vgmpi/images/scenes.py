@@ -91,12 +91,17 @@ def render(view: View, eye: np.ndarray, background: str) -> str:
             "fov": view.fov,
             "near": near(eye),
         },
-        "picture": {"width": view.width, "height": view.height, "background": background},
-        "look": {"preset": "paper"},
+        "picture": {
+            "width": view.width,
+            "height": view.height,
+            "background": background,
+            "floor": {"kind": "photograph"},
+        },
     }
     head = [
         "The photograph's camera; behind everything the photograph, its objects painted out. The",
-        'light is in their colours: preset = "studio" would light them once more.',
+        "light is in their colors, and the photograph holds their first shadows: no light is",
+        "added, and the only shadows are those that come later.",
     ]
     return sealed(written.text(top, head, []))
 

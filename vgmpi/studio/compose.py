@@ -16,9 +16,7 @@ from vgmpi.studio.tone import shown
 
 CONTRAST = 10 / 255  # display values between neighbors from which a pixel is refined
 BEND = 0.90  # cosine between neighbors' normals, below which
-AGREE = (
-    3 / 255
-)  # display values by which the first rays of a pixel differ, where more are not drawn
+AGREE = 3 / 255  # display values: where the first rays of a pixel differ by less, no more are drawn
 SCRATCH = 72
 
 
@@ -235,14 +233,14 @@ def refine(
     samples,
     pixel,
     flags,
-    keys,
-    image,
-    alpha,
+    drawn,
 ):
     """Draw the marked pixels again with samples x samples rays each.
 
-    The rays of a lattice's diagonal are first; where they agree they are enough.
+    The rays of a lattice's diagonal are first; where they agree they are enough. drawn: image,
+    alpha and keys of `compose`, the first two in/out.
     """
+    image, alpha, keys = drawn
     height, width = hits.shape
     d, p, work, out = np.empty(3), np.empty(3), np.empty(SCRATCH), np.empty(8)
     total, low, high = np.empty(4), np.empty(4), np.empty(4)

@@ -15,6 +15,7 @@ from vgmpi.studio.rays import liquid_depth
 
 WRAP = 0.12  # of the key around a body; more of sand and of snow
 HAZE = 0.65, 0.6  # share of the sky's light under the liquid that it absorbs, and of how much
+TURNED = 0.35  # share of the key that a liquid's surfaces mirror or bend away from its shadow
 BRIGHTEST = 1.15  # of a capture in the studio's light, against the light that it holds
 
 
@@ -63,7 +64,7 @@ def tint_ground(stage):
     plane, medium, rig = stage.plane, stage.medium, stage.rig
     depth, values, p = np.zeros(3), np.zeros(8), np.zeros(3)
     rows, columns = plane.light.shape[0], plane.light.shape[1]
-    up = max(rig.toward[2], 0.0)
+    up, thick = max(rig.toward[2], 0.0), 10.0 * medium.field.cell
     for j in range(rows):
         for k in range(columns):
             x, y = (
@@ -81,7 +82,8 @@ def tint_ground(stage):
             for m in range(3):
                 direct = rig.key[m] * up * key
                 rest = plane.light[j, k, m] - direct
-                plane.light[j, k, m] = direct * np.exp(-depth[m]) + rest * (
+                passes = np.exp(-depth[m]) * (1.0 - TURNED * min(way / thick, 1.0))
+                plane.light[j, k, m] = direct * passes + rest * (
                     1.0 - HAZE[0] + HAZE[0] * np.exp(-HAZE[1] * depth[m])
                 )
 

@@ -9,34 +9,42 @@ import numpy as np
 
 from vgmpi.caching import cached
 from vgmpi.studio.compiling import RAY
-from vgmpi.studio.grid import KERNEL, deposit, new_grid, sample
+from vgmpi.studio.field import Field, densities
+from vgmpi.studio.grid import KERNEL, deposit, new_grid, sample, trilinear_values
 from vgmpi.studio.hashing import uniform
 from vgmpi.studio.lighting import mirrored_sky
-from vgmpi.studio.surroundings import far_light
+from vgmpi.studio.liquid import shade_ray
+from vgmpi.studio.rays import first_hit
+from vgmpi.studio.surroundings import far_light, project
 
 ALONE = 0.46  # density at a particle below which it is a drop
+TOUCHES = 0.9  # spacings from the liquid's surface within which nothing is a drop
 DROPS = 6  # of a particle
 EXPOSED = 0.008  # s: over which a drop is drawn out along its way
 LIFE = 0.35  # s: in which foam fades
 RATE = 10.2  # 1/s at most that it grows by
+THICK = 2.0  # cells of the field: way through a drop
 
 
-def spray(
-    x: np.ndarray, velocity: np.ndarray, ids: np.ndarray, density: np.ndarray, spacing: float
-):
+def spray(x: np.ndarray, velocity: np.ndarray, ids: np.ndarray, liquid: Field, spacing: float):
     """Drops as spheroids.
 
     Args:
         x: (n, 3) positions of the liquid's particles [m].
         velocity: (n, 3) [m/s].
         ids: (n,) their numbers.
-        density: (n,) of the field at them.
+        liquid: what holds the others.
         spacing: [m].
 
     Returns:
         middles (m, 3) [m], unit axes (m, 3), long and short half axes (m,) [m].
     """
+    density = densities(liquid, x)
     alone = np.flatnonzero(density < ALONE)
+    touch = np.zeros(len(alone), bool)
+    for way in np.concatenate([np.eye(3), -np.eye(3)]):
+        touch |= densities(liquid, x[alone] + TOUCHES * spacing * way) >= 0.5
+    alone = alone[~touch]
     if not len(alone):
         return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0)
     ids, v = ids[alone], velocity[alone]
@@ -101,9 +109,9 @@ def paint_drops(x, axis, long, short, view, depth, normal):
 
 @cached(**RAY)
 def shade_drop(stage, p, d, n, behind, work, out):
-    """Light of a drop at p (3,) with normal n (3,) along the ray d (3,), into out (3,).
+    """Light of a drop at p (3,) with normal n (3,) along the eye's ray d (3,), into out (8,).
 
-    behind: (3,) light of what is seen beside it.
+    behind: (3,) light of what is seen beside it. work: (72,) scratch.
     """
     t, mirrored, seen = work[:3], work[3:6], work[6:9]
     cosine = max(-(d[0] * n[0] + d[1] * n[1] + d[2] * n[2]), 0.02)
@@ -121,8 +129,55 @@ def shade_drop(stage, p, d, n, behind, work, out):
     far_light(
         stage, p[0], p[1], p[2], t[0] * size, t[1] * size, t[2] * size, True, 0.1, work[9:12], seen
     )
+    m0, m1, m2 = mirrored[0], mirrored[1], mirrored[2]
+    far = _way_to_opaque(stage.buffers, p, d, work[9:12])
+    bent = 0.6 if far > 1e6 else 0.0  # what is near behind is seen as beside the drop
+    b0 = bent * seen[0] + (1.0 - bent) * behind[0]
+    b1 = bent * seen[1] + (1.0 - bent) * behind[1]
+    b2 = bent * seen[2] + (1.0 - bent) * behind[2]
+    if _liquid_behind(stage, p, d, far, work, out):
+        b0, b1, b2 = out[0], out[1], out[2]
+    # what is turbid has light of its own, as in liquid.shade_ray
+    seen[0], seen[1], seen[2] = b0, b1, b2
+    mirrored[0], mirrored[1], mirrored[2] = m0, m1, m2
+    own, tint, rig = work[12:20], stage.medium.tint, stage.rig
+    trilinear_values(
+        tint.values, (p[0] - tint.lower[0]) / tint.cell, (p[1] - tint.lower[1]) / tint.cell,
+        (p[2] - tint.lower[2]) / tint.cell, 8, own,
+    )  # fmt: skip
+    glow = 1.0 - np.exp(-own[7] * THICK * stage.medium.field.cell)
     for m in range(3):
-        out[m] = share * min(mirrored[m], 4.0) + (1.0 - share) * (0.6 * seen[m] + 0.4 * behind[m])
+        inside = own[3 + m] * (0.45 * rig.key[m] + 0.9 * rig.horizon[m])
+        through = (1.0 - glow) * seen[m] + glow * inside
+        out[m] = share * min(mirrored[m], 4.0) + (1.0 - share) * through
+
+
+@cached(**RAY)
+def _way_to_opaque(view, p, d, place):
+    """Way [m] from p (3,) along the eye's ray d (3,) to what is opaque, 1e9 for none."""
+    if not project(view, p[0], p[1], p[2], place):
+        return 1e9
+    k, j = int(np.floor(place[0])), int(np.floor(place[1]))
+    if not (0 <= j < view.depth.shape[0] and 0 <= k < view.depth.shape[1]):
+        return 1e9
+    w = view.pose
+    along = w[2, 0] * d[0] + w[2, 1] * d[1] + w[2, 2] * d[2]
+    return min((view.depth[j, k] - place[2]) / max(along, 1e-3), 1e9)
+
+
+@cached(**RAY)
+def _liquid_behind(stage, p, d, far, work, out):
+    """Whether the ray d (3,) from p (3,) on meets the liquid on its way `far` [m]; its light, into
+    out (8,)."""
+    field = stage.medium.field
+    t, wall = first_hit(field, p[0], p[1], p[2], d[0], d[1], d[2], 0.5 * field.cell, far)
+    if t < 0.0:
+        return False
+    q = work[68:71]
+    for m in range(3):
+        q[m] = p[m] + t * d[m]
+    shade_ray(stage, q, d, wall, field.cell, 0.1, work, out)
+    return True
 
 
 def foam_made(x: np.ndarray, velocity: np.ndarray, spacing: float) -> np.ndarray:

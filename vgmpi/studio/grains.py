@@ -22,6 +22,7 @@ BURIED = 0.85  # density of all cells around, from which on a particle is not se
 OPACITY = 0.95
 SIZE = 0.28  # spacings: standard deviation of one of eight children
 SAND_CHROMA = 0.62  # of what looks like sand without a light
+FOOT = 3.0, 4.0  # spacings by which grains at a heap's foot roll aside at most, and its height
 BEHIND = -0.35  # cosine between normal and way to the eye, below which a dense particle is hidden
 
 
@@ -198,6 +199,14 @@ def _scatter(seeds, points, floor, dust, out):
 
 
 @cached(nogil=True, error_model="numpy")
+def _loose(V):
+    """How far a lattice of stretch V (6,) is from that at rest, 0..1."""
+    square = (V[0] - 1.0) ** 2 + (V[3] - 1.0) ** 2 + (V[5] - 1.0) ** 2
+    square += 2.0 * (V[1] ** 2 + V[2] ** 2 + V[4] ** 2)
+    return min(2.0 * np.sqrt(square), 1.0)
+
+
+@cached(nogil=True, error_model="numpy")
 def _place_child(seeds, p, c, points, floor, axis, at, out):
     """Fill row `at` with child c of particle p. points: (children, 3) in the unit cube."""
     s, V, number, sandy = seeds.spacing[p], seeds.stretch[p], seeds.ids[p], seeds.sandy[p]
@@ -213,8 +222,14 @@ def _place_child(seeds, p, c, points, floor, axis, at, out):
     sd = SIZE * s * (8.0 / count) ** (1.0 / 3.0) * (1.0 - 0.45 * thin)
     sd *= np.exp(0.55 * spread) * (1.0 + 0.5 * flat)
     x = seeds.x[p]
-    out.x[at, 0] = x[0] + wide * (V[0] * u0 + V[1] * u1 + V[2] * u2)
-    out.x[at, 1] = x[1] + wide * (V[1] * u0 + V[3] * u1 + V[4] * u2)
+    # at the foot of a heap rows of the lattice come apart: grains roll aside
+    rolls = FOOT[0] * s * _loose(V) if sandy else 0.0
+    rolls *= min(max(FOOT[1] - (x[2] - floor) / s, 0.0), 1.0)
+    aside = 150 + 4 * (c % 16)
+    r0 = rolls * (_random(number, aside) + _random(number, aside + 1) - 1.0)
+    r1 = rolls * (_random(number, aside + 2) + _random(number, aside + 3) - 1.0)
+    out.x[at, 0] = x[0] + wide * (V[0] * u0 + V[1] * u1 + V[2] * u2) + r0
+    out.x[at, 1] = x[1] + wide * (V[1] * u0 + V[3] * u1 + V[4] * u2) + r1
     out.x[at, 2] = max(x[2] + wide * (V[2] * u0 + V[4] * u1 + V[5] * u2), floor + 0.3 * sd)
     tone, rough = (0.42, 0.8) if sandy else (0.06, 0.35)
     size = 0.0

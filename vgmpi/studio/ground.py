@@ -108,6 +108,17 @@ def closed(plane: Ground) -> Ground:
     return plane._replace(light=led, far=np.asarray(far, dtype=np.float64))
 
 
+def since(plane: Ground, before: Ground) -> Ground:
+    """The ground with the shadows that have come since another moment, and with no other.
+
+    Args:
+        plane: of now.
+        before: of the other moment, with a map of the same shape.
+    """
+    part = np.minimum((plane.light / plane.far) / np.maximum(before.light / before.far, 1e-3), 1)
+    return plane._replace(light=(part * plane.far).astype(np.float32))
+
+
 @cached(nogil=True, error_model="numpy", fastmath=True)
 def _light(light, pyramid, rig, height, lower, texel):
     color = np.zeros(3)

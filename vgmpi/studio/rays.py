@@ -107,12 +107,15 @@ def surface_normal(field, p, wide, n):
 
 
 @cached(**RAY)
-def absorb(medium, p, d, begin, end, share, depth, values):
-    """Add the optical depth of a share of a ray between two ways [m] to depth (3,)."""
+def absorb(medium, p, d, begin, end, share, scatters, depth, values):
+    """Add the optical depth of a share of a ray between two ways [m] to depth (3,).
+
+    scatters: share of what the liquid scatters that is lost too.
+    """
     way = share * (end - begin)
     if medium.uniform:
         for m in range(3):
-            depth[m] += way * medium.mean[m]
+            depth[m] += way * (medium.mean[m] + scatters * medium.mean[7])
         return
     tint, middle = medium.tint, 0.5 * (begin + end)
     trilinear_values(
@@ -120,11 +123,11 @@ def absorb(medium, p, d, begin, end, share, depth, values):
         (p[0] + middle * d[0] - tint.lower[0]) / tint.cell,
         (p[1] + middle * d[1] - tint.lower[1]) / tint.cell,
         (p[2] + middle * d[2] - tint.lower[2]) / tint.cell,
-        3,
+        8,
         values,
     )
     for m in range(3):
-        depth[m] += way * values[m]
+        depth[m] += way * (values[m] + scatters * values[7])
 
 
 @cached(**RAY)
@@ -291,7 +294,7 @@ def follow(stage, p, d, inside, far, depth, work, out):
             t = far
             break
         if inside and not medium.uniform and t > counted + medium.tint.cell:
-            absorb(medium, p, d, counted, t, 1.0, depth, values)
+            absorb(medium, p, d, counted, t, 1.0, 0.0, depth, values)
             counted = t
         if t >= opaque:
             met, t, clear, opaque = _ask_opaque(stage, p, d, t, clear, step, place, out)
@@ -309,14 +312,15 @@ def follow(stage, p, d, inside, far, depth, work, out):
                 how = CROSSED
                 break
     if inside and t > counted:
-        absorb(medium, p, d, counted, t, 1.0, depth, values)
+        absorb(medium, p, d, counted, t, 1.0, 0.0, depth, values)
     p[0], p[1], p[2] = p[0] + t * d[0], p[1] + t * d[1], p[2] + t * d[2]
     return how, t
 
 
 @cached(**RAY)
 def liquid_depth(medium, p, d, depth, values):
-    """Optical depth of the liquid along a straight ray from p (3,) along d (3,), into depth (3,).
+    """Optical depth of the liquid, with what it scatters, along a straight ray from p (3,) along
+    d (3,), into depth (3,).
 
     values: (8,) scratch. Returns the way in the liquid [m].
     """
@@ -346,7 +350,7 @@ def liquid_depth(medium, p, d, depth, values):
         if not medium.uniform:
             way = min(way, 4.0 * medium.tint.cell)
         if share > 0.0:
-            absorb(medium, p, d, t, t + way, share, depth, values)
+            absorb(medium, p, d, t, t + way, share, 1.0, depth, values)
             total += share * way
         t += way + 1e-6 * field.cell
     return total
