@@ -23,8 +23,8 @@ import imageio.v3 as iio
 import numpy as np
 
 from vgmpi.bench.__main__ import machine
-from vgmpi.bench.rounds import OPEN_MPI
 from vgmpi.device.processor import vector_bytes
+from vgmpi.domain.launch import OPEN_MPI
 from vgmpi.output import layout, ledger
 
 HERE = Path(__file__).resolve().parent

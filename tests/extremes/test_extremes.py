@@ -1,4 +1,4 @@
-"""Scenes at the ends of what a scene may say: each row of `python -m vgmpi.bench extremes`.
+"""Scenes at the ends of what a scene may say: each row of `python -m vgmpi.bench.studies extremes`.
 
 Expected: what its row says; in every one no particle and no bit of a rest volume is lost, momentum
 stays to 1e-12 of the largest sum m |v| where nothing pushes on it, nothing hangs.
@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from vgmpi.bench import extremes
-from vgmpi.bench.__main__ import main
 from vgmpi.bench.extreme_scenes import rows
+from vgmpi.bench.studies import main
 
 ROWS = {row.name: row for row in rows()}
 

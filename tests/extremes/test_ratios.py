@@ -1,8 +1,9 @@
 """The default step keeps its margin where two bodies or materials meet that differ.
 
-Expected: steps of 1.3 times the default are stable at the corners where `python -m vgmpi.bench
-stability --ratios` finds the least room: energy stays below 4 times the most that it has with
-half the default step. Where particles are few, one to a cell, the default itself is.
+Expected: steps of 1.3 times the default are stable at the corners where `python -m
+vgmpi.bench.studies stability --ratios` finds the least room: energy stays below 4 times the most
+that it has with half the default step. Where particles are few, one to a cell, the default itself
+is.
 """
 
 import numpy as np

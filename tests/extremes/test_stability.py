@@ -3,7 +3,7 @@
 Expected: steps of twice the default Courant factor, 0.8, are stable: kinetic and elastic energy
 stay below 4 times what was put in; steps of four times the default are not. Couplings: twice the
 step the solver chooses. Where motion is restored every third step: one and a half times these.
-`python -m vgmpi.bench stability` finds the limits themselves.
+`python -m vgmpi.bench.studies stability` finds the limits themselves.
 """
 
 import pytest

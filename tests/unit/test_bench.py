@@ -58,7 +58,7 @@ class Here:
     """A worker in this process."""
 
     def __init__(self, contestant, case, folder, **changed):
-        module = importlib.import_module(f"vgmpi.bench.{contestant.module}")
+        module = importlib.import_module(contestant.path)
         numbers = case.numbers()
         numbers["constants"] |= changed.pop("constants", {})
         given = {

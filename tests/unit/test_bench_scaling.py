@@ -5,8 +5,8 @@ import pytest
 
 from tests import simulated
 from tests.simulate import begin
-from vgmpi.bench import __main__ as bench
 from vgmpi.bench import balance, census, scaling
+from vgmpi.bench import studies as bench
 from vgmpi.domain.balance import BLOCK, cuts, owners, predicted
 
 CUBE = """

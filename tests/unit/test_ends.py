@@ -48,9 +48,12 @@ def test_a_full_disk_behind_stdout(unbuffered, monkeypatch):
 
 
 def test_letters_that_the_terminal_has_not():
-    code = (
-        "import sys; from vgmpi import ends; sys.exit(ends.guarded(lambda: print('Größe') or 0)())"
+    lines = (
+        "import sys",
+        "from vgmpi import ends",
+        "sys.exit(ends.guarded(lambda: print('Größe') or 0)())",
     )
+    code = "\n".join(lines)
     done = run([sys.executable, "-c", code], env={"PYTHONIOENCODING": "ascii", "LANG": "C"})
     assert done.returncode == 0 and done.stdout == "Gr\\xf6\\xdfe\n" and done.stderr == ""
 

@@ -75,7 +75,7 @@ def test_nothing_a_step_allocates_stays(mixed):
 
 
 def test_an_empty_step_moves_nothing(tmp_path):
-    """What `python -m vgmpi.bench overhead` times: kernels are called, and do nothing."""
+    """What `python -m vgmpi.bench.studies overhead` times: kernels are called, and do nothing."""
     lay_out(Case("fluid", 64), ["single"], tmp_path)
     contestant = inside.Contestant({"folder": str(tmp_path / "single"), "ranks": 1, "threads": 1})
     found = contestant.empty(100)  # Python keeps a store of freed tuples, which fills first

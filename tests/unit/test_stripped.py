@@ -45,3 +45,5 @@ def test_a_function_answers_or_raises_and_keeps_its_decorators():
     assert scope["f"](1) == ("inline", None) and scope["h"](3) == 3
     with pytest.raises(RuntimeError, match="does not exist"):
         scope["g"](2)
+    with pytest.raises(KeyError, match="gone"):
+        stripped.without(text, {"gone": "return None"})

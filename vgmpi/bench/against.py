@@ -15,6 +15,7 @@ from .rounds import Contestant, Worker
 from .scene import BenchError, Case, lay_out
 from .stripped import same_bits, stripped
 
+# runs in the other checkout, which may be an older one
 LAY_OUT = """
 import sys
 from pathlib import Path

@@ -1,6 +1,5 @@
 """`python -m vgmpi.bench --engine cuda`: this solver on a graphics card, by stage and law, beside
-Warp and Taichi on the same card in turns; and with `--registers` what its kernels take, which needs
-no card.
+Warp and Taichi on the same card in turns.
 """
 
 import argparse
@@ -24,7 +23,6 @@ PLAIN = (("VGMPI_CONTRACTION", "off"),)
 
 def flags(parser: argparse.ArgumentParser) -> None:
     say = parser.add_argument
-    say("--registers", action="store_true", help="compile only: registers, spills, shared memory")
     say("--precision", choices=("single", "double"), default="single")
     say("--particles", nargs="+", type=float, default=[1e5, 1e6, 1e7, 1e8], metavar="N")
     say("--laws", nargs="+", default=["fluid", "elastic", "sand"], metavar="LAW")
@@ -35,12 +33,7 @@ def flags(parser: argparse.ArgumentParser) -> None:
 def run(given: argparse.Namespace) -> int:
     """Print what was asked for; 2 where there is no card."""
     try:
-        found = lines(given)
-        if given.registers:
-            from . import registers
-
-            found = registers.lines(given.precision)
-        for text in found:
+        for text in lines(given):
             sys.stdout.write(text + "\n")
             sys.stdout.flush()
     except (BenchError, ImportError) as error:

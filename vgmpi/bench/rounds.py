@@ -15,7 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ..domain.launch import OPEN_MPI
 from .scene import DX, PER_STEP, BenchError, Case
+from .worker import CONTESTANTS
 
 START_SECONDS = 300.0  # a contestant may take to compile
 MOST_CYCLES = 20  # in a round of ours
@@ -27,13 +29,10 @@ NAMES = {
     "taichi_rival": "Taichi",
     "warp_rival": "Warp",
 }
+INSIDE = "vgmpi.bench.inside"  # what a study of makers asks for
+# what the worker is called in a checkout of this program, in a later one first
+WORKERS = ("vgmpi.bench.worker",)
 AVX2 = {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "+avx2,+fma,+bmi,+bmi2"}
-OPEN_MPI = {  # lets root start ranks, and more ranks than cores
-    "OMPI_ALLOW_RUN_AS_ROOT": "1",
-    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
-    "OMPI_MCA_rmaps_base_oversubscribe": "1",
-    "OMPI_MCA_btl_vader_single_copy_mechanism": "none",
-}
 # what two contestants may differ by after the check's steps: rounding of single precision, for the
 # rivals of positions counted from the grid's corner
 FAR = 1e-4  # [cells]
@@ -55,6 +54,12 @@ class Contestant:
     @property
     def name(self) -> str:
         return NAMES[self.module]
+
+    @property
+    def path(self) -> str:
+        """The module that makes it, which other checkouts know better than this one."""
+        paths = CONTESTANTS | {"inside": INSIDE}
+        return "" if self.tree else paths[self.module]
 
     @property
     def on(self) -> str:
@@ -81,6 +86,14 @@ class Contestant:
         return ""
 
 
+def worker_of(tree: Path) -> str:
+    """The module of a checkout that a contestant's process runs. Raises BenchError."""
+    for name in WORKERS:
+        if (tree / f"{name.replace('.', '/')}.py").is_file():
+            return name
+    raise BenchError(f"{tree}: no checkout of this program: it has none of {', '.join(WORKERS)}")
+
+
 class Worker:
     """A contestant's process or ranks. Raises BenchError where it cannot start or ends early."""
 
@@ -90,6 +103,7 @@ class Worker:
         address = str(folder / "socket")
         given = {
             "module": contestant.module,
+            "path": contestant.path,
             "socket": address,
             "ranks": contestant.ranks,
             "threads": contestant.threads,
@@ -97,10 +111,10 @@ class Worker:
             "particles": str(folder / "dense.npz"),
             "numbers": case.numbers(),
         }
-        command = [sys.executable, "-m", "vgmpi.bench.worker", json.dumps(given)]
+        package = contestant.tree or str(Path(__file__).parents[2])
+        command = [sys.executable, "-m", worker_of(Path(package)), json.dumps(given)]
         if contestant.ranks > 1:
             command = ["mpirun", "-n", str(contestant.ranks), *command]
-        package = contestant.tree or str(Path(__file__).parents[2])
         env = {**OPEN_MPI, **os.environ, "PYTHONPATH": package}
         env |= AVX2 if contestant.cpu == "avx2" else {}
         env |= {"VGMPI_BENCH_DEVICE": "cuda"} if contestant.card else {}

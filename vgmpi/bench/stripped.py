@@ -14,36 +14,41 @@ from pathlib import Path
 
 import numpy as np
 
+import vgmpi
+
 from ..output.read import RunFiles
 from .scene import BenchError
 
-HERE = Path(__file__).parents[1]
+HERE = Path(vgmpi.__file__).parent
 LEFT_OUT = (
-    "materials/sand.py", "couplings/mixing.py", "couplings/mixing_paper.py", "couplings/drag.py",
-    "couplings/drag_paper.py",
-)  # fmt: skip
+    "vgmpi.materials.sand",
+    "vgmpi.couplings.mixing",
+    "vgmpi.couplings.mixing_paper",
+    "vgmpi.couplings.drag",
+    "vgmpi.couplings.drag_paper",
+)
 KEPT = ""
 # of each module: what its functions answer where they do not raise; those that are kept are
 ANSWERS: dict[str, dict[str, str]] = {
-    "planning/sharing.py": {
+    "vgmpi.planning.sharing": {
         "rules": "return None",
         "slipping": "return groups",
         "connected": KEPT,
     },  # fmt: skip
-    "planning/colour_sets.py": {"exchange": "return None", "colour_sets": KEPT},
-    "planning/driven.py": {
+    "vgmpi.planning.colour_sets": {"exchange": "return None", "colour_sets": KEPT},
+    "vgmpi.planning.driven": {
         "driven_phases": "return {}",
         "driven_plans": "return (), groups, group_of",
     },
-    "kernels/couple.py": {},
-    "kernels/layers/colour.py": {},
-    "kernels/volume.py": {},
-    "kernels/driven.py": {"prescribe": "return"},
-    "domain/movers.py": {},
-    "domain/sampled.py": {},
-    "domain/driven.py": {"_none": KEPT},
-    "solver/driven.py": {},
-    "prepare/courses.py": {"astray": "return []", "leaves": "return []"},
+    "vgmpi.kernels.couple": {},
+    "vgmpi.kernels.layers.colour": {},
+    "vgmpi.kernels.volume": {},
+    "vgmpi.kernels.driven": {"prescribe": "return"},
+    "vgmpi.domain.movers": {},
+    "vgmpi.domain.sampled": {},
+    "vgmpi.domain.driven": {"_none": KEPT},
+    "vgmpi.solver.driven": {},
+    "vgmpi.prepare.courses": {"astray": "return []", "leaves": "return []"},
 }
 PLAIN = """
 [domain]
@@ -76,16 +81,25 @@ def stripped(folder: Path) -> Path:
     tree = folder / "stripped"
     shutil.copytree(HERE, tree / "vgmpi", ignore=shutil.ignore_patterns("__pycache__"))
     for name in LEFT_OUT:
-        (tree / "vgmpi" / name).unlink()
+        _file(tree, name).unlink()
     for name, answers in ANSWERS.items():
-        path = tree / "vgmpi" / name
+        path = _file(tree, name)
         path.write_text(without(path.read_text(), answers))
     return tree
 
 
+def _file(tree: Path, module: str) -> Path:
+    return tree / (module.replace(".", "/") + ".py")
+
+
 def without(text: str, answers: dict[str, str]) -> str:
-    """A module's text whose functions raise, or answer as told by their names."""
+    """A module's text whose functions raise, or answer as told by their names. Raises KeyError
+    where there is no function of such a name."""
     module = ast.parse(text)
+    functions = {node.name for node in ast.walk(module) if isinstance(node, ast.FunctionDef)}
+    for name in answers:
+        if name not in functions:
+            raise KeyError(name)
     for node in ast.walk(module):
         if isinstance(node, ast.FunctionDef):
             answer = answers.get(node.name, ABSENT)

@@ -19,7 +19,8 @@ _PACKAGE = pathlib.Path(__file__).resolve().parent.parent
 # whether a product and a sum may become one instruction that rounds once. Switched off, this
 # program's results are those of a card (engines/cuda), bit by bit, and it is slower by a tenth
 CONTRACTS = os.environ.get("VGMPI_CONTRACTION", "on") != "off"
-_COMPILED = (
+# folders of all that is compiled; tests/unit/test_names_as_data.py holds that none lacks
+COMPILED = (
     "gaussians", "splatting", "studio", "device", "materials", "couplings", "planning", "domain",
     "lanes", "kernels",
 )  # fmt: skip
@@ -34,8 +35,11 @@ def user_folder() -> pathlib.Path:
 def cache_folder() -> pathlib.Path:
     """The folder of compiled kernels for these sources, this numba and this kind of processor."""
     seal = hashlib.sha256()
-    for folder in _COMPILED:
-        for path in sorted((_PACKAGE / folder).rglob("*.py")):
+    for folder in COMPILED:
+        found = sorted((_PACKAGE / folder).rglob("*.py"))
+        if not found:
+            raise FileNotFoundError(f"{_PACKAGE / folder}: no sources of compiled code are there")
+        for path in found:
             seal.update(path.name.encode() + path.read_bytes())
     seal.update(
         f"{CONTRACTS} {version('numba')} {platform.python_version()} {platform.machine()}".encode()

@@ -26,7 +26,7 @@ from .base import DITHER, Beyond, Report
 from .given import Givers
 from .layers import Contribution, Layer, contributions, hues, layers
 from .shares import Shares, copies
-from .work import GroupWork, gathers, numbers_of, particles_of
+from .work import GroupWork, gathers, lowest_beyond, numbers_of, particles_of
 
 
 class Cpu:
@@ -358,16 +358,10 @@ class Cpu:
         """The lowest node block of each layer of which a sum left its range."""
         if not self.beyond.any():
             return []
-        found = []
-        for k, name in enumerate(self.layers):
-            here = self.beyond[:, k]
-            if here.any():
-                nb = int(here[here > 0].min()) - 1
-                block = int(np.searchsorted(self.tables.first, nb, side="right")) - 1
-                at = tuple(int(b) for b in self.tables.at[block])
-                found.append(Beyond(at, int(self.tables.phase[nb]), name))
+        layers = enumerate(self.layers)
+        found = [lowest_beyond(self.beyond[:, k], self.tables, name) for k, name in layers]
         self.beyond[:] = 0
-        return found
+        return [one for one in found if one is not None]
 
     def call(self, of: tuple, kernel, rows: np.ndarray, *arguments) -> None:
         """kernel(rows, *arguments) where there are rows. of: what tells a kernel's calls apart

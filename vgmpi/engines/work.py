@@ -2,13 +2,17 @@
 
 from typing import NamedTuple
 
+import numpy as np
+
 from ..domain.state import Group
+from ..domain.topology import Topology
 from ..kernels import beside, g2p
 from ..kernels.given import Ghosts
 from ..kernels.tables import Particles, Segments
 from ..kernels.volume import Kept
 from ..planning.groups import GroupPlan
 from ..planning.plan import Plan
+from .base import Beyond
 from .layers import Contribution
 from .shares import Shares
 
@@ -55,3 +59,14 @@ def _others(plan: Plan, group: GroupPlan, has: dict, dt: float) -> tuple:
     patch = 1 + sharing.drifts if group.shares else 0
     blend = beside.Blend(has["change"], plan.real.type(plan.keeps.over(dt)), patch)
     return beside.Both(sharing, blend) if group.shares else blend
+
+
+def lowest_beyond(here: np.ndarray, tables: Topology, layer: str) -> Beyond | None:
+    """The lowest node block of a layer of which a sum left its range, None where none did.
+    here: (threads,) the number of the block and 1, 0 for none."""
+    if not here.any():
+        return None
+    nb = int(here[here > 0].min()) - 1
+    block = int(np.searchsorted(tables.first, nb, side="right")) - 1
+    i, j, k = (int(b) for b in tables.at[block])
+    return Beyond((i, j, k), int(tables.phase[nb]), layer)

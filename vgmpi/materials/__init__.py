@@ -1,5 +1,6 @@
-"""Every module in this folder is a material; importing the folder registers them all, in name
-order.
+"""Every module in this folder is a material, but for folders and names that begin with _;
+importing the folder registers them all. The registry is in the order of their kinds, whatever files
+are called.
 """
 
 import importlib
@@ -7,7 +8,10 @@ import pkgutil
 
 from .base import registry
 
-for _name in sorted(m.name for m in pkgutil.iter_modules(__path__)):
-    importlib.import_module(f"{__name__}.{_name}")
+for _module in sorted(pkgutil.iter_modules(__path__)):
+    if not _module.ispkg and not _module.name.startswith("_"):
+        importlib.import_module(f"{__name__}.{_module.name}")
+for _kind in sorted(registry):
+    registry[_kind] = registry.pop(_kind)
 
 __all__ = ["registry"]

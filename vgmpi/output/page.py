@@ -55,6 +55,13 @@ def _table(datasets, prefix=""):
     return "\n".join(lines) + "\n"
 
 
+ABOUT_ENERGY = (
+    "Momentum and energy change by gravity, walls, colliders, loads, sources and sinks. With "
+    "`domain.gravity_ramp` the potential energy is that of gravity at its full strength, with "
+    "`domain.gravity_keyframes` that of gravity then.\n"
+)
+
+
 def page() -> str:
     """docs/file-format.md."""
     parts = [
@@ -105,9 +112,7 @@ def page() -> str:
         "Before `crc`, only with `[[source]]` or `[[sink]]`; count_in - count_out is `count`, "
         "exactly, and mass_in - mass_out is `mass`, to rounding:\n",
         _table(layout.FLOW_COLUMNS),
-        "Momentum and energy change by gravity, walls, colliders, loads, sources and sinks. With "
-        "`domain.gravity_ramp` the potential energy is that of gravity at its full strength, with "
-        "`domain.gravity_keyframes` that of gravity then.\n",
+        ABOUT_ENERGY,
         "## probe_NAME.csv\n",
         "A row per due time, written after the step that reaches it, numbers with all their "
         "digits; its columns by what the probe measures, and `crc` as in ledger.csv:\n",

@@ -12,7 +12,8 @@ from .plan import Plan
 
 class Meeting(NamedTuple):
     """What it costs to stand at most a block from what may be touched, in steps of a fluid's
-    particle (`python -m vgmpi.bench features`, `couplings`; runs/two_liquids, water_on_snow)."""
+    particle (`python -m vgmpi.bench.studies features`, `couplings`; runs/two_liquids,
+    water_on_snow)."""
 
     particle: float
     block: float  # of particles

@@ -22,9 +22,10 @@ MASTERY = {
     "sand": 2,
     "fluid": 3,
 }  # whose surface gives the normal where two phases touch
-RESTORING_COST = 0.75  # of a step of no time, relative to a step (`vgmpi.bench couplings`)
-HOLDING_COST = 0.1  # of volume that is kept (`vgmpi.bench couplings`)
-KEEPING_COST = 1.7  # of FLIP and AFLIP, relative to the same without (`vgmpi.bench couplings`)
+RESTORING_COST = 0.75  # of a step of no time, relative to a step (`vgmpi.bench.studies couplings`)
+HOLDING_COST = 0.1  # of volume that is kept (`vgmpi.bench.studies couplings`)
+# of FLIP and AFLIP, relative to the same without (`vgmpi.bench.studies couplings`)
+KEEPING_COST = 1.7
 COLOUR_COST = 0.6  # of a coefficient of colour that travels, relative to a fluid's step
 
 

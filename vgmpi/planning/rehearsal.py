@@ -13,7 +13,7 @@ from .plan import Plan
 from .surroundings import Surroundings
 
 Known = Callable[[float], float]
-STEP = 1e-4  # [s] of a step beside its kernels (`python -m vgmpi.bench overhead`)
+STEP = 1e-4  # [s] of a step beside its kernels (`python -m vgmpi.bench.studies overhead`)
 
 
 class Standing(NamedTuple):

@@ -5,14 +5,11 @@ the other every h along its direction: every particle has the rest volume h^3.
 """
 
 import math
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
 from vgmpi.tables import Point, Positive, Table
-
-if TYPE_CHECKING:
-    from vgmpi.scene.sources import Inflow
 
 LENGTH = 2  # cells behind the mouth
 VERTICAL = 1e-12  # horizontal part of a direction that is straight up or down
@@ -39,21 +36,34 @@ class Rectangle(Table):
     """its extent across both"""
 
 
-def spacing(source: "Inflow", dx: float) -> float:
+class Opening(Protocol):
+    """What is needed of a source to know its lattice."""
+
+    disc: Disc | None
+    rectangle: Rectangle | None
+    direction: tuple[float, float, float]
+    particles_per_cell: int
+
+    @property
+    def opening(self) -> Disc | Rectangle:
+        """Its mouth."""
+
+
+def spacing(source: Opening, dx: float) -> float:
     """Distance h of the lattice's points [m]."""
     return dx / _per_edge(source)
 
 
-def ahead(source: "Inflow") -> int:
+def ahead(source: Opening) -> int:
     """Layers in the nozzle."""
     return LENGTH * _per_edge(source)
 
 
-def _per_edge(source: "Inflow") -> int:
+def _per_edge(source: Opening) -> int:
     return round(source.particles_per_cell ** (1 / 3))
 
 
-def frame(source: "Inflow") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def frame(source: Opening) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Unit vectors (3,): across the direction, first horizontally, and along it."""
     x, y, z = source.direction
     flat = math.hypot(x, y)
@@ -64,7 +74,7 @@ def frame(source: "Inflow") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return one, np.cross(along, one), along
 
 
-def extent(source: "Inflow") -> tuple[float, float]:
+def extent(source: Opening) -> tuple[float, float]:
     """Half of the opening's extent along both vectors across [m]."""
     if source.disc is not None:
         return source.disc.radius, source.disc.radius
@@ -72,7 +82,7 @@ def extent(source: "Inflow") -> tuple[float, float]:
     return source.rectangle.width / 2, source.rectangle.height / 2
 
 
-def too_small(source: "Inflow", dx: float) -> bool:
+def too_small(source: Opening, dx: float) -> bool:
     """Whether no point of the lattice lies in the opening."""
     half, (a, b) = spacing(source, dx) / 2, extent(source)
     if source.disc is not None:
@@ -80,13 +90,13 @@ def too_small(source: "Inflow", dx: float) -> bool:
     return bool(half >= min(a, b) * (1 - EDGE))
 
 
-def per_layer(source: "Inflow", dx: float) -> float:
+def per_layer(source: Opening, dx: float) -> float:
     """How many particles a layer has, about."""
     a, b = extent(source)
     return (math.pi if source.disc is not None else 4.0) * a * b / spacing(source, dx) ** 2
 
 
-def mouth(source: "Inflow", dx: float) -> np.ndarray:
+def mouth(source: Opening, dx: float) -> np.ndarray:
     """The points (n, 3) [m] of a layer that is at the mouth, row by row."""
     h, (a, b), (one, other, _) = spacing(source, dx), extent(source), frame(source)
     i, j = (_centered(size, h) for size in (a, b))
@@ -103,7 +113,7 @@ def _centered(half: float, h: float) -> np.ndarray:
     return (np.arange(-count, count) + 0.5) * h
 
 
-def box(source: "Inflow", dx: float) -> tuple[np.ndarray, np.ndarray]:
+def box(source: Opening, dx: float) -> tuple[np.ndarray, np.ndarray]:
     """Lower and upper corner (3,) [m] of a box that holds opening and nozzle."""
     (a, b), (one, other, along) = extent(source), frame(source)
     reach = np.abs(one) * a + np.abs(other) * b

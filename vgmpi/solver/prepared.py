@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .. import prepare as preparation
 from ..domain.ranks import Alone
 from ..output import checkpoint, layout, rest, store
 from ..output.read import RunError, opened, read_gaussians
@@ -219,7 +220,8 @@ def digest(scene: Scene) -> str:
             with open(path, "rb") as file:  # of any size
                 while part := file.read(1 << 20):
                     seal.update(part)
-    for path in sorted(Path(__file__).parent.parent.glob("prepare/*.py")):
+    (folder,) = preparation.__path__
+    for path in sorted(Path(folder).rglob("*.py")):
         seal.update(path.read_bytes())
     return seal.hexdigest()
 

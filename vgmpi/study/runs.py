@@ -11,7 +11,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from ..bench.rounds import OPEN_MPI
+from ..domain.launch import OPEN_MPI
 from ..planning.studied import fingerprint
 from ..scene.scene import Scene
 from ..solver.probes import files

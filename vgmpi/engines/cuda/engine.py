@@ -15,7 +15,7 @@ from ...kernels.tables import Segments, Step
 from ..base import DITHER, Beyond, Report
 from ..cpu import Cpu
 from ..work import GroupWork, gathers
-from . import nodes, team, transfer
+from . import nodes, team, transfer, words
 from .card import named
 from .group import CardGroup
 from .launch import Launcher
@@ -52,12 +52,14 @@ class Cuda(Cpu):
         self.work: list[Work] = []
         phases = len(plan.phases)
         patches = 1 + sum(self.gathered.values())
-        common = constants(plan.real) | polynomials(plan.real) | {
+        sizes = {
             "WORDS": self.words, "PHASES": phases, "SPLINES": bool(plan.splines),
             "PAIRS": phases * (phases + 1) // 2 + 3 * phases,
             "TOUCHES": phases > 1 or solids is not None or bool(plan.planes),
             "PITCH": 16 if plan.splines else 17, "BESIDE": patches * transfer.PATCH + 16,
         }  # fmt: skip
+        common = constants(plan.real) | polynomials(plan.real)
+        common |= words.constants(sizes, nodes, transfer, grid)
         teams = team.HALVES[0]
         half = common | {"TEAM": HALF, "TEAMS": teams}
         self.halves = self.LAUNCHER(Program(plan.real, half), HALF * teams)

@@ -7,13 +7,13 @@ thread's own, so that those of the next particle begin at 0.
 import numpy as np
 from numba import cuda
 
-from ...kernels import driven, g2p, patches, records, rowsums, walls
+from ...kernels import beside, driven, g2p, patches, records, rowsums, walls
 from ...kernels.layers import offsets
 from ...lanes import lanes, parts, rows
 from ...lanes import team as lanes_team
 from . import team
 from .numbers import PLAIN
-from .words import Mode
+from .words import Mode, constants
 
 PATCH = records.PATCH
 REAL = None
@@ -212,6 +212,6 @@ PARTICLE = Mode(
         g2p.note: note, g2p.tell: tell, driven.went: went,
     },
     # a thread's own batch is one particle
-    {"BATCH": 1, "CHANGE": 5, "QUARTERS": False},
+    constants({"BATCH": 1, "CHANGE": 5, "QUARTERS": False}, records, beside, rowsums),
     VIEWS,
 )  # fmt: skip

@@ -10,12 +10,20 @@ from typing import Any
 import numpy as np
 from numba import cuda
 
+from ...device import root, tensor
+from ...domain import driven as driven_bodies
+from ...kernels import contact, driven, given, touch, walls
+from ...lanes import laws
+from ...materials import base
 from ...materials.base import law_owner, state_channels
 from .words import NEVER, UNSAFE, Mode, Unknown, Written, is_function, original
 
 # in these numbers are doubles on every engine, where they do not stand in an array of the run's
-DOUBLE = ("contact", "touch", "walls", "given", "driven", "root")
-LAWS = ("materials", "device")  # plain numbers of these are real, whole ones too
+DOUBLE = frozenset(
+    module.__name__ for module in (contact, touch, walls, given, driven, driven_bodies, root)
+)
+# plain numbers of the modules in these folders are real, whole ones too: laws and their algebra
+LAWS = frozenset(module.__name__.rpartition(".")[0] for module in (base, tensor))
 
 
 class Change(ast.NodeTransformer):
@@ -27,9 +35,8 @@ class Change(ast.NodeTransformer):
         self.known = plain.__globals__ | inside
         code = plain.__code__
         self.own = set(code.co_varnames) | set(code.co_cellvars)
-        module = plain.__module__.split(".")
-        self.double = module[-1] in DOUBLE and "engines" not in module
-        self.law = len(module) > 1 and module[1] in LAWS and not self.double
+        self.double = plain.__module__ in DOUBLE
+        self.law = plain.__module__.rpartition(".")[0] in LAWS and not self.double
 
     # ---- what names mean ---------------------------------------------------------------------
 
@@ -197,11 +204,11 @@ class Change(ast.NodeTransformer):
             return None
         if hasattr(called, "table"):
             called = called.table[self._tree(node.args[0])[0]]
-        elif called.__module__ == "vgmpi.lanes.laws":
+        elif called.__module__ == laws.__name__:
             law = self._tree(node.args[0])
-            if called.__name__ == "lane_state":
+            if called is laws.lane_state:
                 return self._state(law[0])
-            if called.__name__ == "store_state":
+            if called is laws.store_state:
                 return self._state(dict(self.trees)["law"][0], puts=True)
             called = getattr(law_owner(original(law[0])), called.__name__)
         names = list(inspect.signature(getattr(called, "py_func", called)).parameters)

@@ -2,7 +2,7 @@
 that a card can take.
 """
 
-from types import FunctionType
+from types import FunctionType, ModuleType
 from typing import Any, NamedTuple
 
 from numba import cuda
@@ -16,8 +16,17 @@ class Mode(NamedTuple):
 
     name: str
     stands_in: dict  # {object of the processor's: object of the card's}
-    constants: dict  # {name in any module: its value here}
+    constants: dict  # {name in any module: its value here}; made by `constants`
     views: frozenset = frozenset()  # functions that return a part of an array
+
+
+def constants(values: dict, *modules: ModuleType) -> dict:
+    """Values by names that one of these modules has. Raises AttributeError where none has one: a
+    name that has changed there would keep the processor's value on a card."""
+    for name in values:
+        if not any(hasattr(module, name) for module in modules):
+            raise AttributeError(f"no module of a card's kernels has a constant {name}")
+    return values
 
 
 class Written(NamedTuple):

@@ -1,0 +1,270 @@
+"""`python -m vgmpi.bench.studies NAME`: what only makers of this program ask: studies of its sums,
+sorts, registers, of many ranks on paper, of another checkout.
+"""
+
+import argparse
+import os
+import sys
+import tempfile
+from pathlib import Path
+from typing import get_args
+
+from ..ends import guarded
+from ..scene.settings import Transfer
+from ..tables import SceneError
+from . import rounds
+from .rounds import Contestant
+from .scene import BenchError, Case, lay_out
+
+PROGRAM = "python -m vgmpi.bench.studies"
+
+
+def arguments(argv: list[str]) -> argparse.Namespace:
+    """The flags."""
+    parser = argparse.ArgumentParser(prog=PROGRAM, description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True)
+    for name, (said, flags, run) in COMMANDS.items():
+        command = commands.add_parser(name, help=said, description=said)
+        flags(command)
+        command.set_defaults(run=run)
+    return parser.parse_args(argv)
+
+
+@guarded
+def main(argv: list[str] | None = None) -> int:
+    """Run the command; returns the exit code."""
+    given = arguments(sys.argv[1:] if argv is None else argv)
+    try:
+        return given.run(given)
+    except SceneError as error:
+        print("\n".join(error.lines), file=sys.stderr)
+        return 2
+    except (BenchError, ImportError) as error:
+        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        return 2
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+def _balance(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("scene", type=Path, help="scene file (TOML)")
+    say("--ranks", nargs="+", type=int, default=[8, 64], metavar="N", help="default 8 64")
+    say("--set", action="append", default=[], metavar="KEY=VALUE", help="as for a run")
+    say("--time", type=float, default=0.0, metavar="S", help="of the scene; default: to its end")
+
+
+def _run_balance(given: argparse.Namespace) -> int:
+    from . import balance
+
+    found = balance.follow(given.scene, given.set, given.ranks, given.time, _say)
+    print(balance.text(found))
+    return 0
+
+
+def _census(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("--ranks", nargs="+", type=int, default=[64, 512, 4096], metavar="N")
+    say("--particles", type=int, default=100_000, metavar="N", help="per rank, default 100,000")
+
+
+def _run_census(given: argparse.Namespace) -> int:
+    from . import census
+
+    print(census.text([census.measure(n, given.particles) for n in given.ranks]))
+    return 0
+
+
+def _accuracy(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--particles", type=int, default=4000, metavar="N", help="default 4,000")
+
+
+def _run_accuracy(given: argparse.Namespace) -> int:
+    from . import accuracy
+
+    print(accuracy.text(given.particles))
+    return 0
+
+
+def _emulate(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("--ranks", nargs="+", type=int, default=[1, 8, 64], metavar="N")
+    say("--particles", type=int, default=100_000, metavar="N", help="per rank, default 100,000")
+    say("--steps", type=int, default=200, help="of each, in turns, default 200")
+
+
+def _run_emulate(given: argparse.Namespace) -> int:
+    from . import emulate
+
+    print(emulate.text(emulate.measure(given.ranks, given.particles, given.steps)))
+    return 0
+
+
+def _together(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("--laws", nargs="+", default=["fluid", "elastic"], metavar="LAW")
+    say("--particles", type=float, default=4e5, metavar="N", help="of all ranks, default 4e5")
+    say("--rounds", type=int, default=9, help="default 9")
+
+
+def _run_together(given: argparse.Namespace) -> int:
+    from . import together
+
+    how = int(given.particles), given.rounds
+    ranks = [together.ranks(law, *how, _say) for law in given.laws]
+    print(together.text(ranks, [together.threads(law, *how) for law in given.laws]))
+    return 0
+
+
+def _against(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("tree", type=Path, help="another checkout, or stripped: without features, or uncontracted")
+    say("--laws", nargs="+", default=["fluid", "elastic"], metavar="LAW")
+    say("--particles", nargs="+", type=float, default=[1e5, 4e5, 1e6], metavar="N")
+    say("--rounds", type=int, default=9, help="default 9")
+
+
+def _run_against(given: argparse.Namespace) -> int:
+    from . import against
+
+    for line in against.lines(given.tree, given.laws, given.particles, given.rounds, _say):
+        print(line, flush=True)
+    return 0
+
+
+def _overhead(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--ranks", nargs="+", type=int, default=[1, 2], metavar="N")
+    parser.add_argument("--steps", type=int, default=300, help="of a round, default 300")
+
+
+def _run_overhead(given: argparse.Namespace) -> int:
+    print("a step whose kernels get nothing to do: its Python and its messages")
+    case = Case("fluid", 64)
+    for ranks in given.ranks:
+        with tempfile.TemporaryDirectory(prefix="vgmpi-bench-") as folder:
+            lay_out(case, ["single"], Path(folder))
+            worker = rounds.Worker(Contestant("inside", ranks=ranks), case, Path(folder))
+            try:
+                found = worker.ask("empty", steps=given.steps)
+            finally:
+                worker.close()
+        print(
+            f"{ranks} rank(s): {found['us']:.1f} us per step, least of 10 rounds;"
+            f" {found['stays']:.2f} bytes per step stay allocated,"
+            f" at most {found['most']:.0f} bytes at a time"
+        )
+    return 0
+
+
+def _scaling(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("--real", nargs="+", type=int, default=[1, 2, 4, 8], metavar="N", help="ranks to run here")
+    say("--particles", type=int, default=50_000, metavar="N", help="per rank of the real runs")
+    say("--latency", type=float, default=2e-6, help="of a message [s], default 2e-6")
+    say("--bandwidth", type=float, default=1e10, help="of a rank's link [B/s], default 1e10")
+
+
+def _run_scaling(given: argparse.Namespace) -> int:
+    from . import census, scaling
+
+    rows, busy, empty = scaling.measure(sorted({1, 2, *given.real}), given.particles, _say)
+    found = scaling.constants(rows, busy, empty)
+    sort = census.measure(64, 100_000)
+    found["tables"] = 1e-3 * sort["kept"][0] / sort["blocks"] / scaling.STEPS_PER_SORT
+    cores = len(os.sched_getaffinity(0))
+    print(scaling.text(rows, found, given.latency, given.bandwidth, cores))
+    return 0
+
+
+def _couplings(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("--particles", type=float, default=4e5, metavar="N", help="default 4e5")
+    say("--rounds", type=int, default=5, help="default 5")
+    say("--precision", choices=("single", "double"), default="single")
+
+
+def _run_couplings(given: argparse.Namespace) -> int:
+    from . import couplings, features
+
+    study = features if given.command == "features" else couplings
+    rows = study.measure(int(given.particles), given.rounds, given.precision, _say)
+    print(study.text(rows))
+    return 0
+
+
+def _extremes(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("words", nargs="*", metavar="WORD", help="rows with one in their name")
+    parser.add_argument("--fast", action="store_true", help="a quick part of them")
+
+
+def _run_extremes(given: argparse.Namespace) -> int:
+    from . import extremes
+
+    print(extremes.HEAD)
+    good = True
+    for row in extremes.chosen(given.words, given.fast):
+        found = extremes.execute(row)
+        good &= found.good
+        print(extremes.line(found), flush=True)
+    return 0 if good else 1
+
+
+def _stability(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("--ratios", action="store_true", help="where two meet that differ, in words by --only")
+    say("--only", nargs="+", default=[], metavar="NAME", help="laws or couplings; default: all")
+    say("--transfer", nargs="+", choices=get_args(Transfer), help="default: all or restored")
+    say("--precision", nargs="+", choices=("single", "double"), default=["single", "double"])
+
+
+def _run_stability(given: argparse.Namespace) -> int:
+    from . import ratios, stability
+
+    rows = ratios.lines(given.only, given.transfer or ["restored"])
+    if not given.ratios:
+        rows = stability.lines(given.only, given.transfer, given.precision)
+    for text in rows:
+        print(text, flush=True)
+    return 0
+
+
+def _run_spills(given: argparse.Namespace) -> int:
+    from . import spills
+
+    print(spills.text(spills.measure()))
+    return 0
+
+
+def _registers(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--precision", choices=("single", "double"), default="single")
+
+
+def _run_registers(given: argparse.Namespace) -> int:
+    from . import registers
+
+    for text in registers.lines(given.precision):
+        print(text, flush=True)
+    return 0
+
+
+COMMANDS = {  # what it does, its flags, how it runs
+    "accuracy": ("how exact single precision is", _accuracy, _run_accuracy),
+    "against": ("beside another checkout", _against, _run_against),
+    "balance": ("how even a scene's work would be on many ranks", _balance, _run_balance),
+    "census": ("what a sort costs one rank of many beside its particles", _census, _run_census),
+    "couplings": ("what mixing and drag cost", _couplings, _run_couplings),
+    "emulate": ("one rank of many by its own tables", _emulate, _run_emulate),
+    "extremes": ("scenes at the ends of what is allowed", _extremes, _run_extremes),
+    "features": ("what contact, colliders and probes cost", _couplings, _run_couplings),
+    "overhead": ("what a step costs beside its kernels", _overhead, _run_overhead),
+    "registers": ("what a graphics card's kernels take; needs no card", _registers, _run_registers),
+    "spills": ("vectors that do not fit the registers", lambda _: None, _run_spills),
+    "stability": ("the largest stable time step of every law", _stability, _run_stability),
+    "scaling": ("predict many ranks from what is measured here", _scaling, _run_scaling),
+    "together": ("two ranks beside two runs, two threads", _together, _run_together),
+}
+
+if __name__ == "__main__":
+    sys.exit(main())
