@@ -200,3 +200,23 @@ def test_shadows_have_the_color_of_the_liquid(pool, elevation):
     expected = rig.key * np.sin(e) * np.exp(-absorbs * DEEP / np.sin(e))
     np.testing.assert_allclose(plane.light[row, column], expected, rtol=0.03)
     np.testing.assert_allclose(plane.light[0, 0], rig.key * np.sin(e), rtol=1e-5)
+
+
+@pytest.mark.parametrize("scatters", [0.0, 6.0])
+def test_beside_a_pool_half_of_the_key_is_missing(pool, scatters):
+    """Light that would leave through a side is totally reflected there: the model takes a half of
+    it, besides what is absorbed and what is scattered on its straight way."""
+    absorbs, e = np.array([3.0, 1.0, 0.2]), np.radians(45)
+    medium = clear(pool, absorbs)
+    medium.mean[7] = scatters
+    medium.tint.values[..., 7] = scatters
+    rig = stages.dark_rig((np.cos(e), 0.0, -np.sin(e)), key=(0.9, 0.8, 0.7))
+    stage = stages.stage_of(medium, stages.oblique(0, SURFACE), rig)
+    stage = stage._replace(plane=stages.plain(ground.TILES, stage.pyramid, rig))
+    deferred.tint_ground(stage)
+    plane, gap = stage.plane, 0.03
+    column, row = ((np.array([0.6 + gap, 0.3]) - plane.lower) / plane.texel).astype(int)
+    gap = plane.lower[0] + (column + 0.5) * plane.texel - 0.6
+    way = (DEEP - gap) / np.sin(e)
+    expected = 0.5 * rig.key * np.sin(e) * np.exp(-(absorbs + scatters) * way)
+    np.testing.assert_allclose(plane.light[row, column], expected, rtol=0.03)
