@@ -18,7 +18,7 @@ def ground_of(chosen: Settings, domain: Domain, pyramid: Any, rig: lighting.Rig)
     """The ground that is asked for, lit."""
     picture, asked = chosen.picture, chosen.picture.floor
     given = picture.background
-    photograph = chosen.on_photograph
+    photograph = picture.on_photograph
     kind, height, tile = (
         ground.TILES,
         0.0,

@@ -272,11 +272,6 @@ class Settings(RenderTable):
         return self.model_copy(update={"look": look})
 
     @property
-    def on_photograph(self) -> bool:
-        """Whether the background is a picture from a file."""
-        return self.picture.on_photograph
-
-    @property
     def captures(self) -> float:
         """How much of the studio's light captures take, 0..1: none before a photograph that holds
         their first shadows."""

@@ -218,7 +218,7 @@ class Studio:
         """Factors (2, 3) on the linear colors of liquids, and of those of captures, whose colors
         hold a light: divided by a liquid's usual light as far as they take none of the studio's."""
         takes = self.chosen.captures
-        usual = 0.45 * self.rig.key + 0.9 * self.rig.horizon
+        usual = liquid.DIRECT * self.rig.key + liquid.AMBIENT * self.rig.horizon
         return np.stack([np.ones(3), takes + (1.0 - takes) / np.maximum(usual, 0.1)])
 
     def _scattering(self, ids) -> np.ndarray:
@@ -321,7 +321,7 @@ class Studio:
         given = self.chosen.picture.background
         if given == "none":
             return np.zeros((fine.height, fine.width, 3), np.float32)
-        if not self.chosen.on_photograph:
+        if not self.chosen.picture.on_photograph:
             return np.zeros((1, 1, 3), np.float32)
         linear = display.scene_linear(np.asarray(picture, dtype=np.float64), self.chosen.toned)
         wide = linear.astype(np.float32).repeat(self.times, axis=0).repeat(self.times, axis=1)

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import imageio.v3 as iio
 import numpy as np
+from gallery import FAST, TIMES
 from PIL import Image
 
 from postprocess import settings
@@ -25,7 +26,6 @@ from vgmpi.output.read import RunFiles
 HERE = Path(__file__).resolve().parent
 PICTURES = HERE.parent / "docs" / "pictures"
 WIDE = 200  # pixels of each picture
-TIMES = (0.0, 0.15, 0.3, 0.5, 1.0)  # parts of a run
 PALE = {"background": "#e4ebf1"}
 SQUARES = {"height": 0, "colour": "#cfcac2", "squares": 0.08, "other": "#c2bcb2"}
 WATER = {"zenith": "#3f7fc8", "horizon": "#dfeaf4", "ground": "#6b6256"}
@@ -63,7 +63,7 @@ SHEETS = {
     "snowball": Sheet(
         "snowball",
         _paper(0.35, 0.25, look={"grain": {"ground": 0.06, "ball": 0.06}}),
-        (0.0, 0.1, 0.15, 0.35, 1.0),
+        FAST["snowball"],
     ),
     "water_on_snow": Sheet(
         "water_on_snow",
@@ -76,7 +76,7 @@ SHEETS = {
     "snowman": Sheet(
         "snowman",
         _paper(0.35, 0.25, look={"grain": {"snowman": 0.06}}),
-        (0.0, 0.041, 0.062, 0.09, 0.3),
+        FAST["snowman"],
     ),
     "two_liquids": Sheet(
         "two_liquids", _paper(0.5, 0.35, liquid={"clear": 0.5}, look={"liquid": "surface"})

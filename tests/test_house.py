@@ -135,6 +135,7 @@ TENSORS = (
 PRINT = (
     "vgmpi/cli.py",
     "vgmpi/bench/__main__.py",
+    "vgmpi/bench/commands.py",
     "vgmpi/bench/studies.py",
     "vgmpi/convert/__main__.py",
     "vgmpi/images/__main__.py",

@@ -4,8 +4,11 @@ A field is declared `density: Annotated[float, Quantity("kg/m3", gt=0)] = 1000.0
 file it is a number in SI or a text such as "1 g/cm3". Inside the program there is only SI.
 """
 
+import importlib
 import math
+import pkgutil
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Annotated, Any, get_args
@@ -220,6 +223,23 @@ class TomlError(ValueError):
 
 class SceneError(TomlError):
     """What is wrong with a scene."""
+
+
+def register_kinds(package: str, folders: Iterable[str], registry: dict[str, type]) -> None:
+    """Import every module of a package, which registers its kinds, and order the registry by them.
+
+    Folders and modules whose names begin with _ are left out.
+
+    Args:
+        package: Name of the package.
+        folders: Its `__path__`.
+        registry: Classes by their kinds, in/out.
+    """
+    for module in sorted(pkgutil.iter_modules(folders)):
+        if not module.ispkg and not module.name.startswith("_"):
+            importlib.import_module(f"{package}.{module.name}")
+    for kind in sorted(registry):
+        registry[kind] = registry.pop(kind)
 
 
 def explain(error: ValidationError, table: type[BaseModel]) -> list[tuple[tuple, str]]:

@@ -11,8 +11,8 @@ from pathlib import Path
 from ..ends import guarded
 from ..materials import registry
 from ..solver.run import versions
-from ..tables import SceneError
 from . import card, roof, rounds, table
+from .commands import parse_arguments, print_progress, run_command
 from .rounds import Contestant
 from .scene import BenchError, Case, lay_out
 
@@ -25,13 +25,7 @@ def arguments(argv: list[str]) -> argparse.Namespace:
         argv = ["card", *argv[2:]]
     elif not argv or argv[0] not in (*COMMANDS, "-h", "--help"):
         argv = ["speed", *argv]
-    parser = argparse.ArgumentParser(prog="python -m vgmpi.bench", description=__doc__)
-    commands = parser.add_subparsers(dest="command", required=True)
-    for name, (said, flags, run) in COMMANDS.items():
-        command = commands.add_parser(name, help=said, description=said)
-        flags(command)
-        command.set_defaults(run=run)
-    return parser.parse_args(argv)
+    return parse_arguments("python -m vgmpi.bench", __doc__, COMMANDS, argv)
 
 
 def _speed(parser: argparse.ArgumentParser) -> None:
@@ -145,19 +139,8 @@ def machine() -> dict:
 @guarded
 def main(argv: list[str] | None = None) -> int:
     """Run the command; returns the exit code."""
-    given = arguments(sys.argv[1:] if argv is None else argv)
-    try:
-        return given.run(given)
-    except SceneError as error:
-        print("\n".join(error.lines), file=sys.stderr)
-        return 2
-    except BenchError as error:
-        print(f"vgmpi.bench: {error}", file=sys.stderr)
-        return 2
-
-
-def _say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
+    words = sys.argv[1:] if argv is None else argv
+    return run_command("vgmpi.bench", arguments(words), (BenchError,))
 
 
 def _run_compare(given: argparse.Namespace) -> int:
@@ -166,7 +149,7 @@ def _run_compare(given: argparse.Namespace) -> int:
 
 
 def _run_speed(given: argparse.Namespace) -> int:
-    results = measure(given, _say)
+    results = measure(given, print_progress)
     if given.json:
         given.json.write_text(json.dumps(results, indent=1) + "\n")
     print(table.text(results))

@@ -11,8 +11,8 @@ from typing import get_args
 
 from ..ends import guarded
 from ..scene.settings import Transfer
-from ..tables import SceneError
 from . import rounds
+from .commands import parse_arguments, print_progress, run_command
 from .rounds import Contestant
 from .scene import BenchError, Case, lay_out
 
@@ -21,31 +21,14 @@ PROGRAM = "python -m vgmpi.bench.studies"
 
 def arguments(argv: list[str]) -> argparse.Namespace:
     """The flags."""
-    parser = argparse.ArgumentParser(prog=PROGRAM, description=__doc__)
-    commands = parser.add_subparsers(dest="command", required=True)
-    for name, (said, flags, run) in COMMANDS.items():
-        command = commands.add_parser(name, help=said, description=said)
-        flags(command)
-        command.set_defaults(run=run)
-    return parser.parse_args(argv)
+    return parse_arguments(PROGRAM, __doc__, COMMANDS, argv)
 
 
 @guarded
 def main(argv: list[str] | None = None) -> int:
     """Run the command; returns the exit code."""
-    given = arguments(sys.argv[1:] if argv is None else argv)
-    try:
-        return given.run(given)
-    except SceneError as error:
-        print("\n".join(error.lines), file=sys.stderr)
-        return 2
-    except (BenchError, ImportError) as error:
-        print(f"{PROGRAM}: {error}", file=sys.stderr)
-        return 2
-
-
-def _say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
+    words = sys.argv[1:] if argv is None else argv
+    return run_command(PROGRAM, arguments(words), (BenchError, ImportError))
 
 
 def _balance(parser: argparse.ArgumentParser) -> None:
@@ -59,7 +42,7 @@ def _balance(parser: argparse.ArgumentParser) -> None:
 def _run_balance(given: argparse.Namespace) -> int:
     from . import balance
 
-    found = balance.follow(given.scene, given.set, given.ranks, given.time, _say)
+    found = balance.follow(given.scene, given.set, given.ranks, given.time, print_progress)
     print(balance.text(found))
     return 0
 
@@ -113,7 +96,7 @@ def _run_together(given: argparse.Namespace) -> int:
     from . import together
 
     how = int(given.particles), given.rounds
-    ranks = [together.ranks(law, *how, _say) for law in given.laws]
+    ranks = [together.ranks(law, *how, print_progress) for law in given.laws]
     print(together.text(ranks, [together.threads(law, *how) for law in given.laws]))
     return 0
 
@@ -129,7 +112,9 @@ def _against(parser: argparse.ArgumentParser) -> None:
 def _run_against(given: argparse.Namespace) -> int:
     from . import against
 
-    for line in against.lines(given.tree, given.laws, given.particles, given.rounds, _say):
+    for line in against.lines(
+        given.tree, given.laws, given.particles, given.rounds, print_progress
+    ):
         print(line, flush=True)
     return 0
 
@@ -169,7 +154,9 @@ def _scaling(parser: argparse.ArgumentParser) -> None:
 def _run_scaling(given: argparse.Namespace) -> int:
     from . import census, scaling
 
-    rows, busy, empty = scaling.measure(sorted({1, 2, *given.real}), given.particles, _say)
+    rows, busy, empty = scaling.measure(
+        sorted({1, 2, *given.real}), given.particles, print_progress
+    )
     found = scaling.constants(rows, busy, empty)
     sort = census.measure(64, 100_000)
     found["tables"] = 1e-3 * sort["kept"][0] / sort["blocks"] / scaling.STEPS_PER_SORT
@@ -189,7 +176,7 @@ def _run_couplings(given: argparse.Namespace) -> int:
     from . import couplings, features
 
     study = features if given.command == "features" else couplings
-    rows = study.measure(int(given.particles), given.rounds, given.precision, _say)
+    rows = study.measure(int(given.particles), given.rounds, given.precision, print_progress)
     print(study.text(rows))
     return 0
 

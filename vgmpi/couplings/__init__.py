@@ -3,15 +3,9 @@ importing the folder registers them all. The registry is in the order of their k
 are called.
 """
 
-import importlib
-import pkgutil
-
+from ..tables import register_kinds
 from .base import registry
 
-for _module in sorted(pkgutil.iter_modules(__path__)):
-    if not _module.ispkg and not _module.name.startswith("_"):
-        importlib.import_module(f"{__name__}.{_module.name}")
-for _kind in sorted(registry):
-    registry[_kind] = registry.pop(_kind)
+register_kinds(__name__, __path__, registry)
 
 __all__ = ["registry"]

@@ -38,24 +38,23 @@ def shade_background(stage, picture, block):
             t = (view.eye[2] - plane.height) / down if down > 1e-6 else -1.0
             on = plane.kind != NONE and 0.0 < t <= 1e6
             x, y = view.eye[0] + t * d[0], view.eye[1] + t * d[1]
-            if not on:
+            covers = on and plane.kind != SHADOW
+            if covers:
+                wide = block * t / (view.lens[0] * down / size) if down > 1e-3 else 1e3
+                ground_color(plane, x, y, wide, light)
+            elif not taken:
                 backdrop(plane, d[2], light)
-            elif plane.kind == SHADOW:
+            elif on:
                 ground_light(plane, x, y, light)
                 for m in range(3):
                     light[m] = min(light[m] / max(plane.far[m], 1e-6), 1.0)
             else:
-                wide = block * t / (view.lens[0] * down / size) if down > 1e-3 else 1e3
-                ground_color(plane, x, y, wide, light)
+                light[:] = 1.0
             for j in range(j0, j1):
                 for k in range(k0, k1):
-                    out = view.behind[j, k]
                     for m in range(3):
-                        out[m] = picture[j, k, m] if taken else light[m]
-                        if on and plane.kind == SHADOW:
-                            out[m] = light[m] * (picture[j, k, m] if taken else 0.0)
-                        elif on:
-                            out[m] = light[m]
+                        below = picture[j, k, m] if taken and not covers else 1.0
+                        view.behind[j, k, m] = light[m] * below
 
 
 @cached(nogil=True, error_model="numpy", fastmath=True)

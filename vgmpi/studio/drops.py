@@ -10,10 +10,10 @@ import numpy as np
 from vgmpi.caching import cached
 from vgmpi.studio.compiling import RAY
 from vgmpi.studio.field import Field, densities
-from vgmpi.studio.grid import KERNEL, deposit, new_grid, sample, trilinear_values
+from vgmpi.studio.grid import KERNEL, deposit, new_grid, sample
 from vgmpi.studio.hashing import uniform
 from vgmpi.studio.lighting import mirrored_sky
-from vgmpi.studio.liquid import shade_ray
+from vgmpi.studio.liquid import AMBIENT, DIRECT, look_up_tint, shade_ray
 from vgmpi.studio.rays import first_hit
 from vgmpi.studio.surroundings import far_light, project
 
@@ -114,40 +114,37 @@ def shade_drop(stage, p, d, n, behind, work, out):
     behind: (3,) light of what is seen beside it. work: (72,) scratch.
     """
     t, mirrored, seen = work[:3], work[3:6], work[6:9]
+    own, medium, rig = work[12:20], stage.medium, stage.rig
     cosine = max(-(d[0] * n[0] + d[1] * n[1] + d[2] * n[2]), 0.02)
-    share = 0.02 + 0.98 * (1.0 - cosine) ** 5
+    far = _way_to_opaque(stage.buffers, p, d, work[9:12])
+    if _liquid_behind(stage, p, d, far, work, out):
+        for m in range(3):
+            seen[m] = out[m]
+    elif far > 1e6:
+        size = 0.0
+        for m in range(3):
+            t[m] = d[m] - 0.55 * n[m] * np.sqrt(1.0 - cosine)
+            size += t[m] * t[m]
+        size = 1.0 / np.sqrt(size)
+        far_light(
+            stage, p[0], p[1], p[2], t[0] * size, t[1] * size, t[2] * size, True, 0.1, work[9:12],
+            seen,
+        )  # fmt: skip
+        for m in range(3):
+            seen[m] = 0.6 * seen[m] + 0.4 * behind[m]
+    else:  # what is near behind is seen as beside the drop
+        for m in range(3):
+            seen[m] = behind[m]
     mirrored_sky(
-        stage.rig, d[0] + 2.0 * cosine * n[0], d[1] + 2.0 * cosine * n[1], d[2] + 2.0 * cosine *
-        n[2],
+        rig, d[0] + 2.0 * cosine * n[0], d[1] + 2.0 * cosine * n[1], d[2] + 2.0 * cosine * n[2],
         0.15, mirrored,
     )  # fmt: skip
-    size = 0.0
-    for m in range(3):
-        t[m] = d[m] - 0.55 * n[m] * np.sqrt(1.0 - cosine)
-        size += t[m] * t[m]
-    size = 1.0 / np.sqrt(size)
-    far_light(
-        stage, p[0], p[1], p[2], t[0] * size, t[1] * size, t[2] * size, True, 0.1, work[9:12], seen
-    )
-    m0, m1, m2 = mirrored[0], mirrored[1], mirrored[2]
-    far = _way_to_opaque(stage.buffers, p, d, work[9:12])
-    bent = 0.6 if far > 1e6 else 0.0  # what is near behind is seen as beside the drop
-    b0 = bent * seen[0] + (1.0 - bent) * behind[0]
-    b1 = bent * seen[1] + (1.0 - bent) * behind[1]
-    b2 = bent * seen[2] + (1.0 - bent) * behind[2]
-    if _liquid_behind(stage, p, d, far, work, out):
-        b0, b1, b2 = out[0], out[1], out[2]
     # what is turbid has light of its own, as in liquid.shade_ray
-    seen[0], seen[1], seen[2] = b0, b1, b2
-    mirrored[0], mirrored[1], mirrored[2] = m0, m1, m2
-    own, tint, rig = work[12:20], stage.medium.tint, stage.rig
-    trilinear_values(
-        tint.values, (p[0] - tint.lower[0]) / tint.cell, (p[1] - tint.lower[1]) / tint.cell,
-        (p[2] - tint.lower[2]) / tint.cell, 8, own,
-    )  # fmt: skip
-    glow = 1.0 - np.exp(-own[7] * THICK * stage.medium.field.cell)
+    look_up_tint(medium.tint, p, own)
+    share = 0.02 + 0.98 * (1.0 - cosine) ** 5
+    glow = 1.0 - np.exp(-own[7] * THICK * medium.field.cell)
     for m in range(3):
-        inside = own[3 + m] * (0.45 * rig.key[m] + 0.9 * rig.horizon[m])
+        inside = own[3 + m] * (DIRECT * rig.key[m] + AMBIENT * rig.horizon[m])
         through = (1.0 - glow) * seen[m] + glow * inside
         out[m] = share * min(mirrored[m], 4.0) + (1.0 - share) * through
 

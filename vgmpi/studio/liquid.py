@@ -20,6 +20,7 @@ SURFACES = 8  # that a ray meets at most
 AROUND = 1.5  # m beyond which nothing is mirrored but sky and ground
 FILM = 1.5  # cells: of air between liquid and ground that is not seen
 FAINT = 0.03  # share up to which only sky and ground are mirrored: the rest is 2 levels at most
+DIRECT, AMBIENT = 0.45, 0.9  # shares of the key and of the sky that a white liquid scatters back
 WHITE = 0.86  # albedo of foam
 
 
@@ -56,7 +57,7 @@ def _mirrored(stage, p, r, blur, follows, work, out):
     if end == CROSSED:  # the liquid again: its own color, and the sky that it mirrors
         medium = stage.medium
         values = work[3:11]
-        _look_up_tint(medium.tint, q, values)
+        look_up_tint(medium.tint, q, values)
         mirrored_sky(stage.rig, r[0], r[1], abs(r[2]), blur, out)
         for m in range(3):
             own = values[3 + m] * (0.3 * stage.rig.key[m] + 0.5 * stage.rig.horizon[m])
@@ -70,8 +71,8 @@ def _scattered(rig, n, key, m):
     """Light of color m that a white liquid scatters back below a surface of normal n (3,): more
     where it faces the key and the sky. key: share of the key that comes."""
     facing = max(n[0] * rig.toward[0] + n[1] * rig.toward[1] + n[2] * rig.toward[2], 0.0)
-    direct = 0.45 * rig.key[m] * (0.3 + 0.7 * key) * (0.5 + 1.1 * facing)
-    return direct + 0.9 * rig.horizon[m] * (0.78 + 0.22 * n[2])
+    direct = DIRECT * rig.key[m] * (0.3 + 0.7 * key) * (0.5 + 1.1 * facing)
+    return direct + AMBIENT * rig.horizon[m] * (0.78 + 0.22 * n[2])
 
 
 @cached(**RAY)
@@ -110,7 +111,7 @@ def shade_ray(stage, p, d, wall, pixel, blur, work, out):
     for m in range(3):
         q[m] = p[m] - 1.5 * medium.field.cell * n[m]
         depth[m] = 0.0
-    _look_up_tint(medium.tint, q, own)
+    look_up_tint(medium.tint, q, own)
     for m in range(3):
         q[m] = p[m]
     way = medium.least if wall else 0.0
@@ -138,7 +139,7 @@ def shade_ray(stage, p, d, wall, pixel, blur, work, out):
 
 
 @cached(**RAY)
-def _look_up_tint(tint, q, values):
+def look_up_tint(tint, q, values):
     """What the liquid's particles are like around q (3,), into values (8,)."""
     trilinear_values(
         tint.values, (q[0] - tint.lower[0]) / tint.cell, (q[1] - tint.lower[1]) / tint.cell,
