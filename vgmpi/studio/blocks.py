@@ -66,7 +66,7 @@ def mark_blocks(x, half, lower, cell, index):
                     index[i, j, k] = 0
 
 
-@cached(nogil=True, error_model="numpy", fastmath=True)
+@cached(nogil=True, error_model="numpy")
 def _add_plane(raw, at, y, z, m, first, height):
     """Add a kernel to the 64 nodes of a plane of a block: eight vectors.
 
@@ -93,7 +93,7 @@ def _add_plane(raw, at, y, z, m, first, height):
         raw[at + np.uint64(n)] += height * t * t * t
 
 
-@cached(nogil=True, error_model="numpy", fastmath=True)
+@cached(nogil=True, error_model="numpy")
 def deposit_blocks(x, half, metric, weight, lower, cell, index, raw):
     """Add weight (1 - q^2)^3 of every kernel to the nodes of the blocks that it touches.
 

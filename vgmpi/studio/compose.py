@@ -115,7 +115,7 @@ def _has_drop(drop_depth, j, k, times):
     return False
 
 
-@cached(nogil=True, error_model="numpy", fastmath=True)
+@cached(nogil=True, error_model="numpy")
 def compose(
     stage, left, drop_depth, drop_normal, hits, normals, pixel, flags, image, alpha, depth, keys
 ):
@@ -221,7 +221,7 @@ def _sample(stage, left, drops, at, pixel, blur, flags, d, p, work, out):
     return red, green, blue, out[3]
 
 
-@cached(nogil=True, error_model="numpy", fastmath=True)
+@cached(nogil=True, error_model="numpy")
 def refine(
     stage,
     left,

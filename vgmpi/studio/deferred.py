@@ -19,7 +19,7 @@ TURNED = 0.5  # share of the key that is lost to a shadow beside a liquid, by to
 BRIGHTEST = 1.15  # of a capture in the studio's light, against the light that it holds
 
 
-@cached(nogil=True, error_model="numpy", fastmath=True)
+@cached(nogil=True, error_model="numpy")
 def shade_background(stage, picture, block):
     """Fill view.behind: ground, backdrop, or a picture with the shadow that falls on it.
 
@@ -57,7 +57,7 @@ def shade_background(stage, picture, block):
                         view.behind[j, k, m] = light[m] * below
 
 
-@cached(nogil=True, error_model="numpy", fastmath=True)
+@cached(nogil=True, error_model="numpy")
 def tint_ground(stage):
     """Take from the ground's light what the liquid absorbs on the light's way to it."""
     plane, medium, rig = stage.plane, stage.medium, stage.rig
@@ -173,7 +173,7 @@ def surface_light(rig, d, n, albedo, kind, gloss, captures, key, sky, free, out)
         out[m] = new
 
 
-@cached(nogil=True, error_model="numpy", fastmath=True)
+@cached(nogil=True, error_model="numpy")
 def shade_opaque(stage, albedo, normal, kinds, left, block, liquid, captures):
     """Fill view.light with what is opaque over view.behind.
 

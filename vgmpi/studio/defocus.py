@@ -45,7 +45,7 @@ def defocus(
     return np.ascontiguousarray(out[..., :3]), np.ascontiguousarray(out[..., 3])
 
 
-@cached(nogil=True, error_model="numpy", fastmath=True)
+@cached(nogil=True, error_model="numpy")
 def _gather(image, depth, radius, widest, disc, out):
     height, width = depth.shape
     sums = np.empty(4)

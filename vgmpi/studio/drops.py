@@ -62,7 +62,7 @@ def spray(x: np.ndarray, velocity: np.ndarray, ids: np.ndarray, liquid: Field, s
     return np.concatenate(middles), axes, np.concatenate(longs), np.concatenate(shorts)
 
 
-@cached(nogil=True, error_model="numpy", fastmath=True)
+@cached(nogil=True, error_model="numpy")
 def paint_drops(x, axis, long, short, view, depth, normal):
     """Nearest spheroids: depth (height, width) [m] and world normal (height, width, 3) per
     pixel."""

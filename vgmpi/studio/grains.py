@@ -121,7 +121,7 @@ def _mirror(values: np.ndarray, plane: float) -> None:
         values[:, :, k] = values[:, :, max(other, int(np.ceil(plane)))]
 
 
-@cached(nogil=True, error_model="numpy", fastmath=True)
+@cached(nogil=True, error_model="numpy")
 def _normals(at, density, smooth, out, normal):
     for p in range(len(at)):
         x, y, z = at[p, 0], at[p, 1], at[p, 2]

@@ -84,7 +84,7 @@ def sample(grid: Grid, x: np.ndarray) -> np.ndarray:
     return out
 
 
-@cached(nogil=True, error_model="numpy", fastmath=True)
+@cached(nogil=True, error_model="numpy")
 def _deposit(x, radius, weight, values, lower, cell, total, sums):
     nx, ny, nz = total.shape
     channels = values.shape[1]

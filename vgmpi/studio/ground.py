@@ -119,7 +119,7 @@ def since(plane: Ground, before: Ground) -> Ground:
     return plane._replace(light=(part * plane.far).astype(np.float32))
 
 
-@cached(nogil=True, error_model="numpy", fastmath=True)
+@cached(nogil=True, error_model="numpy")
 def _light(light, pyramid, rig, height, lower, texel):
     color = np.zeros(3)
     for j in range(light.shape[0]):

@@ -223,7 +223,7 @@ def _through(stage, q, t, blur, depth, work, out):
     return passes, 1.0 if straight and stage.plane.kind == NONE else 0.0, total
 
 
-@cached(nogil=True, error_model="numpy", fastmath=True)
+@cached(nogil=True, error_model="numpy")
 def find_surface(stage, near, hits, normals, reach):
     """First surfaces of the pixels' middle rays.
 

@@ -30,7 +30,7 @@ def density_normals(x: np.ndarray, spacing: float) -> np.ndarray:
     return out / np.maximum(size, 0.5 * usual + 1e-12)[:, None]
 
 
-@cached(nogil=True, error_model="numpy", fastmath=True)
+@cached(nogil=True, error_model="numpy")
 def _gradients(at, v, out):
     for p in range(len(at)):
         x, y, z = at[p, 0], at[p, 1], at[p, 2]
@@ -39,7 +39,7 @@ def _gradients(at, v, out):
         out[p, 2] = trilinear(v, x, y, z - 1.0) - trilinear(v, x, y, z + 1.0)
 
 
-@cached(nogil=True, error_model="numpy", fastmath=True)
+@cached(nogil=True, error_model="numpy")
 def turned(normals, F, out):
     """Normals (n, 3) of surfaces that deform by F (n, 9): along cof(F) n, as long as before."""
     for p in range(len(normals)):

@@ -119,7 +119,7 @@ def _deposit(x, volume, albedo, lower, cell, base, tint):
             cellwise[q] += m * albedo[p, q]
 
 
-@cached(nogil=True, error_model="numpy", fastmath=True)
+@cached(nogil=True, error_model="numpy")
 def _smooth(v, axis):
     """In place by [1 2 1] / 4 along an axis."""
     nx, ny, nz = v.shape

@@ -73,7 +73,7 @@ def _encoded(c):
     return _TABLE[k] + (at - k) * (_TABLE[k + 1] - _TABLE[k])
 
 
-@cached(nogil=True, error_model="numpy", fastmath=True)
+@cached(nogil=True, error_model="numpy")
 def show(light, tone, out):
     """Display values out (height, width, 3) of linear light (height, width, 3)."""
     for j in range(light.shape[0]):
