@@ -45,22 +45,23 @@ campaigns: setup
 	$(PY) -m tests.campaigns
 
 validate: setup
-	$(PY) -m tests.validation
+	$(PY) -m tests.benchmarks.validation
 	$(PY) -m pytest -m slow --ignore=tests/physics
 
 lint: setup
 	$(PY) -m ruff check
 	$(PY) -m ruff format --check
+	.venv/bin/lint-imports --no-logo
 	$(PY) -m mypy
 
 docs: setup
 	$(PY) -m vgmpi.scene > docs/scene.md
-	$(PY) -m vgmpi.output.page > docs/file-format.md
+	$(PY) -m vgmpi.io.layout_reference > docs/file-format.md
 
 site: docs
 	NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build --strict
 
-# each in an environment of its own, on one rank: make matrix TESTS=tests/unit/test_sand.py for less
+# each in an environment of its own, on one rank: make matrix TESTS=tests/materials/test_sand.py for less
 TESTS := tests/unit
 matrix:
 	@export PYENV_VERSION=$$(pyenv versions --bare 2>/dev/null | paste -sd:); \

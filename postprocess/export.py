@@ -1,7 +1,8 @@
-"""python -m postprocess.export OUT --frames 0:50:5 -o DIR --format ply: Gaussian files of frames.
+"""Export of Gaussian files: python -m postprocess.export OUT --frames 0:50:5 -o DIR --format ply
 
-A file holds what the renderer draws: shapes, opacities and colours of that moment, in metres and
-in the domain's axes, for any viewer of Gaussians. Exit code 2 for what the user can mend.
+A file holds the Gaussians of a frame as the renderer draws them: shapes, opacities and colors, in
+meters and in the axes of the domain, for any viewer. Exit code 2 is for errors that the user can
+correct.
 """
 
 import argparse
@@ -13,16 +14,16 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from postprocess import settings
-from postprocess.look import Look
-from vgmpi.ends import guarded
-from vgmpi.gaussians import files
-from vgmpi.gaussians.cloud import Cloud, principal
-from vgmpi.output.read import RunError, RunFiles
+from vgmpi.gaussians.cloud import GaussianCloud, principal_axes
+from vgmpi.gaussians.formats import registry
+from vgmpi.io.run_reader import RunError, RunReader
+from vgmpi.rendering import render_config
+from vgmpi.rendering.appearance import Appearance
+from vgmpi.runtime.exit_handler import exit_code_from_exceptions
 
 log = logging.getLogger("vgmpi")
 
-# what brings the domain's z to the axis that points up in the file
+# rotations of the domain's z axis to the up axis of the file
 UP = {
     "z": np.eye(3),
     "y": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
@@ -30,10 +31,10 @@ UP = {
 }
 
 
-def cloud(look: Look, frame: dict[str, np.ndarray], scenery: bool = True) -> Cloud:
-    """The Gaussians of a frame as they are drawn [m], for any eye; scenery first.
+def cloud(look: Appearance, frame: dict[str, np.ndarray], scenery: bool = True) -> GaussianCloud:
+    """Return the Gaussians of a frame as they are drawn [m], for any view; scenery first.
 
-    frame: of look.frame. Raises RunError.
+    frame: result of look.frame. Raises RunError.
     """
     parts = look.parts(frame)
     if not scenery and look.scenery is not None:
@@ -41,8 +42,8 @@ def cloud(look: Look, frame: dict[str, np.ndarray], scenery: bool = True) -> Clo
     colors = [part.coefficients() for part in parts]
     terms = max(sh.shape[1] for sh in colors)
     colors = [np.pad(sh, ((0, 0), (0, terms - sh.shape[1]), (0, 0))) for sh in colors]
-    quat, scale = principal(np.concatenate([part.cov for part in parts]))
-    return Cloud(
+    quat, scale = principal_axes(np.concatenate([part.cov for part in parts]))
+    return GaussianCloud(
         np.concatenate([part.x for part in parts]),
         quat,
         scale,
@@ -51,9 +52,11 @@ def cloud(look: Look, frame: dict[str, np.ndarray], scenery: bool = True) -> Clo
     )
 
 
-def chosen(text: str | None, count: int) -> list[int]:
-    """Frame numbers out of "25", "-1" or "first:last:every" (last not included), as for a list in
-    Python. Raises RunError."""
+def selected_frames(text: str | None, count: int) -> list[int]:
+    """Parse "25", "-1" or "first:last:every" (last excluded) as frame numbers.
+
+    The syntax is that of list indices in Python. Raises RunError.
+    """
     if text is None:
         return list(range(count))
     if not re.fullmatch(r"-?\d{1,9}|(-?\d{1,9})?:(-?\d{1,9})?(:\d{0,9})?", text):
@@ -63,35 +66,44 @@ def chosen(text: str | None, count: int) -> list[int]:
         numbers = [numbers[0], numbers[0] + 1 or None]
     elif numbers[2:] == [0]:
         raise RunError(f"--frames: {text}: allowed: every 1st or more")
-    found = list(range(count))[slice(*numbers)]
-    if not found:
+    selected = list(range(count))[slice(*numbers)]
+    if not selected:
         raise RunError(f"--frames: {text}: the run has the frames 0..{count - 1}")
-    return found
+    return selected
 
 
-def losses(made: Cloud, suffix: str) -> list[str]:
-    """What a file of this kind does not keep of a cloud, a line each."""
-    found = []
-    shiny = np.count_nonzero((made.sh[:, 1:] != 0).any(axis=(1, 2)))
-    if suffix == ".splat" and shiny:
-        found.append(f"a .splat keeps no view-dependent colour: {shiny:,} Gaussians lose theirs")
-    most = {".spz": 1, files.COMPRESSED: 4}.get(suffix, np.inf)
-    if beyond := np.count_nonzero(np.abs(made.sh[:, 1:]) > most):
-        found.append(f"a {suffix} holds coefficients of -{most}..{most}: {beyond:,} are cut")
-    faint = np.count_nonzero((made.opacity > 0) & (made.opacity < 0.5 / 255))
-    if suffix not in (".ply", files.GLTF) and faint:
-        said = f"opacities are 255ths in a {suffix}: {faint:,} of {len(made):,} Gaussians vanish"
-        found.append(f"{said}; a .ply keeps them")
-    return found
+def losses(gaussians: GaussianCloud, suffix: str) -> list[str]:
+    """Return a line for each property of the Gaussians that a file format cannot hold."""
+    lines = []
+    shiny_count = np.count_nonzero((gaussians.sh[:, 1:] != 0).any(axis=(1, 2)))
+    if suffix == ".splat" and shiny_count:
+        lines.append(
+            f"a .splat keeps no view-dependent colour: {shiny_count:,} Gaussians lose theirs"
+        )
+    max_value = {".spz": 1, registry.COMPRESSED: 4}.get(suffix, np.inf)
+    if beyond_count := np.count_nonzero(np.abs(gaussians.sh[:, 1:]) > max_value):
+        lines.append(
+            f"a {suffix} holds coefficients of -{max_value}..{max_value}: {beyond_count:,} are cut"
+        )
+    faint = np.count_nonzero((gaussians.opacity > 0) & (gaussians.opacity < 0.5 / 255))
+    if suffix not in (".ply", registry.GLTF) and faint:
+        text = (
+            f"opacities are 255ths in a {suffix}: {faint:,} of {len(gaussians):,} Gaussians vanish"
+        )
+        lines.append(f"{text}; a .ply keeps them")
+    return lines
 
 
 def parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
     p = argparse.ArgumentParser(prog="python -m postprocess.export", description=__doc__)
     p.add_argument("out", help="folder of the run")
     p.add_argument("settings", nargs="?", help="render.toml: its table [look]")
     p.add_argument("--frames", help="a number, or first:last:every as in Python [all]")
     p.add_argument("-o", "--output", help="folder of the files [OUT/gaussians]")
-    kinds = [suffix.removeprefix(".") for suffix in (*files.KINDS, files.COMPRESSED, files.GLTF)]
+    kinds = [
+        suffix.removeprefix(".") for suffix in (*registry.KINDS, registry.COMPRESSED, registry.GLTF)
+    ]
     p.add_argument("--format", choices=kinds, default=kinds[0], help="kind of the files [ply]")
     up = "up in the file; captures: --up=-y [z; of a .glb y]"
     p.add_argument("--up", choices=UP, help=up)
@@ -100,17 +112,18 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
-@guarded
+@exit_code_from_exceptions
 def main(argv: list[str] | None = None) -> int:
+    """Run the command and return its exit code."""
     args = parser().parse_args(argv)
     level = logging.WARNING if args.quiet else logging.INFO
     logging.basicConfig(level=level, format="%(message)s", stream=sys.stderr)
     folder = Path(args.output or Path(args.out) / "gaussians")
     try:
         _export(args, folder)
-    except settings.SettingsError as error:
+    except render_config.SettingsError as error:
         print("\n".join(error.lines), file=sys.stderr)
-    except (RunError, files.GaussianFileError) as error:
+    except (RunError, registry.GaussianFileError) as error:
         print(error, file=sys.stderr)
     except OSError as error:
         print(f"{error.filename or folder}: {error.strerror or error}", file=sys.stderr)
@@ -124,24 +137,25 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _export(args: argparse.Namespace, folder: Path) -> None:
-    run = RunFiles(args.out)
-    numbers = run.present(chosen(args.frames, len(run)))
-    look = Look(run, settings.load(args.settings).look)
+    """Write the files."""
+    run = RunReader(args.out)
+    numbers = run.available_frames(selected_frames(args.frames, len(run)))
+    look = Appearance(run, render_config.load(args.settings).look)
     folder.mkdir(parents=True, exist_ok=True)
     suffix = f".{args.format}"
-    said: set[str] = set()
+    reported: set[str] = set()
     for index in tqdm(numbers, unit="frame", disable=True if args.quiet else None):
-        made = cloud(look, look.frame(index), not args.no_scenery)
-        up = args.up or ("y" if suffix == files.GLTF else "z")
+        gaussians = cloud(look, look.frame(index), not args.no_scenery)
+        up = args.up or ("y" if suffix == registry.GLTF else "z")
         if up != "z":
-            made = made.transformed(UP[up])
-        for line in losses(made, suffix):
+            gaussians = gaussians.transformed(UP[up])
+        for line in losses(gaussians, suffix):
             kind = line.split(":")[0]
-            if kind not in said:  # once for all frames
+            if kind not in reported:  # each kind is reported once
                 log.warning("frame %d: %s", index, line)
-                said.add(kind)
-        files.write(folder / f"frame_{index:05d}{suffix}", made)
-    log.info("%d files of %d Gaussians", len(numbers), len(made))
+                reported.add(kind)
+        registry.write(folder / f"frame_{index:05d}{suffix}", gaussians)
+    log.info("%d files of %d Gaussians", len(numbers), len(gaussians))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""python -m postprocess.render OUT [render.toml] -o video.mp4: a video of a run's Gaussians.
+"""Video of a run's Gaussians: python -m postprocess.render OUT [render.toml] -o video.mp4
 
-Reads only the files of the run. Started by mpirun (or srun), the ranks share the frames and rank 0
-writes. Exit code 2 for what the user can mend, with one line each.
+Reads only the files of the run. With mpirun (or srun) the ranks share the frames and rank 0 writes.
+Exit code 2 is for errors that the user can correct, with one line each.
 """
 
 import argparse
@@ -15,43 +15,51 @@ import time
 from pathlib import Path
 from typing import Any
 
-from postprocess import settings, video
-from postprocess.painter import Drawn, OtherRankError, Painter, agree, by_processes, by_ranks
-from vgmpi.ends import guarded
-from vgmpi.output.read import RunError, RunFiles
+from vgmpi.io.run_reader import RunError, RunReader
+from vgmpi.rendering import image_io, render_config
+from vgmpi.rendering.frame_renderer import (
+    FrameRenderer,
+    OtherRankError,
+    RenderedView,
+    render_in_processes,
+    render_on_ranks,
+    run_on_all_ranks,
+)
+from vgmpi.runtime.exit_handler import exit_code_from_exceptions
 
 log = logging.getLogger("vgmpi")
 
-PREVIEW = 400  # pixels of its longer side
-# what launchers tell the processes they start; SLURM's is there in a job without srun, too
-LAUNCHED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS")
+PREVIEW_SIZE = 400  # [pixels] longer side of a preview
+# Variables that launchers set for the processes they start; SLURM's is set without srun too.
+LAUNCHER_VARIABLES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS")
 
 
-def frame_numbers(run: RunFiles, asked: settings.FrameSettings) -> list[int]:
-    """The frames to draw, also of those that are missing. Raises RunError if there are none."""
+def frame_numbers(run: RunReader, frames: render_config.FrameSettings) -> list[int]:
+    """Return the frames to draw, missing ones included. Raises RunError if there are none."""
     count = len(run)
-    numbers = asked.numbers(count)
+    numbers = frames.numbers(count)
     if not numbers:
-        said = f"frames {asked.first}..{asked.end(count)}"
-        raise RunError(f"{said}: the run has the frames 0..{count - 1}")
+        message = f"frames {frames.first}..{frames.end(count)}"
+        raise RunError(f"{message}: the run has the frames 0..{count - 1}")
     return numbers
 
 
 def ranks_of_launcher() -> Any:
-    """The ranks among which a launcher wants the frames shared; None where it started one process.
+    """Return the ranks that share the frames, or None for a single process.
 
-    MPI is started only then: it takes half a second.
+    MPI is started only for several ranks, because that takes half a second.
     """
-    told = [os.environ.get(name, "") for name in LAUNCHED]
-    if max(int(size) if size.isdecimal() else 1 for size in told) <= 1:
+    sizes = [os.environ.get(name, "") for name in LAUNCHER_VARIABLES]
+    if max(int(size) if size.isdecimal() else 1 for size in sizes) <= 1:
         return None
-    from vgmpi.domain.ranks import world
+    from vgmpi.parallel.communicator import init_communicator
 
-    ranks = world()
+    ranks = init_communicator()
     return ranks if ranks.size > 1 else None
 
 
 def parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
     p = argparse.ArgumentParser(prog="python -m postprocess.render", description=__doc__)
     p.add_argument("out", help="folder of the run")
     p.add_argument("settings", nargs="?", help="render.toml: camera, picture, video, splatting")
@@ -71,31 +79,32 @@ def parser() -> argparse.ArgumentParser:
 
 
 def output_path(args: argparse.Namespace) -> Path:
-    """Where the result goes. Raises VideoError for a name of no known kind."""
+    """Return the path of the result. Raises VideoError for an unknown suffix."""
     path = Path(args.output or Path(args.out) / ("preview.png" if args.preview else "video.mp4"))
-    allowed = (".png",) if args.preview else (*video.FORMATS, ".png", "")
+    allowed = (".png",) if args.preview else (*image_io.FORMATS, ".png", "")
     if path.suffix not in allowed:
-        said = ".png" if args.preview else ".mp4, .webm, .gif or .png, or a folder"
-        raise video.VideoError(f"-o: {path}: allowed: a name that ends in {said}")
+        message = ".png" if args.preview else ".mp4, .webm, .gif or .png, or a folder"
+        raise image_io.VideoError(f"-o: {path}: allowed: a name that ends in {message}")
     return path
 
 
 def main(argv: list[str] | None = None) -> int:
+    """Run the command and return its exit code."""
     args = parser().parse_args(argv)
     ranks = ranks_of_launcher()
-    first = ranks is None or ranks.rank == 0
-    level = logging.ERROR if not first else logging.WARNING if args.quiet else logging.INFO
+    is_first = ranks is None or ranks.rank == 0
+    level = logging.ERROR if not is_first else logging.WARNING if args.quiet else logging.INFO
     logging.basicConfig(level=level, format="%(message)s", stream=sys.stderr)
     logging.getLogger("vgmpi").setLevel(level)
     try:
         if ranks is None:
             return _draw(*_prepare(args), args, None)
-        return _draw(*agree(ranks, lambda: _prepare(args, ranks.here)), args, ranks)
+        return _draw(*run_on_all_ranks(ranks, lambda: _prepare(args, ranks.here)), args, ranks)
     except OtherRankError:
         return 2
-    except settings.SettingsError as error:
+    except render_config.SettingsError as error:
         print("\n".join(error.lines), file=sys.stderr)
-    except (RunError, video.VideoError) as error:
+    except (RunError, image_io.VideoError) as error:
         print(error, file=sys.stderr)
     except KeyboardInterrupt:
         print("stopped: no video was written", file=sys.stderr)
@@ -103,122 +112,136 @@ def main(argv: list[str] | None = None) -> int:
     return 2
 
 
-def _prepare(args: argparse.Namespace, here: int = 1) -> tuple[Painter, Path, Path]:
-    """The painter, the output and the folder of render.toml. Raises errors of one line.
+def _prepare(args: argparse.Namespace, local_count: int = 1) -> tuple[FrameRenderer, Path, Path]:
+    """Return the renderer, the output and the folder of render.toml.
 
-    here: processes of this machine that draw.
+    local_count: number of processes on this machine. Raises errors of one line.
     """
     output = output_path(args)
-    chosen = settings.load(args.settings)
-    if chosen.background == "none" and output.suffix in video.FORMATS:
-        if output.suffix not in video.TRANSPARENT:
-            said = f"{output.suffix} has no transparency: allowed: .webm, .png, a folder"
-            raise settings.SettingsError([f"picture.background: 'none': {said}"])
-    beside = Path(args.settings).parent if args.settings else Path(".")
-    painter = Painter(
-        RunFiles(args.out),
+    chosen = render_config.load(args.settings)
+    if chosen.background == "none" and output.suffix in image_io.FORMATS:
+        if output.suffix not in image_io.TRANSPARENT:
+            message = f"{output.suffix} has no transparency: allowed: .webm, .png, a folder"
+            raise render_config.SettingsError([f"picture.background: 'none': {message}"])
+    settings_folder = Path(args.settings).parent if args.settings else Path(".")
+    painter = FrameRenderer(
+        RunReader(args.out),
         chosen,
-        beside,
+        settings_folder,
         alpha=args.alpha is not None,
         depth=args.depth is not None,
-        longest=PREVIEW if args.preview else None,
+        longest=PREVIEW_SIZE if args.preview else None,
     )
     if output.suffix != ".png":
-        painter.afford(max(here, min(args.jobs, len(painter.run))))
-    return painter, output, beside
+        painter.afford(max(local_count, min(args.jobs, len(painter.run))))
+    return painter, output, settings_folder
 
 
-def _draw(painter: Painter, output: Path, beside: Path, args: Any, ranks: Any) -> int:
+def _draw(
+    painter: FrameRenderer, output: Path, settings_folder: Path, args: Any, ranks: Any
+) -> int:
+    """Write the picture or the video."""
     if output.suffix == ".png":
         return _one_picture(painter, output, args) if ranks is None or ranks.rank == 0 else 0
-    return _video(painter, output, beside, args, ranks)
+    return _video(painter, output, settings_folder, args, ranks)
 
 
-def of_view(path: Path, painter: Painter, number: int) -> Path:
-    """The path of one camera's files: itself if there is only one camera."""
+def view_path(path: Path, painter: FrameRenderer, number: int) -> Path:
+    """Return the path of one camera's files; it is `path` if there is only one camera."""
     if len(painter.views) == 1:
         return path
     name = painter.views[number].name
     return path.with_name(f"{path.stem}_{name}{path.suffix}") if path.suffix else path / name
 
 
-def _one_picture(painter: Painter, output: Path, args: argparse.Namespace) -> int:
+def _one_picture(painter: FrameRenderer, output: Path, args: argparse.Namespace) -> int:
+    """Write one frame as PNG."""
     count = len(painter.run)
     index = count - 1 if args.frame is None else args.frame
     if not 0 <= index < count:
         raise RunError(f"--frame: {index}: the run has the frames 0..{count - 1}")
-    for number, drawn in enumerate(painter.views_of(index, index / max(count - 1, 1))):
-        path = of_view(output, painter, number)
-        video.write_png(path, drawn.picture)
-        _keep(drawn, index, number, painter, args)
+    for number, view in enumerate(painter.views_of(index, index / max(count - 1, 1))):
+        path = view_path(output, painter, number)
+        image_io.write_png(path, view.picture)
+        _write_extras(view, index, number, painter, args)
         print(path)
     return 0
 
 
-def _keep(drawn: Drawn, index: int, number: int, painter: Painter, args: Any) -> None:
-    """Write what is asked for besides the video."""
+def _write_extras(
+    view: RenderedView, index: int, number: int, painter: FrameRenderer, args: Any
+) -> None:
+    """Write the images, coverages and depths that are requested besides the video."""
     name = f"frame_{index:05d}"
     if args.frames:
-        folder = of_view(Path(args.frames), painter, number)
-        video.write_png(folder / f"{name}.png", drawn.picture)
+        folder = view_path(Path(args.frames), painter, number)
+        image_io.write_png(folder / f"{name}.png", view.picture)
     if args.alpha:
-        video.write_png(of_view(Path(args.alpha), painter, number) / f"{name}.png", drawn.alpha)
+        image_io.write_png(view_path(Path(args.alpha), painter, number) / f"{name}.png", view.alpha)
     if args.depth:
-        video.write_array(of_view(Path(args.depth), painter, number) / f"{name}.npy", drawn.depth)
+        image_io.write_array(
+            view_path(Path(args.depth), painter, number) / f"{name}.npy", view.depth
+        )
 
 
-def _video(painter: Painter, output: Path, beside: Path, args: Any, ranks: Any) -> int:
+def _video(
+    painter: FrameRenderer, output: Path, settings_folder: Path, args: Any, ranks: Any
+) -> int:
+    """Write the video."""
     from tqdm import tqdm
 
     begin = time.perf_counter()
-    asked = frame_numbers(painter.run, painter.chosen.frames)
-    numbers = painter.run.present(asked)
-    # the camera goes on behind a frame that is missing as if it were there
-    parts = {index: k / max(len(asked) - 1, 1) for k, index in enumerate(asked)}
+    frames = frame_numbers(painter.run, painter.chosen.frames)
+    numbers = painter.run.available_frames(frames)
+    # the camera path includes missing frames
+    parts = {index: k / max(len(frames) - 1, 1) for k, index in enumerate(frames)}
     tasks = [(index, parts[index]) for index in numbers]
     if ranks is None:
-        drawn = by_processes(painter, beside, tasks, args.jobs)
+        rendered = render_in_processes(painter, settings_folder, tasks, args.jobs)
     else:
-        drawn = by_ranks(painter, ranks, tasks)
+        rendered = render_on_ranks(painter, ranks, tasks)
         if ranks.rank:
-            for _ in drawn:
+            for _ in rendered:
                 pass
             return 0
-    paths = [of_view(output, painter, number) for number in range(len(painter.views))]
+    paths = [view_path(output, painter, number) for number in range(len(painter.views))]
     with contextlib.ExitStack() as stack:
-        stack.enter_context(contextlib.closing(drawn))  # other processes end with this one
-        films = [
-            stack.enter_context(_sink(painter, k, path, numbers)) for k, path in enumerate(paths)
+        stack.enter_context(contextlib.closing(rendered))  # worker processes end with this one
+        writers = [
+            stack.enter_context(_open_writer(painter, k, path, numbers))
+            for k, path in enumerate(paths)
         ]
-        bar = tqdm(drawn, total=len(numbers), unit="frame", disable=True if args.quiet else None)
+        bar = tqdm(rendered, total=len(numbers), unit="frame", disable=True if args.quiet else None)
         for index, views in zip(numbers, bar):
-            for number, (film, one) in enumerate(zip(films, views)):
-                film.add(one.picture)
-                _keep(one, index, number, painter, args)
-    each = (time.perf_counter() - begin) / len(numbers)
+            for number, (writer, image) in enumerate(zip(writers, views)):
+                writer.add(image.picture)
+                _write_extras(image, index, number, painter, args)
+    seconds = (time.perf_counter() - begin) / len(numbers)
     sizes = ", ".join(f"{view.width} x {view.height}" for view in painter.views)
-    log.info("%d frames of %s, %.2f s each", len(numbers), sizes, each)
+    log.info("%d frames of %s, %.2f s each", len(numbers), sizes, seconds)
     print(*paths, sep="\n")
     return 0
 
 
-def _sink(painter: Painter, number: int, path: Path, frames: list[int]) -> Any:
-    """What takes the pictures of one camera, in order."""
-    view, film = painter.views[number], painter.chosen.video
+def _open_writer(painter: FrameRenderer, number: int, path: Path, frames: list[int]) -> Any:
+    """Return the writer of the images of one camera."""
+    view, video_settings = painter.views[number], painter.chosen.video
     if not path.suffix:
-        return video.Sequence(path, frames)
+        return image_io.Sequence(path, frames)
     size = (view.width, view.height)
-    return video.Film(path, *size, film.fps, film.quality, clear=painter.clear)
+    return image_io.Film(
+        path, *size, video_settings.fps, video_settings.quality, clear=painter.clear
+    )
 
 
-@guarded
-def command() -> int:
-    """main() in a process of its own: `vgmpi-render`."""
-    # what the packages brought stays to the end: not to look through it again, then above all,
-    # saves a quarter of a second
+@exit_code_from_exceptions
+def command(argv: list[str] | None = None) -> int:
+    """Run main() in a process of its own: `vgmpi render`."""
+    # The objects of imported packages live to the end. Their exclusion from garbage collection,
+    # above all at exit, saves a quarter of a second.
     gc.freeze()
     atexit.register(gc.freeze)
-    return main()
+    return main(argv)
 
 
 if __name__ == "__main__":

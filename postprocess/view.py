@@ -1,6 +1,7 @@
-"""python -m postprocess.view OUT --frame 25 --colour J -o a.png: particles coloured by any field.
+"""Field view of a run: python -m postprocess.view OUT --frame 25 --colour J -o a.png
 
-Draws with pyvista, off the screen. Exit code 2 for what the user can mend, with one line.
+Particles are colored by any field and drawn with pyvista, off screen. Exit code 2 is for errors
+that the user can correct, with one line.
 """
 
 import argparse
@@ -10,17 +11,17 @@ from pathlib import Path
 
 import numpy as np
 
-from vgmpi.ends import guarded
-from vgmpi.output import layout
-from vgmpi.output.read import RunError, RunFiles
-from vgmpi.splatting.camera import orbit_eye, overview
+from vgmpi.gaussians.camera import fit_orbit_to_box, orbit_eye
+from vgmpi.io import file_layout
+from vgmpi.io.run_reader import RunError, RunReader
+from vgmpi.runtime.exit_handler import exit_code_from_exceptions
 
-FOV = 30.0  # degrees, vertical
-ANGLE = 25.0  # degrees around z, as in the renderer
+FOV = 30.0  # [degrees] vertical field of view
+ANGLE = 25.0  # [degrees] around z, equal to that of the renderer
 
 
 def scalars(frame: dict[str, np.ndarray], colour: str) -> np.ndarray:
-    """The numbers to colour by, (n,): a field, the length of a vector, or one component.
+    """Return the values to color by, (n,): a field, the length of a vector, or one component.
 
     colour: "J", "velocity" (its length), "velocity.z", "F.0" ... "F.8", "x.z". Raises RunError.
     """
@@ -41,15 +42,23 @@ def scalars(frame: dict[str, np.ndarray], colour: str) -> np.ndarray:
 
 
 def title(colour: str) -> str:
-    """The words on the colour bar: field and unit."""
-    units = {d.name: d.unit for d in layout.FRAME}
+    """Return the title of the color bar: field and unit."""
+    units = {d.name: d.unit for d in file_layout.FRAME}
     unit = units.get(colour.partition(".")[0], "1")
     return colour if unit == "1" else f"{colour} [{unit}]"
 
 
-def picture(run: RunFiles, index: int, colour: str, path: Path, args: argparse.Namespace) -> None:
-    """Draw one frame into a PNG file."""
-    import pyvista as pv  # takes a second: not for --help
+def picture(run: RunReader, index: int, colour: str, path: Path, args: argparse.Namespace) -> None:
+    """Draw one frame into a PNG file.
+
+    Args:
+        run: Files of the run.
+        index: Number of the frame.
+        colour: Field to color by.
+        path: File to write.
+        args: Arguments of the command line: range, size, angle, point.
+    """
+    import pyvista as pv  # the import takes a second, and --help does without
 
     if "DISPLAY" not in os.environ:  # VTK would complain before it falls back to drawing off screen
         pv.vtk_verbosity("off")
@@ -80,7 +89,7 @@ def picture(run: RunFiles, index: int, colour: str, path: Path, args: argparse.N
     plotter.add_text(f"t = {run.times[index]:.4g} s", font_size=12, color="black")
     box = pv.Box((lower[0], upper[0], lower[1], upper[1], lower[2], upper[2]))
     plotter.add_mesh(box.extract_all_edges(), color="grey", line_width=2)
-    target, distance, height = overview(
+    target, distance, height = fit_orbit_to_box(
         lower, upper, FOV, args.size[0] / args.size[1], [args.angle]
     )
     eye = orbit_eye(target, distance, height, args.angle)
@@ -97,13 +106,14 @@ def picture(run: RunFiles, index: int, colour: str, path: Path, args: argparse.N
 
 
 def parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
     p = argparse.ArgumentParser(prog="python -m postprocess.view", description=__doc__)
     p.add_argument("out", help="folder of the run")
     p.add_argument("--frame", type=int, default=-1, help="number of the frame [the last]")
     p.add_argument(
         "--colour", default="velocity", help="J, velocity, velocity.z, F.0, object ... [velocity]"
     )
-    # as it was called before
+    # former name of the flag
     p.add_argument("--color", dest="colour", default=argparse.SUPPRESS, help=argparse.SUPPRESS)
     p.add_argument("-o", "--output", default="view.png", help="the picture [view.png]")
     p.add_argument("--range", type=float, nargs=2, metavar=("LOW", "HIGH"), help="of the colours")
@@ -113,8 +123,9 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
-@guarded
+@exit_code_from_exceptions
 def main(argv: list[str] | None = None) -> int:
+    """Run the command and return its exit code."""
     args = parser().parse_args(argv)
     path = Path(args.output)
     if path.suffix != ".png":
@@ -124,7 +135,7 @@ def main(argv: list[str] | None = None) -> int:
         print("allowed: --size 16 to 8192 pixels, --point greater than 0", file=sys.stderr)
         return 2
     try:
-        run = RunFiles(args.out)
+        run = RunReader(args.out)
         index = args.frame + len(run) if args.frame < 0 else args.frame
         if not 0 <= index < len(run):
             raise RunError(f"--frame: {args.frame}: the run has the frames 0..{len(run) - 1}")

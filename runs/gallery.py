@@ -22,10 +22,10 @@ from pathlib import Path
 import imageio.v3 as iio
 import numpy as np
 
-from vgmpi.bench.__main__ import machine
-from vgmpi.device.processor import vector_bytes
-from vgmpi.domain.launch import OPEN_MPI
-from vgmpi.output import layout, ledger
+from vgmpi.apps.bench.__main__ import machine
+from vgmpi.io import csv_log, file_layout
+from vgmpi.parallel.launch import OPEN_MPI
+from vgmpi.runtime.cpu_features import vector_bytes
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
@@ -97,7 +97,7 @@ def draw(name: str, out: Path) -> tuple[float, int]:
 
 def draw_stills(name: str, out: Path) -> tuple[float, int]:
     """Seconds that the page's pictures took, and how many they are."""
-    count, took = len(list((out / layout.FRAMES).glob("*.vtkhdf"))), 0.0
+    count, took = len(list((out / file_layout.FRAMES).glob("*.vtkhdf"))), 0.0
     numbers = sorted({round(part * (count - 1)) for part in (*FAST.get(name, TIMES), BEST[name])})
     for number in numbers:
         picture = out / "png" / f"frame_{number:05d}.png"
@@ -108,7 +108,7 @@ def draw_stills(name: str, out: Path) -> tuple[float, int]:
 
 def known_of(out: Path, simulated: float, drawn: float, pictures: int) -> dict:
     """What a run cost and kept."""
-    rows = ledger.read(out / layout.LEDGER)
+    rows = csv_log.read_rows(out / file_layout.LEDGER)
     first, last = ([r for r in rows if r["time"] == rows[k]["time"]] for k in (0, -1))
     count, mass = (sum(r[key] for r in last) for key in ("count", "mass"))
     # all that ever came, or what was there at first
@@ -121,7 +121,7 @@ def known_of(out: Path, simulated: float, drawn: float, pictures: int) -> dict:
 
 def small(out: Path, part: float) -> np.ndarray:
     """The picture at a part 0..1 of a run."""
-    count = len(list((out / layout.FRAMES).glob("*.vtkhdf")))
+    count = len(list((out / file_layout.FRAMES).glob("*.vtkhdf")))
     picture = iio.imread(out / "png" / f"frame_{round(part * (count - 1)):05d}.png")
     step = max(picture.shape[1] // WIDE, 1)
     height, width = (n // step * step for n in picture.shape[:2])

@@ -19,9 +19,9 @@ import numpy as np
 from gallery import FAST, TIMES
 from PIL import Image
 
-from postprocess import settings
-from postprocess.painter import Painter
-from vgmpi.output.read import RunFiles
+from vgmpi.io.run_reader import RunReader
+from vgmpi.rendering import render_config
+from vgmpi.rendering.frame_renderer import FrameRenderer
 
 HERE = Path(__file__).resolve().parent
 PICTURES = HERE.parent / "docs" / "pictures"
@@ -85,7 +85,9 @@ SHEETS = {
 }
 
 
-def before(chosen: settings.Settings, tables: dict[str, dict[str, Any]]) -> settings.Settings:
+def before(
+    chosen: render_config.Settings, tables: dict[str, dict[str, Any]]
+) -> render_config.Settings:
     """Settings in the paper's way, with other tables.
 
     Args:
@@ -97,10 +99,10 @@ def before(chosen: settings.Settings, tables: dict[str, dict[str, Any]]) -> sett
     for name, table in tables.items():
         said[name] = {**said.get(name, {}), **table}
     said["look"] = {**said.get("look", {}), "preset": "paper"}
-    return settings.Settings.model_validate(said)
+    return render_config.Settings.model_validate(said)
 
 
-def pictures(run: RunFiles, chosen: settings.Settings, folder: Path, times: tuple) -> list:
+def pictures(run: RunReader, chosen: render_config.Settings, folder: Path, times: tuple) -> list:
     """Pictures of a run, (height, width, 3) uint8 each.
 
     Args:
@@ -109,7 +111,7 @@ def pictures(run: RunFiles, chosen: settings.Settings, folder: Path, times: tupl
         folder: of render.toml.
         times: parts 0..1 of the run.
     """
-    painter, last = Painter(run, chosen, folder), len(run.times) - 1
+    painter, last = FrameRenderer(run, chosen, folder), len(run.times) - 1
     numbers = [round(part * last) for part in times]
     return [painter.draw(number, number / last)[..., :3] for number in numbers]
 
@@ -129,9 +131,9 @@ def draw(name: str, folder: Path, kept: Path | None, to: Path) -> None:
         kept: folder for the studio's pictures in full size.
         to: folder of the sheet.
     """
-    one, run = SHEETS[name], RunFiles(folder)
+    one, run = SHEETS[name], RunReader(folder)
     home = HERE / one.folder
-    chosen = settings.load(home / "render.toml")
+    chosen = render_config.load(home / "render.toml")
     rows = []
     for way in (before(chosen, one.before), chosen):
         shown = pictures(run, way, home, one.times)

@@ -1,20 +1,23 @@
-"""Multiphase physics on 3D Gaussians, from Python: docs/api.md.
+"""Multiphase physics on 3D Gaussians, from Python.
 
     scene = vgmpi.load("scene.toml", {"domain.cell": "1 cm"})
     run = vgmpi.run(scene, on_frame=lambda run: print(run.time, run.array("x").mean(0)))
 
-Nothing is loaded before it is asked for.
+Nothing is imported before it is used. See docs/api.md.
 """
 
 import importlib
 import os
 import sys
 
-# with colorama, where that is installed, numba ends every program with an escape code on stdout,
-# which a file behind mpirun gets too; a numba that is there already has read its settings, and by a
-# change would read all anew and forget device/jit.py's folder
+# With colorama installed, numba ends every program with an escape code on stdout, and a file behind
+# mpirun gets it too. A numba that is already imported has read its settings: a change would make it
+# read them all again and forget the folder of runtime/jit.py.
 if "numba" not in sys.modules:
     os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
+
+# where earlier releases had the readers of a run's files, and commands that `vgmpi` has now
+__path__.append(os.path.join(__path__[0], "apps", "old_paths"))
 
 __all__ = ["Run", "SceneError", "load", "plan", "read", "run"]
 

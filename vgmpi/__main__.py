@@ -1,16 +1,16 @@
-"""`python -m vgmpi scene.toml`."""
+"""`python -m vgmpi scene.toml` and `vgmpi COMMAND ...`."""
 
 import sys
 
-from .ends import guarded
+from vgmpi.runtime.exit_handler import guarded
 
 
 @guarded
 def main() -> int:
-    """The command in a process of its own: `vgmpi`."""
-    from . import cli  # what it brings takes a while, in which a user may interrupt
+    """Run the command of this process's command line; returns the exit code."""
+    from vgmpi.apps import commands  # an interrupt while this loads ends the program in one line
 
-    return cli.main()
+    return commands.main(sys.argv[1:])
 
 
 if __name__ == "__main__":

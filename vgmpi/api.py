@@ -1,4 +1,16 @@
-"""What a script or a notebook uses: load, plan, run, read. See docs/api.md."""
+"""Public Python API: load a scene, plan it, run it, and read the files of a run.
+
+Example:
+    ```python
+    import vgmpi
+
+    scene = vgmpi.load("scene.toml", {"domain.cell": "1 cm"})
+    print(f"{vgmpi.plan(scene).particles} particles")
+    run = vgmpi.run(scene, "out", on_frame=lambda run: print(run.time))
+    files = vgmpi.read("out")
+    print(files.times, files.frame(-1)["x"].mean(axis=0))
+    ```
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -6,12 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from .domain.ranks import Alone, world
-from .output.read import RunFiles as read
-from .planning.plan import Plan
-from .scene import reader
-from .scene.scene import Scene
-from .tables import SceneError
+from vgmpi.io.run_reader import RunReader as read
+from vgmpi.parallel.communicator import SerialCommunicator, init_communicator
+from vgmpi.planning.plan import Plan
+from vgmpi.runtime.config.schema import SceneError
+from vgmpi.scene.scene import Scene
+
+from .scene import loader
 
 __all__ = ["Run", "SceneError", "load", "plan", "read", "run"]
 
@@ -21,19 +34,33 @@ def load(
     overrides: Mapping[str, Any] | Sequence[str] = (),
     text: str | None = None,
 ) -> Scene:
-    """Read a scene. Raises SceneError with all that is wrong with it.
+    """Read and check a scene.
 
-    overrides: {"domain.cell": "1 cm"}, or ["domain.cell=1 cm"] as for --set. text: the scene
-    itself; then nothing is read from `path`, which names it in messages, and other files are looked
-    for in the folder of `path`.
+    Args:
+        path: Scene file (TOML).
+        overrides: Values that replace keys of the scene: a mapping such as
+            `{"domain.cell": "1 cm"}`, or texts such as `["domain.cell=1 cm"]`, as for `--set`.
+        text: The scene itself. Nothing is then read from `path`, which names the scene in messages;
+            other files are looked for in the folder of `path`.
+
+    Returns:
+        The checked scene.
+
+    Raises:
+        SceneError: If anything is wrong with the scene; it has one line per error.
+
+    Example:
+        ```python
+        scene = vgmpi.load("ball.toml", {"time.end": "20 ms", "domain.gravity": [0, 0, 0]})
+        ```
     """
     if isinstance(overrides, Mapping):
         overrides = [f"{key}={_toml(value)}" for key, value in overrides.items()]
-    return reader.load(path, tuple(overrides), text)
+    return loader.load(path, tuple(overrides), text)
 
 
 def _toml(value: Any) -> str:
-    """A value as --set takes it."""
+    """Return a value as the text that --set takes."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, list | tuple | np.ndarray):
@@ -42,69 +69,111 @@ def _toml(value: Any) -> str:
 
 
 def _quoted(value: Any) -> str:
+    """Return an item of a list as TOML; texts in quotes."""
     return f'"{value}"' if isinstance(value, str) else _toml(value)
 
 
-def plan(scene: Scene, ranks: Alone | None = None) -> Plan:
-    """What a scene needs: particles, phases, memory, time step. Collective; makes the particles and
-    lets them go. `vgmpi.plan(scene).bytes()`."""
-    from .solver.prepared import plan_for, prepare
+def plan(scene: Scene, ranks: SerialCommunicator | None = None) -> Plan:
+    """Work out what a scene needs: particles, phases, memory and time step. Collective.
 
-    return plan_for(scene, prepare(scene, ranks or Alone(), None))
+    The particles are made for this and then dropped.
+
+    Args:
+        scene: A scene from `load`.
+        ranks: Communicator, by default this process alone.
+
+    Returns:
+        The plan, with `particles`, `phases`, `groups`, `times` [s] and `bytes()`.
+
+    Raises:
+        SceneError: If the particles cannot be made, or the plan is not possible.
+
+    Example:
+        ```python
+        plan = vgmpi.plan(scene)
+        print(f"{plan.particles} particles, {plan.bytes() / 2**30:.1f} GiB")
+        ```
+    """
+    from vgmpi.solver.initial_particles import plan_for, prepare
+
+    return plan_for(scene, prepare(scene, ranks or SerialCommunicator(), None))
 
 
 class Run:
-    """A run, at each frame and at its end.
+    """State of a run, at each frame and at its end.
 
-    code: 0 done, 3 blew up, 75 stopped; None while it goes on.
+    `vgmpi.run` passes it to `on_step` and `on_frame`, and returns it.
+
+    Attributes:
+        code: Exit code as of the command: 0 done, 3 blew up, 75 stopped with a checkpoint; None
+            while the run goes on.
     """
 
     def __init__(self, inner):
+        """Wrap a runner of vgmpi/solver/run.py."""
         self._inner = inner
         self.code: int | None = None
 
     @property
     def simulation(self):
-        """The solver's state; see vgmpi/solver/step.py."""
+        """State of the solver, see vgmpi/solver/step.py."""
         return self._inner.simulation
 
     @property
     def time(self) -> float:
-        """[s]"""
+        """Simulated time [s]."""
         return self._inner.simulation.time
 
     @property
     def step(self) -> int:
-        """Time steps made."""
+        """Number of time steps made."""
         return self._inner.simulation.step
 
     @property
     def frame(self) -> int:
-        """Number of this frame in on_frame, elsewhere of the next one."""
+        """Number of the present frame within `on_frame`, elsewhere of the next frame."""
         return self._inner.frame
 
     @property
     def ledger(self) -> list[dict]:
-        """Mass, momentum and energy of every phase at this frame; empty but on rank 0."""
-        return self._inner.latest
+        """Mass, momentum and energy of each phase at this frame; empty on ranks other than 0."""
+        return self._inner.latest_conservation
 
     @property
     def probes(self) -> dict[str, list[dict]]:
-        """Rows of every probe so far, by its name; empty but on rank 0."""
+        """Rows of every probe so far, by the probe's name; empty on ranks other than 0."""
         return self._inner.probes.rows
 
     def arrays(self, *names: str) -> dict[str, np.ndarray]:
-        """Particles of all ranks in the order of their ids, on every rank. Collective: all ranks
-        ask for the same.
+        """Return arrays of all particles, in the order of their ids, on every rank.
 
-        names: x (n, 3) [m], v (n, 3) [m/s], C (n, 9) [1/s], vol0 (n,) [m3], J, object and id (n,).
+        Collective: all ranks must ask for the same names.
+
+        Args:
+            names: Any of x (n, 3) [m], v (n, 3) [m/s], C (n, 9) [1/s], vol0 (n,) [m3], J (n,),
+                object (n,) and id (n,).
+
+        Returns:
+            The arrays by name, in double precision or int64.
+
+        Example:
+            ```python
+            state = run.arrays("x", "v")
+            print(state["v"].mean(axis=0))  # [m/s]
+            ```
         """
-        from .solver.state import by_id
+        from vgmpi.solver.restart.state_io import by_id
 
         return dict(zip(names, by_id(self.simulation, *names), strict=True))
 
     def array(self, name: str) -> np.ndarray:
-        """One of `arrays`."""
+        """Return one of the arrays that `arrays` offers. Collective.
+
+        Example:
+            ```python
+            height = run.array("x")[:, 2].max()  # [m]
+            ```
+        """
         return self.arrays(name)[name]
 
 
@@ -113,32 +182,55 @@ def run(
     folder: str | Path | None = None,
     on_step: Callable[[Run], None] | None = None,
     on_frame: Callable[[Run], None] | None = None,
-    ranks: Alone | None = None,
+    ranks: SerialCommunicator | None = None,
     threads: int = 1,
     engine: str = "cpu",
     overwrite: bool = False,
 ) -> Run:
-    """Run a scene to its end, from its start.
+    """Run a scene from its start to its end.
 
-    folder: where files go; None: nothing is written. on_step, on_frame: called with the Run after
-    every step and at every frame, the first at time 0. ranks: `vgmpi.domain.ranks.world()` under
-    mpirun, which is the default; all ranks call everything. engine: "cpu", "cuda": a card for each
-    rank (docs/cuda.md), or "numpy": slow, on one rank and one thread, for comparison. overwrite:
-    replace a run that lies in the folder. Raises SceneError, StoreError, output.owner.FolderError
-    where the folder is another run's, and a ValueError where engine, ranks and threads do not go
-    together; a blow-up is code 3, but raised
-    (BlowUp) where it comes before the first frame.
+    Args:
+        scene: A scene from `load`.
+        folder: Output folder, or None to write no files.
+        on_step: Function that is called with the `Run` after every step.
+        on_frame: Function that is called with the `Run` at every frame, first at time 0.
+        ranks: Communicator, by default `vgmpi.parallel.communicator.world()`, as needed under
+        mpirun; all
+            ranks must call every function.
+        threads: Threads per rank.
+        engine: `"cpu"`, `"cuda"` (one GPU for each rank, see docs/cuda.md), or `"numpy"` (slow,
+            for comparison, on one rank and one thread).
+        overwrite: Replace an existing run in the folder.
+
+    Returns:
+        The run at its end; a blow-up is code 3.
+
+    Raises:
+        SceneError: If the particles cannot be made, or the plan is not possible.
+        StoreError: If a file cannot be written.
+        FolderError: If the folder belongs to another run (vgmpi.io.run_lock).
+        ValueError: If engine, ranks and threads exclude each other.
+        BlowUp: If the run blows up before its first frame.
+
+    Example:
+        ```python
+        def report(run):
+            print(f"{run.time:.3f} s: {run.array('x').mean(axis=0)}")
+
+        run = vgmpi.run(scene, "out", on_frame=report)
+        assert run.code == 0
+        ```
     """
     from .solver import run as runs
 
     options = runs.Options(
         None if folder is None else Path(folder), threads, engine, overwrite=overwrite
     )
-    with runs.started(scene, ranks or world(), options) as inner:
-        this = Run(inner)
+    with runs.prepared_run(scene, ranks or init_communicator(), options) as inner:
+        state = Run(inner)
         if on_step is not None:
-            options.listeners.append(lambda simulation: on_step(this))
+            options.listeners.append(lambda simulation: on_step(state))
         if on_frame is not None:
-            options.watchers.append(lambda run: on_frame(this))
-        this.code = inner.go()
-    return this
+            options.watchers.append(lambda run: on_frame(state))
+        state.code = inner.run()
+    return state

@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # also without an installed vgmpi
 
-from vgmpi.gaussians import ply
-from vgmpi.gaussians.cloud import Cloud
-from vgmpi.gaussians.sh import dc_from_rgb
+from vgmpi.gaussians.cloud import GaussianCloud
+from vgmpi.gaussians.formats import ply
+from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
 
 GAUSSIANS = 46_000  # of all parts, before hidden ones are left out
 WIDTH = 0.6  # standard deviation of a disc over the spacing
@@ -62,7 +62,7 @@ def area(radii: np.ndarray) -> float:
     return float(4 * np.pi * ((a * b + a * c + b * c) / 3) ** (1 / 1.6075))
 
 
-def part(spec: tuple, count: int, width: float) -> Cloud:
+def part(spec: tuple, count: int, width: float) -> GaussianCloud:
     """Flat Gaussians on one ellipsoid: discs of the unit sphere, stretched with it."""
     middle, radii, tilt, color = spec
     turn = Rotation.from_euler("y", tilt, degrees=True).as_matrix()
@@ -79,7 +79,7 @@ def part(spec: tuple, count: int, width: float) -> Cloud:
     scale = np.sqrt(np.maximum(values, 0.0))
     scale[:, 0] = 0.1 * scale[:, 1]
     quat = Rotation.from_matrix(axes).as_quat()[:, (3, 0, 1, 2)]
-    return Cloud(x, quat, scale, np.full(count, 0.95), harmonics(normal, color, x))
+    return GaussianCloud(x, quat, scale, np.full(count, 0.95), harmonics(normal, color, x))
 
 
 def harmonics(normal: np.ndarray, color: tuple | np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -101,7 +101,7 @@ def hidden(x: np.ndarray, spec: tuple) -> np.ndarray:
     return (((x - middle) @ turn / radii) ** 2).sum(axis=1) < 0.98
 
 
-def duck(count: int, width: float) -> Cloud:
+def duck(count: int, width: float) -> GaussianCloud:
     """All parts; what lies inside another part is left out of `count`."""
     total = sum(area(np.array(spec[1])) for spec in DUCK.values())
     clouds = []
@@ -111,10 +111,10 @@ def duck(count: int, width: float) -> Cloud:
         others = [hidden(cloud.x, other) for key, other in DUCK.items() if key != name]
         clouds.append(cloud.select(~np.any(others, axis=0)))
     names = ("x", "quat", "scale", "opacity", "sh")
-    return Cloud(*(np.concatenate([getattr(c, n) for c in clouds]) for n in names))
+    return GaussianCloud(*(np.concatenate([getattr(c, n) for c in clouds]) for n in names))
 
 
-def ball(count: int, width: float) -> Cloud:
+def ball(count: int, width: float) -> GaussianCloud:
     """A red ball with a white belt that fades into it; its radius is 1."""
     z = sphere_points(count // BALL_SHARE)[:, 2:]
     belt = 1 / (1 + np.exp((np.abs(z) - 0.3) / 0.03))

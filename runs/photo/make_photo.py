@@ -15,7 +15,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # also without an installed vgmpi
 
-from vgmpi.images.view import View
+from vgmpi.apps.photo.photo_camera import View
 
 LIGHT = np.array([-0.45, -0.55, 0.70]) / np.linalg.norm([-0.45, -0.55, 0.70])
 FINE = 2  # rays per pixel and axis
@@ -242,12 +242,12 @@ def sheet(folder: Path, path: Path) -> None:
     """Six frames of the run in a folder, as one picture."""
     from PIL import Image
 
-    from postprocess import settings
-    from postprocess.painter import Painter
-    from vgmpi.output.read import RunFiles
+    from vgmpi.io.run_reader import RunReader
+    from vgmpi.rendering import render_config
+    from vgmpi.rendering.frame_renderer import FrameRenderer
 
-    chosen = settings.load(folder / "render.toml")
-    painter = Painter(RunFiles(folder / "out"), chosen, folder)
+    chosen = render_config.load(folder / "render.toml")
+    painter = FrameRenderer(RunReader(folder / "out"), chosen, folder)
     frames = [painter.draw(k)[70:, 50:670] for k in SHOWN]
     rows = [np.concatenate(frames[k : k + 3], axis=1) for k in (0, 3)]
     made = Image.fromarray(np.concatenate(rows))

@@ -14,25 +14,25 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from tests import damaged
 from tests.campaigns import cases, tiny
 from tests.campaigns.result import Result
-from vgmpi.output import layout
-from vgmpi.output.read import RunError, inspect
+from tests.support import damaged_files
+from vgmpi.io import file_layout
+from vgmpi.io.run_reader import RunError, inspect
 from vgmpi.solver import run as runs
 
 NAME, COUNT, SMALL = "damage", 300, 24
 STOP = 60  # steps
-NEWEST = f"{layout.CHECKPOINTS}/{layout.CHECKPOINT_NAME.format(STOP)}"
-OLDER = f"{layout.CHECKPOINTS}/{layout.CHECKPOINT_NAME.format(STOP - tiny.EVERY)}"
+NEWEST = f"{file_layout.CHECKPOINTS}/{file_layout.CHECKPOINT_NAME.format(STOP)}"
+OLDER = f"{file_layout.CHECKPOINTS}/{file_layout.CHECKPOINT_NAME.format(STOP - tiny.EVERY)}"
 FILES = {  # by the kinds of damaged.LOOKS: one, and another of its kind
-    "gaussians": (layout.GAUSSIANS, NEWEST),
+    "gaussians": (file_layout.GAUSSIANS, NEWEST),
     "frame": ("frames/frame_00001.vtkhdf", "frames/frame_00002.vtkhdf"),
-    "series": (layout.SERIES, "frames/frame_00000.vtkhdf"),
+    "series": (file_layout.SERIES, "frames/frame_00000.vtkhdf"),
     "checkpoint": (NEWEST, OLDER),
     "manifest": (NEWEST.replace(".h5", ".json"), OLDER.replace(".h5", ".json")),
-    "ledger": (layout.LEDGER, "probe_tap.csv"),
-    "probe": ("probe_tap.csv", layout.LEDGER),
+    "ledger": (file_layout.LEDGER, "probe_tap.csv"),
+    "probe": ("probe_tap.csv", file_layout.LEDGER),
 }
 TEXTS = ("manifest", "ledger", "probe")
 
@@ -45,7 +45,7 @@ def campaign(count: int, seed: int, folder: Path) -> Result:
         def case(k: int, random: np.random.Generator, own: Path) -> str:
             kind = list(FILES)[k % len(FILES)]
             way = list(DAMAGES)[(k + k // len(FILES)) % len(DAMAGES)]  # few cases: all ways
-            out, look = own / "out", damaged.LOOKS[kind][1]
+            out, look = own / "out", damaged_files.LOOKS[kind][1]
             shutil.copytree(whole, out)
             path, other = (out / name for name in FILES[kind])
             before, described = look(path), _described(path, kind)
@@ -73,7 +73,7 @@ def _read(path: Path, look: Callable[[Path], object], before, cut: bool) -> str:
     """ "named", "harmless", or of a table without its end "shorter"."""
     try:
         after = look(path)
-    except damaged.SAID as error:
+    except damaged_files.SAID as error:
         _names(path, error)
         return "named"
     if cut and isinstance(before, list) and len(after) < len(before):
@@ -122,7 +122,7 @@ def _resumed(scene: Path, out: Path, touched: list[Path], want: dict[str, bytes]
     log.addHandler(heard)
     try:
         code = tiny.go(scene, out, resume=True)
-    except damaged.SAID as error:
+    except damaged_files.SAID as error:
         said = "; ".join([str(error), *heard.lines])
         assert any(path.stem in said for path in touched) and "\n" not in said, f"said: {said}"
         return "refused"
@@ -133,14 +133,14 @@ def _resumed(scene: Path, out: Path, touched: list[Path], want: dict[str, bytes]
     other = set(tiny.different(out, want))
     if not other:
         return "same files"
-    free = names | {layout.SERIES}  # which leaves out a frame that is damaged
+    free = names | {file_layout.SERIES}  # which leaves out a frame that is damaged
     if names & set(tiny.TABLES):  # one that begins anew is noted in the checkpoints from here on
-        free |= {name for name in want if name.startswith(layout.CHECKPOINTS)}
+        free |= {name for name in want if name.startswith(file_layout.CHECKPOINTS)}
     assert other <= free, other
     if any(path.stem in line for path in touched for line in heard.lines):
         return "warned"
     # bits of a frame's arrays are not looked at by a run, which never reads them
-    frames = {name for name in names if name.startswith(layout.FRAMES)}
+    frames = {name for name in names if name.startswith(file_layout.FRAMES)}
     assert other <= frames, f"{other} differ in silence"
     return "frame left as it is"
 
@@ -150,7 +150,7 @@ def _resumed(scene: Path, out: Path, touched: list[Path], want: dict[str, bytes]
 
 def _flip(path: Path, other: Path, random: np.random.Generator) -> None:
     place = int(random.integers(path.stat().st_size))
-    damaged.flip(path, place, int(random.integers(8)))
+    damaged_files.flip(path, place, int(random.integers(8)))
 
 
 def _flip_data(path: Path, other: Path, random: np.random.Generator) -> None:
@@ -168,7 +168,7 @@ def _flip_data(path: Path, other: Path, random: np.random.Generator) -> None:
     except OSError:
         return _flip(path, other, random)
     first, size = there[int(random.integers(len(there)))]
-    damaged.flip(path, first + int(random.integers(size)), int(random.integers(8)))
+    damaged_files.flip(path, first + int(random.integers(size)), int(random.integers(8)))
 
 
 def _cut(path: Path, other: Path, random: np.random.Generator) -> None:

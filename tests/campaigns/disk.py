@@ -18,7 +18,7 @@ import pytest
 
 from tests.campaigns import cases, tiny
 from tests.campaigns.result import Result
-from tests.launch import on_ranks, run
+from tests.support.launch import on_ranks, run
 
 NAME, COUNT, SMALL = "disk", 40, 4
 MARKS = ("mpi",)

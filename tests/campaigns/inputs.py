@@ -15,10 +15,9 @@ import numpy as np
 
 from tests.campaigns import worker
 from tests.campaigns.result import Result
-from tests.gaussians import files as written
-from tests.gaussians import hostile
-from tests.render import runs
-from tests.scenes import ROOM
+from tests.support import drawn_runs, hostile_gaussians
+from tests.support import gaussian_files as written
+from tests.support.small_scenes import ROOM
 
 NAME = "inputs"
 COUNT = 300
@@ -61,12 +60,12 @@ def good(folder: Path) -> Good:
     rows = [written.row(x=p, rot=q, rest=[0.1] * 9) for p, q in zip(x, turn, strict=True)]
     found: Good = {
         ("gaussians", ".ply"): [
-            hostile.PACKED,
+            hostile_gaussians.PACKED,
             written.plain(rows, 9),
             written.compressed(x, turn, x - 4, abs(x) % 1, abs(x[:, 0]) % 1),
         ],
-        ("gaussians", ".splat"): [written.splat([hostile.HONEST] * 3 + [
-            (p, (0.1, 0.2, 0.3), *hostile.HONEST[2:]) for p in x])],
+        ("gaussians", ".splat"): [written.splat([hostile_gaussians.HONEST] * 3 + [
+            (p, (0.1, 0.2, 0.3), *hostile_gaussians.HONEST[2:]) for p in x])],
         ("gaussians", ".spz"): _spz(random),
     }  # fmt: skip
     for suffix in MESHES:
@@ -137,7 +136,7 @@ def _pictures(suffix: str) -> list[bytes]:
 def campaign(count: int, seed: int, folder: Path) -> Result:
     """count: of files. Those that fail stay in the folder, with the scene that names them."""
     folder.mkdir(parents=True, exist_ok=True)
-    run = runs.write(folder / "run", frames=2)
+    run = drawn_runs.write(folder / "run", frames=2)
     all_ = good(folder)
     cases, spoiled, kinds = [], [], sorted(all_)
     for k, kind in enumerate([None, *(kinds[k % len(kinds)] for k in range(count))]):

@@ -17,8 +17,8 @@ import numpy as np
 
 from tests.campaigns import cases, tiny
 from tests.campaigns.result import Result
-from tests.launch import PATIENCE, finish, on_ranks, start, until
-from vgmpi.output import layout
+from tests.support.launch import PATIENCE, finish, on_ranks, start, until
+from vgmpi.io import file_layout
 
 NAME, COUNT, SMALL = "kills", 100, 3
 MARKS = ("mpi",)
@@ -44,7 +44,7 @@ def _set_up(scene: Path, out: Path, want: dict[str, bytes]) -> float:
     folder."""
     begin = time.monotonic()
     process = start(_command(2, scene, out))
-    until(lambda: (out / layout.LOCK).exists() or process.poll() is not None, "a run begins")
+    until(lambda: (out / file_layout.LOCK).exists() or process.poll() is not None, "a run begins")
     seconds = time.monotonic() - begin
     job = finish(process)
     assert job.returncode == 0, job.stderr
@@ -82,13 +82,15 @@ def _life(command: list, target: str, random: np.random.Generator, own: Path, se
 
 def _wait(process: subprocess.Popen, out: Path, random: np.random.Generator, seconds: float):
     """To any moment, or for a file and a little longer: most of what can go wrong is near one."""
-    frames = [f"{layout.FRAMES}/{layout.FRAME_NAME.format(k)}" for k in range(tiny.FRAMES)]
+    frames = [
+        f"{file_layout.FRAMES}/{file_layout.FRAME_NAME.format(k)}" for k in range(tiny.FRAMES)
+    ]
     steps = range(tiny.EVERY, 110, tiny.EVERY)
-    kept = [f"{layout.CHECKPOINTS}/{layout.CHECKPOINT_NAME.format(k)}" for k in steps]
+    kept = [f"{file_layout.CHECKPOINTS}/{file_layout.CHECKPOINT_NAME.format(k)}" for k in steps]
     if random.random() < 0.35:
         time.sleep(random.uniform(0, 1.5 * seconds))
         return
-    path = out / random.choice([layout.LOCK, layout.GAUSSIANS, *frames, *kept])
+    path = out / random.choice([file_layout.LOCK, file_layout.GAUSSIANS, *frames, *kept])
     after = random.uniform(0, 0.06)
     until(lambda: path.exists() or process.poll() is not None, f"{path} is written")
     time.sleep(after)

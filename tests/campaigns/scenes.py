@@ -7,10 +7,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests import scenes, wrong_scenes
 from tests.campaigns import worker
 from tests.campaigns.result import Result
 from tests.campaigns.spoiled import Spoiler
+from tests.support import small_scenes, wrong_scenes
 
 NAME = "scenes"
 COUNT = 1500
@@ -109,9 +109,9 @@ def bases(folder: Path) -> list[str]:
     shutil.copy(worker.ROOT / "runs/ablation/water.obj", folder)
     found = [path.read_text() for path in sorted(worker.ROOT.glob("runs/*/scene.toml"))]
     found = [_coarse(re.sub(r"(?m)^#.*\n", "", text)) for text in found]
-    for text in (scenes.MIXED, scenes.SHARED):
+    for text in (small_scenes.MIXED, small_scenes.SHARED):
         found.append(text.replace("PRECISION", "single"))
-    return [*found, scenes.every_law("double"), wrong_scenes.GOOD, LOADED]
+    return [*found, small_scenes.every_law("double"), wrong_scenes.GOOD, LOADED]
 
 
 def _coarse(text: str) -> str:

@@ -9,7 +9,8 @@ import numpy as np
 from tests.campaigns import worker
 from tests.campaigns.result import Result
 from tests.campaigns.spoiled import Spoiler
-from tests.render import runs, test_settings
+from tests.rendering import test_settings
+from tests.support import drawn_runs
 
 NAME = "settings"
 COUNT = 500
@@ -60,7 +61,8 @@ lowpass = 0.2
 
 
 def bases(folder: Path) -> list[str]:
-    """Good ones, for the run tests.render.runs writes; the files they name go to `folder`."""
+    """Good ones, for the run tests.support.drawn_runs writes; the files they name go to
+    `folder`."""
     import imageio.v3 as iio
 
     iio.imwrite(folder / "back.png", np.arange(60 * 80 * 3, dtype=np.uint8).reshape(60, 80, 3))
@@ -83,18 +85,20 @@ def bases(folder: Path) -> list[str]:
 
 def keys() -> list[str]:
     """Names of all keys there are."""
-    from postprocess import settings
+    from vgmpi.rendering import render_config
 
-    tables = (settings.Key, settings.CameraSettings, settings.FloorSettings,
-              settings.PictureSettings, settings.VideoSettings, settings.FrameSettings,
-              settings.SplattingSettings, settings.LookSettings, settings.Settings)  # fmt: skip
+    tables = (render_config.Key, render_config.CameraSettings, render_config.FloorSettings,
+              render_config.PictureSettings, render_config.VideoSettings,
+              render_config.FrameSettings,
+              render_config.SplattingSettings, render_config.LookSettings,
+              render_config.Settings)  # fmt: skip
     return sorted({name for table in tables for name in table.model_fields})
 
 
 def campaign(count: int, seed: int, folder: Path) -> Result:
     """count: of settings. Those that fail stay in the folder."""
     folder.mkdir(parents=True, exist_ok=True)
-    run = runs.write(folder / "run")
+    run = drawn_runs.write(folder / "run")
     spoiler = Spoiler(bases(folder), keys())
     cases, paths = [], []
     for draw, path in spoiler.files(count, seed, folder):

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import h5py
 
-from tests import scenes
-from tests.damaged import PROBE
-from tests.digests import files
-from vgmpi.domain.ranks import Alone
-from vgmpi.output import checkpoint, layout, ledger
-from vgmpi.output.read import RunFiles, inspect
-from vgmpi.scene.reader import load
+from tests.support import small_scenes
+from tests.support.damaged_files import PROBE
+from tests.support.file_digests import files
+from vgmpi.io import checkpoint, csv_log, file_layout
+from vgmpi.io.run_reader import RunReader, inspect
+from vgmpi.parallel.communicator import SerialCommunicator
+from vgmpi.scene.loader import load
 from vgmpi.solver import run as runs
 
 FRAMES, EVERY = 9, 10  # steps between checkpoints, of about 110
@@ -50,7 +50,7 @@ every = "4 ms"
 [output]
 checkpoint_steps = {EVERY}
 """
-TABLES = {layout.LEDGER: layout.LEDGER_COLUMNS, "probe_tap.csv": PROBE}
+TABLES = {file_layout.LEDGER: file_layout.LEDGER_COLUMNS, "probe_tap.csv": PROBE}
 
 logging.getLogger("vgmpi").addHandler(logging.NullHandler())  # nothing of it belongs on the screen
 
@@ -60,22 +60,22 @@ def go(scene: Path, out: Path, resume: bool = False, stop_steps: int = 0) -> int
     or replaced."""
     options = runs.Options(out, resume="" if resume else None, stop_steps=stop_steps)
     options.overwrite = not resume
-    with runs.started(load(scene), Alone(), options) as run:
-        return run.go()
+    with runs.prepared_run(load(scene), SerialCommunicator(), options) as run:
+        return run.run()
 
 
 @contextmanager
 def undisturbed() -> Iterator[tuple[Path, dict[str, bytes]]]:
     """(the scene's file, every file of its run). Compiles what is not compiled yet."""
     with tempfile.TemporaryDirectory() as folder:
-        scene = scenes.write(Path(folder), SCENE)
+        scene = small_scenes.write(Path(folder), SCENE)
         assert go(scene, scene.parent / "out") == runs.DONE
         yield scene, files(scene.parent / "out")
 
 
 def manifests(out: Path) -> list[Path]:
     """Of the checkpoints that are said to be whole, the newest last."""
-    return sorted((out / layout.CHECKPOINTS).glob("*.json"))
+    return sorted((out / file_layout.CHECKPOINTS).glob("*.json"))
 
 
 def check(out: Path) -> None:
@@ -85,14 +85,14 @@ def check(out: Path) -> None:
         checkpoint.verify(path.with_suffix(".h5"))
     for name, columns in TABLES.items():
         if (out / name).exists():
-            ledger.read(out / name, columns)
+            csv_log.read_rows(out / name, columns)
     said = [inspect(path) for path in out.glob("frames/*.vtkhdf")]
-    for name in (layout.GAUSSIANS, layout.SERIES):
+    for name in (file_layout.GAUSSIANS, file_layout.SERIES):
         if (out / name).exists():
             said.append(inspect(out / name))
     assert not any("NOT VALID" in text for text in said), said
     if any(out.glob("frames/*.vtkhdf")):
-        run = RunFiles(out)
+        run = RunReader(out)
         assert sorted(run.frames) == list(range(len(run))), "a frame is missing between others"
         with h5py.File(run.path(-1 % len(run))) as f:
             step = int(f["VTKHDF/FieldData/step"][0])

@@ -15,7 +15,7 @@ import numpy as np
 
 from tests.campaigns import cases, tiny
 from tests.campaigns.result import Result
-from tests.launch import finish, start
+from tests.support.launch import finish, start
 
 NAME, COUNT, SMALL = "two", 20, 3
 REFUSED = re.compile(r"another run writes here now \(process (\d+) on (\S+), 1 ranks, since ")

@@ -22,8 +22,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from tests import peak
 from tests.campaigns.result import Result
+from tests.support import peak_memory
 
 ROOT = Path(__file__).parents[2]
 SECONDS = 10  # of processor time that a command may take
@@ -144,7 +144,7 @@ class _Process:
 
 def _serve() -> None:
     """Run the commands that come on stdin."""
-    from vgmpi import room
+    from vgmpi.runtime import memory_budget
 
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
@@ -152,12 +152,12 @@ def _serve() -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     faulthandler.enable()
     faulthandler.register(signal.SIGPROF, chain=True)  # says where, then ends as without it
-    room.free = lambda swap=False: FREE
+    memory_budget.available_memory = lambda swap=False: FREE
     for line in sys.stdin:
         limited, program, *words = json.loads(line)
         sys.argv = [program, *words]
         os.lseek(2, 0, os.SEEK_SET)
-        peak.forget()
+        peak_memory.forget()
         begin = time.process_time()
         signal.setitimer(signal.ITIMER_PROF, MOST_SECONDS if limited else 0)
         signal.alarm(WAITING)
@@ -170,7 +170,7 @@ def _serve() -> None:
         seconds = time.process_time() - begin
         for stream in (sys.stdout, sys.stderr):
             stream.flush()
-        answers.write(json.dumps([code, seconds, peak.megabytes()]) + "\n")
+        answers.write(json.dumps([code, seconds, peak_memory.megabytes()]) + "\n")
         answers.flush()
 
 

@@ -2,15 +2,15 @@
 couplings, transfers, colours, colliders that move, sources; and what is broken there is found.
 
 The processor does not contract products and sums here (VGMPI_CONTRACTION=off), as a card does not.
-Each test is a program of its own (tests/cardbits.py).
+Each test is a program of its own (tests/support/cuda_bits.py).
 """
 
 import sys
 
 import pytest
 
-from tests.launch import finish, start
-from tests.unit.test_engines import SCENES
+from tests.solver.test_engines import SCENES
+from tests.support.launch import finish, start
 
 pytest.importorskip("numba_cuda", reason="the extra `cuda` is not installed")
 pytest.importorskip("greenlet", reason="the simulator's threads take turns by greenlet")
@@ -29,7 +29,7 @@ SHORT = {  # name: precision, steps, scenes
 
 
 def told(*arguments) -> list[str]:
-    job = finish(start([sys.executable, "-m", "tests.cardbits", *map(str, arguments)]))
+    job = finish(start([sys.executable, "-m", "tests.support.cuda_bits", *map(str, arguments)]))
     assert job.returncode == 0, job.stderr[-2000:]
     return job.stdout.splitlines()
 
@@ -72,7 +72,8 @@ def test_two_half_warps_of_a_block_do_not_meet():
 )
 def test_what_is_broken_is_found(what):
     job = finish(
-        start([sys.executable, "-m", "tests.cardbits", "single", "2", "contact", "--order", "1",
+        start([sys.executable, "-m", "tests.support.cuda_bits", "single", "2", "contact", "--order",
+        "1",
                "--break", what])
     )  # fmt: skip
     assert "same" not in job.stdout

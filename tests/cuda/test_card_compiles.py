@@ -8,20 +8,22 @@ import pytest
 from vgmpi.materials import registry
 
 pytest.importorskip("numba_cuda", reason="the extra `cuda` is not installed")
-registers = pytest.importorskip("vgmpi.bench.registers")
+registers = pytest.importorskip("tests.benchmarks.gpu_registers")
 
 # these are in double precision on every engine: a body's motion, contact and walls, sums at rest
-DOUBLE = {"update", "update_apart", "settle", "blend", "reset", "carried"}
+DOUBLE = {"update", "update_apart", "settle", "blend", "reset", "advect_prescribed"}
 # of `fill`: what rounds a term to a sum's quantum and adds it, once in the text
 SUMS = r"(cvt\.f64\.f32|mul\.rn\.f64|add\.rn\.f64|sub\.rn\.f64|setp\.\w+\.f64|neg\.f64)"
 
 
 @pytest.fixture(scope="module", autouse=True)
 def assembler():
-    from vgmpi.engines.cuda.compiled import assembled, assembler
+    from vgmpi.solver.engines.cuda.offline_compile import assembler, resource_usage
 
     try:
-        assembled(".version 7.0\n.target sm_80\n.address_size 64\n.visible .entry e() { ret; }", 80)
+        resource_usage(
+            ".version 7.0\n.target sm_80\n.address_size 64\n.visible .entry e() { ret; }", 80
+        )
     except (OSError, RuntimeError) as error:
         pytest.skip(f"no ptxas ({assembler()}): {error}")
 
@@ -57,7 +59,7 @@ def test_every_law_compiles_without_spills_doubles_or_contraction(law):
 )
 def test_what_else_a_scene_asks_for_compiles(case):
     names = {one.name for one in check(case)}
-    moves = {"fill inertia", "carried"} if case == "driven" else {"g2p"}
+    moves = {"fill inertia", "advect_prescribed"} if case == "driven" else {"g2p"}
     assert moves | {"tag", "order"} <= names
 
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from tests.scenes import write
-from vgmpi import cli
-from vgmpi.domain.ranks import Alone
+from tests.support.small_scenes import write
+from vgmpi.apps.run import cli
+from vgmpi.parallel.communicator import SerialCommunicator
 
 pytest.importorskip("numba_cuda", reason="the extra `cuda` is not installed")
-card = pytest.importorskip("vgmpi.engines.cuda.card")
+card = pytest.importorskip("vgmpi.solver.engines.cuda.graphics_card")
 SCENE = """
 [domain]
 size = [0.2, 0.2, 0.2]
@@ -67,7 +67,7 @@ def test_what_does_not_fit_is_refused(scene, capsys, monkeypatch, tmp_path):
     assert "on the card of each rank, of which one has" in said[-1]
 
 
-class _Two(Alone):
+class _Two(SerialCommunicator):
     """Two ranks, of which the other has a card with 10 bytes free."""
 
     size = 2
@@ -82,7 +82,7 @@ def test_the_fullest_card_counts(scene, monkeypatch):
     monkeypatch.setattr(Plan, "bytes", lambda self: 30)
     monkeypatch.setattr(card, "free", lambda: 1 << 40)
     plan = object.__new__(Plan)
-    assert card.too_large(plan, Alone()) == ""
+    assert card.too_large(plan, SerialCommunicator()) == ""
     assert "has" in card.too_large(plan, _Two())
 
 
@@ -93,7 +93,7 @@ def test_a_card_that_fails_is_named(monkeypatch):
     class Engine:
         at = 7
 
-        @card.named
+        @card.with_device_context
         def fill(self):
             raise Failed("an illegal memory access was encountered")
 

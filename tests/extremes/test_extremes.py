@@ -1,4 +1,4 @@
-"""Scenes at the ends of what a scene may say: each row of `python -m vgmpi.bench.studies extremes`.
+"""Scenes at the ends of what a scene may say: each row of `python -m tests.benchmarks extremes`.
 
 Expected: what its row says; in every one no particle and no bit of a rest volume is lost, momentum
 stays to 1e-12 of the largest sum m |v| where nothing pushes on it, nothing hangs.
@@ -9,24 +9,24 @@ import dataclasses
 import numpy as np
 import pytest
 
-from vgmpi.bench import extremes
-from vgmpi.bench.extreme_scenes import rows
-from vgmpi.bench.studies import main
+from tests.benchmarks import limit_cases
+from tests.benchmarks.__main__ import main
+from tests.benchmarks.limit_scenes import rows
 
 ROWS = {row.name: row for row in rows()}
 
 
 @pytest.mark.parametrize("name", [row.name for row in ROWS.values() if row.fast])
 def test_a_quick_row(name):
-    found = extremes.execute(ROWS[name])
-    assert found.good, extremes.line(found)
+    found = limit_cases.run_case(ROWS[name])
+    assert found.good, limit_cases.line(found)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [row.name for row in ROWS.values() if not row.fast])
 def test_a_row(name):
-    found = extremes.execute(ROWS[name])
-    assert found.good, extremes.line(found)
+    found = limit_cases.run_case(ROWS[name])
+    assert found.good, limit_cases.line(found)
 
 
 def test_the_names_are_unique():
@@ -43,8 +43,8 @@ def test_the_names_are_unique():
     ],
 )
 def test_a_wrong_outcome_is_seen(changes, said):
-    found = extremes.execute(dataclasses.replace(ROWS["E = 1e3 Pa"], **changes))
-    assert not found.good and said in found.said
+    found = limit_cases.run_case(dataclasses.replace(ROWS["E = 1e3 Pa"], **changes))
+    assert not found.good and said in found.effect
 
 
 def test_lost_momentum_is_seen():
@@ -52,8 +52,8 @@ def test_lost_momentum_is_seen():
     row = ROWS["E = 1e3 Pa"]
     text = row.text.replace("gravity = [0, 0, -0.0]", "gravity = [0, 0, -1e-6]")
     assert text != row.text
-    found = extremes.execute(dataclasses.replace(row, text=text))
-    assert not found.good and found.drift > extremes.MOMENTUM
+    found = limit_cases.run_case(dataclasses.replace(row, text=text))
+    assert not found.good and found.drift > limit_cases.MOMENTUM
 
 
 def test_a_lost_particle_is_seen(monkeypatch):
@@ -63,15 +63,15 @@ def test_a_lost_particle_is_seen(monkeypatch):
         group.f[12, group.index()[0]] *= 1 + 2 * np.finfo(float).eps  # its rest volume
         return this
 
-    real = extremes.run
-    monkeypatch.setattr(extremes, "run", run)
-    assert "lost" in extremes.execute(ROWS["E = 1e3 Pa"]).said
+    real = limit_cases.run
+    monkeypatch.setattr(limit_cases, "run", run)
+    assert "lost" in limit_cases.run_case(ROWS["E = 1e3 Pa"]).effect
 
 
 def test_the_command_fails_with_a_row(monkeypatch, capsys):
     row = ROWS["an object without particles"]
-    monkeypatch.setattr(extremes, "rows", lambda: [row])
+    monkeypatch.setattr(limit_cases, "rows", lambda: [row])
     assert main(["extremes", "without"]) == 0
-    monkeypatch.setattr(extremes, "rows", lambda: [dataclasses.replace(row, code=0)])
+    monkeypatch.setattr(limit_cases, "rows", lambda: [dataclasses.replace(row, code=0)])
     assert main(["extremes", "without"]) == 1
     assert "FAIL" in capsys.readouterr().out

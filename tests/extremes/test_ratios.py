@@ -1,7 +1,8 @@
 """The default step keeps its margin where two bodies or materials meet that differ.
 
 Expected: steps of 1.3 times the default are stable at the corners where `python -m
-vgmpi.bench.studies stability --ratios` finds the least room: energy stays below 4 times the most
+tests.benchmarks.__main__ stability --ratios` finds the least room: energy stays below 4 times the
+most
 that it has with half the default step. Where particles are few, one to a cell, the default itself
 is.
 """
@@ -9,12 +10,12 @@ is.
 import numpy as np
 import pytest
 
-from vgmpi.bench import ratios
-from vgmpi.bench.ratios import MARGIN, Joint, Pair
+from tests.benchmarks import contrast_stability
+from tests.benchmarks.contrast_stability import MARGIN, Joint, Pair
 from vgmpi.materials import registry
-from vgmpi.materials.base import function
+from vgmpi.materials.material import law_function
+from vgmpi.runtime.config.schema import SceneError
 from vgmpi.solver.step import Simulation
-from vgmpi.tables import SceneError
 
 SOLIDS, WET, MIXED = ("elastic", "elastic"), ("fluid", "sand"), ("fluid", "fluid")
 CORNERS = {
@@ -26,9 +27,9 @@ CORNERS = {
 }
 MIXTURES = {  # powers of ten of density and stiffness, slip time [s]
     "as one, 1e4 times denser and stiffer": (4, 4, 0.0),
-    "slipping, 1e2 times denser and stiffer": (2, 2, ratios.SLIP),
+    "slipping, 1e2 times denser and stiffer": (2, 2, contrast_stability.SLIP),
     "slipping a little, 1e2 times denser and stiffer": (2, 2, 1e-3),
-    "slipping, 1e3 times denser": (3, 0, ratios.SLIP),
+    "slipping, 1e3 times denser": (3, 0, contrast_stability.SLIP),
 }
 FEW = [Pair(SOLIDS, per_cell=n) for n in ((64, 1), (1, 64))]
 
@@ -41,14 +42,16 @@ def test_the_default_has_a_margin_where_bodies_differ(name):
 @pytest.mark.parametrize("name", MIXTURES)
 def test_the_default_has_a_margin_where_fluids_that_mix_differ(name):
     density, stiffness, slip_time = MIXTURES[name]
-    mixed = ratios._mixing(0.0, slip_time)
+    mixed = contrast_stability._mixing(0.0, slip_time)
     assert Joint(Pair(MIXED, 10.0**density, 10.0**stiffness, coupled=mixed)).stable(MARGIN)
 
 
 def test_fluids_that_slip_and_differ_by_1e4_do_not_blow_up():
     """Of what is left of the stiff one's waves, 2500 times as fast, a step knows before it is
     taken."""
-    joint = Joint(Pair(MIXED, 1e4, 1e4, coupled=ratios._mixing(0.0, ratios.SLIP)))
+    joint = Joint(
+        Pair(MIXED, 1e4, 1e4, coupled=contrast_stability._mixing(0.0, contrast_stability.SLIP))
+    )
     assert joint.plan.groups[0].slips > 2000.0
     assert joint.stable(MARGIN)
 
@@ -68,34 +71,34 @@ def test_a_longer_default_is_seen(monkeypatch):
 
 def test_a_scene_refuses_more_particles_per_cell():
     with pytest.raises(SceneError):
-        ratios.largest(Pair(SOLIDS, per_cell=(8, 8000)))
+        contrast_stability.largest(Pair(SOLIDS, per_cell=(8, 8000)))
 
 
 @pytest.mark.parametrize("kind", ["elastic", "fluid", "sand"])
 def test_a_material_is_made_of_its_density_and_modulus(kind):
-    material = registry[kind].model_validate(ratios.made_of(kind, 30.0, 2e4))
+    material = registry[kind].model_validate(contrast_stability.made_of(kind, 30.0, 2e4))
     rest = tuple(v for values in material.carries.values() for v in values)
-    wave2 = function(material.law(), "wave_speed2")(material.law(), rest)
+    wave2 = law_function(material.law(), "wave_speed2")(material.law(), rest)
     assert np.allclose([material.bulk_density, material.bulk_density * wave2], [30.0, 2e4])
 
 
 def test_a_ratio_is_the_first_one_s_over_the_other_s():
     joint = Joint(Pair(("elastic", "fluid"), density=1e-3, stiffness=1e2))
     one, two = joint.density
-    assert np.isclose(one / two, 1e-3) and np.isclose(one * two, ratios.DENSITY**2)
+    assert np.isclose(one / two, 1e-3) and np.isclose(one * two, contrast_stability.DENSITY**2)
     assert np.isclose(joint._stiff[0] / joint._stiff[1], 1e2)
 
 
 def test_the_table_says_where_the_margin_is_less(monkeypatch):
-    found = iter([0.0, 1.2, 1.3, ratios.RUNGS[-1], *[2.0] * 5])
-    monkeypatch.setattr(ratios, "largest", lambda pair: next(found))
-    row = list(ratios.lines(["elastic on elastic: stiffness"], ["restored"]))[1]
+    found = iter([0.0, 1.2, 1.3, contrast_stability.RUNGS[-1], *[2.0] * 5])
+    monkeypatch.setattr(contrast_stability, "largest", lambda pair: next(found))
+    row = list(contrast_stability.lines(["elastic on elastic: stiffness"], ["restored"]))[1]
     assert row.split()[4:] == ["<", "0.5", "1.20", "!", "1.30", ">=", "2.8", *["2.00"] * 5]
 
 
 def test_every_row_has_its_columns():
     for transfer in ("restored", "apic"):
-        for table in ratios.tables(transfer):
+        for table in contrast_stability.tables(transfer):
             for pairs in table.rows.values():
                 assert len(pairs) == len(table.columns)
                 assert all(pair.transfer == transfer for pair in pairs)

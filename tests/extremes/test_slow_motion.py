@@ -9,7 +9,7 @@ Tolerance: 1 % of the distance and of the strain.
 import numpy as np
 import pytest
 
-from tests.simulate import begin, by_id
+from tests.support.simulate import begin, by_id
 
 SCENE = """
 [domain]

@@ -3,17 +3,19 @@
 Expected: steps of twice the default Courant factor, 0.8, are stable: kinetic and elastic energy
 stay below 4 times what was put in; steps of four times the default are not. Couplings: twice the
 step the solver chooses. Where motion is restored every third step: one and a half times these.
-`python -m vgmpi.bench.studies stability` finds the limits themselves.
+`python -m tests.benchmarks stability` finds the limits themselves.
 """
 
 import pytest
 
-from vgmpi.bench import stability
-from vgmpi.bench.stability import COUPLED, DEFAULT, Case, Column
-from vgmpi.scene.settings import Time
+from tests.benchmarks import stability_limits
+from tests.benchmarks.stability_limits import COUPLED, DEFAULT, Case, Column
+from vgmpi.scene.sections import Time
 
 MARGIN, RESTORED = 2.0, 1.5
-ALL = stability.cases([], list(stability.TRANSFERS), list(stability.PRECISIONS))
+ALL = stability_limits.cases(
+    [], list(stability_limits.TRANSFERS), list(stability_limits.PRECISIONS)
+)
 QUICK = [
     Case(name, transfer)
     for name in ("elastic", "fluid", "snow", "drag 1e-12", "mixing at limit")
@@ -50,9 +52,9 @@ def test_a_step_too_long_is_seen(name):
 
 def test_the_limit_is_found(monkeypatch):
     monkeypatch.setattr(Column, "stable", lambda self, factor: factor < 1.3)
-    assert 1.3 / 1.05 < stability.largest(Case("fluid")) < 1.3
+    assert 1.3 / 1.05 < stability_limits.largest(Case("fluid")) < 1.3
 
 
 def test_what_is_stable_again_beyond_a_gap_is_not_taken_for_the_limit(monkeypatch):
     monkeypatch.setattr(Column, "stable", lambda self, f: f < 0.65 or 0.85 < f < 1.2)
-    assert 0.65 / 1.05 < stability.largest(Case("fluid")) < 0.65
+    assert 0.65 / 1.05 < stability_limits.largest(Case("fluid")) < 0.65

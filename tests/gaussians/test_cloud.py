@@ -4,14 +4,20 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from vgmpi.gaussians import sh
-from vgmpi.gaussians.cloud import Cloud, full, quaternion, rotation_matrices, upper
+from vgmpi.gaussians import spherical_harmonics
+from vgmpi.gaussians.cloud import (
+    GaussianCloud,
+    pack_symmetric,
+    quaternion,
+    rotation_matrices,
+    unpack_symmetric,
+)
 
 
 def cloud(n=30, k=16, seed=0):
     rng = np.random.default_rng(seed)
     quat = rng.normal(size=(n, 4))
-    return Cloud(
+    return GaussianCloud(
         rng.normal(size=(n, 3)),
         quat / np.linalg.norm(quat, axis=1, keepdims=True),
         rng.uniform(0.01, 1, (n, 3)),
@@ -24,14 +30,14 @@ def test_covariances_have_the_scales_along_the_turned_axes():
     c = cloud()
     axes = Rotation.from_quat(c.quat[:, [1, 2, 3, 0]]).as_matrix()
     np.testing.assert_allclose(rotation_matrices(c.quat), axes, atol=1e-14)
-    for matrix, axis, scale in zip(full(c.cov()), axes, c.scale):
+    for matrix, axis, scale in zip(unpack_symmetric(c.cov()), axes, c.scale):
         np.testing.assert_allclose(matrix @ axis, axis * scale**2, atol=1e-14)
 
 
 def test_upper_is_xx_xy_xz_yy_yz_zz():
     m = np.array([[[1.0, 2, 3], [2, 4, 5], [3, 5, 6]]])
-    np.testing.assert_array_equal(upper(m), [[1, 2, 3, 4, 5, 6]])
-    np.testing.assert_array_equal(full(upper(m)), m)
+    np.testing.assert_array_equal(pack_symmetric(m), [[1, 2, 3, 4, 5, 6]])
+    np.testing.assert_array_equal(unpack_symmetric(pack_symmetric(m)), m)
 
 
 def test_quaternions_of_matrices_also_at_half_turns():
@@ -47,9 +53,15 @@ def test_a_transform_moves_turns_and_scales_everything():
     R = Rotation.random(random_state=1).as_matrix()
     t = c.transformed(R, 2.5, (1.0, -2.0, 3.0))
     np.testing.assert_allclose(t.x, 2.5 * c.x @ R.T + [1, -2, 3], atol=1e-14)
-    np.testing.assert_allclose(full(t.cov()), 2.5**2 * R @ full(c.cov()) @ R.T, atol=1e-13)
+    np.testing.assert_allclose(
+        unpack_symmetric(t.cov()), 2.5**2 * R @ unpack_symmetric(c.cov()) @ R.T, atol=1e-13
+    )
     d = np.random.default_rng(3).normal(size=(len(c), 3))
-    np.testing.assert_allclose(sh.evaluate(t.sh, d @ R.T), sh.evaluate(c.sh, d), atol=1e-5)
+    np.testing.assert_allclose(
+        spherical_harmonics.evaluate(t.sh, d @ R.T),
+        spherical_harmonics.evaluate(c.sh, d),
+        atol=1e-5,
+    )
     np.testing.assert_array_equal(t.opacity, c.opacity)
 
 
@@ -70,13 +82,13 @@ def test_select_takes_rows_in_order():
 def test_wrong_shapes_are_named():
     c = cloud()
     with pytest.raises(ValueError, match="Cloud.quat"):
-        Cloud(c.x, c.quat[:, :3], c.scale, c.opacity, c.sh)
+        GaussianCloud(c.x, c.quat[:, :3], c.scale, c.opacity, c.sh)
     with pytest.raises(ValueError, match="Cloud.sh"):
-        Cloud(c.x, c.quat, c.scale, c.opacity, c.sh[:, :5])
+        GaussianCloud(c.x, c.quat, c.scale, c.opacity, c.sh[:, :5])
 
 
 def test_rgb_is_the_colour_without_its_view_dependence():
     c = cloud(5)
-    c.sh[:, 0] = sh.dc_from_rgb([[0.1, 0.5, 0.9]] * 4 + [[-1, 2, 0.5]])
+    c.sh[:, 0] = spherical_harmonics.dc_from_rgb([[0.1, 0.5, 0.9]] * 4 + [[-1, 2, 0.5]])
     np.testing.assert_allclose(c.rgb[:4], [[0.1, 0.5, 0.9]] * 4, atol=1e-6)
     np.testing.assert_allclose(c.rgb[4], [0, 1, 0.5], atol=1e-6)

@@ -5,15 +5,15 @@ import logging
 import numpy as np
 import pytest
 
-from tests.gaussians import files
 from tests.gaussians.test_ply import cloud
-from vgmpi.gaussians import dotsplat
-from vgmpi.gaussians.sh import C0
+from tests.support import gaussian_files
+from vgmpi.gaussians.formats import splat
+from vgmpi.gaussians.spherical_harmonics import C0
 
 
 def save(folder, rows):
     path = folder / "cloud.splat"
-    path.write_bytes(files.splat(rows))
+    path.write_bytes(gaussian_files.splat(rows))
     return path
 
 
@@ -22,7 +22,7 @@ def test_the_layout(tmp_path):
         ((1, 2, 3), (0.1, 0.2, 0.3), (255, 0, 51, 102), (255, 128, 128, 128)),
         ((4, 5, 6), (1, 1, 0), (0, 0, 0, 255), (128, 128, 0, 128)),
     ]
-    c = dotsplat.read(save(tmp_path, rows))
+    c = splat.read(save(tmp_path, rows))
     np.testing.assert_array_equal(c.x, [[1, 2, 3], [4, 5, 6]])
     np.testing.assert_allclose(c.scale, [[0.1, 0.2, 0.3], [1, 1, 0]], rtol=1e-6)
     np.testing.assert_allclose(c.opacity, [0.4, 1])
@@ -34,9 +34,9 @@ def test_the_layout(tmp_path):
 @pytest.mark.parametrize("k", [1, 16])
 def test_written_clouds_come_back_to_half_a_step(tmp_path, k):
     c = cloud(300, k=k)
-    dotsplat.write(tmp_path / "c.splat", c)
+    splat.write(tmp_path / "c.splat", c)
     assert (tmp_path / "c.splat").stat().st_size == 32 * 300
-    d = dotsplat.read(tmp_path / "c.splat")
+    d = splat.read(tmp_path / "c.splat")
     np.testing.assert_allclose(d.x, c.x, rtol=1e-6)
     np.testing.assert_allclose(d.scale, c.scale, rtol=1e-6)
     assert np.abs(d.opacity - c.opacity).max() <= 0.5 / 255 + 1e-12
@@ -50,7 +50,7 @@ def test_what_is_written(tmp_path):
     c = cloud(1, k=1)
     c.quat[:] = [1, 0, -1, 0]
     c.opacity[:], c.sh[:] = 1, 0
-    dotsplat.write(tmp_path / "c.splat", c)
+    splat.write(tmp_path / "c.splat", c)
     data = (tmp_path / "c.splat").read_bytes()
     numbers = np.array([*c.x[0], *c.scale[0]], dtype="<f4")
     np.testing.assert_array_equal(np.frombuffer(data[:24], "<f4"), numbers)
@@ -60,12 +60,14 @@ def test_what_is_written(tmp_path):
 def test_more_rows_than_one_block(tmp_path, caplog):
     """Rows keep their order across blocks, and a stray broken one is dropped from its own."""
     n = 40_000
-    data = np.frombuffer(files.splat([((0, 0, 0), (1, 1, 1), (0,) * 4, (255,) * 4)] * n), "u1")
+    data = np.frombuffer(
+        gaussian_files.splat([((0, 0, 0), (1, 1, 1), (0,) * 4, (255,) * 4)] * n), "u1"
+    )
     words = data.reshape(n, 32).copy()
     words[:, :4] = np.arange(n, dtype="<f4")[:, None].view("u1")
     words[20_000, 28:] = 128  # no rotation
     (tmp_path / "c.splat").write_bytes(words.tobytes())
     with caplog.at_level(logging.WARNING, "vgmpi"):
-        c = dotsplat.read(tmp_path / "c.splat")
+        c = splat.read(tmp_path / "c.splat")
     np.testing.assert_array_equal(c.x[:, 0], np.delete(np.arange(n), 20_000))
     assert "1 of 40000" in caplog.text

@@ -11,34 +11,34 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.gaussians import files as written
-from tests.gaussians import hostile
-from tests.launch import PATIENCE
-from vgmpi import room
-from vgmpi.gaussians import files
+from tests.support import gaussian_files as written
+from tests.support import hostile_gaussians
+from tests.support.launch import PATIENCE
+from vgmpi.gaussians.formats import registry
+from vgmpi.runtime import memory_budget
 
 ROOT = Path(__file__).resolve().parents[2]
-CASES = hostile.cases()
+CASES = hostile_gaussians.cases()
 GOOD = {
-    ".ply": [hostile.GOOD, hostile.PACKED],
-    ".splat": [written.splat([hostile.HONEST] * 3)],
-    ".spz": [hostile.SPZ_GOOD],
+    ".ply": [hostile_gaussians.GOOD, hostile_gaussians.PACKED],
+    ".splat": [written.splat([hostile_gaussians.HONEST] * 3)],
+    ".spz": [hostile_gaussians.SPZ_GOOD],
 }
 
 # reads the files of a folder; the peak memory is the kernel's, set back before each file
 READ = """
 import json, pathlib, sys, time
-from tests import peak
-from vgmpi.gaussians import files
+from tests.support import peak_memory
+from vgmpi.gaussians.formats import registry
 for path in sorted(pathlib.Path(sys.argv[1]).iterdir()):
-    peak.forget()
+    peak_memory.forget()
     begin = time.process_time()
     try:
-        said = f"read {len(files.read(path))}"
-    except files.GaussianFileError as error:
+        said = f"read {len(registry.read(path))}"
+    except registry.GaussianFileError as error:
         said = str(error)
     seconds = time.process_time() - begin
-    print(json.dumps([path.name, seconds, peak.megabytes(), said]))
+    print(json.dumps([path.name, seconds, peak_memory.megabytes(), said]))
 """
 
 
@@ -50,7 +50,7 @@ def measured(tmp_path_factory):
     paths = {key: folder / f"{k:03}{key[0]}" for k, key in enumerate(CASES)}
     try:
         for key, path in paths.items():
-            hostile.make(path, CASES[key][0])
+            hostile_gaussians.make(path, CASES[key][0])
         command = [sys.executable, "-c", READ, str(folder)]
         run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE)
     finally:
@@ -73,27 +73,27 @@ def test_one_line_within_a_second_and_200_mb(measured, key):
 
 def test_there_are_many_of_every_kind():
     kinds = [suffix for suffix, _ in CASES]
-    assert min(kinds.count(suffix) for suffix in files.KINDS) >= 10 and len(kinds) >= 60
+    assert min(kinds.count(suffix) for suffix in registry.KINDS) >= 10 and len(kinds) >= 60
 
 
 @pytest.mark.parametrize("name", ["missing.ply", "missing.spz", "missing.splat", "."])
 def test_no_file_and_a_folder(tmp_path, name):
-    with pytest.raises(files.GaussianFileError) as caught:
-        files.read(tmp_path / name)
+    with pytest.raises(registry.GaussianFileError) as caught:
+        registry.read(tmp_path / name)
     assert str(tmp_path / name) in str(caught.value)
 
 
 def test_a_folder_with_the_name_of_a_file(tmp_path):
     (tmp_path / "a.ply").mkdir()
-    with pytest.raises(files.GaussianFileError, match="directory"):
-        files.read(tmp_path / "a.ply")
+    with pytest.raises(registry.GaussianFileError, match="directory"):
+        registry.read(tmp_path / "a.ply")
 
 
 @pytest.mark.parametrize("name", ["cloud", "cloud.obj", "cloud.ply.gz"])
 def test_an_unknown_kind(tmp_path, name):
-    (tmp_path / name).write_bytes(hostile.GOOD)
-    with pytest.raises(files.GaussianFileError, match=r"\.ply, \.splat, \.spz"):
-        files.read(tmp_path / name)
+    (tmp_path / name).write_bytes(hostile_gaussians.GOOD)
+    with pytest.raises(registry.GaussianFileError, match=r"\.ply, \.splat, \.spz"):
+        registry.read(tmp_path / name)
 
 
 def test_the_good_ones_are_good(tmp_path):
@@ -102,7 +102,7 @@ def test_the_good_ones_are_good(tmp_path):
         path = tmp_path / f"GOOD{suffix.upper()}"
         for data, count in zip(GOOD[suffix], counts):
             path.write_bytes(data)
-            assert len(files.read(path)) == count
+            assert len(registry.read(path)) == count
 
 
 @settings(max_examples=400, deadline=None, suppress_health_check=list(HealthCheck))
@@ -120,8 +120,8 @@ def test_any_damage_gives_a_cloud_or_the_one_error(tmp_path_factory, case, cut, 
     path = tmp_path_factory.mktemp("damaged") / f"cloud{suffix}"
     path.write_bytes(damaged)
     try:
-        cloud = files.read(path)
-    except files.GaussianFileError as error:
+        cloud = registry.read(path)
+    except registry.GaussianFileError as error:
         assert "\n" not in str(error)
     else:
         assert len(cloud) > 0
@@ -133,11 +133,11 @@ def test_any_damage_gives_a_cloud_or_the_one_error(tmp_path_factory, case, cut, 
 def test_what_does_not_fit_is_told_with_the_first_rows(tmp_path, monkeypatch, suffix):
     path = tmp_path / f"cloud{suffix}"
     path.write_bytes(GOOD[suffix][0])
-    count = len(files.read(path))
+    count = len(registry.read(path))
     for free in (100 * count, 1000 * count):  # bytes: two thirds and six times what they take
-        monkeypatch.setattr(room, "free", lambda swap=False, free=free: free)
+        monkeypatch.setattr(memory_budget, "available_memory", lambda swap=False, free=free: free)
         if free > 500 * count:
-            assert len(files.read(path)) == count
+            assert len(registry.read(path)) == count
         else:
-            with pytest.raises(files.GaussianFileError, match=f"its {count} Gaussians take at"):
-                files.read(path)
+            with pytest.raises(registry.GaussianFileError, match=f"its {count} Gaussians take at"):
+                registry.read(path)

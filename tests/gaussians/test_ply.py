@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.gaussians import files
-from vgmpi.gaussians import files as of_any_kind
-from vgmpi.gaussians import ply
-from vgmpi.gaussians.cloud import Cloud
-from vgmpi.gaussians.sh import C0
+from tests.support import gaussian_files
+from vgmpi.gaussians.cloud import GaussianCloud
+from vgmpi.gaussians.formats import ply
+from vgmpi.gaussians.formats import registry as of_any_kind
+from vgmpi.gaussians.spherical_harmonics import C0
 
 GUITAR = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "guitar.compressed.ply"
 
@@ -19,7 +19,7 @@ GUITAR = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "guita
 def cloud(n=40, k=16, seed=0):
     rng = np.random.default_rng(seed)
     quat = rng.normal(size=(n, 4))
-    return Cloud(
+    return GaussianCloud(
         rng.normal(size=(n, 3)),
         quat / np.linalg.norm(quat, axis=1, keepdims=True),
         np.exp(rng.uniform(-8, 0, (n, 3))),
@@ -37,8 +37,8 @@ def save(folder, data):
 @pytest.mark.parametrize("order", "<>")
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 def test_the_plain_layout(tmp_path, order, end):
-    rows = [files.row(), files.row(x=(4, 5, 6), opacity=-2.0, rot=(0, 0, 3, 4))]
-    c = ply.read(save(tmp_path, files.plain(rows, order=order, end=end)))
+    rows = [gaussian_files.row(), gaussian_files.row(x=(4, 5, 6), opacity=-2.0, rot=(0, 0, 3, 4))]
+    c = ply.read(save(tmp_path, gaussian_files.plain(rows, order=order, end=end)))
     np.testing.assert_allclose(c.x, [[1, 2, 3], [4, 5, 6]])
     np.testing.assert_allclose(c.opacity, 1 / (1 + np.exp([-0.5, 2.0])), rtol=1e-6)
     np.testing.assert_allclose(c.scale[0], np.exp([-3, -4, -5]), rtol=1e-6)
@@ -50,7 +50,9 @@ def test_the_plain_layout(tmp_path, order, end):
 @pytest.mark.parametrize("k", [4, 9, 16])
 def test_the_rest_of_the_colours_is_stored_channel_after_channel(tmp_path, k):
     rest = np.arange(3 * (k - 1))
-    c = ply.read(save(tmp_path, files.plain([files.row(rest=rest)], rest=len(rest))))
+    c = ply.read(
+        save(tmp_path, gaussian_files.plain([gaussian_files.row(rest=rest)], rest=len(rest)))
+    )
     assert c.sh.shape == (1, k, 3)
     for channel in range(3):
         np.testing.assert_array_equal(c.sh[0, 1:, channel], np.arange(k - 1) + channel * (k - 1))
@@ -86,7 +88,7 @@ def test_the_compressed_layout(tmp_path, color_bounds, rest):
     quat, log_scale = rng.normal(size=(n, 4)), rng.uniform(-9, 0, (n, 3))
     rgb, opacity = rng.random((n, 3)), rng.random(n)
     bytes_ = rng.integers(0, 256, (n, rest)) if rest else None
-    data = files.compressed(x, quat, log_scale, rgb, opacity, bytes_, color_bounds)
+    data = gaussian_files.compressed(x, quat, log_scale, rgb, opacity, bytes_, color_bounds)
     c = ply.read(save(tmp_path, data))
     reach = np.where(np.arange(n) < 256, np.ptp(x[:256]), np.ptp(x[256:]))[:, None]
     assert (np.abs(c.x - x) <= 0.5 * reach / 1023 + 1e-4).all()
@@ -135,19 +137,23 @@ def test_a_compressed_file_without_its_package(tmp_path, monkeypatch):
 
 
 def test_a_few_stray_rows_are_dropped_with_a_warning(tmp_path, caplog):
-    rows = [files.row() for _ in range(500)]
-    rows[7] = files.row(x=(np.nan, 0, 0))
-    rows[8] = files.row(rot=(0, 0, 0, 0))
+    rows = [gaussian_files.row() for _ in range(500)]
+    rows[7] = gaussian_files.row(x=(np.nan, 0, 0))
+    rows[8] = gaussian_files.row(rot=(0, 0, 0, 0))
     with caplog.at_level(logging.WARNING, "vgmpi"):
-        c = ply.read(save(tmp_path, files.plain(rows)))
+        c = ply.read(save(tmp_path, gaussian_files.plain(rows)))
     assert len(c) == 498
     assert "2 of 500" in caplog.text
     assert np.isfinite(c.x).all() and np.isfinite(c.quat).all()
 
 
 def test_infinite_logits_are_full_and_no_opacity(tmp_path):
-    rows = [files.row(opacity=np.inf), files.row(opacity=-np.inf), files.row(scale=(-np.inf, 0, 0))]
-    c = ply.read(save(tmp_path, files.plain(rows)))
+    rows = [
+        gaussian_files.row(opacity=np.inf),
+        gaussian_files.row(opacity=-np.inf),
+        gaussian_files.row(scale=(-np.inf, 0, 0)),
+    ]
+    c = ply.read(save(tmp_path, gaussian_files.plain(rows)))
     np.testing.assert_array_equal(c.opacity[:2], [1, 0])
     assert c.scale[2, 0] == 0
 

@@ -5,11 +5,11 @@ import logging
 import numpy as np
 import pytest
 
-from tests.gaussians import files
 from tests.gaussians.test_ply import cloud
-from vgmpi.gaussians import spz
-from vgmpi.gaussians.cloud import Cloud
-from vgmpi.gaussians.sh import C0
+from tests.support import gaussian_files
+from vgmpi.gaussians.cloud import GaussianCloud
+from vgmpi.gaussians.formats import spz
+from vgmpi.gaussians.spherical_harmonics import C0
 
 # x, alpha, rgb, scale, quat, the rest of the colours
 ROW = ((4096, -8192, 1), (51,), (255, 0, 128), (160, 176, 144), (0, 0, 0, 192), ())
@@ -38,11 +38,11 @@ def smallest_three(quat):
 def moderate(n=300, k=16, seed=0):
     """Gaussians that a .spz can hold."""
     c = cloud(n, k, seed)
-    return Cloud(c.x, c.quat, c.scale, c.opacity, np.clip(0.3 * c.sh, -0.99, 0.99))
+    return GaussianCloud(c.x, c.quat, c.scale, c.opacity, np.clip(0.3 * c.sh, -0.99, 0.99))
 
 
 def test_numbers_of_version_3(tmp_path):
-    c = spz.read(save(tmp_path, files.spz([ROW])))
+    c = spz.read(save(tmp_path, gaussian_files.spz([ROW])))
     np.testing.assert_allclose(c.x, [[1, 2, -1 / 4096]])  # y up, z back -> y down, z forward
     np.testing.assert_allclose(c.opacity, [0.2])
     np.testing.assert_allclose(np.log(c.scale), [[0, 1, -1]], atol=1e-12)
@@ -52,23 +52,23 @@ def test_numbers_of_version_3(tmp_path):
 
 @pytest.mark.parametrize("bits", [0, 8, 24])
 def test_fraction_bits(tmp_path, bits):
-    c = spz.read(save(tmp_path, files.spz([ROW], bits=bits)))
+    c = spz.read(save(tmp_path, gaussian_files.spz([ROW], bits=bits)))
     np.testing.assert_array_equal(c.x, [[4096 / 2**bits, 8192 / 2**bits, -1 / 2**bits]])
 
 
 def test_the_ends_of_24_bits(tmp_path):
     row = ((0x7FFFFF, -0x800000, 0), *ROW[1:])
-    c = spz.read(save(tmp_path, files.spz([row], bits=0)))
+    c = spz.read(save(tmp_path, gaussian_files.spz([row], bits=0)))
     np.testing.assert_array_equal(c.x, [[0x7FFFFF, 0x800000, 0]])
 
 
 def test_version_1_has_half_floats_and_version_2_three_bytes_of_rotation(tmp_path):
     quat = (255, 128, 128)  # x, and almost no y and z
     row = ((1.5, -2.0, 0.25), *ROW[1:4], quat, ())
-    c = spz.read(save(tmp_path, files.spz([row], version=1)))
+    c = spz.read(save(tmp_path, gaussian_files.spz([row], version=1)))
     np.testing.assert_array_equal(c.x, [[1.5, 2, -0.25]])
     np.testing.assert_allclose(c.quat, [[0, 1, 0, 0]], atol=0.005)
-    c = spz.read(save(tmp_path, files.spz([(ROW[0], *row[1:])], version=2)))
+    c = spz.read(save(tmp_path, gaussian_files.spz([(ROW[0], *row[1:])], version=2)))
     np.testing.assert_allclose(c.x, [[1, 2, -1 / 4096]])
     np.testing.assert_allclose(c.quat, [[0, 1, 0, 0]], atol=0.005)
 
@@ -78,7 +78,7 @@ def test_rotations_of_every_kind(tmp_path):
     quats = cloud(200).quat
     rows = [(*ROW[:4], smallest_three(list(np.roll(q, -1))), ()) for q in quats]
     assert len({int(np.abs(q).argmax()) for q in quats}) == 4
-    c = spz.read(save(tmp_path, files.spz(rows)))
+    c = spz.read(save(tmp_path, gaussian_files.spz(rows)))
     want = quats * [1, 1, -1, -1]  # the half turn
     assert np.abs((c.quat * want).sum(axis=1)).min() > 1 - 1e-5
 
@@ -89,7 +89,7 @@ def test_the_rest_of_the_colours(tmp_path, caplog, degree):
     k = ((degree + 1) ** 2 - 1) * 3
     rest = [(37 * i) % 256 for i in range(k)]
     with caplog.at_level(logging.WARNING, "vgmpi"):
-        c = spz.read(save(tmp_path, files.spz([(*ROW[:5], rest)], degree=degree)))
+        c = spz.read(save(tmp_path, gaussian_files.spz([(*ROW[:5], rest)], degree=degree)))
     kept = min(k // 3, 15)
     assert c.sh.shape == (1, kept + 1, 3)
     want = (np.array(rest).reshape(-1, 3)[:kept] - 128) / 128
@@ -165,22 +165,24 @@ def test_version_4(tmp_path, degree):
     zstandard = pytest.importorskip("zstandard")
     row = (*ROW[:5], tuple(range(120, 129)) if degree else ())
     pack = zstandard.ZstdCompressor(level=12).compress
-    c = spz.read(save(tmp_path, files.spz4([row] * 9, pack, degree=degree)))
-    d = spz.read(save(tmp_path, files.spz([row] * 9, degree=degree)))
+    c = spz.read(save(tmp_path, gaussian_files.spz4([row] * 9, pack, degree=degree)))
+    d = spz.read(save(tmp_path, gaussian_files.spz([row] * 9, degree=degree)))
     for name in ("x", "quat", "scale", "opacity", "sh"):
         np.testing.assert_array_equal(getattr(c, name), getattr(d, name))
 
 
 def test_version_4_without_its_package(tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "zstandard", None)
-    path = save(tmp_path, files.spz4([ROW], lambda section: section))
+    path = save(tmp_path, gaussian_files.spz4([ROW], lambda section: section))
     with pytest.raises(spz.GaussianFileError, match="pip install") as caught:
         spz.read(path)
     assert "\n" not in str(caught.value)
 
 
 def test_extensions_are_left_out_with_a_warning(tmp_path, caplog):
-    data = files.spz([ROW, (*ROW[:5], tuple(range(16)))], flags=2)  # 16 bytes behind the last
+    data = gaussian_files.spz(
+        [ROW, (*ROW[:5], tuple(range(16)))], flags=2
+    )  # 16 bytes behind the last
     with caplog.at_level(logging.WARNING, "vgmpi"):
         c = spz.read(save(tmp_path, data))
     assert len(c) == 2 and "extensions" in caplog.text

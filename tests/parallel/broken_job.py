@@ -9,9 +9,9 @@ import time
 
 import numpy as np
 
-from vgmpi import cli
-from vgmpi.domain.blocks import MIDDLE
-from vgmpi.ends import guarded
+from vgmpi.apps.run import cli
+from vgmpi.parallel.block_lattice import BLOCK_CENTER
+from vgmpi.runtime.exit_handler import exit_code_from_exceptions
 from vgmpi.solver.step import Simulation
 
 STEP = 5
@@ -46,7 +46,9 @@ def leave_the_domain():
             if self.step == STEP and len(here):
                 block = np.repeat(group.block, group.count, axis=0)[group.ids[at] == 7]
                 assert block[0, 0] == 0
-                group.xi[0, here] = int((-0.7 - MIDDLE) * 2.0**group.bits)  # 0.7 cells outside
+                group.xi[0, here] = int(
+                    (-0.7 - BLOCK_CENTER) * 2.0**group.bits
+                )  # 0.7 cells outside
         return real(self, *arguments)
 
     Simulation.advance = advance
@@ -68,4 +70,4 @@ def linger():
 
 if __name__ == "__main__":
     globals()[sys.argv[1]]()
-    sys.exit(guarded(cli.main)(sys.argv[2:]))
+    sys.exit(exit_code_from_exceptions(cli.main)(sys.argv[2:]))

@@ -3,10 +3,10 @@
 import sys
 import warnings
 
-import tests.cudasim  # noqa: F401  (before anything of numba's)
+import tests.support.cuda_simulator  # noqa: F401  (before anything of numba's)
 
 if __name__ == "__main__":
     warnings.filterwarnings("ignore", category=RuntimeWarning)
-    from vgmpi import cli
+    from vgmpi.apps.run import cli
 
     sys.exit(cli.main(sys.argv[1:]))

@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 
-from vgmpi.domain.ranks import Mpi
+from vgmpi.parallel.communicator import MpiCommunicator
 
 ROUNDS = 300
 
@@ -21,7 +21,7 @@ def sent(turn: int, rank: int, size: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def main() -> None:
-    ranks = Mpi()
+    ranks = MpiCommunicator()
     ahead, behind = (ranks.rank + 1) % ranks.size, (ranks.rank - 1) % ranks.size
     out, back = np.zeros(3), np.zeros(3)
     link = ranks.link([(ahead, out)], [(behind, back)])
@@ -30,7 +30,7 @@ def main() -> None:
         link.start()
         if (turn + ranks.rank) % 7 == 0:
             time.sleep(1e-3)
-        got = ranks.deliver(*sent(turn, ranks.rank, ranks.size))
+        got = ranks.sparse_exchange(*sent(turn, ranks.rank, ranks.size))
         every = [sent(turn, r, ranks.size) for r in range(ranks.size)]
         want = np.concatenate([rows[to == ranks.rank] for rows, to in every])
         assert got.tolist() == want.tolist(), (turn, got, want)

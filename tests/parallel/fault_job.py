@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from vgmpi.domain.ranks import world
-from vgmpi.output import checkpoint, store
+from vgmpi.io import checkpoint, hdf5_writer
+from vgmpi.parallel.communicator import init_communicator
 
 
 def state(step: int, rows: int) -> dict:
@@ -29,22 +29,22 @@ def die(*_):
 
 
 PLACES = {  # what is replaced by death
-    "rows": (store.Store, "_gather_rows"),
-    "sync": (store.Store, "_sync"),
-    "rename": (store.Store, "_rename"),
-    "manifest": (store, "replace_text"),
+    "rows": (hdf5_writer.Hdf5Writer, "_gather_rows"),
+    "sync": (hdf5_writer.Hdf5Writer, "_sync"),
+    "rename": (hdf5_writer.Hdf5Writer, "_rename"),
+    "manifest": (hdf5_writer, "replace_text"),
     "clean-up": (checkpoint, "_remove_old"),
 }
 
 
 def see_nothing():
     """The look at the free space beforehand finds enough: another program takes it afterwards."""
-    store._check_room = lambda *_: None
+    hdf5_writer._check_room = lambda *_: None
 
 
 def fill_before(step: str):
     """Another program fills the disk just before this step of writing."""
-    inner = getattr(store.Store, step)
+    inner = getattr(hdf5_writer.Hdf5Writer, step)
 
     def full(self, *arguments):
         if self.ranks.rank == 0:
@@ -55,7 +55,7 @@ def fill_before(step: str):
         self.ranks.barrier()
         return inner(self, *arguments)
 
-    setattr(store.Store, step, full)
+    setattr(hdf5_writer.Hdf5Writer, step, full)
 
 
 def limit_size():
@@ -74,7 +74,7 @@ FAULTS = {
 
 def main(folder: Path, fault: str, detail: str) -> int:
     logging.basicConfig(format="%(message)s")
-    ranks = world()
+    ranks = init_communicator()
     checkpoint.write(folder, ranks, state(1, 1000))
     if fault == "kill":
         setattr(*PLACES[detail], die)
@@ -84,7 +84,7 @@ def main(folder: Path, fault: str, detail: str) -> int:
         rows = int(detail)
     try:
         checkpoint.write(folder, ranks, state(2, rows))
-    except store.StoreError as error:
+    except hdf5_writer.StoreError as error:
         if ranks.rank == 0:
             print(error, flush=True)
         return 5

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from vgmpi.domain.ranks import world
-from vgmpi.output import checkpoint, frames, ledger, rest
+from vgmpi.io import checkpoint, csv_log, frames, initial_state
+from vgmpi.parallel.communicator import init_communicator
 
 TOTAL = 150_000  # more than two checksum chunks, so that pieces of chunks are joined
 MISSING = 1_000  # the last ids are not there yet in frame 0
@@ -64,16 +64,18 @@ def rest_rows(total: int) -> dict[str, np.ndarray]:
 
 
 def row(step: int) -> dict:
-    numbers = {name: step + 0.1 for name in ledger.COLUMNS}
+    numbers = {name: step + 0.1 for name in csv_log.COLUMNS}
     return {**numbers, "step": step, "phase": "water", "count": TOTAL, "time": step / 1000}
 
 
 def write_all(folder: Path, ranks) -> None:
     objects = [{"name": "pool", "first": 0, "count": TOTAL}]
     rows = rest_rows(TOTAL) if ranks.rank == 0 else None
-    rest.write(folder / "gaussians.h5", ranks, rows, objects, None, {"title": "made up"}, "abc")
+    initial_state.write(
+        folder / "gaussians.h5", ranks, rows, objects, None, {"title": "made up"}, "abc"
+    )
     series = frames.Frames(folder, ranks, TOTAL)
-    book = ledger.Ledger(folder, ranks)
+    book = csv_log.ConservationLog(folder, ranks)
     for index, count in enumerate((TOTAL - MISSING, TOTAL)):
         ids = mine(ranks, count, shuffled=True)
         series.write(index, index / 10, 100 * index, ids, columns(ids))
@@ -83,4 +85,4 @@ def write_all(folder: Path, ranks) -> None:
 
 
 if __name__ == "__main__":
-    write_all(Path(sys.argv[1]), world())
+    write_all(Path(sys.argv[1]), init_communicator())

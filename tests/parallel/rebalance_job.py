@@ -9,9 +9,9 @@ import sys
 
 import numpy as np
 
-from vgmpi import cli
-from vgmpi.domain import balance, migrate
-from vgmpi.kernels import g2p
+from vgmpi.apps.run import cli
+from vgmpi.kernels.transfer import g2p
+from vgmpi.parallel import load_balance, migration
 
 REACH = 2.05  # cells from a block's middle, where its particles begin to lie in others at 2
 SEEN = {"rank": 0, "sorts": 0, "sent": 0}
@@ -33,12 +33,12 @@ def watched(groups, ranks, *arguments):
     return found
 
 
-SORT = migrate.sort
+SORT = migration.sort_particles
 
 if __name__ == "__main__":
-    g2p.REACH = REACH
-    balance.recut, balance.worth = to_and_fro, lambda load, steps: True
-    migrate.sort = watched
+    g2p.MAX_STRAY_CELLS = REACH
+    load_balance.rebalance, load_balance.should_rebalance = to_and_fro, lambda load, steps: True
+    migration.sort_particles = watched
     code = cli.main(sys.argv[1:])
     print("rank {rank} sorted {sorts} times and sent {sent} particles".format(**SEEN), flush=True)
     sys.exit(code)

@@ -9,9 +9,9 @@ import signal
 
 import pytest
 
-from tests.digests import digests
-from tests.launch import finish, go, on_ranks, start, until
-from tests.scenes import MIXED, write
+from tests.support.file_digests import digests
+from tests.support.launch import finish, go, on_ranks, start, until
+from tests.support.small_scenes import MIXED, write
 
 pytestmark = pytest.mark.mpi
 

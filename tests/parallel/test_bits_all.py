@@ -4,9 +4,9 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.digests import digests
-from tests.launch import go
-from tests.scenes import LAWS, SHARED, every_law, write
+from tests.support.file_digests import digests
+from tests.support.launch import go
+from tests.support.small_scenes import LAWS, SHARED, every_law, write
 from vgmpi.materials import registry
 
 pytestmark = pytest.mark.mpi

@@ -4,9 +4,9 @@ other, it writes the files of the processor's run, byte by byte.
 
 import pytest
 
-from tests.digests import digests
-from tests.launch import mpirun
-from tests.scenes import write
+from tests.support.file_digests import digests
+from tests.support.launch import mpirun
+from tests.support.small_scenes import write
 
 pytest.importorskip("numba_cuda", reason="the extra `cuda` is not installed")
 pytest.importorskip("greenlet", reason="the simulator's threads take turns by greenlet")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.launch import mpirun
+from tests.support.launch import mpirun
 
 
 @pytest.mark.mpi

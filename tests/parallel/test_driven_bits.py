@@ -5,12 +5,12 @@ that are let go, when the wall is gone."""
 import numpy as np
 import pytest
 
-from tests.digests import digests
-from tests.launch import go
-from tests.scenes import MIXED, write
-from vgmpi.output import checkpoint
-from vgmpi.output.ledger import read
-from vgmpi.solver.bounds import Mismatch, check_attrs
+from tests.support.file_digests import digests
+from tests.support.launch import go
+from tests.support.small_scenes import MIXED, write
+from vgmpi.io import checkpoint
+from vgmpi.io.csv_log import read_rows
+from vgmpi.solver.restart.checkpoint_validation import Mismatch, check_attrs
 
 pytestmark = pytest.mark.mpi
 
@@ -50,7 +50,7 @@ def frames(found):
 
 
 def test_they_are_let_go(one):
-    rows = read(one[2] / "ledger.csv")
+    rows = read_rows(one[2] / "ledger.csv")
     count = {(row["phase"], round(1e3 * row["time"])): row["count"] for row in rows}
     whole = count["castle (frozen)", 0]
     assert whole > 1000 and count["sand", 0] == count["cube", 0] == 0
@@ -76,7 +76,7 @@ def test_ranks_and_threads(one, n, flags, tmp_path):
 def test_stop_and_resume(one, tmp_path):
     """Stopped on three ranks while half of the layers are let go, then on with two."""
     scene, want, out = one
-    steps = {row["step"]: row["time"] for row in read(out / "ledger.csv")}
+    steps = {row["step"]: row["time"] for row in read_rows(out / "ledger.csv")}
     stop = next(step for step, time in steps.items() if time > 0.019)
     job = go(scene, tmp_path, 3, "--stop-after", f"{stop + 7} steps")
     assert job.returncode == 75, job.stderr

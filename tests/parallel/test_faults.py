@@ -5,10 +5,10 @@ import sys
 
 import pytest
 
-from tests.damaged import forge
-from tests.launch import ROOT, mpirun, run
-from tests.scenes import MIXED, write
-from vgmpi.output.read import RunFiles
+from tests.support.damaged_files import forge
+from tests.support.launch import ROOT, mpirun, run
+from tests.support.small_scenes import MIXED, write
+from vgmpi.io.run_reader import RunReader
 
 pytestmark = pytest.mark.mpi
 
@@ -49,7 +49,7 @@ def test_a_blow_up_names_who_and_when(tmp_path):
         assert len(said) == 1, job.stderr
         words, name, particle, step = said[0]
         assert int(step) > 80
-        known = RunFiles(out)
+        known = RunReader(out)
         thing = next(o for o in known.objects if o["name"] == name)
         assert 0 <= int(particle) - thing["first"] < thing["count"]
         assert len(known.times) >= 2

@@ -3,12 +3,12 @@
 import h5py
 import pytest
 
-from tests.digests import digests
-from tests.launch import mpirun
 from tests.parallel import files_job
-from tests.simulated import run as simulate
-from vgmpi.domain.ranks import Alone
-from vgmpi.output import checkpoint
+from tests.support.file_digests import digests
+from tests.support.launch import mpirun
+from tests.support.simulated_ranks import run as simulate
+from vgmpi.io import checkpoint
+from vgmpi.parallel.communicator import SerialCommunicator
 
 pytestmark = pytest.mark.mpi
 
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.mpi
 def want(tmp_path_factory):
     """What one rank writes."""
     folder = tmp_path_factory.mktemp("one")
-    files_job.write_all(folder, Alone())
+    files_job.write_all(folder, SerialCommunicator())
     found = digests(folder)
     assert len(found) > 50
     assert not any(".tmp" in name for name in found)
@@ -39,7 +39,7 @@ def test_any_number_of_ranks(n, gather, want, tmp_path):
     assert job.stderr.count("gathered on rank 0") == (n > 1 and (gather or not parallel))
     found = digests(tmp_path)
     assert found == want
-    assert checkpoint.latest(tmp_path / "checkpoints").name == "checkpoint_000000150.h5"
+    assert checkpoint.latest_valid(tmp_path / "checkpoints").name == "checkpoint_000000150.h5"
 
 
 @pytest.mark.parametrize("n", [2, 5])

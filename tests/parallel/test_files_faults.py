@@ -8,10 +8,10 @@ import sys
 
 import pytest
 
-from tests.launch import mpirun, run
 from tests.parallel.fault_job import PLACES, state
-from vgmpi.domain.ranks import Alone
-from vgmpi.output import checkpoint
+from tests.support.launch import mpirun, run
+from vgmpi.io import checkpoint
+from vgmpi.parallel.communicator import SerialCommunicator
 
 FIRST, SECOND = "checkpoint_000000001.h5", "checkpoint_000000002.h5"
 
@@ -22,7 +22,7 @@ def test_kill_during_a_checkpoint(place, tmp_path, caplog):
     assert job.returncode == -signal.SIGKILL, job.stderr
     finished = place == "clean-up"
     with caplog.at_level(logging.WARNING):
-        found = checkpoint.latest(tmp_path)
+        found = checkpoint.latest_valid(tmp_path)
     assert found.name == (SECOND if finished else FIRST)
     said = [r.getMessage() for r in caplog.records]
     if finished:
@@ -33,8 +33,8 @@ def test_kill_during_a_checkpoint(place, tmp_path, caplog):
     with checkpoint.open(found) as c:
         x = c.read_rows("particles/x", 0, 1000)
         assert (x == c.attrs["step"] + 0.5).all()
-    checkpoint.write(tmp_path, Alone(), state(3, 10))  # what is left over does no harm
-    assert checkpoint.latest(tmp_path).name == "checkpoint_000000003.h5"
+    checkpoint.write(tmp_path, SerialCommunicator(), state(3, 10))  # what is left over does no harm
+    assert checkpoint.latest_valid(tmp_path).name == "checkpoint_000000003.h5"
     left = sorted(p.name for p in tmp_path.iterdir())
     assert left == [
         found.name,
@@ -65,7 +65,7 @@ def check_full(job, folder, caplog):
     (folder / "filler").unlink(missing_ok=True)
     assert sorted(p.name for p in folder.iterdir()) == [FIRST, FIRST.replace(".h5", ".json")]
     with caplog.at_level(logging.WARNING):
-        assert checkpoint.latest(folder).name == FIRST
+        assert checkpoint.latest_valid(folder).name == FIRST
     assert caplog.records == []
     return lines[0]
 

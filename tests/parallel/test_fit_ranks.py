@@ -6,10 +6,10 @@ import signal
 
 import pytest
 
-from tests import launch
-from tests.fitted import FIT, SHORT, command, fitted_alone, go, made
-from tests.unit.test_fit import bits
-from vgmpi.fit.runs import RECORD
+from tests.apps.test_fit import bits
+from tests.support import launch
+from tests.support.fit_scenes import FIT, SHORT, command, fitted_alone, go, made
+from vgmpi.apps.fit.run_pool import RECORD
 
 FEW = FIT.replace("runs = 40\nscan = 4", "runs = 10\nscan = 2")
 

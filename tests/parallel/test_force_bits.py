@@ -6,18 +6,18 @@ import csv
 import numpy as np
 import pytest
 
-from tests.digests import digests
-from tests.launch import go
 from tests.parallel.test_moving_bits import SCENE
-from tests.scenes import write
-from vgmpi.scene.probes import SIDES
+from tests.support.file_digests import digests
+from tests.support.launch import go
+from tests.support.small_scenes import write
+from vgmpi.scene.probes import WALL_NAMES
 
 pytestmark = pytest.mark.mpi
 
 COLLIDERS = ("post", "paddle", "roller")
 ASKED = SCENE + "".join(
     f'[[probe]]\nname = "{name}"\nrate = "200 Hz"\n{key} = "{name}"\n'
-    for key, names in (("wall", ("all", *SIDES)), ("collider", COLLIDERS))
+    for key, names in (("wall", ("all", *WALL_NAMES)), ("collider", COLLIDERS))
     for name in names
 )
 
@@ -43,7 +43,7 @@ def test_they_are_felt(one):
     assert np.abs(column(out, "roller", "torque_y")[1:]).max() > 1e-3
     for axis in "xyz":
         key = f"force_{axis}"
-        together = sum(column(out, name, key)[1:] for name in (*SIDES, *COLLIDERS))
+        together = sum(column(out, name, key)[1:] for name in (*WALL_NAMES, *COLLIDERS))
         balance = column(out, "all", key)[1:]
         assert np.abs(together - balance).max() < 1e-5 * np.abs(balance).max()
 

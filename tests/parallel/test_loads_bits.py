@@ -5,11 +5,11 @@ import csv
 
 import pytest
 
-from tests.digests import digests
-from tests.launch import go
-from tests.scenes import MIXED, write
-from vgmpi.domain.ranks import Alone
-from vgmpi.output import layout, ledger
+from tests.support.file_digests import digests
+from tests.support.launch import go
+from tests.support.small_scenes import MIXED, write
+from vgmpi.io import csv_log, file_layout
+from vgmpi.parallel.communicator import SerialCommunicator
 
 pytestmark = pytest.mark.mpi
 
@@ -117,8 +117,10 @@ def test_stop_and_resume(one, tmp_path):
     job = go(scene, tmp_path, 3, "--stop-after", f"{stop} steps")
     assert job.returncode == 75, job.stderr
     # a kill after the checkpoint
-    columns = layout.PROBE_COLUMNS["object"]
-    table = ledger.Rows(tmp_path / "probe_cube.csv", columns, Alone(), last_step=stop)
+    columns = file_layout.PROBE_COLUMNS["object"]
+    table = csv_log.CsvLog(
+        tmp_path / "probe_cube.csv", columns, SerialCommunicator(), last_step=stop
+    )
     table.append([{d.name: 1.0 for d in columns} | {"time": 0.05, "step": stop + 1}])
     with open(table.path, "a") as f:
         f.write("0.05,99")

@@ -5,9 +5,9 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.digests import digests
-from tests.launch import go
-from tests.scenes import MIXED, write
+from tests.support.file_digests import digests
+from tests.support.launch import go
+from tests.support.small_scenes import MIXED, write
 
 pytestmark = pytest.mark.mpi
 

@@ -9,12 +9,18 @@ import threading
 import numpy as np
 import pytest
 
-from tests import simulated
-from tests.scenes import MIXED
-from tests.states import by_id, different, state
-from vgmpi.domain import balance, halo, overlap, sorting, topology
-from vgmpi.engines import cpu, layers
+from tests.support import simulated_ranks
+from tests.support.rank_states import by_id, different, state
+from tests.support.small_scenes import MIXED
+from vgmpi.parallel import (
+    exchange_topology,
+    halo_exchange,
+    load_balance,
+    node_overlap,
+    sort_kernels,
+)
 from vgmpi.solver import step
+from vgmpi.solver.engines import cpu, nodal_field_storage
 
 STEPS = 240
 
@@ -78,7 +84,7 @@ def test_any_owner_will_do(one, tmp_path, monkeypatch):
     def dealt(keys, cut):
         return keys * 2654435761 % 1009 % (len(cut) + 1)
 
-    monkeypatch.setattr(balance, "owners", dealt)
+    monkeypatch.setattr(load_balance, "owners", dealt)
     rows, _ = state(tmp_path, 3, text, STEPS)
     assert different(by_id(rows), by_id(want)) == []
 
@@ -108,14 +114,16 @@ def drop_a_neighbour(monkeypatch):
 
 def forget_corners(monkeypatch):
     """Both sides think that blocks which share only an edge or a corner do not touch."""
-    masks = overlap.MASKS.copy()
-    masks[np.abs(overlap.NEIGHBOURS).sum(1) > 1] = 0
-    monkeypatch.setattr(overlap, "MASKS", masks)
+    masks = node_overlap.SHARED_NODE_MASKS.copy()
+    masks[np.abs(node_overlap.NEIGHBORS).sum(1) > 1] = 0
+    monkeypatch.setattr(node_overlap, "SHARED_NODE_MASKS", masks)
 
 
 def changed_tables(monkeypatch, change):
-    real = topology.build
-    monkeypatch.setattr(topology, "build", lambda *arguments: change(real(*arguments)))
+    real = exchange_topology.build_topology
+    monkeypatch.setattr(
+        exchange_topology, "build_topology", lambda *arguments: change(real(*arguments))
+    )
 
 
 def turned(masks):
@@ -158,24 +166,24 @@ def plain_sums(monkeypatch):
             self.tables = self.tables._replace(sums=self.sums, rest=self.rest, nodes=self.nodes)
             self.tables = self.tables._replace(asked=self.asked)
 
-    monkeypatch.setattr(layers.Layer, "begin", begin)
+    monkeypatch.setattr(nodal_field_storage.NodalField, "begin", begin)
     monkeypatch.setattr(cpu.Cpu, "_found_beyond", lambda self: [])
 
 
 def quanta_of_its_own(monkeypatch):
     """One rank keeps fewer digits than the others."""
-    real = layers.Layer.begin
+    real = nodal_field_storage.NodalField.begin
 
     def begin(self, dt):
         if threading.current_thread().name == "rank 1":
-            full = self.full
-            self.full = lambda dt: 2.0**20 * full(dt)
+            full = self.sum_bounds
+            self.sum_bounds = lambda dt: 2.0**20 * full(dt)
             real(self, dt)
-            self.full = full
+            self.sum_bounds = full
         else:
             real(self, dt)
 
-    monkeypatch.setattr(layers.Layer, "begin", begin)
+    monkeypatch.setattr(nodal_field_storage.NodalField, "begin", begin)
 
 
 def add_twice(monkeypatch):
@@ -204,39 +212,41 @@ def rest_is_left(monkeypatch):
 
 def sort_without_id(monkeypatch):
     """Particles of a cell stay in the order they arrived in."""
-    real = sorting.arrange
+    real = sort_kernels.counting_sort
 
     def arrange(start, count, targets, ids, *rest):
         return real(start, count, targets, np.zeros_like(ids), *rest)
 
-    monkeypatch.setattr(sorting, "arrange", arrange)
+    monkeypatch.setattr(sort_kernels, "counting_sort", arrange)
 
 
 def skip_a_halo(monkeypatch):
     """In one step nobody gets what the others summed."""
     for name in ("start", "finish"):
-        real = getattr(halo.Halo, name)
+        real = getattr(halo_exchange.HaloExchange, name)
 
         def but_not_then(self, step, *arguments, real=real):
             if step != 40:
                 real(self, step, *arguments)
 
-        monkeypatch.setattr(halo.Halo, name, but_not_then)
+        monkeypatch.setattr(halo_exchange.HaloExchange, name, but_not_then)
 
 
 def one_rank_is_late(monkeypatch):
     """One rank packs its message as of the step before."""
-    real = halo.Halo.start
+    real = halo_exchange.HaloExchange.start
 
     def start(self, step, *arguments):
         real(self, step - (step == 40 and self.rank == 0), *arguments)
 
-    monkeypatch.setattr(halo.Halo, "start", start)
+    monkeypatch.setattr(halo_exchange.HaloExchange, "start", start)
 
 
 def border_too_early(monkeypatch):
     """Blocks that wait for other ranks are summed with the others, before the messages arrive."""
-    changed_tables(monkeypatch, lambda t: t._replace(waits=np.zeros_like(t.waits)))
+    changed_tables(
+        monkeypatch, lambda t: t._replace(receives_remote=np.zeros_like(t.receives_remote))
+    )
 
 
 def sent_too_early(monkeypatch):
@@ -258,7 +268,7 @@ def old_tables(monkeypatch):
 
 def local_cuts(monkeypatch):
     """A rank cuts the curve anew by what it holds itself."""
-    real = simulated.Simulated.all_rows
+    real = simulated_ranks.Simulated.all_rows
 
     def all_rows(self, rows):
         every = real(self, rows)
@@ -267,31 +277,31 @@ def local_cuts(monkeypatch):
             every[: len(every) // 2, 1] *= 10
         return every
 
-    monkeypatch.setattr(simulated.Simulated, "all_rows", all_rows)
+    monkeypatch.setattr(simulated_ranks.Simulated, "all_rows", all_rows)
 
 
 def local_step(monkeypatch):
     """The time step follows from this rank's particles alone."""
-    real = simulated.Simulated.max
+    real = simulated_ranks.Simulated.max
 
     def max(self, values):
         out = real(self, values).copy()
         out[0] = values[0]
         return out
 
-    monkeypatch.setattr(simulated.Simulated, "max", max)
+    monkeypatch.setattr(simulated_ranks.Simulated, "max", max)
 
 
 def local_sort(monkeypatch):
     """A rank sorts when its own particles have strayed."""
-    real = simulated.Simulated.max
+    real = simulated_ranks.Simulated.max
 
     def max(self, values):
         out = real(self, values).copy()
         out[1:2] = values[1:2]
         return out
 
-    monkeypatch.setattr(simulated.Simulated, "max", max)
+    monkeypatch.setattr(simulated_ranks.Simulated, "max", max)
 
 
 BITS, ERROR = "other bits", "an error"
@@ -321,7 +331,7 @@ def test_a_mutation_is_seen(mutation, double, tmp_path, monkeypatch):
     """Particles are compared one by one, so a different order alone does not count as seen."""
     text, want = double
     if MUTATIONS[mutation] == ERROR:
-        monkeypatch.setattr(simulated, "PATIENCE", 3.0)  # where MPI would wait for ever
+        monkeypatch.setattr(simulated_ranks, "PATIENCE", 3.0)  # where MPI would wait for ever
     mutation(monkeypatch)
     try:
         rows, _ = state(tmp_path, 3, text, STEPS)

@@ -4,8 +4,8 @@ import csv
 
 import pytest
 
-from tests.launch import mpirun
-from tests.scenes import MIXED, write
+from tests.support.launch import mpirun
+from tests.support.small_scenes import MIXED, write
 
 pytestmark = pytest.mark.mpi
 

@@ -12,18 +12,18 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from tests import simulated
-from tests.clouds import CASES, box, cloud
-from tests.states import Kept, different, in_key_order, joined, padding
-from vgmpi.domain import balance
-from vgmpi.domain.blocks import Lattice
-from vgmpi.domain.ranks import Alone
-from vgmpi.engines.cpu import Cpu
-from vgmpi.kernels import g2p
-from vgmpi.solver.state import restore, save
+from tests.support import simulated_ranks
+from tests.support.random_particles import CASES, box, cloud
+from tests.support.rank_states import Kept, different, in_key_order, joined, padding
+from vgmpi.kernels.transfer import g2p
+from vgmpi.parallel import load_balance
+from vgmpi.parallel.block_lattice import BlockLattice
+from vgmpi.parallel.communicator import SerialCommunicator
+from vgmpi.solver.engines.cpu import Cpu
+from vgmpi.solver.restart.state_io import restore, save
 from vgmpi.solver.step import BlowUp, Simulation
 
-RECUT, OWNERS, WORTH = balance.recut, balance.owners, balance.worth
+RECUT, OWNERS, WORTH = load_balance.rebalance, load_balance.owners, load_balance.should_rebalance
 
 
 class Lot(threading.local):
@@ -77,7 +77,7 @@ def expected(case, precision):
     """(attrs, rows, sorts) on one rank, or what its blow-up says."""
     plan, colliders = box(precision)
     plan, x, v, volume, thing, surface = cloud(case, plan)
-    simulation = Simulation(plan, Alone(), colliders)
+    simulation = Simulation(plan, SerialCommunicator(), colliders)
     simulation.put(x, v, volume, np.arange(len(x)), thing, surface=surface)
     try:
         go_on(simulation, case, case.steps)
@@ -96,9 +96,11 @@ def look(simulation):
     tables = simulation.tables
     return Counter(
         {
-            "node blocks of this rank alone": int((~tables.waits).sum()),
-            "node blocks that others add to": int(tables.waits.sum()),
-            "both on one rank": int(tables.waits.any() and not tables.waits.all()),
+            "node blocks of this rank alone": int((~tables.receives_remote).sum()),
+            "node blocks that others add to": int(tables.receives_remote.sum()),
+            "both on one rank": int(
+                tables.receives_remote.any() and not tables.receives_remote.all()
+            ),
             "copies for threads": len(simulation.engine.blocks.copies),
             "idle ranks": int(not any(len(group) for group in simulation.groups)),
             "segments of one particle": sum(int((g.count == 1).sum()) for g in simulation.groups),
@@ -129,13 +131,13 @@ def found(case, precision, seen):
 
         with pytest.MonkeyPatch.context() as patch:
             for name in ("recut", "owners", "worth"):
-                patch.setattr(balance, name, getattr(lot, name))
+                patch.setattr(load_balance, name, getattr(lot, name))
             if case.backwards:
-                patch.setattr(Cpu, "each", simulated.last_first)
-            done = simulated.run(case.ranks[number], job)
+                patch.setattr(Cpu, "each", simulated_ranks.last_first)
+            done = simulated_ranks.run(case.ranks[number], job)
         saved, sorts, looks = zip(*done)
         seen.update(sum(looks, Counter()))
-        rows = in_key_order(joined(saved), Lattice(plan.cells, plan.dx))
+        rows = in_key_order(joined(saved), BlockLattice(plan.cells, plan.dx))
         if case.owners != "dealt out":
             assert different(joined(saved), rows) == [], "a rank does not hold one piece"
         assert len(set(sorts)) == 1
@@ -156,7 +158,7 @@ def found(case, precision, seen):
 
 def check(case, precision, seen):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(g2p, "REACH", case.reach)
+        patch.setattr(g2p, "MAX_STRAY_CELLS", case.reach)
         want = expected(case, precision)
         got = found(case, precision, seen)
     seen["cases"] += 1

@@ -7,11 +7,11 @@ import re
 import numpy as np
 import pytest
 
-from tests.digests import digests
-from tests.launch import mpirun
-from tests.scenes import MIXED, write
-from tests.states import different, state
-from vgmpi.domain import balance
+from tests.support.file_digests import digests
+from tests.support.launch import mpirun
+from tests.support.rank_states import different, state
+from tests.support.small_scenes import MIXED, write
+from vgmpi.parallel import load_balance
 
 END = "time.end=0.03"
 
@@ -46,18 +46,18 @@ def test_forced_at_every_sort(precision, tmp_path):
 @pytest.mark.parametrize("n", [2, 3, 5])
 def test_an_ordinary_run_rebalances(n, tmp_path, monkeypatch):
     """The mixed scene asks for new cuts by itself, and particles move because of them."""
-    moved, real = [], balance.recut
+    moved, real = [], load_balance.rebalance
 
     def recut(keys, work, count, ranks, cut, steps):
         new = real(keys, work, count, ranks, cut, steps)
         if cut is not None:
-            now, then = balance.owners(keys, cut), balance.owners(keys, new)
+            now, then = load_balance.owners(keys, cut), load_balance.owners(keys, new)
             moved.append(int(count[now != then].sum()))
         return new
 
     text = MIXED.replace("PRECISION", "single")
     want, _ = state(tmp_path, 1, text, 240)
-    monkeypatch.setattr(balance, "recut", recut)
+    monkeypatch.setattr(load_balance, "rebalance", recut)
     rows, [(sorts, *_), *_] = state(tmp_path, n, text, 240)
     print(f"{n} ranks, {sorts} sorts: particles moved by new cuts {moved[::n]}")
     assert different(rows, want) == []

@@ -1,4 +1,5 @@
-"""slurm/vgmpi.sbatch in a real SLURM: two nodes on this machine (tests/cluster.py)."""
+"""slurm/vgmpi.sbatch in a real SLURM: two nodes on this machine
+(tests/support/slurm_cluster.py)."""
 
 import os
 import signal
@@ -6,13 +7,13 @@ import sys
 
 import pytest
 
-from tests.cluster import Cluster, Unable, missing
-from tests.digests import digests
-from tests.fitted import BALL, FIT, go, made, reference
-from tests.launch import ROOT, run
-from tests.scenes import MIXED, write
-from tests.unit.test_fit import bits
-from vgmpi.output.read import RunFiles
+from tests.apps.test_fit import bits
+from tests.support.file_digests import digests
+from tests.support.fit_scenes import BALL, FIT, go, made, reference
+from tests.support.launch import ROOT, run
+from tests.support.slurm_cluster import Cluster, Unable, missing
+from tests.support.small_scenes import MIXED, write
+from vgmpi.io.run_reader import RunReader
 
 pytestmark = [
     pytest.mark.mpi,
@@ -105,7 +106,7 @@ def test_an_array(cluster, submit, one, tmp_path):
     job = submit(("--array=2,4",), ("--set", "time.frames={task}"))
     for task in (2, 4):
         assert cluster.until_ended(f"{job}_{task}")["JobState"] == "COMPLETED"
-        assert len(RunFiles(tmp_path / f"out-{task}").times) == task
+        assert len(RunReader(tmp_path / f"out-{task}").times) == task
     assert not (tmp_path / "out").exists()
     # checkpoints hold the scene's text, in which a value was set
     want = {name: sha for name, sha in one[1].items() if "checkpoints" not in name}

@@ -6,9 +6,9 @@ import csv
 import h5py
 import pytest
 
-from tests.digests import digests
-from tests.launch import go
-from tests.scenes import MIXED, write
+from tests.support.file_digests import digests
+from tests.support.launch import go
+from tests.support.small_scenes import MIXED, write
 
 pytestmark = pytest.mark.mpi
 

@@ -2,19 +2,21 @@
 first.
 
 Threads take turns, the last one first, so that a mistake does not hide behind a lucky order. Every
-mutation breaks one rule of who sums what (vgmpi/engines/cpu.py, shares.py) and must be seen. That
-threads which run at the same time never add to one row, tests/unit/test_domain.py holds.
+mutation breaks one rule of who sums what (vgmpi/solver/engines/cpu.py,
+solver/engines/thread_partition.py) and must be seen. That
+threads which run at the same time never add to one row, tests/parallel/test_exchange_topology.py
+holds.
 """
 
 import numpy as np
 import pytest
 
-from tests import simulated
-from tests.scenes import MIXED
-from tests.states import by_id, different, state
-from vgmpi.engines import cpu, layers
-from vgmpi.kernels import sums
-from vgmpi.kernels.tables import Sums
+from tests.support import simulated_ranks
+from tests.support.rank_states import by_id, different, state
+from tests.support.small_scenes import MIXED
+from vgmpi.kernels import reproducible_sums
+from vgmpi.kernels.kernel_arguments import Sums
+from vgmpi.solver.engines import cpu, nodal_field_storage
 from vgmpi.solver.step import BlowUp
 
 STEPS = 120
@@ -38,33 +40,35 @@ def one(tmp_path_factory):
 
 @pytest.mark.parametrize("ranks, threads", [(1, 2), (1, 3), (2, 2), (3, 3)])
 def test_threads_in_any_order(ranks, threads, one, tmp_path, monkeypatch):
-    monkeypatch.setattr(cpu.Cpu, "each", simulated.last_first)
+    monkeypatch.setattr(cpu.Cpu, "each", simulated_ranks.last_first)
     rows, _ = state(tmp_path, ranks, LONG, STEPS, threads)
     assert different(rows, one) == []
 
 
 def changed_engine(monkeypatch, change):
     """change(engine), once tables and buffers are laid out."""
-    real = cpu.Cpu.adopt
+    real = cpu.Cpu.set_topology
 
     def adopt(self, tables, kept=False):
         real(self, tables, kept)
         change(self)
 
-    monkeypatch.setattr(cpu.Cpu, "adopt", adopt)
+    monkeypatch.setattr(cpu.Cpu, "set_topology", adopt)
 
 
 def copies_are_forgotten(monkeypatch):
     """What other threads than the first add to node blocks that several touch."""
     changed_engine(
         monkeypatch,
-        lambda e: setattr(e, "blocks", e.blocks._replace(copied=np.zeros_like(e.blocks.copied))),
+        lambda e: setattr(
+            e, "blocks", e.blocks._replace(copy_offsets=np.zeros_like(e.blocks.copy_offsets))
+        ),
     )
 
 
 def messages_before_copies(monkeypatch):
     """Ranks are given what the first thread summed."""
-    monkeypatch.setattr(sums, "merge", lambda *arguments: None)
+    monkeypatch.setattr(reproducible_sums, "merge_thread_copies", lambda *arguments: None)
 
 
 def copies_stay(monkeypatch):
@@ -83,10 +87,10 @@ def forget_to_rest(monkeypatch):
     """Sums are not put to rest where the tables are new."""
 
     def begin(self, dt):
-        self.rest = sums.rests(self.full(dt), self.real)
+        self.rest = reproducible_sums.accumulator_biases(self.sum_bounds(dt), self.real)
         self.tables = Sums(self.sums, self.rest, self.asked, self.nodes)
 
-    monkeypatch.setattr(layers.Layer, "begin", begin)
+    monkeypatch.setattr(nodal_field_storage.NodalField, "begin", begin)
 
 
 def a_thread_is_left_out(monkeypatch):
@@ -94,7 +98,7 @@ def a_thread_is_left_out(monkeypatch):
 
     def change(engine):
         for part in engine.parts:
-            part.shares.border[-1] = part.shares.border[-1][:0]
+            part.partition.border[-1] = part.partition.border[-1][:0]
 
     changed_engine(monkeypatch, change)
 
@@ -110,7 +114,7 @@ MUTATIONS = {  # ranks; two threads each
 
 @pytest.mark.parametrize("mutation", MUTATIONS, ids=lambda m: m.__name__)
 def test_a_mutation_is_seen(mutation, one, tmp_path, monkeypatch):
-    monkeypatch.setattr(cpu.Cpu, "each", simulated.last_first)
+    monkeypatch.setattr(cpu.Cpu, "each", simulated_ranks.last_first)
     mutation(monkeypatch)
     try:
         rows, _ = state(tmp_path, MUTATIONS[mutation], LONG, STEPS, threads=2)

@@ -6,7 +6,8 @@ more than 1.2 of its height, b^2 / (12 s h) > (1 - s) h / 2; a cube turns on its
 topmost particles, read at rest. Contact lets surfaces rest at up to a quarter of a cell, so the
 block displaces its own volume and a layer around it; a block that is W cells wide floats too high
 by about 2 gap / W of its draught for each pair of sides in the water, and gap / height more. That
-is what the last test holds, with the gap measured beside the faces (tests/surfaces.py). Slabs are 4
+is what the last test holds, with the gap measured beside the faces
+(tests/support/particle_surfaces.py). Slabs are 4
 cells thick between slipping walls. Single precision; the water's viscosity only stops the bobbing.
 """
 
@@ -15,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from tests.held import held
-from tests.simulate import advance, begin, by_id
-from tests.surfaces import standoff
+from tests.support.particle_surfaces import standoff
+from tests.support.simulate import advance, begin, by_id
+from tests.support.validation_record import held
 
 DX, SHARE = 0.01, 0.6
 SCENE = """

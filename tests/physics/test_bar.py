@@ -9,9 +9,9 @@ between 8, 16 and 32 cells; error below 1e-3 at 32 and at 64 cells.
 import numpy as np
 import pytest
 
-from tests import swings
-from tests.held import held
-from tests.simulate import begin, by_id
+from tests.support import oscillation
+from tests.support.simulate import begin, by_id
+from tests.support.validation_record import held
 
 E, RHO, L = 1e5, 1000.0, 1.0
 EXACT = np.sqrt(E / RHO) / (4 * L)  # [Hz]
@@ -60,7 +60,7 @@ def frequency(folder, cells):
         values.append((v[:, 0] * shape).sum())
     # symplectic Euler staggers v half a step: a constant shift that differences of crossings do not
     # see
-    return 1 / swings.period(times, values)
+    return 1 / oscillation.period(times, values)
 
 
 def test_frequency_converges_with_second_order(tmp_path):

@@ -13,9 +13,9 @@ restitution .9 at 8 and at 16. Single precision.
 import numpy as np
 import pytest
 
-from tests.held import held
-from tests.simulate import begin
-from tests.turning import middle
+from tests.support.rigid_kinematics import middle
+from tests.support.simulate import begin
+from tests.support.validation_record import held
 
 DX, SPEED, YOUNG, NU, STIFF = 0.01, 0.3, 1e5, 0.3, 4e5
 SCENE = """

@@ -37,8 +37,8 @@ Why, by a model in the plane with the same particles (by moments it repeats the 
 import numpy as np
 import pytest
 
-from tests.held import held
-from tests.simulate import advance, begin, by_id
+from tests.support.simulate import advance, begin, by_id
+from tests.support.validation_record import held
 
 PUBLISHED = {1: 0.30172, 2: 0.49346, 5: 0.71379, 10: 0.81061}  # alpha: tip deflection [L]
 H, L, E, RHO, CELLS = 0.1, 1.0, 1e5, 1000.0, 4

@@ -9,8 +9,8 @@ what it was, the more the finer the grid (the exact one loses only to vibration)
 import numpy as np
 import pytest
 
-from tests.held import held
-from tests.simulate import advance, begin, by_id, mass_speed, totals
+from tests.support.simulate import advance, begin, by_id, mass_speed, totals
+from tests.support.validation_record import held
 
 DX = 0.02
 HEAD = """

@@ -3,7 +3,8 @@
 The paper's transfer S once a step, (S c)_p = sum_i w_ip c_i with
 c_i = sum_p w_ip V_p c_p / sum_p w_ip V_p:
 
-- one step equals the transfer of vgmpi/splatting/smoothing.py at the places before the step, over
+- one step equals the transfer of vgmpi/gaussians/color_diffusion.py at the places before the step,
+over
   all fluids of a phase and over fluids that mix; to 1e-12 of the range of colours in double
   precision;
 - sum_p V_p c_p is kept by it to rounding, and equal colours stay equal in every bit;
@@ -17,12 +18,12 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from tests import simulate
-from tests.held import held
-from tests.simulate import begin, by_id
-from vgmpi.prepare.build import build
-from vgmpi.solver.state import frame_rows
-from vgmpi.splatting.smoothing import Transfer
+from tests.support import simulate
+from tests.support.simulate import begin, by_id
+from tests.support.validation_record import held
+from vgmpi.gaussians.color_diffusion import Transfer
+from vgmpi.preprocess.scene_builder import build_scene
+from vgmpi.solver.restart.state_io import frame_rows
 
 PAPER = "VersaGauss, transfer of colours"
 SCENE = """
@@ -172,11 +173,11 @@ def test_equal_parts_of_colours_stay_equal_in_every_bit(tmp_path):
 
 def test_higher_degrees_travel_with_fluids_alone(tmp_path, monkeypatch):
     def coloured(scene):
-        made = build(scene)
+        made = build_scene(scene)
         sh = np.random.default_rng(3).uniform(-1, 1, (len(made.x), 4, 3)).astype(np.float32)
         return replace(made, sh=sh)
 
-    monkeypatch.setattr(simulate, "build", coloured)
+    monkeypatch.setattr(simulate, "build_scene", coloured)
     text = SCENE.replace("MORE", 'colour_degree = 1\ncolour_bodies = ["left", "jug", "toy"]')
     simulation, made = begin(tmp_path, text)
     x, volume, J = by_id(simulation, "x", "vol0", "J")

@@ -10,8 +10,8 @@ rounding. Tolerances: |sum p - p0| <= 1e-12 sum m |v| after 1,000 steps; in thre
 import numpy as np
 import pytest
 
-from tests.held import held
-from tests.simulate import advance, begin, by_id, mass_speed, totals
+from tests.support.simulate import advance, begin, by_id, mass_speed, totals
+from tests.support.validation_record import held
 
 FREE = """
 [domain]

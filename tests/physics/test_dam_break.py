@@ -8,8 +8,8 @@ without a gap. Tolerance: rms < 0.05 over the published MPS times.
 
 import numpy as np
 
-from tests.held import held
-from tests.simulate import advance, begin, by_id
+from tests.support.simulate import advance, begin, by_id
+from tests.support.validation_record import held
 
 MPS = np.array(
     [

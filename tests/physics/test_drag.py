@@ -13,8 +13,8 @@ slip v_w - v_s = -v_s / n. Tolerance 2 %.
 import numpy as np
 import pytest
 
-from tests.held import held
-from tests.simulate import advance, begin, by_id, totals
+from tests.support.simulate import advance, begin, by_id, totals
+from tests.support.validation_record import held
 
 G = 9.80665
 N, RHO_S, RHO_W = 0.4, 2650.0, 1000.0

@@ -10,8 +10,8 @@ of all forces what was driven keeps its momentum and its spin when it is let go.
 
 import numpy as np
 
-from tests.held import held
-from tests.simulate import advance, begin, by_id, ledger, totals
+from tests.support.simulate import advance, begin, by_id, conservation_rows, totals
+from tests.support.validation_record import held
 
 HEAD = """
 [domain]
@@ -138,7 +138,7 @@ def _thrown(tmp_path, motion):
     motion = f'motion = {{ {motion}, until = "0.1 s" }}\n'
     simulation, _ = begin(tmp_path, text.replace("SPEED", "0") + motion + SMOOTH + PROBE)
     advance(simulation, 0.0999)
-    impulse, work = simulation.given.totals[0, :3], simulation.given.totals[0, 6]
+    impulse, work = simulation.reactions.totals[0, :3], simulation.reactions.totals[0, 6]
     return *_of_ball(simulation), impulse, work
 
 
@@ -159,5 +159,5 @@ def test_its_work_is_the_energy_of_the_others(tmp_path):
 
 def _of_ball(simulation):
     """Momentum (3,) and energy of the ball."""
-    row = next(row for row in ledger(simulation) if row["phase"] == "ball")
+    row = next(row for row in conservation_rows(simulation) if row["phase"] == "ball")
     return np.array([row[f"momentum_{a}"] for a in "xyz"]), row["kinetic"] + row["elastic"]

@@ -6,14 +6,15 @@ slides with a = g (sin - mu cos) and turns faster by 2 mu g cos / R (Bardenhagen
 2000, Comput. Methods Appl. Mech. Eng. 187, 529: a cylinder on an incline, which slips or rolls). On
 a plane driven downhill friction first drives what will slide, and turns about within .05 s.
 Gravity is tilted by 20 deg over a box collider whose top lies between nodes, driven by .3 m/s;
-tests/turning.py, tests/physics/test_roll.py. Tolerances: acceleration and v over omega R 3 %, spin
+tests/support/rigid_kinematics.py, tests/physics/test_roll.py. Tolerances: acceleration and v over
+omega R 3 %, spin
 10 %, of 8 cells in radius; 5 % of 16. Single precision.
 """
 
 import pytest
 
-from tests.held import held
-from tests.turning import DX, ROLLS, SLIDES, exact, noted, rates, roll
+from tests.support.rigid_kinematics import DX, ROLLS, SLIDES, exact, noted, rates, roll
+from tests.support.validation_record import held
 
 WAYS = {"uphill": -0.3, "downhill": 0.3}  # [m/s] of the plane
 SHORT = ["uphill", pytest.param("downhill", marks=pytest.mark.slow)]

@@ -1,4 +1,5 @@
-"""Numbers of a scene found again from an honest reference (tests/recovery.py): cells half as large,
+"""Numbers of a scene found again from an honest reference (tests/benchmarks/recovery.py): cells
+half as large,
 another seed, the other precision, 5 % noise, and of pictures a camera that is off by a pixel; from
 starts 5 to 10 times off, within 40 runs.
 
@@ -11,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.recovery import CASES, honest, recover
-from vgmpi.fit import __main__ as fit
-from vgmpi.scene.reader import load
+from tests.benchmarks.recovery import CASES, honest, recover
+from vgmpi.apps.fit import __main__ as fit
+from vgmpi.scene.loader import load
 
 EXAMPLE = Path(__file__).parents[2] / "runs" / "consolidation"
 

@@ -11,8 +11,8 @@ import itertools
 import numpy as np
 import pytest
 
-from tests.held import held
-from tests.simulate import advance, begin, by_id
+from tests.support.simulate import advance, begin, by_id
+from tests.support.validation_record import held
 
 DX = 0.02
 HEAD = """

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import vgmpi
-from tests.held import held
+from tests.support.validation_record import held
 
 LONG, HIGH, DEPTH, SLOPE, POROSITY, END = 0.4, 0.1, 0.05, 0.4, 0.4, 1.2
 SCENE = """

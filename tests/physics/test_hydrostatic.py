@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import vgmpi
-from tests.held import held
+from tests.support.validation_record import held
 
 H, CELLS, WEIGHT = 0.16, 16, 1000 * 9.8 * 0.16  # WEIGHT: rho g H [Pa]
 HEIGHTS = (0.125, 0.375, 0.625, 0.875)  # of the probes [H]

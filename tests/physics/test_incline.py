@@ -10,8 +10,8 @@ acceleration; creep below .01 cells in .7 s. Single precision.
 import numpy as np
 import pytest
 
-from tests.held import held
-from tests.simulate import advance, begin, by_id
+from tests.support.simulate import advance, begin, by_id
+from tests.support.validation_record import held
 
 DX, G, ANGLE = 0.02, 9.8, np.radians(30.0)  # tan 30 deg = .577
 SCENE = """

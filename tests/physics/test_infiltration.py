@@ -10,8 +10,8 @@ the first moments, when the front is thinner than a cell; the speed after that i
 import numpy as np
 import pytest
 
-from tests.held import held
-from tests.simulate import advance, begin, by_id
+from tests.support.simulate import advance, begin, by_id
+from tests.support.validation_record import held
 
 G, N, K, POND, SAND, RAMP = 9.80665, 0.4, 2e-2, 0.2, 0.4, 0.1
 SCENE = f"""

@@ -8,8 +8,8 @@ A pressure on a face of area A is a force p A (A of the block as built, from its
 import numpy as np
 import pytest
 
-from tests.simulate import advance, begin, by_id, totals
-from vgmpi.scene.loads import mean_share
+from tests.support.simulate import advance, begin, by_id, totals
+from vgmpi.scene.loads import mean_ramp_factor
 
 BLOCK = """
 [domain]
@@ -107,9 +107,9 @@ def test_the_mean_of_a_ramp():
 
     for t0, t1 in ((0, 0.2), (0.1, 0.4), (0.35, 0.5), (0.6, 0.9), (0.85, 1.0), (1.1, 1.3)):
         t = t0 + (np.arange(200_000) + 0.5) / 200_000 * (t1 - t0)
-        found = mean_share(t0, t1, ramp=0.5, after=0.3, until=1.2)
+        found = mean_ramp_factor(t0, t1, ramp=0.5, after=0.3, until=1.2)
         assert found == pytest.approx(full(t).mean(), abs=1e-5)
-    assert mean_share(0.85, 1.0, 0.5, 0.3) == 1.0 and mean_share(2.0, 2.1, 0.0) == 1.0
+    assert mean_ramp_factor(0.85, 1.0, 0.5, 0.3) == 1.0 and mean_ramp_factor(2.0, 2.1, 0.0) == 1.0
 
 
 def test_gravity_grows(tmp_path):
@@ -127,7 +127,7 @@ def test_shared_by_volume(tmp_path):
     text = BLOCK.replace("GRAVITY", "0").replace("RAMP", "")
     load = '[[load]]\nobject = ["block", "rider"]\nforce = [0, 0, 3]\n'
     simulation, _ = begin(tmp_path, text + load)
-    simulation.loads.push(simulation.groups, 0.0, 1e-3, 1e-3)
+    simulation.loads.apply(simulation.groups, 0.0, 1e-3, 1e-3)
     v, thing = by_id(simulation, "v", "object")
     speeds = [np.unique(v[thing == k][:, 2]) for k in (0, 1)]
     assert [len(s) for s in speeds] == [1, 1]
@@ -215,7 +215,7 @@ def test_a_change_of_spin(tmp_path, transfer):
     mass = made.vol0 * np.array([1000.0, 500.0])[made.object]
     r = made.x - (mass[:, None] * made.x).sum(0) / mass.sum()
     if transfer == "flip":
-        simulation.loads.push(simulation.groups, 0.002, 0.003, 0.001)
+        simulation.loads.apply(simulation.groups, 0.002, 0.003, 0.001)
         v, C = by_id(simulation, "v", "C")
         assert np.abs(v - np.cross([0, 0, 3], r)).max() < 1e-13 and not C.any()
         return

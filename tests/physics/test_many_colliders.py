@@ -10,8 +10,8 @@ import time
 import numpy as np
 import pytest
 
-from tests.held import held
-from tests.simulate import begin
+from tests.support.simulate import begin
+from tests.support.validation_record import held
 
 POOL = """
 [domain]

@@ -19,8 +19,8 @@ from math import erfc
 import numpy as np
 import pytest
 
-from tests.held import held
-from tests.simulate import advance, begin, by_id, mass_speed, totals
+from tests.support.simulate import advance, begin, by_id, mass_speed, totals
+from tests.support.validation_record import held
 
 # --- the same numbers: one fluid ---
 

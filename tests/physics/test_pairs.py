@@ -2,7 +2,8 @@
 space.
 
 Theory: bodies do not overlap and do not keep a distance; momentum is exact. Surfaces are found from
-the particles alone (tests/surfaces.py). A cube of 6 cells falls 2 cells at 1 m/s onto a bed 6 cells
+the particles alone (tests/support/particle_surfaces.py). A cube of 6 cells falls 2 cells at 1 m/s
+onto a bed 6 cells
 deep, wall to wall. Tolerance: penetration <= .35 dx at any time; gap at rest 0 .. .35 dx, with
 single precision; momentum to 1e-13 of sum m |v| in double precision.
 """
@@ -10,9 +11,9 @@ single precision; momentum to 1e-13 of sum m |v| in double precision.
 import numpy as np
 import pytest
 
-from tests.held import held
-from tests.simulate import advance, begin, by_id, mass_speed, totals
-from tests.surfaces import clearance, standoff
+from tests.support.particle_surfaces import clearance, standoff
+from tests.support.simulate import advance, begin, by_id, mass_speed, totals
+from tests.support.validation_record import held
 
 DX = 0.02
 LAWS = {

@@ -17,8 +17,8 @@ miss the tolerance.
 import numpy as np
 import pytest
 
-from tests.held import held
-from tests.simulate import advance, begin, by_id
+from tests.support.simulate import advance, begin, by_id
+from tests.support.validation_record import held
 
 G, H = 9.8, 0.1  # [m/s2], depth [m]
 HEIGHT = 0.1  # of the waves over the depth

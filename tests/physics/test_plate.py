@@ -3,15 +3,15 @@
 The plate is an elastic table whose legs stand on the floor, bending over 4 cells, or a rigid box,
 its face on a node plane or between two. The water falls into its weight at once, so that the plate
 bears twice of it at first. Tolerance: none passes, none enters the elastic plate by .35 dx (see
-tests/surfaces.py). 20 cells of water, 8 x 8 cells wide; single precision.
+tests/support/particle_surfaces.py). 20 cells of water, 8 x 8 cells wide; single precision.
 """
 
 import numpy as np
 import pytest
 
-from tests.held import held
-from tests.simulate import advance, begin, by_id
-from tests.surfaces import clearance
+from tests.support.particle_surfaces import clearance
+from tests.support.simulate import advance, begin, by_id
+from tests.support.validation_record import held
 
 DX = 0.025
 SCENE = """

@@ -15,8 +15,8 @@ Tolerances: 3 % of the speed, 10 % of the plug's width.
 
 import numpy as np
 
-from tests.held import held
-from tests.simulate import advance, begin, by_id
+from tests.support.simulate import advance, begin, by_id
+from tests.support.validation_record import held
 
 H, CELLS, RHO, MU = 0.01, 16, 1000.0, 1.0  # H: half width [m]; CELLS from plate to plate
 DX = 2 * H / CELLS

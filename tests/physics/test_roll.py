@@ -12,8 +12,8 @@ precision.
 
 import pytest
 
-from tests.held import held
-from tests.turning import DX, ROLLS, SLIDES, exact, noted, rates, roll
+from tests.support.rigid_kinematics import DX, ROLLS, SLIDES, exact, noted, rates, roll
+from tests.support.validation_record import held
 
 SHORT = ["wall", "collider", pytest.param("slab", marks=pytest.mark.slow)]
 

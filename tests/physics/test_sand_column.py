@@ -1,6 +1,7 @@
 """Columns of dry sand collapse: how far they run out and how high they stay.
 
-Published: tests/columns.py. Sand: the presets, whose angles are the angles of repose of the grains
+Published: tests/support/sand_columns.py. Sand: the presets, whose angles are the angles of repose
+of the grains
 of the experiments, none of them fitted. Motion is restored: with APIC alone transfers hold sand
 back, the more the fewer cells there are. The channel is a slab 4 cells wide between slipping walls,
 the floor holds. Front: where sand lies deeper than 1/40 of the column's length. Single
@@ -13,8 +14,8 @@ import math
 
 import pytest
 
-from tests.columns import LENGTH, Column, collapse, height, run_out
-from tests.held import held
+from tests.support.sand_columns import LENGTH, Column, collapse, height, run_out
+from tests.support.validation_record import held
 
 WALLS = "Lube et al. 2005, between walls"
 BEADS = "Lajeunesse et al. 2005, between walls"

@@ -12,9 +12,9 @@ Tolerances: period 2 % at 20 cells per wave and 1 % at 40, loss of amplitude per
 import numpy as np
 import pytest
 
-from tests.held import held
-from tests.simulate import advance, begin, by_id
-from tests.swings import keeps, period
+from tests.support.oscillation import keeps, period
+from tests.support.simulate import advance, begin, by_id
+from tests.support.validation_record import held
 
 L, H = 0.2, 0.1
 K = np.pi / L

@@ -11,8 +11,8 @@ So it is let go .3 cells earlier.
 import numpy as np
 import pytest
 
-from tests.held import held
-from tests.simulate import advance, begin, by_id, totals
+from tests.support.simulate import advance, begin, by_id, totals
+from tests.support.validation_record import held
 
 DX, U, G = 0.02, 1.25, 9.8
 MOUTH = np.array([0.1, 0.1, 0.56])
@@ -60,12 +60,12 @@ def test_a_jet_falls_on_a_parabola(jet):
         advance(jet, time)
         ids, x = by_id(jet, "id", "x")
         behind = x[:, 0] <= MOUTH[0]
-        ((came, _, went, _),) = jet.tally.totals(jet.ranks)
+        ((came, _, went, _),) = jet.flow_accounting.totals(jet.ranks)
         assert (~behind).sum() + went == passed(jet)
-        assert came == n * source.born_by(time) and len(ids) == came - went
+        assert came == n * source.spawned_layers(time) and len(ids) == came - went
         # what is carried lies on its lattice to rounding, and what is let go behind the mouth near
         off = np.abs(x[behind] - source.places(ids[behind], time)).max(axis=1, initial=0.0)
-        free = ids[behind] < source.first + n * source.free_by(time)
+        free = ids[behind] < source.first + n * source.released_layers(time)
         assert off[~free].max(initial=0.0) < 1e-12 and off[free].max(initial=0.0) < 0.02 * DX
     held(
         "What a source brought", passed(jet), n * (END - START) * U / source.spacing, n / 2,
@@ -109,6 +109,6 @@ def test_a_jet_is_dense_from_its_first_cell(jet):
 
 def test_mass_is_kept(jet):
     before = totals(jet)["mass"]
-    ((_, brought, _, taken),) = jet.tally.totals(jet.ranks)
-    there = jet.tally.mass(0, brought) - jet.tally.mass(0, taken)
-    assert abs(before - there) < 1e-14 * jet.tally.mass(0, brought)
+    ((_, brought, _, taken),) = jet.flow_accounting.totals(jet.ranks)
+    there = jet.flow_accounting.mass(0, brought) - jet.flow_accounting.mass(0, taken)
+    assert abs(before - there) < 1e-14 * jet.flow_accounting.mass(0, brought)

@@ -14,8 +14,8 @@ off, with APIC a third and more.
 import numpy as np
 import pytest
 
-from tests.held import held
-from tests.simulate import begin, by_id
+from tests.support.simulate import begin, by_id
+from tests.support.validation_record import held
 
 DX, CELLS, G = 0.01, 40, 9.81  # edge of the box in cells
 L = CELLS * DX

@@ -12,8 +12,8 @@ slope times R^2 is the rise. Tolerances: 5 % of the rise, 1 % of omega.
 import numpy as np
 import pytest
 
-from tests.held import held
-from tests.simulate import advance, begin, by_id
+from tests.support.simulate import advance, begin, by_id
+from tests.support.validation_record import held
 
 G, RADIUS, DEPTH = 9.8, 0.1, 0.08  # [m/s2], [m], [m]
 OMEGA, SPEEDS_UP = 9.0, 0.5  # [rad/s], [s]

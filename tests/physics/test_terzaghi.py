@@ -10,10 +10,10 @@ over T = 0.05 .. 0.3 below 0.02 (20 cells; water is 90 times as stiff as the san
 
 import numpy as np
 
-from tests.held import held
-from tests.simulate import advance, begin
-from vgmpi.kernels.records import STATE
-from vgmpi.materials.base import function
+from tests.support.simulate import advance, begin
+from tests.support.validation_record import held
+from vgmpi.kernels.particle_records import STATE
+from vgmpi.materials.material import law_function
 
 G, E, NU, N = 9.80665, 1.5e5, 0.3, 0.4
 MODULUS = E * (1 - NU) / ((1 + NU) * (1 - 2 * NU))
@@ -76,8 +76,8 @@ def base_pressure(simulation) -> float:
     at, law = water.index(), water.plan.law
     low = water.positions()[:, 2] < 0.04
     state = tuple(water.f[STATE : STATE + len(water.plan.rest), at[low]])
-    tau = function(law, "stress")(law, state, (0.0,) * 9)
-    return float(np.mean(-tau[0] / function(law, "volume_ratio")(law, state)))
+    tau = law_function(law, "stress")(law, state, (0.0,) * 9)
+    return float(np.mean(-tau[0] / law_function(law, "volume_ratio")(law, state)))
 
 
 def test_pore_pressure_at_the_base(tmp_path):

@@ -10,9 +10,9 @@ normals along the axes, would go in steps. Tolerance: 2 % of the acceleration. S
 import numpy as np
 import pytest
 
-from tests.held import held
-from tests.simulate import advance, begin
-from tests.turning import middle
+from tests.support.rigid_kinematics import middle
+from tests.support.simulate import advance, begin
+from tests.support.validation_record import held
 
 G, MIDDLE, START = 9.81, np.array([0.32, 0.0, 0.28]), -0.16
 SCENE = """

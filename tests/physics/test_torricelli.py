@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from tests.held import held
-from tests.simulate import advance, begin, by_id
+from tests.support.simulate import advance, begin, by_id
+from tests.support.validation_record import held
 
 DX, G, DEEP, FLOOR, PLATE = 0.01, 9.8, 4, 20, 3
 SCENE = """
@@ -75,8 +75,8 @@ def drained(folder, tank: Tank) -> Found:
         x, v, vol0, J = by_id(simulation, "x", "v", "vol0", "J")
         volume, low = vol0 * J / (DEEP * DX), FLOOR * DX - x[:, 2]
         level = volume[low < 0].sum() / (tank.wide * DX)
-        ((_, _, _, went),) = simulation.tally.totals(simulation.ranks)
-        out = simulation.tally.mass(0, went) / 1000 / (DEEP * DX)
+        ((_, _, _, went),) = simulation.flow_accounting.totals(simulation.ranks)
+        out = simulation.flow_accounting.mass(0, went) / 1000 / (DEEP * DX)
         rows.append((time, level, out, vol0.sum() / (DEEP * DX)))
         thin = (low > tank.half * DX) & (low < 1.5 * tank.half * DX)
         fast.append((-v[thin, 2] / np.sqrt(2 * G * (level + low[thin]))).mean())

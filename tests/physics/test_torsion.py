@@ -10,9 +10,9 @@ restored, with 27 particles per cell (with 8: .83; APIC: .5).
 import numpy as np
 import pytest
 
-from tests.held import held
-from tests.simulate import advance, begin, by_id
-from tests.swings import keeps, period
+from tests.support.oscillation import keeps, period
+from tests.support.simulate import advance, begin, by_id
+from tests.support.validation_record import held
 
 E, NU, RHO, L, A = 1e5, 0.3, 1000.0, 0.32, 0.08
 SHEAR = E / 2 / (1 + NU)

@@ -10,15 +10,16 @@ than a cell in a wall, none through it; level within one cell; sand that stays m
 cells on average against the box, of sand that flows the slope is 30 deg within 6 deg.
 
 Walls are 4 cells thick, or 2. All matter is in the box, which then has no outer side
-(prepare/collider.py): with it a node beyond the middle of a thin wall knew the outer face alone,
+(preprocess/collider_sdf.py): with it a node beyond the middle of a thin wall knew the outer face
+alone,
 and stopped nothing that came from inside; 1.2 % of the water went out at inner edges.
 """
 
 import numpy as np
 import pytest
 
-from tests.held import held
-from tests.simulate import advance, begin, by_id
+from tests.support.simulate import advance, begin, by_id
+from tests.support.validation_record import held
 
 DX = 0.01
 LONG, HIGH = 0.24, 0.16  # of the box inside [m]

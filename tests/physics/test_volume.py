@@ -11,8 +11,8 @@ Tolerance: 4 %, of which 1 % is what the fastest motion may compress.
 import numpy as np
 import pytest
 
-from tests.held import held
-from tests.simulate import advance, begin, by_id
+from tests.support.simulate import advance, begin, by_id
+from tests.support.validation_record import held
 
 LONG, DEEP, DX = 0.32, 0.08, 0.02
 COLUMN = 0.16, 0.2  # [m] wide and high

@@ -11,8 +11,8 @@ Tolerance: 3 % of the rate. Other transfers are shown beside.
 import numpy as np
 import pytest
 
-from tests.held import held
-from tests.simulate import advance, begin, by_id
+from tests.support.simulate import advance, begin, by_id
+from tests.support.validation_record import held
 
 L, SPEED = 0.1, 0.01
 K = np.pi / L

@@ -16,9 +16,9 @@ more water and wheel overlap.
 import numpy as np
 import pytest
 
-from tests.held import held
-from tests.simulate import advance, begin
-from tests.turning import angular
+from tests.support.rigid_kinematics import angular
+from tests.support.simulate import advance, begin
+from tests.support.validation_record import held
 
 DX, RIM = 0.01, 0.5  # [m], [m/s]
 SCENE = """

@@ -1,20 +1,24 @@
-"""A cloud of 3D Gaussians with its colours, in plain numpy."""
+"""Cloud of 3D Gaussians with their colors, in plain NumPy."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from vgmpi.gaussians import sh as harmonics
+from . import spherical_harmonics as harmonics
 
 
 @dataclass(frozen=True)
-class Cloud:
-    """n Gaussians, lengths in metres (until it is placed: in the units of its file).
+class GaussianCloud:
+    """Set of n Gaussians, lengths in meters (before placement: in the units of its file).
 
-    x: centres (n, 3) float64. quat: unit quaternions w, x, y, z (n, 4) float64. scale: standard
-    deviations along the own axes (n, 3) float64. opacity: 0..1 (n,) float64. sh: colour
-    coefficients (n, K, 3) float32, K = 1, 4, 9, 16. shade: what its colours were multiplied with
-    by a painted light (n,) float32, above 0 and at most 1; None where there is none.
+    Attributes:
+        x: Centers, shape (n, 3) float64.
+        quat: Unit quaternions w, x, y, z, shape (n, 4) float64.
+        scale: Standard deviations along the principal axes, shape (n, 3) float64.
+        opacity: Opacities in 0..1, shape (n,) float64.
+        sh: Color coefficients, shape (n, K, 3) float32, K = 1, 4, 9, 16.
+        shade: Factors that a painted light has applied to the colors, shape (n,) float32, above 0
+            and at most 1; None where there is none.
     """
 
     x: np.ndarray
@@ -47,22 +51,22 @@ class Cloud:
 
     @property
     def rgb(self) -> np.ndarray:
-        """Colours without their view dependence, in 0..1 (n, 3)."""
+        """Colors without their view dependence, in 0..1 (n, 3)."""
         return np.clip(harmonics.rgb_from_dc(self.sh[:, 0].astype(np.float64)), 0.0, 1.0)
 
     @property
     def shades(self) -> np.ndarray:
-        """`shade` (n,), 1 where no light was painted."""
+        """Factors `shade` (n,), 1 where no light was painted."""
         return np.ones(len(self), dtype=np.float32) if self.shade is None else self.shade
 
     def cov(self) -> np.ndarray:
-        """Covariances as upper triangles xx, xy, xz, yy, yz, zz [length^2], (n, 6)."""
+        """Return the covariances as upper triangles xx, xy, xz, yy, yz, zz [length^2], (n, 6)."""
         root = rotation_matrices(self.quat) * self.scale[:, None, :]
-        return upper(root @ root.transpose(0, 2, 1))
+        return pack_symmetric(root @ root.transpose(0, 2, 1))
 
-    def select(self, mask: np.ndarray) -> "Cloud":
-        """The Gaussians of a boolean mask or an index array, in its order."""
-        return Cloud(
+    def select(self, mask: np.ndarray) -> "GaussianCloud":
+        """Return the Gaussians of a boolean mask or an index array, in its order."""
+        return GaussianCloud(
             self.x[mask],
             self.quat[mask],
             self.scale[mask],
@@ -73,18 +77,26 @@ class Cloud:
 
     def transformed(
         self, rotation: np.ndarray, scale: float = 1.0, shift: np.ndarray = (0.0, 0.0, 0.0)
-    ) -> "Cloud":
-        """The cloud after x -> scale * rotation @ x + shift; shapes and colours turn along.
+    ) -> "GaussianCloud":
+        """Return the cloud after x -> scale * rotation @ x + shift.
 
-        rotation: proper (3, 3). scale: linear factor > 0. shift: (3,).
+        Shapes and colors turn along.
+
+        Args:
+            rotation: Proper rotation matrix, shape (3, 3).
+            scale: Linear factor > 0.
+            shift: Displacement, shape (3,).
+
+        Raises:
+            ValueError: If the rotation is not proper.
         """
         rotation = np.asarray(rotation, dtype=np.float64)
-        with np.errstate(invalid="ignore"):  # NaN is not proper either
+        with np.errstate(invalid="ignore"):  # NaN is rejected as well
             proper = np.linalg.det(rotation) > 0
         if not proper or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6):
             raise ValueError("a cloud can only be turned by a proper rotation matrix")
         quat = quaternion_product(quaternion(rotation), self.quat)
-        return Cloud(
+        return GaussianCloud(
             scale * self.x @ rotation.T + np.asarray(shift, dtype=np.float64),
             quat / np.linalg.norm(quat, axis=1, keepdims=True),
             scale * self.scale,
@@ -94,18 +106,18 @@ class Cloud:
         )
 
 
-def upper(matrices: np.ndarray) -> np.ndarray:
-    """Upper triangles (n, 6) of symmetric matrices (n, 3, 3)."""
+def pack_symmetric(matrices: np.ndarray) -> np.ndarray:
+    """Return the upper triangles (n, 6) of symmetric matrices (n, 3, 3)."""
     return matrices[:, (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)]
 
 
-def full(triangles: np.ndarray) -> np.ndarray:
-    """Symmetric matrices (n, 3, 3) of upper triangles (n, 6)."""
+def unpack_symmetric(triangles: np.ndarray) -> np.ndarray:
+    """Return the symmetric matrices (n, 3, 3) of upper triangles (n, 6)."""
     return triangles[:, (0, 1, 2, 1, 3, 4, 2, 4, 5)].reshape(-1, 3, 3)
 
 
 def rotation_matrices(quat: np.ndarray) -> np.ndarray:
-    """Rotation matrices (n, 3, 3) of unit quaternions w, x, y, z (n, 4)."""
+    """Return the rotation matrices (n, 3, 3) of unit quaternions w, x, y, z (n, 4)."""
     w, x, y, z = np.asarray(quat, dtype=np.float64).T
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -116,10 +128,13 @@ def rotation_matrices(quat: np.ndarray) -> np.ndarray:
 
 
 def quaternion(rotation: np.ndarray) -> np.ndarray:
-    """Unit quaternions w, x, y, z (..., 4) of rotation matrices (..., 3, 3).
+    """Return the unit quaternions w, x, y, z (..., 4) of rotation matrices (..., 3, 3).
 
-    q q^T is linear in the matrix (Bar-Itzhack 2000), so q is the eigenvector of its largest
-    eigenvalue: no case distinctions, and safe at half turns.
+    q q^T is linear in the matrix, so q is the eigenvector of its largest eigenvalue: there are no
+    case distinctions, and half turns are safe.
+
+    References:
+        I. Y. Bar-Itzhack 2000.
     """
     rows = np.moveaxis(np.asarray(rotation, dtype=np.float64), (-2, -1), (0, 1))
     (a, b, c), (d, e, f), (g, h, i) = rows
@@ -132,22 +147,23 @@ def quaternion(rotation: np.ndarray) -> np.ndarray:
         ]
     )
     q = np.linalg.eigh(np.moveaxis(k, (0, 1), (-2, -1)))[1][..., -1]
-    largest = np.take_along_axis(q, np.abs(q).argmax(axis=-1)[..., None], axis=-1)
-    return np.where(largest > 0, q, -q)
+    leading = np.take_along_axis(q, np.abs(q).argmax(axis=-1)[..., None], axis=-1)
+    return np.where(leading > 0, q, -q)
 
 
-def principal(cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit quaternions (n, 4) and standard deviations (n, 3) of covariances (n, 6) [length^2].
+def principal_axes(cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return unit quaternions (n, 4) and standard deviations (n, 3) of covariances (n, 6).
 
-    The inverse of Cloud.cov; what rounding left below zero is zero.
+    Covariances are in [length^2]. This is the inverse of Cloud.cov; eigenvalues that
+    rounding left below zero become zero.
     """
-    values, vectors = np.linalg.eigh(full(np.asarray(cov, dtype=np.float64)))
+    values, vectors = np.linalg.eigh(unpack_symmetric(np.asarray(cov, dtype=np.float64)))
     vectors[:, :, 0] *= np.where(np.linalg.det(vectors) < 0, -1.0, 1.0)[:, None]
     return quaternion(vectors), np.sqrt(np.maximum(values, 0.0))
 
 
 def quaternion_product(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Quaternions of the rotations "first q, then p", both w, x, y, z (..., 4)."""
+    """Return the quaternions w, x, y, z (..., 4) of the rotations "first q, then p"."""
     pw, px, py, pz = np.moveaxis(np.asarray(p), -1, 0)
     qw, qx, qy, qz = np.moveaxis(np.asarray(q), -1, 0)
     return np.stack(

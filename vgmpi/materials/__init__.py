@@ -1,10 +1,11 @@
-"""Every module in this folder is a material, but for folders and names that begin with _;
-importing the folder registers them all. The registry is in the order of their kinds, whatever files
-are called.
+"""Materials: every module of this folder is one, except folders and names that begin with _.
+
+Importing the folder registers them all, in the order of their kinds and not of file names.
 """
 
-from ..tables import register_kinds
-from .base import registry
+from vgmpi.runtime.config.schema import register_kinds
+
+from .material import registry
 
 register_kinds(__name__, __path__, registry)
 

@@ -1,12 +1,11 @@
-"""Snow: elastic up to critical stretches, then it packs and hardens or tears and softens; carried
-as b_e - I and ln Jp.
+"""Snow: elastic up to critical stretches, beyond which it packs and hardens or tears and softens.
 
-Plasticity and hardening of Stomakhin et al. 2013 (A Material Point Method for Snow Simulation):
-principal stretches stay within [1 - theta_c, 1 + theta_s], what is cut off goes into the plastic
-volume ratio Jp, and both moduli are multiplied by exp(xi (1 - Jp)), here within [1 / limit, limit].
-The elasticity is Hencky's instead of the fixed corotated one: it is the same to first order in
-strains, which here stay below a few percent, needs no rotation, and shares its text with the other
-laws that yield.
+The state is b_e - I and ln Jp. Plasticity and hardening are those of Stomakhin et al. 2013 (A
+Material Point Method for Snow Simulation): principal stretches stay within [1 - theta_c, 1 +
+theta_s], the excess goes into the plastic volume ratio Jp, and both moduli are multiplied by exp(xi
+(1 - Jp)), here within [1 / limit, limit]. The elasticity is Hencky's instead of the fixed corotated
+one: it is equal to first order in strains, which here stay below a few percent, needs no rotation,
+and shares its text with the other laws that yield.
 """
 
 import math
@@ -14,20 +13,23 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from ..device import hencky
-from ..device.eigen import eigen
-from ..tables import Quantity
-from .base import Family, Material, lame, material
+from vgmpi.materials.tensor_math.symmetric_eigen import eigen
+from vgmpi.runtime.config.schema import Quantity
+
+from .material import Family, Material, lame, material
+from .tensor_math import hencky
 
 
 class Law(NamedTuple):
-    mu: float  # shear modulus at Jp = 1 [Pa]
-    lam: float  # Lame's first parameter at Jp = 1 [Pa]
-    low: float  # least logarithmic principal strain [-]
-    high: float  # largest [-]
-    xi: float  # hardening [-]
-    limit: float  # of the hardening's exponent, to both sides [-]
-    density: float  # at rest [kg/m3]
+    """Parameters of the law."""
+
+    mu: float  # [Pa] shear modulus at Jp = 1
+    lam: float  # [Pa] Lame's first parameter at Jp = 1
+    low: float  # [-] smallest logarithmic principal strain
+    high: float  # [-] largest logarithmic principal strain
+    xi: float  # [-] hardening
+    limit: float  # [-] bound of the hardening exponent to both sides
+    density: float  # [kg/m3] density at rest
 
 
 @material
@@ -77,10 +79,11 @@ class Snow(Material):
 
     @property
     def stiffening(self) -> float:
-        """At Jp = 0, if the limit lets it."""
+        """Return the hardening factor at Jp = 0, within its limit."""
         return min(self.hardening_limit, math.exp(self.hardening))
 
     def law(self) -> Law:
+        """Return the numbers of the law in SI units."""
         mu, lam = lame(self.youngs_modulus, self.poisson_ratio)
         return Law(
             mu=mu,
@@ -94,38 +97,50 @@ class Snow(Material):
 
     @staticmethod
     def advance(law, state, L, dt):
-        b = hencky.moved(state[:6], L, dt)
+        """Return the state after a step dt [s] of L = grad v [1/s].
+
+        Args:
+            law: Parameters of the law.
+            state: State of the particle.
+            L: Velocity gradient, nine components, row by row [1/s].
+            dt: Time step [s].
+        """
+        b = hencky.trial_strain_measure(state[:6], L, dt)
         d, q = eigen(b)
-        e0, e1, e2 = hencky.strains(d)
-        c0, c1, c2 = cut(law, e0), cut(law, e1), cut(law, e2)
-        b00, b11, b22, b01, b02, b12 = hencky.yielded(b, d, q, (c0, c1, c2))
+        e0, e1, e2 = hencky.principal_log_strains(d)
+        c0, c1, c2 = clamp_excess(law, e0), clamp_excess(law, e1), clamp_excess(law, e2)
+        b00, b11, b22, b01, b02, b12 = hencky.apply_plastic_corrector(b, d, q, (c0, c1, c2))
         return (b00, b11, b22, b01, b02, b12, state[6] - (c0 + c1 + c2))
 
     @staticmethod
     def stress(law, state, L):
-        h = hardened(law, state[6])
+        """Return the Kirchhoff stress (00, 11, 22, 01, 02, 12) [Pa]."""
+        h = hardening_factor(law, state[6])
         return hencky.stress(h * law.mu, h * law.lam, state[:6])
 
     @staticmethod
     def volume_ratio(law, state):
+        """Return the elastic volume ratio."""
         return hencky.volume_ratio(state[:6])
 
     @staticmethod
     def wave_speed2(law, state):
-        h = hardened(law, state[6])
-        return h * hencky.stiffest(law.mu, law.lam, state[:6]) / law.density
+        """Return a bound on the squared wave speed [m2/s2]."""
+        h = hardening_factor(law, state[6])
+        return h * hencky.acoustic_modulus_bound(law.mu, law.lam, state[:6]) / law.density
 
     @staticmethod
     def energy(law, state):
-        h = hardened(law, state[6])
+        """Return the elastic energy per rest volume [J/m3]."""
+        h = hardening_factor(law, state[6])
         return h * hencky.energy(law.mu, law.lam, state[:6])
 
 
-def cut(law, e):
-    """What is missing from strain e to the elastic range: 0 inside."""
+def clamp_excess(law, e):
+    """Return the change that brings strain e into the elastic range: 0 inside."""
     return np.minimum(law.high - e, 0.0) + np.maximum(law.low - e, 0.0)
 
 
-def hardened(law, ln_jp):
-    """Factor on the moduli."""
+def hardening_factor(law, ln_jp):
+    """Return the hardening factor on the moduli."""
     return np.exp(np.minimum(np.maximum(-law.xi * np.expm1(ln_jp), -law.limit), law.limit))

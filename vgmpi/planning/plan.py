@@ -1,8 +1,9 @@
-"""The plan: what a scene needs, worked out before any array exists.
+"""Plan of a run: everything that a scene requires, derived before any array is allocated.
 
-Boundary kinds, contact pairs, time step, bytes, steps; groups.py has the phases and groups with
-their fields. Arrays are allocated from it, kernels are specialised on it, files are written by it;
-a field the plan does not name does not exist.
+This module derives boundary kinds, contact pairs, time step, memory and number of steps;
+phases_and_groups.py
+has the phases and groups with their fields. Arrays are allocated from the plan, kernels are
+specialized on it and files are written by it; a field that the plan does not name does not exist.
 """
 
 import math
@@ -11,341 +12,382 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..couplings.base import MIXING, Rules
-from ..couplings.contact import Contact
-from ..materials.base import function
-from ..scene.gravity import Keys, at, mean
-from ..scene.loads import mean_share
-from ..scene.scene import Scene
-from ..scene.settings import Accuracy
-from .colour_sets import Exchange, exchange
-from .driven import DrivenPlan, Extents, driven_phases, driven_plans
-from .groups import GroupPlan, PhasePlan, completed, groups_of, held, phases_of
-from .inflow import SinkPlan, SourcePlan, sink_plans, source_plans
-from .sharing import rules, slipping
-from .surroundings import Surroundings
+from vgmpi.materials.couplings.contact_rule import Contact
+from vgmpi.materials.couplings.interaction import MIXING, InteractionRules
+from vgmpi.materials.material import law_function
+from vgmpi.scene.gravity import Keys, gravity_at, mean_gravity
+from vgmpi.scene.loads import mean_ramp_factor
+from vgmpi.scene.scene import Scene
+from vgmpi.scene.sections import Accuracy
 
-REALS: dict[str, np.dtype] = {
+from .color_exchange import ColorExchange, color_exchange
+from .inlet_schedule import InletPlan, OutletPlan, inlet_plans, outlet_plans
+from .interaction_rules import interaction_rules, with_slip_wave_factors
+from .phases_and_groups import (
+    GroupPlan,
+    PhasePlan,
+    groups_of,
+    phases_of,
+    with_density_correction,
+    with_runtime_requirements,
+)
+from .prescribed_bodies import Extents, PrescribedBodyPlan, prescribed_body_plans, prescribed_phases
+from .proximity import Proximity
+
+FLOAT_TYPES: dict[str, np.dtype] = {
     "single": np.dtype(np.float32),
     "double": np.dtype(np.float64),
 }
-# motion is restored after some steps: seldom costs less; where the shortest waves swing to and fro
-# in that time they get back more than they lost, and grow (docs/extremes.md)
-SELDOM, SWING = 3, 1.3  # most steps; most cells that a wave goes
-MOST_STEPS = 2.0**52  # beyond these a step is lost beside the time it is added to
+# The transfer correction is applied every few steps; longer intervals cost less. If the shortest
+# waves oscillate within an interval, they regain more than they lost and grow (docs/extremes.md).
+# The first is the longest interval [steps], the second the longest travel of a wave in it [cells].
+MAX_CORRECTION_INTERVAL, MAX_WAVE_TRAVEL_CELLS = 3, 1.3
+MAX_STEPS = 2.0**52  # with more steps, a step is lost to rounding when it is added to the time
 
 
-class Keeps(NamedTuple):
-    """How much particles keep of the motion that the grid does not see (FLIP)."""
+class FlipBlend(NamedTuple):
+    """FLIP blend: how much particles keep of the motion that the grid does not resolve."""
 
-    share: float  # in each step
-    damping: float  # [s] in which they lose all but 1 / e of it
+    share: float  # [-] fraction kept in each step
+    damping: float  # [s] time after which the fraction 1 / e is left
 
     def over(self, dt: float) -> float:
-        """The share they keep in a step of dt [s]."""
+        """Return the fraction that is kept in a step of dt [s]."""
         return self.share * math.exp(-dt / self.damping)
 
 
-class Plane(NamedTuple):
-    """A wall that pushes known surfaces by contact."""
+class ContactWall(NamedTuple):
+    """Wall that acts by contact on bodies with surface descriptors."""
 
     axis: int
-    side: int  # 0 at the node 0, 1 at the other end
-    node: int
-    friction: float
+    side: int  # 0: at node 0, 1: at the other end
+    node: int  # number of its nodes along the axis
+    friction: float  # [-] Coulomb coefficient
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Everything the solver is told. SI units."""
+    """Everything that the solver needs to know of a scene, in SI units."""
 
     cells: tuple[int, int, int]
-    dx: float
-    real: np.dtype
-    gravity: tuple[float, float, float]
-    walls: tuple[tuple[str, float], ...]  # west, east, south, north, floor, roof
+    dx: float  # [m] cell size
+    real: np.dtype  # floating-point type of the particles
+    gravity: tuple[float, float, float]  # [m/s2]
+    walls: tuple[
+        tuple[str, float], ...
+    ]  # (kind, friction) of west, east, south, north, floor, roof
     phases: tuple[PhasePlan, ...]
     groups: tuple[GroupPlan, ...]
-    group_of: tuple[int, ...]  # group of each object, -1 for scenery; then of each source
-    first_id: tuple[int, ...]  # of each object and source
-    count: tuple[int, ...]  # particles of each object; of each source all that may come
-    # (phases + 1, phases), the last row for colliders; or a row for each, where one has its own
+    group_of: tuple[int, ...]  # group of each object, -1 for scenery; then of each inlet
+    first_id: tuple[int, ...]  # of each object and inlet
+    count: tuple[int, ...]  # particles of each object; of each inlet all that may enter
+    # friction: (phases + 1, phases), the last row is for colliders; each collider has a row if one
+    # has a coefficient of its own
     friction: tuple[tuple[float, ...], ...]
-    stiff: tuple[float, ...]  # [Pa] to waves, of every phase's stiffest law at rest
-    contact: bool  # two phases or more: they may touch
+    stiff: tuple[float, ...]  # [Pa] P-wave modulus of each phase's stiffest law at rest
+    contact: bool  # there are several phases, which may touch
     collider: bool
     times: np.ndarray  # (frames,) [s]
-    cfl: float
+    cfl: float  # [-] CFL number
     fixed_dt: float  # [s], 0 if chosen by cfl
-    rate: float  # lower bound of 1 / dt [1/s] from what does not change (viscosity, diffusion)
-    rules: Rules | None = None  # how phases share space
-    colours: Exchange | None = None  # those that travel with every step
-    affine: bool = True  # particles carry the velocity's gradient (APIC)
-    splines: bool = False  # strains and forces by gradients of the B-splines
-    keeps: Keeps | None = None  # FLIP and AFLIP
-    restores: int = 0  # steps after which motion gets back what transfers took; 0: never
-    gravity_ramp: float = 0.0  # [s] in which gravity grows
-    gravity_keys: Keys = ()  # where it changes, from the start on
-    # [m], of every solid body, for other objects nan; none where no fluid is, or it is not known
+    rate: float  # [1/s] lower bound of 1 / dt from constant terms (viscosity, diffusion)
+    rules: InteractionRules | None = None  # interaction rules of phases that share space
+    colours: ColorExchange | None = None  # colors that are transferred in every step
+    affine: bool = True  # particles carry the velocity gradient (APIC)
+    splines: bool = False  # strains and forces use gradients of the B-splines
+    keeps: FlipBlend | None = None  # FLIP and AFLIP
+    restores: int = 0  # [steps] interval of the transfer correction; 0: never
+    gravity_ramp: float = 0.0  # [s] duration of the growth of gravity
+    gravity_keys: Keys = ()  # (time, gravity) keyframes from the start on
+    # thickness: [m] of every solid body, NaN for other objects; empty without fluids or if unknown
     thickness: tuple[float, ...] = ()
-    surroundings: tuple[Surroundings, ...] = ()  # of each object and source, where they are known
-    sources: tuple[SourcePlan, ...] = ()
-    sinks: tuple[SinkPlan, ...] = ()
-    driven: tuple[DrivenPlan, ...] = ()
+    surroundings: tuple[Proximity, ...] = ()  # of each object and inlet, if known
+    sources: tuple[InletPlan, ...] = ()
+    sinks: tuple[OutletPlan, ...] = ()
+    driven: tuple[PrescribedBodyPlan, ...] = ()
     opens: tuple[float | None, ...] = (None,) * 6  # [s] when each wall vanishes
-    feels: bool = False  # what each collider and wall gives is summed
+    feels: bool = False  # reaction impulses of each collider and wall are summed
 
     @property
-    def flows(self) -> bool:
-        """Whether particles come and go."""
+    def is_open_system(self) -> bool:
+        """True if particles are inserted or removed during the run."""
         return bool(self.sources or self.sinks)
 
     @property
-    def starts_with(self) -> int:
-        """Particles of all objects: they have the first ids."""
+    def initial_particle_count(self) -> int:
+        """Number of particles of all objects; they have the first ids."""
         return self.sources[0].first if self.sources else self.particles
 
     @property
     def drifts(self) -> bool:
-        """Whether fluids drift into each other by diffusion, and keep that out of their momentum;
-        as the paper prints it they do not."""
-        return self.rules is not None and bool(self.rules.drifting_apart.any())
+        """True if fluids drift into each other by diffusion that is excluded from their momentum.
+
+        Mixing as printed in the paper does not exclude it.
+        """
+        return self.rules is not None and bool(self.rules.conservative_drift.any())
 
     @property
-    def planes(self) -> tuple[Plane, ...]:
-        """The walls that push known surfaces by contact."""
+    def planes(self) -> tuple[ContactWall, ...]:
+        """Walls that act by contact on bodies with surface descriptors."""
         if not any(phase.surface for phase in self.phases):
             return ()
         return tuple(
-            Plane(k // 2, k % 2, k % 2 * self.cells[k // 2], friction)
+            ContactWall(k // 2, k % 2, k % 2 * self.cells[k // 2], friction)
             for k, (kind, friction) in enumerate(self.walls)
             if kind == "separate"
         )
 
     @property
-    def rubs(self) -> bool:
-        """Whether a body whose surface is known rubs against something."""
-        found = [plane.friction for plane in self.planes]
+    def has_surface_friction(self) -> bool:
+        """True if a body with a surface descriptor has friction against something."""
+        coefficients = [plane.friction for plane in self.planes]
         for p, phase in enumerate(self.phases):
             if phase.surface:
-                found += [mu for q, mu in enumerate(self.friction[p]) if q != p]
-                found += [row[p] for row in self.friction[len(self.phases) :]] * self.collider
-        return any(mu > 0 for mu in found)
+                coefficients += [mu for q, mu in enumerate(self.friction[p]) if q != p]
+                coefficients += [
+                    row[p] for row in self.friction[len(self.phases) :]
+                ] * self.collider
+        return any(mu > 0 for mu in coefficients)
 
     @property
     def particles(self) -> int:
+        """Number of particles of all objects and inlets."""
         return sum(self.count)
 
     def ahead(self, now: float) -> np.ndarray:
-        """Times [s] of the frames that a run which is at `now` [s] has yet to write."""
+        """Return the times [s] of the frames that a run at time `now` [s] has yet to write."""
         return self.times[self.times > now + 1e-6 * (self.times[1] - self.times[0])]
 
     def gravity_between(self, t0: float, t1: float) -> np.ndarray:
-        """Mean gravity (3,) [m/s2] between two times [s]."""
+        """Return the mean gravity between two times [s], shape (3,) [m/s2]."""
         if self.gravity_keys:
-            return mean(self.gravity_keys, t0, t1)
-        return np.array(self.gravity) * mean_share(t0, t1, self.gravity_ramp)
+            return mean_gravity(self.gravity_keys, t0, t1)
+        return np.array(self.gravity) * mean_ramp_factor(t0, t1, self.gravity_ramp)
 
     def gravity_at(self, time: float) -> np.ndarray:
-        """Gravity (3,) [m/s2] at a time [s], a ramp's at its full strength."""
-        return at(self.gravity_keys, time) if self.gravity_keys else np.array(self.gravity)
+        """Return the gravity at a time [s], shape (3,) [m/s2], with a ramp at its full strength."""
+        return gravity_at(self.gravity_keys, time) if self.gravity_keys else np.array(self.gravity)
 
     def bytes_per_particle(self, group: int) -> int:
-        """Memory of one particle: position, channels, id."""
+        """Return the memory of one particle [bytes]: position, channels, id."""
         return sum(self.fields(group).values())
 
     def fields(self, group: int) -> dict[str, int]:
-        """Bytes of everything that one particle of a group has of its own. What holds for an object
-        or a material is in no particle: its id says which object it belongs to."""
+        """Return the bytes of each field that one particle of a group stores.
+
+        Values common to an object or a material are not stored per particle: the id gives the
+        object.
+        """
         width = self.real.itemsize
         own = {channel.name: channel.width * width for channel in self.groups[group].channels}
         return {"x": 3 * width, **own, "id": 8}
 
     def bytes(self) -> int:
-        """Memory of all ranks together, without the interpreters: particles, nodes, sorting."""
+        """Return the memory of all ranks together [bytes], without the interpreters.
+
+        It includes particles, nodes and sorting.
+        """
         total = 0
         for k, n in enumerate(self.count):
             if self.group_of[k] >= 0:
-                # growth of a quarter, 16-padding, three index arrays while sorting
+                # A quarter is spare, segments are padded to 16, sorting needs three index arrays.
                 total += int(n * (1.4 * self.bytes_per_particle(self.group_of[k]) + 24))
-        for kept in self.driven:  # there is room for them in two groups
-            n = sum(self.count[k] for k in kept.things)
-            total += int(n * 1.4 * self.bytes_per_particle(kept.joins))
+        for body in self.driven:  # they have space in two groups
+            n = sum(self.count[k] for k in body.things)
+            total += int(n * 1.4 * self.bytes_per_particle(body.joins))
         width, nodes = self.real.itemsize, 64 * 4
-        one = 8 * (1 if width == 4 else 2) + width  # a number's sum, and the number
+        sum_bytes = 8 * (1 if width == 4 else 2) + width  # a reproducible sum, and its value
         touches = self.contact or self.collider or bool(self.planes)
-        layers = 1 + touches + self.rubs + any(group.apart for group in self.groups)
+        layers = 1 + touches + self.has_surface_friction + any(group.apart for group in self.groups)
         layers += max(group.coefficients for group in self.groups)
         more = (self.rules is not None) + (self.keeps is not None) + self.drifts
-        # a block holds some 300 particles, and reaches node blocks that hold none
+        # A block holds about 300 particles and reaches node blocks without particles.
         blocks = 4.0 * self.particles / 300.0 + 27 * len(self.phases)
-        return total + int(blocks * nodes * (layers * one + more * width))
+        return total + int(blocks * nodes * (layers * sum_bytes + more * width))
 
 
 def make_plan(
-    scene: Scene,
-    count: list[int],
-    volume: list[float],
-    collider: bool,
-    center: list[list[float]] | None = None,
-    shades: np.ndarray | None = None,
-    surface: list[bool] | None = None,
-    extents: Extents | None = None,
-) -> Plan:
-    """The plan of a scene whose objects have `count` particles of `volume` [m3] in total each, with
-    their `center` [m], without which bodies of one volume are told apart by their names alone;
-    shades: see colour_sets.shades; surface: of each, whether its particles know it, of none by
-    default; extents: see driven.driven_plans. Raises SceneError where no step is as it must be."""
+    scene: Scene, count: list[int], volume: list[float], collider: bool,
+    center: list[list[float]] | None = None, shades: np.ndarray | None = None,
+    surface: list[bool] | None = None, extents: Extents | None = None,
+) -> Plan:  # fmt: skip
+    """Return the plan of a scene. Raises SceneError if no time step satisfies the scene.
+
+    Args:
+        scene: The scene.
+        count: Particles of each object and inlet.
+        volume: Total volume of each [m3].
+        collider: True if there are colliders.
+        center: Center of each [m]; without it the names order bodies of equal volume.
+        shades: Color range, see `colour_sets.shades`.
+        surface: Whether the particles of each know its surface; default: none.
+        extents: Corners, see `driven.driven_plans`.
+    """
     bodies = {k: scene.material[t.material] for k, t in enumerate(scene.things) if t.material}
-    real, n = REALS[scene.accuracy.precision], len(volume)
+    real, n = FLOAT_TYPES[scene.accuracy.precision], len(volume)
     center, surface = center or [[0.0] * 3] * n, surface or [False] * n
-    phases = phases_of(scene, bodies, volume, center, surface, driven_phases(scene))
+    phases = phases_of(scene, bodies, volume, center, surface, prescribed_phases(scene))
     plain, group_of = groups_of(scene, bodies, phases, real)
-    sharing, colours = rules(scene, plain, phases), exchange(scene, phases, shades)
+    sharing, colours = (
+        interaction_rules(scene, plain, phases),
+        color_exchange(scene, phases, shades),
+    )
     _check_transfer(scene, sharing)
-    keeps, restores = _keeps(scene.accuracy), _restores(scene)
-    whole = tuple(completed(scene, group, sharing, colours, keeps, restores) for group in plain)
-    whole = held(scene, slipping(whole, sharing, scene.time.cfl * scene.domain.cell), phases)
-    driven, groups, group_of = driven_plans(scene, whole, group_of, phases, extents or {})
+    keeps, restores = _flip_blend(scene.accuracy), _correction_interval(scene)
+    complete = tuple(
+        with_runtime_requirements(scene, group, sharing, colours, keeps, restores)
+        for group in plain
+    )
+    complete = with_density_correction(
+        scene, with_slip_wave_factors(complete, sharing, scene.time.cfl * scene.domain.cell), phases
+    )
+    driven, groups, group_of = prescribed_body_plans(
+        scene, complete, group_of, phases, extents or {}
+    )
     plan = Plan(
-        cells=scene.domain.cells,
-        dx=scene.domain.cell,
-        real=real,
+        cells=scene.domain.cells, dx=scene.domain.cell, real=real,
         gravity=scene.domain.gravity,
         walls=tuple(scene.domain.walls),
-        phases=phases,
-        groups=groups,
-        group_of=group_of,
+        phases=phases, groups=groups, group_of=group_of,
         first_id=tuple(int(n) for n in np.concatenate([[0], np.cumsum(count)[:-1]])),
         count=tuple(int(n) for n in count),
         friction=_friction(scene, groups, len(phases)),
-        stiff=_stiff(groups, len(phases)),
-        contact=len(phases) > 1,
-        collider=collider,
+        stiff=_wave_moduli(groups, len(phases)),
+        contact=len(phases) > 1, collider=collider,
         times=np.linspace(0.0, scene.time.end, scene.time.frames),
         cfl=scene.time.cfl,
         fixed_dt=scene.time.dt,
         rate=_rate(bodies.values(), sharing, scene.domain.cell),
-        rules=sharing,
-        colours=colours,
-        affine=scene.accuracy.affine,
-        splines=scene.accuracy.gradient == "splines",
-        keeps=keeps,
-        restores=restores,
+        rules=sharing, colours=colours,
+        affine=scene.accuracy.affine, splines=scene.accuracy.gradient == "splines",
+        keeps=keeps, restores=restores,
         gravity_ramp=scene.domain.gravity_ramp,
         gravity_keys=_gravity_keys(scene),
-        sources=source_plans(scene, group_of, count),
-        sinks=sink_plans(scene),
+        sources=inlet_plans(scene, group_of, count),
+        sinks=outlet_plans(scene),
         driven=driven,
         opens=tuple(scene.domain.opens),
         feels=any(probe.feels for probe in scene.probe),
-    )
+    )  # fmt: skip
     _check_steps(scene, plan)
     return plan
 
 
 def _gravity_keys(scene: Scene) -> Keys:
+    """Return the keyframes of gravity, the first at time 0; empty if there are none."""
     keys = scene.domain.gravity_keyframes
     return ((0.0, scene.domain.gravity), *((k.time, k.gravity) for k in keys)) if keys else ()
 
 
-def _rate(materials, sharing: Rules | None, dx: float) -> float:
-    """Lower bound of 1 / dt [1/s] by viscosity and diffusion."""
+def _rate(materials, sharing: InteractionRules | None, dx: float) -> float:
+    """Return the lower bound of 1 / dt [1/s] due to viscosity and diffusion."""
     spread = sharing.diffusion.max(initial=0.0) if sharing else 0.0
     return max(6.0 * max(m.kinematic_viscosity for m in materials), 6.0 * spread) / dx**2
 
 
 def _friction(scene: Scene, groups, phases: int) -> tuple[tuple[float, ...], ...]:
-    """Friction of every pair of phases, and of phases on colliders; of two materials that meet in
-    one pair of phases the largest counts.
+    """Return the friction of every pair of phases, and of phases on colliders.
+
+    If several materials meet in one pair of phases, the largest coefficient counts.
     """
-    own = [thing.friction for thing in scene.object if thing.collider]
+    own = [obj.friction for obj in scene.object if obj.collider]
     own = own if any(mu is not None for mu in own) else [None]
     named = {frozenset(c.between): c.friction for c in scene.coupling if isinstance(c, Contact)}
     out = np.zeros((phases + len(own), phases))
     for a in groups:
-        one = scene.material[a.material]
+        material = scene.material[a.material]
         out[phases:, a.phase] = np.maximum(
-            out[phases:, a.phase], Contact.default_friction(one, one)
+            out[phases:, a.phase], Contact.default_friction(material, material)
         )
         for b in groups:
-            default = Contact.default_friction(one, scene.material[b.material])
+            default = Contact.default_friction(material, scene.material[b.material])
             mu = named.get(frozenset((a.material, b.material)), default)
             out[a.phase, b.phase] = max(out[a.phase, b.phase], mu)
-    for c, given in enumerate(own):
-        if given is not None:
-            out[phases + c] = given
+    for c, value in enumerate(own):
+        if value is not None:
+            out[phases + c] = value
     return tuple(tuple(float(v) for v in row) for row in out)
 
 
-def _stiff(groups: tuple[GroupPlan, ...], phases: int) -> tuple[float, ...]:
-    """Density times the squared speed of waves at rest [Pa], of each phase the largest."""
+def _wave_moduli(groups: tuple[GroupPlan, ...], phases: int) -> tuple[float, ...]:
+    """Return the largest density times squared wave speed at rest, by phase [Pa]."""
     out = [0.0] * phases
     for group in groups:
-        wave2 = float(function(group.law, "wave_speed2")(group.law, group.rest))
+        wave2 = float(law_function(group.law, "wave_speed2")(group.law, group.rest))
         out[group.phase] = max(out[group.phase], group.density * wave2)
     return tuple(out)
 
 
-def fastest(scene: Scene, plan: Plan, stiffened: bool = False) -> list[tuple[float, str]]:
-    """(bound on the time step [s], what sets it) at the start, smallest first: of every body, and
-    of what diffuses. stiffened: with every law as stiff as a run can make it.
+def time_step_bounds(scene: Scene, plan: Plan, stiffened: bool = False) -> list[tuple[float, str]]:
+    """Return (bound of the time step [s], its cause) at the start, smallest first.
+
+    There is a bound for every body and every diffusing quantity. With `stiffened`, every law is as
+    stiff as a run can make it.
     """
-    dx, found = scene.domain.cell, []
+    dx, bounds = scene.domain.cell, []
     used = {group.material for group in plan.groups}
     for coupling in scene.coupling:
         if coupling.rule == MIXING and coupling.diffusion > 0 and used.issuperset(coupling.between):
-            one, other = coupling.between
+            first, second = coupling.between
             bound = dx**2 / (6.0 * coupling.diffusion)
-            found.append((bound, f"the diffusion of materials {one!r} and {other!r}"))
-    speeds = [thing.speed for thing in scene.object] + [source.speed for source in plan.sources]
-    for k, thing in enumerate(scene.things):
-        if thing.material is None:
+            bounds.append((bound, f"the diffusion of materials {first!r} and {second!r}"))
+    speeds = [entity.speed for entity in scene.object] + [source.speed for source in plan.sources]
+    for k, entity in enumerate(scene.things):
+        if entity.material is None:
             continue
-        material = scene.material[thing.material]
+        material = scene.material[entity.material]
         law = material.law()
-        rest = tuple(v for values in material.carries.values() for v in values)
-        group = plan.groups[plan.group_of[k]]  # knows of the sand whose pores it fills
-        wave = math.sqrt(group.bound(function(law, "wave_speed2")(law, rest)))
+        reference = tuple(v for values in material.carries.values() for v in values)
+        group = plan.groups[plan.group_of[k]]  # includes the sand whose pores it fills
+        wave = math.sqrt(group.bound(law_function(law, "wave_speed2")(law, reference)))
         wave *= math.sqrt(material.stiffening) if stiffened else 1.0
-        found.append((scene.time.cfl * dx / (wave + speeds[k]), f"material {thing.material!r}"))
+        bounds.append((scene.time.cfl * dx / (wave + speeds[k]), f"material {entity.material!r}"))
         if material.kinematic_viscosity > 0:
             bound = dx**2 / (6.0 * material.kinematic_viscosity)
-            found.append((bound, f"the viscosity of material {thing.material!r}"))
-    return sorted(found)
+            bounds.append((bound, f"the viscosity of material {entity.material!r}"))
+    return sorted(bounds)
 
 
-def _keeps(accuracy: Accuracy) -> Keeps | None:
-    """What the scene asks particles to keep."""
+def _flip_blend(accuracy: Accuracy) -> FlipBlend | None:
+    """Return the FLIP blend that the scene asks for, or None."""
     if not accuracy.keeps:
         return None
     if accuracy.flip is not None:
-        return Keeps(accuracy.flip, math.inf)
-    return Keeps(1.0, accuracy.damping)
+        return FlipBlend(accuracy.flip, math.inf)
+    return FlipBlend(1.0, accuracy.damping)
 
 
-def _restores(scene: Scene) -> int:
-    """After how many steps motion is restored, or 0."""
-    return max(1, min(SELDOM, int(SWING / scene.time.cfl))) if scene.accuracy.restores else 0
+def _correction_interval(scene: Scene) -> int:
+    """Return the number of steps between two transfer corrections, 0: never."""
+    return (
+        max(1, min(MAX_CORRECTION_INTERVAL, int(MAX_WAVE_TRAVEL_CELLS / scene.time.cfl)))
+        if scene.accuracy.restores
+        else 0
+    )
 
 
-def _check_transfer(scene: Scene, sharing: Rules | None) -> None:
+def _check_transfer(scene: Scene, sharing: InteractionRules | None) -> None:
+    """Reject gradients of splines where the transfer scheme does not support them."""
     if scene.accuracy.gradient == "splines" and (scene.accuracy.affine or sharing is not None):
-        said = "splines are for pic and flip, in scenes without mixing and drag"
-        raise scene.error([(("accuracy", "gradient"), said)])
+        message = "splines are for pic and flip, in scenes without mixing and drag"
+        raise scene.error([(("accuracy", "gradient"), message)])
 
 
 def _check_steps(scene: Scene, plan: Plan) -> None:
-    """Whether the laws are numbers, a fixed step is stable, and every step moves the time on."""
+    """Check that the laws are finite, a fixed step is stable, and every step advances the time."""
     for group in plan.groups:
         if not np.isfinite(group.law).all():
-            said = f"its law has numbers beyond accuracy.precision = {scene.accuracy.precision!r}"
-            raise scene.error([(("material", group.material), said)])
-    bound, what = fastest(scene, plan)[0]
+            message = (
+                f"its law has numbers beyond accuracy.precision = {scene.accuracy.precision!r}"
+            )
+            raise scene.error([(("material", group.material), message)])
+    bound, cause = time_step_bounds(scene, plan)[0]
     if plan.fixed_dt > bound:
-        said = f"{plan.fixed_dt:.4g} s is above the stable step of {what}: at most {bound:.4g} s"
-        raise scene.error([(("time", "dt"), said)])
-    dt, what = (plan.fixed_dt, "time.dt") if plan.fixed_dt else (bound, what)
-    if not dt * MOST_STEPS >= plan.times[-1]:
-        said = f"{plan.times[-1]:.4g} s are too many steps of {dt:.4g} s, set by {what}"
-        raise scene.error([(("time", "end"), f"{said}; at most {MOST_STEPS:.2g} are possible")])
+        message = (
+            f"{plan.fixed_dt:.4g} s is above the stable step of {cause}: at most {bound:.4g} s"
+        )
+        raise scene.error([(("time", "dt"), message)])
+    dt, cause = (plan.fixed_dt, "time.dt") if plan.fixed_dt else (bound, cause)
+    if not dt * MAX_STEPS >= plan.times[-1]:
+        message = f"{plan.times[-1]:.4g} s are too many steps of {dt:.4g} s, set by {cause}"
+        raise scene.error([(("time", "end"), f"{message}; at most {MAX_STEPS:.2g} are possible")])

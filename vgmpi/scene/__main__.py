@@ -1,7 +1,7 @@
-"""python -m vgmpi.scene > docs/scene.md: every key with unit, default and meaning."""
+"""Command python -m vgmpi.scene > docs/scene.md: every key with unit, default and meaning."""
 
 import sys
 
-from .reference import scene_reference
+from .markdown_reference import scene_reference
 
 sys.stdout.write(scene_reference())

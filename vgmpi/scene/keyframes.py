@@ -1,16 +1,18 @@
-"""What all keyframes of a scene have in common: their times."""
+"""Times of keyframes."""
 
 from typing import Annotated, Any
 
-from vgmpi.tables import Quantity
+from vgmpi.runtime.config.schema import Quantity
 
 Time = Annotated[float, Quantity("s", gt=0)]
 
 
-def ascending(keys: Any, path: tuple) -> list[tuple[tuple, str]]:
-    """(path, text) for every keyframe of a list that is not later than the one before. Looks at raw
-    values; those that are no times are complained of by their tables."""
-    found: list[tuple[tuple, str]] = []
+def validate_ascending_times(keys: Any, path: tuple) -> list[tuple[tuple, str]]:
+    """Return (path, message) for every keyframe of a list that is not later than the one before.
+
+    Raw values are compared; values that are no times are reported by their own tables.
+    """
+    errors: list[tuple[tuple, str]] = []
     before: float | None = None
     for k, key in enumerate(keys if isinstance(keys, list) else []):
         try:
@@ -19,7 +21,7 @@ def ascending(keys: Any, path: tuple) -> list[tuple[tuple, str]]:
             before = None
             continue
         if before is not None and time <= before:
-            said = f"must be later than the keyframe before, {before:g} s; got {time:g} s"
-            found.append(((*path, k, "time"), said))
+            message = f"must be later than the keyframe before, {before:g} s; got {time:g} s"
+            errors.append(((*path, k, "time"), message))
         before = time
-    return found
+    return errors

@@ -1,20 +1,21 @@
-"""Loads of a scene: what pushes a body, where, how strongly and when."""
+"""Loads of a scene: forces, pressures and impulses on bodies."""
 
 import math
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator
 
-from vgmpi.scene.forms import Shape, shape_complaints
-from vgmpi.scene.objects import body_complaint, one_complaint
-from vgmpi.tables import Quantity, Table
+from vgmpi.runtime.config.schema import Quantity, StrictModel
+
+from .objects import validate_body_name, validate_exactly_one
+from .shapes import Shape, validate_shape
 
 Newton = Annotated[float, Quantity("N")]
 NewtonSecond = Annotated[float, Quantity("N s")]
 Acceleration = Annotated[float, Quantity("m/s2")]
 Speed = Annotated[float, Quantity("m/s")]
-Turning = Annotated[float, Quantity("rad/s")]
-# axis and side of each face; a pressure on it pushes the other way
+AngularVelocity = Annotated[float, Quantity("rad/s")]
+# Axis and side of each face; a pressure on it acts in the opposite direction.
 FACES = {
     "west": (0, -1),
     "east": (0, 1),
@@ -23,19 +24,20 @@ FACES = {
     "bottom": (2, -1),
     "top": (2, 1),
 }
-LASTING = ("force", "pressure", "acceleration")
-AT_ONCE = ("impulse", "velocity", "spin")  # given in one step
-STRENGTHS = (*LASTING, *AT_ONCE)
+SUSTAINED = ("force", "pressure", "acceleration")
+IMPULSIVE = ("impulse", "velocity", "spin")  # they act in one step
+STRENGTHS = (*SUSTAINED, *IMPULSIVE)
 
 
 def _listed(value: Any) -> Any:
     return [value] if isinstance(value, str) else value
 
 
-class Load(Table):
-    """A push on bodies, besides gravity: exactly one of force, pressure, acceleration, which last,
-    and impulse, velocity, spin, which are given all at once, `after` a time. It changes the
-    momentum and the energy that ledger.csv shows.
+class Load(StrictModel):
+    """Load on bodies besides gravity: exactly one kind of load.
+
+    force, pressure and acceleration last; impulse, velocity and spin act in one step, `after` a
+    time. A load changes the momentum and the energy that ledger.csv shows.
     """
 
     object: Annotated[tuple[str, ...], BeforeValidator(_listed)]
@@ -51,80 +53,98 @@ class Load(Table):
     face: Literal["west", "east", "south", "north", "bottom", "top"] | None = None
     """where the pressure acts: towards low x, high x, low y, high y, low z, high z"""
     acceleration: tuple[Acceleration, Acceleration, Acceleration] | None = None
-    """of every particle"""
+    """acceleration of every particle"""
     impulse: tuple[NewtonSecond, NewtonSecond, NewtonSecond] | None = None
     """on all of them together, shared by rest volume"""
     velocity: tuple[Speed, Speed, Speed] | None = None
-    """by which that of every particle changes"""
-    spin: tuple[Turning, Turning, Turning] | None = None
-    """angular velocity by which that of all of them changes, about their centre of mass then"""
+    """velocity change of every particle"""
+    spin: tuple[AngularVelocity, AngularVelocity, AngularVelocity] | None = None
+    """change of the angular velocity of all of them, about their centre of mass at that time"""
     ramp: Annotated[float, Quantity("s", ge=0)] = 0.0
     """time in which a load that lasts grows from 0, as half a cosine; 0: at once"""
     after: Annotated[float, Quantity("s", ge=0)] = 0.0
-    """when it begins, or is given: in the step that begins then or comes to it"""
+    """time at which it begins, or acts: in the step that contains this time"""
     until: Annotated[float, Quantity("s", gt=0)] | None = None
     """when a load that lasts ends; default: never"""
 
     @property
     def at_once(self) -> bool:
-        """Whether it is given in one step."""
-        return any(getattr(self, key) is not None for key in AT_ONCE)
+        """Return whether it acts in one step."""
+        return any(getattr(self, key) is not None for key in IMPULSIVE)
 
     def amount(self, t0: float, t1: float, dt: float) -> float:
-        """What it gives between two times [s] that are dt [s] apart, over its full strength [s]; of
-        one that is given at once 1 or 0: the step that holds its time gives it."""
+        """Return the time integral of the load between two times over its full strength [s].
+
+        For an impulsive load this is 1 in the step that contains its time, else 0.
+
+        Args:
+            t0: Start of the step [s].
+            t1: End of the step [s].
+            dt: Length of the step [s].
+        """
         if self.at_once:
             return float(t0 <= self.after < t1)
-        return dt * mean_share(t0, t1, self.ramp, self.after, self.until)
+        return dt * mean_ramp_factor(t0, t1, self.ramp, self.after, self.until)
 
 
-def mean_share(
+def mean_ramp_factor(
     t0: float, t1: float, ramp: float, after: float = 0.0, until: float | None = None
 ) -> float:
-    """Mean over t0 .. t1 [s] of a share that grows from 0 at `after` to 1 as half a cosine.
+    """Return the mean over a step of a factor that grows from 0 to 1 as half a cosine.
 
     The integral is exact, so that the impulse up to a time does not depend on the steps.
+
+    Args:
+        t0: Start of the step [s].
+        t1: End of the step [s].
+        ramp: Duration of the growth [s].
+        after: Time at which it begins [s].
+        until: Time at which the factor drops to 0 [s], or None for never.
     """
     first, last = max(t0, after), t1 if until is None else min(t1, until)
     if last <= first:
         return 0.0
     if first - after >= ramp:
         return (last - first) / (t1 - t0)
-    return (_grown(last - after, ramp) - _grown(first - after, ramp)) / (t1 - t0)
+    return (_ramp_integral(last - after, ramp) - _ramp_integral(first - after, ramp)) / (t1 - t0)
 
 
-def _grown(s: float, ramp: float) -> float:
-    """Integral of (1 - cos(pi t / ramp)) / 2 from 0 to s, of 1 beyond the ramp."""
+def _ramp_integral(s: float, ramp: float) -> float:
+    """Return the integral of (1 - cos(pi t / ramp)) / 2 from 0 to s, of 1 beyond the ramp."""
     if s >= ramp:
         return s - 0.5 * ramp
     return 0.5 * s - 0.5 * ramp / math.pi * math.sin(math.pi * s / ramp)
 
 
-def load_complaints(
+def validate_load(
     raw: dict, load: Load | None, role: dict[str, str] | None
 ) -> list[tuple[tuple, str]]:
-    """(path, text) for what is wrong with one load beside its values. load: as read, None if that
-    failed; role: see objects.body_complaint.
+    """Return (path, message) for errors of one load besides its values.
+
+    Args:
+        raw: Table as read.
+        load: Validated table, or None if that failed.
+        role: Roles of the objects, see `objects.validate_body_name`.
     """
-    found = one_complaint(raw, STRENGTHS, "pushes with nothing")
+    errors = validate_exactly_one(raw, STRENGTHS, "pushes with nothing")
     if "pressure" in raw and "face" not in raw:
-        found.append((("face",), f"required with pressure: one of {', '.join(FACES)}"))
+        errors.append((("face",), f"required with pressure: one of {', '.join(FACES)}"))
     if "face" in raw and "pressure" not in raw:
-        found.append((("face",), "is for pressure only"))
+        errors.append((("face",), "is for pressure only"))
     for key in ("ramp", "until"):
-        if key in raw and not any(strong in raw for strong in LASTING):
-            found.append(((key,), "is for loads that last, this one is given at once"))
+        if key in raw and not any(strength in raw for strength in SUSTAINED):
+            errors.append(((key,), "is for loads that last, this one is given at once"))
     if "region" in raw:
-        found += shape_complaints(raw["region"], ("region",))
+        errors += validate_shape(raw["region"], ("region",))
     if load is None:
-        return found
+        return errors
     if not load.object:
-        found.append((("object",), "names no object"))
+        errors.append((("object",), "names no object"))
     if load.until is not None and load.until <= load.after:
-        said = f"must be later than after = {load.after:g} s; got {load.until:g} s"
-        found.append((("until",), said))
-    for place, name in enumerate(load.object):
-        said = body_complaint(name, role)
-        path = ("object", place) if isinstance(raw["object"], list) else ("object",)
-        found += [(path, said)] if said else []
-    return found
+        message = f"must be later than after = {load.after:g} s; got {load.until:g} s"
+        errors.append((("until",), message))
+    for index, name in enumerate(load.object):
+        message = validate_body_name(name, role)
+        path = ("object", index) if isinstance(raw["object"], list) else ("object",)
+        errors += [(path, message)] if message else []
+    return errors

@@ -1,4 +1,4 @@
-"""What can stand in a scene: objects from Gaussians, meshes and shapes, and how they are placed."""
+"""Objects of a scene, made of Gaussians, meshes or shapes, and their placement."""
 
 import math
 import re
@@ -7,16 +7,25 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, model_validator
 
-from vgmpi.misspelt import nearest
-from vgmpi.scene.forms import Axis, Corners, Shape, Sphere, shape_complaints
-from vgmpi.scene.keyframes import Time
-from vgmpi.scene.motion import Motion, motion_complaints
-from vgmpi.tables import Colour, Length, Point, Positive, Quantity, Share, Table
+from vgmpi.runtime.config.schema import (
+    Colour,
+    Length,
+    Point,
+    Positive,
+    Quantity,
+    Share,
+    StrictModel,
+)
+from vgmpi.runtime.suggestions import did_you_mean
+
+from .keyframes import Time
+from .rigid_motion import Motion, validate_motion
+from .shapes import Axis, Corners, Shape, Sphere, validate_shape
 
 SOURCES = ("gaussians", "mesh", "shape")
 SIZES = ("height", "width", "depth", "scale")
 PER_CELL = (1, 8, 27, 64)
-OF_BODIES = (
+BODY_ONLY_KEYS = (
     "material",
     "velocity",
     "spin",
@@ -33,8 +42,8 @@ OF_BODIES = (
     "release",
     "released_by",
 )
-# what a body that is driven does not have: it moves as it is told, and shares its space with none
-NOT_DRIVEN = ("velocity", "spin", "mode", "fraction", "fraction_profile")
+# Keys that a body with prescribed motion cannot have: it neither moves freely nor shares space.
+KEYS_EXCLUDED_BY_MOTION = ("velocity", "spin", "mode", "fraction", "fraction_profile")
 
 Velocity = tuple[
     Annotated[float, Quantity("m/s")],
@@ -50,21 +59,21 @@ Spin = tuple[
 
 
 def checked_name(value: Any) -> str:
-    """A name that can stand in messages and file names."""
+    """Return a name that can stand in messages and file names; raise ValueError for others."""
     if not isinstance(value, str) or not re.fullmatch(r"[^\W\d][\w -]*", value):
         raise ValueError("must begin with a letter and hold letters, digits, spaces, _ and - only")
     return value
 
 
 def per_cell(value: Any) -> int:
-    """Particles per cell, a cube of a whole number."""
+    """Return a number of particles per cell that is a cube; raise ValueError for others."""
     if isinstance(value, bool) or value not in PER_CELL:
         raise ValueError("must be 1, 8, 27 or 64: a whole number of particles per cell and axis")
     return int(value)
 
 
-class Select(Table):
-    """Which Gaussians of a capture to keep; lengths are in the file's own units and axes."""
+class Select(StrictModel):
+    """Selection of Gaussians of a capture; lengths are in the file's own units and axes."""
 
     box: Corners | None = None
     """keep those inside: lower and upper corner"""
@@ -77,8 +86,8 @@ class Select(Table):
     cloud's mean (2 .. 4 removes floaters); 0: keep all"""
 
 
-class Rotation(Table):
-    """A turn about an axis through the object."""
+class Rotation(StrictModel):
+    """Rotation about an axis through the object."""
 
     axis: Axis
     """"x", "y", "z" or three numbers"""
@@ -86,8 +95,8 @@ class Rotation(Table):
     """right-handed angle"""
 
 
-class Mode(Table):
-    """A wave of velocities at the start: amplitude sin(wave . x + phase)."""
+class VelocityMode(StrictModel):
+    """Wave of velocities at the start: amplitude sin(wave . x + phase)."""
 
     amplitude: Velocity
     """largest velocity"""
@@ -97,18 +106,18 @@ class Mode(Table):
     """"90 deg" makes the sine a cosine"""
 
 
-class Profile(Table):
-    """A share that changes along one axis: straight lines between points, constant beyond them."""
+class FractionProfile(StrictModel):
+    """Volume fraction that changes along one axis, piecewise linear, constant beyond its points."""
 
     axis: Literal["x", "y", "z"]
-    """along which it changes"""
+    """axis along which it changes"""
     at: tuple[Length, ...]
     """ascending positions in the domain, two or more"""
     share: tuple[Share, ...]
-    """the share at each of them; no particles where it is 0"""
+    """volume fraction at each of them; no particles where it is 0"""
 
     @model_validator(mode="after")
-    def _matches(self) -> "Profile":
+    def _matches(self) -> "FractionProfile":
         if len(self.at) < 2 or len(self.at) != len(self.share):
             raise ValueError("at and share must be of one length, 2 or more")
         if any(a >= b for a, b in zip(self.at, self.at[1:])):
@@ -120,8 +129,8 @@ def _listed(value: Any) -> Any:
     return [value] if isinstance(value, dict) else value
 
 
-class Object(Table):
-    """One thing in the scene: exactly one of gaussians, mesh, shape."""
+class Object(StrictModel):
+    """Object of the scene: exactly one of gaussians, mesh, shape."""
 
     name: Annotated[str, BeforeValidator(checked_name)]
     """unique name: letters, digits, spaces, _ and -, beginning with a letter"""
@@ -156,17 +165,17 @@ class Object(Table):
     """instead of `position`: where the origin of its own coordinates comes to lie. Parts of one
     capture stay together with the same scale, rotation and origin. Default for shapes: 0, 0, 0"""
     velocity: Velocity = (0.0, 0.0, 0.0)
-    """at the start"""
+    """velocity at the start"""
     spin: Spin = (0.0, 0.0, 0.0)
     """angular velocity at the start, about the centre of mass"""
-    mode: Annotated[tuple[Mode, ...], BeforeValidator(_listed)] = ()
+    mode: Annotated[tuple[VelocityMode, ...], BeforeValidator(_listed)] = ()
     """waves of velocity at the start, besides velocity and spin: { amplitude, wave, phase } or a
     list of them"""
     fraction: Annotated[float, Quantity("", gt=0, le=1)] = 1.0
-    """share of the space it lies in that is its own: where two objects lie over each other, their
-    shares should add up to 1. Its particles' volumes and masses are scaled by it"""
-    fraction_profile: Profile | None = None
-    """instead of `fraction`: { axis, at, share }, a share that changes along an axis"""
+    """volume fraction: where two objects overlap, their fractions should add up to 1. The volumes
+    and masses of its particles are scaled by it"""
+    fraction_profile: FractionProfile | None = None
+    """instead of `fraction`: { axis, at, share }, a volume fraction that changes along an axis"""
     compressed: Literal["no", "hydrostatic"] = "no"
     """fluids only. hydrostatic: at rest under gravity from the start, the pressure is the weight of
     the fluid between each particle and the object's top; without it a deep pool first bounces"""
@@ -207,159 +216,169 @@ class Object(Table):
     collider: bool = False
     """scenery only: bodies collide with it"""
     motion: Motion | None = None
-    """how a collider or a body moves, whatever meets it. A body that is driven deforms no more and
-    gives way to nothing; when its motion ends it goes on by itself, with the velocity it has then.
-    A collider without it is at rest"""
+    """prescribed motion of a collider or a body, independent of contact. A body with prescribed
+    motion is rigid; when its motion ends it moves on freely, with its velocity at that time. A
+    collider without it is at rest"""
     frozen_until: Time | None = None
-    """bodies only, of any material: it stays where and as it is until then, whatever meets it, and
-    is let go. What it shall begin with is a load that is given `after` this time"""
+    """bodies only, of any material: it stays fixed until this time, independent of contact, and is
+    then released. A load `after` this time can give it a velocity"""
     release: Literal["from below", "from above"] | None = None
-    """bodies that are frozen, solids excepted: let go one layer of a cell after the other, from
+    """frozen bodies except solids: released in layers of one cell, one after the other, from
     `frozen_until` on. Default: all at once"""
     released_by: Time | None = None
-    """with `release`: when the last layer is let go"""
+    """with `release`: time at which the last layer is released"""
     friction: Annotated[float, Quantity("", ge=0)] | None = None
     """colliders only: Coulomb friction of all that slides on it. Default: that of what slides on
     its own material"""
 
     @property
     def source(self) -> str:
-        """Which of gaussians, mesh, shape it is made from."""
+        """Return which of gaussians, mesh, shape it is made from."""
         return next(key for key in SOURCES if getattr(self, key) is not None)
 
     @property
     def driven(self) -> bool:
-        """Whether it is a body that is moved, or held, whatever meets it."""
+        """Return whether it is a body with prescribed motion, or frozen for a time."""
         moves = self.motion is not None or self.frozen_until is not None
         return self.role == "body" and moves
 
     @property
     def speed(self) -> float:
-        """[m/s] A bound on its speed at the start, its spin aside."""
+        """Return an upper bound [m/s] of its speed at the start, without its spin."""
         return math.hypot(*self.velocity) + sum(math.hypot(*m.amplitude) for m in self.mode)
 
     @property
-    def drawn_from(self) -> float:
-        """The faintest contribution that is drawn."""
+    def alpha_threshold(self) -> float:
+        """Return the opacity below which a contribution is not drawn."""
         if self.alpha_min is not None:
             return self.alpha_min
-        return drawn_from(self.opacity_scale)
+        return default_alpha_min(self.opacity_scale)
 
 
-def drawn_from(opacity_scale: float) -> float:
-    """The faintest contribution that is drawn where nothing else is asked for."""
+def default_alpha_min(opacity_scale: float) -> float:
+    """Return the default opacity below which a contribution is not drawn."""
     return 1 / 255 if opacity_scale >= 0.1 else 1e-4
 
 
-def body_complaint(name: Any, role: dict[str, str] | None) -> str:
-    """Why `name` is not the name of a body, or nothing. role: of each object by its name, None
-    where the names are not known for errors in them.
+def validate_body_name(name: Any, role: dict[str, str] | None) -> str:
+    """Return why `name` is not the name of a body, or an empty text.
+
+    Args:
+        name: Name to check.
+        role: Role of each object by its name, or None if the names are unknown because of errors.
     """
     if role is None or not isinstance(name, str):
         return ""
     if name not in role:
-        return f"there is no object '{name}'{nearest(name, role)}; known: {', '.join(role)}"
+        return f"there is no object '{name}'{did_you_mean(name, role)}; known: {', '.join(role)}"
     return "" if role[name] == "body" else f"'{name}' is scenery: it has no mass and does not move"
 
 
-def one_complaint(raw: dict, keys: Iterable[str], without: str) -> list[tuple[tuple, str]]:
-    """(path, text) where not exactly one of `keys` is given; without: what a table lacks then."""
-    given = [key for key in keys if key in raw]
-    if not given:
+def validate_exactly_one(raw: dict, keys: Iterable[str], without: str) -> list[tuple[tuple, str]]:
+    """Return (path, message) where not exactly one of `keys` is present.
+
+    Args:
+        raw: Table as read.
+        keys: Keys that exclude each other.
+        without: Text about a table that has none of them.
+    """
+    present = [key for key in keys if key in raw]
+    if not present:
         return [((), f"{without}: give one of {', '.join(keys)}")]
-    if len(given) > 1:
-        return [((given[1],), f"{' and '.join(given)} given at once: give exactly one")]
+    if len(present) > 1:
+        return [((present[1],), f"{' and '.join(present)} given at once: give exactly one")]
     return []
 
 
-def object_complaints(raw: dict) -> list[tuple[tuple, str]]:
-    """(path, text) for every pair of keys of one object that do not go together.
+def validate_object(raw: dict) -> list[tuple[tuple, str]]:
+    """Return (path, message) for every pair of keys of one object that exclude each other.
 
-    Looks at which keys are there, not at their values, so that it works on a table that has other
-    errors.
+    Only the presence of keys is looked at, not their values, so that it works on a table that has
+    other errors.
     """
-    found: list[tuple[tuple, str]] = []
+    errors: list[tuple[tuple, str]] = []
     sources = [key for key in SOURCES if key in raw]
-    found += one_complaint(raw, SOURCES, "has no source")
+    errors += validate_exactly_one(raw, SOURCES, "has no source")
     sizes = [key for key in SIZES if key in raw]
     if len(sizes) > 1:
-        found.append(((sizes[1],), f"{' and '.join(sizes)} given at once: give one"))
+        errors.append(((sizes[1],), f"{' and '.join(sizes)} given at once: give one"))
     if "position" in raw and "origin" in raw:
-        found.append((("origin",), "position and origin given at once: give one"))
+        errors.append((("origin",), "position and origin given at once: give one"))
     if sources and "shape" not in raw and "position" not in raw and "origin" not in raw:
-        found.append(((), "needs a position (of the middle of its base) or an origin"))
+        errors.append(((), "needs a position (of the middle of its base) or an origin"))
     if sources == ["shape"]:
-        found += shape_complaints(raw["shape"], ("shape",))
+        errors += validate_shape(raw["shape"], ("shape",))
     for key in ("select", "fill"):
         if key in raw and sources and "gaussians" not in raw:
-            found.append(((key,), f"is only for objects made of gaussians, not of a {sources[0]}"))
-    found += _prune_complaints(raw, sources)
+            errors.append(((key,), f"is only for objects made of gaussians, not of a {sources[0]}"))
+    errors += _validate_pruning(raw, sources)
     scenery = raw.get("role") == "scenery"
     if scenery:
-        for key in OF_BODIES:
+        for key in BODY_ONLY_KEYS:
             if key in raw:
-                found.append(((key,), "is not for scenery: it has no mass and does not move"))
+                errors.append(((key,), "is not for scenery: it has no mass and does not move"))
     elif "material" not in raw:
-        found.append((("material",), "required key is missing: what the body is made of"))
+        errors.append((("material",), "required key is missing: what the body is made of"))
     if "fraction" in raw and "fraction_profile" in raw:
-        said = "fraction and fraction_profile given at once: give one"
-        found.append((("fraction_profile",), said))
+        message = "fraction and fraction_profile given at once: give one"
+        errors.append((("fraction_profile",), message))
     if raw.get("collider") is True and not scenery:
-        found.append((("collider",), 'is only for role = "scenery": bodies collide anyway'))
+        errors.append((("collider",), 'is only for role = "scenery": bodies collide anyway'))
     collider = raw.get("collider") is True
     if "friction" in raw and not collider:
-        found.append((("friction",), "is only for scenery with collider = true"))
+        errors.append((("friction",), "is only for scenery with collider = true"))
     if "motion" in raw and scenery and not collider:
-        found.append((("motion",), "is for bodies, and for scenery with collider = true"))
-    found += motion_complaints(raw.get("motion"), ("motion",))
-    return found + ([] if scenery else _driven_complaints(raw))
+        errors.append((("motion",), "is for bodies, and for scenery with collider = true"))
+    errors += validate_motion(raw.get("motion"), ("motion",))
+    return errors + ([] if scenery else _validate_prescribed(raw))
 
 
-def _driven_complaints(raw: dict) -> list[tuple[tuple, str]]:
-    """(path, text) for keys of a body that do not go with its motion, or with its being frozen."""
-    found: list[tuple[tuple, str]] = []
+def _validate_prescribed(raw: dict) -> list[tuple[tuple, str]]:
+    """Return (path, message) for keys that exclude a body's motion, or its being frozen."""
+    errors: list[tuple[tuple, str]] = []
     driven = [key for key in ("motion", "frozen_until") if key in raw]
     if len(driven) > 1:
-        said = "motion and frozen_until given at once: give one"
-        found.append((("frozen_until",), said))
-    for key in NOT_DRIVEN if driven else ():
+        message = "motion and frozen_until given at once: give one"
+        errors.append((("frozen_until",), message))
+    for key in KEYS_EXCLUDED_BY_MOTION if driven else ():
         if key not in raw:
             continue
-        said = f"is not for a body with {driven[0]}: until it is let go it "
-        told = "moves as that says" if driven[0] == "motion" else "stays where it is"
-        said += "shares its space with none" if "fraction" in key else told
+        message = f"is not for a body with {driven[0]}: until it is let go it "
+        motion = "moves as that says" if driven[0] == "motion" else "stays where it is"
+        message += "shares its space with none" if "fraction" in key else motion
         if key in ("velocity", "spin") and driven == ["frozen_until"]:
-            said += f"; [[load]] {key} with after = frozen_until gives it one then"
-        found.append(((key,), said))
+            message += f"; [[load]] {key} with after = frozen_until gives it one then"
+        errors.append(((key,), message))
     for key, other in (("release", "frozen_until"), ("released_by", "release")):
         if key in raw and other not in raw:
-            found.append(((key,), f"is only for bodies with {other}"))
+            errors.append(((key,), f"is only for bodies with {other}"))
     if "release" in raw and "released_by" not in raw:
-        found.append((("release",), "needs released_by: when the last layer is let go"))
-    return found
+        errors.append((("release",), "needs released_by: when the last layer is let go"))
+    return errors
 
 
-def release_complaints(thing: Object, family: str) -> list[tuple[str, str]]:
-    """(key, text) for what keeps a body of a family from being let go as it is asked to be."""
-    found, first, last = [], thing.frozen_until, thing.released_by
-    if thing.release is not None and family == "solid":
-        found.append(("release", "is not for solids: their layers would come apart"))
+def validate_release(obj: Object, family: str) -> list[tuple[str, str]]:
+    """Return (key, message) for what forbids releasing a body of a material family in layers."""
+    errors, first, last = [], obj.frozen_until, obj.released_by
+    if obj.release is not None and family == "solid":
+        errors.append(("release", "is not for solids: their layers would come apart"))
     if first is not None and last is not None and last <= first:
-        said = f"must be later than frozen_until = {first:g} s; got {last:g} s"
-        found.append(("released_by", said))
-    return found
+        message = f"must be later than frozen_until = {first:g} s; got {last:g} s"
+        errors.append(("released_by", message))
+    return errors
 
 
-def _prune_complaints(raw: dict, sources: list[str]) -> list[tuple[tuple, str]]:
-    how, found = raw.get("prune", "off"), []
-    if how != "off" and sources == ["shape"]:
-        found.append((("prune",), "is only for objects made of gaussians or a mesh"))
-    if how == "paper" and "prune_scale" not in raw:
-        found.append((("prune",), "needs prune_scale: the paper keeps shares by a volume scale"))
-    if "prune_scale" in raw and how != "paper" and raw.get("prune") != "off":
-        found.append((("prune_scale",), 'is only for prune = "paper"'))
-    if how == "off" and raw.get("passive") is True:
-        found.append((("passive",), 'needs prune = "auto" or "paper": what is pruned rides along'))
+def _validate_pruning(raw: dict, sources: list[str]) -> list[tuple[tuple, str]]:
+    """Return (path, message) for keys about pruning that do not go together."""
+    mode, errors = raw.get("prune", "off"), []
+    if mode != "off" and sources == ["shape"]:
+        errors.append((("prune",), "is only for objects made of gaussians or a mesh"))
+    if mode == "paper" and "prune_scale" not in raw:
+        errors.append((("prune",), "needs prune_scale: the paper keeps shares by a volume scale"))
+    if "prune_scale" in raw and mode != "paper" and raw.get("prune") != "off":
+        errors.append((("prune_scale",), 'is only for prune = "paper"'))
+    if mode == "off" and raw.get("passive") is True:
+        errors.append((("passive",), 'needs prune = "auto" or "paper": what is pruned rides along'))
     if "fraction_profile" in raw and raw.get("passive") is True:
-        found.append((("passive",), "is not for objects with a fraction_profile"))
-    return found
+        errors.append((("passive",), "is not for objects with a fraction_profile"))
+    return errors

@@ -1,22 +1,24 @@
-"""Probes of a scene: what is measured while it runs, where and how often."""
+"""Probes of a scene: quantities measured during the run."""
 
 import math
 from typing import Annotated, Literal
 
 from pydantic import BeforeValidator
 
-from vgmpi.misspelt import nearest
-from vgmpi.scene.objects import Object, body_complaint, checked_name, one_complaint
-from vgmpi.tables import Length, Point, Quantity, Table
+from vgmpi.runtime.config.schema import Length, Point, Quantity, StrictModel
+from vgmpi.runtime.suggestions import did_you_mean
+
+from .objects import Object, checked_name, validate_body_name, validate_exactly_one
 
 KINDS = ("pressure", "level", "velocity", "object", "wall", "collider")
-SIDES = ("west", "east", "south", "north", "floor", "roof")
+WALL_NAMES = ("west", "east", "south", "north", "floor", "roof")
 
 
-class Probe(Table):
-    """A measurement, written to probe_NAME.csv: exactly one of pressure, level, velocity, object,
-    wall, collider. A row is written after the first step at or after each due time, and says its
-    own time: probes do not change the steps.
+class Probe(StrictModel):
+    """Measurement, written to probe_NAME.csv: exactly one quantity.
+
+    It is one of pressure, level, velocity, object, wall, collider. A row is written after the first
+    step at or after each due time, with its own time: probes do not change the steps.
     """
 
     name: Annotated[str, BeforeValidator(checked_name)]
@@ -51,29 +53,31 @@ class Probe(Table):
 
     @property
     def kind(self) -> str:
-        """What it measures."""
-        if self.wall in SIDES:
+        """Return the quantity that it measures."""
+        if self.wall in WALL_NAMES:
             return "one wall"
         return next(kind for kind in KINDS if getattr(self, kind) is not None)
 
     @property
     def feels(self) -> bool:
-        """Whether it asks what a collider or a wall of its own gives."""
-        return self.collider is not None or self.wall in SIDES
+        """Return whether it measures the reaction of a collider or of a single wall."""
+        return self.collider is not None or self.wall in WALL_NAMES
 
     @property
     def period(self) -> float:
-        """Time between rows [s]."""
+        """Return the time between rows [s]."""
         return self.every if self.every is not None else 1.0 / (self.rate or math.inf)
 
     def due(self, before: float, now: float) -> bool:
-        """Whether a row is due after a step from `before` to `now` [s]; from the times alone, so
-        that a resumed run writes the same rows."""
-        # frames land on their times to rounding: a millionth of a period is on time
+        """Return whether a row is due after a step from `before` to `now` [s].
+
+        It depends on the times alone, so that a resumed run writes the same rows.
+        """
+        # Frames hit their times up to rounding: a millionth of a period counts as on time.
         return math.floor(now / self.period + 1e-6) > math.floor(before / self.period + 1e-6)
 
 
-def probe_complaints(
+def validate_probe(
     raw: dict,
     probe: Probe | None,
     role: dict[str, str] | None,
@@ -81,51 +85,56 @@ def probe_complaints(
     fluid: bool,
     colliders: list[str] | None,
 ) -> list[tuple[tuple, str]]:
-    """(path, text) for what is wrong with one probe beside its values. probe: as read, None if
-    that failed; role: see objects.body_complaint; size: of the domain [m]; fluid: is there any;
-    colliders: names, or None where they are not known.
+    """Return (path, message) for errors of one probe besides its values.
+
+    Args:
+        raw: Table as read.
+        probe: Validated table, or None if that failed.
+        role: Roles of the objects, see `objects.validate_body_name`.
+        size: Size of the domain [m].
+        fluid: Whether the scene has a fluid.
+        colliders: Names of the colliders, or None if they are unknown.
     """
-    found = one_complaint(raw, KINDS, "measures nothing")
+    errors = validate_exactly_one(raw, KINDS, "measures nothing")
     if "rate" not in raw and "every" not in raw:
-        found.append(((), "needs a rate or an every"))
+        errors.append(((), "needs a rate or an every"))
     if "rate" in raw and "every" in raw:
-        found.append((("every",), "rate and every given at once: give one"))
+        errors.append((("every",), "rate and every given at once: give one"))
     if probe is None:
-        return found
-    said = body_complaint(probe.object, role)
-    found += [(("object",), said)] if said else []
-    said = _collider_complaint(probe.collider, role, colliders)
-    found += [(("collider",), said)] if said else []
+        return errors
+    message = validate_body_name(probe.object, role)
+    errors += [(("object",), message)] if message else []
+    message = _validate_collider_name(probe.collider, role, colliders)
+    errors += [(("collider",), message)] if message else []
     for key in ("pressure", "level", "velocity"):
         point = getattr(probe, key)
         if point is None:
             continue
         if key != "velocity" and not fluid:
-            found.append(((key,), "is for fluids, and there is none"))
+            errors.append(((key,), "is for fluids, and there is none"))
         for axis, x in enumerate(point if size else ()):
             if not 0 <= x <= size[axis]:
-                said = f"lies outside the domain, 0 .. {size[axis]:g} m; got {x:g} m"
-                found.append(((key, axis), said))
-    return found
+                message = f"lies outside the domain, 0 .. {size[axis]:g} m; got {x:g} m"
+                errors.append(((key, axis), message))
+    return errors
 
 
 def collider_names(objects: list[Object | None]) -> list[str] | None:
-    """Names of the colliders among objects as read, and of the bodies that are driven; None where
-    one failed."""
+    """Return the names of colliders and of prescribed bodies, or None if an object is invalid."""
     if None in objects:
         return None
-    return [thing.name for thing in objects if thing is not None and _pushes(thing)]
+    return [obj.name for obj in objects if obj is not None and _is_rigid(obj)]
 
 
-def _pushes(thing: Object) -> bool:
-    """Whether nothing turns it aside."""
-    return thing.collider or thing.driven
+def _is_rigid(obj: Object) -> bool:
+    """Return whether nothing deflects it."""
+    return obj.collider or obj.driven
 
 
-def _collider_complaint(
+def _validate_collider_name(
     name: str | None, role: dict[str, str] | None, colliders: list[str] | None
 ) -> str:
-    """Why `name` is not the name of a collider, or nothing."""
+    """Return why `name` is not the name of a collider, or an empty text."""
     if name is None or role is None or colliders is None or name in colliders:
         return ""
     if name in role:
@@ -133,5 +142,5 @@ def _collider_complaint(
             f"'{name}' is no collider: scenery with collider = true is, and a body with motion or"
             " frozen_until"
         )
-    known = f"known: {', '.join(colliders)}" if colliders else "there is none"
-    return f"there is no collider '{name}'{nearest(name, colliders)}; {known}"
+    valid = f"known: {', '.join(colliders)}" if colliders else "there is none"
+    return f"there is no collider '{name}'{did_you_mean(name, colliders)}; {valid}"

@@ -1,33 +1,27 @@
-"""What a scene file says, as typed, checked, frozen tables."""
+"""Content of a scene file as typed, checked, frozen tables."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from vgmpi.couplings.base import MIXING
-from vgmpi.scene.loads import Load
-from vgmpi.scene.objects import Object
-from vgmpi.scene.probes import Probe
-from vgmpi.scene.settings import (
-    SECTIONS,
-    Accuracy,
-    Appearance,
-    Domain,
-    Output,
-    Time,
-)
-from vgmpi.scene.sources import Inflow, Sink
-from vgmpi.source import Source, printable
-from vgmpi.tables import SceneError
+from vgmpi.materials.couplings.interaction import MIXING
+from vgmpi.runtime.config.schema import SceneError
+from vgmpi.runtime.config.toml_source import TomlSource, escape_control_characters
+
+from .inlets_outlets import Inlet, Outlet
+from .loads import Load
+from .objects import Object
+from .probes import Probe
+from .sections import SECTIONS, Accuracy, Appearance, Domain, Output, Time
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Everything a scene file says, with defaults filled in. SI units.
+    """Content of a scene file with defaults filled in, in SI units.
 
-    `object`, `inflow` and `coupling` are in file order; `folder` is where the file lies; `text`
-    is its text, without the overrides, which `overrides` lists.
+    `object`, `inflow` and `coupling` are in file order; `folder` contains the file; `text` is the
+    file's text without the overrides, which `overrides` lists.
     """
 
     path: Path
@@ -42,50 +36,54 @@ class Scene:
     coupling: tuple[Any, ...] = ()
     load: tuple[Load, ...] = ()
     probe: tuple[Probe, ...] = ()
-    inflow: tuple[Inflow, ...] = ()  # [[source]]
-    sink: tuple[Sink, ...] = ()
+    inflow: tuple[Inlet, ...] = ()  # [[source]]
+    sink: tuple[Outlet, ...] = ()
     appearance: Appearance = Appearance()
     accuracy: Accuracy = Accuracy()
     output: Output = Output()
-    files: dict[str, Path] = field(default_factory=dict)  # of each object that has one, by its name
+    files: dict[str, Path] = field(
+        default_factory=dict
+    )  # file of each object that has one, by object name
     overrides: tuple[str, ...] = ()
-    source: Source | None = field(default=None, repr=False, compare=False)
+    source: TomlSource | None = field(default=None, repr=False, compare=False)
 
     @property
-    def things(self) -> tuple[Object | Inflow, ...]:
-        """Objects, then sources: all that particles can be of."""
+    def things(self) -> tuple[Object | Inlet, ...]:
+        """Return objects, then inlets: all entities that particles can belong to."""
         return (*self.object, *self.inflow)
 
     @property
-    def flows(self) -> bool:
-        """Whether particles come or go."""
+    def is_open_system(self) -> bool:
+        """Return whether particles enter or leave the domain."""
         return bool(self.inflow or self.sink or self.domain.open_walls)
 
-    def phase_of(self, thing: Object | Inflow) -> str | None:
-        """Name of the velocity field a body shares; None for scenery."""
-        if thing.material is None:
+    def phase_of(self, entity: Object | Inlet) -> str | None:
+        """Return the name of the velocity field of a body or inlet; None for scenery."""
+        if entity.material is None:
             return None
-        return phase_of(thing, self.material[thing.material].family, mixed(self.coupling))
+        return phase_of(
+            entity, self.material[entity.material].family, miscible_materials(self.coupling)
+        )
 
-    def error(self, found: list[tuple[tuple, str]]) -> SceneError:
-        """The error for (path of a key, what is wrong with it), found after loading."""
-        source = self.source or Source(self.path, self.overrides)
-        return SceneError(source.lines(found))
+    def error(self, errors: list[tuple[tuple, str]]) -> SceneError:
+        """Return the exception for (path of a key, message) pairs found after loading."""
+        source = self.source or TomlSource(self.path, self.overrides)
+        return SceneError(source.lines(errors))
 
     def place(self, path: tuple) -> str:
-        """A key and where it stands, or what holds it: "material.water.gamma (scene.toml:12)"."""
-        source = self.source or Source(self.path, self.overrides)
-        return printable(f"{source.key(path)} ({source.place(path)[1]})")
+        """Return a key with its location: "material.water.gamma (scene.toml:12)"."""
+        source = self.source or TomlSource(self.path, self.overrides)
+        return escape_control_characters(f"{source.key(path)} ({source.place(path)[1]})")
 
-    def resolved(self) -> dict[str, Any]:
-        """Everything with defaults filled in, as plain JSON values."""
+    def to_json(self) -> dict[str, Any]:
+        """Return all values, with defaults filled in, as plain JSON values."""
         tables = {name: getattr(self, name).model_dump(mode="json") for name in SECTIONS}
-        # left out where there are none, as in runs begun before they could be
-        some = {"source": self.inflow, "sink": self.sink}
+        # Empty lists are left out, as in runs older than these tables.
+        entities = {"source": self.inflow, "sink": self.sink}
         flows = {
-            name: [x.model_dump(mode="json", exclude_none=True) for x in found]
-            for name, found in some.items()
-            if found
+            name: [x.model_dump(mode="json", exclude_none=True) for x in items]
+            for name, items in entities.items()
+            if items
         }
         return {
             "title": self.title,
@@ -100,13 +98,24 @@ class Scene:
         }
 
 
-def phase_of(thing: Object | Inflow, family: str, mixed: frozenset[str] = frozenset()) -> str:
-    """Name of the velocity field a body shares: all fluids one, but those of a material that is
-    `mixed` with another; all sand, all snow one each; every solid its own."""
-    alone = {"solid": thing.name, "fluid": thing.material if thing.material in mixed else family}
-    return thing.phase or alone.get(family, family)
+def phase_of(entity: Object | Inlet, family: str, mixed: frozenset[str] = frozenset()) -> str:
+    """Return the name of the velocity field of a body or inlet.
+
+    All fluids share one, except materials in `mixed`, which mix with another; all sand and all snow
+    share one each; every solid has its own.
+
+    Args:
+        entity: Object or inlet.
+        family: Family of its material.
+        mixed: Names of the materials that mix with others.
+    """
+    by_family = {
+        "solid": entity.name,
+        "fluid": entity.material if entity.material in mixed else family,
+    }
+    return entity.phase or by_family.get(family, family)
 
 
-def mixed(couplings: Iterable[Any]) -> frozenset[str]:
-    """Names of the materials that mix with others. couplings: tables of the scene."""
+def miscible_materials(couplings: Iterable[Any]) -> frozenset[str]:
+    """Return the names of the materials that mix with others, from the couplings of a scene."""
     return frozenset(name for c in couplings if c.rule == MIXING for name in c.between)

@@ -1,4 +1,4 @@
-"""A run from scene to files: prepare, plan, step, write, stop."""
+"""Driver of a run, from scene to files: prepare, plan, step, write, stop."""
 
 import contextlib
 import logging
@@ -11,27 +11,35 @@ from pathlib import Path
 
 import numpy as np
 
-from ..domain.ranks import Alone
-from ..output import checkpoint, layout, owner
-from ..output.frames import Frames
-from ..output.ledger import Ledger, Rows, ledger_columns
-from ..output.ledger import check as check_tables
-from ..output.read import identity
-from ..planning.plan import Plan
-from ..planning.price import describe
-from ..prepare.motion import gradient
-from ..scene.resume import changes, may_change
-from ..scene.scene import Scene
-from .bounds import check_attrs
-from .engines import CARD, ENGINES
-from .prepared import Known, keep, on_all, plan_for, prepare, share
-from .probes import Probes, files
-from .requests import Requests
-from .state import frame_rows, restore, save
+from vgmpi.io import checkpoint, file_layout, run_lock
+from vgmpi.io.csv_log import ConservationLog, CsvLog, ledger_columns
+from vgmpi.io.csv_log import verify_logs as check_tables
+from vgmpi.io.frames import Frames
+from vgmpi.io.run_reader import particle_set_id
+from vgmpi.parallel.communicator import SerialCommunicator
+from vgmpi.planning.cost.plan_report import format_plan
+from vgmpi.planning.plan import Plan
+from vgmpi.preprocess.initial_velocity import initial_velocity_gradient
+from vgmpi.scene.resume_rules import forbidden_changes, may_change
+from vgmpi.scene.scene import Scene
+from vgmpi.solver.diagnostics.conservation import conservation_rows
+from vgmpi.solver.diagnostics.probe_sampling import Probes, files
+from vgmpi.solver.restart.checkpoint_validation import check_attrs
+from vgmpi.solver.restart.state_io import frame_rows, restore, save
+
+from .compile_kernels import compile_kernels
+from .engine_registry import CARD, ENGINES
+from .initial_particles import (
+    ParticleSummary,
+    on_all,
+    plan_for,
+    prepare,
+    rows_of_this_rank,
+    write_initial_particles,
+)
 from .step import BlowUp, Simulation
+from .stop_requests import Requests
 from .timestep import next_step
-from .warm import warm
-from .watch import ledger
 
 log = logging.getLogger("vgmpi")
 
@@ -40,32 +48,34 @@ DONE, BLEW_UP, STOPPED = 0, 3, 75
 
 @dataclass
 class Options:
-    """How to run, beyond what the scene says."""
+    """Options of a run beyond what the scene says."""
 
     folder: Path | None  # None: nothing is written
     threads: int = 1
-    engine: str = "cpu"  # see solver.engines
+    engine: str = "cpu"  # name of an engine, see solver.engines
     resume: str | None = None  # a checkpoint's path; "": the newest valid one; None: from the start
-    stop_steps: int = 0
-    stop_seconds: float = 0.0
-    overwrite: bool = False  # replace a run that lies in the folder
+    stop_steps: int = 0  # [steps] of this run until it stops, 0 for no limit
+    stop_seconds: float = 0.0  # [s] wall time until it stops, 0 for no limit
+    overwrite: bool = False  # replace an existing run in the folder
     change: bool = False  # resume although the scene has changed
     listeners: list = field(default_factory=list)  # each called with (simulation) after every step
     watchers: list = field(default_factory=list)  # each called with (run) at every frame
 
 
-class Unfit(ValueError):
-    """Options that do not go together, or not with these ranks."""
+class InvalidRunOptions(ValueError):
+    """Error of options that exclude each other or do not suit the ranks."""
 
 
-def check(options: Options, ranks: Alone) -> None:
-    """Raises Unfit, before any work is done for a run that cannot be."""
+def check(options: Options, ranks: SerialCommunicator) -> None:
+    """Raise InvalidRunOptions before any work is done for options that cannot run."""
     if options.engine not in (*ENGINES, CARD):
-        raise Unfit(f"engine must be one of {', '.join((*ENGINES, CARD))}; got {options.engine!r}")
+        raise InvalidRunOptions(
+            f"engine must be one of {', '.join((*ENGINES, CARD))}; got {options.engine!r}"
+        )
     if options.threads < 1:
-        raise Unfit(f"threads must be at least 1; got {options.threads}")
+        raise InvalidRunOptions(f"threads must be at least 1; got {options.threads}")
     if options.engine == "numpy" and (ranks.size > 1 or options.threads > 1):
-        raise Unfit(
+        raise InvalidRunOptions(
             "engine numpy computes on one rank and one thread; asked for"
             f" {ranks.size} x {options.threads}"
         )
@@ -73,40 +83,54 @@ def check(options: Options, ranks: Alone) -> None:
         _find_card(options, ranks)
 
 
-def _find_card(options: Options, ranks: Alone) -> None:
-    """Choose this rank's card. Raises Unfit, on all ranks, where one of them has none."""
-    said = f"engine cuda has no threads; asked for {options.threads}"
+def _find_card(options: Options, ranks: SerialCommunicator) -> None:
+    """Choose this rank's GPU; raise InvalidRunOptions on all ranks if one of them has none."""
+    problem = f"engine cuda has no threads; asked for {options.threads}"
     if options.threads == 1:
         try:
-            from ..engines.cuda import card
+            from vgmpi.solver.engines.cuda import graphics_card
 
-            said = card.choose(ranks.place, ranks.rank)
+            problem = graphics_card.select_device(ranks.place, ranks.rank)
         except ImportError as error:
-            said = f"engine cuda needs `pip install 'vgmpi[cuda]'`: {error}"
-    missing = ranks.all_rows(np.array([[ranks.rank]] if said else np.zeros((0, 1)), np.int64))
+            problem = f"engine cuda needs `pip install 'vgmpi[cuda]'`: {error}"
+    missing = ranks.all_rows(np.array([[ranks.rank]] if problem else np.zeros((0, 1)), np.int64))
     if len(missing):
         first = int(missing.min())
-        raise Unfit(ranks.bcast(said) or f"engine cuda finds no card on rank {first}")
+        raise InvalidRunOptions(
+            ranks.bcast(problem) or f"engine cuda finds no card on rank {first}"
+        )
 
 
 def begin(
-    scene: Scene, plan: Plan, known: Known, ranks: Alone, options: Options, path: Path | None = None
+    scene: Scene,
+    plan: Plan,
+    summary: ParticleSummary,
+    ranks: SerialCommunicator,
+    options: Options,
+    path: Path | None = None,
 ) -> tuple[Simulation, int]:
-    """The simulation at its start, or at the checkpoint `path` to resume from; and the next frame's
-    number. Collective.
+    """Return the simulation at its start or a checkpoint, and the next frame. Collective.
+
+    Args:
+        scene: The scene.
+        plan: Its plan.
+        summary: Summary of the particles.
+        ranks: Communicator.
+        options: Options of the run.
+        path: Checkpoint from which the run goes on, or None.
     """
     if options.engine == "cpu":
-        warm(plan, ranks)
+        compile_kernels(plan, ranks)
     simulation = Simulation(
-        plan, ranks, known.colliders, options.threads, known.loads, options.engine
+        plan, ranks, summary.colliders, options.threads, summary.loads, options.engine
     )
     if path is not None:
         with on_all(ranks, path, lambda: checkpoint.open(path)) as saved:
             restore(simulation, saved)
             return simulation, saved.attrs["frame"]
-    ids, rows = share(plan, known, ranks, options.folder)
+    ids, rows = rows_of_this_rank(plan, summary, ranks, options.folder)
     v = rows.get("v0", np.zeros_like(rows["x0"]))
-    C = gradient(scene, rows["x0"], rows["object"])
+    C = initial_velocity_gradient(scene, rows["x0"], rows["object"])
     simulation.put(
         rows["x0"], v, rows["vol0"], ids, rows["object"], rows.get("theta0"), C, rows.get("sh"),
         rows.get("surface0"),
@@ -115,25 +139,26 @@ def begin(
 
 
 class Runner:
-    """One run: its simulation and its files. Collective. Raises BlowUp where not even the step that
-    readies the kernels can be made (warm.py).
+    """One run with its simulation and its files. All methods are collective.
 
-    probes: rows of the scene's probes; frame: number of the next frame; times: of all frames [s],
-    of those that a resumed run has already only their number counts; history: what was changed at
-    resumes; path: of the checkpoint to resume from, or None; particles: their identity
-    (output.read.identity), None where nothing is written.
+    `probes` holds the rows of the scene's probes and `frame` the number of the next frame. `times`
+    are the times of all frames [s]; in a resumed run only the number of the past ones counts.
+    `history` lists what was changed at resumes. `path` is the checkpoint to resume from, or None;
+    `particles` the identity of the particles (output.read.identity), None if nothing is written.
     """
 
     def __init__(
-        self, scene: Scene, plan: Plan, known: Known, ranks: Alone, options: Options,
+        self, scene: Scene, plan: Plan, summary: ParticleSummary, ranks: SerialCommunicator,
+        options: Options,
         path: Path | None = None, history: list[dict] | None = None, particles: int | None = None,
     ):  # fmt: skip
+        """Set up the run; raise BlowUp if not even the step of compile_kernels.py can be made."""
         self.particles = particles
         self.scene, self.plan, self.options, self.ranks = scene, plan, options, ranks
-        self.names = [thing["name"] for thing in known.objects]
+        self.names = [entry["name"] for entry in summary.objects]
         self.history = history or []
         try:
-            self.simulation, self.frame = begin(scene, plan, known, ranks, options, path)
+            self.simulation, self.frame = begin(scene, plan, summary, ranks, options, path)
         except BlowUp as error:
             raise BlowUp(str(error).format(*self.names)) from None
         self.times = _times(plan, self.frame, self.simulation.time)
@@ -144,20 +169,21 @@ class Runner:
         self.first_step = self.simulation.step
         self.requests = Requests(options.stop_steps, options.stop_seconds, scene.output.checkpoint)
         self.warned = False
-        self.opening: list[dict] = []
-        self.latest: list[dict] = []
+        self.initial_conservation: list[dict] = []
+        self.latest_conservation: list[dict] = []
 
     def _open(self, folder: Path, last_step: int | None) -> None:
+        """Open frames, conservation log and checkpoints."""
         self.frames = Frames(folder, self.ranks, self.plan.particles, self.frame, self.particles)
-        self.ledger = Ledger(folder, self.ranks, last_step, self.plan.flows)
-        self.checkpoints = folder / layout.CHECKPOINTS
+        self.ledger = ConservationLog(folder, self.ranks, last_step, self.plan.is_open_system)
+        self.checkpoints = folder / file_layout.CHECKPOINTS
         if last_step is None:
             checkpoint.clear(self.checkpoints, self.ranks)
 
-    def go(self) -> int:
-        """Run to the end of the scene or until asked to stop; returns the exit code."""
+    def run(self) -> int:
+        """Run to the end of the scene or to a stop request; return the exit code."""
         simulation = self.simulation
-        self.opening = self.latest = ledger(simulation)
+        self.initial_conservation = self.latest_conservation = conservation_rows(simulation)
         if self.frame == 0:
             self._write_frame()
             self.probes.first()
@@ -169,37 +195,39 @@ class Runner:
         except BlowUp as error:
             return self._blew_up(str(error).format(*self.names))
         if simulation.step > self.first_step:
-            self._checkpoint()  # from which the run can be extended
+            self._checkpoint()  # the run can be extended from it
         else:
             log.info("the run is at %g s: a later time.end extends it", simulation.time)
         return DONE
 
     def _step(self) -> bool:
-        """One step and what follows from it; True when the run shall stop here."""
+        """Make one step and write what is due after it; return whether the run must stop here."""
         simulation = self.simulation
         bound = simulation.bound()
         if self.plan.fixed_dt:
             self._warn_if_too_long(bound)
             bound = self.plan.fixed_dt
         frame = float(self.times[self.frame])
-        goal = simulation.ahead(frame)
-        dt, lands = next_step(simulation.time, goal, bound)
-        done, before = simulation.step + 1 - self.first_step, simulation.time
-        stop, due = simulation.advance(dt, self.requests.flags(done), goal if lands else None)
-        if lands and goal == frame:
+        target = simulation.next_event_time(frame)
+        dt, lands = next_step(simulation.time, target, bound)
+        steps_done, before = simulation.step + 1 - self.first_step, simulation.time
+        stop, due = simulation.advance(
+            dt, self.requests.poll(steps_done), target if lands else None
+        )
+        if lands and target == frame:
             self._write_frame()
         self.probes.after_step(before)
         for listener in self.options.listeners:
             listener(simulation)
-        every = self.scene.output.checkpoint_steps
+        interval = self.scene.output.checkpoint_steps
         if stop and self.frame < len(self.times):
             return True
-        if due or (every and simulation.step % every == 0):
+        if due or (interval and simulation.step % interval == 0):
             self._checkpoint()
         return False
 
     def _warn_if_too_long(self, bound: float) -> None:
-        """Once: the fixed step was stable at the start, and no longer is."""
+        """Warn once if a fixed step that was stable at the start is stable no longer."""
         if self.plan.fixed_dt > bound and not self.warned:
             self.warned = True
             log.warning(
@@ -207,32 +235,39 @@ class Runner:
                 self.simulation.step, self.plan.fixed_dt, bound,
             )  # fmt: skip
 
-    def _blew_up(self, said: str) -> int:
-        """Say what happened, and write the state as it is for a look at it."""
+    def _blew_up(self, message: str) -> int:
+        """Log what happened, and write the present state for inspection."""
         if self.options.folder is None:
-            log.error("blow-up: %s", said)
+            log.error("blow-up: %s", message)
             return BLEW_UP
-        folder = self.options.folder / layout.BLOWUP
-        path = self._put_frame(Frames(folder, self.ranks, self.plan.particles), 0)
-        log.error("blow-up: %s; frames and checkpoints are whole, this state is in %s", said, path)
+        folder = self.options.folder / file_layout.BLOWUP
+        path = self._write_frame_file(Frames(folder, self.ranks, self.plan.particles), 0)
+        log.error(
+            "blow-up: %s; frames and checkpoints are whole, this state is in %s", message, path
+        )
         return BLEW_UP
 
     def _write_frame(self) -> None:
-        self.latest = ledger(self.simulation)
+        """Write a frame and its conservation entries, and call the watchers."""
+        self.latest_conservation = conservation_rows(self.simulation)
         if self.options.folder is not None:
-            self._put_frame(self.frames, self.frame)
-            self.ledger.append(self.latest)
+            self._write_frame_file(self.frames, self.frame)
+            self.ledger.append(self.latest_conservation)
         for watcher in self.options.watchers:
             watcher(self)
         self.frame += 1
-        self._mark("write")
+        self._clock_stage("write")
 
-    def _put_frame(self, frames: Frames, number: int) -> Path:
-        now = self.simulation
-        ids, fields = frame_rows(now, self.scene.output.fields)
-        return frames.write(number, now.time, now.step, ids, fields, now.poses())
+    def _write_frame_file(self, frames: Frames, number: int) -> Path:
+        """Write the present state as frame number `number`; return its path."""
+        simulation = self.simulation
+        ids, fields = frame_rows(simulation, self.scene.output.fields)
+        return frames.write(
+            number, simulation.time, simulation.step, ids, fields, simulation.poses()
+        )
 
     def _checkpoint(self) -> None:
+        """Write a checkpoint."""
         if self.options.folder is None:
             return
         state = save(self.simulation)
@@ -243,108 +278,126 @@ class Runner:
             "history": self.history,
             "gaussians": self.particles,
             "tables": {table.path.name: table.sum for table in self._tables()},
-            "scene": self.scene.resolved(),
-            "plan": describe(self.scene, self.plan, ranks=1).splitlines(),
+            "scene": self.scene.to_json(),
+            "plan": format_plan(self.scene, self.plan, ranks=1).splitlines(),
             "versions": versions(),
         }
         path = checkpoint.write(self.checkpoints, self.ranks, state)
         log.info(
             "checkpoint %s at step %d, %.6g s", path, self.simulation.step, self.simulation.time
         )
-        self.requests.checkpointed()
-        self._mark("write")
+        self.requests.note_checkpoint()
+        self._clock_stage("write")
 
-    def _tables(self) -> list[Rows]:
+    def _tables(self) -> list[CsvLog]:
+        """Return all CSV tables of the run."""
         return [self.ledger, *self.probes.files.values()]
 
-    def _mark(self, stage: str) -> None:
+    def _clock_stage(self, stage: str) -> None:
+        """Tell the clock that a stage has ended."""
         if self.simulation.clock is not None:
             self.simulation.clock(stage)
 
 
 def _times(plan: Plan, frame: int, now: float) -> np.ndarray:
-    """Times of all frames of a run that is at `now` [s] and writes frame number `frame` next."""
+    """Return the times of all frames of a run that is at `now` [s] before frame number `frame`."""
     if frame == 0:
         return plan.times
     return np.concatenate([np.full(frame, now), plan.ahead(now)])
 
 
 @contextlib.contextmanager
-def started(
+def prepared_run(
     scene: Scene,
-    ranks: Alone,
+    ranks: SerialCommunicator,
     options: Options,
-    approve: Callable[[Plan, float, Known], None] | None = None,
+    approve: Callable[[Plan, float, ParticleSummary], None] | None = None,
 ) -> Iterator[Runner]:
-    """Own the folder, check everything, and only then write: a run that is ready to go. Collective.
+    """Lock the folder, check everything, then write: yield a run that is ready. Collective.
 
-    approve: called with the plan, the time [s] from which the run goes on, and what is known of its
-    particles; may raise. Raises SceneError, StoreError, FolderError, CheckpointError, RunError,
-    Unfit, BlowUp.
+    Args:
+        scene: The scene.
+        ranks: Communicator.
+        options: Options of the run.
+        approve: Function of the plan, the time [s] from which the run goes on, and the summary of
+            its particles; it may raise.
+
+    Raises:
+        SceneError, StoreError, FolderError, CheckpointError, RunError, InvalidRunOptions, BlowUp.
     """
     check(options, ranks)
     folder, resumed = options.folder, options.resume is not None
     with contextlib.ExitStack() as stack:
-        path, history, reached, particles = None, [], 0.0, None
+        path, history, start_time, particles = None, [], 0.0, None
         if folder is not None:
-            stack.enter_context(owner.held(folder, ranks, resumed or options.overwrite))
+            stack.enter_context(run_lock.run_lock(folder, ranks, resumed or options.overwrite))
         if folder is not None and options.resume is not None:
-            path, attrs = goes_on_from(options.resume, folder, ranks)
-            reached = attrs["time"]
+            path, attrs = resolve_checkpoint(options.resume, folder, ranks)
+            start_time = attrs["time"]
             history = _history(scene, attrs, options.change)
-            columns = ledger_columns(scene.flows)
-            tables = {folder / layout.LEDGER: columns, **files(scene, folder)}
+            columns = ledger_columns(scene.is_open_system)
+            tables = {folder / file_layout.LEDGER: columns, **files(scene, folder)}
             check_tables(tables, ranks, attrs["step"], attrs.get("tables", {}))
-        known = prepare(scene, ranks, folder, resumed)
-        plan = plan_for(scene, known)
+        summary = prepare(scene, ranks, folder, resumed)
+        plan = plan_for(scene, summary)
         if approve is not None:
-            approve(plan, reached, known)
+            approve(plan, start_time, summary)
         if folder is not None:
-            keep(scene, known, ranks, folder)
-            made = folder / layout.GAUSSIANS
-            particles = on_all(ranks, made, lambda: identity(made))
+            write_initial_particles(scene, summary, ranks, folder)
+            gaussians = folder / file_layout.GAUSSIANS
+            particles = on_all(ranks, gaussians, lambda: particle_set_id(gaussians))
             if path is not None and attrs.get("gaussians") not in (None, particles):
-                raise checkpoint.CheckpointError(f"{path}: is of other particles than {made}")
-        yield Runner(scene, plan, known, ranks, options, path, history, particles)
+                raise checkpoint.CheckpointError(f"{path}: is of other particles than {gaussians}")
+        yield Runner(scene, plan, summary, ranks, options, path, history, particles)
 
 
-def goes_on_from(given: str, folder: Path, ranks: Alone) -> tuple[Path, dict]:
-    """The checkpoint that `--resume` means, and what it says of its run. Raises CheckpointError
-    where there is none or it cannot be. Collective."""
-    path = checkpoint.chosen(given, folder / layout.CHECKPOINTS, ranks)
+def resolve_checkpoint(
+    requested: str, folder: Path, ranks: SerialCommunicator
+) -> tuple[Path, dict]:
+    """Return the checkpoint that `--resume` means, and its attributes. Collective.
+
+    `requested` is its path, or "" for the newest valid one. Raises CheckpointError if there is
+    none or it is not valid.
+    """
+    path = checkpoint.select(requested, folder / file_layout.CHECKPOINTS, ranks)
     with on_all(ranks, path, lambda: checkpoint.open(path)) as saved:
         check_attrs(path, saved.attrs)
         return path, saved.attrs
 
 
 def _history(scene: Scene, attrs: dict, change: bool) -> list[dict]:
-    """What was changed at resumes, this one's with them. Raises SceneError where something is that
-    may not change, unless `change`."""
-    history, found = list(attrs.get("history", [])), changes(scene, attrs["scene"])
-    if not found:
+    """Return the changes of the scene at all resumes, including this one.
+
+    Raises:
+        SceneError: If a key has changed that may not, unless `change` is set.
+    """
+    history, differences = list(attrs.get("history", [])), forbidden_changes(scene, attrs["scene"])
+    if not differences:
         return history
-    lines = scene.error(found).lines
+    lines = scene.error(differences).lines
     if not change:
         free = ", ".join(may_change())
-        raise scene.error(found).also(f"--resume may change {free}; with --change all else too")
+        raise scene.error(differences).with_line(
+            f"--resume may change {free}; with --change all else too"
+        )
     for line in lines:
         log.warning("changed from here on: %s", line)
     return [*history, {"step": attrs["step"], "time": attrs["time"], "changes": lines}]
 
 
 def versions() -> dict[str, str]:
-    """What made the file."""
-    found = {"python": platform.python_version()}
+    """Return the versions of the program and its libraries, as files record them."""
+    names_to_versions = {"python": platform.python_version()}
     for name in ("vgmpi", "numpy", "numba", "h5py", "mpi4py"):
         try:
-            found[name] = version(name)
+            names_to_versions[name] = version(name)
         except PackageNotFoundError:
-            found[name] = "not installed"
+            names_to_versions[name] = "not installed"
     command = ["git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD"]
     try:
-        found["commit"] = subprocess.run(
+        names_to_versions["commit"] = subprocess.run(
             command, capture_output=True, text=True, check=True
         ).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
-        found["commit"] = "unknown"
-    return found
+        names_to_versions["commit"] = "unknown"
+    return names_to_versions

@@ -1,41 +1,48 @@
-"""One step of the coupled multiphase point method, and the state it advances."""
+"""One step of the coupled multiphase material point method, and the state that it advances."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from ..device.limits import FARTHEST, LEAST_J, MOST_J
-from ..domain import migrate, topology
-from ..domain.balance import SHARES
-from ..domain.blocks import Lattice
-from ..domain.census import Census
-from ..domain.driven import Driven
-from ..domain.halo import Halo
-from ..domain.movers import Movers
-from ..domain.ranks import Alone
-from ..domain.solids import Solids
-from ..domain.state import Group
-from ..engines.base import UNKNOWN, Beyond, Engine, Reach, Report
-from ..kernels import g2p
-from ..planning.plan import Plan
-from .driven import Releases
-from .engines import engine_of
-from .enter import Rows, enter, idle
-from .given import Given
-from .inflow import Sources
-from .needs import needs
-from .pushes import Pushes
-from .sinks import Sinks
-from .tally import Tally
+from vgmpi.kernels.rigid.moving_colliders import MovingColliders
+from vgmpi.kernels.rigid.prescribed_motion import PrescribedBodies
+from vgmpi.kernels.rigid.static_colliders import StaticColliders
+from vgmpi.kernels.step_limits import J_MAX, J_MIN, MAX_CELLS_PER_STEP
+from vgmpi.kernels.transfer import g2p
+from vgmpi.parallel import exchange_topology, migration
+from vgmpi.parallel.block_lattice import BlockLattice
+from vgmpi.parallel.block_ownership import BlockDirectory
+from vgmpi.parallel.communicator import SerialCommunicator
+from vgmpi.parallel.halo_exchange import HaloExchange
+from vgmpi.parallel.load_balance import SHARES
+from vgmpi.parallel.particle_group import ParticleGroup
+from vgmpi.planning.plan import Plan
+from vgmpi.solver.boundary.flow_accounting import Tally
+from vgmpi.solver.boundary.inlets import Sources
+from vgmpi.solver.boundary.load_application import Pushes
+from vgmpi.solver.boundary.outlets import Sinks
+from vgmpi.solver.boundary.particle_insertion import ParticleRows, bounds_of_idle_group, insert
+from vgmpi.solver.boundary.release import Releases
+from vgmpi.solver.diagnostics.reactions import Reactions
+from vgmpi.solver.engines.engine_protocol import (
+    UNKNOWN_MAXIMA,
+    AccumulatorOverflow,
+    Engine,
+    ParticleMaxima,
+    StepReport,
+)
 
-REASONS = {
-    g2p.CRUSHED: f"its volume ratio J left {LEAST_J:g} .. {MOST_J:g} or is not a number",
-    g2p.OUTSIDE: "it left the domain",
-    g2p.TOO_FAST: "it would move more than a cell in one step",
-    g2p.LOST: "its velocity or stress is not a number",
+from .engine_registry import engine_of
+from .topology_requirements import needs
+
+FAILURE_MESSAGES = {
+    g2p.INVALID_VOLUME: f"its volume ratio J left {J_MIN:g} .. {J_MAX:g} or is not a number",
+    g2p.OUT_OF_DOMAIN: "it left the domain",
+    g2p.CFL_EXCEEDED: "it would move more than a cell in one step",
+    g2p.NOT_FINITE: "its velocity or stress is not a number",
 }
-BOUNDS = [0, 3, 4, 5]  # of a step's maxima over the ranks, those of enter.bounds
-SUMMED = {
+MAXIMA_SLICE = [0, 3, 4, 5]  # indices of enter.bounds among a step's maxima over the ranks
+FIELD_NAMES = {
     "momentum": "mass or momentum",
     "offsets": "volume",
     "impulses": "impulse",
@@ -45,298 +52,311 @@ SUMMED = {
 
 
 class BlowUp(RuntimeError):
-    """The state can no longer be trusted. Names the object, the particle and the step."""
+    """Error of a state that can no longer be trusted; it names object, particle and step."""
 
 
 class Simulation:
-    """Particles of all groups on this rank, and the clock. Collective: all ranks call the same
-    methods.
+    """Particles of all groups on this rank, and the clock. All methods are collective.
 
-    time [s] and step are the state's; rate [1/s] is the least 1/dt the state allows; reach bounds
-    the sums of the next step; all are part of a checkpoint.
+    time [s] and step are the state's; rate [1/s] is the least 1/dt that the state allows;
+    particle_maxima bounds the sums of the next step. All four are part of a checkpoint.
     """
 
     def __init__(
-        self,
-        plan: Plan,
-        ranks: Alone,
-        colliders: Sequence = (),
-        threads: int = 1,
-        loads: Sequence = (),
-        engine: str = "cpu",
-    ):
+        self, plan: Plan, ranks: SerialCommunicator, colliders: Sequence = (), threads: int = 1,
+        loads: Sequence = (), engine: str = "cpu",
+    ):  # fmt: skip
+        """Set up the engine and the features of the plan, without particles."""
         self.plan = plan
         self.ranks = ranks
-        self.lattice = Lattice(plan.cells, plan.dx)
-        # a collider's friction is its own, or what it gives is asked for
-        asked = len(plan.friction) > len(plan.phases) + 1 or plan.feels
-        self.movers: Movers | None = None
+        self.lattice = BlockLattice(plan.cells, plan.dx)
+        # true if a collider has its own friction or its reaction is requested
+        per_collider = len(plan.friction) > len(plan.phases) + 1 or plan.feels
+        self.movers: MovingColliders | None = None
         if any(collider.course is not None for collider in colliders):
-            self.movers = Movers(list(colliders), self.lattice, plan.real, asked)
-        self.solids: Movers | Solids | None = self.movers
+            self.movers = MovingColliders(list(colliders), self.lattice, plan.real, per_collider)
+        self.solids: MovingColliders | StaticColliders | None = self.movers
         if colliders and self.movers is None:
-            self.solids = Solids(list(colliders), self.lattice, plan.real, asked)
-        self.driven = Driven(plan, len(colliders)) if plan.driven else None
+            self.solids = StaticColliders(list(colliders), self.lattice, plan.real, per_collider)
+        self.driven = PrescribedBodies(plan, len(colliders)) if plan.driven else None
         self.engine: Engine = engine_of(engine)(
             plan, self.lattice, self.solids, threads, self.driven
         )
-        self.groups: list[Group] = self.engine.groups
-        self.given = Given(plan, colliders, ranks) if plan.feels else None
-        if self.given is not None:
-            self.engine.feel(len(self.given.totals), self.given.quanta, ranks.rank)
+        self.groups: list[ParticleGroup] = self.engine.groups
+        self.reactions = Reactions(plan, colliders, ranks) if plan.feels else None
+        if self.reactions is not None:
+            self.engine.enable_reactions(
+                len(self.reactions.totals), self.reactions.quanta, ranks.rank
+            )
         self.loads = Pushes(list(loads), plan, ranks) if loads else None
-        self.tally = Tally(plan) if plan.flows else None
+        self.flow_accounting = Tally(plan) if plan.is_open_system else None
         self.sources = Sources(plan, ranks) if plan.sources else None
-        self.sinks = Sinks(plan, self.tally) if self.tally is not None and plan.sinks else None
-        lets_go = bool(plan.driven) or any(time is not None for time in plan.opens)
-        self.releases = Releases(plan, self.tally, self.engine) if lets_go else None
-        self.since = 0  # step at which something was let go: from then on restoring counts
+        self.sinks = (
+            Sinks(plan, self.flow_accounting)
+            if self.flow_accounting is not None and plan.sinks
+            else None
+        )
+        has_releases = bool(plan.driven) or any(time is not None for time in plan.opens)
+        self.releases = Releases(plan, self.flow_accounting, self.engine) if has_releases else None
+        self.correction_origin_step = 0  # step of the last release: corrections are counted from it
         self.gravity = np.array(plan.gravity)
         self.needs = needs(plan)
-        self.tables: topology.Topology
-        self.census: Census
+        self.tables: exchange_topology.ExchangeTopology
+        self.census: BlockDirectory
         self.cut: np.ndarray | None = None
-        self.halo: Halo | None = None
-        self.motion: Halo | None = None  # of a step of no time
+        self.halo: HaloExchange | None = None
+        self.correction_halo: HaloExchange | None = None  # exchange of zero-length steps
         self.time = 0.0
         self.step = 0
         self.rate = 0.0
-        self.reach = UNKNOWN
+        self.particle_maxima = UNKNOWN_MAXIMA
         self.sorts = 0
         self.sorted_at = 0
-        self.sent = 0  # bytes this rank gave its neighbours
+        self.sent = 0  # [bytes] sent to neighbors by this rank
         self.moved = 0  # particles that left this rank for another
-        self.said = np.zeros(12)
-        self.clock = None  # a callable(name) that marks the end of a stage, or None
+        self.reduction_buffer = np.zeros(12)
+        self.clock = None  # callable(name) that marks the end of a stage, or None
 
     def put(
-        self,
-        x: np.ndarray,
-        v: np.ndarray,
-        volume: np.ndarray,
-        ids: np.ndarray,
-        thing: np.ndarray,
-        theta: np.ndarray | None = None,
-        C: np.ndarray | None = None,
-        sh: np.ndarray | None = None,
-        surface: np.ndarray | None = None,
-    ) -> None:
-        """Take particles, unstrained or compressed, in any order, any share on any rank.
-        Collective; once, at the start. Particles of sources are left out: they come when it is
-        their time.
+        self, x: np.ndarray, v: np.ndarray, volume: np.ndarray, ids: np.ndarray,
+        owner: np.ndarray, theta: np.ndarray | None = None, C: np.ndarray | None = None,
+        sh: np.ndarray | None = None, surface: np.ndarray | None = None,
+    ) -> None:  # fmt: skip
+        """Insert the initial particles, unstrained or compressed. Collective; call it once.
 
-        x: positions [m], (n, 3); v: velocities [m/s], (n, 3); volume: rest volumes [m3], (n,); ids:
-        (n,); thing: object of each, (n,); theta: ln J of fluids, (n,), or None for 0; C: gradients
-        of v [1/s], (n, 9), or None for 0; sh: (n, K, 3) colours, asked for where these travel;
-        surface: (n, 10) of solids, see planning/channels.py, asked for where something may touch.
-        Raises ValueError where it is not given.
+        Their order and their distribution over the ranks do not matter. Particles of inlets are
+        left out; the inlets spawn them.
+
+        Args:
+            x: Positions, shape (n, 3) [m].
+            v: Velocities, shape (n, 3) [m/s].
+            volume: Rest volumes, shape (n,) [m3].
+            ids: Particle ids, shape (n,).
+            owner: Object of each particle, shape (n,).
+            theta: ln J of fluids, shape (n,), or None for 0.
+            C: Velocity gradients, shape (n, 9) [1/s], or None for 0.
+            sh: Colors, shape (n, K, 3); required if colors travel.
+            surface: Surfaces of solids, shape (n, 10), see planning/particle_channels.py.
+
+        Raises:
+            ValueError: If contact is possible and `surface` is missing.
         """
         if surface is None and any(group.surface for group in self.plan.groups):
             raise ValueError("the plan has contact of solids: their surfaces are asked for")
-        rows = Rows(x, v, volume, ids, thing, theta, C, sh, surface)
+        rows = ParticleRows(x, v, volume, ids, owner, theta, C, sh, surface)
         if self.plan.sources:
-            rows = rows.only(ids < self.plan.starts_with)
-        found = self.ranks.max(self._enter([rows, *self._born(None)]))
+            rows = rows.select(ids < self.plan.initial_particle_count)
+        maxima = self.ranks.max(self._insert([rows, *self._spawned(None)]))
         if self.sources is not None:
-            found = self.sources.bound(found, self.time)
-        self.rate = float(found[0])
-        self.reach = Reach.of(found[1:], self.rate, 1.0 / self.rate)
-        if self.given is not None:
-            self.given.weigh(self.groups)
+            maxima = self.sources.merge_bounds(maxima, self.time)
+        self.rate = float(maxima[0])
+        self.particle_maxima = ParticleMaxima.of(maxima[1:], self.rate, 1.0 / self.rate)
+        if self.reactions is not None:
+            self.reactions.set_mass_bound(self.groups)
         self.sort()
         self.moved = 0  # finding the first owners is no migration
 
-    def _born(self, before: float | None) -> list[Rows]:
-        """What sources bring on this rank after `before` [s], None: at the start, up to now."""
-        return [] if self.sources is None else self.sources.bring(before, self.time)
+    def _spawned(self, before: float | None) -> list[ParticleRows]:
+        """Return the particles that inlets spawn here after `before` [s] (None: at the start)."""
+        return [] if self.sources is None else self.sources.spawn(before, self.time)
 
-    def _enter(self, parts: list[Rows]) -> np.ndarray:
-        """Give particles to the groups of this rank; returns what bounds their steps and sums,
-        (4,). A sort must follow."""
-        least = np.zeros(4)
-        for rows in parts:
-            least = np.maximum(least, enter(self.plan, self.lattice, self.groups, rows))
-            if self.tally is not None:
-                self.tally.come(rows)
-        return least
+    def _insert(self, chunks: list[ParticleRows]) -> np.ndarray:
+        """Insert particles and return their bounds (4,), see enter.bounds. A sort must follow."""
+        limits = np.zeros(4)
+        for rows in chunks:
+            limits = np.maximum(limits, insert(self.plan, self.lattice, self.groups, rows))
+            if self.flow_accounting is not None:
+                self.flow_accounting.add(rows)
+        return limits
 
     def sort(self) -> None:
-        """Re-sort all particles, cut the curve anew if the load asks for it, and lay out the
-        tables.
-        """
+        """Sort all particles, rebalance the ranks if that pays, and set the directory."""
         steps = self.step - self.sorted_at
-        census, self.cut, left = migrate.sort(self.groups, self.ranks, self.cut, steps)
-        self.moved += left
+        census, self.cut, departed = migration.sort_particles(
+            self.groups, self.ranks, self.cut, steps
+        )
+        self.moved += departed
         if self.movers is not None:
             self.movers.stand(self.time)
-        self.adopt(census)
+        self.set_directory(census)
         self.sorted_at = self.step
         self.sorts += 1
 
-    def adopt(self, census: Census) -> None:
-        """Lay out tables and buffers for the census, whose segments the groups already hold. Where
-        no segment came or went and none changed its owner, those of before serve again."""
-        kept = self.halo is not None and _same_blocks(self.census, census)
-        kept &= self.movers is None  # which are near other blocks now
+    def set_directory(self, census: BlockDirectory) -> None:
+        """Build the exchange tables for a directory, whose segments the groups already hold.
+
+        The old tables are reused if no segment came, went or changed its owner.
+        """
+        unchanged = self.halo is not None and _same_blocks(self.census, census)
+        unchanged &= self.movers is None  # colliders may be near other blocks now
         self.census = census
-        if not kept:
-            self.tables = topology.build(
+        if not unchanged:
+            self.tables = exchange_topology.build_topology(
                 census, self.lattice, self.ranks.rank, self.needs, self.solids
             )
             if self.movers is not None:
                 self.movers.take(self.tables.at[self.tables.solid >= 0])
-        self._hand_over(kept)
-        if not kept:
+        self._set_segments(unchanged)
+        if not unchanged:
             self.halo = self._exchange(self.halo)
             if self.plan.restores:
-                self.motion = self._exchange(self.motion, ["momentum"])
+                self.correction_halo = self._exchange(self.correction_halo, ["momentum"])
 
-    def _hand_over(self, kept: bool) -> None:
-        """Tell the engine, loads and sources of the segments in force. kept: the tables are those
-        that the engine has."""
-        self.engine.adopt(self.tables, kept)
+    def _set_segments(self, unchanged: bool) -> None:
+        """Pass the segments to engine, loads and inlets; `unchanged` if the tables are the same."""
+        self.engine.set_topology(self.tables, unchanged)
         if self.loads is not None:
             self.loads.find(self.groups)
         if self.sources is not None:
             self.sources.find(self.groups, self.time)
 
-    def _exchange(self, before: Halo | None, layers: Sequence[str] = ()) -> Halo:
-        """The exchange of layers by the tables in force, in the place of the one before."""
+    def _exchange(self, before: HaloExchange | None, fields: Sequence[str] = ()) -> HaloExchange:
+        """Return the exchange of the fields by the present tables; the old one is closed."""
         if before is not None:
             before.link.close()
-        return Halo(self.ranks, self.tables, self.engine.words, layers)
+        return HaloExchange(self.ranks, self.tables, self.engine.words, fields)
 
     def poses(self) -> np.ndarray | None:
-        """Where moving colliders are now: (m, 4, 4), place at the start -> place [m]; None where
-        none moves."""
+        """Return the poses of moving colliders, (m, 4, 4), start -> now [m]; None if none moves."""
         return None if self.movers is None else self.movers.poses(self.time)
 
     @property
     def load(self) -> np.ndarray:
-        """Predicted work of each rank as of the last sort, in steps of one fluid particle:
-        (ranks,)."""
+        """Predicted work of each rank (ranks,) at the last sort, in steps of one fluid particle."""
         return self.census.load / SHARES
 
     def bound(self) -> float:
-        """Largest stable time step [s] of the present state, and of what loads give in it at
-        once."""
+        """Return the largest stable time step [s], including impulsive loads within the step."""
         rate = max(self.rate, self.plan.rate)
         if self.loads is not None:
-            speed = self.loads.soon(self.groups, self.time, 1.0 / rate)
-            rate += speed / (min(self.plan.cfl, FARTHEST) * self.plan.dx)
+            speed = self.loads.impulsive_speed_ahead(self.groups, self.time, 1.0 / rate)
+            rate += speed / (min(self.plan.cfl, MAX_CELLS_PER_STEP) * self.plan.dx)
         if self.movers is not None:
             rate = self.movers.rate(self.time, rate)
-        if self.driven is not None:  # while all is held, nothing bounds a step
+        if self.driven is not None:  # nothing else bounds a step while all bodies are prescribed
             rate = self.driven.rate(self.time, max(rate, 1.0 / float(self.plan.times[-1])))
         return 1.0 / rate
 
     def advance(
         self, dt: float, requests: tuple[float, ...] = (), end: float | None = None
     ) -> np.ndarray:
-        """One step of dt [s]: time n to n + 1, which is `end` [s] where that is given. Returns the
-        maxima over all ranks of `requests`.
+        """Advance by one step of dt [s] from time n to n + 1.
 
-        Raises BlowUp, on all ranks, after the step in which a particle went wrong.
+        Args:
+            dt: Time step [s].
+            requests: Flags of this rank to be reduced over all ranks.
+            end: Time n + 1 [s], by default the present time plus dt.
+
+        Returns:
+            Maxima of `requests` over all ranks.
+
+        Raises:
+            BlowUp: On all ranks, if a particle or a nodal sum failed in the step.
         """
         mark = self.clock or (lambda name: None)
         engine = self.engine
-        every, beyond, steps = self.plan.restores, [], self.step - self.since
-        if self.given is not None:
-            self.given.begin(dt)
-        if every and steps and steps % every == 0:
-            beyond = self.restore(dt)
+        interval, overflows, steps = self.plan.restores, [], self.step - self.correction_origin_step
+        if self.reactions is not None:
+            self.reactions.begin(dt)
+        if interval and steps and steps % interval == 0:
+            overflows = self.restore(dt)
         end = self.time + dt if end is None else end
-        pushed, gravity = self._pushed(end, dt), self.gravity
+        pushed, gravity = self._apply_loads(end, dt), self.gravity
         if self.plan.gravity_ramp or self.plan.gravity_keys:
             gravity = self.plan.gravity_between(self.time, end)
-        engine.begin(dt, gravity, self.reach.fastest(self.plan, dt, pushed))
-        self._to_nodes(self.halo)
+        engine.begin(dt, gravity, self.particle_maxima.fastest(self.plan, dt, pushed))
+        self._update_grid(self.halo)
         report = engine.gather(self.step)  # v, C, x, state at n + 1
-        if self.given is not None:
-            self.given.take(engine.given(), self.movers, self.driven)
-        report.beyond.extend(beyond)
+        if self.reactions is not None:
+            self.reactions.add_step(engine.given(), self.movers, self.driven)
+        report.beyond.extend(overflows)
         mark("g2p")
         before, self.time = self.time, end
         self.step += 1
-        report = self._flow(report)
-        found = self._agreed(report, requests)
+        report = self._update_open_boundaries(report)
+        maxima = self._reduce_step(report, requests)
         mark("wait")
-        if found[2]:
-            raise BlowUp(self._blame(report))
-        if not found[0] and (self.tally is not None or self.driven is not None):
-            found[BOUNDS] = idle(self.plan)
-            found[0] = 0.0 if self.tally is None else found[0]  # all of it is driven
+        if maxima[2]:
+            raise BlowUp(self._failure_message(report))
+        if not maxima[0] and (self.flow_accounting is not None or self.driven is not None):
+            maxima[MAXIMA_SLICE] = bounds_of_idle_group(self.plan)
+            maxima[0] = 0.0 if self.flow_accounting is None else maxima[0]  # all is prescribed
         if self.sources is not None:
-            found[BOUNDS] = self.sources.bound(found[BOUNDS], self.time)
-        freed = self.releases is not None and self.releases.due(before, self.time)
-        if freed:
-            found[BOUNDS] = np.maximum(found[BOUNDS], self._let_go(before))
-        self.rate = float(found[0])
-        self.reach = Reach.of(found[3:6], self.rate, dt)
-        born = self.sources is not None and self.sources.due(before, self.time)
-        if born:
-            self._enter(self._born(before))
-        strayed = self.movers is not None and self.movers.strayed(self.time)
-        if found[1] >= g2p.REACH or strayed or born or freed:
+            maxima[MAXIMA_SLICE] = self.sources.merge_bounds(maxima[MAXIMA_SLICE], self.time)
+        released = self.releases is not None and self.releases.due(before, self.time)
+        if released:
+            maxima[MAXIMA_SLICE] = np.maximum(maxima[MAXIMA_SLICE], self._release_bodies(before))
+        self.rate = float(maxima[0])
+        self.particle_maxima = ParticleMaxima.of(maxima[3:6], self.rate, dt)
+        spawned = self.sources is not None and self.sources.due(before, self.time)
+        if spawned:
+            self._insert(self._spawned(before))
+        collider_moved_too_far = self.movers is not None and self.movers.left_safe_range(self.time)
+        if maxima[1] >= g2p.MAX_STRAY_CELLS or collider_moved_too_far or spawned or released:
             self.sort()
             mark("sort")
-        return found[6:]
+        return maxima[6:]
 
-    def _pushed(self, end: float, dt: float) -> float:
-        """Let loads and what moves act until `end`, dt [s] from now. Returns by how much they
-        change velocities [m/s], at the most."""
+    def _apply_loads(self, end: float, dt: float) -> float:
+        """Apply loads and prescribed motion until `end` [s]; bound the speed change [m/s]."""
         pushed = 0.0
         if self.loads is not None:
-            pushed = self.loads.push(self.groups, self.time, end, dt)
-        for moved in (self.movers, self.driven):
-            if moved is not None:
-                moved.go(self.time, end, dt)
-                pushed += self.plan.dx * moved.travels(self.time, end) / dt
+            pushed = self.loads.apply(self.groups, self.time, end, dt)
+        for motion in (self.movers, self.driven):
+            if motion is not None:
+                motion.begin_step(self.time, end, dt)
+                pushed += self.plan.dx * motion.travels(self.time, end) / dt
         return pushed
 
-    def _let_go(self, before: float) -> np.ndarray:
-        """Let go what is due after `before` [s]. Returns what bounds the steps of it, (4,)."""
+    def _release_bodies(self, before: float) -> np.ndarray:
+        """Release the bodies that are due after `before` [s]; return their bounds (4,)."""
         assert self.releases is not None
-        self.since = self.step
-        return self.releases.let_go(self.groups, before, self.time, self.ranks)
+        self.correction_origin_step = self.step
+        return self.releases.release(self.groups, before, self.time, self.ranks)
 
-    def ahead(self, goal: float) -> float:
-        """The time [s] up to `goal` at which steps must land next."""
-        return goal if self.releases is None else self.releases.ahead(self.time, goal)
+    def next_event_time(self, goal: float) -> float:
+        """Return the time [s], at most `goal`, at which the time steps must land next."""
+        return goal if self.releases is None else self.releases.next_landing(self.time, goal)
 
-    def _flow(self, report: Report) -> Report:
-        """Carry what is in nozzles to where it is now, and take away what is in sinks."""
+    def _update_open_boundaries(self, report: StepReport) -> StepReport:
+        """Advect nozzle particles, and remove particles in outlets."""
         if self.sources is not None:
-            report = self.sources.carry(report, self.time)
-        if self.sinks is not None and self.sinks.take(self.groups, self.step, self.time):
-            self._hand_over(kept=True)
+            report = self.sources.advect_nozzle(report, self.time)
+        if self.sinks is not None and self.sinks.remove_particles(
+            self.groups, self.step, self.time
+        ):
+            self._set_segments(unchanged=True)
         return report
 
-    def restore(self, dt: float) -> list[Beyond]:
-        """Give the particles what transfers have taken from their motion in the last steps. A step
-        of no time passes it through the grid: what that takes, each of them took. Collective. dt:
-        of the next step [s]."""
-        self.engine.begin(0.0, np.zeros(3), self.reach.fastest(self.plan, dt, 0.0))
-        self._to_nodes(self.motion)
-        beyond = self.engine.restore(self.plan.restores)
+    def restore(self, dt: float) -> list[AccumulatorOverflow]:
+        """Restore motion that the last transfers dissipated (transfer correction). Collective.
+
+        A zero-length step passes the motion through the grid; its loss is that of each step.
+        The next step takes dt [s].
+        """
+        self.engine.begin(0.0, np.zeros(3), self.particle_maxima.fastest(self.plan, dt, 0.0))
+        self._update_grid(self.correction_halo)
+        overflows = self.engine.restore(self.plan.restores)
         if self.sources is not None:
-            self.sources.hold()
+            self.sources.reset_nozzle_velocity()
         if self.clock:
             self.clock("g2p")
-        return beyond
+        return overflows
 
-    def _to_nodes(self, halo: Halo | None) -> None:
-        """x, v, C, state at n -> mass and momentum (with the stress at n over dt) -> velocities at
-        the nodes at n + 1: gravity, couplings, contact, walls."""
+    def _update_grid(self, halo: HaloExchange | None) -> None:
+        """Transfer x, v, C and the state at n to the grid, and find the nodal velocities at n + 1.
+
+        They include the stress at n over dt, gravity, couplings, contact and walls.
+        """
         engine, mark = self.engine, self.clock or (lambda name: None)
-        assert halo is not None  # particles were put
+        assert halo is not None  # particles were inserted
         engine.fill(border=True)
         mark("p2g")
         halo.start(self.step, engine.pack)
         mark("halo")
         engine.fill(border=False)
         mark("p2g")
-        halo.link.nudge()
+        halo.link.progress()
         engine.update(border=False)
         mark("grid")
         halo.link.wait()
@@ -347,42 +367,40 @@ class Simulation:
         mark("grid")
         self.sent += halo.bytes_sent
 
-    def _agreed(self, report: Report, requests: tuple[float, ...]) -> np.ndarray:
-        """The step's one reduction: rate, farthest particle, whether something went wrong, reach,
-        requests."""
-        said = self.said[: 6 + len(requests)]
-        said[:3] = report.rate, report.far, bool(report.wrong or report.beyond)
-        said[3:6], said[6:] = report.reach, requests
-        return self.ranks.max(said)
+    def _reduce_step(self, report: StepReport, requests: tuple[float, ...]) -> np.ndarray:
+        """Reduce over all ranks: rate, farthest particle, failure flag, maxima, requests."""
+        buffer = self.reduction_buffer[: 6 + len(requests)]
+        buffer[:3] = report.rate, report.far, bool(report.wrong or report.beyond)
+        buffer[3:6], buffer[6:] = report.reach, requests
+        return self.ranks.max(buffer)
 
     def object_of(self, ids: np.ndarray) -> np.ndarray:
-        """Object of each particle: ids of one object follow each other."""
+        """Return the object of each particle; ids of one object are consecutive."""
         return np.searchsorted(np.array(self.plan.first_id), ids, side="right") - 1
 
-    def _blame(self, report: Report) -> str:
-        """Name the bad particle of lowest id, or the first node block of which a sum left its
-        range: the same on every rank."""
+    def _failure_message(self, report: StepReport) -> str:
+        """Name the failed particle of lowest id or the first overflown block, on every rank."""
         rows = self.ranks.all_rows(np.array(report.wrong, np.int64).reshape(-1, 2))
         when = f"step {self.step}, time {self.time:.6g} s"
         if len(rows):
             worst, reason = rows[np.argmin(rows[:, 0])]
             # an empty object begins where the next one does: take the one that has particles
-            thing = int(self.object_of(np.array([worst]))[0])
-            return f"object {{{thing}}}, particle {worst}, {when}: {REASONS[int(reason)]}"
-        layers = self.needs.layers
-        mine = [(*one.block, one.phase, layers.index(one.layer)) for one in report.beyond]
-        rows = self.ranks.all_rows(np.array(mine, np.int64).reshape(-1, 5))
-        *block, phase, layer = min(map(tuple, rows.tolist()))
-        near = ", ".join(f"{(4 * b + 0.5) * self.plan.dx:.4g}" for b in block)
-        what = SUMMED[layers[layer].split()[0]]
+            owner = int(self.object_of(np.array([worst]))[0])
+            return f"object {{{owner}}}, particle {worst}, {when}: {FAILURE_MESSAGES[int(reason)]}"
+        fields = self.needs.layers
+        local = [(*over.block, over.phase, fields.index(over.layer)) for over in report.beyond]
+        rows = self.ranks.all_rows(np.array(local, np.int64).reshape(-1, 5))
+        *block, phase, field = min(map(tuple, rows.tolist()))
+        spot = ", ".join(f"{(4 * b + 0.5) * self.plan.dx:.4g}" for b in block)
+        name = FIELD_NAMES[fields[field].split()[0]]
         return (
-            f"phase '{self.plan.phases[phase].name}', near ({near}) m, {when}: the {what} at a node"
+            f"phase '{self.plan.phases[phase].name}', near ({spot}) m, {when}: the {name} at a node"
             " is beyond what a sum can hold"
         )
 
 
-def _same_blocks(before: Census, after: Census) -> bool:
-    """Whether two censuses have the same segments with the same owners."""
+def _same_blocks(before: BlockDirectory, after: BlockDirectory) -> bool:
+    """Return whether two directories have the same segments with the same owners."""
     return all(
         np.array_equal(getattr(before, name), getattr(after, name))
         for name in ("code", "group", "owner")

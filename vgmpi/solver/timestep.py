@@ -1,16 +1,22 @@
-"""The time step: the Courant bound of the last step's state, cut so that frame times are met
-exactly.
-"""
+"""Time step: the stable step of the present state, cut so that frame times are met exactly."""
 
 import math
 
 
 def next_step(time: float, goal: float, bound: float) -> tuple[float, bool]:
-    """(dt, whether it ends at `goal`): the rest of the way in equal steps of at most `bound` [s].
+    """Divide the time to `goal` into equal steps of at most `bound` [s].
 
-    Equal steps avoid a tiny last one. Only `time`, `goal` and `bound` enter, so every rank finds
-    the same number.
+    Equal steps avoid a tiny last one. The result depends on the arguments alone, so every rank
+    finds the same number.
+
+    Args:
+        time: Current time [s].
+        goal: Time that a step must meet exactly [s].
+        bound: Largest stable time step [s].
+
+    Returns:
+        (dt, whether the step ends at `goal`).
     """
-    left = goal - time
-    steps = max(1, math.ceil(left / bound * (1.0 - 1e-12)))
-    return (left, True) if steps == 1 else (left / steps, False)
+    remaining = goal - time
+    steps = max(1, math.ceil(remaining / bound * (1.0 - 1e-12)))
+    return (remaining, True) if steps == 1 else (remaining / steps, False)

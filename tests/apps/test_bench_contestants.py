@@ -1,0 +1,26 @@
+"""The benchmark's processes: every contestant has a module, and a checkout its worker."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+from vgmpi.apps.bench import interleaved_rounds
+from vgmpi.apps.bench.benchmark_case import BenchError
+from vgmpi.apps.bench.contestant_worker import CONTESTANTS
+from vgmpi.apps.bench.interleaved_rounds import Contestant
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_every_contestant_has_a_module():
+    for module in interleaved_rounds.NAMES:
+        assert importlib.util.find_spec(Contestant(module).path), module
+        assert Contestant(module, tree="elsewhere").path == ""
+    assert set(interleaved_rounds.NAMES) == {*CONTESTANTS, "inside"}
+
+
+def test_a_worker_is_found_in_this_checkout_and_in_no_other_folder(tmp_path):
+    assert importlib.util.find_spec(interleaved_rounds.worker_of(ROOT))
+    with pytest.raises(BenchError, match="no checkout"):
+        interleaved_rounds.worker_of(tmp_path)

@@ -1,0 +1,263 @@
+"""`python -m tests.benchmarks NAME`: what only makers of this program ask: studies of its sums,
+sorts, registers, of many ranks on paper, of another checkout.
+"""
+
+import argparse
+import os
+import sys
+import tempfile
+from pathlib import Path
+from typing import get_args
+
+from vgmpi.apps.bench import interleaved_rounds
+from vgmpi.apps.bench.benchmark_case import BenchError, Case, lay_out
+from vgmpi.apps.bench.interleaved_rounds import Contestant
+from vgmpi.apps.bench.subcommands import parse_arguments, print_progress, run_command
+from vgmpi.runtime.exit_handler import exit_code_from_exceptions
+from vgmpi.scene.sections import Transfer
+
+PROGRAM = "python -m tests.benchmarks"
+
+
+def arguments(argv: list[str]) -> argparse.Namespace:
+    """The flags."""
+    return parse_arguments(PROGRAM, __doc__, COMMANDS, argv)
+
+
+@exit_code_from_exceptions
+def main(argv: list[str] | None = None) -> int:
+    """Run the command; returns the exit code."""
+    words = sys.argv[1:] if argv is None else argv
+    return run_command(PROGRAM, arguments(words), (BenchError, ImportError))
+
+
+def _balance(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("scene", type=Path, help="scene file (TOML)")
+    say("--ranks", nargs="+", type=int, default=[8, 64], metavar="N", help="default 8 64")
+    say("--set", action="append", default=[], metavar="KEY=VALUE", help="as for a run")
+    say("--time", type=float, default=0.0, metavar="S", help="of the scene; default: to its end")
+
+
+def _run_balance(given: argparse.Namespace) -> int:
+    from tests.benchmarks import balance_study
+
+    found = balance_study.follow(given.scene, given.set, given.ranks, given.time, print_progress)
+    print(balance_study.text(found))
+    return 0
+
+
+def _census(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("--ranks", nargs="+", type=int, default=[64, 512, 4096], metavar="N")
+    say("--particles", type=int, default=100_000, metavar="N", help="per rank, default 100,000")
+
+
+def _run_census(given: argparse.Namespace) -> int:
+    from tests.benchmarks import sort_scaling
+
+    print(sort_scaling.text([sort_scaling.measure(n, given.particles) for n in given.ranks]))
+    return 0
+
+
+def _accuracy(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--particles", type=int, default=4000, metavar="N", help="default 4,000")
+
+
+def _run_accuracy(given: argparse.Namespace) -> int:
+    from tests.benchmarks import single_precision_error
+
+    print(single_precision_error.text(given.particles))
+    return 0
+
+
+def _emulate(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("--ranks", nargs="+", type=int, default=[1, 8, 64], metavar="N")
+    say("--particles", type=int, default=100_000, metavar="N", help="per rank, default 100,000")
+    say("--steps", type=int, default=200, help="of each, in turns, default 200")
+
+
+def _run_emulate(given: argparse.Namespace) -> int:
+    from tests.benchmarks import rank_emulation
+
+    print(rank_emulation.text(rank_emulation.measure(given.ranks, given.particles, given.steps)))
+    return 0
+
+
+def _together(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("--laws", nargs="+", default=["fluid", "elastic"], metavar="LAW")
+    say("--particles", type=float, default=4e5, metavar="N", help="of all ranks, default 4e5")
+    say("--rounds", type=int, default=9, help="default 9")
+
+
+def _run_together(given: argparse.Namespace) -> int:
+    from tests.benchmarks import decomposition_overhead
+
+    how = int(given.particles), given.rounds
+    ranks = [decomposition_overhead.ranks(law, *how, print_progress) for law in given.laws]
+    print(
+        decomposition_overhead.text(
+            ranks, [decomposition_overhead.threads(law, *how) for law in given.laws]
+        )
+    )
+    return 0
+
+
+def _against(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("tree", type=Path, help="another checkout, or stripped: without features, or uncontracted")
+    say("--laws", nargs="+", default=["fluid", "elastic"], metavar="LAW")
+    say("--particles", nargs="+", type=float, default=[1e5, 4e5, 1e6], metavar="N")
+    say("--rounds", type=int, default=9, help="default 9")
+
+
+def _run_against(given: argparse.Namespace) -> int:
+    from tests.benchmarks import compare_checkouts
+
+    for line in compare_checkouts.lines(
+        given.tree, given.laws, given.particles, given.rounds, print_progress
+    ):
+        print(line, flush=True)
+    return 0
+
+
+def _overhead(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--ranks", nargs="+", type=int, default=[1, 2], metavar="N")
+    parser.add_argument("--steps", type=int, default=300, help="of a round, default 300")
+
+
+def _run_overhead(given: argparse.Namespace) -> int:
+    print("a step whose kernels get nothing to do: its Python and its messages")
+    case = Case("fluid", 64)
+    for ranks in given.ranks:
+        with tempfile.TemporaryDirectory(prefix="vgmpi-bench-") as folder:
+            lay_out(case, ["single"], Path(folder))
+            worker = interleaved_rounds.Worker(
+                Contestant("inside", ranks=ranks), case, Path(folder)
+            )
+            try:
+                found = worker.ask("empty", steps=given.steps)
+            finally:
+                worker.close()
+        print(
+            f"{ranks} rank(s): {found['us']:.1f} us per step, least of 10 rounds;"
+            f" {found['stays']:.2f} bytes per step stay allocated,"
+            f" at most {found['most']:.0f} bytes at a time"
+        )
+    return 0
+
+
+def _scaling(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("--real", nargs="+", type=int, default=[1, 2, 4, 8], metavar="N", help="ranks to run here")
+    say("--particles", type=int, default=50_000, metavar="N", help="per rank of the real runs")
+    say("--latency", type=float, default=2e-6, help="of a message [s], default 2e-6")
+    say("--bandwidth", type=float, default=1e10, help="of a rank's link [B/s], default 1e10")
+
+
+def _run_scaling(given: argparse.Namespace) -> int:
+    from tests.benchmarks import scaling_model, sort_scaling
+
+    rows, busy, empty = scaling_model.measure(
+        sorted({1, 2, *given.real}), given.particles, print_progress
+    )
+    found = scaling_model.constants(rows, busy, empty)
+    sort = sort_scaling.measure(64, 100_000)
+    found["tables"] = 1e-3 * sort["kept"][0] / sort["blocks"] / scaling_model.STEPS_PER_SORT
+    cores = len(os.sched_getaffinity(0))
+    print(scaling_model.text(rows, found, given.latency, given.bandwidth, cores))
+    return 0
+
+
+def _couplings(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("--particles", type=float, default=4e5, metavar="N", help="default 4e5")
+    say("--rounds", type=int, default=5, help="default 5")
+    say("--precision", choices=("single", "double"), default="single")
+
+
+def _run_couplings(given: argparse.Namespace) -> int:
+    from tests.benchmarks import coupling_cost, feature_cost
+
+    study = feature_cost if given.command == "features" else coupling_cost
+    rows = study.measure(int(given.particles), given.rounds, given.precision, print_progress)
+    print(study.text(rows))
+    return 0
+
+
+def _extremes(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("words", nargs="*", metavar="WORD", help="rows with one in their name")
+    parser.add_argument("--fast", action="store_true", help="a quick part of them")
+
+
+def _run_extremes(given: argparse.Namespace) -> int:
+    from tests.benchmarks import limit_cases
+
+    print(limit_cases.HEAD)
+    good = True
+    for row in limit_cases.chosen(given.words, given.fast):
+        found = limit_cases.run_case(row)
+        good &= found.good
+        print(limit_cases.line(found), flush=True)
+    return 0 if good else 1
+
+
+def _stability(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("--ratios", action="store_true", help="where two meet that differ, in words by --only")
+    say("--only", nargs="+", default=[], metavar="NAME", help="laws or couplings; default: all")
+    say("--transfer", nargs="+", choices=get_args(Transfer), help="default: all or restored")
+    say("--precision", nargs="+", choices=("single", "double"), default=["single", "double"])
+
+
+def _run_stability(given: argparse.Namespace) -> int:
+    from tests.benchmarks import contrast_stability, stability_limits
+
+    rows = contrast_stability.lines(given.only, given.transfer or ["restored"])
+    if not given.ratios:
+        rows = stability_limits.lines(given.only, given.transfer, given.precision)
+    for text in rows:
+        print(text, flush=True)
+    return 0
+
+
+def _run_spills(given: argparse.Namespace) -> int:
+    from tests.benchmarks import register_spills
+
+    print(register_spills.text(register_spills.measure()))
+    return 0
+
+
+def _registers(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--precision", choices=("single", "double"), default="single")
+
+
+def _run_registers(given: argparse.Namespace) -> int:
+    from tests.benchmarks import gpu_registers
+
+    for text in gpu_registers.lines(given.precision):
+        print(text, flush=True)
+    return 0
+
+
+COMMANDS = {  # what it does, its flags, how it runs
+    "accuracy": ("how exact single precision is", _accuracy, _run_accuracy),
+    "against": ("beside another checkout", _against, _run_against),
+    "balance": ("how even a scene's work would be on many ranks", _balance, _run_balance),
+    "census": ("what a sort costs one rank of many beside its particles", _census, _run_census),
+    "couplings": ("what mixing and drag cost", _couplings, _run_couplings),
+    "emulate": ("one rank of many by its own tables", _emulate, _run_emulate),
+    "extremes": ("scenes at the ends of what is allowed", _extremes, _run_extremes),
+    "features": ("what contact, colliders and probes cost", _couplings, _run_couplings),
+    "overhead": ("what a step costs beside its kernels", _overhead, _run_overhead),
+    "registers": ("what a graphics card's kernels take; needs no card", _registers, _run_registers),
+    "spills": ("vectors that do not fit the registers", lambda _: None, _run_spills),
+    "stability": ("the largest stable time step of every law", _stability, _run_stability),
+    "scaling": ("predict many ranks from what is measured here", _scaling, _run_scaling),
+    "together": ("two ranks beside two runs, two threads", _together, _run_together),
+}
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,127 @@
+"""The card's kernels compiled for cards that need not be here: registers, spills, shared memory,
+and how many warps fit on a multiprocessor at a time. Nothing is run.
+"""
+
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from vgmpi.apps.bench.benchmark_case import KEYS
+from vgmpi.materials import registry
+from vgmpi.parallel.communicator import SerialCommunicator
+from vgmpi.preprocess.scene_builder import build_scene
+from vgmpi.scene.loader import load
+from vgmpi.solver.engine_registry import ENGINES
+from vgmpi.solver.initial_particles import known_of, plan_for
+from vgmpi.solver.step import Simulation
+
+CARDS = (80, 90)
+SCENE = """
+[domain]
+size = [0.4, 0.4, 0.4]
+cell = 0.04
+boundary = { default = "slip", floor = "stick", east = { kind = "separate", friction = 0.2 } }
+[time]
+end = 1
+[accuracy]
+precision = "PRECISION"
+ACCURACY
+"""
+BODY = """
+[material.NAME]
+kind = "KIND"
+KEYS
+[[object]]
+name = "NAME"
+material = "NAME"
+shape = { box = [[LOW, 0, 0], [HIGH, 0.12, 0.12]] }
+PLUS
+"""
+POST = """
+[[object]]
+name = "post"
+role = "scenery"
+collider = true
+shape = { box = [[0.3, 0, 0], [0.38, 0.4, 0.1]] }
+"""
+MIX = '[[coupling]]\nkind = "mixing"\nbetween = ["fluid", "milk"]\ndiffusion = 1e-4\n'
+SEEP = '[[coupling]]\nkind = "drag"\nbetween = ["fluid", "sand"]\npermeability = 1e-2\n'
+DRIVEN = 'motion = { velocity = [1, 0, 0], until = "2 ms" }\n'
+COLOURS = '[appearance]\ncolour_transfer = "step"\n'
+
+
+def _body(name: str, kind: str, low: float = 0.0, plus: str = "") -> str:
+    keys = "\n".join(f"{k} = {v if isinstance(v, float) else repr(v)}" for k, v in
+                     KEYS.get(kind, {}).items())  # fmt: skip
+    text = BODY.replace("NAME", name).replace("KIND", kind).replace("KEYS", keys)
+    return text.replace("LOW", str(low)).replace("HIGH", str(low + 0.12)).replace("PLUS", plus)
+
+
+# what is below [accuracy], and the rest of a scene: each law alone, and what asks for more kernels
+CASES = {kind: ("", _body(kind, kind)) for kind in registry} | {
+    "contact, colliders": ("", _body("fluid", "fluid") + _body("elastic", "elastic", 0.16) + POST),
+    "splines": ('transfer = "pic"\ngradient = "splines"', _body("elastic", "elastic")),
+    "kept volume": ('volume = "kept"', _body("fluid", "fluid")),
+    "aflip": ('transfer = "aflip"\ndamping = "5 ms"', _body("fluid", "fluid")),
+    "driven": ("", _body("elastic", "elastic", plus=DRIVEN)),
+    "couplings, colours": (
+        "", COLOURS + _body("fluid", "fluid") + _body("milk", "fluid", 0.08) + _body("sand", "sand")
+        + MIX + SEEP,
+    ),
+}  # fmt: skip
+
+
+def compiled(
+    name: str, precision: str = "single", cards: tuple[int, ...] = CARDS, only: tuple = ()
+) -> list:
+    """The kernels (engines.cuda.compiled.Compiled) that a case launches; only: of these names."""
+    from vgmpi.solver.engines.cuda.offline_compile import kernels_of, offline_engine
+
+    accuracy, rest = CASES[name]
+    text = SCENE.replace("PRECISION", precision).replace("ACCURACY", accuracy) + rest
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "scene.toml").write_text(text)
+        scene = load(Path(folder) / "scene.toml")
+        made = build_scene(scene)
+        plan = plan_for(scene, known_of(scene, made))
+    ENGINES["compiled"] = offline_engine(cards, only)
+    try:
+        simulation = Simulation(plan, SerialCommunicator(), made.colliders, engine="compiled")
+    finally:
+        del ENGINES["compiled"]
+    v = made.v0 if made.v0 is not None else np.zeros_like(made.x)
+    simulation.put(
+        made.x, v, made.vol0, np.arange(len(made.x)), made.object, theta=made.theta0, sh=made.sh,
+        surface=made.surface0,
+    )  # fmt: skip
+    return kernels_of(simulation)
+
+
+HEAD = (
+    "| kernel | law, or scene | registers A100, H100 | stack | spilled | shared | warps of 64 |\n"
+    "|---|---|---|---|---|---|---|"
+)
+
+
+def lines(precision: str) -> Iterator[str]:
+    """A table as Markdown, a row per kernel; those that several cases have alike once."""
+    yield HEAD
+    seen = set()
+    for name in CASES:
+        rows: dict[tuple, list] = {}
+        for k, one in enumerate(compiled(name, precision)):
+            rows.setdefault((one.name, one.law, k // len(CARDS)), []).append(one)
+        for (kernel, law, _), found in rows.items():
+            numbers = [(one.registers, one.warps) for one in found]
+            key = kernel, law, tuple(numbers), found[0].stack
+            if key in seen:
+                continue
+            seen.add(key)
+            yield (
+                f"| {kernel} | {name if law == '-' else law} |"
+                f" {', '.join(str(r) for r, _ in numbers)} | {found[0].stack} |"
+                f" {max(one.spilled for one in found)} | {found[0].shared / 1024:.1f} KiB |"
+                f" {', '.join(str(w) for _, w in numbers)} |"
+            )

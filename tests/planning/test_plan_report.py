@@ -1,0 +1,185 @@
+"""What --plan says of steps and precision, and what a run says of the time left."""
+
+import logging
+import re
+from types import SimpleNamespace
+
+import pytest
+
+import vgmpi
+from tests.support.small_scenes import write
+from vgmpi.materials import registry
+from vgmpi.parallel.communicator import SerialCommunicator
+from vgmpi.planning.cost.feature_costs import step_ns
+from vgmpi.planning.cost.plan_report import FRAME_SECONDS, SECONDS_PER_WRITTEN_PARTICLE, format_plan
+from vgmpi.planning.cost.throughput import ASSUMED_THROUGHPUT, Throughput
+from vgmpi.solver import initial_particles
+from vgmpi.solver.diagnostics import progress as report
+from vgmpi.solver.initial_particles import plan_for, prepare
+
+SNOWBALL = """
+[domain]
+size = [0.32, 0.16, 0.16]
+cell = 0.02
+gravity = [0, 0, 0]
+[time]
+end = 0.025
+frames = 2
+[accuracy]
+precision = "single"
+[material.snow]
+kind = "snow"
+youngs_modulus = 1.4e5
+hardening = 10
+hardening_limit = 20
+[[object]]
+name = "ball"
+material = "snow"
+shape = { sphere = { center = [0, 0, 0], radius = 0.05 } }
+position = [0.08, 0.08, 0.03]
+velocity = [-6, 0, 0]
+"""
+
+
+def said_of(path):
+    scene = vgmpi.load(path)
+    return format_plan(scene, plan_for(scene, prepare(scene, SerialCommunicator(), None)), 1)
+
+
+def test_snow_that_packs_takes_as_many_steps_as_the_plan_says(tmp_path):
+    path = write(tmp_path, SNOWBALL)
+    said = said_of(path)
+    few, many = (
+        int(n.replace(",", "")) for n in re.search(r"([\d,]+) to ([\d,]+) for", said).groups()
+    )
+    assert "where material 'snow' hardens" in said
+    assert re.search(r"time +(\d+) s to (\d+) s on", said)
+    run = vgmpi.run(vgmpi.load(path), None)
+    print(f"{few} to {many} steps said, {run.step} taken")
+    assert 1.2 * few < run.step < many
+
+
+def test_other_laws_take_one_number_of_steps(tmp_path):
+    text = SNOWBALL.replace('kind = "snow"', 'kind = "elastic"').replace("hardening", "# hardening")
+    said = said_of(write(tmp_path, text.replace("youngs", "density = 400\nyoungs")))
+    assert re.search(r"steps +about [\d,]+ for 0.025 s", said) and "hardens" not in said
+    assert "single precision (numbers of 7 digits" in said
+
+
+def test_a_fixed_step_is_no_range(tmp_path):
+    said = said_of(write(tmp_path, SNOWBALL.replace("frames = 2", "frames = 2\ndt = 1e-5")))
+    assert "steps       about 2,500 for" in said and "set by time.dt" in said
+
+
+PLATE = """
+[domain]
+size = [0.32, 0.16, 0.16]
+cell = 0.01
+[time]
+end = 0.025
+[material.rubber]
+kind = "elastic"
+density = 400
+youngs_modulus = 1e5
+[material.water]
+kind = "fluid"
+max_speed = 2
+[[object]]
+name = "plate"
+material = "rubber"
+shape = { box = [[-0.06, -0.06, 0], [0.06, 0.06, 0.03]] }
+rotation = { axis = "x", angle = "40 deg" }
+position = [0.15, 0.08, 0.03]
+[[object]]
+name = "ball"
+material = "rubber"
+shape = { sphere = { center = [0.26, 0.08, 0.1], radius = 0.04 } }
+"""
+POOL = """
+[[object]]
+name = "pool"
+material = "water"
+shape = { box = [[0, 0, 0], [0.32, 0.16, 0.02]] }
+"""
+
+
+def test_solids_too_thin_for_fluids_are_named(tmp_path, monkeypatch):
+    """However they are turned; where there is nothing to float in, nobody measures them."""
+    (line,) = [s for s in said_of(write(tmp_path, PLATE + POOL)).splitlines() if "thin" in s]
+    found = re.fullmatch(r"  thin        plate (\S+) cells thick, under 6: how .* inexact", line)
+    assert float(found[1]) == pytest.approx(3.0, abs=0.6)
+    monkeypatch.delattr(initial_particles, "_thickness")
+    assert "thin " not in said_of(write(tmp_path, PLATE))
+
+
+def line_of(said, name):
+    found = [s for s in said.splitlines() if s.startswith(f"  {name} ")]
+    return found[0] if found else None
+
+
+def test_what_motion_restored_costs_is_named(tmp_path):
+    """Every three steps at the default Courant factor, every two at half a cell; not with APIC."""
+    line = line_of(said_of(write(tmp_path, PLATE)), "transfer")
+    assert "given back every 3 steps" in line and '"apic" takes 0.80 of the time' in line
+    longer = PLATE.replace("end = 0.025", "end = 0.025\ncfl = 0.5")
+    assert "every 2 steps" in line_of(said_of(write(tmp_path, longer)), "transfer")
+    apic = PLATE + '[accuracy]\ntransfer = "apic"\n'
+    assert line_of(said_of(write(tmp_path, apic)), "transfer") is None
+
+
+def test_solids_of_few_particles_are_named(tmp_path):
+    """Those that bend too easily, not what flows."""
+    line = line_of(said_of(write(tmp_path, PLATE + POOL)), "bending")
+    assert line.startswith("  bending     8 particles per cell of solids") and "27: 6 %" in line
+    finer = PLATE.replace('material = "rubber"', 'material = "rubber"\nparticles_per_cell = 27')
+    assert line_of(said_of(write(tmp_path, finer + POOL)), "bending") is None
+
+
+def test_the_time_left_follows_the_pace_of_now(monkeypatch, caplog):
+    """10 s to the middle, and from there ten times as slow."""
+    run = SimpleNamespace(
+        times=[0.0, 1.0], ranks=SerialCommunicator(), frame=1, simulation=SimpleNamespace(time=0.0),
+        plan=SimpleNamespace(sources=()),
+    )  # fmt: skip
+    now = [0.0]
+    monkeypatch.setattr(report.time, "monotonic", lambda: now[0])
+    progress = report.Progress(run, quiet=False)
+    with caplog.at_level(logging.INFO, "vgmpi"):
+        for wall in range(1, 101):
+            now[0] = float(wall)
+            at = 0.05 * wall if wall <= 10 else 0.5 + 0.005 * (wall - 10)
+            progress(SimpleNamespace(time=at, step=wall))
+    left = [int(re.search(r"(\d+) s left", line)[1]) for line in caplog.messages]
+    assert left[0] == 10
+    assert left[-1] == pytest.approx(0.05 / 0.005, abs=2)  # from the whole run: 5
+
+
+def test_the_time_is_that_of_the_processor(tmp_path):
+    """On any number of ranks, with what a step takes beside its particles."""
+    scene = vgmpi.load(write(tmp_path, PLATE + POOL))
+    plan = plan_for(scene, prepare(scene, SerialCommunicator(), None))
+
+    def takes(pace, ranks=1):
+        said = format_plan(scene, plan, ranks, pace=pace)
+        steps = re.search(r"steps +about ([\d,]+) for", said)[1].replace(",", "")
+        line = line_of(said, "time       ")
+        assert line.endswith(f" s on {ranks} rank(s), one core each, as told")
+        return float(re.search(r"about (\d+) s on", line)[1]), int(steps)
+
+    pace = Throughput(6e3, 8.4e3, "as told")
+    seconds, steps = takes(pace)
+    written = len(plan.times) * (FRAME_SECONDS + SECONDS_PER_WRITTEN_PARTICLE * plan.particles)
+    takes_step = 1e-9 * step_ns(scene, plan, pace) + 1e-4
+    assert seconds == pytest.approx(steps * takes_step + written, abs=1)
+    half = takes(Throughput(3e3, 4.2e3, "as told"))[0] - written
+    assert half == pytest.approx((seconds - written) / 2, rel=0.03)
+    four = takes(pace, ranks=4)[0] - len(plan.times) * FRAME_SECONDS
+    assert four == pytest.approx((seconds - written) / 4, rel=0.1)
+
+
+def test_other_laws_go_by_their_cost_beside_an_elastic_one():
+    pace = Throughput(20.0, 28.0, "")
+    assert pace.law(registry["fluid"](kind="fluid")) == 20.0
+    assert pace.law(registry["sand"](kind="sand", youngs_modulus=1e5)) == pytest.approx(50.0)
+    for assumed in ASSUMED_THROUGHPUT.values():
+        assert assumed.elastic == pytest.approx(assumed.fluid * registry["elastic"].cost)

@@ -1,0 +1,73 @@
+"""Frames hold the particles that are there, gaussians.h5 all that may come: a picture takes its
+rows by their ids."""
+
+import numpy as np
+import pytest
+
+from tests.support.small_scenes import scene
+from vgmpi import api
+from vgmpi.io import csv_log
+from vgmpi.io.run_reader import RunReader, inspect
+from vgmpi.rendering.appearance import Appearance
+from vgmpi.rendering.render_config import LookSettings
+
+SCENE = """
+[domain]
+size = [0.2, 0.16, 0.16]
+cell = 0.02
+[time]
+end = 0.05
+frames = 3
+[material.water]
+kind = "fluid"
+bulk_modulus = 2e4
+[[object]]
+name = "drop"
+material = "water"
+shape = { box = [[0.02, 0.02, 0.02], [0.06, 0.06, 0.06]] }
+colour = "#ff0000"
+[[source]]
+name = "tap"
+material = "water"
+disc = { center = [0.08, 0.1, 0.12], radius = 0.02 }
+direction = "x"
+velocity = 1
+start = 0.02
+colour = "#0000ff"
+[[sink]]
+name = "east"
+shape = { box = [[0.1, 0.08, 0.1], [0.2, 0.16, 0.14]] }
+"""
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("poured")
+    api.run(scene(folder, SCENE), folder / "out", engine="numpy")
+    return RunReader(folder / "out")
+
+
+@pytest.mark.parametrize("transfer", ["off", "frame", "relax"])
+def test_a_picture_of_what_is_there(run, transfer):
+    look = Appearance(run, LookSettings(colour_transfer=transfer))
+    eye, counts = np.array([1.0, -1.0, 0.5]), []
+    for k in range(len(run)):
+        frame = look.frame(k)
+        splats = look.splats(frame, eye)
+        counts.append(len(frame["id"]))
+        assert len(splats.x) == counts[-1] < len(run.gaussians.x0)
+        tap = run.gaussians.object[frame["id"]] == 1
+        assert (frame["object"] == run.gaussians.object[frame["id"]]).all()
+        blue = splats.color[:, 2] > splats.color[:, 0]
+        assert (blue == tap).all()
+    assert counts[0] < counts[-1] and tap.any()
+
+
+def test_files_are_whole(run):
+    """Also the series, whose frames are of several lengths, and the table."""
+    for name in ("series.vtkhdf", "gaussians.h5", "frames/frame_00001.vtkhdf"):
+        assert "NOT VALID" not in inspect(run.folder / name)
+    for row in csv_log.read_rows(run.folder / "ledger.csv"):
+        assert row["count_in"] - row["count_out"] == row["count"]
+    assert row["count_out"] > 0
+    assert run.objects[1]["role"] == "source" and run.objects[1]["count"] > 0

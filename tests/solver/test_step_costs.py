@@ -1,0 +1,137 @@
+"""What a step must not cost: memory, and time beside its kernels."""
+
+import logging
+import tracemalloc
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numba.core.runtime import _nrt_python, rtsys
+
+from tests.support import simulated_ranks
+from tests.support.simulate import begin
+from tests.support.small_scenes import MIXED
+from vgmpi.apps.bench import instrumented_contestant
+from vgmpi.apps.bench.benchmark_case import Case, lay_out
+from vgmpi.parallel.communicator import SerialCommunicator
+from vgmpi.runtime.cpu_features import compiled_marker
+from vgmpi.solver import compile_kernels
+
+
+@pytest.fixture
+def mixed(tmp_path):
+    """Walls of all kinds, three phases in contact, a collider; and a time step so short that no
+    particle leaves its patch: a sort allocates."""
+    simulation, _ = begin(tmp_path, MIXED.replace("PRECISION", "double"))
+    dt = 0.01 * simulation.bound()
+    for _ in range(2 * simulation.plan.restores):  # what is made once is there
+        simulation.advance(dt)
+    sorts = simulation.sorts
+    yield simulation, dt
+    assert simulation.sorts == sorts
+
+
+def compiled_allocations(simulation, dt):
+    """In as many steps as restoring motion takes; an array that goes into compiled code counts as
+    one."""
+    _nrt_python.memsys_enable_stats()
+    try:
+        before = rtsys.get_allocation_stats().alloc
+        for _ in range(simulation.plan.restores):
+            simulation.advance(dt)
+        return rtsys.get_allocation_stats().alloc - before
+    finally:
+        _nrt_python.memsys_disable_stats()
+
+
+def test_compiled_code_allocates_nothing_in_its_loops(mixed):
+    """As much for all segments and blocks as for one of each."""
+    simulation, dt = mixed
+    for_all = compiled_allocations(simulation, dt)
+
+    def first(of, kernel, rows, *arguments):
+        if len(rows):
+            simulation.engine.run(of, kernel, rows[:1], *arguments)
+
+    simulation.engine.call_if_rows = first
+    assert for_all == compiled_allocations(simulation, dt)
+
+
+def test_nothing_a_step_allocates_stays(mixed):
+    simulation, dt = mixed
+    tracemalloc.start()
+    try:
+        for _ in range(2000):  # Python keeps a store of freed numbers, which fills first
+            simulation.advance(dt)
+        before = tracemalloc.get_traced_memory()[0]
+        tracemalloc.reset_peak()
+        for _ in range(50):
+            simulation.advance(dt)
+        after, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert after - before < 2000
+    assert most - before < 20_000
+
+
+def test_an_empty_step_moves_nothing(tmp_path):
+    """What `python -m tests.benchmarks overhead` times: kernels are called, and do nothing."""
+    lay_out(Case("fluid", 64), ["single"], tmp_path)
+    contestant = instrumented_contestant.Contestant(
+        {"folder": str(tmp_path / "single"), "ranks": 1, "threads": 1}
+    )
+    found = contestant.empty(100)  # Python keeps a store of freed tuples, which fills first
+    assert 0 < found["us"] < 1e6 and found["stays"] < 100
+    simulation = contestant.simulation
+    (group,) = simulation.groups
+    start = group.xi.copy()
+    assert simulation.step > 200 and simulation.sorts == 1
+    contestant.restart()
+    assert (start == contestant.simulation.groups[0].xi).all()
+    contestant.step()
+    assert (start != contestant.simulation.groups[0].xi).any(), "kernels stayed empty"
+
+
+def test_ranks_on_different_processors_are_told(caplog):
+    kinds = ["znver5 00000001", "znver5 00000001", "haswell 00000002"]
+
+    class Told:
+        """Three ranks as one: `all_rows` gives what each would say."""
+
+        def all_rows(self, row):
+            rows = [np.frombuffer(kind.encode().ljust(96), np.uint8) for kind in kinds]
+            return np.stack(rows)
+
+    compile_kernels._same_processor(Told())
+    assert "rank 0: znver5 00000001, rank 2: haswell 00000002" in caplog.text
+    assert "NUMBA_CPU_NAME" in caplog.text
+
+
+def test_ranks_on_equal_processors_are_not(caplog):
+    simulated_ranks.run(3, compile_kernels._same_processor)
+    assert caplog.text == ""
+
+
+def test_the_first_compilation_is_told(tmp_path, monkeypatch, caplog):
+    """Before it begins, and where nothing is left to compile not at all."""
+    plan = SimpleNamespace(groups=[], real=np.float32)
+    there = tmp_path / "new" / "seal.compiled"
+    seen = []
+    monkeypatch.setattr(compile_kernels, "compiled_marker", lambda *kind: there)
+    monkeypatch.setattr(compile_kernels, "_run_all", lambda plan: seen.append(caplog.messages[:]))
+    with caplog.at_level(logging.INFO, "vgmpi"):
+        compile_kernels.compile_kernels(plan, SerialCommunicator())
+        (line,) = caplog.messages
+        assert line.startswith("compiling for this processor, once for these materials: ")
+        assert seen == [[line]] and there.exists()
+        compile_kernels.compile_kernels(plan, SerialCommunicator())
+    assert caplog.messages == [line]
+
+
+def test_stamps_tell_kernels_apart():
+    assert compiled_marker("fluid", np.dtype(np.float32)) == compiled_marker(
+        "fluid", np.dtype(np.float32)
+    )
+    assert compiled_marker("fluid", np.dtype(np.float32)) != compiled_marker(
+        "fluid", np.dtype(np.float64)
+    )

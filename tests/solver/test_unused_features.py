@@ -1,0 +1,304 @@
+"""What a scene does not ask for is not there: no array, no kernel, no bit of a difference.
+
+Every array that can be reached from a simulation is listed by name
+(tests/support/reachable_arrays.py), and every
+specialisation of a kernel that its steps have called. Expected of one fluid in a box: particles,
+segments, one layer of nodes, and tables of a number per segment or block. Each feature then adds
+what it needs, and nothing else.
+"""
+
+import re
+
+import numpy as np
+import pytest
+
+from tests.support import reachable_arrays
+from tests.support.simulate import begin, by_id
+
+PLAIN = """
+[domain]
+size = [0.32, 0.32, 0.32]
+cell = 0.02
+[time]
+end = 1
+[material.water]
+kind = "fluid"
+bulk_modulus = 5e4
+[[object]]
+name = "pool"
+material = "water"
+shape = { box = [[0, 0, 0], [0.16, 0.16, 0.16]] }
+"""
+# S segments, B blocks of nodes, R rows of them with room to grow, P places of particles of C
+# numbers, Q numbers of a scratch patch, T times of frames
+ARRAYS = """
+groups.*.xi 3 P
+groups.*.f C P
+groups.*.ids P
+groups.*.spare P
+groups.*.block S 3
+groups.*.code S
+groups.*.count S
+groups.*.start S
+engine.layers.momentum.sums R 2 256
+engine.layers.momentum.nodes R 256
+engine.layers.momentum.asked B
+engine.layers.momentum.phase B
+engine.parts.*.segments.into S 27
+engine.parts.*.segments.table S 27
+engine.parts.*.segments.limit S 3 2
+engine.parts.*.segments.mirror S 3 2
+engine.parts.*.segments.split S
+engine.parts.*.contributions.*.chosen S
+engine.parts.*.moving.chosen S
+engine.parts.*.partition.all.* S
+engine.parts.*.partition.inner.* S
+engine.block_shares.all.* B
+engine.block_shares.inner.* B
+engine.blocks.copied B+1
+engine.layers.offsets.asked B
+engine.scratch.*.real Q
+engine.scratch.*.whole 150
+engine.scratch.*.peak 16
+tables.code S
+tables.group S
+tables.block S 3
+tables.border S
+tables.table S 27
+tables.takes.momentum S
+tables.takes.offsets S
+tables.first B+1
+tables.phase B
+tables.at B 3
+tables.meets B
+tables.waits B
+tables.solid B
+tables.asked.momentum B
+tables.asked.offsets B
+census.code S
+census.group S
+census.key S
+census.owner S
+census.particles S
+plan.times T
+"""
+# at most so many numbers, however large the scene: of phases and walls, and scratch of a node
+FEW = 70
+HANDFUL = (
+    "census.load", "engine.as_one", "engine.beyond", "engine.layers.momentum.rest",
+    "engine.layers.momentum.current_bounds", "engine.layers.offsets.rest",
+    "engine.layers.offsets.current_bounds",
+    "engine.phases", "engine.reports", "engine.room", "engine.step", "engine.walls", "gravity",
+    "needs", "reduction_buffer",
+)  # fmt: skip
+KERNELS = {
+    "fill(Momentum, FluidLaw, Segments, Particles, Scratch, None)",
+    "fill(Inertia, None, Segments, Particles, Scratch, None)",
+    "g2p(FluidLaw, Segments, Particles, Nothing, Scratch, Numbers, Motion, None)",
+    "give_back(Segments, Particles, Scratch, None)",
+    "settle(NodeBlocks, Sums, Phases, Step)",
+    "update(NodeBlocks, Summed(Sums, Sums), None, None, None, Walls, Phases, Rigid(Ways),"
+    " Room(None), Step)",
+}
+BLOCK = """
+[[object]]
+name = "block"
+material = "stuff"
+shape = { box = [[LOW, 0, 0], [HIGH, 0.16, 0.16]] }
+"""
+BESIDE = BLOCK.replace("LOW", "0.16").replace("HIGH", "0.24")
+WITHIN = BLOCK.replace("LOW", "0").replace("HIGH", "0.16")
+POST = """
+[[object]]
+name = "post"
+role = "scenery"
+collider = true
+shape = { box = [[0.18, 0.04, 0.04], [0.24, 0.12, 0.12]] }
+"""
+RUBBER = '[material.stuff]\nkind = "elastic"\nyoungs_modulus = 1e5\n'
+MILK = '[material.stuff]\nkind = "fluid"\nbulk_modulus = 5e4\n'
+GRAINS = '[material.stuff]\nkind = "sand"\n'
+COUPLED = '[[coupling]]\nbetween = ["water", "stuff"]\n'
+# what is defined and nothing is made of
+UNUSED = (
+    GRAINS
+    + """
+[material.toy]
+kind = "elastic"
+youngs_modulus = 1e5
+[material.milk]
+kind = "fluid"
+[[coupling]]
+between = ["water", "stuff"]
+kind = "drag"
+permeability = 1e-3
+[[coupling]]
+between = ["water", "milk"]
+kind = "mixing"
+diffusion = 1e-4
+[[coupling]]
+between = ["toy", "water"]
+kind = "contact"
+friction = 0.3
+"""
+)
+SHARED = {
+    "engine.layers.impulses", "engine.beside.flux", "engine.apart_room", "engine.pairs",
+    "needs.apart", "plan.rules", "tables.asked.impulses", "tables.takes.impulses",
+}  # fmt: skip
+
+
+def simulated(folder, text):
+    """A simulation after some steps, and the calls of its kernels."""
+    with reachable_arrays.Calls() as calls:
+        simulation, _ = begin(folder, text)
+        for _ in range(2 * simulation.plan.restores + 2):
+            simulation.advance(simulation.bound())
+    return simulation, calls
+
+
+def shapes(simulation):
+    """By name, a number in which is a star: the shape of each array that holds anything."""
+    return {
+        re.sub(r"\.\d+(?=\.|$)", ".*", name): array.shape
+        for name, array in reachable_arrays.arrays(simulation).items()
+        if array.size
+    }
+
+
+def parts(names):
+    """What arrays belong to, in a word or three."""
+    found = set()
+    for name in names:
+        words = [word for word in name.split(".") if word != "*"]
+        wide = words[0] in ("engine", "tables", "needs", "plan")
+        deep = wide and words[1] in ("layers", "beside", "room", "parts", "asked", "takes")
+        found.add(".".join(words[: 1 + wide + deep]))
+    return found
+
+
+def kinds(told):
+    """The kernels and types that specialisations are made of."""
+    return set(re.findall(r"\w+", " ".join(told)))
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    return simulated(tmp_path_factory.mktemp("plain"), PLAIN)
+
+
+def test_every_array_of_one_fluid_in_a_box(plain):
+    simulation, _ = plain
+    group, tables = simulation.groups[0], simulation.tables
+    sizes = {
+        "S": len(group.start),
+        "B": len(tables.at),
+        "R": len(tables.at) + len(tables.at) // 4,
+        "P": len(group.ids),
+        "C": 3 + 9 + 1 + 1,  # v, C, vol0, theta
+        "Q": len(simulation.engine.scratch[0].real),
+        "T": len(simulation.plan.times),
+    }
+    sizes["B+1"] = sizes["B"] + 1
+    lines = [line.split() for line in ARRAYS.split("\n") if line]
+    expected = {
+        name: tuple(sizes.get(word) or int(word) for word in words) for name, *words in lines
+    }
+    found = shapes(simulation)
+    small = {name for name in found if name.startswith(HANDFUL) and name not in expected}
+    assert {name: found[name] for name in found if name not in small} == expected
+    assert all(np.prod(found[name]) <= FEW for name in small)
+    assert not simulation.halo.sends and not simulation.halo.receives
+
+
+def test_every_kernel_of_one_fluid_in_a_box(plain):
+    assert plain[1].told == KERNELS
+
+
+def test_what_is_defined_and_not_used_changes_nothing(tmp_path, plain):
+    """The same arrays, kernels and bits."""
+    simulation, calls = simulated(tmp_path, PLAIN + UNUSED)
+    assert shapes(simulation) == shapes(plain[0])
+    assert calls.told == plain[1].told
+    for name in ("x", "v", "C", "J"):
+        for one, other in zip(by_id(simulation, name), by_id(plain[0], name), strict=True):
+            assert np.array_equal(one, other)
+
+
+def test_what_is_not_used_bounds_no_step(tmp_path):
+    """A fixed one is not refused for fluids of which one is not there; they would bear 7 us."""
+    fixed = PLAIN.replace("end = 1", "end = 1\ndt = 1e-4")
+    unused = UNUSED.replace("diffusion = 1e-4", "diffusion = 10")
+    assert begin(tmp_path, fixed + unused)[0].plan.fixed_dt == 1e-4
+
+
+WITH_SAND = PLAIN.replace('"fluid"\nbulk_modulus = 5e4', '"sand"')
+IN_PORES = PLAIN.replace('name = "pool"', 'name = "pool"\nfraction = 0.4') + GRAINS + WITHIN
+RED = BESIDE + 'colour = "#ff0000"\n'
+TRAVELS = '[appearance]\ncolour_transfer = "step"\n'
+TAP = """
+[[source]]
+name = "tap"
+material = "water"
+disc = { center = [0.16, 0.16, 0.26], radius = 0.03 }
+direction = [0, 0, -1]
+velocity = 1
+"""
+DRAIN = """
+[[sink]]
+name = "drain"
+shape = { box = [[0.24, 0, 0], [0.32, 0.32, 0.32]] }
+"""
+MIXES = {"Apart", "Tables", "Rules", "Impulses", "Sharing"}
+# name: scene, parts with arrays, and kinds in kernels that the plain one has not
+FEATURES = {
+    "sand": (WITH_SAND, set(), {"SandLaw"}),
+    "a solid": (
+        PLAIN + RUBBER + BESIDE, {"engine.layers.offsets"}, {"ElasticLaw", "Surface", "Offsets"},
+    ),
+    "colours": (
+        PLAIN + TRAVELS + MILK + RED,
+        {"engine.layers.colour 0", "tables.asked.colour 0", "tables.takes.colour 0",
+         "engine.sets", "plan.colours"},
+        {"Colour", "take", "blend"},
+    ),
+    "mixing": (PLAIN + MILK + BESIDE + COUPLED + 'kind = "mixing"\n', SHARED, MIXES),
+    "drift": (
+        PLAIN + MILK + BESIDE + COUPLED + 'kind = "mixing"\ndiffusion = 1e-4\n',
+        {*SHARED, "engine.beside.drift", "engine.layers.offsets"},
+        {*MIXES, "Present"},
+    ),
+    "drag": (
+        IN_PORES + COUPLED + 'kind = "drag"\npermeability = 1e-3\n', SHARED, {*MIXES, "SandLaw"},
+    ),
+    "a collider": (PLAIN + POST, {"engine.layers.offsets", "solids"}, {"Offsets"}),
+    "a moving collider": (
+        PLAIN + POST + "motion = { velocity = [0.01, 0, 0] }\n",
+        {"engine.layers.offsets", "movers"},
+        {"Offsets"},
+    ),
+    "a source": (PLAIN + TAP, {"sources", "plan.sources"}, set()),
+    "a sink": (PLAIN + DRAIN, {"sinks"}, set()),
+    "a probe": (PLAIN + '[[probe]]\nname = "deep"\nrate = 100\npressure = [0.1, 0.1, 0.1]\n',
+        set(), set()),
+    "a wall that is felt": (
+        PLAIN + '[[probe]]\nname = "floor"\nrate = 100\nwall = "floor"\n',
+        {"reactions", "engine.room.given", "engine.parts.ghosts"},
+        {"Given", "Ghosts"},
+    ),
+    "volume that is kept": (PLAIN + '[accuracy]\nvolume = "kept"\n', set(), {"Kept"}),
+    "flip": (
+        PLAIN + '[accuracy]\ntransfer = "flip"\n',
+        {"engine.layers.impulses", "engine.beside.change", "engine.apart_room",
+         "tables.asked.impulses", "tables.takes.impulses"},
+        {"Apart", "Impulses", "Blend"},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FEATURES)
+def test_a_feature_adds_what_it_needs(tmp_path, plain, name):
+    text, adds, compiles = FEATURES[name]
+    simulation, calls = simulated(tmp_path, text)
+    assert parts(set(shapes(simulation)) - set(shapes(plain[0]))) == adds
+    assert kinds(calls.told) - kinds(KERNELS) == compiles

@@ -1,0 +1,189 @@
+"""A card's engine in the simulator beside the processor's, bit by bit: a program of its own, since
+numba must know from the start that it simulates.
+
+    python -m tests.support.cuda_bits single 2 fluid contact      precision, steps, scenes of
+    test_engines
+    python -m tests.support.cuda_bits single 2 fluid --break NAME --order 3
+
+Prints a line per scene, `same` or `OTHER` and what differs; the processor does not contract
+products and sums, and scenes have cells twice as wide as in test_engines. --order: of the threads
+of a block; --break: something of the card's engine is broken first (BREAKS), to see that it is
+found.
+"""
+
+import argparse
+import os
+import sys
+import tempfile
+import warnings
+from pathlib import Path
+
+import tests.support.cuda_simulator as cudasim
+
+os.environ["VGMPI_CONTRACTION"] = "off"
+
+import numpy as np  # noqa: E402
+from numba import cuda  # noqa: E402
+
+from tests.solver import test_engines as engines  # noqa: E402
+from tests.support.engine_pair import beside, shaken, worst  # noqa: E402
+from tests.support.small_scenes import scene  # noqa: E402
+from vgmpi.kernels.simd import cooperative as lanes_team  # noqa: E402
+from vgmpi.preprocess.initial_velocity import initial_velocity_gradient  # noqa: E402
+from vgmpi.preprocess.scene_builder import build_scene  # noqa: E402
+from vgmpi.solver.engines.cuda import (  # noqa: E402
+    device_group,
+    device_sort,
+    grid_kernels,
+    thread_block,
+    transfer_kernels,
+)
+from vgmpi.solver.engines.cuda.cuda_engine import Cuda  # noqa: E402
+from vgmpi.solver.engines.cuda.grid_kernels import from_lane  # noqa: E402
+from vgmpi.solver.initial_particles import known_of, plan_for  # noqa: E402
+
+SORT_AT = 1
+
+
+def simulations(name: str, precision: str, which: tuple[str, ...]):
+    """Simulations of the same particles, one per engine."""
+    text, walls, accuracy = engines.SCENES[name]
+    head = engines.HEAD.replace("BOUNDARY", engines.WALLS[walls]).replace("ACCURACY", accuracy)
+    head = head.replace('"double"', f'"{precision}"').replace("cell = 0.02", "cell = 0.04")
+    # what cells so wide have no room for
+    text = text.replace("[0.15, 0.13, 0.12], radius = 0.012", "[0.13, 0.125, 0.09], radius = 0.028")
+    text = text.replace("0.175, 0.16", "0.155, 0.16").replace("0.0325, 0.16", "0.028, 0.16")
+    with tempfile.TemporaryDirectory() as folder:
+        loaded = scene(Path(folder), head + text)
+        made = build_scene(loaded)
+        plan = plan_for(loaded, known_of(loaded, made))
+    x, v = shaken(made, plan, 3)
+    C = initial_velocity_gradient(loaded, x, made.object)
+    more = {"theta": made.theta0, "C": C, "sh": made.sh, "surface": made.surface0}
+    return beside(plan, made.colliders, x, v, made.vol0, made.object, which, **more)
+
+
+def differences(one, other) -> list[str]:
+    """What is not the same in two simulations, bit by bit."""
+    found = [
+        name for name in ("rate", "particle_maxima") if getattr(one, name) != getattr(other, name)
+    ]
+    if (
+        one.reactions is not None
+        and one.reactions.totals.tobytes() != other.reactions.totals.tobytes()
+    ):
+        found.append("what rigid things gave")
+    for a, b in zip(one.groups, other.groups, strict=True):
+        at = a.index()
+        if not (np.array_equal(at, b.index()) and np.array_equal(a.ids[at], b.ids[at])):
+            return [f"{a.plan.name}: order"]
+        if not np.array_equal(a.xi[:, at], b.xi[:, at]):
+            found.append(f"{a.plan.name}: x")
+        for channel in a.plan.channels:
+            mine, theirs = a.get(channel.name, at), b.get(channel.name, at)
+            if mine.tobytes() != theirs.tobytes():
+                gap = np.abs(mine - theirs).max() / max(np.abs(mine).max(), 1e-300)
+                found.append(f"{a.plan.name}: {channel.name} {gap:.0e}")
+    return found
+
+
+def compared(name: str, precision: str, steps: int) -> str:
+    """A line about one scene."""
+    which = ("cpu", "cuda", "numpy") if precision == "double" else ("cpu", "cuda")
+    every = simulations(name, precision, which)
+    for step in range(steps):
+        dt = 0.5 * every[0].bound()
+        for one in every:
+            if step == SORT_AT:
+                one.sort()
+            one.advance(dt)
+        found = differences(*every[:2])
+        if found:
+            return f"OTHER {name}, step {step}: {'; '.join(found)}"
+    count = sum(len(g) for g in every[0].groups)
+    far = f", {max(worst(*every[1:]).values()):.0e} from numpy" if len(every) > 2 else ""
+    return f"same {name}, {steps} steps, {count} particles{far}"
+
+
+# ---- broken on purpose --------------------------------------------------------------------------
+
+
+def _own_node(here):
+    return thread_block.rank() >> 2
+
+
+def _never():
+    pass
+
+
+def _no_order(begin, taken, ids, source):
+    pass
+
+
+def _shuffled(self, part):
+    found = USUAL(self, part)
+    rows = {
+        key: device_group.to_card(rows.copy_to_host()[::-1][1:])
+        for key, rows in found.contributions.items()
+    }
+    return found._replace(contributions=rows)
+
+
+def _from_its_neighbour(row, push, least):
+    mass = from_lane(row, cuda.threadIdx.x & 15)
+    moved = row / mass + push
+    return moved if (cuda.threadIdx.x & 3) < 3 else row
+
+
+def _reversed(self, part):
+    found = USUAL(self, part)
+    rows = {
+        key: device_group.to_card(rows.copy_to_host()[::-1])
+        for key, rows in found.contributions.items()
+    }
+    return found._replace(contributions=rows)
+
+
+BREAKS = {
+    "ownership": lambda: setattr(transfer_kernels, "_node", _own_node),  # two threads, one number
+    "meeting": lambda: setattr(
+        transfer_kernels, "meet", _never
+    ),  # records are read before they are made
+    "meeting at nodes": lambda: grid_kernels.NODES.stands_in.update(
+        {lanes_team.sync_threads: _never}
+    ),
+    "order": lambda: setattr(device_sort, "order", _no_order),  # of a cell's particles
+    "list": lambda: setattr(Cuda, "_laid_out", _shuffled),  # a segment is left out
+    "lane": lambda: grid_kernels.NODES.stands_in.update(
+        {grid_kernels.node_row_ops.velocity: _from_its_neighbour}
+    ),
+    # and what must not matter: sums take segments in any order
+    "reversed": lambda: setattr(Cuda, "_laid_out", _reversed),
+}
+
+
+USUAL = Cuda._laid_out
+
+
+def main(argv: list[str]) -> int:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("precision", choices=("single", "double"))
+    parser.add_argument("steps", type=int)
+    parser.add_argument("scenes", nargs="+")
+    parser.add_argument("--order", type=int)
+    parser.add_argument("--halves", action="store_true", help="two half warps a block, as a card")
+    parser.add_argument("--break", dest="broken", choices=BREAKS)
+    given = parser.parse_args(argv)
+    warnings.filterwarnings("ignore", category=RuntimeWarning)
+    cudasim.SEED[0] = given.order
+    if given.halves:
+        cudasim.TEAM[0], thread_block.HALVES[0] = 16, 2
+    if given.broken:
+        BREAKS[given.broken]()
+    for name in given.scenes:
+        print(compared(name, given.precision, given.steps), flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

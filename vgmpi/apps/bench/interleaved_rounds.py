@@ -1,0 +1,320 @@
+"""Contestants in processes of their own, timed in turns: A B C A B C ..., so that a change of the
+machine's pace meets all of them, and ratios are taken between neighbours in time.
+"""
+
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from vgmpi.parallel.launch import OPEN_MPI
+
+from .benchmark_case import DX, PER_STEP, BenchError, Case
+from .contestant_worker import CONTESTANTS
+
+START_SECONDS = 300.0  # a contestant may take to compile
+MOST_CYCLES = 20  # in a round of ours
+RIVAL_LAWS = ("fluid", "elastic")  # written in the rivals, too
+NAMES = {
+    "own": "vgmpi",
+    "inside": "vgmpi",
+    "plain": "numba loops",
+    "taichi_rival": "Taichi",
+    "warp_rival": "Warp",
+}
+INSIDE = "vgmpi.apps.bench.instrumented_contestant"  # what a study of makers asks for
+# what the worker is called in a checkout of this program, in a later one first
+# of this checkout, and of one from before rooms had these names
+WORKERS = ("vgmpi.apps.bench.contestant_worker", "vgmpi.bench.worker")
+AVX2 = {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "+avx2,+fma,+bmi,+bmi2"}
+# what two contestants may differ by after the check's steps: rounding of single precision, for the
+# rivals of positions counted from the grid's corner
+FAR = 1e-4  # [cells]
+FAST = 2e-5  # of the cube's speed
+DRIFT = 1e-5  # of total mass and momentum
+
+
+@dataclass(frozen=True)
+class Contestant:
+    module: str
+    precision: str = "single"
+    ranks: int = 1
+    threads: int = 1
+    cpu: str = ""  # "": what the machine has
+    tree: str = ""  # another checkout of this program; "": this one
+    card: bool = False  # on a graphics card
+    more: tuple[tuple[str, str], ...] = ()  # of its environment
+
+    @property
+    def name(self) -> str:
+        return NAMES[self.module]
+
+    @property
+    def path(self) -> str:
+        """The module that makes it, which other checkouts know better than this one."""
+        paths = CONTESTANTS | {"inside": INSIDE}
+        return "" if self.tree else paths[self.module]
+
+    @property
+    def on(self) -> str:
+        """Where it runs, for people."""
+        if self.card:
+            return "card"
+        if self.ranks > 1:
+            return f"{self.ranks} ranks"
+        return f"{self.threads} threads" if self.threads > 1 else "1 core"
+
+    @property
+    def label(self) -> str:
+        of = f"of {Path(self.tree).name}" if self.tree else ""
+        return " ".join(w for w in (self.name, self.precision, self.on, self.cpu, of) if w)
+
+    @property
+    def clock(self) -> str:
+        return "wall" if self.card or self.ranks * self.threads > 1 else "cpu"
+
+    def obstacle(self) -> str:
+        """Why it cannot start here, or ""."""
+        if self.ranks > 1 and shutil.which("mpirun") is None:
+            return "no mpirun found"
+        return ""
+
+
+def worker_of(tree: Path) -> str:
+    """The module of a checkout that a contestant's process runs. Raises BenchError."""
+    for name in WORKERS:
+        if (tree / f"{name.replace('.', '/')}.py").is_file():
+            return name
+    raise BenchError(f"{tree}: no checkout of this program: it has none of {', '.join(WORKERS)}")
+
+
+class Worker:
+    """A contestant's process or ranks. Raises BenchError where it cannot start or ends early."""
+
+    def __init__(self, contestant: Contestant, case: Case, folder: Path):
+        self.contestant = contestant
+        self.log = folder / f"{contestant.label.replace(' ', '_')}.log"
+        address = str(folder / "socket")
+        given = {
+            "module": contestant.module,
+            "path": contestant.path,
+            "socket": address,
+            "ranks": contestant.ranks,
+            "threads": contestant.threads,
+            "folder": str(folder / contestant.precision),
+            "particles": str(folder / "dense.npz"),
+            "numbers": case.numbers(),
+        }
+        package = contestant.tree or str(Path(__file__).parents[3])
+        command = [sys.executable, "-m", worker_of(Path(package)), json.dumps(given)]
+        if contestant.ranks > 1:
+            command = ["mpirun", "-n", str(contestant.ranks), *command]
+        env = {**OPEN_MPI, **os.environ, "PYTHONPATH": package}
+        env |= AVX2 if contestant.cpu == "avx2" else {}
+        env |= {"VGMPI_BENCH_DEVICE": "cuda"} if contestant.card else {}
+        env |= dict(contestant.more)
+        listener = socket.socket(socket.AF_UNIX)
+        try:
+            listener.bind(address)
+        except OSError as error:
+            raise BenchError(f"{address}: {error}; set TMPDIR to a shorter path") from None
+        listener.listen()
+        self.links = []
+        with open(self.log, "w") as out:
+            self.process = subprocess.Popen(
+                command,
+                env=env,
+                cwd=package,  # python -m looks here first
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+        try:
+            self._meet(listener)
+            self.versions = self._hear()[0]["versions"]
+        except BaseException:
+            self.close()
+            raise
+        finally:
+            listener.close()
+            os.unlink(address)
+
+    def _meet(self, listener: socket.socket) -> None:
+        listener.settimeout(0.2)
+        until = time.monotonic() + START_SECONDS
+        while len(self.links) < self.contestant.ranks:
+            try:
+                link, _ = listener.accept()
+            except TimeoutError:
+                if self.process.poll() is not None or time.monotonic() > until:
+                    raise BenchError(self._last_words()) from None
+                continue
+            link.settimeout(START_SECONDS)
+            self.links.append((link, link.makefile("rw", encoding="utf-8")))
+
+    def _hear(self) -> list[dict]:
+        answers = []
+        for _, lines in self.links:
+            try:
+                line = lines.readline()
+            except TimeoutError:
+                raise BenchError(f"no answer in {START_SECONDS:.0f} s") from None
+            if not line:
+                raise BenchError(self._last_words())
+            answers.append(json.loads(line))
+            if answers[-1].get("missing") in ("taichi", "warp"):
+                raise BenchError("not installed: pip install 'vgmpi[bench]'")
+            if "error" in answers[-1]:
+                raise BenchError(answers[-1]["error"])
+        return answers
+
+    def ask(self, do: str, **what) -> dict:
+        """One answer for all ranks: a round took as long as its slowest rank, a stage as long as
+        in the mean, and masses add up."""
+        try:
+            for _, lines in self.links:
+                lines.write(json.dumps({"do": do, **what}) + "\n")
+                lines.flush()
+        except OSError:
+            raise BenchError(self._last_words()) from None
+        answers = self._hear()
+        found = dict(answers[0])
+        for key, join in (("seconds", max), ("wall", max), ("mass", sum)):
+            if key in found:
+                found[key] = join(answer[key] for answer in answers)
+        if "stages" in found:
+            spent = [answer["stages"] for answer in answers]
+            found["stages"] = {s: sum(one[s] for one in spent) / len(spent) for s in spent[0]}
+        return found
+
+    def _last_words(self) -> str:
+        said = [line for line in self.log.read_text().splitlines() if line.strip()]
+        return "ended early: " + (said[-1] if said else "it said nothing")
+
+    def close(self) -> None:
+        """Workers end when their socket closes; what does not is stopped."""
+        for link, lines in self.links:
+            lines.close()
+            link.close()
+        for number in (signal.SIGTERM, signal.SIGKILL):  # mpirun hands the first on to its ranks
+            try:
+                self.process.wait(10)
+                return
+            except subprocess.TimeoutExpired:
+                os.killpg(self.process.pid, number)
+        self.process.wait()
+
+
+def contest(
+    case: Case, wanted: list[Contestant], rounds: int, seconds: float, folder: Path, say
+) -> list[dict]:
+    """One row per contestant; the first is the one the others are compared with.
+
+    seconds: about the length of a round; folder: where the case was laid out; say: called with a
+    line about what goes on.
+    """
+    rows = [{**vars(c), "name": c.name, "on": c.on, "clock": c.clock} for c in wanted]
+    live: list[tuple[dict, Worker]] = []
+    try:
+        for row, contestant in zip(rows, wanted, strict=True):
+            say(f"{case.law}, {case.particles:,} particles: starting {contestant.label}")
+            try:
+                if contestant.obstacle():
+                    raise BenchError(contestant.obstacle())
+                live.append((row, Worker(contestant, case, folder)))
+                row["versions"] = live[-1][1].versions
+            except BenchError as error:
+                row["note"] = str(error)
+        say(f"{case.law}, {case.particles:,} particles: checking that all compute the same")
+        _check(case, live, folder)
+        _turns(case, live, rounds, seconds, say)
+    finally:
+        for _, worker in live:
+            worker.close()
+    return rows
+
+
+def _turns(case: Case, live: list, rounds: int, seconds: float, say) -> None:
+    """Rounds of all contestants in turns, each as many units (steps, cycles) as fill `seconds`."""
+    units = {}
+
+    def trial(row, worker):
+        wall = max(worker.ask("round", units=1)["wall"], 1e-6)
+        n = max(1, round(seconds / wall))
+        units[worker] = min(n, MOST_CYCLES) if row["module"] == "own" else n
+        row["rounds"] = []
+
+    _each(live, trial)
+    for k in range(rounds):
+        say(f"{case.law}, {case.particles:,} particles: round {k + 1} of {rounds}")
+        _each(
+            live, lambda row, worker: row["rounds"].append(worker.ask("round", units=units[worker]))
+        )
+
+
+def _each(live: list, action) -> None:
+    """action(row, worker) for all; one that fails says so in its row and takes no further part."""
+    for row, worker in list(live):
+        try:
+            action(row, worker)
+        except BenchError as error:
+            row["note"] = str(error)
+            row.pop("rounds", None)
+            worker.close()
+            live.remove((row, worker))
+
+
+def _check(case: Case, live: list, folder: Path) -> None:
+    """Let all compute the same steps from the start; a row whose result is off says so in `wrong`.
+
+    Compares positions and velocities with the first contestant's, and each one's total mass and
+    momentum with what they must be.
+    """
+    steps = 30 if case.particles <= 200_000 else 8  # the rivals are slow; 20 hold a sort of ours
+    mass = case.material.bulk_density * DX**3 / 8 * case.particles
+    with np.load(folder / "dense.npz") as start:
+        begun = start["v"].mean(0)
+    falling = begun + np.array([0.0, 0.0, case.numbers()["gravity"] * steps * case.dt])
+    speed = PER_STEP * DX / case.dt
+    first: list[np.ndarray] = []
+
+    def one(row, worker):
+        path = folder / f"check_{worker.contestant.label.replace(' ', '_')}"
+        answer = worker.ask("check", steps=steps, path=str(path))
+        x, v = _gathered(path)
+        first.extend([] if first else [x, v])
+        row["checked"] = {
+            "steps": steps,
+            "far": float(np.abs(x - first[0]).max() / DX),
+            "fast": float(np.abs(v - first[1]).max() / speed),
+            "mass": abs(answer["mass"] / mass - 1.0),
+            "momentum": float(np.abs(v.mean(0, dtype=np.float64) - falling).max() / speed),
+        }
+        bounds = {"far": FAR, "fast": FAST, "mass": DRIFT, "momentum": DRIFT}
+        off = [f"{k} {row['checked'][k]:.1e}" for k, most in bounds.items()
+               if not row["checked"][k] <= most]  # fmt: skip
+        if off:
+            row["wrong"] = "computes something else: " + ", ".join(off)
+
+    _each(live, one)
+
+
+def _gathered(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and velocities of all ranks' files by id, which are removed."""
+    parts = []
+    for file in sorted(path.parent.glob(f"{path.name}*.npz")):
+        with np.load(file) as found:
+            parts.append([found[name] for name in ("id", "x", "v")])
+        file.unlink()
+    ids, x, v = (np.concatenate(column) for column in zip(*parts, strict=True))
+    order = np.argsort(ids)
+    return x[order].astype(np.float64), v[order].astype(np.float64)

@@ -1,0 +1,60 @@
+"""Commands with subcommands: their flags are read, they run, and their errors become a line."""
+
+import argparse
+import sys
+from collections.abc import Callable, Mapping
+
+from vgmpi.runtime.config.schema import SceneError
+
+# what a subcommand does, how its flags are added, how it runs
+Command = tuple[str, Callable[[argparse.ArgumentParser], None], Callable[[argparse.Namespace], int]]
+
+
+def parse_arguments(
+    program: str, description: str | None, commands: Mapping[str, Command], argv: list[str]
+) -> argparse.Namespace:
+    """Read the flags of a subcommand.
+
+    Args:
+        program: What a user types before the subcommand.
+        description: Text of its help.
+        commands: Subcommands by their names.
+        argv: Words of the command line.
+
+    Returns:
+        The flags, with `run` of the subcommand.
+    """
+    parser = argparse.ArgumentParser(prog=program, description=description)
+    subparsers = parser.add_subparsers(dest="command", required=True)
+    for name, (summary, add_flags, run) in commands.items():
+        command = subparsers.add_parser(name, help=summary, description=summary)
+        add_flags(command)
+        command.set_defaults(run=run)
+    return parser.parse_args(argv)
+
+
+def run_command(
+    program: str, arguments: argparse.Namespace, errors: tuple[type[Exception], ...]
+) -> int:
+    """Run a subcommand.
+
+    Args:
+        program: Name that stands before an error's line.
+        arguments: Flags of `parse_arguments`.
+        errors: Exceptions that a user can do something about.
+
+    Returns:
+        The exit code, 2 where a scene is wrong or one of the errors is raised.
+    """
+    try:
+        return arguments.run(arguments)
+    except SceneError as error:
+        print("\n".join(error.lines), file=sys.stderr)
+    except errors as error:
+        print(f"{program}: {error}", file=sys.stderr)
+    return 2
+
+
+def print_progress(line: str) -> None:
+    """Print a line beside the results, at once."""
+    print(line, file=sys.stderr, flush=True)

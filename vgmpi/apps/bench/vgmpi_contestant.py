@@ -1,0 +1,133 @@
+"""This solver as a contestant: set up from the scene's file exactly as a run is, stepped as a run
+steps, timed through the clock of its stages.
+"""
+
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+
+from vgmpi.io import file_layout, initial_state
+from vgmpi.parallel.communicator import SerialCommunicator, init_communicator
+from vgmpi.parallel.halo_exchange import FieldMessage
+from vgmpi.scene.loader import load
+from vgmpi.solver.diagnostics.conservation import conservation_rows
+from vgmpi.solver.initial_particles import plan_for, preparation_hash, prepare
+from vgmpi.solver.run import Options, begin, check, versions
+
+from .benchmark_case import STEPS, BenchError, to_dense
+
+LONGEST = 200  # steps of a cycle if nothing moves far enough to be sorted
+
+
+class Stages:
+    """Seconds by stage; `now` is the clock that is read."""
+
+    def __init__(self, now):
+        self.now = now
+        self.spent: dict[str, float] = {}
+        self.last = now()
+
+    def __call__(self, stage: str) -> None:
+        now = self.now()
+        self.spent[stage] = self.spent.get(stage, 0.0) + now - self.last
+        self.last = now
+
+
+class Contestant:
+    """One rank's share. given: folder (scene.toml and gaussians.h5), ranks, threads."""
+
+    def __init__(self, config: dict):
+        self.ranks = init_communicator() if config["ranks"] > 1 else SerialCommunicator()
+        self.versions = versions()
+        folder = Path(config["folder"])
+        scene = load(folder / "scene.toml")
+        if initial_state.preparation_hash(folder / file_layout.GAUSSIANS) != preparation_hash(
+            scene
+        ):
+            # it would be prepared anew, at rest: another scene than the others'
+            raise BenchError("the program's sources changed meanwhile: measure again")
+        summary = prepare(scene, self.ranks, folder)
+        plan = plan_for(scene, summary)
+        card = os.environ.get("VGMPI_BENCH_DEVICE") == "cuda"
+        options = Options(folder, config["threads"], "cuda" if card else "cpu")
+        check(options, self.ranks)
+        self.start = (scene, plan, summary, self.ranks, options)
+        self.dt = plan.fixed_dt
+        # one thread: its own time, so that what else the machine does counts little
+        is_serial = config["threads"] == 1 and self.ranks.size == 1
+        self.now = time.thread_time if is_serial else time.perf_counter
+        self.launches = [0]
+        if card:
+            from vgmpi.solver.engines.cuda.graphics_card import finished_at
+            from vgmpi.solver.engines.cuda.kernel_launch import LAUNCH_COUNT
+
+            self.now, self.launches = finished_at, LAUNCH_COUNT
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin the run again."""
+        self.simulation, _ = begin(*self.start)
+
+    def step(self) -> None:
+        """Compute one step."""
+        self.simulation.advance(self.dt, (0.0, 0.0))
+
+    def cycle(self) -> int:
+        """Steps up to and with the next sort; returns their number, the same on all ranks."""
+        sorts = self.simulation.sorts
+        steps = 0
+        while self.simulation.sorts == sorts and steps < LONGEST:
+            self.step()
+            steps += 1
+        return steps
+
+    def round(self, units: int) -> dict:
+        """Time `units` whole cycles from sort to sort, so that each step bears its share of a
+        sort."""
+        if self.simulation.step > STEPS // 2:
+            self.simulation = None  # its memory first
+            self.restart()
+        if self.simulation.step == 0:
+            self.cycle()  # memory and code are warm, and the first sort is over
+        self.ranks.barrier()
+        clock = self.simulation.clock = Stages(self.now)
+        began, wall, launches = clock.last, time.perf_counter(), self.launches[0]
+        steps = sum(self.cycle() for _ in range(units))
+        seconds, wall = self.now() - began, time.perf_counter() - wall
+        self.simulation.clock = None
+        result = {"steps": steps, "seconds": seconds, "wall": wall, "stages": clock.spent}
+        return result | {"launches": (self.launches[0] - launches) / steps}
+
+    def check(self, steps: int, path: str) -> dict:
+        """Write ids, positions (as the rivals see them) and velocities after `steps` steps."""
+        self.restart()
+        for _ in range(steps):
+            self.step()
+        groups = self.simulation.groups
+        np.savez(
+            f"{path}.{self.ranks.rank}",
+            id=np.concatenate([g.ids[g.index()] for g in groups]),
+            x=to_dense(np.concatenate([g.positions() for g in groups])),
+            v=np.concatenate([g.f[0:3, g.index()].T for g in groups]),
+        )
+        return {"mass": sum(entry["mass"] for entry in conservation_rows(self.simulation))}
+
+    def halo(self, blocks: int) -> dict:
+        """Seconds to make a message of whole node blocks and to add one, the least of some."""
+        engine = self.simulation.engine
+        engine.begin(self.dt, self.simulation.gravity, 1.0)
+        chosen = np.arange(min(blocks, len(engine.tables.phase)))
+        masks = np.full(len(chosen), ~np.uint64(0))
+        count = 64 * len(chosen) * engine.words
+        part = FieldMessage(
+            "momentum", chosen, masks, np.zeros(3 * count, np.uint64), np.zeros(count, np.uint16)
+        )
+        seconds = {"pack": np.inf, "add": np.inf}
+        for _ in range(10):
+            for name in seconds:
+                began = self.now()
+                getattr(engine, name)(part)
+                seconds[name] = min(seconds[name], self.now() - began)
+        return {**seconds, "blocks": len(chosen), "bytes": part.numbers.nbytes + part.tails.nbytes}

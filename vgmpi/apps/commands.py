@@ -1,0 +1,79 @@
+"""The command `vgmpi`: a table of subcommands, each in a module that is imported when it is asked
+for."""
+
+import importlib
+import sys
+from typing import NamedTuple
+
+
+class Command(NamedTuple):
+    """A subcommand: the module whose function runs it, and one line of help."""
+
+    module: str
+    summary: str
+    flags: tuple[str, ...] = ()  # words that come before the user's
+    function: str = "main"
+
+
+COMMANDS = {
+    "run": Command("vgmpi.apps.run.cli", "run a scene; `vgmpi scene.toml` does the same"),
+    "check": Command("vgmpi.apps.run.cli", "check a scene file and write nothing", ("--check",)),
+    "plan": Command("vgmpi.apps.run.cli", "estimate what a scene will cost", ("--plan",)),
+    "prepare": Command("vgmpi.apps.run.cli", "make a scene's particles and stop", ("--prepare",)),
+    "inspect": Command("vgmpi.apps.run.cli", "describe an output file or an input", ("--inspect",)),
+    "render": Command("vgmpi.apps.render.render", "draw a video of a run", function="command"),
+    "view": Command("vgmpi.apps.render.view", "draw particles colored by any field"),
+    "replay": Command("vgmpi.apps.render.replay", "write a run as an interactive HTML page"),
+    "export": Command("vgmpi.apps.render.export", "write frames as Gaussian files"),
+    "fit": Command("vgmpi.apps.fit.__main__", "identify a scene's parameters from data"),
+    "tradeoff": Command(
+        "vgmpi.apps.tradeoff.setting_study", "compare accuracy and time by settings"
+    ),
+    "energy": Command("vgmpi.apps.tradeoff.energy_drift", "measure energy over many steps"),
+    "photo": Command("vgmpi.apps.photo.__main__", "make a scene from photographs"),
+    "convert": Command("vgmpi.apps.convert.__main__", "convert a PhysGaussian or VersaGauss scene"),
+    "bench": Command("vgmpi.apps.bench.__main__", "measure the speed of this machine"),
+}
+HELP = """usage: vgmpi scene.toml [flags]
+       vgmpi COMMAND [flags]
+       mpirun -n 2 python -m vgmpi scene.toml
+
+Multiphase physics on 3D Gaussians. `vgmpi COMMAND --help` lists the flags of a command.
+
+commands:
+{commands}
+
+exit codes: 0 done, 1 unexpected error, 2 wrong scene or flags, 3 the simulation blew up,
+75 stopped with a checkpoint, 130 interrupted"""
+
+
+def format_help() -> str:
+    """Return the help of `vgmpi`: all subcommands with a line each."""
+    lines = (f"  {name:10s}{command.summary}" for name, command in COMMANDS.items())
+    return HELP.format(commands="\n".join(lines))
+
+
+def main(argv: list[str]) -> int:
+    """Run a subcommand, or the scene that is named first.
+
+    Args:
+        argv: Words of the command line without the program's name.
+
+    Returns:
+        The exit code.
+    """
+    if argv and argv[0] in ("-h", "--help"):
+        print(format_help())
+        return 0
+    name = argv[0] if argv and argv[0] in COMMANDS else "run"
+    words = argv[1:] if argv and argv[0] in COMMANDS else argv
+    command = COMMANDS[name]
+    try:
+        module = importlib.import_module(command.module)
+    except ModuleNotFoundError as error:
+        if error.name and error.name.startswith("vgmpi"):
+            raise
+        print(f"vgmpi {name}: the package {error.name} is not installed", file=sys.stderr)
+        return 2
+    flags = () if {"-h", "--help"} & set(words) else command.flags
+    return getattr(module, command.function)([*flags, *words])

@@ -1,0 +1,61 @@
+"""Command `python -m vgmpi convert config.json -o scene.toml`: scenes from other programs."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from vgmpi.runtime.exit_handler import exit_code_from_exceptions
+
+WRONG = 2
+
+
+def arguments(argv: list[str] | None) -> argparse.Namespace:
+    """Return the command-line arguments."""
+    parser = argparse.ArgumentParser(
+        prog="python -m vgmpi convert",
+        description="A configuration of PhysGaussian or VersaGauss becomes a scene. Each key that"
+        " the scene does not have is named, on stderr and at the end of the scene.",
+        epilog="exit codes: 0 done, 1 unexpected error, 2 something in the file or the flags is"
+        " wrong, 130 interrupted",
+    )
+    parser.add_argument("config", type=Path, help="configuration (JSON)")
+    parser.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="FILE", help="the scene to write (TOML)"
+    )
+    parser.add_argument(
+        "--gaussians", type=Path, action="append", default=[], metavar="FILE",
+        help="the Gaussians of the body, or a folder of Gaussian splatting that has them in"
+        " point_cloud/; once for each body, in order",
+    )  # fmt: skip
+    parser.add_argument("--overwrite", action="store_true", help="replace the scene if it is there")
+    return parser.parse_args(argv)
+
+
+@exit_code_from_exceptions
+def main(argv: list[str] | None = None) -> int:
+    """Run the command and return the exit code."""
+    args = arguments(argv)
+    from .config_reader import ConvertError
+    from .scene_converter import convert_scene
+
+    try:
+        if args.output.exists() and not args.overwrite:
+            raise ConvertError([f"{args.output}: is there already: --overwrite replaces it"])
+        scene, lines = convert_scene(args.config, args.gaussians, args.output.parent)
+        args.output.write_text(scene, encoding="utf-8")
+    except ConvertError as error:
+        for line in error.lines:
+            print(line, file=sys.stderr)
+        return WRONG
+    except OSError as error:
+        print(f"{args.output}: {error.strerror or error}", file=sys.stderr)
+        return WRONG
+    for line in lines:
+        print(line, file=sys.stderr)
+    summary = f"{len(lines)} keys are not in it or in part" if lines else "all keys are in it"
+    print(f"{args.output}: written; {summary}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,25 @@
+"""Choice of the target class by the tables [target] and [sds] of a fit file."""
+
+from vgmpi.apps.fit.video_prior.denoising_target import DenoisingTarget
+
+from .fit_config import FitFile
+from .frame_target import FrameTarget
+from .table_target import TableTarget
+from .target_base import Target
+from .video_target import VideoTarget
+
+
+def target_of(file: FitFile) -> Target:
+    """Return the target of a fit file.
+
+    Raises:
+        FitFileError: If the target does not suit the scene.
+        vgmpi.rendering.render_config.SettingsError: If its render.toml is wrong.
+        StudyError: If packages that [sds] needs are missing.
+    """
+    if file.settings.sds is not None:
+        return DenoisingTarget(file)
+    settings = file.settings.target
+    if settings.video is not None:
+        return VideoTarget(file)
+    return FrameTarget(file) if settings.frames is not None else TableTarget(file)

@@ -1,0 +1,8 @@
+"""Deprecated path of `vgmpi.io.run_reader`."""
+
+import warnings
+
+from vgmpi.io.run_reader import *  # noqa: F403
+from vgmpi.io.run_reader import RunError, RunFiles  # noqa: F401
+
+warnings.warn("vgmpi.output.read is now vgmpi.io.run_reader", DeprecationWarning, stacklevel=2)

@@ -1,0 +1,89 @@
+"""Command `python -m vgmpi photo photo.jpg layout.toml -o runs/mine`: photograph to scene."""
+
+import argparse
+import logging
+import sys
+from pathlib import Path
+
+from vgmpi.runtime.exit_handler import exit_code_from_exceptions
+
+EXIT_USAGE = 2
+
+
+def parse_arguments(argv: list[str] | None) -> argparse.Namespace:
+    """Parse the command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m vgmpi photo",
+        description="Objects in a photograph become Gaussians and a scene in which they stand as"
+        " they do in the photograph. Every guess is written into the layout, where it can be"
+        " changed; docs/pictures.md.",
+        epilog="exit codes: 0 done, 1 unexpected error, 2 something in the layout, the pictures or"
+        " the flags is wrong, 130 interrupted",
+    )
+    parser.add_argument("photo", type=Path, help="the photograph")
+    parser.add_argument(
+        "layout", type=Path, nargs="?", help="what is where in it (TOML); with --find it is made"
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="FOLDER", help="where the scene goes"
+    )
+    parser.add_argument(
+        "--find", action="store_true",
+        help="propose a layout with boxes of what may be objects, and stop there",
+    )  # fmt: skip
+    parser.add_argument("--overwrite", action="store_true", help="replace a scene that was changed")
+    return parser.parse_args(argv)
+
+
+@exit_code_from_exceptions
+def main(argv: list[str] | None = None) -> int:
+    """Run the command and return its exit code."""
+    args = parse_arguments(argv)
+    from .grabcut import MaskError
+    from .layout_config import LayoutError
+    from .photograph import PhotographError
+    from .pipeline import photo_to_scene, propose
+
+    lines = _listen()
+    try:
+        if args.find:
+            where = propose(args.photo, args.layout, args.output)
+            print(f"{where}: proposed; {args.output / 'find.png'} shows the boxes")
+            print("next: names and one height in it, then the same without --find")
+            return 0
+        if args.layout is None:
+            raise LayoutError(["no layout is given: --find proposes one"])
+        photo_to_scene(args.photo, args.layout, args.output, args.overwrite)
+    except LayoutError as error:
+        for line in error.lines:
+            print(line, file=sys.stderr)
+        return EXIT_USAGE
+    except (PhotographError, MaskError) as error:
+        print(error, file=sys.stderr)
+        return EXIT_USAGE
+    except OSError as error:
+        print(f"{error.filename or args.output}: {error.strerror or error}", file=sys.stderr)
+        return EXIT_USAGE
+    finally:
+        logging.getLogger("vgmpi.apps.photo").removeHandler(lines)
+    out = args.output
+    lines.write(out)
+    print(f"{out / 'check.png'}: the photograph beside the first frame")
+    print(f"next: python -m vgmpi {out / 'scene.toml'}")
+    print(f"then: python -m postprocess.render {out / 'out'} {out / 'render.toml'}")
+    return 0
+
+
+def _listen():
+    """Print the decisions of the package's logger and record them for images.log."""
+    from .output_folder import Decisions
+
+    decisions = Decisions(lambda line: print(line, flush=True))
+    log = logging.getLogger("vgmpi.apps.photo")
+    log.setLevel(logging.INFO)
+    log.addHandler(decisions)
+    return decisions
+
+
+if __name__ == "__main__":
+    sys.exit(main())

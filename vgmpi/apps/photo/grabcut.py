@@ -1,0 +1,158 @@
+"""Segmentation of an object by GrabCut from its box and from clicks; operations on masks."""
+
+import logging
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+log = logging.getLogger("vgmpi")
+
+GRABCUT_ITERATIONS = 6  # iterations of GrabCut
+CLICK_RADIUS = 0.008  # [-] radius around a click that it decides, relative to the longer side
+MARGIN = 0.35  # [-] background around the box that is used, relative to the box
+MIN_PIXELS = 64  # [pixels] smallest usable mask
+COLOR_TOLERANCE = 12  # [0..255] color tolerance of the region that a click marks
+THREAD_WIDTH = 0.025  # [-] thinner parts are removed, relative to the box's shorter side
+_SEED = 1
+
+
+class MaskError(ValueError):
+    """Error of an object without a usable mask; one line."""
+
+
+class Box(NamedTuple):
+    """Corners of a box in the picture [pixels]; right and bottom are exclusive."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+
+
+def opencv():
+    """Return the package cv2, limited to one thread and with a fixed seed.
+
+    Raises:
+        MaskError: OpenCV is missing.
+    """
+    try:
+        import cv2
+    except ImportError:
+        message = "GrabCut needs OpenCV: pip install 'vgmpi[images]'"
+        raise MaskError(message) from None
+    cv2.setNumThreads(1)
+    cv2.setRNGSeed(_SEED)
+    return cv2
+
+
+def grabcut(rgb: np.ndarray, box: Box, clicks: list[tuple[float, float, bool]]) -> np.ndarray:
+    """Return the object in a box, (height, width) bool.
+
+    Args:
+        rgb: Photograph, shape (height, width, 3) uint8.
+        box: Box of the object [pixels]; everything outside it is background.
+        clicks: x, y [pixels] and whether the object is there.
+
+    Raises:
+        MaskError: The box is the whole picture, or GrabCut finds nothing in it.
+
+    References:
+        Rother, Kolmogorov and Blake 2004.
+    """
+    cv2 = opencv()
+    height, width = rgb.shape[:2]
+    margins = [MARGIN * (box.right - box.left) + 8, MARGIN * (box.bottom - box.top) + 8]
+    x0, y0 = max(0, int(box.left - margins[0])), max(0, int(box.top - margins[1]))
+    x1, y1 = min(width, int(box.right + margins[0])), min(height, int(box.bottom + margins[1]))
+    patch = np.ascontiguousarray(rgb[y0:y1, x0:x1])
+    label = np.full(patch.shape[:2], cv2.GC_BGD, dtype=np.uint8)
+    label[box.top - y0 : box.bottom - y0, box.left - x0 : box.right - x0] = cv2.GC_PR_FGD
+    radius = max(1, round(CLICK_RADIUS * max(width, height)))
+    for x, y, is_object in sorted(
+        clicks, key=lambda click: click[2]
+    ):  # clicks on the object have precedence
+        center = (int(x) - x0, int(y) - y0)
+        if not (0 <= center[0] < patch.shape[1] and 0 <= center[1] < patch.shape[0]):
+            continue  # the object does not reach beyond the patch
+        if not is_object:
+            label[_same_color_region(cv2, patch, center)] = cv2.GC_BGD
+        kind = cv2.GC_FGD if is_object else cv2.GC_BGD
+        cv2.circle(label, center, radius, int(kind), -1)
+    if not (label == cv2.GC_BGD).any():
+        raise MaskError("the box is the whole picture: nothing is left that is background")
+    back, fore = np.zeros((1, 65)), np.zeros((1, 65))
+    try:
+        cv2.grabCut(patch, label, None, back, fore, GRABCUT_ITERATIONS, cv2.GC_INIT_WITH_MASK)
+    except cv2.error as error:
+        message = str(error).strip().splitlines()[0]
+        raise MaskError(f"GrabCut finds nothing in the box: {message}") from None
+    result = np.zeros((height, width), dtype=bool)
+    result[y0:y1, x0:x1] = (label == cv2.GC_FGD) | (label == cv2.GC_PR_FGD)
+    return largest_component(remove_threads(result, box))
+
+
+def _same_color_region(cv2, patch: np.ndarray, seed: tuple[int, int]) -> np.ndarray:
+    """Return the region (height, width) bool around a click that has the click's color.
+
+    A click alone is a few pixels, which would hardly change the color model of all the others.
+    """
+    smooth = cv2.GaussianBlur(patch, (0, 0), 1.5)
+    flooded = np.zeros((patch.shape[0] + 2, patch.shape[1] + 2), dtype=np.uint8)
+    flags = 4 | cv2.FLOODFILL_MASK_ONLY | cv2.FLOODFILL_FIXED_RANGE | (255 << 8)
+    cv2.floodFill(smooth, flooded, seed, 0, (COLOR_TOLERANCE,) * 3, (COLOR_TOLERANCE,) * 3, flags)
+    return flooded[1:-1, 1:-1] > 0
+
+
+def remove_threads(mask: np.ndarray, box: Box) -> np.ndarray:
+    """Remove parts of a mask that are thinner than a fraction of its box.
+
+    Background edges of the object's color make such threads.
+    """
+    radius = max(1, round(THREAD_WIDTH * min(box.right - box.left, box.bottom - box.top) / 2))
+    y, x = np.mgrid[-radius : radius + 1, -radius : radius + 1]
+    result = ndimage.binary_opening(mask, x * x + y * y <= radius * radius)
+    return result if result.sum() > 0.5 * mask.sum() else mask
+
+
+def largest_component(mask: np.ndarray) -> np.ndarray:
+    """Return the largest connected component of a mask without its holes; empty stays empty."""
+    label, count = ndimage.label(mask)
+    if not count:
+        return mask
+    size = ndimage.sum_labels(mask, label, np.arange(1, count + 1))
+    return ndimage.binary_fill_holes(label == 1 + int(np.argmax(size)))
+
+
+def check_mask(mask: np.ndarray) -> list[str]:
+    """Return warnings about a usable mask.
+
+    Raises:
+        MaskError: The mask is empty or too small.
+    """
+    count = int(mask.sum())
+    if count < MIN_PIXELS:
+        problem = (
+            "is empty"
+            if not count
+            else f"has {count} pixels only, at least {MIN_PIXELS} are needed"
+        )
+        raise MaskError(f"its mask {problem}: give another box, clicks, or mask = 'file.png'")
+    edges = {"left": mask[:, 0], "right": mask[:, -1], "upper": mask[0], "lower": mask[-1]}
+    touched = [name for name, edge in edges.items() if edge.any()]
+    if touched:
+        names = " and ".join(touched)
+        return [f"its mask touches the {names} edge of the picture: what lies beyond is cut off"]
+    return []
+
+
+def iou(a: np.ndarray, b: np.ndarray) -> float:
+    """Return the intersection over union of two masks of one shape."""
+    either = int((a | b).sum())
+    return float((a & b).sum() / either) if either else 1.0
+
+
+def box_of(mask: np.ndarray) -> Box:
+    """Return the smallest box around a mask that is not empty."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    return Box(int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1)

@@ -1,0 +1,184 @@
+"""Masks of the layout's objects from files, from the alpha channel, or from a segmenter."""
+
+import logging
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from . import grabcut as masks
+from . import photograph
+from .grabcut import Box, MaskError
+from .layout_config import LayoutError, LoadedLayout, ObjectTable
+from .photograph import Photograph, PhotographError
+
+log = logging.getLogger("vgmpi.apps.photo")
+
+Clicks = list[tuple[float, float, bool]]
+OVERLAP_WARNING = 0.25  # [-] masks that share this fraction of the smaller one are reported
+
+
+class Finder(Protocol):
+    """Segmenter: find an object by a box, clicks or words.
+
+    The result is (height, width) bool. Raises MaskError.
+    """
+
+    def __call__(
+        self, rgb: np.ndarray, box: Box | None, clicks: Clicks, text: str | None
+    ) -> np.ndarray:
+        """Return the pixels of one object, (height, width) bool."""
+        ...
+
+
+class ObjectMask(NamedTuple):
+    """Mask of one object and its origin."""
+
+    mask: np.ndarray  # (height, width) bool
+    origin: str  # origin of the mask, for messages
+    is_from_file: bool  # True if the layout names a file with the mask
+
+
+def grabcut(rgb: np.ndarray, box: Box | None, clicks: Clicks, text: str | None) -> np.ndarray:
+    """Segment an object by GrabCut: a Finder without weights that needs a box.
+
+    Args:
+        rgb: Photograph, shape (height, width, 3) uint8.
+        box: Box of the object [pixels].
+        clicks: x, y [pixels] and whether the object is there.
+        text: Ignored.
+
+    Raises:
+        MaskError: There is no box, or GrabCut finds nothing in it.
+    """
+    if box is None:
+        raise MaskError("GrabCut needs box = [left, top, right, bottom] around it")
+    return masks.grabcut(rgb, box, clicks)
+
+
+def segment_objects(loaded: LoadedLayout, photo: Photograph, finder: Finder) -> list[ObjectMask]:
+    """Return the mask of every object.
+
+    Raises:
+        LayoutError: Some objects have no usable mask; it reports all of them.
+    """
+    errors: list[tuple[tuple, str]] = []
+    results: list[ObjectMask | None] = []
+    for k, obj in enumerate(loaded.layout.object):
+        try:
+            results.append(_object_mask(obj, loaded, photo, finder))
+        except _KeyedError as error:
+            errors.append((("object", k, error.key), str(error)))
+            results.append(None)
+    if errors:
+        raise LayoutError(loaded.source.lines(errors))
+    object_masks = [object_mask for object_mask in results if object_mask is not None]
+    for obj, object_mask in zip(loaded.layout.object, object_masks):
+        log.info("'%s': %d pixels, %s", obj.name, object_mask.mask.sum(), object_mask.origin)
+        for warning in masks.check_mask(object_mask.mask):
+            log.warning("'%s': %s", obj.name, warning)
+    return object_masks
+
+
+class _KeyedError(ValueError):
+    """Error of one key of an object."""
+
+    def __init__(self, key: str, message: object):
+        super().__init__(str(message))
+        self.key = key
+
+
+def _object_mask(
+    obj: ObjectTable, loaded: LoadedLayout, photo: Photograph, finder: Finder
+) -> ObjectMask:
+    """Return the mask of one object.
+
+    Raises:
+        _KeyedError: The object has no usable mask.
+    """
+    box = _box(obj, photo)
+    clicks = _clicks(obj, photo, box)
+    segmenter = loaded.layout.masks.by
+    if obj.mask is not None:
+        key, origin = "mask", f"the mask {obj.mask}"
+    elif box is None and not clicks:
+        if photo.alpha is None:
+            message = "needs a box = [left, top, right, bottom] in pixels, or a mask = 'file.png'"
+            raise _KeyedError("box", f"{message}; --find proposes boxes")
+        key, origin = "box", "what the picture's alpha shows"
+    else:
+        key = "box" if box is not None else "clicks"
+        origin = f"found by {segmenter} from its {key}"
+    try:
+        if obj.mask is not None:
+            mask = _reduced_mask(photograph.read_mask(loaded.path(obj.mask), photo), photo)
+        elif origin.startswith("what"):
+            assert photo.alpha is not None
+            mask = masks.largest_component(photo.alpha > 127)
+        else:
+            mask = finder(photo.rgb, box, clicks, obj.text)
+        masks.check_mask(mask)
+    except (MaskError, PhotographError) as error:
+        raise _KeyedError(key, error) from None
+    return ObjectMask(mask, origin, obj.mask is not None)
+
+
+def _reduced_mask(mask: np.ndarray, photo: Photograph) -> np.ndarray:
+    """Resize a mask from the pixels of the file to the pixels of the reduced photograph."""
+    height, width = photo.rgb.shape[:2]
+    if mask.shape == (height, width):
+        return mask
+    from PIL import Image
+
+    levels = Image.fromarray(np.where(mask, 255, 0).astype(np.uint8))
+    return np.asarray(levels.resize((width, height), Image.Resampling.BOX)) > 127
+
+
+def _box(obj: ObjectTable, photo: Photograph) -> Box | None:
+    """Return the box in the pixels of the reduced photograph, clipped to the picture."""
+    if obj.box is None:
+        return None
+    width, height = photo.size
+    left, top, right, bottom = obj.box
+    if right <= 0 or bottom <= 0 or left >= width or top >= height:
+        message = f"lies outside the picture, which has {width} x {height} pixels"
+        raise _KeyedError("box", f"{message}; got {list(obj.box)}")
+    if left < -width / 10 or top < -height / 10 or right > 1.1 * width or bottom > 1.1 * height:
+        message = f"reaches far out of the picture, which has {width} x {height} pixels"
+        raise _KeyedError("box", f"{message}; got {list(obj.box)}")
+    small = (round(v / photo.reduced) for v in obj.box)
+    left, top, right, bottom = small
+    rows, columns = photo.rgb.shape[:2]
+    box = Box(max(0, left), max(0, top), min(columns, right), min(rows, bottom))
+    if min(box.right - box.left, box.bottom - box.top) < 4:
+        raise _KeyedError("box", f"is less than 4 pixels wide or high; got {list(obj.box)}")
+    return box
+
+
+def _clicks(obj: ObjectTable, photo: Photograph, box: Box | None) -> Clicks:
+    """Return the clicks in the pixels of the reduced photograph."""
+    width, height = photo.size
+    small = []
+    for x, y, is_object in obj.clicks:
+        if not (0 <= x < width and 0 <= y < height):
+            message = f"lies outside the picture, which has {width} x {height} pixels"
+            raise _KeyedError("clicks", f"[{x:g}, {y:g}] {message}")
+        x, y = x / photo.reduced, y / photo.reduced
+        inside = box is None or (box.left <= x < box.right and box.top <= y < box.bottom)
+        if is_object and not inside:
+            raise _KeyedError("clicks", f"[{x:g}, {y:g}] lies outside the object's own box")
+        small.append((x, y, is_object))
+    return small
+
+
+def overlapping_masks(object_masks: list[ObjectMask], names: list[str]) -> None:
+    """Report pairs of masks that share many pixels, which cannot belong to both objects."""
+    for k, current in enumerate(object_masks):
+        for j in range(k):
+            shared = int((current.mask & object_masks[j].mask).sum())
+            if shared > OVERLAP_WARNING * min(
+                int(current.mask.sum()), int(object_masks[j].mask.sum())
+            ):
+                log.warning(
+                    "'%s' and '%s' share %d pixels: is one of them the other?",
+                    names[j], names[k], shared,
+                )  # fmt: skip

@@ -1,0 +1,143 @@
+"""Texts of scene.toml and render.toml for objects in their places."""
+
+import zlib
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from vgmpi.gaussians.cloud import GaussianCloud
+from vgmpi.runtime.config import toml_writer
+
+from .photo_camera import View
+
+SIDE_MARGIN, TOP_MARGIN = (
+    0.8,
+    0.3,
+)  # [-] margins around the objects relative to the largest extent of one
+FLOOR_GAP = 0.2  # [cells] between the objects and the floor, because soft bodies sink in a little
+FRICTION = 0.4  # [-] friction coefficient of the floor
+_MARK = "# made by python -m vgmpi photo, sum "
+
+
+class SceneObject(NamedTuple):
+    """Object of the scene."""
+
+    name: str
+    cloud: GaussianCloud  # [m] about the middle of the object's base
+    position: np.ndarray  # (3,) [m] position of the middle of the base, above the floor
+    material: str  # name of the material
+    keys: dict[str, Any]  # keys of the material in the scene
+
+
+class Domain(NamedTuple):
+    """Simulation domain."""
+
+    low: np.ndarray  # (3,) [m] lower corner, above the floor
+    counts: np.ndarray  # (3,) cells along each edge
+    cell: float  # [m] cell size
+
+
+def domain_around(objects: list[SceneObject], cells: int) -> Domain:
+    """Return a domain around all objects, with the floor at its lower wall.
+
+    Args:
+        objects: Objects in their places.
+        cells: Cells along the longest edge.
+    """
+    low = np.min([obj.position + obj.cloud.x.min(axis=0) for obj in objects], axis=0)
+    high = np.max([obj.position + obj.cloud.x.max(axis=0) for obj in objects], axis=0)
+    max_extent = max(float(np.ptp(obj.cloud.x, axis=0).max()) for obj in objects)
+    low[:2] -= SIDE_MARGIN * max_extent
+    high[:2] += SIDE_MARGIN * max_extent
+    low[2], high[2] = 0.0, high[2] + TOP_MARGIN * max_extent
+    cell = float(f"{(high - low).max() / cells * 1.0005:.3g}")
+    counts = np.ceil((high - low) / cell).astype(int)
+    middle = (low + high)[:2] / 2
+    low[:2] = middle - counts[:2] * cell / 2
+    low[2] = -FLOOR_GAP * cell
+    return Domain(low, counts, cell)
+
+
+def scene(objects: list[SceneObject], domain: Domain, end: float, frames: int, title: str) -> str:
+    """Return the text of scene.toml, with the Gaussians in NAME.ply beside it.
+
+    Args:
+        objects: Objects in their places.
+        domain: Simulation domain.
+        end: End time [s].
+        frames: Number of frames.
+        title: Title of the scene.
+    """
+    materials = {obj.material: obj.keys for obj in objects}
+    top = {
+        "title": title,
+        "domain": {
+            "size": [float(f"{n * domain.cell:.12g}") for n in domain.counts],
+            "cell": domain.cell,
+            "boundary": {"default": "open", "floor": {"kind": "separate", "friction": FRICTION}},
+        },
+        "time": {"end": end, "frames": frames},
+        "appearance": {"colour_transfer": "off"},
+        "material": materials,
+        "object": [
+            {
+                "name": obj.name,
+                "material": obj.material,
+                "gaussians": f"{obj.name}.ply",
+                "position": [round(float(c), 9) for c in obj.position - domain.low],
+            }
+            for obj in objects
+        ],
+    }
+    head = [
+        "The scene of a photograph. What was guessed stands in layout.toml: change it there and",
+        "start again; or change this file, which is then not replaced without --overwrite.",
+    ]
+    return with_checksum(toml_writer.text(top, head, []))
+
+
+def render(view: View, eye: np.ndarray, background: str) -> str:
+    """Return the text of render.toml: the photograph's camera.
+
+    Args:
+        view: Camera of the photograph.
+        eye: Position of the camera in the domain, shape (3,) [m].
+        background: File of the background.
+    """
+    top = {
+        "camera": {
+            "kind": "fixed",
+            "eye": [round(float(c), 9) for c in eye],
+            "target": [round(float(c), 9) for c in eye + view.forward],
+            "fov": view.fov,
+            "near": near_plane(eye),
+        },
+        "picture": {
+            "width": view.width,
+            "height": view.height,
+            "background": background,
+            "floor": {"kind": "photograph"},
+        },
+    }
+    head = [
+        "The photograph's camera; behind everything the photograph, its objects painted out. The",
+        "light is in their colors, and the photograph holds their first shadows: no light is",
+        "added, and the only shadows are those that come later.",
+    ]
+    return with_checksum(toml_writer.text(top, head, []))
+
+
+def near_plane(eye: np.ndarray) -> float:
+    """Return the distance of the near plane [m]."""
+    return float(f"{min(0.2, 0.05 * max(float(eye[2]), 1e-6)):.6g}")
+
+
+def with_checksum(text: str) -> str:
+    """Prepend a line with a checksum that reveals later changes of the text."""
+    return f"{_MARK}{zlib.crc32(text.encode()):08x}\n{text}"
+
+
+def is_unchanged(text: str) -> bool:
+    """Return whether a text was written by this command and is unchanged."""
+    first, _, body = text.partition("\n")
+    return first.startswith(_MARK) and first == f"{_MARK}{zlib.crc32(body.encode()):08x}"

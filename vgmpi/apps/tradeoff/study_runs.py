@@ -1,0 +1,133 @@
+"""Runs of a study, each a process in a folder of its own; finished runs are not repeated."""
+
+import json
+import os
+import resource
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from tqdm import tqdm
+
+from vgmpi.parallel.launch import OPEN_MPI
+from vgmpi.planning.cost.tradeoff_results import fingerprint
+from vgmpi.scene.scene import Scene
+from vgmpi.solver.diagnostics.probe_sampling import files
+
+from .error_measures import RunOutcome
+from .parameter_sweep import Setting
+
+RECORD = "study.json"
+WARM = "50 steps"  # all kernels are compiled after these
+STOPPED = 75  # exit code of a run that stopped with a checkpoint
+
+
+class StudyError(RuntimeError):
+    """Error of an unfinished run: one line with its name and the reason."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """Runs of a scene below `folder`, each on `ranks` ranks."""
+
+    scene: Scene
+    folder: Path
+    ranks: int = 1
+
+    def place(self, setting: Setting) -> Path:
+        """Return the folder of a run."""
+        return self.folder / setting.name
+
+    def done(self, setting: Setting) -> float | None:
+        """Return the processor time [s] of a finished run, from its second step on, over all ranks.
+
+        None if there is no such run of the scene in its present form.
+        """
+        try:
+            record = json.loads((self.place(setting) / RECORD).read_text())
+            if record["of"] == fingerprint(self.scene, setting.overrides):
+                return float(record["cpu"])
+        except (OSError, ValueError, KeyError, TypeError):
+            pass
+        return None
+
+    def run(self, setting: Setting) -> float:
+        """Return the processor time [s] of a run, which is run if it is not finished.
+
+        Raises:
+            StudyError: The run fails.
+        """
+        cpu_time = self.done(setting)
+        if cpu_time is None:
+            # compiles outside the measurement: some kernels are first called by later steps
+            self._call(setting, "--overwrite", "--stop-after", WARM)
+            startup_time = self._call(setting, "--overwrite", "--stop-after", "1 steps")
+            total_time = self._call(setting, "--resume")
+            cpu_time = max(total_time - startup_time, 1e-3)
+            record = {"of": fingerprint(self.scene, setting.overrides), "cpu": cpu_time}
+            (self.place(setting) / RECORD).write_text(json.dumps(record))
+        return cpu_time
+
+    def all(self, settings: list[Setting], needed: set[Setting]) -> dict[Setting, float]:
+        """Return the processor time [s] of all settings, with a progress bar.
+
+        Runs that fail, such as bodies too near to open walls in coarse cells, are reported and
+        skipped.
+
+        Raises:
+            StudyError: A needed run fails.
+        """
+        bar = tqdm(settings, desc="study", unit="run", disable=None)
+        cpu_times = {}
+        for setting in bar:
+            bar.set_postfix_str(setting.name)
+            try:
+                cpu_times[setting] = self.run(setting)
+            except StudyError as error:
+                if setting in needed:
+                    raise
+                bar.write(f"left out: {error}", file=sys.stderr)
+        return cpu_times
+
+    def outcome(self, setting: Setting) -> RunOutcome:
+        """Return the results of a finished run."""
+        folder = self.place(setting)
+        return RunOutcome(folder, files(self.scene, folder))
+
+    def _call(self, setting: Setting, *flags: str) -> float:
+        """Run the program with its ranks and return their processor time [s]."""
+        folder = self.place(setting)
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        code, message = run_program(self.scene, setting.overrides, folder, self.ranks, *flags)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        # mpirun has an exit code of its own for ranks that stopped
+        if code not in (0, STOPPED):
+            raise StudyError(f"{setting.name}: {message} ({folder})")
+        return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def run_program(
+    scene: Scene, overrides: tuple[str, ...], folder: Path, ranks: int, *extra_flags: str,
+    locks: tuple[int, ...] = (),
+) -> tuple[int, str]:  # fmt: skip
+    """Run the program on a scene with overrides.
+
+    Args:
+        scene: The scene.
+        overrides: Further overrides for --set.
+        folder: Output folder.
+        ranks: MPI ranks.
+        extra_flags: Further flags.
+        locks: Handles of locks that the program holds while it runs.
+
+    Returns:
+        Exit code, and the last line on stderr.
+    """
+    launcher = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
+    flags = [word for override in (*scene.overrides, *overrides) for word in ("--set", override)]
+    program = [sys.executable, "-m", "vgmpi", str(scene.path), "-o", str(folder), "-q"]
+    words, env = [*launcher, *program, *extra_flags, *flags], {**OPEN_MPI, **os.environ}
+    process = subprocess.run(words, env=env, capture_output=True, text=True, pass_fds=locks)
+    lines = process.stderr.strip().splitlines() or [f"exit code {process.returncode}"]
+    return process.returncode, lines[-1]

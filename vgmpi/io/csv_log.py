@@ -1,0 +1,283 @@
+"""Append-only CSV tables of a run: ledger.csv and probe_NAME.csv.
+
+A checksum ends every row, so that a later change is detected and located.
+"""
+
+import csv
+import errno
+import logging
+import os
+import zlib
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from vgmpi.parallel.communicator import SerialCommunicator
+from vgmpi.runtime import safe_open
+
+from . import file_layout, hdf5_writer
+from .run_reader import RunError
+
+log = logging.getLogger("vgmpi")
+
+COLUMNS = [d.name for d in file_layout.LEDGER_COLUMNS]
+MAX_BYTES = 1 << 32  # [bytes] largest size of a table that is read
+# conversion of a word by the type of its column
+KINDS: dict[str, Callable] = {"f8": float, "i8": int, "text": str}
+
+
+class CsvLog:
+    """CSV table to which rows are appended. Collective: all ranks call, rank 0 writes.
+
+    Raises StoreError on all ranks if writing fails, and RunError if existing rows are damaged.
+
+    Attributes:
+        kept: Rows that were retained at the start, on rank 0.
+        sum: Checksum of the last row, which depends on all rows, on rank 0.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        columns: list[file_layout.Dataset],
+        ranks: SerialCommunicator,
+        last_step: int | None = None,
+    ):
+        """Create the table, or continue it.
+
+        Args:
+            path: File of the table.
+            columns: Columns of the table.
+            ranks: Communicator.
+            last_step: Later rows are dropped; None starts a new table.
+        """
+        self.path, self.columns, self.ranks = path, columns, ranks
+        self.kept: list[dict] = []
+        self.sum = 0
+        if last_step is not None:
+            _on_root(ranks, lambda: self._keep(last_step))
+        self._do(self._start)
+
+    def _do(self, action):
+        """Run an action on rank 0 and agree on the outcome."""
+        error = None
+        if self.ranks.rank == 0:
+            try:
+                action()
+            except OSError as caught:
+                error = caught
+        hdf5_writer.raise_on_all_ranks(self.ranks, error, self.path)
+
+    def _keep(self, last_step):
+        """Read the rows to retain."""
+        if os.path.lexists(self.path):
+            self.kept = [r for r in read_rows(self.path, self.columns) if r["step"] <= last_step]
+        else:
+            log.warning("%s is not there: it begins behind step %d", self.path, last_step)
+
+    def _start(self):
+        """Write the header and the retained rows."""
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        text, self.sum = _lines(self.kept, self.columns)
+        hdf5_writer.replace_text(self.path, _header(self.columns) + "\n" + text)
+
+    def append(self, rows: Iterable[dict]) -> None:
+        """Append dicts with all columns; those of rank 0 are written."""
+
+        def write():
+            """Write the lines, or none of them."""
+            text, after = _lines(rows, self.columns, self.sum)
+            flags = os.O_WRONLY | os.O_APPEND | os.O_NOFOLLOW
+            handle = os.open(self.path, flags)
+            size = os.fstat(handle).st_size
+            try:
+                with open(handle, "a", encoding="utf-8", closefd=False) as f:
+                    f.write(text)
+                    f.flush()
+                    os.fsync(handle)
+            except OSError:
+                os.truncate(handle, size)  # removes partial lines
+                raise
+            finally:
+                os.close(handle)
+            self.sum = after
+
+        self._do(write)
+
+
+class ConservationLog(CsvLog):
+    """Conservation log ledger.csv: mass, momentum and energy, a row per frame and phase."""
+
+    def __init__(
+        self,
+        folder: str | Path,
+        ranks: SerialCommunicator,
+        last_step: int | None = None,
+        flows: bool = False,
+    ):
+        """Create the ledger, or continue it.
+
+        Args:
+            folder: Output folder of the run.
+            ranks: Communicator.
+            last_step: Later rows are dropped; None starts a new ledger.
+            flows: True if particles are inserted or removed during the run.
+        """
+        super().__init__(Path(folder) / file_layout.LEDGER, ledger_columns(flows), ranks, last_step)
+
+
+def ledger_columns(flows: bool) -> list[file_layout.Dataset]:
+    """Return the columns of ledger.csv; `flows`: particles are inserted or removed."""
+    return (
+        [*file_layout.LEDGER_COLUMNS, *file_layout.OPEN_SYSTEM_COLUMNS]
+        if flows
+        else file_layout.LEDGER_COLUMNS
+    )
+
+
+def verify_logs(
+    tables: dict[Path, list[file_layout.Dataset]],
+    ranks: SerialCommunicator,
+    step: int,
+    sums: dict[str, int],
+) -> None:
+    """Verify the tables that a run resumed at `step` continues. Collective.
+
+    The check precedes all writing.
+
+    Args:
+        tables: Columns of each table, by its path.
+        ranks: Communicator.
+        step: Step of the checkpoint.
+        sums: Checksum Rows.sum at that step of each table that existed, by the name of its file.
+
+    Raises:
+        RunError: A table is damaged, on all ranks.
+    """
+
+    def look():
+        """Compare every existing table with its checksum."""
+        for path, columns in tables.items():
+            if os.path.lexists(path):
+                try:
+                    _compare(path, columns, step, sums.get(path.name))
+                except RunError as error:
+                    can = "put a copy of it back, or move it away: then it begins anew"
+                    raise RunError(f"{error}; to go on, {can}") from None
+
+    _on_root(ranks, look)
+
+
+def _compare(path, columns, step, wanted):
+    """Compare a table's rows up to `step` with their checksum; a killed run may cut later ones."""
+    rows = [row for row in read_rows(path, columns) if row["step"] <= step]
+    if wanted is None or _lines(rows, columns)[1] == wanted:
+        return
+    if rows:
+        raise RunError(f"{path}: damaged: its rows up to step {step} are not those of this run")
+    log.warning("%s has no rows up to step %d: it begins behind it", path, step)
+
+
+def _lines(rows, columns, before=0):
+    """Return the lines of rows and the checksum of the last; `before` is that of the row above."""
+    lines = []
+    for row in rows:
+        words = ",".join(_word(row[d.name]) for d in columns)
+        before = zlib.crc32(words.encode(), before)
+        lines.append(f"{words},{before}\n")
+    return "".join(lines), before
+
+
+def _on_root(ranks, action):
+    """Run an action on rank 0; its RunError is raised on all ranks."""
+    failure = None
+    if ranks.rank == 0:
+        try:
+            action()
+        except RunError as error:
+            failure = error
+    failure = ranks.bcast(failure)
+    if failure is not None:
+        raise failure
+
+
+def _word(value):
+    """Return a value as a word of CSV."""
+    if isinstance(value, str):
+        return '"' + value.replace('"', '""') + '"' if set(value) & set(',"\n') else value
+    return repr(value.item() if hasattr(value, "item") else value)
+
+
+def _header(columns, sealed=True):
+    """Return the header line."""
+    return ",".join(d.name for d in [*columns, file_layout.ROW_CHECKSUM][: None if sealed else -1])
+
+
+def read_rows(
+    path: str | Path, columns: list[file_layout.Dataset] = file_layout.LEDGER_COLUMNS
+) -> list[dict]:
+    """Return the rows of a table; an incomplete last line is omitted.
+
+    Rows of earlier versions have no checksums: only words that are not numbers are detected there.
+
+    Args:
+        path: File of the table.
+        columns: Columns of the table.
+
+    Raises:
+        RunError: A row is not what was written; the text names its line.
+    """
+    try:
+        text = safe_open.read_regular_file(path, MAX_BYTES, follow=False)
+    except OSError as error:
+        link = error.errno == errno.ELOOP
+        reason = "is a link to elsewhere" if link else error.strerror
+        raise RunError(f"{path}: {reason}") from None
+    head, *lines = text.split(b"\n")
+    if columns is file_layout.LEDGER_COLUMNS and head == _header(ledger_columns(True)).encode():
+        columns = ledger_columns(True)
+    sealed = head == _header(columns).encode()
+    if not lines or not (sealed or head == _header(columns, sealed=False).encode()):
+        raise RunError(f"{path}:1: damaged: its columns are not {_header(columns)}")
+    last, before = lines.pop(), 0  # after the last newline: empty, or an incomplete line
+    rows = []
+    for number, line in enumerate(lines, 2):
+        words, before, is_valid = _split_checksum(line, before) if sealed else (line, 0, True)
+        row = _parsed(words, columns) if is_valid else None
+        if row is None:
+            raise RunError(f"{path}:{number}: damaged: this row is not what was written")
+        rows.append(row)
+    if last:
+        words, expected, is_valid = _split_checksum(last, before) if sealed else (last, 0, True)
+        row = _parsed(words, columns) if is_valid else None
+        if row is not None:
+            rows.append(row)
+        elif sealed and not _is_truncated_row(last, words, expected, len(columns)):
+            number = len(lines) + 2
+            raise RunError(f"{path}:{number}: damaged: this row is not what was written")
+    return rows
+
+
+def _split_checksum(line, before):
+    """Return a row's text, the checksum it must have, and True if it has it.
+
+    `before` is the checksum of the row above.
+    """
+    words, _, stored = line.rpartition(b",")
+    expected = zlib.crc32(words, before)
+    return words, expected, stored == b"%d" % expected
+
+
+def _is_truncated_row(line, words, expected, columns):
+    """Return True if a line without newline may be the beginning of a row."""
+    values = next(csv.reader([line.decode(errors="replace")]), [])
+    return len(values) <= columns or (b"%d" % expected).startswith(line[len(words) + 1 :])
+
+
+def _parsed(words, columns):
+    """Return a row as a dict, None if a word is not of its column's type."""
+    try:
+        (values,) = csv.reader([words.decode()])
+        pairs = zip(columns, values, strict=True)
+        return {d.name: KINDS[d.dtype](word) for d, word in pairs}
+    except (ValueError, csv.Error):
+        return None

@@ -1,0 +1,332 @@
+"""Name, shape, type, unit and meaning of every dataset of every file: the single source.
+
+`python -m vgmpi.io.layout_reference > docs/file-format.md` writes the page for users.
+"""
+
+import re
+from typing import NamedTuple
+
+import numpy as np
+
+SCHEMA = 1  # increased when a reader of older files would misread new ones
+
+FRAMES, CHECKPOINTS = "frames", "checkpoints"  # folders inside the output folder
+LOCK = "run.lock"  # lock file of the run that writes into the folder
+BLOWUP = "blowup"  # folder of the state in which a run diverged
+SERIES, GAUSSIANS, LEDGER = "series.vtkhdf", "gaussians.h5", "ledger.csv"
+PROBE_NAME = "probe_{}.csv"
+FRAME_NAME = "frame_{:05d}.vtkhdf"
+MAX_FRAMES = 1_000_000  # upper bound of the number of frames
+CHECKPOINT_NAME = "checkpoint_{:09d}.h5"  # the manifest has this name with the ending .json
+CRC = "crc"  # name of the dataset or column with the checksums of the others
+CRC_ROWS = 1 << 16  # rows per checksum in a manifest
+
+
+class Dataset(NamedTuple):
+    """Description of one dataset; `shape` as on the page, `dtype` NumPy short names joined by |."""
+
+    name: str
+    shape: str
+    dtype: str
+    unit: str
+    meaning: str
+
+
+def frame_number(name: str) -> int | None:
+    """Return the number of the frame with this file name; None for other names."""
+    match = re.fullmatch(r"frame_([0-9]{5,6})\.vtkhdf", name)
+    number = int(match[1]) if match else -1
+    return number if FRAME_NAME.format(number) == name else None
+
+
+def row_shape(dataset: Dataset) -> tuple[int | None, ...]:
+    """Return the shape of one row, None for any length: "(n, K, 3)" -> (None, 3)."""
+    words = [w.strip() for w in dataset.shape.strip("()").split(",") if w.strip()]
+    return tuple(int(w) if w.isdigit() else None for w in words[1:])
+
+
+def fits(dataset: Dataset, array: np.ndarray) -> bool:
+    """Return True if the rows of an array have the dataset's shape and type."""
+    want = row_shape(dataset)
+    have = array.shape[1:]
+    return (
+        len(want) == len(have)
+        and all(w is None or w == h for w, h in zip(want, have))
+        and array.dtype.str[1:] in dataset.dtype.split("|")
+    )
+
+
+def named(datasets: list[Dataset]) -> dict[str, Dataset]:
+    """Return the datasets by their names."""
+    return {d.name: d for d in datasets}
+
+
+# ---- frames/frame_00000.vtkhdf ----------------------------------------------------------------
+# In the file, x is /VTKHDF/Points and the others are in /VTKHDF/PointData.
+FRAME = [
+    Dataset("id", "(n,)", "i8", "1", "particle number, ascending; its row in gaussians.h5"),
+    Dataset("x", "(n, 3)", "f4", "m", "position in the domain; stored as /VTKHDF/Points"),
+    Dataset("velocity", "(n, 3)", "f4", "m/s", "velocity"),
+    Dataset(
+        "J", "(n,)", "f4", "1", "volume now / volume at rest; its elastic part if a law yields"
+    ),
+    Dataset("F", "(n, 9)", "f4", "1", "deformation gradient, row by row; cbrt(J) I without one"),
+    Dataset(
+        "colour",
+        "(n, 3 K)",
+        "f4",
+        "1",
+        "colour as `sh` of gaussians.h5, coefficient by coefficient; nan where it does not travel; "
+        "only with appearance.colour_transfer = step",
+    ),
+    Dataset("object", "(n,)", "i4", "1", "number of the object in the list `objects`"),
+    Dataset("phase", "(n,)", "i4", "1", "number of the velocity field it moves with"),
+]
+FRAME_FIELD_DATA = [
+    Dataset("time", "(1,)", "f8", "s", "simulated time"),
+    Dataset("step", "(1,)", "i8", "1", "number of time steps made"),
+]
+FRAME_TOPOLOGY = [
+    Dataset("NumberOfPoints", "(1,)", "i8", "1", "n"),
+    Dataset("Vertices/NumberOfCells", "(1,)", "i8", "1", "n: a vertex per particle"),
+    Dataset("Vertices/NumberOfConnectivityIds", "(1,)", "i8", "1", "n"),
+    Dataset("Vertices/Connectivity", "(n,)", "i4|i8", "1", "0, 1, ... n - 1"),
+    Dataset("Vertices/Offsets", "(n + 1,)", "i4|i8", "1", "0, 1, ... n"),
+    Dataset("Lines/*", "(0 or 1,)", "i8", "1", "empty; VTK asks for them (also Polygons, Strips)"),
+]
+CHECKSUMS = Dataset(CRC, "()", "text", "", "JSON, CRC32 (zlib) of the bytes of every other dataset")
+FRAME_OWN = [
+    Dataset("frame", "()", "i8", "1", "number of the frame, as in the name of its file"),
+    Dataset("gaussians", "()", "u4", "1", "by which the gaussians.h5 of its particles is known"),
+    Dataset(
+        "poses",
+        "(m, 4, 4)",
+        "f8",
+        "m",
+        "of each object that `moves`, in their order: place at the start -> place now; only if one"
+        " does",
+    ),
+    CHECKSUMS,
+]
+
+# ---- series.vtkhdf ----------------------------------------------------------------------------
+SERIES_STEPS = [
+    Dataset("Steps/Values", "(frames,)", "f8", "s", "simulated time of each frame"),
+    Dataset("Steps/PartOffsets", "(frames,)", "i8", "1", "0, 1, 2, ...: one part per frame"),
+    Dataset("Steps/NumberOfParts", "(frames,)", "i8", "1", "1"),
+    Dataset("Steps/PointOffsets", "(frames,)", "i8", "1", "first row of each frame"),
+    Dataset("Steps/CellOffsets", "(frames, 4)", "i8", "1", "the same for the vertices"),
+    Dataset("Steps/ConnectivityIdOffsets", "(frames, 4)", "i8", "1", "the same"),
+    Dataset("Steps/PointDataOffsets/*", "(frames,)", "i8", "1", "the same, for each array"),
+    Dataset("Steps/FieldDataOffsets/*", "(frames,)", "i8", "1", "row of each frame's value"),
+    Dataset("Steps/FieldDataSizes/*", "(frames, 2)", "i8", "1", "1 component, 1 row"),
+]
+SERIES_OWN = [
+    Dataset("frames", "(frames,)", "i8", "1", "numbers of the frames"),
+    CHECKSUMS._replace(meaning="as in a frame, of the datasets that are not virtual"),
+]
+
+# ---- gaussians.h5 -----------------------------------------------------------------------------
+GAUSSIAN = [
+    Dataset("x0", "(n, 3)", "f8", "m", "position at the start, in the domain; at a source's mouth"),
+    Dataset("vol0", "(n,)", "f8", "m3", "rest volume"),
+    Dataset("object", "(n,)", "i4", "1", "number of the object in the list `objects`"),
+    Dataset(
+        "v0",
+        "(n, 3)",
+        "f8",
+        "m/s",
+        "velocity at the start, or at a source's mouth; only if something moves then",
+    ),
+    Dataset("theta0", "(n,)", "f8", "1", "ln J at the start; only if something is compressed then"),
+    Dataset(
+        "surface0",
+        "(n, 10)",
+        "f4",
+        "1, m, 1/m",
+        "surface of a solid at rest: outward normal, as long as it is sure, signed distance"
+        " (negative inside), and the normal's gradient xx, xy, xz, yy, yz, zz; only if one may"
+        " touch something",
+    ),
+    Dataset("cov0", "(n, 6)", "f4", "m2", "rest covariance: xx, xy, xz, yy, yz, zz"),
+    Dataset("opacity", "(n,)", "f4", "1", "0 to 1"),
+    Dataset("sh", "(n, K, 3)", "f4", "1", "spherical harmonics of the colour, K = 1, 4, 9 or 16"),
+    Dataset(
+        "shade",
+        "(n,)",
+        "f4",
+        "1",
+        "factor, 0.001 to 1, by which `appearance.shade` darkened the colour; (0.5 + 0.2820948"
+        " sh[:, 0]) / shade is the colour without that light; of one that stands for several"
+        " (`prune`) their mean; only if one is not 1",
+    ),
+]
+OPTIONAL = ("v0", "theta0", "surface0", "shade")  # datasets that some files lack, also in groups
+SHADE = Dataset("shade", "(m,)", "f4", "1", "as above, of these; only if one is not 1")
+SCENERY = [
+    Dataset("x0", "(m, 3)", "f8", "m", "position at the start; it stays unless its object `moves`"),
+    Dataset("object", "(m,)", "i4", "1", "number of the object in the list `objects`"),
+    Dataset("cov0", "(m, 6)", "f4", "m2", "covariance: xx, xy, xz, yy, yz, zz"),
+    Dataset("opacity", "(m,)", "f4", "1", "0 to 1"),
+    Dataset("sh", "(m, K, 3)", "f4", "1", "spherical harmonics of the colour"),
+    SHADE,
+]
+PASSIVE = [
+    Dataset("x0", "(p, 3)", "f8", "m", "position at rest"),
+    Dataset("object", "(p,)", "i4", "1", "number of the object in the list `objects`"),
+    Dataset("cov0", "(p, 6)", "f4", "m2", "rest covariance: xx, xy, xz, yy, yz, zz"),
+    Dataset("opacity", "(p,)", "f4", "1", "0 to 1"),
+    Dataset("sh", "(p, K, 3)", "f4", "1", "spherical harmonics of the colour"),
+    Dataset("carriers", "(p, 4)", "i8", "1", "numbers of the particles that carry it"),
+    Dataset("weights", "(p, 4)", "f4", "1", "their weights; they add up to 1"),
+    SHADE._replace(shape="(p,)"),
+]
+GAUSSIAN_TEXTS = [
+    Dataset(
+        "objects",
+        "()",
+        "text",
+        "",
+        "JSON, an entry per object, then per source: name, role, material, kind, family, "
+        "deforms (whether F of the frames is that of its particles), phase, "
+        "colour_set (colours travel among objects of one number), "
+        "density [kg/m3] with its pores, first and count (its rows), opacity_scale, alpha_min, "
+        "color, collider, moves (only of those: frames have their `poses`), "
+        "and transform (4 x 4, source coordinates -> domain coordinates [m])",
+    ),
+    Dataset("scene", "()", "text", "", "JSON, the scene with every default filled in, SI"),
+    CHECKSUMS,
+]
+
+# ---- checkpoints/checkpoint_000000000.h5 ------------------------------------------------------
+# A group is one phase of one material: group_000, group_001, ... in the order of their names. Its
+# rows are in the order of the last sort, which is state: block along the Hilbert curve, cell, id.
+CHECKPOINT = [
+    Dataset("*/block", "(b,)", "i8", "1", "number of each block that holds particles of the group"),
+    Dataset("*/count", "(b,)", "i8", "1", "particles in each of these blocks"),
+    Dataset("*/id", "(n,)", "i8", "1", "particle number, its row in gaussians.h5"),
+    Dataset(
+        "*/x",
+        "(n, 3)",
+        "i4|i8|f4|f8",
+        "2^-29|2^-52 cell",
+        "position from the middle of the block, in fixed point (single|double precision)",
+    ),
+    Dataset("*/v", "(n, 3)", "f4|f8", "m/s", "velocity"),
+    Dataset("*/C", "(n, 9)", "f4|f8", "1/s", "APIC affine velocity, row by row"),
+    Dataset("*/vol0", "(n, 1)", "f4|f8", "m3", "rest volume"),
+    Dataset(
+        "*/state",
+        "(n, *)",
+        "f4|f8",
+        "1",
+        "the law's state: theta = ln J of fluids, F - I of elastic solids; b_e - I (00, 11, 22, "
+        "01, 02, 12) and a history of laws that yield; behind it the share of space in pores, and "
+        "F - I of bodies whose law does not know it",
+    ),
+]
+CHECKPOINT_TEXTS = [
+    Dataset(
+        "attrs",
+        "()",
+        "text",
+        "",
+        "JSON: schema, step, time [s], the scene's text and resolved form, versions of the program "
+        "and its libraries, and whatever else the run needs to go on with the same bits",
+    ),
+]
+
+# ---- ledger.csv -------------------------------------------------------------------------------
+LEDGER_COLUMNS = [
+    Dataset("time", "", "f8", "s", "simulated time"),
+    Dataset("step", "", "i8", "1", "number of time steps made"),
+    Dataset("phase", "", "text", "", "name of the phase"),
+    Dataset("count", "", "i8", "1", "particles"),
+    Dataset("mass", "", "f8", "kg", "mass"),
+    *(Dataset(f"momentum_{a}", "", "f8", "kg m/s", f"momentum along {a}") for a in "xyz"),
+    *(
+        Dataset(f"angular_{a}", "", "f8", "kg m2/s", f"angular momentum about {a} and the origin")
+        for a in "xyz"
+    ),
+    Dataset("kinetic", "", "f8", "J", "kinetic energy, of the affine motion of APIC too"),
+    Dataset("elastic", "", "f8", "J", "elastic energy"),
+    Dataset("potential", "", "f8", "J", "energy of height in gravity"),
+    Dataset("J_min", "", "f8", "1", "smallest volume ratio, as in the frames"),
+    Dataset("J_max", "", "f8", "1", "largest volume ratio, as in the frames"),
+]
+OPEN_SYSTEM_COLUMNS = [  # present with inlets or outlets
+    Dataset("count_in", "", "i8", "1", "particles that were there at the start or came since"),
+    Dataset("mass_in", "", "f8", "kg", "their mass"),
+    Dataset("count_out", "", "i8", "1", "particles that ended in sinks"),
+    Dataset("mass_out", "", "f8", "kg", "their mass"),
+]
+
+ROW_CHECKSUM = Dataset(
+    CRC, "", "i8", "1", "CRC32 (zlib) of the row's text before it, going on from the row above"
+)
+
+# ---- probe_NAME.csv ---------------------------------------------------------------------------
+_WHEN = LEDGER_COLUMNS[:2]
+_GIVEN = [
+    *(
+        Dataset(f"force_{a}", "", "f8", "N", f"mean force along {a} of the bodies on it since the "
+                "row before; nan in the first row")
+        for a in "xyz"
+    ),
+    *(
+        Dataset(f"torque_{a}", "", "f8", "N m", f"mean torque about {a} since the row before; nan "
+                "in the first row")
+        for a in "xyz"
+    ),
+    *(
+        Dataset(f"impulse_{a}", "", "f8", "N s", f"along {a}: the force's sum over time so far")
+        for a in "xyz"
+    ),
+    *(
+        Dataset(f"swing_{a}", "", "f8", "N m s", f"about {a}: the torque's sum over time so far")
+        for a in "xyz"
+    ),
+]  # fmt: skip
+PROBE_COLUMNS = {
+    "pressure": [
+        *_WHEN,
+        Dataset("pressure", "", "f8", "Pa", "mean of the fluids near; nan where there is none"),
+    ],
+    "level": [*_WHEN, Dataset("level", "", "f8", "m", "height of the surface; 0 where it is dry")],
+    "velocity": [
+        *_WHEN,
+        *(
+            Dataset(f"velocity_{a}", "", "f8", "m/s", f"mean velocity along {a}; nan in a void")
+            for a in "xyz"
+        ),
+    ],
+    "object": [
+        *_WHEN,
+        Dataset("mass", "", "f8", "kg", "mass"),
+        *(Dataset(f"center_{a}", "", "f8", "m", f"{a} of the centre of mass") for a in "xyz"),
+        *(Dataset(f"velocity_{a}", "", "f8", "m/s", f"mean velocity along {a}") for a in "xyz"),
+        *(Dataset(f"momentum_{a}", "", "f8", "kg m/s", f"momentum along {a}") for a in "xyz"),
+        *(
+            Dataset(f"force_{a}", "", "f8", "N", f"mean force along {a} since the row before, "
+                    "without its weight; nan in the first row")
+            for a in "xyz"
+        ),
+    ],
+    "wall": [
+        *_WHEN,
+        *(Dataset(f"momentum_{a}", "", "f8", "kg m/s", f"of all bodies, along {a}") for a in "xyz"),
+        *(
+            Dataset(f"force_{a}", "", "f8", "N", f"mean force along {a} on walls and colliders "
+                    "since the row before; nan in the first row")
+            for a in "xyz"
+        ),
+    ],
+    "one wall": [*_WHEN, *_GIVEN],
+    "collider": [
+        *_WHEN,
+        *_GIVEN,
+        Dataset("work", "", "f8", "J", "work that it has done on the bodies since the row before; "
+                "nan in the first row"),
+        Dataset("all_work", "", "f8", "J", "work that it has done on them so far"),
+    ],
+}  # fmt: skip

@@ -1,0 +1,370 @@
+"""Contact at the 64 nodes of a block: pairs of phases that touch, and the resulting impulses.
+
+The rule for one pair and the impulses of all pairs of a node are in contact_pair.py.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vgmpi.kernels.reaction_impulses import (
+    ReactionSums,
+    add_contact_reaction,
+    add_pair_reactions,
+    add_prescribed_reaction,
+    set_collider,
+    set_node,
+    set_wall,
+)
+from vgmpi.kernels.rigid.prescribed_motion import EFFECTIVE_MASS_FACTOR
+from vgmpi.kernels.rigid.static_colliders import SDF_BAND_CELLS
+from vgmpi.kernels.simd.cooperative import strided_range, sync_threads
+from vgmpi.kernels.step_limits import CONTACT_MASS_FLOOR
+from vgmpi.kernels.wall_boundary import project_tangential
+from vgmpi.materials.couplings.interaction import CONTACT
+from vgmpi.runtime.jit import device_function
+
+from .contact_pair import (
+    COLLIDER_ROW,
+    WALL_ROW,
+    ContactPair,
+    apply_penalty_layer,
+    distance,
+    face_fraction,
+    in_contact,
+    normal_is_reliable,
+    solve_contact_impulses,
+    surface_normal,
+)
+
+
+class ContactWorkspace(NamedTuple):
+    """Scratch of one thread for contact at one node.
+
+    It serves n phases, a collider and walls, and m pairs.
+    """
+
+    v: np.ndarray  # (n + 2, 3) [m/s] velocities, the last two of the collider and of walls
+    mass: np.ndarray  # (n,) [kg]
+    effective_mass: np.ndarray  # (n,) [kg] effective mass, huge for phases with prescribed motion
+    here: np.ndarray  # (n,) node block of each phase at the node
+    slope: np.ndarray  # (n, 3) [m/s per cell] velocity slope along a resolved surface's normal
+    change: np.ndarray  # (n, 3) [m/s] velocity increments by elastic layers
+    normals: np.ndarray  # (m, 7) normal, and scratch of the solver
+    impulse: np.ndarray  # (m, 4) [kg m/s] normal and tangential
+    friction: np.ndarray  # (m,) [-]
+    master: np.ndarray  # (m,) first phase of each pair
+    other: np.ndarray  # (m,) second phase of each pair
+    pair_count: np.ndarray  # (n,) number of pairs of each phase
+    plane: np.ndarray  # (4,) normal of a wall, and 0
+    row: np.ndarray  # (n,) [-] friction of a wall
+    given: ReactionSums | None = None  # reaction sums, if requested
+
+
+class ContactNode(NamedTuple):
+    """One node at which contact is computed."""
+
+    active: int  # number of phases
+    node: int  # number in its block
+    alone: bool  # whether only two parties meet at the node
+
+
+def contact_workspace(n: int) -> ContactWorkspace:
+    """Allocate contact scratch for n phases."""
+    m = n * (n + 1) // 2 + 3 * n
+    return ContactWorkspace(
+        v=np.zeros((n + 2, 3)), slope=np.zeros((n, 3)), change=np.zeros((n, 3)), mass=np.zeros(n),
+        effective_mass=np.zeros(n), here=np.zeros(n, np.int64),
+        normals=np.zeros((m, 7)), impulse=np.zeros((m, 4)), friction=np.zeros(m),
+        master=np.zeros(m, np.int64), other=np.zeros(m, np.int64), pair_count=np.zeros(n, np.int64),
+        plane=np.zeros(4), row=np.zeros(n),
+    )  # fmt: skip
+
+
+@device_function
+def apply_contact(block, tables, solid, velocities, offsets, shear, solids, walls, phases, rules,
+step,
+          work):  # fmt: skip
+    """Apply contact at the nodes of a block.
+
+    Args:
+        block, solid: Context of the block; its row in solids, or -1. Fields are in/out pointers.
+    """
+    motions, pushes = solids.ways, block.at_wall and _may_push(walls)
+    sync_threads()
+    for node in strided_range(64):
+        active = _active(block, node, velocities, tables.phase, phases.least, work.here)
+        ijk = block.low_x + node // 16, block.low_y + node // 4 % 4, block.low_z + node % 4
+        planes = _planes(ijk, walls) if pushes else 0
+        rigid = solid >= 0 and solids.nodes[solid, node, 3] < SDF_BAND_CELLS * step.dx
+        if active == 0 or active + rigid + planes < 2:
+            continue
+        for q in range(active):
+            nb = work.here[q]
+            offset = 256 * nb + 4 * node
+            project_tangential(offsets, offset, ijk[0], ijk[1], ijk[2], walls.cells, walls.kinds)
+            for c in range(3):
+                work.v[q, c] = velocities[offset + c]
+                work.change[q, c] = 0
+            work.mass[q] = work.effective_mass[q] = velocities[offset + 3]
+            if _driven(motions, tables.phase[nb]):
+                work.effective_mass[q] *= EFFECTIVE_MASS_FACTOR
+            if shear is not None:
+                for c in range(3):
+                    work.slope[q, c] = shear.nodes[offset + c] / work.mass[q]
+            work.pair_count[q] = 0
+        site = ContactNode(active, node, active + rigid + planes == 2)
+        set_node(work.given, node, ijk[0], ijk[1], ijk[2])
+        pairs = _pairs(site, tables.phase, offsets, phases, rules, motions, step, work)
+        if rigid:
+            surface = solids.nodes[solid, node]
+            number = solids.whose[solid, node] if len(solids.whose) > 0 else 0
+            set_collider(work.given, number, surface)
+            rows = phases.friction[len(phases.contact_priority) :]
+            row = rows[min(number, len(rows) - 1)]  # common to all colliders, or its own
+            if len(solids.moves) > 0:
+                for c in range(3):
+                    work.v[COLLIDER_ROW, c] = solids.moves[solid, node, c]
+            pairs = _add_rigid_pairs(
+                pairs,
+                site,
+                tables.phase,
+                offsets,
+                surface,
+                row,
+                COLLIDER_ROW,
+                phases,
+                motions,
+                step,
+                work,
+            )
+        if planes:
+            pairs = _add_wall_pairs(
+                pairs, site, tables.phase, offsets, ijk, walls, phases, motions, step, work
+            )
+        for q in range(active):
+            for c in range(3):
+                work.v[q, c] += work.change[q, c]
+        if pairs > 0:
+            solve_contact_impulses(work.v, work.effective_mass, active, work.normals, work.friction,
+            work.master,
+                    work.other, pairs, _max_count(work.pair_count, active),
+                    work.impulse)  # fmt: skip
+            add_pair_reactions(work.given, pairs, work)
+        for q in range(active):
+            for c in range(3):
+                velocities[256 * work.here[q] + 4 * node + c] = work.v[q, c]
+    sync_threads()
+
+
+@device_function
+def _max_count(touches, active):
+    """Return the number of pairs of the phase that touches most others."""
+    count = touches[0]
+    for q in range(1, active):
+        count = max(count, touches[q])
+    return count
+
+
+@device_function
+def _side(offsets, nb, node):
+    """Return the four numbers of the offset field for a phase at a node."""
+    offset = 256 * nb + 4 * node
+    return offsets[offset], offsets[offset + 1], offsets[offset + 2], offsets[offset + 3]
+
+
+@device_function
+def _driven(motions, phase):
+    """Return whether the motion of a phase is prescribed."""
+    return len(motions.driven) > 0 and motions.driven[phase]
+
+
+@device_function
+def _active(block, node, velocities, phase, cell_mass, node_blocks):
+    """Store the node blocks of the phases at a node; return their number.
+
+    Lighter phases do not count: their sums have too few digits for the position of their particles.
+    """
+    active = 0
+    for nb in range(block.n0, block.n1):
+        if velocities[256 * nb + 4 * node + 3] > CONTACT_MASS_FLOOR * cell_mass[phase[nb]]:
+            node_blocks[active] = nb
+            active += 1
+    return active
+
+
+@device_function
+def _pairs(site, phase, offsets, phases, rules, motions, step, work):
+    """Find the pairs of phases that touch each other, in order; return their number.
+
+    Pairs that meet by an elastic layer change work.change, the others are stored as pairs: masters,
+    normals and friction.
+    """
+    pairs = 0
+    for q in range(site.active):
+        ph = phase[work.here[q]]
+        for r in range(q + 1, site.active):
+            other = phase[work.here[r]]
+            if rules is not None:
+                if rules.pair[ph, other] != CONTACT:
+                    continue
+            if _driven(motions, ph) and _driven(motions, other):
+                continue
+            a, b = (
+                (q, r) if phases.contact_priority[ph] < phases.contact_priority[other] else (r, q)
+            )
+            pairs = _add_phase_pair(pairs, site, a, b, phase, offsets, phases, motions, step, work)
+    return pairs
+
+
+@device_function
+def _add_phase_pair(pairs, site, a, b, phase, offsets, phases, motions, step, work):
+    """Apply the contact of two phases, or store it as a pair."""
+    pa, pb = phase[work.here[a]], phase[work.here[b]]
+    xa, xb = _side(offsets, work.here[a], site.node), _side(offsets, work.here[b], site.node)
+    ka, kb = phases.surface[pa], phases.surface[pb]
+    if not (_has_surface(xa, ka) and _has_surface(xb, kb)):
+        return pairs
+    ma, mb, n = work.mass[a], work.mass[b], work.normals[pairs]
+    if not surface_normal(n, xa, xb, ma, mb, ka, kb, step.dx):
+        return pairs
+    both_resolved = ka and kb
+    distance_a = distance(n, 1.0, xa, ma, ka, step.dx)
+    distance_b = distance(n, -1.0, xb, mb, kb, step.dx)
+    is_reliable, area_fraction, modulus = False, 0.0, 0.0
+    if both_resolved:
+        is_reliable = normal_is_reliable(xa, ma) and normal_is_reliable(xb, mb)
+    elif ka:
+        is_reliable = normal_is_reliable(xa, ma)
+    elif kb:
+        is_reliable = normal_is_reliable(xb, mb)
+    if is_reliable:
+        area_fraction = min(
+            face_fraction(ma, phases.least[pa], distance_a),
+            face_fraction(mb, phases.least[pb], distance_b),
+        )
+        modulus = phases.stiff[pa] * phases.stiff[pb] / (phases.stiff[pa] + phases.stiff[pb])
+    friction = phases.friction[pa, pb]
+    meeting = ContactPair(
+        a, b, distance_a, distance_b, both_resolved, is_reliable, area_fraction, modulus, friction
+    )
+    source, target = (a, b) if _driven(motions, pa) else (b, a)
+    change, first_pair = work.change[target], pairs
+    before = change[0], change[1], change[2]
+    pairs = _activate_pair(pairs, site, meeting, n, step, work)
+    row = motions.row[phase[work.here[source]]] if len(motions.row) > 0 else -1
+    add_prescribed_reaction(
+        work.given, row, before, change, work.mass[target], work.v[source], first_pair, pairs
+    )
+    return pairs
+
+
+@device_function
+def _add_rigid_pairs(
+    pairs, site, phase, offsets, surface, friction, a, phases, motions, step, work
+):
+    """Apply the contact of something rigid with the phases of a node, or store pairs.
+
+    surface: (4,) its normal and distance [m]; friction: (phases,); a: GOES for a collider, or RESTS
+    for a wall, which meets only phases with resolved surfaces.
+    """
+    for q in range(site.active):
+        ph, mine = phase[work.here[q]], _side(offsets, work.here[q], site.node)
+        is_resolved, mass, n = phases.surface[ph], work.mass[q], work.normals[pairs]
+        if not ((a == COLLIDER_ROW or is_resolved) and _has_surface(mine, is_resolved)):
+            continue
+        if _driven(motions, ph):
+            continue
+        for c in range(3):
+            n[c] = surface[c]
+        distance_b = distance(n, -1.0, mine, mass, is_resolved, step.dx)
+        is_reliable = is_resolved and normal_is_reliable(mine, mass)
+        area_fraction = face_fraction(mass, phases.least[ph], distance_b) if is_reliable else 0.0
+        distance_a = surface[3] / step.dx
+        meeting = ContactPair(
+            a, q, distance_a, distance_b, is_resolved, is_reliable, area_fraction, phases.stiff[ph],
+            friction[ph],
+        )  # fmt: skip
+        change, first_pair = work.change[q], pairs
+        before = change[0], change[1], change[2]
+        pairs = _activate_pair(pairs, site, meeting, n, step, work)
+        add_contact_reaction(work.given, before, change, mass, work.v[a], first_pair, pairs)
+    return pairs
+
+
+@device_function
+def _activate_pair(pairs, site, meeting, n, step, work):
+    """Apply the penalty layer of a contact pair; store it if its phases may not approach.
+
+    n: normal (3,). The layer changes work.change. A pair that is alone at its node and separating
+    is left out: nothing acts on it.
+    """
+    if meeting.normals_reliable:
+        apply_penalty_layer(
+            work.change, work.v, work.slope, work.effective_mass, meeting, n, step.dt, step.dx
+        )
+    if not in_contact(meeting) or (site.alone and _is_separating(work.v, meeting, n)):
+        return pairs
+    work.master[pairs], work.other[pairs] = meeting.a, meeting.b
+    work.friction[pairs] = meeting.friction
+    work.pair_count[meeting.b] += 1
+    if meeting.a >= 0:
+        work.pair_count[meeting.a] += 1
+    return pairs + 1
+
+
+@device_function
+def _is_separating(v, meeting, n):
+    """Return whether two phases separate along n."""
+    nearing = 0.0
+    for c in range(3):
+        nearing -= v[meeting.b, c] * n[c]
+        nearing += v[meeting.a, c] * n[c]
+    return nearing <= 0.0
+
+
+@device_function
+def _has_surface(side, is_resolved):
+    """Return whether a phase has any surface at a node; side: (4,) of the offset field."""
+    if is_resolved:
+        return side[0] != 0.0 or side[1] != 0.0 or side[2] != 0.0
+    return side[3] > 0.0
+
+
+@device_function
+def _may_push(walls):
+    """Return whether any wall pushes resolved surfaces."""
+    for a in range(3):
+        for side in range(2):
+            if walls.kinds_for_surfaces[a, side] == 0:
+                return True
+    return False
+
+
+@device_function
+def _planes(ijk, walls):
+    """Return the number of walls at a node that push resolved surfaces."""
+    count = 0
+    for a in range(3):
+        for side in range(2):
+            count += walls.kinds_for_surfaces[a, side] == 0 and ijk[a] == side * walls.cells[a]
+    return count
+
+
+@device_function
+def _add_wall_pairs(pairs, site, phase, offsets, ijk, walls, phases, motions, step, work):
+    """Apply the contact of walls that push resolved surfaces, or store pairs."""
+    surface, row = work.plane, work.row
+    for a in range(3):
+        for side in range(2):
+            if walls.kinds_for_surfaces[a, side] != 0 or ijk[a] != side * walls.cells[a]:
+                continue
+            surface[0] = surface[1] = surface[2] = 0.0
+            surface[a] = 1.0 - 2.0 * side
+            set_wall(work.given, a, side)
+            for k in range(len(row)):
+                row[k] = walls.friction[a, side]
+            pairs = _add_rigid_pairs(
+                pairs, site, phase, offsets, surface, row, WALL_ROW, phases, motions, step, work
+            )
+    return pairs

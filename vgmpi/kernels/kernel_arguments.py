@@ -1,0 +1,81 @@
+"""Kernel arguments by name.
+
+The tables hold the particles and segments of a group, the node blocks of a rank, the sums of a
+nodal field, the domain's walls and the scene's phases.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Particles(NamedTuple):
+    """Particle arrays of a group on this rank, see domain.state.Group."""
+
+    xi: np.ndarray  # (3, cap) fixed-point positions
+    f: np.ndarray  # (channels, cap) floating-point channels
+    ids: np.ndarray  # (cap,) particle ids
+
+
+class Segments(NamedTuple):
+    """Segments of a group, one per row: particles of one block each."""
+
+    start: np.ndarray  # (n,) first particle
+    count: np.ndarray  # (n,) number of particles
+    table: np.ndarray  # (n, 27) node blocks around
+    accumulator_rows: (
+        np.ndarray
+    )  # (n, 27) rows of sums to add to: those node blocks, or a thread's copies
+    split: np.ndarray  # (n,) bool: stress impulses are kept separate from momentum
+    limit: np.ndarray  # (n, 3, 2) [cells from the block center] range of positions
+    mirror: np.ndarray  # (n, 3, 2) wall codes (wall_boundary.py)
+
+
+class NodeBlocks(NamedTuple):
+    """Node blocks of a rank, block after block, one per phase that touches it."""
+
+    first: np.ndarray  # (blocks + 1,) node blocks of each block
+    phase: np.ndarray  # (node blocks,) phase of each
+    at: np.ndarray  # (blocks, 3) block coordinates
+    meets: np.ndarray  # (blocks,) bool: two phases, or a phase and a collider, may touch here
+    solid: np.ndarray  # (blocks,) row among the collider's blocks, or -1
+    copy_offsets: np.ndarray  # (node blocks + 1,) offsets into `copies`
+    copies: np.ndarray  # rows of sums to which threads other than the first add
+
+
+class Sums(NamedTuple):
+    """Nodal field: its accumulators, their biases and their values."""
+
+    sums: np.ndarray  # (rows, words, 256) see kernels/reproducible_sums.py
+    rest: np.ndarray  # (phases, words, 16) biases
+    asked: np.ndarray  # (node blocks,) uint8: 1 if it has terms
+    nodes: np.ndarray  # (node blocks, 256) values in the working precision
+
+
+class Walls(NamedTuple):
+    """Walls of the domain: west, east; south, north; floor, roof."""
+
+    cells: np.ndarray  # (3,) cells of the domain
+    kinds: np.ndarray  # (3, 2) wall kinds, see walls.KINDS
+    kinds_for_surfaces: (
+        np.ndarray
+    )  # (3, 2) wall kinds for resolved surfaces: 0 if contact pushes them
+    friction: np.ndarray  # (3, 2) [-] Coulomb coefficients
+
+
+class Phases(NamedTuple):
+    """Constants of the phases that the grid update needs."""
+
+    least: np.ndarray  # (phases,) [kg] mass of a cell full of its lightest material
+    contact_priority: np.ndarray  # (phases,) priority of its surface for the normal: lowest first
+    friction: np.ndarray  # (phases + 1, phases) [-] Coulomb coefficients, last row: colliders
+    stiff: np.ndarray  # (phases,) [Pa] wave modulus of its stiffest law at rest
+    surface: np.ndarray  # (phases,) bool: the surfaces of its bodies are resolved
+
+
+class Step(NamedTuple):
+    """Constants of one step."""
+
+    dt: float  # [s] time step
+    dx: float  # [m] cell size
+    gravity_increment: np.ndarray  # (4,) [m/s] velocity change by gravity in dt, and 0

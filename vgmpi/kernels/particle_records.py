@@ -1,0 +1,204 @@
+"""Records: the 16 contiguous numbers of each particle that the transfers need.
+
+Formulas are evaluated for 16 particles at a time; transposed, each particle's numbers lie together
+and meet its nine rows of nodes (kernels/transfer/p2g.py, kernels/transfer/g2p.py). A batch of
+records stays in the first level cache.
+
+The common channels stand at fixed positions of a group's array, as planning.channels.HEAD defines:
+velocity [m/s], its gradient C [1/s], rest volume [m3]; behind them stand the law's state and the
+optional channels of the plan.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vgmpi.kernels.simd.row_ops import (
+    QUARTERS,
+    broadcast,
+    cell_fraction,
+    horizontal_max,
+    stencil_offset,
+    store_int32,
+    store_quarter,
+    store_records,
+)
+from vgmpi.kernels.simd.vector16 import load
+from vgmpi.planning.particle_channels import COMMON_CHANNELS
+from vgmpi.runtime.aligned_arrays import aligned_zeros
+from vgmpi.runtime.jit import always_inline, device_function
+
+from .wall_boundary import SIDE
+
+AFFINE, VOLUME, STATE = (sum(width for _, width, _ in COMMON_CHANNELS[: k + 1]) for k in range(3))
+BATCH = 128
+ROW = SIDE * 4  # numbers in a patch from one (i, j) to (i, j + 1)
+PLANE = SIDE * ROW
+PATCH = SIDE * PLANE
+SCRATCH = BATCH * 16  # numbers in a batch of records
+AUXILIARY_SIZE = 8 * BATCH  # auxiliary numbers per batch
+PADDED_PATCH = PATCH + 16  # numbers in a patch, plus the vector with which its last row may be read
+SCRATCH_SIZE = (
+    2 * SCRATCH + PADDED_PATCH + AUXILIARY_SIZE
+)  # numbers for a transfer with one patch, see `parts`
+
+
+class Scratch(NamedTuple):
+    """Scratch memory of one thread during the transfer of a segment."""
+
+    real: np.ndarray  # (ROOM + more * MORE,) see `parts` and `patch_of`
+    whole: np.ndarray  # (BATCH + 16 + 6,) int32: base rows of a batch, then a node range
+    peak: np.ndarray  # (16,) [m4/s4] maximum squared stress over density so far, by lane
+
+
+def scratch(real: np.dtype, more: int) -> Scratch:
+    """Allocate scratch for a velocity patch and `more` auxiliary patches."""
+    integers = np.zeros(BATCH + 16 + 6, np.int32)
+    return Scratch(
+        aligned_zeros(SCRATCH_SIZE + more * PADDED_PATCH, real), integers, aligned_zeros(16, real)
+    )
+
+
+@device_function
+def split_scratch(real):
+    """Return views of a transfer's scratch.
+
+    Returns:
+        Weights and records of a batch, a patch with 16 numbers of padding, and eight numbers per
+        particle of a batch.
+    """
+    extra_start = SCRATCH_SIZE - AUXILIARY_SIZE
+    weights, records = real[:SCRATCH], real[SCRATCH : 2 * SCRATCH]
+    return weights, records, real[2 * SCRATCH : extra_start], real[extra_start:SCRATCH_SIZE]
+
+
+@device_function
+def patch_of(real, k):
+    """Return auxiliary patch k = 0, 1, ... of the scratch."""
+    return real[SCRATCH_SIZE + k * PADDED_PATCH : SCRATCH_SIZE + (k + 1) * PADDED_PATCH]
+
+
+@device_function
+def box_of(integers):
+    """Return the node range of a segment's particles, shape (6,), see `reach`."""
+    return integers[BATCH + 16 :]
+
+
+@device_function
+def node_range(count, offset, cap, xi, like, box):
+    """Compute the range of nodes that some particles touch, along each axis.
+
+    Args:
+        count: Number of particles.
+        offset: Index of the first particle.
+        cap: Stride of channels.
+        xi: Fixed-point positions, flat.
+        like: Array whose dtype is the working precision.
+        box: Node range (out), shape (6,): x 0-1, y 2-3, z 4-5, the last one exclusive.
+    """
+    for a in range(3):
+        low, high = broadcast(like, 5.0), broadcast(like, 0.0)
+        for n in range(0, count, 16):
+            cell = stencil_offset(xi, a * cap + offset + n, 1)
+            low, high = np.minimum(low, cell), np.maximum(high, cell)
+        box[2 * a] = -np.int64(horizontal_max(-low))
+        box[2 * a + 1] = np.int64(horizontal_max(high)) + 3
+
+
+@device_function
+def node_range_with_walls(count, offset, cap, xi, like, mirror, box):
+    """Compute the range of patch nodes that a segment touches: all of them at a wall.
+
+    Args:
+        count, offset, cap, xi, like: See `reach`.
+        mirror: Wall codes of the segment, shape (3, 2).
+        box: Node range (out), shape (6,).
+    """
+    for a in range(3):
+        box[2 * a], box[2 * a + 1] = 0, SIDE
+    if not mirror.any():
+        node_range(count, offset, cap, xi, like, box)
+
+
+@device_function
+def compute_weights(count, offset, cap, xi, like, base, weights):
+    """Compute the weights and base rows of some particles.
+
+    A record holds per axis the three weights and the base node minus the particle [cells]: x 0-3, y
+    4-7, z 8-10 and 12.
+
+    Args:
+        count, offset, cap, xi, like: See `reach`.
+        base: Base rows (out), shape (count,).
+        weights: Records of weights (out).
+    """
+    zero = broadcast(like, 0.0)
+    for n in range(0, count, 16):
+        p, m = offset + n, 16 * n
+        if QUARTERS:  # the registers hold no more at once
+            store_quarter(weights, m, splines(cell_fraction(xi, p)))
+            store_quarter(weights, m + 4, splines(cell_fraction(xi, cap + p)))
+            a, b, c, d = splines(cell_fraction(xi, 2 * cap + p))
+            store_quarter(weights, m + 8, (a, b, c, zero))
+            store_quarter(weights, m + 12, (d, zero, zero, zero))
+            _store_base_rows(n, p, cap, xi, base)
+        else:
+            x, y, z = (
+                cell_fraction(xi, p),
+                cell_fraction(xi, cap + p),
+                cell_fraction(xi, 2 * cap + p),
+            )
+            _store_base_rows(n, p, cap, xi, base)
+            a, b, c, d = splines(z)
+            last = (a, b, c, zero, d, zero, zero, zero)
+            store_records(weights, m, splines(x) + splines(y) + last)
+
+
+@always_inline
+def _store_base_rows(n, p, cap, xi, base):
+    """Store the offsets of 16 particles' base rows in a patch."""
+    row = stencil_offset(xi, p, PLANE) + stencil_offset(xi, cap + p, ROW)
+    store_int32(base, n, row + stencil_offset(xi, 2 * cap + p, 4))
+
+
+@always_inline
+def load_tensor(f, p, cap):
+    """Load a tensor of 16 particles, row by row, from flat channels; p: its first number."""
+    return (
+        load(f, p), load(f, p + cap), load(f, p + 2 * cap),
+        load(f, p + 3 * cap), load(f, p + 4 * cap), load(f, p + 5 * cap),
+        load(f, p + 6 * cap), load(f, p + 7 * cap), load(f, p + 8 * cap),
+    )  # fmt: skip
+
+
+@always_inline
+def splines(x):
+    """Return the weights of particles along one axis, and their base nodes minus them [cells].
+
+    x is the position within the cell.
+    """
+    a, c = 1.0 - x, x - 0.5
+    return 0.5 * a * a, 0.75 - c * c, 0.5 * x * x, -0.5 - x
+
+
+@device_function
+def zero_padding(count, records):
+    """Set the records behind the last one to zero, up to a whole vector: unused slots stay zero."""
+    for m in range(16 * count, 16 * ((count + 15) & ~15)):
+        records[m] = 0
+
+
+@device_function
+def scatter_columns(count, records, out, first, stride):
+    """Scatter the first three numbers of each record into rows of an array.
+
+    Args:
+        count: Number of records.
+        records: Records.
+        out: Array (out).
+        first: Offset of the first row.
+        stride: Distance between rows.
+    """
+    for n in range(count):
+        for c in range(3):
+            out[first + c * stride + n] = records[16 * n + c]

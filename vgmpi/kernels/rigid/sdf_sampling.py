@@ -1,0 +1,138 @@
+"""Moving colliders at the nodes of blocks: distance, outward normal and velocity.
+
+The signed distance of each collider is sampled on a lattice in its own frame and interpolated
+linearly. This is exact for plane faces in any orientation; edges are rounded by a quarter of a
+cell.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vgmpi.runtime.jit import device_function, kernel
+
+from .static_colliders import SDF_BAND_CELLS
+
+
+class SampledSdf(NamedTuple):
+    """Sampled signed distances and poses of m rigid colliders.
+
+    A point at x0 at the start is at x = rotation (x0 - about) + about + move at the beginning of a
+    step, and likewise with rotation_end and move_end at its end.
+    """
+
+    values: np.ndarray  # (n,) [m] signed distances on all lattices
+    first: np.ndarray  # (m,) row at which each lattice begins
+    shape: np.ndarray  # (m, 3) points of each lattice along the axes
+    start: np.ndarray  # (m, 3) [m] first point of each lattice
+    spacing: float  # [m]
+    about: np.ndarray  # (m, 3) [m] center of rotation
+    rotation: np.ndarray  # (m, 3, 3)
+    move: np.ndarray  # (m, 3) [m]
+    rotation_end: np.ndarray  # (m, 3, 3)
+    move_end: np.ndarray  # (m, 3) [m]
+
+
+@device_function
+def _own(movers, m, x, own):
+    """Compute the initial position `own` (3,) (out) of the collider's point now at x (3,)."""
+    r = movers.rotation[m]
+    a = x[0] - movers.about[m, 0] - movers.move[m, 0]
+    b = x[1] - movers.about[m, 1] - movers.move[m, 1]
+    c = x[2] - movers.about[m, 2] - movers.move[m, 2]
+    for k in range(3):
+        own[k] = r[0, k] * a + r[1, k] * b + r[2, k] * c + movers.about[m, k]
+
+
+@device_function
+def _sample(movers, m, own, sample):
+    """Interpolate the distance [m] and its gradient at a point of the collider's frame.
+
+    They are written to `sample` (4,), gradient first. Returns False outside the lattice.
+    """
+    nx, ny, nz = movers.shape[m, 0], movers.shape[m, 1], movers.shape[m, 2]
+    x = (own[0] - movers.start[m, 0]) / movers.spacing
+    y = (own[1] - movers.start[m, 1]) / movers.spacing
+    z = (own[2] - movers.start[m, 2]) / movers.spacing
+    i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
+    if i < 0 or j < 0 or k < 0 or i > nx - 2 or j > ny - 2 or k > nz - 2:
+        return False
+    x, y, z = x - i, y - j, z - k
+    base = movers.first[m] + (i * ny + j) * nz + k
+    v, up, over = movers.values, nz, ny * nz
+    a, b, c, d = v[base], v[base + 1], v[base + up], v[base + up + 1]
+    e, f, g, h = v[base + over], v[base + over + 1], v[base + over + up], v[base + over + up + 1]
+    low, high = a + z * (b - a), c + z * (d - c)
+    low2, high2 = e + z * (f - e), g + z * (h - g)
+    lower, upper = low + y * (high - low), low2 + y * (high2 - low2)
+    sample[0] = (upper - lower) / movers.spacing
+    sample[1] = ((high - low) * (1 - x) + (high2 - low2) * x) / movers.spacing
+    along, along2 = (b - a) * (1 - y) + (d - c) * y, (f - e) * (1 - y) + (h - g) * y
+    sample[2] = (along * (1 - x) + along2 * x) / movers.spacing
+    sample[3] = lower + x * (upper - lower)
+    return True
+
+
+@device_function
+def _carry(movers, m, own, x, dt, velocity):
+    """Compute the mean velocity [m/s] over a step of dt [s] of the collider's point now at x."""
+    r = movers.rotation_end[m]
+    a = own[0] - movers.about[m, 0]
+    b = own[1] - movers.about[m, 1]
+    c = own[2] - movers.about[m, 2]
+    for k in range(3):
+        end = r[k, 0] * a + r[k, 1] * b + r[k, 2] * c + movers.about[m, k] + movers.move_end[m, k]
+        velocity[k] = (end - x[k]) / dt
+
+
+@kernel
+def evaluate_colliders(blocks, first, nearby, movers, dt, dx, nodes, moves, whose):
+    """Compute the nearest collider at the nodes of blocks.
+
+    Args:
+        blocks: Blocks, shape (n, 3).
+        first: Start of each block's colliders in `nearby`, shape (n + 1,).
+        nearby: Numbers of the colliders near each block b, in nearby[first[b] : first[b + 1]].
+        movers: Sampled colliders, see `Sampled`.
+        dt: Time step [s].
+        dx: Cell size [m].
+        nodes: Outward normal and distance [m], infinite if no collider is near (out), shape
+            (n, 64, 4).
+        moves: Mean velocity in the step of the surface point nearest to the node (out), shape
+            (n, 64, 3) [m/s].
+        whose: Number of the collider (out), shape (n, 64), or (0, 64) if not wanted.
+    """
+    x, own, sample, velocity = np.zeros(3), np.zeros(3), np.zeros(4), np.zeros(3)
+    normal, surface = np.zeros(3), np.zeros(3)
+    for b in range(len(blocks)):
+        for node in range(64):
+            nodes[b, node, 3] = np.inf
+        for m in nearby[first[b] : first[b + 1]]:
+            for node in range(64):
+                x[0] = (4 * blocks[b, 0] - 1 + node // 16) * dx
+                x[1] = (4 * blocks[b, 1] - 1 + node // 4 % 4) * dx
+                x[2] = (4 * blocks[b, 2] - 1 + node % 4) * dx
+                _own(movers, m, x, own)
+                if not _sample(movers, m, own, sample):
+                    continue
+                if sample[3] >= min(nodes[b, node, 3], SDF_BAND_CELLS * dx):
+                    continue
+                size = np.sqrt(sample[0] ** 2 + sample[1] ** 2 + sample[2] ** 2)
+                if size == 0.0:
+                    continue
+                r, d = movers.rotation[m], sample[3]
+                for k in range(3):
+                    normal[k] = (
+                        r[k, 0] * sample[0] + r[k, 1] * sample[1] + r[k, 2] * sample[2]
+                    ) / size
+                    nodes[b, node, k] = normal[k]
+                nodes[b, node, 3] = d
+                if len(whose) > 0:
+                    whose[b, node] = m
+                depth = min(max(d, -2.0 * dx), 2.0 * dx)
+                for k in range(3):
+                    surface[k] = x[k] - depth * normal[k]
+                _own(movers, m, surface, own)
+                _carry(movers, m, own, surface, dt, velocity)
+                for k in range(3):
+                    moves[b, node, k] = velocity[k]

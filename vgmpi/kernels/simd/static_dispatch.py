@@ -1,0 +1,35 @@
+"""Static dispatch of kernel functions on the type of their first argument.
+
+    @by_kind
+    def contribute(kind, ...): "Description."
+
+    @contribute.of(Momentum)
+    def _(kind, ...): ...
+
+Kinds are NamedTuples. The implementation is selected when a kernel is compiled, so that kernels do
+not contain features that a scene does not need.
+"""
+
+from numba import types
+from numba.extending import overload
+
+
+def static_dispatch(stub):
+    """Make `stub` callable from kernels; `stub.of(Kind)` adds an implementation."""
+    table = {}
+
+    def _of(kind: type):
+        def _add(function):
+            if kind in table:
+                raise TypeError(f"{stub.__name__} is told twice for {kind.__name__}")
+            table[kind] = function
+            return function
+
+        return _add
+
+    @overload(stub, strict=False, jit_options={"forceinline": True})
+    def _choose(kind, *_):
+        return table.get(kind.instance_class) if isinstance(kind, types.BaseNamedTuple) else None
+
+    stub.of, stub.table = _of, table
+    return stub

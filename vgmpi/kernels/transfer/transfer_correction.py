@@ -1,0 +1,136 @@
+"""Transfer correction: motion that the transfers dissipated is returned to the particles.
+
+The motion passes through the grid in a step of zero duration; its loss is what each transfer of the
+last steps has taken.
+"""
+
+from vgmpi.kernels.grid.update import momentum_to_velocity
+from vgmpi.kernels.nodal_fields.color import mean_over_set
+from vgmpi.kernels.particle_records import (
+    AFFINE,
+    BATCH,
+    PATCH,
+    box_of,
+    compute_weights,
+    node_range_with_walls,
+    split_scratch,
+    zero_padding,
+)
+from vgmpi.kernels.patch import load_patch, nodes_of, prefetch_patch
+from vgmpi.kernels.reaction_impulses import momentum_mirror_fraction
+from vgmpi.kernels.reproducible_sums import blocks_at, finalize_node_block, sums_at
+from vgmpi.kernels.simd.row_ops import tile
+from vgmpi.kernels.simd.vector16 import load, pointer, store
+from vgmpi.kernels.stencil_sums import gather_affine
+from vgmpi.kernels.step_limits import NODE_MASS_FLOOR
+from vgmpi.kernels.wall_boundary import fill_ghost_velocity
+from vgmpi.runtime.jit import device_function, kernel
+
+from .g2p import unpack_gathered
+
+
+@kernel
+def momentum_to_velocity_only(blocks, tables, momentum, as_one, phases, step, report):
+    """Compute the velocities [m/s] at the nodes of some blocks, from momentum alone.
+
+    Gravity, contact and walls do not act; see grid.update.
+
+    Args:
+        blocks, tables: Blocks to process, shape (n,), and node blocks of the rank.
+        momentum: Momentum sums (in/out).
+        as_one: (phases,) phases of one number share one velocity; -1: each has its own.
+        phases, step: See kernels/kernel_arguments.py.
+        report: Accumulator overflows (in/out), see kernels/reproducible_sums.py.
+    """
+    rows, moved = blocks_at(tables), sums_at(momentum)
+    first, phase_of, cell_mass = pointer(tables.first), rows.phase, pointer(phases.least)
+    push, nodes = tile(step.gravity_increment, 0), moved.nodes
+    for b in blocks:
+        n0, n1 = first[b], first[b + 1]
+        for nb in range(n0, n1):
+            finalize_node_block(nb, rows, moved, report, 0)
+        for nb in range(n0, n1):
+            group = as_one[phase_of[nb]]
+            is_done = False
+            for other in range(n0, nb):
+                is_done = is_done or as_one[phase_of[other]] == group
+            if group < 0:
+                momentum_to_velocity(nb, nodes, push, NODE_MASS_FLOOR * cell_mass[phase_of[nb]])
+            elif not is_done:
+                mean_over_set(nb, n1, group, phase_of, as_one, nodes)
+
+
+@kernel
+def apply_transfer_correction(rows, times, segments, particles, velocity, scratch, dx, ghosts):
+    """Add to each particle `times` the loss of its velocity and gradient in a transfer.
+
+    Args:
+        rows: Segments to process, shape (n,).
+        times: Number of transfers to correct.
+        segments, particles: Segment table and particle arrays (in/out) of the group, see
+        kernels/kernel_arguments.py.
+        velocity: Grid velocities, shape (node blocks, 256) [m/s].
+        scratch: Scratch of the calling thread.
+        dx: Cell size [m].
+        ghosts: Ghost-node bookkeeping for reaction forces, or None.
+    """
+    cap = particles.f.shape[1]
+    f, xi = particles.f.reshape(particles.f.size), particles.xi.reshape(particles.xi.size)
+    start, count, table, mirror = segments.start, segments.count, segments.table, segments.mirror
+    weights, records, patch, _ = split_scratch(scratch.real)
+    nodes = nodes_of(patch)
+    patch[PATCH:] = 0
+    base, box = scratch.whole, box_of(scratch.whole)
+    flat = pointer(velocity.reshape(velocity.size))
+    mirror_fraction = momentum_mirror_fraction(ghosts)
+    for q in range(len(rows)):
+        s = rows[q]
+        if q + 1 < len(rows):
+            prefetch_patch(flat, table[rows[q + 1]])
+        node_range_with_walls(count[s], start[s], cap, xi, f, mirror[s], box)
+        load_patch(patch, velocity, table[s], box)
+        fill_ghost_velocity(nodes, mirror[s], ghosts, mirror_fraction, s)
+        for first in range(0, count[s], BATCH):
+            n = min(BATCH, count[s] - first)
+            offset = start[s] + first
+            compute_weights(n, offset, cap, xi, f, base, weights)
+            gather_affine(n, records, weights, base, patch)
+            zero_padding(n, records)
+            for m in range(0, n, 16):
+                correct_vector(f, offset + m, cap, times, records, 16 * m, dx)
+
+
+@device_function
+def correct_vector(f, p, cap, times, records, offset, dx):
+    """Correct the velocity and its gradient of 16 particles.
+
+    Args:
+        f: Particle channels, flat (in/out).
+        p: Index of the first particle.
+        cap: Stride of channels.
+        times: Number of transfers to correct.
+        records: Gathered records.
+        offset: Offset of the first record.
+        dx: Cell size [m].
+    """
+    v0, v1, v2, _, L = unpack_gathered(records, offset, 4.0 / dx)
+    q = p + AFFINE * cap
+    _correct_channel(f, p, times, v0)
+    _correct_channel(f, p + cap, times, v1)
+    _correct_channel(f, p + 2 * cap, times, v2)
+    _correct_channel(f, q, times, L[0])
+    _correct_channel(f, q + cap, times, L[1])
+    _correct_channel(f, q + 2 * cap, times, L[2])
+    _correct_channel(f, q + 3 * cap, times, L[3])
+    _correct_channel(f, q + 4 * cap, times, L[4])
+    _correct_channel(f, q + 5 * cap, times, L[5])
+    _correct_channel(f, q + 6 * cap, times, L[6])
+    _correct_channel(f, q + 7 * cap, times, L[7])
+    _correct_channel(f, q + 8 * cap, times, L[8])
+
+
+@device_function
+def _correct_channel(f, p, times, remainder):
+    """Correct one number of 16 particles, of which a transfer leaves `remainder`."""
+    own = load(f, p)
+    store(f, p, own + times * (own - remainder))

@@ -1,0 +1,271 @@
+"""The six walls of the domain and their conditions at nodes.
+
+A stick or slip wall stands on a node plane and mirrors the interior: the momentum that falls on the
+ghost nodes beyond it is folded back, reflected, onto their mirror nodes, and the ghosts' velocities
+are read from the mirror. That makes the wall second order (a plain clamp at the wall node is first
+order). Since every particle that touches a ghost node touches its mirror node too, both happen
+inside a patch. A separate wall only pushes; it is a clamp with Coulomb friction, except for bodies
+with resolved surfaces: these meet it like a collider (kernels/grid/contact.py). An open wall does
+nothing:
+particles that reach it are removed (solver/boundary/outlets.py).
+
+A patch meets a wall by a code: 4 * (index of the wall's nodes in the patch) + kind; 0 where it
+meets none.
+"""
+
+import numpy as np
+
+from vgmpi.kernels.simd.cooperative import strided_range, sync_threads
+from vgmpi.runtime.jit import device_function
+
+from .reaction_impulses import (
+    add_fold_reaction,
+    add_mirror_reaction,
+    add_wall_reaction,
+    store_ghost_mass,
+)
+
+STICK, SLIP, SEPARATE, OPEN = 1, 2, 3, 4  # 0: a wall that acts by contact, not at the nodes
+KINDS = {"stick": STICK, "slip": SLIP, "separate": SEPARATE, "open": OPEN}
+SIDE = 8  # nodes along an edge of a patch
+
+
+def patch_codes(block: np.ndarray, cells: tuple, kinds: np.ndarray) -> np.ndarray:
+    """Return the wall codes of patches, shape (n, 3, 2) int32.
+
+    Block b holds base nodes 4 b - 1 .. 4 b + 2, so its patch begins at node 4 b - 2.
+
+    Args:
+        block: Block coordinates, shape (n, 3).
+        cells: Cells of the domain, three numbers.
+        kinds: Wall kinds, shape (3, 2), 0 for a wall without a nodal condition.
+    """
+    codes = np.zeros((len(block), 3, 2), np.int32)
+    for a in range(3):
+        for side, node in ((0, 0), (1, cells[a])):
+            wall_index = node - (4 * block[:, a] - 2)
+            ghost = wall_index - 1 if side == 0 else wall_index + 1
+            met = (wall_index >= 1) & (wall_index <= 6) & (ghost >= 0) & (ghost <= 7)
+            met &= 0 < kinds[a, side] < OPEN
+            codes[met, a, side] = 4 * wall_index[met] + kinds[a, side]
+    return codes
+
+
+@device_function
+def _plane_node(patch, a, plane, i, j):
+    """Return the node (i, j) of a plane across axis a."""
+    if a == 0:
+        return patch[plane, i, j]
+    if a == 1:
+        return patch[i, plane, j]
+    return patch[i, j, plane]
+
+
+@device_function
+def fold_ghost_momentum(patch, mirror, as_offset, ghosts, s):
+    """Add the ghost nodes of stick and slip walls, reflected, to their mirror nodes.
+
+    Args:
+        patch: Patch by nodes (in/out), shape (8, 8, 8, 4).
+        mirror: Wall codes, shape (3, 2).
+        as_offset: Whether the patch holds volume and offset, which every wall reflects like slip.
+        ghosts: Ghost nodes that record the change of momentum, or None.
+        s: Row of the segment.
+    """
+    for a in range(3):
+        for side in range(2):
+            code = mirror[a, side]
+            kind = code & 3
+            if code == 0 or kind == SEPARATE:
+                continue
+            wall = code >> 2
+            step = 1 if side == 0 else -1
+            for q in strided_range(SIDE * SIDE):
+                i, j = q // SIDE, q % SIDE
+                inner = _plane_node(patch, a, wall + step, i, j)
+                ghost = _plane_node(patch, a, wall - step, i, j)
+                add_fold_reaction(ghosts, s, a, side, wall, i, j, ghost, kind == STICK)
+                for c in range(4):
+                    odd = c == a or (kind == STICK and c < 3 and not as_offset)
+                    inner[c] += -ghost[c] if odd else ghost[c]
+                    ghost[c] = 0
+            sync_threads()
+    if ghosts is not None:
+        _store_masses(patch, mirror, ghosts, s)
+
+
+@device_function
+def _store_masses(patch, mirror, ghosts, s):
+    """Store the masses of ghost nodes beyond walls that only push."""
+    for a in range(3):
+        for side in range(2):
+            code = mirror[a, side]
+            if code & 3 != SEPARATE:
+                continue
+            beyond = (code >> 2) - 1 if side == 0 else (code >> 2) + 1
+            for q in strided_range(SIDE * SIDE):
+                i, j = q // SIDE, q % SIDE
+                store_ghost_mass(ghosts, s, a, side, i, j, _plane_node(patch, a, beyond, i, j))
+
+
+@device_function
+def fill_ghost_velocity(patch, mirror, ghosts, fraction, s):
+    """Set the velocities of the ghost nodes beyond walls from their mirror nodes.
+
+    Args:
+        patch: Patch by nodes (in/out), shape (8, 8, 8, 4).
+        mirror: Wall codes, shape (3, 2).
+        ghosts: Ghost nodes that record reactions, or None.
+        fraction: Fraction of the reaction that particles take up.
+        s: Row of the segment.
+    """
+    for a in range(3):
+        for side in range(2):
+            code = mirror[a, side]
+            if code == 0:
+                continue
+            wall = code >> 2
+            kind = code & 3
+            step = 1 if side == 0 else -1
+            for q in strided_range(SIDE * SIDE):
+                i, j = q // SIDE, q % SIDE
+                inner = _plane_node(patch, a, wall + step, i, j)
+                ghost = _plane_node(patch, a, wall - step, i, j)
+                if kind != SEPARATE:
+                    ghost[3] = inner[3]
+                for c in range(3):
+                    if kind == STICK or (kind == SLIP and c == a):
+                        ghost[c] = -inner[c]
+                    elif kind == SLIP:
+                        ghost[c] = inner[c]
+                    elif c == a:
+                        # a wall that only pushes: the flow interpolated at the wall must not
+                        # enter it
+                        before = ghost[c]
+                        bound = max(ghost[c], -inner[c])
+                        ghost[c] = bound if side == 0 else min(ghost[c], -inner[c])
+                        more = ghost[c] - before
+                        x, y, z = _along(a, more)
+                        add_mirror_reaction(ghosts, fraction, s, a, side, wall, i, j, x, y, z)
+            sync_threads()
+    if ghosts is not None:
+        _record_mirror(patch, mirror, ghosts, fraction, s)
+
+
+@device_function
+def complete_wall_mass(patch, mirror):
+    """Complete the masses of nodes on stick and slip walls.
+
+    Such a node holds the contribution of one side of the wall; the other side is its image.
+    """
+    for a in range(3):
+        for side in range(2):
+            code = mirror[a, side]
+            if code == 0 or code & 3 == SEPARATE:
+                continue
+            for q in strided_range(SIDE * SIDE):
+                node = _plane_node(patch, a, code >> 2, q // SIDE, q % SIDE)
+                node[3] = 2.0 * node[3]
+            sync_threads()
+
+
+@device_function
+def _along(a, value):
+    """Return a vector along axis a."""
+    none = 0.0 * value
+    return value if a == 0 else none, value if a == 1 else none, value if a == 2 else none
+
+
+@device_function
+def _record_mirror(patch, mirror, ghosts, fraction, s):
+    """Record the reactions beyond stick and slip walls, after all nodes are reflected."""
+    for a in range(3):
+        for side in range(2):
+            code = mirror[a, side]
+            if code == 0 or code & 3 == SEPARATE:
+                continue
+            wall = code >> 2
+            step = 1 if side == 0 else -1
+            for q in strided_range(SIDE * SIDE):
+                i, j = q // SIDE, q % SIDE
+                inner = _plane_node(patch, a, wall + step, i, j)
+                ghost = _plane_node(patch, a, wall - step, i, j)
+                x, y, z = ghost[0] - inner[0], ghost[1] - inner[1], ghost[2] - inner[2]
+                add_mirror_reaction(ghosts, fraction, s, a, side, wall, i, j, x, y, z)
+
+
+@device_function
+def apply_wall_conditions(nodes, first, low, cells, kinds, friction, reaction):
+    """Apply the wall conditions to the velocities of a node block.
+
+    Args:
+        nodes: Nodal velocities (in/out); the node block is nodes[first:first + 256].
+        first: Offset of the node block.
+        low: First node of the block, three indices.
+        cells: Cells of the domain, shape (3,).
+        kinds: Wall kinds, shape (3, 2).
+        friction: Coulomb coefficients, shape (3, 2).
+        reaction: Reaction sums (in/out), or None.
+    """
+    for a in range(3):
+        stride = 16 if a == 0 else (4 if a == 1 else 1)
+        stride_a, stride_b = (4, 1) if a == 0 else ((16, 1) if a == 1 else (16, 4))
+        for side in range(2):
+            kind = kinds[a, side]
+            for plane in range(4):
+                node = low[a] + plane
+                into = -node if side == 0 else node - cells[a]
+                if kind == 0 or kind == OPEN or into < 0 or (into > 0 and kind != SEPARATE):
+                    continue
+                for q in strided_range(16):
+                    index = plane * stride + q // 4 * stride_a + q % 4 * stride_b
+                    v = first + 4 * index
+                    before = nodes[v], nodes[v + 1], nodes[v + 2]
+                    if kind == STICK:
+                        nodes[v] = nodes[v + 1] = nodes[v + 2] = 0
+                    elif kind == SLIP:
+                        nodes[v + a] = 0
+                    else:
+                        push = -nodes[v + a] if side == 0 else nodes[v + a]
+                        if push > 0:
+                            nodes[v + a] = 0
+                            apply_coulomb_friction(nodes, v, friction[a, side] * push)
+                    after = nodes[v], nodes[v + 1], nodes[v + 2], nodes[v + 3]
+                    add_wall_reaction(reaction, a, side, side * cells[a], index, low, before, after)
+                sync_threads()
+
+
+@device_function
+def apply_coulomb_friction(nodes, offset, reduction):
+    """Reduce the length of a velocity by Coulomb friction, after its normal part was removed.
+
+    Args:
+        nodes: Nodal velocities (in/out).
+        offset: Offset of the velocity, nodes[offset:offset + 3].
+        reduction: Largest reduction of its length [m/s].
+    """
+    x, y, z = nodes[offset], nodes[offset + 1], nodes[offset + 2]
+    size = np.sqrt(x * x + y * y + z * z)
+    if size > reduction:
+        factor = (size - reduction) / size
+    else:
+        factor = 0.0 * reduction
+    for c in range(3):
+        nodes[offset + c] *= factor
+
+
+@device_function
+def project_tangential(offsets, index, i, j, k, cells, kinds):
+    """Remove the normal part of a volume offset at a mirroring wall, where its mirror cancels it.
+
+    Args:
+        offsets: Volume offsets (in/out).
+        index: Position of the offset, offsets[index:index + 4].
+        i, j, k: Node indices in the domain.
+        cells: Cells of the domain, shape (3,).
+        kinds: Wall kinds, shape (3, 2).
+    """
+    for a in range(3):
+        node = i if a == 0 else (j if a == 1 else k)
+        if (node == 0 and kinds[a, 0] < SEPARATE) or (node == cells[a] and kinds[a, 1] < SEPARATE):
+            offsets[index + a] = 0

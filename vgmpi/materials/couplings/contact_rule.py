@@ -1,0 +1,37 @@
+"""Contact: phases that touch do not pass through each other; friction may act between them.
+
+Every pair of phases is in contact unless another coupling says otherwise. A fluid slips along
+everything; between two others (sand, snow, solids) the larger of their materials' friction
+coefficients acts.
+"""
+
+from typing import Annotated, ClassVar, Literal
+
+from vgmpi.runtime.config.schema import Quantity, StrictModel
+
+from .interaction import CONTACT, coupling
+
+
+@coupling
+class Contact(StrictModel):
+    """Contact of two objects or materials with a friction of its own."""
+
+    between: tuple[str, str]
+    """two materials, or twice the same for two bodies of it"""
+    kind: Literal["contact"]
+    friction: Annotated[float, Quantity("", ge=0)]
+    """Coulomb coefficient"""
+
+    rule: ClassVar = CONTACT
+
+    @staticmethod
+    def refuses(a: type, b: type) -> str:
+        """Return why materials a and b cannot be coupled, or an empty string."""
+        return ""
+
+    @staticmethod
+    def default_friction(a: type, b: type) -> float:
+        """Return the friction of two material tables that no coupling names."""
+        if "fluid" in (a.family, b.family):
+            return 0.0
+        return max(a.friction, b.friction)

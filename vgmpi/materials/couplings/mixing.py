@@ -1,0 +1,38 @@
+"""Mixing: two fluids move through each other, each with a velocity of its own.
+
+They share space and pressure. The difference of their velocities decays within the slip time, and
+each drifts to where there is less of it (mixture model of Ren et al. 2014): u_k = -D (grad a_k /
+a_k - sum_l c_l grad a_l / a_l), D the diffusion, a_k volume fractions, c_k mass fractions. The
+momenta of all drifts sum to zero. Under gravity the slip settles at v_1 - v_2 = -slip_time grad p
+(1 / rho_1 - 1 / rho_2).
+"""
+
+from typing import Annotated, ClassVar, Literal
+
+from vgmpi.runtime.config.schema import Quantity, StrictModel
+
+from .interaction import MIXING, coupling
+
+
+@coupling
+class Mixing(StrictModel):
+    """Two fluids that mix. Fluids that mix with one another, also by way of a third, form a group
+    and have the same diffusion and slip_time."""
+
+    between: tuple[str, str]
+    """two fluids"""
+    kind: Literal["mixing"]
+    diffusion: Annotated[float, Quantity("m2/s", ge=0)] = 0.0
+    """how fast they spread into each other; at most cell^2 / 6 per step"""
+    slip_time: Annotated[float, Quantity("s", ge=0)] = 0.0
+    """time within which they come to move alike; 0: at once"""
+
+    rule: ClassVar = MIXING
+    printed: ClassVar = False
+
+    @staticmethod
+    def refuses(a: type, b: type) -> str:
+        """Return why materials a and b cannot be coupled, or an empty string."""
+        if a.family != "fluid" or b.family != "fluid":
+            return "mixing is between two fluids"
+        return ""

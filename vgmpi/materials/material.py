@@ -1,0 +1,131 @@
+"""Base of all materials: the table of a scene, and a law as plain scalar Python.
+
+A material class names its `kind` (a Literal), its `family`, the state of its particles with the
+values at rest, and turns its table into a `Law`, a NamedTuple of numbers. The law's functions take
+the law, the particle's state (a tuple of scalars) and return scalars or tuples. They use operators
+and numpy ufuncs only, so that the same text runs on numpy arrays (the tests' reference) and,
+compiled, on the particles of the solver. No function of a law branches in Python on a particle's
+value: it selects with minimum, maximum and materials/tensor_math/select.py.
+materials/tensor_math/tensor.py and materials/tensor_math/symmetric_eigen.py
+have products, rotations and eigenvalues of 3x3 tensors; materials/tensor_math/hencky.py, flow.py
+and materials/tensor_math/tait.py the
+common parts of laws; elastoplastic.py is the base of laws with a return mapping.
+
+    advance(law, state, L, dt) -> state     L = grad v [1/s], nine numbers, row by row; dt [s]
+    stress(law, state, L) -> (t00, t11, t22, t01, t02, t12)     Kirchhoff stress [Pa]
+    volume_ratio(law, state) -> J, or its elastic part for a law with plasticity
+    wave_speed2(law, state) -> c^2 [m2/s2], a bound on the fastest wave in the present state
+    energy(law, state) -> psi [J per m3 of rest volume]
+"""
+
+import inspect
+from typing import Any, ClassVar, Literal, get_args
+
+from pydantic import BaseModel, ValidationError, model_validator
+from pydantic_core import InitErrorDetails, PydanticCustomError
+
+from vgmpi.runtime.config.schema import StrictModel
+from vgmpi.runtime.suggestions import did_you_mean
+
+registry: dict[str, type] = {}
+
+FUNCTIONS = ("advance", "stress", "volume_ratio", "wave_speed2", "energy")
+
+# Bodies of a family share a velocity field: all fluids, all sand, all snow; a solid has its own.
+Family = Literal["fluid", "sand", "snow", "solid"]
+
+
+class Material(StrictModel):
+    """Table with the keys of every material; a law overrides what differs."""
+
+    kind: str
+    preset: str = ""
+    """name of a known stuff: gives the keys that are not given here their values"""
+
+    presets: ClassVar[dict[str, dict]] = {}  # preset name -> values of keys in SI units
+    kinematic_viscosity: ClassVar[float] = 0.0  # [m2/s] bounds the time step by diffusion
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill(cls, raw: Any) -> Any:
+        """Fill missing keys from the preset."""
+        name = raw.get("preset", "") if isinstance(raw, dict) else ""
+        if name == "":
+            return raw
+        if not isinstance(name, str) or name not in cls.presets:
+            names = ", ".join(cls.presets) or "none"
+            message = (
+                f"there is no such preset{did_you_mean(name, cls.presets)}; known here: {names}"
+            )
+            raise field_error(cls, "preset", message, name)
+        return {**cls.presets[name], **raw}
+
+    @property
+    def bulk_density(self) -> float:
+        """Return the mass per volume at rest, pores included [kg/m3]."""
+        return self.density  # type: ignore[attr-defined]
+
+    @property
+    def solid_share(self) -> float:
+        """Return the volume fraction of the matter itself at rest; below 1 if there are pores."""
+        return 1.0
+
+    @property
+    def stiffening(self) -> float:
+        """Return the largest factor on the law's moduli in a run, used by --plan.
+
+        Elastic strains are not included.
+        """
+        return 1.0
+
+
+def field_error(table: Any, key: str, message: str, value: Any = None) -> ValidationError:
+    """Return the validation error of a table's own check of one of its keys.
+
+    Args:
+        table: Table or its class.
+        key: Name of the key.
+        message: Text of the error.
+        value: Value in the input, by default that of the table.
+    """
+    value = getattr(table, key) if isinstance(table, BaseModel) else value
+    kind = PydanticCustomError("table", "{said}", {"said": message})
+    details = InitErrorDetails(type=kind, loc=(key,), input=value)
+    return ValidationError.from_exception_data("table", [details])
+
+
+def lame(youngs_modulus: float, poisson_ratio: float) -> tuple[float, float]:
+    """Return the shear modulus mu and Lame's first parameter lambda [Pa]."""
+    E, nu = youngs_modulus, poisson_ratio
+    return E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
+
+
+def material(cls: type) -> type:
+    """Register a material's table under its kind."""
+    kind = get_args(cls.model_fields["kind"].annotation)[0]
+    if kind in registry:
+        raise TypeError(f"two materials call themselves {kind!r}")
+    own = [inspect.getattr_static(cls, name, None) for name in FUNCTIONS]
+    missing = [f for f, member in zip(FUNCTIONS, own) if not isinstance(member, staticmethod)]
+    if missing:
+        raise TypeError(f"material {kind!r} lacks the static functions {', '.join(missing)}")
+    registry[kind] = cls
+    return cls
+
+
+def law_function(law: tuple, name: str):
+    """Return the plain Python function `name` of the material that made `law`."""
+    return getattr(law_owner(type(law)), name)
+
+
+def law_owner(law_type: type) -> type:
+    """Return the material whose Law is `law_type`; raise KeyError if there is none."""
+    for cls in registry.values():
+        if cls.Law is law_type:
+            return cls
+    raise KeyError(law_type)
+
+
+def state_channels(law_type: type) -> int:
+    """Return the number of state variables per particle of a law."""
+    return sum(len(values) for values in law_owner(law_type).carries.values())

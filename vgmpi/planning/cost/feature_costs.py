@@ -1,0 +1,193 @@
+"""Cost of each feature of a scene per particle and step: time on this processor, and memory."""
+
+from typing import NamedTuple
+
+from vgmpi.materials.couplings.interaction import CONTACT, DRAG, MIXING
+from vgmpi.planning.phases_and_groups import (
+    COLOR_COST,
+    CORRECTION_COST,
+    DENSITY_CORRECTION_COST,
+    FLIP_COST,
+)
+from vgmpi.planning.plan import Plan
+from vgmpi.runtime.config.toml_source import escape_control_characters
+from vgmpi.scene.scene import Scene
+
+from .throughput import Throughput
+
+
+class ProximityCost(NamedTuple):
+    """Cost of particles at most one block away from something that they may touch.
+
+    The unit is one step of a fluid particle. Measured by `python -m tests.benchmarks features`
+    and `couplings`, and with runs/two_liquids and runs/water_on_snow.
+    """
+
+    particle: float  # per particle
+    block: float  # per block of particles
+    nodes: float  # per node block that both phases reach
+
+
+SURFACE_CONTACT_COST = ProximityCost(1.6, 100.0, 85.0)  # contact of solids with surface descriptors
+CONTACT_COST = ProximityCost(0.8, 100.0, 85.0)  # contact of other bodies
+MIXING_COST = ProximityCost(1.3, 200.0, 65.0)
+DRAG_COST = ProximityCost(0.4, 60.0, 65.0)
+# The three collider costs are in steps of a fluid particle, per particle at most a block from one.
+COLLIDER_COST = 1.3  # colliders at rest
+MOVING_COLLIDER_COST = 0.6  # additional cost if a collider moves
+REACTION_PROBE_COST = 1.2  # additional cost if a probe measures reaction forces
+BLOCK_COST = 35.0  # cost of a block without its particles (docs/performance.md)
+PARTICLES_PER_FULL_BLOCK = 512  # particles per block when a Pace is measured
+
+
+class Feature(NamedTuple):
+    """Name and cost of one feature of a group."""
+
+    name: str
+    ns: float  # [ns] per particle and step on one core, mean over the group as it stands
+    bytes: int = 0  # [bytes] per particle
+
+
+def group_features(scene: Scene, plan: Plan, g: int, pace: Throughput) -> list[Feature]:
+    """Return the features of group `g`, its law first.
+
+    Args:
+        scene: The scene.
+        plan: Its plan.
+        g: Number of the group.
+        pace: Throughput of the processor.
+    """
+    group = plan.groups[g]
+    law_ns = pace.law(scene.material[group.material])
+    fields = plan.fields(g)
+    own = {name: fields.pop(name, 0) for name in ("share", "F", "surface", "colour")}
+    result = [Feature(f"law {scene.material[group.material].kind}", law_ns, sum(fields.values()))]
+    if own["F"]:
+        result.append(Feature("deformation that Gaussians follow", 0.0, own["F"]))
+    if plan.restores:
+        result.append(Feature("restored transfer", law_ns * CORRECTION_COST / plan.restores))
+    if plan.keeps is not None:
+        result.append(Feature(f"{scene.accuracy.transfer} transfer", law_ns * (FLIP_COST - 1.0)))
+    if group.space:
+        result.append(Feature("volume that is kept", law_ns * DENSITY_CORRECTION_COST))
+    if group.coefficients:
+        ns = pace.fluid * COLOR_COST * group.coefficients
+        result.append(Feature("colours that travel", ns, own["colour"]))
+    result += _meetings(plan, g, pace.fluid, own)
+    result += _colliders(scene, plan, g, pace.fluid)
+    return result + _blocks(plan, g, pace.fluid)
+
+
+def _meetings(plan: Plan, g: int, fluid: float, own: dict[str, int]) -> list[Feature]:
+    """Return the cost of the proximity of other phases, as the particles stand."""
+    p, result = plan.groups[g].phase, []
+    met: dict[str, list[tuple[ProximityCost, str]]] = {}
+    for q, phase in enumerate(plan.phases):
+        if q != p:
+            name, how = _rule(plan, p, q)
+            met.setdefault(name, []).append((how, phase.name))
+    sizes = {"drag": own["share"], "contact": own["surface"]}
+    for name in ("mixing", "drag", "contact"):
+        share, ns = _proximity_cost(plan, g, met.get(name, []))
+        if share or sizes.get(name):
+            result.append(Feature(_with_percentage(name, share), fluid * ns, sizes.get(name, 0)))
+    return result
+
+
+def _rule(plan: Plan, p: int, q: int) -> tuple[str, ProximityCost]:
+    """Return name and cost of the interaction of two phases."""
+    rule = CONTACT if plan.rules is None else plan.rules.pair[p, q]
+    if rule == MIXING:
+        return "mixing", MIXING_COST
+    if rule == DRAG:
+        return "drag", DRAG_COST
+    surfaces = plan.phases[p].surface and plan.phases[q].surface
+    return "contact", SURFACE_CONTACT_COST if surfaces else CONTACT_COST
+
+
+def _proximity_cost(
+    plan: Plan, g: int, met: list[tuple[ProximityCost, str]]
+) -> tuple[float, float]:
+    """Return the fraction of the group's particles near other phases, and the mean cost.
+
+    The cost is in steps of a fluid particle, averaged over all particles of the group.
+    """
+    n = near_count = cost = 0.0
+    for k in _rows(plan, g):
+        count, proximity = plan.count[k], plan.surroundings[k]
+        by_phase = {q.phase: q for q in proximity.phases}
+        pairs = [(rate, by_phase[phase]) for rate, phase in met if phase in by_phase]
+        n += count
+        near_count += count * min(sum(q.share for _, q in pairs), 1.0)
+        # A block near several phases is counted once.
+        wide = max(sum(q.blocks for _, q in pairs) / max(proximity.blocks, 1), 1.0)
+        cost += sum(
+            (rate.particle * count * q.share + rate.block * q.blocks + rate.nodes * q.nodes)
+            / wide for rate, q in pairs
+        )  # fmt: skip
+    return (near_count / n, cost / n) if n else (0.0, 0.0)
+
+
+def _colliders(scene: Scene, plan: Plan, g: int, fluid: float) -> list[Feature]:
+    """Return the cost of the proximity of colliders, as the particles stand."""
+    share = _mean([(plan.count[k], plan.surroundings[k].collider) for k in _rows(plan, g)])
+    if not share:
+        return []
+    result = [Feature(_with_percentage("colliders", share), fluid * COLLIDER_COST * share)]
+    if any(entity.collider and entity.motion for entity in scene.object):
+        result.append(Feature("colliders that move", fluid * MOVING_COLLIDER_COST * share))
+    if plan.feels:
+        result.append(Feature("probes of what colliders give", fluid * REACTION_PROBE_COST * share))
+    return result
+
+
+def _blocks(plan: Plan, g: int, fluid: float) -> list[Feature]:
+    """Return the extra cost of blocks with fewer particles than a Pace is measured with."""
+    rows = _rows(plan, g)
+    blocks = sum(plan.surroundings[k].blocks for k in rows)
+    n = sum(plan.count[k] for k in rows)
+    more = BLOCK_COST * (blocks / max(n, 1) - 1.0 / PARTICLES_PER_FULL_BLOCK)
+    if more < 0.02:  # negligible
+        return []
+    return [Feature(f"blocks of {n / blocks:.0f} particles", fluid * more)]
+
+
+def feature_table(scene: Scene, plan: Plan, pace: Throughput) -> list[str]:
+    """Return the lines of --plan on the features of all groups, at the start."""
+    lines = [
+        f"  price       {'of a particle and a step, at the start':46s} {'ns':>8s} {'bytes':>7s}"
+    ]
+    for g, group in enumerate(plan.groups):
+        if not any(plan.group_of[k] == g for k in range(len(plan.count))):
+            continue
+        for feature in group_features(scene, plan, g, pace):
+            ns = f"{feature.ns:.1f}" if feature.ns else ""
+            name = escape_control_characters(f"{group.name}: {feature.name}")
+            lines.append(f"              {name:46s} {ns:>8s} {feature.bytes or '':>7}".rstrip())
+    return lines
+
+
+def step_ns(scene: Scene, plan: Plan, pace: Throughput) -> float:
+    """Return the time of a step of all particles on one core [ns]."""
+    total = 0.0
+    for g in range(len(plan.groups)):
+        n = sum(plan.count[k] for k, group in enumerate(plan.group_of) if group == g)
+        if n:
+            total += n * sum(feature.ns for feature in group_features(scene, plan, g, pace))
+    return total
+
+
+def _rows(plan: Plan, g: int) -> list[int]:
+    """Return the objects of group `g` whose proximity is known."""
+    return [k for k, _ in enumerate(plan.surroundings) if plan.group_of[k] == g]
+
+
+def _mean(pairs: list[tuple[int, float]]) -> float:
+    """Return the mean of (count, fraction) pairs, weighted by the counts; 0 without particles."""
+    total = sum(n for n, _ in pairs)
+    return sum(n * fraction for n, fraction in pairs) / total if total else 0.0
+
+
+def _with_percentage(name: str, share: float) -> str:
+    """Format a feature's name with the percentage of particles near enough."""
+    return f"{name}, {100 * share:.0f} % near" if share else f"{name}, none near"

@@ -1,0 +1,206 @@
+"""Cost of a run, predicted before it begins: printed by --plan and stored in every checkpoint."""
+
+import math
+
+from vgmpi.materials.couplings.interaction import CONTACT, RULES
+from vgmpi.planning.inlet_schedule import InletPlan
+from vgmpi.planning.phases_and_groups import CORRECTION_COST
+from vgmpi.planning.plan import Plan, time_step_bounds
+from vgmpi.runtime.config.toml_source import escape_control_characters
+from vgmpi.scene.scene import Scene
+
+from . import accuracy_benchmarks, tradeoff_results
+from .feature_costs import feature_table, step_ns
+from .pilot_result import STEP_SECONDS, PilotRun
+from .throughput import ASSUMED_THROUGHPUT, Throughput
+from .timestep_advice import limiting_material_lines
+
+PRECISION = {
+    "double": "accuracy.precision = 'single' takes half the time and memory",
+    "single": "numbers of 7 digits; 'double' has 16 for twice the time",
+}
+THIN_CELLS = (
+    6  # [cells] thickness below which a line is printed; contact reaches one cell on either side
+)
+# [s] time to write a frame, and a particle in it (a run's `--profile`: write)
+FRAME_SECONDS, SECONDS_PER_WRITTEN_PARTICLE = 0.065, 1e-7
+FINE_COUNT = 27  # particles per cell with which solids bend accurately enough
+
+
+def format_plan(
+    scene: Scene, plan: Plan, ranks: int, reached: float = 0.0, pace: Throughput | None = None,
+    rehearsal: PilotRun | None = None,
+) -> str:  # fmt: skip
+    """Return the text of --plan: phases, memory, time step, steps, predicted time.
+
+    Args:
+        scene: The scene.
+        plan: Its plan.
+        ranks: Number of ranks.
+        reached: Time [s] from which the run continues; steps and time are those that are left.
+        pace: Throughput of the processors; assumed if None.
+        rehearsal: Result of a pilot run, for a run from the start.
+    """
+    pace = pace or ASSUMED_THROUGHPUT[scene.accuracy.precision]
+    lines = [
+        f"{escape_control_characters(scene.title or scene.path.name)}: {plan.particles:,} particles,"
+        f" {scene.accuracy.precision} precision ({PRECISION[scene.accuracy.precision]})"
+    ]
+    nx, ny, nz = plan.cells
+    lines.append(f"  grid        {nx} x {ny} x {nz} cells of {plan.dx:g} m, sparse 4^3 blocks")
+    for phase in plan.phases:
+        for g, group in enumerate(plan.groups):
+            if plan.phases[group.phase] is not phase:
+                continue
+            n = sum(plan.count[k] for k in phase.objects if plan.group_of[k] == g)
+            fields = ", ".join(f"{name} {size}" for name, size in plan.fields(g).items())
+            lines.append(
+                f"  phase       {phase.name}: {n:,} particles of {group.material}"
+                f" ({group.family}), {plan.bytes_per_particle(g)} bytes each: {fields};"
+                f" once for all: density and {len(group.law)} numbers of the law"
+            )
+    for a in range(len(plan.phases)):
+        for b in range(a + 1, len(plan.phases)):
+            names = f"{plan.phases[a].name} - {plan.phases[b].name}"
+            rule = plan.rules.pair[a, b] if plan.rules else CONTACT
+            how = f"friction {plan.friction[a][b]:g}" if rule == CONTACT else "they share space"
+            lines.append(f"  {RULES[rule]:11s} {names}: {how}")
+    lines.append(
+        "  walls       "
+        + ", ".join(
+            f"{w[0]}"
+            + (f" (friction {w[1]:g})" if w[1] else "")
+            + (f" until {time:g} s" if time is not None else "")
+            for w, time in zip(plan.walls, plan.opens, strict=True)
+        )
+    )
+    lines += _flows(plan)
+    lines += _restored(plan) + _thin(scene, plan) + _sheets(plan) + _bending(scene, plan)
+    lines += accuracy_benchmarks.preset_accuracy_lines(scene) + feature_table(scene, plan, pace)
+    total = plan.bytes()
+    lines.append(
+        f"  memory      {total / 2**20:.0f} MiB in all,"
+        f" {total / ranks / 2**20:.0f} MiB per rank on {ranks} rank(s)"
+    )
+    return "\n".join(lines + _steps(scene, plan, ranks, reached, pace, rehearsal))
+
+
+def _flows(plan: Plan) -> list[str]:
+    """Return the lines on inlets and outlets; memory and time include all that enters."""
+    lines = [
+        f"  source      {escape_control_characters(source.name)}: {source.layers * len(source.mouth):,} particles,"
+        f" {len(source.mouth)} every {source.period:.4g} s, at {source.speed:.4g} m/s:"
+        f" {_flow(plan, source):.4g} kg/s"
+        for source in plan.sources
+    ]
+    return lines + [f"  sink        {escape_control_characters(sink.name)}" for sink in plan.sinks]
+
+
+def _flow(plan: Plan, source: InletPlan) -> float:
+    """Return the mass flow rate of an inlet [kg/s]."""
+    density = plan.groups[source.group].density
+    return density * len(source.mouth) * source.volume / source.period
+
+
+def _restored(plan: Plan) -> list[str]:
+    """Return the line on the cost of the transfer correction and its cheaper alternative."""
+    if not plan.restores:
+        return []
+    often = f"every {plan.restores} steps" if plan.restores > 1 else "with every step"
+    less = 1 / (1 + CORRECTION_COST / plan.restores)
+    return [
+        f"  transfer    what transfers take from motion is given back {often};"
+        f' accuracy.transfer = "apic" takes {less:.2f} of the time, and waves and spin die sooner'
+    ]
+
+
+def _thin(scene: Scene, plan: Plan) -> list[str]:
+    """Return a line on solid bodies too thin for exact coupling with the fluids they may touch."""
+    bodies = [
+        f"{escape_control_characters(scene.object[k].name)} {thick / plan.dx:.1f}"
+        for k, thick in enumerate(plan.thickness)
+        if thick < THIN_CELLS * plan.dx
+    ]
+    if not bodies:
+        return []
+    message = f"cells thick, under {THIN_CELLS}: how fluids carry and touch such bodies is inexact"
+    return [f"  thin        {', '.join(bodies)} {message}"]
+
+
+def _sheets(plan: Plan) -> list[str]:
+    """Return a line on the solids that contact knows by their particles alone."""
+    if not any(phase.surface for phase in plan.phases):
+        return []
+    names = [p.name for p in plan.phases if p.families == ("solid",) and not p.surface]
+    if not names:
+        return []
+    message = "thinner than some two cells: their sides touch by particles, less exactly"
+    return [f"  sheets      {', '.join(map(escape_control_characters, names))} {message}"]
+
+
+def _bending(scene: Scene, plan: Plan) -> list[str]:
+    """Return a line on the softness of coarse solids (tests/physics/test_cantilever.py)."""
+    counts = {
+        scene.things[k].particles_per_cell
+        for phase in plan.phases if phase.families == ("solid",) for k in phase.objects
+        if scene.things[k].particles_per_cell < FINE_COUNT
+    }  # fmt: skip
+    if not counts:
+        return []
+    message = (
+        "particles per cell of solids: what bends far is up to 10 % too soft"
+        f" ({FINE_COUNT}: 6 %, 64:"
+    )
+    return [f"  bending     {', '.join(map(str, sorted(counts)))} {message} 4 %)"]
+
+
+def _steps(
+    scene: Scene,
+    plan: Plan,
+    ranks: int,
+    reached: float,
+    pace: Throughput,
+    rehearsal: PilotRun | None,
+) -> list[str]:
+    """Return the lines on time step, number of steps and duration, also with hardened laws."""
+    dt, cause = time_step_bounds(scene, plan)[0]
+    min_dt, harder = time_step_bounds(scene, plan, stiffened=True)[0]
+    if plan.fixed_dt:
+        dt, min_dt, cause = plan.fixed_dt, plan.fixed_dt, "time.dt"
+    each = 1e-9 * step_ns(scene, plan, pace) / ranks + STEP_SECONDS  # seconds of a step
+    if rehearsal is not None:
+        each = (
+            1e-9 * rehearsal.work(scene, plan, pace).sum() / rehearsal.steps / ranks + STEP_SECONDS
+        )
+    end, frames = float(plan.times[-1]), len(plan.times)
+    left, span = end, f"{end:g} s and {frames} frames"
+    if reached > 0:
+        left, frames = max(end - reached, 0.0), len(plan.ahead(reached))
+        span = f"{left:.4g} of {end:g} s and {frames} of {len(plan.times)} frames"
+    few, many = (math.ceil(left / d) for d in (dt, min_dt))
+    if rehearsal is not None:
+        few = many = math.ceil(rehearsal.steps)
+    written = (FRAME_SECONDS + SECONDS_PER_WRITTEN_PARTICLE * sum(plan.count) / ranks) * frames
+    steps, duration_text = f"about {few:,}", f"about {format_duration(few * each + written)}"
+    if many > 1.1 * few:
+        steps, duration_text = (
+            f"{few:,} to {many:,}",
+            f"{format_duration(few * each + written)} to {format_duration(many * each + written)}",
+        )
+        cause += f"; down to {min_dt:.4g} s where {harder} hardens"
+    return [
+        f"  time step   {dt:.4g} s at the start, set by {cause}",
+        f"  steps       {steps} for {span}",
+        *limiting_material_lines(scene, plan),
+        *tradeoff_results.cheaper_setting_lines(scene),
+        f"  time        {duration_text} on {ranks} rank(s), one core each, {pace.of}",
+    ]
+
+
+def format_duration(seconds: float) -> str:
+    """Format a duration [s] for display."""
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    if seconds < 7200:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h"

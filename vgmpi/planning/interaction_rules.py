@@ -1,0 +1,186 @@
+"""Interaction rules: phases that share space, and the scene's couplings as kernels read them."""
+
+import numpy as np
+
+from vgmpi.materials.couplings.interaction import DRAG, MIXING, InteractionRules
+from vgmpi.materials.material import law_function
+from vgmpi.scene.scene import Scene
+
+WAVE_MARGIN = (
+    1.25  # [-] squared wave speed over the fastest fluid's own that the step's margin bears
+)
+FRACTION_SAMPLES = 1001  # number of volume fractions at which the waves of two fluids are evaluated
+WAVE_ITERATIONS = 60  # iterations for the wave speed and its step; each halves the error
+
+
+def interaction_rules(scene: Scene, groups, phases) -> InteractionRules | None:
+    """Return the interaction rules of a scene, None if no phases share space.
+
+    Raises SceneError if fluids that mix have one velocity field, or a mixture has more than one
+    diffusion coefficient or slip time. `groups` and `phases` are those of phases_and_groups.py.
+    """
+    couplings = [(k, c) for k, c in enumerate(scene.coupling) if c.rule in (MIXING, DRAG)]
+    if not couplings:
+        return None
+    n = len(phases)
+    pair, drag = np.zeros((n, n), np.int64), np.zeros((n, n))
+    printed = np.zeros((n, n), bool)
+    phases_by_material: dict[str, list[int]] = {}
+    for group in groups:
+        phases_by_material.setdefault(group.material, []).append(group.phase)
+    pairs = []
+    _one_sand_per_phase(scene, couplings, groups, phases_by_material)
+    for k, coupling in couplings:
+        for a in phases_by_material.get(coupling.between[0], []):
+            for b in phases_by_material.get(coupling.between[1], []):
+                if a == b:
+                    message = "both share one velocity field: give them no phase, or different ones"
+                    raise scene.error([(("coupling", k, "between"), message)])
+                pair[a, b] = pair[b, a] = coupling.rule
+                pairs.append((a, b))
+                if coupling.rule == DRAG:
+                    drag[a, b] = drag[b, a] = _coefficient(scene, coupling)
+                    printed[a, b] = printed[b, a] = coupling.printed
+    if not pairs:
+        return None  # the couplings name materials that no body has
+    fluid = np.array([phase.families == ("fluid",) for phase in phases])
+    mix = connected_sets(n, [p for p in pairs if pair[p] == MIXING])
+    together = connected_sets(n, pairs)
+    # Fluids in the same sand share its pores and the pore pressure.
+    numbers = _mixing_numbers(scene, couplings, phases_by_material, mix)
+    porosity, volume = np.zeros(n), np.zeros(n)
+    for group in groups:
+        porosity[group.phase] = getattr(scene.material[group.material], "porosity", 0.0)
+        volume[group.phase] = group.share / group.density
+    return InteractionRules(
+        pair=pair,
+        mixture_set=together,
+        sets=int(together.max()) + 1,
+        fluid=fluid,
+        mix=mix,
+        mixing_group_count=int(mix.max()) + 1,
+        diffusion=np.array([d for d, _, _ in numbers]),
+        slip_time=np.array([t for _, t, _ in numbers]),
+        drag=drag,
+        porosity=porosity,
+        has_drag=bool(drag.any()),
+        volume=volume,
+        printed_mix=np.array([p for _, _, p in numbers], bool),
+        printed_drag=printed,
+    )
+
+
+def _coefficient(scene: Scene, coupling) -> float:
+    """Return the drag coefficient of a coupling of sand and fluid."""
+    a, b = (scene.material[name] for name in coupling.between)
+    sand, fluid = (a, b) if a.family == "sand" else (b, a)
+    return coupling.coefficient(sand.porosity, fluid.density)
+
+
+def _one_sand_per_phase(scene: Scene, couplings, groups, phases_by_material) -> None:
+    """Reject different sands in one velocity field that a fluid flows through.
+
+    A node knows their grains by mass alone.
+    """
+    makes: dict[int, set] = {}
+    for group in groups:
+        makes.setdefault(group.phase, set()).add((group.share, group.density))
+    for k, coupling in couplings:
+        for name in coupling.between:
+            if coupling.rule == DRAG and scene.material[name].family == "sand":
+                if any(len(makes[phase]) > 1 for phase in phases_by_material.get(name, [])):
+                    message = (
+                        "its velocity field holds sand of another density or porosity as well:"
+                    )
+                    message += " give the objects of each a phase of its own"
+                    raise scene.error([(("coupling", k, "between"), f"{name!r}: {message}")])
+
+
+def connected_sets(n: int, pairs: list[tuple[int, int]]) -> np.ndarray:
+    """Return the number of the connected set of each of n phases, -1 without a pair, shape (n,)."""
+    lowest = np.arange(n)
+    moved = True
+    while moved:  # usually two passes, even with thousands of bodies
+        moved = False
+        for a, b in pairs:
+            moved |= bool(lowest[a] != lowest[b])
+            lowest[a] = lowest[b] = min(lowest[a], lowest[b])
+    named = np.isin(np.arange(n), pairs)
+    set_of = np.full(n, -1)
+    if named.any():
+        set_of[named] = np.unique(lowest[named], return_inverse=True)[1]
+    return set_of
+
+
+def _mixing_numbers(
+    scene: Scene, couplings, phases_by_material, mix
+) -> list[tuple[float, float, bool]]:
+    """Return (diffusion, slip time, as printed) of each mixing group."""
+    by_group: dict[int, tuple[float, float, bool]] = {}
+    for k, coupling in couplings:
+        if coupling.rule != MIXING:
+            continue
+        numbers = coupling.diffusion, coupling.slip_time, coupling.printed
+        for phase in phases_by_material.get(coupling.between[0], []):
+            if by_group.setdefault(int(mix[phase]), numbers) != numbers:
+                message = "fluids that mix with one another must have the same numbers and kind"
+                raise scene.error([(("coupling", k), message)])
+    return [by_group[group] for group in sorted(by_group) if group >= 0]
+
+
+def with_slip_wave_factors(
+    groups: tuple, rules: InteractionRules | None, step_length: float
+) -> tuple:
+    """Return the groups with the factor by which slip in a mixture raises the squared wave speed.
+
+    The factor is relative to the group's own squared wave speed at rest. It is 1 if no wave is much
+    faster than those of the fluids alone, and 1 for all but the stiffer of two fluids
+    (docs/theory.md).
+
+    Args:
+        groups: Groups of the plan.
+        rules: Interaction rules, or None.
+        step_length: Distance that a wave may travel in a step [m].
+    """
+    factors = [1.0] * len(groups)
+    if rules is None:
+        return groups
+    slip_time = np.append(np.where(rules.printed_mix, 0.0, rules.slip_time), 0.0)  # -1 is the last
+    mixture_of = [int(rules.mix[g.phase]) for g in groups]
+    free = [k for k, mix in enumerate(mixture_of) if slip_time[mix] > 0.0]
+    own = {k: _wave2(groups[k]) for k in free}
+    ends = {k: (groups[k].density, own[k]) for k in free}
+    for k in free:
+        for m in free:
+            if mixture_of[m] == mixture_of[k] and np.prod(ends[k]) > np.prod(ends[m]):
+                fastest = _slipping_waves(ends[k], ends[m], slip_time[mixture_of[k]], step_length)
+                if fastest > WAVE_MARGIN * max(own[k], own[m]):
+                    factors[k] = max(factors[k], fastest / own[k])
+    return tuple(g._replace(slips=s) for g, s in zip(groups, factors, strict=True))
+
+
+def _wave2(group) -> float:
+    """Return the squared wave speed of a group at rest [m2/s2]."""
+    return float(law_function(group.law, "wave_speed2")(group.law, group.rest))
+
+
+def _slipping_waves(first, second, slip_time: float, step_length: float) -> float:
+    """Return the largest squared wave speed [m2/s2], at any volume fractions, of two mixed fluids.
+
+    Args:
+        first: Density [kg/m3] and squared wave speed [m2/s2] of the first fluid alone.
+        second: Density and squared wave speed of the second fluid alone.
+        slip_time: Relaxation time of the slip [s].
+        step_length: Distance that a wave may travel in a step [m].
+    """
+    a = np.linspace(0.0, 1.0, FRACTION_SAMPLES)
+    (d0, c0), (d1, c1) = first, second
+    modulus = a * d0 * c0 + (1.0 - a) * d1 * c1
+    mean = a * d0 + (1.0 - a) * d1
+    together = modulus / mean
+    separate = modulus * (a / d0 + (1.0 - a) / d1)
+    speed2 = separate
+    for _ in range(WAVE_ITERATIONS):  # descends to the slip within a step of step_length / speed
+        step = step_length / np.sqrt(speed2)
+        speed2 = together + (separate - together) / (1.0 + step / (2.0 * slip_time))
+    return float(speed2.max())

@@ -1,0 +1,319 @@
+"""Phases and groups: bodies that share a velocity field, and their particles by material.
+
+A phase is one velocity field on the grid. A group holds the particles of one material in one phase;
+its plan lists what they carry, cost and need.
+"""
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from vgmpi.materials.couplings.interaction import DRAG, InteractionRules
+from vgmpi.materials.material import law_function, state_channels
+from vgmpi.scene.inlets_outlets import Inlet
+from vgmpi.scene.objects import Object
+from vgmpi.scene.scene import Scene
+
+from .color_exchange import ColorExchange
+from .particle_channels import Channels
+
+CONTACT_PRIORITY = {
+    "solid": 0,
+    "snow": 1,
+    "sand": 2,
+    "fluid": 3,
+}  # Of two phases in contact, the one with the smaller number provides the surface normal.
+# `python -m tests.benchmarks couplings` measures the next three.
+CORRECTION_COST = 0.75  # [steps] cost of one transfer correction (a step of no time)
+DENSITY_CORRECTION_COST = 0.1  # [-] additional cost of the density correction, relative to a step
+FLIP_COST = 1.7  # [-] cost of FLIP and AFLIP, relative to the same step without
+COLOR_COST = 0.6  # [-] cost of a transferred color coefficient, relative to a fluid's step
+
+
+class GroupPlan(NamedTuple):
+    """Plan of a group of particles: one phase, one material."""
+
+    name: str  # phase/material
+    phase: int
+    material: str
+    family: str
+    law: tuple  # parameters of the law, in the precision of the run
+    density: float  # [kg/m3] reference density, pores included
+    state: tuple[tuple[str, tuple[float, ...]], ...]  # state variables, reference values
+    cost: float  # [-] work per particle relative to a fluid's
+    share: float = 1.0  # [-] fraction of a particle's rest volume that the material itself fills
+    apart: bool = False  # stress impulses are summed separately from momentum
+    shares: bool = False  # it is a fluid in a mixture or in pores
+    pores: float = 1.0  # [-] smallest initial porosity, for fluids that flow through sand
+    stiff: float = 0.0  # [m2/s2] squared wave speed that such sand adds
+    dense: float = 1.0  # [-] density relative to such sand's grains, at least 1
+    slips: float = 1.0  # [-] squared wave speed in a mixture with slip, relative to its own
+    tracks_deformation: bool = False  # stores its total deformation gradient, which its law lacks
+    surface: bool = False  # its particles carry the surface descriptor of the body at rest
+    coefficients: int = 0  # color coefficients that are transferred in every step
+    driven: bool = False  # its motion is prescribed (prescribed_bodies.py)
+    space: float = 0.0  # [1/kg] inverse mass of a full cell with density correction, else 0
+
+    @property
+    def stores_porosity(self) -> bool:
+        """True if its particles carry their volume fraction."""
+        return self.pores < 1.0
+
+    @property
+    def rest(self) -> tuple:
+        """State of the law in the reference configuration, one number per channel."""
+        return tuple(value for _, values in self.state for value in values)
+
+    @property
+    def carries(self) -> tuple[str, ...]:
+        """Names of the law's state variables."""
+        return tuple(name for name, _ in self.state)
+
+    @property
+    def channels(self) -> Channels:
+        """Channels of its particles."""
+        return _channels(
+            self.state,
+            self.stores_porosity,
+            self.tracks_deformation,
+            self.surface,
+            self.coefficients,
+        )
+
+    def bound(self, wave2):
+        """Return the squared wave speed in the initial pores [m2/s2], given the law's `wave2`."""
+        return wave2 * self.slips * (1.0 + (1.0 / self.pores - 1.0) * self.dense) + self.stiff
+
+
+@lru_cache(maxsize=64)
+def _channels(state: tuple, *has) -> Channels:
+    """Return the channels of a group; cached, since many groups have the same."""
+    return Channels(dict(state), *has)
+
+
+class PhasePlan(NamedTuple):
+    """Plan of a phase: one velocity field on the grid."""
+
+    name: str
+    families: tuple[str, ...]  # of its bodies
+    objects: tuple[int, ...]  # rows of the objects and inlets that are ever in it
+    contact_priority: int  # contact priority; the normals of phase 0 come first
+    least: float  # [kg] mass of a cell full of its lightest material
+    most: float  # [kg] mass of a cell full of its densest material
+    surface: bool = False  # contact uses surface descriptors of its bodies, not particles alone
+    driven: bool = False  # its velocity is prescribed
+
+
+def stores_deformation(scene: Scene, entity: Object | Inlet) -> bool:
+    """Return whether frames store the total deformation gradient of a body for its Gaussians."""
+    if entity.material is None:
+        return False
+    material = scene.material[entity.material]
+    is_requested = material.family == "solid" if entity.deforms is None else entity.deforms
+    return is_requested and ("H" in material.carries or "F" in scene.output.fields)
+
+
+def phases_with_surface(scene: Scene) -> frozenset[str]:
+    """Return the names of the phases for which contact may use surface descriptors.
+
+    These are phases of solids alone, in scenes with something to touch.
+    """
+    families: dict[str, set[str]] = {}
+    for entity in scene.things:
+        if entity.material is not None:
+            kinds = families.setdefault(scene.phase_of(entity) or "", set())
+            kinds.add(scene.material[entity.material].family)
+    touches = len(families) > 1
+    touches |= any(entity.collider or entity.driven for entity in scene.object)
+    touches |= any(kind == "separate" for kind, _ in scene.domain.walls)
+    return frozenset(name for name, kinds in families.items() if touches and kinds == {"solid"})
+
+
+def phases_of(
+    scene: Scene,
+    bodies: dict,
+    volume: list[float],
+    center: list[list[float]],
+    surface: list[bool],
+    driven: dict[str, tuple[int, ...]],
+) -> tuple[PhasePlan, ...]:
+    """Return the phases of a scene, in the order of their names.
+
+    Args:
+        scene: The scene.
+        bodies: Material of each object that has one, by its row.
+        volume: Volume of each object [m3].
+        center: Center of each object [m].
+        surface: Whether the particles of each object know its surface
+        (preprocess/surface_descriptor.py).
+        driven: Rows of the bodies of each phase with prescribed motion, by its name.
+    """
+    members = {name: list(rows) for name, rows in driven.items()}
+    for k in bodies:
+        members.setdefault(scene.phase_of(scene.things[k]) or "", []).append(k)
+    names = sorted(members)
+
+    def mastery(name):
+        """Return the sort key of a phase: contact priority, then size and position."""
+        rows = members[name]
+        size = math.fsum(volume[k] for k in rows)
+        # rounded, so that the order of summation does not distinguish equal bodies
+        middle = [
+            math.fsum(volume[k] * center[k][a] for k in rows) / max(size, 1e-300) for a in range(3)
+        ]
+        placed = [float(f"{m:.9e}") for m in middle]
+        first = min(CONTACT_PRIORITY[bodies[k].family] for k in rows)
+        return first, -float(f"{size:.9e}"), placed, name
+
+    order = sorted(names, key=mastery)
+    cell = scene.domain.cell**3
+    return tuple(
+        PhasePlan(
+            name,
+            tuple(sorted({bodies[k].family for k in members[name]})),
+            tuple(members[name]),
+            order.index(name),
+            min(bodies[k].bulk_density for k in members[name]) * cell,
+            max(bodies[k].bulk_density for k in members[name]) * cell,
+            all(surface[k] for k in members[name]),
+            name in driven,
+        )
+        for name in names
+    )
+
+
+def groups_of(
+    scene: Scene, bodies: dict, phases: tuple[PhasePlan, ...], real: np.dtype
+) -> tuple[tuple[GroupPlan, ...], tuple[int, ...]]:
+    """Return a group for each phase and material that meet in a body, and the group of each object.
+
+    The groups are those before phases share space.
+
+    Args:
+        scene: The scene.
+        bodies: Material of each object that has one, by its row.
+        phases: Phases of the scene.
+        real: Type of the numbers.
+
+    Returns:
+        The groups, and the number of each object's group, -1 for scenery.
+    """
+    key = {k: (scene.phase_of(scene.things[k]) or "", scene.things[k].material) for k in bodies}
+    pairs = sorted(set(key.values()))
+    number = {phase.name: k for k, phase in enumerate(phases)}
+    deforming = {names for k, names in key.items() if stores_deformation(scene, scene.things[k])}
+    groups = (_group(number[p], p, m, scene.material[m], real) for p, m in pairs)
+    result = tuple(
+        _with_deformation(group, names in deforming, phases[group.phase].surface)
+        for names, group in zip(pairs, groups, strict=True)
+    )
+    return result, tuple(pairs.index(key[k]) if k in key else -1 for k in range(len(scene.things)))
+
+
+def _with_deformation(group: GroupPlan, drawn: bool, surface: bool) -> GroupPlan:
+    """Return the group with the deformation that its Gaussians and its surfaces need."""
+    has_gradient = "H" in group.carries
+    return group._replace(
+        tracks_deformation=(drawn or surface) and not has_gradient, surface=surface
+    )
+
+
+def _group(phase: int, phase_label: str, name: str, material, real: np.dtype) -> GroupPlan:
+    """Return the group of a material in a phase."""
+    law = material.law()
+    reference = tuple(v for values in material.carries.values() for v in values)
+    assert len(reference) == state_channels(type(law))
+    with np.errstate(over="ignore"):  # plan.py refuses what does not fit
+        typed = type(law)(*(real.type(v) for v in law))
+    return GroupPlan(
+        name=f"{phase_label}/{name}",
+        phase=phase,
+        material=name,
+        family=material.family,
+        law=typed,
+        density=material.bulk_density,
+        state=tuple((name, tuple(values)) for name, values in material.carries.items()),
+        cost=material.cost,
+        share=material.solid_share,
+    )
+
+
+def with_runtime_requirements(
+    scene: Scene, group: GroupPlan, sharing: InteractionRules | None, colours: ColorExchange | None,
+    keeps: object, restores: int,
+) -> GroupPlan:  # fmt: skip
+    """Return the group with all that the runtime features of the scene require.
+
+    These are shared space, transferred colors, FLIP and the correction of motion every few steps.
+
+    Args:
+        scene: The scene.
+        group: The group.
+        sharing: Interaction rules of the phases, or None.
+        colours: Colors that are transferred in every step, or None.
+        keeps: FLIP blend, or None.
+        restores: Steps between two corrections of motion, 0: never.
+    """
+    group = _with_shared_space(scene, group, sharing)
+    if colours is not None:
+        group = _with_colors(group, int(colours.coefficients[group.phase]))
+    if restores:
+        group = group._replace(cost=group.cost * (1.0 + CORRECTION_COST / restores))
+    if keeps is None:
+        return group
+    return group._replace(apart=True, cost=group.cost * FLIP_COST)
+
+
+def _with_shared_space(
+    scene: Scene, group: GroupPlan, sharing: InteractionRules | None
+) -> GroupPlan:
+    """Return the group with what it needs to share space with other phases."""
+    if sharing is None or sharing.mixture_set[group.phase] < 0 or not sharing.fluid[group.phase]:
+        return group
+    group = group._replace(apart=True, shares=True)
+    for coupling in scene.coupling:
+        if coupling.rule == DRAG and group.material in coupling.between:
+            sand = scene.material[next(m for m in coupling.between if m != group.material)]
+            reference = tuple(v for values in sand.carries.values() for v in values)
+            law = sand.law()
+            water = scene.material[group.material].model_copy(update={"tension": "off"}).law()
+            real = type(group.law[0])
+            group = group._replace(
+                law=type(water)(*(real(v) for v in water)),  # water in pores bears no tension
+                pores=min(group.pores, sand.porosity),
+                stiff=max(group.stiff, float(law_function(law, "wave_speed2")(law, reference))),
+                dense=max(group.dense, group.density / sand.density),
+            )
+    return group
+
+
+def with_density_correction(
+    scene: Scene, groups: tuple[GroupPlan, ...], phases: tuple[PhasePlan, ...]
+) -> tuple[GroupPlan, ...]:
+    """Return the groups with the density correction of liquids that share space with no others.
+
+    Raises:
+        SceneError: Liquids of different density have one velocity field.
+    """
+    return tuple(_with_density_correction(scene, group, phases[group.phase]) for group in groups)
+
+
+def _with_density_correction(scene: Scene, group: GroupPlan, phase: PhasePlan) -> GroupPlan:
+    """Return the group with its density correction, if it has one."""
+    if scene.accuracy.volume != "kept" or group.carries[:1] != ("theta",) or group.shares:
+        return group
+    if phase.least < phase.most:
+        message = (
+            f"{phase.name!r} holds liquids of different density, whose cells do not tell how full"
+            " they are; give each a phase of its own, or a coupling of kind 'mixing'"
+        )
+        raise scene.error([(("accuracy", "volume"), message)])
+    space = 1.0 / (group.density * scene.domain.cell**3)
+    return group._replace(space=space, cost=group.cost * (1.0 + DENSITY_CORRECTION_COST))
+
+
+def _with_colors(group: GroupPlan, count: int) -> GroupPlan:
+    """Return the group with `count` color coefficients that are transferred in every step."""
+    return group._replace(coefficients=count, cost=group.cost + COLOR_COST * count)

@@ -1,0 +1,47 @@
+"""Initial volume fraction and hydrostatic pressure of a body; initial_velocity.py has its
+velocities."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from vgmpi.scene.objects import Object
+from vgmpi.scene.scene import Scene
+
+from .object_builder import BuiltObject, spacing_of
+from .placement import PlacementError
+
+
+def apply_initial_conditions(scene: Scene, obj: Object, piece: BuiltObject) -> BuiltObject:
+    """Return the object with the rest volumes and volume ratios that the scene requests.
+
+    Raises PlacementError if no particle is left.
+    """
+    if obj.fraction_profile is not None:
+        profile = obj.fraction_profile
+        along = piece.cloud.x[:, "xyz".index(profile.axis)]
+        piece = _with_fractions(piece, np.interp(along, profile.at, profile.share))
+    elif obj.fraction != 1.0:
+        piece = _with_fractions(piece, np.full(len(piece.cloud), obj.fraction))
+    if obj.compressed == "hydrostatic":
+        piece = _compressed(scene, obj, piece)
+    return piece
+
+
+def _with_fractions(piece: BuiltObject, fraction: np.ndarray) -> BuiltObject:
+    """Return the object with volumes scaled by volume fractions (n,)."""
+    is_filled = fraction > 0  # particles without mass are dropped
+    if not is_filled.any():
+        raise PlacementError("fraction_profile", "leaves no particle: its share is 0 everywhere")
+    return replace(
+        piece, cloud=piece.cloud.select(is_filled), volume=(piece.volume * fraction)[is_filled]
+    )
+
+
+def _compressed(scene: Scene, obj: Object, piece: BuiltObject) -> BuiltObject:
+    """Return the object in equilibrium under gravity: its volume so far is the compressed one."""
+    material, z = scene.material[obj.material], piece.cloud.x[:, 2]
+    top = z.max() + spacing_of(scene, obj) / 2
+    weight = material.density * -scene.domain.gravity[2] * (top - z)
+    theta = material.hydrostatic_theta(weight)
+    return replace(piece, volume=piece.volume * np.exp(-theta), theta=theta)

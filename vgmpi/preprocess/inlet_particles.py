@@ -1,0 +1,161 @@
+"""Particles reserved for inlets, behind those of the objects, and checks of inlet positions."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from vgmpi.planning.inlet_schedule import inlet_speed, layer_count, outlet_plans
+from vgmpi.planning.phases_and_groups import phases_with_surface
+from vgmpi.runtime import memory_budget
+from vgmpi.scene import inlet_geometry
+from vgmpi.scene.inlets_outlets import Inlet
+from vgmpi.scene.scene import Scene
+
+from . import memory_estimate
+from .collider_sdf import Collider
+from .object_builder import BuiltObject, isotropic_gaussians
+from .placement import SimilarityTransform
+from .shape_sdf import TIE, distance
+
+POINTS_PER_LAYER = 4  # points per layer at which a nozzle is checked
+
+Complaint = tuple[tuple, str]
+
+
+def require_inlet_memory(scene: Scene) -> None:
+    """Raise SceneError if an inlet's particles cannot fit into the memory, or none would come."""
+    bytes_each, dx = (
+        memory_estimate.BYTES_PER_PARTICLE["body"]
+        + memory_estimate.BYTES_PER_PARTICLE_MERGED["body"],
+        scene.domain.cell,
+    )
+    for k, source in enumerate(scene.inflow):
+        per_layer = inlet_geometry.per_layer(source, dx)
+        try:
+            memory_budget.require_memory(
+                per_layer * bytes_each, f"a layer of source '{source.name}' has at least"
+            )
+            count = per_layer * layer_count(scene, source)
+            message = f"source '{source.name}' makes {count:.3g} particles until it ends: at least"
+            memory_budget.require_memory(count * bytes_each, message)
+        except memory_budget.InsufficientMemoryError as error:
+            raise scene.error([(("source", k), str(error))]) from None
+        if not layer_count(scene, source):
+            message = "nothing comes: it ends before the first layer has passed its mouth"
+            raise scene.error([(("source", k, "end" if source.end else "start"), message)])
+
+
+def reserve_inlet_particles(scene: Scene) -> list[BuiltObject]:
+    """Return all particles that may come out of each inlet, at its mouth, layer after layer."""
+    dx, identity = scene.domain.cell, SimilarityTransform(np.eye(3), 1.0, np.zeros(3))
+    reserved = []
+    for source in scene.inflow:
+        h = inlet_geometry.spacing(source, dx)
+        x = np.tile(inlet_geometry.inlet_points(source, dx), (layer_count(scene, source), 1))
+        rgb = np.tile(np.asarray(source.colour, float), (len(x), 1))
+        cloud = isotropic_gaussians(x, h, rgb, source.opacity)
+        reserved.append(BuiltObject(cloud, np.full(len(x), h**3), identity))
+    return reserved
+
+
+def velocity(scene: Scene, source: Inlet, count: int) -> np.ndarray:
+    """Return velocities (count, 3) [m/s] at the mouth."""
+    return np.tile(inlet_speed(scene, source) * np.array(source.direction), (count, 1))
+
+
+def validate_inlets_outlets(
+    scene: Scene, pieces: list[BuiltObject], colliders: list[Collider]
+) -> None:
+    """Raise SceneError if an inlet or an outlet is in an invalid position.
+
+    Args:
+        scene: The scene.
+        pieces: Particles of the objects.
+        colliders: Colliders at the start.
+    """
+    bodies = {
+        obj.name: piece.cloud.x
+        for obj, piece in zip(scene.object, pieces, strict=True)
+        if obj.role == "body"
+    }
+    errors: list[Complaint] = []
+    for k, source in enumerate(scene.inflow):
+        points = _nozzle(source, scene.domain.cell)
+        message = [*_solid(scene, source), *_blocked(scene, k, points, bodies, colliders)]
+        errors += [
+            (("source", k, key), line) for key, line in message[:1]
+        ]  # one error per inlet is enough
+    initial = [(k, sink) for k, sink in enumerate(outlet_plans(scene)) if not sink.since]
+    for k, sink in initial:
+        overlapping = [
+            name
+            for name, x in bodies.items()
+            if (distance(sink.shape, x + TIE * scene.domain.cell) < 0).any()
+        ]
+        if overlapping:
+            message = f"'{sink.name}' holds particles of '{overlapping[0]}'"
+            message = f"a sink that eats a body at the start: {message}"
+            wall = k >= len(scene.sink)
+            errors.append((("domain", "boundary") if wall else ("sink", k, "shape"), message))
+    if errors:
+        raise scene.error(errors)
+
+
+def _solid(scene: Scene, source: Inlet) -> Iterator[tuple[str, str]]:
+    """Yield (key, message) for an inlet of a solid whose surface takes part in contact."""
+    if scene.phase_of(source) in phases_with_surface(scene):
+        yield (
+            "material",
+            f"{source.material!r} is a solid, of which contact knows the surface, and something may"
+            " touch it: only liquids, pastes, sand and snow can pour here",
+        )
+
+
+def _blocked(
+    scene: Scene, k: int, points: np.ndarray, bodies: dict, colliders: list[Collider]
+) -> Iterator[tuple[str, str]]:
+    """Yield (key, message) for obstacles in the nozzle of inlet k.
+
+    Args:
+        scene: The scene.
+        k: Row of the inlet.
+        points: Points all through the nozzle, shape (m, 3) [m].
+        bodies: Particle positions of bodies by name.
+        colliders: Colliders at the start.
+    """
+    source, dx = scene.inflow[k], scene.domain.cell
+    key = source.opening_kind
+    for collider in colliders:
+        if (collider.distance(points) < 0).any():
+            yield key, f"lies inside the collider '{collider.name}'"
+    for name, x in bodies.items():
+        if _inside(source, dx, x).any():
+            yield key, f"body '{name}' lies in its nozzle, two cells behind its mouth"
+    for other in scene.inflow[:k]:
+        if _inside(other, dx, points).any():
+            yield key, f"lies in the nozzle of source '{other.name}'"
+    for sink in outlet_plans(scene):
+        if (distance(sink.shape, points) < 0).any():
+            yield key, f"lies in the sink '{sink.name}': nothing would come"
+
+
+def _nozzle(source: Inlet, dx: float) -> np.ndarray:
+    """Return points (m, 3) [m] all through a nozzle."""
+    h, along = inlet_geometry.spacing(source, dx), np.array(source.direction)
+    back = (
+        np.arange(POINTS_PER_LAYER * inlet_geometry.layers_in_nozzle(source) + 1)
+        * h
+        / POINTS_PER_LAYER
+    )
+    return (inlet_geometry.inlet_points(source, dx) - back[:, None, None] * along).reshape(-1, 3)
+
+
+def _inside(source: Inlet, dx: float, x: np.ndarray) -> np.ndarray:
+    """Return which points x (n, 3) [m] lie in the inlet's nozzle, shape (n,)."""
+    e_u, e_v, along = inlet_geometry.orthonormal_frame(source)
+    a, b = inlet_geometry.extent(source)
+    h = inlet_geometry.spacing(source, dx)
+    local = x - np.array(source.opening.center)
+    u, v, s = ((local * axis).sum(axis=1) for axis in (e_u, e_v, along))
+    across = u * u + v * v < a * a if source.disc else (np.abs(u) < a) & (np.abs(v) < b)
+    return across & (s < 0) & (s > -inlet_geometry.layers_in_nozzle(source) * h)

@@ -1,0 +1,75 @@
+"""Description of a file that a body can be made of: --inspect of Gaussian files and meshes."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from vgmpi.gaussians.formats import registry
+from vgmpi.gaussians.formats.registry import GaussianFileError
+from vgmpi.preprocess.meshes import surface_mesh
+from vgmpi.preprocess.meshes.surface_mesh import MeshError
+
+
+def is_inspectable(path: Path) -> bool:
+    """Return whether the file's name is that of such a file."""
+    return path.suffix.lower() in (*registry.KINDS, *surface_mesh.FORMATS)
+
+
+def describe_file(path: Path) -> str:
+    """Return lines of text about a file.
+
+    Raises GaussianFileError or MeshError, one line that names the file.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in registry.KINDS:
+        return _mesh(path)
+    try:
+        return _gaussians(path)
+    except GaussianFileError as error:
+        try:  # a .ply may be either
+            return _mesh(path)
+        except MeshError:
+            raise error from None
+
+
+def _gaussians(path: Path) -> str:
+    """Return lines about a Gaussian file."""
+    cloud = registry.read(path)
+    degree = math.isqrt(cloud.sh.shape[1]) - 1
+    low, middle, high = np.percentile(cloud.opacity, [5, 50, 95])
+    scale = np.sort(cloud.scale, axis=1)
+    return "\n".join(
+        [
+            f"{path}: {len(cloud):,} Gaussians, colours of degree {degree}",
+            f"  reaches  {_reach(cloud.x)}",
+            f"  scale    {_middle(scale[:, 2])} along, {_middle(scale[:, 0])} across (medians)",
+            f"  opacity  {middle:.2f} ({low:.2f} to {high:.2f} of nine in ten)",
+        ]
+    )
+
+
+def _mesh(path: Path) -> str:
+    """Return lines about a mesh."""
+    surface = surface_mesh.read(path)
+    colors = (
+        "a picture" if surface.textures else "colours" if surface.rgb is not None else "no colours"
+    )
+    return "\n".join(
+        [
+            f"{path}: a mesh of {len(surface.triangles):,} triangles,"
+            f" {len(surface.points):,} points, {colors}",
+            f"  reaches  {_reach(surface.points)}",
+        ]
+    )
+
+
+def _reach(x: np.ndarray) -> str:
+    """Return the extent in the file's own units: a scene gives it its size."""
+    ends = zip("xyz", x.min(axis=0), x.max(axis=0), strict=True)
+    return ", ".join(f"{axis} {low:.4g} .. {high:.4g}" for axis, low, high in ends)
+
+
+def _middle(values: np.ndarray) -> str:
+    """Return the median as text."""
+    return f"{np.median(values):.3g}"

@@ -1,0 +1,82 @@
+"""Particles on which loads act, and force densities."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vgmpi.scene.loads import FACES, Load
+from vgmpi.scene.scene import Scene
+
+from .object_builder import spacing_of
+from .shape_sdf import TIE, distance
+
+
+class ResolvedLoad(NamedTuple):
+    """Load with its particles; equal on every rank."""
+
+    load: Load
+    ids: np.ndarray  # (m, 2) runs of particle ids, first and last, ascending
+    # [N/m3 of rest volume, or N s/m3], 0 for loads that are equal for all
+    density: tuple[float, float, float]
+    total: tuple[float, float, float]  # [N, or N s] on all of them at full strength
+
+
+def resolve_loads(
+    scene: Scene, x: np.ndarray, vol0: np.ndarray, owner: np.ndarray
+) -> list[ResolvedLoad]:
+    """Return the loads of a scene with their particles.
+
+    Args:
+        scene: The scene.
+        x: Particles at the start in the order of their ids, shape (n, 3) [m].
+        vol0: Rest volumes, shape (n,) [m3].
+        owner: Object of each particle, shape (n,).
+
+    Raises:
+        SceneError: A load acts on no particle.
+    """
+    number = {o.name: k for k, o in enumerate(scene.object)}
+    loads, errors = [], []
+    for k, load in enumerate(scene.load):
+        chosen = np.isin(owner, [number[name] for name in load.object])
+        spacing = max(spacing_of(scene, scene.object[number[name]]) for name in load.object)
+        if load.region is not None:
+            # A face that runs through a layer of particles takes it at the low side, as in shapes.
+            chosen[chosen] = distance(load.region, x[chosen] + TIE * spacing) < 0
+        if not chosen.any():
+            message = f"holds no particle of {', '.join(load.object)} at the start"
+            errors.append((("load", k, "region" if load.region is not None else "object"), message))
+            continue
+        loads.append(_loaded(scene, load, chosen, spacing, x, vol0, owner))
+    if errors:
+        raise scene.error(errors)
+    return loads
+
+
+def _loaded(scene, load, chosen, spacing, x, vol0, owner) -> ResolvedLoad:
+    """Return one load with its particles."""
+    uniform = load.acceleration or load.velocity or (load.spin and (0.0, 0.0, 0.0))
+    if uniform is not None:
+        densities = [o.material and scene.material[o.material].bulk_density for o in scene.object]
+        density = np.array([rho or 0.0 for rho in densities])
+        mass = float((density[owner[chosen]] * vol0[chosen]).sum())
+        total = tuple(mass * a for a in uniform)
+        return ResolvedLoad(load, index_runs(chosen), (0.0, 0.0, 0.0), total)
+    total = load.force or load.impulse
+    if load.pressure is not None:
+        low, high = x[chosen].min(axis=0), x[chosen].max(axis=0)
+        axis, side = FACES[load.face]
+        edge = high - low + spacing  # of the box around the particles' own volumes
+        push = [0.0, 0.0, 0.0]
+        push[axis] = -side * load.pressure * float(np.delete(edge, axis).prod())
+        total = tuple(push)
+        face = high[axis] if side > 0 else low[axis]
+        chosen = chosen & (np.abs(x[:, axis] - face) < spacing / 2)
+    volume = float(vol0[chosen].sum())
+    return ResolvedLoad(load, index_runs(chosen), tuple(f / volume for f in total), total)
+
+
+def index_runs(chosen: np.ndarray) -> np.ndarray:
+    """Return first and last index (m, 2) of each run of true values of `chosen` (n,)."""
+    edges = np.diff(np.concatenate([[0], chosen.astype(np.int8), [0]]))
+    return np.stack([np.flatnonzero(edges > 0), np.flatnonzero(edges < 0) - 1], 1)

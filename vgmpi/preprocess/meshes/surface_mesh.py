@@ -1,0 +1,407 @@
+"""Surface meshes: reading, even sampling with flat Gaussians, and inside tests."""
+
+import contextlib
+import io
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from vgmpi.gaussians.cloud import GaussianCloud, rotation_matrices
+from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
+from vgmpi.runtime import memory_budget
+from vgmpi.runtime.config.toml_source import escape_control_characters, truncate
+
+from . import texture
+from .meshio_guard import limited
+from .texture import Textures
+
+log = logging.getLogger("vgmpi")
+
+FORMATS = (".obj", ".stl", ".ply", ".vtk", ".vtu")
+MIN_SAMPLES = 20_000  # Gaussians on a surface, so that small objects are drawn smoothly
+FLATNESS = 0.1  # [-] thickness of a disc relative to its radius
+RADIUS = 0.6  # [-] standard deviation of a disc relative to sqrt(area / number)
+MIN_SIZE, MAX_SIZE = 1e-100, 1e100  # [file units] size of a mesh
+_MIN_AREA = 1e-200  # [m2]
+_EXPANSION = 1.5  # [bytes] in memory per byte of the file, at least
+_MAX_CROSSINGS = 64  # crossings on one line up to which they are tested one by one
+_BATCH = 1 << 22  # crossings of triangles with lines per batch
+_MIN_BATCH, _PAIRS_PER_POINT = 4096, 50  # points whose pairs always fit; usual are 10 pairs
+_BYTES_PER_CANDIDATE = 80  # [bytes] of a candidate, at least
+_CANDIDATES_PER_POINT = 5  # candidates per retained point
+_POISSON_DISC_RATIO = 0.72  # [-] minimum distance of two points relative to sqrt(area / number)
+
+
+class MeshError(ValueError):
+    """Error for a file that is no usable surface mesh; one line that names the file."""
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangle mesh.
+
+    points (n, 3) in the file's units, triangles (m, 3) of point numbers, rgb (n, 3) or None;
+    textures on its triangles take precedence over rgb."""
+
+    points: np.ndarray
+    triangles: np.ndarray
+    rgb: np.ndarray | None = None
+    textures: Textures | None = None
+
+    def corners(self) -> np.ndarray:
+        """Return the corners of every triangle, shape (m, 3 corners, 3)."""
+        return self.points[self.triangles]
+
+
+def read(path: Path) -> Mesh:
+    """Read the triangles of a mesh file; polygons are cut into fans. Raises MeshError."""
+    if path.suffix.lower() not in FORMATS:
+        raise MeshError(f"{path}: cannot be read as a mesh: allowed are {', '.join(FORMATS)}")
+    try:
+        memory_budget.require_memory(
+            _EXPANSION * path.stat().st_size, f"its {path.stat().st_size:,} bytes take at least"
+        )
+        mesh = _read_obj(path) if path.suffix.lower() == ".obj" else _read_any(path)
+    except (Exception, SystemExit) as error:  # meshio's readers raise anything, and may exit
+        lines = str(error).splitlines()
+        no_reason = not lines or isinstance(error, SystemExit)
+        reason = (
+            "no mesh meshio reads" if no_reason else truncate(escape_control_characters(lines[0]))
+        )
+        raise MeshError(f"{path}: cannot be read as a mesh: {reason}") from None
+    if not len(mesh.triangles):
+        raise MeshError(f"{path}: holds no triangles or polygons")
+    low, high = mesh.triangles.min(), mesh.triangles.max()
+    if not np.isfinite(mesh.points).all() or low < 0 or high >= len(mesh.points):
+        raise MeshError(f"{path}: has points that are not finite or triangles without points")
+    extent = float(np.ptp(mesh.points[mesh.triangles.ravel()], axis=0).max())
+    if not MIN_SIZE <= extent <= MAX_SIZE or np.abs(mesh.points).max() > MAX_SIZE:
+        raise MeshError(f"{path}: is {extent:.3g} large; allowed are {MIN_SIZE:g} to {MAX_SIZE:g}")
+    return mesh
+
+
+def _read_any(path: Path) -> Mesh:
+    """Read a mesh by meshio."""
+    import meshio  # half a second to import: only scenes with such a mesh pay it
+
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output), limited(path):
+        data = meshio.read(path)
+    points = np.asarray(data.points, dtype=np.float64)
+    points = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))  # a flat mesh has no z
+    fans = [np.empty((0, 3), dtype=np.int64)]
+    for block in data.cells:
+        if block.type in ("triangle", "quad", "polygon"):
+            cells = np.asarray(block.data)
+            fans += [cells[:, (0, k, k + 1)] for k in range(1, cells.shape[1] - 1)]
+    colors = _vertex_colors(data.point_data, len(points))
+    return Mesh(points, np.concatenate(fans).astype(np.int64), colors)
+
+
+def _read_obj(path: Path) -> Mesh:
+    """Return points, their colors, faces and textures of a Wavefront file.
+
+    It is read here, because meshio refuses files with more texture coordinates than points."""
+    points: list[list[float]] = []
+    uv: list[list[float]] = []
+    corners: list[tuple[int, int]] = []  # point and texture coordinate (-1: none), 3 per triangle
+    materials, libraries, material = [], [], ""
+    for line in _lines(path):
+        words = line.split()
+        match words[:1]:
+            case ["v"]:
+                points.append([float(word) for word in words[1:]])
+            case ["vt"]:
+                uv.append([float(word) for word in (*words[1:3], "0")[:2]])
+            case ["f"]:
+                face = [_corner(word, len(points), len(uv)) for word in words[1:]]
+                for k in range(1, len(face) - 1):
+                    corners += (face[0], face[k], face[k + 1])
+                    materials.append(material)
+            case ["mtllib"]:
+                libraries.append(line.split(maxsplit=1)[1])
+            case ["usemtl"]:
+                material = line.split(maxsplit=1)[1].strip() if len(words) > 1 else ""
+    colored = bool(points) and all(len(point) >= 6 for point in points)
+    rgb = np.clip([point[3:6] for point in points], 0.0, 1.0) if colored else None
+    x = np.array([point[:3] for point in points], dtype=np.float64).reshape(-1, 3)
+    index = np.array(corners, dtype=np.int64).reshape(-1, 3, 2)
+    return Mesh(x, index[:, :, 0], rgb, _textures(path, libraries, materials, uv, index[:, :, 1]))
+
+
+def _lines(path: Path) -> Iterator[str]:
+    """Yield the lines of a text file."""
+    with open(path, errors="replace") as file:
+        for line in file:
+            yield from line.splitlines()  # this includes rare line separators
+
+
+def _corner(word: str, points: int, uvs: int) -> tuple[int, int]:
+    """Return the numbers of point and texture coordinate of "3", "3/1" or "3/1/2"; -1 for none."""
+    point, _, more = word.partition("/")
+    uv = more.partition("/")[0]
+    # Numbers count from 1; negative ones count from the last.
+    numbers = [
+        n - 1 if n > 0 else count + n for n, count in ((int(point), points), (int(uv or 0), uvs))
+    ]
+    return numbers[0], numbers[1] if uv else -1
+
+
+def _textures(path: Path, libraries, materials, uvs, index: np.ndarray) -> Textures | None:
+    """Return the textures of triangles with given materials and uv numbers `index` (m, 3)."""
+    if not libraries or not uvs:
+        return None
+    try:
+        images_of = texture.material_images(path, libraries)
+        used = sorted({name for name in materials if name in images_of})
+        images = [texture.read_texture(images_of[name]) for name in used]
+    except texture.TextureError as error:  # many meshes come without their images
+        log.warning("%s: %s: its colours are those of its points or the object", path, error)
+        return None
+    if not used:
+        return None
+    row = np.array([used.index(name) if name in used else -1 for name in materials])
+    if index.max() >= len(uvs):
+        raise ValueError("has faces without texture coordinates")
+    row[(index < 0).any(axis=1)] = -1
+    uv = np.array(uvs, dtype=np.float64)[np.maximum(index, 0)]
+    if not np.isfinite(uv).all():
+        raise ValueError("has texture coordinates that are not finite")
+    return Textures(uv, row, images)
+
+
+def _vertex_colors(data: dict, count: int) -> np.ndarray | None:
+    """Return colors 0..1 (n, 3) if the file has any."""
+    if all(name in data for name in ("red", "green", "blue")):
+        rgb = np.stack([data[name] for name in ("red", "green", "blue")], axis=1)
+    else:
+        names = [
+            n for n in data if n.lower() in ("rgb", "rgba", "color", "colors", "vertex_colors")
+        ]
+        rgb = np.asarray(data[names[0]]) if names else np.empty(0)
+    if rgb.ndim != 2 or len(rgb) != count or rgb.shape[1] < 3:
+        return None
+    is_integer = np.issubdtype(rgb.dtype, np.integer)
+    return np.clip(rgb[:, :3].astype(np.float64) / (255.0 if is_integer else 1.0), 0.0, 1.0)
+
+
+def sample(
+    mesh: Mesh, spacing: float, color: tuple, opacity: float, key: list[int]
+) -> GaussianCloud:
+    """Sample a placed mesh evenly (Poisson disc) with flat Gaussians, `spacing` / 2 [m] apart.
+
+    Args:
+        mesh: Placed mesh.
+        spacing: Particle spacing [m].
+        color: Color where the mesh has none.
+        opacity: Opacity of all.
+        key: Seed; equal keys give equal points.
+
+    Raises MeshError for a mesh without area, room.TooLarge."""
+    corner = mesh.corners()
+    with np.errstate(over="ignore", under="ignore"):  # such an area is refused
+        cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+        double = np.linalg.norm(cross, axis=1)
+        area = double.sum() / 2
+    if not (_MIN_AREA < area < np.inf):
+        raise MeshError(f"its triangles have an area of {area:.3g} m2: they are lines or points")
+    count = max(MIN_SAMPLES, area / (spacing / 2) ** 2)
+    message = f"{count:.3g} Gaussians, {spacing / 2:g} m apart on a surface of {area:.3g} m2, take"
+    memory_budget.require_memory(
+        _BYTES_PER_CANDIDATE * _CANDIDATES_PER_POINT * count, f"{message} at least"
+    )
+    count = int(count)
+    random = np.random.Generator(np.random.Philox(np.random.SeedSequence(key)))
+    draw = random.random((_CANDIDATES_PER_POINT * count, 3))
+    edges = np.cumsum(double)
+    chosen = np.minimum(np.searchsorted(edges, draw[:, 0] * edges[-1]), len(edges) - 1)
+    root, v = np.sqrt(draw[:, 1:2]), draw[:, 2:3]
+    weights = np.concatenate([1 - root, root * (1 - v), root * v], axis=1)  # barycentric (n, 3)
+    x = (weights[:, :, None] * corner[chosen]).sum(axis=1)
+    retained = poisson_disc_subset(x, _POISSON_DISC_RATIO * np.sqrt(area / count))
+    normal = cross[chosen[retained]] / double[chosen[retained], None]
+    rgb = np.tile(np.asarray(color, dtype=float), (len(retained), 1))
+    if mesh.rgb is not None:
+        rgb = (weights[retained, :, None] * mesh.rgb[mesh.triangles[chosen[retained]]]).sum(axis=1)
+    if mesh.textures is not None:
+        rgb = mesh.textures.color(chosen[retained], weights[retained], rgb)
+    radius = RADIUS * np.sqrt(area / len(retained))
+    return GaussianCloud(
+        x[retained], quaternion_to_normal(normal),
+        np.tile([radius, radius, FLATNESS * radius], (len(retained), 1)),
+        np.full(len(retained), opacity), dc_from_rgb(rgb)[:, None, :].astype(np.float32),
+    )  # fmt: skip
+
+
+def quaternion_to_normal(normal: np.ndarray) -> np.ndarray:
+    """Return quaternions w, x, y, z (n, 4) that rotate the z axis to unit normals (n, 3)."""
+    x, y, z = normal.T
+    zero = np.zeros_like(x)
+    quat = np.stack([1.0 + z, -y, x, zero], axis=1)
+    quat = np.where((z > -0.999999)[:, None], quat, (0.0, 1.0, 0.0, 0.0))  # half a turn
+    return quat / np.linalg.norm(quat, axis=1, keepdims=True)
+
+
+def poisson_disc_subset(x: np.ndarray, distance: float) -> np.ndarray:
+    """Return indices of points no two of which are closer than `distance` [m]; earlier points win.
+
+    The result is that of testing points one by one, in a few vectorized rounds. If points are so
+    close that their pairs would fill the memory, as on overlapping triangles, they are taken in
+    batches: points near a taken one are removed before pairs are searched."""
+    taken = np.empty(0, dtype=np.int64)
+    first, batch_size = 0, len(x)
+    while first < len(x):
+        rows = np.arange(first, min(first + batch_size, len(x)))
+        if len(taken):
+            beyond = np.nextafter(distance, np.inf)
+            rows = rows[cKDTree(x[taken]).query(x[rows], distance_upper_bound=beyond)[0] > distance]
+        tree = cKDTree(x[rows]) if len(rows) else None
+        if tree and _is_overcrowded(tree, distance, _PAIRS_PER_POINT * len(x)):
+            batch_size = max(len(rows) // 8, _MIN_BATCH)
+            continue
+        if tree:
+            pairs = tree.query_pairs(distance, output_type="ndarray")  # (m, 2), first < second
+            taken = np.concatenate([taken, rows[_greedy_independent(len(rows), pairs)]])
+        first += batch_size
+        batch_size = first  # as many again
+    return taken
+
+
+def _is_overcrowded(tree: cKDTree, distance: float, limit: int) -> bool:
+    """Return whether samples of points suggest more than about `limit` neighbors in all."""
+    if tree.n <= _MIN_BATCH:
+        return False
+    # The first sample is small, since crowded points take long.
+    for sample_count in (64, _MIN_BATCH):
+        sample = tree.data[:: max(1, tree.n // sample_count)]
+        neighbor_counts = tree.query_ball_point(sample, distance, return_length=True)
+        if neighbor_counts.mean() * tree.n > limit:
+            return True
+    return False
+
+
+def _greedy_independent(count: int, pairs: np.ndarray) -> np.ndarray:
+    """Return which of `count` items to take, in order, if no pair (m, 2) may be taken."""
+    taken = np.zeros(count, dtype=bool)
+    open_ = np.ones(count, dtype=bool)
+    while open_.any():
+        blocked = np.zeros(count, dtype=bool)
+        blocked[pairs[:, 1]] = True
+        accepted = open_ & ~blocked
+        taken |= accepted
+        open_ &= ~accepted
+        excluded = pairs[:, 1][accepted[pairs[:, 0]]]
+        open_[excluded] = False
+        pairs = pairs[open_[pairs].all(axis=1)]
+    return np.flatnonzero(taken)
+
+
+def inside(mesh: Mesh, points: np.ndarray, spacing: float) -> np.ndarray:
+    """Return which points (n, 3) of a lattice of the given spacing [m] lie inside a placed mesh.
+
+    Along each axis a line through the points counts the signed crossings below each; two of three
+    axes must agree, so that a hole in the mesh does not turn a whole line inside out."""
+    corner = mesh.corners()
+
+    def along(axis: int, points: np.ndarray) -> np.ndarray:
+        """Return which points are inside, by lines along an axis."""
+        order = [(axis + 1) % 3, (axis + 2) % 3, axis]
+        return _winding(corner[:, :, order], points[:, order], spacing) != 0
+
+    votes, other = along(0, points), along(1, points)
+    differ = np.flatnonzero(votes != other)  # elsewhere the third axis cannot matter
+    if len(differ):
+        votes[differ] = along(2, points[differ])
+    return votes
+
+
+def _winding(corner: np.ndarray, points: np.ndarray, h: float) -> np.ndarray:
+    """Return the signed crossings (n,) of the mesh below each point, along the third coordinate.
+
+    points: on a lattice of spacing h in the first two coordinates."""
+    column = np.floor(points[:, :2] / h).astype(np.int64)
+    start = column.min(axis=0)
+    size = column.max(axis=0) - start + 1
+    # A line exactly through an edge would count twice or never: lines are shifted a little.
+    shift = h * np.array([3.1e-6, 7.7e-6])
+    low = np.ceil((corner[:, :, :2].min(axis=1) - shift) / h - 0.5).astype(np.int64)
+    high = np.floor((corner[:, :, :2].max(axis=1) - shift) / h - 0.5).astype(np.int64)
+    low, high = np.maximum(low, start), np.minimum(high, start + size - 1)
+    span = np.maximum(high - low + 1, 0)
+    count = span[:, 0] * span[:, 1]
+    below = np.zeros(len(points), dtype=np.int64)
+    columns = _flat(column - start, size)
+    # Batches bound the memory: each of many large triangles crosses every line.
+    last = np.cumsum(count)
+    ends = np.searchsorted(last, np.arange(_BATCH, last[-1] + _BATCH, _BATCH), "right")
+    for part in np.split(np.arange(len(corner)), np.unique(np.minimum(ends, len(corner)))):
+        tri = np.repeat(part, count[part])
+        nth = np.arange(len(tri)) - np.repeat(np.cumsum(count[part]) - count[part], count[part])
+        cell = low[tri] + np.stack([nth // span[tri, 1], nth % span[tri, 1]], axis=1)
+        hit, height, sign = _hits(corner[tri], (cell + 0.5) * h + shift)
+        below += _crossings_below(_flat(cell[hit] - start, size), height, sign, columns, points)
+    return below
+
+
+def _hits(corner: np.ndarray, line: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return which triangles (n, 3, 3) their lines (n, 2) along the third axis meet."""
+    a, b, c = (corner[:, k] for k in range(3))
+    u, v, w = (_area(p, q, line) for p, q in ((b, c), (c, a), (a, b)))
+    twice = u + v + w
+    hit = (((u > 0) & (v > 0) & (w > 0)) | ((u < 0) & (v < 0) & (w < 0))) & (twice != 0)
+    u, v, w, twice = u[hit], v[hit], w[hit], twice[hit]
+    return hit, (u * a[hit, 2] + v * b[hit, 2] + w * c[hit, 2]) / twice, np.sign(twice)
+
+
+def _area(p: np.ndarray, q: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Return twice the signed area of triangles p, q, x in the plane of the first two axes."""
+    return (p[:, 0] - x[:, 0]) * (q[:, 1] - x[:, 1]) - (p[:, 1] - x[:, 1]) * (q[:, 0] - x[:, 0])
+
+
+def _flat(cell: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Return the flat index of cells (n, 2)."""
+    return cell[:, 0] * size[1] + cell[:, 1]
+
+
+def _crossings_below(lines, heights, signs, columns, points) -> np.ndarray:
+    """Return for each point the sum of `signs` of the lower crossings on its line."""
+    if not len(lines):
+        return np.zeros(len(points), dtype=np.int64)
+    count = np.bincount(lines, minlength=columns.max() + 1)
+    if count.max() > _MAX_CROSSINGS:
+        return _crossings_below_sorted(lines, heights, signs, columns, points)
+    order = np.lexsort((heights, lines))
+    z, sign = heights[order], signs[order].astype(np.int64)
+    first = np.cumsum(count) - count
+    out = np.zeros(len(points), dtype=np.int64)
+    rows = np.flatnonzero(count[columns])  # points above all crossings tested so far
+    crossing, remaining = first[columns[rows]], count[columns[rows]]
+    for _ in range(count.max()):
+        below = z[crossing] <= points[rows, 2]
+        out[rows] += np.where(below, sign[crossing], 0)
+        more = below & (remaining > 1)
+        rows, crossing, remaining = rows[more], crossing[more] + 1, remaining[more] - 1
+    return out
+
+
+def _crossings_below_sorted(lines, heights, signs, columns, points) -> np.ndarray:
+    """Return `_crossings_below` for lines with any number of crossings."""
+    line = np.concatenate([lines, columns])
+    z = np.concatenate([heights, points[:, 2]])
+    sign = np.concatenate([signs, np.zeros(len(columns))]).astype(np.int64)
+    order = np.lexsort((z, line))
+    total = np.cumsum(sign[order])
+    first = np.searchsorted(line[order], line[order], side="left")
+    before = np.concatenate([[0], total])[first]  # sums of earlier lines
+    out = np.empty(len(line), dtype=np.int64)
+    out[order] = total - before
+    return out[len(lines) :]
+
+
+def normals(cloud: GaussianCloud) -> np.ndarray:
+    """Return the directions (n, 3) in which flat Gaussians face: their third axes."""
+    return rotation_matrices(cloud.quat)[:, :, 2]

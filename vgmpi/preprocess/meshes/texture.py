@@ -1,0 +1,119 @@
+"""Textures of Wavefront meshes: image of each face and color at its points."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from vgmpi.runtime.safe_open import MAX_TEXT_BYTES, read_image, read_regular_file
+
+
+class TextureError(ValueError):
+    """Error for a texture that cannot be read; one line."""
+
+
+@dataclass(frozen=True)
+class Textures:
+    """Images on a mesh of m triangles.
+
+    uv (m, 3, 2): texture coordinates of their corners, from the lower left, repeating beyond 0..1.
+    which (m,): row of `images` for each, -1 for none. images: (height, width, 3), 0..1.
+    """
+
+    uv: np.ndarray
+    which: np.ndarray
+    images: list[np.ndarray]
+
+    def color(self, triangle: np.ndarray, weights: np.ndarray, plain: np.ndarray) -> np.ndarray:
+        """Return the colors (n, 3) of points on triangles.
+
+        Args:
+            triangle: Triangle of each point, shape (n,).
+            weights: Barycentric coordinates, shape (n, 3).
+            plain: Colors for triangles without an image, shape (n, 3).
+        """
+        uv = (weights[:, :, None] * self.uv[triangle]).sum(axis=1)
+        out = np.array(plain, dtype=np.float64)
+        for k, image in enumerate(self.images):
+            rows = self.which[triangle] == k
+            out[rows] = _sample_bilinear(image, uv[rows])
+        return out
+
+
+def _sample_bilinear(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """Return the colors (n, 3), interpolated between pixel centers."""
+    height, width = image.shape[:2]
+    x = (uv[:, 0] % 1.0) * width - 0.5
+    y = (1.0 - uv[:, 1] % 1.0) * height - 0.5  # rows count from the top
+    left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+    out = np.zeros((len(uv), 3))
+    for row, along in ((top, 1.0 - (y - top)), (top + 1, y - top)):
+        for column, across in ((left, 1.0 - (x - left)), (left + 1, x - left)):
+            out += (along * across)[:, None] * image[row % height, column % width]
+    return out
+
+
+def material_images(path: Path, libraries: list[str]) -> dict[str, Path]:
+    """Return the files of the images (map_Kd) by the materials of .mtl files of a mesh.
+
+    Raises TextureError.
+    """
+    images, name = {}, ""
+    for library in libraries:
+        try:
+            text = read_regular_file(file_in_mesh_folder(path, library), MAX_TEXT_BYTES).decode(
+                errors="replace"
+            )
+        except OSError as error:
+            raise TextureError(f"names {library!r}, which {error.strerror}") from None
+        for words in (line.split(maxsplit=1) for line in text.splitlines()):
+            if len(words) == 2 and words[0] == "newmtl":
+                name = words[1].strip()
+            elif len(words) == 2 and words[0] == "map_Kd":
+                images[name] = file_in_mesh_folder(path, _last_word(words[1]))
+    return images
+
+
+def _last_word(words: str) -> str:
+    """Return the file of a map statement, after its options; names may contain blanks."""
+    words = words.strip()
+    return words.split()[-1] if words.startswith("-") else words
+
+
+def file_in_mesh_folder(path: Path, name: str) -> Path:
+    """Return a file that a mesh names, in its folder or below. Raises TextureError."""
+    file = path.parent / name.strip().replace("\\", "/")
+    if not file.resolve().is_relative_to(path.parent.resolve()):
+        raise TextureError(f"names {name!r}, which lies outside its folder")
+    if not file.is_file():
+        raise TextureError(f"names {name!r}, which is not there")
+    return file
+
+
+def read_texture(path: Path) -> np.ndarray:
+    """Return an image (height, width, 3), 0..1. Raises TextureError."""
+    try:
+        pixels = read_image(path)
+    except ValueError as error:
+        raise TextureError(f"its picture {path.name} cannot be read: {error}") from None
+    if pixels.ndim == 2:
+        pixels = np.repeat(pixels[:, :, None], 3, axis=2)
+    if pixels.ndim != 3 or pixels.shape[2] not in (3, 4) or not pixels.size:
+        raise TextureError(f"its picture {path.name} has no red, green and blue")
+    is_integer = np.issubdtype(pixels.dtype, np.integer)
+    maximum = float(np.iinfo(pixels.dtype).max) if is_integer else 1.0
+    return np.clip(pixels[:, :, :3].astype(np.float64) / maximum, 0.0, 1.0)
+
+
+def texture_files(path: Path) -> list[Path]:
+    """Return all files that a mesh's colors come from; none if they cannot be read."""
+    if path.suffix.lower() != ".obj":
+        return []
+    with open(path, errors="replace") as file:
+        words = (line.split(maxsplit=1) for row in file for line in row.splitlines())
+        libraries = [word[1] for word in words if len(word) == 2 and word[0] == "mtllib"]
+    try:
+        used = material_images(path, libraries)
+        return [*(file_in_mesh_folder(path, name) for name in libraries), *used.values()]
+    except TextureError:
+        return []

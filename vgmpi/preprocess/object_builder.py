@@ -1,0 +1,353 @@
+"""Builder of one object: reads or samples it, places, fills, colors, weighs and prunes it."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vgmpi.gaussians.cloud import GaussianCloud
+from vgmpi.gaussians.formats import registry
+from vgmpi.gaussians.formats.validation import MAX_MAGNITUDE
+from vgmpi.gaussians.shape_evolution import FAMILIES_DRAWN_AS_SPHERES
+from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
+from vgmpi.preprocess.meshes import surface_mesh as mesh
+from vgmpi.preprocess.pruning import prune
+from vgmpi.preprocess.sampling import interior_fill
+from vgmpi.preprocess.sampling.voxels import (
+    BYTES_COUNTED,
+    BYTES_DISTANCES,
+    BYTES_NEIGHBORS,
+    Voxels,
+    fraction_by_neighbours,
+    fraction_by_supersampling,
+    volumes,
+)
+from vgmpi.scene.objects import Object
+from vgmpi.scene.scene import Scene
+
+from . import memory_estimate, shape_sdf
+from .collider_sdf import Collider, ShapeCollider, VoxelCollider
+from .crop import crop
+from .memory_estimate import spacing_of
+from .placement import (
+    PlacementError,
+    SimilarityTransform,
+    check_inside,
+    corners,
+    placement,
+    rotate,
+    upright,
+)
+
+LIGHT = np.array([0.36, -0.48, 0.80])  # [-] unit vector towards the painted light
+MIN_SHADE = 1e-3  # [-] smallest factor of the light, so that colours can be divided by it
+_FINENESS = (
+    3  # [-] resolution of the lattice that measures meshes, relative to their particles' lattice
+)
+_UNIT_BALL_RADIUS = (3 / (4 * np.pi)) ** (1 / 3)  # [-] radius of a ball of volume 1
+
+
+@dataclass(frozen=True)
+class BuiltObject:
+    """One object in the domain: its Gaussians, their volumes [m3], and its placement."""
+
+    cloud: GaussianCloud
+    volume: np.ndarray
+    placement: SimilarityTransform
+    collider: Collider | None = None
+    theta: np.ndarray | None = None  # (n,) ln J at the start, None for 0
+    surface_count: int = 0  # number of first rows that lie on its surface; the others fill it
+    passive: GaussianCloud | None = None  # Gaussians without mass that ride along
+    summary: str = ""  # text on the particle counts and on the volume convention
+    surface_sdf: Callable[[], Collider] | None = None  # builds the signed distance of its surface
+    surface_descriptor: np.ndarray | None = None  # (n, 10), see surface_descriptor.py
+
+
+def build_object(scene: Scene, number: int) -> BuiltObject:
+    """Return object `number` of the scene in the domain.
+
+    Raises:
+        PlacementError, GaussianFileError, MeshError, room.TooLarge: The object cannot be made.
+    """
+    obj = scene.object[number]
+    piece = _MAKE[obj.source](scene, number, obj)
+    if obj.role == "body":  # this includes fillings and samples
+        check_inside(scene, obj, piece.cloud.x.min(axis=0), piece.cloud.x.max(axis=0), 0.0)
+        complete, pruning = piece, ""
+        if obj.prune != "off":
+            piece, pruning = _pruned(scene, obj, piece)
+        if obj.source != "shape":
+            summary = (
+                f"{piece.surface_count} particles on its surface,"
+                f" {len(piece.cloud) - piece.surface_count} inside{pruning};"
+                f" {_volume_convention(obj, complete)}"
+            )
+            piece = replace(piece, summary=summary)
+    return piece
+
+
+def _volume_convention(obj: Object, piece: BuiltObject) -> str:
+    """Return text on the volume that counts as the body, and on particles that are not drawn."""
+    if obj.source == "mesh":
+        return "with its inside"
+    if obj.fill is False:
+        return "hollow, a skin one voxel thick"
+    if len(piece.cloud) == piece.surface_count:
+        return "no inside found, a skin half a voxel thick"
+    if obj.fill == "closed":
+        return "with its inside where the skin is closed"
+    hidden = int((piece.cloud.opacity[piece.surface_count :] == 0).sum())
+    if hidden and obj.opacity > 0:
+        return f"with its inside, {hidden} particles of which lie behind holes and are not drawn"
+    return "with its inside"
+
+
+def _from_shape(scene: Scene, k: int, obj: Object) -> BuiltObject:
+    """Return an object made of a shape."""
+    shape, spacing = obj.shape, spacing_of(scene, obj)
+    transform = placement(obj, lambda d: shape_sdf.support(shape, d))
+    low, high = corners(transform, lambda d: shape_sdf.support(shape, d))
+    if obj.role == "body":
+        check_inside(scene, obj, low, high, 1e-6 * spacing)  # before a huge lattice is searched
+    overhang = transform.scale * shape_sdf.blend_overhang(shape)
+    memory_estimate.within_numbers(scene, obj, low - overhang, high + overhang)
+
+    def signed_distance(points: np.ndarray) -> np.ndarray:
+        """Return the signed distance [m] of points."""
+        return transform.scale * shape_sdf.distance(shape, transform.to_local(points))
+
+    skin = 1.01 * spacing if obj.role == "scenery" else np.inf
+
+    def is_wanted(points: np.ndarray) -> np.ndarray:
+        """Return which points become particles."""
+        d = signed_distance(points)
+        return (d < 0) & (d > -skin)
+
+    def is_empty(centers: np.ndarray) -> np.ndarray:
+        """Return which cubes hold no particle, by their centers."""
+        d, half = signed_distance(centers), np.sqrt(3.0) / 2 * shape_sdf.BLOCK * spacing
+        return (d > half) | (d < -skin - half)
+
+    region = low - overhang, high + overhang, spacing
+    cubes = shape_sdf.is_lipschitz(shape) and shape_sdf.prefer_block_search(*region)
+    memory_estimate.require_search_size(
+        shape_sdf.lattice_size(*region) / (shape_sdf.BLOCK**3 if cubes else 1)
+    )
+    x = shape_sdf.lattice(is_wanted, *region, is_empty if cubes else None)
+    if not len(x):
+        message = f"too small or thin: no particle fits in, their spacing is {spacing:g} m"
+        raise PlacementError("shape", message)
+    local = transform.to_local(x)
+    rgb, shade = shape_sdf.colors(shape, local, obj.colour), None
+    if not _is_fluid(scene, obj):
+        normal = shape_sdf.normals(shape, local, 0.5 * spacing / transform.scale)
+        rgb, shade = apply_baked_shading(
+            rgb, rotate(transform.rotation, normal), scene.appearance.shade
+        )
+    surface = ShapeCollider(obj.name, shape, transform, spacing / 2)
+    return BuiltObject(
+        isotropic_gaussians(x, spacing, rgb, obj.opacity, shade), np.full(len(x), spacing**3),
+        transform, surface if obj.collider else None, surface_sdf=lambda: surface,
+    )  # fmt: skip
+
+
+def _from_mesh(scene: Scene, k: int, obj: Object) -> BuiltObject:
+    """Return an object made of a surface mesh."""
+    spacing = spacing_of(scene, obj)
+    surface_mesh = mesh.read(scene.files[obj.name])
+    transform = placement(obj, lambda d: float((surface_mesh.points @ d).max()))
+    placed = replace(surface_mesh, points=transform.to_domain(surface_mesh.points))
+    low, high = placed.points.min(axis=0), placed.points.max(axis=0)
+    memory_estimate.within_numbers(scene, obj, low, high)
+    if obj.role == "body":
+        check_inside(scene, obj, low, high, 1e-6 * spacing)
+    filled = obj.role == "body" or obj.collider
+
+    def search(h: float) -> tuple:
+        """Return the arguments of a lattice search at spacing h [m]."""
+        return (lambda points: mesh.inside(placed, points, h)), low, high, h
+
+    fine = spacing / _FINENESS
+    if filled:
+        memory_estimate.require_search_size(shape_sdf.lattice_size(low, high, fine))
+        candidates = shape_sdf.lattice_size(low, high, spacing)
+        memory_estimate.require_memory_for_interior(
+            scene, k, candidates, lambda h: len(shape_sdf.lattice(*search(h)))
+        )
+    surface = mesh.sample(placed, spacing, obj.colour, obj.opacity, [scene.seed, k])
+    amount = 0.0 if _is_fluid(scene, obj) else scene.appearance.shade
+    rgb, shade = apply_baked_shading(surface.rgb, mesh.normals(surface), amount)
+    surface.sh[:, 0] = dc_from_rgb(rgb)
+    surface = replace(surface, shade=shade)
+    if not filled:
+        return BuiltObject(surface, np.zeros(len(surface)), transform)
+    inner = shape_sdf.lattice(*search(spacing))
+    missing = interior_fill.MissingInterior(
+        inner, np.ones(len(inner), dtype=bool), np.empty((0, 3))
+    )
+    return _solid(scene, k, surface, missing, transform, shape_sdf.lattice_chunks(*search(fine)))
+
+
+def _from_gaussians(scene: Scene, k: int, obj: Object) -> BuiltObject:
+    """Return an object made of a Gaussian file."""
+    spacing = spacing_of(scene, obj)
+    cloud = crop(registry.read(scene.files[obj.name]), obj.select)
+    if not len(cloud):
+        raise PlacementError("select", "selects no Gaussian of the file")
+    transform = placement(obj, lambda d: float((cloud.x @ d).max()))
+    cloud = transform.cloud(cloud)
+    memory_estimate.within_numbers(scene, obj, cloud.x.min(axis=0), cloud.x.max(axis=0))
+    if not cloud.scale.max() <= MAX_MAGNITUDE:
+        message = f"makes a Gaussian {cloud.scale.max():.3g} m large; at most {MAX_MAGNITUDE:g} m"
+        raise PlacementError(memory_estimate.sized(obj), message)
+    if obj.role == "scenery" and not obj.collider:
+        return BuiltObject(cloud, np.zeros(len(cloud)), transform)
+    if obj.role == "body":
+        check_inside(scene, obj, cloud.x.min(axis=0), cloud.x.max(axis=0), 0.0)
+    try:
+        missing = interior_fill.interior(cloud, spacing, obj.fill, upright(obj, transform))
+    except interior_fill.VoxelGridTooLargeError as error:
+        raise PlacementError("fill", str(error)) from None
+    return _solid(scene, k, cloud, missing, transform)
+
+
+_MAKE: dict[str, Callable[[Scene, int, Object], BuiltObject]] = {
+    "shape": _from_shape,
+    "mesh": _from_mesh,
+    "gaussians": _from_gaussians,
+}
+
+
+def _solid(
+    scene: Scene, k: int, surface: GaussianCloud, missing: interior_fill.MissingInterior,
+    transform: SimilarityTransform, fine: Iterable[np.ndarray] | None = None,
+) -> BuiltObject:  # fmt: skip
+    """Return a body, or scenery that collides, from a surface and lattice points inside and on it.
+
+    Args:
+        scene: The scene.
+        k: Row of the object.
+        surface: Gaussians of the surface.
+        missing: Lattice points inside and on the surface.
+        transform: Placement of the object.
+        fine: Points inside of a lattice _FINENESS times as fine, in chunks, if the form is exact.
+
+    Raises room.TooLarge.
+    """
+    obj, spacing, gaps = scene.object[k], spacing_of(scene, scene.object[k]), missing.gap_points
+    shell = np.concatenate([surface.x, gaps])
+    voxels = Voxels.enclosing(np.concatenate([shell, missing.interior_points]), spacing)
+    below = ~np.isin(voxels.index(missing.interior_points), voxels.index(shell))
+    inner = missing.interior_points[below]
+    fraction = None  # None: every voxel counts in full
+    if fine is not None:
+        voxels.afford(BYTES_COUNTED)
+        fraction = fraction_by_supersampling(voxels, fine, _FINENESS)
+    elif obj.fill is not False:
+        voxels.afford(BYTES_NEIGHBORS)
+        fraction = fraction_by_neighbours(voxels, shell, inner)
+    if obj.role == "scenery":
+        voxels.afford(BYTES_DISTANCES)
+        collider = VoxelCollider.from_voxels(obj.name, voxels, voxels.solid(fraction, shell))
+        return BuiltObject(surface, np.zeros(len(surface)), transform, collider)
+    memory_estimate.require_particle_memory(
+        scene, {k: len(shell) + len(inner)}, memory_estimate.BYTES_PER_PARTICLE
+    )
+    # The gaps are drawn already by Gaussians that cover them, so these particles carry mass only.
+    unseen = interior_fill.filling(gaps, surface, spacing, 0.0)
+    # Through a hole a camera would see the filling of a body: there it carries mass only as well.
+    # The inside of bodies that flow or break becomes visible anyway.
+    shows = obj.fill == "shown" or scene.material[obj.material].family in FAMILIES_DRAWN_AS_SPHERES
+    drawn = missing.enclosed[below] | shows
+    filled = interior_fill.filling(inner, surface, spacing, np.where(drawn, obj.opacity, 0.0))
+    cloud = interior_fill.joined(interior_fill.joined(surface, unseen), filled)
+    skin = len(surface) + len(gaps)
+
+    def outline() -> VoxelCollider:
+        """Return the signed distance of the surface."""
+        voxels.afford(BYTES_DISTANCES)
+        return VoxelCollider.from_voxels(obj.name, voxels, voxels.solid(fraction, shell)).smoothed()
+
+    return BuiltObject(
+        cloud,
+        volumes(voxels, cloud.x, fraction),
+        transform,
+        surface_count=skin,
+        surface_sdf=outline,
+    )
+
+
+def _pruned(scene: Scene, obj: Object, piece: BuiltObject) -> tuple[BuiltObject, str]:
+    """Return the object with fewer particles, and text about it."""
+    skin = np.arange(len(piece.cloud)) < piece.surface_count
+    ball = scene.material[obj.material].family in FAMILIES_DRAWN_AS_SPHERES
+    if obj.prune == "paper":
+        pruned = prune.prune_versagauss(
+            piece.cloud, piece.volume, skin, obj.prune_scale, obj.passive, ball
+        )
+    else:
+        min_per_cell = max(obj.particles_per_cell, prune.AUTO_PER_CELL)
+        dx = scene.domain.cell
+        pruned = prune.prune_to_quality(
+            piece.cloud, piece.volume, skin, dx, min_per_cell, obj.passive, ball
+        )
+    surface_count = int(skin[pruned.retained].sum())
+    passive = pruned.dropped if obj.passive else None
+    thinner = replace(
+        piece,
+        cloud=pruned.cloud,
+        volume=pruned.volume,
+        surface_count=surface_count,
+        passive=passive,
+    )
+    return thinner, f"; {pruned.summary}"
+
+
+def isotropic_gaussians(
+    x: np.ndarray, spacing: float, rgb: np.ndarray, opacity: float, shade: np.ndarray | None = None
+) -> GaussianCloud:
+    """Return round Gaussians at lattice points, as large as a ball of a lattice cell's volume.
+
+    Args:
+        x: Lattice points, shape (n, 3) [m].
+        spacing: Lattice spacing [m].
+        rgb: Colors, shape (n, 3).
+        opacity: Opacity of all.
+        shade: Factors of the painted light, shape (n,), see `apply_baked_shading`.
+    """
+    n = len(x)
+    return GaussianCloud(
+        x,
+        np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
+        np.full((n, 3), _UNIT_BALL_RADIUS * spacing),
+        np.full(n, opacity),
+        dc_from_rgb(rgb)[:, None, :].astype(np.float32),
+        shade,
+    )
+
+
+def apply_baked_shading(
+    rgb: np.ndarray, normal: np.ndarray, amount: float
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Darken colors where the surface faces away from the light.
+
+    Gaussians carry no lights: without this a plain body is a flat silhouette. A renderer that has
+    lights divides by the factors.
+
+    Args:
+        rgb: Colors, shape (n, 3).
+        normal: Outward unit normals, shape (n, 3).
+        amount: Largest reduction, 0 to 1.
+
+    Returns:
+        Darkened colors (n, 3) and factors (n,), at least MIN_SHADE, or None if `amount` is 0.
+    """
+    facing = 0.5 + 0.5 * (normal * LIGHT).sum(axis=1)
+    factor = 1.0 - amount * (1.0 - facing)
+    shade = np.clip(factor, MIN_SHADE, 1.0).astype(np.float32) if amount else None
+    return rgb * factor[:, None], shade
+
+
+def _is_fluid(scene: Scene, obj: Object) -> bool:
+    """Return whether an object is a body of a fluid."""
+    return obj.role == "body" and scene.material[obj.material].family == "fluid"

@@ -1,0 +1,368 @@
+"""Builder of a scene's particles: makes its objects on one rank, checks and joins them."""
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from vgmpi.gaussians.formats.validation import GaussianFileError
+from vgmpi.planning.color_exchange import color_sets
+from vgmpi.planning.particle_channels import SURFACE
+from vgmpi.planning.phases_and_groups import phases_with_surface, stores_deformation
+from vgmpi.preprocess.meshes.surface_mesh import MeshError
+from vgmpi.preprocess.sampling.voxels import Voxels
+from vgmpi.runtime import memory_budget
+from vgmpi.scene.inlets_outlets import Inlet
+from vgmpi.scene.objects import Object
+from vgmpi.scene.scene import Scene
+
+from . import inlet_particles, memory_estimate
+from .collider_sdf import Collider, ShapeCollider, with_motion
+from .initial_conditions import apply_initial_conditions
+from .initial_velocity import initial_velocity
+from .load_targets import ResolvedLoad, resolve_loads
+from .motion_checks import validate_body_motion, validate_collider_motion
+from .object_builder import BuiltObject, build_object
+from .passive_gaussians import bind_passive
+from .placement import PlacementError
+from .surface_descriptor import with_surface_descriptor
+
+log = logging.getLogger("vgmpi")
+
+Pieces = list[BuiltObject] | dict[int, BuiltObject]  # by row of the object
+
+
+@dataclass(frozen=True)
+class Scenery:
+    """Gaussians that are only drawn.
+
+    x (s, 3) [m], cov0 (s, 6) [m2], opacity (s,), sh (s, K, 3), object (s,), the row of each one's
+    object in the scene, and shade (s,) as in `PreparedScene`.
+    """
+
+    x: np.ndarray
+    cov0: np.ndarray
+    opacity: np.ndarray
+    sh: np.ndarray
+    object: np.ndarray
+    shade: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Passive:
+    """Gaussians without mass that are carried by particles.
+
+    The fields are those of `Scenery`, and carriers (s, 4), the ids of the particles that carry
+    each, with their weights (s, 4).
+    """
+
+    x: np.ndarray
+    cov0: np.ndarray
+    opacity: np.ndarray
+    sh: np.ndarray
+    object: np.ndarray
+    carriers: np.ndarray
+    weights: np.ndarray
+    shade: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class PreparedScene:
+    """Particles of a scene; row number is particle id, rows of one object are contiguous.
+
+    x (n, 3) [m] and v0 (n, 3) [m/s] in double; vol0 (n,) rest volumes [m3]; object (n,) int32 rows
+    of `objects`; cov0 (n, 6) [m2], opacity (n,) and sh (n, K, 3) single, K the largest of any
+    object, zero where an object has fewer. objects: one dict per object of the scene (scenery too).
+    """
+
+    x: np.ndarray
+    v0: np.ndarray
+    vol0: np.ndarray
+    object: np.ndarray
+    cov0: np.ndarray
+    opacity: np.ndarray
+    sh: np.ndarray
+    scenery: Scenery | None
+    objects: list[dict[str, Any]]
+    colliders: list[Collider]
+    theta0: np.ndarray  # (n,) ln J at the start
+    loads: list[ResolvedLoad]
+    passive: Passive | None = None
+    surface0: np.ndarray | None = (
+        None  # (n, 10) see planning/particle_channels.py, None if not needed
+    )
+    shade: np.ndarray | None = None  # (n,) factors of the light painted on sh; None if all are 1
+
+
+def build_scene(scene: Scene) -> PreparedScene:
+    """Make all particles of a scene.
+
+    Raises:
+        SceneError: All objects that cannot be made or do not fit into the memory, and loads that
+            act on nothing.
+    """
+    memory_estimate.require_memory_for_shapes(scene)
+    inlet_particles.require_inlet_memory(scene)
+    pieces: list[BuiltObject] = []
+    errors: list[tuple[tuple, str]] = []
+    touched = phases_with_surface(scene)
+    for k, obj in enumerate(scene.object):
+        try:
+            piece = apply_initial_conditions(scene, obj, build_object(scene, k))
+            needed = obj.role == "body" and scene.phase_of(obj) in touched
+            piece = replace(piece, collider=with_motion(piece.collider, obj.motion))
+            pieces.append(with_surface_descriptor(scene, piece, needed))
+            invalid = validate_collider_motion(scene, piece.collider) + validate_body_motion(
+                scene, obj, piece.cloud.x
+            )
+            errors += [(("object", k, *key), message) for key, message in invalid]
+            if piece.summary:
+                log.info("'%s': %s", obj.name, _object_summary(scene, obj, piece))
+        except PlacementError as error:
+            errors.append((("object", k, error.key), str(error)))
+        except (GaussianFileError, MeshError) as error:
+            errors.append((("object", k, obj.source), str(error)))
+        except memory_budget.InsufficientMemoryError as error:
+            errors.append((memory_estimate.key(scene, k), f"object '{obj.name}': {error}"))
+    if errors:
+        raise scene.error(errors)
+    memory_estimate.require_particle_memory(
+        scene,
+        {k: len(piece.cloud) for k, piece in enumerate(pieces)},
+        memory_estimate.BYTES_PER_PARTICLE_MERGED,
+    )
+    _warn_of_overlaps(scene, pieces)
+    _warn_of_locking(scene)
+    _report_flip_ratio(scene)
+    inlet_particles.validate_inlets_outlets(
+        scene, pieces, [p.collider for p in pieces if p.collider is not None]
+    )
+    return _join(scene, [*pieces, *inlet_particles.reserve_inlet_particles(scene)])
+
+
+def _object_summary(scene: Scene, obj: Object, piece: BuiltObject) -> str:
+    """Return text on a body: particles, volume [l] and mass [kg]."""
+    volume = float(piece.volume.sum())
+    mass = scene.material[obj.material].bulk_density * volume
+    return f"{piece.summary}: {1e3 * volume:.3g} l, {mass:.3g} kg"
+
+
+def _warn_of_overlaps(scene: Scene, pieces: list[BuiltObject]) -> None:
+    """Warn of bodies that share space, since doubly occupied space is pushed apart violently."""
+    spacing = scene.domain.cell / 2
+    # Bodies with a volume fraction are meant to lie over each other.
+    bodies = [
+        k
+        for k, obj in enumerate(scene.object)
+        if obj.role == "body" and obj.fraction == 1.0 and obj.fraction_profile is None
+    ]
+    if not bodies:
+        return
+    voxels = Voxels.enclosing(
+        np.concatenate([pieces[k].cloud.x for k in bodies]), spacing, margin=0
+    )
+    voxels_of = [np.unique(voxels.index(pieces[k].cloud.x)) for k in bodies]
+    size = np.array([len(each) for each in voxels_of])
+    voxel = np.unique(np.concatenate(voxels_of), return_inverse=True)[1].ravel()
+    rows = np.repeat(np.arange(len(bodies)), size)
+    occupancy = sparse.csr_array((np.ones(len(rows), dtype=np.int64), (rows, voxel)))
+    shared = sparse.triu(
+        occupancy @ occupancy.T, k=1
+    ).tocsr()  # number of shared voxels of each pair that has any
+    shared.sort_indices()
+    first, second = shared.nonzero()
+    for a, b, count in zip(first, second, shared.data, strict=True):
+        if count > 0.02 * min(size[a], size[b]):
+            log.warning(
+                "'%s' and '%s' overlap by %.3g l: they will push each other apart",
+                scene.object[bodies[a]].name,
+                scene.object[bodies[b]].name,
+                1e3 * count * spacing**3,
+            )
+
+
+def _warn_of_locking(scene: Scene) -> None:
+    """Warn of nearly incompressible materials: linear shapes in a cell lock when they bend."""
+    for name, material in scene.material.items():
+        ratio = getattr(material, "poisson_ratio", 0.0)
+        if ratio > 0.45:
+            log.warning("material '%s': poisson_ratio = %g is above 0.45: it will bend too stiffly",
+                        name, ratio)  # fmt: skip
+
+
+def _report_flip_ratio(scene: Scene) -> None:
+    """Log that a FLIP ratio per step makes losses depend on the time step."""
+    if scene.accuracy.keeps and scene.accuracy.flip is not None:
+        log.info(
+            "accuracy.flip = %g is kept in each step: the shorter the step, the more is lost;"
+            " accuracy.damping is a time",
+            scene.accuracy.flip,
+        )
+
+
+def _join(scene: Scene, pieces: list[BuiltObject]) -> PreparedScene:
+    """Return the particles of all objects and inlets, joined."""
+    bodies = [k for k, entity in enumerate(scene.things) if entity.role != "scenery"]
+    scenery_rows = [k for k, entity in enumerate(scene.object) if entity.role == "scenery"]
+    terms = max(piece.cloud.sh.shape[1] for piece in pieces)
+    objects, first_id, sets = [], 0, color_sets(scene)
+    for k, entity in enumerate(scene.things):
+        count = len(pieces[k].cloud) if entity.role != "scenery" else 0
+        objects.append(_describe(scene, entity, pieces[k], sets[k], first_id, count))
+        first_id += count
+    scenery = None
+    if scenery_rows:
+        scenery = Scenery(
+            x=_rows(pieces, scenery_rows, lambda p: p.cloud.x),
+            **_appearance(pieces, scenery_rows, terms),
+            object=_owners(pieces, scenery_rows),
+        )
+    x = _rows(pieces, bodies, lambda p: p.cloud.x)
+    vol0, owner = _rows(pieces, bodies, lambda p: p.volume), _owners(pieces, bodies)
+    return PreparedScene(
+        x=x,
+        v0=np.concatenate([_velocity(scene, k, pieces[k]) for k in bodies]),
+        vol0=vol0,
+        object=owner,
+        **_appearance(pieces, bodies, terms),
+        scenery=scenery,
+        objects=objects,
+        colliders=_colliders(scene, pieces, x),
+        theta0=_rows(pieces, bodies, _theta),
+        loads=resolve_loads(scene, x, vol0, owner),
+        passive=_passive_gaussians(pieces, objects, terms),
+        surface0=_surfaces(pieces, bodies),
+    )
+
+
+def _colliders(scene: Scene, pieces: list[BuiltObject], x: np.ndarray) -> list[Collider]:
+    """Return the colliders; particles of bodies are at x (n, 3) [m]."""
+    size, dx = np.array(scene.domain.size), scene.domain.cell
+    return [
+        collider.without_outer_side(x, size, dx)
+        if isinstance(collider, ShapeCollider)
+        else collider
+        for collider in (piece.collider for piece in pieces)
+        if collider is not None
+    ]
+
+
+def _velocity(scene: Scene, k: int, piece: BuiltObject) -> np.ndarray:
+    """Return the initial velocities (n, 3) [m/s] of one object or inlet."""
+    entity = scene.things[k]
+    if isinstance(entity, Inlet):
+        return inlet_particles.velocity(scene, entity, len(piece.cloud))
+    return initial_velocity(entity, piece.cloud.x, piece.volume)
+
+
+def _surfaces(pieces: list[BuiltObject], bodies: list[int]) -> np.ndarray | None:
+    """Return the surface descriptors of all bodies, zeros where there is none; None without any."""
+    if all(pieces[k].surface_descriptor is None for k in bodies):
+        return None
+    return _rows(pieces, bodies, _surface).astype(np.float32)
+
+
+def _surface(piece: BuiltObject) -> np.ndarray:
+    """Return the surface descriptors (n, 10) of one object, zeros where it has none."""
+    return (
+        np.zeros((len(piece.cloud), SURFACE))
+        if piece.surface_descriptor is None
+        else piece.surface_descriptor
+    )
+
+
+def _passive_gaussians(
+    pieces: list[BuiltObject], objects: list[dict[str, Any]], terms: int
+) -> Passive | None:
+    """Return the passive Gaussians of all objects, bound to the particles of their object."""
+    chosen = [k for k, piece in enumerate(pieces) if piece.passive is not None]
+    riders = {k: replace(pieces[k], cloud=pieces[k].passive) for k in chosen}
+    if not sum(len(rider.cloud) for rider in riders.values()):
+        return None
+    bindings = [bind_passive(pieces[k].cloud.x, riders[k].cloud.x) for k in chosen]
+    return Passive(
+        x=_rows(riders, chosen, lambda p: p.cloud.x),
+        **_appearance(riders, chosen, terms),
+        object=_owners(riders, chosen),
+        carriers=np.concatenate([objects[k]["first"] + t[0] for k, t in zip(chosen, bindings)]),
+        weights=np.concatenate([t[1] for t in bindings]).astype(np.float32),
+    )
+
+
+def _describe(
+    scene: Scene, entity: Object | Inlet, piece: BuiltObject, colour_set: int | None, first: int,
+    count: int,
+) -> dict[str, Any]:  # fmt: skip
+    """Return the entry of one object in output files, as JSON values.
+
+    Args:
+        scene: The scene.
+        entity: Object or inlet.
+        piece: Its particles.
+        colour_set: Number of its set of bodies that exchange colors.
+        first: Id of its first particle.
+        count: Number of its particles.
+    """
+    material = scene.material[entity.material] if entity.material else None
+    family = material.family if material else None
+    return {
+        "name": entity.name,
+        "role": entity.role,
+        "material": entity.material,
+        "kind": material.kind if material else None,
+        "family": family,
+        "deforms": stores_deformation(scene, entity),
+        "phase": scene.phase_of(entity),
+        "colour_set": colour_set,
+        "density": material.bulk_density if material else None,
+        "first": first,
+        "count": count,
+        "opacity_scale": entity.opacity_scale,
+        "alpha_min": entity.alpha_threshold,
+        "transform": piece.placement.matrix(),
+        "color": list(entity.colour),
+        "collider": entity.collider,
+        "surface": piece.surface_descriptor is not None,
+    } | ({"moves": True} if entity.collider and entity.motion is not None else {})
+
+
+def _theta(piece: BuiltObject) -> np.ndarray:
+    """Return ln J (n,) at the start."""
+    return np.zeros(len(piece.cloud)) if piece.theta is None else piece.theta
+
+
+def _appearance(pieces: Pieces, chosen: list[int], terms: int) -> dict[str, Any]:
+    """Return covariance, opacity, padded color coefficients and baked light as float32."""
+
+    def padded(piece: BuiltObject) -> np.ndarray:
+        """Return the coefficients with zeros up to `terms`."""
+        sh = piece.cloud.sh
+        return np.pad(sh, ((0, 0), (0, terms - sh.shape[1]), (0, 0)))
+
+    return {
+        "cov0": _rows(pieces, chosen, lambda p: p.cloud.cov().astype(np.float32)),
+        "opacity": _rows(pieces, chosen, lambda p: p.cloud.opacity.astype(np.float32)),
+        "sh": _rows(pieces, chosen, padded),
+        "shade": _shade(pieces, chosen),
+    }
+
+
+def _shade(pieces: Pieces, chosen: list[int]) -> np.ndarray | None:
+    """Return the factors (n,) of the baked light; None if all are 1."""
+    if all(pieces[k].cloud.shade is None for k in chosen):
+        return None
+    shade = _rows(pieces, chosen, lambda p: p.cloud.shades)
+    return shade if (shade != 1).any() else None
+
+
+def _rows(pieces: Pieces, chosen: list[int], part: Callable[[BuiltObject], Any]) -> np.ndarray:
+    """Return an array of several objects, joined."""
+    return np.concatenate([part(pieces[k]) for k in chosen])
+
+
+def _owners(pieces: Pieces, chosen: list[int]) -> np.ndarray:
+    """Return the row of the object (n,) of each particle."""
+    return np.repeat(np.array(chosen, dtype=np.int32), [len(pieces[k].cloud) for k in chosen])

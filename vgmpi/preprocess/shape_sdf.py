@@ -1,0 +1,305 @@
+"""Signed distance, support and color of shapes, and the lattice of particles inside.
+
+Distances are in the shape's own coordinates [m], negative inside.
+"""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from vgmpi.scene.shapes import Cone, CylinderShape, Shape, Torus
+
+Judge = Callable[[np.ndarray], np.ndarray]  # points (n, 3) -> bool (n,)
+
+# Lattice points are judged this share of a spacing up from where they lie, so that a face that
+# runs exactly through a layer of points takes the layer at the low side and leaves the one at the
+# high side, whatever rounding says.
+TIE = 1e-6
+BLOCK = 16  # points along an edge of the cubes that are tested as a whole
+_POINTS_PER_BATCH = 500_000  # points tested together
+
+
+def distance(shape: Shape, points: np.ndarray) -> np.ndarray:
+    """Return the signed distance (n,) of `points` (n, 3) to the shape's surface.
+
+    Exact for box, sphere, cylinder, capsule, cone and torus; first order near an ellipsoid; a bound
+    on the true distance for unions from inside, blended ones and differences (Quilez 2008).
+    """
+    form = getattr(shape, shape.form)
+    match shape.form:
+        case "box":
+            low, high = np.asarray(form)
+            return _from_box(np.abs(points - (low + high) / 2) - (high - low) / 2)
+        case "sphere":
+            return _length(points - np.asarray(form.center)) - form.radius
+        case "ellipsoid":
+            return _from_ellipsoid(points - np.asarray(form.center), np.asarray(form.radii))
+        case "cylinder":
+            return _from_cylinder(form, points)
+        case "capsule":
+            along, across, length = _rod_coordinates(form, points)
+            beyond = along - np.clip(along, 0.0, length)
+            return np.hypot(beyond, across) - form.radius
+        case "cone":
+            return _from_cone(form, points)
+        case "torus":
+            along, across = _about_axis(form, points)
+            return np.hypot(across - form.radius, along) - form.tube
+        case "union":
+            return _union((distance(part, points) for part in form), shape.blend)
+    out = distance(form[0], points)
+    for part in form[1:]:  # one after the other, since there may be hundreds
+        out = np.maximum(out, -distance(part, points))
+    return out
+
+
+def support(shape: Shape, direction: np.ndarray) -> float:
+    """Return the largest x . direction over the shape's points x (support function).
+
+    For a difference it is that of its first part, for a blended union that of its parts (see
+    `bulge`).
+    """
+    form = getattr(shape, shape.form)
+    d = np.asarray(direction, dtype=float)
+    match shape.form:
+        case "box":
+            return float(np.maximum(d * form[0], d * form[1]).sum())
+        case "sphere":
+            return float(d @ form.center + form.radius * np.linalg.norm(d))
+        case "ellipsoid":
+            return float(d @ form.center + np.linalg.norm(d * form.radii))
+        case "cylinder":
+            a, b = np.asarray(form.ends)
+            axis = (b - a) / np.linalg.norm(b - a)
+            return float(max(d @ a, d @ b) + form.radius * np.linalg.norm(d - (d @ axis) * axis))
+        case "capsule":
+            return float(
+                max(d @ np.asarray(e) for e in form.ends) + form.radius * np.linalg.norm(d)
+            )
+        case "cone":
+            a, b = np.asarray(form.ends)
+            axis = (b - a) / max(float(np.linalg.norm(b - a)), 1e-300)
+            wide = np.linalg.norm(d - (d @ axis) * axis)
+            return float(max(d @ a + form.radii[0] * wide, d @ b + form.radii[1] * wide))
+        case "torus":
+            flat = np.linalg.norm(d - (d @ form.axis) * np.asarray(form.axis))
+            return float(d @ form.center + form.radius * flat + form.tube * np.linalg.norm(d))
+        case "union":
+            return max(support(part, d) for part in form)
+    return support(form[0], d)
+
+
+def blend_overhang(shape: Shape) -> float:
+    """Return the distance [m] by which blending may push the shape beyond its support."""
+    if shape.form not in ("union", "difference"):
+        return 0.0
+    parts = getattr(shape, shape.form)
+    if shape.form == "difference":
+        return blend_overhang(parts[0])
+    return max(blend_overhang(part) for part in parts) + (len(parts) - 1) * (shape.blend or 0.0) / 4
+
+
+def is_lipschitz(shape: Shape) -> bool:
+    """Return whether `distance` changes by at most the distance of two points.
+
+    This does not hold near an ellipsoid.
+    """
+    parts = getattr(shape, shape.form) if shape.form in ("union", "difference") else ()
+    return shape.form != "ellipsoid" and all(is_lipschitz(part) for part in parts)
+
+
+def colors(shape: Shape, points: np.ndarray, default: tuple) -> np.ndarray:
+    """Return the color (n, 3) of `points`: that of the first part around them, or `default`."""
+    color = shape.colour or default
+    if shape.form == "difference":
+        return colors(shape.difference[0], points, color)
+    out = np.tile(np.asarray(color, dtype=float), (len(points), 1))
+    if shape.form == "union":
+        holder, nearest = np.zeros(len(points), dtype=np.int64), np.full(len(points), np.inf)
+        for k, part in enumerate(shape.union):
+            # Points in no part (scenery's skin, rounding) take the nearest.
+            depth = distance(part, points)
+            nearer = (nearest > 0) & (depth < nearest)
+            holder[nearer], nearest[nearer] = k, depth[nearer]
+        for k, part in enumerate(shape.union):
+            rows = holder == k
+            out[rows] = colors(part, points[rows], color)
+    return out
+
+
+def normals(shape: Shape, points: np.ndarray, step: float) -> np.ndarray:
+    """Return outward unit normals (n, 3) by central differences over 2 `step` [m]."""
+    out = np.empty_like(points)
+    for axis in range(3):
+        shift = np.zeros(3)
+        shift[axis] = step
+        out[:, axis] = distance(shape, points + shift) - distance(shape, points - shift)
+    size = _length(out)[:, None]
+    return np.where(size > 0, out / np.maximum(size, 1e-300), (0.0, 0.0, 1.0))
+
+
+def lattice(
+    inside: Judge, low: np.ndarray, high: np.ndarray, spacing: float, is_empty: Judge | None = None
+) -> np.ndarray:
+    """Return the lattice points (n, 3), cell centers (i + 1/2) spacing, for which `inside` is true.
+
+    Args:
+        inside: Called with points (m, 3), few at a time so that memory stays bounded; returns (m,)
+            bool.
+        low: Lower corner of the searched region, shape (3,) [m].
+        high: Upper corner of the searched region, shape (3,) [m].
+        spacing: Lattice spacing [m].
+        is_empty: Called with the centers (b, 3) of cubes of BLOCK points; whether `inside` is true
+            of
+            no point in each, (b,) bool. These cubes are not searched.
+    """
+    return np.concatenate([np.empty((0, 3)), *lattice_chunks(inside, low, high, spacing, is_empty)])
+
+
+def lattice_chunks(
+    inside: Judge, low: np.ndarray, high: np.ndarray, spacing: float, is_empty: Judge | None = None
+) -> Iterator[np.ndarray]:
+    """Yield the points of `lattice` in chunks, in order.
+
+    Args:
+        inside: See `lattice`.
+        low: See `lattice`.
+        high: See `lattice`.
+        spacing: See `lattice`.
+        is_empty: See `lattice`.
+    """
+    start, stop = _ends(low, high, spacing)
+    if is_empty is None:
+        for index in _boxes(start, stop, np.array([1, 1, 1]), _POINTS_PER_BATCH):
+            points = (index + 0.5) * spacing
+            yield points[inside(points + TIE * spacing)]
+        return
+    cube = np.stack(np.meshgrid(*[np.arange(BLOCK)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    size = stop - start
+    for first in range(
+        start[0], stop[0], BLOCK
+    ):  # the points of a layer of cubes are sorted together
+        layer = [np.empty((0, 3), dtype=np.int64)]
+        corner = np.array([first, start[1], start[2]])
+        for cubes in _boxes(
+            corner, np.array([first + 1, *stop[1:]]), np.array([BLOCK] * 3), _POINTS_PER_BATCH
+        ):
+            centers = (cubes + BLOCK / 2 + TIE) * spacing
+            cubes = cubes[~is_empty(centers)]
+            for first_cube in range(0, len(cubes), _POINTS_PER_BATCH // BLOCK**3):
+                chunk = cubes[first_cube : first_cube + _POINTS_PER_BATCH // BLOCK**3]
+                index = (chunk[:, None] + cube).reshape(-1, 3)
+                index = index[(index < stop).all(axis=1)]
+                layer.append(index[inside((index + 0.5) * spacing + TIE * spacing)])
+        index = np.concatenate(layer)
+        key = (index - start) @ np.array([size[1] * size[2], size[2], 1])
+        yield (index[np.argsort(key)] + 0.5) * spacing
+
+
+def prefer_block_search(low: np.ndarray, high: np.ndarray, spacing: float) -> bool:
+    """Return whether the region is so wide that testing cubes of points first saves time."""
+    return BLOCK * lattice_size(low[1:], high[1:], spacing) >= _POINTS_PER_BATCH
+
+
+def lattice_size(low: np.ndarray, high: np.ndarray, spacing: float) -> float:
+    """Return the approximate number of lattice points in the region that `lattice` searches."""
+    return float(np.prod(np.ceil((np.asarray(high) - low) / spacing) + 2.0))
+
+
+def _ends(low, high, spacing: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return indices (3,) of the first lattice point in a region, and of the one after the last."""
+    start = np.floor(np.asarray(low) / spacing).astype(np.int64) - 1
+    return start, np.ceil(np.asarray(high) / spacing).astype(np.int64) + 1
+
+
+def _boxes(start, stop, step, limit: int) -> Iterator[np.ndarray]:
+    """Yield indices (m, 3) from start to stop in steps, in order, about `limit` at a time."""
+    x, y, z = (range(*map(int, ends)) for ends in zip(start, stop, step, strict=True))
+    nz = min(len(z), limit)
+    ny = min(len(y), max(1, limit // max(1, nz))) if nz == len(z) else 1
+    nx = max(1, limit // max(1, nz * ny)) if ny == len(y) else 1
+    for i in range(0, len(x), nx):
+        for j in range(0, len(y), max(1, ny)):
+            for k in range(0, len(z), max(1, nz)):
+                axes = (x[i : i + nx], y[j : j + ny], z[k : k + nz])
+                yield np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def _length(v: np.ndarray) -> np.ndarray:
+    """Return the lengths of vectors (n, 3)."""
+    return np.sqrt(v[:, 0] ** 2 + v[:, 1] ** 2 + v[:, 2] ** 2)
+
+
+def _from_box(q: np.ndarray) -> np.ndarray:
+    """Return the distance from |x - center| - half edges, both (n, k)."""
+    outside = np.maximum(q, 0.0)
+    return np.sqrt((outside**2).sum(axis=1)) + np.minimum(q.max(axis=1), 0.0)
+
+
+def _from_ellipsoid(x: np.ndarray, radii: np.ndarray) -> np.ndarray:
+    """Return the approximate distance to an ellipsoid."""
+    k0, k1 = _length(x / radii), _length(x / radii**2)
+    estimate = k0 * (k0 - 1.0) / np.maximum(k1, 1e-300)
+    return np.where(k1 > 0, estimate, -radii.min())
+
+
+def _union(parts: Iterator[np.ndarray], blend: float | None) -> np.ndarray:
+    """Return the distance (n,) to the union of parts with given distances.
+
+    Blended (Quilez 2013): each pair within `blend` of each other loses up to a quarter of it, so
+    that edges between them become parabolas; slopes stay at most 1.
+    """
+    out = next(parts)
+    for part in parts:
+        lower = np.minimum(out, part)
+        if blend is not None:
+            lower = lower - np.maximum(blend - np.abs(out - part), 0.0) ** 2 / (4 * blend)
+        out = lower
+    return out
+
+
+def _about_axis(ring: Torus, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the distances along the axis from the center, and from the axis."""
+    x, axis = points - np.asarray(ring.center), np.asarray(ring.axis)
+    along = x[:, 0] * axis[0] + x[:, 1] * axis[1] + x[:, 2] * axis[2]
+    return along, _length(x - along[:, None] * axis)
+
+
+def _from_cone(cone: Cone, points: np.ndarray) -> np.ndarray:
+    """Return the distance from the two flat ends and the slope between their rims.
+
+    It is computed in the half-plane of the axis.
+    """
+    along, across, length = _rod_coordinates(cone, points)
+    first, second = cone.radii
+    # The ends are discs at 0 and at `length`.
+    is_first_half = along <= length / 2
+    beyond = np.maximum(across - np.where(is_first_half, first, second), 0.0)
+    to_end = np.where(is_first_half, along, along - length) ** 2 + beyond**2
+    # The slope goes from (0, first) to (length, second).
+    slope = (length, second - first)
+    fraction = along * slope[0] + (across - first) * slope[1]
+    fraction = np.clip(fraction / max(slope[0] ** 2 + slope[1] ** 2, 1e-300), 0.0, 1.0)
+    to_slope = (along - fraction * slope[0]) ** 2 + (across - first - fraction * slope[1]) ** 2
+    inside = (along > 0) & (along < length)
+    inside &= across * length < first * length + along * slope[1]
+    return np.where(inside, -1.0, 1.0) * np.sqrt(np.minimum(to_end, to_slope))
+
+
+def _rod_coordinates(
+    rod: CylinderShape | Cone, points: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return the distances along the axis from its first end and from it, and its length."""
+    a, b = np.asarray(rod.ends)
+    length = float(np.linalg.norm(b - a))
+    axis = (b - a) / max(length, 1e-300)
+    x = points - a
+    along = x[:, 0] * axis[0] + x[:, 1] * axis[1] + x[:, 2] * axis[2]
+    return along, _length(x - along[:, None] * axis), length
+
+
+def _from_cylinder(rod: CylinderShape, points: np.ndarray) -> np.ndarray:
+    """Return the distance to a cylinder."""
+    along, across, length = _rod_coordinates(rod, points)
+    q = np.stack([np.abs(along - length / 2) - length / 2, across - rod.radius], axis=1)
+    return _from_box(q)

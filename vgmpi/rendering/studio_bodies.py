@@ -1,0 +1,228 @@
+"""Bodies of a run for the studio: materials, spacings and surface normals."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .appearance import Appearance
+from .frame_gaussians import GaussianBatch
+from .studio import body_normals, lattice_deformation
+
+GRANULAR = ("sand", "snow")
+TEAR_LIMITS = 4.0, 6.5  # [spacings] lattice links of a liquid tear between these lengths
+SIDES = ("west", "south", "floor", "east", "north", "roof")
+SCENERY_SPACING = 1.6  # [standard deviations] assumed spacing of Gaussians of scenery
+
+
+@dataclass(frozen=True)
+class Domain:
+    """Domain of a run. low, high: corners [m]. walls: (6,) bool, -x -y -z +x +y +z."""
+
+    low: np.ndarray
+    high: np.ndarray
+    walls: np.ndarray
+
+    @property
+    def size(self) -> np.ndarray:
+        """Edge lengths [m], (3,)."""
+        return self.high - self.low
+
+    @property
+    def box(self) -> np.ndarray:
+        """Both corners (6,) [m]."""
+        return np.concatenate([self.low, self.high])
+
+
+def domain_of(run, walled: bool) -> Domain:
+    """Return the domain of a run.
+
+    It is the extent of the particles, without walls, if the scene does not hold the domain.
+    """
+    try:
+        domain = run.scene["domain"]
+        size = np.array(domain["size"], dtype=np.float64)
+        kinds = domain["boundary"]
+        walls = [(kinds.get(side) or kinds["default"])["kind"] != "open" for side in SIDES]
+        if size.shape == (3,) and (size > 0).all() and np.isfinite(size).all():
+            return Domain(np.zeros(3), size, np.array(walls) & walled)
+    except (KeyError, TypeError, ValueError, AttributeError):
+        pass
+    x = np.asarray(run.gaussians.x0)
+    low, high = x.min(axis=0), x.max(axis=0)
+    return Domain(low, np.maximum(high, low + 1e-6), np.zeros(6, bool))
+
+
+def tearing(
+    look: Appearance, tear: tuple[float, float]
+) -> tuple[np.ndarray, lattice_deformation.Links]:
+    """Return tearing distances (n,) [m] and rest neighbors of fluids, sand and snow."""
+    gaussians = look.run.gaussians
+    x0, count = np.asarray(gaussians.x0, dtype=np.float64), len(gaussians.object)
+    spacing = np.cbrt(look.vol0)
+    tearing_distance = np.full(count, 1.0)
+    axes, row = np.full((count, 6), -1, np.int32), np.full(count, -1, np.int32)
+    nearest, offsets = [np.zeros((0, lattice_deformation.NEIGHBORS), np.int32)], []
+    offsets.append(np.zeros((0, lattice_deformation.NEIGHBORS, 3), np.float32))
+    linked_count = 0
+    for k, entry in enumerate(look.objects):
+        members = np.flatnonzero(look.object == k)
+        family = entry.get("family")
+        if not len(members) or (family != "fluid" and family not in GRANULAR):
+            continue
+        s = float(np.median(spacing[members]))
+        limits = TEAR_LIMITS if family == "fluid" else tear
+        tearing_distance[members] = lattice_deformation.tearing_distance(x0[members], s, *limits, k)
+        links = lattice_deformation.link(x0[members], s)
+        axes[members] = np.where(links.axes >= 0, members[links.axes], -1)
+        row[members] = np.where(links.row >= 0, links.row + linked_count, -1)
+        nearest.append(members[links.nearest].astype(np.int32))
+        offsets.append(links.offsets)
+        linked_count += len(links.nearest)
+    return tearing_distance, lattice_deformation.Links(
+        axes, np.concatenate(nearest), np.concatenate(offsets), row
+    )
+
+
+class Bodies:
+    """Material of each particle, and rest normals of opaque bodies."""
+
+    def __init__(self, look: Appearance):
+        self.look = look
+        gaussians, objects = look.run.gaussians, look.objects
+        family = [entry.get("family") for entry in objects]
+        captured = _is_capture(look.run, objects)
+        object_ids = look.object
+        self.fluid = np.array([f == "fluid" for f in family] or [False])[object_ids]
+        self.granular = np.array([f in GRANULAR for f in family] or [False])[object_ids]
+        self.sandy = np.array([f == "sand" for f in family] or [False])[object_ids]
+        self.captured = captured[object_ids]
+        scale = [entry.get("opacity_scale") for entry in objects] or [None]
+        scale = np.array([1.0 if s is None else float(s) for s in scale])
+        requested = look.opacity_scales
+        self.opaqueness = np.where(np.isfinite(requested), requested, scale)[object_ids]
+        self.spacing = np.cbrt(look.vol0)
+        x0 = np.asarray(gaussians.x0, dtype=np.float64)
+        self.normal = np.zeros_like(x0)
+        for k in range(len(objects)):
+            members = np.flatnonzero(object_ids == k)
+            if len(members) and not self.fluid[members[0]] and not self.granular[members[0]]:
+                s = float(np.cbrt(np.median(look.vol0[members])))
+                self.normal[members] = body_normals.density_normals(x0[members], s)
+        self.scenery_normal = self.scenery_kind = self.scenery_volume = None
+        if look.scenery is not None:
+            self._scenery(gaussians.scenery, captured)
+        if look.passive is not None:
+            object_ids = np.asarray(gaussians.passive.object)
+            self.rider_kind = _kind_shares(captured[object_ids])
+            w = np.asarray(gaussians.passive.weights, dtype=np.float64)
+            carrier_normals = self.normal[np.asarray(gaussians.passive.carriers)]
+            self.rider_normal = np.einsum("pk,pki->pi", w, carrier_normals)
+
+    def _scenery(self, rows, captured) -> None:
+        """Determine normals, volumes and kinds of the scenery."""
+        x0, object_ids = np.asarray(rows.x0, dtype=np.float64), np.asarray(rows.object)
+        sd = np.sqrt(
+            np.maximum(np.asarray(rows.cov0, dtype=np.float64)[:, (0, 3, 5)].max(axis=1), 0)
+        )
+        self.scenery_normal, self.scenery_volume = np.zeros_like(x0), np.zeros(len(x0))
+        for k in np.unique(object_ids):
+            members = np.flatnonzero(object_ids == k)
+            s = max(SCENERY_SPACING * float(np.median(sd[members])), 1e-9)
+            self.scenery_normal[members] = body_normals.density_normals(x0[members], s)
+            self.scenery_volume[members] = s**3
+        self.scenery_kind = _kind_shares(captured[object_ids])
+
+    def opaque(
+        self, parts: list[GaussianBatch], particle_part: int, frame: dict, solid: np.ndarray
+    ) -> tuple:
+        """Return opaque parts with their normals, kinds, and the shading in their colors.
+
+        Args:
+            parts: Gaussians of the frame, of Look.parts.
+            particle_part: Index of the part with the particles.
+            frame: Arrays of the frame.
+            solid: Rows of the particles that are neither fluid nor sand nor snow.
+        """
+        ids = np.asarray(frame["id"])[solid]
+        normal = self._current_normals(ids, frame, solid)
+        out = [
+            (
+                parts[particle_part].subset_rows(solid),
+                normal,
+                _kind_shares(self.captured[ids]),
+                _shade_of_rows(self.look.shade, ids),
+            )
+        ]
+        if particle_part:
+            rotated = self.scenery_normal.copy()
+            scenery = self.look.scenery
+            for rows, pose in zip(scenery.moving, frame.get("poses", ())):
+                rotated[rows] = rotated[rows] @ np.asarray(pose)[:3, :3].T
+            shade = getattr(self.look.run.gaussians.scenery, "shade", None)
+            out.insert(0, (parts[0], rotated, self.scenery_kind, shade))
+        if len(parts) > particle_part + 1:
+            rider_rows = parts[particle_part + 1].rider_rows
+            riders, F = self.rider_normal[rider_rows], parts[particle_part + 1].deformation
+            rotated = riders
+            if F is not None:
+                rotated = np.empty_like(riders)
+                body_normals.turn_normals(
+                    riders, np.ascontiguousarray(F, dtype=np.float64), rotated
+                )
+            shade = getattr(self.look.run.gaussians.passive, "shade", None)
+            out.append(
+                (
+                    parts[particle_part + 1],
+                    rotated,
+                    self.rider_kind[rider_rows],
+                    _shade_of_rows(shade, rider_rows),
+                )
+            )
+        return tuple(map(list, zip(*out)))
+
+    def _current_normals(self, ids, frame, rows) -> np.ndarray:
+        """Return the normals of solids in a frame."""
+        rest_normals = self.normal[ids]
+        deforms = np.array(
+            [bool(e.get("deforms", e.get("family") == "solid")) for e in self.look.objects]
+        )
+        deformed = (
+            np.flatnonzero(deforms[self.look.object[ids]]) if len(deforms) else np.zeros(0, int)
+        )
+        out = rest_normals.copy()
+        if len(deformed) and "F" in frame:
+            F = np.ascontiguousarray(np.asarray(frame["F"])[rows[deformed]], dtype=np.float64)
+            rotated = np.empty((len(deformed), 3))
+            body_normals.turn_normals(rest_normals[deformed], F, rotated)
+            out[deformed] = rotated
+        remaining = np.setdiff1d(np.arange(len(ids)), deformed)
+        x = np.asarray(frame["x"], dtype=np.float64)[rows]
+        for k in np.unique(self.look.object[ids[remaining]]) if len(remaining) else ():
+            members = remaining[self.look.object[ids[remaining]] == k]
+            s = float(np.cbrt(np.median(self.look.vol0[ids[members]])))
+            out[members] = body_normals.density_normals(x[members], s)
+        return out
+
+
+def _shade_of_rows(shade: np.ndarray | None, rows: np.ndarray) -> np.ndarray | None:
+    """Return the shading of some rows, if there is any."""
+    return None if shade is None else np.asarray(shade)[rows]
+
+
+def _kind_shares(captured: np.ndarray) -> np.ndarray:
+    """Return the shares (n, 3) of sand, snow and captures."""
+    out = np.zeros((len(captured), 3))
+    out[:, 2] = captured
+    return out
+
+
+def _is_capture(run, objects: list[dict]) -> np.ndarray:
+    """Return whether each object's Gaussians come from a file.
+
+    Such Gaussians hold the light of a photograph.
+    """
+    try:
+        files = {o.get("name"): o.get("gaussians") for o in run.scene.get("object", ())}
+    except (AttributeError, TypeError):
+        files = {}
+    return np.array([bool(files.get(entry.get("name"))) for entry in objects] or [False])

@@ -1,0 +1,397 @@
+"""Rendering of frames in a studio, for `[look] preset = "studio"`.
+
+Camera-independent quantities are computed once per frame: lattice stretches, the density field of
+liquids, the occlusion pyramid and the light on the ground. For each camera, opaque bodies are drawn
+(albedo, normal, kind, depth) and lit, and rays are traced through the liquid.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vgmpi.gaussians.camera import Camera
+from vgmpi.rendering.raster.liquid_surface import LayeredImage
+from vgmpi.rendering.raster.rasterize import ProjectableGaussians, supersampled_camera
+from vgmpi.rendering.studio.depth_of_field import defocus
+from vgmpi.rendering.studio.ray_scene import Medium, Stage, no_view, view_of
+from vgmpi.rendering.studio.value_grid import Grid
+
+from .appearance import Appearance
+from .frame_gaussians import GaussianBatch
+from .render_config import Settings
+from .studio import (
+    compositing,
+    deferred_shading,
+    density_field,
+    grain_splats,
+    lattice_deformation,
+    liquid_radiance,
+    spray_drops,
+    studio_ground,
+)
+from .studio import cone_occlusion as hiding
+from .studio import tone_mapping as display
+from .studio_bodies import Bodies, domain_of, tearing
+from .studio_lights import ground_of, rig_of
+
+CLEAR_DISTANCE = 0.8  # [m] absorption length of liquids at an extent of 1.2 m
+REFERENCE_EXTENT = 1.2  # [m]
+SCATTERING = 1.5  # [1/m] scattering of a liquid with Gaussians of the usual opacity
+USUAL_OPACITY = 0.05  # [-] opacity scale of a clear liquid
+WALL_CLEAR_SHARE = 0.12  # [-] least visible depth behind a wall, in absorption lengths
+FOAM_HISTORY = 12  # [frames] memory of foam
+PREVIEW_STRIDE = 2  # [frames] stride of the foam of a preview
+PREVIEW_RESOLUTION = 0.75  # [-] relative resolution of grids in a preview
+EDGE_OVERSAMPLING = 2  # [-] oversampling of opaque bodies if edges are refined
+STRETCH = 0.4, 3.0  # [-] limits for the kernels of liquids
+SPEED_MAX = 1e4  # [m/s]
+MAX_COEFFICIENT = 1e6  # [1/m] absorption and scattering
+GRAIN_STRETCH = 0.8, 3.2
+
+
+@dataclass
+class Moment:
+    """A frame prepared for all cameras: parts to draw and the scene that light meets.
+
+    parts: opaque Gaussians, with `normals` and `kinds` (n, 3) of each. grain: arguments of
+    grains.grains except the eye, or None. drops: spheroids.
+    """
+
+    parts: list[GaussianBatch]
+    normals: list[np.ndarray]
+    kinds: list[np.ndarray]
+    shades: list[np.ndarray | None]
+    grain: tuple | None
+    medium: Medium
+    pyramid: Any
+    plane: Any
+    drops: tuple
+    liquid: bool
+
+
+class Studio:
+    """Renderer of frames of one run in the studio.
+
+    Args:
+        look: appearance of the run's Gaussians.
+        chosen: contents of render.toml.
+        box: function that returns the lower and upper corner of the visible extent [m].
+        folder: folder of render.toml, for the files it names.
+        quick: whether to render a preview, with coarser grids and without refined edges.
+    """
+
+    def __init__(
+        self, look: Appearance, chosen: Settings, box: Callable, folder: Path, quick: bool = False
+    ):
+        self.look, self.chosen, self.box = look, chosen, box
+        self.domain = domain_of(look.run, chosen.liquid.walls)
+        self.bodies = Bodies(look)
+        self.quick, self.edges = quick, 1 if quick else chosen.picture.edges
+        self.times = EDGE_OVERSAMPLING if self.edges > 1 else 1
+        self.tone = int(chosen.toned)
+        self.rig = rig_of(chosen, folder)
+        self.torn, self.links = tearing(look, chosen.look.tear)
+        self.foam_sources: dict[int, tuple] = {}  # foam sources by frame
+        self.first: studio_ground.Ground | None = None  # ground at the first frame
+
+    # ---- a frame ---------------------------------------------------------------------------
+
+    def moment(self, frame: dict[str, np.ndarray], index: int) -> Moment:
+        """Prepare a frame: compute all that does not depend on the camera."""
+        moment, floor = self._moment(frame, index), self.chosen.picture.floor
+        if floor is not None and floor.kind == "photograph":
+            if self.first is None:
+                number = min(self.look.run.frames)
+                self.first = self._moment(self.look.frame(number), number).plane
+            moment.plane = studio_ground.new_shadows(moment.plane, self.first)
+        return moment
+
+    def _moment(self, frame: dict[str, np.ndarray], index: int) -> Moment:
+        look, bodies = self.look, self.bodies
+        parts = look.parts(frame)
+        ids = np.asarray(frame["id"])
+        x = np.asarray(frame["x"], dtype=np.float64)
+        main = int(look.scenery is not None)
+        solid = np.flatnonzero(~(bodies.fluid[ids] | bodies.granular[ids]))
+        opaque, normals, kinds, shades = bodies.opaque(parts, main, frame, solid)
+        is_near = self._is_within_grids(x)
+        granular = np.flatnonzero(bodies.granular[ids] & is_near)
+        grain = self._grain(x, ids, granular, parts[main]) if len(granular) else None
+        pyramid = self._pyramid(opaque, x, ids, granular, parts[main], solid, main)
+        rows = np.flatnonzero(bodies.fluid[ids] & is_near)
+        medium, spray = self._medium(frame, index, ids, x, rows, parts[main])
+        plane = ground_of(self.chosen, self.domain, pyramid, self.rig)
+        stage = Stage(medium, pyramid, self.rig, plane, no_view())
+        if len(rows) and plane.kind != studio_ground.NONE:
+            deferred_shading.tint_ground(stage)
+        plane = studio_ground.close_rim(plane)
+        return Moment(
+            opaque, normals, kinds, shades, grain, medium, pyramid, plane, spray, len(rows) > 0
+        )
+
+    def _stretches(self, x, ids, rows, limits) -> np.ndarray:
+        """Return stretches (n, 6) of the lattice around the particles `rows` of a frame."""
+        row_of = np.full(len(self.torn), -1, np.int64)
+        row_of[ids[rows]] = np.arange(len(rows))
+        return lattice_deformation.stretches(
+            x[rows], ids[rows].astype(np.int64), row_of, self.links, self.bodies.spacing,
+            self.torn, *limits,
+        )  # fmt: skip
+
+    def _grain(self, x, ids, rows, part) -> tuple:
+        bodies, color = self.bodies, _unshaded(part.subset_rows(rows), self.look.shade, ids[rows])
+        stretch = self._stretches(x, ids, rows, GRAIN_STRETCH)
+        spacing = bodies.spacing[ids[rows]]
+        floor = self.domain.low[2] if self.domain.walls[2] else -np.inf
+        heap = grain_splats.find_visible_particles(x[rows], spacing, float(floor))
+        return (
+            x[rows], ids[rows], spacing, stretch, color, bodies.sandy[ids[rows]], heap,
+            float(floor),
+        )  # fmt: skip
+
+    def _pyramid(self, opaque, x, ids, granular, part, solid, main):
+        """Return the occlusion pyramid of bodies, scenery, sand and snow."""
+        xs, volumes, colors = [], [], []
+        for k, g in enumerate(opaque):
+            if k > main:  # the bodies of carried Gaussians are included already
+                continue
+            xs.append(g.x)
+            volumes.append(
+                self.look.vol0[ids[solid]] if k == main else self.bodies.scenery_volume[: len(g.x)]
+            )
+            colors.append(display.to_linear(np.clip(_base_color(g), 0, 1)))
+        if len(granular):
+            xs.append(x[granular])
+            volumes.append(self.look.vol0[ids[granular]])
+            colors.append(display.to_linear(np.clip(_base_color(part.subset_rows(granular)), 0, 1)))
+        points = np.concatenate(xs) if xs else np.zeros((0, 3))
+        volume = np.concatenate(volumes) if xs else np.zeros(0)
+        color = np.concatenate(colors) if xs else np.zeros((0, 3))
+        cells = self.chosen.light.cells if self.chosen.light else 150
+        if self.quick:
+            cells = max(int(PREVIEW_RESOLUTION * cells), 1)
+        return hiding.occlusion(points, volume, color, self.domain.low, self.domain.high, cells)
+
+    def _medium(self, frame, index, ids, x, rows, part) -> tuple[Medium, tuple]:
+        """Return the liquid and its drops."""
+        chosen, bodies = self.chosen.liquid, self.bodies
+        if not len(rows):
+            tint = Grid(np.zeros((2, 2, 2, 8), np.float32), np.zeros(3), 1.0)
+            none = Medium(density_field.empty_field(), tint, 1.333, 0.0, True, 0.0, np.zeros(8))
+            return none, spray_drops.spray_drops(x[:0], x[:0], ids[:0], none.field, 1.0)
+        velocity = np.zeros((len(rows), 3))
+        if "velocity" in frame:
+            velocity = _velocities(frame["velocity"], rows)
+        spacing = bodies.spacing[ids[rows]]
+        s = float(np.median(spacing))
+        color = display.to_linear(np.clip(_base_color(part.subset_rows(rows)), 0, 1))
+        clear = chosen.clear
+        if clear is None:
+            low, high = self.box()
+            clear = CLEAR_DISTANCE * max(float(np.linalg.norm(high - low)), 1e-9) / REFERENCE_EXTENT
+        absorbs = -np.log(np.clip(color, 0.03, 0.97)) / clear
+        scatter = self._scattering(ids[rows])
+        color = color * self._capture_factors()[bodies.captured[ids[rows]].astype(int)]
+        white = np.zeros(len(rows))
+        if self.chosen.look.foam > 0 and "velocity" in frame:
+            white = self._foam(index)[ids[rows]]
+        values = np.minimum(np.column_stack([absorbs, color, white, scatter]), MAX_COEFFICIENT)
+        walls, box = self.domain.walls, self.domain.box
+        inside = density_field.interior(x[rows], spacing, values, box, walls)
+        stretch = self._stretches(x, ids, rows, STRETCH)
+        fine = chosen.fine * (PREVIEW_RESOLUTION if self.quick else 1.0)
+        density = density_field.liquid_field(x[rows], spacing, stretch, inside, box, walls, fine)
+        uniform = bool((np.ptp(values[:, :3], axis=0) < 1e-3 * values[:, :3].max()).all())
+        foam = self.chosen.look.foam if white.any() else 0.0
+        mean = np.ascontiguousarray(values.mean(axis=0))
+        medium = Medium(
+            density, inside.means, float(chosen.index), WALL_CLEAR_SHARE * clear, uniform,
+            float(foam), mean,
+        )  # fmt: skip
+        return medium, spray_drops.spray_drops(x[rows], velocity, ids[rows], density, s)
+
+    def _capture_factors(self) -> np.ndarray:
+        """Return factors (2, 3) on the linear colors of liquids: plain ones and captures.
+
+        Colors of captures contain a light: they are divided by a liquid's usual light as far as the
+        captures receive none of the studio's light.
+        """
+        share = self.chosen.captures
+        usual = liquid_radiance.DIRECT * self.rig.key + liquid_radiance.AMBIENT * self.rig.horizon
+        return np.stack([np.ones(3), share + (1.0 - share) / np.maximum(usual, 0.1)])
+
+    def _scattering(self, ids) -> np.ndarray:
+        """Return scattering coefficients [1/m], which rise with the Gaussians' opacity."""
+        if self.chosen.liquid.scatter is not None:
+            return np.full(len(ids), float(self.chosen.liquid.scatter))
+        return SCATTERING * (np.maximum(self.bodies.opaqueness[ids], 0.02) / USUAL_OPACITY) ** 2
+
+    def _foam(self, index: int) -> np.ndarray:
+        """Return the foam of particles, from a fixed number of frames whatever image is drawn."""
+        run, value = self.look.run, np.zeros(len(self.bodies.fluid))
+        step = PREVIEW_STRIDE if self.quick else 1
+        for k in range(max(index - FOAM_HISTORY, index % step), index + 1, step):
+            if k not in run.frames:
+                continue
+            if k not in self.foam_sources:
+                self.foam_sources = {
+                    n: s for n, s in self.foam_sources.items() if index - FOAM_HISTORY <= n <= index
+                }
+                self.foam_sources[k] = self._foam_sources(k)
+            previous = run.times[k - step] if k >= step else np.nan
+            dt = float(run.times[k] - previous) if np.isfinite(previous) else 0.0
+            spray_drops.advance_foam(value, *self.foam_sources[k], max(dt, 0.0))
+        return value
+
+    def _foam_sources(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the liquid's particles at a frame, and how much foam they produce."""
+        frame = self.look.run.frame(k)
+        ids = np.asarray(frame["id"])
+        x = np.asarray(frame["x"], dtype=np.float64)
+        rows = np.flatnonzero(self.bodies.fluid[ids] & self._is_within_grids(x))
+        if "velocity" not in frame or not len(rows):
+            return ids[:0], np.zeros(0)
+        spacing = float(np.median(self.bodies.spacing[ids[rows]]))
+        return ids[rows], spray_drops.foam_source(
+            x[rows], _velocities(frame["velocity"], rows), spacing
+        )
+
+    def _is_within_grids(self, x: np.ndarray) -> np.ndarray:
+        """Return whether points (n, 3) are within two domain sizes, the reach of the grids."""
+        margin = 2.0 * float(self.domain.size.max())
+        return ((x > self.domain.low - margin) & (x < self.domain.high + margin)).all(axis=1)
+
+    # ---- a picture -------------------------------------------------------------------------
+
+    def render(
+        self, moment: Moment, camera: Camera, picture: np.ndarray, options: dict, lens: tuple
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return display values (height, width, 3), transmittance (height, width) and depth [m].
+
+        Args:
+            moment: Frame.
+            camera: Camera with the size of the image.
+            picture: Background in display values, (height, width, 3), or one color (3,).
+            options: alpha_min, lowpass and antialias of the splats.
+            lens: Radius of the lens and focus distance [m]; 0 and 0 for a pinhole.
+        """
+        fine = supersampled_camera(camera, self.times)
+        shape, view = (camera.height, camera.width), view_of(fine)
+        backdrop = self._background(picture, fine)
+        view = view._replace(picture=backdrop.shape[0] > 1)
+        splats, normal, kind = self._splats(moment, camera.eye)
+        painted = self._paint(splats, normal, kind, fine, view, options)
+        albedo, normals, kinds, transmit = painted
+        stage = Stage(moment.medium, moment.pyramid, self.rig, moment.plane, view)
+        deferred_shading.shade_background(stage, backdrop, self.times)
+        deferred_shading.shade_opaque(
+            stage, albedo, normals, kinds, transmit, self.times, moment.liquid, self.chosen.captures
+        )
+        drop_depth = np.full(view.depth.shape, np.inf, np.float32)
+        drop_normal = np.zeros((*drop_depth.shape, 3), np.float32)
+        spray_drops.paint_drops(*moment.drops, view, drop_depth, drop_normal)
+        image, alpha, depth = self._compose(stage, shape, camera, transmit, drop_depth, drop_normal)
+        if lens[0] > 0:
+            image, alpha = defocus(image, alpha, depth, camera.fx, *lens)
+        return image, alpha, depth
+
+    def _compose(self, stage, shape, camera, transmit, drop_depth, drop_normal):
+        """Compose the image of opaque bodies, drops and the liquid."""
+        hits, normals = np.empty(shape, np.float32), np.zeros((*shape, 3), np.float32)
+        times = self.times
+        limit = stage.buffers.depth
+        if times > 1:
+            limit = limit.reshape(shape[0], times, shape[1], times).max(axis=(1, 3))
+        pixel = 1.0 / camera.fx
+        liquid_radiance.find_surface(stage, np.ascontiguousarray(limit), hits, normals, pixel)
+        image, alpha, depth = np.empty((*shape, 3)), np.empty(shape), np.empty(shape, np.float32)
+        hit_data = (drop_depth, drop_normal, hits, normals)
+        keys = np.empty(shape, np.float32)
+        flags = self.tone + (2 if self.chosen.background == "none" else 0)
+        compositing.compose(stage, transmit, *hit_data, pixel, flags, image, alpha, depth, keys)
+        if self.edges > 1:
+            marked = np.zeros(shape, np.bool_)
+            if compositing.rough_pixels(stage, hits, normals, drop_depth, image, marked):
+                outputs = image, alpha, keys
+                compositing.refine(
+                    stage, transmit, *hit_data, marked, self.edges, pixel, flags, outputs
+                )
+        return image.astype(np.float32), alpha.astype(np.float32), depth
+
+    def _background(self, picture: np.ndarray, fine: Camera) -> np.ndarray:
+        """Return the linear background, oversampled; (1, 1, 3) if the studio's own is used."""
+        background = self.chosen.picture.background
+        if background == "none":
+            return np.zeros((fine.height, fine.width, 3), np.float32)
+        if not self.chosen.picture.on_photograph:
+            return np.zeros((1, 1, 3), np.float32)
+        linear = display.scene_linear(np.asarray(picture, dtype=np.float64), self.chosen.toned)
+        enlarged = linear.astype(np.float32).repeat(self.times, axis=0).repeat(self.times, axis=1)
+        return np.ascontiguousarray(enlarged)
+
+    def _splats(
+        self, moment: Moment, eye: np.ndarray
+    ) -> tuple[ProjectableGaussians, np.ndarray, np.ndarray]:
+        """Return opaque bodies as Gaussians of linear colors, with normals and kinds."""
+        arrays, normals, kinds = [], list(moment.normals), list(moment.kinds)
+        for part, shade in zip(moment.parts, moment.shades):
+            x, cov, opacity, color = part.view_from(eye)
+            if shade is not None:
+                color = color / shade[:, None]
+            color = np.clip(color, 0, 1)
+            arrays.append((x, cov, opacity, display.to_linear(color)))
+        if moment.grain is not None:
+            look, (*first, floor) = self.chosen.look, moment.grain
+            sand = grain_splats.grains(*first, eye, floor, look.children, look.dust)
+            arrays.append((sand.x, sand.cov, sand.opacity, display.to_linear(sand.color)))
+            normals.append(sand.normal)
+            kinds.append(
+                np.column_stack([sand.sandy, ~sand.sandy, np.zeros(len(sand.x))]).astype(float)
+            )
+        if not arrays:
+            none = np.zeros((0, 3))
+            return ProjectableGaussians(none, np.zeros((0, 6)), np.zeros(0), none), none, none
+        joined = ProjectableGaussians(*(np.concatenate(fields) for fields in zip(*arrays)))
+        return joined, np.concatenate(normals), np.concatenate(kinds)
+
+    def _paint(self, splats, normal, kind, fine, view, options):
+        """Return albedo, normals, kinds and transmittance; write the depth to the view."""
+        shape = (fine.height, fine.width)
+        if not len(splats.x):
+            empty = np.zeros((*shape, 3), np.float32)
+            return empty, empty, empty, np.ones(shape, np.float32)
+        size = np.linalg.norm(normal, axis=1, keepdims=True)
+        normal = 0.5 + 0.5 * normal / np.maximum(size, 1.0)
+        black = np.broadcast_to(np.float32(0), (*shape, 3))
+        layers = LayeredImage(
+            splats, fine, options["lowpass"], options["antialias"], options["alpha_min"]
+        )
+        albedo, transmit = layers.picture(black)
+        view.depth[:] = layers.depth()
+        normals = layers.with_colors(normal).picture(black)[0]
+        first = kind[0]
+        if (kind == first).all():
+            return (albedo, normals, (1 - transmit)[..., None] * first.astype(np.float32), transmit)
+        return albedo, normals, layers.with_colors(kind).picture(black)[0], transmit
+
+
+def _velocities(velocity: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Return velocities (n, 3) [m/s] of rows, limited to finite values."""
+    return np.clip(
+        np.nan_to_num(np.asarray(velocity)[rows].astype(np.float64)), -SPEED_MAX, SPEED_MAX
+    )
+
+
+def _base_color(part: GaussianBatch) -> np.ndarray:
+    """Return view-independent colors (n, 3)."""
+    color = part.color.plain[part.rows]
+    return color if part.bright is None else color * part.bright[:, None]
+
+
+def _unshaded(part: GaussianBatch, shade: np.ndarray | None, ids: np.ndarray) -> np.ndarray:
+    """Return display values (n, 3) without the shading in the colors."""
+    color = _base_color(part)
+    return np.clip(color if shade is None else color / shade[ids][:, None], 0, 1)

@@ -1,0 +1,406 @@
+"""TOML texts with the line of every key, and the replacements of `--set key=value`."""
+
+import logging
+import re
+import tomllib
+from bisect import bisect_right
+from collections.abc import Mapping
+from pathlib import Path
+
+from vgmpi.runtime.safe_open import MAX_TEXT_BYTES, read_regular_file
+
+from .schema import SceneError, TomlError, unit
+
+log = logging.getLogger("vgmpi")
+
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
+_SPACE = re.compile(r"(?:[ \t\r\n]+|#[^\n]*)*")
+_BASIC = re.compile(r'"(?:[^"\\\n]|\\.)*"')
+_LITERAL = re.compile(r"'[^'\n]*'")
+_LONG = re.compile(r'"""(?:[^\\]|\\.)*?"{3,5}(?!")' + r"|'''.*?'{3,5}(?!')", re.DOTALL)
+_SCALAR = re.compile(r"[^,\]}\n#]*")
+_LONG_NUMBER = re.compile(r"[0-9_]{4300,}")  # Python refuses longer integers
+# a value after "=" or in a list that is no number, without quotes and brackets
+_BARE_VALUE = re.compile(r"[=,\[]\s*([^\s=,\[\]{}\"'][^=,\[\]{}\"']{0,100})")
+_NUMBER = re.compile(r"[-+]?[0-9][0-9_.]*(?:[eE][-+]?[0-9]+)?\s*([A-Za-z%][^\n]*?)\s*")
+MAX_NESTING = 100  # [levels] deepest nesting of tables and lists
+
+
+class TomlSource:
+    """Data of a TOML file and the place where each piece of it was written.
+
+    `text` is the file's text, `data` holds nested dicts and lists with the overrides applied, and
+    `folder` is the folder of the file.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        overrides: tuple[str, ...] | list[str] = (),
+        text: str | None = None,
+        error: type[TomlError] = SceneError,
+        old_names: Mapping[str, Mapping[str, str]] | None = None,
+    ):
+        """Read a file and apply the overrides.
+
+        Args:
+            path: The file.
+            overrides: Items "key=value".
+            text: Content that is used instead of the file's.
+            error: Class raised if the file is not readable, is no TOML or an override fails.
+            old_names: By top-level table, the old and new names of keys inside; a warning lists the
+                old names that were found.
+        """
+        self.path = Path(path)
+        if "\0" in str(path):
+            raise error([f"{escape_control_characters(path)}: no file has such a name"])
+        self.folder = self.path.resolve().parent
+        try:
+            self.text = (
+                read_regular_file(self.path, MAX_TEXT_BYTES).decode() if text is None else text
+            )
+            self.data = tomllib.loads(self.text)
+            self._line = locate_keys(self.text)
+        except OSError as caught:
+            raise error(
+                [escape_control_characters(f"{path}: {caught.strerror or caught}")]
+            ) from None
+        except UnicodeDecodeError as caught:
+            raise error(
+                [f"{escape_control_characters(path)}: not UTF-8 text (byte {caught.start})"]
+            ) from None
+        except RecursionError:
+            raise error(
+                [f"{escape_control_characters(path)}: not valid TOML: nested too deeply"]
+            ) from None
+        except ValueError as caught:  # no TOML, or a number too long to be read
+            raise error(
+                [_syntax(escape_control_characters(path), self.text, str(caught))]
+            ) from None
+        self._set: dict[tuple, str] = {}
+        self._old_names = old_names or {}
+        self._old: dict[tuple, str] = {}  # old names of keys, by their new path
+        self._refuse_extremes(error)
+        for table, names in self._old_names.items():
+            self._rename(self.data.get(table), (table,), names)
+        messages = [message for item in overrides if (message := self._override(item))]
+        if messages:
+            raise error([escape_control_characters(message) for message in messages])
+        self._refuse_extremes(error)
+        self._warn_of_old_names()
+
+    def place(self, path: tuple) -> tuple[int, str]:
+        """Return (line for sorting, "file:line" or "--set key=value") of a key or of its holder."""
+        for stop in range(len(path), 0, -1):
+            if path[:stop] in self._set:
+                return 10**9, f"--set {truncate(self._set[path[:stop]])}"
+            if path[:stop] in self._line:
+                line = self._line[path[:stop]]
+                return line, f"{self.path}:{line}"
+            for override, item in self._set.items():
+                if override[:stop] == path[:stop]:  # this override made the table that holds it
+                    return 10**9, f"--set {truncate(item)}"
+        return 1, f"{self.path}:1"
+
+    def lines(self, errors: list[tuple[tuple, str]]) -> list[str]:
+        """Return one line per error, in the order of the file."""
+        located = []
+        for path, message in errors:
+            path = self._written(path)
+            line, where = self.place(path)
+            located.append(
+                (line, escape_control_characters(f"{where}: {self.key(path)}: {message}"))
+            )
+        located.sort(key=lambda item: item[0])
+        return list(dict.fromkeys(message for _, message in located))
+
+    def key(self, path: tuple) -> str:
+        """Return the path as a user would write it, with objects by name if they have one."""
+        parts = [str(p) if p != "" and "." not in str(p) else f'"{p}"' for p in path]
+        if len(path) > 1 and isinstance(path[1], int):
+            try:
+                name = self.data[path[0]][path[1]]["name"]
+                parts[1] = name if isinstance(name, str) else parts[1]
+            except (KeyError, TypeError, IndexError):
+                pass
+        return ".".join(parts)
+
+    def _written(self, path: tuple) -> tuple:
+        """Return the path as in the file: without the index 0 if one item stands for a list."""
+        node: object = self.data
+        written: tuple = ()
+        for part in path:
+            if isinstance(part, int) and isinstance(node, dict | str):
+                continue
+            written += (part,)
+            try:
+                node = node[part]  # type: ignore[index]
+            except (KeyError, IndexError, TypeError):
+                node = None
+        return written
+
+    def overridden(self, path: tuple) -> bool:
+        """Return whether the value of this key came from the command line."""
+        return any(path[:stop] in self._set for stop in range(1, len(path) + 1))
+
+    def _refuse_extremes(self, error: type[TomlError]) -> None:
+        """Raise for integers of more than 64 bits, and for deeply nested tables and lists.
+
+        TOML need not support them, and nothing here is made for them.
+        """
+        wrong: list[tuple[tuple, str]] = []
+        pending: list[tuple[tuple, object]] = [((), self.data)]
+        while pending:
+            path, node = pending.pop()
+            if isinstance(node, int) and not -(2**63) <= node < 2**63:
+                wrong.append((path, f"must fit in 64 bits; got one of {node.bit_length()} bits"))
+            if not isinstance(node, dict | list):
+                continue
+            if len(path) > MAX_NESTING:
+                wrong.append((path[:3], f"must not be nested more than {MAX_NESTING} deep"))
+                continue
+            items = node.items() if isinstance(node, dict) else enumerate(node)
+            pending += [((*path, k), value) for k, value in items]
+        if wrong:
+            raise error(self.lines(wrong))
+
+    def _rename(self, node: object, path: tuple, names: Mapping[str, str]) -> None:
+        """Give keys of old names their new names, below `path`.
+
+        If both are present, the old one stays and is refused later as an unknown key.
+        """
+        if isinstance(node, list):
+            for k, item in enumerate(node):
+                self._rename(item, (*path, k), names)
+        if not isinstance(node, dict):
+            return
+        for old in list(node):
+            key = names.get(old, old)
+            if key != old and key not in node:
+                node[key] = node.pop(old)
+                was, now = (*path, old), (*path, key)
+                for p in [p for p in self._line if p[: len(was)] == was]:
+                    self._line[now + p[len(was) :]] = self._line.pop(p)
+                self._old[now] = old
+                self._rename(node[key], now, names)
+            else:
+                self._rename(node[old], (*path, old), names)
+
+    def _warn_of_old_names(self) -> None:
+        """Log one line per old name for the whole file."""
+        for old in dict.fromkeys(self._old.values()):
+            places = sorted(self.place(p) + (p,) for p, name in self._old.items() if name == old)
+            _, where, path = places[0]
+            other_places = [message.removeprefix(f"{self.path}:") for _, message, _ in places[1:]]
+            suffix = f" (so are those at {', '.join(other_places)})" if other_places else ""
+            key = self.key(path)
+            message = f"{where}: {old!r} is the old name of {key}{suffix}"
+            log.warning("%s", escape_control_characters(message))
+
+    def _override(self, item: str) -> str:
+        """Apply one "key=value"; return what is wrong with it, or ""."""
+        prefix = f"--set {truncate(item)}"
+        key, sign, text = item.partition("=")
+        parts = [part.strip().strip("\"'") for part in key.split(".")]
+        names = self._old_names.get(parts[0], {})
+        was = next((part for part in parts[2:] if part in names), "")
+        parts = parts[:2] + [names.get(part, part) for part in parts[2:]]
+        if not sign or not all(parts):
+            return f"{prefix}: expected key=value, for example domain.cell='1 cm'"
+        node: dict | list = self.data
+        path: tuple = ()
+        for k, part in enumerate(parts):
+            name = part if isinstance(node, dict) else _index(node, part)
+            if name is None:
+                item_names = [
+                    str(x.get("name", i)) for i, x in enumerate(node) if isinstance(x, dict)
+                ]
+                choices = ", ".join(item_names) or f"{len(node)} items"
+                return f"{prefix}: {'.'.join(parts[:k])} has no item '{part}'; it has {choices}"
+            path += (name,)
+            if k == len(parts) - 1:
+                node[name] = _value(text)  # type: ignore[index]
+                break
+            if isinstance(node, dict):
+                node.setdefault(name, {})
+            node = node[name]  # type: ignore[index]
+            if not isinstance(node, dict | list):
+                return f"{prefix}: {'.'.join(parts[: k + 1])} is not a table"
+        self._set = {p: text_of for p, text_of in self._set.items() if p[: len(path)] != path}
+        self._set[path] = item
+        if was:
+            self._old[path] = was
+        return ""
+
+
+def locate_keys(text: str) -> dict[tuple, int]:
+    """Return the line (from 1) of every table, key and array item of a valid TOML text.
+
+    The keys of the result are paths of names and indices, as in the parsed data.
+    """
+    scan = _TomlPositionScanner(text)
+    scan.scan_document()
+    return scan.line
+
+
+class _TomlPositionScanner:
+    """Scanner that passes once over a valid TOML text and records the lines of its keys."""
+
+    def __init__(self, text: str):
+        self.text, self.position = text, 0
+        self.breaks = [m.start() for m in re.finditer("\n", text)]
+        self.line: dict[tuple, int] = {}
+        self.last: dict[tuple, int] = {}  # index of the latest item of each array of tables
+
+    def scan_document(self) -> None:
+        """Scan the whole text."""
+        table: tuple = ()
+        while self.skip() < len(self.text):
+            if self.text[self.position] == "[":
+                table = self.header()
+            else:
+                self.pair(table)
+
+    def header(self) -> tuple:
+        """Scan a table header; return the path of the table."""
+        start, double = self.position, self.text.startswith("[[", self.position)
+        self.position += 2 if double else 1
+        parts = self.key()
+        self.position += 2 if double else 1
+        path: tuple = ()
+        for k, part in enumerate(parts):
+            path += (part,)
+            if double and k == len(parts) - 1:
+                self.last[path] = self.last.get(path, -1) + 1
+            if path in self.last:
+                self.mark(path, start)
+                path += (self.last[path],)
+            self.mark(path, start)
+        return path
+
+    def pair(self, table: tuple) -> None:
+        """Scan `key = value`."""
+        start, path = self.position, table
+        for part in self.key():
+            path += (part,)
+            self.mark(path, start)
+        self.position += 1  # skips "="
+        self.value(path)
+
+    def key(self) -> list[str]:
+        """Scan a dotted key; return its parts."""
+        parts = []
+        while True:
+            self.skip()
+            match = (
+                _BASIC.match(self.text, self.position)
+                or _LITERAL.match(self.text, self.position)
+                or _BARE.match(self.text, self.position)
+            )
+            if match is None:
+                raise AssertionError(f"no key at character {self.position} of a valid TOML text")
+            self.position = match.end()
+            parts.append(next(iter(tomllib.loads(f"{match[0]} = 0"))))
+            self.skip()
+            if not self.text.startswith(".", self.position):
+                return parts
+            self.position += 1
+
+    def value(self, path: tuple) -> None:
+        """Scan a value."""
+        self.skip()
+        opening = self.text[self.position]
+        if opening in "[{":
+            self.position += 1
+            self.items(path, "]" if opening == "[" else "}")
+            return
+        match = (
+            _LONG.match(self.text, self.position)
+            or _BASIC.match(self.text, self.position)
+            or _LITERAL.match(self.text, self.position)
+            or _SCALAR.match(self.text, self.position)
+        )
+        self.position = match.end() if match else self.position
+
+    def items(self, path: tuple, closing: str) -> None:
+        """Scan the items of an array or an inline table."""
+        count = 0
+        while self.text[self.skip()] != closing:
+            if self.text[self.position] == ",":
+                self.position += 1
+            elif closing == "]":
+                self.mark((*path, count), self.position)
+                self.value((*path, count))
+                count += 1
+            else:
+                self.pair(path)
+        self.position += 1
+
+    def skip(self) -> int:
+        """Skip whitespace and comments; return the new position."""
+        match = _SPACE.match(self.text, self.position)
+        self.position = match.end() if match else self.position
+        return self.position
+
+    def mark(self, path: tuple, position: int) -> None:
+        """Record the line of a path, unless it has one."""
+        self.line.setdefault(path, bisect_right(self.breaks, position) + 1)
+
+
+def escape_control_characters(text: object) -> str:
+    """Return the text on one line, with control characters written as escapes such as "\\x1b"."""
+    characters = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
+    return "".join(characters)
+
+
+def truncate(item: str) -> str:
+    """Return at most 200 characters of a text from a file."""
+    return item if len(item) <= 200 else f"{item[:197]}..."
+
+
+def _syntax(path: str, text: str, detail: str) -> str:
+    """Return the error line of a text that is no TOML."""
+    if "integer string conversion" in detail:
+        long = _LONG_NUMBER.search(text)
+        lines_before = text.count("\n", 0, long.start()) if long else 0
+        return f"{path}:{lines_before + 1}: not valid TOML: an integer must fit in 64 bits"
+    match = re.search(r"\(at line (\d+), column (\d+)\)", detail)
+    line = match[1] if match else str(max(1, len(text.splitlines())))
+    column = f" (column {match[2]})" if match else ""
+    hint = _unquoted(text.split("\n")[int(line) - 1][:1000]) if match else ""
+    return escape_control_characters(
+        f"{path}:{line}: not valid TOML: {detail.partition(' (at ')[0]}{column}{hint}"
+    )
+
+
+def _unquoted(line: str) -> str:
+    """Return a hint at the first value of a line that lacks quotes (`0.6 s`, a word), else ""."""
+    for value in _BARE_VALUE.findall(_BASIC.sub('""', _LITERAL.sub('""', line)).partition("#")[0]):
+        number, name = _NUMBER.fullmatch(value), value.strip()
+        word = _BARE.fullmatch(name) and name[0].isalpha()
+        if name in ("true", "false", "inf", "nan") or not (number or word):
+            continue
+        try:
+            unit(number[1] if number else "")
+        except ValueError:
+            continue
+        what = "a value with a unit" if number else "a word"
+        return f'; {what} needs quotes: "{name}"'
+    return ""
+
+
+def _index(items: list, part: str) -> int | None:
+    """Return the index of an item, named by number or by name, or None."""
+    if part.isdecimal() and len(part) < 10:
+        return int(part) if int(part) < len(items) else None
+    names = [item.get("name") if isinstance(item, dict) else None for item in items]
+    return names.index(part) if part in names else None
+
+
+def _value(text: str):
+    """Return the TOML value, or the text itself: a shell eats the quotes of "1 cm"."""
+    try:
+        read = tomllib.loads(f"value = {text}")
+    except (ValueError, RecursionError):  # a number too long to be read raises one too
+        return text.strip()
+    return read["value"] if list(read) == ["value"] else text.strip()

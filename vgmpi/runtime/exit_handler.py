@@ -1,0 +1,67 @@
+"""Exit codes of a command for everything that nobody foresaw."""
+
+import contextlib
+import functools
+import os
+import sys
+from collections.abc import Callable
+from typing import Any
+
+BUG_REPORT_HINT = (
+    "vgmpi: this is a fault of the program, not of what it was given: please report it with all"
+    " that is printed here, the command and the scene (CONTRIBUTING.md)"
+)
+
+
+def exit_code_from_exceptions(main: Callable[..., int]) -> Callable[..., int]:
+    """Decorate the main function of a command: every way out of it becomes an exit code.
+
+    1: a fault of the program, with its traceback and where to report it; memory exhausted; a full
+    disk behind stdout. 130: interrupted. 141: the reader of stdout has gone (`| head`). With
+    several ranks `sys.excepthook` ends them all (parallel/communicator.py).
+    """
+
+    @functools.wraps(main)
+    def command(*arguments: Any, **keywords: Any) -> int:
+        """Run the main function; return an exit code in any case."""
+        with contextlib.suppress(AttributeError):  # stdout may be another object
+            # the terminal may lack letters of a title
+            sys.stdout.reconfigure(errors="backslashreplace")
+        try:
+            code = main(*arguments, **keywords)
+            sys.stdout.flush()
+            return code
+        except KeyboardInterrupt:
+            return 130
+        except BrokenPipeError:
+            _silence_stdout()
+            return 128 + 13  # the code of a program that SIGPIPE ends
+        except Exception as error:
+            if isinstance(error, OSError) and _stdout_is_full():
+                _silence_stdout()
+                sys.stderr.write(f"vgmpi: cannot write to stdout: {error.strerror}\n")
+                return 1
+            memory = isinstance(error, MemoryError)
+            message = (
+                f"vgmpi: out of memory: {error or 'no more is left'}" if memory else BUG_REPORT_HINT
+            )
+            sys.stderr.write(f"{message}\n")
+            sys.excepthook(type(error), error, error.__traceback__)
+            return 1
+
+    return command
+
+
+def _stdout_is_full() -> bool:
+    """Return whether another line on stdout fails."""
+    try:
+        sys.stdout.write("\n")
+        sys.stdout.flush()
+    except OSError:
+        return True
+    return False
+
+
+def _silence_stdout() -> None:
+    """Discard the output that is left, of which Python would complain at its end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

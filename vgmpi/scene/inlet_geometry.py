@@ -1,0 +1,125 @@
+"""Lattice of particles of an inlet.
+
+Lattice points are (i + 1/2) h, (j + 1/2) h in the frame of the mouth, inside its opening, one layer
+after the other every h along its direction: every particle has the rest volume h^3.
+"""
+
+import math
+from typing import Protocol
+
+import numpy as np
+
+from vgmpi.runtime.config.schema import Point, Positive, StrictModel
+
+NOZZLE_CELLS = 2  # [cells] length of the nozzle behind the mouth
+VERTICAL = 1e-12  # [-] largest horizontal part of a vertical direction
+RELATIVE_RIM_MARGIN = 1e-9  # [-] of the size: margin that puts points on the rim outside
+
+
+class Disc(StrictModel):
+    """Round mouth."""
+
+    center: Point
+    """its middle"""
+    radius: Positive
+    """its radius"""
+
+
+class Rectangle(StrictModel):
+    """Rectangular mouth."""
+
+    center: Point
+    """its middle"""
+    width: Positive
+    """its extent across the direction it pours in, horizontally"""
+    height: Positive
+    """its extent across both"""
+
+
+class Opening(Protocol):
+    """Attributes of an inlet that determine its lattice."""
+
+    disc: Disc | None
+    rectangle: Rectangle | None
+    direction: tuple[float, float, float]
+    particles_per_cell: int
+
+    @property
+    def opening(self) -> Disc | Rectangle:
+        """Return the shape of its mouth."""
+
+
+def spacing(source: Opening, dx: float) -> float:
+    """Return the lattice spacing h [m]."""
+    return dx / _per_edge(source)
+
+
+def layers_in_nozzle(source: Opening) -> int:
+    """Return the number of layers in the nozzle."""
+    return NOZZLE_CELLS * _per_edge(source)
+
+
+def _per_edge(source: Opening) -> int:
+    """Return the number of lattice points per cell edge."""
+    return round(source.particles_per_cell ** (1 / 3))
+
+
+def orthonormal_frame(source: Opening) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return unit vectors (3,): a horizontal and a second one across the direction, and it."""
+    x, y, z = source.direction
+    horizontal = math.hypot(x, y)
+    u = np.array([1.0, 0.0, 0.0])
+    if horizontal > VERTICAL:
+        u = np.array([-y / horizontal, x / horizontal, 0.0])
+    along = np.array([x, y, z])
+    return u, np.cross(along, u), along
+
+
+def extent(source: Opening) -> tuple[float, float]:
+    """Return half of the opening's extent [m] along both vectors across."""
+    if source.disc is not None:
+        return source.disc.radius, source.disc.radius
+    assert source.rectangle is not None
+    return source.rectangle.width / 2, source.rectangle.height / 2
+
+
+def too_small(source: Opening, dx: float) -> bool:
+    """Return whether no lattice point lies in the opening."""
+    half, (a, b) = spacing(source, dx) / 2, extent(source)
+    if source.disc is not None:
+        return bool(math.hypot(half, half) >= a * (1 - RELATIVE_RIM_MARGIN))
+    return bool(half >= min(a, b) * (1 - RELATIVE_RIM_MARGIN))
+
+
+def per_layer(source: Opening, dx: float) -> float:
+    """Return the approximate number of particles per layer."""
+    a, b = extent(source)
+    return (math.pi if source.disc is not None else 4.0) * a * b / spacing(source, dx) ** 2
+
+
+def inlet_points(source: Opening, dx: float) -> np.ndarray:
+    """Return the points (n, 3) [m] of a layer at the mouth, row by row."""
+    h, (a, b), (e_u, e_v, _) = spacing(source, dx), extent(source), orthonormal_frame(source)
+    i, j = (_centered(size, h) for size in (a, b))
+    u, v = (part.ravel() for part in np.meshgrid(i, j, indexing="ij"))
+    if source.disc is not None:
+        inside = u * u + v * v < (a * (1 - RELATIVE_RIM_MARGIN)) ** 2
+        u, v = u[inside], v[inside]
+    return np.array(source.opening.center) + u[:, None] * e_u + v[:, None] * e_v
+
+
+def _centered(half: float, h: float) -> np.ndarray:
+    """Return the points (i + 1/2) h within `half` [m] on both sides of the center."""
+    count = math.ceil(half * (1 - RELATIVE_RIM_MARGIN) / h - 0.5)
+    return (np.arange(-count, count) + 0.5) * h
+
+
+def bounding_box(source: Opening, dx: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return lower and upper corner (3,) [m] of a box that contains opening and nozzle."""
+    (a, b), (e_u, e_v, along) = extent(source), orthonormal_frame(source)
+    half = np.abs(e_u) * a + np.abs(e_v) * b
+    if source.disc is not None:
+        half = a * np.sqrt(np.maximum(1.0 - along**2, 0.0))
+    center = np.array(source.opening.center)
+    back = center - layers_in_nozzle(source) * spacing(source, dx) * along
+    return np.minimum(center, back) - half, np.maximum(center, back) + half

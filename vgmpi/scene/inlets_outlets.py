@@ -1,0 +1,183 @@
+"""Inlets and outlets of a scene: the tables [[source]] and [[sink]]."""
+
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from pydantic import BeforeValidator
+
+from vgmpi.runtime.config.schema import Colour, Quantity, Share, StrictModel
+
+from .inlet_geometry import Disc, Rectangle, bounding_box, spacing, too_small
+from .objects import checked_name, default_alpha_min, per_cell, validate_exactly_one
+from .sections import Domain
+from .shapes import Axis, Shape, validate_shape
+
+OPENINGS = ("disc", "rectangle")
+FLOWS = ("velocity", "rate", "flow")
+SECTIONS_NEEDED = ("domain", "time")
+
+
+class Inlet(StrictModel):
+    """Inlet: exactly one of disc, rectangle for its mouth, and one of velocity, rate, flow.
+
+    Upstream of its mouth lies a nozzle two cells long, in the domain: there particles move at the
+    speed of the flow, whatever is in front of them, and are released 0.3 cells before the mouth.
+    """
+
+    name: Annotated[str, BeforeValidator(checked_name)]
+    """unique name, among objects too: letters, digits, spaces, _ and -, beginning with a letter"""
+    material: str
+    """name of a [material.*] table: liquids, pastes, sand, snow; solids only where they can touch
+    nothing but what shares their `phase`"""
+    disc: Disc | None = None
+    """a round mouth: { center, radius }"""
+    rectangle: Rectangle | None = None
+    """a mouth with corners: { center, width, height }; `width` lies horizontally, along x where it
+    pours straight up or down"""
+    direction: Axis
+    """direction of the flow: "x", "y", "z" or three numbers"""
+    velocity: Annotated[float, Quantity("m/s", gt=0)] | None = None
+    """speed of the flow"""
+    rate: Annotated[float, Quantity("kg/s", gt=0)] | None = None
+    """instead of `velocity`: mass per time"""
+    flow: Annotated[float, Quantity("m3/s", gt=0)] | None = None
+    """instead of `velocity`: volume per time, at rest and with pores"""
+    start: Annotated[float, Quantity("s", ge=0)] = 0.0
+    """when the first material reaches the mouth"""
+    end: Annotated[float, Quantity("s", gt=0)] | None = None
+    """when the last material passes the mouth; default: never. Particles are kept ready for what
+    comes until then or until time.end, so that a run can be extended only beyond an `end`"""
+    particles_per_cell: Annotated[int, BeforeValidator(per_cell)] = 8
+    """particles per full cell: 1, 8, 27 or 64"""
+    phase: str | None = None
+    """name of its velocity field, as for an object"""
+    colour: Colour = (0.7, 0.7, 0.7)
+    """"#rrggbb" or three numbers 0..1"""
+    opacity: Share = 0.95
+    """opacity of its Gaussians"""
+    opacity_scale: Share = 1.0
+    """fluids only: factor on opacities when drawn; water looks like water at 0.005 .. 0.05"""
+
+    # Attributes of an `Object` that an inlet lacks.
+    role: ClassVar[str] = "source"
+    collider: ClassVar[bool] = False
+    deforms: ClassVar[bool | None] = None
+    motion: ClassVar[None] = None
+    driven: ClassVar[bool] = False
+
+    @property
+    def opening_kind(self) -> str:
+        """Return the key that gives the shape of its mouth."""
+        return next(key for key in OPENINGS if getattr(self, key) is not None)
+
+    @property
+    def opening(self) -> Disc | Rectangle:
+        """Return the shape of its mouth."""
+        mouth: Disc | Rectangle = getattr(self, self.opening_kind)
+        return mouth
+
+    @property
+    def alpha_threshold(self) -> float:
+        """Return the opacity below which a contribution is not drawn."""
+        return default_alpha_min(self.opacity_scale)
+
+
+class Outlet(StrictModel):
+    """Region in which particles end: particles inside are removed after every fourth step."""
+
+    name: Annotated[str, BeforeValidator(checked_name)]
+    """unique name: letters, digits, spaces, _ and -, beginning with a letter"""
+    shape: Shape
+    """the region, in domain coordinates"""
+
+
+def validate_inlet(
+    raw: dict, source: Inlet | None, kinds: dict[str, Any], tables: dict[str, Any],
+    objects: list[Any],
+) -> list[tuple[tuple, str]]:  # fmt: skip
+    """Return (path, message) for errors of one inlet besides its values.
+
+    Args:
+        raw: Table as read.
+        source: Validated table, or None if that failed.
+        kinds: Materials by name.
+        tables: Sections of the scene by name.
+        objects: Objects of the scene, None in place of invalid ones.
+    """
+    errors = validate_exactly_one(raw, OPENINGS, "has no mouth")
+    errors += validate_exactly_one(raw, FLOWS, "has no flow")
+    if raw.get("name") in [obj.name for obj in objects if obj]:
+        errors.append((("name",), "is taken: an object has the same name"))
+    material = kinds.get(raw.get("material", ""), None) if _is_text(raw, "material") else None
+    if material is not None and material.family != "fluid" and "opacity_scale" in raw:
+        errors.append((("opacity_scale",), "is only for fluids; others have opacity"))
+    if source is None or errors:
+        return errors
+    if source.end is not None and source.end <= source.start:
+        message = f"must be later than start = {source.start:g} s; got {source.end:g} s"
+        errors.append((("end",), message))
+    domain, time = (tables.get(name) for name in SECTIONS_NEEDED)
+    if time is not None and source.start >= time.end:
+        message = f"nothing comes: the run ends at {time.end:g} s; got {source.start:g} s"
+        errors.append((("start",), message))
+    return errors + (_validate_nozzle(source, domain) if domain is not None else [])
+
+
+def _is_text(raw: dict, key: str) -> bool:
+    """Return whether a table has text at a key."""
+    return isinstance(raw.get(key), str)
+
+
+def _validate_nozzle(source: Inlet, domain: Domain) -> list[tuple[tuple, str]]:
+    """Return (path, message) where the nozzle cannot hold particles."""
+    if too_small(source, domain.cell):
+        distance = spacing(source, domain.cell)
+        return [
+            (
+                (source.opening_kind,),
+                f"too small: no particle fits in, their spacing is {distance:g} m",
+            )
+        ]
+    low, high = bounding_box(source, domain.cell)
+    outside = (low < 0) | (high > domain.size)
+    if not outside.any():
+        return []
+    a = int(np.argmax(outside))
+    message = (
+        f"the nozzle leaves the domain: with two cells behind its mouth it reaches"
+        f" {'xyz'[a]} = {low[a]:.4g} .. {high[a]:.4g} m, the domain 0 .. {domain.size[a]:g} m"
+    )
+    return [((source.opening_kind,), message)]
+
+
+def validate_outlet(raw: dict, sources: list[Any]) -> list[tuple[tuple, str]]:
+    """Return (path, message) for errors of one outlet besides its values.
+
+    Args:
+        raw: Table as read.
+        sources: Inlets of the scene, None in place of invalid ones.
+    """
+    errors = []
+    if raw.get("name") in [source.name for source in sources if source]:
+        errors.append((("name",), "is taken: a source has the same name"))
+    if "shape" in raw:
+        errors += validate_shape(raw["shape"], ("shape",))
+    return errors
+
+
+def validate_balance(probes: list[Any], flows: bool, objects: list[Any]) -> list[tuple[tuple, str]]:
+    """Return (path, message) of probes that measure by a balance of momentum which is not closed.
+
+    Args:
+        probes: Probes of the scene, None in place of invalid ones.
+        flows: Whether particles enter or leave the domain.
+        objects: Objects of the scene, None in place of invalid ones.
+    """
+    prescribed = any(obj and obj.driven for obj in objects)
+    if not (flows or prescribed):
+        return []
+    message = "is not for scenes where particles come or go: these are no part of its balance"
+    if prescribed:
+        message = "is not for scenes with bodies that are driven: what drives them is no part of it"
+    every = enumerate(probes)
+    return [(("probe", k, "wall"), message) for k, probe in every if probe and probe.wall == "all"]

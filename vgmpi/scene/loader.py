@@ -1,0 +1,399 @@
+"""Loader of scene files: checks all tables of a TOML file and builds a `Scene`."""
+
+import math
+import os
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from vgmpi import materials
+from vgmpi.materials import couplings
+from vgmpi.materials.couplings.interaction import CONTACT
+from vgmpi.runtime.config.schema import SceneError, format_input, format_validation_errors
+from vgmpi.runtime.config.toml_source import TomlSource
+from vgmpi.runtime.suggestions import did_you_mean, did_you_mean_file
+
+from . import accuracy_presets
+from .gravity import validate_gravity
+from .inlets_outlets import Inlet, Outlet, validate_balance, validate_inlet, validate_outlet
+from .loads import Load, validate_load
+from .objects import Object, validate_body_name, validate_object, validate_release
+from .probes import Probe, collider_names, validate_probe
+from .scene import Scene, miscible_materials, phase_of
+from .sections import MAX_CELLS, SECTIONS, Appearance, Domain, Output, TopLevelKeys
+
+REQUIRED = ("domain", "time", "material", "object")
+LISTS = ("object", "coupling", "load", "probe", "source", "sink")
+# The flags of the make_assets.py command that a comment in a scene may hold.
+FLAGS = re.compile(r"# +python \S*make_assets\.py(?: [^\s-]\S*)?((?: --\w+(?: [\w.]+)+)+)")
+# Former names of keys in these tables; they are still read.
+DEPRECATED_KEYS = dict.fromkeys(("object", "load", "probe"), {"color": "colour"})
+
+
+def load(
+    path: str | Path, overrides: list[str] | tuple[str, ...] = (), text: str | None = None
+) -> Scene:
+    """Read a scene file and check all of it.
+
+    Args:
+        path: Scene file (TOML).
+        overrides: "key=value" settings, which replace values of the file.
+        text: Content to use in place of the file's own.
+
+    Raises:
+        SceneError: All errors in the order of the file, "file:line: key: what is wrong".
+    """
+    source = TomlSource(path, overrides, text, old_names=DEPRECATED_KEYS)
+    return SceneLoader(source).scene(tuple(overrides))
+
+
+class SceneLoader:
+    """Collector of the errors of all tables of one source, raised together at the end."""
+
+    def __init__(self, source: TomlSource):
+        self.source = source
+        self.errors: list[tuple[tuple, str]] = []
+
+    def scene(self, overrides: tuple[str, ...]) -> Scene:
+        """Return the checked scene; raise SceneError with all errors."""
+        data = accuracy_presets.apply_accuracy_preset(self.source.data)
+        self.check_keys(data)
+        top = self.table(
+            TopLevelKeys, {k: v for k, v in data.items() if k in TopLevelKeys.model_fields}, ()
+        )
+        tables = {
+            name: self.table(table, data.get(name, {}), (name,))
+            for name, table in SECTIONS.items()
+            if name in data or name not in REQUIRED
+        }
+        kinds = self.materials(data.get("material", {}))
+        objects = self.objects(data.get("object", []), kinds)
+        pairs = self.couplings(data.get("coupling", []), kinds)
+        sources = self.sources(data.get("source", []), kinds, tables, objects)
+        self.check_phase_families({"object": objects, "source": sources}, kinds, pairs)
+        role = {o.name: o.role for o in objects if o} if None not in objects else None
+        self.check_color_bodies(tables.get("appearance"), role)
+        for inner, message in validate_gravity(data.get("domain", {})):
+            self.report(("domain", *inner), message)
+        fluid = any(m is None or m.family == "fluid" for m in kinds.values())
+        size = tables["domain"].size if tables.get("domain") else None
+        loads = self.table_list(
+            data.get("load", []), "load", Load, lambda raw, load: validate_load(raw, load, role)
+        )
+        colliders = collider_names(objects)
+        probes = self.table_list(
+            data.get("probe", []), "probe", Probe,
+            lambda raw, probe: validate_probe(raw, probe, role, size, fluid, colliders),
+        )  # fmt: skip
+        sinks = self.table_list(
+            data.get("sink", []), "sink", Outlet, lambda raw, _: validate_outlet(raw, sources)
+        )
+        domain = tables.get("domain")
+        flows = bool(sources or sinks or (domain and domain.open_walls))
+        self.errors += validate_balance(probes, flows, objects)
+        if domain:
+            self.check_cell_counts(domain)
+            self.check_hydrostatic(objects, domain)
+        outside = top is not None and top.allow_outside
+        files = self.files(objects, tables.get("output"), outside)
+        self.raise_if_errors()
+        return Scene(
+            path=self.source.path, folder=self.source.folder, text=self.source.text,
+            title=top.title, seed=top.seed, material=kinds, object=tuple(objects),
+            coupling=tuple(pairs), load=tuple(loads), probe=tuple(probes), inflow=tuple(sources),
+            sink=tuple(sinks), files=files, overrides=overrides, source=self.source,
+            **tables,
+        )  # fmt: skip
+
+    def check_keys(self, data: dict) -> None:
+        """Report unknown keys at the top of the file and required tables that are missing."""
+        valid = (*TopLevelKeys.model_fields, *SECTIONS, "material", *LISTS)
+        for key in data:
+            if key not in valid:
+                hint = did_you_mean(key, valid) or f"; known: {', '.join(valid)}"
+                self.report((key,), f"unknown key{hint}")
+        for key in REQUIRED:
+            if key not in data and not (key == "object" and data.get("source")):
+                header = "[[object]]" if key == "object" else f"[{key}]"
+                header = "[material.name]" if key == "material" else header
+                self.report((key,), f"required table {header} is missing")
+
+    def check_color_bodies(self, section: Appearance | None, role: dict[str, str] | None) -> None:
+        """Report names in appearance.colour_bodies that are no bodies."""
+        for k, name in enumerate((section and section.colour_bodies) or ()):
+            if message := validate_body_name(name, role):
+                self.report(("appearance", "colour_bodies", k), message)
+
+    def report(self, path: tuple, message: str) -> None:
+        """Note one error; path: the key's path in the scene."""
+        self.errors.append((path, message))
+
+    def raise_if_errors(self) -> None:
+        """Raise SceneError with all errors noted so far, if there are any."""
+        if self.errors:
+            raise SceneError(self.source.lines(self.errors))
+
+    def table(self, table: type[BaseModel], raw: Any, path: tuple) -> Any:
+        """Return the validated table, or None after its errors are noted."""
+        if not isinstance(raw, dict):
+            self.report(path, f"must be a table of keys; {format_input(raw)}")
+            return None
+        try:
+            return table.model_validate(raw)
+        except ValidationError as error:
+            for inner, message in format_validation_errors(error, table):
+                self.report((*path, *inner), message)
+            return None
+
+    def kind(self, registry: dict[str, type], raw: Any, path: tuple) -> Any:
+        """Validate a table whose class is chosen by its key `kind`."""
+        if not isinstance(raw, dict):
+            return self.report(path, f"must be a table of keys; {format_input(raw)}")
+        if "kind" not in raw:
+            return self.report((*path, "kind"), f"required key is missing: {' | '.join(registry)}")
+        cls = registry.get(raw["kind"]) if isinstance(raw["kind"], str) else None
+        if cls is None:
+            allowed = f"must be one of {', '.join(registry)}{did_you_mean(raw['kind'], registry)}"
+            return self.report((*path, "kind"), f"{allowed}; {format_input(raw['kind'])}")
+        return self.table(cls, raw, path)
+
+    def materials(self, raw: Any) -> dict[str, Any]:
+        """Return the materials by name; an invalid one is None, so that its name still counts."""
+        if not isinstance(raw, dict):
+            self.report(("material",), "must hold tables: [material.water]")
+            return {}
+        return {n: self.kind(materials.registry, m, ("material", n)) for n, m in raw.items()}
+
+    def objects(self, raw: Any, kinds: dict[str, Any]) -> list[Any]:
+        """Return the objects, None in place of invalid ones."""
+        if not isinstance(raw, list) or not all(isinstance(item, dict) for item in raw):
+            self.report(("object",), "must be a list of tables: [[object]]")
+            return []
+        objects: list[Any] = []
+        first: dict[str, int] = {}
+        for k, item in enumerate(raw):
+            objects.append(self.table(Object, item, ("object", k)))
+            for inner, message in validate_object(item):
+                self.report(("object", k, *inner), message)
+            self.check_unique_name("object", k, item, first)
+            material = item.get("material")
+            if isinstance(material, str) and material not in kinds:
+                self.report_unknown_material(("object", k, "material"), material, kinds)
+        pours = bool(self.source.data.get("source"))
+        if not raw and not pours:
+            self.report(("object",), "there is no object")
+        elif not pours and all(item.get("role") == "scenery" for item in raw):
+            self.report(("object",), "all objects are scenery: at least one must be a body")
+        for k, obj in enumerate(objects):
+            material = kinds.get(obj.material) if obj else None
+            if obj and obj.compressed != "no" and material:
+                if not hasattr(material, "hydrostatic_theta"):
+                    self.report(("object", k, "compressed"), "is only for fluids")
+            follows = material and material.family == "solid" and obj and obj.deforms is not False
+            if obj and obj.passive and material and not follows:
+                message = "is only for solids that deform: it rides along with their F"
+                self.report(("object", k, "passive"), message)
+            if obj and material:
+                for key, message in validate_release(obj, material.family):
+                    self.report(("object", k, key), message)
+            unknown = obj is None or (obj.material in kinds and material is None)
+            if unknown or (material and material.family == "fluid"):
+                continue
+            if "opacity_scale" in raw[k]:
+                self.report(
+                    ("object", k, "opacity_scale"), "is only for fluids; solids have opacity"
+                )
+        return objects
+
+    def check_unique_name(self, table: str, k: int, item: dict, first: dict[str, int]) -> None:
+        """Report a name that an earlier table of the list has."""
+        name = item.get("name")
+        if isinstance(name, str) and first.setdefault(name, k) != k:
+            holder = self.source.place((table, first[name], "name"))[1]
+            self.report((table, k, "name"), f"is taken: {holder} has the same name")
+
+    def check_hydrostatic(self, objects: list[Any], domain: Domain) -> None:
+        """Report compressed fluids in a scene without constant gravity along -z."""
+        for k, obj in enumerate(objects):
+            if obj is None or obj.compressed == "no":
+                continue
+            path, (gx, gy, gz) = ("object", k, "compressed"), domain.gravity
+            if gx or gy or gz >= 0:
+                self.report(path, f"needs gravity along -z alone; it is {list(domain.gravity)}")
+            elif domain.gravity_ramp:
+                self.report(path, "needs gravity from the start: domain.gravity_ramp is set")
+
+    def table_list(self, raw: Any, name: str, table: type[BaseModel], complaints) -> list[Any]:
+        """Return the tables of a list [[name]], None in place of invalid ones.
+
+        `complaints(raw, table or None)` returns (path, message) of all further errors of one table.
+        """
+        if not isinstance(raw, list) or not all(isinstance(item, dict) for item in raw):
+            self.report((name,), f"must be a list of tables: [[{name}]]")
+            return []
+        tables = [self.table(table, item, (name, k)) for k, item in enumerate(raw)]
+        first: dict[str, int] = {}
+        for k, item in enumerate(raw):
+            self.check_unique_name(name, k, item, first)
+            for inner, message in complaints(item, tables[k]):
+                self.report((name, k, *inner), message)
+        return tables
+
+    def sources(
+        self, raw: Any, kinds: dict[str, Any], tables: dict[str, Any], objects: list[Any]
+    ) -> list[Any]:
+        """Return the inlets, None in place of invalid ones."""
+
+        def complaints(item: dict, source: Inlet | None) -> list[tuple[tuple, str]]:
+            """Return the further errors of one inlet."""
+            return validate_inlet(item, source, kinds, tables, objects)
+
+        sources = self.table_list(raw, "source", Inlet, complaints)
+        for k, source in enumerate(sources):
+            if source is not None and source.material not in kinds:
+                self.report_unknown_material(("source", k, "material"), source.material, kinds)
+        return sources
+
+    def check_phase_families(
+        self, entities: dict[str, list], kinds: dict[str, Any], pairs: list
+    ) -> None:
+        """Report phases of several families that bodies do not all name, or that share space."""
+        valid = [c for c in pairs if c is not None]
+        mixing = miscible_materials(valid)
+        shares = {name for c in valid if c.rule != CONTACT for name in c.between}
+        first: dict[str, tuple[Object | Inlet, str]] = {}
+        for path, entity in (
+            ((key, k), t) for key in entities for k, t in enumerate(entities[key])
+        ):
+            material = kinds.get(entity.material) if entity else None
+            if material is None:
+                continue
+            phase, family = phase_of(entity, material.family, mixing), material.family
+            other, others = first.setdefault(phase, (entity, family))
+            if others == family:
+                continue
+            message = (
+                f"'{phase}' already holds a {others}, object {other.name!r}, this is a {family}: "
+            )
+            for body in (other, entity):
+                if body.phase is None:
+                    message += f"to share one velocity field, {body.name!r} must name it too"
+                elif body.material in shares:
+                    message += f"{body.material!r} shares space with another phase by a coupling"
+                else:
+                    continue
+                self.report((*path, "phase"), message)
+                break
+
+    def report_unknown_material(self, path: tuple, name: str, kinds: dict[str, Any]) -> None:
+        """Report a material name that no table defines."""
+        defined = f"defined are {', '.join(kinds)}" if kinds else "none is defined"
+        self.report(path, f"there is no [material.{name}]{did_you_mean(name, kinds)}; {defined}")
+
+    def couplings(self, raw: Any, kinds: dict[str, Any]) -> list[Any]:
+        """Return the couplings, None in place of invalid ones."""
+        if not isinstance(raw, list):
+            self.report(("coupling",), "must be a list of tables: [[coupling]]")
+            return []
+        tables: list[Any] = []
+        first: dict[tuple, int] = {}
+        for k, item in enumerate(raw):
+            tables.append(self.kind(couplings.registry, item, ("coupling", k)))
+            between = item.get("between") if isinstance(item, dict) else None
+            if not isinstance(between, list) or not all(isinstance(b, str) for b in between):
+                continue
+            for index, name in enumerate(between):
+                if name not in kinds:
+                    self.report_unknown_material(("coupling", k, "between", index), name, kinds)
+            two = [kinds.get(b) for b in between]
+            if tables[-1] and len(two) == 2 and all(two) and (message := tables[-1].refuses(*two)):
+                self.report(("coupling", k, "between"), f"{message}; {format_input(between)}")
+            pair = tuple(sorted(between))
+            if first.setdefault(pair, k) != k:
+                other = self.source.place(("coupling", first[pair]))[1]
+                self.report(("coupling", k, "between"), f"{other} is about the same two already")
+        return tables
+
+    def check_cell_counts(self, domain: Domain) -> None:
+        """Report edges of the domain that are no whole number of cells, or too many or too few."""
+        for axis, edge in enumerate(domain.size):
+            count = edge / domain.cell
+            path = ("domain", "size", axis)
+            if count > MAX_CELLS:
+                self.report(path, f"is {count:.3g} cells; at most {MAX_CELLS} are possible")
+            elif abs(count - round(count)) > 1e-6 * max(1.0, count):
+                low, high = math.floor(count) * domain.cell, math.ceil(count) * domain.cell
+                options = f"{low:.6g} m or {high:.6g} m" if low > 0 else f"{high:.6g} m"
+                self.report(
+                    path,
+                    f"must be a whole number of cells of {domain.cell:g} m; {edge:g} m is"
+                    f" {count:.4g} cells, nearest are {options}",
+                )
+            elif round(count) < 4:
+                self.report(path, f"must be at least 4 cells of {domain.cell:g} m; got {edge:g} m")
+
+    def files(self, objects: list[Any], output: Output | None, outside: bool) -> dict[str, Path]:
+        """Return the files of all objects by name; check the output folder."""
+        if output is not None and not outside:
+            self.check_output_folder(output.folder)
+        located = ((o, self.object_file(k, o, outside)) for k, o in enumerate(objects) if o)
+        return {o.name: file for o, file in located if file}
+
+    def check_output_folder(self, folder: str) -> None:
+        """Report an output folder outside the scene's folder, unless the command line gives it."""
+        path, home = ("output", "folder"), self.source.folder
+        if self.source.overridden(path):
+            return
+        if not (home / folder).resolve().is_relative_to(home.resolve()):
+            self.report(
+                path,
+                "lies outside the scene's folder: give it on the command line (-o), or set"
+                f" allow_outside = true at the top of the scene; {format_input(folder)}",
+            )
+
+    def object_file(self, k: int, obj: Object, outside: bool) -> Path | None:
+        """Return the existing, permitted file of an object, or None."""
+        key = next((key for key in ("gaussians", "mesh") if getattr(obj, key)), None)
+        if key is None:
+            return None
+        path, name = ("object", k, key), getattr(obj, key)
+        folder = self.source.folder
+        overridden = self.source.overridden(path)  # the command line may name any file
+        candidates = [Path(name), folder / name] if overridden else [folder / name]
+        file = next((c for c in candidates if os.path.isfile(c)), None)
+        if file is None and "\0" in name:
+            self.report(path, f"no file has such a name; {format_input(name)}")
+        elif file is None:
+            missing = candidates[-1]
+            hint = self.script_hint(missing) or did_you_mean_file(missing)
+            self.report(path, f"there is no file {missing}{hint}")
+        elif not (overridden or outside) and not file.resolve().is_relative_to(folder.resolve()):
+            self.report(
+                path,
+                f"{name!r} lies outside the scene's folder: move it below, or set"
+                " allow_outside = true at the top of the scene",
+            )
+        else:
+            return file.resolve()
+        return None
+
+    def script_hint(self, missing: Path) -> str:
+        """Return "; python .../make_assets.py ... makes it" if a script there can make it."""
+        for folder in missing.parents:
+            script = folder / "assets" / "make_assets.py"
+            if os.path.isfile(script) and f'"{missing.stem}": ' in script.read_text(
+                errors="replace"
+            ):
+                flags = FLAGS.search(self.source.text)
+                words = map(shlex.quote, (relative_to_cwd(script), relative_to_cwd(missing.parent)))
+                return f"; python {' '.join(words)}{flags[1] if flags else ''} makes it"
+        return ""
+
+
+def relative_to_cwd(path: Path) -> str:
+    """Return the path relative to the current folder if it is inside, else the absolute path."""
+    path, cwd = path.resolve(), Path.cwd()
+    return str(path.relative_to(cwd) if path.is_relative_to(cwd) else path)

@@ -1,0 +1,93 @@
+"""Rules for restarts: keys of a scene that may change, and the changes that were made."""
+
+from typing import Any
+
+from vgmpi.runtime.config.schema import ChangeableOnResume
+
+from .scene import Scene
+from .sections import SECTIONS, TopLevelKeys
+
+# Lists whose items may be added or removed; an item that stays must not change.
+LISTS = {
+    "probe": "a probe that is new begins here; of one that is gone the rows stay; one of the same"
+    " name measures the same",
+}
+
+
+def may_change() -> dict[str, str]:
+    """Return the keys that may change at a restart, with the effects: {"time.end": ...}."""
+    effects = {}
+    for section, table in {"": TopLevelKeys, **SECTIONS}.items():
+        for name, field in table.model_fields.items():
+            effect = next(
+                (m.effect for m in field.metadata if isinstance(m, ChangeableOnResume)), ""
+            )
+            if effect:
+                effects[f"{section}.{name}".lstrip(".")] = effect
+    return effects | LISTS
+
+
+def forbidden_changes(scene: Scene, before: dict) -> list[tuple[tuple, str]]:
+    """Return forbidden changes: (path of the key in the scene, message with both values).
+
+    Args:
+        scene: Scene of the restart.
+        before: `Scene.resolved` of the run so far.
+    """
+    now, allowed = scene.to_json(), may_change()
+    differences: list[tuple[tuple, str]] = []
+    for name in {**before, **now}:
+        old, new = before.get(name), now.get(name)
+        if isinstance(old, list) and isinstance(new, list):
+            _compare_lists(name, old, new, name in allowed, differences)
+        elif name not in allowed:
+            _compare_values((name,), old, new, allowed, differences)
+    return differences
+
+
+def _compare_values(path: tuple, old: Any, new: Any, allowed: dict, differences: list) -> None:
+    """Compare two values, key by key where both are tables.
+
+    Args:
+        path: Path of the key in the scene.
+        old: Value in the run so far.
+        new: Value now.
+        allowed: Keys that may change.
+        differences: Forbidden changes (in/out).
+    """
+    if isinstance(old, dict) and isinstance(new, dict):
+        for key in {**old, **new}:
+            if ".".join(map(str, (*path, key))) not in allowed:
+                _compare_values((*path, key), old.get(key), new.get(key), allowed, differences)
+    elif old != new:
+        differences.append((path, f"is {_short_value(new)}, in the run so far {_short_value(old)}"))
+
+
+def _compare_lists(name: str, old: list, new: list, may_vary: bool, differences: list) -> None:
+    """Compare two lists of tables, by the names of items where they have names.
+
+    Args:
+        name: Key of the list.
+        old: Items in the run so far.
+        new: Items now.
+        may_vary: Whether items may be added or removed.
+        differences: Forbidden changes (in/out).
+    """
+    old_items = {item.get("name", k): item for k, item in enumerate(old)}
+    for k, item in enumerate(new):
+        key = item.get("name", k)
+        if key in old_items:
+            _compare_values((name, k), old_items.pop(key), item, {}, differences)
+        elif not may_vary:
+            differences.append(((name, k), "is not in the run so far"))
+    if old_items and not may_vary:
+        removed = ", ".join(map(str, old_items))
+        differences.append(((name,), f"has no {removed} any more, which is in the run so far"))
+
+
+def _short_value(value: Any) -> str:
+    """Return a value as a short text in the notation of a scene."""
+    if value is None:
+        return "not given"
+    text = str(value).lower() if isinstance(value, bool) else repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,250 @@
+"""Single-table sections of a scene: domain, time, appearance, accuracy, output."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+
+from vgmpi.runtime.config.schema import ChangeableOnResume, Positive, Quantity, StrictModel
+
+from .gravity import GravityKeyframe
+
+WALLS = ("west", "east", "south", "north", "floor", "roof")
+MAX_CELLS = 2**15  # per axis, so that block coordinates fit the sort key
+Acceleration = Annotated[float, Quantity("m/s2")]
+Transfer = Literal["apic", "restored", "aflip", "flip", "pic"]
+
+
+def _wall(value: Any) -> Any:
+    return {"kind": value} if isinstance(value, str) else value
+
+
+class Wall(StrictModel):
+    """Effect of a wall on the material that touches it."""
+
+    kind: Literal["stick", "slip", "separate", "open"] = "slip"
+    """stick: no motion. slip: no motion through the wall. separate: material may also leave it.
+    open: nothing holds; particles within a cell of it end as in a sink of the wall's name"""
+    friction: Annotated[float, Quantity("", ge=0)] = 0.0
+    """Coulomb coefficient, for separate walls: the others do not rub or do not slide"""
+    until: Annotated[float, Quantity("s", gt=0)] | None = None
+    """when the wall vanishes, as a gate that is torn away: from then on it is open"""
+
+    @model_validator(mode="after")
+    def _rubs(self) -> "Wall":
+        if self.until is not None and self.kind == "open":
+            raise ValueError('until is not for kind = "open": it is from the start on')
+        if self.friction and self.kind != "separate":
+            raise ValueError('friction is for kind = "separate" only')
+        return self
+
+
+AnyWall = Annotated[Wall, BeforeValidator(_wall)]
+
+
+class Boundary(StrictModel):
+    """Six walls: a kind ("slip") or { kind = "separate", friction = 0.2 } each."""
+
+    default: AnyWall = Wall()
+    """every wall not named"""
+    west: AnyWall | None = None
+    """x = 0"""
+    east: AnyWall | None = None
+    """x = size"""
+    south: AnyWall | None = None
+    """y = 0"""
+    north: AnyWall | None = None
+    """y = size"""
+    floor: AnyWall | None = None
+    """z = 0"""
+    roof: AnyWall | None = None
+    """z = size"""
+
+
+def _boundary(value: Any) -> Any:
+    return {"default": value} if isinstance(value, str) else value
+
+
+class Domain(StrictModel):
+    """Box of the simulation, from (0, 0, 0); z is up."""
+
+    size: tuple[Positive, Positive, Positive]
+    """edges of the box: whole numbers of cells"""
+    cell: Positive
+    """grid spacing dx; with accuracy.level it need not be given, where cells of about that size fit
+    all edges"""
+    gravity: tuple[Acceleration, Acceleration, Acceleration] = (0.0, 0.0, -9.8)
+    """acceleration of gravity"""
+    gravity_ramp: Annotated[float, Quantity("s", ge=0)] = 0.0
+    """time in which gravity grows from 0, as half a cosine; 0: full gravity from the start"""
+    gravity_keyframes: tuple[GravityKeyframe, ...] | None = None
+    """{ time, gravity } in order of time: from `gravity` at the start it turns and changes at an
+    even pace from one to the next, as in a container that tilts; after the last it stays"""
+    boundary: Annotated[Boundary, BeforeValidator(_boundary)] = Boundary()
+    """behavior of the walls: a kind for all of them, or a table"""
+
+    @property
+    def cells(self) -> tuple[int, int, int]:
+        """Return the number of cells along x, y and z."""
+        nx, ny, nz = (round(edge / self.cell) for edge in self.size)
+        return nx, ny, nz
+
+    @property
+    def open_walls(self) -> list[str]:
+        """Return the names of the walls at which particles end, at once or after a time."""
+        walls = zip(WALLS, self.walls, self.opens, strict=True)
+        return [name for name, (kind, _), time in walls if kind == "open" or time is not None]
+
+    @property
+    def opens(self) -> list[float | None]:
+        """Return the time [s] at which each of the six walls vanishes, None for never."""
+        return [wall.until for wall in self._walls]
+
+    @property
+    def walls(self) -> list[tuple[str, float]]:
+        """Return (kind, friction) of the west, east, south, north, floor and roof wall."""
+        return [(wall.kind, wall.friction) for wall in self._walls]
+
+    @property
+    def _walls(self) -> list[Wall]:
+        return [getattr(self.boundary, name) or self.boundary.default for name in WALLS]
+
+
+class Time(StrictModel):
+    """Simulated time, time step and number of frames."""
+
+    end: Annotated[float, Quantity("s", gt=0), ChangeableOnResume("the run goes on to this time")]
+    """simulated time"""
+    frames: Annotated[
+        int,
+        Field(strict=True, ge=2, le=100_000),
+        ChangeableOnResume(
+            "from here on, frames are written at the new times; numbers go on. It counts the frames"
+            " of the whole run: a later time.end alone writes them further apart, and for the same"
+            " time between them it grows too, to 1 + (frames - 1) new end / old end"
+        ),
+    ] = 50
+    """number of frames written at equal times, the first at 0 and the last at the end"""
+    cfl: Annotated[float, Quantity("", gt=0, le=1)] = 0.4
+    """Courant number: fraction of the time a wave needs to cross a cell, used as the step"""
+    dt: Annotated[float, Quantity("s", ge=0)] = 0.0
+    """a fixed step instead of cfl; 0: choose by cfl"""
+
+
+class Appearance(StrictModel):
+    """Appearance beyond the objects' own colours."""
+
+    colour_transfer: Literal["off", "frame", "relax", "step"] = "frame"
+    """exchange of colours between particles. off: none. frame: a frame shows the initial colours,
+    smoothed over a cell at the current positions. relax: colours mix in the time `colour_time`.
+    These three can also be set in render.toml, without a new run. step: as in the paper, the solver
+    smooths colours over a cell in every step: the shorter the step, the faster they become equal;
+    their diffusivity is cell^2 / (4 step)"""
+    colour_time: Annotated[float, Quantity("s", gt=0)] = 1.0
+    """relax: time in which colours of neighbours become equal; their diffusivity is cell^2 / (4
+    colour_time)"""
+    colour_degree: Annotated[int, Field(strict=True, ge=0, le=3)] = 0
+    """largest degree of spherical harmonics that is exchanged; 0: view-independent colour only"""
+    colour_bodies: tuple[str, ...] | None = None
+    """names of the bodies that exchange colours, within one phase and between fluids that mix; with
+    step all bodies of their phases; default: all fluids"""
+    shade: Annotated[float, Quantity("", ge=0, le=1)] = 0.3
+    """light baked on solid shapes and meshes, by the direction of their surface; 0: none. The
+    factor is stored in gaussians.h5 (`shade`), so that a renderer with its own light can remove
+    it"""
+
+
+class Accuracy(StrictModel):
+    """Precision of the numbers and their transfer between particles and grid."""
+
+    level: Literal["draft", "standard", "high"] | None = None
+    """defaults of other keys. draft, standard, high: domain.cell such that the longest
+    edge has 32, 64, 96 cells or a few more, precision single, single, double, compression of
+    liquids 4 %, 1 %, 1 %; draft prunes bodies made of Gaussians or meshes (prune = "auto")"""
+    transfer: Transfer = "restored"
+    """particle-grid transfer scheme. restored: APIC whose numerical dissipation is compensated
+    every few steps, so that waves and vibrations persist. apic: takes 0.8 of its time, but
+    dissipates with every step, up to a third of a wave's height in a period. Both conserve linear
+    and angular momentum. aflip: retains motion too fine for the grid, for the time `damping`, and
+    takes 1.3 times as long. flip: without APIC's gradients, at some noise. pic: damps"""
+    damping: Annotated[float, Quantity("s", gt=0)] = 0.1
+    """aflip, flip: time in which particles lose all but 1/e of the motion the grid does not
+    resolve"""
+    flip: Annotated[float, Quantity("", gt=0, le=1)] | None = None
+    """aflip, flip: FLIP ratio, the fraction of that motion retained in each step, in place of
+    `damping`: then losses depend on the step"""
+    gradient: Literal["moments", "splines"] = "moments"
+    """gradients for strains and forces. splines: gradients of the B-splines, with pic and flip
+    only; a bending body that rotates against the grid keeps its stiffness, with 64 particles per
+    cell"""
+    volume: Literal["followed", "kept"] = "followed"
+    """volume of liquids that do not mix and flow through no sand. followed: integrated from the
+    grid's expansion, by which water that splashes or sways for long loses height; kept: also
+    corrected to the space that they occupy, which takes some more time"""
+    precision: Literal["double", "single"] = "double"
+    """precision of the particles' and the grid's numbers"""
+
+    @property
+    def affine(self) -> bool:
+        """Return whether particles carry the velocity gradient (APIC)."""
+        return self.transfer in ("apic", "restored", "aflip")
+
+    @property
+    def restores(self) -> bool:
+        """Return whether the transfer error is compensated every few steps."""
+        return self.transfer == "restored"
+
+    @property
+    def keeps(self) -> bool:
+        """Return whether particles keep some motion that the grid does not resolve (FLIP)."""
+        return self.transfer in ("aflip", "flip")
+
+
+def _name(value: str) -> str:
+    if "\0" in value:
+        raise ValueError("no folder has such a name")
+    return value
+
+
+class Output(StrictModel):
+    """Files that the run writes, and how often."""
+
+    folder: Annotated[
+        str,
+        Field(min_length=1),
+        AfterValidator(_name),
+        ChangeableOnResume("the run goes on in that folder"),
+    ] = "out"
+    """relative to the scene's folder"""
+    fields: Annotated[
+        tuple[Literal["velocity", "J", "F"], ...],
+        ChangeableOnResume("frames from here on have these"),
+    ] = ("velocity", "J", "F")
+    """besides the positions; drawings need F for elastic bodies and J for all others"""
+    checkpoint: Annotated[float, Quantity("s", ge=0), ChangeableOnResume("holds from here on")] = (
+        600.0
+    )
+    """wall time between checkpoints; 0: none by time"""
+    checkpoint_steps: Annotated[
+        int, Field(strict=True, ge=0), ChangeableOnResume("holds from here on")
+    ] = 0
+    """steps between checkpoints; 0: none by steps"""
+
+
+class TopLevelKeys(StrictModel):
+    """Keys above the first table."""
+
+    title: Annotated[str, ChangeableOnResume("is noted from here on")] = ""
+    """title of the scene, for humans"""
+    seed: Annotated[int, Field(strict=True, ge=0, le=2**31)] = 1
+    """seed of all random numbers: the points on a mesh's surface"""
+    allow_outside: Annotated[bool, ChangeableOnResume("holds from here on")] = False
+    """whether files may lie outside the scene's folder"""
+
+
+SECTIONS: dict[str, type[StrictModel]] = {
+    "domain": Domain,
+    "time": Time,
+    "appearance": Appearance,
+    "accuracy": Accuracy,
+    "output": Output,
+}

@@ -1,0 +1,103 @@
+"""Exact accounting of the particles and rest volume that enter and leave every group.
+
+Totals are integers, so they depend neither on the order of the particles nor on their ranks.
+"""
+
+import numpy as np
+
+from vgmpi.parallel.communicator import SerialCommunicator
+from vgmpi.parallel.particle_group import ParticleGroup
+from vgmpi.planning.plan import Plan
+
+from .particle_insertion import ParticleRows
+
+BITS = 52  # [bits] resolution of a volume below one cell; particle volumes are not finer
+LIMB, LIMBS = 31, 4  # [bits] size, and number, of the integers that carry a sum over MPI
+MASK = (1 << LIMB) - 1
+
+
+class Tally:
+    """This rank's contribution to the inflow and outflow totals.
+
+    `part` has one row per group: particles in (at the start and since), their volume, particles
+    out, their volume. Volumes are counted in units of 2**-52 cell volumes.
+    """
+
+    def __init__(self, plan: Plan):
+        """Begin with zero totals."""
+        self.plan = plan
+        self.part = [[0, 0, 0, 0] for _ in plan.groups]
+
+    def add(self, rows: ParticleRows) -> None:
+        """Count the particles that entered on this rank."""
+        if len(rows.ids):
+            group_of = np.array(self.plan.group_of)[rows.owner]
+            for g in np.unique(group_of):
+                self._add(int(g), rows.volume[group_of == g], 0)
+
+    def remove(self, group: int, volume: np.ndarray) -> None:
+        """Count particles of rest volumes (n,) [m3] that left a group."""
+        self._add(group, volume, 2)
+
+    def transfer(self, group: int, joins: int, volume: np.ndarray) -> None:
+        """Count particles that moved from one group to another.
+
+        Args:
+            group: Index of the group that they left.
+            joins: Index of the group that they joined.
+            volume: Rest volumes, shape (n,) [m3].
+        """
+        self._add(group, volume, 2)
+        self._add(joins, volume, 0)
+
+    def _add(self, group: int, volume: np.ndarray, first: int) -> None:
+        self.part[group][first] += len(volume)
+        self.part[group][first + 1] += self._counted(volume)
+
+    def _counted(self, volume: np.ndarray) -> int:
+        """Return the sum of rest volumes (n,) [m3] as an exact integer, added in two halves."""
+        cells = np.asarray(volume, self.plan.real).astype(np.float64) / self.plan.dx**3
+        counts = np.rint(np.ldexp(cells, BITS)).astype(np.int64)
+        high, low = int((counts >> LIMB).sum()), int((counts & MASK).sum())
+        return (high << LIMB) + low
+
+    def current_totals(
+        self, groups: list[ParticleGroup], ranks: SerialCommunicator
+    ) -> list[list[int]]:
+        """Count the particles and the volume of each group at present. Collective.
+
+        Returns:
+            Rows [particles, volume] by group, in the units of `totals`, on every rank.
+        """
+        mine = []
+        for group in groups:
+            volume = group.get("vol0", group.index())[:, 0]
+            mine.append([len(volume), self._counted(volume)])
+        return allreduce_bigint(mine, ranks)
+
+    def totals(self, ranks: SerialCommunicator) -> list[list[int]]:
+        """Return the totals of all ranks together, on every rank. Collective."""
+        return allreduce_bigint(self.part, ranks)
+
+    def restore(self, totals: list[list[int]], ranks: SerialCommunicator) -> None:
+        """Restore the totals of all ranks, which rank 0 then holds."""
+        if ranks.rank == 0:
+            self.part = [list(row) for row in totals]
+
+    def mass(self, group: int, volume: int) -> float:
+        """Return the mass [kg] of a counted volume of a group."""
+        cells = volume / (1 << BITS)
+        return float(self.plan.groups[group].density * self.plan.dx**3 * cells)
+
+
+def allreduce_bigint(rows: list[list[int]], ranks: SerialCommunicator) -> list[list[int]]:
+    """Sum integers of any size over all ranks; the result is on every rank. Collective."""
+    mine = [[number >> LIMB * k & MASK for number in row for k in range(LIMBS)] for row in rows]
+    every = ranks.all_rows(np.array(mine, np.int64)[None]).sum(0).tolist()
+    return [
+        [
+            sum(row[offset + k] << LIMB * k for k in range(LIMBS))
+            for offset in range(0, len(row), LIMBS)
+        ]
+        for row in every
+    ]

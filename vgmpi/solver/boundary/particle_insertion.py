@@ -1,0 +1,122 @@
+"""Insertion of particles into a rank: from rows in SI units to the channels of their groups."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vgmpi.kernels.step_limits import MAX_CELLS_PER_STEP, MAX_VOLUME_STRAIN_PER_STEP
+from vgmpi.materials.material import law_function
+from vgmpi.parallel import migration
+from vgmpi.parallel.block_lattice import BlockLattice
+from vgmpi.parallel.particle_group import ParticleGroup
+from vgmpi.planning.phases_and_groups import GroupPlan
+from vgmpi.planning.plan import Plan
+
+
+class ParticleRows(NamedTuple):
+    """Particles to be inserted, as rows in SI units."""
+
+    x: np.ndarray  # (n, 3) [m] positions
+    v: np.ndarray  # (n, 3) [m/s] velocities
+    volume: np.ndarray  # (n,) [m3] rest volumes
+    ids: np.ndarray  # (n,)
+    owner: np.ndarray  # (n,) object or inlet of each particle
+    theta: np.ndarray | None = None  # (n,) ln J of fluids, None for 0
+    C: np.ndarray | None = None  # (n, 9) [1/s] velocity gradients, None for 0
+    sh: np.ndarray | None = None  # (n, K, 3) colors
+    surface: np.ndarray | None = None  # (n, 10) surface descriptors of solids
+
+    def select(self, mask: np.ndarray) -> "ParticleRows":
+        """Return the particles selected by a mask (n,)."""
+        parts: list = [None if rows is None else rows[mask] for rows in self]
+        return ParticleRows(*parts)
+
+
+def insert(
+    plan: Plan, lattice: BlockLattice, groups: list[ParticleGroup], rows: ParticleRows
+) -> np.ndarray:
+    """Insert particles into the groups of this rank; a sort must follow.
+
+    Args:
+        plan: Plan of the run.
+        lattice: Block lattice of the domain.
+        groups: Particle groups (in/out).
+        rows: Particles to insert.
+
+    Returns:
+        Bounds of the time step and the sums, shape (4,), see `bounds`.
+    """
+    group_of = np.array(plan.group_of)[rows.owner] if len(rows.owner) else rows.owner
+    limits = np.zeros(4)
+    for g, group in enumerate(groups):
+        selected = rows.select(group_of == g)
+        block, xi = lattice.place(selected.x, plan.real)
+        channels, states = _channels(plan, group.plan, selected, len(xi[0]))
+        if len(selected.x):
+            gradients = selected.C if selected.C is not None else np.zeros((1, 9))
+            limits = np.maximum(limits, bounds(plan, group.plan, states, selected.v, gradients))
+        migration.append_particles(group, block, xi, channels, selected.ids)
+    return limits
+
+
+def _channels(
+    plan: Plan, group: GroupPlan, rows: ParticleRows, count: int
+) -> tuple[np.ndarray, list]:
+    """Return channel values (channels, count) and the states that bound those of the particles."""
+    channels = group.channels
+    values = np.repeat(np.array(channels.rest, plan.real)[:, None], count, axis=1)
+    values[channels["v"].rows] = rows.v.T
+    if rows.C is not None:
+        values[channels["C"].rows] = rows.C.T
+    values[channels["vol0"].rows] = rows.volume
+    if group.surface and rows.surface is not None:
+        values[channels["surface"].rows] = rows.surface.T
+    color_count = group.coefficients
+    if color_count and rows.sh is not None and plan.colours is not None:
+        colors = rows.sh[:, :color_count] - plan.colours.least[group.phase, :color_count]
+        values[channels["colour"].rows] = colors.reshape(len(colors), 3 * color_count).T
+    states = [group.rest]
+    if rows.theta is not None and group.family == "fluid":
+        values[channels["theta"].rows] = rows.theta
+        # the fastest wave is at an end of the range, on which all ranks agree bit by bit
+        states += [(end, *group.rest[1:]) for end in _ends(rows.theta)]
+    return values, states
+
+
+def bounds(plan: Plan, group: GroupPlan, states: list, v: np.ndarray, C: np.ndarray) -> np.ndarray:
+    """Bound the time step and the nodal sums for particles of one group.
+
+    Args:
+        plan: Plan of the run.
+        group: Plan of the group.
+        states: Constitutive states in which particles begin.
+        v: Velocities, shape (n, 3) [m/s].
+        C: Velocity gradients, shape (n, 9) [1/s].
+
+    Returns:
+        (rate, speed, turn, stress), see engines.base.Reach; rate is the least 1/dt [1/s].
+    """
+    law, dx, cfl = group.law, plan.dx, plan.cfl
+    wave2 = group.bound(max(law_function(law, "wave_speed2")(law, state) for state in states))
+    tau = [np.abs(law_function(law, "stress")(law, state, (0.0,) * 9)).sum() for state in states]
+    speed, wave = float(np.sqrt((v**2).sum(1)).max()), float(np.sqrt(wave2))
+    rate = max((wave + speed) / (cfl * dx), speed / (MAX_CELLS_PER_STEP * dx))
+    rate = max(rate, float(np.abs(C[:, 0] + C[:, 4] + C[:, 8]).max()) / MAX_VOLUME_STRAIN_PER_STEP)
+    stress = float(max(tau)) / (group.density * group.pores)
+    return np.array([rate, speed, float(np.sqrt((C**2).sum(1)).max()), stress])
+
+
+def bounds_of_idle_group(plan: Plan) -> np.ndarray:
+    """Return the bounds for a state without any particle.
+
+    A particle of the first group at its reference state stands in, moving at its wave speed.
+    """
+    group = plan.groups[0]
+    wave2 = float(law_function(group.law, "wave_speed2")(group.law, group.rest))
+    v = np.array([[np.sqrt(group.bound(wave2)), 0.0, 0.0]])
+    return bounds(plan, group, [group.rest], v, np.zeros((1, 9)))
+
+
+def _ends(values: np.ndarray) -> list[float]:
+    """Return the smallest and the largest of (n,) values; nothing if there are none."""
+    return [float(values.min()), float(values.max())] if len(values) else []

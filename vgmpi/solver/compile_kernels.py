@@ -1,0 +1,107 @@
+"""Compilation of every kernel that a plan needs, or its loading from numba's cache."""
+
+import contextlib
+import logging
+from dataclasses import replace
+
+import numpy as np
+
+from vgmpi.kernels.transfer.apply_loads import push
+from vgmpi.parallel.communicator import SerialCommunicator
+from vgmpi.parallel.halo_exchange import FieldMessage
+from vgmpi.planning.particle_channels import SURFACE
+from vgmpi.planning.plan import Plan
+from vgmpi.runtime.cpu_features import compiled_marker, processor
+from vgmpi.solver.diagnostics.conservation import body_momentum, conservation_rows
+
+from .step import BlowUp, Simulation
+
+log = logging.getLogger("vgmpi")
+
+
+def compile_kernels(plan: Plan, ranks: SerialCommunicator) -> None:
+    """Make the kernels ready on every rank. Collective.
+
+    Rank 0 compiles them first, so that the others find them in the cache; kernels that are already
+    compiled are loaded by all ranks at once.
+
+    Raises:
+        BlowUp: On all ranks, if a test step with the kernels fails on rank 0.
+    """
+    _same_processor(ranks)
+    marker = compiled_marker([type(group.law) for group in plan.groups], plan.real)
+    ready = ranks.bcast(marker.exists())
+    if ranks.rank == 0 and not ready:
+        log.info("compiling for this processor, once for these materials: a minute or two")
+    failure = _failure_of_run(plan) if ranks.rank == 0 or ready else ""
+    failure = ranks.bcast(failure)  # the others wait here while rank 0 compiles
+    if failure:
+        raise BlowUp(f"before the first step, a particle of every object in one place: {failure}")
+    if ranks.rank == 0:
+        with contextlib.suppress(OSError):  # an unwritable folder holds no code either
+            marker.parent.mkdir(parents=True, exist_ok=True)
+            marker.touch()
+    elif not ready:
+        _run_all(plan)
+
+
+def _same_processor(ranks: SerialCommunicator) -> None:
+    """Warn if code is compiled for different processors, whose sums round differently."""
+    local = np.frombuffer(processor().encode().ljust(96)[:96], np.uint8)
+    kinds = [bytes(row).decode().strip() for row in ranks.all_rows(local[None])]
+    if len(set(kinds)) > 1:
+        first_rank = {kind: kinds.index(kind) for kind in kinds}
+        log.warning(
+            "the processors of this job differ (%s): every rank rounds in its own way, and the bits"
+            " are not those of other runs. To have them equal, set NUMBA_CPU_NAME and"
+            " NUMBA_CPU_FEATURES to a kind that all can run (docs/performance.md)",
+            ", ".join(f"rank {rank}: {kind}" for kind, rank in first_rank.items()),
+        )
+
+
+def _failure_of_run(plan: Plan) -> str:
+    """Run `_run_all`; return the reason if it fails, else ""."""
+    try:
+        _run_all(plan)
+    except BlowUp as error:
+        return str(error)
+    return ""
+
+
+def _run_all(plan: Plan) -> None:
+    """Take one particle per object through a step, a sort and the conservation log.
+
+    Released bodies are run again in the groups that they join.
+    """
+    _run(plan)
+    if plan.driven:
+        group_of = list(plan.group_of)
+        for body in plan.driven:
+            for k in body.things:
+                group_of[k] = body.joins
+        _run(replace(plan, group_of=tuple(group_of)))
+
+
+def _run(plan: Plan) -> None:
+    """Run all kernels of a plan once."""
+    middle = 0.5 * np.array(plan.cells) * plan.dx
+    owners = np.array([k for k, g in enumerate(plan.group_of) if g >= 0 and plan.count[k]])
+    simulation = Simulation(replace(plan, sources=(), sinks=()), SerialCommunicator())
+    n = len(owners)
+    ids = np.array(plan.first_id)[owners]
+    simulation.put(
+        np.tile(middle, (n, 1)), np.zeros((n, 3)), np.full(n, plan.dx**3), ids, owners,
+        surface=np.zeros((n, SURFACE)),
+    )  # fmt: skip
+    simulation.advance(1e-6 * simulation.bound())
+    if plan.restores:
+        simulation.restore(1e-6 * simulation.bound())
+    conservation_rows(simulation)
+    for group in simulation.groups:
+        push(group.f, np.zeros(0, np.int64), np.zeros(3, plan.real))
+        body_momentum(simulation, group, 0, 0)
+    empty, masks = np.zeros(0, np.uint64), np.zeros(0, np.uint64)
+    for name in simulation.needs.layers:
+        part = FieldMessage(name, np.zeros(0, np.int64), masks, empty, np.zeros(0, np.uint16))
+        simulation.engine.pack(part)
+        simulation.engine.add(part)

@@ -1,0 +1,131 @@
+"""Conservation monitor: mass, momentum and energy of each phase, for any number of ranks."""
+
+import numpy as np
+
+from vgmpi.kernels.diagnostics import COLUMNS, body_momentum_rows, segment_conservation_rows
+from vgmpi.parallel.particle_group import ParticleGroup
+from vgmpi.solver.boundary.flow_accounting import Tally, allreduce_bigint
+from vgmpi.solver.step import Simulation
+
+
+def conservation_rows(simulation: Simulation) -> list[dict]:
+    """Return one entry per phase, on rank 0; an empty list on the others. Collective.
+
+    Sums per segment travel to rank 0 in the order of the segments' keys and are added in that
+    order.
+    """
+    plan, sums = simulation.plan, []
+    for group in simulation.groups:
+        rows = np.empty((len(group.start), COLUMNS))
+        segment_conservation_rows(
+            group.plan.law, group.start, group.count, group.block, group.xi, group.f, group.bits,
+            group.plan.density, plan.dx, plan.gravity_at(simulation.time), rows,
+        )  # fmt: skip
+        sums.append(simulation.ranks.gather_rows(rows))
+    tally, flow = simulation.flow_accounting, []
+    if tally is not None:
+        passed = tally.totals(simulation.ranks)
+        present = tally.current_totals(simulation.groups, simulation.ranks)
+        flow = [[*row, *now] for row, now in zip(passed, present, strict=True)]
+    counts: list[list[int]] = []
+    if plan.driven:  # released bodies change their phase
+        counts = allreduce_bigint([[len(group)] for group in simulation.groups], simulation.ranks)
+    if simulation.ranks.rank != 0:
+        return []
+    entries = [_entry(simulation, k, sums) for k in range(len(plan.phases))]
+    for k, entry in enumerate(entries if counts else ()):
+        members = [g for g, group in enumerate(plan.groups) if group.phase == k]
+        entry["count"] = sum(counts[g][0] for g in members)
+    if tally is not None:
+        for k, entry in enumerate(entries):
+            entry |= _flow(tally, k, flow)
+    return entries
+
+
+def _flow(tally: Tally, phase: int, totals: list[list[int]]) -> dict:
+    """Return the in, out and present totals of a phase, all counted the same way.
+
+    Args:
+        tally: Accounting of the open system.
+        phase: Index of the phase.
+        totals: Particles and volume in, out and present, by group.
+    """
+    members = [g for g, group in enumerate(tally.plan.groups) if group.phase == phase]
+    count_in, count_out, count = (sum(totals[g][c] for g in members) for c in (0, 2, 4))
+    mass_in, mass_out, mass = (sum(tally.mass(g, totals[g][c]) for g in members) for c in (1, 3, 5))
+    return {
+        "count": count,
+        "mass": mass,
+        "count_in": count_in,
+        "mass_in": mass_in,
+        "count_out": count_out,
+        "mass_out": mass_out,
+    }
+
+
+def _entry(simulation: Simulation, phase: int, sums: list) -> dict:
+    """Return the entry of one phase from the segments' sums of all groups."""
+    plan = simulation.plan
+    members = [g for g, group in enumerate(plan.groups) if group.phase == phase]
+    rows = np.concatenate([sums[g] for g in members])
+    total = rows[:, :10].sum(0) if len(rows) else np.zeros(10)
+    count = sum(plan.count[k] for k in plan.phases[phase].objects)
+    entry = {
+        "time": simulation.time,
+        "step": simulation.step,
+        "phase": plan.phases[phase].name,
+        "count": count,
+        "mass": total[0],
+        "kinetic": total[7],
+        "elastic": total[8],
+        "potential": total[9],
+        "J_min": rows[:, 10].min(initial=np.inf),
+        "J_max": rows[:, 11].max(initial=-np.inf),
+    }
+    for a, axis in enumerate("xyz"):
+        entry[f"momentum_{axis}"] = total[1 + a]
+        entry[f"angular_{axis}"] = total[4 + a]
+    return entry
+
+
+def body_momentum(
+    simulation: Simulation, group: ParticleGroup, first: int, last: int
+) -> np.ndarray:
+    """Return sums over the local particles with ids `first` to `last` (inclusive), shape (n, 7).
+
+    The columns are mass [kg], momentum [kg m/s] and mass times position [kg m]; there is a row for
+    every segment that holds some of the particles.
+
+    Args:
+        simulation: The simulation.
+        group: Particle group.
+        first: Lowest id.
+        last: Highest id.
+    """
+    rows = np.empty((len(group.start), 7))
+    body_momentum_rows(
+        group.start, group.count, group.block, group.xi, group.f, group.ids, group.bits,
+        group.plan.density, simulation.plan.dx, first, last, rows,
+    )  # fmt: skip
+    return rows[rows[:, 0] > 0]
+
+
+def format_drift(first: list[dict], last: list[dict]) -> str:
+    """Return one line with the change of mass and energy of all phases between two ledgers."""
+    mass = [sum(e["mass"] for e in entries) for entries in (first, last)]
+    flow = [
+        sum(e.get("mass_in", 0.0) - e.get("mass_out", 0.0) for e in entries)
+        for entries in (first, last)
+    ]
+    change = mass[1] - mass[0] - (flow[1] - flow[0])
+    label = "change" if not any(flow) else "less what came and went: change"
+    energy = [
+        sum(e["kinetic"] + e["elastic"] + e["potential"] for e in entries)
+        for entries in (first, last)
+    ]
+    low, high = min(e["J_min"] for e in last), max(e["J_max"] for e in last)
+    return (
+        f"mass {mass[1]:.6g} kg ({label} {change:+.1e}), "
+        f"energy {energy[0]:.4g} -> {energy[1]:.4g} J"
+        + (f", J {low:.3f} .. {high:.3f}" if low <= high else "; no particle is left")
+    )

@@ -1,0 +1,436 @@
+"""CPU engine: arrays and kernel calls of a time step, in compiled code on the processor's cores."""
+
+import math
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from vgmpi.kernels import particle_records, reproducible_sums
+from vgmpi.kernels.grid import contact, mixture_workspace, update
+from vgmpi.kernels.kernel_arguments import NodeBlocks, Phases, Segments, Step, Walls
+from vgmpi.kernels.nodal_fields import color, momentum
+from vgmpi.kernels.reaction_impulses import GhostNodes
+from vgmpi.kernels.rigid.moving_colliders import MovingColliders
+from vgmpi.kernels.rigid.prescribed_motion import (
+    NO_PRESCRIBED_BODIES,
+    ROTATED_CHANNELS,
+    PrescribedBodies,
+)
+from vgmpi.kernels.rigid.prescribed_transfer import advect_prescribed
+from vgmpi.kernels.rigid.static_colliders import StaticColliders
+from vgmpi.kernels.transfer import deformation_gradient, g2p, p2g, transfer_correction
+from vgmpi.kernels.wall_boundary import KINDS, patch_codes
+from vgmpi.parallel.block_lattice import BITS, BLOCK_EDGE, BlockLattice
+from vgmpi.parallel.exchange_topology import ExchangeTopology, color_field_name
+from vgmpi.parallel.halo_exchange import FieldMessage
+from vgmpi.parallel.particle_group import ParticleGroup
+from vgmpi.planning.plan import Plan
+from vgmpi.runtime.aligned_arrays import aligned_zeros, with_capacity
+from vgmpi.runtime.fast_dispatch import precompiled_entry
+
+from .engine_protocol import DITHER, AccumulatorOverflow, StepReport
+from .group_context import (
+    GroupContext,
+    auxiliary_gather_kind,
+    lowest_beyond,
+    numbers_of,
+    particles_of,
+)
+from .nodal_field_storage import (
+    FieldContribution,
+    NodalField,
+    color_count,
+    contributions,
+    nodal_fields,
+)
+from .reaction_sums import ReactionAccumulators
+from .thread_partition import ThreadPartition, accumulator_copies
+
+
+class Cpu:
+    """Particles and nodes of one rank on `threads` threads; see solver/engines/engine_protocol.py.
+
+    Threads add to the same nodes. Where two of them would do so at the same time, all but the first
+    add to copies, which are merged before the sums are read. This changes no bit of the sums."""
+
+    GROUP, LAYER = ParticleGroup, NodalField  # array classes, replaced by other engines
+
+    def __init__(
+        self, plan: Plan, lattice: BlockLattice, solids: StaticColliders | MovingColliders | None,
+        threads: int = 1,
+        driven: PrescribedBodies | None = None,
+    ):  # fmt: skip
+        self.driven = driven
+        self.plan, self.threads = plan, threads
+        self.groups = [self.GROUP(group, lattice, plan.real) for group in plan.groups]
+        self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        self.solids = solids
+        self.no_rigid = update.RigidBoundaries(
+            np.zeros((0, 64, 4), plan.real), np.zeros((0, 64, 3), plan.real),
+            np.zeros((0, 64), int), NO_PRESCRIBED_BODIES if driven is None else driven.ways,
+        )  # fmt: skip
+        kinds = np.array([KINDS[kind] for kind, _ in plan.walls], np.int64).reshape(3, 2)
+        friction = np.array([mu for _, mu in plan.walls]).reshape(3, 2)
+        contact_kinds = kinds.copy()
+        for plane in plan.planes:
+            contact_kinds[plane.axis, plane.side] = 0
+        self.walls = Walls(np.array(plan.cells), kinds, contact_kinds, friction)
+        self.phases = Phases(
+            np.array([phase.least for phase in plan.phases]),
+            np.array([phase.contact_priority for phase in plan.phases]),
+            np.array(plan.friction),
+            np.array(plan.stiff),
+            np.array([phase.surface for phase in plan.phases]),
+        )
+        self.apart = any(group.apart for group in plan.groups)
+        self.layers = {layer.name: layer for layer in nodal_fields(plan, self.apart, self.LAYER)}
+        self.hues = [self.layers[color_field_name(k)] for k in range(color_count(plan))]
+        self.words = reproducible_sums.accumulator_words(plan.real)
+        self.sets = np.zeros(0, np.int64) if plan.colours is None else plan.colours.set_of
+        separate = np.full(len(plan.phases), -1)
+        self.as_one = separate if plan.rules is None else plan.rules.as_one
+        # auxiliary nodal values that particles gather, by name
+        has_change = plan.keeps is not None
+        self.gathered = {"flux": plan.rules is not None, "drift": plan.drifts, "change": has_change}
+        self.beside = {
+            name: aligned_zeros((0, reproducible_sums.BLOCK), plan.real) for name in self.gathered
+        }
+        patch_count = sum(self.gathered.values())
+        self.scratch = [particle_records.scratch(plan.real, patch_count) for _ in range(threads)]
+        self.room = [contact.contact_workspace(len(plan.phases)) for _ in range(threads)]
+        self.mixture_workspace = [
+            mixture_workspace.mixture_workspace(len(plan.phases), plan.real, aligned_zeros)
+            for _ in range(threads if self.apart else 0)
+        ]
+        self.reactions: ReactionAccumulators | None = None
+        self.pairs = mixture_workspace.mixture_tables(plan.rules) if plan.rules is not None else ()
+        self.parts: list[GroupContext] = []
+        self.reports = np.zeros((len(plan.groups), threads, 6))
+        self.beyond = np.zeros((threads, len(self.layers)), np.int64)
+        self.entries: dict[tuple, Callable] = {}  # compiled code for the current arrays
+
+    def enable_reactions(self, rows: int, quanta: np.ndarray, rank: int) -> None:
+        """Start to sum the reactions of colliders and walls.
+
+        Args:
+            rows, quanta, rank: See `Engine.feel`."""
+        self.reactions = ReactionAccumulators(self.plan, rows, quanta, rank, self.threads)
+
+    def given(self) -> np.ndarray:
+        """Return the reactions summed since the last call, shape (rows, 7) int64."""
+        assert self.reactions is not None
+        return self.reactions.take()
+
+    # ---- after a sort ----------------------------------------------------------------------------
+
+    def set_topology(self, tables: ExchangeTopology, unchanged: bool = False) -> None:
+        """Allocate nodes and segment tables after a sort; unchanged tables keep sums and copies."""
+        self.entries = {}
+        rows = [np.flatnonzero(tables.group == g) for g in range(len(self.groups))]
+        for group, group_rows in zip(self.groups, rows, strict=True):
+            if not np.array_equal(tables.code[group_rows], group.code):
+                raise RuntimeError(f"group {group.plan.name}: segments do not match the census")
+        if unchanged:
+            self.parts = [
+                part._replace(
+                    particles=particles_of(g),
+                    segments=part.segments._replace(start=g.start, count=g.count),
+                )
+                for part, g in zip(self.parts, self.groups, strict=True)
+            ]
+            return
+        self.tables = tables
+        partitions = [
+            ThreadPartition(group.count, tables.border[group_rows], self.threads)
+            for group, group_rows in zip(self.groups, rows, strict=True)
+        ]
+        target, copied, copy_rows = accumulator_copies(tables, rows, partitions, self.threads)
+        self.blocks = NodeBlocks(
+            tables.first, tables.phase, tables.at, tables.meets, tables.solid, copied, copy_rows
+        )
+        phase_of_row = np.concatenate([tables.phase, np.repeat(tables.phase, np.diff(copied))])
+        for name, layer in self.layers.items():
+            layer.set_topology(tables.asked[name], phase_of_row)
+        for name, requested in self.gathered.items():
+            if requested:
+                self.beside[name] = self.grown_nodes(self.beside[name], len(tables.phase))
+        self.block_shares = ThreadPartition(
+            np.diff(tables.first), tables.receives_remote, self.threads
+        )
+        sent = [link.send_blocks for links in tables.shared.values() for link in links.values()]
+        self.united = np.unique(np.concatenate([np.zeros(0, np.int64), *sent]))
+        if self.reactions is not None:
+            self.reactions.set_topology(tables)
+            self.room = self.reactions.attach_to_workspaces(self.room)
+        self.parts = [
+            self._group_context(g, group_rows, target[group_rows], partition)
+            for g, (group_rows, partition) in enumerate(zip(rows, partitions, strict=True))
+        ]
+
+    @staticmethod
+    def grown_nodes(values, rows: int):
+        """Return an array of node blocks with room for `rows` blocks."""
+        return with_capacity(values, rows)
+
+    def _group_context(
+        self, g: int, rows: np.ndarray, target: np.ndarray, partition: ThreadPartition
+    ) -> GroupContext:
+        """Return the kernel arguments of a group; rows: its segments in the tables."""
+        group, tables = self.groups[g], self.tables
+        split = tables.contributes["impulses"][rows] if self.apart else np.zeros(len(rows), bool)
+        segments = Segments(
+            group.start, group.count, tables.table[rows], target, split, self._limits(group.block),
+            self._mirror(group),
+        )  # fmt: skip
+        contributes = {name: chosen[rows] for name, chosen in tables.contributes.items()}
+        contributed = contributions(self.plan, group.plan, contributes, split)
+        moving = FieldContribution(
+            "momentum", momentum.contribution_kinds(self.plan, group.plan)[1], split | True
+        )
+        numbers, ghosts = numbers_of(self.plan, group.plan), None
+        if self.reactions is not None:
+            ghosts = self.reactions.ghosts(group.block, segments.mirror)
+        return GroupContext(
+            group, particles_of(group), segments, partition, contributed, moving, numbers, ghosts
+        )  # fmt: skip
+
+    def _limits(self, block: np.ndarray) -> np.ndarray:
+        """Return position limits [cells from block center], half a cell beyond walls, (n, 3, 2)."""
+        low = -2.0 - BLOCK_EDGE * block
+        high = np.array(self.plan.cells) - 1.0 - BLOCK_EDGE * block
+        return np.stack([np.maximum(low, -5.0), np.minimum(high, 5.0)], -1)
+
+    def open(self, wall: int) -> None:
+        """Remove a wall that has vanished."""
+        for kinds in (self.walls.kinds, self.walls.kinds_for_surfaces):
+            kinds[divmod(wall, 2)] = KINDS["open"]
+        for part in self.parts:
+            part.segments.mirror[:] = self._mirror(part.group)
+
+    def _mirror(self, group: ParticleGroup) -> np.ndarray:
+        """Return the codes of the walls that a group's segments meet."""
+        kinds = self.walls.kinds_for_surfaces if group.plan.surface else self.walls.kinds
+        return patch_codes(group.block, self.plan.cells, kinds)
+
+    # ---- a step ----------------------------------------------------------------------------------
+
+    def begin(self, dt: float, gravity: np.ndarray, speed: float) -> None:
+        """Choose the quanta of the sums of a step.
+
+        Args:
+            dt, gravity, speed: See `Engine.begin`."""
+        self.dt = dt
+        for scratch in self.scratch:
+            scratch.peak[:] = 0.0
+        velocity_step = np.zeros(4, self.plan.real)
+        velocity_step[:3] = dt * gravity
+        self.step = Step(dt, self.plan.dx, velocity_step)
+        rounded_speed = reproducible_sums.quantize_speed(speed)
+        for layer in self.layers.values():
+            layer.begin(rounded_speed)
+
+    def fill(self, border: bool) -> None:
+        """Scatter the contributions of the particles to the sums."""
+        self.each(self._fill, border)
+        if border and self.threads > 1:
+            for layer in self.layers.values() if self.dt else [self.layers["momentum"]]:
+                if len(layer.phase):
+                    reproducible_sums.merge_thread_copies(self.united, self.blocks, layer.tables)
+
+    def _fill(self, thread: int, border: bool) -> None:
+        dt = self.plan.real.type(self.dt)
+        for g, part in enumerate(self.parts):
+            group = part.group
+            rows = part.partition.stage(border)[thread]
+            if not self.dt:
+                if group.plan.driven:  # prescribed motion loses nothing in transfers
+                    continue
+                self.call_if_rows(
+                    ("still",), p2g.particles_to_grid, rows, part.moving.kind, None, part.segments,
+                    part.particles, self.layers["momentum"].sums, self.scratch[thread], dt,
+                    self._ghosts(part, thread),
+                )  # fmt: skip
+                continue
+            for k, contribution in enumerate(part.contributions):
+                self.call_if_rows(
+                    (g, k), p2g.particles_to_grid, rows[contribution.chosen[rows]],
+                    contribution.kind,
+                    group.plan.law, part.segments, part.particles,
+                    self.layers[contribution.layer].sums,
+                    self.scratch[thread], dt, self._ghosts(part, thread, contribution.layer),
+                )  # fmt: skip
+
+    def pack(self, part: FieldMessage) -> None:
+        """Pack the sums of this rank into a section of a message."""
+        bits = self.layers[part.layer].sums.view(np.uint64)
+        reproducible_sums.pack(part.numbers, part.tails, part.blocks, part.masks, bits)
+
+    def add(self, part: FieldMessage) -> None:
+        """Add the sums of another rank."""
+        layer = self.layers[part.layer]
+        reproducible_sums.unpack(
+            part.numbers, part.tails, part.blocks, part.masks, layer.sums, layer.rest,
+            self.tables.phase,
+        )  # fmt: skip
+
+    def update(self, border: bool) -> None:
+        """Convert sums to velocities (gravity, couplings, contact, walls) and to mean colors."""
+        self.each(self._update, border)
+
+    def _update(self, thread: int, border: bool) -> None:
+        blocks = self.block_shares.stage(border)[thread]
+        layers, separate = self.layers, None
+        if not self.dt:
+            self.call_if_rows(
+                (), transfer_correction.momentum_to_velocity_only, blocks, self.blocks,
+                layers["momentum"].tables, self.as_one,
+                self.phases, self.step, self.beyond[thread],
+            )  # fmt: skip
+            return
+        if self.apart:
+            separate = update.SeparatedStress(
+                layers["impulses"].tables, **self.beside, noted=int(self.gathered["change"]),
+                room=self.mixture_workspace[thread], tables=self.pairs,
+            )  # fmt: skip
+        rigid, solids = self.no_rigid, self.solids
+        if solids is not None:
+            rigid = rigid._replace(nodes=solids.nodes, moves=solids.moves, whose=solids.whose)
+        shear = layers["shear"].tables if self.plan.has_surface_friction else None
+        summed = update.CommonFields(layers["momentum"].tables, layers["offsets"].tables)
+        self.call_if_rows(
+            (), update.update, blocks, self.blocks, summed, shear, separate, self.plan.rules,
+            self.walls, self.phases, rigid, self.room[thread], self.step,
+            self.beyond[thread],
+        )  # fmt: skip
+        for k, layer in enumerate(self.hues):
+            self.call_if_rows(
+                (), color.average_over_phases, blocks, self.blocks, layer.tables, self.sets,
+                self.beyond[thread], len(layers) - len(self.hues) + k,
+            )  # fmt: skip
+
+    def gather(self, step: int) -> StepReport:
+        """Transfer grid velocities to the particles and advect them."""
+        real = self.plan.real.type
+        motion = g2p.StepConstants(
+            real(self.dt), real(self.plan.cfl), 2.0 ** BITS[self.plan.real],
+            *(d * step % 1.0 for d in DITHER),
+        )  # fmt: skip
+        self.reports[:] = 0
+        self.each(self._gather, motion)
+        rows = self.reports.reshape(-1, 6)
+        maxima = rows.max(0).tolist()
+        failed = []
+        if maxima[2] > 0:
+            failed = [(int(row[2]) - 1, int(row[3])) for row in rows if row[2] > 0]
+        stress = max(float(scratch.peak.max()) for scratch in self.scratch)
+        bounds = self.plan.dx * maxima[4], math.sqrt(maxima[5]), math.sqrt(stress)
+        return StepReport(maxima[0], maxima[1], bounds, failed, self._found_beyond())
+
+    def _gather(self, thread: int, motion: g2p.StepConstants) -> None:
+        scratch = self.scratch[thread]
+        for g, (part, report) in enumerate(zip(self.parts, self.reports, strict=True)):
+            group, plan = part.group, part.group.plan
+            rows = part.partition.all[thread]
+            particles = part.particles
+            if plan.driven:
+                self._carry(part, rows, motion, report[thread])
+                continue
+            color_channel = plan.channels.first("colour")
+            for k in range(plan.coefficients):
+                nodes = self.layers[color_field_name(k)].nodes
+                self.call_if_rows(
+                    (g,), color.gather_color, rows, color_channel + 3 * k, part.segments, particles,
+                    nodes,
+                    scratch,
+                )  # fmt: skip
+            auxiliary = auxiliary_gather_kind(self.plan, plan, self.beside, self.dt)
+            self.call_if_rows(
+                (g,), g2p.grid_to_particles, rows, plan.law, part.segments, particles,
+                self.layers["momentum"].nodes, auxiliary, scratch, part.numbers, motion,
+                report[thread], self._ghosts(part, thread),
+            )  # fmt: skip
+            if plan.tracks_deformation:
+                row = plan.channels.first("F")
+                self.call_if_rows(
+                    (g,),
+                    deformation_gradient.update_total_deformation,
+                    rows,
+                    group.start,
+                    group.count,
+                    group.f,
+                    row,
+                    motion.dt,
+                )
+
+    def _carry(
+        self, part: GroupContext, rows: np.ndarray, motion: g2p.StepConstants, report
+    ) -> None:
+        """Advect particles with prescribed motion; particles at rest stay."""
+        group, driven = part.group, self.driven
+        assert driven is not None
+        if group.plan.phase in driven.phases:
+            rotated = np.array([group.plan.channels.first(name) for name in ROTATED_CHANNELS])
+            self.call_if_rows(
+                (), advect_prescribed, rows, part.segments, group.block, part.particles,
+                group.plan.phase,
+                driven.ways, rotated, self.plan.dx, self.dt, motion, report,
+            )  # fmt: skip
+
+    def restore(self, times: int) -> list[AccumulatorOverflow]:
+        """Add `times` the motion that a step of no time has taken from the particles."""
+        self.each(self._restore, self.plan.real.type(times))
+        return self._found_beyond()
+
+    def _restore(self, thread: int, times: float) -> None:
+        dx = self.plan.real.type(self.plan.dx)
+        for part in self.parts:
+            if part.group.plan.driven:
+                continue
+            self.call_if_rows(
+                (), transfer_correction.apply_transfer_correction, part.partition.all[thread],
+                times, part.segments,
+                part.particles, self.layers["momentum"].nodes, self.scratch[thread], dx,
+                self._ghosts(part, thread),
+            )  # fmt: skip
+
+    def _ghosts(
+        self, part: GroupContext, thread: int, layer: str = "momentum"
+    ) -> GhostNodes | None:
+        """Return the ghost record of a transfer, None where reactions are not requested."""
+        if self.reactions is None or part.ghosts is None or part.group.plan.driven:
+            return None
+        return self.reactions.ghosts_of_transfer(part.ghosts, thread, layer, self.dt)
+
+    def _found_beyond(self) -> list[AccumulatorOverflow]:
+        """Return the lowest node block of each field in which a sum left its range."""
+        if not self.beyond.any():
+            return []
+        names = enumerate(self.layers)
+        overflows = [lowest_beyond(self.beyond[:, k], self.tables, name) for k, name in names]
+        self.beyond[:] = 0
+        return [overflow for overflow in overflows if overflow is not None]
+
+    def call_if_rows(self, key: tuple, kernel, rows: np.ndarray, *arguments) -> None:
+        """Call kernel(rows, *arguments) if there are rows.
+
+        Args:
+            key: Tells calls of one kernel apart whose arguments have other types."""
+        if len(rows):
+            self.run(key, kernel, rows, *arguments)
+
+    def run(self, key: tuple, kernel, *arguments) -> None:
+        """Call kernel(*arguments); calls with one key have equal types until the next sort."""
+        compiled = self.entries.get((kernel, key))
+        if compiled is None:
+            compiled = self.entries[kernel, key] = precompiled_entry(kernel, *arguments)
+        compiled(*arguments)
+
+    def each(self, work, *arguments) -> None:
+        """Call work(thread, *arguments) on every thread."""
+        if self.pool is None:
+            work(0, *arguments)
+            return
+        futures = [self.pool.submit(work, k, *arguments) for k in range(self.threads)]
+        for future in futures:
+            future.result()

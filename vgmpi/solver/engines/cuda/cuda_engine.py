@@ -1,0 +1,346 @@
+"""GPU engine: tables and kernels of the CPU engine with GPU arrays and loops."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from vgmpi.kernels import reproducible_sums
+from vgmpi.kernels.grid import update as grid
+from vgmpi.kernels.kernel_arguments import Segments, Step
+from vgmpi.kernels.rigid.prescribed_motion import ROTATED_CHANNELS
+from vgmpi.kernels.step_limits import MAX_CELLS_PER_STEP, MAX_VOLUME_STRAIN_PER_STEP
+from vgmpi.kernels.transfer import g2p
+from vgmpi.parallel.block_lattice import BITS
+from vgmpi.parallel.exchange_topology import ExchangeTopology, color_field_name
+from vgmpi.parallel.halo_exchange import FieldMessage
+from vgmpi.solver.engines.cpu import Cpu
+from vgmpi.solver.engines.engine_protocol import DITHER, AccumulatorOverflow, StepReport
+from vgmpi.solver.engines.group_context import GroupContext, auxiliary_gather_kind
+
+from . import grid_kernels, thread_block, transfer_kernels, translation_types
+from .device_group import CardGroup
+from .device_memory import CardLayer, Copies, card_room, flattened, to_card
+from .graphics_card import with_device_context
+from .grid_kernels import NODES
+from .kernel_launch import Launcher
+from .particle_intrinsics import PARTICLE
+from .scalar_math import constants, polynomials
+from .translation import KernelTranslator
+from .translation_types import SIMULATED
+
+HALF = 16  # threads of a team that represents a SIMD vector
+MOVED = ("xi", "f")
+FINE = (1 << 62) - 1  # value for: no particle failed, no sum left its range
+
+
+class Work(NamedTuple):
+    """Tables of a group in GPU memory, and lists of its segments."""
+
+    segments: Segments
+    all: Any  # (n,) segments
+    contributions: dict  # (contribution, border) -> (n,) segments
+
+
+class Cuda(Cpu):
+    """Particles and nodes of one rank on a GPU; see solver/engines/engine_protocol.py."""
+
+    GROUP, LAYER, LAUNCHER = CardGroup, CardLayer, Launcher
+
+    def __init__(self, plan, lattice, solids, threads=1, driven=None):
+        super().__init__(plan, lattice, solids, 1, driven)
+        self.real = plan.real.type
+        self.copies = Copies()
+        self.at = 0  # number of the step, for error messages
+        self.work: list[Work] = []
+        phases = len(plan.phases)
+        patches = 1 + sum(self.gathered.values())
+        sizes = {
+            "WORDS": self.words, "PHASES": phases, "SPLINES": bool(plan.splines),
+            "PAIRS": phases * (phases + 1) // 2 + 3 * phases,
+            "CONTACT_ENABLED": phases > 1 or solids is not None or bool(plan.planes),
+            "PITCH": 16 if plan.splines else 17, "BESIDE": patches * transfer_kernels.PATCH + 16,
+        }  # fmt: skip
+        common = constants(plan.real) | polynomials(plan.real)
+        common |= translation_types.constants(sizes, grid_kernels, transfer_kernels, grid)
+        teams = thread_block.HALVES[0]
+        half_constants = common | {"TEAM": HALF, "TEAMS": teams}
+        self.halves = self.LAUNCHER(KernelTranslator(plan.real, half_constants), HALF * teams)
+        self.teams = teams
+        threads = HALF if SIMULATED else 128
+        block_constants = common | {"TEAM": threads, "TEAMS": 1}
+        self.wholes = self.LAUNCHER(KernelTranslator(plan.real, block_constants), threads)
+        self.maxima = to_card(np.zeros(6, self.real))
+        self.prescribed_maxima, self.failure = to_card(np.zeros(6)), to_card(np.full(1, FINE))
+        self.peaks = to_card(np.zeros(1, self.real))
+        self.overflow = to_card(np.full(len(self.layers), FINE))
+        for layer in self.layers.values():
+            layer.reset = self._reset
+        for group in self.groups:
+            group.launcher = self.wholes
+
+    def _reset(self, layer: CardLayer) -> None:
+        self._half(
+            NODES, grid_kernels.reset, len(layer.phase), layer.tables.sums,
+            layer.of_rest, layer.of_phase,
+        )  # fmt: skip
+
+    def _half(self, mode, function, teams: int, *arguments) -> None:
+        """Launch a kernel with one half warp for each of `teams` segments or blocks."""
+        self.halves.launch(-(-teams // self.teams), mode, function, *arguments)
+
+    # ---- after a sort ----------------------------------------------------------------------------
+
+    @staticmethod
+    def grown_nodes(values, rows: int):
+        """Return an array of node blocks with room for `rows` blocks."""
+        return card_room(values, rows, (reproducible_sums.BLOCK,), values.dtype)
+
+    @with_device_context
+    def set_topology(self, tables: ExchangeTopology, unchanged: bool = False) -> None:
+        """Allocate nodes and segment tables after a sort."""
+        super().set_topology(tables, unchanged)
+        self.copies.clear()
+        self.firsts: dict[int, Any] = {}
+        if not unchanged:
+            self.todo = {
+                border: self.copies.of(self.block_shares.stage(border)[0])
+                for border in (False, True)
+            }
+            self.on_card = self.copies.of(self.blocks)
+        self.work = [self._laid_out(part) for part in self.parts]
+
+    def _laid_out(self, part: GroupContext) -> Work:
+        """Copy the tables of a group to the GPU."""
+        copy = self.copies.of
+        host = part.segments
+        segments = Segments(
+            copy(host.start), copy(host.count), copy(host.table), copy(host.accumulator_rows),
+            copy(host.split),
+            to_card(host.limit.astype(self.real)), copy(host.mirror),
+        )  # fmt: skip
+        lists = {}
+        for border in (False, True):
+            rows = part.partition.stage(border)[0]
+            for k, contribution in enumerate((*part.contributions, part.moving)):
+                lists[k, border] = to_card(rows[contribution.chosen[rows]])
+        return Work(segments, to_card(part.partition.all[0]), lists)
+
+    def open(self, wall: int) -> None:
+        """Remove a wall that has vanished."""
+        super().open(wall)
+        self.copies.forget(self.walls)
+        for part in self.parts:
+            self.copies.forget(part.segments.mirror)
+        self.work = [self._laid_out(part) for part in self.parts]
+
+    # ---- a step ----------------------------------------------------------------------------------
+
+    @with_device_context
+    def begin(self, dt: float, gravity: np.ndarray, speed: float) -> None:
+        """Choose the quanta of the sums of a step.
+
+        Args:
+            dt, gravity, speed: See `Engine.begin`.
+        """
+        super().begin(dt, gravity, speed)
+        self.peaks.copy_to_device(np.zeros(1, self.real))
+        self.step = Step(float(dt), float(self.plan.dx), to_card(self.step.gravity_increment))
+
+    @with_device_context
+    def fill(self, border: bool) -> None:
+        """Scatter the contributions of the particles to the sums."""
+        for part, work in zip(self.parts, self.work, strict=True):
+            last = len(part.contributions)
+            chosen = range(last) if self.dt else [last]
+            for k in chosen:
+                contribution = part.contributions[k] if k < last else part.moving
+                self._fill_one(part, work, contribution, work.contributions[k, border])
+
+    def _fill_one(self, part: GroupContext, work: Work, contribution, rows) -> None:
+        group: Any = part.group
+        layer: Any = self.layers[contribution.layer]
+        ghosts = self._ghosts(part, 0, contribution.layer)
+        self._half(
+            PARTICLE, transfer_kernels.fill, len(rows), rows, contribution.kind, group.plan.law,
+            work.segments, group.on_card(), layer.tables.sums, layer.of_rest, group.plan.phase,
+            self.peaks, self.real(self.dt), hasattr(contribution.kind, "splines"),
+            self.copies.of(ghosts),
+        )  # fmt: skip
+
+    @with_device_context
+    def pack(self, part: FieldMessage) -> None:
+        """Pack the sums of this rank into a section of a message."""
+        numbers, tails = self.copies.of((part.numbers, part.tails))
+        layer: Any = self.layers[part.layer]
+        self._half(
+            NODES, grid_kernels.pack, len(part.blocks), numbers, tails,
+            *self.copies.of((part.blocks, part.masks)), self._first(part),
+            layer.tables.sums,
+        )  # fmt: skip
+        numbers.copy_to_host(part.numbers)
+        tails.copy_to_host(part.tails)
+
+    def _first(self, part: FieldMessage):
+        """Return the index of the first sums of each node block in a message."""
+        if id(part.masks) not in self.firsts:
+            count = self.words * np.bitwise_count(part.masks).astype(np.int64)
+            self.firsts[id(part.masks)] = to_card(np.cumsum(count) - count)
+        return self.firsts[id(part.masks)]
+
+    @with_device_context
+    def add(self, part: FieldMessage) -> None:
+        """Add the sums of another rank."""
+        layer: Any = self.layers[part.layer]
+        self._half(
+            NODES, grid_kernels.unpack, len(part.blocks), *self.copies.refreshed((part.numbers,
+            part.tails)),
+            *self.copies.of((part.blocks, part.masks)), self._first(part),
+            layer.tables.sums, layer.of_rest, self.on_card.phase,
+        )  # fmt: skip
+
+    @with_device_context
+    def update(self, border: bool) -> None:
+        """Convert sums to velocities (gravity, couplings, contact, walls) and to mean colors."""
+        blocks, copy = self.todo[border], self.copies.of
+        momentum = self.layers["momentum"].tables
+        if not self.dt:
+            self._half(
+                NODES, grid_kernels.settle, len(blocks), blocks, self.on_card, momentum,
+                copy(self.as_one), copy(self.phases), self.step, self.overflow,
+            )  # fmt: skip
+            return
+        separate, kernel = None, grid_kernels.update
+        if self.apart:
+            kernel = grid_kernels.update_apart
+            separate = grid.SeparatedStress(
+                self.layers["impulses"].tables, **{k: v for k, v in self._auxiliary().items()},
+                noted=int(self.gathered["change"]), room=(), tables=copy(self.pairs),
+            )  # fmt: skip
+        shear = self.layers["shear"].tables if self.plan.has_surface_friction else None
+        summed = grid.CommonFields(momentum, self.layers["offsets"].tables)
+        rules = None if self.plan.rules is None else copy(self.plan.rules)
+        reactions = None if self.reactions is None else copy(self.reactions.by_thread[0])
+        self._half(
+            NODES, kernel, len(blocks), blocks, self.on_card, summed, shear, separate, rules,
+            copy(self.walls), copy(self.phases), self._rigid(), reactions, self.step, self.overflow,
+        )  # fmt: skip
+        for k, layer in enumerate(self.hues):
+            self._half(
+                NODES, grid_kernels.blend, len(blocks), blocks, self.on_card, layer.tables,
+                copy(self.sets), self.overflow, len(self.layers) - len(self.hues) + k,
+            )  # fmt: skip
+
+    def _auxiliary(self) -> dict:
+        """Return the auxiliary nodal values in GPU memory."""
+        return {name: flattened(self.copies.of(values)) for name, values in self.beside.items()}
+
+    def _rigid(self) -> grid.RigidBoundaries:
+        """Return colliders and prescribed bodies in their current state."""
+        rigid, solids = self.no_rigid, self.solids
+        if solids is not None:
+            rigid = rigid._replace(nodes=solids.nodes, moves=solids.moves, whose=solids.whose)
+        moves = self.driven is not None or (solids is not None and len(solids.moves) > 0)
+        return self.copies.refreshed(rigid) if moves else self.copies.of(rigid)
+
+    @with_device_context
+    def gather(self, step: int) -> StepReport:
+        """Transfer grid velocities to the particles and advect them."""
+        self.at = step + 1
+        motion = g2p.StepConstants(
+            self.real(self.dt), self.real(self.plan.cfl), 2.0 ** BITS[self.plan.real],
+            *(d * step % 1.0 for d in DITHER),
+        )  # fmt: skip
+        self.maxima.copy_to_device(np.zeros(6, self.real))
+        self.prescribed_maxima.copy_to_device(np.zeros(6))
+        self.failure.copy_to_device(np.full(1, FINE))
+        for part, work in zip(self.parts, self.work, strict=True):
+            self._gather_one(part, work, motion)
+        return self._report()
+
+    def _gather_one(self, part: GroupContext, work: Work, motion: g2p.StepConstants) -> None:
+        group: Any = part.group
+        plan, copy = group.plan, self.copies.of
+        count, real = len(work.all), self.real
+        if plan.driven:
+            assert self.driven is not None
+            if plan.phase in self.driven.phases:
+                rotated = np.array([plan.channels.first(name) for name in ROTATED_CHANNELS])
+                self.wholes.launch(
+                    count, PARTICLE, transfer_kernels.advect_prescribed, work.all, work.segments,
+                    copy(group.block), group.on_card(MOVED, flat=False), plan.phase,
+                    self.copies.refreshed(self.driven.ways), to_card(rotated), self.plan.dx,
+                    self.dt,
+                    motion, self.prescribed_maxima, self.failure,
+                )  # fmt: skip
+            return
+        color_channel = plan.channels.first("colour")
+        for k in range(plan.coefficients):
+            self.wholes.launch(
+                count, PARTICLE, transfer_kernels.take, work.all, color_channel + 3 * k,
+                work.segments,
+                group.on_card(MOVED), self.layers[color_field_name(k)].tables.nodes,
+            )  # fmt: skip
+        auxiliary = auxiliary_gather_kind(self.plan, plan, self._auxiliary(), self.dt)
+        ghosts = copy(self._ghosts(part, 0))
+        self.wholes.launch(
+            count, PARTICLE, transfer_kernels.g2p, work.all, group.plan.law, work.segments,
+            group.on_card(MOVED), self.layers["momentum"].tables.nodes, auxiliary, part.numbers,
+            g2p.StepConstants(*map(real, motion)), self.maxima, self.failure, ghosts,
+        )  # fmt: skip
+        if plan.tracks_deformation:
+            self.wholes.launch(
+                count, PARTICLE, transfer_kernels.follow, work.all, work.segments,
+                group.on_card(MOVED), plan.channels.first("F"), motion.dt,
+            )  # fmt: skip
+
+    def _report(self) -> StepReport:
+        """Return the report of the step from the maxima of the kernels."""
+        fastest, stray, fast, stretching, displacement, gradient2 = self.maxima.copy_to_host()
+        prescribed, dt = self.prescribed_maxima.copy_to_host(), self.real(self.dt)
+        dx, cfl = self.real(self.plan.dx), self.real(self.plan.cfl)
+        rate = max(
+            float(fastest / (cfl * dx)), float(fast) / (MAX_CELLS_PER_STEP * float(dx)),
+            float(stretching) / MAX_VOLUME_STRAIN_PER_STEP,
+        )  # fmt: skip
+        failure, failed = int(self.failure.copy_to_host()[0]), []
+        if failure < FINE:
+            failed = [divmod(failure, 8)]
+        speed = self.plan.dx * max(float(displacement / dt) if dt else 0.0, prescribed[4])
+        stress = float(self.peaks.copy_to_host()[0])
+        bounds = speed, math.sqrt(max(float(gradient2), prescribed[5])), math.sqrt(stress)
+        return StepReport(
+            rate, max(float(stray), prescribed[1]), bounds, failed, self._found_beyond()
+        )
+
+    @with_device_context
+    def restore(self, times: int) -> list[AccumulatorOverflow]:
+        """Add `times` the motion that a step of no time has taken from the particles."""
+        for part, work in zip(self.parts, self.work, strict=True):
+            group: Any = part.group
+            if not group.plan.driven:
+                self.wholes.launch(
+                    len(work.all), PARTICLE, transfer_kernels.give_back, work.all, self.real(times),
+                    work.segments, group.on_card(MOVED),
+                    self.layers["momentum"].tables.nodes, self.real(self.plan.dx),
+                    self.copies.of(self._ghosts(part, 0)),
+                )  # fmt: skip
+        return self._found_beyond()
+
+    def _found_beyond(self) -> list[AccumulatorOverflow]:
+        overflow = self.overflow.copy_to_host()
+        if (overflow == FINE).all():
+            return []
+        self.overflow.copy_to_device(np.full(len(self.layers), FINE))
+        self.beyond[0] = np.where(overflow == FINE, 0, overflow)
+        return super()._found_beyond()
+
+    @with_device_context
+    def given(self) -> np.ndarray:
+        """Return the reactions summed since the last call, shape (rows, 7) int64."""
+        assert self.reactions is not None
+        sums = self.reactions.by_thread[0].sums
+        self.copies.of(sums).copy_to_host(sums)
+        total = self.reactions.take()
+        self.copies.of(sums).copy_to_device(sums)
+        return total

@@ -1,0 +1,126 @@
+"""GPU memory besides particles: nodal fields, and copies of the host's tables."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numba import cuda
+
+from vgmpi.kernels import reproducible_sums
+from vgmpi.kernels.kernel_arguments import Sums
+from vgmpi.solver.engines.nodal_field_storage import NodalField
+
+# Module that allocates arrays; without a GPU, kernels can be compiled for host arrays.
+WHERE: list[Any] = [cuda]
+
+
+def to_card(array: np.ndarray):
+    """Copy an array to GPU memory."""
+    return WHERE[0].to_device(np.ascontiguousarray(array))
+
+
+def new(shape, kind):
+    """Allocate an uninitialized array in GPU memory."""
+    return WHERE[0].device_array(shape, kind)
+
+
+def flattened(array):
+    """Return a GPU array as one dimension."""
+    return array.reshape(array.size)
+
+
+class Copies:
+    """Copies of host arrays in GPU memory, made at their first use."""
+
+    def __init__(self) -> None:
+        self.by_id: dict[int, tuple] = {}  # id of a host array -> array and copy
+
+    def of(self, value):
+        """Return the copy of an array, or of a tuple the tuple of its copies."""
+        if isinstance(value, np.ndarray):
+            if id(value) not in self.by_id:
+                self.by_id[id(value)] = value, to_card(value)
+            return self.by_id[id(value)][1]
+        return map_tuple(value, self.of) if isinstance(value, tuple) else value
+
+    def refreshed(self, value):
+        """Return fresh copies of arrays that may have changed."""
+        self.forget(value)
+        return self.of(value)
+
+    def forget(self, value) -> None:
+        """Drop the copies of an array, or of the arrays of a tuple, that have changed."""
+        if isinstance(value, tuple):
+            for member in value:
+                self.forget(member)
+        else:
+            self.by_id.pop(id(value), None)
+
+    def clear(self) -> None:
+        """Drop all copies."""
+        self.by_id.clear()
+
+
+def map_tuple(value: tuple, function) -> tuple:
+    """Return a tuple of the same class with a function applied to its members."""
+    members = [function(member) for member in value]
+    return type(value)(*members) if hasattr(value, "_fields") else tuple(members)
+
+
+class CardLayer(NodalField):
+    """Sums and values of a nodal field in GPU memory."""
+
+    reset: Callable  # reset(field) of the engine: sets the sums to their bias
+    sums: Any
+    nodes: Any
+    of_rest: Any
+
+    def set_topology(self, requested: np.ndarray, phase_of_row: np.ndarray) -> None:
+        """Allocate node blocks.
+
+        Args:
+            requested: Blocks that have the field, shape (n,).
+            phase_of_row: Velocity field of each row of sums.
+        """
+        row_count = len(phase_of_row) if requested.any() else 0
+        self.asked, self.phase = requested.astype(np.uint8), phase_of_row[:row_count]
+        words = reproducible_sums.accumulator_words(self.real)
+        self.sums = card_room(self.sums, row_count, (words, reproducible_sums.BLOCK), np.float64)
+        self.nodes = card_room(
+            self.nodes, len(requested) if row_count else 0, (reproducible_sums.BLOCK,), self.real
+        )
+        self.nodes.copy_to_device(np.zeros(self.nodes.shape, self.real))
+        self.of_asked, self.of_phase = to_card(self.asked), to_card(self.phase)
+        self.speed, self.current_bounds = 0.0, np.zeros(0)
+
+    def begin(self, speed: float) -> None:
+        """Choose the quanta of a step, and reset the sums if their bias changes."""
+        if speed == self.speed:
+            return
+        self.speed, bounds = speed, self.sum_bounds(speed)
+        if not np.array_equal(bounds, self.current_bounds):
+            self.current_bounds, self.rest = (
+                bounds,
+                reproducible_sums.accumulator_biases(bounds, self.real),
+            )
+            self.of_rest = to_card(self.rest)
+            flat_arrays = map(flattened, (self.sums, self.of_rest, self.nodes))
+            flat_sums, flat_rest, flat_nodes = flat_arrays
+            self.tables = Sums(flat_sums, flat_rest, self.of_asked, flat_nodes)
+            self.reset(self)
+
+
+def card_room(array, rows: int, shape: tuple, kind):
+    """Return a GPU array of at least that many rows.
+
+    An existing array is reused if it is large enough and not much larger.
+
+    Args:
+        array: Existing array.
+        rows: Number of rows.
+        shape: Shape of a row.
+        kind: Data type.
+    """
+    if not isinstance(array, np.ndarray) and rows <= array.shape[0] <= 2 * rows:
+        return array
+    return new((rows + rows // 8, *shape), kind)

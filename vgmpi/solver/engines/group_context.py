@@ -1,0 +1,97 @@
+"""Kernel arguments of the transfers of one particle group."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vgmpi.kernels.kernel_arguments import Particles, Segments
+from vgmpi.kernels.reaction_impulses import GhostNodes
+from vgmpi.kernels.transfer import auxiliary_gather, g2p
+from vgmpi.kernels.transfer.density_correction import DensityCorrected
+from vgmpi.parallel.exchange_topology import ExchangeTopology
+from vgmpi.parallel.particle_group import ParticleGroup
+from vgmpi.planning.phases_and_groups import GroupPlan
+from vgmpi.planning.plan import Plan
+
+from .engine_protocol import AccumulatorOverflow
+from .nodal_field_storage import FieldContribution
+from .thread_partition import ThreadPartition
+
+
+class GroupContext(NamedTuple):
+    """Group with the kernel arguments of its transfers, for the current tables."""
+
+    group: ParticleGroup
+    particles: Particles
+    segments: Segments
+    partition: ThreadPartition  # segments of each thread
+    contributions: list[FieldContribution]  # to the nodal fields
+    moving: FieldContribution  # momentum in a step of no time
+    numbers: g2p.GroupConstants
+    ghosts: GhostNodes | None  # ghost nodes, where reactions of walls are requested
+
+
+def numbers_of(plan: Plan, group: GroupPlan) -> g2p.GroupConstants:
+    """Return the constants of a group in the precision of the run."""
+    values = (
+        plan.splines, group.stiff, group.dense, group.slips,
+        auxiliary_gather.OVERFILL_RELAXATION_RATE,
+        group.channels.first("share"), plan.dx,
+    )  # fmt: skip
+    return g2p.GroupConstants(*map(plan.real.type, values))
+
+
+def particles_of(group: ParticleGroup) -> Particles:
+    """Return the particle arrays of a group."""
+    return Particles(group.xi, group.f, group.ids)
+
+
+def auxiliary_gather_kind(plan: Plan, group: GroupPlan, auxiliary: dict, dt: float) -> tuple:
+    """Return the kind of gather that a group needs besides the velocity.
+
+    Args:
+        plan: Plan of the run.
+        group: Plan of the group.
+        auxiliary: Auxiliary nodal values by name.
+        dt: Length of the step [s].
+
+    Returns:
+        Kind of kernels/transfer/auxiliary_gather.py, wrapped by the density correction where the
+        group has one.
+    """
+    inner = _kind_without_correction(plan, group, auxiliary, dt)
+    return DensityCorrected(inner, plan.real.type(group.space)) if group.space else inner
+
+
+def _kind_without_correction(plan: Plan, group: GroupPlan, auxiliary: dict, dt: float) -> tuple:
+    """Return the kind of gather without the density correction."""
+    if not group.apart:
+        return auxiliary_gather.VelocityOnly(0.0)
+    sharing = auxiliary_gather.MixtureGather(
+        auxiliary["flux"], auxiliary["drift"], int(plan.drifts)
+    )
+    if plan.keeps is None:
+        return sharing
+    patch = 1 + sharing.drifts if group.shares else 0
+    blend = auxiliary_gather.FlipGather(
+        auxiliary["change"], plan.real.type(plan.keeps.over(dt)), patch
+    )
+    return auxiliary_gather.MixtureFlipGather(sharing, blend) if group.shares else blend
+
+
+def lowest_beyond(
+    lowest: np.ndarray, tables: ExchangeTopology, layer: str
+) -> AccumulatorOverflow | None:
+    """Return the lowest node block of a field in which a sum left its range, or None.
+
+    Args:
+        lowest: Block number plus 1 of each thread, 0 for none, shape (threads,).
+        tables: Exchange topology of this rank.
+        layer: Name of the nodal field.
+    """
+    if not lowest.any():
+        return None
+    nb = int(lowest[lowest > 0].min()) - 1
+    block = int(np.searchsorted(tables.first, nb, side="right")) - 1
+    i, j, k = (int(b) for b in tables.at[block])
+    return AccumulatorOverflow((i, j, k), int(tables.phase[nb]), layer)

@@ -1,0 +1,154 @@
+"""Nodal fields of a scene: sums and values on this rank, and contributions of particles."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vgmpi.kernels import reproducible_sums
+from vgmpi.kernels.kernel_arguments import Sums
+from vgmpi.kernels.nodal_fields import (
+    color,
+    momentum,
+    stress_impulse,
+    surface_distance,
+    surface_velocity_gradient,
+)
+from vgmpi.parallel.exchange_topology import color_field_name
+from vgmpi.planning.phases_and_groups import GroupPlan
+from vgmpi.planning.plan import Plan
+from vgmpi.runtime.aligned_arrays import aligned_zeros, with_capacity
+
+
+class FieldContribution(NamedTuple):
+    """Contribution of selected segments of a group to a nodal field."""
+
+    layer: str  # name of the nodal field
+    kind: tuple  # kind of contribution, see kernels.layers
+    chosen: np.ndarray  # (segments,) bool, segments that contribute
+
+
+class NodalField:
+    """Sums and values of one nodal field at the nodes of this rank."""
+
+    def __init__(self, name: str, sum_bounds, plan: Plan):
+        """Create the field without nodes.
+
+        Args:
+            name: Name of the field.
+            sum_bounds: Function of the speed [m/s] that returns the largest sums, shape
+                (phases, 4); see kernels/reproducible_sums.py.
+            plan: Plan of the run.
+        """
+        self.name, self.sum_bounds, self.real = name, sum_bounds, plan.real
+        self.sums = aligned_zeros(
+            (0, reproducible_sums.accumulator_words(plan.real), reproducible_sums.BLOCK), np.float64
+        )
+        self.nodes = aligned_zeros((0, reproducible_sums.BLOCK), plan.real)
+        self.asked = np.zeros(0, np.uint8)
+        self.speed = 0.0  # [m/s] speed that the quanta are for; 0: the sums are not reset
+        self.current_bounds = np.zeros(0)  # `sum_bounds` at that speed
+        self.rest = np.zeros((len(plan.phases), reproducible_sums.accumulator_words(plan.real), 16))
+        self.tables = Sums(self.sums, self.rest, self.asked, self.nodes)
+
+    def set_topology(self, requested: np.ndarray, phase_of_row: np.ndarray) -> None:
+        """Allocate node blocks, and accumulator copies of some behind them.
+
+        Args:
+            requested: Blocks that have the field, shape (n,).
+            phase_of_row: Velocity field of each row of sums: blocks, then copies.
+        """
+        row_count = len(phase_of_row) if requested.any() else 0
+        self.asked, self.phase = requested.astype(np.uint8), phase_of_row[:row_count]
+        self.sums = with_capacity(self.sums, row_count)
+        self.nodes = with_capacity(self.nodes, len(requested) if row_count else 0)
+        self.nodes[:] = 0
+        self.speed, self.current_bounds = 0.0, np.zeros(0)
+
+    def begin(self, speed: float) -> None:
+        """Choose the quanta of a step, and reset the sums if their bias changes.
+
+        Args:
+            speed: Power of 8 [m/s] that is not below the bound of `base.Reach`.
+        """
+        if speed == self.speed:
+            return
+        self.speed, bounds = speed, self.sum_bounds(speed)
+        if not np.array_equal(bounds, self.current_bounds):
+            self.current_bounds, self.rest = (
+                bounds,
+                reproducible_sums.accumulator_biases(bounds, self.real),
+            )
+            reproducible_sums.reset(self.sums, self.rest, np.arange(len(self.phase)), self.phase)
+            self.tables = Sums(self.sums, self.rest, self.asked, self.nodes)
+
+
+def color_count(plan: Plan) -> int:
+    """Return the largest number of transported color coefficients of a group."""
+    return max((group.coefficients for group in plan.groups), default=0)
+
+
+def nodal_fields(plan: Plan, separate_stress: bool, field_class=NodalField) -> list[NodalField]:
+    """Return the nodal fields of a scene in the order in which grid kernels report them.
+
+    Volumes and offsets have no nodes where nothing may touch.
+
+    Args:
+        plan: Plan of the run.
+        separate_stress: Whether stress impulses are summed separately.
+        field_class: Class of the fields.
+    """
+    fields = [
+        field_class("momentum", lambda speed: momentum.accumulator_range(plan, speed), plan),
+        field_class("offsets", lambda _: surface_distance.accumulator_range(plan), plan),
+    ]
+    if separate_stress:
+        fields.append(
+            field_class(
+                "impulses", lambda speed: stress_impulse.accumulator_range(plan, speed), plan
+            )
+        )
+    if plan.has_surface_friction:
+        fields.append(
+            field_class("shear", lambda speed: momentum.accumulator_range(plan, speed), plan)
+        )
+    for k in range(color_count(plan)):
+        fields.append(
+            field_class(color_field_name(k), lambda _, k=k: color.accumulator_range(plan, k), plan)
+        )
+    return fields
+
+
+def contributions(
+    plan: Plan, group: GroupPlan, contributes: dict, split
+) -> list[FieldContribution]:
+    """Return the contributions of a group's segments to each nodal field.
+
+    Args:
+        plan: Plan of the run.
+        group: Plan of the group.
+        contributes: Field name -> segments that contribute, (segments,) bool.
+        split: Segments whose stress impulse is summed separately, shape (segments,) bool.
+    """
+    full, inert = momentum.contribution_kinds(plan, group)
+    result = [
+        FieldContribution("momentum", inert, split | True)  # stress does not move prescribed bodies
+        if group.driven
+        else FieldContribution("momentum", full, ~split),
+        FieldContribution("offsets", surface_distance.kind(plan, group), contributes["offsets"]),
+    ]
+    if group.apart:
+        result.append(FieldContribution("momentum", inert, split))
+        result.append(FieldContribution("impulses", stress_impulse.kind(plan, group), split))
+    if plan.has_surface_friction and group.surface:
+        result.append(
+            FieldContribution(
+                "shear", surface_velocity_gradient.kind(plan, group), contributes["shear"]
+            )
+        )
+    for k in range(group.coefficients):
+        result.append(
+            FieldContribution(
+                color_field_name(k), color.kind(plan, group, k), contributes[color_field_name(k)]
+            )
+        )
+    return [contribution for contribution in result if contribution.chosen.any()]

@@ -1,0 +1,361 @@
+"""Contact between velocity fields on dense arrays, node by node, in plain NumPy.
+
+Finds the pairs of phases in contact and the impulses that keep them apart. The rule is that of
+docs/theory.md: the surfaces of solids are known, other surfaces are found from the volumes and mean
+offsets of a phase's particles. The impulses of all pairs at a node are found together, by
+accumulated Jacobi sweeps."""
+
+import numpy as np
+
+from vgmpi.kernels.grid.contact_pair import (
+    GAP_RESOLVED,
+    GAP_UNRESOLVED,
+    LAYER_GAP_FLUID,
+    LAYER_HALF_WIDTH,
+    LAYER_MAX_OVERLAP,
+    LAYER_OFFSET,
+    LAYER_STIFFNESS,
+    MAX_FACE_FRACTION,
+    MAX_OVERLAP_FLUID,
+    NORMAL_RELIABILITY_MIN,
+    SWEEPS,
+)
+from vgmpi.kernels.reaction_impulses import WALLS
+from vgmpi.kernels.rigid.prescribed_motion import NO_PRESCRIBED_BODIES
+from vgmpi.kernels.rigid.static_colliders import SDF_BAND_CELLS
+from vgmpi.kernels.step_limits import CONTACT_MASS_FLOOR
+from vgmpi.materials.couplings.interaction import CONTACT
+from vgmpi.planning.plan import Plan
+
+from .dense_grid import Dense
+from .reaction_impulses import ReactionSums
+
+NO_CONTACT = None, np.zeros(3), np.zeros(4), 1.0  # no rigid body takes part in a pair of phases
+
+
+def outside(m: float) -> float:
+    """Return the distance of a node outside a half space of particles [cells].
+
+    This fit defines the rule.
+
+    Args:
+        m: Mean offset of the particles from the node [cells]."""
+    if m >= 0.75:
+        return min((m - 0.375) / 0.75, 1.5)
+    if m <= 0.0:
+        return -1.5
+    s = np.cbrt(m)
+    return -1.5 + 1.524778 * s + 0.998001 * s**2 - 1.124705 * s**3 + 0.933773 * s**4
+
+
+class Contact:
+    """Contact detection and contact impulses at all nodes."""
+
+    def __init__(self, plan: Plan, dense: Dense):
+        self.plan, self.dx, self.shape = plan, plan.dx, dense.shape
+        self.collider, self.moves = np.zeros((0, 4)), np.zeros((*dense.shape, 3))
+        self.friction = np.zeros((0, 0))
+        self.near = np.zeros(dense.shape, bool)  # nodes close to a collider
+        self.planes, self.active_planes = np.zeros(dense.shape, int), plan.planes
+        self._count_planes()
+        self.least = np.array([CONTACT_MASS_FLOOR * phase.least for phase in plan.phases])
+        self.walls = dense
+        self.whose = np.zeros(dense.shape, int)
+        self.ways = NO_PRESCRIBED_BODIES  # motion of prescribed bodies
+        self.given: ReactionSums | None = None  # set where reactions are requested
+
+    def set_rigid(
+        self, collider: np.ndarray, whose: np.ndarray, moves: np.ndarray | None = None
+    ) -> None:
+        """Set the nearest collider at all nodes.
+
+        Args:
+            collider: Outward normal and distance [m], shape (n, 4).
+            whose: Index of the collider, shape (n,).
+            moves: Velocity of the collider [m/s], shape (n, 3), or None if all are at rest."""
+        rows = np.array(self.plan.friction)[len(self.plan.phases) :]
+        self.friction = rows[np.minimum(whose, len(rows) - 1)].reshape(*self.shape, -1)
+        self.collider = collider.reshape(*self.shape, 4)
+        self.whose = whose.reshape(self.shape)
+        self.near = self.collider[..., 3] < SDF_BAND_CELLS * self.dx
+        if moves is not None:
+            self.moves = moves.reshape(*self.shape, 3)
+
+    def open(self, axis: int, side: int) -> None:
+        """Remove a wall that has vanished."""
+        self.active_planes = tuple(
+            plane for plane in self.active_planes if (plane.axis, plane.side) != (axis, side)
+        )
+        self._count_planes()
+
+    def _count_planes(self) -> None:
+        """Count at each node the planes of walls that only push."""
+        self.planes[:] = 0
+        for plane in self.active_planes:
+            np.moveaxis(self.planes, plane.axis, 0)[plane.node + 1] += 1
+
+    def along_walls(self, offset: np.ndarray) -> None:
+        """Remove the offset across mirroring walls, which the mirror image cancels.
+
+        Args:
+            offset: Sums of offsets (in/out), shape (phases, ..., 3)."""
+        for axis, kind, _, wall, _, _ in self.walls.wall_planes():
+            if kind != "separate":
+                np.moveaxis(offset, axis + 1, 0)[wall, ..., axis] = 0.0
+
+    def apply(
+        self, v: np.ndarray, mass: np.ndarray, heavy: np.ndarray, offset: np.ndarray,
+        volume: np.ndarray, slope: np.ndarray, dt: float,
+    ) -> int:  # fmt: skip
+        """Apply contact impulses to the velocities where phases touch.
+
+        Args:
+            v: Velocities (in/out), shape (phases, ..., 3) [m/s].
+            mass: Masses, shape (phases, ...) [kg].
+            heavy: Masses for collisions, huge for prescribed bodies [kg].
+            offset, volume: Mass times normal and distance of known surfaces, else offsets, volumes.
+            slope: Change of v per cell along the normal of a known surface, 0 elsewhere.
+            dt: Length of the step [s].
+
+        Returns:
+            Number of nodes with contact."""
+        present = mass > self.least[:, None, None, None]
+        several = present.sum(0) + self.near + self.planes > 1
+        acted = 0
+        for node in map(tuple, np.argwhere(several & present.any(0))):
+            index = (slice(None), *node)
+            sides = [
+                _PhaseAtNode(self.dx, phase.surface, phase.least, X, V, m)
+                for phase, X, V, m in zip(self.plan.phases, offset[index], volume[index],
+                                          mass[index], strict=True)
+            ]  # fmt: skip
+            phases, u, m = np.flatnonzero(present[index]), v[index], heavy[index]
+            is_pair = len(phases) + self.near[node] + self.planes[node] == 2
+            change, pairs = np.zeros_like(u), []
+            for a, b, n, d_a, d_b, friction, stiff, rigid in self._pairs(node, phases, sides, u):
+                distances = {b: d_b} if a is None else {a: d_a, b: d_b}  # of moving ones
+                all_known = all(sides[k].has_surface for k in distances)
+                is_sure = any(sides[k].has_surface for k in distances)
+                is_sure = is_sure and all(
+                    sides[k].is_sure for k in distances if sides[k].has_surface
+                )
+                slip = (u[a] if a is not None else rigid[1]) - u[b]
+                if is_sure:
+                    surface_slip = slip + d_b * slope[index][b]
+                    if a is not None:
+                        surface_slip = surface_slip - d_a * slope[index][a]
+                    fraction = min(sides[k].face_fraction(d) for k, d in distances.items())
+                    gap = d_a + d_b + (LAYER_OFFSET if all_known else -LAYER_GAP_FLUID)
+                    push = _push(
+                        slip, surface_slip, m, a, b, n, gap, d_a - d_b,
+                        fraction * stiff, friction, dt, self.dx,
+                    )  # fmt: skip
+                    acted += bool(push.any())
+                    self._record(node, rigid, push)
+                    if a is not None:
+                        change[a] -= push / m[a]
+                    change[b] += push / m[b]
+                if _touching(d_a, d_b, all_known, is_sure) and not (is_pair and slip @ n <= 0):
+                    pairs.append((-1 if a is None else a, b, n, friction, rigid))
+            u += change
+            if pairs:
+                for pair, push in zip(pairs, _resolve(u, m, pairs), strict=True):
+                    self._record(node, pair[-1], push)
+                acted += 1
+        return acted
+
+    def _record(self, node: tuple, rigid: tuple, push: np.ndarray) -> None:
+        """Record the reaction to an impulse (3,) at a node; rigid: last entry of `_pairs`."""
+        row, speed, surface, sign = rigid
+        if self.given is not None and row is not None:
+            position = self.given.points[node] - surface[3] * surface[:3]
+            self.given.add(row, position, sign * push, sign * float(push @ speed))
+
+    def _prescribed_of(self, a: int, b: int, u: np.ndarray) -> tuple:
+        """Return the prescribed body of two phases as in `_pairs`; u: (phases, 3) [m/s]."""
+        for phase, sign in ((a, 1.0), (b, -1.0)):
+            if len(self.ways.driven) and self.ways.driven[phase]:
+                return int(self.ways.row[phase]), u[phase].copy(), np.zeros(4), sign
+        return NO_CONTACT
+
+    def _pairs(self, node, phases, sides, u):
+        """Yield the pairs that may touch at a node; u: velocities, shape (phases, 3) [m/s].
+
+        A pair holds a (None for a rigid body), b, normal of a, distances from both [cells],
+        friction, stiffness [Pa], and a rigid or prescribed body: its reaction row, velocity [m/s],
+        normal and distance [m], and 1 where it is a or rigid, else -1."""
+        plan, rules = self.plan, self.plan.rules
+        for q, p in enumerate(phases):
+            for p_other in phases[q + 1 :]:
+                if rules is not None and rules.pair[p, p_other] != CONTACT:
+                    continue
+                if plan.phases[p].driven and plan.phases[p_other].driven:
+                    continue
+                first = plan.phases[p].contact_priority < plan.phases[p_other].contact_priority
+                a, b = (p, p_other) if first else (p_other, p)
+                n = _normal(sides[a], sides[b])
+                if n is not None:
+                    stiffness = 1.0 / (1.0 / plan.stiff[a] + 1.0 / plan.stiff[b])
+                    distance = sides[a].distance(n), sides[b].distance(-n)
+                    yield (
+                        a,
+                        b,
+                        n,
+                        *distance,
+                        plan.friction[p][p_other],
+                        stiffness,
+                        self._prescribed_of(a, b, u),
+                    )
+        rigid = []
+        if self.near[node]:
+            body = int(self.whose[node]), self.moves[node], self.collider[node], 1.0
+            rigid = [(*self.collider[node], self.friction[node], True, body)]
+        for plane in self.active_planes:
+            if node[plane.axis] == plane.node + 1:
+                n = np.zeros(3)
+                n[plane.axis] = 1.0 - 2.0 * plane.side
+                body = 2 * plane.axis + plane.side - WALLS, np.zeros(3), np.zeros(4), 1.0
+                rigid.append((*n, 0.0, [plane.friction] * len(sides), False, body))
+        for *n, distance, friction, acts_on_fluid, body in rigid:
+            for b in phases:
+                if plan.phases[b].driven:
+                    continue
+                if sides[b].is_present and (acts_on_fluid or sides[b].has_surface):
+                    outward = np.array(n)
+                    yield (
+                        None, b, outward, distance / self.dx, sides[b].distance(-outward),
+                        friction[b], plan.stiff[b], body,
+                    )  # fmt: skip
+
+
+class _PhaseAtNode:
+    """Surface of one phase at a node."""
+
+    def __init__(
+        self, dx: float, has_surface: bool, full_mass: float, X: np.ndarray, V: float, mass: float
+    ):
+        self.dx, self.has_surface, self.X, self.V, self.mass, self.full_mass = (
+            dx,
+            has_surface,
+            X,
+            V,
+            mass,
+            full_mass,
+        )
+        self.is_present = bool(X.any()) if has_surface else V > 0
+
+    @property
+    def is_sure(self) -> bool:
+        """Tell if the particles agree on the position of the surface."""
+        return (
+            self.has_surface
+            and self.is_present
+            and float(np.linalg.norm(self.X / self.mass)) > NORMAL_RELIABILITY_MIN
+        )
+
+    def distance(self, n: np.ndarray) -> float:
+        """Return the distance of the node outside the phase [cells]; n: normal there."""
+        if self.has_surface:
+            return self.V / (self.mass * self.dx)
+        return outside(-(self.X @ n) / (self.V * self.dx))
+
+    def face_fraction(self, distance: float) -> float:
+        """Return the fraction of a cell face that belongs to the node."""
+        return min(self.mass / (self.full_mass * max(filled(distance), 1e-3)), MAX_FACE_FRACTION)
+
+
+def filled(D: float) -> float:
+    """Return the fraction of a cell's mass at a node D cells outside a half space (B-splines)."""
+    if abs(D) >= 1.5:
+        return float(D < 0)
+    if abs(D) <= 0.5:
+        return 0.5 - 0.75 * D + D**3 / 3.0
+    tail = (1.5 - abs(D)) ** 3 / 6.0
+    return tail if D > 0 else 1.0 - tail
+
+
+def _push(r, surface_slip, mass, a, b, n, gap, lean, stiffness, friction, dt, dx) -> np.ndarray:
+    """Return the impulse of an elastic layer with friction on b, shape (3,) [kg m/s].
+
+    r: velocity of a minus that of b; surface_slip: slip of their surfaces; gap: sum of both
+    distances [cells] minus the gap at which the layer begins; lean: difference of the distances."""
+    overlap, eccentricity = min(-gap, LAYER_MAX_OVERLAP), abs(lean) / 2
+    if overlap <= 0.0 or eccentricity >= 1.0:
+        return np.zeros(3)
+    reduced_mass = mass[b] if a is None else mass[a] * mass[b] / (mass[a] + mass[b])
+    impulse = dt * LAYER_STIFFNESS * stiffness * overlap * (1.0 - eccentricity) * dx**2
+    impulse = min(impulse, reduced_mass * (max(r @ n, 0.0) + 0.5 * overlap * dx / dt))
+    tangential = surface_slip - (surface_slip @ n) * n
+    slip_speed = float(np.linalg.norm(tangential))
+    friction_factor = (
+        friction * impulse / slip_speed
+        if slip_speed * reduced_mass > friction * impulse
+        else reduced_mass
+    )
+    return impulse * n + friction_factor * tangential
+
+
+def _normal(a: _PhaseAtNode, b: _PhaseAtNode):
+    """Return the outward normal of a, None where there is none."""
+    if not (a.is_present and b.is_present):
+        return None
+    if a.has_surface or b.has_surface:
+        n = np.zeros(3)
+        for side, sign in ((a, 1.0), (b, -1.0)):
+            if side.has_surface:
+                mean = side.X / side.mass
+                n += sign * (mean @ mean) ** 16 * mean
+        size = np.linalg.norm(n)
+        return n / size if size > 0 else None
+    for side, sign in ((a, -1.0), (b, 1.0)):
+        size = np.linalg.norm(side.X)
+        if size > 1e-6 * side.dx * side.V:
+            return sign * side.X / size
+    return None
+
+
+def _touching(distance_a: float, distance_b: float, both_known: bool, is_sure: bool) -> bool:
+    """Tell if two surfaces may not approach at a node.
+
+    distance_a, distance_b: distances of the node from both [cells]; both_known: both surfaces are
+    known; is_sure: one is known, and all known ones agree."""
+    if both_known:
+        return (
+            distance_a + distance_b <= (-LAYER_MAX_OVERLAP if is_sure else GAP_RESOLVED)
+            and abs(distance_a - distance_b) <= 2 * LAYER_HALF_WIDTH
+        )
+    return distance_a + distance_b <= (-MAX_OVERLAP_FLUID if is_sure else GAP_UNRESOLVED)
+
+
+def _resolve(v: np.ndarray, mass: np.ndarray, pairs: list[tuple]) -> list[np.ndarray]:
+    """Change the velocities (phases, 3) of a node so that no touching pair approaches.
+
+    Returns the impulse of each pair on its second body."""
+    touches = np.zeros(len(mass), int)
+    for a, b, *_ in pairs:
+        touches[b] += 1
+        if a >= 0:
+            touches[a] += 1
+    relax = 1.0 / touches.max()
+    normal, slide = np.zeros(len(pairs)), np.zeros((len(pairs), 3))
+    for _ in range(SWEEPS if len(pairs) > 1 else 1):
+        change, pushes = 0.0, []
+        for q, (a, b, n, friction, (_, base, *_)) in enumerate(pairs):
+            r = (v[a] if a >= 0 else base) - v[b]
+            reduced = mass[a] * mass[b] / (mass[a] + mass[b]) if a >= 0 else mass[b]
+            approach = r @ n
+            total = max(0.0, normal[q] + relax * reduced * approach)
+            t = slide[q] + relax * reduced * (r - approach * n)
+            size = np.linalg.norm(t)
+            if size > friction * total:
+                t = t * (friction * total / size)
+            pushes.append((total - normal[q]) * n + (t - slide[q]))
+            change = max(change, abs(total - normal[q]) / reduced)
+            normal[q], slide[q] = total, t
+        for (a, b, *_), push in zip(pairs, pushes, strict=True):
+            if a >= 0:
+                v[a] -= push / mass[a]
+            v[b] += push / mass[b]
+        if change < 1e-13:
+            break
+    return [normal[q] * pair[2] + slide[q] for q, pair in enumerate(pairs)]

@@ -1,0 +1,241 @@
+"""Dense background grid: B-spline weights, sums and gathers of particles, and walls.
+
+Arrays cover the nodes -1 to cells + 1 along each axis, one beyond each wall. With quadratic
+B-splines a particle touches the 27 nodes from its base node on.
+"""
+
+import numpy as np
+
+from vgmpi.planning.plan import Plan
+
+
+class Stencil:
+    """Nodes, weights and offsets of n particles.
+
+    Args:
+        base: Base nodes, shape (n, 3).
+        inside: Position in the cell, shape (n, 3), 0 to 1.
+        dx: Cell size [m].
+    """
+
+    def __init__(self, base: np.ndarray, inside: np.ndarray, dx: float):
+        self.base, self.dx = base, dx
+        f = inside
+        self.w = np.stack([0.5 * (1.0 - f) ** 2, 0.75 - (f - 0.5) ** 2, 0.5 * f**2])  # (3, n, 3)
+        self.d = np.stack([f - 1.0, 1.0 - 2.0 * f, f]) / dx  # [1/m] gradients of the weights
+        self.r = np.stack([k - 0.5 - f for k in range(3)]) * dx  # [m] node minus particle
+
+    def __iter__(self):
+        """Yield 27 times index, weight, offset and gradient of the weight.
+
+        The index selects nodes of dense arrays; the weight has shape (n,), node minus particle (n,
+        3) [m], the gradient of the weight (n, 3) [1/m].
+        """
+        for i, j, k in np.ndindex(3, 3, 3):
+            index = tuple((self.base + (i, j, k) + 1).T)
+            w = [self.w[c, :, a] for a, c in enumerate((i, j, k))]
+            d = [self.d[c, :, a] for a, c in enumerate((i, j, k))]
+            r = np.stack([self.r[c, :, a] for a, c in enumerate((i, j, k))], 1)
+            gradient = np.stack([d[0] * w[1] * w[2], w[0] * d[1] * w[2], w[0] * w[1] * d[2]], 1)
+            yield index, w[0] * w[1] * w[2], r, gradient
+
+
+class Dense:
+    """Nodes of the domain and its walls."""
+
+    def __init__(self, plan: Plan):
+        self.cells, self.dx = plan.cells, plan.dx
+        self.walls, self.splines = plan.walls, plan.splines
+        self.shape = tuple(n + 3 for n in plan.cells)
+        # [m^3] Volume of the domain that belongs to each node; a wall halves it.
+        part = [np.where((i == 0) | (i == n), 0.5, 1.0) for i, n in zip(self.nodes, self.cells,
+                                                                        strict=True)]  # fmt: skip
+        self.space = plan.dx**3 * part[0][:, None, None] * part[1][:, None] * part[2]
+
+    @property
+    def nodes(self) -> list[np.ndarray]:
+        """Node numbers along each axis."""
+        return [np.arange(-1, n + 2) for n in self.cells]
+
+    def points(self) -> np.ndarray:
+        """Return the positions of all nodes, shape (n, 3) [m]."""
+        return np.stack(np.meshgrid(*self.nodes, indexing="ij"), -1).reshape(-1, 3) * self.dx
+
+    # ---- particles to nodes ----------------------------------------------------------------------
+
+    def sum(self, out: np.ndarray, stencil: Stencil, values: np.ndarray, slopes=None) -> None:
+        """Add sum w (values + slopes (x_i - x_p)) to a field.
+
+        Args:
+            out (in/out): Field, shape (..., k).
+            stencil: Stencil of the particles.
+            values: Values of the particles, shape (n, k).
+            slopes: Gradients of the values, shape (n, k, 3), or None.
+        """
+        for index, w, r, _ in stencil:
+            term = values if slopes is None else values + np.einsum("nkb,nb->nk", slopes, r)
+            np.add.at(out, index, w[:, None] * term)
+
+    def sum_forces(self, out: np.ndarray, stencil: Stencil, tau: np.ndarray) -> None:
+        """Subtract sum tau grad w from a field.
+
+        The gradient is 4 w (x_i - x_p) / dx^2 (Hu 2018), or that of the B-splines.
+
+        Args:
+            out (in/out): Field, shape (..., 3).
+            stencil: Stencil of the particles.
+            tau: Volume times stress times time, shape (n, 3, 3).
+        """
+        for index, w, r, spline_gradient in stencil:
+            gradient = spline_gradient if self.splines else 4.0 / self.dx**2 * w[:, None] * r
+            np.add.at(out, index, -np.einsum("nab,nb->na", tau, gradient))
+
+    # ---- nodes to particles ----------------------------------------------------------------------
+
+    def gather(self, field: np.ndarray, stencil: Stencil) -> np.ndarray:
+        """Return the interpolated field sum w field, shape (n, k)."""
+        return np.sum([w[:, None] * field[index] for index, w, _, _ in stencil], 0)
+
+    def gather_slopes(self, field: np.ndarray, stencil: Stencil, moments=None) -> np.ndarray:
+        """Return the gradient of a field at the particles, shape (n, k, 3).
+
+        Args:
+            field: Values at the nodes, shape (..., k).
+            stencil: Stencil of the particles.
+            moments: Whether to use moments as APIC does, even if strains use B-spline gradients.
+        """
+        total = np.zeros((len(stencil.base), field.shape[-1], 3))
+        for index, w, r, spline_gradient in stencil:
+            gradient = (
+                spline_gradient
+                if self.splines and not moments
+                else 4.0 / self.dx**2 * w[:, None] * r
+            )
+            total = total + np.einsum("nk,nb->nkb", field[index], gradient)
+        return total
+
+    # ---- walls -----------------------------------------------------------------------------------
+
+    def wall_planes(self):
+        """Yield axis, kind, friction and three planes of each wall; open walls are left out.
+
+        The planes are the indices of the wall's nodes, of the nodes inside and of the nodes beyond.
+        """
+        for axis in range(3):
+            last = self.cells[axis] + 1
+            for side, planes in enumerate(((1, 2, 0), (last, last - 1, last + 1))):
+                kind, friction = self.walls[2 * axis + side]
+                if kind != "open":
+                    yield axis, kind, friction, *planes
+
+    @staticmethod
+    def mirror_sign(kind: str, axis: int) -> np.ndarray:
+        """Return the factors by which a mirror multiplies the components of a vector."""
+        sign = -np.ones(3) if kind == "stick" else np.ones(3)
+        sign[axis] = -1.0
+        return sign
+
+    def fold(self, vectors, numbers, kind=None, recorder=None) -> None:
+        """Add the sums beyond mirroring walls to the mirror image of their node.
+
+        Args:
+            vectors (in/out): Vector field or None.
+            numbers (in/out): Scalar field or None.
+            kind: Kind of the mirror in place of the wall's.
+            recorder: `WallRecorder` of the momentum, or None.
+        """
+        for axis, wall, _, plane, inside, beyond in self.wall_planes():
+            if wall == "separate":
+                continue
+            if recorder is not None:
+                momentum_beyond = np.moveaxis(vectors, axis, 0)[beyond]
+                recorder.record_fold(axis, plane, momentum_beyond, self.mirror_sign(wall, axis))
+                if numbers is not None:
+                    recorder.record_mass(axis, plane, np.moveaxis(numbers, axis, 0)[beyond])
+            for field, sign in ((vectors, self.mirror_sign(kind or wall, axis)), (numbers, 1.0)):
+                if field is not None:
+                    along = np.moveaxis(field, axis, 0)
+                    along[inside] += along[beyond] * sign
+                    along[beyond] = 0.0
+        for axis, wall, _, plane, _, beyond in self.wall_planes():
+            if wall == "separate" and recorder is not None and numbers is not None:
+                recorder.record_mass(axis, plane, np.moveaxis(numbers, axis, 0)[beyond])
+
+    def constrain(self, v: np.ndarray, surface: bool = False, recorder=None) -> None:
+        """Apply the velocity constraints of the walls.
+
+        Args:
+            v (in/out): Velocities, shape (..., 3) [m/s].
+            surface: Whether the phase meets walls that only push by contact.
+            recorder: `WallRecorder`, or None.
+        """
+        for axis, kind, friction, wall, _, beyond in self.wall_planes():
+            along = np.moveaxis(v, axis, 0)
+            before = along[[wall, beyond]]
+            inward = 1.0 if wall == 1 else -1.0
+            if kind == "stick":
+                along[wall] = 0.0
+            elif kind == "slip":
+                along[wall, ..., axis] = 0.0
+            elif not surface:
+                for plane in (wall, beyond):
+                    _push_back(along[plane], axis, inward, friction)
+            if recorder is not None:
+                recorder.record_constraint(axis, wall, wall, along[wall] - before[0])
+                recorder.record_constraint(axis, wall, beyond, along[beyond] - before[1])
+
+    def mirror(self, v: np.ndarray, surface: bool = False, recorder=None) -> None:
+        """Set the velocities beyond the walls as seen by the particles next to them.
+
+        Args:
+            v (in/out): Velocities, shape (..., 3) [m/s].
+            surface: Whether the phase meets walls that only push by contact.
+            recorder: `WallRecorder`, or None.
+        """
+        for axis, kind, _, wall, inside, beyond in self.wall_planes():
+            along = np.moveaxis(v, axis, 0)
+            if kind != "separate":
+                along[beyond] = along[inside] * self.mirror_sign(kind, axis)
+            elif not surface:
+                inward = 1.0 if wall == 1 else -1.0
+                lower = -inward * along[inside][..., axis]
+                upper = np.maximum(inward * along[beyond][..., axis], lower)
+                change = np.zeros_like(along[beyond])
+                change[..., axis] = inward * upper - along[beyond][..., axis]
+                along[beyond][..., axis] = inward * upper
+                if recorder is not None:
+                    recorder.record_mirror(axis, wall, change)
+        for axis, kind, _, wall, inside, beyond in self.wall_planes():
+            if recorder is not None and kind != "separate":
+                along = np.moveaxis(v, axis, 0)
+                recorder.record_mirror(axis, wall, along[beyond] - along[inside])
+
+    def complete_wall_mass(self, mass: np.ndarray) -> np.ndarray:
+        """Return the masses completed by the images of mirroring walls.
+
+        Nodes on such walls hold the mass of one side only; nodes beyond take the mass inside.
+        """
+        mass = mass.copy()
+        for axis, kind, _, wall, _, _ in self.wall_planes():
+            if kind != "separate":
+                np.moveaxis(mass, axis, 0)[wall] *= 2.0
+        return self.symmetrize(mass)
+
+    def symmetrize(self, field: np.ndarray) -> np.ndarray:
+        """Return a scalar field with its mirror image beyond mirroring walls."""
+        field = field.copy()
+        for axis, kind, _, _, inside, beyond in self.wall_planes():
+            if kind != "separate":
+                along = np.moveaxis(field, axis, 0)
+                along[beyond] = along[inside]
+        return field
+
+
+def _push_back(u: np.ndarray, axis: int, inward: float, friction: float) -> None:
+    """Apply a wall that only pushes, with Coulomb friction, to the velocities of its plane."""
+    push = np.maximum(-inward * u[..., axis], 0.0)
+    hit = push > 0
+    u[..., axis] = np.where(hit, 0.0, u[..., axis])
+    size = np.linalg.norm(u, axis=-1)
+    factor = np.maximum(size - friction * push, 0.0) / np.where(size > 0, size, 1.0)
+    u *= np.where(hit, factor, 1.0)[..., None]

@@ -1,0 +1,182 @@
+"""Mixture coupling of phases that share space: mixing fluids, and sand with pore fluid.
+
+Formulas and sources are in docs/theory.md. All arrays run over phases, then nodes.
+"""
+
+import numpy as np
+
+from vgmpi.kernels.grid.mixture_coupling import MIN_POROSITY, MIN_VOLUME_FRACTION
+from vgmpi.materials.couplings.interaction import InteractionRules
+
+from .dense_grid import Dense
+
+
+def _ratio(a, b):
+    """Return a / b, 0 where b is not positive."""
+    return np.where(b > 0, a / np.where(b > 0, b, 1.0), 0.0)
+
+
+class MixtureCoupling:
+    """Coupling of a scene's sets of phases, one set after the other."""
+
+    def __init__(self, rules: InteractionRules, dense: Dense):
+        self.rules, self.dense, self.dx = rules, dense, dense.dx
+        self.sets = [np.flatnonzero(rules.mixture_set == k) for k in range(rules.sets)]
+        self.fluid = np.asarray(rules.fluid, bool)[:, None, None, None]
+
+    def volumes(self, mass: np.ndarray, counted: np.ndarray) -> np.ndarray:
+        """Return the volume of each phase [m^3].
+
+        Args:
+            mass: Nodal masses, shape (phases, ...) [kg].
+            counted: Volumes of fluids as summed at the nodes [m^3]; grains follow from their mass.
+        """
+        grains = self.rules.volume[:, None, None, None] * mass
+        return np.where(self.fluid, np.maximum(counted, 0.0), grains)
+
+    def _set_volumes(self, members, mass, V):
+        """Return volumes of one set, sums of its fluids and grains, and the porosity."""
+        V = np.where(mass[members] > 0, V[members], 0.0)
+        wet = self.fluid[members]
+        fluid, grains = np.where(wet, V, 0).sum(0), np.where(wet, 0, V).sum(0)
+        porosity = np.maximum(
+            1.0 - grains / np.maximum(fluid + grains, self.dense.space), MIN_POROSITY
+        )
+        return V, fluid, grains, np.where((fluid > 0) & (grains > 0), porosity, 1.0)
+
+    def apply(self, v, mass, forces, V, offset, dt: float) -> np.ndarray:
+        """Apply pressure, drift, slip and drag to the velocities.
+
+        Args:
+            v (in/out): Velocities, shape (phases, ..., 3) [m/s].
+            mass: Nodal masses, shape (phases, ...) [kg].
+            forces: Stress impulses that are summed separately, shape (phases, ..., 3) [kg m/s].
+            V: Volumes, shape (phases, ...) [m^3].
+            offset: Sums of volume times offset of the particles.
+            dt: Length of the step [s].
+
+        Returns:
+            Drift velocities contained in v [m/s].
+        """
+        rules, drift = self.rules, np.zeros_like(v)
+        for members in self.sets:
+            m = mass[members]
+            shared = (m > 0).sum(0) > 1
+            groups = [
+                (g, rules.diffusion[g], rules.slip_time[g]) for g in range(rules.mixing_group_count)
+            ]
+            for g, D, _ in groups:
+                if rules.printed_mix[g]:
+                    self._mix(g, v, mass, V, offset, shared, D, 0.0, -1.0, dt)
+            self._pressure(members, v, mass, forces, V, shared)
+            for g, D, slip in groups:
+                if not rules.printed_mix[g]:
+                    drift_of_group = self._mix(
+                        g, v, mass, V, offset, shared, D, 1.0 / (1.0 + dt / slip), 1.0, dt
+                    )
+                    drift += drift_of_group
+            self._drag(members, v, mass, V, dt)
+        return drift
+
+    def _pressure(self, members, v, mass, forces, V, shared):
+        """Distribute the impulse of all fluids to each phase by its volume fraction."""
+        volumes, fluid, grains, porosity = self._set_volumes(members, mass, V)
+        wet = self.fluid[members]
+        total = np.where(wet[..., None], forces[members], 0.0).sum(0)
+        fraction = np.where(
+            wet, porosity * _ratio(volumes, fluid), (1.0 - porosity) * _ratio(volumes, grains)
+        )
+        m = mass[members]
+        separate = _ratio(forces[members], m[..., None])
+        v[members] += np.where(
+            shared[..., None], _ratio(fraction[..., None] * total, m[..., None]), separate
+        )
+
+    def _mix(self, g, v, mass, V, offset, shared, diffusion, slip_ratio, sign, dt) -> np.ndarray:
+        """Apply drift (Ren 2014) and slip to the fluids of group g; return the drifts.
+
+        slip_ratio: fraction of all other velocity differences that is kept.
+        """
+        in_group = (self.rules.mix == g)[:, None, None, None]
+        if in_group.sum() < 2:
+            return np.zeros_like(v)
+        m = np.where(in_group, mass, 0.0)[..., None]
+        is_shared = ((m.sum(0) > 0) & shared[..., None])[None]
+        mean = _ratio((m * v).sum(0), m.sum(0))
+        drift = np.zeros_like(v)
+        if diffusion > 0:
+            drift = self._drift(in_group, m, V, offset, sign * diffusion, dt)
+        drift = np.where(is_shared & in_group[..., None], drift, 0.0)
+        v[:] = np.where(is_shared & in_group[..., None], mean + slip_ratio * (v - mean) + drift, v)
+        return drift
+
+    def _drift(self, in_group, m, V, offset, strength, dt):
+        """Return the drift u_k = -D (grad a_k / a_k - sum_l c_l grad a_l / a_l).
+
+        No drift exceeds half a cell in dt; the momenta of the drifts sum to zero.
+        """
+        V = np.where(in_group & (m[..., 0] > 0), V, 0.0)[..., None]
+        X = np.where(in_group[..., None], offset, 0.0)
+        fraction = _ratio(V, V.sum(0))
+        slope = (
+            4.0 / self.dx**2 * _ratio(X - fraction * X.sum(0), np.broadcast_to(V.sum(0), X.shape))
+        )
+        u = np.where(m > 0, -strength * slope / np.maximum(fraction, MIN_VOLUME_FRACTION), 0.0)
+        u = u - _ratio((m * u).sum(0), m.sum(0))
+        size, limit = np.linalg.norm(u, axis=-1, keepdims=True), self.dx / (2.0 * dt)
+        u = u * np.where(size > limit, limit / np.where(size > 0, size, 1.0), 1.0)
+        return u - _ratio((m * u).sum(0), m.sum(0))
+
+    def _drag(self, members, v, mass, V, dt):
+        """Solve (diag(m) + L(K)) v = m v* at each node, with a general solver.
+
+        K = dt c times the bulk volume that both phases fill.
+        """
+        rules = self.rules
+        if not rules.has_drag:
+            return
+        volumes, fluid, grains, _ = self._set_volumes(members, mass, V)
+        wet = np.asarray(rules.fluid, bool)[members]
+        for node in map(tuple, np.argwhere((fluid > 0) & (grains > 0))):
+            index = (slice(None), *node)
+            m, volume = mass[(members, *node)], volumes[index]
+            K = np.zeros((len(members), len(members)))
+            for a, b in np.argwhere(~wet[:, None] & wet[None, :] & (volume[:, None] * volume > 0)):
+                strength, n = rules.drag[members[a], members[b]], rules.porosity[members[a]]
+                bulk = volume[a] / (1.0 - n) * (volume[b] / fluid[node])
+                pore_volume = volume[b] / n * (volume[a] / grains[node])
+                K[a, b] = K[b, a] = dt * strength * min(bulk, pore_volume)
+                if rules.printed_drag[members[a], members[b]]:
+                    K[a, b] = K[b, a] = strength * m[a] * m[b] / (m[a] + m[b])
+            present = np.flatnonzero(m > 0)
+            K = K[np.ix_(present, present)]
+            matrix = np.diag(m[present] + K.sum(1)) - K
+            rows = (members[present], *node)
+            v[rows] = np.linalg.solve(matrix, m[present, None] * v[rows])
+
+    def flux(self, v, mass, V):
+        """Return what the particles of each phase gather.
+
+        Args:
+            v: Velocities, shape (phases, ..., 3) [m/s].
+            mass: Nodal masses, shape (phases, ...) [kg].
+            V: Volumes, shape (phases, ...) [m^3].
+
+        Returns:
+            Volume flux [m/s], porosity, and filled fraction of space, each of shape (phases, ...).
+        """
+        flux, porosity, full = v.copy(), np.ones(mass.shape), np.zeros(mass.shape)
+        for members in self.sets:
+            volumes, fluid, grains, set_porosity = self._set_volumes(members, mass, V)
+            wet = self.fluid[members]
+            fraction = np.where(
+                wet,
+                set_porosity * _ratio(volumes, fluid),
+                (1.0 - set_porosity) * _ratio(volumes, grains),
+            )
+            total = (fraction[..., None] * v[members]).sum(0)
+            is_coupled = ((mass[members] > 0).sum(0) > 1) & (fluid > 0)
+            flux[members] = np.where(is_coupled[..., None], total, v[members])
+            porosity[members] = set_porosity
+            full[members] = (fluid + grains) / self.dense.space
+        return flux, porosity, full

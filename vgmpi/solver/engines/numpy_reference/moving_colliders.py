@@ -1,0 +1,69 @@
+"""Moving colliders at grid nodes, in plain NumPy; see kernels/rigid/sdf_sampling.py."""
+
+import numpy as np
+
+from vgmpi.kernels.rigid.sdf_sampling import SampledSdf
+
+
+def nearest_collider(
+    table: SampledSdf, points: np.ndarray, dt: float, dx: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the nearest moving collider at points.
+
+    Args:
+        table: Sampled signed distances and motions of the colliders.
+        points: Positions, shape (n, 3) [m].
+        dt: Length of the step [s].
+        dx: Cell size [m].
+
+    Returns:
+        Outward normal and distance, shape (n, 4) [m]; index of the collider, shape (n,); mean
+        velocity of its surface in the step, shape (n, 3) [m/s].
+    """
+    nodes, moves = np.zeros((len(points), 4)), np.zeros((len(points), 3))
+    whose = np.zeros(len(points), np.int64)
+    nodes[:, 3] = np.inf
+    for m in range(len(table.first)):
+        center, R = table.about[m], table.rotation[m]
+        local = (points - center - table.move[m]) @ R + center
+        inside, distance, gradient = sample(table, m, local)
+        norm = np.linalg.norm(gradient, axis=1)
+        chosen = (distance < nodes[inside, 3]) & (norm > 0)
+        closest = np.flatnonzero(inside)[chosen]
+        normal = (gradient[chosen] / norm[chosen, None]) @ R.T
+        nodes[closest] = np.column_stack([normal, distance[chosen]])
+        surface = points[closest] - np.clip(distance[chosen], -2 * dx, 2 * dx)[:, None] * normal
+        body = (surface - center - table.move[m]) @ R
+        end = body @ table.rotation_end[m].T + center + table.move_end[m]
+        moves[closest], whose[closest] = (end - surface) / dt, m
+    return nodes, whose, moves
+
+
+def sample(
+    table: SampledSdf, m: int, points: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Interpolate the distance of one collider linearly from its lattice.
+
+    Args:
+        table: Sampled colliders.
+        m: Index of the collider.
+        points: Points in the body frame, shape (n, 3) [m].
+
+    Returns:
+        Points inside the lattice, shape (n,) bool; distance [m] of those k, shape (k,); its
+        gradient, shape (k, 3).
+    """
+    s = (points - table.start[m]) / table.spacing
+    corner = np.floor(s).astype(np.int64)
+    inside = ((corner >= 0) & (corner <= table.shape[m] - 2)).all(axis=1)
+    corner, s = corner[inside], s[inside] - corner[inside]
+    grid = table.values[table.first[m] :][: np.prod(table.shape[m])].reshape(table.shape[m])
+    distance, gradient = np.zeros(len(s)), np.zeros((len(s), 3))
+    for step in np.ndindex(2, 2, 2):
+        value = grid[tuple((corner + step).T)]
+        w = np.where(step, s, 1 - s)  # (k, 3)
+        distance += value * w.prod(axis=1)
+        for a in range(3):
+            others = np.delete(w, a, axis=1).prod(axis=1)
+            gradient[:, a] += (1 if step[a] else -1) * value * others / table.spacing
+    return inside, distance, gradient

@@ -1,0 +1,64 @@
+"""Prescribed motion of bodies, in plain NumPy; see kernels/rigid/prescribed_transfer.py."""
+
+import numpy as np
+
+from vgmpi.kernels.rigid.prescribed_motion import (
+    EFFECTIVE_MASS_FACTOR,
+    PrescribedBodies,
+    PrescribedSteps,
+)
+from vgmpi.kernels.transfer.g2p import OUT_OF_DOMAIN
+from vgmpi.parallel.block_lattice import BLOCK_CENTER, BLOCK_EDGE
+from vgmpi.parallel.particle_group import ParticleGroup
+from vgmpi.solver.engines.engine_protocol import DITHER, StepReport
+
+
+def prescribe(
+    v: np.ndarray, heavy: np.ndarray, motion: PrescribedSteps, points: np.ndarray, dx: float
+) -> None:
+    """Set velocities and masses of prescribed bodies at the nodes.
+
+    Args:
+        v (in/out): Velocities, shape (phases, ..., 3) [m/s].
+        heavy (in/out): Masses, shape (phases, ...); those of prescribed bodies are multiplied by
+            HEAVY.
+        motion: Rigid motion of each phase.
+        points: Positions of the nodes, shape (n, 3) [m].
+        dx: Cell size [m].
+    """
+    for p in np.flatnonzero(motion.driven):
+        x = points - motion.about[p]
+        v[p] = (x @ motion.turn[p].T + motion.shift[p]).reshape(v[p].shape)
+        heavy[p] *= EFFECTIVE_MASS_FACTOR
+
+
+def carry(group: ParticleGroup, driven: PrescribedBodies, dt: float, step: int) -> StepReport:
+    """Advect the particles of a prescribed body and return the report.
+
+    Args:
+        group: Particles of the body (in/out).
+        driven: Prescribed bodies.
+        dt: Length of the step [s].
+        step: Number of the step, for the dither.
+    """
+    p, index, dx = group.plan.phase, group.index(), driven.dx
+    if p not in driven.phases:
+        return StepReport(0.0, 0.0, (0.0,) * 3, [], [])
+    turn, motion = driven.ways.turn[p], driven.ways
+    v = (group.positions() - motion.about[p]) @ turn.T + motion.shift[p]
+    dither = np.array([d * step % 1.0 for d in DITHER])
+    units = np.floor(2.0**group.bits * (dt / dx) * v + dither)
+    group.xi[:, index] += units.T.astype(group.xi.dtype)
+    group.put("v", index, v)
+    group.put("C", index, np.tile(turn.ravel(), (len(index), 1)))
+    R = np.eye(3) + dt * turn
+    for name in ("H", "F"):
+        if name in group.plan.channels:
+            F = np.eye(3) + group.get(name, index).astype(float).reshape(-1, 3, 3)
+            group.put(name, index, (R @ F - np.eye(3)).reshape(-1, 9))
+    x = np.ldexp(group.xi[:, index].T.astype(np.float64), -group.bits)
+    position = x + BLOCK_EDGE * np.repeat(group.block, group.count, axis=0) + BLOCK_CENTER
+    cells = np.array(group.lattice.cells)
+    outside = ~((position > -0.5) & (position < cells + 0.5)).all(1)
+    failed = [(int(group.ids[index[k]]), OUT_OF_DOMAIN) for k in np.flatnonzero(outside)]
+    return StepReport(0.0, float(np.abs(x).max()), (float(np.abs(v).max()), 0.0, 0.0), failed, [])

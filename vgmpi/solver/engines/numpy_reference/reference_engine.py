@@ -1,0 +1,426 @@
+"""Reference engine: the method of docs/theory.md in plain NumPy; slow, for tests and for reading.
+
+Each phase has one dense array over all nodes; all particles of a group are processed at once, in
+double precision, on one rank and thread. The rest of the program only gives the particles
+(domain.state) and the segments with a separate stress impulse (the tables); there are no patches,
+reproducible sums or compiled code. Jiang 2015 (APIC), Hu 2018, Zhu and Bridson 2005 (FLIP)."""
+
+from typing import Any
+
+import numpy as np
+
+from vgmpi.kernels.grid.mixture_coupling import MIN_POROSITY
+from vgmpi.kernels.nodal_fields.surface_distance import MAX_DEPTH_CELLS
+from vgmpi.kernels.rigid.moving_colliders import MovingColliders
+from vgmpi.kernels.rigid.prescribed_motion import PrescribedBodies
+from vgmpi.kernels.rigid.static_colliders import StaticColliders
+from vgmpi.kernels.step_limits import (
+    J_MAX,
+    J_MIN,
+    MAX_CELLS_PER_STEP,
+    MAX_VOLUME_STRAIN_PER_STEP,
+    NODE_MASS_FLOOR,
+)
+from vgmpi.kernels.transfer.auxiliary_gather import OVERFILL_RELAXATION_RATE
+from vgmpi.kernels.transfer.g2p import (
+    CFL_EXCEEDED,
+    FASTEST_WAVE,
+    INVALID_VOLUME,
+    NOT_FINITE,
+    OUT_OF_DOMAIN,
+)
+from vgmpi.materials.material import law_function
+from vgmpi.parallel.block_lattice import BLOCK_EDGE, BlockLattice
+from vgmpi.parallel.exchange_topology import ExchangeTopology
+from vgmpi.parallel.halo_exchange import FieldMessage
+from vgmpi.parallel.particle_group import ParticleGroup
+from vgmpi.planning.particle_channels import CURVATURE_TO_FULL
+from vgmpi.planning.plan import Plan
+from vgmpi.solver.engines.engine_protocol import DITHER, AccumulatorOverflow, StepReport
+
+from .contact import Contact
+from .dense_grid import Dense, Stencil
+from .density_correction import density_corrected_gradient
+from .mixture_coupling import MixtureCoupling
+from .moving_colliders import nearest_collider
+from .prescribed_motion import carry, prescribe
+from .reaction_impulses import ReactionSums, WallRecorder
+
+
+class Numpy:
+    """Particles and nodes of the domain; see solver/engines/engine_protocol.py."""
+
+    words = 1
+
+    def __init__(
+        self, plan: Plan, lattice: BlockLattice, solids: StaticColliders | MovingColliders | None,
+        threads: int = 1,
+        driven: PrescribedBodies | None = None,
+    ):  # fmt: skip
+        self.driven = driven
+        self.plan, self.dense = plan, Dense(plan)
+        self.groups = [ParticleGroup(group, lattice, plan.real) for group in plan.groups]
+        self.contact = Contact(plan, self.dense)
+        if driven is not None:
+            self.contact.ways = driven.ways
+        self.movers = solids if isinstance(solids, MovingColliders) else None
+        if isinstance(solids, StaticColliders):
+            self.contact.set_rigid(*solids.surface(self.dense.points()))
+        self.sharing = None if plan.rules is None else MixtureCoupling(plan.rules, self.dense)
+        self.sums: ReactionSums | None = None
+        self.apart = any(group.apart for group in plan.groups)
+
+    def open(self, wall: int) -> None:
+        """Remove a wall that has vanished."""
+        axis, side = divmod(wall, 2)
+        kind, _ = self.dense.walls[wall]
+        self.dense.walls = tuple(
+            ("open", 0.0) if k == wall else old for k, old in enumerate(self.dense.walls)
+        )
+        if kind != "open":
+            self.contact.open(axis, side)
+
+    def enable_reactions(self, rows: int, quanta: np.ndarray, rank: int) -> None:
+        """Start to sum reactions.
+
+        Args:
+            rows, quanta, rank: See `Engine.feel`."""
+        self.sums = self.contact.given = ReactionSums(self.plan, self.dense, rows, quanta)
+
+    def given(self) -> np.ndarray:
+        """Return the reactions summed since the last call, shape (rows, 7) int64."""
+        assert self.sums is not None
+        return self.sums.take()
+
+    def _record(self, p: int, share: float, mass: np.ndarray | None = None) -> WallRecorder | None:
+        """Return the recorder of wall reactions on a phase, None where not requested."""
+        driven = self.plan.phases[p].driven  # prescribed motion has no reaction
+        return None if self.sums is None or driven else WallRecorder(self.sums, p, share, mass)
+
+    def set_topology(self, tables: ExchangeTopology, unchanged: bool = False) -> None:
+        """Mark the particles whose stress impulse is summed separately, after a sort."""
+        if tables.shared:
+            raise RuntimeError("the numpy engine runs on one rank")
+        split = tables.contributes.get("impulses", np.zeros(len(tables.code), bool))
+        self.split = [  # (particles,) bool by group
+            np.repeat(split[tables.group == g], group.count) for g, group in enumerate(self.groups)
+        ]
+
+    def begin(self, dt: float, gravity: np.ndarray, speed: float) -> None:
+        """Begin a step.
+
+        Args:
+            dt, gravity, speed: See `Engine.begin`."""
+        self.dt, self.gravity, self.mirrors, self.kept = dt, gravity, 1.0, 0.0
+        if self.sums is not None:
+            self.mirrors, self.kept = self.sums.shares(dt)
+
+    def pack(self, part: FieldMessage) -> None:
+        """Raise an error: there are no other ranks."""
+        raise RuntimeError("the numpy engine runs on one rank")
+
+    add = pack
+
+    def fill(self, border: bool) -> None:
+        """Sum mass, momentum, separate impulses, volumes, offsets and colors of each phase."""
+        if border:
+            return
+        # In a step of no time stress gives no impulse, and the other sums are not read.
+        n, shape = len(self.plan.phases), self.dense.shape
+        self.mass, self.volume, self.counted = (np.zeros((n, *shape, 1)) for _ in range(3))
+        self.momentum, self.forces, self.offset, self.shear = (
+            np.zeros((n, *shape, 3)) for _ in range(4)
+        )
+        count = max(group.coefficients for group in self.plan.groups)
+        self.hues = np.zeros((count, n, *shape, 4))
+        self.stencils = [self._stencil(group) for group in self.groups]
+        for g, group in enumerate(self.groups):
+            self._contribute(group, self.stencils[g], self.split[g])
+        for p in range(n):
+            self.dense.fold(self.momentum[p], self.mass[p], recorder=self._record(p, self.mirrors))
+            self.dense.fold(self.forces[p], None, recorder=self._record(p, 1.0))
+            self.dense.fold(None, self.counted[p])
+            self.dense.fold(self.shear[p], None)
+            self.dense.fold(self.offset[p], self.volume[p], kind="slip")
+
+    def _stencil(self, group: ParticleGroup) -> Stencil:
+        index = group.index()
+        xi = group.xi[:, index].astype(np.int64)
+        block = np.repeat(group.block, group.count, axis=0)
+        cell = xi >> group.bits
+        inside = np.ldexp((xi - (cell << group.bits)).astype(np.float64), -group.bits)
+        return Stencil(BLOCK_EDGE * block + 1 + cell.T, inside.T, self.plan.dx)
+
+    def _contribute(self, group: ParticleGroup, stencil: Stencil, split: np.ndarray) -> None:
+        plan, dense, p = group.plan, self.dense, group.plan.phase
+        v, C, vol0 = (self._get(group, name) for name in ("v", "C", "vol0"))
+        state, law = self._state(group), self._law(group)
+        m = plan.density * vol0[:, 0]
+        J = np.broadcast_to(law_function(law, "volume_ratio")(law, state), m.shape)
+        affine = m[:, None, None] * C.reshape(-1, 3, 3) if self.plan.affine else None
+        dense.sum(self.mass[p], stencil, m[:, None])
+        dense.sum(self.momentum[p], stencil, m[:, None] * v, affine)
+        if plan.driven:  # stress does not move prescribed bodies
+            split = np.zeros(len(m), bool)
+        tau = self.dt * vol0[:, :, None] * self._stress(group, law, state, C) * (not plan.driven)
+        if plan.stores_porosity:
+            tau = np.where(split[:, None, None], tau / self._get(group, "share")[:, :, None], tau)
+        separate = split[:, None, None]
+        dense.sum_forces(self.momentum[p], stencil, np.where(separate, 0.0, tau))
+        if self.apart:
+            dense.sum_forces(self.forces[p], stencil, np.where(separate, tau, 0.0))
+            dense.sum(self.counted[p], stencil, np.where(split, J * vol0[:, 0], 0.0)[:, None])
+        if plan.surface:
+            normal, distance, curve, certainty = self._surface(group)
+            certainty = (m * certainty)[:, None]
+            dense.sum(self.offset[p], stencil, certainty * normal, certainty[:, None] * curve)
+            distance_moment = m[:, None] * distance[:, None]
+            dense.sum(self.volume[p], stencil, distance_moment, m[:, None, None] * normal[:, None])
+            shear = np.einsum("nab,nb->na", C.reshape(-1, 3, 3), normal)
+            dense.sum(self.shear[p], stencil, self.plan.dx * m[:, None] * shear)
+        else:
+            volume = plan.share * vol0 * (J[:, None] if plan.apart else 1.0)
+            dense.sum(self.volume[p], stencil, volume)
+            # offset of the particle as seen from the node
+            zeros = np.zeros((len(m), 3))
+            dense.sum(self.offset[p], stencil, zeros, -volume[:, :, None] * np.eye(3))
+        for k in range(plan.coefficients):
+            colour = self._get(group, "colour")[:, 3 * k : 3 * k + 3]
+            rows = (J * vol0[:, 0])[:, None] * np.column_stack([colour, np.ones(len(m))])
+            dense.sum(self.hues[k, p], stencil, rows)
+
+    def _surface(self, group: ParticleGroup) -> tuple[np.ndarray, ...]:
+        """Return normals, signed distances [m], normal gradients [1/m] and certainties."""
+        reference = self._get(group, "surface")
+        certainty = np.linalg.norm(reference[:, :3], axis=1)
+        curvature = reference[:, CURVATURE_TO_FULL].reshape(-1, 3, 3)
+        F = np.eye(3) + self._get(group, "F" if group.plan.tracks_deformation else "H").reshape(
+            -1, 3, 3
+        )
+        F_inv = np.linalg.inv(F)
+        covector = np.einsum("nba,nb->na", F_inv, reference[:, :3])  # F^-T n0
+        size = np.linalg.norm(covector, axis=1)
+        some, max_depth = size > 0, MAX_DEPTH_CELLS * self.plan.dx
+        normal = np.where(some[:, None], covector / np.where(some, size, 1.0)[:, None], 0.0)
+        stretch = np.where(some, certainty / np.where(some, size, 1.0), 0.0)  # 1 / |F^-T n0|
+        current_curvature = np.einsum("nba,nbc,ncd->nad", F_inv, curvature, F_inv)  # F^-T K0 F^-1
+        distance = np.clip(stretch * reference[:, 3], -max_depth, max_depth)
+        return normal, distance, stretch[:, None, None] * current_curvature, certainty
+
+    def update(self, border: bool) -> None:
+        """Compute nodal velocities (gravity, couplings, contact, walls) and mean colors."""
+        if border:
+            return
+        plan, dense = self.plan, self.dense
+        mass, volume, counted = (a[..., 0] for a in (self.mass, self.volume, self.counted))
+        min_mass = np.array([NODE_MASS_FLOOR * phase.least for phase in plan.phases])[
+            :, None, None, None
+        ]
+        mass = np.where(mass > min_mass, mass, 0.0)
+        some = mass[..., None] > 0
+        summed = np.where(some, self.momentum / np.where(some, mass[..., None], 1.0), 0.0)
+        if not self.dt:
+            self.v = self._as_one(summed, mass)
+            for p, phase in enumerate(plan.phases):
+                dense.mirror(self.v[p], phase.surface, self._record(p, self.mirrors))
+            return
+        v = np.where(some, summed + self.dt * self.gravity, 0.0)
+        if self.movers is not None:
+            points = self.dense.points()
+            self.contact.set_rigid(*nearest_collider(self.movers.table, points, self.dt, plan.dx))
+        self.contact.along_walls(self.offset)
+        if plan.keeps is not None:  # phases that do not share their pressure
+            by_itself = np.ones(len(v), bool)
+            if plan.rules is not None:
+                by_itself = (plan.rules.mixture_set < 0) | ~np.asarray(plan.rules.fluid, bool)
+            own = np.where(some, self.forces / np.where(some, mass[..., None], 1.0), 0.0)
+            v[by_itself] += own[by_itself]
+            self.forces[by_itself] = 0.0
+        if self.sharing is not None:
+            volumes = self.sharing.volumes(mass, counted)
+            self.drift = self.sharing.apply(v, mass, self.forces, volumes, self.offset, self.dt)
+        heavy = mass.copy()
+        if self.driven is not None:
+            prescribe(v, heavy, self.driven.ways, dense.points(), plan.dx)
+        slope = np.where(some, self.shear / np.where(some, mass[..., None], 1.0), 0.0)
+        self.contact_count = self.contact.apply(v, mass, heavy, self.offset, volume, slope, self.dt)
+        for p, phase in enumerate(plan.phases):
+            dense.constrain(v[p], phase.surface, self._record(p, 1.0, mass[p]))
+        if self.sharing is not None:
+            self.flux, self.share, self.full = self.sharing.flux(v, mass, volumes)
+            v = v - self.drift
+        if plan.keeps is not None:
+            self.change = v - summed
+        self.v = v
+        for fields, share in self._gathered_fields():
+            for p, phase in enumerate(plan.phases):
+                recorder = self._record(p, share) if share else None
+                dense.mirror(fields[p], phase.surface, recorder)
+        if plan.colours is not None:
+            self._blend(plan.colours.set_of)
+
+    def _as_one(self, v: np.ndarray, mass: np.ndarray) -> np.ndarray:
+        """Return velocities averaged over phases that move with one velocity."""
+        groups = np.full(len(v), -1) if self.plan.rules is None else self.plan.rules.as_one
+        for group in np.unique(groups[groups >= 0]):
+            m = mass[groups == group][..., None]
+            some, total = m.sum(0) > 0, m.sum(0)
+            v[groups == group] = np.where(
+                some, (m * v[groups == group]).sum(0) / np.where(some, total, 1.0), 0.0
+            )
+        return v
+
+    def _gathered_fields(self) -> list[tuple[np.ndarray, float]]:
+        """Return the velocity fields that particles gather, and the share they take of each."""
+        fields = [(self.v, self.mirrors)]
+        if self.sharing is not None:
+            fields += [(self.flux, 0.0), (self.drift, 0.0)]
+        if self.plan.keeps is not None:
+            fields.append((self.change, self.kept))
+        return fields
+
+    def _blend(self, set_of: np.ndarray) -> None:
+        for color in self.hues:
+            for code in np.unique(set_of[set_of >= 0]):
+                total = color[set_of == code].sum(0)
+                some = total[..., 3:] > 0
+                color[set_of == code] = np.where(
+                    some, total / np.where(some, total[..., 3:], 1.0), 0.0
+                )
+
+    def gather(self, step: int) -> StepReport:
+        """Update velocities, gradients, states and positions; return what bounds the next step."""
+        reports = [self._gather(*each, step) for each in zip(self.groups, self.stencils, self.split,
+                                                             strict=True)]  # fmt: skip
+        failed = [row for report in reports for row in report.wrong]
+        rate, stray = (max(getattr(r, name) for r in reports) for name in ("rate", "far"))
+        # Turn and stress only serve the quanta of sums, which do not exist here.
+        bounds = max(r.reach[0] for r in reports), 0.0, 0.0
+        return StepReport(rate, stray, bounds, failed, [])
+
+    def restore(self, times: int) -> list[AccumulatorOverflow]:
+        """Add `times` the motion that a step of no time has taken from the particles."""
+        for group, stencil in zip(self.groups, self.stencils, strict=True):
+            if len(group) and not group.plan.driven:
+                field = self.v[group.plan.phase]
+                v, L = self.dense.gather(field, stencil), self.dense.gather_slopes(field, stencil)
+                for name, gathered in (("v", v), ("C", L.reshape(-1, 9))):
+                    current = self._get(group, name)
+                    self._put(group, name, current + times * (current - gathered))
+        return []
+
+    def _gather(
+        self, group: ParticleGroup, stencil: Stencil, split: np.ndarray, step: int
+    ) -> StepReport:
+        plan, dense, p = group.plan, self.dense, group.plan.phase
+        if not len(split):
+            return StepReport(0.0, 0.0, (0.0,) * 3, [], [])
+        if plan.driven:
+            assert self.driven is not None
+            return carry(group, self.driven, self.dt, step)
+        for k in range(plan.coefficients):
+            color = self._get(group, "colour")
+            color[:, 3 * k : 3 * k + 3] = dense.gather(self.hues[k, p], stencil)[:, :3]
+            self._put(group, "colour", color)
+        v, L = dense.gather(self.v[p], stencil), dense.gather_slopes(self.v[p], stencil)
+        trace, transport = np.abs(np.trace(L, axis1=1, axis2=2)), v
+        new_velocity = v
+        if self.plan.keeps is not None:
+            change = dense.gather(self.change[p], stencil)
+            new_velocity = v + self.plan.keeps.over(self.dt) * (self._get(group, "v") + change - v)
+        self._put(group, "v", new_velocity)
+        self._put(group, "C", L.reshape(-1, 9))
+        if plan.shares:
+            transport = v + np.where(split[:, None], dense.gather(self.drift[p], stencil), 0.0)
+            L = self._strain(group, stencil, split, L)
+        if plan.space:
+            J = np.exp(self._get(group, "theta")[:, 0])
+            L = density_corrected_gradient(dense, self.mass[p], stencil, plan.space, J, L)
+        law, rows = self._law(group), tuple(L.reshape(-1, 9).T)
+        state = law_function(law, "advance")(law, self._state(group), rows, self.dt)
+        self._put_state(group, state)
+        if plan.tracks_deformation:
+            F = np.eye(3) + self._get(group, "F").reshape(-1, 3, 3)
+            C = self._get(group, "C").reshape(-1, 3, 3)
+            self._put(group, "F", (F + self.dt * C @ F - np.eye(3)).reshape(-1, 9))
+        return self._move(group, transport, trace, law, state, step)
+
+    def _strain(self, group, stencil, split, L) -> np.ndarray:
+        """Return the strain rate with the mixture's volume flux; store the porosity.
+
+        Where volume exceeds space, the volume ratio relaxes."""
+        p, dense = group.plan.phase, self.dense
+        flux_gradient = dense.gather_slopes(self.flux[p], stencil, moments=True)
+        rate = np.trace(flux_gradient, axis1=1, axis2=2)
+        if group.plan.stores_porosity:
+            symmetric = [dense.symmetrize(field[p])[..., None] for field in (self.share, self.full)]
+            porosity, full = (dense.gather(field, stencil)[:, 0] for field in symmetric)
+            porosity = np.where(split, np.clip(porosity, MIN_POROSITY, 1.0), 1.0)
+            self._put(group, "share", porosity[:, None])
+            rate = rate / porosity - OVERFILL_RELAXATION_RATE * np.maximum(full - 1.0, 0.0)
+        correction = np.where(split, (rate - np.trace(L, axis1=1, axis2=2)) / 3.0, 0.0)
+        return L + correction[:, None, None] * np.eye(3)
+
+    def _move(self, group, v, trace, law, state, step) -> StepReport:
+        dx, dt, index = self.plan.dx, self.dt, group.index()
+        J = np.broadcast_to(law_function(law, "volume_ratio")(law, state), trace.shape)
+        wave2 = np.broadcast_to(law_function(law, "wave_speed2")(law, state), trace.shape)
+        wave2 = wave2 * group.plan.slips
+        if group.plan.stores_porosity:
+            porosity = self._get(group, "share")[:, 0]
+            wave2 = wave2 * (1.0 + (1.0 / porosity - 1.0) * group.plan.dense) + group.plan.stiff
+        shift = dt / dx * v
+        intact, tame = (J > J_MIN) & (J < J_MAX), (wave2 > -1.0) & (wave2 < FASTEST_WAVE**2)
+        slow = np.abs(shift).max(1) < 1.0
+        good = intact & tame & slow
+        dither = np.array([d * step % 1.0 for d in DITHER])
+        units = np.floor(2.0**group.bits * np.where(good[:, None], shift, 0.0) + dither)
+        group.xi[:, index] += units.T.astype(group.xi.dtype)
+        x = np.ldexp(group.xi[:, index].T.astype(np.float64), -group.bits)
+        position = x + BLOCK_EDGE * np.repeat(group.block, group.count, axis=0)
+        inside = ((position > -2.0) & (position < np.array(self.plan.cells) - 1.0)).all(1)
+        speed = np.linalg.norm(v, axis=1)
+        rates = (np.sqrt(np.maximum(wave2, 0.0)) + speed) / (self.plan.cfl * dx)
+        rates = np.maximum(
+            rates, np.maximum(speed / (MAX_CELLS_PER_STEP * dx), trace / MAX_VOLUME_STRAIN_PER_STEP)
+        )
+        reason = np.select(
+            [~intact, ~tame, ~slow, ~inside],
+            [INVALID_VOLUME, NOT_FINITE, CFL_EXCEEDED, OUT_OF_DOMAIN],
+            0,
+        )
+        failed = [(int(group.ids[index[k]]), int(reason[k])) for k in np.flatnonzero(reason)]
+        rate = float(np.where(good, rates, 0.0).max())
+        bounds = float(np.abs(v[good]).max(initial=0.0)), 0.0, 0.0
+        return StepReport(rate, float(np.abs(x).max()), bounds, failed, [])
+
+    @staticmethod
+    def _get(group: ParticleGroup, name: str) -> np.ndarray:
+        """Return a channel of all particles, shape (n, width)."""
+        return group.get(name, group.index()).astype(np.float64)
+
+    @staticmethod
+    def _put(group: ParticleGroup, name: str, values: np.ndarray) -> None:
+        group.put(name, group.index(), values)
+
+    def _state(self, group: ParticleGroup) -> tuple:
+        return tuple(row.astype(np.float64) for row in group.law_state(group.index()))
+
+    def _put_state(self, group: ParticleGroup, state: tuple) -> None:
+        first = 0
+        for name, values in group.plan.state:
+            rows = [np.broadcast_to(s, len(group)) for s in state[first : first + len(values)]]
+            self._put(group, name, np.stack(rows, 1))
+            first += len(values)
+
+    @staticmethod
+    def _law(group: ParticleGroup) -> tuple:
+        law: Any = group.plan.law
+        return law._make(float(c) for c in law)
+
+    @staticmethod
+    def _stress(group: ParticleGroup, law, state, C) -> np.ndarray:
+        """Return the Kirchhoff stress, shape (n, 3, 3) [Pa]."""
+        components = law_function(law, "stress")(law, state, tuple(C.T))
+        xx, yy, zz, xy, xz, yz = (np.broadcast_to(c, len(C)) for c in components)
+        return np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], 1).reshape(-1, 3, 3)

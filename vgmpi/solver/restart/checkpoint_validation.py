@@ -1,0 +1,258 @@
+"""Validation of a checkpoint's content against the scene, before any of it reaches a kernel.
+
+Checksums find accidental damage. This module looks at every number, so that a fabricated file
+also ends in one clear line: each rank looks at its share of the rows, and all ranks raise the
+first complaint.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from vgmpi.io import checkpoint, file_layout
+from vgmpi.kernels.reaction_impulses import NUMBERS
+from vgmpi.kernels.transfer.g2p import MAX_STRAY_CELLS
+from vgmpi.parallel.block_lattice import BITS, BLOCK_CENTER, BLOCK_EDGE, INTEGER
+from vgmpi.solver.step import Simulation
+
+ROWS = 1 << 20  # number of rows validated together
+
+
+class Mismatch(checkpoint.CheckpointError):
+    """Error of a checkpoint that does not belong to this scene."""
+
+
+def check_attrs(path: Any, attrs: dict, run: bool = True) -> None:
+    """Validate the clock and the numbers in the attributes of a checkpoint.
+
+    Args:
+        path: The checkpoint, for messages.
+        attrs: Its attributes.
+        run: Also validate the attributes that only a run writes: scene, frame, history, tables.
+
+    Raises:
+        Mismatch: If an attribute is missing or impossible.
+    """
+    reach = attrs.get("reach", [0.0])
+    checks = {
+        "time": _number(attrs.get("time")) and 0.0 <= attrs["time"] < 1e100,
+        "sorted_time": _number(sorted_time := attrs.get("sorted_time", 0.0))
+        and 0.0 <= sorted_time < 1e100,
+        "step": _count(attrs.get("step")),
+        "since": _count(attrs.get("since", 0)),
+        "rate": _number(attrs.get("rate")) and 0.0 <= attrs["rate"] < math.inf,
+        "reach": isinstance(reach, list)
+        and all(_number(value) and value >= 0.0 for value in reach),
+    }
+    if run:
+        frame = attrs.get("frame")
+        checks["frame"] = _count(frame, file_layout.MAX_FRAMES)
+        checks["scene"] = isinstance(attrs.get("scene"), dict)
+        history = attrs.get("history", [])
+        checks["history"] = isinstance(history, list)
+        checks["tables"] = isinstance(attrs.get("tables", {}), dict)
+    for name, is_good in checks.items():
+        if not is_good:
+            raise Mismatch(f"{path}: attrs: {name} cannot be {attrs.get(name)!r:.60}")
+
+
+def _number(value):
+    """Return whether a value is a number and no boolean."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _count(value, upper=1 << 62):
+    """Return whether a value is an integer in the half-open range from 0 to `upper`."""
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < upper
+
+
+def validate_flow_accounting(
+    simulation: Simulation, saved: checkpoint.Checkpoint
+) -> list[list[int]]:
+    """Return the in and out totals of the groups (tally.Tally.totals).
+
+    Raises:
+        Mismatch: If they do not fit the particles of the checkpoint.
+    """
+    totals: Any = saved.attrs.get("flow")
+    groups = len(simulation.groups)
+    is_valid = isinstance(totals, list) and len(totals) == groups
+    for g, row in enumerate(totals if is_valid else []):
+        is_valid = is_valid and isinstance(row, list) and len(row) == 4
+        is_valid = is_valid and all(_count(value, 1 << 120) for value in row)
+        is_valid = is_valid and row[0] - row[2] == saved.count(f"group_{g:03d}/id")
+    if not is_valid:
+        raise Mismatch(f"{saved.path}: attrs: flow cannot be {totals!r:.60}")
+    return totals
+
+
+def validate_reactions(saved: checkpoint.Checkpoint) -> dict:
+    """Return the saved reactions (given.Reactions.saved); empty if the run did not record any.
+
+    Raises:
+        Mismatch: If they are impossible.
+    """
+    saved_reactions: Any = saved.attrs.get("given", {"mass": 0.0, "totals": []})
+    is_valid = (
+        isinstance(saved_reactions, dict)
+        and _number(saved_reactions.get("mass"))
+        and 0.0 <= saved_reactions["mass"] < 1e100
+    )
+    rows: Any = saved_reactions.get("totals") if is_valid else None
+    is_valid = isinstance(rows, list)
+    for row in rows if is_valid else []:
+        is_valid = is_valid and isinstance(row, list) and len(row) == NUMBERS
+        is_valid = is_valid and all(_number(value) and abs(value) < 1e100 for value in row)
+    if not is_valid:
+        raise Mismatch(f"{saved.path}: attrs: given cannot be {saved_reactions!r:.60}")
+    return saved_reactions
+
+
+def check_rows(
+    simulation: Simulation, saved: checkpoint.Checkpoint
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Validate all datasets of the groups. Collective.
+
+    Args:
+        simulation: A simulation of the scene.
+        saved: The checkpoint.
+
+    Returns:
+        Code and particle count (n,) of this rank's share of the segments, for every group.
+
+    Raises:
+        Mismatch: On all ranks, if a dataset does not fit the plan or a row is impossible.
+    """
+    names = [f"group_{g:03d}" for g in range(len(simulation.groups))]
+    if saved.names("/") != ["attrs", *names]:
+        raise Mismatch(f"{saved.path}: holds {', '.join(saved.names('/'))}")
+    for name, group in zip(names, simulation.groups, strict=True):
+        _check_form(simulation, saved, name, group)
+    ranks = simulation.ranks
+    segments = []
+    problem = ""
+    for name in names:
+        new_problem, code, count = _segments(simulation, saved, name)
+        segments.append((code, count))
+        problem = problem or new_problem
+    _agree(saved, ranks, problem)
+    sums = [ranks.total(int(count.sum())) for _, count in segments]
+    for name, total in zip(names, sums, strict=True):
+        if total != saved.count(f"{name}/id"):
+            raise Mismatch(f"{saved.path}: {name}/count: they are not the particles' sum")
+    ids = []
+    for g, (code, count) in enumerate(segments):
+        first = ranks.before(int(count.sum()))
+        block = np.repeat(simulation.lattice.block(code), count, axis=0)
+        for start in range(0, len(block), ROWS):
+            block_rows = block[start : start + ROWS]
+            new_problem, own_ids = _rows(simulation, saved, g, first + start, block_rows)
+            problem = problem or new_problem
+            ids.append(own_ids)
+    _agree(saved, ranks, problem)
+    _agree(saved, ranks, _repeated_particle(simulation, ids))
+    return segments
+
+
+def _agree(saved, ranks, problem):
+    """Raise Mismatch on all ranks if one of them has a problem. Collective."""
+    message = checkpoint.lowest_rank_message(ranks, problem)
+    if message:
+        raise Mismatch(f"{saved.path}: {message}")
+
+
+def _check_form(simulation, saved, name, group):
+    """Validate types and shapes of a group's datasets; every rank finds the same."""
+    real, channels = simulation.plan.real, group.plan.channels
+    own_width = channels.width("state")
+    width = saved.width(f"{name}/state") if "state" in saved.names(name) else 0
+    if width != own_width:
+        raise Mismatch(
+            f"{saved.path}: a particle of {group.plan.name} carries {width} numbers besides its"
+            f" motion, in this scene {own_width} (material, deforms, appearance.colour_transfer)"
+        )
+    n, b = saved.count(f"{name}/id"), saved.count(f"{name}/block")
+    integer = np.dtype(np.int64)
+    expected = {"block": ((b,), integer), "count": ((b,), integer), "id": ((n,), integer)}
+    expected["x"] = ((n, 3), np.dtype(INTEGER[np.dtype(real)]))
+    expected |= {key: ((n, channels.width(key)), np.dtype(real)) for key in channels.datasets}
+    if sorted(expected) != saved.names(name):
+        raise Mismatch(f"{saved.path}: {name} holds {', '.join(saved.names(name))}")
+    for key, own_form in expected.items():
+        if saved.form(f"{name}/{key}") != own_form:
+            shape, kind = saved.form(f"{name}/{key}")
+            raise Mismatch(
+                f"{saved.path}: {name}/{key} is {kind} {shape}, not {own_form[1]} {own_form[0]}"
+            )
+
+
+def _segments(simulation, saved, name):
+    """Validate this rank's share of a group's segments.
+
+    Returns:
+        The problem, or "", and code and count of each segment.
+    """
+    ranks, lattice = simulation.ranks, simulation.lattice
+    total = saved.count(f"{name}/block")
+    first, last = (total * r // ranks.size for r in (ranks.rank, ranks.rank + 1))
+    code = saved.read_rows(f"{name}/block", max(first - 1, 0), last)  # with the preceding segment
+    count = saved.read_rows(f"{name}/count", first, last)
+    max_count = saved.count(f"{name}/id")
+    if ((code < 0) | (code >= math.prod(lattice.shape))).any():
+        return f"{name}/block: names blocks outside the domain", code[:0], count[:0]
+    if (np.diff(lattice.key(lattice.block(code))) <= 0).any():
+        return f"{name}/block: is not in the order of the blocks", code[:0], count[:0]
+    if ((count < 0) | (count > max_count)).any():
+        return f"{name}/count: is not one of particles", code[:0], count[:0]
+    return "", code[len(code) - len(count) :], count
+
+
+def _rows(simulation, saved, g, first, block):
+    """Validate the particles from row `first` on, which lie in the blocks (n, 3).
+
+    Returns:
+        The problem, or "", and the ids.
+    """
+    plan, name, last = simulation.plan, f"group_{g:03d}", first + len(block)
+    ids = saved.read_rows(f"{name}/id", first, last)
+    wrong = (ids < 0) | (ids >= plan.particles)
+    if not wrong.any():
+        owner = simulation.object_of(ids)
+        wrong = np.array(plan.group_of)[owner] != g
+        for body in plan.driven:  # released particles are in the group that they join
+            wrong &= ~(np.isin(owner, body.things) & (body.joins == g))
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        return f"{name}/id: row {first + row}: {ids[row]} is no particle of it", ids[:0]
+    xi, bits = saved.read_rows(f"{name}/x", first, last), BITS[np.dtype(plan.real)]
+    position = np.ldexp(xi.astype(np.float64), -bits) + BLOCK_CENTER + BLOCK_EDGE * block  # [cells]
+    outside_block = (xi <= -MAX_STRAY_CELLS << bits) | (xi >= MAX_STRAY_CELLS << bits)
+    wrong = (outside_block | (position <= -0.5) | (position >= np.array(plan.cells) + 0.5)).any(1)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        reason = "outside its block or the domain"
+        return f"{name}/x: row {first + row}: {xi[row].tolist()} is {reason}", ids
+    for key in simulation.groups[g].plan.channels.datasets:
+        values = saved.read_rows(f"{name}/{key}", first, last)
+        wrong = ~np.isfinite(values).all(1)
+        if key == "vol0":
+            wrong |= ~(values[:, 0] > 0.0)
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            return f"{name}/{key}: row {first + row}: cannot be {values[row].tolist()}", ids
+    return "", ids
+
+
+def _repeated_particle(simulation, id_chunks):
+    """Return the problem if a particle occurs twice, else "". Collective.
+
+    Every rank looks at a range of ids.
+    """
+    ranks, total = simulation.ranks, simulation.plan.particles
+    ids = np.sort(np.concatenate([np.zeros(0, np.int64), *id_chunks]))
+    bounds = [total * r // ranks.size for r in range(1, ranks.size)]
+    received = ranks.exchange(np.split(ids, np.searchsorted(ids, bounds)))
+    ids = np.sort(np.concatenate(received))
+    repeated = np.flatnonzero(np.diff(ids) == 0)
+    return f"particle {ids[repeated[0]]} is in it twice" if len(repeated) else ""

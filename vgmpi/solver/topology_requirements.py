@@ -1,0 +1,40 @@
+"""Requirements of a scene for the exchange tables."""
+
+import numpy as np
+
+from vgmpi.materials.couplings.interaction import CONTACT, MIXING
+from vgmpi.parallel import exchange_topology
+from vgmpi.planning.plan import Plan
+
+
+def needs(plan: Plan) -> exchange_topology.TopologyRequirements:
+    """Return the requirements of the plan for the exchange tables."""
+    phase_of, color_counts = (np.array(rows, np.int64) for rows in zip(
+        *((group.phase, group.coefficients) for group in plan.groups), strict=True
+    ))  # fmt: skip
+    surface = np.array([phase.surface for phase in plan.phases])
+    return exchange_topology.TopologyRequirements(
+        phase_of,
+        plan.contact,
+        _separate_stress(plan),
+        color_counts,
+        surface,
+        plan.planes,
+        plan.has_surface_friction,
+    )
+
+
+def _separate_stress(plan: Plan) -> bool | exchange_topology.MixtureProximity:
+    """Return where stress impulses are summed separately: with FLIP and in mixtures."""
+    rules = plan.rules
+    if rules is None:
+        return plan.keeps is not None
+    same_mixture = rules.mixture_set[:, None] == rules.mixture_set[None, :]
+    shares_space = (
+        same_mixture & (rules.mixture_set >= 0)[:, None] & ~np.eye(len(same_mixture), dtype=bool)
+    )
+    needs_contact = (rules.pair == CONTACT) & ~np.eye(len(same_mixture), dtype=bool)
+    needs_contact |= (rules.pair == MIXING) & rules.drifting[:, None]
+    return exchange_topology.MixtureProximity(
+        shares_space, needs_contact, rules.fluid, plan.keeps is not None
+    )
