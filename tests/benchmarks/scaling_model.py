@@ -155,8 +155,8 @@ def text(rows: dict[int, list], c: dict, latency: float, bandwidth: float, cores
     """Constants, the check against real runs, the prediction."""
     stages = len(WORK)
     lines = [
-        f"measured: {1e9 * c['alone']:.1f} ns per particle (a block counts as {BLOCK_COST:.0f} more),"
-        f" {1e9 * c['unit']:.1f} ns while the other core computes too,"
+        f"measured: {1e9 * c['alone']:.1f} ns per particle (a block counts as {BLOCK_COST:.0f}"
+        f" more), {1e9 * c['unit']:.1f} ns while the other core computes too,"
         f" {1e6 * c['shared']:.2f} us per node block shared, {1e9 * c['copied']:.3f} ns per byte"
         f" packed or unpacked, {1e6 * c['python']:.0f} us of Python",
         f"a sort's census and tables: {1e9 * c.get('tables', 0.0):.0f} ns per own block and step",

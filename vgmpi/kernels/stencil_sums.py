@@ -322,9 +322,9 @@ def per_row(make_part, parts):
 STENCIL_FUNCTIONS = {  # name: (how parts are combined, how one part is made)
     "scatter": (by_runs, _scatter),
     "scatter_slopes": (per_record, _scatter_slopes),
-    "moments": (per_row, _moments),
-    "slopes": (per_row, _slopes),
-    "values": (per_row, _values),
+    "gather_affine": (per_row, _moments),
+    "gather_gradient": (per_row, _slopes),
+    "gather_value": (per_row, _values),
 }
 
 

@@ -112,7 +112,8 @@ def _too_fast(scene: Scene, speed: float) -> str:
     cell_count = speed * dt / scene.domain.cell
     return (
         f"moves at up to {speed:.4g} m/s, {cell_count:.3g} cells in a step of time.dt = {dt:g} s:"
-        f" at most {MAX_COLLIDER_TRAVEL_CELLS:g} are possible, by time.dt = {limit / speed:.2g} s or without time.dt"
+        f" at most {MAX_COLLIDER_TRAVEL_CELLS:g} are possible,"
+        f" by time.dt = {limit / speed:.2g} s or without time.dt"
     )
 
 

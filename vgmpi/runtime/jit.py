@@ -40,9 +40,8 @@ def cache_folder() -> pathlib.Path:
             raise FileNotFoundError(f"{_PACKAGE / folder}: no sources of compiled code are there")
         for path in sources:
             digest.update(path.name.encode() + path.read_bytes())
-    digest.update(
-        f"{FP_CONTRACTION} {version('numba')} {platform.python_version()} {platform.machine()}".encode()
-    )
+    versions = f"{version('numba')} {platform.python_version()} {platform.machine()}"
+    digest.update(f"{FP_CONTRACTION} {versions}".encode())
     return user_folder() / digest.hexdigest()[:16]
 
 

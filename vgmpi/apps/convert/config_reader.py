@@ -195,8 +195,8 @@ def _conditions(
         kind = item.get("type")
         table = classes.get(kind) if isinstance(kind, str) else None
         if table is None:
-            allowed = f"must be one of {', '.join(classes)}{did_you_mean(kind, classes)}; {format_input(kind)}"
-            errors.append(((*key_path, "type"), allowed))
+            allowed = f"must be one of {', '.join(classes)}{did_you_mean(kind, classes)}"
+            errors.append(((*key_path, "type"), f"{allowed}; {format_input(kind)}"))
             continue
         try:
             conditions.append((k, table.model_validate(item)))

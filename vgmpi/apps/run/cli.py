@@ -280,10 +280,9 @@ def _run(scene: Scene, folder: Path, args: argparse.Namespace, ranks: SerialComm
             raise SceneError([refusal + "; --force runs it anyway"])
         if ranks.rank == 0 and not args.quiet:
             real = scene.accuracy.precision
-            pace = (
-                calibration.host_throughput(real, remeasure=True) if args.calibrate
-                else calibration.cached_throughput(real)
-            )  # fmt: skip
+            pace = calibration.cached_throughput(real)
+            if args.calibrate:
+                pace = calibration.host_throughput(real, remeasure=True)
             pilot = pilot_run(scene, plan, summary) if args.rehearse else None
             if pilot is not None:
                 estimator = RemainingTimeEstimator(
@@ -293,7 +292,8 @@ def _run(scene: Scene, folder: Path, args: argparse.Namespace, ranks: SerialComm
 
     options = runs.Options(
         folder, args.threads, args.engine, args.resume, args.stop_steps, args.stop_seconds,
-        args.overwrite, args.change)  # fmt: skip
+        args.overwrite, args.change,
+    )  # fmt: skip
     try:
         with runs.prepared_run(scene, ranks, options, approve) as run:
             clock = run.simulation.clock = report.Clock()
@@ -316,9 +316,8 @@ def _run(scene: Scene, folder: Path, args: argparse.Namespace, ranks: SerialComm
         log.error("blow-up: %s", error)
         return runs.BLEW_UP
     if ranks.rank == 0 and not args.quiet:
-        print("\n".join(lines))
         outcome = {0: "done", 3: "blew up", 75: "stopped; go on with --resume"}[code]
-        print(f"{outcome}: {folder}", flush=True)
+        print(*lines, f"{outcome}: {folder}", sep="\n", flush=True)
     return code
 
 

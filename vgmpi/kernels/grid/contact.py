@@ -82,9 +82,9 @@ def contact_workspace(n: int) -> ContactWorkspace:
 
 
 @device_function
-def apply_contact(block, tables, solid, velocities, offsets, shear, solids, walls, phases, rules,
-step,
-          work):  # fmt: skip
+def apply_contact(
+    block, tables, solid, velocities, offsets, shear, solids, walls, phases, rules, step, work
+):
     """Apply contact at the nodes of a block.
 
     Args:
@@ -126,18 +126,9 @@ step,
                 for c in range(3):
                     work.v[COLLIDER_ROW, c] = solids.moves[solid, node, c]
             pairs = _add_rigid_pairs(
-                pairs,
-                site,
-                tables.phase,
-                offsets,
-                surface,
-                row,
-                COLLIDER_ROW,
-                phases,
-                motions,
-                step,
-                work,
-            )
+                pairs, site, tables.phase, offsets, surface, row, COLLIDER_ROW, phases, motions,
+                step, work,
+            )  # fmt: skip
         if planes:
             pairs = _add_wall_pairs(
                 pairs, site, tables.phase, offsets, ijk, walls, phases, motions, step, work
@@ -146,10 +137,10 @@ step,
             for c in range(3):
                 work.v[q, c] += work.change[q, c]
         if pairs > 0:
-            solve_contact_impulses(work.v, work.effective_mass, active, work.normals, work.friction,
-            work.master,
-                    work.other, pairs, _max_count(work.pair_count, active),
-                    work.impulse)  # fmt: skip
+            solve_contact_impulses(
+                work.v, work.effective_mass, active, work.normals, work.friction, work.master,
+                work.other, pairs, _max_count(work.pair_count, active), work.impulse,
+            )  # fmt: skip
             add_pair_reactions(work.given, pairs, work)
         for q in range(active):
             for c in range(3):

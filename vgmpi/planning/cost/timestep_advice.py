@@ -32,6 +32,6 @@ def limiting_material_lines(scene: Scene, plan: Plan) -> list[str]:
         return []
     times, where = slower[0] / dt, scene.place(("material", *keys[limit]))
     return [
-        f"  advice      without {escape_control_characters(limit)} steps would be {times:.1f} times as long:"
-        f" they grow as {where} becomes less"
+        f"  advice      without {escape_control_characters(limit)} steps would be"
+        f" {times:.1f} times as long: they grow as {where} becomes less"
     ]

@@ -291,7 +291,8 @@ def _explain(item: dict, table: type[BaseModel]) -> tuple[tuple, str]:
         allowed = _literals(item["ctx"]["expected"])
         return (
             path,
-            f"must be one of {', '.join(allowed)}{did_you_mean(value, allowed)}; {format_input(value)}",
+            f"must be one of {', '.join(allowed)}{did_you_mean(value, allowed)};"
+            f" {format_input(value)}",
         )
     if kind in ("model_type", "dict_type", "model_attributes_type"):
         return path, f"must be a table of keys; {format_input(value)}"

@@ -130,8 +130,8 @@ def _scenery_advice(scene: Scene, plan: Plan, observed: RunObserver) -> list[str
 def _as_scenery(scene: Scene, plan: Plan, k: int) -> str:
     """Return the line that advises to make object number `k` scenery."""
     return (
-        f"advice: body '{escape_control_characters(scene.things[k].name)}' neither moved nor deformed: as scenery"
-        f" with collider = true, {scene.place(('object', k))}, it would save"
+        f"advice: body '{escape_control_characters(scene.things[k].name)}' neither moved nor"
+        f" deformed: as scenery with collider = true, {scene.place(('object', k))}, it would save"
         f" {plan.count[k]:,} of {plan.particles:,} particles"
     )
 

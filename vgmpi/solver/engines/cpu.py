@@ -353,15 +353,9 @@ class Cpu:
             if plan.tracks_deformation:
                 row = plan.channels.first("F")
                 self.call_if_rows(
-                    (g,),
-                    deformation_gradient.update_total_deformation,
-                    rows,
-                    group.start,
-                    group.count,
-                    group.f,
-                    row,
-                    motion.dt,
-                )
+                    (g,), deformation_gradient.update_total_deformation, rows, group.start,
+                    group.count, group.f, row, motion.dt,
+                )  # fmt: skip
 
     def _carry(
         self, part: GroupContext, rows: np.ndarray, motion: g2p.StepConstants, report

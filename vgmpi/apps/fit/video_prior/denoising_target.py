@@ -139,7 +139,8 @@ class DenoisingTarget(Target):
         except memory_budget.InsufficientMemoryError as error:
             raise self.file.wrong(("sds", "model"), str(error)) from None
         frames_text = f"{len(self.numbers)} frames of {_size_text(self.size)} pixels"
-        return f"{what} {memory_budget.format_bytes(required)} of memory on {_device(self.options)}, for {frames_text}"
+        memory = memory_budget.format_bytes(required)
+        return f"{what} {memory} of memory on {_device(self.options)}, for {frames_text}"
 
     @functools.cached_property
     def key(self) -> str:
@@ -324,5 +325,6 @@ def _check_gpu_memory(required: float, what: str) -> None:
     free = torch.cuda.mem_get_info()[0] if _has_gpu() else 0
     if required > free:
         raise memory_budget.InsufficientMemoryError(
-            f"{what} {memory_budget.format_bytes(required)}; {memory_budget.format_bytes(free)} are free on the card"
+            f"{what} {memory_budget.format_bytes(required)};"
+            f" {memory_budget.format_bytes(free)} are free on the card"
         )

@@ -80,7 +80,8 @@ def memory_report(plan: Plan, ranks: int) -> str:
     availability = (
         "no card is here to ask" if free_bytes is None else f"{format_bytes(free_bytes)} are free"
     )
-    return f"card         {format_bytes(plan.bytes() / ranks)} on the card of each rank; {availability}"
+    needs = format_bytes(plan.bytes() / ranks)
+    return f"card         {needs} on the card of each rank; {availability}"
 
 
 def memory_error(plan: Plan, ranks: SerialCommunicator) -> str:
@@ -93,7 +94,10 @@ def memory_error(plan: Plan, ranks: SerialCommunicator) -> str:
     needs = plan.bytes() / ranks.size
     if needs <= 0.95 * min_free:
         return ""
-    return f"needs about {format_bytes(needs)} on the card of each rank, of which one has {format_bytes(min_free)} free"
+    return (
+        f"needs about {format_bytes(needs)} on the card of each rank, of which one has"
+        f" {format_bytes(min_free)} free"
+    )
 
 
 def finished_at() -> float:
