@@ -12,7 +12,7 @@ from pathlib import Path
 from vgmpi.io import checkpoint, file_layout, hdf5_writer, run_lock, run_reader
 from vgmpi.parallel.communicator import SerialCommunicator, init_communicator
 from vgmpi.planning.cost.plan_report import format_plan
-from vgmpi.planning.cost.throughput import ASSUMED_THROUGHPUT
+from vgmpi.planning.cost.throughput import ASSUMED_THROUGHPUT, Throughput
 from vgmpi.planning.plan import FLOAT_TYPES, Plan
 from vgmpi.runtime import memory_budget
 from vgmpi.runtime.config.schema import SceneError
@@ -263,7 +263,6 @@ def _run(scene: Scene, folder: Path, args: argparse.Namespace, ranks: SerialComm
     from vgmpi.solver.diagnostics import progress as report  # this imports numba
     from vgmpi.solver.diagnostics.eta import RemainingTimeEstimator
     from vgmpi.solver.diagnostics.post_run_advice import RunObserver, advice
-    from vgmpi.solver.estimates import calibration
     from vgmpi.solver.estimates.pilot_run import pilot_run
     from vgmpi.solver.initial_particles import ParticleSummary
     from vgmpi.solver.step import BlowUp
@@ -280,9 +279,7 @@ def _run(scene: Scene, folder: Path, args: argparse.Namespace, ranks: SerialComm
             raise SceneError([refusal + "; --force runs it anyway"])
         if ranks.rank == 0 and not args.quiet:
             real = scene.accuracy.precision
-            pace = calibration.cached_throughput(real)
-            if args.calibrate:
-                pace = calibration.host_throughput(real, remeasure=True)
+            pace = _throughput(real, args.calibrate)
             pilot = pilot_run(scene, plan, summary) if args.rehearse else None
             if pilot is not None:
                 estimator = RemainingTimeEstimator(
@@ -319,6 +316,15 @@ def _run(scene: Scene, folder: Path, args: argparse.Namespace, ranks: SerialComm
         outcome = {0: "done", 3: "blew up", 75: "stopped; go on with --resume"}[code]
         print(*lines, f"{outcome}: {folder}", sep="\n", flush=True)
     return code
+
+
+def _throughput(precision: str, remeasure: bool) -> Throughput | None:
+    """Return the throughput of this processor, measured or cached."""
+    from vgmpi.solver.estimates import calibration
+
+    if remeasure:
+        return calibration.host_throughput(precision, remeasure=True)
+    return calibration.cached_throughput(precision)
 
 
 def memory_refusal(needed: int, ranks: SerialCommunicator) -> str:

@@ -44,7 +44,8 @@ def format_plan(
     pace = pace or ASSUMED_THROUGHPUT[scene.accuracy.precision]
     lines = [
         f"{escape_control_characters(scene.title or scene.path.name)}:"
-        f" {plan.particles:,} particles, {scene.accuracy.precision} precision ({PRECISION[scene.accuracy.precision]})"
+        f" {plan.particles:,} particles,"
+        f" {scene.accuracy.precision} precision ({PRECISION[scene.accuracy.precision]})"
     ]
     nx, ny, nz = plan.cells
     lines.append(f"  grid        {nx} x {ny} x {nz} cells of {plan.dx:g} m, sparse 4^3 blocks")
@@ -89,7 +90,8 @@ def _flows(plan: Plan) -> list[str]:
     """Return the lines on inlets and outlets; memory and time include all that enters."""
     lines = [
         f"  source      {escape_control_characters(source.name)}:"
-        f" {source.layers * len(source.mouth):,} particles, {len(source.mouth)} every {source.period:.4g} s, at {source.speed:.4g} m/s:"
+        f" {source.layers * len(source.mouth):,} particles,"
+        f" {len(source.mouth)} every {source.period:.4g} s, at {source.speed:.4g} m/s:"
         f" {_flow(plan, source):.4g} kg/s"
         for source in plan.sources
     ]
