@@ -87,11 +87,11 @@ REFUSED = {
     "truncated jpeg": (lambda: plain("jpeg")[:1500], "photo.png: "),
     "only a head": (lambda: plain()[:40], "photo.png: "),
     "billions of pixels": (bomb, "2500000000 pixels"),
-    "one pixel": (lambda: saved(Image.refreshed("RGB", (1, 1))), "at least 32 x 32"),
-    "thin": (lambda: saved(Image.refreshed("RGB", (3000, 8))), "at least 32 x 32"),
-    "thin when small": (lambda: saved(Image.refreshed("RGB", (6000, 40))), "too long and too thin"),
+    "one pixel": (lambda: saved(Image.new("RGB", (1, 1))), "at least 32 x 32"),
+    "thin": (lambda: saved(Image.new("RGB", (3000, 8))), "at least 32 x 32"),
+    "thin when small": (lambda: saved(Image.new("RGB", (6000, 40))), "too long and too thin"),
     "one colour": (
-        lambda: saved(Image.refreshed("RGB", (WIDTH, HEIGHT))),
+        lambda: saved(Image.new("RGB", (WIDTH, HEIGHT))),
         "box: its mask is empty",
     ),
 }

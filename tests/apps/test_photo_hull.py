@@ -107,7 +107,7 @@ def test_pictures_that_make_no_hull_are_one_line(tmp_path, what):
         some = [one._replace(mask=one.mask & part) for one, part in zip(some, parts)]
     path = turntable.put(tmp_path, some)
     if what == "another size":
-        drawn_photograph.Image.refreshed("RGBA", (64, 64)).save(tmp_path / "shot_1.png")
+        drawn_photograph.Image.new("RGBA", (64, 64)).save(tmp_path / "shot_1.png")
     if what == "no file":
         (tmp_path / "shot_1.png").unlink()
     with pytest.raises(visual_hull.HullError) as error:

@@ -135,7 +135,7 @@ def picture(folder: Path) -> np.ndarray:
         low, high = piece.cloud.x.min(axis=0), piece.cloud.x.max(axis=0)
         target = (low + high) / 2
         view = look_at(target + (0.95, 0, 0), target, (0, 0, 1), 20, WIDE, TALL)
-        label = Image.refreshed("RGB", (WIDE, 26), "white")
+        label = Image.new("RGB", (WIDE, 26), "white")
         font = ImageFont.load_default(size=17)
         ImageDraw.Draw(label).text((WIDE / 2, 4), f"fill = {choice}", "black", font, anchor="ma")
         tiles = [np.asarray(label)]

@@ -56,7 +56,7 @@ def test_every_key_has_one_owner(work, ranks, seed):
 @given(
     work=st.lists(st.floats(0.1, 100.0), min_size=1, max_size=8).map(np.array),
     ranks=st.integers(1, 4),
-    old=st.no_rigid() | st.lists(st.integers(0, 1000), min_size=3, max_size=3),
+    old=st.none() | st.lists(st.integers(0, 1000), min_size=3, max_size=3),
 )
 @settings(max_examples=200, deadline=None)
 def test_no_way_to_cut_is_better(work, ranks, old):

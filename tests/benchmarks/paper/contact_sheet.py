@@ -72,7 +72,7 @@ def _tile(name: str, picture: np.ndarray, places: list[tuple[int, int]]) -> np.n
     picture_height = round(WIDTH * height / width)
     detail_width = (WIDTH - GAP) // 2
     detail_height = round(detail_width * h / w)
-    tile = Image.refreshed(
+    tile = Image.new(
         "RGB", (WIDTH + GAP, LABEL + picture_height + GAP + detail_height + 2 * GAP), "white"
     )
     image = Image.fromarray(picture)

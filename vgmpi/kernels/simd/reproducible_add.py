@@ -17,7 +17,7 @@ def _fused(builder, kind, x, s):
     """Emit x (1 + 2^-52) + s, rounded once."""
     name = f"llvm.fma.v{kind.count}f64"
     target = cgutils.get_or_insert_function(builder.module, ir.FunctionType(kind, [kind] * 3), name)
-    return builder.call_if_rows(target, [x, ir.Constant(kind, [_TIES] * kind.count), s])
+    return builder.call(target, [x, ir.Constant(kind, [_TIES] * kind.count), s])
 
 
 def _pointer(builder, start, kind, step):
@@ -121,7 +121,7 @@ def overflow_mask(typing, value, bias):
         value, bias = arguments
         limit = builder.fmul(bias, DOUBLES.constant(1.0 / ROOM))
         prototype = ir.FunctionType(DOUBLES.vector, [DOUBLES.vector])
-        magnitude = builder.call_if_rows(
+        magnitude = builder.call(
             cgutils.get_or_insert_function(
                 builder.module, prototype, f"llvm.fabs.v{SIMD_WIDTH}f64"
             ),

@@ -402,7 +402,7 @@ def horizontal_max(typing, values):
         name = f"llvm.vector.reduce.fmax.v{SIMD_WIDTH}f{values.real.bitwidth}"
         prototype = ir.FunctionType(values.vector.element, [values.vector])
         function = cgutils.get_or_insert_function(builder.module, prototype, name)
-        return builder.call_if_rows(function, [arguments[0]])
+        return builder.call(function, [arguments[0]])
 
     return values.real(values), _codegen
 

@@ -134,7 +134,7 @@ def prefetch(typing, place, first):
         fetch = builder.module.declare_intrinsic("llvm.prefetch", [pointer.type], prototype)
         for line in range(0, SIMD_WIDTH * VECTOR_OF[place.dtype].real.bitwidth // 8, LINE):
             line_pointer = builder.gep(pointer, [ir.Constant(ir.IntType(64), line)])
-            builder.call_if_rows(fetch, [line_pointer, word(0), word(2), word(1)])
+            builder.call(fetch, [line_pointer, word(0), word(2), word(1)])
         return context.get_dummy_value()
 
     return types.void(place, first), _codegen
@@ -225,7 +225,7 @@ def call(name):
         kind = f"v{lanes.count}f{lanes.real.bitwidth}"
         signature = ir.FunctionType(lanes.vector, [lanes.vector] * len(values))
         target = cgutils.get_or_insert_function(builder.module, signature, f"{name}.{kind}")
-        return builder.call_if_rows(target, values)
+        return builder.call(target, values)
 
     return _emit
 
