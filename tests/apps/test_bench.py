@@ -14,7 +14,7 @@ from tests.benchmarks import compare_checkouts
 from vgmpi.apps.bench import __main__ as command
 from vgmpi.apps.bench import interleaved_rounds, result_tables, roofline
 from vgmpi.apps.bench.benchmark_case import BenchError, Case, lay_out
-from vgmpi.apps.bench.interleaved_rounds import Contestant, Worker, contest
+from vgmpi.apps.bench.interleaved_rounds import Contestant, Worker, run_interleaved
 from vgmpi.materials import registry
 from vgmpi.runtime.config.schema import Quantity, StrictModel
 
@@ -32,7 +32,7 @@ def rows(request, tmp_path_factory):
         there.append(Contestant("own", ranks=2))
     case = Case(request.param, 500)
     lay_out(case, ["single"], folder)
-    found = contest(case, there, 2, 0.01, folder, lambda line: None)
+    found = run_interleaved(case, there, 2, 0.01, folder, lambda line: None)
     return {c.label: row for c, row in zip(there, found, strict=True)}
 
 
@@ -187,7 +187,9 @@ def test_every_material_has_a_row(kind):
     """Where this fails, give the new material the least it needs in KEYS of
     apps/bench/benchmark_case.py."""
     case = Case(kind, 500)
-    assert case.dt > 0 and roofline.needs(case.material)["flops"] > roofline.TRANSFER_FLOPS
+    assert (
+        case.dt > 0 and roofline.operation_count(case.material)["flops"] > roofline.TRANSFER_FLOPS
+    )
 
 
 class Jelly(StrictModel):
@@ -212,8 +214,8 @@ def test_an_unknown_material_is_one_clear_line(capsys):
 
 
 def test_words_and_flops_of_a_fluid():
-    assert roofline.needs(Case("fluid", 500).material)["words"] == 34 + 3
-    assert roofline.needs(Case("elastic", 500).material)["words"] == 34 + 27
+    assert roofline.operation_count(Case("fluid", 500).material)["words"] == 34 + 3
+    assert roofline.operation_count(Case("elastic", 500).material)["words"] == 34 + 27
     tally = [0]
     number = roofline._Counted(tally)
     law = registry["fluid"](kind="fluid").law()
@@ -223,15 +225,15 @@ def test_words_and_flops_of_a_fluid():
 
 def test_the_floor_is_the_slower_of_memory_and_arithmetic():
     machine = {"copy": {"1": 10.0}, "triad": {"1": 20.0}, "fma": {"single": 100.0, "double": 50.0}}
-    assert roofline.floor(machine, {"words": 50, "flops": 10}, "single") == 50 * 4 / 20
-    assert roofline.floor(machine, {"words": 50, "flops": 4000}, "double") == 4000 / 50
+    assert roofline.minimum_time(machine, {"words": 50, "flops": 10}, "single") == 50 * 4 / 20
+    assert roofline.minimum_time(machine, {"words": 50, "flops": 4000}, "double") == 4000 / 50
     machine["copy"]["2"], machine["triad"]["2"] = 30.0, 25.0
-    assert roofline.floor(machine, {"words": 60, "flops": 10}, "single", 2) == 60 * 4 / 30
-    assert roofline.floor(machine, {"words": 60, "flops": 4000}, "single", 2) == 4000 / 200
+    assert roofline.minimum_time(machine, {"words": 60, "flops": 10}, "single", 2) == 60 * 4 / 30
+    assert roofline.minimum_time(machine, {"words": 60, "flops": 4000}, "single", 2) == 4000 / 200
 
 
 def test_the_machine_is_measured():
-    found = roofline.machine_roof(length=1 << 22, repeats=3)
+    found = roofline.measure_roofline(length=1 << 22, repeats=3)
     assert found["copy"]["1"] > 0.1 and found["triad"]["1"] > 0.1
     assert found["fma"]["single"] > found["fma"]["double"] > 0.1
 

@@ -59,7 +59,7 @@ def test_constants_are_found_again():
     rows = {1: [row(1000, 9, 0, 0, 1)], 2: [row(1100, 8, 5, 4e5, 2), row(900, 7, 4, 3e5, 2)]}
     busy = rows[1] * 2
     rows[1] = [[t / 1.5 for t in rows[1][0][:5]] + rows[1][0][5:]]  # alone it is quicker
-    c = scaling_model.constants(rows, busy, 25.0)
+    c = scaling_model.fit_cost_constants(rows, busy, 25.0)
     assert c["alone"] == pytest.approx(unit / 1.5)
     assert [c["unit"], c["shared"], c["copied"]] == pytest.approx([unit, kept, copied])
     assert c["python"] == pytest.approx(25e-6)

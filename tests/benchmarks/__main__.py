@@ -39,11 +39,11 @@ def _balance(parser: argparse.ArgumentParser) -> None:
     say("--time", type=float, default=0.0, metavar="S", help="of the scene; default: to its end")
 
 
-def _run_balance(given: argparse.Namespace) -> int:
+def _run_balance(args: argparse.Namespace) -> int:
     from tests.benchmarks import balance_study
 
-    found = balance_study.follow(given.scene, given.set, given.ranks, given.time, print_progress)
-    print(balance_study.text(found))
+    result = balance_study.follow(args.scene, args.set, args.ranks, args.time, print_progress)
+    print(balance_study.text(result))
     return 0
 
 
@@ -53,10 +53,10 @@ def _census(parser: argparse.ArgumentParser) -> None:
     say("--particles", type=int, default=100_000, metavar="N", help="per rank, default 100,000")
 
 
-def _run_census(given: argparse.Namespace) -> int:
+def _run_census(args: argparse.Namespace) -> int:
     from tests.benchmarks import sort_scaling
 
-    print(sort_scaling.text([sort_scaling.measure(n, given.particles) for n in given.ranks]))
+    print(sort_scaling.text([sort_scaling.measure(n, args.particles) for n in args.ranks]))
     return 0
 
 
@@ -64,10 +64,10 @@ def _accuracy(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--particles", type=int, default=4000, metavar="N", help="default 4,000")
 
 
-def _run_accuracy(given: argparse.Namespace) -> int:
+def _run_accuracy(args: argparse.Namespace) -> int:
     from tests.benchmarks import single_precision_error
 
-    print(single_precision_error.text(given.particles))
+    print(single_precision_error.text(args.particles))
     return 0
 
 
@@ -78,10 +78,10 @@ def _emulate(parser: argparse.ArgumentParser) -> None:
     say("--steps", type=int, default=200, help="of each, in turns, default 200")
 
 
-def _run_emulate(given: argparse.Namespace) -> int:
+def _run_emulate(args: argparse.Namespace) -> int:
     from tests.benchmarks import rank_emulation
 
-    print(rank_emulation.text(rank_emulation.measure(given.ranks, given.particles, given.steps)))
+    print(rank_emulation.text(rank_emulation.measure(args.ranks, args.particles, args.steps)))
     return 0
 
 
@@ -92,14 +92,14 @@ def _together(parser: argparse.ArgumentParser) -> None:
     say("--rounds", type=int, default=9, help="default 9")
 
 
-def _run_together(given: argparse.Namespace) -> int:
+def _run_together(args: argparse.Namespace) -> int:
     from tests.benchmarks import decomposition_overhead
 
-    how = int(given.particles), given.rounds
-    ranks = [decomposition_overhead.ranks(law, *how, print_progress) for law in given.laws]
+    how = int(args.particles), args.rounds
+    ranks = [decomposition_overhead.ranks(law, *how, print_progress) for law in args.laws]
     print(
         decomposition_overhead.text(
-            ranks, [decomposition_overhead.threads(law, *how) for law in given.laws]
+            ranks, [decomposition_overhead.threads(law, *how) for law in args.laws]
         )
     )
     return 0
@@ -113,11 +113,11 @@ def _against(parser: argparse.ArgumentParser) -> None:
     say("--rounds", type=int, default=9, help="default 9")
 
 
-def _run_against(given: argparse.Namespace) -> int:
+def _run_against(args: argparse.Namespace) -> int:
     from tests.benchmarks import compare_checkouts
 
     for line in compare_checkouts.lines(
-        given.tree, given.laws, given.particles, given.rounds, print_progress
+        args.tree, args.laws, args.particles, args.rounds, print_progress
     ):
         print(line, flush=True)
     return 0
@@ -128,23 +128,23 @@ def _overhead(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--steps", type=int, default=300, help="of a round, default 300")
 
 
-def _run_overhead(given: argparse.Namespace) -> int:
+def _run_overhead(args: argparse.Namespace) -> int:
     print("a step whose kernels get nothing to do: its Python and its messages")
     case = Case("fluid", 64)
-    for ranks in given.ranks:
+    for ranks in args.ranks:
         with tempfile.TemporaryDirectory(prefix="vgmpi-bench-") as folder:
             lay_out(case, ["single"], Path(folder))
             worker = interleaved_rounds.Worker(
                 Contestant("inside", ranks=ranks), case, Path(folder)
             )
             try:
-                found = worker.ask("empty", steps=given.steps)
+                result = worker.ask("empty", steps=args.steps)
             finally:
                 worker.close()
         print(
-            f"{ranks} rank(s): {found['us']:.1f} us per step, least of 10 rounds;"
-            f" {found['stays']:.2f} bytes per step stay allocated,"
-            f" at most {found['most']:.0f} bytes at a time"
+            f"{ranks} rank(s): {result['us']:.1f} us per step, least of 10 rounds;"
+            f" {result['stays']:.2f} bytes per step stay allocated,"
+            f" at most {result['most']:.0f} bytes at a time"
         )
     return 0
 
@@ -157,17 +157,17 @@ def _scaling(parser: argparse.ArgumentParser) -> None:
     say("--bandwidth", type=float, default=1e10, help="of a rank's link [B/s], default 1e10")
 
 
-def _run_scaling(given: argparse.Namespace) -> int:
+def _run_scaling(args: argparse.Namespace) -> int:
     from tests.benchmarks import scaling_model, sort_scaling
 
     rows, busy, empty = scaling_model.measure(
-        sorted({1, 2, *given.real}), given.particles, print_progress
+        sorted({1, 2, *args.real}), args.particles, print_progress
     )
-    found = scaling_model.constants(rows, busy, empty)
+    result = scaling_model.fit_cost_constants(rows, busy, empty)
     sort = sort_scaling.measure(64, 100_000)
-    found["tables"] = 1e-3 * sort["kept"][0] / sort["blocks"] / scaling_model.STEPS_PER_SORT
+    result["tables"] = 1e-3 * sort["kept"][0] / sort["blocks"] / scaling_model.STEPS_PER_SORT
     cores = len(os.sched_getaffinity(0))
-    print(scaling_model.text(rows, found, given.latency, given.bandwidth, cores))
+    print(scaling_model.text(rows, result, args.latency, args.bandwidth, cores))
     return 0
 
 
@@ -178,11 +178,11 @@ def _couplings(parser: argparse.ArgumentParser) -> None:
     say("--precision", choices=("single", "double"), default="single")
 
 
-def _run_couplings(given: argparse.Namespace) -> int:
+def _run_couplings(args: argparse.Namespace) -> int:
     from tests.benchmarks import coupling_cost, feature_cost
 
-    study = feature_cost if given.command == "features" else coupling_cost
-    rows = study.measure(int(given.particles), given.rounds, given.precision, print_progress)
+    study = feature_cost if args.command == "features" else coupling_cost
+    rows = study.measure(int(args.particles), args.rounds, args.precision, print_progress)
     print(study.text(rows))
     return 0
 
@@ -192,15 +192,15 @@ def _extremes(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--fast", action="store_true", help="a quick part of them")
 
 
-def _run_extremes(given: argparse.Namespace) -> int:
+def _run_extremes(args: argparse.Namespace) -> int:
     from tests.benchmarks import limit_cases
 
     print(limit_cases.HEAD)
     good = True
-    for row in limit_cases.chosen(given.words, given.fast):
-        found = limit_cases.run_case(row)
-        good &= found.good
-        print(limit_cases.line(found), flush=True)
+    for row in limit_cases.chosen(args.words, args.fast):
+        result = limit_cases.run_case(row)
+        good &= result.good
+        print(limit_cases.line(result), flush=True)
     return 0 if good else 1
 
 
@@ -212,18 +212,18 @@ def _stability(parser: argparse.ArgumentParser) -> None:
     say("--precision", nargs="+", choices=("single", "double"), default=["single", "double"])
 
 
-def _run_stability(given: argparse.Namespace) -> int:
+def _run_stability(args: argparse.Namespace) -> int:
     from tests.benchmarks import contrast_stability, stability_limits
 
-    rows = contrast_stability.lines(given.only, given.transfer or ["restored"])
-    if not given.ratios:
-        rows = stability_limits.lines(given.only, given.transfer, given.precision)
+    rows = contrast_stability.lines(args.only, args.transfer or ["restored"])
+    if not args.ratios:
+        rows = stability_limits.lines(args.only, args.transfer, args.precision)
     for text in rows:
         print(text, flush=True)
     return 0
 
 
-def _run_spills(given: argparse.Namespace) -> int:
+def _run_spills(args: argparse.Namespace) -> int:
     from tests.benchmarks import register_spills
 
     print(register_spills.text(register_spills.measure()))
@@ -234,10 +234,10 @@ def _registers(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--precision", choices=("single", "double"), default="single")
 
 
-def _run_registers(given: argparse.Namespace) -> int:
+def _run_registers(args: argparse.Namespace) -> int:
     from tests.benchmarks import gpu_registers
 
-    for text in gpu_registers.lines(given.precision):
+    for text in gpu_registers.lines(args.precision):
         print(text, flush=True)
     return 0
 

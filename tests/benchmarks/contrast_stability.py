@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from tests.benchmarks.limit_scenes import DX, box, coupling, toml
-from tests.benchmarks.stability_limits import GROWTH, STEPS, Box, climbed
+from tests.benchmarks.stability_limits import GROWTH, STEPS, Box, largest_stable
 from vgmpi.materials import registry
 from vgmpi.materials.material import law_function
 from vgmpi.runtime.config.schema import SceneError
@@ -24,9 +24,9 @@ from vgmpi.solver.step import BlowUp
 WIDE, HIGH, AIR = 4, 8, 2  # [cells]: both ways, of both bodies together, and above them
 DENSITY, MODULUS = 1000.0, 1e5  # [kg/m3], [Pa] about which both lie
 SPEED = 1e-2  # of the random velocity, as a share of the wave speed of the softer one
-WILD = 100.0  # times what was put in: energy that no stable run comes to
-SURE = 0.5  # factor that is taken for the truth
-RUNGS = (SURE, 0.5**0.5, *(2.0 ** (k / 4) for k in range(7)))  # factors looked at
+ENERGY_LIMIT = 100.0  # times what was put in: energy that no stable run comes to
+REFERENCE_FACTOR = 0.5  # factor that is taken for the truth
+STEP_LADDER = (REFERENCE_FACTOR, 0.5**0.5, *(2.0 ** (k / 4) for k in range(7)))  # factors looked at
 RATIOS = tuple(10.0**k for k in range(-4, 5))
 PER_CELL = ((64, 1), (64, 8), (27, 8), (8, 8), (8, 27), (8, 64), (1, 64), (8, 8000))
 PERMEABILITIES = tuple(10.0**-k for k in range(2, 13, 2))
@@ -52,8 +52,8 @@ class Pair:
     def text(self) -> str:
         """The scene, with the default step."""
         d, s = self.density**0.5, self.stiffness**0.5
-        one = made_of(self.kinds[0], DENSITY * d, MODULUS * s)
-        two = made_of(self.kinds[1], DENSITY / d, MODULUS / s)
+        first = made_of(self.kinds[0], DENSITY * d, MODULUS * s)
+        second = made_of(self.kinds[1], DENSITY / d, MODULUS / s)
         wide, middle, high = (n * DX for n in (WIDE, HIGH // 2, HIGH))
         spaced = [{"particles_per_cell": n} for n in self.per_cell]
         if self.coupled:
@@ -68,7 +68,7 @@ class Pair:
         return (
             f"[domain]\nsize = {[wide, wide, (HIGH + AIR) * DX]}\ncell = {DX}\n"
             f'gravity = [0, 0, -1]\n[time]\nend = 1\n[accuracy]\ntransfer = "{self.transfer}"\n'
-            f"[material.one]\n{toml(one)}\n[material.two]\n{toml(two)}\n{bodies}{self.coupled}"
+            f"[material.one]\n{toml(first)}\n[material.two]\n{toml(second)}\n{bodies}{self.coupled}"
         )
 
 
@@ -78,46 +78,58 @@ def made_of(kind: str, density: float, modulus: float) -> dict:
     keys = {"kind": kind, "density": density, stiff: modulus}
     keys["density"] = density**2 / registry[kind].model_validate(keys).bulk_density
     material = registry[kind].model_validate(keys)
-    rest = tuple(v for values in material.carries.values() for v in values)
-    wave2 = law_function(material.law(), "wave_speed2")(material.law(), rest)
+    state_at_rest = tuple(v for values in material.carries.values() for v in values)
+    wave2 = law_function(material.law(), "wave_speed2")(material.law(), state_at_rest)
     return {**keys, stiff: modulus**2 / (density * float(wave2))}
 
 
-class Joint(Box):
-    """The bodies of a pair."""
+class TwoBodyBox(Box):
+    """Box with the two bodies or materials of a pair."""
 
     def __init__(self, pair: Pair):
         super().__init__(pair.text)
 
     def run(self, factor: float, steps: int, limit: float) -> float:
-        """The most energy [J] in some steps of `factor` times the default; infinite beyond the
-        limit, and where it blows up."""
-        simulation, most = self.begin(self._velocity), 0.0
+        """Return the largest energy [J] in some steps of `factor` times the default.
+
+        It is infinite above the limit and after a blow-up.
+
+        Args:
+            factor: Step relative to the default.
+            steps: Number of steps.
+            limit: Energy [J] at which the run stops.
+        """
+        simulation, max_energy = self.begin(self._velocity), 0.0
         simulation.gravity[:] = (0.0, 0.0, -self._pressure / self._column)
         try:
             for step in range(steps):
                 simulation.advance(factor * simulation.bound())
                 if step % 20 == 19:
-                    found = self.energy(simulation)
-                    if not found <= limit:
+                    energy = self.energy(simulation)
+                    if not energy <= limit:
                         return np.inf
-                    most = max(most, found)
+                    max_energy = max(max_energy, energy)
         except BlowUp:
             return np.inf
-        return most
+        return max_energy
 
     def stable(self, factor: float) -> bool:
-        """Whether steps of `factor` times the default are."""
-        return np.isfinite(self.run(factor, STEPS, GROWTH * self.usual))
+        """Return if the run is stable with steps of `factor` times the default."""
+        return np.isfinite(self.run(factor, STEPS, GROWTH * self.reference_energy))
 
     @cached_property
-    def usual(self) -> float:
+    def reference_energy(self) -> float:
         """The most energy [J] with short steps, at least what was put in; infinite where even these
         are not stable."""
-        given = float((0.5 * self.mass * (self._velocity**2).sum(1)).sum())
+        initial_energy = float((0.5 * self.mass * (self._velocity**2).sum(1)).sum())
         volume = np.bincount(self.made.object, self.made.vol0)
-        given += float((self._pressure**2 * volume / self._stiff).sum())
-        return max(given, self.run(SURE, round(STEPS / SURE), WILD * given))
+        initial_energy += float((self._pressure**2 * volume / self._stiff).sum())
+        return max(
+            initial_energy,
+            self.run(
+                REFERENCE_FACTOR, round(STEPS / REFERENCE_FACTOR), ENERGY_LIMIT * initial_energy
+            ),
+        )
 
     @property
     def _stiff(self) -> np.ndarray:
@@ -145,8 +157,10 @@ class Joint(Box):
 def largest(pair: Pair) -> float:
     """The largest stable step over the default one; the last of RUNGS where these end first, 0
     where SURE times the default is not stable. Raises SceneError where the scene refuses it."""
-    joint = Joint(pair)
-    return climbed(joint.stable, RUNGS) if np.isfinite(joint.usual) else 0.0
+    bodies = TwoBodyBox(pair)
+    return (
+        largest_stable(bodies.stable, STEP_LADDER) if np.isfinite(bodies.reference_energy) else 0.0
+    )
 
 
 @dataclass(frozen=True)
@@ -187,7 +201,7 @@ def tables(transfer: str = "restored") -> list[Table]:
 LEANING = (("elastic", "fluid"), ("elastic", "elastic"), ("elastic", "sand"))  # lower, upper
 WET, MIXED = ("fluid", "sand"), ("fluid", "fluid")
 # of density and stiffness, the powers of a ratio
-WAYS = {
+CONTRAST_EXPONENTS = {
     "density": (1, 0),
     "stiffness": (0, 1),
     "density and stiffness": (1, 1),
@@ -202,28 +216,28 @@ def _ratios(transfer: str) -> tuple[float, ...]:
 
 def _contacts(transfer: str) -> dict[str, tuple[Pair, ...]]:
     return {
-        f"{over} on {under}: {way}": tuple(
+        f"{over} on {under}: {contrast}": tuple(
             Pair((under, over), r**d, r**s, transfer=transfer) for r in _ratios(transfer)
         )
         for under, over in LEANING
-        for way, (d, s) in WAYS.items()
+        for contrast, (d, s) in CONTRAST_EXPONENTS.items()
     }
 
 
 def _mixtures(transfer: str) -> dict[str, tuple[Pair, ...]]:
-    found = {}
+    rows = {}
     for slip in (0.0, SLIP):
         for D in DIFFUSIONS:
             coupled = _mixing(D, slip)
-            for way, (d, s) in WAYS.items():
-                if way == "density" or D == 0.0:
-                    name = f"slip {slip:g} s, D {D:g} m2/s: {way}"
-                    found[name] = tuple(
+            for contrast, (d, s) in CONTRAST_EXPONENTS.items():
+                if contrast == "density" or D == 0.0:
+                    name = f"slip {slip:g} s, D {D:g} m2/s: {contrast}"
+                    rows[name] = tuple(
                         Pair(MIXED, r**d, r**s, coupled=coupled, transfer=transfer)
                         for r in _ratios(transfer)
                         if r >= 1.0  # the other way round it is the same
                     )
-    return found
+    return rows
 
 
 def _drag(permeability: float) -> str:
@@ -257,9 +271,9 @@ def _cell(text: str) -> str:
 
 def _found(pair: Pair) -> str:
     try:
-        found = largest(pair)
+        factor = largest(pair)
     except SceneError:
         return "refused"
-    if not SURE <= found < RUNGS[-1]:
-        return f">= {RUNGS[-1]:.1f}" if found else f"< {SURE:g}"
-    return format(found, ".2f") + (" !" if found < MARGIN else "")
+    if not REFERENCE_FACTOR <= factor < STEP_LADDER[-1]:
+        return f">= {STEP_LADDER[-1]:.1f}" if factor else f"< {REFERENCE_FACTOR:g}"
+    return format(factor, ".2f") + (" !" if factor < MARGIN else "")

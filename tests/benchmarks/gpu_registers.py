@@ -76,25 +76,32 @@ CASES = {kind: ("", _body(kind, kind)) for kind in registry} | {
 def compiled(
     name: str, precision: str = "single", cards: tuple[int, ...] = CARDS, only: tuple = ()
 ) -> list:
-    """The kernels (engines.cuda.compiled.Compiled) that a case launches; only: of these names."""
+    """Return the kernels (engines.cuda.compiled.Compiled) that a case launches.
+
+    Args:
+        name: Case of CASES.
+        precision: "single" or "double".
+        cards: Compute capabilities times 10.
+        only: Names of the kernels, empty for all.
+    """
     from vgmpi.solver.engines.cuda.offline_compile import kernels_of, offline_engine
 
-    accuracy, rest = CASES[name]
-    text = SCENE.replace("PRECISION", precision).replace("ACCURACY", accuracy) + rest
+    accuracy, body_text = CASES[name]
+    text = SCENE.replace("PRECISION", precision).replace("ACCURACY", accuracy) + body_text
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "scene.toml").write_text(text)
         scene = load(Path(folder) / "scene.toml")
-        made = build_scene(scene)
-        plan = plan_for(scene, known_of(scene, made))
+        built = build_scene(scene)
+        plan = plan_for(scene, known_of(scene, built))
     ENGINES["compiled"] = offline_engine(cards, only)
     try:
-        simulation = Simulation(plan, SerialCommunicator(), made.colliders, engine="compiled")
+        simulation = Simulation(plan, SerialCommunicator(), built.colliders, engine="compiled")
     finally:
         del ENGINES["compiled"]
-    v = made.v0 if made.v0 is not None else np.zeros_like(made.x)
+    v = built.v0 if built.v0 is not None else np.zeros_like(built.x)
     simulation.put(
-        made.x, v, made.vol0, np.arange(len(made.x)), made.object, theta=made.theta0, sh=made.sh,
-        surface=made.surface0,
+        built.x, v, built.vol0, np.arange(len(built.x)), built.object, theta=built.theta0,
+        sh=built.sh, surface=built.surface0,
     )  # fmt: skip
     return kernels_of(simulation)
 
@@ -108,20 +115,20 @@ HEAD = (
 def lines(precision: str) -> Iterator[str]:
     """A table as Markdown, a row per kernel; those that several cases have alike once."""
     yield HEAD
-    seen = set()
+    listed = set()
     for name in CASES:
         rows: dict[tuple, list] = {}
-        for k, one in enumerate(compiled(name, precision)):
-            rows.setdefault((one.name, one.law, k // len(CARDS)), []).append(one)
-        for (kernel, law, _), found in rows.items():
-            numbers = [(one.registers, one.warps) for one in found]
-            key = kernel, law, tuple(numbers), found[0].stack
-            if key in seen:
+        for k, item in enumerate(compiled(name, precision)):
+            rows.setdefault((item.name, item.law, k // len(CARDS)), []).append(item)
+        for (kernel, law, _), kernels in rows.items():
+            numbers = [(item.registers, item.warps) for item in kernels]
+            key = kernel, law, tuple(numbers), kernels[0].stack
+            if key in listed:
                 continue
-            seen.add(key)
+            listed.add(key)
             yield (
                 f"| {kernel} | {name if law == '-' else law} |"
-                f" {', '.join(str(r) for r, _ in numbers)} | {found[0].stack} |"
-                f" {max(one.spilled for one in found)} | {found[0].shared / 1024:.1f} KiB |"
+                f" {', '.join(str(r) for r, _ in numbers)} | {kernels[0].stack} |"
+                f" {max(item.spilled for item in kernels)} | {kernels[0].shared / 1024:.1f} KiB |"
                 f" {', '.join(str(w) for _, w in numbers)} |"
             )

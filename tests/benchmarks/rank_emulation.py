@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.benchmarks.scaling_model import FILL, NEEDS, Silent
+from tests.benchmarks.scaling_model import NEEDS, PARTICLES_PER_FULL_BLOCK, SilentCommunicator
 from tests.benchmarks.sort_scaling import cube
 from vgmpi.apps.bench import vgmpi_contestant
 from vgmpi.apps.bench.benchmark_case import Case, lay_out
@@ -34,23 +34,25 @@ class Rank:
         ones = np.ones(len(key))
         owner = owners(key, partition(key, ones, ranks, None))
         rank = int(owner[len(owner) // 2])
-        census = BlockDirectory(key, code, np.zeros(len(key), np.int64), ones * FILL, owner, ones)
+        census = BlockDirectory(
+            key, code, np.zeros(len(key), np.int64), ones * PARTICLES_PER_FULL_BLOCK, owner, ones
+        )
         self.tables = exchange_topology.build_topology(census, lattice, rank, NEEDS)
         self.engine = Cpu(self.plan, lattice, None, 1)
         self._fill(code[owner == rank])
         self.engine.set_topology(self.tables)
-        self.halo = HaloExchange(Silent(), self.tables, self.engine.words)
+        self.halo = HaloExchange(SilentCommunicator(), self.tables, self.engine.words)
 
     def _fill(self, code: np.ndarray) -> None:
         """Eight particles per cell, jittered, in motion."""
         (group,), random = self.engine.groups, np.random.default_rng(3)
-        n, bits = FILL * len(code), BITS[self.plan.real]
+        n, bits = PARTICLES_PER_FULL_BLOCK * len(code), BITS[self.plan.real]
         cell = np.stack(np.meshgrid(*[np.arange(BLOCK_EDGE)] * 3, indexing="ij"), -1).reshape(
             -1, 1, 3
         )
         part = np.stack(np.meshgrid(*[(0.25, 0.75)] * 3, indexing="ij"), -1).reshape(1, 8, 3)
-        x = (cell + part - 2.0).reshape(1, FILL, 3) + random.uniform(
-            -0.2, 0.2, (len(code), FILL, 3)
+        x = (cell + part - 2.0).reshape(1, PARTICLES_PER_FULL_BLOCK, 3) + random.uniform(
+            -0.2, 0.2, (len(code), PARTICLES_PER_FULL_BLOCK, 3)
         )
         group.reserve(n)
         xi = np.rint(np.ldexp(x.reshape(-1, 3), bits)).astype(INTEGER[self.plan.real])
@@ -60,7 +62,11 @@ class Rank:
         group.put("v", every, np.array([5e-2, 4e-2, 3e-2]) * (1 + 0.1 * random.random((n, 3))))
         group.put("vol0", every, np.full((n, 1), self.plan.dx**3 / 8))
         group.ids[:n] = every
-        group.segments(code, FILL * np.arange(len(code)), np.full(len(code), FILL))
+        group.segments(
+            code,
+            PARTICLES_PER_FULL_BLOCK * np.arange(len(code)),
+            np.full(len(code), PARTICLES_PER_FULL_BLOCK),
+        )
         group.used = n
         self.begin = group.xi[:, :n].copy(), group.f[:, :n].copy()
 

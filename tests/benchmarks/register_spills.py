@@ -25,12 +25,12 @@ _VECTOR = re.compile(r"%[xyz]mm\d|\bq\d")
 
 def count(text: str) -> tuple[int, int]:
     """(vectors put to the stack, taken back) in LLVM's assembly with its remarks."""
-    found = {"Spill": 0, "Reload": 0}
+    spills = {"Spill": 0, "Reload": 0}
     for line in text.splitlines():
         short = _SHORT.search(line)
         if short and _VECTOR.search(line):
-            found[short[1]] += 1
-    return found["Spill"], found["Reload"]
+            spills[short[1]] += 1
+    return spills["Spill"], spills["Reload"]
 
 
 def compiled(function, real: types.Float) -> str:
@@ -40,13 +40,24 @@ def compiled(function, real: types.Float) -> str:
     # pointers: arrays are counted, by instructions that other processors lack
     @cfunc(types.void(types.int64, row, row, base, row), error_model="numpy")
     def rows(count, records, weights, base, patch):
+        """Call the function with pointers."""
         function(count, records, weights, base, patch)
 
     return rows.inspect_llvm()
 
 
 def assembly(text: str, triple: str, name: str, features: str) -> str:
-    """A function's assembly for another processor. Raises RuntimeError where LLVM lacks it."""
+    """Return a function's assembly for another processor.
+
+    Args:
+        text: LLVM text of the function.
+        triple: LLVM's triple.
+        name: LLVM's name of the processor.
+        features: LLVM's features.
+
+    Raises:
+        RuntimeError: LLVM lacks this processor.
+    """
     binding.initialize_all_targets()
     binding.initialize_all_asmprinters()
     target = binding.Target.from_triple(triple)
@@ -60,7 +71,7 @@ def assembly(text: str, triple: str, name: str, features: str) -> str:
 def measure() -> list[dict[str, Any]]:
     """A row per processor, precision and function: puts and takes with whole rows, and with rows in
     the parts that this processor gets; None where LLVM was built without it."""
-    found = []
+    rows = []
     for precision, real in REALS.items():
         for name, (put, some) in stencil_sums.STENCIL_FUNCTIONS.items():
             texts = {w: compiled(put(some, p), real) for w, p in stencil_sums.ROW_SPLITS.items()}
@@ -76,8 +87,8 @@ def measure() -> list[dict[str, Any]]:
                     row["parts"] = count(assembly(texts[row["way"]], *target))
                 except RuntimeError:
                     row["whole"] = row["parts"] = None
-                found.append(row)
-    return found
+                rows.append(row)
+    return rows
 
 
 def text(rows: list[dict[str, Any]]) -> str:

@@ -25,7 +25,7 @@ from vgmpi.parallel.block_ownership import BlockDirectory
 from vgmpi.parallel.communicator import PersistentExchange, SerialCommunicator
 from vgmpi.parallel.load_balance import BLOCK_COST, owners, partition
 
-FILL = 8 * BLOCK_EDGE**3  # particles of a full block
+PARTICLES_PER_FULL_BLOCK = 8 * BLOCK_EDGE**3  # particles of a full block
 SAMPLE = 8  # ranks of which tables are laid out
 CYCLES = 8  # from sort to sort, of which the quickest counts
 RANKS = (1, 8, 64, 512, 4096)
@@ -35,24 +35,33 @@ OVERLAPPED = 0.5  # share of a step's work during which messages may travel: P2G
 
 
 def tables(ranks: int, blocks: int) -> dict:
-    """Of the worst of SAMPLE ranks of a cube of about ranks x blocks full blocks, one phase, single
-    precision: own blocks, those at the border, node blocks that others add to, bytes sent,
-    neighbours; and blocks in the mean of all ranks."""
+    """Return table sizes of the worst of SAMPLE ranks of a cube of ranks x blocks full blocks.
+
+    One phase, single precision: own blocks, border blocks, node blocks that others add to, bytes
+    sent, neighbors, and the mean blocks of all ranks.
+    """
     side = max(1, round((ranks * blocks) ** (1 / 3)))
-    at = np.stack(np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), -1).reshape(-1, 3) + 2
+    block_indices = (
+        np.stack(np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), -1).reshape(-1, 3) + 2
+    )
     lattice = BlockLattice((BLOCK_EDGE * (side + 4),) * 3, 1.0)
-    key, code = lattice.key(at), lattice.code(at)
+    key, code = lattice.key(block_indices), lattice.code(block_indices)
     order = np.argsort(key)
     key, code = key[order], code[order]
     ones = np.ones(len(key))
     owner = owners(key, partition(key, ones, ranks, None))
     census = BlockDirectory(
-        key, code, np.zeros(len(key), np.int64), ones * FILL, owner, np.ones(ranks)
+        key,
+        code,
+        np.zeros(len(key), np.int64),
+        ones * PARTICLES_PER_FULL_BLOCK,
+        owner,
+        np.ones(ranks),
     )
     chosen = np.unique(np.linspace(0, ranks - 1, SAMPLE).round().astype(int))
-    found = np.array([_of_rank(census, lattice, rank) for rank in chosen])
+    rank_tables = np.array([_of_rank(census, lattice, rank) for rank in chosen])
     names = ("own", "border", "shared", "bytes", "neighbours")
-    return dict(zip(names, found.max(0), strict=True)) | {"mean": len(key) / ranks}
+    return dict(zip(names, rank_tables.max(0), strict=True)) | {"mean": len(key) / ranks}
 
 
 # one phase, nothing to touch: what the scene of the benchmark asks of the tables
@@ -61,16 +70,17 @@ NEEDS = exchange_topology.TopologyRequirements(
 )
 
 
-class Silent(SerialCommunicator):
+class SilentCommunicator(SerialCommunicator):
     """Ranks that say nothing: to lay out messages."""
 
     def link(self, sends, receives):
+        """Return a link that transfers nothing."""
         return PersistentExchange()
 
 
 def _of_rank(census: BlockDirectory, lattice: BlockLattice, rank: int) -> list[float]:
     t = exchange_topology.build_topology(census, lattice, rank, NEEDS)
-    messages = halo_exchange.HaloExchange(Silent(), t, 1)
+    messages = halo_exchange.HaloExchange(SilentCommunicator(), t, 1)
     size = messages.bytes_sent
     return [
         len(t.code),
@@ -81,44 +91,59 @@ def _of_rank(census: BlockDirectory, lattice: BlockLattice, rank: int) -> list[f
     ]
 
 
-def constants(rows: dict[int, list], busy: list, empty_us: float) -> dict:
+def fit_cost_constants(rows: dict[int, list], busy: list, empty_us: float) -> dict:
     """Seconds per unit of work, shared node block and byte copied, by rows of one and two ranks.
 
     busy: rows of two runs of one rank each at the same time. Cores share caches and memory, so a
     rank computes slower when the others do, which is no cost of the decomposition: `unit` is a
     busy machine's, `alone` that of one rank on an idle one.
     """
-    one, two, both = (np.array(found) for found in (rows[1], rows[2], busy))
+    single, double, both = (np.array(rows_of_ranks) for rows_of_ranks in (rows[1], rows[2], busy))
     stages = len(WORK)
     halo = WORK.index("halo")
     alone, unit = (
-        found[:, :stages].sum() / (found[:, stages] + BLOCK_COST * found[:, stages + 1]).sum()
-        for found in (one, both)
+        rows_of_ranks[:, :stages].sum()
+        / (rows_of_ranks[:, stages] + BLOCK_COST * rows_of_ranks[:, stages + 1]).sum()
+        for rows_of_ranks in (single, both)
     )
-    copied = two[:, halo].sum() / (2 * two[:, stages + 3].sum())
-    rest = two[:, :stages].sum() - two[:, halo].sum()
-    rest -= unit * (two[:, stages] + BLOCK_COST * two[:, stages + 1]).sum()
+    copied = double[:, halo].sum() / (2 * double[:, stages + 3].sum())
+    remainder = double[:, :stages].sum() - double[:, halo].sum()
+    remainder -= unit * (double[:, stages] + BLOCK_COST * double[:, stages + 1]).sum()
     return {
         "alone": alone,
         "unit": unit,
         "copied": copied,
-        "shared": max(0.0, rest / two[:, stages + 2].sum()),
+        "shared": max(0.0, remainder / double[:, stages + 2].sum()),
         "python": 1e-6 * empty_us,
     }
 
 
 def predicted(c: dict, work: float, shared: float, size: float) -> float:
-    """Seconds a rank computes in a step."""
+    """Return the seconds that a rank computes in a step.
+
+    Args:
+        c: Constants of fit_cost_constants.
+        work: Work of the rank.
+        shared: Shared node blocks.
+        size: Bytes sent.
+    """
     return c["unit"] * work + c["shared"] * shared + c["copied"] * 2 * size
 
 
 def step(c: dict, ranks: int, particles: int, latency: float, bandwidth: float) -> float:
-    """Seconds of a step with `particles` on each of `ranks`; latency [s], bandwidth [B/s] of one
-    rank's link. c["tables"], if it is there: seconds of a sort's census and tables per own block,
-    by the steps from sort to sort."""
-    blocks = max(1, round(particles / FILL))
+    """Return the seconds of a step.
+
+    Args:
+        c: Constants; c["tables"], if present: seconds of a sort's census and tables per own block,
+            divided by the steps between sorts.
+        ranks: Number of ranks.
+        particles: Particles of each rank.
+        latency: Latency of a message [s].
+        bandwidth: Bandwidth of one rank's link [B/s].
+    """
+    blocks = max(1, round(particles / PARTICLES_PER_FULL_BLOCK))
     t = tables(ranks, blocks)
-    work = particles * (1.0 + BLOCK_COST / FILL) * t["own"] / t["mean"]
+    work = particles * (1.0 + BLOCK_COST / PARTICLES_PER_FULL_BLOCK) * t["own"] / t["mean"]
     computes = predicted(c, work, t["shared"], t["bytes"])
     travels = t["neighbours"] * latency + t["bytes"] / bandwidth
     hidden = OVERLAPPED * c["unit"] * work * (1.0 - t["border"] / t["own"])
@@ -144,7 +169,7 @@ def measure(real_ranks: list[int], particles: int, say) -> tuple[dict[int, list]
                     workers.append(Worker(Contestant("inside"), case, Path(folder)))
                     with ThreadPoolExecutor(2) as pool:
                         both = pool.map(lambda w: w.ask("work", cycles=CYCLES)["rows"], workers)
-                        busy = [row for found in both for row in found]
+                        busy = [row for rank_rows in both for row in rank_rows]
             finally:
                 for worker in workers:
                     worker.close()
@@ -152,7 +177,15 @@ def measure(real_ranks: list[int], particles: int, say) -> tuple[dict[int, list]
 
 
 def text(rows: dict[int, list], c: dict, latency: float, bandwidth: float, cores: int) -> str:
-    """Constants, the check against real runs, the prediction."""
+    """Return the constants, the check against real runs, and the times.
+
+    Args:
+        rows: Rows of real runs by the number of ranks.
+        c: Constants.
+        latency: Latency of a message [s].
+        bandwidth: Bandwidth of one rank's link [B/s].
+        cores: Cores of this machine.
+    """
     stages = len(WORK)
     lines = [
         f"measured: {1e9 * c['alone']:.1f} ns per particle (a block counts as {BLOCK_COST:.0f}"
@@ -164,15 +197,15 @@ def text(rows: dict[int, list], c: dict, latency: float, bandwidth: float, cores
         "   ranks  particles each   measured [us]: mean   largest   predicted: mean   largest"
         "   kB sent   neighbours",
     ]
-    for n, found in rows.items():
-        row = np.array(found)
+    for n, rank_rows in rows.items():
+        row = np.array(rank_rows)
         spent = 1e6 * row[:, :stages].sum(1)
         work = row[:, stages] + BLOCK_COST * row[:, stages + 1]
-        here = c if n > 1 else c | {"unit": c["alone"]}
-        told = 1e6 * predicted(here, work, row[:, stages + 2], row[:, stages + 3])
+        constants_used = c if n > 1 else c | {"unit": c["alone"]}
+        times = 1e6 * predicted(constants_used, work, row[:, stages + 2], row[:, stages + 3])
         lines.append(
             f"{n:8d} {row[:, stages].mean():15,.0f} {spent.mean():21.0f} {spent.max():9.0f}"
-            f" {told.mean():17.0f} {told.max():9.0f} {row[:, stages + 3].max() / 1e3:9.0f}"
+            f" {times.mean():17.0f} {times.max():9.0f} {row[:, stages + 3].max() / 1e3:9.0f}"
             f" {row[:, stages + 4].max():12.0f}" + (" (more ranks than cores)" * (n > cores))
         )
     lines += [

@@ -8,7 +8,7 @@ import tracemalloc
 
 import numpy as np
 
-from tests.benchmarks.scaling_model import FILL, NEEDS
+from tests.benchmarks.scaling_model import NEEDS, PARTICLES_PER_FULL_BLOCK
 from vgmpi.parallel import exchange_topology, load_balance, migration
 from vgmpi.parallel.block_lattice import BLOCK_EDGE, BlockLattice
 from vgmpi.parallel.block_ownership import HALO_BLOCKS, build_block_directory
@@ -47,7 +47,7 @@ class Amid(SerialCommunicator):
 def cube(ranks: int, particles: int) -> tuple[BlockLattice, np.ndarray, np.ndarray]:
     """A cube of about `particles` per rank in full blocks: its lattice, keys (n,) ascending and
     codes (n,)."""
-    side = max(1, round((ranks * particles / FILL) ** (1 / 3)))
+    side = max(1, round((ranks * particles / PARTICLES_PER_FULL_BLOCK) ** (1 / 3)))
     lattice = BlockLattice((BLOCK_EDGE * (side + 4),) * 3, 1.0)
     blocks = np.stack(np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), -1).reshape(-1, 3) + 2
     key, code = lattice.key(blocks), lattice.code(blocks)
@@ -60,7 +60,7 @@ class Sort:
 
     def __init__(self, ranks: int, particles: int):
         self.lattice, key, code = cube(ranks, particles)
-        count = np.full(len(key), FILL)
+        count = np.full(len(key), PARTICLES_PER_FULL_BLOCK)
         work = load_balance.predicted_work(count, np.ones(len(key)))
         self.cut = load_balance.partition(key, work, ranks, None)
         owner = load_balance.owners(key, self.cut)
@@ -88,7 +88,7 @@ class Sort:
         self.crossed = rows[own_rows][touched] * [1, 1, 1, 0] + [0, 0, 0, CROSS]
         inside = np.isin(self._around(), code)
         self.number = np.where(inside, CROSS, 0)
-        self.number[:, 13] = FILL - CROSS * 26
+        self.number[:, 13] = PARTICLES_PER_FULL_BLOCK - CROSS * 26
 
     def _around(self) -> np.ndarray:
         """Codes of the blocks around this rank's own, (blocks, 27)."""

@@ -45,7 +45,7 @@ COUPLED = {
 
 @dataclass(frozen=True)
 class Case:
-    """What fills the box: a law, or the name of one of COUPLED."""
+    """Filling of the box: a law, or the name of one of COUPLED."""
 
     name: str
     transfer: str = "restored"
@@ -53,7 +53,7 @@ class Case:
 
     @property
     def cfl(self) -> float:
-        """Of the scene: motion is restored after as many steps as by default."""
+        """Return the CFL number of the scene: motion is restored as often as by default."""
         return DEFAULT if self.name in COUPLED or self.transfer == "restored" else 1.0
 
     @property
@@ -94,10 +94,10 @@ class Box:
 
     def begin(self, v: np.ndarray) -> Simulation:
         """At the start, jittered, with velocities v (n, 3) [m/s]."""
-        made = self.made
+        bodies = self.made
         simulation = Simulation(self.plan, SerialCommunicator())
-        x = made.x + self.plan.dx * np.random.default_rng(4).uniform(-JITTER, JITTER, v.shape)
-        simulation.put(x, v, made.vol0, np.arange(len(v)), made.object, surface=made.surface0)
+        x = bodies.x + self.plan.dx * np.random.default_rng(4).uniform(-JITTER, JITTER, v.shape)
+        simulation.put(x, v, bodies.vol0, np.arange(len(v)), bodies.object, surface=bodies.surface0)
         return simulation
 
     @staticmethod
@@ -116,16 +116,18 @@ class Column(Box):
         super().__init__(case.text)
 
     def stable(self, factor: float) -> bool:
-        """Whether STEPS steps of `factor` are: of a law times dx / (c + |v|), of couplings times
-        the bound."""
+        """Return if STEPS steps of `factor` are stable.
+
+        The unit is dx / (c + |v|) for a law, and the bound of the solver for couplings.
+        """
         unit = 1.0 if self.case.name in COUPLED else self.case.cfl
-        made, still = self.made, np.zeros_like(self.made.x)
+        bodies, still = self.made, np.zeros_like(self.made.x)
         simulation = self.begin(still)
         wave = self.plan.cfl * self.plan.dx * simulation.rate  # c: nothing moves yet
         speed, height = SPEED * wave, CELLS[2] * self.plan.dx
         # a weight whose sudden onset lets the column fall at `speed`
         pull = speed * wave / height
-        v = speed * np.random.default_rng(3).uniform(-1, 1, made.x.shape)
+        v = speed * np.random.default_rng(3).uniform(-1, 1, bodies.x.shape)
         simulation = self.begin(v)
         simulation.gravity[:] = (0.0, 0.0, -pull)
         limit = GROWTH * float((self.mass * (0.5 * (v**2).sum(1) + speed**2)).sum())
@@ -139,13 +141,13 @@ class Column(Box):
         return True
 
 
-def largest(case: Case) -> float:
+def largest_stable_factor(case: Case) -> float:
     """The largest stable factor; the last of RUNGS where these end first, 0 below them."""
     column = Column(case)
-    return climbed(column.stable, RUNGS) if column.stable(RUNGS[0]) else 0.0
+    return largest_stable(column.stable, RUNGS) if column.stable(RUNGS[0]) else 0.0
 
 
-def climbed(stable: Callable[[float], bool], rungs: Sequence[float]) -> float:
+def largest_stable(stable: Callable[[float], bool], rungs: Sequence[float]) -> float:
     """The largest factor up to which all are stable: the last of the rungs before one that is not,
     and of ROUNDS halvings of what lies between. The first rung is known to be stable."""
     low = rungs[0]
@@ -179,13 +181,13 @@ def lines(names: list[str], transfers: list[str] | None, precisions: list[str]) 
     """The table as text, row by row as they are found. Arguments as of `cases`."""
     yield HEAD
     for case in cases(names, transfers, precisions):
-        yield _line(case, largest(case))
+        yield _line(case, largest_stable_factor(case))
 
 
-def _line(case: Case, found: float) -> str:
+def _line(case: Case, limit: float) -> str:
     default = 1.0 if case.name in COUPLED else DEFAULT
-    more = ">= " if found >= RUNGS[-1] else ""
+    more = ">= " if limit >= RUNGS[-1] else ""
     return (
-        f"{case.name:20s} {case.transfer:9s} {case.precision:10s} {more + format(found, '.2f'):15s}"
-        f" {found / default:.1f}"
+        f"{case.name:20s} {case.transfer:9s} {case.precision:10s} {more + format(limit, '.2f'):15s}"
+        f" {limit / default:.1f}"
     )

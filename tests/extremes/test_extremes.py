@@ -44,7 +44,7 @@ def test_the_names_are_unique():
 )
 def test_a_wrong_outcome_is_seen(changes, said):
     found = limit_cases.run_case(dataclasses.replace(ROWS["E = 1e3 Pa"], **changes))
-    assert not found.good and said in found.effect
+    assert not found.good and said in found.summary
 
 
 def test_lost_momentum_is_seen():
@@ -65,7 +65,7 @@ def test_a_lost_particle_is_seen(monkeypatch):
 
     real = limit_cases.run
     monkeypatch.setattr(limit_cases, "run", run)
-    assert "lost" in limit_cases.run_case(ROWS["E = 1e3 Pa"]).effect
+    assert "lost" in limit_cases.run_case(ROWS["E = 1e3 Pa"]).summary
 
 
 def test_the_command_fails_with_a_row(monkeypatch, capsys):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.benchmarks import contrast_stability
-from tests.benchmarks.contrast_stability import MARGIN, Joint, Pair
+from tests.benchmarks.contrast_stability import MARGIN, Pair, TwoBodyBox
 from vgmpi.materials import registry
 from vgmpi.materials.material import law_function
 from vgmpi.runtime.config.schema import SceneError
@@ -36,20 +36,20 @@ FEW = [Pair(SOLIDS, per_cell=n) for n in ((64, 1), (1, 64))]
 
 @pytest.mark.parametrize("name", CORNERS)
 def test_the_default_has_a_margin_where_bodies_differ(name):
-    assert Joint(CORNERS[name]).stable(MARGIN)
+    assert TwoBodyBox(CORNERS[name]).stable(MARGIN)
 
 
 @pytest.mark.parametrize("name", MIXTURES)
 def test_the_default_has_a_margin_where_fluids_that_mix_differ(name):
     density, stiffness, slip_time = MIXTURES[name]
     mixed = contrast_stability._mixing(0.0, slip_time)
-    assert Joint(Pair(MIXED, 10.0**density, 10.0**stiffness, coupled=mixed)).stable(MARGIN)
+    assert TwoBodyBox(Pair(MIXED, 10.0**density, 10.0**stiffness, coupled=mixed)).stable(MARGIN)
 
 
 def test_fluids_that_slip_and_differ_by_1e4_do_not_blow_up():
     """Of what is left of the stiff one's waves, 2500 times as fast, a step knows before it is
     taken."""
-    joint = Joint(
+    joint = TwoBodyBox(
         Pair(MIXED, 1e4, 1e4, coupled=contrast_stability._mixing(0.0, contrast_stability.SLIP))
     )
     assert joint.plan.groups[0].slips > 2000.0
@@ -58,14 +58,14 @@ def test_fluids_that_slip_and_differ_by_1e4_do_not_blow_up():
 
 @pytest.mark.parametrize("pair", FEW, ids=lambda pair: ":".join(map(str, pair.per_cell)))
 def test_the_default_is_stable_with_one_particle_per_cell(pair):
-    assert Joint(pair).stable(1.0)
+    assert TwoBodyBox(pair).stable(1.0)
 
 
 def test_a_longer_default_is_seen(monkeypatch):
     """Half as long again: what is left of the margin is too little."""
     bound = Simulation.bound
     monkeypatch.setattr(Simulation, "bound", lambda self: 1.5 * bound(self))
-    joint = Joint(CORNERS["elastic on elastic, 1000 times lighter"])
+    joint = TwoBodyBox(CORNERS["elastic on elastic, 1000 times lighter"])
     assert joint.stable(0.5) and not joint.stable(MARGIN)
 
 
@@ -83,14 +83,14 @@ def test_a_material_is_made_of_its_density_and_modulus(kind):
 
 
 def test_a_ratio_is_the_first_one_s_over_the_other_s():
-    joint = Joint(Pair(("elastic", "fluid"), density=1e-3, stiffness=1e2))
+    joint = TwoBodyBox(Pair(("elastic", "fluid"), density=1e-3, stiffness=1e2))
     one, two = joint.density
     assert np.isclose(one / two, 1e-3) and np.isclose(one * two, contrast_stability.DENSITY**2)
     assert np.isclose(joint._stiff[0] / joint._stiff[1], 1e2)
 
 
 def test_the_table_says_where_the_margin_is_less(monkeypatch):
-    found = iter([0.0, 1.2, 1.3, contrast_stability.RUNGS[-1], *[2.0] * 5])
+    found = iter([0.0, 1.2, 1.3, contrast_stability.STEP_LADDER[-1], *[2.0] * 5])
     monkeypatch.setattr(contrast_stability, "largest", lambda pair: next(found))
     row = list(contrast_stability.lines(["elastic on elastic: stiffness"], ["restored"]))[1]
     assert row.split()[4:] == ["<", "0.5", "1.20", "!", "1.30", ">=", "2.8", *["2.00"] * 5]

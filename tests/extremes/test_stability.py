@@ -52,9 +52,9 @@ def test_a_step_too_long_is_seen(name):
 
 def test_the_limit_is_found(monkeypatch):
     monkeypatch.setattr(Column, "stable", lambda self, factor: factor < 1.3)
-    assert 1.3 / 1.05 < stability_limits.largest(Case("fluid")) < 1.3
+    assert 1.3 / 1.05 < stability_limits.largest_stable_factor(Case("fluid")) < 1.3
 
 
 def test_what_is_stable_again_beyond_a_gap_is_not_taken_for_the_limit(monkeypatch):
     monkeypatch.setattr(Column, "stable", lambda self, f: f < 0.65 or 0.85 < f < 1.2)
-    assert 0.65 / 1.05 < stability_limits.largest(Case("fluid")) < 0.65
+    assert 0.65 / 1.05 < stability_limits.largest_stable_factor(Case("fluid")) < 0.65

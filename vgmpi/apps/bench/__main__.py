@@ -96,7 +96,7 @@ def measure(args: argparse.Namespace, say) -> dict:
     roofs = {}
     if not args.only or "machine" in args.only:
         say("machine: memory bandwidth and peak")
-        roofs = roofline.machine_roof()
+        roofs = roofline.measure_roofline()
     results = {
         "when": time.strftime("%Y-%m-%d %H:%M:%S"),
         "command": sys.argv[1:],
@@ -106,7 +106,7 @@ def measure(args: argparse.Namespace, say) -> dict:
         "groups": [],
     }
     for case in cases:
-        need = roofline.needs(case.material)
+        need = roofline.operation_count(case.material)
         contestants_of_law = contestants(case.law, args)
         with tempfile.TemporaryDirectory(prefix="vgmpi-bench-") as folder:
             say(f"{case.law}, {case.particles:,} particles: preparing")
@@ -115,14 +115,14 @@ def measure(args: argparse.Namespace, say) -> dict:
                 sorted({c.precision for c in contestants_of_law if c.module == "own"}),
                 Path(folder),
             )
-            rows = interleaved_rounds.contest(
+            rows = interleaved_rounds.run_interleaved(
                 case, contestants_of_law, args.rounds, args.seconds, Path(folder), say
             )
         for row in rows:
             results["versions"] |= row.pop("versions", {})
             if roofs:
                 cores = row["ranks"] * row["threads"]
-                row["floor"] = roofline.floor(roofs, need, row["precision"], cores)
+                row["floor"] = roofline.minimum_time(roofs, need, row["precision"], cores)
         group = {"law": case.law, "particles": case.particles, "rounds": args.rounds, **need}
         results["groups"].append({**group, "rows": rows})
     return results

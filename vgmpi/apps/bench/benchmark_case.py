@@ -64,6 +64,7 @@ class Case:
 
     @property
     def particles(self) -> int:
+        """Return the number of particles."""
         return 8 * self.side**3
 
     @property
@@ -113,7 +114,7 @@ shape = {{ box = [[{low:.6g}, {low:.6g}, {low:.6g}], [{high:.6g}, {high:.6g}, {h
 """
 
     def numbers(self) -> dict:
-        """What a rival needs beside the particles; SI."""
+        """Return the numbers that a rival needs besides the particles, in SI units."""
         return {
             "law": self.law,
             "constants": {k: float(v) for k, v in self.material.law()._asdict().items()},
@@ -170,19 +171,19 @@ def _scene(case: Case, precision: str, folder: Path) -> Scene:
 
 def _particles(case: Case, scene: Scene) -> tuple[dict, list]:
     """Rows of gaussians.h5 as a run prepares them, then jittered and set in motion."""
-    made = build_scene(scene)
+    bodies = build_scene(scene)
     random = np.random.default_rng(7)
-    x = made.x + DX * random.uniform(-0.2, 0.2, made.x.shape)
+    x = bodies.x + DX * random.uniform(-0.2, 0.2, bodies.x.shape)
     rows = {
         "x0": x,
         "v0": velocity(case, x),
-        "vol0": made.vol0,
-        "object": made.object,
-        "cov0": made.cov0,
-        "opacity": made.opacity,
-        "sh": made.sh,
+        "vol0": bodies.vol0,
+        "object": bodies.object,
+        "cov0": bodies.cov0,
+        "opacity": bodies.opacity,
+        "sh": bodies.sh,
     }
-    return rows, made.objects
+    return rows, bodies.objects
 
 
 def velocity(case: Case, x: np.ndarray) -> np.ndarray:

@@ -71,7 +71,7 @@ def _contest(case: Case, args: argparse.Namespace) -> Iterator[str]:
         contestants += [Contestant("warp_rival", card=True), Contestant("taichi_rival", card=True)]
     with tempfile.TemporaryDirectory(prefix="vgmpi-bench-") as folder:
         lay_out(case, [args.precision], Path(folder))
-        rows = interleaved_rounds.contest(
+        rows = interleaved_rounds.run_interleaved(
             case, contestants, args.rounds, args.seconds, Path(folder), lambda line: None
         )
     first = None

@@ -21,7 +21,7 @@ from .benchmark_case import DX, PER_STEP, BenchError, Case
 from .contestant_worker import CONTESTANTS
 
 START_SECONDS = 300.0  # a contestant may take to compile
-MOST_CYCLES = 20  # in a round of ours
+MAX_CYCLES = 20  # in a round of ours
 RIVAL_LAWS = ("fluid", "elastic")  # written in the rivals, too
 NAMES = {
     "own": "vgmpi",
@@ -37,13 +37,15 @@ WORKERS = ("vgmpi.apps.bench.contestant_worker", "vgmpi.bench.worker")
 AVX2 = {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "+avx2,+fma,+bmi,+bmi2"}
 # what two contestants may differ by after the check's steps: rounding of single precision, for the
 # rivals of positions counted from the grid's corner
-FAR = 1e-4  # [cells]
-FAST = 2e-5  # of the cube's speed
-DRIFT = 1e-5  # of total mass and momentum
+POSITION_TOLERANCE = 1e-4  # [cells]
+VELOCITY_TOLERANCE = 2e-5  # of the cube's speed
+CONSERVATION_TOLERANCE = 1e-5  # of total mass and momentum
 
 
 @dataclass(frozen=True)
 class Contestant:
+    """Program with its options that takes part in the measurement."""
+
     module: str
     precision: str = "single"
     ranks: int = 1
@@ -55,6 +57,7 @@ class Contestant:
 
     @property
     def name(self) -> str:
+        """Return the name of the program."""
         return NAMES[self.module]
 
     @property
@@ -65,7 +68,7 @@ class Contestant:
 
     @property
     def on(self) -> str:
-        """Where it runs, for people."""
+        """Return the hardware, for people."""
         if self.card:
             return "card"
         if self.ranks > 1:
@@ -74,11 +77,13 @@ class Contestant:
 
     @property
     def label(self) -> str:
-        of = f"of {Path(self.tree).name}" if self.tree else ""
-        return " ".join(w for w in (self.name, self.precision, self.on, self.cpu, of) if w)
+        """Return the label of the row."""
+        origin = f"of {Path(self.tree).name}" if self.tree else ""
+        return " ".join(w for w in (self.name, self.precision, self.on, self.cpu, origin) if w)
 
     @property
     def clock(self) -> str:
+        """Return the clock that counts: wall or processor time."""
         return "wall" if self.card or self.ranks * self.threads > 1 else "cpu"
 
     def obstacle(self) -> str:
@@ -103,7 +108,7 @@ class Worker:
         self.contestant = contestant
         self.log = folder / f"{contestant.label.replace(' ', '_')}.log"
         address = str(folder / "socket")
-        given = {
+        config = {
             "module": contestant.module,
             "path": contestant.path,
             "socket": address,
@@ -114,7 +119,7 @@ class Worker:
             "numbers": case.numbers(),
         }
         package = contestant.tree or str(Path(__file__).parents[3])
-        command = [sys.executable, "-m", worker_of(Path(package)), json.dumps(given)]
+        command = [sys.executable, "-m", worker_of(Path(package)), json.dumps(config)]
         if contestant.ranks > 1:
             command = ["mpirun", "-n", str(contestant.ranks), *command]
         env = {**OPEN_MPI, **os.environ, "PYTHONPATH": package}
@@ -187,18 +192,20 @@ class Worker:
         except OSError:
             raise BenchError(self._last_words()) from None
         answers = self._hear()
-        found = dict(answers[0])
+        answer_of_all = dict(answers[0])
         for key, join in (("seconds", max), ("wall", max), ("mass", sum)):
-            if key in found:
-                found[key] = join(answer[key] for answer in answers)
-        if "stages" in found:
+            if key in answer_of_all:
+                answer_of_all[key] = join(answer[key] for answer in answers)
+        if "stages" in answer_of_all:
             spent = [answer["stages"] for answer in answers]
-            found["stages"] = {s: sum(one[s] for one in spent) / len(spent) for s in spent[0]}
-        return found
+            answer_of_all["stages"] = {
+                s: sum(times[s] for times in spent) / len(spent) for s in spent[0]
+            }
+        return answer_of_all
 
     def _last_words(self) -> str:
-        said = [line for line in self.log.read_text().splitlines() if line.strip()]
-        return "ended early: " + (said[-1] if said else "it said nothing")
+        messages = [line for line in self.log.read_text().splitlines() if line.strip()]
+        return "ended early: " + (messages[-1] if messages else "it said nothing")
 
     def close(self) -> None:
         """Workers end when their socket closes; what does not is stopped."""
@@ -214,18 +221,23 @@ class Worker:
         self.process.wait()
 
 
-def contest(
-    case: Case, wanted: list[Contestant], rounds: int, seconds: float, folder: Path, say
+def run_interleaved(
+    case: Case, contestants: list[Contestant], rounds: int, seconds: float, folder: Path, say
 ) -> list[dict]:
-    """One row per contestant; the first is the one the others are compared with.
+    """Measure contestants in turns; return a row for each, the first is the reference.
 
-    seconds: about the length of a round; folder: where the case was laid out; say: called with a
-    line about what goes on.
+    Args:
+        case: Law and particles.
+        contestants: Contestants.
+        rounds: Number of rounds.
+        seconds: Approximate length of a round [s].
+        folder: Folder of the laid out case.
+        say: Called with a progress line.
     """
-    rows = [{**vars(c), "name": c.name, "on": c.on, "clock": c.clock} for c in wanted]
+    rows = [{**vars(c), "name": c.name, "on": c.on, "clock": c.clock} for c in contestants]
     live: list[tuple[dict, Worker]] = []
     try:
-        for row, contestant in zip(rows, wanted, strict=True):
+        for row, contestant in zip(rows, contestants, strict=True):
             say(f"{case.law}, {case.particles:,} particles: starting {contestant.label}")
             try:
                 if contestant.obstacle():
@@ -248,9 +260,10 @@ def _turns(case: Case, live: list, rounds: int, seconds: float, say) -> None:
     units = {}
 
     def trial(row, worker):
+        """Choose the units of a round from one trial."""
         wall = max(worker.ask("round", units=1)["wall"], 1e-6)
         n = max(1, round(seconds / wall))
-        units[worker] = min(n, MOST_CYCLES) if row["module"] == "own" else n
+        units[worker] = min(n, MAX_CYCLES) if row["module"] == "own" else n
         row["rounds"] = []
 
     _each(live, trial)
@@ -287,7 +300,8 @@ def _check(case: Case, live: list, folder: Path) -> None:
     speed = PER_STEP * DX / case.dt
     first: list[np.ndarray] = []
 
-    def one(row, worker):
+    def compare(row, worker):
+        """Compute the check steps and compare the result."""
         path = folder / f"check_{worker.contestant.label.replace(' ', '_')}"
         answer = worker.ask("check", steps=steps, path=str(path))
         x, v = _gathered(path)
@@ -299,21 +313,26 @@ def _check(case: Case, live: list, folder: Path) -> None:
             "mass": abs(answer["mass"] / mass - 1.0),
             "momentum": float(np.abs(v.mean(0, dtype=np.float64) - falling).max() / speed),
         }
-        bounds = {"far": FAR, "fast": FAST, "mass": DRIFT, "momentum": DRIFT}
-        off = [f"{k} {row['checked'][k]:.1e}" for k, most in bounds.items()
-               if not row["checked"][k] <= most]  # fmt: skip
-        if off:
-            row["wrong"] = "computes something else: " + ", ".join(off)
+        bounds = {
+            "far": POSITION_TOLERANCE,
+            "fast": VELOCITY_TOLERANCE,
+            "mass": CONSERVATION_TOLERANCE,
+            "momentum": CONSERVATION_TOLERANCE,
+        }
+        deviations = [f"{k} {row['checked'][k]:.1e}" for k, bound in bounds.items()
+               if not row["checked"][k] <= bound]  # fmt: skip
+        if deviations:
+            row["wrong"] = "computes something else: " + ", ".join(deviations)
 
-    _each(live, one)
+    _each(live, compare)
 
 
 def _gathered(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Positions and velocities of all ranks' files by id, which are removed."""
     parts = []
     for file in sorted(path.parent.glob(f"{path.name}*.npz")):
-        with np.load(file) as found:
-            parts.append([found[name] for name in ("id", "x", "v")])
+        with np.load(file) as arrays:
+            parts.append([arrays[name] for name in ("id", "x", "v")])
         file.unlink()
     ids, x, v = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.argsort(ids)

@@ -166,6 +166,8 @@ def g2p(x, v, C, grid, dx, dt):
 
 
 class Contestant(Dense):
+    """Plain numba loops as a contestant."""
+
     versions = {"numba": numba.__version__}
     clock = staticmethod(time.thread_time)
 

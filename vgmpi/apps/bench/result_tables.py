@@ -92,9 +92,9 @@ def _busy(group: dict) -> float:
 
 
 def speed(group: dict, row: dict) -> float | None:
-    """How many times as fast as the group's first row: median of the ratios of neighbouring rounds.
+    """Return the speed relative to the group's first row: median ratio of neighboring rounds.
 
-    Rows whose time is wall time are compared with the first row's wall time.
+    Rows measured by wall time are compared with the wall time of the first row.
     """
     first = group["rows"][0]
     if not (first.get("rounds") and row.get("rounds")):

@@ -33,12 +33,14 @@ FUNCTION_FLOPS = {"exp": 20, "expm1": 20, "log": 20, "log1p": 20}  # short polyn
 
 @kernel
 def copy(a, b, first, last):
+    """Copy numbers first to last of b to a."""
     for i in range(first, last, 16):
         store(a, i, load(b, i))
 
 
 @kernel
 def triad(a, b, c, first, last):
+    """Compute a = b + 3 c for numbers first to last."""
     for i in range(first, last, 16):
         store(a, i, load(b, i) + b.dtype.type(3) * load(c, i))
 
@@ -57,7 +59,7 @@ def multiply_add(row, first, last):
     store(row, 32, r0 + r1 + r2 + r3 + r4 + r5 + r6 + r7 + r8 + r9 + ra + rb)
 
 
-def machine_roof(length: int = LENGTH, repeats: int = 5) -> dict:
+def measure_roofline(length: int = LENGTH, repeats: int = 5) -> dict:
     """Copy and triad [GB/s], counting the bytes that are named (8 and 12 per number), by threads;
     fused multiply-adds [GFlop/s] of one core, by precision."""
     a, b, c = (np.ones(length, np.float32) for _ in range(3))
@@ -77,18 +79,18 @@ def _least(threads: int, length: int, repeats: int, action, *arrays) -> float:
     """Seconds of the quickest of `repeats` calls, after one to compile, each by `threads` threads
     that share the length."""
     cut = np.linspace(0, length // 16, threads + 1).astype(int) * 16
-    found = []
+    seconds = []
     with ThreadPoolExecutor(threads) as pool:
         for _ in range(repeats + 1):
             began = time.perf_counter()
             parts = [pool.submit(action, *arrays, cut[k], cut[k + 1]) for k in range(threads)]
             for part in parts:
                 part.result()
-            found.append(time.perf_counter() - began)
-    return min(found[1:])
+            seconds.append(time.perf_counter() - began)
+    return min(seconds[1:])
 
 
-def needs(material) -> dict:
+def operation_count(material) -> dict:
     """Words and flops of one particle and step of a material."""
     law = material.law()
     return {
@@ -97,8 +99,15 @@ def needs(material) -> dict:
     }
 
 
-def floor(roof: dict, need: dict, precision: str, cores: int = 1) -> float:
-    """Least time [ns] per particle and step: memory or arithmetic, whichever is slower."""
+def minimum_time(roof: dict, need: dict, precision: str, cores: int = 1) -> float:
+    """Return the minimum time [ns] per particle and step: memory or arithmetic, the slower one.
+
+    Args:
+        roof: Result of measure_roofline.
+        need: Result of operation_count.
+        precision: "single" or "double".
+        cores: Number of cores.
+    """
     measured = str(cores) if str(cores) in roof["copy"] else "1"
     bandwidth = max(roof[kind][c] for kind in ("copy", "triad") for c in ("1", measured))
     width = FLOAT_TYPES[precision].itemsize
@@ -128,7 +137,7 @@ class _Counted:
         self.tally[0] += FUNCTION_FLOPS.get(ufunc.__name__, 1)
         return _Counted(self.tally)
 
-    def __array_function__(self, function, kinds, given, named):
+    def __array_function__(self, function, kinds, arguments, named):
         return self._done()  # np.where of materials/tensor_math/select.py
 
     def __getitem__(self, nothing):
@@ -140,6 +149,7 @@ def law_flops(material) -> int:
     law, tally = material.law(), [0]
 
     def numbers(n):
+        """Return n counted numbers."""
         return tuple(_Counted(tally) for _ in range(n))
 
     state, L = numbers(state_channels(type(law))), numbers(9)

@@ -11,6 +11,8 @@ from .dense_grid_baseline import CARD, Dense
 
 
 class Contestant(Dense):
+    """Taichi as a contestant."""
+
     versions = {"taichi": ".".join(map(str, ti.__version__))}
     clock = staticmethod(time.process_time)
 

@@ -117,6 +117,8 @@ def g2p(
 
 
 class Contestant(Dense):
+    """Warp as a contestant."""
+
     versions = {"warp": wp.__version__}
     clock = staticmethod(time.process_time)
 
