@@ -322,7 +322,7 @@ def test_threads_never_add_to_one_row_at_a_time(seed, threads, share):
     assert (copy_rows == len(t.phase) + np.arange(len(copy_rows))).all()
     for border in (True, False):
         used = [
-            np.unique(np.concatenate([into[r[s.of(border)[k]]].ravel() for r, s in
+            np.unique(np.concatenate([into[r[s.stage(border)[k]]].ravel() for r, s in
                                       zip(rows, shares, strict=True)]))
             for k in range(threads)
         ]  # fmt: skip

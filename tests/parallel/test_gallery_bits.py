@@ -29,9 +29,7 @@ def ducks(tmp_path_factory):
     """What the scene of the faucet needs, made where it is not."""
     gallery = _gallery()
     if not (RUNS / "faucet" / "assets" / "duck.ply").is_file():
-        gallery.call(
-            gallery.sys.executable, RUNS / "assets/make_assets.py", RUNS / "faucet/assets"
-        )
+        gallery.call(gallery.sys.executable, RUNS / "assets/make_assets.py", RUNS / "faucet/assets")
 
 
 @pytest.mark.parametrize("name", sorted(_gallery().SCENES))

@@ -1,5 +1,7 @@
-"""The command `vgmpi`: a table of subcommands, each in a module that is imported when it is asked
-for."""
+"""The command `vgmpi`: a table of subcommands.
+
+The module of a subcommand is imported when the subcommand is called.
+"""
 
 import importlib
 import sys

@@ -121,8 +121,7 @@ def _solid(cov0, ids, rows, F, low, high, out, wild):
 def solid(
     cov0: np.ndarray, ids: np.ndarray, rows: np.ndarray, F: np.ndarray, out: np.ndarray
 ) -> None:
-    """Write deformed covariances (see vgmpi.gaussians.shape_evolution.solid) of some rows of a
-    frame.
+    """Write deformed covariances of some rows of a frame, see `shape_evolution`.
 
     Args:
         cov0: Covariances of all particles at rest, shape (particles, 6) [m2].

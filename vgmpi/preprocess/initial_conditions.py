@@ -1,5 +1,7 @@
-"""Initial volume fraction and hydrostatic pressure of a body; initial_velocity.py has its
-velocities."""
+"""Initial volume fraction and hydrostatic pressure of a body.
+
+The module initial_velocity has its velocities.
+"""
 
 from dataclasses import replace
 

@@ -194,8 +194,10 @@ def velocity(case: Case, x: np.ndarray) -> np.ndarray:
 
 
 def _dense(case: Case, rows: dict, path: Path) -> None:
-    """Particles for a dense grid that begins MARGIN cells before the cube, in the order of its
-    cells: the best there is for the rivals, who do not sort."""
+    """Return the particles for a dense grid that begins MARGIN cells before the cube.
+
+    They are in the order of its cells, which is best for the rivals: these do not sort.
+    """
     x = rows["x0"] - (START - MARGIN) * DX
     cell = np.floor(x / DX - 0.5).astype(np.int64)
     order = np.lexsort((cell[:, 2], cell[:, 1], cell[:, 0]))

@@ -1,5 +1,6 @@
-"""What the rivals have in common: particles on a dense grid, rounds and checks. numpy only, so that
-a rival needs nothing of this program but its own tool.
+"""Base class of the rivals: particles on a dense grid, rounds and checks.
+
+It uses numpy only, so that a rival's process loads nothing of this program but its own tool.
 """
 
 import os
@@ -50,7 +51,7 @@ class Dense:
         """Wait until all steps are done."""
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
-        """x and v of all particles."""
+        """X and v of all particles."""
         raise NotImplementedError
 
     def grid_mass(self) -> float:

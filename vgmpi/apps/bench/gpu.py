@@ -1,5 +1,6 @@
-"""`python -m vgmpi bench --engine cuda`: this solver on a graphics card, by stage and law, beside
-Warp and Taichi on the same card in turns.
+"""`python -m vgmpi bench --engine cuda`: this solver on a graphics card, by stage and law.
+
+Warp and Taichi run on the same card in turns.
 """
 
 import argparse
@@ -44,8 +45,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def lines(args: argparse.Namespace) -> Iterator[str]:
-    """The table, a line at a time; what does not fit into LIMIT is named. Raises BenchError where
-    there is no card."""
+    """Yield the lines of the table; cases above LIMIT are named.
+
+    Raises:
+        BenchError: There is no card.
+    """
     from vgmpi.solver.engines.cuda import graphics_card
 
     problem = graphics_card.select_device(0)

@@ -14,8 +14,11 @@ class Contestant(vgmpi_contestant.Contestant):
     """One rank's share; every answer is the same on all ranks."""
 
     def empty(self, steps: int) -> dict:
-        """Time of a step whose kernels are called but get nothing to do [us], least of ten rounds;
-        and what such a step allocates: bytes that stay and bytes at most, in Python."""
+        """Return the time of a step without work for its kernels, and what it allocates.
+
+        The time [us] is the minimum of ten rounds; the bytes in Python are those that stay and the
+        peak.
+        """
         self.restart()
         engine = self.simulation.engine
         engine.call_if_rows = lambda group, kernel, rows, *arguments: engine.run(

@@ -1,5 +1,7 @@
-"""Contestants in processes of their own, timed in turns: A B C A B C ..., so that a change of the
-machine's pace meets all of them, and ratios are taken between neighbours in time.
+"""Contestants in processes of their own, timed in turns: A B C A B C ...
+
+A change of the machine's pace then meets all of them, and ratios are taken between neighbors in
+time.
 """
 
 import json
@@ -183,8 +185,10 @@ class Worker:
         return answers
 
     def ask(self, do: str, **what) -> dict:
-        """One answer for all ranks: a round took as long as its slowest rank, a stage as long as
-        in the mean, and masses add up."""
+        """Return one answer for all ranks.
+
+        A round takes as long as its slowest rank, a stage as long as the mean; masses are added.
+        """
         try:
             for _, lines in self.links:
                 lines.write(json.dumps({"do": do, **what}) + "\n")

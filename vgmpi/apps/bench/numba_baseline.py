@@ -1,5 +1,7 @@
-"""Rival: plain loops compiled by numba, the way one writes MLS-MPM at first. The control row: it
-needs nothing installed and never changes, so it shows what the machine does to all rows.
+"""Rival: plain loops compiled by numba, the way a first MLS-MPM code is written.
+
+It is the control row: it needs nothing installed and never changes, so it shows what the machine
+does to all rows.
 """
 
 import math
@@ -26,8 +28,10 @@ THREE_QUARTERS = np.float32(0.75)
 
 @shared
 def _weights(x, w):
-    """Weights to w (3 axes, 3 nodes) for a position x (3,) [cells], which becomes its distance from
-    the base node."""
+    """Compute weights w (3 axes, 3 nodes) of a position x (3,) [cells].
+
+    The position becomes its distance from the base node.
+    """
     for a in range(3):
         base = np.float32(int(x[a] - HALF))
         fx = x[a] - base
@@ -172,25 +176,28 @@ class Contestant(Dense):
     clock = staticmethod(time.thread_time)
 
     def build(self):
-        one, law = np.float32, self.numbers["constants"]
+        """Allocate fields and compile the kernels."""
+        real, law = np.float32, self.numbers["constants"]
         n, cells = self.count, self.numbers["cells"]
-        self.C = np.zeros((n, 3, 3), one)
-        self.F = np.zeros((n, 3, 3), one)
-        self.J = np.zeros(n, one)
-        self.grid = np.zeros((cells, cells, cells, 4), one)
+        self.C = np.zeros((n, 3, 3), real)
+        self.F = np.zeros((n, 3, 3), real)
+        self.J = np.zeros(n, real)
+        self.grid = np.zeros((cells, cells, cells, 4), real)
         self.is_fluid = self.numbers["law"] == "fluid"
         pair = (law["k"], 0.0) if self.is_fluid else (law["mu"], law["lam"])
-        self.pair = one(pair[0]), one(pair[1])
-        self.dx, self.dt = one(self.numbers["dx"]), one(self.numbers["dt"])
-        self.push = one(self.numbers["gravity"] * self.numbers["dt"])
+        self.pair = real(pair[0]), real(pair[1])
+        self.dx, self.dt = real(self.numbers["dx"]), real(self.numbers["dt"])
+        self.push = real(self.numbers["gravity"] * self.numbers["dt"])
 
     def load(self, x, v):
+        """Load particles: positions [cells] and velocities [cells/s]."""
         self.x, self.v = x, v
         self.C[:] = 0
         self.F[:] = np.eye(3)
         self.J[:] = 1
 
     def step(self):
+        """Advance one time step."""
         volume = np.float32(self.numbers["volume"])
         p2g(
             self.is_fluid, self.x, self.v, self.C, self.F, self.J, self.grid, self.pair,
@@ -200,7 +207,9 @@ class Contestant(Dense):
         g2p(self.x, self.v, self.C, self.grid, self.dx, self.dt)
 
     def state(self):
+        """Return positions and velocities, shape (n, 3) each."""
         return self.x, self.v
 
     def grid_mass(self):
+        """Return the total mass on the grid after P2G."""
         return float(self.grid[..., 3].sum(dtype=np.float64))

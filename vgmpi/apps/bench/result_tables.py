@@ -42,8 +42,8 @@ def _heading(group: dict) -> str:
 
 def stages_of(group: dict) -> list[str]:
     """Stages that any row has, in the order of a step."""
-    found = {s for row in group["rows"] for r in row.get("rounds", []) for s in r["stages"]}
-    return [s for s in ORDER if s in found] + sorted(found - set(ORDER))
+    present = {s for row in group["rows"] for r in row.get("rounds", []) for s in r["stages"]}
+    return [s for s in ORDER if s in present] + sorted(present - set(ORDER))
 
 
 def _label(row: dict) -> str:

@@ -60,8 +60,10 @@ def multiply_add(row, first, last):
 
 
 def measure_roofline(length: int = LENGTH, repeats: int = 5) -> dict:
-    """Copy and triad [GB/s], counting the bytes that are named (8 and 12 per number), by threads;
-    fused multiply-adds [GFlop/s] of one core, by precision."""
+    """Measure copy and triad [GB/s] by threads and fused multiply-adds [GFlop/s] by precision.
+
+    Copy counts 8 bytes per number, triad 12; the multiply-adds are those of one core.
+    """
     a, b, c = (np.ones(length, np.float32) for _ in range(3))
     copies, triads = {}, {}
     for threads in (1, 2)[: len(os.sched_getaffinity(0))]:
@@ -76,8 +78,10 @@ def measure_roofline(length: int = LENGTH, repeats: int = 5) -> dict:
 
 
 def _least(threads: int, length: int, repeats: int, action, *arrays) -> float:
-    """Seconds of the quickest of `repeats` calls, after one to compile, each by `threads` threads
-    that share the length."""
+    """Return the seconds of the quickest of `repeats` calls, after one that compiles.
+
+    `threads` threads share the length.
+    """
     cut = np.linspace(0, length // 16, threads + 1).astype(int) * 16
     seconds = []
     with ThreadPoolExecutor(threads) as pool:

@@ -1,5 +1,6 @@
-"""Rival: Taichi on the processor, in the pattern of its own MLS-MPM examples: dense fields, a loop
-over the particles that adds to the grid atomically.
+"""Rival: Taichi on the processor, in the pattern of its own MLS-MPM examples.
+
+It has dense fields and a loop over the particles that adds to the grid atomically.
 """
 
 import time
@@ -17,6 +18,7 @@ class Contestant(Dense):
     clock = staticmethod(time.process_time)
 
     def build(self):
+        """Allocate fields and compile the kernels."""
         ti.init(
             arch=ti.cuda if CARD else ti.cpu,
             cpu_max_num_threads=self.threads,
@@ -35,6 +37,7 @@ class Contestant(Dense):
         self.kernels = _kernels(self.numbers, self)
 
     def load(self, x, v):
+        """Load particles: positions [cells] and velocities [cells/s]."""
         self.x.from_numpy(x)
         self.v.from_numpy(v)
         self.C.fill(0)
@@ -42,16 +45,20 @@ class Contestant(Dense):
         self.J.fill(1)
 
     def step(self):
+        """Advance one time step."""
         for kernel in self.kernels:
             kernel()
 
     def finish(self):
+        """Wait until the device has computed all steps."""
         ti.sync()
 
     def state(self):
+        """Return positions and velocities, shape (n, 3) each."""
         return self.x.to_numpy(), self.v.to_numpy()
 
     def grid_mass(self):
+        """Return the total mass on the grid after P2G."""
         return float(self.grid_m.to_numpy().sum(dtype=np.float64))
 
 
@@ -62,12 +69,14 @@ def _kernels(numbers: dict, rival: Contestant) -> tuple:
 
     @ti.kernel
     def clear():
+        """Set the grid to zero."""
         for node in ti.grouped(grid_m):
             grid_v[node] = ti.Vector([0.0, 0.0, 0.0])
             grid_m[node] = 0.0
 
     @ti.kernel
     def update():
+        """Turn momentum into velocity at the nodes."""
         for node in ti.grouped(grid_m):
             if grid_m[node] > 0.0:
                 grid_v[node] /= grid_m[node]
@@ -87,10 +96,11 @@ def _to_grid(numbers: dict, rival: Contestant):
 
     @ti.kernel
     def p2g():
+        """Transfer mass, momentum and stress from particles to the grid."""
         for p in x:
-            at = x[p] * inverse
-            base = ti.cast(at - 0.5, ti.i32)
-            fx = at - base
+            position = x[p] * inverse
+            base = ti.cast(position - 0.5, ti.i32)
+            fx = position - base
             w = [0.5 * (1.5 - fx) ** 2, 0.75 - (fx - 1.0) ** 2, 0.5 * (fx - 0.5) ** 2]
             unit = ti.Matrix.identity(ti.f32, 3)
             tau = unit
@@ -119,10 +129,11 @@ def _from_grid(numbers: dict, rival: Contestant):
 
     @ti.kernel
     def g2p():
+        """Gather velocities, update deformation and move the particles."""
         for p in x:
-            at = x[p] * inverse
-            base = ti.cast(at - 0.5, ti.i32)
-            fx = at - base
+            position = x[p] * inverse
+            base = ti.cast(position - 0.5, ti.i32)
+            fx = position - base
             w = [0.5 * (1.5 - fx) ** 2, 0.75 - (fx - 1.0) ** 2, 0.5 * (fx - 0.5) ** 2]
             new_v = ti.Vector.zero(ti.f32, 3)
             new_C = ti.Matrix.zero(ti.f32, 3, 3)

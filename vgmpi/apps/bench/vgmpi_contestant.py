@@ -1,5 +1,7 @@
-"""This solver as a contestant: set up from the scene's file exactly as a run is, stepped as a run
-steps, timed through the clock of its stages.
+"""This solver as a contestant of the benchmark.
+
+It is set up from the scene's file and stepped exactly like a run, and timed by the clock of its
+stages.
 """
 
 import os
@@ -30,6 +32,7 @@ class Stages:
         self.last = now()
 
     def __call__(self, stage: str) -> None:
+        """Add the time since the last call to a stage."""
         now = self.now()
         self.spent[stage] = self.spent.get(stage, 0.0) + now - self.last
         self.last = now
@@ -84,8 +87,10 @@ class Contestant:
         return steps
 
     def round(self, units: int) -> dict:
-        """Time `units` whole cycles from sort to sort, so that each step bears its share of a
-        sort."""
+        """Time `units` cycles from sort to sort.
+
+        Each step then bears its share of a sort.
+        """
         if self.simulation.step > STEPS // 2:
             self.simulation = None  # its memory first
             self.restart()

@@ -1,5 +1,7 @@
-"""Rival: Warp on the processor (one thread is all it has there), kernels in the pattern of its MPM
-solvers: a launch over the particles that adds to a dense grid atomically.
+"""Rival: Warp on the processor, where it has one thread.
+
+The kernels follow the pattern of its MPM solvers: a launch over the particles that adds to a dense
+grid atomically.
 """
 
 import time
@@ -16,6 +18,8 @@ wp.config.enable_backward = False  # no code for gradients: half the time to com
 
 @wp.struct
 class Numbers:
+    """Constants of the scene, as Warp sees them."""
+
     is_fluid: int
     first: float  # k or mu
     second: float  # - or lam
@@ -27,6 +31,7 @@ class Numbers:
 
 @wp.func
 def weights(fx: wp.vec3):
+    """Return the quadratic B-spline weights of an offset to the base node."""
     a = wp.vec3(1.5) - fx
     b = fx - wp.vec3(1.0)
     c = fx - wp.vec3(0.5)
@@ -46,15 +51,16 @@ def p2g(
     grid_m: wp.array3d(dtype=float),
     numbers: Numbers,
 ):
+    """Transfer mass, momentum and stress from particles to the grid."""
     p = wp.tid()
     dx, dt, mass = numbers.dx, numbers.dt, numbers.mass
     first, second = numbers.first, numbers.second
     inverse = 1.0 / dx
-    at = x[p] * inverse
-    bx = int(at[0] - 0.5)
-    by = int(at[1] - 0.5)
-    bz = int(at[2] - 0.5)
-    fx = at - wp.vec3(float(bx), float(by), float(bz))
+    position = x[p] * inverse
+    bx = int(position[0] - 0.5)
+    by = int(position[1] - 0.5)
+    bz = int(position[2] - 0.5)
+    fx = position - wp.vec3(float(bx), float(by), float(bz))
     unit = wp.identity(n=3, dtype=float)
     tau = wp.mat33()
     if numbers.is_fluid == 1:
@@ -80,6 +86,7 @@ def p2g(
 
 @wp.kernel
 def update(grid_v: wp.array3d(dtype=wp.vec3), grid_m: wp.array3d(dtype=float), push: float):
+    """Turn momentum into velocity at the nodes."""
     i, j, k = wp.tid()
     m = grid_m[i, j, k]
     if m > 0.0:
@@ -95,13 +102,14 @@ def g2p(
     dx: float,
     dt: float,
 ):
+    """Gather velocities, update deformation and move the particles."""
     p = wp.tid()
     inverse = 1.0 / dx
-    at = x[p] * inverse
-    bx = int(at[0] - 0.5)
-    by = int(at[1] - 0.5)
-    bz = int(at[2] - 0.5)
-    fx = at - wp.vec3(float(bx), float(by), float(bz))
+    position = x[p] * inverse
+    bx = int(position[0] - 0.5)
+    by = int(position[1] - 0.5)
+    bz = int(position[2] - 0.5)
+    fx = position - wp.vec3(float(bx), float(by), float(bz))
     w = weights(fx)
     new_v = wp.vec3()
     new_C = wp.mat33()
@@ -123,6 +131,7 @@ class Contestant(Dense):
     clock = staticmethod(time.process_time)
 
     def build(self):
+        """Allocate fields and compile the kernels."""
         wp.init()
         n, cells = self.count, self.numbers["cells"]
         self.C = wp.zeros(n, dtype=wp.mat33, device=DEVICE)
@@ -131,35 +140,42 @@ class Contestant(Dense):
         self.grid_v = wp.zeros(grid, dtype=wp.vec3, device=DEVICE)
         self.grid_m = wp.zeros(grid, dtype=float, device=DEVICE)
         law = self.numbers["constants"]
-        given = self.given = Numbers()
-        given.is_fluid = int(self.numbers["law"] == "fluid")
-        pair = (law["k"], 0.0) if given.is_fluid else (law["mu"], law["lam"])
-        given.first, given.second, given.mass = *pair, self.mass
-        given.dx, given.dt, given.volume = (self.numbers[key] for key in ("dx", "dt", "volume"))
+        constants = self.constants = Numbers()
+        constants.is_fluid = int(self.numbers["law"] == "fluid")
+        pair = (law["k"], 0.0) if constants.is_fluid else (law["mu"], law["lam"])
+        constants.first, constants.second, constants.mass = *pair, self.mass
+        constants.dx, constants.dt, constants.volume = (
+            self.numbers[key] for key in ("dx", "dt", "volume")
+        )
 
     def load(self, x, v):
-        rest = np.tile(np.eye(3, dtype=np.float32), (self.count, 1, 1))
+        """Load particles: positions [cells] and velocities [cells/s]."""
+        identity = np.tile(np.eye(3, dtype=np.float32), (self.count, 1, 1))
         self.x = wp.array(x, dtype=wp.vec3, device=DEVICE)
         self.v = wp.array(v, dtype=wp.vec3, device=DEVICE)
-        self.F = wp.array(rest, dtype=wp.mat33, device=DEVICE)
+        self.F = wp.array(identity, dtype=wp.mat33, device=DEVICE)
         self.C.zero_()
         self.J.fill_(1.0)
 
     def step(self):
+        """Advance one time step."""
         dx, dt = self.numbers["dx"], self.numbers["dt"]
         self.grid_v.zero_()
         self.grid_m.zero_()
         state = [self.x, self.v, self.C, self.F, self.J, self.grid_v, self.grid_m]
         push = self.numbers["gravity"] * dt
-        wp.launch(p2g, self.count, [*state, self.given], device=DEVICE)
+        wp.launch(p2g, self.count, [*state, self.constants], device=DEVICE)
         wp.launch(update, self.grid_m.shape, [self.grid_v, self.grid_m, push], device=DEVICE)
         wp.launch(g2p, self.count, [self.x, self.v, self.C, self.grid_v, dx, dt], device=DEVICE)
 
     def finish(self):
+        """Wait until the device has computed all steps."""
         wp.synchronize()
 
     def state(self):
+        """Return positions and velocities, shape (n, 3) each."""
         return self.x.numpy(), self.v.numpy()
 
     def grid_mass(self):
+        """Return the total mass on the grid after P2G."""
         return float(self.grid_m.numpy().sum(dtype=np.float64))

@@ -1,4 +1,4 @@
-"""Fit numbers of a scene: python -m vgmpi fit scene.toml fit.toml -o fit
+"""Fit numbers of a scene: python -m vgmpi fit scene.toml fit.toml -o fit.
 
 The target is a video, frames of another run, measured or published data, or a video model.
 

@@ -1,5 +1,4 @@
-"""Reproducible addition: doubles to which numbers are added in any order; see
-kernels/reproducible_sums.py."""
+"""Reproducible addition of numbers to doubles, in any order; see kernels/reproducible_sums.py."""
 
 from llvmlite import ir
 from numba import types

@@ -2,7 +2,8 @@
 
 A row is four nodes along z with four numbers each, abcd abcd abcd abcd, in one vector of 16. A
 particle touches nine rows; the fourth node of each has weight 0 and must hold finite numbers. A
-record is 16 numbers of one particle; 16 records are 16 vectors transposed."""
+record is 16 numbers of one particle; 16 records are 16 vectors transposed.
+"""
 
 import numpy as np
 from llvmlite import ir
@@ -207,7 +208,8 @@ def store_records(typing, array, first, vectors):
     """Store 16 vectors over particles as 16 records.
 
     Args:
-        array, first, vectors: Array (out), index of its first number, and vectors."""
+        array, first, vectors: Array (out), index of its first number, and vectors.
+    """
     lanes = VECTOR_OF[array.dtype]
 
     def _codegen(context, builder, signature, arguments):
@@ -224,7 +226,8 @@ def store_quarter(typing, array, first, vectors):
     """Store 4 vectors over particles as 4 numbers of each of 16 records, 16 apart.
 
     Args:
-        array, first, vectors: Array (out), index of its first number, and vectors."""
+        array, first, vectors: Array (out), index of its first number, and vectors.
+    """
     lanes = VECTOR_OF[array.dtype]
 
     def _codegen(context, builder, signature, arguments):
@@ -281,7 +284,8 @@ def stencil_offset(typing, row, first, stride):
     """Return (cell + 3) stride of 16 positions as numbers (exact: they are small).
 
     Args:
-        row, first, stride: Positions, index of the first, and factor."""
+        row, first, stride: Positions, index of the first, and factor.
+    """
     lanes = _reals(row)
 
     def _codegen(context, builder, signature, arguments):
@@ -299,7 +303,8 @@ def store_int32(typing, array, first, values):
     """Store 16 numbers with integer values to an int32 array.
 
     Args:
-        array, first, values: Array (out), index of its first number, and vector."""
+        array, first, values: Array (out), index of its first number, and vector.
+    """
 
     def _codegen(context, builder, signature, arguments):
         pointer = address(context, builder, signature.args[0], *arguments[:2])
@@ -316,7 +321,8 @@ def add_fixed_point(typing, row, first, distance):
     """Add 16 distances [2^-bits cells], rounded down, to positions; return them [cells].
 
     Args:
-        row, first, distance: Positions (in/out), index of the first, and vector."""
+        row, first, distance: Positions (in/out), index of the first, and vector.
+    """
     lanes = _reals(row)
 
     def _codegen(context, builder, signature, arguments):
@@ -346,7 +352,8 @@ def in_range_mask(typing, values, low, high, count):
     """Return the mask of the first `count` lanes with low < value < high; NaN fails.
 
     Args:
-        values, low, high, count: Vector, bounds, and number of lanes."""
+        values, low, high, count: Vector, bounds, and number of lanes.
+    """
 
     def _codegen(context, builder, signature, arguments):
         v, low, high, count = arguments

@@ -17,7 +17,8 @@ from .interaction import MIXING, coupling
 @coupling
 class Mixing(StrictModel):
     """Two fluids that mix. Fluids that mix with one another, also by way of a third, form a group
-    and have the same diffusion and slip_time."""
+    and have the same diffusion and slip_time.
+    """
 
     between: tuple[str, str]
     """two fluids"""

@@ -45,7 +45,8 @@ class Mesh:
     """Triangle mesh.
 
     points (n, 3) in the file's units, triangles (m, 3) of point numbers, rgb (n, 3) or None;
-    textures on its triangles take precedence over rgb."""
+    textures on its triangles take precedence over rgb.
+    """
 
     points: np.ndarray
     triangles: np.ndarray
@@ -105,7 +106,8 @@ def _read_any(path: Path) -> Mesh:
 def _read_obj(path: Path) -> Mesh:
     """Return points, their colors, faces and textures of a Wavefront file.
 
-    It is read here, because meshio refuses files with more texture coordinates than points."""
+    It is read here, because meshio refuses files with more texture coordinates than points.
+    """
     points: list[list[float]] = []
     uv: list[list[float]] = []
     corners: list[tuple[int, int]] = []  # point and texture coordinate (-1: none), 3 per triangle
@@ -201,7 +203,8 @@ def sample(
         opacity: Opacity of all.
         key: Seed; equal keys give equal points.
 
-    Raises MeshError for a mesh without area, room.TooLarge."""
+    Raises MeshError for a mesh without area, room.TooLarge.
+    """
     corner = mesh.corners()
     with np.errstate(over="ignore", under="ignore"):  # such an area is refused
         cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
@@ -251,7 +254,8 @@ def poisson_disc_subset(x: np.ndarray, distance: float) -> np.ndarray:
 
     The result is that of testing points one by one, in a few vectorized rounds. If points are so
     close that their pairs would fill the memory, as on overlapping triangles, they are taken in
-    batches: points near a taken one are removed before pairs are searched."""
+    batches: points near a taken one are removed before pairs are searched.
+    """
     taken = np.empty(0, dtype=np.int64)
     first, batch_size = 0, len(x)
     while first < len(x):
@@ -304,7 +308,8 @@ def inside(mesh: Mesh, points: np.ndarray, spacing: float) -> np.ndarray:
     """Return which points (n, 3) of a lattice of the given spacing [m] lie inside a placed mesh.
 
     Along each axis a line through the points counts the signed crossings below each; two of three
-    axes must agree, so that a hole in the mesh does not turn a whole line inside out."""
+    axes must agree, so that a hole in the mesh does not turn a whole line inside out.
+    """
     corner = mesh.corners()
 
     def along(axis: int, points: np.ndarray) -> np.ndarray:
@@ -322,7 +327,8 @@ def inside(mesh: Mesh, points: np.ndarray, spacing: float) -> np.ndarray:
 def _winding(corner: np.ndarray, points: np.ndarray, h: float) -> np.ndarray:
     """Return the signed crossings (n,) of the mesh below each point, along the third coordinate.
 
-    points: on a lattice of spacing h in the first two coordinates."""
+    points: on a lattice of spacing h in the first two coordinates.
+    """
     column = np.floor(points[:, :2] / h).astype(np.int64)
     start = column.min(axis=0)
     size = column.max(axis=0) - start + 1

@@ -348,7 +348,7 @@ class _TomlPositionScanner:
 
 
 def escape_control_characters(text: object) -> str:
-    """Return the text on one line, with control characters written as escapes such as "\\x1b"."""
+    """Return the text on one line, with control characters written as escapes."""
     characters = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
     return "".join(characters)
 

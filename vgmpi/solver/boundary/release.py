@@ -80,7 +80,8 @@ class Releases:
         """Move the particles of a release layer to the group that their body joins.
 
         Returns:
-            Their bounds, see enter.bounds."""
+            Their bounds, see enter.bounds.
+        """
         group, target = groups[body.group], groups[body.joins]
         indices = group.index()
         height = group.positions_at(indices)[:, 2]

@@ -34,6 +34,7 @@ class Clock:
         self.startup = 0.0  # [s] from the start of the program to the end of the first step
 
     def __call__(self, stage: str) -> None:
+        """Add the time since the last call to a stage."""
         now = time.perf_counter()
         self.spent[stage] += now - self.last
         self.last = now
@@ -73,6 +74,7 @@ class Progress:
         self.logs = visible and self.bar is None
 
     def __call__(self, simulation: Simulation) -> None:
+        """Show the progress after a step."""
         if self.bar is None and not self.logs:
             return
         now = time.monotonic()

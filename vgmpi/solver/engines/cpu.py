@@ -52,7 +52,8 @@ class Cpu:
     """Particles and nodes of one rank on `threads` threads; see solver/engines/engine_protocol.py.
 
     Threads add to the same nodes. Where two of them would do so at the same time, all but the first
-    add to copies, which are merged before the sums are read. This changes no bit of the sums."""
+    add to copies, which are merged before the sums are read. This changes no bit of the sums.
+    """
 
     GROUP, LAYER = ParticleGroup, NodalField  # array classes, replaced by other engines
 
@@ -114,7 +115,8 @@ class Cpu:
         """Start to sum the reactions of colliders and walls.
 
         Args:
-            rows, quanta, rank: See `Engine.feel`."""
+            rows, quanta, rank: See `Engine.feel`.
+        """
         self.reactions = ReactionAccumulators(self.plan, rows, quanta, rank, self.threads)
 
     def given(self) -> np.ndarray:
@@ -219,7 +221,8 @@ class Cpu:
         """Choose the quanta of the sums of a step.
 
         Args:
-            dt, gravity, speed: See `Engine.begin`."""
+            dt, gravity, speed: See `Engine.begin`.
+        """
         self.dt = dt
         for scratch in self.scratch:
             scratch.peak[:] = 0.0
@@ -409,7 +412,8 @@ class Cpu:
         """Call kernel(rows, *arguments) if there are rows.
 
         Args:
-            key: Tells calls of one kernel apart whose arguments have other types."""
+            key: Tells calls of one kernel apart whose arguments have other types.
+        """
         if len(rows):
             self.run(key, kernel, rows, *arguments)
 

@@ -2,7 +2,8 @@
 
 A team of 16 threads processes a block. Where the CPU has a vector of four nodes with four numbers
 each, a thread has one of the sixteen numbers; where the CPU walks over nodes, a thread has every
-sixteenth node."""
+sixteenth node.
+"""
 
 import numpy as np
 from numba import cuda
@@ -115,7 +116,8 @@ def settled(nb, blocks, layer, report, which):
     Args:
         nb, blocks: Index of the node block and table of blocks.
         layer: Nodal field (in/out).
-        report, which: Overflow report (in/out) and its entry."""
+        report, which: Overflow report (in/out) and its entry.
+    """
     if layer.asked[nb] != 0:
         to, offset, r = BLOCK * nb, BLOCK * WORDS * nb, 16 * WORDS * blocks.phase[nb]
         for c in range(rank(), BLOCK, 16):
@@ -157,7 +159,8 @@ def own_given(reactions, now, point, pairs, places):
     Args:
         reactions: Shared reaction sums, or None.
         now, point: Workspace of the thread, shapes (3,) and (6,).
-        pairs, places: Workspace of its contact pairs."""
+        pairs, places: Workspace of its contact pairs.
+    """
     if reactions is None:
         return None
     return ReactionSums(
@@ -241,7 +244,8 @@ def update(
         summed, shear, separate: Nodal fields (in/out).
         rules, walls, phases, solids: Interaction rules, walls, phases and rigid bodies.
         reactions: Reaction sums, or None.
-        step, report: Constants of the step, and overflow report (in/out)."""
+        step, report: Constants of the step, and overflow report (in/out).
+    """
     q = number()
     if q < len(blocks):
         _block(blocks[q : q + 1], tables, summed, shear, None, rules, walls, phases, solids,
@@ -259,7 +263,8 @@ def update_apart(
         summed, shear, separate: Nodal fields (in/out).
         rules, walls, phases, solids: Interaction rules, walls, phases and rigid bodies.
         reactions: Reaction sums, or None.
-        step, report: Constants of the step, and overflow report (in/out)."""
+        step, report: Constants of the step, and overflow report (in/out).
+    """
     members = cuda.local.array((3, PHASES), np.int64)
     numbers = cuda.local.array((2, PHASES), np.float64)
     of_two = cuda.local.array((2, PHASES * PHASES), np.float64)
@@ -306,7 +311,8 @@ def settle(blocks, tables, momentum, as_one, phases, step, report):
         blocks, tables: Node blocks to process, and table of node blocks.
         momentum: Nodal field (in/out).
         as_one, phases: Phases that move with one velocity, and their tables.
-        step, report: Constants of the step, and overflow report (in/out)."""
+        step, report: Constants of the step, and overflow report (in/out).
+    """
     q = number()
     if q < len(blocks):
         transfer_correction.momentum_to_velocity_only(
@@ -321,7 +327,8 @@ def blend(blocks, tables, layer, set_of, report, k):
         blocks, tables: Node blocks to process, and table of node blocks.
         layer: Nodal field (in/out).
         set_of: Color set of each phase.
-        report, k: Overflow report (in/out) and its entry."""
+        report, k: Overflow report (in/out) and its entry.
+    """
     q = number()
     if q < len(blocks):
         color.average_over_phases(blocks[q : q + 1], tables, layer, set_of, report, k)
@@ -346,7 +353,8 @@ def pack(numbers, tails, blocks, masks, first, sums):
         numbers, tails (out): Message.
         blocks, masks: Node blocks and bits of their nodes.
         first: Index of the first sums of each block, shape (m,).
-        sums: Sums of the nodal field."""
+        sums: Sums of the nodal field.
+    """
     q = number()
     if q < len(blocks):
         mask = masks[q]
@@ -375,7 +383,8 @@ def unpack(numbers, tails, blocks, masks, first, sums, bias, phase):
         blocks, masks: Node blocks and bits of their nodes.
         first: Index of the first sums of each block, shape (m,).
         sums (in/out): Sums of the nodal field.
-        bias, phase: Bias of each phase, and phase of each block."""
+        bias, phase: Bias of each phase, and phase of each block.
+    """
     q = number()
     if q < len(blocks):
         mask = masks[q]

@@ -1,5 +1,4 @@
-"""Kernel launches: specialization of a function for its arguments (transfer_kernels.py,
-grid_kernels.py).
+"""Kernel launches: specialization of a function for its arguments.
 
 Arguments are flattened, since a launch takes only arrays and numbers.
 """

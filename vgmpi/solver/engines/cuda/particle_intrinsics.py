@@ -110,8 +110,7 @@ def offsets_record(kind, count, volumes, first, record):
 
 
 def repeat(array, index, like):
-    """Return the number of a node, of its four, that belongs to this thread
-    (transfer_kernels.py)."""
+    """Return the number of a node, of its four, that belongs to this thread."""
     return array[index + (thread_block.rank() & 3)]
 
 
@@ -144,8 +143,7 @@ def change(array, node, nodes):
 
 
 def _gathers(name):
-    """Return the stencil sum of a record (kernels/stencil_sums.py) by the source of its three
-    nodes."""
+    """Return the stencil sum of a record by the source of its three nodes."""
     source = stencil_sums.STENCIL_FUNCTIONS[name][1]
     first, second, third = source(0, 1), source(1, 1), source(2, 1)
 

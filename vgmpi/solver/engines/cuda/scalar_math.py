@@ -39,8 +39,7 @@ def constants(real: np.dtype) -> dict:
 
 
 def polynomials(real: np.dtype) -> dict:
-    """Return the polynomials of kernels/simd/math_functions.py in a precision, name ->
-    SourceFunction."""
+    """Return the polynomials of the SIMD math functions in a precision, by name."""
     single, powers, factorial = np.dtype(real) == np.float32, [], 1.0
     for n in range(2, 9 if single else 15):
         factorial *= n
@@ -154,7 +153,7 @@ def log1p(x):
 
 
 def log(x):
-    """Return log(x)."""
+    """Return the natural logarithm of x."""
     small = x < LEAST
     k, f, s, z = _split(x * UP if small else x)
     k = k - SHIFT if small else k

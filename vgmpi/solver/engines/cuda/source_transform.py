@@ -255,7 +255,8 @@ class KernelTransformer(ast.NodeTransformer):
         """Return a call of a view function as an expression.
 
         Such a function consists of `if ...: return ...`; GPU functions cannot return a part of an
-        array."""
+        array.
+        """
         definition = ast.parse(textwrap.dedent(inspect.getsource(plain))).body[0]
         assert isinstance(definition, ast.FunctionDef)
         names = [argument.arg for argument in definition.args.args]
@@ -272,8 +273,7 @@ class KernelTransformer(ast.NodeTransformer):
         return _NameSubstitution(arguments).visit(result)
 
     def _state(self, law: type, puts: bool = False) -> str:
-        """Return the name of load_state or store_state (kernels/simd/material_dispatch.py) for one
-        particle."""
+        """Return the name of load_state or store_state for one particle."""
         count = state_channels(original(law))
         name = f"{'put' if puts else 'take'}_state_{count}"
         if name not in self.program.space:

@@ -4,7 +4,8 @@ Particles to grid: a team of 16 threads processes a segment. Each thread is a pa
 its record, then one number of the four nodes of each row, for which it sums runs of records as the
 CPU does. Every number of a patch belongs to one thread (node along z modulo 4, number in the node),
 so that rows need no synchronization. Grid to particles: a block processes a segment, a thread a
-particle."""
+particle.
+"""
 
 import math
 
@@ -56,7 +57,8 @@ def fill(rows, kind, law, segments, particles, sums, bias, phase, peaks, dt, alo
         peaks (in/out): Largest stress over density.
         dt: Length of the step [s].
         along: Whether the field uses B-spline gradients.
-        ghosts: Ghost nodes for reactions, or None."""
+        ghosts: Ghost nodes for reactions, or None.
+    """
     patches = cuda.shared.array((TEAMS, ROOM), REAL)
     words = cuda.shared.array((TEAMS, 2 * 16 * PITCH), REAL)
     bases = cuda.shared.array((TEAMS, 16), np.int32)
@@ -121,7 +123,8 @@ def nothing():
 def _node(base):
     """Return the node of a row that is this thread's, in a run with that base row.
 
-    Its place along z equals the thread's own, modulo 4."""
+    Its place along z equals the thread's own, modulo 4.
+    """
     return ((rank() >> 2) - (base >> 2)) & 3
 
 
@@ -161,10 +164,10 @@ def _flush(patch, base, sums):
 
 
 def _push(patch, blocks, sums, bias):
-    """Add the nodes of a patch to the sums of the 27 node blocks around it
-    (kernels/reproducible_sums.py).
+    """Add the nodes of a patch to the sums of the 27 node blocks around it.
 
-    Each term is a multiple of its quantum, so that any order gives the same sums."""
+    Each term is a multiple of its quantum, so that any order gives the same sums.
+    """
     for q in each(PATCH):
         x = np.float64(patch[q])
         if x != 0.0:
@@ -181,7 +184,8 @@ def _push(patch, blocks, sums, bias):
 def _rounded(x, r):
     """Return x as a multiple of the quantum of a sum with bias r.
 
-    Terms in single precision have so few digits that rounding the product changes nothing."""
+    Terms in single precision have so few digits that rounding the product changes nothing.
+    """
     if WORDS == 1:
         return (x * np.float64(TIES) + r) - r
     return fused(x, np.float64(TIES), r) - r
@@ -225,7 +229,8 @@ def g2p(
         numbers, motion: Constants of the group and of the step.
         maxima (in/out): Shape (6,), see particle.record_maxima.
         worst (in/out): Lowest failed id times 8 plus reason, shape (1,).
-        ghosts: Ghost nodes for reactions, or None."""
+        ghosts: Ghost nodes for reactions, or None.
+    """
     now, point = cuda.local.array(3, np.int64), cuda.local.array(6, np.float64)
     own = own_ghosts(ghosts, now, point)
     real, s = cuda.shared.array(BESIDE, REAL), rows[number()]
@@ -290,7 +295,8 @@ def give_back(rows, times, segments, particles, velocity, dx, ghosts):
         segments, particles: Tables of the group; particles (in/out).
         velocity: Nodal velocities of a step of no time.
         dx: Cell size [m].
-        ghosts: Ghost nodes for reactions, or None."""
+        ghosts: Ghost nodes for reactions, or None.
+    """
     now, point = cuda.local.array(3, np.int64), cuda.local.array(6, np.float64)
     own = own_ghosts(ghosts, now, point)
     real, s = cuda.shared.array(BESIDE, REAL), rows[number()]
@@ -314,7 +320,8 @@ def take(rows, channel, segments, particles, nodes):
         rows: Segments to process.
         channel: First channel of the color.
         segments, particles: Tables of the group; particles (in/out).
-        nodes: Nodal colors."""
+        nodes: Nodal colors.
+    """
     real = cuda.shared.array(BESIDE, REAL)
     s = rows[number()]
     gather(real, nodes, segments.table[s], 0)
@@ -338,7 +345,8 @@ def follow(rows, segments, particles, first, dt):
         rows: Segments to process.
         segments, particles: Tables of the group; particles (in/out).
         first: First channel of F.
-        dt: Length of the step [s]."""
+        dt: Length of the step [s].
+    """
     s, cap, f = rows[number()], particles.ids.size, particles.f
     for n in each(segments.count[s]):
         update_deformation_lanes(f, segments.start[s] + n, cap, first, dt)
@@ -358,7 +366,8 @@ def advect_prescribed(
         dx, dt: Cell size [m] and length of the step [s].
         motion: Constants of the step.
         maxima (in/out): Maxima, shape (6,) float64.
-        worst (in/out): Lowest failed id times 8 plus reason, shape (1,)."""
+        worst (in/out): Lowest failed id times 8 plus reason, shape (1,).
+    """
     lowest = cuda.local.array(1, np.int64)
     lowest[0] = worst[0]
     q = number()

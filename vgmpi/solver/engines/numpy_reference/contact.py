@@ -3,7 +3,8 @@
 Finds the pairs of phases in contact and the impulses that keep them apart. The rule is that of
 docs/theory.md: the surfaces of solids are known, other surfaces are found from the volumes and mean
 offsets of a phase's particles. The impulses of all pairs at a node are found together, by
-accumulated Jacobi sweeps."""
+accumulated Jacobi sweeps.
+"""
 
 import numpy as np
 
@@ -39,7 +40,8 @@ def outside(m: float) -> float:
     This fit defines the rule.
 
     Args:
-        m: Mean offset of the particles from the node [cells]."""
+        m: Mean offset of the particles from the node [cells].
+    """
     if m >= 0.75:
         return min((m - 0.375) / 0.75, 1.5)
     if m <= 0.0:
@@ -72,7 +74,8 @@ class Contact:
         Args:
             collider: Outward normal and distance [m], shape (n, 4).
             whose: Index of the collider, shape (n,).
-            moves: Velocity of the collider [m/s], shape (n, 3), or None if all are at rest."""
+            moves: Velocity of the collider [m/s], shape (n, 3), or None if all are at rest.
+        """
         rows = np.array(self.plan.friction)[len(self.plan.phases) :]
         self.friction = rows[np.minimum(whose, len(rows) - 1)].reshape(*self.shape, -1)
         self.collider = collider.reshape(*self.shape, 4)
@@ -98,7 +101,8 @@ class Contact:
         """Remove the offset across mirroring walls, which the mirror image cancels.
 
         Args:
-            offset: Sums of offsets (in/out), shape (phases, ..., 3)."""
+            offset: Sums of offsets (in/out), shape (phases, ..., 3).
+        """
         for axis, kind, _, wall, _, _ in self.walls.wall_planes():
             if kind != "separate":
                 np.moveaxis(offset, axis + 1, 0)[wall, ..., axis] = 0.0
@@ -118,7 +122,8 @@ class Contact:
             dt: Length of the step [s].
 
         Returns:
-            Number of nodes with contact."""
+            Number of nodes with contact.
+        """
         present = mass > self.least[:, None, None, None]
         several = present.sum(0) + self.near + self.planes > 1
         acted = 0
@@ -183,7 +188,8 @@ class Contact:
 
         A pair holds a (None for a rigid body), b, normal of a, distances from both [cells],
         friction, stiffness [Pa], and a rigid or prescribed body: its reaction row, velocity [m/s],
-        normal and distance [m], and 1 where it is a or rigid, else -1."""
+        normal and distance [m], and 1 where it is a or rigid, else -1.
+        """
         plan, rules = self.plan, self.plan.rules
         for q, p in enumerate(phases):
             for p_other in phases[q + 1 :]:
@@ -278,7 +284,8 @@ def _push(r, surface_slip, mass, a, b, n, gap, lean, stiffness, friction, dt, dx
     """Return the impulse of an elastic layer with friction on b, shape (3,) [kg m/s].
 
     r: velocity of a minus that of b; surface_slip: slip of their surfaces; gap: sum of both
-    distances [cells] minus the gap at which the layer begins; lean: difference of the distances."""
+    distances [cells] minus the gap at which the layer begins; lean: difference of the distances.
+    """
     overlap, eccentricity = min(-gap, LAYER_MAX_OVERLAP), abs(lean) / 2
     if overlap <= 0.0 or eccentricity >= 1.0:
         return np.zeros(3)
@@ -318,7 +325,8 @@ def _touching(distance_a: float, distance_b: float, both_known: bool, is_sure: b
     """Tell if two surfaces may not approach at a node.
 
     distance_a, distance_b: distances of the node from both [cells]; both_known: both surfaces are
-    known; is_sure: one is known, and all known ones agree."""
+    known; is_sure: one is known, and all known ones agree.
+    """
     if both_known:
         return (
             distance_a + distance_b <= (-LAYER_MAX_OVERLAP if is_sure else GAP_RESOLVED)
@@ -330,7 +338,8 @@ def _touching(distance_a: float, distance_b: float, both_known: bool, is_sure: b
 def _resolve(v: np.ndarray, mass: np.ndarray, pairs: list[tuple]) -> list[np.ndarray]:
     """Change the velocities (phases, 3) of a node so that no touching pair approaches.
 
-    Returns the impulse of each pair on its second body."""
+    Returns the impulse of each pair on its second body.
+    """
     touches = np.zeros(len(mass), int)
     for a, b, *_ in pairs:
         touches[b] += 1

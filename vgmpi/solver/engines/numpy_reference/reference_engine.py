@@ -3,7 +3,8 @@
 Each phase has one dense array over all nodes; all particles of a group are processed at once, in
 double precision, on one rank and thread. The rest of the program only gives the particles
 (domain.state) and the segments with a separate stress impulse (the tables); there are no patches,
-reproducible sums or compiled code. Jiang 2015 (APIC), Hu 2018, Zhu and Bridson 2005 (FLIP)."""
+reproducible sums or compiled code. Jiang 2015 (APIC), Hu 2018, Zhu and Bridson 2005 (FLIP).
+"""
 
 from typing import Any
 
@@ -84,7 +85,8 @@ class Numpy:
         """Start to sum reactions.
 
         Args:
-            rows, quanta, rank: See `Engine.feel`."""
+            rows, quanta, rank: See `Engine.feel`.
+        """
         self.sums = self.contact.given = ReactionSums(self.plan, self.dense, rows, quanta)
 
     def given(self) -> np.ndarray:
@@ -110,7 +112,8 @@ class Numpy:
         """Begin a step.
 
         Args:
-            dt, gravity, speed: See `Engine.begin`."""
+            dt, gravity, speed: See `Engine.begin`.
+        """
         self.dt, self.gravity, self.mirrors, self.kept = dt, gravity, 1.0, 0.0
         if self.sums is not None:
             self.mirrors, self.kept = self.sums.shares(dt)
@@ -348,7 +351,8 @@ class Numpy:
     def _strain(self, group, stencil, split, L) -> np.ndarray:
         """Return the strain rate with the mixture's volume flux; store the porosity.
 
-        Where volume exceeds space, the volume ratio relaxes."""
+        Where volume exceeds space, the volume ratio relaxes.
+        """
         p, dense = group.plan.phase, self.dense
         flux_gradient = dense.gather_slopes(self.flux[p], stencil, moments=True)
         rate = np.trace(flux_gradient, axis1=1, axis2=2)
