@@ -126,7 +126,8 @@ def test_a_rule_sees_what_breaks_it(text, rule):
 
 
 def test_a_rule_leaves_good_names_alone():
-    text = '"""Module."""\n\n\ndef f(a, b, c, d):\n    """Add.\n\n    Args:\n        a: Number.\n    """'
+    body = '    """Add.\n\n    Args:\n        a: Number.\n    """'
+    text = f'"""Module."""\n\n\ndef f(a, b, c, d):\n{body}'
     tree = ast.parse(text)
     rules = (private_names, openings, without_sections, lambda tree: undocumented("a.py", tree))
     assert [found for rule in rules for found in rule(tree)] == []
