@@ -37,7 +37,7 @@ def lines(capsys, *flags):
     return code, said.err.strip().splitlines(), said.out
 
 
-@pytest.mark.skipif(card.choose(0) == "", reason="there is a card")
+@pytest.mark.skipif(card.select_device(0) == "", reason="there is a card")
 def test_no_card_is_one_line(scene, capsys, tmp_path):
     code, said, _ = lines(capsys, scene, "--engine", "cuda", "-o", str(tmp_path / "out"))
     assert code == 2 and len(said) == 1
@@ -82,8 +82,8 @@ def test_the_fullest_card_counts(scene, monkeypatch):
     monkeypatch.setattr(Plan, "bytes", lambda self: 30)
     monkeypatch.setattr(card, "free", lambda: 1 << 40)
     plan = object.__new__(Plan)
-    assert card.too_large(plan, SerialCommunicator()) == ""
-    assert "has" in card.too_large(plan, _Two())
+    assert card.memory_error(plan, SerialCommunicator()) == ""
+    assert "has" in card.memory_error(plan, _Two())
 
 
 def test_a_card_that_fails_is_named(monkeypatch):
@@ -98,7 +98,7 @@ def test_a_card_that_fails_is_named(monkeypatch):
             raise Failed("an illegal memory access was encountered")
 
     monkeypatch.setattr(card, "FAILURES", (Failed,))
-    card.choose(0, rank=3)
+    card.select_device(0, rank=3)
     monkeypatch.setattr(card, "LAST", ["g2p"])
     with pytest.raises(RuntimeError, match="card of rank 3 failed in step 7, at kernel g2p") as it:
         Engine().fill()

@@ -189,7 +189,7 @@ import contextlib, io, json, sys
 from tests.support import peak_memory
 from vgmpi.apps.run import cli
 from vgmpi.runtime import memory_budget
-memory_budget.free = lambda swap=False: 8 << 30  # on any machine
+memory_budget.available_memory = lambda swap=False: 8 << 30  # on any machine
 for command in json.loads(sys.argv[1]):
     peak_memory.forget()
     with contextlib.redirect_stderr(io.StringIO()) as said:

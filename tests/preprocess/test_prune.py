@@ -79,7 +79,7 @@ def by_chance(piece, share, skin, seed):
     kept = np.random.default_rng(seed).random(len(share)) < share
     left = piece.cloud.select(kept)
     wider = replace(left, scale=left.scale * (share[kept] ** (-1 / 3))[:, None])
-    heir = prune.heirs(piece.cloud.x, kept, skin)
+    heir = prune.merge_targets(piece.cloud.x, kept, skin)
     return wider, prune.merged(piece.cloud, share, heir, kept, skin)
 
 

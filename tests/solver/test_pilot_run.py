@@ -139,7 +139,7 @@ def test_it_says_why_it_cannot(tmp_path, caplog, text, why):
 
 def test_what_is_ahead_adds_up_to_all_of_it(monkeypatch):
     """100, 200 and 200 steps in turns of .1 s, of 7 ns each."""
-    monkeypatch.setattr(pilot_result, "step", lambda scene, plan, pace: 7.0)
+    monkeypatch.setattr(pilot_result, "step_ns", lambda scene, plan, pace: 7.0)
     monkeypatch.setattr(pilot_result, "replace", lambda plan, **what: plan)
     found = PilotRun(0.1, 0.0, (at(0.1, 100.0), at(0.2, 200.0), at(0.3, 200.0)))
     work, often = found.ahead(None, None, PACE)

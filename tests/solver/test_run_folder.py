@@ -191,9 +191,9 @@ def test_other_frame_times_go_on_in_order(scene):
 
 HOLD = """
 import sys, time
-from vgmpi.parallel.communicator import Alone
+from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.io import run_lock
-with run_lock.held(sys.argv[1], Alone(), into=True):
+with run_lock.run_lock(sys.argv[1], SerialCommunicator(), into=True):
     print("held", flush=True)
     time.sleep(600)
 """
@@ -228,7 +228,9 @@ def test_a_lock_that_is_a_link_is_not_followed(scene, capsys):
 
 
 def test_a_run_that_comes_to_nothing_leaves_no_folder(scene, capsys, monkeypatch):
-    monkeypatch.setattr(cli.memory_budget, "free", lambda swap=False: 1 << 40 if swap else 1000)
+    monkeypatch.setattr(
+        cli.memory_budget, "available_memory", lambda swap=False: 1 << 40 if swap else 1000
+    )
     assert run(scene) == 2
     assert "GiB" in capsys.readouterr().err and not (scene.parent / "out").exists()
 
@@ -238,16 +240,16 @@ def test_at_twenty_delays_one_of_two_runs_has_the_folder(tmp_path):
     holding, lost = tmp_path / "holding", 0
     code = (
         "import sys, time\n"
-        "from vgmpi.parallel.communicator import Alone\n"
+        "from vgmpi.parallel.communicator import SerialCommunicator\n"
         "from vgmpi.io import run_lock\n"
         "time.sleep(float(sys.argv[2]))\n"
         "for k in range(40):\n"
         "    try:\n"
-        "        with run_lock.held(sys.argv[1], Alone(), into=True):\n"
+        "        with run_lock.run_lock(sys.argv[1], SerialCommunicator(), into=True):\n"
         "            mark = open(sys.argv[3], 'x')\n"
         "            time.sleep(0.002)\n"
         "            import os; os.unlink(sys.argv[3])\n"
-        "    except run_lock.FolderError:\n"
+        "    except run_lock.RunFolderInUseError:\n"
         "        time.sleep(0.001)\n"
     )
     for pair in range(10):

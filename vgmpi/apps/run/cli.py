@@ -229,7 +229,7 @@ def _command(args: argparse.Namespace, ranks: SerialCommunicator) -> int:
         pilot = pilot_run(scene, plan, summary) if args.rehearse else None
         print(format_plan(scene, plan, ranks.size, start_time, pace, pilot))
         if args.engine == "cuda":
-            print(_card(ranks).told(plan, ranks.size))
+            print(_card(ranks).memory_report(plan, ranks.size))
     refusal = memory_refusal(plan.bytes(), ranks)
     return _refuse([refusal], ranks) if refusal and not args.force else 0
 
@@ -274,7 +274,7 @@ def _run(scene: Scene, folder: Path, args: argparse.Namespace, ranks: SerialComm
         nonlocal estimator
         refusal = memory_refusal(plan.bytes(), ranks)
         if args.engine == "cuda":
-            refusal = refusal or _card(ranks).too_large(plan, ranks)
+            refusal = refusal or _card(ranks).memory_error(plan, ranks)
         if refusal and not args.force:
             raise SceneError([refusal + "; --force runs it anyway"])
         if ranks.rank == 0 and not args.quiet:

@@ -180,7 +180,7 @@ def _gathers(name):
             d = third(weights, 0, patch, o)
             record[c] = (a[0] + b[0]) + d[0]
 
-    return values if name == "values" else moments
+    return values if name == "gather_value" else moments
 
 
 def gather(patch, grid, blocks, box):
@@ -294,9 +294,9 @@ PARTICLE = TranslationMode(
         partial_rows.zeros_like_row: nothing,
         partial_rows.node_numbers: steps, partial_rows.broadcast_per_node: part_load,
         partial_rows.slope_middle: middle, partial_rows.slope_change: change,
-        stencil_sums.gather_affine: _gathers("moments"),
-        stencil_sums.gather_gradient: _gathers("slopes"),
-        stencil_sums.gather_value: _gathers("values"), patch.load_patch: gather,
+        stencil_sums.gather_affine: _gathers("gather_affine"),
+        stencil_sums.gather_gradient: _gathers("gather_gradient"),
+        stencil_sums.gather_value: _gathers("gather_value"), patch.load_patch: gather,
         particle_records.patch_of: patch_of,
         wall_boundary._plane_node: node_of, patch.nodes_of: nodes_of,
         g2p.keep_lowest_id: note, g2p.record_step_bounds: record_maxima,
