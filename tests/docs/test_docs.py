@@ -42,8 +42,8 @@ def test_links_lead_somewhere(page):
 
 def test_a_broken_link_is_seen():
     page = ROOT / "docs" / "explanation" / "time-step.md"
-    text = "[a](none.md) ![b](none.png) [c](#no-such-head) [d](time-step.md#algorithm) `[e](none)`\n"
-    assert broken(page, text) == ["none.md", "none.png", "#no-such-head"]
+    text = "[a](none.md) ![b](none.png) [c](#no-head) [d](time-step.md#algorithm) `[e](none)`\n"
+    assert broken(page, text) == ["none.md", "none.png", "#no-head"]
     code = "    [a](none.md)\n```\n[a](none.md)\n```\n[b](https://example.org/none)\n[c](no.md)"
     assert broken(page, code) == ["no.md"]
 
