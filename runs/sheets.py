@@ -5,9 +5,9 @@
     python runs/sheets.py --runs FOLDER         of runs in FOLDER/NAME, not where they are made
     python runs/sheets.py --pictures FOLDER     keep the studio's pictures in full size, too
 
-docs/pictures/studio-NAME.jpg are the sheets of docs/studio.md. Both rows have the camera of the
-scene's render.toml. The paper's way has the colors, the floor and the light that made the best of
-it in each scene; the studio has no other setting.
+docs/pictures/studio-NAME.jpg are the sheets of docs/explanation/studio.md. Both rows have the
+camera of the scene's render.toml. The paper's way has the colors, the floor and the light that made
+the best of it in each scene; the studio has no other setting.
 """
 
 import argparse

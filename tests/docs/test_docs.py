@@ -41,9 +41,9 @@ def test_links_lead_somewhere(page):
 
 
 def test_a_broken_link_is_seen():
-    page = ROOT / "docs" / "theory.md"
-    text = "[a](none.md) ![b](none.png) [c](#no-such-head) [d](theory.md#the-step) `[e](none)`\n"
-    assert broken(page, text) == ["none.md", "none.png", "#no-such-head"]
+    page = ROOT / "docs" / "explanation" / "time-step.md"
+    text = "[a](none.md) ![b](none.png) [c](#no-head) [d](time-step.md#algorithm) `[e](none)`\n"
+    assert broken(page, text) == ["none.md", "none.png", "#no-head"]
     code = "    [a](none.md)\n```\n[a](none.md)\n```\n[b](https://example.org/none)\n[c](no.md)"
     assert broken(page, code) == ["no.md"]
 
@@ -60,4 +60,4 @@ def test_the_site_is_made_without_a_warning(tmp_path):
     environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
     made = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
     assert made.returncode == 0, made.stdout + made.stderr
-    assert (tmp_path / "site" / "theory" / "index.html").is_file()
+    assert (tmp_path / "site" / "explanation" / "time-step" / "index.html").is_file()

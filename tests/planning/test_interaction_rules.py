@@ -17,7 +17,7 @@ from vgmpi.planning.plan import make_plan
 from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.scene.scene import miscible_materials
 
-THEORY = (Path(__file__).parents[2] / "docs" / "theory.md").read_text()
+THEORY = (Path(__file__).parents[2] / "docs" / "explanation" / "time-step.md").read_text()
 
 POURED = """
 [domain]

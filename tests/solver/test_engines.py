@@ -1,8 +1,8 @@
 """Every engine on the same small scenes: every law, contact, couplings, FLIP, splines, colours.
 
-engines/numpy is the method as docs/theory.md tells it, on one dense grid; the others are held to it
-in double precision. Particles are moved off their lattice at random, so that no sum cancels by
-symmetry and no contact hangs on a rounding error.
+engines/numpy_reference is the method of docs/explanation on one dense grid; the others are held
+to it in double precision. Particles are moved off their lattice at random, so that no sum cancels
+by symmetry and no contact hangs on a rounding error.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""Limits of one time step, and negligible masses; docs/theory.md explains them.
+"""Limits of one time step, and negligible masses; docs/explanation/time-step.md explains them.
 
 The plain numbers stand in one place for kernels, engines and the solver. They are in this folder
 because the cache of compiled code is named by its contents (runtime/jit.py): an edit here is seen.

@@ -135,7 +135,7 @@ def with_slip_wave_factors(
 
     The factor is relative to the group's own squared wave speed at rest. It is 1 if no wave is much
     faster than those of the fluids alone, and 1 for all but the stiffer of two fluids
-    (docs/theory.md).
+    (docs/explanation/mixtures.md).
 
     Args:
         groups: Groups of the plan.

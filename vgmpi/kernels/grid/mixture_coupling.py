@@ -3,7 +3,7 @@
 At each node their pressure acts on all of them in proportion to their volume fraction, fluids drift
 down their concentration gradient, and their relative motion is damped implicitly. After contact and
 walls the volume flux is stored, by which fluids change their density. The momenta that phases
-exchange sum to zero. Formulas and sources: docs/theory.md.
+exchange sum to zero. Formulas and sources: docs/explanation/mixtures.md.
 
 A row of four nodes is a vector xyzm xyzm xyzm xyzm. Scalars of a node stand in all of its lanes.
 """

@@ -1,6 +1,7 @@
 """Density correction of liquids: their volume is relaxed to the space that they take.
 
-It is a kind of auxiliary_gather.py that combines with any of the others (docs/theory.md).
+It is a kind of auxiliary_gather.py that combines with any of the others
+(docs/explanation/transfer-schemes.md).
 """
 
 from typing import NamedTuple

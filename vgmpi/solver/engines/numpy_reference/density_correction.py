@@ -1,4 +1,4 @@
-"""Density correction of liquids, in plain NumPy; see docs/theory.md."""
+"""Density correction of liquids, in plain NumPy; see docs/explanation/transfer-schemes.md."""
 
 import numpy as np
 

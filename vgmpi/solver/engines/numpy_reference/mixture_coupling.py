@@ -1,6 +1,6 @@
 """Mixture coupling of phases that share space: mixing fluids, and sand with pore fluid.
 
-Formulas and sources are in docs/theory.md. All arrays run over phases, then nodes.
+Formulas and sources are in docs/explanation/mixtures.md. All arrays run over phases, then nodes.
 """
 
 import numpy as np

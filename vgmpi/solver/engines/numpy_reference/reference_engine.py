@@ -1,4 +1,4 @@
-"""Reference engine: the method of docs/theory.md in plain NumPy; slow, for tests and for reading.
+"""Reference engine: the method of docs/explanation in plain NumPy; slow, for tests and for reading.
 
 Each phase has one dense array over all nodes; all particles of a group are processed at once, in
 double precision, on one rank and thread. The rest of the program only gives the particles
