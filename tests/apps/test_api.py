@@ -1,4 +1,4 @@
-"""The names a script uses, and that the example of docs/api.md runs as it stands."""
+"""The names a script uses, and that the examples of docs/tutorial/python.md run as they stand."""
 
 import ast
 import os
@@ -16,7 +16,7 @@ from tests.support import simulated_ranks
 from tests.support.launch import mpirun
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = (ROOT / "docs" / "api.md").read_text()
+PAGE = (ROOT / "docs" / "tutorial" / "python.md").read_text()
 EXAMPLE, SERIES, SWEEP = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 SCENE = """
@@ -87,7 +87,7 @@ def test_the_example_on_two_ranks(tmp_path):
     (tmp_path / "script.py").write_text(EXAMPLE)
     job = mpirun(2, "script.py", cwd=tmp_path)
     assert job.returncode == 0, job.stderr
-    assert job.stdout.count("552 particles") == 2 and job.stdout.count("0.010 s: middle") == 2
+    assert job.stdout.count("552 particles") == 2 and job.stdout.count("0.010 s: center") == 2
     assert job.stdout.count("momentum 0.007500 kg m/s, force 0.500000 N") == 1
 
 
