@@ -3,7 +3,7 @@ they cost.
 
 Runs the scenes of runs/accuracy at each level and holds them to theory or to what was published;
 writes vgmpi/planning/cost/accuracy_benchmarks.csv, of which --plan tells, and the table of
-docs/accuracy.md. Runs that
+docs/how-to/choose-accuracy.md. Runs that
 are there are kept (runs/accuracy/out/levels). Tolerances are those of the validation
 (tests/physics). Time is that of the processors, from the second step on.
 """
@@ -27,7 +27,7 @@ from vgmpi.scene.loader import load
 
 ROOT = Path(__file__).parents[2]
 SCENES = ROOT / "runs" / "accuracy"
-PAGE = ROOT / "docs" / "accuracy.md"
+PAGE = ROOT / "docs" / "how-to" / "choose-accuracy.md"
 BEGIN, END = "<!-- made by: python -m tests.benchmarks.levels -->", "<!-- end of what is made -->"
 
 
