@@ -16,7 +16,7 @@ help:
 	@echo "make test      set-up, then all tests but the long ones"
 	@echo "make gallery   the showcases on 2 ranks, their videos and docs/gallery.md: an hour"
 	@echo "make campaigns kills, full disks, damaged files and odd inputs in large numbers: minutes"
-	@echo "make validate  the long tests; rewrites docs/validation.md"
+	@echo "make validate  the long tests; rewrites docs/benchmarks/validation.md"
 	@echo "make lint      ruff and mypy only"
 	@echo "make docs      rewrite docs/scene.md and docs/file-format.md from the code"
 	@echo "make site      the pages as a site, in site/"

@@ -198,8 +198,8 @@ def run(
         mpirun; all
             ranks must call every function.
         threads: Threads per rank.
-        engine: `"cpu"`, `"cuda"` (one GPU for each rank, see docs/cuda.md), or `"numpy"` (slow,
-            for comparison, on one rank and one thread).
+        engine: `"cpu"`, `"cuda"` (one GPU for each rank, see docs/benchmarks/cuda.md), or
+            `"numpy"` (slow, for comparison, on one rank and one thread).
         overwrite: Replace an existing run in the folder.
 
     Returns:

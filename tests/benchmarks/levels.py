@@ -1,11 +1,9 @@
-"""python -m tests.benchmarks.levels [CASE ...]: what the levels of accuracy are off by, and what
-they cost.
+"""python -m tests.benchmarks.levels [CASE ...]: error and cost of the accuracy levels.
 
-Runs the scenes of runs/accuracy at each level and holds them to theory or to what was published;
-writes vgmpi/planning/cost/accuracy_benchmarks.csv, of which --plan tells, and the table of
-docs/accuracy.md. Runs that
-are there are kept (runs/accuracy/out/levels). Tolerances are those of the validation
-(tests/physics). Time is that of the processors, from the second step on.
+Runs the scenes of runs/accuracy at each level and compares them with theory or published results.
+Writes vgmpi/planning/cost/accuracy_benchmarks.csv, which --plan quotes, and the table of
+docs/how-to/choose-accuracy.md. Existing runs are kept (runs/accuracy/out/levels). Tolerances are
+those of the validation (tests/physics). Time is processor time from the second step on.
 """
 
 import argparse
@@ -27,7 +25,7 @@ from vgmpi.scene.loader import load
 
 ROOT = Path(__file__).parents[2]
 SCENES = ROOT / "runs" / "accuracy"
-PAGE = ROOT / "docs" / "accuracy.md"
+PAGE = ROOT / "docs" / "how-to" / "choose-accuracy.md"
 BEGIN, END = "<!-- made by: python -m tests.benchmarks.levels -->", "<!-- end of what is made -->"
 
 

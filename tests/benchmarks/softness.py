@@ -2,8 +2,8 @@
 
 The paper's bulk modulus k, as the compression that it allows: the height of water at rest, the
 front of a breaking dam, and the processor time of both (runs/accuracy/hydrostatic.toml, 16 cells
-deep, and dam_break.toml, 48 cells long). Prints the table of docs/studies.md. Runs that are there
-are kept (runs/accuracy/out/softness).
+deep, and dam_break.toml, 48 cells long). Prints the table of docs/benchmarks/studies.md. Existing
+runs are kept (runs/accuracy/out/softness).
 """
 
 import argparse

@@ -102,10 +102,10 @@ def test_jumps_off(tmp_path, on, cells):
     stays = hertz(cells * DX, on)[1]
     say = {
         "source": "Johnson, Contact Mechanics, section 11.4",
-        "note": f"ball of {cells} cells in radius, .3 m/s",
+        "note": f"ball of {cells} cells in radius, 0.3 m/s",
     }
     case = f"ball of {cells} cells on a {on}"
-    held(f"{case}: gap where it touches", (DX - SPEED * begins) / DX, 0.0, 0.3,
+    held(f"{case}: gap at contact", (DX - SPEED * begins) / DX, 0.0, 0.3,
          kind="absolute", unit="cells", **say)  # fmt: skip
     if cells == 16:
         held(f"{case}: contact time", ends - begins, float(stays), 0.1, unit="s", **say)

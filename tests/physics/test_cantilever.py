@@ -100,6 +100,7 @@ def note(alpha, samples, exact, times, found, expected=True):
         source="Bisshopp and Drucker 1945" if alpha >= 1 else "alpha / 3 and shear",
         note=f"{CELLS} cells thick, L / h = 10, strains by splines",
         expected=expected,
+        deviation=True,
         curves={"ours": (times, found), "exact, at rest": ([0, times[-1]], [exact, exact])},
         axes=("t / period of the first mode", "deflection of the tip / L"),
     )

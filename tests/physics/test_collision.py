@@ -134,7 +134,7 @@ def loss_falls(folder, coarse, fine):
     few, many = (rebound(folder, cells) for cells in (coarse, fine))
     assert few < 1 and many < 1
     held(
-        f"share of the rebound's loss that is left, from {coarse} to {fine} cells",
+        f"ratio of rebound losses, from {coarse} to {fine} cells",
         (1 - many) / (1 - few),
         0.0,
         2 / 3,

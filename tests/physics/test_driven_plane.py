@@ -47,7 +47,7 @@ def _rolls(folder, cells, way, off, rolls=True):
     held(f"{name}: acceleration", along, a, 0.03, unit="m/s2", **say)
     held(f"{name}: spin", turn, alpha, off, unit="rad/s2", **say)
     ratio = (u[-8:].mean() - WAYS[way]) / (w[-8:].mean() * cells * DX)  # it swings in itself
-    held(f"{name}: v over omega R", ratio, 1.0, 0.03, **say, expected=rolls)
+    held(f"{name}: v over omega R", ratio, 1.0, 0.03, **say, expected=rolls, deviation=True)
 
 
 def _slides(folder, cells, way, off):

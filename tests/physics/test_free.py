@@ -88,7 +88,7 @@ def test_pull_off(tmp_path, count):
         1e-12,
         kind="absolute",
         unit="cells",
-        source="bodies that part are free",
+        source="separating bodies are free",
         note="1 m/s, 4 cells and more, double precision",
     )
 
@@ -104,8 +104,8 @@ def test_pull_off_askew(tmp_path):
         0.005,
         kind="absolute",
         unit="cells",
-        source="bodies that part are free",
-        note="parting at 1 m/s, sliding at .2 m/s",
+        source="separating bodies are free",
+        note="parting at 1 m/s, sliding at 0.2 m/s",
     )
 
 
@@ -148,7 +148,7 @@ def test_renumbered(tmp_path, bodies):
         1e-12,
         kind="absolute",
         unit="cells",
-        source="no result may depend on names",
+        source="results do not depend on numbering",
         note="head-on at 1.2 m/s, sharing nodes along an edge, double precision",
     )
 

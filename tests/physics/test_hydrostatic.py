@@ -63,7 +63,7 @@ def test_at_rest(tmp_path, compressed, end, precision):
     assert run.code == 0 and len(middle) == 41
     start = "begun compressed" if compressed == "hydrostatic" else "begun uncompressed"
     title = f"water at rest for {end:.0f} s, {start}"
-    note = f"{CELLS} cells, {precision} precision, rho g H / K = .15 %"
+    note = f"{CELLS} cells, {precision} precision, rho g H / K = 0.15 %"
     drift = np.abs(np.array(middle) / H - middle[0] / H)
     say = {"kind": "below", "unit": "of H", "source": "at rest", "note": note}
     held(f"{title}: drift of the centre of mass", float(drift.max()), 0.0, 1e-3, **say)

@@ -107,7 +107,7 @@ def test_sticks(tmp_path, floor):
         kind="absolute",
         unit="cells",
         source="it sticks for mu > tan",
-        note="30 deg, friction .6, within .7 s",
+        note="30 deg, friction 0.6, within 0.7 s",
     )
 
 

@@ -73,7 +73,7 @@ def test_water_sinks_as_green_and_ampt_say(tmp_path):
     print(np.round(exact, 4), np.round(found, 4), sep="\n")
     late = times >= 0.4
     worst = float(np.abs(found / exact - 1.0)[late].max())
-    held("ponded infiltration: how far the water sank", worst, 0.0, 0.10, kind="absolute",
+    held("ponded infiltration: error of the depth", worst, 0.0, 0.10, kind="absolute",
          source="Green and Ampt 1911", note="largest relative error from 0.4 s on",
          curves={"theory": (times, exact), "solver": (times, found)},
          axes=("time [s]", "centre of mass sunk [m]"))  # fmt: skip

@@ -163,5 +163,5 @@ def test_momentum(tmp_path, pair):
         1e-13,
         kind="absolute",
         source="dP = 0",
-        note="relative to sum m |v|; .05 s at 1 m/s, double precision",
+        note="relative to sum m |v|; 0.05 s at 1 m/s, double precision",
     )

@@ -124,5 +124,6 @@ def test_height_over_stroke(tmp_path, kh, cells, good):
         },
         axes=("time [s]", "height, way [m]"),
         expected=good,
+        deviation=True,
     )
     assert 0.7 < found / share < 1.1

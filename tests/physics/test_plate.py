@@ -78,8 +78,8 @@ def stand(folder, plate, end, every):
         0.0,
         kind="absolute",
         unit="particles",
-        source="a plate holds",
-        note=".5 m of water, 20 cells deep",
+        source="no particle passes",
+        note="0.5 m of water, 20 cells deep",
     )
     if not water.all():
         held(

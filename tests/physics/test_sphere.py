@@ -111,5 +111,5 @@ def test_it_is_let_go(tmp_path, ratio):
     exact = (ratio - 1) * G / (ratio + added_mass(8))
     found = -2 * way[-1] * 8 * DX / times[-1] ** 2
     note = f"{ratio:g} times as dense as water, 8 cells in radius, over half a radius"
-    held(f"sphere let go, density {ratio:g}: acceleration", found, exact, 0.12, unit="m/s2",
-         source="Lamb, art. 93", note=note)  # fmt: skip
+    held(f"sphere released, density {ratio:g}: acceleration", found, exact, 0.12, unit="m/s2",
+         source="Lamb, art. 93", note=note, deviation=True)  # fmt: skip

@@ -110,6 +110,7 @@ def test_slides(tmp_path, on, angle, mu):
         float(want),
         0.02,
         expected=(on, angle) not in MISSED,
+        deviation=True,
         unit="m/s2",
         source="a = g (sin - mu cos)",
         note="8 x 8 cells, tilted against the grid",

@@ -101,5 +101,5 @@ def test_beside_other_transfers(tmp_path):
             kind="below",
             unit="of 2 nu k2",
             source="Taylor and Green 1937",
-            note="16 cells; exact is 1, below the bound is all that is asked",
+            note="16 cells; exact is 1, only the upper bound is tested",
         )

@@ -82,9 +82,10 @@ def test_keeps_its_spin(tmp_path, around, least, cells, turns):
         least,
         kind="above",
         expected=(around, cells) != ("water", 12),
-        unit="of it",
+        deviation=True,
+        unit="of the initial spin",
         source="no torque without friction",
-        note=f"least of {len(t)} looks {share.min():.4f}, largest {share.max():.4f}",
+        note=f"minimum of {len(t)} samples {share.min():.4f}, maximum {share.max():.4f}",
         curves={"spin": (t, share)},
         axes=("turns", "spin over that at the start"),
     )

@@ -1,9 +1,8 @@
-"""What the physics tests found beside what it is held to: asserted, and noted for the page of
-validation.
+"""Assert a result of a physics test against its reference and record it for the validation page.
 
-With VGMPI_HELD set to a folder every call leaves a JSON file there; `python -m
-tests.benchmarks.validation`
-makes docs/validation.md and its plots of them.
+If VGMPI_HELD names a folder, every call writes a JSON file there. `python -m
+tests.benchmarks.validation` makes docs/benchmarks/data/validation.csv,
+docs/benchmarks/validation.md and its plots of these files.
 """
 
 import json
@@ -27,15 +26,27 @@ def held(
     source: str = "",
     note: str = "",
     expected: bool = True,
+    deviation: bool = False,
     curves: Mapping[str, tuple] | None = None,
     axes: tuple[str, str] = ("", ""),
 ) -> None:
-    """Assert that `value` is within `tolerance` of `reference`, and note both.
+    """Assert that `value` is within `tolerance` of `reference`, and record both.
 
-    kind: "relative" or "absolute" error, or "below": value < tolerance, "above": value > tolerance.
-    source: where the reference comes from. note: resolution, cost, what else to know. expected:
-    False for a row that shows what is known to be wrong, such as printed equations: it is noted and
-    must fail. curves: name -> (x, y) to plot, axes: their labels with units.
+    Args:
+        case: Name of the row.
+        value: Result of the test.
+        reference: Value that the result is compared with.
+        tolerance: Largest error, or the bound of `kind` "below" and "above".
+        kind: "relative" or "absolute" error, or "below": value < tolerance, "above": value >
+            tolerance.
+        unit: Unit of value and reference.
+        source: Origin of the reference.
+        note: Resolution and other remarks.
+        expected: Whether the row should meet its tolerance. If False, the row must miss it.
+        deviation: Whether a miss is a known deviation of the program. A row that is expected to
+            miss without being a deviation is a negative control.
+        curves: Name -> (x, y) to plot.
+        axes: Labels of the plot with units.
     """
     error = {
         "relative": abs(value - reference) / abs(reference) if reference else abs(value),
@@ -55,8 +66,9 @@ def _note(found: dict) -> None:
     if not folder:
         return
     kept = ("case", "value", "reference", "tolerance", "kind", "unit", "source", "note")
-    row = {key: found[key] for key in (*kept, "error", "good", "expected", "axes")}
-    row["test"] = os.environ.get("PYTEST_CURRENT_TEST", "").split(" ")[0]
+    kept += ("error", "good", "expected", "deviation", "axes")
+    row = {key: found[key] for key in kept}
+    row["test"] = os.environ.get("PYTEST_CURRENT_TEST", "").rpartition(" (")[0]
     row["seconds"] = time.perf_counter() - _began
     row["curves"] = {
         name: [[float(v) for v in axis] for axis in pair]

@@ -39,7 +39,8 @@ FLOAT_TYPES: dict[str, np.dtype] = {
     "double": np.dtype(np.float64),
 }
 # The transfer correction is applied every few steps; longer intervals cost less. If the shortest
-# waves oscillate within an interval, they regain more than they lost and grow (docs/extremes.md).
+# waves oscillate within an interval, they regain more than they lost and grow
+# (docs/benchmarks/extremes.md).
 # The first is the longest interval [steps], the second the longest travel of a wave in it [cells].
 MAX_CORRECTION_INTERVAL, MAX_WAVE_TRAVEL_CELLS = 3, 1.3
 MAX_STEPS = 2.0**52  # with more steps, a step is lost to rounding when it is added to the time

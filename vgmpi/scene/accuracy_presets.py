@@ -1,6 +1,7 @@
 """Accuracy presets: values for the keys that a scene does not give.
 
-Each is a set of choices that were measured (docs/accuracy.md, `python -m tests.benchmarks.levels`).
+Each is a set of choices that were measured (docs/how-to/choose-accuracy.md, `python -m
+tests.benchmarks.levels`).
 """
 
 from dataclasses import dataclass

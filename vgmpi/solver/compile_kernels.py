@@ -54,7 +54,7 @@ def _same_processor(ranks: SerialCommunicator) -> None:
         log.warning(
             "the processors of this job differ (%s): every rank rounds in its own way, and the bits"
             " are not those of other runs. To have them equal, set NUMBA_CPU_NAME and"
-            " NUMBA_CPU_FEATURES to a kind that all can run (docs/performance.md)",
+            " NUMBA_CPU_FEATURES to a kind that all can run (docs/benchmarks/performance.md)",
             ", ".join(f"rank {rank}: {kind}" for kind, rank in first_rank.items()),
         )
 

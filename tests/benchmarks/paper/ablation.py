@@ -2,7 +2,7 @@
 
 The splash is drawn with one part of the method left out at a time. Without the folder of a run,
 runs/ablation/scene.toml is run first (about 20 s on one core). The command writes one labeled
-picture of all variants and a table of image metrics (docs/studies.md).
+picture of all variants and a table of image metrics (docs/benchmarks/studies.md).
 """
 
 import argparse

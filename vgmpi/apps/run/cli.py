@@ -107,8 +107,8 @@ def _add_flags_of_a_run(parser: argparse.ArgumentParser) -> None:
         "--engine",
         choices=("cpu", "cuda", "numpy"),
         default="cpu",
-        help="what computes: this processor, a graphics card for each rank (docs/cuda.md), or plain"
-        " numpy: slow, on one rank, for comparison",
+        help="what computes: this processor, a graphics card for each rank"
+        " (docs/benchmarks/cuda.md), or plain numpy: slow, on one rank, for comparison",
     )
     parser.add_argument(
         "--profile", action="store_true", help="say at the end what each rank did (profile.csv)"

@@ -36,7 +36,7 @@ DRAG_COST = ProximityCost(0.4, 60.0, 65.0)
 COLLIDER_COST = 1.3  # colliders at rest
 MOVING_COLLIDER_COST = 0.6  # additional cost if a collider moves
 REACTION_PROBE_COST = 1.2  # additional cost if a probe measures reaction forces
-BLOCK_COST = 35.0  # cost of a block without its particles (docs/performance.md)
+BLOCK_COST = 35.0  # cost of a block without its particles (docs/benchmarks/performance.md)
 PARTICLES_PER_FULL_BLOCK = 512  # particles per block when a Pace is measured
 
 

@@ -23,7 +23,7 @@ class Throughput(NamedTuple):
         return self.elastic * material.cost / Elastic.cost
 
 
-_PAGE = "of a processor as in docs/performance.md"
+_PAGE = "of a processor as in docs/benchmarks/performance.md"
 # Used without a measurement: one core of an AVX-512 machine, in scenes whose blocks are not full.
 ASSUMED_THROUGHPUT = {
     "single": Throughput(45.0, 63.0, _PAGE),
