@@ -1,4 +1,4 @@
-"""The names a script uses, and that the example of docs/api.md runs as it stands."""
+"""The names a script uses, and that the example of docs/tutorial/python.md runs as it stands."""
 
 import ast
 import os
@@ -16,7 +16,7 @@ from tests.support import simulated_ranks
 from tests.support.launch import mpirun
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = (ROOT / "docs" / "api.md").read_text()
+PAGE = (ROOT / "docs" / "tutorial" / "python.md").read_text()
 EXAMPLE, SERIES, SWEEP = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 SCENE = """

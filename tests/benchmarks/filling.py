@@ -1,6 +1,6 @@
 """What the choices of `fill` make of captures: python -m tests.benchmarks.filling [picture]
 
-Prints the table of volumes of docs/preparation.md and writes its picture, the figure of
+Prints the table of volumes of docs/how-to/prepare-captures.md and writes its picture, the figure of
 tests/support/hollow_captures.py: as a camera sees it, and cut open.
 """
 

@@ -1,6 +1,6 @@
 """Name, shape, type, unit and meaning of every dataset of every file: the single source.
 
-`python -m vgmpi.io.layout_reference > docs/file-format.md` writes the page for users.
+`python -m vgmpi.io.layout_reference > docs/reference/file-format.md` writes the page for users.
 """
 
 import re

@@ -1,4 +1,4 @@
-"""Reference page docs/file-format.md, generated from the tables in file_layout.py.
+"""Reference page docs/reference/file-format.md, generated from the tables in file_layout.py.
 
 `python -m vgmpi.io.layout_reference` prints it.
 """
@@ -67,7 +67,7 @@ ABOUT_ENERGY = (
 
 
 def page() -> str:
-    """Return the text of docs/file-format.md."""
+    """Return the text of docs/reference/file-format.md."""
     parts = [
         INTRODUCTION,
         "## frames/frame_00000.vtkhdf\n",

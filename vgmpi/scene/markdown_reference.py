@@ -26,7 +26,7 @@ from . import (
 
 _INTRO = """# The scene file
 
-<!-- made by: python -m vgmpi.scene > docs/scene.md -->
+<!-- made by: python -m vgmpi.scene > docs/reference/scene.md -->
 
 A scene is a TOML file. Numbers are in SI units; a text with a unit, such as `"2 cm"`, `"0.1 MPa"`
 or `"35 deg"`, is read as that unit. z points up. A key whose default is *required* must be given.
@@ -64,7 +64,7 @@ where it may also be relative to the current folder.
 
 
 def scene_reference() -> str:
-    """Return the text of docs/scene.md."""
+    """Return the text of docs/reference/scene.md."""
     parts = [_INTRO, _section("Top of the file", sections.TopLevelKeys)]
     for name, table in sections.SECTIONS.items():
         parts.append(_section(f"[{name}]", table))
