@@ -31,9 +31,9 @@ class Rectangle(StrictModel):
     center: Point
     """its middle"""
     width: Positive
-    """its extent across the direction it pours in, horizontally"""
+    """its extent perpendicular to the flow, horizontally"""
     height: Positive
-    """its extent across both"""
+    """its extent perpendicular to both"""
 
 
 class Opening(Protocol):
