@@ -276,8 +276,8 @@ _GIVEN = [
         for a in "xyz"
     ),
     *(
-        Dataset(f"torque_{a}", "", "f8", "N m", f"mean torque about {a} since the previous row; nan "
-                "in the first row")
+        Dataset(f"torque_{a}", "", "f8", "N m", f"mean torque about {a} since the previous row; "
+                "nan in the first row")
         for a in "xyz"
     ),
     *(
@@ -292,13 +292,13 @@ _GIVEN = [
 PROBE_COLUMNS = {
     "pressure": [
         *_WHEN,
-        Dataset("pressure", "", "f8", "Pa", "mean pressure of the nearby fluids; nan without fluid"),
+        Dataset("pressure", "", "f8", "Pa", "mean of the nearby fluids; nan without fluid"),
     ],
     "level": [*_WHEN, Dataset("level", "", "f8", "m", "height of the surface; 0 without fluid")],
     "velocity": [
         *_WHEN,
         *(
-            Dataset(f"velocity_{a}", "", "f8", "m/s", f"mean velocity along {a}; nan without particles")
+            Dataset(f"velocity_{a}", "", "f8", "m/s", f"mean along {a}; nan without particles")
             for a in "xyz"
         ),
     ],
@@ -316,7 +316,7 @@ PROBE_COLUMNS = {
     ],
     "wall": [
         *_WHEN,
-        *(Dataset(f"momentum_{a}", "", "f8", "kg m/s", f"total momentum of all bodies along {a}") for a in "xyz"),
+        *(Dataset(f"momentum_{a}", "", "f8", "kg m/s", f"of all bodies, along {a}") for a in "xyz"),
         *(
             Dataset(f"force_{a}", "", "f8", "N", f"mean force along {a} on walls and colliders "
                     "since the previous row; nan in the first row")

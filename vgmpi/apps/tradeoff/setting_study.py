@@ -42,8 +42,8 @@ LABELS = {
 }
 
 
-def parse_arguments(argv: list[str]) -> argparse.Namespace:
-    """Parse the command line."""
+def _parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m vgmpi tradeoff", description=__doc__,
         formatter_class=argparse.RawTextHelpFormatter,
@@ -85,6 +85,12 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
         "--part", metavar="K/N", help="make only every Nth run, starting with the Kth; no table"
     )
     parser.add_argument("--run", action="store_true", help=RUN)
+    return parser
+
+
+def parse_arguments(argv: list[str]) -> argparse.Namespace:
+    """Parse the command line."""
+    parser = _parser()
     args = parser.parse_args(argv)
     args.vary = tuple(word.strip() for word in args.vary.split(",") if word.strip())
     unknown = [word for word in args.vary if word not in parameter_sweep.PARAMETERS]
