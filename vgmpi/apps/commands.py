@@ -18,7 +18,7 @@ class Command(NamedTuple):
 COMMANDS = {
     "run": Command("vgmpi.apps.run.cli", "run a scene; `vgmpi scene.toml` does the same"),
     "check": Command("vgmpi.apps.run.cli", "check a scene file and write nothing", ("--check",)),
-    "plan": Command("vgmpi.apps.run.cli", "estimate what a scene will cost", ("--plan",)),
+    "plan": Command("vgmpi.apps.run.cli", "estimate memory and time of a scene", ("--plan",)),
     "prepare": Command(
         "vgmpi.apps.run.cli", "generate the particles of a scene and stop", ("--prepare",)
     ),

@@ -20,7 +20,7 @@ class Disc(StrictModel):
     """Round mouth."""
 
     center: Point
-    """its middle"""
+    """its center"""
     radius: Positive
     """its radius"""
 
@@ -29,7 +29,7 @@ class Rectangle(StrictModel):
     """Rectangular mouth."""
 
     center: Point
-    """its middle"""
+    """its center"""
     width: Positive
     """its extent perpendicular to the flow, horizontally"""
     height: Positive

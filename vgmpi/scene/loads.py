@@ -59,7 +59,7 @@ class Load(StrictModel):
     velocity: tuple[Speed, Speed, Speed] | None = None
     """velocity change of every particle"""
     spin: tuple[AngularVelocity, AngularVelocity, AngularVelocity] | None = None
-    """change of the angular velocity of all of them, about their centre of mass at that time"""
+    """change of the angular velocity of all of them, about their center of mass at that time"""
     ramp: Annotated[float, Quantity("s", ge=0)] = 0.0
     """time in which a continuous load grows from 0, as half a cosine; 0: at once"""
     after: Annotated[float, Quantity("s", ge=0)] = 0.0

@@ -156,7 +156,7 @@ class Object(StrictModel):
     depth: Positive | None = None
     """scale the object to this extent along y (before `rotation`)"""
     scale: Annotated[float, Quantity("", gt=0)] | None = None
-    """linear scale from the file's units to metres; default 1"""
+    """linear scale from the file's units to meters; default 1"""
     rotation: Annotated[tuple[Rotation, ...], BeforeValidator(_listed)] = ()
     """{ axis, angle } or a list of them, applied in order"""
     position: Point | None = None
@@ -167,7 +167,7 @@ class Object(StrictModel):
     velocity: Velocity = (0.0, 0.0, 0.0)
     """velocity at the start"""
     spin: Spin = (0.0, 0.0, 0.0)
-    """angular velocity at the start, about the centre of mass"""
+    """angular velocity at the start, about the center of mass"""
     mode: Annotated[tuple[VelocityMode, ...], BeforeValidator(_listed)] = ()
     """waves of velocity at the start, besides velocity and spin: { amplitude, wave, phase } or a
     list of them"""
@@ -203,7 +203,7 @@ class Object(StrictModel):
     """solids only: render the pruned Gaussians, too. Each follows the 4 particles nearest to it at
     rest and has no mass"""
     colour: Colour = (0.7, 0.7, 0.7)
-    """colour of shapes, and of meshes without colours: "#rrggbb" or three numbers 0..1"""
+    """colour of shapes, and of meshes without colors: "#rrggbb" or three numbers 0..1"""
     opacity: Share = 0.95
     """opacity of the Gaussians made for shapes, meshes and fillings"""
     opacity_scale: Share = 1.0

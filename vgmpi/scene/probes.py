@@ -38,7 +38,7 @@ class Probe(StrictModel):
     """mean velocity of all bodies within a cell of this point, weighted by mass and by
     1 - distance / cell along each axis"""
     object: str | None = None
-    """a body's mass, centre of mass, mean velocity, momentum, and mean force since the previous
+    """a body's mass, center of mass, mean velocity, momentum, and mean force since the previous
     row: the rate of change of its momentum, without its weight"""
     wall: Literal["all", "west", "east", "south", "north", "floor", "roof"] | None = None
     """"all": mean total force of the bodies on all walls and colliders since the previous row, from

@@ -133,21 +133,21 @@ class Time(StrictModel):
 
 
 class Appearance(StrictModel):
-    """Appearance beyond the objects' own colours."""
+    """Color transfer and baked light."""
 
     colour_transfer: Literal["off", "frame", "relax", "step"] = "frame"
-    """exchange of colours between particles. off: none. frame: a frame shows the initial colours,
-    smoothed over a cell at the current positions. relax: colours mix in the time `colour_time`.
+    """exchange of colors between particles. off: none. frame: a frame shows the initial colors,
+    smoothed over a cell at the current positions. relax: colors mix in the time `colour_time`.
     These three can also be set in render.toml, without a new run. step: as in the paper, the solver
-    smooths colours over a cell in every step: their diffusivity is cell^2 / (4 step), so shorter
+    smooths colors over a cell in every step: their diffusivity is cell^2 / (4 step), so shorter
     steps mix faster"""
     colour_time: Annotated[float, Quantity("s", gt=0)] = 1.0
-    """relax: time in which colours of neighbours become equal; their diffusivity is cell^2 / (4
+    """relax: time in which colors of neighbors become equal; their diffusivity is cell^2 / (4
     colour_time)"""
     colour_degree: Annotated[int, Field(strict=True, ge=0, le=3)] = 0
-    """largest degree of spherical harmonics that is exchanged; 0: view-independent colour only"""
+    """largest degree of spherical harmonics that is exchanged; 0: view-independent color only"""
     colour_bodies: tuple[str, ...] | None = None
-    """names of the bodies that exchange colours, within one phase and between fluids that mix; with
+    """names of the bodies that exchange colors, within one phase and between fluids that mix; with
     step all bodies of their phases; default: all fluids"""
     shade: Annotated[float, Quantity("", ge=0, le=1)] = 0.3
     """light baked on solid shapes and meshes, by the direction of their surface; 0: none. The

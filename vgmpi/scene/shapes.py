@@ -58,7 +58,7 @@ class Sphere(StrictModel):
     """Ball."""
 
     center: Point
-    """its middle"""
+    """its center"""
     radius: Positive
     """its radius"""
 
@@ -67,7 +67,7 @@ class Ellipsoid(StrictModel):
     """Ellipsoid with axes along x, y and z."""
 
     center: Point
-    """its middle"""
+    """its center"""
     radii: tuple[Positive, Positive, Positive]
     """half axes along x, y and z"""
 
@@ -94,7 +94,7 @@ class Torus(StrictModel):
     """Ring."""
 
     center: Point
-    """its middle"""
+    """its center"""
     axis: Axis = (0.0, 0.0, 1.0)
     """axis of symmetry: "x", "y", "z" or three numbers"""
     radius: Positive
