@@ -203,7 +203,7 @@ class Object(StrictModel):
     """solids only: render the pruned Gaussians, too. Each follows the 4 particles nearest to it at
     rest and has no mass"""
     colour: Colour = (0.7, 0.7, 0.7)
-    """colour of shapes, and of meshes without colors: "#rrggbb" or three numbers 0..1"""
+    """color of shapes, and of meshes without colors: "#rrggbb" or three numbers 0..1"""
     opacity: Share = 0.95
     """opacity of the Gaussians made for shapes, meshes and fillings"""
     opacity_scale: Share = 1.0
