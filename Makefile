@@ -18,7 +18,7 @@ help:
 	@echo "make campaigns kills, full disks, damaged files and odd inputs in large numbers: minutes"
 	@echo "make validate  the long tests; rewrites docs/benchmarks/validation.md"
 	@echo "make lint      ruff and mypy only"
-	@echo "make docs      rewrite docs/scene.md and docs/file-format.md from the code"
+	@echo "make docs      rewrite the generated pages of docs/reference from the code"
 	@echo "make site      the pages as a site, in site/"
 	@echo "make matrix    the unit tests on every Python from 3.11 to 3.13 that is on the path"
 
@@ -55,8 +55,9 @@ lint: setup
 	$(PY) -m mypy
 
 docs: setup
-	$(PY) -m vgmpi.scene > docs/scene.md
-	$(PY) -m vgmpi.io.layout_reference > docs/file-format.md
+	$(PY) -m vgmpi.scene > docs/reference/scene.md
+	$(PY) -m vgmpi.io.layout_reference > docs/reference/file-format.md
+	$(PY) -m vgmpi.apps.command_reference > docs/reference/commands.md
 
 site: docs
 	NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build --strict

@@ -4,7 +4,7 @@
 # as root or as a user with sudo.
 #   PYTHON=python3.12 ./setup.sh    another interpreter (3.11 or newer)
 #   EXTRAS= ./setup.sh              without what tests, docs and pages of a run want (names from pyproject.toml)
-# Without root, or elsewhere: slurm/README.md.
+# Without root, or elsewhere: docs/how-to/run-on-a-cluster.md.
 set -euo pipefail
 cd "$(dirname "$0")"
 
@@ -36,7 +36,7 @@ sys.exit(not os.path.exists(os.path.join(sysconfig.get_path("include"), "Python.
     local root=()
     if [ "$(id -u)" != 0 ]; then
         command -v sudo >/dev/null || fail "missing packages: ${missing[*]}. Install them as root and call again;" \
-            "or use \`pip install .\`, which runs on one rank without them; slurm/README.md says how ranks work without root."
+            "or use \`pip install .\`, which runs on one rank without them; docs/how-to/run-on-a-cluster.md says how ranks work without root."
         root=(sudo)
     fi
     say "system packages: ${missing[*]}"

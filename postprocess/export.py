@@ -98,16 +98,16 @@ def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     p = argparse.ArgumentParser(prog="python -m postprocess.export", description=__doc__)
     p.add_argument("out", help="folder of the run")
-    p.add_argument("settings", nargs="?", help="render.toml: its table [look]")
+    p.add_argument("settings", nargs="?", help="render.toml, of which the table [look] is used")
     p.add_argument("--frames", help="a number, or first:last:every as in Python [all]")
     p.add_argument("-o", "--output", help="folder of the files [OUT/gaussians]")
     kinds = [
         suffix.removeprefix(".") for suffix in (*registry.KINDS, registry.COMPRESSED, registry.GLTF)
     ]
-    p.add_argument("--format", choices=kinds, default=kinds[0], help="kind of the files [ply]")
-    up = "up in the file; captures: --up=-y [z; of a .glb y]"
+    p.add_argument("--format", choices=kinds, default=kinds[0], help="file format [ply]")
+    up = "axis that points up in the file; --up=-y for captures [z; y in a .glb]"
     p.add_argument("--up", choices=UP, help=up)
-    p.add_argument("--no-scenery", action="store_true", help="only what moves")
+    p.add_argument("--no-scenery", action="store_true", help="leave out scenery")
     p.add_argument("-q", "--quiet", action="store_true", help="warnings and errors only")
     return p
 

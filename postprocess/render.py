@@ -66,13 +66,15 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "-o",
         "--output",
-        help="a film (.mp4, .webm, .gif), a .png of one frame, or a folder of .png [OUT/video.mp4]",
+        help="a video (.mp4, .webm, .gif), one .png, or a folder of .png files [OUT/video.mp4]",
     )
-    p.add_argument("--frame", type=int, help="the frame of a .png or --preview [the last]")
-    p.add_argument("--frames", metavar="DIR", help="keep every picture as a PNG in this folder")
-    p.add_argument("--alpha", metavar="DIR", help="what the Gaussians cover, as 16-bit PNG")
-    p.add_argument("--depth", metavar="DIR", help="depth of the frames [m], as .npy")
-    p.add_argument("--preview", action="store_true", help="one small picture, OUT/preview.png")
+    p.add_argument("--frame", type=int, help="frame of a .png or of --preview [the last]")
+    p.add_argument(
+        "--frames", metavar="DIR", help="also write every picture as a PNG to this folder"
+    )
+    p.add_argument("--alpha", metavar="DIR", help="write the coverage of each pixel as 16-bit PNG")
+    p.add_argument("--depth", metavar="DIR", help="write the depth of each pixel [m] as .npy")
+    p.add_argument("--preview", action="store_true", help="draw one small picture, OUT/preview.png")
     p.add_argument("--jobs", type=int, default=1, help="processes that share the frames [1]")
     p.add_argument("-q", "--quiet", action="store_true", help="warnings and errors only")
     return p

@@ -178,10 +178,12 @@ def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     p = argparse.ArgumentParser(prog="python -m postprocess.replay", description=__doc__)
     p.add_argument("out", help="folder of the run")
-    p.add_argument("-o", "--output", help="the page [OUT/replay.html]")
-    p.add_argument("--particles", type=int, default=20000, help="Gaussians shown [20000]")
-    p.add_argument("--every", type=int, default=1, help="show every so many frames [1]")
-    p.add_argument("--fps", type=float, default=25.0, help="frames a second [25]")
+    p.add_argument("-o", "--output", help="output page [OUT/replay.html]")
+    p.add_argument(
+        "--particles", type=int, default=20000, help="maximum number of Gaussians [20000]"
+    )
+    p.add_argument("--every", type=int, default=1, help="show every Nth frame [1]")
+    p.add_argument("--fps", type=float, default=25.0, help="frames per second [25]")
     return p
 
 

@@ -111,14 +111,20 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("out", help="folder of the run")
     p.add_argument("--frame", type=int, default=-1, help="number of the frame [the last]")
     p.add_argument(
-        "--colour", default="velocity", help="J, velocity, velocity.z, F.0, object ... [velocity]"
+        "--colour",
+        default="velocity",
+        help="field: J, velocity, velocity.z, F.0, object ... [velocity]",
     )
     # former name of the flag
     p.add_argument("--color", dest="colour", default=argparse.SUPPRESS, help=argparse.SUPPRESS)
-    p.add_argument("-o", "--output", default="view.png", help="the picture [view.png]")
-    p.add_argument("--range", type=float, nargs=2, metavar=("LOW", "HIGH"), help="of the colours")
-    p.add_argument("--size", type=int, nargs=2, default=(1000, 800), metavar=("W", "H"))
-    p.add_argument("--angle", type=float, default=ANGLE, help="around z [degrees]")
+    p.add_argument("-o", "--output", default="view.png", help="output picture [view.png]")
+    p.add_argument(
+        "--range", type=float, nargs=2, metavar=("LOW", "HIGH"), help="range of the color map"
+    )
+    p.add_argument(
+        "--size", type=int, nargs=2, default=(1000, 800), metavar=("W", "H"), help="[pixels]"
+    )
+    p.add_argument("--angle", type=float, default=ANGLE, help="view angle about z [degrees]")
     p.add_argument("--point", type=float, default=5.0, help="size of a particle [pixels]")
     return p
 

@@ -3,7 +3,7 @@
     scene = vgmpi.load("scene.toml", {"domain.cell": "1 cm"})
     run = vgmpi.run(scene, on_frame=lambda run: print(run.time, run.array("x").mean(0)))
 
-Nothing is imported before it is used. See docs/api.md.
+Nothing is imported before it is used. See docs/tutorial/python.md.
 """
 
 import importlib

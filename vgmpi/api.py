@@ -194,12 +194,11 @@ def run(
         folder: Output folder, or None to write no files.
         on_step: Function that is called with the `Run` after every step.
         on_frame: Function that is called with the `Run` at every frame, first at time 0.
-        ranks: Communicator, by default `vgmpi.parallel.communicator.world()`, as needed under
-        mpirun; all
-            ranks must call every function.
+        ranks: Communicator, by default that of all ranks that mpirun started; every rank must call
+            every function.
         threads: Threads per rank.
-        engine: `"cpu"`, `"cuda"` (one GPU for each rank, see docs/benchmarks/cuda.md), or
-            `"numpy"` (slow, for comparison, on one rank and one thread).
+        engine: `"cpu"`, `"cuda"` (one GPU for each rank), or `"numpy"` (slow, for comparison, on
+            one rank and one thread).
         overwrite: Replace an existing run in the folder.
 
     Returns:

@@ -1,6 +1,6 @@
 """Draw the photograph of this example: python runs/photo/make_photo.py [folder].
 
---sheet FILE: six frames of its run as one picture, for docs/pictures.md.
+--sheet FILE: six frames of its run as one picture, for docs/how-to/photo-to-scene.md.
 
 A table before a wall, lit from the left: balls, cans and boxes, ray-traced in numpy. The same bytes
 every time. `draw` also tells which pixels are whose, so that tests know the truth. photo.png and

@@ -1,4 +1,4 @@
-"""The names a script uses, and that the examples of docs/tutorial/python.md run as they stand."""
+"""The names a script uses, and that the example of docs/tutorial/python.md runs as it stands."""
 
 import ast
 import os

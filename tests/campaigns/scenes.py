@@ -124,7 +124,7 @@ def _coarse(text: str) -> str:
 
 def keys() -> list[str]:
     """Names of all keys there are."""
-    return re.findall(r"(?m)^\| `(\w+)` \|", (worker.ROOT / "docs/scene.md").read_text())
+    return re.findall(r"(?m)^\| `(\w+)` \|", (worker.ROOT / "docs/reference/scene.md").read_text())
 
 
 def campaign(count: int, seed: int, folder: Path) -> Result:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("slurm/*.md")])
 # [text](target) and ![text](target); what is indented by four, fenced or in `..` is no link
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
 CODE = re.compile(r"^```.*?^```$|^ {4}[^\n]*$|`[^`\n]*`", re.MULTILINE | re.DOTALL)
@@ -35,29 +35,33 @@ def broken(page, text):
     return found
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_lead_somewhere(page):
     assert broken(page, page.read_text()) == []
 
 
-def test_a_broken_link_is_seen():
-    page = ROOT / "docs" / "explanation" / "time-step.md"
-    text = "[a](none.md) ![b](none.png) [c](#no-head) [d](time-step.md#algorithm) `[e](none)`\n"
-    assert broken(page, text) == ["none.md", "none.png", "#no-head"]
+def test_a_broken_link_is_seen(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text("# A page\n\n## The head\n")
+    text = "[a](none.md) ![b](none.png) [c](#no-such-head) [d](page.md#the-head) `[e](none)`\n"
+    assert broken(page, text) == ["none.md", "none.png", "#no-such-head"]
     code = "    [a](none.md)\n```\n[a](none.md)\n```\n[b](https://example.org/none)\n[c](no.md)"
     assert broken(page, code) == ["no.md"]
 
 
 def test_the_site_has_every_page():
-    listed = re.findall(r"[\w-]+\.md", (ROOT / "mkdocs.yml").read_text())
-    assert sorted(listed) == sorted(page.name for page in ROOT.glob("docs/*.md"))
+    listed = re.findall(r"[\w/-]+\.md", (ROOT / "mkdocs.yml").read_text())
+    docs = ROOT / "docs"
+    assert sorted(listed) == sorted(str(page.relative_to(docs)) for page in docs.glob("**/*.md"))
 
 
 def test_the_site_is_made_without_a_warning(tmp_path):
-    if not all(importlib.util.find_spec(name) for name in ("mkdocs", "material")):
+    if not all(importlib.util.find_spec(name) for name in ("mkdocs", "material", "mkdocstrings")):
         pytest.skip("no mkdocs: pip install 'vgmpi[docs]'")
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "-d", str(tmp_path / "site")]
     environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
     made = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
     assert made.returncode == 0, made.stdout + made.stderr
     assert (tmp_path / "site" / "explanation" / "time-step" / "index.html").is_file()
+    page = (tmp_path / "site" / "reference" / "api" / "index.html").read_text()
+    assert 'id="vgmpi.api.load"' in page

@@ -135,7 +135,7 @@ def test_ledger_of_a_resumed_run(tmp_path):
 
 
 def test_page_is_up_to_date():
-    kept = Path(file_layout.__file__).parents[2] / "docs" / "file-format.md"
+    kept = Path(file_layout.__file__).parents[2] / "docs" / "reference" / "file-format.md"
     assert kept.read_text() == layout_reference.page(), "run `make docs`"
 
 

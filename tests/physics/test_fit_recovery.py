@@ -3,8 +3,9 @@ half as large,
 another seed, the other precision, 5 % noise, and of pictures a camera that is off by a pixel; from
 starts 5 to 10 times off, within 40 runs.
 
-Tolerance: 5 %, and the interval of 95 % holds the truth. What misses is in docs/fitting.md: the
-friction angle of sand by its pictures, 9 % off, whose interval holds it.
+Tolerance: 5 %, and the interval of 95 % holds the truth. Misses are in
+docs/how-to/fit-parameters.md: the friction angle of sand by its pictures, 9 % off, whose interval
+holds it.
 """
 
 import shutil

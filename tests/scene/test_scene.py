@@ -178,9 +178,9 @@ def test_assets_are_the_same_bytes_every_time(tmp_path):
 
 
 def test_reference_is_up_to_date():
-    text = (ROOT / "docs" / "scene.md").read_text()
+    text = (ROOT / "docs" / "reference" / "scene.md").read_text()
     assert text == markdown_reference.scene_reference(), (
-        "run: python -m vgmpi.scene > docs/scene.md"
+        "run: python -m vgmpi.scene > docs/reference/scene.md"
     )
     assert "| `particles_per_cell` |" in text and "kg/m3 (g/cm3" in text
 

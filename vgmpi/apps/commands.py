@@ -20,8 +20,10 @@ class Command(NamedTuple):
 COMMANDS = {
     "run": Command("vgmpi.apps.run.cli", "run a scene; `vgmpi scene.toml` does the same"),
     "check": Command("vgmpi.apps.run.cli", "check a scene file and write nothing", ("--check",)),
-    "plan": Command("vgmpi.apps.run.cli", "estimate what a scene will cost", ("--plan",)),
-    "prepare": Command("vgmpi.apps.run.cli", "make a scene's particles and stop", ("--prepare",)),
+    "plan": Command("vgmpi.apps.run.cli", "estimate memory and time of a scene", ("--plan",)),
+    "prepare": Command(
+        "vgmpi.apps.run.cli", "generate the particles of a scene and stop", ("--prepare",)
+    ),
     "inspect": Command("vgmpi.apps.run.cli", "describe an output file or an input", ("--inspect",)),
     "render": Command("vgmpi.apps.render.render", "draw a video of a run", function="command"),
     "view": Command("vgmpi.apps.render.view", "draw particles colored by any field"),

@@ -1,6 +1,6 @@
 """Name, shape, type, unit and meaning of every dataset of every file: the single source.
 
-`python -m vgmpi.io.layout_reference > docs/file-format.md` writes the page for users.
+`python -m vgmpi.io.layout_reference > docs/reference/file-format.md` writes the page for users.
 """
 
 import re
@@ -67,16 +67,14 @@ FRAME = [
     Dataset("id", "(n,)", "i8", "1", "particle number, ascending; its row in gaussians.h5"),
     Dataset("x", "(n, 3)", "f4", "m", "position in the domain; stored as /VTKHDF/Points"),
     Dataset("velocity", "(n, 3)", "f4", "m/s", "velocity"),
-    Dataset(
-        "J", "(n,)", "f4", "1", "volume now / volume at rest; its elastic part if a law yields"
-    ),
+    Dataset("J", "(n,)", "f4", "1", "volume ratio; its elastic part in plastic materials"),
     Dataset("F", "(n, 9)", "f4", "1", "deformation gradient, row by row; cbrt(J) I without one"),
     Dataset(
         "colour",
         "(n, 3 K)",
         "f4",
         "1",
-        "colour as `sh` of gaussians.h5, coefficient by coefficient; nan where it does not travel; "
+        "color as `sh` of gaussians.h5, coefficient by coefficient; nan without color transfer; "
         "only with appearance.colour_transfer = step",
     ),
     Dataset("object", "(n,)", "i4", "1", "number of the object in the list `objects`"),
@@ -92,19 +90,19 @@ FRAME_TOPOLOGY = [
     Dataset("Vertices/NumberOfConnectivityIds", "(1,)", "i8", "1", "n"),
     Dataset("Vertices/Connectivity", "(n,)", "i4|i8", "1", "0, 1, ... n - 1"),
     Dataset("Vertices/Offsets", "(n + 1,)", "i4|i8", "1", "0, 1, ... n"),
-    Dataset("Lines/*", "(0 or 1,)", "i8", "1", "empty; VTK asks for them (also Polygons, Strips)"),
+    Dataset("Lines/*", "(0 or 1,)", "i8", "1", "empty; required by VTK (also Polygons, Strips)"),
 ]
 CHECKSUMS = Dataset(CRC, "()", "text", "", "JSON, CRC32 (zlib) of the bytes of every other dataset")
 FRAME_OWN = [
     Dataset("frame", "()", "i8", "1", "number of the frame, as in the name of its file"),
-    Dataset("gaussians", "()", "u4", "1", "by which the gaussians.h5 of its particles is known"),
+    Dataset("gaussians", "()", "u4", "1", "checksum that identifies the matching gaussians.h5"),
     Dataset(
         "poses",
         "(m, 4, 4)",
         "f8",
         "m",
-        "of each object that `moves`, in their order: place at the start -> place now; only if one"
-        " does",
+        "pose of each object that `moves`, in their order: initial -> current position; only if"
+        " one moves",
     ),
     CHECKSUMS,
 ]
@@ -128,7 +126,7 @@ SERIES_OWN = [
 
 # ---- gaussians.h5 -----------------------------------------------------------------------------
 GAUSSIAN = [
-    Dataset("x0", "(n, 3)", "f8", "m", "position at the start, in the domain; at a source's mouth"),
+    Dataset("x0", "(n, 3)", "f8", "m", "initial position in the domain; at the mouth of an inlet"),
     Dataset("vol0", "(n,)", "f8", "m3", "rest volume"),
     Dataset("object", "(n,)", "i4", "1", "number of the object in the list `objects`"),
     Dataset(
@@ -136,39 +134,39 @@ GAUSSIAN = [
         "(n, 3)",
         "f8",
         "m/s",
-        "velocity at the start, or at a source's mouth; only if something moves then",
+        "initial velocity, or velocity at the mouth of an inlet; only if one is not 0",
     ),
-    Dataset("theta0", "(n,)", "f8", "1", "ln J at the start; only if something is compressed then"),
+    Dataset("theta0", "(n,)", "f8", "1", "initial ln J; only if one is not 0"),
     Dataset(
         "surface0",
         "(n, 10)",
         "f4",
         "1, m, 1/m",
-        "surface of a solid at rest: outward normal, as long as it is sure, signed distance"
-        " (negative inside), and the normal's gradient xx, xy, xz, yy, yz, zz; only if one may"
-        " touch something",
+        "surface of a solid at rest: outward normal, whose length is its confidence, signed"
+        " distance (negative inside), and the gradient of the normal xx, xy, xz, yy, yz, zz; only"
+        " if a solid may touch something",
     ),
     Dataset("cov0", "(n, 6)", "f4", "m2", "rest covariance: xx, xy, xz, yy, yz, zz"),
     Dataset("opacity", "(n,)", "f4", "1", "0 to 1"),
-    Dataset("sh", "(n, K, 3)", "f4", "1", "spherical harmonics of the colour, K = 1, 4, 9 or 16"),
+    Dataset("sh", "(n, K, 3)", "f4", "1", "spherical harmonics of the color, K = 1, 4, 9 or 16"),
     Dataset(
         "shade",
         "(n,)",
         "f4",
         "1",
-        "factor, 0.001 to 1, by which `appearance.shade` darkened the colour; (0.5 + 0.2820948"
-        " sh[:, 0]) / shade is the colour without that light; of one that stands for several"
-        " (`prune`) their mean; only if one is not 1",
+        "factor, 0.001 to 1, by which `appearance.shade` darkened the color; (0.5 + 0.2820948"
+        " sh[:, 0]) / shade is the color without that light; after pruning, the mean of the merged"
+        " Gaussians; only if one is not 1",
     ),
 ]
 OPTIONAL = ("v0", "theta0", "surface0", "shade")  # datasets that some files lack, also in groups
-SHADE = Dataset("shade", "(m,)", "f4", "1", "as above, of these; only if one is not 1")
+SHADE = Dataset("shade", "(m,)", "f4", "1", "as above; only if one is not 1")
 SCENERY = [
-    Dataset("x0", "(m, 3)", "f8", "m", "position at the start; it stays unless its object `moves`"),
+    Dataset("x0", "(m, 3)", "f8", "m", "initial position; constant unless its object `moves`"),
     Dataset("object", "(m,)", "i4", "1", "number of the object in the list `objects`"),
     Dataset("cov0", "(m, 6)", "f4", "m2", "covariance: xx, xy, xz, yy, yz, zz"),
     Dataset("opacity", "(m,)", "f4", "1", "0 to 1"),
-    Dataset("sh", "(m, K, 3)", "f4", "1", "spherical harmonics of the colour"),
+    Dataset("sh", "(m, K, 3)", "f4", "1", "spherical harmonics of the color"),
     SHADE,
 ]
 PASSIVE = [
@@ -176,9 +174,9 @@ PASSIVE = [
     Dataset("object", "(p,)", "i4", "1", "number of the object in the list `objects`"),
     Dataset("cov0", "(p, 6)", "f4", "m2", "rest covariance: xx, xy, xz, yy, yz, zz"),
     Dataset("opacity", "(p,)", "f4", "1", "0 to 1"),
-    Dataset("sh", "(p, K, 3)", "f4", "1", "spherical harmonics of the colour"),
-    Dataset("carriers", "(p, 4)", "i8", "1", "numbers of the particles that carry it"),
-    Dataset("weights", "(p, 4)", "f4", "1", "their weights; they add up to 1"),
+    Dataset("sh", "(p, K, 3)", "f4", "1", "spherical harmonics of the color"),
+    Dataset("carriers", "(p, 4)", "i8", "1", "numbers of the particles that it follows"),
+    Dataset("weights", "(p, 4)", "f4", "1", "their weights, with the sum 1"),
     SHADE._replace(shape="(p,)"),
 ]
 GAUSSIAN_TEXTS = [
@@ -187,14 +185,14 @@ GAUSSIAN_TEXTS = [
         "()",
         "text",
         "",
-        "JSON, an entry per object, then per source: name, role, material, kind, family, "
+        "JSON, an entry per object, then per inlet: name, role, material, kind, family, "
         "deforms (whether F of the frames is that of its particles), phase, "
-        "colour_set (colours travel among objects of one number), "
-        "density [kg/m3] with its pores, first and count (its rows), opacity_scale, alpha_min, "
-        "color, collider, moves (only of those: frames have their `poses`), "
+        "colour_set (objects with the same number exchange colors), "
+        "bulk density [kg/m3], first and count (its rows), opacity_scale, alpha_min, "
+        "color, collider, moves (frames contain the `poses` of these objects), "
         "and transform (4 x 4, source coordinates -> domain coordinates [m])",
     ),
-    Dataset("scene", "()", "text", "", "JSON, the scene with every default filled in, SI"),
+    Dataset("scene", "()", "text", "", "JSON, the scene with all defaults, in SI units"),
     CHECKSUMS,
 ]
 
@@ -202,7 +200,7 @@ GAUSSIAN_TEXTS = [
 # A group is one phase of one material: group_000, group_001, ... in the order of their names. Its
 # rows are in the order of the last sort, which is state: block along the Hilbert curve, cell, id.
 CHECKPOINT = [
-    Dataset("*/block", "(b,)", "i8", "1", "number of each block that holds particles of the group"),
+    Dataset("*/block", "(b,)", "i8", "1", "number of each block with particles of the group"),
     Dataset("*/count", "(b,)", "i8", "1", "particles in each of these blocks"),
     Dataset("*/id", "(n,)", "i8", "1", "particle number, its row in gaussians.h5"),
     Dataset(
@@ -210,7 +208,7 @@ CHECKPOINT = [
         "(n, 3)",
         "i4|i8|f4|f8",
         "2^-29|2^-52 cell",
-        "position from the middle of the block, in fixed point (single|double precision)",
+        "position relative to the center of the block, fixed-point (single|double precision)",
     ),
     Dataset("*/v", "(n, 3)", "f4|f8", "m/s", "velocity"),
     Dataset("*/C", "(n, 9)", "f4|f8", "1/s", "APIC affine velocity, row by row"),
@@ -220,9 +218,9 @@ CHECKPOINT = [
         "(n, *)",
         "f4|f8",
         "1",
-        "the law's state: theta = ln J of fluids, F - I of elastic solids; b_e - I (00, 11, 22, "
-        "01, 02, 12) and a history of laws that yield; behind it the share of space in pores, and "
-        "F - I of bodies whose law does not know it",
+        "state of the constitutive model: theta = ln J of fluids, F - I of elastic solids; "
+        "b_e - I (00, 11, 22, 01, 02, 12) and a history variable of plastic materials; then the "
+        "volume fraction in pores, and F - I of bodies whose model does not contain it",
     ),
 ]
 CHECKPOINT_TEXTS = [
@@ -232,7 +230,7 @@ CHECKPOINT_TEXTS = [
         "text",
         "",
         "JSON: schema, step, time [s], the scene's text and resolved form, versions of the program "
-        "and its libraries, and whatever else the run needs to go on with the same bits",
+        "and its libraries, and all other data for a bitwise identical restart",
     ),
 ]
 
@@ -248,21 +246,25 @@ LEDGER_COLUMNS = [
         Dataset(f"angular_{a}", "", "f8", "kg m2/s", f"angular momentum about {a} and the origin")
         for a in "xyz"
     ),
-    Dataset("kinetic", "", "f8", "J", "kinetic energy, of the affine motion of APIC too"),
+    Dataset("kinetic", "", "f8", "J", "kinetic energy, including the affine motion of APIC"),
     Dataset("elastic", "", "f8", "J", "elastic energy"),
-    Dataset("potential", "", "f8", "J", "energy of height in gravity"),
+    Dataset("potential", "", "f8", "J", "potential energy in gravity"),
     Dataset("J_min", "", "f8", "1", "smallest volume ratio, as in the frames"),
     Dataset("J_max", "", "f8", "1", "largest volume ratio, as in the frames"),
 ]
 OPEN_SYSTEM_COLUMNS = [  # present with inlets or outlets
-    Dataset("count_in", "", "i8", "1", "particles that were there at the start or came since"),
+    Dataset("count_in", "", "i8", "1", "initial particles and those that entered since"),
     Dataset("mass_in", "", "f8", "kg", "their mass"),
-    Dataset("count_out", "", "i8", "1", "particles that ended in sinks"),
+    Dataset("count_out", "", "i8", "1", "particles that left through outlets"),
     Dataset("mass_out", "", "f8", "kg", "their mass"),
 ]
 
 ROW_CHECKSUM = Dataset(
-    CRC, "", "i8", "1", "CRC32 (zlib) of the row's text before it, going on from the row above"
+    CRC,
+    "",
+    "i8",
+    "1",
+    "CRC32 (zlib) of the preceding text of the row, continued from the row above",
 )
 
 # ---- probe_NAME.csv ---------------------------------------------------------------------------
@@ -270,44 +272,44 @@ _WHEN = LEDGER_COLUMNS[:2]
 _GIVEN = [
     *(
         Dataset(f"force_{a}", "", "f8", "N", f"mean force along {a} of the bodies on it since the "
-                "row before; nan in the first row")
+                "previous row; nan in the first row")
         for a in "xyz"
     ),
     *(
-        Dataset(f"torque_{a}", "", "f8", "N m", f"mean torque about {a} since the row before; nan "
-                "in the first row")
+        Dataset(f"torque_{a}", "", "f8", "N m", f"mean torque about {a} since the previous row; "
+                "nan in the first row")
         for a in "xyz"
     ),
     *(
-        Dataset(f"impulse_{a}", "", "f8", "N s", f"along {a}: the force's sum over time so far")
+        Dataset(f"impulse_{a}", "", "f8", "N s", f"time integral of the force along {a}")
         for a in "xyz"
     ),
     *(
-        Dataset(f"swing_{a}", "", "f8", "N m s", f"about {a}: the torque's sum over time so far")
+        Dataset(f"swing_{a}", "", "f8", "N m s", f"time integral of the torque about {a}")
         for a in "xyz"
     ),
 ]  # fmt: skip
 PROBE_COLUMNS = {
     "pressure": [
         *_WHEN,
-        Dataset("pressure", "", "f8", "Pa", "mean of the fluids near; nan where there is none"),
+        Dataset("pressure", "", "f8", "Pa", "mean of the nearby fluids; nan without fluid"),
     ],
-    "level": [*_WHEN, Dataset("level", "", "f8", "m", "height of the surface; 0 where it is dry")],
+    "level": [*_WHEN, Dataset("level", "", "f8", "m", "height of the surface; 0 without fluid")],
     "velocity": [
         *_WHEN,
         *(
-            Dataset(f"velocity_{a}", "", "f8", "m/s", f"mean velocity along {a}; nan in a void")
+            Dataset(f"velocity_{a}", "", "f8", "m/s", f"mean along {a}; nan without particles")
             for a in "xyz"
         ),
     ],
     "object": [
         *_WHEN,
         Dataset("mass", "", "f8", "kg", "mass"),
-        *(Dataset(f"center_{a}", "", "f8", "m", f"{a} of the centre of mass") for a in "xyz"),
+        *(Dataset(f"center_{a}", "", "f8", "m", f"{a} of the center of mass") for a in "xyz"),
         *(Dataset(f"velocity_{a}", "", "f8", "m/s", f"mean velocity along {a}") for a in "xyz"),
         *(Dataset(f"momentum_{a}", "", "f8", "kg m/s", f"momentum along {a}") for a in "xyz"),
         *(
-            Dataset(f"force_{a}", "", "f8", "N", f"mean force along {a} since the row before, "
+            Dataset(f"force_{a}", "", "f8", "N", f"mean force along {a} since the previous row, "
                     "without its weight; nan in the first row")
             for a in "xyz"
         ),
@@ -317,7 +319,7 @@ PROBE_COLUMNS = {
         *(Dataset(f"momentum_{a}", "", "f8", "kg m/s", f"of all bodies, along {a}") for a in "xyz"),
         *(
             Dataset(f"force_{a}", "", "f8", "N", f"mean force along {a} on walls and colliders "
-                    "since the row before; nan in the first row")
+                    "since the previous row; nan in the first row")
             for a in "xyz"
         ),
     ],
@@ -325,8 +327,8 @@ PROBE_COLUMNS = {
     "collider": [
         *_WHEN,
         *_GIVEN,
-        Dataset("work", "", "f8", "J", "work that it has done on the bodies since the row before; "
+        Dataset("work", "", "f8", "J", "work of the collider on the bodies since the previous row; "
                 "nan in the first row"),
-        Dataset("all_work", "", "f8", "J", "work that it has done on them so far"),
+        Dataset("all_work", "", "f8", "J", "total work of the collider on the bodies"),
     ],
 }  # fmt: skip

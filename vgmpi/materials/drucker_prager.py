@@ -33,26 +33,27 @@ class Law(NamedTuple):
 
 @material
 class Sand(ElastoplasticMaterial):
-    """Grains that yield by friction: Drucker-Prager with volume correction."""
+    """Granular material: Drucker-Prager plasticity with volume correction."""
 
     kind: Literal["sand"]
     density: Annotated[float, Quantity("kg/m3", gt=0)] = 2650.0
-    """of the grains; the bulk weighs (1 - porosity) of it"""
+    """density of the grains; the bulk density is (1 - porosity) times it"""
     porosity: Annotated[float, Quantity("1", ge=0, lt=1)] = 0.4
-    """share of the volume at rest that is between the grains"""
+    """fraction of the rest volume that is pore space"""
     youngs_modulus: Annotated[float, Quantity("Pa", gt=0)] = 1e6
-    """stiffness of the bulk; loose sand has 1e7, a softer one takes larger steps"""
+    """stiffness of the bulk; loose sand has 1e7, a smaller value allows longer time steps"""
     poisson_ratio: Annotated[float, Quantity("", ge=0, lt=0.5)] = 0.3
     """of the bulk"""
     friction_angle: Annotated[float, Quantity("rad", gt=0, lt=1.5707)] = math.radians(32)
-    """how strong the sand is, by the test that `match` names"""
+    """friction angle, measured in the test that `match` names"""
     match: Literal["slope", "plane-strain", "triaxial"] = "slope"
-    """what friction_angle was measured in: slope, the slope that flowing sand comes to rest at;
-    plane-strain, a test with one axis kept as it is; triaxial, one pressed along an axis"""
+    """test in which friction_angle was measured. slope: angle of repose of flowing sand;
+    plane-strain: plane strain test; triaxial: triaxial compression"""
     cohesion: Annotated[float, Quantity("Pa", ge=0)] = 0.0
-    """shear strength without pressure, as of moist sand; tension up to cohesion / tan(angle)"""
+    """shear strength at zero pressure, as of moist sand; tensile strength up to cohesion /
+    tan(angle)"""
     friction: Annotated[float, Quantity("", ge=0)] = 0.5
-    """Coulomb coefficient at contacts, where no coupling names one"""
+    """Coulomb friction coefficient at contacts without a contact coupling"""
 
     Law: ClassVar = Law
     cost: ClassVar = 2.5

@@ -31,9 +31,8 @@ class Law(NamedTuple):
 
 @material
 class Corotated(HyperelasticMaterial):
-    """Elastic solid whose stress stays in proportion to its stretch (fixed corotated): softer than
-    kind "elastic" where it is pressed, and costs more.
-    """
+    """Fixed corotated elastic solid, with stress proportional to stretch: softer in compression
+    than kind "elastic", and slower."""
 
     kind: Literal["corotated"]  # type: ignore[assignment]
 

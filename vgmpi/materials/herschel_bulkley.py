@@ -36,21 +36,19 @@ class Law(NamedTuple):
 
 @material
 class Paste(Liquid):
-    """Mud, jam, ketchup: holds its shape up to a yield stress, then flows: in simple shear tau =
-    yield_stress + consistency (shear rate)^index (Herschel-Bulkley). Viscosity does not bound the
-    time step.
-    """
+    """Yield-stress fluid, such as mud, jam or ketchup (Herschel-Bulkley): in simple shear, tau =
+    yield_stress + consistency (shear rate)^index. Viscosity does not limit the time step."""
 
     kind: Literal["paste"]
     yield_stress: Annotated[float, Quantity("Pa", ge=0)]
-    """shear stress below which it does not flow"""
+    """shear stress below which the material does not flow"""
     consistency: Annotated[float, Quantity("", gt=0)]
-    """K [Pa s^n]: shear stress beyond the yield stress at a shear rate of 1 /s"""
+    """consistency index K [Pa s^n]: shear stress beyond the yield stress at a shear rate of 1 /s"""
     index: Annotated[float, Quantity("", ge=0.2, le=2)] = 1.0
-    """n; 1: Bingham, less than 1: thins when sheared"""
+    """flow index n; 1: Bingham, below 1: shear-thinning"""
     shear_modulus: Annotated[float, Quantity("Pa", gt=0)]
-    """elastic, below the yield stress; the law is exact while stresses are well below it. The step
-    shrinks with its root"""
+    """elastic shear modulus below the yield stress; the model is exact while stresses are well
+    below it. The time step is proportional to the inverse of its square root"""
 
     Law: ClassVar = Law
     cost: ClassVar = 2.0

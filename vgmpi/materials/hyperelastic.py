@@ -34,9 +34,9 @@ class HyperelasticMaterial(Material):
     youngs_modulus: Annotated[float, Quantity("Pa", gt=0)]
     """stiffness in tension, for small strains"""
     poisson_ratio: Annotated[float, Quantity("", ge=0, lt=0.5)] = 0.3
-    """0.5 would be incompressible; above 0.45 it bends too stiffly"""
+    """0.5 would be incompressible; too stiff in bending above 0.45"""
     friction: Annotated[float, Quantity("", ge=0)] = 0.3
-    """Coulomb coefficient against other solids, where no coupling names one"""
+    """Coulomb friction coefficient against other solids without a contact coupling"""
 
     family: ClassVar[Family] = "solid"
     # H instead of F: in single precision an increment below 1e-8 added to 1 would be lost

@@ -40,7 +40,7 @@ class Material(StrictModel):
 
     kind: str
     preset: str = ""
-    """name of a known stuff: gives the keys that are not given here their values"""
+    """name of a preset; sets the keys that are not set here"""
 
     presets: ClassVar[dict[str, dict]] = {}  # preset name -> values of keys in SI units
     kinematic_viscosity: ClassVar[float] = 0.0  # [m2/s] bounds the time step by diffusion

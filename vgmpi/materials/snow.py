@@ -34,7 +34,7 @@ class Law(NamedTuple):
 
 @material
 class Snow(Material):
-    """Snow that packs and breaks: critical stretches, hardening exp(xi (1 - Jp))."""
+    """Snow that compacts and breaks: critical stretches, hardening exp(xi (1 - Jp))."""
 
     kind: Literal["snow"]
     density: Annotated[float, Quantity("kg/m3", gt=0)] = 400.0
@@ -46,13 +46,14 @@ class Snow(Material):
     critical_compression: Annotated[float, Quantity("", gt=0, lt=0.5)] = 2.5e-2
     """principal stretches do not fall below 1 minus this; smaller is powdery"""
     critical_stretch: Annotated[float, Quantity("", gt=0, lt=1)] = 7.5e-3
-    """nor rise above 1 plus this; smaller is brittle"""
+    """principal stretches do not exceed 1 plus this; smaller is brittle"""
     hardening: Annotated[float, Quantity("", ge=0, le=50)] = 10.0
     """xi of exp(xi (1 - Jp)); larger is icier"""
     hardening_limit: Annotated[float, Quantity("", ge=1, le=1000)] = 20.0
-    """the factor stays between this and its inverse; the time step shrinks with its root"""
+    """bounds of the hardening factor: this value and its inverse; the time step is proportional to
+    the inverse of its square root"""
     friction: Annotated[float, Quantity("", ge=0)] = 0.3
-    """Coulomb coefficient at contacts, where no coupling names one"""
+    """Coulomb friction coefficient at contacts without a contact coupling"""
 
     Law: ClassVar = Law
     cost: ClassVar = 2.5

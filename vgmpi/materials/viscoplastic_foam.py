@@ -25,24 +25,23 @@ class Law(NamedTuple):
 
 @material
 class Foam(ElastoplasticMaterial):
-    """Shaving foam, whipped cream: an elastic solid that flows slowly beyond its yield stress: in
-    simple shear tau = yield_stress + viscosity (shear rate). Unlike a paste it can be squeezed, and
-    its bodies do not run together.
-    """
+    """Foam, such as shaving foam or whipped cream: elastic solid with viscous flow beyond its yield
+    stress; in simple shear, tau = yield_stress + viscosity (shear rate). Unlike a paste it is
+    compressible, and its bodies do not merge."""
 
     kind: Literal["foam"]
     density: Annotated[float, Quantity("kg/m3", gt=0)] = 80.0
     """at rest"""
     youngs_modulus: Annotated[float, Quantity("Pa", gt=0)]
-    """stiffness in tension; the time step shrinks with its root"""
+    """stiffness in tension; the time step is proportional to the inverse of its square root"""
     poisson_ratio: Annotated[float, Quantity("", ge=0, lt=0.5)] = 0.3
     """0.5 would be incompressible"""
     yield_stress: Annotated[float, Quantity("Pa", ge=0)]
-    """shear stress below which it does not flow"""
+    """shear stress below which the material does not flow"""
     viscosity: Annotated[float, Quantity("Pa s", gt=0)]
     """shear stress beyond the yield stress per shear rate; does not bound the time step"""
     friction: Annotated[float, Quantity("", ge=0)] = 0.3
-    """Coulomb coefficient at contacts, where no coupling names one"""
+    """Coulomb friction coefficient at contacts without a contact coupling"""
 
     Law: ClassVar = Law
     cost: ClassVar = 2.5

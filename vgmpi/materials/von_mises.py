@@ -30,21 +30,21 @@ class Law(NamedTuple):
 
 @material
 class Metal(ElastoplasticMaterial):
-    """Metal that flows beyond its yield stress: von Mises with linear hardening."""
+    """Metal: von Mises plasticity with linear hardening."""
 
     kind: Literal["metal"]
     density: Annotated[float, Quantity("kg/m3", gt=0)] = 7850.0
     """at rest"""
     youngs_modulus: Annotated[float, Quantity("Pa", gt=0)]
-    """stiffness in tension; the time step shrinks with its root"""
+    """stiffness in tension; the time step is proportional to the inverse of its square root"""
     poisson_ratio: Annotated[float, Quantity("", ge=0, lt=0.5)] = 0.3
     """0.5 would be incompressible"""
     yield_stress: Annotated[float, Quantity("Pa", gt=0)]
-    """in tension, the first time"""
+    """initial yield stress in tension"""
     hardening: Annotated[float, Quantity("Pa", ge=0)] = 0.0
-    """growth of the yield stress per plastic strain in tension"""
+    """increase of the yield stress per plastic strain in tension"""
     friction: Annotated[float, Quantity("", ge=0)] = 0.3
-    """Coulomb coefficient at contacts, where no coupling names one"""
+    """Coulomb friction coefficient at contacts without a contact coupling"""
 
     Law: ClassVar = Law
     cost: ClassVar = 2.5

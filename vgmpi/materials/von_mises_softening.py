@@ -34,23 +34,23 @@ class Law(NamedTuple):
 
 @material
 class Plasticine(ElastoplasticMaterial):
-    """Plasticine, clay: flows beyond a yield stress (von Mises) that falls as it is worked."""
+    """Plasticine or clay: von Mises plasticity with softening."""
 
     kind: Literal["plasticine"]
     density: Annotated[float, Quantity("kg/m3", gt=0)] = 1700.0
     """at rest"""
     youngs_modulus: Annotated[float, Quantity("Pa", gt=0)]
-    """stiffness in tension; the time step shrinks with its root"""
+    """stiffness in tension; the time step is proportional to the inverse of its square root"""
     poisson_ratio: Annotated[float, Quantity("", ge=0, lt=0.5)] = 0.4
     """0.5 would be incompressible"""
     yield_stress: Annotated[float, Quantity("Pa", gt=0)]
-    """in tension, the first time"""
+    """initial yield stress in tension"""
     residual_stress: Annotated[float, Quantity("Pa", gt=0)] | None = None
-    """yield stress that is left at full damage; at most yield_stress, which is the default"""
+    """yield stress at full damage; at most yield_stress, which is the default"""
     softening_strain: Annotated[float, Quantity("", gt=0)] = 0.5
-    """plastic strain in tension at which the damage is full"""
+    """plastic strain in tension at full damage"""
     friction: Annotated[float, Quantity("", ge=0)] = 0.5
-    """Coulomb coefficient at contacts, where no coupling names one"""
+    """Coulomb friction coefficient at contacts without a contact coupling"""
 
     Law: ClassVar = Law
     cost: ClassVar = 2.5

@@ -19,21 +19,22 @@ class Liquid(Material):
     density: Annotated[float, Quantity("kg/m3", gt=0)] = 1000.0
     """at rest"""
     bulk_modulus: Annotated[float, Quantity("Pa", gt=0)] = 2e5
-    """stiffness k of p = k (J^-gamma - 1); the step shrinks with its root. Softer than nature's is
-    usual: what counts is that the density changes little. Instead of it max_speed or depth may be
-    given"""
+    """stiffness k of p = k (J^-gamma - 1); the time step is proportional to 1 / sqrt(k). A smaller
+    value than in reality is usual, as long as the density changes little. Alternatives: max_speed,
+    depth"""
     max_speed: Annotated[float, Quantity("m/s", gt=0)] | None = None
-    """instead of bulk_modulus: the fastest motion to come. Sound then travels at max_speed /
-    sqrt(compression), which is 10 max_speed for 1 %"""
+    """instead of bulk_modulus: expected maximum speed. The speed of sound is then max_speed /
+    sqrt(compression): 10 max_speed for 1 %"""
     depth: Annotated[float, Quantity("m", gt=0)] | None = None
-    """instead of bulk_modulus: the deepest the liquid gets. Its weight at 9.81 m/s2 then compresses
+    """instead of bulk_modulus: maximum depth of the liquid. Its weight at 9.81 m/s2 then compresses
     it by `compression` at the bottom"""
     compression: Annotated[float, Quantity("1", gt=0, le=0.1)] = 0.01
-    """the relative change of density allowed at max_speed or depth; only with one of them"""
+    """allowed relative change of density at max_speed or depth; only with one of them"""
     gamma: Annotated[float, Quantity("", ge=1, le=20)] = 7.0
-    """exponent of the same law"""
+    """exponent of the same equation of state"""
     tension: Literal["on", "off"] = "on"
-    """off: it parts instead of being pulled, its volume never grows beyond that at rest"""
+    """off: no negative pressure; the liquid separates instead, and its volume never exceeds the
+    rest volume"""
 
     family: ClassVar[Family] = "fluid"
     friction: ClassVar = 0.0

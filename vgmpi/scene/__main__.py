@@ -1,4 +1,4 @@
-"""Command python -m vgmpi.scene > docs/scene.md: every key with unit, default and meaning."""
+"""Command python -m vgmpi.scene > docs/reference/scene.md: unit, default, meaning of every key."""
 
 import sys
 

@@ -22,9 +22,9 @@ class GravityKeyframe(StrictModel):
     """Gravity at a time."""
 
     time: Time
-    """when; keyframes are in order of time"""
+    """time of the keyframe; keyframes are in order of time"""
     gravity: tuple[Acceleration, Acceleration, Acceleration]
-    """acceleration of gravity then"""
+    """acceleration of gravity at that time"""
 
 
 Keys = tuple[tuple[float, Vector], ...]  # (time [s], gravity [m/s2]), ascending

@@ -20,7 +20,7 @@ class Disc(StrictModel):
     """Round mouth."""
 
     center: Point
-    """its middle"""
+    """its center"""
     radius: Positive
     """its radius"""
 
@@ -29,11 +29,11 @@ class Rectangle(StrictModel):
     """Rectangular mouth."""
 
     center: Point
-    """its middle"""
+    """its center"""
     width: Positive
-    """its extent across the direction it pours in, horizontally"""
+    """its extent perpendicular to the flow, horizontally"""
     height: Positive
-    """its extent across both"""
+    """its extent perpendicular to both"""
 
 
 class Opening(Protocol):

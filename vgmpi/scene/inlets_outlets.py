@@ -20,20 +20,20 @@ SECTIONS_NEEDED = ("domain", "time")
 class Inlet(StrictModel):
     """Inlet: exactly one of disc, rectangle for its mouth, and one of velocity, rate, flow.
 
-    Upstream of its mouth lies a nozzle two cells long, in the domain: there particles move at the
-    speed of the flow, whatever is in front of them, and are released 0.3 cells before the mouth.
+    A nozzle two cells long lies upstream of the mouth, inside the domain. Its particles move with
+    the prescribed velocity and are released 0.3 cells before the mouth.
     """
 
     name: Annotated[str, BeforeValidator(checked_name)]
     """unique name, among objects too: letters, digits, spaces, _ and -, beginning with a letter"""
     material: str
-    """name of a [material.*] table: liquids, pastes, sand, snow; solids only where they can touch
-    nothing but what shares their `phase`"""
+    """name of a [material.*] table: liquids, pastes, sand, snow; solids only if they can touch
+    nothing outside their `phase`"""
     disc: Disc | None = None
     """a round mouth: { center, radius }"""
     rectangle: Rectangle | None = None
-    """a mouth with corners: { center, width, height }; `width` lies horizontally, along x where it
-    pours straight up or down"""
+    """a mouth with corners: { center, width, height }; `width` is horizontal, along x for a
+    vertical flow"""
     direction: Axis
     """direction of the flow: "x", "y", "z" or three numbers"""
     velocity: Annotated[float, Quantity("m/s", gt=0)] | None = None
@@ -41,12 +41,12 @@ class Inlet(StrictModel):
     rate: Annotated[float, Quantity("kg/s", gt=0)] | None = None
     """instead of `velocity`: mass per time"""
     flow: Annotated[float, Quantity("m3/s", gt=0)] | None = None
-    """instead of `velocity`: volume per time, at rest and with pores"""
+    """instead of `velocity`: volume per time, at rest and including pores"""
     start: Annotated[float, Quantity("s", ge=0)] = 0.0
     """when the first material reaches the mouth"""
     end: Annotated[float, Quantity("s", gt=0)] | None = None
-    """when the last material passes the mouth; default: never. Particles are kept ready for what
-    comes until then or until time.end, so that a run can be extended only beyond an `end`"""
+    """when the last material passes the mouth; default: never. The particles until then, or until
+    time.end, are allocated at the start, so a run can be extended only beyond an `end`"""
     particles_per_cell: Annotated[int, BeforeValidator(per_cell)] = 8
     """particles per full cell: 1, 8, 27 or 64"""
     phase: str | None = None
@@ -56,7 +56,7 @@ class Inlet(StrictModel):
     opacity: Share = 0.95
     """opacity of its Gaussians"""
     opacity_scale: Share = 1.0
-    """fluids only: factor on opacities when drawn; water looks like water at 0.005 .. 0.05"""
+    """fluids only: factor on opacities in rendering; water looks realistic at 0.005 .. 0.05"""
 
     # Attributes of an `Object` that an inlet lacks.
     role: ClassVar[str] = "source"
@@ -83,7 +83,7 @@ class Inlet(StrictModel):
 
 
 class Outlet(StrictModel):
-    """Region in which particles end: particles inside are removed after every fourth step."""
+    """Outlet: particles inside the region are removed after every fourth step."""
 
     name: Annotated[str, BeforeValidator(checked_name)]
     """unique name: letters, digits, spaces, _ and -, beginning with a letter"""

@@ -34,38 +34,38 @@ def _listed(value: Any) -> Any:
 
 
 class Load(StrictModel):
-    """Load on bodies besides gravity: exactly one kind of load.
+    """Load on bodies in addition to gravity: exactly one kind of load.
 
-    force, pressure and acceleration last; impulse, velocity and spin act in one step, `after` a
-    time. A load changes the momentum and the energy that ledger.csv shows.
+    force, pressure and acceleration are continuous; impulse, velocity and spin act in one step, at
+    the time `after`. A load changes momentum and energy in ledger.csv.
     """
 
     object: Annotated[tuple[str, ...], BeforeValidator(_listed)]
     """name of the body, or a list of them"""
     region: Shape | None = None
-    """only the particles inside at the start, a shape in domain coordinates; they keep the load
-    wherever they go"""
+    """apply the load only to the particles inside this shape at the start (domain coordinates),
+    wherever they move later"""
     force: tuple[Newton, Newton, Newton] | None = None
-    """force on all of them together, shared by rest volume"""
+    """total force, distributed by rest volume"""
     pressure: Annotated[float, Quantity("Pa")] | None = None
-    """presses on `face`: a force of pressure times the face of the box around the particles, on
-    the particles within one particle spacing of that face. Its direction does not turn"""
+    """pressure on `face`: a force of pressure times the face of the bounding box, on the particles
+    within one particle spacing of that face. Its direction is constant"""
     face: Literal["west", "east", "south", "north", "bottom", "top"] | None = None
-    """where the pressure acts: towards low x, high x, low y, high y, low z, high z"""
+    """face of the bounding box: at low x, high x, low y, high y, low z, high z"""
     acceleration: tuple[Acceleration, Acceleration, Acceleration] | None = None
     """acceleration of every particle"""
     impulse: tuple[NewtonSecond, NewtonSecond, NewtonSecond] | None = None
-    """on all of them together, shared by rest volume"""
+    """total impulse, distributed by rest volume"""
     velocity: tuple[Speed, Speed, Speed] | None = None
     """velocity change of every particle"""
     spin: tuple[AngularVelocity, AngularVelocity, AngularVelocity] | None = None
-    """change of the angular velocity of all of them, about their centre of mass at that time"""
+    """change of the angular velocity of all of them, about their center of mass at that time"""
     ramp: Annotated[float, Quantity("s", ge=0)] = 0.0
-    """time in which a load that lasts grows from 0, as half a cosine; 0: at once"""
+    """time in which a continuous load grows from 0, as half a cosine; 0: at once"""
     after: Annotated[float, Quantity("s", ge=0)] = 0.0
     """time at which it begins, or acts: in the step that contains this time"""
     until: Annotated[float, Quantity("s", gt=0)] | None = None
-    """when a load that lasts ends; default: never"""
+    """time at which a continuous load ends; default: never"""
 
     @property
     def at_once(self) -> bool:

@@ -26,13 +26,15 @@ from . import (
 
 _INTRO = """# The scene file
 
-<!-- made by: python -m vgmpi.scene > docs/scene.md -->
+<!-- made by: python -m vgmpi.scene > docs/reference/scene.md -->
 
-A scene is a TOML file. Numbers are in SI units; a text with a unit, such as `"2 cm"`, `"0.1 MPa"`
-or `"35 deg"`, is read as that unit. z points up. A key whose default is *required* must be given.
-Errors are reported all at once, each with its line, and nothing is written then.
+This page lists every key of a scene file with unit, default and meaning.
 
-A whole scene, in which a capture falls into water; all that it leaves out has a default:
+A scene is a TOML file. Numbers are in SI units. A text with a unit, such as `"2 cm"`, `"0.1 MPa"`
+or `"35 deg"`, is converted. z points up. A key whose default is *required* has no default.
+All errors are reported at once, each with its line, before anything is written.
+
+This complete scene drops a capture into water. All other keys have defaults:
 
 ```toml
 [domain]
@@ -50,21 +52,21 @@ shape = { box = [[0, 0, 0], [1, 1, 0.2]] }
 [[object]]
 name = "duck"
 material = "rubber"
-gaussians = "duck.ply"                    # any Gaussian file in the scene's folder
+gaussians = "duck.ply"                    # a Gaussian file in the scene's folder
 up = "-y"                                 # the axis of the file that points up
 height = "25 cm"
-position = ["50 cm", "50 cm", "40 cm"]    # of the middle of its base
+position = ["50 cm", "50 cm", "40 cm"]    # of the center of its base
 ```
 
-Any key can be replaced on the command line: `--set domain.cell='1 cm'`,
+Override any key on the command line: `--set domain.cell='1 cm'`,
 `--set object.duck.height='20 cm'` (objects by name, or by number from 0). Paths are relative to the
-scene's folder and must lie in it, unless `allow_outside = true` or the path comes from `--set`,
-where it may also be relative to the current folder.
+scene's folder and must lie in it, unless `allow_outside = true` is set or the path comes from
+`--set`. A path from `--set` may also be relative to the current folder.
 """
 
 
 def scene_reference() -> str:
-    """Return the text of docs/scene.md."""
+    """Return the text of docs/reference/scene.md."""
     parts = [_INTRO, _section("Top of the file", sections.TopLevelKeys)]
     for name, table in sections.SECTIONS.items():
         parts.append(_section(f"[{name}]", table))
@@ -118,11 +120,11 @@ def _restart_section() -> str:
     """Return the section about keys that may change at a restart."""
     rows = [f"| `{key}` | {effect} |" for key, effect in resume_rules.may_change().items()]
     head = (
-        "A run that goes on with `--resume` may have another value of these keys. All else must be"
-        " as it was: what is not is named with its line and both values. With `--change` the run"
-        " goes on even so, and its checkpoints keep a list of what was changed, when."
+        "These keys may change when a run resumes with `--resume`. Any other change is refused with"
+        " its line and both values. `--change` resumes in spite of it, and the checkpoints record"
+        " what was changed and when."
     )
-    effect = ["## Going on from a checkpoint", "", head, "", "| key | what happens |", "|---|---|"]
+    effect = ["## Resuming from a checkpoint", "", head, "", "| key | effect |", "|---|---|"]
     return "\n".join([*effect, *rows, ""])
 
 
@@ -139,7 +141,7 @@ def _presets(presets: dict[str, dict]) -> str:
     for name, values in presets.items():
         cells = (_preset_value(values[key]) if key in values else "" for key in keys)
         rows.append(f'| `"{name}"` | ' + " | ".join(cells) + " |")
-    return "\n".join(["Presets, in SI units; a key that is given wins:", "", *rows, ""])
+    return "\n".join(["Presets in SI units. Explicit keys override them:", "", *rows, ""])
 
 
 def _meaning(field: FieldInfo) -> str:

@@ -76,13 +76,13 @@ class Select(StrictModel):
     """Selection of Gaussians of a capture; lengths are in the file's own units and axes."""
 
     box: Corners | None = None
-    """keep those inside: lower and upper corner"""
+    """keep the Gaussians inside: lower and upper corner"""
     sphere: Sphere | None = None
-    """keep those inside: { center, radius }"""
+    """keep the Gaussians inside: { center, radius }"""
     min_opacity: Share = 0.0
-    """drop those fainter than this"""
+    """drop Gaussians with less opacity than this"""
     outliers: Annotated[float, Quantity("", ge=0)] = 0.0
-    """drop those whose mean distance to 8 neighbours is this many standard deviations above the
+    """drop Gaussians whose mean distance to 8 neighbors is this many standard deviations above the
     cloud's mean (2 .. 4 removes floaters); 0: keep all"""
 
 
@@ -135,16 +135,16 @@ class Object(StrictModel):
     name: Annotated[str, BeforeValidator(checked_name)]
     """unique name: letters, digits, spaces, _ and -, beginning with a letter"""
     role: Literal["body", "scenery"] = "body"
-    """body: has mass and moves. scenery: is only drawn, and may be a collider"""
+    """body: has mass and moves. scenery: rendered only, or a collider"""
     material: str | None = None
     """name of a [material.*] table; required for a body, absent for scenery"""
     gaussians: str | None = None
     """a Gaussian file (.ply .splat .spz), relative to the scene's folder"""
     mesh: str | None = None
-    """a surface mesh (.obj .stl .ply .vtk .vtu), relative to the scene's folder; it is coloured
-    by the picture of an .obj's material (map_Kd, beside it or below) or by its points"""
+    """a surface mesh (.obj .stl .ply .vtk .vtu), relative to the scene's folder; colored by the
+    texture of an .obj's material (map_Kd, beside it or below) or by its points"""
     shape: Shape | None = None
-    """a solid made of simple forms"""
+    """a solid made of simple shapes"""
     select: Select | None = None
     """which part of a capture (gaussians) to take"""
     up: Literal["x", "-x", "y", "-y", "z", "-z"] = "z"
@@ -156,18 +156,18 @@ class Object(StrictModel):
     depth: Positive | None = None
     """scale the object to this extent along y (before `rotation`)"""
     scale: Annotated[float, Quantity("", gt=0)] | None = None
-    """linear scale from the file's units to metres; default 1"""
+    """linear scale from the file's units to meters; default 1"""
     rotation: Annotated[tuple[Rotation, ...], BeforeValidator(_listed)] = ()
     """{ axis, angle } or a list of them, applied in order"""
     position: Point | None = None
-    """where the middle of its base comes to lie: middle of the extent in x and y, lowest z"""
+    """position of the center of its base: center of the extent in x and y, lowest z"""
     origin: Point | None = None
-    """instead of `position`: where the origin of its own coordinates comes to lie. Parts of one
-    capture stay together with the same scale, rotation and origin. Default for shapes: 0, 0, 0"""
+    """instead of `position`: position of the origin of its own coordinates. Parts of one capture
+    with the same scale, rotation and origin stay together. Default for shapes: 0, 0, 0"""
     velocity: Velocity = (0.0, 0.0, 0.0)
     """velocity at the start"""
     spin: Spin = (0.0, 0.0, 0.0)
-    """angular velocity at the start, about the centre of mass"""
+    """angular velocity at the start, about the center of mass"""
     mode: Annotated[tuple[VelocityMode, ...], BeforeValidator(_listed)] = ()
     """waves of velocity at the start, besides velocity and spin: { amplitude, wave, phase } or a
     list of them"""
@@ -181,37 +181,39 @@ class Object(StrictModel):
     the fluid between each particle and the object's top; without it a deep pool first bounces"""
     phase: str | None = None
     """bodies with the same phase share one velocity field: they stick together instead of
-    colliding. Bodies of several kinds, a ball and snow, must all name it; the whole scene in one
-    is what methods with a single field do. Default: all fluids share one, all sand, all snow, each
-    solid has its own"""
+    colliding. Bodies of different kinds, such as a ball and snow, must all name it. One phase for
+    the whole scene corresponds to single-field methods. Default: all fluids share one, all sand,
+    all snow, each solid has its own"""
     particles_per_cell: Annotated[int, BeforeValidator(per_cell)] = 8
     """particles per full cell inside shapes, meshes and fillings: 1, 8, 27 or 64"""
     fill: Literal[True, False, "closed", "shown"] = True
-    """fill a capture's hollow inside. true: also through holes in its surface, behind which a solid
-    has mass but is not drawn, as a camera would see it; "shown": the same and all drawn, for a
-    solid that breaks; "closed": only where the surface is closed; false: leave it hollow, a skin
-    that is one voxel thick"""
+    """filling of a capture's interior. true: fill it even if the surface has holes; interior
+    particles of a solid that are visible through a hole have mass but are not rendered. "shown": as
+    true, and render all of them (for bodies that break). "closed": fill only regions enclosed by
+    the surface. false: leave a hollow shell one voxel thick"""
     prune: Literal["off", "auto", "paper"] = "off"
-    """fewer particles for a capture or a mesh; those left take over mass and look. auto: down to 8
-    per cell (or `particles_per_cell`), as far as it still looks the same at rest (40 dB inside its
-    outline). paper: the printed ratios of surface and interior, see `prune_scale`"""
+    """removal of particles of a capture or a mesh; the remaining ones take over mass and
+    appearance. auto: down to 8 per cell (or `particles_per_cell`), as long as images at rest agree
+    to 40 dB inside the outline. paper: the paper's ratios for surface and interior, see
+    `prune_scale`"""
     prune_scale: Annotated[float, Quantity("", gt=0, le=1)] | None = None
     """for prune = "paper", the volume scale s' (a linear scale cubed): of the interior s' is kept,
     of the surface s'^(2/3) up to s' = 0.5, s'^(1/3) up to 0.7, above 0.7 all"""
     passive: bool = False
-    """solids only: pruned Gaussians stay as they were and ride along without mass,
-    each with the 4 particles nearest to it at rest, so that pruning is not seen"""
+    """solids only: render the pruned Gaussians, too. Each follows the 4 particles nearest to it at
+    rest and has no mass"""
     colour: Colour = (0.7, 0.7, 0.7)
-    """colour of shapes, and of meshes without colours: "#rrggbb" or three numbers 0..1"""
+    """color of shapes, and of meshes without colors: "#rrggbb" or three numbers 0..1"""
     opacity: Share = 0.95
     """opacity of the Gaussians made for shapes, meshes and fillings"""
     opacity_scale: Share = 1.0
-    """fluids only: factor on opacities when drawn; water looks like water at 0.005 .. 0.05"""
+    """fluids only: factor on opacities in rendering; water looks realistic at 0.005 .. 0.05"""
     deforms: bool | None = None
-    """whether frames have the body's total deformation gradient F, which its Gaussians then follow.
-    Default: solids. A fluid, sand or snow flows without end: its Gaussians become needles"""
+    """store the total deformation gradient F in the frames and deform the Gaussians with it.
+    Default: true for solids. Not recommended for fluids, sand or snow, where unbounded shear turns
+    Gaussians into needles"""
     alpha_min: Annotated[float, Quantity("", ge=1e-5, le=0.5)] | None = None
-    """contributions fainter than this are not drawn; default 1/255, and 1e-4 where
+    """contributions below this alpha are skipped in rendering; default 1/255, and 1e-4 where
     opacity_scale is below 0.1"""
     collider: bool = False
     """scenery only: bodies collide with it"""
@@ -228,8 +230,8 @@ class Object(StrictModel):
     released_by: Time | None = None
     """with `release`: time at which the last layer is released"""
     friction: Annotated[float, Quantity("", ge=0)] | None = None
-    """colliders only: Coulomb friction of all that slides on it. Default: that of what slides on
-    its own material"""
+    """colliders only: Coulomb friction coefficient of all bodies on it. Default: that of each
+    body's material"""
 
     @property
     def source(self) -> str:

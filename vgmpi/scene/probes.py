@@ -18,7 +18,8 @@ class Probe(StrictModel):
     """Measurement, written to probe_NAME.csv: exactly one quantity.
 
     It is one of pressure, level, velocity, object, wall, collider. A row is written after the first
-    step at or after each due time, with its own time: probes do not change the steps.
+    step at or after each sampling time, with the time of that step. Probes do not change the time
+    steps.
     """
 
     name: Annotated[str, BeforeValidator(checked_name)]
@@ -31,25 +32,25 @@ class Probe(StrictModel):
     """mean pressure of the fluids within a cell of this point, weighted by their volume and by
     1 - distance / cell along each axis"""
     level: tuple[Length, Length] | None = None
-    """height of the fluids' surface over this point (x, y): of the highest layer of a cell's
-    height that they fill by half"""
+    """height of the fluid surface above this point (x, y): the highest layer of one cell that is at
+    least half full"""
     velocity: Point | None = None
     """mean velocity of all bodies within a cell of this point, weighted by mass and by
     1 - distance / cell along each axis"""
     object: str | None = None
-    """a body's mass, centre of mass, mean velocity, momentum, and the mean force on it since the
-    row before: the rate of its momentum without its weight"""
+    """a body's mass, center of mass, mean velocity, momentum, and mean force since the previous
+    row: the rate of change of its momentum, without its weight"""
     wall: Literal["all", "west", "east", "south", "north", "floor", "roof"] | None = None
-    """"all": mean force of the bodies on all walls and colliders together since the row before,
-    from the balance of momentum: weight and loads less the rate of the bodies' momentum: z is what
-    floor and roof bear, and the friction at the sides. Not for scenes where particles come or go.
-    The name of one wall: mean force of the bodies on it since the row before, and mean torque about
-    its middle"""
+    """"all": mean total force of the bodies on all walls and colliders since the previous row, from
+    the momentum balance: weight and loads minus the rate of change of the bodies' momentum. z
+    contains the forces on floor and roof and the friction at the sides. Not for scenes with inlets,
+    outlets or open walls. The name of one wall: mean force of the bodies on it since the previous
+    row, and mean torque about its center"""
     collider: str | None = None
-    """a collider, moving or not, or a body while it is driven (those that are frozen alike as one):
-    mean force of the others on it since the row before, mean torque about the point that it turns
-    about (where that is now; of one at rest the middle of its extent), and the work that it has
-    done on them since then"""
+    """a collider, moving or not, or a body with prescribed motion (bodies with the same
+    `frozen_until` count as one): mean force of the other bodies on it since the previous row, mean
+    torque about its current center of rotation (at rest: the center of its extent), and its work on
+    the other bodies since then"""
 
     @property
     def kind(self) -> str:

@@ -9,8 +9,8 @@ from .sections import SECTIONS, TopLevelKeys
 
 # Lists whose items may be added or removed; an item that stays must not change.
 LISTS = {
-    "probe": "a probe that is new begins here; of one that is gone the rows stay; one of the same"
-    " name measures the same",
+    "probe": "a new probe starts now; the rows of a removed one are kept; one of the same name must"
+    " not change",
 }
 
 

@@ -24,7 +24,7 @@ class Keyframe(StrictModel):
     """Displacement and rotation angle at a time, relative to the start."""
 
     time: Time
-    """when; keyframes are in order of time"""
+    """time of the keyframe; keyframes are in order of time"""
     move: Point = (0.0, 0.0, 0.0)
     """displacement"""
     angle: Angle = 0.0
@@ -32,11 +32,12 @@ class Keyframe(StrictModel):
 
 
 class Motion(StrictModel):
-    """Motion that nothing stops: keyframes, or a constant velocity and spin."""
+    """Prescribed rigid motion, independent of contact forces: keyframes, or constant velocity and
+    spin."""
 
     keyframes: Annotated[tuple[Keyframe, ...], Field(max_length=100_000)] = ()
-    """{ time, move, angle } in order of time; it begins where it stands, and stays where the last
-    one leaves it"""
+    """{ time, move, angle } in order of time; the motion starts from the initial position and ends
+    at the last keyframe"""
     pace: Literal["smooth", "linear"] = "smooth"
     """interpolation between keyframes. smooth: velocities are continuous, from rest and to rest,
     the motion pauses between two equal keyframes, and never exceeds them (monotone cubics, Fritsch
@@ -46,12 +47,12 @@ class Motion(StrictModel):
     spin: Annotated[float, Quantity("rad/s")] | None = None
     """instead of keyframes: constant, about `axis`"""
     until: Annotated[float, Quantity("s", gt=0)] | None = None
-    """when velocity and spin end; default: never"""
+    """time at which velocity and spin end; default: never"""
     about: Point | None = None
-    """a point of the axis it turns about, at the start; it moves along. Default: the middle of its
+    """a point on the axis of rotation, at the start; it moves along. Default: the center of its
     extent"""
     axis: Axis = (0.0, 0.0, 1.0)
-    """the axis it turns about: "x", "y", "z" or three numbers; right-handed"""
+    """axis of rotation: "x", "y", "z" or three numbers; right-handed"""
 
     @property
     def ends(self) -> float:

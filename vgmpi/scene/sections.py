@@ -23,11 +23,13 @@ class Wall(StrictModel):
 
     kind: Literal["stick", "slip", "separate", "open"] = "slip"
     """stick: no motion. slip: no motion through the wall. separate: material may also leave it.
-    open: nothing holds; particles within a cell of it end as in a sink of the wall's name"""
+    open: particles leave freely; particles within a cell of it are removed, as in an outlet of the
+    wall's name"""
     friction: Annotated[float, Quantity("", ge=0)] = 0.0
-    """Coulomb coefficient, for separate walls: the others do not rub or do not slide"""
+    """Coulomb friction coefficient; used by separate walls only (slip walls are frictionless, stick
+    walls allow no sliding)"""
     until: Annotated[float, Quantity("s", gt=0)] | None = None
-    """when the wall vanishes, as a gate that is torn away: from then on it is open"""
+    """time at which the wall opens, like a removed gate; it is open from then on"""
 
     @model_validator(mode="after")
     def _rubs(self) -> "Wall":
@@ -45,7 +47,7 @@ class Boundary(StrictModel):
     """Six walls: a kind ("slip") or { kind = "separate", friction = 0.2 } each."""
 
     default: AnyWall = Wall()
-    """every wall not named"""
+    """default for walls that are not listed"""
     west: AnyWall | None = None
     """x = 0"""
     east: AnyWall | None = None
@@ -70,15 +72,15 @@ class Domain(StrictModel):
     size: tuple[Positive, Positive, Positive]
     """edges of the box: whole numbers of cells"""
     cell: Positive
-    """grid spacing dx; with accuracy.level it need not be given, where cells of about that size fit
-    all edges"""
+    """grid spacing dx; optional with accuracy.level, if cells of about that size fit all edges"""
     gravity: tuple[Acceleration, Acceleration, Acceleration] = (0.0, 0.0, -9.8)
     """acceleration of gravity"""
     gravity_ramp: Annotated[float, Quantity("s", ge=0)] = 0.0
     """time in which gravity grows from 0, as half a cosine; 0: full gravity from the start"""
     gravity_keyframes: tuple[GravityKeyframe, ...] | None = None
-    """{ time, gravity } in order of time: from `gravity` at the start it turns and changes at an
-    even pace from one to the next, as in a container that tilts; after the last it stays"""
+    """{ time, gravity } in order of time, as for a container that tilts: from `gravity` at the
+    start, direction and magnitude change at a constant rate between keyframes; constant after the
+    last one"""
     boundary: Annotated[Boundary, BeforeValidator(_boundary)] = Boundary()
     """behavior of the walls: a kind for all of them, or a table"""
 
@@ -112,15 +114,15 @@ class Domain(StrictModel):
 class Time(StrictModel):
     """Simulated time, time step and number of frames."""
 
-    end: Annotated[float, Quantity("s", gt=0), ChangeableOnResume("the run goes on to this time")]
+    end: Annotated[float, Quantity("s", gt=0), ChangeableOnResume("the run continues to this time")]
     """simulated time"""
     frames: Annotated[
         int,
         Field(strict=True, ge=2, le=100_000),
         ChangeableOnResume(
-            "from here on, frames are written at the new times; numbers go on. It counts the frames"
-            " of the whole run: a later time.end alone writes them further apart, and for the same"
-            " time between them it grows too, to 1 + (frames - 1) new end / old end"
+            "later frames are written at the new times, with consecutive numbers. It counts the"
+            " frames of the whole run: a later time.end alone writes them further apart; for the"
+            " same time between frames, set it to 1 + (frames - 1) new end / old end"
         ),
     ] = 50
     """number of frames written at equal times, the first at 0 and the last at the end"""
@@ -131,21 +133,21 @@ class Time(StrictModel):
 
 
 class Appearance(StrictModel):
-    """Appearance beyond the objects' own colours."""
+    """Color transfer and baked light."""
 
     colour_transfer: Literal["off", "frame", "relax", "step"] = "frame"
-    """exchange of colours between particles. off: none. frame: a frame shows the initial colours,
-    smoothed over a cell at the current positions. relax: colours mix in the time `colour_time`.
+    """exchange of colors between particles. off: none. frame: a frame shows the initial colors,
+    smoothed over a cell at the current positions. relax: colors mix in the time `colour_time`.
     These three can also be set in render.toml, without a new run. step: as in the paper, the solver
-    smooths colours over a cell in every step: the shorter the step, the faster they become equal;
-    their diffusivity is cell^2 / (4 step)"""
+    smooths colors over a cell in every step: their diffusivity is cell^2 / (4 step), so shorter
+    steps mix faster"""
     colour_time: Annotated[float, Quantity("s", gt=0)] = 1.0
-    """relax: time in which colours of neighbours become equal; their diffusivity is cell^2 / (4
+    """relax: time in which colors of neighbors become equal; their diffusivity is cell^2 / (4
     colour_time)"""
     colour_degree: Annotated[int, Field(strict=True, ge=0, le=3)] = 0
-    """largest degree of spherical harmonics that is exchanged; 0: view-independent colour only"""
+    """largest degree of spherical harmonics that is exchanged; 0: view-independent color only"""
     colour_bodies: tuple[str, ...] | None = None
-    """names of the bodies that exchange colours, within one phase and between fluids that mix; with
+    """names of the bodies that exchange colors, within one phase and between fluids that mix; with
     step all bodies of their phases; default: all fluids"""
     shade: Annotated[float, Quantity("", ge=0, le=1)] = 0.3
     """light baked on solid shapes and meshes, by the direction of their surface; 0: none. The
@@ -154,7 +156,7 @@ class Appearance(StrictModel):
 
 
 class Accuracy(StrictModel):
-    """Precision of the numbers and their transfer between particles and grid."""
+    """Accuracy: transfer scheme, precision, and presets."""
 
     level: Literal["draft", "standard", "high"] | None = None
     """defaults of other keys. draft, standard, high: domain.cell such that the longest
@@ -178,8 +180,8 @@ class Accuracy(StrictModel):
     cell"""
     volume: Literal["followed", "kept"] = "followed"
     """volume of liquids that do not mix and flow through no sand. followed: integrated from the
-    grid's expansion, by which water that splashes or sways for long loses height; kept: also
-    corrected to the space that they occupy, which takes some more time"""
+    velocity divergence; a splashing or sloshing liquid slowly loses height. kept: also corrected
+    towards the local filling, which takes about 10 % more time"""
     precision: Literal["double", "single"] = "double"
     """precision of the particles' and the grid's numbers"""
 
@@ -212,20 +214,21 @@ class Output(StrictModel):
         str,
         Field(min_length=1),
         AfterValidator(_name),
-        ChangeableOnResume("the run goes on in that folder"),
+        ChangeableOnResume("the run continues in that folder"),
     ] = "out"
     """relative to the scene's folder"""
     fields: Annotated[
         tuple[Literal["velocity", "J", "F"], ...],
-        ChangeableOnResume("frames from here on have these"),
+        ChangeableOnResume("later frames have these fields"),
     ] = ("velocity", "J", "F")
-    """besides the positions; drawings need F for elastic bodies and J for all others"""
-    checkpoint: Annotated[float, Quantity("s", ge=0), ChangeableOnResume("holds from here on")] = (
+    """fields of the frames besides positions; rendering needs F for elastic bodies and J for all
+    others"""
+    checkpoint: Annotated[float, Quantity("s", ge=0), ChangeableOnResume("applies from now on")] = (
         600.0
     )
     """wall time between checkpoints; 0: none by time"""
     checkpoint_steps: Annotated[
-        int, Field(strict=True, ge=0), ChangeableOnResume("holds from here on")
+        int, Field(strict=True, ge=0), ChangeableOnResume("applies from now on")
     ] = 0
     """steps between checkpoints; 0: none by steps"""
 
@@ -233,11 +236,11 @@ class Output(StrictModel):
 class TopLevelKeys(StrictModel):
     """Keys above the first table."""
 
-    title: Annotated[str, ChangeableOnResume("is noted from here on")] = ""
-    """title of the scene, for humans"""
+    title: Annotated[str, ChangeableOnResume("applies from now on")] = ""
+    """title of the scene"""
     seed: Annotated[int, Field(strict=True, ge=0, le=2**31)] = 1
     """seed of all random numbers: the points on a mesh's surface"""
-    allow_outside: Annotated[bool, ChangeableOnResume("holds from here on")] = False
+    allow_outside: Annotated[bool, ChangeableOnResume("applies from now on")] = False
     """whether files may lie outside the scene's folder"""
 
 

@@ -58,7 +58,7 @@ class Sphere(StrictModel):
     """Ball."""
 
     center: Point
-    """its middle"""
+    """its center"""
     radius: Positive
     """its radius"""
 
@@ -67,13 +67,13 @@ class Ellipsoid(StrictModel):
     """Ellipsoid with axes along x, y and z."""
 
     center: Point
-    """its middle"""
+    """its center"""
     radii: tuple[Positive, Positive, Positive]
-    """half its extent along x, y and z"""
+    """half axes along x, y and z"""
 
 
 class CylinderShape(StrictModel):
-    """Cylinder (flat ends) or capsule (round ends that stick out by the radius)."""
+    """Cylinder (flat ends) or capsule (round ends that extend beyond the axis by the radius)."""
 
     ends: tuple[Point, Point]
     """the two ends of its axis"""
@@ -94,11 +94,11 @@ class Torus(StrictModel):
     """Ring."""
 
     center: Point
-    """its middle"""
+    """its center"""
     axis: Axis = (0.0, 0.0, 1.0)
     """axis of symmetry: "x", "y", "z" or three numbers"""
     radius: Positive
-    """radius of the circle in the middle of its tube"""
+    """radius of the center line of its tube"""
     tube: Positive
     """radius of the tube"""
 
@@ -125,13 +125,13 @@ class Shape(StrictModel):
     union: tuple["Shape", ...] | None = None
     """list of shapes; where they overlap the first one gives the colour"""
     difference: tuple["Shape", ...] | None = None
-    """list of shapes: the first without all others. What cuts a hole into a collider must reach
-    three cells out of it on both sides: water stops at its ends, too"""
+    """list of shapes: the first minus all others. A shape that cuts a hole into a collider must
+    extend three cells beyond it on both sides, because water stops at its ends, too"""
     blend: Positive | None = None
-    """unions only: edges where parts meet are rounded over about this length; where surfaces of
-    parts coincide they move out by a quarter of it"""
+    """unions only: radius of rounded edges between parts; coincident surfaces of parts move outward
+    by a quarter of it"""
     colour: Colour | None = None
-    """colour of this part; without it the object's"""
+    """color of this part; default: that of the object"""
 
     @property
     def form(self) -> str:

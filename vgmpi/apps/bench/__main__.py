@@ -37,35 +37,47 @@ def _speed(parser: argparse.ArgumentParser) -> None:
         return int(float(text))
 
     say = parser.add_argument
-    say("--particles", nargs="+", type=number, default=[100_000], metavar="N", help="1e5 4e5 1e6")
-    say("--laws", nargs="+", metavar="LAW", help=f"of {', '.join(registry)}; default: all")
+    say(
+        "--particles",
+        nargs="+",
+        type=number,
+        default=[100_000],
+        metavar="N",
+        help="particle counts, such as 1e5 4e5 1e6",
+    )
+    say(
+        "--laws",
+        nargs="+",
+        metavar="LAW",
+        help=f"materials, any of {', '.join(registry)}; default: all",
+    )
     say(
         "--precision",
         nargs="+",
         choices=("single", "double"),
         default=["single", "double"],
-        help="of this solver; the rivals compute in single precision",
+        help="precision of vgmpi; the other codes use single precision",
     )
-    say("--rounds", type=number, default=5, metavar="N", help="of all contestants, default 5")
-    say("--seconds", type=float, default=0.6, help="length of a round, default 0.6")
+    say("--rounds", type=number, default=5, metavar="N", help="rounds of all programs")
+    say("--seconds", type=float, default=0.6, help="length of a round [s]")
     say(
         "--only",
         nargs="+",
         default=[],
         metavar="WORD",
-        help='rows with one of these in their label, such as vgmpi, Taichi, "1 core", "2 ranks",'
-        " machine (bandwidth and peak); each law's first row is always there",
+        help='rows whose label contains one of these, such as vgmpi, Taichi, "1 core", "2 ranks",'
+        " machine (bandwidth and peak); the first row of each material is always measured",
     )
     say(
         "--cpu",
         choices=("avx2",),
-        help="run this solver also as on a processor without 512-bit vectors",
+        help="also run vgmpi without 512-bit vectors",
     )
-    say("--json", type=Path, metavar="FILE", help="keep all rounds")
+    say("--json", type=Path, metavar="FILE", help="write all rounds to this file")
 
 
 def _compare(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("files", nargs=2, type=Path, metavar="JSON", help="before, after")
+    parser.add_argument("files", nargs=2, type=Path, metavar="JSON", help="two files of --json")
 
 
 def contestants(law: str, args: argparse.Namespace) -> list[Contestant]:
@@ -180,8 +192,8 @@ def _read(path: Path) -> dict:
 
 
 COMMANDS = {  # what it does, its flags, how it runs
-    "speed": ("measure (the default)", _speed, _run_speed),
-    "card": ("a graphics card beside others on it", gpu.flags, gpu.run),
+    "speed": ("measure the throughput (the default)", _speed, _run_speed),
+    "card": ("compare programs on a GPU", gpu.flags, gpu.run),
     "compare": ("print two measurements side by side", _compare, _run_compare),
 }
 

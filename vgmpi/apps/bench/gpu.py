@@ -25,11 +25,18 @@ PLAIN = (("VGMPI_CONTRACTION", "off"),)
 def flags(parser: argparse.ArgumentParser) -> None:
     """Add the flags of the command."""
     say = parser.add_argument
-    say("--precision", choices=("single", "double"), default="single")
-    say("--particles", nargs="+", type=float, default=[1e5, 1e6, 1e7, 1e8], metavar="N")
-    say("--laws", nargs="+", default=["fluid", "elastic", "sand"], metavar="LAW")
-    say("--rounds", type=int, default=3, help="of all contestants, default 3")
-    say("--seconds", type=float, default=1.0, help="length of a round, default 1")
+    say("--precision", choices=("single", "double"), default="single", help="precision of vgmpi")
+    say(
+        "--particles",
+        nargs="+",
+        type=float,
+        default=[1e5, 1e6, 1e7, 1e8],
+        metavar="N",
+        help="particle counts",
+    )
+    say("--laws", nargs="+", default=["fluid", "elastic", "sand"], metavar="LAW", help="materials")
+    say("--rounds", type=int, default=3, help="rounds of all programs")
+    say("--seconds", type=float, default=1.0, help="length of a round [s]")
 
 
 def run(args: argparse.Namespace) -> int:

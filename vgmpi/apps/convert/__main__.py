@@ -24,10 +24,10 @@ def arguments(argv: list[str] | None) -> argparse.Namespace:
     )
     parser.add_argument(
         "--gaussians", type=Path, action="append", default=[], metavar="FILE",
-        help="the Gaussians of the body, or a folder of Gaussian splatting that has them in"
-        " point_cloud/; once for each body, in order",
+        help="Gaussian file of a body, or a 3DGS model folder with point_cloud/; repeat for each"
+        " body, in order",
     )  # fmt: skip
-    parser.add_argument("--overwrite", action="store_true", help="replace the scene if it is there")
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing scene")
     return parser.parse_args(argv)
 
 

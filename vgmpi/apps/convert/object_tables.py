@@ -251,7 +251,7 @@ def _report_filling(config: Config, k: int, pose: BodyPose, report: Report) -> N
     is_available = count in PER_CELL
     for key in filling.model_fields_set & set(source_schema.Filling.model_fields):
         value = getattr(filling, key)
-        reason = "what is inside is found by voxels here (docs/preparation.md)"
+        reason = "what is inside is found by voxels here (docs/how-to/prepare-captures.md)"
         if key == "visualize" or (key in ("n_grid", "max_partciels_per_cell") and is_available):
             continue
         if key == "boundary":

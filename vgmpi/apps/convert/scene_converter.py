@@ -277,7 +277,7 @@ def _report_unread_keys(config: Config, report: Report) -> None:
         for key, value in (table.model_extra or {}).items():
             reason = f"{program} does not read it{did_you_mean(key, valid)}"
             if table is run and key in source_schema.CAMERA:
-                reason = "the camera is set in render.toml (docs/rendering.md)"
+                reason = "the camera is set in render.toml (docs/how-to/render.md)"
             report.dropped((*key_path, key), value, reason)
         for key in () if config.is_versagauss else ONLY_VERSAGAUSS.get(type(table), ()):
             if table.has_key(key):

@@ -36,14 +36,14 @@ def arguments(argv: list[str] | None) -> argparse.Namespace:
         prog="python -m vgmpi fit", description=__doc__,
         formatter_class=argparse.RawTextHelpFormatter,
     )  # fmt: skip
-    p.add_argument("scene", type=Path)
-    p.add_argument("fit", type=Path, help="what is looked for, and held to what (docs/fitting.md)")
+    p.add_argument("scene", type=Path, help="scene file (TOML)")
+    p.add_argument("fit", type=Path, help="fit.toml: parameters and target of the fit")
     p.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="in all runs, as in vgmpi"
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="override a key in all runs"
     )
-    p.add_argument("-o", "--output", type=Path, help="folder of the fit [SCENE's/fit]")
-    p.add_argument("--ranks", type=int, default=1, help="of each run")
-    p.add_argument("--jobs", type=int, default=1, help="runs side by side")
+    p.add_argument("-o", "--output", type=Path, help="folder of the fit [fit, beside the scene]")
+    p.add_argument("--ranks", type=int, default=1, help="MPI ranks of each run")
+    p.add_argument("--jobs", type=int, default=1, help="number of concurrent runs")
     args = p.parse_args(argv)
     for name in ("ranks", "jobs"):
         if getattr(args, name) < 1:

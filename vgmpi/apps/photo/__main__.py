@@ -16,22 +16,25 @@ def parse_arguments(argv: list[str] | None) -> argparse.Namespace:
         prog="python -m vgmpi photo",
         description="Objects in a photograph become Gaussians and a scene in which they stand as"
         " they do in the photograph. Every guess is written into the layout, where it can be"
-        " changed; docs/pictures.md.",
+        " changed; docs/how-to/photo-to-scene.md.",
         epilog="exit codes: 0 done, 1 unexpected error, 2 something in the layout, the pictures or"
         " the flags is wrong, 130 interrupted",
     )
     parser.add_argument("photo", type=Path, help="the photograph")
     parser.add_argument(
-        "layout", type=Path, nargs="?", help="what is where in it (TOML); with --find it is made"
+        "layout",
+        type=Path,
+        nargs="?",
+        help="layout.toml: objects in the photograph; --find creates one",
     )
     parser.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="FOLDER", help="where the scene goes"
+        "-o", "--output", type=Path, required=True, metavar="FOLDER", help="output folder"
     )
     parser.add_argument(
         "--find", action="store_true",
-        help="propose a layout with boxes of what may be objects, and stop there",
+        help="propose a layout with boxes of possible objects, and stop",
     )  # fmt: skip
-    parser.add_argument("--overwrite", action="store_true", help="replace a scene that was changed")
+    parser.add_argument("--overwrite", action="store_true", help="replace a scene that was edited")
     return parser.parse_args(argv)
 
 

@@ -39,26 +39,26 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("scene", nargs="?", type=Path, help="scene file (TOML)")
     action = parser.add_mutually_exclusive_group()
     action.add_argument(
-        "--check", action="store_true", help="read the scene, say what is wrong, write nothing"
+        "--check", action="store_true", help="check the scene, list all errors, write nothing"
     )
     action.add_argument(
-        "--plan", action="store_true", help="say what the scene will cost, write nothing"
+        "--plan", action="store_true", help="estimate memory and time, write nothing"
     )
     action.add_argument(
-        "--prepare", action="store_true", help="make the particles (gaussians.h5) and stop"
+        "--prepare", action="store_true", help="generate the particles (gaussians.h5) and stop"
     )
-    inspect_help = "say what an output file, a Gaussian file or a mesh holds"
+    inspect_help = "describe and verify an output file, a Gaussian file or a mesh"
     action.add_argument("--inspect", type=Path, metavar="FILE", help=inspect_help)
     parser.add_argument(
         "--rehearse",
         action="store_true",
-        help="play the scene in coarser cells first, some tenth of the work, so that --plan, or a"
-        " run, tells its time by where things go",
+        help="simulate the scene in coarser cells first (about a tenth of the work), so that the"
+        " time estimate of --plan or of a run includes contact and motion",
     )
     parser.add_argument(
         "--calibrate",
         action="store_true",
-        help="measure anew how fast this processor is, which --plan does once and keeps",
+        help="measure the speed of this processor again; --plan measures once and caches it",
     )
     return parser
 
@@ -70,29 +70,29 @@ def _add_flags_of_a_run(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="KEY=VALUE",
-        help="override a key of the scene, such as domain.cell='1 cm'",
+        help="override a key of the scene, such as domain.cell='1 cm'; repeatable",
     )
     parser.add_argument(
         "-o",
         "--output",
         type=Path,
         metavar="DIR",
-        help="output folder; default: what the scene says",
+        help="output folder; default: output.folder of the scene",
     )
     parser.add_argument(
         "--resume",
         nargs="?",
         const="",
         metavar="FILE",
-        help="go on from a checkpoint; default: the latest valid one",
+        help="resume from a checkpoint; default: the latest valid one",
     )
     parser.add_argument(
         "--change",
         action="store_true",
-        help="with --resume: go on although the scene has changed; the run's history says how",
+        help="with --resume: allow changed keys; checkpoints record the changes",
     )
     parser.add_argument(
-        "--overwrite", action="store_true", help="replace a run that lies in the output folder"
+        "--overwrite", action="store_true", help="replace an existing run in the output folder"
     )
     parser.add_argument(
         "--stop-after",
@@ -100,25 +100,25 @@ def _add_flags_of_a_run(parser: argparse.ArgumentParser) -> None:
         metavar="AMOUNT",
         help='stop with a checkpoint after "500 steps", or "90 s", "10 min", "2 h" of wall time',
     )
-    parser.add_argument(
-        "--threads", type=int, default=1, metavar="N", help="threads per rank, default 1"
-    )
+    parser.add_argument("--threads", type=int, default=1, metavar="N", help="threads per rank")
     parser.add_argument(
         "--engine",
         choices=("cpu", "cuda", "numpy"),
         default="cpu",
-        help="what computes: this processor, a graphics card for each rank"
-        " (docs/benchmarks/cuda.md), or plain numpy: slow, on one rank, for comparison",
+        help="cpu: this processor; cuda: one GPU per rank (docs/benchmarks/cuda.md); numpy: slow"
+        " reference engine on one rank",
     )
     parser.add_argument(
-        "--profile", action="store_true", help="say at the end what each rank did (profile.csv)"
+        "--profile",
+        action="store_true",
+        help="report the stage times of each rank at the end (profile.csv)",
     )
     parser.add_argument(
-        "--force", action="store_true", help="run even if the memory looks too small"
+        "--force", action="store_true", help="run even if the estimated memory does not fit"
     )
     parser.add_argument("-q", "--quiet", action="store_true", help="errors only")
     parser.add_argument(
-        "-v", "--verbose", action="store_true", help="show where an error came from"
+        "-v", "--verbose", action="store_true", help="print the traceback of an error"
     )
 
 
@@ -349,7 +349,7 @@ def _slurm_mismatch(ranks: SerialCommunicator) -> str:
         return ""
     return (
         f"SLURM started {tasks} tasks but MPI sees {ranks.size}:"
-        " use srun with another --mpi, or mpirun (slurm/README.md)"
+        " use srun with another --mpi, or mpirun (docs/how-to/run-on-a-cluster.md)"
     )
 
 

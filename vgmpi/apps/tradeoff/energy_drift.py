@@ -103,14 +103,14 @@ def main(argv: list[str]) -> int:
         prog="python -m vgmpi energy", description=__doc__,
         formatter_class=argparse.RawTextHelpFormatter,
     )  # fmt: skip
-    parser.add_argument("scene", type=Path)
+    parser.add_argument("scene", type=Path, help="scene file (TOML)")
     parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="as in vgmpi"
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="override a key in all runs"
     )
     parser.add_argument(
-        "-o", "--output", type=Path, help="folder of the runs [SCENE's/tradeoff/STEM]"
+        "-o", "--output", type=Path, help="folder of the runs [tradeoff/STEM, beside the scene]"
     )
-    parser.add_argument("--ranks", type=int, default=1, help="of each run")
+    parser.add_argument("--ranks", type=int, default=1, help="MPI ranks of each run")
     args = parser.parse_args(argv)
     folder = args.output or args.scene.resolve().parent / FOLDER / args.scene.stem
     try:

@@ -28,7 +28,7 @@ from .study_runs import Study, StudyError
 
 MAX_TRIES = 5  # a choice is run and revised at most this often
 DEFAULT = ("cell", "precision", "transfer", "stiffness")
-RUN = f"run that scene; where it is not as expected, choose anew, up to {MAX_TRIES} times"
+RUN = f"run that scene; if it misses the goal, choose again, up to {MAX_TRIES} times"
 MEASURES = {
     "places": error_measures.mass_displacement,
     "energy": error_measures.energy,
@@ -42,42 +42,55 @@ LABELS = {
 }
 
 
-def parse_arguments(argv: list[str]) -> argparse.Namespace:
-    """Parse the command line."""
+def _parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m vgmpi tradeoff", description=__doc__,
         formatter_class=argparse.RawTextHelpFormatter,
     )  # fmt: skip
-    parser.add_argument("scene", type=Path)
+    parser.add_argument("scene", type=Path, help="scene file (TOML)")
     parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="in all runs, as in vgmpi"
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="override a key in all runs"
     )
-    parser.add_argument("-o", "--output", type=Path, help="folder of the study [SCENE's/tradeoff]")
     parser.add_argument(
-        "--vary", default=",".join(DEFAULT), help=f"of {','.join(parameter_sweep.PARAMETERS)}"
+        "-o", "--output", type=Path, help="folder of the study [tradeoff, beside the scene]"
     )
-    parser.add_argument("--ranks", type=int, default=1, help="of each run")
+    parser.add_argument(
+        "--vary",
+        default=",".join(DEFAULT),
+        help=f"settings to vary, any of {', '.join(parameter_sweep.PARAMETERS)}",
+    )
+    parser.add_argument("--ranks", type=int, default=1, help="MPI ranks of each run")
     parser.add_argument("--measure", choices=list(MEASURES), default="places", help=_measures())
     parser.add_argument(
-        "--curve", type=Path, metavar="CSV", help="times [s] and values, in place of the finest run"
+        "--curve",
+        type=Path,
+        metavar="CSV",
+        help="reference curve, times [s] and values, instead of the finest run",
     )
     parser.add_argument(
-        "--column", metavar="FILE:KEY", help="what is held to it: probe_NAME.csv:value"
+        "--column", metavar="FILE:KEY", help="column compared with the curve: probe_NAME.csv:value"
     )
     parser.add_argument(
         "--budget",
         metavar="TIME",
-        help="write the best scene that takes no longer, such as '5 min'",
+        help="write the most accurate scene within this time, such as '5 min'",
     )
     parser.add_argument(
         "--error",
         metavar="SHARE",
-        help="write the cheapest scene that is off by no more, such as '2 %%'",
+        help="write the cheapest scene within this error, such as '2 %%'",
     )
     parser.add_argument(
-        "--part", metavar="K/N", help="only every Nth run, from the Kth on; no table"
+        "--part", metavar="K/N", help="make only every Nth run, starting with the Kth; no table"
     )
     parser.add_argument("--run", action="store_true", help=RUN)
+    return parser
+
+
+def parse_arguments(argv: list[str]) -> argparse.Namespace:
+    """Parse the command line."""
+    parser = _parser()
     args = parser.parse_args(argv)
     args.vary = tuple(word.strip() for word in args.vary.split(",") if word.strip())
     unknown = [word for word in args.vary if word not in parameter_sweep.PARAMETERS]

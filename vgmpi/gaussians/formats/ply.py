@@ -93,7 +93,7 @@ def write(path: str | Path, cloud: GaussianCloud) -> None:
 
 
 def write_compressed(path: str | Path, cloud: GaussianCloud) -> None:
-    """Write `cloud` in SuperSplat's compressed layout: see docs/gaussian-files.md.
+    """Write `cloud` in SuperSplat's compressed layout: see docs/reference/gaussian-files.md.
 
     Raises:
         OSError: If the file cannot be written.

@@ -93,7 +93,7 @@ def read(path: str | Path) -> GaussianCloud:
 
 
 def write(path: str | Path, cloud: GaussianCloud) -> None:
-    """Write `cloud` as version 3, whose numbers are bytes: see docs/gaussian-files.md.
+    """Write `cloud` as version 3, whose numbers are bytes: see docs/reference/gaussian-files.md.
 
     Raises:
         OSError: If the file cannot be written.

@@ -14,10 +14,10 @@ from .interaction import CONTACT, coupling
 
 @coupling
 class Contact(StrictModel):
-    """Contact of two objects or materials with a friction of its own."""
+    """Friction of a pair of materials in contact."""
 
     between: tuple[str, str]
-    """two materials, or twice the same for two bodies of it"""
+    """two materials, or the same material twice"""
     kind: Literal["contact"]
     friction: Annotated[float, Quantity("", ge=0)]
     """Coulomb coefficient"""

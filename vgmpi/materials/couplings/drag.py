@@ -17,13 +17,13 @@ GRAVITY = 9.80665  # [m/s2] standard gravity, for which hydraulic conductivities
 
 @coupling
 class Drag(StrictModel):
-    """A fluid that flows through the pores of a sand."""
+    """Drag of a fluid that flows through the pores of a sand."""
 
     between: tuple[str, str]
     """a fluid and a sand"""
     kind: Literal["drag"]
     permeability: Annotated[float, Quantity("m/s", gt=0)]
-    """hydraulic conductivity: the speed at which the fluid sinks through resting sand under its own
+    """hydraulic conductivity: the speed at which the fluid seeps through resting sand under its own
     weight; fine sand 1e-5 .. 1e-4, coarse sand 1e-3 .. 1e-2, gravel above"""
 
     rule: ClassVar = DRAG

@@ -24,9 +24,9 @@ class Mixing(StrictModel):
     """two fluids"""
     kind: Literal["mixing"]
     diffusion: Annotated[float, Quantity("m2/s", ge=0)] = 0.0
-    """how fast they spread into each other; at most cell^2 / 6 per step"""
+    """diffusivity; at most cell^2 / 6 per step"""
     slip_time: Annotated[float, Quantity("s", ge=0)] = 0.0
-    """time within which they come to move alike; 0: at once"""
+    """relaxation time of the velocity difference between the two fluids; 0: no slip"""
 
     rule: ClassVar = MIXING
     printed: ClassVar = False

@@ -1,6 +1,6 @@
 """Rasterizer of Gaussians: EWA splatting, front to back, on one CPU core.
 
-Conventions (those of gsplat, see docs/rendering.md): the projection is linearized with x/z and y/z
+Conventions (those of gsplat, docs/how-to/render.md): the projection is linearized with x/z and y/z
 limited to the picture and 30 % around it; `lowpass` pixels^2 are added to the 2-D covariance; pixel
 centers lie at +0.5; a Gaussian adds alpha = min(0.99, opacity e^-s) and is left out below
 `alpha_min`; a pixel stops, for good, before the Gaussian that would bring its transmittance below

@@ -217,7 +217,7 @@ Colour = Annotated[tuple[float, float, float], BeforeValidator(parse_color)]
 class StrictModel(BaseModel):
     """Base of everything that is read from a TOML file: unknown keys are errors, values are frozen.
 
-    The text under a field describes it; docs/scene.md is made of these texts.
+    The text under a field describes it; docs/reference/scene.md is made of these texts.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)

@@ -1,0 +1,18 @@
+"""The page of commands is that of the parsers."""
+
+from pathlib import Path
+
+import pytest
+
+from vgmpi.apps import command_reference, commands
+
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "commands.md"
+
+
+def test_page_is_up_to_date():
+    assert PAGE.read_text() == command_reference.page(), "run `make docs`"
+
+
+@pytest.mark.parametrize("name", commands.COMMANDS)
+def test_every_command_has_a_section(name):
+    assert f"## vgmpi {name}\n" in PAGE.read_text()
