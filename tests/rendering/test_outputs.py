@@ -240,13 +240,13 @@ def test_ranks_end_together_with_one_message(out, tmp_path):
 
 
 def test_the_processes_of_a_launcher_are_counted(monkeypatch):
-    for name in render.LAUNCHED:
+    for name in render.LAUNCHER_VARIABLES:
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("SLURM_NTASKS", "8")  # a job's script, not one of its tasks
     assert render.ranks_of_launcher() is None
 
 
 def test_a_size_that_no_launcher_set(out, tmp_path, monkeypatch):
-    for name in render.LAUNCHED:
+    for name in render.LAUNCHER_VARIABLES:
         monkeypatch.setenv(name, "abc")
     assert render.ranks_of_launcher() is None
