@@ -323,7 +323,7 @@ def prepared_run(
             its particles; it may raise.
 
     Raises:
-        SceneError, StoreError, FolderError, CheckpointError, RunError, InvalidRunOptions, BlowUp.
+        SceneError, StoreError, RunFolderInUseError, CheckpointError, RunError, InvalidRunOptions, BlowUp.
     """
     check(options, ranks)
     folder, resumed = options.folder, options.resume is not None
