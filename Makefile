@@ -63,7 +63,7 @@ site: docs
 	NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build --strict
 
 # each in an environment of its own, on one rank: make matrix TESTS=tests/materials/test_sand.py for less
-TESTS := tests/unit
+TESTS := $(addprefix tests/,docs gaussians io kernels materials planning preprocess runtime scene solver)
 matrix:
 	@export PYENV_VERSION=$$(pyenv versions --bare 2>/dev/null | paste -sd:); \
 	for v in 3.11 3.12 3.13; do \

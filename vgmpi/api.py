@@ -207,7 +207,7 @@ def run(
     Raises:
         SceneError: If the particles cannot be made, or the plan is not possible.
         StoreError: If a file cannot be written.
-        FolderError: If the folder belongs to another run (vgmpi.io.run_lock).
+        RunFolderInUseError: If the folder belongs to another run (vgmpi.io.run_lock).
         ValueError: If engine, ranks and threads exclude each other.
         BlowUp: If the run blows up before its first frame.
 

@@ -47,7 +47,7 @@ class Frames:
             ranks: Communicator.
             total_ids: Number of particle ids.
             first: Frames from this number on are removed.
-            particles: Identity of the run's gaussians.h5 (read.identity), None without.
+            particles: Identity of the run's gaussians.h5 (particle_set_id), None without.
         """
         self.particles = particles
         self.folder, self.ranks, self.total_ids = Path(folder), ranks, total_ids

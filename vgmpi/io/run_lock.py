@@ -42,8 +42,8 @@ def run_lock(folder: str | Path, ranks: SerialCommunicator, into: bool) -> Itera
         into: Allow a folder that already holds a run.
 
     Raises:
-        FolderError: Another run writes there now, or the folder holds one and `into` is false; on
-            all ranks.
+        RunFolderInUseError: Another run writes there now, or the folder holds one and `into` is
+            false; on all ranks.
         StoreError: The folder cannot be created.
     """
     folder, handle, reason, error = Path(folder), None, "", None

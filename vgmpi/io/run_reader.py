@@ -36,7 +36,7 @@ class RunError(RuntimeError):
 def opened(path: Path, series: bool = False):
     """Open an HDF5 file of a run for reading; any error with it becomes a RunError that names it.
 
-    `series`: see plain.check.
+    `series`: see hdf5_validation.check_structure.
     """
     if os.path.islink(path):
         raise RunError(f"{path}: is a link to elsewhere, which no file of a run is")

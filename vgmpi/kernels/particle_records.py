@@ -40,13 +40,13 @@ AUXILIARY_SIZE = 8 * BATCH  # auxiliary numbers per batch
 PADDED_PATCH = PATCH + 16  # numbers in a patch, plus the vector with which its last row may be read
 SCRATCH_SIZE = (
     2 * SCRATCH + PADDED_PATCH + AUXILIARY_SIZE
-)  # numbers for a transfer with one patch, see `parts`
+)  # numbers for a transfer with one patch, see `split_scratch`
 
 
 class Scratch(NamedTuple):
     """Scratch memory of one thread during the transfer of a segment."""
 
-    real: np.ndarray  # (ROOM + more * MORE,) see `parts` and `patch_of`
+    real: np.ndarray  # (ROOM + more * MORE,) see `split_scratch` and `patch_of`
     whole: np.ndarray  # (BATCH + 16 + 6,) int32: base rows of a batch, then a node range
     peak: np.ndarray  # (16,) [m4/s4] maximum squared stress over density so far, by lane
 
@@ -80,7 +80,7 @@ def patch_of(real, k):
 
 @device_function
 def box_of(integers):
-    """Return the node range of a segment's particles, shape (6,), see `reach`."""
+    """Return the node range of a segment's particles, shape (6,), see `node_range`."""
     return integers[BATCH + 16 :]
 
 
@@ -110,7 +110,7 @@ def node_range_with_walls(count, offset, cap, xi, like, mirror, box):
     """Compute the range of patch nodes that a segment touches: all of them at a wall.
 
     Args:
-        count, offset, cap, xi, like: See `reach`.
+        count, offset, cap, xi, like: See `node_range`.
         mirror: Wall codes of the segment, shape (3, 2).
         box: Node range (out), shape (6,).
     """
@@ -128,7 +128,7 @@ def compute_weights(count, offset, cap, xi, like, base, weights):
     4-7, z 8-10 and 12.
 
     Args:
-        count, offset, cap, xi, like: See `reach`.
+        count, offset, cap, xi, like: See `node_range`.
         base: Base rows (out), shape (count,).
         weights: Records of weights (out).
     """

@@ -61,7 +61,7 @@ def load_patch(patch, grid, blocks, box):
 
 @device_function
 def prefetch_patch(grid, blocks):
-    """Prefetch what `gather` is going to read; grid: (256 node blocks,) as a pointer."""
+    """Prefetch what `load_patch` is going to read; grid: (256 node blocks,) as a pointer."""
     for i in range(SIDE):
         for j in range(SIDE):
             row, offset = row_of(i, j)

@@ -4,11 +4,10 @@ They are recorded for each collider, each body with prescribed motion and each w
 
 Sums are integer multiples of quanta, so that their terms may come in any order. Where no reactions
 are requested the record is None, and nothing of this module is compiled in. Terms come from three
-sources: the action of rigid boundaries at nodes (kernels/grid/contact.py, walls.constrain); the
-change of momentum
-when ghost nodes are folded at a mirroring wall (walls.fold); and the mirrored velocities that
-particles gather (walls.reflect), whose impulse is the ghost nodes' own mass times the difference
-from their mirror image.
+sources: the action of rigid boundaries at nodes (kernels/grid/contact.py, apply_wall_conditions);
+the change of momentum when ghost nodes are folded at a mirroring wall (fold_ghost_momentum); and
+the mirrored velocities that particles gather (fill_ghost_velocity), whose impulse is the ghost
+nodes' own mass times the difference from their mirror image.
 """
 
 from typing import NamedTuple

@@ -80,7 +80,7 @@ def accumulate_patch(patch, sums, blocks, box):
 
     Args:
         patch: Patch, shape (2048,).
-        sums: Accumulators (in/out), as a pointer (lanes.place).
+        sums: Accumulators (in/out), as a pointer (vector16.pointer).
         blocks: Rows of the sums of the 27 node blocks.
         box: First and last nodes along x, y, z, shape (6,).
     """
@@ -175,7 +175,7 @@ class NodeBlockPointers(NamedTuple):
 
 
 class FieldPointers(NamedTuple):
-    """Arrays of a tables.Sums, as pointers."""
+    """Arrays of a kernel_arguments.Sums, as pointers."""
 
     sums: np.ndarray  # accumulators
     rest: np.ndarray  # biases
@@ -194,7 +194,7 @@ def blocks_at(tables):
 
 @device_function
 def sums_at(layer):
-    """Return the pointers of a nodal field (tables.Sums)."""
+    """Return the pointers of a nodal field (kernel_arguments.Sums)."""
     return FieldPointers(
         flat_pointer(layer.sums),
         flat_pointer(layer.rest),

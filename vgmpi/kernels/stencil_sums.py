@@ -120,7 +120,7 @@ def _scatter_slopes(node, nodes):
 
 
 def _moments(node, nodes):
-    """Make the sums of `moments` over some nodes of each row."""
+    """Make the sums of `gather_affine` over some nodes of each row."""
 
     @always_inline
     def _stencil(weights, m, patch, o):
@@ -158,7 +158,7 @@ def _moments(node, nodes):
 
 
 def _slopes(node, nodes):
-    """Make the sums of `slopes` over some nodes of each row."""
+    """Make the sums of `gather_gradient` over some nodes of each row."""
 
     @always_inline
     def _stencil(weights, m, patch, o):
@@ -185,7 +185,7 @@ def _slopes(node, nodes):
 
 
 def _values(node, nodes):
-    """Make the sums of `values` over some nodes of each row."""
+    """Make the sums of `gather_value` over some nodes of each row."""
 
     @always_inline
     def _stencil(weights, m, patch, o):
@@ -249,7 +249,7 @@ def by_runs(make_part, parts):
 
 @_inline
 def _runs_whole(count, records, weights, base, patch):
-    """Scatter runs in one loop over complete rows, where registers suffice; see `runs`."""
+    """Scatter runs in one loop over complete rows, where registers suffice; see `by_runs`."""
     k, zero = node_numbers(patch, 0, 4), zeros_like_row(patch, 0, 4)
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = zero, zero, zero, zero, zero, zero, zero, zero, zero
     base_row = base[0]
@@ -329,7 +329,7 @@ STENCIL_FUNCTIONS = {  # name: (how parts are combined, how one part is made)
 
 
 def row_split_for(name: str, register: int, bits: int) -> int:
-    """Return the key of `WAYS` for a function, by bytes of a register and bits of a number.
+    """Return the key of `ROW_SPLITS` for a function, by bytes of a register and bits of a number.
 
     Processors with registers of 64 bytes have 32 of them: enough for complete rows. A function
     without running sums needs no split before a row takes four registers.
@@ -382,7 +382,7 @@ def gather_affine(count, records, weights, base, patch):
 
 
 def gather_gradient(count, records, weights, base, patch):
-    """Gather like `moments`, with B-spline gradients instead of weight times offset.
+    """Gather like `gather_affine`, with B-spline gradients instead of weight times offset.
 
     Args:
         count, records, weights, base, patch: See `scatter`.

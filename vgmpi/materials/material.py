@@ -7,9 +7,9 @@ and numpy ufuncs only, so that the same text runs on numpy arrays (the tests' re
 compiled, on the particles of the solver. No function of a law branches in Python on a particle's
 value: it selects with minimum, maximum and materials/tensor_math/select.py.
 materials/tensor_math/tensor.py and materials/tensor_math/symmetric_eigen.py
-have products, rotations and eigenvalues of 3x3 tensors; materials/tensor_math/hencky.py, flow.py
-and materials/tensor_math/tait.py the
-common parts of laws; elastoplastic.py is the base of laws with a return mapping.
+have products, rotations and eigenvalues of 3x3 tensors; materials/tensor_math/hencky.py,
+viscoplastic_flow.py and materials/tensor_math/tait.py the common parts of laws; elastoplastic.py is
+the base of laws with a return mapping.
 
     advance(law, state, L, dt) -> state     L = grad v [1/s], nine numbers, row by row; dt [s]
     stress(law, state, L) -> (t00, t11, t22, t01, t02, t12)     Kirchhoff stress [Pa]

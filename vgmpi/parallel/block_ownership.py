@@ -30,7 +30,7 @@ class BlockDirectory(NamedTuple):
     group: np.ndarray  # (n,) number of the group
     particles: np.ndarray  # (n,) number of particles
     owner: np.ndarray  # (n,) rank that owns the block
-    load: np.ndarray  # (ranks,) work of each rank, see balance.predicted
+    load: np.ndarray  # (ranks,) work of each rank, see load_balance.predicted_work
 
 
 def build_block_directory(

@@ -137,7 +137,7 @@ class _MpiLink(PersistentExchange):
 
 
 class MpiCommunicator(SerialCommunicator):
-    """Communicator over MPI, with the operations of `Alone`."""
+    """Communicator over MPI, with the operations of `SerialCommunicator`."""
 
     def __init__(self, communicator=None):
         from mpi4py import MPI

@@ -25,7 +25,7 @@ class MigrationTargets(NamedTuple):
     block: np.ndarray  # (segments, 27) row of each block around a segment, n if not a target
 
     def rows(self, group: int) -> np.ndarray:
-        """Return the rows that `census` takes, shape (n, 4)."""
+        """Return the rows that `build_block_directory` takes, shape (n, 4)."""
         return np.stack([self.key, self.code, np.full_like(self.key, group), self.particles], 1)
 
 
@@ -84,7 +84,7 @@ def append_particles(
 
 
 def _tag(group: ParticleGroup) -> tuple[np.ndarray, MigrationTargets]:
-    """Return the tags of a group's particles, see sorting.assign_tags, and the target blocks."""
+    """Return the tags of a group's particles, see sort_kernels.assign_tags, and targets."""
     tags, number = group.tag()
     return tags, migration_targets(group.lattice, group.code, number)
 

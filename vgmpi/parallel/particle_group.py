@@ -73,7 +73,7 @@ class ParticleGroup:
     # ---- a sort (migration.py) ------------------------------------------------------------------
 
     def tag(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the tags of all particles, see sorting.assign_tags, and their numbers by block.
+        """Return the tags of all particles (sort_kernels.assign_tags) and their numbers by block.
 
         The numbers are for the blocks around each segment, shape (segments, 27).
         """
@@ -98,7 +98,7 @@ class ParticleGroup:
         return indices, to, cell
 
     def assign_targets(self, tags, place: np.ndarray, segments: int) -> np.ndarray:
-        """Replace tags by targets, see sorting.assign_targets; return the particles of each target.
+        """Replace tags by targets (sort_kernels.assign_targets); return the counts of the targets.
 
         Args:
             tags: Tags of `tag`, then targets (in/out).
@@ -140,7 +140,7 @@ class ParticleGroup:
         """Move all particles, including received ones, into the segments of blocks `codes`.
 
         Args:
-            tags: Targets of `aim`, extended by those of received particles.
+            tags: Targets of `assign_targets`, extended by those of received particles.
             number: Particles of each target, shape (64 segments,); overwritten.
             received: Number of received particles.
             codes: Codes of the new blocks, in key order.

@@ -220,9 +220,9 @@ def make_plan(
         volume: Total volume of each [m3].
         collider: True if there are colliders.
         center: Center of each [m]; without it the names order bodies of equal volume.
-        shades: Color range, see `colour_sets.shades`.
+        shades: Color range, see `color_exchange.coefficient_ranges`.
         surface: Whether the particles of each know its surface; default: none.
-        extents: Corners, see `driven.driven_plans`.
+        extents: Corners, see `prescribed_bodies.prescribed_body_plans`.
     """
     bodies = {k: scene.material[t.material] for k, t in enumerate(scene.things) if t.material}
     real, n = FLOAT_TYPES[scene.accuracy.precision], len(volume)

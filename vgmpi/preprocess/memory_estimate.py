@@ -143,7 +143,7 @@ def within_numbers(scene: Scene, obj: Object, low: np.ndarray, high: np.ndarray)
 
 
 def require_search_size(candidates: float) -> None:
-    """Raise room.TooLarge if too many lattice points would be searched for particles."""
+    """Raise InsufficientMemoryError if too many lattice points would be searched for particles."""
     if not candidates <= MAX_PLACES:
         message = f"{candidates:.3g} places for particles would have to be looked at"
         raise memory_budget.InsufficientMemoryError(f"{message}; at most {MAX_PLACES:.3g} are")

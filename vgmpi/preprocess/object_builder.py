@@ -67,7 +67,8 @@ def build_object(scene: Scene, number: int) -> BuiltObject:
     """Return object `number` of the scene in the domain.
 
     Raises:
-        PlacementError, GaussianFileError, MeshError, room.TooLarge: The object cannot be made.
+        PlacementError, GaussianFileError, MeshError, InsufficientMemoryError: The object cannot be
+        made.
     """
     obj = scene.object[number]
     piece = _MAKE[obj.source](scene, number, obj)
@@ -232,7 +233,7 @@ def _solid(
         transform: Placement of the object.
         fine: Points inside of a lattice _FINENESS times as fine, in chunks, if the form is exact.
 
-    Raises room.TooLarge.
+    Raises InsufficientMemoryError.
     """
     obj, spacing, gaps = scene.object[k], spacing_of(scene, scene.object[k]), missing.gap_points
     shell = np.concatenate([surface.x, gaps])

@@ -57,7 +57,7 @@ def support(shape: Shape, direction: np.ndarray) -> float:
     """Return the largest x . direction over the shape's points x (support function).
 
     For a difference it is that of its first part, for a blended union that of its parts (see
-    `bulge`).
+    `blend_overhang`).
     """
     form = getattr(shape, shape.form)
     d = np.asarray(direction, dtype=float)

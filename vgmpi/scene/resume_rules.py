@@ -32,7 +32,7 @@ def forbidden_changes(scene: Scene, before: dict) -> list[tuple[tuple, str]]:
 
     Args:
         scene: Scene of the restart.
-        before: `Scene.resolved` of the run so far.
+        before: `Scene.to_json` of the run so far.
     """
     now, allowed = scene.to_json(), may_change()
     differences: list[tuple[tuple, str]] = []

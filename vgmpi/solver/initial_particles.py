@@ -193,7 +193,7 @@ def _report_unreadable(path: Path, resumed: bool) -> None:
 
 
 def known_of(scene: Scene, built) -> ParticleSummary:
-    """Return the summary of the particles that `prepare.build` made."""
+    """Return the summary of the particles that `build_scene` made."""
     return _summary_of(scene, built.objects, built, built.x, built.colliders, built.loads)
 
 

@@ -144,7 +144,7 @@ class Runner:
     `probes` holds the rows of the scene's probes and `frame` the number of the next frame. `times`
     are the times of all frames [s]; in a resumed run only the number of the past ones counts.
     `history` lists what was changed at resumes. `path` is the checkpoint to resume from, or None;
-    `particles` the identity of the particles (output.read.identity), None if nothing is written.
+    `particles` the identity of the particles (particle_set_id), None if nothing is written.
     """
 
     def __init__(
@@ -323,7 +323,8 @@ def prepared_run(
             its particles; it may raise.
 
     Raises:
-        SceneError, StoreError, FolderError, CheckpointError, RunError, InvalidRunOptions, BlowUp.
+        SceneError, StoreError, RunFolderInUseError, CheckpointError, RunError, InvalidRunOptions,
+        BlowUp.
     """
     check(options, ranks)
     folder, resumed = options.folder, options.resume is not None

@@ -41,7 +41,7 @@ FAILURE_MESSAGES = {
     g2p.CFL_EXCEEDED: "it would move more than a cell in one step",
     g2p.NOT_FINITE: "its velocity or stress is not a number",
 }
-MAXIMA_SLICE = [0, 3, 4, 5]  # indices of enter.bounds among a step's maxima over the ranks
+MAXIMA_SLICE = [0, 3, 4, 5]  # indices of particle_insertion.bounds among a step's maxima
 FIELD_NAMES = {
     "momentum": "mass or momentum",
     "offsets": "volume",
@@ -161,7 +161,7 @@ class Simulation:
         return [] if self.sources is None else self.sources.spawn(before, self.time)
 
     def _insert(self, chunks: list[ParticleRows]) -> np.ndarray:
-        """Insert particles and return their bounds (4,), see enter.bounds. A sort must follow."""
+        """Insert particles and return particle_insertion.bounds, (4,). A sort must follow."""
         limits = np.zeros(4)
         for rows in chunks:
             limits = np.maximum(limits, insert(self.plan, self.lattice, self.groups, rows))

@@ -1,13 +1,14 @@
 """Contact of phases at one node: surface distances and contact impulses.
 
 Solids store their resolved surface at the nodes: its normal and the distance from it, averaged over
-the particles (layers/offsets.py), so that neighboring nodes agree and sliding bodies do not stick.
-Where the normals are reliable, bodies meet through an elastic penalty layer; at edges, and in
-contact with fluids and granular phases, impulses prevent any approach. Phases that flow store the
-volume V and the mean offset X / V of their particles at the nodes: for a half space this gives the
-distance of the node from it (`outside`). The velocity alone would act 1.2 to 2 cells too early. The
-impulses of all pairs of a node are computed together (accumulated Jacobi from the same velocities):
-a sweep of one pair after the other would depend on the numbering of the phases.
+the particles (nodal_fields/surface_distance.py), so that neighboring nodes agree and sliding bodies
+do not stick. Where the normals are reliable, bodies meet through an elastic penalty layer; at
+edges, and in contact with fluids and granular phases, impulses prevent any approach. Phases that
+flow store the volume V and the mean offset X / V of their particles at the nodes: for a half space
+this gives the distance of the node from it (`distance_from_mean_offset`). The velocity alone would
+act 1.2 to 2 cells too early. The impulses of all pairs of a node are computed together (accumulated
+Jacobi from the same velocities): a sweep of one pair after the other would depend on the numbering
+of the phases.
 """
 
 from typing import NamedTuple

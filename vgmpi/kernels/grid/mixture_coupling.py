@@ -38,7 +38,7 @@ class BlockContext(NamedTuple):
 
 
 class NodalFields(NamedTuple):
-    """Nodal arrays of node blocks, as pointers to their data (lanes.place)."""
+    """Nodal arrays of node blocks, as pointers to their data (vector16.pointer)."""
 
     phase: np.ndarray  # (node blocks,) phase of each
     least: np.ndarray  # (phases,) [kg] mass of a full cell
@@ -60,8 +60,8 @@ def couple_block(block, fields, work, rules, dt, dx):
     Args:
         block: Context of the block.
         fields: Nodal arrays (in/out).
-        work: Scratch of the calling thread, see members.places.
-        rules: Interaction rules as tables, see members.places.
+        work: Scratch of the calling thread, see mixture_workspace.to_pointers.
+        rules: Interaction rules as tables, see mixture_workspace.to_pointers.
         dt: Time step [s].
         dx: Cell size [m].
     """

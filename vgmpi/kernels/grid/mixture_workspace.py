@@ -79,7 +79,7 @@ def mixture_tables(rules: InteractionRules) -> MixtureTables:
 
 @device_function
 def to_pointers(workspace, tables):
-    """Return workspace and tables with pointers in place of arrays (lanes.place)."""
+    """Return workspace and tables with pointers in place of arrays (vector16.pointer)."""
     r, t = workspace, tables
     return MixtureWorkspace(
         pointer(r.block), pointer(r.wet), pointer(r.group), pointer(r.grains), pointer(r.pores),

@@ -57,8 +57,8 @@ class SeparatedStress(NamedTuple):
     drift: np.ndarray  # drift velocity [m/s]
     change: np.ndarray  # change of velocity [m/s]
     noted: int  # whether the change is needed (FLIP)
-    room: tuple  # members.Room, scratch of the calling thread
-    tables: tuple  # members.Tables
+    room: tuple  # MixtureWorkspace, scratch of the calling thread
+    tables: tuple  # MixtureTables
 
 
 @kernel
@@ -129,7 +129,7 @@ def update(blocks, tables, summed, shear, stress, rules, walls, phases, solids, 
 
 @device_function
 def _fields(rows, cell_mass, cells, grid, forces, offsets, stress):
-    """Return the nodal arrays that couplings need, as pointers; rows: sums.BlocksAt."""
+    """Return the nodal arrays that couplings need, as pointers; rows: NodeBlockPointers."""
     return NodalFields(
         rows.phase, cell_mass, cells, grid, forces, offsets,
         flat_pointer(stress.flux), flat_pointer(stress.drift), flat_pointer(stress.change),
@@ -217,7 +217,7 @@ def _add_stress_impulse_unshared(block, fields, rules):
     """Add the separate stress impulses of all phases but fluids that share space.
 
     The pressure of those fluids acts on other phases too (mixture_coupling.py). rules:
-    members.Tables as
+    MixtureTables as
     pointers.
     """
     for nb in range(block.n0, block.n1):

@@ -3,8 +3,8 @@
     c_i = sum_p w_ip V_p c_p / sum_p w_ip V_p,     c_p <- sum_i w_ip c_i
 
 V_p is the current volume. There is a field per coefficient: red, green, blue times volume, and
-volume. Walls mirror no color: nodes beyond them are ordinary nodes, as in splatting/colour.py, to
-which this is equal.
+volume. Walls mirror no color: nodes beyond them are ordinary nodes, as in
+gaussians/color_diffusion.py, to which this is equal.
 """
 
 from typing import NamedTuple
@@ -41,7 +41,7 @@ from .surface_distance import current_volumes
 class Color(NamedTuple):
     """Contribution of one color coefficient."""
 
-    mirror: float  # code of layers/base.py
+    mirror: float  # code of nodal_fields/field_protocol.py
     channel: float  # first of the coefficient's three channels
 
 

@@ -1,10 +1,10 @@
 """Nodal fields: one kind of sum at the nodes, of four numbers each.
 
 All fields pass through a step in the same way: particles contribute by a kind of their own
-(`contribute`), threads and ranks add to the sums in any order (kernels/reproducible_sums.py), and
-the grid
-update converts these to numbers. The file of a field says what a particle contributes, and by
-`full` how large a sum may become: the quanta follow from it.
+(`particle_contribution`), threads and ranks add to the sums in any order
+(kernels/reproducible_sums.py), and the grid update converts these to numbers. The file of a field
+says what a particle contributes, and by `accumulator_range` how large a sum may become: the quanta
+follow from it.
 
 The first field of every kind is `mirror`: how walls act on it.
 """
@@ -32,7 +32,7 @@ def particle_contribution(kind, law, count, offset, cap, f, extra, peak, records
         cap: Stride of channels.
         f: Particle channels, flat, shape (channels * cap,).
         extra: Scratch, shape (5 BATCH,).
-        peak: Stress maximum (in/out), see records.Scratch, as a pointer.
+        peak: Stress maximum (in/out), see particle_records.Scratch, as a pointer.
         records: Records (out).
         dt: Time step [s].
     """
@@ -45,6 +45,6 @@ def accumulate(kind, count, records, weights, base, patch):
     Args:
         kind: Contribution kind.
         count: Number of records.
-        records, weights, base: See rowsums.scatter.
+        records, weights, base: See stencil_sums.scatter.
         patch: Patch (in/out), shape (2048,).
     """

@@ -21,7 +21,7 @@ from .field_protocol import MIRROR_VECTOR, accumulate, particle_contribution
 class Momentum(NamedTuple):
     """Contribution of momentum, mass and the stress impulse."""
 
-    mirror: float  # code of layers/base.py
+    mirror: float  # code of nodal_fields/field_protocol.py
     splines: float  # 1: forces by the gradients of the B-splines, 0: by moments
     density: float  # [kg/m3] rest density
     affine: float  # 1: particles carry the velocity gradient (APIC), 0: they do not
@@ -31,7 +31,7 @@ class Momentum(NamedTuple):
 class MomentumWithoutStress(NamedTuple):
     """Contribution of momentum and mass; stress impulses are a field of their own."""
 
-    mirror: float  # code of layers/base.py
+    mirror: float  # code of nodal_fields/field_protocol.py
     splines: float  # 1: forces by the gradients of the B-splines, 0: by moments
     density: float  # [kg/m3] rest density
     affine: float  # 1: particles carry the velocity gradient (APIC), 0: they do not
@@ -115,7 +115,7 @@ def by_slopes(kind, count, records, weights, base, patch):
     Args:
         kind: Contribution kind.
         count: Number of records.
-        records, weights, base: See rowsums.scatter.
+        records, weights, base: See stencil_sums.scatter.
         patch: Patch (in/out), shape (2048,).
     """
     if kind.splines > 0.0:

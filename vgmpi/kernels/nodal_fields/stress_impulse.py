@@ -20,7 +20,7 @@ from .field_protocol import MIRROR_VECTOR, accumulate, particle_contribution
 class Impulses(NamedTuple):
     """Contribution of stress impulses and volumes."""
 
-    mirror: float  # code of layers/base.py
+    mirror: float  # code of nodal_fields/field_protocol.py
     splines: float  # 1: forces by the gradients of the B-splines, 0: by moments
     counted: float  # 1 where phases share space, so that nodes need volumes
     porosity: float  # channel of the fluid's volume fraction, or -1

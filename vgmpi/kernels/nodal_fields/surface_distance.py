@@ -29,7 +29,7 @@ from .field_protocol import MIRROR_MOMENT, accumulate, particle_contribution
 class Offsets(NamedTuple):
     """Contribution of rest volumes."""
 
-    mirror: float  # code of layers/base.py
+    mirror: float  # code of nodal_fields/field_protocol.py
     share: float  # [-] volume fraction of the material itself at rest
     dx: float  # [m] cell size
 
@@ -37,7 +37,7 @@ class Offsets(NamedTuple):
 class CurrentVolumeMoments(NamedTuple):
     """Contribution of current volumes, for couplings, where the stress is kept separate."""
 
-    mirror: float  # code of layers/base.py
+    mirror: float  # code of nodal_fields/field_protocol.py
     share: float  # [-] volume fraction of the material itself at rest
     dx: float  # [m] cell size
 
@@ -45,7 +45,7 @@ class CurrentVolumeMoments(NamedTuple):
 class SurfaceDistance(NamedTuple):
     """Contribution of the resolved surface of a body."""
 
-    mirror: float  # code of layers/base.py
+    mirror: float  # code of nodal_fields/field_protocol.py
     dx: float  # [m] cell size
     density: float  # [kg/m3] rest density
     gradient: float  # first channel of F - I

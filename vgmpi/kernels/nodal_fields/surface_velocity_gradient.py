@@ -23,7 +23,7 @@ from .field_protocol import MIRROR_VECTOR, accumulate, particle_contribution
 class Shear(NamedTuple):
     """Contribution of velocity slopes at a resolved surface."""
 
-    mirror: float  # code of layers/base.py
+    mirror: float  # code of nodal_fields/field_protocol.py
     dx: float  # [m] cell size
     density: float  # [kg/m3] rest density
     gradient: float  # first channel of F - I

@@ -18,7 +18,7 @@ def set_prescribed_velocity(block, nodes, phase, motions, dx):
         block: Context of the block.
         nodes: Nodal velocities (in/out), shape (256 node blocks,) [m/s].
         phase: Phase of each node block.
-        motions: Prescribed motion of the phases in this step (domain.driven).
+        motions: Prescribed motion of the phases in this step (prescribed_motion.py).
         dx: Cell size [m].
     """
     sync_threads()
@@ -51,7 +51,7 @@ def advect_prescribed(
         block: Block coordinates, shape (segments, 3).
         particles: Particle arrays of the group (in/out).
         phase: Phase of the group.
-        motions: Prescribed motion of the phases in this step (domain.driven).
+        motions: Prescribed motion of the phases in this step (prescribed_motion.py).
         turned: First channels of F - I, of the law and of a law without one, -1 if absent, shape
             (2,).
         dx, dt: Cell size [m] and unrounded time step [s].
@@ -118,7 +118,7 @@ def record_prescribed_bounds(report, distance, speed, squared):
 
 @device_function
 def _turn(f, p, turn, turned, dt):
-    """Rotate the deformation gradients of a particle, see `carry`."""
+    """Rotate the deformation gradients of a particle, see `advect_prescribed`."""
     L = (
         turn[0, 0], turn[0, 1], turn[0, 2], turn[1, 0], turn[1, 1], turn[1, 2], turn[2, 0],
         turn[2, 1], turn[2, 2],

@@ -93,7 +93,7 @@ def evaluate_colliders(blocks, first, nearby, movers, dt, dx, nodes, moves, whos
         blocks: Blocks, shape (n, 3).
         first: Start of each block's colliders in `nearby`, shape (n + 1,).
         nearby: Numbers of the colliders near each block b, in nearby[first[b] : first[b + 1]].
-        movers: Sampled colliders, see `Sampled`.
+        movers: Sampled colliders, see `SampledSdf`.
         dt: Time step [s].
         dx: Cell size [m].
         nodes: Outward normal and distance [m], infinite if no collider is near (out), shape

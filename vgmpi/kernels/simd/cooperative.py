@@ -3,7 +3,7 @@
 On the CPU one thread does all of it; on the GPU each thread does a part
 (solver/engines/cuda/thread_block.py). A
 kernel over nodes says `for node in each(64)` where the work at a node does not depend on the
-others, and `meet()` where the following code reads what other threads of the team wrote.
+others, and `sync_threads()` where the following code reads what other threads of the team wrote.
 """
 
 from vgmpi.runtime.jit import always_inline
@@ -24,7 +24,7 @@ def sync_threads():
 
 @always_inline
 def flat_pointer(array):
-    """Return the pointer to an array of any shape (lanes.place); GPU arrays are flat already."""
+    """Return the pointer to an array of any shape (vector16.pointer); GPU arrays are flat."""
     return pointer(array.reshape(array.size))
 
 

@@ -184,7 +184,7 @@ def _lane_state(law, f, first, cap):
 
 
 def store_state_vector(f, first, cap, state):
-    """Store the state of 16 particles, the inverse of `lane_state`.
+    """Store the state of 16 particles, the inverse of `load_state_vector`.
 
     Args:
         f: Flat channel array (out), channels `cap` numbers apart.

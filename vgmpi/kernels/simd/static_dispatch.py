@@ -1,9 +1,9 @@
 """Static dispatch of kernel functions on the type of their first argument.
 
-    @by_kind
-    def contribute(kind, ...): "Description."
+    @static_dispatch
+    def particle_contribution(kind, ...): "Description."
 
-    @contribute.of(Momentum)
+    @particle_contribution.of(Momentum)
     def _(kind, ...): ...
 
 Kinds are NamedTuples. The implementation is selected when a kernel is compiled, so that kernels do

@@ -95,7 +95,7 @@ def broadcast_value(context, builder, kind, lanes, value):
 
 
 def address(context, builder, array_type, array, index):
-    """Emit the pointer to an element of a contiguous array, or behind a `place`.
+    """Emit the pointer to an element of a contiguous array, or behind a `pointer`.
 
     Args:
         context, builder: numba's target context and LLVM builder.

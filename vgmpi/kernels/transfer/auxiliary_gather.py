@@ -4,10 +4,11 @@ The kinds are: nothing; the volume flux and the drift where phases share space; 
 velocity for FLIP; or all of these. The density correction of liquids is a further kind, in
 density_correction.py.
 
-Each kind implements one interface: it loads patches of nodes for a segment (`fetch`), gathers from
-them for a batch of particles (`set_aside`), and says how the result enters the particle: its
-velocity (`keep`), the velocity that advects it (`moving`), its velocity gradient (`strain`) and its
-wave speed (`waves`). The first argument is the kind; the others have the same meaning in all.
+Each kind implements one interface: it loads patches of nodes for a segment (`load_patches`),
+gathers from them for a batch of particles (`gather_batch`), and says how the result enters the
+particle: its velocity (`particle_velocity`), the velocity that advects it (`advection_velocity`),
+its velocity gradient (`velocity_gradient`) and its wave speed (`mixture_wave_speed_squared`). The
+first argument is the kind; the others have the same meaning in all.
 """
 
 from typing import NamedTuple
@@ -99,7 +100,7 @@ def particle_velocity(kind, f, p, cap, extra, n, v):
 
     Args:
         f, p, cap: Particle channels, flat (in/out); first of the 16 particles; stride of channels.
-        extra, n: Gathered quantities (`set_aside`); number of the first particle in its batch.
+        extra, n: Gathered quantities (`gather_batch`); number of the first particle in its batch.
         v: Velocity as gathered, three components [m/s].
     """
 
@@ -121,7 +122,7 @@ def advection_velocity(kind, split, extra, n, v):
 
     Args:
         split: Whether the stress impulses of the segment are kept separate from momentum.
-        extra, n: Gathered quantities (`set_aside`); number of the first particle in its batch.
+        extra, n: Gathered quantities (`gather_batch`); number of the first particle in its batch.
         v: Velocity as gathered, three components [m/s].
     """
 
@@ -133,7 +134,7 @@ def velocity_gradient(kind, split, f, p, cap, extra, n, L, fill, slope, numbers)
     Args:
         split: Whether the stress impulses of the segment are kept separate from momentum.
         f, p, cap: Particle channels, flat (in/out); first of the 16 particles; stride of channels.
-        extra, n: Gathered quantities (`set_aside`); number of the first particle in its batch.
+        extra, n: Gathered quantities (`gather_batch`); number of the first particle in its batch.
         L: Velocity gradient as gathered, nine components [1/s].
         fill, slope: Fourth nodal number as gathered, and a quarter of its slope per cell.
         numbers: Constants of the group.

@@ -89,7 +89,7 @@ class StepConstants(NamedTuple):
 
 
 class ParticlePointers(NamedTuple):
-    """Particle arrays as pointers to their data (lanes.place)."""
+    """Particle arrays as pointers to their data (vector16.pointer)."""
 
     f: np.ndarray  # channels
     xi: np.ndarray  # fixed-point positions

@@ -51,7 +51,7 @@ def particles_to_grid(rows, kind, law, segments, particles, sums, scratch, dt, g
 
     Args:
         rows: Segments to process, shape (n,).
-        kind: Contribution kind of the field, see layers/base.py.
+        kind: Contribution kind of the field, see nodal_fields/field_protocol.py.
         law: Material parameters of the group.
         segments, particles: Segment table and particle arrays of the group, see
         kernels/kernel_arguments.py.

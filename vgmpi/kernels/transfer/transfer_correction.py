@@ -33,7 +33,7 @@ from .g2p import unpack_gathered
 def momentum_to_velocity_only(blocks, tables, momentum, as_one, phases, step, report):
     """Compute the velocities [m/s] at the nodes of some blocks, from momentum alone.
 
-    Gravity, contact and walls do not act; see grid.update.
+    Gravity, contact and walls do not act; see kernels/grid/update.py.
 
     Args:
         blocks, tables: Blocks to process, shape (n,), and node blocks of the rank.

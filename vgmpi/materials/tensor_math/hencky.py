@@ -5,14 +5,15 @@ the eigenvalues of b_e = F_e F_e^T; the Kirchhoff stress 2 mu e + lam tr(e) I ha
 mapping is then that of the linear theory, exact at any strain (Simo and Hughes, Computational
 Inelasticity, 1998, section 9.3). A law's `advance` reads
 
-    b = moved(state[:6], L, dt)                trial state: the step is elastic
+    b = trial_strain_measure(state[:6], L, dt)   trial state: the step is elastic
     d, q = eigen(b)
-    e = strains(d)
+    e = principal_log_strains(d)
     c = ...                                    change of e by the return mapping, 0 if none
-    return yielded(b, d, q, c) + (...)         only the change is put back
+    return apply_plastic_corrector(b, d, q, c) + (...)      only the change is put back
 
-so that an elastic step keeps all digits in single precision. `deviator` returns the parts of e that
-return mappings need; `stress`, `energy`, `volume_ratio` and `stiffest` are those of B.
+so that an elastic step keeps all digits in single precision. `split_volumetric_deviatoric`
+returns the parts of e that return mappings need; `stress`, `energy`, `volume_ratio` and
+`acoustic_modulus_bound` are those of B.
 
 B: (00, 11, 22, 01, 02, 12); mu, lam: Lame's parameters [Pa].
 """

@@ -39,7 +39,7 @@ class Voxels:
         return cls(start, tuple(int(n) for n in stop - start), spacing)
 
     def afford(self, bytes_each: int) -> None:
-        """Raise room.TooLarge if `bytes_each` bytes for every voxel exceed the memory."""
+        """Raise InsufficientMemoryError if `bytes_each` bytes for every voxel exceed the memory."""
         size = " x ".join(map(str, self.shape))
         needed = bytes_each * float(np.prod(np.array(self.shape, dtype=float)))
         memory_budget.require_memory(

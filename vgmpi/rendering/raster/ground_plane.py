@@ -150,11 +150,11 @@ def composite_ground(
 
     Args:
         floor: The plane.
-        shadow: Shadow of its light, see `cast`.
+        shadow: Shadow of its light, see `cast_shadow`.
         camera: Camera of the picture.
         background: One color, shape (3,), or a picture, shape (height, width, 3), where the plane
             is not visible.
-        contact: Contact shadow, see `touch`, or None.
+        contact: Contact shadow, see `contact_shadow`, or None.
 
     Returns:
         Background picture for the Gaussians, float32 (height, width, 3).

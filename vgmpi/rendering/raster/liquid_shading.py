@@ -197,7 +197,7 @@ def _reflected_light(mirrored, rotation, sky, medium, out):
 def _absorb(color, path, clear, bright):
     """Absorb light `color` (3,) on its path through the liquid and add the liquid's own light.
 
-    path: (5,) sums of front.through at the pixel. Returns the transmittance.
+    path: (5,) sums of `liquid_thickness` at the pixel. Returns the transmittance.
     """
     path_length, transmittance = path[0], np.exp(-path[4])
     inverse_length, relative_length = np.float32(1.0) / path_length, np.float32(path_length / clear)
@@ -220,7 +220,7 @@ def shade(
 
     Args:
         inv_depth: Inverse depth of the front, shape (height, width) [1/m]; 0 for none.
-        paths: Path sums, shape (height, width, 5), see `front.through`.
+        paths: Path sums, shape (height, width, 5), see `liquid_thickness`.
         background, background_depth: Picture and depth [m] behind the liquid.
         lens: fx, fy, cx, cy, near.
         rotation: World to camera, shape (3, 3).

@@ -103,7 +103,7 @@ def project(
             Gaussians in view.
 
     Returns:
-        The arrays of `Rows` and depths of the m Gaussians in view.
+        The arrays of `ProjectedGaussians` and depths of the m Gaussians in view.
     """
     out, depth, shape = _empty_rows(len(x)), np.empty(len(x)), (height, width)
     camera, options = (w2c, lens, shape), (lowpass, antialias, alpha_min)
@@ -187,7 +187,7 @@ def project_to_plane(
         alpha_min: Cutoff of alpha.
 
     Returns:
-        The arrays of `Rows`.
+        The arrays of `ProjectedGaussians`.
     """
     out, shape = _empty_rows(len(x)), (height, width)
     m = _drop(x, cov, opacity, lean, plane, lower, pixel, softness, shape, alpha_min, out)

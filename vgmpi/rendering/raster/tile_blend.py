@@ -11,7 +11,7 @@ depth, the weighted depth, the median depth, the sum of the weights). The transm
 that has stopped is negative: then the next Gaussian stops it again, whatever it is, and adds
 nothing.
 
-A picture in two layers, before and behind a surface, has a depth limit per pixel (`Side`): a
+A picture in two layers, before and behind a surface, has a depth limit per pixel (`DepthSide`): a
 Gaussian leaves out the pixels for which its center lies on the other side.
 """
 
@@ -64,7 +64,7 @@ class DepthSide(NamedTuple):
     """One side of a depth limit per pixel."""
 
     depth: np.ndarray  # (n,) float32 [m] depths of the Gaussians
-    limit: np.ndarray  # (tiles, 256) float32 [m] depth limit per pixel, see `tiled`
+    limit: np.ndarray  # (tiles, 256) float32 [m] depth limit per pixel, see `to_tiles`
     is_behind: bool  # whether the side behind the limit is drawn, or else before it
 
 
@@ -220,7 +220,8 @@ def blend_tiles(order, ellipses, looks, bounds, canvas, nx, depths, side):
     """Blend Gaussians (see project) into a canvas (tiles, _CANVAS), nx tiles wide.
 
     Args:
-        order, ellipses, looks, bounds: Order from near to far, and the rows of `project.Rows`.
+        order, ellipses, looks, bounds: Order from near to far, and the rows of
+            `ProjectedGaussians`.
         canvas, nx, depths, side: (in/out), width in tiles, whether red is a depth, Side or None.
     """
     tiles = len(canvas)

@@ -159,7 +159,7 @@ def grains(
         stretch: Stretches of the lattice around them, shape (n, 6).
         color: Display values, shape (n, 3).
         sandy: Whether of sand, or else of snow, shape (n,).
-        pile: Result of `heap`.
+        pile: Result of `find_visible_particles`.
         eye: Position of the camera, shape (3,) [m].
         floor: Height below which no grain lies [m].
         children: Children of a particle.
@@ -190,7 +190,7 @@ def grains(
 
 @njit_cached(nogil=True, error_model="numpy")
 def _random(number, stream):
-    """Return a random number in 0..1, as hashing.uniform."""
+    """Return a random number in 0..1, as particle_hash.uniform."""
     bits = number * np.uint64(256) + np.uint64(stream + 1)
     bits *= np.uint64(0x9E3779B97F4A7C15)
     bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)

@@ -224,7 +224,7 @@ def advance_foam(foam: np.ndarray, ids: np.ndarray, source: np.ndarray, dt: floa
     Args:
         foam: (in/out) Foam fraction of every particle, shape (all,).
         ids: Numbers of the liquid's particles in the frame, shape (n,).
-        source: Result of `foam_made`, shape (n,).
+        source: Result of `foam_source`, shape (n,).
         dt: Time step [s].
     """
     foam *= np.exp(-dt / LIFE)

@@ -58,7 +58,7 @@ def ground(
     albedo: np.ndarray, other: np.ndarray, tile: float, backdrop: np.ndarray, lean: float = 0.35,
     texels: int = TEXELS,
 ) -> Ground:  # fmt: skip
-    """Return the ground with its light, without the liquid's absorption (deferred.tint_ground).
+    """Return the ground with its light, without absorption (deferred_shading.tint_ground).
 
     Args:
         kind: NONE, TILES, SQUARES or SHADOW.

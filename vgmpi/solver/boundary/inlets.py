@@ -60,7 +60,7 @@ class Sources:
         """Compute the bounds that hold while an inlet is active."""
         self.plan, self.ranks = plan, ranks
         self.carried: list[_Carried] = []
-        self.active_bounds = np.zeros(4)  # bounds (enter.bounds) of active inlets
+        self.active_bounds = np.zeros(4)  # bounds (particle_insertion.bounds) of active inlets
         for source in plan.sources:
             group, v = plan.groups[source.group], source.velocity[None]
             limits = bounds(plan, group, [group.rest], v, np.zeros((1, 9)))

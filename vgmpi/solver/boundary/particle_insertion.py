@@ -94,7 +94,7 @@ def bounds(plan: Plan, group: GroupPlan, states: list, v: np.ndarray, C: np.ndar
         C: Velocity gradients, shape (n, 9) [1/s].
 
     Returns:
-        (rate, speed, turn, stress), see engines.base.Reach; rate is the least 1/dt [1/s].
+        (rate, speed, turn, stress), see ParticleMaxima; rate is the least 1/dt [1/s].
     """
     law, dx, cfl = group.law, plan.dx, plan.cfl
     wave2 = group.bound(max(law_function(law, "wave_speed2")(law, state) for state in states))

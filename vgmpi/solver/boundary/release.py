@@ -65,7 +65,8 @@ class Releases:
             ranks: Communicator.
 
         Returns:
-            Bounds of time steps and sums for the released particles, shape (4,), see enter.bounds.
+            Bounds of time steps and sums for the released particles, shape (4,), see
+            particle_insertion.bounds.
         """
         limits = np.zeros(4)
         self.open_walls(time)
@@ -80,8 +81,7 @@ class Releases:
         """Move the particles of a release layer to the group that their body joins.
 
         Returns:
-            Their bounds, see enter.bounds.
-        """
+            Their bounds, see particle_insertion.bounds."""
         group, target = groups[body.group], groups[body.joins]
         indices = group.index()
         height = group.positions_at(indices)[:, 2]
@@ -115,7 +115,7 @@ def _launch(group: ParticleGroup, indices: np.ndarray, course: Trajectory, time:
 
 
 def _bounds_of(plan: Plan, group: ParticleGroup, indices: np.ndarray) -> np.ndarray:
-    """Return enter.bounds for the particles `at` (n,) of a group."""
+    """Return particle_insertion.bounds for the particles `at` (n,) of a group."""
     law, state = group.plan.law, group.law_state(indices)
     wave2 = np.broadcast_to(law_function(law, "wave_speed2")(law, state), len(indices))
     tau = np.abs(

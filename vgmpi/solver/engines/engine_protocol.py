@@ -43,8 +43,8 @@ class StepReport(NamedTuple):
 
     rate: float  # [1/s] lower bound of 1/dt from the particles
     far: float  # [cells] largest distance of a particle from the center of its block
-    reach: tuple[float, float, float]  # maxima that bound the next sums, see `Reach`
-    wrong: list[tuple[int, int]]  # failed particles: id and reason (g2p.CRUSHED ...)
+    reach: tuple[float, float, float]  # maxima that bound the next sums, see `ParticleMaxima`
+    wrong: list[tuple[int, int]]  # failed particles: id and reason (g2p.INVALID_VOLUME ...)
     beyond: list[AccumulatorOverflow]  # sums that left their range
 
 
@@ -54,7 +54,7 @@ class ParticleMaxima(NamedTuple):
     speed: float  # [m/s] largest velocity component
     turn: float  # [1/s] norm of the velocity gradient
     stress: float  # [m^2/s^2] stress divided by density
-    rate: float  # [1/s] lower bound of 1/dt, see `Report`
+    rate: float  # [1/s] lower bound of 1/dt, see `StepReport`
     dt: float  # [s] length of that step
 
     @classmethod
@@ -138,7 +138,7 @@ class Engine(Protocol):
         Args:
             dt: Length of the step [s], 0 for a step of no time.
             gravity: Acceleration, shape (3,) [m/s^2].
-            speed: Bound of `Reach.fastest` [m/s].
+            speed: Bound of `ParticleMaxima.fastest` [m/s].
         """
 
     def fill(self, border: bool) -> None:
@@ -163,5 +163,5 @@ class Engine(Protocol):
             times: Factor of the loss that is added to the particles.
 
         Returns:
-            Sums that left their range, as in `Report`.
+            Sums that left their range, as in `StepReport`.
         """

@@ -23,7 +23,7 @@ class FieldContribution(NamedTuple):
     """Contribution of selected segments of a group to a nodal field."""
 
     layer: str  # name of the nodal field
-    kind: tuple  # kind of contribution, see kernels.layers
+    kind: tuple  # kind of contribution, see kernels/nodal_fields
     chosen: np.ndarray  # (segments,) bool, segments that contribute
 
 
@@ -68,7 +68,7 @@ class NodalField:
         """Choose the quanta of a step, and reset the sums if their bias changes.
 
         Args:
-            speed: Power of 8 [m/s] that is not below the bound of `base.Reach`.
+            speed: Power of 8 [m/s] that is not below the bound of `ParticleMaxima`.
         """
         if speed == self.speed:
             return

@@ -111,7 +111,7 @@ def words_of(example):
 
 
 def settled(nb, blocks, layer, report, which):
-    """Read the sums of a block and reset them (sums.take_up); the GPU has no copies.
+    """Read the sums of a block and reset them (finalize_node_block); the GPU has no copies.
 
     Args:
         nb, blocks: Index of the node block and table of blocks.

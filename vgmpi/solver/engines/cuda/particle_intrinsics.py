@@ -93,7 +93,7 @@ def store_int32(array, index, value):
 
 
 def offsets_record(kind, count, volumes, first, record):
-    """Write the record of offsets, one pattern times a volume; see layers/offsets.py.
+    """Write the record of offsets, one pattern times a volume (surface_distance.py).
 
     Args:
         kind: Kind of the contribution.

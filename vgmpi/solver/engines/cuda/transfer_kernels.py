@@ -129,7 +129,7 @@ def _node(base):
 
 
 def _accumulate_record(sums, written, weights, m, node):
-    """Return the sums with one more record (rowsums._runs_whole)."""
+    """Return the sums with one more record (stencil_sums._runs_whole)."""
     k, w = REAL(node), weights[m + 8 + node]
     a, b, c, da, db, dc = row_terms(written, weights, m, k, w)
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = sums
