@@ -60,6 +60,7 @@ def _parsers_are_raised() -> Iterator[None]:
     original = argparse.ArgumentParser.parse_args
 
     def raise_parser(self, *_args, **_kwargs):
+        """Raise the parser instead of parsing."""
         raise _ParserFound(self)
 
     argparse.ArgumentParser.parse_args = raise_parser  # type: ignore[method-assign]

@@ -32,7 +32,8 @@ class Law(NamedTuple):
 @material
 class Corotated(HyperelasticMaterial):
     """Fixed corotated elastic solid, with stress proportional to stretch: softer in compression
-    than kind "elastic", and slower."""
+    than kind "elastic", and slower.
+    """
 
     kind: Literal["corotated"]  # type: ignore[assignment]
 

@@ -37,7 +37,8 @@ class Law(NamedTuple):
 @material
 class Paste(Liquid):
     """Yield-stress fluid, such as mud, jam or ketchup (Herschel-Bulkley): in simple shear, tau =
-    yield_stress + consistency (shear rate)^index. Viscosity does not limit the time step."""
+    yield_stress + consistency (shear rate)^index. Viscosity does not limit the time step.
+    """
 
     kind: Literal["paste"]
     yield_stress: Annotated[float, Quantity("Pa", ge=0)]

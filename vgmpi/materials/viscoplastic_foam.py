@@ -27,7 +27,8 @@ class Law(NamedTuple):
 class Foam(ElastoplasticMaterial):
     """Foam, such as shaving foam or whipped cream: elastic solid with viscous flow beyond its yield
     stress; in simple shear, tau = yield_stress + viscosity (shear rate). Unlike a paste it is
-    compressible, and its bodies do not merge."""
+    compressible, and its bodies do not merge.
+    """
 
     kind: Literal["foam"]
     density: Annotated[float, Quantity("kg/m3", gt=0)] = 80.0

@@ -33,7 +33,8 @@ class Keyframe(StrictModel):
 
 class Motion(StrictModel):
     """Prescribed rigid motion, independent of contact forces: keyframes, or constant velocity and
-    spin."""
+    spin.
+    """
 
     keyframes: Annotated[tuple[Keyframe, ...], Field(max_length=100_000)] = ()
     """{ time, move, angle } in order of time; the motion starts from the initial position and ends

@@ -203,7 +203,8 @@ def sample(
         opacity: Opacity of all.
         key: Seed; equal keys give equal points.
 
-    Raises MeshError for a mesh without area, InsufficientMemoryError."""
+    Raises MeshError for a mesh without area, InsufficientMemoryError.
+    """
     corner = mesh.corners()
     with np.errstate(over="ignore", under="ignore"):  # such an area is refused
         cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])

@@ -81,7 +81,8 @@ class Releases:
         """Move the particles of a release layer to the group that their body joins.
 
         Returns:
-            Their bounds, see particle_insertion.bounds."""
+            Their bounds, see particle_insertion.bounds.
+        """
         group, target = groups[body.group], groups[body.joins]
         indices = group.index()
         height = group.positions_at(indices)[:, 2]

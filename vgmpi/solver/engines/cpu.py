@@ -115,7 +115,8 @@ class Cpu:
         """Start to sum the reactions of colliders and walls.
 
         Args:
-            rows, quanta, rank: See `Engine.enable_reactions`."""
+            rows, quanta, rank: See `Engine.enable_reactions`.
+        """
         self.reactions = ReactionAccumulators(self.plan, rows, quanta, rank, self.threads)
 
     def given(self) -> np.ndarray:

@@ -3,7 +3,8 @@
 Finds the pairs of phases in contact and the impulses that keep them apart. The rule is that of
 docs/explanation/contact.md: the surfaces of solids are known, other surfaces are found from the
 volumes and mean offsets of a phase's particles. The impulses of all pairs at a node are found
-together, by accumulated Jacobi sweeps."""
+together, by accumulated Jacobi sweeps.
+"""
 
 import numpy as np
 

@@ -85,7 +85,8 @@ class Numpy:
         """Start to sum reactions.
 
         Args:
-            rows, quanta, rank: See `Engine.enable_reactions`."""
+            rows, quanta, rank: See `Engine.enable_reactions`.
+        """
         self.sums = self.contact.given = ReactionSums(self.plan, self.dense, rows, quanta)
 
     def given(self) -> np.ndarray:
