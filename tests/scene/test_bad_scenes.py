@@ -93,7 +93,7 @@ FIRST = 'gravity_keyframes = [{ time = "1 s", gravity = [0, 0, -9.8] }'
         (
             FIRST.replace("gravity = [0,", "pull = [0,") + "]",
             "gravity_keyframes.0.gravity",
-            "required key is missing: acceleration of gravity then",
+            "required key is missing: acceleration of gravity at that time",
         ),
         (
             FIRST + ']\ngravity_ramp = "1 s"',
