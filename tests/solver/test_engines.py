@@ -1,6 +1,6 @@
 """Every engine on the same small scenes: every law, contact, couplings, FLIP, splines, colours.
 
-engines/numpy is the method as docs/theory.md tells it, on one dense grid; the others are held to it
+numpy_reference is the method of docs/theory.md on one dense grid; the others are held to it
 in double precision. Particles are moved off their lattice at random, so that no sum cancels by
 symmetry and no contact hangs on a rounding error.
 """
