@@ -150,7 +150,7 @@ def test_plain_numpy_has_one_thread(scene, capsys):
 
 
 def test_a_blow_up_before_the_first_step_is_one_line(tmp_path, capsys, monkeypatch):
-    """A layer whose `full` is too small is found while the kernels are made ready."""
+    """A field whose `accumulator_range` is too small is found while kernels are made ready."""
     body = '[[object]]\nname = "lump"\nmaterial = "clay"\nshape = { box = [[0.1, 0.1, 0.1], '
     scene = write(tmp_path, ROOM + body + "[0.2, 0.2, 0.2]] }\n")
     full = momentum.accumulator_range

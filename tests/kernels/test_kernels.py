@@ -1,4 +1,4 @@
-"""The compiled engine agrees with the one in plain numpy (vgmpi/engines/numpy) to rounding.
+"""The compiled engine agrees with the one in plain numpy (numpy_reference) to rounding.
 
 Particles are moved off their lattice at random, so that no sum cancels by symmetry and no contact
 hangs on a rounding error. tests/solver/test_engines.py has all laws and couplings; here are walls,

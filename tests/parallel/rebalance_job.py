@@ -18,14 +18,14 @@ SEEN = {"rank": 0, "sorts": 0, "sent": 0}
 
 
 def to_and_fro(keys, work, count, ranks, cut, steps):
-    """In place of balance.recut: the first ranks hold little, then much, then little again."""
+    """In place of load_balance.rebalance: the first ranks hold little, then much, then little."""
     power = 2.0 if SEEN["sorts"] % 2 else 0.5
     share = (np.arange(1, ranks) / ranks) ** power
     return keys[0] + ((keys[-1] - keys[0]) * share).astype(np.int64)
 
 
 def watched(groups, ranks, *arguments):
-    """migrate.sort, counted."""
+    """migration.sort_particles, counted."""
     found = SORT(groups, ranks, *arguments)
     SEEN["rank"] = ranks.rank
     SEEN["sorts"] += 1

@@ -133,7 +133,7 @@ def test_a_blend_fills_the_edge_where_parts_meet():
 
 
 def test_blended_distances_are_bounds():
-    """Slopes are at most 1, and nothing sticks out further than `bulge`."""
+    """Slopes are at most 1, and nothing sticks out further than `blend_overhang`."""
     balls = [{"sphere": {"center": [x, 0, 0], "radius": 0.1}} for x in (0.0, 0.13, 0.26)]
     shape = Shape.model_validate({"union": balls, "blend": 0.08})
     rng = np.random.default_rng(6)

@@ -196,7 +196,7 @@ def test_above_the_floor(tmp_path):
 
 
 def planned(folder, text):
-    """(plan, what prepare.build made) of a scene's text."""
+    """(plan, what build_scene made) of a scene's text."""
     loaded = scene(folder, text)
     made = build_scene(loaded)
     return plan_for(loaded, known_of(loaded, made)), made

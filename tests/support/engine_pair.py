@@ -22,7 +22,7 @@ def beside(plan, colliders, x, v, volume, thing, engines=("cpu", "numpy"), **mor
 
 
 def shaken(made, plan, seed):
-    """(x, v) of what prepare.build made, moved off its lattice at random: no sum cancels by
+    """(x, v) of what build_scene made, moved off its lattice at random: no sum cancels by
     symmetry, no contact hangs on a rounding error."""
     random, size = np.random.default_rng(seed), np.array(plan.cells) * plan.dx
     x = made.x + random.uniform(-0.2, 0.2, made.x.shape) * plan.dx
