@@ -2,10 +2,10 @@
 
 import sys
 
-from vgmpi.runtime.exit_handler import guarded
+from vgmpi.runtime.exit_handler import exit_code_from_exceptions
 
 
-@guarded
+@exit_code_from_exceptions
 def main() -> int:
     """Run the command of this process's command line; returns the exit code."""
     from vgmpi.apps import commands  # an interrupt while this loads ends the program in one line

@@ -51,7 +51,7 @@ def test_letters_that_the_terminal_has_not():
     lines = (
         "import sys",
         "from vgmpi.runtime import exit_handler",
-        "sys.exit(exit_handler.guarded(lambda: print('Größe') or 0)())",
+        "sys.exit(exit_handler.exit_code_from_exceptions(lambda: print('Größe') or 0)())",
     )
     code = "\n".join(lines)
     done = run([sys.executable, "-c", code], env={"PYTHONIOENCODING": "ascii", "LANG": "C"})

@@ -7,6 +7,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 from vgmpi.materials import registry
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions
@@ -97,7 +98,7 @@ def measure(args: argparse.Namespace, say) -> dict:
     if not args.only or "machine" in args.only:
         say("machine: memory bandwidth and peak")
         roofs = roofline.machine_roof()
-    results = {
+    results: dict[str, Any] = {
         "when": time.strftime("%Y-%m-%d %H:%M:%S"),
         "command": sys.argv[1:],
         "machine": machine(),
