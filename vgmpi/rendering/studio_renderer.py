@@ -346,9 +346,10 @@ class Studio:
             color = np.clip(color, 0, 1)
             arrays.append((x, cov, opacity, display.to_linear(color)))
         if moment.grain is not None:
-            look, (*first, floor) = self.chosen.look, moment.grain
+            look = self.chosen.look
+            x, ids, spacing, stretch, color, sandy, heap, floor = moment.grain
             sand = grain_splats.grains(
-                *first, eye=eye, floor=floor, children=look.children, dust=look.dust
+                x, ids, spacing, stretch, color, sandy, heap, eye, floor, look.children, look.dust
             )
             arrays.append((sand.x, sand.cov, sand.opacity, display.to_linear(sand.color)))
             normals.append(sand.normal)
