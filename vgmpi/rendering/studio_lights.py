@@ -59,7 +59,8 @@ def ground_of(
     backdrop = display.scene_linear(np.array(back, dtype=np.float64), chosen.toned)
     return studio_ground.ground(
         kind, height, domain.low, domain.high, pyramid, rig,
-        display.to_linear(np.array(color)), display.to_linear(np.array(other)), tile, backdrop, lean,
+        display.to_linear(np.array(color)), display.to_linear(np.array(other)), tile, backdrop,
+        lean,
     )  # fmt: skip
 
 
