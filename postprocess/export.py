@@ -63,7 +63,7 @@ def selected_frames(text: str | None, count: int) -> list[int]:
         raise RunError(f"--frames: {text}: allowed: a number, or first:last:every as 0:50:5")
     numbers = [int(part) if part else None for part in text.split(":")]
     if len(numbers) == 1:
-        numbers = [numbers[0], numbers[0] + 1 or None]
+        numbers = [int(text), int(text) + 1 or None]
     elif numbers[2:] == [0]:
         raise RunError(f"--frames: {text}: allowed: every 1st or more")
     selected = list(range(count))[slice(*numbers)]

@@ -101,7 +101,8 @@ def main(argv: list[str] | None = None) -> int:
     try:
         if ranks is None:
             return _draw(*_prepare(args), args, None)
-        return _draw(*run_on_all_ranks(ranks, lambda: _prepare(args, ranks.here)), args, ranks)
+        painter, output, folder = run_on_all_ranks(ranks, lambda: _prepare(args, ranks.here))
+        return _draw(painter, output, folder, args, ranks)
     except OtherRankError:
         return 2
     except render_config.SettingsError as error:
@@ -179,8 +180,10 @@ def _write_extras(
         folder = view_path(Path(args.frames), painter, number)
         image_io.write_png(folder / f"{name}.png", view.picture)
     if args.alpha:
+        assert view.alpha is not None
         image_io.write_png(view_path(Path(args.alpha), painter, number) / f"{name}.png", view.alpha)
     if args.depth:
+        assert view.depth is not None
         image_io.write_array(
             view_path(Path(args.depth), painter, number) / f"{name}.npy", view.depth
         )

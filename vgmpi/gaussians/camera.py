@@ -1,8 +1,10 @@
 """Pinhole cameras in the OpenCV convention: x to the right, y down, z forward."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 HEIGHT = 0.35  # [distances] default height of the eye above the target
 NEAR_PLANE = 0.2  # [scene units] usual near plane of Gaussian renderers
@@ -39,7 +41,7 @@ class Camera:
 def look_at(
     eye: np.ndarray,
     target: np.ndarray,
-    up: np.ndarray,
+    up: ArrayLike,
     fov: float,
     width: int,
     height: int,
@@ -73,8 +75,8 @@ def look_at(
     world_to_camera[:3, :3] = rotation
     world_to_camera[:3, 3] = -rotation @ eye
     focal = 0.5 * height / np.tan(0.5 * np.radians(fov))
-    near_plane = min(NEAR_PLANE, 0.05 * distance) if near_plane is None else near_plane
-    return Camera(world_to_camera, focal, focal, width / 2, height / 2, width, height, near_plane)
+    near = min(NEAR_PLANE, float(0.05 * distance)) if near_plane is None else near_plane
+    return Camera(world_to_camera, focal, focal, width / 2, height / 2, width, height, near)
 
 
 def thin_lens_sample(
@@ -103,7 +105,7 @@ def thin_lens_sample(
 
 
 def orbit_eye(
-    target: np.ndarray, distance: float, height: float, angle: float, up: np.ndarray = (0, 0, 1)
+    target: np.ndarray, distance: float, height: float, angle: float, up: ArrayLike = (0, 0, 1)
 ) -> np.ndarray:
     """Return a position on a circle around the axis `up` through `target`.
 
@@ -135,8 +137,8 @@ def fit_orbit_to_box(
     upper: np.ndarray,
     fov: float,
     aspect: float,
-    angles: np.ndarray = (0.0,),
-    up: np.ndarray = (0, 0, 1),
+    angles: Iterable[float] = (0.0,),
+    up: ArrayLike = (0, 0, 1),
 ) -> tuple[np.ndarray, float, float]:
     """Fit an orbit that keeps an axis-aligned box in view, with a margin of 5 %.
 

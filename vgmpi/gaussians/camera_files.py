@@ -243,7 +243,9 @@ def _rotation(q) -> np.ndarray:
     )
 
 
-def _camera(rotation: np.ndarray, shift: np.ndarray, lens: tuple, width: int, height: int):
+def _camera(
+    rotation: np.ndarray, shift: np.ndarray, lens: tuple, width: float, height: float
+) -> Camera:
     """Return a camera; raise ValueError if the pose is no rotation or no finite position."""
     skew = np.abs(rotation @ rotation.T - np.eye(3)).max()
     if not (skew < 1e-3 and np.linalg.det(rotation) > 0):
@@ -252,13 +254,14 @@ def _camera(rotation: np.ndarray, shift: np.ndarray, lens: tuple, width: int, he
         raise ValueError("the position is not finite")
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, shift
-    return Camera(pose, *(float(v) for v in lens), int(width), int(height))
+    fx, fy, cx, cy = (float(v) for v in lens)
+    return Camera(pose, fx, fy, cx, cy, int(width), int(height))
 
 
 def _number(fields: dict[str, Any], name: str, low: float, high: float) -> float:
     """Return a number of a table; raise ValueError if it is missing or out of its range."""
-    value = fields.get(name)
-    if type(value) not in (int, float) or not low <= value <= high:
+    value: float | None = fields.get(name)
+    if value is None or type(value) not in (int, float) or not low <= value <= high:
         raise ValueError(f"{name} = {value!r:.40}: allowed: a number from {low:g} to {high:g}")
     return value
 

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from . import spherical_harmonics as harmonics
 
@@ -76,7 +77,7 @@ class GaussianCloud:
         )
 
     def transformed(
-        self, rotation: np.ndarray, scale: float = 1.0, shift: np.ndarray = (0.0, 0.0, 0.0)
+        self, rotation: np.ndarray, scale: float = 1.0, shift: ArrayLike = (0.0, 0.0, 0.0)
     ) -> "GaussianCloud":
         """Return the cloud after x -> scale * rotation @ x + shift.
 

@@ -21,7 +21,7 @@ class Segments(NamedTuple):
     """Segments of a group, one per row: particles of one block each."""
 
     start: np.ndarray  # (n,) first particle
-    count: np.ndarray  # (n,) number of particles
+    count: np.ndarray  # type: ignore[assignment]  # (n,) number of particles; hides a method
     table: np.ndarray  # (n, 27) node blocks around
     accumulator_rows: (
         np.ndarray

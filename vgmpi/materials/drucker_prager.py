@@ -97,7 +97,7 @@ class Sand(ElastoplasticMaterial):
         """Return the volume fraction of the grains at rest."""
         return 1.0 - self.porosity
 
-    def law(self) -> Law:
+    def law(self) -> NamedTuple:
         """Return the numbers of the law in SI units."""
         mu, lam = lame(self.youngs_modulus, self.poisson_ratio)
         sine = math.sin(self.friction_angle)

@@ -30,7 +30,7 @@ class Law(NamedTuple):
     mu: float  # [Pa] shear modulus
     yield_stress: float  # [Pa] yield stress in shear
     log_consistency: float  # [-] ln(K / 1 Pa s^n)
-    index: float  # [-] flow index n
+    index: float  # type: ignore[assignment]  # [-] flow index n; hides a method of tuple
     density: float  # [kg/m3] density at rest
 
 
@@ -96,7 +96,7 @@ class Paste(Liquid):
         },
     }
 
-    def law(self) -> Law:
+    def law(self) -> NamedTuple:
         """Return the numbers of the law in SI units."""
         return Law(
             self.bulk_modulus,

@@ -1,6 +1,6 @@
 """Base of hyperelastic solids that carry H = F - I: their keys, presets and the update of H."""
 
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, NamedTuple
 
 from vgmpi.materials.tensor_math.tensor import det_minus_one, update_deformation_gradient
 from vgmpi.runtime.config.schema import Quantity
@@ -43,7 +43,7 @@ class HyperelasticMaterial(Material):
     carries: ClassVar = {"H": (0.0,) * 9}
     presets: ClassVar[dict[str, dict]] = ELASTIC_PRESETS
 
-    def law(self) -> tuple:
+    def law(self) -> NamedTuple:
         """Return the numbers of the law in SI units."""
         return self.Law(*lame(self.youngs_modulus, self.poisson_ratio), self.density)
 

@@ -19,15 +19,13 @@ the base of laws with a return mapping.
 """
 
 import inspect
-from typing import Any, ClassVar, Literal, get_args
+from typing import Any, ClassVar, Literal, NamedTuple, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from vgmpi.runtime.config.schema import StrictModel
 from vgmpi.runtime.suggestions import did_you_mean
-
-registry: dict[str, type] = {}
 
 FUNCTIONS = ("advance", "stress", "volume_ratio", "wave_speed2", "energy")
 
@@ -37,6 +35,10 @@ Family = Literal["fluid", "sand", "snow", "solid"]
 
 class Material(StrictModel):
     """Table with the keys of every material; a law overrides what differs."""
+
+    family: ClassVar[Family]
+    carries: ClassVar[dict[str, tuple[float, ...]]]  # state of a particle at rest
+    Law: ClassVar[type]
 
     kind: str
     preset: str = ""
@@ -60,6 +62,10 @@ class Material(StrictModel):
             raise field_error(cls, "preset", message, name)
         return {**cls.presets[name], **raw}
 
+    def law(self) -> NamedTuple:
+        """Return the numbers of the law in SI units."""
+        raise NotImplementedError
+
     @property
     def bulk_density(self) -> float:
         """Return the mass per volume at rest, pores included [kg/m3]."""
@@ -77,6 +83,10 @@ class Material(StrictModel):
         Elastic strains are not included.
         """
         return 1.0
+
+
+registry: dict[str, type[Material]] = {}
+MaterialClass = TypeVar("MaterialClass", bound=Material)
 
 
 def field_error(table: Any, key: str, message: str, value: Any = None) -> ValidationError:
@@ -100,7 +110,7 @@ def lame(youngs_modulus: float, poisson_ratio: float) -> tuple[float, float]:
     return E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
 
 
-def material(cls: type) -> type:
+def material(cls: type[MaterialClass]) -> type[MaterialClass]:
     """Register a material's table under its kind."""
     kind = get_args(cls.model_fields["kind"].annotation)[0]
     if kind in registry:
@@ -118,7 +128,7 @@ def law_function(law: tuple, name: str):
     return getattr(law_owner(type(law)), name)
 
 
-def law_owner(law_type: type) -> type:
+def law_owner(law_type: type) -> type[Material]:
     """Return the material whose Law is `law_type`; raise KeyError if there is none."""
     for cls in registry.values():
         if cls.Law is law_type:

@@ -43,7 +43,7 @@ class Fluid(Liquid):
         "mercury": {"density": 13546.0, "viscosity": 1.55e-3},
     }
 
-    def law(self) -> Law:
+    def law(self) -> NamedTuple:
         """Return the numbers of the law in SI units."""
         c2 = self.bulk_modulus * self.gamma / self.density
         return Law(self.bulk_modulus, self.exponent, self.viscosity, c2, self.most)

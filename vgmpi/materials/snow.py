@@ -83,7 +83,7 @@ class Snow(Material):
         """Return the hardening factor at Jp = 0, within its limit."""
         return min(self.hardening_limit, math.exp(self.hardening))
 
-    def law(self) -> Law:
+    def law(self) -> NamedTuple:
         """Return the numbers of the law in SI units."""
         mu, lam = lame(self.youngs_modulus, self.poisson_ratio)
         return Law(

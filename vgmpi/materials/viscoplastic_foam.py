@@ -77,7 +77,7 @@ class Foam(ElastoplasticMaterial):
         },
     }
 
-    def law(self) -> Law:
+    def law(self) -> NamedTuple:
         """Return the numbers of the law in SI units."""
         mu, lam = lame(self.youngs_modulus, self.poisson_ratio)
         # tau = sqrt(s : s / 2) = sqrt(2) mu |dev e|

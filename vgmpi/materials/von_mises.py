@@ -76,7 +76,7 @@ class Metal(ElastoplasticMaterial):
         },
     }
 
-    def law(self) -> Law:
+    def law(self) -> NamedTuple:
         """Return the numbers of the law in SI units."""
         mu, lam = lame(self.youngs_modulus, self.poisson_ratio)
         # a uniaxial stress Y has a deviator of norm sqrt(2/3) Y = 2 mu |s|

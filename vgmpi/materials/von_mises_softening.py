@@ -97,7 +97,7 @@ class Plasticine(ElastoplasticMaterial):
         object.__setattr__(self, "residual_stress", residual)
         return self
 
-    def law(self) -> Law:
+    def law(self) -> NamedTuple:
         """Return the numbers of the law in SI units."""
         mu, lam = lame(self.youngs_modulus, self.poisson_ratio)
         # a uniaxial stress Y has a deviator of norm sqrt(2/3) Y = 2 mu |s|

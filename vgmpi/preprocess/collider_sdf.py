@@ -49,7 +49,7 @@ class ShapeCollider:
             size: Size of the domain, shape (3,) [m].
             dx: Cell size [m].
         """
-        if self.shape.form != "difference" or not len(x):
+        if self.shape.difference is None or not len(x):
             return self
         solid, *hollows = self.shape.difference
         low, high = self.ends()
@@ -153,5 +153,5 @@ def with_motion(collider: Collider | None, motion: Motion | None) -> Collider | 
     if collider is None or motion is None:
         return collider
     low, high = collider.ends()
-    middle = motion.about or tuple(float(m) for m in (low + high) / 2)
-    return replace(collider, course=Trajectory(motion, middle))
+    x, y, z = (float(m) for m in (low + high) / 2)
+    return replace(collider, course=Trajectory(motion, motion.about or (x, y, z)))

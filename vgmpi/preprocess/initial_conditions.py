@@ -42,7 +42,7 @@ def _with_fractions(piece: BuiltObject, fraction: np.ndarray) -> BuiltObject:
 
 def _compressed(scene: Scene, obj: Object, piece: BuiltObject) -> BuiltObject:
     """Return the object in equilibrium under gravity: its volume so far is the compressed one."""
-    material, z = scene.material[obj.material], piece.cloud.x[:, 2]
+    material, z = scene.material_of(obj), piece.cloud.x[:, 2]
     top = z.max() + spacing_of(scene, obj) / 2
     weight = material.density * -scene.domain.gravity[2] * (top - z)
     theta = material.hydrostatic_theta(weight)

@@ -81,9 +81,9 @@ def validate_inlets_outlets(
     errors: list[Complaint] = []
     for k, source in enumerate(scene.inflow):
         points = _nozzle(source, scene.domain.cell)
-        message = [*_solid(scene, source), *_blocked(scene, k, points, bodies, colliders)]
+        complaints = [*_solid(scene, source), *_blocked(scene, k, points, bodies, colliders)]
         errors += [
-            (("source", k, key), line) for key, line in message[:1]
+            (("source", k, key), line) for key, line in complaints[:1]
         ]  # one error per inlet is enough
     initial = [(k, sink) for k, sink in enumerate(outlet_plans(scene)) if not sink.since]
     for k, sink in initial:

@@ -10,6 +10,8 @@ from vgmpi.scene.scene import Scene
 from .object_builder import spacing_of
 from .shape_sdf import TIE, distance
 
+Vector = tuple[float, float, float]
+
 
 class ResolvedLoad(NamedTuple):
     """Load with its particles; equal on every rank."""
@@ -17,8 +19,8 @@ class ResolvedLoad(NamedTuple):
     load: Load
     ids: np.ndarray  # (m, 2) runs of particle ids, first and last, ascending
     # [N/m3 of rest volume, or N s/m3], 0 for loads that are equal for all
-    density: tuple[float, float, float]
-    total: tuple[float, float, float]  # [N, or N s] on all of them at full strength
+    density: Vector
+    total: Vector  # [N, or N s] on all of them at full strength
 
 
 def resolve_loads(
@@ -57,10 +59,10 @@ def _loaded(scene, load, chosen, spacing, x, vol0, owner) -> ResolvedLoad:
     """Return one load with its particles."""
     uniform = load.acceleration or load.velocity or (load.spin and (0.0, 0.0, 0.0))
     if uniform is not None:
-        densities = [o.material and scene.material[o.material].bulk_density for o in scene.object]
-        density = np.array([rho or 0.0 for rho in densities])
-        mass = float((density[owner[chosen]] * vol0[chosen]).sum())
-        total = tuple(mass * a for a in uniform)
+        known = [o.material and scene.material[o.material].bulk_density for o in scene.object]
+        densities = np.array([rho or 0.0 for rho in known])
+        mass = float((densities[owner[chosen]] * vol0[chosen]).sum())
+        total = mass * uniform[0], mass * uniform[1], mass * uniform[2]
         return ResolvedLoad(load, index_runs(chosen), (0.0, 0.0, 0.0), total)
     total = load.force or load.impulse
     if load.pressure is not None:
@@ -69,11 +71,12 @@ def _loaded(scene, load, chosen, spacing, x, vol0, owner) -> ResolvedLoad:
         edge = high - low + spacing  # of the box around the particles' own volumes
         push = [0.0, 0.0, 0.0]
         push[axis] = -side * load.pressure * float(np.delete(edge, axis).prod())
-        total = tuple(push)
+        total = push[0], push[1], push[2]
         face = high[axis] if side > 0 else low[axis]
         chosen = chosen & (np.abs(x[:, axis] - face) < spacing / 2)
     volume = float(vol0[chosen].sum())
-    return ResolvedLoad(load, index_runs(chosen), tuple(f / volume for f in total), total)
+    density = total[0] / volume, total[1] / volume, total[2] / volume
+    return ResolvedLoad(load, index_runs(chosen), density, total)
 
 
 def index_runs(chosen: np.ndarray) -> np.ndarray:

@@ -161,10 +161,12 @@ def min_particle_count(scene: Scene, obj: Object) -> float:
     the surface: the best of layers of several thicknesses, since points may miss a thin layer and a
     thick one reaches through the body.
     """
-    transform, low, high = _box(scene, obj)
+    region, shape = _box(scene, obj), obj.shape
+    assert region is not None and shape is not None
+    transform, low, high = region
     draw = np.random.Generator(np.random.Philox(1)).random((_SAMPLE_COUNT, 3))
     depth = -transform.scale * shape_sdf.distance(
-        obj.shape, transform.to_local(low + draw * (high - low))
+        shape, transform.to_local(low + draw * (high - low))
     )
     spacing, volume = spacing_of(scene, obj), float(np.prod(high - low))
     layers = [1.0]  # [spacings]
@@ -181,14 +183,15 @@ def min_particle_count(scene: Scene, obj: Object) -> float:
 
 def _box(scene: Scene, obj: Object) -> tuple[SimilarityTransform, np.ndarray, np.ndarray] | None:
     """Return placement and corners (3,) [m] of a shape; None without one or if invalid."""
-    if obj.shape is None:
+    shape = obj.shape
+    if shape is None:
         return None
     try:
-        transform = placement(obj, lambda d: shape_sdf.support(obj.shape, d))
-        low, high = corners(transform, lambda d: shape_sdf.support(obj.shape, d))
+        transform = placement(obj, lambda d: shape_sdf.support(shape, d))
+        low, high = corners(transform, lambda d: shape_sdf.support(shape, d))
         if obj.role == "body":
             check_inside(scene, obj, low, high, 1e-6 * spacing_of(scene, obj))
     except PlacementError:
         return None
-    overhang = transform.scale * shape_sdf.blend_overhang(obj.shape)
+    overhang = transform.scale * shape_sdf.blend_overhang(shape)
     return transform, low - overhang, high + overhang

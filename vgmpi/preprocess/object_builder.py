@@ -106,6 +106,7 @@ def _volume_convention(obj: Object, piece: BuiltObject) -> str:
 def _from_shape(scene: Scene, k: int, obj: Object) -> BuiltObject:
     """Return an object made of a shape."""
     shape, spacing = obj.shape, spacing_of(scene, obj)
+    assert shape is not None
     transform = placement(obj, lambda d: shape_sdf.support(shape, d))
     low, high = corners(transform, lambda d: shape_sdf.support(shape, d))
     if obj.role == "body":
@@ -258,7 +259,7 @@ def _solid(
     unseen = interior_fill.filling(gaps, surface, spacing, 0.0)
     # Through a hole a camera would see the filling of a body: there it carries mass only as well.
     # The inside of bodies that flow or break becomes visible anyway.
-    shows = obj.fill == "shown" or scene.material[obj.material].family in FAMILIES_DRAWN_AS_SPHERES
+    shows = obj.fill == "shown" or scene.material_of(obj).family in FAMILIES_DRAWN_AS_SPHERES
     drawn = missing.enclosed[below] | shows
     filled = interior_fill.filling(inner, surface, spacing, np.where(drawn, obj.opacity, 0.0))
     cloud = interior_fill.joined(interior_fill.joined(surface, unseen), filled)
@@ -281,8 +282,9 @@ def _solid(
 def _pruned(scene: Scene, obj: Object, piece: BuiltObject) -> tuple[BuiltObject, str]:
     """Return the object with fewer particles, and text about it."""
     skin = np.arange(len(piece.cloud)) < piece.surface_count
-    ball = scene.material[obj.material].family in FAMILIES_DRAWN_AS_SPHERES
+    ball = scene.material_of(obj).family in FAMILIES_DRAWN_AS_SPHERES
     if obj.prune == "paper":
+        assert obj.prune_scale is not None  # the scene is refused without
         pruned = prune.prune_versagauss(
             piece.cloud, piece.volume, skin, obj.prune_scale, obj.passive, ball
         )
@@ -351,4 +353,4 @@ def apply_baked_shading(
 
 def _is_fluid(scene: Scene, obj: Object) -> bool:
     """Return whether an object is a body of a fluid."""
-    return obj.role == "body" and scene.material[obj.material].family == "fluid"
+    return obj.role == "body" and scene.material_of(obj).family == "fluid"

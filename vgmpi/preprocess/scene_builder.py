@@ -146,7 +146,7 @@ def build_scene(scene: Scene) -> PreparedScene:
 def _object_summary(scene: Scene, obj: Object, piece: BuiltObject) -> str:
     """Return text on a body: particles, volume [l] and mass [kg]."""
     volume = float(piece.volume.sum())
-    mass = scene.material[obj.material].bulk_density * volume
+    mass = scene.material_of(obj).bulk_density * volume
     return f"{piece.summary}: {1e3 * volume:.3g} l, {mass:.3g} kg"
 
 
@@ -278,8 +278,12 @@ def _passive_gaussians(
     pieces: list[BuiltObject], objects: list[dict[str, Any]], terms: int
 ) -> Passive | None:
     """Return the passive Gaussians of all objects, bound to the particles of their object."""
-    chosen = [k for k, piece in enumerate(pieces) if piece.passive is not None]
-    riders = {k: replace(pieces[k], cloud=pieces[k].passive) for k in chosen}
+    riders = {
+        k: replace(piece, cloud=piece.passive)
+        for k, piece in enumerate(pieces)
+        if piece.passive is not None
+    }
+    chosen = list(riders)
     if not sum(len(rider.cloud) for rider in riders.values()):
         return None
     bindings = [bind_passive(pieces[k].cloud.x, riders[k].cloud.x) for k in chosen]

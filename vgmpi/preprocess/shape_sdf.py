@@ -111,10 +111,10 @@ def is_lipschitz(shape: Shape) -> bool:
 def colors(shape: Shape, points: np.ndarray, default: tuple) -> np.ndarray:
     """Return the color (n, 3) of `points`: that of the first part around them, or `default`."""
     color = shape.colour or default
-    if shape.form == "difference":
+    if shape.difference is not None:
         return colors(shape.difference[0], points, color)
     out = np.tile(np.asarray(color, dtype=float), (len(points), 1))
-    if shape.form == "union":
+    if shape.union is not None:
         holder, nearest = np.zeros(len(points), dtype=np.int64), np.full(len(points), np.inf)
         for k, part in enumerate(shape.union):
             # Points in no part (scenery's skin, rounding) take the nearest.

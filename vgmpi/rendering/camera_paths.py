@@ -102,6 +102,7 @@ class CameraPath:
         from scipy.interpolate import PchipInterpolator  # only keyframes need it
 
         keys = self.settings.keys
+        assert keys is not None  # the settings are refused without
         by_time = keys[0].time is not None
         key_positions = np.array(
             [key.time if by_time else key.part for key in keys], dtype=np.float64
@@ -124,7 +125,7 @@ class CameraPath:
         near_distance = self.settings.near
         if near_distance is None:
             near_distance = max(
-                min(NEAR_PLANE, 0.05 * np.linalg.norm(self._center() - camera.eye)), 1e-6
+                min(NEAR_PLANE, 0.05 * float(np.linalg.norm(self._center() - camera.eye))), 1e-6
             )
         return dataclasses.replace(camera, near=near_distance)
 
@@ -132,9 +133,11 @@ class CameraPath:
 def _cameras_of_file(settings: CameraSettings, folder: Path) -> list[Camera]:
     """Return the cameras of a file, or the selected one."""
     if settings.kind == "transforms":
+        assert settings.file is not None
         path = folder / settings.file
         named = camera_selection.transforms(path)
     else:
+        assert settings.folder is not None
         path = folder / settings.folder
         named = camera_selection.colmap(path)
     if settings.image is not None:
@@ -175,5 +178,7 @@ def _resized(camera: Camera, width: int, height: int) -> Camera:
     x, y = width / camera.width, height / camera.height
     if x == y == 1:
         return camera
-    lens = {"fx": camera.fx * x, "cx": camera.cx * x, "fy": camera.fy * y, "cy": camera.cy * y}
-    return dataclasses.replace(camera, width=width, height=height, **lens)
+    return dataclasses.replace(
+        camera, width=width, height=height, fx=camera.fx * x, cx=camera.cx * x, fy=camera.fy * y,
+        cy=camera.cy * y,
+    )  # fmt: skip

@@ -167,8 +167,8 @@ class FrameColors:
             except OSError as error:
                 description = f"{path}: {error.strerror}: colours that relax need every frame"
                 raise RunError(description) from None
-            description = (path.name, stat.st_size, stat.st_mtime_ns, float(self.run.times[k]))
-            text.update(repr(description).encode())
+            identity = (path.name, stat.st_size, stat.st_mtime_ns, float(self.run.times[k]))
+            text.update(repr(identity).encode())
             yield text.hexdigest()
 
     def _path(self, index: int) -> Path:

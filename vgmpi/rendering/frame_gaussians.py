@@ -57,6 +57,7 @@ class GaussianBatch(NamedTuple):
         """Return the fields of Splats for an `eye` [m]."""
         directions = self.x - eye
         if len(self.turning):  # the color towards d is the rest color towards R^T d
+            assert self.F is not None
             directions[self.turning] = compiled_evolution.rotate_view_directions(
                 self.F, directions[self.turning]
             )
@@ -89,6 +90,7 @@ class GaussianBatch(NamedTuple):
         """Return the color coefficients, rotated with the bodies, (n, K, 3) float32."""
         sh = np.array(self.color.sh[self.rows], dtype=np.float32)
         if len(self.turning):
+            assert self.F is not None
             sh[self.turning] = harmonics.rotate(sh[self.turning], shape_evolution.rotation(self.F))
         return sh
 

@@ -5,10 +5,10 @@ import functools
 import logging
 import multiprocessing
 import pickle
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -81,9 +81,9 @@ class FrameRenderer:
         photograph = any(ground.ndim == 3 for ground in self.grounds)
         self.light = chosen.light.light() if chosen.light else None
         self.floor = None
-        has_floor = size.floor and size.floor.kind not in ("none", "photograph")
-        if has_floor and not chosen.studio:  # the studio has a ground of its own
-            self.floor = size.floor.floor(photograph, self.light)
+        if size.floor and not chosen.studio:  # the studio has a ground of its own
+            if size.floor.kind not in ("none", "photograph"):
+                self.floor = size.floor.floor(photograph, self.light)
         self.clear = chosen.background == "none"
         has_blur = chosen.video.shutter > 0
         if not chosen.studio:  # the studio blurs by depth
@@ -139,7 +139,8 @@ class FrameRenderer:
         frame = self.look.frame(index)
         time = float(self.run.times[index]) if self._needs_time() else 0.0
         cameras = [view.camera_at(part, time) for view in self.views]
-        samples, parts, sample_frame = [], [], frame
+        samples, sample_frame = [], frame
+        parts: Any = []  # Gaussians, or the moment of the studio
         for sample in range(self.samples):
             if (
                 sample == 0 or self.chosen.video.shutter > 0
@@ -156,7 +157,9 @@ class FrameRenderer:
         """Average the samples of a view; the depth is that of the first sample."""
         if len(views) == 1:
             return views[0]
-        image, transmittance = (sum(entry[k] for entry in views) / len(views) for k in (0, 1))
+        image, transmittance = (
+            cast(np.ndarray, sum(entry[k] for entry in views)) / len(views) for k in (0, 1)
+        )
         return image, transmittance, *views[0][2:]
 
     def _moment(self, frame: dict[str, np.ndarray], index: int, sample: int) -> dict:
@@ -172,9 +175,7 @@ class FrameRenderer:
         delay = shutter * step * sample / self.samples
         return {**frame, "x": frame["x"] + delay * np.asarray(frame["velocity"], dtype=np.float64)}
 
-    def _pixels(
-        self, frame: dict, parts: list[GaussianBatch], cameras: list[Camera], sample: int
-    ) -> list[Pixels]:
+    def _pixels(self, frame: dict, parts: Any, cameras: list[Camera], sample: int) -> list[Pixels]:
         """Return image, transmittance and depth of a frame from every camera."""
         pixels = []
         for entry, camera, ground in zip(self.chosen.views(), cameras, self.grounds):
@@ -182,6 +183,7 @@ class FrameRenderer:
                 pixels.append(self._render_in_studio(parts, camera, ground, entry))
                 continue
             if entry.aperture > 0 and self.samples > 1:
+                assert entry.focus is not None  # the settings are refused without
                 camera = thin_lens_sample(camera, entry.aperture, entry.focus, sample, self.samples)
             pixels.append(self._rasterize(frame, parts, camera, ground))
         return pixels
@@ -190,6 +192,7 @@ class FrameRenderer:
         self, moment: Any, camera: Camera, ground: np.ndarray, camera_settings: Any
     ) -> Pixels:
         """Render a lit frame from one camera, supersampled and then averaged."""
+        assert self.studio is not None
         times = self.supersample
         fine = rasterize.supersampled_camera(camera, times)
         under = rasterize.background_image(ground, camera, times)
@@ -308,12 +311,13 @@ def _start_worker(
 
 def _work(task: Task) -> list[RenderedView]:
     """Render a frame in a worker process."""
+    assert _painter is not None  # _start_worker was here
     return _painter.views_of(*task)
 
 
 def render_in_processes(
     painter: FrameRenderer, settings_folder: Path, tasks: list[Task], jobs: int
-) -> Iterator:
+) -> Generator:
     """Yield the views of the frames in order, rendered by several processes.
 
     Args:
@@ -351,11 +355,11 @@ def run_on_all_ranks(ranks: Any, make) -> Any:
     failed = ranks.max(np.array([error is not None], dtype=np.int64))
     if failed[0]:
         errors = _at_root(ranks, error)
-        raise next(e for e in errors if e is not None) if ranks.rank == 0 else OtherRankError()
+        raise OtherRankError() if errors is None else next(e for e in errors if e is not None)
     return result
 
 
-def render_on_ranks(painter: FrameRenderer, ranks: Any, tasks: list[Task]) -> Iterator:
+def render_on_ranks(painter: FrameRenderer, ranks: Any, tasks: list[Task]) -> Generator:
     """Yield the views of the frames in order on rank 0, and as many Nones on the others.
 
     In each round every rank renders one frame and rank 0 gathers them: adjacent frames take nearly
@@ -373,9 +377,9 @@ def render_on_ranks(painter: FrameRenderer, ranks: Any, tasks: list[Task]) -> It
         count = min(ranks.size, len(tasks) - first)
         try:
             yield from (
-                (rank_views[0] for rank_views in gathered[:count])
-                if ranks.rank == 0
-                else [None] * count
+                [None] * count
+                if gathered is None
+                else (rank_views[0] for rank_views in gathered[:count])
             )
         except GeneratorExit:  # rank 0 cannot write, and the others wait in the next round
             if first + ranks.size < len(tasks):

@@ -101,6 +101,7 @@ class Film:
 
     def add(self, picture: np.ndarray) -> None:
         """Append a picture (height, width, 3 or 4) uint8. Raises VideoError."""
+        assert self.ffmpeg.stdin is not None
         try:
             self.ffmpeg.stdin.write(np.pad(picture, self.pad, mode="edge").tobytes())
         except OSError:  # ffmpeg has ended, and its log says why
@@ -113,6 +114,7 @@ class Film:
                 self.ffmpeg.kill()
                 self.ffmpeg.wait()
                 return
+            assert self.ffmpeg.stdin is not None
             with contextlib.suppress(OSError):
                 self.ffmpeg.stdin.close()
             if self.ffmpeg.wait() != 0:

@@ -97,9 +97,9 @@ class Bodies:
         self.sandy = np.array([f == "sand" for f in family] or [False])[object_ids]
         self.captured = captured[object_ids]
         scale = [entry.get("opacity_scale") for entry in objects] or [None]
-        scale = np.array([1.0 if s is None else float(s) for s in scale])
+        factor = np.array([1.0 if s is None else float(s) for s in scale])
         requested = look.opacity_scales
-        self.opaqueness = np.where(np.isfinite(requested), requested, scale)[object_ids]
+        self.opaqueness = np.where(np.isfinite(requested), requested, factor)[object_ids]
         self.spacing = np.cbrt(look.vol0)
         x0 = np.asarray(gaussians.x0, dtype=np.float64)
         self.normal = np.zeros_like(x0)
@@ -108,7 +108,9 @@ class Bodies:
             if len(members) and not self.fluid[members[0]] and not self.granular[members[0]]:
                 s = float(np.cbrt(np.median(look.vol0[members])))
                 self.normal[members] = body_normals.density_normals(x0[members], s)
-        self.scenery_normal = self.scenery_kind = self.scenery_volume = None
+        self.scenery_normal: np.ndarray | None = None
+        self.scenery_kind: np.ndarray | None = None
+        self.scenery_volume: np.ndarray | None = None
         if look.scenery is not None:
             self._scenery(gaussians.scenery, captured)
         if look.passive is not None:
@@ -124,12 +126,13 @@ class Bodies:
         sd = np.sqrt(
             np.maximum(np.asarray(rows.cov0, dtype=np.float64)[:, (0, 3, 5)].max(axis=1), 0)
         )
-        self.scenery_normal, self.scenery_volume = np.zeros_like(x0), np.zeros(len(x0))
+        normal, volume = np.zeros_like(x0), np.zeros(len(x0))
         for k in np.unique(object_ids):
             members = np.flatnonzero(object_ids == k)
             s = max(SCENERY_SPACING * float(np.median(sd[members])), 1e-9)
-            self.scenery_normal[members] = body_normals.density_normals(x0[members], s)
-            self.scenery_volume[members] = s**3
+            normal[members] = body_normals.density_normals(x0[members], s)
+            volume[members] = s**3
+        self.scenery_normal, self.scenery_volume = normal, volume
         self.scenery_kind = _kind_shares(captured[object_ids])
 
     def opaque(
@@ -154,14 +157,17 @@ class Bodies:
             )
         ]
         if particle_part:
-            rotated = self.scenery_normal.copy()
             scenery = self.look.scenery
+            assert scenery is not None and self.scenery_normal is not None
+            assert self.scenery_kind is not None
+            rotated = self.scenery_normal.copy()
             for rows, pose in zip(scenery.moving, frame.get("poses", ())):
                 rotated[rows] = rotated[rows] @ np.asarray(pose)[:3, :3].T
             shade = getattr(self.look.run.gaussians.scenery, "shade", None)
             out.insert(0, (parts[0], rotated, self.scenery_kind, shade))
         if len(parts) > particle_part + 1:
             rider_rows = parts[particle_part + 1].rider_rows
+            assert rider_rows is not None
             riders, F = self.rider_normal[rider_rows], parts[particle_part + 1].deformation
             rotated = riders
             if F is not None:

@@ -56,10 +56,11 @@ def ground_of(
             tile = floor.tiles
     elif kind == studio_ground.TILES:
         tile = 0.12 * _round(float(np.max(domain.size[:2])) / 0.96)
-    back = display.scene_linear(np.array(back, dtype=np.float64), chosen.toned)
+    backdrop = display.scene_linear(np.array(back, dtype=np.float64), chosen.toned)
     return studio_ground.ground(
         kind, height, domain.low, domain.high, pyramid, rig,
-        display.to_linear(np.array(color)), display.to_linear(np.array(other)), tile, back, lean,
+        display.to_linear(np.array(color)), display.to_linear(np.array(other)), tile, backdrop,
+        lean,
     )  # fmt: skip
 
 

@@ -94,7 +94,7 @@ class Studio:
         self.tone = int(chosen.toned)
         self.rig = rig_of(chosen, folder)
         self.torn, self.links = tearing(look, chosen.look.tear)
-        self.foam_sources: dict[int, tuple] = {}  # foam sources by frame
+        self.foam_sources: dict[int, tuple[np.ndarray, np.ndarray]] = {}  # foam sources by frame
         self.first: studio_ground.Ground | None = None  # ground at the first frame
 
     # ---- a frame ---------------------------------------------------------------------------
@@ -243,7 +243,8 @@ class Studio:
                 self.foam_sources[k] = self._foam_sources(k)
             previous = run.times[k - step] if k >= step else np.nan
             dt = float(run.times[k] - previous) if np.isfinite(previous) else 0.0
-            spray_drops.advance_foam(value, *self.foam_sources[k], max(dt, 0.0))
+            ids, source = self.foam_sources[k]
+            spray_drops.advance_foam(value, ids, source, max(dt, 0.0))
         return value
 
     def _foam_sources(self, k: int) -> tuple[np.ndarray, np.ndarray]:
@@ -262,7 +263,8 @@ class Studio:
     def _is_within_grids(self, x: np.ndarray) -> np.ndarray:
         """Return whether points (n, 3) are within two domain sizes, the reach of the grids."""
         margin = 2.0 * float(self.domain.size.max())
-        return ((x > self.domain.low - margin) & (x < self.domain.high + margin)).all(axis=1)
+        inside = (x > self.domain.low - margin) & (x < self.domain.high + margin)
+        return np.all(inside, axis=1)
 
     # ---- a picture -------------------------------------------------------------------------
 
@@ -344,8 +346,11 @@ class Studio:
             color = np.clip(color, 0, 1)
             arrays.append((x, cov, opacity, display.to_linear(color)))
         if moment.grain is not None:
-            look, (*first, floor) = self.chosen.look, moment.grain
-            sand = grain_splats.grains(*first, eye, floor, look.children, look.dust)
+            look = self.chosen.look
+            x, ids, spacing, stretch, color, sandy, heap, floor = moment.grain
+            sand = grain_splats.grains(
+                x, ids, spacing, stretch, color, sandy, heap, eye, floor, look.children, look.dust
+            )
             arrays.append((sand.x, sand.cov, sand.opacity, display.to_linear(sand.color)))
             normals.append(sand.normal)
             kinds.append(

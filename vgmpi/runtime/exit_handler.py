@@ -2,10 +2,11 @@
 
 import contextlib
 import functools
+import io
 import os
 import sys
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 BUG_REPORT_HINT = (
     "vgmpi: this is a fault of the program, not of what it was given: please report it with all"
@@ -26,7 +27,7 @@ def exit_code_from_exceptions(main: Callable[..., int]) -> Callable[..., int]:
         """Run the main function; return an exit code in any case."""
         with contextlib.suppress(AttributeError):  # stdout may be another object
             # the terminal may lack letters of a title
-            sys.stdout.reconfigure(errors="backslashreplace")
+            cast(io.TextIOWrapper, sys.stdout).reconfigure(errors="backslashreplace")
         try:
             code = main(*arguments, **keywords)
             sys.stdout.flush()

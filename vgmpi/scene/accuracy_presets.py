@@ -45,7 +45,7 @@ def apply_accuracy_preset(data: dict[str, Any]) -> dict[str, Any]:
     accuracy = data.get("accuracy")
     name = accuracy.get("level") if isinstance(accuracy, dict) else None
     level = LEVELS.get(name) if isinstance(name, str) else None
-    if level is None:
+    if level is None or not isinstance(accuracy, dict):
         return data
     out = {**data, "accuracy": {"precision": level.precision, **accuracy}}
     domain, materials = data.get("domain"), data.get("material")

@@ -4,6 +4,7 @@ import math
 import os
 import re
 import shlex
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -148,7 +149,7 @@ class SceneLoader:
                 self.report((*path, *inner), message)
             return None
 
-    def kind(self, registry: dict[str, type], raw: Any, path: tuple) -> Any:
+    def kind(self, registry: Mapping[str, type[BaseModel]], raw: Any, path: tuple) -> Any:
         """Validate a table whose class is chosen by its key `kind`."""
         if not isinstance(raw, dict):
             return self.report(path, f"must be a table of keys; {format_input(raw)}")

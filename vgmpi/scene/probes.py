@@ -113,9 +113,9 @@ def validate_probe(
             continue
         if key != "velocity" and not fluid:
             errors.append(((key,), "is for fluids, and there is none"))
-        for axis, x in enumerate(point if size else ()):
-            if not 0 <= x <= size[axis]:
-                message = f"lies outside the domain, 0 .. {size[axis]:g} m; got {x:g} m"
+        for axis, (x, length) in enumerate(zip(point, size or ())):
+            if not 0 <= x <= length:
+                message = f"lies outside the domain, 0 .. {length:g} m; got {x:g} m"
                 errors.append(((key, axis), message))
     return errors
 

@@ -2,6 +2,8 @@
 
 from typing import Any
 
+from pydantic import BaseModel
+
 from vgmpi.runtime.config.schema import ChangeableOnResume
 
 from .scene import Scene
@@ -17,7 +19,8 @@ LISTS = {
 def may_change() -> dict[str, str]:
     """Return the keys that may change at a restart, with the effects: {"time.end": ...}."""
     effects = {}
-    for section, table in {"": TopLevelKeys, **SECTIONS}.items():
+    tables: dict[str, type[BaseModel]] = {"": TopLevelKeys, **SECTIONS}
+    for section, table in tables.items():
         for name, field in table.model_fields.items():
             effect = next(
                 (m.effect for m in field.metadata if isinstance(m, ChangeableOnResume)), ""

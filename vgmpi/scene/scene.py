@@ -57,6 +57,11 @@ class Scene:
         """Return whether particles enter or leave the domain."""
         return bool(self.inflow or self.sink or self.domain.open_walls)
 
+    def material_of(self, obj: Object) -> Any:
+        """Return the material of a body."""
+        assert obj.material is not None
+        return self.material[obj.material]
+
     def phase_of(self, entity: Object | Inlet) -> str | None:
         """Return the name of the velocity field of a body or inlet; None for scenery."""
         if entity.material is None:

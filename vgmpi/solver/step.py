@@ -1,6 +1,6 @@
 """One step of the coupled multiphase material point method, and the state that it advances."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -115,7 +115,7 @@ class Simulation:
         self.sent = 0  # [bytes] sent to neighbors by this rank
         self.moved = 0  # particles that left this rank for another
         self.reduction_buffer = np.zeros(12)
-        self.clock = None  # callable(name) that marks the end of a stage, or None
+        self.clock: Callable[[str], None] | None = None  # marks the end of a stage
 
     def put(
         self, x: np.ndarray, v: np.ndarray, volume: np.ndarray, ids: np.ndarray,

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 from vgmpi.io import file_layout, initial_state
 from vgmpi.materials import registry
-from vgmpi.materials.material import law_function
+from vgmpi.materials.material import Material, law_function
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.scene.loader import load
@@ -52,7 +52,7 @@ class Case:
 
     law: str
     wanted: int
-    material: object = field(init=False, compare=False)
+    material: Material = field(init=False, compare=False)
 
     def __post_init__(self):
         object.__setattr__(self, "material", least_material(self.law))
@@ -128,7 +128,7 @@ shape = {{ box = [[{low:.6g}, {low:.6g}, {low:.6g}], [{high:.6g}, {high:.6g}, {h
         }
 
 
-def least_material(kind: str):
+def least_material(kind: str) -> Material:
     """The material's table with as few keys as make it valid. Raises BenchError."""
     if kind not in registry:
         raise BenchError(f"there is no material of kind {kind!r}; known: {', '.join(registry)}")

@@ -118,7 +118,8 @@ def same_bits(case: Case) -> Iterator[str]:
 
     The last line is the cost of a message to another rank without its transfer.
     """
-    results, halo = [], {}
+    results: list[list[bytes]] = []
+    halo: dict[str, float] = {}
     contestants = [
         Contestant("own", card=True), Contestant("own", card=True), Contestant("own", more=PLAIN),
     ]  # fmt: skip

@@ -2,8 +2,11 @@
 
 import time
 import tracemalloc
+from typing import cast
 
 import numpy as np
+
+from vgmpi.solver.engines.cpu import Cpu
 
 from . import vgmpi_contestant
 
@@ -20,8 +23,9 @@ class Contestant(vgmpi_contestant.Contestant):
         peak.
         """
         self.restart()
-        engine = self.simulation.engine
-        engine.call_if_rows = lambda group, kernel, rows, *arguments: engine.run(
+        engine = cast(Cpu, self.simulation.engine)  # or its child for a graphics card
+        instance = vars(engine)
+        instance["call_if_rows"] = lambda group, kernel, rows, *arguments: engine.run(
             group, kernel, rows[:0], *arguments
         )
         try:
@@ -34,7 +38,7 @@ class Contestant(vgmpi_contestant.Contestant):
             after, peak = tracemalloc.get_traced_memory()
             tracemalloc.stop()
         finally:
-            del engine.call_if_rows
+            del instance["call_if_rows"]
         worst = self.ranks.max(np.array([min(rounds[1:]), after - before, peak - before]))
         return {"us": 1e6 * worst[0], "stays": worst[1] / steps, "most": worst[2]}
 
@@ -56,10 +60,11 @@ class Contestant(vgmpi_contestant.Contestant):
         simulation, seconds = self.simulation, []
         for _ in range(cycles):
             clock = simulation.clock = vgmpi_contestant.Stages(time.thread_time)
-            sent, steps = simulation.sent, self.cycle()
+            before, steps = simulation.sent, self.cycle()
             seconds.append([clock.spent.get(stage, 0.0) / steps for stage in WORK])
-            sent = (simulation.sent - sent) / steps
+            sent = (simulation.sent - before) / steps
         simulation.clock = None
+        assert simulation.halo is not None
         groups, tables = simulation.groups, simulation.tables
         waits = int(np.repeat(tables.receives_remote, np.diff(tables.first)).sum())
         quickest = min(seconds, key=sum)

@@ -14,6 +14,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
@@ -134,7 +135,7 @@ class Worker:
         except OSError as error:
             raise BenchError(f"{address}: {error}; set TMPDIR to a shorter path") from None
         listener.listen()
-        self.links = []
+        self.links: list[tuple[socket.socket, IO[str]]] = []
         with open(self.log, "w") as out:
             self.process = subprocess.Popen(
                 command,

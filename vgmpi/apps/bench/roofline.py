@@ -14,6 +14,7 @@ one sum into the node) and 50 for momentum, mass and slopes; back 27 nodes x 3 v
 much again for three moments; 30 for the motion.
 """
 
+import functools
 import os
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -87,7 +88,10 @@ def _least(threads: int, length: int, repeats: int, action, *arrays) -> float:
     with ThreadPoolExecutor(threads) as pool:
         for _ in range(repeats + 1):
             began = time.perf_counter()
-            parts = [pool.submit(action, *arrays, cut[k], cut[k + 1]) for k in range(threads)]
+            parts = [
+                pool.submit(functools.partial(action, *arrays, cut[k], cut[k + 1]))
+                for k in range(threads)
+            ]
             for part in parts:
                 part.result()
             seconds.append(time.perf_counter() - began)

@@ -7,6 +7,7 @@ stages.
 import os
 import time
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from vgmpi.parallel.communicator import SerialCommunicator, init_communicator
 from vgmpi.parallel.halo_exchange import FieldMessage
 from vgmpi.scene.loader import load
 from vgmpi.solver.diagnostics.conservation import conservation_rows
+from vgmpi.solver.engines.cpu import Cpu
 from vgmpi.solver.initial_particles import plan_for, preparation_hash, prepare
 from vgmpi.solver.run import Options, begin, check, versions
 
@@ -92,7 +94,7 @@ class Contestant:
         Each step then bears its share of a sort.
         """
         if self.simulation.step > STEPS // 2:
-            self.simulation = None  # its memory first
+            del self.simulation  # its memory first
             self.restart()
         if self.simulation.step == 0:
             self.cycle()  # memory and code are warm, and the first sort is over
@@ -121,7 +123,7 @@ class Contestant:
 
     def halo(self, blocks: int) -> dict:
         """Seconds to make a message of whole node blocks and to add one, the least of some."""
-        engine = self.simulation.engine
+        engine = cast(Cpu, self.simulation.engine)  # or its child for a graphics card
         engine.begin(self.dt, self.simulation.gravity, 1.0)
         chosen = np.arange(min(blocks, len(engine.tables.phase)))
         masks = np.full(len(chosen), ~np.uint64(0))

@@ -84,7 +84,7 @@ def convert_scene(path: Path, gaussians: list[Path], folder: Path) -> tuple[str,
 
 def _family(law: Table | None) -> str:
     """Return the family of a material; "" for a static body."""
-    return materials.registry[law["kind"]].family if law else ""  # type: ignore[attr-defined]
+    return materials.registry[law["kind"]].family if law else ""
 
 
 def _body_poses(config: Config, gaussians: list[Path], report: Report) -> list[BodyPose]:

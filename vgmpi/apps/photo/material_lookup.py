@@ -81,7 +81,7 @@ _WORDS = {word: name for name, entry in MATERIALS.items() for word in entry.word
 
 def material_names() -> list[str]:
     """Return all names that the key `material` of a layout may have."""
-    presets = [name for table in materials.registry.values() for name in table.presets]  # type: ignore[attr-defined]
+    presets = [name for table in materials.registry.values() for name in table.presets]
     return list(dict.fromkeys([*MATERIALS, *presets]))
 
 

@@ -38,7 +38,7 @@ _MIN_SIZE = np.exp(-20.0)  # [file units] lower bound of scales in a compressed 
 class Element(NamedTuple):
     """Table of a file: rows of `dtype`, the first at byte `start`."""
 
-    count: int
+    count: int  # type: ignore[assignment]  # hides a method of tuple
     dtype: np.dtype
     start: int
 
@@ -104,15 +104,18 @@ def write_compressed(path: str | Path, cloud: GaussianCloud) -> None:
     except ImportError:
         message = "a compressed .ply needs the package gsply: pip install 'vgmpi[compressed]'"
         raise GaussianFileError(f"{path}: {message}") from None
-    columns = (
-        cloud.x,
-        np.log(np.maximum(cloud.scale, _MIN_SIZE)),
-        cloud.quat,
-        _logit(cloud.opacity),
-        cloud.sh[:, 0],
-        cloud.sh[:, 1:],
+    x, scale, quat, opacity, constant, higher = (
+        column.astype(np.float32)
+        for column in (
+            cloud.x,
+            np.log(np.maximum(cloud.scale, _MIN_SIZE)),
+            cloud.quat,
+            _logit(cloud.opacity),
+            cloud.sh[:, 0],
+            cloud.sh[:, 1:],
+        )
     )
-    save(path, compress_to_bytes(*(column.astype(np.float32) for column in columns)))
+    save(path, compress_to_bytes(x, scale, quat, opacity, constant, higher))
 
 
 def _logit(opacity: np.ndarray) -> np.ndarray:
@@ -194,7 +197,7 @@ def _layout(lines: list[str]) -> list[tuple[str, int, np.dtype]]:
 
 def _columns(rows: np.ndarray, names: list[str]) -> np.ndarray:
     """Return the named properties as float64 columns (n, len(names))."""
-    missing = [name for name in names if name not in rows.dtype.names]
+    missing = [name for name in names if name not in (rows.dtype.names or ())]
     if missing:
         raise GaussianFileError(f"has no property {', '.join(missing)}: not a cloud of Gaussians?")
     return np.stack([rows[name].astype(np.float64) for name in names], axis=1)
@@ -202,7 +205,7 @@ def _columns(rows: np.ndarray, names: list[str]) -> np.ndarray:
 
 def _higher_properties(rows: np.ndarray) -> np.ndarray | None:
     """Return the properties f_rest_* as stored (n, 3 (K - 1)), or None."""
-    count = sum(name.startswith("f_rest_") for name in rows.dtype.names)
+    count = sum(name.startswith("f_rest_") for name in rows.dtype.names or ())
     if count not in _SH_COUNT:
         raise GaussianFileError(f"has {count} f_rest properties: allowed are 0, 9, 24 or 45")
     return _columns(rows, [f"f_rest_{i}" for i in range(count)]) if count else None
@@ -233,14 +236,14 @@ def _check_compressed(elements: dict[str, Element]) -> None:
     Raises:
         GaussianFileError: If they do not.
     """
-    vertex, chunks, shared = (elements.get(name) for name in ("vertex", "chunk", "sh"))
+    vertex, chunks, shared = elements["vertex"], elements.get("chunk"), elements.get("sh")
     if chunks is None or chunks.count != -(-vertex.count // _CHUNK_ROWS):
         raise GaussianFileError(
             f"has {0 if chunks is None else chunks.count:,} chunks for {vertex.count:,} Gaussians,"
             f" expected one per {_CHUNK_ROWS}"
         )
     for name in _PACKED:
-        kind = vertex.dtype[name] if name in vertex.dtype.names else None
+        kind = vertex.dtype[name] if name in (vertex.dtype.names or ()) else None
         if kind is None or kind.kind != "u" or kind.itemsize != 4:
             raise GaussianFileError(f"has no 32-bit property {name} in element 'vertex'")
     if shared is not None and shared.count != vertex.count:
@@ -265,7 +268,9 @@ def _compressed(file: BinaryIO, elements: dict[str, Element], start: int, stop: 
 
     rgba = np.stack([_bits(color, shift, 8) for shift in (24, 16, 8, 0)], axis=1)
     rgb = rgba[:, :3]
-    if "min_r" in chunks.dtype.names:  # files older than SuperSplat 2 have no bounds for colors
+    if "min_r" in (
+        chunks.dtype.names or ()
+    ):  # files older than SuperSplat 2 have no bounds for colors
         rgb = between("", "rgb", rgb)
     f_rest = (
         _higher_properties(elements["sh"].rows(file, start, stop)) if "sh" in elements else None

@@ -51,7 +51,7 @@ class Header(NamedTuple):
 
     magic: bytes
     version: int
-    count: int
+    count: int  # type: ignore[assignment]  # hides a method of tuple
     degree: int
     fraction_bits: int
     flags: int

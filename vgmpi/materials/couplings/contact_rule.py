@@ -7,6 +7,7 @@ coefficients acts.
 
 from typing import Annotated, ClassVar, Literal
 
+from vgmpi.materials.material import Material
 from vgmpi.runtime.config.schema import Quantity, StrictModel
 
 from .interaction import CONTACT, coupling
@@ -25,13 +26,14 @@ class Contact(StrictModel):
     rule: ClassVar = CONTACT
 
     @staticmethod
-    def refuses(a: type, b: type) -> str:
+    def refuses(a: Material, b: Material) -> str:
         """Return why materials a and b cannot be coupled, or an empty string."""
         return ""
 
     @staticmethod
-    def default_friction(a: type, b: type) -> float:
+    def default_friction(a: Material, b: Material) -> float:
         """Return the friction of two material tables that no coupling names."""
         if "fluid" in (a.family, b.family):
             return 0.0
-        return max(a.friction, b.friction)
+        # a key of some laws, a constant of others
+        return max(a.friction, b.friction)  # type: ignore[attr-defined]

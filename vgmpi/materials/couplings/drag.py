@@ -8,6 +8,7 @@ c = n^2 rho_w g / k [kg/(m3 s)], n porosity, k hydraulic conductivity (Darcy; Ta
 
 from typing import Annotated, ClassVar, Literal
 
+from vgmpi.materials.material import Material
 from vgmpi.runtime.config.schema import Quantity, StrictModel
 
 from .interaction import DRAG, coupling
@@ -30,7 +31,7 @@ class Drag(StrictModel):
     printed: ClassVar = False
 
     @staticmethod
-    def refuses(a: type, b: type) -> str:
+    def refuses(a: Material, b: Material) -> str:
         """Return why materials a and b cannot be coupled, or an empty string."""
         if {a.family, b.family} != {"fluid", "sand"}:
             return "drag is between a fluid and a sand"

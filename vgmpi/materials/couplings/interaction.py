@@ -4,14 +4,17 @@ A coupling names its `kind` (a Literal) and the two it is `between`. Its `rule` 
 of the two interact, `refuses` why it cannot couple two materials.
 """
 
-from typing import NamedTuple, get_args
+from typing import NamedTuple, TypeVar, get_args
 
 import numpy as np
+
+from vgmpi.runtime.config.schema import StrictModel
 
 CONTACT, MIXING, DRAG = 0, 1, 2  # interaction of two phases
 RULES = ("contact", "mixing", "drag")
 
-registry: dict[str, type] = {}
+registry: dict[str, type[StrictModel]] = {}
+CouplingClass = TypeVar("CouplingClass", bound=StrictModel)
 
 
 class InteractionRules(NamedTuple):
@@ -59,7 +62,7 @@ class InteractionRules(NamedTuple):
         return np.append(mixes, False)[self.mix]  # index -1 reads the appended False
 
 
-def coupling(cls: type) -> type:
+def coupling(cls: type[CouplingClass]) -> type[CouplingClass]:
     """Register a coupling's table under its kind."""
     kind = get_args(cls.model_fields["kind"].annotation)[0]
     if kind in registry:

@@ -9,6 +9,7 @@ momenta of all drifts sum to zero. Under gravity the slip settles at v_1 - v_2 =
 
 from typing import Annotated, ClassVar, Literal
 
+from vgmpi.materials.material import Material
 from vgmpi.runtime.config.schema import Quantity, StrictModel
 
 from .interaction import MIXING, coupling
@@ -32,7 +33,7 @@ class Mixing(StrictModel):
     printed: ClassVar = False
 
     @staticmethod
-    def refuses(a: type, b: type) -> str:
+    def refuses(a: Material, b: Material) -> str:
         """Return why materials a and b cannot be coupled, or an empty string."""
         if a.family != "fluid" or b.family != "fluid":
             return "mixing is between two fluids"

@@ -4,6 +4,7 @@ import itertools
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
@@ -47,7 +48,7 @@ class MissingInterior(NamedTuple):
 
 
 def interior(
-    cloud: GaussianCloud, spacing: float, mode: bool | str, up: np.ndarray = (0.0, 0.0, 1.0)
+    cloud: GaussianCloud, spacing: float, mode: bool | str, up: ArrayLike = (0.0, 0.0, 1.0)
 ) -> MissingInterior:
     """Return the interior and gap points that a placed cloud lacks.
 
@@ -88,7 +89,7 @@ def interior(
     return MissingInterior(voxels.centers(inside), closed[inside], gap_points)
 
 
-def interior_by_visibility(surface: np.ndarray, up: np.ndarray = (0.0, 0.0, 1.0)) -> np.ndarray:
+def interior_by_visibility(surface: np.ndarray, up: ArrayLike = (0.0, 0.0, 1.0)) -> np.ndarray:
     """Return the empty voxels that see the inner side of the surface almost all around.
 
     The outer side is the one from which more of the outside is seen: between two legs the surface
@@ -108,7 +109,7 @@ def interior_by_visibility(surface: np.ndarray, up: np.ndarray = (0.0, 0.0, 1.0)
     return (fraction >= MIN_ENCLOSED_FRACTION) & ~surface
 
 
-def visible_fraction(surface: np.ndarray, up: np.ndarray = (0.0, 0.0, 1.0)) -> np.ndarray:
+def visible_fraction(surface: np.ndarray, up: ArrayLike = (0.0, 0.0, 1.0)) -> np.ndarray:
     """Return the fraction of all directions in which each voxel does not meet the surface.
 
     Directions from below count by FROM_BELOW_WEIGHT. The 26 directions to the neighbors are
@@ -147,7 +148,8 @@ def _first_side(sides: np.ndarray, step: tuple[int, ...]) -> np.ndarray:
         step: Direction, -1, 0 or 1 per axis.
     """
     lead_axis = next(axis for axis in range(3) if step[axis])
-    turned = np.flip(sides, [axis for axis in range(3) if step[axis] > 0])
+    backward = tuple(axis for axis in range(3) if step[axis] > 0)
+    turned = np.flip(sides, backward)
     along = [lead_axis, *(axis for axis in range(3) if axis != lead_axis)]
     turned = turned.transpose(along)  # lines now come from lower indices on all their axes
     moves = [step[axis] != 0 for axis in along[1:]]
@@ -163,7 +165,7 @@ def _first_side(sides: np.ndarray, step: tuple[int, ...]) -> np.ndarray:
         before = _shifted(met[k - 1], (int(moves[0]), int(moves[1]))) if k else met[0]
         met[k] = np.where(is_met, np.where(votes > 0, np.int8(1), np.int8(-1)), before)
     out = met.transpose(np.argsort(along))
-    return np.flip(out, [axis for axis in range(3) if step[axis] > 0])
+    return np.flip(out, backward)
 
 
 def _shifted(sheet: np.ndarray, by: tuple[int, int]) -> np.ndarray:
@@ -208,7 +210,8 @@ def joined(first: GaussianCloud, second: GaussianCloud) -> GaussianCloud:
     """Return both clouds, one after the other."""
     names = ("x", "quat", "scale", "opacity", "sh")
     painted = first.shade is not None or second.shade is not None
-    return GaussianCloud(
-        *(np.concatenate([getattr(first, n), getattr(second, n)]) for n in names),
-        np.concatenate([first.shades, second.shades]) if painted else None,
+    x, quat, scale, opacity, sh = (
+        np.concatenate([getattr(first, n), getattr(second, n)]) for n in names
     )
+    shade = np.concatenate([first.shades, second.shades]) if painted else None
+    return GaussianCloud(x, quat, scale, opacity, sh, shade)

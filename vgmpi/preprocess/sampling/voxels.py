@@ -36,7 +36,8 @@ class Voxels:
         """
         start = np.floor(x.min(axis=0) / spacing).astype(np.int64) - margin
         stop = np.floor(x.max(axis=0) / spacing).astype(np.int64) + 1 + margin
-        return cls(start, tuple(int(n) for n in stop - start), spacing)
+        nx, ny, nz = (int(n) for n in stop - start)
+        return cls(start, (nx, ny, nz), spacing)
 
     def afford(self, bytes_each: int) -> None:
         """Raise InsufficientMemoryError if `bytes_each` bytes for every voxel exceed the memory."""

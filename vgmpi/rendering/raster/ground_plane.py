@@ -9,6 +9,7 @@ plane is composited behind everything: a Gaussian below it is drawn over it.
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from vgmpi.gaussians.camera import Camera
 
@@ -143,7 +144,7 @@ def composite_ground(
     floor: GroundPlane,
     shadow: Shadow,
     camera: Camera,
-    background: np.ndarray = (1.0, 1.0, 1.0),
+    background: ArrayLike = (1.0, 1.0, 1.0),
     contact: Shadow | None = None,
 ) -> np.ndarray:
     """Draw the plane over the background.

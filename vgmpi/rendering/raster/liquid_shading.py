@@ -49,7 +49,7 @@ class LiquidMedium(NamedTuple):
         shade: Fraction of the liquid's own light removed where it faces away from the light, 0..1.
     """
 
-    index: float
+    index: float  # type: ignore[assignment]  # hides a method of tuple
     clear: float
     light: np.ndarray
     highlight: float

@@ -48,11 +48,15 @@ class LayeredImage:
         self.shape = (camera.height, camera.width)
         lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.near])
         visible_ids = np.empty(len(splats.x), np.int64)
+        x, cov, opacity, color = (
+            np.ascontiguousarray(getattr(splats, field))
+            for field in ("x", "cov", "opacity", "color")
+        )
         *self.rows, z = project(
-            *(
-                np.ascontiguousarray(getattr(splats, field))
-                for field in ("x", "cov", "opacity", "color")
-            ),
+            x,
+            cov,
+            opacity,
+            color,
             np.ascontiguousarray(camera.world_to_camera, dtype=np.float64),
             lens.astype(np.float64),
             *self.shape,

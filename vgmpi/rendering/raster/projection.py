@@ -191,7 +191,8 @@ def project_to_plane(
     """
     out, shape = _empty_rows(len(x)), (height, width)
     m = _drop(x, cov, opacity, lean, plane, lower, pixel, softness, shape, alpha_min, out)
-    return tuple(array[:m] for array in out)
+    ellipses, looks, bounds = out
+    return ellipses[:m], looks[:m], bounds[:m]
 
 
 @njit_cached(nogil=True, error_model="numpy")

@@ -11,8 +11,10 @@ projection.py finds the ellipses on the picture and their order, tile_blend.py b
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from vgmpi.gaussians.camera import Camera
 
@@ -46,7 +48,7 @@ class ProjectableGaussians:
 def render(
     splats: ProjectableGaussians,
     camera: Camera,
-    background: np.ndarray = (1.0, 1.0, 1.0),
+    background: ArrayLike = (1.0, 1.0, 1.0),
     *,
     lowpass: float = 0.3,
     antialias: bool = False,
@@ -84,7 +86,9 @@ def render(
         raise ValueError(f"allowed: depth {DEPTHS}, backend {BACKENDS}, supersample from 1")
     fine = supersampled_camera(camera, supersample)
     under = background_image(background, camera, supersample)
-    options = {"lowpass": lowpass, "antialias": antialias, "alpha_min": alpha_min, "depth": depth}
+    options: dict[str, Any] = {
+        "lowpass": lowpass, "antialias": antialias, "alpha_min": alpha_min, "depth": depth,
+    }  # fmt: skip
     if backend == "gsplat":
         from . import gsplat_backend  # needs torch, which is optional
 
@@ -129,7 +133,7 @@ def supersampled_camera(camera: Camera, times: int) -> Camera:
     return replace(camera, **size, width=camera.width * times, height=camera.height * times)
 
 
-def background_image(background: np.ndarray, camera: Camera, times: int) -> np.ndarray:
+def background_image(background: ArrayLike, camera: Camera, times: int) -> np.ndarray:
     """Return the background as (times height, times width, 3) float32, copied only if necessary."""
     background = np.asarray(background, dtype=np.float32)
     shape = (camera.height * times, camera.width * times, 3)

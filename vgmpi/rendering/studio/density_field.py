@@ -57,7 +57,7 @@ class Field(NamedTuple):
         walls: Whether its sides are walls, shape (6,): -x -y -z +x +y +z.
     """
 
-    index: np.ndarray
+    index: np.ndarray  # type: ignore[assignment]  # hides a method of tuple
     bricks: np.ndarray
     values: np.ndarray
     lower: np.ndarray

@@ -7,6 +7,7 @@ each with its own transmittance and the sky's or the ground's color.
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from vgmpi.runtime.compile_cache import njit_cached
 
@@ -51,7 +52,7 @@ class Rig(NamedTuple):
 
 
 def rig(
-    direction: np.ndarray, key: float = KEY, sky: float = SKY, width: float = WIDTH,
+    direction: ArrayLike, key: float = KEY, sky: float = SKY, width: float = WIDTH,
     highlight: float = 1.0, surroundings: tuple | None = None, picture: np.ndarray | None = None,
 ) -> Rig:  # fmt: skip
     """Return the lights of the studio.

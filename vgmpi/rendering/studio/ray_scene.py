@@ -50,7 +50,7 @@ class Medium(NamedTuple):
 
     field: Field
     tint: Grid
-    index: float
+    index: float  # type: ignore[assignment]  # hides a method of tuple
     min_path: float
     uniform: bool
     foam: float

@@ -11,12 +11,14 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, TypeVar, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 from pydantic_core import core_schema
 
 from vgmpi.runtime.suggestions import did_you_mean
+
+Kind = TypeVar("Kind", bound=type[BaseModel])
 
 _BASE = ("m", "kg", "s", "K", "rad")
 _UNITS: dict[str, tuple[str | float, tuple[int, ...]]] = {
@@ -239,7 +241,7 @@ class SceneError(TomlError):
     """Error in a scene."""
 
 
-def register_kinds(package: str, folders: Iterable[str], registry: dict[str, type]) -> None:
+def register_kinds(package: str, folders: Iterable[str], registry: dict[str, Kind]) -> None:
     """Import every module of a package, which registers its kinds, and sort the registry by kind.
 
     Folders and modules whose names begin with _ are left out.
