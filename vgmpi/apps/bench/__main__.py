@@ -109,7 +109,7 @@ def measure(args: argparse.Namespace, say) -> dict:
     if not args.only or "machine" in args.only:
         say("machine: memory bandwidth and peak")
         roofs = roofline.measure_roofline()
-    results = {
+    results: dict[str, Any] = {
         "when": time.strftime("%Y-%m-%d %H:%M:%S"),
         "command": sys.argv[1:],
         "machine": machine(),
