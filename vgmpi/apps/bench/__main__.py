@@ -7,6 +7,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 from vgmpi.materials import registry
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions
