@@ -96,7 +96,7 @@ def losses(gaussians: GaussianCloud, suffix: str) -> list[str]:
 
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
-    p = argparse.ArgumentParser(prog="python -m postprocess.export", description=__doc__)
+    p = argparse.ArgumentParser(prog="vgmpi export", description=__doc__)
     p.add_argument("out", help="folder of the run")
     p.add_argument("settings", nargs="?", help="render.toml, of which the table [look] is used")
     p.add_argument("--frames", help="a number, or first:last:every as in Python [all]")

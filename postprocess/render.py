@@ -60,7 +60,7 @@ def ranks_of_launcher() -> Any:
 
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
-    p = argparse.ArgumentParser(prog="python -m postprocess.render", description=__doc__)
+    p = argparse.ArgumentParser(prog="vgmpi render", description=__doc__)
     p.add_argument("out", help="folder of the run")
     p.add_argument("settings", nargs="?", help="render.toml: camera, picture, video, splatting")
     p.add_argument(

@@ -176,7 +176,7 @@ def _free_port() -> int:
 
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
-    p = argparse.ArgumentParser(prog="python -m postprocess.replay", description=__doc__)
+    p = argparse.ArgumentParser(prog="vgmpi replay", description=__doc__)
     p.add_argument("out", help="folder of the run")
     p.add_argument("-o", "--output", help="output page [OUT/replay.html]")
     p.add_argument(

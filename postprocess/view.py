@@ -107,7 +107,7 @@ def picture(run: RunReader, index: int, colour: str, path: Path, args: argparse.
 
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
-    p = argparse.ArgumentParser(prog="python -m postprocess.view", description=__doc__)
+    p = argparse.ArgumentParser(prog="vgmpi view", description=__doc__)
     p.add_argument("out", help="folder of the run")
     p.add_argument("--frame", type=int, default=-1, help="number of the frame [the last]")
     p.add_argument(

@@ -27,7 +27,7 @@ def arguments(argv: list[str]) -> argparse.Namespace:
         argv = ["card", *argv[2:]]
     elif not argv or argv[0] not in (*COMMANDS, "-h", "--help"):
         argv = ["speed", *argv]
-    return parse_arguments("python -m vgmpi bench", __doc__, COMMANDS, argv)
+    return parse_arguments("vgmpi bench", __doc__, COMMANDS, argv)
 
 
 def _speed(parser: argparse.ArgumentParser) -> None:

@@ -12,7 +12,7 @@ WRONG = 2
 def arguments(argv: list[str] | None) -> argparse.Namespace:
     """Return the command-line arguments."""
     parser = argparse.ArgumentParser(
-        prog="python -m vgmpi convert",
+        prog="vgmpi convert",
         description="A configuration of PhysGaussian or VersaGauss becomes a scene. Each key that"
         " the scene does not have is named, on stderr and at the end of the scene.",
         epilog="exit codes: 0 done, 1 unexpected error, 2 something in the file or the flags is"

@@ -33,7 +33,7 @@ RUNS, TABLE = "runs", "fit.csv"
 def arguments(argv: list[str] | None) -> argparse.Namespace:
     """Parse the command line."""
     p = argparse.ArgumentParser(
-        prog="python -m vgmpi fit", description=__doc__,
+        prog="vgmpi fit", description=__doc__,
         formatter_class=argparse.RawTextHelpFormatter,
     )  # fmt: skip
     p.add_argument("scene", type=Path, help="scene file (TOML)")

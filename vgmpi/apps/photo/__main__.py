@@ -13,7 +13,7 @@ EXIT_USAGE = 2
 def parse_arguments(argv: list[str] | None) -> argparse.Namespace:
     """Parse the command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m vgmpi photo",
+        prog="vgmpi photo",
         description="Objects in a photograph become Gaussians and a scene in which they stand as"
         " they do in the photograph. Every guess is written into the layout, where it can be"
         " changed; docs/how-to/photo-to-scene.md.",

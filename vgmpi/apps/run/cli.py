@@ -31,7 +31,7 @@ wrong, 3 the simulation blew up (what was written before is whole), 75 stopped w
 def _parser() -> argparse.ArgumentParser:
     """Return the parser of what to do and with which scene."""
     parser = argparse.ArgumentParser(
-        prog="python -m vgmpi",
+        prog="vgmpi",
         description="Multiphase physics on 3D Gaussians."
         " On several ranks: mpirun -n 2 python -m vgmpi scene.toml",
         epilog=EXIT_CODES,

@@ -100,7 +100,7 @@ def runs(study: Study) -> dict[str, np.ndarray]:
 def main(argv: list[str]) -> int:
     """Run the study and return its exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m vgmpi energy", description=__doc__,
+        prog="vgmpi energy", description=__doc__,
         formatter_class=argparse.RawTextHelpFormatter,
     )  # fmt: skip
     parser.add_argument("scene", type=Path, help="scene file (TOML)")

@@ -45,7 +45,7 @@ LABELS = {
 def _parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m vgmpi tradeoff", description=__doc__,
+        prog="vgmpi tradeoff", description=__doc__,
         formatter_class=argparse.RawTextHelpFormatter,
     )  # fmt: skip
     parser.add_argument("scene", type=Path, help="scene file (TOML)")
