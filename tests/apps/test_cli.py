@@ -239,7 +239,9 @@ def test_a_misspelt_override_is_named(scene, capsys):
 
 
 def test_the_scene_that_the_reference_begins_with(tmp_path, capsys):
-    text = (ROOT / "docs" / "reference" / "scene.md").read_text().split("```toml\n")[1].split("```")[0]
+    text = (
+        (ROOT / "docs" / "reference" / "scene.md").read_text().split("```toml\n")[1].split("```")[0]
+    )
     scene = write(tmp_path, text)
     assert cli.main([str(scene), "--check"]) == 2
     assert "there is no file" in capsys.readouterr().err

@@ -63,7 +63,7 @@ def main() -> None:
 
 def theory(compression: float, gamma: float = 7.0) -> float:
     """The same share of a column in which p = k (J^-gamma - 1) carries what is above (k by depth
-    and compression: materials/weakly_compressible.py)."""
+    and compression: materials/liquid_stiffness.py)."""
     above = (np.arange(1000) + 0.5) / 1000  # share of the mass
     J = (1 + gamma * compression * above) ** (-1 / gamma)
     return 1 - 2 * float((J * above).mean())  # the mean height is that of all J below

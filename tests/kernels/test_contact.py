@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vgmpi.kernels.grid.contact_pair import (
+from vgmpi.kernels.grid.contact_impulses import (
     GAP_RESOLVED,
     GAP_UNRESOLVED,
     LAYER_HALF_WIDTH,

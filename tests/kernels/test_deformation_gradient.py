@@ -7,7 +7,7 @@ from tests.support.simulate import advance, begin
 from tests.support.small_scenes import scene
 from vgmpi.planning.phases_and_groups import stores_deformation
 from vgmpi.solver.restart.state_io import by_id, frame_rows
-from vgmpi.solver.timestep import next_step
+from vgmpi.solver.step_to_target import next_step
 
 # a metal toy that turns, an elastic one, water in the pores of sand, snow that asks for nothing
 SCENE = """

@@ -12,7 +12,7 @@ from vgmpi.solver.diagnostics.conservation import conservation_rows
 from vgmpi.solver.initial_particles import known_of, plan_for
 from vgmpi.solver.restart.state_io import by_id
 from vgmpi.solver.step import Simulation
-from vgmpi.solver.timestep import next_step
+from vgmpi.solver.step_to_target import next_step
 
 __all__ = ["advance", "begin", "by_id", "mass_speed", "totals"]
 

@@ -16,9 +16,9 @@ import numpy as np
 from vgmpi.materials.tensor_math.tensor import det_minus_one, symmetric_to_full
 from vgmpi.runtime.config.schema import Quantity
 
+from .liquid_stiffness import Liquid
 from .material import material
 from .tensor_math import hencky, tait, viscoplastic_flow
-from .weakly_compressible import Liquid
 
 
 class Law(NamedTuple):

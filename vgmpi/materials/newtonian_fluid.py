@@ -6,9 +6,9 @@ import numpy as np
 
 from vgmpi.runtime.config.schema import Quantity
 
+from .liquid_stiffness import Liquid
 from .material import material
 from .tensor_math import tait
-from .weakly_compressible import Liquid
 
 
 class Law(NamedTuple):

@@ -38,8 +38,8 @@ from .initial_particles import (
     write_initial_particles,
 )
 from .step import BlowUp, Simulation
+from .step_to_target import next_step
 from .stop_requests import Requests
-from .timestep import next_step
 
 log = logging.getLogger("vgmpi")
 

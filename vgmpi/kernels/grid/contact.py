@@ -1,6 +1,6 @@
 """Contact at the 64 nodes of a block: pairs of phases that touch, and the resulting impulses.
 
-The rule for one pair and the impulses of all pairs of a node are in contact_pair.py.
+The rule for one pair and the impulses of all pairs of a node are in contact_impulses.py.
 """
 
 from typing import NamedTuple
@@ -24,7 +24,7 @@ from vgmpi.kernels.wall_boundary import project_tangential
 from vgmpi.materials.couplings.interaction import CONTACT
 from vgmpi.runtime.jit import device_function
 
-from .contact_pair import (
+from .contact_impulses import (
     COLLIDER_ROW,
     WALL_ROW,
     ContactPair,

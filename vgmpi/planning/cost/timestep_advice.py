@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from vgmpi.materials.weakly_compressible import Liquid
+from vgmpi.materials.liquid_stiffness import Liquid
 from vgmpi.planning.plan import Plan, time_step_bounds
 from vgmpi.runtime.config.toml_source import escape_control_characters
 from vgmpi.scene.scene import Scene

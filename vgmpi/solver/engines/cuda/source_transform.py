@@ -12,7 +12,7 @@ from numba import cuda
 
 from vgmpi.kernels import reaction_impulses, wall_boundary
 from vgmpi.kernels.grid import contact as touch
-from vgmpi.kernels.grid import contact_pair
+from vgmpi.kernels.grid import contact_impulses
 from vgmpi.kernels.rigid import prescribed_motion as driven_bodies
 from vgmpi.kernels.rigid import prescribed_transfer
 from vgmpi.kernels.simd import material_dispatch
@@ -34,7 +34,7 @@ from .translation_types import (
 DOUBLE = frozenset(
     module.__name__
     for module in (
-        contact_pair,
+        contact_impulses,
         touch,
         wall_boundary,
         reaction_impulses,

@@ -8,7 +8,7 @@ together, by accumulated Jacobi sweeps.
 
 import numpy as np
 
-from vgmpi.kernels.grid.contact_pair import (
+from vgmpi.kernels.grid.contact_impulses import (
     GAP_RESOLVED,
     GAP_UNRESOLVED,
     LAYER_GAP_FLUID,

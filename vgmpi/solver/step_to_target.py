@@ -1,4 +1,8 @@
-"""Time step: the stable step of the present state, cut so that frame times are met exactly."""
+"""Time steps that meet frame times exactly.
+
+The stable step itself comes from the particles (`record_step_bounds` in kernels/transfer/g2p.py) and
+from `Simulation.bound`.
+"""
 
 import math
 
