@@ -1,7 +1,7 @@
 """Time steps that meet frame times exactly.
 
-The stable step itself comes from the particles (`record_step_bounds` in kernels/transfer/g2p.py) and
-from `Simulation.bound`.
+The stable step itself comes from the particles (`record_step_bounds` in kernels/transfer/g2p.py)
+and from `Simulation.bound`.
 """
 
 import math

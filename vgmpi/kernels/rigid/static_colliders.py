@@ -6,8 +6,7 @@ from vgmpi.parallel.block_lattice import BLOCK_EDGE, BlockLattice
 
 # REACH is the distance [cells] from a collider's surface within which nodes are stored. There is no
 # contact beyond it (contact_impulses.py): a node is at most 1.5 cells deep in a flowing
-# phase, and
-# contact with that begins at 0.25 cells.
+# phase, and contact with that begins at 0.25 cells.
 SDF_BAND_CELLS = 1.8
 
 
