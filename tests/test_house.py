@@ -341,7 +341,7 @@ def test_a_tensor_is_one_thing():
 def test_reading_a_folder_reads_nothing_else(file):
     """Only materials and couplings look for what is in their folder; vgmpi names what scripts use,
     and loads it when asked for."""
-    folders = ("vgmpi", "vgmpi/materials", "vgmpi/materials/couplings")
+    folders = ("vgmpi", "vgmpi/materials", "vgmpi/materials/couplings", "vgmpi/apps/render")
     discovers = file in [f"{folder}/__init__.py" for folder in folders]
     assert discovers == bool((ROOT / file).read_text().strip())
 
