@@ -24,7 +24,7 @@ def as_transforms(some):
     frames = []
     for k, camera in enumerate(some):
         to_world = np.linalg.inv(camera.world_to_camera) @ np.diag([1.0, -1, -1, 1])
-        frames.append({"file_path": f"apps/photo/{k}.png", "transform_matrix": to_world.tolist()})
+        frames.append({"file_path": f"images/{k}.png", "transform_matrix": to_world.tolist()})
     return {**LENS, "frames": frames}
 
 
@@ -65,7 +65,7 @@ def test_transforms_stand_where_they_stood(tmp_path):
     path.write_text(json.dumps(as_transforms(cameras())))
     named = camera_selection.transforms(path)
     same(named, cameras())
-    assert [name for name, _ in named] == [f"apps/photo/{k}.png" for k in range(3)]
+    assert [name for name, _ in named] == [f"images/{k}.png" for k in range(3)]
     # the target is in front of the camera and on the vertical through the centre
     x, y, z, _ = named[1][1].world_to_camera @ [0, 0.2, 0.1, 1]
     assert z > 2 and abs(x) < 1e-9
