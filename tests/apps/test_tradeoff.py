@@ -266,7 +266,7 @@ def test_an_array_of_jobs_shares_the_runs(tmp_path, monkeypatch):
         env=env, capture_output=True, text=True,
     )  # fmt: skip
     assert made.stdout.split() == (
-        ["-m", "vgmpi.apps.tradeoff", "tradeoff", "a.toml", "--vary", "cell", "--part", "2/8"]
+        ["-m", "vgmpi", "tradeoff", "a.toml", "--vary", "cell", "--part", "2/8"]
     )
 
 
