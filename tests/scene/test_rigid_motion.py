@@ -106,7 +106,7 @@ WAY = "motion = {{ {} }}"
         (
             WAY.format('keyframes = [{ move = [0, 0, "1 cm"] }]'),
             "motion.keyframes.0.time",
-            "required key is missing: when; keyframes are in order of time",
+            "required key is missing: time of the keyframe; keyframes are in order of time",
         ),
         (
             WAY.format('keyframes = [{ time = "1 s" }], spin = 3'),
