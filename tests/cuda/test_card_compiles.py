@@ -59,7 +59,7 @@ def test_every_law_compiles_without_spills_doubles_or_contraction(law):
 )
 def test_what_else_a_scene_asks_for_compiles(case):
     names = {one.name for one in check(case)}
-    moves = {"fill inertia", "advect_prescribed"} if case == "driven" else {"g2p"}
+    moves = {"fill momentumwithoutstress", "advect_prescribed"} if case == "driven" else {"g2p"}
     assert moves | {"tag", "order"} <= names
 
 

@@ -44,7 +44,7 @@ engine.layers.momentum.sums R 2 256
 engine.layers.momentum.nodes R 256
 engine.layers.momentum.asked B
 engine.layers.momentum.phase B
-engine.parts.*.segments.into S 27
+engine.parts.*.segments.accumulator_rows S 27
 engine.parts.*.segments.table S 27
 engine.parts.*.segments.limit S 3 2
 engine.parts.*.segments.mirror S 3 2
@@ -55,7 +55,7 @@ engine.parts.*.partition.all.* S
 engine.parts.*.partition.inner.* S
 engine.block_shares.all.* B
 engine.block_shares.inner.* B
-engine.blocks.copied B+1
+engine.blocks.copy_offsets B+1
 engine.layers.offsets.asked B
 engine.scratch.*.real Q
 engine.scratch.*.whole 150
@@ -65,13 +65,13 @@ tables.group S
 tables.block S 3
 tables.border S
 tables.table S 27
-tables.takes.momentum S
-tables.takes.offsets S
+tables.contributes.momentum S
+tables.contributes.offsets S
 tables.first B+1
 tables.phase B
 tables.at B 3
 tables.meets B
-tables.waits B
+tables.receives_remote B
 tables.solid B
 tables.asked.momentum B
 tables.asked.offsets B
@@ -92,13 +92,14 @@ HANDFUL = (
     "needs", "reduction_buffer",
 )  # fmt: skip
 KERNELS = {
-    "fill(Momentum, FluidLaw, Segments, Particles, Scratch, None)",
-    "fill(Inertia, None, Segments, Particles, Scratch, None)",
-    "g2p(FluidLaw, Segments, Particles, Nothing, Scratch, Numbers, Motion, None)",
-    "give_back(Segments, Particles, Scratch, None)",
-    "settle(NodeBlocks, Sums, Phases, Step)",
-    "update(NodeBlocks, Summed(Sums, Sums), None, None, None, Walls, Phases, Rigid(Ways),"
-    " Room(None), Step)",
+    "particles_to_grid(Momentum, FluidLaw, Segments, Particles, Scratch, None)",
+    "particles_to_grid(MomentumWithoutStress, None, Segments, Particles, Scratch, None)",
+    "grid_to_particles(FluidLaw, Segments, Particles, VelocityOnly, Scratch, GroupConstants,"
+    " StepConstants, None)",
+    "apply_transfer_correction(Segments, Particles, Scratch, None)",
+    "momentum_to_velocity_only(NodeBlocks, Sums, Phases, Step)",
+    "update(NodeBlocks, CommonFields(Sums, Sums), None, None, None, Walls, Phases,"
+    " RigidBoundaries(PrescribedSteps), ContactWorkspace(None), Step)",
 }
 BLOCK = """
 [[object]]
@@ -143,8 +144,8 @@ friction = 0.3
 """
 )
 SHARED = {
-    "engine.layers.impulses", "engine.beside.flux", "engine.apart_room", "engine.pairs",
-    "needs.apart", "plan.rules", "tables.asked.impulses", "tables.takes.impulses",
+    "engine.layers.impulses", "engine.beside.flux", "engine.mixture_workspace", "engine.pairs",
+    "needs.apart", "plan.rules", "tables.asked.impulses", "tables.contributes.impulses",
 }  # fmt: skip
 
 
@@ -172,7 +173,7 @@ def parts(names):
     for name in names:
         words = [word for word in name.split(".") if word != "*"]
         wide = words[0] in ("engine", "tables", "needs", "plan")
-        deep = wide and words[1] in ("layers", "beside", "room", "parts", "asked", "takes")
+        deep = wide and words[1] in ("layers", "beside", "room", "parts", "asked", "contributes")
         found.add(".".join(words[: 1 + wide + deep]))
     return found
 
@@ -249,24 +250,24 @@ DRAIN = """
 name = "drain"
 shape = { box = [[0.24, 0, 0], [0.32, 0.32, 0.32]] }
 """
-MIXES = {"Apart", "Tables", "Rules", "Impulses", "Sharing"}
+MIXES = {"SeparatedStress", "MixtureTables", "Rules", "Impulses", "MixtureGather"}
 # name: scene, parts with arrays, and kinds in kernels that the plain one has not
 FEATURES = {
     "sand": (WITH_SAND, set(), {"SandLaw"}),
     "a solid": (
-        PLAIN + RUBBER + BESIDE, {"engine.layers.offsets"}, {"ElasticLaw", "Surface", "Offsets"},
+        PLAIN + RUBBER + BESIDE, {"engine.layers.offsets"}, {"ElasticLaw", "SurfaceDistance", "Offsets"},
     ),
     "colours": (
         PLAIN + TRAVELS + MILK + RED,
-        {"engine.layers.colour 0", "tables.asked.colour 0", "tables.takes.colour 0",
+        {"engine.layers.colour 0", "tables.asked.colour 0", "tables.contributes.colour 0",
          "engine.sets", "plan.colours"},
-        {"Colour", "take", "blend"},
+        {"Color", "gather_color", "average_over_phases"},
     ),
     "mixing": (PLAIN + MILK + BESIDE + COUPLED + 'kind = "mixing"\n', SHARED, MIXES),
     "drift": (
         PLAIN + MILK + BESIDE + COUPLED + 'kind = "mixing"\ndiffusion = 1e-4\n',
         {*SHARED, "engine.beside.drift", "engine.layers.offsets"},
-        {*MIXES, "Present"},
+        {*MIXES, "CurrentVolumeMoments"},
     ),
     "drag": (
         IN_PORES + COUPLED + 'kind = "drag"\npermeability = 1e-3\n', SHARED, {*MIXES, "SandLaw"},
@@ -284,14 +285,14 @@ FEATURES = {
     "a wall that is felt": (
         PLAIN + '[[probe]]\nname = "floor"\nrate = 100\nwall = "floor"\n',
         {"reactions", "engine.room.given", "engine.parts.ghosts"},
-        {"Given", "Ghosts"},
+        {"ReactionSums", "GhostNodes"},
     ),
-    "volume that is kept": (PLAIN + '[accuracy]\nvolume = "kept"\n', set(), {"Kept"}),
+    "volume that is kept": (PLAIN + '[accuracy]\nvolume = "kept"\n', set(), {"DensityCorrected"}),
     "flip": (
         PLAIN + '[accuracy]\ntransfer = "flip"\n',
-        {"engine.layers.impulses", "engine.beside.change", "engine.apart_room",
-         "tables.asked.impulses", "tables.takes.impulses"},
-        {"Apart", "Impulses", "Blend"},
+        {"engine.layers.impulses", "engine.beside.change", "engine.mixture_workspace",
+         "tables.asked.impulses", "tables.contributes.impulses"},
+        {"SeparatedStress", "Impulses", "FlipGather"},
     ),
 }  # fmt: skip
 
