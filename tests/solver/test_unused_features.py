@@ -250,7 +250,10 @@ DRAIN = """
 name = "drain"
 shape = { box = [[0.24, 0, 0], [0.32, 0.32, 0.32]] }
 """
-MIXES = {"SeparatedStress", "MixtureTables", "Rules", "Impulses", "MixtureGather"}
+MIXES = {
+    "SeparatedStress", "MixtureTables", "MixtureWorkspace", "InteractionRules", "Impulses",
+    "MixtureGather",
+}  # fmt: skip
 # name: scene, parts with arrays, and kinds in kernels that the plain one has not
 FEATURES = {
     "sand": (WITH_SAND, set(), {"SandLaw"}),
@@ -292,7 +295,7 @@ FEATURES = {
         PLAIN + '[accuracy]\ntransfer = "flip"\n',
         {"engine.layers.impulses", "engine.beside.change", "engine.mixture_workspace",
          "tables.asked.impulses", "tables.contributes.impulses"},
-        {"SeparatedStress", "Impulses", "FlipGather"},
+        {"SeparatedStress", "MixtureWorkspace", "Impulses", "FlipGather"},
     ),
 }  # fmt: skip
 
