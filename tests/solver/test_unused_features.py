@@ -258,7 +258,8 @@ MIXES = {
 FEATURES = {
     "sand": (WITH_SAND, set(), {"SandLaw"}),
     "a solid": (
-        PLAIN + RUBBER + BESIDE, {"engine.layers.offsets"}, {"ElasticLaw", "SurfaceDistance", "Offsets"},
+        PLAIN + RUBBER + BESIDE, {"engine.layers.offsets"},
+        {"ElasticLaw", "SurfaceDistance", "Offsets"},
     ),
     "colours": (
         PLAIN + TRAVELS + MILK + RED,
