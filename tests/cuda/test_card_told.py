@@ -60,7 +60,7 @@ def test_plan_tells_of_the_card(scene, capsys, monkeypatch, free, what):
 
 
 def test_what_does_not_fit_is_refused(scene, capsys, monkeypatch, tmp_path):
-    monkeypatch.setattr(card, "choose", lambda place, rank: "")
+    monkeypatch.setattr(card, "select_device", lambda place, rank: "")
     monkeypatch.setattr(card, "free", lambda: 1000)
     code, said, _ = lines(capsys, scene, "--engine", "cuda", "-o", str(tmp_path / "out"))
     assert code == 2
