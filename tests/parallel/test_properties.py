@@ -35,7 +35,7 @@ class Lot(threading.local):
     def __init__(self, case, leg):
         self.case, self.leg, self.sorts, self.forced = case, leg, 0, False
 
-    def recut(self, keys, work, count, ranks, cut, steps):
+    def rebalance(self, keys, work, count, ranks, cut, steps):
         self.sorts += 1
         self.random = np.random.default_rng([self.case.seed, self.leg, self.sorts])
         once = self.case.owners == "cut anew once" and self.forced
@@ -51,7 +51,7 @@ class Lot(threading.local):
             return mixed(keys, self.case.seed + self.sorts) % (len(cut) + 1)
         return OWNERS(keys, cut)
 
-    def worth(self, load, steps):
+    def should_rebalance(self, load, steps):
         return self.case.owners != "by load" or WORTH(load, steps)
 
 
@@ -130,7 +130,7 @@ def found(case, precision, seen):
             return save(simulation), simulation.sorts, look(simulation)
 
         with pytest.MonkeyPatch.context() as patch:
-            for name in ("recut", "owners", "worth"):
+            for name in ("rebalance", "owners", "should_rebalance"):
                 patch.setattr(load_balance, name, getattr(lot, name))
             if case.backwards:
                 patch.setattr(Cpu, "each", simulated_ranks.last_first)
