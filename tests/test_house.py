@@ -85,14 +85,8 @@ PRINT = (
     "vgmpi/apps/convert/__main__.py",
     "vgmpi/apps/photo/__main__.py",
     "vgmpi/apps/fit/__main__.py",
-    "vgmpi/apps/tradeoff/__main__.py",
     "vgmpi/apps/tradeoff/energy_drift.py",
     "vgmpi/apps/tradeoff/setting_study.py",
-    "vgmpi/apps/old_paths/bench/__main__.py",
-    "vgmpi/apps/old_paths/convert/__main__.py",
-    "vgmpi/apps/old_paths/fit/__main__.py",
-    "vgmpi/apps/old_paths/images/__main__.py",
-    "vgmpi/apps/old_paths/study/__main__.py",
 )
 
 

@@ -43,7 +43,6 @@ EXIT_CODES = """\
 
 [Stop and resume](../how-to/stop-and-resume.md) lists the signals.
 """
-_SAME_FLAGS = {"check": "--check", "plan": "--plan", "prepare": "--prepare", "inspect": "--inspect"}
 
 
 class _ParserFound(Exception):
@@ -94,9 +93,9 @@ def page() -> str:
     parts = [INTRODUCTION + "\n".join(rows) + "\n"]
     for name, command in commands.COMMANDS.items():
         parts.append(f"## vgmpi {name}\n\n{_sentence(command.summary)}\n")
-        if name in _SAME_FLAGS:
+        if command.flags:
             parts.append(
-                f"Same as `vgmpi run {_SAME_FLAGS[name]}`, with the flags of "
+                f"Same as `vgmpi run {' '.join(command.flags)}`, with the flags of "
                 "[`vgmpi run`](#vgmpi-run).\n"
             )
             continue

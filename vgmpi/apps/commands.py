@@ -7,6 +7,8 @@ import importlib
 import sys
 from typing import NamedTuple
 
+from vgmpi.runtime.exit_handler import exit_code_from_exceptions
+
 
 class Command(NamedTuple):
     """A subcommand: the module whose function runs it, and one line of help."""
@@ -69,8 +71,7 @@ def main(argv: list[str]) -> int:
     if argv and argv[0] in ("-h", "--help"):
         print(format_help())
         return 0
-    name = argv[0] if argv and argv[0] in COMMANDS else "run"
-    words = argv[1:] if argv and argv[0] in COMMANDS else argv
+    name, words = (argv[0], argv[1:]) if argv and argv[0] in COMMANDS else ("run", argv)
     command = COMMANDS[name]
     try:
         module = importlib.import_module(command.module)
@@ -81,3 +82,19 @@ def main(argv: list[str]) -> int:
         return 2
     flags = () if {"-h", "--help"} & set(words) else command.flags
     return getattr(module, command.function)([*flags, *words])
+
+
+@exit_code_from_exceptions
+def run_old_module(module: str, name: str, words: list[str]) -> int:
+    """Run the command that replaces `python -m vgmpi.MODULE`, and print its name.
+
+    Args:
+        module: Module of an earlier release.
+        name: Command that replaces it.
+        words: Words of the command line for `main`.
+
+    Returns:
+        The exit code.
+    """
+    print(f"python -m vgmpi.{module} is now: vgmpi {name}", file=sys.stderr)
+    return main(words)

@@ -2,7 +2,6 @@
 
 import sys
 
-from vgmpi.apps.bench.__main__ import main
+from vgmpi.apps.commands import run_old_module
 
-print("python -m vgmpi.bench is now: vgmpi bench", file=sys.stderr)
-sys.exit(main())
+sys.exit(run_old_module("bench", "bench", ["bench", *sys.argv[1:]]))

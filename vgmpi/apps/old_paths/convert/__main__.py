@@ -2,7 +2,6 @@
 
 import sys
 
-from vgmpi.apps.convert.__main__ import main
+from vgmpi.apps.commands import run_old_module
 
-print("python -m vgmpi.convert is now: vgmpi convert", file=sys.stderr)
-sys.exit(main())
+sys.exit(run_old_module("convert", "convert", ["convert", *sys.argv[1:]]))

@@ -2,7 +2,6 @@
 
 import sys
 
-from vgmpi.apps.fit.__main__ import main
+from vgmpi.apps.commands import run_old_module
 
-print("python -m vgmpi.fit is now: vgmpi fit", file=sys.stderr)
-sys.exit(main())
+sys.exit(run_old_module("fit", "fit", ["fit", *sys.argv[1:]]))

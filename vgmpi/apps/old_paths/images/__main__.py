@@ -2,7 +2,6 @@
 
 import sys
 
-from vgmpi.apps.photo.__main__ import main
+from vgmpi.apps.commands import run_old_module
 
-print("python -m vgmpi.images is now: vgmpi photo", file=sys.stderr)
-sys.exit(main())
+sys.exit(run_old_module("images", "photo", ["photo", *sys.argv[1:]]))

@@ -1,8 +1,7 @@
-"""Deprecated path of `vgmpi tradeoff`."""
+"""Deprecated path of `vgmpi tradeoff` and `vgmpi energy`, which were the words of this module."""
 
 import sys
 
-from vgmpi.apps.tradeoff.__main__ import main
+from vgmpi.apps.commands import run_old_module
 
-print("python -m vgmpi.study is now: vgmpi tradeoff", file=sys.stderr)
-sys.exit(main())
+sys.exit(run_old_module("study", "tradeoff", sys.argv[1:]))
