@@ -1,6 +1,5 @@
 """Vectors that do not fit the registers: how often the sums over rows (kernels/stencil_sums.py) put
-one
-to the stack and take it back, as LLVM compiles them for other processors too. Nothing is run.
+one to the stack and take it back, as LLVM compiles them for other processors too. Nothing is run.
 """
 
 import re

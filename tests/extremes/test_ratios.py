@@ -2,9 +2,8 @@
 
 Expected: steps of 1.3 times the default are stable at the corners where `python -m
 tests.benchmarks.__main__ stability --ratios` finds the least room: energy stays below 4 times the
-most
-that it has with half the default step. Where particles are few, one to a cell, the default itself
-is.
+most that it has with half the default step. Where particles are few, one to a cell, the default
+itself is.
 """
 
 import numpy as np

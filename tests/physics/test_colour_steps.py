@@ -1,7 +1,7 @@
 """Colours through the grid with every step, `colour_transfer = "step"`.
 
-The paper's transfer S once a step, (S c)_p = sum_i w_ip c_i with
-c_i = sum_p w_ip V_p c_p / sum_p w_ip V_p:
+The paper's transfer S once a step, (S c)_p = sum_i w_ip c_i with c_i = sum_p w_ip V_p c_p / sum_p
+w_ip V_p:
 
 - one step equals the transfer of vgmpi/gaussians/color_diffusion.py at the places before the step,
 over

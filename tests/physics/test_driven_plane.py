@@ -4,11 +4,10 @@ Theory: friction turns the cylinder until it rolls on the plane, (v - drive) = o
 is as on a plane at rest (Galilei): it rolls with a = 2/3 g sin where mu > tan(angle) / 3, else it
 slides with a = g (sin - mu cos) and turns faster by 2 mu g cos / R (Bardenhagen, Brackbill, Sulsky
 2000, Comput. Methods Appl. Mech. Eng. 187, 529: a cylinder on an incline, which slips or rolls). On
-a plane driven downhill friction first drives what will slide, and turns about within .05 s.
-Gravity is tilted by 20 deg over a box collider whose top lies between nodes, driven by .3 m/s;
+a plane driven downhill friction first drives what will slide, and turns about within .05 s. Gravity
+is tilted by 20 deg over a box collider whose top lies between nodes, driven by .3 m/s;
 tests/support/rigid_kinematics.py, tests/physics/test_roll.py. Tolerances: acceleration and v over
-omega R 3 %, spin
-10 %, of 8 cells in radius; 5 % of 16. Single precision.
+omega R 3 %, spin 10 %, of 8 cells in radius; 5 % of 16. Single precision.
 """
 
 import pytest

@@ -1,7 +1,6 @@
 """Numbers of a scene found again from an honest reference (tests/benchmarks/recovery.py): cells
-half as large,
-another seed, the other precision, 5 % noise, and of pictures a camera that is off by a pixel; from
-starts 5 to 10 times off, within 40 runs.
+half as large, another seed, the other precision, 5 % noise, and of pictures a camera that is off by
+a pixel; from starts 5 to 10 times off, within 40 runs.
 
 Tolerance: 5 %, and the interval of 95 % holds the truth. Misses are in
 docs/how-to/fit-parameters.md: the friction angle of sand by its pictures, 9 % off, whose interval

@@ -1,13 +1,12 @@
 """Columns of dry sand collapse: how far they run out and how high they stay.
 
 Published: tests/support/sand_columns.py. Sand: the presets, whose angles are the angles of repose
-of the grains
-of the experiments, none of them fitted. Motion is restored: with APIC alone transfers hold sand
-back, the more the fewer cells there are. The channel is a slab 4 cells wide between slipping walls,
-the floor holds. Front: where sand lies deeper than 1/40 of the column's length. Single
-particles count there: another step or cell moves it by 5 to 10 %. Tolerances: 10 % between walls
-where a is 1 or 2, 20 % for lower and taller columns, 15 % for beads, 25 % for round columns. Low
-and round ones fall short: a skirt thinner than a cell is not seen, and what else is not known.
+of the grains of the experiments, none of them fitted. Motion is restored: with APIC alone transfers
+hold sand back, the more the fewer cells there are. The channel is a slab 4 cells wide between
+slipping walls, the floor holds. Front: where sand lies deeper than 1/40 of the column's length.
+Single particles count there: another step or cell moves it by 5 to 10 %. Tolerances: 10 % between
+walls where a is 1 or 2, 20 % for lower and taller columns, 15 % for beads, 25 % for round columns.
+Low and round ones fall short: a skirt thinner than a cell is not seen, and what else is not known.
 """
 
 import math

@@ -58,8 +58,7 @@ keyframes = [{keys}]
 def spun(folder, cells, ends):
     """Of columns of the liquid in cylinders of so many cells in radius, in the last quarter of a
     second until `ends` [s]: squared distances (n,) [m2] from the axis and heights (n,) [m]; mean
-    angular velocity [rad/s]; the largest share of particles that was half
-    a cell in the wall."""
+    angular velocity [rad/s]; the largest share of particles that was half a cell in the wall."""
     dx = RADIUS / cells
     wide = round(2 * RADIUS + 8 * dx, 9)
     m = wide / 2

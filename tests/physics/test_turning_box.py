@@ -11,8 +11,7 @@ cells on average against the box, of sand that flows the slope is 30 deg within 
 
 Walls are 4 cells thick, or 2. All matter is in the box, which then has no outer side
 (preprocess/collider_sdf.py): with it a node beyond the middle of a thin wall knew the outer face
-alone,
-and stopped nothing that came from inside; 1.2 % of the water went out at inner edges.
+alone, and stopped nothing that came from inside; 1.2 % of the water went out at inner edges.
 """
 
 import numpy as np

@@ -2,8 +2,7 @@
 little.
 
 Geometry: a lattice of spacing s fills boxes of edge s around its particles, so its true surface
-lies
-s / 2 beyond the outermost ones; a slab that is stretched k times along x is k times as thin.
+lies s / 2 beyond the outermost ones; a slab that is stretched k times along x is k times as thin.
 """
 
 import numpy as np

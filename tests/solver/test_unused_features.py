@@ -1,10 +1,9 @@
 """What a scene does not ask for is not there: no array, no kernel, no bit of a difference.
 
 Every array that can be reached from a simulation is listed by name
-(tests/support/reachable_arrays.py), and every
-specialisation of a kernel that its steps have called. Expected of one fluid in a box: particles,
-segments, one layer of nodes, and tables of a number per segment or block. Each feature then adds
-what it needs, and nothing else.
+(tests/support/reachable_arrays.py), and every specialisation of a kernel that its steps have
+called. Expected of one fluid in a box: particles, segments, one layer of nodes, and tables of a
+number per segment or block. Each feature then adds what it needs, and nothing else.
 """
 
 import re

@@ -1,12 +1,10 @@
 """Stencil sums over the nine rows of nodes of each record.
 
 Records are scattered to a patch, and a patch's nodes are gathered into records (see
-kernels/transfer/p2g.py, kernels/transfer/g2p.py
-and particle_records.py). A row is processed at once or in parts of some nodes, depending on the
-processor's
-registers (runtime/cpu_features.py): terms, their order and their rounding are the same. The fourth
-node
-has weight 0 and is left out where rows are split.
+kernels/transfer/p2g.py, kernels/transfer/g2p.py and particle_records.py). A row is processed at
+once or in parts of some nodes, depending on the processor's registers (runtime/cpu_features.py):
+terms, their order and their rounding are the same. The fourth node has weight 0 and is left out
+where rows are split.
 """
 
 import numpy as np

@@ -13,6 +13,5 @@ J_MIN, J_MAX = 0.1, 5.0  # [-] bounds of a particle's volume ratio; beyond them 
 # fractions of the mass of one full cell of the phase's lightest material
 NODE_MASS_FLOOR = 1e-20  # [-] a lighter node holds rounding errors only, and stays at rest
 # [-] A lighter node takes no part in contact: its sums (kernels/reproducible_sums.py) have fewer
-# digits than a
-# number in single precision, and directions would suffer.
+# digits than a number in single precision, and directions would suffer.
 CONTACT_MASS_FLOOR = 2.0**-21

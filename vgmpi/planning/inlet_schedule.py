@@ -1,8 +1,7 @@
 """Schedule of inlets by times and ids alone, and regions of outlets.
 
 A layer of an inlet's lattice (scene/inlet_geometry.py) is spawned at the far end of the nozzle,
-carried
-along, released, and passes the mouth.
+carried along, released, and passes the mouth.
 """
 
 import math

@@ -1,9 +1,9 @@
 """Plan of a run: everything that a scene requires, derived before any array is allocated.
 
 This module derives boundary kinds, contact pairs, time step, memory and number of steps;
-phases_and_groups.py
-has the phases and groups with their fields. Arrays are allocated from the plan, kernels are
-specialized on it and files are written by it; a field that the plan does not name does not exist.
+phases_and_groups.py has the phases and groups with their fields. Arrays are allocated from the
+plan, kernels are specialized on it and files are written by it; a field that the plan does not name
+does not exist.
 """
 
 import math
@@ -40,8 +40,8 @@ FLOAT_TYPES: dict[str, np.dtype] = {
 }
 # The transfer correction is applied every few steps; longer intervals cost less. If the shortest
 # waves oscillate within an interval, they regain more than they lost and grow
-# (docs/benchmarks/extremes.md).
-# The first is the longest interval [steps], the second the longest travel of a wave in it [cells].
+# (docs/benchmarks/extremes.md). The first is the longest interval [steps], the second the longest
+# travel of a wave in it [cells].
 MAX_CORRECTION_INTERVAL, MAX_WAVE_TRAVEL_CELLS = 3, 1.3
 MAX_STEPS = 2.0**52  # with more steps, a step is lost to rounding when it is added to the time
 

@@ -150,8 +150,7 @@ def lattice(
         high: Upper corner of the searched region, shape (3,) [m].
         spacing: Lattice spacing [m].
         is_empty: Called with the centers (b, 3) of cubes of BLOCK points; whether `inside` is true
-            of
-            no point in each, (b,) bool. These cubes are not searched.
+            of no point in each, (b,) bool. These cubes are not searched.
     """
     return np.concatenate([np.empty((0, 3)), *lattice_chunks(inside, low, high, spacing, is_empty)])
 

@@ -54,16 +54,10 @@ class FrameRenderer:
     """
 
     def __init__(
-        self,
-        run: RunReader,
-        chosen: render_config.Settings,
-        folder: Path,
-        *,
-        alpha: bool = False,
-        depth: bool = False,
-        longest: int | None = None,
+        self, run: RunReader, chosen: render_config.Settings, folder: Path, *, alpha: bool = False,
+        depth: bool = False, longest: int | None = None,
         box: Callable[[], tuple[np.ndarray, np.ndarray]] | None = None,
-    ):
+    ):  # fmt: skip
         self.run, self.chosen = run, chosen
         self.alpha, self.depth = alpha, depth
         size = chosen.picture

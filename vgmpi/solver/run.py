@@ -102,13 +102,9 @@ def _find_card(options: Options, ranks: SerialCommunicator) -> None:
 
 
 def begin(
-    scene: Scene,
-    plan: Plan,
-    summary: ParticleSummary,
-    ranks: SerialCommunicator,
-    options: Options,
-    path: Path | None = None,
-) -> tuple[Simulation, int]:
+    scene: Scene, plan: Plan, summary: ParticleSummary, ranks: SerialCommunicator,
+    options: Options, path: Path | None = None,
+) -> tuple[Simulation, int]:  # fmt: skip
     """Return the simulation at its start or a checkpoint, and the next frame. Collective.
 
     Args:

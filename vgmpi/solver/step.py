@@ -43,12 +43,9 @@ FAILURE_MESSAGES = {
 }
 MAXIMA_SLICE = [0, 3, 4, 5]  # indices of particle_insertion.bounds among a step's maxima
 FIELD_NAMES = {
-    "momentum": "mass or momentum",
-    "offsets": "volume",
-    "impulses": "impulse",
-    "shear": "velocity's gradient",
-    "colour": "colour",
-}
+    "momentum": "mass or momentum", "offsets": "volume", "impulses": "impulse",
+    "shear": "velocity's gradient", "colour": "colour",
+}  # fmt: skip
 
 
 class BlowUp(RuntimeError):

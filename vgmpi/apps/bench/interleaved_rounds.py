@@ -34,8 +34,8 @@ NAMES = {
     "warp_rival": "Warp",
 }
 INSIDE = "vgmpi.apps.bench.instrumented_contestant"  # what a study of makers asks for
-# what the worker is called in a checkout of this program, in a later one first
-# of this checkout, and of one from before rooms had these names
+# what the worker is called in a checkout of this program, in a later one first of this checkout,
+# and of one from before rooms had these names
 WORKERS = ("vgmpi.apps.bench.contestant_worker", "vgmpi.bench.worker")
 AVX2 = {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "+avx2,+fma,+bmi,+bmi2"}
 # what two contestants may differ by after the check's steps: rounding of single precision, for the

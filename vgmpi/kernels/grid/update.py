@@ -68,9 +68,8 @@ def update(blocks, tables, summed, shear, stress, rules, walls, phases, solids, 
 
     Args:
         blocks, tables, summed: Blocks to process, node blocks of the rank, common fields (in/out).
-        shear, stress: Shear sums and separate stress impulses (in/out); each may be None.
-        rules, walls, phases, step: See couplings.base and kernels/kernel_arguments.py; rules may be
-        None.
+        shear, stress: Shear sums and separate stress impulses (in/out); each may be None. rules,
+        walls, phases, step: See couplings.base and kernels/kernel_arguments.py; rules may be None.
         solids, scratch, report: Boundaries, scratch of the thread, (fields,) as in
         kernels/reproducible_sums.py (out).
     """

@@ -1,9 +1,9 @@
 """Thread cooperation: work that is divided among the threads of a team.
 
 On the CPU one thread does all of it; on the GPU each thread does a part
-(solver/engines/cuda/thread_block.py). A
-kernel over nodes says `for node in each(64)` where the work at a node does not depend on the
-others, and `sync_threads()` where the following code reads what other threads of the team wrote.
+(solver/engines/cuda/thread_block.py). A kernel over nodes says `for node in each(64)` where the
+work at a node does not depend on the others, and `sync_threads()` where the following code reads
+what other threads of the team wrote.
 """
 
 from vgmpi.runtime.jit import always_inline

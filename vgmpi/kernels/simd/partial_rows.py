@@ -1,10 +1,9 @@
 """Partial rows: some nodes of a row as a vector, 4 lanes for one node, 8 for two, 16 for all four.
 
 A row of 16 numbers (row_ops.py) takes two or four registers on a processor without 512-bit
-registers,
-and the values that a sum over rows keeps then do not fit. Such sums (kernels/stencil_sums.py) are
-therefore written for some nodes of each row, fixed when they are compiled. `like` is a vector of as
-many nodes.
+registers, and the values that a sum over rows keeps then do not fit. Such sums
+(kernels/stencil_sums.py) are therefore written for some nodes of each row, fixed when they are
+compiled. `like` is a vector of as many nodes.
 """
 
 from llvmlite import ir

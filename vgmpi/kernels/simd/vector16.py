@@ -2,8 +2,7 @@
 
 The material laws, written once as scalar formulas, run on 16 particles at a time: operators,
 comparisons, `select` and (math_functions.py) the NumPy functions they use are defined for vectors,
-and
-plain numbers in a formula are broadcast to all lanes. Segments begin at multiples of 16, so a
+and plain numbers in a formula are broadcast to all lanes. Segments begin at multiples of 16, so a
 vector never straddles two of them. A processor without 512-bit registers takes several instructions
 for one vector operation; the formulas are the same.
 """

@@ -10,9 +10,8 @@ nothing else touches it. Positions are integers, 2^-bits of a cell, relative to 
 block: slow motion in single precision then loses nothing.
 
 Both directions, this and g2p.py, go through records (kernels/particle_records.py). Batches of 128
-begin at the
-segment's start; the batch is part of the numerical definition, since a run of particles with one
-base node is summed before it is added to the patch.
+begin at the segment's start; the batch is part of the numerical definition, since a run of
+particles with one base node is summed before it is added to the patch.
 """
 
 from vgmpi.kernels.nodal_fields import (  # noqa: F401  (contributions)

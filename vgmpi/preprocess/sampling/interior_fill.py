@@ -60,8 +60,7 @@ def interior(
         cloud: Placed cloud.
         spacing: Voxel edge [m].
         mode: True or "shown" fills the enclosed and, where the surface has holes, the nearly
-            enclosed
-            space; "closed" only the enclosed space; False leaves the cloud as it is.
+            enclosed space; "closed" only the enclosed space; False leaves the cloud as it is.
         up: Unit vector that pointed up in the capture, shape (3,).
 
     Raises:

@@ -2,9 +2,8 @@
 
 A pixel has three layers, all from the same Gaussians and without a mesh: what lies before the
 liquid's front, the liquid, and what lies behind it. The first and the last are splatted as usual;
-each Gaussian belongs to the side of the front on which its center lies (DepthSide).
-liquid_depth.py finds
-the front, and liquid_shading.py shades the liquid.
+each Gaussian belongs to the side of the front on which its center lies (DepthSide). liquid_depth.py
+finds the front, and liquid_shading.py shades the liquid.
 """
 
 import copy

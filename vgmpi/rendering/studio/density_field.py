@@ -3,10 +3,9 @@
     rho(x) = sum_p a w(|V_p^-1 (x - x_p)| / (R s_p)),  w(q) = (1 - q^2)^3,  a = 315 / (64 pi R^3)
 
 V_p is the stretch of the seeding lattice around particle p (lattice_deformation.py). The amplitude
-is not
-divided by det V: where the lattice is intact, rho is that of the reference lattice, so thin sheets
-keep rho = 1. At walls rho is divided by the fraction of the round kernel inside of the domain, so
-that it stays 1 up to the wall, which cuts a flat face.
+is not divided by det V: where the lattice is intact, rho is that of the reference lattice, so thin
+sheets keep rho = 1. At walls rho is divided by the fraction of the round kernel inside of the
+domain, so that it stays 1 up to the wall, which cuts a flat face.
 
 Blocks of 8^3 cells exist only near the surface. Where the liquid is filled around a particle beyond
 its kernel's radius, nothing is deposited: blocks in there are marked full. Cubes of 4 cells store
@@ -289,8 +288,7 @@ def density(field, x, y, z):
     """Return rho at grid coordinates, 0 outside of the grid.
 
     Args:
-        field: The field.
-        x, y, z: Grid coordinates [cells].
+        field: The field. x, y, z: Grid coordinates [cells].
     """
     nx, ny, nz = field.index.shape
     if not (x >= 0.0 and y >= 0.0 and z >= 0.0):

@@ -150,8 +150,8 @@ def _look_up(picture, x, y, z, out):
         out[m] = upper + fv * (lower - upper)
 
 
-# cones over a hemisphere: one around the normal and a ring, with cosine weights
-# (fitted to the open fraction of floors beside walls, in corners, and of spheres)
+# cones over a hemisphere: one around the normal and a ring, with cosine weights (fitted to the open
+# fraction of floors beside walls, in corners, and of spheres)
 RING = 8
 _TILT, _UPRIGHT = np.radians(38.025), 0.11
 CONES = np.array(

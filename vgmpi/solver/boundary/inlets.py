@@ -1,12 +1,10 @@
 """Emission by inlets: layers of particles are spawned, carried to the mouth, and released.
 
 The place of a particle in a nozzle follows from its id and the time alone
-(planning/inlet_schedule.py),
-so a release suits the particle at any time, on any number of ranks and after a restart. Until
-its release a particle has the inlet's velocity and the reference state, whatever the grid says.
-It is released a little before the mouth (EARLY of planning/inlet_schedule.py), so that its fall
-begins
-there.
+(planning/inlet_schedule.py), so a release suits the particle at any time, on any number of ranks
+and after a restart. Until its release a particle has the inlet's velocity and the reference state,
+whatever the grid says. It is released a little before the mouth (EARLY of
+planning/inlet_schedule.py), so that its fall begins there.
 """
 
 from typing import NamedTuple

@@ -157,9 +157,8 @@ def own_given(reactions, now, point, pairs, places):
     """Return the reaction sums with the workspace of a thread, or None.
 
     Args:
-        reactions: Shared reaction sums, or None.
-        now, point: Workspace of the thread, shapes (3,) and (6,).
-        pairs, places: Workspace of its contact pairs.
+        reactions: Shared reaction sums, or None. now, point: Workspace of the thread, shapes (3,)
+        and (6,). pairs, places: Workspace of its contact pairs.
     """
     if reactions is None:
         return None
@@ -175,14 +174,9 @@ def own_ghosts(ghosts, now, point):
         return None
     reactions = own_given(ghosts.given, now, point, ghosts.given.pairs, ghosts.given.places)
     return GhostNodes(
-        reactions,
-        ghosts.slot,
-        ghosts.low,
-        ghosts.mass,
-        ghosts.share,
-        ghosts.kept,
+        reactions, ghosts.slot, ghosts.low, ghosts.mass, ghosts.share, ghosts.kept,
         ghosts.holds_mass,
-    )
+    )  # fmt: skip
 
 
 # Both return None for None (index of the argument that decides).
@@ -218,19 +212,9 @@ def _block(
         of_pairs[1], present[1], plane, row, own_reactions,
     )  # fmt: skip
     grid.update(
-        blocks,
-        tables,
-        summed,
-        shear,
-        separate,
-        rules,
-        walls,
-        phases,
-        solids,
-        workspace,
-        step,
+        blocks, tables, summed, shear, separate, rules, walls, phases, solids, workspace, step,
         report,
-    )
+    )  # fmt: skip
 
 
 def update(
@@ -275,31 +259,15 @@ def update_apart(
     S = cuda.local.array(16 * PHASES, REAL)
     R = cuda.local.array(16 * PHASES, REAL)
     workspace = Members(
-        members[0],
-        members[1],
-        members[2],
-        numbers[0],
-        numbers[1],
-        of_two[0],
-        of_two[1],
-        M,
-        V,
-        U,
-        K,
-        S,
-        R,
-    )
+        members[0], members[1], members[2], numbers[0], numbers[1], of_two[0], of_two[1],
+        M, V, U, K, S, R,
+    )  # fmt: skip
     q = number()
     if q < len(blocks):
         own = SeparatedStress(
-            separate.impulses,
-            separate.flux,
-            separate.drift,
-            separate.change,
-            separate.noted,
-            workspace,
-            separate.tables,
-        )
+            separate.impulses, separate.flux, separate.drift, separate.change, separate.noted,
+            workspace, separate.tables,
+        )  # fmt: skip
         _block(blocks[q : q + 1], tables, summed, shear, own, rules, walls, phases, solids,
                reactions, step, report)  # fmt: skip
 

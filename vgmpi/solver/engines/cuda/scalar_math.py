@@ -1,8 +1,7 @@
 """Scalar math on the GPU with the bits of the CPU's vectors.
 
 Minimum, maximum, roots, and exp and related functions follow the formulas of
-kernels/simd/math_functions.py
-operation by operation, so that the bits are equal.
+kernels/simd/math_functions.py operation by operation, so that the bits are equal.
 """
 
 import math

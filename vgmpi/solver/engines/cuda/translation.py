@@ -2,10 +2,9 @@
 
 The physics is not written a second time. The source of a function is read and changed in few places
 (source_transform.py): the meaning of a name on the GPU (`TranslationMode.stands_in`: a vector of 16
-becomes a
-thread, or a part of a warp), the function that a kind or a law calls, and the precision of plain
-numbers where they meet vectors, which is that of the run as on the CPU. Called functions are
-treated alike. numba compiles the result, and its simulator runs the same source without a GPU.
+becomes a thread, or a part of a warp), the function that a kind or a law calls, and the precision
+of plain numbers where they meet vectors, which is that of the run as on the CPU. Called functions
+are treated alike. numba compiles the result, and its simulator runs the same source without a GPU.
 """
 
 import ast
