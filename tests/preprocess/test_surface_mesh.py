@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from tests.support.small_scenes import ROOM, scene
 from vgmpi.gaussians.cloud import rotation_matrices
 from vgmpi.preprocess import shape_sdf
-from vgmpi.preprocess.meshes import surface_mesh
+from vgmpi.preprocess.meshes import point_in_mesh, surface_mesh
 from vgmpi.preprocess.meshes.surface_mesh import Mesh, MeshError
 from vgmpi.solver.initial_particles import preparation_hash
 
@@ -49,7 +49,7 @@ def volume(m):
 
 def lattice_inside(m, h):
     low, high = m.points.min(axis=0), m.points.max(axis=0)
-    return shape_sdf.lattice(lambda x: surface_mesh.inside(m, x, h), low, high, h)
+    return shape_sdf.lattice(lambda x: point_in_mesh.inside(m, x, h), low, high, h)
 
 
 def test_inside_of_a_ball():
@@ -83,7 +83,7 @@ def test_a_hole_in_the_surface_does_not_leak():
     above = shape_sdf.lattice(
         lambda x: np.ones(len(x), bool), [0.28, 0.24, 0.33], [0.34, 0.3, 0.4], h
     )
-    assert not surface_mesh.inside(
+    assert not point_in_mesh.inside(
         hole, above, h
     ).any()  # one axis sees only the floor below the hole
 
@@ -154,14 +154,14 @@ def test_crowds_are_seen_before_their_pairs_are_made(monkeypatch):
 def test_crossings_in_parts_are_the_same(monkeypatch):
     m = ball(rings=8)
     every = lattice_inside(m, 0.01)
-    monkeypatch.setattr(surface_mesh, "_BATCH", 30)
+    monkeypatch.setattr(point_in_mesh, "_BATCH", 30)
     assert np.array_equal(lattice_inside(m, 0.01), every) and len(every)
 
 
-@pytest.mark.parametrize("many", [0, surface_mesh._MAX_CROSSINGS])
+@pytest.mark.parametrize("many", [0, point_in_mesh._MAX_CROSSINGS])
 def test_crossings_below_are_those_that_are_counted_one_by_one(monkeypatch, many):
     """Also of lines without any, and of points that lie on one."""
-    monkeypatch.setattr(surface_mesh, "_MAX_CROSSINGS", many)
+    monkeypatch.setattr(point_in_mesh, "_MAX_CROSSINGS", many)
     random = np.random.default_rng(5)
     lines, columns = random.integers(0, 9, 40), random.integers(0, 12, 300)
     heights, signs = random.integers(0, 9, 40) / 8, random.choice([-1.0, 1.0], 40)
@@ -170,7 +170,7 @@ def test_crossings_below_are_those_that_are_counted_one_by_one(monkeypatch, many
         sum(s for line, z, s in zip(lines, heights, signs) if line == c and z <= p[2])
         for c, p in zip(columns, points)
     ]
-    assert surface_mesh._crossings_below(lines, heights, signs, columns, points).tolist() == want
+    assert point_in_mesh._crossings_below(lines, heights, signs, columns, points).tolist() == want
 
 
 def test_two_directions_that_agree_need_no_third():
@@ -179,9 +179,9 @@ def test_two_directions_that_agree_need_no_third():
     soup = Mesh(random.random((120, 3)) * 0.4, np.arange(120).reshape(40, 3))
     points = (np.stack(np.meshgrid(*[np.arange(20)] * 3), axis=-1).reshape(-1, 3) + 0.5) * h
     orders = [[(axis + 1) % 3, (axis + 2) % 3, axis] for axis in range(3)]
-    ways = [surface_mesh._winding(soup.corners()[:, :, o], points[:, o], h) != 0 for o in orders]
+    ways = [point_in_mesh._winding(soup.corners()[:, :, o], points[:, o], h) != 0 for o in orders]
     want = np.sum(ways, axis=0) >= 2
-    assert (surface_mesh.inside(soup, points, h) == want).all()
+    assert (point_in_mesh.inside(soup, points, h) == want).all()
     assert 500 < want.sum() < 7000 and 500 < np.sum(ways[0] != ways[1])
 
 

@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vgmpi.runtime.config.schema import SceneError, TomlError
-from vgmpi.runtime.config.toml_source import TomlSource, locate_keys
+from vgmpi.runtime.config.toml_positions import locate_keys
+from vgmpi.runtime.config.toml_source import TomlSource
 
 TEXT = '''# comment with = and [brackets]
 title = "a # b = [c]"

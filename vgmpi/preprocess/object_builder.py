@@ -10,6 +10,7 @@ from vgmpi.gaussians.formats import registry
 from vgmpi.gaussians.formats.validation import MAX_MAGNITUDE
 from vgmpi.gaussians.shape_evolution import FAMILIES_DRAWN_AS_SPHERES
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
+from vgmpi.preprocess.meshes import point_in_mesh
 from vgmpi.preprocess.meshes import surface_mesh as mesh
 from vgmpi.preprocess.pruning import prune
 from vgmpi.preprocess.sampling import interior_fill
@@ -167,7 +168,7 @@ def _from_mesh(scene: Scene, k: int, obj: Object) -> BuiltObject:
 
     def search(h: float) -> tuple:
         """Return the arguments of a lattice search at spacing h [m]."""
-        return (lambda points: mesh.inside(placed, points, h)), low, high, h
+        return (lambda points: point_in_mesh.inside(placed, points, h)), low, high, h
 
     fine = spacing / _FINENESS
     if filled:
