@@ -3,22 +3,16 @@
 import numpy as np
 import pytest
 
+from vgmpi.kernels.grid import contact_impulses
 from vgmpi.kernels.grid.contact_impulses import (
-    GAP_RESOLVED,
-    GAP_UNRESOLVED,
     LAYER_HALF_WIDTH,
     LAYER_MAX_OVERLAP,
     LAYER_OFFSET,
     LAYER_STIFFNESS,
-    MAX_OVERLAP_FLUID,
-    ContactPair,
-    apply_penalty_layer,
     distance,
     distance_from_mean_offset,
     face_fraction,
     half_space_fraction,
-    in_contact,
-    solve_contact_impulses,
     surface_normal,
 )
 from vgmpi.solver.engines.numpy_reference import contact as plain
@@ -51,7 +45,7 @@ class Node:
         a, b = (np.array([p[c] for p in self.pairs], np.int64) for c in (0, 1))
         share = np.bincount(np.concatenate([a[a >= 0], b])).max()
         mu = np.array([p[3] for p in self.pairs])
-        solve_contact_impulses(v, self.m, n, normals, mu, a, b, k, share, impulse)
+        contact_impulses.solve_contact_impulses(v, self.m, n, normals, mu, a, b, k, share, impulse)
         return v[:n]
 
     def approach(self, v):
@@ -202,9 +196,8 @@ def test_outside_rises():
     assert d[0] == -1.5 and d[-1] == 1.5
     inner = (m > 1e-3) & (m < 0.749)
     assert (np.diff(d[inner]) > 0).all()
-    assert abs(distance_from_mean_offset(0.75 - 1e-9) - distance_from_mean_offset(0.75)) < 5e-3, (
-        "it jumps where the two parts meet"
-    )
+    jump = distance_from_mean_offset(0.75 - 1e-9) - distance_from_mean_offset(0.75)
+    assert abs(jump) < 5e-3, "it jumps where the two parts meet"
     assert abs(distance_from_mean_offset(1e-12)) - 1.5 == pytest.approx(0.0, abs=2e-4)
 
 
@@ -233,7 +226,7 @@ def test_gap_of_two_half_spaces(a, b):
     n[:] = 0
     assert surface_normal(n, buried, sums(b, up, dx), *flows)
     assert np.allclose(n, up)
-    assert gap(n, buried, sums(b, up, dx), dx) < GAP_UNRESOLVED
+    assert gap(n, buried, sums(b, up, dx), dx) < contact_impulses.GAP_UNRESOLVED
     assert not surface_normal(n, buried, buried, *flows)
 
 
@@ -287,7 +280,9 @@ def test_share_of_a_face():
 
 
 def meeting(one=-0.05, other=-0.05, a=0, sure=True, known=True, stiff=1e5, friction=0.0):
-    return ContactPair(a, 1 if a == 0 else 0, one, other, known, sure, 1.0, stiff, friction)
+    return contact_impulses.ContactPair(
+        a, 1 if a == 0 else 0, one, other, known, sure, 1.0, stiff, friction
+    )
 
 
 def pushed(v, mass, m, n, dt, dx, slope=None):
@@ -295,7 +290,7 @@ def pushed(v, mass, m, n, dt, dx, slope=None):
     along the normal of each."""
     change = np.zeros_like(v)
     slope = np.zeros_like(v) if slope is None else slope
-    apply_penalty_layer(change, _with_rigid(v), slope, mass, m, n, dt, dx)
+    contact_impulses.apply_penalty_layer(change, _with_rigid(v), slope, mass, m, n, dt, dx)
     return change
 
 
@@ -391,8 +386,9 @@ def test_no_layer_far_from_the_middle():
 
 
 @pytest.mark.parametrize("known, sure, limit", [
-    (True, True, -LAYER_MAX_OVERLAP), (True, False, GAP_RESOLVED), (False, True,
-    -MAX_OVERLAP_FLUID), (False, False, GAP_UNRESOLVED)
+    (True, True, -LAYER_MAX_OVERLAP), (True, False, contact_impulses.GAP_RESOLVED),
+    (False, True, -contact_impulses.MAX_OVERLAP_FLUID),
+    (False, False, contact_impulses.GAP_UNRESOLVED),
 ])  # fmt: skip
 def test_what_touches(known, sure, limit):
     """Below a gap that depends on what is known; of known surfaces near their middle only."""
@@ -400,5 +396,5 @@ def test_what_touches(known, sure, limit):
         near = off < LAYER_HALF_WIDTH or not known
         for gap, reached in ((limit - 1e-9, True), (limit + 1e-9, False)):
             m = meeting(gap / 2 + off, gap / 2 - off, known=known, sure=sure)
-            assert in_contact(m) == (reached and near)
+            assert contact_impulses.in_contact(m) == (reached and near)
             assert plain._touching(m.one, m.other, known, sure) == (reached and near)

@@ -86,7 +86,7 @@ def main(argv: list[str]) -> int:
 
 @exit_code_from_exceptions
 def run_old_module(module: str, name: str, words: list[str]) -> int:
-    """Run the command that replaces `python -m vgmpi.MODULE`, and print its name.
+    """Run the command that replaces a module of an earlier release, and print its name.
 
     Args:
         module: Module of an earlier release.

@@ -229,10 +229,8 @@ def make_plan(
     center, surface = center or [[0.0] * 3] * n, surface or [False] * n
     phases = phases_of(scene, bodies, volume, center, surface, prescribed_phases(scene))
     plain, group_of = groups_of(scene, bodies, phases, real)
-    sharing, colours = (
-        interaction_rules(scene, plain, phases),
-        color_exchange(scene, phases, shades),
-    )
+    sharing = interaction_rules(scene, plain, phases)
+    colours = color_exchange(scene, phases, shades)
     _check_transfer(scene, sharing)
     keeps, restores = _flip_blend(scene.accuracy), _correction_interval(scene)
     complete = tuple(
@@ -247,8 +245,7 @@ def make_plan(
     )
     plan = Plan(
         cells=scene.domain.cells, dx=scene.domain.cell, real=real,
-        gravity=scene.domain.gravity,
-        walls=tuple(scene.domain.walls),
+        gravity=scene.domain.gravity, walls=tuple(scene.domain.walls),
         phases=phases, groups=groups, group_of=group_of,
         first_id=tuple(int(n) for n in np.concatenate([[0], np.cumsum(count)[:-1]])),
         count=tuple(int(n) for n in count),
@@ -256,8 +253,7 @@ def make_plan(
         stiff=_wave_moduli(groups, len(phases)),
         contact=len(phases) > 1, collider=collider,
         times=np.linspace(0.0, scene.time.end, scene.time.frames),
-        cfl=scene.time.cfl,
-        fixed_dt=scene.time.dt,
+        cfl=scene.time.cfl, fixed_dt=scene.time.dt,
         rate=_rate(bodies.values(), sharing, scene.domain.cell),
         rules=sharing, colours=colours,
         affine=scene.accuracy.affine, splines=scene.accuracy.gradient == "splines",
@@ -265,8 +261,7 @@ def make_plan(
         gravity_ramp=scene.domain.gravity_ramp,
         gravity_keys=_gravity_keys(scene),
         sources=inlet_plans(scene, group_of, count),
-        sinks=outlet_plans(scene),
-        driven=driven,
+        sinks=outlet_plans(scene), driven=driven,
         opens=tuple(scene.domain.opens),
         feels=any(probe.feels for probe in scene.probe),
     )  # fmt: skip

@@ -57,7 +57,7 @@ class Moment:
     """A frame prepared for all cameras: parts to draw and the scene that light meets.
 
     parts: opaque Gaussians, with `normals` and `kinds` (n, 3) of each. grain: arguments of
-    grains.grains except the eye, or None. drops: spheroids.
+    grain_splats.grains except the eye, or None. drops: spheroids.
     """
 
     parts: list[GaussianBatch]
@@ -111,10 +111,8 @@ class Studio:
 
     def _moment(self, frame: dict[str, np.ndarray], index: int) -> Moment:
         look, bodies = self.look, self.bodies
-        parts = look.parts(frame)
-        ids = np.asarray(frame["id"])
-        x = np.asarray(frame["x"], dtype=np.float64)
-        main = int(look.scenery is not None)
+        ids, x = np.asarray(frame["id"]), np.asarray(frame["x"], dtype=np.float64)
+        parts, main = look.parts(frame), int(look.scenery is not None)
         solid = np.flatnonzero(~(bodies.fluid[ids] | bodies.granular[ids]))
         opaque, normals, kinds, shades = bodies.opaque(parts, main, frame, solid)
         is_near = self._is_within_grids(x)

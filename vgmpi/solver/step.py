@@ -64,8 +64,7 @@ class Simulation:
         loads: Sequence = (), engine: str = "cpu",
     ):  # fmt: skip
         """Set up the engine and the features of the plan, without particles."""
-        self.plan = plan
-        self.ranks = ranks
+        self.plan, self.ranks = plan, ranks
         self.lattice = BlockLattice(plan.cells, plan.dx)
         # true if a collider has its own friction or its reaction is requested
         per_collider = len(plan.friction) > len(plan.phases) + 1 or plan.feels
@@ -76,9 +75,8 @@ class Simulation:
         if colliders and self.movers is None:
             self.solids = StaticColliders(list(colliders), self.lattice, plan.real, per_collider)
         self.driven = PrescribedBodies(plan, len(colliders)) if plan.driven else None
-        self.engine: Engine = engine_of(engine)(
-            plan, self.lattice, self.solids, threads, self.driven
-        )
+        rigid = self.solids, threads, self.driven
+        self.engine: Engine = engine_of(engine)(plan, self.lattice, *rigid)
         self.groups: list[ParticleGroup] = self.engine.groups
         self.reactions = Reactions(plan, colliders, ranks) if plan.feels else None
         if self.reactions is not None:
@@ -88,11 +86,9 @@ class Simulation:
         self.loads = Pushes(list(loads), plan, ranks) if loads else None
         self.flow_accounting = Tally(plan) if plan.is_open_system else None
         self.sources = Sources(plan, ranks) if plan.sources else None
-        self.sinks = (
-            Sinks(plan, self.flow_accounting)
-            if self.flow_accounting is not None and plan.sinks
-            else None
-        )
+        self.sinks: Sinks | None = None
+        if self.flow_accounting is not None and plan.sinks:
+            self.sinks = Sinks(plan, self.flow_accounting)
         has_releases = bool(plan.driven) or any(time is not None for time in plan.opens)
         self.releases = Releases(plan, self.flow_accounting, self.engine) if has_releases else None
         self.correction_origin_step = 0  # step of the last release: corrections are counted from it

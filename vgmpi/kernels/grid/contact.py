@@ -82,9 +82,8 @@ def contact_workspace(n: int) -> ContactWorkspace:
 
 
 @device_function
-def apply_contact(
-    block, tables, solid, velocities, offsets, shear, solids, walls, phases, rules, step, work
-):
+def apply_contact(block, tables, solid, velocities, offsets, shear, solids, walls, phases, rules,
+                  step, work):  # fmt: skip
     """Apply contact at the nodes of a block.
 
     Args:
@@ -125,10 +124,8 @@ def apply_contact(
             if len(solids.moves) > 0:
                 for c in range(3):
                     work.v[COLLIDER_ROW, c] = solids.moves[solid, node, c]
-            pairs = _add_rigid_pairs(
-                pairs, site, tables.phase, offsets, surface, row, COLLIDER_ROW, phases, motions,
-                step, work,
-            )  # fmt: skip
+            pairs = _add_rigid_pairs(pairs, site, tables.phase, offsets, surface, row,
+                                     COLLIDER_ROW, phases, motions, step, work)  # fmt: skip
         if planes:
             pairs = _add_wall_pairs(
                 pairs, site, tables.phase, offsets, ijk, walls, phases, motions, step, work
@@ -137,10 +134,9 @@ def apply_contact(
             for c in range(3):
                 work.v[q, c] += work.change[q, c]
         if pairs > 0:
-            solve_contact_impulses(
-                work.v, work.effective_mass, active, work.normals, work.friction, work.master,
-                work.other, pairs, _max_count(work.pair_count, active), work.impulse,
-            )  # fmt: skip
+            solve_contact_impulses(work.v, work.effective_mass, active, work.normals,
+                                   work.friction, work.master, work.other, pairs,
+                                   _max_count(work.pair_count, active), work.impulse)  # fmt: skip
             add_pair_reactions(work.given, pairs, work)
         for q in range(active):
             for c in range(3):

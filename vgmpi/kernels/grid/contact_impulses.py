@@ -308,11 +308,8 @@ def solve_contact_impulses(
             size = np.sqrt(t0 * t0 + t1 * t1 + t2 * t2)
             max_friction = friction[q] * total
             if size > max_friction:
-                t0, t1, t2 = (
-                    t0 * (max_friction / size),
-                    t1 * (max_friction / size),
-                    t2 * (max_friction / size),
-                )
+                slide = max_friction / size
+                t0, t1, t2 = t0 * slide, t1 * slide, t2 * slide
             normals[q, 3] = total - impulse[q, 0]
             normals[q, 4], normals[q, 5], normals[q, 6] = (
                 t0 - impulse[q, 1],

@@ -68,10 +68,9 @@ def update(blocks, tables, summed, shear, stress, rules, walls, phases, solids, 
 
     Args:
         blocks, tables, summed: Blocks to process, node blocks of the rank, common fields (in/out).
-        shear, stress: Shear sums and separate stress impulses (in/out); each may be None. rules,
-        walls, phases, step: See couplings.base and kernels/kernel_arguments.py; rules may be None.
-        solids, scratch, report: Boundaries, scratch of the thread, (fields,) as in
-        kernels/reproducible_sums.py (out).
+        shear, stress: Shear sums and separate stress impulses (in/out); each may be None.
+        rules, walls, phases, step: See kernels/kernel_arguments.py; rules may be None.
+        solids, scratch, report: Boundaries, scratch of the thread, overflows by field (out).
     """
     momentum, offsets = summed.momentum, summed.offsets
     rows, momentum_sums, moments = blocks_at(tables), sums_at(momentum), sums_at(offsets)
@@ -114,8 +113,7 @@ def update(blocks, tables, summed, shear, stress, rules, walls, phases, solids, 
         rigid = tables.solid[b] >= 0 or block.at_wall
         if CONTACT_ENABLED and block.meets and _may_touch(n0, n1, phase_of, rigid, rules):
             apply_contact(block, tables, tables.solid[b], nodes, moments.nodes, shears, solids,
-            walls,
-                  phases, rules, step, scratch)  # fmt: skip
+                          walls, phases, rules, step, scratch)  # fmt: skip
         if block.at_wall:
             _stop_at_walls(block, nodes, walls, phase_of, phases, solids, scratch.given)
         if stress is not None:

@@ -5,7 +5,6 @@ particle touches nine rows; the fourth node of each has weight 0 and must hold f
 record is 16 numbers of one particle; 16 records are 16 vectors transposed.
 """
 
-import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
@@ -337,60 +336,6 @@ def add_fixed_point(typing, row, first, distance):
     return lanes(row, types.intp, distance), _codegen
 
 
-def _first_lanes(builder, count):
-    """Emit bits 0 to count - 1 of a 16-bit mask; count may be above 16."""
-    count = builder.trunc(count, _I32)
-    full = builder.icmp_signed(">=", count, _I32(SIMD_WIDTH))
-    some = builder.sub(builder.shl(_I32(1), builder.select(full, _I32(0), count)), _I32(1))
-    return builder.trunc(
-        builder.select(full, _I32((1 << SIMD_WIDTH) - 1), some), ir.IntType(SIMD_WIDTH)
-    )
-
-
-@intrinsic
-def in_range_mask(typing, values, low, high, count):
-    """Return the mask of the first `count` lanes with low < value < high; NaN fails.
-
-    Args:
-        values, low, high, count: Vector, bounds, and number of lanes.
-    """
-
-    def _codegen(context, builder, signature, arguments):
-        v, low, high, count = arguments
-        yes = builder.and_(builder.fcmp_ordered(">", v, low), builder.fcmp_ordered("<", v, high))
-        mask = builder.bitcast(yes, ir.IntType(SIMD_WIDTH))
-        mask = builder.and_(mask, _first_lanes(builder, count))
-        return builder.zext(mask, ir.IntType(64))
-
-    return types.int64(values, values, values, types.int64), _codegen
-
-
-@intrinsic
-def first_n(typing, values, count):
-    """Return the first `count` numbers, then 0; count may be above 16."""
-
-    def _codegen(context, builder, signature, arguments):
-        mask = _first_lanes(builder, arguments[1])
-        bits = builder.bitcast(mask, ir.VectorType(ir.IntType(1), SIMD_WIDTH))
-        return builder.select(bits, arguments[0], values.constant(0.0))
-
-    return values(values, types.int64), _codegen
-
-
-@intrinsic
-def masked(typing, mask, values):
-    """Return values in the lanes of a mask, 0 elsewhere."""
-
-    def _codegen(context, builder, signature, arguments):
-        bits = builder.bitcast(
-            builder.trunc(arguments[0], ir.IntType(SIMD_WIDTH)),
-            ir.VectorType(ir.IntType(1), SIMD_WIDTH),
-        )
-        return builder.select(bits, arguments[1], values.constant(0.0))
-
-    return values(types.int64, values), _codegen
-
-
 @intrinsic
 def max_ignore_nan(typing, a, b):
     """Return a where it is larger, else b (NaN in a is ignored), in one instruction, not four."""
@@ -412,6 +357,3 @@ def horizontal_max(typing, values):
         return builder.call(function, [arguments[0]])
 
     return values.real(values), _codegen
-
-
-ALL_LANES = np.int64((1 << SIMD_WIDTH) - 1)

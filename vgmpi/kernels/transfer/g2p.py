@@ -21,6 +21,7 @@ from vgmpi.kernels.particle_records import (
 )
 from vgmpi.kernels.patch import load_patch, nodes_of, prefetch_patch
 from vgmpi.kernels.reaction_impulses import momentum_mirror_fraction
+from vgmpi.kernels.simd.mask_ops import ALL_LANES, in_range_mask, masked
 from vgmpi.kernels.simd.material_dispatch import (
     advance,
     load_state_vector,
@@ -29,13 +30,10 @@ from vgmpi.kernels.simd.material_dispatch import (
     wave_speed2,
 )
 from vgmpi.kernels.simd.row_ops import (
-    ALL_LANES,
     add_fixed_point,
     broadcast,
     horizontal_max,
-    in_range_mask,
     load_records,
-    masked,
     max_ignore_nan,
 )
 from vgmpi.kernels.simd.vector16 import pointer, store

@@ -159,19 +159,10 @@ def concatenate(a: ProjectableGaussians, b: ProjectableGaussians) -> Projectable
 
 
 def render(
-    splats: ProjectableGaussians,
-    liquid: Liquid,
-    camera: Camera,
-    background: np.ndarray,
-    ground: np.ndarray,
-    sky: liquid_shading.EnvironmentMap,
-    medium: liquid_shading.LiquidMedium,
-    *,
-    lowpass: float,
-    antialias: bool,
-    alpha_min: float,
-    with_depth: bool = False,
-) -> tuple[np.ndarray, ...]:
+    splats: ProjectableGaussians, liquid: Liquid, camera: Camera, background: np.ndarray,
+    ground: np.ndarray, sky: liquid_shading.EnvironmentMap, medium: liquid_shading.LiquidMedium, *,
+    lowpass: float, antialias: bool, alpha_min: float, with_depth: bool = False,
+) -> tuple[np.ndarray, ...]:  # fmt: skip
     """Draw Gaussians and a liquid with a surface.
 
     Args:

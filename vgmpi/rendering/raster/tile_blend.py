@@ -220,8 +220,7 @@ def blend_tiles(order, ellipses, looks, bounds, canvas, nx, depths, side):
     """Blend Gaussians (see project) into a canvas (tiles, _CANVAS), nx tiles wide.
 
     Args:
-        order, ellipses, looks, bounds: Order from near to far, and the rows of
-            `ProjectedGaussians`.
+        order, ellipses, looks, bounds: Order from near to far; rows of `ProjectedGaussians`.
         canvas, nx, depths, side: (in/out), width in tiles, whether red is a depth, Side or None.
     """
     tiles = len(canvas)

@@ -1,14 +1,12 @@
 """CPU engine: arrays and kernel calls of a time step, in compiled code on the processor's cores."""
 
 import math
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 from vgmpi.kernels import particle_records, reproducible_sums
 from vgmpi.kernels.grid import contact, mixture_workspace, update
-from vgmpi.kernels.kernel_arguments import NodeBlocks, Phases, Segments, Step, Walls
+from vgmpi.kernels.kernel_arguments import NodeBlocks, Segments, Step
 from vgmpi.kernels.nodal_fields import color, momentum
 from vgmpi.kernels.reaction_impulses import GhostNodes
 from vgmpi.kernels.rigid.moving_colliders import MovingColliders
@@ -21,13 +19,12 @@ from vgmpi.kernels.rigid.prescribed_transfer import advect_prescribed
 from vgmpi.kernels.rigid.static_colliders import StaticColliders
 from vgmpi.kernels.transfer import deformation_gradient, g2p, p2g, transfer_correction
 from vgmpi.kernels.wall_boundary import KINDS, patch_codes
-from vgmpi.parallel.block_lattice import BITS, BLOCK_EDGE, BlockLattice
+from vgmpi.parallel.block_lattice import BITS, BlockLattice
 from vgmpi.parallel.exchange_topology import ExchangeTopology, color_field_name
 from vgmpi.parallel.halo_exchange import FieldMessage
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.plan import Plan
 from vgmpi.runtime.aligned_arrays import aligned_zeros, with_capacity
-from vgmpi.runtime.fast_dispatch import precompiled_entry
 
 from .engine_protocol import DITHER, AccumulatorOverflow, StepReport
 from .group_context import (
@@ -37,6 +34,7 @@ from .group_context import (
     numbers_of,
     particles_of,
 )
+from .kernel_caller import KernelCaller
 from .nodal_field_storage import (
     FieldContribution,
     NodalField,
@@ -44,11 +42,12 @@ from .nodal_field_storage import (
     contributions,
     nodal_fields,
 )
+from .plan_tables import phase_table, position_limits, wall_table
 from .reaction_sums import ReactionAccumulators
 from .thread_partition import ThreadPartition, accumulator_copies
 
 
-class Cpu:
+class Cpu(KernelCaller):
     """Particles and nodes of one rank on `threads` threads; see solver/engines/engine_protocol.py.
 
     Threads add to the same nodes. Where two of them would do so at the same time, all but the first
@@ -62,28 +61,15 @@ class Cpu:
         threads: int = 1,
         driven: PrescribedBodies | None = None,
     ):  # fmt: skip
-        self.driven = driven
-        self.plan, self.threads = plan, threads
+        super().__init__(threads)
+        self.plan, self.driven = plan, driven
         self.groups = [self.GROUP(group, lattice, plan.real) for group in plan.groups]
-        self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
         self.solids = solids
         self.no_rigid = update.RigidBoundaries(
             np.zeros((0, 64, 4), plan.real), np.zeros((0, 64, 3), plan.real),
             np.zeros((0, 64), int), NO_PRESCRIBED_BODIES if driven is None else driven.ways,
         )  # fmt: skip
-        kinds = np.array([KINDS[kind] for kind, _ in plan.walls], np.int64).reshape(3, 2)
-        friction = np.array([mu for _, mu in plan.walls]).reshape(3, 2)
-        contact_kinds = kinds.copy()
-        for plane in plan.planes:
-            contact_kinds[plane.axis, plane.side] = 0
-        self.walls = Walls(np.array(plan.cells), kinds, contact_kinds, friction)
-        self.phases = Phases(
-            np.array([phase.least for phase in plan.phases]),
-            np.array([phase.contact_priority for phase in plan.phases]),
-            np.array(plan.friction),
-            np.array(plan.stiff),
-            np.array([phase.surface for phase in plan.phases]),
-        )
+        self.walls, self.phases = wall_table(plan), phase_table(plan)
         self.apart = any(group.apart for group in plan.groups)
         self.layers = {layer.name: layer for layer in nodal_fields(plan, self.apart, self.LAYER)}
         self.hues = [self.layers[color_field_name(k)] for k in range(color_count(plan))]
@@ -109,7 +95,6 @@ class Cpu:
         self.parts: list[GroupContext] = []
         self.reports = np.zeros((len(plan.groups), threads, 6))
         self.beyond = np.zeros((threads, len(self.layers)), np.int64)
-        self.entries: dict[tuple, Callable] = {}  # compiled code for the current arrays
 
     def enable_reactions(self, rows: int, quanta: np.ndarray, rank: int) -> None:
         """Start to sum the reactions of colliders and walls.
@@ -182,8 +167,8 @@ class Cpu:
         group, tables = self.groups[g], self.tables
         split = tables.contributes["impulses"][rows] if self.apart else np.zeros(len(rows), bool)
         segments = Segments(
-            group.start, group.count, tables.table[rows], target, split, self._limits(group.block),
-            self._mirror(group),
+            group.start, group.count, tables.table[rows], target, split,
+            position_limits(group.block, self.plan.cells), self._mirror(group),
         )  # fmt: skip
         contributes = {name: chosen[rows] for name, chosen in tables.contributes.items()}
         contributed = contributions(self.plan, group.plan, contributes, split)
@@ -196,12 +181,6 @@ class Cpu:
         return GroupContext(
             group, particles_of(group), segments, partition, contributed, moving, numbers, ghosts
         )  # fmt: skip
-
-    def _limits(self, block: np.ndarray) -> np.ndarray:
-        """Return position limits [cells from block center], half a cell beyond walls, (n, 3, 2)."""
-        low = -2.0 - BLOCK_EDGE * block
-        high = np.array(self.plan.cells) - 1.0 - BLOCK_EDGE * block
-        return np.stack([np.maximum(low, -5.0), np.minimum(high, 5.0)], -1)
 
     def open(self, wall: int) -> None:
         """Remove a wall that has vanished."""
@@ -407,28 +386,3 @@ class Cpu:
         overflows = [lowest_beyond(self.beyond[:, k], self.tables, name) for k, name in names]
         self.beyond[:] = 0
         return [overflow for overflow in overflows if overflow is not None]
-
-    def call_if_rows(self, key: tuple, kernel, rows: np.ndarray, *arguments) -> None:
-        """Call kernel(rows, *arguments) if there are rows.
-
-        Args:
-            key: Tells calls of one kernel apart whose arguments have other types.
-        """
-        if len(rows):
-            self.run(key, kernel, rows, *arguments)
-
-    def run(self, key: tuple, kernel, *arguments) -> None:
-        """Call kernel(*arguments); calls with one key have equal types until the next sort."""
-        compiled = self.entries.get((kernel, key))
-        if compiled is None:
-            compiled = self.entries[kernel, key] = precompiled_entry(kernel, *arguments)
-        compiled(*arguments)
-
-    def each(self, work, *arguments) -> None:
-        """Call work(thread, *arguments) on every thread."""
-        if self.pool is None:
-            work(0, *arguments)
-            return
-        futures = [self.pool.submit(work, k, *arguments) for k in range(self.threads)]
-        for future in futures:
-            future.result()

@@ -11,7 +11,7 @@ from vgmpi.kernels import particle_records, patch, stencil_sums, wall_boundary
 from vgmpi.kernels.nodal_fields import surface_distance
 from vgmpi.kernels.rigid import prescribed_transfer
 from vgmpi.kernels.simd import cooperative as lanes_team
-from vgmpi.kernels.simd import partial_rows, row_ops, vector16
+from vgmpi.kernels.simd import mask_ops, partial_rows, row_ops, vector16
 from vgmpi.kernels.transfer import auxiliary_gather, g2p
 
 from . import thread_block
@@ -286,8 +286,8 @@ PARTICLE = TranslationMode(
     PLAIN | TEAMWORK | {
         vector16.load: load, vector16.store: store, vector16.pointer: place,
         row_ops.broadcast: broadcast,
-        row_ops.first_n: first_n, row_ops.horizontal_max: horizontal_max,
-        row_ops.in_range_mask: in_range_mask, row_ops.masked: masked,
+        mask_ops.first_n: first_n, row_ops.horizontal_max: horizontal_max,
+        mask_ops.in_range_mask: in_range_mask, mask_ops.masked: masked,
         row_ops.store_records: store_records, row_ops.load_records: load_records,
         row_ops.store_int32: store_int32, surface_distance._offsets: offsets_record,
         partial_rows.load: part_load, partial_rows.store: store, partial_rows.tile: repeat,

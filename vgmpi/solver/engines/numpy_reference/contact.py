@@ -139,11 +139,9 @@ class Contact:
             change, pairs = np.zeros_like(u), []
             for a, b, n, d_a, d_b, friction, stiff, rigid in self._pairs(node, phases, sides, u):
                 distances = {b: d_b} if a is None else {a: d_a, b: d_b}  # of moving ones
-                all_known = all(sides[k].has_surface for k in distances)
-                is_sure = any(sides[k].has_surface for k in distances)
-                is_sure = is_sure and all(
-                    sides[k].is_sure for k in distances if sides[k].has_surface
-                )
+                resolved = [sides[k] for k in distances if sides[k].has_surface]
+                all_known = len(resolved) == len(distances)
+                is_sure = bool(resolved) and all(side.is_sure for side in resolved)
                 slip = (u[a] if a is not None else rigid[1]) - u[b]
                 if is_sure:
                     surface_slip = slip + d_b * slope[index][b]

@@ -1,12 +1,10 @@
 """Reference engine: the method of docs/explanation in plain NumPy; slow, for tests and for reading.
 
 Each phase has one dense array over all nodes; all particles of a group are processed at once, in
-double precision, on one rank and thread. The rest of the program only gives the particles
-(domain.state) and the segments with a separate stress impulse (the tables); there are no patches,
-reproducible sums or compiled code. Jiang 2015 (APIC), Hu 2018, Zhu and Bridson 2005 (FLIP).
+double precision, on one rank and thread. The rest of the program only gives the particles and the
+segments with a separate stress impulse (the tables); there are no patches, reproducible sums or
+compiled code. Jiang 2015 (APIC), Hu 2018, Zhu and Bridson 2005 (FLIP).
 """
-
-from typing import Any
 
 import numpy as np
 
@@ -22,14 +20,8 @@ from vgmpi.kernels.step_limits import (
     MAX_VOLUME_STRAIN_PER_STEP,
     NODE_MASS_FLOOR,
 )
+from vgmpi.kernels.transfer import g2p
 from vgmpi.kernels.transfer.auxiliary_gather import OVERFILL_RELAXATION_RATE
-from vgmpi.kernels.transfer.g2p import (
-    CFL_EXCEEDED,
-    FASTEST_WAVE,
-    INVALID_VOLUME,
-    NOT_FINITE,
-    OUT_OF_DOMAIN,
-)
 from vgmpi.materials.material import law_function
 from vgmpi.parallel.block_lattice import BLOCK_EDGE, BlockLattice
 from vgmpi.parallel.exchange_topology import ExchangeTopology
@@ -42,6 +34,14 @@ from vgmpi.solver.engines.engine_protocol import DITHER, AccumulatorOverflow, St
 from .contact import Contact
 from .dense_grid import Dense, Stencil
 from .density_correction import density_corrected_gradient
+from .group_channels import (
+    get_channel,
+    kirchhoff_stress,
+    law_in_doubles,
+    law_state,
+    put_channel,
+    put_law_state,
+)
 from .mixture_coupling import MixtureCoupling
 from .moving_colliders import nearest_collider
 from .prescribed_motion import carry, prescribe
@@ -156,8 +156,8 @@ class Numpy:
 
     def _contribute(self, group: ParticleGroup, stencil: Stencil, split: np.ndarray) -> None:
         plan, dense, p = group.plan, self.dense, group.plan.phase
-        v, C, vol0 = (self._get(group, name) for name in ("v", "C", "vol0"))
-        state, law = self._state(group), self._law(group)
+        v, C, vol0 = (get_channel(group, name) for name in ("v", "C", "vol0"))
+        state, law = law_state(group), law_in_doubles(group)
         m = plan.density * vol0[:, 0]
         J = np.broadcast_to(law_function(law, "volume_ratio")(law, state), m.shape)
         affine = m[:, None, None] * C.reshape(-1, 3, 3) if self.plan.affine else None
@@ -165,9 +165,9 @@ class Numpy:
         dense.sum(self.momentum[p], stencil, m[:, None] * v, affine)
         if plan.driven:  # stress does not move prescribed bodies
             split = np.zeros(len(m), bool)
-        tau = self.dt * vol0[:, :, None] * self._stress(group, law, state, C) * (not plan.driven)
+        tau = self.dt * vol0[:, :, None] * kirchhoff_stress(law, state, C) * (not plan.driven)
         if plan.stores_porosity:
-            tau = np.where(split[:, None, None], tau / self._get(group, "share")[:, :, None], tau)
+            tau = np.where(split[:, None, None], tau / get_channel(group, "share")[:, :, None], tau)
         separate = split[:, None, None]
         dense.sum_forces(self.momentum[p], stencil, np.where(separate, 0.0, tau))
         if self.apart:
@@ -188,16 +188,16 @@ class Numpy:
             zeros = np.zeros((len(m), 3))
             dense.sum(self.offset[p], stencil, zeros, -volume[:, :, None] * np.eye(3))
         for k in range(plan.coefficients):
-            colour = self._get(group, "colour")[:, 3 * k : 3 * k + 3]
+            colour = get_channel(group, "colour")[:, 3 * k : 3 * k + 3]
             rows = (J * vol0[:, 0])[:, None] * np.column_stack([colour, np.ones(len(m))])
             dense.sum(self.hues[k, p], stencil, rows)
 
     def _surface(self, group: ParticleGroup) -> tuple[np.ndarray, ...]:
         """Return normals, signed distances [m], normal gradients [1/m] and certainties."""
-        reference = self._get(group, "surface")
+        reference = get_channel(group, "surface")
         certainty = np.linalg.norm(reference[:, :3], axis=1)
         curvature = reference[:, CURVATURE_TO_FULL].reshape(-1, 3, 3)
-        F = np.eye(3) + self._get(group, "F" if group.plan.tracks_deformation else "H").reshape(
+        F = np.eye(3) + get_channel(group, "F" if group.plan.tracks_deformation else "H").reshape(
             -1, 3, 3
         )
         F_inv = np.linalg.inv(F)
@@ -308,8 +308,8 @@ class Numpy:
                 field = self.v[group.plan.phase]
                 v, L = self.dense.gather(field, stencil), self.dense.gather_slopes(field, stencil)
                 for name, gathered in (("v", v), ("C", L.reshape(-1, 9))):
-                    current = self._get(group, name)
-                    self._put(group, name, current + times * (current - gathered))
+                    current = get_channel(group, name)
+                    put_channel(group, name, current + times * (current - gathered))
         return []
 
     def _gather(
@@ -322,30 +322,30 @@ class Numpy:
             assert self.driven is not None
             return carry(group, self.driven, self.dt, step)
         for k in range(plan.coefficients):
-            color = self._get(group, "colour")
+            color = get_channel(group, "colour")
             color[:, 3 * k : 3 * k + 3] = dense.gather(self.hues[k, p], stencil)[:, :3]
-            self._put(group, "colour", color)
+            put_channel(group, "colour", color)
         v, L = dense.gather(self.v[p], stencil), dense.gather_slopes(self.v[p], stencil)
         trace, transport = np.abs(np.trace(L, axis1=1, axis2=2)), v
         new_velocity = v
         if self.plan.keeps is not None:
-            change = dense.gather(self.change[p], stencil)
-            new_velocity = v + self.plan.keeps.over(self.dt) * (self._get(group, "v") + change - v)
-        self._put(group, "v", new_velocity)
-        self._put(group, "C", L.reshape(-1, 9))
+            kept_velocity = get_channel(group, "v") + dense.gather(self.change[p], stencil)
+            new_velocity = v + self.plan.keeps.over(self.dt) * (kept_velocity - v)
+        put_channel(group, "v", new_velocity)
+        put_channel(group, "C", L.reshape(-1, 9))
         if plan.shares:
             transport = v + np.where(split[:, None], dense.gather(self.drift[p], stencil), 0.0)
             L = self._strain(group, stencil, split, L)
         if plan.space:
-            J = np.exp(self._get(group, "theta")[:, 0])
+            J = np.exp(get_channel(group, "theta")[:, 0])
             L = density_corrected_gradient(dense, self.mass[p], stencil, plan.space, J, L)
-        law, rows = self._law(group), tuple(L.reshape(-1, 9).T)
-        state = law_function(law, "advance")(law, self._state(group), rows, self.dt)
-        self._put_state(group, state)
+        law, rows = law_in_doubles(group), tuple(L.reshape(-1, 9).T)
+        state = law_function(law, "advance")(law, law_state(group), rows, self.dt)
+        put_law_state(group, state)
         if plan.tracks_deformation:
-            F = np.eye(3) + self._get(group, "F").reshape(-1, 3, 3)
-            C = self._get(group, "C").reshape(-1, 3, 3)
-            self._put(group, "F", (F + self.dt * C @ F - np.eye(3)).reshape(-1, 9))
+            F = np.eye(3) + get_channel(group, "F").reshape(-1, 3, 3)
+            C = get_channel(group, "C").reshape(-1, 3, 3)
+            put_channel(group, "F", (F + self.dt * C @ F - np.eye(3)).reshape(-1, 9))
         return self._move(group, transport, trace, law, state, step)
 
     def _strain(self, group, stencil, split, L) -> np.ndarray:
@@ -360,7 +360,7 @@ class Numpy:
             symmetric = [dense.symmetrize(field[p])[..., None] for field in (self.share, self.full)]
             porosity, full = (dense.gather(field, stencil)[:, 0] for field in symmetric)
             porosity = np.where(split, np.clip(porosity, MIN_POROSITY, 1.0), 1.0)
-            self._put(group, "share", porosity[:, None])
+            put_channel(group, "share", porosity[:, None])
             rate = rate / porosity - OVERFILL_RELAXATION_RATE * np.maximum(full - 1.0, 0.0)
         correction = np.where(split, (rate - np.trace(L, axis1=1, axis2=2)) / 3.0, 0.0)
         return L + correction[:, None, None] * np.eye(3)
@@ -371,10 +371,10 @@ class Numpy:
         wave2 = np.broadcast_to(law_function(law, "wave_speed2")(law, state), trace.shape)
         wave2 = wave2 * group.plan.slips
         if group.plan.stores_porosity:
-            porosity = self._get(group, "share")[:, 0]
+            porosity = get_channel(group, "share")[:, 0]
             wave2 = wave2 * (1.0 + (1.0 / porosity - 1.0) * group.plan.dense) + group.plan.stiff
         shift = dt / dx * v
-        intact, tame = (J > J_MIN) & (J < J_MAX), (wave2 > -1.0) & (wave2 < FASTEST_WAVE**2)
+        intact, tame = (J > J_MIN) & (J < J_MAX), (wave2 > -1.0) & (wave2 < g2p.FASTEST_WAVE**2)
         slow = np.abs(shift).max(1) < 1.0
         good = intact & tame & slow
         dither = np.array([d * step % 1.0 for d in DITHER])
@@ -390,41 +390,10 @@ class Numpy:
         )
         reason = np.select(
             [~intact, ~tame, ~slow, ~inside],
-            [INVALID_VOLUME, NOT_FINITE, CFL_EXCEEDED, OUT_OF_DOMAIN],
+            [g2p.INVALID_VOLUME, g2p.NOT_FINITE, g2p.CFL_EXCEEDED, g2p.OUT_OF_DOMAIN],
             0,
         )
         failed = [(int(group.ids[index[k]]), int(reason[k])) for k in np.flatnonzero(reason)]
         rate = float(np.where(good, rates, 0.0).max())
         bounds = float(np.abs(v[good]).max(initial=0.0)), 0.0, 0.0
         return StepReport(rate, float(np.abs(x).max()), bounds, failed, [])
-
-    @staticmethod
-    def _get(group: ParticleGroup, name: str) -> np.ndarray:
-        """Return a channel of all particles, shape (n, width)."""
-        return group.get(name, group.index()).astype(np.float64)
-
-    @staticmethod
-    def _put(group: ParticleGroup, name: str, values: np.ndarray) -> None:
-        group.put(name, group.index(), values)
-
-    def _state(self, group: ParticleGroup) -> tuple:
-        return tuple(row.astype(np.float64) for row in group.law_state(group.index()))
-
-    def _put_state(self, group: ParticleGroup, state: tuple) -> None:
-        first = 0
-        for name, values in group.plan.state:
-            rows = [np.broadcast_to(s, len(group)) for s in state[first : first + len(values)]]
-            self._put(group, name, np.stack(rows, 1))
-            first += len(values)
-
-    @staticmethod
-    def _law(group: ParticleGroup) -> tuple:
-        law: Any = group.plan.law
-        return law._make(float(c) for c in law)
-
-    @staticmethod
-    def _stress(group: ParticleGroup, law, state, C) -> np.ndarray:
-        """Return the Kirchhoff stress, shape (n, 3, 3) [Pa]."""
-        components = law_function(law, "stress")(law, state, tuple(C.T))
-        xx, yy, zz, xy, xz, yz = (np.broadcast_to(c, len(C)) for c in components)
-        return np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], 1).reshape(-1, 3, 3)

@@ -1,0 +1,36 @@
+"""Tables of a plan that kernels read: walls, phases, and how far particles may be from a block."""
+
+import numpy as np
+
+from vgmpi.kernels.kernel_arguments import Phases, Walls
+from vgmpi.kernels.wall_boundary import KINDS
+from vgmpi.parallel.block_lattice import BLOCK_EDGE
+from vgmpi.planning.plan import Plan
+
+
+def wall_table(plan: Plan) -> Walls:
+    """Return the kinds and friction of the six walls; contact walls have kind 0 for surfaces."""
+    kinds = np.array([KINDS[kind] for kind, _ in plan.walls], np.int64).reshape(3, 2)
+    friction = np.array([mu for _, mu in plan.walls]).reshape(3, 2)
+    contact_kinds = kinds.copy()
+    for plane in plan.planes:
+        contact_kinds[plane.axis, plane.side] = 0
+    return Walls(np.array(plan.cells), kinds, contact_kinds, friction)
+
+
+def phase_table(plan: Plan) -> Phases:
+    """Return the numbers of all phases."""
+    return Phases(
+        np.array([phase.least for phase in plan.phases]),
+        np.array([phase.contact_priority for phase in plan.phases]),
+        np.array(plan.friction),
+        np.array(plan.stiff),
+        np.array([phase.surface for phase in plan.phases]),
+    )
+
+
+def position_limits(block: np.ndarray, cells: tuple[int, int, int]) -> np.ndarray:
+    """Return position limits [cells from block center], half a cell beyond walls, (n, 3, 2)."""
+    low = -2.0 - BLOCK_EDGE * block
+    high = np.array(cells) - 1.0 - BLOCK_EDGE * block
+    return np.stack([np.maximum(low, -5.0), np.minimum(high, 5.0)], -1)
