@@ -78,7 +78,7 @@ def losses(gaussians: GaussianCloud, suffix: str) -> list[str]:
     shiny_count = np.count_nonzero((gaussians.sh[:, 1:] != 0).any(axis=(1, 2)))
     if suffix == ".splat" and shiny_count:
         lines.append(
-            f"a .splat keeps no view-dependent colour: {shiny_count:,} Gaussians lose theirs"
+            f"a .splat keeps no view-dependent color: {shiny_count:,} Gaussians lose theirs"
         )
     max_value = {".spz": 1, registry.COMPRESSED: 4}.get(suffix, np.inf)
     if beyond_count := np.count_nonzero(np.abs(gaussians.sh[:, 1:]) > max_value):

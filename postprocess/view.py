@@ -1,4 +1,4 @@
-"""Field view of a run: python -m postprocess.view OUT --frame 25 --colour J -o a.png
+"""Field view of a run: python -m postprocess.view OUT --frame 25 --color J -o a.png
 
 Particles are colored by any field and drawn with pyvista, off screen. Exit code 2 is for errors
 that the user can correct, with one line.
@@ -20,41 +20,41 @@ FOV = 30.0  # [degrees] vertical field of view
 ANGLE = 25.0  # [degrees] around z, equal to that of the renderer
 
 
-def scalars(frame: dict[str, np.ndarray], colour: str) -> np.ndarray:
+def scalars(frame: dict[str, np.ndarray], color: str) -> np.ndarray:
     """Return the values to color by, (n,): a field, the length of a vector, or one component.
 
-    colour: "J", "velocity" (its length), "velocity.z", "F.0" ... "F.8", "x.z". Raises RunError.
+    color: "J", "velocity" (its length), "velocity.z", "F.0" ... "F.8", "x.z". Raises RunError.
     """
-    name, _, part = colour.partition(".")
+    name, _, part = color.partition(".")
     if name not in frame:
-        raise RunError(f"--colour: {colour}: this frame has {', '.join(frame)}")
+        raise RunError(f"--color: {color}: this frame has {', '.join(frame)}")
     values = np.asarray(frame[name])
     if values.ndim == 1:
         if part:
-            raise RunError(f"--colour: {colour}: {name} has no components")
+            raise RunError(f"--color: {color}: {name} has no components")
         return values
     if not part:
         return np.linalg.norm(values, axis=1)
     names = list("xyz") if values.shape[1] == 3 else [str(i) for i in range(values.shape[1])]
     if part not in names:
-        raise RunError(f"--colour: {colour}: allowed are {name}.{names[0]} .. {name}.{names[-1]}")
+        raise RunError(f"--color: {color}: allowed are {name}.{names[0]} .. {name}.{names[-1]}")
     return values[:, names.index(part)]
 
 
-def title(colour: str) -> str:
+def title(color: str) -> str:
     """Return the title of the color bar: field and unit."""
     units = {d.name: d.unit for d in file_layout.FRAME}
-    unit = units.get(colour.partition(".")[0], "1")
-    return colour if unit == "1" else f"{colour} [{unit}]"
+    unit = units.get(color.partition(".")[0], "1")
+    return color if unit == "1" else f"{color} [{unit}]"
 
 
-def picture(run: RunReader, index: int, colour: str, path: Path, args: argparse.Namespace) -> None:
+def picture(run: RunReader, index: int, color: str, path: Path, args: argparse.Namespace) -> None:
     """Draw one frame into a PNG file.
 
     Args:
         run: Files of the run.
         index: Number of the frame.
-        colour: Field to color by.
+        color: Field to color by.
         path: File to write.
         args: Arguments of the command line: range, size, angle, point.
     """
@@ -63,7 +63,7 @@ def picture(run: RunReader, index: int, colour: str, path: Path, args: argparse.
     if "DISPLAY" not in os.environ:  # VTK would complain before it falls back to drawing off screen
         pv.vtk_verbosity("off")
     frame = run.frame(index)
-    values = scalars(frame, colour)
+    values = scalars(frame, color)
     size = run.scene.get("domain", {}).get("size")
     lower, upper = (np.zeros(3), np.array(size)) if size else (frame["x"].min(0), frame["x"].max(0))
     plotter = pv.Plotter(off_screen=True, window_size=args.size)
@@ -77,7 +77,7 @@ def picture(run: RunReader, index: int, colour: str, path: Path, args: argparse.
         point_size=args.point,
         render_points_as_spheres=True,
         scalar_bar_args={
-            "title": title(colour) + "\n",
+            "title": title(color) + "\n",
             "color": "black",
             "vertical": True,
             "position_x": 0.9,
@@ -111,12 +111,12 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("out", help="folder of the run")
     p.add_argument("--frame", type=int, default=-1, help="number of the frame [the last]")
     p.add_argument(
-        "--colour",
+        "--color",
         default="velocity",
         help="field: J, velocity, velocity.z, F.0, object ... [velocity]",
     )
     # former name of the flag
-    p.add_argument("--color", dest="colour", default=argparse.SUPPRESS, help=argparse.SUPPRESS)
+    p.add_argument("--color", dest="color", default=argparse.SUPPRESS, help=argparse.SUPPRESS)
     p.add_argument("-o", "--output", default="view.png", help="output picture [view.png]")
     p.add_argument(
         "--range", type=float, nargs=2, metavar=("LOW", "HIGH"), help="range of the color map"
@@ -145,7 +145,7 @@ def main(argv: list[str] | None = None) -> int:
         index = args.frame + len(run) if args.frame < 0 else args.frame
         if not 0 <= index < len(run):
             raise RunError(f"--frame: {args.frame}: the run has the frames 0..{len(run) - 1}")
-        picture(run, index, args.colour, path, args)
+        picture(run, index, args.color, path, args)
     except RunError as error:
         print(error, file=sys.stderr)
         return 2

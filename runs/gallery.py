@@ -48,9 +48,9 @@ SCENES: dict[str, list[tuple[str, str, list[str]]]] = {
     "snowball": [],
     "water_on_snow": [],
     "castle_flood": [
-        ("fine", "permeability 1 mm/s", ["coupling.0.permeability=1e-3"]),
-        ("gravel", "permeability 10 cm/s", ["coupling.0.permeability=0.1"]),
-        ("cobbles", "permeability 1 m/s", ["coupling.0.permeability=1"]),
+        ("fine", "permeability 1 mm/s", ["coupling.0.hydraulic_conductivity=1e-3"]),
+        ("gravel", "permeability 10 cm/s", ["coupling.0.hydraulic_conductivity=0.1"]),
+        ("cobbles", "permeability 1 m/s", ["coupling.0.hydraulic_conductivity=1"]),
     ],
     "snowman": [
         ("one_field", "all bodies in one velocity field", ONE),
@@ -58,8 +58,8 @@ SCENES: dict[str, list[tuple[str, str, list[str]]]] = {
         ("slow_one_field", "the ball at 1 m/s, all bodies in one velocity field", SLOW + ONE),
     ],
     "two_liquids": [
-        ("sharp", "no diffusion", ["coupling.0.diffusion=0"]),
-        ("fast", "diffusion 20 cm2/s", ["coupling.0.diffusion=2e-3"]),
+        ("sharp", "no diffusion", ["coupling.0.diffusivity=0"]),
+        ("fast", "diffusion 20 cm2/s", ["coupling.0.diffusivity=2e-3"]),
     ],
     "sandbox": [],
 }

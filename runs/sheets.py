@@ -27,7 +27,7 @@ HERE = Path(__file__).resolve().parent
 PICTURES = HERE.parent / "docs" / "pictures"
 WIDE = 200  # pixels of each picture
 PALE = {"background": "#e4ebf1"}
-SQUARES = {"height": 0, "colour": "#cfcac2", "squares": 0.08, "other": "#c2bcb2"}
+SQUARES = {"height": 0, "color": "#cfcac2", "squares": 0.08, "other": "#c2bcb2"}
 WATER = {"zenith": "#3f7fc8", "horizon": "#dfeaf4", "ground": "#6b6256"}
 SUN = [0.5, 0.4, -1]
 

@@ -1,11 +1,15 @@
 """Public Python API: load a scene, plan it, run it, and read the files of a run.
 
 Example:
-    ```python import vgmpi
+    ```python
+    import vgmpi
 
-    scene = vgmpi.load("scene.toml", {"domain.cell": "1 cm"}) print(f"{vgmpi.plan(scene).particles}
-    particles") run = vgmpi.run(scene, "out", on_frame=lambda run: print(run.time)) files =
-    vgmpi.read("out") print(files.times, files.frame(-1)["x"].mean(axis=0)) ```
+    scene = vgmpi.load("scene.toml", {"domain.cell": "1 cm"})
+    print(f"{vgmpi.plan(scene).particles} particles")
+    run = vgmpi.run(scene, "out", on_frame=lambda run: print(run.time))
+    files = vgmpi.read("out")
+    print(files.times, files.frame(-1)["x"].mean(axis=0))
+    ```
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -46,8 +50,9 @@ def load(
         SceneError: If anything is wrong with the scene; it has one line per error.
 
     Example:
-        ```python scene = vgmpi.load("ball.toml", {"time.end": "20 ms", "domain.gravity": [0, 0,
-        0]}) ```
+        ```python
+        scene = vgmpi.load("ball.toml", {"time.end": "20 ms", "domain.gravity": [0, 0, 0]})
+        ```
     """
     if isinstance(overrides, Mapping):
         overrides = [f"{key}={_toml(value)}" for key, value in overrides.items()]
@@ -84,8 +89,10 @@ def plan(scene: Scene, ranks: SerialCommunicator | None = None) -> Plan:
         SceneError: If the particles cannot be made, or the plan is not possible.
 
     Example:
-        ```python plan = vgmpi.plan(scene) print(f"{plan.particles} particles, {plan.bytes() /
-        2**30:.1f} GiB") ```
+        ```python
+        plan = vgmpi.plan(scene)
+        print(f"{plan.particles} particles, {plan.bytes() / 2**30:.1f} GiB")
+        ```
     """
     from vgmpi.solver.initial_particles import plan_for, prepare
 
@@ -205,10 +212,13 @@ def run(
         BlowUp: If the run blows up before its first frame.
 
     Example:
-        ```python def report(run):
+        ```python
+        def report(run):
             print(f"{run.time:.3f} s: {run.array('x').mean(axis=0)}")
 
-        run = vgmpi.run(scene, "out", on_frame=report) assert run.code == 0 ```
+        run = vgmpi.run(scene, "out", on_frame=report)
+        assert run.code == 0
+        ```
     """
     from .solver import run as runs
 

@@ -31,7 +31,7 @@ YELLOW, DEEP, ORANGE = (1.0, 0.80, 0.12), (0.98, 0.68, 0.08), (0.95, 0.42, 0.08)
 WHITE, BLACK = (0.97, 0.97, 0.97), (0.04, 0.04, 0.06)
 RED = (0.85, 0.20, 0.23)
 
-# name: middle, half axes, tilt about y [deg], colour; the duck looks along +x, z is up
+# name: middle, half axes, tilt about y [deg], color; the duck looks along +x, z is up
 DUCK = {
     "body": ((0.00, 0.00, 0.36), (0.56, 0.40, 0.35), -6, YELLOW),
     "tail": ((-0.50, 0.00, 0.52), (0.22, 0.18, 0.10), 38, YELLOW),
@@ -83,7 +83,7 @@ def part(spec: tuple, count: int, width: float) -> GaussianCloud:
 
 
 def harmonics(normal: np.ndarray, color: tuple | np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Colour coefficients (n, 4, 3): painted light, darker below, and a sheen towards the eye."""
+    """Color coefficients (n, 4, 3): painted light, darker below, and a sheen towards the eye."""
     lit = 0.62 + 0.38 * (0.5 + 0.5 * normal @ LIGHT)
     grain = 1 + 0.02 * np.sin(40 * x[:, 0]) * np.sin(37 * x[:, 1]) * np.sin(43 * x[:, 2])
     rgb = np.asarray(color) * (lit * grain)[:, None]

@@ -28,17 +28,17 @@ class Ball(NamedTuple):
 
     middle: tuple
     radius: float
-    colour: tuple
+    color: tuple
 
 
 class Can(NamedTuple):
-    """An upright cylinder: the middle of its base (3,), radius and height [m]. inside: the colour
+    """An upright cylinder: the middle of its base (3,), radius and height [m]. inside: the color
     of its upper end."""
 
     base: tuple
     radius: float
     height: float
-    colour: tuple
+    color: tuple
     inside: tuple
 
 
@@ -47,7 +47,7 @@ class Box(NamedTuple):
 
     low: tuple
     high: tuple
-    colour: tuple
+    color: tuple
 
 
 class Drawn(NamedTuple):
@@ -66,16 +66,16 @@ def draw(things: list, view: View, eye: float | np.ndarray, seed: int = 1) -> Dr
     at = (np.stack([columns, rows], -1) + 0.5) / FINE
     ray = view.rays(at).reshape(-1, 3)
     start = np.array([0.0, 0.0, eye]) if np.ndim(eye) == 0 else np.asarray(eye)
-    colour, which = _background(ray, start, things)
+    color, which = _background(ray, start, things)
     best = np.full(len(ray), np.inf)
     for k, thing in enumerate(things):
         t, normal, paint = _hit(thing, start, ray)
         near = np.flatnonzero(t < best)
         best[near], which[near] = t[near], k
         others = [one for one in things if one is not thing]
-        colour[near] = _shaded(start, ray[near], t[near], normal[near], paint[near], others)
+        color[near] = _shaded(start, ray[near], t[near], normal[near], paint[near], others)
     shape = (view.height, FINE, view.width, FINE)
-    mean = colour.reshape(*shape, 3).mean(axis=(1, 3))
+    mean = color.reshape(*shape, 3).mean(axis=(1, 3))
     share = [(which == k).reshape(shape).mean(axis=(1, 3)) for k in range(len(things))]
     noise = np.random.default_rng(seed).normal(0, NOISE / 255, mean.shape)
     rgb = np.clip(255 * (mean + noise) + 0.5, 0, 255).astype(np.uint8)
@@ -83,7 +83,7 @@ def draw(things: list, view: View, eye: float | np.ndarray, seed: int = 1) -> Dr
 
 
 def _shaded(start, ray, t, normal, paint, others) -> np.ndarray:
-    """Colours (n, 3) of places where rays meet a thing, with the shadows of others."""
+    """Colors (n, 3) of places where rays meet a thing, with the shadows of others."""
     place = start + t[:, None] * ray
     lit = AMBIENT + (1 - AMBIENT) * np.clip(normal @ LIGHT, 0, 1)
     half = LIGHT - ray / np.linalg.norm(ray, axis=1, keepdims=True)
@@ -95,7 +95,7 @@ def _shaded(start, ray, t, normal, paint, others) -> np.ndarray:
 
 
 def _background(ray: np.ndarray, start: np.ndarray, things: list) -> tuple[np.ndarray, np.ndarray]:
-    """Colours (n, 3) of table and wall, and -1 for nobody (n,)."""
+    """Colors (n, 3) of table and wall, and -1 for nobody (n,)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         down = np.where(ray[:, 2] < 0, -start[2] / ray[:, 2], np.inf)
         wall = np.where(ray[:, 1] > 0, (WALL - start[1]) / ray[:, 1], np.inf)
@@ -125,7 +125,7 @@ def _shadowed(x: np.ndarray, things: list) -> np.ndarray:
 
 def _hit(thing, start: np.ndarray, ray: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Where rays meet a thing first: the factor of the ray (n,), infinite where they do not, the
-    normal (n, 3) and the colour (n, 3) there."""
+    normal (n, 3) and the color (n, 3) there."""
     kind = {Ball: _ball, Can: _can, Box: _box}[type(thing)]
     with np.errstate(divide="ignore", invalid="ignore"):
         return kind(thing, np.broadcast_to(start, ray.shape), ray)
@@ -145,7 +145,7 @@ def _ball(thing: Ball, start: np.ndarray, ray: np.ndarray):
     t = _roots((ray**2).sum(1), (ray * off).sum(1), (off**2).sum(1) - thing.radius**2)
     normal = (off + np.where(np.isfinite(t), t, 0)[:, None] * ray) / thing.radius
     band = np.abs(normal[:, 2]) < 0.16
-    paint = np.where(band[:, None], (0.95, 0.93, 0.88), thing.colour)
+    paint = np.where(band[:, None], (0.95, 0.93, 0.88), thing.color)
     return t, normal, paint
 
 
@@ -167,9 +167,9 @@ def _can(thing: Can, start: np.ndarray, ray: np.ndarray):
     normal = np.where(top[:, None], (0, 0, 1), at * (1, 1, 0) / thing.radius)
     height = at[:, 2] / thing.height
     band = (height > 0.62) & (height < 0.74)
-    paint = np.where(band[:, None], (0.93, 0.90, 0.82), thing.colour)
+    paint = np.where(band[:, None], (0.93, 0.90, 0.82), thing.color)
     rim = (at[:, :2] ** 2).sum(1) > (0.86 * thing.radius) ** 2
-    within = np.where(rim[:, None], thing.colour, thing.inside)
+    within = np.where(rim[:, None], thing.color, thing.inside)
     return t, normal, np.where(top[:, None], within, paint)
 
 
@@ -185,7 +185,7 @@ def _box(thing: Box, start: np.ndarray, ray: np.ndarray):
     size = np.asarray(thing.high) - thing.low
     place = (at - thing.low) / size
     frame = ((np.abs(place - 0.5) > 0.44) & (np.abs(normal) < 0.5)).any(axis=1)
-    paint = np.where(frame[:, None], 0.75 * np.asarray(thing.colour), thing.colour)
+    paint = np.where(frame[:, None], 0.75 * np.asarray(thing.color), thing.color)
     return t, normal, paint
 
 

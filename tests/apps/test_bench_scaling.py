@@ -19,7 +19,7 @@ end = 1
 precision = "single"
 [material.water]
 kind = "fluid"
-bulk_modulus = 1e5
+tait_coefficient = 1e5
 [[object]]
 name = "cube"
 material = "water"

@@ -68,7 +68,7 @@ material = "clay"
 shape = { sphere = { center = [0.2, 0.2, 0.2], radius = "1 mm" } }
 """
 SHARELESS = SPECK.replace('"1 mm"', '"5 cm"') + (
-    'fraction_profile = { axis = "x", at = [0, 1], share = [0, 0] }\n'
+    'volume_fraction_profile = { axis = "x", positions = [0, 1], values = [0, 0] }\n'
 )
 
 
@@ -217,12 +217,12 @@ def test_inspect_of_what_a_body_is_made_of(tmp_path, capsys):
     )
     assert cli.main(["--inspect", str(cloud)]) == 0
     said = capsys.readouterr().out
-    assert "4 Gaussians, colours of degree 0" in said and "x 0 .. 9, y 1 .. 10" in said
+    assert "4 Gaussians, colors of degree 0" in said and "x 0 .. 9, y 1 .. 10" in said
     mesh = tmp_path / "one.obj"
     mesh.write_text("v 0 0 0\nv 2 0 0\nv 0 3 0\nf 1 2 3\n")
     assert cli.main(["--inspect", str(mesh)]) == 0
     said = capsys.readouterr().out
-    assert "a mesh of 1 triangles, 3 points, no colours" in said and "y 0 .. 3" in said
+    assert "a mesh of 1 triangles, 3 points, no colors" in said and "y 0 .. 3" in said
     cloud.write_text("ply\n")
     assert cli.main(["--inspect", str(cloud)]) == 2
     (line,) = capsys.readouterr().err.splitlines()

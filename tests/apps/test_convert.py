@@ -118,7 +118,7 @@ def test_where_several_stand(convert, capture):
         ({"material": "plasticine"}, {"kind": "corotated"}),
         (
             {"material": "plasticine", "yield_stress": 100, "softening": 50},
-            {"kind": "plasticine", "residual_stress": 1.22474487,
+            {"kind": "plasticine", "residual_yield_stress": 1.22474487,
              "softening_strain": 0.99 * 122.474487 / 75},
         ),
         (
@@ -136,25 +136,36 @@ def test_materials_of_physgaussian(convert, config, wanted):
 
 
 def test_materials_of_versagauss(convert):
-    water = {"material": "fluid", "bulk_modulus": 500, "density": 60, "gamma": 8}
-    sand = {"material": "sand", "density": 90, "porosity": 0.4, "permeability": 0.2, "gamma": 5}
+    water = {"material": "fluid", "tait_coefficient": 500, "density": 60, "gamma": 8}
+    sand = {
+        "material": "sand",
+        "density": 90,
+        "porosity": 0.4,
+        "hydraulic_conductivity": 0.2,
+        "gamma": 5,
+    }
     snow = {
         "material": "snow", "compression": 0.015, "stretch": 0.008, "hardening_coe": 4, "gamma": 6,
     }  # fmt: skip
     at = [{"center_point": [1.2 + 0.8 * k, 2, 2], "scale": 0.6} for k in range(3)]
     scene, lines = convert(several(*zip((water, sand, snow), at, strict=True)))
     a, b, c = scene.material.values()
-    assert (a.kind, a.bulk_modulus, a.density, a.gamma) == ("fluid", 500, 60, 6)  # the last one's
+    assert (a.kind, a.tait_coefficient, a.density, a.gamma) == (
+        "fluid",
+        500,
+        60,
+        6,
+    )  # the last one's
     assert (b.bulk_density, b.porosity) == (pytest.approx(90), 0.4)
     assert (c.critical_compression, c.critical_stretch, c.hardening) == (0.015, 0.008, 4)
-    assert scene.coupling[0].kind == "drag" and scene.coupling[0].permeability == 0.2
+    assert scene.coupling[0].kind == "drag" and scene.coupling[0].hydraulic_conductivity == 0.2
     assert named(lines, "material_params.0.gamma")
-    jam = {"material": "jam", "bulk_modulus": 400}
+    jam = {"material": "jam", "tait_coefficient": 400}
     assert convert(several((jam, at[1])))[0].material["a"].kind == "fluid"
 
 
 def test_fluids_mix(convert):
-    one = {"material": "fluid", "bulk_modulus": 500, "diff_coe": 8e-4}
+    one = {"material": "fluid", "tait_coefficient": 500, "diff_coe": 8e-4}
     stands = [{"center_point": [2, 2, z], "scale": 0.8, "opacity_scale": 0.02} for z in (1.5, 2.5)]
     scene, _ = convert(several((one, stands[0]), (one, stands[1])))
     assert (scene.coupling[0].kind, scene.coupling[0].diffusion) == ("mixing", 8e-4)

@@ -89,7 +89,7 @@ def test_a_cuboid_beside_is_a_collider(convert):
 
 
 def test_bodies_are_held_and_moved(convert):
-    assert convert(ONE | {"boundary_conditions": [HOLD]})[0].object[0].frozen_until == 0.2
+    assert convert(ONE | {"boundary_conditions": [HOLD]})[0].object[0].release_time == 0.2
     motion = (
         convert(ONE | {"boundary_conditions": [HOLD | {"velocity": [0, 0.1, 0]}]})[0]
         .object[0]
@@ -129,7 +129,7 @@ def test_motions_one_after_the_other(convert):
 def test_conditions_that_are_not_brought_over_are_named(convert, condition):
     scene, lines = convert(ONE | {"boundary_conditions": [condition]})
     assert any(line.startswith("boundary_conditions.0") for line in lines)
-    assert scene.object[0].motion is None and scene.object[0].frozen_until is None
+    assert scene.object[0].motion is None and scene.object[0].release_time is None
     assert not scene.load
 
 
@@ -140,7 +140,7 @@ def test_layers_are_let_go(convert):
     }  # fmt: skip
     sand = ONE | {"material": "sand", "boundary_conditions": [layers]}
     body = convert(sand)[0].object[0]
-    assert (body.frozen_until, body.released_by) == (pytest.approx(0.01), pytest.approx(0.5))
+    assert (body.release_time, body.release_end_time) == (pytest.approx(0.01), pytest.approx(0.5))
     assert body.release == "from above"
     layers |= {"start_position": 0.5, "end_position": 1.5}
     assert convert(sand | {"boundary_conditions": [layers]})[0].object[0].release == "from below"
@@ -173,20 +173,22 @@ def test_areas_and_filling(convert, capture):
 
 
 def test_what_comes_with_every_frame_is_a_source(convert):
-    water = ({"material": "fluid", "bulk_modulus": 900}, {"center_point": [2, 2, 2.5]})
+    water = ({"material": "fluid", "tait_coefficient": 900}, {"center_point": [2, 2, 2.5]})
     more = {"boundary": [1.6, 2.4, 1.7, 2.3, 2.4, 2.6], "start_time": 0.04, "additional": 1}
     scene, lines = convert(several(water, add_particle=more))
-    source = scene.inflow[0]
-    assert source.flow == pytest.approx(0.8 * 0.6 * 0.2 / 0.04) and source.start == 0.04
-    assert (source.rectangle.width, source.rectangle.height) == pytest.approx((0.8, 0.6))
-    assert source.rectangle.center == pytest.approx((2, 2, 2.4)) and not scene.object
+    inlet = scene.inlet[0]
+    assert (
+        inlet.volume_flow_rate == pytest.approx(0.8 * 0.6 * 0.2 / 0.04) and inlet.start_time == 0.04
+    )
+    assert (inlet.rectangle.width, inlet.rectangle.height) == pytest.approx((0.8, 0.6))
+    assert inlet.rectangle.center == pytest.approx((2, 2, 2.4)) and not scene.object
     scene, lines = convert(several(water, add_particle=more | {"additional": False}))
-    assert not scene.inflow and named(lines, "add_particle")
+    assert not scene.inlet and named(lines, "add_particle")
 
 
 def test_what_only_pours_is_in_no_walls_way(convert, capture):
     plane = {"type": "add_plane", "x_plane": [1.8, 2.2], "y_plane": [0, 4], "z_plane": [0, 4]}
-    water = ({"material": "fluid", "bulk_modulus": 900}, {"center_point": [2, 2, 2.5]})
+    water = ({"material": "fluid", "tait_coefficient": 900}, {"center_point": [2, 2, 2.5]})
     more = {"boundary": [1.6, 2.4, 1.7, 2.3, 2.4, 2.6], "additional": True}
     some = several(water, boundary_conditions=[plane])
     assert named(convert(some, capture)[1], "boundary_conditions.0.x_plane")

@@ -181,7 +181,7 @@ def test_two_that_can_be_told_apart_are_found(folder):
 
 
 def test_what_changes_nothing_is_refused(folder, capsys):
-    text = FIT.replace(f'"{KEY}"', '"domain.boundary.roof.friction"')
+    text = FIT.replace(f'"{KEY}"', '"domain.boundary.top.friction"')
     text = text.replace('["4 kPa", "400 kPa"]\nstart = "200 kPa"', "[0.01, 1]\nstart = 0.1")
     walls = 'boundary = { default = "slip", roof = { kind = "separate", friction = 0.1 } }'
     scene, file = made(folder, BALL.replace('boundary = "slip"', walls), text)

@@ -27,7 +27,7 @@ COLUMN = """
 [domain]
 size = [0.1, 0.1, 0.24]
 cell = 0.01
-boundary = { default = "slip", floor = "stick" }
+boundary = { default = "slip", bottom = "stick" }
 [time]
 end = 0.12
 frames = 7

@@ -108,7 +108,7 @@ def test_the_example_is_made_and_its_scene_is_right(tmp_path):
 
 
 def test_threads_are_no_part_of_a_mask():
-    """As an edge of a table behind a cup makes them, where it has its colour."""
+    """As an edge of a table behind a cup makes them, where it has its color."""
     y, x = np.mgrid[:120, :160]
     disc = (x - 80) ** 2 + (y - 60) ** 2 < 40**2
     found = grabcut.remove_threads(disc | (y == 22), grabcut.Box(35, 15, 125, 105))
@@ -119,7 +119,7 @@ def test_threads_are_no_part_of_a_mask():
 
 
 def test_clicks_say_what_is_it_and_what_is_not():
-    """Two discs that touch, of nearly one colour: a click parts them, another brings one back."""
+    """Two discs that touch, of nearly one color: a click parts them, another brings one back."""
     y, x = np.mgrid[:160, :240] + 0.5
     left, right = ((x - c) ** 2 + (y - 80) ** 2 < 36**2 for c in (92, 146))
     rgb = np.full((160, 240, 3), (110, 120, 130), np.uint8)

@@ -90,7 +90,7 @@ REFUSED = {
     "one pixel": (lambda: saved(Image.new("RGB", (1, 1))), "at least 32 x 32"),
     "thin": (lambda: saved(Image.new("RGB", (3000, 8))), "at least 32 x 32"),
     "thin when small": (lambda: saved(Image.new("RGB", (6000, 40))), "too long and too thin"),
-    "one colour": (
+    "one color": (
         lambda: saved(Image.new("RGB", (WIDTH, HEIGHT))),
         "box: its mask is empty",
     ),

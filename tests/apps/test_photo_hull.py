@@ -30,7 +30,7 @@ def volume_of(name):
 
 @functools.cache
 def body(name) -> GaussianCloud:
-    return visual_hull.coloured(shots(name), volume_of(name))
+    return visual_hull.colored(shots(name), volume_of(name))
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -62,11 +62,11 @@ def test_cells_are_near_steps_of_sqrt_2_and_whole(block):
 
 def test_liquids_are_made_softer_by_the_key_that_the_scene_has(tmp_path, block):
     softer, stiffer = parameter_sweep.alternatives(block, "stiffness")
-    assert softer.overrides == ("material.water.compression=0.04",)
-    assert stiffer.overrides == ("material.water.compression=0.0025",)
-    plain = scene(tmp_path, SCENE.replace("max_speed = 2", "bulk_modulus = 1e5"))
+    assert softer.overrides == ("material.water.max_compression=0.04",)
+    assert stiffer.overrides == ("material.water.max_compression=0.0025",)
+    plain = scene(tmp_path, SCENE.replace("max_speed = 2", "tait_coefficient = 1e5"))
     softer, _ = parameter_sweep.alternatives(plain, "stiffness")
-    assert softer.overrides == ("material.water.bulk_modulus=25000.0",)
+    assert softer.overrides == ("material.water.tait_coefficient=25000.0",)
 
 
 def test_knobs_with_nothing_to_turn_are_left_out(tmp_path):
@@ -191,7 +191,7 @@ def test_pruning_is_varied_where_there_is_something_to_prune(tmp_path, block):
     assert parameter_sweep.alternatives(block, "pruning") == []
     scenes = {}
     (tmp_path / "duck.ply").touch()
-    for how in ('prune = "off"', 'prune = "paper"\nprune_scale = 0.2'):
+    for how in ('prune = "off"', 'prune = "versagauss"\nprune_scale = 0.2'):
         text = SCENE.split("[[object]]")[0].replace('kind = "fluid"\nmax_speed = 2', RUBBER)
         scenes[how[9:12]] = scene(tmp_path, f"{text}{DUCK}{how}\n")
     assert [
@@ -206,12 +206,12 @@ def test_pruning_is_varied_where_there_is_something_to_prune(tmp_path, block):
     assert finest.overrides[-1] == "object.duck.prune=off" and dict(finest.knobs)["cells"] == "24"
 
 
-def test_colours_are_varied(tmp_path, block):
-    (step,) = parameter_sweep.alternatives(block, "colours")
-    assert step.overrides == ("appearance.colour_transfer=step",)
-    text = SCENE + '[appearance]\ncolour_transfer = "step"\n'
-    degrees = parameter_sweep.alternatives(scene(tmp_path, text), "colours")
-    assert [s.name for s in degrees] == ["colours-1", "colours-3"]
+def test_colors_are_varied(tmp_path, block):
+    (step,) = parameter_sweep.alternatives(block, "colors")
+    assert step.overrides == ("appearance.color_transfer=step",)
+    text = SCENE + '[appearance]\ncolor_transfer = "step"\n'
+    degrees = parameter_sweep.alternatives(scene(tmp_path, text), "colors")
+    assert [s.name for s in degrees] == ["colors-1", "colors-3"]
 
 
 def test_a_run_of_two_precisions_is_told_and_a_scene_is_written(tmp_path, capsys):

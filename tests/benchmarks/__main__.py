@@ -215,7 +215,7 @@ def _stability(parser: argparse.ArgumentParser) -> None:
 def _run_stability(args: argparse.Namespace) -> int:
     from tests.benchmarks import contrast_stability, stability_limits
 
-    rows = contrast_stability.lines(args.only, args.transfer or ["restored"])
+    rows = contrast_stability.lines(args.only, args.transfer or ["apic-corrected"])
     if not args.ratios:
         rows = stability_limits.lines(args.only, args.transfer, args.precision)
     for text in rows:

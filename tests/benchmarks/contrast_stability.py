@@ -46,7 +46,7 @@ class Pair:
     stiffness: float = 1.0
     per_cell: tuple[int, int] = (8, 8)
     coupled: str = ""
-    transfer: str = "restored"
+    transfer: str = "apic-corrected"
 
     @property
     def text(self) -> str:
@@ -74,7 +74,7 @@ class Pair:
 
 def made_of(kind: str, density: float, modulus: float) -> dict:
     """The keys of a material of this bulk density [kg/m3] and modulus of waves [Pa]."""
-    stiff = "bulk_modulus" if kind == "fluid" else "youngs_modulus"
+    stiff = "tait_coefficient" if kind == "fluid" else "youngs_modulus"
     keys = {"kind": kind, "density": density, stiff: modulus}
     keys["density"] = density**2 / registry[kind].model_validate(keys).bulk_density
     material = registry[kind].model_validate(keys)
@@ -172,7 +172,7 @@ class Table:
     rows: dict[str, tuple[Pair, ...]]
 
 
-def tables(transfer: str = "restored") -> list[Table]:
+def tables(transfer: str = "apic-corrected") -> list[Table]:
     """All that is measured."""
     ratios = _ratios(transfer)
     plain = tuple(format(r, ".0e").replace("e-0", "e-").replace("e+0", "e") for r in ratios)
@@ -211,7 +211,7 @@ CONTRAST_EXPONENTS = {
 
 def _ratios(transfer: str) -> tuple[float, ...]:
     """All with the transfer that is the default, with others every second one."""
-    return RATIOS if transfer == "restored" else RATIOS[::2]
+    return RATIOS if transfer == "apic-corrected" else RATIOS[::2]
 
 
 def _contacts(transfer: str) -> dict[str, tuple[Pair, ...]]:
@@ -241,11 +241,11 @@ def _mixtures(transfer: str) -> dict[str, tuple[Pair, ...]]:
 
 
 def _drag(permeability: float) -> str:
-    return coupling("drag", "one", "two", permeability=permeability)
+    return coupling("drag", "one", "two", hydraulic_conductivity=permeability)
 
 
 def _mixing(diffusion: float, slip: float) -> str:
-    return coupling("mixing", "one", "two", diffusion=diffusion, slip_time=slip)
+    return coupling("mixing", "one", "two", diffusion=diffusion, slip_relaxation_time=slip)
 
 
 def lines(words: list[str], transfers: list[str]) -> Iterator[str]:

@@ -1,6 +1,6 @@
 """What sharing space costs: fluids that mix, and sand that a fluid flows through, beside
 the same tank filled with one fluid; and the same fluid with its motion restored, its volume kept,
-with AFLIP, and in two colours that travel with every step.
+with AFLIP, and in two colors that travel with every step.
 
 Each pair is measured in turns, so that what else the machine does touches both alike.
 """
@@ -27,14 +27,14 @@ end = 1
 [accuracy]
 transfer = "{transfer}"
 precision = "{precision}"
-volume = "{volume}"
+volume_correction = "{volume}"
 [material.water]
 kind = "fluid"
-bulk_modulus = 1e5
+tait_coefficient = 1e5
 [material.milk]
 kind = "fluid"
 density = 1030
-bulk_modulus = 1e5
+tait_coefficient = 1e5
 [material.sand]
 kind = "sand"
 youngs_modulus = 1e5
@@ -42,7 +42,7 @@ youngs_modulus = 1e5
 name = "water"
 material = "water"
 shape = {{ box = [[0, 0, {low!r}], [{side!r}, {side!r}, {top!r}]] }}
-compressed = "hydrostatic"
+initial_pressure = "hydrostatic"
 """
 LAYER = """
 [[object]]
@@ -55,34 +55,34 @@ PORES = """
 name = "pores"
 material = "water"
 shape = {{ box = [[0, 0, 0], [{side!r}, {side!r}, {low!r}]] }}
-fraction = 0.4
+volume_fraction = 0.4
 """
 MIXING = """
 [[coupling]]
 between = ["water", "milk"]
 kind = "mixing"
-diffusion = 1e-5
-slip_time = 0.01
+diffusivity = 1e-5
+slip_relaxation_time = 0.01
 """
 DRAG = """
 [[coupling]]
 between = ["water", "sand"]
 kind = "drag"
-permeability = 1e-3
+hydraulic_conductivity = 1e-3
 """
-COLOURS = """
+COLORS = """
 [appearance]
-colour_transfer = "step"
+color_transfer = "step"
 """
 AFLIP, RESTORED, KEPT = "with AFLIP", "with motion restored", "with its volume kept"
-TRANSFERS = {AFLIP: "aflip", RESTORED: "restored"}
+TRANSFERS = {AFLIP: "aflip", RESTORED: "apic-corrected"}
 SCENES = {  # name -> what lies below the water, couplings, depth of it as a share of the tank's
     "fluid": (LAYER.replace("{made_of}", "water"), 0.5),
     RESTORED: (LAYER.replace("{made_of}", "water"), 0.5),
     KEPT: (LAYER.replace("{made_of}", "water"), 0.5),
     AFLIP: (LAYER.replace("{made_of}", "water"), 0.5),
-    "colours with every step": (
-        LAYER.replace("{made_of}", 'water"\ncolour = "#ff8000') + COLOURS,
+    "colors with every step": (
+        LAYER.replace("{made_of}", 'water"\ncolor = "#ff8000') + COLORS,
         0.5,
     ),
     "mixing, two layers": (LAYER.replace("{made_of}", "milk") + MIXING, 0.5),

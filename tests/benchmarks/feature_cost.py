@@ -26,11 +26,11 @@ transfer = "apic"
 precision = "{precision}"
 [material.water]
 kind = "fluid"
-bulk_modulus = 1e5
+tait_coefficient = 1e5
 [material.milk]
 kind = "fluid"
 density = 1030
-bulk_modulus = 1e5
+tait_coefficient = 1e5
 [material.clay]
 kind = "elastic"
 density = 1000
@@ -47,7 +47,7 @@ PROBE = """
 [[probe]]
 name = "felt {k}"
 collider = "slab {k}"
-rate = 100
+sampling_rate = 100
 """
 CLAY, WATER, MILK = 'material = "clay"', 'material = "water"', 'material = "milk"'
 PLATE = 'role = "scenery"\ncollider = true'

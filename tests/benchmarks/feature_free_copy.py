@@ -1,4 +1,4 @@
-"""A copy of this program in which features do not exist, to be run beside it: sand, colours that
+"""A copy of this program in which features do not exist, to be run beside it: sand, colors that
 travel with steps, phases that share space, volume that is kept, and motion that is prescribed.
 
 The files of materials and couplings are left out. Of the other modules every function has another
@@ -62,7 +62,7 @@ end = 0.05
 precision = "single"
 [material.water]
 kind = "fluid"
-bulk_modulus = 5e4
+tait_coefficient = 5e4
 [material.toy]
 kind = "elastic"
 youngs_modulus = 1e5

@@ -46,7 +46,7 @@ gaussians = "FILE"
 position = [0.3, 0.3, 0.1]
 fill = CHOICE
 """
-DRAWN, UNSEEN = (0.95, 0.5, 0.1), (0.55, 0.55, 0.55)  # colours of an inside cut open
+DRAWN, UNSEEN = (0.95, 0.5, 0.1), (0.55, 0.55, 0.55)  # colors of an inside cut open
 
 
 def scene_of(file: Path, choice: str, cell: float, keys: str = "") -> Scene:
@@ -106,7 +106,7 @@ def table(folder: Path) -> str:
 
 
 def cut(piece: BuiltObject, spacing: float) -> GaussianCloud:
-    """The half of a body behind its middle, with what fills it as balls: in one colour where it is
+    """The half of a body behind its middle, with what fills it as balls: in one color where it is
     drawn, in another where it has mass only."""
     inner = np.arange(len(piece.cloud)) >= piece.surface_count
     seen = inner & (piece.cloud.opacity > 0)

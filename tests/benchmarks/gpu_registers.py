@@ -22,7 +22,7 @@ SCENE = """
 [domain]
 size = [0.4, 0.4, 0.4]
 cell = 0.04
-boundary = { default = "slip", floor = "stick", east = { kind = "separate", friction = 0.2 } }
+boundary = { default = "slip", bottom = "stick", east = { kind = "separate", friction = 0.2 } }
 [time]
 end = 1
 [accuracy]
@@ -46,10 +46,10 @@ role = "scenery"
 collider = true
 shape = { box = [[0.3, 0, 0], [0.38, 0.4, 0.1]] }
 """
-MIX = '[[coupling]]\nkind = "mixing"\nbetween = ["fluid", "milk"]\ndiffusion = 1e-4\n'
+MIX = '[[coupling]]\nkind = "mixing"\nbetween = ["fluid", "milk"]\ndiffusivity = 1e-4\n'
 SEEP = '[[coupling]]\nkind = "drag"\nbetween = ["fluid", "sand"]\npermeability = 1e-2\n'
 DRIVEN = 'motion = { velocity = [1, 0, 0], until = "2 ms" }\n'
-COLOURS = '[appearance]\ncolour_transfer = "step"\n'
+COLORS = '[appearance]\ncolor_transfer = "step"\n'
 
 
 def _body(name: str, kind: str, low: float = 0.0, plus: str = "") -> str:
@@ -62,12 +62,12 @@ def _body(name: str, kind: str, low: float = 0.0, plus: str = "") -> str:
 # what is below [accuracy], and the rest of a scene: each law alone, and what asks for more kernels
 CASES = {kind: ("", _body(kind, kind)) for kind in registry} | {
     "contact, colliders": ("", _body("fluid", "fluid") + _body("elastic", "elastic", 0.16) + POST),
-    "splines": ('transfer = "pic"\ngradient = "splines"', _body("elastic", "elastic")),
+    "splines": ('transfer = "pic"\ngradient = "bspline"', _body("elastic", "elastic")),
     "kept volume": ('volume = "kept"', _body("fluid", "fluid")),
     "aflip": ('transfer = "aflip"\ndamping = "5 ms"', _body("fluid", "fluid")),
     "driven": ("", _body("elastic", "elastic", plus=DRIVEN)),
-    "couplings, colours": (
-        "", COLOURS + _body("fluid", "fluid") + _body("milk", "fluid", 0.08) + _body("sand", "sand")
+    "couplings, colors": (
+        "", COLORS + _body("fluid", "fluid") + _body("milk", "fluid", 0.08) + _body("sand", "sand")
         + MIX + SEEP,
     ),
 }  # fmt: skip

@@ -11,14 +11,14 @@ from vgmpi.apps.bench.benchmark_case import KEYS
 from vgmpi.materials import registry
 
 DX = 0.02  # [m]
-WATER = {"kind": "fluid", "bulk_modulus": 5e4}
+WATER = {"kind": "fluid", "tait_coefficient": 5e4}
 RUBBER = {"kind": "elastic", "density": 1000, "youngs_modulus": 1e5}
 LOW, HIGH = (0.12, 0.16, 0.16), (0.20, 0.24, 0.24)  # a cube of 4 cells, and one cell to its east:
 NEXT = ((0.22, 0.16, 0.16), (0.30, 0.24, 0.24))
 # stiff enough for 10 m/s to stay well below the speed of sound, where the benchmark's are not
 STIFF = {
-    "fluid": {"bulk_modulus": 1e6},
-    "paste": {"preset": "ketchup", "bulk_modulus": 1e6},
+    "fluid": {"tait_coefficient": 1e6},
+    "paste": {"preset": "ketchup", "tait_coefficient": 1e6},
     "foam": {"preset": "shaving foam", "youngs_modulus": 1e5},
     "snow": {"youngs_modulus": 1e6},
 }
@@ -127,7 +127,7 @@ def _density() -> list[Row]:
     light, heavy = {"density": 1}, {"density": 1000}
     foam = {"kind": "foam", "preset": "shaving foam", "density": 7.85}
     metal = {"kind": "metal", "youngs_modulus": 1e6, "yield_stress": 1e4, "density": 7850}
-    gas = {**WATER, "bulk_modulus": 1e3, **light}
+    gas = {**WATER, "tait_coefficient": 1e3, **light}
     mixture = scene(
         {"gas": gas, "water": WATER},
         box("left", "gas", LOW, HIGH, velocity=[0.5, 0, 0]),
@@ -151,7 +151,7 @@ def _density() -> list[Row]:
 def _stiffness() -> list[Row]:
     rows = []
     for power in range(3, 8):
-        law = {**WATER, "bulk_modulus": 10.0**power}
+        law = {**WATER, "tait_coefficient": 10.0**power}
         rows.append(Row(f"k = 1e{power} Pa", collision(law, law, 0.5, 0.05), "runs",
                         momentum=True, fast=power in (3, 7)))  # fmt: skip
     for power in range(3, 9):
@@ -171,7 +171,7 @@ def _sharing() -> list[Row]:
             {"water": WATER, "grains": {"kind": "sand"}},
             box("pores", "water", LOW, HIGH, velocity=[0.5, 0, 0], fraction=0.4),
             box("bed", "grains", LOW, HIGH),
-            coupling("drag", "water", "grains", permeability=10.0**power),
+            coupling("drag", "water", "grains", hydraulic_conductivity=10.0**power),
             end=0.01,
         )
         rows.append(Row(f"permeability 1e{power} m/s", text, "runs", momentum=True,
@@ -255,7 +255,7 @@ def _edges() -> list[Row]:
                         fast=name == "water"))  # fmt: skip
         # bodies stand half a spacing inside a wall; thrown at it, they cross it and come back
         text = scene(
-            {"stuff": {**law, **({"bulk_modulus": 1e6} if name == "water" else {})}},
+            {"stuff": {**law, **({"tait_coefficient": 1e6} if name == "water" else {})}},
             box("block", "stuff", (0, 0, 0), (0.16, 0.16, 0.16), velocity=[-1, -1, -1]),
             end=0.05,
             size=(0.16, 0.16, 0.16),
@@ -333,7 +333,7 @@ def _endings() -> list[Row]:
         top = float(run.array("x")[:, 2].max())
         return top < 0.06 + 2 * DX, f"highest drop at {top * 1e3:.0f} mm"
 
-    soft = {**WATER, "bulk_modulus": 10}
+    soft = {**WATER, "tait_coefficient": 10}
     fall = scene(
         {"jelly": soft},
         box("drop", "jelly", (0.16, 0.16, 0), (0.24, 0.24, 0.08), velocity=[0, 0, -10]),

@@ -24,7 +24,7 @@ end = 1
 precision = "PRECISION"
 [material.water]
 kind = "fluid"
-bulk_modulus = 1e5
+tait_coefficient = 1e5
 [material.rubber]
 kind = "elastic"
 youngs_modulus = 1e5

@@ -20,7 +20,7 @@ from vgmpi.scene.loader import load
 COMPRESSIONS = (0.1, 0.04, 0.01, 0.0025)
 CELLS = {"hydrostatic": "1 cm", "dam_break": repr(0.584 / 48)}
 DEPTH = 0.16  # [m]
-SINKS = ("object.water.compressed=no", "time.end=2", "time.frames=401")
+SINKS = ("object.water.initial_pressure=zero", "time.end=2", "time.frames=401")
 
 
 def sunk(found: RunOutcome) -> float:
@@ -40,7 +40,9 @@ def measured(
     study = Study(scene, SCENES / "out" / "softness" / measure.__name__, ranks)
     rows = []
     for value in COMPRESSIONS:
-        one = Setting((("compression", f"{value:g}"),), (f"material.water.compression={value!r}",))
+        one = Setting(
+            (("compression", f"{value:g}"),), (f"material.water.max_compression={value!r}",)
+        )
         cpu = study.run(one)
         rows.append((measure(study.outcome(one)), cpu))
     return rows

@@ -36,8 +36,8 @@ RUNGS = tuple(0.2 * 2.0 ** (k / 4) for k in range(25))
 ROUNDS = 2  # halvings between two of them: to 4 %
 DEFAULT = 0.4  # time.cfl
 COUPLED = {
-    "drag 1e-3": coupling("drag", "water", "grains", permeability=1e-3),
-    "drag 1e-12": coupling("drag", "water", "grains", permeability=1e-12),
+    "drag 1e-3": coupling("drag", "water", "grains", hydraulic_conductivity=1e-3),
+    "drag 1e-12": coupling("drag", "water", "grains", hydraulic_conductivity=1e-12),
     "mixing": coupling("mixing", "water", "milk", diffusion=1e-4),
     "mixing at limit": coupling("mixing", "water", "milk", diffusion=0.5),
 }
@@ -48,13 +48,13 @@ class Case:
     """Filling of the box: a law, or the name of one of COUPLED."""
 
     name: str
-    transfer: str = "restored"
+    transfer: str = "apic-corrected"
     precision: str = "double"
 
     @property
     def cfl(self) -> float:
         """Return the CFL number of the scene: motion is restored as often as by default."""
-        return DEFAULT if self.name in COUPLED or self.transfer == "restored" else 1.0
+        return DEFAULT if self.name in COUPLED or self.transfer == "apic-corrected" else 1.0
 
     @property
     def text(self) -> str:

@@ -26,7 +26,7 @@ TOPICS = {
     "Friction": "incline tilted roll driven_plane",
     "Prescribed motion and inlets": "driven source turning_box many_colliders",
     "Conservation": "conservation loads",
-    "Color transport": "colour_steps",
+    "Color transport": "color_steps",
 }
 
 

@@ -117,7 +117,7 @@ def _meshes(folder: Path, suffix: str) -> list[bytes]:
 
 
 def _pictures(suffix: str) -> list[bytes]:
-    """In colour, with opacity, grey, deep, of few colours."""
+    """In color, with opacity, grey, deep, of few colors."""
     from PIL import Image
 
     bow = np.arange(40 * 30 * 3, dtype=np.uint8).reshape(30, 40, 3)

@@ -21,8 +21,8 @@ LOADED = """
 [domain]
 size = ["40 cm", "40 cm", "40 cm"]
 cell = "2 cm"
-gravity_ramp = "0.1 s"
-boundary = { default = "slip", floor = { kind = "separate", friction = 0.4 } }
+gravity_ramp_time = "0.1 s"
+boundary = { default = "slip", bottom = { kind = "separate", friction = 0.4 } }
 [time]
 end = "0.2 s"
 frames = 3
@@ -33,15 +33,15 @@ density = 500
 youngs_modulus = "0.1 MPa"
 [material.water]
 kind = "fluid"
-bulk_modulus = "50 kPa"
+tait_coefficient = "50 kPa"
 [[object]]
 name = "bar"
 material = "rubber"
-shape = { cylinder = { ends = [[0.1, 0.2, 0.2], [0.3, 0.2, 0.2]], radius = "4 cm" } }
+shape = { cylinder = { endpoints = [[0.1, 0.2, 0.2], [0.3, 0.2, 0.2]], radius = "4 cm" } }
 rotation = { axis = "z", angle = "30 deg" }
 origin = [0.1, 0, 0]
-spin = [0, 0, "60 rpm"]
-mode = { amplitude = [0, 0, 0.1], wave = [10, 0, 0], phase = "30 deg" }
+angular_velocity = [0, 0, "60 rpm"]
+velocity_mode = { amplitude = [0, 0, 0.1], wave_vector = [10, 0, 0], phase_angle = "30 deg" }
 [[object]]
 name = "duck"
 material = "rubber"
@@ -51,53 +51,57 @@ up = "z"
 position = ["30 cm", "30 cm", "25 cm"]
 fill = "closed"
 prune = "auto"
-passive = true
+passive_gaussians = true
 [[object]]
 name = "block"
 material = "water"
 mesh = "water.obj"
 height = "5 cm"
-fraction = 0.5
+volume_fraction = 0.5
 position = ["20 cm", "20 cm", "4 cm"]
 [[object]]
 name = "ring"
 role = "scenery"
 collider = true
-shape = { torus = { center = [0.2, 0.2, 0.3], axis = [0, 1, 1], radius = 0.08, tube = 0.03 } }
+[object.shape.torus]
+center = [0.2, 0.2, 0.3]
+axis = [0, 1, 1]
+major_radius = 0.08
+minor_radius = 0.03
 [[object]]
 name = "hat"
 material = "rubber"
 shape = { difference = [
-    { cone = { ends = [[0.08, 0.3, 0.05], [0.08, 0.3, 0.15]], radii = [0.06, 0] } },
-    { capsule = { ends = [[0.08, 0.3, 0], [0.08, 0.3, 0.1]], radius = 0.02 } },
+    { cone = { endpoints = [[0.08, 0.3, 0.05], [0.08, 0.3, 0.15]], radii = [0.06, 0] } },
+    { capsule = { endpoints = [[0.08, 0.3, 0], [0.08, 0.3, 0.1]], radius = 0.02 } },
 ] }
-fraction_profile = { axis = "z", at = [0, 0.1], share = [1, 0.5] }
+volume_fraction_profile = { axis = "z", positions = [0, 0.1], values = [1, 0.5] }
 [[object]]
 name = "half"
 role = "scenery"
 gaussians = "assets/ball.ply"
-select = { sphere = { center = [0, 0, 0], radius = 5 }, min_opacity = 0.1, outliers = 3 }
+select = { sphere = { center = [0, 0, 0], radius = 5 }, min_opacity = 0.1, outlier_sigma = 3 }
 height = 0.05
 position = [0.3, 0.1, 0.1]
 [[load]]
 object = "bar"
 force = [0, 0, "1 N"]
 region = { box = [[0.1, 0, 0], [0.3, 0.4, 0.4]] }
-after = 0
-until = "0.1 s"
-ramp = "10 ms"
+start_time = 0
+end_time = "0.1 s"
+ramp_time = "10 ms"
 [[load]]
 object = ["bar", "duck"]
 pressure = "1 kPa"
 face = "top"
 [[probe]]
 name = "depth"
-level = [0.2, 0.2]
-rate = 100
+surface_height = [0.2, 0.2]
+sampling_rate = 100
 [[probe]]
 name = "bar"
 object = "bar"
-every = "10 ms"
+sampling_interval = "10 ms"
 """
 
 

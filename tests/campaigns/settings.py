@@ -34,7 +34,7 @@ width = 64
 height = 48
 background = "back.png"
 supersample = 2
-floor = { height = 0, colour = "#aaaaaa", squares = 0.1, light = [0, 0, -1], shadow = 0.5 }
+floor = { height = 0, color = "#aaaaaa", squares = 0.1, light = [0, 0, -1], shadow = 0.5 }
 [look]
 covariance = "fixed"
 harmonics = "fixed"

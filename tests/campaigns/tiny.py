@@ -28,7 +28,7 @@ end = 0.04
 frames = {FRAMES}
 [material.water]
 kind = "fluid"
-bulk_modulus = 5e4
+tait_coefficient = 5e4
 [material.rubber]
 kind = "elastic"
 density = 700
@@ -46,9 +46,9 @@ velocity = [-1, 0, 0]
 [[probe]]
 name = "tap"
 velocity = [0.08, 0.08, 0.04]
-every = "4 ms"
+sampling_interval = "4 ms"
 [output]
-checkpoint_steps = {EVERY}
+checkpoint_interval_steps = {EVERY}
 """
 TABLES = {file_layout.LEDGER: file_layout.LEDGER_COLUMNS, "probe_tap.csv": PROBE}
 

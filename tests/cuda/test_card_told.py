@@ -17,7 +17,7 @@ cell = 0.04
 end = 0.001
 [material.water]
 kind = "fluid"
-bulk_modulus = 2e4
+tait_coefficient = 2e4
 [[object]]
 name = "pool"
 material = "water"

@@ -40,8 +40,8 @@ def test_the_default_has_a_margin_where_bodies_differ(name):
 
 @pytest.mark.parametrize("name", MIXTURES)
 def test_the_default_has_a_margin_where_fluids_that_mix_differ(name):
-    density, stiffness, slip_time = MIXTURES[name]
-    mixed = contrast_stability._mixing(0.0, slip_time)
+    density, stiffness, slip_relaxation_time = MIXTURES[name]
+    mixed = contrast_stability._mixing(0.0, slip_relaxation_time)
     assert TwoBodyBox(Pair(MIXED, 10.0**density, 10.0**stiffness, coupled=mixed)).stable(MARGIN)
 
 
@@ -91,12 +91,12 @@ def test_a_ratio_is_the_first_one_s_over_the_other_s():
 def test_the_table_says_where_the_margin_is_less(monkeypatch):
     found = iter([0.0, 1.2, 1.3, contrast_stability.STEP_LADDER[-1], *[2.0] * 5])
     monkeypatch.setattr(contrast_stability, "largest", lambda pair: next(found))
-    row = list(contrast_stability.lines(["elastic on elastic: stiffness"], ["restored"]))[1]
+    row = list(contrast_stability.lines(["elastic on elastic: stiffness"], ["apic-corrected"]))[1]
     assert row.split()[4:] == ["<", "0.5", "1.20", "!", "1.30", ">=", "2.8", *["2.00"] * 5]
 
 
 def test_every_row_has_its_columns():
-    for transfer in ("restored", "apic"):
+    for transfer in ("apic-corrected", "apic"):
         for table in contrast_stability.tables(transfer):
             for pairs in table.rows.values():
                 assert len(pairs) == len(table.columns)

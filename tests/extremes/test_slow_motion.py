@@ -25,7 +25,7 @@ kind = "elastic"
 youngs_modulus = 1e3
 [material.water]
 kind = "fluid"
-bulk_modulus = 1e2
+tait_coefficient = 1e2
 [[object]]
 name = "cube"
 material = "MATERIAL"

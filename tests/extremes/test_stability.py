@@ -19,12 +19,12 @@ ALL = stability_limits.cases(
 QUICK = [
     Case(name, transfer)
     for name in ("elastic", "fluid", "snow", "drag 1e-12", "mixing at limit")
-    for transfer in ("apic", "restored")
+    for transfer in ("apic", "apic-corrected")
 ]
 
 
 def margin(case):
-    more = RESTORED if case.transfer == "restored" else MARGIN
+    more = RESTORED if case.transfer == "apic-corrected" else MARGIN
     return more * (1.0 if case.name in COUPLED else DEFAULT)
 
 

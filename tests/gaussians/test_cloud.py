@@ -87,7 +87,7 @@ def test_wrong_shapes_are_named():
         GaussianCloud(c.x, c.quat, c.scale, c.opacity, c.sh[:, :5])
 
 
-def test_rgb_is_the_colour_without_its_view_dependence():
+def test_rgb_is_the_color_without_its_view_dependence():
     c = cloud(5)
     c.sh[:, 0] = spherical_harmonics.dc_from_rgb([[0.1, 0.5, 0.9]] * 4 + [[-1, 2, 0.5]])
     np.testing.assert_allclose(c.rgb[:4], [[0.1, 0.5, 0.9]] * 4, atol=1e-6)

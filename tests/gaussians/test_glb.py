@@ -86,7 +86,7 @@ def test_the_rotation_is_that_of_the_specification(tmp_path):
     np.testing.assert_allclose(covariance, unpack_symmetric(made.cov()), rtol=1e-5, atol=1e-6)
 
 
-def test_colours_are_those_of_the_specification(tmp_path):
+def test_colors_are_those_of_the_specification(tmp_path):
     made, direction = cloud(terms=4), np.array([0.36, -0.48, 0.8])
     registry.write(tmp_path / "a.glb", made)
     _, values = parsed(tmp_path / "a.glb")

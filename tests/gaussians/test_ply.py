@@ -48,7 +48,7 @@ def test_the_plain_layout(tmp_path, order, end):
 
 
 @pytest.mark.parametrize("k", [4, 9, 16])
-def test_the_rest_of_the_colours_is_stored_channel_after_channel(tmp_path, k):
+def test_the_rest_of_the_colors_is_stored_channel_after_channel(tmp_path, k):
     rest = np.arange(3 * (k - 1))
     c = ply.read(
         save(tmp_path, gaussian_files.plain([gaussian_files.row(rest=rest)], rest=len(rest)))

@@ -26,7 +26,7 @@ def test_the_basis_is_that_of_legendre_functions():
 
 
 def test_the_first_functions_are_minus_y_z_minus_x():
-    """The signs of the files: with others a capture shows its colours from the wrong sides."""
+    """The signs of the files: with others a capture shows its colors from the wrong sides."""
     got = spherical_harmonics.basis(np.eye(3), 4)[:, 1:] / spherical_harmonics.C1
     np.testing.assert_allclose(got, [[0, 0, -1], [-1, 0, 0], [0, 1, 0]], atol=1e-15)
 
@@ -71,7 +71,7 @@ def test_rotation_keeps_type_and_length_of_each_degree():
         np.testing.assert_allclose((turned[:, a:b] ** 2).sum(1), (c[:, a:b] ** 2).sum(1), rtol=1e-5)
 
 
-def test_colour_and_constant_coefficient_are_inverse():
+def test_color_and_constant_coefficient_are_inverse():
     rgb = np.random.default_rng(0).random((9, 3))
     np.testing.assert_allclose(
         spherical_harmonics.rgb_from_dc(spherical_harmonics.dc_from_rgb(rgb)), rgb, atol=1e-15

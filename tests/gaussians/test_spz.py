@@ -11,7 +11,7 @@ from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import spz
 from vgmpi.gaussians.spherical_harmonics import C0
 
-# x, alpha, rgb, scale, quat, the rest of the colours
+# x, alpha, rgb, scale, quat, the rest of the colors
 ROW = ((4096, -8192, 1), (51,), (255, 0, 128), (160, 176, 144), (0, 0, 0, 192), ())
 HALF_TURN = np.diag([1.0, -1.0, -1.0])
 
@@ -84,7 +84,7 @@ def test_rotations_of_every_kind(tmp_path):
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3, 4])
-def test_the_rest_of_the_colours(tmp_path, caplog, degree):
+def test_the_rest_of_the_colors(tmp_path, caplog, degree):
     """Coefficient after coefficient, red, green and blue of each together."""
     k = ((degree + 1) ** 2 - 1) * 3
     rest = [(37 * i) % 256 for i in range(k)]

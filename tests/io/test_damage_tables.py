@@ -130,7 +130,7 @@ def test_a_checkpoint_under_another_name_is_passed_over(out, caplog):
 @pytest.mark.parametrize(
     "change, said",
     [
-        (lambda f: f.create_dataset("group_000/colour", data=np.zeros(3)), "colour is not as the"),
+        (lambda f: f.create_dataset("group_000/color", data=np.zeros(3)), "color is not as the"),
         (lambda f: f.create_dataset("group_000/C", data=np.zeros((3, 9))), "has 3 rows instead of"),
         (lambda f: f.create_dataset("group_000/vol0", data=np.zeros(3)), "vol0 is not as the"),
     ],

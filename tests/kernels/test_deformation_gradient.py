@@ -21,7 +21,7 @@ end = 0.02
 precision = "PRECISION"
 [material.water]
 kind = "fluid"
-bulk_modulus = 5e4
+tait_coefficient = 5e4
 [material.grains]
 kind = "sand"
 youngs_modulus = 1e5
@@ -39,14 +39,14 @@ youngs_modulus = 1e5
 [[object]]
 name = "pores"
 material = "water"
-deforms = true
+track_deformation = true
 shape = { box = [[0, 0, 0], [0.16, 0.24, 0.06]] }
-fraction = 0.4
+volume_fraction = 0.4
 velocity = [0.4, 0, 0]
 [[object]]
 name = "bed"
 material = "grains"
-deforms = true
+track_deformation = true
 shape = { box = [[0, 0, 0], [0.16, 0.24, 0.06]] }
 [[object]]
 name = "ball"
@@ -56,17 +56,17 @@ shape = { sphere = { center = [0.24, 0.06, 0.05], radius = 0.03 } }
 name = "toy"
 material = "tin"
 shape = { sphere = { center = [0.08, 0.12, 0.11], radius = 0.03 } }
-spin = [0, 30, 10]
+angular_velocity = [0, 30, 10]
 velocity = [0, 0, -2]
 [[object]]
 name = "other"
 material = "rubber"
 shape = { sphere = { center = [0.24, 0.16, 0.11], radius = 0.03 } }
-spin = [0, 30, 10]
+angular_velocity = [0, 30, 10]
 [[coupling]]
 between = ["water", "grains"]
 kind = "drag"
-permeability = 1e-2
+hydraulic_conductivity = 1e-2
 """
 
 
@@ -103,7 +103,9 @@ def test_it_is_the_product_of_what_each_step_does(precision, most, tmp_path):
 def test_nothing_else_sees_it(tmp_path):
     """The same bits with and without it."""
     text = SCENE.replace("PRECISION", "double")
-    without = text.replace("deforms = true\n", "") + '[output]\nfields = ["velocity", "J"]\n'
+    without = (
+        text.replace("track_deformation = true\n", "") + '[output]\nfields = ["velocity", "J"]\n'
+    )
     found = []
     for one in (text, without):
         simulation, _ = begin(tmp_path, one)
@@ -131,9 +133,13 @@ def test_it_takes_memory_only_where_it_is_asked_for(tmp_path):
     "said, fields, want",
     [
         ("", '["J", "F"]', [True, True]),
-        ("deforms = false", '["J", "F"]', [False, False]),
-        ("deforms = true", '["J", "F"]', [True, True]),
-        ("deforms = true", '["J"]', [False, True]),  # frames do not have F: nothing is followed
+        ("track_deformation = false", '["J", "F"]', [False, False]),
+        ("track_deformation = true", '["J", "F"]', [True, True]),
+        (
+            "track_deformation = true",
+            '["J"]',
+            [False, True],
+        ),  # frames do not have F: nothing is followed
     ],
 )
 def test_solids_are_followed_unless_the_scene_says_otherwise(said, fields, want, tmp_path):

@@ -27,7 +27,7 @@ end = 1
 precision = "PRECISION"
 [material.water]
 kind = "fluid"
-bulk_modulus = 5e4
+tait_coefficient = 5e4
 viscosity = 0.5
 [material.rubber]
 kind = "elastic"
@@ -49,7 +49,7 @@ material = "rubber"
 shape = { box = [[-0.06, -0.06, 0], [0.06, 0.06, 0.09]] }
 position = [0.06, 0.08, PLACE]
 velocity = [-1, 0.5, -1]
-spin = [2, 0, 4]
+angular_velocity = [2, 0, 4]
 """
 OTHER = """
 [[object]]
@@ -123,7 +123,7 @@ def test_single_precision(objects, tmp_path):
 def test_splines(objects, tmp_path):
     """Strains and forces by the gradients of the B-splines, with PIC."""
     head = HEAD.replace(
-        "[material.water]", 'transfer = "pic"\ngradient = "splines"\n[material.water]'
+        "[material.water]", 'transfer = "pic"\ngradient = "bspline"\n[material.water]'
     )
     simulation, reference = pair(tmp_path, objects, "mixed", "double", head=head)
     dt = 0.5 * simulation.bound()
@@ -134,7 +134,7 @@ def test_splines(objects, tmp_path):
 
 
 def test_splines_are_refused_with_apic(tmp_path):
-    head = HEAD.replace("[material.water]", 'gradient = "splines"\n[material.water]')
+    head = HEAD.replace("[material.water]", 'gradient = "bspline"\n[material.water]')
     with pytest.raises(SceneError, match="splines are for pic and flip"):
         pair(tmp_path, POOL, "mixed", "double", head=head)
 

@@ -99,7 +99,8 @@ class Node:
         return InteractionRules(
             pair=np.zeros((n, n), np.int64), mixture_set=np.zeros(n, np.int64), sets=1,
             fluid=self.fluid, mix=self.mix.astype(np.int64), mixing_group_count=len(self.slip),
-            diffusion=self.diffusion, slip_time=self.slip, drag=self.drag, porosity=self.porosity,
+            diffusion=self.diffusion, slip_relaxation_time=self.slip, drag=self.drag,
+            porosity=self.porosity,
             has_drag=bool(self.drag.any()), volume=np.where(self.fluid, 0.0, self.V / self.m),
             printed_mix=self.printed_mix, printed_drag=self.printed_drag,
         )  # fmt: skip

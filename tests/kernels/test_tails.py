@@ -24,14 +24,14 @@ HEAD = """
 size = [0.9, 0.24, 0.24]
 cell = 0.02
 gravity = [0.5, -0.3, -9.8]
-boundary = { default = "slip", floor = "stick", north = { kind = "separate", friction = 0.3 } }
+boundary = { default = "slip", bottom = "stick", north = { kind = "separate", friction = 0.3 } }
 [time]
 end = 1
 [accuracy]
 precision = "PRECISION"
 [material.water]
 kind = "fluid"
-bulk_modulus = 5e4
+tait_coefficient = 5e4
 viscosity = 0.5
 [material.rubber]
 kind = "elastic"

@@ -17,7 +17,7 @@ gravity = [0, 0, -9.8]
 end = 1
 cfl = CFL
 [accuracy]
-transfer = "restored"
+transfer = "apic-corrected"
 [material.water]
 kind = "fluid"
 [material.rubber]

@@ -23,8 +23,8 @@ from vgmpi.materials.material import FUNCTIONS, Family, state_channels
 NEVER = {"yield_stress": 1e9}  # what yields has tests of its own
 SAMPLES = {  # a table of each kind, other than the defaults
     "fluid": [
-        {"density": 900.0, "bulk_modulus": 3e4, "gamma": 7.0, "viscosity": 0.3},
-        {"bulk_modulus": 1e5, "gamma": 1.0},
+        {"density": 900.0, "tait_coefficient": 3e4, "gamma": 7.0, "viscosity": 0.3},
+        {"tait_coefficient": 1e5, "gamma": 1.0},
     ],
     "elastic": [
         {"youngs_modulus": 2e5, "poisson_ratio": 0.3},
@@ -40,7 +40,7 @@ SAMPLES = {  # a table of each kind, other than the defaults
     ],
     "paste": [
         {"consistency": 3.0, "index": 0.4, "shear_modulus": 3e4, **NEVER},
-        {"consistency": 3.0, "bulk_modulus": 1e3, "gamma": 1.0, "shear_modulus": 1e5, **NEVER},
+        {"consistency": 3.0, "tait_coefficient": 1e3, "gamma": 1.0, "shear_modulus": 1e5, **NEVER},
     ],
     "foam": [{"youngs_modulus": 2e3, "poisson_ratio": 0.2, "viscosity": 3.0, **NEVER}],
     "plasticine": [{"youngs_modulus": 2e6, "poisson_ratio": 0.4, **NEVER}],

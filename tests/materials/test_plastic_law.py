@@ -68,7 +68,7 @@ def scales(table, f):
 
 
 def factor(table):
-    return getattr(table, "hardening_limit", 1.0)
+    return getattr(table, "max_hardening_factor", 1.0)
 
 
 @pytest.mark.parametrize("real", REALS)

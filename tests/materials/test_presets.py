@@ -65,7 +65,7 @@ def test_stiffness_by_the_fastest_motion(tmp_path):
     made = stuff(tmp_path, 'kind = "fluid"\nmax_speed = 3\ncompression = "4 %"')
     assert made.law().sound_speed_squared == pytest.approx((3 / 0.2) ** 2)
     # the table shows what follows
-    assert made.model_dump()["bulk_modulus"] == pytest.approx(1000 * 225 / 7)
+    assert made.model_dump()["tait_coefficient"] == pytest.approx(1000 * 225 / 7)
 
 
 def test_stiffness_by_depth(tmp_path):
@@ -80,11 +80,11 @@ def test_stiffness_by_depth(tmp_path):
 def test_stiffness_is_given_once(kind, tmp_path):
     kind = {"fluid": 'kind = "fluid"', "paste": 'kind = "paste"\npreset = "mud"'}[kind]
     said = complaint(tmp_path, f"{kind}\nbulk_modulus = 1e5\nmax_speed = 3")
-    assert "material.stuff.max_speed: bulk_modulus already says how stiff it is" in said
-    assert "give one of bulk_modulus, max_speed or depth" in said
+    assert "material.stuff.max_speed: tait_coefficient already says how stiff it is" in said
+    assert "give one of tait_coefficient, max_speed or depth" in said
     assert "depth" in complaint(tmp_path, f"{kind}\nmax_speed = 1\ndepth = 3")
     said = complaint(tmp_path, f'{kind}\ncompression = "1 %"')
-    assert "material.stuff.compression: needs max_speed or depth" in said
+    assert "material.stuff.max_compression: needs max_speed or depth" in said
     assert "needs max_speed" in complaint(tmp_path, f"{kind}\nbulk_modulus=1e5\ncompression=0.01")
 
 

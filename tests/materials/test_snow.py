@@ -48,7 +48,7 @@ def test_hardening(engine, real, step):
 @PRECISIONS
 @pytest.mark.parametrize("step", [-5e-3, 5e-3])
 def test_hardening_has_a_limit(engine, real, step):
-    table = snow(hardening_limit=4.0)
+    table = snow(max_hardening_factor=4.0)
     law = table.law()
     out = driven(table, engine, real, [(step * SIDEWAYS, 100)])
     factor = out[7] / ((law.lam + 2 * law.mu) * (law.low if step < 0 else law.high))

@@ -13,7 +13,7 @@ from vgmpi.materials.tensor_math import tensor
 
 
 def plasticine(**keys):
-    keys = {"youngs_modulus": 5e6, "yield_stress": 6e4, "residual_stress": 2e4, **keys}
+    keys = {"youngs_modulus": 5e6, "yield_stress": 6e4, "residual_yield_stress": 2e4, **keys}
     return registry["plasticine"](kind="plasticine", softening_strain=0.3, **keys)
 
 
@@ -56,7 +56,7 @@ def test_it_must_not_soften_faster_than_it_unloads():
     with pytest.raises(ValidationError, match="faster than it can be unloaded"):
         plasticine(youngs_modulus=1e5)
     with pytest.raises(ValidationError, match="at most yield_stress"):
-        plasticine(residual_stress=7e4)
+        plasticine(residual_yield_stress=7e4)
 
 
 @pytest.mark.parametrize("real", REALS)

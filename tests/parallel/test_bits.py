@@ -51,7 +51,7 @@ def test_stop_between_two_sorts_and_resume(one, tmp_path):
     between two sorts.
     """
     scene, want = one
-    flags = ("-o", tmp_path, "--set", "output.checkpoint_steps=0")
+    flags = ("-o", tmp_path, "--set", "output.checkpoint_interval_steps=0")
     running = start(on_ranks(3, "-m", "vgmpi", scene, *flags))
     frame = tmp_path / "frames" / "frame_00001.vtkhdf"
     until(lambda: frame.exists() or running.poll() is not None, "no first frame")

@@ -19,7 +19,7 @@ end = 0.1
 frames = 21
 [accuracy]
 precision = "single"
-volume = "kept"
+volume_correction = "density"
 [material.water]
 kind = "fluid"
 max_speed = 2
@@ -49,24 +49,24 @@ def test_phases_that_share_space(precision, tmp_path):
     same_everywhere(write(tmp_path, SHARED.replace("PRECISION", precision)), tmp_path)
 
 
-def test_colours_that_travel_with_every_step(tmp_path):
+def test_colors_that_travel_with_every_step(tmp_path):
     """And AFLIP with every coupling."""
     text = SHARED.replace("PRECISION", "single")
     text = text.replace("[accuracy]", '[accuracy]\ntransfer = "aflip"')
-    for name, colour in {"pores": "#ff2010", "pool": "#1020ff", "jug": "#ffffff"}.items():
-        text = text.replace(f'name = "{name}"', f'name = "{name}"\ncolor = "{colour}"')
-    looks = '[appearance]\ncolour_transfer = "step"\n[material.water]'
+    for name, color in {"pores": "#ff2010", "pool": "#1020ff", "jug": "#ffffff"}.items():
+        text = text.replace(f'name = "{name}"', f'name = "{name}"\ncolor = "{color}"')
+    looks = '[appearance]\ncolor_transfer = "step"\n[material.water]'
     scene = write(tmp_path, text.replace("[material.water]", looks))
     same_everywhere(scene, tmp_path)
     with h5py.File(sorted((tmp_path / "1").glob("frames/frame_*.vtkhdf"))[-1]) as frame:
-        colour = frame["VTKHDF/PointData/colour"][()]
+        color = frame["VTKHDF/PointData/colour"][()]
         kinds = frame["VTKHDF/PointData/object"][()]
-    assert not np.isnan(colour[kinds == 2]).any() and np.isnan(colour[kinds == 5]).all()
-    assert (colour[kinds == 2].std(axis=0) > 0.001).all()
-    flags = ("--resume", "--set", "appearance.colour_transfer=off")
+    assert not np.isnan(color[kinds == 2]).any() and np.isnan(color[kinds == 5]).all()
+    assert (color[kinds == 2].std(axis=0) > 0.001).all()
+    flags = ("--resume", "--set", "appearance.color_transfer=off")
     job = go(scene, tmp_path / "half", 2, *flags)
     assert job.returncode == 2
-    assert "colour_transfer: is 'off', in the run so far 'step'" in job.stderr
+    assert "color_transfer: is 'off', in the run so far 'step'" in job.stderr
     flags = (*flags, "--change")
     job = go(scene, tmp_path / "half", 2, *flags)
     said = [line for line in job.stderr.splitlines() if "checkpoint_" in line]

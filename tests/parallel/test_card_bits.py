@@ -22,7 +22,7 @@ frames = 3
 precision = "single"
 [material.water]
 kind = "fluid"
-bulk_modulus = 2e4
+tait_coefficient = 2e4
 [material.rubber]
 kind = "elastic"
 density = 500
@@ -38,7 +38,7 @@ material = "rubber"
 shape = { box = [[0.2, 0.04, 0.04], [0.28, 0.12, 0.12]] }
 velocity = [-4, 0, 0]
 [output]
-checkpoint_steps = 12
+checkpoint_interval_steps = 12
 """
 PLAIN = {"VGMPI_CONTRACTION": "off"}
 

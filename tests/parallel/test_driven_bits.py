@@ -29,9 +29,9 @@ youngs_modulus = 2e5
 name = "castle"
 material = "sand"
 shape = { box = [[0.24, 0.15, 0], [0.36, 0.24, 0.1]] }
-frozen_until = "15 ms"
-release = "from above"
-released_by = "35 ms"
+release_time = "15 ms"
+release_order = "top-down"
+release_end_time = "35 ms"
 """
 )
 

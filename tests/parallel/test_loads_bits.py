@@ -30,43 +30,43 @@ gravity_keyframes = [
 object = "ball"
 region = { box = [[0, 0, 0], [0.36, 0.12, 0.24]] }
 force = [0.3, 0, 0.1]
-ramp = "30 ms"
+ramp_time = "30 ms"
 [[load]]
 object = ["pool", "slick"]
 acceleration = [2, 1, 0]
-after = "11 ms"
-until = "41 ms"
+start_time = "11 ms"
+end_time = "41 ms"
 [[load]]
 object = "cube"
 pressure = "100 Pa"
 face = "east"
 [[load]]
 object = "ball"
-spin = [5, 0, 9]
-after = "23 ms"
+delta_angular_velocity = [5, 0, 9]
+start_time = "23 ms"
 [[probe]]
 name = "deep"
-every = "7 ms"
+sampling_interval = "7 ms"
 pressure = [0.08, 0.12, 0.02]
 [[probe]]
 name = "gauge"
-every = "7 ms"
-level = [0.1, 0.1]
+sampling_interval = "7 ms"
+surface_height = [0.1, 0.1]
 [[probe]]
 name = "stream"
-rate = 300
+sampling_rate = 300
 velocity = [0.12, 0.12, 0.04]
 [[probe]]
 name = "cube"
-every = "1 us"
+sampling_interval = "1 us"
 object = "cube"
 [[probe]]
 name = "slick"
-every = "9 ms"
+sampling_interval = "9 ms"
 object = "slick"
 [[probe]]
 name = "walls"
-every = "7 ms"
+sampling_interval = "7 ms"
 wall = "all"
 """
 )

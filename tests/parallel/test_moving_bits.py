@@ -21,15 +21,15 @@ collider = true
 friction = 0.3
 shape = { box = [[0.26, 0.04, 0.01], [0.31, 0.2, 0.12]] }
 motion = { axis = [1, 2, 0], keyframes = [
-  { time = "20 ms", move = [-0.03, 0, 0] },
-  { time = "55 ms", move = [0.01, 0, 0.02], angle = "25 deg" },
+  { time = "20 ms", translation = [-0.03, 0, 0] },
+  { time = "55 ms", translation = [0.01, 0, 0.02], angle = "25 deg" },
 ] }
 [[object]]
 name = "roller"
 role = "scenery"
 collider = true
-shape = { cylinder = { ends = [[0.06, 0.02, 0.13], [0.06, 0.22, 0.13]], radius = 0.03 } }
-motion = { spin = "300 rpm", axis = "y", velocity = [0.2, 0, 0], until = "40 ms" }
+shape = { cylinder = { endpoints = [[0.06, 0.02, 0.13], [0.06, 0.22, 0.13]], radius = 0.03 } }
+motion = { angular_velocity = "300 rpm", axis = "y", velocity = [0.2, 0, 0], end_time = "40 ms" }
 """
 )
 

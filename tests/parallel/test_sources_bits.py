@@ -17,25 +17,25 @@ pytestmark = pytest.mark.mpi
 SCENE = (
     MIXED.replace("PRECISION", "double")
     + """
-[[source]]
+[[inlet]]
 name = "spout"
 material = "oil"
 disc = { center = [0.06, 0.04, 0.18], radius = 0.022 }
 direction = [1, 0.2, -1]
-velocity = 1.5
+speed = 1.5
 particles_per_cell = 27
-start = "11 ms"
-end = "47 ms"
-[[source]]
+start_time = "11 ms"
+end_time = "47 ms"
+[[inlet]]
 name = "tap"
 material = "water"
 rectangle = { center = [0.3, 0.2, 0.16], width = 0.04, height = 0.03 }
 direction = [0, 0, -1]
-rate = 1
-[[sink]]
+mass_flow_rate = 1
+[[outlet]]
 name = "hole"
 shape = { sphere = { center = [0.24, 0.05, 0.02], radius = 0.04 } }
-[[sink]]
+[[outlet]]
 name = "tray"
 shape = { box = [[0.26, 0.16, 0], [0.36, 0.24, 0.05]] }
 """
@@ -51,11 +51,11 @@ end = 0.06
 frames = 3
 [material.water]
 kind = "fluid"
-bulk_modulus = 2e4
+tait_coefficient = 2e4
 [material.oil]
 kind = "fluid"
 density = 900
-bulk_modulus = 2e4
+tait_coefficient = 2e4
 [[coupling]]
 kind = "mixing"
 between = ["water", "oil"]
@@ -69,7 +69,7 @@ name = "oil"
 material = "oil"
 velocity = [1.5, 0, 0]
 shape = { box = [[0, 0, 0.04], [0.14, 0.2, 0.08]] }
-[[sink]]
+[[outlet]]
 name = "hole"
 shape = { box = [[0.155, 0, 0], [0.4, 0.2, 0.4]] }
 """

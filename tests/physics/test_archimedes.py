@@ -35,7 +35,7 @@ density = 600
 youngs_modulus = 5e4
 [material.water]
 kind = "fluid"
-depth = {depth!r}
+max_depth = {depth!r}
 viscosity = {viscosity}
 [[object]]
 name = "block"

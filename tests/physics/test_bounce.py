@@ -23,7 +23,7 @@ SCENE = """
 size = [{long!r}, {long!r}, {high!r}]
 cell = 0.01
 gravity = [0, 0, 0]
-boundary = {{ default = "slip", floor = {floor} }}
+boundary = {{ default = "slip", bottom = {floor} }}
 [time]
 end = 10
 [accuracy]

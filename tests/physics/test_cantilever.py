@@ -9,7 +9,7 @@ not depend on the transfer (APIC and PIC: 8.5 and 8.3 % off at alpha = 2, 8 part
 load grows over 1.5 periods; the deflection is a mean over a period of what still swings. Tolerance:
 2 %.
 
-Strains and forces are taken by the gradients of the B-splines (`gradient = "splines"`). By affine
+Strains and forces are taken by the gradients of the B-splines (`gradient = "bspline"`). By affine
 moments, the default, a beam that is turned against the grid is too soft: 4 and 3 % with 64
 particles per cell at alpha = 1 and 2, by splines .1 and .2 %; with 8 particles both fail.
 
@@ -56,7 +56,7 @@ cfl = 0.8
 [accuracy]
 precision = "single"
 transfer = "pic"
-gradient = "splines"
+gradient = "bspline"
 [material.rubber]
 kind = "elastic"
 density = {RHO}
@@ -71,7 +71,7 @@ shape = {{ box = [[0, 0, 1.1], [{L}, {4 * DX}, {1.1 + H}]] }}
 object = "beam"
 force = [0, 0, FORCE]
 region = {{ box = [[{L - DX / 2}, 0, 1.1], [{L}, {4 * DX}, {1.1 + H}]] }}
-ramp = {1.5 * PERIOD}
+ramp_time = {1.5 * PERIOD}
 """
 
 

@@ -22,7 +22,7 @@ gravity = [0, 0, 0]
 end = 1
 [material.water]
 kind = "fluid"
-bulk_modulus = 2e4
+tait_coefficient = 2e4
 [material.rubber]
 kind = "elastic"
 density = 600
@@ -85,10 +85,10 @@ name = "block"
 material = "rubber"
 shape = {{ box = [[-0.06, -0.06, -0.03], [0.06, 0.06, 0.03]] }}
 position = [0.24, 0.24, 0.2]
-spin = [0, 0, 12]
+angular_velocity = [0, 0, 12]
 [accuracy]
 transfer = "{transfer}"
-flip = 0.99
+flip_ratio = 0.99
 """
     )
     simulation, _ = begin(folder, text)
@@ -106,7 +106,7 @@ flip = 0.99
 def test_a_spinning_body(tmp_path):
     """Three turns. APIC keeps the angular momentum, also where motion is restored, since what a
     transfer takes has none; what AFLIP, FLIP and PIC lose is shown beside."""
-    keeping = "apic", "restored"
+    keeping = "apic", "apic-corrected"
     lost = {name: spinning(tmp_path, name) for name in (*keeping, "aflip", "flip", "pic")}
     curves = {name.upper(): (row[0], 1 + row[1][:, 2]) for name, row in lost.items()}
     axes = ("turns", "angular momentum / that at the start")

@@ -49,7 +49,7 @@ boundary = "slip"
 end = 1
 [material.water]
 kind = "fluid"
-bulk_modulus = 4e4
+tait_coefficient = 4e4
 [[object]]
 name = "column"
 material = "water"

@@ -62,7 +62,7 @@ def head(size, cell, gravity):
 def test_what_is_let_go_does_what_one_does_that_begins_then(tmp_path):
     text = head("[0.3, 0.3, 0.2]", 0.02, -9.81) + SAND
     free, made = begin(tmp_path, text)
-    later, _ = begin(tmp_path, text + 'frozen_until = "0.3 s"\n')
+    later, _ = begin(tmp_path, text + 'release_time = "0.3 s"\n')
     apart, moved = 0.0, 0.0
     for time in (0.05, 0.1, 0.2):
         advance(free, time)
@@ -84,7 +84,7 @@ def ball(simulation, made):
 
 def test_a_ball_jumps_off_a_slab_that_is_held(tmp_path):
     text = head("[0.3, 0.3, 0.3]", 0.01, 0) + BALL.replace("HEIGHT", "0.135")
-    simulation, made = begin(tmp_path, text.replace("SPEED", "-0.5") + 'frozen_until = "1 s"\n')
+    simulation, made = begin(tmp_path, text.replace("SPEED", "-0.5") + 'release_time = "1 s"\n')
     before = by_id(simulation, "x")[0]
     advance(simulation, 0.1)
     off = ball(simulation, made)[0] / 0.5

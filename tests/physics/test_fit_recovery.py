@@ -48,4 +48,4 @@ def test_terzaghis_curve_tells_the_permeability(tmp_path):
     files = [str(tmp_path / name) for name in ("scene.toml", "fit.toml")]
     assert fit.main([*files, "-o", str(tmp_path / "fit")]) == 0
     (pair,) = load(tmp_path / "fit" / "fitted.toml").coupling
-    assert pair.permeability == pytest.approx(1e-2, rel=0.05)
+    assert pair.hydraulic_conductivity == pytest.approx(1e-2, rel=0.05)

@@ -34,7 +34,7 @@ youngs_modulus = 2e5
 kind = "snow"
 [material.water]
 kind = "fluid"
-bulk_modulus = 2e4
+tait_coefficient = 2e4
 """
 BODY = """
 [[object]]

@@ -27,7 +27,7 @@ frames = 13
 precision = "single"
 [material.water]
 kind = "fluid"
-bulk_modulus = 1e4
+tait_coefficient = 1e4
 [material.grains]
 kind = "sand"
 porosity = {porosity}
@@ -43,20 +43,20 @@ shape = {{ union = [{pool}] }}
 [[object]]
 name = "pores"
 material = "water"
-fraction = {porosity}
+volume_fraction = {porosity}
 shape = {{ union = [{pores}] }}
 [[coupling]]
 between = ["water", "grains"]
 kind = "drag"
-permeability = 0.1
+hydraulic_conductivity = 0.1
 [[probe]]
 name = "left"
-rate = 100
-level = [{left!r}, {middle!r}]
+sampling_rate = 100
+surface_height = [{left!r}, {middle!r}]
 [[probe]]
 name = "right"
-rate = 100
-level = [{right!r}, {middle!r}]
+sampling_rate = 100
+surface_height = [{right!r}, {middle!r}]
 """
 
 

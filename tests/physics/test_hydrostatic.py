@@ -28,18 +28,18 @@ precision = "{precision}"
 [material.water]
 kind = "fluid"
 density = 1000
-depth = 0.16
-compression = 0.0015
+max_depth = 0.16
+max_compression = 0.0015
 [[object]]
 name = "water"
 material = "water"
-compressed = "{compressed}"
+initial_pressure = "{compressed}"
 shape = {{ box = [[0, 0, 0], [0.04, 0.04, 0.16]] }}
 """
 PROBE = """
 [[probe]]
 name = "{name}"
-rate = 100
+sampling_rate = 100
 pressure = [0.02, 0.02, {z}]
 """
 
@@ -54,7 +54,7 @@ pressure = [0.02, 0.02, {z}]
 )
 def test_at_rest(tmp_path, compressed, end, precision):
     """compressed: "no": gravity grows over .3 s instead, and the column settles."""
-    ramp = "gravity_ramp = 0.3" if compressed == "no" else ""
+    ramp = "gravity_ramp_time = 0.3" if compressed == "no" else ""
     text = SCENE.format(ramp=ramp, end=end, precision=precision, compressed=compressed)
     text += "".join(PROBE.format(name=f"p{k}", z=z * H) for k, z in enumerate(HEIGHTS))
     middle = []

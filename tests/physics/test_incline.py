@@ -19,8 +19,8 @@ SCENE = """
 size = [0.8, 0.16, 0.24]
 cell = 0.02
 gravity = [{along!r}, 0, {down!r}]
-gravity_ramp = 0.05
-boundary = {{ default = "slip", floor = {floor} }}
+gravity_ramp_time = 0.05
+boundary = {{ default = "slip", bottom = {floor} }}
 [time]
 end = 1
 [accuracy]

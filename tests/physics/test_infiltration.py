@@ -19,12 +19,12 @@ SCENE = f"""
 size = [0.04, 0.04, {POND + SAND + 0.04!r}]
 cell = 0.01
 gravity = [0, 0, {-G}]
-gravity_ramp = {RAMP}
+gravity_ramp_time = {RAMP}
 [time]
 end = 10
 [material.water]
 kind = "fluid"
-bulk_modulus = 1e5
+tait_coefficient = 1e5
 [material.grains]
 kind = "sand"
 density = 2650
@@ -41,7 +41,7 @@ shape = {{ box = [[0, 0, 0], [0.04, 0.04, {SAND}]] }}
 [[coupling]]
 between = ["water", "grains"]
 kind = "drag"
-permeability = {K}
+hydraulic_conductivity = {K}
 """
 
 

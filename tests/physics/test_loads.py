@@ -42,7 +42,7 @@ END = 0.02  # [s]
 AREA, VOLUME = 0.08 * 0.08, 0.08 * 0.08 * 0.12  # of the block's top [m2] and of the block [m3]
 
 
-def free(folder, loads, gravity=0.0, ramp="gravity_ramp = 0"):
+def free(folder, loads, gravity=0.0, ramp="gravity_ramp_time = 0"):
     text = BLOCK.replace("GRAVITY", str(gravity)).replace("RAMP", ramp)
     simulation, made = begin(folder, text + loads)
     advance(simulation, END)
@@ -77,14 +77,14 @@ def test_it_comes_and_goes(tmp_path):
 [[load]]
 object = "block"
 force = [4, 0, 0]
-ramp = "10 ms"
-after = "2 ms"
-until = "16 ms"
+ramp_time = "10 ms"
+start_time = "2 ms"
+end_time = "16 ms"
 [[load]]
 object = ["block", "rider"]
 force = [0, 0, 6]
-after = "3.1 ms"
-until = "3.2 ms"
+start_time = "3.1 ms"
+end_time = "3.2 ms"
 """
     _, momentum = free(tmp_path, loads)
     want = np.array([4 * (0.014 - 0.005), 0, 6 * 1e-4])
@@ -114,7 +114,7 @@ def test_the_mean_of_a_ramp():
 
 def test_gravity_grows(tmp_path):
     """Half a cosine of 12 ms: as much as gravity 6 ms later."""
-    simulation, momentum = free(tmp_path, "", gravity=-9.8, ramp="gravity_ramp = 0.012")
+    simulation, momentum = free(tmp_path, "", gravity=-9.8, ramp="gravity_ramp_time = 0.012")
     mass = 1000 * VOLUME + 500 * VOLUME / 2
     want = -9.8 * mass * (END - 0.006)
     assert abs(momentum[2] - want) < 1e-12 * abs(want) and abs(momentum[:2]).max() < 1e-12
@@ -205,7 +205,7 @@ def test_it_is_given_once_where_a_frame_ends_a_step(tmp_path):
         simulation.advance(1e-6)
 
 
-@pytest.mark.parametrize("transfer", ["restored", "flip"])
+@pytest.mark.parametrize("transfer", ["apic-corrected", "flip"])
 def test_a_change_of_spin(tmp_path, transfer):
     """A body at rest gets w about its centre: no momentum, and I w of angular momentum, of which
     the particles of APIC have a part each, dx2 / 2 of their mass."""

@@ -23,7 +23,7 @@ end = 20
 precision = "single"
 [material.water]
 kind = "fluid"
-bulk_modulus = 2e4
+tait_coefficient = 2e4
 [[object]]
 name = "pool"
 material = "water"

@@ -33,11 +33,11 @@ end = 100
 precision = "single"
 [material.water]
 kind = "fluid"
-depth = 0.1
+max_depth = 0.1
 [[object]]
 name = "water"
 material = "water"
-compressed = "hydrostatic"
+initial_pressure = "hydrostatic"
 shape = {{ box = [[{face!r}, 0, 0], [{long!r}, {wide!r}, 0.1]] }}
 [[object]]
 name = "piston"

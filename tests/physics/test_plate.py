@@ -28,7 +28,7 @@ density = 2000
 youngs_modulus = 5e6
 [material.water]
 kind = "fluid"
-depth = 0.5
+max_depth = 0.5
 [[object]]
 name = "water"
 material = "water"

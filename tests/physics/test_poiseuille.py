@@ -31,7 +31,7 @@ boundary = {{ default = "slip", west = "stick", east = "stick" }}
 end = 1
 [material.stuff]
 density = 1000
-bulk_modulus = 200
+tait_coefficient = 200
 {keys}
 [[object]]
 name = "column"

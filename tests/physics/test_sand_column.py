@@ -64,7 +64,7 @@ def grows(tmp_path, transfer, cells):
 
 def test_run_out_depends_little_on_the_cell(tmp_path):
     case = "column of quartz sand, plane, a = 1: run-out, 8 cells over 16"
-    held(case, grows(tmp_path, "restored", (8, 16)), 1, 0.1, note="restored motion")
+    held(case, grows(tmp_path, "apic-corrected", (8, 16)), 1, 0.1, note="restored motion")
 
 
 def test_transfers_hold_sand_back(tmp_path):

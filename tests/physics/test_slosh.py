@@ -32,11 +32,11 @@ cfl = {cfl}
 [material.water]
 kind = "fluid"
 density = 1000
-bulk_modulus = {modulus}
+tait_coefficient = {modulus}
 [[object]]
 name = "water"
 material = "water"
-compressed = "hydrostatic"
+initial_pressure = "hydrostatic"
 particles_per_cell = {particles}
 shape = {{ box = [[0, 0, 0], [0.2, {deep!r}, 0.1]] }}
 """

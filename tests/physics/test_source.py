@@ -26,15 +26,15 @@ gravity = [0, 0, {-G}]
 end = {END}
 [material.water]
 kind = "fluid"
-bulk_modulus = 5e4
-[[source]]
+tait_coefficient = 5e4
+[[inlet]]
 name = "jet"
 material = "water"
 disc = {{ center = {MOUTH.tolist()}, radius = 0.03 }}
 direction = "x"
-velocity = {U}
-start = {START}
-[[sink]]
+speed = {U}
+start_time = {START}
+[[outlet]]
 name = "ground"
 shape = {{ box = [[0, 0, 0], [0.7, 0.2, 0.06]] }}
 """

@@ -27,11 +27,11 @@ gravity = [0, 0, {g}]
 [time]
 end = 10
 [accuracy]
-transfer = "restored"
+transfer = "apic-corrected"
 precision = "single"
 [material.water]
 kind = "fluid"
-bulk_modulus = 2e4
+tait_coefficient = 2e4
 [material.rubber]
 kind = "elastic"
 density = {density}
@@ -64,7 +64,7 @@ def ball(folder, cells, ratio, g=0.0, speed=0.0, until=1.0):
     R = cells * DX
     text = SCENE.format(
         L=L, dx=DX, g=-g, density=1000 * ratio, stiff=1e5 * max(ratio, 0.1), m=L / 2, R=R,
-        compressed='compressed = "hydrostatic"' if g else "",
+        compressed='initial_pressure = "hydrostatic"' if g else "",
     )  # fmt: skip
 
     def start(x):

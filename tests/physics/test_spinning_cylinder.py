@@ -30,27 +30,27 @@ end = 100
 precision = "single"
 [material.syrup]
 kind = "fluid"
-bulk_modulus = 6e3
+tait_coefficient = 6e3
 viscosity = 5
 [[object]]
 name = "liquid"
 material = "syrup"
-compressed = "hydrostatic"
+initial_pressure = "hydrostatic"
 shape = {{ difference = [
-  {{ cylinder = {{ ends = [[{m}, {m}, 0], [{m}, {m}, 0.08]], radius = 0.1 }} }},
+  {{ cylinder = {{ endpoints = [[{m}, {m}, 0], [{m}, {m}, 0.08]], radius = 0.1 }} }},
   {vanes}] }}
 [[object]]
 name = "cylinder"
 role = "scenery"
 collider = true
 shape = {{ union = [{{ difference = [
-  {{ cylinder = {{ ends = [[{m}, {m}, {low}], [{m}, {m}, {top}]], radius = {outer} }} }},
-  {{ cylinder = {{ ends = [[{m}, {m}, {lower}], [{m}, {m}, {upper}]], radius = 0.1 }} }}] }},
+  {{ cylinder = {{ endpoints = [[{m}, {m}, {low}], [{m}, {m}, {top}]], radius = {outer} }} }},
+  {{ cylinder = {{ endpoints = [[{m}, {m}, {lower}], [{m}, {m}, {upper}]], radius = 0.1 }} }}] }},
   {vanes}] }}
 [object.motion]
-about = [{m}, {m}, 0]
+pivot = [{m}, {m}, 0]
 axis = "z"
-pace = "linear"
+interpolation = "linear"
 keyframes = [{keys}]
 """
 

@@ -27,7 +27,7 @@ gravity = [0, 0, 0]
 end = 10
 [material.water]
 kind = "fluid"
-bulk_modulus = 1e6
+tait_coefficient = 1e6
 [material.grains]
 kind = "sand"
 density = 2650
@@ -38,7 +38,7 @@ poisson_ratio = {NU}
 name = "pores"
 material = "water"
 shape = {{ box = [[0, 0, 0], [0.08, 0.08, {HEIGHT}]] }}
-fraction = {N}
+volume_fraction = {N}
 [[object]]
 name = "sand"
 material = "grains"
@@ -47,11 +47,11 @@ shape = {{ box = [[0, 0, 0], [0.08, 0.08, {HEIGHT}]] }}
 object = "sand"
 pressure = {LOAD}
 face = "top"
-ramp = {RAMP}
+ramp_time = {RAMP}
 [[coupling]]
 between = ["water", "grains"]
 kind = "drag"
-permeability = {PERMEABILITY}
+hydraulic_conductivity = {PERMEABILITY}
 """
 
 

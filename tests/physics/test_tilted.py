@@ -20,7 +20,7 @@ SCENE = """
 size = [0.64, 0.04, 0.56]
 cell = 0.01
 gravity = [0, 0, -9.81]
-gravity_ramp = 0.05
+gravity_ramp_time = 0.05
 boundary = "slip"
 [time]
 end = 10

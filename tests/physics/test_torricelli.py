@@ -23,12 +23,12 @@ SCENE = """
 size = [{wide}, {deep}, {high}]
 cell = 0.01
 gravity = [0, 0, -9.8]
-boundary = {{ default = "slip", floor = "open" }}
+boundary = {{ default = "slip", bottom = "open" }}
 [time]
 end = {end}
 [material.water]
 kind = "fluid"
-depth = {head}
+max_depth = {head}
 [[object]]
 name = "water"
 material = "water"

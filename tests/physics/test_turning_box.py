@@ -36,7 +36,7 @@ end = 100
 precision = "single"
 [material.water]
 kind = "fluid"
-bulk_modulus = 6e3
+tait_coefficient = 6e3
 viscosity = 5
 [material.sand]
 kind = "sand"
@@ -56,7 +56,7 @@ shape = {{ difference = [
   {{ box = [{outer[0]}, {outer[1]}] }}, {{ box = [{inner[0]}, {inner[1]}] }}] }}
 [object.motion]
 axis = "y"
-about = [0.2, 0.02, 0.2]
+pivot = [0.2, 0.02, 0.2]
 keyframes = [{{ time = {ends!r}, angle = "{angle} deg" }}]
 """
 
@@ -77,7 +77,7 @@ def turned(folder, material, angle, calm=CALM, thick=THICK):
     text = SCENE.format(
         material=material, west=inner[0][0], east=inner[1][0], low=inner[0][2],
         top=round(inner[0][2] + FULL, 9), outer=box(thick, 0.1), inner=inner, angle=angle,
-        more='compressed = "hydrostatic"' if material == "water" else "", ends=ends,
+        more='initial_pressure = "hydrostatic"' if material == "water" else "", ends=ends,
     )  # fmt: skip
     simulation, made = begin(folder, text)
     start, strays = _in_box(made.x, 0.0), np.zeros(3)

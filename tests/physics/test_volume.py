@@ -2,11 +2,10 @@
 
 A column collapses in a closed tank and sways: after some seconds its lower half has the density
 that it had at the start. Particles that carry their volume as the grid expanded along their way
-crowd once they are in disorder: that is shown beside (`accuracy.volume = "followed"`). At rest, in
-the rows in which it was filled, holding the volume changes nothing. Height is no measure here: the
-surface is drawn out over two cells, and sways.
-Tolerance: 4 %, of which 1 % is what the fastest motion may compress.
-"""
+crowd once they are in disorder: that is shown beside (`accuracy.volume_correction = "none"`). At
+rest, in the rows in which it was filled, holding the volume changes nothing. Height is no measure
+here: the surface is drawn out over two cells, and sways. Tolerance: 4 %, of which 1 % is what the
+fastest motion may compress."""
 
 import numpy as np
 import pytest
@@ -25,7 +24,7 @@ cell = {DX}
 end = 100
 [accuracy]
 precision = "single"
-volume = "VOLUME"
+volume_correction = "VOLUME"
 [material.water]
 kind = "fluid"
 max_speed = 2
@@ -35,7 +34,9 @@ material = "water"
 SHAPE
 """
 FALLS = f"shape = {{ box = [[0, 0, 0], [{COLUMN[0]}, {DEEP}, {COLUMN[1]}]] }}"
-RESTS = f'compressed = "hydrostatic"\nshape = {{ box = [[0, 0, 0], [{LONG}, {DEEP}, {LEVEL}]] }}'
+RESTS = (
+    f'initial_pressure = "hydrostatic"\nshape = {{ box = [[0, 0, 0], [{LONG}, {DEEP}, {LEVEL}]] }}'
+)
 
 
 def crowded(folder, volume):

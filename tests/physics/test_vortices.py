@@ -29,20 +29,20 @@ transfer = "{transfer}"
 [material.oil]
 kind = "fluid"
 density = 1000
-bulk_modulus = 200
+tait_coefficient = 200
 viscosity = {mu}
 [[object]]
 name = "oil"
 material = "oil"
 shape = {{ box = [[0, 0, 0], [0.1, {deep!r}, 0.1]] }}
-mode = [
-  {{ amplitude = [0.005, 0, -0.005], wave = [{k}, 0, {k}] }},
-  {{ amplitude = [0.005, 0, 0.005], wave = [{k}, 0, -{k}] }},
+velocity_mode = [
+  {{ amplitude = [0.005, 0, -0.005], wave_vector = [{k}, 0, {k}] }},
+  {{ amplitude = [0.005, 0, 0.005], wave_vector = [{k}, 0, -{k}] }},
 ]
 """
 
 
-def decay(folder, cells, nu, transfer="restored"):
+def decay(folder, cells, nu, transfer="apic-corrected"):
     """(times [1 / (2 nu k^2)], amplitudes [U]) over one e-folding time."""
     dx = L / cells
     text = SCENE.format(dx=dx, deep=4 * dx, mu=1000 * nu, transfer=transfer, k=K)

@@ -38,11 +38,11 @@ poisson_ratio = 0.4
 friction = 0
 [material.water]
 kind = "fluid"
-bulk_modulus = 2e4
+tait_coefficient = 2e4
 [[object]]
 name = "wheel"
 material = "rubber"
-spin = [0, 0, {turns!r}]
+angular_velocity = [0, 0, {turns!r}]
 shape = {{ {wheel} }}
 [[object]]
 name = "around"

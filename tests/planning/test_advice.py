@@ -89,12 +89,12 @@ def test_the_stiff_material_is_named_with_its_line(tmp_path):
 def test_a_liquid_or_its_viscosity_is_named_by_the_key_that_says_it(tmp_path):
     soft = TABLE.replace("MODULUS", "1e4")
     assert "material.water.max_speed (" in stiffer(tmp_path, SCENE + soft)
-    stiff = SCENE.replace("max_speed = 20", "bulk_modulus = 1e8")
-    assert "material.water.bulk_modulus (" in stiffer(tmp_path, stiff + soft)
+    stiff = SCENE.replace("max_speed = 20", "tait_coefficient = 1e8")
+    assert "material.water.tait_coefficient (" in stiffer(tmp_path, stiff + soft)
     thick = SCENE.replace("max_speed = 20", "viscosity = 1e4")
     assert "material.water.viscosity (" in stiffer(tmp_path, thick + soft)
-    assert "(--set material.water.bulk_modulus=1e9)" in stiffer(
-        tmp_path, SCENE.replace("max_speed = 20", "") + soft, "material.water.bulk_modulus=1e9"
+    assert "(--set material.water.tait_coefficient=1e9)" in stiffer(
+        tmp_path, SCENE.replace("max_speed = 20", "") + soft, "material.water.tait_coefficient=1e9"
     )
 
 
@@ -127,9 +127,9 @@ def test_a_liquid_stiffer_than_its_motion_asks_for(tmp_path):
 
 def test_by_its_bulk_modulus_it_is_told_the_same(tmp_path):
     given = 1000 * 20**2 / (0.01 * 7)
-    scene, plan = planned(tmp_path, SCENE.replace("max_speed = 20", f"bulk_modulus = {given}"))
+    scene, plan = planned(tmp_path, SCENE.replace("max_speed = 20", f"tait_coefficient = {given}"))
     (line,) = advice(scene, plan, seen_of(scene, plan))
-    value = float(re.search(r"bulk_modulus \(\S+\) could be (\S+) Pa", line)[1])
+    value = float(re.search(r"tait_coefficient \(\S+\) could be (\S+) Pa", line)[1])
     assert value == pytest.approx(1000 * 0.6**2 / (0.01 * 7), rel=0.1)
 
 
@@ -190,7 +190,7 @@ def test_a_body_that_moved_or_was_bent_is_none(tmp_path, how):
 
 
 def test_a_body_whose_motion_is_given_is_none(tmp_path):
-    text = SCENE.replace("= 20", "= 2") + TABLE.replace("MODULUS", "2e5") + "frozen_until = 0.5\n"
+    text = SCENE.replace("= 20", "= 2") + TABLE.replace("MODULUS", "2e5") + "release_time = 0.5\n"
     scene, plan = planned(tmp_path, text)
     assert advice(scene, plan, seen_of(scene, plan, 2.0)) == []
 

@@ -36,7 +36,7 @@ youngs_modulus = 1e5
 [[object]]
 name = "pool"
 material = "water"
-colour = "#2040ff"
+color = "#2040ff"
 shape = { box = [[0.06, 0.06, 0.02], [0.26, 0.26, 0.14]] }
 """
 BALL = """
@@ -49,10 +49,10 @@ DYE = """
 [[object]]
 name = "dye"
 material = "water"
-colour = "#ff2000"
+color = "#ff2000"
 shape = { box = [[0.06, 0.06, 0.14], [0.26, 0.26, 0.18]] }
 [appearance]
-colour_transfer = "step"
+color_transfer = "step"
 """
 BED = """
 [[object]]
@@ -62,7 +62,7 @@ shape = { box = [[0.06, 0.06, 0.02], [0.26, 0.26, 0.06]] }
 [[coupling]]
 between = ["water", "sand"]
 kind = "drag"
-permeability = 1e-3
+hydraulic_conductivity = 1e-3
 """
 MILK = """
 [material.milk]
@@ -102,9 +102,9 @@ def names(folder, more="", transfer="apic"):
     ("more", "transfer", "has"),
     [
         ("", "apic", ["law fluid"]),
-        ("", "restored", ["law fluid", "restored transfer"]),
+        ("", "apic-corrected", ["law fluid", "restored transfer"]),
         ("", "aflip", ["law fluid", "aflip transfer"]),
-        (DYE, "apic", ["law fluid", "colours that travel"]),
+        (DYE, "apic", ["law fluid", "colors that travel"]),
         (
             BALL.replace("HEIGHT", "0.19"),
             "apic",
@@ -134,7 +134,7 @@ def test_what_stands_far_away_costs_no_time(tmp_path):
 
 def test_every_byte_and_all_time_is_in_a_line(tmp_path):
     more = BALL.replace("HEIGHT", "0.19") + DYE + BED.replace("1e-3", "1e-2") + POST + PROBE
-    scene, plan = planned(tmp_path, more, "restored")
+    scene, plan = planned(tmp_path, more, "apic-corrected")
     total = 0.0
     for g in range(len(plan.groups)):
         found = feature_costs.group_features(scene, plan, g, PACE)

@@ -30,8 +30,8 @@ precision = "single"
 [material.snow]
 kind = "snow"
 youngs_modulus = 1.4e5
-hardening = 10
-hardening_limit = 20
+hardening_coefficient = 10
+max_hardening_factor = 20
 [[object]]
 name = "ball"
 material = "snow"

@@ -1,4 +1,4 @@
-"""The factor of the light painted on colours: of every particle in the file, and out again."""
+"""The factor of the light painted on colors: of every particle in the file, and out again."""
 
 import h5py
 import numpy as np
@@ -25,20 +25,20 @@ kind = "fluid"
 name = "drop"
 material = "water"
 shape = { sphere = { center = [0.3, 0.3, 0.1], radius = 0.04 } }
-[[source]]
+[[inlet]]
 name = "tap"
 material = "water"
 disc = { center = [0.3, 0.3, 0.3], radius = 0.03 }
 direction = [0, 0, -1]
-velocity = 1
+speed = 1
 """
 TOY = f"""
 [[object]]
 name = "toy"
 material = "clay"
 shape = {{ union = [
-    {{ box = [[0.05, 0.05, 0.05], [0.1, 0.15, 0.15]], colour = {list(RED)} }},
-    {{ box = [[0.1, 0.05, 0.05], [0.15, 0.15, 0.15]], colour = {list(BLUE)} }},
+    {{ box = [[0.05, 0.05, 0.05], [0.1, 0.15, 0.15]], color = {list(RED)} }},
+    {{ box = [[0.1, 0.05, 0.05], [0.15, 0.15, 0.15]], color = {list(BLUE)} }},
 ] }}
 """
 MESH = f"""
@@ -48,26 +48,26 @@ material = "clay"
 mesh = "cube.obj"
 width = 0.1
 position = [0.28, 0.12, 0.05]
-colour = {list(GREEN)}
+color = {list(GREEN)}
 """
 DECOR = f"""
 [[object]]
 name = "post"
 role = "scenery"
-shape = {{ cylinder = {{ ends = [[0, 0, 0], [0, 0, 0.3]], radius = 0.02 }} }}
+shape = {{ cylinder = {{ endpoints = [[0, 0, 0], [0, 0, 0.3]], radius = 0.02 }} }}
 position = [0.1, 0.3, 0]
-colour = {list(BLUE)}
+color = {list(BLUE)}
 [[object]]
 name = "stone"
 role = "scenery"
 mesh = "cube.obj"
 width = 0.1
 position = [0.2, 0.3, 0.05]
-colour = {list(RED)}
+color = {list(RED)}
 """
 OFF = "[appearance]\nshade = 0\n"
 FAINT = "[appearance]\nshade = 1e-9\n"  # less than a number of the file tells from none
-RIDING = 'prune = "auto"\npassive = true\n'
+RIDING = 'prune = "auto"\npassive_gaussians = true\n'
 
 
 @pytest.fixture
@@ -78,7 +78,7 @@ def folder(tmp_path):
 
 
 def plain(part, at=slice(None)):
-    """Colours without the light."""
+    """Colors without the light."""
     return rgb_from_dc(part.sh[at, 0].astype(float)) / part.shade[at, None]
 
 
@@ -91,8 +91,8 @@ def kept(folder, text):
     return read_gaussians(folder / file_layout.GAUSSIANS)
 
 
-def test_colours_without_the_light_are_those_of_the_scene(folder):
-    """Of a shape with two colours, of what lies on a mesh and inside it; what flows has none."""
+def test_colors_without_the_light_are_those_of_the_scene(folder):
+    """Of a shape with two colors, of what lies on a mesh and inside it; what flows has none."""
     made = build_scene(scene(folder, ROOM + WATER + TOY + MESH))
     assert made.shade.dtype == np.float32 and made.shade.shape == (len(made.x),)
     toy, cube = rows(made, "toy"), rows(made, "cube")
@@ -105,8 +105,8 @@ def test_colours_without_the_light_are_those_of_the_scene(folder):
         assert (made.shade[rows(made, name)] == 1).all()
 
 
-def test_the_colours_of_points_come_back(folder):
-    """Of a mesh with many colours, as it is where no light is painted."""
+def test_the_colors_of_points_come_back(folder):
+    """Of a mesh with many colors, as it is where no light is painted."""
     text = ROOM + MESH.replace("cube.obj", "duck.obj")
     lit, unlit = build_scene(scene(folder, text)), build_scene(scene(folder, text + OFF))
     assert np.array_equal(lit.x, unlit.x) and np.ptp(unlit.sh[:, 0, 1]) > 0.5
@@ -151,8 +151,8 @@ def test_scenery_and_riders_carry_it(folder):
 
 @pytest.mark.parametrize("how", ["auto", "paper"])
 def test_a_pruned_body_keeps_the_right_rows(folder, how):
-    """Each of one colour, which comes back: what is left stands for others, of other lights."""
-    keys = 'prune = "auto"\n' if how == "auto" else 'prune = "paper"\nprune_scale = 0.4\n'
+    """Each of one color, which comes back: what is left stands for others, of other lights."""
+    keys = 'prune = "auto"\n' if how == "auto" else 'prune = "versagauss"\nprune_scale = 0.4\n'
     whole = build_scene(scene(folder, ROOM + MESH))
     made = build_scene(scene(folder, ROOM + MESH + keys + TOY))
     cube = rows(made, "cube")
@@ -165,7 +165,9 @@ def test_a_pruned_body_keeps_the_right_rows(folder, how):
 
 
 def test_it_follows_what_is_left_out_at_the_start(folder):
-    share = 'fraction_profile = { axis = "y", at = [0.08, 0.0801], share = [0, 1] }\n'
+    share = (
+        'volume_fraction_profile = { axis = "y", positions = [0.08, 0.0801], values = [0, 1] }\n'
+    )
     whole, made = (build_scene(scene(folder, ROOM + TOY + keys)) for keys in ("", share))
     left = whole.x[:, 1] > 0.08
     assert 0 < len(made.x) == left.sum() < len(whole.x)

@@ -21,12 +21,12 @@ frames = 2
 precision = "PRECISION"
 [material.water]
 kind = "fluid"
-bulk_modulus = 2e4
+tait_coefficient = 2e4
 GAMMA
 [material.oil]
 kind = "fluid"
 density = 800
-bulk_modulus = 2e4
+tait_coefficient = 2e4
 [[object]]
 name = "water"
 material = "water"
@@ -64,7 +64,7 @@ def test_two_fluids_share_their_space(tmp_path, caplog):
 [[object]]
 name = "oil"
 material = "oil"
-fraction = 0.75
+volume_fraction = 0.75
 shape = { box = [[0, 0, 0.1], [0.4, 0.2, 0.3]] }
 """
     made = made_of(tmp_path, keys)
@@ -77,7 +77,8 @@ shape = { box = [[0, 0, 0.1], [0.4, 0.2, 0.3]] }
 
 def test_profile(tmp_path):
     """Straight lines between the points; no particle where the share is 0."""
-    keys = 'fraction_profile = { axis = "x", at = ["5 cm", "20 cm", 0.3], share = [0, 1, 0.5] }'
+    profile = 'axis = "x", positions = ["5 cm", "20 cm", 0.3], values = [0, 1, 0.5]'
+    keys = f"volume_fraction_profile = {{ {profile} }}"
     made = made_of(tmp_path, keys)
     x = made.x[:, 0]
     want = np.where(x < 0.2, (x - 0.05) / 0.15, np.maximum(1 - 5 * (x - 0.2), 0.5))
@@ -89,7 +90,7 @@ def test_profile(tmp_path):
 @pytest.mark.parametrize("gamma", ["", "gamma = 1", "gamma = 1.4"])
 def test_pressure_at_rest(tmp_path, gamma):
     """dp/d(depth) = density g / J, integrated here by steps, with J of this p by the law."""
-    made = made_of(tmp_path, 'compressed = "hydrostatic"', gamma)
+    made = made_of(tmp_path, 'initial_pressure = "hydrostatic"', gamma)
     J, depth = np.exp(made.theta0), 0.3 - made.x[:, 2]
     assert (made.vol0 * J) == pytest.approx(np.full(len(J), 1e-6), rel=1e-12)
     g = 7.0 if not gamma else float(gamma.split("=")[1])
@@ -103,7 +104,7 @@ def test_pressure_at_rest(tmp_path, gamma):
 
 @pytest.mark.parametrize("precision", ["single", "double"])
 def test_it_gets_into_the_run(tmp_path, precision):
-    simulation, made = begin(tmp_path, text(precision) + 'compressed = "hydrostatic"')
+    simulation, made = begin(tmp_path, text(precision) + 'initial_pressure = "hydrostatic"')
     J, vol0 = by_id(simulation, "J", "vol0")
     tolerance = 1e-6 if precision == "single" else 1e-14
     assert np.abs(J - np.exp(made.theta0)).max() < tolerance and J.min() < 0.99
@@ -117,7 +118,7 @@ def test_files_carry_it(tmp_path):
     from vgmpi.parallel.communicator import SerialCommunicator
     from vgmpi.solver.initial_particles import prepare, write_initial_particles
 
-    for key, there in (('compressed = "hydrostatic"', True), ("", False)):
+    for key, there in (('initial_pressure = "hydrostatic"', True), ("", False)):
         known = scene(tmp_path, text() + key)
         write_initial_particles(
             known, prepare(known, SerialCommunicator(), tmp_path), SerialCommunicator(), tmp_path

@@ -18,7 +18,7 @@ cell = 0.02
 end = 0.2
 [material.water]
 kind = "fluid"
-bulk_modulus = 2e4
+tait_coefficient = 2e4
 [material.sand]
 kind = "sand"
 youngs_modulus = 1e5
@@ -28,17 +28,17 @@ material = "water"
 shape = { box = [[0, 0, 0], [0.2, 0.2, 0.04]] }
 """
 TAP = """
-[[source]]
+[[inlet]]
 name = "tap"
 material = "water"
 disc = { center = [0.1, 0.1, 0.3], radius = 0.03 }
 direction = "x"
-velocity = 1
+speed = 1
 """
 
 
 def source(folder, text):
-    return scene(folder, TANK + text).inflow[0]
+    return scene(folder, TANK + text).inlet[0]
 
 
 def plan(folder, text):
@@ -202,7 +202,7 @@ def test_the_time_step_knows_what_comes(tmp_path):
     assert 0.5 * most < simulation.bound() <= most
 
 
-SINK = '[[sink]]\nname = "hole"\nshape = { box = [[0.21, 0, 0], [0.4, 0.2, 0.4]] }\n'
+SINK = '[[outlet]]\nname = "hole"\nshape = { box = [[0.21, 0, 0], [0.4, 0.2, 0.4]] }\n'
 
 
 def moving(folder):

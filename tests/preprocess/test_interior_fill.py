@@ -218,7 +218,7 @@ def test_a_stray_gaussian_far_away_is_told():
         )
 
 
-def test_filled_gaussians_take_the_colour_of_the_nearest_surface():
+def test_filled_gaussians_take_the_color_of_the_nearest_surface():
     cloud = shell()
     inner = interior_fill.interior(cloud, 0.01, True).interior_points
     inside = interior_fill.filling(inner, cloud, 0.01, 0.8)

@@ -1,4 +1,4 @@
-"""How the kept particles of a thinned body stand in for the others: on a ball of two colours."""
+"""How the kept particles of a thinned body stand in for the others: on a ball of two colors."""
 
 from dataclasses import replace
 
@@ -35,11 +35,11 @@ def thinned(ball, scale=0.073):
 
 
 def height(x):
-    """Of points (n, 3) above the edge of the colours, over the radius."""
+    """Of points (n, 3) above the edge of the colors, over the radius."""
     return np.abs(x[:, 2] - MIDDLE[2]) / RADIUS
 
 
-def test_most_stay_where_colours_change(ball):
+def test_most_stay_where_colors_change(ball):
     cloud, _, skin = ball
     kept = thinned(ball).retained
     there = height(cloud.x) < 0.02
@@ -67,7 +67,7 @@ def test_detail_is_where_direction_changes_and_axes_have_no_sign(ball):
     assert found[away < 1.5].min() > 10 * found[away > 5].max()
 
 
-def test_a_surface_of_one_colour_and_direction_has_no_detail():
+def test_a_surface_of_one_color_and_direction_has_no_detail():
     x = np.random.default_rng(0).random((500, 3)) * (1, 1, 0)
     quat = np.tile([0.5, 0.5, 0.5, 0.5], (500, 1))
     plain = GaussianCloud(x, quat, np.tile([1e-2, 1e-2, 1e-3], (500, 1)), np.ones(500),

@@ -15,39 +15,55 @@ from vgmpi.solver.engines.cpu import Cpu
 BALL = 'name = "ball"\n'
 POOL = 'name = "pool"\n'
 WAY = "motion = {{ {} }}"
-KEYS = 'keyframes = [{ time = "1 s" }, { time = "2 s", move = [0.4, 0, 0] }]'
-SPUN = 'keyframes = [{ time = "1 s", angle = "90 deg", move = [-0.2, 0, 0] }], axis = "z"'
+KEYS = 'keyframes = [{ time = "1 s" }, { time = "2 s", translation = [0.4, 0, 0] }]'
+SPUN = 'keyframes = [{ time = "1 s", angle = "90 deg", translation = [-0.2, 0, 0] }], axis = "z"'
+WAVES = 'release_time = "1 s"\nvelocity_mode = { amplitude = [1, 0, 0], wave_vector = [1, 0, 0] }'
 WRONG = {
-    "held and moved": (BALL, 'frozen_until = "1 s"\nmotion = { spin = 1 }', "frozen_until",
-                       "motion and frozen_until given at once: give one"),
-    "never frozen": (BALL, "frozen_until = 0", "frozen_until", "must be > 0"),
-    "frozen for metres": (BALL, 'frozen_until = "1 m"', "frozen_until",
+    "held and moved": (BALL, 'release_time = "1 s"\nmotion = { velocity = [1, 0, 0] }', "release_time",
+                       "motion and release_time given at once: give one"),
+    "never frozen": (BALL, "release_time = 0", "release_time", "must be > 0"),
+    "frozen for metres": (BALL, 'release_time = "1 m"', "release_time",
                           "'m' does not measure a time"),
-    "a push of its own": (POOL, 'frozen_until = "1 s"\nvelocity = [1, 0, 0]', "velocity",
-                          "[[load]] velocity with after = frozen_until gives it one then"),
-    "a spin besides": (POOL, WAY.format("spin = 1") + "\nspin = [0, 0, 3]", "spin",
-                       "is not for a body with motion: until it is let go it moves as that says"),
-    "waves": (POOL, 'frozen_until = "1 s"\nmode = { amplitude = [1, 0, 0], wave = [1, 0, 0] }',
-              "mode", "is not for a body with frozen_until"),
-    "a share": (POOL, 'frozen_until = "1 s"\nfraction = 0.5', "fraction",
-                "until it is let go it shares its space with none"),
-    "layers of what is free": (POOL, 'release = "from above"\nreleased_by = "1 s"', "release",
-                               "is only for bodies with frozen_until"),
-    "an end without layers": (POOL, 'frozen_until = "1 s"\nreleased_by = "2 s"', "released_by",
-                              "is only for bodies with release"),
-    "layers without an end": (POOL, 'frozen_until = "1 s"\nrelease = "from below"', "release",
-                              "needs released_by: when the last layer is let go"),
+    "a push of its own": (
+        POOL, 'release_time = "1 s"\nvelocity = [1, 0, 0]', "velocity",
+        "[[load]] delta_velocity with start_time = release_time gives it one then",
+    ),
+    "a spin besides": (
+        POOL, WAY.format("angular_velocity = 1") + "\nangular_velocity = [0, 0, 3]",
+        "angular_velocity",
+        "is not for a body with motion: until it is let go it moves as that says",
+    ),
+    "waves": (
+        POOL, WAVES,
+        "velocity_mode", "is not for a body with release_time",
+    ),
+    "a share": (
+        POOL, 'release_time = "1 s"\nvolume_fraction = 0.5', "volume_fraction",
+        "until it is let go it shares its space with none",
+    ),
+    "layers of what is free": (
+        POOL, 'release_order = "top-down"\nrelease_end_time = "1 s"', "release_order",
+        "is only for bodies with release_time",
+    ),
+    "an end without layers": (
+        POOL, 'release_time = "1 s"\nrelease_end_time = "2 s"', "release_end_time",
+        "is only for bodies with release_order",
+    ),
+    "layers without an end": (
+        POOL, 'release_time = "1 s"\nrelease_order = "bottom-up"', "release_order",
+        "needs release_end_time: when the last layer is let go",
+    ),
     "layers from the side": (
-        POOL, 'frozen_until = "1 s"\nrelease = "from left"\nreleased_by = "2 s"', "release",
-        "must be one of from below, from above",
+        POOL, 'release_time = "1 s"\nrelease_order = "from left"\nrelease_end_time = "2 s"',
+        "release_order", "must be one of bottom-up, top-down",
     ),
     "ends before it begins": (
-        POOL, 'frozen_until = "1 s"\nrelease = "from below"\nreleased_by = "0.5 s"', "released_by",
-        "must be later than frozen_until = 1 s; got 0.5 s",
+        POOL, 'release_time = "1 s"\nrelease_order = "bottom-up"\nrelease_end_time = "0.5 s"',
+        "release_end_time", "must be later than release_time = 1 s; got 0.5 s",
     ),
     "layers of a solid": (
-        BALL, 'frozen_until = "1 s"\nrelease = "from below"\nreleased_by = "2 s"', "release",
-        "is not for solids: their layers would come apart",
+        BALL, 'release_time = "1 s"\nrelease_order = "bottom-up"\nrelease_end_time = "2 s"',
+        "release_order", "is not for solids: their layers would come apart",
     ),
     "no motion": (BALL, WAY.format(""), "motion", "has no motion: give keyframes, velocity"),
 }  # fmt: skip
@@ -69,7 +85,7 @@ def test_scenery_is_not_frozen(tmp_path):
     )
     path, _ = broken(tmp_path, "friction = 0.1\n",
                      f'friction = 0.1\n[[object]]\n{post}\nfrozen_until = "1 s"\n')  # fmt: skip
-    said = "object.post.frozen_until: is not for scenery: it has no mass and does not move"
+    said = "object.post.release_time: is not for scenery: it has no mass and does not move"
     assert any(line.endswith(said) for line in lines(path)), lines(path)
 
 
@@ -118,9 +134,9 @@ density = 1000
 name = "heap"
 material = "sand"
 shape = { box = [[0.02, 0.02, 0], [0.08, 0.08, 0.055]] }
-frozen_until = "20 ms"
-release = "from RELEASE"
-released_by = "60 ms"
+release_time = "20 ms"
+release_order = "from RELEASE"
+release_end_time = "60 ms"
 [[object]]
 name = "free"
 material = "sand"
@@ -129,7 +145,7 @@ shape = { box = [[0.02, 0.1, 0], [0.08, 0.14, 0.03]] }
 name = "wheel"
 material = "rubber"
 shape = { box = [[0.14, 0.04, 0.06], [0.18, 0.12, 0.1]] }
-motion = { spin = "2 rad/s", velocity = [0.3, 0, 0.5], axis = "y", until = "30 ms" }
+motion = { angular_velocity = "2 rad/s", velocity = [0.3, 0, 0.5], axis = "y", end_time = "30 ms" }
 """
 
 
@@ -199,7 +215,7 @@ def test_steps_are_short_enough_for_what_moves(tmp_path):
 
 
 def test_while_all_is_held_steps_are_as_long_as_frames(tmp_path):
-    text = TWO.replace('release = "from RELEASE"\nreleased_by = "60 ms"', "")
+    text = TWO.replace('release_order = "from RELEASE"\nrelease_end_time = "60 ms"', "")
     text = text[: text.rindex("[[object]]")].replace(
         'name = "free"', 'name = "free"\nfrozen_until = "20 ms"'
     )
@@ -213,7 +229,7 @@ def test_while_all_is_held_steps_are_as_long_as_frames(tmp_path):
 
 def test_off_is_off(tmp_path):
     """A scene without it has no tables of it, and hands its kernels none."""
-    text = TWO[: TWO.index("frozen_until")] + TWO[TWO.index('[[object]]\nname = "free"') :]
+    text = TWO[: TWO.index("release_time")] + TWO[TWO.index('[[object]]\nname = "free"') :]
     loaded = scene(tmp_path, text[: text.rindex("[[object]]")])
     plan = make_plan(loaded, [1, 1], [1e-6, 1e-6], False)
     assert plan.driven == () and [phase.name for phase in plan.phases] == ["sand"]
@@ -226,18 +242,18 @@ GATE = """
 [domain]
 size = [0.24, 0.08, 0.16]
 cell = 0.02
-boundary = { default = "slip", east = { kind = "slip", until = "50 ms" } }
+boundary = { default = "slip", east = { kind = "slip", removal_time = "50 ms" } }
 [time]
 end = 0.2
 frames = 3
 [material.water]
 kind = "fluid"
-bulk_modulus = 2e4
+tait_coefficient = 2e4
 [[object]]
 name = "pool"
 material = "water"
 shape = { box = [[0, 0, 0], [0.24, 0.08, 0.1]] }
-compressed = "hydrostatic"
+initial_pressure = "hydrostatic"
 """
 
 

@@ -37,7 +37,7 @@ position = [0.32, 0.32, 0.2]
 
 
 def duck_obj(rings=48):
-    """Text of a mesh with coloured points: a lumpy body, a head and a tail; 0.2 long."""
+    """Text of a mesh with colored points: a lumpy body, a head and a tail; 0.2 long."""
     lines, faces, first = [], [], 1
     parts = [((0, 0, 0.06), (0.1, 0.065, 0.06)), ((0.07, 0, 0.14), (0.045, 0.045, 0.045))]
     parts += [((0.13, 0, 0.135), (0.03, 0.02, 0.01)), ((-0.1, 0, 0.09), (0.03, 0.03, 0.015))]
@@ -130,7 +130,11 @@ def test_morton_halves_the_cube_by_turns():
 
 @pytest.mark.parametrize(
     "keys",
-    ['prune = "auto"', 'prune = "paper"\nprune_scale = 0.4', 'prune = "auto"\npassive = true'],
+    [
+        'prune = "auto"',
+        'prune = "versagauss"\nprune_scale = 0.4',
+        'prune = "auto"\npassive_gaussians = true',
+    ],
 )
 def test_mass_is_that_of_the_object(folder, duck, keys):
     thin = made(folder, f'mesh = "duck.obj"\n{keys}')
@@ -150,7 +154,7 @@ def test_mass_after_filling_is_that_of_its_voxels(duck):
 
 
 def test_auto_leaves_eight_per_cell(folder, duck):
-    thin = made(folder, 'mesh = "duck.obj"\nprune = "auto"\npassive = true')
+    thin = made(folder, 'mesh = "duck.obj"\nprune = "auto"\npassive_gaussians = true')
     cell, count = np.unique(np.floor(duck.cloud.x / 0.02).astype(int), axis=0, return_counts=True)
     left, after = np.unique(np.floor(thin.cloud.x / 0.02).astype(int), axis=0, return_counts=True)
     before = {tuple(c): n for c, n in zip(cell, count)}
@@ -245,11 +249,11 @@ def test_pictures_and_decibels():
     [
         ('shape = { sphere = { center = [0, 0, 0], radius = 0.1 } }\nprune = "auto"',
          "prune: is only for objects made of gaussians or a mesh"),
-        ('mesh = "duck.obj"\nprune = "paper"', "prune: needs prune_scale"),
+        ('mesh = "duck.obj"\nprune = "versagauss"', "prune: needs prune_scale"),
         ('mesh = "duck.obj"\nprune = "auto"\nprune_scale = 0.5', 'prune_scale: is only for'),
-        ('mesh = "duck.obj"\npassive = true', 'passive: needs prune = "auto" or "paper"'),
+        ('mesh = "duck.obj"\npassive_gaussians = true', 'passive: needs prune = "auto" or "paper"'),
         ('mesh = "duck.obj"\nprune = "most"', "prune: must be one of off, auto, paper"),
-        ('mesh = "duck.obj"\nprune = "paper"\nprune_scale = 1.5', "prune_scale: must be"),
+        ('mesh = "duck.obj"\nprune = "versagauss"\nprune_scale = 1.5', "prune_scale: must be"),
     ],
 )  # fmt: skip
 def test_keys_that_do_not_go_together(folder, keys, said):
@@ -259,12 +263,14 @@ def test_keys_that_do_not_go_together(folder, keys, said):
 
 
 def test_passive_needs_a_solid_that_deforms(folder):
-    text = SCENE.replace("SOURCE", 'mesh = "duck.obj"\nprune = "auto"\npassive = true')
+    text = SCENE.replace("SOURCE", 'mesh = "duck.obj"\nprune = "auto"\npassive_gaussians = true')
     elastic = 'kind = "elastic"\ndensity = 400\nyoungs_modulus = 1e5'
     metal = 'kind = "metal"\nyoungs_modulus = 1e6\nyield_stress = 1e3'
     for other in (
         text.replace(elastic, 'kind = "fluid"'),
-        text.replace(elastic, metal).replace("passive = true", "passive = true\ndeforms = false"),
+        text.replace(elastic, metal).replace(
+            "passive_gaussians = true", "passive_gaussians = true\ntrack_deformation = false"
+        ),
     ):
         assert other != text
         with pytest.raises(SceneError, match="passive: is only for solids that deform"):

@@ -37,13 +37,13 @@ youngs_modulus = "0.1 MPa"
 name = "pool"
 material = "water"
 shape = { box = [[0, 0, 0], [0.64, 0.32, 0.1]] }
-colour = "#336699"
+color = "#336699"
 opacity_scale = 0.02
 velocity = [1, 0, 0]
 [[object]]
 name = "post"
 role = "scenery"
-shape = { cylinder = { ends = [[0, 0, 0], [0, 0, 0.3]], radius = 0.02 } }
+shape = { cylinder = { endpoints = [[0, 0, 0], [0, 0, 0.3]], radius = 0.02 } }
 position = [0.5, 0.16, 0]
 collider = true
 [[object]]
@@ -53,19 +53,19 @@ gaussians = "egg.ply"
 height = "10 cm"
 position = [0.2, 0.16, 0.15]
 rotation = { axis = "z", angle = "90 deg" }
-spin = [0, 0, 3]
+angular_velocity = [0, 0, 3]
 [[object]]
 name = "cube"
 material = "rubber"
 mesh = "cube.obj"
 width = "6 cm"
 position = [0.4, 0.16, 0.15]
-colour = "#ff0000"
+color = "#ff0000"
 """
 
 
 def egg(terms=4, count=8000):
-    """A hollow ellipsoid, three units high, long along x, with a view-dependent colour."""
+    """A hollow ellipsoid, three units high, long along x, with a view-dependent color."""
     k = np.arange(count) + 0.5
     z, angle = 1 - 2 * k / count, k * np.pi * (3 - np.sqrt(5))
     r = np.sqrt(1 - z * z)
@@ -158,7 +158,7 @@ def test_a_capture_is_scaled_turned_placed_and_filled(made):
     assert made.vol0[at].sum() == pytest.approx(true, rel=0.1)  # seven voxels across
 
 
-def test_covariances_and_colours_turn_along(made):
+def test_covariances_and_colors_turn_along(made):
     source, at = egg(), rows(made, "egg")
     turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     cov = unpack_symmetric(made.cov0[at][: len(source)].astype(float))
@@ -246,14 +246,14 @@ def test_bodies_in_one_place_are_told(path, caplog):
     assert "overlap" not in caplog.text
 
 
-@pytest.mark.parametrize("transfer", ["apic", "restored", "aflip", "flip", "pic"])
+@pytest.mark.parametrize("transfer", ["apic", "apic-corrected", "aflip", "flip", "pic"])
 def test_a_share_per_step_is_told_where_it_counts(tmp_path, caplog, transfer):
     lump = '[[object]]\nname = "lump"\nmaterial = "clay"\n'
     lump += "shape = { sphere = { center = [0.1, 0.1, 0.1], radius = 0.05 } }"
     shares = f'[accuracy]\nflip = 0.95\ntransfer = "{transfer}"\n'
     with caplog.at_level(logging.INFO, "vgmpi"):
         build_scene(scene(tmp_path, ROOM + shares + lump))
-    told = "accuracy.flip = 0.95 is kept in each step" in caplog.text
+    told = "accuracy.flip_ratio = 0.95 is kept in each step" in caplog.text
     assert told == (transfer in ("aflip", "flip"))
 
 

@@ -1,4 +1,4 @@
-"""Shapes: distances against brute force, volumes against formulas, reach, colours, placement."""
+"""Shapes: distances against brute force, volumes against formulas, reach, colors, placement."""
 
 import numpy as np
 import pytest
@@ -156,9 +156,9 @@ name = "lump"
 material = "clay"
 position = [0.2, 0.2, 0.1]
 [object.shape]
-blend = 0.08
+blend_radius = 0.08
 union = [
-  { sphere = { center = [0, 0, 0], radius = 0.06 }, colour = "#ff0000" },
+  { sphere = { center = [0, 0, 0], radius = 0.06 }, color = "#ff0000" },
   { sphere = { center = [0, 0, 0], radius = 0.06 } },
 ]
 """
@@ -200,13 +200,13 @@ def test_colors_of_parts():
     shape = Shape.model_validate(
         {
             "union": [
-                {"box": [[0, 0, 0], [1, 1, 1]], "colour": "#ff0000"},
+                {"box": [[0, 0, 0], [1, 1, 1]], "color": "#ff0000"},
                 {
                     "difference": [
                         {"box": [[0, 0, 0], [2, 1, 1]]},
                         {"box": [[1.5, 0, 0], [2, 1, 1]]},
                     ],
-                    "colour": "#0000ff",
+                    "color": "#0000ff",
                 },
                 {"box": [[2, 0, 0], [3, 1, 1]]},
             ]

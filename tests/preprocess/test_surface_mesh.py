@@ -301,7 +301,7 @@ def painted(folder, library=LIBRARY, picture=TILES):
     return surface_mesh.read(folder / "square.obj")
 
 
-def test_a_texture_colours_what_lies_under_it(tmp_path):
+def test_a_texture_colors_what_lies_under_it(tmp_path):
     found = painted(tmp_path)
     assert found.textures.which.tolist() == [0, 0, -1, -1]
     cloud = surface_mesh.sample(found, 0.02, (0.5, 0.5, 0.5), 0.9, [1])

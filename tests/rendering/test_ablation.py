@@ -43,7 +43,7 @@ CHANGED = {  # fields of Splats that a variant may change: of the water, of the 
     "harmonics fixed": ((), ("color",)),
     "opacity fixed": (("opacity",), ()),
     "normalised by radius": (("cov",), ()),
-    # its colours turn with F, but this F turns nothing
+    # its colors turn with F, but this F turns nothing
     "normalised by deformation": (("cov",), ()),
 }
 
@@ -84,7 +84,7 @@ def test_a_sheet_and_a_table_come_out(done, capsys):
     assert text == said[:-1]
     assert [line.split(" | ")[0].strip("| ") for line in text[2:]] == list(ablation.VARIANTS)
     rows = {line.split(" | ")[0].strip("| "): line.strip("| ").split(" | ") for line in text[2:]}
-    assert rows["harmonics fixed"][1] == "the same picture"  # its colours are plain
+    assert rows["harmonics fixed"][1] == "the same picture"  # its colors are plain
     assert 5 < float(rows["covariance fixed"][1]) < 60
     picture = iio.imread(done / "a.png")
     tile = picture[:, : picture.shape[1] // 3]
@@ -94,7 +94,7 @@ def test_a_sheet_and_a_table_come_out(done, capsys):
     assert (first[contact_sheet.LABEL :] != second[contact_sheet.LABEL :]).any()
 
 
-def test_thick_water_has_more_colour(done):
+def test_thick_water_has_more_color(done):
     run = RunReader(done / "out")
     variants, where = ablation.study(run, render_config.load(done / "render.toml"), done, 2)
     by = {one.name: one.figures for one in variants}

@@ -30,7 +30,7 @@ def out(tmp_path_factory):
 
 
 def shiny():
-    """Half a turn of a bar with colours of degree 3, above a pool with them too, on a floor."""
+    """Half a turn of a bar with colors of degree 3, above a pool with them too, on a floor."""
     run, rows = fake(k=16)
     rows["sh"][:, 1:] = 0.3 * np.random.default_rng(3).normal(size=rows["sh"][:, 1:].shape)
     return Appearance(run), frame(rows)
@@ -50,7 +50,7 @@ def psnr(a, b):
     return 10 * np.log10(1 / np.mean((np.clip(a, 0, 1) - np.clip(b, 0, 1)) ** 2))
 
 
-# reached at least: 146 dB; 61 dB (colours and opacities in 255ths, rotations in 128ths); 47 dB
+# reached at least: 146 dB; 61 dB (colors and opacities in 255ths, rotations in 128ths); 47 dB
 # (sizes in steps of 6 %); 50 dB (positions in 1023rds)
 SUFFIXES = [(".ply", 130), (".splat", 57), (".spz", 44), (".compressed.ply", 47)]
 
@@ -60,7 +60,7 @@ SUFFIXES = [(".ply", 130), (".splat", 57), (".spz", 44), (".compressed.ply", 47)
 def test_a_file_that_is_read_back_gives_the_renderers_picture(tmp_path, suffix, least, eye):
     look, moved = shiny()
     made = export.cloud(look, moved)
-    if suffix == ".splat":  # holds no view-dependent colour
+    if suffix == ".splat":  # holds no view-dependent color
         made.sh[:, 1:] = 0
         look.color = type(look.color)(look.color.sh[:, :1])
     registry.write(tmp_path / f"a{suffix}", made)
@@ -71,7 +71,7 @@ def test_a_file_that_is_read_back_gives_the_renderers_picture(tmp_path, suffix, 
     assert psnr(still, want) < 30  # the measure tells frames apart
 
 
-def test_colours_that_have_travelled_stand_in_the_file():
+def test_colors_that_have_travelled_stand_in_the_file():
     """A frame's own coefficients go before those at rest, and turn along as these do."""
     look, moved = shiny()
     moved["sh"] = look.color.sh[::-1].copy()
@@ -184,8 +184,8 @@ def test_what_a_format_loses_is_said(tmp_path):
     made.opacity[:7] = 0.001
     made.sh[-1, 3, 1] = -1.5
     assert export.losses(made, ".ply") == []
-    colour, faint = export.losses(made, ".splat")
-    assert f"{drawn_runs.WATER + drawn_runs.BAR} Gaussians lose theirs" in colour
+    color, faint = export.losses(made, ".splat")
+    assert f"{drawn_runs.WATER + drawn_runs.BAR} Gaussians lose theirs" in color
     assert faint.startswith("opacities are 255ths") and " 7 of " in faint
     cut, faint = export.losses(made, ".spz")
     assert "-1..1" in cut and " 7 of " in faint

@@ -1,4 +1,4 @@
-"""The floor and its shadow: where it is seen, what colour it has, where and how dark the shadow."""
+"""The floor and its shadow: where it is seen, what color it has, where and how dark the shadow."""
 
 import numpy as np
 import pytest

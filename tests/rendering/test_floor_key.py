@@ -27,7 +27,7 @@ def picture(out, folder, text):
 
 def test_a_floor_takes_the_place_of_the_background_and_carries_a_shadow(out, tmp_path):
     light = "light = [0.6, -0.2, -1]"
-    key = f"{{ height = -0.3, colour = '#80ff80', {light}, shadow = %s }}"
+    key = f"{{ height = -0.3, color = '#80ff80', {light}, shadow = %s }}"
     floor = f"{MAGENTA}floor = {key}\n"
     lit, dark = (picture(out, tmp_path, floor % strength) for strength in (0, 0.8))
     plain = picture(out, tmp_path, MAGENTA)
@@ -51,7 +51,7 @@ def test_squares_and_supersampling(out, tmp_path):
     "text, says",
     [
         ("floor = { light = [0, 0, 1] }", "points down"),
-        ("floor = { colour = 'red.png' }", "such as '#6fb7d6'"),
+        ("floor = { color = 'red.png' }", "such as '#6fb7d6'"),
         ("floor = { shadow = 2 }", "less than or equal to 1"),
         ("floor = { squares = 0 }", "greater than 0"),
         ("floor = {}\nbackground = 'none'", "transparent"),
@@ -69,7 +69,7 @@ def test_mistakes_are_named_with_their_line(tmp_path, text, says):
 
 
 def test_over_a_picture_a_floor_is_its_shadow(out, tmp_path):
-    """Unless it has a colour; elsewhere the photograph stays as it is."""
+    """Unless it has a color; elsewhere the photograph stays as it is."""
     photograph = np.random.default_rng(2).integers(60, 255, (80, 96, 3), dtype=np.uint8)
     iio.imwrite(tmp_path / "photo.png", photograph)
     behind = "background = 'photo.png'\nfloor = { height = -0.3, light = [0.6, -0.2, -1], %s }\n"
@@ -80,6 +80,6 @@ def test_over_a_picture_a_floor_is_its_shadow(out, tmp_path):
     shaded = nothing & (dark[..., 1] < 0.5 * plain[..., 1])
     assert shaded.sum() > 50
     ratio = dark[shaded] / plain[shaded]
-    assert np.ptp(ratio, axis=1).max() < 0.03  # darker, of the same colour
-    grey = picture(out, tmp_path, behind % "shadow = 0, colour = '#80ff80'")
+    assert np.ptp(ratio, axis=1).max() < 0.03  # darker, of the same color
+    grey = picture(out, tmp_path, behind % "shadow = 0, color = '#80ff80'")
     assert (grey == (128, 255, 128)).all(axis=-1).sum() > 500

@@ -38,7 +38,7 @@ class Tensor:
 def rasterization(
     *, means, covars, opacities, colors, viewmats, Ks, width, height, near_plane, **more
 ):  # fmt: skip
-    """gsplat 1.5's, for one camera: float32 tensors on the card, colours without background."""
+    """gsplat 1.5's, for one camera: float32 tensors on the card, colors without background."""
     given = (means, covars, opacities, colors, viewmats, Ks)
     means, covars, opacities, colors, viewmats, Ks = (t.array for t in given)
     assert all(t.array.dtype == np.float32 for t in given)

@@ -91,8 +91,8 @@ def test_grain_is_of_a_particle_whatever_the_frame(tmp_path):
     run = RunReader(drawn_runs.write(tmp_path, frames=3))
     assert abs(_random(np.arange(10000)).mean()) < 0.03
     assert np.abs(_random(np.arange(10000))).max() <= 1
-    plain, eye = Appearance(run, LookSettings(colour_transfer="off")), np.array([0.5, -2.0, 0.5])
-    grainy = Appearance(run, LookSettings(colour_transfer="off", grain={"bar": 0.3}))
+    plain, eye = Appearance(run, LookSettings(color_transfer="off")), np.array([0.5, -2.0, 0.5])
+    grainy = Appearance(run, LookSettings(color_transfer="off", grain={"bar": 0.3}))
     factors = []
     for k in range(3):
         frame = plain.frame(k)

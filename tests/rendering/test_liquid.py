@@ -1,7 +1,7 @@
 """Liquids with a surface: what they refract, mirror and take from light, against what optics says.
 
 Theory: Snell, sin(a) = n sin(b); Fresnel's equations for light without polarisation; Beer and
-Lambert, light falls by the colour for each `clear` of way. A pool of particles in order, .6 x .6 m
+Lambert, light falls by the color for each `clear` of way. A pool of particles in order, .6 x .6 m
 and .2 m deep, spacing 1 cm, is seen from above.
 """
 
@@ -131,7 +131,7 @@ def test_as_much_is_mirrored_as_fresnel_says(angle):
 
 
 @pytest.mark.parametrize("color", [(0.3, 0.6, 0.9), (0.9, 0.2, 0.5)])
-def test_light_is_weakened_by_the_colour_on_its_way(color):
+def test_light_is_weakened_by_the_color_on_its_way(color):
     camera = oblique(0)
     image, *_ = drawn(NONE, pool(color), camera, (1, 1, 1), BLACK, medium(clear=0.4))
     mirrored = ((INDEX - 1) / (INDEX + 1)) ** 2
@@ -139,7 +139,7 @@ def test_light_is_weakened_by_the_colour_on_its_way(color):
     np.testing.assert_allclose(image[140:160, 140:160].mean(axis=(0, 1)), expected, rtol=0.05)
 
 
-def test_what_is_opaque_gives_its_own_colour_as_its_gaussians_do():
+def test_what_is_opaque_gives_its_own_color_as_its_gaussians_do():
     """Gaussians of this opacity, as large as particles, splatted, and the liquid of them."""
     camera, water = oblique(0), pool((0.8, 0.4, 0.2), opacity=0.02)
     image, *_ = drawn(NONE, water, camera, (0, 0, 0), BLACK, medium(index=1))

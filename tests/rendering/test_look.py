@@ -81,7 +81,7 @@ def test_scenery_is_drawn_unmoved_in_every_frame():
         np.testing.assert_allclose(s.opacity[:n], 0.9, rtol=1e-6)
 
 
-def test_colours_of_solids_turn_with_them_and_those_of_others_do_not():
+def test_colors_of_solids_turn_with_them_and_those_of_others_do_not():
     run, rows = fake(k=16)
     rng = np.random.default_rng(0)
     rows["sh"][:, 1:] = 0.2 * rng.normal(size=rows["sh"][:, 1:].shape)
@@ -168,7 +168,7 @@ def test_gaussians_that_vanish_are_warned_of_by_name(caplog):
 
 
 @pytest.mark.parametrize("k", spherical_harmonics.COEFFICIENTS)
-def test_the_compiled_colours_are_those_of_numpy(k):
+def test_the_compiled_colors_are_those_of_numpy(k):
     rng = np.random.default_rng(k)
     coefficients = rng.normal(size=(50, k, 3)).astype("f4")
     directions = rng.normal(size=(30, 3))

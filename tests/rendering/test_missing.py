@@ -89,10 +89,10 @@ def test_a_damaged_frame_ends_a_film_by_name(out, tmp_path, capfd):
     assert not (tmp_path / "a.webm").exists()
 
 
-def test_colours_that_relax_need_every_frame(out, tmp_path, capfd):
-    (tmp_path / "render.toml").write_text(SMALL + '[look]\ncolour_transfer = "relax"\n')
+def test_colors_that_relax_need_every_frame(out, tmp_path, capfd):
+    (tmp_path / "render.toml").write_text(SMALL + '[look]\ncolor_transfer = "relax"\n')
     rows, objects, _ = drawn_runs.rest_state()
-    rows["sh"][: drawn_runs.WATER // 2] += 0.5  # water of two colours, which may travel
+    rows["sh"][: drawn_runs.WATER // 2] += 0.5  # water of two colors, which may travel
     scene = {"domain": {"size": [1.0, 1.0, 1.0], "cell": 0.1}}
     objects[0]["phase"] = 0
     initial_state.write(
@@ -102,8 +102,8 @@ def test_colours_that_relax_need_every_frame(out, tmp_path, capfd):
     assert render.main([*argv, "--frame", "1"]) == 0
     assert render.main([*argv, "--frame", "3"]) == 2
     said = capfd.readouterr().err
-    assert f"frame_{GONE:05d}.vtkhdf: No such file or directory: colours that relax" in said
-    cache = out / "colours" / "frame_00001.npz"
+    assert f"frame_{GONE:05d}.vtkhdf: No such file or directory: colors that relax" in said
+    cache = out / "colors" / "frame_00001.npz"
     want = cache.read_bytes()
     victim = tmp_path / "victim"
     victim.write_text("precious")

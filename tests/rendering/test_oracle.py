@@ -49,7 +49,7 @@ def test_agrees_with_the_oracle(name, mode):
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_covariances_and_colours_are_the_oracles(name):
+def test_covariances_and_colors_are_the_oracles(name):
     o, cloud, camera = load(name)
     np.testing.assert_allclose(unpack_symmetric(cloud.cov()), o["cov3d"], atol=1e-15)
     np.testing.assert_allclose(

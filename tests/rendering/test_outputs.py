@@ -112,7 +112,7 @@ def test_shapes_are_worked_out_once_for_all_cameras(out, tmp_path, monkeypatch):
     assert sorted(p.name for p in tmp_path.glob("*.mp4")) == ["v_east.mp4", "v_south.mp4"]
 
 
-def test_a_transparent_picture_over_a_colour_is_the_picture_on_that_colour(out, tmp_path):
+def test_a_transparent_picture_over_a_color_is_the_picture_on_that_color(out, tmp_path):
     draw(out, tmp_path, 'background = "none"\n', "-o", tmp_path / "a.png")
     draw(out, tmp_path, 'background = "#204060"\n', "-o", tmp_path / "b.png")
     clear, want = iio.imread(tmp_path / "a.png"), iio.imread(tmp_path / "b.png")

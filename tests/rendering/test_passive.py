@@ -24,7 +24,7 @@ from vgmpi.rendering.raster.rasterize import render
 from vgmpi.rendering.render_config import LookSettings
 from vgmpi.solver.initial_particles import prepare, write_initial_particles
 
-RIDING = 'mesh = "duck.obj"\nprune = "auto"\npassive = true'
+RIDING = 'mesh = "duck.obj"\nprune = "auto"\npassive_gaussians = true'
 EYE = np.array([2.0, 1.0, 0.5])
 
 
@@ -133,7 +133,7 @@ def test_an_uneven_motion_lies_between_its_carriers(riding):
     assert np.allclose(unpack_symmetric(splats.cov[own + k : own + k + 1])[0], F @ start @ F.T)
 
 
-def test_colours_change_with_those_of_the_carriers(riding):
+def test_colors_change_with_those_of_the_carriers(riding):
     """Dye that travels dyes riders by the mean of what it does to their carriers."""
     frame = moved(riding, np.eye(3), np.zeros(3))
     frame["sh"] = riding.sh + np.float32(0.2) * riding.x[:, None, :1].astype(np.float32)
@@ -147,14 +147,14 @@ def test_colours_change_with_those_of_the_carriers(riding):
 
 
 def test_riders_obey_the_look(riding):
-    """With shapes and colours fixed they keep those at rest, and opacities are scaled by name."""
+    """With shapes and colors fixed they keep those at rest, and opacities are scaled by name."""
     chosen = LookSettings(covariance="fixed", harmonics="fixed", opacity_scale={"duck": 0.5})
     part = look_of(riding, chosen).parts(moved(riding, AFFINE, np.zeros(3)))[1]
     assert np.array_equal(part.cov, riding.passive.cov0)
     assert np.allclose(part.opacity, 0.5 * riding.passive.opacity) and not len(part.turning)
 
 
-def test_colours_turn_along(riding):
+def test_colors_turn_along(riding):
     """A shiny Gaussian that is turned shows what it showed to an eye that is not."""
     quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     random = np.random.default_rng(4)
@@ -171,7 +171,10 @@ def test_colours_turn_along(riding):
 
 def decibels(folder, keys):
     """Inside the outline of 12 views: with riders against unpruned; and particles of the two."""
-    whole, thin = made(folder, keys), made(folder, keys + '\nprune = "auto"\npassive = true')
+    whole, thin = (
+        made(folder, keys),
+        made(folder, keys + '\nprune = "auto"\npassive_gaussians = true'),
+    )
     views = image_similarity.cameras(whole.x)
 
     def drawn(prepared):
@@ -216,7 +219,7 @@ def test_a_run_with_riders(folder, tmp_path):
 
 
 def test_what_is_off_writes_nothing(folder, tmp_path):
-    thin = RIDING.replace("passive = true", "passive = false")
+    thin = RIDING.replace("passive_gaussians = true", "passive_gaussians = false")
     for name, keys in (("on", RIDING), ("off", thin), ("never", 'mesh = "duck.obj"')):
         made = scene(folder, RUN.replace("SOURCE", keys))
         write_initial_particles(
@@ -252,7 +255,7 @@ def test_riders_keep_their_looks(folder, riding):
 
 
 def test_riders_stand_in_exported_files(riding):
-    """The same Gaussians as are drawn, turned colours included."""
+    """The same Gaussians as are drawn, turned colors included."""
     look, frame = look_of(riding), moved(riding, AFFINE, np.array([0.1, 0.0, 0.2]))
     want, got = look.splats(frame, EYE), export.cloud(look, frame)
     assert len(got) == len(riding.x) + len(riding.passive.x)

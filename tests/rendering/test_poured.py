@@ -20,21 +20,21 @@ end = 0.05
 frames = 3
 [material.water]
 kind = "fluid"
-bulk_modulus = 2e4
+tait_coefficient = 2e4
 [[object]]
 name = "drop"
 material = "water"
 shape = { box = [[0.02, 0.02, 0.02], [0.06, 0.06, 0.06]] }
-colour = "#ff0000"
-[[source]]
+color = "#ff0000"
+[[inlet]]
 name = "tap"
 material = "water"
 disc = { center = [0.08, 0.1, 0.12], radius = 0.02 }
 direction = "x"
-velocity = 1
-start = 0.02
-colour = "#0000ff"
-[[sink]]
+speed = 1
+start_time = 0.02
+color = "#0000ff"
+[[outlet]]
 name = "east"
 shape = { box = [[0.1, 0.08, 0.1], [0.2, 0.16, 0.14]] }
 """
@@ -49,7 +49,7 @@ def run(tmp_path_factory):
 
 @pytest.mark.parametrize("transfer", ["off", "frame", "relax"])
 def test_a_picture_of_what_is_there(run, transfer):
-    look = Appearance(run, LookSettings(colour_transfer=transfer))
+    look = Appearance(run, LookSettings(color_transfer=transfer))
     eye, counts = np.array([1.0, -1.0, 0.5]), []
     for k in range(len(run)):
         frame = look.frame(k)

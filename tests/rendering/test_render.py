@@ -206,15 +206,15 @@ def test_a_preview_loads_nothing_that_it_does_not_need(out, tmp_path, preset):
     assert not [name for name in SLOW if name in loaded and name not in needed]
 
 
-@pytest.mark.parametrize("colour", ["J", "velocity", "velocity.z", "F.0", "object", "x.x"])
-def test_a_view_of_any_field(out, tmp_path, colour, capsys):
+@pytest.mark.parametrize("color", ["J", "velocity", "velocity.z", "F.0", "object", "x.x"])
+def test_a_view_of_any_field(out, tmp_path, color, capsys):
     path = tmp_path / "new" / "a.png"
-    argv = [str(out), "--frame", "1", "--colour", colour, "-o", str(path), "--size", "320", "240"]
+    argv = [str(out), "--frame", "1", "--color", color, "-o", str(path), "--size", "320", "240"]
     assert view.main(argv) == 0
     picture = iio.imread(path)[..., :3]
     assert picture.shape == (240, 320, 3)
     spread = np.ptp(picture.astype(int), axis=2)
-    assert (spread > 40).mean() > 0.02  # coloured particles and a colour bar
+    assert (spread > 40).mean() > 0.02  # colored particles and a color bar
 
 
 def test_views_show_the_numbers_of_their_field():
@@ -228,8 +228,8 @@ def test_views_show_the_numbers_of_their_field():
 @pytest.mark.parametrize(
     "argv, says",
     [
-        (["--colour", "pressure"], "this frame has id, x, "),
-        (["--colour", "J.x"], "no components"),
+        (["--color", "pressure"], "this frame has id, x, "),
+        (["--color", "J.x"], "no components"),
         (["--color", "velocity.w"], "velocity.x .. velocity.z"),
         (["--frame", "4"], "frames 0..3"),
         (["--frame", "-5"], "frames 0..3"),

@@ -40,9 +40,9 @@ mode = "mip"
 alpha_min = 1e-4
 
 [look]
-colour_transfer = "relax"
-colour_time = 0.5
-colour_bodies = ["milk"]
+color_transfer = "relax"
+color_relaxation_time = 0.5
+color_objects = ["milk"]
 covariance = "fixed"
 normalise = "radius"
 
@@ -69,8 +69,8 @@ def test_everything_may_be_said(tmp_path):
     assert s.splatting.options() == {"lowpass": 0.1, "antialias": True}
     assert (s.frames.first, s.frames.last, s.frames.every) == (1, 10, 2)
     assert s.look.opacity_scale == {"water": 0.02, "my duck": 1}
-    told = {"colour_transfer": "relax", "colour_time": 0.5, "colour_bodies": ("milk",)}
-    assert s.look.colours() == told
+    told = {"color_transfer": "relax", "color_relaxation_time": 0.5, "color_objects": ("milk",)}
+    assert s.look.colors() == told
 
 
 def test_a_fixed_camera(tmp_path):
@@ -115,14 +115,19 @@ BAD = {
         "camera",
         "same point",
     ),
-    "colours at every step": (
-        '[look]\ncolour_transfer = "step"',
+    "colors at every step": (
+        '[look]\ncolor_transfer = "step"',
         2,
-        "look.colour_transfer",
+        "look.color_transfer",
         "must be one of off, frame, relax; got 'step'",
     ),
-    "a time of nothing": ("[look]\ncolour_time = 0", 2, "look.colour_time", "greater than 0"),
-    "a degree too high": ("[look]\ncolour_degree = 4", 2, "look.colour_degree", "less than"),
+    "a time of nothing": (
+        "[look]\ncolor_relaxation_time = 0",
+        2,
+        "look.color_relaxation_time",
+        "greater than 0",
+    ),
+    "a degree too high": ("[look]\ncolor_sh_degree = 4", 2, "look.color_sh_degree", "less than"),
     "an unknown look": ("[look]\nopacitie = 1", 2, "look.opacitie", "did you mean 'opacity'?"),
     "an unknown way of liquids": (
         '[look]\nliquid = "glass"',
@@ -131,11 +136,11 @@ BAD = {
         "must be one of gaussians, surface; got 'glass'",
     ),
     "less than air refracts": ("[liquid]\nindex = 0.9", 2, "liquid.index", "equal to 1"),
-    "surroundings of no colour": (
+    "surroundings of no color": (
         '[liquid.surroundings]\nzenith = "blue"',
         2,
         "liquid.surroundings.zenith",
-        "a colour such as",
+        "a color such as",
     ),
     "a light of no direction": ("[light]\ndirection = [0, 0, 0]", 2, "light.direction", "not zero"),
     "more shadow than light": ("[light]\nshadow = 1.5", 2, "light.shadow", "equal to 1"),
@@ -154,13 +159,13 @@ BAD = {
     ),
     "a huge picture": ("[picture]\nwidth = 100000", 2, "picture.width", "8192"),
     "half a pixel": ("[picture]\nwidth = 100.5", 2, "picture.width", "integer"),
-    "a colour beyond white": (
+    "a color beyond white": (
         "[picture]\nbackground = [2, 0, 0]",
         2,
         "picture.background",
         "0 to 1",
     ),
-    "half a colour": ('[picture]\nbackground = "#12"', 2, "picture.background", "'#6fb7d6'"),
+    "half a color": ('[picture]\nbackground = "#12"', 2, "picture.background", "'#6fb7d6'"),
     "no frames a second": ("[video]\nfps = 0", 2, "video.fps", "greater than or equal to 1"),
     "frames backwards": ("[frames]\nevery = -1", 2, "frames.every", "-1"),
     "alpha_min zero": ("[splatting]\nalpha_min = 0", 2, "splatting.alpha_min", "0.00001"),
@@ -169,16 +174,16 @@ BAD = {
     "a camera that is a number": ("camera = 3", 1, "camera", "must be a table [camera]"),
     "no camera": ("\ncamera = []", 2, "camera", "at least 1 item"),
     "a list that is a number": ("[camera]\n\nkeys = 3", 3, "camera.keys", "must be a list; got 3"),
-    "part of a colour": (
+    "part of a color": (
         "[picture]\nbackground = [1,\n 2]",
         2,
         "picture.background",
         "three numbers from 0 to 1, 'none', or the name of a picture; got [1, 2]",
     ),
     "one of a list": (
-        '[look]\ncolour_bodies = [\n"milk",\n3]',
+        '[look]\ncolor_objects = [\n"milk",\n3]',
         4,
-        "look.colour_bodies.1",
+        "look.color_objects.1",
         "valid string",
     ),
 }
@@ -214,17 +219,17 @@ def test_a_file_that_is_not_there(tmp_path):
         render_config.load(tmp_path / "none.toml")
 
 
-def test_the_old_spelling_of_colour_is_read_with_a_word(tmp_path, caplog):
+def test_the_old_spelling_of_color_is_read_with_a_word(tmp_path, caplog):
     """A floor's; an object that is called so keeps its name."""
     text = "[picture]\n\nfloor = { color = '#ff0000' }\n[look.opacity_scale]\ncolor = 0.5\n"
     chosen = load(tmp_path, text)
-    assert chosen.picture.floor.colour == (1, 0, 0)
+    assert chosen.picture.floor.color == (1, 0, 0)
     assert chosen.look.opacity_scale == {"color": 0.5}
     (record,) = caplog.records
     where = f"{tmp_path / 'render.toml'}:3"
-    assert record.getMessage() == f"{where}: 'color' is the old name of picture.floor.colour"
+    assert record.getMessage() == f"{where}: 'color' is the old name of picture.floor.color"
     with pytest.raises(
-        render_config.SettingsError, match=":3: picture.floor.colour: must be a colour"
+        render_config.SettingsError, match=":3: picture.floor.color: must be a color"
     ):
         load(tmp_path, text.replace("#ff0000", "ff0000"))
 

@@ -125,7 +125,7 @@ def test_a_clear_background_leaves_the_corners_transparent(out, tmp_path):
     assert np.ptp(picture[..., 3].astype(int)) > 200
 
 
-def test_a_clear_picture_over_a_colour_is_nearly_the_picture_on_it(out, tmp_path):
+def test_a_clear_picture_over_a_color_is_nearly_the_picture_on_it(out, tmp_path):
     """Of solids; what is seen through water is bent and mirrored, and is there only once."""
     plain = 'background = "#204060"\ntone = "neutral"\nfloor = { kind = "none" }\n'
     clear, want = (

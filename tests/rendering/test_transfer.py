@@ -1,4 +1,4 @@
-"""Colour through the grid: the smoothing S and its exponential, beside a slow numpy twin."""
+"""Color through the grid: the smoothing S and its exponential, beside a slow numpy twin."""
 
 import numpy as np
 import pytest
@@ -67,7 +67,7 @@ def test_relaxation_does_not_see_how_a_time_is_cut_into_frames():
 
 
 @pytest.mark.parametrize("m", [3, 12, 27, 48])
-def test_the_sum_of_volume_times_colour_is_kept(m):
+def test_the_sum_of_volume_times_color_is_kept(m):
     """To rounding: a relative 1e-14 of the sum of absolute values."""
     x, volume, c = cloud(20_000, m)
     transfer = Transfer(x, volume, DX)
@@ -77,7 +77,7 @@ def test_the_sum_of_volume_times_colour_is_kept(m):
         assert np.abs(new - c).max() > 0.1
 
 
-def test_constant_colours_stay_to_a_few_ulp():
+def test_constant_colors_stay_to_a_few_ulp():
     x, volume, _ = cloud(20_000)
     for value in (0.3, -1.7, 1e-3):
         c = np.full((len(x), 3), value)
@@ -86,7 +86,7 @@ def test_constant_colours_stay_to_a_few_ulp():
             assert (np.abs(new - c) <= 4 * np.spacing(np.abs(c))).all()
 
 
-def test_two_bodies_apart_keep_their_colours_to_a_few_ulp():
+def test_two_bodies_apart_keep_their_colors_to_a_few_ulp():
     x, volume, _ = cloud(2000)
     x[1000:] += 1.0
     c = np.repeat([[0.3], [-1.7]], 1000, axis=0)
@@ -94,14 +94,14 @@ def test_two_bodies_apart_keep_their_colours_to_a_few_ulp():
     assert (np.abs(new - c) <= 8 * np.spacing(np.abs(c).max())).all()
 
 
-def test_no_colour_leaves_the_range_of_the_others():
+def test_no_color_leaves_the_range_of_the_others():
     x, volume, c = cloud(2000)
     transfer = Transfer(x, volume, DX)
     for new in (transfer.smoothed(c), transfer.relax(c, 3.0)):
         assert new.min() >= c.min() - 1e-14 and new.max() <= c.max() + 1e-14
 
 
-def test_colours_spread_by_a_quarter_of_a_squared_cell_per_time():
+def test_colors_spread_by_a_quarter_of_a_squared_cell_per_time():
     """On an even lattice S adds dx2 / 2 to the variance along each axis: D = 0.25 dx2 per step if
     done every step, and 0.25 dx2 / T if relaxed."""
     axis = (np.arange(40) + 0.5) * DX / 2

@@ -20,7 +20,7 @@ TOLERANCE = 2e-3
 
 
 def cloud(n=600):
-    """An opaque ball of flat Gaussians whose colours change with the view, in metres."""
+    """An opaque ball of flat Gaussians whose colors change with the view, in metres."""
     rng = np.random.default_rng(3)
     x = rng.normal(size=(n, 3))
     x = MIDDLE + 0.35 * x / np.linalg.norm(x, axis=1, keepdims=True) * rng.uniform(0.6, 1, (n, 1))

@@ -111,7 +111,7 @@ def test_bytes_are_rounded_and_cut():
     np.testing.assert_array_equal(got, [0, 0, 0, 1, 255, 255])
 
 
-def test_backgrounds_of_one_colour(tmp_path):
+def test_backgrounds_of_one_color(tmp_path):
     np.testing.assert_allclose(
         image_io.background("#ff8000", 4, 4, tmp_path), [1, 128 / 255, 0], atol=1e-12
     )

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from vgmpi.runtime.config.renames import Rename, RenameTable
 from vgmpi.runtime.config.schema import SceneError, TomlError
 from vgmpi.runtime.config.toml_positions import locate_keys
 from vgmpi.runtime.config.toml_source import TomlSource
@@ -215,14 +216,14 @@ color = [1,
 shape = { union = [{ color = "red" },
   { colour = 2, color = 3 }] }
 """
-NAMES = {"object": {"color": "colour"}}
+NAMES = RenameTable([Rename("object.**.color", "colour")])
 
 
 def test_old_names_of_keys_are_read_and_told_in_one_line(tmp_path, caplog):
     """Tables that somebody has called so keep their names; a key that is there by both is left."""
     path = tmp_path / "a.toml"
     path.write_text(OLD)
-    source = TomlSource(path, old_names=NAMES)
+    source = TomlSource(path, renames=NAMES)
     assert source.data["material"] == {"color": {"x": 1}}
     thing = source.data["object"][0]
     assert thing["colour"] == [1, "a"] and "color" not in thing
@@ -239,7 +240,7 @@ def test_set_knows_the_old_names(tmp_path, caplog):
     path = tmp_path / "a.toml"
     path.write_text(OLD.replace("color = [", "colour = ["))
     item = "object.color.color=blue"
-    source = TomlSource(path, [item], old_names=NAMES)
+    source = TomlSource(path, [item], renames=NAMES)
     assert source.data["object"][0]["colour"] == "blue"
     assert source.place(("object", 0, "colour"))[1] == f"--set {item}"
     (record,) = caplog.records
@@ -253,8 +254,7 @@ def test_new_names_need_no_word(tmp_path, caplog):
     path = tmp_path / "a.toml"
     path.write_text("[[object]]\nname = 'color'\ncolour = 1\n")
     assert (
-        TomlSource(path, ["object.color.colour=2"], old_names=NAMES).data["object"][0]["colour"]
-        == 2
+        TomlSource(path, ["object.color.colour=2"], renames=NAMES).data["object"][0]["colour"] == 2
     )
     assert not caplog.records
 
@@ -277,7 +277,7 @@ def test_numbers_and_nesting_beyond_all_measure(tmp_path, text, says):
     path = tmp_path / "a.toml"
     path.write_text(text)
     with pytest.raises(SceneError) as caught:
-        TomlSource(path, old_names=NAMES)
+        TomlSource(path, renames=NAMES)
     (line,) = caught.value.lines
     assert line.startswith(f"{path}{says}") and len(line) < 300
 
@@ -317,7 +317,7 @@ def test_a_nul_in_the_name_of_a_file():
 def test_errors_hold_nothing_that_a_terminal_obeys(tmp_path, caplog):
     path = tmp_path / "a\x1b[31m.toml"
     path.write_text('"a b" = 1\n"c\\u001b[31m\\nd" = 2\n[[object]]\nname = "\\r"\ncolor = 1\n')
-    source = TomlSource(path, old_names=NAMES)
+    source = TomlSource(path, renames=NAMES)
     shown = f"{tmp_path}/a\\x1b[31m.toml"
     said = [(("c\x1b[31m\nd",), "got 'é\u202e'"), (("a b",), "is odd")]
     assert source.key(("a b", "", "c.d", 0)) == 'a b.""."c.d".0'

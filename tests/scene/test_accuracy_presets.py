@@ -26,7 +26,7 @@ kind = "fluid"
 max_speed = 2
 [material.oil]
 kind = "fluid"
-bulk_modulus = 1e5
+tait_coefficient = 1e5
 [material.wood]
 kind = "elastic"
 density = 500
@@ -44,11 +44,11 @@ def test_a_level_sets_what_is_not_given(tmp_path, level, cells):
     assert scene.domain.cells == (cells, cells // 2, 3 * cells // 8)
     assert scene.accuracy.precision == LEVELS[level].precision
     assert scene.material["water"].compression == LEVELS[level].compression
-    assert scene.material["oil"].bulk_modulus == 1e5
+    assert scene.material["oil"].tait_coefficient == 1e5
 
 
 def test_what_is_given_wins(tmp_path):
-    given = ["domain.cell=0.02", "accuracy.precision=double", "material.water.compression=0.05"]
+    given = ["domain.cell=0.02", "accuracy.precision=double", "material.water.max_compression=0.05"]
     scene = load(write(tmp_path, SCENE), given)
     assert scene.domain.cells == (40, 20, 15) and scene.accuracy.precision == "double"
     assert scene.material["water"].compression == 0.05
@@ -64,7 +64,7 @@ position = [0.5, 0.2, 0.1]
 """
 LEFT = [
     'prune = "off"',
-    'prune = "paper"\nprune_scale = 0.3',
+    'prune = "versagauss"\nprune_scale = 0.3',
     'role = "scenery"',
 ]
 

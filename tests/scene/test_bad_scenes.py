@@ -63,15 +63,20 @@ def test_errors_found_while_making_particles(tmp_path, name):
     [
         ("gravity = [0, 0, 0]", "needs gravity along -z alone; it is [0.0, 0.0, 0.0]"),
         ("gravity = [1, 0, -9.8]", "needs gravity along -z alone; it is [1.0, 0.0, -9.8]"),
-        ('gravity_ramp = "1 s"', "needs gravity from the start: domain.gravity_ramp is set"),
+        (
+            'gravity_ramp_time = "1 s"',
+            "needs gravity from the start: domain.gravity_ramp_time is set",
+        ),
     ],
 )
 def test_water_is_compressed_by_its_weight_only(tmp_path, key, says):
     path, _ = broken(tmp_path, 'cell = "2 cm"', f'cell = "2 cm"\n{key}')
-    text = path.read_text().replace('name = "pool"', 'name = "pool"\ncompressed = "hydrostatic"')
+    text = path.read_text().replace(
+        'name = "pool"', 'name = "pool"\ninitial_pressure = "hydrostatic"'
+    )
     path.write_text(text)
     line = text[: text.index("compressed")].count("\n") + 1
-    assert lines(path) == [f"{path}:{line}: object.pool.compressed: {says}"]
+    assert lines(path) == [f"{path}:{line}: object.pool.initial_pressure: {says}"]
 
 
 FIRST = 'gravity_keyframes = [{ time = "1 s", gravity = [0, 0, -9.8] }'
@@ -97,8 +102,8 @@ FIRST = 'gravity_keyframes = [{ time = "1 s", gravity = [0, 0, -9.8] }'
         ),
         (
             FIRST + ']\ngravity_ramp = "1 s"',
-            "gravity_ramp",
-            "gravity_keyframes and gravity_ramp given at once: a ramp is a keyframe too",
+            "gravity_ramp_time",
+            "gravity_keyframes and gravity_ramp_time given at once: a ramp is a keyframe too",
         ),
     ],
 )

@@ -11,15 +11,15 @@ from vgmpi.runtime.config.schema import SceneError
 from vgmpi.scene.loader import load
 
 SOURCE = """\
-[[source]]
+[[inlet]]
 name = "tap"
 material = "water"
 disc = { center = [0.1, 0.16, 0.2], radius = "2 cm" }
 direction = "x"
-velocity = "1 m/s"
+speed = "1 m/s"
 """
 SINK = """\
-[[sink]]
+[[outlet]]
 name = "drain"
 shape = { box = [[0.5, 0.1, 0.2], [0.6, 0.2, 0.3]] }
 """
@@ -64,16 +64,16 @@ CASES = {
     "two flows": (
         'velocity = "1 m/s"',
         'velocity = "1 m/s"\nrate = 1',
-        "source.tap.rate",
+        "inlet.tap.mass_flow_rate",
         "velocity and rate given at once: give exactly one",
     ),
     "rate in litres": (
         'velocity = "1 m/s"',
         'rate = "1 l/s"',
-        "source.tap.rate",
+        "inlet.tap.mass_flow_rate",
         "'l/s' does not measure a mass per time; expected a number [kg/s]",
     ),
-    "it does not pour": ('"1 m/s"', '"0 m/s"', "source.tap.velocity", "must be > 0 m/s"),
+    "it does not pour": ('"1 m/s"', '"0 m/s"', "inlet.tap.speed", "must be > 0 m/s"),
     "no direction": (
         'direction = "x"',
         "direction = [0, 0, 0]",
@@ -83,13 +83,13 @@ CASES = {
     "end before the start": (
         'velocity = "1 m/s"',
         'velocity = "1 m/s"\nstart = 0.5\nend = 0.5',
-        "source.tap.end",
+        "inlet.tap.end_time",
         "must be later than start = 0.5 s; got 0.5 s",
     ),
     "start after the run": (
         'velocity = "1 m/s"',
         'velocity = "1 m/s"\nstart = "2 s"',
-        "source.tap.start",
+        "inlet.tap.start_time",
         "nothing comes: the run ends at 1 s; got 2 s",
     ),
     "too small": (
@@ -183,7 +183,7 @@ BUILD_CASES = {
     "an end too early": (
         'velocity = "1 m/s"',
         'velocity = "1 m/s"\nend = "1 ms"',
-        "source.tap.end",
+        "inlet.tap.end_time",
         "it ends before the first layer has passed its mouth",
     ),
     "too many": (
@@ -228,11 +228,11 @@ def test_the_good_scene_is_good(tmp_path):
     "text, says",
     [
         ("source = 3", "must be a list of tables: [[source]]"),
-        ("[[source]]\nmaterial = []", "source.0.material"),
-        ("[[source]]\ndisc = 3", "must be a table of keys; got 3"),
-        ("[[source]]\nname = []\nphase = 3", "must begin with a letter"),
+        ("[[inlet]]\nmaterial = []", "source.0.material"),
+        ("[[inlet]]\ndisc = 3", "must be a table of keys; got 3"),
+        ("[[inlet]]\nname = []\nphase = 3", "must begin with a letter"),
         ("sink = [1]", "must be a list of tables: [[sink]]"),
-        ("[[sink]]\nshape = 3", "must be a table of keys; got 3"),
+        ("[[outlet]]\nshape = 3", "must be a table of keys; got 3"),
     ],
 )
 def test_nonsense_is_reported_not_raised(tmp_path, text, says):

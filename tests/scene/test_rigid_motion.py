@@ -114,7 +114,7 @@ WAY = "motion = {{ {} }}"
             "keyframes and spin given at once: give keyframes, or velocity and spin",
         ),
         (
-            WAY.format('spin = 3, pace = "linear"'),
+            WAY.format('spin = 3, interpolation = "linear"'),
             "motion.pace",
             "is for keyframes only",
         ),
@@ -220,7 +220,7 @@ def test_the_renderer_sees_scenery_where_it_is():
     assert np.allclose(
         unpack_symmetric(seen[1].cov[:n])[0], np.diag([0.01**2, 0.03**2, 1e-6]), atol=1e-9
     )
-    # its own colours towards where the eye is in its frame
+    # its own colors towards where the eye is in its frame
     back = (seen[1].x[:n] - eye) @ pose[:3, :3]
     back /= np.linalg.norm(back, axis=1)[:, None]
     assert np.allclose(seen[1].color[:n], evaluate(ground["sh"], back), atol=1e-5)

@@ -34,7 +34,7 @@ title = "small"
 [domain]
 size = ["64 cm", 0.32, 0.32]
 cell = "2 cm"
-boundary = { default = "slip", floor = { kind = "separate", friction = 0.4 }, east = "stick" }
+boundary = { default = "slip", bottom = { kind = "separate", friction = 0.4 }, east = "stick" }
 [time]
 end = "1 s"
 [material.water]
@@ -45,7 +45,7 @@ youngs_modulus = "0.1 MPa"
 [[object]]
 name = "ball"
 material = "rubber"
-shape = { sphere = { center = [0, 0, 0], radius = "4 cm" }, colour = "#ff8000" }
+shape = { sphere = { center = [0, 0, 0], radius = "4 cm" }, color = "#ff8000" }
 position = [0.3, 0.16, 0.2]
 rotation = { axis = [0, 0, 2], angle = "90 deg" }
 [[object]]
@@ -70,7 +70,7 @@ def test_values_are_si_and_defaults_are_filled_in(small):
     assert scene.time.frames == 50 and scene.time.dt == 0.0
     assert scene.material["rubber"].youngs_modulus == 1e5
     ball = scene.object[0]
-    assert ball.shape.colour == (1.0, 128 / 255, 0.0)
+    assert ball.shape.color == (1.0, 128 / 255, 0.0)
     assert ball.rotation[0].axis == (0.0, 0.0, 1.0)
     assert ball.rotation[0].angle == pytest.approx(1.5707963267948966, rel=1e-15)
     assert [thing.alpha_threshold for thing in scene.object] == [1 / 255, 1e-4]
@@ -115,7 +115,7 @@ def test_resolved_is_json_and_makes_the_same_scene(small, tmp_path):
 
 
 def test_files_below_the_scene_outside_and_from_the_command_line(small, tmp_path, monkeypatch):
-    shape = 'shape = { sphere = { center = [0, 0, 0], radius = "4 cm" }, colour = "#ff8000" }'
+    shape = 'shape = { sphere = { center = [0, 0, 0], radius = "4 cm" }, color = "#ff8000" }'
     outside = tmp_path / "elsewhere" / "ball.ply"
     outside.parent.mkdir()
     outside.write_text("x")
@@ -146,7 +146,7 @@ def test_a_link_out_of_the_folder_is_outside(small, tmp_path):
     folder.mkdir()
     (folder / "link.ply").symlink_to(outside)
     path = folder / "scene.toml"
-    shape = 'shape = { sphere = { center = [0, 0, 0], radius = "4 cm" }, colour = "#ff8000" }'
+    shape = 'shape = { sphere = { center = [0, 0, 0], radius = "4 cm" }, color = "#ff8000" }'
     path.write_text(SMALL.replace(shape, 'gaussians = "link.ply"'))
     with pytest.raises(SceneError, match="outside the scene's folder"):
         load(path)
@@ -185,17 +185,17 @@ def test_reference_is_up_to_date():
     assert "| `particles_per_cell` |" in text and "kg/m3 (g/cm3" in text
 
 
-def test_the_old_spelling_of_colour_is_read_with_a_word(small, caplog):
+def test_the_old_spelling_of_color_is_read_with_a_word(small, caplog):
     """In objects, in parts of shapes, in regions of loads; wherever else it is no key."""
     text = small.read_text()
-    assert text.count("colour = ") == 1
+    assert text.count("color = ") == 1
     region = 'region = { box = [[0, 0, 0], [1, 1, 1]], color = "#000000" }'
-    old = text.replace("colour = ", "color = ")
+    old = text.replace("color = ", "color = ")
     old += f'[[load]]\nobject = "ball"\nforce = [0, 0, 1]\n{region}\n'
     small.write_text(old)
     line = old[: old.index("color = ")].count("\n") + 1
     ball = load(small, ["object.pool.color=#00ff00"]).object[0]
-    assert ball.shape.colour == (1.0, 128 / 255, 0.0)
+    assert ball.shape.color == (1.0, 128 / 255, 0.0)
     (record,) = [r for r in caplog.records if r.levelname == "WARNING"]
     assert record.getMessage().startswith(
         f"{small}:{line}: 'color' is the old name of object.ball."
@@ -203,5 +203,5 @@ def test_the_old_spelling_of_colour_is_read_with_a_word(small, caplog):
     assert record.getMessage().count(", ") == 1  # the load's and that of --set
     with pytest.raises(SceneError, match="domain.color: unknown key"):
         load(small, ["domain.color=1"])
-    with pytest.raises(SceneError, match="object.pool.colour: must be a colour such as"):
+    with pytest.raises(SceneError, match="object.pool.color: must be a color such as"):
         load(small, ["object.pool.color=greenish"])

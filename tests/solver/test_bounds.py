@@ -17,7 +17,7 @@ SCENE = SCENE.replace('"single"', '"double"') + (
 [[probe]]
 name = "tap"
 velocity = [0.1, 0.1, 0.1]
-rate = "1 kHz"
+sampling_rate = "1 kHz"
 """
 )
 

@@ -1,4 +1,4 @@
-"""Every engine on the same small scenes: every law, contact, couplings, FLIP, splines, colours.
+"""Every engine on the same small scenes: every law, contact, couplings, FLIP, splines, colors.
 
 engines/numpy_reference is the method of docs/explanation on one dense grid; the others are held
 to it in double precision. Particles are moved off their lattice at random, so that no sum cancels
@@ -68,13 +68,14 @@ POST = (
     "shape = { sphere = { center = [0, 0, 0], radius = 0.04 } }\n"
 )
 TURNING = (
-    'motion = { velocity = [0.3, 0, -0.2], spin = "90 rpm", axis = [1, 1, 0], until = "0.1 s" }\n'
+    'motion = { velocity = [0.3, 0, -0.2], angular_velocity = "90 rpm",'
+    ' axis = [1, 1, 0], end_time = "0.1 s" }\n'
 )
 SWEEPING = (
     '[[object]]\nname = "paddle"\nrole = "scenery"\ncollider = true\nfriction = 0.4\n'
     "shape = { box = [[0, 0.03, 0.01], [0.03, 0.12, 0.1]] }\n"
     'rotation = { axis = "z", angle = "20 deg" }\n'
-    'motion = { keyframes = [{ time = "20 ms", angle = "30 deg", move = [0.02, 0, 0] }] }\n'
+    'motion = { keyframes = [{ time = "20 ms", angle = "30 deg", translation = [0.02, 0, 0] }] }\n'
 )
 SLABS = body(  # whose faces are wide enough to be sure of
     "lower", "toy", "box = [[0.02, 0.02, 0], [0.18, 0.14, 0.06]]", "velocity = [0, 0, -0.5]"
@@ -85,30 +86,30 @@ BED = body(
     "bed", "sand", "box = [[0.02, 0.02, 0], [0.14, 0.14, 0.07]]", "velocity = [0.1, -0.6, 0]"
 )
 TAP = (
-    '[[source]]\nname = "tap"\nmaterial = "water"\ndirection = [1, 0, -0.5]\nvelocity = 8\n'
+    '[[inlet]]\nname = "tap"\nmaterial = "water"\ndirection = [1, 0, -0.5]\nvelocity = 8\n'
     "disc = { center = [0.15, 0.13, 0.12], radius = 0.012 }\n"
 )
-HOLE = '[[sink]]\nname = "hole"\nshape = { box = [[0, 0, 0.065], [0.0325, 0.16, 0.16]] }\n'
+HOLE = '[[outlet]]\nname = "hole"\nshape = { box = [[0, 0, 0.065], [0.0325, 0.16, 0.16]] }\n'
 WET = body("wet", "water", "box = [[0, 0, 0], [0.11, 0.16, 0.09]]", "fraction = 0.6")
 OILY = body(
     "oily", "oil", "box = [[0.05, 0, 0.02], [0.2, 0.16, 0.1]]",
     "fraction = 0.6\nvelocity = [-0.4, 0, -0.1]",
 )  # fmt: skip
-MIX = coupling("mixing", "water", "oil", "diffusion = 2e-4\nslip_time = 3e-3")
-FLOW = coupling("drag", "water", "sand", "permeability = 2e-2")
-COLOURS = '[appearance]\ncolour_transfer = "step"\n'
+MIX = coupling("mixing", "water", "oil", "diffusivity = 2e-4\nslip_time = 3e-3")
+FLOW = coupling("drag", "water", "sand", "hydraulic_conductivity = 2e-2")
+COLORS = '[appearance]\ncolor_transfer = "step"\n'
 ONE = 'phase = "one"\n'
 AFLIP = 'transfer = "aflip"\ndamping = "5 ms"'
-RESTORED = 'transfer = "restored"'
-RED, BLUE = 'colour = "#ff2010"', 'colour = "#1020ff"'
+RESTORED = 'transfer = "apic-corrected"'
+RED, BLUE = 'color = "#ff2010"', 'color = "#1020ff"'
 
 
 TUMBLING = (
     'motion = { velocity = [-1, 0.5, -1], spin = "300 rpm", axis = [1, 0, 2], until = "2 ms" }\n'
 )
 DRIVEN = CUBE[: CUBE.index("velocity")] + TUMBLING
-HELD = BED[: BED.index("velocity")] + 'frozen_until = "0.7 ms"\n'
-LETTING_GO = HELD + 'release = "from above"\nreleased_by = "2 ms"\n'
+HELD = BED[: BED.index("velocity")] + 'release_time = "0.7 ms"\n'
+LETTING_GO = HELD + 'release_order = "top-down"\nreleased_by = "2 ms"\n'
 TIN = material("tin", 'kind = "metal"\nyoungs_modulus = 1e6\nyield_stress = 2e3')
 
 
@@ -138,13 +139,15 @@ SCENES = {kind: (of_law(kind), "mixed", "") for kind in LAWS} | {
         WATER + OIL.replace("800", "50").replace("1e4", "1e3") + WET + OILY + MIX, "mixed", "",
     ),
     "mixing as printed": (
-        WATER + OIL + WET + OILY + coupling("mixing-paper", "water", "oil", "diffusion = 1e-5"),
+        WATER + OIL + WET + OILY
+        + coupling("mixing-versagauss", "water", "oil", "diffusivity = 1e-5"),
         "mixed",
         "",
     ),
     "drag": (WATER + SAND + WET + BED + FLOW, "mixed", ""),
     "drag as printed": (
-        WATER + SAND + WET + BED + coupling("drag-paper", "water", "sand", "permeability = 2"),
+        WATER + SAND + WET + BED
+        + coupling("drag-versagauss", "water", "sand", "hydraulic_conductivity = 2"),
         "mixed",
         "",
     ),
@@ -158,7 +161,7 @@ SCENES = {kind: (of_law(kind), "mixed", "") for kind in LAWS} | {
         WATER + OIL + SAND + TOY + WET + OILY + BED + CUBE + POST + MIX + FLOW, "separate", AFLIP,
     ),
     "apic": (WATER + TOY + POOL + CUBE + POST, "mixed", 'transfer = "apic"'),
-    "restored": (WATER + TOY + POOL + CUBE + POST, "separate", RESTORED),
+    "apic-corrected": (WATER + TOY + POOL + CUBE + POST, "separate", RESTORED),
     "restored, as one fluid": (
         WATER + OIL + WET + OILY + coupling("mixing", "water", "oil", ""), "mixed", RESTORED,
     ),
@@ -166,15 +169,15 @@ SCENES = {kind: (of_law(kind), "mixed", "") for kind in LAWS} | {
         WATER + OIL + SAND + TOY + WET + OILY + BED + CUBE + POST + MIX + FLOW, "mixed", RESTORED,
     ),
     "pic with splines": (
-        WATER + TOY + POOL + CUBE, "mixed", 'transfer = "pic"\ngradient = "splines"',
+        WATER + TOY + POOL + CUBE, "mixed", 'transfer = "pic"\ngradient = "bspline"',
     ),
-    "colours": (
-        COLOURS + WATER + OIL + MIX + WET + RED + "\n" + OILY + BLUE + "\n", "mixed", "",
+    "colors": (
+        COLORS + WATER + OIL + MIX + WET + RED + "\n" + OILY + BLUE + "\n", "mixed", "",
     ),
     "volume kept": (WATER + TOY + POOL + CUBE + POST, "mixed", KEPT),
     "volume kept, aflip": (WATER + TOY + POOL + CUBE, "separate", f"{AFLIP}\n{KEPT}"),
     "volume kept, splines": (
-        WATER + TOY + POOL + CUBE, "mixed", f'transfer = "pic"\ngradient = "splines"\n{KEPT}',
+        WATER + TOY + POOL + CUBE, "mixed", f'transfer = "pic"\ngradient = "bspline"\n{KEPT}',
     ),
     "volume kept, open": (
         WATER + TOY + POOL.replace("0.2, 0.16, 0.06", "0.175, 0.16, 0.06") + CUBE, "open", KEPT,
@@ -189,12 +192,13 @@ SCENES = {kind: (of_law(kind), "mixed", "") for kind in LAWS} | {
     "let go in layers": (WATER + SAND + WET.replace("0.11", "0.2") + LETTING_GO + FLOW, "mixed",
                          AFLIP),
     "driven tin": (
-        WATER + TIN + POOL + DRIVEN.replace("toy", "tin") + "deforms = true\n", "mixed", RESTORED,
+        WATER + TIN + POOL + DRIVEN.replace("toy", "tin") + "track_deformation = true\n", "mixed",
+        RESTORED,
     ),
     "followed": (
         TIN
         + body("ball", "tin", "sphere = { center = [0.1, 0.08, 0.05], radius = 0.045 }",
-               "velocity = [0.5, 0.3, -2]\ndeforms = true"),
+               "velocity = [0.5, 0.3, -2]\ntrack_deformation = true"),
         "mixed",
         "",
     ),

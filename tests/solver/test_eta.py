@@ -114,12 +114,12 @@ kind = "fluid"
 name = "pool"
 material = "water"
 shape = { box = [[0, 0, 0], [0.2, 0.2, 0.01]] }
-[[source]]
+[[inlet]]
 name = "jet"
 material = "water"
 disc = { center = [0.1, 0.1, 0.3], radius = 0.03 }
 direction = [0, 0, -1]
-velocity = 1
+speed = 1
 """
 
 

@@ -23,7 +23,7 @@ precision = "double"
 transfer = "TRANSFER"
 [material.water]
 kind = "fluid"
-bulk_modulus = 2e4
+tait_coefficient = 2e4
 viscosity = 0.5
 [material.toy]
 kind = "elastic"
@@ -48,7 +48,7 @@ name = "cube"
 material = "toy"
 shape = { box = [[0.06, 0.02, 0], [0.14, 0.1, 0.08]] }
 velocity = [-1, 0.5, -1]
-spin = [2, 0, 4]
+angular_velocity = [2, 0, 4]
 """
 POST = """
 [[object]]
@@ -64,11 +64,11 @@ role = "scenery"
 collider = true
 friction = 0.4
 shape = { box = [[0.02, 0.03, 0.04], [0.06, 0.12, 0.1]] }
-motion = { velocity = [1, 0.2, -0.5], spin = "90 rpm", axis = [1, 1, 0] }
+motion = { velocity = [1, 0.2, -0.5], angular_velocity = "90 rpm", axis = [1, 1, 0] }
 """
 
 
-def scene(tmp_path, bodies, walls="slip", transfer="restored", end=0.01):
+def scene(tmp_path, bodies, walls="slip", transfer="apic-corrected", end=0.01):
     """A scene with all of its probes, a row at every step."""
     text = HEAD.replace("WALLS", walls if "{" in walls else f'"{walls}"')
     text = text.replace("TRANSFER", transfer) + bodies
@@ -103,17 +103,17 @@ def off(run):
 
 PUSHES = '{ kind = "separate", friction = 0.3 }'
 CASES = {
-    "water, slip": (POOL, "slip", "restored"),
-    "water, stick": (POOL, "stick", "restored"),
-    "water, separate": (POOL, PUSHES, "restored"),
+    "water, slip": (POOL, "slip", "apic-corrected"),
+    "water, stick": (POOL, "stick", "apic-corrected"),
+    "water, separate": (POOL, PUSHES, "apic-corrected"),
     "water, stick, apic": (POOL, "stick", "apic"),
     "water, stick, aflip": (POOL, "stick", "aflip"),
     "water, separate, flip": (POOL, PUSHES, "flip"),
-    "water, colliders": (POOL + POST + PADDLE, "slip", "restored"),
-    "cube, separate": (CUBE + POST + PADDLE, PUSHES, "restored"),
-    "cube, stick": (CUBE + POST, "stick", "restored"),
-    "cube and water": (POOL + CUBE + PADDLE, PUSHES, "restored"),
-    "sand": (HEAP + POST + PADDLE, "stick", "restored"),
+    "water, colliders": (POOL + POST + PADDLE, "slip", "apic-corrected"),
+    "cube, separate": (CUBE + POST + PADDLE, PUSHES, "apic-corrected"),
+    "cube, stick": (CUBE + POST, "stick", "apic-corrected"),
+    "cube and water": (POOL + CUBE + PADDLE, PUSHES, "apic-corrected"),
+    "sand": (HEAP + POST + PADDLE, "stick", "apic-corrected"),
 }
 
 
@@ -152,7 +152,7 @@ STIRRER = CUBE[: CUBE.index("velocity")] + (
 CASTLE = (
     HEAP.replace("heap", "castle")
     .replace("[0.12, 0.16, 0.1]", "[0.08, 0.08, 0.14]")
-    .replace("velocity = [0.5, -0.7, -0.3]", 'frozen_until = "1 s"')
+    .replace("velocity = [0.5, -0.7, -0.3]", 'release_time = "1 s"')
 )
 DRIVEN = {  # bodies, walls, who is free
     "stirred water": (POOL + STIRRER + POST, '"stick"', "pool"),
@@ -165,7 +165,7 @@ DRIVEN = {  # bodies, walls, who is free
 def test_bodies_that_are_driven(tmp_path, case):
     """What they, walls and colliders give is all that a free one got, by both engines."""
     bodies, walls, free = DRIVEN[case]
-    text = HEAD.replace("WALLS", walls).replace("TRANSFER", "restored") + bodies
+    text = HEAD.replace("WALLS", walls).replace("TRANSFER", "apic-corrected") + bodies
     driven = [name for name in ("cube", "castle") if f'"{name}"' in bodies and name != free]
     for name in [*driven, *["post"] * ("post" in bodies)]:
         text += f'[[probe]]\nname = "{name}"\nevery = "1 us"\ncollider = "{name}"\n'
@@ -205,11 +205,11 @@ frames = 2
 precision = "double"
 [material.water]
 kind = "fluid"
-bulk_modulus = 2e5
+tait_coefficient = 2e5
 [[object]]
 name = "water"
 material = "water"
-compressed = "hydrostatic"
+initial_pressure = "hydrostatic"
 shape = { box = [[0, 0, 0], [0.18, 0.08, 0.21]] }
 """
 
@@ -316,7 +316,7 @@ def test_where_particles_go_the_balance_alone_is_refused(tmp_path):
     assert any("wall" in line and "balance" in line for line in caught.value.lines)
     scene = vgmpi.load(tmp_path / "scene.toml", text=f'{open_end}{asks}"floor"\n')
     assert scene.probe[0].feels
-    held = open_end.replace(', east = "open"', "") + 'frozen_until = "1 s"\n'
+    held = open_end.replace(', east = "open"', "") + 'release_time = "1 s"\n'
     with pytest.raises(SceneError) as caught:
         vgmpi.load(
             tmp_path / "scene.toml", text=f'{held.replace("velocity = ", "# ")}{asks}"all"\n'

@@ -54,12 +54,12 @@ shape = { box = [[0.4, 0.032, 0], [0.48, 0.128, 0.08]] }
 BLOCK = "box = [[0.4, 0.032, 0], [0.48, 0.128, 0.08]]"
 CRUMB = "sphere = { center = [0.4, 0.08, 0.1], radius = 0.01 }"
 TAP = """
-[[source]]
+[[inlet]]
 name = "tap"
 material = "water"
 disc = { center = [0.56, 0.08, 0.2], radius = 0.03 }
 direction = [0, 0, -1]
-velocity = 1
+speed = 1
 """
 
 

@@ -19,43 +19,43 @@ end = 0.05
 frames = 3
 [material.water]
 kind = "fluid"
-bulk_modulus = 2e5
+tait_coefficient = 2e5
 [[object]]
 name = "water"
 material = "water"
-compressed = "hydrostatic"
+initial_pressure = "hydrostatic"
 shape = { box = [[0, 0, 0], [0.12, 0.12, 0.21]] }
 [[probe]]
 name = "deep"
-every = "1 ms"
+sampling_interval = "1 ms"
 pressure = [0.06, 0.06, 0.05]
 [[probe]]
 name = "corner"
-rate = "1000 Hz"
+sampling_rate = "1000 Hz"
 pressure = [0, 0.12, 0.1]
 [[probe]]
 name = "gauge"
-rate = 100
-level = [0.05, 0.06]
+sampling_rate = 100
+surface_height = [0.05, 0.06]
 [[probe]]
 name = "edge"
-rate = 100
-level = [0, 0]
+sampling_rate = 100
+surface_height = [0, 0]
 [[probe]]
 name = "stir"
-rate = 100
+sampling_rate = 100
 velocity = [0.06, 0.06, 0.1]
 [[probe]]
 name = "air"
-rate = 100
+sampling_rate = 100
 pressure = [0.06, 0.06, 0.4]
 [[probe]]
 name = "box"
-rate = "40 Hz"
+sampling_rate = "40 Hz"
 wall = "all"
 [[probe]]
 name = "body"
-rate = "40 Hz"
+sampling_rate = "40 Hz"
 object = "water"
 """
 
@@ -94,7 +94,7 @@ def test_level_at_floor_and_roof(tmp_path, low, high, level):
     text = STILL.replace("0, 0, 0]", f"0, 0, {low}]").replace(
         "0.12, 0.12, 0.21", f"0.12, 0.12, {high}"
     )
-    text = text.replace('compressed = "hydrostatic"', "").replace("end = 0.05", "end = 1e-5")
+    text = text.replace('initial_pressure = "hydrostatic"', "").replace("end = 0.05", "end = 1e-5")
     run = vgmpi.run(vgmpi.load(tmp_path / "scene.toml", text=text))
     assert column(run, "gauge", "level")[0] == pytest.approx(level, rel=1e-9)
 
@@ -145,21 +145,21 @@ name = "ball"
 material = "rubber"
 shape = { sphere = { center = [0.2, 0.2, 0.2], radius = 0.06 } }
 velocity = [1, 0, 0]
-spin = [0, 0, 3]
+angular_velocity = [0, 0, 3]
 [[load]]
 object = "ball"
 force = [0, 2, 0]
 [[probe]]
 name = "ball"
-every = "1 us"
+sampling_interval = "1 us"
 object = "ball"
 [[probe]]
 name = "all"
-every = "1 us"
+sampling_interval = "1 us"
 wall = "all"
 [[probe]]
 name = "core"
-every = "5 ms"
+sampling_interval = "5 ms"
 velocity = [0.214, 0.2, 0.2]
 """
 

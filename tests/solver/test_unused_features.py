@@ -22,7 +22,7 @@ cell = 0.02
 end = 1
 [material.water]
 kind = "fluid"
-bulk_modulus = 5e4
+tait_coefficient = 5e4
 [[object]]
 name = "pool"
 material = "water"
@@ -131,11 +131,11 @@ kind = "fluid"
 [[coupling]]
 between = ["water", "stuff"]
 kind = "drag"
-permeability = 1e-3
+hydraulic_conductivity = 1e-3
 [[coupling]]
 between = ["water", "milk"]
 kind = "mixing"
-diffusion = 1e-4
+diffusivity = 1e-4
 [[coupling]]
 between = ["toy", "water"]
 kind = "contact"
@@ -228,24 +228,24 @@ def test_what_is_defined_and_not_used_changes_nothing(tmp_path, plain):
 def test_what_is_not_used_bounds_no_step(tmp_path):
     """A fixed one is not refused for fluids of which one is not there; they would bear 7 us."""
     fixed = PLAIN.replace("end = 1", "end = 1\ndt = 1e-4")
-    unused = UNUSED.replace("diffusion = 1e-4", "diffusion = 10")
+    unused = UNUSED.replace("diffusivity = 1e-4", "diffusivity = 10")
     assert begin(tmp_path, fixed + unused)[0].plan.fixed_dt == 1e-4
 
 
 WITH_SAND = PLAIN.replace('"fluid"\nbulk_modulus = 5e4', '"sand"')
 IN_PORES = PLAIN.replace('name = "pool"', 'name = "pool"\nfraction = 0.4') + GRAINS + WITHIN
-RED = BESIDE + 'colour = "#ff0000"\n'
-TRAVELS = '[appearance]\ncolour_transfer = "step"\n'
+RED = BESIDE + 'color = "#ff0000"\n'
+TRAVELS = '[appearance]\ncolor_transfer = "step"\n'
 TAP = """
-[[source]]
+[[inlet]]
 name = "tap"
 material = "water"
 disc = { center = [0.16, 0.16, 0.26], radius = 0.03 }
 direction = [0, 0, -1]
-velocity = 1
+speed = 1
 """
 DRAIN = """
-[[sink]]
+[[outlet]]
 name = "drain"
 shape = { box = [[0.24, 0, 0], [0.32, 0.32, 0.32]] }
 """
@@ -260,15 +260,15 @@ FEATURES = {
         PLAIN + RUBBER + BESIDE, {"engine.layers.offsets"},
         {"ElasticLaw", "SurfaceDistance", "Offsets"},
     ),
-    "colours": (
+    "colors": (
         PLAIN + TRAVELS + MILK + RED,
-        {"engine.layers.colour 0", "tables.asked.colour 0", "tables.contributes.colour 0",
-         "engine.sets", "plan.colours"},
+        {"engine.layers.color 0", "tables.asked.color 0", "tables.contributes.color 0",
+         "engine.sets", "plan.colors"},
         {"Color", "gather_color", "average_over_phases"},
     ),
     "mixing": (PLAIN + MILK + BESIDE + COUPLED + 'kind = "mixing"\n', SHARED, MIXES),
     "drift": (
-        PLAIN + MILK + BESIDE + COUPLED + 'kind = "mixing"\ndiffusion = 1e-4\n',
+        PLAIN + MILK + BESIDE + COUPLED + 'kind = "mixing"\ndiffusivity = 1e-4\n',
         {*SHARED, "engine.beside.drift", "engine.layers.offsets"},
         {*MIXES, "CurrentVolumeMoments"},
     ),
@@ -286,7 +286,7 @@ FEATURES = {
     "a probe": (PLAIN + '[[probe]]\nname = "deep"\nrate = 100\npressure = [0.1, 0.1, 0.1]\n',
         set(), set()),
     "a wall that is felt": (
-        PLAIN + '[[probe]]\nname = "floor"\nrate = 100\nwall = "floor"\n',
+        PLAIN + '[[probe]]\nname = "floor"\nrate = 100\nwall = "bottom"\n',
         {"reactions", "engine.room.given", "engine.parts.ghosts"},
         {"ReactionSums", "GhostNodes"},
     ),

@@ -47,8 +47,8 @@ def table():
 def photograph(yaw):
     """rgb (height, width, 3) uint8 and the true mask."""
     cloud, camera = standing(yaw), VIEW.camera(np.array([0.0, 0.0, EYE]))
-    colour = harmonics.evaluate(cloud.sh, cloud.x - camera.eye)
-    splats = rasterize.ProjectableGaussians(cloud.x, cloud.cov(), cloud.opacity, colour)
+    color = harmonics.evaluate(cloud.sh, cloud.x - camera.eye)
+    splats = rasterize.ProjectableGaussians(cloud.x, cloud.cov(), cloud.opacity, color)
     drawn, left = rasterize.render(splats, camera, table())
     return (255 * np.clip(drawn, 0, 1) + 0.5).astype(np.uint8), left < 0.5
 

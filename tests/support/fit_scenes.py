@@ -29,7 +29,7 @@ velocity = [0, 0, -1.0]
 [[probe]]
 name = "ball"
 object = "ball"
-rate = 200
+sampling_rate = 200
 """
 
 FIT = """\

@@ -102,7 +102,7 @@ def spz_header(count, version=3, degree=0, bits=12, flags=0, streams=0, magic=b"
 
 def spz_sections(rows, version=3):
     """Attributes as bytes; rows: x (fixed-point integers, or floats in version 1), alpha, rgb,
-    scale, quat, and the rest of the colours, all bytes."""
+    scale, quat, and the rest of the colors, all bytes."""
     x = [v for row in rows for v in row[0]]
     if version == 1:
         first = struct.pack(f"<{len(x)}e", *x)

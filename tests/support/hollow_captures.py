@@ -21,12 +21,12 @@ WOOD, CLAY, SKIN, BLUE, GREY = "#b5793f", "#3f7fb5", "#d8a98a", "#2d4f8f", "#5a5
 def _chair() -> dict:
     legs = [(-0.07, -0.07), (0.07, -0.07), (-0.07, 0.07), (0.07, 0.07)]
     posts = [{"box": [[x - 0.012, y - 0.012, 0], [x + 0.012, y + 0.012, 0.15]]} for x, y in legs]
-    seat = {"box": [[-0.09, -0.09, 0.14], [0.09, 0.09, 0.165]], "colour": CLAY}
+    seat = {"box": [[-0.09, -0.09, 0.14], [0.09, 0.09, 0.165]], "color": CLAY}
     back = [
         {"box": [[-0.085, y - 0.014, 0.15], [-0.06, y + 0.014, 0.3]]} for y in (-0.065, 0, 0.065)
     ]
     rail = {"box": [[-0.088, -0.09, 0.27], [-0.057, 0.09, 0.3]]}
-    return {"union": [seat, rail, *posts, *back], "colour": WOOD}
+    return {"union": [seat, rail, *posts, *back], "color": WOOD}
 
 
 def _mug() -> dict:
@@ -34,26 +34,26 @@ def _mug() -> dict:
     room = {"cylinder": {"ends": [[0, 0, 0.03], [0, 0, 0.3]], "radius": 0.075}}
     handle = {
         "torus": {"center": [0.1, 0, 0.13], "axis": "y", "radius": 0.07, "tube": 0.017},
-        "colour": WOOD,
+        "color": WOOD,
     }
     cut = [{"union": [outer, handle]}, room]
-    return {"difference": cut, "colour": CLAY}
+    return {"difference": cut, "color": CLAY}
 
 
 def _figure() -> dict:
-    def limb(a: tuple, b: tuple, radius: float, colour: str) -> dict:
-        return {"capsule": {"ends": [a, b], "radius": radius}, "colour": colour}
+    def limb(a: tuple, b: tuple, radius: float, color: str) -> dict:
+        return {"capsule": {"ends": [a, b], "radius": radius}, "color": color}
 
     parts = [
         limb((0, 0, 0.16), (0, 0, 0.2), 0.038, CLAY),
-        {"sphere": {"center": [0, 0, 0.27], "radius": 0.032}, "colour": SKIN},
+        {"sphere": {"center": [0, 0, 0.27], "radius": 0.032}, "color": SKIN},
         limb((0, 0, 0.22), (0, 0, 0.25), 0.016, SKIN),
     ]
     for side in (-1, 1):
         parts.append(limb((0, 0.022 * side, 0.13), (0, 0.035 * side, 0.005), 0.02, BLUE))
         parts.append(limb((0, 0.045 * side, 0.215), (0.01, 0.075 * side, 0.12), 0.014, SKIN))
     floor = {"box": [[-1, -1, -1], [1, 1, 0]]}
-    return {"difference": [{"union": parts}, floor], "colour": GREY}
+    return {"difference": [{"union": parts}, floor], "color": GREY}
 
 
 FORMS = {"chair": _chair, "mug": _mug, "figure": _figure}

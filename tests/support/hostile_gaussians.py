@@ -87,11 +87,11 @@ PLY = {
     "a name twice": (GOOD.replace(b"float ny", b"float nx"), "repeated"),
     "an element twice": (with_header(("vertex", 1, VERTEX), ("vertex", 1, VERTEX)), "twice"),
     "an element without properties": (with_header(("vertex", 10**12, [])), "no or repeated"),
-    "an odd number of colours": (
+    "an odd number of colors": (
         with_header(("vertex", 1, VERTEX + [("float", f"f_rest_{i}") for i in range(10)])),
         "10 f_rest",
     ),
-    "misnumbered colours": (
+    "misnumbered colors": (
         with_header(("vertex", 1, VERTEX + [("float", f"f_rest_{i + 1}") for i in range(9)])),
         "f_rest_0",
     ),
@@ -100,7 +100,7 @@ PLY = {
     "a scale beyond all bounds": (one_bad(scale=(0, 0, 1e4)), "not finite"),
     "no rotation": (one_bad(rot=(0, 0, 0, 0)), "no rotation"),
     "an infinite rotation": (one_bad(rot=(np.inf, 0, 0, 0)), "row 1"),
-    "a colour that is no number": (one_bad(color=(0, np.nan, 0)), "row 1"),
+    "a color that is no number": (one_bad(color=(0, np.nan, 0)), "row 1"),
     "an opacity that is no number": (one_bad(opacity=np.nan), "row 1"),
     "packed and short": (PACKED[:-1], "truncated"),
     "packed without chunks": (with_header(("vertex", 5, WORDS)), "0 chunks"),
@@ -118,7 +118,7 @@ PLY = {
         ),
         "packed_position",
     ),
-    "packed colours for others": (
+    "packed colors for others": (
         with_header(
             ("chunk", 1, CHUNK),
             ("vertex", 5, WORDS),
@@ -181,7 +181,7 @@ SPZ = {
     "version 9": (spz_header(version=9), "version 9"),
     "version 4 in gzip": (spz_header(version=4), "version 4"),
     "a negative version": (spz_header(version=2**32 - 1), "version 4294967295"),
-    "colours of degree 9": (spz_header(degree=9), "degree 9"),
+    "colors of degree 9": (spz_header(degree=9), "degree 9"),
     "60 fraction bits": (spz_header(bits=60), "60 fraction bits"),
     "none": (spz_header(count=0, data=b""), "no Gaussians"),
     "a negative count": (spz_header(count=2**32 - 1), "4,294,967,295"),

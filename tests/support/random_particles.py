@@ -19,7 +19,7 @@ SOUP = """
 [domain]
 size = [0.72, 0.24, 0.24]
 cell = 0.02
-boundary = { default = "slip", floor = "stick", east = { kind = "separate", friction = 0.2 } }
+boundary = { default = "slip", bottom = "stick", east = { kind = "separate", friction = 0.2 } }
 [time]
 end = 1
 [accuracy]
@@ -27,11 +27,11 @@ precision = "PRECISION"
 [material.oil]
 kind = "fluid"
 density = 800
-bulk_modulus = 1e3
+tait_coefficient = 1e3
 viscosity = 0.1
 [material.water]
 kind = "fluid"
-bulk_modulus = 2e3
+tait_coefficient = 2e3
 [material.rubber]
 kind = "elastic"
 density = 700

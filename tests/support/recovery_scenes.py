@@ -54,7 +54,7 @@ acceleration = [0, 0, 2]
 [[probe]]
 name = "it"
 object = "column"
-rate = 500
+sampling_rate = 500
 """,
     "material.rubber.youngs_modulus", 2e4, (2e3, 4e5), 2e5, ("center_z",),
 )  # fmt: skip
@@ -66,20 +66,20 @@ VISCOSITY = Case(
 [material.oil]
 kind = "fluid"
 density = 1000
-bulk_modulus = 200
+tait_coefficient = 200
 viscosity = 1
 [[object]]
 name = "oil"
 material = "oil"
 shape = { box = [[0, 0, 0], [0.1, 0.05, 0.1]] }
-mode = [
-    { amplitude = [0.005, 0, -0.005], wave = [31.41592653589793, 0, 31.41592653589793] },
-    { amplitude = [0.005, 0, 0.005], wave = [31.41592653589793, 0, -31.41592653589793] },
+velocity_mode = [
+    { amplitude = [0.005, 0, -0.005], wave_vector = [31.41592653589793, 0, 31.41592653589793] },
+    { amplitude = [0.005, 0, 0.005], wave_vector = [31.41592653589793, 0, -31.41592653589793] },
 ]
 [[probe]]
 name = "it"
 velocity = [0.05, 0.025, 0.0875]
-rate = 400
+sampling_rate = 400
 """,
     "material.oil.viscosity", 1.0, (0.1, 10.0), 8.0, ("velocity_x",),
 )  # fmt: skip
@@ -95,15 +95,15 @@ youngs_modulus = 2e5
 [[object]]
 name = "block"
 material = "clay"
-colour = "#b03010"
+color = "#b03010"
 shape = { box = [[0.03, 0.04, 0], [0.11, 0.12, 0.04]] }
 velocity = [0.8, 0, 0]
 [[probe]]
 name = "it"
 object = "block"
-rate = 200
+sampling_rate = 200
 """,
-    "domain.boundary.floor.friction", 0.3, (0.02, 1.5), 0.05, ("center_x", "velocity_x"),
+    "domain.boundary.bottom.friction", 0.3, (0.02, 1.5), 0.05, ("center_x", "velocity_x"),
 )  # fmt: skip
 
 # a block that is thrown down and does not get up again
@@ -118,13 +118,13 @@ yield_stress = 8e3
 [[object]]
 name = "block"
 material = "putty"
-colour = "#b03010"
+color = "#b03010"
 shape = { box = [[0.06, 0.06, 0.01], [0.14, 0.14, 0.13]] }
 velocity = [0, 0, -3]
 [[probe]]
 name = "it"
 object = "block"
-rate = 5000
+sampling_rate = 5000
 """,
     "material.putty.yield_stress", 8e3, (5e2, 1e5), 6e4, ("center_z", "velocity_z"),
 )  # fmt: skip
@@ -140,12 +140,12 @@ friction_angle = "32 deg"
 [[object]]
 name = "column"
 material = "grains"
-colour = "#e8c860"
+color = "#e8c860"
 shape = { box = [[0, 0, 0], [0.1, 0.08, 0.14]] }
 [[probe]]
 name = "it"
 object = "column"
-rate = 100
+sampling_rate = 100
 """,
     "material.grains.friction_angle", 0.5585, (0.06, 1.1), 0.08, ("center_x", "center_z"),
 )  # fmt: skip
@@ -156,7 +156,7 @@ DENSITY = Case(
     + """
 [material.water]
 kind = "fluid"
-bulk_modulus = 5e4
+tait_coefficient = 5e4
 viscosity = 4
 [material.wood]
 kind = "elastic"
@@ -165,12 +165,12 @@ youngs_modulus = 5e4
 [[object]]
 name = "slab"
 material = "wood"
-colour = "#b03010"
+color = "#b03010"
 shape = { box = [[0.08, 0, 0.12], [0.32, 0.04, 0.24]] }
 [[object]]
 name = "pool"
 material = "water"
-colour = "#3060d0"
+color = "#3060d0"
 [[object.shape.difference]]
 box = [[0, 0, 0], [0.4, 0.04, 0.16]]
 [[object.shape.difference]]
@@ -178,7 +178,7 @@ box = [[0.08, 0, 0.12], [0.32, 0.04, 0.24]]
 [[probe]]
 name = "it"
 object = "slab"
-rate = 100
+sampling_rate = 100
 """,
     "material.wood.density", 500.0, (60.0, 950.0), 90.0, ("center_z",), grid="finer",
 )  # fmt: skip
@@ -189,7 +189,7 @@ PERMEABILITY = Case(
     + """
 [material.water]
 kind = "fluid"
-bulk_modulus = 1e6
+tait_coefficient = 1e6
 [material.grains]
 kind = "sand"
 density = 2650
@@ -199,7 +199,7 @@ youngs_modulus = 1.5e5
 name = "pores"
 material = "water"
 shape = { box = [[0, 0, 0], [0.08, 0.08, 0.4]] }
-fraction = 0.4
+volume_fraction = 0.4
 [[object]]
 name = "sand"
 material = "grains"
@@ -208,17 +208,17 @@ shape = { box = [[0, 0, 0], [0.08, 0.08, 0.4]] }
 object = "sand"
 pressure = 500
 face = "top"
-ramp = 0.035
+ramp_time = 0.035
 [[coupling]]
 between = ["water", "grains"]
 kind = "drag"
-permeability = 1e-2
+hydraulic_conductivity = 1e-2
 [[probe]]
 name = "it"
 pressure = [0.04, 0.04, 0.02]
-rate = 400
+sampling_rate = 400
 """,
-    "coupling.0.permeability", 1e-2, (1e-3, 0.2), 1e-1, ("pressure",),
+    "coupling.0.hydraulic_conductivity", 1e-2, (1e-3, 0.2), 1e-1, ("pressure",),
 )  # fmt: skip
 
 # a block that jumps off the floor, to be seen
@@ -231,7 +231,7 @@ youngs_modulus = 2e4
 [[object]]
 name = "block"
 material = "rubber"
-colour = "#b03010"
+color = "#b03010"
 shape = { box = [[0.06, 0.06, 0.01], [0.14, 0.14, 0.13]] }
 velocity = [0, 0, -1]
 """,
@@ -239,32 +239,32 @@ velocity = [0, 0, -1]
     camera=((0.1, -0.5, 0.15), (0.1, 0.1, 0.07), 20),
 )  # fmt: skip
 
-# vortices in oil of two colours
+# vortices in oil of two colors
 STIRRED = Case(
     room([0.1, 0.05, 0.1], 0.00625, 0.5, gravity=[0, 0, 0])
     + """
 [material.oil]
 kind = "fluid"
 density = 1000
-bulk_modulus = 1000
+tait_coefficient = 1000
 viscosity = 1
 [[object]]
 name = "left"
 material = "oil"
-colour = "#b03010"
+color = "#b03010"
 shape = { box = [[0, 0, 0], [0.05, 0.05, 0.1]] }
-mode = [
-    { amplitude = [0.1, 0, -0.1], wave = [31.41592653589793, 0, 31.41592653589793] },
-    { amplitude = [0.1, 0, 0.1], wave = [31.41592653589793, 0, -31.41592653589793] },
+velocity_mode = [
+    { amplitude = [0.1, 0, -0.1], wave_vector = [31.41592653589793, 0, 31.41592653589793] },
+    { amplitude = [0.1, 0, 0.1], wave_vector = [31.41592653589793, 0, -31.41592653589793] },
 ]
 [[object]]
 name = "right"
 material = "oil"
-colour = "#3060d0"
+color = "#3060d0"
 shape = { box = [[0.05, 0, 0], [0.1, 0.05, 0.1]] }
-mode = [
-    { amplitude = [0.1, 0, -0.1], wave = [31.41592653589793, 0, 31.41592653589793] },
-    { amplitude = [0.1, 0, 0.1], wave = [31.41592653589793, 0, -31.41592653589793] },
+velocity_mode = [
+    { amplitude = [0.1, 0, -0.1], wave_vector = [31.41592653589793, 0, 31.41592653589793] },
+    { amplitude = [0.1, 0, 0.1], wave_vector = [31.41592653589793, 0, -31.41592653589793] },
 ]
 """,
     "material.oil.viscosity", 1.0, (0.1, 10.0), 8.0,
@@ -284,7 +284,7 @@ CASES = {
     "yield stress": YIELD,
     "friction angle": ANGLE,
     "density": DENSITY,
-    "permeability": PERMEABILITY,
+    "hydraulic_conductivity": PERMEABILITY,
     "stiffness, seen": JUMP,
     "viscosity, seen": STIRRED,
     "friction, seen": seen(FRICTION, (0.2, -0.8, 0.3), (0.2, 0.08, 0.03), 22),

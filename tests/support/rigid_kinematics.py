@@ -15,7 +15,7 @@ SCENE = """
 size = [{long!r}, 0.04, {high!r}]
 cell = 0.01
 gravity = [{along!r}, 0, {down!r}]
-boundary = {{ default = "slip", floor = {floor} }}
+boundary = {{ default = "slip", bottom = {floor} }}
 [time]
 end = 10
 [accuracy]
@@ -29,7 +29,7 @@ friction = {mu}
 [[object]]
 name = "wheel"
 material = "rubber"
-shape = {{ cylinder = {{ ends = [[{x!r}, 0, {z!r}], [{x!r}, 0.04, {z!r}]], radius = {radius!r} }} }}
+shape.cylinder = {{ endpoints = [[{x!r}, 0, {z!r}], [{x!r}, 0.04, {z!r}]], radius = {radius!r} }}
 """
 BELOW = """
 [[object]]

@@ -30,7 +30,7 @@ SCENE = """
 size = [{long!r}, {wide!r}, {high!r}]
 cell = {cell!r}
 gravity = [0, 0, -9.81]
-boundary = {{ default = "slip", floor = {floor} }}
+boundary = {{ default = "slip", bottom = {floor} }}
 [time]
 end = 1
 [accuracy]
@@ -55,7 +55,7 @@ class Column:
     sand: str = "quartz sand"  # preset
     angle: float | None = None  # of friction [degrees], instead of the preset's
     match: str = "slope"  # of `angle`
-    transfer: str = "restored"
+    transfer: str = "apic-corrected"
     floor: float | None = None  # Coulomb coefficient; None: sand does not slide on it
 
     @property
@@ -195,7 +195,7 @@ def main() -> None:
     args.add_argument("form", choices=["plane", "round"])
     args.add_argument("a", type=float, nargs="+")
     args.add_argument("--cells", type=int, nargs="+", default=[16])
-    args.add_argument("--transfer", nargs="+", default=["restored"])
+    args.add_argument("--transfer", nargs="+", default=["apic-corrected"])
     args.add_argument(
         "--angle", type=float, nargs="+", default=[None], help="instead of the preset's"
     )

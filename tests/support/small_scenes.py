@@ -26,7 +26,7 @@ title = "mixed"
 [domain]
 size = [0.36, 0.24, 0.24]
 cell = 0.02
-boundary = { default = "slip", floor = "stick", east = { kind = "separate", friction = 0.2 } }
+boundary = { default = "slip", bottom = "stick", east = { kind = "separate", friction = 0.2 } }
 
 [time]
 end = 0.06
@@ -37,13 +37,13 @@ precision = "PRECISION"
 
 [material.water]
 kind = "fluid"
-bulk_modulus = 5e4
+tait_coefficient = 5e4
 viscosity = 0.01
 
 [material.oil]
 kind = "fluid"
 density = 900
-bulk_modulus = 5e4
+tait_coefficient = 5e4
 viscosity = 0.1
 
 [material.rubber]
@@ -78,7 +78,7 @@ material = "rubber"
 shape = { box = [[-0.04, -0.04, 0], [0.04, 0.04, 0.08]] }
 position = [0.2, 0.1, 0.12]
 velocity = [-2, 0, 0]
-spin = [0, 5, 0]
+angular_velocity = [0, 5, 0]
 
 [[object]]
 name = "post"
@@ -88,7 +88,7 @@ shape = { box = [[-0.02, -0.02, 0], [0.02, 0.02, 0.1]] }
 position = [0.28, 0.12, 0.0]
 
 [output]
-checkpoint_steps = 40
+checkpoint_interval_steps = 40
 """
 
 # everything that phases can do to each other: three liquids that mix, two of them in the pores of
@@ -110,18 +110,18 @@ precision = "PRECISION"
 
 [material.water]
 kind = "fluid"
-bulk_modulus = 5e4
+tait_coefficient = 5e4
 
 [material.milk]
 kind = "fluid"
 density = 1030
-bulk_modulus = 5e4
+tait_coefficient = 5e4
 viscosity = 0.01
 
 [material.syrup]
 kind = "fluid"
 density = 1300
-bulk_modulus = 5e4
+tait_coefficient = 5e4
 viscosity = 1
 
 [material.grains]
@@ -137,7 +137,7 @@ youngs_modulus = 1e5
 name = "pores"
 material = "water"
 shape = { box = [[0, 0, 0], [0.2, 0.24, 0.06]] }
-fraction = 0.4
+volume_fraction = 0.4
 velocity = [0.4, 0, 0]
 
 [[object]]
@@ -172,32 +172,32 @@ velocity = [1, 0, -2]
 [[coupling]]
 between = ["water", "milk"]
 kind = "mixing"
-diffusion = 1e-3
-slip_time = 0.01
+diffusivity = 1e-3
+slip_relaxation_time = 0.01
 
 [[coupling]]
 between = ["syrup", "milk"]
 kind = "mixing"
-diffusion = 1e-3
-slip_time = 0.01
+diffusivity = 1e-3
+slip_relaxation_time = 0.01
 
 [[coupling]]
 between = ["water", "grains"]
 kind = "drag"
-permeability = 1e-2
+hydraulic_conductivity = 1e-2
 
 [[coupling]]
 between = ["milk", "grains"]
 kind = "drag"
-permeability = 2e-2
+hydraulic_conductivity = 2e-2
 
 [output]
-checkpoint_steps = 40
+checkpoint_interval_steps = 40
 """
 
 # a small ball of every law, falling onto each other in three heaps
 LAWS = {
-    "fluid": "bulk_modulus = 3e4",
+    "fluid": "tait_coefficient = 3e4",
     "paste": 'preset = "ketchup"\nshear_modulus = 3e3',
     "sand": "youngs_modulus = 1e5",
     "snow": "youngs_modulus = 1e5",

@@ -9,7 +9,7 @@ title = "good"
 [domain]
 size = ["64 cm", "32 cm", "32 cm"]
 cell = "2 cm"
-boundary = { default = "slip", floor = "stick" }
+boundary = { default = "slip", bottom = "stick" }
 [time]
 end = "1 s"
 frames = 11
@@ -71,7 +71,7 @@ CASES = {
         "density = 1000",
         "poisson_ratio = 0.3",
         "material.water.poisson_ratio",
-        "known here: kind, preset, density, bulk_modulus",
+        "known here: kind, preset, density, tait_coefficient",
     ),
     "missing key": ("end = ", "#", "time.end", "required key is missing: simulated time"),
     "wrong unit": ('end = "1 s"', 'end = "1 m"', "time.end", "units: s, ms, us, min, h"),
@@ -118,13 +118,13 @@ CASES = {
     "wall kind": (
         'floor = "stick"',
         'floor = "stik"',
-        "domain.boundary.floor.kind",
+        "domain.boundary.bottom.kind",
         "must be one of stick, slip, separate, open (did you mean 'stick'?); got 'stik'",
     ),
     "friction of a slip wall": (
         'floor = "stick"',
         'floor = { kind = "slip", friction = 0.2 }',
-        "domain.boundary.floor",
+        "domain.boundary.bottom",
         'friction is for kind = "separate" only',
     ),
     "wall name": ("floor =", "flor =", "domain.boundary.flor", "did you mean 'floor'?"),
@@ -170,7 +170,9 @@ CASES = {
     "pruned shape": ball(
         'prune = "auto"', "prune", "is only for objects made of gaussians or a mesh"
     ),
-    "nothing to ride": ball("passive = true", "passive", 'needs prune = "auto" or "paper"'),
+    "nothing to ride": ball(
+        "passive_gaussians = true", "passive", 'needs prune = "auto" or "paper"'
+    ),
     "unknown transfer": (
         'title = "good"',
         'title = "good"\n[accuracy]\ntransfer = "flop"',
@@ -190,7 +192,7 @@ CASES = {
         "is not for scenery",
     ),
     "body as collider": ball("collider = true", "collider", "is"),
-    "colour": ball('colour = "reed"', "colour", "'#6fb7d6'"),
+    "color": ball('color = "reed"', "color", "'#6fb7d6'"),
     "axis": ball(
         'rotation = { axis = "w", angle = "3 deg" }',
         "rotation.axis",
@@ -223,16 +225,16 @@ CASES = {
         "'fluid' already holds a fluid, object 'pool', this is a solid: to share one velocity"
         " field, 'pool' must name it too",
     ),
-    "an unknown colour transfer": (
+    "an unknown color transfer": (
         "[domain]",
-        '[appearance]\ncolour_transfer = "frames"\n[domain]',
-        "appearance.colour_transfer",
+        '[appearance]\ncolor_transfer = "frames"\n[domain]',
+        "appearance.color_transfer",
         "must be one of off, frame, relax, step (did you mean 'frame'?)",
     ),
-    "colours of nobody": (
+    "colors of nobody": (
         "[domain]",
-        '[appearance]\ncolour_bodies = ["pool", "bal"]\n[domain]',
-        "appearance.colour_bodies.1",
+        '[appearance]\ncolor_objects = ["pool", "bal"]\n[domain]',
+        "appearance.color_objects.1",
         "there is no object 'bal' (did you mean 'ball'?); known: pool, ball",
     ),
     "opacity scale of a solid": ball("opacity_scale = 0.1", "opacity_scale", "is only for fluids"),
@@ -327,22 +329,24 @@ CASES = {
     ),
     "probe of no object": probe_with('rate = 1\nobject = "boll"', "object", "did you mean 'ball'?"),
     "fraction given twice": ball(
-        'fraction = 0.5\nfraction_profile = { axis = "x", at = [0, 1], share = [0, 1] }',
-        "fraction_profile",
-        "fraction and fraction_profile given at once",
+        'fraction = 0.5\nfraction_profile = { axis = "x", positions = [0, 1], values = [0, 1] }',
+        "volume_fraction_profile",
+        "fraction and volume_fraction_profile given at once",
     ),
     "profile of two lengths": ball(
-        'fraction_profile = { axis = "x", at = [0, 1, 2], share = [0, 1] }',
-        "fraction_profile",
+        'volume_fraction_profile = { axis = "x", positions = [0, 1, 2], values = [0, 1] }',
+        "volume_fraction_profile",
         "at and share must be of one length, 2 or more",
     ),
     "profile that turns back": ball(
-        'fraction_profile = { axis = "x", at = [1, 0], share = [0, 1] }',
-        "fraction_profile",
+        'volume_fraction_profile = { axis = "x", positions = [1, 0], values = [0, 1] }',
+        "volume_fraction_profile",
         "at must ascend",
     ),
     "fraction above one": ball("fraction = 1.5", "fraction", "must be > 0 and <= 1"),
-    "compressed solid": ball('compressed = "hydrostatic"', "compressed", "is only for fluids"),
+    "compressed solid": ball(
+        'initial_pressure = "hydrostatic"', "compressed", "is only for fluids"
+    ),
 }
 
 # found while the particles are made
@@ -375,8 +379,8 @@ BUILD_CASES = {
         "holds no particle of ball at the start",
     ),
     "share of nothing": ball(
-        'fraction_profile = { axis = "x", at = [0, 1], share = [0, 0] }',
-        "fraction_profile",
+        'volume_fraction_profile = { axis = "x", positions = [0, 1], values = [0, 0] }',
+        "volume_fraction_profile",
         "leaves no particle: its share is 0 everywhere",
     ),
     "not a mesh": made_of('mesh = "inside.ply"', "mesh", "cannot be read as a mesh"),

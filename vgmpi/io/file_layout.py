@@ -75,7 +75,7 @@ FRAME = [
         "f4",
         "1",
         "color as `sh` of gaussians.h5, coefficient by coefficient; nan without color transfer; "
-        "only with appearance.colour_transfer = step",
+        "only with appearance.color_transfer = step",
     ),
     Dataset("object", "(n,)", "i4", "1", "number of the object in the list `objects`"),
     Dataset("phase", "(n,)", "i4", "1", "number of the velocity field it moves with"),
@@ -154,9 +154,9 @@ GAUSSIAN = [
         "(n,)",
         "f4",
         "1",
-        "factor, 0.001 to 1, by which `appearance.shade` darkened the color; (0.5 + 0.2820948"
-        " sh[:, 0]) / shade is the color without that light; after pruning, the mean of the merged"
-        " Gaussians; only if one is not 1",
+        "factor, 0.001 to 1, by which `appearance.baked_shading` darkened the color;"
+        " (0.5 + 0.2820948 sh[:, 0]) / shade is the color without that light; after"
+        " pruning, the mean of the merged Gaussians; only if one is not 1",
     ),
 ]
 OPTIONAL = ("v0", "theta0", "surface0", "shade")  # datasets that some files lack, also in groups
@@ -294,7 +294,10 @@ PROBE_COLUMNS = {
         *_WHEN,
         Dataset("pressure", "", "f8", "Pa", "mean of the nearby fluids; nan without fluid"),
     ],
-    "level": [*_WHEN, Dataset("level", "", "f8", "m", "height of the surface; 0 without fluid")],
+    "surface_height": [
+        *_WHEN,
+        Dataset("level", "", "f8", "m", "height of the surface; 0 without fluid"),
+    ],
     "velocity": [
         *_WHEN,
         *(

@@ -62,7 +62,7 @@ def _table(datasets, prefix=""):
 
 ABOUT_ENERGY = (
     "Gravity, walls, colliders, loads, sources and sinks change momentum and energy. With "
-    "`domain.gravity_ramp`, the potential energy refers to gravity at its full strength; with "
+    "`domain.gravity_ramp_time`, the potential energy refers to gravity at its full strength; with "
     "`domain.gravity_keyframes`, to gravity at that time.\n"
 )
 

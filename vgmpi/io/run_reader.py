@@ -19,6 +19,7 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 
+from vgmpi.runtime.config import renamed_keys
 from vgmpi.runtime.suggestions import did_you_mean_file
 
 from . import checkpoint_manifest, file_layout, hdf5_validation, integrity
@@ -239,6 +240,7 @@ def read_gaussians(path: str | Path) -> SimpleNamespace:
         integrity.check_gaussians(f, data)
         result.objects = json.loads(data["objects"])
         result.scene = json.loads(data["scene"])
+        renamed_keys.SCENE.apply(result.scene)
         result.digest = f.attrs["digest"].decode()
         integrity.check_objects(result)
         return result

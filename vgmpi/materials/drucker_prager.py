@@ -46,7 +46,7 @@ class Sand(ElastoplasticMaterial):
     """of the bulk"""
     friction_angle: Annotated[float, Quantity("rad", gt=0, lt=1.5707)] = math.radians(32)
     """friction angle, measured in the test that `match` names"""
-    match: Literal["slope", "plane-strain", "triaxial"] = "slope"
+    friction_angle_test: Literal["slope", "plane-strain", "triaxial"] = "slope"
     """test in which friction_angle was measured. slope: angle of repose of flowing sand;
     plane-strain: plane strain test; triaxial: triaxial compression"""
     cohesion: Annotated[float, Quantity("Pa", ge=0)] = 0.0
@@ -70,7 +70,7 @@ class Sand(ElastoplasticMaterial):
             "porosity": 0.34,
             "youngs_modulus": 5e7,
             "friction_angle": math.radians(40),
-            "match": "triaxial",
+            "friction_angle_test": "triaxial",
         },
         "wet sand": {
             "porosity": 0.42,
@@ -104,9 +104,9 @@ class Sand(ElastoplasticMaterial):
         # Klar has |dev tau| = 3 alpha p, p the mean pressure: alpha such that principal stresses
         # meet Mohr-Coulomb's ratio (1 + sin) / (1 - sin)
         alpha = math.sqrt(2 / 3) * 2 * sine / (3 - sine)
-        if self.match == "plane-strain":
+        if self.friction_angle_test == "plane-strain":
             alpha = math.sqrt(2) * sine / 3
-        elif self.match == "slope":
+        elif self.friction_angle_test == "slope":
             # sand that keeps its volume slides along planes at 45 degrees to the principal axes,
             # where shear over pressure is not the tangent but the sine of plane strain (Davis 1968)
             alpha = math.sqrt(2) * math.tan(self.friction_angle) / 3

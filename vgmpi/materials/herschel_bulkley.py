@@ -30,7 +30,7 @@ class Law(NamedTuple):
     mu: float  # [Pa] shear modulus
     yield_stress: float  # [Pa] yield stress in shear
     log_consistency: float  # [-] ln(K / 1 Pa s^n)
-    index: float  # type: ignore[assignment]  # [-] flow index n; hides a method of tuple
+    flow_index: float  # type: ignore[assignment]  # [-] flow index n; hides a method of tuple
     density: float  # [kg/m3] density at rest
 
 
@@ -43,9 +43,9 @@ class Paste(Liquid):
     kind: Literal["paste"]
     yield_stress: Annotated[float, Quantity("Pa", ge=0)]
     """shear stress below which the material does not flow"""
-    consistency: Annotated[float, Quantity("", gt=0)]
+    consistency_index: Annotated[float, Quantity("", gt=0)]
     """consistency index K [Pa s^n]: shear stress beyond the yield stress at a shear rate of 1 /s"""
-    index: Annotated[float, Quantity("", ge=0.2, le=2)] = 1.0
+    flow_index: Annotated[float, Quantity("", ge=0.2, le=2)] = 1.0
     """flow index n; 1: Bingham, below 1: shear-thinning"""
     shear_modulus: Annotated[float, Quantity("Pa", gt=0)]
     """elastic shear modulus below the yield stress; the model is exact while stresses are well
@@ -62,36 +62,36 @@ class Paste(Liquid):
         "mud": {
             "density": 1600.0,
             "yield_stress": 100.0,
-            "consistency": 35.0,
-            "index": 1 / 3,
+            "consistency_index": 35.0,
+            "flow_index": 1 / 3,
             "shear_modulus": 2000.0,
         },
         "jam": {
             "density": 1320.0,
             "yield_stress": 30.0,
-            "consistency": 20.0,
-            "index": 0.4,
+            "consistency_index": 20.0,
+            "flow_index": 0.4,
             "shear_modulus": 500.0,
         },
         "ketchup": {
             "density": 1140.0,
             "yield_stress": 32.0,
-            "consistency": 18.7,
-            "index": 0.27,
+            "consistency_index": 18.7,
+            "flow_index": 0.27,
             "shear_modulus": 400.0,
         },
         "toothpaste": {
             "density": 1300.0,
             "yield_stress": 200.0,
-            "consistency": 120.0,
-            "index": 0.28,
+            "consistency_index": 120.0,
+            "flow_index": 0.28,
             "shear_modulus": 2500.0,
         },
         "mayonnaise": {
             "density": 910.0,
             "yield_stress": 80.0,
-            "consistency": 6.4,
-            "index": 0.55,
+            "consistency_index": 6.4,
+            "flow_index": 0.55,
             "shear_modulus": 700.0,
         },
     }
@@ -99,13 +99,13 @@ class Paste(Liquid):
     def law(self) -> NamedTuple:
         """Return the numbers of the law in SI units."""
         return Law(
-            self.bulk_modulus,
+            self.tait_coefficient,
             self.exponent,
             self.most,
             self.shear_modulus,
             self.yield_stress,
-            math.log(self.consistency),
-            self.index,
+            math.log(self.consistency_index),
+            self.flow_index,
             self.density,
         )
 

@@ -16,7 +16,7 @@ ELASTIC_PRESETS: dict[str, dict] = {
     "silicone": {"density": 1150.0, "youngs_modulus": 5e5, "poisson_ratio": 0.45},
     "jelly": {"density": 1020.0, "youngs_modulus": 1e4, "poisson_ratio": 0.45},
     "cork": {"density": 170.0, "youngs_modulus": 2e7, "poisson_ratio": 0.05},
-    "wood": {"density": 160.0, "youngs_modulus": 1e9, "poisson_ratio": 0.3},
+    "balsa": {"density": 160.0, "youngs_modulus": 1e9, "poisson_ratio": 0.3},
 }
 
 

@@ -9,7 +9,7 @@ from vgmpi.runtime.config.schema import Quantity
 from .material import Family, Material, field_error
 
 GRAVITY = 9.81  # [m/s2] acceleration of gravity for the pressure at a depth
-WAYS = "bulk_modulus, max_speed or depth (the last two with compression)"
+WAYS = "tait_coefficient, max_speed or max_depth (the last two with max_compression)"
 NEVER = 100.0  # [-] theta = ln J that no particle reaches: the solver stops at J = 5
 
 
@@ -18,19 +18,20 @@ class Liquid(Material):
 
     density: Annotated[float, Quantity("kg/m3", gt=0)] = 1000.0
     """at rest"""
-    bulk_modulus: Annotated[float, Quantity("Pa", gt=0)] = 2e5
-    """stiffness k of p = k (J^-gamma - 1); the time step is proportional to 1 / sqrt(k). A smaller
+    tait_coefficient: Annotated[float, Quantity("Pa", gt=0)] = 2e5
+    """coefficient k of the Tait equation p = k (J^-gamma - 1), gamma times smaller than the bulk
+    modulus at rest; the time step is proportional to 1 / sqrt(k). A smaller
     value than in reality is usual, as long as the density changes little. Alternatives: max_speed,
-    depth"""
+    max_depth"""
     max_speed: Annotated[float, Quantity("m/s", gt=0)] | None = None
-    """instead of bulk_modulus: expected maximum speed. The speed of sound is then max_speed /
-    sqrt(compression): 10 max_speed for 1 %"""
-    depth: Annotated[float, Quantity("m", gt=0)] | None = None
-    """instead of bulk_modulus: maximum depth of the liquid. Its weight at 9.81 m/s2 then compresses
-    it by `compression` at the bottom"""
-    compression: Annotated[float, Quantity("1", gt=0, le=0.1)] = 0.01
-    """allowed relative change of density at max_speed or depth; only with one of them"""
-    gamma: Annotated[float, Quantity("", ge=1, le=20)] = 7.0
+    """instead of tait_coefficient: expected maximum speed. The speed of sound is then max_speed /
+    sqrt(max_compression): 10 max_speed for 1 %"""
+    max_depth: Annotated[float, Quantity("m", gt=0)] | None = None
+    """instead of tait_coefficient: maximum depth of the liquid. Its weight at 9.81 m/s2 then
+    compresses it by `max_compression` at the bottom"""
+    max_compression: Annotated[float, Quantity("1", gt=0, le=0.1)] = 0.01
+    """allowed relative change of density at max_speed or max_depth; only with one of them"""
+    tait_exponent: Annotated[float, Quantity("", ge=1, le=20)] = 7.0
     """exponent of the same equation of state"""
     tension: Literal["on", "off"] = "on"
     """off: no negative pressure; the liquid separates instead, and its volume never exceeds the
@@ -42,33 +43,35 @@ class Liquid(Material):
     @model_validator(mode="after")
     def _one_stiffness(self):
         """Check that the stiffness is given in one way, and compute it."""
-        keys = [k for k in ("bulk_modulus", "max_speed", "depth") if k in self.model_fields_set]
+        keys = [
+            k for k in ("tait_coefficient", "max_speed", "max_depth") if k in self.model_fields_set
+        ]
         keys = [k for k in keys if getattr(self, k) is not None]
         if len(keys) > 1:
             message = f"{keys[0]} already says how stiff it is: give one of {WAYS}"
             raise field_error(self, keys[1], message)
-        relative = keys in (["max_speed"], ["depth"])
-        if "compression" in self.model_fields_set and not relative:
-            message = "needs max_speed or depth, at which it is reached"
+        relative = keys in (["max_speed"], ["max_depth"])
+        if "max_compression" in self.model_fields_set and not relative:
+            message = "needs max_speed or max_depth, at which it is reached"
             raise field_error(
-                self, "compression", f"{message}; stiffness is given by one of {WAYS}"
+                self, "max_compression", f"{message}; stiffness is given by one of {WAYS}"
             )
         if relative:
             # the table shows the resulting stiffness
-            object.__setattr__(self, "bulk_modulus", self._stiffness())
+            object.__setattr__(self, "tait_coefficient", self._stiffness())
         return self
 
     def _stiffness(self) -> float:
         """Return k [Pa] for the allowed compression."""
         if self.max_speed is not None:
-            return self.density * self.max_speed**2 / (self.compression * self.gamma)
-        assert self.depth is not None
-        return self.density * GRAVITY * self.depth / (self.compression * self.gamma)
+            return self.density * self.max_speed**2 / (self.max_compression * self.tait_exponent)
+        assert self.max_depth is not None
+        return self.density * GRAVITY * self.max_depth / (self.max_compression * self.tait_exponent)
 
     @property
     def exponent(self) -> float:
         """Return gamma, kept above 1 by a single-precision margin for the energy's formula."""
-        return max(self.gamma, 1.0 + 1e-6)
+        return max(self.tait_exponent, 1.0 + 1e-6)
 
     @property
     def most(self) -> float:

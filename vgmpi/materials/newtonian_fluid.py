@@ -45,8 +45,8 @@ class Fluid(Liquid):
 
     def law(self) -> NamedTuple:
         """Return the numbers of the law in SI units."""
-        c2 = self.bulk_modulus * self.gamma / self.density
-        return Law(self.bulk_modulus, self.exponent, self.viscosity, c2, self.most)
+        c2 = self.tait_coefficient * self.tait_exponent / self.density
+        return Law(self.tait_coefficient, self.exponent, self.viscosity, c2, self.most)
 
     @property
     def kinematic_viscosity(self) -> float:  # type: ignore[override]
@@ -62,8 +62,8 @@ class Fluid(Liquid):
         Args:
             weight: Weight per area without compression, density g depth, shape (n,) [Pa].
         """
-        gamma = max(self.gamma, 1.0 + 1e-6)
-        return -np.log1p((1.0 - 1.0 / gamma) * weight / self.bulk_modulus) / (gamma - 1.0)
+        gamma = max(self.tait_exponent, 1.0 + 1e-6)
+        return -np.log1p((1.0 - 1.0 / gamma) * weight / self.tait_coefficient) / (gamma - 1.0)
 
     @staticmethod
     def advance(law, state, L, dt):

@@ -47,9 +47,9 @@ class Snow(Material):
     """principal stretches do not fall below 1 minus this; smaller is powdery"""
     critical_stretch: Annotated[float, Quantity("", gt=0, lt=1)] = 7.5e-3
     """principal stretches do not exceed 1 plus this; smaller is brittle"""
-    hardening: Annotated[float, Quantity("", ge=0, le=50)] = 10.0
+    hardening_coefficient: Annotated[float, Quantity("", ge=0, le=50)] = 10.0
     """xi of exp(xi (1 - Jp)); larger is icier"""
-    hardening_limit: Annotated[float, Quantity("", ge=1, le=1000)] = 20.0
+    max_hardening_factor: Annotated[float, Quantity("", ge=1, le=1000)] = 20.0
     """bounds of the hardening factor: this value and its inverse; the time step is proportional to
     the inverse of its square root"""
     friction: Annotated[float, Quantity("", ge=0)] = 0.3
@@ -67,21 +67,21 @@ class Snow(Material):
             "youngs_modulus": 4.8e4,
             "critical_compression": 1.9e-2,
             "critical_stretch": 5e-3,
-            "hardening": 5.0,
+            "hardening_coefficient": 5.0,
         },
         "packed snow": {
             "density": 400.0,
             "youngs_modulus": 1.4e5,
             "critical_compression": 2.5e-2,
             "critical_stretch": 7.5e-3,
-            "hardening": 10.0,
+            "hardening_coefficient": 10.0,
         },
     }
 
     @property
     def stiffening(self) -> float:
         """Return the hardening factor at Jp = 0, within its limit."""
-        return min(self.hardening_limit, math.exp(self.hardening))
+        return min(self.max_hardening_factor, math.exp(self.hardening_coefficient))
 
     def law(self) -> NamedTuple:
         """Return the numbers of the law in SI units."""
@@ -91,8 +91,8 @@ class Snow(Material):
             lam=lam,
             low=math.log1p(-self.critical_compression),
             high=math.log1p(self.critical_stretch),
-            xi=self.hardening,
-            limit=math.log(self.hardening_limit),
+            xi=self.hardening_coefficient,
+            limit=math.log(self.max_hardening_factor),
             density=self.density,
         )
 

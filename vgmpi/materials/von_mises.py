@@ -41,7 +41,7 @@ class Metal(ElastoplasticMaterial):
     """0.5 would be incompressible"""
     yield_stress: Annotated[float, Quantity("Pa", gt=0)]
     """initial yield stress in tension"""
-    hardening: Annotated[float, Quantity("Pa", ge=0)] = 0.0
+    hardening_modulus: Annotated[float, Quantity("Pa", ge=0)] = 0.0
     """increase of the yield stress per plastic strain in tension"""
     friction: Annotated[float, Quantity("", ge=0)] = 0.3
     """Coulomb friction coefficient at contacts without a contact coupling"""
@@ -58,21 +58,21 @@ class Metal(ElastoplasticMaterial):
             "youngs_modulus": 2.1e11,
             "poisson_ratio": 0.29,
             "yield_stress": 2.2e8,
-            "hardening": 1.5e9,
+            "hardening_modulus": 1.5e9,
         },
         "copper": {
             "density": 8930.0,
             "youngs_modulus": 1.3e11,
             "poisson_ratio": 0.34,
             "yield_stress": 6e7,
-            "hardening": 7e8,
+            "hardening_modulus": 7e8,
         },
         "lead": {
             "density": 11340.0,
             "youngs_modulus": 1.6e10,
             "poisson_ratio": 0.44,
             "yield_stress": 1.1e7,
-            "hardening": 2.4e7,
+            "hardening_modulus": 2.4e7,
         },
     }
 
@@ -81,7 +81,9 @@ class Metal(ElastoplasticMaterial):
         mu, lam = lame(self.youngs_modulus, self.poisson_ratio)
         # a uniaxial stress Y has a deviator of norm sqrt(2/3) Y = 2 mu |s|
         factor = math.sqrt(2 / 3) / (2 * mu)
-        return Law(mu, lam, factor * self.yield_stress, factor * self.hardening, self.density)
+        return Law(
+            mu, lam, factor * self.yield_stress, factor * self.hardening_modulus, self.density
+        )
 
     @staticmethod
     def advance(law, state, L, dt):

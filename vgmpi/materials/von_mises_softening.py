@@ -45,7 +45,7 @@ class Plasticine(ElastoplasticMaterial):
     """0.5 would be incompressible"""
     yield_stress: Annotated[float, Quantity("Pa", gt=0)]
     """initial yield stress in tension"""
-    residual_stress: Annotated[float, Quantity("Pa", gt=0)] | None = None
+    residual_yield_stress: Annotated[float, Quantity("Pa", gt=0)] | None = None
     """yield stress at full damage; at most yield_stress, which is the default"""
     softening_strain: Annotated[float, Quantity("", gt=0)] = 0.5
     """plastic strain in tension at full damage"""
@@ -66,7 +66,7 @@ class Plasticine(ElastoplasticMaterial):
             "youngs_modulus": 5e6,
             "poisson_ratio": 0.4,
             "yield_stress": 6e4,
-            "residual_stress": 4e4,
+            "residual_yield_stress": 4e4,
             "softening_strain": 0.5,
         },
         "clay": {
@@ -74,7 +74,7 @@ class Plasticine(ElastoplasticMaterial):
             "youngs_modulus": 4e6,
             "poisson_ratio": 0.45,
             "yield_stress": 4e4,
-            "residual_stress": 1.5e4,
+            "residual_yield_stress": 1.5e4,
             "softening_strain": 0.3,
         },
     }
@@ -82,19 +82,22 @@ class Plasticine(ElastoplasticMaterial):
     @model_validator(mode="after")
     def _falls_gently(self):
         """Check that the yield stress falls no faster than the elastic unloading."""
-        residual = self.yield_stress if self.residual_stress is None else self.residual_stress
+        residual = (
+            self.yield_stress if self.residual_yield_stress is None else self.residual_yield_stress
+        )
         if residual > self.yield_stress:
-            raise field_error(self, "residual_stress", "must be at most yield_stress")
+            raise field_error(self, "residual_yield_stress", "must be at most yield_stress")
         three_mu = 3 * self.youngs_modulus / (2 * (1 + self.poisson_ratio))
         min_strain = (self.yield_stress - residual) / three_mu
         if self.softening_strain <= 2 * min_strain:
             message = (
                 "the stress would fall faster than it can be unloaded: must be more than"
-                f" {2 * min_strain:.3g}, twice (yield_stress - residual_stress) / 3 shear moduli"
+                f" {2 * min_strain:.3g}, twice (yield_stress - residual_yield_stress) / 3 shear"
+                " moduli"
             )
             raise field_error(self, "softening_strain", message)
         # the table shows the value in use
-        object.__setattr__(self, "residual_stress", residual)
+        object.__setattr__(self, "residual_yield_stress", residual)
         return self
 
     def law(self) -> NamedTuple:
@@ -102,8 +105,8 @@ class Plasticine(ElastoplasticMaterial):
         mu, lam = lame(self.youngs_modulus, self.poisson_ratio)
         # a uniaxial stress Y has a deviator of norm sqrt(2/3) Y = 2 mu |s|
         factor = math.sqrt(2 / 3) / (2 * mu)
-        assert self.residual_stress is not None
-        first, last = factor * self.yield_stress, factor * self.residual_stress
+        assert self.residual_yield_stress is not None
+        first, last = factor * self.yield_stress, factor * self.residual_yield_stress
         return Law(mu, lam, first, last, (first - last) / self.softening_strain, self.density)
 
     @staticmethod

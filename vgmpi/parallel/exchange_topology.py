@@ -85,7 +85,7 @@ class TopologyRequirements(NamedTuple):
 
 def color_field_name(coefficient: int) -> str:
     """Return the name of the nodal field of a color coefficient."""
-    return f"colour {coefficient}"
+    return f"color {coefficient}"
 
 
 def counting_owner(tables: ExchangeTopology, rank: int) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Color exchange between bodies: who may exchange, and the scaling of transferred coefficients.
 
-Colors that travel through the grid do so with every step if `colour_transfer = "step"`.
+Colors that travel through the grid do so with every step if `color_transfer = "step"`.
 """
 
 from typing import NamedTuple
@@ -59,10 +59,10 @@ def color_exchange(scene: Scene, phases, shades: np.ndarray | None) -> ColorExch
         shades: Minimum and maximum of each color coefficient by object, shape (objects, 2, K, 3),
             NaN for objects without particles; None if unknown.
     """
-    if scene.appearance.colour_transfer != "step":
+    if scene.appearance.color_transfer != "step":
         return None
     travelling = _travelling_objects(scene)
-    width = COEFFICIENTS[scene.appearance.colour_degree]
+    width = COEFFICIENTS[scene.appearance.color_sh_degree]
     if shades is None:
         shades = np.zeros((len(scene.things), 2, width, 3)) + np.array([0.0, 1.0])[:, None, None]
     shades = shades[:, :, :width]
@@ -92,7 +92,7 @@ def color_exchange(scene: Scene, phases, shades: np.ndarray | None) -> ColorExch
 
 def _travelling_objects(scene: Scene) -> set[int]:
     """Return the rows of the objects whose colors travel."""
-    names = scene.appearance.colour_bodies
+    names = scene.appearance.color_objects
     rows = set()
     for k, entity in enumerate(scene.things):
         if entity.material:

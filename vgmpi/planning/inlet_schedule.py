@@ -41,7 +41,7 @@ class InletPlan(NamedTuple):
     layers: int  # number of layers that ever come
     start: float  # [s]
     early: float  # [s] from the release of a layer until it passes the mouth
-    colour: tuple[float, float, float]
+    color: tuple[float, float, float]
 
     @property
     def period(self) -> float:
@@ -114,14 +114,14 @@ class OutletPlan(NamedTuple):
 
 def inlet_speed(scene: Scene, source: Inlet) -> float:
     """Return the speed of an inlet's particles [m/s]."""
-    if source.velocity is not None:
-        return source.velocity
+    if source.speed is not None:
+        return source.speed
     n = len(inlet_geometry.inlet_points(source, scene.domain.cell))
     area = n * inlet_geometry.spacing(source, scene.domain.cell) ** 2
-    if source.flow is not None:
-        return source.flow / area
-    assert source.rate is not None  # ensured by the scene's reader
-    return source.rate / (scene.material[source.material].bulk_density * area)
+    if source.volume_flow_rate is not None:
+        return source.volume_flow_rate / area
+    assert source.mass_flow_rate is not None  # ensured by the scene's reader
+    return source.mass_flow_rate / (scene.material[source.material].bulk_density * area)
 
 
 def layer_count(scene: Scene, source: Inlet) -> int:
@@ -132,17 +132,21 @@ def layer_count(scene: Scene, source: Inlet) -> int:
     """
     period = inlet_geometry.spacing(source, scene.domain.cell) / inlet_speed(scene, source)
     spawned = (
-        (scene.time.end - source.start) / period + inlet_geometry.layers_in_nozzle(source) + 0.5
+        (scene.time.end - source.start_time) / period
+        + inlet_geometry.layers_in_nozzle(source)
+        + 0.5
     )
     count = (
-        spawned if source.end is None else min(spawned, (source.end - source.start) / period + 0.5)
+        spawned
+        if source.end_time is None
+        else min(spawned, (source.end_time - source.start_time) / period + 0.5)
     )
     return max(0, math.floor(min(count, MAX_LAYERS)))
 
 
 def outlet_plans(scene: Scene) -> tuple[OutletPlan, ...]:
     """Return the outlets of a scene, then its open walls: one cell deep, with all behind them."""
-    plans = [OutletPlan(sink.name, sink.shape) for sink in scene.sink]
+    plans = [OutletPlan(sink.name, sink.shape) for sink in scene.outlet]
     dx, size = scene.domain.cell, scene.domain.size
     for name in scene.domain.open_walls:
         axis, side = divmod(WALLS.index(name), 2)
@@ -173,7 +177,7 @@ def inlet_plans(scene: Scene, group_of: tuple, count: list[int]) -> tuple[InletP
     """
     plans, errors = [], []
     objects, dx = len(scene.object), scene.domain.cell
-    for k, source in enumerate(scene.inflow, objects):
+    for k, source in enumerate(scene.inlet, objects):
         mouth = inlet_geometry.inlet_points(source, dx)
         ready, needed = int(count[k]) // len(mouth), layer_count(scene, source)
         if needed > ready:
@@ -187,8 +191,8 @@ def inlet_plans(scene: Scene, group_of: tuple, count: list[int]) -> tuple[InletP
             InletPlan(
                 source.name, k, group_of[k], int(sum(count[:k])), mouth, source.direction, fast,
                 inlet_geometry.spacing(source, dx), inlet_geometry.layers_in_nozzle(source), ready,
-                source.start,
-                RELEASE_OFFSET_CELLS * dx / fast, source.colour,
+                source.start_time,
+                RELEASE_OFFSET_CELLS * dx / fast, source.color,
             )
         )  # fmt: skip
     if errors:

@@ -60,7 +60,7 @@ def interaction_rules(scene: Scene, groups, phases) -> InteractionRules | None:
         mix=mix,
         mixing_group_count=int(mix.max()) + 1,
         diffusion=np.array([d for d, _, _ in numbers]),
-        slip_time=np.array([t for _, t, _ in numbers]),
+        slip_relaxation_time=np.array([t for _, t, _ in numbers]),
         drag=drag,
         porosity=porosity,
         has_drag=bool(drag.any()),
@@ -120,7 +120,7 @@ def _mixing_numbers(
     for k, coupling in couplings:
         if coupling.rule != MIXING:
             continue
-        numbers = coupling.diffusion, coupling.slip_time, coupling.printed
+        numbers = coupling.diffusivity, coupling.slip_relaxation_time, coupling.printed
         for phase in phases_by_material.get(coupling.between[0], []):
             if by_group.setdefault(int(mix[phase]), numbers) != numbers:
                 message = "fluids that mix with one another must have the same numbers and kind"
@@ -145,15 +145,19 @@ def with_slip_wave_factors(
     factors = [1.0] * len(groups)
     if rules is None:
         return groups
-    slip_time = np.append(np.where(rules.printed_mix, 0.0, rules.slip_time), 0.0)  # -1 is the last
+    slip_relaxation_time = np.append(
+        np.where(rules.printed_mix, 0.0, rules.slip_relaxation_time), 0.0
+    )  # -1 is the last
     mixture_of = [int(rules.mix[g.phase]) for g in groups]
-    free = [k for k, mix in enumerate(mixture_of) if slip_time[mix] > 0.0]
+    free = [k for k, mix in enumerate(mixture_of) if slip_relaxation_time[mix] > 0.0]
     own = {k: _wave2(groups[k]) for k in free}
     ends = {k: (groups[k].density, own[k]) for k in free}
     for k in free:
         for m in free:
             if mixture_of[m] == mixture_of[k] and np.prod(ends[k]) > np.prod(ends[m]):
-                fastest = _slipping_waves(ends[k], ends[m], slip_time[mixture_of[k]], step_length)
+                fastest = _slipping_waves(
+                    ends[k], ends[m], slip_relaxation_time[mixture_of[k]], step_length
+                )
                 if fastest > WAVE_MARGIN * max(own[k], own[m]):
                     factors[k] = max(factors[k], fastest / own[k])
     return tuple(g._replace(slips=s) for g, s in zip(groups, factors, strict=True))
@@ -164,13 +168,13 @@ def _wave2(group) -> float:
     return float(law_function(group.law, "wave_speed2")(group.law, group.rest))
 
 
-def _slipping_waves(first, second, slip_time: float, step_length: float) -> float:
+def _slipping_waves(first, second, slip_relaxation_time: float, step_length: float) -> float:
     """Return the largest squared wave speed [m2/s2], at any volume fractions, of two mixed fluids.
 
     Args:
         first: Density [kg/m3] and squared wave speed [m2/s2] of the first fluid alone.
         second: Density and squared wave speed of the second fluid alone.
-        slip_time: Relaxation time of the slip [s].
+        slip_relaxation_time: Relaxation time of the slip [s].
         step_length: Distance that a wave may travel in a step [m].
     """
     a = np.linspace(0.0, 1.0, FRACTION_SAMPLES)
@@ -182,5 +186,5 @@ def _slipping_waves(first, second, slip_time: float, step_length: float) -> floa
     speed2 = separate
     for _ in range(WAVE_ITERATIONS):  # descends to the slip within a step of step_length / speed
         step = step_length / np.sqrt(speed2)
-        speed2 = together + (separate - together) / (1.0 + step / (2.0 * slip_time))
+        speed2 = together + (separate - together) / (1.0 + step / (2.0 * slip_relaxation_time))
     return float(speed2.max())

@@ -59,7 +59,7 @@ class Channels:
         rows += [("share", "1", (1.0,), "state")] * share
         rows += [("F", "1", (0.0,) * 9, "state")] * follows
         rows += [("surface", "1, m, 1/m", (0.0,) * SURFACE, "state")] * surface
-        rows += [("colour", "1", (0.0,) * 3 * hues, "state")] * (hues > 0)
+        rows += [("color", "1", (0.0,) * 3 * hues, "state")] * (hues > 0)
         self._by_name: dict[str, Channel] = {}
         self.count = 0  # floats per particle
         for name, unit, values, dataset in rows:

@@ -111,7 +111,9 @@ def stores_deformation(scene: Scene, entity: Object | Inlet) -> bool:
     if entity.material is None:
         return False
     material = scene.material[entity.material]
-    is_requested = material.family == "solid" if entity.deforms is None else entity.deforms
+    is_requested = (
+        material.family == "solid" if entity.track_deformation is None else entity.track_deformation
+    )
     return is_requested and ("H" in material.carries or "F" in scene.output.fields)
 
 
@@ -241,7 +243,7 @@ def _group(phase: int, phase_label: str, name: str, material, real: np.dtype) ->
 
 
 def with_runtime_requirements(
-    scene: Scene, group: GroupPlan, sharing: InteractionRules | None, colours: ColorExchange | None,
+    scene: Scene, group: GroupPlan, sharing: InteractionRules | None, colors: ColorExchange | None,
     keeps: object, restores: int,
 ) -> GroupPlan:  # fmt: skip
     """Return the group with all that the runtime features of the scene require.
@@ -252,13 +254,13 @@ def with_runtime_requirements(
         scene: The scene.
         group: The group.
         sharing: Interaction rules of the phases, or None.
-        colours: Colors that are transferred in every step, or None.
+        colors: Colors that are transferred in every step, or None.
         keeps: FLIP blend, or None.
         restores: Steps between two corrections of motion, 0: never.
     """
     group = _with_shared_space(scene, group, sharing)
-    if colours is not None:
-        group = _with_colors(group, int(colours.coefficients[group.phase]))
+    if colors is not None:
+        group = _with_colors(group, int(colors.coefficients[group.phase]))
     if restores:
         group = group._replace(cost=group.cost * (1.0 + CORRECTION_COST / restores))
     if keeps is None:
@@ -302,7 +304,11 @@ def with_density_correction(
 
 def _with_density_correction(scene: Scene, group: GroupPlan, phase: PhasePlan) -> GroupPlan:
     """Return the group with its density correction, if it has one."""
-    if scene.accuracy.volume != "kept" or group.carries[:1] != ("theta",) or group.shares:
+    if (
+        scene.accuracy.volume_correction != "density"
+        or group.carries[:1] != ("theta",)
+        or group.shares
+    ):
         return group
     if phase.least < phase.most:
         message = (

@@ -93,12 +93,12 @@ class Plan:
     fixed_dt: float  # [s], 0 if chosen by cfl
     rate: float  # [1/s] lower bound of 1 / dt from constant terms (viscosity, diffusion)
     rules: InteractionRules | None = None  # interaction rules of phases that share space
-    colours: ColorExchange | None = None  # colors that are transferred in every step
+    colors: ColorExchange | None = None  # colors that are transferred in every step
     affine: bool = True  # particles carry the velocity gradient (APIC)
     splines: bool = False  # strains and forces use gradients of the B-splines
     keeps: FlipBlend | None = None  # FLIP and AFLIP
     restores: int = 0  # [steps] interval of the transfer correction; 0: never
-    gravity_ramp: float = 0.0  # [s] duration of the growth of gravity
+    gravity_ramp_time: float = 0.0  # [s] duration of the growth of gravity
     gravity_keys: Keys = ()  # (time, gravity) keyframes from the start on
     # thickness: [m] of every solid body, NaN for other objects; empty without fluids or if unknown
     thickness: tuple[float, ...] = ()
@@ -163,7 +163,7 @@ class Plan:
         """Return the mean gravity between two times [s], shape (3,) [m/s2]."""
         if self.gravity_keys:
             return mean_gravity(self.gravity_keys, t0, t1)
-        return np.array(self.gravity) * mean_ramp_factor(t0, t1, self.gravity_ramp)
+        return np.array(self.gravity) * mean_ramp_factor(t0, t1, self.gravity_ramp_time)
 
     def gravity_at(self, time: float) -> np.ndarray:
         """Return the gravity at a time [s], shape (3,) [m/s2], with a ramp at its full strength."""
@@ -230,12 +230,11 @@ def make_plan(
     phases = phases_of(scene, bodies, volume, center, surface, prescribed_phases(scene))
     plain, group_of = groups_of(scene, bodies, phases, real)
     sharing = interaction_rules(scene, plain, phases)
-    colours = color_exchange(scene, phases, shades)
+    colors = color_exchange(scene, phases, shades)
     _check_transfer(scene, sharing)
     keeps, restores = _flip_blend(scene.accuracy), _correction_interval(scene)
     complete = tuple(
-        with_runtime_requirements(scene, group, sharing, colours, keeps, restores)
-        for group in plain
+        with_runtime_requirements(scene, group, sharing, colors, keeps, restores) for group in plain
     )
     complete = with_density_correction(
         scene, with_slip_wave_factors(complete, sharing, scene.time.cfl * scene.domain.cell), phases
@@ -255,10 +254,10 @@ def make_plan(
         times=np.linspace(0.0, scene.time.end, scene.time.frames),
         cfl=scene.time.cfl, fixed_dt=scene.time.dt,
         rate=_rate(bodies.values(), sharing, scene.domain.cell),
-        rules=sharing, colours=colours,
-        affine=scene.accuracy.affine, splines=scene.accuracy.gradient == "splines",
+        rules=sharing, colors=colors,
+        affine=scene.accuracy.affine, splines=scene.accuracy.gradient == "bspline",
         keeps=keeps, restores=restores,
-        gravity_ramp=scene.domain.gravity_ramp,
+        gravity_ramp_time=scene.domain.gravity_ramp_time,
         gravity_keys=_gravity_keys(scene),
         sources=inlet_plans(scene, group_of, count),
         sinks=outlet_plans(scene), driven=driven,
@@ -323,9 +322,13 @@ def time_step_bounds(scene: Scene, plan: Plan, stiffened: bool = False) -> list[
     dx, bounds = scene.domain.cell, []
     used = {group.material for group in plan.groups}
     for coupling in scene.coupling:
-        if coupling.rule == MIXING and coupling.diffusion > 0 and used.issuperset(coupling.between):
+        if (
+            coupling.rule == MIXING
+            and coupling.diffusivity > 0
+            and used.issuperset(coupling.between)
+        ):
             first, second = coupling.between
-            bound = dx**2 / (6.0 * coupling.diffusion)
+            bound = dx**2 / (6.0 * coupling.diffusivity)
             bounds.append((bound, f"the diffusion of materials {first!r} and {second!r}"))
     speeds = [entity.speed for entity in scene.object] + [source.speed for source in plan.sources]
     for k, entity in enumerate(scene.things):
@@ -348,9 +351,9 @@ def _flip_blend(accuracy: Accuracy) -> FlipBlend | None:
     """Return the FLIP blend that the scene asks for, or None."""
     if not accuracy.keeps:
         return None
-    if accuracy.flip is not None:
-        return FlipBlend(accuracy.flip, math.inf)
-    return FlipBlend(1.0, accuracy.damping)
+    if accuracy.flip_ratio is not None:
+        return FlipBlend(accuracy.flip_ratio, math.inf)
+    return FlipBlend(1.0, accuracy.flip_decay_time)
 
 
 def _correction_interval(scene: Scene) -> int:
@@ -364,7 +367,7 @@ def _correction_interval(scene: Scene) -> int:
 
 def _check_transfer(scene: Scene, sharing: InteractionRules | None) -> None:
     """Reject gradients of splines where the transfer scheme does not support them."""
-    if scene.accuracy.gradient == "splines" and (scene.accuracy.affine or sharing is not None):
+    if scene.accuracy.gradient == "bspline" and (scene.accuracy.affine or sharing is not None):
         message = "splines are for pic and flip, in scenes without mixing and drag"
         raise scene.error([(("accuracy", "gradient"), message)])
 

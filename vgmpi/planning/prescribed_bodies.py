@@ -50,7 +50,7 @@ def group_identically_driven(scene: Scene) -> list[tuple[int, ...]]:
         if entity.driven:
             key: tuple = (k,)
             if entity.motion is None:
-                how = entity.frozen_until, entity.release, entity.released_by
+                how = entity.release_time, entity.release_order, entity.release_end_time
                 key = ("frozen", scene.phase_of(entity), entity.material, *how)
             rows_by_key.setdefault(key, []).append(k)
     return [tuple(rows) for rows in rows_by_key.values()]
@@ -112,7 +112,7 @@ def course_of(obj: Object, low, high) -> Trajectory:
     """
     assert obj.motion is not None
     x, y, z = (float(a + b) / 2 for a, b in zip(low, high, strict=True))
-    return Trajectory(obj.motion, obj.motion.about or (x, y, z))
+    return Trajectory(obj.motion, obj.motion.pivot or (x, y, z))
 
 
 def _layers(obj: Object, boxes: list, dx: float) -> tuple[ReleaseLayer, ...]:
@@ -120,16 +120,16 @@ def _layers(obj: Object, boxes: list, dx: float) -> tuple[ReleaseLayer, ...]:
     if obj.motion is not None:
         ends = obj.motion.ends
         return (ReleaseLayer(ends, -math.inf, math.inf),) if ends < math.inf else ()
-    assert obj.frozen_until is not None
-    if obj.release is None or obj.released_by is None:
-        return (ReleaseLayer(obj.frozen_until, -math.inf, math.inf),)
+    assert obj.release_time is not None
+    if obj.release_order is None or obj.release_end_time is None:
+        return (ReleaseLayer(obj.release_time, -math.inf, math.inf),)
     first = min((math.floor(low[2] / dx) for low, _ in boxes), default=0)
     count = max((math.ceil(high[2] / dx) for _, high in boxes), default=1) - first
     edges = [-math.inf, *((first + k) * dx for k in range(1, count)), math.inf]
     heights = list(zip(edges, edges[1:]))
-    if obj.release == "from above":
+    if obj.release_order == "from above":
         heights.reverse()
-    lasts = (obj.released_by - obj.frozen_until) / max(count - 1, 1)
+    lasts = (obj.release_end_time - obj.release_time) / max(count - 1, 1)
     return tuple(
-        ReleaseLayer(obj.frozen_until + k * lasts, *height) for k, height in enumerate(heights)
+        ReleaseLayer(obj.release_time + k * lasts, *height) for k, height in enumerate(heights)
     )

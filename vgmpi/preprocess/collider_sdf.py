@@ -154,4 +154,4 @@ def with_motion(collider: Collider | None, motion: Motion | None) -> Collider | 
         return collider
     low, high = collider.ends()
     x, y, z = (float(m) for m in (low + high) / 2)
-    return replace(collider, course=Trajectory(motion, motion.about or (x, y, z)))
+    return replace(collider, course=Trajectory(motion, motion.pivot or (x, y, z)))

@@ -21,7 +21,7 @@ def crop(cloud: GaussianCloud, select: Select | None) -> GaussianCloud:
         offset = cloud.x - np.asarray(select.sphere.center)
         mask &= (offset**2).sum(axis=1) <= select.sphere.radius**2
     cloud = cloud.select(mask)
-    if select.outliers > 0 and len(cloud) > NEIGHBORS:
+    if select.outlier_sigma > 0 and len(cloud) > NEIGHBORS:
         distance = cKDTree(cloud.x).query(cloud.x, NEIGHBORS + 1)[0][:, 1:].mean(axis=1)
-        cloud = cloud.select(distance <= distance.mean() + select.outliers * distance.std())
+        cloud = cloud.select(distance <= distance.mean() + select.outlier_sigma * distance.std())
     return cloud

@@ -19,13 +19,13 @@ def apply_initial_conditions(scene: Scene, obj: Object, piece: BuiltObject) -> B
 
     Raises PlacementError if no particle is left.
     """
-    if obj.fraction_profile is not None:
-        profile = obj.fraction_profile
+    if obj.volume_fraction_profile is not None:
+        profile = obj.volume_fraction_profile
         along = piece.cloud.x[:, "xyz".index(profile.axis)]
-        piece = _with_fractions(piece, np.interp(along, profile.at, profile.share))
-    elif obj.fraction != 1.0:
-        piece = _with_fractions(piece, np.full(len(piece.cloud), obj.fraction))
-    if obj.compressed == "hydrostatic":
+        piece = _with_fractions(piece, np.interp(along, profile.positions, profile.values))
+    elif obj.volume_fraction != 1.0:
+        piece = _with_fractions(piece, np.full(len(piece.cloud), obj.volume_fraction))
+    if obj.initial_pressure == "hydrostatic":
         piece = _compressed(scene, obj, piece)
     return piece
 
@@ -34,7 +34,9 @@ def _with_fractions(piece: BuiltObject, fraction: np.ndarray) -> BuiltObject:
     """Return the object with volumes scaled by volume fractions (n,)."""
     is_filled = fraction > 0  # particles without mass are dropped
     if not is_filled.any():
-        raise PlacementError("fraction_profile", "leaves no particle: its share is 0 everywhere")
+        raise PlacementError(
+            "volume_fraction_profile", "leaves no particle: its share is 0 everywhere"
+        )
     return replace(
         piece, cloud=piece.cloud.select(is_filled), volume=(piece.volume * fraction)[is_filled]
     )

@@ -24,8 +24,8 @@ def initial_velocity(obj: Object, x: np.ndarray, volume: np.ndarray) -> np.ndarr
         return speed + np.cross(spin, x - np.array(course.about))
     weights = volume / volume.sum()
     center = (x * weights[:, None]).sum(axis=0)
-    v = np.asarray(obj.velocity) + np.cross(np.asarray(obj.spin), x - center)
-    for mode in obj.mode:
+    v = np.asarray(obj.velocity) + np.cross(np.asarray(obj.angular_velocity), x - center)
+    for mode in obj.velocity_mode:
         v += np.asarray(mode.amplitude) * np.sin(_angle(mode, x))[:, None]
     return v
 
@@ -43,16 +43,16 @@ def initial_velocity_gradient(scene: Scene, x: np.ndarray, owner: np.ndarray) ->
         owner: Row of each one's object, shape (n,).
     """
     spins = [_spin(body) for body in scene.object]
-    if not any(any(s) or body.mode for s, body in zip(spins, scene.object, strict=True)):
+    if not any(any(s) or body.velocity_mode for s, body in zip(spins, scene.object, strict=True)):
         return None
     C = np.zeros((len(x), 9))
     for k, body in enumerate(scene.object):
         rows = owner == k
-        if not (any(spins[k]) or body.mode) or not rows.any():
+        if not (any(spins[k]) or body.velocity_mode) or not rows.any():
             continue
         rate = np.broadcast_to(np.reshape(spin_tensor(spins[k]), (3, 3)), (rows.sum(), 3, 3))
-        for mode in body.mode:
-            wave = np.outer(mode.amplitude, mode.wave)
+        for mode in body.velocity_mode:
+            wave = np.outer(mode.amplitude, mode.wave_vector)
             rate = rate + np.cos(_angle(mode, x[rows]))[:, None, None] * wave
         C[rows] = rate.reshape(-1, 9)
     return C
@@ -61,7 +61,7 @@ def initial_velocity_gradient(scene: Scene, x: np.ndarray, owner: np.ndarray) ->
 def _spin(obj: Object) -> tuple[float, ...]:
     """Return the angular velocity [rad/s] at the start."""
     if not obj.driven or obj.motion is None:
-        return obj.spin
+        return obj.angular_velocity
     return tuple(course_of(obj, (0.0,) * 3, (0.0,) * 3).rates(0.0)[1])
 
 

@@ -29,7 +29,7 @@ def require_inlet_memory(scene: Scene) -> None:
         + memory_estimate.BYTES_PER_PARTICLE_MERGED["body"],
         scene.domain.cell,
     )
-    for k, source in enumerate(scene.inflow):
+    for k, source in enumerate(scene.inlet):
         per_layer = inlet_geometry.per_layer(source, dx)
         try:
             memory_budget.require_memory(
@@ -39,20 +39,22 @@ def require_inlet_memory(scene: Scene) -> None:
             message = f"source '{source.name}' makes {count:.3g} particles until it ends: at least"
             memory_budget.require_memory(count * bytes_each, message)
         except memory_budget.InsufficientMemoryError as error:
-            raise scene.error([(("source", k), str(error))]) from None
+            raise scene.error([(("inlet", k), str(error))]) from None
         if not layer_count(scene, source):
             message = "nothing comes: it ends before the first layer has passed its mouth"
-            raise scene.error([(("source", k, "end" if source.end else "start"), message)])
+            raise scene.error(
+                [(("inlet", k, "end_time" if source.end_time else "start_time"), message)]
+            )
 
 
 def reserve_inlet_particles(scene: Scene) -> list[BuiltObject]:
     """Return all particles that may come out of each inlet, at its mouth, layer after layer."""
     dx, identity = scene.domain.cell, SimilarityTransform(np.eye(3), 1.0, np.zeros(3))
     reserved = []
-    for source in scene.inflow:
+    for source in scene.inlet:
         h = inlet_geometry.spacing(source, dx)
         x = np.tile(inlet_geometry.inlet_points(source, dx), (layer_count(scene, source), 1))
-        rgb = np.tile(np.asarray(source.colour, float), (len(x), 1))
+        rgb = np.tile(np.asarray(source.color, float), (len(x), 1))
         cloud = isotropic_gaussians(x, h, rgb, source.opacity)
         reserved.append(BuiltObject(cloud, np.full(len(x), h**3), identity))
     return reserved
@@ -79,11 +81,11 @@ def validate_inlets_outlets(
         if obj.role == "body"
     }
     errors: list[Complaint] = []
-    for k, source in enumerate(scene.inflow):
+    for k, source in enumerate(scene.inlet):
         points = _nozzle(source, scene.domain.cell)
         complaints = [*_solid(scene, source), *_blocked(scene, k, points, bodies, colliders)]
         errors += [
-            (("source", k, key), line) for key, line in complaints[:1]
+            (("inlet", k, key), line) for key, line in complaints[:1]
         ]  # one error per inlet is enough
     initial = [(k, sink) for k, sink in enumerate(outlet_plans(scene)) if not sink.since]
     for k, sink in initial:
@@ -95,8 +97,8 @@ def validate_inlets_outlets(
         if overlapping:
             message = f"'{sink.name}' holds particles of '{overlapping[0]}'"
             message = f"a sink that eats a body at the start: {message}"
-            wall = k >= len(scene.sink)
-            errors.append((("domain", "boundary") if wall else ("sink", k, "shape"), message))
+            wall = k >= len(scene.outlet)
+            errors.append((("domain", "boundary") if wall else ("outlet", k, "shape"), message))
     if errors:
         raise scene.error(errors)
 
@@ -123,7 +125,7 @@ def _blocked(
         bodies: Particle positions of bodies by name.
         colliders: Colliders at the start.
     """
-    source, dx = scene.inflow[k], scene.domain.cell
+    source, dx = scene.inlet[k], scene.domain.cell
     key = source.opening_kind
     for collider in colliders:
         if (collider.distance(points) < 0).any():
@@ -131,7 +133,7 @@ def _blocked(
     for name, x in bodies.items():
         if _inside(source, dx, x).any():
             yield key, f"body '{name}' lies in its nozzle, two cells behind its mouth"
-    for other in scene.inflow[:k]:
+    for other in scene.inlet[:k]:
         if _inside(other, dx, points).any():
             yield key, f"lies in the nozzle of source '{other.name}'"
     for sink in outlet_plans(scene):

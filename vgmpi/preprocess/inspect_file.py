@@ -41,7 +41,7 @@ def _gaussians(path: Path) -> str:
     scale = np.sort(cloud.scale, axis=1)
     return "\n".join(
         [
-            f"{path}: {len(cloud):,} Gaussians, colours of degree {degree}",
+            f"{path}: {len(cloud):,} Gaussians, colors of degree {degree}",
             f"  reaches  {_reach(cloud.x)}",
             f"  scale    {_middle(scale[:, 2])} along, {_middle(scale[:, 0])} across (medians)",
             f"  opacity  {middle:.2f} ({low:.2f} to {high:.2f} of nine in ten)",
@@ -53,7 +53,7 @@ def _mesh(path: Path) -> str:
     """Return lines about a mesh."""
     surface = surface_mesh.read(path)
     colors = (
-        "a picture" if surface.textures else "colours" if surface.rgb is not None else "no colours"
+        "a picture" if surface.textures else "colors" if surface.rgb is not None else "no colors"
     )
     return "\n".join(
         [

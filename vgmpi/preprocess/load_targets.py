@@ -57,7 +57,11 @@ def resolve_loads(
 
 def _loaded(scene, load, chosen, spacing, x, vol0, owner) -> ResolvedLoad:
     """Return one load with its particles."""
-    uniform = load.acceleration or load.velocity or (load.spin and (0.0, 0.0, 0.0))
+    uniform = (
+        load.acceleration
+        or load.delta_velocity
+        or (load.delta_angular_velocity and (0.0, 0.0, 0.0))
+    )
     if uniform is not None:
         known = [o.material and scene.material[o.material].bulk_density for o in scene.object]
         densities = np.array([rho or 0.0 for rho in known])

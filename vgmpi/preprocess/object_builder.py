@@ -41,7 +41,7 @@ from .placement import (
 )
 
 LIGHT = np.array([0.36, -0.48, 0.80])  # [-] unit vector towards the painted light
-MIN_SHADE = 1e-3  # [-] smallest factor of the light, so that colours can be divided by it
+MIN_SHADE = 1e-3  # [-] smallest factor of the light, so that colors can be divided by it
 _FINENESS = (
     3  # [-] resolution of the lattice that measures meshes, relative to their particles' lattice
 )
@@ -141,11 +141,11 @@ def _from_shape(scene: Scene, k: int, obj: Object) -> BuiltObject:
         message = f"too small or thin: no particle fits in, their spacing is {spacing:g} m"
         raise PlacementError("shape", message)
     local = transform.to_local(x)
-    rgb, shade = shape_sdf.colors(shape, local, obj.colour), None
+    rgb, shade = shape_sdf.colors(shape, local, obj.color), None
     if not _is_fluid(scene, obj):
         normal = shape_sdf.normals(shape, local, 0.5 * spacing / transform.scale)
         rgb, shade = apply_baked_shading(
-            rgb, rotate(transform.rotation, normal), scene.appearance.shade
+            rgb, rotate(transform.rotation, normal), scene.appearance.baked_shading
         )
     surface = ShapeCollider(obj.name, shape, transform, spacing / 2)
     return BuiltObject(
@@ -177,8 +177,8 @@ def _from_mesh(scene: Scene, k: int, obj: Object) -> BuiltObject:
         memory_estimate.require_memory_for_interior(
             scene, k, candidates, lambda h: len(shape_sdf.lattice(*search(h)))
         )
-    surface = mesh.sample(placed, spacing, obj.colour, obj.opacity, [scene.seed, k])
-    amount = 0.0 if _is_fluid(scene, obj) else scene.appearance.shade
+    surface = mesh.sample(placed, spacing, obj.color, obj.opacity, [scene.seed, k])
+    amount = 0.0 if _is_fluid(scene, obj) else scene.appearance.baked_shading
     rgb, shade = apply_baked_shading(surface.rgb, mesh.normals(surface), amount)
     surface.sh[:, 0] = dc_from_rgb(rgb)
     surface = replace(surface, shade=shade)
@@ -260,7 +260,7 @@ def _solid(
     unseen = interior_fill.filling(gaps, surface, spacing, 0.0)
     # Through a hole a camera would see the filling of a body: there it carries mass only as well.
     # The inside of bodies that flow or break becomes visible anyway.
-    shows = obj.fill == "shown" or scene.material_of(obj).family in FAMILIES_DRAWN_AS_SPHERES
+    shows = obj.fill == "visible" or scene.material_of(obj).family in FAMILIES_DRAWN_AS_SPHERES
     drawn = missing.enclosed[below] | shows
     filled = interior_fill.filling(inner, surface, spacing, np.where(drawn, obj.opacity, 0.0))
     cloud = interior_fill.joined(interior_fill.joined(surface, unseen), filled)
@@ -284,19 +284,19 @@ def _pruned(scene: Scene, obj: Object, piece: BuiltObject) -> tuple[BuiltObject,
     """Return the object with fewer particles, and text about it."""
     skin = np.arange(len(piece.cloud)) < piece.surface_count
     ball = scene.material_of(obj).family in FAMILIES_DRAWN_AS_SPHERES
-    if obj.prune == "paper":
+    if obj.prune == "versagauss":
         assert obj.prune_scale is not None  # the scene is refused without
         pruned = prune.prune_versagauss(
-            piece.cloud, piece.volume, skin, obj.prune_scale, obj.passive, ball
+            piece.cloud, piece.volume, skin, obj.prune_scale, obj.passive_gaussians, ball
         )
     else:
         min_per_cell = max(obj.particles_per_cell, prune.AUTO_PER_CELL)
         dx = scene.domain.cell
         pruned = prune.prune_to_quality(
-            piece.cloud, piece.volume, skin, dx, min_per_cell, obj.passive, ball
+            piece.cloud, piece.volume, skin, dx, min_per_cell, obj.passive_gaussians, ball
         )
     surface_count = int(skin[pruned.retained].sum())
-    passive = pruned.dropped if obj.passive else None
+    passive = pruned.dropped if obj.passive_gaussians else None
     thinner = replace(
         piece,
         cloud=pruned.cloud,

@@ -157,7 +157,7 @@ def _warn_of_overlaps(scene: Scene, pieces: list[BuiltObject]) -> None:
     bodies = [
         k
         for k, obj in enumerate(scene.object)
-        if obj.role == "body" and obj.fraction == 1.0 and obj.fraction_profile is None
+        if obj.role == "body" and obj.volume_fraction == 1.0 and obj.volume_fraction_profile is None
     ]
     if not bodies:
         return
@@ -195,11 +195,11 @@ def _warn_of_locking(scene: Scene) -> None:
 
 def _report_flip_ratio(scene: Scene) -> None:
     """Log that a FLIP ratio per step makes losses depend on the time step."""
-    if scene.accuracy.keeps and scene.accuracy.flip is not None:
+    if scene.accuracy.keeps and scene.accuracy.flip_ratio is not None:
         log.info(
-            "accuracy.flip = %g is kept in each step: the shorter the step, the more is lost;"
-            " accuracy.damping is a time",
-            scene.accuracy.flip,
+            "accuracy.flip_ratio = %g is kept in each step: the shorter the step, the more is lost;"
+            " accuracy.flip_decay_time is a time",
+            scene.accuracy.flip_ratio,
         )
 
 
@@ -327,7 +327,7 @@ def _describe(
         "opacity_scale": entity.opacity_scale,
         "alpha_min": entity.alpha_threshold,
         "transform": piece.placement.matrix(),
-        "color": list(entity.colour),
+        "color": list(entity.color),
         "collider": entity.collider,
         "surface": piece.surface_descriptor is not None,
     } | ({"moves": True} if entity.collider and entity.motion is not None else {})

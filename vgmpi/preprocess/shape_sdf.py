@@ -46,7 +46,7 @@ def distance(shape: Shape, points: np.ndarray) -> np.ndarray:
             along, across = _about_axis(form, points)
             return np.hypot(across - form.radius, along) - form.tube
         case "union":
-            return _union((distance(part, points) for part in form), shape.blend)
+            return _union((distance(part, points) for part in form), shape.blend_radius)
     out = distance(form[0], points)
     for part in form[1:]:  # one after the other, since there may be hundreds
         out = np.maximum(out, -distance(part, points))
@@ -96,7 +96,10 @@ def blend_overhang(shape: Shape) -> float:
     parts = getattr(shape, shape.form)
     if shape.form == "difference":
         return blend_overhang(parts[0])
-    return max(blend_overhang(part) for part in parts) + (len(parts) - 1) * (shape.blend or 0.0) / 4
+    return (
+        max(blend_overhang(part) for part in parts)
+        + (len(parts) - 1) * (shape.blend_radius or 0.0) / 4
+    )
 
 
 def is_lipschitz(shape: Shape) -> bool:
@@ -110,7 +113,7 @@ def is_lipschitz(shape: Shape) -> bool:
 
 def colors(shape: Shape, points: np.ndarray, default: tuple) -> np.ndarray:
     """Return the color (n, 3) of `points`: that of the first part around them, or `default`."""
-    color = shape.colour or default
+    color = shape.color or default
     if shape.difference is not None:
         return colors(shape.difference[0], points, color)
     out = np.tile(np.asarray(color, dtype=float), (len(points), 1))
@@ -289,7 +292,7 @@ def _rod_coordinates(
     rod: CylinderShape | Cone, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Return the distances along the axis from its first end and from it, and its length."""
-    a, b = np.asarray(rod.ends)
+    a, b = np.asarray(rod.endpoints)
     length = float(np.linalg.norm(b - a))
     axis = (b - a) / max(length, 1e-300)
     x = points - a

@@ -60,7 +60,7 @@ class Appearance:
         self.spacing = float(np.cbrt(np.median(self.vol0))) if len(self.vol0) else 1.0
         self.grain = _brightness_variation(self.objects, chosen)
         self.color = ViewColors(np.asarray(gaussians.sh))
-        self.colours = FrameColors(run, chosen)
+        self.colors = FrameColors(run, chosen)
         self.scenery = None
         scenery = getattr(gaussians, "scenery", None)
         if scenery is not None and len(scenery.x0):
@@ -73,7 +73,7 @@ class Appearance:
         """Read frame `index`; add its colors as "sh" (n, K, 3) if colors are transferred."""
         frame = self.run.frame(index)
         self.check(frame, f"frame {index}")
-        sh = self.colours.at_frame(index, frame)
+        sh = self.colors.at_frame(index, frame)
         return frame if sh is None else {**frame, "sh": sh}
 
     def check(self, frame: dict[str, np.ndarray], name: str = "a frame") -> None:

@@ -6,7 +6,7 @@ initial colors. A run is never repeated for other color settings.
 frame: the initial colors are smoothed once over a cell at the current positions.
 relax: dc/dt = (S c - c) / time from frame to frame, with the smoothing S of the frame at the end of
 an interval (vgmpi/gaussians/color_diffusion.py). The colors of each frame are cached in
-OUT/colours.
+OUT/colors.
 step: the run has transferred the colors itself, and its frames hold them.
 """
 
@@ -28,7 +28,7 @@ from .render_config import LookSettings, SettingsError
 
 log = logging.getLogger("vgmpi")
 
-FOLDER = "colours"  # name of the cache folder in the run
+FOLDER = "colors"  # name of the cache folder in the run
 VERSION = 1  # raised if the same settings give other colors
 
 
@@ -38,18 +38,18 @@ class FrameColors:
     def __init__(self, run: Any, chosen: LookSettings):
         self.run = run
         scene = getattr(run, "scene", None) or {}
-        options = {**scene.get("appearance", {}), **chosen.colours()}
-        self.mode = options.get("colour_transfer", "off")
-        self.time = float(options.get("colour_time", 1.0))
-        self.degree = int(options.get("colour_degree", 0))
+        options = {**scene.get("appearance", {}), **chosen.colors()}
+        self.mode = options.get("color_transfer", "off")
+        self.time = float(options.get("color_relaxation_time", 1.0))
+        self.degree = int(options.get("color_sh_degree", 0))
         self.dx = float(scene.get("domain", {}).get("cell", 0.0))
         has_transfer = self.mode in ("frame", "relax")
-        sets = _color_sets(run.objects, options.get("colour_bodies")) if has_transfer else []
+        sets = _color_sets(run.objects, options.get("color_objects")) if has_transfer else []
         if sets and scene.get("coupling") and not all("colour_set" in o for o in run.objects):
-            log.warning("%s: made by a version that did not tell which fluids exchange colours: "
+            log.warning("%s: made by a version that did not tell which fluids exchange colors: "
                         "they travel within a phase alone", run.folder)  # fmt: skip
         if sets and not self.dx:
-            raise SettingsError(["look.colour_transfer: the run does not tell the size of a cell"])
+            raise SettingsError(["look.color_transfer: the run does not tell the size of a cell"])
         object_ = np.asarray(run.gaussians.object)
         sh = np.asarray(run.gaussians.sh)
         count = min(COEFFICIENTS[self.degree], sh.shape[1])
@@ -146,7 +146,7 @@ class FrameColors:
                 message = (
                     f"{self.time:g} s is too short for this run's frames: at least {min_time:.3g} s"
                 )
-                raise SettingsError([f"colour_time: {message}"])
+                raise SettingsError([f"color_relaxation_time: {message}"])
             state = self._advance(frame if k == index else self.run.frame(k), state, age)
             self._write(k, keys[k], state)
         self._last = index, state
@@ -165,7 +165,7 @@ class FrameColors:
             try:
                 stat = path.stat(follow_symlinks=False)
             except OSError as error:
-                description = f"{path}: {error.strerror}: colours that relax need every frame"
+                description = f"{path}: {error.strerror}: colors that relax need every frame"
                 raise RunError(description) from None
             identity = (path.name, stat.st_size, stat.st_mtime_ns, float(self.run.times[k]))
             text.update(repr(identity).encode())
@@ -186,8 +186,8 @@ class FrameColors:
             if size > 4096 + self.first.nbytes:
                 return None
             with np.load(path) as data:
-                if str(data["key"]) == key and data["colour"].shape == self.shape:
-                    colors = data["colour"]
+                if str(data["key"]) == key and data["color"].shape == self.shape:
+                    colors = data["color"]
                     return colors if np.isfinite(colors).all() else None
         except Exception:  # zipfile and numpy raise exceptions of many classes
             log.warning("%s: damaged: made anew", path)
@@ -203,11 +203,11 @@ class FrameColors:
             path.parent.mkdir(exist_ok=True)
             temporary.unlink(missing_ok=True)
             with open(temporary, "xb") as file:  # exclusive creation follows no link
-                np.savez(file, key=np.array(key), colour=state)
+                np.savez(file, key=np.array(key), color=state)
             temporary.replace(path)  # the replacement is atomic for other processes
         except OSError as error:
             self._unwritable = True
-            log.warning("%s: the colours of frames cannot be kept: %s", path.parent, error)
+            log.warning("%s: the colors of frames cannot be kept: %s", path.parent, error)
 
 
 def _color_sets(objects: list[dict], requested: Any) -> list[list[int]]:
@@ -224,7 +224,7 @@ def _color_sets(objects: list[dict], requested: Any) -> list[list[int]]:
         unknown = [name for name in requested if name not in body_names]
         if unknown:
             message = f"there is no body {unknown[0]!r}; known: {', '.join(map(str, body_names))}"
-            raise SettingsError([f"colour_bodies: {message}"])
+            raise SettingsError([f"color_objects: {message}"])
         taking = [k for k in bodies if names[k] in requested]
     sets: dict[Any, list[int]] = {}
     for k in taking:

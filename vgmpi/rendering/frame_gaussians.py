@@ -162,13 +162,13 @@ class Passive:
         x, F = compiled_evolution.skin_to_carriers(
             present, carrier_rows, self.offset, self.weights, frame["x"], frame["F"]
         )
-        color, rows = self._colours(frame, present, carrier_rows)
+        color, rows = self._colors(frame, present, carrier_rows)
         turning = np.flatnonzero(self.turns[present] & color.view_dependent[rows])
         cov = self._covariances(present, F)
         opacity = self.opacity[present]
         return GaussianBatch(x, cov, opacity, color, rows, turning, F[turning], None, present, F)
 
-    def _colours(
+    def _colors(
         self, frame: dict, present: np.ndarray, carrier_rows: np.ndarray
     ) -> tuple[ViewColors, np.ndarray]:
         """Return colors and the rows to use; they change with the colors of the carriers."""

@@ -324,7 +324,7 @@ def render_in_processes(
     if jobs <= 1:
         yield from (painter.views_of(*task) for task in tasks)
         return
-    painter.look.colours.prepare(tasks[-1][0])
+    painter.look.colors.prepare(tasks[-1][0])
     context = multiprocessing.get_context("spawn")  # forked processes would share open files
     options = {"alpha": painter.alpha, "depth": painter.depth}
     start = (str(painter.run.folder), painter.chosen, settings_folder, options)
@@ -360,7 +360,7 @@ def render_on_ranks(painter: FrameRenderer, ranks: Any, tasks: list[Task]) -> Ge
     the same time. ranks: vgmpi.parallel.communicator. Collective.
     """
     if ranks.rank == 0:
-        painter.look.colours.prepare(tasks[-1][0])
+        painter.look.colors.prepare(tasks[-1][0])
     ranks.barrier()
     for first in range(0, len(tasks), ranks.size):
         own_tasks = tasks[first + ranks.rank : first + ranks.rank + 1]

@@ -233,5 +233,5 @@ def photograph(key: str, path: Path) -> np.ndarray:
         raise VideoError(f"{key}: {path}: {error}") from None
     top = np.iinfo(picture.dtype).max if picture.dtype.kind == "u" else 1
     if picture.ndim != 3 or picture.shape[2] == 2:
-        raise VideoError(f"{key}: {path}: neither a grey nor a colour picture")
+        raise VideoError(f"{key}: {path}: neither a grey nor a color picture")
     return np.broadcast_to(picture[..., :3], (*picture.shape[:2], 3)) / top

@@ -9,7 +9,7 @@ from vgmpi.rendering.raster.shadow_lighting import Light
 from vgmpi.runtime.config.schema import (
     MAX_MAGNITUDE,
     MIN_MAGNITUDE,
-    Colour,
+    Color,
     Quantity,
     StrictModel,
     parse_vector3,
@@ -70,9 +70,9 @@ class RenderTable(StrictModel):
 class SurroundingsSettings(RenderTable):
     """Environment that liquids reflect: a gradient, or an image of all directions."""
 
-    zenith: Colour = (0.45, 0.65, 0.9)
-    horizon: Colour = (0.93, 0.95, 0.97)
-    ground: Colour = (0.5, 0.48, 0.45)
+    zenith: Color = (0.45, 0.65, 0.9)
+    horizon: Color = (0.93, 0.95, 0.97)
+    ground: Color = (0.5, 0.48, 0.45)
     # twice as wide as high, up at the top; relative to the folder of render.toml
     picture: str | None = None
 
@@ -134,10 +134,10 @@ class LookSettings(RenderTable):
     dust: Annotated[float, Field(ge=0, le=1)] = 0.03  # opacity of dust
     foam: Annotated[float, Field(ge=0, le=1)] = 0.8  # largest share of white
     # mode "step" is set by the run, which then transfers colors itself
-    colour_transfer: Literal["off", "frame", "relax"] | None = None
-    colour_time: Annotated[float, Field(gt=0)] | None = None  # [s]
-    colour_degree: Annotated[int, Field(strict=True, ge=0, le=3)] | None = None
-    colour_bodies: tuple[str, ...] | None = None
+    color_transfer: Literal["off", "frame", "relax"] | None = None
+    color_relaxation_time: Annotated[float, Field(gt=0)] | None = None  # [s]
+    color_sh_degree: Annotated[int, Field(strict=True, ge=0, le=3)] | None = None
+    color_objects: tuple[str, ...] | None = None
     covariance: Literal["evolve", "fixed"] = "evolve"  # fixed: shapes at rest
     harmonics: Literal["rotate", "fixed"] = "rotate"  # fixed: colors do not rotate
     opacity: Literal["scaled", "fixed"] = "scaled"  # fixed: no opacity_scale
@@ -147,6 +147,6 @@ class LookSettings(RenderTable):
     # by object name: largest relative change of brightness of a particle
     grain: dict[str, Annotated[float, Field(ge=0, le=1)]] = {}
 
-    def colours(self) -> dict[str, Any]:
+    def colors(self) -> dict[str, Any]:
         """Return the settings of color transfer by the names of the scene's [appearance]."""
-        return {k: v for k, v in self if k.startswith("colour_") and v is not None}
+        return {k: v for k, v in self if k.startswith("color_") and v is not None}

@@ -17,7 +17,8 @@ from pydantic import (
 from vgmpi.rendering.raster.ground_plane import GroundPlane
 from vgmpi.rendering.raster.rasterize import ALPHA_MIN_RANGE
 from vgmpi.rendering.raster.shadow_lighting import Light
-from vgmpi.runtime.config.schema import Colour, TomlError, format_validation_errors, parse_color
+from vgmpi.runtime.config import renamed_keys
+from vgmpi.runtime.config.schema import Color, TomlError, format_validation_errors, parse_color
 from vgmpi.runtime.config.toml_source import TomlSource
 
 from .look_config import (
@@ -45,7 +46,6 @@ Background = Annotated[tuple[float, float, float] | str, BeforeValidator(_backgr
 
 
 CAPTURE_LIGHT = 0.5  # [-] share of the studio's light that acts on captures
-OLD_NAMES = {"picture": {"color": "colour"}}  # former names of keys, by table
 
 
 class SettingsError(TomlError):
@@ -155,10 +155,10 @@ class FloorSettings(RenderTable):
     kind: Literal["studio", "plain", "photograph", "none"] | None = None
     height: float = 0.0  # [m]
     tiles: Annotated[float, Field(ge=0)] | None = None  # [m] edge of the studio's tiles; 0: none
-    colour: Colour | None = None  # default: light gray; only a shadow on a picture
+    color: Color | None = None  # default: light gray; only a shadow on a picture
     # [m] side; every other one has color `other`
     squares: Annotated[float, Field(gt=0)] | None = None
-    other: Colour = (0.7, 0.7, 0.7)
+    other: Color = (0.7, 0.7, 0.7)
     light: Direction = (0.3, 0.2, -1.0)  # direction of travel
     shadow: Annotated[float, Field(ge=0, le=1)] = 0.6
     softness: Annotated[float, Field(ge=0, le=1)] = 0.1
@@ -178,14 +178,14 @@ class FloorSettings(RenderTable):
         """
         squares = None if self.squares is None else (self.other, self.squares)
         is_bare = photograph and squares is None
-        colour = self.colour or (None if is_bare else GroundPlane.color)
+        color = self.color or (None if is_bare else GroundPlane.color)
         values = {name: getattr(self, name) for name in ("light", "shadow", "softness")}
         if light is not None:
             explicit = self.model_fields_set
             shared = {"light": light.direction, "shadow": light.shadow, "softness": light.softness}
             values = {name: values[name] if name in explicit else shared[name] for name in values}
         contact = light.contact if light is not None else 0.0
-        return GroundPlane(self.height, colour, squares, **values, contact=contact)
+        return GroundPlane(self.height, color, squares, **values, contact=contact)
 
 
 class PictureSettings(RenderTable):
@@ -330,7 +330,7 @@ def load(path: str | Path | None) -> Settings:
     """Load a render.toml, or return the defaults without a file. Raises SettingsError."""
     if path is None:
         return Settings()
-    source = TomlSource(path, error=SettingsError, old_names=OLD_NAMES)
+    source = TomlSource(path, error=SettingsError, renames=renamed_keys.RENDER)
     try:
         chosen = Settings.model_validate(source.data)
     except ValidationError as error:

@@ -10,7 +10,7 @@ from .studio import body_normals, lattice_deformation
 
 GRANULAR = ("sand", "snow")
 TEAR_LIMITS = 4.0, 6.5  # [spacings] lattice links of a liquid tear between these lengths
-SIDES = ("west", "south", "floor", "east", "north", "roof")
+SIDES = ("west", "south", "bottom", "east", "north", "top")
 SCENERY_SPACING = 1.6  # [standard deviations] assumed spacing of Gaussians of scenery
 
 

@@ -43,15 +43,15 @@ def ground_of(
         back, lean = tuple(image_io.background(background_value, 1, 1, Path("."))), 0.0
     if floor is not None:
         height = floor.height
-        is_plain = floor.kind == "plain" or (floor.kind is None and floor.colour is not None)
+        is_plain = floor.kind == "plain" or (floor.kind is None and floor.color is not None)
         if floor.kind == "none":
             kind = studio_ground.NONE
         elif is_plain or floor.squares is not None:
             kind = studio_ground.SQUARES if floor.squares is not None else studio_ground.TILES
-            color, other = floor.colour or (0.85, 0.85, 0.85), floor.other
+            color, other = floor.color or (0.85, 0.85, 0.85), floor.other
             tile = floor.squares or 0.0
         else:
-            color = floor.colour or color
+            color = floor.color or color
         if floor.tiles is not None:
             tile = floor.tiles
     elif kind == studio_ground.TILES:

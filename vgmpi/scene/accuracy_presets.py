@@ -13,7 +13,7 @@ from vgmpi.runtime.config.schema import Positive
 
 EDGES = TypeAdapter(tuple[Positive, Positive, Positive])
 MIN_CELLS = 4  # [cells] along an edge
-PRUNING = ("prune", "prune_scale", "passive")
+PRUNING = ("prune", "prune_scale", "passive_gaussians")
 
 
 @dataclass(frozen=True)
@@ -76,8 +76,8 @@ def _cell(size: Any, min_cells: int) -> float | None:
 
 def _liquid(table: Any, level: Level) -> Any:
     """Return a material table with the preset's compression if it is a liquid."""
-    stiff = isinstance(table, dict) and ("max_speed" in table or "depth" in table)
-    return {"compression": level.compression, **table} if stiff else table
+    stiff = isinstance(table, dict) and ("max_speed" in table or "max_depth" in table)
+    return {"max_compression": level.compression, **table} if stiff else table
 
 
 def _pruned(table: Any, level: Level) -> Any:

@@ -81,7 +81,7 @@ def validate_gravity(raw: Any) -> list[tuple[tuple, str]]:
     if not isinstance(keys, list) or not keys:
         return []
     errors: list[tuple[tuple, str]] = []
-    if raw.get("gravity_ramp"):
-        message = "gravity_keyframes and gravity_ramp given at once: a ramp is a keyframe too"
-        errors.append((("gravity_ramp",), message))
+    if raw.get("gravity_ramp_time"):
+        message = "gravity_keyframes and gravity_ramp_time given at once: a ramp is a keyframe too"
+        errors.append((("gravity_ramp_time",), message))
     return errors + validate_ascending_times(keys, ("gravity_keyframes",))

@@ -1,11 +1,11 @@
-"""Inlets and outlets of a scene: the tables [[source]] and [[sink]]."""
+"""Inlets and outlets of a scene: the tables [[inlet]] and [[outlet]]."""
 
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from pydantic import BeforeValidator
 
-from vgmpi.runtime.config.schema import Colour, Quantity, Share, StrictModel
+from vgmpi.runtime.config.schema import Color, Quantity, Share, StrictModel
 
 from .inlet_geometry import Disc, Rectangle, bounding_box, spacing, too_small
 from .objects import checked_name, default_alpha_min, per_cell, validate_exactly_one
@@ -13,12 +13,12 @@ from .sections import Domain
 from .shapes import Axis, Shape, validate_shape
 
 OPENINGS = ("disc", "rectangle")
-FLOWS = ("velocity", "rate", "flow")
+FLOWS = ("speed", "mass_flow_rate", "volume_flow_rate")
 SECTIONS_NEEDED = ("domain", "time")
 
 
 class Inlet(StrictModel):
-    """Inlet: exactly one of disc, rectangle for its mouth, and one of velocity, rate, flow.
+    """Inlet: one of disc, rectangle, and one of speed, mass_flow_rate, volume_flow_rate.
 
     A nozzle two cells long lies upstream of the mouth, inside the domain. Its particles move with
     the prescribed velocity and are released 0.3 cells before the mouth.
@@ -36,22 +36,22 @@ class Inlet(StrictModel):
     vertical flow"""
     direction: Axis
     """direction of the flow: "x", "y", "z" or three numbers"""
-    velocity: Annotated[float, Quantity("m/s", gt=0)] | None = None
+    speed: Annotated[float, Quantity("m/s", gt=0)] | None = None
     """speed of the flow"""
-    rate: Annotated[float, Quantity("kg/s", gt=0)] | None = None
-    """instead of `velocity`: mass per time"""
-    flow: Annotated[float, Quantity("m3/s", gt=0)] | None = None
-    """instead of `velocity`: volume per time, at rest and including pores"""
-    start: Annotated[float, Quantity("s", ge=0)] = 0.0
+    mass_flow_rate: Annotated[float, Quantity("kg/s", gt=0)] | None = None
+    """instead of `speed`: mass per time"""
+    volume_flow_rate: Annotated[float, Quantity("m3/s", gt=0)] | None = None
+    """instead of `speed`: volume per time, at rest and including pores"""
+    start_time: Annotated[float, Quantity("s", ge=0)] = 0.0
     """when the first material reaches the mouth"""
-    end: Annotated[float, Quantity("s", gt=0)] | None = None
+    end_time: Annotated[float, Quantity("s", gt=0)] | None = None
     """when the last material passes the mouth; default: never. The particles until then, or until
-    time.end, are allocated at the start, so a run can be extended only beyond an `end`"""
+    time.end, are allocated at the start, so a run can be extended only beyond an `end_time`"""
     particles_per_cell: Annotated[int, BeforeValidator(per_cell)] = 8
     """particles per full cell: 1, 8, 27 or 64"""
     phase: str | None = None
     """name of its velocity field, as for an object"""
-    colour: Colour = (0.7, 0.7, 0.7)
+    color: Color = (0.7, 0.7, 0.7)
     """"#rrggbb" or three numbers 0..1"""
     opacity: Share = 0.95
     """opacity of its Gaussians"""
@@ -61,7 +61,7 @@ class Inlet(StrictModel):
     # Attributes of an `Object` that an inlet lacks.
     role: ClassVar[str] = "source"
     collider: ClassVar[bool] = False
-    deforms: ClassVar[bool | None] = None
+    track_deformation: ClassVar[bool | None] = None
     motion: ClassVar[None] = None
     driven: ClassVar[bool] = False
 
@@ -92,14 +92,14 @@ class Outlet(StrictModel):
 
 
 def validate_inlet(
-    raw: dict, source: Inlet | None, kinds: dict[str, Any], tables: dict[str, Any],
+    raw: dict, inlet: Inlet | None, kinds: dict[str, Any], tables: dict[str, Any],
     objects: list[Any],
 ) -> list[tuple[tuple, str]]:  # fmt: skip
     """Return (path, message) for errors of one inlet besides its values.
 
     Args:
         raw: Table as read.
-        source: Validated table, or None if that failed.
+        inlet: Validated table, or None if that failed.
         kinds: Materials by name.
         tables: Sections of the scene by name.
         objects: Objects of the scene, None in place of invalid ones.
@@ -111,16 +111,18 @@ def validate_inlet(
     material = kinds.get(raw.get("material", ""), None) if _is_text(raw, "material") else None
     if material is not None and material.family != "fluid" and "opacity_scale" in raw:
         errors.append((("opacity_scale",), "is only for fluids; others have opacity"))
-    if source is None or errors:
+    if inlet is None or errors:
         return errors
-    if source.end is not None and source.end <= source.start:
-        message = f"must be later than start = {source.start:g} s; got {source.end:g} s"
-        errors.append((("end",), message))
+    if inlet.end_time is not None and inlet.end_time <= inlet.start_time:
+        message = (
+            f"must be later than start_time = {inlet.start_time:g} s; got {inlet.end_time:g} s"
+        )
+        errors.append((("end_time",), message))
     domain, time = (tables.get(name) for name in SECTIONS_NEEDED)
-    if time is not None and source.start >= time.end:
-        message = f"nothing comes: the run ends at {time.end:g} s; got {source.start:g} s"
-        errors.append((("start",), message))
-    return errors + (_validate_nozzle(source, domain) if domain is not None else [])
+    if time is not None and inlet.start_time >= time.end:
+        message = f"nothing comes: the run ends at {time.end:g} s; got {inlet.start_time:g} s"
+        errors.append((("start_time",), message))
+    return errors + (_validate_nozzle(inlet, domain) if domain is not None else [])
 
 
 def _is_text(raw: dict, key: str) -> bool:
@@ -128,17 +130,17 @@ def _is_text(raw: dict, key: str) -> bool:
     return isinstance(raw.get(key), str)
 
 
-def _validate_nozzle(source: Inlet, domain: Domain) -> list[tuple[tuple, str]]:
+def _validate_nozzle(inlet: Inlet, domain: Domain) -> list[tuple[tuple, str]]:
     """Return (path, message) where the nozzle cannot hold particles."""
-    if too_small(source, domain.cell):
-        distance = spacing(source, domain.cell)
+    if too_small(inlet, domain.cell):
+        distance = spacing(inlet, domain.cell)
         return [
             (
-                (source.opening_kind,),
+                (inlet.opening_kind,),
                 f"too small: no particle fits in, their spacing is {distance:g} m",
             )
         ]
-    low, high = bounding_box(source, domain.cell)
+    low, high = bounding_box(inlet, domain.cell)
     outside = (low < 0) | (high > domain.size)
     if not outside.any():
         return []
@@ -147,19 +149,19 @@ def _validate_nozzle(source: Inlet, domain: Domain) -> list[tuple[tuple, str]]:
         f"the nozzle leaves the domain: with two cells behind its mouth it reaches"
         f" {'xyz'[a]} = {low[a]:.4g} .. {high[a]:.4g} m, the domain 0 .. {domain.size[a]:g} m"
     )
-    return [((source.opening_kind,), message)]
+    return [((inlet.opening_kind,), message)]
 
 
-def validate_outlet(raw: dict, sources: list[Any]) -> list[tuple[tuple, str]]:
+def validate_outlet(raw: dict, inlets: list[Any]) -> list[tuple[tuple, str]]:
     """Return (path, message) for errors of one outlet besides its values.
 
     Args:
         raw: Table as read.
-        sources: Inlets of the scene, None in place of invalid ones.
+        inlets: Inlets of the scene, None in place of invalid ones.
     """
     errors = []
-    if raw.get("name") in [source.name for source in sources if source]:
-        errors.append((("name",), "is taken: a source has the same name"))
+    if raw.get("name") in [inlet.name for inlet in inlets if inlet]:
+        errors.append((("name",), "is taken: an inlet has the same name"))
     if "shape" in raw:
         errors += validate_shape(raw["shape"], ("shape",))
     return errors

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ValidationError
 from vgmpi import materials
 from vgmpi.materials import couplings
 from vgmpi.materials.couplings.interaction import CONTACT
+from vgmpi.runtime.config import renamed_keys
 from vgmpi.runtime.config.schema import SceneError, format_input, format_validation_errors
 from vgmpi.runtime.config.toml_source import TomlSource
 from vgmpi.runtime.suggestions import did_you_mean, did_you_mean_file
@@ -27,11 +28,9 @@ from .scene import Scene, miscible_materials, phase_of
 from .sections import MAX_CELLS, SECTIONS, Appearance, Domain, Output, TopLevelKeys
 
 REQUIRED = ("domain", "time", "material", "object")
-LISTS = ("object", "coupling", "load", "probe", "source", "sink")
+LISTS = ("object", "coupling", "load", "probe", "inlet", "outlet")
 # The flags of the make_assets.py command that a comment in a scene may hold.
 FLAGS = re.compile(r"# +python \S*make_assets\.py(?: [^\s-]\S*)?((?: --\w+(?: [\w.]+)+)+)")
-# Former names of keys in these tables; they are still read.
-DEPRECATED_KEYS = dict.fromkeys(("object", "load", "probe"), {"color": "colour"})
 
 
 def load(
@@ -47,7 +46,7 @@ def load(
     Raises:
         SceneError: All errors in the order of the file, "file:line: key: what is wrong".
     """
-    source = TomlSource(path, overrides, text, old_names=DEPRECATED_KEYS)
+    source = TomlSource(path, overrides, text, renames=renamed_keys.SCENE)
     return SceneLoader(source).scene(tuple(overrides))
 
 
@@ -73,8 +72,8 @@ class SceneLoader:
         kinds = self.materials(data.get("material", {}))
         objects = self.objects(data.get("object", []), kinds)
         pairs = self.couplings(data.get("coupling", []), kinds)
-        sources = self.sources(data.get("source", []), kinds, tables, objects)
-        self.check_phase_families({"object": objects, "source": sources}, kinds, pairs)
+        inlets = self.inlets(data.get("inlet", []), kinds, tables, objects)
+        self.check_phase_families({"object": objects, "inlet": inlets}, kinds, pairs)
         role = {o.name: o.role for o in objects if o} if None not in objects else None
         self.check_color_bodies(tables.get("appearance"), role)
         for inner, message in validate_gravity(data.get("domain", {})):
@@ -89,11 +88,11 @@ class SceneLoader:
             data.get("probe", []), "probe", Probe,
             lambda raw, probe: validate_probe(raw, probe, role, size, fluid, colliders),
         )  # fmt: skip
-        sinks = self.table_list(
-            data.get("sink", []), "sink", Outlet, lambda raw, _: validate_outlet(raw, sources)
+        outlets = self.table_list(
+            data.get("outlet", []), "outlet", Outlet, lambda raw, _: validate_outlet(raw, inlets)
         )
         domain = tables.get("domain")
-        flows = bool(sources or sinks or (domain and domain.open_walls))
+        flows = bool(inlets or outlets or (domain and domain.open_walls))
         self.errors += validate_balance(probes, flows, objects)
         if domain:
             self.check_cell_counts(domain)
@@ -104,8 +103,8 @@ class SceneLoader:
         return Scene(
             path=self.source.path, folder=self.source.folder, text=self.source.text,
             title=top.title, seed=top.seed, material=kinds, object=tuple(objects),
-            coupling=tuple(pairs), load=tuple(loads), probe=tuple(probes), inflow=tuple(sources),
-            sink=tuple(sinks), files=files, overrides=overrides, source=self.source,
+            coupling=tuple(pairs), load=tuple(loads), probe=tuple(probes), inlet=tuple(inlets),
+            outlet=tuple(outlets), files=files, overrides=overrides, source=self.source,
             **tables,
         )  # fmt: skip
 
@@ -117,16 +116,16 @@ class SceneLoader:
                 hint = did_you_mean(key, valid) or f"; known: {', '.join(valid)}"
                 self.report((key,), f"unknown key{hint}")
         for key in REQUIRED:
-            if key not in data and not (key == "object" and data.get("source")):
+            if key not in data and not (key == "object" and data.get("inlet")):
                 header = "[[object]]" if key == "object" else f"[{key}]"
                 header = "[material.name]" if key == "material" else header
                 self.report((key,), f"required table {header} is missing")
 
     def check_color_bodies(self, section: Appearance | None, role: dict[str, str] | None) -> None:
-        """Report names in appearance.colour_bodies that are no bodies."""
-        for k, name in enumerate((section and section.colour_bodies) or ()):
+        """Report names in appearance.color_objects that are no bodies."""
+        for k, name in enumerate((section and section.color_objects) or ()):
             if message := validate_body_name(name, role):
-                self.report(("appearance", "colour_bodies", k), message)
+                self.report(("appearance", "color_objects", k), message)
 
     def report(self, path: tuple, message: str) -> None:
         """Note one error; path: the key's path in the scene."""
@@ -183,20 +182,25 @@ class SceneLoader:
             material = item.get("material")
             if isinstance(material, str) and material not in kinds:
                 self.report_unknown_material(("object", k, "material"), material, kinds)
-        pours = bool(self.source.data.get("source"))
+        pours = bool(self.source.data.get("inlet"))
         if not raw and not pours:
             self.report(("object",), "there is no object")
         elif not pours and all(item.get("role") == "scenery" for item in raw):
             self.report(("object",), "all objects are scenery: at least one must be a body")
         for k, obj in enumerate(objects):
             material = kinds.get(obj.material) if obj else None
-            if obj and obj.compressed != "no" and material:
+            if obj and obj.initial_pressure != "zero" and material:
                 if not hasattr(material, "hydrostatic_theta"):
-                    self.report(("object", k, "compressed"), "is only for fluids")
-            follows = material and material.family == "solid" and obj and obj.deforms is not False
-            if obj and obj.passive and material and not follows:
+                    self.report(("object", k, "initial_pressure"), "is only for fluids")
+            follows = (
+                material
+                and material.family == "solid"
+                and obj
+                and obj.track_deformation is not False
+            )
+            if obj and obj.passive_gaussians and material and not follows:
                 message = "is only for solids that deform: it rides along with their F"
-                self.report(("object", k, "passive"), message)
+                self.report(("object", k, "passive_gaussians"), message)
             if obj and material:
                 for key, message in validate_release(obj, material.family):
                     self.report(("object", k, key), message)
@@ -217,15 +221,15 @@ class SceneLoader:
             self.report((table, k, "name"), f"is taken: {holder} has the same name")
 
     def check_hydrostatic(self, objects: list[Any], domain: Domain) -> None:
-        """Report compressed fluids in a scene without constant gravity along -z."""
+        """Report hydrostatic fluids in a scene without constant gravity along -z."""
         for k, obj in enumerate(objects):
-            if obj is None or obj.compressed == "no":
+            if obj is None or obj.initial_pressure == "zero":
                 continue
-            path, (gx, gy, gz) = ("object", k, "compressed"), domain.gravity
+            path, (gx, gy, gz) = ("object", k, "initial_pressure"), domain.gravity
             if gx or gy or gz >= 0:
                 self.report(path, f"needs gravity along -z alone; it is {list(domain.gravity)}")
-            elif domain.gravity_ramp:
-                self.report(path, "needs gravity from the start: domain.gravity_ramp is set")
+            elif domain.gravity_ramp_time:
+                self.report(path, "needs gravity from the start: domain.gravity_ramp_time is set")
 
     def table_list(self, raw: Any, name: str, table: type[BaseModel], complaints) -> list[Any]:
         """Return the tables of a list [[name]], None in place of invalid ones.
@@ -243,20 +247,20 @@ class SceneLoader:
                 self.report((name, k, *inner), message)
         return tables
 
-    def sources(
+    def inlets(
         self, raw: Any, kinds: dict[str, Any], tables: dict[str, Any], objects: list[Any]
     ) -> list[Any]:
         """Return the inlets, None in place of invalid ones."""
 
-        def complaints(item: dict, source: Inlet | None) -> list[tuple[tuple, str]]:
+        def complaints(item: dict, inlet: Inlet | None) -> list[tuple[tuple, str]]:
             """Return the further errors of one inlet."""
-            return validate_inlet(item, source, kinds, tables, objects)
+            return validate_inlet(item, inlet, kinds, tables, objects)
 
-        sources = self.table_list(raw, "source", Inlet, complaints)
-        for k, source in enumerate(sources):
-            if source is not None and source.material not in kinds:
-                self.report_unknown_material(("source", k, "material"), source.material, kinds)
-        return sources
+        inlets = self.table_list(raw, "inlet", Inlet, complaints)
+        for k, inlet in enumerate(inlets):
+            if inlet is not None and inlet.material not in kinds:
+                self.report_unknown_material(("inlet", k, "material"), inlet.material, kinds)
+        return inlets
 
     def check_phase_families(
         self, entities: dict[str, list], kinds: dict[str, Any], pairs: list

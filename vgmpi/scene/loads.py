@@ -25,7 +25,7 @@ FACES = {
     "top": (2, 1),
 }
 SUSTAINED = ("force", "pressure", "acceleration")
-IMPULSIVE = ("impulse", "velocity", "spin")  # they act in one step
+IMPULSIVE = ("impulse", "delta_velocity", "delta_angular_velocity")  # they act in one step
 STRENGTHS = (*SUSTAINED, *IMPULSIVE)
 
 
@@ -36,8 +36,9 @@ def _listed(value: Any) -> Any:
 class Load(StrictModel):
     """Load on bodies in addition to gravity: exactly one kind of load.
 
-    force, pressure and acceleration are continuous; impulse, velocity and spin act in one step, at
-    the time `after`. A load changes momentum and energy in ledger.csv.
+    force, pressure and acceleration are continuous; impulse, delta_velocity and
+    delta_angular_velocity act in one step, at the time `start_time`. A load changes momentum and
+    energy in ledger.csv.
     """
 
     object: Annotated[tuple[str, ...], BeforeValidator(_listed)]
@@ -56,15 +57,15 @@ class Load(StrictModel):
     """acceleration of every particle"""
     impulse: tuple[NewtonSecond, NewtonSecond, NewtonSecond] | None = None
     """total impulse, distributed by rest volume"""
-    velocity: tuple[Speed, Speed, Speed] | None = None
+    delta_velocity: tuple[Speed, Speed, Speed] | None = None
     """velocity change of every particle"""
-    spin: tuple[AngularVelocity, AngularVelocity, AngularVelocity] | None = None
+    delta_angular_velocity: tuple[AngularVelocity, AngularVelocity, AngularVelocity] | None = None
     """change of the angular velocity of all of them, about their center of mass at that time"""
-    ramp: Annotated[float, Quantity("s", ge=0)] = 0.0
+    ramp_time: Annotated[float, Quantity("s", ge=0)] = 0.0
     """time in which a continuous load grows from 0, as half a cosine; 0: at once"""
-    after: Annotated[float, Quantity("s", ge=0)] = 0.0
+    start_time: Annotated[float, Quantity("s", ge=0)] = 0.0
     """time at which it begins, or acts: in the step that contains this time"""
-    until: Annotated[float, Quantity("s", gt=0)] | None = None
+    end_time: Annotated[float, Quantity("s", gt=0)] | None = None
     """time at which a continuous load ends; default: never"""
 
     @property
@@ -83,8 +84,8 @@ class Load(StrictModel):
             dt: Length of the step [s].
         """
         if self.at_once:
-            return float(t0 <= self.after < t1)
-        return dt * mean_ramp_factor(t0, t1, self.ramp, self.after, self.until)
+            return float(t0 <= self.start_time < t1)
+        return dt * mean_ramp_factor(t0, t1, self.ramp_time, self.start_time, self.end_time)
 
 
 def mean_ramp_factor(
@@ -131,7 +132,7 @@ def validate_load(
         errors.append((("face",), f"required with pressure: one of {', '.join(FACES)}"))
     if "face" in raw and "pressure" not in raw:
         errors.append((("face",), "is for pressure only"))
-    for key in ("ramp", "until"):
+    for key in ("ramp_time", "end_time"):
         if key in raw and not any(strength in raw for strength in SUSTAINED):
             errors.append(((key,), "is for loads that last, this one is given at once"))
     if "region" in raw:
@@ -140,9 +141,9 @@ def validate_load(
         return errors
     if not load.object:
         errors.append((("object",), "names no object"))
-    if load.until is not None and load.until <= load.after:
-        message = f"must be later than after = {load.after:g} s; got {load.until:g} s"
-        errors.append((("until",), message))
+    if load.end_time is not None and load.end_time <= load.start_time:
+        message = f"must be later than start_time = {load.start_time:g} s; got {load.end_time:g} s"
+        errors.append((("end_time",), message))
     for index, name in enumerate(load.object):
         message = validate_body_name(name, role)
         path = ("object", index) if isinstance(raw["object"], list) else ("object",)

@@ -87,8 +87,8 @@ def scene_reference() -> str:
         "torus": shapes.Torus,
         "select": objects.Select,
         "rotation": objects.Rotation,
-        "mode": objects.VelocityMode,
-        "fraction_profile": objects.FractionProfile,
+        "velocity_mode": objects.VelocityMode,
+        "volume_fraction_profile": objects.FractionProfile,
         "motion": rigid_motion.Motion,
         "motion keyframes": rigid_motion.Keyframe,
     }
@@ -96,10 +96,10 @@ def scene_reference() -> str:
         parts.append(_section(f"[[object]] {name}", inside))
     for kind, coupling in couplings.registry.items():
         parts.append(_section(f'[[coupling]] kind = "{kind}"', coupling))
-    parts.append(_section("[[source]]", inlets_outlets.Inlet))
-    parts.append(_section("[[source]] disc", inlet_geometry.Disc))
-    parts.append(_section("[[source]] rectangle", inlet_geometry.Rectangle))
-    parts.append(_section("[[sink]]", inlets_outlets.Outlet))
+    parts.append(_section("[[inlet]]", inlets_outlets.Inlet))
+    parts.append(_section("[[inlet]] disc", inlet_geometry.Disc))
+    parts.append(_section("[[inlet]] rectangle", inlet_geometry.Rectangle))
+    parts.append(_section("[[outlet]]", inlets_outlets.Outlet))
     parts.append(_section("[[load]]", loads.Load))
     parts.append(_section("[[probe]]", probes.Probe))
     parts.append(_restart_section())

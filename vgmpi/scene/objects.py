@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, model_validator
 
 from vgmpi.runtime.config.schema import (
-    Colour,
+    Color,
     Length,
     Point,
     Positive,
@@ -28,22 +28,28 @@ PER_CELL = (1, 8, 27, 64)
 BODY_ONLY_KEYS = (
     "material",
     "velocity",
-    "spin",
-    "mode",
-    "fraction",
-    "fraction_profile",
-    "compressed",
+    "angular_velocity",
+    "velocity_mode",
+    "volume_fraction",
+    "volume_fraction_profile",
+    "initial_pressure",
     "phase",
     "prune",
     "prune_scale",
-    "passive",
-    "deforms",
-    "frozen_until",
-    "release",
-    "released_by",
+    "passive_gaussians",
+    "track_deformation",
+    "release_time",
+    "release_order",
+    "release_end_time",
 )
 # Keys that a body with prescribed motion cannot have: it neither moves freely nor shares space.
-KEYS_EXCLUDED_BY_MOTION = ("velocity", "spin", "mode", "fraction", "fraction_profile")
+KEYS_EXCLUDED_BY_MOTION = (
+    "velocity",
+    "angular_velocity",
+    "velocity_mode",
+    "volume_fraction",
+    "volume_fraction_profile",
+)
 
 Velocity = tuple[
     Annotated[float, Quantity("m/s")],
@@ -81,7 +87,7 @@ class Select(StrictModel):
     """keep the Gaussians inside: { center, radius }"""
     min_opacity: Share = 0.0
     """drop Gaussians with less opacity than this"""
-    outliers: Annotated[float, Quantity("", ge=0)] = 0.0
+    outlier_sigma: Annotated[float, Quantity("", ge=0)] = 0.0
     """drop Gaussians whose mean distance to 8 neighbors is this many standard deviations above the
     cloud's mean (2 .. 4 removes floaters); 0: keep all"""
 
@@ -96,13 +102,13 @@ class Rotation(StrictModel):
 
 
 class VelocityMode(StrictModel):
-    """Wave of velocities at the start: amplitude sin(wave . x + phase)."""
+    """Wave of velocities at the start: amplitude sin(wave_vector . x + phase_angle)."""
 
     amplitude: Velocity
     """largest velocity"""
-    wave: tuple[Wavenumber, Wavenumber, Wavenumber]
+    wave_vector: tuple[Wavenumber, Wavenumber, Wavenumber]
     """wave vector k, 2 pi / wavelength along its direction; x is the position in the domain"""
-    phase: Annotated[float, Quantity("rad")] = 0.0
+    phase_angle: Annotated[float, Quantity("rad")] = 0.0
     """"90 deg" makes the sine a cosine"""
 
 
@@ -111,17 +117,17 @@ class FractionProfile(StrictModel):
 
     axis: Literal["x", "y", "z"]
     """axis along which it changes"""
-    at: tuple[Length, ...]
+    positions: tuple[Length, ...]
     """ascending positions in the domain, two or more"""
-    share: tuple[Share, ...]
+    values: tuple[Share, ...]
     """volume fraction at each of them; no particles where it is 0"""
 
     @model_validator(mode="after")
     def _matches(self) -> "FractionProfile":
-        if len(self.at) < 2 or len(self.at) != len(self.share):
-            raise ValueError("at and share must be of one length, 2 or more")
-        if any(a >= b for a, b in zip(self.at, self.at[1:])):
-            raise ValueError("at must ascend")
+        if len(self.positions) < 2 or len(self.positions) != len(self.values):
+            raise ValueError("positions and values must be of one length, 2 or more")
+        if any(a >= b for a, b in zip(self.positions, self.positions[1:])):
+            raise ValueError("positions must ascend")
         return self
 
 
@@ -166,19 +172,20 @@ class Object(StrictModel):
     with the same scale, rotation and origin stay together. Default for shapes: 0, 0, 0"""
     velocity: Velocity = (0.0, 0.0, 0.0)
     """velocity at the start"""
-    spin: Spin = (0.0, 0.0, 0.0)
+    angular_velocity: Spin = (0.0, 0.0, 0.0)
     """angular velocity at the start, about the center of mass"""
-    mode: Annotated[tuple[VelocityMode, ...], BeforeValidator(_listed)] = ()
-    """waves of velocity at the start, besides velocity and spin: { amplitude, wave, phase } or a
-    list of them"""
-    fraction: Annotated[float, Quantity("", gt=0, le=1)] = 1.0
+    velocity_mode: Annotated[tuple[VelocityMode, ...], BeforeValidator(_listed)] = ()
+    """waves of velocity at the start, besides `velocity` and `angular_velocity`:
+    { amplitude, wave_vector, phase_angle } or a list of them"""
+    volume_fraction: Annotated[float, Quantity("", gt=0, le=1)] = 1.0
     """volume fraction: where two objects overlap, their fractions should add up to 1. The volumes
     and masses of its particles are scaled by it"""
-    fraction_profile: FractionProfile | None = None
-    """instead of `fraction`: { axis, at, share }, a volume fraction that changes along an axis"""
-    compressed: Literal["no", "hydrostatic"] = "no"
+    volume_fraction_profile: FractionProfile | None = None
+    """instead of `volume_fraction`: { axis, positions, values }, a volume fraction that changes
+    along an axis"""
+    initial_pressure: Literal["zero", "hydrostatic"] = "zero"
     """fluids only. hydrostatic: at rest under gravity from the start, the pressure is the weight of
-    the fluid between each particle and the object's top; without it a deep pool first bounces"""
+    the fluid between each particle and the object's top; with zero a deep pool first bounces"""
     phase: str | None = None
     """bodies with the same phase share one velocity field: they stick together instead of
     colliding. Bodies of different kinds, such as a ball and snow, must all name it. One phase for
@@ -186,29 +193,29 @@ class Object(StrictModel):
     all snow, each solid has its own"""
     particles_per_cell: Annotated[int, BeforeValidator(per_cell)] = 8
     """particles per full cell inside shapes, meshes and fillings: 1, 8, 27 or 64"""
-    fill: Literal[True, False, "closed", "shown"] = True
+    fill: Literal[True, False, "closed", "visible"] = True
     """filling of a capture's interior. true: fill it even if the surface has holes; interior
-    particles of a solid that are visible through a hole have mass but are not rendered. "shown": as
-    true, and render all of them (for bodies that break). "closed": fill only regions enclosed by
+    particles of a solid that are visible through a hole have mass but are not rendered. "visible":
+    as true, and render all of them (for bodies that break). "closed": fill only regions enclosed by
     the surface. false: leave a hollow shell one voxel thick"""
-    prune: Literal["off", "auto", "paper"] = "off"
+    prune: Literal["off", "auto", "versagauss"] = "off"
     """removal of particles of a capture or a mesh; the remaining ones take over mass and
     appearance. auto: down to 8 per cell (or `particles_per_cell`), as long as images at rest agree
-    to 40 dB inside the outline. paper: the paper's ratios for surface and interior, see
+    to 40 dB inside the outline. versagauss: the ratios of VersaGauss for surface and interior, see
     `prune_scale`"""
     prune_scale: Annotated[float, Quantity("", gt=0, le=1)] | None = None
-    """for prune = "paper", the volume scale s' (a linear scale cubed): of the interior s' is kept,
-    of the surface s'^(2/3) up to s' = 0.5, s'^(1/3) up to 0.7, above 0.7 all"""
-    passive: bool = False
+    """for prune = "versagauss", the volume scale s' (a linear scale cubed): of the interior s' is
+    kept, of the surface s'^(2/3) up to s' = 0.5, s'^(1/3) up to 0.7, above 0.7 all"""
+    passive_gaussians: bool = False
     """solids only: render the pruned Gaussians, too. Each follows the 4 particles nearest to it at
     rest and has no mass"""
-    colour: Colour = (0.7, 0.7, 0.7)
+    color: Color = (0.7, 0.7, 0.7)
     """color of shapes, and of meshes without colors: "#rrggbb" or three numbers 0..1"""
     opacity: Share = 0.95
     """opacity of the Gaussians made for shapes, meshes and fillings"""
     opacity_scale: Share = 1.0
     """fluids only: factor on opacities in rendering; water looks realistic at 0.005 .. 0.05"""
-    deforms: bool | None = None
+    track_deformation: bool | None = None
     """store the total deformation gradient F in the frames and deform the Gaussians with it.
     Default: true for solids. Not recommended for fluids, sand or snow, where unbounded shear turns
     Gaussians into needles"""
@@ -221,14 +228,14 @@ class Object(StrictModel):
     """prescribed motion of a collider or a body, independent of contact. A body with prescribed
     motion is rigid; when its motion ends it moves on freely, with its velocity at that time. A
     collider without it is at rest"""
-    frozen_until: Time | None = None
+    release_time: Time | None = None
     """bodies only, of any material: it stays fixed until this time, independent of contact, and is
-    then released. A load `after` this time can give it a velocity"""
-    release: Literal["from below", "from above"] | None = None
+    then released. A load with this `start_time` can give it a velocity"""
+    release_order: Literal["bottom-up", "top-down"] | None = None
     """frozen bodies except solids: released in layers of one cell, one after the other, from
-    `frozen_until` on. Default: all at once"""
-    released_by: Time | None = None
-    """with `release`: time at which the last layer is released"""
+    `release_time` on. Default: all at once"""
+    release_end_time: Time | None = None
+    """with `release_order`: time at which the last layer is released"""
     friction: Annotated[float, Quantity("", ge=0)] | None = None
     """colliders only: Coulomb friction coefficient of all bodies on it. Default: that of each
     body's material"""
@@ -241,13 +248,15 @@ class Object(StrictModel):
     @property
     def driven(self) -> bool:
         """Return whether it is a body with prescribed motion, or frozen for a time."""
-        moves = self.motion is not None or self.frozen_until is not None
+        moves = self.motion is not None or self.release_time is not None
         return self.role == "body" and moves
 
     @property
     def speed(self) -> float:
-        """Return an upper bound [m/s] of its speed at the start, without its spin."""
-        return math.hypot(*self.velocity) + sum(math.hypot(*m.amplitude) for m in self.mode)
+        """Return an upper bound [m/s] of its speed at the start, without its rotation."""
+        return math.hypot(*self.velocity) + sum(
+            math.hypot(*m.amplitude) for m in self.velocity_mode
+        )
 
     @property
     def alpha_threshold(self) -> float:
@@ -321,9 +330,9 @@ def validate_object(raw: dict) -> list[tuple[tuple, str]]:
                 errors.append(((key,), "is not for scenery: it has no mass and does not move"))
     elif "material" not in raw:
         errors.append((("material",), "required key is missing: what the body is made of"))
-    if "fraction" in raw and "fraction_profile" in raw:
-        message = "fraction and fraction_profile given at once: give one"
-        errors.append((("fraction_profile",), message))
+    if "volume_fraction" in raw and "volume_fraction_profile" in raw:
+        message = "volume_fraction and volume_fraction_profile given at once: give one"
+        errors.append((("volume_fraction_profile",), message))
     if raw.get("collider") is True and not scenery:
         errors.append((("collider",), 'is only for role = "scenery": bodies collide anyway'))
     collider = raw.get("collider") is True
@@ -338,35 +347,35 @@ def validate_object(raw: dict) -> list[tuple[tuple, str]]:
 def _validate_prescribed(raw: dict) -> list[tuple[tuple, str]]:
     """Return (path, message) for keys that exclude a body's motion, or its being frozen."""
     errors: list[tuple[tuple, str]] = []
-    driven = [key for key in ("motion", "frozen_until") if key in raw]
+    driven = [key for key in ("motion", "release_time") if key in raw]
     if len(driven) > 1:
-        message = "motion and frozen_until given at once: give one"
-        errors.append((("frozen_until",), message))
+        message = "motion and release_time given at once: give one"
+        errors.append((("release_time",), message))
     for key in KEYS_EXCLUDED_BY_MOTION if driven else ():
         if key not in raw:
             continue
         message = f"is not for a body with {driven[0]}: until it is let go it "
         motion = "moves as that says" if driven[0] == "motion" else "stays where it is"
-        message += "shares its space with none" if "fraction" in key else motion
-        if key in ("velocity", "spin") and driven == ["frozen_until"]:
-            message += f"; [[load]] {key} with after = frozen_until gives it one then"
+        message += "shares its space with none" if "volume_fraction" in key else motion
+        if key in ("velocity", "angular_velocity") and driven == ["release_time"]:
+            message += f"; [[load]] delta_{key} with start_time = release_time gives it one then"
         errors.append(((key,), message))
-    for key, other in (("release", "frozen_until"), ("released_by", "release")):
+    for key, other in (("release_order", "release_time"), ("release_end_time", "release_order")):
         if key in raw and other not in raw:
             errors.append(((key,), f"is only for bodies with {other}"))
-    if "release" in raw and "released_by" not in raw:
-        errors.append((("release",), "needs released_by: when the last layer is let go"))
+    if "release_order" in raw and "release_end_time" not in raw:
+        errors.append((("release_order",), "needs release_end_time: when the last layer is let go"))
     return errors
 
 
 def validate_release(obj: Object, family: str) -> list[tuple[str, str]]:
     """Return (key, message) for what forbids releasing a body of a material family in layers."""
-    errors, first, last = [], obj.frozen_until, obj.released_by
-    if obj.release is not None and family == "solid":
-        errors.append(("release", "is not for solids: their layers would come apart"))
+    errors, first, last = [], obj.release_time, obj.release_end_time
+    if obj.release_order is not None and family == "solid":
+        errors.append(("release_order", "is not for solids: their layers would come apart"))
     if first is not None and last is not None and last <= first:
-        message = f"must be later than frozen_until = {first:g} s; got {last:g} s"
-        errors.append(("released_by", message))
+        message = f"must be later than release_time = {first:g} s; got {last:g} s"
+        errors.append(("release_end_time", message))
     return errors
 
 
@@ -375,12 +384,17 @@ def _validate_pruning(raw: dict, sources: list[str]) -> list[tuple[tuple, str]]:
     mode, errors = raw.get("prune", "off"), []
     if mode != "off" and sources == ["shape"]:
         errors.append((("prune",), "is only for objects made of gaussians or a mesh"))
-    if mode == "paper" and "prune_scale" not in raw:
-        errors.append((("prune",), "needs prune_scale: the paper keeps shares by a volume scale"))
-    if "prune_scale" in raw and mode != "paper" and raw.get("prune") != "off":
-        errors.append((("prune_scale",), 'is only for prune = "paper"'))
-    if mode == "off" and raw.get("passive") is True:
-        errors.append((("passive",), 'needs prune = "auto" or "paper": what is pruned rides along'))
-    if "fraction_profile" in raw and raw.get("passive") is True:
-        errors.append((("passive",), "is not for objects with a fraction_profile"))
+    if mode == "versagauss" and "prune_scale" not in raw:
+        errors.append((("prune",), "needs prune_scale: VersaGauss keeps shares by a volume scale"))
+    if "prune_scale" in raw and mode != "versagauss" and raw.get("prune") != "off":
+        errors.append((("prune_scale",), 'is only for prune = "versagauss"'))
+    if mode == "off" and raw.get("passive_gaussians") is True:
+        errors.append(
+            (
+                ("passive_gaussians",),
+                'needs prune = "auto" or "versagauss": what is pruned rides along',
+            )
+        )
+    if "volume_fraction_profile" in raw and raw.get("passive_gaussians") is True:
+        errors.append((("passive_gaussians",), "is not for objects with a volume_fraction_profile"))
     return errors

@@ -10,28 +10,28 @@ from vgmpi.runtime.suggestions import did_you_mean
 
 from .objects import Object, checked_name, validate_body_name, validate_exactly_one
 
-KINDS = ("pressure", "level", "velocity", "object", "wall", "collider")
-WALL_NAMES = ("west", "east", "south", "north", "floor", "roof")
+KINDS = ("pressure", "surface_height", "velocity", "object", "wall", "collider")
+WALL_NAMES = ("west", "east", "south", "north", "bottom", "top")
 
 
 class Probe(StrictModel):
     """Measurement, written to probe_NAME.csv: exactly one quantity.
 
-    It is one of pressure, level, velocity, object, wall, collider. A row is written after the first
-    step at or after each sampling time, with the time of that step. Probes do not change the time
-    steps.
+    It is one of pressure, surface_height, velocity, object, wall, collider. A row is written after
+    the first step at or after each sampling time, with the time of that step. Probes do not change
+    the time steps.
     """
 
     name: Annotated[str, BeforeValidator(checked_name)]
     """unique name: letters, digits, spaces, _ and -, beginning with a letter"""
-    rate: Annotated[float, Quantity("Hz", gt=0)] | None = None
+    sampling_rate: Annotated[float, Quantity("Hz", gt=0)] | None = None
     """rows per second of simulated time"""
-    every: Annotated[float, Quantity("s", gt=0)] | None = None
-    """instead of `rate`: time between rows; shorter than a step: a row at every step"""
+    sampling_interval: Annotated[float, Quantity("s", gt=0)] | None = None
+    """instead of `sampling_rate`: time between rows; shorter than a step: a row at every step"""
     pressure: Point | None = None
     """mean pressure of the fluids within a cell of this point, weighted by their volume and by
     1 - distance / cell along each axis"""
-    level: tuple[Length, Length] | None = None
+    surface_height: tuple[Length, Length] | None = None
     """height of the fluid surface above this point (x, y): the highest layer of one cell that is at
     least half full"""
     velocity: Point | None = None
@@ -40,15 +40,15 @@ class Probe(StrictModel):
     object: str | None = None
     """a body's mass, center of mass, mean velocity, momentum, and mean force since the previous
     row: the rate of change of its momentum, without its weight"""
-    wall: Literal["all", "west", "east", "south", "north", "floor", "roof"] | None = None
+    wall: Literal["all", "west", "east", "south", "north", "bottom", "top"] | None = None
     """"all": mean total force of the bodies on all walls and colliders since the previous row, from
     the momentum balance: weight and loads minus the rate of change of the bodies' momentum. z
-    contains the forces on floor and roof and the friction at the sides. Not for scenes with inlets,
+    contains the forces on bottom and top and the friction at the sides. Not for scenes with inlets,
     outlets or open walls. The name of one wall: mean force of the bodies on it since the previous
     row, and mean torque about its center"""
     collider: str | None = None
     """a collider, moving or not, or a body with prescribed motion (bodies with the same
-    `frozen_until` count as one): mean force of the other bodies on it since the previous row, mean
+    `release_time` count as one): mean force of the other bodies on it since the previous row, mean
     torque about its current center of rotation (at rest: the center of its extent), and its work on
     the other bodies since then"""
 
@@ -67,7 +67,11 @@ class Probe(StrictModel):
     @property
     def period(self) -> float:
         """Return the time between rows [s]."""
-        return self.every if self.every is not None else 1.0 / (self.rate or math.inf)
+        return (
+            self.sampling_interval
+            if self.sampling_interval is not None
+            else 1.0 / (self.sampling_rate or math.inf)
+        )
 
     def due(self, before: float, now: float) -> bool:
         """Return whether a row is due after a step from `before` to `now` [s].
@@ -97,17 +101,19 @@ def validate_probe(
         colliders: Names of the colliders, or None if they are unknown.
     """
     errors = validate_exactly_one(raw, KINDS, "measures nothing")
-    if "rate" not in raw and "every" not in raw:
-        errors.append(((), "needs a rate or an every"))
-    if "rate" in raw and "every" in raw:
-        errors.append((("every",), "rate and every given at once: give one"))
+    if "sampling_rate" not in raw and "sampling_interval" not in raw:
+        errors.append(((), "needs a sampling_rate or a sampling_interval"))
+    if "sampling_rate" in raw and "sampling_interval" in raw:
+        errors.append(
+            (("sampling_interval",), "sampling_rate and sampling_interval given at once: give one")
+        )
     if probe is None:
         return errors
     message = validate_body_name(probe.object, role)
     errors += [(("object",), message)] if message else []
     message = _validate_collider_name(probe.collider, role, colliders)
     errors += [(("collider",), message)] if message else []
-    for key in ("pressure", "level", "velocity"):
+    for key in ("pressure", "surface_height", "velocity"):
         point = getattr(probe, key)
         if point is None:
             continue
@@ -141,7 +147,7 @@ def _validate_collider_name(
     if name in role:
         return (
             f"'{name}' is no collider: scenery with collider = true is, and a body with motion or"
-            " frozen_until"
+            " release_time"
         )
     valid = f"known: {', '.join(colliders)}" if colliders else "there is none"
     return f"there is no collider '{name}'{did_you_mean(name, colliders)}; {valid}"

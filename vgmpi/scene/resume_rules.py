@@ -1,9 +1,11 @@
 """Rules for restarts: keys of a scene that may change, and the changes that were made."""
 
+import copy
 from typing import Any
 
 from pydantic import BaseModel
 
+from vgmpi.runtime.config import renamed_keys
 from vgmpi.runtime.config.schema import ChangeableOnResume
 
 from .scene import Scene
@@ -35,8 +37,10 @@ def forbidden_changes(scene: Scene, before: dict) -> list[tuple[tuple, str]]:
 
     Args:
         scene: Scene of the restart.
-        before: `Scene.to_json` of the run so far.
+        before: `Scene.to_json` of the run so far; old words are replaced.
     """
+    before = copy.deepcopy(before)
+    renamed_keys.SCENE.apply(before)
     now, allowed = scene.to_json(), may_change()
     differences: list[tuple[tuple, str]] = []
     for name in {**before, **now}:

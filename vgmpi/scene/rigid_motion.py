@@ -17,7 +17,7 @@ from .shapes import Axis
 Angle = Annotated[float, Quantity("rad")]
 Speed = Annotated[float, Quantity("m/s")]
 SPEED_SAMPLES = 16  # samples of a segment's speed, in the search for its maximum
-MOTION_KEYS = ("keyframes", "velocity", "spin")
+MOTION_KEYS = ("keyframes", "velocity", "angular_velocity")
 
 
 class Keyframe(StrictModel):
@@ -25,7 +25,7 @@ class Keyframe(StrictModel):
 
     time: Time
     """time of the keyframe; keyframes are in order of time"""
-    move: Point = (0.0, 0.0, 0.0)
+    translation: Point = (0.0, 0.0, 0.0)
     """displacement"""
     angle: Angle = 0.0
     """rotation about `axis`, any number of turns"""
@@ -33,23 +33,23 @@ class Keyframe(StrictModel):
 
 class Motion(StrictModel):
     """Prescribed rigid motion, independent of contact forces: keyframes, or constant velocity and
-    spin.
+    angular velocity.
     """
 
     keyframes: Annotated[tuple[Keyframe, ...], Field(max_length=100_000)] = ()
-    """{ time, move, angle } in order of time; the motion starts from the initial position and ends
-    at the last keyframe"""
-    pace: Literal["smooth", "linear"] = "smooth"
-    """interpolation between keyframes. smooth: velocities are continuous, from rest and to rest,
+    """{ time, translation, angle } in order of time; the motion starts from the initial position
+    and ends at the last keyframe"""
+    interpolation: Literal["cubic", "linear"] = "cubic"
+    """interpolation between keyframes. cubic: velocities are continuous, from rest and to rest,
     the motion pauses between two equal keyframes, and never exceeds them (monotone cubics, Fritsch
     and Butland 1984); linear: constant velocity"""
     velocity: tuple[Speed, Speed, Speed] | None = None
     """instead of keyframes: constant"""
-    spin: Annotated[float, Quantity("rad/s")] | None = None
+    angular_velocity: Annotated[float, Quantity("rad/s")] | None = None
     """instead of keyframes: constant, about `axis`"""
-    until: Annotated[float, Quantity("s", gt=0)] | None = None
-    """time at which velocity and spin end; default: never"""
-    about: Point | None = None
+    end_time: Annotated[float, Quantity("s", gt=0)] | None = None
+    """time at which velocity and angular_velocity end; default: never"""
+    pivot: Point | None = None
     """a point on the axis of rotation, at the start; it moves along. Default: the center of its
     extent"""
     axis: Axis = (0.0, 0.0, 1.0)
@@ -60,7 +60,7 @@ class Motion(StrictModel):
         """Return the time at which it ends [s]."""
         if self.keyframes:
             return self.keyframes[-1].time
-        return math.inf if self.until is None else self.until
+        return math.inf if self.end_time is None else self.end_time
 
 
 @dataclass(frozen=True)
@@ -80,8 +80,8 @@ class Trajectory:
         if self.motion.keyframes:
             times = [0.0, *(key.time for key in self.motion.keyframes)]
             return [(a, b, ("keyframes", k)) for k, (a, b) in enumerate(pairwise(times))]
-        key = "velocity" if self.motion.velocity is not None else "spin"
-        last = min(end, self.motion.until) if self.motion.until is not None else end
+        key = "velocity" if self.motion.velocity is not None else "angular_velocity"
+        last = min(end, self.motion.end_time) if self.motion.end_time is not None else end
         return [(0.0, last, (key,))]
 
     @property
@@ -97,20 +97,20 @@ class Trajectory:
         if motion.keyframes:
             keys = motion.keyframes
             times = np.array([0.0, *(key.time for key in keys)])
-            rows = np.array([(0.0,) * 4, *((*key.move, key.angle) for key in keys)])
+            rows = np.array([(0.0,) * 4, *((*key.translation, key.angle) for key in keys)])
             segments = (
                 _linear_segments(times, rows)
-                if motion.pace == "linear"
+                if motion.interpolation == "linear"
                 else _smooth_segments(times, rows)
             )
             return times, np.concatenate([segments, _constant_segment(rows[-1])])
-        rate = np.array([*(motion.velocity or (0.0, 0.0, 0.0)), motion.spin or 0.0])
+        rate = np.array([*(motion.velocity or (0.0, 0.0, 0.0)), motion.angular_velocity or 0.0])
         constant = np.zeros((1, 4, 4))
         constant[0, :, 2] = rate
-        if motion.until is None:
+        if motion.end_time is None:
             return np.zeros(1), constant
-        return np.array([0.0, motion.until]), np.concatenate(
-            [constant, _constant_segment(motion.until * rate)]
+        return np.array([0.0, motion.end_time]), np.concatenate(
+            [constant, _constant_segment(motion.end_time * rate)]
         )
 
     def far(self, low, high) -> float:
@@ -241,11 +241,18 @@ def validate_motion(raw: Any, path: tuple) -> list[tuple[tuple, str]]:
             (path, f"has no motion: give {', '.join(MOTION_KEYS[:-1])} or {MOTION_KEYS[-1]}")
         )
     elif "keyframes" in present and len(present) > 1:
-        message = f"{' and '.join(present)} given at once: give keyframes, or velocity and spin"
+        message = (
+            f"{' and '.join(present)} given at once: give keyframes, or velocity and"
+            " angular_velocity"
+        )
         errors.append(((*path, present[1]), message))
-    for key, other in (("until", "keyframes"), ("pace", "velocity"), ("pace", "spin")):
+    for key, other in (
+        ("end_time", "keyframes"),
+        ("interpolation", "velocity"),
+        ("interpolation", "angular_velocity"),
+    ):
         if key in raw and other in present:
-            required = "velocity and spin" if key == "until" else "keyframes"
+            required = "velocity and angular_velocity" if key == "end_time" else "keyframes"
             errors.append(((*path, key), f"is for {required} only"))
     keys = raw.get("keyframes")
     errors += validate_ascending_times(keys, (*path, "keyframes"))

@@ -20,7 +20,7 @@ from .sections import SECTIONS, Accuracy, Appearance, Domain, Output, Time
 class Scene:
     """Content of a scene file with defaults filled in, in SI units.
 
-    `object`, `inflow` and `coupling` are in file order; `folder` contains the file; `text` is the
+    `object`, `inlet` and `coupling` are in file order; `folder` contains the file; `text` is the
     file's text without the overrides, which `overrides` lists.
     """
 
@@ -36,8 +36,8 @@ class Scene:
     coupling: tuple[Any, ...] = ()
     load: tuple[Load, ...] = ()
     probe: tuple[Probe, ...] = ()
-    inflow: tuple[Inlet, ...] = ()  # [[source]]
-    sink: tuple[Outlet, ...] = ()
+    inlet: tuple[Inlet, ...] = ()
+    outlet: tuple[Outlet, ...] = ()
     appearance: Appearance = Appearance()
     accuracy: Accuracy = Accuracy()
     output: Output = Output()
@@ -50,12 +50,12 @@ class Scene:
     @property
     def things(self) -> tuple[Object | Inlet, ...]:
         """Return objects, then inlets: all entities that particles can belong to."""
-        return (*self.object, *self.inflow)
+        return (*self.object, *self.inlet)
 
     @property
     def is_open_system(self) -> bool:
         """Return whether particles enter or leave the domain."""
-        return bool(self.inflow or self.sink or self.domain.open_walls)
+        return bool(self.inlet or self.outlet or self.domain.open_walls)
 
     def material_of(self, obj: Object) -> Any:
         """Return the material of a body."""
@@ -76,7 +76,7 @@ class Scene:
         return SceneError(source.lines(errors))
 
     def place(self, path: tuple) -> str:
-        """Return a key with its location: "material.water.gamma (scene.toml:12)"."""
+        """Return a key with its location: "material.water.tait_exponent (scene.toml:12)"."""
         source = self.source or TomlSource(self.path, self.overrides)
         return escape_control_characters(f"{source.key(path)} ({source.place(path)[1]})")
 
@@ -84,7 +84,7 @@ class Scene:
         """Return all values, with defaults filled in, as plain JSON values."""
         tables = {name: getattr(self, name).model_dump(mode="json") for name in SECTIONS}
         # Empty lists are left out, as in runs older than these tables.
-        entities = {"source": self.inflow, "sink": self.sink}
+        entities = {"inlet": self.inlet, "outlet": self.outlet}
         flows = {
             name: [x.model_dump(mode="json", exclude_none=True) for x in items]
             for name, items in entities.items()

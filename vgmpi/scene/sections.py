@@ -8,10 +8,10 @@ from vgmpi.runtime.config.schema import ChangeableOnResume, Positive, Quantity, 
 
 from .gravity import GravityKeyframe
 
-WALLS = ("west", "east", "south", "north", "floor", "roof")
+WALLS = ("west", "east", "south", "north", "bottom", "top")
 MAX_CELLS = 2**15  # per axis, so that block coordinates fit the sort key
 Acceleration = Annotated[float, Quantity("m/s2")]
-Transfer = Literal["apic", "restored", "aflip", "flip", "pic"]
+Transfer = Literal["apic", "apic-corrected", "aflip", "flip", "pic"]
 
 
 def _wall(value: Any) -> Any:
@@ -28,13 +28,13 @@ class Wall(StrictModel):
     friction: Annotated[float, Quantity("", ge=0)] = 0.0
     """Coulomb friction coefficient; used by separate walls only (slip walls are frictionless, stick
     walls allow no sliding)"""
-    until: Annotated[float, Quantity("s", gt=0)] | None = None
+    removal_time: Annotated[float, Quantity("s", gt=0)] | None = None
     """time at which the wall opens, like a removed gate; it is open from then on"""
 
     @model_validator(mode="after")
     def _rubs(self) -> "Wall":
-        if self.until is not None and self.kind == "open":
-            raise ValueError('until is not for kind = "open": it is from the start on')
+        if self.removal_time is not None and self.kind == "open":
+            raise ValueError('removal_time is not for kind = "open": it is from the start on')
         if self.friction and self.kind != "separate":
             raise ValueError('friction is for kind = "separate" only')
         return self
@@ -56,9 +56,9 @@ class Boundary(StrictModel):
     """y = 0"""
     north: AnyWall | None = None
     """y = size"""
-    floor: AnyWall | None = None
+    bottom: AnyWall | None = None
     """z = 0"""
-    roof: AnyWall | None = None
+    top: AnyWall | None = None
     """z = size"""
 
 
@@ -75,7 +75,7 @@ class Domain(StrictModel):
     """grid spacing dx; optional with accuracy.level, if cells of about that size fit all edges"""
     gravity: tuple[Acceleration, Acceleration, Acceleration] = (0.0, 0.0, -9.8)
     """acceleration of gravity"""
-    gravity_ramp: Annotated[float, Quantity("s", ge=0)] = 0.0
+    gravity_ramp_time: Annotated[float, Quantity("s", ge=0)] = 0.0
     """time in which gravity grows from 0, as half a cosine; 0: full gravity from the start"""
     gravity_keyframes: tuple[GravityKeyframe, ...] | None = None
     """{ time, gravity } in order of time, as for a container that tilts: from `gravity` at the
@@ -99,11 +99,11 @@ class Domain(StrictModel):
     @property
     def opens(self) -> list[float | None]:
         """Return the time [s] at which each of the six walls vanishes, None for never."""
-        return [wall.until for wall in self._walls]
+        return [wall.removal_time for wall in self._walls]
 
     @property
     def walls(self) -> list[tuple[str, float]]:
-        """Return (kind, friction) of the west, east, south, north, floor and roof wall."""
+        """Return (kind, friction) of the west, east, south, north, bottom and top wall."""
         return [(wall.kind, wall.friction) for wall in self._walls]
 
     @property
@@ -135,21 +135,21 @@ class Time(StrictModel):
 class Appearance(StrictModel):
     """Color transfer and baked light."""
 
-    colour_transfer: Literal["off", "frame", "relax", "step"] = "frame"
+    color_transfer: Literal["off", "frame", "relax", "step"] = "frame"
     """exchange of colors between particles. off: none. frame: a frame shows the initial colors,
-    smoothed over a cell at the current positions. relax: colors mix in the time `colour_time`.
-    These three can also be set in render.toml, without a new run. step: as in the paper, the solver
-    smooths colors over a cell in every step: their diffusivity is cell^2 / (4 step), so shorter
-    steps mix faster"""
-    colour_time: Annotated[float, Quantity("s", gt=0)] = 1.0
+    smoothed over a cell at the current positions. relax: colors mix in the time
+    `color_relaxation_time`. These three can also be set in render.toml, without a new run. step: as
+    in the paper, the solver smooths colors over a cell in every step: their diffusivity is cell^2 /
+    (4 step), so shorter steps mix faster"""
+    color_relaxation_time: Annotated[float, Quantity("s", gt=0)] = 1.0
     """relax: time in which colors of neighbors become equal; their diffusivity is cell^2 / (4
-    colour_time)"""
-    colour_degree: Annotated[int, Field(strict=True, ge=0, le=3)] = 0
+    color_relaxation_time)"""
+    color_sh_degree: Annotated[int, Field(strict=True, ge=0, le=3)] = 0
     """largest degree of spherical harmonics that is exchanged; 0: view-independent color only"""
-    colour_bodies: tuple[str, ...] | None = None
+    color_objects: tuple[str, ...] | None = None
     """names of the bodies that exchange colors, within one phase and between fluids that mix; with
     step all bodies of their phases; default: all fluids"""
-    shade: Annotated[float, Quantity("", ge=0, le=1)] = 0.3
+    baked_shading: Annotated[float, Quantity("", ge=0, le=1)] = 0.3
     """light baked on solid shapes and meshes, by the direction of their surface; 0: none. The
     factor is stored in gaussians.h5 (`shade`), so that a renderer with its own light can remove
     it"""
@@ -162,25 +162,26 @@ class Accuracy(StrictModel):
     """defaults of other keys. draft, standard, high: domain.cell such that the longest
     edge has 32, 64, 96 cells or a few more, precision single, single, double, compression of
     liquids 4 %, 1 %, 1 %; draft prunes bodies made of Gaussians or meshes (prune = "auto")"""
-    transfer: Transfer = "restored"
-    """particle-grid transfer scheme. restored: APIC whose numerical dissipation is compensated
-    every few steps, so that waves and vibrations persist. apic: takes 0.8 of its time, but
-    dissipates with every step, up to a third of a wave's height in a period. Both conserve linear
-    and angular momentum. aflip: retains motion too fine for the grid, for the time `damping`, and
-    takes 1.3 times as long. flip: without APIC's gradients, at some noise. pic: damps"""
-    damping: Annotated[float, Quantity("s", gt=0)] = 0.1
+    transfer: Transfer = "apic-corrected"
+    """particle-grid transfer scheme. apic-corrected: APIC whose numerical dissipation is
+    compensated every few steps, so that waves and vibrations persist. apic: takes 0.8 of its time,
+    but dissipates with every step, up to a third of a wave's height in a period. Both conserve
+    linear and angular momentum. aflip: retains motion too fine for the grid, for the time
+    `flip_decay_time`, and takes 1.3 times as long. flip: without APIC's gradients, at some noise.
+    pic: damps"""
+    flip_decay_time: Annotated[float, Quantity("s", gt=0)] = 0.1
     """aflip, flip: time in which particles lose all but 1/e of the motion the grid does not
     resolve"""
-    flip: Annotated[float, Quantity("", gt=0, le=1)] | None = None
+    flip_ratio: Annotated[float, Quantity("", gt=0, le=1)] | None = None
     """aflip, flip: FLIP ratio, the fraction of that motion retained in each step, in place of
-    `damping`: then losses depend on the step"""
-    gradient: Literal["moments", "splines"] = "moments"
-    """gradients for strains and forces. splines: gradients of the B-splines, with pic and flip
-    only; a bending body that rotates against the grid keeps its stiffness, with 64 particles per
-    cell"""
-    volume: Literal["followed", "kept"] = "followed"
-    """volume of liquids that do not mix and flow through no sand. followed: integrated from the
-    velocity divergence; a splashing or sloshing liquid slowly loses height. kept: also corrected
+    `flip_decay_time`: then losses depend on the step"""
+    gradient: Literal["mls", "bspline"] = "mls"
+    """gradients for strains and forces. mls: moments of moving least squares. bspline: gradients of
+    the B-splines, with pic and flip only; a bending body that rotates against the grid keeps its
+    stiffness, with 64 particles per cell"""
+    volume_correction: Literal["none", "density"] = "none"
+    """volume of liquids that do not mix and flow through no sand. none: integrated from the
+    velocity divergence; a splashing or sloshing liquid slowly loses height. density: also corrected
     towards the local filling, which takes about 10 % more time"""
     precision: Literal["double", "single"] = "double"
     """precision of the particles' and the grid's numbers"""
@@ -188,12 +189,12 @@ class Accuracy(StrictModel):
     @property
     def affine(self) -> bool:
         """Return whether particles carry the velocity gradient (APIC)."""
-        return self.transfer in ("apic", "restored", "aflip")
+        return self.transfer in ("apic", "apic-corrected", "aflip")
 
     @property
     def restores(self) -> bool:
         """Return whether the transfer error is compensated every few steps."""
-        return self.transfer == "restored"
+        return self.transfer == "apic-corrected"
 
     @property
     def keeps(self) -> bool:
@@ -223,11 +224,11 @@ class Output(StrictModel):
     ] = ("velocity", "J", "F")
     """fields of the frames besides positions; rendering needs F for elastic bodies and J for all
     others"""
-    checkpoint: Annotated[float, Quantity("s", ge=0), ChangeableOnResume("applies from now on")] = (
-        600.0
-    )
+    checkpoint_interval: Annotated[
+        float, Quantity("s", ge=0), ChangeableOnResume("applies from now on")
+    ] = 600.0
     """wall time between checkpoints; 0: none by time"""
-    checkpoint_steps: Annotated[
+    checkpoint_interval_steps: Annotated[
         int, Field(strict=True, ge=0), ChangeableOnResume("applies from now on")
     ] = 0
     """steps between checkpoints; 0: none by steps"""

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator
 
 from vgmpi.runtime.config.schema import (
-    Colour,
+    Color,
     Point,
     Positive,
     Quantity,
@@ -75,7 +75,7 @@ class Ellipsoid(StrictModel):
 class CylinderShape(StrictModel):
     """Cylinder (flat ends) or capsule (round ends that extend beyond the axis by the radius)."""
 
-    ends: tuple[Point, Point]
+    endpoints: tuple[Point, Point]
     """the two ends of its axis"""
     radius: Positive
     """its radius"""
@@ -84,7 +84,7 @@ class CylinderShape(StrictModel):
 class Cone(StrictModel):
     """Cone, or a frustum between two flat ends."""
 
-    ends: tuple[Point, Point]
+    endpoints: tuple[Point, Point]
     """the two ends of its axis"""
     radii: tuple[NonNegativeLength, NonNegativeLength]
     """its radius at each of them; 0 is a tip"""
@@ -97,9 +97,9 @@ class Torus(StrictModel):
     """its center"""
     axis: Axis = (0.0, 0.0, 1.0)
     """axis of symmetry: "x", "y", "z" or three numbers"""
-    radius: Positive
+    major_radius: Positive
     """radius of the center line of its tube"""
-    tube: Positive
+    minor_radius: Positive
     """radius of the tube"""
 
 
@@ -115,22 +115,22 @@ class Shape(StrictModel):
     ellipsoid: Ellipsoid | None = None
     """{ center, radii }"""
     cylinder: CylinderShape | None = None
-    """{ ends, radius }"""
+    """{ endpoints, radius }"""
     capsule: CylinderShape | None = None
-    """{ ends, radius }"""
+    """{ endpoints, radius }"""
     cone: Cone | None = None
-    """{ ends, radii }"""
+    """{ endpoints, radii }"""
     torus: Torus | None = None
-    """{ center, axis, radius, tube }"""
+    """{ center, axis, major_radius, minor_radius }"""
     union: tuple["Shape", ...] | None = None
-    """list of shapes; where they overlap the first one gives the colour"""
+    """list of shapes; where they overlap the first one gives the color"""
     difference: tuple["Shape", ...] | None = None
     """list of shapes: the first minus all others. A shape that cuts a hole into a collider must
     extend three cells beyond it on both sides, because water stops at its ends, too"""
-    blend: Positive | None = None
+    blend_radius: Positive | None = None
     """unions only: radius of rounded edges between parts; coincident surfaces of parts move outward
     by a quarter of it"""
-    colour: Colour | None = None
+    color: Color | None = None
     """color of this part; default: that of the object"""
 
     @property
@@ -149,8 +149,8 @@ def validate_shape(raw: Any, path: tuple) -> list[tuple[tuple, str]]:
         errors.append((path, f"has {' and '.join(present)}: give exactly one"))
     if not present:
         errors.append((path, f"has no form: give one of {', '.join(SHAPE_KINDS)}"))
-    if "blend" in raw and "union" not in raw:
-        errors.append(((*path, "blend"), "is only for a union"))
+    if "blend_radius" in raw and "union" not in raw:
+        errors.append(((*path, "blend_radius"), "is only for a union"))
     for form in ("union", "difference"):
         parts = raw.get(form)
         if isinstance(parts, list) and len(parts) < 2:

@@ -159,7 +159,7 @@ def _build_or_read(
     passive = _massless(built.passive, "carriers", "weights")
     if exists and resumed:  # the colliders are new, the particles are not
         summary = known_of(scene, built)
-        if scene.inflow and path is not None:  # the inlet particles are as many as were reserved
+        if scene.inlet and path is not None:  # the inlet particles are as many as were reserved
             summary = replace(summary, objects=read_gaussians(path).objects)
         return summary, {}
     return known_of(scene, built), {"rows": rows, "scenery": scenery, "passive": passive}
@@ -212,7 +212,7 @@ def _summary_of(scene, objects, particles, x, colliders, loads) -> ParticleSumma
     total = np.bincount(object_of, volume, minlength=len(objects))
     moment = [np.bincount(object_of, volume * x[:, a], minlength=len(objects)) for a in range(3)]
     center = (np.array(moment) / np.maximum(total, 1e-300)).T
-    colors_travel = scene.appearance.colour_transfer == "step"
+    colors_travel = scene.appearance.color_transfer == "step"
     color_ranges = (
         coefficient_ranges(len(objects), particles.object, particles.sh) if colors_travel else None
     )

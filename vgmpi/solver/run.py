@@ -163,7 +163,9 @@ class Runner:
         if options.folder is not None:
             self._open(options.folder, last_step)
         self.first_step = self.simulation.step
-        self.requests = Requests(options.stop_steps, options.stop_seconds, scene.output.checkpoint)
+        self.requests = Requests(
+            options.stop_steps, options.stop_seconds, scene.output.checkpoint_interval
+        )
         self.warned = False
         self.initial_conservation: list[dict] = []
         self.latest_conservation: list[dict] = []
@@ -215,7 +217,7 @@ class Runner:
         self.probes.after_step(before)
         for listener in self.options.listeners:
             listener(simulation)
-        interval = self.scene.output.checkpoint_steps
+        interval = self.scene.output.checkpoint_interval_steps
         if stop and self.frame < len(self.times):
             return True
         if due or (interval and simulation.step % interval == 0):

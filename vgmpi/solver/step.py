@@ -44,7 +44,7 @@ FAILURE_MESSAGES = {
 MAXIMA_SLICE = [0, 3, 4, 5]  # indices of particle_insertion.bounds among a step's maxima
 FIELD_NAMES = {
     "momentum": "mass or momentum", "offsets": "volume", "impulses": "impulse",
-    "shear": "velocity's gradient", "colour": "colour",
+    "shear": "velocity's gradient", "color": "color",
 }  # fmt: skip
 
 
@@ -255,7 +255,7 @@ class Simulation:
             overflows = self.restore(dt)
         end = self.time + dt if end is None else end
         pushed, gravity = self._apply_loads(end, dt), self.gravity
-        if self.plan.gravity_ramp or self.plan.gravity_keys:
+        if self.plan.gravity_ramp_time or self.plan.gravity_keys:
             gravity = self.plan.gravity_between(self.time, end)
         engine.begin(dt, gravity, self.particle_maxima.fastest(self.plan, dt, pushed))
         self._update_grid(self.halo)

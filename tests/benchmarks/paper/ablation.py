@@ -79,7 +79,7 @@ def study(
         SettingsError: If render.toml does not suit the study.
     """
     if base.background == "none":
-        message = "'none': what fluids let through is compared, before a colour or a picture"
+        message = "'none': what fluids let through is compared, before a color or a picture"
         raise render_config.SettingsError([f"picture.background: {message}"])
     done: list[Variant] = []
     # the position that python -m postprocess.render --frame uses
@@ -115,7 +115,9 @@ def _log_limits(painter: FrameRenderer) -> None:
     if not flowing:
         log.info("nothing flows in this run: only solids are compared")
     elif not any(entry.get("deforms") for entry in flowing):
-        log.info("nothing that flows has deforms = true: by deformation is J^(2/3) cov0 here")
+        log.info(
+            "nothing that flows has track_deformation = true: by deformation is J^(2/3) cov0 here"
+        )
 
 
 def table(variants: list[Variant]) -> str:

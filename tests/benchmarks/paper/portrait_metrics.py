@@ -22,14 +22,14 @@ class Portraits:
     """Images of a frame from every camera.
 
     pictures: (height, width, 3) float32 in 0..1 each. splats: Gaussians drawn, by camera. seconds:
-    median processor time per image, from the arrays of a frame to pixels. colours: processor time
+    median processor time per image, from the arrays of a frame to pixels. colors: processor time
     of the transfer of color, once for all cameras.
     """
 
     pictures: list[np.ndarray]
     splats: list[ProjectableGaussians]
     seconds: float
-    colours: float
+    colors: float
 
 
 def cameras(run: RunReader, pixels: int) -> list[Camera]:
@@ -55,8 +55,8 @@ def render_portraits(
     """
     frame = look.run.frame(index)
     begin = time.process_time()
-    sh = look.colours.at_frame(index, frame)
-    colours = time.process_time() - begin
+    sh = look.colors.at_frame(index, frame)
+    colors = time.process_time() - begin
     frame = frame if sh is None else {**frame, "sh": sh}
     # this call compiles
     draw(view_dependent_splats(look.parts(frame), views[0].eye), views[0], alpha_min)
@@ -69,7 +69,7 @@ def render_portraits(
             times.append(time.process_time() - begin)
         pictures.append(picture)
         splats_by_view.append(splats)
-    return Portraits(pictures, splats_by_view, float(np.median(times)), colours)
+    return Portraits(pictures, splats_by_view, float(np.median(times)), colors)
 
 
 def draw(

@@ -1,9 +1,9 @@
 """Table I of the paper, with and without pruning: python -m tests.benchmarks.paper pruning
 
 Both scenes are run by `mpirun -n 2 python -m vgmpi`: with prune_scale = 1, which keeps every
-kernel; as they are (every object with `prune = "paper"` pruned); and pruned with `passive = true`,
-by which the removed kernels are carried along and drawn. All are drawn by the same 12 fixed cameras
-around the domain.
+kernel; as they are (every object with `prune = "versagauss"` pruned); and pruned with
+`passive_gaussians = true`, by which the removed kernels are carried along and drawn. All are drawn
+by the same 12 fixed cameras around the domain.
 
 Simulation: wall time from the first frame after the start to the last one, by the modification
 times of their files, over the number of frames between; start-up and compilation are excluded.
@@ -87,7 +87,7 @@ class SceneRun:
 class Row:
     """A scene run in one of VARIANTS.
 
-    kernels: number simulated. simulation, colours: seconds per frame; rendering: per image. first,
+    kernels: number simulated. simulation, colors: seconds per frame; rendering: per image. first,
     last: PSNR [dB] of these frames, inside and of whole images; chance: PSNR inside of a random
     subset at the first frame. None if not applicable.
     """
@@ -97,7 +97,7 @@ class Row:
     kernels: int
     simulation: float
     rendering: float
-    colours: float
+    colors: float
     first: tuple[float, float] | None = None
     last: tuple[float, float] | None = None
     chance: float | None = None
@@ -139,7 +139,7 @@ def study(name: str, folder: Path, args: argparse.Namespace) -> list[Row]:
             len(scene_run.run.gaussians.object),
             scene_run.seconds,
             at_end.seconds,
-            at_end.colours,
+            at_end.colors,
         )
         psnrs = ()
         if scene_run is not full:
@@ -176,7 +176,7 @@ def simulated(path: Path, folder: Path, overrides: list[str], args: argparse.Nam
         StudyError: If the run fails.
     """
     end = FRAME_INTERVAL * args.frames
-    sets = [f"time.end={end!r}", f"time.frames={args.frames + 1}", "output.checkpoint=0"]
+    sets = [f"time.end={end!r}", f"time.frames={args.frames + 1}", "output.checkpoint_interval=0"]
     command = [sys.executable, "-m", "vgmpi", path, "-o", folder]
     for item in (*sets, *overrides):
         command += ["--set", item]
@@ -255,7 +255,7 @@ def table(rows: list[Row], args: argparse.Namespace) -> str:
         f"# Table I: with and without pruning\n\n{args.ranks} ranks, {args.frames} frames of"
         f" {FRAME_INTERVAL:g} s, pictures of {args.pixels} x {args.pixels} pixels, 12 cameras.\n",
         "| scene | pruning | kernels | paper | simulation s/frame | paper, A100 | at most half |"
-        " rendering s/picture | paper, A100 | colours s/frame |",
+        " rendering s/picture | paper, A100 | colors s/frame |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:
@@ -268,7 +268,7 @@ def table(rows: list[Row], args: argparse.Namespace) -> str:
         lines.append(
             f"| {paper.title} | {row.variant} | {row.kernels:,} | {paper_cells[0]} |"
             f" {row.simulation:.2f} | {paper_cells[1]} | {paper_cells[3]} |"
-            f" {row.rendering:.3f} | {paper_cells[2]} | {row.colours:.2f} |"
+            f" {row.rendering:.3f} | {paper_cells[2]} | {row.colors:.2f} |"
         )
     lines += [
         "\n| scene | pruning | first frame, inside | by chance, inside | first frame, whole |"

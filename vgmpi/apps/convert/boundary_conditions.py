@@ -243,15 +243,15 @@ def _motion_keys(
         return {}
     moves = [segment for segment in segments if segment.spin or any(segment.velocity)]
     if not moves:
-        return {} if is_static else {"frozen_until": free_from}
+        return {} if is_static else {"release_time": free_from}
     first = next((segment for segment in segments if segment.spin), segments[0])
-    axis_keys = {"axis": list(first.axis), "about": list(first.about)} if first.spin else {}
+    axis_keys = {"axis": list(first.axis), "pivot": list(first.about)} if first.spin else {}
     if len(segments) == 1 and segments[0].start == 0 and (not is_static or free_from >= config.end):
         motion: Table = {"velocity": list(first.velocity)} if any(first.velocity) else {}
-        motion |= {"spin": first.spin} if first.spin else {}
-        return {"motion": motion | {"until": free_from} | axis_keys}
+        motion |= {"angular_velocity": first.spin} if first.spin else {}
+        return {"motion": motion | {"end_time": free_from} | axis_keys}
     frames = _keyframes(segments, config.end)
-    return {"motion": {"keyframes": frames, "pace": "linear"} | axis_keys}
+    return {"motion": {"keyframes": frames, "interpolation": "linear"} | axis_keys}
 
 
 def _keyframes(segments: list[PrescribedMotion], end: float) -> list[Table]:
@@ -260,11 +260,11 @@ def _keyframes(segments: list[PrescribedMotion], end: float) -> list[Table]:
     move, angle, time = np.zeros(3), 0.0, 0.0
     for segment in segments:
         if segment.start > time + 1e-9:
-            frames.append({"time": segment.start, "move": move.tolist(), "angle": angle})
+            frames.append({"time": segment.start, "translation": move.tolist(), "angle": angle})
         time = min(segment.end, max(end, segment.start))
         move = move + (time - segment.start) * np.asarray(segment.velocity)
         angle += (time - segment.start) * segment.spin
-        frames.append({"time": time, "move": move.tolist(), "angle": angle})
+        frames.append({"time": time, "translation": move.tolist(), "angle": angle})
     return frames
 
 
@@ -312,9 +312,9 @@ def _convert_release(
         report.dropped(key_path, value, "all of the body is in one layer of theirs")
         return
     active.object_keys[0] = {
-        "frozen_until": first_time,
-        "released_by": last_time,
-        "release": "from above" if offsets[1] > -offsets[0] else "from below",
+        "release_time": first_time,
+        "release_end_time": last_time,
+        "release_order": "top-down" if offsets[1] > -offsets[0] else "bottom-up",
     }
     if not config.is_versagauss and condition.num_layers != 50:
         report.dropped(
@@ -368,7 +368,7 @@ def _convert_impulse(
                     np.add(condition.point, condition.size),
                 ]
             active.loads.append(
-                load | ({"after": condition.start_time} if condition.start_time else {})
+                load | ({"start_time": condition.start_time} if condition.start_time else {})
             )
     report.approximated(
         key_path, value, f"{message}; here all get the same together, shared by rest volume"

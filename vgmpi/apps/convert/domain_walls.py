@@ -13,7 +13,7 @@ from . import source_schema
 from .body_pose import BodyPose
 from .config_reader import Config, KeyPath, Report
 
-SIDES = (("west", "east"), ("south", "north"), ("floor", "roof"))
+SIDES = (("west", "east"), ("south", "north"), ("bottom", "top"))
 PADDING = {False: (2, 3), True: (5, 5)}  # [nodes] below and above, of PhysGaussian and VersaGauss
 RESET = "theirs holds everything before its time and for 15 steps after; here nothing does"
 NODE_TOLERANCE = 1e-6  # [cells] their nodes are computed in single precision

@@ -159,7 +159,7 @@ def _metal(config: Config, k: int, report: Report) -> Table:
     _report_hencky(config, k, report, "theirs multiplies Hencky's stress by the stretches")
     return _elastic(body.law, "metal") | {
         "yield_stress": IN_TENSION * body.law.yield_stress,
-        "hardening": IN_TENSION**2 * _hardening(config, k),
+        "hardening_modulus": IN_TENSION**2 * _hardening(config, k),
     }
 
 
@@ -172,7 +172,7 @@ def _sand(config: Config, k: int, report: Report) -> Table:
     table = _elastic(body.law, "sand") | {
         "porosity": porosity,
         "friction_angle": f"{effective_value(config, k, 'friction_angle'):.12g} deg",
-        "match": "triaxial",
+        "friction_angle_test": "triaxial",
     }
     return table | {"density": body.law.density / (1 - porosity)}  # theirs is the bulk density
 
@@ -214,7 +214,7 @@ def _snow(config: Config, k: int, report: Report) -> Table:
     return table | {
         "critical_compression": effective_value(config, k, "compression"),
         "critical_stretch": effective_value(config, k, "stretch"),
-        "hardening": effective_value(config, k, "hardening_coe"),
+        "hardening_coefficient": effective_value(config, k, "hardening_coe"),
     }
 
 
@@ -243,7 +243,7 @@ def _plasticine(config: Config, k: int, report: Report) -> Table:
     softening_rate = softening - _hardening(config, k)  # decrease of |s| per norm of plastic strain
     if softening_rate <= 0:
         table = _elastic(body.law, "metal") | {"yield_stress": strength}
-        return table | {"hardening": -(IN_TENSION**2) * softening_rate}
+        return table | {"hardening_modulus": -(IN_TENSION**2) * softening_rate}
     table = _elastic(body.law, "plasticine") | {"yield_stress": strength}
     if softening_rate >= 0.99 * _mu(body.law):
         reason = "it would fall faster than it can be unloaded; the yield stress stays as it is"
@@ -255,7 +255,7 @@ def _plasticine(config: Config, k: int, report: Report) -> Table:
         )
         report.approximated(key_path, softening, reason)
     return table | {
-        "residual_stress": RESIDUAL_YIELD_FRACTION * strength,
+        "residual_yield_stress": RESIDUAL_YIELD_FRACTION * strength,
         "softening_strain": (1 - RESIDUAL_YIELD_FRACTION)
         * strength
         / (IN_TENSION**2 * softening_rate),
@@ -271,8 +271,8 @@ def _fluid(config: Config, k: int, report: Report) -> Table:
     return {
         "kind": "fluid",
         "density": body.law.density,
-        "bulk_modulus": body.law.bulk_modulus,  # type: ignore[attr-defined]
-        "gamma": effective_value(config, k, "gamma"),
+        "tait_coefficient": body.law.bulk_modulus,  # type: ignore[attr-defined]
+        "tait_exponent": effective_value(config, k, "gamma"),
     }
 
 
@@ -290,7 +290,7 @@ def coupling_tables(config: Config, names: list[str | None], report: Report) -> 
     reported = [k for k, _ in fluids if config.bodies[k].law.has_key("diff_coe")]
     if len(fluids) > 1 and len(rates) == 1 and max(rates) > 0:
         tables += [
-            {"between": [a, b], "kind": "mixing", "diffusion": max(rates)}
+            {"between": [a, b], "kind": "mixing", "diffusivity": max(rates)}
             for i, (_, a) in enumerate(fluids) for _, b in fluids[i + 1 :]
         ]  # fmt: skip
     elif max(rates, default=0.0) > 0:
@@ -316,7 +316,7 @@ def coupling_tables(config: Config, names: list[str | None], report: Report) -> 
             report.approximated(key_path, value, reason)
     if owners:
         tables += [
-            {"between": [fluid, sand], "kind": "drag", "permeability": permeability}
+            {"between": [fluid, sand], "kind": "drag", "hydraulic_conductivity": permeability}
             for _, fluid in fluids for sand in sands
         ]  # fmt: skip
     return tables

@@ -134,7 +134,7 @@ def _with_local_axis(extra_keys: Table, origin: np.ndarray) -> Table:
     if "about" not in extra_keys.get("motion", {}):
         return extra_keys
     about = (np.asarray(extra_keys["motion"]["about"]) - origin).tolist()
-    return extra_keys | {"motion": extra_keys["motion"] | {"about": about}}
+    return extra_keys | {"motion": extra_keys["motion"] | {"pivot": about}}
 
 
 def _gaussian_file_keys(
@@ -156,7 +156,7 @@ def _gaussian_file_keys(
     table = {**_placement_keys(config, k, pose, origin, folder), "select": select}
     if has_mass or stand.particle_filling is not None:
         filling = stand.particle_filling
-        table["fill"] = False if filling is None else "shown" if filling.visualize else True
+        table["fill"] = False if filling is None else "visible" if filling.visualize else True
         count = _per_cell(config, filling) if filling is not None else 8.0
         if count in PER_CELL and count != 8:
             table["particles_per_cell"] = int(count)
@@ -209,7 +209,7 @@ def appearance_keys(
             )
     if stand.color is not None:
         if pose.file is None and fluid:
-            table["colour"] = [c / 255 for c in stand.color]
+            table["color"] = [c / 255 for c in stand.color]
         else:
             reason = "a capture keeps its colours" if fluid else "VersaGauss colours fluids alone"
             report.dropped((*key_path, "color"), list(stand.color), reason)

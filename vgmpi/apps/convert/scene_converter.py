@@ -54,7 +54,7 @@ def convert_scene(path: Path, gaussians: list[Path], folder: Path) -> tuple[str,
         if emitted is not None and emitted["object"] == k:
             materials_out[pose.name] = laws_of[k] or {}
             names_of.append(pose.name)
-            emitted["source"] |= appearance_keys(config, k, pose, laws_of[k], report)
+            emitted["inlet"] |= appearance_keys(config, k, pose, laws_of[k], report)
             _report_source(config, k, pose, report)
             continue
         tables = body_tables(
@@ -72,7 +72,7 @@ def convert_scene(path: Path, gaussians: list[Path], folder: Path) -> tuple[str,
     top |= {"coupling": material_mapping.coupling_tables(config, names_of, report)}
     top |= {"load": _loads(active, names, ends[0])}
     if emitted is not None:
-        top["source"] = [emitted["source"]]
+        top["inlet"] = [emitted["inlet"]]
     if not (objects or emitted):
         raise key_error(path, ("preprocess_params",), "no body is left in the domain")
     return toml_writer.text(
@@ -229,21 +229,21 @@ def _emitter(
         return None
     width, height, depth = high - low
     center = [*((low + high) / 2 - ends[0])[:2], mouth - ends[0][2]]
-    source: Table = {
+    inlet: Table = {
         "name": f"{poses[k].name} source",
         "material": poses[k].name,
         "rectangle": {"center": center, "width": width, "height": height},
         "direction": [0, 0, -1 if down else 1],
-        "flow": width * height * depth / config.run.frame_dt,
-        "start": emitter.start_time,
+        "volume_flow_rate": width * height * depth / config.run.frame_dt,
+        "start_time": emitter.start_time,
     }
     if emitter.end_time < config.end:
-        source["end"] = emitter.end_time
+        inlet["end_time"] = emitter.end_time
     reason = (
         "a source of the same volume per time if their box is full; theirs comes at rest, at once"
     )
     report.approximated(key_path, emitter, reason)
-    return {"object": k, "source": source}
+    return {"object": k, "inlet": inlet}
 
 
 def _report_source(config: Config, k: int, pose: BodyPose, report: Report) -> None:

@@ -35,7 +35,7 @@ class Pictures:
         if len(self.chosen.views()) > 1:
             raise self._wrong("camera: several cameras; a fit looks through one")
         if self.chosen.background == "none":
-            raise self._wrong("picture.background: 'none' is not compared: give a colour")
+            raise self._wrong("picture.background: 'none' is not compared: give a color")
 
     @property
     def size(self) -> tuple[int, int]:

@@ -59,7 +59,7 @@ def _to_rgb(picture: np.ndarray) -> np.ndarray:
     if picture.dtype == np.uint16:
         picture = (picture >> 8).astype(np.uint8)
     if picture.dtype != np.uint8 or picture.shape[2] not in (1, 3, 4):
-        raise ValueError("neither a grey nor a colour picture")
+        raise ValueError("neither a grey nor a color picture")
     return np.repeat(picture, 3, 2) if picture.shape[2] == 1 else picture[..., :3]
 
 

@@ -91,7 +91,7 @@ def _body(
         raise scenery.loaded.wrong((path, str(error))) from None
     aligned = pose_search.align_to_photo(cloud, scenery.photo.rgb, mask, scenery.view, up, obj.yaw)
     pose = aligned.pose
-    agreement = f"outline agrees to {pose.iou:.2f}, colours differ by {pose.color_error:.2f}"
+    agreement = f"outline agrees to {pose.iou:.2f}, colors differ by {pose.color_error:.2f}"
     log.info("'%s': up %s, yaw %g degrees: %s", obj.name, pose.up, pose.yaw, agreement)
     if pose.iou < MIN_IOU:
         log.warning("'%s': hardly fits its mask (%.2f): another body?", obj.name, pose.iou)

@@ -74,10 +74,10 @@ def scene(objects: list[SceneObject], domain: Domain, end: float, frames: int, t
         "domain": {
             "size": [float(f"{n * domain.cell:.12g}") for n in domain.counts],
             "cell": domain.cell,
-            "boundary": {"default": "open", "floor": {"kind": "separate", "friction": FRICTION}},
+            "boundary": {"default": "open", "bottom": {"kind": "separate", "friction": FRICTION}},
         },
         "time": {"end": end, "frames": frames},
-        "appearance": {"colour_transfer": "off"},
+        "appearance": {"color_transfer": "off"},
         "material": materials,
         "object": [
             {

@@ -120,10 +120,10 @@ def body(shots: list[Shot], seed: int = 1, up: str = "z") -> GaussianCloud:
     Raises:
         HullError: The pictures give no hull.
     """
-    return coloured(shots, carve(shots, up=up), seed)
+    return colored(shots, carve(shots, up=up), seed)
 
 
-def coloured(shots: list[Shot], volume: Volume, seed: int = 1) -> GaussianCloud:
+def colored(shots: list[Shot], volume: Volume, seed: int = 1) -> GaussianCloud:
     """Return Gaussians over a hull with the colors of its pictures.
 
     Raises:
@@ -137,7 +137,7 @@ def coloured(shots: list[Shot], volume: Volume, seed: int = 1) -> GaussianCloud:
         surface, 2 * np.sqrt(area / MAX_GAUSSIANS), (0.5, 0.5, 0.5), OPACITY, [seed]
     )
     out = _outward(volume, cloud)
-    sh = dc_from_rgb(_colours(shots, cloud, out, volume.step))[:, None, :].astype(np.float32)
+    sh = dc_from_rgb(_colors(shots, cloud, out, volume.step))[:, None, :].astype(np.float32)
     return GaussianCloud(cloud.x, cloud.quat, cloud.scale, cloud.opacity, sh)
 
 
@@ -258,7 +258,7 @@ def _outward(volume: Volume, cloud: GaussianCloud) -> np.ndarray:
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
 
 
-def _colours(
+def _colors(
     shots: list[Shot], cloud: GaussianCloud, normals: np.ndarray, voxel: float
 ) -> np.ndarray:
     """Return mean colors (n, 3) over the pictures in which each Gaussian is visible.

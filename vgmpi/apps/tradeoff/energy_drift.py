@@ -22,7 +22,7 @@ from vgmpi.scene.loader import load
 from .parameter_sweep import BASELINE, Setting
 from .study_runs import Study, StudyError
 
-TRANSFERS = ("restored", "apic", "aflip", "flip", "pic")
+TRANSFERS = ("apic-corrected", "apic", "aflip", "flip", "pic")
 MARKS = (1000, 10_000, 100_000)  # steps at which the table reports the remaining energy
 COLUMNS = ("scene", "transfer", "step", "time", "left")
 

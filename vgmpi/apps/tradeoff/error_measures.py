@@ -31,7 +31,7 @@ class RunOutcome:
         self._mass = np.asarray(self.run.gaussians.vol0, float) * np.array(density)[self._of]
 
     def _density(self, entry: dict) -> float:
-        entities = [*self.run.scene["object"], *self.run.scene.get("source", [])]
+        entities = [*self.run.scene["object"], *self.run.scene.get("inlet", [])]
         material = {str(o["name"]): o.get("material") for o in entities}[str(entry["name"])]
         return float(self.run.scene["material"][material]["density"]) if material else 0.0
 

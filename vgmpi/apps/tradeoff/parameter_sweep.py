@@ -89,7 +89,7 @@ def alternatives(scene: Scene, knob: str) -> list[Setting]:
         "stiffness": _stiffness,
         "particles": _particles,
         "pruning": _pruning,
-        "colours": _colours,
+        "colors": _colors,
     }[knob](scene)
 
 
@@ -101,7 +101,7 @@ PARAMETERS = (
     "stiffness",
     "particles",
     "pruning",
-    "colours",
+    "colors",
 )
 
 
@@ -111,7 +111,9 @@ def _precision(scene: Scene) -> list[Setting]:
 
 
 def _transfer(scene: Scene) -> list[Setting]:
-    kinds = [kind for kind in ("apic", "restored", "aflip") if kind != scene.accuracy.transfer]
+    kinds = [
+        kind for kind in ("apic", "apic-corrected", "aflip") if kind != scene.accuracy.transfer
+    ]
     return [Setting((("transfer", kind),), (f"accuracy.transfer={kind}",)) for kind in kinds]
 
 
@@ -127,11 +129,13 @@ def _stiffness(scene: Scene) -> list[Setting]:
     for label, factor in COMPRESSION_FACTORS.items():
         overrides = []
         for name, material in scene.material.items():
-            if getattr(material, "max_speed", None) or getattr(material, "depth", None):
-                allowed = min(material.compression * factor, 0.1)
-                overrides.append(f"material.{name}.compression={allowed!r}")
-            elif material.family == "fluid" and hasattr(material, "bulk_modulus"):
-                overrides.append(f"material.{name}.bulk_modulus={material.bulk_modulus / factor!r}")
+            if getattr(material, "max_speed", None) or getattr(material, "max_depth", None):
+                allowed = min(material.max_compression * factor, 0.1)
+                overrides.append(f"material.{name}.max_compression={allowed!r}")
+            elif material.family == "fluid" and hasattr(material, "tait_coefficient"):
+                overrides.append(
+                    f"material.{name}.tait_coefficient={material.tait_coefficient / factor!r}"
+                )
         if overrides:
             settings.append(Setting((("liquids", label),), tuple(overrides)))
     return settings
@@ -166,16 +170,16 @@ def _pruning(scene: Scene) -> list[Setting]:
         settings.append(setting("auto", prune="auto"))
     scales_in_use = {t.prune_scale for t in objects}
     scales = [s for s in PRUNE_SCALES if scales_in_use != {s}]
-    return settings + [setting(f"{s:g}", prune="paper", prune_scale=s) for s in scales]
+    return settings + [setting(f"{s:g}", prune="versagauss", prune_scale=s) for s in scales]
 
 
-def _colours(scene: Scene) -> list[Setting]:
+def _colors(scene: Scene) -> list[Setting]:
     """Return other color transports, which change cost and pictures but no motion."""
     look = scene.appearance
-    if look.colour_transfer != "step":
-        return [Setting((("colours", "step"),), ("appearance.colour_transfer=step",))]
-    degrees = [d for d in COLOR_DEGREES if d != look.colour_degree]
-    return [Setting((("colours", f"{d}"),), (f"appearance.colour_degree={d}",)) for d in degrees]
+    if look.color_transfer != "step":
+        return [Setting((("colors", "step"),), ("appearance.color_transfer=step",))]
+    degrees = [d for d in COLOR_DEGREES if d != look.color_sh_degree]
+    return [Setting((("colors", f"{d}"),), (f"appearance.color_sh_degree={d}",)) for d in degrees]
 
 
 def sweep(scene: Scene, vary: tuple[str, ...]) -> tuple[list[Setting], Setting]:

@@ -46,7 +46,8 @@ class Element(NamedTuple):
         """Read rows of the table.
 
         Args:
-            file: Open file. start, stop: Range of rows, cut at the end of the table.
+            file: Open file.
+            start, stop: Range of rows, cut at the end of the table.
         """
         file.seek(self.start + start * self.dtype.itemsize)
         return np.fromfile(file, dtype=self.dtype, count=min(stop, self.count) - start)

@@ -85,7 +85,7 @@ def read(path: str | Path) -> GaussianCloud:
         if header.flags & _EXTENDED:
             log.warning("%s: its extensions are left out, axes are taken as usual", path)
         if header.degree == 4:
-            log.warning("%s: colours of degree 4 are left out", path)
+            log.warning("%s: colors of degree 4 are left out", path)
         columns = [part.reshape(header.count, -1) for part in parts]
         return read_validated(
             header.count, lambda a, b: _decoded(header, *(column[a:b] for column in columns))
@@ -147,7 +147,7 @@ def _header(data: bytes, versions: tuple[int, ...], size: int) -> Header:
             f"has version {header.version}: allowed in such a file is {allowed}"
         )
     if header.degree >= len(_HIGHER_COUNT):
-        raise GaussianFileError(f"has colours of degree {header.degree}: allowed are 0 to 4")
+        raise GaussianFileError(f"has colors of degree {header.degree}: allowed are 0 to 4")
     if header.fraction_bits > 24:
         raise GaussianFileError(f"has {header.fraction_bits} fraction bits: allowed are 0 to 24")
     validate_count(header.count)

@@ -86,7 +86,7 @@ def couple_block(block, fields, work, rules, dt, dx):
             for g in range(rules.mixing_group_count):
                 if rules.printed_mix[g] == 0.0:
                     D = rules.diffusion[g] if block.meets else 0.0
-                    slip_factor = 1.0 / (1.0 + dt / rules.slip_time[g])
+                    slip_factor = 1.0 / (1.0 + dt / rules.slip_relaxation_time[g])
                     _relax_slip(
                         g, count, c, shared, fields, work, D, slip_factor, 1.0, dt, dx, rules.drifts
                     )

@@ -53,7 +53,7 @@ class MixtureTables(NamedTuple):
     fluid: np.ndarray
     mix: np.ndarray
     diffusion: np.ndarray
-    slip_time: np.ndarray
+    slip_relaxation_time: np.ndarray
     printed_mix: np.ndarray
     volume: np.ndarray
     porosity: np.ndarray
@@ -70,8 +70,8 @@ def mixture_tables(rules: InteractionRules) -> MixtureTables:
         *(
             np.array(table, float).ravel()
             for table in (
-                rules.diffusion, rules.slip_time, rules.printed_mix, rules.volume, rules.porosity,
-                rules.drag, rules.printed_drag,
+                rules.diffusion, rules.slip_relaxation_time, rules.printed_mix, rules.volume,
+                rules.porosity, rules.drag, rules.printed_drag,
             )
         ),
     )  # fmt: skip
@@ -88,8 +88,8 @@ def to_pointers(workspace, tables):
     ), MixtureTables(
         t.phases, t.sets, t.mixing_group_count, t.has_drag, t.drifts,
         pointer(t.mixture_set), pointer(t.fluid), pointer(t.mix),
-        pointer(t.diffusion), pointer(t.slip_time), pointer(t.printed_mix), pointer(t.volume),
-        pointer(t.porosity), pointer(t.drag), pointer(t.printed_drag),
+        pointer(t.diffusion), pointer(t.slip_relaxation_time), pointer(t.printed_mix),
+        pointer(t.volume), pointer(t.porosity), pointer(t.drag), pointer(t.printed_drag),
     )  # fmt: skip
 
 

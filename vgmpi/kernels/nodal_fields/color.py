@@ -47,7 +47,7 @@ class Color(NamedTuple):
 
 def kind(plan, group, coefficient: int) -> Color:
     """Return the contribution of a group's particles to the field of a coefficient."""
-    first = group.channels.first("colour") + 3 * coefficient
+    first = group.channels.first("color") + 3 * coefficient
     return Color(*(plan.real.type(v) for v in (MIRROR_NONE, first)))
 
 
@@ -57,12 +57,12 @@ def accumulator_range(plan, coefficient: int) -> np.ndarray:
     They are the volume of a cell times the largest color, and its volume.
     """
     volume = next_power_of_two(plan.dx**3)
-    hue = volume * next_power_of_two(plan.colours.span[:, coefficient])
+    hue = volume * next_power_of_two(plan.colors.span[:, coefficient])
     return np.stack([hue, hue, hue, np.full_like(hue, volume)], 1)
 
 
 @particle_contribution.of(Color)
-def _colour(kind, law, count, offset, cap, f, extra, peak, records, dt):
+def _color(kind, law, count, offset, cap, f, extra, peak, records, dt):
     zero = broadcast(f, 0.0)
     current_volumes(law, count, offset, cap, f, extra)
     first = np.int64(kind.channel) * cap + offset

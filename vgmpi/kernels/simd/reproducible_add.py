@@ -157,8 +157,9 @@ def pack_node(typing, to, index, tails, n, sums, node):
     """Pack four sums as 3 x 64 and 16 bits: three times 52 bits, each with a part of the fourth.
 
     Args:
-        to, index: Message array (out) and index of the first number. tails, n: Array of the 16-bit
-        tails (out) and index. sums, node: Sums, and index of the first of the four.
+        to, index: Message array (out) and index of the first number.
+        tails, n: Array of the 16-bit tails (out) and index.
+        sums, node: Sums, and index of the first of the four.
     """
 
     def _codegen(context, builder, signature, arguments):
@@ -185,9 +186,10 @@ def unpack_node(typing, sums, node, numbers, index, tails, n, bias, r):
     """Add four sums that `pack_node` packed, minus their bias.
 
     Args:
-        sums, node: Sums (in/out), and index of the first of the four. numbers, index: Message array
-        and index of the first number. tails, n: Array of the 16-bit tails and index. bias, r: Bias
-        array and index.
+        sums, node: Sums (in/out), and index of the first of the four.
+        numbers, index: Message array and index of the first number.
+        tails, n: Array of the 16-bit tails and index.
+        bias, r: Bias array and index.
     """
 
     def _codegen(context, builder, signature, arguments):

@@ -23,7 +23,7 @@ class Drag(StrictModel):
     between: tuple[str, str]
     """a fluid and a sand"""
     kind: Literal["drag"]
-    permeability: Annotated[float, Quantity("m/s", gt=0)]
+    hydraulic_conductivity: Annotated[float, Quantity("m/s", gt=0)]
     """hydraulic conductivity: the speed at which the fluid seeps through resting sand under its own
     weight; fine sand 1e-5 .. 1e-4, coarse sand 1e-3 .. 1e-2, gravel above"""
 
@@ -44,4 +44,4 @@ class Drag(StrictModel):
             porosity: Porosity of the sand [-].
             density: Density of the fluid [kg/m3].
         """
-        return porosity**2 * density * GRAVITY / self.permeability
+        return porosity**2 * density * GRAVITY / self.hydraulic_conductivity

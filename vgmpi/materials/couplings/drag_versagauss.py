@@ -15,6 +15,6 @@ from .interaction import coupling
 class DragPaper(Drag):
     """Drag by the paper's printed equations: for comparison only."""
 
-    kind: Literal["drag-paper"]  # type: ignore[assignment]
+    kind: Literal["drag-versagauss"]  # type: ignore[assignment]
 
     printed: ClassVar = True

@@ -30,7 +30,7 @@ class InteractionRules(NamedTuple):
     mix: np.ndarray  # (n,) mixing group, or -1
     mixing_group_count: int  # number of mixing groups
     diffusion: np.ndarray  # (mixes,) [m2/s]
-    slip_time: np.ndarray  # (mixes,) [s]
+    slip_relaxation_time: np.ndarray  # (mixes,) [s]
     drag: np.ndarray  # (n, n) [kg/(m3 s)] drag coefficient, 0 where there is none
     porosity: np.ndarray  # (n,) [-] volume fraction of pores in a sand
     has_drag: bool  # whether a fluid flows through sand
@@ -54,7 +54,7 @@ class InteractionRules(NamedTuple):
     @property
     def as_one(self) -> np.ndarray:
         """Return the mixing group of phases without slip, which share one velocity, or -1: (n,)."""
-        still = (np.asarray(self.slip_time) == 0.0) & ~np.asarray(self.printed_mix, bool)
+        still = (np.asarray(self.slip_relaxation_time) == 0.0) & ~np.asarray(self.printed_mix, bool)
         return np.where(self._of_phases(still), self.mix, -1)
 
     def _of_phases(self, mixes: np.ndarray) -> np.ndarray:

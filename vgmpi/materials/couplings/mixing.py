@@ -18,15 +18,15 @@ from .interaction import MIXING, coupling
 @coupling
 class Mixing(StrictModel):
     """Two fluids that mix. Fluids that mix with one another, also by way of a third, form a group
-    and have the same diffusion and slip_time.
+    and have the same diffusion and slip_relaxation_time.
     """
 
     between: tuple[str, str]
     """two fluids"""
     kind: Literal["mixing"]
-    diffusion: Annotated[float, Quantity("m2/s", ge=0)] = 0.0
+    diffusivity: Annotated[float, Quantity("m2/s", ge=0)] = 0.0
     """diffusivity; at most cell^2 / 6 per step"""
-    slip_time: Annotated[float, Quantity("s", ge=0)] = 0.0
+    slip_relaxation_time: Annotated[float, Quantity("s", ge=0)] = 0.0
     """relaxation time of the velocity difference between the two fluids; 0: no slip"""
 
     rule: ClassVar = MIXING

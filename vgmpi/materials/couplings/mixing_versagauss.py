@@ -14,6 +14,6 @@ from .mixing import Mixing
 class MixingPaper(Mixing):
     """Mixing by the paper's printed equations: for comparison only."""
 
-    kind: Literal["mixing-paper"]  # type: ignore[assignment]
+    kind: Literal["mixing-versagauss"]  # type: ignore[assignment]
 
     printed: ClassVar = True

@@ -60,7 +60,7 @@ def group_features(scene: Scene, plan: Plan, g: int, pace: Throughput) -> list[F
     group = plan.groups[g]
     law_ns = pace.law(scene.material[group.material])
     fields = plan.fields(g)
-    own = {name: fields.pop(name, 0) for name in ("share", "F", "surface", "colour")}
+    own = {name: fields.pop(name, 0) for name in ("share", "F", "surface", "color")}
     result = [Feature(f"law {scene.material[group.material].kind}", law_ns, sum(fields.values()))]
     if own["F"]:
         result.append(Feature("deformation that Gaussians follow", 0.0, own["F"]))
@@ -72,7 +72,7 @@ def group_features(scene: Scene, plan: Plan, g: int, pace: Throughput) -> list[F
         result.append(Feature("volume that is kept", law_ns * DENSITY_CORRECTION_COST))
     if group.coefficients:
         ns = pace.fluid * COLOR_COST * group.coefficients
-        result.append(Feature("colours that travel", ns, own["colour"]))
+        result.append(Feature("colors that travel", ns, own["color"]))
     result += _meetings(plan, g, pace.fluid, own)
     result += _colliders(scene, plan, g, pace.fluid)
     return result + _blocks(plan, g, pace.fluid)

@@ -14,8 +14,8 @@ KEYS = ("youngs_modulus", "shear_modulus")  # the key of a solid's stiffness, in
 def stiffness_key(material: Any) -> str:
     """Return the key by which the scene gives the stiffness of a material."""
     if isinstance(material, Liquid):
-        speed_keys = ("max_speed", "depth")
-        return next((k for k in speed_keys if getattr(material, k) is not None), "bulk_modulus")
+        speed_keys = ("max_speed", "max_depth")
+        return next((k for k in speed_keys if getattr(material, k) is not None), "tait_coefficient")
     return next(k for k in KEYS if k in type(material).model_fields)
 
 

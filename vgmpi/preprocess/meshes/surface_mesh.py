@@ -160,7 +160,7 @@ def _textures(path: Path, libraries, materials, uvs, index: np.ndarray) -> Textu
         used = sorted({name for name in materials if name in images_of})
         images = [texture.read_texture(images_of[name]) for name in used]
     except texture.TextureError as error:  # many meshes come without their images
-        log.warning("%s: %s: its colours are those of its points or the object", path, error)
+        log.warning("%s: %s: its colors are those of its points or the object", path, error)
         return None
     if not used:
         return None

@@ -68,7 +68,9 @@ def prune_versagauss(
         np.array([interior, surface]) * counts, group, importance(cloud, skin)
     )
     pruned = _pruned(cloud, volume, skin, probability, passive)
-    description = f"prune = paper, {surface:.3g} of the surface and {interior:.3g} of the interior"
+    description = (
+        f"prune = versagauss, {surface:.3g} of the surface and {interior:.3g} of the interior"
+    )
     return _with_summary(
         cloud, pruned, description, None if passive else _ReferenceImages(cloud, volume, ball)
     )

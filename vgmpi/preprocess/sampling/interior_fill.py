@@ -59,7 +59,7 @@ def interior(
     Args:
         cloud: Placed cloud.
         spacing: Voxel edge [m].
-        mode: True or "shown" fills the enclosed and, where the surface has holes, the nearly
+        mode: True or "visible" fills the enclosed and, where the surface has holes, the nearly
             enclosed space; "closed" only the enclosed space; False leaves the cloud as it is.
         up: Unit vector that pointed up in the capture, shape (3,).
 
@@ -187,12 +187,12 @@ def filling(
     """
     visible = surface.opacity > min(0.3, float(surface.opacity.max()) / 2)
     visible_cloud = surface.select(visible)
-    colour = visible_cloud.sh[:, 0]
+    color = visible_cloud.sh[:, 0]
     nearest: np.ndarray | int = 0
-    if len(x) and (colour != colour[:1]).any():  # deep inside, the search for the nearest is slow
+    if len(x) and (color != color[:1]).any():  # deep inside, the search for the nearest is slow
         nearest = cKDTree(visible_cloud.x).query(x)[1]
     sh = np.zeros((len(x), *surface.sh.shape[1:]), dtype=np.float32)
-    sh[:, 0] = colour[nearest]
+    sh[:, 0] = color[nearest]
     return GaussianCloud(
         x,
         np.tile([1.0, 0.0, 0.0, 0.0], (len(x), 1)),

@@ -218,7 +218,8 @@ def clip(low, high, p0, p1, p2, d0, d1, d2):
     """Return the distances at which a ray enters and leaves a box.
 
     Args:
-        low, high: Corners of the box, shape (3,) [m]. p0, p1, p2, d0, d1, d2: The ray.
+        low, high: Corners of the box, shape (3,) [m].
+        p0, p1, p2, d0, d1, d2: The ray.
 
     Returns:
         Entry and exit [m]; the entry lies behind the exit where the ray misses.
@@ -319,7 +320,8 @@ def leap(pyramid, x, y, z):
     """Return a lower bound of the distance to opaque space [m], 0 where it is close.
 
     Args:
-        pyramid: The pyramid. x, y, z: Point [m].
+        pyramid: The pyramid.
+        x, y, z: Point [m].
     """
     size = 2.0 * pyramid.cell
     i = int((x - pyramid.lower[0]) / size)

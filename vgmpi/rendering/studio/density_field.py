@@ -288,7 +288,8 @@ def density(field, x, y, z):
     """Return rho at grid coordinates, 0 outside of the grid.
 
     Args:
-        field: The field. x, y, z: Grid coordinates [cells].
+        field: The field.
+        x, y, z: Grid coordinates [cells].
     """
     nx, ny, nz = field.index.shape
     if not (x >= 0.0 and y >= 0.0 and z >= 0.0):

@@ -4,9 +4,9 @@ All random numbers are hashes of the particle's and the child's number, so that 
 only moving particles change.
 
 References:
-    M. Roberts. The unreasonable effectiveness of quasirandom sequences. 2018 (R3). R. Cranley, T.
-    N. L. Patterson. Randomization of number theoretic methods for multiple integration. SIAM J.
-    Numer. Anal. 13, 1976.
+    M. Roberts. The unreasonable effectiveness of quasirandom sequences. 2018 (R3).
+    R. Cranley, T. N. L. Patterson. Randomization of number theoretic methods for multiple
+    integration. SIAM J. Numer. Anal. 13, 1976.
 """
 
 from typing import NamedTuple

@@ -42,8 +42,8 @@ def brick_leap(field, u, v, w, d0, d1, d2, inside):
     """Return a distance along which a ray surely stays outside, or inside, of the liquid.
 
     Args:
-        field, inside: The field, and whether the ray is in the liquid. u, v, w, d0, d1, d2: The
-        ray.
+        field, inside: The field, and whether the ray is in the liquid.
+        u, v, w, d0, d1, d2: The ray.
 
     Returns:
         Distance [cells], 0 near the surface.
@@ -163,8 +163,8 @@ def crossing(field, u, v, w, d0, d1, d2, a, b, inside):
     The method is the Illinois variant; a is returned if it does not end before the surface.
 
     Args:
-        field, u, v, w, d0, d1, d2: The field and the ray in grid coordinates. a, b, inside: Bracket
-        [cells], and whether the ray is in the liquid at a.
+        field, u, v, w, d0, d1, d2: The field and the ray in grid coordinates.
+        a, b, inside: Bracket [cells], and whether the ray is in the liquid at a.
     """
     sign = -1.0 if inside else 1.0
     fa = sign * (density(field, u + a * d0, v + a * d1, w + a * d2) - 0.5)
@@ -188,8 +188,8 @@ def first_hit(field, p0, p1, p2, d0, d1, d2, min_distance, max_distance):
     """Find the entry of a ray from outside into the liquid.
 
     Args:
-        field, p0, p1, p2, d0, d1, d2: The field and the ray. min_distance, max_distance: Range of
-        the search [m].
+        field, p0, p1, p2, d0, d1, d2: The field and the ray.
+        min_distance, max_distance: Range of the search [m].
 
     Returns:
         Distance [m], -1 for none, and whether the ray enters through a wall.
@@ -300,9 +300,9 @@ def follow(stage, p, d, inside, max_distance, depth, work, out):
     """Follow a ray inside of the liquid or outside until it ends, and move p there.
 
     Args:
-        stage, p, d: Scene, origin (in/out) [m] and direction. inside, max_distance: Whether the ray
-        is in the liquid; end of the search [m]. depth, work, out: Optical depth (in/out), scratch
-        (11,), light of what is hit (out).
+        stage, p, d: Scene, origin (in/out) [m] and direction.
+        inside, max_distance: Whether the ray is in the liquid; end of the search [m].
+        depth, work, out: Optical depth (in/out), scratch (11,), light of what is hit (out).
 
     Returns:
         The kind of end (LEFT, CROSSED or MET) and the distance [m].
@@ -360,8 +360,8 @@ def liquid_depth(medium, p, d, depth, values):
     """Write the liquid's optical depth, scattering included, along a straight ray to depth (3,).
 
     Args:
-        medium, p, d: Liquid and ray. depth, values: (out) Optical depth, shape (3,), and scratch,
-        shape (8,).
+        medium, p, d: Liquid and ray.
+        depth, values: (out) Optical depth, shape (3,), and scratch, shape (8,).
 
     Returns:
         Path length in the liquid [m].

@@ -47,7 +47,8 @@ def trilinear(v, x, y, z):
     """Return the value at grid coordinates, 0 outside.
 
     Args:
-        v: Node values, shape (nx, ny, nz). x, y, z: Grid coordinates [cells].
+        v: Node values, shape (nx, ny, nz).
+        x, y, z: Grid coordinates [cells].
     """
     nx, ny, nz = v.shape
     if not (x >= 0.0 and y >= 0.0 and z >= 0.0 and x < nx - 1 and y < ny - 1 and z < nz - 1):

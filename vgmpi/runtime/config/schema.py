@@ -209,11 +209,11 @@ def parse_color(value: Any) -> tuple[float, float, float]:
         return red, green, blue
     numbers = parse_vector3(value)
     if numbers is None or min(numbers) < 0 or max(numbers) > 1:
-        raise ValueError("must be a colour such as '#6fb7d6' or three numbers from 0 to 1")
+        raise ValueError("must be a color such as '#6fb7d6' or three numbers from 0 to 1")
     return numbers
 
 
-Colour = Annotated[tuple[float, float, float], BeforeValidator(parse_color)]
+Color = Annotated[tuple[float, float, float], BeforeValidator(parse_color)]
 
 
 class StrictModel(BaseModel):

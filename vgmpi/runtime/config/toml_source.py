@@ -1,13 +1,15 @@
 """TOML texts with the line of every key, and the replacements of `--set key=value`."""
 
+import json
 import logging
 import re
 import tomllib
-from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from vgmpi.runtime.safe_open import MAX_TEXT_BYTES, read_regular_file
 
+from .renames import NO_RENAMES, RenameTable, Replacement
 from .schema import SceneError, TomlError, unit
 from .toml_positions import BARE, BASIC, LITERAL, locate_keys
 
@@ -33,7 +35,7 @@ class TomlSource:
         overrides: tuple[str, ...] | list[str] = (),
         text: str | None = None,
         error: type[TomlError] = SceneError,
-        old_names: Mapping[str, Mapping[str, str]] | None = None,
+        renames: RenameTable = NO_RENAMES,
     ):
         """Read a file and apply the overrides.
 
@@ -42,8 +44,7 @@ class TomlSource:
             overrides: Items "key=value".
             text: Content that is used instead of the file's.
             error: Class raised if the file is not readable, is no TOML or an override fails.
-            old_names: By top-level table, the old and new names of keys inside; a warning lists the
-                old names that were found.
+            renames: Old words of keys and values, which are replaced; a warning lists them.
         """
         self.path = Path(path)
         if "\0" in str(path):
@@ -72,11 +73,10 @@ class TomlSource:
                 [_syntax(escape_control_characters(path), self.text, str(caught))]
             ) from None
         self._set: dict[tuple, str] = {}
-        self._old_names = old_names or {}
-        self._old: dict[tuple, str] = {}  # old names of keys, by their new path
+        self._renames = renames
+        self._replacements: list[Replacement] = []
         self._refuse_extremes(error)
-        for table, names in self._old_names.items():
-            self._rename(self.data.get(table), (table,), names)
+        self._replace_old_words()
         messages = [message for item in overrides if (message := self._override(item))]
         if messages:
             raise error([escape_control_characters(message) for message in messages])
@@ -158,53 +158,53 @@ class TomlSource:
         if wrong:
             raise error(self.lines(wrong))
 
-    def _rename(self, node: object, path: tuple, names: Mapping[str, str]) -> None:
-        """Give keys of old names their new names, below `path`.
-
-        If both are present, the old one stays and is refused later as an unknown key.
-        """
-        if isinstance(node, list):
-            for k, item in enumerate(node):
-                self._rename(item, (*path, k), names)
-        if not isinstance(node, dict):
-            return
-        for old in list(node):
-            key = names.get(old, old)
-            if key != old and key not in node:
-                node[key] = node.pop(old)
-                was, now = (*path, old), (*path, key)
-                for p in [p for p in self._line if p[: len(was)] == was]:
-                    self._line[now + p[len(was) :]] = self._line.pop(p)
-                self._old[now] = old
-                self._rename(node[key], now, names)
-            else:
-                self._rename(node[old], (*path, old), names)
+    def _replace_old_words(self) -> None:
+        """Replace the old words of keys and values; their lines move along."""
+        self._replacements = self._renames.apply(self.data)
+        for change in self._replacements:
+            old, new = change.old_path, change.new_path
+            if new != old:
+                for path in [p for p in self._line if p[: len(old)] == old]:
+                    self._line[new + path[len(old) :]] = self._line.pop(path)
 
     def _warn_of_old_names(self) -> None:
-        """Log one line per old name for the whole file."""
-        for old in dict.fromkeys(self._old.values()):
-            places = sorted(self.place(p) + (p,) for p, name in self._old.items() if name == old)
-            _, where, path = places[0]
-            other_places = [message.removeprefix(f"{self.path}:") for _, message, _ in places[1:]]
+        """Log one line per old word for the whole file."""
+        changes_of: dict[tuple, list[Replacement]] = {}
+        for change in self._replacements:
+            word = (change.old_path[-1], change.new_path[-1], str(change.old_value))
+            changes_of.setdefault(word, []).append(change)
+        for changes in changes_of.values():
+            places = sorted((*self.place(c.new_path), k) for k, c in enumerate(changes))
+            _, where, first = places[0]
+            other_places = [text.removeprefix(f"{self.path}:") for _, text, _ in places[1:]]
             suffix = f" (so are those at {', '.join(other_places)})" if other_places else ""
-            key = self.key(path)
-            message = f"{where}: {old!r} is the old name of {key}{suffix}"
+            message = f"{where}: {self._old_words(changes[first])}{suffix}"
             log.warning("%s", escape_control_characters(message))
+
+    def _old_words(self, change: Replacement) -> str:
+        """Return a sentence that names an old word and the new one."""
+        old, key = change.old_path[-1], self.key(change.new_path)
+        if change.new_value is None:
+            return f"{old!r} is the old name of {key}"
+        new_text = _toml_value(change.new_value)
+        return f"{old} = {_toml_value(change.old_value)} is the old form of {key} = {new_text}"
 
     def _override(self, item: str) -> str:
         """Apply one "key=value"; return what is wrong with it, or ""."""
         prefix = f"--set {truncate(item)}"
         key, sign, text = item.partition("=")
         parts = [part.strip().strip("\"'") for part in key.split(".")]
-        names = self._old_names.get(parts[0], {})
-        was = next((part for part in parts[2:] if part in names), "")
-        parts = parts[:2] + [names.get(part, part) for part in parts[2:]]
         if not sign or not all(parts):
             return f"{prefix}: expected key=value, for example domain.cell='1 cm'"
         node: dict | list = self.data
         path: tuple = ()
+        changes: list[Replacement] = []
         for k, part in enumerate(parts):
-            name = part if isinstance(node, dict) else _index(node, part)
+            old = (*path, part)
+            if isinstance(node, dict):
+                name: str | int | None = self._renames.new_key(old, node)
+            else:
+                name = _index(node, part)
             if name is None:
                 item_names = [
                     str(x.get("name", i)) for i, x in enumerate(node) if isinstance(x, dict)
@@ -212,8 +212,14 @@ class TomlSource:
                 choices = ", ".join(item_names) or f"{len(node)} items"
                 return f"{prefix}: {'.'.join(parts[:k])} has no item '{part}'; it has {choices}"
             path += (name,)
+            value = written = _value(text) if k == len(parts) - 1 else None
+            if isinstance(node, dict):
+                value = self._renames.new_value(old, node, written)
+                changed = (written, value) if value is not written else (None, None)
+                if name != part or value is not written:
+                    changes.append(Replacement(old, path, *changed))
             if k == len(parts) - 1:
-                node[name] = _value(text)  # type: ignore[index]
+                node[name] = value  # type: ignore[index]
                 break
             if isinstance(node, dict):
                 node.setdefault(name, {})
@@ -222,8 +228,7 @@ class TomlSource:
                 return f"{prefix}: {'.'.join(parts[: k + 1])} is not a table"
         self._set = {p: text_of for p, text_of in self._set.items() if p[: len(path)] != path}
         self._set[path] = item
-        if was:
-            self._old[path] = was
+        self._replacements += changes
         return ""
 
 
@@ -284,3 +289,8 @@ def _value(text: str):
     except (ValueError, RecursionError):  # a number too long to be read raises one too
         return text.strip()
     return read["value"] if list(read) == ["value"] else text.strip()
+
+
+def _toml_value(value: Any) -> str:
+    """Return a text, a number or a boolean as TOML."""
+    return str(value).lower() if isinstance(value, bool) else json.dumps(value, ensure_ascii=False)

@@ -21,7 +21,7 @@ from vgmpi.solver.engines.engine_protocol import StepReport
 
 from .particle_insertion import ParticleRows, bounds
 
-STATIC_CHANNELS = ("vol0", "colour", "surface")  # channels that a nozzle particle keeps
+STATIC_CHANNELS = ("vol0", "color", "surface")  # channels that a nozzle particle keeps
 
 
 class _Carried(NamedTuple):
@@ -147,7 +147,7 @@ class Sources:
         ids = source.first + np.arange(first * n, last * n)
         v = np.tile(source.velocity, (len(ids), 1))
         sh = np.zeros((len(ids), self._coefficients(), 3))
-        sh[:, 0] = dc_from_rgb(np.array(source.colour)).astype(np.float32)  # single, as in files
+        sh[:, 0] = dc_from_rgb(np.array(source.color)).astype(np.float32)  # single, as in files
         return ParticleRows(
             source.places(ids, time),
             v,

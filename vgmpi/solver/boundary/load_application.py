@@ -51,7 +51,7 @@ class Pushes:
             amount = loaded.load.amount(time, end, dt)
             if amount == 0.0:
                 continue
-            if loaded.load.spin is not None:
+            if loaded.load.delta_angular_velocity is not None:
                 bound += self._spin(loaded, groups, indices)
                 continue
             fastest = 0.0
@@ -72,7 +72,7 @@ class Pushes:
         """
         x = [group.positions_at(index) for group, index in zip(groups, indices, strict=True)]
         center = self._center_of_mass(groups, indices, x)
-        spin = loaded.load.spin or (0.0, 0.0, 0.0)
+        spin = loaded.load.delta_angular_velocity or (0.0, 0.0, 0.0)
         gradient = np.array(spin_tensor(spin))
         fastest = 0.0
         for group, index, position in zip(groups, indices, x, strict=True):
@@ -113,10 +113,14 @@ class Pushes:
         """
         bound = 0.0
         for loaded in self.loads:
-            if not (loaded.load.at_once and time <= loaded.load.after < time + dt):
+            if not (loaded.load.at_once and time <= loaded.load.start_time < time + dt):
                 continue
-            if loaded.load.spin is not None:
-                bound += math.hypot(*loaded.load.spin) * self.plan.dx * math.hypot(*self.plan.cells)
+            if loaded.load.delta_angular_velocity is not None:
+                bound += (
+                    math.hypot(*loaded.load.delta_angular_velocity)
+                    * self.plan.dx
+                    * math.hypot(*self.plan.cells)
+                )
             else:
                 bound += max(math.hypot(*strength(loaded, g.plan.density)) for g in groups)
         return bound
@@ -136,7 +140,7 @@ def strength(loaded: ResolvedLoad, density: float) -> tuple[float, float, float]
         loaded: Load and its particles.
         density: Density of the particles [kg/m3].
     """
-    uniform = loaded.load.acceleration or loaded.load.velocity
+    uniform = loaded.load.acceleration or loaded.load.delta_velocity
     if uniform is not None:
         return uniform
     x, y, z = loaded.density

@@ -72,9 +72,9 @@ def _channels(
     if group.surface and rows.surface is not None:
         values[channels["surface"].rows] = rows.surface.T
     color_count = group.coefficients
-    if color_count and rows.sh is not None and plan.colours is not None:
-        colors = rows.sh[:, :color_count] - plan.colours.least[group.phase, :color_count]
-        values[channels["colour"].rows] = colors.reshape(len(colors), 3 * color_count).T
+    if color_count and rows.sh is not None and plan.colors is not None:
+        colors = rows.sh[:, :color_count] - plan.colors.least[group.phase, :color_count]
+        values[channels["color"].rows] = colors.reshape(len(colors), 3 * color_count).T
     states = [group.rest]
     if rows.theta is not None and group.family == "fluid":
         values[channels["theta"].rows] = rows.theta

@@ -63,13 +63,13 @@ def _stiffness_advice(scene: Scene, plan: Plan, observed: RunObserver) -> list[s
     if name is None:
         return []
     material = scene.material[name]
-    if plan.fixed_dt or not isinstance(material, Fluid) or material.depth is not None:
+    if plan.fixed_dt or not isinstance(material, Fluid) or material.max_depth is not None:
         return []
     if any(group.stores_porosity for group in plan.groups if group.material == name):
         return []  # its waves travel in the sand as well
-    allowed = material.compression
+    allowed = material.max_compression
     speed = max(SPEED_MARGIN * observed.speed, 1e-3 * plan.dx / dt)
-    modulus = material.bulk_modulus * material.gamma  # [Pa]
+    modulus = material.tait_coefficient * material.tait_exponent  # [Pa]
     minimum_modulus = material.density * speed**2 / allowed
     for group in plan.groups:
         if group.material == name:  # the load on it compresses it as well
@@ -85,8 +85,8 @@ def _stiffness_advice(scene: Scene, plan: Plan, observed: RunObserver) -> list[s
     key = stiffness_key(material)
     value = math.sqrt(allowed * minimum_modulus / material.density)
     unit = "m/s"
-    if key == "bulk_modulus":
-        value, unit = minimum_modulus / material.gamma, "Pa"
+    if key == "tait_coefficient":
+        value, unit = minimum_modulus / material.tait_exponent, "Pa"
     return [
         f"advice: nothing moved faster than {observed.speed:.2g} m/s:"
         f" {scene.place(('material', name, key))} could be {_round_up(value):g} {unit} instead of"

@@ -98,16 +98,16 @@ class Probes:
             momentum += (m[:, None] * particles.v).sum(0)
         return _vector("velocity", momentum / mass if mass else np.full(3, np.nan))
 
-    def level(self, probe: Probe) -> dict:
+    def surface_height(self, probe: Probe) -> dict:
         """Measure the height [m] of the fluid surface over a point of the floor.
 
         Particles are cubes of one cell, so that layers fill smoothly; volume that would stick
         out of the box is folded back into it.
         """
-        assert probe.level is not None
+        assert probe.surface_height is not None
         plan = self.simulation.plan
         filled = np.zeros(plan.cells[2] + 2)  # with a layer below the floor and one above the roof
-        for g, particles in self._particles_near((*probe.level, None), fluids=True):
+        for g, particles in self._particles_near((*probe.surface_height, None), fluids=True):
             law = plan.groups[g].law
             fraction = law_function(law, "volume_ratio")(law, tuple(particles.state.T))
             fraction = particles.weight * particles.volume * fraction / plan.dx**3
@@ -225,7 +225,7 @@ class Probes:
 
 MEASURE = {
     "pressure": Probes.pressure,
-    "level": Probes.level,
+    "surface_height": Probes.surface_height,
     "velocity": Probes.velocity,
     "object": Probes.object,
     "wall": Probes.wall,

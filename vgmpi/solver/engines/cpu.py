@@ -74,7 +74,7 @@ class Cpu(KernelCaller):
         self.layers = {layer.name: layer for layer in nodal_fields(plan, self.apart, self.LAYER)}
         self.hues = [self.layers[color_field_name(k)] for k in range(color_count(plan))]
         self.words = reproducible_sums.accumulator_words(plan.real)
-        self.sets = np.zeros(0, np.int64) if plan.colours is None else plan.colours.set_of
+        self.sets = np.zeros(0, np.int64) if plan.colors is None else plan.colors.set_of
         separate = np.full(len(plan.phases), -1)
         self.as_one = separate if plan.rules is None else plan.rules.as_one
         # auxiliary nodal values that particles gather, by name
@@ -318,7 +318,7 @@ class Cpu(KernelCaller):
             if plan.driven:
                 self._carry(part, rows, motion, report[thread])
                 continue
-            color_channel = plan.channels.first("colour")
+            color_channel = plan.channels.first("color")
             for k in range(plan.coefficients):
                 nodes = self.layers[color_field_name(k)].nodes
                 self.call_if_rows(

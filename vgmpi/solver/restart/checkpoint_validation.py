@@ -170,7 +170,7 @@ def _check_form(simulation, saved, name, group):
     if width != own_width:
         raise Mismatch(
             f"{saved.path}: a particle of {group.plan.name} carries {width} numbers besides its"
-            f" motion, in this scene {own_width} (material, deforms, appearance.colour_transfer)"
+            f" motion, in this scene {own_width} (material, deforms, appearance.color_transfer)"
         )
     n, b = saved.count(f"{name}/id"), saved.count(f"{name}/block")
     integer = np.dtype(np.int64)

@@ -48,8 +48,8 @@ def frame_rows(simulation: Simulation, names: tuple[str, ...]) -> tuple[np.ndarr
             row["J"] = J
         if "F" in names and deforms:
             row["F"] = _gradient(group, indices, J)
-        if simulation.plan.colours is not None:
-            row["colour"] = _colour(group, indices, simulation.plan.colours)
+        if simulation.plan.colors is not None:
+            row["colour"] = _color(group, indices, simulation.plan.colors)
         ids.append(group.ids[indices])
         group_rows.append(row)
     return np.concatenate(ids), {
@@ -68,13 +68,13 @@ def _gradient(group, indices, J) -> np.ndarray:
     return (carried + np.eye(3).ravel()).astype(np.float32)
 
 
-def _colour(group, indices, colours) -> np.ndarray:
+def _color(group, indices, colors) -> np.ndarray:
     """Return color coefficients (n, 3 K), K the largest count of any group; NaN without color."""
-    rows = np.full((len(indices), 3 * colours.coefficients.max()), np.nan, np.float32)
+    rows = np.full((len(indices), 3 * colors.coefficients.max()), np.nan, np.float32)
     count = 3 * group.plan.coefficients
-    offset = colours.least[group.plan.phase].ravel()[:count]
+    offset = colors.least[group.plan.phase].ravel()[:count]
     if count:
-        rows[:, :count] = group.get("colour", indices) + offset
+        rows[:, :count] = group.get("color", indices) + offset
     return rows
 
 
@@ -151,7 +151,7 @@ def restore(simulation: Simulation, saved) -> None:
 
     Args:
         simulation: A simulation without particles (in/out).
-        saved: An open output.checkpoint.Checkpoint.
+        saved: An open output.checkpoint_interval.Checkpoint.
 
     Raises:
         Mismatch: On all ranks, if the checkpoint does not belong to the scene.

@@ -116,7 +116,7 @@ class DenoisingTarget(Target):
         try:
             raw = np.atleast_3d(safe_open.read_image(path))
             if raw.dtype != np.uint8 or raw.shape[2] not in (1, 3, 4):
-                raise ValueError("neither a grey nor a colour picture of 8 bits")
+                raise ValueError("neither a grey nor a color picture of 8 bits")
             if not same_aspect(raw.shape[1::-1], self.size):
                 message = f"is of another shape, {_size_text(raw.shape[1::-1])} pixels"
                 raise ValueError(f"{message}, than the {_size_text(self.size)} of the rest")

@@ -274,7 +274,7 @@ class Cuda(Cpu):
                     motion, self.prescribed_maxima, self.failure,
                 )  # fmt: skip
             return
-        color_channel = plan.channels.first("colour")
+        color_channel = plan.channels.first("color")
         for k in range(plan.coefficients):
             self.wholes.launch(
                 count, PARTICLE, transfer_kernels.take, work.all, color_channel + 3 * k,

@@ -157,8 +157,9 @@ def own_given(reactions, now, point, pairs, places):
     """Return the reaction sums with the workspace of a thread, or None.
 
     Args:
-        reactions: Shared reaction sums, or None. now, point: Workspace of the thread, shapes (3,)
-        and (6,). pairs, places: Workspace of its contact pairs.
+        reactions: Shared reaction sums, or None.
+        now, point: Workspace of the thread, shapes (3,) and (6,).
+        pairs, places: Workspace of its contact pairs.
     """
     if reactions is None:
         return None

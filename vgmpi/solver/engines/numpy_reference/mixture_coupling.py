@@ -63,7 +63,8 @@ class MixtureCoupling:
             m = mass[members]
             shared = (m > 0).sum(0) > 1
             groups = [
-                (g, rules.diffusion[g], rules.slip_time[g]) for g in range(rules.mixing_group_count)
+                (g, rules.diffusion[g], rules.slip_relaxation_time[g])
+                for g in range(rules.mixing_group_count)
             ]
             for g, D, _ in groups:
                 if rules.printed_mix[g]:

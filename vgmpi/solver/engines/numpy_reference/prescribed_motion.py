@@ -19,8 +19,8 @@ def prescribe(
     """Set velocities and masses of prescribed bodies at the nodes.
 
     Args:
-        v (in/out): Velocities, shape (phases, ..., 3) [m/s]. heavy (in/out): Masses, shape (phases,
-        ...); those of prescribed bodies are multiplied by
+        v (in/out): Velocities, shape (phases, ..., 3) [m/s].
+        heavy (in/out): Masses, shape (phases, ...); those of prescribed bodies are multiplied by
             HEAVY.
         motion: Rigid motion of each phase.
         points: Positions of the nodes, shape (n, 3) [m].

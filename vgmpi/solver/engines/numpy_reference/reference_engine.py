@@ -188,8 +188,8 @@ class Numpy:
             zeros = np.zeros((len(m), 3))
             dense.sum(self.offset[p], stencil, zeros, -volume[:, :, None] * np.eye(3))
         for k in range(plan.coefficients):
-            colour = get_channel(group, "colour")[:, 3 * k : 3 * k + 3]
-            rows = (J * vol0[:, 0])[:, None] * np.column_stack([colour, np.ones(len(m))])
+            color = get_channel(group, "color")[:, 3 * k : 3 * k + 3]
+            rows = (J * vol0[:, 0])[:, None] * np.column_stack([color, np.ones(len(m))])
             dense.sum(self.hues[k, p], stencil, rows)
 
     def _surface(self, group: ParticleGroup) -> tuple[np.ndarray, ...]:
@@ -259,8 +259,8 @@ class Numpy:
             for p, phase in enumerate(plan.phases):
                 recorder = self._record(p, share) if share else None
                 dense.mirror(fields[p], phase.surface, recorder)
-        if plan.colours is not None:
-            self._blend(plan.colours.set_of)
+        if plan.colors is not None:
+            self._blend(plan.colors.set_of)
 
     def _as_one(self, v: np.ndarray, mass: np.ndarray) -> np.ndarray:
         """Return velocities averaged over phases that move with one velocity."""
@@ -322,9 +322,9 @@ class Numpy:
             assert self.driven is not None
             return carry(group, self.driven, self.dt, step)
         for k in range(plan.coefficients):
-            color = get_channel(group, "colour")
+            color = get_channel(group, "color")
             color[:, 3 * k : 3 * k + 3] = dense.gather(self.hues[k, p], stencil)[:, :3]
-            put_channel(group, "colour", color)
+            put_channel(group, "color", color)
         v, L = dense.gather(self.v[p], stencil), dense.gather_slopes(self.v[p], stencil)
         trace, transport = np.abs(np.trace(L, axis1=1, axis2=2)), v
         new_velocity = v

@@ -1,14 +1,14 @@
-"""Colours through the grid with every step, `colour_transfer = "step"`.
+"""Colors through the grid with every step, `color_transfer = "step"`.
 
 The paper's transfer S once a step, (S c)_p = sum_i w_ip c_i with c_i = sum_p w_ip V_p c_p / sum_p
 w_ip V_p:
 
 - one step equals the transfer of vgmpi/gaussians/color_diffusion.py at the places before the step,
 over
-  all fluids of a phase and over fluids that mix; to 1e-12 of the range of colours in double
+  all fluids of a phase and over fluids that mix; to 1e-12 of the range of colors in double
   precision;
-- sum_p V_p c_p is kept by it to rounding, and equal colours stay equal in every bit;
-- an edge between two colours at rest spreads with D = dx^2 / (4 dt): after N steps its profile is
+- sum_p V_p c_p is kept by it to rounding, and equal colors stay equal in every bit;
+- an edge between two colors at rest spreads with D = dx^2 / (4 dt): after N steps its profile is
   that of the error function with a variance of N dx^2 / 2; rms of the difference at most .01.
 """
 
@@ -25,7 +25,7 @@ from vgmpi.gaussians.color_diffusion import Transfer
 from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.solver.restart.state_io import frame_rows
 
-PAPER = "VersaGauss, transfer of colours"
+PAPER = "VersaGauss, transfer of colors"
 SCENE = """
 [domain]
 size = ["12 cm", "6 cm", "8 cm"]
@@ -35,14 +35,14 @@ boundary = "slip"
 end = "0.1 s"
 frames = 2
 [appearance]
-colour_transfer = "step"
+color_transfer = "step"
 MORE
 [material.water]
 kind = "fluid"
-bulk_modulus = "20 kPa"
+tait_coefficient = "20 kPa"
 [material.milk]
 kind = "fluid"
-bulk_modulus = "20 kPa"
+tait_coefficient = "20 kPa"
 viscosity = 0.01
 [material.toy]
 kind = "elastic"
@@ -52,36 +52,36 @@ poisson_ratio = 0.3
 [[coupling]]
 kind = "mixing"
 between = ["water", "milk"]
-slip_time = 0.01
+slip_relaxation_time = 0.01
 [[object]]
 name = "left"
 material = "water"
-colour = "#ff2010"
+color = "#ff2010"
 shape = { box = [[0, 0, 0], ["5 cm", "6 cm", "4 cm"]] }
 velocity = [0.5, 0, 0]
 [[object]]
 name = "right"
 material = "water"
-colour = "#1020ff"
+color = "#1020ff"
 shape = { box = [["5 cm", 0, 0], ["9 cm", "6 cm", "4 cm"]] }
 [[object]]
 name = "jug"
 material = "milk"
-colour = "#f0f0e0"
+color = "#f0f0e0"
 shape = { box = [["9 cm", 0, 0], ["12 cm", "6 cm", "4 cm"]] }
 [[object]]
 name = "toy"
 material = "toy"
-colour = "#20ff20"
+color = "#20ff20"
 shape = { box = [["2 cm", "1 cm", "4.5 cm"], ["6 cm", "5 cm", "7 cm"]] }
 """
 
 
-def colours(simulation):
+def colors(simulation):
     """Of every particle by its id, (n, 3 K)."""
     ids, rows = frame_rows(simulation, ())
-    out = np.empty_like(rows["colour"])
-    out[ids] = rows["colour"]
+    out = np.empty_like(rows["color"])
+    out[ids] = rows["color"]
     return out
 
 
@@ -91,8 +91,8 @@ def exact(simulation):
     for group in simulation.groups:
         at = group.index()
         if group.plan.coefficients:
-            first = group.plan.channels["colour"].first
-            least = simulation.plan.colours.least[group.plan.phase, 0]
+            first = group.plan.channels["color"].first
+            least = simulation.plan.colors.least[group.plan.phase, 0]
             out[group.ids[at]] = group.f[first : first + 3, at].T + least
     return out
 
@@ -100,7 +100,7 @@ def exact(simulation):
 @pytest.mark.parametrize("threads", [1, 2])
 def test_a_step_is_one_transfer_among_fluids_that_mix(threads, tmp_path):
     simulation, _ = begin(tmp_path, SCENE.replace("MORE", ""), threads=threads)
-    wet = np.flatnonzero(~np.isnan(colours(simulation)[:, 0]))
+    wet = np.flatnonzero(~np.isnan(colors(simulation)[:, 0]))
     worst = 0.0
     for step in range(30):
         if step in (10, 20):
@@ -116,7 +116,7 @@ def test_a_step_is_one_transfer_among_fluids_that_mix(threads, tmp_path):
         worst = max(worst, kept.max())
         assert np.abs(after - before)[wet].max() > 0.01
     assert len(simulation.groups[0].code) >= 8 and simulation.sorts >= 3
-    held("colour by steps: one beside the transfer", worst, 0, 1e-12, kind="absolute", source=PAPER)
+    held("color by steps: one beside the transfer", worst, 0, 1e-12, kind="absolute", source=PAPER)
     assert np.isnan(exact(simulation)[np.setdiff1d(np.arange(len(x)), wet)]).all()
 
 
@@ -140,24 +140,24 @@ def test_an_edge_spreads_by_a_quarter_of_a_cell_squared_per_step(tmp_path):
     inside = (np.abs(made.x[:, 0] - 0.20) < 0.12) & ~np.isnan(blue)
     found = np.sqrt(((got - want)[inside] ** 2).mean())
     held(
-        "colour by steps: an edge, rms", found, 0, 0.01, kind="absolute",
+        "color by steps: an edge, rms", found, 0, 0.01, kind="absolute",
         source="error function of variance N dx^2 / 2", note="20 steps at rest, 10 cells each side",
     )  # fmt: skip
 
 
-def test_equal_colours_are_not_carried_and_cost_nothing(tmp_path):
+def test_equal_colors_are_not_carried_and_cost_nothing(tmp_path):
     text = SCENE.replace("MORE", "")
     for old in ("#1020ff", "#f0f0e0"):
         text = text.replace(old, "#ff2010")
     simulation, _ = begin(tmp_path, text)
     off, _ = begin(tmp_path, text.replace('"step"', '"off"'))
-    assert simulation.plan.colours is None and "colour" not in frame_rows(simulation, ())[1]
+    assert simulation.plan.colors is None and "color" not in frame_rows(simulation, ())[1]
     assert simulation.plan.bytes() == off.plan.bytes()
     assert [g.channels for g in simulation.groups] == [g.channels for g in off.groups]
-    assert not any(name.startswith("colour") for name in simulation.engine.layers)
+    assert not any(name.startswith("color") for name in simulation.engine.layers)
 
 
-def test_equal_parts_of_colours_stay_equal_in_every_bit(tmp_path):
+def test_equal_parts_of_colors_stay_equal_in_every_bit(tmp_path):
     """Equal red and green, unequal blue."""
     text = SCENE.replace("MORE", "")
     text = text.replace("#1020ff", "#ff20ff").replace("#f0f0e0", "#ff2080")
@@ -172,17 +172,17 @@ def test_equal_parts_of_colours_stay_equal_in_every_bit(tmp_path):
 
 
 def test_higher_degrees_travel_with_fluids_alone(tmp_path, monkeypatch):
-    def coloured(scene):
+    def colored(scene):
         made = build_scene(scene)
         sh = np.random.default_rng(3).uniform(-1, 1, (len(made.x), 4, 3)).astype(np.float32)
         return replace(made, sh=sh)
 
-    monkeypatch.setattr(simulate, "build_scene", coloured)
-    text = SCENE.replace("MORE", 'colour_degree = 1\ncolour_bodies = ["left", "jug", "toy"]')
+    monkeypatch.setattr(simulate, "build_scene", colored)
+    text = SCENE.replace("MORE", 'color_sh_degree = 1\ncolor_objects = ["left", "jug", "toy"]')
     simulation, made = begin(tmp_path, text)
     x, volume, J = by_id(simulation, "x", "vol0", "J")
     simulation.advance(simulation.bound())
-    got = colours(simulation)
+    got = colors(simulation)
     toy = made.object == 3
     for rows, count in ((~toy, 12), (toy, 3)):
         before = made.sh.reshape(len(x), 12)[rows, :count]
@@ -192,7 +192,7 @@ def test_higher_degrees_travel_with_fluids_alone(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("unit", ["cm", "um"])
-def test_no_colour_leaves_the_range_of_the_others(unit, tmp_path):
+def test_no_color_leaves_the_range_of_the_others(unit, tmp_path):
     """In single precision, with cells of a centimetre and of a micrometre."""
     text = SCENE.replace("MORE", '[accuracy]\nprecision = "single"').replace(" cm", f" {unit}")
     if unit == "um":  # as fast, in cells
