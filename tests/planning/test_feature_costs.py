@@ -102,7 +102,7 @@ def names(folder, more="", transfer="apic"):
     ("more", "transfer", "has"),
     [
         ("", "apic", ["law fluid"]),
-        ("", "apic-corrected", ["law fluid", "restored transfer"]),
+        ("", "apic-corrected", ["law fluid", "apic-corrected transfer"]),
         ("", "aflip", ["law fluid", "aflip transfer"]),
         (DYE, "apic", ["law fluid", "colors that travel"]),
         (

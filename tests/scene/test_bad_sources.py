@@ -160,19 +160,19 @@ BUILD_CASES = {
         "[[0.5, 0.1, 0.2], [0.6, 0.2, 0.3]]",
         "[[0.05, 0.1, 0.1], [0.08, 0.2, 0.3]]",
         "source.tap.disc",
-        "lies in the sink 'drain': nothing would come",
+        "lies in the outlet 'drain': nothing would come",
     ),
     "in another source": (
         SINK,
         SINK + SOURCE.replace("tap", "tip").replace('"x"', '"y"'),
         "source.tip.disc",
-        "lies in the nozzle of source 'tap'",
+        "lies in the nozzle of inlet 'tap'",
     ),
     "a sink that eats": (
         "[[0.5, 0.1, 0.2], [0.6, 0.2, 0.3]]",
         "[[0.5, 0.1, 0.09], [0.6, 0.2, 0.3]]",
         "sink.drain.shape",
-        "a sink that eats a body at the start: 'drain' holds particles of 'pool'",
+        "an outlet that removes a body at the start: 'drain' holds particles of 'pool'",
     ),
     "a solid": (
         'material = "water"',

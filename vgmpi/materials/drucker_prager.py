@@ -45,7 +45,7 @@ class Sand(ElastoplasticMaterial):
     poisson_ratio: Annotated[float, Quantity("", ge=0, lt=0.5)] = 0.3
     """of the bulk"""
     friction_angle: Annotated[float, Quantity("rad", gt=0, lt=1.5707)] = math.radians(32)
-    """friction angle, measured in the test that `match` names"""
+    """friction angle, measured in the test that `friction_angle_test` names"""
     friction_angle_test: Literal["slope", "plane-strain", "triaxial"] = "slope"
     """test in which friction_angle was measured. slope: angle of repose of flowing sand;
     plane-strain: plane strain test; triaxial: triaxial compression"""

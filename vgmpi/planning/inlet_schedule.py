@@ -182,8 +182,8 @@ def inlet_plans(scene: Scene, group_of: tuple, count: list[int]) -> tuple[InletP
         ready, needed = int(count[k]) // len(mouth), layer_count(scene, source)
         if needed > ready:
             message = (
-                f"source '{source.name}' has particles kept ready for {ready} layers, this asks"
-                f" for {needed}: a run with a source that does not end cannot be extended"
+                f"inlet '{source.name}' has particles kept ready for {ready} layers, this asks"
+                f" for {needed}: a run with an inlet that does not end cannot be extended"
             )
             errors.append((("time", "end"), message))
         fast = inlet_speed(scene, source)

@@ -315,7 +315,7 @@ def _with_density_correction(scene: Scene, group: GroupPlan, phase: PhasePlan) -
             f"{phase.name!r} holds liquids of different density, whose cells do not tell how full"
             " they are; give each a phase of its own, or a coupling of kind 'mixing'"
         )
-        raise scene.error([(("accuracy", "volume"), message)])
+        raise scene.error([(("accuracy", "volume_correction"), message)])
     space = 1.0 / (group.density * scene.domain.cell**3)
     return group._replace(space=space, cost=group.cost * (1.0 + DENSITY_CORRECTION_COST))
 

@@ -368,7 +368,7 @@ def _correction_interval(scene: Scene) -> int:
 def _check_transfer(scene: Scene, sharing: InteractionRules | None) -> None:
     """Reject gradients of splines where the transfer scheme does not support them."""
     if scene.accuracy.gradient == "bspline" and (scene.accuracy.affine or sharing is not None):
-        message = "splines are for pic and flip, in scenes without mixing and drag"
+        message = "bspline is for pic and flip, in scenes without mixing and drag"
         raise scene.error([(("accuracy", "gradient"), message)])
 
 

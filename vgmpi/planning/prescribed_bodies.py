@@ -127,7 +127,7 @@ def _layers(obj: Object, boxes: list, dx: float) -> tuple[ReleaseLayer, ...]:
     count = max((math.ceil(high[2] / dx) for _, high in boxes), default=1) - first
     edges = [-math.inf, *((first + k) * dx for k in range(1, count)), math.inf]
     heights = list(zip(edges, edges[1:]))
-    if obj.release_order == "from above":
+    if obj.release_order == "top-down":
         heights.reverse()
     lasts = (obj.release_end_time - obj.release_time) / max(count - 1, 1)
     return tuple(

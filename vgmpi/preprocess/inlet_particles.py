@@ -33,10 +33,10 @@ def require_inlet_memory(scene: Scene) -> None:
         per_layer = inlet_geometry.per_layer(source, dx)
         try:
             memory_budget.require_memory(
-                per_layer * bytes_each, f"a layer of source '{source.name}' has at least"
+                per_layer * bytes_each, f"a layer of inlet '{source.name}' has at least"
             )
             count = per_layer * layer_count(scene, source)
-            message = f"source '{source.name}' makes {count:.3g} particles until it ends: at least"
+            message = f"inlet '{source.name}' makes {count:.3g} particles until it ends: at least"
             memory_budget.require_memory(count * bytes_each, message)
         except memory_budget.InsufficientMemoryError as error:
             raise scene.error([(("inlet", k), str(error))]) from None
@@ -96,7 +96,7 @@ def validate_inlets_outlets(
         ]
         if overlapping:
             message = f"'{sink.name}' holds particles of '{overlapping[0]}'"
-            message = f"a sink that eats a body at the start: {message}"
+            message = f"an outlet that removes a body at the start: {message}"
             wall = k >= len(scene.outlet)
             errors.append((("domain", "boundary") if wall else ("outlet", k, "shape"), message))
     if errors:
@@ -135,10 +135,10 @@ def _blocked(
             yield key, f"body '{name}' lies in its nozzle, two cells behind its mouth"
     for other in scene.inlet[:k]:
         if _inside(other, dx, points).any():
-            yield key, f"lies in the nozzle of source '{other.name}'"
+            yield key, f"lies in the nozzle of inlet '{other.name}'"
     for sink in outlet_plans(scene):
         if (distance(sink.shape, points) < 0).any():
-            yield key, f"lies in the sink '{sink.name}': nothing would come"
+            yield key, f"lies in the outlet '{sink.name}': nothing would come"
 
 
 def _nozzle(source: Inlet, dx: float) -> np.ndarray:

@@ -64,12 +64,13 @@ def group_features(scene: Scene, plan: Plan, g: int, pace: Throughput) -> list[F
     result = [Feature(f"law {scene.material[group.material].kind}", law_ns, sum(fields.values()))]
     if own["F"]:
         result.append(Feature("deformation that Gaussians follow", 0.0, own["F"]))
+    transfer = f"{scene.accuracy.transfer} transfer"
     if plan.restores:
-        result.append(Feature("restored transfer", law_ns * CORRECTION_COST / plan.restores))
+        result.append(Feature(transfer, law_ns * CORRECTION_COST / plan.restores))
     if plan.keeps is not None:
-        result.append(Feature(f"{scene.accuracy.transfer} transfer", law_ns * (FLIP_COST - 1.0)))
+        result.append(Feature(transfer, law_ns * (FLIP_COST - 1.0)))
     if group.space:
-        result.append(Feature("volume that is kept", law_ns * DENSITY_CORRECTION_COST))
+        result.append(Feature("density correction", law_ns * DENSITY_CORRECTION_COST))
     if group.coefficients:
         ns = pace.fluid * COLOR_COST * group.coefficients
         result.append(Feature("colors that travel", ns, own["color"]))

@@ -89,13 +89,13 @@ def format_plan(
 def _flows(plan: Plan) -> list[str]:
     """Return the lines on inlets and outlets; memory and time include all that enters."""
     lines = [
-        f"  source      {escape_control_characters(source.name)}:"
+        f"  inlet       {escape_control_characters(source.name)}:"
         f" {source.layers * len(source.mouth):,} particles,"
         f" {len(source.mouth)} every {source.period:.4g} s, at {source.speed:.4g} m/s:"
         f" {_flow(plan, source):.4g} kg/s"
         for source in plan.sources
     ]
-    return lines + [f"  sink        {escape_control_characters(sink.name)}" for sink in plan.sinks]
+    return lines + [f"  outlet      {escape_control_characters(sink.name)}" for sink in plan.sinks]
 
 
 def _flow(plan: Plan, source: InletPlan) -> float:
