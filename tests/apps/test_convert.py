@@ -99,22 +99,25 @@ def test_where_several_stand(convert, capture):
     [
         ({}, {"kind": "corotated"}),
         # |s| = yield_stress is sqrt(3/2) of it in tension; hardening is 3 mu xi there
-        ({"material": "metal", "yield_stress": 100}, {"yield_stress": 122.474487, "hardening": 0}),
+        (
+            {"material": "metal", "yield_stress": 100},
+            {"yield_stress": 122.474487, "hardening_modulus": 0},
+        ),
         (
             {"material": "metal", "yield_stress": 100, "hardening": 1, "xi": 0.1},
-            {"kind": "metal", "hardening": 3 * 3e4 / 2.7 * 0.1},
+            {"kind": "metal", "hardening_modulus": 3 * 3e4 / 2.7 * 0.1},
         ),
         ({"material": "sand"}, {"kind": "sand", "porosity": 0, "friction_angle": math.radians(25)}),
         (
             {"material": "sand", "friction_angle": 40},
-            {"friction_angle": math.radians(40), "match": "triaxial"},
+            {"friction_angle": math.radians(40), "friction_angle_test": "triaxial"},
         ),
         (
             {"material": "foam", "yield_stress": 30, "plastic_viscosity": 8},
             {"kind": "foam", "yield_stress": 17.3205081, "viscosity": 4},
         ),
         ({"material": "foam", "yield_stress": 30}, {"kind": "metal", "yield_stress": 30}),
-        ({"material": "snow"}, {"kind": "snow", "hardening": 10}),
+        ({"material": "snow"}, {"kind": "snow", "hardening_coefficient": 10}),
         ({"material": "plasticine"}, {"kind": "corotated"}),
         (
             {"material": "plasticine", "yield_stress": 100, "softening": 50},
@@ -123,7 +126,7 @@ def test_where_several_stand(convert, capture):
         ),
         (
             {"material": "plasticine", "yield_stress": 100, "hardening": 1, "xi": 0.1},
-            {"kind": "metal", "hardening": 3 * 3e4 / 2.7 * 0.1 - 0.15},
+            {"kind": "metal", "hardening_modulus": 3 * 3e4 / 2.7 * 0.1 - 0.15},
         ),
     ],
 )  # fmt: skip
@@ -136,39 +139,33 @@ def test_materials_of_physgaussian(convert, config, wanted):
 
 
 def test_materials_of_versagauss(convert):
-    water = {"material": "fluid", "tait_coefficient": 500, "density": 60, "gamma": 8}
-    sand = {
-        "material": "sand",
-        "density": 90,
-        "porosity": 0.4,
-        "hydraulic_conductivity": 0.2,
-        "gamma": 5,
-    }
+    water = {"material": "fluid", "bulk_modulus": 500, "density": 60, "gamma": 8}
+    sand = {"material": "sand", "density": 90, "porosity": 0.4, "permeability": 0.2, "gamma": 5}
     snow = {
         "material": "snow", "compression": 0.015, "stretch": 0.008, "hardening_coe": 4, "gamma": 6,
     }  # fmt: skip
     at = [{"center_point": [1.2 + 0.8 * k, 2, 2], "scale": 0.6} for k in range(3)]
     scene, lines = convert(several(*zip((water, sand, snow), at, strict=True)))
     a, b, c = scene.material.values()
-    assert (a.kind, a.tait_coefficient, a.density, a.gamma) == (
-        "fluid",
-        500,
-        60,
-        6,
-    )  # the last one's
+    assert (a.kind, a.tait_coefficient, a.density) == ("fluid", 500, 60)
+    assert a.tait_exponent == 6  # the last one's
     assert (b.bulk_density, b.porosity) == (pytest.approx(90), 0.4)
-    assert (c.critical_compression, c.critical_stretch, c.hardening) == (0.015, 0.008, 4)
+    assert (c.critical_compression, c.critical_stretch, c.hardening_coefficient) == (
+        0.015,
+        0.008,
+        4,
+    )
     assert scene.coupling[0].kind == "drag" and scene.coupling[0].hydraulic_conductivity == 0.2
     assert named(lines, "material_params.0.gamma")
-    jam = {"material": "jam", "tait_coefficient": 400}
+    jam = {"material": "jam", "bulk_modulus": 400}
     assert convert(several((jam, at[1])))[0].material["a"].kind == "fluid"
 
 
 def test_fluids_mix(convert):
-    one = {"material": "fluid", "tait_coefficient": 500, "diff_coe": 8e-4}
+    one = {"material": "fluid", "bulk_modulus": 500, "diff_coe": 8e-4}
     stands = [{"center_point": [2, 2, z], "scale": 0.8, "opacity_scale": 0.02} for z in (1.5, 2.5)]
     scene, _ = convert(several((one, stands[0]), (one, stands[1])))
-    assert (scene.coupling[0].kind, scene.coupling[0].diffusion) == ("mixing", 8e-4)
+    assert (scene.coupling[0].kind, scene.coupling[0].diffusivity) == ("mixing", 8e-4)
     assert [thing.opacity_scale for thing in scene.object] == [0.02, 0.02]
 
 

@@ -1,4 +1,4 @@
-"""Boundary conditions of PhysGaussian and VersaGauss: walls, colliders, motions, loads, sources in
+"""Boundary conditions of PhysGaussian and VersaGauss: walls, colliders, motions, loads, inlets in
 numbers, and by name what has no place in a scene."""
 
 from functools import partial
@@ -40,8 +40,8 @@ def test_walls(convert):
     }  # fmt: skip
     scene, lines = convert(ONE | {"boundary_conditions": [BOX, floor]})
     assert scene.domain.size == pytest.approx((15 * CELL, 15 * CELL, 13 * CELL))  # from node 4
-    assert scene.domain.boundary.floor.kind == "stick"
-    assert scene.domain.boundary.roof.kind == "separate"
+    assert scene.domain.boundary.bottom.kind == "stick"
+    assert scene.domain.boundary.top.kind == "separate"
     assert np.allclose(scene.object[0].shape.box[0], [0.3, 0.3, 0.1])
     assert not named(lines, "boundary_conditions.1")
     slip = floor | {"surface": "slip", "friction": 0.3}
@@ -66,7 +66,7 @@ def test_a_cuboid_below_is_a_floor(convert, capture):
         "type": "cuboid", "point": [1, 1, 0.5], "size": [0.6, 0.6, 0.26], "velocity": [0, 0, 0],
     }  # fmt: skip
     scene, lines = convert(ONE | {"boundary_conditions": [slab]}, capture)
-    assert scene.domain.boundary.floor.kind == "stick"
+    assert scene.domain.boundary.bottom.kind == "stick"
     assert scene.domain.size == pytest.approx((2, 2, 1.3))  # from node 7
     assert [thing.role for thing in scene.object] == ["body", "scenery"]
     made = build_scene(scene)
@@ -95,10 +95,14 @@ def test_bodies_are_held_and_moved(convert):
         .object[0]
         .motion
     )
-    assert (motion.velocity, motion.until) == ((0, 0.1, 0), 0.2)
+    assert (motion.velocity, motion.end_time) == ((0, 0.1, 0), 0.2)
     motion = convert(ONE | {"boundary_conditions": [BOX, TURN]})[0].object[0].motion
-    assert (motion.spin, motion.axis, motion.until) == (-1.5, (0, 0, 1), 0.3)  # the left hand's way
-    assert np.allclose(motion.about, (0.8, 0.8, 0.9)) and np.allclose(motion.velocity, (0, 0, 0.2))
+    assert (motion.angular_velocity, motion.axis, motion.end_time) == (
+        -1.5,
+        (0, 0, 1),
+        0.3,
+    )  # the left hand's way
+    assert np.allclose(motion.pivot, (0.8, 0.8, 0.9)) and np.allclose(motion.velocity, (0, 0, 0.2))
 
 
 def test_motions_one_after_the_other(convert):
@@ -109,7 +113,10 @@ def test_motions_one_after_the_other(convert):
     assert [(key.time, round(key.angle, 9)) for key in motion.keyframes] == [
         (0.3, -0.45), (0.5, 0.15),
     ]  # fmt: skip
-    assert np.allclose(motion.keyframes[1].move, (0, 0, 0.06)) and motion.pace == "linear"
+    assert (
+        np.allclose(motion.keyframes[1].translation, (0, 0, 0.06))
+        and motion.interpolation == "linear"
+    )
 
 
 @pytest.mark.parametrize(
@@ -141,9 +148,11 @@ def test_layers_are_let_go(convert):
     sand = ONE | {"material": "sand", "boundary_conditions": [layers]}
     body = convert(sand)[0].object[0]
     assert (body.release_time, body.release_end_time) == (pytest.approx(0.01), pytest.approx(0.5))
-    assert body.release == "from above"
+    assert body.release_order == "top-down"
     layers |= {"start_position": 0.5, "end_position": 1.5}
-    assert convert(sand | {"boundary_conditions": [layers]})[0].object[0].release == "from below"
+    assert (
+        convert(sand | {"boundary_conditions": [layers]})[0].object[0].release_order == "bottom-up"
+    )
     lines = convert(sand | {"boundary_conditions": [layers | {"normal": [1, 0, 0]}]})[1]
     assert "along z alone" in named(lines, "boundary_conditions.0")[0]
 
@@ -152,7 +161,7 @@ def test_an_impulse_is_that_of_all_particles(convert, capture):
     push = {"type": "particle_impulse", "force": [-0.2, 0, 0], "num_dt": 3, "start_time": 0.1}
     scene, lines = convert(ONE | {"boundary_conditions": [push]}, capture)
     assert scene.load[0].impulse == pytest.approx((-0.2 * 3e-4 * 810, 0, 0))
-    assert scene.load[0].after == 0.1 and named(lines, "boundary_conditions.0")
+    assert scene.load[0].start_time == 0.1 and named(lines, "boundary_conditions.0")
 
 
 def test_areas_and_filling(convert, capture):
@@ -162,7 +171,7 @@ def test_areas_and_filling(convert, capture):
     scene, lines = convert(config, capture)
     body, *rest = scene.object
     assert [thing.role for thing in rest] == ["scenery"]
-    assert (body.fill, body.particles_per_cell) == ("shown", 8)
+    assert (body.fill, body.particles_per_cell) == ("visible", 8)
     made = build_scene(scene)
     assert np.allclose(made.x.min(axis=0)[2], 0.5, atol=0.05) and len(made.scenery.x) > 300
     keys = {line.split(":")[0] for line in lines}
@@ -172,8 +181,8 @@ def test_areas_and_filling(convert, capture):
     assert "own axes" in named(lines, "sim_area")[0]
 
 
-def test_what_comes_with_every_frame_is_a_source(convert):
-    water = ({"material": "fluid", "tait_coefficient": 900}, {"center_point": [2, 2, 2.5]})
+def test_what_comes_with_every_frame_is_an_inlet(convert):
+    water = ({"material": "fluid", "bulk_modulus": 900}, {"center_point": [2, 2, 2.5]})
     more = {"boundary": [1.6, 2.4, 1.7, 2.3, 2.4, 2.6], "start_time": 0.04, "additional": 1}
     scene, lines = convert(several(water, add_particle=more))
     inlet = scene.inlet[0]
@@ -188,7 +197,7 @@ def test_what_comes_with_every_frame_is_a_source(convert):
 
 def test_what_only_pours_is_in_no_walls_way(convert, capture):
     plane = {"type": "add_plane", "x_plane": [1.8, 2.2], "y_plane": [0, 4], "z_plane": [0, 4]}
-    water = ({"material": "fluid", "tait_coefficient": 900}, {"center_point": [2, 2, 2.5]})
+    water = ({"material": "fluid", "bulk_modulus": 900}, {"center_point": [2, 2, 2.5]})
     more = {"boundary": [1.6, 2.4, 1.7, 2.3, 2.4, 2.6], "additional": True}
     some = several(water, boundary_conditions=[plane])
     assert named(convert(some, capture)[1], "boundary_conditions.0.x_plane")

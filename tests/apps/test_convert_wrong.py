@@ -89,7 +89,7 @@ def test_a_key_that_is_missing(refused):
 @pytest.mark.parametrize(
     "config, said",
     [
-        (several(({"material": "fluid"}, {})), "material_params.0.tait_coefficient: required key"),
+        (several(({"material": "fluid"}, {})), "material_params.0.bulk_modulus: required key"),
         (several(({"material": "watr"}, {})), "material_params.0.material: must be one of jelly"),
         (several(({}, {}), object_num=2), "material_params: must have an item for each of"),
         ({"object_num": 1}, "material_params: required key is missing"),

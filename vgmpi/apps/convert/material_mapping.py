@@ -209,7 +209,9 @@ def _snow(config: Config, k: int, report: Report) -> Table:
         )
         report.approximated(key_path, "snow", reason)
         return table
-    reason = "the factor by which it hardens stays between 1 / 20 and 20 here (hardening_limit)"
+    reason = (
+        "the factor by which it hardens stays between 1 / 20 and 20 here (max_hardening_factor)"
+    )
     report.approximated(key_path, "snow", reason)
     return table | {
         "critical_compression": effective_value(config, k, "compression"),

@@ -131,10 +131,10 @@ def _changed_keys(law: Table, part: source_schema.Part | None) -> Table:
 
 def _with_local_axis(extra_keys: Table, origin: np.ndarray) -> Table:
     """Return the keys for motions with positions in the domain's coordinates."""
-    if "about" not in extra_keys.get("motion", {}):
+    if "pivot" not in extra_keys.get("motion", {}):
         return extra_keys
-    about = (np.asarray(extra_keys["motion"]["about"]) - origin).tolist()
-    return extra_keys | {"motion": extra_keys["motion"] | {"pivot": about}}
+    pivot = (np.asarray(extra_keys["motion"]["pivot"]) - origin).tolist()
+    return extra_keys | {"motion": extra_keys["motion"] | {"pivot": pivot}}
 
 
 def _gaussian_file_keys(
@@ -211,7 +211,7 @@ def appearance_keys(
         if pose.file is None and fluid:
             table["color"] = [c / 255 for c in stand.color]
         else:
-            reason = "a capture keeps its colours" if fluid else "VersaGauss colours fluids alone"
+            reason = "a capture keeps its colors" if fluid else "VersaGauss colors fluids alone"
             report.dropped((*key_path, "color"), list(stand.color), reason)
     if stand.camera_path is not None:
         report.dropped(

@@ -55,7 +55,7 @@ def convert_scene(path: Path, gaussians: list[Path], folder: Path) -> tuple[str,
             materials_out[pose.name] = laws_of[k] or {}
             names_of.append(pose.name)
             emitted["inlet"] |= appearance_keys(config, k, pose, laws_of[k], report)
-            _report_source(config, k, pose, report)
+            _report_inlet(config, k, pose, report)
             continue
         tables = body_tables(
             config, k, pose, ends, active.object_keys.get(k, {}), laws_of[k], folder, report
@@ -209,11 +209,11 @@ def _emitter(
         reason = "object_material_index is no body that moves"
     elif not emitter.additional:
         reason = (
-            "what comes lies in a body that is there, too; a source has its nozzle to itself here"
+            "what comes lies in a body that is there, too; an inlet has its nozzle to itself here"
         )
     elif g[0] or g[1] or not g[2]:
         reason = (
-            "a source pours in a direction, which is that of gravity along z for want of another"
+            "an inlet pours in a direction, which is that of gravity along z for want of another"
         )
     elif not (low < high).all() or emitter.start_time >= min(emitter.end_time, config.end):
         reason = "nothing comes: no box, or no time is left for it"
@@ -230,7 +230,7 @@ def _emitter(
     width, height, depth = high - low
     center = [*((low + high) / 2 - ends[0])[:2], mouth - ends[0][2]]
     inlet: Table = {
-        "name": f"{poses[k].name} source",
+        "name": f"{poses[k].name} inlet",
         "material": poses[k].name,
         "rectangle": {"center": center, "width": width, "height": height},
         "direction": [0, 0, -1 if down else 1],
@@ -240,24 +240,24 @@ def _emitter(
     if emitter.end_time < config.end:
         inlet["end_time"] = emitter.end_time
     reason = (
-        "a source of the same volume per time if their box is full; theirs comes at rest, at once"
+        "an inlet of the same volume per time if their box is full; theirs comes at rest, at once"
     )
     report.approximated(key_path, emitter, reason)
     return {"object": k, "inlet": inlet}
 
 
-def _report_source(config: Config, k: int, pose: BodyPose, report: Report) -> None:
+def _report_inlet(config: Config, k: int, pose: BodyPose, report: Report) -> None:
     """Report the keys of a body that an inlet in its place does not use."""
     body = config.bodies[k]
     unused_keys = ("scale", "center_point", "rotation_degree", "rotation_axis", "opacity_threshold")
     for key in unused_keys:
         is_reported = pose.file is None and key not in ("scale", "center_point")
         if body.stand.has_key(key) and not is_reported:
-            reason = "a source fills the box of add_particle, whatever lies in it"
+            reason = "an inlet fills the box of add_particle, whatever lies in it"
             report.dropped((*body.stand_path, key), getattr(body.stand, key), reason)
     if pose.file is not None:
         key_path = (*body.stand_path, "model_path")
-        report.dropped(key_path, str(pose.file), "what a source pours has one colour here")
+        report.dropped(key_path, str(pose.file), "what an inlet pours has one color here")
 
 
 def _report_unread_keys(config: Config, report: Report) -> None:
