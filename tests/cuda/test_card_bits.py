@@ -1,5 +1,5 @@
 """The card's engine in numba's simulator gives the processor's bits: every law, walls, contact,
-couplings, transfers, colors, colliders that move, sources; and what is broken there is found.
+couplings, transfers, colors, colliders that move, inlets; and what is broken there is found.
 
 The processor does not contract products and sums here (VGMPI_CONTRACTION=off), as a card does not.
 Each test is a program of its own (tests/support/cuda_bits.py).
@@ -21,9 +21,13 @@ SHORT = {  # name: precision, steps, scenes
     "solids": ("single", 10, ["elastic", "corotated", "plasticine"]),
     "contact": ("single", 3, ["contact", "three in contact", "contact of faces"]),
     "walls": ("single", 2, ["walls that vanish", "open walls", "colliders that move"]),
-    "transfers": ("single", 4, ["flip by steps", "apic", "pic with splines", "apic-corrected"]),
+    "transfers": ("single", 4, ["flip by steps", "apic", "pic with bspline", "apic-corrected"]),
     "couplings": ("single", 2, ["mixing", "drag"]),
-    "more": ("single", 3, ["sources and sinks", "followed", "driven tin", "volume kept"]),
+    "more": (
+        "single",
+        3,
+        ["inlets and outlets", "deformation", "driven tin", "density correction"],
+    ),
     "double": ("double", 2, ["fluid", "sand", "elastic", "contact"]),
 }
 

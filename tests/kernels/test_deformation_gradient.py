@@ -89,7 +89,13 @@ def test_it_is_the_product_of_what_each_step_does(precision, most, tmp_path):
         want += dt * C.reshape(-1, 3, 3) @ want
     got, J = gradients(simulation)
     names = [thing["name"] for thing in made.objects]
-    assert [thing["deforms"] for thing in made.objects] == [True, True, False, True, True]
+    assert [thing["tracks_deformation"] for thing in made.objects] == [
+        True,
+        True,
+        False,
+        True,
+        True,
+    ]
     for k, name in enumerate(names):
         own = made.object == k
         if name == "ball":

@@ -71,7 +71,7 @@ WALLS = {
     "stick": 'default = "stick"',
     "slip": 'default = "slip"',
     "separate": 'default = { kind = "separate", friction = 0.3 }',
-    "mixed": 'default = "slip", floor = "stick", west = { kind = "separate", friction = 0.2 }',
+    "mixed": 'default = "slip", bottom = "stick", west = { kind = "separate", friction = 0.2 }',
 }
 
 
@@ -135,7 +135,7 @@ def test_splines(objects, tmp_path):
 
 def test_splines_are_refused_with_apic(tmp_path):
     head = HEAD.replace("[material.water]", 'gradient = "bspline"\n[material.water]')
-    with pytest.raises(SceneError, match="splines are for pic and flip"):
+    with pytest.raises(SceneError, match="bspline is for pic and flip"):
         pair(tmp_path, POOL, "mixed", "double", head=head)
 
 

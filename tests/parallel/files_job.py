@@ -65,11 +65,11 @@ def rest_rows(total: int) -> dict[str, np.ndarray]:
 
 def row(step: int) -> dict:
     numbers = {name: step + 0.1 for name in csv_log.COLUMNS}
-    return {**numbers, "step": step, "phase": "water", "count": TOTAL, "time": step / 1000}
+    return {**numbers, "step": step, "phase": "water", "particles": TOTAL, "time": step / 1000}
 
 
 def write_all(folder: Path, ranks) -> None:
-    objects = [{"name": "pool", "first": 0, "count": TOTAL}]
+    objects = [{"name": "pool", "first_row": 0, "row_count": TOTAL}]
     rows = rest_rows(TOTAL) if ranks.rank == 0 else None
     initial_state.write(
         folder / "gaussians.h5", ranks, rows, objects, None, {"title": "made up"}, "abc"

@@ -59,7 +59,7 @@ def test_colors_that_travel_with_every_step(tmp_path):
     scene = write(tmp_path, text.replace("[material.water]", looks))
     same_everywhere(scene, tmp_path)
     with h5py.File(sorted((tmp_path / "1").glob("frames/frame_*.vtkhdf"))[-1]) as frame:
-        color = frame["VTKHDF/PointData/colour"][()]
+        color = frame["VTKHDF/PointData/color_sh"][()]
         kinds = frame["VTKHDF/PointData/object"][()]
     assert not np.isnan(color[kinds == 2]).any() and np.isnan(color[kinds == 5]).all()
     assert (color[kinds == 2].std(axis=0) > 0.001).all()

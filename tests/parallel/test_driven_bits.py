@@ -16,10 +16,11 @@ pytestmark = pytest.mark.mpi
 
 SCENE = (
     MIXED.replace("PRECISION", "single")
-    .replace("friction = 0.2 }", 'friction = 0.2, until = "18 ms" }')
+    .replace("friction = 0.2 }", 'friction = 0.2, removal_time = "18 ms" }')
     .replace(
-        "velocity = [-2, 0, 0]\nspin = [0, 5, 0]",
-        'motion = { velocity = [-2, 0, -1], spin = "300 rpm", axis = [1, 2, 0], until = "25 ms" }',
+        "velocity = [-2, 0, 0]\nangular_velocity = [0, 5, 0]",
+        'motion = { velocity = [-2, 0, -1], angular_velocity = "300 rpm", axis = [1, 2, 0],'
+        ' end_time = "25 ms" }',
     )
     + """
 [material.sand]
@@ -51,7 +52,7 @@ def frames(found):
 
 def test_they_are_let_go(one):
     rows = read_rows(one[2] / "ledger.csv")
-    count = {(row["phase"], round(1e3 * row["time"])): row["count"] for row in rows}
+    count = {(row["phase"], round(1e3 * row["time"])): row["particles"] for row in rows}
     whole = count["castle (frozen)", 0]
     assert whole > 1000 and count["sand", 0] == count["cube", 0] == 0
     assert 0 < count["sand", 20] < whole and count["cube (driven)", 20] > 0
@@ -60,7 +61,7 @@ def test_they_are_let_go(one):
     mass = {t: sum(r["mass"] + r["mass_out"] - r["mass_in"] for r in rows if r["step"] == t)
             for t in steps}  # fmt: skip
     assert np.abs(list(mass.values())).max() < 1e-14 and len(mass) == 4
-    gone = {r["step"]: r["count_out"] for r in rows if r["phase"] == "castle (frozen)"}
+    gone = {r["step"]: r["particles_out"] for r in rows if r["phase"] == "castle (frozen)"}
     assert gone[max(steps)] > 0 == gone[min(steps)]  # over to the sand, and through the wall
     assert count["sand", 60] < whole
 

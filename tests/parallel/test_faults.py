@@ -51,9 +51,9 @@ def test_a_blow_up_names_who_and_when(tmp_path):
         assert int(step) > 80
         known = RunReader(out)
         thing = next(o for o in known.objects if o["name"] == name)
-        assert 0 <= int(particle) - thing["first"] < thing["count"]
+        assert 0 <= int(particle) - thing["first_row"] < thing["row_count"]
         assert len(known.times) >= 2
-        total = sum(o["count"] for o in known.objects if o["material"])
+        total = sum(o["row_count"] for o in known.objects if o["material"])
         assert [len(known.frame(k)["x"]) for k in range(len(known.times))] == [total] * len(
             known.times
         )

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.mpi
 
 COLLIDERS = ("post", "paddle", "roller")
 ASKED = SCENE + "".join(
-    f'[[probe]]\nname = "{name}"\nrate = "200 Hz"\n{key} = "{name}"\n'
+    f'[[probe]]\nname = "{name}"\nsampling_rate = "200 Hz"\n{key} = "{name}"\n'
     for key, names in (("wall", ("all", *WALL_NAMES)), ("collider", COLLIDERS))
     for name in names
 )
@@ -39,7 +39,7 @@ def column(folder, name, key):
 def test_they_are_felt(one):
     """In single precision all together are the balance to its digits."""
     _, _, out = one
-    assert np.abs(column(out, "paddle", "all_work")[-1]) > 1e-3
+    assert np.abs(column(out, "paddle", "cumulative_work")[-1]) > 1e-3
     assert np.abs(column(out, "roller", "torque_y")[1:]).max() > 1e-3
     for axis in "xyz":
         key = f"force_{axis}"

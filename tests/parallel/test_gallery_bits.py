@@ -43,4 +43,4 @@ def test_the_same_bits(name, tmp_path):
     assert found[0] == found[1] == found[2]
     rows = read_rows(tmp_path / "1" / "ledger.csv")
     last = max(row["step"] for row in rows)
-    assert last > 10 and sum(row["count"] for row in rows if row["step"] == last) > 1000
+    assert last > 10 and sum(row["particles"] for row in rows if row["step"] == last) > 1000

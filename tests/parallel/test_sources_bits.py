@@ -93,11 +93,11 @@ def fluid(folder):
 def test_something_comes_and_goes(one):
     _, _, out = one
     rows = fluid(out)
-    came, went = ([int(row[key]) for row in rows] for key in ("count_in", "count_out"))
+    came, went = ([int(row[key]) for row in rows] for key in ("particles_in", "particles_out"))
     assert came == sorted(set(came)) and came[-1] - came[0] > 150
     assert went[0] == 0 and went[-1] > 50
     for row in rows:
-        assert int(row["count_in"]) - int(row["count_out"]) == int(row["count"])
+        assert int(row["particles_in"]) - int(row["particles_out"]) == int(row["particles"])
         left = float(row["mass_in"]) - float(row["mass_out"]) - float(row["mass"])
         assert abs(left) < 1e-14 * float(row["mass_in"])
 

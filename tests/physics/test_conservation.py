@@ -119,7 +119,7 @@ def test_a_spinning_body(tmp_path):
             held(f"{title}: angular momentum", moved, 0.0, 1e-12, **say)
             held(f"{title}: energy lost", gone, 0.0, 0.01, kind="below", source="exact", note=note)
         else:
-            note += "; flip = 0.99" if "flip" in name else ""
+            note += "; flip_ratio = 0.99" if "flip" in name else ""
             say = {"kind": "below", "source": jiang, "note": note, "expected": False}
             held(f"{title}: angular momentum", moved, 0.0, 1e-12, **say)
             say |= {"source": "exact"}
@@ -139,9 +139,9 @@ MOTION
 @pytest.mark.parametrize(
     "stuff, motion, tolerance",
     [
-        ("rubber", "spin = [3, 0, 12]", 1e-3),
-        ("water", "spin = [3, 0, 12]", 1e-3),
-        ("water", "mode = { amplitude = [0, 0.2, 0], wave = [30, 0, 0] }", 0.01),
+        ("rubber", "angular_velocity = [3, 0, 12]", 1e-3),
+        ("water", "angular_velocity = [3, 0, 12]", 1e-3),
+        ("water", "velocity_mode = { amplitude = [0, 0.2, 0], wave_vector = [30, 0, 0] }", 0.01),
     ],
     ids=["spin", "spin of a fluid", "wave"],
 )

@@ -97,7 +97,7 @@ def test_a_ball_jumps_off_a_slab_that_is_held(tmp_path):
 def test_a_slab_that_is_driven_throws_a_ball(tmp_path):
     """At u it gets 2 u: seen from the slab it comes with u and goes with u."""
     text = head("[0.3, 0.3, 0.3]", 0.01, 0) + BALL.replace("HEIGHT", "0.135")
-    drive = 'motion = { velocity = [0, 0, 0.3], until = "0.1 s" }\n'
+    drive = 'motion = { velocity = [0, 0, 0.3], end_time = "0.1 s" }\n'
     simulation, made = begin(tmp_path, text.replace("SPEED", "0") + drive)
     advance(simulation, 0.0999)
     x, v = by_id(simulation, "x", "v")
@@ -112,8 +112,8 @@ def test_a_slab_that_is_driven_throws_a_ball(tmp_path):
 def test_what_was_driven_keeps_its_motion(tmp_path):
     text = head("[0.3, 0.3, 0.3]", 0.01, 0).replace('"separate"', '"slip"')
     text += BALL[: BALL.index("velocity")].replace("HEIGHT", "0.15")
-    keys = 'velocity = [0.2, 0, 0.1], spin = "40 rad/s", axis = [1, 2, 0], until = "50 ms"'
-    spun = f"motion = {{ {keys} }}"
+    keys = 'velocity = [0.2, 0, 0.1], angular_velocity = "40 rad/s", axis = [1, 2, 0]'
+    spun = f'motion = {{ {keys}, end_time = "50 ms" }}'
     simulation, _ = begin(tmp_path, text + spun)
     advance(simulation, 0.05)
     let_go = totals(simulation)
@@ -129,13 +129,13 @@ def test_what_was_driven_keeps_its_motion(tmp_path):
 
 
 SMOOTH = '[[coupling]]\nkind = "contact"\nbetween = ["rubber", "rubber"]\nfriction = 0\n'
-PROBE = '[[probe]]\nname = "slab"\nrate = 100\ncollider = "slab"\n'
+PROBE = '[[probe]]\nname = "slab"\nsampling_rate = 100\ncollider = "slab"\n'
 
 
 def _thrown(tmp_path, motion):
     """(momentum and energy that a slab's motion gave a ball, impulse and work that are told)."""
     text = head("[0.3, 0.3, 0.3]", 0.01, 0) + BALL.replace("HEIGHT", "0.135")
-    motion = f'motion = {{ {motion}, until = "0.1 s" }}\n'
+    motion = f'motion = {{ {motion}, end_time = "0.1 s" }}\n'
     simulation, _ = begin(tmp_path, text.replace("SPEED", "0") + motion + SMOOTH + PROBE)
     advance(simulation, 0.0999)
     impulse, work = simulation.reactions.totals[0, :3], simulation.reactions.totals[0, 6]
@@ -143,7 +143,7 @@ def _thrown(tmp_path, motion):
 
 
 def test_what_it_gives_the_others_get(tmp_path):
-    turning = 'velocity = [0.1, 0, 0.3], spin = "2 rad/s", axis = [1, 1, 0]'
+    turning = 'velocity = [0.1, 0, 0.3], angular_velocity = "2 rad/s", axis = [1, 1, 0]'
     momentum, _, impulse, _ = _thrown(tmp_path, turning)
     scale = np.linalg.norm(momentum)
     lost = np.abs(momentum - impulse).max() / scale
@@ -160,4 +160,5 @@ def test_its_work_is_the_energy_of_the_others(tmp_path):
 def _of_ball(simulation):
     """Momentum (3,) and energy of the ball."""
     row = next(row for row in conservation_rows(simulation) if row["phase"] == "ball")
-    return np.array([row[f"momentum_{a}"] for a in "xyz"]), row["kinetic"] + row["elastic"]
+    energy = row["kinetic_energy"] + row["elastic_energy"]
+    return np.array([row[f"momentum_{a}"] for a in "xyz"]), energy

@@ -58,7 +58,8 @@ def positions(folder, bodies, gravity, end):
     return [x[made.object == k] for k in range(len(bodies))]
 
 
-WAVE = "mode = { amplitude = [0, 0.02, 0.01], wave = [0, 30, 10] }\n"  # along the faces that part
+# along the faces that part
+WAVE = "velocity_mode = { amplitude = [0, 0.02, 0.01], wave_vector = [0, 30, 10] }\n"
 PARTING = [
     ("one", "rubber", "[[0.1, 0.04, 0.06], [0.2, 0.16, 0.14]]", "[-0.5, 0, 0]", WAVE),
     ("two", "rubber", "[[0.2, 0.06, 0.06], [0.3, 0.1, 0.14]]", "[0.5, -0.2, 0]", WAVE),

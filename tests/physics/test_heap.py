@@ -14,6 +14,7 @@ import pytest
 import vgmpi
 from tests.support.validation_record import held
 
+ENERGIES = ("kinetic", "elastic", "potential")  # of the ledger
 LONG, HIGH, DEPTH, SLOPE, POROSITY, END = 0.4, 0.1, 0.05, 0.4, 0.4, 1.2
 SCENE = """
 [domain]
@@ -121,7 +122,7 @@ def settle(folder, cells):
         volume = found["vol0"] * np.where(sand, 1 - POROSITY, found["J"])
         plan = run.simulation.plan
         fills.append(fullest(found["x"], volume, plan.cells, plan.dx))
-        energies.append(sum(r["kinetic"] + r["elastic"] + r["potential"] for r in run.ledger))
+        energies.append(sum(r[f"{kind}_energy"] for r in run.ledger for kind in ENERGIES))
 
     scene = vgmpi.load(folder / "heap.toml", text=scene_text(cells))
     run = vgmpi.run(scene, on_frame=look)
@@ -132,7 +133,7 @@ def settle(folder, cells):
     h = level_by_volume(vol0[~sand].sum(), x[sand, 2], (1 - POROSITY) * vol0[sand], area)
     rows = [run.probes[name] for name in ("left", "right")]
     times = np.array([row["time"] for row in rows[0]])
-    levels = np.mean([[row["level"] for row in side] for side in rows], axis=0)
+    levels = np.mean([[row["surface_height"] for row in side] for side in rows], axis=0)
     print(f"{run.step} steps; sand {x[sand, 2].max():.4f} m high, fills {np.round(fills, 2)}")
     return times, levels, h, max(fills), np.array(energies) / energies[0]
 

@@ -1,9 +1,9 @@
 """Water at rest stays at rest: pressure over depth, and the height of its centre of mass.
 
 Theory: p = rho g (H - z). The compression under its own weight at the bottom, rho g H / K with K
-the bulk modulus, is .15 % here (`depth`, `compression`): p differs from this line by less than .1 %
-of rho g H, and the centre of mass of a column that begins uncompressed sinks by a third of the
-compression, .05 % of H. Tolerances: .1 % of H for the centre of mass, 1 % of rho g H for p.
+the bulk modulus, is .15 % here (`max_depth`, `max_compression`): p differs from this line by less
+than .1 % of rho g H, and the centre of mass of a column that begins uncompressed sinks by a third
+of the compression, .05 % of H. Tolerances: .1 % of H for the centre of mass, 1 % of rho g H for p.
 """
 
 import numpy as np
@@ -33,7 +33,7 @@ max_compression = 0.0015
 [[object]]
 name = "water"
 material = "water"
-initial_pressure = "{compressed}"
+initial_pressure = "{initial_pressure}"
 shape = {{ box = [[0, 0, 0], [0.04, 0.04, 0.16]] }}
 """
 PROBE = """
@@ -45,23 +45,23 @@ pressure = [0.02, 0.02, {z}]
 
 
 @pytest.mark.parametrize(
-    "compressed, end, precision",
+    "initial_pressure, end, precision",
     [
         ("hydrostatic", 1.0, "single"),
-        ("no", 1.0, "single"),
+        ("zero", 1.0, "single"),
         pytest.param("hydrostatic", 10.0, "double", marks=pytest.mark.slow),
     ],
 )
-def test_at_rest(tmp_path, compressed, end, precision):
-    """compressed: "no": gravity grows over .3 s instead, and the column settles."""
-    ramp = "gravity_ramp_time = 0.3" if compressed == "no" else ""
-    text = SCENE.format(ramp=ramp, end=end, precision=precision, compressed=compressed)
+def test_at_rest(tmp_path, initial_pressure, end, precision):
+    """initial_pressure "zero": gravity grows over .3 s instead, and the column settles."""
+    ramp = "gravity_ramp_time = 0.3" if initial_pressure == "zero" else ""
+    text = SCENE.format(ramp=ramp, end=end, precision=precision, initial_pressure=initial_pressure)
     text += "".join(PROBE.format(name=f"p{k}", z=z * H) for k, z in enumerate(HEIGHTS))
     middle = []
     scene = vgmpi.load(tmp_path / "rest.toml", text=text)
     run = vgmpi.run(scene, on_frame=lambda now: middle.append(now.array("x")[:, 2].mean()))
     assert run.code == 0 and len(middle) == 41
-    start = "begun compressed" if compressed == "hydrostatic" else "begun uncompressed"
+    start = "begun compressed" if initial_pressure == "hydrostatic" else "begun uncompressed"
     title = f"water at rest for {end:.0f} s, {start}"
     note = f"{CELLS} cells, {precision} precision, rho g H / K = 0.15 %"
     drift = np.abs(np.array(middle) / H - middle[0] / H)

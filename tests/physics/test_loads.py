@@ -176,16 +176,16 @@ def test_gravity_by_keyframes(tmp_path):
 
 AT_ONCE = {
     "impulse": ("impulse = [1e-3, -2e-3, 5e-4]", (1e-3, -2e-3, 5e-4)),
-    "velocity": ("velocity = [0, 0.3, 0]", (0, 0.3 * 1000 * VOLUME, 0)),
+    "delta_velocity": ("delta_velocity = [0, 0.3, 0]", (0, 0.3 * 1000 * VOLUME, 0)),
 }
 
 
-@pytest.mark.parametrize("after", ["0 s", "5.1 ms"])
+@pytest.mark.parametrize("start_time", ["0 s", "5.1 ms"])
 @pytest.mark.parametrize("case", AT_ONCE)
-def test_what_is_given_at_once(tmp_path, case, after):
+def test_what_is_given_at_once(tmp_path, case, start_time):
     """Once, in the step of its time, whatever the steps."""
     says, want = AT_ONCE[case]
-    load = f'[[load]]\nobject = "block"\n{says}\nafter = "{after}"\n'
+    load = f'[[load]]\nobject = "block"\n{says}\nstart_time = "{start_time}"\n'
     _, momentum = free(tmp_path, load)
     assert np.abs(momentum - want).max() < 1e-12 * np.abs(want).max()
 
@@ -196,7 +196,7 @@ def test_it_is_given_once_where_a_frame_ends_a_step(tmp_path):
     given = ""
     ends = [0.1 * k / 30 for k in range(1, 6)]
     for end in ends:
-        given += f'[[load]]\nobject = "block"\nvelocity = [0.1, 0, 0]\nafter = {end!r}\n'
+        given += f'[[load]]\nobject = "block"\ndelta_velocity = [0.1, 0, 0]\nstart_time = {end!r}\n'
     simulation, _ = begin(tmp_path, text + given)
     for k, end in enumerate(ends):
         before = totals(simulation)["momentum"][0]
@@ -209,7 +209,8 @@ def test_it_is_given_once_where_a_frame_ends_a_step(tmp_path):
 def test_a_change_of_spin(tmp_path, transfer):
     """A body at rest gets w about its centre: no momentum, and I w of angular momentum, of which
     the particles of APIC have a part each, dx2 / 2 of their mass."""
-    load = '[[load]]\nobject = ["block", "rider"]\nspin = [0, 0, 3]\nafter = "2 ms"\n'
+    load = '[[load]]\nobject = ["block", "rider"]\ndelta_angular_velocity = [0, 0, 3]\n'
+    load += 'start_time = "2 ms"\n'
     text = BLOCK.replace("GRAVITY", "0").replace("RAMP", "")
     simulation, made = begin(tmp_path, text + load + f'[accuracy]\ntransfer = "{transfer}"\n')
     mass = made.vol0 * np.array([1000.0, 500.0])[made.object]
@@ -229,7 +230,7 @@ def test_steps_know_of_a_kick(tmp_path):
     """4 m/s within one step, in cells of 2 cm: no step but that one is shorter, and nothing blows
     up."""
     text = BLOCK.replace("GRAVITY", "0").replace("RAMP", "")
-    load = '[[load]]\nobject = "block"\nvelocity = [4, 0, 0]\nafter = "2 ms"\n'
+    load = '[[load]]\nobject = "block"\ndelta_velocity = [4, 0, 0]\nstart_time = "2 ms"\n'
     simulation, _ = begin(tmp_path, text + load)
     free = simulation.bound()
     assert simulation.bound() == free and free < 0.002

@@ -38,7 +38,7 @@ def colliders():
         x, y = 0.05 + 0.09 * (k % 10), 0.03 + 0.044 * (k // 10)
         keys = ", ".join(
             f"{{ time = {0.2 * (i + 1):.1f}, angle = {0.1 * (i % 7):.1f},"
-            f" move = [0, 0, {0.01 * np.sin(i + k):.4f}] }}"
+            f" translation = [0, 0, {0.01 * np.sin(i + k):.4f}] }}"
             for i in range(100)
         )
         text += (

@@ -128,7 +128,9 @@ def spread(folder, cells, per_cell, start=0.0, kind="mixing", precision="single"
             at = np.linspace(0, LENGTH, 2 * cells + 1)
             share = layer(at, start) if name == "water" else 1.0 - layer(at, start)
             at, share = at.round(9).tolist(), share.round(9).tolist()
-            said = f'volume_fraction_profile = {{ axis = "x", at = {at}, share = {share} }}\n'
+            said = (
+                f'volume_fraction_profile = {{ axis = "x", positions = {at}, values = {share} }}\n'
+            )
         box = f"[[{low}, 0, 0], [{high}, {4 * dx!r}, {4 * dx!r}]]"
         text += f'[[object]]\nname = "a {name}"\nmaterial = "{name}"\nshape = {{ box = {box} }}\n'
         text += f"particles_per_cell = {per_cell}\n{said}"
@@ -325,7 +327,10 @@ def test_rayleigh_taylor(tmp_path, cells):
     """The ripple's height from the heavy fluid's volume: sum V cos(k x) = -height area / 2."""
     k, dx = np.pi / ACROSS, ACROSS / cells
     text = TWO_LAYERS.replace("THICK", repr(4 * dx)).replace("CELL", repr(dx))
-    mode = f"mode = {{ amplitude = [0, 0, {SPEED}], wave = [{k!r}, 0, 0], phase = {np.pi / 2!r} }}"
+    mode = (
+        f"velocity_mode = {{ amplitude = [0, 0, {SPEED}], wave_vector = [{k!r}, 0, 0],"
+        f" phase_angle = {np.pi / 2!r} }}"
+    )
     simulation, made = begin(tmp_path, text.replace("MODE", mode))
     heavy, times, heights = made.object == 0, [], []
     for t in np.linspace(0.02, 0.36, 18):
@@ -379,7 +384,7 @@ def three(folder, names):
         text += f"shape = {{ sphere = {{ center = {list(centre)}, radius = 0.05 }} }}\n"
     for a, b in ("AB", "BC"):
         text += f'[[coupling]]\nbetween = ["{names[a]}", "{names[b]}"]\nkind = "mixing"\n'
-        text += "diffusivity = 1e-4\nslip_time = 2e-3\n"
+        text += "diffusivity = 1e-4\nslip_relaxation_time = 2e-3\n"
     simulation, made = begin(folder, text)
     before = totals(simulation)["momentum"]
     met = 0

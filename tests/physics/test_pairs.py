@@ -24,7 +24,7 @@ LAWS = {
     "plasticine": 'kind = "plasticine"\nyoungs_modulus = 5e5\nyield_stress = 1e4',
     "snow": 'kind = "snow"',
     "sand": 'kind = "sand"\nyoungs_modulus = 2e5',
-    "fluid": 'kind = "fluid"\nbulk_modulus = 2e4\nviscosity = 0.5',
+    "fluid": 'kind = "fluid"\ntait_coefficient = 2e4\nviscosity = 0.5',
 }
 # upper and lower
 PAIRS = [

@@ -70,7 +70,7 @@ def waves(folder, kh, cells):
         long=round(float(np.ceil(far / dx / 4)) * 4 * dx, 9), wide=4 * dx, high=round(1.5 * H, 9),
         dx=dx, face=face, back=-4 * dx, south=-4 * dx, north=8 * dx, top=0.3,
         keys=", ".join(
-            f"{{ time = {t:.9f}, move = [{m:.9f}, 0, 0] }}"
+            f"{{ time = {t:.9f}, translation = [{m:.9f}, 0, 0] }}"
             for t, m in zip(keys, moves, strict=True)
         ),
     )  # fmt: skip

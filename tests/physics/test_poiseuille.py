@@ -99,9 +99,8 @@ def test_newtonian(tmp_path):
 
 def test_plug_of_a_bingham_paste(tmp_path):
     yield_stress, gravity = 8.0, 2.0
-    keys = (
-        f'kind = "paste"\nyield_stress = {yield_stress}\nconsistency = {MU}\nshear_modulus = 2000'
-    )
+    keys = f'kind = "paste"\nyield_stress = {yield_stress}\nconsistency_index = {MU}\n'
+    keys += "shear_modulus = 2000"
     simulation = column(tmp_path, keys, gravity, 80, 28)
     advance(simulation, 2.5 * RHO * H**2 / MU)
     x, u = profile(simulation)

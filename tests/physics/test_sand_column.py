@@ -34,7 +34,7 @@ def fallen(column, folder):
 
 def compared(found, tolerance, source, expected=True, high=None):
     column = found.column
-    named = column.sand if column.angle is None else f"{column.angle:g} degrees {column.match}"
+    named = column.sand if column.angle is None else f"{column.angle:g} degrees {column.test}"
     case = f"column of {named}, {column.form}, a = {column.a:g}, {column.cells} cells"
     ran = found.front(), run_out(column), tolerance
     held(f"{case}: run-out", *ran, source=source, note=column.transfer, expected=expected)
@@ -50,7 +50,7 @@ def test_run_out(tmp_path, a):
 
 def test_the_angle_of_repose_is_not_that_of_triaxial_tests(tmp_path):
     """Sand matched to Mohr-Coulomb where it is pressed along an axis is too strong in a channel."""
-    column = Column("plane", 1, 16, angle=31, match="triaxial")
+    column = Column("plane", 1, 16, angle=31, test="triaxial")
     compared(fallen(column, tmp_path), 0.1, WALLS, expected=False)
 
 

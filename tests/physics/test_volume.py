@@ -52,8 +52,8 @@ def crowded(folder, volume):
 
 def test_water_that_splashed_keeps_its_volume(tmp_path):
     say = {"source": "nothing is compressed", "note": "16 x 4 cells, 5 cells deep in the end"}
-    for volume, right in (("kept", True), ("followed", False)):
-        name = f"water that has splashed, volume {volume}: density of the lower half"
+    for volume, right in (("density", True), ("none", False)):
+        name = f"water that has splashed, volume correction {volume}: density of the lower half"
         found = crowded(tmp_path, volume)
         held(name, found, 1.0, 0.04, expected=right, deviation=True, **say)
 
@@ -61,14 +61,21 @@ def test_water_that_splashed_keeps_its_volume(tmp_path):
 @pytest.mark.parametrize("precision", ["single", "double"])
 def test_water_at_rest_stays(tmp_path, precision):
     """For 1 s, with the pressure that its weight asks for."""
-    text = SCENE.replace("VOLUME", "kept").replace("SHAPE", RESTS).replace("single", precision)
+    text = SCENE.replace("VOLUME", "density").replace("SHAPE", RESTS).replace("single", precision)
     simulation, _ = begin(tmp_path, text)
     x, v, J = by_id(simulation, "x", "v", "J")
     advance(simulation, 1.0)
     there, moves, after = by_id(simulation, "x", "v", "J")
     say = {"kind": "absolute", "source": "at rest", "note": f"5 cells deep, {precision}"}
     sunk = np.abs((there - x)[:, 2]).max() / LEVEL
-    held(f"water at rest, volume kept, {precision}: goes", sunk, 0.0, 2e-3, unit="of H", **say)
+    held(
+        f"water at rest, volume correction density, {precision}: goes",
+        sunk,
+        0.0,
+        2e-3,
+        unit="of H",
+        **say,
+    )
     off = np.abs(after - J).max() / np.abs(J - 1).max()
-    held(f"water at rest, volume kept, {precision}: pressure", off, 0.0, 0.03, **say)
+    held(f"water at rest, volume correction density, {precision}: pressure", off, 0.0, 0.03, **say)
     assert np.abs(moves).max() < 1e-3

@@ -56,9 +56,8 @@ def keeps(folder, cells, around, turns):
     then)."""
     wide = 4 * cells if around == "water" else 2 * cells + 16
     radius, half = cells * DX, round(wide * DX / 2, 9)
-    wheel = (
-        f"cylinder = {{ ends = [[{half}, {half}, 0], [{half}, {half}, 0.04]], radius = {radius} }}"
-    )
+    ends = f"[[{half}, {half}, 0], [{half}, {half}, 0.04]]"
+    wheel = f"cylinder = {{ endpoints = {ends}, radius = {radius} }}"
     rate = RIM / radius
     text = SCENE.format(long=2 * half, turns=rate, wheel=wheel, around=around)
     simulation, made = begin(folder, text)

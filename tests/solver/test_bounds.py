@@ -113,7 +113,7 @@ ATTRS = {
     "reach": (3, ["a"], [float("nan")] * 5, [-1.0] * 5),
     "frame": (-1, 1.5, "one", 1 << 40, None),
     "scene": ([], None, "a scene"),
-    "history": ("none", 3),
+    "resume_history": ("none", 3),
 }
 
 

@@ -29,13 +29,14 @@ end = 1
 precision = "double"
 ACCURACY
 """
-KEPT = 'volume = "kept"'
+DENSITY = 'volume_correction = "density"'
 WALLS = {
-    "mixed": 'default = "slip", floor = "stick", west = { kind = "separate", friction = 0.2 }',
-    "open": 'default = "slip", floor = "stick", east = "open"',
+    "mixed": 'default = "slip", bottom = "stick", west = { kind = "separate", friction = 0.2 }',
+    "open": 'default = "slip", bottom = "stick", east = "open"',
     "separate": 'default = { kind = "separate", friction = 0.3 }',
-    "vanishing": 'default = { kind = "separate", friction = 0.3 }, floor = "stick", '
-    'east = { kind = "slip", until = "0.5 ms" }, north = { kind = "separate", until = "0.8 ms" }',
+    "vanishing": 'default = { kind = "separate", friction = 0.3 }, bottom = "stick", '
+    'east = { kind = "slip", removal_time = "0.5 ms" },'
+    ' north = { kind = "separate", removal_time = "0.8 ms" }',
 }
 
 
@@ -51,14 +52,14 @@ def coupling(kind, one, other, keys=""):
     return f'[[coupling]]\nkind = "{kind}"\nbetween = ["{one}", "{other}"]\n{keys}\n'
 
 
-WATER = material("water", 'kind = "fluid"\nbulk_modulus = 2e4\nviscosity = 0.5')
-OIL = material("oil", 'kind = "fluid"\nbulk_modulus = 1e4\ndensity = 800')
+WATER = material("water", 'kind = "fluid"\ntait_coefficient = 2e4\nviscosity = 0.5')
+OIL = material("oil", 'kind = "fluid"\ntait_coefficient = 1e4\ndensity = 800')
 SAND = material("sand", 'kind = "sand"\nyoungs_modulus = 2e5\nporosity = 0.45')
 TOY = material("toy", 'kind = "elastic"\ndensity = 700\nyoungs_modulus = 2e5')
 POOL = body("pool", "water", "box = [[0, 0, 0], [0.2, 0.16, 0.06]]", "velocity = [0.5, -0.4, -0.3]")
 CUBE = body(
     "cube", "toy", "box = [[0.03, 0.05, 0.055], [0.1, 0.11, 0.1]]",
-    "velocity = [-1, 0.5, -1]\nspin = [2, 0, 4]",
+    "velocity = [-1, 0.5, -1]\nangular_velocity = [2, 0, 4]",
 )  # fmt: skip
 OTHER = body(
     "other", "toy", "box = [[0.095, 0.03, 0.05], [0.16, 0.1, 0.11]]", "velocity = [-2, 0, 0]"
@@ -86,30 +87,31 @@ BED = body(
     "bed", "sand", "box = [[0.02, 0.02, 0], [0.14, 0.14, 0.07]]", "velocity = [0.1, -0.6, 0]"
 )
 TAP = (
-    '[[inlet]]\nname = "tap"\nmaterial = "water"\ndirection = [1, 0, -0.5]\nvelocity = 8\n'
+    '[[inlet]]\nname = "tap"\nmaterial = "water"\ndirection = [1, 0, -0.5]\nspeed = 8\n'
     "disc = { center = [0.15, 0.13, 0.12], radius = 0.012 }\n"
 )
 HOLE = '[[outlet]]\nname = "hole"\nshape = { box = [[0, 0, 0.065], [0.0325, 0.16, 0.16]] }\n'
-WET = body("wet", "water", "box = [[0, 0, 0], [0.11, 0.16, 0.09]]", "fraction = 0.6")
+WET = body("wet", "water", "box = [[0, 0, 0], [0.11, 0.16, 0.09]]", "volume_fraction = 0.6")
 OILY = body(
     "oily", "oil", "box = [[0.05, 0, 0.02], [0.2, 0.16, 0.1]]",
-    "fraction = 0.6\nvelocity = [-0.4, 0, -0.1]",
+    "volume_fraction = 0.6\nvelocity = [-0.4, 0, -0.1]",
 )  # fmt: skip
-MIX = coupling("mixing", "water", "oil", "diffusivity = 2e-4\nslip_time = 3e-3")
+MIX = coupling("mixing", "water", "oil", "diffusivity = 2e-4\nslip_relaxation_time = 3e-3")
 FLOW = coupling("drag", "water", "sand", "hydraulic_conductivity = 2e-2")
 COLORS = '[appearance]\ncolor_transfer = "step"\n'
 ONE = 'phase = "one"\n'
-AFLIP = 'transfer = "aflip"\ndamping = "5 ms"'
-RESTORED = 'transfer = "apic-corrected"'
+AFLIP = 'transfer = "aflip"\nflip_decay_time = "5 ms"'
+CORRECTED = 'transfer = "apic-corrected"'
 RED, BLUE = 'color = "#ff2010"', 'color = "#1020ff"'
 
 
 TUMBLING = (
-    'motion = { velocity = [-1, 0.5, -1], spin = "300 rpm", axis = [1, 0, 2], until = "2 ms" }\n'
+    'motion = { velocity = [-1, 0.5, -1], angular_velocity = "300 rpm", axis = [1, 0, 2],'
+    ' end_time = "2 ms" }\n'
 )
 DRIVEN = CUBE[: CUBE.index("velocity")] + TUMBLING
 HELD = BED[: BED.index("velocity")] + 'release_time = "0.7 ms"\n'
-LETTING_GO = HELD + 'release_order = "top-down"\nreleased_by = "2 ms"\n'
+LETTING_GO = HELD + 'release_order = "top-down"\nrelease_end_time = "2 ms"\n'
 TIN = material("tin", 'kind = "metal"\nyoungs_modulus = 1e6\nyield_stress = 2e3')
 
 
@@ -154,48 +156,48 @@ SCENES = {kind: (of_law(kind), "mixed", "") for kind in LAWS} | {
     "everything": (
         WATER + OIL + SAND + TOY + WET + OILY + BED + CUBE + POST + MIX + FLOW, "separate", "",
     ),
-    "flip": (WATER + TOY + POOL + CUBE, "mixed", 'transfer = "flip"\ndamping = "3 ms"'),
-    "flip by steps": (WATER + TOY + POOL + CUBE, "mixed", 'transfer = "flip"\nflip = 0.9'),
+    "flip": (WATER + TOY + POOL + CUBE, "mixed", 'transfer = "flip"\nflip_decay_time = "3 ms"'),
+    "flip by steps": (WATER + TOY + POOL + CUBE, "mixed", 'transfer = "flip"\nflip_ratio = 0.9'),
     "aflip": (WATER + OIL + WET + OILY + MIX, "mixed", AFLIP),
     "aflip and everything": (
         WATER + OIL + SAND + TOY + WET + OILY + BED + CUBE + POST + MIX + FLOW, "separate", AFLIP,
     ),
     "apic": (WATER + TOY + POOL + CUBE + POST, "mixed", 'transfer = "apic"'),
-    "apic-corrected": (WATER + TOY + POOL + CUBE + POST, "separate", RESTORED),
-    "restored, as one fluid": (
-        WATER + OIL + WET + OILY + coupling("mixing", "water", "oil", ""), "mixed", RESTORED,
+    "apic-corrected": (WATER + TOY + POOL + CUBE + POST, "separate", CORRECTED),
+    "apic-corrected, as one fluid": (
+        WATER + OIL + WET + OILY + coupling("mixing", "water", "oil", ""), "mixed", CORRECTED,
     ),
-    "restored and everything": (
-        WATER + OIL + SAND + TOY + WET + OILY + BED + CUBE + POST + MIX + FLOW, "mixed", RESTORED,
+    "apic-corrected and everything": (
+        WATER + OIL + SAND + TOY + WET + OILY + BED + CUBE + POST + MIX + FLOW, "mixed", CORRECTED,
     ),
-    "pic with splines": (
+    "pic with bspline": (
         WATER + TOY + POOL + CUBE, "mixed", 'transfer = "pic"\ngradient = "bspline"',
     ),
     "colors": (
         COLORS + WATER + OIL + MIX + WET + RED + "\n" + OILY + BLUE + "\n", "mixed", "",
     ),
-    "volume kept": (WATER + TOY + POOL + CUBE + POST, "mixed", KEPT),
-    "volume kept, aflip": (WATER + TOY + POOL + CUBE, "separate", f"{AFLIP}\n{KEPT}"),
-    "volume kept, splines": (
-        WATER + TOY + POOL + CUBE, "mixed", f'transfer = "pic"\ngradient = "bspline"\n{KEPT}',
+    "density correction": (WATER + TOY + POOL + CUBE + POST, "mixed", DENSITY),
+    "density correction, aflip": (WATER + TOY + POOL + CUBE, "separate", f"{AFLIP}\n{DENSITY}"),
+    "density correction, bspline": (
+        WATER + TOY + POOL + CUBE, "mixed", f'transfer = "pic"\ngradient = "bspline"\n{DENSITY}',
     ),
-    "volume kept, open": (
-        WATER + TOY + POOL.replace("0.2, 0.16, 0.06", "0.175, 0.16, 0.06") + CUBE, "open", KEPT,
+    "density correction, open": (
+        WATER + TOY + POOL.replace("0.2, 0.16, 0.06", "0.175, 0.16, 0.06") + CUBE, "open", DENSITY,
     ),
     "open walls": (
         WATER + TOY + POOL.replace("0.2, 0.16, 0.06", "0.175, 0.16, 0.06") + CUBE, "open", "",
     ),
     "walls that vanish": (WATER + TOY + POOL + CUBE + OTHER, "vanishing", ""),
-    "sources and sinks": (WATER + TOY + POOL + CUBE + TAP + HOLE, "mixed", ""),
+    "inlets and outlets": (WATER + TOY + POOL + CUBE + TAP + HOLE, "mixed", ""),
     "driven, in contact": (WATER + TOY + POOL + DRIVEN + OTHER + POST, "separate", ""),
     "let go": (WATER + SAND + TOY + POOL + HELD + DRIVEN, "mixed", ""),
     "let go in layers": (WATER + SAND + WET.replace("0.11", "0.2") + LETTING_GO + FLOW, "mixed",
                          AFLIP),
     "driven tin": (
         WATER + TIN + POOL + DRIVEN.replace("toy", "tin") + "track_deformation = true\n", "mixed",
-        RESTORED,
+        CORRECTED,
     ),
-    "followed": (
+    "deformation": (
         TIN
         + body("ball", "tin", "sphere = { center = [0.1, 0.08, 0.05], radius = 0.045 }",
                "velocity = [0.5, 0.3, -2]\ntrack_deformation = true"),

@@ -74,9 +74,9 @@ def scene(tmp_path, bodies, walls="slip", transfer="apic-corrected", end=0.01):
     text = text.replace("TRANSFER", transfer) + bodies
     for name in ("post", "paddle"):
         if f'"{name}"' in bodies:
-            text += f'[[probe]]\nname = "{name}"\nevery = "1 us"\ncollider = "{name}"\n'
+            text += f'[[probe]]\nname = "{name}"\nsampling_interval = "1 us"\ncollider = "{name}"\n'
     for name in ("all", *WALL_NAMES):
-        text += f'[[probe]]\nname = "{name}"\nevery = "1 us"\nwall = "{name}"\n'
+        text += f'[[probe]]\nname = "{name}"\nsampling_interval = "1 us"\nwall = "{name}"\n'
     return vgmpi.load(tmp_path / "scene.toml", (f"time.end={end}",), text)
 
 
@@ -135,17 +135,17 @@ def test_engines_agree(tmp_path, case):
     asked = scene(tmp_path, bodies, walls, transfer, 0.004)
     fast, slow = (vgmpi.run(asked, engine=engine) for engine in ("cpu", "numpy"))
     for name in parts(fast):
-        for key in ("impulse", "swing"):
+        for key in ("impulse", "angular_impulse"):
             got, want = rows(fast, name, key), rows(slow, name, key)
             assert np.abs(got - want).max() < 1e-9 * max(1e-2, np.abs(want).max()), (name, key)
     for name in set(parts(fast)) & {"paddle"}:
-        assert fast.probes[name][-1]["all_work"] == pytest.approx(
-            slow.probes[name][-1]["all_work"], rel=1e-9
+        assert fast.probes[name][-1]["cumulative_work"] == pytest.approx(
+            slow.probes[name][-1]["cumulative_work"], rel=1e-9
         )
 
 
 STIRRER = CUBE[: CUBE.index("velocity")] + (
-    'motion = { velocity = [-1, 0.5, -1], spin = "120 rpm", axis = [1, 0, 3] }\n'
+    'motion = { velocity = [-1, 0.5, -1], angular_velocity = "120 rpm", axis = [1, 0, 3] }\n'
 )
 
 
@@ -168,12 +168,12 @@ def test_bodies_that_are_driven(tmp_path, case):
     text = HEAD.replace("WALLS", walls).replace("TRANSFER", "apic-corrected") + bodies
     driven = [name for name in ("cube", "castle") if f'"{name}"' in bodies and name != free]
     for name in [*driven, *["post"] * ("post" in bodies)]:
-        text += f'[[probe]]\nname = "{name}"\nevery = "1 us"\ncollider = "{name}"\n'
+        text += f'[[probe]]\nname = "{name}"\nsampling_interval = "1 us"\ncollider = "{name}"\n'
     for name in WALL_NAMES:
-        text += f'[[probe]]\nname = "{name}"\nevery = "1 us"\nwall = "{name}"\n'
+        text += f'[[probe]]\nname = "{name}"\nsampling_interval = "1 us"\nwall = "{name}"\n'
     asked = vgmpi.load(
         tmp_path / "scene.toml", ("time.end=0.004",),
-        text + f'[[probe]]\nname = "free"\nevery = "1 us"\nobject = "{free}"\n',
+        text + f'[[probe]]\nname = "free"\nsampling_interval = "1 us"\nobject = "{free}"\n',
     )  # fmt: skip
     fast, slow = (vgmpi.run(asked, engine=engine) for engine in ("cpu", "numpy"))
     single = [name for name in fast.probes if name != "free"]
@@ -185,10 +185,10 @@ def test_bodies_that_are_driven(tmp_path, case):
     for name in driven:
         assert np.abs(rows(fast, name, "impulse")).max() > 1e-3 * scale, name
     for name in single:
-        for key in ("impulse", "swing"):
+        for key in ("impulse", "angular_impulse"):
             one, other = rows(fast, name, key), rows(slow, name, key)
             assert np.abs(one - other).max() < 1e-9 * max(1e-2, np.abs(other).max()), (name, key)
-    works = [run.probes[driven[0]][-1]["all_work"] for run in (fast, slow)]
+    works = [run.probes[driven[0]][-1]["cumulative_work"] for run in (fast, slow)]
     assert works[0] == pytest.approx(works[1], rel=1e-9)
     assert (works[0] > 0) == (driven[0] == "cube")  # what is held does none
 
@@ -217,14 +217,14 @@ shape = { box = [[0, 0, 0], [0.18, 0.08, 0.21]] }
 def test_water_at_rest_in_a_tank(tmp_path):
     """The floor bears the weight; each side rho g h^2 / 2 of its width, at a third of the depth."""
     text = TANK + "".join(
-        f'[[probe]]\nname = "{name}"\nrate = 100\nwall = "{name}"\n' for name in WALL_NAMES
+        f'[[probe]]\nname = "{name}"\nsampling_rate = 100\nwall = "{name}"\n' for name in WALL_NAMES
     )
     run = vgmpi.run(vgmpi.load(tmp_path / "scene.toml", text=text))
     last = {name: run.probes[name][-1] for name in WALL_NAMES}
     weight = 1000 * 9.8 * 0.21 * 0.18 * 0.08
-    assert last["floor"]["force_z"] == pytest.approx(-weight, rel=2e-3)
-    assert max(abs(last["floor"][f"torque_{a}"]) for a in "xyz") < 1e-3 * weight * 0.18
-    assert last["roof"]["force_z"] == 0.0
+    assert last["bottom"]["force_z"] == pytest.approx(-weight, rel=2e-3)
+    assert max(abs(last["bottom"][f"torque_{a}"]) for a in "xyz") < 1e-3 * weight * 0.18
+    assert last["top"]["force_z"] == 0.0
     below = 0.21 / 3 - 0.36 / 2  # from the middle of a side to where its force acts
     for name, axis, sign, width in (
         ("west", "x", -1, 0.08), ("east", "x", 1, 0.08), ("south", "y", -1, 0.18),
@@ -241,27 +241,28 @@ def test_water_at_rest_in_a_tank(tmp_path):
 def test_work_is_what_force_and_torque_do(tmp_path):
     """Of one that moves without turning its velocity times the impulse that it gives; of one that
     turns its spin times that impulse's moment, but for the chord that a step takes of the arc."""
-    slides = PADDLE.replace(', spin = "90 rpm", axis = [1, 1, 0]', "")
+    slides = PADDLE.replace(', angular_velocity = "90 rpm", axis = [1, 1, 0]', "")
     turns = PADDLE.replace("velocity = [1, 0.2, -0.5], ", "").replace("[1, 1, 0]", "[0, 1, 0]")
     for paddle, key, speed, within in (
-        (slides, "impulse", [1, 0.2, -0.5], 1e-9), (turns, "swing", [0, 3 * np.pi, 0], 0.01)
-    ):  # fmt: skip
+        (slides, "impulse", [1, 0.2, -0.5], 1e-9),
+        (turns, "angular_impulse", [0, 3 * np.pi, 0], 0.01),
+    ):
         run = vgmpi.run(scene(tmp_path, POOL + paddle))
         last = run.probes["paddle"][-1]
         by = -sum(last[f"{key}_{a}"] * w for a, w in zip("xyz", speed))
         assert abs(by) > 1e-3
-        assert last["all_work"] == pytest.approx(by, rel=within)
+        assert last["cumulative_work"] == pytest.approx(by, rel=within)
         total = sum(row["work"] for row in run.probes["paddle"][1:])
-        assert total == pytest.approx(last["all_work"], rel=1e-9)
+        assert total == pytest.approx(last["cumulative_work"], rel=1e-9)
 
 
 def test_a_collider_at_rest_does_no_work(tmp_path):
     run = vgmpi.run(scene(tmp_path, POOL + POST))
     last = run.probes["post"][-1]
-    assert last["all_work"] == 0.0 and abs(last["impulse_x"]) > 1e-3
+    assert last["cumulative_work"] == 0.0 and abs(last["impulse_x"]) > 1e-3
     # a sphere that hardly rubs is turned about its middle by little
     size = np.linalg.norm([last[f"impulse_{a}"] for a in "xyz"])
-    assert np.linalg.norm([last[f"swing_{a}"] for a in "xyz"]) < 0.05 * 0.035 * size
+    assert np.linalg.norm([last[f"angular_impulse_{a}"] for a in "xyz"]) < 0.05 * 0.035 * size
 
 
 def without(text):
@@ -281,7 +282,9 @@ def test_nobody_asks_nothing_is_there(tmp_path):
         with checkpoint.open(path) as saved:
             kept.append(saved.attrs)
     assert "given" in kept[0] and "given" not in kept[1]
-    assert [set(probe) for probe in kept[1]["scene"]["probe"]] == [{"name", "every", "wall"}]
+    assert [set(probe) for probe in kept[1]["scene"]["probe"]] == [
+        {"name", "sampling_interval", "wall"}
+    ]
     simulation = runs[1].simulation
     assert simulation.reactions is None and simulation.engine.reactions is None
     assert all(part.ghosts is None for part in simulation.engine.parts)
@@ -302,7 +305,7 @@ def test_nobody_asks_nothing_is_there(tmp_path):
     ],
 )
 def test_what_cannot_be_asked(tmp_path, asks, said):
-    text = CUBE + POST + f'[[probe]]\nname = "a"\nrate = 1\n{asks}\n'
+    text = CUBE + POST + f'[[probe]]\nname = "a"\nsampling_rate = 1\n{asks}\n'
     with pytest.raises(SceneError) as caught:
         scene(tmp_path, text)
     assert any("probe" in line and said in line for line in caught.value.lines)
@@ -310,11 +313,11 @@ def test_what_cannot_be_asked(tmp_path, asks, said):
 
 def test_where_particles_go_the_balance_alone_is_refused(tmp_path):
     open_end = HEAD.replace("WALLS", '"slip", east = "open"').replace("TRANSFER", "apic") + POOL
-    asks = '[[probe]]\nname = "a"\nrate = 1\nwall = '
+    asks = '[[probe]]\nname = "a"\nsampling_rate = 1\nwall = '
     with pytest.raises(SceneError) as caught:
         vgmpi.load(tmp_path / "scene.toml", text=f'{open_end}{asks}"all"\n')
     assert any("wall" in line and "balance" in line for line in caught.value.lines)
-    scene = vgmpi.load(tmp_path / "scene.toml", text=f'{open_end}{asks}"floor"\n')
+    scene = vgmpi.load(tmp_path / "scene.toml", text=f'{open_end}{asks}"bottom"\n')
     assert scene.probe[0].feels
     held = open_end.replace(', east = "open"', "") + 'release_time = "1 s"\n'
     with pytest.raises(SceneError) as caught:

@@ -79,24 +79,24 @@ def test_pressure_is_the_weight_above(still):
         assert np.abs(p / want - 1).max() < 0.005, (name, p / want - 1)
 
 
-def test_level(still):
+def test_surface_height(still):
     """Within a thousandth of a cell, in the middle and in a corner."""
     for name in ("gauge", "edge"):
-        level = column(still, name, "level")
-        assert np.abs(level - 0.21).max() < 1e-3 * 0.02, (name, level - 0.21)
+        height = column(still, name, "surface_height")
+        assert np.abs(height - 0.21).max() < 1e-3 * 0.02, (name, height - 0.21)
 
 
 @pytest.mark.parametrize(
-    "low, high, level", [(0, 0.01, 0.01), (0, 0.03, 0.03), (0.3, 0.48, 0.48), (0, 0.48, 0.48)]
+    "low, high, height", [(0, 0.01, 0.01), (0, 0.03, 0.03), (0.3, 0.48, 0.48), (0, 0.48, 0.48)]
 )
-def test_level_at_floor_and_roof(tmp_path, low, high, level):
-    """A puddle thinner than a cell, one and a half cells deep, and water up to the roof."""
+def test_surface_height_at_bottom_and_top(tmp_path, low, high, height):
+    """A puddle thinner than a cell, one and a half cells deep, and water up to the top."""
     text = STILL.replace("0, 0, 0]", f"0, 0, {low}]").replace(
         "0.12, 0.12, 0.21", f"0.12, 0.12, {high}"
     )
     text = text.replace('initial_pressure = "hydrostatic"', "").replace("end = 0.05", "end = 1e-5")
     run = vgmpi.run(vgmpi.load(tmp_path / "scene.toml", text=text))
-    assert column(run, "gauge", "level")[0] == pytest.approx(level, rel=1e-9)
+    assert column(run, "gauge", "surface_height")[0] == pytest.approx(height, rel=1e-9)
 
 
 def test_still_water_is_still(still):
@@ -187,14 +187,14 @@ def test_a_flying_ball(tmp_path):
 
 
 def test_when_rows_are_due():
-    probe = Probe(name="a", every=0.1, level=(0, 0))
+    probe = Probe(name="a", sampling_interval=0.1, surface_height=(0, 0))
     assert not probe.due(0.0, 0.09) and probe.due(0.09, 0.1) and probe.due(0.05, 0.31)
     assert probe.due(0.29, np.nextafter(0.3, 0)) and not probe.due(np.nextafter(0.3, 0), 0.31)
-    assert Probe(name="a", rate=20, level=(0, 0)).period == 0.05
+    assert Probe(name="a", sampling_rate=20, surface_height=(0, 0)).period == 0.05
 
 
 @pytest.mark.parametrize(
-    "filled, level",
+    "filled, height",
     [
         ([1, 1, 1, 0, 0], 3.0),
         ([1, 1, 0.7, 0, 0], 2.7),
@@ -207,5 +207,5 @@ def test_when_rows_are_due():
         ([0.3, 0.1, 0.1, 0.9, 0], 3.0),  # a wave that breaks: its own surface
     ],
 )
-def test_surface_of_filled_layers(filled, level):
-    assert probe_sampling._surface(np.array(filled, float)) == pytest.approx(level)
+def test_surface_of_filled_layers(filled, height):
+    assert probe_sampling._surface(np.array(filled, float)) == pytest.approx(height)

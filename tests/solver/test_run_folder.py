@@ -163,7 +163,7 @@ def test_a_change_is_noted_in_the_run(scene):
     assert run(scene, "--resume", "--change", "--set", "domain.gravity=[0, 0, -3]") == 0
     path = checkpoint.latest_valid(scene.parent / "out" / file_layout.CHECKPOINTS)
     with checkpoint.open(path) as saved:
-        (noted,) = saved.attrs["history"]
+        (noted,) = saved.attrs["resume_history"]
     assert noted["step"] == 3
     assert "[0.0, 0.0, -3.0], in the run so far [0.0, 0.0, -9.8]" in noted["changes"][0]
 

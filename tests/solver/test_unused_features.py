@@ -116,7 +116,7 @@ collider = true
 shape = { box = [[0.18, 0.04, 0.04], [0.24, 0.12, 0.12]] }
 """
 RUBBER = '[material.stuff]\nkind = "elastic"\nyoungs_modulus = 1e5\n'
-MILK = '[material.stuff]\nkind = "fluid"\nbulk_modulus = 5e4\n'
+MILK = '[material.stuff]\nkind = "fluid"\ntait_coefficient = 5e4\n'
 GRAINS = '[material.stuff]\nkind = "sand"\n'
 COUPLED = '[[coupling]]\nbetween = ["water", "stuff"]\n'
 # what is defined and nothing is made of
@@ -232,8 +232,8 @@ def test_what_is_not_used_bounds_no_step(tmp_path):
     assert begin(tmp_path, fixed + unused)[0].plan.fixed_dt == 1e-4
 
 
-WITH_SAND = PLAIN.replace('"fluid"\nbulk_modulus = 5e4', '"sand"')
-IN_PORES = PLAIN.replace('name = "pool"', 'name = "pool"\nfraction = 0.4') + GRAINS + WITHIN
+WITH_SAND = PLAIN.replace('"fluid"\ntait_coefficient = 5e4', '"sand"')
+IN_PORES = PLAIN.replace('name = "pool"', 'name = "pool"\nvolume_fraction = 0.4') + GRAINS + WITHIN
 RED = BESIDE + 'color = "#ff0000"\n'
 TRAVELS = '[appearance]\ncolor_transfer = "step"\n'
 TAP = """
@@ -273,7 +273,8 @@ FEATURES = {
         {*MIXES, "CurrentVolumeMoments"},
     ),
     "drag": (
-        IN_PORES + COUPLED + 'kind = "drag"\npermeability = 1e-3\n', SHARED, {*MIXES, "SandLaw"},
+        IN_PORES + COUPLED + 'kind = "drag"\nhydraulic_conductivity = 1e-3\n', SHARED,
+        {*MIXES, "SandLaw"},
     ),
     "a collider": (PLAIN + POST, {"engine.layers.offsets", "solids"}, {"Offsets"}),
     "a moving collider": (
@@ -281,16 +282,20 @@ FEATURES = {
         {"engine.layers.offsets", "movers"},
         {"Offsets"},
     ),
-    "a source": (PLAIN + TAP, {"sources", "plan.sources"}, set()),
-    "a sink": (PLAIN + DRAIN, {"sinks"}, set()),
-    "a probe": (PLAIN + '[[probe]]\nname = "deep"\nrate = 100\npressure = [0.1, 0.1, 0.1]\n',
-        set(), set()),
+    "an inlet": (PLAIN + TAP, {"sources", "plan.sources"}, set()),
+    "an outlet": (PLAIN + DRAIN, {"sinks"}, set()),
+    "a probe": (
+        PLAIN + '[[probe]]\nname = "deep"\nsampling_rate = 100\npressure = [0.1, 0.1, 0.1]\n',
+        set(), set(),
+    ),
     "a wall that is felt": (
-        PLAIN + '[[probe]]\nname = "floor"\nrate = 100\nwall = "bottom"\n',
+        PLAIN + '[[probe]]\nname = "bottom"\nsampling_rate = 100\nwall = "bottom"\n',
         {"reactions", "engine.room.given", "engine.parts.ghosts"},
         {"ReactionSums", "GhostNodes"},
     ),
-    "volume that is kept": (PLAIN + '[accuracy]\nvolume = "kept"\n', set(), {"DensityCorrected"}),
+    "density correction": (
+        PLAIN + '[accuracy]\nvolume_correction = "density"\n', set(), {"DensityCorrected"},
+    ),
     "flip": (
         PLAIN + '[accuracy]\ntransfer = "flip"\n',
         {"engine.layers.impulses", "engine.beside.change", "engine.mixture_workspace",

@@ -23,7 +23,7 @@ SAID = (RunError, checkpoint.CheckpointError)
 
 def write(folder: Path) -> Path:
     """One of every file of a run, small, so that bits of HDF5's own are hit as well."""
-    objects = [{"name": "pool", "first": 0, "count": TOTAL}] * 3
+    objects = [{"name": "pool", "first_row": 0, "row_count": TOTAL}] * 3
     initial_state.write(
         folder / file_layout.GAUSSIANS,
         SerialCommunicator(),

@@ -30,10 +30,15 @@ def _chair() -> dict:
 
 
 def _mug() -> dict:
-    outer = {"cylinder": {"ends": [[0, 0, 0], [0, 0, 0.26]], "radius": 0.1}}
-    room = {"cylinder": {"ends": [[0, 0, 0.03], [0, 0, 0.3]], "radius": 0.075}}
+    outer = {"cylinder": {"endpoints": [[0, 0, 0], [0, 0, 0.26]], "radius": 0.1}}
+    room = {"cylinder": {"endpoints": [[0, 0, 0.03], [0, 0, 0.3]], "radius": 0.075}}
     handle = {
-        "torus": {"center": [0.1, 0, 0.13], "axis": "y", "radius": 0.07, "tube": 0.017},
+        "torus": {
+            "center": [0.1, 0, 0.13],
+            "axis": "y",
+            "major_radius": 0.07,
+            "minor_radius": 0.017,
+        },
         "color": WOOD,
     }
     cut = [{"union": [outer, handle]}, room]
@@ -42,7 +47,7 @@ def _mug() -> dict:
 
 def _figure() -> dict:
     def limb(a: tuple, b: tuple, radius: float, color: str) -> dict:
-        return {"capsule": {"ends": [a, b], "radius": radius}, "color": color}
+        return {"capsule": {"endpoints": [a, b], "radius": radius}, "color": color}
 
     parts = [
         limb((0, 0, 0.16), (0, 0, 0.2), 0.038, CLAY),

@@ -107,7 +107,7 @@ def box(precision):
     with TemporaryDirectory() as folder:
         loaded = scene(Path(folder), SOUP.replace("PRECISION", precision))
         made = build_scene(loaded)
-    count = [thing["count"] for thing in made.objects]
+    count = [thing["row_count"] for thing in made.objects]
     solid = [thing["family"] == "solid" for thing in made.objects]
     plan = make_plan(loaded, count, [0.04**3] * len(count), True, surface=solid)
     assert [phase.surface for phase in plan.phases] == [True, False]

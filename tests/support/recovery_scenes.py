@@ -39,7 +39,7 @@ def room(size, cell, end, walls='"slip"', gravity=DOWN):
 
 # a column that stands fast is pulled for a moment and swings along its axis
 STIFFNESS = Case(
-    room([0.08, 0.08, 0.28], 0.01, 0.12, '{ default = "slip", floor = "stick" }', [0, 0, 0])
+    room([0.08, 0.08, 0.28], 0.01, 0.12, '{ default = "slip", bottom = "stick" }', [0, 0, 0])
     + """
 [material.rubber]
 kind = "elastic"
@@ -87,7 +87,7 @@ sampling_rate = 400
 # a block that slides until it stops
 FRICTION = Case(
     room([0.4, 0.16, 0.12], 0.01, 0.3,
-         '{ default = "slip", floor = { kind = "separate", friction = 0.3 } }')
+         '{ default = "slip", bottom = { kind = "separate", friction = 0.3 } }')
     + """
 [material.clay]
 kind = "elastic"
@@ -131,7 +131,7 @@ sampling_rate = 5000
 
 # a column of sand that runs out between walls
 ANGLE = Case(
-    room([0.48, 0.08, 0.16], 0.01, 0.5, '{ default = "slip", floor = "stick" }')
+    room([0.48, 0.08, 0.16], 0.01, 0.5, '{ default = "slip", bottom = "stick" }')
     + """
 [material.grains]
 kind = "sand"
@@ -223,7 +223,7 @@ sampling_rate = 400
 
 # a block that jumps off the floor, to be seen
 JUMP = Case(
-    room([0.2, 0.2, 0.2], 0.01, 0.07, '{ default = "slip", floor = "separate" }', [0, 0, 0])
+    room([0.2, 0.2, 0.2], 0.01, 0.07, '{ default = "slip", bottom = "separate" }', [0, 0, 0])
     + """
 [material.rubber]
 kind = "elastic"

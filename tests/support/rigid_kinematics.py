@@ -94,7 +94,7 @@ def roll(folder, cells, on, mu, drive=0.0):
         floor=floor, mu=mu, x=radius + 0.0313 + up, z=radius + top, radius=radius,
     )  # fmt: skip
     if drive:
-        role += f'\nmotion = {{ velocity = [{drive}, 0, 0], until = "1 s" }}'
+        role += f'\nmotion = {{ velocity = [{drive}, 0, 0], end_time = "1 s" }}'
     if role:
         text += BELOW.format(role=role, west=-down, east=long + up, top=top)
     simulation, made = begin(folder, text)

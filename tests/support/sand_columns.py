@@ -8,9 +8,9 @@ Published, a = height / length of the column at the start:
 - round, quartz sand (Lube et al. 2004, J. Fluid Mech. 508, 175): run-out / radius = 1.24 a for
   a < 1.7, 1.6 a^(1/2) above; height / radius = a, but no more than 0.88 a^(1/6).
 
-    python -m tests.support.sand_columns plane 1 2 --cells 8 16 32 --transfer apic restored
+    python -m tests.support.sand_columns plane 1 2 --cells 8 16 32 --transfer apic apic-corrected
     python -m tests.support.sand_columns plane 2 --sand "glass beads"
-    python -m tests.support.sand_columns round .5 1 2 --angle 31 --match triaxial
+    python -m tests.support.sand_columns round .5 1 2 --angle 31 --test triaxial
 """
 
 import argparse
@@ -54,7 +54,7 @@ class Column:
     cells: int  # per length
     sand: str = "quartz sand"  # preset
     angle: float | None = None  # of friction [degrees], instead of the preset's
-    match: str = "slope"  # of `angle`
+    test: str = "slope"  # of `angle`
     transfer: str = "apic-corrected"
     floor: float | None = None  # Coulomb coefficient; None: sand does not slide on it
 
@@ -71,7 +71,8 @@ class Column:
         if self.angle is None:
             return f'preset = "{self.sand}"'
         return (
-            f'preset = "{self.sand}"\nfriction_angle = "{self.angle} deg"\nmatch = "{self.match}"'
+            f'preset = "{self.sand}"\nfriction_angle = "{self.angle} deg"\n'
+            f'friction_angle_test = "{self.test}"'
         )
 
     def scene(self) -> str:
@@ -172,7 +173,7 @@ def collapse(column: Column, folder: Path) -> Deposit:
 def row(found: Deposit) -> str:
     c, ran, high = found.column, found.front(), found.height
     floor = "stick" if c.floor is None else f"{c.floor:g}"
-    named = c.sand if c.angle is None else f"{c.angle:g} {c.match}"
+    named = c.sand if c.angle is None else f"{c.angle:g} {c.test}"
     return (
         f"| {c.form} | {c.a:g} | {c.cells} | {c.transfer} | {named} | {floor} "
         f"| {ran:.2f} | {run_out(c):.2f} | {100 * (ran / run_out(c) - 1):+.0f} % "
@@ -199,11 +200,11 @@ def main() -> None:
     args.add_argument(
         "--angle", type=float, nargs="+", default=[None], help="instead of the preset's"
     )
-    args.add_argument("--match", default="slope", help="of --angle")
+    args.add_argument("--test", default="slope", help="of --angle")
     args.add_argument("--sand", default="quartz sand", help="preset")
     args.add_argument("--floor", type=float, help="Coulomb coefficient; default: it holds")
     said = args.parse_args()
-    base = Column(said.form, 1.0, 10, said.sand, match=said.match, floor=said.floor)
+    base = Column(said.form, 1.0, 10, said.sand, test=said.test, floor=said.floor)
     print(HEAD, flush=True)
     for a, transfer, angle, cells in product(said.a, said.transfer, said.angle, said.cells):
         column = replace(base, a=a, cells=cells, angle=angle, transfer=transfer)

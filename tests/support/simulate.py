@@ -14,6 +14,8 @@ from vgmpi.solver.restart.state_io import by_id
 from vgmpi.solver.step import Simulation
 from vgmpi.solver.step_to_target import next_step
 
+ENERGIES = ("kinetic", "elastic", "potential")  # of the ledger
+
 __all__ = ["advance", "begin", "by_id", "mass_speed", "totals"]
 
 
@@ -54,9 +56,9 @@ def totals(simulation: Simulation) -> dict[str, np.ndarray | float]:
     return {
         "mass": sum(r["mass"] for r in rows),
         "momentum": sum(np.array([r[f"momentum_{a}"] for a in "xyz"]) for r in rows),
-        "angular": sum(np.array([r[f"angular_{a}"] for a in "xyz"]) for r in rows),
-        "energy": sum(r["kinetic"] + r["elastic"] + r["potential"] for r in rows),
-        "kinetic": sum(r["kinetic"] for r in rows),
+        "angular": sum(np.array([r[f"angular_momentum_{a}"] for a in "xyz"]) for r in rows),
+        "energy": sum(r[f"{kind}_energy"] for r in rows for kind in ENERGIES),
+        "kinetic": sum(r["kinetic_energy"] for r in rows),
     }
 
 

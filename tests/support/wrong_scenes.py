@@ -116,18 +116,18 @@ CASES = {
     "too few cells": ('"32 cm"]', '"4 cm"]', "domain.size.2", "at least 4 cells of 0.02 m"),
     "too many cells": ('"2 cm"', '"2 um"', "domain.size.0", "at most 32768"),
     "wall kind": (
-        'floor = "stick"',
-        'floor = "stik"',
+        'bottom = "stick"',
+        'bottom = "stik"',
         "domain.boundary.bottom.kind",
         "must be one of stick, slip, separate, open (did you mean 'stick'?); got 'stik'",
     ),
     "friction of a slip wall": (
-        'floor = "stick"',
-        'floor = { kind = "slip", friction = 0.2 }',
+        'bottom = "stick"',
+        'bottom = { kind = "slip", friction = 0.2 }',
         "domain.boundary.bottom",
         'friction is for kind = "separate" only',
     ),
-    "wall name": ("floor =", "flor =", "domain.boundary.flor", "did you mean 'floor'?"),
+    "wall name": ("bottom =", "botom =", "domain.boundary.botom", "did you mean 'bottom'?"),
     "material kind": (
         'kind = "fluid"',
         'kind = "fluit"',
@@ -171,13 +171,13 @@ CASES = {
         'prune = "auto"', "prune", "is only for objects made of gaussians or a mesh"
     ),
     "nothing to ride": ball(
-        "passive_gaussians = true", "passive", 'needs prune = "auto" or "paper"'
+        "passive_gaussians = true", "passive_gaussians", 'needs prune = "auto" or "versagauss"'
     ),
     "unknown transfer": (
         'title = "good"',
         'title = "good"\n[accuracy]\ntransfer = "flop"',
         "accuracy.transfer",
-        "must be one of apic, restored, aflip, flip, pic (did you mean 'flip'?); got 'flop'",
+        "must be one of apic, apic-corrected, aflip, flip, pic (did you mean 'flip'?); got 'flop'",
     ),
     "output field": (
         'title = "good"',
@@ -295,9 +295,9 @@ CASES = {
     ),
     "face of a force": load_with('force = [0, 0, 1]\nface = "top"', "face", "is for pressure only"),
     "load that ends before it begins": load_with(
-        'force = [0, 0, 1]\nafter = "2 s"\nuntil = "1 s"',
-        "until",
-        "must be later than after = 2 s; got 1 s",
+        'force = [0, 0, 1]\nstart_time = "2 s"\nend_time = "1 s"',
+        "end_time",
+        "must be later than start_time = 2 s; got 1 s",
     ),
     "force in kilograms": load_with(
         'force = [0, 0, "1 kg"]', "force.2", "'kg' does not measure a force; expected a number [N]"
@@ -306,46 +306,51 @@ CASES = {
         "force = [0, 0, 1]\nregion = { cube = 1 }", "region", "has no form: give one of box, sphere"
     ),
     "probe of nothing": probe_with(
-        "rate = 10", "", "give one of pressure, level, velocity, object, wall"
+        "sampling_rate = 10", "", "give one of pressure, surface_height, velocity, object, wall"
     ),
     "probe of two things": probe_with(
-        'rate = 10\nwall = "all"\nlevel = [0, 0]',
+        'sampling_rate = 10\nwall = "all"\nsurface_height = [0, 0]',
         "wall",
-        "level and wall given at once: give exactly one",
+        "surface_height and wall given at once: give exactly one",
     ),
-    "probe without a rate": probe_with('wall = "all"', "", "needs a rate or an every"),
-    "rate and every": probe_with(
-        'wall = "all"\nrate = "1 Hz"\nevery = "1 s"',
-        "every",
-        "rate and every given at once: give one",
+    "probe without a sampling rate": probe_with(
+        'wall = "all"', "", "needs a sampling_rate or a sampling_interval"
+    ),
+    "sampling rate and interval": probe_with(
+        'wall = "all"\nsampling_rate = "1 Hz"\nsampling_interval = "1 s"',
+        "sampling_interval",
+        "sampling_rate and sampling_interval given at once: give one",
     ),
     "probe twice": more(
-        2 * '[[probe]]\nname = "a"\nwall = "all"\nrate = 1\n', "probe.a.name", "is taken: "
+        2 * '[[probe]]\nname = "a"\nwall = "all"\nsampling_rate = 1\n', "probe.a.name", "is taken: "
     ),
     "probe outside": probe_with(
-        'rate = 1\npressure = [0.1, 0.1, "40 cm"]',
+        'sampling_rate = 1\npressure = [0.1, 0.1, "40 cm"]',
         "pressure.2",
         "lies outside the domain, 0 .. 0.32 m; got 0.4 m",
     ),
-    "probe of no object": probe_with('rate = 1\nobject = "boll"', "object", "did you mean 'ball'?"),
+    "probe of no object": probe_with(
+        'sampling_rate = 1\nobject = "boll"', "object", "did you mean 'ball'?"
+    ),
     "fraction given twice": ball(
-        'fraction = 0.5\nfraction_profile = { axis = "x", positions = [0, 1], values = [0, 1] }',
+        "volume_fraction = 0.5\n"
+        'volume_fraction_profile = { axis = "x", positions = [0, 1], values = [0, 1] }',
         "volume_fraction_profile",
-        "fraction and volume_fraction_profile given at once",
+        "volume_fraction and volume_fraction_profile given at once",
     ),
     "profile of two lengths": ball(
         'volume_fraction_profile = { axis = "x", positions = [0, 1, 2], values = [0, 1] }',
         "volume_fraction_profile",
-        "at and share must be of one length, 2 or more",
+        "positions and values must be of one length, 2 or more",
     ),
     "profile that turns back": ball(
         'volume_fraction_profile = { axis = "x", positions = [1, 0], values = [0, 1] }',
         "volume_fraction_profile",
-        "at must ascend",
+        "positions must ascend",
     ),
-    "fraction above one": ball("fraction = 1.5", "fraction", "must be > 0 and <= 1"),
-    "compressed solid": ball(
-        'initial_pressure = "hydrostatic"', "compressed", "is only for fluids"
+    "fraction above one": ball("volume_fraction = 1.5", "volume_fraction", "must be > 0 and <= 1"),
+    "hydrostatic solid": ball(
+        'initial_pressure = "hydrostatic"', "initial_pressure", "is only for fluids"
     ),
 }
 
@@ -378,10 +383,10 @@ BUILD_CASES = {
         "region",
         "holds no particle of ball at the start",
     ),
-    "share of nothing": ball(
+    "fraction of nothing": ball(
         'volume_fraction_profile = { axis = "x", positions = [0, 1], values = [0, 0] }',
         "volume_fraction_profile",
-        "leaves no particle: its share is 0 everywhere",
+        "leaves no particle: its values are 0 everywhere",
     ),
     "not a mesh": made_of('mesh = "inside.ply"', "mesh", "cannot be read as a mesh"),
 }

@@ -35,7 +35,7 @@ def _with_fractions(piece: BuiltObject, fraction: np.ndarray) -> BuiltObject:
     is_filled = fraction > 0  # particles without mass are dropped
     if not is_filled.any():
         raise PlacementError(
-            "volume_fraction_profile", "leaves no particle: its share is 0 everywhere"
+            "volume_fraction_profile", "leaves no particle: its values are 0 everywhere"
         )
     return replace(
         piece, cloud=piece.cloud.select(is_filled), volume=(piece.volume * fraction)[is_filled]
