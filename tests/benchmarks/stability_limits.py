@@ -105,7 +105,10 @@ class Box:
         """Kinetic and elastic [J]."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # of a state that has blown up
-            return sum(row["kinetic"] + row["elastic"] for row in conservation_rows(simulation))
+            return sum(
+                row["kinetic_energy"] + row["elastic_energy"]
+                for row in conservation_rows(simulation)
+            )
 
 
 class Column(Box):

@@ -103,7 +103,7 @@ def test_when_none_is_left(folder, caplog):
 
 def test_names_outside_the_layout_are_refused(tmp_path):
     with pytest.raises(ValueError, match="particles/color"):
-        wrong = {"particles": {"colour": np.zeros(3)}}
+        wrong = {"particles": {"color": np.zeros(3)}}
         checkpoint.write(tmp_path, SerialCommunicator(), {"attrs": {"step": 1}, "groups": wrong})
 
 

@@ -115,7 +115,7 @@ def test_fields_that_are_not_asked_for_are_not_there(tmp_path):
         ([0, 1, 1], {}, "twice"),
         ([0, 1, 20], {}, "0 .. 19"),
         ([0, 1, -1], {}, "0 .. 19"),
-        ([0, 1, 2], {"colour": np.zeros(3)}, "colour"),
+        ([0, 1, 2], {"color_sh": np.zeros(3)}, "color_sh"),
         ([0, 1, 2], {"velocity": np.zeros(3)}, "velocity"),
         ([0, 1, 2], {"J": np.zeros(2)}, "2 rows for 3 ids"),
     ],

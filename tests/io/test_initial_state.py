@@ -12,7 +12,7 @@ from vgmpi.io import csv_log, file_layout, initial_state, layout_reference
 from vgmpi.io.run_reader import RunError, inspect, read_gaussians
 from vgmpi.parallel.communicator import SerialCommunicator
 
-OBJECTS = [{"name": "pool", "kind": "fluid", "first": 0, "count": 50}]
+OBJECTS = [{"name": "pool", "kind": "fluid", "first_row": 0, "row_count": 50}]
 
 
 def scenery(n=4):
@@ -58,7 +58,7 @@ def test_moving_bodies_and_no_scenery(tmp_path):
     [
         ({"cov0": np.zeros((5, 9))}, "cov0"),
         ({"opacity": np.zeros(4)}, "opacity"),
-        ({"colour": np.zeros(5)}, "colour"),
+        ({"color": np.zeros(5)}, "color"),
     ],
 )
 def test_wrong_rows_are_refused(tmp_path, change, text):

@@ -66,8 +66,8 @@ def seen_of(scene, plan, speed=0.5, elastic=0.0, kinetic=0.0, sinks=0.0):
         seen.frame(
             [
                 {
-                    "phase": phase.name, "mass": 2.0, "kinetic": 2.0 * kinetic,
-                    "elastic": 2.0 * elastic, "potential": 2.0 * sinks * k / 5,
+                    "phase": phase.name, "mass": 2.0, "kinetic_energy": 2.0 * kinetic,
+                    "elastic_energy": 2.0 * elastic, "potential_energy": 2.0 * sinks * k / 5,
                 }
                 for phase in plan.phases
             ]
@@ -213,7 +213,7 @@ def test_the_command_says_it_at_the_end(tmp_path, capsys):
 
 
 ROWS = [  # setting, cells, processor time [s], error, what is set
-    ("as_it_is", 20, 10.0, 0.02, ""),
+    ("baseline", 20, 10.0, 0.02, ""),
     ("precision-single", 20, 5.0, 0.0201, "accuracy.precision=single"),
     ("transfer-apic", 20, 7.0, 0.05, "accuracy.transfer=apic"),
     ("cfl-0.2", 20, 20.0, 0.01, "time.cfl=0.2"),
@@ -235,6 +235,11 @@ def studied_lines(folder, rows=ROWS, of=None, overrides=()):
     scene = load(path, overrides)
     plan = plan_for(scene, known_of(scene, build_scene(scene)))
     return [s for s in format_plan(scene, plan, 1).splitlines() if "in the study" in s]
+
+
+def test_a_study_of_an_earlier_version_is_quoted_alike(tmp_path):
+    old = [("as_it_is", *ROWS[0][1:]), *ROWS[1:]]
+    assert studied_lines(tmp_path, old) == studied_lines(tmp_path)
 
 
 def test_a_study_beside_the_scene_is_quoted(tmp_path):

@@ -99,7 +99,7 @@ def test_who_exchanges_colors(tmp_path, couplings, phase, sets):
     found = poured(tmp_path, couplings, lambda name: phase(name) or name)
     told = color_sets(found)
     assert [told.index(one) for one in told] == [sets.index(one) for one in sets]
-    assert [thing["colour_set"] for thing in build_scene(found).objects] == told
+    assert [thing["color_group"] for thing in build_scene(found).objects] == told
 
 
 def test_a_coupling_mixes_by_its_rule_not_by_its_name():

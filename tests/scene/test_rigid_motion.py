@@ -20,17 +20,17 @@ from vgmpi.scene.loader import load
 from vgmpi.scene.rigid_motion import Motion, Trajectories, Trajectory
 
 KEYS = [
-    {"time": "1 s", "move": [1, 0, 0], "angle": "90 deg"},
-    {"time": "3 s", "move": [1, 0, 0], "angle": "90 deg"},
-    {"time": "4 s", "move": [0, 2, 0], "angle": "-30 deg"},
+    {"time": "1 s", "translation": [1, 0, 0], "angle": "90 deg"},
+    {"time": "3 s", "translation": [1, 0, 0], "angle": "90 deg"},
+    {"time": "4 s", "translation": [0, 2, 0], "angle": "-30 deg"},
 ]
 
 
 class One:
     """One of Courses."""
 
-    def __init__(self, about=(0.0, 0.0, 0.0), **keys):
-        self.all = Trajectories([Trajectory(Motion(**keys), about)])
+    def __init__(self, pivot=(0.0, 0.0, 0.0), **keys):
+        self.all = Trajectories([Trajectory(Motion(**keys), pivot)])
 
     def at(self, time):
         row = self.all.at(time)[0]
@@ -41,16 +41,16 @@ class One:
 
 
 def test_it_is_where_its_keyframes_say():
-    for pace in ("smooth", "linear"):
-        way = One(keyframes=KEYS, pace=pace)
+    for interpolation in ("cubic", "linear"):
+        way = One(keyframes=KEYS, interpolation=interpolation)
         for key in KEYS:
-            move, angle = way.at(float(key["time"].split()[0]))
-            assert np.allclose(move, key["move"], atol=1e-12)
+            translation, angle = way.at(float(key["time"].split()[0]))
+            assert np.allclose(translation, key["translation"], atol=1e-12)
             assert np.degrees(angle) == pytest.approx(float(key["angle"].split()[0]))
         assert np.allclose(way.at(9.0)[0], (0, 2, 0)) and np.allclose(way.at(0.0)[0], 0)
 
 
-def test_smooth_begins_and_ends_at_rest_and_stays_between_alike():
+def test_cubic_begins_and_ends_at_rest_and_stays_between_alike():
     way, h = One(keyframes=KEYS), 1e-5
     for time in (h, 4.0 - h):  # it moves by the square of the time from there
         near = 0.0 if time < 1 else 4.0
@@ -62,12 +62,14 @@ def test_smooth_begins_and_ends_at_rest_and_stays_between_alike():
 
 
 def test_linear_has_an_even_pace():
-    way = One(keyframes=KEYS, pace="linear")
+    way = One(keyframes=KEYS, interpolation="linear")
     assert np.allclose(way.at(0.25)[0], (0.25, 0, 0)) and np.allclose(way.at(3.5)[0], (0.5, 1, 0))
 
 
-def test_velocity_and_spin_until():
-    way = One((1.0, 0.0, 0.0), velocity=[0, 0, 2], spin="1 rad/s", until="0.5 s", axis="z")
+def test_velocity_and_angular_velocity_until_the_end_time():
+    way = One(
+        (1.0, 0.0, 0.0), velocity=[0, 0, 2], angular_velocity="1 rad/s", end_time="0.5 s", axis="z"
+    )
     there = way.matrix(7.0) @ [2.0, 0.0, 0.0, 1.0]  # a point a metre from the axis
     assert np.allclose(there[:3], (1 + np.cos(0.5), np.sin(0.5), 1.0), atol=1e-12)
     assert way.all.fastest(0.0, 0.5, np.ones(1))[0] == pytest.approx(
@@ -76,7 +78,7 @@ def test_velocity_and_spin_until():
 
 
 def test_a_turn_bends_space_for_none():
-    way = One((0.3, -0.2, 0.1), spin=3.0, velocity=[1, 2, 3], axis=[1, 1, 0])
+    way = One((0.3, -0.2, 0.1), angular_velocity=3.0, velocity=[1, 2, 3], axis=[1, 1, 0])
     (rotation,) = way.all.poses(0.7)[0]
     assert np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-14)
     assert np.allclose((way.matrix(0.7) @ [0.3, -0.2, 0.1, 1])[:3], [1.0, 1.2, 2.2], atol=1e-14)
@@ -96,7 +98,7 @@ WAY = "motion = {{ {} }}"
 @pytest.mark.parametrize(
     "keys, where, says",
     [
-        (WAY.format(""), "motion", "has no motion: give keyframes, velocity or spin"),
+        (WAY.format(""), "motion", "has no motion: give keyframes, velocity or angular_velocity"),
         (
             WAY.format('keyframes = [{ time = "1 s" }, { time = "1 s" }]'),
             "motion.keyframes.1.time",
@@ -104,28 +106,28 @@ WAY = "motion = {{ {} }}"
         ),
         (WAY.format("keyframes = []"), "motion.keyframes", "has no keyframe"),
         (
-            WAY.format('keyframes = [{ move = [0, 0, "1 cm"] }]'),
+            WAY.format('keyframes = [{ translation = [0, 0, "1 cm"] }]'),
             "motion.keyframes.0.time",
             "required key is missing: time of the keyframe; keyframes are in order of time",
         ),
         (
-            WAY.format('keyframes = [{ time = "1 s" }], spin = 3'),
-            "motion.spin",
-            "keyframes and spin given at once: give keyframes, or velocity and spin",
+            WAY.format('keyframes = [{ time = "1 s" }], angular_velocity = 3'),
+            "motion.angular_velocity",
+            "keyframes and angular_velocity given at once: give keyframes, or velocity and angular_velocity",
         ),
         (
-            WAY.format('spin = 3, interpolation = "linear"'),
-            "motion.pace",
+            WAY.format('angular_velocity = 3, interpolation = "linear"'),
+            "motion.interpolation",
             "is for keyframes only",
         ),
         (
-            WAY.format('keyframes = [{ time = "1 s" }], until = "2 s"'),
-            "motion.until",
-            "is for velocity and spin only",
+            WAY.format('keyframes = [{ time = "1 s" }], end_time = "2 s"'),
+            "motion.end_time",
+            "is for velocity and angular_velocity only",
         ),
         (WAY.format("velocity = [1, 2]"), "motion.velocity", "has too few values; got [1, 2]"),
         (
-            WAY.format("spin = 3, axis = [0, 0, 0]"),
+            WAY.format("angular_velocity = 3, axis = [0, 0, 0]"),
             "motion.axis",
             "must be 'x', 'y', 'z' or three numbers that are not all 0",
         ),
@@ -139,7 +141,7 @@ def test_wrong_motions(tmp_path, keys, where, says):
     assert all(line.startswith(f"{path}:") for line in found)
 
 
-@pytest.mark.parametrize("key", ["motion = { spin = 3 }", "friction = 0.1"])
+@pytest.mark.parametrize("key", ["motion = { angular_velocity = 3 }", "friction = 0.1"])
 def test_only_colliders_move(tmp_path, key):
     path, _ = broken(tmp_path, LAST, LAST + PADDLE.format(key).replace("collider = true", ""))
     only = {"motion": "is for bodies, and for", "friction": "is only for"}[key.split()[0]]
@@ -151,7 +153,9 @@ def test_only_colliders_move(tmp_path, key):
     "keys, where, says",
     [
         (
-            WAY.format('keyframes = [{ time = "1 s" }, { time = "2 s", move = [0, 0, 0.18] }]'),
+            WAY.format(
+                'keyframes = [{ time = "1 s" }, { time = "2 s", translation = [0, 0, 0.18] }]'
+            ),
             "motion.keyframes.1",
             "leads out of the domain: at 2 s all of it is at z = 0.33 .. 0.43 m; the domain is"
             " 0 .. 0.32 m",
@@ -167,7 +171,7 @@ def test_a_motion_stays_in_the_domain(tmp_path, keys, where, says):
 
 def test_a_fixed_step_is_short_enough_for_every_keyframe(tmp_path):
     """.18 m in 60 ms, three times the mean where it is fastest: 9 m/s at the most."""
-    keys = 'keyframes = [{ time = "1 s" }, { time = "1060 ms", move = [0, 0, 0.1] }]'
+    keys = 'keyframes = [{ time = "1 s" }, { time = "1060 ms", translation = [0, 0, 0.1] }]'
     text = LAST + PADDLE.format(WAY.format(keys))
     path, _ = broken(tmp_path, LAST, text)
     build_scene(load(path))
@@ -186,16 +190,16 @@ def test_thin_colliders_are_warned_of(tmp_path, caplog):
 
 
 def test_the_farthest_point_from_the_axis(tmp_path):
-    path, _ = broken(tmp_path, LAST, LAST + PADDLE.format(WAY.format("spin = 1")))
+    path, _ = broken(tmp_path, LAST, LAST + PADDLE.format(WAY.format("angular_velocity = 1")))
     collider = build_scene(load(path)).colliders[0]
     assert collider.course.far(*collider.ends()) == pytest.approx(np.hypot(0.05, 0.05))
-    about = with_motion(collider, Motion(spin=1.0, about=(0.1, 0.1, 0.0)))
-    assert about.course.far(*about.ends()) == pytest.approx(np.hypot(0.1, 0.1))
+    shifted = with_motion(collider, Motion(angular_velocity=1.0, pivot=(0.1, 0.1, 0.0)))
+    assert shifted.course.far(*shifted.ends()) == pytest.approx(np.hypot(0.1, 0.1))
 
 
 def turned():
     """The floor of the small run turns by a quarter about the vertical through 0.5, 0.5."""
-    return One((0.5, 0.5, 0.0), spin=np.pi / 2, velocity=[0, 0, 0.25]).matrix(1.0)
+    return One((0.5, 0.5, 0.0), angular_velocity=np.pi / 2, velocity=[0, 0, 0.25]).matrix(1.0)
 
 
 def test_the_renderer_sees_scenery_where_it_is():
@@ -203,7 +207,7 @@ def test_the_renderer_sees_scenery_where_it_is():
     ground["cov0"] = drawn_runs.diagonal(0.03**2, 0.01**2, 1e-6, len(ground["x0"]))
     ground["sh"] = drawn_runs.sh(drawn_runs.BROWN, len(ground["x0"]), 4)
     ground["sh"][:, 3, 0] = 0.3  # redder along x
-    objects[2]["moves"] = True
+    objects[2]["is_moving"] = True
     held = SimpleNamespace(**rows, scenery=SimpleNamespace(**ground))
     look = Appearance(SimpleNamespace(gaussians=held, objects=objects))
     fields = {"id": np.arange(len(rows["x0"])), **drawn_runs.frame_fields(rows, 0, 3)}

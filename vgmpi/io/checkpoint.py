@@ -14,6 +14,7 @@ import h5py
 import numpy as np
 
 from vgmpi.parallel.communicator import SerialCommunicator
+from vgmpi.runtime.config import renamed_keys
 
 from . import checkpoint_manifest, file_layout, hdf5_validation, hdf5_writer
 
@@ -241,6 +242,7 @@ class Checkpoint:
             self.attrs: dict = json.loads(self.file["attrs"][()])
             if not isinstance(self.attrs, dict):
                 raise ValueError("attrs is no table")
+            self.replacements = renamed_keys.CHECKPOINT.apply(self.attrs)
         except (OSError, LookupError, ValueError, TypeError, RuntimeError) as error:
             raise CheckpointError(
                 f"{path}: not a checkpoint: {hdf5_writer.reason(error)}"

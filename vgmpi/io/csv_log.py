@@ -13,6 +13,7 @@ from pathlib import Path
 
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.runtime import safe_open
+from vgmpi.runtime.config import renamed_keys
 
 from . import file_layout, hdf5_writer
 from .run_reader import RunError
@@ -233,6 +234,7 @@ def read_rows(
         reason = "is a link to elsewhere" if link else error.strerror
         raise RunError(f"{path}: {reason}") from None
     head, *lines = text.split(b"\n")
+    head = _with_new_names(path, head)
     if columns is file_layout.LEDGER_COLUMNS and head == _header(ledger_columns(True)).encode():
         columns = ledger_columns(True)
     sealed = head == _header(columns).encode()
@@ -255,6 +257,16 @@ def read_rows(
             number = len(lines) + 2
             raise RunError(f"{path}:{number}: damaged: this row is not what was written")
     return rows
+
+
+def _with_new_names(path, head):
+    """Return a header line with the new names of columns in the place of old ones."""
+    new_names = {old.encode(): new.encode() for new, old in renamed_keys.COLUMNS.items()}
+    old_words = [word for word in head.split(b",") if word in new_names]
+    if old_words:
+        pairs = (f"{word.decode()!r} is now {new_names[word].decode()!r}" for word in old_words)
+        log.info("%s: of an earlier version: %s", path, ", ".join(pairs))
+    return b",".join(new_names.get(word, word) for word in head.split(b","))
 
 
 def _split_checksum(line, before):

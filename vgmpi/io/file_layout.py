@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-SCHEMA = 1  # increased when a reader of older files would misread new ones
+SCHEMA = 2  # increased when a reader of older files would misread new ones
+READABLE_SCHEMAS = (1, 2)  # 1: before datasets and columns had the names of this version
 
 FRAMES, CHECKPOINTS = "frames", "checkpoints"  # folders inside the output folder
 LOCK = "run.lock"  # lock file of the run that writes into the folder
@@ -70,7 +71,7 @@ FRAME = [
     Dataset("J", "(n,)", "f4", "1", "volume ratio; its elastic part in plastic materials"),
     Dataset("F", "(n, 9)", "f4", "1", "deformation gradient, row by row; cbrt(J) I without one"),
     Dataset(
-        "colour",
+        "color_sh",
         "(n, 3 K)",
         "f4",
         "1",
@@ -95,13 +96,13 @@ FRAME_TOPOLOGY = [
 CHECKSUMS = Dataset(CRC, "()", "text", "", "JSON, CRC32 (zlib) of the bytes of every other dataset")
 FRAME_OWN = [
     Dataset("frame", "()", "i8", "1", "number of the frame, as in the name of its file"),
-    Dataset("gaussians", "()", "u4", "1", "checksum that identifies the matching gaussians.h5"),
+    Dataset("gaussians_crc", "()", "u4", "1", "checksum that identifies the matching gaussians.h5"),
     Dataset(
         "poses",
         "(m, 4, 4)",
         "f8",
         "m",
-        "pose of each object that `moves`, in their order: initial -> current position; only if"
+        "pose of each object with `is_moving`, in their order: initial -> current position; only if"
         " one moves",
     ),
     CHECKSUMS,
@@ -162,7 +163,9 @@ GAUSSIAN = [
 OPTIONAL = ("v0", "theta0", "surface0", "shade")  # datasets that some files lack, also in groups
 SHADE = Dataset("shade", "(m,)", "f4", "1", "as above; only if one is not 1")
 SCENERY = [
-    Dataset("x0", "(m, 3)", "f8", "m", "initial position; constant unless its object `moves`"),
+    Dataset(
+        "x0", "(m, 3)", "f8", "m", "initial position; constant unless its object has `is_moving`"
+    ),
     Dataset("object", "(m,)", "i4", "1", "number of the object in the list `objects`"),
     Dataset("cov0", "(m, 6)", "f4", "m2", "covariance: xx, xy, xz, yy, yz, zz"),
     Dataset("opacity", "(m,)", "f4", "1", "0 to 1"),
@@ -186,10 +189,10 @@ GAUSSIAN_TEXTS = [
         "text",
         "",
         "JSON, an entry per object, then per inlet: name, role, material, kind, family, "
-        "deforms (whether F of the frames is that of its particles), phase, "
-        "colour_set (objects with the same number exchange colors), "
-        "bulk density [kg/m3], first and count (its rows), opacity_scale, alpha_min, "
-        "color, collider, moves (frames contain the `poses` of these objects), "
+        "tracks_deformation (whether F of the frames is that of its particles), phase, "
+        "color_group (objects with the same number exchange colors), "
+        "bulk density [kg/m3], first_row and row_count, opacity_scale, alpha_min, "
+        "color, collider, is_moving (frames contain the `poses` of these objects), "
         "and transform (4 x 4, source coordinates -> domain coordinates [m])",
     ),
     Dataset("scene", "()", "text", "", "JSON, the scene with all defaults, in SI units"),
@@ -239,23 +242,29 @@ LEDGER_COLUMNS = [
     Dataset("time", "", "f8", "s", "simulated time"),
     Dataset("step", "", "i8", "1", "number of time steps made"),
     Dataset("phase", "", "text", "", "name of the phase"),
-    Dataset("count", "", "i8", "1", "particles"),
+    Dataset("particles", "", "i8", "1", "number of particles"),
     Dataset("mass", "", "f8", "kg", "mass"),
     *(Dataset(f"momentum_{a}", "", "f8", "kg m/s", f"momentum along {a}") for a in "xyz"),
     *(
-        Dataset(f"angular_{a}", "", "f8", "kg m2/s", f"angular momentum about {a} and the origin")
+        Dataset(
+            f"angular_momentum_{a}",
+            "",
+            "f8",
+            "kg m2/s",
+            f"angular momentum about {a} and the origin",
+        )
         for a in "xyz"
     ),
-    Dataset("kinetic", "", "f8", "J", "kinetic energy, including the affine motion of APIC"),
-    Dataset("elastic", "", "f8", "J", "elastic energy"),
-    Dataset("potential", "", "f8", "J", "potential energy in gravity"),
+    Dataset("kinetic_energy", "", "f8", "J", "kinetic energy, including the affine motion of APIC"),
+    Dataset("elastic_energy", "", "f8", "J", "elastic energy"),
+    Dataset("potential_energy", "", "f8", "J", "potential energy in gravity"),
     Dataset("J_min", "", "f8", "1", "smallest volume ratio, as in the frames"),
     Dataset("J_max", "", "f8", "1", "largest volume ratio, as in the frames"),
 ]
 OPEN_SYSTEM_COLUMNS = [  # present with inlets or outlets
-    Dataset("count_in", "", "i8", "1", "initial particles and those that entered since"),
+    Dataset("particles_in", "", "i8", "1", "initial particles and those that entered since"),
     Dataset("mass_in", "", "f8", "kg", "their mass"),
-    Dataset("count_out", "", "i8", "1", "particles that left through outlets"),
+    Dataset("particles_out", "", "i8", "1", "particles that left through outlets"),
     Dataset("mass_out", "", "f8", "kg", "their mass"),
 ]
 
@@ -285,7 +294,7 @@ _GIVEN = [
         for a in "xyz"
     ),
     *(
-        Dataset(f"swing_{a}", "", "f8", "N m s", f"time integral of the torque about {a}")
+        Dataset(f"angular_impulse_{a}", "", "f8", "N m s", f"time integral of the torque about {a}")
         for a in "xyz"
     ),
 ]  # fmt: skip
@@ -296,7 +305,7 @@ PROBE_COLUMNS = {
     ],
     "surface_height": [
         *_WHEN,
-        Dataset("level", "", "f8", "m", "height of the surface; 0 without fluid"),
+        Dataset("surface_height", "", "f8", "m", "height of the surface; 0 without fluid"),
     ],
     "velocity": [
         *_WHEN,
@@ -332,6 +341,6 @@ PROBE_COLUMNS = {
         *_GIVEN,
         Dataset("work", "", "f8", "J", "work of the collider on the bodies since the previous row; "
                 "nan in the first row"),
-        Dataset("all_work", "", "f8", "J", "total work of the collider on the bodies"),
+        Dataset("cumulative_work", "", "f8", "J", "total work of the collider on the bodies"),
     ],
 }  # fmt: skip

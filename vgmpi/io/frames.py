@@ -126,7 +126,7 @@ class Frames:
             f.whole("VTKHDF/FieldData/step", np.array([step], np.int64))
             f.whole("frame", np.array(index, np.int64))
             if self.particles is not None:
-                f.whole("gaussians", np.array(self.particles, np.uint32))
+                f.whole("gaussians_crc", np.array(self.particles, np.uint32))
             if poses is not None:
                 f.whole("poses", poses)
             f.seal()

@@ -9,6 +9,8 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 
+from vgmpi.runtime.config import renamed_keys
+
 from . import checkpoint_manifest, file_layout, hdf5_validation
 from .hdf5_validation import CorruptFileError
 
@@ -67,7 +69,7 @@ def verify_checksums(f: h5py.File, read_data: dict) -> None:
 def _check_head(f, expected):
     """Check the schema, and that the file holds nothing that such a file does not have."""
     schema = int(f.attrs["schema"])
-    if schema != file_layout.SCHEMA:
+    if schema not in file_layout.READABLE_SCHEMAS:
         raise hdf5_validation.SchemaVersionError(
             f"its schema is {schema}, this program's {file_layout.SCHEMA}"
         )
@@ -90,14 +92,15 @@ def check_frame(
     Raises:
         Damaged: The data are damaged, or the file is another frame's or one of other particles.
     """
-    _check_head(f, {"VTKHDF", *(d.name for d in file_layout.FRAME_OWN)})
+    identity = renamed_keys.dataset_name("gaussians_crc", f)
+    _check_head(f, {"VTKHDF", identity, *(d.name for d in file_layout.FRAME_OWN)})
     if file_layout.CRC in f:
         frame = f["frame"][()]
-        named = {name: f[name][()] for name in ("gaussians", "poses") if name in f}
+        named = {name: f[name][()] for name in (identity, "poses") if name in f}
         verify_checksums(f, {**read_data, "frame": frame, **named})
         if number is not None and int(frame) != number:
             raise CorruptFileError(f"it is frame {int(frame)}, not {number}")
-        if particles is not None and named and int(named["gaussians"]) != particles:
+        if particles is not None and named and int(named[identity]) != particles:
             raise CorruptFileError(
                 f"it is of other particles than {file_layout.GAUSSIANS} beside it"
             )

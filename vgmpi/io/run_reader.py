@@ -172,6 +172,9 @@ class RunReader:
             integrity.check_frame(f, number, data, self._particles)
             count = int(data.pop("VTKHDF/NumberOfPoints")[0])
             arrays = {name.removeprefix("VTKHDF/PointData/"): a for name, a in data.items()}
+            for new, old in renamed_keys.DATASETS.items():
+                if old in arrays:
+                    arrays[new] = arrays.pop(old)
             arrays = {"id": arrays.pop("id"), "x": arrays.pop("VTKHDF/Points"), **arrays}
             integrity.check_arrays(arrays, count)
             if "poses" in f:
@@ -239,6 +242,7 @@ def read_gaussians(path: str | Path) -> SimpleNamespace:
                 setattr(result, group, _arrays(f, f"{group}/", datasets, data))
         integrity.check_gaussians(f, data)
         result.objects = json.loads(data["objects"])
+        renamed_keys.OBJECT_ENTRIES.apply(result.objects)
         result.scene = json.loads(data["scene"])
         renamed_keys.SCENE.apply(result.scene)
         result.digest = f.attrs["digest"].decode()
@@ -308,10 +312,11 @@ def _summary(path, f, kind):
         return [f"{len(times)} frames, time {times[0]:.9g} .. {times[-1]:.9g} s"]
     if kind == "gaussians":
         objects = json.loads(f["objects"][()])
+        renamed_keys.OBJECT_ENTRIES.apply(objects)
         lines = [_state(lambda: integrity.check_gaussians(f, _all(f)), f)]
         return lines + [
             "object {}: {} {}, {} rows from {}".format(
-                i, *(o.get(k, "-") for k in ("name", "kind", "count", "first"))
+                i, *(o.get(k, "-") for k in ("name", "kind", "row_count", "first_row"))
             )
             for i, o in enumerate(objects)
         ]

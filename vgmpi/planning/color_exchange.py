@@ -30,7 +30,7 @@ def color_sets(scene: Scene) -> list[int | None]:
     """Return the number of the set in which the colors of each object may travel.
 
     Bodies of one phase, and of fluids that mix, are in one set. Scenery has None. Files store the
-    number (`colour_set` of an object), so that a renderer need not know of couplings.
+    number (`color_group` of an object), so that a renderer need not know of couplings.
     """
     phase_of = [scene.phase_of(entity) for entity in scene.things]
     names = sorted({name for name in phase_of if name is not None})

@@ -67,5 +67,5 @@ def _spin(obj: Object) -> tuple[float, ...]:
 
 def _angle(mode, x: np.ndarray) -> np.ndarray:
     """Return the phase angle (n,) of a wave."""
-    k = mode.wave
-    return k[0] * x[:, 0] + k[1] * x[:, 1] + k[2] * x[:, 2] + mode.phase
+    k = mode.wave_vector
+    return k[0] * x[:, 0] + k[1] * x[:, 1] + k[2] * x[:, 2] + mode.phase_angle

@@ -291,13 +291,13 @@ def _passive_gaussians(
         x=_rows(riders, chosen, lambda p: p.cloud.x),
         **_appearance(riders, chosen, terms),
         object=_owners(riders, chosen),
-        carriers=np.concatenate([objects[k]["first"] + t[0] for k, t in zip(chosen, bindings)]),
+        carriers=np.concatenate([objects[k]["first_row"] + t[0] for k, t in zip(chosen, bindings)]),
         weights=np.concatenate([t[1] for t in bindings]).astype(np.float32),
     )
 
 
 def _describe(
-    scene: Scene, entity: Object | Inlet, piece: BuiltObject, colour_set: int | None, first: int,
+    scene: Scene, entity: Object | Inlet, piece: BuiltObject, color_group: int | None, first: int,
     count: int,
 ) -> dict[str, Any]:  # fmt: skip
     """Return the entry of one object in output files, as JSON values.
@@ -306,7 +306,7 @@ def _describe(
         scene: The scene.
         entity: Object or inlet.
         piece: Its particles.
-        colour_set: Number of its set of bodies that exchange colors.
+        color_group: Number of its set of bodies that exchange colors.
         first: Id of its first particle.
         count: Number of its particles.
     """
@@ -318,19 +318,19 @@ def _describe(
         "material": entity.material,
         "kind": material.kind if material else None,
         "family": family,
-        "deforms": stores_deformation(scene, entity),
+        "tracks_deformation": stores_deformation(scene, entity),
         "phase": scene.phase_of(entity),
-        "colour_set": colour_set,
+        "color_group": color_group,
         "density": material.bulk_density if material else None,
-        "first": first,
-        "count": count,
+        "first_row": first,
+        "row_count": count,
         "opacity_scale": entity.opacity_scale,
         "alpha_min": entity.alpha_threshold,
         "transform": piece.placement.matrix(),
         "color": list(entity.color),
         "collider": entity.collider,
         "surface": piece.surface_descriptor is not None,
-    } | ({"moves": True} if entity.collider and entity.motion is not None else {})
+    } | ({"is_moving": True} if entity.collider and entity.motion is not None else {})
 
 
 def _theta(piece: BuiltObject) -> np.ndarray:

@@ -44,7 +44,7 @@ def distance(shape: Shape, points: np.ndarray) -> np.ndarray:
             return _from_cone(form, points)
         case "torus":
             along, across = _about_axis(form, points)
-            return np.hypot(across - form.radius, along) - form.tube
+            return np.hypot(across - form.major_radius, along) - form.minor_radius
         case "union":
             return _union((distance(part, points) for part in form), shape.blend_radius)
     out = distance(form[0], points)
@@ -69,21 +69,23 @@ def support(shape: Shape, direction: np.ndarray) -> float:
         case "ellipsoid":
             return float(d @ form.center + np.linalg.norm(d * form.radii))
         case "cylinder":
-            a, b = np.asarray(form.ends)
+            a, b = np.asarray(form.endpoints)
             axis = (b - a) / np.linalg.norm(b - a)
             return float(max(d @ a, d @ b) + form.radius * np.linalg.norm(d - (d @ axis) * axis))
         case "capsule":
             return float(
-                max(d @ np.asarray(e) for e in form.ends) + form.radius * np.linalg.norm(d)
+                max(d @ np.asarray(e) for e in form.endpoints) + form.radius * np.linalg.norm(d)
             )
         case "cone":
-            a, b = np.asarray(form.ends)
+            a, b = np.asarray(form.endpoints)
             axis = (b - a) / max(float(np.linalg.norm(b - a)), 1e-300)
             wide = np.linalg.norm(d - (d @ axis) * axis)
             return float(max(d @ a + form.radii[0] * wide, d @ b + form.radii[1] * wide))
         case "torus":
             flat = np.linalg.norm(d - (d @ form.axis) * np.asarray(form.axis))
-            return float(d @ form.center + form.radius * flat + form.tube * np.linalg.norm(d))
+            return float(
+                d @ form.center + form.major_radius * flat + form.minor_radius * np.linalg.norm(d)
+            )
         case "union":
             return max(support(part, d) for part in form)
     return support(form[0], d)

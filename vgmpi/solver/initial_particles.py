@@ -47,7 +47,7 @@ class ParticleSummary:
     @property
     def count(self) -> list[int]:
         """Return the number of particles of each object and inlet."""
-        return [entry["count"] for entry in self.objects]
+        return [entry["row_count"] for entry in self.objects]
 
 
 def prepare(
@@ -218,7 +218,7 @@ def _summary_of(scene, objects, particles, x, colliders, loads) -> ParticleSumma
     )
     thickness = _thicknesses(objects, x, total)
     extents = {
-        k: extent(x[objects[k]["first"] :][: objects[k]["count"]])
+        k: extent(x[objects[k]["first_row"] :][: objects[k]["row_count"]])
         for k, body in enumerate(scene.object)
         if body.driven
     }
@@ -241,7 +241,7 @@ def _thicknesses(objects: list[dict], x: np.ndarray, volume: np.ndarray) -> tupl
     if not any(entry.get("family") == "fluid" for entry in objects):
         return ()
     return tuple(
-        _thickness(x[entry["first"] : entry["first"] + entry["count"]], volume[k])
+        _thickness(x[entry["first_row"] : entry["first_row"] + entry["row_count"]], volume[k])
         if entry.get("family") == "solid" and entry["role"] == "body"
         else np.nan
         for k, entry in enumerate(objects)

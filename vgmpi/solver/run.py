@@ -2,11 +2,8 @@
 
 import contextlib
 import logging
-import platform
-import subprocess
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +17,8 @@ from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.planning.cost.plan_report import format_plan
 from vgmpi.planning.plan import Plan
 from vgmpi.preprocess.initial_velocity import initial_velocity_gradient
+from vgmpi.runtime.config.renames import list_new_names
+from vgmpi.runtime.versions import versions
 from vgmpi.scene.resume_rules import forbidden_changes, may_change
 from vgmpi.scene.scene import Scene
 from vgmpi.solver.diagnostics.conservation import conservation_rows
@@ -273,11 +272,11 @@ class Runner:
             "frame": self.frame,
             "scene_text": self.scene.text,
             "overrides": list(self.scene.overrides),
-            "history": self.history,
-            "gaussians": self.particles,
-            "tables": {table.path.name: table.sum for table in self._tables()},
+            "resume_history": self.history,
+            "gaussians_crc": self.particles,
+            "log_checksums": {table.path.name: table.sum for table in self._tables()},
             "scene": self.scene.to_json(),
-            "plan": format_plan(self.scene, self.plan, ranks=1).splitlines(),
+            "plan_report": format_plan(self.scene, self.plan, ranks=1).splitlines(),
             "versions": versions(),
         }
         path = checkpoint.write(self.checkpoints, self.ranks, state)
@@ -336,7 +335,7 @@ def prepared_run(
             history = _history(scene, attrs, options.change)
             columns = ledger_columns(scene.is_open_system)
             tables = {folder / file_layout.LEDGER: columns, **files(scene, folder)}
-            check_tables(tables, ranks, attrs["step"], attrs.get("tables", {}))
+            check_tables(tables, ranks, attrs["step"], attrs.get("log_checksums", {}))
         summary = prepare(scene, ranks, folder, resumed)
         plan = plan_for(scene, summary)
         if approve is not None:
@@ -345,7 +344,7 @@ def prepared_run(
             write_initial_particles(scene, summary, ranks, folder)
             gaussians = folder / file_layout.GAUSSIANS
             particles = on_all(ranks, gaussians, lambda: particle_set_id(gaussians))
-            if path is not None and attrs.get("gaussians") not in (None, particles):
+            if path is not None and attrs.get("gaussians_crc") not in (None, particles):
                 raise checkpoint.CheckpointError(f"{path}: is of other particles than {gaussians}")
         yield Runner(scene, plan, summary, ranks, options, path, history, particles)
 
@@ -361,6 +360,8 @@ def resolve_checkpoint(
     path = checkpoint.select(requested, folder / file_layout.CHECKPOINTS, ranks)
     with on_all(ranks, path, lambda: checkpoint.open(path)) as saved:
         check_attrs(path, saved.attrs)
+        if saved.replacements:
+            log.info("%s: of an earlier version: %s", path, list_new_names(saved.replacements))
         return path, saved.attrs
 
 
@@ -370,7 +371,8 @@ def _history(scene: Scene, attrs: dict, change: bool) -> list[dict]:
     Raises:
         SceneError: If a key has changed that may not, unless `change` is set.
     """
-    history, differences = list(attrs.get("history", [])), forbidden_changes(scene, attrs["scene"])
+    history = list(attrs.get("resume_history", []))
+    differences = forbidden_changes(scene, attrs["scene"])
     if not differences:
         return history
     lines = scene.error(differences).lines
@@ -382,21 +384,3 @@ def _history(scene: Scene, attrs: dict, change: bool) -> list[dict]:
     for line in lines:
         log.warning("changed from here on: %s", line)
     return [*history, {"step": attrs["step"], "time": attrs["time"], "changes": lines}]
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of the program and its libraries, as files record them."""
-    names_to_versions = {"python": platform.python_version()}
-    for name in ("vgmpi", "numpy", "numba", "h5py", "mpi4py"):
-        try:
-            names_to_versions[name] = version(name)
-        except PackageNotFoundError:
-            names_to_versions[name] = "not installed"
-    command = ["git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD"]
-    try:
-        names_to_versions["commit"] = subprocess.run(
-            command, capture_output=True, text=True, check=True
-        ).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        names_to_versions["commit"] = "unknown"
-    return names_to_versions

@@ -11,7 +11,7 @@ from typing import Any
 
 from vgmpi.materials import registry
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions
-from vgmpi.solver.run import versions
+from vgmpi.runtime.versions import versions
 
 from . import gpu, interleaved_rounds, result_tables, roofline
 from .benchmark_case import BenchError, Case, lay_out

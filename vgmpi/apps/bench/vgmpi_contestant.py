@@ -14,11 +14,12 @@ import numpy as np
 from vgmpi.io import file_layout, initial_state
 from vgmpi.parallel.communicator import SerialCommunicator, init_communicator
 from vgmpi.parallel.halo_exchange import FieldMessage
+from vgmpi.runtime.versions import versions
 from vgmpi.scene.loader import load
 from vgmpi.solver.diagnostics.conservation import conservation_rows
 from vgmpi.solver.engines.cpu import Cpu
 from vgmpi.solver.initial_particles import plan_for, preparation_hash, prepare
-from vgmpi.solver.run import Options, begin, check, versions
+from vgmpi.solver.run import Options, begin, check
 
 from .benchmark_case import STEPS, BenchError, to_dense
 

@@ -34,7 +34,7 @@ def remaining_energy(folder: Path) -> np.ndarray:
     frames, index = np.unique(frames, axis=0, return_inverse=True)
     kinetic, other = (
         np.bincount(index.ravel(), weights=[sum(row[k] for k in keys) for row in rows])
-        for keys in (("kinetic",), ("elastic", "potential"))
+        for keys in (("kinetic_energy",), ("elastic_energy", "potential_energy"))
     )
     total = kinetic + other
     return np.column_stack([frames, 1 + (total - total[0]) / max(kinetic.max(), 1e-300)])

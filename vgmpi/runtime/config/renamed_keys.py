@@ -1,5 +1,7 @@
 """Old words of every user file, each with the word that replaces it; old files are still read."""
 
+from collections.abc import Container
+
 from .renames import Rename, RenameTable
 
 SCENE = RenameTable(
@@ -111,8 +113,128 @@ SCENE = RenameTable(
     ]
 )
 
-RENDER = RenameTable([Rename("picture.colour", "color")])
+RENDER = RenameTable(
+    [
+        # cameras
+        Rename("camera.turns", "revolutions"),
+        Rename("camera.angle", "azimuth"),
+        Rename("camera.keys", "keyframes"),
+        Rename("camera.keyframes.part", "progress"),
+        # images
+        Rename("picture.tone", "tone_mapping"),
+        Rename("picture.edges", "edge_samples"),
+        Rename("picture.samples", "blur_samples"),
+        Rename("picture.floor.colour", "color"),
+        Rename("picture.floor.tiles", "tile_size"),
+        Rename("picture.floor.squares", "checker_size"),
+        Rename("picture.floor.other", "checker_color"),
+        # liquids
+        Rename("liquid.index", "refractive_index"),
+        Rename("liquid.clear", "absorption_length"),
+        Rename("liquid.scatter", "scattering_coefficient"),
+        Rename("liquid.fine", "cells_per_spacing"),
+        Rename("liquid.walls", "clip_at_walls"),
+        Rename("liquid.surroundings", "environment"),
+        # appearance
+        Rename("look.children", "grains_per_particle"),
+        Rename("look.grain", "brightness_jitter"),
+        Rename("look.harmonics", "rotate_sh", {"rotate": True, "fixed": False}),
+        Rename("look.normalise", "covariance_normalization", {"deformation": "none"}),
+        Rename("look.colour_transfer", "color_transfer"),
+        Rename("look.colour_time", "color_relaxation_time"),
+        Rename("look.colour_degree", "color_sh_degree"),
+        Rename("look.colour_bodies", "color_objects"),
+    ]
+)
 
-FIT = RenameTable()
+FIT = RenameTable(
+    [
+        Rename("parameter.start", "initial"),
+        Rename("parameter.logarithmic", "scale", {True: "log", False: "linear"}),
+        # targets
+        Rename("target.frames", "run"),
+        Rename("target.boxes", "density_bins"),
+        Rename("target.hold_out", "holdout_every"),
+        Rename("target.time_unit", "time_scale"),
+        Rename("target.time_zero", "time_offset"),
+        Rename("target.value_unit", "value_scale"),
+        Rename("target.where", "filter"),
+        Rename("target.camera_shift", "max_camera_shift"),
+        # video models
+        Rename("sds.guidance", "guidance_scale"),
+        Rename("sds.draws", "noise_samples"),
+        Rename("sds.times", "noise_levels"),
+        Rename("sds.motion", "motion_bucket_id"),
+        # methods
+        Rename("method.kind", "algorithm"),
+        Rename("method.runs", "max_runs"),
+        Rename("method.scan", "scan_points"),
+        Rename("method.step", "fd_step"),
+        Rename("method.grid", "discretization_check"),
+    ]
+)
 
-LAYOUT = RenameTable()
+# attributes of checkpoints
+CHECKPOINT = RenameTable(
+    [
+        Rename("tables", "log_checksums"),
+        Rename("history", "resume_history"),
+        Rename("gaussians", "gaussians_crc"),
+        Rename("plan", "plan_report"),
+    ]
+)
+
+# entries of `objects` in gaussians.h5
+OBJECT_ENTRIES = RenameTable(
+    [
+        Rename("moves", "is_moving"),
+        Rename("deforms", "tracks_deformation"),
+        Rename("colour_set", "color_group"),
+        Rename("first", "first_row"),
+        Rename("count", "row_count"),
+    ]
+)
+
+# datasets of frames, and columns of ledger.csv and probe_NAME.csv: old names by new ones
+DATASETS = {"color_sh": "colour", "gaussians_crc": "gaussians"}
+COLUMNS = {
+    "particles": "count",
+    "particles_in": "count_in",
+    "particles_out": "count_out",
+    "angular_momentum_x": "angular_x",
+    "angular_momentum_y": "angular_y",
+    "angular_momentum_z": "angular_z",
+    "kinetic_energy": "kinetic",
+    "elastic_energy": "elastic",
+    "potential_energy": "potential",
+    "angular_impulse_x": "swing_x",
+    "angular_impulse_y": "swing_y",
+    "angular_impulse_z": "swing_z",
+    "cumulative_work": "all_work",
+    "surface_height": "level",
+}
+
+LAYOUT = RenameTable(
+    [
+        Rename("masks.by", "method"),
+        Rename("depth.by", "method"),
+        Rename("materials.by", "method"),
+        Rename("bodies.by", "method", {"form": "mask"}),
+        Rename("object.clicks", "point_prompts"),
+        Rename("object.form", "reconstruction"),
+        Rename("object.views", "multi_view"),
+    ]
+)
+
+
+def dataset_name(name: str, file: Container[str]) -> str:
+    """Return the name that a dataset has in a file: the old one where the new one is absent."""
+    old = DATASETS.get(name, name)
+    return old if name not in file and old in file else name
+
+
+def column_name(name: str, columns: Container[str]) -> str:
+    """Return the name of a column among others: its new or old one where `name` is absent."""
+    new_names = [new for new, old in COLUMNS.items() if old == name]
+    names = (name, *new_names, COLUMNS.get(name, name))
+    return next((known for known in names if known in columns), name)

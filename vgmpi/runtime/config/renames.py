@@ -15,13 +15,13 @@ class Rename:
             "object.motion.interpolation". Items of lists have no part of their own; "*" stands for
             any one key, "**" for any number of keys.
         key: New name of the last part; "" if only values have new names.
-        values: New values by old values.
+        values: New values by old ones, which are texts or booleans.
         where: Values that other keys of the same table must have.
     """
 
     path: str
     key: str = ""
-    values: Mapping[str, Any] = field(default_factory=dict)
+    values: Mapping[str | bool, Any] = field(default_factory=dict)
     where: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -119,9 +119,18 @@ class RenameTable:
         return replacements
 
 
+def list_new_names(replacements: Iterable[Replacement]) -> str:
+    """Return "'old' is now 'new', ..." of replaced keys, each once."""
+    names = dict.fromkeys((r.old_path[-1], r.new_path[-1]) for r in replacements)
+    return ", ".join(f"{old!r} is now {new!r}" for old, new in names)
+
+
 def replaced_value(rename: Rename, value: Any) -> Any:
-    """Return the new word for a value, or the value itself if it has none."""
-    return rename.values.get(value, value) if isinstance(value, str) else value
+    """Return the new word for a text or a boolean, or the value itself if it has none.
+
+    The numbers 0 and 1 have none: they equal booleans only in Python.
+    """
+    return rename.values.get(value, value) if isinstance(value, str | bool) else value
 
 
 NO_RENAMES = RenameTable()

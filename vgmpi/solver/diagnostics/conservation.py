@@ -35,7 +35,7 @@ def conservation_rows(simulation: Simulation) -> list[dict]:
     entries = [_entry(simulation, k, sums) for k in range(len(plan.phases))]
     for k, entry in enumerate(entries if counts else ()):
         members = [g for g, group in enumerate(plan.groups) if group.phase == k]
-        entry["count"] = sum(counts[g][0] for g in members)
+        entry["particles"] = sum(counts[g][0] for g in members)
     if tally is not None:
         for k, entry in enumerate(entries):
             entry |= _flow(tally, k, flow)
@@ -54,11 +54,11 @@ def _flow(tally: Tally, phase: int, totals: list[list[int]]) -> dict:
     count_in, count_out, count = (sum(totals[g][c] for g in members) for c in (0, 2, 4))
     mass_in, mass_out, mass = (sum(tally.mass(g, totals[g][c]) for g in members) for c in (1, 3, 5))
     return {
-        "count": count,
+        "particles": count,
         "mass": mass,
-        "count_in": count_in,
+        "particles_in": count_in,
         "mass_in": mass_in,
-        "count_out": count_out,
+        "particles_out": count_out,
         "mass_out": mass_out,
     }
 
@@ -74,17 +74,17 @@ def _entry(simulation: Simulation, phase: int, sums: list) -> dict:
         "time": simulation.time,
         "step": simulation.step,
         "phase": plan.phases[phase].name,
-        "count": count,
+        "particles": count,
         "mass": total[0],
-        "kinetic": total[7],
-        "elastic": total[8],
-        "potential": total[9],
+        "kinetic_energy": total[7],
+        "elastic_energy": total[8],
+        "potential_energy": total[9],
         "J_min": rows[:, 10].min(initial=np.inf),
         "J_max": rows[:, 11].max(initial=-np.inf),
     }
     for a, axis in enumerate("xyz"):
         entry[f"momentum_{axis}"] = total[1 + a]
-        entry[f"angular_{axis}"] = total[4 + a]
+        entry[f"angular_momentum_{axis}"] = total[4 + a]
     return entry
 
 
@@ -120,7 +120,7 @@ def format_drift(first: list[dict], last: list[dict]) -> str:
     change = mass[1] - mass[0] - (flow[1] - flow[0])
     label = "change" if not any(flow) else "less what came and went: change"
     energy = [
-        sum(e["kinetic"] + e["elastic"] + e["potential"] for e in entries)
+        sum(e[f"{kind}_energy"] for e in entries for kind in ("kinetic", "elastic", "potential"))
         for entries in (first, last)
     ]
     low, high = min(e["J_min"] for e in last), max(e["J_max"] for e in last)

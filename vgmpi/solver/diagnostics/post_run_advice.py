@@ -40,9 +40,9 @@ class RunObserver:
         """Record the conservation entries of a frame; called at every frame."""
         self.frames += 1
         for entry in entries:
-            name, height = entry["phase"], entry["potential"]
-            self.kinetic[name] = max(self.kinetic.get(name, 0.0), entry["kinetic"])
-            self.elastic[name] = max(self.elastic.get(name, 0.0), entry["elastic"])
+            name, height = entry["phase"], entry["potential_energy"]
+            self.kinetic[name] = max(self.kinetic.get(name, 0.0), entry["kinetic_energy"])
+            self.elastic[name] = max(self.elastic.get(name, 0.0), entry["elastic_energy"])
             low, high = self.potential.get(name, (height, height))
             self.potential[name] = min(low, height), max(high, height)
             self.mass[name] = entry["mass"]

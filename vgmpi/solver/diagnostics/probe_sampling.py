@@ -117,7 +117,7 @@ class Probes:
             filled += np.bincount(layer + 1, fraction * (height - layer), len(filled))
         filled[1] += filled[0]
         filled[-2] += filled[-1]
-        return {"level": _surface(filled[1:-1]) * plan.dx}
+        return {"surface_height": _surface(filled[1:-1]) * plan.dx}
 
     def _particles_near(self, point: tuple, fluids: bool) -> list[tuple[int, "_Neighborhood"]]:
         """Return particles within a cell of a point by group, on rank 0; else nothing."""
@@ -190,21 +190,22 @@ class Probes:
         name = probe.collider or ""
         row = self.simulation.reactions.row(name, names.index(name))
         work = float(self.simulation.reactions.totals[row, 6])
-        before = self.rows[probe.name][-1]["all_work"] if self.rows[probe.name] else np.nan
-        return self._reaction(probe, row) | {"work": work - before, "all_work": work}
+        before = self.rows[probe.name][-1]["cumulative_work"] if self.rows[probe.name] else np.nan
+        return self._reaction(probe, row) | {"work": work - before, "cumulative_work": work}
 
     def _reaction(self, probe: Probe, row: int) -> dict:
         """Return force [N] and torque [N m] on a collider or a wall, by its row in Reactions."""
         assert self.simulation.reactions is not None
         reaction = -self.simulation.reactions.totals[row]  # reaction of the bodies on it
-        impulse, swing = _vector("impulse", reaction[:3]), _vector("swing", reaction[3:6])
+        impulse = _vector("impulse", reaction[:3])
+        angular_impulse = _vector("angular_impulse", reaction[3:6])
         force, torque = np.full((2, 3), np.nan)
         if self.rows[probe.name]:
             last = self.rows[probe.name][-1]
             dt = self.simulation.time - last["time"]
             force = np.array([impulse[name] - last[name] for name in impulse]) / dt
-            torque = np.array([swing[name] - last[name] for name in swing]) / dt
-        return _vector("force", force) | _vector("torque", torque) | impulse | swing
+            torque = np.array([angular_impulse[k] - last[k] for k in angular_impulse]) / dt
+        return _vector("force", force) | _vector("torque", torque) | impulse | angular_impulse
 
     def _rate(self, probe: Probe, momentum: np.ndarray) -> tuple[np.ndarray, float]:
         """Return the mean rate of momentum [N] since the last row, and the time [s] since then.

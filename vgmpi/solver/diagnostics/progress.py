@@ -116,7 +116,7 @@ def timing_table(run: Runner, clock: Clock) -> str:
     steps = simulation.step - run.first_step
     particles = run.plan.particles
     if run.plan.is_open_system:  # the particles present now
-        particles = max(1, sum(entry["count"] for entry in run.latest_conservation))
+        particles = max(1, sum(entry["particles"] for entry in run.latest_conservation))
     lines = [f"{steps:,} steps of {particles:,} particles in {wall:.1f} s on {ranks.size} rank(s)"]
     if steps and wall > 0:
         rate = steps * particles / wall

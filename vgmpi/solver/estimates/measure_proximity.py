@@ -27,7 +27,7 @@ def surroundings(
     """
     bodies = objects[: len(scene.object)]
     measured = measure_proximity(
-        scene, [x[entry["first"] :][: entry["count"]] for entry in bodies], colliders
+        scene, [x[entry["first_row"] :][: entry["row_count"]] for entry in bodies], colliders
     )
     return (*measured, *[Proximity()] * (len(objects) - len(measured)))
 

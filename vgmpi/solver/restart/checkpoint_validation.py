@@ -49,9 +49,9 @@ def check_attrs(path: Any, attrs: dict, run: bool = True) -> None:
         frame = attrs.get("frame")
         checks["frame"] = _count(frame, file_layout.MAX_FRAMES)
         checks["scene"] = isinstance(attrs.get("scene"), dict)
-        history = attrs.get("history", [])
-        checks["history"] = isinstance(history, list)
-        checks["tables"] = isinstance(attrs.get("tables", {}), dict)
+        history = attrs.get("resume_history", [])
+        checks["resume_history"] = isinstance(history, list)
+        checks["log_checksums"] = isinstance(attrs.get("log_checksums", {}), dict)
     for name, is_good in checks.items():
         if not is_good:
             raise Mismatch(f"{path}: attrs: {name} cannot be {attrs.get(name)!r:.60}")
@@ -170,7 +170,8 @@ def _check_form(simulation, saved, name, group):
     if width != own_width:
         raise Mismatch(
             f"{saved.path}: a particle of {group.plan.name} carries {width} numbers besides its"
-            f" motion, in this scene {own_width} (material, deforms, appearance.color_transfer)"
+            f" motion, in this scene {own_width}"
+            " (material, track_deformation, appearance.color_transfer)"
         )
     n, b = saved.count(f"{name}/id"), saved.count(f"{name}/block")
     integer = np.dtype(np.int64)

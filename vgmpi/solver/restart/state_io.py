@@ -49,7 +49,7 @@ def frame_rows(simulation: Simulation, names: tuple[str, ...]) -> tuple[np.ndarr
         if "F" in names and deforms:
             row["F"] = _gradient(group, indices, J)
         if simulation.plan.colors is not None:
-            row["colour"] = _color(group, indices, simulation.plan.colors)
+            row["color_sh"] = _color(group, indices, simulation.plan.colors)
         ids.append(group.ids[indices])
         group_rows.append(row)
     return np.concatenate(ids), {
