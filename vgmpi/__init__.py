@@ -23,6 +23,8 @@ __all__ = ["Run", "SceneError", "load", "plan", "read", "run"]
 
 
 def __getattr__(name: str):
+    if name == "__version__":
+        return importlib.import_module("vgmpi.runtime.versions").program_version()
     if name not in __all__:
         raise AttributeError(f"module 'vgmpi' has no attribute '{name}'")
     return getattr(importlib.import_module("vgmpi.api"), name)

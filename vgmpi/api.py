@@ -12,6 +12,7 @@ Example:
     ```
 """
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -114,6 +115,10 @@ class Run:
         self._inner = inner
         self.code: int | None = None
 
+    def __repr__(self) -> str:
+        state = {None: "going on", 0: "done", 3: "blew up", 75: "stopped"}[self.code]
+        return f"<Run {state} at {self.time:.4g} s, step {self.step}, frame {self.frame}>"
+
     @property
     def simulation(self):
         """State of the solver, see vgmpi/solver/step.py."""
@@ -186,6 +191,7 @@ def run(
     threads: int = 1,
     engine: str = "cpu",
     overwrite: bool = False,
+    progress: bool | None = None,
 ) -> Run:
     """Run a scene from its start to its end.
 
@@ -200,6 +206,7 @@ def run(
         engine: `"cpu"`, `"cuda"` (one GPU for each rank), or `"numpy"` (slow, for comparison, on
             one rank and one thread).
         overwrite: Replace an existing run in the folder.
+        progress: Whether a bar shows the progress; by default on a terminal and in a notebook.
 
     Returns:
         The run at its end; a blow-up is code 3.
@@ -221,6 +228,7 @@ def run(
         ```
     """
     from .solver import run as runs
+    from .solver.diagnostics.progress import Progress
 
     options = runs.Options(
         None if folder is None else Path(folder), threads, engine, overwrite=overwrite
@@ -231,5 +239,11 @@ def run(
             options.listeners.append(lambda simulation: on_step(state))
         if on_frame is not None:
             options.watchers.append(lambda run: on_frame(state))
+        bar = None
+        if progress or (progress is None and (sys.stderr.isatty() or "ipykernel" in sys.modules)):
+            bar = Progress(inner, quiet=False, bar=True)
+            options.listeners.append(bar)
         state.code = inner.run()
+        if bar is not None:
+            bar.close()
     return state

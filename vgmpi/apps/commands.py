@@ -4,10 +4,12 @@ The module of a subcommand is imported when the subcommand is called.
 """
 
 import importlib
+import platform
 import sys
 from typing import NamedTuple
 
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions
+from vgmpi.runtime.versions import program_version
 
 
 class Command(NamedTuple):
@@ -42,6 +44,7 @@ COMMANDS = {
 }
 HELP = """usage: vgmpi scene.toml [flags]
        vgmpi COMMAND [flags]
+       vgmpi --version
        mpirun -n 2 python -m vgmpi scene.toml
 
 Multiphase physics on 3D Gaussians. `vgmpi COMMAND --help` lists the flags of a command.
@@ -70,6 +73,9 @@ def main(argv: list[str]) -> int:
     """
     if argv and argv[0] in ("-h", "--help"):
         print(format_help())
+        return 0
+    if argv and argv[0] == "--version":
+        print(f"vgmpi {program_version()}, Python {platform.python_version()}")
         return 0
     name, words = (argv[0], argv[1:]) if argv and argv[0] in COMMANDS else ("run", argv)
     command = COMMANDS[name]

@@ -23,6 +23,7 @@ import h5py
 import numpy as np
 
 from vgmpi.parallel.communicator import SerialCommunicator
+from vgmpi.runtime.atomic_write import replace_file, sync_folder
 
 from . import checkpoint_manifest, file_layout
 from .sparse_memory_file import SparseMemoryFile
@@ -88,29 +89,9 @@ def _check_room(folder: Path, size: int) -> None:
         raise OSError(errno.ENOSPC, f"{size} bytes, {free} free")
 
 
-def fsync_folder(folder: Path) -> None:
-    """Flush a rename to the disk."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
 def replace_text(path: Path, text: str) -> None:
-    """Write a small text file atomically. Not collective."""
-    temporary = temporary_name(path)
-    try:
-        temporary.unlink(missing_ok=True)
-        with open(temporary, "x", encoding="utf-8") as f:  # a new file: no link is followed
-            f.write(text)
-            f.flush()
-            os.fsync(f.fileno())
-        os.replace(temporary, path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
-    fsync_folder(path.parent)
+    """Write a small text file whole or not at all. Not collective."""
+    replace_file(path, text)
 
 
 def temporary_name(path: Path) -> Path:
@@ -311,7 +292,7 @@ class Hdf5Writer:
 
     def _rename(self):
         os.replace(self.temporary, self.path)
-        fsync_folder(self.path.parent)
+        sync_folder(self.path.parent)
 
 
 def _piece_rows(rows):

@@ -99,6 +99,9 @@ class RunReader:
         self._warned = False  # the notice on frames without checksums is logged once
         self._count = max([*self.frames, *self._series_frames()]) + 1
 
+    def __repr__(self) -> str:
+        return f"<run {str(self.folder)!r}: {len(self.frames)} frames>"
+
     def _series_frames(self) -> list[int]:
         """Return the numbers of the frames in the series: the last ones may be missing too."""
         path = self.folder / file_layout.SERIES

@@ -56,9 +56,12 @@ class Material(StrictModel):
             return raw
         if not isinstance(name, str) or name not in cls.presets:
             names = ", ".join(cls.presets) or "none"
-            message = (
-                f"there is no such preset{did_you_mean(name, cls.presets)}; known here: {names}"
-            )
+            others = kinds_with_preset(name) if isinstance(name, str) else []
+            if others:
+                message = f'preset "{name}" is of kind "{others[0]}"'
+            else:
+                hint = did_you_mean(name, cls.presets)
+                message = f"there is no such preset{hint}; known here: {names}"
             raise field_error(cls, "preset", message, name)
         return {**cls.presets[name], **raw}
 
@@ -86,6 +89,17 @@ class Material(StrictModel):
 
 
 registry: dict[str, type[Material]] = {}
+
+
+def kinds_with_preset(name: str) -> list[str]:
+    """Return the kinds that have a preset of this name, in the order of the registry.
+
+    Solids share their presets: "elastic" comes before "corotated", which is slower.
+    """
+    kinds = [kind for kind, cls in registry.items() if name in cls.presets]
+    return sorted(kinds, key=lambda kind: kind != "elastic")
+
+
 MaterialClass = TypeVar("MaterialClass", bound=Material)
 
 

@@ -146,7 +146,7 @@ def layer_count(scene: Scene, source: Inlet) -> int:
 
 def outlet_plans(scene: Scene) -> tuple[OutletPlan, ...]:
     """Return the outlets of a scene, then its open walls: one cell deep, with all behind them."""
-    plans = [OutletPlan(sink.name, sink.shape) for sink in scene.outlet]
+    plans = [OutletPlan(sink.name, sink.shape, sink.start_time or 0.0) for sink in scene.outlet]
     dx, size = scene.domain.cell, scene.domain.size
     for name in scene.domain.open_walls:
         axis, side = divmod(WALLS.index(name), 2)

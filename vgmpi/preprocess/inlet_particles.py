@@ -96,8 +96,9 @@ def validate_inlets_outlets(
         ]
         if overlapping:
             message = f"'{sink.name}' holds particles of '{overlapping[0]}'"
-            message = f"an outlet that removes a body at the start: {message}"
             wall = k >= len(scene.outlet)
+            advice = "" if wall else "; start_time opens it later"
+            message = f"an outlet that removes a body at the start: {message}{advice}"
             errors.append((("domain", "boundary") if wall else ("outlet", k, "shape"), message))
     if errors:
         raise scene.error(errors)

@@ -6,6 +6,7 @@ import logging
 import numpy as np
 
 from vgmpi.kernels.rigid.moving_colliders import MAX_COLLIDER_TRAVEL_CELLS
+from vgmpi.planning.plan import MAX_STEPS
 from vgmpi.planning.prescribed_bodies import course_of
 from vgmpi.scene.objects import Object
 from vgmpi.scene.rigid_motion import SPEED_SAMPLES, Trajectories
@@ -20,6 +21,8 @@ MIN_THICKNESS = (
 )
 THICKNESS_TOLERANCE = 0.25  # [cells] of a thickness found on a lattice
 MAX_SAMPLES = 2_000_000  # [points] of that lattice
+# intervals of a run for which the travel of motions is computed, and samples of each
+TRAVEL_INTERVALS, TRAVEL_SAMPLES = 128, 8
 
 
 def validate_collider_motion(scene: Scene, collider: Collider | None) -> list[tuple[tuple, str]]:
@@ -41,8 +44,8 @@ def validate_collider_motion(scene: Scene, collider: Collider | None) -> list[tu
     errors, courses = [], Trajectories([collider.course])
     for t0, t1, key in collider.course.segments(scene.time.end):
         radius = collider.course.far(*collider.ends())
-        message = _too_fast(scene, float(courses.fastest(t0, t1, np.array([radius]))[0]))
-        message = message or _outside(scene, collider, courses, t1)
+        speed = float(courses.fastest(t0, t1, np.array([radius]))[0])
+        message = _too_fast(scene, speed, t1 - t0) or _outside(scene, collider, courses, t1)
         errors += [(("motion", *key), message)] if message else []
     return errors
 
@@ -60,7 +63,7 @@ def validate_body_motion(scene: Scene, obj: Object, x: np.ndarray) -> list[tuple
     errors, courses, hull = [], Trajectories([course]), _hull(x)
     for t0, t1, key in course.segments(scene.time.end):
         radius = np.array([course.far(low, high)])
-        message = _too_fast(scene, float(courses.fastest(t0, t1, radius)[0]))
+        message = _too_fast(scene, float(courses.fastest(t0, t1, radius)[0]), t1 - t0)
         for time in np.linspace(t0, t1, SPEED_SAMPLES + 1)[1:]:
             message = message or _outside_domain(scene, hull, courses, float(time))
         errors += [(("motion", *key), message)] if message else []
@@ -104,9 +107,40 @@ def _outside_domain(scene: Scene, x: np.ndarray, courses: Trajectories, time: fl
     return ""
 
 
-def _too_fast(scene: Scene, speed: float) -> str:
-    """Return an error if a speed [m/s] is too fast for a fixed time step, or ""."""
+def motion_steps(scene: Scene, colliders: list[Collider], extents: dict) -> np.ndarray:
+    """Return the steps that prescribed motions take in equal intervals of the run, shape (n,).
+
+    The fastest point of the fastest collider or body counts; there is no entry if nothing moves.
+
+    Args:
+        scene: The scene.
+        colliders: Its colliders.
+        extents: Corners [m] of bodies with prescribed motion, by the number of the object.
+    """
+    courses = [(c.course, c.course.far(*c.ends())) for c in colliders if c.course is not None]
+    for k, (low, high) in extents.items():
+        obj = scene.object[k]
+        if obj.motion is not None:
+            course = course_of(obj, low, high)
+            courses.append((course, course.far(low, high)))
+    if not courses:
+        return np.zeros(0)
+    every = Trajectories([course for course, _ in courses])
+    radius = np.array([far for _, far in courses])
+    times = np.linspace(0.0, scene.time.end, TRAVEL_INTERVALS * TRAVEL_SAMPLES + 1)
+    travel = np.array([every.travels(a, b, radius).max() for a, b in itertools.pairwise(times)])
+    step = MAX_COLLIDER_TRAVEL_CELLS * scene.domain.cell
+    return travel.reshape(-1, TRAVEL_SAMPLES).sum(axis=1) / step
+
+
+def _too_fast(scene: Scene, speed: float, duration: float) -> str:
+    """Return an error if a speed [m/s] needs too many steps or too short a fixed one, or ""."""
     limit, dt = MAX_COLLIDER_TRAVEL_CELLS * scene.domain.cell, scene.time.dt
+    if speed * duration > MAX_STEPS * limit:
+        return (
+            f"moves at up to {speed:.4g} m/s, which are {speed * duration / limit:.2g} steps of"
+            f" {MAX_COLLIDER_TRAVEL_CELLS:g} cells: at most {MAX_STEPS:.2g} are possible"
+        )
     if speed * dt <= limit:
         return ""
     cell_count = speed * dt / scene.domain.cell

@@ -3,6 +3,7 @@
 Distances are in the shape's own coordinates [m], negative inside.
 """
 
+import functools
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -17,6 +18,9 @@ Judge = Callable[[np.ndarray], np.ndarray]  # points (n, 3) -> bool (n,)
 TIE = 1e-6
 BLOCK = 16  # points along an edge of the cubes that are tested as a whole
 _POINTS_PER_BATCH = 500_000  # points tested together
+COMPOUND = ("union", "difference", "intersection")  # shapes made of shapes
+SEARCH_POINTS = 31  # along each axis of the grid that searches the extent of a compound shape
+SEARCH_TOLERANCE = 1e-9  # [-] of the extent
 
 
 def distance(shape: Shape, points: np.ndarray) -> np.ndarray:
@@ -47,17 +51,19 @@ def distance(shape: Shape, points: np.ndarray) -> np.ndarray:
             return np.hypot(across - form.major_radius, along) - form.minor_radius
         case "union":
             return _union((distance(part, points) for part in form), shape.blend_radius)
+    sign = 1.0 if shape.form == "intersection" else -1.0
     out = distance(form[0], points)
     for part in form[1:]:  # one after the other, since there may be hundreds
-        out = np.maximum(out, -distance(part, points))
+        out = np.maximum(out, sign * distance(part, points))
     return out
 
 
 def support(shape: Shape, direction: np.ndarray) -> float:
     """Return the largest x . direction over the shape's points x (support function).
 
-    For a difference it is that of its first part, for a blended union that of its parts (see
-    `blend_overhang`).
+    For a blended union it is that of its parts (see `blend_overhang`). For a difference and an
+    intersection it is searched to about 1e-9 of the size; what sticks out there must be wider than
+    a thirtieth of the shape.
     """
     form = getattr(shape, shape.form)
     d = np.asarray(direction, dtype=float)
@@ -88,16 +94,54 @@ def support(shape: Shape, direction: np.ndarray) -> float:
             )
         case "union":
             return max(support(part, d) for part in form)
-    return support(form[0], d)
+    return _search_support(shape, tuple(d.tolist()))
+
+
+@functools.lru_cache(maxsize=1024)
+def _search_support(shape: Shape, direction: tuple[float, float, float]) -> float:
+    """Return the support of a difference or an intersection, by ever finer grids of its top."""
+    size = float(np.linalg.norm(direction))
+    third = np.array(direction) / size
+    first = np.cross(third, np.eye(3)[np.argmin(np.abs(third))])
+    axes = np.stack([first / np.linalg.norm(first), np.cross(third, first), third])
+    axes[1] /= np.linalg.norm(axes[1])
+    high = np.array([_bound(shape, axis) for axis in axes])
+    low = -np.array([_bound(shape, -axis) for axis in axes])
+    bound, extent = high[2], high[2] - low[2]
+    steps = np.stack(np.meshgrid(*[np.linspace(0, 1, SEARCH_POINTS)] * 3, indexing="ij"), -1)
+    while high[2] - low[2] > SEARCH_TOLERANCE * extent:
+        points = (low + steps * (high - low)).reshape(-1, 3)
+        inside = (distance(shape, points @ axes) < 0).reshape(steps.shape[:3])
+        layers = np.flatnonzero(inside.any(axis=(0, 1)))
+        if not len(layers):
+            break
+        top, spacing = layers[-1], (high - low) / (SEARCH_POINTS - 1)
+        columns = np.argwhere(inside[:, :, top])
+        window = low[:2] + columns.min(0) * spacing[:2], low[:2] + columns.max(0) * spacing[:2]
+        level = low[2] + top * spacing[2]
+        low = np.array([*(window[0] - spacing[:2]), level])
+        high = np.array([*(window[1] + spacing[:2]), min(level + spacing[2], bound)])
+    return size * float(high[2])
+
+
+def _bound(shape: Shape, direction: np.ndarray) -> float:
+    """Return an upper bound of the support in a unit direction, without a search."""
+    parts = getattr(shape, shape.form)
+    if shape.form == "union":
+        return max(_bound(part, direction) for part in parts) + blend_overhang(shape)
+    if shape.form == "difference":
+        return _bound(parts[0], direction)
+    if shape.form == "intersection":
+        return min(_bound(part, direction) for part in parts)
+    return support(shape, direction)
 
 
 def blend_overhang(shape: Shape) -> float:
     """Return the distance [m] by which blending may push the shape beyond its support."""
-    if shape.form not in ("union", "difference"):
-        return 0.0
-    parts = getattr(shape, shape.form)
-    if shape.form == "difference":
-        return blend_overhang(parts[0])
+    if shape.form != "union":
+        return 0.0  # the support of a difference or an intersection is that of its blended parts
+    parts = shape.union
+    assert parts is not None
     return (
         max(blend_overhang(part) for part in parts)
         + (len(parts) - 1) * (shape.blend_radius or 0.0) / 4
@@ -109,15 +153,16 @@ def is_lipschitz(shape: Shape) -> bool:
 
     This does not hold near an ellipsoid.
     """
-    parts = getattr(shape, shape.form) if shape.form in ("union", "difference") else ()
+    parts = getattr(shape, shape.form) if shape.form in COMPOUND else ()
     return shape.form != "ellipsoid" and all(is_lipschitz(part) for part in parts)
 
 
 def colors(shape: Shape, points: np.ndarray, default: tuple) -> np.ndarray:
     """Return the color (n, 3) of `points`: that of the first part around them, or `default`."""
     color = shape.color or default
-    if shape.difference is not None:
-        return colors(shape.difference[0], points, color)
+    first_of = shape.difference or shape.intersection
+    if first_of is not None:
+        return colors(first_of[0], points, color)
     out = np.tile(np.asarray(color, dtype=float), (len(points), 1))
     if shape.union is not None:
         holder, nearest = np.zeros(len(points), dtype=np.int64), np.full(len(points), np.inf)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from vgmpi.runtime import safe_open
+from vgmpi.runtime.atomic_write import replace_file
 
 
 class VideoError(RuntimeError):
@@ -184,16 +185,9 @@ def write_array(path: str | Path, array: np.ndarray) -> None:
 def write(path: str | Path, data: bytes) -> None:
     """Write a file atomically. Raises VideoError."""
     path = Path(path)
-    part = path.with_name(f".{path.name}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            part.unlink(missing_ok=True)
-            with open(part, "xb") as f:  # exclusive creation follows no link
-                f.write(data)
-            os.replace(part, path)
-        finally:
-            part.unlink(missing_ok=True)
+        replace_file(path, data)
     except OSError as error:
         raise VideoError(f"{path}: {error.strerror or error}") from None
 

@@ -2,6 +2,7 @@
 
 import functools
 import hashlib
+import os
 import pathlib
 import platform
 import zlib
@@ -11,7 +12,15 @@ from numba import config
 
 from .jit import cache_folder, user_folder
 
-__all__ = ["model", "processor", "compiled_marker", "user_folder", "vector_bytes", "widest"]
+__all__ = [
+    "available_cores",
+    "model",
+    "processor",
+    "compiled_marker",
+    "user_folder",
+    "vector_bytes",
+    "widest",
+]
 
 _SUM = """
 target triple = "{triple}"
@@ -32,6 +41,13 @@ def model() -> str:
     except OSError:
         pass  # not Linux
     return f"{name} ({processor()})"
+
+
+def available_cores() -> int:
+    """Return the number of cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def processor() -> str:

@@ -6,6 +6,14 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 
+def program_version() -> str:
+    """Return the version of the program, such as "0.9.0"."""
+    try:
+        return version("vgmpi")
+    except PackageNotFoundError:  # a folder that is on the path and not installed
+        return "not installed"
+
+
 def versions() -> dict[str, str]:
     """Return the versions of the program and its libraries, as files record them."""
     names_to_versions = {"python": platform.python_version()}

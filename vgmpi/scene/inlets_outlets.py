@@ -34,8 +34,8 @@ class Inlet(StrictModel):
     rectangle: Rectangle | None = None
     """a mouth with corners: { center, width, height }; `width` is horizontal, along x for a
     vertical flow"""
-    direction: Axis
-    """direction of the flow: "x", "y", "z" or three numbers"""
+    direction: Axis = (0.0, 0.0, -1.0)
+    """direction of the flow: "x", "-x", "y", "-y", "z", "-z" or three numbers; default: down"""
     speed: Annotated[float, Quantity("m/s", gt=0)] | None = None
     """speed of the flow"""
     mass_flow_rate: Annotated[float, Quantity("kg/s", gt=0)] | None = None
@@ -89,6 +89,9 @@ class Outlet(StrictModel):
     """unique name: letters, digits, spaces, _ and -, beginning with a letter"""
     shape: Shape
     """the region, in domain coordinates"""
+    start_time: Annotated[float, Quantity("s", gt=0)] | None = None
+    """when it opens; one that opens later may hold a body at the start, as the drain of a full
+    tub does. Default: open from the start"""
 
 
 def validate_inlet(

@@ -1,9 +1,6 @@
 """Loader of scene files: checks all tables of a TOML file and builds a `Scene`."""
 
 import math
-import os
-import re
-import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,15 +10,17 @@ from pydantic import BaseModel, ValidationError
 from vgmpi import materials
 from vgmpi.materials import couplings
 from vgmpi.materials.couplings.interaction import CONTACT
+from vgmpi.materials.material import kinds_with_preset
 from vgmpi.runtime.config import renamed_keys
 from vgmpi.runtime.config.schema import SceneError, format_input, format_validation_errors
 from vgmpi.runtime.config.toml_source import TomlSource
-from vgmpi.runtime.suggestions import did_you_mean, did_you_mean_file
+from vgmpi.runtime.suggestions import did_you_mean
 
 from . import accuracy_presets
 from .gravity import validate_gravity
 from .inlets_outlets import Inlet, Outlet, validate_balance, validate_inlet, validate_outlet
 from .loads import Load, validate_load
+from .object_files import find_object_file
 from .objects import Object, validate_body_name, validate_object, validate_release
 from .probes import Probe, collider_names, validate_probe
 from .scene import Scene, miscible_materials, phase_of
@@ -29,8 +28,6 @@ from .sections import MAX_CELLS, SECTIONS, Appearance, Domain, Output, TopLevelK
 
 REQUIRED = ("domain", "time", "material", "object")
 LISTS = ("object", "coupling", "load", "probe", "inlet", "outlet")
-# The flags of the make_assets.py command that a comment in a scene may hold.
-FLAGS = re.compile(r"# +python \S*make_assets\.py(?: [^\s-]\S*)?((?: --\w+(?: [\w.]+)+)+)")
 
 
 def load(
@@ -153,7 +150,8 @@ class SceneLoader:
         if not isinstance(raw, dict):
             return self.report(path, f"must be a table of keys; {format_input(raw)}")
         if "kind" not in raw:
-            return self.report((*path, "kind"), f"required key is missing: {' | '.join(registry)}")
+            known = " | ".join(registry)
+            return self.report((*path, "kind"), f"required key is missing: {known}")
         cls = registry.get(raw["kind"]) if isinstance(raw["kind"], str) else None
         if cls is None:
             allowed = f"must be one of {', '.join(registry)}{did_you_mean(raw['kind'], registry)}"
@@ -165,7 +163,25 @@ class SceneLoader:
         if not isinstance(raw, dict):
             self.report(("material",), "must hold tables: [material.water]")
             return {}
-        return {n: self.kind(materials.registry, m, ("material", n)) for n, m in raw.items()}
+        return {
+            name: self.kind(
+                materials.registry, self.with_kind_of_preset(table, name), ("material", name)
+            )
+            for name, table in raw.items()
+        }
+
+    def with_kind_of_preset(self, table: Any, name: str) -> Any:
+        """Return the table of a material with the kind of its preset if it names no kind."""
+        preset = table.get("preset") if isinstance(table, dict) and "kind" not in table else None
+        if not isinstance(preset, str):
+            return table
+        kinds = kinds_with_preset(preset)
+        if not kinds:
+            presets = sorted({p for cls in materials.registry.values() for p in cls.presets})
+            message = f"there is no such preset{did_you_mean(preset, presets)}"
+            self.report(("material", name, "preset"), f"{message}; known: {', '.join(presets)}")
+            return table
+        return {"kind": kinds[0], **table}
 
     def objects(self, raw: Any, kinds: dict[str, Any]) -> list[Any]:
         """Return the objects, None in place of invalid ones."""
@@ -344,8 +360,16 @@ class SceneLoader:
         """Return the files of all objects by name; check the output folder."""
         if output is not None and not outside:
             self.check_output_folder(output.folder)
-        located = ((o, self.object_file(k, o, outside)) for k, o in enumerate(objects) if o)
-        return {o.name: file for o, file in located if file}
+        files = {}
+        for k, obj in enumerate(objects):
+            if obj is None:
+                continue
+            file, path, message = find_object_file(self.source, k, obj, outside)
+            if message:
+                self.report(path, message)
+            if file is not None:
+                files[obj.name] = file
+        return files
 
     def check_output_folder(self, folder: str) -> None:
         """Report an output folder outside the scene's folder, unless the command line gives it."""
@@ -358,47 +382,3 @@ class SceneLoader:
                 "lies outside the scene's folder: give it on the command line (-o), or set"
                 f" allow_outside = true at the top of the scene; {format_input(folder)}",
             )
-
-    def object_file(self, k: int, obj: Object, outside: bool) -> Path | None:
-        """Return the existing, permitted file of an object, or None."""
-        key = next((key for key in ("gaussians", "mesh") if getattr(obj, key)), None)
-        if key is None:
-            return None
-        path, name = ("object", k, key), getattr(obj, key)
-        folder = self.source.folder
-        overridden = self.source.overridden(path)  # the command line may name any file
-        candidates = [Path(name), folder / name] if overridden else [folder / name]
-        file = next((c for c in candidates if os.path.isfile(c)), None)
-        if file is None and "\0" in name:
-            self.report(path, f"no file has such a name; {format_input(name)}")
-        elif file is None:
-            missing = candidates[-1]
-            hint = self.script_hint(missing) or did_you_mean_file(missing)
-            self.report(path, f"there is no file {missing}{hint}")
-        elif not (overridden or outside) and not file.resolve().is_relative_to(folder.resolve()):
-            self.report(
-                path,
-                f"{name!r} lies outside the scene's folder: move it below, or set"
-                " allow_outside = true at the top of the scene",
-            )
-        else:
-            return file.resolve()
-        return None
-
-    def script_hint(self, missing: Path) -> str:
-        """Return "; python .../make_assets.py ... makes it" if a script there can make it."""
-        for folder in missing.parents:
-            script = folder / "assets" / "make_assets.py"
-            if os.path.isfile(script) and f'"{missing.stem}": ' in script.read_text(
-                errors="replace"
-            ):
-                flags = FLAGS.search(self.source.text)
-                words = map(shlex.quote, (relative_to_cwd(script), relative_to_cwd(missing.parent)))
-                return f"; python {' '.join(words)}{flags[1] if flags else ''} makes it"
-        return ""
-
-
-def relative_to_cwd(path: Path) -> str:
-    """Return the path relative to the current folder if it is inside, else the absolute path."""
-    path, cwd = path.resolve(), Path.cwd()
-    return str(path.relative_to(cwd) if path.is_relative_to(cwd) else path)

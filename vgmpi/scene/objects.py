@@ -96,7 +96,7 @@ class Rotation(StrictModel):
     """Rotation about an axis through the object."""
 
     axis: Axis
-    """"x", "y", "z" or three numbers"""
+    """"x", "-x", "y", "-y", "z", "-z" or three numbers"""
     angle: Annotated[float, Quantity("rad")]
     """right-handed angle"""
 

@@ -32,6 +32,30 @@ def may_change() -> dict[str, str]:
     return effects | LISTS
 
 
+# Keys of bodies that only make the particles of the start, which a resumed run has already.
+PARTICLE_KEYS = frozenset(
+    "gaussians mesh shape select up height width depth scale rotation position origin velocity"
+    " angular_velocity velocity_mode volume_fraction volume_fraction_profile initial_pressure"
+    " particles_per_cell fill prune prune_scale passive_gaussians color opacity".split()
+)
+
+
+def changes_without_effect(scene: Scene, differences: list[tuple[tuple, str]]) -> list[tuple]:
+    """Return those of the changes, as (path, message), that a resumed run cannot follow.
+
+    Args:
+        scene: Scene of the restart.
+        differences: Changes from `forbidden_changes`.
+    """
+    wrong = []
+    for path, message in differences:
+        of_body = path[0] == "object" and len(path) > 2 and scene.object[path[1]].role == "body"
+        if (of_body and path[2] in PARTICLE_KEYS) or path[0] == "seed":
+            told = "the particles are those of the run so far, a new run makes others"
+            wrong.append((path, f"{message}: {told}"))
+    return wrong
+
+
 def forbidden_changes(scene: Scene, before: dict) -> list[tuple[tuple, str]]:
     """Return forbidden changes: (path of the key in the scene, message with both values).
 

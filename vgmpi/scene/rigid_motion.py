@@ -53,7 +53,7 @@ class Motion(StrictModel):
     """a point on the axis of rotation, at the start; it moves along. Default: the center of its
     extent"""
     axis: Axis = (0.0, 0.0, 1.0)
-    """axis of rotation: "x", "y", "z" or three numbers; right-handed"""
+    """axis of rotation: "x", "-x", "y", "-y", "z", "-z" or three numbers; right-handed"""
 
     @property
     def ends(self) -> float:

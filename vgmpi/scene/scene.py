@@ -16,7 +16,7 @@ from .probes import Probe
 from .sections import SECTIONS, Accuracy, Appearance, Domain, Output, Time
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Scene:
     """Content of a scene file with defaults filled in, in SI units.
 
@@ -46,6 +46,14 @@ class Scene:
     )  # file of each object that has one, by object name
     overrides: tuple[str, ...] = ()
     source: TomlSource | None = field(default=None, repr=False, compare=False)
+
+    def __repr__(self) -> str:
+        bodies = sum(obj.role == "body" for obj in self.object)
+        nx, ny, nz = self.domain.cells
+        return (
+            f"<Scene {self.title or self.path.name!r}: {bodies} bodies, {len(self.inlet)} inlets,"
+            f" {nx} x {ny} x {nz} cells, {self.time.end:g} s>"
+        )
 
     @property
     def things(self) -> tuple[Object | Inlet, ...]:

@@ -24,15 +24,24 @@ SHAPE_KINDS = (
     "torus",
     "union",
     "difference",
+    "intersection",
 )
+
+UNIT_VECTORS = {
+    "x": (1.0, 0.0, 0.0),
+    "-x": (-1.0, 0.0, 0.0),
+    "y": (0.0, 1.0, 0.0),
+    "-y": (0.0, -1.0, 0.0),
+    "z": (0.0, 0.0, 1.0),
+    "-z": (0.0, 0.0, -1.0),
+}
 
 
 def _axis(value: Any) -> tuple[float, float, float]:
-    """Return a unit vector from "x", "y", "z" or three numbers."""
-    unit_vectors = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-    numbers = unit_vectors.get(value) if isinstance(value, str) else parse_vector3(value)
+    """Return a unit vector from "x", "-x", "y", "-y", "z", "-z" or three numbers."""
+    numbers = UNIT_VECTORS.get(value) if isinstance(value, str) else parse_vector3(value)
     if numbers is None or not any(numbers):
-        raise ValueError("must be 'x', 'y', 'z' or three numbers that are not all 0")
+        raise ValueError(f"must be one of {', '.join(UNIT_VECTORS)} or three numbers, not all 0")
     x, y, z = numbers
     size = math.hypot(x, y, z)
     return x / size, y / size, z / size
@@ -96,7 +105,7 @@ class Torus(StrictModel):
     center: Point
     """its center"""
     axis: Axis = (0.0, 0.0, 1.0)
-    """axis of symmetry: "x", "y", "z" or three numbers"""
+    """axis of symmetry: "x", "-x", "y", "-y", "z", "-z" or three numbers"""
     major_radius: Positive
     """radius of the center line of its tube"""
     minor_radius: Positive
@@ -105,7 +114,7 @@ class Torus(StrictModel):
 
 class Shape(StrictModel):
     """Solid: exactly one of the keys box, sphere, ellipsoid, cylinder, capsule, cone, torus, union,
-    difference.
+    difference, intersection.
     """
 
     box: Corners | None = None
@@ -127,6 +136,8 @@ class Shape(StrictModel):
     difference: tuple["Shape", ...] | None = None
     """list of shapes: the first minus all others. A shape that cuts a hole into a collider must
     extend three cells beyond it on both sides, because water stops at its ends, too"""
+    intersection: tuple["Shape", ...] | None = None
+    """list of shapes: what lies in all of them; the first one gives the color"""
     blend_radius: Positive | None = None
     """unions only: radius of rounded edges between parts; coincident surfaces of parts move outward
     by a quarter of it"""
@@ -151,7 +162,7 @@ def validate_shape(raw: Any, path: tuple) -> list[tuple[tuple, str]]:
         errors.append((path, f"has no form: give one of {', '.join(SHAPE_KINDS)}"))
     if "blend_radius" in raw and "union" not in raw:
         errors.append(((*path, "blend_radius"), "is only for a union"))
-    for form in ("union", "difference"):
+    for form in ("union", "difference", "intersection"):
         parts = raw.get(form)
         if isinstance(parts, list) and len(parts) < 2:
             errors.append(((*path, form), f"needs at least 2 shapes; got {len(parts)}"))

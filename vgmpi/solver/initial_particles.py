@@ -19,7 +19,7 @@ from vgmpi.planning.prescribed_bodies import Extents
 from vgmpi.planning.proximity import Proximity
 from vgmpi.preprocess.load_targets import resolve_loads
 from vgmpi.preprocess.meshes import texture
-from vgmpi.preprocess.motion_checks import extent
+from vgmpi.preprocess.motion_checks import extent, motion_steps
 from vgmpi.scene.scene import Scene
 from vgmpi.solver.estimates.measure_proximity import surroundings
 
@@ -271,7 +271,11 @@ def plan_for(scene: Scene, summary: ParticleSummary) -> Plan:
         scene, summary.count, summary.volume, colliders, summary.center, summary.shades, surface,
         summary.extents,
     )  # fmt: skip
-    return replace(plan, thickness=summary.thickness, surroundings=summary.surroundings)
+    steps = motion_steps(scene, summary.colliders, summary.extents)
+    return replace(
+        plan, thickness=summary.thickness, surroundings=summary.surroundings,
+        motion_steps=tuple(steps.tolist()),
+    )  # fmt: skip
 
 
 def preparation_hash(scene: Scene) -> str:

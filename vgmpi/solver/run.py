@@ -18,8 +18,9 @@ from vgmpi.planning.cost.plan_report import format_plan
 from vgmpi.planning.plan import Plan
 from vgmpi.preprocess.initial_velocity import initial_velocity_gradient
 from vgmpi.runtime.config.renames import list_new_names
+from vgmpi.runtime.cpu_features import available_cores
 from vgmpi.runtime.versions import versions
-from vgmpi.scene.resume_rules import forbidden_changes, may_change
+from vgmpi.scene.resume_rules import changes_without_effect, forbidden_changes, may_change
 from vgmpi.scene.scene import Scene
 from vgmpi.solver.diagnostics.conservation import conservation_rows
 from vgmpi.solver.diagnostics.probe_sampling import Probes, files
@@ -61,6 +62,9 @@ class Options:
     watchers: list = field(default_factory=list)  # each called with (run) at every frame
 
 
+MAX_THREADS_PER_CORE, MIN_THREAD_LIMIT = 4, 32  # more would take memory for nothing
+
+
 class InvalidRunOptions(ValueError):
     """Error of options that exclude each other or do not suit the ranks."""
 
@@ -73,6 +77,12 @@ def check(options: Options, ranks: SerialCommunicator) -> None:
         )
     if options.threads < 1:
         raise InvalidRunOptions(f"threads must be at least 1; got {options.threads}")
+    most = max(MIN_THREAD_LIMIT, MAX_THREADS_PER_CORE * available_cores())
+    if options.threads > most:
+        raise InvalidRunOptions(
+            f"threads must be at most {most} where this process may use {available_cores()} cores;"
+            f" got {options.threads}"
+        )
     if options.engine == "numpy" and (ranks.size > 1 or options.threads > 1):
         raise InvalidRunOptions(
             "engine numpy computes on one rank and one thread; asked for"
@@ -369,7 +379,7 @@ def _history(scene: Scene, attrs: dict, change: bool) -> list[dict]:
     """Return the changes of the scene at all resumes, including this one.
 
     Raises:
-        SceneError: If a key has changed that may not, unless `change` is set.
+        SceneError: If a key has changed that may not, unless `change` is set, or one that cannot.
     """
     history = list(attrs.get("resume_history", []))
     differences = forbidden_changes(scene, attrs["scene"])
@@ -381,6 +391,8 @@ def _history(scene: Scene, attrs: dict, change: bool) -> list[dict]:
         raise scene.error(differences).with_line(
             f"--resume may change {free}; with --change all else too"
         )
+    if without_effect := changes_without_effect(scene, differences):
+        raise scene.error(without_effect)
     for line in lines:
         log.warning("changed from here on: %s", line)
     return [*history, {"step": attrs["step"], "time": attrs["time"], "changes": lines}]

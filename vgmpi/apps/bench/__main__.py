@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from vgmpi.materials import registry
+from vgmpi.runtime.atomic_write import replace_file
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions
 from vgmpi.runtime.versions import versions
 
@@ -174,7 +175,7 @@ def _run_compare(args: argparse.Namespace) -> int:
 def _run_speed(args: argparse.Namespace) -> int:
     results = measure(args, print_progress)
     if args.json:
-        args.json.write_text(json.dumps(results, indent=1) + "\n")
+        replace_file(args.json, json.dumps(results, indent=1) + "\n")
     print(result_tables.text(results))
     failed = result_tables.failures(results)
     for line in failed:

@@ -4,6 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from vgmpi.runtime.atomic_write import replace_file
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions
 
 WRONG = 2
@@ -42,7 +43,7 @@ def main(argv: list[str] | None = None) -> int:
         if args.output.exists() and not args.overwrite:
             raise ConvertError([f"{args.output}: is there already: --overwrite replaces it"])
         scene, lines = convert_scene(args.config, args.gaussians, args.output.parent)
-        args.output.write_text(scene, encoding="utf-8")
+        replace_file(args.output, scene)
     except ConvertError as error:
         for line in error.lines:
             print(line, file=sys.stderr)

@@ -15,7 +15,7 @@ from vgmpi.apps.tradeoff.study_runs import StudyError
 from vgmpi.io.run_lock import file_lock
 from vgmpi.io.run_reader import RunError
 from vgmpi.rendering.image_io import VideoError
-from vgmpi.runtime.atomic_write import replaced
+from vgmpi.runtime.atomic_write import replace_file
 from vgmpi.runtime.config.schema import TomlError
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions
 from vgmpi.scene.loader import load
@@ -91,7 +91,7 @@ def _write(file: FitFile, result: FitResult, trials: Evaluations, folder: Path) 
     """Write the files of the result and print a summary."""
     fit_report.write_fitted_scene(file, result, folder / "fitted.toml")
     fit_report.write_csv(file.axes, list(trials.all.values()), folder / TABLE)
-    replaced(folder / "report.md", fit_report.format_report(file, result, trials).encode())
+    replace_file(folder / "report.md", fit_report.format_report(file, result, trials).encode())
     try:
         fit_report.plot(file, result, trials, folder / "loss.png")
     except ImportError:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vgmpi.runtime.atomic_write import replaced
+from vgmpi.runtime.atomic_write import replace_file
 from vgmpi.runtime.config import toml_writer
 from vgmpi.runtime.config.toml_source import TomlSource
 
@@ -55,7 +55,7 @@ def write_csv(
         )
     data = text.getvalue().encode()
     if final or not (path.exists() and path.read_bytes().startswith(data)):
-        replaced(path, data)
+        replace_file(path, data)
 
 
 def _cell(value: float) -> str:
@@ -75,7 +75,7 @@ def write_fitted_scene(file: FitFile, result: FitResult, path: Path) -> None:
                 entry[key] = os.path.relpath(absolute, path.parent.resolve())
                 data = {"allow_outside": True, **data}
     head = [f"{base.path.name} with what was fitted", *result.best.setting.overrides]
-    replaced(path, toml_writer.text(data, head, []).encode())
+    replace_file(path, toml_writer.text(data, head, []).encode())
 
 
 def format_report(file: FitFile, result: FitResult, trials: Evaluations) -> str:
@@ -198,5 +198,5 @@ def plot(file: FitFile, result: FitResult, trials: Evaluations, path: Path) -> N
     figure.tight_layout()
     picture = io.BytesIO()
     figure.savefig(picture, format="png")
-    replaced(path, picture.getvalue())
+    replace_file(path, picture.getvalue())
     pyplot.close(figure)

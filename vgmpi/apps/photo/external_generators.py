@@ -21,10 +21,10 @@ from typing import NamedTuple
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import registry
 from vgmpi.gaussians.formats.validation import GaussianFileError
+from vgmpi.runtime.atomic_write import replace_file
 from vgmpi.runtime.suggestions import did_you_mean_file
 
 from .layout_config import BodiesTable
-from .output_folder import write_atomically
 
 log = logging.getLogger("vgmpi.apps.photo")
 
@@ -105,7 +105,7 @@ def make(
     for leftover in folder.glob(f".{glob.escape(name)}.*"):  # a killed start leaves these
         shutil.rmtree(leftover, ignore_errors=True)
     picture = folder / f"{name}.png"
-    write_atomically(picture, crop)
+    replace_file(picture, crop)
     log.info("'%s': %s makes its body ...", name, config.by)
     with tempfile.TemporaryDirectory(prefix=f".{name}.", dir=folder) as workspace:
         output = Path(workspace) / "body.ply"
@@ -116,7 +116,7 @@ def make(
             message = str(error).replace(str(output), "what it wrote")
             raise GeneratorError(f"{config.by}: {message}") from None
         os.replace(output, body)
-    write_atomically(noted, json.dumps(note).encode())
+    replace_file(noted, json.dumps(note).encode())
     return cloud
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import ply
+from vgmpi.runtime.atomic_write import replace_file
 from vgmpi.runtime.config.toml_source import escape_control_characters
 
 from .layout_config import LayoutError
@@ -74,21 +75,7 @@ class Folder:
             if isinstance(content, GaussianCloud):
                 ply.write(path, content)
             else:
-                write_atomically(path, content)
-
-
-def write_atomically(path: Path, content: bytes) -> None:
-    """Write a file under a temporary name and rename it when it is complete.
-
-    Raises:
-        OSError: The file cannot be written.
-    """
-    part = path.with_name(f"{path.name}.part")
-    try:
-        part.write_bytes(content)
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
+                replace_file(path, content)
 
 
 def _is_unchanged(path: Path) -> bool:
@@ -119,4 +106,4 @@ class Decisions(logging.Handler):
         Raises:
             OSError: The file cannot be written.
         """
-        write_atomically(out / LOG, "".join(f"{line}\n" for line in self.lines).encode())
+        replace_file(out / LOG, "".join(f"{line}\n" for line in self.lines).encode())

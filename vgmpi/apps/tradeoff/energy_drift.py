@@ -8,6 +8,7 @@ rest.
 
 import argparse
 import csv
+import io
 import sys
 from pathlib import Path
 
@@ -16,6 +17,7 @@ import numpy as np
 from vgmpi.io import csv_log, file_layout
 from vgmpi.io.run_reader import RunError
 from vgmpi.planning.cost.tradeoff_results import FOLDER
+from vgmpi.runtime.atomic_write import replace_file
 from vgmpi.runtime.config.schema import SceneError
 from vgmpi.scene.loader import load
 
@@ -123,13 +125,12 @@ def main(argv: list[str]) -> int:
         print(f"vgmpi: {error}", file=sys.stderr)
         return 1
     print("\n".join(table(results)))
-    with open(folder / "energy.csv", "w", newline="") as file:
-        out = csv.writer(file)
-        out.writerow(COLUMNS)
-        for kind, rows in results.items():
-            out.writerows(
-                (scene.path.stem, kind, int(s), f"{t:.6g}", f"{e:.6g}") for s, t, e in rows
-            )
+    text = io.StringIO(newline="")
+    out = csv.writer(text)
+    out.writerow(COLUMNS)
+    for kind, rows in results.items():
+        out.writerows((scene.path.stem, kind, int(s), f"{t:.6g}", f"{e:.6g}") for s, t, e in rows)
+    replace_file(folder / "energy.csv", text.getvalue())
     try:
         plot(results, folder / "energy.png", scene.title)
     except ImportError:

@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from vgmpi.planning.cost.tradeoff_results import FOLDER, TABLE
+from vgmpi.runtime.atomic_write import replace_file
 from vgmpi.runtime.config import toml_writer
 from vgmpi.runtime.config.schema import Quantity, SceneError
 from vgmpi.runtime.config.toml_source import TomlSource
@@ -268,4 +269,4 @@ def write(scene: Scene, choice: CostError, what: str, path: Path) -> None:
     """
     overrides = (*scene.overrides, *choice.setting.overrides)
     head = [f"{scene.path.name} within {what}", *overrides]
-    path.write_text(toml_writer.text(TomlSource(scene.path, overrides).data, head, []))
+    replace_file(path, toml_writer.text(TomlSource(scene.path, overrides).data, head, []))

@@ -1,9 +1,11 @@
 """Report of a study: table, CSV file, plot and sentences."""
 
 import csv
+import io
 from pathlib import Path
 
 from vgmpi.planning.cost.tradeoff_results import COLUMNS, fingerprint
+from vgmpi.runtime.atomic_write import replace_file
 from vgmpi.scene.scene import Scene
 
 from .cost_error_model import CostError, pareto_front
@@ -44,14 +46,15 @@ def table(results: list[CostError], finest: Setting, label: str) -> list[str]:
 
 def rows(scene: Scene, results: list[CostError], path: Path) -> None:
     """Write the results as CSV, with the overrides for --set."""
-    with open(path, "w", newline="") as file:
-        out = csv.writer(file)
-        out.writerow(COLUMNS)
-        for m in results:
-            out.writerow(
-                [m.setting.name, m.cells, f"{m.cpu:.4g}", f"{m.error:.6g}",
-                 " ".join(m.setting.overrides), fingerprint(scene)]
-            )  # fmt: skip
+    text = io.StringIO(newline="")
+    out = csv.writer(text)
+    out.writerow(COLUMNS)
+    for m in results:
+        out.writerow(
+            [m.setting.name, m.cells, f"{m.cpu:.4g}", f"{m.error:.6g}",
+             " ".join(m.setting.overrides), fingerprint(scene)]
+        )  # fmt: skip
+    replace_file(path, text.getvalue())
 
 
 def plot(results: list[CostError], finest: Setting, path: Path, label: str) -> None:

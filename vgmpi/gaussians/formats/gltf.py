@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from vgmpi.gaussians.cloud import GaussianCloud
-
-from .validation import save
+from vgmpi.runtime.atomic_write import replace_file
 
 NAME = "KHR_gaussian_splatting"
 FLOAT, BYTE = 5126, 5121  # component types
@@ -29,7 +28,7 @@ def write(path: str | Path, cloud: GaussianCloud) -> None:
     text += b" " * (-len(text) % 4)
     data += b"\0" * (-len(data) % 4)
     total = 12 + 8 + len(text) + 8 + len(data)
-    save(
+    replace_file(
         path,
         b"glTF" + np.array([2, total], "<u4").tobytes(),
         np.array([len(text)], "<u4").tobytes() + b"JSON" + text,

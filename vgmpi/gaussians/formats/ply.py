@@ -13,8 +13,9 @@ import numpy as np
 
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
+from vgmpi.runtime.atomic_write import replace_file
 
-from .validation import Columns, GaussianFileError, naming_file, read_validated, save
+from .validation import Columns, GaussianFileError, naming_file, read_validated
 
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
@@ -89,7 +90,7 @@ def write(path: str | Path, cloud: GaussianCloud) -> None:
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {n}"]
     header += [f"property float {name}" for name in names] + ["end_header", ""]
     rows = np.concatenate(columns, axis=1).astype("<f4")
-    save(path, "\n".join(header).encode("ascii"), rows.tobytes())
+    replace_file(path, "\n".join(header).encode("ascii"), rows.tobytes())
 
 
 def write_compressed(path: str | Path, cloud: GaussianCloud) -> None:
@@ -115,7 +116,7 @@ def write_compressed(path: str | Path, cloud: GaussianCloud) -> None:
             cloud.sh[:, 1:],
         )
     )
-    save(path, compress_to_bytes(x, scale, quat, opacity, constant, higher))
+    replace_file(path, compress_to_bytes(x, scale, quat, opacity, constant, higher))
 
 
 def _logit(opacity: np.ndarray) -> np.ndarray:

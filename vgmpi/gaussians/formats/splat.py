@@ -12,8 +12,9 @@ import numpy as np
 
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
+from vgmpi.runtime.atomic_write import replace_file
 
-from .validation import Columns, GaussianFileError, naming_file, read_validated, save
+from .validation import Columns, GaussianFileError, naming_file, read_validated
 
 _ROW = np.dtype([("x", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
 # the format has no magic number: these bytes begin files of other formats
@@ -76,4 +77,4 @@ def write(path: str | Path, cloud: GaussianCloud) -> None:
     rows["rgba"][:, :3] = np.rint(255 * cloud.rgb)
     rows["rgba"][:, 3] = np.rint(255 * np.clip(cloud.opacity, 0.0, 1.0))
     rows["quat"] = np.clip(np.rint(128 * cloud.quat + 128), 0, 255)
-    save(path, rows.tobytes())
+    replace_file(path, rows.tobytes())

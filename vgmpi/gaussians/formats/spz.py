@@ -18,13 +18,13 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 
 from vgmpi.gaussians.cloud import GaussianCloud
+from vgmpi.runtime.atomic_write import replace_file
 
 from .validation import (
     Columns,
     GaussianFileError,
     naming_file,
     read_validated,
-    save,
     validate_count,
 )
 
@@ -122,7 +122,7 @@ def write(path: str | Path, cloud: GaussianCloud) -> None:
     head = _HEADER.pack(_MAGIC, 3, len(cloud), degree, bits, 0, 0)
     packer = zlib.compressobj(6, zlib.DEFLATED, 31)  # 31: a gzip frame without a time stamp
     packed = [packer.compress(part) for part in (head, *(s.tobytes() for s in sections))]
-    save(path, *packed, packer.flush())
+    replace_file(path, *packed, packer.flush())
 
 
 def _bytes(values: np.ndarray) -> np.ndarray:

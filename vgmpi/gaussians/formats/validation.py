@@ -6,7 +6,6 @@ first block or hundredth instead of filling the memory.
 
 import contextlib
 import logging
-import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -42,22 +41,6 @@ def naming_file(path: str | Path) -> Iterator[None]:
         raise GaussianFileError(f"{path}: {error.strerror or error}") from None
     except MemoryError:
         raise GaussianFileError(f"{path}: needs more memory than there is") from None
-
-
-def save(path: str | Path, *parts: bytes) -> None:
-    """Write a file under a temporary name and rename it when it is complete.
-
-    Raises:
-        OSError: If the file cannot be written.
-    """
-    temporary = Path(f"{path}.part")
-    try:
-        with open(temporary, "wb") as file:
-            for part in parts:
-                file.write(part)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def validate_count(count: int) -> int:

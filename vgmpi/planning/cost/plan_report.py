@@ -2,6 +2,8 @@
 
 import math
 
+import numpy as np
+
 from vgmpi.materials.couplings.interaction import CONTACT, RULES
 from vgmpi.planning.inlet_schedule import InletPlan
 from vgmpi.planning.phases_and_groups import CORRECTION_COST
@@ -24,6 +26,7 @@ THIN_CELLS = (
 )
 # [s] time to write a frame, and a particle in it (a run's `--profile`: write)
 FRAME_SECONDS, SECONDS_PER_WRITTEN_PARTICLE = 0.065, 1e-7
+MOTION_STEP_MARGIN = 1.05  # [-] of the steps without motions, above which a line names them
 FINE_COUNT = 27  # particles per cell with which solids bend accurately enough
 
 
@@ -179,7 +182,9 @@ def _steps(
     if reached > 0:
         left, frames = max(end - reached, 0.0), len(plan.ahead(reached))
         span = f"{left:.4g} of {end:g} s and {frames} of {len(plan.times)} frames"
-    few, many = (math.ceil(left / d) for d in (dt, min_dt))
+    few, many = (_step_count(plan, d, end - left) for d in (dt, min_dt))
+    if few > MOTION_STEP_MARGIN * left / dt:
+        cause += "; shorter where colliders or prescribed bodies move fast"
     if rehearsal is not None:
         few = many = math.ceil(rehearsal.steps)
     written = (FRAME_SECONDS + SECONDS_PER_WRITTEN_PARTICLE * sum(plan.count) / ranks) * frames
@@ -197,6 +202,23 @@ def _steps(
         *tradeoff_results.cheaper_setting_lines(scene),
         f"  time        {duration_text} on {ranks} rank(s), one core each, {pace.of}",
     ]
+
+
+def _step_count(plan: Plan, dt: float, reached: float) -> int:
+    """Return the number of steps until the end, with those that prescribed motions shorten.
+
+    Args:
+        plan: The plan.
+        dt: Step [s] without them.
+        reached: Time [s] from which the run continues.
+    """
+    end, count = float(plan.times[-1]), len(plan.motion_steps)
+    if not count:
+        return math.ceil((end - reached) / dt)
+    edges = np.linspace(0.0, end, count + 1)
+    share = np.clip((edges[1:] - reached) / np.diff(edges), 0.0, 1.0)
+    steps = np.maximum(np.diff(edges) / dt, plan.motion_steps)
+    return math.ceil(float((share * steps).sum()))
 
 
 def format_duration(seconds: float) -> str:

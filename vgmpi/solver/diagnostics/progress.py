@@ -20,6 +20,7 @@ from .eta import RemainingTimeEstimator, work_of
 log = logging.getLogger("vgmpi")
 
 MAX_PRINTED_RANKS = 32  # largest number of ranks in the printed profile
+MAX_WAIT_SHARE = 0.5  # [-] of the time, above which a line tells how long ranks waited
 LOG_EVERY = 10.0  # [s] between log lines where there is no terminal
 STAGES = ("p2g", "halo", "grid", "g2p", "wait", "sort", "write")
 
@@ -31,7 +32,8 @@ class Clock:
         """Start the clock."""
         self.spent = dict.fromkeys(STAGES, 0.0)
         self.began = self.last = time.perf_counter()
-        self.startup = 0.0  # [s] from the start of the program to the end of the first step
+        # [s] wall and processor time from the program's start to the end of the first step
+        self.startup = self.startup_cpu = 0.0
 
     def __call__(self, stage: str) -> None:
         """Add the time since the last call to a stage."""
@@ -39,7 +41,7 @@ class Clock:
         self.spent[stage] += now - self.last
         self.last = now
         if stage == "g2p" and not self.startup:
-            self.startup = _process_age()
+            self.startup, self.startup_cpu = _process_age(), time.process_time()
 
 
 def _process_age() -> float:
@@ -55,20 +57,24 @@ def _process_age() -> float:
 class Progress:
     """Progress bar with the remaining time on a terminal, else a log line every ten seconds."""
 
-    def __init__(self, run: Runner, quiet: bool, left: RemainingTimeEstimator | None = None):
+    def __init__(
+        self, run: Runner, quiet: bool, left: RemainingTimeEstimator | None = None,
+        bar: bool = False,
+    ):  # fmt: skip
         """Open the bar.
 
         Args:
             run: The run.
             quiet: Whether nothing is shown.
             left: Estimator of the remaining time; by default one that takes the work from the plan.
+            bar: Whether there is a bar even without a terminal.
         """
         self.run, self.end = run, float(run.times[-1])
         self.last_log, first = time.monotonic(), run.simulation.time
         self.estimator = left or RemainingTimeEstimator(work_of(run.plan))
         visible = run.ranks.rank == 0 and not quiet
         self.bar = None
-        if visible and sys.stderr.isatty():
+        if visible and (bar or sys.stderr.isatty()):
             bar_format = "{l_bar}{bar}| {n:.3f}/{total:.3f} s [{elapsed}{postfix}]"
             self.bar = tqdm(total=self.end, initial=first, bar_format=bar_format, leave=False)
         self.logs = visible and self.bar is None
@@ -129,6 +135,12 @@ def timing_table(run: Runner, clock: Clock) -> str:
         maximum = simulation.load.max() / (
             simulation.load.mean() or 1.0
         )  # perhaps no particle is left
+        waited = by_rank[:, STAGES.index("wait")].sum() / max(by_rank.sum(), 1e-300)
+        if ranks.size > 1 and waited > MAX_WAIT_SHARE:
+            lines.append(
+                f"  waiting    ranks waited {100 * waited:.0f} % of the time for each other: other"
+                " programs use the cores, or there are more ranks than cores or work"
+            )
         lines.append(f"  imbalance  {maximum:.3f} (largest rank's predicted work over the mean)")
         sent = simulation.sent / steps / 1e3
         lines.append(f"  sorts      {simulation.sorts}, halo {sent:.0f} kB per step from rank 0")
@@ -139,7 +151,17 @@ def timing_table(run: Runner, clock: Clock) -> str:
     return "\n".join(lines)
 
 
-PROFILE = ("rank", "particles", "work", *STAGES, "neighbours", "sent", "moved", "startup")
+PROFILE = (
+    "rank",
+    "particles",
+    "work",
+    *STAGES,
+    "neighbours",
+    "sent",
+    "moved",
+    "startup",
+    "startup_cpu",
+)
 
 
 def rank_profile(run: Runner, clock: Clock) -> str:
@@ -155,6 +177,7 @@ def rank_profile(run: Runner, clock: Clock) -> str:
         ranks.rank, sum(len(group) for group in simulation.groups),
         simulation.load[ranks.rank] / (simulation.load.mean() or 1.0), *clock.spent.values(),
         neighbours, simulation.sent / steps, simulation.moved, clock.startup,
+        clock.startup_cpu,
     ]  # fmt: skip
     rows = ranks.gather_rows(np.array([local], np.float64))
     if rows is None or run.options.folder is None:
@@ -169,7 +192,7 @@ def rank_profile(run: Runner, clock: Clock) -> str:
         numbers += [
             f"{value:{len(name) + 4}.2f}" for name, value in zip(STAGES, row[3:], strict=False)
         ]
-        numbers.append(f"{row[-4]:10.0f} {row[-3] / 1e3:8.1f} {row[-2]:6.0f}")
+        numbers.append(f"{row[-5]:10.0f} {row[-4] / 1e3:8.1f} {row[-3]:6.0f}")
         lines.append("  ".join(numbers))
     if len(rows) > MAX_PRINTED_RANKS:
         lines.append(f"... and {len(rows) - MAX_PRINTED_RANKS} ranks more")

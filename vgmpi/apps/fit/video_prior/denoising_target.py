@@ -20,7 +20,7 @@ from vgmpi.apps.fit.target_base import Target
 from vgmpi.apps.fit.video_reader import same_aspect
 from vgmpi.apps.tradeoff.study_runs import StudyError
 from vgmpi.runtime import memory_budget, safe_open
-from vgmpi.runtime.atomic_write import replaced
+from vgmpi.runtime.atomic_write import replace_file
 
 from . import score_distillation
 from .model_base import VideoModel, kind_of
@@ -289,7 +289,7 @@ class DenoisingTarget(Target):
         """Store a result atomically; processes that share a fit write identical files."""
         content = io.BytesIO()
         np.savez(content, numbers=numbers, key=self._cache_key(folder))
-        replaced(self._cache_path(folder, name), content.getvalue())
+        replace_file(self._cache_path(folder, name), content.getvalue())
 
 
 def _size_text(size: tuple[int, ...]) -> str:
