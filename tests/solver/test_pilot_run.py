@@ -134,7 +134,7 @@ def test_it_says_why_it_cannot(tmp_path, caplog, text, why):
     known = prepare(scene, SerialCommunicator(), None)
     with caplog.at_level("WARNING", "vgmpi"):
         assert pilot_run(scene, plan_for(scene, known), known) is None
-    assert re.search(f"cannot be rehearsed in coarser cells: (\\S+: \\S+: )?{why}", caplog.text)
+    assert re.search(f"no pilot run in coarser cells is possible: (\\S+: \\S+: )?{why}", caplog.text)
 
 
 def test_what_is_ahead_adds_up_to_all_of_it(monkeypatch):
@@ -151,16 +151,16 @@ def test_what_is_ahead_adds_up_to_all_of_it(monkeypatch):
 @pytest.mark.parametrize("flags", [["--check"], ["--prepare"], ["--plan", "--resume"]])
 def test_it_is_for_plan_and_from_the_start(tmp_path, capsys, flags):
     with pytest.raises(SystemExit) as ended:
-        cli.main([str(write(tmp_path, FALLS)), "--rehearse", *flags])
+        cli.main([str(write(tmp_path, FALLS)), "--pilot", *flags])
     assert ended.value.code == 2
-    assert "--rehearse is for a run from the start, or for --plan" in capsys.readouterr().err
+    assert "--pilot is for a run from the start, or for --plan" in capsys.readouterr().err
 
 
 def test_nothing_is_written(tmp_path, capsys):
     path = write(tmp_path, FALLS.replace("end = 0.5", "end = 0.05"))
-    assert cli.main([str(path), "--plan", "--rehearse"]) == 0
+    assert cli.main([str(path), "--plan", "--pilot"]) == 0
     assert list(tmp_path.iterdir()) == [path]
-    assert "vgmpi: rehearsing in cells of 0.04 m" in capsys.readouterr().err
+    assert "vgmpi: pilot run in cells of 0.04 m" in capsys.readouterr().err
 
 
 def test_a_run_tells_its_time_by_it(tmp_path, monkeypatch, capsys):
@@ -174,13 +174,13 @@ def test_a_run_tells_its_time_by_it(tmp_path, monkeypatch, capsys):
             given.append(left)
 
     monkeypatch.setattr(progress, "Progress", Seen)
-    assert cli.main([str(path), "--rehearse", "-o", str(tmp_path / "with")]) == 0
+    assert cli.main([str(path), "--pilot", "-o", str(tmp_path / "with")]) == 0
     assert cli.main([str(path), "-o", str(tmp_path / "without")]) == 0
-    assert cli.main([str(path), "--rehearse", "-q", "-o", str(tmp_path / "quiet")]) == 0
+    assert cli.main([str(path), "--pilot", "-q", "-o", str(tmp_path / "quiet")]) == 0
     assert given[0].steps_per_second(0.02) > 1 and given[1:] == [
         None,
         None,
     ]  # nobody is told, none is played
     one, other = (RunReader(tmp_path / name).frame(-1) for name in ("with", "without"))
     assert all(np.array_equal(one[key], other[key]) for key in one)
-    assert capsys.readouterr().err.count("rehearsing in cells of") == 1
+    assert capsys.readouterr().err.count("pilot run in cells of") == 1

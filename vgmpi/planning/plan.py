@@ -103,6 +103,7 @@ class Plan:
     # thickness: [m] of every solid body, NaN for other objects; empty without fluids or if unknown
     thickness: tuple[float, ...] = ()
     surroundings: tuple[Proximity, ...] = ()  # of each object and inlet, if known
+    volumes: tuple[float, ...] = ()  # [m3] of each object and inlet, if known
     motion_steps: tuple[float, ...] = ()  # least steps in equal intervals, by prescribed motions
     sources: tuple[InletPlan, ...] = ()
     sinks: tuple[OutletPlan, ...] = ()

@@ -1,6 +1,7 @@
 """Rules for restarts: keys of a scene that may change, and the changes that were made."""
 
 import copy
+from dataclasses import replace
 from typing import Any
 
 from pydantic import BaseModel
@@ -54,6 +55,19 @@ def changes_without_effect(scene: Scene, differences: list[tuple[tuple, str]]) -
             told = "the particles are those of the run so far, a new run makes others"
             wrong.append((path, f"{message}: {told}"))
     return wrong
+
+
+def with_precision_of_run(scene: Scene, before: dict) -> Scene:
+    """Return the scene with the precision of the run so far, unless the scene names one itself.
+
+    Args:
+        scene: Scene of the restart.
+        before: `Scene.to_json` of the run so far.
+    """
+    precision = before.get("accuracy", {}).get("precision")
+    if "precision" in scene.accuracy.model_fields_set or precision not in ("single", "double"):
+        return scene
+    return replace(scene, accuracy=scene.accuracy.model_copy(update={"precision": precision}))
 
 
 def forbidden_changes(scene: Scene, before: dict) -> list[tuple[tuple, str]]:

@@ -45,6 +45,11 @@ def compile_kernels(plan: Plan, ranks: SerialCommunicator) -> None:
         _run_all(plan)
 
 
+def is_compiled(plan: Plan) -> bool:
+    """Return whether the kernels of a plan are in the cache."""
+    return compiled_marker([type(group.law) for group in plan.groups], plan.real).exists()
+
+
 def _same_processor(ranks: SerialCommunicator) -> None:
     """Warn if code is compiled for different processors, whose sums round differently."""
     local = np.frombuffer(processor().encode().ljust(96)[:96], np.uint8)

@@ -274,7 +274,7 @@ def plan_for(scene: Scene, summary: ParticleSummary) -> Plan:
     steps = motion_steps(scene, summary.colliders, summary.extents)
     return replace(
         plan, thickness=summary.thickness, surroundings=summary.surroundings,
-        motion_steps=tuple(steps.tolist()),
+        volumes=tuple(summary.volume), motion_steps=tuple(steps.tolist()),
     )  # fmt: skip
 
 

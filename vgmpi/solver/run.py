@@ -3,7 +3,6 @@
 import contextlib
 import logging
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +17,13 @@ from vgmpi.planning.cost.plan_report import format_plan
 from vgmpi.planning.plan import Plan
 from vgmpi.preprocess.initial_velocity import initial_velocity_gradient
 from vgmpi.runtime.config.renames import list_new_names
-from vgmpi.runtime.cpu_features import available_cores
 from vgmpi.runtime.versions import versions
-from vgmpi.scene.resume_rules import changes_without_effect, forbidden_changes, may_change
+from vgmpi.scene.resume_rules import (
+    changes_without_effect,
+    forbidden_changes,
+    may_change,
+    with_precision_of_run,
+)
 from vgmpi.scene.scene import Scene
 from vgmpi.solver.diagnostics.conservation import conservation_rows
 from vgmpi.solver.diagnostics.probe_sampling import Probes, files
@@ -28,7 +31,6 @@ from vgmpi.solver.restart.checkpoint_validation import check_attrs
 from vgmpi.solver.restart.state_io import frame_rows, restore, save
 
 from .compile_kernels import compile_kernels
-from .engine_registry import CARD, ENGINES
 from .initial_particles import (
     ParticleSummary,
     on_all,
@@ -37,6 +39,7 @@ from .initial_particles import (
     rows_of_this_rank,
     write_initial_particles,
 )
+from .run_options import Options, check
 from .step import BlowUp, Simulation
 from .step_to_target import next_step
 from .stop_requests import Requests
@@ -44,70 +47,6 @@ from .stop_requests import Requests
 log = logging.getLogger("vgmpi")
 
 DONE, BLEW_UP, STOPPED = 0, 3, 75
-
-
-@dataclass
-class Options:
-    """Options of a run beyond what the scene says."""
-
-    folder: Path | None  # None: nothing is written
-    threads: int = 1
-    engine: str = "cpu"  # name of an engine, see solver.engines
-    resume: str | None = None  # a checkpoint's path; "": the newest valid one; None: from the start
-    stop_steps: int = 0  # [steps] of this run until it stops, 0 for no limit
-    stop_seconds: float = 0.0  # [s] wall time until it stops, 0 for no limit
-    overwrite: bool = False  # replace an existing run in the folder
-    change: bool = False  # resume although the scene has changed
-    listeners: list = field(default_factory=list)  # each called with (simulation) after every step
-    watchers: list = field(default_factory=list)  # each called with (run) at every frame
-
-
-MAX_THREADS_PER_CORE, MIN_THREAD_LIMIT = 4, 32  # more would take memory for nothing
-
-
-class InvalidRunOptions(ValueError):
-    """Error of options that exclude each other or do not suit the ranks."""
-
-
-def check(options: Options, ranks: SerialCommunicator) -> None:
-    """Raise InvalidRunOptions before any work is done for options that cannot run."""
-    if options.engine not in (*ENGINES, CARD):
-        raise InvalidRunOptions(
-            f"engine must be one of {', '.join((*ENGINES, CARD))}; got {options.engine!r}"
-        )
-    if options.threads < 1:
-        raise InvalidRunOptions(f"threads must be at least 1; got {options.threads}")
-    most = max(MIN_THREAD_LIMIT, MAX_THREADS_PER_CORE * available_cores())
-    if options.threads > most:
-        raise InvalidRunOptions(
-            f"threads must be at most {most} where this process may use {available_cores()} cores;"
-            f" got {options.threads}"
-        )
-    if options.engine == "numpy" and (ranks.size > 1 or options.threads > 1):
-        raise InvalidRunOptions(
-            "engine numpy computes on one rank and one thread; asked for"
-            f" {ranks.size} x {options.threads}"
-        )
-    if options.engine == CARD:
-        _find_card(options, ranks)
-
-
-def _find_card(options: Options, ranks: SerialCommunicator) -> None:
-    """Choose this rank's GPU; raise InvalidRunOptions on all ranks if one of them has none."""
-    problem = f"engine cuda has no threads; asked for {options.threads}"
-    if options.threads == 1:
-        try:
-            from vgmpi.solver.engines.cuda import graphics_card
-
-            problem = graphics_card.select_device(ranks.place, ranks.rank)
-        except ImportError as error:
-            problem = f"engine cuda needs `pip install 'vgmpi[cuda]'`: {error}"
-    missing = ranks.all_rows(np.array([[ranks.rank]] if problem else np.zeros((0, 1)), np.int64))
-    if len(missing):
-        first = int(missing.min())
-        raise InvalidRunOptions(
-            ranks.bcast(problem) or f"engine cuda finds no card on rank {first}"
-        )
 
 
 def begin(
@@ -318,7 +257,7 @@ def prepared_run(
     scene: Scene,
     ranks: SerialCommunicator,
     options: Options,
-    approve: Callable[[Plan, float, ParticleSummary], None] | None = None,
+    approve: Callable[[Scene, Plan, float, ParticleSummary], None] | None = None,
 ) -> Iterator[Runner]:
     """Lock the folder, check everything, then write: yield a run that is ready. Collective.
 
@@ -326,8 +265,8 @@ def prepared_run(
         scene: The scene.
         ranks: Communicator.
         options: Options of the run.
-        approve: Function of the plan, the time [s] from which the run goes on, and the summary of
-            its particles; it may raise.
+        approve: Function of the scene, its plan, the time [s] from which the run goes on, and the
+            summary of its particles; it may raise.
 
     Raises:
         SceneError, StoreError, RunFolderInUseError, CheckpointError, RunError, InvalidRunOptions,
@@ -342,6 +281,7 @@ def prepared_run(
         if folder is not None and options.resume is not None:
             path, attrs = resolve_checkpoint(options.resume, folder, ranks)
             start_time = attrs["time"]
+            scene = with_precision_of_run(scene, attrs["scene"])
             history = _history(scene, attrs, options.change)
             columns = ledger_columns(scene.is_open_system)
             tables = {folder / file_layout.LEDGER: columns, **files(scene, folder)}
@@ -349,7 +289,7 @@ def prepared_run(
         summary = prepare(scene, ranks, folder, resumed)
         plan = plan_for(scene, summary)
         if approve is not None:
-            approve(plan, start_time, summary)
+            approve(scene, plan, start_time, summary)
         if folder is not None:
             write_initial_particles(scene, summary, ranks, folder)
             gaussians = folder / file_layout.GAUSSIANS

@@ -17,12 +17,14 @@ from vgmpi.planning.plan import FLOAT_TYPES, Plan
 from vgmpi.runtime import memory_budget
 from vgmpi.runtime.config.schema import SceneError
 from vgmpi.scene.loader import load
+from vgmpi.scene.resume_rules import with_precision_of_run
 from vgmpi.scene.scene import Scene
 from vgmpi.solver.stop_requests import install_signal_handlers
 
 log = logging.getLogger("vgmpi")
 
 EXIT_USAGE = 2
+PILOT_SECONDS = 5.0  # [s] --plan makes a pilot run that is shorter
 EXIT_CODES = """exit codes: 0 done, 1 unexpected error, 2 something in the scene or the flags is
 wrong, 3 the simulation blew up (what was written before is whole), 75 stopped with a checkpoint
 (also by the first Ctrl-C once steps are made), 130 interrupted"""
@@ -50,10 +52,14 @@ def _parser() -> argparse.ArgumentParser:
     inspect_help = "describe and verify an output file, a Gaussian file or a mesh"
     action.add_argument("--inspect", type=Path, metavar="FILE", help=inspect_help)
     parser.add_argument(
-        "--rehearse",
+        "--pilot",
         action="store_true",
         help="simulate the scene in coarser cells first (about a tenth of the work), so that the"
-        " time estimate of --plan or of a run includes contact and motion",
+        " time estimate of --plan or of a run includes contact and motion; --plan does it by itself"
+        f" where it takes less than {PILOT_SECONDS:g} s",
+    )
+    parser.add_argument(  # name of earlier releases
+        "--rehearse", dest="pilot", action="store_true", help=argparse.SUPPRESS
     )
     parser.add_argument(
         "--calibrate",
@@ -131,8 +137,8 @@ def parse_arguments(argv: list[str] | None) -> argparse.Namespace:
         parser.error("give a scene file, --inspect FILE or --calibrate")
     if args.scene is None and (args.check or args.plan or args.prepare):
         parser.error("give a scene file")
-    if args.rehearse and (args.check or args.prepare or args.resume is not None):
-        parser.error("--rehearse is for a run from the start, or for --plan")
+    if args.pilot and (args.check or args.prepare or args.resume is not None):
+        parser.error("--pilot is for a run from the start, or for --plan")
     if args.change and args.resume is None:
         parser.error("--change is for --resume")
     if args.overwrite and args.resume is not None:
@@ -218,15 +224,19 @@ def _command(args: argparse.Namespace, ranks: SerialCommunicator) -> int:
     if args.resume is not None:
         from vgmpi.solver.run import resolve_checkpoint
 
-        start_time = resolve_checkpoint(args.resume, folder, ranks)[1]["time"]
+        attrs = resolve_checkpoint(args.resume, folder, ranks)[1]
+        start_time, scene = attrs["time"], with_precision_of_run(scene, attrs["scene"])
     summary = initial_particles.prepare(scene, ranks, None)
     plan = initial_particles.plan_for(scene, summary)
     if ranks.rank == 0:
+        from vgmpi.solver.compile_kernels import is_compiled
         from vgmpi.solver.estimates import calibration
-        from vgmpi.solver.estimates.pilot_run import pilot_run
+        from vgmpi.solver.estimates.pilot_run import pilot_run, pilot_seconds
 
         pace = calibration.host_throughput(scene.accuracy.precision, remeasure=args.calibrate)
-        pilot = pilot_run(scene, plan, summary) if args.rehearse else None
+        is_short = start_time == 0 and pilot_seconds(scene, plan, pace) < PILOT_SECONDS
+        is_quick = is_short and is_compiled(plan)
+        pilot = pilot_run(scene, plan, summary) if args.pilot or is_quick else None
         print(format_plan(scene, plan, ranks.size, start_time, pace, pilot))
         if args.engine == "cuda":
             print(_card(ranks).memory_report(plan, ranks.size))
@@ -265,11 +275,12 @@ def _run(scene: Scene, folder: Path, args: argparse.Namespace, ranks: SerialComm
     from vgmpi.solver.diagnostics.post_run_advice import RunObserver, advice
     from vgmpi.solver.estimates.pilot_run import pilot_run
     from vgmpi.solver.initial_particles import ParticleSummary
+    from vgmpi.solver.run_options import InvalidRunOptions
     from vgmpi.solver.step import BlowUp
 
     estimator = None
 
-    def approve(plan: Plan, start_time: float, summary: ParticleSummary) -> None:
+    def approve(scene: Scene, plan: Plan, start_time: float, summary: ParticleSummary) -> None:
         """Print the plan; refuse a run that exceeds the memory."""
         nonlocal estimator
         refusal = memory_refusal(plan.bytes(), ranks)
@@ -280,7 +291,7 @@ def _run(scene: Scene, folder: Path, args: argparse.Namespace, ranks: SerialComm
         if ranks.rank == 0 and not args.quiet:
             real = scene.accuracy.precision
             pace = _throughput(real, args.calibrate)
-            pilot = pilot_run(scene, plan, summary) if args.rehearse else None
+            pilot = pilot_run(scene, plan, summary) if args.pilot else None
             if pilot is not None:
                 estimator = RemainingTimeEstimator(
                     *pilot.ahead(scene, plan, pace or ASSUMED_THROUGHPUT[real])
@@ -304,10 +315,10 @@ def _run(scene: Scene, folder: Path, args: argparse.Namespace, ranks: SerialComm
             progress.close()
             lines = [report.timing_table(run, clock)]
             if code == runs.DONE and run.first_step == 0:  # the whole run was observed
-                lines += advice(scene, run.plan, observer)
+                lines += advice(run.scene, run.plan, observer)
             if args.profile:
                 lines.append(report.rank_profile(run, clock))
-    except runs.InvalidRunOptions as error:
+    except InvalidRunOptions as error:
         return _refuse([f"--{error}"], ranks)
     except BlowUp as error:  # before the first frame
         log.error("blow-up: %s", error)

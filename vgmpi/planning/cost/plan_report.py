@@ -15,7 +15,7 @@ from . import accuracy_benchmarks, tradeoff_results
 from .feature_costs import feature_table, step_ns
 from .pilot_result import STEP_SECONDS, PilotRun
 from .throughput import ASSUMED_THROUGHPUT, Throughput
-from .timestep_advice import limiting_material_lines
+from .timestep_advice import limiting_material_lines, pruning_lines
 
 PRECISION = {
     "double": "accuracy.precision = 'single' takes half the time and memory",
@@ -41,9 +41,10 @@ def format_plan(
         plan: Its plan.
         ranks: Number of ranks.
         reached: Time [s] from which the run continues; steps and time are those that are left.
-        pace: Throughput of the processors; assumed if None.
+        pace: Throughput of the processors; if None, the time is said to be unknown.
         rehearsal: Result of a pilot run, for a run from the start.
     """
+    is_known = pace is not None
     pace = pace or ASSUMED_THROUGHPUT[scene.accuracy.precision]
     lines = [
         f"{escape_control_characters(scene.title or scene.path.name)}:"
@@ -86,7 +87,7 @@ def format_plan(
         f"  memory      {total / 2**20:.0f} MiB in all,"
         f" {total / ranks / 2**20:.0f} MiB per rank on {ranks} rank(s)"
     )
-    return "\n".join(lines + _steps(scene, plan, ranks, reached, pace, rehearsal))
+    return "\n".join(lines + _steps(scene, plan, ranks, reached, pace, rehearsal, is_known))
 
 
 def _flows(plan: Plan) -> list[str]:
@@ -166,6 +167,7 @@ def _steps(
     reached: float,
     pace: Throughput,
     rehearsal: PilotRun | None,
+    is_known: bool,
 ) -> list[str]:
     """Return the lines on time step, number of steps and duration, also with hardened laws."""
     dt, cause = time_step_bounds(scene, plan)[0]
@@ -195,12 +197,25 @@ def _steps(
             f"{format_duration(few * each + written)} to {format_duration(many * each + written)}",
         )
         cause += f"; down to {min_dt:.4g} s where {harder} hardens"
+
+    def compare(factor: float) -> str:
+        """Return the time of the run with a factor on its steps, beside that of the run."""
+        if not is_known:
+            return f"{factor:.2g} of the time"
+        less, all_of_it = (format_duration(f * few * each + written) for f in (factor, 1.0))
+        return f"about {less} instead of {all_of_it}"
+
+    duration_line = f"{duration_text} on {ranks} rank(s), one core each, {pace.of}"
+    if not is_known:
+        duration_line = "unknown: this processor is not measured yet (--calibrate, a minute)"
+
     return [
         f"  time step   {dt:.4g} s at the start, set by {cause}",
         f"  steps       {steps} for {span}",
-        *limiting_material_lines(scene, plan),
+        *limiting_material_lines(scene, plan, compare),
+        *pruning_lines(scene, plan, compare, lambda other: step_ns(scene, other, pace)),
         *tradeoff_results.cheaper_setting_lines(scene),
-        f"  time        {duration_text} on {ranks} rank(s), one core each, {pace.of}",
+        f"  time        {duration_line}",
     ]
 
 

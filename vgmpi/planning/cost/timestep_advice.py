@@ -1,5 +1,7 @@
 """Advice of --plan on settings that would allow longer time steps, with their keys and places."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from vgmpi.materials.liquid_stiffness import Liquid
@@ -8,6 +10,14 @@ from vgmpi.runtime.config.toml_source import escape_control_characters
 from vgmpi.scene.scene import Scene
 
 MIN_STEP_GAIN = 1.5  # [-] gain in step length above which a line of advice is given
+UNITS = {
+    "youngs_modulus": "Pa", "shear_modulus": "Pa", "tait_coefficient": "Pa", "max_speed": "m/s",
+    "max_depth": "m", "viscosity": "Pa s",
+}  # fmt: skip
+# powers of the step's gain by which a key becomes less; 2 for moduli
+POWERS = {"max_speed": 1, "viscosity": 1}
+PRUNED_PER_CELL = 8  # particles per cell that prune = "auto" keeps
+MIN_PRUNING_GAIN = 3  # [-] particles over those kept, above which a line of advice is given
 KEYS = ("youngs_modulus", "shear_modulus")  # the key of a solid's stiffness, in order of search
 
 
@@ -19,8 +29,14 @@ def stiffness_key(material: Any) -> str:
     return next(k for k in KEYS if k in type(material).model_fields)
 
 
-def limiting_material_lines(scene: Scene, plan: Plan) -> list[str]:
-    """Name the material that alone limits the time step, where the others allow longer steps."""
+def limiting_material_lines(scene: Scene, plan: Plan, compare: Callable[[float], str]) -> list[str]:
+    """Name the material that alone limits the time step, where the others allow longer steps.
+
+    Args:
+        scene: The scene.
+        plan: Its plan.
+        compare: Function of a factor on the run's time that returns both times as text.
+    """
     bounds = time_step_bounds(scene, plan)
     dt, limit = bounds[0]
     slower = [bound for bound, cause in bounds if cause != limit]
@@ -30,8 +46,41 @@ def limiting_material_lines(scene: Scene, plan: Plan) -> list[str]:
     keys |= {f"the viscosity of material {name!r}": (name, "viscosity") for name in scene.material}
     if limit not in keys:
         return []
-    times, where = slower[0] / dt, scene.place(("material", *keys[limit]))
+    times, (name, key) = slower[0] / dt, keys[limit]
+    where = scene.place(("material", name, key))
+    value = getattr(scene.material[name], key) / times ** POWERS.get(key, 2)
     return [
         f"  advice      without {escape_control_characters(limit)} steps would be"
-        f" {times:.1f} times as long: they grow as {where} becomes less"
+        f" {times:.1f} times as long: they grow as {where} becomes less;"
+        f" at {value:.2g} {UNITS[key]} {compare(1 / times)}"
     ]
+
+
+def pruning_lines(
+    scene: Scene, plan: Plan, compare: Callable[[float], str], step_time: Callable[[Plan], float]
+) -> list[str]:
+    """Name captures and meshes with many more particles than prune = "auto" would keep.
+
+    Args:
+        scene: The scene.
+        plan: Its plan.
+        compare: Function of a factor on the run's time that returns both times as text.
+        step_time: Function of a plan that returns the time of a step.
+    """
+    lines = []
+    for k, obj in enumerate(scene.object):
+        if obj.role != "body" or obj.shape is not None or obj.prune != "off" or not plan.volumes:
+            continue
+        kept = round(PRUNED_PER_CELL * plan.volumes[k] / plan.dx**3)
+        if plan.count[k] < MIN_PRUNING_GAIN * max(kept, 1):
+            continue
+        count = (*plan.count[:k], kept, *plan.count[k + 1 :])
+        factor = step_time(replace(plan, count=count)) / step_time(plan)
+        solid = scene.material_of(obj).family == "solid"
+        keys = 'prune = "auto" and passive_gaussians = true' if solid else 'prune = "auto"'
+        lines.append(
+            f"  advice      {scene.place(('object', k))}: {keys} keep about {kept:,} of its"
+            f" {plan.count[k]:,} particles and the same look at rest:"
+            f" {compare(factor)}"
+        )
+    return lines

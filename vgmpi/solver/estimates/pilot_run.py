@@ -11,7 +11,9 @@ import time
 import numpy as np
 
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.planning.cost.pilot_result import PilotRun, Snapshot
+from vgmpi.planning.cost.feature_costs import step_ns
+from vgmpi.planning.cost.pilot_result import STEP_SECONDS, PilotRun, Snapshot
+from vgmpi.planning.cost.throughput import Throughput
 from vgmpi.planning.plan import Plan, time_step_bounds
 from vgmpi.runtime.config.schema import SceneError
 from vgmpi.scene.loader import load
@@ -45,15 +47,26 @@ def pilot_run(scene: Scene, plan: Plan, summary: ParticleSummary) -> PilotRun | 
     reason = "it has too few cells"
     for count in _cell_counts(scene):
         coarse = _coarsened(scene, count)
-        log.info("rehearsing in cells of %.4g m", coarse.domain.cell)
+        log.info("pilot run in cells of %.4g m", coarse.domain.cell)
         try:
             return _play(scene, plan, summary, coarse)
         except SceneError as error:
             reason = error.lines[0]
         except BlowUp as error:
             reason = str(error)
-    log.warning("cannot be rehearsed in coarser cells: %s", reason)
+    log.warning("no pilot run in coarser cells is possible: %s", reason)
     return None
+
+
+def pilot_seconds(scene: Scene, plan: Plan, pace: Throughput) -> float:
+    """Return the time [s] that a pilot run takes on this core, infinity if none is possible."""
+    counts = _cell_counts(scene)
+    if not counts:
+        return math.inf
+    ratio = counts[0] / max(scene.domain.cells)  # [scene cells per coarse cell]
+    dt = plan.fixed_dt or time_step_bounds(scene, plan)[0][0]
+    steps = ratio * float(plan.times[-1]) / dt
+    return steps * (1e-9 * ratio**3 * step_ns(scene, plan, pace) + STEP_SECONDS)
 
 
 def _cell_counts(scene: Scene) -> list[int]:

@@ -1,0 +1,75 @@
+"""Options of a run, and their check before any work is done."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from vgmpi.parallel.communicator import SerialCommunicator
+from vgmpi.runtime.cpu_features import available_cores
+
+from .engine_registry import CARD, ENGINES
+
+
+@dataclass
+class Options:
+    """Options of a run beyond what the scene says."""
+
+    folder: Path | None  # None: nothing is written
+    threads: int = 1
+    engine: str = "cpu"  # name of an engine, see solver.engines
+    resume: str | None = None  # a checkpoint's path; "": the newest valid one; None: from the start
+    stop_steps: int = 0  # [steps] of this run until it stops, 0 for no limit
+    stop_seconds: float = 0.0  # [s] wall time until it stops, 0 for no limit
+    overwrite: bool = False  # replace an existing run in the folder
+    change: bool = False  # resume although the scene has changed
+    listeners: list = field(default_factory=list)  # each called with (simulation) after every step
+    watchers: list = field(default_factory=list)  # each called with (run) at every frame
+
+
+MAX_THREADS_PER_CORE, MIN_THREAD_LIMIT = 4, 32  # more would take memory for nothing
+
+
+class InvalidRunOptions(ValueError):
+    """Error of options that exclude each other or do not suit the ranks."""
+
+
+def check(options: Options, ranks: SerialCommunicator) -> None:
+    """Raise InvalidRunOptions before any work is done for options that cannot run."""
+    if options.engine not in (*ENGINES, CARD):
+        raise InvalidRunOptions(
+            f"engine must be one of {', '.join((*ENGINES, CARD))}; got {options.engine!r}"
+        )
+    if options.threads < 1:
+        raise InvalidRunOptions(f"threads must be at least 1; got {options.threads}")
+    most = max(MIN_THREAD_LIMIT, MAX_THREADS_PER_CORE * available_cores())
+    if options.threads > most:
+        raise InvalidRunOptions(
+            f"threads must be at most {most} where this process may use {available_cores()} cores;"
+            f" got {options.threads}"
+        )
+    if options.engine == "numpy" and (ranks.size > 1 or options.threads > 1):
+        raise InvalidRunOptions(
+            "engine numpy computes on one rank and one thread; asked for"
+            f" {ranks.size} x {options.threads}"
+        )
+    if options.engine == CARD:
+        _find_card(options, ranks)
+
+
+def _find_card(options: Options, ranks: SerialCommunicator) -> None:
+    """Choose this rank's GPU; raise InvalidRunOptions on all ranks if one of them has none."""
+    problem = f"engine cuda has no threads; asked for {options.threads}"
+    if options.threads == 1:
+        try:
+            from vgmpi.solver.engines.cuda import graphics_card
+
+            problem = graphics_card.select_device(ranks.place, ranks.rank)
+        except ImportError as error:
+            problem = f"engine cuda needs `pip install 'vgmpi[cuda]'`: {error}"
+    missing = ranks.all_rows(np.array([[ranks.rank]] if problem else np.zeros((0, 1)), np.int64))
+    if len(missing):
+        first = int(missing.min())
+        raise InvalidRunOptions(
+            ranks.bcast(problem) or f"engine cuda finds no card on rank {first}"
+        )
