@@ -4,6 +4,7 @@
 # as root or as a user with sudo.
 #   PYTHON=python3.12 ./setup.sh    another interpreter (3.11 or newer)
 #   EXTRAS= ./setup.sh              without what tests, docs and pages of a run want (names from pyproject.toml)
+#   HDF5=serial ./setup.sh          without building h5py (2 minutes): ranks then write through rank 0, the same bytes
 # Without root, or elsewhere: docs/how-to/run-on-a-cluster.md.
 set -euo pipefail
 cd "$(dirname "$0")"
@@ -11,6 +12,7 @@ cd "$(dirname "$0")"
 H5PY=3.16.0  # no wheel carries parallel HDF5, so this one version is built here
 PYTHON=${PYTHON:-python3}
 EXTRAS=${EXTRAS-test,dev,docs,validate,replay}
+HDF5=${HDF5:-parallel}
 VENV=.venv
 
 say() { echo "setup: $*"; }
@@ -18,17 +20,18 @@ fail() { echo "setup: $*" >&2; exit 1; }
 installed() { [ "$(dpkg-query -W -f='${db:Status-Status}' "$1" 2>/dev/null)" = installed ]; }
 
 system_packages() {
-    local missing=() p
+    local missing=() needed=(openmpi-bin) p
     # the last row: what an offscreen pyvista picture needs on a machine without a display
-    for p in openmpi-bin libopenmpi-dev libhdf5-openmpi-dev build-essential \
-             libegl1 libegl-mesa0 libgl1-mesa-dri libgl1 libxrender1; do
+    [ "$HDF5" = serial ] || needed+=(libopenmpi-dev libhdf5-openmpi-dev build-essential
+                                     libegl1 libegl-mesa0 libgl1-mesa-dri libgl1 libxrender1)
+    for p in "${needed[@]}"; do
         installed "$p" || missing+=("$p")
     done
     if ! command -v "$PYTHON" >/dev/null; then
         missing+=(python3 python3-venv python3-dev)
     else
         "$PYTHON" -c 'import venv, ensurepip' 2>/dev/null || missing+=(python3-venv)
-        "$PYTHON" -c 'import os, sys, sysconfig
+        [ "$HDF5" = serial ] || "$PYTHON" -c 'import os, sys, sysconfig
 sys.exit(not os.path.exists(os.path.join(sysconfig.get_path("include"), "Python.h")))' || missing+=(python3-dev)
     fi
     [ ${#missing[@]} -gt 0 ] || return 0
@@ -72,19 +75,32 @@ parallel_h5py() {
         { tail -20 "$log" >&2; fail "building h5py failed; the whole output is in $log"; }
 }
 
-# The stamp says for which set-up script, package list, interpreter and extras the folder was filled.
-stamp() { cat setup.sh pyproject.toml <("$PYTHON" -V; echo "$EXTRAS") | sha256sum | cut -d' ' -f1; }
+# The stamp says for which set-up script, package list and interpreter the folder was filled; extras stand beside it.
+stamp() { cat setup.sh pyproject.toml <("$PYTHON" -V) | sha256sum | cut -d' ' -f1; }
 
-system_packages
+# A set-up with parallel HDF5, with whatever extras, serves a serial one, too.
+is_ready() {
+    local parallel serial
+    parallel=$(cat "$VENV/ready-parallel" 2>/dev/null || true)
+    serial=$(cat "$VENV/ready-serial" 2>/dev/null || true)
+    if [ "$parallel" = "$want $EXTRAS" ] || { [ "$HDF5" = serial ] && [ "${parallel%% *}" = "$want" ]; }; then
+        "$VENV/bin/python" -c 'import vgmpi, h5py, sys; sys.exit(not h5py.get_config().mpi)' 2>/dev/null
+    elif [ "$HDF5" = serial ] && [ "$serial" = "$want" ]; then
+        "$VENV/bin/python" -c 'import vgmpi, h5py' 2>/dev/null
+    else
+        return 1
+    fi
+}
+
 want=$(stamp)
-if [ "$(cat "$VENV/ready" 2>/dev/null)" != "$want" ] ||
-    ! "$VENV/bin/python" -c 'import vgmpi, h5py, sys; sys.exit(not h5py.get_config().mpi)' 2>/dev/null; then
-    venv_folder
-    rm -f "$VENV/ready"
-    parallel_h5py
-    say "Python packages"
-    pip_install "setuptools>=77,<90" wheel
-    pip_install --no-build-isolation -e ".${EXTRAS:+[$EXTRAS]}"
-    echo "$want" > "$VENV/ready"
-    say "ready"
-fi
+is_ready && exit 0
+system_packages
+venv_folder
+rm -f "$VENV"/ready-*
+[ "$HDF5" = serial ] || parallel_h5py
+say "Python packages"
+pip_install "setuptools>=77,<90" wheel
+pip_install --no-build-isolation -e ".${EXTRAS:+[$EXTRAS]}"
+if [ "$HDF5" = serial ]; then echo "$want" > "$VENV/ready-serial"; else echo "$want $EXTRAS" > "$VENV/ready-parallel"; fi
+[ "$HDF5" != serial ] || say "h5py is serial: ranks write through rank 0; \`make setup\` builds the parallel one (2 minutes)"
+say "ready"

@@ -12,13 +12,11 @@ from pathlib import Path
 from vgmpi.io import checkpoint, file_layout, hdf5_writer, run_lock, run_reader
 from vgmpi.parallel.communicator import SerialCommunicator, init_communicator
 from vgmpi.planning.cost.plan_report import format_plan
-from vgmpi.planning.cost.throughput import ASSUMED_THROUGHPUT, Throughput
-from vgmpi.planning.plan import FLOAT_TYPES, Plan
+from vgmpi.planning.plan import FLOAT_TYPES
 from vgmpi.runtime import memory_budget
 from vgmpi.runtime.config.schema import SceneError
 from vgmpi.scene.loader import load
 from vgmpi.scene.resume_rules import with_precision_of_run
-from vgmpi.scene.scene import Scene
 from vgmpi.solver.stop_requests import install_signal_handlers
 
 log = logging.getLogger("vgmpi")
@@ -179,7 +177,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         return _command(args, ranks)
     except SceneError as error:
-        return _refuse(error.lines, ranks)
+        return refuse(error.lines, ranks)
     except (
         hdf5_writer.StoreError, run_lock.RunFolderInUseError, checkpoint.CheckpointError,
         run_reader.RunError
@@ -208,9 +206,11 @@ def _command(args: argparse.Namespace, ranks: SerialCommunicator) -> int:
         return 0
     refusal = _slurm_mismatch(ranks)
     if refusal:
-        return _refuse([refusal], ranks)
+        return refuse([refusal], ranks)
     if not (args.plan or args.prepare):
-        return _run(scene, folder, args, ranks)
+        from .run_command import run_scene  # imports numba
+
+        return run_scene(scene, folder, args, ranks)
     from vgmpi.solver import initial_particles  # imported late, so that --check stays quick
 
     if args.prepare:
@@ -239,18 +239,18 @@ def _command(args: argparse.Namespace, ranks: SerialCommunicator) -> int:
         pilot = pilot_run(scene, plan, summary) if args.pilot or is_quick else None
         print(format_plan(scene, plan, ranks.size, start_time, pace, pilot))
         if args.engine == "cuda":
-            print(_card(ranks).memory_report(plan, ranks.size))
+            print(card_module(ranks).memory_report(plan, ranks.size))
     refusal = memory_refusal(plan.bytes(), ranks)
-    return _refuse([refusal], ranks) if refusal and not args.force else 0
+    return refuse([refusal], ranks) if refusal and not args.force else 0
 
 
-def _card(ranks: SerialCommunicator):
+def card_module(ranks: SerialCommunicator):
     """Return the module of GPUs; exit with code 2 if the extra for them is not installed."""
     try:
         from vgmpi.solver.engines.cuda import graphics_card
     except ImportError as error:
         message = f"--engine cuda needs `pip install 'vgmpi[cuda]'`: {error}"
-        raise SystemExit(_refuse([message], ranks)) from None
+        raise SystemExit(refuse([message], ranks)) from None
     return graphics_card
 
 
@@ -265,77 +265,6 @@ def _calibrate(ranks: SerialCommunicator) -> int:
             f" {pace.elastic:.1f} elastic: {pace.of}"
         )
     return 0
-
-
-def _run(scene: Scene, folder: Path, args: argparse.Namespace, ranks: SerialCommunicator) -> int:
-    """Run a scene and report; return the exit code."""
-    from vgmpi.solver import run as runs
-    from vgmpi.solver.diagnostics import progress as report  # this imports numba
-    from vgmpi.solver.diagnostics.eta import RemainingTimeEstimator
-    from vgmpi.solver.diagnostics.post_run_advice import RunObserver, advice
-    from vgmpi.solver.estimates.pilot_run import pilot_run
-    from vgmpi.solver.initial_particles import ParticleSummary
-    from vgmpi.solver.run_options import InvalidRunOptions
-    from vgmpi.solver.step import BlowUp
-
-    estimator = None
-
-    def approve(scene: Scene, plan: Plan, start_time: float, summary: ParticleSummary) -> None:
-        """Print the plan; refuse a run that exceeds the memory."""
-        nonlocal estimator
-        refusal = memory_refusal(plan.bytes(), ranks)
-        if args.engine == "cuda":
-            refusal = refusal or _card(ranks).memory_error(plan, ranks)
-        if refusal and not args.force:
-            raise SceneError([refusal + "; --force runs it anyway"])
-        if ranks.rank == 0 and not args.quiet:
-            real = scene.accuracy.precision
-            pace = _throughput(real, args.calibrate)
-            pilot = pilot_run(scene, plan, summary) if args.pilot else None
-            if pilot is not None:
-                estimator = RemainingTimeEstimator(
-                    *pilot.ahead(scene, plan, pace or ASSUMED_THROUGHPUT[real])
-                )
-            print(format_plan(scene, plan, ranks.size, start_time, pace, pilot), flush=True)
-
-    options = runs.Options(
-        folder, args.threads, args.engine, args.resume, args.stop_steps, args.stop_seconds,
-        args.overwrite, args.change,
-    )  # fmt: skip
-    try:
-        with runs.prepared_run(scene, ranks, options, approve) as run:
-            clock = run.simulation.clock = report.Clock()
-            progress = report.Progress(run, args.quiet, estimator)
-            observer = RunObserver()
-            options.listeners += [progress, observer.step]
-            options.watchers.append(lambda run: observer.frame(run.latest_conservation))
-            if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as behind a script's &
-                install_signal_handlers(signal.SIGINT)
-            code = run.run()
-            progress.close()
-            lines = [report.timing_table(run, clock)]
-            if code == runs.DONE and run.first_step == 0:  # the whole run was observed
-                lines += advice(run.scene, run.plan, observer)
-            if args.profile:
-                lines.append(report.rank_profile(run, clock))
-    except InvalidRunOptions as error:
-        return _refuse([f"--{error}"], ranks)
-    except BlowUp as error:  # before the first frame
-        log.error("blow-up: %s", error)
-        return runs.BLEW_UP
-    if ranks.rank == 0 and not args.quiet:
-        outcome = {0: "done", 3: "blew up", 75: "stopped; go on with --resume"}[code]
-        print(*lines, f"{outcome}: {folder}", sep="\n", flush=True)
-    return code
-
-
-def _throughput(precision: str, remeasure: bool) -> Throughput | None:
-    """Return the throughput of this processor, measured or cached."""
-    from vgmpi.solver.estimates import calibration
-
-    if remeasure:
-        return calibration.host_throughput(precision, remeasure=True)
-    return calibration.cached_throughput(precision)
 
 
 def memory_refusal(needed: int, ranks: SerialCommunicator) -> str:
@@ -380,7 +309,7 @@ def _inspect(path: Path) -> int:
     return 0
 
 
-def _refuse(lines: list[str], ranks: SerialCommunicator) -> int:
+def refuse(lines: list[str], ranks: SerialCommunicator) -> int:
     """Print the lines on rank 0; return the exit code for wrong input."""
     if ranks.rank == 0:
         for line in lines:

@@ -174,11 +174,7 @@ def _steps(
     min_dt, harder = time_step_bounds(scene, plan, stiffened=True)[0]
     if plan.fixed_dt:
         dt, min_dt, cause = plan.fixed_dt, plan.fixed_dt, "time.dt"
-    each = 1e-9 * step_ns(scene, plan, pace) / ranks + STEP_SECONDS  # seconds of a step
-    if rehearsal is not None:
-        each = (
-            1e-9 * rehearsal.work(scene, plan, pace).sum() / rehearsal.steps / ranks + STEP_SECONDS
-        )
+    each = _step_seconds(scene, plan, ranks, pace, rehearsal)
     end, frames = float(plan.times[-1]), len(plan.times)
     left, span = end, f"{end:g} s and {frames} frames"
     if reached > 0:
@@ -189,7 +185,7 @@ def _steps(
         cause += "; shorter where colliders or prescribed bodies move fast"
     if rehearsal is not None:
         few = many = math.ceil(rehearsal.steps)
-    written = (FRAME_SECONDS + SECONDS_PER_WRITTEN_PARTICLE * sum(plan.count) / ranks) * frames
+    written = _writing_seconds(plan, ranks, frames)
     steps, duration_text = f"about {few:,}", f"about {format_duration(few * each + written)}"
     if many > 1.1 * few:
         steps, duration_text = (
@@ -217,6 +213,38 @@ def _steps(
         *tradeoff_results.cheaper_setting_lines(scene),
         f"  time        {duration_line}",
     ]
+
+
+def predicted_seconds(
+    scene: Scene, plan: Plan, ranks: int, pace: Throughput, pilot: PilotRun | None = None
+) -> float:
+    """Return the time [s] of a run from its start, without start-up and compilation.
+
+    Args:
+        scene: The scene.
+        plan: Its plan.
+        ranks: Number of ranks.
+        pace: Throughput of the processors.
+        pilot: Result of a pilot run.
+    """
+    dt = plan.fixed_dt or time_step_bounds(scene, plan)[0][0]
+    steps = _step_count(plan, dt, 0.0) if pilot is None else math.ceil(pilot.steps)
+    return steps * _step_seconds(scene, plan, ranks, pace, pilot) + _writing_seconds(plan, ranks)
+
+
+def _step_seconds(
+    scene: Scene, plan: Plan, ranks: int, pace: Throughput, pilot: PilotRun | None
+) -> float:
+    """Return the mean time [s] of a step."""
+    if pilot is None:
+        return 1e-9 * step_ns(scene, plan, pace) / ranks + STEP_SECONDS
+    return 1e-9 * pilot.work(scene, plan, pace).sum() / pilot.steps / ranks + STEP_SECONDS
+
+
+def _writing_seconds(plan: Plan, ranks: int, frames: int | None = None) -> float:
+    """Return the time [s] of writing so many frames, by default all."""
+    each = FRAME_SECONDS + SECONDS_PER_WRITTEN_PARTICLE * sum(plan.count) / ranks
+    return each * (len(plan.times) if frames is None else frames)
 
 
 def _step_count(plan: Plan, dt: float, reached: float) -> int:
