@@ -80,6 +80,7 @@ TENSORS = (
 PRINT = (
     "vgmpi/apps/commands.py",
     "vgmpi/apps/run/cli.py",
+    "vgmpi/apps/run/run_command.py",
     "vgmpi/apps/bench/__main__.py",
     "vgmpi/apps/bench/subcommands.py",
     "vgmpi/apps/convert/__main__.py",

@@ -204,7 +204,7 @@ def _command(args: argparse.Namespace, ranks: SerialCommunicator) -> int:
         build_scene(scene)  # only this finds unreadable files and bodies outside the domain
         print(f"{args.scene}: nothing is wrong with it")
         return 0
-    refusal = _slurm_mismatch(ranks)
+    refusal = _slurm_mismatch(ranks) or ("" if args.plan else _folder_problem(folder))
     if refusal:
         return refuse([refusal], ranks)
     if not (args.plan or args.prepare):
@@ -277,6 +277,14 @@ def memory_refusal(needed: int, ranks: SerialCommunicator) -> str:
             f" {available / 2**30:.1f} GiB free (90 % may be used)"
         )
     return ""
+
+
+def _folder_problem(folder: Path) -> str:
+    """Return one line if the output folder is something else, else ""."""
+    if folder.is_dir() or not os.path.lexists(folder):
+        return ""
+    what = "a file" if folder.exists() else "a link to nothing"
+    return f"{folder}: is {what}, a folder is needed (-o, or output.folder of the scene)"
 
 
 def _slurm_mismatch(ranks: SerialCommunicator) -> str:

@@ -44,8 +44,9 @@ def format_plan(
         pace: Throughput of the processors; if None, the time is said to be unknown.
         rehearsal: Result of a pilot run, for a run from the start.
     """
-    is_known = pace is not None
-    pace = pace or ASSUMED_THROUGHPUT[scene.accuracy.precision]
+    assumed = ASSUMED_THROUGHPUT[scene.accuracy.precision]
+    is_known = pace is not None and pace is not assumed
+    pace = pace or assumed
     lines = [
         f"{escape_control_characters(scene.title or scene.path.name)}:"
         f" {plan.particles:,} particles,"
