@@ -23,8 +23,8 @@ from vgmpi.materials.material import FUNCTIONS, Family, state_channels
 NEVER = {"yield_stress": 1e9}  # what yields has tests of its own
 SAMPLES = {  # a table of each kind, other than the defaults
     "fluid": [
-        {"density": 900.0, "tait_coefficient": 3e4, "gamma": 7.0, "viscosity": 0.3},
-        {"tait_coefficient": 1e5, "gamma": 1.0},
+        {"density": 900.0, "tait_coefficient": 3e4, "tait_exponent": 7.0, "viscosity": 0.3},
+        {"tait_coefficient": 1e5, "tait_exponent": 1.0},
     ],
     "elastic": [
         {"youngs_modulus": 2e5, "poisson_ratio": 0.3},
@@ -32,15 +32,21 @@ SAMPLES = {  # a table of each kind, other than the defaults
         {"youngs_modulus": 1e6, "poisson_ratio": 0.45},
     ],
     "sand": [{"porosity": 0.3, "youngs_modulus": 3e5}, {"cohesion": 500.0, "poisson_ratio": 0.2}],
-    "snow": [{}, {"density": 100.0, "poisson_ratio": 0.0, "hardening": 5.0}],
-    "metal": [{"youngs_modulus": 2e6, "yield_stress": 5e4, "hardening": 1e5}],
+    "snow": [{}, {"density": 100.0, "poisson_ratio": 0.0, "hardening_coefficient": 5.0}],
+    "metal": [{"youngs_modulus": 2e6, "yield_stress": 5e4, "hardening_modulus": 1e5}],
     "corotated": [
         {"youngs_modulus": 2e5, "poisson_ratio": 0.3},
         {"density": 500.0, "youngs_modulus": 1e4, "poisson_ratio": 0.0},
     ],
     "paste": [
-        {"consistency": 3.0, "index": 0.4, "shear_modulus": 3e4, **NEVER},
-        {"consistency": 3.0, "tait_coefficient": 1e3, "gamma": 1.0, "shear_modulus": 1e5, **NEVER},
+        {"consistency_index": 3.0, "flow_index": 0.4, "shear_modulus": 3e4, **NEVER},
+        {
+            "consistency_index": 3.0,
+            "tait_coefficient": 1e3,
+            "tait_exponent": 1.0,
+            "shear_modulus": 1e5,
+            **NEVER,
+        },
     ],
     "foam": [{"youngs_modulus": 2e3, "poisson_ratio": 0.2, "viscosity": 3.0, **NEVER}],
     "plasticine": [{"youngs_modulus": 2e6, "poisson_ratio": 0.4, **NEVER}],

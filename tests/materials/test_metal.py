@@ -15,7 +15,7 @@ PULL = STEP * np.diag([1.0, -0.5, -0.5])
 
 
 def metal(**keys):
-    given = {"youngs_modulus": E, "poisson_ratio": NU, "yield_stress": Y, "hardening": H}
+    given = {"youngs_modulus": E, "poisson_ratio": NU, "yield_stress": Y, "hardening_modulus": H}
     return Metal(kind="metal", **(given | keys))
 
 
@@ -41,7 +41,7 @@ def test_tension_below_the_yield_stress_is_elastic(engine, real):
 @BOTH
 @PRECISIONS
 def test_tension_reaches_the_yield_stress(engine, real):
-    out = driven(metal(hardening=0), engine, real, [(PULL, 500)])
+    out = driven(metal(hardening_modulus=0), engine, real, [(PULL, 500)])
     assert difference(out) == pytest.approx(Y, rel=1e-4)
     assert out[6] == pytest.approx(strain(500) - Y / (3 * MU), rel=1e-3)
     assert out[13] == pytest.approx(1, abs=1e-6)
@@ -83,5 +83,5 @@ def test_shear(engine, real):
     """Simple shear: |tau_xy| reaches Y / sqrt(3)."""
     L = np.zeros((3, 3))
     L[0, 1] = STEP
-    out = driven(metal(hardening=0), engine, real, [(L, 1000)])
+    out = driven(metal(hardening_modulus=0), engine, real, [(L, 1000)])
     assert out[10] == pytest.approx(Y / np.sqrt(3), rel=1e-4)

@@ -1,8 +1,9 @@
 """Paste and the flow beyond a yield stress (materials/tensor_math/viscoplastic_flow.py), held to
 Herschel and Bulkley.
 
-In steady simple shear tau = yield_stress + consistency rate^index, whatever the time step; below
-the yield stress nothing flows. Foam is the case of index 1 behind Hencky's elasticity.
+In steady simple shear tau = yield_stress + consistency_index rate^flow_index, whatever the time
+step; below the yield stress nothing flows. Foam is the case of flow_index 1 behind Hencky's
+elasticity.
 """
 
 import numpy as np
@@ -18,7 +19,7 @@ STEPS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # [s]
 
 
 def paste(**keys):
-    keys = {"yield_stress": 100.0, "consistency": 20.0, "shear_modulus": 1e4, **keys}
+    keys = {"yield_stress": 100.0, "consistency_index": 20.0, "shear_modulus": 1e4, **keys}
     return registry["paste"](kind="paste", **keys)
 
 
@@ -33,18 +34,18 @@ def shear(rate):
     return L
 
 
-@pytest.mark.parametrize("index", (0.2, 0.3, 0.5, 1.0, 1.5, 2.0))
-def test_the_share_of_flow_solves_its_equation(index):
+@pytest.mark.parametrize("flow_index", (0.2, 0.3, 0.5, 1.0, 1.5, 2.0))
+def test_the_share_of_flow_solves_its_equation(flow_index):
     """a z^n + z = 1 by bisection, over 30 orders of magnitude of a."""
     for a in 10.0 ** np.linspace(-15, 15, 61):
         # excess 1, stiffness 1: K = a
-        z = float(viscoplastic_flow.herschel_bulkley(1.0, 1.0, np.log(a), index))
+        z = float(viscoplastic_flow.herschel_bulkley(1.0, 1.0, np.log(a), flow_index))
 
         def residual(u, a=a):
-            return np.logaddexp(u, np.log(a) + index * u)
+            return np.logaddexp(u, np.log(a) + flow_index * u)
 
-        u = brentq(residual, -1000 / index, 0.0, xtol=1e-14, rtol=1e-14)
-        assert z == pytest.approx(np.exp(u), rel=1e-9 if index < 0.3 else 1e-12, abs=1e-15)
+        u = brentq(residual, -1000 / flow_index, 0.0, xtol=1e-14, rtol=1e-14)
+        assert z == pytest.approx(np.exp(u), rel=1e-9 if flow_index < 0.3 else 1e-12, abs=1e-15)
 
 
 def test_bingham_is_the_case_of_index_one():
@@ -54,10 +55,10 @@ def test_bingham_is_the_case_of_index_one():
 
 
 @pytest.mark.parametrize("real", REALS)
-@pytest.mark.parametrize("index", (0.3, 0.5, 1.0, 1.3))
-def test_steady_shear_is_herschel_and_bulkley_at_any_step(real, index):
-    stuff, rate = paste(index=index), 5.0
-    want = 100.0 + 20.0 * rate**index
+@pytest.mark.parametrize("flow_index", (0.3, 0.5, 1.0, 1.3))
+def test_steady_shear_is_herschel_and_bulkley_at_any_step(real, flow_index):
+    stuff, rate = paste(flow_index=flow_index), 5.0
+    want = 100.0 + 20.0 * rate**flow_index
     found = []
     for dt in STEPS:
         steps = int(0.1 / dt)  # a shear of 0.5: yields at 0.01
@@ -65,7 +66,7 @@ def test_steady_shear_is_herschel_and_bulkley_at_any_step(real, index):
             stress_of(stuff, drive(stuff, rest_of(stuff), shear(rate), dt, steps, real), real)
         )
     got = [tau[0, 1] for tau in found]
-    print(f"n = {index}, {real.__name__}: {np.array(got) / want}")
+    print(f"n = {flow_index}, {real.__name__}: {np.array(got) / want}")
     assert got == pytest.approx([want] * 5, rel=0.01)
     # what pulls along the flow is of second order in stress and in strain per step
     for dt, tau in zip(STEPS, found, strict=True):
@@ -158,7 +159,7 @@ def states(stuff, n=960, seed=1):
 
 
 @pytest.mark.parametrize("real", REALS)
-@pytest.mark.parametrize("stuff", (paste(index=0.4), foam()))
+@pytest.mark.parametrize("stuff", (paste(flow_index=0.4), foam()))
 def test_engines_agree(real, stuff):
     L = np.random.default_rng(2).normal(size=(3, 3))
     law = stuff.law()
@@ -171,7 +172,7 @@ def test_engines_agree(real, stuff):
 
 
 def test_price():
-    for stuff in (paste(index=0.4), foam()):
+    for stuff in (paste(flow_index=0.4), foam()):
         advance, stress = nanoseconds(stuff, states(stuff))
         print(f"{stuff.kind}: advance {advance:.1f} ns, stress {stress:.1f} ns per particle")
         assert advance + stress < 1000

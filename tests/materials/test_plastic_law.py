@@ -15,7 +15,7 @@ N = 960
 TABLES = {  # that yield within the strains of the states here
     "sand": {"youngs_modulus": 1e6, "friction_angle": "27 deg"},
     "snow": {},
-    "metal": {"youngs_modulus": 1e6, "yield_stress": 1e3, "hardening": 1e5},
+    "metal": {"youngs_modulus": 1e6, "yield_stress": 1e3, "hardening_modulus": 1e5},
 }
 
 

@@ -49,7 +49,7 @@ def test_keys_that_are_given_win_and_all_is_shown(tmp_path):
     keys = 'kind = "fluid"\npreset = "honey"\nviscosity = "5 Pa s"'
     shown = scene(tmp_path, SCENE.replace("KEYS", keys)).to_json()["material"]["stuff"]
     assert shown["preset"] == "honey"
-    assert (shown["viscosity"], shown["density"], shown["gamma"]) == (5.0, 1420.0, 7.0)
+    assert (shown["viscosity"], shown["density"], shown["tait_exponent"]) == (5.0, 1420.0, 7.0)
 
 
 def test_an_unknown_preset_is_one_line(tmp_path):
@@ -62,7 +62,7 @@ def test_an_unknown_preset_is_one_line(tmp_path):
 def test_stiffness_by_the_fastest_motion(tmp_path):
     made = stuff(tmp_path, 'kind = "fluid"\ndensity = 900\nmax_speed = "3 m/s"')
     assert made.law().sound_speed_squared == pytest.approx(30.0**2)
-    made = stuff(tmp_path, 'kind = "fluid"\nmax_speed = 3\ncompression = "4 %"')
+    made = stuff(tmp_path, 'kind = "fluid"\nmax_speed = 3\nmax_compression = "4 %"')
     assert made.law().sound_speed_squared == pytest.approx((3 / 0.2) ** 2)
     # the table shows what follows
     assert made.model_dump()["tait_coefficient"] == pytest.approx(1000 * 225 / 7)
@@ -70,7 +70,7 @@ def test_stiffness_by_the_fastest_motion(tmp_path):
 
 def test_stiffness_by_depth(tmp_path):
     """At the bottom the pressure rho g H compresses by the share allowed, to first order."""
-    made = stuff(tmp_path, 'kind = "fluid"\ndepth = "2 m"\ncompression = "0.1 %"')
+    made = stuff(tmp_path, 'kind = "fluid"\nmax_depth = "2 m"\nmax_compression = "0.1 %"')
     law = made.law()
     J = (1 + 1000 * 9.81 * 2 / law.k) ** (-1 / law.gamma)
     assert 1 - J == pytest.approx(1e-3, rel=0.01)
@@ -79,13 +79,15 @@ def test_stiffness_by_depth(tmp_path):
 @pytest.mark.parametrize("kind", ("fluid", "paste"))
 def test_stiffness_is_given_once(kind, tmp_path):
     kind = {"fluid": 'kind = "fluid"', "paste": 'kind = "paste"\npreset = "mud"'}[kind]
-    said = complaint(tmp_path, f"{kind}\nbulk_modulus = 1e5\nmax_speed = 3")
+    said = complaint(tmp_path, f"{kind}\ntait_coefficient = 1e5\nmax_speed = 3")
     assert "material.stuff.max_speed: tait_coefficient already says how stiff it is" in said
-    assert "give one of tait_coefficient, max_speed or depth" in said
-    assert "depth" in complaint(tmp_path, f"{kind}\nmax_speed = 1\ndepth = 3")
-    said = complaint(tmp_path, f'{kind}\ncompression = "1 %"')
-    assert "material.stuff.max_compression: needs max_speed or depth" in said
-    assert "needs max_speed" in complaint(tmp_path, f"{kind}\nbulk_modulus=1e5\ncompression=0.01")
+    assert "give one of tait_coefficient, max_speed or max_depth" in said
+    assert "max_depth" in complaint(tmp_path, f"{kind}\nmax_speed = 1\nmax_depth = 3")
+    said = complaint(tmp_path, f'{kind}\nmax_compression = "1 %"')
+    assert "material.stuff.max_compression: needs max_speed or max_depth" in said
+    assert "needs max_speed" in complaint(
+        tmp_path, f"{kind}\ntait_coefficient=1e5\nmax_compression=0.01"
+    )
 
 
 @pytest.mark.parametrize("kind", ("fluid", "paste"))

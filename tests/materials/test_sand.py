@@ -21,7 +21,7 @@ def sand(**keys):
 @pytest.mark.parametrize("degrees", [25, 32, 40])
 def test_triaxial_compression_ends_at_the_friction_angle(engine, real, degrees):
     """Mohr-Coulomb: the greatest over the least principal stress is tan^2(45 deg + phi / 2)."""
-    table = sand(friction_angle=f"{degrees} deg", match="triaxial")
+    table = sand(friction_angle=f"{degrees} deg", friction_angle_test="triaxial")
     tau = driven(table, engine, real, [(PRESS, 100), (AXIS, 400)])[7:13]
     assert tau[0] == pytest.approx(tau[1], rel=1e-4)
     assert tau[2] / tau[0] == pytest.approx(np.tan(np.radians(45 + degrees / 2)) ** 2, rel=1e-3)
@@ -31,7 +31,7 @@ def test_triaxial_compression_ends_at_the_friction_angle(engine, real, degrees):
 @PRECISIONS
 def test_plane_strain_meets_it_too(engine, real):
     """Sheared between walls at constant volume: (s1 - s3) / (s1 + s3) = sin phi."""
-    table = sand(friction_angle="30 deg", match="plane-strain")
+    table = sand(friction_angle="30 deg", friction_angle_test="plane-strain")
     tau = driven(table, engine, real, [(PRESS, 100), (1e-5 * np.diag([1.0, 0, -1]), 400)])[7:13]
     assert (tau[2] - tau[0]) / (tau[2] + tau[0]) == pytest.approx(0.5, rel=1e-3)
 
@@ -44,8 +44,8 @@ def test_sand_that_slides_over_itself_meets_the_slope(engine, real, degrees):
     with the angle of plane strain it is the sine (Davis 1968).
     """
     slide = 5e-5 * np.outer([1.0, 0, 0], [0, 0, 1])
-    for match, law in (("slope", np.tan), ("plane-strain", np.sin)):
-        table = sand(friction_angle=f"{degrees} deg", match=match)
+    for test, law in (("slope", np.tan), ("plane-strain", np.sin)):
+        table = sand(friction_angle=f"{degrees} deg", friction_angle_test=test)
         tau = driven(table, engine, real, [(PRESS, 20), (slide, 1000)])[7:13]
         assert tau[4] / -tau[2] == pytest.approx(law(np.radians(degrees)), rel=2e-3)
 
@@ -123,7 +123,7 @@ def states(n=500, seed=1):
 
 def test_it_is_the_return_mapping_of_klar():
     """Written anew with numpy's matrices, case by case."""
-    f, table = states(), sand(match="triaxial")
+    f, table = states(), sand(friction_angle_test="triaxial")
     law, dt, unity = table.law(), 0.3, np.eye(3)
     sine = np.sin(table.friction_angle)
     alpha = np.sqrt(2 / 3) * 2 * sine / (3 - sine)

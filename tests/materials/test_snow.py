@@ -35,7 +35,7 @@ def test_hardening(engine, real, step):
     """tau = exp(xi (1 - Jp)) (lam + 2 mu) ln(limit), lam + 2 mu = E (1 - nu) / ((1 + nu) (1 - 2
     nu)).
     """
-    table = snow(youngs_modulus=1e5, poisson_ratio=0.2, hardening=8.0)
+    table = snow(youngs_modulus=1e5, poisson_ratio=0.2, hardening_coefficient=8.0)
     out = driven(table, engine, real, [(step * SIDEWAYS, 100)])
     limit = 1 - table.critical_compression if step < 0 else 1 + table.critical_stretch
     Jp = (1 + step) ** 100 / limit

@@ -139,8 +139,8 @@ def test_what_weighs_on_a_liquid_keeps_it_stiff(tmp_path):
     scene, plan = planned(tmp_path, SCENE)
     modulus = 1000 * 20**2 / 0.01
 
-    def lines(compressed):
-        mean = compressed / np.sqrt(3)
+    def lines(compression):
+        mean = compression / np.sqrt(3)
         return advice(scene, plan, seen_of(scene, plan, elastic=0.5 * modulus * mean**2 / 1000))
 
     (line,) = lines(0.003)
@@ -152,7 +152,7 @@ def test_what_weighs_on_a_liquid_keeps_it_stiff(tmp_path):
     ("text", "speed"),
     [
         (SCENE, 15.0),
-        (SCENE.replace("max_speed = 20", "depth = 1000"), 0.5),
+        (SCENE.replace("max_speed = 20", "max_depth = 1000"), 0.5),
         (SCENE.replace("frames = 6", "frames = 6\ndt = 1e-6"), 0.5),
         (SCENE + TABLE.replace("MODULUS", "1e10"), 0.5),  # which sets the step
         (SCENE.replace('"fluid"', '"elastic"').replace("max_speed", "youngs_modulus"), 0.5),

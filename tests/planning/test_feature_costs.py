@@ -83,7 +83,7 @@ collider = true
 shape = { box = [[0.27, 0.1, 0.02], [0.3, 0.2, 0.2]] }
 """
 MOVES = "motion = { velocity = [0, 0, 0.01] }\n"
-PROBE = '[[probe]]\nname = "felt"\ncollider = "post"\nrate = 10\n'
+PROBE = '[[probe]]\nname = "felt"\ncollider = "post"\nsampling_rate = 10\n'
 
 
 def planned(folder, more="", transfer="apic"):

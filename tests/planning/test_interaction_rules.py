@@ -30,15 +30,15 @@ NAMES = ("ale", "beer", "cola", "dew", "egg")
 
 
 def poured(tmp_path, couplings, phase=str):
-    """Five fluids; couplings: (two names, kind, diffusion); phase: of a fluid by its name."""
+    """Five fluids; couplings: (two names, kind, diffusivity); phase: of a fluid by its name."""
     text = POURED
     for k, name in enumerate(NAMES):
-        text += f'[material.{name}]\nkind = "fluid"\nbulk_modulus = 1e4\n'
+        text += f'[material.{name}]\nkind = "fluid"\ntait_coefficient = 1e4\n'
         text += f'[[object]]\nname = "{name}"\nmaterial = "{name}"\nphase = "{phase(name)}"\n'
         text += f"shape = {{ box = [[0, 0, {0.02 * k}], [0.16, 0.16, {0.02 * k + 0.02}]] }}\n"
-    for one, other, kind, diffusion in couplings:
+    for one, other, kind, diffusivity in couplings:
         text += f'[[coupling]]\nbetween = ["{one}", "{other}"]\nkind = "{kind}"\n'
-        text += f"diffusivity = {diffusion}\n" if kind.startswith("mixing") else ""
+        text += f"diffusivity = {diffusivity}\n" if kind.startswith("mixing") else ""
         text += "friction = 0\n" if kind == "contact" else ""
     return scene(tmp_path, text)
 
@@ -161,7 +161,7 @@ def slippery(tmp_path, one, other, slip_relaxation_time, kind="mixing"):
     for name, (density, modulus) in zip(NAMES, (one, other), strict=False):
         text += f'[material.{name}]\nkind = "fluid"\ndensity = {density}\n'
         text += f"tait_coefficient = {modulus}\n"
-        text += f'[[object]]\nname = "{name}"\nmaterial = "{name}"\nfraction = 0.5\n'
+        text += f'[[object]]\nname = "{name}"\nmaterial = "{name}"\nvolume_fraction = 0.5\n'
         text += "shape = { box = [[0, 0, 0], [0.16, 0.16, 0.16]] }\n"
     text += f'[[coupling]]\nbetween = ["ale", "beer"]\nkind = "{kind}"\n'
     text += f"slip_relaxation_time = {slip_relaxation_time}\n"

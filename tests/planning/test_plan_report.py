@@ -60,7 +60,10 @@ def test_snow_that_packs_takes_as_many_steps_as_the_plan_says(tmp_path):
 
 
 def test_other_laws_take_one_number_of_steps(tmp_path):
-    text = SNOWBALL.replace('kind = "snow"', 'kind = "elastic"').replace("hardening", "# hardening")
+    text = SNOWBALL.replace('kind = "snow"', 'kind = "elastic"').replace(
+        "hardening_c", "# hardening_c"
+    )
+    text = text.replace("max_hardening", "# max_hardening")
     said = said_of(write(tmp_path, text.replace("youngs", "density = 400\nyoungs")))
     assert re.search(r"steps +about [\d,]+ for 0.025 s", said) and "hardens" not in said
     assert "single precision (numbers of 7 digits" in said

@@ -65,8 +65,8 @@ width = 0.1
 position = [0.2, 0.3, 0.05]
 color = {list(RED)}
 """
-OFF = "[appearance]\nshade = 0\n"
-FAINT = "[appearance]\nshade = 1e-9\n"  # less than a number of the file tells from none
+OFF = "[appearance]\nbaked_shading = 0\n"
+FAINT = "[appearance]\nbaked_shading = 1e-9\n"  # less than a number of the file tells from none
 RIDING = 'prune = "auto"\npassive_gaussians = true\n'
 
 
@@ -149,7 +149,7 @@ def test_scenery_and_riders_carry_it(folder):
     assert "passive/shade" in inspect(folder / file_layout.GAUSSIANS)
 
 
-@pytest.mark.parametrize("how", ["auto", "paper"])
+@pytest.mark.parametrize("how", ["auto", "versagauss"])
 def test_a_pruned_body_keeps_the_right_rows(folder, how):
     """Each of one color, which comes back: what is left stands for others, of other lights."""
     keys = 'prune = "auto"\n' if how == "auto" else 'prune = "versagauss"\nprune_scale = 0.4\n'

@@ -22,7 +22,7 @@ precision = "PRECISION"
 [material.water]
 kind = "fluid"
 tait_coefficient = 2e4
-GAMMA
+EXPONENT
 [material.oil]
 kind = "fluid"
 density = 800
@@ -34,33 +34,33 @@ shape = { box = [[0, 0, 0.1], [0.4, 0.2, 0.3]] }
 """
 
 
-def made_of(folder, keys, gamma=""):
-    return build_scene(scene(folder, text(gamma=gamma) + keys))
+def made_of(folder, keys, exponent=""):
+    return build_scene(scene(folder, text(exponent=exponent) + keys))
 
 
-def text(precision="double", gamma=""):
-    return BOX.replace("PRECISION", precision).replace("GAMMA", gamma)
+def text(precision="double", exponent=""):
+    return BOX.replace("PRECISION", precision).replace("EXPONENT", exponent)
 
 
 def test_waves(tmp_path):
-    """Besides velocity and spin; a phase of 90 deg is a cosine."""
+    """Besides velocity and angular velocity; a phase angle of 90 deg is a cosine."""
     keys = """
 velocity = [0, 1, 0]
-mode = [
-  { amplitude = [0, 0, "2 cm/s"], wave = [15.7, 0, 3] },
-  { amplitude = [0.5, 0, 0], wave = [0, 0, 7], phase = "90 deg" },
+velocity_mode = [
+  { amplitude = [0, 0, "2 cm/s"], wave_vector = [15.7, 0, 3] },
+  { amplitude = [0.5, 0, 0], wave_vector = [0, 0, 7], phase_angle = "90 deg" },
 ]
 """
     made = made_of(tmp_path, keys)
     x, _, z = made.x.T
     want = np.stack([0.5 * np.cos(7 * z), 1 + 0 * x, 0.02 * np.sin(15.7 * x + 3 * z)], 1)
     assert np.abs(made.v0 - want).max() < 1e-14
-    one = made_of(tmp_path, "mode = { amplitude = [0, 1, 0], wave = [1, 0, 0] }")
+    one = made_of(tmp_path, "velocity_mode = { amplitude = [0, 1, 0], wave_vector = [1, 0, 0] }")
     assert np.abs(one.v0[:, 1] - np.sin(x)).max() < 1e-15
 
 
 def test_two_fluids_share_their_space(tmp_path, caplog):
-    keys = """fraction = 0.25
+    keys = """volume_fraction = 0.25
 [[object]]
 name = "oil"
 material = "oil"
@@ -71,7 +71,7 @@ shape = { box = [[0, 0, 0.1], [0.4, 0.2, 0.3]] }
     whole = np.bincount(made.object, made.vol0)
     assert whole == pytest.approx(0.4 * 0.2 * 0.2 * np.array([0.25, 0.75]), rel=1e-12)
     assert "overlap" not in caplog.text
-    made_of(tmp_path, keys.replace("fraction", "#"))
+    made_of(tmp_path, keys.replace("volume_fraction", "#"))
     assert "overlap" in caplog.text
 
 
@@ -84,16 +84,16 @@ def test_profile(tmp_path):
     want = np.where(x < 0.2, (x - 0.05) / 0.15, np.maximum(1 - 5 * (x - 0.2), 0.5))
     assert x.min() == pytest.approx(0.055)
     assert made.vol0 == pytest.approx(1e-6 * want, rel=1e-12)
-    assert made.objects[0]["count"] == len(x) == len(made.opacity)
+    assert made.objects[0]["row_count"] == len(x) == len(made.opacity)
 
 
-@pytest.mark.parametrize("gamma", ["", "gamma = 1", "gamma = 1.4"])
-def test_pressure_at_rest(tmp_path, gamma):
+@pytest.mark.parametrize("exponent", ["", "tait_exponent = 1", "tait_exponent = 1.4"])
+def test_pressure_at_rest(tmp_path, exponent):
     """dp/d(depth) = density g / J, integrated here by steps, with J of this p by the law."""
-    made = made_of(tmp_path, 'initial_pressure = "hydrostatic"', gamma)
+    made = made_of(tmp_path, 'initial_pressure = "hydrostatic"', exponent)
     J, depth = np.exp(made.theta0), 0.3 - made.x[:, 2]
     assert (made.vol0 * J) == pytest.approx(np.full(len(J), 1e-6), rel=1e-12)
-    g = 7.0 if not gamma else float(gamma.split("=")[1])
+    g = 7.0 if not exponent else float(exponent.split("=")[1])
     at, which = np.unique(np.round(depth, 9), return_inverse=True)
     solved = solve_ivp(
         lambda _, p: 9800 * (1 + p / 2e4) ** (1 / g), (0, 0.2), [0.0], t_eval=at, rtol=1e-10
@@ -130,11 +130,14 @@ def test_files_carry_it(tmp_path):
 
 
 def test_the_gradient_of_what_turns_and_waves(tmp_path):
-    """It is the field's own and gets into a run; without spin and waves there is none."""
+    """It is the field's own and gets into a run; without turning and waves there is none."""
     from vgmpi.parallel.communicator import SerialCommunicator
     from vgmpi.solver.run import Options, prepared_run
 
-    keys = "spin = [1, -2, 3]\nmode = { amplitude = [0.1, 0, 0.2], wave = [9, 4, -7], phase = 1 }\n"
+    keys = "angular_velocity = [1, -2, 3]\n"
+    keys += (
+        "velocity_mode = { amplitude = [0.1, 0, 0.2], wave_vector = [9, 4, -7], phase_angle = 1 }\n"
+    )
     keys += '[[object]]\nname = "oil"\nmaterial = "oil"\nvelocity = [1, 0, 0]\n'
     keys += "shape = { box = [[0, 0, 0.3], [0.4, 0.2, 0.4]] }\n"
     known = scene(tmp_path, text() + keys)

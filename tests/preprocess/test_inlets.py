@@ -1,4 +1,4 @@
-"""Sources and sinks: the lattice, rates and times, ids, and what is planned for them."""
+"""Inlets and outlets: the lattice, rates and times, ids, and what is planned for them."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ speed = 1
 """
 
 
-def source(folder, text):
+def inlet(folder, text):
     return scene(folder, TANK + text).inlet[0]
 
 
@@ -47,7 +47,7 @@ def plan(folder, text):
 
 
 def test_lattice_of_a_disc(tmp_path):
-    tap = source(tmp_path, TAP)
+    tap = inlet(tmp_path, TAP)
     x = inlet_geometry.inlet_points(tap, 0.02) - [0.1, 0.1, 0.3]
     assert (x[:, 0] == 0).all()
     near = np.arange(-5, 5) + 0.5
@@ -68,7 +68,7 @@ def test_lattice_of_a_rectangle(tmp_path, direction, wide, high):
     """Its width lies horizontally, along x where it pours straight down."""
     mouth = "rectangle = { center = [0.1, 0.1, 0.3], width = 0.06, height = 0.02 }"
     text = TAP.replace("disc = { center = [0.1, 0.1, 0.3], radius = 0.03 }", mouth)
-    tap = source(tmp_path, text.replace('"x"', direction))
+    tap = inlet(tmp_path, text.replace('"x"', direction))
     one, other, along = inlet_geometry.orthonormal_frame(tap)
     np.testing.assert_allclose([one, np.abs(other)], [wide, np.abs(high)], atol=1e-15)
     x = inlet_geometry.inlet_points(tap, 0.02) - [0.1, 0.1, 0.3]
@@ -79,7 +79,7 @@ def test_lattice_of_a_rectangle(tmp_path, direction, wide, high):
 
 
 def test_a_box_holds_the_nozzle(tmp_path):
-    tap = source(tmp_path, TAP.replace('"x"', "[1, 0.5, -1]"))
+    tap = inlet(tmp_path, TAP.replace('"x"', "[1, 0.5, -1]"))
     low, high = inlet_geometry.bounding_box(tap, 0.02)
     back = inlet_geometry.inlet_points(tap, 0.02) - 0.04 * np.array(tap.direction)
     for x in (inlet_geometry.inlet_points(tap, 0.02), back):
@@ -87,16 +87,18 @@ def test_a_box_holds_the_nozzle(tmp_path):
     assert (high - low < 0.1).all()
 
 
-@pytest.mark.parametrize("amount", ["rate = 1.6", 'flow = "1.6 l/s"', "velocity = 0.5"])
+@pytest.mark.parametrize(
+    "amount", ["mass_flow_rate = 1.6", 'volume_flow_rate = "1.6 l/s"', "speed = 0.5"]
+)
 def test_speed_follows_from_what_flows(tmp_path, amount):
     """32 particles of a cubic centimetre every h / u."""
-    (found,) = plan(tmp_path, TAP.replace("velocity = 1", amount)).sources
+    (found,) = plan(tmp_path, TAP.replace("speed = 1", amount)).sources
     assert found.speed == pytest.approx(0.5, rel=1e-12)
     assert len(found.mouth) * 1000 * found.volume / found.period == pytest.approx(1.6, rel=1e-12)
 
 
 def test_density_of_sand_has_its_pores(tmp_path):
-    text = TAP.replace('"water"', '"sand"').replace("velocity = 1", "rate = 1")
+    text = TAP.replace('"water"', '"sand"').replace("speed = 1", "mass_flow_rate = 1")
     made = plan(tmp_path, text)
     (found,) = made.sources
     mass = made.groups[found.group].density * found.volume * len(found.mouth) / found.period
@@ -108,7 +110,7 @@ def test_ids_and_times(tmp_path):
     """Behind those of all objects, layer by layer; as many as are born in the run, or pass the
     mouth before its end."""
     second = TAP.replace('"tap"', '"late"').replace("0.3]", "0.2]").replace(
-        "velocity = 1", 'velocity = 1\nstart = "60 ms"\nend = "120 ms"'
+        "speed = 1", 'speed = 1\nstart_time = "60 ms"\nend_time = "120 ms"'
     )  # fmt: skip
     made = plan(tmp_path, TAP + second)
     tap, late = made.sources
@@ -135,18 +137,18 @@ def test_layers_are_counted_as_their_times_are(tmp_path):
         )
 
 
-def test_a_scene_of_a_source_alone(tmp_path):
-    """It begins with nothing, where the source begins later."""
-    text = TANK[: TANK.index("[[object]]")] + TAP + "start = 0.1\n"
+def test_a_scene_of_an_inlet_alone(tmp_path):
+    """It begins with nothing, where the inlet begins later."""
+    text = TANK[: TANK.index("[[object]]")] + TAP + "start_time = 0.1\n"
     loaded = scene(tmp_path, text)
     made = plan_for(loaded, known_of(loaded, build_scene(loaded)))
     assert made.initial_particle_count == 0 and made.sources[0].spawned_layers(0.0) == 0
 
 
-def test_no_source_no_trace(tmp_path):
+def test_no_inlet_no_trace(tmp_path):
     """What a scene without them resolves to is what it was."""
     resolved = scene(tmp_path, TANK).to_json()
-    assert "source" not in resolved and "sink" not in resolved
+    assert "inlet" not in resolved and "outlet" not in resolved
     assert not plan(tmp_path, "").is_open_system
 
 
@@ -157,7 +159,7 @@ def test_extending_needs_an_end(tmp_path):
     longer = scene(tmp_path / "longer", (TANK + TAP).replace("end = 0.2", "end = 0.4"))
     with pytest.raises(ValueError, match="that does not end cannot be extended"):
         plan_for(longer, known)
-    ends = TANK + TAP + "end = 0.15\n"
+    ends = TANK + TAP + "end_time = 0.15\n"
     (tmp_path / "ends").mkdir()
     known = known_of(one := scene(tmp_path / "ends", ends), build_scene(one))
     longer = scene(tmp_path / "longer", ends.replace("end = 0.2", "end = 0.4"))
@@ -165,12 +167,12 @@ def test_extending_needs_an_end(tmp_path):
 
 
 def carried(simulation):
-    """Which rows of `by_id` are in a nozzle, of the only source."""
-    (source,) = simulation.plan.sources
+    """Which rows of `by_id` are in a nozzle, of the only inlet."""
+    (inlet,) = simulation.plan.sources
     (ids,) = by_id(simulation, "id")
-    n, now = len(source.mouth), simulation.time
+    n, now = len(inlet.mouth), simulation.time
     first, last = (
-        source.first + n * by(now) for by in (source.released_layers, source.spawned_layers)
+        inlet.first + n * by(now) for by in (inlet.released_layers, inlet.spawned_layers)
     )
     return (ids >= first) & (ids < last)
 
@@ -194,7 +196,7 @@ def test_what_is_carried_has_the_flow_and_the_state_of_rest(tmp_path):
 
 def test_the_time_step_knows_what_comes(tmp_path):
     """Also before it is there, so that the first step with it is no longer."""
-    fast = TAP.replace("velocity = 1", 'velocity = 20\nstart = "20 ms"')
+    fast = TAP.replace("speed = 1", 'speed = 20\nstart_time = "20 ms"')
     simulation, _ = begin(tmp_path, TANK + fast)
     wave = np.sqrt(2e4 / 1000)
     assert len(by_id(simulation, "id")[0]) == simulation.plan.initial_particle_count
@@ -202,14 +204,14 @@ def test_the_time_step_knows_what_comes(tmp_path):
     assert 0.5 * most < simulation.bound() <= most
 
 
-SINK = '[[outlet]]\nname = "hole"\nshape = { box = [[0.21, 0, 0], [0.4, 0.2, 0.4]] }\n'
+OUTLET = '[[outlet]]\nname = "hole"\nshape = { box = [[0.21, 0, 0], [0.4, 0.2, 0.4]] }\n'
 
 
 def moving(folder):
-    return begin(folder, TANK + SINK, velocity=lambda x: x * 0 + [1.0, 0, 0])
+    return begin(folder, TANK + OUTLET, velocity=lambda x: x * 0 + [1.0, 0, 0])
 
 
-def test_a_sink_takes_after_every_fourth_step(tmp_path):
+def test_an_outlet_takes_after_every_fourth_step(tmp_path):
     """What is gone does not come back, and nothing else is gone. No sort follows by itself."""
     simulation, made = moving(tmp_path)
     before, taken, sorted_then = set(range(len(made.x))), 0, 0
@@ -232,9 +234,9 @@ def test_a_sink_takes_after_every_fourth_step(tmp_path):
 
 @pytest.mark.parametrize("engine", ["cpu", "numpy"])
 def test_no_sort_is_missed_where_particles_were_taken(tmp_path, engine):
-    """A run that sorts after every taking moves as one that does not, to rounding; also where a
-    source holds places of particles, and segments are empty."""
-    text = TANK + SINK + TAP.replace("[0.1, 0.1, 0.3]", "[0.149, 0.1, 0.1]")
+    """A run that sorts after every taking moves as one that does not, to rounding; also where an
+    inlet holds places of particles, and segments are empty."""
+    text = TANK + OUTLET + TAP.replace("[0.1, 0.1, 0.3]", "[0.149, 0.1, 0.1]")
     text = text.replace("[0.2, 0.2, 0.04]", "[0.14, 0.2, 0.04]").replace("0.21, 0", "0.155, 0")
     found, empty = [], 0
     for sorts in (True, False):

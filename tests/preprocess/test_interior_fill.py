@@ -289,6 +289,6 @@ def test_select():
     assert len(half) == pytest.approx(len(cloud) / 2, abs=3) and half.x[:, 2].min() >= MIDDLE[2]
     ball = crop(cloud, Select(sphere={"center": list(MIDDLE), "radius": "20 cm"}))
     assert len(ball) == len(cloud) - 1
-    calm = crop(cloud, Select(outliers=4))
+    calm = crop(cloud, Select(outlier_sigma=4))
     assert len(calm) < len(cloud) and not (calm.x == x[7]).all(axis=1).any()
     assert len(calm) > 0.99 * len(cloud)

@@ -19,8 +19,10 @@ KEYS = 'keyframes = [{ time = "1 s" }, { time = "2 s", translation = [0.4, 0, 0]
 SPUN = 'keyframes = [{ time = "1 s", angle = "90 deg", translation = [-0.2, 0, 0] }], axis = "z"'
 WAVES = 'release_time = "1 s"\nvelocity_mode = { amplitude = [1, 0, 0], wave_vector = [1, 0, 0] }'
 WRONG = {
-    "held and moved": (BALL, 'release_time = "1 s"\nmotion = { velocity = [1, 0, 0] }', "release_time",
-                       "motion and release_time given at once: give one"),
+    "held and moved": (
+        BALL, 'release_time = "1 s"\nmotion = { velocity = [1, 0, 0] }', "release_time",
+        "motion and release_time given at once: give one",
+    ),
     "never frozen": (BALL, "release_time = 0", "release_time", "must be > 0"),
     "frozen for metres": (BALL, 'release_time = "1 m"', "release_time",
                           "'m' does not measure a time"),
@@ -28,7 +30,7 @@ WRONG = {
         POOL, 'release_time = "1 s"\nvelocity = [1, 0, 0]', "velocity",
         "[[load]] delta_velocity with start_time = release_time gives it one then",
     ),
-    "a spin besides": (
+    "an angular velocity besides": (
         POOL, WAY.format("angular_velocity = 1") + "\nangular_velocity = [0, 0, 3]",
         "angular_velocity",
         "is not for a body with motion: until it is let go it moves as that says",
@@ -37,7 +39,7 @@ WRONG = {
         POOL, WAVES,
         "velocity_mode", "is not for a body with release_time",
     ),
-    "a share": (
+    "a volume fraction": (
         POOL, 'release_time = "1 s"\nvolume_fraction = 0.5', "volume_fraction",
         "until it is let go it shares its space with none",
     ),
@@ -84,7 +86,7 @@ def test_scenery_is_not_frozen(tmp_path):
         'name = "post"\nrole = "scenery"\nshape = { sphere = { center = [0, 0, 0], radius = 1 } }'
     )
     path, _ = broken(tmp_path, "friction = 0.1\n",
-                     f'friction = 0.1\n[[object]]\n{post}\nfrozen_until = "1 s"\n')  # fmt: skip
+                     f'friction = 0.1\n[[object]]\n{post}\nrelease_time = "1 s"\n')  # fmt: skip
     said = "object.post.release_time: is not for scenery: it has no mass and does not move"
     assert any(line.endswith(said) for line in lines(path)), lines(path)
 
@@ -94,7 +96,7 @@ def test_scenery_is_not_frozen(tmp_path):
     [
         (KEYS, "motion.keyframes.1", "takes the body out of the domain: at 1.688 s it is at x ="),
         ("velocity = [-0.31, 0, 0]", "motion.velocity", "the domain is 0 .. 0.64 m"),
-        (SPUN + ", about = [0.3, 0, 0.2]", "motion.keyframes.0", "it is at x ="),
+        (SPUN + ", pivot = [0.3, 0, 0.2]", "motion.keyframes.0", "it is at x ="),
     ],
 )
 def test_it_stays_in_the_domain(tmp_path, keys, where, says):
@@ -105,7 +107,7 @@ def test_it_stays_in_the_domain(tmp_path, keys, where, says):
 
 def test_a_fixed_step_is_short_enough(tmp_path):
     path, _ = broken(
-        tmp_path, BALL, BALL + WAY.format('velocity = [2, 0, 0], until = "0.1 s"') + "\n"
+        tmp_path, BALL, BALL + WAY.format('velocity = [2, 0, 0], end_time = "0.1 s"') + "\n"
     )
     build_scene(load(path))
     found = lines(path, ["time.dt=4 ms"], make=lambda p, o: build_scene(load(p, o)))
@@ -135,7 +137,7 @@ name = "heap"
 material = "sand"
 shape = { box = [[0.02, 0.02, 0], [0.08, 0.08, 0.055]] }
 release_time = "20 ms"
-release_order = "from RELEASE"
+release_order = "RELEASE"
 release_end_time = "60 ms"
 [[object]]
 name = "free"
@@ -150,7 +152,7 @@ motion = { angular_velocity = "2 rad/s", velocity = [0.3, 0, 0.5], axis = "y", e
 
 
 def test_let_go_layer_by_layer(tmp_path):
-    for release in ("below", "above"):
+    for release in ("bottom-up", "top-down"):
         simulation, made = begin(tmp_path, TWO.replace("RELEASE", release))
         heap, sand = made.object == 0, simulation.plan.phases[-3]
         assert sand.name == "sand" and heap.sum() == 12 * 12 * 11
@@ -162,17 +164,17 @@ def test_let_go_layer_by_layer(tmp_path):
             assert simulation.time == pytest.approx(time, rel=1e-12)
             held = simulation.groups[simulation.plan.group_of[0]]
             z = x0[np.sort(held.ids[held.index()]), 2] / 0.01
-            edge = 1 + layer if release == "below" else 5 - layer
+            edge = 1 + layer if release == "bottom-up" else 5 - layer
             rest = x0[heap][:, 2] / 0.01
-            rest = rest[rest > edge] if release == "below" else rest[rest < edge]
+            rest = rest[rest > edge] if release == "bottom-up" else rest[rest < edge]
             assert np.array_equal(np.sort(z), np.sort(rest))
         rows = {row["phase"]: row for row in conservation_rows(simulation)}
-        assert rows["heap (frozen)"]["count"] == 0
-        assert rows["sand"]["count"] == (made.object < 2).sum()
+        assert rows["heap (frozen)"]["particles"] == 0
+        assert rows["sand"]["particles"] == (made.object < 2).sum()
 
 
 def test_what_is_held_stays_to_the_bit(tmp_path):
-    simulation, made = begin(tmp_path, TWO.replace("RELEASE", "below"))
+    simulation, made = begin(tmp_path, TWO.replace("RELEASE", "bottom-up"))
     before = by_id(simulation, "x")[0]
     advance(simulation, 0.0199)
     x, v = by_id(simulation, "x", "v")
@@ -183,7 +185,7 @@ def test_what_is_held_stays_to_the_bit(tmp_path):
 
 def test_what_moves_goes_where_it_is_sent_and_goes_on_so(tmp_path):
     """Free of gravity and of others, to rounding; then its middle keeps its velocity."""
-    text = TWO.replace("RELEASE", "below").replace("-9.8", "0")
+    text = TWO.replace("RELEASE", "bottom-up").replace("-9.8", "0")
     simulation, made = begin(tmp_path, text)
     wheel, middle = made.object == 2, np.array([0.16, 0.08, 0.08])
     x0, v0 = by_id(simulation, "x", "v")
@@ -207,17 +209,17 @@ def test_what_moves_goes_where_it_is_sent_and_goes_on_so(tmp_path):
 
 
 def test_steps_are_short_enough_for_what_moves(tmp_path):
-    text = TWO.replace("RELEASE", "below").replace("[0.3, 0, 0.5]", "[-3, 0, 0]")
-    simulation, _ = begin(tmp_path, text.replace('spin = "2 rad/s"', 'spin = "1000 rad/s"'))
+    text = TWO.replace("RELEASE", "bottom-up").replace("[0.3, 0, 0.5]", "[-3, 0, 0]")
+    simulation, _ = begin(tmp_path, text.replace('"2 rad/s"', '"1000 rad/s"'))
     simulation.advance(1e-6)
     limit = 0.3 * 0.01 / (3 + 1000 * np.hypot(0.0175, 0.0175))  # of its outermost particles
     assert 0.8 * limit < simulation.bound() < limit
 
 
 def test_while_all_is_held_steps_are_as_long_as_frames(tmp_path):
-    text = TWO.replace('release_order = "from RELEASE"\nrelease_end_time = "60 ms"', "")
+    text = TWO.replace('release_order = "RELEASE"\nrelease_end_time = "60 ms"', "")
     text = text[: text.rindex("[[object]]")].replace(
-        'name = "free"', 'name = "free"\nfrozen_until = "20 ms"'
+        'name = "free"', 'name = "free"\nrelease_time = "20 ms"'
     )
     simulation, _ = begin(tmp_path, text)
     advance(simulation, 0.02)
@@ -262,19 +264,19 @@ def test_a_wall_vanishes(tmp_path):
     simulation, made = begin(tmp_path, GATE)
     advance(simulation, 0.0499)
     (row,) = conservation_rows(simulation)
-    assert row["count_out"] == 0
-    assert row["kinetic"] < 1e-4 * abs(row["potential"])
+    assert row["particles_out"] == 0
+    assert row["kinetic_energy"] < 1e-4 * abs(row["potential_energy"])
     advance(simulation, 0.05)
     codes = [part.segments.mirror[:, 0, 1] for part in simulation.engine.parts]
     assert not np.concatenate(codes).any()
     advance(simulation, 0.2)
     (row,) = conservation_rows(simulation)
-    assert 0.15 * len(made.x) < row["count_out"] < 0.8 * len(made.x)
-    assert row["count"] + row["count_out"] == len(made.x) == row["count_in"]
+    assert 0.15 * len(made.x) < row["particles_out"] < 0.8 * len(made.x)
+    assert row["particles"] + row["particles_out"] == len(made.x) == row["particles_in"]
 
 
 def test_an_open_wall_does_not_vanish(tmp_path):
     with pytest.raises(SceneError) as caught:
-        scene(tmp_path, GATE.replace('kind = "slip", until', 'kind = "open", until'))
-    said = 'domain.boundary.east: until is not for kind = "open": it is from the start on'
+        scene(tmp_path, GATE.replace('kind = "slip", removal', 'kind = "open", removal'))
+    said = 'domain.boundary.east: removal_time is not for kind = "open": it is from the start on'
     assert any(said in line for line in caught.value.lines), caught.value.lines

@@ -251,8 +251,9 @@ def test_pictures_and_decibels():
          "prune: is only for objects made of gaussians or a mesh"),
         ('mesh = "duck.obj"\nprune = "versagauss"', "prune: needs prune_scale"),
         ('mesh = "duck.obj"\nprune = "auto"\nprune_scale = 0.5', 'prune_scale: is only for'),
-        ('mesh = "duck.obj"\npassive_gaussians = true', 'passive: needs prune = "auto" or "paper"'),
-        ('mesh = "duck.obj"\nprune = "most"', "prune: must be one of off, auto, paper"),
+        ('mesh = "duck.obj"\npassive_gaussians = true',
+         'passive_gaussians: needs prune = "auto" or "versagauss"'),
+        ('mesh = "duck.obj"\nprune = "most"', "prune: must be one of off, auto, versagauss"),
         ('mesh = "duck.obj"\nprune = "versagauss"\nprune_scale = 1.5', "prune_scale: must be"),
     ],
 )  # fmt: skip
@@ -273,6 +274,6 @@ def test_passive_needs_a_solid_that_deforms(folder):
         ),
     ):
         assert other != text
-        with pytest.raises(SceneError, match="passive: is only for solids that deform"):
+        with pytest.raises(SceneError, match="passive_gaussians: is only for solids that deform"):
             scene(folder, other)
     assert scene(folder, text.replace(elastic, metal)).object  # what yields carries F beside it

@@ -103,7 +103,7 @@ def made(path):
 
 def rows(made, name):
     item = next(o for o in made.objects if o["name"] == name)
-    return slice(item["first"], item["first"] + item["count"])
+    return slice(item["first_row"], item["first_row"] + item["row_count"])
 
 
 def test_arrays_types_and_order(made):
@@ -118,10 +118,10 @@ def test_arrays_types_and_order(made):
     assert np.all(np.diff(made.object) >= 0) and set(made.object) == {0, 2, 3}
     first = 0
     for number, item in enumerate(made.objects):
-        assert item["count"] == np.count_nonzero(made.object == number)
+        assert item["row_count"] == np.count_nonzero(made.object == number)
         if item["role"] == "body":
-            assert item["first"] == first
-        first += item["count"]
+            assert item["first_row"] == first
+        first += item["row_count"]
     assert first == n
 
 
@@ -130,7 +130,9 @@ def test_descriptions_are_json(made):
     pool, post, egg_, cube = items
     assert (pool["family"], pool["phase"], pool["density"]) == ("fluid", "fluid", 1000.0)
     assert (egg_["family"], egg_["phase"], egg_["kind"]) == ("solid", "egg", "elastic")
-    assert (post["material"], post["phase"], post["count"]) == (None, None, 0) and post["collider"]
+    assert (post["material"], post["phase"], post["row_count"]) == (None, None, 0) and post[
+        "collider"
+    ]
     assert pool["opacity_scale"] == 0.02 and pool["alpha_min"] == 1e-4
     assert cube["color"] == [1.0, 0.0, 0.0]
 
@@ -224,7 +226,7 @@ def test_hollow_on_request(path, made):
 
 def test_scenery_from_a_mesh_and_a_cloud(path):
     text = SCENE.replace('material = "rubber"', 'role = "scenery"\ncollider = true')
-    text = text.replace("spin = [0, 0, 3]", "")
+    text = text.replace("angular_velocity = [0, 0, 3]", "")
     other = path.with_name("scenery.toml")
     other.write_text(text)
     made = build_scene(load(other))
@@ -250,7 +252,7 @@ def test_bodies_in_one_place_are_told(path, caplog):
 def test_a_share_per_step_is_told_where_it_counts(tmp_path, caplog, transfer):
     lump = '[[object]]\nname = "lump"\nmaterial = "clay"\n'
     lump += "shape = { sphere = { center = [0.1, 0.1, 0.1], radius = 0.05 } }"
-    shares = f'[accuracy]\nflip = 0.95\ntransfer = "{transfer}"\n'
+    shares = f'[accuracy]\nflip_ratio = 0.95\ntransfer = "{transfer}"\n'
     with caplog.at_level(logging.INFO, "vgmpi"):
         build_scene(scene(tmp_path, ROOM + shares + lump))
     told = "accuracy.flip_ratio = 0.95 is kept in each step" in caplog.text
@@ -296,7 +298,7 @@ def test_real_files(path):
     sets += [f"object.cube.mesh={SPOT}", "object.cube.up=y", "object.cube.width=6 cm"]
     made = build_scene(load(path, [*sets, "object.egg.particles_per_cell=64"]))
     guitar, spot = rows(made, "egg"), rows(made, "cube")
-    assert made.objects[2]["count"] >= 90_854
+    assert made.objects[2]["row_count"] >= 90_854
     assert np.ptp(made.x[guitar][:, 2]) == pytest.approx(0.15, rel=1e-3)
     box = np.prod(np.ptp(made.x[guitar], axis=0))
     assert 0.02 * box < made.vol0[guitar].sum() < 0.6 * box

@@ -21,23 +21,30 @@ SHAPES = {
         4 / 3 * np.pi * 0.3 * 0.2 * 0.15,
     ),
     "cylinder": (
-        {"cylinder": {"ends": [[0, 0, 0], [0.2, 0.1, 0.2]], "radius": 0.12}},
+        {"cylinder": {"endpoints": [[0, 0, 0], [0.2, 0.1, 0.2]], "radius": 0.12}},
         np.pi * 0.12**2 * 0.3,
     ),
     "capsule": (
-        {"capsule": {"ends": [[0, 0, 0], [0.2, 0.1, 0.2]], "radius": 0.12}},
+        {"capsule": {"endpoints": [[0, 0, 0], [0.2, 0.1, 0.2]], "radius": 0.12}},
         np.pi * 0.12**2 * 0.3 + 4 / 3 * np.pi * 0.12**3,
     ),
     "cone": (
-        {"cone": {"ends": [[0, 0, 0], [0.2, 0.1, 0.2]], "radii": [0.15, 0]}},
+        {"cone": {"endpoints": [[0, 0, 0], [0.2, 0.1, 0.2]], "radii": [0.15, 0]}},
         np.pi * 0.15**2 * 0.3 / 3,
     ),
     "frustum": (
-        {"cone": {"ends": [[0, 0.1, 0], [0, 0.1, 0.3]], "radii": [0.08, 0.2]}},
+        {"cone": {"endpoints": [[0, 0.1, 0], [0, 0.1, 0.3]], "radii": [0.08, 0.2]}},
         np.pi * 0.3 * (0.08**2 + 0.08 * 0.2 + 0.2**2) / 3,
     ),
     "torus": (
-        {"torus": {"center": [0.1, 0, 0.1], "axis": [1, 2, 2], "radius": 0.2, "tube": 0.08}},
+        {
+            "torus": {
+                "center": [0.1, 0, 0.1],
+                "axis": [1, 2, 2],
+                "major_radius": 0.2,
+                "minor_radius": 0.08,
+            }
+        },
         2 * np.pi**2 * 0.2 * 0.08**2,
     ),
     "union": (
@@ -105,7 +112,7 @@ def test_distance_is_the_distance_to_the_surface(name):
 
 def test_cone_at_chosen_points():
     """Above the tip, beside the slope (45 degrees), under the base, inside near each."""
-    cone = Shape.model_validate({"cone": {"ends": [[0, 0, 0], [0, 0, 1]], "radii": [1, 0]}})
+    cone = Shape.model_validate({"cone": {"endpoints": [[0, 0, 0], [0, 0, 1]], "radii": [1, 0]}})
     points = [[0, 0, 1.5], [1, 0, 1], [0.5, 0, -0.3], [2, 0, -1], [0, 0, 0.1], [0, 0, 0.8]]
     root = np.sqrt(0.5)
     want = [0.5, root, 0.3, np.sqrt(2), -0.1, -0.2 * root]
@@ -115,12 +122,12 @@ def test_cone_at_chosen_points():
 def test_a_blend_fills_the_edge_where_parts_meet():
     """A post on a plate: the parabola between them turned about the axis is known."""
     post, plate = (
-        {"cylinder": {"ends": [[0, 0, -0.2], [0, 0, 0.4]], "radius": 0.1}},
+        {"cylinder": {"endpoints": [[0, 0, -0.2], [0, 0, 0.4]], "radius": 0.1}},
         {"box": [[-0.5, -0.5, -0.3], [0.5, 0.5, 0]]},
     )
     sharp = Shape.model_validate({"union": [post, plate]})
     k, h = 0.12, 0.0025
-    blended = Shape.model_validate({"union": [post, plate], "blend": k})
+    blended = Shape.model_validate({"union": [post, plate], "blend_radius": k})
 
     def new(x):
         return (shape_sdf.distance(blended, x) < 0) & (shape_sdf.distance(sharp, x) >= 0)
@@ -135,16 +142,16 @@ def test_a_blend_fills_the_edge_where_parts_meet():
 def test_blended_distances_are_bounds():
     """Slopes are at most 1, and nothing sticks out further than `blend_overhang`."""
     balls = [{"sphere": {"center": [x, 0, 0], "radius": 0.1}} for x in (0.0, 0.13, 0.26)]
-    shape = Shape.model_validate({"union": balls, "blend": 0.08})
+    shape = Shape.model_validate({"union": balls, "blend_radius": 0.08})
     rng = np.random.default_rng(6)
     x, step = rng.uniform(-0.3, 0.5, (4000, 3)), rng.normal(size=(4000, 3))
     step *= 1e-4 / np.linalg.norm(step, axis=1)[:, None]
     slope = np.abs(shape_sdf.distance(shape, x + step) - shape_sdf.distance(shape, x)) / 1e-4
     assert slope.max() < 1 + 1e-9
     assert shape_sdf.blend_overhang(shape) == pytest.approx(2 * 0.08 / 4)
-    same = Shape.model_validate({"union": [balls[0], balls[0]], "blend": 0.08})
+    same = Shape.model_validate({"union": [balls[0], balls[0]], "blend_radius": 0.08})
     assert shape_sdf.distance(same, np.array([[0.12, 0, 0]]))[0] == pytest.approx(0.0)
-    cut = Shape.model_validate({"difference": [{"union": balls, "blend": 0.08}, balls[0]]})
+    cut = Shape.model_validate({"difference": [{"union": balls, "blend_radius": 0.08}, balls[0]]})
     assert shape_sdf.blend_overhang(cut) == shape_sdf.blend_overhang(shape)
 
 
@@ -168,9 +175,9 @@ union = [
 
 
 def test_a_blend_is_for_unions_only():
-    ball = {"sphere": {"center": [0, 0, 0], "radius": 1}, "blend": 0.1}
+    ball = {"sphere": {"center": [0, 0, 0], "radius": 1}, "blend_radius": 0.1}
     [(path, said)] = validate_shape(ball, ("shape",))
-    assert path == ("shape", "blend") and said == "is only for a union"
+    assert path == ("shape", "blend_radius") and said == "is only for a union"
 
 
 def test_ellipsoid_distance_near_the_surface():

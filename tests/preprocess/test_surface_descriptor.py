@@ -166,7 +166,7 @@ def test_of_a_capture(tmp_path):
 def test_on_the_floor(tmp_path, kind, stands):
     """What stands on a mirroring floor goes on behind it: only its sides and its top are surfaces.
     A floor that only pushes meets the underside."""
-    boundary = f'boundary = {{ default = "slip", floor = "{kind}" }}'
+    boundary = f'boundary = {{ default = "slip", bottom = "{kind}" }}'
     x, surface = surfaces(tmp_path, body(BOX, 0.0, boundary))
     q = np.abs(x[:, :2] - MIDDLE[:2]) - HALF[:2]
     low = (x[:, 2] < DX) & (q.max(axis=1) < -1.5 * DX)
@@ -223,7 +223,7 @@ def test_a_sheet_has_none(tmp_path, size):
     told = {thing["name"]: thing for thing in made.objects}
     assert told["sheet"]["surface"] == known and told["ball"]["surface"]
     assert {phase.name: phase.surface for phase in plan.phases} == {"sheet": known, "ball": True}
-    first, count = told["sheet"]["first"], told["sheet"]["count"]
+    first, count = told["sheet"]["first_row"], told["sheet"]["row_count"]
     assert made.surface0[first : first + count].any() == known
     for group in plan.groups:
         assert ("surface" in group.channels) == plan.phases[group.phase].surface

@@ -24,7 +24,7 @@ size = [ "1 m",  # one
   2,
   # nothing
   3 ]
-wall = { default = "slip", floor = { kind = "stick" }, list = [ { a = 1 },
+wall = { default = "slip", bottom = { kind = "stick" }, list = [ { a = 1 },
   { a = 2 } ] }
 "a.b".c = 1979-05-27 07:32:00
 [[object]]
@@ -52,7 +52,7 @@ def test_lines_of_all_kinds_of_values():
         ("domain", "size", 0): 10,
         ("domain", "size", 1): 11,
         ("domain", "size", 2): 13,
-        ("domain", "wall", "floor", "kind"): 14,
+        ("domain", "wall", "bottom", "kind"): 14,
         ("domain", "wall", "list", 0, "a"): 14,
         ("domain", "wall", "list", 1, "a"): 15,
         ("domain", "a.b", "c"): 16,
@@ -207,16 +207,16 @@ def test_who_reads_the_file_says_what_is_raised(tmp_path):
 
 
 OLD = """\
-[material.color]
+[material.colour]
 x = 1
 [[object]]
-name = "color"
-color = [1,
+name = "colour"
+colour = [1,
  "a"]
-shape = { union = [{ color = "red" },
-  { colour = 2, color = 3 }] }
+shape = { union = [{ colour = "red" },
+  { color = 2, colour = 3 }] }
 """
-NAMES = RenameTable([Rename("object.**.color", "colour")])
+NAMES = RenameTable([Rename("object.**.colour", "color")])
 
 
 def test_old_names_of_keys_are_read_and_told_in_one_line(tmp_path, caplog):
@@ -224,37 +224,37 @@ def test_old_names_of_keys_are_read_and_told_in_one_line(tmp_path, caplog):
     path = tmp_path / "a.toml"
     path.write_text(OLD)
     source = TomlSource(path, renames=NAMES)
-    assert source.data["material"] == {"color": {"x": 1}}
+    assert source.data["material"] == {"colour": {"x": 1}}
     thing = source.data["object"][0]
-    assert thing["colour"] == [1, "a"] and "color" not in thing
-    assert thing["shape"]["union"] == [{"colour": "red"}, {"colour": 2, "color": 3}]
-    assert source.place(("object", 0, "colour", 1))[1] == f"{path}:6"
-    assert source.place(("object", 0, "shape", "union", 0, "colour"))[1] == f"{path}:7"
+    assert thing["color"] == [1, "a"] and "colour" not in thing
+    assert thing["shape"]["union"] == [{"color": "red"}, {"color": 2, "colour": 3}]
+    assert source.place(("object", 0, "color", 1))[1] == f"{path}:6"
+    assert source.place(("object", 0, "shape", "union", 0, "color"))[1] == f"{path}:7"
     assert [r.getMessage() for r in caplog.records] == [
-        f"{path}:5: 'color' is the old name of object.color.colour (so are those at 7)"
+        f"{path}:5: 'colour' is the old name of object.colour.color (so are those at 7)"
     ]
     assert caplog.records[0].levelname == "WARNING"
 
 
 def test_set_knows_the_old_names(tmp_path, caplog):
     path = tmp_path / "a.toml"
-    path.write_text(OLD.replace("color = [", "colour = ["))
-    item = "object.color.color=blue"
+    path.write_text(OLD.replace("colour = [", "color = ["))
+    item = "object.colour.colour=blue"
     source = TomlSource(path, [item], renames=NAMES)
-    assert source.data["object"][0]["colour"] == "blue"
-    assert source.place(("object", 0, "colour"))[1] == f"--set {item}"
+    assert source.data["object"][0]["color"] == "blue"
+    assert source.place(("object", 0, "color"))[1] == f"--set {item}"
     (record,) = caplog.records
     assert record.getMessage().startswith(
-        f"{path}:7: 'color' is the old name of object.color.shape"
+        f"{path}:7: 'colour' is the old name of object.colour.shape"
     )
     assert record.getMessage().endswith(f"(so are those at --set {item})")
 
 
 def test_new_names_need_no_word(tmp_path, caplog):
     path = tmp_path / "a.toml"
-    path.write_text("[[object]]\nname = 'color'\ncolour = 1\n")
+    path.write_text("[[object]]\nname = 'colour'\ncolor = 1\n")
     assert (
-        TomlSource(path, ["object.color.colour=2"], renames=NAMES).data["object"][0]["colour"] == 2
+        TomlSource(path, ["object.colour.color=2"], renames=NAMES).data["object"][0]["color"] == 2
     )
     assert not caplog.records
 
@@ -316,7 +316,7 @@ def test_a_nul_in_the_name_of_a_file():
 
 def test_errors_hold_nothing_that_a_terminal_obeys(tmp_path, caplog):
     path = tmp_path / "a\x1b[31m.toml"
-    path.write_text('"a b" = 1\n"c\\u001b[31m\\nd" = 2\n[[object]]\nname = "\\r"\ncolor = 1\n')
+    path.write_text('"a b" = 1\n"c\\u001b[31m\\nd" = 2\n[[object]]\nname = "\\r"\ncolour = 1\n')
     source = TomlSource(path, renames=NAMES)
     shown = f"{tmp_path}/a\\x1b[31m.toml"
     said = [(("c\x1b[31m\nd",), "got 'é\u202e'"), (("a b",), "is odd")]
@@ -325,7 +325,7 @@ def test_errors_hold_nothing_that_a_terminal_obeys(tmp_path, caplog):
         f"{shown}:1: a b: is odd",
         f"{shown}:2: c\\x1b[31m\\nd: got 'é\\u202e'",
     ]
-    assert caplog.messages == [f"{shown}:5: 'color' is the old name of object.\\r.colour"]
+    assert caplog.messages == [f"{shown}:5: 'colour' is the old name of object.\\r.color"]
     with pytest.raises(SceneError, match=r"^--set a\\x1b: expected key=value"):
         TomlSource(path, ["a\x1b"])
     path.write_text("\x1b")

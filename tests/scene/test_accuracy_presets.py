@@ -43,7 +43,7 @@ def test_a_level_sets_what_is_not_given(tmp_path, level, cells):
     scene = load(write(tmp_path, SCENE), [f"accuracy.level={level}"])
     assert scene.domain.cells == (cells, cells // 2, 3 * cells // 8)
     assert scene.accuracy.precision == LEVELS[level].precision
-    assert scene.material["water"].compression == LEVELS[level].compression
+    assert scene.material["water"].max_compression == LEVELS[level].max_compression
     assert scene.material["oil"].tait_coefficient == 1e5
 
 
@@ -51,7 +51,7 @@ def test_what_is_given_wins(tmp_path):
     given = ["domain.cell=0.02", "accuracy.precision=double", "material.water.max_compression=0.05"]
     scene = load(write(tmp_path, SCENE), given)
     assert scene.domain.cells == (40, 20, 15) and scene.accuracy.precision == "double"
-    assert scene.material["water"].compression == 0.05
+    assert scene.material["water"].max_compression == 0.05
 
 
 CUP = """

@@ -75,7 +75,7 @@ def test_water_is_compressed_by_its_weight_only(tmp_path, key, says):
         'name = "pool"', 'name = "pool"\ninitial_pressure = "hydrostatic"'
     )
     path.write_text(text)
-    line = text[: text.index("compressed")].count("\n") + 1
+    line = text[: text.index("initial_pressure")].count("\n") + 1
     assert lines(path) == [f"{path}:{line}: object.pool.initial_pressure: {says}"]
 
 
@@ -101,7 +101,7 @@ FIRST = 'gravity_keyframes = [{ time = "1 s", gravity = [0, 0, -9.8] }'
             "required key is missing: acceleration of gravity at that time",
         ),
         (
-            FIRST + ']\ngravity_ramp = "1 s"',
+            FIRST + ']\ngravity_ramp_time = "1 s"',
             "gravity_ramp_time",
             "gravity_keyframes and gravity_ramp_time given at once: a ramp is a keyframe too",
         ),

@@ -113,7 +113,8 @@ WAY = "motion = {{ {} }}"
         (
             WAY.format('keyframes = [{ time = "1 s" }], angular_velocity = 3'),
             "motion.angular_velocity",
-            "keyframes and angular_velocity given at once: give keyframes, or velocity and angular_velocity",
+            "keyframes and angular_velocity given at once: give keyframes, or velocity and"
+            " angular_velocity",
         ),
         (
             WAY.format('angular_velocity = 3, interpolation = "linear"'),

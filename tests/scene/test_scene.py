@@ -105,7 +105,7 @@ def test_phases(small):
 def test_resolved_is_json_and_makes_the_same_scene(small, tmp_path):
     scene = load(small, ["domain.cell=1 cm"])
     resolved = json.loads(json.dumps(scene.to_json()))
-    assert resolved["domain"]["cell"] == 0.01 and resolved["output"]["checkpoint"] == 600.0
+    assert resolved["domain"]["cell"] == 0.01 and resolved["output"]["checkpoint_interval"] == 600.0
     assert [Object.model_validate(item) for item in resolved["object"]] == list(scene.object)
     assert Domain.model_validate({**resolved["domain"], "boundary": "slip"}).size == (
         0.64,
@@ -189,19 +189,19 @@ def test_the_old_spelling_of_color_is_read_with_a_word(small, caplog):
     """In objects, in parts of shapes, in regions of loads; wherever else it is no key."""
     text = small.read_text()
     assert text.count("color = ") == 1
-    region = 'region = { box = [[0, 0, 0], [1, 1, 1]], color = "#000000" }'
-    old = text.replace("color = ", "color = ")
+    region = 'region = { box = [[0, 0, 0], [1, 1, 1]], colour = "#000000" }'
+    old = text.replace("color = ", "colour = ")
     old += f'[[load]]\nobject = "ball"\nforce = [0, 0, 1]\n{region}\n'
     small.write_text(old)
-    line = old[: old.index("color = ")].count("\n") + 1
-    ball = load(small, ["object.pool.color=#00ff00"]).object[0]
+    line = old[: old.index("colour = ")].count("\n") + 1
+    ball = load(small, ["object.pool.colour=#00ff00"]).object[0]
     assert ball.shape.color == (1.0, 128 / 255, 0.0)
     (record,) = [r for r in caplog.records if r.levelname == "WARNING"]
     assert record.getMessage().startswith(
-        f"{small}:{line}: 'color' is the old name of object.ball."
+        f"{small}:{line}: 'colour' is the old name of object.ball."
     )
     assert record.getMessage().count(", ") == 1  # the load's and that of --set
-    with pytest.raises(SceneError, match="domain.color: unknown key"):
-        load(small, ["domain.color=1"])
+    with pytest.raises(SceneError, match="domain.colour: unknown key"):
+        load(small, ["domain.colour=1"])
     with pytest.raises(SceneError, match="object.pool.color: must be a color such as"):
-        load(small, ["object.pool.color=greenish"])
+        load(small, ["object.pool.colour=greenish"])

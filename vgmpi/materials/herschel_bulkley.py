@@ -30,14 +30,15 @@ class Law(NamedTuple):
     mu: float  # [Pa] shear modulus
     yield_stress: float  # [Pa] yield stress in shear
     log_consistency: float  # [-] ln(K / 1 Pa s^n)
-    flow_index: float  # type: ignore[assignment]  # [-] flow index n; hides a method of tuple
+    flow_index: float  # [-] flow index n
     density: float  # [kg/m3] density at rest
 
 
 @material
 class Paste(Liquid):
     """Yield-stress fluid, such as mud, jam or ketchup (Herschel-Bulkley): in simple shear, tau =
-    yield_stress + consistency (shear rate)^index. Viscosity does not limit the time step.
+    yield_stress + consistency_index (shear rate)^flow_index. Viscosity does not limit the time
+    step.
     """
 
     kind: Literal["paste"]
@@ -127,7 +128,7 @@ class Paste(Liquid):
         # b_e relaxes in proportion to its mean (Simo and Hughes, equation 9.2.13)
         stiffness = law.mu * dt * (1.0 + mean)
         flow_fraction = viscoplastic_flow.herschel_bulkley(
-            np.maximum(excess, 1e-20), stiffness, law.log_consistency, law.index
+            np.maximum(excess, 1e-20), stiffness, law.log_consistency, law.flow_index
         )
         r = -flow_fraction * excess / np.maximum(law.mu * shear, 1e-20)
         b00, b11, b22, b01, b02, b12 = b

@@ -23,13 +23,13 @@ class Level:
     Attributes:
         cells: Minimum number of cells along the longest edge.
         precision: Precision of the numbers.
-        compression: Compression of liquids that are given by max_speed or depth.
+        max_compression: Compression of liquids that are given by max_speed or max_depth.
         prune: Pruning of bodies made of Gaussians or a mesh.
     """
 
     cells: int
     precision: str
-    compression: float
+    max_compression: float
     prune: str = "off"
 
 
@@ -77,7 +77,7 @@ def _cell(size: Any, min_cells: int) -> float | None:
 def _liquid(table: Any, level: Level) -> Any:
     """Return a material table with the preset's compression if it is a liquid."""
     stiff = isinstance(table, dict) and ("max_speed" in table or "max_depth" in table)
-    return {"max_compression": level.compression, **table} if stiff else table
+    return {"max_compression": level.max_compression, **table} if stiff else table
 
 
 def _pruned(table: Any, level: Level) -> Any:

@@ -68,7 +68,7 @@ class Trajectory:
     """Motion about a given point.
 
     Attributes:
-        motion: Keyframes, or velocity and spin.
+        motion: Keyframes, or velocity and angular velocity.
         about: Point of the rotation axis at the start, shape (3,) [m].
     """
 

@@ -1,4 +1,4 @@
-"""Every error of a wrong source or sink names its line, its key, and what would be right.
+"""Every error of a wrong inlet or outlet names its line, its key, and what would be right.
 
 As test_bad_scenes.py: a good scene gets more tables, and a piece of their text is another one.
 """
@@ -10,7 +10,7 @@ from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.runtime.config.schema import SceneError
 from vgmpi.scene.loader import load
 
-SOURCE = """\
+INLET = """\
 [[inlet]]
 name = "tap"
 material = "water"
@@ -18,7 +18,7 @@ disc = { center = [0.1, 0.16, 0.2], radius = "2 cm" }
 direction = "x"
 speed = "1 m/s"
 """
-SINK = """\
+OUTLET = """\
 [[outlet]]
 name = "drain"
 shape = { box = [[0.5, 0.1, 0.2], [0.6, 0.2, 0.3]] }
@@ -30,7 +30,7 @@ role = "scenery"
 collider = true
 shape = { box = [[0.05, 0.1, 0.1], [0.08, 0.2, 0.3]] }
 """
-PROBE = '[[probe]]\nname = "all"\nrate = 10\nwall = "all"\n'
+PROBE = '[[probe]]\nname = "all"\nsampling_rate = 10\nwall = "all"\n'
 DISC = 'disc = { center = [0.1, 0.16, 0.2], radius = "2 cm" }'
 
 # old text, new text, key as reported, what the message must say
@@ -38,38 +38,38 @@ CASES = {
     "unknown material": (
         'material = "water"',
         'material = "watr"',
-        "source.tap.material",
+        "inlet.tap.material",
         "there is no [material.watr] (did you mean 'water'?); defined are water, rubber",
     ),
-    "name of an object": ('"tap"', '"ball"', "source.ball.name", "an object has the same name"),
-    "name of a source": ('"drain"', '"tap"', "sink.tap.name", "a source has the same name"),
+    "name of an object": ('"tap"', '"ball"', "inlet.ball.name", "an object has the same name"),
+    "name of an inlet": ('"drain"', '"tap"', "outlet.tap.name", "an inlet has the same name"),
     "two openings": (
         DISC,
         f"{DISC}\nrectangle = {{ center = [0.1, 0.1, 0.2], width = 0.1, height = 0.1 }}",
-        "source.tap.rectangle",
+        "inlet.tap.rectangle",
         "disc and rectangle given at once: give exactly one",
     ),
     "no opening": (
-        SOURCE,
-        SOURCE.replace(DISC + "\n", ""),
-        "source.tap",
+        INLET,
+        INLET.replace(DISC + "\n", ""),
+        "inlet.tap",
         "has no mouth: give one of disc, rectangle",
     ),
     "no flow": (
-        SOURCE,
-        SOURCE.replace('velocity = "1 m/s"\n', ""),
-        "source.tap",
-        "has no flow: give one of velocity, rate, flow",
+        INLET,
+        INLET.replace('speed = "1 m/s"\n', ""),
+        "inlet.tap",
+        "has no flow: give one of speed, mass_flow_rate, volume_flow_rate",
     ),
     "two flows": (
-        'velocity = "1 m/s"',
-        'velocity = "1 m/s"\nrate = 1',
+        'speed = "1 m/s"',
+        'speed = "1 m/s"\nmass_flow_rate = 1',
         "inlet.tap.mass_flow_rate",
-        "velocity and rate given at once: give exactly one",
+        "speed and mass_flow_rate given at once: give exactly one",
     ),
     "rate in litres": (
-        'velocity = "1 m/s"',
-        'rate = "1 l/s"',
+        'speed = "1 m/s"',
+        'mass_flow_rate = "1 l/s"',
         "inlet.tap.mass_flow_rate",
         "'l/s' does not measure a mass per time; expected a number [kg/s]",
     ),
@@ -77,67 +77,67 @@ CASES = {
     "no direction": (
         'direction = "x"',
         "direction = [0, 0, 0]",
-        "source.tap.direction",
+        "inlet.tap.direction",
         "three numbers that are not all 0",
     ),
     "end before the start": (
-        'velocity = "1 m/s"',
-        'velocity = "1 m/s"\nstart = 0.5\nend = 0.5',
+        'speed = "1 m/s"',
+        'speed = "1 m/s"\nstart_time = 0.5\nend_time = 0.5',
         "inlet.tap.end_time",
-        "must be later than start = 0.5 s; got 0.5 s",
+        "must be later than start_time = 0.5 s; got 0.5 s",
     ),
     "start after the run": (
-        'velocity = "1 m/s"',
-        'velocity = "1 m/s"\nstart = "2 s"',
+        'speed = "1 m/s"',
+        'speed = "1 m/s"\nstart_time = "2 s"',
         "inlet.tap.start_time",
         "nothing comes: the run ends at 1 s; got 2 s",
     ),
     "too small": (
         '"2 cm" }\ndirection',
         '"7 mm" }\ndirection',
-        "source.tap.disc",
+        "inlet.tap.disc",
         "no particle fits in, their spacing is 0.01 m",
     ),
     "nozzle outside": (
         "[0.1, 0.16, 0.2]",
         "[0.03, 0.16, 0.2]",
-        "source.tap.disc",
+        "inlet.tap.disc",
         "two cells behind its mouth it reaches x = -0.01 .. 0.03 m, the domain 0 .. 0.64 m",
     ),
     "opening outside": (
         "[0.1, 0.16, 0.2]",
         "[0.1, 0.01, 0.2]",
-        "source.tap.disc",
+        "inlet.tap.disc",
         "reaches y = -0.01 .. 0.03 m",
     ),
     "particles per cell": (
-        'velocity = "1 m/s"',
-        'velocity = "1 m/s"\nparticles_per_cell = 4',
-        "source.tap.particles_per_cell",
+        'speed = "1 m/s"',
+        'speed = "1 m/s"\nparticles_per_cell = 4',
+        "inlet.tap.particles_per_cell",
         "must be 1, 8, 27 or 64",
     ),
-    "sink of two forms": (
+    "outlet of two forms": (
         "shape = { box",
         "shape = { sphere = { center = [0, 0, 0], radius = 1 }, box",
-        "sink.drain.shape",
+        "outlet.drain.shape",
         "has box and sphere: give exactly one",
     ),
-    "sink without a shape": (
-        SINK,
-        SINK.replace("shape", "#"),
-        "sink.drain.shape",
+    "outlet without a shape": (
+        OUTLET,
+        OUTLET.replace("shape", "#"),
+        "outlet.drain.shape",
         "required key is missing: the region",
     ),
     "a balance": (
-        SINK,
-        SINK + PROBE,
+        OUTLET,
+        OUTLET + PROBE,
         "probe.all.wall",
         "is not for scenes where particles come or go",
     ),
     "another phase's": (
-        'velocity = "1 m/s"',
-        'velocity = "1 m/s"\nphase = "ball"',
-        "source.tap.phase",
+        'speed = "1 m/s"',
+        'speed = "1 m/s"\nphase = "ball"',
+        "inlet.tap.phase",
         "'ball' already holds a solid, object 'ball', this is a fluid",
     ),
 }
@@ -147,49 +147,49 @@ BUILD_CASES = {
     "in a body": (
         "[0.1, 0.16, 0.2]",
         "[0.3, 0.16, 0.22]",
-        "source.tap.disc",
+        "inlet.tap.disc",
         "body 'ball' lies in its nozzle, two cells behind its mouth",
     ),
     "in a collider": (
-        SINK,
-        SINK + POST,
-        "source.tap.disc",
+        OUTLET,
+        OUTLET + POST,
+        "inlet.tap.disc",
         "lies inside the collider 'post'",
     ),
-    "in a sink": (
+    "in an outlet": (
         "[[0.5, 0.1, 0.2], [0.6, 0.2, 0.3]]",
         "[[0.05, 0.1, 0.1], [0.08, 0.2, 0.3]]",
-        "source.tap.disc",
+        "inlet.tap.disc",
         "lies in the outlet 'drain': nothing would come",
     ),
-    "in another source": (
-        SINK,
-        SINK + SOURCE.replace("tap", "tip").replace('"x"', '"y"'),
-        "source.tip.disc",
+    "in another inlet": (
+        OUTLET,
+        OUTLET + INLET.replace("tap", "tip").replace('"x"', '"y"'),
+        "inlet.tip.disc",
         "lies in the nozzle of inlet 'tap'",
     ),
-    "a sink that eats": (
+    "an outlet that removes": (
         "[[0.5, 0.1, 0.2], [0.6, 0.2, 0.3]]",
         "[[0.5, 0.1, 0.09], [0.6, 0.2, 0.3]]",
-        "sink.drain.shape",
+        "outlet.drain.shape",
         "an outlet that removes a body at the start: 'drain' holds particles of 'pool'",
     ),
     "a solid": (
         'material = "water"',
         'material = "rubber"',
-        "source.tap.material",
+        "inlet.tap.material",
         "'rubber' is a solid, of which contact knows the surface",
     ),
     "an end too early": (
-        'velocity = "1 m/s"',
-        'velocity = "1 m/s"\nend = "1 ms"',
+        'speed = "1 m/s"',
+        'speed = "1 m/s"\nend_time = "1 ms"',
         "inlet.tap.end_time",
         "it ends before the first layer has passed its mouth",
     ),
     "too many": (
-        'velocity = "1 m/s"',
-        'velocity = "1e12 m/s"',
-        "source.tap",
+        'speed = "1 m/s"',
+        'speed = "1e12 m/s"',
+        "inlet.tap",
         "GiB",
     ),
 }
@@ -199,7 +199,7 @@ BUILD_CASES = {
 def test_error_has_its_line_key_and_advice(tmp_path, name):
     """The line is that of the key, or of the table's header where the key is not there."""
     old, new, key, says = {**CASES, **BUILD_CASES}[name]
-    whole = GOOD + SOURCE + SINK
+    whole = GOOD + INLET + OUTLET
     at = whole.index(old, len(GOOD))
     text = whole[:at] + new + whole[at + len(old) :]
     path = tmp_path / "scene.toml"
@@ -220,18 +220,18 @@ def test_error_has_its_line_key_and_advice(tmp_path, name):
 
 
 def test_the_good_scene_is_good(tmp_path):
-    (tmp_path / "scene.toml").write_text(GOOD + SOURCE + SINK)
+    (tmp_path / "scene.toml").write_text(GOOD + INLET + OUTLET)
     assert build_scene(load(tmp_path / "scene.toml")).objects[-1]["role"] == "source"
 
 
 @pytest.mark.parametrize(
     "text, says",
     [
-        ("source = 3", "must be a list of tables: [[source]]"),
-        ("[[inlet]]\nmaterial = []", "source.0.material"),
+        ("inlet = 3", "must be a list of tables: [[inlet]]"),
+        ("[[inlet]]\nmaterial = []", "inlet.0.material"),
         ("[[inlet]]\ndisc = 3", "must be a table of keys; got 3"),
         ("[[inlet]]\nname = []\nphase = 3", "must begin with a letter"),
-        ("sink = [1]", "must be a list of tables: [[sink]]"),
+        ("outlet = [1]", "must be a list of tables: [[outlet]]"),
         ("[[outlet]]\nshape = 3", "must be a table of keys; got 3"),
     ],
 )
