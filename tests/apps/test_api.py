@@ -20,6 +20,8 @@ PAGE = (ROOT / "docs" / "tutorial" / "python.md").read_text()
 EXAMPLE, SERIES, SWEEP = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 SCENE = """
+[accuracy]
+precision = "double"
 [domain]
 size = [0.24, 0.24, 0.24]
 cell = 0.02

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import vgmpi
-from tests.support.small_scenes import ROOM, scene
+from tests.support import small_scenes
+from tests.support.small_scenes import scene
 from vgmpi.apps import commands
 from vgmpi.apps.run import cli
 from vgmpi.io.csv_log import read_rows
@@ -19,6 +20,7 @@ from vgmpi.scene.loader import SceneError, load
 from vgmpi.scene.shapes import Shape
 from vgmpi.solver.initial_particles import plan_for, prepare
 
+ROOM = small_scenes.ROOM.replace('[accuracy]\nprecision = "double"\n', "")  # has the default
 BALL = """
 [[object]]
 name = "ball"

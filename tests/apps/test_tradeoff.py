@@ -20,6 +20,8 @@ from vgmpi.apps.tradeoff.study_runs import Study, StudyError
 from vgmpi.scene.loader import load
 
 SCENE = """
+[accuracy]
+precision = "double"
 [domain]
 size = [0.32, 0.16, 0.24]
 cell = 0.02

@@ -67,7 +67,8 @@ class Pair:
             bodies += box("two", "two", [0, 0, middle], [wide, wide, high], **spaced[1])
         return (
             f"[domain]\nsize = {[wide, wide, (HIGH + AIR) * DX]}\ncell = {DX}\n"
-            f'gravity = [0, 0, -1]\n[time]\nend = 1\n[accuracy]\ntransfer = "{self.transfer}"\n'
+            "gravity = [0, 0, -1]\n[time]\nend = 1\n"
+            f'[accuracy]\nprecision = "double"\ntransfer = "{self.transfer}"\n'
             f"[material.one]\n{toml(first)}\n[material.two]\n{toml(second)}\n{bodies}{self.coupled}"
         )
 

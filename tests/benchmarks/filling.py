@@ -30,6 +30,8 @@ FOV = 40.0  # [degrees]
 TALL, WIDE = 300, 220  # pixels of one picture in the docs
 SCENE = """
 allow_outside = true
+[accuracy]
+precision = "double"
 [domain]
 size = [0.6, 0.6, 0.6]
 cell = CELL

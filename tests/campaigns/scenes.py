@@ -18,6 +18,8 @@ SMALL = 25
 
 # keys that the other scenes have not
 LOADED = """
+[accuracy]
+precision = "double"
 [domain]
 size = ["40 cm", "40 cm", "40 cm"]
 cell = "2 cm"

@@ -10,6 +10,8 @@ from vgmpi.parallel.communicator import SerialCommunicator
 pytest.importorskip("numba_cuda", reason="the extra `cuda` is not installed")
 card = pytest.importorskip("vgmpi.solver.engines.cuda.graphics_card")
 SCENE = """
+[accuracy]
+precision = "double"
 [domain]
 size = [0.2, 0.2, 0.2]
 cell = 0.04

@@ -17,6 +17,7 @@ gravity = [0, 0, -9.8]
 end = 1
 cfl = CFL
 [accuracy]
+precision = "double"
 transfer = "apic-corrected"
 [material.water]
 kind = "fluid"

@@ -25,6 +25,8 @@ from vgmpi.solver.engines import cpu, nodal_field_storage
 STEPS = 240
 
 BALL = """
+[accuracy]
+precision = "double"
 [domain]
 size = [0.48, 0.4, 0.4]
 cell = 0.02

@@ -17,6 +17,8 @@ E, RHO, L = 1e5, 1000.0, 1.0
 EXACT = np.sqrt(E / RHO) / (4 * L)  # [Hz]
 MODE = "f = c / (4 L), c = sqrt(E / rho)"
 BAR = """
+[accuracy]
+precision = "double"
 [domain]
 size = [SIZE, WIDTH, WIDTH]
 cell = CELL

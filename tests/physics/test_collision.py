@@ -14,6 +14,8 @@ from tests.support.validation_record import held
 
 DX = 0.02
 HEAD = """
+[accuracy]
+precision = "double"
 [domain]
 size = [0.4, 0.2, 0.28]
 cell = 0.02

@@ -27,6 +27,8 @@ from vgmpi.solver.restart.state_io import frame_rows
 
 PAPER = "VersaGauss, transfer of colors"
 SCENE = """
+[accuracy]
+precision = "double"
 [domain]
 size = ["12 cm", "6 cm", "8 cm"]
 cell = "1 cm"

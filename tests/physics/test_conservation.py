@@ -14,6 +14,8 @@ from tests.support.simulate import advance, begin, by_id, mass_speed, totals
 from tests.support.validation_record import held
 
 FREE = """
+[accuracy]
+precision = "double"
 [domain]
 size = [0.48, 0.48, 0.48]
 cell = 0.02
@@ -86,11 +88,10 @@ material = "rubber"
 shape = {{ box = [[-0.06, -0.06, -0.03], [0.06, 0.06, 0.03]] }}
 position = [0.24, 0.24, 0.2]
 angular_velocity = [0, 0, 12]
-[accuracy]
-transfer = "{transfer}"
-flip_ratio = 0.99
 """
     )
+    keys = f'transfer = "{transfer}"\nflip_ratio = 0.99\nprecision'
+    text = text.replace("precision", keys)
     simulation, _ = begin(folder, text)
     turns, rows = np.linspace(0, 3, 13), []
     for turn in turns:

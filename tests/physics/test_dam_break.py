@@ -40,6 +40,8 @@ MARTIN_MOYCE = np.array(
 L, CELLS, GRAVITY = 0.146, 20, 9.81
 DX = L / CELLS
 SCENE = f"""
+[accuracy]
+precision = "double"
 [domain]
 size = [{90 * DX!r}, {4 * DX!r}, {50 * DX!r}]
 cell = {DX!r}

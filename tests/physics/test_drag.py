@@ -19,6 +19,8 @@ from tests.support.validation_record import held
 G = 9.80665
 N, RHO_S, RHO_W = 0.4, 2650.0, 1000.0
 SCENE = """
+[accuracy]
+precision = "double"
 [domain]
 size = {size}
 cell = {cell!r}

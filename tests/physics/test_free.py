@@ -16,6 +16,8 @@ from tests.support.validation_record import held
 
 DX = 0.02
 HEAD = """
+[accuracy]
+precision = "double"
 [domain]
 size = [0.48, 0.32, 0.32]
 cell = 0.02

@@ -12,6 +12,9 @@ from tests.support.simulate import advance, begin, by_id, totals
 from vgmpi.scene.loads import mean_ramp_factor
 
 BLOCK = """
+[accuracy]
+precision = "double"
+transfer = "apic-corrected"
 [domain]
 size = [0.4, 0.4, 0.4]
 cell = 0.02
@@ -42,8 +45,9 @@ END = 0.02  # [s]
 AREA, VOLUME = 0.08 * 0.08, 0.08 * 0.08 * 0.12  # of the block's top [m2] and of the block [m3]
 
 
-def free(folder, loads, gravity=0.0, ramp="gravity_ramp_time = 0"):
+def free(folder, loads, gravity=0.0, ramp="gravity_ramp_time = 0", transfer="apic-corrected"):
     text = BLOCK.replace("GRAVITY", str(gravity)).replace("RAMP", ramp)
+    text = text.replace("apic-corrected", transfer)
     simulation, made = begin(folder, text + loads)
     advance(simulation, END)
     assert simulation.step > 15
@@ -94,7 +98,7 @@ end_time = "3.2 ms"
 @pytest.mark.parametrize("transfer", ["flip", "pic"])
 def test_with_other_transfers(tmp_path, transfer):
     loads = '[[load]]\nobject = "block"\nforce = [1, 0, 0]\n'
-    _, momentum = free(tmp_path, loads + f'[accuracy]\ntransfer = "{transfer}"\n')
+    _, momentum = free(tmp_path, loads, transfer=transfer)
     assert np.abs(momentum - [END, 0, 0]).max() < 1e-12 * END
 
 
@@ -212,7 +216,7 @@ def test_a_change_of_spin(tmp_path, transfer):
     load = '[[load]]\nobject = ["block", "rider"]\ndelta_angular_velocity = [0, 0, 3]\n'
     load += 'start_time = "2 ms"\n'
     text = BLOCK.replace("GRAVITY", "0").replace("RAMP", "")
-    simulation, made = begin(tmp_path, text + load + f'[accuracy]\ntransfer = "{transfer}"\n')
+    simulation, made = begin(tmp_path, text.replace("apic-corrected", transfer) + load)
     mass = made.vol0 * np.array([1000.0, 500.0])[made.object]
     r = made.x - (mass[:, None] * made.x).sum(0) / mass.sum()
     if transfer == "flip":

@@ -22,6 +22,8 @@ H, CELLS, RHO, MU = 0.01, 16, 1000.0, 1.0  # H: half width [m]; CELLS from plate
 DX = 2 * H / CELLS
 BIRD = "Bird et al., Transport Phenomena, 2002, "
 SCENE = """
+[accuracy]
+precision = "double"
 [domain]
 size = [{wide!r}, {deep!r}, {high!r}]
 cell = {dx!r}

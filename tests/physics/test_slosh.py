@@ -28,6 +28,7 @@ cell = {dx!r}
 end = 100
 cfl = {cfl}
 [accuracy]
+precision = "double"
 {accuracy}
 [material.water]
 kind = "fluid"

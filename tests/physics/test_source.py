@@ -18,6 +18,8 @@ DX, U, G = 0.02, 1.25, 9.8
 MOUTH = np.array([0.1, 0.1, 0.56])
 START, END = 0.013, 0.44
 SCENE = f"""
+[accuracy]
+precision = "double"
 [domain]
 size = [0.7, 0.2, 0.64]
 cell = {DX}

@@ -19,6 +19,8 @@ G, E, NU, N = 9.80665, 1.5e5, 0.3, 0.4
 MODULUS = E * (1 - NU) / ((1 + NU) * (1 - 2 * NU))
 PERMEABILITY, LOAD, HEIGHT, RAMP = 1e-2, 500.0, 0.4, 0.035
 SCENE = f"""
+[accuracy]
+precision = "double"
 [domain]
 size = [0.08, 0.08, 0.48]
 cell = 0.02

@@ -19,6 +19,8 @@ from tests.support.validation_record import held
 
 DX, G, DEEP, FLOOR, PLATE = 0.01, 9.8, 4, 20, 3
 SCENE = """
+[accuracy]
+precision = "double"
 [domain]
 size = [{wide}, {deep}, {high}]
 cell = 0.01

@@ -26,6 +26,7 @@ gravity = [0, 0, 0]
 [time]
 end = 100
 [accuracy]
+precision = "double"
 {accuracy}
 [material.rubber]
 kind = "elastic"

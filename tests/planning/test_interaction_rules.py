@@ -20,6 +20,8 @@ from vgmpi.scene.scene import miscible_materials
 THEORY = (Path(__file__).parents[2] / "docs" / "explanation" / "time-step.md").read_text()
 
 POURED = """
+[accuracy]
+precision = "double"
 [domain]
 size = [0.16, 0.16, 0.16]
 cell = 0.02

@@ -75,6 +75,8 @@ def test_a_fixed_step_is_no_range(tmp_path):
 
 
 PLATE = """
+[accuracy]
+precision = "double"
 [domain]
 size = [0.32, 0.16, 0.16]
 cell = 0.01
@@ -126,7 +128,7 @@ def test_what_motion_restored_costs_is_named(tmp_path):
     assert "given back every 3 steps" in line and '"apic" takes 0.80 of the time' in line
     longer = PLATE.replace("end = 0.025", "end = 0.025\ncfl = 0.5")
     assert "every 2 steps" in line_of(said_of(write(tmp_path, longer)), "transfer")
-    apic = PLATE + '[accuracy]\ntransfer = "apic"\n'
+    apic = PLATE.replace("precision", 'transfer = "apic"\nprecision')
     assert line_of(said_of(write(tmp_path, apic)), "transfer") is None
 
 

@@ -8,6 +8,8 @@ from tests.support.small_scenes import scene
 from vgmpi.preprocess.scene_builder import build_scene
 
 SCENE = """
+[accuracy]
+precision = "double"
 [domain]
 size = [0.4, 0.4, 0.4]
 cell = 0.02

@@ -11,6 +11,8 @@ from vgmpi.solver.boundary.outlets import remove
 from vgmpi.solver.initial_particles import known_of, plan_for
 
 TANK = """
+[accuracy]
+precision = "double"
 [domain]
 size = [0.4, 0.2, 0.4]
 cell = 0.02

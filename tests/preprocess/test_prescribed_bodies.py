@@ -241,6 +241,8 @@ def test_off_is_off(tmp_path):
 
 
 GATE = """
+[accuracy]
+precision = "double"
 [domain]
 size = [0.24, 0.08, 0.16]
 cell = 0.02

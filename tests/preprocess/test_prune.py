@@ -19,6 +19,8 @@ GUITAR = SHARED / "guitar.compressed.ply"
 
 SCENE = """
 allow_outside = true
+[accuracy]
+precision = "double"
 [domain]
 size = [0.64, 0.64, 0.64]
 cell = 0.02

@@ -252,9 +252,9 @@ def test_bodies_in_one_place_are_told(path, caplog):
 def test_a_share_per_step_is_told_where_it_counts(tmp_path, caplog, transfer):
     lump = '[[object]]\nname = "lump"\nmaterial = "clay"\n'
     lump += "shape = { sphere = { center = [0.1, 0.1, 0.1], radius = 0.05 } }"
-    shares = f'[accuracy]\nflip_ratio = 0.95\ntransfer = "{transfer}"\n'
+    shares = f'flip_ratio = 0.95\ntransfer = "{transfer}"\nprecision'
     with caplog.at_level(logging.INFO, "vgmpi"):
-        build_scene(scene(tmp_path, ROOM + shares + lump))
+        build_scene(scene(tmp_path, ROOM.replace("precision", shares) + lump))
     told = "accuracy.flip_ratio = 0.95 is kept in each step" in caplog.text
     assert told == (transfer in ("aflip", "flip"))
 

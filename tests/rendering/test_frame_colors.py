@@ -18,6 +18,8 @@ from vgmpi.rendering.render_config import LookSettings, Settings, SettingsError
 
 # two colors that swirl into each other, and a solid that keeps its own
 SCENE = """
+[accuracy]
+precision = "double"
 [domain]
 size = [0.4, 0.2, 0.3]
 cell = 0.02

@@ -12,6 +12,8 @@ from vgmpi.rendering.appearance import Appearance
 from vgmpi.rendering.render_config import LookSettings
 
 SCENE = """
+[accuracy]
+precision = "double"
 [domain]
 size = [0.2, 0.16, 0.16]
 cell = 0.02

@@ -103,6 +103,8 @@ def test_before_there_is_a_step_nothing_is_said():
 
 
 JET = """
+[accuracy]
+precision = "double"
 [domain]
 size = [0.2, 0.2, 0.4]
 cell = 0.01

@@ -22,7 +22,8 @@ KINDS = {
 
 
 def text():
-    out = "[domain]\nsize = [0.48, 0.08, 0.08]\ncell = 0.02\n[time]\nend = 1\n"
+    out = '[accuracy]\nprecision = "double"\n'
+    out += "[domain]\nsize = [0.48, 0.08, 0.08]\ncell = 0.02\n[time]\nend = 1\n"
     for k, (name, keys) in enumerate(KINDS.items()):
         out += f"[material.{name}]\n{keys}\n[[object]]\nname = 'a {name}'\nmaterial = '{name}'\n"
         out += f"{BOX}\nposition = [{0.02 + 0.08 * k:.2f}, 0.02, 0.02]\n"

@@ -11,6 +11,8 @@ from vgmpi.solver.diagnostics import probe_sampling
 
 # 3 x 3 x 10.5 cells of water, at rest: the surface lies in the middle of a cell
 STILL = """
+[accuracy]
+precision = "double"
 [domain]
 size = [0.12, 0.12, 0.48]
 cell = 0.02
@@ -131,6 +133,8 @@ def test_rows_come_at_their_times(still):
 
 
 FLYING = """
+[accuracy]
+precision = "double"
 [domain]
 size = [0.4, 0.4, 0.4]
 cell = 0.02

@@ -15,6 +15,8 @@ from tests.support import reachable_arrays
 from tests.support.simulate import begin, by_id
 
 PLAIN = """
+[accuracy]
+precision = "double"
 [domain]
 size = [0.32, 0.32, 0.32]
 cell = 0.02
@@ -294,10 +296,10 @@ FEATURES = {
         {"ReactionSums", "GhostNodes"},
     ),
     "density correction": (
-        PLAIN + '[accuracy]\nvolume_correction = "density"\n', set(), {"DensityCorrected"},
+        PLAIN.replace('precision', 'volume_correction = "density"\nprecision'), set(), {"DensityCorrected"},
     ),
     "flip": (
-        PLAIN + '[accuracy]\ntransfer = "flip"\n',
+        PLAIN.replace('precision', 'transfer = "flip"\nprecision'),
         {"engine.layers.impulses", "engine.beside.change", "engine.mixture_workspace",
          "tables.asked.impulses", "tables.contributes.impulses"},
         {"SeparatedStress", "MixtureWorkspace", "Impulses", "FlipGather"},

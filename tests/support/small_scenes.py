@@ -7,6 +7,8 @@ from vgmpi.scene.scene import Scene
 
 # a room, and stuff for the objects that a test adds
 ROOM = """
+[accuracy]
+precision = "double"
 [domain]
 size = [0.4, 0.4, 0.4]
 cell = 0.02
@@ -216,6 +218,8 @@ def every_law(precision: str) -> str:
     rows = -(-len(LAWS) // 3)
     cells = -(-(35 + 55 * rows) // 20)  # of 20 mm: 55 mm a row, and 35 mm
     text = f"""
+[accuracy]
+precision = "double"
 [domain]
 size = [0.3, 0.2, {cells * 0.02}]
 cell = 0.02
