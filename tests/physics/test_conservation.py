@@ -81,11 +81,11 @@ def spinning(folder, transfer):
     """A block that spins freely: turns, angular momentum over its start, energy over its start."""
     text = (
         FREE
-        + f"""
+        + """
 [[object]]
 name = "block"
 material = "rubber"
-shape = {{ box = [[-0.06, -0.06, -0.03], [0.06, 0.06, 0.03]] }}
+shape = { box = [[-0.06, -0.06, -0.03], [0.06, 0.06, 0.03]] }
 position = [0.24, 0.24, 0.2]
 angular_velocity = [0, 0, 12]
 """

@@ -296,10 +296,11 @@ FEATURES = {
         {"ReactionSums", "GhostNodes"},
     ),
     "density correction": (
-        PLAIN.replace('precision', 'volume_correction = "density"\nprecision'), set(), {"DensityCorrected"},
+        PLAIN.replace("precision", 'volume_correction = "density"\nprecision'), set(),
+        {"DensityCorrected"},
     ),
     "flip": (
-        PLAIN.replace('precision', 'transfer = "flip"\nprecision'),
+        PLAIN.replace("precision", 'transfer = "flip"\nprecision'),
         {"engine.layers.impulses", "engine.beside.change", "engine.mixture_workspace",
          "tables.asked.impulses", "tables.contributes.impulses"},
         {"SeparatedStress", "MixtureWorkspace", "Impulses", "FlipGather"},
