@@ -208,7 +208,7 @@ def _stability(parser: argparse.ArgumentParser) -> None:
     say = parser.add_argument
     say("--ratios", action="store_true", help="where two meet that differ, in words by --only")
     say("--only", nargs="+", default=[], metavar="NAME", help="laws or couplings; default: all")
-    say("--transfer", nargs="+", choices=get_args(Transfer), help="default: all or restored")
+    say("--transfer", nargs="+", choices=get_args(Transfer), help="default: all or apic-corrected")
     say("--precision", nargs="+", choices=("single", "double"), default=["single", "double"])
 
 

@@ -29,7 +29,7 @@ REFERENCE_FACTOR = 0.5  # factor that is taken for the truth
 STEP_LADDER = (REFERENCE_FACTOR, 0.5**0.5, *(2.0 ** (k / 4) for k in range(7)))  # factors looked at
 RATIOS = tuple(10.0**k for k in range(-4, 5))
 PER_CELL = ((64, 1), (64, 8), (27, 8), (8, 8), (8, 27), (8, 64), (1, 64), (8, 8000))
-PERMEABILITIES = tuple(10.0**-k for k in range(2, 13, 2))
+CONDUCTIVITIES = tuple(10.0**-k for k in range(2, 13, 2))
 DIFFUSIONS = (0.0, 1e-4, 1e-2, 0.5)
 SLIP = 1.0  # [s] in which fluids that mix come to move alike, where it is not at once
 MARGIN = 1.3  # that the default step should have
@@ -59,7 +59,7 @@ class Pair:
         if self.coupled:
             shares = (0.4, 1.0) if "sand" in self.kinds else (0.5, 0.5)  # of water in the pores
             bodies = "".join(
-                box(name, name, [0, 0, 0], [wide, wide, high], fraction=share, **keys)
+                box(name, name, [0, 0, 0], [wide, wide, high], volume_fraction=share, **keys)
                 for name, share, keys in zip(("one", "two"), shares, spaced, strict=True)
             )
         else:
@@ -183,14 +183,15 @@ def tables(transfer: str = "apic-corrected") -> list[Table]:
             f"{a} on {b}": tuple(Pair((b, a), per_cell=n, transfer=transfer) for n in PER_CELL)
             for b, a in LEANING
         }),
-        Table("drag, by permeability [m/s]", tuple(format(k, ".0e") for k in PERMEABILITIES), {
+        Table("drag, by hydraulic conductivity [m/s]",
+              tuple(format(k, ".0e") for k in CONDUCTIVITIES), {
             f"water / sand density {d:g}": tuple(
-                Pair(WET, density=d, coupled=_drag(k), transfer=transfer) for k in PERMEABILITIES
+                Pair(WET, density=d, coupled=_drag(k), transfer=transfer) for k in CONDUCTIVITIES
             )
             for d in (1e-4, 1e-2, 1.0, 1e2, 1e4)
         }),
         Table("drag, by ratio of stiffness", plain, {
-            f"permeability {k:g} m/s": tuple(
+            f"hydraulic conductivity {k:g} m/s": tuple(
                 Pair(WET, stiffness=r, coupled=_drag(k), transfer=transfer) for r in ratios
             )
             for k in (1e-2, 1e-4, 1e-8, 1e-12)
@@ -241,12 +242,12 @@ def _mixtures(transfer: str) -> dict[str, tuple[Pair, ...]]:
     return rows
 
 
-def _drag(permeability: float) -> str:
-    return coupling("drag", "one", "two", hydraulic_conductivity=permeability)
+def _drag(conductivity: float) -> str:
+    return coupling("drag", "one", "two", hydraulic_conductivity=conductivity)
 
 
-def _mixing(diffusion: float, slip: float) -> str:
-    return coupling("mixing", "one", "two", diffusion=diffusion, slip_relaxation_time=slip)
+def _mixing(diffusivity: float, slip: float) -> str:
+    return coupling("mixing", "one", "two", diffusivity=diffusivity, slip_relaxation_time=slip)
 
 
 def lines(words: list[str], transfers: list[str]) -> Iterator[str]:

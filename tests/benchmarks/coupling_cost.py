@@ -1,6 +1,6 @@
 """What sharing space costs: fluids that mix, and sand that a fluid flows through, beside
-the same tank filled with one fluid; and the same fluid with its motion restored, its volume kept,
-with AFLIP, and in two colors that travel with every step.
+the same tank filled with one fluid; and the same fluid with its motion corrected every few steps,
+its density corrected, with AFLIP, and in two colors that travel with every step.
 
 Each pair is measured in turns, so that what else the machine does touches both alike.
 """
@@ -74,12 +74,12 @@ COLORS = """
 [appearance]
 color_transfer = "step"
 """
-AFLIP, RESTORED, KEPT = "with AFLIP", "with motion restored", "with its volume kept"
-TRANSFERS = {AFLIP: "aflip", RESTORED: "apic-corrected"}
+AFLIP, CORRECTED, DENSITY = "with AFLIP", "with motion corrected", "with density corrected"
+TRANSFERS = {AFLIP: "aflip", CORRECTED: "apic-corrected"}
 SCENES = {  # name -> what lies below the water, couplings, depth of it as a share of the tank's
     "fluid": (LAYER.replace("{made_of}", "water"), 0.5),
-    RESTORED: (LAYER.replace("{made_of}", "water"), 0.5),
-    KEPT: (LAYER.replace("{made_of}", "water"), 0.5),
+    CORRECTED: (LAYER.replace("{made_of}", "water"), 0.5),
+    DENSITY: (LAYER.replace("{made_of}", "water"), 0.5),
     AFLIP: (LAYER.replace("{made_of}", "water"), 0.5),
     "colors with every step": (
         LAYER.replace("{made_of}", 'water"\ncolor = "#ff8000') + COLORS,
@@ -125,7 +125,7 @@ def _tank(name: str, particles: int, precision: str, folder: Path) -> Simulation
     keys = {
         "side": side / 100, "high": 2 * side / 100, "low": low / 100, "top": depth / 100,
         "precision": precision, "transfer": TRANSFERS.get(name, "apic"),
-        "volume": "kept" if name == KEPT else "followed",
+        "volume": "density" if name == DENSITY else "none",
     }  # fmt: skip
     text = TANK if fraction < 1.0 else TANK[: TANK.index("[[object]]")]
     path = folder / "scene.toml"

@@ -24,7 +24,7 @@ from vgmpi.rendering.raster.psnr import psnr
 from vgmpi.scene.scene import Scene
 
 PICTURE = Path(__file__).parents[2] / "docs" / "pictures" / "filling.jpg"
-CHOICES = ("true", '"shown"', '"closed"', "false")
+CHOICES = ("true", '"visible"', '"closed"', "false")
 DIRECTIONS = [step for step in itertools.product((-1, 0, 1), repeat=3) if any(step)]
 FOV = 40.0  # [degrees]
 TALL, WIDE = 300, 220  # pixels of one picture in the docs

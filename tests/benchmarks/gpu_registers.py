@@ -47,8 +47,8 @@ collider = true
 shape = { box = [[0.3, 0, 0], [0.38, 0.4, 0.1]] }
 """
 MIX = '[[coupling]]\nkind = "mixing"\nbetween = ["fluid", "milk"]\ndiffusivity = 1e-4\n'
-SEEP = '[[coupling]]\nkind = "drag"\nbetween = ["fluid", "sand"]\npermeability = 1e-2\n'
-DRIVEN = 'motion = { velocity = [1, 0, 0], until = "2 ms" }\n'
+SEEP = '[[coupling]]\nkind = "drag"\nbetween = ["fluid", "sand"]\nhydraulic_conductivity = 1e-2\n'
+DRIVEN = 'motion = { velocity = [1, 0, 0], end_time = "2 ms" }\n'
 COLORS = '[appearance]\ncolor_transfer = "step"\n'
 
 
@@ -62,9 +62,9 @@ def _body(name: str, kind: str, low: float = 0.0, plus: str = "") -> str:
 # what is below [accuracy], and the rest of a scene: each law alone, and what asks for more kernels
 CASES = {kind: ("", _body(kind, kind)) for kind in registry} | {
     "contact, colliders": ("", _body("fluid", "fluid") + _body("elastic", "elastic", 0.16) + POST),
-    "splines": ('transfer = "pic"\ngradient = "bspline"', _body("elastic", "elastic")),
-    "kept volume": ('volume = "kept"', _body("fluid", "fluid")),
-    "aflip": ('transfer = "aflip"\ndamping = "5 ms"', _body("fluid", "fluid")),
+    "bspline": ('transfer = "pic"\ngradient = "bspline"', _body("elastic", "elastic")),
+    "density correction": ('volume_correction = "density"', _body("fluid", "fluid")),
+    "aflip": ('transfer = "aflip"\nflip_decay_time = "5 ms"', _body("fluid", "fluid")),
     "driven": ("", _body("elastic", "elastic", plus=DRIVEN)),
     "couplings, colors": (
         "", COLORS + _body("fluid", "fluid") + _body("milk", "fluid", 0.08) + _body("sand", "sand")

@@ -133,7 +133,7 @@ def _density() -> list[Row]:
         {"gas": gas, "water": WATER},
         box("left", "gas", LOW, HIGH, velocity=[0.5, 0, 0]),
         box("right", "water", (0.20, 0.16, 0.16), (0.28, 0.24, 0.24)),
-        coupling("mixing", "gas", "water", diffusion=1e-4),
+        coupling("mixing", "gas", "water", diffusivity=1e-4),
         end=0.02,
     )
     return [
@@ -170,34 +170,35 @@ def _sharing() -> list[Row]:
     for power in (-12, -9, -6, -4, -3, -2, 0, 2):
         text = scene(
             {"water": WATER, "grains": {"kind": "sand"}},
-            box("pores", "water", LOW, HIGH, velocity=[0.5, 0, 0], fraction=0.4),
+            box("pores", "water", LOW, HIGH, velocity=[0.5, 0, 0], volume_fraction=0.4),
             box("bed", "grains", LOW, HIGH),
             coupling("drag", "water", "grains", hydraulic_conductivity=10.0**power),
             end=0.01,
         )
-        rows.append(Row(f"permeability 1e{power} m/s", text, "runs", momentum=True,
+        rows.append(Row(f"hydraulic conductivity 1e{power} m/s", text, "runs", momentum=True,
                         fast=power in (-12, 2)))  # fmt: skip
-    for diffusion in (0.0, 1e-3, 0.02, 0.2, 1.0):  # at 1.0 the drift is 2.7 times as fast as sound
+    # at 1.0 the drift is 2.7 times as fast as sound
+    for diffusivity in (0.0, 1e-3, 0.02, 0.2, 1.0):
 
-        def follows(run: Run, first: dict, diffusion=diffusion) -> tuple[bool, str]:
-            share = 6.0 * diffusion * first["bound"] / DX**2
-            good = share <= 1.0 + 1e-12 and (diffusion < 0.2 or share > 0.999)
+        def follows(run: Run, first: dict, diffusivity=diffusivity) -> tuple[bool, str]:
+            share = 6.0 * diffusivity * first["bound"] / DX**2
+            good = share <= 1.0 + 1e-12 and (diffusivity < 0.2 or share > 0.999)
             return good, f"first step at {share:.3f} of its limit"
 
-        rows.append(Row(f"diffusion {diffusion:g} m2/s", _diffusing(diffusion),
+        rows.append(Row(f"diffusivity {diffusivity:g} m2/s", _diffusing(diffusivity),
                         "the step follows", momentum=True, check=follows,
-                        fast=diffusion in (0.0, 0.2)))  # fmt: skip
+                        fast=diffusivity in (0.0, 0.2)))  # fmt: skip
     rows.append(Row("dt above diffusion's limit", _diffusing(1.0, dt=1e-4), "refused", code=2,
                     says=("scene.toml:", "time.dt", "diffusion"), fast=True))  # fmt: skip
     return rows
 
 
-def _diffusing(diffusion: float, dt: float = 0.0) -> str:
+def _diffusing(diffusivity: float, dt: float = 0.0) -> str:
     return scene(
         {"water": WATER, "milk": {**WATER, "density": 1030}},
         box("left", "water", LOW, HIGH),
         box("right", "milk", (0.20, 0.16, 0.16), (0.28, 0.24, 0.24)),
-        coupling("mixing", "water", "milk", diffusion=diffusion),
+        coupling("mixing", "water", "milk", diffusivity=diffusivity),
         end=0.01,
         dt=dt,
     )

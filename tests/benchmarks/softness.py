@@ -41,7 +41,7 @@ def measured(
     rows = []
     for value in COMPRESSIONS:
         one = Setting(
-            (("compression", f"{value:g}"),), (f"material.water.max_compression={value!r}",)
+            (("max_compression", f"{value:g}"),), (f"material.water.max_compression={value!r}",)
         )
         cpu = study.run(one)
         rows.append((measure(study.outcome(one)), cpu))

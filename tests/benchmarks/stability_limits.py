@@ -38,8 +38,8 @@ DEFAULT = 0.4  # time.cfl
 COUPLED = {
     "drag 1e-3": coupling("drag", "water", "grains", hydraulic_conductivity=1e-3),
     "drag 1e-12": coupling("drag", "water", "grains", hydraulic_conductivity=1e-12),
-    "mixing": coupling("mixing", "water", "milk", diffusion=1e-4),
-    "mixing at limit": coupling("mixing", "water", "milk", diffusion=0.5),
+    "mixing": coupling("mixing", "water", "milk", diffusivity=1e-4),
+    "mixing at limit": coupling("mixing", "water", "milk", diffusivity=0.5),
 }
 
 
@@ -61,13 +61,13 @@ class Case:
         """The scene."""
         size = [n * DX for n in CELLS]
         corners = ([0, 0, 0], size)
-        half = {"fraction": 0.5}
+        half = {"volume_fraction": 0.5}
         if self.name not in COUPLED:
             materials = {"stuff": of_law(self.name)}
             bodies = box("column", "stuff", *corners)
         elif self.name.startswith("drag"):
             materials = {"water": WATER, "grains": {"kind": "sand"}}
-            bodies = box("pores", "water", *corners, fraction=0.4)
+            bodies = box("pores", "water", *corners, volume_fraction=0.4)
             bodies += box("bed", "grains", *corners) + COUPLED[self.name]
         else:
             materials = {"water": WATER, "milk": {**WATER, "density": 1030}}

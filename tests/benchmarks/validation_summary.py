@@ -164,7 +164,7 @@ SUMMARY = (
     Effect(
         "Angular momentum", "Conservation", "spinning body, default transfer and APIC",
         (
-            ("spinning body, [AR][PE][IS]*: angular momentum", "change {value}"),
+            ("spinning body, APIC*: angular momentum", "change {value}"),
         ),
         "Jiang et al. 2015, proposition 2",
     ),

@@ -74,7 +74,7 @@ def test_colors_that_travel_with_every_step(tmp_path):
     assert "carries 5 numbers besides its motion, in this scene 2 (" in said[0]
 
 
-def test_volume_that_is_kept(tmp_path):
+def test_density_correction(tmp_path):
     same_everywhere(write(tmp_path, POOL), tmp_path)
 
 

@@ -135,7 +135,7 @@ def test_what_is_still_to_come_is_counted(tmp_path):
     took = 1e-5 * np.array([work(t) for t in np.cumsum(dt)])
     assert within(follow(took, dt, left=RemainingTimeEstimator(work)), 0.02, 0.02)
     assert not within(follow(took, dt), 0.15, 0.1)
-    assert work_of(make_plan(scene(tmp_path, JET + '[[sink]]\nname = "drain"\n'
+    assert work_of(make_plan(scene(tmp_path, JET + '[[outlet]]\nname = "drain"\n'
         'shape = { box = [[0, 0, 0], [0.05, 0.05, 0.05]] }\n'), [3200, 40_000], [0.0004, 0.005],
         False))(0.7) == 1.0  # fmt: skip
 

@@ -62,6 +62,12 @@ def probe_with(keys, key, says):
     return more(f'[[probe]]\nname = "a"\n{keys}', f"probe.a.{key}".rstrip("."), says)
 
 
+def profile(points, says, plus=""):
+    """A profile of the ball's volume fraction, below another key of it."""
+    key = "volume_fraction_profile"
+    return ball(f'{plus}{key} = {{ axis = "x", {points} }}', key, says)
+
+
 # old text, new text, key as reported, what the message must say; the line is where `new` stands
 CASES = {
     "unknown section": ("[time]", "[tiem]", "tiem", "did you mean 'time'?"),
@@ -332,26 +338,18 @@ CASES = {
     "probe of no object": probe_with(
         'sampling_rate = 1\nobject = "boll"', "object", "did you mean 'ball'?"
     ),
-    "fraction given twice": ball(
-        "volume_fraction = 0.5\n"
-        'volume_fraction_profile = { axis = "x", positions = [0, 1], values = [0, 1] }',
-        "volume_fraction_profile",
+    "fraction given twice": profile(
+        "positions = [0, 1], values = [0, 1]",
         "volume_fraction and volume_fraction_profile given at once",
+        "volume_fraction = 0.5\n",
     ),
-    "profile of two lengths": ball(
-        'volume_fraction_profile = { axis = "x", positions = [0, 1, 2], values = [0, 1] }',
-        "volume_fraction_profile",
+    "profile of two lengths": profile(
+        "positions = [0, 1, 2], values = [0, 1]",
         "positions and values must be of one length, 2 or more",
     ),
-    "profile that turns back": ball(
-        'volume_fraction_profile = { axis = "x", positions = [1, 0], values = [0, 1] }',
-        "volume_fraction_profile",
-        "positions must ascend",
-    ),
+    "unsorted profile": profile("positions = [1, 0], values = [0, 1]", "positions must ascend"),
     "fraction above one": ball("volume_fraction = 1.5", "volume_fraction", "must be > 0 and <= 1"),
-    "hydrostatic solid": ball(
-        'initial_pressure = "hydrostatic"', "initial_pressure", "is only for fluids"
-    ),
+    "a solid": ball('initial_pressure = "hydrostatic"', "initial_pressure", "is only for fluids"),
 }
 
 # found while the particles are made
@@ -383,10 +381,8 @@ BUILD_CASES = {
         "region",
         "holds no particle of ball at the start",
     ),
-    "fraction of nothing": ball(
-        'volume_fraction_profile = { axis = "x", positions = [0, 1], values = [0, 0] }',
-        "volume_fraction_profile",
-        "leaves no particle: its values are 0 everywhere",
+    "fraction of nothing": profile(
+        "positions = [0, 1], values = [0, 0]", "leaves no particle: its values are 0 everywhere"
     ),
     "not a mesh": made_of('mesh = "inside.ply"', "mesh", "cannot be read as a mesh"),
 }

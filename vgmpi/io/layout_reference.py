@@ -61,7 +61,7 @@ def _table(datasets, prefix=""):
 
 
 ABOUT_ENERGY = (
-    "Gravity, walls, colliders, loads, sources and sinks change momentum and energy. With "
+    "Gravity, walls, colliders, loads, inlets and outlets change momentum and energy. With "
     "`domain.gravity_ramp_time`, the potential energy refers to gravity at its full strength; with "
     "`domain.gravity_keyframes`, to gravity at that time.\n"
 )
@@ -84,7 +84,7 @@ def page() -> str:
         _table(file_layout.FRAME_OWN),
         "Attributes: `VTKHDF/Type`, `VTKHDF/Version`, and `/schema` (integer). Frames of "
         "earlier versions have no `frame` and no `crc`; they are read without verification. "
-        "`gaussians` is the CRC32 of the checksums in gaussians.h5, those of its texts and "
+        "`gaussians_crc` is the CRC32 of the checksums in gaussians.h5, those of its texts and "
         "`shade` left out, as JSON pairs in the order of their names; checkpoints have it too.\n",
         "## series.vtkhdf\n",
         "All frames in sequence, as virtual datasets of the same names. The file contains no "
@@ -98,9 +98,9 @@ def page() -> str:
         _table(file_layout.GAUSSIAN),
         "Scenery, rendered but without mass (only if the scene has scenery):\n",
         _table(file_layout.SCENERY, "scenery/"),
-        "Passive Gaussians without mass (only if an object has `passive`). With weights w, "
-        "carriers i and their deformation gradients F_i in a frame: x = sum w_i (x_i + F_i (x0 - "
-        "x0_i)), F = sum w_i F_i, covariance F cov0 F^T.\n",
+        "Passive Gaussians without mass (only if an object has `passive_gaussians`). With weights "
+        "w, carriers i and their deformation gradients F_i in a frame: x = sum w_i (x_i + F_i (x0 "
+        "- x0_i)), F = sum w_i F_i, covariance F cov0 F^T.\n",
         _table(file_layout.PASSIVE, "passive/"),
         _table(file_layout.GAUSSIAN_TEXTS),
         "Attributes: `schema` (integer), `digest` (text; identifies the preparation).\n",
@@ -114,8 +114,8 @@ def page() -> str:
         "## ledger.csv\n",
         ABOUT_TABLES,
         _table([*file_layout.LEDGER_COLUMNS, file_layout.ROW_CHECKSUM]),
-        "Before `crc`, only with `[[source]]` or `[[sink]]`; count_in - count_out is `count`, "
-        "exactly, and mass_in - mass_out is `mass`, to rounding:\n",
+        "Before `crc`, only with `[[inlet]]`, `[[outlet]]` or an open wall; particles_in - "
+        "particles_out is `particles`, exactly, and mass_in - mass_out is `mass`, to rounding:\n",
         _table(file_layout.OPEN_SYSTEM_COLUMNS),
         ABOUT_ENERGY,
         "## probe_NAME.csv\n",

@@ -208,12 +208,8 @@ class SceneLoader:
             if obj and obj.initial_pressure != "zero" and material:
                 if not hasattr(material, "hydrostatic_theta"):
                     self.report(("object", k, "initial_pressure"), "is only for fluids")
-            follows = (
-                material
-                and material.family == "solid"
-                and obj
-                and obj.track_deformation is not False
-            )
+            solid = material and material.family == "solid"
+            follows = solid and obj and obj.track_deformation is not False
             if obj and obj.passive_gaussians and material and not follows:
                 message = "is only for solids that deform: it rides along with their F"
                 self.report(("object", k, "passive_gaussians"), message)

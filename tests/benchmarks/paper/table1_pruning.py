@@ -36,7 +36,7 @@ RUNS = Path(__file__).resolve().parents[3] / "runs"
 FRAME_INTERVAL = 0.04  # [s] frame interval of the paper's scenes
 RANDOM_SEEDS = 3  # number of seeds of the random subset
 # changes of the pruned bodies
-VARIANTS = {"without": "prune_scale=1", "with": "", "passive": "passive=true"}
+VARIANTS = {"without": "prune_scale=1", "with": "", "passive": "passive_gaussians=true"}
 
 
 @dataclass(frozen=True)

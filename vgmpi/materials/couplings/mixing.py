@@ -1,10 +1,10 @@
 """Mixing: two fluids move through each other, each with a velocity of its own.
 
-They share space and pressure. The difference of their velocities decays within the slip time, and
-each drifts to where there is less of it (mixture model of Ren et al. 2014): u_k = -D (grad a_k /
-a_k - sum_l c_l grad a_l / a_l), D the diffusion, a_k volume fractions, c_k mass fractions. The
-momenta of all drifts sum to zero. Under gravity the slip settles at v_1 - v_2 = -slip_time grad p
-(1 / rho_1 - 1 / rho_2).
+They share space and pressure. The difference of their velocities decays within
+slip_relaxation_time, and each drifts to where there is less of it (mixture model of Ren et al.
+2014): u_k = -D (grad a_k / a_k - sum_l c_l grad a_l / a_l), D the diffusivity, a_k volume
+fractions, c_k mass fractions. The momenta of all drifts sum to zero. Under gravity the slip settles
+at v_1 - v_2 = -tau grad p (1 / rho_1 - 1 / rho_2), tau the slip_relaxation_time.
 """
 
 from typing import Annotated, ClassVar, Literal
@@ -18,7 +18,7 @@ from .interaction import MIXING, coupling
 @coupling
 class Mixing(StrictModel):
     """Two fluids that mix. Fluids that mix with one another, also by way of a third, form a group
-    and have the same diffusion and slip_relaxation_time.
+    and have the same diffusivity and slip_relaxation_time.
     """
 
     between: tuple[str, str]

@@ -1,4 +1,4 @@
-"""Sources and sinks do not touch the promise: the same bits in every file for any number of ranks
+"""Inlets and outlets do not touch the promise: the same bits in every file for any number of ranks
 and threads, and after a restart in the middle of a layer."""
 
 import csv
@@ -13,7 +13,7 @@ from tests.support.small_scenes import MIXED, write
 pytestmark = pytest.mark.mpi
 
 # one that pours aslant, later than the start and not to the end, one that always pours, onto bodies
-# of all kinds; sinks where what falls and what flows comes by
+# of all kinds; outlets where what falls and what flows comes by
 SCENE = (
     MIXED.replace("PRECISION", "double")
     + """
@@ -41,7 +41,7 @@ shape = { box = [[0.26, 0.16, 0], [0.36, 0.24, 0.05]] }
 """
 )
 
-# two that mix and flow into a sink, so that segments of either are empty when it stops
+# two that mix and flow into an outlet, so that segments of either are empty when it stops
 EMPTIES = """
 [accuracy]
 precision = "double"
@@ -79,7 +79,7 @@ shape = { box = [[0.155, 0, 0], [0.4, 0.2, 0.4]] }
 
 @pytest.fixture(scope="module")
 def one(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("sources")
+    folder = tmp_path_factory.mktemp("inlets")
     scene = write(folder, SCENE)
     job = go(scene, folder / "one", 1)
     assert job.returncode == 0, job.stderr
@@ -130,7 +130,7 @@ def test_stop_and_resume(one, tmp_path):
 
 
 def test_resume_where_segments_are_empty(tmp_path):
-    """A sink emptied segments since the last sort: what follows from where these are does not
+    """An outlet emptied segments since the last sort: what follows from where these are does not
     change."""
     scene = write(tmp_path, EMPTIES)
     job = go(scene, tmp_path / "one", 1)
