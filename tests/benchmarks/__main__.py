@@ -242,6 +242,18 @@ def _run_registers(args: argparse.Namespace) -> int:
     return 0
 
 
+def _test_times(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", type=Path, help="file of pytest --junitxml")
+    parser.add_argument("--rows", type=int, default=40, metavar="N", help="files told, default 40")
+
+
+def _run_test_times(args: argparse.Namespace) -> int:
+    from tests.benchmarks import test_times
+
+    print(test_times.text(test_times.read_costs(args.file), args.rows))
+    return 0
+
+
 COMMANDS = {  # what it does, its flags, how it runs
     "accuracy": ("how exact single precision is", _accuracy, _run_accuracy),
     "against": ("beside another checkout", _against, _run_against),
@@ -256,6 +268,7 @@ COMMANDS = {  # what it does, its flags, how it runs
     "spills": ("vectors that do not fit the registers", lambda _: None, _run_spills),
     "stability": ("the largest stable time step of every law", _stability, _run_stability),
     "scaling": ("predict many ranks from what is measured here", _scaling, _run_scaling),
+    "test-times": ("where the time of the tests goes", _test_times, _run_test_times),
     "together": ("two ranks beside two runs, two threads", _together, _run_together),
 }
 

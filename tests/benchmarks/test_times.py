@@ -1,0 +1,55 @@
+"""Where the time of the tests goes, by file: compiling, processes started, everything.
+
+python -m pytest -n 2 --dist loadfile -m "not slow" --junitxml .cache/tests.xml
+python -m tests.benchmarks test-times .cache/tests.xml
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+
+@dataclass
+class FileCosts:
+    """Costs of the tests of one file: seconds in all and of compiling, processes, tests."""
+
+    seconds: float = 0.0
+    compile_seconds: float = 0.0
+    processes: int = 0
+    tests: int = 0
+
+
+def read_costs(path: Path) -> dict[str, FileCosts]:
+    """Return the costs by file from a file of `pytest --junitxml`."""
+    costs: dict[str, FileCosts] = {}
+    for case in ElementTree.parse(path).iter("testcase"):
+        name = case.get("classname", "").replace(".", "/") + ".py"
+        of_file = costs.setdefault(name, FileCosts())
+        of_file.seconds += float(case.get("time", 0))
+        of_file.tests += 1
+        for item in case.iter("property"):
+            if item.get("name", "").startswith("costs "):
+                seconds, processes = item.get("value", "0 0").split()
+                of_file.compile_seconds += float(seconds)
+                of_file.processes += int(processes)
+    return costs
+
+
+def text(costs: dict[str, FileCosts], rows: int) -> str:
+    """Return a table of the most expensive files, and their sum."""
+    lines = ["| file | seconds | compiling | processes | tests |", "|---|---|---|---|---|"]
+    order = sorted(costs, key=lambda name: -costs[name].seconds)
+    lines += [_row(f"`{name}`", costs[name]) for name in order[:rows]]
+    every = FileCosts()
+    for one in costs.values():
+        every.seconds += one.seconds
+        every.compile_seconds += one.compile_seconds
+        every.processes += one.processes
+        every.tests += one.tests
+    return "\n".join([*lines, _row(f"all {len(costs)} files", every)])
+
+
+def _row(name: str, costs: FileCosts) -> str:
+    """Return one row."""
+    numbers = f"{costs.seconds:.0f} | {costs.compile_seconds:.0f} | {costs.processes}"
+    return f"| {name} | {numbers} | {costs.tests} |"
