@@ -105,10 +105,9 @@ def main(argv: list[str] | None = None) -> int:
         return _draw(painter, output, folder, args, ranks)
     except OtherRankError:
         return 2
-    except render_config.SettingsError as error:
-        print("\n".join(error.lines), file=sys.stderr)
-    except (RunError, image_io.VideoError) as error:
-        print(error, file=sys.stderr)
+    except (render_config.SettingsError, RunError, image_io.VideoError) as error:
+        lines = render_config.error_lines(error, args.settings)
+        print("\n".join(lines), file=sys.stderr)
     except KeyboardInterrupt:
         print("stopped: no video was written", file=sys.stderr)
         return 130

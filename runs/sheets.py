@@ -27,7 +27,7 @@ HERE = Path(__file__).resolve().parent
 PICTURES = HERE.parent / "docs" / "pictures"
 WIDE = 200  # pixels of each picture
 PALE = {"background": "#e4ebf1"}
-SQUARES = {"height": 0, "color": "#cfcac2", "squares": 0.08, "other": "#c2bcb2"}
+SQUARES = {"height": 0, "color": "#cfcac2", "checker_size": 0.08, "checker_color": "#c2bcb2"}
 WATER = {"zenith": "#3f7fc8", "horizon": "#dfeaf4", "ground": "#6b6256"}
 SUN = [0.5, 0.4, -1]
 
@@ -52,36 +52,46 @@ def _paper(shadow: float, shade: float, **tables: dict[str, Any]) -> dict[str, d
     return {"picture": {**PALE, "floor": SQUARES}, "light": light, **tables}
 
 
-_WET = {"clear": 0.25, "surroundings": WATER}
+_WET = {"absorption_length": 0.25, "environment": WATER}
 _BEIGE = {"picture": {"background": "#f2efe8"}}
 SHEETS = {
     "splash": Sheet("splash", _BEIGE),
     "photo": Sheet("photo/made", {}, tuple(k / 30 for k in (0, 5, 8, 15, 30))),
     "guitar": Sheet("capture", _BEIGE),
     "faucet": Sheet("faucet", _paper(0.5, 0.35, liquid=_WET, look={"liquid": "surface"})),
-    "castle_falls": Sheet("castle_falls", _paper(0.5, 0.35, look={"grain": {"castle": 0.18}})),
+    "castle_falls": Sheet(
+        "castle_falls", _paper(0.5, 0.35, look={"brightness_jitter": {"castle": 0.18}})
+    ),
     "snowball": Sheet(
         "snowball",
-        _paper(0.35, 0.25, look={"grain": {"ground": 0.06, "ball": 0.06}}),
+        _paper(0.35, 0.25, look={"brightness_jitter": {"ground": 0.06, "ball": 0.06}}),
         FAST["snowball"],
     ),
     "water_on_snow": Sheet(
         "water_on_snow",
-        _paper(0.35, 0.25, liquid=_WET, look={"liquid": "surface", "grain": {"wall": 0.06}}),
+        _paper(
+            0.35, 0.25, liquid=_WET, look={"liquid": "surface", "brightness_jitter": {"wall": 0.06}}
+        ),
     ),
     "castle_flood": Sheet(
         "castle_flood",
-        _paper(0.5, 0.35, liquid=_WET, look={"liquid": "surface", "grain": {"castle": 0.18}}),
+        _paper(
+            0.5,
+            0.35,
+            liquid=_WET,
+            look={"liquid": "surface", "brightness_jitter": {"castle": 0.18}},
+        ),
     ),
     "snowman": Sheet(
         "snowman",
-        _paper(0.35, 0.25, look={"grain": {"snowman": 0.06}}),
+        _paper(0.35, 0.25, look={"brightness_jitter": {"snowman": 0.06}}),
         FAST["snowman"],
     ),
     "two_liquids": Sheet(
-        "two_liquids", _paper(0.5, 0.35, liquid={"clear": 0.5}, look={"liquid": "surface"})
+        "two_liquids",
+        _paper(0.5, 0.35, liquid={"absorption_length": 0.5}, look={"liquid": "surface"}),
     ),
-    "sandbox": Sheet("sandbox", _paper(0.5, 0.35, look={"grain": {"sand": 0.18}})),
+    "sandbox": Sheet("sandbox", _paper(0.5, 0.35, look={"brightness_jitter": {"sand": 0.18}})),
 }
 
 

@@ -216,14 +216,14 @@ support = "17.3 cm"  # it is in the air: its lowest point is so high above the t
 [[object]]
 name = "glass of milk"
 box = {boxes[1]}
-form = "revolve"
+reconstruction = "revolve"
 height = "11 cm"  # the one length that is known
 material = "milk"
 
 [[object]]
 name = "jelly"
 box = {boxes[2]}
-form = "extrude"
+reconstruction = "extrude"
 thickness = 0.67
 
 [[object]]

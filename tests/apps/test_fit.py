@@ -26,7 +26,7 @@ DENSITY = """
 [[parameter]]
 key = "material.rubber.density"
 range = [200, 5000]
-start = 400
+initial = 400
 """
 
 
@@ -63,7 +63,7 @@ def test_what_was_put_in_is_found(folder, whole):
     told = rows(whole)
     assert len(told) <= 40 and float(told[0][KEY]) == pytest.approx(2e5)
     assert min(float(row["loss"]) for row in told) < 1e-3 < 0.1 < float(told[0]["loss"])
-    assert all(0 <= float(row["held_out"]) < 2 for row in told)
+    assert all(0 <= float(row["holdout_loss"]) < 2 for row in told)
     report = (whole / "report.md").read_text()
     assert f"| {KEY} | {found:.6g} |" in report and "Held out: " in report
     assert f"Runs: {len(told)}." in report
@@ -115,7 +115,7 @@ def test_a_scene_that_was_changed_is_run_anew(folder, whole):
     out = folder / "changed"
     shutil.copytree(whole, out)
     text = FIT.replace("reference/probe", str(folder / "reference/probe"))
-    text = text.replace("runs = 40", "runs = 12")
+    text = text.replace("max_runs = 40", "max_runs = 12")
     (folder / "short.toml").write_text(text.replace('"center_z", "velocity_z"', '"center_z"'))
     assert fit.main([str(scene), str(folder / "short.toml"), "-o", str(out)]) == 2  # rows at 0.06
     scene.write_text(BALL.replace("velocity = [0, 0, -1.0]", "velocity = [0, 0, -1.1]"))
@@ -132,7 +132,7 @@ def test_a_file_that_was_changed_is_run_anew(tmp_path):
     assert text != BALL
     scene, _ = made(tmp_path, text, FIT)
     setting = parameter_space.setting(
-        [parameter_space.ParameterAxis(KEY, 4e3, 4e5, 2e5, True)], [0.5]
+        [parameter_space.ParameterAxis(KEY, 4e3, 4e5, 2e5, "log")], [0.5]
     )
     runs = RunPool(load(scene), tmp_path / "runs")
     (done,) = runs.all([setting])
@@ -146,10 +146,12 @@ def test_a_file_that_was_changed_is_run_anew(tmp_path):
 
 
 def test_frames_are_fitted_and_a_runs_mass_tells_nothing(folder, capsys):
-    """From coarse boxes to fine ones. Of the other run only where things are counts: it is twice as
+    """From coarse bins to fine ones. Of the other run only where things are counts: it is twice as
     heavy and as stiff, and what is found is the stiffness at the scene's own density."""
     reference(folder, BALL, {"material.rubber.density": 2000, KEY: 4e4}, "heavy")
-    text = FIT[: FIT.index("[target]")] + '[target]\nframes = "heavy"\n[method]\ngrid = "none"\n'
+    text = FIT[: FIT.index("[target]")] + (
+        '[target]\nrun = "heavy"\n[method]\ndiscretization_check = "none"\n'
+    )
     scene, file = made(folder, BALL, text)
     out = folder / "frames"
     assert fit.main([str(scene), str(file), "-o", str(out)]) == 0
@@ -182,8 +184,8 @@ def test_two_that_can_be_told_apart_are_found(folder):
 
 def test_what_changes_nothing_is_refused(folder, capsys):
     text = FIT.replace(f'"{KEY}"', '"domain.boundary.top.friction"')
-    text = text.replace('["4 kPa", "400 kPa"]\nstart = "200 kPa"', "[0.01, 1]\nstart = 0.1")
-    walls = 'boundary = { default = "slip", roof = { kind = "separate", friction = 0.1 } }'
+    text = text.replace('["4 kPa", "400 kPa"]\ninitial = "200 kPa"', "[0.01, 1]\ninitial = 0.1")
+    walls = 'boundary = { default = "slip", top = { kind = "separate", friction = 0.1 } }'
     scene, file = made(folder, BALL.replace('boundary = "slip"', walls), text)
     assert fit.main([str(scene), str(file), "-o", str(folder / "blind")]) == 2
     told = capsys.readouterr().err
@@ -239,11 +241,11 @@ def test_numbers_that_err_together_count_less(folder):
 
 @pytest.mark.parametrize("grid, count", [("coarser", 6), ("finer", 24)])
 def test_a_run_in_other_cells_is_told(folder, grid, count):
-    text = FIT.replace('grid = "none"', f'grid = "{grid}"')
+    text = FIT.replace('check = "none"', f'check = "{grid}"')
     scene, file = made(folder, BALL, text)
     assert fit.main([str(scene), str(file), "-o", str(folder / grid)]) == 0
     last = rows(folder / grid)[-1]
-    assert last["cells"] == str(count) and last["what"] == f"{grid} cells"
+    assert last["cells"] == str(count) and last["purpose"] == f"{grid} cells"
     report = (folder / grid / "report.md").read_text()
     assert f"from one run with {count} cells along the longest edge instead of 12" in report
     low, high = report.split(f"| {KEY} | ")[1].split(" | ")[1].split(" .. ")
@@ -271,12 +273,12 @@ def test_one_run_that_is_left_tells_nothing_of_a_parameter():
 
 def test_axes_go_there_and_back():
     for axis in (
-        ParameterAxis("a", 2.0, 200.0, 2.0, True),
-        ParameterAxis("a", -2.0, 3.0, 0.0, False),
+        ParameterAxis("a", 2.0, 200.0, 2.0, "log"),
+        ParameterAxis("a", -2.0, 3.0, 0.0, "linear"),
     ):
         for u in (0.0, 0.3, 1.0):
             assert axis.to_unit(axis.from_unit(u)) == pytest.approx(u, abs=1e-12)
-    log = ParameterAxis("a", 2.0, 200.0, 2.0, True)
+    log = ParameterAxis("a", 2.0, 200.0, 2.0, "log")
     assert log.from_unit(0.3 + log.step(0.02)) == pytest.approx(1.02 * log.from_unit(0.3))
     assert log.interval(0.5, log.step(1.0)) == pytest.approx((10, 40))
 

@@ -13,7 +13,7 @@ from vgmpi.scene.loader import load
 
 TEXT = FIT[: FIT.index("[target]")] + DENSITY + FIT[FIT.index("[target]") :]
 TEXT = TEXT.replace('"center_z", "velocity_z"', '"center_z", "momentum_z"')
-TEXT = TEXT.replace("runs = 40", 'kind = "cma"\nruns = 110')
+TEXT = TEXT.replace("max_runs = 40", 'algorithm = "cma"\nmax_runs = 110')
 SHORT = BALL.replace("end = 0.06", "end = 0.04").replace("frames = 7", "frames = 5")
 
 
@@ -32,7 +32,7 @@ def test_two_are_found(folder, capsys):
     assert found.youngs_modulus == pytest.approx(2e4, rel=0.02)
     assert found.density == pytest.approx(1000, rel=0.02)
     told = rows(folder / "out")
-    assert len(told) <= 110 and sum(row["what"] == "search" for row in told) > 50
+    assert len(told) <= 110 and sum(row["purpose"] == "search" for row in told) > 50
     before = bits(folder / "out")  # what is there is not made again, with the same bits
     stamps = {p: p.stat().st_mtime_ns for p in folder.glob("out/runs/*/fit.json")}
     assert fit.main([str(scene), str(file), "-o", str(folder / "out")]) == 0
@@ -90,5 +90,5 @@ def test_without_the_package_a_line_says_so(folder, capsys, monkeypatch):
     scene, file = made(folder, SHORT, TEXT)
     assert fit.main([str(scene), str(file), "-o", str(folder / "none")]) == 1
     assert capsys.readouterr().err.splitlines()[-1] == (
-        "vgmpi: method.kind = 'cma' needs: pip install 'vgmpi[fit]'"
+        "vgmpi: method.algorithm = 'cma' needs: pip install 'vgmpi[fit]'"
     )

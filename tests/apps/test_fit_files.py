@@ -19,7 +19,9 @@ WRONG = {
     "no parameter": (FIT[: FIT.index("[target]")], "", 1, "parameter", "required key is missing"),
     "one table": ("[[parameter]]", "[parameter]", 1, "parameter", "must be"),
     "unknown table": ("[method]", "[metod]", 9, "metod", "did you mean 'method'?"),
-    "unknown key": ("scan = 4", "scans = 4", 11, "method.scans", "did you mean 'scan'?"),
+    "unknown key": (
+        "scan_points = 4", "scan_point = 4", 11, "method.scan_point", "did you mean 'scan_points'?"
+    ),
     "no key": (f'key = "{KEY}"\n', "", 1, "parameter.0.key", "required key is missing: of the"),
     "key that is no key": (
         "youngs_modulus", "young_modulus", 2, "parameter.0.key", "did you mean 'youngs_modulus'?",
@@ -28,7 +30,7 @@ WRONG = {
     "key of a text": (KEY, "title", 2, "parameter.0.key", "is no number of the scene"),
     "key of a list": (KEY, "domain.size", 3, "parameter.0.range.0", "the scene says"),
     "key of whole numbers": (
-        f'key = "{KEY}"\nrange = ["4 kPa", "400 kPa"]\nstart = "200 kPa"',
+        f'key = "{KEY}"\nrange = ["4 kPa", "400 kPa"]\ninitial = "200 kPa"',
         'key = "time.frames"\nrange = [5, 9]', 2, "parameter.0.key",
         "cannot be looked for",
     ),
@@ -43,23 +45,27 @@ WRONG = {
     "range turned over": ('"4 kPa"', '"1 MPa"', 3, "parameter.0.range", "must be [low, high]"),
     "no logarithm": (
         FIT[: FIT.index("[target]")],
-        '[[parameter]]\nkey = "object.ball.velocity.2"\nrange = [-1, 1]\nstart = -1\n', 3,
+        '[[parameter]]\nkey = "object.ball.velocity.2"\nrange = [-1, 1]\ninitial = -1\n', 3,
         "parameter.0.range", "has no logarithm",
     ),
-    "logarithmic in words": (
-        "start =", 'logarithmic = "perhaps"\nstart =', 4, "parameter.0.logarithmic", "valid boolean"
+    "scale of another": (
+        "initial =", 'scale = "perhaps"\ninitial =', 4, "parameter.0.scale", "must be one of log"
     ),
-    "start outside": ('"200 kPa"', '"2 MPa"', 4, "parameter.0.start", "is not from 4000 to 400000"),
+    "initial outside": (
+        '"200 kPa"', '"2 MPa"', 4, "parameter.0.initial", "is not from 4000 to 400000",
+    ),
     "scene's value outside": (
-        'range = ["4 kPa", "400 kPa"]\nstart = "200 kPa"', 'range = ["4 kPa", "10 kPa"]', 3,
+        'range = ["4 kPa", "400 kPa"]\ninitial = "200 kPa"', 'range = ["4 kPa", "10 kPa"]', 3,
         "parameter.0.range", "the scene's own value, 20000, is not from 4000 to 10000",
     ),
     "no target": (TARGET, "", 1, "target", "required key is missing: [target]"),
-    "nothing to hold to": (*target("hold_out = 5"), 5, "target", "give exactly one of video"),
+    "nothing to hold to": (*target("holdout_every = 5"), 5, "target", "give exactly one of video"),
     "two targets": (
-        *target('frames = "a"\ntable = "b"\nprobe = "ball"'), 5, "target", "given at once",
+        *target('run = "a"\ntable = "b"\nprobe = "ball"'), 5, "target", "given at once",
     ),
-    "boxes of a table": ("probe =", "boxes = [4]\nprobe =", 5, "target", "has no boxes"),
+    "bins of a table": (
+        "probe =", "density_bins = [4]\nprobe =", 5, "target", "has no density_bins"
+    ),
     "no probe": ('probe = "ball"\n', "", 5, "target", "a table needs probe"),
     "no such probe": ('"ball"', '"bal"', 7, "target.probe", "did you mean 'ball'?"),
     "no such table": ("probe_ball", "probe_bal", 6, "target.table", "No such file"),
@@ -69,19 +75,26 @@ WRONG = {
         "has no column 'z'; it has time, step",
     ),
     "no column of times": ("probe =", 'time = "t"\nprobe =', 7, "target.time", "no column 't'"),
-    "no row": ("probe =", 'where = { step = "no" }\nprobe =', 6, "target.table", "no row to fit"),
-    "rows after the end": ("probe =", "time_unit = 60.0\nprobe =", 6, "target.table", "to 0.06 s"),
-    "all held out": ("probe =", "hold_out = 1\nprobe =", 5, "target", "leaves nothing to fit to"),
-    "no such folder": (*target('frames = "referenc"'), 6, "target.frames", "'reference'?"),
-    "frames of nothing": (
-        *target('frames = "reference"\nbodies = ["boll"]'), 7, "target.bodies.0", "'ball'?"
+    "no row": ("probe =", 'filter = { step = "no" }\nprobe =', 6, "target.table", "no row to fit"),
+    "rows after the end": ("probe =", "time_scale = 60.0\nprobe =", 6, "target.table", "to 0.06 s"),
+    "all held out": (
+        "probe =", "holdout_every = 1\nprobe =", 5, "target", "leaves nothing to fit to",
     ),
-    "boxes turned over": (
-        *target('frames = "reference"\nboxes = [8, 4]'), 7, "target.boxes", "larger than the one"
+    "no such folder": (*target('run = "referenc"'), 6, "target.run", "'reference'?"),
+    "run of nothing": (
+        *target('run = "reference"\nbodies = ["boll"]'), 7, "target.bodies.0", "'ball'?"
     ),
-    "method of another": ("scan = 4", 'kind = "newton"', 11, "method.kind", "least-squares, cma"),
-    "too few runs": ("runs = 40", "runs = 5", 10, "method.runs", "must be 9 or more for 1"),
-    "step of nothing": ("scan = 4", "step = 0", 11, "method.step", "greater than 0"),
+    "bins turned over": (
+        *target('run = "reference"\ndensity_bins = [8, 4]'), 7, "target.density_bins",
+        "larger than the one",
+    ),
+    "method of another": (
+        "scan_points = 4", 'algorithm = "newton"', 11, "method.algorithm", "least-squares, cma",
+    ),
+    "too few runs": (
+        "max_runs = 40", "max_runs = 5", 10, "method.max_runs", "must be 9 or more for 1",
+    ),
+    "step of nothing": ("scan_points = 4", "fd_step = 0", 11, "method.fd_step", "greater than 0"),
 }  # fmt: skip
 
 
@@ -130,7 +143,7 @@ def test_a_damaged_table_of_a_run_is_told(beside, capsys):
 
 
 def test_frames_of_other_times_or_another_domain_are_refused(beside, capsys):
-    text = FIT.replace(TARGET, '[target]\nframes = "reference"\n')
+    text = FIT.replace(TARGET, '[target]\nrun = "reference"\n')
     for old, new, said in (
         ("frames = 7", "frames = 6", "has a frame at 0.01 s, of which the scene has none"),
         ("size = [0.24, 0.24, 0.24]", "size = [0.24, 0.24, 0.28]", "another domain, 0.24 x 0.24"),
@@ -138,4 +151,4 @@ def test_frames_of_other_times_or_another_domain_are_refused(beside, capsys):
         scene, file = made(beside, BALL.replace(old, new), text)
         assert fit.main([str(scene), str(file), "-o", str(beside / "fit")]) == 2
         told = capsys.readouterr().err
-        assert told.startswith(f"{file}:6: target.frames: ") and said in told
+        assert told.startswith(f"{file}:6: target.run: ") and said in told

@@ -59,7 +59,11 @@ def wish(name):
 
 
 def taste(
-    models, name, more="draws = 3", parameters=sds_fits.PARAMETERS + sds_fits.SECOND, method=""
+    models,
+    name,
+    more="noise_samples = 3",
+    parameters=sds_fits.PARAMETERS + sds_fits.SECOND,
+    method="",
 ):
     """A model's taste of runs that are pictures of a formula, and these runs."""
     text = sds_fits.sds(name, wish(name), f"frames = {FRAMES}\n{more}", method, parameters)
@@ -262,7 +266,11 @@ def test_what_was_said_of_a_run_is_not_asked_again(models):
     one, other = (min(t.number for t in of.all.values()) for of in (trials, again))
     assert one == other and not fresh.loaded
     assert [t.loss for t in again.all.values()][0] == [t.loss for t in trials.all.values()][0]
-    made(models, BALL, target.file.source.text.replace("draws = 3", "draws = 3\nseed = 9"))
+    made(
+        models,
+        BALL,
+        target.file.source.text.replace("noise_samples = 3", "noise_samples = 3\nseed = 9"),
+    )
     seeded = DenoisingTarget(FitFile(models / "fit.toml", target.file.scene))
     folder = next(iter(trials.all.values())).done.folder
     assert (
@@ -279,7 +287,7 @@ def test_what_was_said_of_a_run_is_not_asked_again(models):
 @pytest.mark.parametrize("name", KINDS)
 @pytest.mark.parametrize("precision", ["float32", "bfloat16"])
 def test_weights_may_be_half_as_large(models, name, precision):
-    target, trials = taste(models, name, f'draws = 1\nprecision = "{precision}"')
+    target, trials = taste(models, name, f'noise_samples = 1\nprecision = "{precision}"')
     (run,) = trials.evaluate([np.array([0.5, 0.5])])
     assert np.isfinite(run.loss) and run.loss > 0
     assert getattr(torch, precision) in {p.dtype for p in target.kind.model.parameters()}
@@ -330,7 +338,7 @@ def test_a_step_goes_to_where_two_gradients_meet_zero():
     assert places[-1] == pytest.approx(there, abs=5e-3)
 
 
-SHORT = "runs = 12\nscan = 2"
+SHORT = "max_runs = 12\nscan_points = 2"
 
 
 @pytest.fixture(scope="module")
@@ -345,7 +353,9 @@ def command_files(models):
     folder = models / "command"
     folder.mkdir(exist_ok=True)
     sds_fits.rendered(folder, SIZE)
-    return made(folder, BALL, sds_fits.sds("../flow", more="frames = 5\ndraws = 2", method=SHORT))
+    return made(
+        folder, BALL, sds_fits.sds("../flow", more="frames = 5\nnoise_samples = 2", method=SHORT)
+    )
 
 
 def bits(out):
@@ -368,7 +378,7 @@ def test_the_command_says_what_it_takes_and_writes_what_it_found(models, whole, 
     found = load(whole / "fitted.toml").material["rubber"].youngs_modulus
     assert 4e3 <= found <= 4e5 and "not known" in (whole / "report.md").read_text()
     blank = [row for row in before[0] if not row["loss"]]
-    assert {row["what"] for row in blank} == {"descent"}
+    assert {row["purpose"] for row in blank} == {"descent"}
 
 
 def test_a_killed_fit_goes_on_with_the_same_bits(models, whole, monkeypatch):
@@ -377,7 +387,7 @@ def test_a_killed_fit_goes_on_with_the_same_bits(models, whole, monkeypatch):
     scene, file = command_files(models)
     out = models / "killed"
     begun = launch.start(command(scene, file, out))
-    launch.until(lambda: len(list(out.glob("runs/*/sds_loss.npz"))) >= 2, "a run's loss")
+    launch.until(lambda: len(list(out.glob("runs/*/sds_pull.npz"))) >= 2, "a run's gradient")
     assert begun.poll() is None  # it was not done before
     begun.kill()
     begun.communicate()

@@ -51,12 +51,14 @@ def beside(tmp_path):
     return tmp_path
 
 
-TEXT = sds_fits.sds(more="draws = 4\nframes = 5", method="runs = 20")
+TEXT = sds_fits.sds(more="noise_samples = 4\nframes = 5", method="max_runs = 20")
 TARGET = '[target]\ntable = "a.csv"\nprobe = "ball"\n'
 # what is replaced, by what, the line and key told, what is said
 WRONG = {
     "both": ("[sds]", TARGET + "[sds]", 9, "sds", "given at once: give exactly one of both"),
-    "unknown key": ("draws =", "drawz =", 10, "sds.drawz", "did you mean 'draws'?"),
+    "unknown key": (
+        "noise_samples =", "noise_sample =", 10, "sds.noise_sample", "did you mean 'noise_samples'?"
+    ),
     "no model": ('model = "model"\n', "", 6, "sds.model", "required key is missing: folder with"),
     "model of nothing": ('"model"', '" "', 7, "sds.model", "must say something"),
     "no such model": ('"model"', '"modle"', 7, "sds.model", "did you mean 'model'?"),
@@ -69,40 +71,79 @@ WRONG = {
     "prompt of nothing": (sds_fits.PROMPT, 'prompt = ""', 9, "sds.prompt", "must say something"),
     "an image for a text": (sds_fits.PROMPT, 'image = "a.png"', 9, "sds.image", "goes by prompt"),
     "the prompt against itself": (
-        "draws", 'negative_prompt = "a soft  ball bounces"\ndraws', 6, "sds", "nothing to guide by"
+        "noise_samples", 'negative_prompt = "a soft  ball bounces"\nnoise_samples', 6, "sds",
+        "nothing to guide by",
     ),
     "a text for an image": (
         sds_fits.PROMPT, 'image = "a.png"\nnegative_prompt = "b"', 6, "sds", "no negative_prompt"
     ),
-    "motion of a text": ("draws", "motion = 3\ndraws", 6, "sds", "there is no motion"),
-    "guidance backwards": ("draws", "guidance = -1\ndraws", 10, "sds.guidance", "equal to 0"),
-    "guidance in words": ("draws", 'guidance = "much"\ndraws', 10, "sds.guidance", "valid number"),
-    "no draws": ("draws = 4", "draws = 0", 10, "sds.draws", "greater than or equal to 1"),
-    "a share of a draw": ("draws = 4", "draws = 2.5", 10, "sds.draws", "valid integer"),
-    "times of one": ("draws", "times = [0.5]\ndraws", 10, "sds.times", "too few values"),
-    "times turned over": ("draws", "times = [0.8, 0.2]\ndraws", 10, "sds.times", "[least, most]"),
-    "no noise": ("draws", "times = [0, 0.5]\ndraws", 10, "sds.times.0", "greater than 0"),
-    "nothing but noise": ("draws", "times = [0.5, 1]\ndraws", 10, "sds.times.1", "less than 1"),
-    "a seed below 0": ("draws", "seed = -1\ndraws", 10, "sds.seed", "equal to 0"),
-    "another precision": (
-        "draws", 'precision = "int8"\ndraws', 10, "sds.precision", "float32, bfloat16, float16"
+    "motion of a text": (
+        "noise_samples", "motion_bucket_id = 3\nnoise_samples", 6, "sds",
+        "there is no motion_bucket_id",
     ),
-    "another device": ("draws", 'device = "gpu"\ndraws', 10, "sds.device", "auto, cpu, cuda"),
-    "a size of one number": ("draws", "size = [64]\ndraws", 10, "sds.size", "too few values"),
-    "a size too small": ("draws", "size = [8, 64]\ndraws", 10, "sds.size.0", "equal to 16"),
+    "guidance backwards": (
+        "noise_samples", "guidance_scale = -1\nnoise_samples", 10, "sds.guidance_scale",
+        "equal to 0",
+    ),
+    "guidance in words": (
+        "noise_samples", 'guidance_scale = "much"\nnoise_samples', 10, "sds.guidance_scale",
+        "valid number",
+    ),
+    "no samples": (
+        "noise_samples = 4", "noise_samples = 0", 10, "sds.noise_samples",
+        "greater than or equal to 1",
+    ),
+    "a share of a sample": (
+        "noise_samples = 4", "noise_samples = 2.5", 10, "sds.noise_samples", "valid integer",
+    ),
+    "levels of one": (
+        "noise_samples", "noise_levels = [0.5]\nnoise_samples", 10, "sds.noise_levels",
+        "too few values",
+    ),
+    "levels turned over": (
+        "noise_samples", "noise_levels = [0.8, 0.2]\nnoise_samples", 10, "sds.noise_levels",
+        "[least, most]",
+    ),
+    "no noise": (
+        "noise_samples", "noise_levels = [0, 0.5]\nnoise_samples", 10, "sds.noise_levels.0",
+        "greater than 0",
+    ),
+    "nothing but noise": (
+        "noise_samples", "noise_levels = [0.5, 1]\nnoise_samples", 10, "sds.noise_levels.1",
+        "less than 1",
+    ),
+    "a seed below 0": ("noise_samples", "seed = -1\nnoise_samples", 10, "sds.seed", "equal to 0"),
+    "another precision": (
+        "noise_samples", 'precision = "int8"\nnoise_samples', 10, "sds.precision",
+        "float32, bfloat16, float16",
+    ),
+    "another device": (
+        "noise_samples", 'device = "gpu"\nnoise_samples', 10, "sds.device", "auto, cpu, cuda",
+    ),
+    "a size of one number": (
+        "noise_samples", "size = [64]\nnoise_samples", 10, "sds.size", "too few values",
+    ),
+    "a size too small": (
+        "noise_samples", "size = [8, 64]\nnoise_samples", 10, "sds.size.0", "equal to 16",
+    ),
     "a size between": (
-        "draws", "size = [64, 72]\ndraws", 10, "sds.size", "72 pixels are no multiple of 16"
+        "noise_samples", "size = [64, 72]\nnoise_samples", 10, "sds.size",
+        "72 pixels are no multiple of 16",
     ),
     "a size of another shape": (
-        "draws", "size = [64, 128]\ndraws", 10, "sds.size", "another shape than what is drawn"
+        "noise_samples", "size = [64, 128]\nnoise_samples", 10, "sds.size",
+        "another shape than what is drawn",
     ),
     "frames between": ("frames = 5", "frames = 6", 11, "sds.frames", "multiple of 4, such as 5"),
     "more frames than drawn": ("frames = 5", "frames = 9", 11, "sds.frames", "7 frames of the"),
     "frames between that are all": ("frames = 5\n", "", 6, "sds.frames", "7 frames, where it"),
     "least squares": (
-        "runs = 20", 'kind = "least-squares"', 13, "method.kind", "must be one of descent, cma"
+        "max_runs = 20", 'algorithm = "least-squares"', 13, "method.algorithm",
+        "must be one of descent, cma",
     ),
-    "too few runs": ("runs = 20", "runs = 4", 13, "method.runs", "must be 5 or more for 1"),
+    "too few runs": (
+        "max_runs = 20", "max_runs = 4", 13, "method.max_runs", "must be 5 or more for 1",
+    ),
 }  # fmt: skip
 
 
@@ -121,10 +162,10 @@ def test_a_wrong_file_is_told_by_its_line(beside, capsys, monkeypatch, name):
 
 
 def test_descent_without_a_model_is_refused(beside, capsys):
-    text = sds_fits.PARAMETERS + TARGET + '[method]\nkind = "descent"\n'
+    text = sds_fits.PARAMETERS + TARGET + '[method]\nalgorithm = "descent"\n'
     scene, file = made(beside, BALL, text)
     assert fit.main([str(scene), str(file), "-o", str(beside / "fit")]) == 2
-    assert f"{file}:10: method.kind: goes with [sds] alone" in capsys.readouterr().err
+    assert f"{file}:10: method.algorithm: goes with [sds] alone" in capsys.readouterr().err
 
 
 def index(**changes):

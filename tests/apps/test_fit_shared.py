@@ -17,7 +17,7 @@ from vgmpi.apps.fit.run_pool import RECORD, RunPool
 from vgmpi.io.run_lock import file_lock
 from vgmpi.scene.loader import load
 
-FEW = FIT.replace("runs = 40", "runs = 14")
+FEW = FIT.replace("max_runs = 40", "max_runs = 14")
 # the command of a fit that notes each run it begins, and stays in the one of a number for ever
 NOTED = """
 import os, sys, time

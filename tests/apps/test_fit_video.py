@@ -61,7 +61,7 @@ def test_what_was_put_in_is_found(folder, name, capsys):
         rows = list(csv.DictReader(f))
     assert float(rows[0]["loss"]) > 1 and len(rows) <= 40
     best = min(rows, key=lambda row: float(row["loss"]))
-    assert float(best["loss"]) < 0.2 and 0 < float(best["held_out"]) < 0.3
+    assert float(best["loss"]) < 0.2 and 0 < float(best["holdout_loss"]) < 0.3
     report = (folder / out / "report.md").read_text()
     assert "Held out: " in report and "Compared: 7 pictures of 128 x 96 pixels." in report
 
@@ -95,8 +95,10 @@ def test_the_target_is_to_the_left(folder):
 
 
 def test_frames_of_another_run_are_shown_too_where_render_is_given(folder, capsys):
-    scene, file = made(folder, BALL, text('frames = "reference"\n[method]\nruns = 12\nscan = 4'))
-    file.write_text(file.read_text().partition("[method]\nruns = 40")[0])
+    scene, file = made(
+        folder, BALL, text('run = "reference"\n[method]\nmax_runs = 12\nscan_points = 4')
+    )
+    file.write_text(file.read_text().partition("[method]\nmax_runs = 40")[0])
     assert fit.main([str(scene), str(file), "-o", str(folder / "bodies")]) == 0
     assert (folder / "bodies" / "beside.mp4").stat().st_size > 1000
     file.write_text(file.read_text().replace('render = "render.toml"\n', ""))
@@ -106,7 +108,7 @@ def test_frames_of_another_run_are_shown_too_where_render_is_given(folder, capsy
 
 def test_a_camera_that_is_off_is_made_up_for(folder, capsys):
     """Its pictures lie .8 pixels to the left and .6 below: so far runs are moved."""
-    own = found_in(folder, 'video = "off"\ncamera_shift = 3', "moved")
+    own = found_in(folder, 'video = "off"\nmax_camera_shift = 3', "moved")
     assert own == pytest.approx(2e4, rel=0.01)
     (line,) = [s for s in (folder / "moved/report.md").read_text().splitlines() if "moved by" in s]
     right, down = (float(word) for word in line.split() if word[0] in "+-")
@@ -115,9 +117,11 @@ def test_a_camera_that_is_off_is_made_up_for(folder, capsys):
 
 
 def test_a_camera_is_off_by_no_more_than_it_may(folder, capsys):
-    found_in(folder, 'video = "off"\ncamera_shift = 0.5', "little")
+    found_in(folder, 'video = "off"\nmax_camera_shift = 0.5', "little")
     report = (folder / "little" / "report.md").read_text()
-    assert "moved by -0.50 to the right and +0.50 down (as far as camera_shift lets it)" in report
+    assert (
+        "moved by -0.50 to the right and +0.50 down (as far as max_camera_shift lets it)" in report
+    )
 
 
 def made_target(folder, keys, scene=BALL):
@@ -133,16 +137,16 @@ def test_pictures_of_the_same_moments_are_compared(folder):
     for k in range(2, 7):  # frames of .02 .. .06 s, each with one between that shows nothing of it
         shutil.copy(own[k], late / f"{2 * k}.png".zfill(8))
         shutil.copy(own[0], late / f"{2 * k + 1}.png".zfill(8))
-    target = made_target(folder, 'video = "late"\nframe_time = "5 ms"\ntime_zero = 0.02')
+    target = made_target(folder, 'video = "late"\nframe_time = "5 ms"\ntime_offset = 0.02')
     assert target.frames == [2, 3, 4, 5, 6] and target.used.tolist() == [0, 2, 4, 6, 8]
     fitted, held = target.residual(folder / "reference", 2)
     assert all(np.sqrt(np.mean(off**2)) < 0.02 for off in (fitted, held))
-    wrong = made_target(folder, 'video = "late"\nframe_time = "5 ms"\ntime_zero = 0.01')
+    wrong = made_target(folder, 'video = "late"\nframe_time = "5 ms"\ntime_offset = 0.01')
     assert np.sqrt(np.mean(wrong.residual(folder / "reference", 2)[0] ** 2)) > 0.5
 
 
 def test_some_frames_are_held_out(folder):
-    target = made_target(folder, 'video = "pictures"\nhold_out = 3')
+    target = made_target(folder, 'video = "pictures"\nholdout_every = 3')
     assert target.held_pictures.tolist() == [False, False, True, False, False, True, False]
     each = [12 * 16 * 3, 48 * 64 * 3, 96 * 128 * 3]  # as far apart as they are blurred
     for stage in range(3):
@@ -231,12 +235,16 @@ WRONG = {
     "too long": ('video = "long"', "", 7, "target.video: has 8 pictures; of the scene 7 frames"),
     "blurred more and more": (f"{VIDEO}\nblur = [1, 2]", "", 8, "target.blur: must be one number"),
     "pixels of a stamp": (f"{VIDEO}\npixels = 8", "", 8, "target.pixels: must be greater than"),
-    "a shift to the other side": (f"{VIDEO}\ncamera_shift = -1", "", 8, "target.camera_shift"),
+    "a shift to the other side": (
+        f"{VIDEO}\nmax_camera_shift = -1", "", 8, "target.max_camera_shift",
+    ),
     "moments of no frame": (
         f"{VIDEO}\nframe_time = 0.003", "", 8, "target.frame_time: 1 pictures are of a moment",
     ),
     "frame_time in metres": (f'{VIDEO}\nframe_time = "3 m"', "", 8, "target.frame_time: "),
-    "boxes of a video": (f"{VIDEO}\nboxes = [4]", "", 5, "target: a target of video has no boxes"),
+    "bins of a video": (
+        f"{VIDEO}\ndensity_bins = [4]", "", 5, "target: a target of video has no density_bins",
+    ),
     "a picture that is none": ('video = "broken"', "", 7, "target.video: 1.png: "),
 }  # fmt: skip
 
@@ -293,9 +301,9 @@ def test_a_wrong_render_toml_is_told(folder, capsys, old, new, said):
 
 def test_a_fit_goes_on(folder, capsys):
     """With nothing made again, and the same bits."""
-    found_in(folder, 'video = "off"\ncamera_shift = 3', "again")
+    found_in(folder, 'video = "off"\nmax_camera_shift = 3', "again")
     first = [(folder / "again" / name).read_bytes() for name in ("report.md", "fitted.toml")]
     stamps = {p: p.stat().st_mtime_ns for p in folder.glob("again/runs/*/fit.json")}
-    found_in(folder, 'video = "off"\ncamera_shift = 3', "again")
+    found_in(folder, 'video = "off"\nmax_camera_shift = 3', "again")
     assert [(folder / "again" / n).read_bytes() for n in ("report.md", "fitted.toml")] == first
     assert stamps and all(p.stat().st_mtime_ns == stamp for p, stamp in stamps.items())

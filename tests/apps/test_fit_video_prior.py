@@ -82,7 +82,7 @@ def fitted(known, more="", method=""):
     runs = RunPool(file.scene, folder / "runs")
     for kept in folder.glob("runs/*/sds_*"):  # runs are shared by fits, what is said of them not
         kept.unlink()
-    trials = Evaluations(runs, file.axes, target, file.settings.method.runs)
+    trials = Evaluations(runs, file.axes, target, file.settings.method.max_runs)
     try:
         return file, run_fit(file, trials), trials
     finally:
@@ -91,7 +91,7 @@ def fitted(known, more="", method=""):
 
 def test_the_loss_is_least_at_the_truth(known):
     """Of runs spread around it, and that by far."""
-    file, _, trials = fitted(known, method='kind = "cma"\nruns = 60')
+    file, _, trials = fitted(known, method='algorithm = "cma"\nmax_runs = 60')
     (axis,) = file.axes
     stiff = np.geomspace(1e4, 4e4, 12)
     losses = [t.loss for t in trials.evaluate([np.array([axis.to_unit(e)]) for e in stiff])]
@@ -102,7 +102,7 @@ def test_the_loss_is_least_at_the_truth(known):
     assert low == pytest.approx([TRUE] * len(low), rel=0.1)  # over the whole range
 
 
-@pytest.mark.parametrize("more, near", [("guidance = 1.0", 0.03), ("", 0.1)])
+@pytest.mark.parametrize("more, near", [("guidance_scale = 1.0", 0.03), ("", 0.1)])
 def test_descent_finds_it(known, more, near):
     """From ten times off, also with guidance away from videos of other stiffnesses."""
     file, found, trials = fitted(known, more)
@@ -110,7 +110,7 @@ def test_descent_finds_it(known, more, near):
     assert found.best.values[0] == pytest.approx(TRUE, rel=near)
     assert len(trials.all) <= 30 and not found.budget_exhausted
     asked = {t.number for t in trials.all.values() if not np.isnan(t.loss)}
-    each = 2 * file.settings.sds.draws  # both halves, of each run but those beside another
+    each = 2 * file.settings.sds.noise_samples  # both halves, of each run but those beside another
     assert trials.target.kind.asked == each * len(asked) < each * len(trials.all)
     report = fit_report.format_report(file, found, trials)
     assert f"| {KEY} | {found.best.values[0]:.6g} | not known |" in report
@@ -119,14 +119,14 @@ def test_descent_finds_it(known, more, near):
 
 def test_the_loss_finds_it(known):
     """By a scalar search, which asks one half alone."""
-    file, found, trials = fitted(known, method='kind = "cma"')
+    file, found, trials = fitted(known, method='algorithm = "cma"')
     assert found.best.values[0] == pytest.approx(TRUE, rel=0.05)
     assert len(trials.all) <= 20
-    assert trials.target.kind.asked == file.settings.sds.draws * len(trials.all)
+    assert trials.target.kind.asked == file.settings.sds.noise_samples * len(trials.all)
 
 
 def test_runs_that_are_spent_are_told(known):
-    _, found, trials = fitted(known, method="runs = 15")
+    _, found, trials = fitted(known, method="max_runs = 15")
     assert found.budget_exhausted and len(trials.all) <= 15
     assert found.best.purpose == "descent"
 
@@ -134,9 +134,9 @@ def test_runs_that_are_spent_are_told(known):
 def test_what_the_model_does_not_see_is_refused(known):
     folder, sets = known
     text = sds_fits.sds().replace(KEY, "domain.boundary.west.friction")
-    text = text.replace('["4 kPa", "400 kPa"]\nstart = "200 kPa"', "[0.01, 1]\nstart = 0.1")
-    walls = 'west = { kind = "separate", friction = 0.1 }, floor'
-    scene, path = made(folder, COLUMN.replace("floor", walls), text)
+    text = text.replace('["4 kPa", "400 kPa"]\ninitial = "200 kPa"', "[0.01, 1]\ninitial = 0.1")
+    walls = 'west = { kind = "separate", friction = 0.1 }, bottom'
+    scene, path = made(folder, COLUMN.replace("bottom", walls), text)
     file = FitFile(path, load(scene))
     trials = Evaluations(
         RunPool(file.scene, folder / "runs"),

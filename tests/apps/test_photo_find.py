@@ -118,8 +118,8 @@ def test_threads_are_no_part_of_a_mask():
     assert (grabcut.remove_threads(thin, grabcut.Box(40, 20, 120, 100)) == thin).all()
 
 
-def test_clicks_say_what_is_it_and_what_is_not():
-    """Two discs that touch, of nearly one color: a click parts them, another brings one back."""
+def test_points_say_what_is_it_and_what_is_not():
+    """Two discs that touch, of nearly one color: a point parts them, another brings one back."""
     y, x = np.mgrid[:160, :240] + 0.5
     left, right = ((x - c) ** 2 + (y - 80) ** 2 < 36**2 for c in (92, 146))
     rgb = np.full((160, 240, 3), (110, 120, 130), np.uint8)

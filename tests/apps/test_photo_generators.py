@@ -40,7 +40,7 @@ def standin(folder, act="", up="-y", yaw=0.0):
     """A program that gives a duck, and the head of a layout that names it."""
     duck_photograph.given(folder / "made.ply", up, yaw)
     (folder / "standin.py").write_text(STANDIN.replace("ACT", act))
-    return f'[bodies]\nby = "program"\nscript = "standin.py"\npython = "{sys.executable}"\nseed = 7'
+    return f'[bodies]\nmethod = "program"\nscript = "standin.py"\npython = "{sys.executable}"\nseed = 7'
 
 
 def go(folder):
@@ -197,7 +197,7 @@ def test_what_goes_wrong_is_one_line(tmp_path, name, capsys):
 )
 def test_those_that_are_known_say_what_their_interpreter_lacks(tmp_path, kind, package):
     """The scripts themselves start; what they import is not here."""
-    asked = BodiesTable(by=kind, python=sys.executable)
+    asked = BodiesTable(method=kind, python=sys.executable)
     duck_photograph.put(tmp_path, 40)
     crop = (tmp_path / "photo.png").read_bytes()
     with pytest.raises(external_generators.GeneratorError) as error:

@@ -110,9 +110,13 @@ LAYOUTS = {
     "box of a pixel": (GOOD + "box = [50, 50, 51, 51]\n", "less than 4 pixels"),
     "box is all": (GOOD + f"box = [0, 0, {WIDTH}, {HEIGHT}]\n", "the box is the whole picture"),
     "no box": (GOOD, "ball.box: needs a box"),
-    "click outside": (BOXED + "clicks = [[900, 20]]\n", "ball.clicks: [900, 20] lies outside"),
-    "click beside": (BOXED + "clicks = [[5, 5]]\n", "lies outside the object's own box"),
-    "click of words": (BOXED + 'clicks = [["x", 5]]\n', "toml:7: object.ball.clicks: must be"),
+    "point outside": (
+        BOXED + "point_prompts = [[900, 20]]\n", "ball.point_prompts: [900, 20] lies outside"
+    ),
+    "point beside": (BOXED + "point_prompts = [[5, 5]]\n", "lies outside the object's own box"),
+    "point of words": (
+        BOXED + 'point_prompts = [["x", 5]]\n', "toml:7: object.ball.point_prompts: must be"
+    ),
     "no mask": (GOOD + 'mask = "musk.png"\n', "no such file (did you mean 'mask.png'?)"),
     "mask of another size": (GOOD + 'mask = "other.png"\n', "the photograph 160 x 120"),
     "mask is empty": (GOOD + 'mask = "black.png"\n', "ball.mask: its mask is empty"),
@@ -139,11 +143,11 @@ LAYOUTS = {
     "height of nothing": (GOOD.replace("0.1", "0") + f"box = {BOX}\n", "must be >= 1e-05 m"),
     "huge height": (GOOD.replace("0.1", "1e90") + f"box = {BOX}\n", "ball.height: "),
     "above the horizon": (BOXED.replace("pitch = 20", "pitch = -30"), "seen above the horizon"),
-    "two bodies": (BOXED + 'form = "inflate"\nbody = "a.ply"\n', "only one of them"),
+    "two bodies": (BOXED + 'reconstruction = "inflate"\nbody = "a.ply"\n', "only one of them"),
     "many objects": (
         "".join(f'[[object]]\nname = "a{k}"\nbox = {BOX}\n' for k in range(65)), "at most 64",
     ),
-    "thick": (BOXED + 'form = "extrude"\nthickness = 40\n', "ball.thickness: "),
+    "thick": (BOXED + 'reconstruction = "extrude"\nthickness = 40\n', "ball.thickness: "),
 }  # fmt: skip
 
 

@@ -71,7 +71,7 @@ def test_a_hull_stands_in_a_photograph(tmp_path):
     (tmp_path / "layout.toml").write_text(
         f"[camera]\nfov = {drawn_photograph.VIEW.fov}\npitch = {drawn_photograph.VIEW.pitch}\n"
         f'[[object]]\nname = "dome"\nbox = {drawn_photograph.around(mask)}\nheight = 0.115\n'
-        'views = "around/transforms.json"\n'
+        'multi_view = "around/transforms.json"\n'
     )
     out = tmp_path / "out"
     assert main([str(tmp_path / "photo.png"), str(tmp_path / "layout.toml"), "-o", str(out)]) == 0

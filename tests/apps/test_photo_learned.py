@@ -99,7 +99,7 @@ def test_a_mask_lies_where_the_box_is(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_clicks_are_scaled_and_told_apart(kind):
+def test_points_are_scaled_and_told_apart(kind):
     model = Draws(128, 64)
     sam.Sam(model, sam.KINDS[kind])(picture(), None, [(40, 60, True), (100, 20, False)])
     tall = 0.8 if kind == "sam" else 128 / 120
@@ -248,13 +248,13 @@ def test_depths_come_back_in_the_picture_s_axes(folder):
 def test_the_command_goes_the_whole_way_with_them(folder, tmp_path, monkeypatch, capsys):
     """SAM in place of GrabCut, CLIP in place of the table; masks are random, but of some pixels."""
     photo, layout = drawn_photograph.put(tmp_path)
-    head = f'[masks]\nby = "sam2"\nweights = "{folder("sam2")}"\n'
-    head += f'[materials]\nby = "clip"\nweights = "{folder("clip")}"\n'
-    layout.write_text(drawn_photograph.layout(head=head).replace('form = "revolve"', ""))
+    head = f'[masks]\nmethod = "sam2"\nweights = "{folder("sam2")}"\n'
+    head += f'[materials]\nmethod = "clip"\nweights = "{folder("clip")}"\n'
+    layout.write_text(drawn_photograph.layout(head=head).replace('reconstruction = "revolve"', ""))
     truth = iter(drawn_photograph.three().masks)
     asked = []
 
-    def call(self, rgb, box, clicks, text=None):
+    def call(self, rgb, box, points, text=None):
         asked.append(self.ask(rgb, [box], [[]], [[]])[0].shape)
         return next(truth)  # what random weights say is no object
 
@@ -276,7 +276,9 @@ def test_weights_that_are_none_are_one_line(folder, tmp_path, capsys, name):
     make, needle = WRONG[name]
     where = folder("clip") if make is None else make(tmp_path)
     photo, layout = drawn_photograph.put(tmp_path)
-    layout.write_text(drawn_photograph.layout(head=f'[masks]\nby = "sam2"\nweights = "{where}"\n'))
+    layout.write_text(
+        drawn_photograph.layout(head=f'[masks]\nmethod = "sam2"\nweights = "{where}"\n')
+    )
     assert main([str(photo), str(layout), "-o", str(tmp_path / "out")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "layout.toml:1: masks: " in line and needle in line

@@ -25,9 +25,9 @@ sys.exit(main(sys.argv[1:]))
     [
         ("cv2", "", "pip install 'vgmpi[images]'"),
         ("tomlkit", "", "pip install 'vgmpi[images]'"),
-        ("torch", '[masks]\nby = "sam2"', "pip install 'vgmpi[learned]'"),
-        ("transformers", '[materials]\nby = "clip"', "pip install 'vgmpi[learned]'"),
-        ("torch", '[depth]\nby = "depth-anything"', "pip install 'vgmpi[learned]'"),
+        ("torch", '[masks]\nmethod = "sam2"', "pip install 'vgmpi[learned]'"),
+        ("transformers", '[materials]\nmethod = "clip"', "pip install 'vgmpi[learned]'"),
+        ("torch", '[depth]\nmethod = "depth-anything"', "pip install 'vgmpi[learned]'"),
     ],
 )
 def test_a_missing_package_is_one_line(tmp_path, package, head, pip):

@@ -199,12 +199,12 @@ def test_pruning_is_varied_where_there_is_something_to_prune(tmp_path, block):
     assert [
         dict(s.knobs)["pruning"] for s in parameter_sweep.alternatives(scenes["off"], "pruning")
     ] == (["auto", "0.5", "0.2", "0.05"])
-    turned = parameter_sweep.alternatives(scenes["pap"], "pruning")
+    turned = parameter_sweep.alternatives(scenes["ver"], "pruning")
     assert [dict(s.knobs)["pruning"] for s in turned] == ["off", "0.5", "0.05"]
     for one in turned:  # each is a scene
-        assert load(tmp_path / "scene.toml", one.overrides).object[0].prune in ("off", "paper")
+        assert load(tmp_path / "scene.toml", one.overrides).object[0].prune in ("off", "versagauss")
     # all Gaussians are what the others are held to
-    _, finest = parameter_sweep.sweep(scenes["pap"], ("cell", "pruning"))
+    _, finest = parameter_sweep.sweep(scenes["ver"], ("cell", "pruning"))
     assert finest.overrides[-1] == "object.duck.prune=off" and dict(finest.knobs)["cells"] == "24"
 
 
@@ -216,6 +216,18 @@ def test_colors_are_varied(tmp_path, block):
     assert [s.name for s in degrees] == ["colors-1", "colors-3"]
 
 
+def test_studies_of_earlier_versions_go_on(tmp_path):
+    """Their flag --vary colours, and their folder with the scene's own settings."""
+    path = write(tmp_path, SCENE)
+    assert setting_study.parse_arguments([str(path), "--vary", "cell,colours"]).vary == (
+        "cell", "colors",
+    )  # fmt: skip
+    study = Study(load(path), tmp_path / "study")
+    assert study.place(parameter_sweep.BASELINE) == tmp_path / "study" / "baseline"
+    (tmp_path / "study" / "as_it_is").mkdir(parents=True)
+    assert study.place(parameter_sweep.BASELINE) == tmp_path / "study" / "as_it_is"
+
+
 def test_a_run_of_two_precisions_is_told_and_a_scene_is_written(tmp_path, capsys):
     path = write(tmp_path, SCENE)
     flags = [str(path), "-o", str(tmp_path / "study"), "--vary", "precision", "--budget", "1 h"]
@@ -224,7 +236,7 @@ def test_a_run_of_two_precisions_is_told_and_a_scene_is_written(tmp_path, capsys
     assert "precision single" in said and "scene_chosen.toml" in said
     with open(tmp_path / "study" / "tradeoff.csv") as file:
         rows = {row["setting"]: row for row in csv.DictReader(file)}
-    assert set(rows) == {"as_it_is", "precision-single"}
+    assert set(rows) == {"baseline", "precision-single"}
     assert 0 < float(rows["precision-single"]["error"]) < 1e-4
     assert load(tmp_path / "scene_chosen.toml").domain.cell == 0.02
     # again: nothing is run, the same is said
@@ -239,7 +251,7 @@ def test_a_run_of_two_precisions_is_told_and_a_scene_is_written(tmp_path, capsys
     # a run that is no more is made again
     shutil.rmtree(tmp_path / "study" / "precision-single")
     assert setting_study.main(flags) == 0
-    one, other = (RunOutcome(tmp_path / "study" / n) for n in ("as_it_is", "precision-single"))
+    one, other = (RunOutcome(tmp_path / "study" / n) for n in ("baseline", "precision-single"))
     assert mass_displacement(one, one) == 0 == energy(one, one)
     assert 0 < mass_displacement(other, one) < 1e-4
 
@@ -280,7 +292,7 @@ def test_a_run_that_is_refused_is_left_out(tmp_path, capsys):
     coarse = parameter_sweep.with_cells(study.scene, 8)
     assert study.all([coarse], set()) == {}
     assert "left out: cells-8: " in capsys.readouterr().err
-    with pytest.raises(StudyError, match="a sink that eats a body"):
+    with pytest.raises(StudyError, match="an outlet that removes a body"):
         study.all([coarse], {coarse})
 
 

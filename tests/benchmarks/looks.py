@@ -28,10 +28,10 @@ from vgmpi.rendering import render_config
 from vgmpi.rendering.frame_renderer import FrameRenderer
 
 SIZE = {"width": 960, "height": 640}
-LENS = {"fov": 34, "angle": 25}
+LENS = {"fov": 34, "azimuth": 25}
 CAMERAS = {
     "splash": {
-        "target": (0.48, 0.24, 0.15), "distance": 1.62, "height": 0.62, "fov": 36, "angle": 18,
+        "target": (0.48, 0.24, 0.15), "distance": 1.62, "height": 0.62, "fov": 36, "azimuth": 18,
     },
     "snowball": {"target": (0.38, 0.22, 0.14), "distance": 1.15, "height": 0.40, **LENS},
     "castle_falls": {"target": (0.44, 0.36, 0.1), "distance": 1.3, "height": 0.48, **LENS},
@@ -74,7 +74,7 @@ def spectrum(picture: np.ndarray, box: tuple, short: float = 6, long: float = 40
 
 def rows(name: str, run: str) -> None:
     """Print the rows in the boxes of a scene's picture."""
-    tables = {"picture": {"floor": {"tiles": 0.0}}}
+    tables = {"picture": {"floor": {"tile_size": 0.0}}}
     picture = painter(name, run, **tables).draw(FRAMES[name])
     for box in BOXES[name]:
         power, excess = spectrum(picture, box)
@@ -116,7 +116,7 @@ def cost(name: str, run: str) -> None:
         ("edges refined", 3, None),
         ("preview", 1, 400),
     ):
-        tables = {"picture": {**SIZE, "edges": edges}}
+        tables = {"picture": {**SIZE, "edge_samples": edges}}
         chosen = render_config.Settings.model_validate({"camera": CAMERAS[name], **tables})
         one = FrameRenderer(RunReader(run), chosen, Path("."), longest=longest)
         one.draw(FRAMES[name])

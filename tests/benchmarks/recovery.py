@@ -47,11 +47,11 @@ FIT = """
 [[parameter]]
 key = "{key}"
 range = [{low!r}, {high!r}]
-start = {start!r}
+initial = {initial!r}
 [target]
 {target}
 [method]
-grid = "{grid}"
+discretization_check = "{grid}"
 """
 
 
@@ -120,21 +120,21 @@ class Result:
 def recover(case: Case, folder: Path, told: dict[str, np.ndarray], seed: int) -> Result:
     """A fit to the reference with that noise."""
     if case.camera:
-        target = 'video = "film"\nrender = "render.toml"\ncamera_shift = 3'
+        target = 'video = "film"\nrender = "render.toml"\nmax_camera_shift = 3'
         (folder / "render.toml").write_text(view(*case.camera))
     else:
         columns = ", ".join(f'"{c}"' for c in case.columns)
         target = f'table = "noisy.csv"\nprobe = "it"\ncolumns = [{columns}]'
     low, high = case.range
     text = FIT.format(
-        key=case.key, low=low, high=high, start=case.start, target=target, grid=case.grid
+        key=case.key, low=low, high=high, initial=case.initial, target=target, grid=case.grid
     )
     scene, fit = made(folder, case.scene, text)
     noisy(told, case.columns, folder, seed)
     file = FitFile(fit, api.load(scene))
     began = time.perf_counter()
     runs = RunPool(file.scene, folder / "runs")
-    trials = Evaluations(runs, file.axes, target_of(file), file.settings.method.runs)
+    trials = Evaluations(runs, file.axes, target_of(file), file.settings.method.max_runs)
     found = run_fit(file, trials)
     took = time.perf_counter() - began
     ends = interval(found, file, 0) or (np.nan, np.nan)

@@ -110,7 +110,12 @@ class Subject:
     def __init__(self, kernels: int, fluid: bool = False, surface: bool = False):
         gaussians, x = lumpy_ball(kernels, fluid)
         family = "fluid" if fluid else "solid"
-        entry = {"name": "object", "family": family, "deforms": not fluid, "opacity_scale": 1.0}
+        entry = {
+            "name": "object",
+            "family": family,
+            "tracks_deformation": not fluid,
+            "opacity_scale": 1.0,
+        }
         self.look = Appearance(SimpleNamespace(gaussians=gaussians, objects=[entry]))
         self.alpha_min = self.look.alpha_min(None)
         # the rotation is zero, but is processed like that of any solid

@@ -21,9 +21,9 @@ PHOTOGRAPH = """
 [[camera]]
 name = "one"
 kind = "keyframes"
-keys = [
-    { part = 0, eye = [2, -2, 1] },
-    { part = 1, eye = [2, 2, 1], target = [0.5, 0.5, 0.5], fov = 30 },
+keyframes = [
+    { progress = 0, eye = [2, -2, 1] },
+    { progress = 1, eye = [2, 2, 1], target = [0.5, 0.5, 0.5], fov = 30 },
 ]
 [[camera]]
 name = "two"
@@ -34,10 +34,10 @@ width = 64
 height = 48
 background = "back.png"
 supersample = 2
-floor = { height = 0, color = "#aaaaaa", squares = 0.1, light = [0, 0, -1], shadow = 0.5 }
+floor = { height = 0, color = "#aaaaaa", checker_size = 0.1, light = [0, 0, -1], shadow = 0.5 }
 [look]
 covariance = "fixed"
-harmonics = "fixed"
+rotate_sh = false
 opacity = "fixed"
 """
 FROM_FILES = """
@@ -76,7 +76,10 @@ def bases(folder: Path) -> list[str]:
     found = [path.read_text() for path in sorted(worker.ROOT.glob("runs/*/render.toml"))]
     found = [re.sub(r"(?m)^#.*\n|^ *\w+ *= *[0-9.]+ *$", "", text) for text in found]
     # of a body that the run has
-    found = [re.sub(r"grain *= *\{.*\}", "grain = { pool = 0.06 }", text) for text in found]
+    found = [
+        re.sub(r"brightness_jitter *= *\{.*\}", "brightness_jitter = { pool = 0.06 }", text)
+        for text in found
+    ]
     full = test_settings.FULL.replace('"milk"', '"pool"').replace("water = ", "pool = ")
     full = full.replace('"relax"', '"off"')  # the run does not tell its cells
     return [*found, full.replace('"my duck"', "bar").replace("last = 10", "last = 2"), PHOTOGRAPH,
@@ -87,7 +90,7 @@ def keys() -> list[str]:
     """Names of all keys there are."""
     from vgmpi.rendering import render_config
 
-    tables = (render_config.Key, render_config.CameraSettings, render_config.FloorSettings,
+    tables = (render_config.Keyframe, render_config.CameraSettings, render_config.FloorSettings,
               render_config.PictureSettings, render_config.VideoSettings,
               render_config.FrameSettings,
               render_config.SplattingSettings, render_config.LookSettings,

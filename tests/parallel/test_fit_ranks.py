@@ -45,7 +45,7 @@ def test_a_run_that_blows_up_is_told(alone, tmp_path):
         done = go(scene, file, tmp_path / ranks, "--ranks", ranks)
         assert done.returncode == 0, done.stderr
         with open(tmp_path / ranks / "fit.csv") as f:
-            found.append([(row["loss"], row["held_out"]) for row in csv.DictReader(f)])
+            found.append([(row["loss"], row["holdout_loss"]) for row in csv.DictReader(f)])
     assert found[0] == found[1]
     assert ("blew up", "") in found[0] and any(loss != "blew up" for loss, _ in found[0])
 

@@ -26,7 +26,7 @@ height = 80
 def drawn(variant, turned=True):
     """Splats of a pool that carries F and of a bar that has turned, drawn as a variant."""
     run, rows = fake(scenery=False, k=4)
-    run.objects[0]["deforms"] = True
+    run.objects[0]["tracks_deformation"] = True
     rows["sh"][:, 1:] = 0.3 * np.random.default_rng(0).normal(size=rows["sh"][:, 1:].shape)
     rows["cov0"][WATER] = drawn_runs.diagonal(4e-4, 1e-4, 2.5e-5, drawn_runs.WATER)
     f = frame(rows)

@@ -40,7 +40,7 @@ def test_a_floor_takes_the_place_of_the_background_and_carries_a_shadow(out, tmp
 
 
 def test_squares_and_supersampling(out, tmp_path):
-    key = "{ height = -0.3, squares = 0.2, other = [0, 0, 0], shadow = 0 }"
+    key = "{ height = -0.3, checker_size = 0.2, checker_color = [0, 0, 0], shadow = 0 }"
     got = picture(out, tmp_path, f"supersample = 2\nfloor = {key}\n")
     near = got[-8:, :, 0]  # nearest to the camera, where squares are many pixels wide
     assert (near < 10).any() and (np.abs(near - 217) < 3).any()
@@ -53,7 +53,7 @@ def test_squares_and_supersampling(out, tmp_path):
         ("floor = { light = [0, 0, 1] }", "points down"),
         ("floor = { color = 'red.png' }", "such as '#6fb7d6'"),
         ("floor = { shadow = 2 }", "less than or equal to 1"),
-        ("floor = { squares = 0 }", "greater than 0"),
+        ("floor = { checker_size = 0 }", "greater than 0"),
         ("floor = {}\nbackground = 'none'", "transparent"),
         ("floor = { heigth = 1 }", "picture.floor.heigth: unknown key"),
         ("floor = { heigth = 1 }", "did you mean 'height'"),

@@ -261,11 +261,17 @@ def still(n=400, k=1, families=("fluid", "fluid"), sets=None, **look_of_scene):
         digest="",
     )
     objects = [
-        {"name": name, "family": family, "material": name, "phase": phase, "deforms": False}
+        {
+            "name": name,
+            "family": family,
+            "material": name,
+            "phase": phase,
+            "tracks_deformation": False,
+        }
         for name, family, phase in zip(("a", "b"), families, look_of_scene.pop("phase", "pp"))
     ]
     for entry, number in zip(objects, sets or ()):
-        entry["colour_set"] = number
+        entry["color_group"] = number
     scene = {"domain": {"cell": 0.05}, "appearance": look_of_scene}
     frame = {"id": np.arange(n), "x": rng.uniform(0, 0.2, (n, 3)).astype("f4")}
     return SimpleNamespace(gaussians=rest, objects=objects, scene=scene), frame

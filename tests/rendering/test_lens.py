@@ -49,7 +49,9 @@ def test_the_mean_of_a_lens_is_wider_and_as_bright():
 
 def painter(tmp_path, text):
     path = tmp_path / "render.toml"
-    path.write_text(drawn_runs.on_paper("[picture]\nwidth = 96\nheight = 80\nsamples = 8\n" + text))
+    path.write_text(
+        drawn_runs.on_paper("[picture]\nwidth = 96\nheight = 80\nblur_samples = 8\n" + text)
+    )
     run = RunReader(drawn_runs.write(tmp_path / f"run{len(list(tmp_path.iterdir()))}", frames=3))
     return FrameRenderer(run, load(path), tmp_path)
 

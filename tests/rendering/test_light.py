@@ -92,7 +92,7 @@ def test_grain_is_of_a_particle_whatever_the_frame(tmp_path):
     assert abs(_random(np.arange(10000)).mean()) < 0.03
     assert np.abs(_random(np.arange(10000))).max() <= 1
     plain, eye = Appearance(run, LookSettings(color_transfer="off")), np.array([0.5, -2.0, 0.5])
-    grainy = Appearance(run, LookSettings(color_transfer="off", grain={"bar": 0.3}))
+    grainy = Appearance(run, LookSettings(color_transfer="off", brightness_jitter={"bar": 0.3}))
     factors = []
     for k in range(3):
         frame = plain.frame(k)
@@ -107,6 +107,6 @@ def test_grain_is_of_a_particle_whatever_the_frame(tmp_path):
     bar = factors[0][scenery + drawn_runs.WATER :]
     assert 0.1 < bar.std() < 0.25 and bar.min() >= 0.7 and bar.max() <= 1.3
     with pytest.raises(
-        SettingsError, match="look.grain: there is no object 'bra' .did you mean 'bar'"
+        SettingsError, match="look.brightness_jitter: there is no object 'bra' .did you mean 'bar'"
     ):
-        Appearance(run, LookSettings(grain={"bra": 0.3}))
+        Appearance(run, LookSettings(brightness_jitter={"bra": 0.3}))

@@ -20,7 +20,7 @@ def drawn(deforms=None, k=1, **chosen):
     rows["sh"][:, 1:] = 0.2 * rng.normal(size=rows["sh"][:, 1:].shape)
     rows["cov0"][WATER] = drawn_runs.diagonal(4e-4, 1e-4, 2.5e-5, drawn_runs.WATER)
     if deforms is not None:
-        run.objects[0]["deforms"] = deforms
+        run.objects[0]["tracks_deformation"] = deforms
     f = frame(rows)
     f["F"][WATER] = (np.diag([1.2, 1.0, 0.9]) @ drawn_runs.rotation(0.3)).ravel()
     return Appearance(run, LookSettings(**chosen)).splats(f, EYE), f, rows
@@ -36,13 +36,13 @@ def test_fixed_shapes_and_harmonics_need_no_deformation():
     rows["sh"][:, 1:] = 0.2
     f = frame(rows)
     del f["F"]
-    chosen = LookSettings(covariance="fixed", harmonics="fixed")
+    chosen = LookSettings(covariance="fixed", rotate_sh=False)
     assert len(Appearance(run, chosen).splats(f, EYE).x) == len(f["x"])
 
 
 @pytest.mark.parametrize("covariance", ["evolve", "fixed"])
 def test_fixed_harmonics_do_not_turn(covariance):
-    s, f, rows = drawn(k=16, harmonics="fixed", covariance=covariance)
+    s, f, rows = drawn(k=16, rotate_sh=False, covariance=covariance)
     want = spherical_harmonics.evaluate(rows["sh"], f["x"] - EYE)
     np.testing.assert_allclose(s.color, want, atol=1e-5)
     turned, _, _ = drawn(k=16, covariance=covariance)
@@ -56,18 +56,18 @@ def test_fixed_opacities_are_as_captured():
 
 def test_balls_by_volume_by_radius_or_by_deformation():
     usual, f, rows = drawn()
-    by_volume, _, _ = drawn(normalise="volume")
+    by_volume, _, _ = drawn(covariance_normalization="volume")
     np.testing.assert_array_equal(by_volume.cov, usual.cov)
     want = shape_evolution.volume_sphere_covariance(rows["vol0"], f["J"])[WATER]
     np.testing.assert_allclose(by_volume.cov[WATER], want)
 
-    by_radius, _, _ = drawn(normalise="radius")
+    by_radius, _, _ = drawn(covariance_normalization="radius")
     r2 = (4e-4 * 1e-4 * 2.5e-5) ** (1 / 3)
     want = np.cbrt(f["J"][WATER]) ** 2 * r2
     np.testing.assert_allclose(by_radius.cov[WATER][:, (0, 3, 5)], want[:, None] * [1, 1, 1], 1e-6)
     assert not by_radius.cov[WATER][:, (1, 2, 4)].any()
 
-    swollen, _, _ = drawn(normalise="deformation")
+    swollen, _, _ = drawn(covariance_normalization="none")
     want = np.cbrt(f["J"])[:, None] ** 2 * rows["cov0"]
     np.testing.assert_allclose(swollen.cov[WATER], want[WATER], rtol=1e-5)
 
@@ -76,7 +76,7 @@ def test_balls_by_volume_by_radius_or_by_deformation():
 
 
 def test_fluids_that_carry_a_deformation_gradient_follow_it():
-    for chosen in ({}, {"normalise": "deformation"}):
+    for chosen in ({}, {"covariance_normalization": "none"}):
         s, f, rows = drawn(deforms=True, k=4, **chosen)
         F = f["F"][WATER].reshape(-1, 3, 3)
         want = F @ unpack_symmetric(rows["cov0"][WATER]) @ F.transpose(0, 2, 1)
@@ -84,7 +84,7 @@ def test_fluids_that_carry_a_deformation_gradient_follow_it():
         turned = spherical_harmonics.rotate(rows["sh"][WATER], shape_evolution.rotation(F))
         want = spherical_harmonics.evaluate(turned, f["x"][WATER] - EYE)
         np.testing.assert_allclose(s.color[WATER], want, atol=1e-5)
-    s, f, rows = drawn(deforms=True, k=4, normalise="volume")
+    s, f, rows = drawn(deforms=True, k=4, covariance_normalization="volume")
     np.testing.assert_allclose(
         s.cov[WATER], shape_evolution.volume_sphere_covariance(rows["vol0"], f["J"])[WATER]
     )

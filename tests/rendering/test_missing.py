@@ -15,7 +15,7 @@ from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.rendering.appearance import Appearance
 
-SMALL = "[picture]\nwidth = 96\nheight = 80\n[camera]\nturns = 0.5\n"
+SMALL = "[picture]\nwidth = 96\nheight = 80\n[camera]\nrevolutions = 0.5\n"
 GONE = 2
 
 

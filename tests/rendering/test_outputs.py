@@ -20,7 +20,7 @@ from vgmpi.rendering import frame_renderer, image_io
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = "[picture]\nwidth = 96\nheight = 80\n"
 DRAW = ("-m", "postprocess.render")
-TWO = '[[camera]]\nname = "south"\nangle = 0\n[[camera]]\nname = "east"\nangle = 90\n'
+TWO = '[[camera]]\nname = "south"\nazimuth = 0\n[[camera]]\nname = "east"\nazimuth = 90\n'
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ SURFACE = """background = "#ddeeff"
 floor = { height = 0 }
 [light]
 [liquid]
-clear = 2
+absorption_length = 2
 [look]
 liquid = "surface"
 """
@@ -76,11 +76,11 @@ def test_liquids_with_a_surface_on_any_number_of_processes(out, tmp_path):
         assert 0.5 < np.median(depth[np.isfinite(depth)]) < 5
 
 
-def test_surroundings_that_are_no_picture(out, tmp_path, capsys):
-    sky = '[look]\nliquid = "surface"\n[liquid.surroundings]\npicture = "sky.png"\n'
+def test_an_environment_that_is_no_picture(out, tmp_path, capsys):
+    sky = '[look]\nliquid = "surface"\n[liquid.environment]\npicture = "sky.png"\n'
     (tmp_path / "render.toml").write_text(drawn_runs.on_paper(SMALL + sky))
     assert render.main([str(out), str(tmp_path / "render.toml"), "-q"]) == 2
-    assert "liquid.surroundings.picture: " in capsys.readouterr().err
+    assert "liquid.environment.picture: " in capsys.readouterr().err
 
 
 def test_cameras_draw_as_if_they_were_alone(out, tmp_path, capsys):
@@ -89,7 +89,7 @@ def test_cameras_draw_as_if_they_were_alone(out, tmp_path, capsys):
     assert said == [str(tmp_path / "pictures" / name) for name in ("south", "east")]
     for name, angle in (("south", 0), ("east", 90)):
         (tmp_path / name).mkdir()
-        draw(out, tmp_path / name, f"[camera]\nangle = {angle}\n", "-o", tmp_path / name / "p")
+        draw(out, tmp_path / name, f"[camera]\nazimuth = {angle}\n", "-o", tmp_path / name / "p")
         for k in range(4):
             alone = iio.imread(tmp_path / name / "p" / f"frame_0000{k}.png")
             got = iio.imread(tmp_path / "pictures" / name / f"frame_0000{k}.png")

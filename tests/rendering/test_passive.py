@@ -148,7 +148,7 @@ def test_colors_change_with_those_of_the_carriers(riding):
 
 def test_riders_obey_the_look(riding):
     """With shapes and colors fixed they keep those at rest, and opacities are scaled by name."""
-    chosen = LookSettings(covariance="fixed", harmonics="fixed", opacity_scale={"duck": 0.5})
+    chosen = LookSettings(covariance="fixed", rotate_sh=False, opacity_scale={"duck": 0.5})
     part = look_of(riding, chosen).parts(moved(riding, AFFINE, np.zeros(3)))[1]
     assert np.array_equal(part.cov, riding.passive.cov0)
     assert np.allclose(part.opacity, 0.5 * riding.passive.opacity) and not len(part.turning)

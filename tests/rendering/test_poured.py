@@ -70,6 +70,6 @@ def test_files_are_whole(run):
     for name in ("series.vtkhdf", "gaussians.h5", "frames/frame_00001.vtkhdf"):
         assert "NOT VALID" not in inspect(run.folder / name)
     for row in csv_log.read_rows(run.folder / "ledger.csv"):
-        assert row["count_in"] - row["count_out"] == row["count"]
-    assert row["count_out"] > 0
-    assert run.objects[1]["role"] == "source" and run.objects[1]["count"] > 0
+        assert row["particles_in"] - row["particles_out"] == row["particles"]
+    assert row["particles_out"] > 0
+    assert run.objects[1]["role"] == "source" and run.objects[1]["row_count"] > 0

@@ -46,7 +46,7 @@ def reddest(picture):
 
 def test_a_video_with_its_pictures(out, tmp_path, capsys):
     v = tmp_path / "v.mp4"
-    argv = [str(out), toml(tmp_path, "[camera]\nangle = 0\n[video]\nfps = 5\n"), "-o", str(v)]
+    argv = [str(out), toml(tmp_path, "[camera]\nazimuth = 0\n[video]\nfps = 5\n"), "-o", str(v)]
     assert render.main([*argv, "--frames", str(tmp_path / "png"), "-q"]) == 0
     assert capsys.readouterr().out.strip() == str(v)
     meta, got = read(v)
@@ -65,7 +65,7 @@ def test_a_video_with_its_pictures(out, tmp_path, capsys):
 
 
 def test_processes_share_the_frames_without_changing_them(out, tmp_path):
-    argv = [str(out), toml(tmp_path, "[camera]\nturns = 1\n"), "-q"]
+    argv = [str(out), toml(tmp_path, "[camera]\nrevolutions = 1\n"), "-q"]
     for jobs in ("1", "2"):
         where = tmp_path / jobs
         more = ["-o", str(where / "v.mp4"), "--frames", str(where / "png"), "--jobs", jobs]
@@ -76,10 +76,10 @@ def test_processes_share_the_frames_without_changing_them(out, tmp_path):
 
 
 def test_an_orbit_goes_round(out, tmp_path):
-    argv = [str(out), toml(tmp_path, "[camera]\nturns = 1\nangle = 0\n"), "-q"]
+    argv = [str(out), toml(tmp_path, "[camera]\nrevolutions = 1\nazimuth = 0\n"), "-q"]
     assert render.main([*argv, "-o", str(tmp_path / "v.mp4"), "--frames", str(tmp_path / "p")]) == 0
     first, second = (iio.imread(tmp_path / "p" / f"frame_0000{k}.png") for k in (0, 3))
-    still = [str(out), toml(tmp_path, "[camera]\nangle = 360\n"), "-q", "--frame", "3"]
+    still = [str(out), toml(tmp_path, "[camera]\nazimuth = 360\n"), "-q", "--frame", "3"]
     assert render.main([*still, "-o", str(tmp_path / "a.png")]) == 0
     # an orbit steps back as far as its widest view asks, so compare what is where, not pixels
     assert reddest(second)[2] == pytest.approx(reddest(iio.imread(tmp_path / "a.png"))[2], abs=6)

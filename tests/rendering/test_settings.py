@@ -15,8 +15,8 @@ kind = "orbit"
 target = [0.5, 0.5, 0.3]
 distance = 2.5
 height = 1
-turns = 0.5
-angle = 30
+revolutions = 0.5
+azimuth = 30
 fov = 35
 up = [0, 0, 1]
 near = 0.01
@@ -44,7 +44,7 @@ color_transfer = "relax"
 color_relaxation_time = 0.5
 color_objects = ["milk"]
 covariance = "fixed"
-normalise = "radius"
+covariance_normalization = "radius"
 
 [look.opacity_scale]
 water = 0.02
@@ -64,7 +64,7 @@ def test_everything_may_be_left_out(tmp_path):
 
 def test_everything_may_be_said(tmp_path):
     s = load(tmp_path, FULL)
-    assert s.camera[0].turns == 0.5 and s.camera[0].target == (0.5, 0.5, 0.3)
+    assert s.camera[0].revolutions == 0.5 and s.camera[0].target == (0.5, 0.5, 0.3)
     assert s.picture.background == (0.1, 0.2, 0.3)
     assert s.splatting.options() == {"lowpass": 0.1, "antialias": True}
     assert (s.frames.first, s.frames.last, s.frames.every) == (1, 10, 2)
@@ -83,8 +83,8 @@ def test_a_fixed_camera(tmp_path):
     "said, want", [("30", 30), ('"30 deg"', 30), ('"0.5 rad"', 28.647889756541), ('"33 deg"', 33)]
 )
 def test_angles_are_degrees_or_have_a_unit(tmp_path, said, want):
-    s = load(tmp_path, f"[camera]\nangle = {said}\nfov = {said}")
-    assert s.camera[0].angle == s.camera[0].fov == want
+    s = load(tmp_path, f"[camera]\nazimuth = {said}\nfov = {said}")
+    assert s.camera[0].azimuth == s.camera[0].fov == want
 
 
 BAD = {
@@ -95,18 +95,18 @@ BAD = {
     "a key outside its table": ("\nfov = 3", 2, "fov", "known here: camera"),
     "a wrong kind": ('[camera]\nkind = "orbitt"', 2, "camera.kind", "did you mean 'orbit'?"),
     "a word for a number": ('[camera]\nfov = "wide"', 2, "camera.fov", "'wide'"),
-    "out of range": ("[camera]\nturns = 1\nfov = 190", 3, "camera.fov", "less than 170"),
+    "out of range": ("[camera]\nrevolutions = 1\nfov = 190", 3, "camera.fov", "less than 170"),
     "not finite": ("[camera]\nheight = inf", 2, "camera.height", "finite"),
     "two numbers": ("[camera]\ntarget = [1, 2]", 2, "camera.target", "three numbers"),
     "a number for a direction": ("[camera]\nup = 3", 2, "camera.up", "three numbers"),
     "no direction": ("[camera]\nup = [0, 0, 0]", 2, "camera.up", "not zero"),
     "fixed without eye": ('\n[camera]\nkind = "fixed"', 2, "camera", "needs eye"),
     "orbit with eye": ("[camera]\neye = [1, 2, 3]", 1, "camera", "has no eye"),
-    "fixed with turns": (
-        '[camera]\nkind = "fixed"\neye = [1, 2, 3]\nturns = 2',
+    "fixed with revolutions": (
+        '[camera]\nkind = "fixed"\neye = [1, 2, 3]\nrevolutions = 2',
         1,
         "camera",
-        "has no turns",
+        "has no revolutions",
     ),
     "too high": ("[camera]\ndistance = 1\nheight = 2", 1, "camera", "less than distance"),
     "eye at the target": (
@@ -135,16 +135,26 @@ BAD = {
         "look.liquid",
         "must be one of gaussians, surface; got 'glass'",
     ),
-    "less than air refracts": ("[liquid]\nindex = 0.9", 2, "liquid.index", "equal to 1"),
-    "surroundings of no color": (
-        '[liquid.surroundings]\nzenith = "blue"',
+    "less than air refracts": (
+        "[liquid]\nrefractive_index = 0.9",
         2,
-        "liquid.surroundings.zenith",
+        "liquid.refractive_index",
+        "equal to 1",
+    ),
+    "environment of no color": (
+        '[liquid.environment]\nzenith = "blue"',
+        2,
+        "liquid.environment.zenith",
         "a color such as",
     ),
     "a light of no direction": ("[light]\ndirection = [0, 0, 0]", 2, "light.direction", "not zero"),
     "more shadow than light": ("[light]\nshadow = 1.5", 2, "light.shadow", "equal to 1"),
-    "grain above 1": ("[look.grain]\nsand = 2", 2, "look.grain.sand", "equal to 1"),
+    "jitter above 1": (
+        "[look.brightness_jitter]\nsand = 2",
+        2,
+        "look.brightness_jitter.sand",
+        "equal to 1",
+    ),
     "a scale above 1": (
         "[look]\n\n[look.opacity_scale]\nwater = 0.1\nmilk = 2",
         5,
@@ -173,7 +183,12 @@ BAD = {
     "a table that is a number": ("picture = 3", 1, "picture", "must be a table of keys; got 3"),
     "a camera that is a number": ("camera = 3", 1, "camera", "must be a table [camera]"),
     "no camera": ("\ncamera = []", 2, "camera", "at least 1 item"),
-    "a list that is a number": ("[camera]\n\nkeys = 3", 3, "camera.keys", "must be a list; got 3"),
+    "a list that is a number": (
+        "[camera]\n\nkeyframes = 3",
+        3,
+        "camera.keyframes",
+        "must be a list; got 3",
+    ),
     "part of a color": (
         "[picture]\nbackground = [1,\n 2]",
         2,

@@ -28,7 +28,7 @@ NO_WORD = [
 ]
 BAD = {
     "look.preset": NO_WORD,
-    "look.children": [*NO_NUMBER, "0", "65", "1.5", "true", '"16"'],
+    "look.grains_per_particle": [*NO_NUMBER, "0", "65", "1.5", "true", '"16"'],
     "look.tear": [
         "3", '"far"', "nan", "[]", "[2]", "[2, 3, 4]", "[4, 2]", "[0.5, 3]", "[2, 21]", "[nan, 3]",
         "[2, inf]", "[-1, 3]", '["a", "b"]', "[1e300, 1e301]", "{}", "true",
@@ -36,21 +36,21 @@ BAD = {
     "look.dust": NO_SHARE,
     "look.foam": NO_SHARE,
     "liquid.method": NO_WORD,
-    "liquid.fine": [*NO_NUMBER, "0.99", "4.01", "0"],
-    "liquid.scatter": [*NO_NUMBER, "-1e-9", "1e-300"],
-    "liquid.walls": [
+    "liquid.cells_per_spacing": [*NO_NUMBER, "0.99", "4.01", "0"],
+    "liquid.scattering_coefficient": [*NO_NUMBER, "-1e-9", "1e-300"],
+    "liquid.clip_at_walls": [
         '"maybe"', "3", "nan", "-1", "[]", "[true]", "{}", '""', "1e300", "inf", "1979-05-27",
     ],
-    "liquid.clear": [*NO_NUMBER, "0", "1e-300", "-0.5"],
+    "liquid.absorption_length": [*NO_NUMBER, "0", "1e-300", "-0.5"],
     "light.key": [*NO_NUMBER, "10.1", "1e-300"],
     "light.sky": [*NO_NUMBER, "10.1", "1e-300"],
     "light.width": [*NO_NUMBER, "0", "0.004", "0.51"],
     "light.cells": [*NO_NUMBER, "15", "401", "0", "16.5"],
     "light.captures": NO_SHARE,
-    "picture.tone": NO_WORD,
-    "picture.edges": [*NO_NUMBER, "0", "9", "2.5"],
+    "picture.tone_mapping": NO_WORD,
+    "picture.edge_samples": [*NO_NUMBER, "0", "9", "2.5"],
     "picture.floor.kind": NO_WORD,
-    "picture.floor.tiles": [*NO_NUMBER, "-1e-9", "1e-300"],
+    "picture.floor.tile_size": [*NO_NUMBER, "-1e-9", "1e-300"],
     "light": NO_TABLE,
     "picture.floor": NO_TABLE,
 }  # fmt: skip
@@ -120,21 +120,40 @@ def run(tmp_path_factory):
 
 BOUNDS = {
     "least": {
-        "look": {"children": 1, "tear": (1.0, 1.0), "dust": 0.0, "foam": 0.0},
-        "liquid": {"fine": 1.0, "scatter": 0.0, "clear": 1e-9, "index": 1.0, "walls": False},
+        "look": {"grains_per_particle": 1, "tear": (1.0, 1.0), "dust": 0.0, "foam": 0.0},
+        "liquid": {
+            "cells_per_spacing": 1.0,
+            "scattering_coefficient": 0.0,
+            "absorption_length": 1e-9,
+            "refractive_index": 1.0,
+            "clip_at_walls": False,
+        },
         "light": {"key": 0.0, "sky": 0.0, "width": 0.005, "cells": 16, "captures": 0.0},
-        "picture": {"tone": "none", "edges": 1, "floor": {"tiles": 0.0}},
+        "picture": {"tone_mapping": "none", "edge_samples": 1, "floor": {"tile_size": 0.0}},
     },
     "most": {
-        "look": {"children": 64, "tear": (20.0, 20.0), "dust": 1.0, "foam": 1.0},
-        "liquid": {"fine": 4.0, "scatter": 1e100, "clear": 1e100, "index": 3.0},
+        "look": {"grains_per_particle": 64, "tear": (20.0, 20.0), "dust": 1.0, "foam": 1.0},
+        "liquid": {
+            "cells_per_spacing": 4.0,
+            "scattering_coefficient": 1e100,
+            "absorption_length": 1e100,
+            "refractive_index": 3.0,
+        },
         "light": {"key": 10.0, "sky": 10.0, "width": 0.5, "cells": 200, "captures": 1.0},
-        "picture": {"tone": "neutral", "edges": 8, "floor": {"kind": "studio", "tiles": 1e100}},
+        "picture": {
+            "tone_mapping": "neutral",
+            "edge_samples": 8,
+            "floor": {"kind": "studio", "tile_size": 1e100},
+        },
     },
     "tiny": {
-        "liquid": {"scatter": 1e-100, "clear": 1e-100, "fine": 1.0},
+        "liquid": {
+            "scattering_coefficient": 1e-100,
+            "absorption_length": 1e-100,
+            "cells_per_spacing": 1.0,
+        },
         "light": {"key": 1e-100, "sky": 1e-100, "cells": 16, "direction": (1.0, 0.0, 0.0)},
-        "picture": {"floor": {"tiles": 1e-100, "kind": "plain", "squares": 1e-100}},
+        "picture": {"floor": {"tile_size": 1e-100, "kind": "plain", "checker_size": 1e-100}},
     },
     "from below": {
         "light": {"direction": (0.0, 0.0, 1.0), "cells": 16},
@@ -202,7 +221,11 @@ CHANGES = {
     "no J": without("J"),
     "no velocity, no J": without("velocity", "J"),
 }
-QUICK = {"liquid": {"fine": 1.0}, "light": {"cells": 32}, "picture": {"edges": 2}}
+QUICK = {
+    "liquid": {"cells_per_spacing": 1.0},
+    "light": {"cells": 32},
+    "picture": {"edge_samples": 2},
+}
 
 
 @pytest.mark.parametrize("name", CHANGES)

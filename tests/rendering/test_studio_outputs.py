@@ -19,7 +19,7 @@ from vgmpi.rendering.frame_renderer import FrameRenderer
 
 SMALL = "[picture]\nwidth = 64\nheight = 48\n"
 DRAW = ("-m", "postprocess.render")
-TWO = '[[camera]]\nname = "south"\nangle = 0\n[[camera]]\nname = "east"\nangle = 90\n'
+TWO = '[[camera]]\nname = "south"\nazimuth = 0\n[[camera]]\nname = "east"\nazimuth = 90\n'
 CLEAR = 'background = "none"\n'
 # the bar is in the middle of the picture, 2.5 m away
 BAR = '[camera]\nkind = "fixed"\neye = [0.5, -2, 0.85]\ntarget = [0.5, 0.5, 0.85]\n'
@@ -65,7 +65,9 @@ def test_a_picture_is_the_same_when_drawn_twice(out, tmp_path):
 
 def test_processes_share_the_frames_without_changing_them(out, tmp_path):
     for jobs in (1, 2):
-        draw(out, tmp_path, "[camera]\nturns = 1\n", "-o", tmp_path / str(jobs), "--jobs", jobs)
+        draw(
+            out, tmp_path, "[camera]\nrevolutions = 1\n", "-o", tmp_path / str(jobs), "--jobs", jobs
+        )
     one, two = (pictures(tmp_path / jobs) for jobs in "12")
     assert len(one) == FRAMES
     same(one, two)
@@ -86,7 +88,7 @@ def test_cameras_draw_as_if_they_were_alone(out, tmp_path):
     south, east = (one.picture for one in both)
     assert np.abs(south.astype(int) - east).mean() > 2
     for angle, got in ((0, south), (90, east)):
-        alone = painter(out, tmp_path, f"[camera]\nangle = {angle}\n").draw(1)
+        alone = painter(out, tmp_path, f"[camera]\nazimuth = {angle}\n").draw(1)
         np.testing.assert_array_equal(got, alone)
 
 
@@ -127,7 +129,7 @@ def test_a_clear_background_leaves_the_corners_transparent(out, tmp_path):
 
 def test_a_clear_picture_over_a_color_is_nearly_the_picture_on_it(out, tmp_path):
     """Of solids; what is seen through water is bent and mirrored, and is there only once."""
-    plain = 'background = "#204060"\ntone = "neutral"\nfloor = { kind = "none" }\n'
+    plain = 'background = "#204060"\ntone_mapping = "neutral"\nfloor = { kind = "none" }\n'
     clear, want = (
         painter(out, tmp_path, one + BAR).draw(0).astype(float) for one in (CLEAR, plain)
     )
@@ -173,12 +175,12 @@ def test_an_open_shutter_smears_what_moves(out, tmp_path):
     """And nothing else: the bar's neighbourhood and the water move, the sky does not."""
     more = BAR + "[video]\nshutter = %s\n"
     still, open_ = (
-        painter(out, tmp_path, "samples = 4\n" + more % share).draw(1).astype(int)
+        painter(out, tmp_path, "blur_samples = 4\n" + more % share).draw(1).astype(int)
         for share in (0, 1)
     )
     off = np.abs(still - open_).max(axis=2)
     assert off.max() > 8 and off[:4].max() <= 1
-    again = painter(out, tmp_path, "samples = 4\n" + more % 1).draw(1)
+    again = painter(out, tmp_path, "blur_samples = 4\n" + more % 1).draw(1)
     np.testing.assert_array_equal(again, open_)
 
 
@@ -186,7 +188,7 @@ def test_an_aperture_blurs_what_is_not_in_focus(out, tmp_path):
     steep, spent = {}, {}
     for focus in (None, 2.5, 0.8):
         lens = "" if focus is None else f"aperture = 0.08\nfocus = {focus}\n"
-        mine = painter(out, tmp_path, "samples = 16\n" + BAR + lens)
+        mine = painter(out, tmp_path, "blur_samples = 16\n" + BAR + lens)
         mine.draw(1)  # compiles
         began = time.process_time()
         picture = mine.draw(1).astype(int)

@@ -1,4 +1,4 @@
-"""Cameras of render.toml over a video: paths through keys and through the cameras of files."""
+"""Cameras of render.toml over a video: paths through keyframes and through the cameras of files."""
 
 import json
 from pathlib import Path
@@ -14,11 +14,11 @@ BOX = (np.zeros(3), np.ones(3))
 KEYS = """[camera]
 kind = "keyframes"
 target = [0.5, 0.5, 0.5]
-keys = [
-  { part = 0, eye = [3, 0, 1], fov = 30 },
-  { part = 0.4, eye = [2, 2, 1], fov = 50 },
-  { part = 0.6, eye = [2, 2, 1], target = [0, 0, 0], fov = 50 },
-  { part = 1, eye = [0, 3, 4] },
+keyframes = [
+  { progress = 0, eye = [3, 0, 1], fov = 30 },
+  { progress = 0.4, eye = [2, 2, 1], fov = 50 },
+  { progress = 0.6, eye = [2, 2, 1], target = [0, 0, 0], fov = 50 },
+  { progress = 1, eye = [0, 3, 4] },
 ]
 """
 
@@ -55,7 +55,7 @@ def test_a_path_goes_through_its_keys_and_is_smooth(tmp_path):
 
 
 def test_a_path_by_the_time_of_the_run(tmp_path):
-    text = '[camera]\nkind = "keyframes"\nkeys = [{time = 2, eye = [1, 0, 0]}, '
+    text = '[camera]\nkind = "keyframes"\nkeyframes = [{time = 2, eye = [1, 0, 0]}, '
     view = viewpoint(tmp_path, text + "{time = 4, eye = [3, 0, 0]}]")
     for time, x in [(0, 1), (2, 1), (3, 2), (4, 3), (9, 3)]:
         np.testing.assert_allclose(view.camera_at(0.0, time).eye, (x, 0, 0), atol=1e-9)
@@ -110,53 +110,57 @@ def test_a_preview_is_the_same_view_in_fewer_pixels(tmp_path, kind):
 
 
 def test_eye_and_target_that_meet_on_the_way(tmp_path):
-    text = '[camera]\nkind = "keyframes"\nkeys = [{part = 0, eye = [0, 0, 0], target = [1, 0, 0]}, '
-    view = viewpoint(tmp_path, text + "{part = 1, eye = [1, 0, 0], target = [0, 0, 0]}]")
+    text = '[camera]\nkind = "keyframes"\n'
+    text += "keyframes = [{progress = 0, eye = [0, 0, 0], target = [1, 0, 0]}, "
+    view = viewpoint(tmp_path, text + "{progress = 1, eye = [1, 0, 0], target = [0, 0, 0]}]")
     with pytest.raises(render_config.SettingsError, match="stands at its target"):
         view.camera_at(0.5, 0.0)
 
 
 BAD = {
-    "no keys": ("", "needs keys"),
-    "one key": ("keys = [{part = 0, eye = [1, 2, 3]}]", "two or more"),
+    "no keyframes": ("", "needs keyframes"),
+    "one keyframe": ("keyframes = [{progress = 0, eye = [1, 2, 3]}]", "two or more"),
     "no eye": (
-        "keys = [{part = 0}, {part = 1, eye = [1, 2, 3]}]",
-        "camera.keys.0.eye: required key is missing: where the camera stands",
+        "keyframes = [{progress = 0}, {progress = 1, eye = [1, 2, 3]}]",
+        "camera.keyframes.0.eye: required key is missing: where the camera stands",
     ),
-    "no part": (
-        "keys = [{eye = [1, 2, 3]}, {part = 1, eye = [1, 2, 4]}]",
-        "camera.keys.0: needs one of part, time",
+    "no progress": (
+        "keyframes = [{eye = [1, 2, 3]}, {progress = 1, eye = [1, 2, 4]}]",
+        "camera.keyframes.0: needs one of progress, time",
     ),
     "mixed": (
-        "keys = [{part = 0, eye = [1, 2, 3]}, {time = 1, eye = [1, 2, 4]}]",
+        "keyframes = [{progress = 0, eye = [1, 2, 3]}, {time = 1, eye = [1, 2, 4]}]",
         "all need time",
     ),
     "backwards": (
-        "keys = [{part = 0.5, eye = [1, 2, 3]}, {part = 0.5, eye = [1, 2, 4]}]",
+        "keyframes = [{progress = 0.5, eye = [1, 2, 3]}, {progress = 0.5, eye = [1, 2, 4]}]",
         "must grow",
     ),
     "beyond": (
-        "keys = [{part = 0, eye = [1, 2, 3]}, {part = 2, eye = [1, 2, 4]}]",
-        "camera.keys.1.part: must be less than or equal to 1; got 2",
+        "keyframes = [{progress = 0, eye = [1, 2, 3]}, {progress = 2, eye = [1, 2, 4]}]",
+        "camera.keyframes.1.progress: must be less than or equal to 1; got 2",
     ),
     "a wide lens": (
-        "keys = [{part = 0, eye = [1, 2, 3], fov = 190}, {part = 1, eye = [1, 2, 4]}]",
-        "camera.keys.0.fov: must be less than or equal to 170; got 190",
+        "keyframes = [{progress = 0, eye = [1, 2, 3], fov = 190}, {progress = 1, eye = [1, 2, 4]}]",
+        "camera.keyframes.0.fov: must be less than or equal to 170; got 190",
     ),
     "an unknown word": (
-        "keys = [{part = 0, eye = [1, 2, 3], roll = 3}, SECOND]",
-        "camera.keys.0.roll: unknown key",
+        "keyframes = [{progress = 0, eye = [1, 2, 3], roll = 3}, SECOND]",
+        "camera.keyframes.0.roll: unknown key",
     ),
     "a point of two numbers": (
-        "keys = [{part = 0, eye = [1, 2]}, SECOND]",
-        "camera.keys.0.eye: must be three",
+        "keyframes = [{progress = 0, eye = [1, 2]}, SECOND]",
+        "camera.keyframes.0.eye: must be three",
     ),
-    "numbers": ("keys = [1, SECOND]", "camera.keys.0: must be a table of keys; got 1"),
+    "numbers": ("keyframes = [1, SECOND]", "camera.keyframes.0: must be a table of keys; got 1"),
     "at its target": (
-        "keys = [{part = 0, eye = [1, 2, 3], target = [1, 2, 3]}, SECOND]",
-        "camera.keys.0: eye and target",
+        "keyframes = [{progress = 0, eye = [1, 2, 3], target = [1, 2, 3]}, SECOND]",
+        "camera.keyframes.0: eye and target",
     ),
-    "a file": ('file = "x"\nkeys = [{part=0,eye=[1,2,3]}, {part=1,eye=[1,2,4]}]', "has no file"),
+    "a file": (
+        'file = "x"\nkeyframes = [{progress=0,eye=[1,2,3]}, {progress=1,eye=[1,2,4]}]',
+        "has no file",
+    ),
 }
 
 
@@ -164,7 +168,7 @@ BAD = {
 def test_wrong_keys_are_one_line(tmp_path, name):
     text, says = BAD[name]
     path = tmp_path / "render.toml"
-    text = text.replace("SECOND", "{part = 1, eye = [1, 2, 4]}")
+    text = text.replace("SECOND", "{progress = 1, eye = [1, 2, 4]}")
     path.write_text(f'[camera]\nkind = "keyframes"\n{text}')
     with pytest.raises(render_config.SettingsError) as caught:
         render_config.load(path)
@@ -203,9 +207,9 @@ def test_mistakes_of_one_of_several_cameras(tmp_path, more, line, says):
 
 def test_several_cameras(tmp_path):
     path = Path(tmp_path / "render.toml")
-    path.write_text(SEVERAL.format("turns = 1"))
+    path.write_text(SEVERAL.format("revolutions = 1"))
     assert [one.name for one in render_config.load(path).views()] == ["a", "b"]
-    assert [one.turns for one in render_config.load(path).views()] == [0, 1]
+    assert [one.revolutions for one in render_config.load(path).views()] == [0, 1]
     with pytest.raises(render_config.SettingsError, match="cameras: unknown key"):
         path.write_text("cameras = []")
         render_config.load(path)

@@ -37,7 +37,11 @@ EXTENTS = np.array([
     [[-0.04, 0.56, 0.0], [0.04, 0.64, 0.10]],
     [[0.10, 0.53, 0.0], [0.20, 0.60, 0.07]],
 ])  # fmt: skip
-FORMS = ('form = "inflate"', 'form = "revolve"', 'form = "extrude"\nthickness = 0.7')
+FORMS = (
+    'reconstruction = "inflate"',
+    'reconstruction = "revolve"',
+    'reconstruction = "extrude"\nthickness = 0.7',
+)
 
 
 @functools.cache

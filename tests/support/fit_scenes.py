@@ -36,15 +36,15 @@ FIT = """\
 [[parameter]]
 key = "material.rubber.youngs_modulus"
 range = ["4 kPa", "400 kPa"]
-start = "200 kPa"
+initial = "200 kPa"
 [target]
 table = "reference/probe_ball.csv"
 probe = "ball"
 columns = ["center_z", "velocity_z"]
 [method]
-runs = 40
-scan = 4
-grid = "none"
+max_runs = 40
+scan_points = 4
+discretization_check = "none"
 """
 
 

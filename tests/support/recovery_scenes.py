@@ -19,15 +19,15 @@ DOWN = [0, 0, -9.81]
 
 @dataclass(frozen=True)
 class Case:
-    """A scene, what is looked for in it, its true value, range and start, and what shows it: the
-    columns of probe "it", or pictures of a camera (eye, target, field of view). grid: of the fit,
-    "finer" where the room is too thin for larger cells."""
+    """A scene, what is looked for in it, its true value, range and first value, and what shows it:
+    the columns of probe "it", or pictures of a camera (eye, target, field of view). grid: of the
+    fit, "finer" where the room is too thin for larger cells."""
 
     scene: str
     key: str
     true: float
     range: tuple[float, float]
-    start: float
+    initial: float
     columns: tuple[str, ...] = ()
     camera: tuple = ()
     grid: str = "coarser"

@@ -14,7 +14,7 @@ PARAMETERS = """
 [[parameter]]
 key = "material.rubber.youngs_modulus"
 range = ["4 kPa", "400 kPa"]
-start = "200 kPa"
+initial = "200 kPa"
 """
 SECOND = """
 [[parameter]]

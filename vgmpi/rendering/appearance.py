@@ -58,7 +58,7 @@ class Appearance:
         self.vol0 = np.asarray(gaussians.vol0, dtype=np.float64)
         self.cov0 = np.asarray(gaussians.cov0, dtype=np.float64)
         self.spacing = float(np.cbrt(np.median(self.vol0))) if len(self.vol0) else 1.0
-        self.grain = _brightness_variation(self.objects, chosen)
+        self.brightness_jitter = _brightness_jitter(self.objects, chosen)
         self.color = ViewColors(np.asarray(gaussians.sh))
         self.colors = FrameColors(run, chosen)
         self.scenery = None
@@ -107,8 +107,9 @@ class Appearance:
         turning = np.flatnonzero(self.turns[rows] & color.view_dependent[color_rows])
         F = _deformation(frame)[turning] if len(turning) else None
         parts = [GaussianBatch(x, cov, self.opacity[rows], color, color_rows, turning, F)]
-        if self.grain is not None:
-            parts[0] = parts[0].scaled_brightness(1 + self.grain[self.object[rows]] * _random(rows))
+        if self.brightness_jitter is not None:
+            jitter = self.brightness_jitter[self.object[rows]] * _random(rows)
+            parts[0] = parts[0].scaled_brightness(1 + jitter)
         if self.passive is not None:
             parts.append(self.passive.part(frame))
         if self.scenery is not None:
@@ -185,13 +186,13 @@ def view_dependent_splats(parts: list[GaussianBatch], eye: np.ndarray) -> Projec
     return ProjectableGaussians(*(np.concatenate(fields) for fields in zip(*arrays)))
 
 
-def _brightness_variation(objects: list[dict], chosen: LookSettings) -> np.ndarray | None:
+def _brightness_jitter(objects: list[dict], chosen: LookSettings) -> np.ndarray | None:
     """Return the relative brightness variation of particles, by object, (objects,)."""
-    if not chosen.grain:
+    if not chosen.brightness_jitter:
         return None
     names = [str(entry.get("name")) for entry in objects]
-    _check_names("look.grain", chosen.grain, names)
-    return np.array([chosen.grain.get(name, 0.0) for name in names])
+    _check_names("look.brightness_jitter", chosen.brightness_jitter, names)
+    return np.array([chosen.brightness_jitter.get(name, 0.0) for name in names])
 
 
 def _random(rows: np.ndarray) -> np.ndarray:
@@ -220,7 +221,7 @@ def _deformation(frame: dict[str, np.ndarray]) -> np.ndarray:
 
 def _has_total_deformation(entry: dict) -> bool:
     """Return whether F in the frames is the deformation of the object's particles."""
-    return bool(entry.get("deforms", entry.get("family") == "solid"))
+    return bool(entry.get("tracks_deformation", entry.get("family") == "solid"))
 
 
 def _shape_rule(entry: dict, chosen: LookSettings) -> int:
@@ -230,9 +231,9 @@ def _shape_rule(entry: dict, chosen: LookSettings) -> int:
     deformation_rule = DEFORMED if _has_total_deformation(entry) else SCALED
     if entry.get("family") not in shape_evolution.FAMILIES_DRAWN_AS_SPHERES:
         return deformation_rule
-    default = "deformation" if _has_total_deformation(entry) else "volume"
-    return {"volume": VOLUME_SPHERE, "radius": RADIUS_SPHERE, "deformation": deformation_rule}[
-        chosen.normalise or default
+    default = "none" if _has_total_deformation(entry) else "volume"
+    return {"volume": VOLUME_SPHERE, "radius": RADIUS_SPHERE, "none": deformation_rule}[
+        chosen.covariance_normalization or default
     ]
 
 
@@ -242,7 +243,7 @@ def _rotates_color(entry: dict, chosen: LookSettings) -> bool:
         _shape_rule(entry, chosen) == DEFORMED
         or entry.get("family") not in shape_evolution.FAMILIES_DRAWN_AS_SPHERES
     )
-    return chosen.harmonics == "rotate" and _has_total_deformation(entry) and follows_deformation
+    return chosen.rotate_sh and _has_total_deformation(entry) and follows_deformation
 
 
 def _opacity_scales(objects: list[dict], chosen: LookSettings) -> list[float]:

@@ -82,10 +82,10 @@ class CameraPath:
     def _orbit(self, part: float, time: float) -> Camera:
         """Return the camera on a circle around the target."""
         settings = self.settings
-        angles = np.arange(0, 360, 10) if settings.turns else [settings.angle]
+        angles = np.arange(0, 360, 10) if settings.revolutions else [settings.azimuth]
         distance = settings.distance or self._overview(angles)[1]
         height = HEIGHT * distance if settings.height is None else settings.height
-        angle = settings.angle + 360 * settings.turns * part
+        angle = settings.azimuth + 360 * settings.revolutions * part
         eye = orbit_eye(self._target(), distance, height, angle, settings.up)
         return self._look_at(eye, self._target(), settings.fov)
 
@@ -94,22 +94,23 @@ class CameraPath:
         return self._look_at(np.array(self.settings.eye), self._target(), self.settings.fov)
 
     def _keyframed(self, part: float, time: float) -> Camera:
-        """Interpolate between the keys of a path with monotone cubics.
+        """Interpolate between the keyframes of a path with monotone cubics.
 
-        The path goes through every key and never beyond two adjacent ones, so that a camera between
-        equal keys rests; it rests before the first key and after the last one.
+        The path goes through every keyframe and never beyond two adjacent ones, so that a camera
+        between equal ones rests; it rests before the first and after the last one.
         """
         from scipy.interpolate import PchipInterpolator  # only keyframes need it
 
-        keys = self.settings.keys
-        assert keys is not None  # the settings are refused without
-        by_time = keys[0].time is not None
+        keyframes = self.settings.keyframes
+        assert keyframes is not None  # the settings are refused without
+        by_time = keyframes[0].time is not None
         key_positions = np.array(
-            [key.time if by_time else key.part for key in keys], dtype=np.float64
+            [key.time if by_time else key.progress for key in keyframes], dtype=np.float64
         )
         target, fov = self._target(), self.settings.fov
         rows = [
-            (*key.eye, *(key.target or target), fov if key.fov is None else key.fov) for key in keys
+            (*key.eye, *(key.target or target), fov if key.fov is None else key.fov)
+            for key in keyframes
         ]
         position = np.clip(time if by_time else part, key_positions[0], key_positions[-1])
         values = PchipInterpolator(key_positions, np.array(rows, dtype=np.float64))(position)

@@ -45,7 +45,7 @@ class FrameColors:
         self.dx = float(scene.get("domain", {}).get("cell", 0.0))
         has_transfer = self.mode in ("frame", "relax")
         sets = _color_sets(run.objects, options.get("color_objects")) if has_transfer else []
-        if sets and scene.get("coupling") and not all("colour_set" in o for o in run.objects):
+        if sets and scene.get("coupling") and not all("color_group" in o for o in run.objects):
             log.warning("%s: made by a version that did not tell which fluids exchange colors: "
                         "they travel within a phase alone", run.folder)  # fmt: skip
         if sets and not self.dx:
@@ -75,7 +75,7 @@ class FrameColors:
 
         frame: result of run.frame(index).
         """
-        if "colour" in frame and self.mode == "step":
+        if "color_sh" in frame and self.mode == "step":
             return self._from_frame(frame)
         if not len(self.ids):
             return None
@@ -93,7 +93,7 @@ class FrameColors:
     def _from_frame(self, frame: dict[str, np.ndarray]) -> np.ndarray:
         """Return the coefficients of a frame that holds transferred colors."""
         sh = np.asarray(self.run.gaussians.sh)[np.asarray(frame["id"])]
-        coefficients = np.asarray(frame["colour"]).reshape(len(sh), -1, 3)
+        coefficients = np.asarray(frame["color_sh"]).reshape(len(sh), -1, 3)
         transferred = sh[:, : coefficients.shape[1]]
         np.copyto(transferred, coefficients, where=~np.isnan(coefficients))
         return sh
@@ -228,6 +228,6 @@ def _color_sets(objects: list[dict], requested: Any) -> list[list[int]]:
         taking = [k for k in bodies if names[k] in requested]
     sets: dict[Any, list[int]] = {}
     for k in taking:
-        # files of versions before colour_set hold the phase alone
-        sets.setdefault(objects[k].get("colour_set", objects[k].get("phase")), []).append(k)
+        # files of versions before color_group hold the phase alone
+        sets.setdefault(objects[k].get("color_group", objects[k].get("phase")), []).append(k)
     return sorted(sets.values())

@@ -127,7 +127,7 @@ class Scenery:
 
 def moving(objects: list[dict]) -> list[int]:
     """Return the numbers of the objects whose poses are in the frames."""
-    return [k for k, entry in enumerate(objects) if entry.get("moves")]
+    return [k for k, entry in enumerate(objects) if entry.get("is_moving")]
 
 
 class Passive:

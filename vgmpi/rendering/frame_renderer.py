@@ -82,7 +82,7 @@ class FrameRenderer:
         has_blur = chosen.video.shutter > 0
         if not chosen.studio:  # the studio blurs by depth
             has_blur = has_blur or any(entry.aperture > 0 for entry in chosen.views())
-        self.samples = size.samples if has_blur and not longest else 1
+        self.samples = size.blur_samples if has_blur and not longest else 1
         self.look = Appearance(run, chosen.look)
         self.liquids = None
         if self.surface:
@@ -198,7 +198,8 @@ class FrameRenderer:
 
     def _needs_time(self) -> bool:
         """Return whether a camera moves by time; times are read from one file per frame."""
-        return any(entry.keys and entry.keys[0].time is not None for entry in self.chosen.views())
+        paths = [view.keyframes for view in self.chosen.views() if view.keyframes]
+        return any(keyframes[0].time is not None for keyframes in paths)
 
     def _rasterize(
         self, frame: dict, parts: list[GaussianBatch], camera: Camera, ground: np.ndarray

@@ -67,7 +67,7 @@ class RenderTable(StrictModel):
         return value
 
 
-class SurroundingsSettings(RenderTable):
+class EnvironmentSettings(RenderTable):
     """Environment that liquids reflect: a gradient, or an image of all directions."""
 
     zenith: Color = (0.45, 0.65, 0.9)
@@ -104,16 +104,17 @@ class LiquidSettings(RenderTable):
     """Liquids that are drawn with a surface (look.liquid = "surface")."""
 
     method: Literal["field", "filter"] | None = None  # density field or screen-space filter
-    fine: Annotated[float, Field(ge=1, le=4)] = 2.5  # cells of the field per spacing
-    scatter: Annotated[float, Field(ge=0)] | None = None  # [1/m] scattering; default: by opacity
-    walls: bool = True  # whether the domain's walls cut the surface flat
-    index: Annotated[float, Field(ge=1.0, le=3.0)] = 1.333  # refractive index
+    cells_per_spacing: Annotated[float, Field(ge=1, le=4)] = 2.5  # of the field
+    # [1/m]; default: by opacity
+    scattering_coefficient: Annotated[float, Field(ge=0)] | None = None
+    clip_at_walls: bool = True  # whether the domain's walls cut the surface flat
+    refractive_index: Annotated[float, Field(ge=1.0, le=3.0)] = 1.333
     # [m] distance after which white light has the liquid's color; default: a third of the view
-    clear: Annotated[float, Field(gt=0)] | None = None
+    absorption_length: Annotated[float, Field(gt=0)] | None = None
     highlight: Annotated[float, Field(ge=0, le=100)] = 2.0
     # [degrees] half width of the highlight
     roughness: Annotated[Degrees, Field(ge=0.1, le=60)] = 3.0
-    surroundings: SurroundingsSettings = SurroundingsSettings()
+    environment: EnvironmentSettings = EnvironmentSettings()
 
 
 def _ascending(value: tuple[float, float]) -> tuple[float, float]:
@@ -128,8 +129,8 @@ class LookSettings(RenderTable):
 
     preset: Literal["studio", "paper"] = "studio"  # paper: plain Gaussians
     liquid: Literal["gaussians", "surface"] | None = None  # representation of fluids
-    # grains per particle of sand or snow
-    children: Annotated[int, Field(strict=True, ge=1, le=64)] = 16
+    # of sand or snow
+    grains_per_particle: Annotated[int, Field(strict=True, ge=1, le=64)] = 16
     tear: Annotated[tuple[float, float], AfterValidator(_ascending)] = (1.8, 4.5)  # [spacings]
     dust: Annotated[float, Field(ge=0, le=1)] = 0.03  # opacity of dust
     foam: Annotated[float, Field(ge=0, le=1)] = 0.8  # largest share of white
@@ -139,13 +140,14 @@ class LookSettings(RenderTable):
     color_sh_degree: Annotated[int, Field(strict=True, ge=0, le=3)] | None = None
     color_objects: tuple[str, ...] | None = None
     covariance: Literal["evolve", "fixed"] = "evolve"  # fixed: shapes at rest
-    harmonics: Literal["rotate", "fixed"] = "rotate"  # fixed: colors do not rotate
+    rotate_sh: bool = True  # whether colors rotate with solids
     opacity: Literal["scaled", "fixed"] = "scaled"  # fixed: no opacity_scale
-    # shapes of fluids, sand and snow; default: deformation if F is known, else volume
-    normalise: Literal["volume", "radius", "deformation"] | None = None
+    # of fluids, sand and snow: balls of a particle's volume, or of a Gaussian's own size;
+    # default: none if F is known, else volume
+    covariance_normalization: Literal["volume", "radius", "none"] | None = None
     opacity_scale: dict[str, Annotated[float, Field(ge=0, le=1)]] = {}  # by object name
     # by object name: largest relative change of brightness of a particle
-    grain: dict[str, Annotated[float, Field(ge=0, le=1)]] = {}
+    brightness_jitter: dict[str, Annotated[float, Field(ge=0, le=1)]] = {}
 
     def colors(self) -> dict[str, Any]:
         """Return the settings of color transfer by the names of the scene's [appearance]."""

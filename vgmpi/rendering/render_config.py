@@ -52,10 +52,10 @@ class SettingsError(TomlError):
     """Error in a render.toml, or in a file that it names."""
 
 
-class Key(RenderTable):
+class Keyframe(RenderTable):
     """A keyframe of a camera path."""
 
-    part: Annotated[float, Field(ge=0, le=1)] | None = None
+    progress: Annotated[float, Field(ge=0, le=1)] | None = None
     """share of the video's duration, 0..1; or"""
     time: Annotated[float, Field(ge=0)] | None = None
     """time of the simulation [s]"""
@@ -68,38 +68,48 @@ class Key(RenderTable):
 
     @model_validator(mode="after")
     def _one_of_each(self):
-        """Require part or time, and eye different from target."""
-        if (self.part is None) == (self.time is None):
-            raise ValueError("needs one of part, time")
+        """Require progress or time, and eye different from target."""
+        if (self.progress is None) == (self.time is None):
+            raise ValueError("needs one of progress, time")
         if self.eye == self.target:
             raise ValueError("eye and target are the same point")
         return self
 
 
-def _check_path(keys: tuple[Key, ...]) -> tuple[Key, ...]:
-    """Require two or more keys in ascending order."""
-    if len(keys) < 2:
-        raise ValueError("needs two or more keys { part, eye, target, fov }")
-    for name in ("part", "time"):
-        values = [getattr(key, name) for key in keys]
+def _check_path(keyframes: tuple[Keyframe, ...]) -> tuple[Keyframe, ...]:
+    """Require two or more keyframes in ascending order."""
+    if len(keyframes) < 2:
+        raise ValueError("needs two or more keyframes { progress, eye, target, fov }")
+    for name in ("progress", "time"):
+        values = [getattr(keyframe, name) for keyframe in keyframes]
         if any(v is not None for v in values):
             if None in values:
-                raise ValueError("all keys need part, or all need time")
+                raise ValueError("all keyframes need progress, or all need time")
             if any(b <= a for a, b in zip(values, values[1:])):
-                raise ValueError(f"{name} must grow from key to key")
-    return keys
+                raise ValueError(f"{name} must grow from keyframe to keyframe")
+    return keyframes
 
 
 LENS = ("aperture", "focus")
 # keys of each kind of camera, besides kind and name
 CAMERA_KEYS = {
-    "orbit": (*LENS, "target", "up", "fov", "near", "distance", "height", "turns", "angle"),
+    "orbit": (
+        *LENS,
+        "target",
+        "up",
+        "fov",
+        "near",
+        "distance",
+        "height",
+        "revolutions",
+        "azimuth",
+    ),  # fmt: skip
     "fixed": (*LENS, "target", "up", "fov", "near", "eye"),
-    "keyframes": (*LENS, "target", "up", "fov", "near", "keys"),
+    "keyframes": (*LENS, "target", "up", "fov", "near", "keyframes"),
     "transforms": (*LENS, "near", "file", "image", "scale"),
     "colmap": (*LENS, "near", "folder", "image", "scale"),
 }
-CAMERA_NEEDS = {"fixed": "eye = [x, y, z]", "keyframes": "keys = [...]"}
+CAMERA_NEEDS = {"fixed": "eye = [x, y, z]", "keyframes": "keyframes = [...]"}
 CAMERA_NEEDS |= {"transforms": "file = 'transforms.json'", "colmap": "folder = 'sparse/0'"}
 
 
@@ -115,9 +125,9 @@ class CameraSettings(RenderTable):
     eye: Vector | None = None
     distance: Annotated[float, Field(gt=0)] | None = None  # [m] from target to eye
     height: float | None = None  # [m] of the eye above the target
-    turns: float = 0.0  # full circles over the video
-    angle: Degrees = 25.0  # [degrees] at the first frame; 0 is a view from -y, 90 from +x
-    keys: Annotated[tuple[Key, ...], AfterValidator(_check_path)] | None = None
+    revolutions: float = 0.0  # full circles over the video
+    azimuth: Degrees = 25.0  # [degrees] at the first frame; 0 is a view from -y, 90 from +x
+    keyframes: Annotated[tuple[Keyframe, ...], AfterValidator(_check_path)] | None = None
     file: str | None = None  # relative to the folder of render.toml; folder too
     folder: str | None = None
     image: str | None = None  # name of the camera that is used from a file
@@ -150,15 +160,17 @@ class FloorSettings(RenderTable):
     """A plane z = height under the Gaussians that receives their shadow."""
 
     # studio: tiles with faint joints that fade into the backdrop; none: no floor; plain: one color
-    # or squares; photograph: only shadows that were added since the first frame, because the
+    # or a checkerboard; photograph: only shadows that were added since the first frame, because the
     # background holds the others. Default: studio, or plain if colors are given
     kind: Literal["studio", "plain", "photograph", "none"] | None = None
     height: float = 0.0  # [m]
-    tiles: Annotated[float, Field(ge=0)] | None = None  # [m] edge of the studio's tiles; 0: none
+    tile_size: Annotated[float, Field(ge=0)] | None = (
+        None  # [m] edge of the studio's tiles; 0: none
+    )
     color: Color | None = None  # default: light gray; only a shadow on a picture
-    # [m] side; every other one has color `other`
-    squares: Annotated[float, Field(gt=0)] | None = None
-    other: Color = (0.7, 0.7, 0.7)
+    # [m] side of the squares of a checkerboard; every other one has checker_color
+    checker_size: Annotated[float, Field(gt=0)] | None = None
+    checker_color: Color = (0.7, 0.7, 0.7)
     light: Direction = (0.3, 0.2, -1.0)  # direction of travel
     shadow: Annotated[float, Field(ge=0, le=1)] = 0.6
     softness: Annotated[float, Field(ge=0, le=1)] = 0.1
@@ -176,7 +188,8 @@ class FloorSettings(RenderTable):
         photograph: whether the background is a picture. light: light of the scene, whose direction,
         shadow and softness are used unless the floor has its own.
         """
-        squares = None if self.squares is None else (self.other, self.squares)
+        size = self.checker_size
+        squares = None if size is None else (self.checker_color, size)
         is_bare = photograph and squares is None
         color = self.color or (None if is_bare else GroundPlane.color)
         values = {name: getattr(self, name) for name in ("light", "shadow", "softness")}
@@ -195,10 +208,11 @@ class PictureSettings(RenderTable):
     height: Annotated[int, Field(ge=16, le=8192)] = 800
     # default: the studio's backdrop; white with preset "paper"
     background: Background | None = None
-    tone: Literal["neutral", "none"] | None = None  # tone curve from light to display values
-    edges: Annotated[int, Field(ge=1, le=8)] = 3  # rays across a pixel at edges
+    # from light to display values: Khronos PBR Neutral
+    tone_mapping: Literal["neutral", "none"] | None = None
+    edge_samples: Annotated[int, Field(ge=1, le=8)] = 3  # rays across a pixel at edges
     supersample: Annotated[int, Field(ge=1, le=4)] = 1
-    samples: Annotated[int, Field(ge=2, le=256)] = 16  # samples of the aperture and of the shutter
+    blur_samples: Annotated[int, Field(ge=2, le=256)] = 16  # of the aperture and of the shutter
     floor: FloorSettings | None = None
 
     @property
@@ -315,9 +329,9 @@ class Settings(RenderTable):
 
         By default it is not applied to a given background, whose colors it could not all show.
         """
-        if self.picture.tone is None:
+        if self.picture.tone_mapping is None:
             return self.picture.background in (None, "none")
-        return self.picture.tone == "neutral"
+        return self.picture.tone_mapping == "neutral"
 
     @property
     def background(self) -> tuple[float, float, float] | str:
@@ -341,3 +355,18 @@ def load(path: str | Path | None) -> Settings:
             message = "several cameras need a name each, no two the same"
             raise SettingsError(source.lines([(("camera", k), message)]))
     return chosen
+
+
+def error_lines(error: Exception, path: str | Path | None) -> list[str]:
+    """Return the lines of an error, with file and line where they begin with a key of render.toml.
+
+    Args:
+        error: SettingsError, or an error of one line.
+        path: The file render.toml, or None if there is none.
+    """
+    lines = error.lines if isinstance(error, SettingsError) else [str(error)]
+    try:
+        source = None if path is None else TomlSource(path, renames=renamed_keys.RENDER, quiet=True)
+    except TomlError:
+        source = None
+    return [line if source is None else source.with_place(line) for line in lines]

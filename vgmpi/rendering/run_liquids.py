@@ -33,7 +33,7 @@ class Liquids:
             folder: Folder of render.toml.
         """
         self.look, self.sky = look, _sky(chosen, folder)
-        clear = chosen.clear
+        clear = chosen.absorption_length
         if clear is None:
             low, high = box()
             clear = CLEAR_FRACTION * max(float(np.linalg.norm(high - low)), 1e-12)
@@ -41,7 +41,7 @@ class Liquids:
         towards /= np.linalg.norm(towards)
         rough = float(np.radians(chosen.roughness))
         self.medium = liquid_shading.LiquidMedium(
-            chosen.index, clear, towards, chosen.highlight, rough, light.shade
+            chosen.refractive_index, clear, towards, chosen.highlight, rough, light.shade
         )
 
     def select_liquids(
@@ -94,8 +94,8 @@ class Liquids:
 
 def _sky(chosen: LiquidSettings, folder: Path) -> liquid_shading.EnvironmentMap:
     """Return the environment that liquids reflect."""
-    environment = chosen.surroundings
+    environment = chosen.environment
     if environment.picture is None:
         return liquid_shading.gradient(environment.zenith, environment.horizon, environment.ground)
-    image = image_io.photograph("liquid.surroundings.picture", folder / environment.picture)
+    image = image_io.photograph("liquid.environment.picture", folder / environment.picture)
     return liquid_shading.EnvironmentMap(np.ascontiguousarray(image, dtype=np.float32))

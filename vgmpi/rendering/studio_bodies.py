@@ -190,7 +190,10 @@ class Bodies:
         """Return the normals of solids in a frame."""
         rest_normals = self.normal[ids]
         deforms = np.array(
-            [bool(e.get("deforms", e.get("family") == "solid")) for e in self.look.objects]
+            [
+                bool(e.get("tracks_deformation", e.get("family") == "solid"))
+                for e in self.look.objects
+            ]
         )
         deformed = (
             np.flatnonzero(deforms[self.look.object[ids]]) if len(deforms) else np.zeros(0, int)

@@ -46,14 +46,14 @@ def ground_of(
         is_plain = floor.kind == "plain" or (floor.kind is None and floor.color is not None)
         if floor.kind == "none":
             kind = studio_ground.NONE
-        elif is_plain or floor.squares is not None:
-            kind = studio_ground.SQUARES if floor.squares is not None else studio_ground.TILES
-            color, other = floor.color or (0.85, 0.85, 0.85), floor.other
-            tile = floor.squares or 0.0
+        elif is_plain or floor.checker_size is not None:
+            kind = studio_ground.SQUARES if floor.checker_size is not None else studio_ground.TILES
+            color, other = floor.color or (0.85, 0.85, 0.85), floor.checker_color
+            tile = floor.checker_size or 0.0
         else:
             color = floor.color or color
-        if floor.tiles is not None:
-            tile = floor.tiles
+        if floor.tile_size is not None:
+            tile = floor.tile_size
     elif kind == studio_ground.TILES:
         tile = 0.12 * _round(float(np.max(domain.size[:2])) / 0.96)
     backdrop = display.scene_linear(np.array(back, dtype=np.float64), chosen.toned)
@@ -72,13 +72,11 @@ def _round(x: float) -> float:
 def rig_of(chosen: Settings, folder: Path) -> light_rig.Rig:
     """Return the lights of the settings. folder: folder of render.toml."""
     light, liquid_settings = chosen.light, chosen.liquid
-    environment, surroundings, picture = liquid_settings.surroundings, None, None
+    environment, surroundings, picture = liquid_settings.environment, None, None
     if environment.picture is not None:
-        photograph = image_io.photograph(
-            "liquid.surroundings.picture", folder / environment.picture
-        )
+        photograph = image_io.photograph("liquid.environment.picture", folder / environment.picture)
         picture = display.to_linear(photograph)
-    elif "surroundings" in liquid_settings.model_fields_set:
+    elif "environment" in liquid_settings.model_fields_set:
         colors = (environment.zenith, environment.horizon, environment.ground)
         surroundings = tuple(display.to_linear(np.array(c)) for c in colors)
     direction = DIRECTION if light is None or light.direction is None else light.direction

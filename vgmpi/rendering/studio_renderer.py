@@ -87,9 +87,9 @@ class Studio:
         self, look: Appearance, chosen: Settings, box: Callable, folder: Path, quick: bool = False
     ):
         self.look, self.chosen, self.box = look, chosen, box
-        self.domain = domain_of(look.run, chosen.liquid.walls)
+        self.domain = domain_of(look.run, chosen.liquid.clip_at_walls)
         self.bodies = Bodies(look)
-        self.quick, self.edges = quick, 1 if quick else chosen.picture.edges
+        self.quick, self.edges = quick, 1 if quick else chosen.picture.edge_samples
         self.times = EDGE_OVERSAMPLING if self.edges > 1 else 1
         self.tone = int(chosen.toned)
         self.rig = rig_of(chosen, folder)
@@ -186,7 +186,7 @@ class Studio:
         spacing = bodies.spacing[ids[rows]]
         s = float(np.median(spacing))
         color = display.to_linear(np.clip(_base_color(part.subset_rows(rows)), 0, 1))
-        clear = chosen.clear
+        clear = chosen.absorption_length
         if clear is None:
             low, high = self.box()
             clear = CLEAR_DISTANCE * max(float(np.linalg.norm(high - low)), 1e-9) / REFERENCE_EXTENT
@@ -200,13 +200,13 @@ class Studio:
         walls, box = self.domain.walls, self.domain.box
         inside = density_field.interior(x[rows], spacing, values, box, walls)
         stretch = self._stretches(x, ids, rows, STRETCH)
-        fine = chosen.fine * (PREVIEW_RESOLUTION if self.quick else 1.0)
+        fine = chosen.cells_per_spacing * (PREVIEW_RESOLUTION if self.quick else 1.0)
         density = density_field.liquid_field(x[rows], spacing, stretch, inside, box, walls, fine)
         uniform = bool((np.ptp(values[:, :3], axis=0) < 1e-3 * values[:, :3].max()).all())
         foam = self.chosen.look.foam if white.any() else 0.0
         mean = np.ascontiguousarray(values.mean(axis=0))
         medium = Medium(
-            density, inside.means, float(chosen.index), WALL_CLEAR_SHARE * clear, uniform,
+            density, inside.means, chosen.refractive_index, WALL_CLEAR_SHARE * clear, uniform,
             float(foam), mean,
         )  # fmt: skip
         return medium, spray_drops.spray_drops(x[rows], velocity, ids[rows], density, s)
@@ -223,8 +223,9 @@ class Studio:
 
     def _scattering(self, ids) -> np.ndarray:
         """Return scattering coefficients [1/m], which rise with the Gaussians' opacity."""
-        if self.chosen.liquid.scatter is not None:
-            return np.full(len(ids), float(self.chosen.liquid.scatter))
+        coefficient = self.chosen.liquid.scattering_coefficient
+        if coefficient is not None:
+            return np.full(len(ids), float(coefficient))
         return SCATTERING * (np.maximum(self.bodies.opaqueness[ids], 0.02) / USUAL_OPACITY) ** 2
 
     def _foam(self, index: int) -> np.ndarray:
@@ -345,10 +346,8 @@ class Studio:
             arrays.append((x, cov, opacity, display.to_linear(color)))
         if moment.grain is not None:
             look = self.chosen.look
-            x, ids, spacing, stretch, color, sandy, heap, floor = moment.grain
-            sand = grain_splats.grains(
-                x, ids, spacing, stretch, color, sandy, heap, eye, floor, look.children, look.dust
-            )
+            *grain, floor = moment.grain
+            sand = grain_splats.grains(*grain, eye, floor, look.grains_per_particle, look.dust)
             arrays.append((sand.x, sand.cov, sand.opacity, display.to_linear(sand.color)))
             normals.append(sand.normal)
             kinds.append(

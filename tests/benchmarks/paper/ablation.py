@@ -30,18 +30,18 @@ HOME = ROOT / "runs" / "ablation"
 FULL = {
     "preset": "paper",  # the studio draws no Gaussians for fluids
     "covariance": "evolve",
-    "harmonics": "rotate",
+    "rotate_sh": True,
     "opacity": "scaled",
-    "normalise": "volume",
+    "covariance_normalization": "volume",
 }
 # differences from FULL, by keys of [look]
 VARIANTS = {
     "full method": {},
     "covariance fixed": {"covariance": "fixed"},
-    "harmonics fixed": {"harmonics": "fixed"},
+    "harmonics fixed": {"rotate_sh": False},
     "opacity fixed": {"opacity": "fixed"},
-    "normalised by radius": {"normalise": "radius"},
-    "normalised by deformation": {"normalise": "deformation"},
+    "normalised by radius": {"covariance_normalization": "radius"},
+    "normalised by deformation": {"covariance_normalization": "none"},
 }
 
 
@@ -114,7 +114,7 @@ def _log_limits(painter: FrameRenderer) -> None:
     ]
     if not flowing:
         log.info("nothing flows in this run: only solids are compared")
-    elif not any(entry.get("deforms") for entry in flowing):
+    elif not any(entry.get("tracks_deformation") for entry in flowing):
         log.info(
             "nothing that flows has track_deformation = true: by deformation is J^(2/3) cov0 here"
         )

@@ -1,6 +1,6 @@
 """Fit numbers of a scene: python -m vgmpi fit scene.toml fit.toml -o fit.
 
-The target is a video, frames of another run, measured or published data, or a video model.
+The target is a video, another run, measured or published data, or a video model.
 
 Runs are kept below the output folder by their parameters: an interrupted fit continues, and
 several processes with the same command share the runs.
@@ -63,7 +63,7 @@ def main(argv: list[str] | None = None) -> int:
         if target.preamble:
             print(target.preamble, flush=True)
         runs = RunPool(scene, args.output / RUNS, args.ranks, args.jobs)
-        trials = Evaluations(runs, file.axes, target, file.settings.method.runs)
+        trials = Evaluations(runs, file.axes, target, file.settings.method.max_runs)
         args.output.mkdir(parents=True, exist_ok=True)
 
         def report_evaluation(trial: Evaluation) -> None:

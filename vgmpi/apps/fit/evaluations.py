@@ -22,7 +22,7 @@ class Evaluation:
     """Evaluation of a run.
 
     number counts from 1; purpose names the phase of the fit; u: position, (parameters,); values
-    [SI]. loss, held_out_loss: losses of fitted and of held-out values, nan if the run blew up, was
+    [SI]. loss, holdout_loss: losses of fitted and of held-out values, nan if the run blew up, was
     not compared with the target, or nothing is held out.
     """
 
@@ -33,7 +33,7 @@ class Evaluation:
     setting: Setting
     done: CompletedRun
     loss: float
-    held_out_loss: float
+    holdout_loss: float
 
 
 class Evaluations:
@@ -93,8 +93,8 @@ class Evaluations:
         """Return the evaluation of a setting, compared with the target now if not before."""
         trial = self.all[setting_]
         if trial.done.completed and np.isnan(trial.loss):
-            loss, held_out_loss = self._losses(setting_, trial.done)
-            self.all[setting_] = replace(trial, loss=loss, held_out_loss=held_out_loss)
+            loss, holdout_loss = self._losses(setting_, trial.done)
+            self.all[setting_] = replace(trial, loss=loss, holdout_loss=holdout_loss)
         return self.all[setting_]
 
     def _losses(self, setting_: Setting, done: CompletedRun) -> tuple[float, float]:
@@ -106,13 +106,13 @@ class Evaluations:
         self, setting_: Setting, u: np.ndarray, done: CompletedRun, with_loss: bool
     ) -> None:
         """Append an evaluation and report it."""
-        loss = held_out_loss = float("nan")
+        loss = holdout_loss = float("nan")
         if done.completed and with_loss:
-            loss, held_out_loss = self._losses(setting_, done)
+            loss, holdout_loss = self._losses(setting_, done)
         position = tuple(float(x) for x in u)
         values = tuple(axis.from_unit(x) for axis, x in zip(self.axes, position, strict=True))
         trial = Evaluation(
-            len(self.all) + 1, self.purpose, position, values, setting_, done, loss, held_out_loss
+            len(self.all) + 1, self.purpose, position, values, setting_, done, loss, holdout_loss
         )
         self.all[setting_] = trial
         self.on_evaluation(trial)

@@ -1,5 +1,6 @@
 """Schema of fit.toml: parameters, target and method, checked before any run."""
 
+import logging
 import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -7,6 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
 
 from vgmpi.apps.fit.video_prior.sds_config import Sds
+from vgmpi.runtime.config import renamed_keys
 from vgmpi.runtime.config.schema import (
     Quantity,
     SceneError,
@@ -15,11 +17,13 @@ from vgmpi.runtime.config.schema import (
     format_input,
     format_validation_errors,
 )
-from vgmpi.runtime.config.toml_source import TomlSource
+from vgmpi.runtime.config.toml_source import TomlSource, escape_control_characters
 from vgmpi.scene.loader import load as load_scene
 from vgmpi.scene.scene import Scene
 
-from .parameter_space import ParameterAxis, missing_table_message, value_at
+from .parameter_space import ParameterAxis, current_key, missing_table_message, value_at
+
+log = logging.getLogger("vgmpi")
 
 MIN_RUNS, MAX_PARAMETERS = 3, 20
 
@@ -71,43 +75,43 @@ class Parameter(StrictModel):
     """of the scene, as --set takes it, such as material.rubber.youngs_modulus"""
     range: tuple[Number, Number]
     """the least and the largest value"""
-    logarithmic: bool = True
-    """whether equal steps are equal factors; the range must then be positive"""
-    start: Number | None = None
-    """start of the search; default: the value of the scene"""
+    scale: Literal["log", "linear"] = "log"
+    """whether equal steps are equal factors (log; the range must be positive) or differences"""
+    initial: Number | None = None
+    """value at the start of the search; default: the value of the scene"""
 
 
 class Target(StrictModel):
-    """Data to which runs are compared: exactly one of video, frames, table."""
+    """Data to which runs are compared: exactly one of video, run, table."""
 
     video: str | None = None
     """path of a video or of a folder of .png, relative to fit.toml"""
     render: str | None = None
     """path of a render.toml with one camera at a fixed place: of a video, runs are drawn with it
-    for comparison; of frames, it is used for the side-by-side video"""
+    for comparison; of a run, it is used for the side-by-side video"""
     blur: Annotated[tuple[Blur, ...], AfterValidator(_decreasing)] | None = None
     """blur widths [pixels] of the stages of a video, from coarse to fine; default: 1/16, 1/48 and
     1/140 of the image width"""
     pixels: Annotated[int, Field(ge=16, le=1024, strict=True)] = 128
     """largest longer side [pixels] of the compared pictures of a video"""
-    camera_shift: Annotated[float, Field(ge=0, le=100)] = 0.0
+    max_camera_shift: Annotated[float, Field(ge=0, le=100)] = 0.0
     """largest misalignment [pixels] of the camera of a video; the best-fitting shift is used"""
     frame_time: Annotated[float, Quantity("s", gt=0)] | None = None
     """time between the pictures of a video [s]; pictures at times of the scene's frames are
     compared; default: the pictures are the frames that render.toml draws, one by one"""
 
-    frames: str | None = None
+    run: str | None = None
     """folder of a run with the same domain and body names, relative to fit.toml"""
     table: str | None = None
     """CSV file with a header: a probe's table of another run, or measured or published data"""
-    hold_out: Annotated[int, Field(ge=0, strict=True)] = 5
+    holdout_every: Annotated[int, Field(ge=0, strict=True)] = 5
     """one of so many frames or rows is excluded from the search to validate the result; 0: none"""
     bodies: tuple[str, ...] | None = None
-    """bodies that are compared with frames; default: all"""
-    boxes: Annotated[
+    """bodies that are compared with a run; default: all"""
+    density_bins: Annotated[
         tuple[Annotated[int, Field(ge=2, le=64, strict=True)], ...], AfterValidator(_increasing)
     ] = (6, 16)
-    """of frames: number of boxes along the domain's longest edge in which the mass of a body is
+    """of a run: number of bins along the domain's longest edge in which the mass of a body is
     summed, from coarse to fine"""
     probe: str | None = None
     """probe of the scene that corresponds to a table"""
@@ -116,14 +120,14 @@ class Target(StrictModel):
     common columns"""
     time: str = "time"
     """time column of a table"""
-    time_unit: Annotated[float, Field(gt=0, strict=True)] = 1.0
+    time_scale: Annotated[float, Field(gt=0, strict=True)] = 1.0
     """unit of the time column [s]"""
-    time_zero: Annotated[float, Field(strict=True)] = 0.0
+    time_offset: Annotated[float, Field(strict=True)] = 0.0
     """time of the scene at time 0 of a table, or of a video with frame_time [s]"""
-    value_unit: Annotated[float, Field(gt=0, strict=True)] = 1.0
+    value_scale: Annotated[float, Field(gt=0, strict=True)] = 1.0
     """unit of the compared columns of a table [SI]"""
-    where: dict[str, str] = {}
-    """filter of a table: only rows with these words in these columns are used"""
+    filter: dict[str, str] = {}
+    """of a table: only rows with these words in these columns are used"""
 
     @model_validator(mode="after")
     def _fits_kind(self):
@@ -131,7 +135,7 @@ class Target(StrictModel):
         if len(kinds) != 1:
             message = f"{' and '.join(kinds)} given at once" if kinds else "nothing to hold runs to"
             raise ValueError(f"{message}: give exactly one of {', '.join(KEYS)}")
-        allowed = {kinds[0], "hold_out", *KEYS[kinds[0]]}
+        allowed = {kinds[0], "holdout_every", *KEYS[kinds[0]]}
         wrong = [name for name in type(self).model_fields if name in self.model_fields_set]
         wrong = [name for name in wrong if name not in allowed]
         if wrong:
@@ -142,31 +146,31 @@ class Target(StrictModel):
             )
         if self.table is not None and self.probe is None:
             raise ValueError("a table needs probe: which one of the scene measures the same")
-        if self.hold_out == 1:
-            raise ValueError("hold_out = 1 leaves nothing to fit to: 0, or 2 and more")
+        if self.holdout_every == 1:
+            raise ValueError("holdout_every = 1 leaves nothing to fit to: 0, or 2 and more")
         return self
 
 
 KEYS = {
-    "video": ("render", "blur", "pixels", "camera_shift", "frame_time", "time_zero"),
-    "frames": ("bodies", "boxes", "render"),
-    "table": ("probe", "columns", "time", "time_unit", "time_zero", "value_unit", "where"),
+    "video": ("render", "blur", "pixels", "max_camera_shift", "frame_time", "time_offset"),
+    "run": ("bodies", "density_bins", "render"),
+    "table": ("probe", "columns", "time", "time_scale", "time_offset", "value_scale", "filter"),
 }
 
 
 class Method(StrictModel):
     """Search method."""
 
-    kind: Literal["least-squares", "cma", "descent"] = "least-squares"
+    algorithm: Literal["least-squares", "cma", "descent"] = "least-squares"
     """least squares with finite differences, or CMA-ES (pip install 'vgmpi[fit]') for losses with
     several minima; with [sds] gradient descent, the default there, or cma"""
-    runs: Annotated[int, Field(ge=MIN_RUNS, strict=True)] = 40
+    max_runs: Annotated[int, Field(ge=MIN_RUNS, strict=True)] = 40
     """largest number of runs, those of an interrupted fit included"""
-    scan: Annotated[int, Field(ge=0, le=100, strict=True)] = 5
+    scan_points: Annotated[int, Field(ge=0, le=100, strict=True)] = 5
     """runs spread over the range of each parameter before the search"""
-    step: Share = 0.02
-    """step of finite differences: share of the value, or of the range if it is not logarithmic"""
-    grid: Literal["coarser", "finer", "none"] = "coarser"
+    fd_step: Share = 0.02
+    """step of finite differences: share of the value, or of a range of linear scale"""
+    discretization_check: Literal["coarser", "finer", "none"] = "coarser"
     """cells of one more run that estimates the discretization error: up to twice as large, or half
     as large (which takes as long as ten runs)"""
     seed: Annotated[int, Field(ge=0, strict=True)] = 1
@@ -188,9 +192,11 @@ class Settings(StrictModel):
     @model_validator(mode="before")
     @classmethod
     def _descends(cls, data: Any) -> Any:
-        """Make descent the default of method.kind with [sds]."""
+        """Make descent the default of method.algorithm with [sds]."""
         method = data.get("method", {}) if isinstance(data, dict) and "sds" in data else None
-        return data | {"method": {"kind": "descent"} | method} if type(method) is dict else data
+        return (
+            data | {"method": {"algorithm": "descent"} | method} if type(method) is dict else data
+        )
 
 
 class FitFile:
@@ -201,7 +207,7 @@ class FitFile:
 
     def __init__(self, path: str | Path, scene: Scene):
         """Load and check. Raises FitFileError with a line for each error."""
-        self.source = TomlSource(path, error=FitFileError)
+        self.source = TomlSource(path, error=FitFileError, renames=renamed_keys.FIT)
         self.folder, self.scene = self.source.folder, scene
         try:
             self.settings = Settings.model_validate(self.source.data)
@@ -211,13 +217,14 @@ class FitFile:
             ) from None
         errors = self._target_errors()
         self.axes: list[ParameterAxis] = []
+        keys: list[str] = []
         for k, parameter in enumerate(self.settings.parameter):
-            if parameter.key in [other.key for other in self.settings.parameter[:k]]:
-                errors.append(
-                    (("parameter", k, "key"), f"is named twice; {format_input(parameter.key)}")
-                )
+            key = self._current_key(k, parameter.key)
+            if key in keys:
+                errors.append((("parameter", k, "key"), f"is named twice; {format_input(key)}"))
                 continue
-            axis = self._axis(k, parameter, errors)
+            keys.append(key)
+            axis = self._axis(k, parameter.model_copy(update={"key": key}), errors)
             if axis is not None:
                 self.axes.append(axis)
         if errors:
@@ -225,16 +232,17 @@ class FitFile:
 
     def _target_errors(self) -> list[tuple[tuple, str]]:
         """Return the errors in the choice of target and method."""
-        settings, kind = self.settings, self.settings.method.kind
+        settings, algorithm = self.settings, self.settings.method.algorithm
         if settings.target is None and settings.sds is None:
             return [(("target",), "required key is missing: [target], or [sds]")]
         if settings.target is not None and settings.sds is not None:
             return [(("sds",), "[target] and [sds] given at once: give exactly one of both")]
-        if settings.sds is None and kind == "descent":
-            return [(("method", "kind"), f"goes with [sds] alone; {format_input(kind)}")]
-        if settings.sds is not None and kind == "least-squares":
+        where = ("method", "algorithm")
+        if settings.sds is None and algorithm == "descent":
+            return [(where, f"goes with [sds] alone; {format_input(algorithm)}")]
+        if settings.sds is not None and algorithm == "least-squares":
             message = "a model's taste has no residuals: must be one of descent, cma"
-            return [(("method", "kind"), f"{message}; {format_input(kind)}")]
+            return [(where, f"{message}; {format_input(algorithm)}")]
         return []
 
     def wrong(self, path: tuple, message: str) -> FitFileError:
@@ -244,6 +252,15 @@ class FitFile:
     def line(self, k: int) -> str:
         """Return the place of the k-th parameter, such as "fit.toml:12"."""
         return self.source.place(("parameter", k))[1]
+
+    def _current_key(self, k: int, key: str) -> str:
+        """Return the key of a parameter in the present words of scenes; warn of old ones."""
+        new_key = current_key(self.scene, key)
+        if new_key != key:
+            where = self.source.place(("parameter", k, "key"))[1]
+            message = f"{where}: {key!r} is the old name of {new_key}"
+            log.warning("%s", escape_control_characters(message))
+        return new_key
 
     def _axis(self, k: int, parameter: Parameter, errors: list) -> ParameterAxis | None:
         """Convert a parameter to numbers; append its errors to `errors`."""
@@ -262,29 +279,23 @@ class FitFile:
         if not low < high:
             errors.append(((*location, "range"), f"must be [low, high]; got [{low:g}, {high:g}]"))
             return None
-        if parameter.logarithmic and low <= 0:
-            message = (
-                f"begins at {low:g}, which has no logarithm: give logarithmic = false, or more"
-            )
+        if parameter.scale == "log" and low <= 0:
+            message = f"begins at {low:g}, which has no logarithm: give scale = 'linear', or more"
             errors.append(((*location, "range"), message))
             return None
-        if parameter.start is not None:
-            start = self._si(parameter.key, parameter.start, (*location, "start"), errors)
-            if start is None:
+        if parameter.initial is not None:
+            initial = self._si(parameter.key, parameter.initial, (*location, "initial"), errors)
+            if initial is None:
                 return None
         else:
-            start = float(value_at(self.scene, parameter.key) or low)
-        if not low <= start <= high:
-            field = "start" if parameter.start is not None else "range"
-            prefix = "" if parameter.start is not None else "the scene's own value, "
-            errors.append(
-                (
-                    (*location, field),
-                    f"{prefix}{start:g}, is not from {low:g} to {high:g}: give a start",
-                )
-            )
+            initial = float(value_at(self.scene, parameter.key) or low)
+        if not low <= initial <= high:
+            field = "initial" if parameter.initial is not None else "range"
+            prefix = "" if parameter.initial is not None else "the scene's own value, "
+            message = f"{prefix}{initial:g}, is not from {low:g} to {high:g}: give an initial value"
+            errors.append(((*location, field), message))
             return None
-        return ParameterAxis(parameter.key, low, high, start, parameter.logarithmic)
+        return ParameterAxis(parameter.key, low, high, initial, parameter.scale)
 
     def _si(self, key: str, value: float | str, path: tuple, errors: list) -> float | None:
         """Return the value [SI] that the scene makes of a key's value, or None if it refuses it.

@@ -37,10 +37,10 @@ def write_csv(
     text = io.StringIO()
     out = csv.writer(text, lineterminator="\n")
     keys = [axis.key for axis in axes]
-    out.writerow(["run", "what", *keys, "cells", "loss", "held_out", "seconds", "folder"])
+    out.writerow(["run", "purpose", *keys, "cells", "loss", "holdout_loss", "seconds", "folder"])
     for t in trials:
         cells = dict(t.setting.knobs).get("cells", "")
-        losses = ["blew up" if not t.done.completed else _cell(t.loss), _cell(t.held_out_loss)]
+        losses = ["blew up" if not t.done.completed else _cell(t.loss), _cell(t.holdout_loss)]
         values = [repr(v) for v in t.values]
         out.writerow(
             [
@@ -86,8 +86,8 @@ def format_report(file: FitFile, result: FitResult, trials: Evaluations) -> str:
     for k, axis in enumerate(file.axes):
         out.append(_parameter_row(file, result, k, axis))
     out += ["", f"Loss: {best.loss:.4g} ({trials.target.loss_description})."]
-    if not np.isnan(best.held_out_loss):
-        out.append(f"Held out: {best.held_out_loss:.4g}, of what the search did not see.")
+    if not np.isnan(best.holdout_loss):
+        out.append(f"Held out: {best.holdout_loss:.4g}, of what the search did not see.")
     start = next(iter(trials.all.values()))
     out.append(f"At the start: {start.loss:.4g}. Runs: {len(trials.all)}.")
     if result.budget_exhausted:
@@ -190,7 +190,7 @@ def plot(file: FitFile, result: FitResult, trials: Evaluations, path: Path) -> N
         ends = interval(result, file, k)
         if ends is not None:
             axes.axvspan(*ends, color="0.9")
-        axes.set_xscale("log" if axis.logarithmic else "linear")
+        axes.set_xscale(axis.scale)
         axes.set_yscale("log")
         axes.set_xlabel(axis.key, fontsize=8)
     all_axes[0][0].set_ylabel("loss")

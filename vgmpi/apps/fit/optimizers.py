@@ -17,7 +17,7 @@ PARAMETER_TOLERANCE = 1e-3  # [ranges] change of the parameters that ends a stag
 
 def start(file: FitFile) -> np.ndarray:
     """Return the start point of the search, shape (parameters,)."""
-    return np.array([axis.to_unit(axis.start) for axis in file.axes])
+    return np.array([axis.to_unit(axis.initial) for axis in file.axes])
 
 
 def coarse_scan(trials: Evaluations, u: np.ndarray, count: int) -> np.ndarray:
@@ -35,7 +35,7 @@ def coarse_scan(trials: Evaluations, u: np.ndarray, count: int) -> np.ndarray:
         points = [np.where(np.arange(len(u)) == k, position, best.u) for position in positions]
         best = min([best, *trials.evaluate(points)], key=lambda t: trials.loss(t, 0))
     if not best.done.completed:
-        raise StudyError("every run of the scan blew up: other ranges, or another start")
+        raise StudyError("every run of the scan blew up: other ranges, or other initial values")
     return np.array(best.u)
 
 
@@ -116,7 +116,7 @@ def cma_es_fit(trials: Evaluations, u: np.ndarray, seed: int) -> np.ndarray:
     try:
         from cmaes import CMA
     except ImportError:
-        raise StudyError("method.kind = 'cma' needs: pip install 'vgmpi[fit]'") from None
+        raise StudyError("method.algorithm = 'cma' needs: pip install 'vgmpi[fit]'") from None
 
     trials.purpose = "search"
     bounds = np.tile([0.0, 1.0], (len(u), 1))

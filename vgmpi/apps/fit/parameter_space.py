@@ -5,19 +5,25 @@ from dataclasses import dataclass
 from typing import Any
 
 from vgmpi.apps.tradeoff.parameter_sweep import Setting
+from vgmpi.runtime.config import renamed_keys
 from vgmpi.runtime.suggestions import did_you_mean
 from vgmpi.scene.scene import Scene
 
 
 @dataclass(frozen=True)
 class ParameterAxis:
-    """A parameter: its key, range and start [SI], and whether equal steps are equal factors."""
+    """A parameter: its key, range and initial value [SI], and its scale, "log" or "linear"."""
 
     key: str
     low: float
     high: float
-    start: float
-    logarithmic: bool
+    initial: float
+    scale: str
+
+    @property
+    def logarithmic(self) -> bool:
+        """Return whether equal steps are equal factors."""
+        return self.scale == "log"
 
     @property
     def width(self) -> float:
@@ -37,7 +43,7 @@ class ParameterAxis:
         return (value - self.low) / self.width
 
     def step(self, share: float) -> float:
-        """Return a step in u: a share of the value, or of the range if not logarithmic."""
+        """Return a step in u: a share of the value, or of the range on a linear scale."""
         return math.log1p(share) / self.width if self.logarithmic else share
 
     def interval(self, u: float, halfwidth: float) -> tuple[float, float]:
@@ -60,6 +66,22 @@ def value_at(scene: Scene, key: str) -> Any:
     for part in _parts(key):
         value = _inside(value, part)
     return value
+
+
+def current_key(scene: Scene, key: str) -> str:
+    """Return a key of --set with the present words of its parts in place of old ones."""
+    value: Any = scene.to_json()
+    old_parts = _parts(key)
+    parts: list[str] = []
+    path: tuple[str, ...] = ()  # without the items of lists
+    for part in old_parts:
+        if not isinstance(value, list):
+            table = value if isinstance(value, dict) else {}
+            part = renamed_keys.SCENE.new_key((*path, part), table)
+            path += (part,)
+        value = _inside(value, part)
+        parts.append(part)
+    return ".".join(parts) if parts != old_parts else key
 
 
 def missing_table_message(scene: Scene, key: str) -> str:

@@ -71,8 +71,9 @@ class Pictures:
 
         An automatic placement depends on the positions in a run, and so differs between two runs.
         """
-        message = "give eye and target (of an orbit target and distance), and liquid.clear: what is"
-        raise self._wrong(f"camera: {message} left out follows the run, another way in each")
+        message = "give eye and target (of an orbit target and distance), and"
+        message += " liquid.absorption_length: what is left out follows the run"
+        raise self._wrong(f"camera: {message}, another way in each")
 
     def _wrong(self, message: str) -> render_config.SettingsError:
         return render_config.SettingsError([f"{self.path}: {message}"])

@@ -51,20 +51,22 @@ def search(file: FitFile, trials: Evaluations) -> SdsResult:
     min_runs = 2 * count + 3
     if trials.max_runs < min_runs:
         message = f"must be {min_runs} or more for {count} parameters of [sds]"
-        raise file.wrong(("method", "runs"), f"{message}; got {method.runs}")
+        raise file.wrong(("method", "max_runs"), f"{message}; got {method.max_runs}")
     u = fitted.start(file)
     try:
-        if method.scan:
-            u = fitted.coarse_scan(trials, u, method.scan)
+        if method.scan_points:
+            u = fitted.coarse_scan(trials, u, method.scan_points)
             _reject_unseen(file, trials)
         else:
             trials.evaluate([u])
     except BudgetExhausted:
-        message = f"a scan of {method.scan} for each parameter leaves none of {method.runs}"
-        raise file.wrong(("method", "runs"), f"{message}: give more runs") from None
-    if method.kind == "cma":
+        message = (
+            f"a scan of {method.scan_points} for each parameter leaves none of {method.max_runs}"
+        )
+        raise file.wrong(("method", "max_runs"), f"{message}: give more runs") from None
+    if method.algorithm == "cma":
         return _minimize_loss(trials, u, method.seed)
-    return _descend(file, trials, u, method.step)
+    return _descend(file, trials, u, method.fd_step)
 
 
 def _reject_unseen(file: FitFile, trials: Evaluations) -> None:
@@ -146,7 +148,7 @@ def _descend(file: FitFile, trials: Evaluations, u: np.ndarray, share: float) ->
         spent = True
     if not slopes:
         message = f"{len(trials.all)} of {trials.max_runs} runs are used before the first gradient"
-        raise file.wrong(("method", "runs"), f"{message}: give more runs")
+        raise file.wrong(("method", "max_runs"), f"{message}: give more runs")
     sizes = [float(np.abs(g).max()) for g in slopes]
     best = int(np.argmin(sizes)) if spent else len(points) - 1
     return SdsResult(points[best], spent, _report_lines(file, slopes, best))

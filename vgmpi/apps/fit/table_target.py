@@ -1,6 +1,7 @@
 """Target made of a table: measured, published, or from a probe of another run."""
 
 import csv
+import logging
 import math
 from pathlib import Path
 
@@ -10,11 +11,15 @@ from vgmpi.apps.tradeoff.error_measures import AXIS
 from vgmpi.io import csv_log, file_layout
 from vgmpi.io.run_reader import RunError
 from vgmpi.runtime import safe_open
+from vgmpi.runtime.config import renamed_keys
+from vgmpi.runtime.config.toml_source import escape_control_characters
 from vgmpi.runtime.suggestions import did_you_mean
 from vgmpi.solver.diagnostics.probe_sampling import files
 
 from .fit_config import FitFile, FitFileError
 from .target_base import Target, held_out
+
+log = logging.getLogger("vgmpi")
 
 
 class TableTarget(Target):
@@ -35,9 +40,9 @@ class TableTarget(Target):
         self.columns = files(file.scene, Path())[tables[str(settings.probe)]]
         head, rows = self._rows()
         self.pairs = self._pairs(head)
-        times = self._numbers(rows, settings.time) * settings.time_unit + settings.time_zero
-        is_held_out = held_out(np.argsort(np.argsort(times, kind="stable")), settings.hold_out)
-        table = {p: self._numbers(rows, t) * settings.value_unit for p, t in self.pairs.items()}
+        times = self._numbers(rows, settings.time) * settings.time_scale + settings.time_offset
+        is_held_out = held_out(np.argsort(np.argsort(times, kind="stable")), settings.holdout_every)
+        table = {p: self._numbers(rows, t) * settings.value_scale for p, t in self.pairs.items()}
         self._check_times(times, table)
         self.times = times
         self.spans = _spans(table)
@@ -71,9 +76,11 @@ class TableTarget(Target):
         head = [word.strip() for word in cells[0][1]] if cells else []
         if head[-1:] == [file_layout.ROW_CHECKSUM.name]:
             self._verify()
-        for column in (settings.time, *settings.where):
+        for column in (settings.time, *settings.filter):
             if column not in head:
-                key = ("target", "time") if column == settings.time else ("target", "where", column)
+                key = (
+                    ("target", "time") if column == settings.time else ("target", "filter", column)
+                )
                 raise self.file.wrong(key, self._no_column(column, head))
         rows = []
         for line, words in cells[1:]:
@@ -81,7 +88,7 @@ class TableTarget(Target):
                 message = f"{len(words)} columns, the header has {len(head)}"
                 raise FitFileError([f"{self.path}:{line}: {message}"])
             row = dict(zip(head, (word.strip() for word in words)))
-            if all(row[column] == word for column, word in settings.where.items()):
+            if all(row[column] == word for column, word in settings.filter.items()):
                 rows.append((line, row))
         return head, rows
 
@@ -101,7 +108,8 @@ class TableTarget(Target):
         columns = self.file.settings.target.columns
         own = [c.name for c in self.columns if c.name not in ("time", "step")]
         if columns is None:
-            pairs = {name: name for name in own if name in head}
+            columns_of = {name: renamed_keys.column_name(name, head) for name in own}
+            pairs = {name: column for name, column in columns_of.items() if column in head}
             if not pairs:
                 message = f"no column of {self.path.name} is one of the probe's, {', '.join(own)}"
                 raise self.file.wrong(("target", "table"), f"{message}: give columns")
@@ -109,8 +117,11 @@ class TableTarget(Target):
         pairs = dict(columns) if isinstance(columns, dict) else {name: name for name in columns}
         if not pairs:
             raise self.file.wrong(("target", "columns"), "must name one column or more")
+        current_pairs = {}
         for k, (name, column) in enumerate(pairs.items()):
             key = name if isinstance(columns, dict) else k
+            name, column = self._current_column(name, own), renamed_keys.column_name(column, head)
+            current_pairs[name] = column
             if name not in own:
                 message = f"the probe has no column '{name}'{did_you_mean(name, own)}"
                 raise self.file.wrong(
@@ -118,7 +129,16 @@ class TableTarget(Target):
                 )
             if column not in head:
                 raise self.file.wrong(("target", "columns", key), self._no_column(column, head))
-        return pairs
+        return current_pairs
+
+    def _current_column(self, name: str, own: list[str]) -> str:
+        """Return the present name of a column of the probe; warn of an old one."""
+        new_name = renamed_keys.column_name(name, own)
+        if new_name != name:
+            where = self.file.source.place(("target", "columns"))[1]
+            message = f"{where}: {name!r} is the old name of the column {new_name}"
+            log.warning("%s", escape_control_characters(message))
+        return new_name
 
     def _numbers(self, rows: list[tuple[int, dict[str, str]]], column: str) -> np.ndarray:
         """Return a column as numbers, nan for empty cells. Raises FitFileError."""

@@ -3,7 +3,7 @@
 from vgmpi.apps.fit.video_prior.denoising_target import DenoisingTarget
 
 from .fit_config import FitFile
-from .frame_target import FrameTarget
+from .run_target import RunTarget
 from .table_target import TableTarget
 from .target_base import Target
 from .video_target import VideoTarget
@@ -22,4 +22,4 @@ def target_of(file: FitFile) -> Target:
     settings = file.settings.target
     if settings.video is not None:
         return VideoTarget(file)
-    return FrameTarget(file) if settings.frames is not None else TableTarget(file)
+    return RunTarget(file) if settings.run is not None else TableTarget(file)

@@ -90,7 +90,7 @@ def _longest_step(u: np.ndarray, direction: np.ndarray) -> np.ndarray:
 
 
 def estimate_uncertainty(
-    trials: Evaluations, best: Evaluation, J: np.ndarray, grid: str
+    trials: Evaluations, best: Evaluation, J: np.ndarray, other_cells: str
 ) -> FitUncertainty:
     """Estimate 95 % intervals of the fitted parameters.
 
@@ -101,7 +101,7 @@ def estimate_uncertainty(
         trials: Evaluations made so far.
         best: Evaluation at the fitted values.
         J: Jacobian of the residual there, shape (n, parameters).
-        grid: Choice of the other cells: coarser, finer or none.
+        other_cells: Choice of the other cells: coarser, finer or none.
     """
     stage = trials.target.stages - 1
     residual, correlated_count = (
@@ -118,7 +118,7 @@ def estimate_uncertainty(
     scale = np.maximum(np.sqrt(np.diag(inverse)), 1e-300)
     length = np.maximum(np.linalg.norm(J, axis=0), 1e-300)
     singular_values = np.linalg.svd(J / length, compute_uv=False)
-    shift, reference_cell_count = discretization_shift(trials, best, J, grid)
+    shift, reference_cell_count = discretization_shift(trials, best, J, other_cells)
     return FitUncertainty(
         noise_halfwidth,
         shift,
@@ -129,7 +129,7 @@ def estimate_uncertainty(
 
 
 def discretization_shift(
-    trials: Evaluations, best: Evaluation, J: np.ndarray, grid: str
+    trials: Evaluations, best: Evaluation, J: np.ndarray, other_cells: str
 ) -> tuple[np.ndarray, int | None]:
     """Estimate the discretization error of the parameters by one run with other cells.
 
@@ -140,7 +140,7 @@ def discretization_shift(
         trials: Evaluations made so far.
         best: Evaluation at the fitted values.
         J: Jacobian of the residual there, shape (n, parameters).
-        grid: Choice of the other cells: coarser, finer or none.
+        other_cells: Choice of the other cells: coarser, finer or none.
 
     Returns:
         The error, shape (parameters,) in u, and the cells along the longest edge in the other run:
@@ -149,8 +149,8 @@ def discretization_shift(
     """
     scene, stage = trials.runs.scene, trials.target.stages - 1
     cell_count = max(scene.domain.cells)
-    trials.purpose = f"{grid} cells"
-    for count in _cell_counts(scene, grid):
+    trials.purpose = f"{other_cells} cells"
+    for count in _cell_counts(scene, other_cells):
         try:
             (run,) = trials.evaluate([np.array(best.u)], parameter_sweep.with_cells(scene, count))
         except BudgetExhausted:
@@ -166,12 +166,12 @@ def discretization_shift(
     return np.zeros(len(best.u)), None
 
 
-def _cell_counts(scene: Scene, grid: str) -> Iterable[int]:
+def _cell_counts(scene: Scene, other_cells: str) -> Iterable[int]:
     """Return candidate cell counts along the longest edge for the other run, best first."""
     cell_count, unit = max(scene.domain.cells), parameter_sweep.cell_unit(scene)
-    if grid == "none":
+    if other_cells == "none":
         return ()
-    if grid == "finer":
+    if other_cells == "finer":
         return (2 * cell_count,)
     min_count = -(-parameter_sweep.MIN_CELLS * cell_count // min(scene.domain.cells))
     return range(unit * -(-max(cell_count // 2, min_count) // unit), cell_count, unit)

@@ -24,7 +24,7 @@ class VideoTarget(Target):
     """Pictures of a video, blurred from coarse to fine.
 
     A misaligned camera is compensated: the pictures of each run are shifted by the best-fitting
-    distance of at most camera_shift pixels.
+    distance of at most max_camera_shift pixels.
     """
 
     def __init__(self, file: FitFile):
@@ -39,13 +39,13 @@ class VideoTarget(Target):
             Pictures(render, MAX_DISPLAY_SIZE),
         )
         self.pictures = self.display_renderer
-        self.path, self.max_shift = file.folder / str(settings.video), settings.camera_shift
+        self.path, self.max_shift = file.folder / str(settings.video), settings.max_camera_shift
         film = self._read(file)
         width, height = self.compared.size
         self.blur = settings.blur or tuple(width / share for share in BLUR_FRACTIONS)
         self.frames, self.used = self._paired(file, len(film))
         film = film[self.used]
-        self.held_pictures = held_out(np.arange(len(film)), settings.hold_out)
+        self.held_pictures = held_out(np.arange(len(film)), settings.holdout_every)
         self.film = [self._blurred(film, stage) for stage in range(len(self.blur))]
         change = [blurred - blurred.mean(0) for blurred in self.film]
         if np.abs(change[-1]).max() < MIN_CHANGE:
@@ -61,10 +61,10 @@ class VideoTarget(Target):
         self.correlated_counts = [
             max(1.0, 4 * math.pi * (pixels / step) ** 2) for pixels, step in widths
         ]
-        memory = file.settings.method.runs * sum(map(len, self.values)) * np.float32().itemsize
+        memory = file.settings.method.max_runs * sum(map(len, self.values)) * np.float32().itemsize
         try:
             memory_budget.require_memory(
-                memory, f"{file.settings.method.runs} runs of such pictures take"
+                memory, f"{file.settings.method.max_runs} runs of such pictures take"
             )
         except memory_budget.InsufficientMemoryError as error:
             raise file.wrong(("target", "pixels"), f"{error}; got {settings.pixels}") from None
@@ -101,7 +101,7 @@ class VideoTarget(Target):
                     ("target", "video"), f"{message}: time.end and time.frames say when"
                 )
             return drawn[:count], np.arange(count)
-        times = settings.time_zero + settings.frame_time * np.arange(count)
+        times = settings.time_offset + settings.frame_time * np.arange(count)
         nearest, distance = nearest_frames(time, times, drawn)
         is_paired = distance < TIME_TOLERANCE
         if is_paired.sum() < 2:
@@ -162,7 +162,7 @@ class VideoTarget(Target):
         down, right = self._shift(self._blurred(self.raw(folder), stage), stage)
         message = f"the run's moved by {right:+.2f} to the right and {down:+.2f} down"
         ends = (
-            " (as far as camera_shift lets it)"
+            " (as far as max_camera_shift lets it)"
             if max(abs(down), abs(right)) >= self.max_shift
             else ""
         )

@@ -47,25 +47,25 @@ def run_fit(file: FitFile, trials: Evaluations) -> FitResult:
     trials.reserved_runs = 2 * len(file.axes) + RESERVED_RUNS
     if trials.max_runs <= trials.reserved_runs + 2:
         message = f"must be {trials.reserved_runs + 3} or more for {len(file.axes)} parameters"
-        raise file.wrong(("method", "runs"), f"{message}; got {method.runs}")
+        raise file.wrong(("method", "max_runs"), f"{message}; got {method.max_runs}")
     u, stage = optimizers.start(file), trials.target.stages - 1
     try:
-        u = optimizers.coarse_scan(trials, u, method.scan)
+        u = optimizers.coarse_scan(trials, u, method.scan_points)
         _reject_insensitive(file, trials)
         trials.purpose = "told apart"
-        if len(u) > 1 and apart.is_ill_conditioned(trials.jacobian(u, stage, method.step)):
+        if len(u) > 1 and apart.is_ill_conditioned(trials.jacobian(u, stage, method.fd_step)):
             # One-sided differences have curvature errors, other ones in each parameter.
             _reject_unidentifiable(
-                file, trials, u, trials.jacobian(u, stage, method.step, central=True)
+                file, trials, u, trials.jacobian(u, stage, method.fd_step, central=True)
             )
     except BudgetExhausted:
-        usage = f"{len(trials.all)} of {method.runs} runs are used before the search begins"
-        message = f"{usage}, with a scan of {method.scan} for each parameter: give more runs"
-        raise file.wrong(("method", "runs"), message) from None
-    if method.kind == "cma":
+        usage = f"{len(trials.all)} of {method.max_runs} runs are used before the search begins"
+        message = f"{usage}, with a scan of {method.scan_points} for each parameter: give more runs"
+        raise file.wrong(("method", "max_runs"), message) from None
+    if method.algorithm == "cma":
         u = optimizers.cma_es_fit(trials, u, method.seed)
     else:
-        u = optimizers.least_squares_fit(trials, u, method.step)
+        u = optimizers.least_squares_fit(trials, u, method.fd_step)
     budget_exhausted = len(trials.all) >= trials.max_runs - trials.reserved_runs
     trials.reserved_runs = 0
     return _finish_with_uncertainty(file, trials, u, budget_exhausted)
@@ -92,12 +92,14 @@ def _finish_with_uncertainty(
     method, stage = file.settings.method, trials.target.stages - 1
     trials.purpose = "around it"
     try:
-        J = trials.jacobian(u, stage, method.step, central=True)
+        J = trials.jacobian(u, stage, method.fd_step, central=True)
         _reject_unidentifiable(file, trials, u, J)
         trials.purpose = "around it"
         (best,) = trials.evaluate([optimizers.gauss_newton_step(trials, u, J)])
         return FitResult(
-            best, apart.estimate_uncertainty(trials, best, J, method.grid), budget_exhausted
+            best,
+            apart.estimate_uncertainty(trials, best, J, method.discretization_check),
+            budget_exhausted,
         )
     except (BudgetExhausted, StudyError):
         return FitResult(trials.best(), None, budget_exhausted)
@@ -105,7 +107,9 @@ def _finish_with_uncertainty(
 
 def _reject_insensitive(file: FitFile, trials: Evaluations) -> None:
     """Reject parameters without effect on the target. Raises FitFileError."""
-    insensitive = optimizers.insensitive_parameters(trials) if file.settings.method.scan > 1 else []
+    insensitive = (
+        optimizers.insensitive_parameters(trials) if file.settings.method.scan_points > 1 else []
+    )
     if insensitive:
         message = "nothing that the target shows changes over the whole range: leave it out"
         raise FitFileError(

@@ -74,15 +74,17 @@ def _body(
         if file is not None:
             cloud = _read_body(file)
             log.info("'%s': the body in %s, %d Gaussians", obj.name, file, len(cloud))
-        elif obj.views is not None:
-            key, up = "views", up or "z"
-            cloud = visual_hull.body(visual_hull.read(scenery.loaded.path(obj.views)), k + 1, up)
-            log.info("'%s': the hull of %s, %d Gaussians", obj.name, obj.views, len(cloud))
-        elif obj.form is None and config.by != "form":
+        elif obj.multi_view is not None:
+            key, up = "multi_view", up or "z"
+            cloud = visual_hull.body(
+                visual_hull.read(scenery.loaded.path(obj.multi_view)), k + 1, up
+            )
+            log.info("'%s': the hull of %s, %d Gaussians", obj.name, obj.multi_view, len(cloud))
+        elif obj.reconstruction is None and config.method != "mask":
             cloud = _body_from_generator(obj, scenery, mask)
-            up = up or external_generators.KINDS[config.by].up
+            up = up or external_generators.KINDS[config.method].up
         else:
-            key = "form"
+            key = "reconstruction"
             return _body_from_mask(k, obj, scenery, mask, guesses)
     except (BodyError, HullError, GaussianFileError, MeshError) as error:
         raise scenery.loaded.wrong((("object", k, key), str(error))) from None
@@ -110,16 +112,16 @@ def _body_from_mask(
     Raises:
         BodyError: The mask gives no body.
     """
-    form, thickness = obj.form or "inflate", obj.thickness
-    if obj.form is None:
-        guesses.append((("object", k, "form"), form, "guessed: the usual one"))
+    method, thickness = obj.reconstruction or "inflate", obj.thickness
+    if obj.reconstruction is None:
+        guesses.append((("object", k, "reconstruction"), method, "guessed: the usual one"))
     if thickness is None:
         thickness = mask_to_mesh.THICKNESS
-        if form == "extrude":
+        if method == "extrude":
             guesses.append((("object", k, "thickness"), thickness, "of its width, guessed"))
-    surface = mask_to_mesh.body(mask, scenery.view, form, thickness)
+    surface = mask_to_mesh.body(mask, scenery.view, method, thickness)
     cloud = gaussian_colors.gaussians(surface, scenery.photo.rgb, mask, scenery.view, seed=k + 1)
-    log.info("'%s': %s, %d Gaussians", obj.name, form, len(cloud))
+    log.info("'%s': %s, %d Gaussians", obj.name, method, len(cloud))
     if obj.yaw:
         rotation = axis_rotation((0.0, 0.0, 1.0), np.radians(obj.yaw))
         middle = (cloud.x.min(axis=0) + cloud.x.max(axis=0)) / 2
@@ -132,7 +134,7 @@ def _body_file(obj: ObjectTable, loaded: LoadedLayout) -> Path | None:
     if obj.body is not None:
         return loaded.path(obj.body)
     config = loaded.layout.bodies
-    if not config.folder or obj.form is not None or obj.views is not None:
+    if not config.folder or obj.reconstruction is not None or obj.multi_view is not None:
         return None
     folder = loaded.path(config.folder)
     if not folder.is_dir():

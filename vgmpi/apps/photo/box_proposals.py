@@ -81,7 +81,7 @@ def text(boxes: list[Box], photo: Photograph, layout_text: str = "") -> str:
     for k, box in enumerate(boxes):
         corners = [round(v * photo.reduced) for v in box]
         out += ["", "[[object]]", f'name = "thing {k + 1}"', f"box = {corners}"]
-        out += ['# height = "10 cm"', '# form = "inflate"  # or "revolve", "extrude"']
+        out += ['# height = "10 cm"', '# reconstruction = "inflate"  # or "revolve", "extrude"']
     return "\n".join(out) + "\n"
 
 

@@ -80,9 +80,9 @@ def make(
         OSError: A file cannot be read or written.
     """
     script = (
-        PROGRAMS / f"run_{config.by}.py"
+        PROGRAMS / f"run_{config.method}.py"
     )  # Python searches packages in the script's folder first
-    if config.by == "program":
+    if config.method == "program":
         script = layout_folder / config.script
     if not script.is_file():
         raise GeneratorError(f"no such file{did_you_mean_file(script)}: {script}", "script")
@@ -106,7 +106,7 @@ def make(
         shutil.rmtree(leftover, ignore_errors=True)
     picture = folder / f"{name}.png"
     replace_file(picture, crop)
-    log.info("'%s': %s makes its body ...", name, config.by)
+    log.info("'%s': %s makes its body ...", name, config.method)
     with tempfile.TemporaryDirectory(prefix=f".{name}.", dir=folder) as workspace:
         output = Path(workspace) / "body.ply"
         _run(config, script, picture, output)
@@ -114,7 +114,7 @@ def make(
             cloud = registry.read(output)
         except GaussianFileError as error:
             message = str(error).replace(str(output), "what it wrote")
-            raise GeneratorError(f"{config.by}: {message}") from None
+            raise GeneratorError(f"{config.method}: {message}") from None
         os.replace(output, body)
     replace_file(noted, json.dumps(note).encode())
     return cloud
@@ -158,7 +158,7 @@ def _run(config: BodiesTable, script: Path, picture: Path, output: Path) -> None
     if code:
         raise program_error(config, code, text)
     if not output.is_file():
-        raise GeneratorError(f"{config.by}: it ended well, but wrote no {output.name}")
+        raise GeneratorError(f"{config.method}: it ended well, but wrote no {output.name}")
 
 
 def _die_with_parent() -> None:
@@ -180,23 +180,23 @@ def program_error(config: BodiesTable, code: int, text: str) -> GeneratorError:
         code: Exit code, negative for a signal.
         text: End of the program's messages.
     """
-    kind = KINDS[config.by]
+    kind = KINDS[config.method]
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     missing = _MISSING.search(text)
     if _GATED.search(text):
         page = _PAGE.search(text)
         where = page[0] if page else kind.page or "their page"
         return GeneratorError(
-            f"{config.by}: its weights are gated: ask for them at {where}, then `hf auth login`"
+            f"{config.method}: its weights are gated: ask for them at {where}, then `hf auth login`"
         )
     if missing:
         where = f": install it there as {kind.page} says" if kind.page else ""
         return GeneratorError(f"{config.python}: has no package '{missing[1]}'{where}", "python")
     if _MEMORY.search(text) and code > 0:
-        return GeneratorError(f"{config.by}: out of the card's memory: {lines[-1][:200]}")
+        return GeneratorError(f"{config.method}: out of the card's memory: {lines[-1][:200]}")
     resume_hint = "; what was made stays, the next start goes on from there"
     if code < 0:
         name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
-        return GeneratorError(f"{config.by}: was ended by {name}{resume_hint}")
+        return GeneratorError(f"{config.method}: was ended by {name}{resume_hint}")
     last = lines[-1][:300] if lines else "and said nothing"
-    return GeneratorError(f"{config.by}: ended with code {code}: {last}{resume_hint}")
+    return GeneratorError(f"{config.method}: ended with code {code}: {last}{resume_hint}")

@@ -1,4 +1,4 @@
-"""Segmentation of an object by GrabCut from its box and from clicks; operations on masks."""
+"""Segmentation of an object by GrabCut from its box and from points; operations on masks."""
 
 import logging
 from typing import NamedTuple
@@ -9,10 +9,10 @@ from scipy import ndimage
 log = logging.getLogger("vgmpi")
 
 GRABCUT_ITERATIONS = 6  # iterations of GrabCut
-CLICK_RADIUS = 0.008  # [-] radius around a click that it decides, relative to the longer side
+POINT_RADIUS = 0.008  # [-] radius around a point that it decides, relative to the longer side
 MARGIN = 0.35  # [-] background around the box that is used, relative to the box
 MIN_PIXELS = 64  # [pixels] smallest usable mask
-COLOR_TOLERANCE = 12  # [0..255] color tolerance of the region that a click marks
+COLOR_TOLERANCE = 12  # [0..255] color tolerance of the region that a point marks
 THREAD_WIDTH = 0.025  # [-] thinner parts are removed, relative to the box's shorter side
 _SEED = 1
 
@@ -46,13 +46,13 @@ def opencv():
     return cv2
 
 
-def grabcut(rgb: np.ndarray, box: Box, clicks: list[tuple[float, float, bool]]) -> np.ndarray:
+def grabcut(rgb: np.ndarray, box: Box, points: list[tuple[float, float, bool]]) -> np.ndarray:
     """Return the object in a box, (height, width) bool.
 
     Args:
         rgb: Photograph, shape (height, width, 3) uint8.
         box: Box of the object [pixels]; everything outside it is background.
-        clicks: x, y [pixels] and whether the object is there.
+        points: x, y [pixels] and whether the object is there.
 
     Raises:
         MaskError: The box is the whole picture, or GrabCut finds nothing in it.
@@ -68,10 +68,10 @@ def grabcut(rgb: np.ndarray, box: Box, clicks: list[tuple[float, float, bool]]) 
     patch = np.ascontiguousarray(rgb[y0:y1, x0:x1])
     label = np.full(patch.shape[:2], cv2.GC_BGD, dtype=np.uint8)
     label[box.top - y0 : box.bottom - y0, box.left - x0 : box.right - x0] = cv2.GC_PR_FGD
-    radius = max(1, round(CLICK_RADIUS * max(width, height)))
+    radius = max(1, round(POINT_RADIUS * max(width, height)))
     for x, y, is_object in sorted(
-        clicks, key=lambda click: click[2]
-    ):  # clicks on the object have precedence
+        points, key=lambda point: point[2]
+    ):  # points on the object have precedence
         center = (int(x) - x0, int(y) - y0)
         if not (0 <= center[0] < patch.shape[1] and 0 <= center[1] < patch.shape[0]):
             continue  # the object does not reach beyond the patch
@@ -93,9 +93,9 @@ def grabcut(rgb: np.ndarray, box: Box, clicks: list[tuple[float, float, bool]]) 
 
 
 def _same_color_region(cv2, patch: np.ndarray, seed: tuple[int, int]) -> np.ndarray:
-    """Return the region (height, width) bool around a click that has the click's color.
+    """Return the region (height, width) bool around a point that has the point's color.
 
-    A click alone is a few pixels, which would hardly change the color model of all the others.
+    A point alone is a few pixels, which would hardly change the color model of all the others.
     """
     smooth = cv2.GaussianBlur(patch, (0, 0), 1.5)
     flooded = np.zeros((patch.shape[0] + 2, patch.shape[1] + 2), dtype=np.uint8)
@@ -137,7 +137,9 @@ def check_mask(mask: np.ndarray) -> list[str]:
             if not count
             else f"has {count} pixels only, at least {MIN_PIXELS} are needed"
         )
-        raise MaskError(f"its mask {problem}: give another box, clicks, or mask = 'file.png'")
+        raise MaskError(
+            f"its mask {problem}: give another box, point_prompts, or mask = 'file.png'"
+        )
     edges = {"left": mask[:, 0], "right": mask[:, -1], "upper": mask[0], "lower": mask[-1]}
     touched = [name for name, edge in edges.items() if edge.any()]
     if touched:

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import BeforeValidator, Field, ValidationError, field_validator, model_validator
 
+from vgmpi.runtime.config import renamed_keys
 from vgmpi.runtime.config.schema import (
     Quantity,
     StrictModel,
@@ -18,7 +19,7 @@ from vgmpi.runtime.config.toml_source import TomlSource
 from vgmpi.runtime.suggestions import did_you_mean
 from vgmpi.scene.objects import checked_name
 
-from .mask_to_mesh import Form
+from .mask_to_mesh import Reconstruction
 
 FLOOR = "floor"
 MAX_OBJECTS = 64  # upper limit of the objects of a layout
@@ -48,21 +49,21 @@ def _box(value: Any) -> tuple[int, int, int, int]:
     return left, top, right, bottom
 
 
-def _clicks(value: Any) -> tuple[tuple[float, float, bool], ...]:
+def _point_prompts(value: Any) -> tuple[tuple[float, float, bool], ...]:
     """Parse [x, y] and [x, y, 'in' or 'out'] into x, y and whether the object is there."""
     if not isinstance(value, list | tuple):
         raise ValueError("must be a list of [x, y] or [x, y, 'out']")
-    clicks = []
-    for click in value:
-        good = isinstance(click, list | tuple) and len(click) in (2, 3)
-        if not good or not all(type(v) in (int, float) and abs(v) < 1e6 for v in click[:2]):
+    points = []
+    for point in value:
+        good = isinstance(point, list | tuple) and len(point) in (2, 3)
+        if not good or not all(type(v) in (int, float) and abs(v) < 1e6 for v in point[:2]):
             raise ValueError("must be a list of [x, y] or [x, y, 'out'], in pixels")
-        if len(click) == 3 and click[2] not in ("in", "out", True, False):
-            raise ValueError("the third of a click is 'out' where the object is not, or 'in'")
-        clicks.append(
-            (float(click[0]), float(click[1]), len(click) == 2 or click[2] in ("in", True))
+        if len(point) == 3 and point[2] not in ("in", "out", True, False):
+            raise ValueError("the third of a point is 'out' where the object is not, or 'in'")
+        points.append(
+            (float(point[0]), float(point[1]), len(point) == 2 or point[2] in ("in", True))
         )
-    return tuple(clicks)
+    return tuple(points)
 
 
 def _support(value: Any) -> str | float:
@@ -79,7 +80,7 @@ Length = Annotated[float, Quantity("m", ge=MIN_LENGTH, le=MAX_LENGTH)]
 Degrees = Annotated[float, BeforeValidator(_degrees)]
 Support = Annotated[str | float, BeforeValidator(_support)]
 Box = Annotated[tuple[int, int, int, int], BeforeValidator(_box)]
-Clicks = Annotated[tuple[tuple[float, float, bool], ...], BeforeValidator(_clicks)]
+PointPrompts = Annotated[tuple[tuple[float, float, bool], ...], BeforeValidator(_point_prompts)]
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
 
 
@@ -97,7 +98,7 @@ class CameraTable(StrictModel):
 class MasksTable(StrictModel):
     """Segmenter of the objects."""
 
-    by: Literal["grabcut", "sam", "sam2", "sam3"] = "grabcut"
+    method: Literal["grabcut", "sam", "sam2", "sam3"] = "grabcut"
     weights: str = ""
     """folder with the weights, or their name at Hugging Face; default: the usual ones"""
 
@@ -105,7 +106,7 @@ class MasksTable(StrictModel):
 class DepthTable(StrictModel):
     """Source of the objects' depths."""
 
-    by: Literal["floor", "depth-anything"] = "floor"
+    method: Literal["floor", "depth-anything"] = "floor"
     weights: str = ""
     """of Depth Anything: as of masks"""
 
@@ -113,7 +114,7 @@ class DepthTable(StrictModel):
 class MaterialsTable(StrictModel):
     """Source of the objects' materials."""
 
-    by: Literal["names", "clip"] = "names"
+    method: Literal["names", "clip"] = "names"
     weights: str = ""
     """of CLIP: as of masks"""
 
@@ -121,29 +122,29 @@ class MaterialsTable(StrictModel):
 class BodiesTable(StrictModel):
     """Source of the objects' bodies, unless an object names its own."""
 
-    by: Literal["form", "triposplat", "trellis", "sam3d", "program"] = "form"
+    method: Literal["mask", "triposplat", "trellis", "sam3d", "program"] = "mask"
     python: str = ""
     """the interpreter in which the generator is installed"""
     script: str = ""
-    """by = "program": called as PYTHON SCRIPT --image CROP.png --output BODY.ply --seed N"""
+    """method = "program": called as PYTHON SCRIPT --image CROP.png --output BODY.ply --seed N"""
     seed: Annotated[int, Field(strict=True, ge=0, le=2**31)] = 1
     folder: str = ""
     """with Gaussian files or meshes of the objects' names, which go before"""
 
     @model_validator(mode="after")
     def _check_program(self):
-        """Require an interpreter for generators, and a script for by = 'program' only."""
-        if self.by != "form" and not self.python:
-            raise ValueError(f"{self.by} needs python = '/its/environment/bin/python'")
-        if (self.by == "program") != bool(self.script):
-            raise ValueError("script is for by = 'program', which needs one")
+        """Require an interpreter for generators, and a script for method = 'program' only."""
+        if self.method != "mask" and not self.python:
+            raise ValueError(f"{self.method} needs python = '/its/environment/bin/python'")
+        if (self.method == "program") != bool(self.script):
+            raise ValueError("script is for method = 'program', which needs one")
         return self
 
 
 class SceneTable(StrictModel):
     """Options of the scene."""
 
-    end: Annotated[float, Quantity("s", gt=0)] = 1.0
+    end: Annotated[float, Quantity("s", gt=0, le=3600)] = 1.0
     frames: Annotated[int, Field(strict=True, ge=2, le=10000)] = 26
     cells: Annotated[int, Field(strict=True, ge=16, le=512)] = 64
     """along the longest edge of the domain"""
@@ -154,11 +155,11 @@ class ObjectTable(StrictModel):
 
     name: Annotated[str, BeforeValidator(checked_name)]
     box: Box | None = None
-    clicks: Clicks = ()
+    point_prompts: PointPrompts = ()
     mask: str | None = None
     text: Annotated[str, Field(max_length=200)] | None = None
     material: str | None = None
-    form: Form | None = None
+    reconstruction: Reconstruction | None = None
     thickness: Annotated[float, Quantity("1", ge=0.02, le=4)] | None = None
     height: Length | None = None
     support: Support | None = None
@@ -166,7 +167,7 @@ class ObjectTable(StrictModel):
     yaw: Annotated[Degrees, Field(ge=-360, le=360)] | None = None
     body: str | None = None
     up: Axis | None = None
-    views: str | None = None
+    multi_view: str | None = None
 
     @field_validator("name")
     @classmethod
@@ -180,7 +181,8 @@ class ObjectTable(StrictModel):
     @model_validator(mode="after")
     def _check_single_body(self):
         """Refuse more than one source of the object's body."""
-        sources = [key for key in ("form", "body", "views") if getattr(self, key) is not None]
+        keys = ("reconstruction", "body", "multi_view")
+        sources = [key for key in keys if getattr(self, key) is not None]
         if len(sources) > 1:
             raise ValueError(f"has {' and '.join(sources)}: only one of them makes its body")
         return self
@@ -224,7 +226,7 @@ def read(path: Path) -> LoadedLayout:
     Raises:
         LayoutError: The layout is invalid; it reports all errors at once.
     """
-    source = TomlSource(path, error=LayoutError)
+    source = TomlSource(path, error=LayoutError, renames=renamed_keys.LAYOUT)
     if not source.data.get("object"):
         message = "object: no object is told: [[object]] tables with a name and a box each"
         raise LayoutError([f"{source.path}:1: {message}; --find proposes some"])
@@ -244,7 +246,7 @@ def read_empty(path: Path) -> tuple[Empty, TomlSource]:
     Raises:
         LayoutError: The layout is invalid or has objects already.
     """
-    source = TomlSource(path, error=LayoutError)
+    source = TomlSource(path, error=LayoutError, renames=renamed_keys.LAYOUT)
     if source.data.get("object"):
         message = "object: there are objects already: --find proposes them where there are none"
         raise LayoutError([f"{source.place(('object', 0))[1]}: {message}"])

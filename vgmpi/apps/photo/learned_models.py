@@ -26,11 +26,11 @@ def load(loaded: LoadedLayout) -> Models:
     layout, folder = loaded.layout, loaded.source.folder
     finder: Finder = object_masks.grabcut
     depth, clip = None, None
-    if layout.masks.by != "grabcut" and any(obj.mask is None for obj in layout.object):
+    if layout.masks.method != "grabcut" and any(obj.mask is None for obj in layout.object):
         finder = _load_or_raise(loaded, "masks", lambda: _sam(layout, folder))
-    if layout.depth.by != "floor" and any(obj.support is None for obj in layout.object):
+    if layout.depth.method != "floor" and any(obj.support is None for obj in layout.object):
         depth = _load_or_raise(loaded, "depth", lambda: _depth(layout, folder))
-    if layout.materials.by != "names" and any(obj.material is None for obj in layout.object):
+    if layout.materials.method != "names" and any(obj.material is None for obj in layout.object):
         clip = _load_or_raise(loaded, "materials", lambda: _clip(layout, folder))
     return Models(finder, depth, clip)
 
@@ -41,7 +41,7 @@ def proposer(layout: Empty, folder: Path) -> Proposer:
     Raises:
         LayoutError: A model cannot be loaded.
     """
-    if layout.masks.by == "grabcut":
+    if layout.masks.method == "grabcut":
         return box_proposals.saliency_boxes
     from vgmpi.apps.photo.learned.model_loading import LearnedError
 
@@ -64,9 +64,9 @@ def _load_or_raise(loaded: LoadedLayout, table: str, load_model: Any) -> Any:
 def _sam(layout: Empty, folder: Path) -> Any:
     from .learned import model_loading, sam
 
-    kind = sam.KINDS[layout.masks.by]
+    kind = sam.KINDS[layout.masks.method]
     return sam.load(
-        layout.masks.by,
+        layout.masks.method,
         model_loading.resolve_weights(layout.masks.weights, kind.default_weights, folder),
     )
 

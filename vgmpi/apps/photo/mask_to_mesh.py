@@ -16,7 +16,7 @@ from vgmpi.preprocess.meshes.surface_mesh import Mesh
 from .grabcut import box_of
 from .photo_camera import View
 
-Form = Literal["inflate", "revolve", "extrude"]
+Reconstruction = Literal["inflate", "revolve", "extrude"]
 OUTLINE_POINTS = 200  # lattice points along the longer side of an outline
 CIRCLE_VERTICES = 64  # vertices of a circle
 REVOLUTION_LEVELS = 300  # circles of a body of revolution
@@ -46,22 +46,24 @@ class Lattice(NamedTuple):
     step: float
 
 
-def body(mask: np.ndarray, view: View, form: Form, thickness: float = THICKNESS) -> Mesh:
+def body(
+    mask: np.ndarray, view: View, method: Reconstruction, thickness: float = THICKNESS
+) -> Mesh:
     """Return the surface of a body in upright axes about the eye, about 1 away.
 
     Args:
         mask: The object, shape (height, width) bool, not empty.
         view: Camera of the photograph.
-        form: Method: inflate the outline, revolve it about an upright axis, or extrude it.
+        method: Inflate the outline, revolve it about an upright axis, or extrude it.
         thickness: Depth of an extruded body relative to its width.
 
     Raises:
-        BodyError: The mask gives no body of this form.
+        BodyError: The mask gives no body by this method.
     """
     mask = eroded_mask(mask)
-    if form == "inflate":
+    if method == "inflate":
         return _inflated(mask, view)
-    if form == "extrude":
+    if method == "extrude":
         return _extruded(mask, view, thickness)
     return _revolved(mask, view)
 
@@ -121,7 +123,7 @@ def _lattice(mask: np.ndarray, view: View) -> Lattice:
     rays = view.rays(rim)
     if not (rays[:, 1] > 0.05).all():
         message = f"lies far below or above a camera that looks down by {view.pitch:g} degrees"
-        raise BodyError(f"it {message}: only form = 'inflate' can be made there")
+        raise BodyError(f"it {message}: only reconstruction = 'inflate' can be made there")
     flat = rays[:, ::2] / rays[:, 1:2]
     low, high = flat.min(axis=0), flat.max(axis=0)
     size = float((high - low).max()) * (1 + 2 / max(box.right - box.left, box.bottom - box.top))
@@ -177,7 +179,7 @@ def _extruded(mask: np.ndarray, view: View, thickness: float) -> Mesh:
             inside &= inside_mask(mask, view, np.stack([a, np.full_like(a, 1 + offset), b], -1))
         if inside.sum() < 16:
             message = f"nothing of it is {thickness:g} of its width thick"
-            raise BodyError(f"{message}: a smaller thickness, or another form")
+            raise BodyError(f"{message}: a smaller thickness, or another reconstruction")
     inside = _largest_component(inside)
     x = np.append(lattice.across - lattice.step / 2, lattice.across[-1] + lattice.step / 2)
     z = np.append(lattice.up - lattice.step / 2, lattice.up[-1] + lattice.step / 2)
@@ -211,7 +213,9 @@ def _revolved(mask: np.ndarray, view: View) -> Mesh:
     radius = ndimage.median_filter(reach.min(axis=1), 5, mode="nearest")
     first, last = _ends(heights, radius, (lattice.up[rows[0]], lattice.up[rows[-1]]))
     if last - first < 4:
-        raise BodyError("no upright body of revolution is seen as its mask: form = 'inflate'?")
+        raise BodyError(
+            "no upright body of revolution is seen as its mask: reconstruction = 'inflate'?"
+        )
     heights, radius = heights[first : last + 1], radius[first : last + 1]
     ring = np.stack([np.cos(turn), np.sin(turn), np.zeros(CIRCLE_VERTICES)], -1)
     middle = np.stack([np.full(len(heights), axis), np.ones(len(heights)), heights], -1)

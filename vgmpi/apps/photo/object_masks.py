@@ -13,18 +13,18 @@ from .photograph import Photograph, PhotographError
 
 log = logging.getLogger("vgmpi.apps.photo")
 
-Clicks = list[tuple[float, float, bool]]
+PointPrompts = list[tuple[float, float, bool]]
 OVERLAP_WARNING = 0.25  # [-] masks that share this fraction of the smaller one are reported
 
 
 class Finder(Protocol):
-    """Segmenter: find an object by a box, clicks or words.
+    """Segmenter: find an object by a box, points or words.
 
     The result is (height, width) bool. Raises MaskError.
     """
 
     def __call__(
-        self, rgb: np.ndarray, box: Box | None, clicks: Clicks, text: str | None
+        self, rgb: np.ndarray, box: Box | None, points: PointPrompts, text: str | None
     ) -> np.ndarray:
         """Return the pixels of one object, (height, width) bool."""
         ...
@@ -38,13 +38,13 @@ class ObjectMask(NamedTuple):
     is_from_file: bool  # True if the layout names a file with the mask
 
 
-def grabcut(rgb: np.ndarray, box: Box | None, clicks: Clicks, text: str | None) -> np.ndarray:
+def grabcut(rgb: np.ndarray, box: Box | None, points: PointPrompts, text: str | None) -> np.ndarray:
     """Segment an object by GrabCut: a Finder without weights that needs a box.
 
     Args:
         rgb: Photograph, shape (height, width, 3) uint8.
         box: Box of the object [pixels].
-        clicks: x, y [pixels] and whether the object is there.
+        points: x, y [pixels] and whether the object is there.
         text: Ignored.
 
     Raises:
@@ -52,7 +52,7 @@ def grabcut(rgb: np.ndarray, box: Box | None, clicks: Clicks, text: str | None) 
     """
     if box is None:
         raise MaskError("GrabCut needs box = [left, top, right, bottom] around it")
-    return masks.grabcut(rgb, box, clicks)
+    return masks.grabcut(rgb, box, points)
 
 
 def segment_objects(loaded: LoadedLayout, photo: Photograph, finder: Finder) -> list[ObjectMask]:
@@ -96,18 +96,18 @@ def _object_mask(
         _KeyedError: The object has no usable mask.
     """
     box = _box(obj, photo)
-    clicks = _clicks(obj, photo, box)
-    segmenter = loaded.layout.masks.by
+    points = _point_prompts(obj, photo, box)
+    segmenter = loaded.layout.masks.method
     if obj.mask is not None:
         key, origin = "mask", f"the mask {obj.mask}"
-    elif box is None and not clicks:
+    elif box is None and not points:
         if photo.alpha is None:
             message = "needs a box = [left, top, right, bottom] in pixels, or a mask = 'file.png'"
             raise _KeyedError("box", f"{message}; --find proposes boxes")
         key, origin = "box", "what the picture's alpha shows"
     else:
-        key = "box" if box is not None else "clicks"
-        origin = f"found by {segmenter} from its {key}"
+        key = "box" if box is not None else "point_prompts"
+        origin = f"found by {segmenter} from its {key.replace('_', ' ')}"
     try:
         if obj.mask is not None:
             mask = _reduced_mask(photograph.read_mask(loaded.path(obj.mask), photo), photo)
@@ -115,7 +115,7 @@ def _object_mask(
             assert photo.alpha is not None
             mask = masks.largest_component(photo.alpha > 127)
         else:
-            mask = finder(photo.rgb, box, clicks, obj.text)
+            mask = finder(photo.rgb, box, points, obj.text)
         masks.check_mask(mask)
     except (MaskError, PhotographError) as error:
         raise _KeyedError(key, error) from None
@@ -154,18 +154,18 @@ def _box(obj: ObjectTable, photo: Photograph) -> Box | None:
     return box
 
 
-def _clicks(obj: ObjectTable, photo: Photograph, box: Box | None) -> Clicks:
-    """Return the clicks in the pixels of the reduced photograph."""
+def _point_prompts(obj: ObjectTable, photo: Photograph, box: Box | None) -> PointPrompts:
+    """Return the points in the pixels of the reduced photograph."""
     width, height = photo.size
     small = []
-    for x, y, is_object in obj.clicks:
+    for x, y, is_object in obj.point_prompts:
         if not (0 <= x < width and 0 <= y < height):
             message = f"lies outside the picture, which has {width} x {height} pixels"
-            raise _KeyedError("clicks", f"[{x:g}, {y:g}] {message}")
+            raise _KeyedError("point_prompts", f"[{x:g}, {y:g}] {message}")
         x, y = x / photo.reduced, y / photo.reduced
         inside = box is None or (box.left <= x < box.right and box.top <= y < box.bottom)
         if is_object and not inside:
-            raise _KeyedError("clicks", f"[{x:g}, {y:g}] lies outside the object's own box")
+            raise _KeyedError("point_prompts", f"[{x:g}, {y:g}] lies outside the object's own box")
         small.append((x, y, is_object))
     return small
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from math import gcd
 
-from vgmpi.planning.cost.tradeoff_results import UNCHANGED as AS_IT_IS
+from vgmpi.planning.cost.tradeoff_results import BASELINE as BASELINE_NAME
 from vgmpi.scene.scene import Scene
 
 REFINEMENT = 2**0.5  # [-] refinement factor of the cells from one run to the next
@@ -29,7 +29,7 @@ class Setting:
     @property
     def name(self) -> str:
         """Return the name of the run's folder."""
-        return "_".join(f"{knob}-{value}" for knob, value in self.knobs) or AS_IT_IS
+        return "_".join(f"{knob}-{value}" for knob, value in self.knobs) or BASELINE_NAME
 
     @property
     def of_grid(self) -> bool:
@@ -103,6 +103,9 @@ PARAMETERS = (
     "pruning",
     "colors",
 )
+
+
+OLD_PARAMETERS = {"colours": "colors"}  # old names that are still read
 
 
 def _precision(scene: Scene) -> list[Setting]:

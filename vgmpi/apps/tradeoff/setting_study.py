@@ -93,7 +93,8 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
     """Parse the command line."""
     parser = _parser()
     args = parser.parse_args(argv)
-    args.vary = tuple(word.strip() for word in args.vary.split(",") if word.strip())
+    words = [word.strip() for word in args.vary.split(",") if word.strip()]
+    args.vary = tuple(parameter_sweep.OLD_PARAMETERS.get(word, word) for word in words)
     unknown = [word for word in args.vary if word not in parameter_sweep.PARAMETERS]
     if unknown:
         parser.error(

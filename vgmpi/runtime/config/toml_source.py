@@ -36,6 +36,7 @@ class TomlSource:
         text: str | None = None,
         error: type[TomlError] = SceneError,
         renames: RenameTable = NO_RENAMES,
+        quiet: bool = False,
     ):
         """Read a file and apply the overrides.
 
@@ -45,6 +46,7 @@ class TomlSource:
             text: Content that is used instead of the file's.
             error: Class raised if the file is not readable, is no TOML or an override fails.
             renames: Old words of keys and values, which are replaced; a warning lists them.
+            quiet: Whether old words are replaced without a warning.
         """
         self.path = Path(path)
         if "\0" in str(path):
@@ -81,7 +83,8 @@ class TomlSource:
         if messages:
             raise error([escape_control_characters(message) for message in messages])
         self._refuse_extremes(error)
-        self._warn_of_old_names()
+        if not quiet:
+            self._warn_of_old_names()
 
     def place(self, path: tuple) -> tuple[int, str]:
         """Return (line for sorting, "file:line" or "--set key=value") of a key or of its holder."""
@@ -118,6 +121,16 @@ class TomlSource:
             except (KeyError, TypeError, IndexError):
                 pass
         return ".".join(parts)
+
+    def with_place(self, line: str) -> str:
+        """Return an error line that begins with a key, with the place of the key before it.
+
+        A line that begins otherwise, or with a key that the file does not have, stays as it is.
+        """
+        match = re.match(r"([A-Za-z_][\w.]*): ", line)
+        path = tuple(match[1].split(".")) if match else ()
+        known = [stop for stop in range(1, len(path) + 1) if path[:stop] in self._line]
+        return f"{self.place(path[: known[-1]])[1]}: {line}" if known else line
 
     def _written(self, path: tuple) -> tuple:
         """Return the path as in the file: without the index 0 if one item stands for a list."""

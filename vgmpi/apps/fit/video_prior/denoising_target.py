@@ -55,7 +55,7 @@ class DenoisingTarget(Target):
         self.loss_description = (
             "root of the mean square of what the model's guess of the noise is off by"
         )
-        self.needs_gradient = file.settings.method.kind == "descent"
+        self.needs_gradient = file.settings.method.algorithm == "descent"
         self.is_injected, self.loaded = kind is not None, kind is not None
         self.kind = kind or self._model()
         self.renderer = Pictures(file.folder / self.options.render)
@@ -66,8 +66,8 @@ class DenoisingTarget(Target):
             self._check_size()
             _require_packages()
             self.preamble = self._require_model_memory()
-        self.values = [np.zeros(self.options.draws)]
-        self.holdout_mask = [np.zeros(self.options.draws, bool)]
+        self.values = [np.zeros(self.options.noise_samples)]
+        self.holdout_mask = [np.zeros(self.options.noise_samples, bool)]
 
     def _model(self) -> VideoModel:
         """Return the model in the folder, not loaded. Raises FitFileError."""
@@ -155,7 +155,7 @@ class DenoisingTarget(Target):
         return hashlib.sha256(json.dumps(stamp, sort_keys=True).encode()).hexdigest()
 
     def observe(self, folder: Path, stage: int) -> np.ndarray:
-        """Return the rms error of each noise sample, shape (draws,)."""
+        """Return the rms error of each noise sample, shape (noise samples,)."""
         return self._query(folder, "loss")
 
     def sds_gradient(self, folder: Path) -> np.ndarray:
@@ -195,7 +195,9 @@ class DenoisingTarget(Target):
                     contribution, loss = score_distillation.sds_gradient(
                         self.kind, z, sample, self.guidance
                     )
-                    gradient += contribution.float().cpu().numpy() / np.float32(self.options.draws)
+                    gradient += contribution.float().cpu().numpy() / np.float32(
+                        self.options.noise_samples
+                    )
                 else:
                     loss = score_distillation.denoising_loss(self.kind, z, sample)
                 losses.append(loss**0.5)
@@ -206,14 +208,13 @@ class DenoisingTarget(Target):
     @property
     def guidance(self) -> float:
         """Guidance scale."""
-        return (
-            self.kind.default_guidance if self.options.guidance is None else self.options.guidance
-        )
+        scale = self.options.guidance_scale
+        return self.kind.default_guidance if scale is None else scale
 
     def _draws(self, shape: tuple[int, ...]) -> Iterator[score_distillation.NoiseSample]:
         """Yield the noise samples, the same ones for every run."""
         for k, share in enumerate(
-            score_distillation.shares(self.options.times, self.options.draws)
+            score_distillation.shares(self.options.noise_levels, self.options.noise_samples)
         ):
             level = self.kind.level(share)
             yield score_distillation.draw(

@@ -39,12 +39,12 @@ class Sds(StrictModel):
     """text of the unconditional half of the guidance, for such a model"""
     image: Text | None = None
     """path of the first picture, for a model conditioned on an image"""
-    guidance: Annotated[float, Field(ge=0, le=1000, strict=True)] | None = None
-    """guidance scale: extrapolation from the prediction without to the one with the prompt;
+    guidance_scale: Annotated[float, Field(ge=0, le=1000, strict=True)] | None = None
+    """extrapolation from the prediction without to the one with the prompt;
     default: that of the model's kind"""
-    draws: Annotated[int, Field(ge=1, le=1000, strict=True)] = 8
+    noise_samples: Annotated[int, Field(ge=1, le=1000, strict=True)] = 8
     """number of noise samples, the same for all runs"""
-    times: Annotated[tuple[Noise, Noise], AfterValidator(_increasing)] = (0.2, 0.8)
+    noise_levels: Annotated[tuple[Noise, Noise], AfterValidator(_increasing)] = (0.2, 0.8)
     """lowest and highest noise level in [0, 1] over which the samples are spread"""
     seed: Annotated[int, Field(ge=0, le=2**31, strict=True)] = 1
     """random seed of the noise"""
@@ -58,8 +58,8 @@ class Sds(StrictModel):
     """number of input frames, spread over those drawn; default: all of them"""
     fps: Annotated[float, Field(gt=0, le=1000, strict=True)] = 7.0
     """frames per second given to a model conditioned on an image"""
-    motion: Annotated[int, Field(ge=0, le=1000, strict=True)] = 127
-    """amount of motion given to such a model (motion_bucket_id)"""
+    motion_bucket_id: Annotated[int, Field(ge=0, le=1000, strict=True)] = 127
+    """amount of motion given to such a model"""
 
     @model_validator(mode="after")
     def _one_condition(self):
@@ -67,7 +67,9 @@ class Sds(StrictModel):
         if (self.prompt is None) == (self.image is None):
             message = "both given" if self.prompt is not None else "nothing that the model goes by"
             raise ValueError(f"{message}: give exactly one of prompt, image")
-        unsuitable = ("fps", "motion") if self.prompt is not None else ("negative_prompt",)
+        unsuitable = (
+            ("fps", "motion_bucket_id") if self.prompt is not None else ("negative_prompt",)
+        )
         unused = [name for name in unsuitable if name in self.model_fields_set]
         if unused:
             condition = "a prompt" if self.prompt is not None else "an image"

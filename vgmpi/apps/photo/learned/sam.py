@@ -1,4 +1,4 @@
-"""Segment Anything 1, 2 and 3 (its tracker): a mask from a box and clicks."""
+"""Segment Anything 1, 2 and 3 (its tracker): a mask from a box and points."""
 
 from typing import Any, NamedTuple
 
@@ -44,7 +44,7 @@ class Sam:
         self,
         rgb: np.ndarray,
         box: Box | None,
-        clicks: list[tuple[float, float, bool]],
+        points: list[tuple[float, float, bool]],
         text: str | None = None,
     ) -> np.ndarray:
         """Segment one object, (height, width) bool.
@@ -52,17 +52,17 @@ class Sam:
         Args:
             rgb: Photograph, shape (height, width, 3) uint8.
             box: Box of the object [pixels], or None.
-            clicks: x, y [pixels] and whether the object is there.
+            points: x, y [pixels] and whether the object is there.
             text: Ignored.
 
         Raises:
-            MaskError: There is neither a box nor a click.
+            MaskError: There is neither a box nor a point.
         """
-        if box is None and not clicks:
-            raise MaskError("SAM needs a box or clicks")
-        points = [[x, y] for x, y, _ in clicks]
-        labels = [int(is_object) for _, _, is_object in clicks]
-        masks, _ = self.ask(rgb, [box] if box is not None else None, [points], [labels])
+        if box is None and not points:
+            raise MaskError("SAM needs a box or point_prompts")
+        places = [[x, y] for x, y, _ in points]
+        labels = [int(is_object) for _, _, is_object in points]
+        masks, _ = self.ask(rgb, [box] if box is not None else None, [places], [labels])
         return largest_component(masks[0])
 
     def ask(
@@ -77,8 +77,8 @@ class Sam:
         Args:
             rgb: Photograph, shape (height, width, 3) uint8.
             boxes: Box of each object, or None.
-            points: Clicks of each object, x and y [pixels]; may be empty.
-            labels: One label for each click: 1 on the object, 0 off it.
+            points: Points of each object, x and y [pixels]; may be empty.
+            labels: One label for each point: 1 on the object, 0 off it.
 
         Returns:
             Masks (n, height, width) bool and their scores (n,).

@@ -118,7 +118,7 @@ class Edm(VideoModel):
             torch.tensor([level.time], device=z_t.device, dtype=torch.float32),
             encoder_hidden_states=embedded,
             added_time_ids=torch.tensor(
-                [[self.options.fps - 1, self.options.motion, IMAGE_NOISE]],
+                [[self.options.fps - 1, self.options.motion_bucket_id, IMAGE_NOISE]],
                 device=z_t.device, dtype=self.dtype,
             ),
         ).sample.to(z_t.dtype)  # fmt: skip

@@ -50,27 +50,27 @@ def jet(tmp_path_factory):
 
 def passed(simulation):
     """Particles that have passed the mouth by now, as they should be counted."""
-    (source,) = simulation.plan.sources
-    layers = np.floor((simulation.time - START) * U / source.spacing + 0.5)
-    return int(len(source.mouth) * max(layers, 0))
+    (inlet,) = simulation.plan.sources
+    layers = np.floor((simulation.time - START) * U / inlet.spacing + 0.5)
+    return int(len(inlet.mouth) * max(layers, 0))
 
 
 def test_a_jet_falls_on_a_parabola(jet):
-    (source,) = jet.plan.sources
-    n = len(source.mouth)
+    (inlet,) = jet.plan.sources
+    n = len(inlet.mouth)
     for time in (0.005, 0.05, 0.11, 0.2, 0.31, END):
         advance(jet, time)
         ids, x = by_id(jet, "id", "x")
         behind = x[:, 0] <= MOUTH[0]
         ((came, _, went, _),) = jet.flow_accounting.totals(jet.ranks)
         assert (~behind).sum() + went == passed(jet)
-        assert came == n * source.spawned_layers(time) and len(ids) == came - went
+        assert came == n * inlet.spawned_layers(time) and len(ids) == came - went
         # what is carried lies on its lattice to rounding, and what is let go behind the mouth near
-        off = np.abs(x[behind] - source.places(ids[behind], time)).max(axis=1, initial=0.0)
-        free = ids[behind] < source.first + n * source.released_layers(time)
+        off = np.abs(x[behind] - inlet.places(ids[behind], time)).max(axis=1, initial=0.0)
+        free = ids[behind] < inlet.first + n * inlet.released_layers(time)
         assert off[~free].max(initial=0.0) < 1e-12 and off[free].max(initial=0.0) < 0.02 * DX
     held(
-        "What a source brought", passed(jet), n * (END - START) * U / source.spacing, n / 2,
+        "What an inlet brought", passed(jet), n * (END - START) * U / inlet.spacing, n / 2,
         kind="absolute", unit="1",
         source="density times area times speed; whole layers", note="32 particles in a layer",
     )  # fmt: skip
@@ -80,7 +80,7 @@ def test_a_jet_falls_on_a_parabola(jet):
     bins = np.floor(away / 0.02).astype(int)
     middle = [(away[bins == k].mean(), flown[bins == k, 2].mean()) for k in np.unique(bins)]
     t, z = np.array(middle).T
-    high = z > MOUTH[2] - 22 * DX  # the sink takes the jet 25 cells down
+    high = z > MOUTH[2] - 22 * DX  # the outlet takes the jet 25 cells down
     t, z = t[high], z[high]
     fell = MOUTH[2] - G / 2 * t**2
     assert len(t) >= 15 and fell[-1] < MOUTH[2] - 20 * DX
@@ -96,9 +96,9 @@ def test_a_jet_is_dense_from_its_first_cell(jet):
     """Particles in the first three cells, and their volumes."""
     advance(jet, END) if jet.time < END else None
     x, J = by_id(jet, "x", "J")
-    (source,) = jet.plan.sources
+    (inlet,) = jet.plan.sources
     near = (x[:, 0] > MOUTH[0]) & (x[:, 0] < MOUTH[0] + 3 * DX)
-    wanted = len(source.mouth) * 3 * DX / source.spacing
+    wanted = len(inlet.mouth) * 3 * DX / inlet.spacing
     held(
         "Particles in a jet's first cells", near.sum(), wanted, 0.06, unit="1",
         source="those of the lattice", note="3 cells; a layer is a sixth of it",

@@ -1,4 +1,4 @@
-"""Target made of frames of another run: the distribution of its bodies."""
+"""Target made of another run: the distribution of its bodies in its frames."""
 
 from pathlib import Path
 
@@ -15,16 +15,16 @@ from .target_base import Target, held_out, nearest_frames
 TIME_TOLERANCE = 1e-6  # [frame intervals]
 
 
-class FrameTarget(Target):
-    """Share of each body's mass in the boxes of a lattice, in frames of another run."""
+class RunTarget(Target):
+    """Share of each body's mass in the bins of a lattice, in frames of another run."""
 
     def __init__(self, file: FitFile):
         super().__init__()
         settings, self.scene = file.settings.target, file.scene
         self.loss_description = (
-            "rms of what of a body is in another box, over the rms of what is in them"
+            "rms of what of a body is in another bin, over the rms of what is in them"
         )
-        folder = file.folder / str(settings.frames)
+        folder = file.folder / str(settings.run)
         body_names = {o.name for o in self.scene.object if o.role == "body"}
         wanted = settings.bodies or tuple(sorted(body_names))
         for k, name in enumerate(wanted):
@@ -43,13 +43,15 @@ class FrameTarget(Target):
                 size = " x ".join(f"{x:g}" for x in other.size)
                 raise RunError(f"is of another domain, {size} m")
             self.wanted, self.times = wanted, other.times
-            raw = [self._shares(other, boxes, range(len(other.times))) for boxes in settings.boxes]
+            raw = [
+                self._shares(other, bins, range(len(other.times))) for bins in settings.density_bins
+            ]
         except RunError as error:
-            raise file.wrong(("target", "frames"), f"{error}; got '{settings.frames}'") from None
-        self.boxes, self.correlated_counts = settings.boxes, [1.0] * len(settings.boxes)
+            raise file.wrong(("target", "run"), f"{error}; got '{settings.run}'") from None
+        self.bins, self.correlated_counts = settings.density_bins, [1.0] * len(raw)
         self.unit = [float(np.sqrt(np.mean(shares**2))) for shares in raw]
         self.values = [shares.ravel() / unit for shares, unit in zip(raw, self.unit)]
-        holdout = held_out(np.arange(len(self.times)), settings.hold_out)
+        holdout = held_out(np.arange(len(self.times)), settings.holdout_every)
         self.holdout_mask = [np.repeat(holdout, shares[0].size) for shares in raw]
         self._check_times(file)
         self.other = folder
@@ -65,9 +67,7 @@ class FrameTarget(Target):
             message = (
                 f"has a frame at {self.times[is_unmatched][0]:g} s, of which the scene has none"
             )
-            raise file.wrong(
-                ("target", "frames"), f"{message}: its time.end and time.frames say when"
-            )
+            raise file.wrong(("target", "run"), f"{message}: its time.end and time.frames say when")
         self.frames = [int(k) for k in nearest]
 
     def images(self) -> np.ndarray:
@@ -75,14 +75,14 @@ class FrameTarget(Target):
         assert self.pictures is not None
         return self.pictures.render_run(self.other, list(range(len(self.times))))
 
-    def _shares(self, outcome: RunOutcome, boxes: int, frames) -> np.ndarray:
-        """Return the share of each body's mass in boxes, (frames, bodies, boxes)."""
+    def _shares(self, outcome: RunOutcome, bins: int, frames) -> np.ndarray:
+        """Return the share of each body's mass in bins, (frames, bodies, bins)."""
         names = [o["name"] for o in outcome.run.objects]
         rows = [names.index(name) for name in self.wanted]
         total = outcome.whole[rows]
-        return np.stack([outcome.spread(int(k), boxes)[rows] / total[:, None] for k in frames])
+        return np.stack([outcome.spread(int(k), bins)[rows] / total[:, None] for k in frames])
 
     def observe(self, folder: Path, stage: int) -> np.ndarray:
-        """Return the scaled shares of a run in the boxes of a stage, shape (n,)."""
-        shares = self._shares(RunOutcome(folder), self.boxes[stage], self.frames)
+        """Return the scaled shares of a run in the bins of a stage, shape (n,)."""
+        shares = self._shares(RunOutcome(folder), self.bins[stage], self.frames)
         return shares.ravel() / self.unit[stage]
