@@ -146,7 +146,7 @@ class FrameColors:
                 message = (
                     f"{self.time:g} s is too short for this run's frames: at least {min_time:.3g} s"
                 )
-                raise SettingsError([f"color_relaxation_time: {message}"])
+                raise SettingsError([f"look.color_relaxation_time: {message}"])
             state = self._advance(frame if k == index else self.run.frame(k), state, age)
             self._write(k, keys[k], state)
         self._last = index, state
@@ -224,7 +224,7 @@ def _color_sets(objects: list[dict], requested: Any) -> list[list[int]]:
         unknown = [name for name in requested if name not in body_names]
         if unknown:
             message = f"there is no body {unknown[0]!r}; known: {', '.join(map(str, body_names))}"
-            raise SettingsError([f"color_objects: {message}"])
+            raise SettingsError([f"look.color_objects: {message}"])
         taking = [k for k in bodies if names[k] in requested]
     sets: dict[Any, list[int]] = {}
     for k in taking:

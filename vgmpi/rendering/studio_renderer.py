@@ -346,8 +346,11 @@ class Studio:
             arrays.append((x, cov, opacity, display.to_linear(color)))
         if moment.grain is not None:
             look = self.chosen.look
-            *grain, floor = moment.grain
-            sand = grain_splats.grains(*grain, eye, floor, look.grains_per_particle, look.dust)
+            x, ids, spacing, stretch, color, sandy, heap, floor = moment.grain
+            sand = grain_splats.grains(
+                x, ids, spacing, stretch, color, sandy, heap, eye, floor,
+                look.grains_per_particle, look.dust,
+            )  # fmt: skip
             arrays.append((sand.x, sand.cov, sand.opacity, display.to_linear(sand.color)))
             normals.append(sand.normal)
             kinds.append(
