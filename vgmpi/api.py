@@ -12,7 +12,6 @@ Example:
     ```
 """
 
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -228,7 +227,7 @@ def run(
         ```
     """
     from .solver import run as runs
-    from .solver.diagnostics.progress import Progress
+    from .solver.diagnostics.progress import is_interactive, shown_progress
 
     options = runs.Options(
         None if folder is None else Path(folder), threads, engine, overwrite=overwrite
@@ -239,11 +238,6 @@ def run(
             options.listeners.append(lambda simulation: on_step(state))
         if on_frame is not None:
             options.watchers.append(lambda run: on_frame(state))
-        bar = None
-        if progress or (progress is None and (sys.stderr.isatty() or "ipykernel" in sys.modules)):
-            bar = Progress(inner, quiet=False, bar=True)
-            options.listeners.append(bar)
-        state.code = inner.run()
-        if bar is not None:
-            bar.close()
+        with shown_progress(inner, is_interactive() if progress is None else progress):
+            state.code = inner.run()
     return state

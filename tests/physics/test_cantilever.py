@@ -45,8 +45,6 @@ H, L, E, RHO, CELLS = 0.1, 1.0, 1e5, 1000.0, 4
 DX = H / CELLS
 PERIOD = 2 * np.pi / 3.516 * L**2 / (H * np.sqrt(E / RHO / 12))  # of the first mode [s]
 SCENE = f"""
-[accuracy]
-precision = "double"
 [domain]
 size = [1.2, {4 * DX}, 1.4]
 cell = {DX}

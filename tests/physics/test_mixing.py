@@ -10,8 +10,7 @@
 - Rayleigh-Taylor: an interface's ripple grows as sinh(sigma t), sigma^2 = A g k tanh(k H), A the
   Atwood number, H the depth of either fluid (Chandrasekhar, Hydrodynamic and Hydromagnetic
   Stability, 1961, section 92); 25 %. Two velocity fields, mixing without diffusion.
-- Three fluids at one node: momentum to 1e-12 sum m |v|; renumbered, the same positions to 1e-12
-  cell.
+- Three fluids at one node: momentum to 1e-12 sum m |v|; renumbered, positions to 1e-12 cell.
 """
 
 from math import erfc
@@ -25,8 +24,7 @@ from tests.support.validation_record import held
 # --- the same numbers: one fluid ---
 
 SAME = """
-[accuracy]
-precision = "double"
+accuracy.precision = "double"
 [domain]
 size = [0.32, 0.16, 0.16]
 cell = 0.02
@@ -79,8 +77,6 @@ def test_two_fluids_alike_are_one(tmp_path):
 LENGTH, WIDTH = 0.8, 0.1  # [m] of the box, of the layer sqrt(4 D t) at the end
 DIFFUSION = 1e-3  # [m2/s]
 BOX = f"""
-[accuracy]
-precision = "double"
 [domain]
 size = [{LENGTH}, SIDE, SIDE]
 cell = CELL
@@ -208,8 +204,6 @@ def test_the_printed_sign_unmixes(tmp_path):
 
 HEAVY, LIGHT, GRAVITY, RAMP, HIGH = 1000.0, 500.0, 1.0, 0.2, 0.4
 MIXED = f"""
-[accuracy]
-precision = "double"
 [domain]
 size = [0.08, 0.08, {HIGH}]
 cell = 0.02
@@ -287,8 +281,6 @@ def test_the_printed_slip_follows_the_time_step(tmp_path):
 
 ACROSS, DEPTH, PULL, SPEED = 0.4, 0.3, 10.0, 0.04
 TWO_LAYERS = f"""
-[accuracy]
-precision = "double"
 [domain]
 size = [{ACROSS}, THICK, {2 * DEPTH}]
 cell = CELL
@@ -357,8 +349,7 @@ def test_rayleigh_taylor(tmp_path, cells):
 # --- three fluids ---
 
 THREE = """
-[accuracy]
-precision = "double"
+accuracy.precision = "double"
 [domain]
 size = [0.32, 0.32, 0.32]
 cell = 0.02

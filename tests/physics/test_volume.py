@@ -17,8 +17,6 @@ LONG, DEEP, DX = 0.32, 0.08, 0.02
 COLUMN = 0.16, 0.2  # [m] wide and high
 LEVEL = COLUMN[0] * COLUMN[1] / LONG
 SCENE = f"""
-[accuracy]
-precision = "double"
 [domain]
 size = [{LONG}, {DEEP}, 0.32]
 cell = {DX}

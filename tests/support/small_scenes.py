@@ -218,8 +218,6 @@ def every_law(precision: str) -> str:
     rows = -(-len(LAWS) // 3)
     cells = -(-(35 + 55 * rows) // 20)  # of 20 mm: 55 mm a row, and 35 mm
     text = f"""
-[accuracy]
-precision = "double"
 [domain]
 size = [0.3, 0.2, {cells * 0.02}]
 cell = 0.02

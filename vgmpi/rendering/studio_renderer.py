@@ -342,15 +342,13 @@ class Studio:
             x, cov, opacity, color = part.view_from(eye)
             if shade is not None:
                 color = color / shade[:, None]
-            color = np.clip(color, 0, 1)
-            arrays.append((x, cov, opacity, display.to_linear(color)))
+            arrays.append((x, cov, opacity, display.to_linear(np.clip(color, 0, 1))))
         if moment.grain is not None:
-            look = self.chosen.look
-            x, ids, spacing, stretch, color, sandy, heap, floor = moment.grain
+            x, ids, gap, stretch, color, sandy, heap, floor = moment.grain
+            look, count = self.chosen.look, self.chosen.look.grains_per_particle
             sand = grain_splats.grains(
-                x, ids, spacing, stretch, color, sandy, heap, eye, floor,
-                look.grains_per_particle, look.dust,
-            )  # fmt: skip
+                x, ids, gap, stretch, color, sandy, heap, eye, floor, count, look.dust
+            )
             arrays.append((sand.x, sand.cov, sand.opacity, display.to_linear(sand.color)))
             normals.append(sand.normal)
             kinds.append(

@@ -95,7 +95,7 @@ class Study:
                 if bar.disable:  # no terminal: a line per run
                     line = f"run {len(cpu_times)} of {len(settings)}: {setting.name}"
                     spent = f"{cpu_times[setting]:.3g} s of processor time"
-                    print(f"{line}: {spent}", file=sys.stderr, flush=True)
+                    bar.write(f"{line}: {spent}", file=sys.stderr)
             except StudyError as error:
                 if setting in needed:
                     raise

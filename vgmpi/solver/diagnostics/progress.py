@@ -1,10 +1,12 @@
 """Progress bar during a run, and the timing table and rank profile at its end."""
 
+import contextlib
 import logging
 import math
 import os
 import sys
 import time
+from collections.abc import Iterator
 
 import numpy as np
 from tqdm import tqdm
@@ -106,6 +108,25 @@ class Progress:
         """Close the bar."""
         if self.bar is not None:
             self.bar.close()
+
+
+def is_interactive() -> bool:
+    """Return whether somebody watches: a terminal, or a notebook."""
+    return sys.stderr.isatty() or "ipykernel" in sys.modules
+
+
+@contextlib.contextmanager
+def shown_progress(run: Runner, visible: bool) -> Iterator[None]:
+    """Show a bar while a run steps, if it is to be visible."""
+    if not visible:
+        yield
+        return
+    progress = Progress(run, quiet=False, bar=True)
+    run.options.listeners.append(progress)
+    try:
+        yield
+    finally:
+        progress.close()
 
 
 def timing_table(run: Runner, clock: Clock) -> str:
