@@ -150,8 +150,8 @@ class SceneLoader:
         if not isinstance(raw, dict):
             return self.report(path, f"must be a table of keys; {format_input(raw)}")
         if "kind" not in raw:
-            known = " | ".join(registry)
-            return self.report((*path, "kind"), f"required key is missing: {known}")
+            kinds = " | ".join(registry)
+            return self.report((*path, "kind"), f"required key is missing: {kinds}")
         cls = registry.get(raw["kind"]) if isinstance(raw["kind"], str) else None
         if cls is None:
             allowed = f"must be one of {', '.join(registry)}{did_you_mean(raw['kind'], registry)}"

@@ -52,8 +52,8 @@ def changes_without_effect(scene: Scene, differences: list[tuple[tuple, str]]) -
     for path, message in differences:
         of_body = path[0] == "object" and len(path) > 2 and scene.object[path[1]].role == "body"
         if (of_body and path[2] in PARTICLE_KEYS) or path[0] == "seed":
-            told = "the particles are those of the run so far, a new run makes others"
-            wrong.append((path, f"{message}: {told}"))
+            reason = "the particles are those of the run so far, a new run makes others"
+            wrong.append((path, f"{message}: {reason}"))
     return wrong
 
 

@@ -42,8 +42,8 @@ def check(options: Options, ranks: SerialCommunicator) -> None:
         )
     if options.threads < 1:
         raise InvalidRunOptions(f"threads must be at least 1; got {options.threads}")
-    most = max(MIN_THREAD_LIMIT, MAX_THREADS_PER_CORE * available_cores())
-    if options.threads > most:
+    limit = max(MIN_THREAD_LIMIT, MAX_THREADS_PER_CORE * available_cores())
+    if options.threads > limit:
         raise InvalidRunOptions(
             f"threads must be at most {most} where this process may use {available_cores()} cores;"
             f" got {options.threads}"

@@ -93,9 +93,9 @@ def run_scene(
             progress.close()
             lines = [report.timing_table(run, clock)]
             if code == runs.DONE and approval.prediction:
-                took = format_duration(clock.last - clock.began)
-                told = format_duration(approval.prediction)
-                lines.append(f"  predicted  about {told}; the run took {took}")
+                duration = format_duration(clock.last - clock.began)
+                prediction = format_duration(approval.prediction)
+                lines.append(f"  predicted  about {prediction}; the run took {duration}")
             if code == runs.DONE and run.first_step == 0:  # the whole run was observed
                 lines += advice(run.scene, run.plan, observer)
             if args.profile:

@@ -71,10 +71,10 @@ def pruning_lines(
     for k, obj in enumerate(scene.object):
         if obj.role != "body" or obj.shape is not None or obj.prune != "off" or not plan.volumes:
             continue
-        kept = round(PRUNED_PER_CELL * plan.volumes[k] / plan.dx**3)
-        if plan.count[k] < MIN_PRUNING_GAIN * max(kept, 1):
+        pruned_count = round(PRUNED_PER_CELL * plan.volumes[k] / plan.dx**3)
+        if plan.count[k] < MIN_PRUNING_GAIN * max(pruned_count, 1):
             continue
-        count = (*plan.count[:k], kept, *plan.count[k + 1 :])
+        count = (*plan.count[:k], pruned_count, *plan.count[k + 1 :])
         factor = step_time(replace(plan, count=count)) / step_time(plan)
         solid = scene.material_of(obj).family == "solid"
         keys = 'prune = "auto" and passive_gaussians = true' if solid else 'prune = "auto"'

@@ -237,4 +237,4 @@ def column_name(name: str, columns: Container[str]) -> str:
     """Return the name of a column among others: its new or old one where `name` is absent."""
     new_names = [new for new, old in COLUMNS.items() if old == name]
     names = (name, *new_names, COLUMNS.get(name, name))
-    return next((known for known in names if known in columns), name)
+    return next((column for column in names if column in columns), name)

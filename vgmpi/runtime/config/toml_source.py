@@ -129,8 +129,8 @@ class TomlSource:
         """
         match = re.match(r"([A-Za-z_][\w.]*): ", line)
         path = tuple(match[1].split(".")) if match else ()
-        known = [stop for stop in range(1, len(path) + 1) if path[:stop] in self._line]
-        return f"{self.place(path[: known[-1]])[1]}: {line}" if known else line
+        stops = [stop for stop in range(1, len(path) + 1) if path[:stop] in self._line]
+        return f"{self.place(path[: stops[-1]])[1]}: {line}" if stops else line
 
     def _written(self, path: tuple) -> tuple:
         """Return the path as in the file: without the index 0 if one item stands for a list."""
