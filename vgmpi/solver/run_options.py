@@ -45,7 +45,7 @@ def check(options: Options, ranks: SerialCommunicator) -> None:
     limit = max(MIN_THREAD_LIMIT, MAX_THREADS_PER_CORE * available_cores())
     if options.threads > limit:
         raise InvalidRunOptions(
-            f"threads must be at most {most} where this process may use {available_cores()} cores;"
+            f"threads must be at most {limit} where this process may use {available_cores()} cores;"
             f" got {options.threads}"
         )
     if options.engine == "numpy" and (ranks.size > 1 or options.threads > 1):

@@ -79,7 +79,7 @@ def pruning_lines(
         solid = scene.material_of(obj).family == "solid"
         keys = 'prune = "auto" and passive_gaussians = true' if solid else 'prune = "auto"'
         lines.append(
-            f"  advice      {scene.place(('object', k))}: {keys} keep about {kept:,} of its"
+            f"  advice      {scene.place(('object', k))}: {keys} keep about {pruned_count:,} of its"
             f" {plan.count[k]:,} particles and the same look at rest:"
             f" {compare(factor)}"
         )
