@@ -1,7 +1,6 @@
-"""Features of the processor for which code is compiled, and markers of compiled kernels."""
+"""Features of the processor for which code is compiled."""
 
 import functools
-import hashlib
 import pathlib
 import platform
 import zlib
@@ -9,9 +8,9 @@ import zlib
 from llvmlite import binding
 from numba import config
 
-from .jit import cache_folder, user_folder
+from .compile_cache import user_folder
 
-__all__ = ["model", "processor", "compiled_marker", "user_folder", "vector_bytes", "widest"]
+__all__ = ["model", "processor", "user_folder", "vector_bytes", "widest"]
 
 _SUM = """
 target triple = "{triple}"
@@ -68,9 +67,3 @@ def widest(triple: str, name: str, features: str) -> int:
     machine = target.create_target_machine(cpu=name, features=features)
     text = machine.emit_assembly(binding.parse_assembly(_SUM.format(triple=triple)))
     return 64 if "zmm" in text else 32 if "ymm" in text else 16
-
-
-def compiled_marker(*kind) -> pathlib.Path:
-    """Return the path of a file that exists once the kernels for `kind` are compiled."""
-    digest = hashlib.sha256(f"{kind} {processor()}".encode()).hexdigest()[:16]
-    return pathlib.Path(config.CACHE_DIR or cache_folder()) / f"{digest}.compiled"

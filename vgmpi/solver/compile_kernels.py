@@ -11,7 +11,8 @@ from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.halo_exchange import FieldMessage
 from vgmpi.planning.particle_channels import SURFACE
 from vgmpi.planning.plan import Plan
-from vgmpi.runtime.cpu_features import compiled_marker, processor
+from vgmpi.runtime.compiled_marker import compiled_marker
+from vgmpi.runtime.cpu_features import processor
 from vgmpi.solver.diagnostics.conservation import body_momentum, conservation_rows
 
 from .step import BlowUp, Simulation
