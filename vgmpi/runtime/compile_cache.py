@@ -124,6 +124,12 @@ class ContentCache(_Cache):
         except OSError:
             _warn_uncached()
 
+    def is_begun(self, sig: Any, target_context: Any) -> bool:
+        """Return whether there is code for a signature, or a process that compiles it."""
+        target_context.refresh()
+        key = self._key(sig, target_context)
+        return key is not None and (self.path(key).exists() or FileLock(self.path(key)).exists())
+
     def enable(self) -> None:
         """Use the disk."""
         self.enabled = True

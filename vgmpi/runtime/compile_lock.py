@@ -41,6 +41,10 @@ class FileLock:
         os.close(descriptor)
         return False
 
+    def exists(self) -> bool:
+        """Return whether a process has it, unless one has ended without releasing it."""
+        return self.path.exists()
+
     def release(self) -> None:
         """Let the next process look; what it waited for is there, or is its own to make."""
         if self.descriptor is not None:
