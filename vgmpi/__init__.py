@@ -12,7 +12,7 @@ import sys
 
 # With colorama installed, numba ends every program with an escape code on stdout, and a file behind
 # mpirun gets it too. A numba that is already imported has read its settings: a change would make it
-# read them all again and forget the folder of runtime/jit.py.
+# read them all again, and forget those that a program has set.
 if "numba" not in sys.modules:
     os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
 

@@ -171,6 +171,20 @@ def _run_scaling(args: argparse.Namespace) -> int:
     return 0
 
 
+def _cost(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("scene", type=Path, help="scene file (TOML)")
+    say("--set", action="append", default=[], metavar="KEY=VALUE", help="as for a run")
+    say("--rows", type=int, default=40, metavar="N", help="of the table, default 40")
+
+
+def _run_cost(args: argparse.Namespace) -> int:
+    from tests.benchmarks import compile_cost
+
+    print(compile_cost.text(compile_cost.measure(args.scene, args.set), args.rows))
+    return 0
+
+
 def _couplings(parser: argparse.ArgumentParser) -> None:
     say = parser.add_argument
     say("--particles", type=float, default=4e5, metavar="N", help="default 4e5")
@@ -259,6 +273,7 @@ COMMANDS = {  # what it does, its flags, how it runs
     "against": ("beside another checkout", _against, _run_against),
     "balance": ("how even a scene's work would be on many ranks", _balance, _run_balance),
     "census": ("what a sort costs one rank of many beside its particles", _census, _run_census),
+    "compile-cost": ("what each specialization of a scene costs to compile", _cost, _run_cost),
     "couplings": ("what mixing and drag cost", _couplings, _run_couplings),
     "emulate": ("one rank of many by its own tables", _emulate, _run_emulate),
     "extremes": ("scenes at the ends of what is allowed", _extremes, _run_extremes),

@@ -1,10 +1,9 @@
 """Names that are data: what is looked up by the name of a module, a folder or a file is there.
 
-What moves or is called otherwise would else be missed in silence: other machine code from a cache,
-other rounding on a card, a table that is not in the wheel, a command that a page names in vain.
+What moves or is called otherwise would else be missed in silence: other rounding on a card,
+a table that is not in the wheel, a command that a page names in vain.
 """
 
-import ast
 import fnmatch
 import importlib.util
 import re
@@ -16,12 +15,9 @@ import pytest
 
 from vgmpi import materials
 from vgmpi.materials import couplings
-from vgmpi.runtime import jit
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
-# compiled for themselves alone: a rival of the bench, and the machine's own speed
-BESIDE = {"vgmpi/apps/bench/numba_baseline.py", "vgmpi/apps/bench/roofline.py"}
 
 
 def tracked():
@@ -38,32 +34,6 @@ TEXTS = (".py", ".md", ".toml", ".yml", ".sh", ".sbatch", ".def", "Makefile", ".
 # what was is in the changelog, and these tests make up files
 BUT = ("CHANGELOG.md", "test_house.py", "test_validation.py")
 PAGES = [name for name in FILES if name.endswith(TEXTS) and not name.endswith(BUT)]
-
-
-def imported(name):
-    """Names of modules of which a file imports names or which it imports."""
-    package = name.split("/")[:-1]
-    for node in ast.walk(ast.parse((ROOT / name).read_text())):
-        if isinstance(node, ast.ImportFrom):
-            base = package[: len(package) - node.level + 1] if node.level else []
-            origin = ".".join([*base, *([node.module] if node.module else [])])
-            yield origin
-            yield from (f"{origin}.{one.name}" for one in node.names)
-
-
-def test_all_that_is_compiled_for_a_run_names_the_cache():
-    compiles = {name for name in PROGRAM if jit.__name__ in imported(name)}
-    hashed = tuple(f"vgmpi/{folder}/" for folder in jit.COMPILED)
-    assert {name for name in compiles if not name.startswith(hashed)} == BESIDE
-    laws = {registry.__path__[0] for registry in (materials, couplings)}
-    assert all(str(Path(one).relative_to(ROOT)).startswith(
-        tuple(folder.rstrip("/") for folder in hashed)) for one in laws)  # fmt: skip
-
-
-def test_a_folder_of_compiled_code_that_is_gone_is_said(monkeypatch):
-    monkeypatch.setattr(jit, "COMPILED", (*jit.COMPILED, "gone"))
-    with pytest.raises(FileNotFoundError, match="gone"):
-        jit.cache_folder()
 
 
 def test_kinds_come_in_an_order_of_their_own():

@@ -1,26 +1,34 @@
 """Compiled code on disk: damage is seen, and a folder that cannot be written is done without."""
 
 import logging
-import os
 import random
-import sys
+import time
 from pathlib import Path
 
 import numba
+import numpy as np
 import pytest
-from numba.core import caching as numbas
 
-from tests.support import launch
-from vgmpi.runtime import compile_cache, cpu_features, jit
+from vgmpi.runtime import (
+    compile_cache,
+    compile_key,
+    compile_lock,
+    compiled_marker,
+    source_digest,
+)
 
 
 def half(x):
     return 0.5 * x + 0.125
 
 
-def fresh():
+def third(x):
+    return x / 3.0
+
+
+def fresh(function=half):
     """The function as a new process finds it."""
-    return compile_cache.njit_cached(error_model="numpy")(half)
+    return compile_cache.njit_cached(error_model="numpy")(function)
 
 
 @pytest.fixture
@@ -30,16 +38,26 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+def file_in(folder, name="half"):
+    (path,) = folder.rglob(f"{name}-*")
+    return path
+
+
 def test_it_is_found_again(folder):
-    assert sorted(p.suffix for p in folder.rglob("*.nb?")) == [".nbc", ".nbi"]
+    assert [p.suffix for p in folder.rglob("*") if p.is_file()] == [".nbc"]
     made = fresh()
     assert made(3.0) == 1.625 and made.stats.cache_hits[(numba.float64,)] == 1
 
 
-@pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
-def test_a_damaged_one_is_compiled_anew(folder, suffix):
+def test_a_file_says_what_it_is(folder):
+    head = file_in(folder).read_bytes().split(b"\n\n")[0].decode()
+    assert f"function {__name__}.half\n" in head and f"\nnumba {numba.__version__}\n" in head
+    assert f"\nsource {__name__} " in head and "/" not in head
+
+
+def test_a_damaged_one_is_compiled_anew(folder):
     """40 bits, each of a whole file; then cut off, empty, and another's."""
-    (path,) = folder.rglob(f"*{suffix}")
+    path = file_in(folder)
     draw = random.Random(5)
     for k in range(43):
         whole = path.read_bytes()
@@ -55,19 +73,38 @@ def test_a_damaged_one_is_compiled_anew(folder, suffix):
         assert fresh()(3.0) == 1.625 and path.read_bytes() != damaged  # mended
 
 
-def test_what_numba_itself_wrote_is_no_trouble(folder):
-    for path in folder.rglob("*.nb?"):
-        path.write_bytes(path.read_bytes()[: -compile_cache.CHECKSUM_BYTES])
-    assert fresh()(3.0) == 1.625
-    plain = numba.njit(cache=True, error_model="numpy")(half)
-    assert plain(3.0) == 1.625 and plain.stats.cache_hits  # and it reads ours
+def test_one_under_the_name_of_another_is_compiled_anew(folder):
+    assert fresh(third)(3.0) == 1.0
+    file_in(folder).write_bytes(file_in(folder, "third").read_bytes())
+    made = fresh()
+    assert made(3.0) == 1.625 and not made.stats.cache_hits
+
+
+@pytest.mark.parametrize(
+    "module, name, value",
+    [
+        (compile_key, "_versions", lambda: ("numba 0.1", "llvmlite 0.1", "numpy 2.0")),
+        (compile_key, "FP_CONTRACTION", "other"),
+        (numba.config, "LOOP_VECTORIZE", 0),
+        (compile_key, "_source_lines", lambda modules: ["source x 0"]),
+    ],
+)
+def test_another_version_or_setting_has_its_own(folder, monkeypatch, module, name, value):
+    monkeypatch.setattr(module, name, value)
+    made = fresh()
+    assert made(3.0) == 1.625 and not made.stats.cache_hits
+    assert len(list(folder.rglob("half-*"))) == 2
+
+
+def test_options_and_signatures_have_their_own(folder):
+    made = compile_cache.njit_cached(error_model="numpy", fastmath={"contract"})(half)
+    assert made(3.0) == 1.625 and not made.stats.cache_hits
+    assert made(np.float32(3.0)) == 1.625 and len(list(folder.rglob("half-*"))) == 3
 
 
 def test_without_a_folder_it_runs_and_says_so_once(tmp_path, monkeypatch, caplog):
     (tmp_path / "file").touch()
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "file" / "below"))
-    only = [numbas.UserProvidedCacheLocator]
-    monkeypatch.setattr(numbas.CacheImpl, "_locator_classes", only)
     compile_cache._warn_uncached.cache_clear()
     with caplog.at_level(logging.WARNING, "vgmpi"):
         assert fresh()(1.0) == fresh()(1.0) == 0.625
@@ -75,23 +112,63 @@ def test_without_a_folder_it_runs_and_says_so_once(tmp_path, monkeypatch, caplog
     assert "NUMBA_CACHE_DIR" in said and not list(Path(tmp_path).rglob("*.nb?"))
 
 
-AFTER_NUMBA = """
-import numba
-import vgmpi
-from vgmpi.runtime import jit
-numba.njit(lambda x: x + 1.0)(2.0)  # reads the settings again where the environment has changed
-print(numba.config.CACHE_DIR == str(jit.cache_folder()))
-"""
+def test_a_folder_that_can_only_be_read_is_read(folder, monkeypatch):
+    def refuse(*_, **__):
+        raise PermissionError(13, "read only")
+
+    for module, name in ((compile_lock.os, "open"), (compile_cache.os, "replace")):
+        monkeypatch.setattr(module, name, refuse)
+    made, other = fresh(), fresh(third)
+    assert made(3.0) == 1.625 and made.stats.cache_hits
+    assert other(3.0) == 1.0 and not list(folder.rglob("third-*"))
 
 
-def test_where_numba_came_first_the_folder_stays(monkeypatch):
-    """Numba forgets what is not in the environment once a variable of its own there has changed."""
-    for name in [name for name in os.environ if name.startswith("NUMBA_")]:
-        monkeypatch.delenv(name)
-    done = launch.run([sys.executable, "-c", AFTER_NUMBA])
-    assert done.stdout == "True\n", done.stdout + done.stderr
+def test_a_lock_is_released_where_compilation_fails(folder):
+    def wrong(x):
+        return x.nothing
+
+    made = fresh(wrong)
+    with pytest.raises(numba.TypingError):
+        made(1.0)
+    assert not list(folder.rglob("*.lock")) and not made._cache.locks
 
 
-def test_without_a_folder_the_stamp_is_not_in_the_current_one(monkeypatch):
+def test_a_lock_that_stays_is_not_waited_for_forever(folder, monkeypatch):
+    path = folder / "some"
+    held, other = compile_lock.FileLock(path), compile_lock.FileLock(path)
+    monkeypatch.setattr(compile_lock, "PATIENCE", 0.1)
+    start = time.monotonic()
+    assert held.acquire() and not other.acquire() and time.monotonic() - start < 60
+    held.release()
+    assert other.acquire()
+    other.release()
+    assert not list(folder.glob("*.lock"))
+
+
+def test_a_source_that_changed_meanwhile_keeps_nothing(folder, monkeypatch):
+    """What is in memory is not what is on disk: a later process would get the older code."""
+    monkeypatch.setattr(source_digest, "_STARTED", 0.0)
+    source_digest._parsed.cache_clear()
+    compile_key._source_lines.cache_clear()
+    made = fresh()
+    assert made(3.0) == 1.625 and not made.stats.cache_hits
+    assert fresh(third)(3.0) == 1.0 and not list(folder.rglob("third-*"))
+
+
+def test_a_function_without_a_module_is_not_kept(folder):
+    space = {}
+    exec("def bare(x): return x + 1.0", space)
+    assert fresh(space["bare"])(3.0) == 4.0 and not list(folder.rglob("bare-*"))
+
+
+def test_markers_follow_the_key(folder, monkeypatch):
+    before = compiled_marker.compiled_marker("fluid")
+    assert before.parent == folder and before == compiled_marker.compiled_marker("fluid")
+    monkeypatch.setattr(compile_key, "_source_lines", lambda modules: ["source x 0"])
+    assert compiled_marker.compiled_marker("fluid") != before
+
+
+def test_the_folder_is_the_users_unless_numba_has_one(monkeypatch, tmp_path):
     monkeypatch.setattr(numba.config, "CACHE_DIR", "")
-    assert cpu_features.compiled_marker("fluid").parent == jit.cache_folder()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert compile_cache.cache_folder() == tmp_path / "vgmpi" / "compiled"

@@ -14,7 +14,7 @@ from tests.support.small_scenes import MIXED
 from vgmpi.apps.bench import instrumented_contestant
 from vgmpi.apps.bench.benchmark_case import Case, lay_out
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.runtime.cpu_features import compiled_marker
+from vgmpi.runtime.compiled_marker import compiled_marker
 from vgmpi.solver import compile_kernels
 
 
@@ -126,6 +126,33 @@ def test_the_first_compilation_is_told(tmp_path, monkeypatch, caplog):
         assert seen == [[line]] and there.exists()
         compile_kernels.compile_kernels(plan, SerialCommunicator())
     assert caplog.messages == [line]
+
+
+def test_ranks_compile_shares_of_a_step(tmp_path, monkeypatch):
+    """Without its kernels a step tells all that it calls, and no rank begins what another has."""
+    lay_out(Case("fluid", 64), ["single"], tmp_path)
+    flags = {"folder": str(tmp_path / "single"), "ranks": 1, "threads": 1}
+    plan = instrumented_contestant.Contestant(flags).start[1]
+    calls, begun = [], []
+    compile_kernels._run_all(plan, calls)
+    assert {"particles_to_grid", "update", "grid_to_particles"} <= {
+        kernel.py_func.__name__ for kernel, *_ in calls
+    }
+    monkeypatch.setattr(compile_kernels, "is_begun", lambda *call: call[0] in begun)
+    monkeypatch.setattr(
+        compile_kernels, "precompiled_entry", lambda kernel, *_: begun.append(kernel)
+    )
+    compile_kernels._compile_share(plan, SimpleNamespace(rank=1, size=2))
+    assert begun[0] is calls[len(calls) // 2][0]
+    assert set(begun) == {kernel for kernel, *_ in calls} and len(begun) == len(set(begun))
+
+
+def test_a_share_that_fails_is_left_to_the_run(tmp_path, monkeypatch):
+    def fails(*_):
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(compile_kernels, "_run_all", fails)
+    compile_kernels._compile_share(SimpleNamespace(), SimpleNamespace(rank=0, size=2))
 
 
 def test_stamps_tell_kernels_apart():

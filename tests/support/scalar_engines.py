@@ -7,7 +7,6 @@ from numba import njit
 
 from vgmpi.kernels.simd import vector16
 from vgmpi.kernels.simd.material_dispatch import store_state_vector
-from vgmpi.runtime import jit as _jit  # noqa: F401  (the cache folder)
 
 ENGINES = ("arrays", "scalars", "compiled", "lanes")
 

@@ -1,7 +1,6 @@
-"""Features of the processor for which code is compiled, and markers of compiled kernels."""
+"""Features of the processor for which code is compiled."""
 
 import functools
-import hashlib
 import os
 import pathlib
 import platform
@@ -10,17 +9,9 @@ import zlib
 from llvmlite import binding
 from numba import config
 
-from .jit import cache_folder, user_folder
+from .compile_cache import user_folder
 
-__all__ = [
-    "available_cores",
-    "model",
-    "processor",
-    "compiled_marker",
-    "user_folder",
-    "vector_bytes",
-    "widest",
-]
+__all__ = ["available_cores", "model", "processor", "user_folder", "vector_bytes", "widest"]
 
 _SUM = """
 target triple = "{triple}"
@@ -84,9 +75,3 @@ def widest(triple: str, name: str, features: str) -> int:
     machine = target.create_target_machine(cpu=name, features=features)
     text = machine.emit_assembly(binding.parse_assembly(_SUM.format(triple=triple)))
     return 64 if "zmm" in text else 32 if "ymm" in text else 16
-
-
-def compiled_marker(*kind) -> pathlib.Path:
-    """Return the path of a file that exists once the kernels for `kind` are compiled."""
-    digest = hashlib.sha256(f"{kind} {processor()}".encode()).hexdigest()[:16]
-    return pathlib.Path(config.CACHE_DIR or cache_folder()) / f"{digest}.compiled"

@@ -23,6 +23,16 @@ def precompiled_entry(function, *arguments) -> Callable:
     return _entries[key]
 
 
+def is_begun(function, *arguments) -> bool:
+    """Return whether the code of `precompiled_entry` is on disk, or is being compiled now.
+
+    Args:
+        function: Kernel (numba dispatcher). *arguments: Example arguments.
+    """
+    signature = tuple(numba.typeof(argument) for argument in arguments)
+    return function._cache.is_begun(signature, function.targetctx)
+
+
 def _kind(argument):
     """Return a key that is equal where numba's types are, e.g. dtype and layout of arrays."""
     if isinstance(argument, np.ndarray):

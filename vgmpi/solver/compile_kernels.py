@@ -11,7 +11,9 @@ from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.halo_exchange import FieldMessage
 from vgmpi.planning.particle_channels import SURFACE
 from vgmpi.planning.plan import Plan
-from vgmpi.runtime.cpu_features import compiled_marker, processor
+from vgmpi.runtime.compiled_marker import compiled_marker
+from vgmpi.runtime.cpu_features import processor
+from vgmpi.runtime.fast_dispatch import is_begun, precompiled_entry
 from vgmpi.solver.diagnostics.conservation import body_momentum, conservation_rows
 
 from .step import BlowUp, Simulation
@@ -22,8 +24,8 @@ log = logging.getLogger("vgmpi")
 def compile_kernels(plan: Plan, ranks: SerialCommunicator) -> None:
     """Make the kernels ready on every rank. Collective.
 
-    Rank 0 compiles them first, so that the others find them in the cache; kernels that are already
-    compiled are loaded by all ranks at once.
+    Every rank compiles a share. Rank 0 then compiles what is left, so that the others find all in
+    the cache; kernels that are already compiled are loaded by all ranks at once.
 
     Raises:
         BlowUp: On all ranks, if a test step with the kernels fails on rank 0.
@@ -33,6 +35,8 @@ def compile_kernels(plan: Plan, ranks: SerialCommunicator) -> None:
     ready = ranks.bcast(marker.exists())
     if ranks.rank == 0 and not ready:
         log.info("compiling for this processor, once for these materials: a minute or two")
+    if ranks.size > 1 and not ready:
+        _compile_share(plan, ranks)
     failure = _failure_of_run(plan) if ranks.rank == 0 or ready else ""
     failure = ranks.bcast(failure)  # the others wait here while rank 0 compiles
     if failure:
@@ -64,6 +68,26 @@ def _same_processor(ranks: SerialCommunicator) -> None:
         )
 
 
+def _compile_share(plan: Plan, ranks: SerialCommunicator) -> None:
+    """Compile kernels that no other rank has begun, starting at another one on every rank.
+
+    A step without its kernels tells what they are called with. What fails here is reported when the
+    kernels are run.
+    """
+    calls: list[tuple] = []
+    try:
+        _run_all(plan, calls)
+    except Exception as error:  # a step may fail without its kernels
+        log.debug("not all kernels are compiled side by side: %s", error)
+    first = ranks.rank * len(calls) // ranks.size
+    try:
+        for call in calls[first:] + calls[:first]:
+            if not is_begun(*call):
+                precompiled_entry(*call)
+    except Exception as error:
+        log.debug("not all kernels are compiled side by side: %s", error)
+
+
 def _failure_of_run(plan: Plan) -> str:
     """Run `_run_all`; return the reason if it fails, else ""."""
     try:
@@ -73,25 +97,31 @@ def _failure_of_run(plan: Plan) -> str:
     return ""
 
 
-def _run_all(plan: Plan) -> None:
+def _run_all(plan: Plan, calls: list[tuple] | None = None) -> None:
     """Take one particle per object through a step, a sort and the conservation log.
 
     Released bodies are run again in the groups that they join.
+
+    Args:
+        plan: The plan.
+        calls: If given, the kernels of the step are not called but appended, with their arguments.
     """
-    _run(plan)
+    _run(plan, calls)
     if plan.driven:
         group_of = list(plan.group_of)
         for body in plan.driven:
             for k in body.things:
                 group_of[k] = body.joins
-        _run(replace(plan, group_of=tuple(group_of)))
+        _run(replace(plan, group_of=tuple(group_of)), calls)
 
 
-def _run(plan: Plan) -> None:
-    """Run all kernels of a plan once."""
+def _run(plan: Plan, calls: list[tuple] | None) -> None:
+    """Run all kernels of a plan once, or append those of the step to `calls`."""
     middle = 0.5 * np.array(plan.cells) * plan.dx
     owners = np.array([k for k, g in enumerate(plan.group_of) if g >= 0 and plan.count[k]])
     simulation = Simulation(replace(plan, sources=(), sinks=()), SerialCommunicator())
+    if calls is not None:
+        vars(simulation.engine)["call_if_rows"] = lambda key, *call: calls.append(call)
     n = len(owners)
     ids = np.array(plan.first_id)[owners]
     simulation.put(

@@ -15,7 +15,6 @@ from numba.extending import intrinsic, overload, register_jitable
 from vgmpi.materials import registry
 from vgmpi.materials.material import law_function, law_owner, state_channels
 from vgmpi.materials.tensor_math import hencky, symmetric_eigen, tait, tensor, viscoplastic_flow
-from vgmpi.runtime import jit as _jit  # noqa: F401  (sets numba's cache folder first)
 
 from . import math_functions as _functions  # noqa: F401  (defines exp and its kin for lanes
 from .vector16 import VECTOR_OF, address, broadcast_value
