@@ -2,9 +2,13 @@
 
 import contextlib
 import logging
+import sys
+import time
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from tqdm import tqdm
 
 from vgmpi.kernels.transfer.apply_loads import push
 from vgmpi.parallel.communicator import SerialCommunicator
@@ -20,12 +24,15 @@ from .step import BlowUp, Simulation
 
 log = logging.getLogger("vgmpi")
 
+LINE_INTERVAL = 10.0  # [s] between lines on compiling where there is no terminal
+
 
 def compile_kernels(plan: Plan, ranks: SerialCommunicator) -> None:
     """Make the kernels ready on every rank. Collective.
 
-    Every rank compiles a share. Rank 0 then compiles what is left, so that the others find all in
-    the cache; kernels that are already compiled are loaded by all ranks at once.
+    Every rank compiles a share, with a bar on rank 0. Rank 0 then compiles what is left, so that
+    the others find all in the cache; kernels that are already compiled are loaded by all ranks at
+    once.
 
     Raises:
         BlowUp: On all ranks, if a test step with the kernels fails on rank 0.
@@ -35,7 +42,7 @@ def compile_kernels(plan: Plan, ranks: SerialCommunicator) -> None:
     ready = ranks.bcast(marker.exists())
     if ranks.rank == 0 and not ready:
         log.info("compiling for this processor, once for these materials: a minute or two")
-    if ranks.size > 1 and not ready:
+    if not ready:
         _compile_share(plan, ranks)
     failure = _failure_of_run(plan) if ranks.rank == 0 or ready else ""
     failure = ranks.bcast(failure)  # the others wait here while rank 0 compiles
@@ -81,11 +88,30 @@ def _compile_share(plan: Plan, ranks: SerialCommunicator) -> None:
         log.debug("not all kernels are compiled side by side: %s", error)
     first = ranks.rank * len(calls) // ranks.size
     try:
-        for call in calls[first:] + calls[:first]:
+        for call in _followed(calls[first:] + calls[:first], ranks.rank == 0):
             if not is_begun(*call):
                 precompiled_entry(*call)
     except Exception as error:
         log.debug("not all kernels are compiled side by side: %s", error)
+
+
+def _followed(calls: list[tuple], visible: bool) -> Iterator[tuple]:
+    """Yield kernel calls with a bar on a terminal, or with a line every ten seconds.
+
+    Args:
+        calls: Kernels to compile, with their arguments.
+        visible: Whether this rank shows anything.
+    """
+    begun = last_line = time.monotonic()
+    is_bar = visible and sys.stderr.isatty() and log.isEnabledFor(logging.INFO)
+    for count, call in enumerate(
+        tqdm(calls, "compiling", unit="kernel", leave=False, disable=not is_bar)
+    ):
+        now = time.monotonic()
+        if visible and not is_bar and now - last_line > LINE_INTERVAL:
+            last_line = now
+            log.info("compiling: %d of %d kernels, %.0f s so far", count, len(calls), now - begun)
+        yield call
 
 
 def _failure_of_run(plan: Plan) -> str:
