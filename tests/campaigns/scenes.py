@@ -13,7 +13,7 @@ from tests.campaigns.spoiled import Spoiler
 from tests.support import small_scenes, wrong_scenes
 
 NAME = "scenes"
-COUNT = 1500
+COUNT = 3000
 SMALL = 25
 
 # keys that the other scenes have not

@@ -13,7 +13,7 @@ from tests.rendering import test_settings
 from tests.support import drawn_runs
 
 NAME = "settings"
-COUNT = 500
+COUNT = 1000
 SMALL = 20
 
 # what the files of runs/ do not say

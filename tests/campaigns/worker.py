@@ -33,7 +33,12 @@ WAITING = 1200  # seconds by the wall clock: what waits for something that never
 MEGABYTES = 1000  # that the process may hold at a time, all that is imported included
 LONGEST = 3000  # characters of a line
 FREE = 128 << 20  # bytes that `available_memory` returns: larger cases are refused on any machine
-MODULES = {"vgmpi": ("vgmpi.__main__", "main"), "render": ("postprocess.render", "command")}
+MODULES = {
+    "vgmpi": ("vgmpi.__main__", "main"),
+    "render": ("postprocess.render", "command"),
+    "photo": ("vgmpi.apps.photo.__main__", "main"),
+    "convert": ("vgmpi.apps.convert.__main__", "main"),
+}
 _ADDRESSES = 16 << 30  # bytes: so that a fault does not take the machine with it
 _CASES = 200  # of a process: what the ones before left behind is not counted for long
 _MADE = re.compile(r"(\d+) particles on its surface, (\d+) inside")
