@@ -46,7 +46,7 @@ def spoiled(draw: random.Random, config: dict) -> bytes:
             case 2 if isinstance(holder[key], int | float):
                 holder[key] *= draw.choice((-1, 0, 1e-9, 1e-3, 10, 1e3, 1e9, 1e200))
             case _:
-                holder[key] = draw.choice(VALUES)
+                holder[key] = copy.deepcopy(draw.choice(VALUES))
         if not config:
             break
     data = json.dumps(config).encode()

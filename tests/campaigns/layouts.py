@@ -30,13 +30,13 @@ point_prompts = [[70, 80]]
 pitch = "15 deg"
 fov = 50
 [bodies]
-method = "form"
+method = "mask"
 [[object]]
 name = "ball"
 height = "10 cm"
 box = [40, 50, 100, 110]
 reconstruction = "revolve"
-preset = "soft rubber"
+material = "rubber"
 """,
 )
 
@@ -57,12 +57,12 @@ def campaign(count: int, seed: int, folder: Path) -> Result:
         paths.append(path)
         cases.append(
             [
-                ["photo", str(photo), str(path), "-o", str(out), "-q"],
+                ["photo", str(photo), str(path), "-o", str(out)],
                 ["vgmpi", str(out / "scene.toml"), "--check"],
             ]
         )
     good = spoiler.good(folder)[0]
-    warm = [["photo", str(photo), str(good), "-o", str(folder / "out_good"), "-q"]]
+    warm = [["photo", str(photo), str(good), "-o", str(folder / "out_good")]]
     return worker.judged(paths, cases, warm, _where, _named)
 
 

@@ -139,9 +139,8 @@ def key_error(path: Path, key_path: KeyPath, message: str) -> ConvertError:
 
 def _raise_errors(path: Path, errors: list[tuple[KeyPath, str]]) -> NoReturn:
     """Raise ConvertError with all errors."""
-    raise ConvertError(
-        [line for key_path, message in errors for line in key_error(path, key_path, message).lines]
-    )
+    lines = [f"{path}: {'.'.join(map(str, key))}: {message}" for key, message in errors]
+    raise ConvertError(list(dict.fromkeys(map(escape_control_characters, lines))))
 
 
 def _read_json(path: Path) -> dict[str, Any]:
