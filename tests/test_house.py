@@ -139,9 +139,9 @@ def test_packages_are_used_in_their_rooms(file):
 @pytest.mark.parametrize(
     "file, imported",
     [
-        ("vgmpi/solver/step.py", "mpi4py"),
+        ("vgmpi/solver/simulation.py", "mpi4py"),
         ("vgmpi/planning/plan.py", "numba"),
-        ("vgmpi/solver/step.py", "vgmpi.runtime.jit"),
+        ("vgmpi/solver/simulation.py", "vgmpi.runtime.jit"),
         ("vgmpi/preprocess/scene_builder.py", "h5py"),
         ("vgmpi/apps/bench/vgmpi_contestant.py", "numba"),
         ("vgmpi/apps/bench/vgmpi_contestant.py", "vgmpi.runtime.jit"),
@@ -186,9 +186,9 @@ def test_imports_keep_the_contracts():
         ("vgmpi/materials/newtonian_fluid.py", "import vgmpi.scene.loader", "rooms import"),
         ("vgmpi/runtime/cpu_features.py", "import vgmpi.gaussians.cloud", "rooms import"),
         ("vgmpi/solver/run.py", "import vgmpi.apps.photo.pipeline", "rooms import"),
-        ("vgmpi/solver/engines/cpu.py", "import vgmpi.solver.step", "engines do not"),
+        ("vgmpi/solver/engines/cpu.py", "import vgmpi.solver.simulation", "engines do not"),
         ("vgmpi/rendering/frame_renderer.py", "import vgmpi.scene.loader", "the renderer reads"),
-        ("vgmpi/solver/step.py", "import mpi4py", "only parallel and io"),
+        ("vgmpi/solver/simulation.py", "import mpi4py", "only parallel and io"),
         ("vgmpi/apps/fit/workflow.py", "import postprocess.render", "nothing in vgmpi"),
     ],
 )

@@ -120,7 +120,7 @@ class Run:
 
     @property
     def simulation(self):
-        """State of the solver, see vgmpi/solver/step.py."""
+        """State of the solver, see vgmpi/solver/simulation.py."""
         return self._inner.simulation
 
     @property

@@ -14,7 +14,7 @@ from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import registry
 from vgmpi.kernels.nodal_fields import momentum
 from vgmpi.runtime import memory_budget
-from vgmpi.solver.step import BlowUp
+from vgmpi.solver.simulation import BlowUp
 
 
 @pytest.fixture

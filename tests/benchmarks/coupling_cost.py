@@ -16,7 +16,7 @@ from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.scene.loader import load
 from vgmpi.solver.initial_particles import known_of, plan_for
-from vgmpi.solver.step import Simulation
+from vgmpi.solver.simulation import Simulation
 
 TANK = """
 [domain]

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tests.benchmarks.coupling_cost import MIXING, ready, spent
-from vgmpi.solver.step import Simulation
+from vgmpi.solver.simulation import Simulation
 
 THICK = 8  # cells of a slab
 HEAD = """

@@ -15,7 +15,7 @@ from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.scene.loader import load
 from vgmpi.solver.engine_registry import ENGINES
 from vgmpi.solver.initial_particles import known_of, plan_for
-from vgmpi.solver.step import Simulation
+from vgmpi.solver.simulation import Simulation
 
 CARDS = (80, 90)
 SCENE = """

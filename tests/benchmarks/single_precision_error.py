@@ -11,7 +11,7 @@ from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.planning.plan import make_plan
 from vgmpi.scene.loader import load
 from vgmpi.solver.restart.state_io import by_id
-from vgmpi.solver.step import Simulation
+from vgmpi.solver.simulation import Simulation
 
 SCENE = """
 [domain]

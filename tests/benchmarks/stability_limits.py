@@ -22,7 +22,7 @@ from vgmpi.scene.loader import load
 from vgmpi.scene.sections import Transfer
 from vgmpi.solver.diagnostics.conservation import conservation_rows
 from vgmpi.solver.initial_particles import known_of, plan_for
-from vgmpi.solver.step import BlowUp, Simulation
+from vgmpi.solver.simulation import BlowUp, Simulation
 
 TRANSFERS, PRECISIONS = get_args(Transfer), ("single", "double")
 CELLS = (6, 6, 10)

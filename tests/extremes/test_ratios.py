@@ -14,7 +14,7 @@ from tests.benchmarks.contrast_stability import MARGIN, Pair, TwoBodyBox
 from vgmpi.materials import registry
 from vgmpi.materials.material import law_function
 from vgmpi.runtime.config.schema import SceneError
-from vgmpi.solver.step import Simulation
+from vgmpi.solver.simulation import Simulation
 
 SOLIDS, WET, MIXED = ("elastic", "elastic"), ("fluid", "sand"), ("fluid", "fluid")
 CORNERS = {

@@ -15,7 +15,7 @@ from tests.support.small_scenes import scene
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.planning.plan import make_plan
 from vgmpi.solver.restart.state_io import save
-from vgmpi.solver.step import Simulation
+from vgmpi.solver.simulation import Simulation
 
 # vectors hold 16, batches 128
 COUNTS = (1, 15, 16, 17, 31, 32, 33, 127, 128, 129)

@@ -12,7 +12,7 @@ import numpy as np
 from vgmpi.apps.run import cli
 from vgmpi.parallel.block_lattice import BLOCK_CENTER
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions
-from vgmpi.solver.step import Simulation
+from vgmpi.solver.simulation import Simulation
 
 STEP = 5
 

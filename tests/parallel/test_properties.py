@@ -21,7 +21,7 @@ from vgmpi.parallel.block_lattice import BlockLattice
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.solver.engines.cpu import Cpu
 from vgmpi.solver.restart.state_io import restore, save
-from vgmpi.solver.step import BlowUp, Simulation
+from vgmpi.solver.simulation import BlowUp, Simulation
 
 RECUT, OWNERS, WORTH = load_balance.rebalance, load_balance.owners, load_balance.should_rebalance
 

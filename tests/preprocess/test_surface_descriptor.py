@@ -19,7 +19,7 @@ from vgmpi.planning.particle_channels import CURVATURE_TO_FULL
 from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.preprocess.surface_descriptor import CURVATURE_WEIGHT, MAX_NORMAL_TURN_PER_CELL
 from vgmpi.solver.initial_particles import known_of, plan_for, prepare, write_initial_particles
-from vgmpi.solver.step import Simulation
+from vgmpi.solver.simulation import Simulation
 
 DX = 0.02
 MIDDLE = np.array([0.2, 0.2, 0.2])

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-import vgmpi.solver.step  # noqa: F401  (imports all kernels)
+import vgmpi.solver.simulation  # noqa: F401  (imports all kernels)
 from vgmpi.materials import registry
 from vgmpi.materials.material import FUNCTIONS
 from vgmpi.runtime import compile_cache, compile_key

@@ -3,7 +3,7 @@
 import numpy as np
 
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.solver.step import Simulation
+from vgmpi.solver.simulation import Simulation
 
 # relative to the largest value there is
 TOLERANCE = {"double": 1e-12, "single": 1e-5}

@@ -7,7 +7,7 @@ from unittest import mock
 import numpy as np
 
 from vgmpi.runtime import fast_dispatch
-from vgmpi.solver.step import Simulation
+from vgmpi.solver.simulation import Simulation
 
 
 def arrays(simulation: Simulation) -> dict[str, np.ndarray]:

@@ -11,7 +11,7 @@ from vgmpi.preprocess.scene_builder import PreparedScene, build_scene
 from vgmpi.solver.diagnostics.conservation import conservation_rows
 from vgmpi.solver.initial_particles import known_of, plan_for
 from vgmpi.solver.restart.state_io import by_id
-from vgmpi.solver.step import Simulation
+from vgmpi.solver.simulation import Simulation
 from vgmpi.solver.step_to_target import next_step
 
 ENERGIES = ("kinetic", "elastic", "potential")  # of the ledger

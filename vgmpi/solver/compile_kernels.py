@@ -20,7 +20,7 @@ from vgmpi.runtime.cpu_features import processor
 from vgmpi.runtime.fast_dispatch import is_begun, precompiled_entry
 from vgmpi.solver.diagnostics.conservation import body_momentum, conservation_rows
 
-from .step import BlowUp, Simulation
+from .simulation import BlowUp, Simulation
 
 log = logging.getLogger("vgmpi")
 

@@ -40,7 +40,7 @@ from .initial_particles import (
     write_initial_particles,
 )
 from .run_options import Options, check
-from .step import BlowUp, Simulation
+from .simulation import BlowUp, Simulation
 from .step_to_target import next_step
 from .stop_requests import Requests
 

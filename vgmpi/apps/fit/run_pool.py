@@ -28,7 +28,7 @@ from vgmpi.runtime.config.schema import SceneError
 from vgmpi.scene.loader import load
 from vgmpi.scene.scene import Scene
 from vgmpi.solver.run import BLEW_UP, DONE
-from vgmpi.solver.step import BlowUp
+from vgmpi.solver.simulation import BlowUp
 
 RECORD = "fit.json"
 POLL_SECONDS = 0.1  # [s] interval of checks for runs that other processes make

@@ -19,7 +19,7 @@ from vgmpi.solver.estimates import calibration
 from vgmpi.solver.estimates.pilot_run import pilot_run
 from vgmpi.solver.initial_particles import ParticleSummary
 from vgmpi.solver.run_options import InvalidRunOptions
-from vgmpi.solver.step import BlowUp
+from vgmpi.solver.simulation import BlowUp
 from vgmpi.solver.stop_requests import install_signal_handlers
 
 from .cli import card_module, memory_refusal, refuse

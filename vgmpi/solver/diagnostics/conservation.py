@@ -5,7 +5,7 @@ import numpy as np
 from vgmpi.kernels.diagnostics import COLUMNS, body_momentum_rows, segment_conservation_rows
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.solver.boundary.flow_accounting import Tally, allreduce_bigint
-from vgmpi.solver.step import Simulation
+from vgmpi.solver.simulation import Simulation
 
 
 def conservation_rows(simulation: Simulation) -> list[dict]:

@@ -7,7 +7,7 @@ from vgmpi.planning.cost.timestep_advice import MIN_STEP_GAIN, stiffness_key
 from vgmpi.planning.plan import Plan, time_step_bounds
 from vgmpi.runtime.config.toml_source import escape_control_characters
 from vgmpi.scene.scene import Scene
-from vgmpi.solver.step import Simulation
+from vgmpi.solver.simulation import Simulation
 
 SPEED_MARGIN = 1.2  # [-] margin of a liquid's speed over the observed one
 # A body counts as still if its displacement in the whole run and its strain stay below these.

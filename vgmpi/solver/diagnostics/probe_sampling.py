@@ -14,7 +14,7 @@ from vgmpi.io.csv_log import CsvLog
 from vgmpi.materials.material import law_function
 from vgmpi.scene.probes import WALL_NAMES, Probe
 from vgmpi.scene.scene import Scene
-from vgmpi.solver.step import Simulation
+from vgmpi.solver.simulation import Simulation
 
 from .conservation import body_momentum
 

@@ -14,7 +14,7 @@ from tqdm import tqdm
 from vgmpi.io import hdf5_writer
 from vgmpi.planning.cost.plan_report import format_duration
 from vgmpi.solver.run import Runner
-from vgmpi.solver.step import Simulation
+from vgmpi.solver.simulation import Simulation
 
 from .conservation import format_drift
 from .eta import RemainingTimeEstimator, work_of

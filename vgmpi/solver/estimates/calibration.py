@@ -19,7 +19,7 @@ from vgmpi.planning.plan import Plan, make_plan
 from vgmpi.runtime.cpu_features import model, user_folder
 from vgmpi.scene.loader import load
 from vgmpi.solver.compile_kernels import compile_kernels
-from vgmpi.solver.step import Simulation
+from vgmpi.solver.simulation import Simulation
 
 log = logging.getLogger("vgmpi")
 

@@ -20,7 +20,7 @@ from vgmpi.scene.loader import load
 from vgmpi.scene.scene import Scene
 from vgmpi.solver.initial_particles import ParticleSummary
 from vgmpi.solver.run import Options, Runner, prepared_run
-from vgmpi.solver.step import BlowUp, Simulation
+from vgmpi.solver.simulation import BlowUp, Simulation
 
 from .measure_proximity import measure_proximity
 

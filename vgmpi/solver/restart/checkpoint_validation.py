@@ -14,7 +14,7 @@ from vgmpi.io import checkpoint, file_layout
 from vgmpi.kernels.reaction_impulses import NUMBERS
 from vgmpi.kernels.transfer.g2p import MAX_STRAY_CELLS
 from vgmpi.parallel.block_lattice import BITS, BLOCK_CENTER, BLOCK_EDGE, INTEGER
-from vgmpi.solver.step import Simulation
+from vgmpi.solver.simulation import Simulation
 
 ROWS = 1 << 20  # number of rows validated together
 

@@ -7,7 +7,7 @@ from vgmpi.parallel.block_ownership import BlockDirectory, build_block_directory
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.particle_group import SIMD_WIDTH
 from vgmpi.solver.engines.engine_protocol import UNKNOWN_MAXIMA, ParticleMaxima
-from vgmpi.solver.step import Simulation
+from vgmpi.solver.simulation import Simulation
 
 from .checkpoint_validation import (
     Mismatch,
