@@ -19,7 +19,7 @@ from vgmpi.parallel import (
     node_overlap,
     sort_kernels,
 )
-from vgmpi.solver import step
+from vgmpi.solver import simulation
 from vgmpi.solver.engines import cpu, nodal_field_storage
 
 STEPS = 240
@@ -265,7 +265,7 @@ def sent_too_early(monkeypatch):
 
 def old_tables(monkeypatch):
     """A rank keeps its tables although blocks came or went."""
-    monkeypatch.setattr(step, "_same_blocks", lambda before, after: True)
+    monkeypatch.setattr(simulation, "_same_blocks", lambda before, after: True)
 
 
 def local_cuts(monkeypatch):
