@@ -1,4 +1,4 @@
-"""Export of Gaussian files: python -m postprocess.export OUT --frames 0:50:5 -o DIR --format ply
+"""Export of Gaussian files: vgmpi export OUT --frames 0:50:5 -o DIR --format ply
 
 A file holds the Gaussians of a frame as the renderer draws them: shapes, opacities and colors, in
 meters and in the axes of the domain, for any viewer. Exit code 2 is for errors that the user can

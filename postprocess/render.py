@@ -1,4 +1,4 @@
-"""Video of a run's Gaussians: python -m postprocess.render OUT [render.toml] -o video.mp4
+"""Video of a run's Gaussians: vgmpi render OUT [render.toml] -o video.mp4
 
 Reads only the files of the run. With mpirun (or srun) the ranks share the frames and rank 0 writes.
 Exit code 2 is for errors that the user can correct, with one line each.
@@ -25,6 +25,7 @@ from vgmpi.rendering.frame_renderer import (
     render_on_ranks,
     run_on_all_ranks,
 )
+from vgmpi.runtime.compile_notice import announce_compiling
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions
 
 log = logging.getLogger("vgmpi")
@@ -32,6 +33,8 @@ log = logging.getLogger("vgmpi")
 PREVIEW_SIZE = 400  # [pixels] longer side of a preview
 # Variables that launchers set for the processes they start; SLURM's is set without srun too.
 LAUNCHER_VARIABLES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS")
+
+COMPILING = "compiling the renderer for this processor, once: a minute or two"
 
 
 def frame_numbers(run: RunReader, frames: render_config.FrameSettings) -> list[int]:
@@ -98,6 +101,7 @@ def main(argv: list[str] | None = None) -> int:
     level = logging.ERROR if not is_first else logging.WARNING if args.quiet else logging.INFO
     logging.basicConfig(level=level, format="%(message)s", stream=sys.stderr)
     logging.getLogger("vgmpi").setLevel(level)
+    announce_compiling(logging.getLogger("vgmpi"), COMPILING)
     try:
         if ranks is None:
             return _draw(*_prepare(args), args, None)

@@ -1,4 +1,4 @@
-"""HTML replay of a run: python -m postprocess.replay OUT -o replay.html
+"""HTML replay of a run: vgmpi replay OUT -o replay.html
 
 The page has a timeline, is self-contained and opens from disk. It shows a subset of the Gaussians
 (--particles), the same one in every frame, enlarged to replace the others. It needs viser:

@@ -1,4 +1,4 @@
-"""Field view of a run: python -m postprocess.view OUT --frame 25 --color J -o a.png
+"""Field view of a run: vgmpi view OUT --frame 25 --color J -o a.png
 
 Particles are colored by any field and drawn with pyvista, off screen. Exit code 2 is for errors
 that the user can correct, with one line.

@@ -73,7 +73,7 @@ def main(argv: list[str] | None = None) -> int:
     lines.write(out)
     print(f"{out / 'check.png'}: the photograph beside the first frame")
     print(f"next: python -m vgmpi {out / 'scene.toml'}")
-    print(f"then: python -m postprocess.render {out / 'out'} {out / 'render.toml'}")
+    print(f"then: vgmpi render {out / 'out'} {out / 'render.toml'}")
     return 0
 
 
