@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from vgmpi.preprocess.sampling.voxels import Voxels
 from vgmpi.scene.rigid_motion import Motion, Trajectory
@@ -64,7 +64,7 @@ class ShapeCollider:
             local = self.placement.to_local((layer + (k, 0, 0) + 0.5) * dx)
             free[k] = (shape_sdf.distance(self.shape, local) > 0).reshape(free[k].shape)
             outside[k] = (shape_sdf.distance(solid, local) > 0).reshape(free[k].shape)
-        parts, _ = ndimage.label(free)
+        parts, _ = scipy.ndimage.label(free)
         occupied = parts[tuple(np.unique(index, axis=0).T)]
         if (occupied == 0).any() or np.isin(occupied, parts[free & outside]).any():
             return self
@@ -111,14 +111,14 @@ class VoxelCollider:
             voxels: Box of voxels.
             solid: Mask of solid voxels; the surface is halfway between the two kinds.
         """
-        out = ndimage.distance_transform_edt(~solid)
-        inside = ndimage.distance_transform_edt(solid)
+        out = scipy.ndimage.distance_transform_edt(~solid)
+        inside = scipy.ndimage.distance_transform_edt(solid)
         cells = np.where(solid, 0.5 - inside, out - 0.5)
         return cls(name, voxels, cells * voxels.spacing)
 
     def smoothed(self) -> "VoxelCollider":
         """Return the collider without the stairs of voxels, by a mean over neighbors."""
-        return replace(self, values=ndimage.gaussian_filter(self.values, SMOOTHING_SIGMA))
+        return replace(self, values=scipy.ndimage.gaussian_filter(self.values, SMOOTHING_SIGMA))
 
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Return the signed distance (m,) [m] of `points` (m, 3) [m], negative inside.
@@ -126,7 +126,9 @@ class VoxelCollider:
         It is interpolated linearly.
         """
         position, beyond = self._voxel_coordinates(points)
-        return ndimage.map_coordinates(self.values, position.T, order=1, mode="nearest") + beyond
+        return (
+            scipy.ndimage.map_coordinates(self.values, position.T, order=1, mode="nearest") + beyond
+        )
 
     def normal(self, points: np.ndarray) -> np.ndarray:
         """Return outward unit normals (m, 3) by central differences over two voxels."""

@@ -1,7 +1,7 @@
 """Crop of a capture to the part that a scene uses."""
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.scene.objects import Select
@@ -22,6 +22,8 @@ def crop(cloud: GaussianCloud, select: Select | None) -> GaussianCloud:
         mask &= (offset**2).sum(axis=1) <= select.sphere.radius**2
     cloud = cloud.select(mask)
     if select.outlier_sigma > 0 and len(cloud) > NEIGHBORS:
-        distance = cKDTree(cloud.x).query(cloud.x, NEIGHBORS + 1)[0][:, 1:].mean(axis=1)
+        distance = (
+            scipy.spatial.cKDTree(cloud.x).query(cloud.x, NEIGHBORS + 1)[0][:, 1:].mean(axis=1)
+        )
         cloud = cloud.select(distance <= distance.mean() + select.outlier_sigma * distance.std())
     return cloud

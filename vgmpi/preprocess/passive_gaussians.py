@@ -1,7 +1,7 @@
 """Passive Gaussians: the particles that carry each of them, with weights."""
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 CARRIERS = 4  # particles that carry a passive Gaussian; they span a tetrahedron
 
@@ -15,7 +15,7 @@ def bind_passive(x: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndar
     repeated without weight.
     """
     count = min(CARRIERS + 1, len(x))
-    distance, rows = cKDTree(x).query(points, k=np.arange(1, count + 1))
+    distance, rows = scipy.spatial.cKDTree(x).query(points, k=np.arange(1, count + 1))
     radius = distance[:, -1:] if count > CARRIERS else 2.0 * distance[:, -1:] + 1e-300
     safe_distance = np.maximum(distance, 1e-9 * radius + 1e-300)
     weight = (np.maximum(1.0 - distance / np.maximum(radius, 1e-300), 0.0) ** 2 / safe_distance)[

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy import sparse
+import scipy
 
 from vgmpi.gaussians.formats.validation import GaussianFileError
 from vgmpi.planning.color_exchange import color_sets
@@ -168,8 +168,8 @@ def _warn_of_overlaps(scene: Scene, pieces: list[BuiltObject]) -> None:
     size = np.array([len(each) for each in voxels_of])
     voxel = np.unique(np.concatenate(voxels_of), return_inverse=True)[1].ravel()
     rows = np.repeat(np.arange(len(bodies)), size)
-    occupancy = sparse.csr_array((np.ones(len(rows), dtype=np.int64), (rows, voxel)))
-    shared = sparse.triu(
+    occupancy = scipy.sparse.csr_array((np.ones(len(rows), dtype=np.int64), (rows, voxel)))
+    shared = scipy.sparse.triu(
         occupancy @ occupancy.T, k=1
     ).tocsr()  # number of shared voxels of each pair that has any
     shared.sort_indices()

@@ -7,7 +7,7 @@ Normal, distance and curvature at each particle at rest move with the particle
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from vgmpi.kernels.nodal_fields.surface_distance import MAX_DEPTH_CELLS
 from vgmpi.planning.particle_channels import CURVATURE_TO_FULL
@@ -85,7 +85,7 @@ def _open_at_walls(scene: Scene, x: np.ndarray, surface: np.ndarray) -> None:
     free = np.flatnonzero(~ends & (surface[:, 3] > -dx))
     if not ends.any() or not len(free):
         return
-    _, position = cKDTree(nearest[free]).query(x[ends])
+    _, position = scipy.spatial.cKDTree(nearest[free]).query(x[ends])
     source = free[position]
     descriptor, offset = surface[source], x[ends] - x[source]
     close = (offset**2).sum(axis=1) < (2 * dx) ** 2

@@ -31,6 +31,7 @@ from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 from numba.core.sigutils import normalize_signature
 
+from .cache_paths import user_folder
 from .compile_key import NoKeyError, compile_key, modules_of
 from .compile_lock import FileLock
 
@@ -53,12 +54,6 @@ def njit_cached(**options: Any) -> Callable[[Callable], Any]:
         return dispatcher
 
     return compiled
-
-
-def user_folder() -> Path:
-    """Return the folder for files that this program can always create again."""
-    root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(root) / "vgmpi"
 
 
 def cache_folder() -> Path:

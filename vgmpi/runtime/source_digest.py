@@ -13,6 +13,8 @@ import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from . import import_store
+
 _OWN = __name__.split(".")[0]
 _STARTED = time.time()
 
@@ -69,15 +71,19 @@ class _Parsed:
         if changed > _STARTED:
             raise SourceError(f"{path} has changed since this process began")
         self.digest = hashlib.sha256(text).hexdigest()[:32]
-        try:
-            tree = ast.parse(text)
-        except (SyntaxError, ValueError) as error:
-            raise SourceError(f"{path}: {error}") from error
         package = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
-        names = _Names(package)
-        names.visit(tree)
-        self.imports = names.imports
-        self.annotated = names.in_annotations - names.elsewhere
+        key = f"{self.digest} {'.'.join(package)}"
+        entry = import_store.read_entry(key)
+        if entry is None:
+            try:
+                tree = ast.parse(text)
+            except (SyntaxError, ValueError) as error:
+                raise SourceError(f"{path}: {error}") from error
+            names = _Names(package)
+            names.visit(tree)
+            entry = names.imports, sorted(names.in_annotations - names.elsewhere)
+            import_store.write_entry(key, entry)
+        self.imports, self.annotated = entry[0], set(entry[1])
 
 
 @functools.cache

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from vgmpi.gaussians.cloud import GaussianCloud, rotation_matrices
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
@@ -260,8 +260,11 @@ def poisson_disc_subset(x: np.ndarray, distance: float) -> np.ndarray:
         rows = np.arange(first, min(first + batch_size, len(x)))
         if len(taken):
             beyond = np.nextafter(distance, np.inf)
-            rows = rows[cKDTree(x[taken]).query(x[rows], distance_upper_bound=beyond)[0] > distance]
-        tree = cKDTree(x[rows]) if len(rows) else None
+            rows = rows[
+                scipy.spatial.cKDTree(x[taken]).query(x[rows], distance_upper_bound=beyond)[0]
+                > distance
+            ]
+        tree = scipy.spatial.cKDTree(x[rows]) if len(rows) else None
         if tree and _is_overcrowded(tree, distance, _PAIRS_PER_POINT * len(x)):
             batch_size = max(len(rows) // 8, _MIN_BATCH)
             continue
@@ -273,7 +276,7 @@ def poisson_disc_subset(x: np.ndarray, distance: float) -> np.ndarray:
     return taken
 
 
-def _is_overcrowded(tree: cKDTree, distance: float, limit: int) -> bool:
+def _is_overcrowded(tree: scipy.spatial.cKDTree, distance: float, limit: int) -> bool:
     """Return whether samples of points suggest more than about `limit` neighbors in all."""
     if tree.n <= _MIN_BATCH:
         return False

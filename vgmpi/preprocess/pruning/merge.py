@@ -8,7 +8,7 @@ shows through it blurs the outline.
 """
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from vgmpi.gaussians.cloud import GaussianCloud, rotation_matrices
 
@@ -48,7 +48,9 @@ def merge_targets(x: np.ndarray, retained: np.ndarray, skin: np.ndarray) -> np.n
         dropped = np.flatnonzero(part & ~retained)
         if len(dropped):
             row[dropped] = row[
-                np.flatnonzero(candidates)[cKDTree(x[candidates]).query(x[dropped])[1]]
+                np.flatnonzero(candidates)[
+                    scipy.spatial.cKDTree(x[candidates]).query(x[dropped])[1]
+                ]
             ]
     return row
 
@@ -93,7 +95,7 @@ def merged(
     )
     is_surface, inner = skin[retained], cloud.x[~skin]
     if is_surface.any() and len(inner):
-        depth = cKDTree(cloud.x[skin]).query(x[~is_surface])[0]
+        depth = scipy.spatial.cKDTree(cloud.x[skin]).query(x[~is_surface])[0]
         width[~is_surface] = np.minimum(
             width[~is_surface],
             np.maximum(scale[~is_surface], INTERIOR_WIDTH_RATIO * depth[:, None]),
@@ -117,7 +119,9 @@ def _coverage(cloud: GaussianCloud, retained: np.ndarray, skin: np.ndarray) -> n
     surface, is_surface = cloud.select(skin), retained & skin
     if is_surface.any():
         count = min(_SURFACE_NEIGHBORS, len(surface))
-        distance, rows = cKDTree(surface.x).query(cloud.x[is_surface], k=np.arange(1, count + 1))
+        distance, rows = scipy.spatial.cKDTree(surface.x).query(
+            cloud.x[is_surface], k=np.arange(1, count + 1)
+        )
         # The last neighbor marks the radius of the circle.
         covered = 2 * np.pi * visual_weight(surface)[rows[:, : max(count - 1, 1)]].sum(axis=1)
         coverage[skin[retained]] = covered / np.maximum(np.pi * distance[:, -1] ** 2, 1e-300)
@@ -130,9 +134,9 @@ def _outward_directions(cloud: GaussianCloud, inner: np.ndarray) -> np.ndarray:
     `inner` (m, 3) [m] are points of the interior. Directions are shorter than 1 where a thin axis
     does not point away from the interior: such a Gaussian is no part of a smooth surface.
     """
-    rows = cKDTree(inner).query(cloud.x, k=np.arange(1, min(_INTERIOR_NEIGHBORS, len(inner)) + 1))[
-        1
-    ]
+    rows = scipy.spatial.cKDTree(inner).query(
+        cloud.x, k=np.arange(1, min(_INTERIOR_NEIGHBORS, len(inner)) + 1)
+    )[1]
     outward = cloud.x - inner[rows].mean(axis=1)
     outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-300)
     axis = thin_axes(cloud)

@@ -9,7 +9,7 @@ particles stand in for the others.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from vgmpi.gaussians import shape_evolution
 from vgmpi.gaussians.cloud import GaussianCloud
@@ -165,9 +165,9 @@ def detail(cloud: GaussianCloud) -> np.ndarray:
     It is their standard deviation, relative to its mean. Neighbors count by their visibility.
     """
     area, rgb, axis = np.maximum(visual_weight(cloud), 1e-300), cloud.rgb, thin_axes(cloud)
-    rows = cKDTree(cloud.x).query(cloud.x, k=np.arange(1, min(_DETAIL_NEIGHBORS, len(cloud)) + 1))[
-        1
-    ]
+    rows = scipy.spatial.cKDTree(cloud.x).query(
+        cloud.x, k=np.arange(1, min(_DETAIL_NEIGHBORS, len(cloud)) + 1)
+    )[1]
     total, mean, square = np.zeros(len(cloud)), np.zeros((len(cloud), 3)), np.zeros(len(cloud))
     for row in rows.T:  # one neighbour of each at a time: captures have millions of Gaussians
         weight, change_rgb = area[row], rgb[row] - rgb

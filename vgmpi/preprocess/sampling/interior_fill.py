@@ -4,9 +4,8 @@ import itertools
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.runtime import memory_budget
@@ -79,7 +78,7 @@ def interior(
     except memory_budget.InsufficientMemoryError as error:
         raise VoxelGridTooLargeError(f"{error}: {_ADVICE}") from None
     surface = covered_voxels(cloud, voxels)
-    closed = ndimage.binary_fill_holes(surface) & ~surface
+    closed = scipy.ndimage.binary_fill_holes(surface) & ~surface
     inside = closed if mode == "closed" else closed | interior_by_visibility(surface, up)
     free = np.ones(inside.size, dtype=bool)
     free[voxels.index(cloud.x)] = False
@@ -99,7 +98,9 @@ def interior_by_visibility(surface: np.ndarray, up: ArrayLike = (0.0, 0.0, 1.0))
         surface: Mask of surface voxels.
         up: Unit vector, shape (3,), see FROM_BELOW_WEIGHT.
     """
-    open_ = ndimage.gaussian_filter(visible_fraction(surface, up), _OPENNESS_SIGMA, truncate=2.0)
+    open_ = scipy.ndimage.gaussian_filter(
+        visible_fraction(surface, up), _OPENNESS_SIGMA, truncate=2.0
+    )
     fraction = np.zeros(surface.shape, dtype=np.float32)
     for step in _STEPS:
         rising = _moved(open_, step) > _moved(open_, tuple(-s for s in step))
@@ -190,7 +191,7 @@ def filling(
     color = visible_cloud.sh[:, 0]
     nearest: np.ndarray | int = 0
     if len(x) and (color != color[:1]).any():  # deep inside, the search for the nearest is slow
-        nearest = cKDTree(visible_cloud.x).query(x)[1]
+        nearest = scipy.spatial.cKDTree(visible_cloud.x).query(x)[1]
     sh = np.zeros((len(x), *surface.sh.shape[1:]), dtype=np.float32)
     sh[:, 0] = color[nearest]
     return GaussianCloud(

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from vgmpi.gaussians.cloud import GaussianCloud, rotation_matrices
 from vgmpi.runtime import memory_budget
@@ -83,8 +83,8 @@ def fraction_by_neighbours(voxels: Voxels, shell: np.ndarray, inner: np.ndarray)
     for mask, points in zip(kind, (shell, inner), strict=True):
         mask.ravel()[voxels.index(points)] = 1.0
     full = np.ones((3, 3, 3))
-    inner_count = ndimage.convolve(kind[1], full, mode="constant")
-    outer_count = 27.0 - inner_count - ndimage.convolve(kind[0], full, mode="constant")
+    inner_count = scipy.ndimage.convolve(kind[1], full, mode="constant")
+    outer_count = 27.0 - inner_count - scipy.ndimage.convolve(kind[0], full, mode="constant")
     fraction = np.where(
         inner_count > 0.5, inner_count / np.maximum(inner_count + outer_count, 1.0), 0.5
     )
