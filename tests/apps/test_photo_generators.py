@@ -40,7 +40,8 @@ def standin(folder, act="", up="-y", yaw=0.0):
     """A program that gives a duck, and the head of a layout that names it."""
     duck_photograph.given(folder / "made.ply", up, yaw)
     (folder / "standin.py").write_text(STANDIN.replace("ACT", act))
-    return f'[bodies]\nmethod = "program"\nscript = "standin.py"\npython = "{sys.executable}"\nseed = 7'
+    program = f'script = "standin.py"\npython = "{sys.executable}"\nseed = 7'
+    return f'[bodies]\nmethod = "program"\n{program}'
 
 
 def go(folder):

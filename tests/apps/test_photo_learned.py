@@ -276,7 +276,9 @@ def test_weights_that_are_none_are_one_line(folder, tmp_path, capsys, name):
     make, needle = WRONG[name]
     where = folder("clip") if make is None else make(tmp_path)
     photo, layout = drawn_photograph.put(tmp_path)
-    layout.write_text(drawn_photograph.layout(head=f'[masks]\nmethod = "sam2"\nweights = "{where}"\n'))
+    layout.write_text(
+        drawn_photograph.layout(head=f'[masks]\nmethod = "sam2"\nweights = "{where}"\n')
+    )
     assert main([str(photo), str(layout), "-o", str(tmp_path / "out")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "layout.toml:1: masks: " in line and needle in line
