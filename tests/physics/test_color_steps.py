@@ -82,8 +82,8 @@ shape = { box = [["2 cm", "1 cm", "4.5 cm"], ["6 cm", "5 cm", "7 cm"]] }
 def colors(simulation):
     """Of every particle by its id, (n, 3 K)."""
     ids, rows = frame_rows(simulation, ())
-    out = np.empty_like(rows["color"])
-    out[ids] = rows["color"]
+    out = np.empty_like(rows["color_sh"])
+    out[ids] = rows["color_sh"]
     return out
 
 
@@ -153,7 +153,7 @@ def test_equal_colors_are_not_carried_and_cost_nothing(tmp_path):
         text = text.replace(old, "#ff2010")
     simulation, _ = begin(tmp_path, text)
     off, _ = begin(tmp_path, text.replace('"step"', '"off"'))
-    assert simulation.plan.colors is None and "color" not in frame_rows(simulation, ())[1]
+    assert simulation.plan.colors is None and "color_sh" not in frame_rows(simulation, ())[1]
     assert simulation.plan.bytes() == off.plan.bytes()
     assert [g.channels for g in simulation.groups] == [g.channels for g in off.groups]
     assert not any(name.startswith("color") for name in simulation.engine.layers)

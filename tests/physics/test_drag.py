@@ -49,18 +49,18 @@ shape = {{ box = {box} }}
 [[coupling]]
 between = ["water", "grains"]
 kind = "{kind}"
-hydraulic_conductivity = {permeability!r}
+hydraulic_conductivity = {conductivity!r}
 """
 
 
-def relaxation(folder, cell, permeability, kind="drag", steps=40, dt=2e-4):
+def relaxation(folder, cell, conductivity, kind="drag", steps=40, dt=2e-4):
     """Slip [m/s] after each step of a block whose water moves at 0.1 m/s, and the drift of momentum
     over its sum of magnitudes."""
     side = 0.16
     text = SCENE.format(
         size=[0.32] * 3, cell=cell, gravity=0.0, ramp=0.0, k=1e3, E=1.0, kind=kind,
         box=[[0.08] * 3, [0.08 + side] * 3], velocity=[0.1, 0, 0],
-        permeability=permeability,
+        conductivity=conductivity,
     )  # fmt: skip
     simulation, made = begin(folder, text)
     water = made.object == 0
@@ -80,16 +80,16 @@ def rate(slips, dt=2e-4):
     return (1.0 / ratio - 1.0) / dt
 
 
-def theory(permeability):
-    c = N**2 * RHO_W * G / permeability
+def theory(conductivity):
+    c = N**2 * RHO_W * G / conductivity
     return c * (1.0 / ((1 - N) * RHO_S) + 1.0 / (N * RHO_W))
 
 
 def test_relaxation(tmp_path):
-    permeability = 1e-2
-    slips, drift = relaxation(tmp_path, 0.01, permeability)
+    conductivity = 1e-2
+    slips, drift = relaxation(tmp_path, 0.01, conductivity)
     n = np.arange(len(slips))
-    exact = 0.1 * (1.0 + 2e-4 * theory(permeability)) ** -n
+    exact = 0.1 * (1.0 + 2e-4 * theory(conductivity)) ** -n
     here = n <= 5  # later the block's faces, which move apart, are felt inside
     worst = float(np.abs(slips - exact)[here].max() / 0.1)
     curves = {"theory": (n[here], exact[here]), "solver": (n[here], slips[here])}
@@ -116,16 +116,16 @@ def test_the_printed_drag_depends_on_the_step(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "permeability", [1e-3, pytest.param(1e-4, marks=pytest.mark.slow),
+    "conductivity", [1e-3, pytest.param(1e-4, marks=pytest.mark.slow),
                      pytest.param(1e-2, marks=pytest.mark.slow)]
 )  # fmt: skip
-def test_settling(permeability, tmp_path):
+def test_settling(conductivity, tmp_path):
     """Means over whole periods of the column's ringing, which the ramp leaves weak."""
     height = 0.4
     text = SCENE.format(
         size=[0.04, 0.04, height], cell=0.01, gravity=-G, ramp=0.2, k=1e5, E=1.0, kind="drag",
         box=[[0, 0, 0], [0.04, 0.04, height]], velocity=[0, 0, 0],
-        permeability=permeability,
+        conductivity=conductivity,
     )  # fmt: skip
     simulation, made = begin(tmp_path, text)
     water = made.object == 0
@@ -140,11 +140,11 @@ def test_settling(permeability, tmp_path):
         times.append(simulation.time)
         fall.append(v[middle & ~water, 2].mean())
         slip.append(v[middle & water, 2].mean() - fall[-1])
-    exact = -(1 - N) * (RHO_S / RHO_W - 1) * permeability
+    exact = -(1 - N) * (RHO_S / RHO_W - 1) * conductivity
     mean = float(np.mean(slip))
-    held(f"settling at k = {permeability:g} m/s: slip", mean, -exact / N, 0.02, unit="m/s",
+    held(f"settling at k = {conductivity:g} m/s: slip", mean, -exact / N, 0.02, unit="m/s",
          source="Darcy's law")  # fmt: skip
     # the ringing moves sand and water together: what is left is the flux of volume
     own = float(np.mean(np.array(fall) - (np.array(fall) + N * np.array(slip))))
-    held(f"settling at k = {permeability:g} m/s: sand against the mixture", own, exact, 0.02,
+    held(f"settling at k = {conductivity:g} m/s: sand against the mixture", own, exact, 0.02,
          unit="m/s", source="Darcy's law")  # fmt: skip

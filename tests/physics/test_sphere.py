@@ -44,7 +44,7 @@ shape = {{ sphere = {{ center = [{m}, {m}, {m}], radius = {R} }} }}
 [[object]]
 name = "water"
 material = "water"
-{compressed}
+{pressure}
 [object.shape]
 difference = [
   {{ box = [[0, 0, 0], [{L}, {L}, {L}]] }},
@@ -64,7 +64,7 @@ def ball(folder, cells, ratio, g=0.0, speed=0.0, until=1.0):
     R = cells * DX
     text = SCENE.format(
         L=L, dx=DX, g=-g, density=1000 * ratio, stiff=1e5 * max(ratio, 0.1), m=L / 2, R=R,
-        compressed='initial_pressure = "hydrostatic"' if g else "",
+        pressure='initial_pressure = "hydrostatic"' if g else "",
     )  # fmt: skip
 
     def start(x):

@@ -145,9 +145,9 @@ def test_colors_carried_by_the_steps_stand_in_the_frames(tmp_path):
     frame, chosen = run.frame(2), Appearance(run)
     sh = chosen.frame(2)["sh"]
     fluid = run.gaussians.object[frame["id"]] < 2
-    np.testing.assert_array_equal(sh[fluid, 0], frame["colour"][fluid])
+    np.testing.assert_array_equal(sh[fluid, 0], frame["color_sh"][fluid])
     np.testing.assert_array_equal(sh[~fluid], run.gaussians.sh[frame["id"]][~fluid])
-    assert np.isnan(frame["colour"][~fluid]).all()
+    assert np.isnan(frame["color_sh"][~fluid]).all()
     shown = chosen.splats(chosen.frame(2), EYE).color[fluid]
     np.testing.assert_allclose(shown, np.maximum(0.5 + C0 * sh[fluid, 0], 0), atol=1e-6)
     # nearly one color; another look of the same run still knows those of the start

@@ -59,7 +59,7 @@ def test_grains_are_drawn_as_balls_and_keep_their_opacity(family):
 def test_solids_without_a_deformation_gradient_follow_their_volume():
     """As metal does: drawn from J alone, unturned, also where a frame has no F."""
     run, rows = fake(scenery=False)
-    run.objects = [run.objects[0], dict(run.objects[1], deforms=False), *run.objects[2:]]
+    run.objects = [run.objects[0], dict(run.objects[1], tracks_deformation=False), *run.objects[2:]]
     f = frame(rows)
     del f["F"]
     f["J"] = np.linspace(0.8, 1.2, len(f["J"]))
