@@ -35,6 +35,7 @@ OUTSIDE = {  # packages that only some files may use
     "viser": ("postprocess/replay.py",),
     "tqdm": (
         "vgmpi/solver/diagnostics/progress.py",
+        "vgmpi/solver/compile_kernels.py",
         "vgmpi/apps/tradeoff/study_runs.py",
         "postprocess/",
     ),

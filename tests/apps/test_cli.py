@@ -78,7 +78,7 @@ SHARELESS = SPECK.replace('"1 mm"', '"5 cm"') + (
         ("", "required table [[object]] is missing"),
         (POST, "all objects are scenery: at least one must be a body"),
         (POST + SPECK, "object.speck.shape: too small or thin: no particle fits in"),
-        (SHARELESS, "leaves no particle: its share is 0 everywhere"),
+        (SHARELESS, "leaves no particle: its values are 0 everywhere"),
     ],
 )
 @pytest.mark.parametrize("flag", ["--check", "--plan", "-q"])

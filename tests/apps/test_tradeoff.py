@@ -333,4 +333,4 @@ def test_wrong_flags_are_told(tmp_path, capsys, flags, said):
 def test_a_scene_that_is_wrong_is_told(tmp_path, capsys):
     path = write(tmp_path, SCENE.replace("end = 0.05", "end = -1"))
     assert setting_study.main([str(path)]) == 2
-    assert "scene.toml:6: time.end" in capsys.readouterr().err
+    assert "scene.toml:8: time.end" in capsys.readouterr().err

@@ -43,7 +43,8 @@ velocity = [-6, 0, 0]
 
 def said_of(path):
     scene = vgmpi.load(path)
-    return format_plan(scene, plan_for(scene, prepare(scene, SerialCommunicator(), None)), 1)
+    plan = plan_for(scene, prepare(scene, SerialCommunicator(), None))
+    return format_plan(scene, plan, 1, pace=Throughput(90.0, 126.0, "of a test"))
 
 
 def test_snow_that_packs_takes_as_many_steps_as_the_plan_says(tmp_path):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy
 from imageio.v3 import imwrite
 from scipy.spatial import cKDTree
 
@@ -133,7 +134,7 @@ def test_spread_is_what_one_by_one_gives(monkeypatch, few):
 
 
 def test_crowds_are_seen_before_their_pairs_are_made(monkeypatch):
-    tree, sizes = surface_mesh.cKDTree, []
+    tree, sizes = scipy.spatial.cKDTree, []
 
     class Watched(tree):
         def query_pairs(self, *args, **kwargs):
@@ -141,7 +142,7 @@ def test_crowds_are_seen_before_their_pairs_are_made(monkeypatch):
             sizes.append(len(found))
             return found
 
-    monkeypatch.setattr(surface_mesh, "cKDTree", Watched)
+    monkeypatch.setattr(scipy.spatial, "cKDTree", Watched)
     x = np.random.default_rng(2).random((20_000, 3))
     x[::4] *= 0.01  # a quarter in a corner: 12 million pairs
     kept = surface_mesh.poisson_disc_subset(x, 0.02)

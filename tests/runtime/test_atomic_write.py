@@ -46,6 +46,7 @@ def test_no_other_place_writes_files_of_users():
     allowed = {
         "vgmpi/runtime/atomic_write.py",
         "vgmpi/rendering/frame_colors.py",  # a cache
+        "vgmpi/runtime/compile_cache.py",  # a cache, with checksums
         "vgmpi/apps/bench/benchmark_case.py",  # scenes in a temporary folder
         "vgmpi/apps/bench/interleaved_rounds.py",  # a log of a temporary folder
         "vgmpi/io/hdf5_writer.py",  # large files, beside and renamed as well

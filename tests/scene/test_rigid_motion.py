@@ -130,7 +130,7 @@ WAY = "motion = {{ {} }}"
         (
             WAY.format("angular_velocity = 3, axis = [0, 0, 0]"),
             "motion.axis",
-            "must be 'x', 'y', 'z' or three numbers that are not all 0",
+            "must be 'x', '-x', 'y', '-y', 'z', '-z' or three numbers that are not all 0",
         ),
         ("friction = -1", "friction", "must be >= 0"),
     ],

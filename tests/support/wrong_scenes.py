@@ -202,7 +202,7 @@ CASES = {
     "axis": ball(
         'rotation = { axis = "w", angle = "3 deg" }',
         "rotation.axis",
-        "'x', 'y', 'z' or three numbers",
+        "'x', '-x', 'y', '-y', 'z', '-z' or three numbers",
     ),
     "particles per cell": ball("particles_per_cell = 9", "particles_per_cell", "1, 8, 27 or 64"),
     "shape of two forms": (

@@ -41,7 +41,8 @@ def _axis(value: Any) -> tuple[float, float, float]:
     """Return a unit vector from "x", "-x", "y", "-y", "z", "-z" or three numbers."""
     numbers = UNIT_VECTORS.get(value) if isinstance(value, str) else parse_vector3(value)
     if numbers is None or not any(numbers):
-        raise ValueError(f"must be one of {', '.join(UNIT_VECTORS)} or three numbers, not all 0")
+        names = ", ".join(map(repr, UNIT_VECTORS))
+        raise ValueError(f"must be {names} or three numbers that are not all 0")
     x, y, z = numbers
     size = math.hypot(x, y, z)
     return x / size, y / size, z / size

@@ -236,7 +236,8 @@ def _command(args: argparse.Namespace, ranks: SerialCommunicator) -> int:
         pace = calibration.host_throughput(scene.accuracy.precision, remeasure=args.calibrate)
         is_short = start_time == 0 and pilot_seconds(scene, plan, pace) < PILOT_SECONDS
         is_quick = is_short and is_compiled(plan)
-        pilot = pilot_run(scene, plan, summary) if args.pilot or is_quick else None
+        is_wanted = args.pilot or is_quick
+        pilot = pilot_run(scene, plan, summary, not args.pilot) if is_wanted else None
         print(format_plan(scene, plan, ranks.size, start_time, pace, pilot))
         if args.engine == "cuda":
             print(card_module(ranks).memory_report(plan, ranks.size))

@@ -33,28 +33,35 @@ CORNERS = np.stack(np.meshgrid(*((-1.0, 1.0),) * 3, indexing="ij"), -1).reshape(
 SNAPSHOTS = 24  # largest number of snapshots
 
 
-def pilot_run(scene: Scene, plan: Plan, summary: ParticleSummary) -> PilotRun | None:
+def pilot_run(
+    scene: Scene, plan: Plan, summary: ParticleSummary, quiet: bool = False
+) -> PilotRun | None:
     """Play the scene in coarser cells on this rank alone, and write nothing.
 
     Args:
         scene: The scene.
         plan: Its plan.
         summary: Summary of its particles.
+        quiet: Whether nothing is said, as it was not asked for.
 
     Returns:
         The result, or None, with a logged reason, if no coarser cells can play the scene.
     """
-    reason = "it has too few cells"
+    reason, level = "it has too few cells", logging.DEBUG if quiet else logging.INFO
     for count in _cell_counts(scene):
         coarse = _coarsened(scene, count)
-        log.info("pilot run in cells of %.4g m", coarse.domain.cell)
+        log.log(level, "pilot run in cells of %.4g m", coarse.domain.cell)
         try:
             return _play(scene, plan, summary, coarse)
         except SceneError as error:
             reason = error.lines[0]
         except BlowUp as error:
             reason = str(error)
-    log.warning("no pilot run in coarser cells is possible: %s", reason)
+    log.log(
+        logging.DEBUG if quiet else logging.WARNING,
+        "no pilot run in coarser cells is possible: %s",
+        reason,
+    )
     return None
 
 
