@@ -184,7 +184,8 @@ def _where(path: Path, command: list[str]) -> re.Pattern:
     name = re.escape(str(path))
     if "--check" in command:
         return re.compile(rf"{re.escape(command[1])}:\d+: object.thing.\w+: ")
-    return re.compile(rf"(?:vgmpi: )?(?:picture.background: )?'?{name}'?:? .+")
+    key = r"(?:\S+/render\.toml:\d+: picture\.background: )?"
+    return re.compile(rf"(?:vgmpi: )?{key}'?{name}'?:? .+")
 
 
 def _spoil(data: bytes, kind: tuple[str, str], all_: Good, draw: random.Random) -> bytes:

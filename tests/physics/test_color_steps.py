@@ -196,7 +196,7 @@ def test_higher_degrees_travel_with_fluids_alone(tmp_path, monkeypatch):
 @pytest.mark.parametrize("unit", ["cm", "um"])
 def test_no_color_leaves_the_range_of_the_others(unit, tmp_path):
     """In single precision, with cells of a centimetre and of a micrometre."""
-    text = SCENE.replace("MORE", '[accuracy]\nprecision = "single"').replace(" cm", f" {unit}")
+    text = SCENE.replace("double", "single").replace("MORE", "").replace(" cm", f" {unit}")
     if unit == "um":  # as fast, in cells
         text = text.replace("20 kPa", "2 Pa").replace("velocity = [0.5", "velocity = [0.005")
     simulation, _ = begin(tmp_path, text)
