@@ -9,12 +9,11 @@ export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM = 1
 export OMPI_MCA_rmaps_base_oversubscribe = 1
 export OMPI_MCA_btl_vader_single_copy_mechanism = none
 
-.PHONY: help setup demo test check gallery campaigns lint validate docs site matrix clean
+.PHONY: help setup demo test gallery campaigns lint validate docs site matrix clean
 
 help:
 	@echo "make demo      set-up, a simulation on 2 ranks, its video"
-	@echo "make test      set-up, then the tests of tests/quick_tests.txt: minutes"
-	@echo "make check     ruff, mypy, import contracts, and all other tests but the long ones"
+	@echo "make test      set-up, then all tests but the long ones"
 	@echo "make gallery   the showcases on 2 ranks, their videos and docs/gallery.md: an hour"
 	@echo "make campaigns kills, full disks, damaged files and odd inputs in large numbers: minutes"
 	@echo "make validate  the long tests; rewrites docs/benchmarks/validation.md"
@@ -40,16 +39,9 @@ demo:
 gallery: setup
 	$(PY) runs/gallery.py --variants
 
-PYTEST = $(PY) -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder -m "not slow"
-
-# every room, every law, bits on ranks, restart, errors: tests/quick_tests.txt
-test: setup
-	$(PYTEST) --part quick
-
-# everything else that must hold
-check: setup lint
-	$(PYTEST) --part rest --junitxml .cache/tests.xml
-	$(PY) -m tests.benchmarks test-times .cache/tests.xml
+# and where their time goes: .venv/bin/python -m tests.benchmarks test-times .cache/tests.xml
+test: setup lint
+	$(PY) -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder -m "not slow" --junitxml .cache/tests.xml
 
 # fewer or others: .venv/bin/python -m tests.campaigns kills --count 10 --seed 7
 campaigns: setup

@@ -2,7 +2,6 @@
 
 import logging
 import signal
-from pathlib import Path
 
 import pytest
 
@@ -13,31 +12,6 @@ HEARD = {s: signal.getsignal(s) for s in (signal.SIGUSR1, signal.SIGTERM)}
 HEARD[signal.SIGINT] = signal.default_int_handler
 
 count_processes()
-
-
-QUICK = Path(__file__).parent / "quick_tests.txt"  # files, or tests, of `make test`
-
-
-def pytest_addoption(parser):
-    """Add the option that splits the tests between `make test` and `make check`."""
-    parser.addoption(
-        "--part", choices=("quick", "rest"), help="tests named in tests/quick_tests.txt, or others"
-    )
-
-
-def pytest_collection_modifyitems(config, items):
-    """Keep the tests of the part that is asked for."""
-    part = config.getoption("--part")
-    if part is None:
-        return
-    lines = (line.partition("#")[0].strip() for line in QUICK.read_text().splitlines())
-    names = tuple(f"tests/{line}" for line in lines if line)
-    unknown = [name for name in names if not any(item.nodeid.startswith(name) for item in items)]
-    if unknown and part == "quick":
-        raise pytest.UsageError(f"{QUICK}: names no test: {', '.join(unknown)}")
-    chosen = [item for item in items if item.nodeid.startswith(names) == (part == "quick")]
-    config.hook.pytest_deselected(items=[item for item in items if item not in set(chosen)])
-    items[:] = chosen
 
 
 @pytest.hookimpl(wrapper=True)
