@@ -26,11 +26,13 @@ from vgmpi.rendering.frame_renderer import (
     run_on_all_ranks,
 )
 from vgmpi.runtime.compile_notice import announce_compiling
+from vgmpi.runtime.cpu_features import available_cores
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions
 
 log = logging.getLogger("vgmpi")
 
 PREVIEW_SIZE = 400  # [pixels] longer side of a preview
+FRAMES_PER_PROCESS = 4  # fewer frames than these do not pay for the start of a process
 # Variables that launchers set for the processes they start; SLURM's is set without srun too.
 LAUNCHER_VARIABLES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS")
 
@@ -78,7 +80,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--alpha", metavar="DIR", help="write the coverage of each pixel as 16-bit PNG")
     p.add_argument("--depth", metavar="DIR", help="write the depth of each pixel [m] as .npy")
     p.add_argument("--preview", action="store_true", help="draw one small picture, OUT/preview.png")
-    p.add_argument("--jobs", type=int, default=1, help="processes that share the frames [1]")
+    p.add_argument("--jobs", type=int, help="processes that share the frames [one per core]")
     p.add_argument("-q", "--quiet", action="store_true", help="warnings and errors only")
     return p
 
@@ -139,8 +141,23 @@ def _prepare(args: argparse.Namespace, local_count: int = 1) -> tuple[FrameRende
         longest=PREVIEW_SIZE if args.preview else None,
     )
     if output.suffix != ".png":
-        painter.afford(max(local_count, min(args.jobs, len(painter.run))))
+        painter.afford(max(local_count, min(args.jobs or 1, len(painter.run))))
     return painter, output, settings_folder
+
+
+def process_count(painter: FrameRenderer, frame_count: int) -> int:
+    """Return how many processes share the frames unless `--jobs` tells.
+
+    One per core, each with enough frames to outweigh its start, and as many as memory holds.
+    """
+    count = max(1, min(available_cores(), frame_count // FRAMES_PER_PROCESS))
+    while count > 1:
+        try:
+            painter.afford(count)
+            break
+        except render_config.SettingsError:
+            count -= 1
+    return count
 
 
 def _draw(
@@ -205,7 +222,8 @@ def _video(
     parts = {index: k / max(len(frames) - 1, 1) for k, index in enumerate(frames)}
     tasks = [(index, parts[index]) for index in numbers]
     if ranks is None:
-        rendered = render_in_processes(painter, settings_folder, tasks, args.jobs)
+        jobs = process_count(painter, len(tasks)) if args.jobs is None else args.jobs
+        rendered = render_in_processes(painter, settings_folder, tasks, jobs)
     else:
         rendered = render_on_ranks(painter, ranks, tasks)
         if ranks.rank:

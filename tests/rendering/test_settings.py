@@ -275,6 +275,23 @@ def test_pictures_that_do_not_fit(tmp_path, monkeypatch):
     FrameRenderer(run, finer, tmp_path, longest=400)
 
 
+def test_frames_are_shared_by_as_many_processes_as_cores_frames_and_memory_allow(
+    tmp_path, monkeypatch
+):
+    drawn_runs.write(tmp_path)
+    large = render_config.Settings(
+        look={"preset": "paper"}, picture={"width": 8192, "height": 8192}
+    )
+    monkeypatch.setattr(memory_budget, "available_memory", lambda swap=False: 20 << 30)
+    painter = FrameRenderer(RunReader(tmp_path), large, tmp_path)
+    monkeypatch.setattr(render, "available_cores", lambda: 16)
+    assert render.process_count(painter, 100) == 10  # 2 GiB each
+    assert render.process_count(painter, 12) == 3
+    assert render.process_count(painter, 3) == 1
+    monkeypatch.setattr(render, "available_cores", lambda: 2)
+    assert render.process_count(painter, 100) == 2
+
+
 def test_a_picture_too_large_is_one_line_and_exit_code_2(tmp_path, monkeypatch, capsys):
     drawn_runs.write(tmp_path)
     text = 'look.preset = "paper"\n[picture]\nwidth = 8192\nheight = 8192\n'
