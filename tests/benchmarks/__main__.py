@@ -268,6 +268,20 @@ def _run_test_times(args: argparse.Namespace) -> int:
     return 0
 
 
+def _volume(parser) -> None:
+    parser.add_argument("corrections", nargs="*", default=["none", "density", "shifting"])
+    parser.add_argument("--cells", type=int, default=32, help="cells along the tank")
+    parser.add_argument("--end", type=float, default=20.0, help="[s]")
+    parser.add_argument("--picture", type=Path, help="PNG of the liquids at the end")
+
+
+def _run_volume(args) -> int:
+    from tests.benchmarks import liquid_volume
+
+    liquid_volume.run(args.corrections, args.cells, args.end, args.picture)
+    return 0
+
+
 COMMANDS = {  # what it does, its flags, how it runs
     "accuracy": ("how exact single precision is", _accuracy, _run_accuracy),
     "against": ("beside another checkout", _against, _run_against),
@@ -284,6 +298,7 @@ COMMANDS = {  # what it does, its flags, how it runs
     "stability": ("the largest stable time step of every law", _stability, _run_stability),
     "scaling": ("predict many ranks from what is measured here", _scaling, _run_scaling),
     "test-times": ("where the time of the tests goes", _test_times, _run_test_times),
+    "volume": ("what splashed liquids lose of their level", _volume, _run_volume),
     "together": ("two ranks beside two runs, two threads", _together, _run_together),
 }
 

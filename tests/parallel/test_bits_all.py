@@ -19,7 +19,7 @@ end = 0.1
 frames = 21
 [accuracy]
 precision = "single"
-volume_correction = "density"
+
 [material.water]
 kind = "fluid"
 max_speed = 2

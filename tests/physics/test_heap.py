@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import vgmpi
+from tests.benchmarks.liquid_volume import nodal_fullness
 from tests.support.validation_record import held
 
 ENERGIES = ("kinetic", "elastic", "potential")  # of the ledger
@@ -84,24 +85,6 @@ def box(west, east, low, up, dx):
     return f"{{ box = {corners.tolist()} }}"
 
 
-def fullest(x, volume, cells, dx):
-    """Largest share of a node's cell that volumes (n,) at x (n, 3) take up; walls mirror."""
-    base = np.floor(x / dx - 0.5).astype(int)
-    f = x / dx - base
-    w = [0.5 * (1.5 - f) ** 2, 0.75 - (f - 1) ** 2, 0.5 * (f - 0.5) ** 2]
-    nodes = np.zeros([n + 3 for n in cells])  # from one below the floor to one above the roof
-    for i, j, k in np.ndindex(3, 3, 3):
-        at = base[:, 0] + 1 + i, base[:, 1] + 1 + j, base[:, 2] + 1 + k
-        np.add.at(nodes, at, volume * w[i][:, 0] * w[j][:, 1] * w[k][:, 2])
-    for axis in range(3):
-        line = np.moveaxis(nodes, axis, 0)
-        line[2] += line[0]
-        line[-3] += line[-1]
-        line[1] *= 2  # half a cell belongs to a node on a wall
-        line[-2] *= 2
-    return float(nodes[1:-1, 1:-1, 1:-1].max() / dx**3)
-
-
 def level_by_volume(water, z, grains, area):
     """h [m] of A h = V + grains below h; water [m3], grains (n,) [m3] at z (n,) [m]."""
     low, high = 0.0, 0.15
@@ -121,7 +104,7 @@ def settle(folder, cells):
         sand = found["object"] == 0
         volume = found["vol0"] * np.where(sand, 1 - POROSITY, found["J"])
         plan = run.simulation.plan
-        fills.append(fullest(found["x"], volume, plan.cells, plan.dx))
+        fills.append(float(nodal_fullness(found["x"], volume, plan.cells, plan.dx).max()))
         energies.append(sum(r[f"{kind}_energy"] for r in run.ledger for kind in ENERGIES))
 
     scene = vgmpi.load(folder / "heap.toml", text=scene_text(cells))

@@ -24,7 +24,7 @@ from tests.support.validation_record import held
 # --- the same numbers: one fluid ---
 
 SAME = """
-accuracy.precision = "double"
+accuracy = { precision = "double", volume_correction = "none" }
 [domain]
 size = [0.32, 0.16, 0.16]
 cell = 0.02

@@ -82,6 +82,7 @@ role = "scenery"
 collider = true
 shape = { box = [[0.27, 0.1, 0.02], [0.3, 0.2, 0.2]] }
 """
+WATER = "law fluid", "particle shifting"
 MOVES = "motion = { velocity = [0, 0, 0.01] }\n"
 PROBE = '[[probe]]\nname = "felt"\ncollider = "post"\nsampling_rate = 10\n'
 
@@ -101,14 +102,14 @@ def names(folder, more="", transfer="apic"):
 @pytest.mark.parametrize(
     ("more", "transfer", "has"),
     [
-        ("", "apic", ["law fluid"]),
-        ("", "apic-corrected", ["law fluid", "apic-corrected transfer"]),
-        ("", "aflip", ["law fluid", "aflip transfer"]),
-        (DYE, "apic", ["law fluid", "colors that travel"]),
+        ("", "apic", ["law fluid", "particle shifting"]),
+        ("", "apic-corrected", ["law fluid", "apic-corrected transfer", "particle shifting"]),
+        ("", "aflip", ["law fluid", "aflip transfer", "particle shifting"]),
+        (DYE, "apic", ["law fluid", "particle shifting", "colors that travel"]),
         (
             BALL.replace("HEIGHT", "0.19"),
             "apic",
-            ["law elastic", "contact", "law fluid", "contact"],
+            ["law elastic", "contact", "law fluid", "particle shifting", "contact"],
         ),
         (
             BED,
@@ -116,9 +117,17 @@ def names(folder, more="", transfer="apic"):
             ["law fluid", "drag", "law sand", "drag"],
         ),
         (MILK, "apic", ["law fluid", "mixing", "law fluid", "mixing"]),
-        (POST, "apic", ["law fluid", "colliders"]),
-        (POST + MOVES, "apic", ["law fluid", "colliders", "colliders that move"]),
-        (POST + PROBE, "apic", ["law fluid", "colliders", "probes of what colliders give"]),
+        (POST, "apic", ["law fluid", "particle shifting", "colliders"]),
+        (
+            POST + MOVES,
+            "apic",
+            ["law fluid", "particle shifting", "colliders", "colliders that move"],
+        ),
+        (
+            POST + PROBE,
+            "apic",
+            ["law fluid", "particle shifting", "colliders", "probes of what colliders give"],
+        ),
     ],
 )
 def test_only_what_the_scene_has_is_priced(tmp_path, more, transfer, has):

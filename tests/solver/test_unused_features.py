@@ -13,6 +13,7 @@ import pytest
 
 from tests.support import reachable_arrays
 from tests.support.simulate import begin, by_id
+from vgmpi.kernels import particle_records
 
 PLAIN = """
 [accuracy]
@@ -86,7 +87,8 @@ plan.times T
 # at most so many numbers, however large the scene: of phases and walls, and scratch of a node
 FEW = 70
 HANDFUL = (
-    "census.load", "engine.as_one", "engine.beyond", "engine.layers.momentum.rest",
+    "census.load", "engine.as_one", "engine.beyond", "engine.fill_of_nodes",
+    "engine.layers.momentum.rest",
     "engine.layers.momentum.current_bounds", "engine.layers.offsets.rest",
     "engine.layers.offsets.current_bounds",
     "engine.phases", "engine.reports", "engine.room", "engine.step", "engine.walls", "gravity",
@@ -97,8 +99,8 @@ KERNELS = {
     "particles_to_grid(MomentumWithoutStress, None, Segments, Particles, Scratch, None)",
     "grid_to_particles(FluidLaw, Segments, Particles, VelocityOnly, Scratch, GroupConstants,"
     " StepConstants, None)",
-    "apply_transfer_correction(Segments, Particles, Scratch, None)",
-    "momentum_to_velocity_only(NodeBlocks, Sums, Phases, Step)",
+    "apply_transfer_correction(Segments, Particles, Scratch, ShiftConstants, None)",
+    "momentum_to_velocity_only(NodeBlocks, Sums, Phases, NodeFill, Step)",
     "update(NodeBlocks, CommonFields(Sums, Sums), None, None, None, Walls, Phases,"
     " RigidBoundaries(PrescribedSteps), ContactWorkspace(None), Step)",
 }
@@ -215,6 +217,17 @@ def test_every_array_of_one_fluid_in_a_box(plain):
 
 def test_every_kernel_of_one_fluid_in_a_box(plain):
     assert plain[1].told == KERNELS
+
+
+def test_without_volume_correction_nothing_of_it_exists(tmp_path, plain):
+    text = PLAIN.replace("precision", 'volume_correction = "none"\nprecision')
+    simulation, calls = simulated(tmp_path, text)
+    gone = set(shapes(plain[0])) - set(shapes(simulation))
+    assert parts(gone) == {"engine.fill_of_nodes"}
+    assert not set(shapes(simulation)) - set(shapes(plain[0]))
+    assert kinds(KERNELS) - kinds(calls.told) == {"NodeFill", "ShiftConstants"}
+    patch = len(plain[0].engine.scratch[0].real) - len(simulation.engine.scratch[0].real)
+    assert patch == particle_records.PADDED_PATCH
 
 
 def test_what_is_defined_and_not_used_changes_nothing(tmp_path, plain):

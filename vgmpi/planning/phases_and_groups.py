@@ -27,6 +27,8 @@ CONTACT_PRIORITY = {
 }  # Of two phases in contact, the one with the smaller number provides the surface normal.
 # `python -m tests.benchmarks couplings` measures the next three.
 CORRECTION_COST = 0.75  # [steps] cost of one transfer correction (a step of no time)
+SHIFT_INTERVAL = 3  # [steps] between two shifts of the particles of liquids
+SHIFT_COST = 0.05  # [-] additional cost of particle shifting, relative to a step
 DENSITY_CORRECTION_COST = 0.1  # [-] additional cost of the density correction, relative to a step
 FLIP_COST = 1.7  # [-] cost of FLIP and AFLIP, relative to the same step without
 COLOR_COST = 0.6  # [-] cost of a transferred color coefficient, relative to a fluid's step
@@ -55,6 +57,7 @@ class GroupPlan(NamedTuple):
     coefficients: int = 0  # color coefficients that are transferred in every step
     driven: bool = False  # its motion is prescribed (prescribed_bodies.py)
     space: float = 0.0  # [1/kg] inverse mass of a full cell with density correction, else 0
+    shifts: bool = False  # its particles are shifted where they crowd, and keep their volume
 
     @property
     def stores_porosity(self) -> bool:
@@ -291,25 +294,46 @@ def _with_shared_space(
     return group
 
 
-def with_density_correction(
+def with_volume_correction(
     scene: Scene, groups: tuple[GroupPlan, ...], phases: tuple[PhasePlan, ...]
 ) -> tuple[GroupPlan, ...]:
-    """Return the groups with the density correction of liquids that share space with no others.
+    """Return the groups with the volume correction of liquids that share space with no others.
 
     Raises:
-        SceneError: Liquids of different density have one velocity field.
+        SceneError: Liquids of different density have one velocity field and a density correction.
     """
-    return tuple(_with_density_correction(scene, group, phases[group.phase]) for group in groups)
+    make = {"density": _with_density_correction, "shifting": _with_shifting}.get(
+        scene.accuracy.volume_correction
+    )
+    if make is None:
+        return groups
+    return tuple(
+        make(scene, group, phases[group.phase])
+        if group.carries[:1] == ("theta",) and not group.shares
+        else group
+        for group in groups
+    )
+
+
+def _with_shifting(scene: Scene, group: GroupPlan, phase: PhasePlan) -> GroupPlan:
+    """Return the group, whose particles are shifted if masses tell how full its cells are."""
+    if phase.least < phase.most:
+        return group
+    cost = group.cost * (1.0 + shift_cost(scene.accuracy.restores))
+    return group._replace(shifts=True, cost=cost)
+
+
+def shift_cost(restores: bool) -> float:
+    """Return the cost of particle shifting relative to a step.
+
+    Args:
+        restores: Whether the transfer correction makes the step of no time anyway.
+    """
+    return SHIFT_COST if restores else SHIFT_COST + CORRECTION_COST / SHIFT_INTERVAL
 
 
 def _with_density_correction(scene: Scene, group: GroupPlan, phase: PhasePlan) -> GroupPlan:
-    """Return the group with its density correction, if it has one."""
-    if (
-        scene.accuracy.volume_correction != "density"
-        or group.carries[:1] != ("theta",)
-        or group.shares
-    ):
-        return group
+    """Return the group with its density correction."""
     if phase.least < phase.most:
         message = (
             f"{phase.name!r} holds liquids of different density, whose cells do not tell how full"

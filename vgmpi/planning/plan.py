@@ -24,12 +24,13 @@ from .color_exchange import ColorExchange, color_exchange
 from .inlet_schedule import InletPlan, OutletPlan, inlet_plans, outlet_plans
 from .interaction_rules import interaction_rules, with_slip_wave_factors
 from .phases_and_groups import (
+    SHIFT_INTERVAL,
     GroupPlan,
     PhasePlan,
     groups_of,
     phases_of,
-    with_density_correction,
     with_runtime_requirements,
+    with_volume_correction,
 )
 from .prescribed_bodies import Extents, PrescribedBodyPlan, prescribed_body_plans, prescribed_phases
 from .proximity import Proximity
@@ -98,6 +99,7 @@ class Plan:
     splines: bool = False  # strains and forces use gradients of the B-splines
     keeps: FlipBlend | None = None  # FLIP and AFLIP
     restores: int = 0  # [steps] interval of the transfer correction; 0: never
+    shift_interval: int = 0  # [steps] interval of particle shifting; 0: never
     gravity_ramp_time: float = 0.0  # [s] duration of the growth of gravity
     gravity_keys: Keys = ()  # (time, gravity) keyframes from the start on
     # thickness: [m] of every solid body, NaN for other objects; empty without fluids or if unknown
@@ -238,7 +240,7 @@ def make_plan(
     complete = tuple(
         with_runtime_requirements(scene, group, sharing, colors, keeps, restores) for group in plain
     )
-    complete = with_density_correction(
+    complete = with_volume_correction(
         scene, with_slip_wave_factors(complete, sharing, scene.time.cfl * scene.domain.cell), phases
     )
     driven, groups, group_of = prescribed_body_plans(
@@ -259,6 +261,7 @@ def make_plan(
         rules=sharing, colors=colors,
         affine=scene.accuracy.affine, splines=scene.accuracy.gradient == "bspline",
         keeps=keeps, restores=restores,
+        shift_interval=SHIFT_INTERVAL * any(group.shifts for group in groups),
         gravity_ramp_time=scene.domain.gravity_ramp_time,
         gravity_keys=_gravity_keys(scene),
         sources=inlet_plans(scene, group_of, count),

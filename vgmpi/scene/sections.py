@@ -179,10 +179,11 @@ class Accuracy(StrictModel):
     """gradients for strains and forces. mls: moments of moving least squares. bspline: gradients of
     the B-splines, with pic and flip only; a bending body that rotates against the grid keeps its
     stiffness, with 64 particles per cell"""
-    volume_correction: Literal["none", "density"] = "none"
-    """volume of liquids that do not mix and flow through no sand. none: integrated from the
-    velocity divergence; a splashing or sloshing liquid slowly loses height. density: also corrected
-    towards the local filling, which takes about 10 % more time"""
+    volume_correction: Literal["none", "density", "shifting"] = "shifting"
+    """volume of liquids that do not mix and flow through no sand. shifting: the volume follows the
+    local filling at the rate of the flow's strain, and particles that crowd are moved apart. none:
+    integrated from the velocity divergence alone; a splashing or sloshing liquid loses height.
+    density: corrected towards the local filling at a constant rate"""
     precision: Literal["single", "double"] = "single"
     """precision of the particles' and the grid's numbers. single: half the time and memory of
     double, and changes nothing that a picture shows. double: for conservation to 15 digits, for

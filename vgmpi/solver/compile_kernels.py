@@ -155,8 +155,10 @@ def _run(plan: Plan, calls: list[tuple] | None) -> None:
         surface=np.zeros((n, SURFACE)),
     )  # fmt: skip
     simulation.advance(1e-6 * simulation.bound())
-    if plan.restores:
-        simulation.restore(1e-6 * simulation.bound())
+    if plan.restores or plan.shift_interval:
+        simulation.restore(1e-6 * simulation.bound(), bool(plan.shift_interval))
+    if plan.shift_interval and plan.restores not in (0, plan.shift_interval):
+        simulation.restore(1e-6 * simulation.bound(), False)
     conservation_rows(simulation)
     for group in simulation.groups:
         push(group.f, np.zeros(0, np.int64), np.zeros(3, plan.real))

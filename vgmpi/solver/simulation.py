@@ -7,8 +7,9 @@ import numpy as np
 from vgmpi.kernels.rigid.moving_colliders import MovingColliders
 from vgmpi.kernels.rigid.prescribed_motion import PrescribedBodies
 from vgmpi.kernels.rigid.static_colliders import StaticColliders
-from vgmpi.kernels.step_limits import J_MAX, J_MIN, MAX_CELLS_PER_STEP
+from vgmpi.kernels.step_limits import MAX_CELLS_PER_STEP
 from vgmpi.kernels.transfer import g2p
+from vgmpi.kernels.transfer.particle_shifting import MAX_SHIFT_CELLS
 from vgmpi.parallel import exchange_topology, migration
 from vgmpi.parallel.block_lattice import BlockLattice
 from vgmpi.parallel.block_ownership import BlockDirectory
@@ -31,21 +32,13 @@ from vgmpi.solver.engines.engine_protocol import (
     ParticleMaxima,
     StepReport,
 )
+from vgmpi.solver.engines.shift_tables import shift_constants
 
 from .engine_registry import engine_of
+from .failure_message import failure_message
 from .topology_requirements import needs
 
-FAILURE_MESSAGES = {
-    g2p.INVALID_VOLUME: f"its volume ratio J left {J_MIN:g} .. {J_MAX:g} or is not a number",
-    g2p.OUT_OF_DOMAIN: "it left the domain",
-    g2p.CFL_EXCEEDED: "it would move more than a cell in one step",
-    g2p.NOT_FINITE: "its velocity or stress is not a number",
-}
 MAXIMA_SLICE = [0, 3, 4, 5]  # indices of particle_insertion.bounds among a step's maxima
-FIELD_NAMES = {
-    "momentum": "mass or momentum", "offsets": "volume", "impulses": "impulse",
-    "shear": "velocity's gradient", "color": "color",
-}  # fmt: skip
 
 
 class BlowUp(RuntimeError):
@@ -103,6 +96,9 @@ class Simulation:
         self.step = 0
         self.rate = 0.0
         self.particle_maxima = UNKNOWN_MAXIMA
+        # the next shift must leave particles in their patches
+        margin = 1.2 * MAX_SHIFT_CELLS if plan.shift_interval else 0.0
+        self.max_stray = g2p.MAX_STRAY_CELLS - margin
         self.sorts = 0
         self.sorted_at = 0
         self.sent = 0  # [bytes] sent to neighbors by this rank
@@ -192,7 +188,7 @@ class Simulation:
         self._set_segments(unchanged)
         if not unchanged:
             self.halo = self._exchange(self.halo)
-            if self.plan.restores:
+            if self.plan.restores or self.plan.shift_interval:
                 self.correction_halo = self._exchange(self.correction_halo, ["momentum"])
 
     def _set_segments(self, unchanged: bool) -> None:
@@ -248,12 +244,13 @@ class Simulation:
         """
         mark = self.clock or (lambda name: None)
         engine = self.engine
-        interval, overflows, steps = self.plan.restores, [], self.step - self.correction_origin_step
+        end = self.time + dt if end is None else end
         if self.reactions is not None:
             self.reactions.begin(dt)
-        if interval and steps and steps % interval == 0:
-            overflows = self.restore(dt)
-        end = self.time + dt if end is None else end
+        for motion in (self.movers, self.driven):
+            if motion is not None:
+                motion.begin_step(self.time, end, dt)
+        overflows = self._correct_transfers(dt)
         pushed, gravity = self._apply_loads(end, dt), self.gravity
         if self.plan.gravity_ramp_time or self.plan.gravity_keys:
             gravity = self.plan.gravity_between(self.time, end)
@@ -270,7 +267,7 @@ class Simulation:
         maxima = self._reduce_step(report, requests)
         mark("wait")
         if maxima[2]:
-            raise BlowUp(self._failure_message(report))
+            raise BlowUp(failure_message(self, report))
         if not maxima[0] and (self.flow_accounting is not None or self.driven is not None):
             maxima[MAXIMA_SLICE] = bounds_of_idle_group(self.plan)
             maxima[0] = 0.0 if self.flow_accounting is None else maxima[0]  # all is prescribed
@@ -285,19 +282,18 @@ class Simulation:
         if spawned:
             self._insert(self._spawned(before))
         collider_moved_too_far = self.movers is not None and self.movers.left_safe_range(self.time)
-        if maxima[1] >= g2p.MAX_STRAY_CELLS or collider_moved_too_far or spawned or released:
+        if maxima[1] >= self.max_stray or collider_moved_too_far or spawned or released:
             self.sort()
             mark("sort")
         return maxima[6:]
 
     def _apply_loads(self, end: float, dt: float) -> float:
-        """Apply loads and prescribed motion until `end` [s]; bound the speed change [m/s]."""
+        """Apply loads until `end` [s]; bound the speed added, also by motions [m/s]."""
         pushed = 0.0
         if self.loads is not None:
             pushed = self.loads.apply(self.groups, self.time, end, dt)
         for motion in (self.movers, self.driven):
             if motion is not None:
-                motion.begin_step(self.time, end, dt)
                 pushed += self.plan.dx * motion.travels(self.time, end) / dt
         return pushed
 
@@ -321,17 +317,34 @@ class Simulation:
             self._set_segments(unchanged=True)
         return report
 
-    def restore(self, dt: float) -> list[AccumulatorOverflow]:
+    def _correct_transfers(self, dt: float) -> list[AccumulatorOverflow]:
+        """Restore motion and shift particles before a step of dt [s] in which they are due."""
+        steps = self.step - self.correction_origin_step
+        shifts, restores = (
+            bool(interval) and steps > 0 and steps % interval == 0
+            for interval in (self.plan.shift_interval, self.plan.restores)
+        )
+        return self.restore(dt, shifts, restores) if shifts or restores else []
+
+    def restore(self, dt: float, shifts: bool, restores: bool = True) -> list[AccumulatorOverflow]:
         """Restore motion that the last transfers dissipated (transfer correction). Collective.
 
         A zero-length step passes the motion through the grid; its loss is that of each step.
-        The next step takes dt [s].
+
+        Args:
+            dt: Length of the next step [s].
+            shifts: Whether the particles of liquids are shifted.
+            restores: Whether motion is restored.
         """
-        self.engine.begin(0.0, np.zeros(3), self.particle_maxima.fastest(self.plan, dt, 0.0))
+        shift = None
+        if shifts:
+            shift = shift_constants(self.plan, self.plan.shift_interval * dt, self.step)
+        fastest = self.particle_maxima.fastest(self.plan, dt, 0.0)
+        self.engine.begin(0.0, np.zeros(3), fastest, shift)
         self._update_grid(self.correction_halo)
-        overflows = self.engine.restore(self.plan.restores)
+        overflows = self.engine.restore(self.plan.restores if restores else 0)
         if self.sources is not None:
-            self.sources.reset_nozzle_velocity()
+            self.sources.reset_nozzle(self.time)
         if self.clock:
             self.clock("g2p")
         return overflows
@@ -370,26 +383,6 @@ class Simulation:
     def object_of(self, ids: np.ndarray) -> np.ndarray:
         """Return the object of each particle; ids of one object are consecutive."""
         return np.searchsorted(np.array(self.plan.first_id), ids, side="right") - 1
-
-    def _failure_message(self, report: StepReport) -> str:
-        """Name the failed particle of lowest id or the first overflown block, on every rank."""
-        rows = self.ranks.all_rows(np.array(report.wrong, np.int64).reshape(-1, 2))
-        when = f"step {self.step}, time {self.time:.6g} s"
-        if len(rows):
-            worst, reason = rows[np.argmin(rows[:, 0])]
-            # an empty object begins where the next one does: take the one that has particles
-            owner = int(self.object_of(np.array([worst]))[0])
-            return f"object {{{owner}}}, particle {worst}, {when}: {FAILURE_MESSAGES[int(reason)]}"
-        fields = self.needs.layers
-        local = [(*over.block, over.phase, fields.index(over.layer)) for over in report.beyond]
-        rows = self.ranks.all_rows(np.array(local, np.int64).reshape(-1, 5))
-        *block, phase, field = min(map(tuple, rows.tolist()))
-        spot = ", ".join(f"{(4 * b + 0.5) * self.plan.dx:.4g}" for b in block)
-        name = FIELD_NAMES[fields[field].split()[0]]
-        return (
-            f"phase '{self.plan.phases[phase].name}', near ({spot}) m, {when}: the {name} at a node"
-            " is beyond what a sum can hold"
-        )
 
 
 def _same_blocks(before: BlockDirectory, after: BlockDirectory) -> bool:

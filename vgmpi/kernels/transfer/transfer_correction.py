@@ -13,6 +13,7 @@ from vgmpi.kernels.particle_records import (
     box_of,
     compute_weights,
     node_range_with_walls,
+    patch_of,
     split_scratch,
     zero_padding,
 )
@@ -21,16 +22,17 @@ from vgmpi.kernels.reaction_impulses import momentum_mirror_fraction
 from vgmpi.kernels.reproducible_sums import blocks_at, finalize_node_block, sums_at
 from vgmpi.kernels.simd.row_ops import tile
 from vgmpi.kernels.simd.vector16 import load, pointer, store
-from vgmpi.kernels.stencil_sums import gather_affine
+from vgmpi.kernels.stencil_sums import gather_affine, gather_gradient
 from vgmpi.kernels.step_limits import NODE_MASS_FLOOR
-from vgmpi.kernels.wall_boundary import fill_ghost_velocity
+from vgmpi.kernels.wall_boundary import complete_wall_mass, fill_ghost_velocity
 from vgmpi.runtime.jit import device_function, kernel
 
 from .g2p import unpack_gathered
+from .particle_shifting import relax_volume, shift_positions, store_excess, store_fullness
 
 
 @kernel
-def momentum_to_velocity_only(blocks, tables, momentum, as_one, phases, step, report):
+def momentum_to_velocity_only(blocks, tables, momentum, as_one, phases, fill, step, report):
     """Compute the velocities [m/s] at the nodes of some blocks, from momentum alone.
 
     Gravity, contact and walls do not act; see kernels/grid/update.py.
@@ -40,6 +42,7 @@ def momentum_to_velocity_only(blocks, tables, momentum, as_one, phases, step, re
         momentum: Momentum sums (in/out).
         as_one: (phases,) phases of one number share one velocity; -1: each has its own.
         phases, step: See kernels/kernel_arguments.py.
+        fill: What fills the nodes' cells, NodeFill, or None if no particles are shifted.
         report: Accumulator overflows (in/out), see kernels/reproducible_sums.py.
     """
     rows, moved = blocks_at(tables), sums_at(momentum)
@@ -58,10 +61,14 @@ def momentum_to_velocity_only(blocks, tables, momentum, as_one, phases, step, re
                 momentum_to_velocity(nb, nodes, push, NODE_MASS_FLOOR * cell_mass[phase_of[nb]])
             elif not is_done:
                 mean_over_set(nb, n1, group, phase_of, as_one, nodes)
+        if fill is not None:
+            store_fullness(n0, n1, phase_of, nodes, fill, tables.at[b], tables.solid[b], step.dx)
 
 
 @kernel
-def apply_transfer_correction(rows, times, segments, particles, velocity, scratch, dx, ghosts):
+def apply_transfer_correction(
+    rows, times, segments, particles, velocity, scratch, dx, shift, ghosts
+):  # fmt: skip
     """Add to each particle `times` the loss of its velocity and gradient in a transfer.
 
     Args:
@@ -72,11 +79,13 @@ def apply_transfer_correction(rows, times, segments, particles, velocity, scratc
         velocity: Grid velocities, shape (node blocks, 256) [m/s].
         scratch: Scratch of the calling thread.
         dx: Cell size [m].
+        shift: Constants of a shift, particle_shifting.ShiftConstants, or None.
         ghosts: Ghost-node bookkeeping for reaction forces, or None.
     """
     cap = particles.f.shape[1]
     f, xi = particles.f.reshape(particles.f.size), particles.xi.reshape(particles.xi.size)
     start, count, table, mirror = segments.start, segments.count, segments.table, segments.mirror
+    limit = segments.limit
     weights, records, patch, _ = split_scratch(scratch.real)
     nodes = nodes_of(patch)
     patch[PATCH:] = 0
@@ -90,6 +99,10 @@ def apply_transfer_correction(rows, times, segments, particles, velocity, scratc
         node_range_with_walls(count[s], start[s], cap, xi, f, mirror[s], box)
         load_patch(patch, velocity, table[s], box)
         fill_ghost_velocity(nodes, mirror[s], ghosts, mirror_fraction, s)
+        if shift is not None:
+            complete_wall_mass(nodes, mirror[s])
+            excess = patch_of(scratch.real, 0)
+            is_crowded = store_excess(patch, excess, box)
         for first in range(0, count[s], BATCH):
             n = min(BATCH, count[s] - first)
             offset = start[s] + first
@@ -98,6 +111,14 @@ def apply_transfer_correction(rows, times, segments, particles, velocity, scratc
             zero_padding(n, records)
             for m in range(0, n, 16):
                 correct_vector(f, offset + m, cap, times, records, 16 * m, dx)
+            if shift is not None:
+                for m in range(0, n, 16):
+                    relax_volume(f, offset + m, cap, records, 16 * m, shift)
+                if is_crowded:
+                    gather_gradient(n, records, weights, base, excess)
+                    zero_padding(n, records)
+                    for m in range(0, n, 16):
+                        shift_positions(f, xi, offset + m, cap, records, 16 * m, limit[s], shift)
 
 
 @device_function

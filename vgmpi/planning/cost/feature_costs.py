@@ -8,6 +8,7 @@ from vgmpi.planning.phases_and_groups import (
     CORRECTION_COST,
     DENSITY_CORRECTION_COST,
     FLIP_COST,
+    shift_cost,
 )
 from vgmpi.planning.plan import Plan
 from vgmpi.runtime.config.toml_source import escape_control_characters
@@ -69,6 +70,8 @@ def group_features(scene: Scene, plan: Plan, g: int, pace: Throughput) -> list[F
         result.append(Feature(transfer, law_ns * CORRECTION_COST / plan.restores))
     if plan.keeps is not None:
         result.append(Feature(transfer, law_ns * (FLIP_COST - 1.0)))
+    if group.shifts:
+        result.append(Feature("particle shifting", law_ns * shift_cost(plan.restores > 0)))
     if group.space:
         result.append(Feature("density correction", law_ns * DENSITY_CORRECTION_COST))
     if group.coefficients:

@@ -81,7 +81,7 @@ def format_plan(
         )
     )
     lines += _flows(plan)
-    lines += _restored(plan) + _thin(scene, plan) + _sheets(plan) + _bending(scene, plan)
+    lines += _accuracy_notes(scene, plan)
     lines += accuracy_benchmarks.preset_accuracy_lines(scene) + feature_table(scene, plan, pace)
     total = plan.bytes()
     lines.append(
@@ -109,6 +109,12 @@ def _flow(plan: Plan, source: InletPlan) -> float:
     return density * len(source.mouth) * source.volume / source.period
 
 
+def _accuracy_notes(scene: Scene, plan: Plan) -> list[str]:
+    """Return the lines on what the scene's resolution and options make inexact."""
+    lines = _restored(plan) + _unshifted(scene, plan) + _thin(scene, plan)
+    return lines + _sheets(plan) + _bending(scene, plan)
+
+
 def _restored(plan: Plan) -> list[str]:
     """Return the line on the cost of the transfer correction and its cheaper alternative."""
     if not plan.restores:
@@ -118,6 +124,22 @@ def _restored(plan: Plan) -> list[str]:
     return [
         f"  transfer    what transfers take from motion is given back {often};"
         f' accuracy.transfer = "apic" takes {less:.2f} of the time, and waves and spin die sooner'
+    ]
+
+
+def _unshifted(scene: Scene, plan: Plan) -> list[str]:
+    """Return a line on the liquids whose particles cannot be shifted, and so lose volume."""
+    if scene.accuracy.volume_correction != "shifting":
+        return []
+    names = [
+        group.name for group in plan.groups if group.carries[:1] == ("theta",) and not group.shifts
+    ]
+    if not names:
+        return []
+    message = "may lose height: liquids of several densities in one phase, or that share space,"
+    return [
+        f"  volume      {', '.join(map(escape_control_characters, names))} {message}"
+        " are not kept by shifting particles"
     ]
 
 

@@ -50,7 +50,7 @@ class _Carried(NamedTuple):
 class Sources:
     """Inlets of a run.
 
-    Call `find` after every sort, `advect_nozzle` after every step, `reset_nozzle_velocity` after
+    Call `find` after every sort, `advect_nozzle` after every step, `reset_nozzle` after
     every zero-length step, and `spawn` before a sort whenever a layer is `due`.
     """
 
@@ -95,6 +95,14 @@ class Sources:
         self.reset_nozzle_velocity()
         self.carried = [carried.after(time) for carried in self.carried]
         return report._replace(far=distance)
+
+    def reset_nozzle(self, time: float) -> None:
+        """Reset what a step of no time, at `time` [s], has changed of the nozzle particles."""
+        if self.plan.shift_interval:
+            for carried in self.carried:
+                if len(carried.indices):
+                    self._set_positions(carried, time)
+        self.reset_nozzle_velocity()
 
     def _set_positions(self, carried: _Carried, time: float) -> float:
         """Set the positions of nozzle particles.

@@ -18,6 +18,7 @@ from vgmpi.kernels.rigid.prescribed_motion import (
 from vgmpi.kernels.rigid.prescribed_transfer import advect_prescribed
 from vgmpi.kernels.rigid.static_colliders import StaticColliders
 from vgmpi.kernels.transfer import deformation_gradient, g2p, p2g, transfer_correction
+from vgmpi.kernels.transfer.particle_shifting import NodeFill, ShiftConstants
 from vgmpi.kernels.wall_boundary import KINDS, patch_codes
 from vgmpi.parallel.block_lattice import BITS, BlockLattice
 from vgmpi.parallel.exchange_topology import ExchangeTopology, color_field_name
@@ -44,6 +45,7 @@ from .nodal_field_storage import (
 )
 from .plan_tables import phase_table, position_limits, wall_table
 from .reaction_sums import ReactionAccumulators
+from .shift_tables import node_fill, with_colliders
 from .thread_partition import ThreadPartition, accumulator_copies
 
 
@@ -83,7 +85,9 @@ class Cpu(KernelCaller):
         self.beside = {
             name: aligned_zeros((0, reproducible_sums.BLOCK), plan.real) for name in self.gathered
         }
-        patch_count = sum(self.gathered.values())
+        self.fill_of_nodes = node_fill(plan, self.as_one)
+        self.shift: ShiftConstants | None = None
+        patch_count = max(sum(self.gathered.values()), int(plan.shift_interval > 0))
         self.scratch = [particle_records.scratch(plan.real, patch_count) for _ in range(threads)]
         self.room = [contact.contact_workspace(len(plan.phases)) for _ in range(threads)]
         self.mixture_workspace = [
@@ -196,13 +200,15 @@ class Cpu(KernelCaller):
 
     # ---- a step ----------------------------------------------------------------------------------
 
-    def begin(self, dt: float, gravity: np.ndarray, speed: float) -> None:
+    def begin(
+        self, dt: float, gravity: np.ndarray, speed: float, shift: ShiftConstants | None = None
+    ) -> None:
         """Choose the quanta of the sums of a step.
 
         Args:
-            dt, gravity, speed: See `Engine.begin`.
+            dt, gravity, speed, shift: See `Engine.begin`.
         """
-        self.dt = dt
+        self.dt, self.shift = dt, shift
         for scratch in self.scratch:
             scratch.peak[:] = 0.0
         velocity_step = np.zeros(4, self.plan.real)
@@ -265,9 +271,9 @@ class Cpu(KernelCaller):
         layers, separate = self.layers, None
         if not self.dt:
             self.call_if_rows(
-                (), transfer_correction.momentum_to_velocity_only, blocks, self.blocks,
-                layers["momentum"].tables, self.as_one,
-                self.phases, self.step, self.beyond[thread],
+                (self.shift is None,), transfer_correction.momentum_to_velocity_only, blocks,
+                self.blocks, layers["momentum"].tables, self.as_one, self.phases,
+                self.node_fill_now(), self.step, self.beyond[thread],
             )  # fmt: skip
             return
         if self.apart:
@@ -353,6 +359,10 @@ class Cpu(KernelCaller):
                 driven.ways, rotated, self.plan.dx, self.dt, motion, report,
             )  # fmt: skip
 
+    def node_fill_now(self) -> NodeFill | None:
+        """Return what fills the nodes' cells if the step of no time shifts particles."""
+        return None if self.shift is None else with_colliders(self.fill_of_nodes, self.solids)
+
     def restore(self, times: int) -> list[AccumulatorOverflow]:
         """Add `times` the motion that a step of no time has taken from the particles."""
         self.each(self._restore, self.plan.real.type(times))
@@ -363,10 +373,11 @@ class Cpu(KernelCaller):
         for part in self.parts:
             if part.group.plan.driven:
                 continue
+            shift = self.shift if part.group.plan.shifts else None
             self.call_if_rows(
-                (), transfer_correction.apply_transfer_correction, part.partition.all[thread],
-                times, part.segments,
-                part.particles, self.layers["momentum"].nodes, self.scratch[thread], dx,
+                (shift is None,), transfer_correction.apply_transfer_correction,
+                part.partition.all[thread], times, part.segments, part.particles,
+                self.layers["momentum"].nodes, self.scratch[thread], dx, shift,
                 self._ghosts(part, thread),
             )  # fmt: skip
 

@@ -19,6 +19,7 @@ import numpy as np
 from vgmpi.kernels.rigid.moving_colliders import MovingColliders
 from vgmpi.kernels.rigid.prescribed_motion import PrescribedBodies
 from vgmpi.kernels.rigid.static_colliders import StaticColliders
+from vgmpi.kernels.transfer.particle_shifting import ShiftConstants
 from vgmpi.parallel.block_lattice import BlockLattice
 from vgmpi.parallel.exchange_topology import ExchangeTopology
 from vgmpi.parallel.halo_exchange import FieldMessage
@@ -132,13 +133,16 @@ class Engine(Protocol):
     def open(self, wall: int) -> None:
         """Remove a wall (0 to 5: west, east, south, north, floor, roof) that has vanished."""
 
-    def begin(self, dt: float, gravity: np.ndarray, speed: float) -> None:
+    def begin(
+        self, dt: float, gravity: np.ndarray, speed: float, shift: ShiftConstants | None = None
+    ) -> None:
         """Begin a step.
 
         Args:
             dt: Length of the step [s], 0 for a step of no time.
             gravity: Acceleration, shape (3,) [m/s^2].
             speed: Bound of `ParticleMaxima.fastest` [m/s].
+            shift: Constants of the shift of liquids that a step of no time makes, or None.
         """
 
     def fill(self, border: bool) -> None:

@@ -11,6 +11,7 @@ from vgmpi.kernels.kernel_arguments import Segments, Step
 from vgmpi.kernels.rigid.prescribed_motion import ROTATED_CHANNELS
 from vgmpi.kernels.step_limits import MAX_CELLS_PER_STEP, MAX_VOLUME_STRAIN_PER_STEP
 from vgmpi.kernels.transfer import g2p
+from vgmpi.kernels.transfer.particle_shifting import NodeFill, ShiftConstants
 from vgmpi.parallel.block_lattice import BITS
 from vgmpi.parallel.exchange_topology import ExchangeTopology, color_field_name
 from vgmpi.parallel.halo_exchange import FieldMessage
@@ -137,13 +138,15 @@ class Cuda(Cpu):
     # ---- a step ----------------------------------------------------------------------------------
 
     @with_device_context
-    def begin(self, dt: float, gravity: np.ndarray, speed: float) -> None:
+    def begin(
+        self, dt: float, gravity: np.ndarray, speed: float, shift: ShiftConstants | None = None
+    ) -> None:
         """Choose the quanta of the sums of a step.
 
         Args:
-            dt, gravity, speed: See `Engine.begin`.
+            dt, gravity, speed, shift: See `Engine.begin`.
         """
-        super().begin(dt, gravity, speed)
+        super().begin(dt, gravity, speed, shift and ShiftConstants(*map(self.real, shift)))
         self.peaks.copy_to_device(np.zeros(1, self.real))
         self.step = Step(float(dt), float(self.plan.dx), to_card(self.step.gravity_increment))
 
@@ -207,7 +210,8 @@ class Cuda(Cpu):
         if not self.dt:
             self._half(
                 NODES, grid_kernels.settle, len(blocks), blocks, self.on_card, momentum,
-                copy(self.as_one), copy(self.phases), self.step, self.overflow,
+                copy(self.as_one), copy(self.phases), self._fill_on_card(), self.step,
+                self.overflow,
             )  # fmt: skip
             return
         separate, kernel = None, grid_kernels.update
@@ -230,6 +234,12 @@ class Cuda(Cpu):
                 NODES, grid_kernels.blend, len(blocks), blocks, self.on_card, layer.tables,
                 copy(self.sets), self.overflow, len(self.layers) - len(self.hues) + k,
             )  # fmt: skip
+
+    def _fill_on_card(self) -> NodeFill | None:
+        """Return what fills the nodes' cells in GPU memory, or None."""
+        fill = self.node_fill_now()
+        moves = self.solids is not None and len(self.solids.moves) > 0
+        return self.copies.refreshed(fill) if moves else self.copies.of(fill)
 
     def _auxiliary(self) -> dict:
         """Return the auxiliary nodal values in GPU memory."""
@@ -323,6 +333,7 @@ class Cuda(Cpu):
                     len(work.all), PARTICLE, transfer_kernels.give_back, work.all, self.real(times),
                     work.segments, group.on_card(MOVED),
                     self.layers["momentum"].tables.nodes, self.real(self.plan.dx),
+                    self.shift if group.plan.shifts else None,
                     self.copies.of(self._ghosts(part, 0)),
                 )  # fmt: skip
         return self._found_beyond()

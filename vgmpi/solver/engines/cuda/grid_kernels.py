@@ -273,19 +273,20 @@ def update_apart(
                reactions, step, report)  # fmt: skip
 
 
-def settle(blocks, tables, momentum, as_one, phases, step, report):
+def settle(blocks, tables, momentum, as_one, phases, fill, step, report):
     """Compute velocities in a step of no time: kernels/transfer/transfer_correction.py.
 
     Args:
         blocks, tables: Node blocks to process, and table of node blocks.
         momentum: Nodal field (in/out).
         as_one, phases: Phases that move with one velocity, and their tables.
+        fill: What fills the nodes' cells, or None.
         step, report: Constants of the step, and overflow report (in/out).
     """
     q = number()
     if q < len(blocks):
         transfer_correction.momentum_to_velocity_only(
-            blocks[q : q + 1], tables, momentum, as_one, phases, step, report
+            blocks[q : q + 1], tables, momentum, as_one, phases, fill, step, report
         )
 
 

@@ -13,6 +13,7 @@ from numba.cuda import dispatcher, types
 from numba.cuda.np import numpy_support
 
 from vgmpi.parallel.particle_group import ParticleGroup
+from vgmpi.solver.engines.shift_tables import shift_constants
 
 from . import device_memory
 from .cuda_engine import Cuda
@@ -195,8 +196,10 @@ def kernels_of(simulation) -> list[Compiled]:
     for border in (False, True):
         engine.update(border)
     engine.gather(0)
-    if simulation.plan.restores:
-        engine.begin(0.0, simulation.gravity, 1.0)
+    plan = simulation.plan
+    if plan.restores or plan.shift_interval:
+        shift = shift_constants(plan, 1e-5, 0) if plan.shift_interval else None
+        engine.begin(0.0, simulation.gravity, 1.0, shift)
         engine.update(False)
         engine.restore(1)
     for group in simulation.groups:  # the kernels of a sort as well

@@ -25,7 +25,12 @@ from vgmpi.kernels.transfer import transfer_correction
 from vgmpi.kernels.transfer.auxiliary_gather import gather_batch, load_patches, prepare_patch
 from vgmpi.kernels.transfer.deformation_gradient import update_deformation_lanes
 from vgmpi.kernels.transfer.g2p import ParticlePointers, _update_particles
-from vgmpi.kernels.wall_boundary import fill_ghost_velocity, fold_ghost_momentum
+from vgmpi.kernels.transfer.particle_shifting import TOLERATED_FILL, relax_volume, shift_positions
+from vgmpi.kernels.wall_boundary import (
+    complete_wall_mass,
+    fill_ghost_velocity,
+    fold_ghost_momentum,
+)
 
 from .grid_kernels import own_ghosts
 from .particle_intrinsics import gather
@@ -286,21 +291,23 @@ def _unite(local_maxima, lowest, maxima, worst):
         cuda.atomic.min(worst, 0, lowest[0])
 
 
-def give_back(rows, times, segments, particles, velocity, dx, ghosts):
+def give_back(rows, times, segments, particles, velocity, dx, shift, ghosts):
     """Compensate the motion lost in transfers: kernels/transfer/transfer_correction.py.
 
     Args:
-        rows: Segments to process.
-        times: Factor of the loss.
+        rows, times: Segments to process, and factor of the loss.
         segments, particles: Tables of the group; particles (in/out).
-        velocity: Nodal velocities of a step of no time.
-        dx: Cell size [m].
-        ghosts: Ghost nodes for reactions, or None.
+        velocity, dx: Nodal velocities of a step of no time, and cell size [m].
+        shift, ghosts: Constants of a shift, and ghost nodes for reactions; each may be None.
     """
     now, point = cuda.local.array(3, np.int64), cuda.local.array(6, np.float64)
     own = own_ghosts(ghosts, now, point)
     real, s = cuda.shared.array(BESIDE, REAL), rows[number()]
     _begin(real, s, segments, velocity, own)
+    if shift is not None:
+        meet()
+        complete_wall_mass(real, segments.mirror[s])
+        meet()
     cap = particles.ids.size
     f, xi = particles.f, particles.xi
     weights = cuda.local.array(16, REAL)
@@ -311,6 +318,18 @@ def give_back(rows, times, segments, particles, velocity, dx, ghosts):
         compute_weights(1, p, cap, xi, f, base, weights)
         gather_affine(1, record, weights, base, real)
         transfer_correction.correct_vector(f, p, cap, times, record, 0, dx)
+        if shift is not None:
+            relax_volume(f, p, cap, record, 0, shift)
+    if shift is not None:
+        meet()
+        for k in each(PATCH // 4):
+            real[4 * k + 3] = max(real[4 * k + 3] - REAL(TOLERATED_FILL), REAL(0))
+        meet()
+        for n in each(segments.count[s]):
+            p = segments.start[s] + n
+            compute_weights(1, p, cap, xi, f, base, weights)
+            gather_gradient(1, record, weights, base, real)
+            shift_positions(f, xi, p, cap, record, 0, segments.limit[s], shift)
 
 
 def take(rows, channel, segments, particles, nodes):

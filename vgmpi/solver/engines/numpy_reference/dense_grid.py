@@ -6,6 +6,8 @@ B-splines a particle touches the 27 nodes from its base node on.
 
 import numpy as np
 
+from vgmpi.parallel.block_lattice import BLOCK_EDGE
+from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.plan import Plan
 
 
@@ -38,6 +40,15 @@ class Stencil:
             r = np.stack([self.r[c, :, a] for a, c in enumerate((i, j, k))], 1)
             gradient = np.stack([d[0] * w[1] * w[2], w[0] * d[1] * w[2], w[0] * w[1] * d[2]], 1)
             yield index, w[0] * w[1] * w[2], r, gradient
+
+
+def stencil_of(group: ParticleGroup, dx: float) -> Stencil:
+    """Return the stencil of a group's particles; dx: cell size [m]."""
+    xi = group.xi[:, group.index()].astype(np.int64)
+    block = np.repeat(group.block, group.count, axis=0)
+    cell = xi >> group.bits
+    inside = np.ldexp((xi - (cell << group.bits)).astype(np.float64), -group.bits)
+    return Stencil(BLOCK_EDGE * block + 1 + cell.T, inside.T, dx)
 
 
 class Dense:

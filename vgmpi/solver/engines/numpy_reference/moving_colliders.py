@@ -2,7 +2,10 @@
 
 import numpy as np
 
+from vgmpi.kernels.rigid.moving_colliders import MovingColliders
 from vgmpi.kernels.rigid.sdf_sampling import SampledSdf
+
+from .dense_grid import Dense
 
 
 def nearest_collider(
@@ -37,6 +40,21 @@ def nearest_collider(
         end = body @ table.rotation_end[m].T + center + table.move_end[m]
         moves[closest], whose[closest] = (end - surface) / dt, m
     return nodes, whose, moves
+
+
+def distance_from_colliders(
+    movers: MovingColliders | None, dense: Dense, at_rest: np.ndarray
+) -> np.ndarray | None:
+    """Return the distance of each node from the nearest collider [m], None without colliders.
+
+    Args:
+        movers: Moving colliders where they are now, or None.
+        dense: Background grid.
+        at_rest: Normal and distance of static colliders at the nodes, shape (..., 4); else empty.
+    """
+    if movers is not None:
+        return nearest_collider(movers.table, dense.points(), 1.0, dense.dx)[0][:, 3]
+    return at_rest[..., 3] if at_rest.size else None
 
 
 def sample(

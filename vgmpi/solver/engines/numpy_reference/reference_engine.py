@@ -22,6 +22,7 @@ from vgmpi.kernels.step_limits import (
 )
 from vgmpi.kernels.transfer import g2p
 from vgmpi.kernels.transfer.auxiliary_gather import OVERFILL_RELAXATION_RATE
+from vgmpi.kernels.transfer.particle_shifting import ShiftConstants
 from vgmpi.materials.material import law_function
 from vgmpi.parallel.block_lattice import BLOCK_EDGE, BlockLattice
 from vgmpi.parallel.exchange_topology import ExchangeTopology
@@ -32,7 +33,7 @@ from vgmpi.planning.plan import Plan
 from vgmpi.solver.engines.engine_protocol import DITHER, AccumulatorOverflow, StepReport
 
 from .contact import Contact
-from .dense_grid import Dense, Stencil
+from .dense_grid import Dense, Stencil, stencil_of
 from .density_correction import density_corrected_gradient
 from .group_channels import (
     get_channel,
@@ -43,7 +44,8 @@ from .group_channels import (
     put_law_state,
 )
 from .mixture_coupling import MixtureCoupling
-from .moving_colliders import nearest_collider
+from .moving_colliders import distance_from_colliders, nearest_collider
+from .particle_shifting import ParticleShifting
 from .prescribed_motion import carry, prescribe
 from .reaction_impulses import ReactionSums, WallRecorder
 
@@ -62,14 +64,14 @@ class Numpy:
         self.plan, self.dense = plan, Dense(plan)
         self.groups = [ParticleGroup(group, lattice, plan.real) for group in plan.groups]
         self.contact = Contact(plan, self.dense)
-        if driven is not None:
-            self.contact.ways = driven.ways
+        self.contact.ways = self.contact.ways if driven is None else driven.ways
         self.movers = solids if isinstance(solids, MovingColliders) else None
         if isinstance(solids, StaticColliders):
             self.contact.set_rigid(*solids.surface(self.dense.points()))
         self.sharing = None if plan.rules is None else MixtureCoupling(plan.rules, self.dense)
         self.sums: ReactionSums | None = None
         self.apart = any(group.apart for group in plan.groups)
+        self.shifting = ParticleShifting(plan, self.dense)
 
     def open(self, wall: int) -> None:
         """Remove a wall that has vanished."""
@@ -108,12 +110,15 @@ class Numpy:
             np.repeat(split[tables.group == g], group.count) for g, group in enumerate(self.groups)
         ]
 
-    def begin(self, dt: float, gravity: np.ndarray, speed: float) -> None:
+    def begin(
+        self, dt: float, gravity: np.ndarray, speed: float, shift: ShiftConstants | None = None
+    ) -> None:
         """Begin a step.
 
         Args:
-            dt, gravity, speed: See `Engine.begin`.
+            dt, gravity, speed, shift: See `Engine.begin`.
         """
+        self.shifting.constants = shift
         self.dt, self.gravity, self.mirrors, self.kept = dt, gravity, 1.0, 0.0
         if self.sums is not None:
             self.mirrors, self.kept = self.sums.shares(dt)
@@ -136,7 +141,7 @@ class Numpy:
         )
         count = max(group.coefficients for group in self.plan.groups)
         self.hues = np.zeros((count, n, *shape, 4))
-        self.stencils = [self._stencil(group) for group in self.groups]
+        self.stencils = [stencil_of(group, self.plan.dx) for group in self.groups]
         for g, group in enumerate(self.groups):
             self._contribute(group, self.stencils[g], self.split[g])
         for p in range(n):
@@ -145,14 +150,6 @@ class Numpy:
             self.dense.fold(None, self.counted[p])
             self.dense.fold(self.shear[p], None)
             self.dense.fold(self.offset[p], self.volume[p], kind="slip")
-
-    def _stencil(self, group: ParticleGroup) -> Stencil:
-        index = group.index()
-        xi = group.xi[:, index].astype(np.int64)
-        block = np.repeat(group.block, group.count, axis=0)
-        cell = xi >> group.bits
-        inside = np.ldexp((xi - (cell << group.bits)).astype(np.float64), -group.bits)
-        return Stencil(BLOCK_EDGE * block + 1 + cell.T, inside.T, self.plan.dx)
 
     def _contribute(self, group: ParticleGroup, stencil: Stencil, split: np.ndarray) -> None:
         plan, dense, p = group.plan, self.dense, group.plan.phase
@@ -303,13 +300,17 @@ class Numpy:
 
     def restore(self, times: int) -> list[AccumulatorOverflow]:
         """Add `times` the motion that a step of no time has taken from the particles."""
+        depth = distance_from_colliders(self.movers, self.dense, self.contact.collider)
+        fullness = self.shifting.nodal_fullness(self.mass, depth)
         for group, stencil in zip(self.groups, self.stencils, strict=True):
             if len(group) and not group.plan.driven:
-                field = self.v[group.plan.phase]
-                v, L = self.dense.gather(field, stencil), self.dense.gather_slopes(field, stencil)
-                for name, gathered in (("v", v), ("C", L.reshape(-1, 9))):
+                field, dense = self.v[group.plan.phase], self.dense
+                L = dense.gather_slopes(field, stencil).reshape(-1, 9)
+                for name, gathered in (("v", dense.gather(field, stencil)), ("C", L)):
                     current = get_channel(group, name)
                     put_channel(group, name, current + times * (current - gathered))
+                if fullness is not None and group.plan.shifts:
+                    self.shifting.apply(group, stencil, fullness)
         return []
 
     def _gather(

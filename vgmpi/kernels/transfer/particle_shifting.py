@@ -1,0 +1,236 @@
+"""Particle shifting: liquids keep their volume although particles crowd and spread.
+
+Every few steps, in the step of no time that the transfer correction makes, two things follow from
+one nodal field, the fullness E: the part of a node's cell that particles, colliders and the mirror
+images at walls fill (docs/explanation/transfer-schemes.md).
+
+- The logarithm theta of a particle's volume ratio relaxes to what the fullness says, at the rate
+  |C| of the flow's own strain: a liquid at rest and small waves are left alone.
+- A particle moves down the gradient of the fullness above 1, which separates particles that crowd
+  between nodes, where pressure cannot see them. Velocities stay, so momentum is exact.
+
+References:
+    Xu, Stansby, Laurence (2009): Accuracy and stability in incompressible SPH (ISPH) based on the
+    projection method and a new approach. J. Comput. Phys. 228, 6703-6725 (shifting of particles).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vgmpi.kernels.particle_records import AFFINE, STATE
+from vgmpi.kernels.simd.cooperative import strided_range, sync_threads
+from vgmpi.kernels.simd.node_row_ops import fourth_of
+from vgmpi.kernels.simd.row_ops import (
+    add_fixed_point,
+    broadcast,
+    horizontal_max,
+    load_records,
+)
+from vgmpi.kernels.simd.vector16 import load, store
+from vgmpi.kernels.wall_boundary import SEPARATE, SIDE
+from vgmpi.runtime.jit import device_function
+
+from .density_correction import FULL_FILL, MIN_FILL, SURFACE_SLOPE
+
+MAX_FILL_ERROR = 0.5  # [-] largest relative error of the fullness that relaxation sees
+TOLERATED_FILL = 1.02  # [-] fullness above which particles are shifted
+SHIFT_FACTOR = 0.1  # [cells2] displacement per gradient of the fullness per cell
+MAX_SHIFT_CELLS = 0.05  # [cells] largest displacement
+WALL_GAP_CELLS = 0.52  # [cells] least distance from a position's limit, 0.5 beyond a wall
+COLLIDER_BAND = 1.5  # [cells] distance of a node from a surface that cuts its cell
+
+
+class NodeFill(NamedTuple):
+    """Masses that fill a node's cell, by phase, and the boundaries that cut cells."""
+
+    space: np.ndarray  # (phases,) [1/kg] inverse of the mass that fills a cell, 0: not counted
+    shifts: np.ndarray  # (phases,) bool: a liquid whose particles are shifted
+    colliders: np.ndarray  # (blocks, 64, 4) normal and distance [m] of colliders, or (0, 64, 4)
+    cells: np.ndarray  # (3,) cells of the domain
+    kinds: np.ndarray  # (3, 2) wall kinds
+
+
+class ShiftConstants(NamedTuple):
+    """Constants of a shift."""
+
+    duration: float  # [s] of the steps since the last shift, in the working precision
+    cell_units: float  # units of the fixed-point positions per cell
+    dither_x: float  # [position units] added before positions are rounded down
+    dither_y: float
+    dither_z: float
+
+
+@device_function
+def collider_share(distance):
+    """Return the part of a node's B-spline cell that lies within a plane surface.
+
+    Args:
+        distance: Distance of the node [cells], positive outside.
+    """
+    d = distance
+    if d >= COLLIDER_BAND:
+        return 0.0
+    if d <= -COLLIDER_BAND:
+        return 1.0
+    if d > 0.5:
+        return (1.5 - d) * (1.5 - d) * (1.5 - d) / 6.0
+    if d < -0.5:
+        return 1.0 - (d + 1.5) * (d + 1.5) * (d + 1.5) / 6.0
+    return 0.5 - 0.75 * d + d * d * d / 3.0
+
+
+@device_function
+def wall_share(fill, i, j, k):
+    """Return the part of a node's cell inside the mirroring walls of the domain."""
+    share = 1.0
+    for a in range(3):
+        node = i if a == 0 else (j if a == 1 else k)
+        if node == 0 and 0 < fill.kinds[a, 0] < SEPARATE:
+            share *= 0.5
+        if node == fill.cells[a] and 0 < fill.kinds[a, 1] < SEPARATE:
+            share *= 0.5
+    return share
+
+
+@device_function
+def store_fullness(n0, n1, phase_of, nodes, fill, block, solid, dx):
+    """Store the fullness in place of the mass, at the nodes of liquids that are shifted.
+
+    Args:
+        n0, n1: Node blocks of a block.
+        phase_of: Phase of each node block.
+        nodes: Velocity and mass of the nodes, flat (in/out).
+        fill: What fills the cells, NodeFill.
+        block: Coordinates of the block, shape (3,).
+        solid: Row of the block among those near colliders, or -1.
+        dx: Cell size [m].
+    """
+    first = -1
+    for nb in range(n0, n1):
+        if fill.shifts[phase_of[nb]] and first < 0:
+            first = nb
+    if first < 0:
+        return
+    sync_threads()
+    for q in strided_range(64):
+        o = 256 * first + 4 * q + 3
+        total = fill.space[phase_of[n0]] * nodes[256 * n0 + 4 * q + 3]
+        for nb in range(n0 + 1, n1):
+            total += fill.space[phase_of[nb]] * nodes[256 * nb + 4 * q + 3]
+        nodes[o] = total
+        if solid >= 0 and len(fill.colliders) > 0:
+            i, j = 4 * block[0] - 1 + q // 16, 4 * block[1] - 1 + q // 4 % 4
+            k = 4 * block[2] - 1 + q % 4
+            share = collider_share(fill.colliders[solid, q, 3] / dx)
+            nodes[o] += share * wall_share(fill, i, j, k)
+        for nb in range(first + 1, n1):
+            if fill.shifts[phase_of[nb]]:
+                nodes[256 * nb + 4 * q + 3] = nodes[o]
+    sync_threads()
+
+
+@device_function
+def store_excess(patch, excess, box):
+    """Store the fullness above what is tolerated in another patch; return whether there is any.
+
+    Args:
+        patch: Patch with the fullness as fourth number.
+        excess: Patch (out); its first three numbers mean nothing.
+        box: Node range of the segment.
+    """
+    none = broadcast(patch, 0.0)
+    limit, maximum = broadcast(patch, TOLERATED_FILL), broadcast(patch, 0.0)
+    for i in range(box[0], box[1]):
+        for j in range(box[2], box[3]):
+            for o in range((i * SIDE + j) * SIDE * 4, (i * SIDE + j + 1) * SIDE * 4, 16):
+                row = np.maximum(load(patch, o) - limit, none)
+                store(excess, o, row)
+                maximum = np.maximum(maximum, fourth_of(row))
+    return horizontal_max(maximum) > 0.0
+
+
+@device_function
+def relax_volume(f, p, cap, records, offset, shift):
+    """Relax theta of 16 particles to what the fullness says.
+
+    Args:
+        f: Particle channels, flat (in/out).
+        p: Index of the first particle.
+        cap: Stride of channels.
+        records: Gathered records, with the fullness as fourth number.
+        offset: Offset of the first record.
+        shift: ShiftConstants.
+    """
+    r = load_records(records, offset)
+    fullness, x, y, z = r[3], r[7], r[11], r[15]
+    theta, zero = load(f, p + STATE * cap), 0.0 * r[3]
+    overfill = fullness * np.exp(theta) - 1.0
+    surface_margin = (4.0 * SURFACE_SLOPE) * np.sqrt(x * x + y * y + z * z)
+    interior_weight = np.minimum(
+        np.maximum((fullness - MIN_FILL) * (1.0 / (FULL_FILL - MIN_FILL)), zero), zero + 1.0
+    )
+    error = np.maximum(overfill - surface_margin, zero) + interior_weight * np.minimum(
+        overfill + surface_margin, zero
+    )
+    error = np.minimum(error, zero + MAX_FILL_ERROR)
+    store(f, p + STATE * cap, theta - (shift.duration * strain_rate(f, p, cap)) * error)
+
+
+@device_function
+def strain_rate(f, p, cap):
+    """Return the Frobenius norm of the velocity gradient of 16 particles [1/s]."""
+    q = p + AFFINE * cap
+    total = load(f, q) * load(f, q)
+    for c in range(1, 9):
+        entry = load(f, q + c * cap)
+        total = total + entry * entry
+    return np.sqrt(total)
+
+
+@device_function
+def shift_positions(f, xi, p, cap, records, offset, limit, shift):
+    """Move 16 particles down the gradient of the excess of fullness.
+
+    Args:
+        f: Particle channels; they supply the precision.
+        xi: Fixed-point positions, flat (in/out).
+        p: Index of the first particle.
+        cap: Stride of channels.
+        records: Records with the gradient of the excess as fourth number's slopes.
+        offset: Offset of the first record.
+        limit: Range of positions inside the domain, shape (3, 2) [cells from the block center].
+        shift: ShiftConstants.
+    """
+    r = load_records(records, offset)
+    k = -4.0 * SHIFT_FACTOR
+    x, y, z = k * r[7], k * r[11], k * r[15]
+    bound = broadcast(f, MAX_SHIFT_CELLS)
+    scale = bound / np.maximum(np.sqrt(x * x + y * y + z * z), bound)
+    _shift_along(f, xi, p, scale * x, limit[0], shift.cell_units, shift.dither_x)
+    _shift_along(f, xi, p + cap, scale * y, limit[1], shift.cell_units, shift.dither_y)
+    _shift_along(f, xi, p + 2 * cap, scale * z, limit[2], shift.cell_units, shift.dither_z)
+
+
+@device_function
+def _shift_along(f, xi, p, distance, limit, cell_units, dither):
+    """Add distances [cells] along one axis, except what leads to a wall.
+
+    Args:
+        f: Particle channels; they supply the precision.
+        xi: Fixed-point positions, flat (in/out).
+        p: Index of the first of 16 positions.
+        distance: Distances [cells].
+        limit: Range of positions inside the domain, shape (2,) [cells].
+        cell_units, dither: Units per cell; units added before rounding.
+    """
+    zero = 0.0 * distance
+    low, high = (
+        broadcast(f, limit[0] + WALL_GAP_CELLS),
+        broadcast(f, limit[1] - WALL_GAP_CELLS),
+    )
+    x = add_fixed_point(xi, p, zero)
+    distance = np.maximum(distance, np.minimum(low - x, zero))
+    distance = np.minimum(distance, np.maximum(high - x, zero))
+    moves = np.minimum(abs(distance) * 1e30, zero + 1.0)  # what is not shifted is not dithered
+    add_fixed_point(xi, p, cell_units * distance + dither * moves)

@@ -1,0 +1,95 @@
+"""Particle shifting of liquids, in plain NumPy; see docs/explanation/transfer-schemes.md."""
+
+import numpy as np
+
+from vgmpi.kernels.transfer.density_correction import FULL_FILL, MIN_FILL, SURFACE_SLOPE
+from vgmpi.kernels.transfer.particle_shifting import (
+    COLLIDER_BAND,
+    MAX_FILL_ERROR,
+    MAX_SHIFT_CELLS,
+    SHIFT_FACTOR,
+    TOLERATED_FILL,
+    ShiftConstants,
+)
+from vgmpi.parallel.block_lattice import BLOCK_EDGE
+from vgmpi.parallel.particle_group import ParticleGroup
+from vgmpi.planning.plan import Plan
+from vgmpi.solver.engines.shift_tables import node_fill
+
+from .dense_grid import Dense, Stencil
+from .group_channels import get_channel, put_channel
+
+
+class ParticleShifting:
+    """Shifts of the liquids of a plan; `constants` are those of the present step of no time."""
+
+    def __init__(self, plan: Plan, dense: Dense):
+        self.dense = dense
+        as_one = np.full(len(plan.phases), -1) if plan.rules is None else plan.rules.as_one
+        self.table = node_fill(plan, as_one)
+        self.constants: ShiftConstants | None = None
+
+    def nodal_fullness(self, mass: np.ndarray, distance: np.ndarray | None) -> np.ndarray | None:
+        """Return the part of each node's cell that is filled, with its images at mirroring walls.
+
+        Args:
+            mass: Nodal masses of the phases, shape (phases, ..., 1) [kg].
+            distance: Distance of each node from colliders [m], or None.
+
+        Returns:
+            Fullness, shape (..., 1), or None if no particles are shifted now.
+        """
+        if self.constants is None or self.table is None:
+            return None
+        fullness = np.einsum("p,p...->...", self.table.space.astype(np.float64), mass)
+        fullness = self.dense.complete_wall_mass(fullness)
+        if distance is not None:
+            d = np.clip(distance.reshape(fullness.shape) / self.dense.dx, -2.0, 2.0)
+            middle = 0.5 - 0.75 * d + d**3 / 3.0
+            outer = np.clip(COLLIDER_BAND - d, 0.0, None) ** 3 / 6.0
+            inner = 1.0 - np.clip(COLLIDER_BAND + d, 0.0, None) ** 3 / 6.0
+            fullness = fullness + np.where(d > 0.5, outer, np.where(d < -0.5, inner, middle))
+        return self.dense.symmetrize(fullness)
+
+    def apply(self, group: ParticleGroup, stencil: Stencil, fullness: np.ndarray) -> None:
+        """Relax the volumes of a liquid to its fullness, and separate particles that crowd.
+
+        Args:
+            group: Particles (in/out).
+            stencil: Stencil of the particles.
+            fullness: Fullness of the nodes, shape (..., 1).
+        """
+        dense, constants = self.dense, self.constants
+        assert constants is not None
+        crowd = dense.gather(fullness, stencil)[:, 0]
+        slope = dense.dx * dense.gather_slopes(fullness, stencil, moments=True)[:, 0]
+        theta, C = get_channel(group, "theta"), get_channel(group, "C")
+        excess = crowd * np.exp(theta[:, 0]) - 1.0
+        margin = SURFACE_SLOPE * np.linalg.norm(slope, axis=1)
+        inner = np.clip((crowd - MIN_FILL) / (FULL_FILL - MIN_FILL), 0.0, 1.0)
+        error = np.maximum(excess - margin, 0.0) + inner * np.minimum(excess + margin, 0.0)
+        rate = constants.duration * np.linalg.norm(C, axis=1)
+        put_channel(group, "theta", theta - (rate * np.minimum(error, MAX_FILL_ERROR))[:, None])
+
+        surplus = np.maximum(fullness - TOLERATED_FILL, 0.0)
+        gradient = sum(
+            surplus[index][:, :1] * spline_gradient for index, _, _, spline_gradient in stencil
+        )
+        distance = -SHIFT_FACTOR * dense.dx * gradient
+        norm = np.linalg.norm(distance, axis=1, keepdims=True)
+        distance *= MAX_SHIFT_CELLS / np.maximum(norm, MAX_SHIFT_CELLS)
+        _move(group, dense, distance, constants)
+
+
+def _move(group: ParticleGroup, dense: Dense, distance: np.ndarray, shift: ShiftConstants) -> None:
+    """Move particles by `distance`, shape (n, 3) [cells], except what leads to a wall."""
+    index = group.index()
+    block = BLOCK_EDGE * np.repeat(group.block, group.count, axis=0)
+    x = np.ldexp(group.xi[:, index].T.astype(np.float64), -group.bits)
+    gap = 0.5 - 2.0 + 0.02
+    distance = np.maximum(distance, np.minimum(gap - block - x, 0.0))
+    roof = np.array(dense.cells) - 1.5 - 0.02
+    distance = np.minimum(distance, np.maximum(roof - block - x, 0.0))
+    dither = np.array([shift.dither_x, shift.dither_y, shift.dither_z])
+    units = np.floor(shift.cell_units * distance + np.where(distance != 0.0, dither, 0.0))
+    group.xi[:, index] += units.T.astype(group.xi.dtype)

@@ -1,0 +1,59 @@
+"""Kernel arguments of particle shifting (kernels/transfer/particle_shifting.py)."""
+
+import numpy as np
+
+from vgmpi.kernels.rigid.moving_colliders import MovingColliders
+from vgmpi.kernels.rigid.static_colliders import StaticColliders
+from vgmpi.kernels.transfer.particle_shifting import NodeFill, ShiftConstants
+from vgmpi.parallel.block_lattice import BITS
+from vgmpi.planning.plan import Plan
+
+from .engine_protocol import DITHER
+from .plan_tables import wall_table
+
+
+def node_fill(plan: Plan, as_one: np.ndarray) -> NodeFill | None:
+    """Return what fills the nodes' cells, without colliders; None if no particles are shifted.
+
+    Phases that share space are not counted, and prescribed bodies have no mass on the grid.
+
+    Args:
+        plan: Plan of the run.
+        as_one: Number of the set of phases that share space, -1 for none, shape (phases,).
+    """
+    if not plan.shift_interval:
+        return None
+    counted = [
+        0.0 if as_one[p] >= 0 or phase.driven else 1.0 / phase.most
+        for p, phase in enumerate(plan.phases)
+    ]
+    shifts = np.zeros(len(plan.phases), bool)
+    for group in plan.groups:
+        shifts[group.phase] |= group.shifts
+    walls = wall_table(plan)
+    return NodeFill(
+        np.array(counted, plan.real), shifts, np.zeros((0, 64, 4), plan.real), walls.cells,
+        walls.kinds,
+    )  # fmt: skip
+
+
+def with_colliders(
+    fill: NodeFill | None, solids: StaticColliders | MovingColliders | None
+) -> NodeFill | None:
+    """Return the fill of nodes with the colliders where they are now."""
+    if fill is None or solids is None:
+        return fill
+    return fill._replace(colliders=solids.nodes)
+
+
+def shift_constants(plan: Plan, duration: float, step: int) -> ShiftConstants:
+    """Return the constants of a shift.
+
+    Args:
+        plan: Plan of the run.
+        duration: Length of the steps since the last shift [s].
+        step: Number of the step; the dither follows from it.
+    """
+    return ShiftConstants(
+        plan.real.type(duration), 2.0 ** BITS[plan.real], *(d * step % 1.0 for d in DITHER)
+    )

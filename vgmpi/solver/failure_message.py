@@ -1,0 +1,47 @@
+"""Message of a step that failed: object, particle and step, or the place of an overflow."""
+
+from typing import Any
+
+import numpy as np
+
+from vgmpi.kernels.step_limits import J_MAX, J_MIN
+from vgmpi.kernels.transfer import g2p
+from vgmpi.solver.engines.engine_protocol import StepReport
+
+FAILURE_MESSAGES = {
+    g2p.INVALID_VOLUME: f"its volume ratio J left {J_MIN:g} .. {J_MAX:g} or is not a number",
+    g2p.OUT_OF_DOMAIN: "it left the domain",
+    g2p.CFL_EXCEEDED: "it would move more than a cell in one step",
+    g2p.NOT_FINITE: "its velocity or stress is not a number",
+}
+FIELD_NAMES = {
+    "momentum": "mass or momentum", "offsets": "volume", "impulses": "impulse",
+    "shear": "velocity's gradient", "color": "color",
+}  # fmt: skip
+
+
+def failure_message(simulation: Any, report: StepReport) -> str:
+    """Name the failed particle of lowest id or the first overflown block, on every rank.
+
+    Args:
+        simulation: Simulation after the step.
+        report: Report of the step on this rank.
+    """
+    ranks, plan = simulation.ranks, simulation.plan
+    rows = ranks.all_rows(np.array(report.wrong, np.int64).reshape(-1, 2))
+    when = f"step {simulation.step}, time {simulation.time:.6g} s"
+    if len(rows):
+        worst, reason = rows[np.argmin(rows[:, 0])]
+        # an empty object begins where the next one does: take the one that has particles
+        owner = int(simulation.object_of(np.array([worst]))[0])
+        return f"object {{{owner}}}, particle {worst}, {when}: {FAILURE_MESSAGES[int(reason)]}"
+    fields = simulation.needs.layers
+    local = [(*over.block, over.phase, fields.index(over.layer)) for over in report.beyond]
+    rows = ranks.all_rows(np.array(local, np.int64).reshape(-1, 5))
+    *block, phase, field = min(map(tuple, rows.tolist()))
+    spot = ", ".join(f"{(4 * b + 0.5) * plan.dx:.4g}" for b in block)
+    name = FIELD_NAMES[fields[field].split()[0]]
+    return (
+        f"phase '{plan.phases[phase].name}', near ({spot}) m, {when}: the {name} at a node"
+        " is beyond what a sum can hold"
+    )
