@@ -9,11 +9,12 @@ export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM = 1
 export OMPI_MCA_rmaps_base_oversubscribe = 1
 export OMPI_MCA_btl_vader_single_copy_mechanism = none
 
-.PHONY: help setup demo test gallery campaigns lint validate docs site matrix clean
+.PHONY: help setup demo test check gallery campaigns lint validate docs site matrix clean
 
 help:
 	@echo "make demo      set-up, a simulation on 2 ranks, its video"
-	@echo "make test      set-up, then all tests but the long ones"
+	@echo "make test      set-up, ruff, mypy, and the tests that stand for all: ten minutes on two cores"
+	@echo "make check     the tests that make test leaves out: tests/long_tests.txt"
 	@echo "make gallery   the showcases on 2 ranks, their videos and docs/gallery.md: an hour"
 	@echo "make campaigns kills, full disks, damaged files and odd inputs in large numbers: minutes"
 	@echo "make validate  the long tests; rewrites docs/benchmarks/validation.md"
@@ -39,9 +40,15 @@ demo:
 gallery: setup
 	$(PY) runs/gallery.py --variants
 
-# and where their time goes: .venv/bin/python -m tests.benchmarks test-times .cache/tests.xml
+PYTEST := $(PY) -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder -m "not slow"
+
+# all but those of tests/long_tests.txt, which check runs: both together run every test once that is not slow.
+# Where their time goes: .venv/bin/python -m tests.benchmarks test-times .cache/tests.xml .cache/check.xml
 test: setup lint
-	$(PY) -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder -m "not slow" --junitxml .cache/tests.xml
+	$(PYTEST) --part quick --junitxml .cache/tests.xml
+
+check: setup
+	$(PYTEST) --part rest --junitxml .cache/check.xml
 
 # fewer or others: .venv/bin/python -m tests.campaigns kills --count 10 --seed 7
 campaigns: setup

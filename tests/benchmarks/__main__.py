@@ -256,15 +256,28 @@ def _run_registers(args: argparse.Namespace) -> int:
     return 0
 
 
+def _choose_tests(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("files", nargs="+", type=Path, metavar="FILE", help="of pytest --junitxml")
+    say("--budget", type=float, default=900.0, metavar="S", help="of make test, default 900")
+
+
+def _run_choose_tests(args: argparse.Namespace) -> int:
+    from tests.benchmarks import choose_tests
+
+    print(choose_tests.write(args.files, args.budget))
+    return 0
+
+
 def _test_times(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", type=Path, help="file of pytest --junitxml")
+    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="of pytest --junitxml")
     parser.add_argument("--rows", type=int, default=40, metavar="N", help="files told, default 40")
 
 
 def _run_test_times(args: argparse.Namespace) -> int:
     from tests.benchmarks import test_times
 
-    print(test_times.text(test_times.read_costs(args.file), args.rows))
+    print(test_times.text(test_times.read_costs(args.files), args.rows))
     return 0
 
 
@@ -287,6 +300,7 @@ COMMANDS = {  # what it does, its flags, how it runs
     "against": ("beside another checkout", _against, _run_against),
     "balance": ("how even a scene's work would be on many ranks", _balance, _run_balance),
     "census": ("what a sort costs one rank of many beside its particles", _census, _run_census),
+    "choose-tests": ("which tests make test leaves out", _choose_tests, _run_choose_tests),
     "compile-cost": ("what each specialization of a scene costs to compile", _cost, _run_cost),
     "couplings": ("what mixing and drag cost", _couplings, _run_couplings),
     "emulate": ("one rank of many by its own tables", _emulate, _run_emulate),

@@ -1,9 +1,10 @@
 """Where the time of the tests goes, by file: compiling, processes started, everything.
 
-python -m pytest -n 2 --dist loadfile -m "not slow" --junitxml .cache/tests.xml
-python -m tests.benchmarks test-times .cache/tests.xml
+make test check
+python -m tests.benchmarks test-times .cache/tests.xml .cache/check.xml
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
@@ -19,12 +20,24 @@ class FileCosts:
     tests: int = 0
 
 
-def read_costs(path: Path) -> dict[str, FileCosts]:
-    """Return the costs by file from a file of `pytest --junitxml`."""
+def _cases(files: list[Path]) -> Iterator[tuple[str, str, ElementTree.Element]]:
+    """Yield file, name and record of each test in files of `pytest --junitxml`."""
+    for path in files:
+        for case in ElementTree.parse(path).iter("testcase"):
+            if module := case.get("classname"):  # a file that is skipped as a whole has none
+                yield module.replace(".", "/") + ".py", case.get("name", ""), case
+
+
+def read_seconds(files: list[Path]) -> dict[str, float]:
+    """Return the seconds of each test from files of `pytest --junitxml`."""
+    return {f"{file}::{name}": float(case.get("time", 0)) for file, name, case in _cases(files)}
+
+
+def read_costs(files: list[Path]) -> dict[str, FileCosts]:
+    """Return the costs by file from files of `pytest --junitxml`."""
     costs: dict[str, FileCosts] = {}
-    for case in ElementTree.parse(path).iter("testcase"):
-        name = case.get("classname", "").replace(".", "/") + ".py"
-        of_file = costs.setdefault(name, FileCosts())
+    for file, _, case in _cases(files):
+        of_file = costs.setdefault(file, FileCosts())
         of_file.seconds += float(case.get("time", 0))
         of_file.tests += 1
         for item in case.iter("property"):

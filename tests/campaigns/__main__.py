@@ -1,7 +1,7 @@
 """Campaigns: many hostile cases from a fixed seed, `python -m tests.campaigns [NAME ...]`.
 
 A module of this package is one when it has NAME, COUNT (cases of the full size), SMALL (cases in
-`make test`) and `campaign(count, seed, folder) -> Result`; MARKS, if it has them, are those of its
+its test) and `campaign(count, seed, folder) -> Result`; MARKS, if it has them, are those of its
 test. `folder` is there and keeps the cases that failed. What this machine cannot do, a campaign
 says by pytest.skip.
 """
