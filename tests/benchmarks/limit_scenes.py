@@ -340,7 +340,7 @@ def _endings() -> list[Row]:
         {"jelly": soft},
         box("drop", "jelly", (0.16, 0.16, 0), (0.24, 0.24, 0.08), velocity=[0, 0, -10]),
         end=0.02,
-    )
+    ).replace("[accuracy]", '[accuracy]\nvolume_correction = "none"')
     hard = scene({"steel": {**RUBBER, "youngs_modulus": 1e8}}, box("cube", "steel", LOW, HIGH),
                  end=0.01, dt=1e-4)  # fmt: skip
     return [

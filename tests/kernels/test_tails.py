@@ -157,7 +157,8 @@ def test_unused_places_are_not_seen(rubbish, precision, tmp_path):
             places = padding(group)
             assert (group.ids[places] == -1).all()
             group.f[:, places] = random.choice(RUBBISH[rubbish], (group.channels, len(places)))
-            most = (3 << group.bits) - 1  # three cells from the block's middle
+            # as far from the block's middle as a sort lets particles go
+            most = int(simulation.max_stray * 2**group.bits) - 1
             group.xi[:, places] = random.integers(-most, most, (3, len(places)))
             spoiled.append(len(places))
 

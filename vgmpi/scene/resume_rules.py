@@ -2,7 +2,7 @@
 
 import copy
 from dataclasses import replace
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import BaseModel
 
@@ -41,6 +41,9 @@ PARTICLE_KEYS = frozenset(
 )
 
 
+NUMERICS = "precision", "volume_correction"  # keys of accuracy whose defaults have changed
+
+
 def changes_without_effect(scene: Scene, differences: list[tuple[tuple, str]]) -> list[tuple]:
     """Return those of the changes, as (path, message), that a resumed run cannot follow.
 
@@ -57,17 +60,23 @@ def changes_without_effect(scene: Scene, differences: list[tuple[tuple, str]]) -
     return wrong
 
 
-def with_precision_of_run(scene: Scene, before: dict) -> Scene:
-    """Return the scene with the precision of the run so far, unless the scene names one itself.
+def with_accuracy_of_run(scene: Scene, before: dict) -> Scene:
+    """Return the scene with the numerics of the run so far, unless the scene names them itself.
+
+    Defaults of `accuracy` may change between versions; a run goes on with those it began with.
 
     Args:
         scene: Scene of the restart.
         before: `Scene.to_json` of the run so far.
     """
-    precision = before.get("accuracy", {}).get("precision")
-    if "precision" in scene.accuracy.model_fields_set or precision not in ("single", "double"):
-        return scene
-    return replace(scene, accuracy=scene.accuracy.model_copy(update={"precision": precision}))
+    before = copy.deepcopy(before)
+    renamed_keys.SCENE.apply(before)
+    own, numerics = before.get("accuracy", {}), {}
+    for key in NUMERICS:
+        allowed = get_args(type(scene.accuracy).model_fields[key].annotation)
+        if key not in scene.accuracy.model_fields_set and own.get(key) in allowed:
+            numerics[key] = own[key]
+    return replace(scene, accuracy=scene.accuracy.model_copy(update=numerics))
 
 
 def forbidden_changes(scene: Scene, before: dict) -> list[tuple[tuple, str]]:

@@ -154,11 +154,12 @@ def _run(plan: Plan, calls: list[tuple] | None) -> None:
         np.tile(middle, (n, 1)), np.zeros((n, 3)), np.full(n, plan.dx**3), ids, owners,
         surface=np.zeros((n, SURFACE)),
     )  # fmt: skip
-    simulation.advance(1e-6 * simulation.bound())
+    dt = 1e-6 * simulation.bound()
+    simulation.advance(dt)
     if plan.restores or plan.shift_interval:
-        simulation.restore(1e-6 * simulation.bound(), bool(plan.shift_interval))
+        simulation.restore(dt, bool(plan.shift_interval))
     if plan.shift_interval and plan.restores not in (0, plan.shift_interval):
-        simulation.restore(1e-6 * simulation.bound(), False)
+        simulation.restore(dt)
     conservation_rows(simulation)
     for group in simulation.groups:
         push(group.f, np.zeros(0, np.int64), np.zeros(3, plan.real))

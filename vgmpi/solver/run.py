@@ -22,7 +22,7 @@ from vgmpi.scene.resume_rules import (
     changes_without_effect,
     forbidden_changes,
     may_change,
-    with_precision_of_run,
+    with_accuracy_of_run,
 )
 from vgmpi.scene.scene import Scene
 from vgmpi.solver.diagnostics.conservation import conservation_rows
@@ -281,7 +281,7 @@ def prepared_run(
         if folder is not None and options.resume is not None:
             path, attrs = resolve_checkpoint(options.resume, folder, ranks)
             start_time = attrs["time"]
-            scene = with_precision_of_run(scene, attrs["scene"])
+            scene = with_accuracy_of_run(scene, attrs["scene"])
             history = _history(scene, attrs, options.change)
             columns = ledger_columns(scene.is_open_system)
             tables = {folder / file_layout.LEDGER: columns, **files(scene, folder)}

@@ -326,7 +326,9 @@ class Simulation:
         )
         return self.restore(dt, shifts, restores) if shifts or restores else []
 
-    def restore(self, dt: float, shifts: bool, restores: bool = True) -> list[AccumulatorOverflow]:
+    def restore(
+        self, dt: float, shifts: bool = False, restores: bool = True
+    ) -> list[AccumulatorOverflow]:
         """Restore motion that the last transfers dissipated (transfer correction). Collective.
 
         A zero-length step passes the motion through the grid; its loss is that of each step.

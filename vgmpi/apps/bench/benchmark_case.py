@@ -104,6 +104,7 @@ frames = 2
 dt = {self.dt!r}
 [accuracy]
 transfer = "apic"
+volume_correction = "none"
 precision = "{precision}"
 [material.stuff]
 {material}

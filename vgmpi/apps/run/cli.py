@@ -16,7 +16,7 @@ from vgmpi.planning.plan import FLOAT_TYPES
 from vgmpi.runtime import memory_budget
 from vgmpi.runtime.config.schema import SceneError
 from vgmpi.scene.loader import load
-from vgmpi.scene.resume_rules import with_precision_of_run
+from vgmpi.scene.resume_rules import with_accuracy_of_run
 from vgmpi.solver.stop_requests import install_signal_handlers
 
 log = logging.getLogger("vgmpi")
@@ -225,7 +225,7 @@ def _command(args: argparse.Namespace, ranks: SerialCommunicator) -> int:
         from vgmpi.solver.run import resolve_checkpoint
 
         attrs = resolve_checkpoint(args.resume, folder, ranks)[1]
-        start_time, scene = attrs["time"], with_precision_of_run(scene, attrs["scene"])
+        start_time, scene = attrs["time"], with_accuracy_of_run(scene, attrs["scene"])
     summary = initial_particles.prepare(scene, ranks, None)
     plan = initial_particles.plan_for(scene, summary)
     if ranks.rank == 0:
