@@ -6,6 +6,7 @@ import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy
@@ -276,7 +277,7 @@ def poisson_disc_subset(x: np.ndarray, distance: float) -> np.ndarray:
     return taken
 
 
-def _is_overcrowded(tree: scipy.spatial.cKDTree, distance: float, limit: int) -> bool:
+def _is_overcrowded(tree: Any, distance: float, limit: int) -> bool:
     """Return whether samples of points suggest more than about `limit` neighbors in all."""
     if tree.n <= _MIN_BATCH:
         return False
