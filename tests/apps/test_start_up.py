@@ -1,4 +1,4 @@
-"""What a start does not load: packages that most scenes never use, each a tenth of a second or more."""
+"""What a start does not load: packages that most scenes never use, tenths of a second each."""
 
 import subprocess
 import sys
