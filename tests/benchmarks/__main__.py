@@ -9,6 +9,8 @@ import tempfile
 from pathlib import Path
 from typing import get_args
 
+import numpy as np
+
 from vgmpi.apps.bench import interleaved_rounds
 from vgmpi.apps.bench.benchmark_case import BenchError, Case, lay_out
 from vgmpi.apps.bench.interleaved_rounds import Contestant
@@ -285,12 +287,18 @@ def _volume(parser) -> None:
     parser.add_argument("corrections", nargs="*", default=["none", "density", "shifting"])
     parser.add_argument("--cells", type=int, default=32, help="cells along the tank")
     parser.add_argument("--end", type=float, default=20.0, help="[s]")
+    parser.add_argument("--cost", type=int, metavar="ROUNDS", help="time of a step, instead")
     parser.add_argument("--picture", type=Path, help="PNG of the liquids at the end")
 
 
 def _run_volume(args) -> int:
     from tests.benchmarks import liquid_volume
 
+    if args.cost:
+        ratios = liquid_volume.step_cost(args.cells, args.cost)
+        print(f"step with shifting over that without: {np.median(ratios):.3f}", end="")
+        print(f" ({min(ratios):.3f} .. {max(ratios):.3f}, {len(ratios)} rounds)")
+        return 0
     liquid_volume.run(args.corrections, args.cells, args.end, args.picture)
     return 0
 

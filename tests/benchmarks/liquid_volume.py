@@ -8,6 +8,7 @@ level is corrected for that.
 
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -154,6 +155,35 @@ def dam_break(correction: str, cells: int, end: float) -> DamBreak:
         advance(simulation, float(goal))
         samples.append(measure(simulation, made.vol0, 1000.0))
     return DamBreak(samples, time.process_time() - started, by_id(simulation, "x")[0])
+
+
+def step_cost(cells: int, rounds: int, steps: int = 60) -> list[float]:
+    """Return the ratios of a step's processor time with shifting to that without, in turns.
+
+    The liquid is that of a broken dam after 1 s, as it splashes; both make the same steps of the
+    transfer correction.
+
+    Args:
+        cells: Cells along the tank.
+        rounds: Number of pairs.
+        steps: Steps of each turn.
+    """
+    text = SCENE.format(
+        size=TANK, column=COLUMN, cell=TANK[0] / cells, correction="shifting", gravity=""
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        simulation, _ = begin(Path(folder), text)
+    advance(simulation, 1.0)
+    shifted, ratios = simulation.plan, []
+    for _ in range(rounds):
+        seconds = []
+        for plan in (replace(shifted, shift_interval=0), shifted):
+            simulation.plan, started = plan, time.thread_time()
+            for _ in range(steps):
+                simulation.advance(0.9 * simulation.bound())
+            seconds.append(time.thread_time() - started)
+        ratios.append(seconds[1] / seconds[0])
+    return ratios
 
 
 def rows(correction: str, cells: int, samples: list[VolumeSample]) -> list[str]:

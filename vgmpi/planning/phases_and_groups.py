@@ -28,7 +28,7 @@ CONTACT_PRIORITY = {
 # `python -m tests.benchmarks couplings` measures the next three.
 CORRECTION_COST = 0.75  # [steps] cost of one transfer correction (a step of no time)
 SHIFT_INTERVAL = 3  # [steps] between two shifts of the particles of liquids
-SHIFT_COST = 0.05  # [-] additional cost of particle shifting, relative to a step
+SHIFT_COST = 0.06  # [-] additional cost of particle shifting, relative to a step
 DENSITY_CORRECTION_COST = 0.1  # [-] additional cost of the density correction, relative to a step
 FLIP_COST = 1.7  # [-] cost of FLIP and AFLIP, relative to the same step without
 COLOR_COST = 0.6  # [-] cost of a transferred color coefficient, relative to a fluid's step
