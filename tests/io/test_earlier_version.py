@@ -16,13 +16,15 @@ import vgmpi
 from vgmpi.io import csv_log, file_layout
 from vgmpi.io.run_reader import RunError, inspect
 
+# Python 3.11.3 and older extract without a filter
+DATA_ONLY = {"filter": "data"} if hasattr(tarfile, "data_filter") else {}
 ARCHIVE = Path(__file__).parent / "data" / "run_of_schema_1.tar.xz"
 
 
 @pytest.fixture
 def folder(tmp_path):
     with tarfile.open(ARCHIVE) as archive:
-        archive.extractall(tmp_path, filter="data")
+        archive.extractall(tmp_path, **DATA_ONLY)
     return tmp_path
 
 
