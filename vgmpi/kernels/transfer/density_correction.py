@@ -11,6 +11,7 @@ import numpy as np
 from vgmpi.kernels.particle_records import STATE
 from vgmpi.kernels.simd.vector16 import load
 from vgmpi.kernels.wall_boundary import complete_wall_mass
+from vgmpi.runtime.jit import device_function
 
 from .auxiliary_gather import (
     advection_velocity,
@@ -34,6 +35,14 @@ class DensityCorrected(NamedTuple):
 
     inner: tuple  # kind of auxiliary_gather.py
     space: float  # [1/kg] inverse of the mass that fills a cell at rest
+
+
+@device_function
+def interior_weight(fill_fraction):
+    """Return the weight of missing mass: 0 in spray, 1 in the interior of a liquid."""
+    zero = 0.0 * fill_fraction
+    ramp = (fill_fraction - MIN_FILL) * (1.0 / (FULL_FILL - MIN_FILL))
+    return np.minimum(np.maximum(ramp, zero), zero + 1.0)
 
 
 @prepare_patch.of(DensityCorrected)
@@ -80,12 +89,8 @@ def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
     overfill = fill_fraction * J - 1.0
     x, y, z = slope
     surface_margin = (4.0 * SURFACE_SLOPE) * np.sqrt(x * x + y * y + z * z) * kind.space
-    interior_weight = np.minimum(
-        np.maximum((fill_fraction - MIN_FILL) * (1.0 / (FULL_FILL - MIN_FILL)), zero), zero + 1.0
-    )
-    error = np.maximum(overfill, zero) + interior_weight * np.minimum(
-        overfill + surface_margin, zero
-    )
+    missing = interior_weight(fill_fraction) * np.minimum(overfill + surface_margin, zero)
+    error = np.maximum(overfill, zero) + missing
     correction = (CORRECTION_RATE / 3.0) * error
     return (
         L[0] - correction,

@@ -175,7 +175,7 @@ def _update_particles(
         particle_velocity(auxiliary, f, p, cap, extra, n, (v0, v1, v2))
         _store_gradient(f, p, cap, L)
         v0, v1, v2 = advection_velocity(auxiliary, split, extra, n, (v0, v1, v2))
-        trace, turns = L[0] + L[4] + L[8], _squared(L)
+        trace, turns = L[0] + L[4] + L[8], squared_norm(L)
         L = velocity_gradient(auxiliary, split, f, p, cap, extra, n, L, fill, slope, numbers)
         state = advance(law, load_state_vector(law, f, p + STATE * cap, cap), L, dt)
         store_state_vector(f, p + STATE * cap, cap, state)
@@ -195,7 +195,7 @@ def _update_particles(
         carried = max_ignore_nan(
             masked(succeeded, max_velocity(auxiliary, f, p, cap, longest, dt / dx)), carried
         )
-        turning = max_ignore_nan(masked(succeeded, max_ignore_nan(turns, _squared(L))), turning)
+        turning = max_ignore_nan(masked(succeeded, max_ignore_nan(turns, squared_norm(L))), turning)
         fastest = max_ignore_nan(masked(succeeded, np.sqrt(wave2) + speed), fastest)
         quick = max_ignore_nan(masked(succeeded, speed), quick)
         stretching = max_ignore_nan(masked(succeeded, abs(trace)), stretching)
@@ -254,7 +254,7 @@ def mass_slope(records, offset):
 
 
 @device_function
-def _squared(C):
+def squared_norm(C):
     """Return the sum of the squares of nine entries."""
     first = C[0] * C[0] + C[1] * C[1] + C[2] * C[2]
     second = C[3] * C[3] + C[4] * C[4] + C[5] * C[5]

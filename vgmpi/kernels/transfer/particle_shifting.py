@@ -18,7 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vgmpi.kernels.particle_records import AFFINE, STATE
+from vgmpi.kernels.grid.contact_impulses import half_space_fraction
+from vgmpi.kernels.particle_records import AFFINE, STATE, load_tensor
 from vgmpi.kernels.simd.cooperative import strided_range, sync_threads
 from vgmpi.kernels.simd.node_row_ops import fourth_of
 from vgmpi.kernels.simd.row_ops import (
@@ -31,14 +32,14 @@ from vgmpi.kernels.simd.vector16 import load, store
 from vgmpi.kernels.wall_boundary import SEPARATE, SIDE
 from vgmpi.runtime.jit import device_function
 
-from .density_correction import FULL_FILL, MIN_FILL, SURFACE_SLOPE
+from .density_correction import SURFACE_SLOPE, interior_weight
+from .g2p import squared_norm
 
 MAX_FILL_ERROR = 0.5  # [-] largest relative error of the fullness that relaxation sees
 TOLERATED_FILL = 1.02  # [-] fullness above which particles are shifted
 SHIFT_FACTOR = 0.1  # [cells2] displacement per gradient of the fullness per cell
 MAX_SHIFT_CELLS = 0.05  # [cells] largest displacement
 WALL_GAP_CELLS = 0.52  # [cells] least distance from a position's limit, 0.5 beyond a wall
-COLLIDER_BAND = 1.5  # [cells] distance of a node from a surface that cuts its cell
 
 
 class NodeFill(NamedTuple):
@@ -62,27 +63,13 @@ class ShiftConstants(NamedTuple):
 
 
 @device_function
-def collider_share(distance):
-    """Return the part of a node's B-spline cell that lies within a plane surface.
+def wall_share(fill, i, j, k):
+    """Return the part of a node's cell inside the mirroring walls of the domain.
 
     Args:
-        distance: Distance of the node [cells], positive outside.
+        fill: What fills the cells, NodeFill.
+        i, j, k: Node indices in the domain.
     """
-    d = distance
-    if d >= COLLIDER_BAND:
-        return 0.0
-    if d <= -COLLIDER_BAND:
-        return 1.0
-    if d > 0.5:
-        return (1.5 - d) * (1.5 - d) * (1.5 - d) / 6.0
-    if d < -0.5:
-        return 1.0 - (d + 1.5) * (d + 1.5) * (d + 1.5) / 6.0
-    return 0.5 - 0.75 * d + d * d * d / 3.0
-
-
-@device_function
-def wall_share(fill, i, j, k):
-    """Return the part of a node's cell inside the mirroring walls of the domain."""
     share = 1.0
     for a in range(3):
         node = i if a == 0 else (j if a == 1 else k)
@@ -122,7 +109,7 @@ def store_fullness(n0, n1, phase_of, nodes, fill, block, solid, dx):
         if solid >= 0 and len(fill.colliders) > 0:
             i, j = 4 * block[0] - 1 + q // 16, 4 * block[1] - 1 + q // 4 % 4
             k = 4 * block[2] - 1 + q % 4
-            share = collider_share(fill.colliders[solid, q, 3] / dx)
+            share = half_space_fraction(fill.colliders[solid, q, 3] / dx)
             nodes[o] += share * wall_share(fill, i, j, k)
         for nb in range(first + 1, n1):
             if fill.shifts[phase_of[nb]]:
@@ -167,12 +154,8 @@ def relax_volume(f, p, cap, records, offset, shift):
     theta, zero = load(f, p + STATE * cap), 0.0 * r[3]
     overfill = fullness * np.exp(theta) - 1.0
     surface_margin = (4.0 * SURFACE_SLOPE) * np.sqrt(x * x + y * y + z * z)
-    interior_weight = np.minimum(
-        np.maximum((fullness - MIN_FILL) * (1.0 / (FULL_FILL - MIN_FILL)), zero), zero + 1.0
-    )
-    error = np.maximum(overfill - surface_margin, zero) + interior_weight * np.minimum(
-        overfill + surface_margin, zero
-    )
+    missing = interior_weight(fullness) * np.minimum(overfill + surface_margin, zero)
+    error = np.maximum(overfill - surface_margin, zero) + missing
     error = np.minimum(error, zero + MAX_FILL_ERROR)
     store(f, p + STATE * cap, theta - (shift.duration * strain_rate(f, p, cap)) * error)
 
@@ -180,12 +163,7 @@ def relax_volume(f, p, cap, records, offset, shift):
 @device_function
 def strain_rate(f, p, cap):
     """Return the Frobenius norm of the velocity gradient of 16 particles [1/s]."""
-    q = p + AFFINE * cap
-    total = load(f, q) * load(f, q)
-    for c in range(1, 9):
-        entry = load(f, q + c * cap)
-        total = total + entry * entry
-    return np.sqrt(total)
+    return np.sqrt(squared_norm(load_tensor(f, p + AFFINE * cap, cap)))
 
 
 @device_function

@@ -43,7 +43,7 @@ from .nodal_field_storage import (
     contributions,
     nodal_fields,
 )
-from .plan_tables import phase_table, position_limits, wall_table
+from .plan_tables import phase_sets, phase_table, position_limits, wall_table
 from .reaction_sums import ReactionAccumulators
 from .shift_tables import node_fill, with_colliders
 from .thread_partition import ThreadPartition, accumulator_copies
@@ -77,15 +77,14 @@ class Cpu(KernelCaller):
         self.hues = [self.layers[color_field_name(k)] for k in range(color_count(plan))]
         self.words = reproducible_sums.accumulator_words(plan.real)
         self.sets = np.zeros(0, np.int64) if plan.colors is None else plan.colors.set_of
-        separate = np.full(len(plan.phases), -1)
-        self.as_one = separate if plan.rules is None else plan.rules.as_one
+        self.as_one = phase_sets(plan)
         # auxiliary nodal values that particles gather, by name
         has_change = plan.keeps is not None
         self.gathered = {"flux": plan.rules is not None, "drift": plan.drifts, "change": has_change}
         self.beside = {
             name: aligned_zeros((0, reproducible_sums.BLOCK), plan.real) for name in self.gathered
         }
-        self.fill_of_nodes = node_fill(plan, self.as_one)
+        self.fill_of_nodes = node_fill(plan)
         self.shift: ShiftConstants | None = None
         patch_count = max(sum(self.gathered.values()), int(plan.shift_interval > 0))
         self.scratch = [particle_records.scratch(plan.real, patch_count) for _ in range(threads)]

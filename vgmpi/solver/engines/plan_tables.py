@@ -29,6 +29,11 @@ def phase_table(plan: Plan) -> Phases:
     )
 
 
+def phase_sets(plan: Plan) -> np.ndarray:
+    """Return the number of the set with one velocity that each phase is in, -1 for none."""
+    return np.full(len(plan.phases), -1) if plan.rules is None else plan.rules.as_one
+
+
 def position_limits(block: np.ndarray, cells: tuple[int, int, int]) -> np.ndarray:
     """Return position limits [cells from block center], half a cell beyond walls, (n, 3, 2)."""
     low = -2.0 - BLOCK_EDGE * block

@@ -9,20 +9,17 @@ from vgmpi.parallel.block_lattice import BITS
 from vgmpi.planning.plan import Plan
 
 from .engine_protocol import DITHER
-from .plan_tables import wall_table
+from .plan_tables import phase_sets, wall_table
 
 
-def node_fill(plan: Plan, as_one: np.ndarray) -> NodeFill | None:
+def node_fill(plan: Plan) -> NodeFill | None:
     """Return what fills the nodes' cells, without colliders; None if no particles are shifted.
 
     Phases that share space are not counted, and prescribed bodies have no mass on the grid.
-
-    Args:
-        plan: Plan of the run.
-        as_one: Number of the set of phases that share space, -1 for none, shape (phases,).
     """
     if not plan.shift_interval:
         return None
+    as_one = phase_sets(plan)
     counted = [
         0.0 if as_one[p] >= 0 or phase.driven else 1.0 / phase.most
         for p, phase in enumerate(plan.phases)

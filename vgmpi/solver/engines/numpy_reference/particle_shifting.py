@@ -2,22 +2,24 @@
 
 import numpy as np
 
+from vgmpi.kernels.rigid.moving_colliders import MovingColliders
 from vgmpi.kernels.transfer.density_correction import FULL_FILL, MIN_FILL, SURFACE_SLOPE
 from vgmpi.kernels.transfer.particle_shifting import (
-    COLLIDER_BAND,
     MAX_FILL_ERROR,
     MAX_SHIFT_CELLS,
     SHIFT_FACTOR,
     TOLERATED_FILL,
+    WALL_GAP_CELLS,
     ShiftConstants,
 )
-from vgmpi.parallel.block_lattice import BLOCK_EDGE
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.plan import Plan
+from vgmpi.solver.engines.plan_tables import position_limits
 from vgmpi.solver.engines.shift_tables import node_fill
 
 from .dense_grid import Dense, Stencil
 from .group_channels import get_channel, put_channel
+from .moving_colliders import distance_from_colliders
 
 
 class ParticleShifting:
@@ -25,16 +27,17 @@ class ParticleShifting:
 
     def __init__(self, plan: Plan, dense: Dense):
         self.dense = dense
-        as_one = np.full(len(plan.phases), -1) if plan.rules is None else plan.rules.as_one
-        self.table = node_fill(plan, as_one)
+        self.table = node_fill(plan)
         self.constants: ShiftConstants | None = None
 
-    def nodal_fullness(self, mass: np.ndarray, distance: np.ndarray | None) -> np.ndarray | None:
+    def nodal_fullness(
+        self, mass: np.ndarray, movers: MovingColliders | None, at_rest: np.ndarray
+    ) -> np.ndarray | None:
         """Return the part of each node's cell that is filled, with its images at mirroring walls.
 
         Args:
             mass: Nodal masses of the phases, shape (phases, ..., 1) [kg].
-            distance: Distance of each node from colliders [m], or None.
+            movers, at_rest: Colliders, see `distance_from_colliders`.
 
         Returns:
             Fullness, shape (..., 1), or None if no particles are shifted now.
@@ -43,11 +46,11 @@ class ParticleShifting:
             return None
         fullness = np.einsum("p,p...->...", self.table.space.astype(np.float64), mass)
         fullness = self.dense.complete_wall_mass(fullness)
+        distance = distance_from_colliders(movers, self.dense, at_rest)
         if distance is not None:
-            d = np.clip(distance.reshape(fullness.shape) / self.dense.dx, -2.0, 2.0)
+            d = np.clip(distance.reshape(fullness.shape) / self.dense.dx, -1.5, 1.5)
             middle = 0.5 - 0.75 * d + d**3 / 3.0
-            outer = np.clip(COLLIDER_BAND - d, 0.0, None) ** 3 / 6.0
-            inner = 1.0 - np.clip(COLLIDER_BAND + d, 0.0, None) ** 3 / 6.0
+            outer, inner = (1.5 - d) ** 3 / 6.0, 1.0 - (1.5 + d) ** 3 / 6.0
             fullness = fullness + np.where(d > 0.5, outer, np.where(d < -0.5, inner, middle))
         return self.dense.symmetrize(fullness)
 
@@ -84,12 +87,11 @@ class ParticleShifting:
 def _move(group: ParticleGroup, dense: Dense, distance: np.ndarray, shift: ShiftConstants) -> None:
     """Move particles by `distance`, shape (n, 3) [cells], except what leads to a wall."""
     index = group.index()
-    block = BLOCK_EDGE * np.repeat(group.block, group.count, axis=0)
+    limit = position_limits(np.repeat(group.block, group.count, axis=0), dense.cells)
     x = np.ldexp(group.xi[:, index].T.astype(np.float64), -group.bits)
-    gap = 0.5 - 2.0 + 0.02
-    distance = np.maximum(distance, np.minimum(gap - block - x, 0.0))
-    roof = np.array(dense.cells) - 1.5 - 0.02
-    distance = np.minimum(distance, np.maximum(roof - block - x, 0.0))
+    low, high = limit[..., 0] + WALL_GAP_CELLS, limit[..., 1] - WALL_GAP_CELLS
+    distance = np.maximum(distance, np.minimum(low - x, 0.0))
+    distance = np.minimum(distance, np.maximum(high - x, 0.0))
     dither = np.array([shift.dither_x, shift.dither_y, shift.dither_z])
     units = np.floor(shift.cell_units * distance + np.where(distance != 0.0, dither, 0.0))
     group.xi[:, index] += units.T.astype(group.xi.dtype)

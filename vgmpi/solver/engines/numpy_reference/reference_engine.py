@@ -44,7 +44,7 @@ from .group_channels import (
     put_law_state,
 )
 from .mixture_coupling import MixtureCoupling
-from .moving_colliders import distance_from_colliders, nearest_collider
+from .moving_colliders import nearest_collider
 from .particle_shifting import ParticleShifting
 from .prescribed_motion import carry, prescribe
 from .reaction_impulses import ReactionSums, WallRecorder
@@ -300,8 +300,7 @@ class Numpy:
 
     def restore(self, times: int) -> list[AccumulatorOverflow]:
         """Add `times` the motion that a step of no time has taken from the particles."""
-        depth = distance_from_colliders(self.movers, self.dense, self.contact.collider)
-        fullness = self.shifting.nodal_fullness(self.mass, depth)
+        fullness = self.shifting.nodal_fullness(self.mass, self.movers, self.contact.collider)
         for group, stencil in zip(self.groups, self.stencils, strict=True):
             if len(group) and not group.plan.driven:
                 field, dense = self.v[group.plan.phase], self.dense
