@@ -29,6 +29,7 @@ from .contact_impulses import (
     WALL_ROW,
     ContactPair,
     apply_penalty_layer,
+    contact_fraction,
     distance,
     face_fraction,
     in_contact,
@@ -50,9 +51,10 @@ class ContactWorkspace(NamedTuple):
     here: np.ndarray  # (n,) node block of each phase at the node
     slope: np.ndarray  # (n, 3) [m/s per cell] velocity slope along a resolved surface's normal
     change: np.ndarray  # (n, 3) [m/s] velocity increments by elastic layers
-    normals: np.ndarray  # (m, 7) normal, and scratch of the solver
+    normals: np.ndarray  # (m, 10) normal, and scratch of the solver
     impulse: np.ndarray  # (m, 4) [kg m/s] normal and tangential
     friction: np.ndarray  # (m,) [-]
+    fraction: np.ndarray  # (m,) [-] fraction of the slip that a pair loses
     master: np.ndarray  # (m,) first phase of each pair
     other: np.ndarray  # (m,) second phase of each pair
     pair_count: np.ndarray  # (n,) number of pairs of each phase
@@ -75,7 +77,8 @@ def contact_workspace(n: int) -> ContactWorkspace:
     return ContactWorkspace(
         v=np.zeros((n + 2, 3)), slope=np.zeros((n, 3)), change=np.zeros((n, 3)), mass=np.zeros(n),
         effective_mass=np.zeros(n), here=np.zeros(n, np.int64),
-        normals=np.zeros((m, 7)), impulse=np.zeros((m, 4)), friction=np.zeros(m),
+        normals=np.zeros((m, 10)), impulse=np.zeros((m, 4)), friction=np.zeros(m),
+        fraction=np.zeros(m),
         master=np.zeros(m, np.int64), other=np.zeros(m, np.int64), pair_count=np.zeros(n, np.int64),
         plane=np.zeros(4), row=np.zeros(n),
     )  # fmt: skip
@@ -135,7 +138,7 @@ def apply_contact(block, tables, solid, velocities, offsets, shear, solids, wall
                 work.v[q, c] += work.change[q, c]
         if pairs > 0:
             solve_contact_impulses(work.v, work.effective_mass, active, work.normals,
-                                   work.friction, work.master, work.other, pairs,
+                                   work.friction, work.fraction, work.master, work.other, pairs,
                                    _max_count(work.pair_count, active), work.impulse)  # fmt: skip
             add_pair_reactions(work.given, pairs, work)
         for q in range(active):
@@ -233,8 +236,9 @@ def _add_phase_pair(pairs, site, a, b, phase, offsets, phases, motions, step, wo
         modulus = phases.stiff[pa] * phases.stiff[pb] / (phases.stiff[pa] + phases.stiff[pb])
     friction = phases.friction[pa, pb]
     meeting = ContactPair(
-        a, b, distance_a, distance_b, both_resolved, is_reliable, area_fraction, modulus, friction
-    )
+        a, b, distance_a, distance_b, both_resolved, ka, is_reliable, area_fraction, modulus,
+        friction,
+    )  # fmt: skip
     source, target = (a, b) if _driven(motions, pa) else (b, a)
     change, first_pair = work.change[target], pairs
     before = change[0], change[1], change[2]
@@ -269,8 +273,8 @@ def _add_rigid_pairs(
         area_fraction = face_fraction(mass, phases.least[ph], distance_b) if is_reliable else 0.0
         distance_a = surface[3] / step.dx
         meeting = ContactPair(
-            a, q, distance_a, distance_b, is_resolved, is_reliable, area_fraction, phases.stiff[ph],
-            friction[ph],
+            a, q, distance_a, distance_b, is_resolved, True, is_reliable, area_fraction,
+            phases.stiff[ph], friction[ph],
         )  # fmt: skip
         change, first_pair = work.change[q], pairs
         before = change[0], change[1], change[2]
@@ -290,10 +294,15 @@ def _activate_pair(pairs, site, meeting, n, step, work):
         apply_penalty_layer(
             work.change, work.v, work.slope, work.effective_mass, meeting, n, step.dt, step.dx
         )
-    if not in_contact(meeting) or (site.alone and _is_separating(work.v, meeting, n)):
+    fraction = contact_fraction(meeting)
+    if (
+        fraction <= 0.0
+        or not in_contact(meeting)
+        or (site.alone and _is_separating(work.v, meeting, n))
+    ):
         return pairs
     work.master[pairs], work.other[pairs] = meeting.a, meeting.b
-    work.friction[pairs] = meeting.friction
+    work.friction[pairs], work.fraction[pairs] = meeting.friction, fraction
     work.pair_count[meeting.b] += 1
     if meeting.a >= 0:
         work.pair_count[meeting.a] += 1

@@ -6,7 +6,9 @@ do not stick. Where the normals are reliable, bodies meet through an elastic pen
 edges, and in contact with fluids and granular phases, impulses prevent any approach. Phases that
 flow store the volume V and the mean offset X / V of their particles at the nodes: for a half space
 this gives the distance of the node from it (`distance_from_mean_offset`). The velocity alone would
-act 1.2 to 2 cells too early. The impulses of all pairs of a node are computed together (accumulated
+act 1.2 to 2 cells too early. Next to a known surface, what flows loses all of its approach at the
+surface and less of it farther outside (`contact_fraction`): a cell away, a flow may turn before it
+gets there. The impulses of all pairs of a node are computed together (accumulated
 Jacobi from the same velocities): a sweep of one pair after the other would depend on the numbering
 of the phases.
 """
@@ -24,6 +26,9 @@ GAP_RESOLVED = 0.02  # [cells] gap below which two resolved surfaces touch
 # forces that act deeper have a shorter arm, and press in front of the point of contact
 LAYER_HALF_WIDTH = 0.75
 NORMAL_RELIABILITY_MIN = 0.9  # [-] length of a mean normal above which it counts as reliable
+# [cells] distance outside a known surface up to which a phase that flows loses all of its approach,
+# and from which it loses none
+FULL_CONTACT_DISTANCE, NO_CONTACT_DISTANCE = 0.25, 1.05
 LAYER_OFFSET = (
     0.01  # [cells] overlap from which the layer pushes: bodies that just touch may separate
 )
@@ -36,6 +41,7 @@ LAYER_GAP_FLUID = (
 )
 MAX_OVERLAP_FLUID = 0.05  # [cells] overlap beyond which such a phase may not approach
 MAX_FACE_FRACTION = 1.5  # [-] upper bound of the fraction of a cell face per node
+KEPT_SLIP = 7  # column of a pair's normal and scratch where the slip that it keeps begins
 SWEEPS = 16  # Jacobi iterations of a node with several pairs
 # indices, counted from the end, of the rigid rows of velocities: walls (at rest) and the collider
 WALL_ROW, COLLIDER_ROW = -1, -2
@@ -158,6 +164,7 @@ class ContactPair(NamedTuple):
     one: float  # [cells] distance of the node outside a
     other: float  # [cells] distance of the node outside b
     both_resolved: bool  # whether both surfaces are resolved
+    one_resolved: bool  # whether that of a is resolved
     normals_reliable: (
         bool  # whether a surface is resolved and the normals of all resolved ones are reliable
     )
@@ -176,6 +183,19 @@ def in_contact(m):
             and abs(m.one - m.other) <= 2.0 * LAYER_HALF_WIDTH
         )
     return gap <= (-MAX_OVERLAP_FLUID if m.normals_reliable else GAP_UNRESOLVED)
+
+
+@device_function
+def contact_fraction(m):
+    """Return the fraction of their approach that the phases of a contact pair lose at a node.
+
+    It is less than 1 where a phase that flows is at some distance from a known surface. A sharp
+    bound would make contact stronger or weaker as a surface moves through the cells.
+    """
+    if m.both_resolved or not m.one_resolved:
+        return 1.0
+    width = NO_CONTACT_DISTANCE - FULL_CONTACT_DISTANCE
+    return min(max((NO_CONTACT_DISTANCE - m.one) / width, 0.0), 1.0)
 
 
 @device_function
@@ -269,19 +289,21 @@ def _add(target, x, y, z, k):
 
 @device_function
 def solve_contact_impulses(
-    v, mass, count, normals, friction, pair_a, pair_b, pairs, share, impulse
+    v, mass, count, normals, friction, fraction, pair_a, pair_b, pairs, share, impulse
 ):
     """Compute the contact impulses of a node, so that no touching pair approaches.
 
-    Momentum is conserved exactly: one phase gains what the other loses.
+    A pair whose fraction is less than 1 keeps the rest of its slip. Momentum is conserved exactly:
+    one phase gains what the other loses.
 
     Args:
         v: Velocities (in/out), shape (count + 2, 3) [m/s]; the last two rows are those of rigid
             bodies.
         mass: Nodal masses, shape (count,) [kg].
         count: Number of phases at the node.
-        normals: Outward normals of the first phase of each pair, then scratch, shape (pairs, 7).
+        normals: Outward normals of the first phase of each pair, then scratch, shape (pairs, 10).
         friction: Friction coefficients, shape (pairs,).
+        fraction: Fractions of the slip that the pairs lose, see `contact_fraction`, shape (pairs,).
         pair_a, pair_b: Phases of each pair; the first one (master) may be a collider or wall.
         pairs: Number of pairs.
         share: Largest number of pairs of any one phase.
@@ -290,12 +312,17 @@ def solve_contact_impulses(
     for q in range(pairs):
         for c in range(4):
             impulse[q, c] = 0
+        for c in range(3):
+            slip = v[pair_a[q], c] - v[pair_b[q], c]
+            normals[q, KEPT_SLIP + c] = (1.0 - fraction[q]) * slip
     relax = 1.0 / share
     for _ in range(SWEEPS if pairs > 1 else 1):
         change = 0.0
         for q in range(pairs):
             a, b, n = pair_a[q], pair_b[q], normals[q]
-            r0, r1, r2 = v[a, 0] - v[b, 0], v[a, 1] - v[b, 1], v[a, 2] - v[b, 2]
+            r0 = v[a, 0] - v[b, 0] - n[KEPT_SLIP]
+            r1 = v[a, 1] - v[b, 1] - n[KEPT_SLIP + 1]
+            r2 = v[a, 2] - v[b, 2] - n[KEPT_SLIP + 2]
             reduced = mass[b]
             if a >= 0:
                 reduced = mass[a] * mass[b] / (mass[a] + mass[b])

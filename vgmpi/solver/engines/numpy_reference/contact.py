@@ -9,6 +9,7 @@ together, by accumulated Jacobi sweeps.
 import numpy as np
 
 from vgmpi.kernels.grid.contact_impulses import (
+    FULL_CONTACT_DISTANCE,
     GAP_RESOLVED,
     GAP_UNRESOLVED,
     LAYER_GAP_FLUID,
@@ -18,6 +19,7 @@ from vgmpi.kernels.grid.contact_impulses import (
     LAYER_STIFFNESS,
     MAX_FACE_FRACTION,
     MAX_OVERLAP_FLUID,
+    NO_CONTACT_DISTANCE,
     NORMAL_RELIABILITY_MIN,
     SWEEPS,
 )
@@ -158,8 +160,12 @@ class Contact:
                     if a is not None:
                         change[a] -= push / m[a]
                     change[b] += push / m[b]
-                if _touching(d_a, d_b, all_known, is_sure) and not (is_pair and slip @ n <= 0):
-                    pairs.append((-1 if a is None else a, b, n, friction, rigid))
+                lost = 1.0
+                if not all_known and (a is None or sides[a].has_surface):
+                    lost = _contact_fraction(d_a)
+                touches = lost > 0 and _touching(d_a, d_b, all_known, is_sure)
+                if touches and not (is_pair and slip @ n <= 0):
+                    pairs.append((-1 if a is None else a, b, n, friction, lost, rigid))
             u += change
             if pairs:
                 for pair, push in zip(pairs, _resolve(u, m, pairs), strict=True):
@@ -333,6 +339,12 @@ def _touching(distance_a: float, distance_b: float, both_known: bool, is_sure: b
     return distance_a + distance_b <= (-MAX_OVERLAP_FLUID if is_sure else GAP_UNRESOLVED)
 
 
+def _contact_fraction(distance: float) -> float:
+    """Return the fraction of its approach that a flow loses outside a known surface [cells]."""
+    part = (NO_CONTACT_DISTANCE - distance) / (NO_CONTACT_DISTANCE - FULL_CONTACT_DISTANCE)
+    return float(np.clip(part, 0.0, 1.0))
+
+
 def _resolve(v: np.ndarray, mass: np.ndarray, pairs: list[tuple]) -> list[np.ndarray]:
     """Change the velocities (phases, 3) of a node so that no touching pair approaches.
 
@@ -345,10 +357,14 @@ def _resolve(v: np.ndarray, mass: np.ndarray, pairs: list[tuple]) -> list[np.nda
             touches[a] += 1
     relax = 1.0 / touches.max()
     normal, slide = np.zeros(len(pairs)), np.zeros((len(pairs), 3))
+    kept = [
+        (1.0 - lost) * ((v[a] if a >= 0 else base) - v[b])
+        for a, b, _, _, lost, (_, base, *_) in pairs
+    ]
     for _ in range(SWEEPS if len(pairs) > 1 else 1):
         change, pushes = 0.0, []
-        for q, (a, b, n, friction, (_, base, *_)) in enumerate(pairs):
-            r = (v[a] if a >= 0 else base) - v[b]
+        for q, (a, b, n, friction, _, (_, base, *_)) in enumerate(pairs):
+            r = (v[a] if a >= 0 else base) - v[b] - kept[q]
             reduced = mass[a] * mass[b] / (mass[a] + mass[b]) if a >= 0 else mass[b]
             approach = r @ n
             total = max(0.0, normal[q] + relax * reduced * approach)
