@@ -7,7 +7,10 @@ images at walls fill (docs/explanation/transfer-schemes.md).
 - The logarithm theta of a particle's volume ratio relaxes to what the fullness says, at the rate
   |C| of the flow's own strain: a liquid at rest and small waves are left alone.
 - A particle moves down the gradient of the fullness above 1, which separates particles that crowd
-  between nodes, where pressure cannot see them. Velocities stay, so momentum is exact.
+  between nodes, where pressure cannot see them. Velocities stay, so momentum is exact. Particles
+  that lie on a wall, where images cancel that gradient, move off it.
+- In spray the velocity gradient loses its trace: a drop of a few particles would swing between
+  pressure and tension at the speed of sound, undamped, and its rate would set the time step.
 
 References:
     Xu, Stansby, Laurence (2009): Accuracy and stability in incompressible SPH (ISPH) based on the
@@ -30,6 +33,7 @@ from vgmpi.kernels.simd.row_ops import (
 )
 from vgmpi.kernels.simd.vector16 import load, store
 from vgmpi.kernels.wall_boundary import SEPARATE, SIDE
+from vgmpi.materials.tensor_math.select import select
 from vgmpi.runtime.jit import device_function
 
 from .density_correction import SURFACE_SLOPE, interior_weight
@@ -39,6 +43,7 @@ MAX_FILL_ERROR = 0.5  # [-] largest relative error of the fullness that relaxati
 TOLERATED_FILL = 1.02  # [-] fullness above which particles are shifted
 SHIFT_FACTOR = 0.1  # [cells2] displacement per gradient of the fullness per cell
 MAX_SHIFT_CELLS = 0.05  # [cells] largest displacement
+SPRAY_FILL, LIQUID_FILL = 0.25, 0.5  # [-] fullness of spray, and of what is not spray
 WALL_GAP_CELLS = 0.52  # [cells] least distance from a position's limit, 0.5 beyond a wall
 
 
@@ -139,7 +144,7 @@ def store_excess(patch, excess, box):
 
 @device_function
 def relax_volume(f, p, cap, records, offset, shift):
-    """Relax theta of 16 particles to what the fullness says.
+    """Relax theta of 16 particles to what the fullness says, and stop that spray breathes.
 
     Args:
         f: Particle channels, flat (in/out).
@@ -158,6 +163,27 @@ def relax_volume(f, p, cap, records, offset, shift):
     error = np.maximum(overfill - surface_margin, zero) + missing
     error = np.minimum(error, zero + MAX_FILL_ERROR)
     store(f, p + STATE * cap, theta - (shift.duration * strain_rate(f, p, cap)) * error)
+    remove_spray_divergence(f, p, cap, fullness)
+
+
+@device_function
+def remove_spray_divergence(f, p, cap, fullness):
+    """Remove the trace of the velocity gradient of 16 particles as far as they are spray.
+
+    Args:
+        f: Particle channels, flat (in/out).
+        p: Index of the first particle.
+        cap: Stride of channels.
+        fullness: Fullness at the particles [-].
+    """
+    xx, yy, zz = p + AFFINE * cap, p + (AFFINE + 4) * cap, p + (AFFINE + 8) * cap
+    a, b, c, zero = load(f, xx), load(f, yy), load(f, zz), 0.0 * fullness
+    spray = (LIQUID_FILL - fullness) * (1.0 / (LIQUID_FILL - SPRAY_FILL))
+    spray = np.minimum(np.maximum(spray, zero), zero + 1.0)
+    removed = spray * (a + b + c) * (1.0 / 3.0)
+    store(f, xx, a - removed)
+    store(f, yy, b - removed)
+    store(f, zz, c - removed)
 
 
 @device_function
@@ -168,14 +194,14 @@ def strain_rate(f, p, cap):
 
 @device_function
 def shift_positions(f, xi, p, cap, records, offset, limit, shift):
-    """Move 16 particles down the gradient of the excess of fullness.
+    """Move 16 particles down the gradient of the excess of fullness, and off walls.
 
     Args:
         f: Particle channels; they supply the precision.
         xi: Fixed-point positions, flat (in/out).
         p: Index of the first particle.
         cap: Stride of channels.
-        records: Records with the gradient of the excess as fourth number's slopes.
+        records: Records with the excess as fourth number, and its gradient as slopes.
         offset: Offset of the first record.
         limit: Range of positions inside the domain, shape (3, 2) [cells from the block center].
         shift: ShiftConstants.
@@ -185,20 +211,22 @@ def shift_positions(f, xi, p, cap, records, offset, limit, shift):
     x, y, z = k * r[7], k * r[11], k * r[15]
     bound = broadcast(f, MAX_SHIFT_CELLS)
     scale = bound / np.maximum(np.sqrt(x * x + y * y + z * z), bound)
-    _shift_along(f, xi, p, scale * x, limit[0], shift.cell_units, shift.dither_x)
-    _shift_along(f, xi, p + cap, scale * y, limit[1], shift.cell_units, shift.dither_y)
-    _shift_along(f, xi, p + 2 * cap, scale * z, limit[2], shift.cell_units, shift.dither_z)
+    off = np.minimum(SHIFT_FACTOR * r[3], bound)
+    _shift_along(f, xi, p, scale * x, off, limit[0], shift.cell_units, shift.dither_x)
+    _shift_along(f, xi, p + cap, scale * y, off, limit[1], shift.cell_units, shift.dither_y)
+    _shift_along(f, xi, p + 2 * cap, scale * z, off, limit[2], shift.cell_units, shift.dither_z)
 
 
 @device_function
-def _shift_along(f, xi, p, distance, limit, cell_units, dither):
-    """Add distances [cells] along one axis, except what leads to a wall.
+def _shift_along(f, xi, p, distance, off, limit, cell_units, dither):
+    """Add distances [cells] along one axis, except what leads to a wall; move off a wall.
 
     Args:
         f: Particle channels; they supply the precision.
         xi: Fixed-point positions, flat (in/out).
         p: Index of the first of 16 positions.
         distance: Distances [cells].
+        off: Distances of particles that lie on a wall [cells], at least 0.
         limit: Range of positions inside the domain, shape (2,) [cells].
         cell_units, dither: Units per cell; units added before rounding.
     """
@@ -210,5 +238,6 @@ def _shift_along(f, xi, p, distance, limit, cell_units, dither):
     x = add_fixed_point(xi, p, zero)
     distance = np.maximum(distance, np.minimum(low - x, zero))
     distance = np.minimum(distance, np.maximum(high - x, zero))
+    distance = select(x < low, off, select(x > high, zero - off, distance))
     moves = np.minimum(abs(distance) * 1e30, zero + 1.0)  # what is not shifted is not dithered
     add_fixed_point(xi, p, cell_units * distance + dither * moves)

@@ -194,10 +194,10 @@ def _block(
     masses = cuda.local.array((2, PHASES), np.float64)
     present = cuda.local.array((2, PHASES), np.int64)
     of_pairs = cuda.local.array((3, PAIRS), np.int64)
-    normals = cuda.local.array((PAIRS, 7), np.float64)
+    normals = cuda.local.array((PAIRS, 10), np.float64)
     impulse = cuda.local.array((PAIRS, 4), np.float64)
     places = cuda.local.array((PAIRS, 3), np.float64)
-    friction = cuda.local.array(PAIRS, np.float64)
+    friction = cuda.local.array((2, PAIRS), np.float64)
     row = cuda.local.array(PHASES, np.float64)
     plane = cuda.local.array(4, np.float64)
     now = cuda.local.array(3, np.int64)
@@ -209,8 +209,8 @@ def _block(
         slope[c // 3, c % 3] = 0
     own_reactions = own_given(reactions, now, point, of_pairs[2], places)
     workspace = ContactWorkspace(
-        v, masses[0], masses[1], present[0], slope, change, normals, impulse, friction, of_pairs[0],
-        of_pairs[1], present[1], plane, row, own_reactions,
+        v, masses[0], masses[1], present[0], slope, change, normals, impulse, friction[0],
+        friction[1], of_pairs[0], of_pairs[1], present[1], plane, row, own_reactions,
     )  # fmt: skip
     grid.update(
         blocks, tables, summed, shear, separate, rules, walls, phases, solids, workspace, step,

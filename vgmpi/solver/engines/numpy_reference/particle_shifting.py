@@ -5,9 +5,11 @@ import numpy as np
 from vgmpi.kernels.rigid.moving_colliders import MovingColliders
 from vgmpi.kernels.transfer.density_correction import FULL_FILL, MIN_FILL, SURFACE_SLOPE
 from vgmpi.kernels.transfer.particle_shifting import (
+    LIQUID_FILL,
     MAX_FILL_ERROR,
     MAX_SHIFT_CELLS,
     SHIFT_FACTOR,
+    SPRAY_FILL,
     TOLERATED_FILL,
     WALL_GAP_CELLS,
     ShiftConstants,
@@ -73,6 +75,10 @@ class ParticleShifting:
         error = np.maximum(excess - margin, 0.0) + inner * np.minimum(excess + margin, 0.0)
         rate = constants.duration * np.linalg.norm(C, axis=1)
         put_channel(group, "theta", theta - (rate * np.minimum(error, MAX_FILL_ERROR))[:, None])
+        spray = np.clip((LIQUID_FILL - crowd) / (LIQUID_FILL - SPRAY_FILL), 0.0, 1.0)
+        diagonal = [0, 4, 8]
+        C[:, diagonal] -= (spray * C[:, diagonal].mean(1))[:, None]
+        put_channel(group, "C", C)
 
         surplus = np.maximum(fullness - TOLERATED_FILL, 0.0)
         gradient = sum(
@@ -81,17 +87,25 @@ class ParticleShifting:
         distance = -SHIFT_FACTOR * dense.dx * gradient
         norm = np.linalg.norm(distance, axis=1, keepdims=True)
         distance *= MAX_SHIFT_CELLS / np.maximum(norm, MAX_SHIFT_CELLS)
-        _move(group, dense, distance, constants)
+        off = np.clip(SHIFT_FACTOR * dense.gather(surplus, stencil)[:, :1], 0.0, MAX_SHIFT_CELLS)
+        _move(group, dense, distance, off, constants)
 
 
-def _move(group: ParticleGroup, dense: Dense, distance: np.ndarray, shift: ShiftConstants) -> None:
-    """Move particles by `distance`, shape (n, 3) [cells], except what leads to a wall."""
+def _move(
+    group: ParticleGroup, dense: Dense, distance: np.ndarray, off: np.ndarray,
+    shift: ShiftConstants,
+) -> None:  # fmt: skip
+    """Move particles by `distance`, shape (n, 3) [cells], except what leads to a wall.
+
+    Those on a wall move off it by `off`, shape (n, 1) [cells].
+    """
     index = group.index()
     limit = position_limits(np.repeat(group.block, group.count, axis=0), dense.cells)
     x = np.ldexp(group.xi[:, index].T.astype(np.float64), -group.bits)
     low, high = limit[..., 0] + WALL_GAP_CELLS, limit[..., 1] - WALL_GAP_CELLS
     distance = np.maximum(distance, np.minimum(low - x, 0.0))
     distance = np.minimum(distance, np.maximum(high - x, 0.0))
+    distance = np.where(x < low, off, np.where(x > high, -off, distance))
     dither = np.array([shift.dither_x, shift.dither_y, shift.dither_z])
     units = np.floor(shift.cell_units * distance + np.where(distance != 0.0, dither, 0.0))
     group.xi[:, index] += units.T.astype(group.xi.dtype)
