@@ -73,6 +73,29 @@ def test_a_broken_dam_keeps_its_level_and_no_cell_is_crowded():
     held("broken dam, shifting: energy over the start", gain, 0.0, 5e-3, kind="below", **say)
 
 
+@pytest.mark.parametrize("engine", ["cpu", "numpy"])
+def test_particles_that_crowd_on_walls_leave_them(tmp_path, engine):
+    """Eight particles put into a corner of the tank: images at the walls cancel what else would
+    push them apart."""
+    text = SCENE.replace("VOLUME", "shifting").replace("SHAPE", RESTS)
+    simulation, _ = begin(tmp_path, text, engine=engine)
+    (ids,), (x,) = by_id(simulation, "id"), by_id(simulation, "x")
+    corner = ids[(x < DX).all(1)]
+    assert len(corner) == 8
+    group = simulation.groups[0]
+    index = group.index()
+    chosen = index[np.isin(group.ids[index], corner)]
+    group.xi[:, chosen] = -(3 << group.bits) // 2  # the corner, 1.5 cells from the block's middle
+    (x,) = by_id(simulation, "x")
+    assert np.abs(x[corner]).max() < 1e-6
+    distances = []
+    for _ in range(30):
+        advance(simulation, simulation.time + simulation.bound())
+        (x,) = by_id(simulation, "x")
+        distances.append(x[corner].min() / DX)
+    assert distances[-1] > 0.02, "they lie on the walls"
+
+
 @pytest.mark.parametrize("volume", ["shifting", "density"])
 @pytest.mark.parametrize("precision", ["single", "double"])
 def test_water_at_rest_stays(tmp_path, precision, volume):
