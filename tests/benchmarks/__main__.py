@@ -303,6 +303,41 @@ def _run_volume(args) -> int:
     return 0
 
 
+def _crowding(parser) -> None:
+    from tests.benchmarks.crowding import MATERIALS
+
+    parser.add_argument("materials", nargs="*", default=list(MATERIALS), help="default: all")
+
+
+def _run_crowding(args) -> int:
+    from tests.benchmarks import crowding
+
+    print(crowding.HEAD, flush=True)
+    for material in args.materials:
+        for sample in crowding.collapse(material):
+            print(crowding.row(material, sample), flush=True)
+    return 0
+
+
+def _predictions(parser) -> None:
+    from tests.benchmarks.predictions import ADJUSTED, HELD_OUT
+
+    names = [*ADJUSTED, *HELD_OUT]
+    parser.add_argument("scenes", nargs="*", default=names, help="folders of runs/, or files")
+    parser.add_argument("--ranks", type=int, default=2, metavar="N", help="default 2")
+
+
+def _run_predictions(args) -> int:
+    from tests.benchmarks import predictions
+
+    print(predictions.HEAD, flush=True)
+    results = []
+    for scene in args.scenes:
+        results.append(predictions.measure(scene, args.ranks))
+        print(predictions.row(results[-1]), flush=True)
+    return 0 if all(result.holds for result in results) else 1
+
+
 COMMANDS = {  # what it does, its flags, how it runs
     "accuracy": ("how exact single precision is", _accuracy, _run_accuracy),
     "against": ("beside another checkout", _against, _run_against),
@@ -311,10 +346,12 @@ COMMANDS = {  # what it does, its flags, how it runs
     "choose-tests": ("which tests make test leaves out", _choose_tests, _run_choose_tests),
     "compile-cost": ("what each specialization of a scene costs to compile", _cost, _run_cost),
     "couplings": ("what mixing and drag cost", _couplings, _run_couplings),
+    "crowding": ("how sand, snow and paste pile up", _crowding, _run_crowding),
     "emulate": ("one rank of many by its own tables", _emulate, _run_emulate),
     "extremes": ("scenes at the ends of what is allowed", _extremes, _run_extremes),
     "features": ("what contact, colliders and probes cost", _couplings, _run_couplings),
     "overhead": ("what a step costs beside its kernels", _overhead, _run_overhead),
+    "predictions": ("what --plan tells, and what runs take", _predictions, _run_predictions),
     "registers": ("what a graphics card's kernels take; needs no card", _registers, _run_registers),
     "spills": ("vectors that do not fit the registers", lambda _: None, _run_spills),
     "stability": ("the largest stable time step of every law", _stability, _run_stability),

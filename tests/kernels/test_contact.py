@@ -407,7 +407,7 @@ def test_what_touches(known, sure, limit):
     (1.7, 0.0),
 ])  # fmt: skip
 def test_a_flow_loses_less_of_its_approach_farther_from_a_surface(distance, fraction):
-    """All of it within a quarter of a cell, none from little more than a cell on; two surfaces, or none: all."""
+    """All of it within a quarter of a cell, none beyond 1.05 cells; two surfaces, or none: all."""
     flow = meeting(distance, -distance, known=False)
     assert contact_impulses.contact_fraction(flow) == pytest.approx(fraction)
     assert plain._contact_fraction(distance) == pytest.approx(fraction)

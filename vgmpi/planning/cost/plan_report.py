@@ -12,7 +12,7 @@ from vgmpi.runtime.config.toml_source import escape_control_characters
 from vgmpi.scene.scene import Scene
 
 from . import accuracy_benchmarks, tradeoff_results
-from .feature_costs import feature_table, step_ns
+from .feature_costs import PARTICLES_PER_FULL_BLOCK, feature_table, step_ns
 from .pilot_result import STEP_SECONDS, PilotRun
 from .throughput import ASSUMED_THROUGHPUT, Throughput
 from .timestep_advice import limiting_material_lines, pruning_lines
@@ -26,6 +26,8 @@ THIN_CELLS = (
 )
 # [s] time to write a frame, and a particle in it (a run's `--profile`: write)
 FRAME_SECONDS, SECONDS_PER_WRITTEN_PARTICLE = 0.065, 1e-7
+# [-] overhead of ranks, fitted to splash, castle_flood and castle_falls of runs/ on two ranks
+HALO_OVERHEAD = 4.0
 MOTION_STEP_MARGIN = 1.05  # [-] of the steps without motions, above which a line names them
 FINE_COUNT = 27  # particles per cell with which solids bend accurately enough
 
@@ -259,9 +261,21 @@ def _step_seconds(
     scene: Scene, plan: Plan, ranks: int, pace: Throughput, pilot: PilotRun | None
 ) -> float:
     """Return the mean time [s] of a step."""
-    if pilot is None:
-        return 1e-9 * step_ns(scene, plan, pace) / ranks + STEP_SECONDS
-    return 1e-9 * pilot.work(scene, plan, pace).sum() / pilot.steps / ranks + STEP_SECONDS
+    ns = step_ns(scene, plan, pace)
+    if pilot is not None:
+        ns = pilot.work(scene, plan, pace).sum() / pilot.steps
+    return 1e-9 * ns / ranks * _rank_overhead(plan, ranks) + STEP_SECONDS
+
+
+def _rank_overhead(plan: Plan, ranks: int) -> float:
+    """Return the time of a step on several ranks over an even share of that on one.
+
+    Nodes at the faces of a rank's piece are computed by its neighbors, too, and ranks wait for each
+    other: both grow as the surface of a piece over its volume, in blocks.
+    """
+    blocks = sum(proximity.blocks for proximity in plan.surroundings)
+    blocks = max(blocks, sum(plan.count) // PARTICLES_PER_FULL_BLOCK, 1)
+    return 1.0 + HALO_OVERHEAD * (ranks / blocks) ** (1.0 / 3.0) * (1.0 - 1.0 / ranks)
 
 
 def _writing_seconds(plan: Plan, ranks: int, frames: int | None = None) -> float:
@@ -291,6 +305,8 @@ def format_duration(seconds: float) -> str:
     """Format a duration [s] for display."""
     if seconds < 120:
         return f"{seconds:.0f} s"
+    if seconds < 600:
+        return f"{seconds / 60:.1f} min"
     if seconds < 7200:
         return f"{seconds / 60:.0f} min"
     return f"{seconds / 3600:.1f} h"
