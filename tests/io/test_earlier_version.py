@@ -76,4 +76,5 @@ def test_it_goes_on_and_tells_the_new_words_once(folder):
     assert [row["step"] for row in rows if row["phase"] == "ball"] == [0, 33, 66]
     assert (out / file_layout.LEDGER).read_text().startswith("time,step,phase,particles,mass,")
     after = vgmpi.read(out).frame(2)
-    assert np.abs(after["x"] - before["x"]).max() < 1e-5  # the same bits on the same processor
+    # the water's contact acts less far from the ball than in the version that wrote the frame
+    assert np.abs(after["x"] - before["x"]).max() < 1e-4

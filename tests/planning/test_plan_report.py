@@ -161,7 +161,7 @@ def test_the_time_left_follows_the_pace_of_now(monkeypatch, caplog):
 
 
 def test_the_time_is_that_of_the_processor(tmp_path):
-    """On any number of ranks, with what a step takes beside its particles."""
+    """With what a step takes beside its particles; ranks share it, but for what faces cost."""
     scene = vgmpi.load(write(tmp_path, PLATE + POOL))
     plan = plan_for(scene, prepare(scene, SerialCommunicator(), None))
 
@@ -179,8 +179,9 @@ def test_the_time_is_that_of_the_processor(tmp_path):
     assert seconds == pytest.approx(steps * takes_step + written, abs=1)
     half = takes(Throughput(3e3, 4.2e3, "as told"))[0] - written
     assert half == pytest.approx((seconds - written) / 2, rel=0.03)
+    even = (seconds - written) / 4
     four = takes(pace, ranks=4)[0] - len(plan.times) * FRAME_SECONDS
-    assert four == pytest.approx((seconds - written) / 4, rel=0.1)
+    assert 1.05 * even < four < 2.5 * even
 
 
 def test_other_laws_go_by_their_cost_beside_an_elastic_one():

@@ -68,7 +68,7 @@ motion = { velocity = [1, 0.2, -0.5], angular_velocity = "90 rpm", axis = [1, 1,
 """
 
 
-def scene(tmp_path, bodies, walls="slip", transfer="apic-corrected", end=0.01):
+def scene(tmp_path, bodies, walls="slip", transfer="apic-corrected", end=0.01, cfl=0.4):
     """A scene with all of its probes, a row at every step."""
     text = HEAD.replace("WALLS", walls if "{" in walls else f'"{walls}"')
     text = text.replace("TRANSFER", transfer) + bodies
@@ -77,7 +77,7 @@ def scene(tmp_path, bodies, walls="slip", transfer="apic-corrected", end=0.01):
             text += f'[[probe]]\nname = "{name}"\nsampling_interval = "1 us"\ncollider = "{name}"\n'
     for name in ("all", *WALL_NAMES):
         text += f'[[probe]]\nname = "{name}"\nsampling_interval = "1 us"\nwall = "{name}"\n'
-    return vgmpi.load(tmp_path / "scene.toml", (f"time.end={end}",), text)
+    return vgmpi.load(tmp_path / "scene.toml", (f"time.end={end}", f"time.cfl={cfl}"), text)
 
 
 def rows(run, name, key, axes="xyz"):
@@ -247,7 +247,7 @@ def test_work_is_what_force_and_torque_do(tmp_path):
         (slides, "impulse", [1, 0.2, -0.5], 1e-9),
         (turns, "angular_impulse", [0, 3 * np.pi, 0], 0.01),
     ):
-        run = vgmpi.run(scene(tmp_path, POOL + paddle))
+        run = vgmpi.run(scene(tmp_path, POOL + paddle, cfl=0.1))
         last = run.probes["paddle"][-1]
         by = -sum(last[f"{key}_{a}"] * w for a, w in zip("xyz", speed))
         assert abs(by) > 1e-3

@@ -41,7 +41,7 @@ LAYER_GAP_FLUID = (
 )
 MAX_OVERLAP_FLUID = 0.05  # [cells] overlap beyond which such a phase may not approach
 MAX_FACE_FRACTION = 1.5  # [-] upper bound of the fraction of a cell face per node
-KEPT_SLIP = 7  # column of a pair's normal and scratch where the slip that it keeps begins
+RESIDUAL_SLIP = 7  # column of a pair's normal and scratch where the slip that it keeps begins
 SWEEPS = 16  # Jacobi iterations of a node with several pairs
 # indices, counted from the end, of the rigid rows of velocities: walls (at rest) and the collider
 WALL_ROW, COLLIDER_ROW = -1, -2
@@ -288,17 +288,32 @@ def _add(target, x, y, z, k):
 
 
 @device_function
+def _store_residual_slip(v, fraction, a, b, n):
+    """Store the part of their slip that a pair of phases keeps behind its normal."""
+    for c in range(3):
+        n[RESIDUAL_SLIP + c] = (1.0 - fraction) * (v[a, c] - v[b, c])
+
+
+@device_function
+def _slip(v, a, b, n):
+    """Return the slip of a pair that its impulses remove, from velocities and `n`."""
+    return (
+        v[a, 0] - v[b, 0] - n[RESIDUAL_SLIP],
+        v[a, 1] - v[b, 1] - n[RESIDUAL_SLIP + 1],
+        v[a, 2] - v[b, 2] - n[RESIDUAL_SLIP + 2],
+    )
+
+
+@device_function
 def solve_contact_impulses(
     v, mass, count, normals, friction, fraction, pair_a, pair_b, pairs, share, impulse
 ):
     """Compute the contact impulses of a node, so that no touching pair approaches.
 
-    A pair whose fraction is less than 1 keeps the rest of its slip. Momentum is conserved exactly:
-    one phase gains what the other loses.
+    A pair whose fraction is less than 1 keeps the rest of its slip. Momentum is exact.
 
     Args:
-        v: Velocities (in/out), shape (count + 2, 3) [m/s]; the last two rows are those of rigid
-            bodies.
+        v: Velocities (in/out), shape (count + 2, 3) [m/s]; the last two rows are of rigid bodies.
         mass: Nodal masses, shape (count,) [kg].
         count: Number of phases at the node.
         normals: Outward normals of the first phase of each pair, then scratch, shape (pairs, 10).
@@ -312,17 +327,13 @@ def solve_contact_impulses(
     for q in range(pairs):
         for c in range(4):
             impulse[q, c] = 0
-        for c in range(3):
-            slip = v[pair_a[q], c] - v[pair_b[q], c]
-            normals[q, KEPT_SLIP + c] = (1.0 - fraction[q]) * slip
+        _store_residual_slip(v, fraction[q], pair_a[q], pair_b[q], normals[q])
     relax = 1.0 / share
     for _ in range(SWEEPS if pairs > 1 else 1):
         change = 0.0
         for q in range(pairs):
             a, b, n = pair_a[q], pair_b[q], normals[q]
-            r0 = v[a, 0] - v[b, 0] - n[KEPT_SLIP]
-            r1 = v[a, 1] - v[b, 1] - n[KEPT_SLIP + 1]
-            r2 = v[a, 2] - v[b, 2] - n[KEPT_SLIP + 2]
+            r0, r1, r2 = _slip(v, a, b, n)
             reduced = mass[b]
             if a >= 0:
                 reduced = mass[a] * mass[b] / (mass[a] + mass[b])

@@ -180,10 +180,10 @@ def remove_spray_divergence(f, p, cap, fullness):
     a, b, c, zero = load(f, xx), load(f, yy), load(f, zz), 0.0 * fullness
     spray = (LIQUID_FILL - fullness) * (1.0 / (LIQUID_FILL - SPRAY_FILL))
     spray = np.minimum(np.maximum(spray, zero), zero + 1.0)
-    removed = spray * (a + b + c) * (1.0 / 3.0)
-    store(f, xx, a - removed)
-    store(f, yy, b - removed)
-    store(f, zz, c - removed)
+    mean_divergence = spray * (a + b + c) * (1.0 / 3.0)
+    store(f, xx, a - mean_divergence)
+    store(f, yy, b - mean_divergence)
+    store(f, zz, c - mean_divergence)
 
 
 @device_function
@@ -211,14 +211,15 @@ def shift_positions(f, xi, p, cap, records, offset, limit, shift):
     x, y, z = k * r[7], k * r[11], k * r[15]
     bound = broadcast(f, MAX_SHIFT_CELLS)
     scale = bound / np.maximum(np.sqrt(x * x + y * y + z * z), bound)
-    off = np.minimum(SHIFT_FACTOR * r[3], bound)
-    _shift_along(f, xi, p, scale * x, off, limit[0], shift.cell_units, shift.dither_x)
-    _shift_along(f, xi, p + cap, scale * y, off, limit[1], shift.cell_units, shift.dither_y)
-    _shift_along(f, xi, p + 2 * cap, scale * z, off, limit[2], shift.cell_units, shift.dither_z)
+    wall_shift = np.minimum(SHIFT_FACTOR * r[3], bound)
+    x, y, z, units = scale * x, scale * y, scale * z, shift.cell_units
+    _shift_along(f, xi, p, x, wall_shift, limit[0], units, shift.dither_x)
+    _shift_along(f, xi, p + cap, y, wall_shift, limit[1], units, shift.dither_y)
+    _shift_along(f, xi, p + 2 * cap, z, wall_shift, limit[2], units, shift.dither_z)
 
 
 @device_function
-def _shift_along(f, xi, p, distance, off, limit, cell_units, dither):
+def _shift_along(f, xi, p, distance, wall_shift, limit, cell_units, dither):
     """Add distances [cells] along one axis, except what leads to a wall; move off a wall.
 
     Args:
@@ -226,7 +227,7 @@ def _shift_along(f, xi, p, distance, off, limit, cell_units, dither):
         xi: Fixed-point positions, flat (in/out).
         p: Index of the first of 16 positions.
         distance: Distances [cells].
-        off: Distances of particles that lie on a wall [cells], at least 0.
+        wall_shift: Distances of particles that lie on a wall [cells], at least 0.
         limit: Range of positions inside the domain, shape (2,) [cells].
         cell_units, dither: Units per cell; units added before rounding.
     """
@@ -238,6 +239,6 @@ def _shift_along(f, xi, p, distance, off, limit, cell_units, dither):
     x = add_fixed_point(xi, p, zero)
     distance = np.maximum(distance, np.minimum(low - x, zero))
     distance = np.minimum(distance, np.maximum(high - x, zero))
-    distance = select(x < low, off, select(x > high, zero - off, distance))
+    distance = select(x < low, wall_shift, select(x > high, zero - wall_shift, distance))
     moves = np.minimum(abs(distance) * 1e30, zero + 1.0)  # what is not shifted is not dithered
     add_fixed_point(xi, p, cell_units * distance + dither * moves)

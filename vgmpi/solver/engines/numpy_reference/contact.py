@@ -146,9 +146,8 @@ class Contact:
                 is_sure = bool(resolved) and all(side.is_sure for side in resolved)
                 slip = (u[a] if a is not None else rigid[1]) - u[b]
                 if is_sure:
-                    surface_slip = slip + d_b * slope[index][b]
-                    if a is not None:
-                        surface_slip = surface_slip - d_a * slope[index][a]
+                    motion_of_a = 0.0 if a is None else d_a * slope[index][a]
+                    surface_slip = slip + d_b * slope[index][b] - motion_of_a
                     fraction = min(sides[k].face_fraction(d) for k, d in distances.items())
                     gap = d_a + d_b + (LAYER_OFFSET if all_known else -LAYER_GAP_FLUID)
                     push = _push(
@@ -160,12 +159,10 @@ class Contact:
                     if a is not None:
                         change[a] -= push / m[a]
                     change[b] += push / m[b]
-                lost = 1.0
-                if not all_known and (a is None or sides[a].has_surface):
-                    lost = _contact_fraction(d_a)
-                touches = lost > 0 and _touching(d_a, d_b, all_known, is_sure)
-                if touches and not (is_pair and slip @ n <= 0):
-                    pairs.append((-1 if a is None else a, b, n, friction, lost, rigid))
+                part = _contact_fraction(d_a, all_known or not (a is None or sides[a].has_surface))
+                separates = is_pair and slip @ n <= 0
+                if part > 0 and not separates and _touching(d_a, d_b, all_known, is_sure):
+                    pairs.append((-1 if a is None else a, b, n, friction, part, rigid))
             u += change
             if pairs:
                 for pair, push in zip(pairs, _resolve(u, m, pairs), strict=True):
@@ -339,8 +336,10 @@ def _touching(distance_a: float, distance_b: float, both_known: bool, is_sure: b
     return distance_a + distance_b <= (-MAX_OVERLAP_FLUID if is_sure else GAP_UNRESOLVED)
 
 
-def _contact_fraction(distance: float) -> float:
+def _contact_fraction(distance: float, is_whole: bool = False) -> float:
     """Return the fraction of its approach that a flow loses outside a known surface [cells]."""
+    if is_whole:
+        return 1.0
     part = (NO_CONTACT_DISTANCE - distance) / (NO_CONTACT_DISTANCE - FULL_CONTACT_DISTANCE)
     return float(np.clip(part, 0.0, 1.0))
 
@@ -357,14 +356,14 @@ def _resolve(v: np.ndarray, mass: np.ndarray, pairs: list[tuple]) -> list[np.nda
             touches[a] += 1
     relax = 1.0 / touches.max()
     normal, slide = np.zeros(len(pairs)), np.zeros((len(pairs), 3))
-    kept = [
-        (1.0 - lost) * ((v[a] if a >= 0 else base) - v[b])
-        for a, b, _, _, lost, (_, base, *_) in pairs
+    residual_slip = [
+        (1.0 - part) * ((v[a] if a >= 0 else base) - v[b])
+        for a, b, _, _, part, (_, base, *_) in pairs
     ]
     for _ in range(SWEEPS if len(pairs) > 1 else 1):
         change, pushes = 0.0, []
         for q, (a, b, n, friction, _, (_, base, *_)) in enumerate(pairs):
-            r = (v[a] if a >= 0 else base) - v[b] - kept[q]
+            r = (v[a] if a >= 0 else base) - v[b] - residual_slip[q]
             reduced = mass[a] * mass[b] / (mass[a] + mass[b]) if a >= 0 else mass[b]
             approach = r @ n
             total = max(0.0, normal[q] + relax * reduced * approach)

@@ -87,17 +87,19 @@ class ParticleShifting:
         distance = -SHIFT_FACTOR * dense.dx * gradient
         norm = np.linalg.norm(distance, axis=1, keepdims=True)
         distance *= MAX_SHIFT_CELLS / np.maximum(norm, MAX_SHIFT_CELLS)
-        off = np.clip(SHIFT_FACTOR * dense.gather(surplus, stencil)[:, :1], 0.0, MAX_SHIFT_CELLS)
-        _move(group, dense, distance, off, constants)
+        wall_shift = np.clip(
+            SHIFT_FACTOR * dense.gather(surplus, stencil)[:, :1], 0.0, MAX_SHIFT_CELLS
+        )
+        _move(group, dense, distance, wall_shift, constants)
 
 
 def _move(
-    group: ParticleGroup, dense: Dense, distance: np.ndarray, off: np.ndarray,
+    group: ParticleGroup, dense: Dense, distance: np.ndarray, wall_shift: np.ndarray,
     shift: ShiftConstants,
 ) -> None:  # fmt: skip
     """Move particles by `distance`, shape (n, 3) [cells], except what leads to a wall.
 
-    Those on a wall move off it by `off`, shape (n, 1) [cells].
+    Those on a wall move off it by `wall_shift`, shape (n, 1) [cells].
     """
     index = group.index()
     limit = position_limits(np.repeat(group.block, group.count, axis=0), dense.cells)
@@ -105,7 +107,7 @@ def _move(
     low, high = limit[..., 0] + WALL_GAP_CELLS, limit[..., 1] - WALL_GAP_CELLS
     distance = np.maximum(distance, np.minimum(low - x, 0.0))
     distance = np.minimum(distance, np.maximum(high - x, 0.0))
-    distance = np.where(x < low, off, np.where(x > high, -off, distance))
+    distance = np.where(x < low, wall_shift, np.where(x > high, -wall_shift, distance))
     dither = np.array([shift.dither_x, shift.dither_y, shift.dither_z])
     units = np.floor(shift.cell_units * distance + np.where(distance != 0.0, dither, 0.0))
     group.xi[:, index] += units.T.astype(group.xi.dtype)
