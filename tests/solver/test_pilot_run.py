@@ -5,6 +5,7 @@ and of the rehearsal.
 """
 
 import dataclasses
+import math
 import re
 
 import numpy as np
@@ -103,7 +104,7 @@ def test_steps_and_their_cost_are_those_of_the_run(tmp_path, text):
     if text is FALLS:
         assert at_the_start < 0.8 * spent  # nothing touches yet
     said = format_plan(scene, plan, 1, pace=PACE, rehearsal=found)
-    assert f"about {round(found.steps + 0.5):,} for" in said
+    assert f"about {math.ceil(found.steps):,} for" in said
     seconds = float(re.search(r"time  +about (\d+) s on", said)[1])
     assert seconds == pytest.approx(1e-9 * told + 1e-4 * found.steps + 0.065 * 6, abs=1)
 
