@@ -11,22 +11,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tests.benchmarks.liquid_volume import nodal_fullness
+from tests.benchmarks.liquid_volume import COLUMN, TANK, nodal_fullness
 from tests.support.simulate import advance, begin, by_id
 
-CELLS, DX = (32, 8, 20), 0.02  # cells of the tank, cell size [m]
-SCENE = """
+DX = 0.02  # [m] cell size
+SCENE = f"""
 [domain]
-size = [0.64, 0.16, 0.40]
-cell = 0.02
+size = {list(TANK)}
+cell = {DX}
 [time]
 end = 1000
 [material.heap]
-{material}
+{{material}}
 [[object]]
 name = "column"
 material = "heap"
-shape = {{ box = [[0, 0, 0], [0.2, 0.16, 0.32]] }}
+shape = {{{{ box = [[0, 0, 0], [{COLUMN[0]}, {TANK[1]}, {COLUMN[1]}]] }}}}
 """
 MATERIALS = {
     "sand": 'kind = "sand"\nyoungs_modulus = "1 MPa"',
@@ -53,12 +53,12 @@ def collapse(material: str) -> list[Crowding]:
     """Let a column of a material of MATERIALS collapse, and measure its nodes."""
     with tempfile.TemporaryDirectory() as folder:
         simulation, made = begin(Path(folder), SCENE.format(material=MATERIALS[material]))
-    found = []
+    found, cells = [], simulation.plan.cells
     for time in TIMES:
         advance(simulation, time)
         x, J = by_id(simulation, "x", "J")
-        fullness = nodal_fullness(x, made.vol0, CELLS, DX)
-        present = nodal_fullness(x, made.vol0 * np.ravel(J), CELLS, DX)
+        fullness = nodal_fullness(x, made.vol0, cells, DX)
+        present = nodal_fullness(x, made.vol0 * np.ravel(J), cells, DX)
         filled = fullness[fullness > 0.5]
         found.append(
             Crowding(

@@ -1,17 +1,21 @@
 """Predictions of `--plan` beside runs: steps and time of scenes of this repository.
 
-Each scene is planned with a pilot run, then played to its end on the same ranks, both as commands.
+Each scene is planned with a pilot run, then played to its end on so many ranks.
 Scenes of the first list served to adjust the cost model; those of the second did not.
 """
 
 import re
-import sys
 import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
-from tests.support.launch import run
-from vgmpi.solver.run import STOPPED
+import vgmpi
+from tests.support.launch import mpirun
+from vgmpi.parallel.communicator import SerialCommunicator
+from vgmpi.planning.cost.plan_report import predicted_seconds
+from vgmpi.solver.estimates.calibration import host_throughput
+from vgmpi.solver.estimates.pilot_run import pilot_run
+from vgmpi.solver.initial_particles import plan_for, prepare
 
 ROOT = Path(__file__).parents[2] / "runs"
 ADJUSTED = (
@@ -19,8 +23,6 @@ ADJUSTED = (
 )  # fmt: skip
 HELD_OUT = "dam_break", "sand_castle", "three_materials", "balls_duck"
 MAX_STEP_ERROR, MAX_TIME_ERROR = 0.15, 0.3  # [-] relative to what was taken
-
-UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}  # [s]
 
 
 class Prediction(NamedTuple):
@@ -47,33 +49,24 @@ def measure(scene: str, ranks: int) -> Prediction:
         ranks: Number of ranks.
     """
     path = ROOT / scene / "scene.toml" if (ROOT / scene).is_dir() else Path(scene)
-    start = ["mpirun", "-n", str(ranks), sys.executable, "-m", "vgmpi", str(path)]
-    plan = _output([*start, "--plan", "--pilot"])
+    steps, seconds = predict(path, ranks)
     with tempfile.TemporaryDirectory() as folder:
-        _output([*start, "-o", folder, "--overwrite", "--stop-after", "3 steps"])  # compiles
-        played = _output([*start, "-o", folder, "--overwrite"])
-    steps, seconds = re.search(r"([\d,]+) steps of .* in ([\d.]+) s on", played).groups()  # type: ignore[union-attr]
-    told = re.search(r"  steps +(?:about )?([\d,]+)(?: to ([\d,]+))?", plan)
-    duration = re.search(r"  time +(?:about )?([\d.]+) (s|min|h)\b", plan)
-    if told is None or duration is None:
-        raise ValueError(f"{scene}: the plan tells no time:\n{plan}")
-    return Prediction(
-        scene, _number(told[1]), int(_number(steps)), float(duration[1]) * UNITS[duration[2]],
-        float(seconds),
-    )  # fmt: skip
-
-
-def _number(text: str) -> float:
-    """Return a number written with commas."""
-    return float(text.replace(",", ""))
-
-
-def _output(command: list[str]) -> str:
-    """Return what a command prints, on both streams."""
-    job = run(command)
-    if job.returncode not in (0, STOPPED):
+        job = mpirun(ranks, "-m", "vgmpi", path, "-o", folder, "--overwrite")
+    taken = re.search(r"([\d,]+) steps of .* in ([\d.]+) s on", job.stdout + job.stderr)
+    if taken is None:
         raise RuntimeError(job.stderr[-2000:])
-    return job.stdout + job.stderr
+    return Prediction(scene, steps, int(taken[1].replace(",", "")), seconds, float(taken[2]))
+
+
+def predict(path: Path, ranks: int) -> tuple[float, float]:
+    """Return the steps and the time [s] that `--plan --pilot` tells of a scene file."""
+    scene = vgmpi.load(path)
+    summary = prepare(scene, SerialCommunicator(), None)
+    plan, pace = plan_for(scene, summary), host_throughput(scene.accuracy.precision)
+    pilot = pilot_run(scene, plan, summary)
+    if pilot is None:
+        raise ValueError(f"{path}: no pilot run is possible")
+    return pilot.steps, predicted_seconds(scene, plan, ranks, pace, pilot)
 
 
 def row(p: Prediction) -> str:

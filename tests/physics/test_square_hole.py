@@ -9,45 +9,23 @@ both halves of the time agree within 2 %.
 import numpy as np
 import pytest
 
+from tests.support import draining_tank
+from tests.support.draining_tank import DX
 from tests.support.simulate import advance, begin, by_id
 from tests.support.validation_record import held
 
-DX, G, FLOOR, PLATE, HEAD, DISCHARGE = 0.01, 9.8, 16, 3, 28, 0.6
-SCENE = """
-[accuracy]
-precision = "single"
-[domain]
-size = [{wide}, {wide}, {high}]
-cell = 0.01
-gravity = [0, 0, -9.8]
-boundary = {{ default = "slip", bottom = "open" }}
-[time]
-end = 10
-[material.water]
-kind = "fluid"
-max_depth = {head}
-[[object]]
-name = "water"
-material = "water"
-shape = {{ box = [[0, 0, {floor}], [{wide}, {wide}, {surface}]] }}
-[[object]]
-name = "plate"
-role = "scenery"
-collider = true
-shape = {{ union = [
+G, FLOOR, HEAD, DISCHARGE = 9.8, 16, 28, 0.6
+HOLE = """union = [
     {{ box = [[{half}, -0.1, {under}], [1, 1, {floor}]] }},
     {{ box = [[-0.1, {half}, {under}], [{half}, 1, {floor}]] }},
-] }}
-"""
+]"""
 
 
 def discharge(folder, half: int) -> tuple[float, float]:
     """Cd of a hole of 2 half cells, and how much faster it is in the second half of the time."""
-    cells = {
-        "wide": 3 * half, "high": FLOOR + HEAD + 4, "head": HEAD, "floor": FLOOR,
-        "surface": FLOOR + HEAD, "half": half, "under": FLOOR - PLATE,
-    }  # fmt: skip
-    text = SCENE.format(**{name: round(n * DX, 9) for name, n in cells.items()})
+    text = draining_tank.text(
+        HOLE, "single", 10, FLOOR, HEAD, wide=3 * half, deep=3 * half, half=half
+    )
     simulation, made = begin(folder, text)
     times, above = np.linspace(0.15, 0.35, 9), []
     for time in times:

@@ -14,33 +14,13 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from tests.support import draining_tank
+from tests.support.draining_tank import DX
 from tests.support.simulate import advance, begin, by_id
 from tests.support.validation_record import held
 
-DX, G, DEEP, FLOOR, PLATE = 0.01, 9.8, 4, 20, 3
-SCENE = """
-[accuracy]
-precision = "double"
-[domain]
-size = [{wide}, {deep}, {high}]
-cell = 0.01
-gravity = [0, 0, -9.8]
-boundary = {{ default = "slip", bottom = "open" }}
-[time]
-end = {end}
-[material.water]
-kind = "fluid"
-max_depth = {head}
-[[object]]
-name = "water"
-material = "water"
-shape = {{ box = [[0, 0, {floor}], [{wide}, {deep}, {surface}]] }}
-[[object]]
-name = "plate"
-role = "scenery"
-collider = true
-shape = {{ box = [[{half}, -0.1, {under}], [{beyond}, 1, {floor}]] }}
-"""
+G, DEEP, FLOOR = 9.8, 4, 20
+SLIT = "box = [[{half}, -0.1, {under}], [{beyond}, 1, {floor}]]"
 
 
 class Tank(NamedTuple):
@@ -64,12 +44,10 @@ class Found(NamedTuple):
 
 
 def drained(folder, tank: Tank) -> Found:
-    sizes = {
-        "wide": tank.wide, "deep": DEEP, "high": FLOOR + tank.head + 4, "head": tank.head,
-        "floor": FLOOR, "surface": FLOOR + tank.head, "half": tank.half, "under": FLOOR - PLATE,
-        "beyond": tank.wide + 10,
-    }  # fmt: skip
-    text = SCENE.format(end=tank.end, **{name: round(n * DX, 9) for name, n in sizes.items()})
+    text = draining_tank.text(
+        SLIT, "double", tank.end, FLOOR, tank.head, wide=tank.wide, deep=DEEP, half=tank.half,
+        beyond=tank.wide + 10,
+    )  # fmt: skip
     simulation, _ = begin(folder, text)
     rows, fast = [], []
     for time in np.arange(tank.begins, tank.end + 1e-9, 0.01):

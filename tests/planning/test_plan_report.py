@@ -1,5 +1,6 @@
 """What --plan says of steps and precision, and what a run says of the time left."""
 
+import dataclasses
 import logging
 import re
 from types import SimpleNamespace
@@ -11,7 +12,12 @@ from tests.support.small_scenes import write
 from vgmpi.materials import registry
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.planning.cost.feature_costs import step_ns
-from vgmpi.planning.cost.plan_report import FRAME_SECONDS, SECONDS_PER_WRITTEN_PARTICLE, format_plan
+from vgmpi.planning.cost.plan_report import (
+    FRAME_SECONDS,
+    SECONDS_PER_WRITTEN_PARTICLE,
+    format_plan,
+    rank_overhead,
+)
 from vgmpi.planning.cost.throughput import ASSUMED_THROUGHPUT, Throughput
 from vgmpi.solver import initial_particles
 from vgmpi.solver.diagnostics import progress as report
@@ -179,9 +185,23 @@ def test_the_time_is_that_of_the_processor(tmp_path):
     assert seconds == pytest.approx(steps * takes_step + written, abs=1)
     half = takes(Throughput(3e3, 4.2e3, "as told"))[0] - written
     assert half == pytest.approx((seconds - written) / 2, rel=0.03)
-    even = (seconds - written) / 4
+    share = (seconds - written) / 4 * rank_overhead(plan, 4)
     four = takes(pace, ranks=4)[0] - len(plan.times) * FRAME_SECONDS
-    assert 1.05 * even < four < 2.5 * even
+    assert four == pytest.approx(share, rel=0.1)
+
+
+def test_what_ranks_cost_beside_their_share(tmp_path):
+    """Nothing on one rank; surface over volume: half in pieces of eight times the blocks."""
+    scene = vgmpi.load(write(tmp_path, PLATE + POOL))
+    plan = plan_for(scene, prepare(scene, SerialCommunicator(), None))
+    assert rank_overhead(plan, 1) == 1.0
+    blocks = sum(around.blocks for around in plan.surroundings)
+    many = [around._replace(blocks=8 * around.blocks) for around in plan.surroundings]
+    assert blocks > 0
+    small = rank_overhead(plan, 2) - 1.0
+    large = rank_overhead(dataclasses.replace(plan, surroundings=tuple(many)), 2) - 1.0
+    assert large == pytest.approx(small / 2)
+    assert rank_overhead(plan, 16) - 1.0 == pytest.approx(small * 2 * (15 / 16) / (1 / 2))
 
 
 def test_other_laws_go_by_their_cost_beside_an_elastic_one():

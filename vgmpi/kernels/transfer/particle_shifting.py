@@ -36,7 +36,7 @@ from vgmpi.kernels.wall_boundary import SEPARATE, SIDE
 from vgmpi.materials.tensor_math.select import select
 from vgmpi.runtime.jit import device_function
 
-from .density_correction import SURFACE_SLOPE, interior_weight
+from .density_correction import SURFACE_SLOPE, clamped_ramp, interior_weight
 from .g2p import squared_norm
 
 MAX_FILL_ERROR = 0.5  # [-] largest relative error of the fullness that relaxation sees
@@ -177,9 +177,8 @@ def remove_spray_divergence(f, p, cap, fullness):
         fullness: Fullness at the particles [-].
     """
     xx, yy, zz = p + AFFINE * cap, p + (AFFINE + 4) * cap, p + (AFFINE + 8) * cap
-    a, b, c, zero = load(f, xx), load(f, yy), load(f, zz), 0.0 * fullness
-    spray = (LIQUID_FILL - fullness) * (1.0 / (LIQUID_FILL - SPRAY_FILL))
-    spray = np.minimum(np.maximum(spray, zero), zero + 1.0)
+    a, b, c = load(f, xx), load(f, yy), load(f, zz)
+    spray = clamped_ramp(fullness, LIQUID_FILL, SPRAY_FILL)
     mean_divergence = spray * (a + b + c) * (1.0 / 3.0)
     store(f, xx, a - mean_divergence)
     store(f, yy, b - mean_divergence)

@@ -261,13 +261,14 @@ def _step_seconds(
     scene: Scene, plan: Plan, ranks: int, pace: Throughput, pilot: PilotRun | None
 ) -> float:
     """Return the mean time [s] of a step."""
-    ns = step_ns(scene, plan, pace)
-    if pilot is not None:
+    if pilot is None:
+        ns = step_ns(scene, plan, pace)
+    else:
         ns = pilot.work(scene, plan, pace).sum() / pilot.steps
-    return 1e-9 * ns / ranks * _rank_overhead(plan, ranks) + STEP_SECONDS
+    return 1e-9 * ns / ranks * rank_overhead(plan, ranks) + STEP_SECONDS
 
 
-def _rank_overhead(plan: Plan, ranks: int) -> float:
+def rank_overhead(plan: Plan, ranks: int) -> float:
     """Return the time of a step on several ranks over an even share of that on one.
 
     Nodes at the faces of a rank's piece are computed by its neighbors, too, and ranks wait for each
