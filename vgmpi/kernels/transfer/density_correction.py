@@ -40,19 +40,14 @@ class DensityCorrected(NamedTuple):
 @device_function
 def interior_weight(fill_fraction):
     """Return the weight of missing mass: 0 in spray, 1 in the interior of a liquid."""
-    return clamped_ramp(fill_fraction, MIN_FILL, FULL_FILL)
+    return clamp_to_unit((fill_fraction - MIN_FILL) * (1.0 / (FULL_FILL - MIN_FILL)))
 
 
 @device_function
-def clamped_ramp(value, low, high):
-    """Return a ramp from 0 at `low` to 1 at `high`, which may be less than `low`.
-
-    Args:
-        value: Values of 16 particles.
-        low, high: Values where the ramp begins and ends.
-    """
+def clamp_to_unit(value):
+    """Return values of 16 particles, limited to the range from 0 to 1."""
     zero = 0.0 * value
-    return np.minimum(np.maximum((value - low) * (1.0 / (high - low)), zero), zero + 1.0)
+    return np.minimum(np.maximum(value, zero), zero + 1.0)
 
 
 @prepare_patch.of(DensityCorrected)

@@ -36,7 +36,7 @@ from vgmpi.kernels.wall_boundary import SEPARATE, SIDE
 from vgmpi.materials.tensor_math.select import select
 from vgmpi.runtime.jit import device_function
 
-from .density_correction import SURFACE_SLOPE, clamped_ramp, interior_weight
+from .density_correction import SURFACE_SLOPE, clamp_to_unit, interior_weight
 from .g2p import squared_norm
 
 MAX_FILL_ERROR = 0.5  # [-] largest relative error of the fullness that relaxation sees
@@ -178,7 +178,7 @@ def remove_spray_divergence(f, p, cap, fullness):
     """
     xx, yy, zz = p + AFFINE * cap, p + (AFFINE + 4) * cap, p + (AFFINE + 8) * cap
     a, b, c = load(f, xx), load(f, yy), load(f, zz)
-    spray = clamped_ramp(fullness, LIQUID_FILL, SPRAY_FILL)
+    spray = clamp_to_unit((LIQUID_FILL - fullness) * (1.0 / (LIQUID_FILL - SPRAY_FILL)))
     mean_divergence = spray * (a + b + c) * (1.0 / 3.0)
     store(f, xx, a - mean_divergence)
     store(f, yy, b - mean_divergence)
