@@ -3,7 +3,6 @@
 What stands in the output folder stays as it was wherever a command is refused.
 """
 
-import os
 import sys
 from pathlib import Path
 
@@ -29,6 +28,7 @@ shape = { box = [[0.1, 0.18, 0.02], [0.3, 0.22, 0.06]] }
 motion = { keyframes = [{ time = "50 ms", angle = 1e18 }] }
 """
 TEXT = ROOM.replace("end = 1", "end = 0.01\nframes = 2")
+RADIUS = "object.ball.shape.sphere.radius=0.06"
 # flags, environment, more of the scene, what is said; "" where it works
 FLAGS: list[tuple[list[str], dict[str, str], str, str]] = [
     (["--threads", "1000000"], {}, "", "threads must be at most"),
@@ -42,6 +42,8 @@ FLAGS: list[tuple[list[str], dict[str, str], str, str]] = [
     (["--set", "time.end=nan"], {}, "", "time.end"),
     (["--resume", "--overwrite"], {}, "", "give one of them"),
     (["--change"], {}, "", "--change is for --resume"),
+    (["--resume", "--change", "--set", RADIUS], {}, "", "a new run makes others"),
+    (["--resume", "--change", "--set", "seed=5"], {}, "", "a new run makes others"),
     (["--pilot", "--check"], {}, "", "--pilot is for"),
     (["-o", "FILE"], {}, "", "a folder is needed"),
     (["-o", "LINK"], {}, "", "is a link to nothing"),
@@ -65,7 +67,10 @@ def campaign(count: int, seed: int, folder: Path) -> Result:
         scene.write_text(TEXT + BALL + more)
         (own / "FILE").write_text("mine")
         (own / "LINK").symlink_to(own / "nothing")
-        before = sorted(os.listdir(own))
+        if "--change" in flags and "--resume" in flags:
+            job = run([sys.executable, "-m", "vgmpi", scene, "-q", "--stop-after", "2 steps"])
+            assert job.returncode == 75, job.stderr
+        before = _files(own)
         words = [str(own / word) if word in ("FILE", "LINK", "none.h5") else word for word in flags]
         job = run([sys.executable, "-m", "vgmpi", scene, *words], env=environment)
         assert "Traceback" not in job.stderr, job.stderr
@@ -73,7 +78,15 @@ def campaign(count: int, seed: int, folder: Path) -> Result:
             assert job.returncode == 0, job.stderr
             return "works"
         assert job.returncode == 2 and said in job.stderr, (job.returncode, job.stderr)
-        assert sorted(os.listdir(own)) == before and (own / "FILE").read_text() == "mine"
+        assert _files(own) == before and (own / "FILE").read_text() == "mine"
         return "refused"
 
     return cases.each(count, seed, folder, case)
+
+
+def _files(folder: Path) -> dict[str, bytes | None]:
+    """Return the contents of all files below a folder; None for what is not a file."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
+        for path in sorted(folder.rglob("*"))
+    }

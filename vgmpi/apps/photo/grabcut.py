@@ -89,7 +89,7 @@ def grabcut(rgb: np.ndarray, box: Box, points: list[tuple[float, float, bool]]) 
         raise MaskError(f"GrabCut finds nothing in the box: {message}") from None
     result = np.zeros((height, width), dtype=bool)
     result[y0:y1, x0:x1] = (label == cv2.GC_FGD) | (label == cv2.GC_PR_FGD)
-    return largest_component(remove_threads(result, box))
+    return marked_components(remove_threads(result, box), points)
 
 
 def _same_color_region(cv2, patch: np.ndarray, seed: tuple[int, int]) -> np.ndarray:
@@ -122,6 +122,21 @@ def largest_component(mask: np.ndarray) -> np.ndarray:
         return mask
     size = ndimage.sum_labels(mask, label, np.arange(1, count + 1))
     return ndimage.binary_fill_holes(label == 1 + int(np.argmax(size)))
+
+
+def marked_components(mask: np.ndarray, points: list[tuple[float, float, bool]]) -> np.ndarray:
+    """Return the connected components that hold a point of the object, and the largest one.
+
+    Args:
+        mask: Mask, (height, width) bool.
+        points: x, y [pixels] and whether the object is there.
+    """
+    label, _ = ndimage.label(mask)
+    marked = {int(label[int(y), int(x)]) for x, y, is_object in points if is_object} - {0}
+    if not marked:
+        return largest_component(mask)
+    components = np.isin(label, list(marked)) | largest_component(mask)
+    return ndimage.binary_fill_holes(components)
 
 
 def check_mask(mask: np.ndarray) -> list[str]:

@@ -72,11 +72,30 @@ def segment_objects(loaded: LoadedLayout, photo: Photograph, finder: Finder) -> 
     if errors:
         raise LayoutError(loaded.source.lines(errors))
     object_masks = [object_mask for object_mask in results if object_mask is not None]
-    for obj, object_mask in zip(loaded.layout.object, object_masks):
+    for k, (obj, object_mask) in enumerate(zip(loaded.layout.object, object_masks)):
         log.info("'%s': %d pixels, %s", obj.name, object_mask.mask.sum(), object_mask.origin)
         for warning in masks.check_mask(object_mask.mask):
             log.warning("'%s': %s", obj.name, warning)
+        for x, y in missed_points(obj, object_mask.mask, photo.reduced):
+            _, where = loaded.source.place(("object", k, "point_prompts"))
+            log.warning("%s: object.%s.point_prompts: [%g, %g] is not in the mask: %s", where,
+                        obj.name, x, y, "give mask = 'file.png', or more points")  # fmt: skip
     return object_masks
+
+
+def missed_points(obj: ObjectTable, mask: np.ndarray, reduced: float) -> list[tuple[float, float]]:
+    """Return the points of an object [pixels of the file] that its mask does not hold.
+
+    Args:
+        obj: The object of the layout.
+        mask: Its mask, (height, width) bool.
+        reduced: Pixels of the file per pixel of the mask.
+    """
+    return [
+        (x, y)
+        for x, y, is_object in obj.point_prompts
+        if is_object and not mask[int(y / reduced), int(x / reduced)]
+    ]
 
 
 class _KeyedError(ValueError):
