@@ -26,7 +26,13 @@ SHORT = {  # name: precision, steps, scenes
     "more": (
         "single",
         3,
-        ["inlets and outlets", "deformation", "driven tin", "density correction"],
+        [
+            "inlets and outlets",
+            "deformation",
+            "driven tin",
+            "density correction",
+            "several densities",
+        ],
     ),
     "double": ("double", 2, ["fluid", "sand", "elastic", "contact"]),
 }

@@ -96,6 +96,9 @@ OILY = body(
     "oily", "oil", "box = [[0.05, 0, 0.02], [0.2, 0.16, 0.1]]",
     "volume_fraction = 0.6\nvelocity = [-0.4, 0, -0.1]",
 )  # fmt: skip
+SLICK = body(
+    "slick", "oil", "box = [[0.03, 0.02, 0.06], [0.18, 0.14, 0.11]]", "velocity = [0.4, 0, -1.5]"
+)
 MIX = coupling("mixing", "water", "oil", "diffusivity = 2e-4\nslip_relaxation_time = 3e-3")
 FLOW = coupling("drag", "water", "sand", "hydraulic_conductivity = 2e-2")
 COLORS = '[appearance]\ncolor_transfer = "step"\n'
@@ -187,6 +190,7 @@ SCENES = {kind: (of_law(kind), "mixed", "") for kind in LAWS} | {
     "open walls": (
         WATER + TOY + POOL.replace("0.2, 0.16, 0.06", "0.175, 0.16, 0.06") + CUBE, "open", "",
     ),
+    "several densities": (WATER + OIL + TOY + POOL + SLICK + CUBE + POST, "mixed", ""),
     "walls that vanish": (WATER + TOY + POOL + CUBE + OTHER, "vanishing", ""),
     "inlets and outlets": (WATER + TOY + POOL + CUBE + TAP + HOLE, "mixed", ""),
     "driven, in contact": (WATER + TOY + POOL + DRIVEN + OTHER + POST, "separate", ""),

@@ -18,6 +18,7 @@ from .block_lattice import BLOCK_EDGE, BlockLattice
 from .block_ownership import BlockDirectory
 from .node_overlap import NEIGHBORS, number_node_blocks, shared_masks
 
+REST_VOLUME = "rest volume"  # nodal field of a step of no time
 _MARGIN = 4  # [blocks] margin of the dense maps around this rank's own blocks
 
 
@@ -74,13 +75,24 @@ class TopologyRequirements(NamedTuple):
     surface: np.ndarray = np.zeros(0, bool)  # (phases,) True with surface descriptors
     planes: tuple[ContactWall, ...] = ()  # walls that act on such phases by contact
     has_surface_friction: bool = False  # True if such a phase has friction against something
+    volumes: np.ndarray = np.zeros(0, bool)  # (phases,) True if rest volumes are summed
 
     @property
     def layers(self) -> list[str]:
         """Names of all nodal fields, in the order in which they are summed."""
         hues = [color_field_name(k) for k in range(int(self.hues.max(initial=0)))]
         more = ["impulses"] * bool(self.apart) + ["shear"] * self.has_surface_friction
-        return ["momentum", "offsets", *more, *hues]
+        return ["momentum", "offsets", *more, *[REST_VOLUME] * bool(self.volumes.any()), *hues]
+
+    @property
+    def timeless_layers(self) -> list[str]:
+        """Names of the nodal fields that a step of no time sums."""
+        return [name for name in self.layers if name in ("momentum", REST_VOLUME)]
+
+    @property
+    def step_layers(self) -> list[str]:
+        """Names of the nodal fields that a step sums."""
+        return [name for name in self.layers if name != REST_VOLUME]
 
 
 def color_field_name(coefficient: int) -> str:
@@ -309,6 +321,8 @@ def _who_contributes(
     contributes["offsets"] = wanted
     if needs.has_surface_friction:
         contributes["shear"] = wanted & needs.surface[phase]
+    if needs.volumes.any():
+        contributes[REST_VOLUME] = needs.volumes[phase]
     for k in range(int(needs.hues.max(initial=0))):
         contributes[color_field_name(k)] = needs.hues[group] > k
     return contributes

@@ -29,6 +29,7 @@ CONTACT_PRIORITY = {
 CORRECTION_COST = 0.75  # [steps] cost of one transfer correction (a step of no time)
 SHIFT_INTERVAL = 3  # [steps] between two shifts of the particles of liquids
 SHIFT_COST = 0.06  # [-] additional cost of particle shifting, relative to a step
+REST_VOLUME_COST = 0.1  # [-] the same of summing rest volumes where liquids differ in density
 DENSITY_CORRECTION_COST = 0.1  # [-] additional cost of the density correction, relative to a step
 FLIP_COST = 1.7  # [-] cost of FLIP and AFLIP, relative to the same step without
 COLOR_COST = 0.6  # [-] cost of a transferred color coefficient, relative to a fluid's step
@@ -316,20 +317,20 @@ def with_volume_correction(
 
 
 def _with_shifting(scene: Scene, group: GroupPlan, phase: PhasePlan) -> GroupPlan:
-    """Return the group, whose particles are shifted if masses tell how full its cells are."""
-    if phase.least < phase.most:
-        return group
-    cost = group.cost * (1.0 + shift_cost(scene.accuracy.restores))
+    """Return the group, whose particles are shifted."""
+    cost = group.cost * (1.0 + shift_cost(scene.accuracy.restores, phase.least < phase.most))
     return group._replace(shifts=True, cost=cost)
 
 
-def shift_cost(restores: bool) -> float:
+def shift_cost(restores: bool, by_volume: bool) -> float:
     """Return the cost of particle shifting relative to a step.
 
     Args:
         restores: Whether the transfer correction makes the step of no time anyway.
+        by_volume: Whether the liquids of the phase differ in density.
     """
-    return SHIFT_COST if restores else SHIFT_COST + CORRECTION_COST / SHIFT_INTERVAL
+    correction = 0.0 if restores else CORRECTION_COST / SHIFT_INTERVAL
+    return SHIFT_COST + REST_VOLUME_COST * by_volume + correction
 
 
 def _with_density_correction(scene: Scene, group: GroupPlan, phase: PhasePlan) -> GroupPlan:

@@ -132,6 +132,12 @@ class Plan:
         return self.rules is not None and bool(self.rules.conservative_drift.any())
 
     @property
+    def fills_by_volume(self) -> np.ndarray:
+        """True for phases whose liquids are shifted and differ in density, shape (phases,)."""
+        shifted = {group.phase for group in self.groups if group.shifts}
+        return np.array([p in shifted and q.least < q.most for p, q in enumerate(self.phases)])
+
+    @property
     def planes(self) -> tuple[ContactWall, ...]:
         """Walls that act by contact on bodies with surface descriptors."""
         if not any(phase.surface for phase in self.phases):

@@ -16,7 +16,7 @@ FAILURE_MESSAGES = {
 }
 FIELD_NAMES = {
     "momentum": "mass or momentum", "offsets": "volume", "impulses": "impulse",
-    "shear": "velocity's gradient", "color": "color",
+    "shear": "velocity's gradient", "color": "color", "rest": "volume",
 }  # fmt: skip
 
 

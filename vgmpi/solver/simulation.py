@@ -187,9 +187,11 @@ class Simulation:
                 self.movers.take(self.tables.at[self.tables.solid >= 0])
         self._set_segments(unchanged)
         if not unchanged:
-            self.halo = self._exchange(self.halo)
+            self.halo = self._exchange(self.halo, self.needs.step_layers)
             if self.plan.restores or self.plan.shift_interval:
-                self.correction_halo = self._exchange(self.correction_halo, ["momentum"])
+                self.correction_halo = self._exchange(
+                    self.correction_halo, self.needs.timeless_layers
+                )
 
     def _set_segments(self, unchanged: bool) -> None:
         """Pass the segments to engine, loads and inlets; `unchanged` if the tables are the same."""
@@ -199,7 +201,7 @@ class Simulation:
         if self.sources is not None:
             self.sources.find(self.groups, self.time)
 
-    def _exchange(self, before: HaloExchange | None, fields: Sequence[str] = ()) -> HaloExchange:
+    def _exchange(self, before: HaloExchange | None, fields: Sequence[str]) -> HaloExchange:
         """Return the exchange of the fields by the present tables; the old one is closed."""
         if before is not None:
             before.link.close()

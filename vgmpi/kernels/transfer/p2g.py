@@ -17,6 +17,7 @@ particles with one base node is summed before it is added to the patch.
 from vgmpi.kernels.nodal_fields import (  # noqa: F401  (contributions)
     color,
     momentum,
+    rest_volume,
     stress_impulse,
     surface_distance,
     surface_velocity_gradient,

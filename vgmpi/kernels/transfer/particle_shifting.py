@@ -48,9 +48,10 @@ WALL_GAP_CELLS = 0.52  # [cells] least distance from a position's limit, 0.5 bey
 
 
 class NodeFill(NamedTuple):
-    """Masses that fill a node's cell, by phase, and the boundaries that cut cells."""
+    """Masses or volumes that fill a node's cell, by phase, and the boundaries that cut cells."""
 
-    space: np.ndarray  # (phases,) [1/kg] inverse of the mass that fills a cell, 0: not counted
+    space: np.ndarray  # (phases,) [1/kg or 1/m3] inverse of what fills a cell, 0: not counted
+    by_volume: np.ndarray  # (phases,) bool: liquids of several densities, whose volumes count
     shifts: np.ndarray  # (phases,) bool: a liquid whose particles are shifted
     colliders: np.ndarray  # (blocks, 64, 4) normal and distance [m] of colliders, or (0, 64, 4)
     cells: np.ndarray  # (3,) cells of the domain
@@ -86,13 +87,31 @@ def wall_share(fill, i, j, k):
 
 
 @device_function
-def store_fullness(n0, n1, phase_of, nodes, fill, block, solid, dx):
+def fill_of_phase(fill, volumes, nodes, nb, phase, offset):
+    """Return the part of a node's cell that a phase fills.
+
+    Args:
+        fill: What fills the cells, NodeFill.
+        volumes: Rest volumes of the nodes, flat, or None without liquids of several densities.
+        nodes: Velocity and mass of the nodes, flat.
+        nb, phase: Node block of the phase.
+        offset: Offset of the node's fourth number in its block.
+    """
+    if volumes is not None:
+        if fill.by_volume[phase]:
+            return fill.space[phase] * volumes[256 * nb + offset]
+    return fill.space[phase] * nodes[256 * nb + offset]
+
+
+@device_function
+def store_fullness(n0, n1, phase_of, nodes, volumes, fill, block, solid, dx):
     """Store the fullness in place of the mass, at the nodes of liquids that are shifted.
 
     Args:
         n0, n1: Node blocks of a block.
         phase_of: Phase of each node block.
         nodes: Velocity and mass of the nodes, flat (in/out).
+        volumes: Rest volumes of the nodes, flat, or None without liquids of several densities.
         fill: What fills the cells, NodeFill.
         block: Coordinates of the block, shape (3,).
         solid: Row of the block among those near colliders, or -1.
@@ -107,9 +126,9 @@ def store_fullness(n0, n1, phase_of, nodes, fill, block, solid, dx):
     sync_threads()
     for q in strided_range(64):
         o = 256 * first + 4 * q + 3
-        total = fill.space[phase_of[n0]] * nodes[256 * n0 + 4 * q + 3]
+        total = fill_of_phase(fill, volumes, nodes, n0, phase_of[n0], 4 * q + 3)
         for nb in range(n0 + 1, n1):
-            total += fill.space[phase_of[nb]] * nodes[256 * nb + 4 * q + 3]
+            total += fill_of_phase(fill, volumes, nodes, nb, phase_of[nb], 4 * q + 3)
         nodes[o] = total
         if solid >= 0 and len(fill.colliders) > 0:
             i, j = 4 * block[0] - 1 + q // 16, 4 * block[1] - 1 + q // 4 % 4

@@ -32,7 +32,9 @@ from .particle_shifting import relax_volume, shift_positions, store_excess, stor
 
 
 @kernel
-def momentum_to_velocity_only(blocks, tables, momentum, as_one, phases, fill, step, report):
+def momentum_to_velocity_only(
+    blocks, tables, momentum, as_one, phases, fill, volumes, volume_field, step, report
+):  # fmt: skip
     """Compute the velocities [m/s] at the nodes of some blocks, from momentum alone.
 
     Gravity, contact and walls do not act; see kernels/grid/update.py.
@@ -43,6 +45,8 @@ def momentum_to_velocity_only(blocks, tables, momentum, as_one, phases, fill, st
         as_one: (phases,) phases of one number share one velocity; -1: each has its own.
         phases, step: See kernels/kernel_arguments.py.
         fill: What fills the nodes' cells, NodeFill, or None if no particles are shifted.
+        volumes: Sums of rest volumes (in/out), or None where masses tell how full a cell is.
+        volume_field: Number of that field in the report.
         report: Accumulator overflows (in/out), see kernels/reproducible_sums.py.
     """
     rows, moved = blocks_at(tables), sums_at(momentum)
@@ -62,7 +66,27 @@ def momentum_to_velocity_only(blocks, tables, momentum, as_one, phases, fill, st
             elif not is_done:
                 mean_over_set(nb, n1, group, phase_of, as_one, nodes)
         if fill is not None:
-            store_fullness(n0, n1, phase_of, nodes, fill, tables.at[b], tables.solid[b], step.dx)
+            rest_volumes = finalize_volumes(n0, n1, rows, volumes, report, volume_field)
+            store_fullness(
+                n0, n1, phase_of, nodes, rest_volumes, fill, tables.at[b], tables.solid[b], step.dx
+            )
+
+
+@device_function
+def finalize_volumes(n0, n1, rows, volumes, report, volume_field):
+    """Convert the sums of rest volumes of a block; return the nodes' volumes, flat, or None.
+
+    Args:
+        n0, n1: Node blocks of the block.
+        rows: Node blocks of the rank.
+        volumes, report, volume_field: See `momentum_to_velocity_only`.
+    """
+    if volumes is None:
+        return None
+    field = sums_at(volumes)
+    for nb in range(n0, n1):
+        finalize_node_block(nb, rows, field, report, volume_field)
+    return field.nodes
 
 
 @kernel

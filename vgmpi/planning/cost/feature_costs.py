@@ -71,7 +71,9 @@ def group_features(scene: Scene, plan: Plan, g: int, pace: Throughput) -> list[F
     if plan.keeps is not None:
         result.append(Feature(transfer, law_ns * (FLIP_COST - 1.0)))
     if group.shifts:
-        result.append(Feature("particle shifting", law_ns * shift_cost(plan.restores > 0)))
+        by_volume = bool(plan.fills_by_volume[group.phase])
+        shifting = law_ns * shift_cost(plan.restores > 0, by_volume)
+        result.append(Feature("particle shifting", shifting))
     if group.space:
         result.append(Feature("density correction", law_ns * DENSITY_CORRECTION_COST))
     if group.coefficients:

@@ -138,11 +138,8 @@ def _unshifted(scene: Scene, plan: Plan) -> list[str]:
     ]
     if not names:
         return []
-    message = "may lose height: liquids of several densities in one phase, or that share space,"
-    return [
-        f"  volume      {', '.join(map(escape_control_characters, names))} {message}"
-        " are not kept by shifting particles"
-    ]
+    message = "may lose height: liquids that share space with others are not shifted"
+    return [f"  volume      {', '.join(map(escape_control_characters, names))} {message}"]
 
 
 def _thin(scene: Scene, plan: Plan) -> list[str]:

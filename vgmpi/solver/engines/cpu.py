@@ -6,8 +6,8 @@ import numpy as np
 
 from vgmpi.kernels import particle_records, reproducible_sums
 from vgmpi.kernels.grid import contact, mixture_workspace, update
-from vgmpi.kernels.kernel_arguments import NodeBlocks, Segments, Step
-from vgmpi.kernels.nodal_fields import color, momentum
+from vgmpi.kernels.kernel_arguments import NodeBlocks, Segments, Step, Sums
+from vgmpi.kernels.nodal_fields import color
 from vgmpi.kernels.reaction_impulses import GhostNodes
 from vgmpi.kernels.rigid.moving_colliders import MovingColliders
 from vgmpi.kernels.rigid.prescribed_motion import (
@@ -21,7 +21,7 @@ from vgmpi.kernels.transfer import deformation_gradient, g2p, p2g, transfer_corr
 from vgmpi.kernels.transfer.particle_shifting import NodeFill, ShiftConstants
 from vgmpi.kernels.wall_boundary import KINDS, patch_codes
 from vgmpi.parallel.block_lattice import BITS, BlockLattice
-from vgmpi.parallel.exchange_topology import ExchangeTopology, color_field_name
+from vgmpi.parallel.exchange_topology import REST_VOLUME, ExchangeTopology, color_field_name
 from vgmpi.parallel.halo_exchange import FieldMessage
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.plan import Plan
@@ -37,11 +37,11 @@ from .group_context import (
 )
 from .kernel_caller import KernelCaller
 from .nodal_field_storage import (
-    FieldContribution,
     NodalField,
     color_count,
     contributions,
     nodal_fields,
+    timeless_contributions,
 )
 from .plan_tables import phase_sets, phase_table, position_limits, wall_table
 from .reaction_sums import ReactionAccumulators
@@ -175,14 +175,12 @@ class Cpu(KernelCaller):
         )  # fmt: skip
         contributes = {name: chosen[rows] for name, chosen in tables.contributes.items()}
         contributed = contributions(self.plan, group.plan, contributes, split)
-        moving = FieldContribution(
-            "momentum", momentum.contribution_kinds(self.plan, group.plan)[1], split | True
-        )
+        timeless = timeless_contributions(self.plan, group.plan, contributes, split)
         numbers, ghosts = numbers_of(self.plan, group.plan), None
         if self.reactions is not None:
             ghosts = self.reactions.ghosts(group.block, segments.mirror)
         return GroupContext(
-            group, particles_of(group), segments, partition, contributed, moving, numbers, ghosts
+            group, particles_of(group), segments, partition, contributed, timeless, numbers, ghosts
         )  # fmt: skip
 
     def open(self, wall: int) -> None:
@@ -221,9 +219,15 @@ class Cpu(KernelCaller):
         """Scatter the contributions of the particles to the sums."""
         self.each(self._fill, border)
         if border and self.threads > 1:
-            for layer in self.layers.values() if self.dt else [self.layers["momentum"]]:
-                if len(layer.phase):
+            for name, layer in self.layers.items():
+                if len(layer.phase) and self._is_summed(name):
                     reproducible_sums.merge_thread_copies(self.united, self.blocks, layer.tables)
+
+    def _is_summed(self, name: str) -> bool:
+        """Return whether particles contribute to a nodal field in the present step."""
+        if name == REST_VOLUME:
+            return self.shift is not None
+        return bool(self.dt) or name == "momentum"
 
     def _fill(self, thread: int, border: bool) -> None:
         dt = self.plan.real.type(self.dt)
@@ -233,11 +237,13 @@ class Cpu(KernelCaller):
             if not self.dt:
                 if group.plan.driven:  # prescribed motion loses nothing in transfers
                     continue
-                self.call_if_rows(
-                    ("still",), p2g.particles_to_grid, rows, part.moving.kind, None, part.segments,
-                    part.particles, self.layers["momentum"].sums, self.scratch[thread], dt,
-                    self._ghosts(part, thread),
-                )  # fmt: skip
+                for layer, kind, chosen in part.timeless:
+                    if self._is_summed(layer):
+                        self.call_if_rows(
+                            ("still", layer), p2g.particles_to_grid, rows[chosen[rows]], kind, None,
+                            part.segments, part.particles, self.layers[layer].sums,
+                            self.scratch[thread], dt, self._ghosts(part, thread, layer),
+                        )  # fmt: skip
                 continue
             for k, contribution in enumerate(part.contributions):
                 self.call_if_rows(
@@ -272,7 +278,7 @@ class Cpu(KernelCaller):
             self.call_if_rows(
                 (self.shift is None,), transfer_correction.momentum_to_velocity_only, blocks,
                 self.blocks, layers["momentum"].tables, self.as_one, self.phases,
-                self.node_fill_now(), self.step, self.beyond[thread],
+                self.node_fill_now(), *self.rest_volumes, self.step, self.beyond[thread],
             )  # fmt: skip
             return
         if self.apart:
@@ -361,6 +367,13 @@ class Cpu(KernelCaller):
     def node_fill_now(self) -> NodeFill | None:
         """Return what fills the nodes' cells if the step of no time shifts particles."""
         return None if self.shift is None else with_colliders(self.fill_of_nodes, self.solids)
+
+    @property
+    def rest_volumes(self) -> tuple[Sums | None, int]:
+        """Sums of rest volumes, if liquids of one phase differ in density, and their number."""
+        if REST_VOLUME not in self.layers:
+            return None, 0
+        return self.layers[REST_VOLUME].tables, list(self.layers).index(REST_VOLUME)
 
     def restore(self, times: int) -> list[AccumulatorOverflow]:
         """Add `times` the motion that a step of no time has taken from the particles."""

@@ -26,7 +26,7 @@ class GroupContext(NamedTuple):
     segments: Segments
     partition: ThreadPartition  # segments of each thread
     contributions: list[FieldContribution]  # to the nodal fields
-    moving: FieldContribution  # momentum in a step of no time
+    timeless: list[FieldContribution]  # to the nodal fields in a step of no time
     numbers: g2p.GroupConstants
     ghosts: GhostNodes | None  # ghost nodes, where reactions of walls are requested
 

@@ -9,11 +9,12 @@ from vgmpi.kernels.kernel_arguments import Sums
 from vgmpi.kernels.nodal_fields import (
     color,
     momentum,
+    rest_volume,
     stress_impulse,
     surface_distance,
     surface_velocity_gradient,
 )
-from vgmpi.parallel.exchange_topology import color_field_name
+from vgmpi.parallel.exchange_topology import REST_VOLUME, color_field_name
 from vgmpi.planning.phases_and_groups import GroupPlan
 from vgmpi.planning.plan import Plan
 from vgmpi.runtime.aligned_arrays import aligned_zeros, with_capacity
@@ -111,6 +112,8 @@ def nodal_fields(plan: Plan, separate_stress: bool, field_class=NodalField) -> l
         fields.append(
             field_class("shear", lambda speed: momentum.accumulator_range(plan, speed), plan)
         )
+    if plan.fills_by_volume.any():
+        fields.append(field_class(REST_VOLUME, lambda _: rest_volume.accumulator_range(plan), plan))
     for k in range(color_count(plan)):
         fields.append(
             field_class(color_field_name(k), lambda _, k=k: color.accumulator_range(plan, k), plan)
@@ -152,3 +155,19 @@ def contributions(
             )
         )
     return [contribution for contribution in result if contribution.chosen.any()]
+
+
+def timeless_contributions(
+    plan: Plan, group: GroupPlan, contributes: dict, split
+) -> list[FieldContribution]:
+    """Return the contributions of a group's segments in a step of no time.
+
+    Args:
+        plan, group, contributes, split: See `contributions`.
+    """
+    inert = momentum.contribution_kinds(plan, group)[1]
+    result = [FieldContribution("momentum", inert, split | True)]
+    if plan.fills_by_volume[group.phase]:
+        kind = rest_volume.kind(plan)
+        result.append(FieldContribution(REST_VOLUME, kind, contributes[REST_VOLUME]))
+    return result

@@ -15,21 +15,23 @@ from .plan_tables import phase_sets, wall_table
 def node_fill(plan: Plan) -> NodeFill | None:
     """Return what fills the nodes' cells, without colliders; None if no particles are shifted.
 
-    Phases that share space are not counted, and prescribed bodies have no mass on the grid.
+    Phases that share space are not counted, and prescribed bodies have no mass on the grid. Where
+    liquids of one phase differ in density, their volumes count, elsewhere masses do.
     """
     if not plan.shift_interval:
         return None
     as_one = phase_sets(plan)
-    counted = [
-        0.0 if as_one[p] >= 0 or phase.driven else 1.0 / phase.most
-        for p, phase in enumerate(plan.phases)
-    ]
+    by_volume = plan.fills_by_volume
+    full = [
+        plan.dx**3 if by_volume[p] else phase.most for p, phase in enumerate(plan.phases)
+    ]  # [m3] or [kg] in a full cell
+    counted = [as_one[p] < 0 and not phase.driven for p, phase in enumerate(plan.phases)]
     shifts = np.zeros(len(plan.phases), bool)
     for group in plan.groups:
         shifts[group.phase] |= group.shifts
     walls = wall_table(plan)
     return NodeFill(
-        np.array(counted, plan.real), shifts, np.zeros((0, 64, 4), plan.real), walls.cells,
+        np.array(counted / np.array(full), plan.real), by_volume, shifts, np.zeros((0, 64, 4), plan.real), walls.cells,
         walls.kinds,
     )  # fmt: skip
 

@@ -123,7 +123,7 @@ class Cuda(Cpu):
         lists = {}
         for border in (False, True):
             rows = part.partition.stage(border)[0]
-            for k, contribution in enumerate((*part.contributions, part.moving)):
+            for k, contribution in enumerate((*part.contributions, *part.timeless)):
                 lists[k, border] = to_card(rows[contribution.chosen[rows]])
         return Work(segments, to_card(part.partition.all[0]), lists)
 
@@ -154,11 +154,11 @@ class Cuda(Cpu):
     def fill(self, border: bool) -> None:
         """Scatter the contributions of the particles to the sums."""
         for part, work in zip(self.parts, self.work, strict=True):
-            last = len(part.contributions)
-            chosen = range(last) if self.dt else [last]
-            for k in chosen:
-                contribution = part.contributions[k] if k < last else part.moving
-                self._fill_one(part, work, contribution, work.contributions[k, border])
+            first = 0 if self.dt else len(part.contributions)
+            contributed = part.contributions if self.dt else part.timeless
+            for k, contribution in enumerate(contributed, first):
+                if self._is_summed(contribution.layer):
+                    self._fill_one(part, work, contribution, work.contributions[k, border])
 
     def _fill_one(self, part: GroupContext, work: Work, contribution, rows) -> None:
         group: Any = part.group
@@ -210,8 +210,8 @@ class Cuda(Cpu):
         if not self.dt:
             self._half(
                 NODES, grid_kernels.settle, len(blocks), blocks, self.on_card, momentum,
-                copy(self.as_one), copy(self.phases), self._fill_on_card(), self.step,
-                self.overflow,
+                copy(self.as_one), copy(self.phases), self._fill_on_card(),
+                *self.rest_volumes, self.step, self.overflow,
             )  # fmt: skip
             return
         separate, kernel = None, grid_kernels.update

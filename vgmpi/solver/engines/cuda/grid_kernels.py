@@ -273,7 +273,9 @@ def update_apart(
                reactions, step, report)  # fmt: skip
 
 
-def settle(blocks, tables, momentum, as_one, phases, fill, step, report):
+def settle(
+    blocks, tables, momentum, as_one, phases, fill, volumes, volume_field, step, report
+):  # fmt: skip
     """Compute velocities in a step of no time: kernels/transfer/transfer_correction.py.
 
     Args:
@@ -281,12 +283,22 @@ def settle(blocks, tables, momentum, as_one, phases, fill, step, report):
         momentum: Nodal field (in/out).
         as_one, phases: Phases that move with one velocity, and their tables.
         fill: What fills the nodes' cells, or None.
+        volumes, volume_field: Sums of rest volumes (in/out) or None, and their entry of the report.
         step, report: Constants of the step, and overflow report (in/out).
     """
     q = number()
     if q < len(blocks):
         transfer_correction.momentum_to_velocity_only(
-            blocks[q : q + 1], tables, momentum, as_one, phases, fill, step, report
+            blocks[q : q + 1],
+            tables,
+            momentum,
+            as_one,
+            phases,
+            fill,
+            volumes,
+            volume_field,
+            step,
+            report,
         )
 
 

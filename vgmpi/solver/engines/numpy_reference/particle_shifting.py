@@ -33,12 +33,14 @@ class ParticleShifting:
         self.constants: ShiftConstants | None = None
 
     def nodal_fullness(
-        self, mass: np.ndarray, movers: MovingColliders | None, at_rest: np.ndarray
-    ) -> np.ndarray | None:
+        self, mass: np.ndarray, rest_volume: np.ndarray, movers: MovingColliders | None,
+        at_rest: np.ndarray,
+    ) -> np.ndarray | None:  # fmt: skip
         """Return the part of each node's cell that is filled, with its images at mirroring walls.
 
         Args:
             mass: Nodal masses of the phases, shape (phases, ..., 1) [kg].
+            rest_volume: Nodal rest volumes of the phases, shape (phases, ..., 1) [m3].
             movers, at_rest: Colliders, see `distance_from_colliders`.
 
         Returns:
@@ -46,7 +48,9 @@ class ParticleShifting:
         """
         if self.constants is None or self.table is None:
             return None
-        fullness = np.einsum("p,p...->...", self.table.space.astype(np.float64), mass)
+        by_volume = self.table.by_volume[:, None, None, None, None]
+        amount = np.where(by_volume, rest_volume, mass)
+        fullness = np.einsum("p,p...->...", self.table.space.astype(np.float64), amount)
         fullness = self.dense.complete_wall_mass(fullness)
         distance = distance_from_colliders(movers, self.dense, at_rest)
         if distance is not None:
