@@ -108,6 +108,7 @@ class PhasePlan(NamedTuple):
     most: float  # [kg] mass of a cell full of its densest material
     surface: bool = False  # contact uses surface descriptors of its bodies, not particles alone
     driven: bool = False  # its velocity is prescribed
+    fills_by_volume: bool = False  # its liquids are shifted and differ in density
 
 
 def stores_deformation(scene: Scene, entity: Object | Inlet) -> bool:
@@ -297,8 +298,8 @@ def _with_shared_space(
 
 def with_volume_correction(
     scene: Scene, groups: tuple[GroupPlan, ...], phases: tuple[PhasePlan, ...]
-) -> tuple[GroupPlan, ...]:
-    """Return the groups with the volume correction of liquids that share space with no others.
+) -> tuple[tuple[GroupPlan, ...], tuple[PhasePlan, ...]]:
+    """Return groups and phases with the volume correction of liquids that share no space.
 
     Raises:
         SceneError: Liquids of different density have one velocity field and a density correction.
@@ -307,12 +308,17 @@ def with_volume_correction(
         scene.accuracy.volume_correction
     )
     if make is None:
-        return groups
-    return tuple(
+        return groups, phases
+    corrected = tuple(
         make(scene, group, phases[group.phase])
         if group.carries[:1] == ("theta",) and not group.shares
         else group
         for group in groups
+    )
+    shifted = {group.phase for group in corrected if group.shifts}
+    return corrected, tuple(
+        phase._replace(fills_by_volume=p in shifted and phase.least < phase.most)
+        for p, phase in enumerate(phases)
     )
 
 

@@ -132,12 +132,6 @@ class Plan:
         return self.rules is not None and bool(self.rules.conservative_drift.any())
 
     @property
-    def fills_by_volume(self) -> np.ndarray:
-        """True for phases whose liquids are shifted and differ in density, shape (phases,)."""
-        shifted = {group.phase for group in self.groups if group.shifts}
-        return np.array([p in shifted and q.least < q.most for p, q in enumerate(self.phases)])
-
-    @property
     def planes(self) -> tuple[ContactWall, ...]:
         """Walls that act by contact on bodies with surface descriptors."""
         if not any(phase.surface for phase in self.phases):
@@ -211,6 +205,7 @@ class Plan:
         touches = self.contact or self.collider or bool(self.planes)
         layers = 1 + touches + self.has_surface_friction + any(group.apart for group in self.groups)
         layers += max(group.coefficients for group in self.groups)
+        layers += any(phase.fills_by_volume for phase in self.phases)
         more = (self.rules is not None) + (self.keeps is not None) + self.drifts
         # A block holds about 300 particles and reaches node blocks without particles.
         blocks = 4.0 * self.particles / 300.0 + 27 * len(self.phases)
@@ -246,9 +241,8 @@ def make_plan(
     complete = tuple(
         with_runtime_requirements(scene, group, sharing, colors, keeps, restores) for group in plain
     )
-    complete = with_volume_correction(
-        scene, with_slip_wave_factors(complete, sharing, scene.time.cfl * scene.domain.cell), phases
-    )
+    complete = with_slip_wave_factors(complete, sharing, scene.time.cfl * scene.domain.cell)
+    complete, phases = with_volume_correction(scene, complete, phases)
     driven, groups, group_of = prescribed_body_plans(
         scene, complete, group_of, phases, extents or {}
     )

@@ -21,7 +21,7 @@ def needs(plan: Plan) -> exchange_topology.TopologyRequirements:
         surface,
         plan.planes,
         plan.has_surface_friction,
-        plan.fills_by_volume,
+        np.array([phase.fills_by_volume for phase in plan.phases]),
     )
 
 

@@ -71,7 +71,7 @@ def group_features(scene: Scene, plan: Plan, g: int, pace: Throughput) -> list[F
     if plan.keeps is not None:
         result.append(Feature(transfer, law_ns * (FLIP_COST - 1.0)))
     if group.shifts:
-        by_volume = bool(plan.fills_by_volume[group.phase])
+        by_volume = plan.phases[group.phase].fills_by_volume
         shifting = law_ns * shift_cost(plan.restores > 0, by_volume)
         result.append(Feature("particle shifting", shifting))
     if group.space:

@@ -6,7 +6,7 @@ import numpy as np
 
 from vgmpi.kernels import particle_records, reproducible_sums
 from vgmpi.kernels.grid import contact, mixture_workspace, update
-from vgmpi.kernels.kernel_arguments import NodeBlocks, Segments, Step, Sums
+from vgmpi.kernels.kernel_arguments import NodeBlocks, Step, Sums
 from vgmpi.kernels.nodal_fields import color
 from vgmpi.kernels.reaction_impulses import GhostNodes
 from vgmpi.kernels.rigid.moving_colliders import MovingColliders
@@ -31,19 +31,17 @@ from .engine_protocol import DITHER, AccumulatorOverflow, StepReport
 from .group_context import (
     GroupContext,
     auxiliary_gather_kind,
+    group_context,
     lowest_beyond,
-    numbers_of,
     particles_of,
 )
 from .kernel_caller import KernelCaller
 from .nodal_field_storage import (
     NodalField,
     color_count,
-    contributions,
     nodal_fields,
-    timeless_contributions,
 )
-from .plan_tables import phase_sets, phase_table, position_limits, wall_table
+from .plan_tables import phase_sets, phase_table, wall_table
 from .reaction_sums import ReactionAccumulators
 from .shift_tables import node_fill, with_colliders
 from .thread_partition import ThreadPartition, accumulator_copies
@@ -154,34 +152,23 @@ class Cpu(KernelCaller):
             self.reactions.set_topology(tables)
             self.room = self.reactions.attach_to_workspaces(self.room)
         self.parts = [
-            self._group_context(g, group_rows, target[group_rows], partition)
-            for g, (group_rows, partition) in enumerate(zip(rows, partitions, strict=True))
+            group_context(
+                self.plan,
+                group,
+                tables,
+                group_rows,
+                target[group_rows],
+                partition,
+                self._mirror(group),
+                self.reactions,
+            )
+            for group, group_rows, partition in zip(self.groups, rows, partitions, strict=True)
         ]
 
     @staticmethod
     def grown_nodes(values, rows: int):
         """Return an array of node blocks with room for `rows` blocks."""
         return with_capacity(values, rows)
-
-    def _group_context(
-        self, g: int, rows: np.ndarray, target: np.ndarray, partition: ThreadPartition
-    ) -> GroupContext:
-        """Return the kernel arguments of a group; rows: its segments in the tables."""
-        group, tables = self.groups[g], self.tables
-        split = tables.contributes["impulses"][rows] if self.apart else np.zeros(len(rows), bool)
-        segments = Segments(
-            group.start, group.count, tables.table[rows], target, split,
-            position_limits(group.block, self.plan.cells), self._mirror(group),
-        )  # fmt: skip
-        contributes = {name: chosen[rows] for name, chosen in tables.contributes.items()}
-        contributed = contributions(self.plan, group.plan, contributes, split)
-        timeless = timeless_contributions(self.plan, group.plan, contributes, split)
-        numbers, ghosts = numbers_of(self.plan, group.plan), None
-        if self.reactions is not None:
-            ghosts = self.reactions.ghosts(group.block, segments.mirror)
-        return GroupContext(
-            group, particles_of(group), segments, partition, contributed, timeless, numbers, ghosts
-        )  # fmt: skip
 
     def open(self, wall: int) -> None:
         """Remove a wall that has vanished."""

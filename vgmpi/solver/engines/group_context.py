@@ -14,7 +14,9 @@ from vgmpi.planning.phases_and_groups import GroupPlan
 from vgmpi.planning.plan import Plan
 
 from .engine_protocol import AccumulatorOverflow
-from .nodal_field_storage import FieldContribution
+from .nodal_field_storage import FieldContribution, contributions, timeless_contributions
+from .plan_tables import position_limits
+from .reaction_sums import ReactionAccumulators
 from .thread_partition import ThreadPartition
 
 
@@ -29,6 +31,39 @@ class GroupContext(NamedTuple):
     timeless: list[FieldContribution]  # to the nodal fields in a step of no time
     numbers: g2p.GroupConstants
     ghosts: GhostNodes | None  # ghost nodes, where reactions of walls are requested
+
+
+def group_context(
+    plan: Plan, group: ParticleGroup, tables: ExchangeTopology, rows: np.ndarray,
+    target: np.ndarray, partition: ThreadPartition, mirror: np.ndarray,
+    reactions: ReactionAccumulators | None,
+) -> GroupContext:  # fmt: skip
+    """Return the kernel arguments of a group.
+
+    Args:
+        plan: Plan of the run.
+        group: The group.
+        tables: Exchange topology of this rank.
+        rows: Segments of the group in the tables, shape (n,).
+        target: Accumulator rows of the segments, shape (n, 27).
+        partition: Segments of each thread.
+        mirror: Codes of the walls that the segments meet.
+        reactions: Accumulators of reactions, or None.
+    """
+    contributes = {name: chosen[rows] for name, chosen in tables.contributes.items()}
+    is_apart = any(other.apart for other in plan.groups)
+    split = contributes["impulses"] if is_apart else np.zeros(len(rows), bool)
+    segments = Segments(
+        group.start, group.count, tables.table[rows], target, split,
+        position_limits(group.block, plan.cells), mirror,
+    )  # fmt: skip
+    return GroupContext(
+        group, particles_of(group), segments, partition,
+        contributions(plan, group.plan, contributes, split),
+        timeless_contributions(plan, group.plan, contributes, split),
+        numbers_of(plan, group.plan),
+        None if reactions is None else reactions.ghosts(group.block, mirror),
+    )  # fmt: skip
 
 
 def numbers_of(plan: Plan, group: GroupPlan) -> g2p.GroupConstants:

@@ -112,7 +112,7 @@ def nodal_fields(plan: Plan, separate_stress: bool, field_class=NodalField) -> l
         fields.append(
             field_class("shear", lambda speed: momentum.accumulator_range(plan, speed), plan)
         )
-    if plan.fills_by_volume.any():
+    if any(phase.fills_by_volume for phase in plan.phases):
         fields.append(field_class(REST_VOLUME, lambda _: rest_volume.accumulator_range(plan), plan))
     for k in range(color_count(plan)):
         fields.append(
@@ -167,7 +167,7 @@ def timeless_contributions(
     """
     inert = momentum.contribution_kinds(plan, group)[1]
     result = [FieldContribution("momentum", inert, split | True)]
-    if plan.fills_by_volume[group.phase]:
+    if plan.phases[group.phase].fills_by_volume:
         kind = rest_volume.kind(plan)
         result.append(FieldContribution(REST_VOLUME, kind, contributes[REST_VOLUME]))
     return result

@@ -21,7 +21,7 @@ def node_fill(plan: Plan) -> NodeFill | None:
     if not plan.shift_interval:
         return None
     as_one = phase_sets(plan)
-    by_volume = plan.fills_by_volume
+    by_volume = np.array([phase.fills_by_volume for phase in plan.phases])
     full = [
         plan.dx**3 if by_volume[p] else phase.most for p, phase in enumerate(plan.phases)
     ]  # [m3] or [kg] in a full cell
@@ -31,8 +31,8 @@ def node_fill(plan: Plan) -> NodeFill | None:
         shifts[group.phase] |= group.shifts
     walls = wall_table(plan)
     return NodeFill(
-        np.array(counted / np.array(full), plan.real), by_volume, shifts, np.zeros((0, 64, 4), plan.real), walls.cells,
-        walls.kinds,
+        np.array(counted / np.array(full), plan.real), by_volume, shifts,
+        np.zeros((0, 64, 4), plan.real), walls.cells, walls.kinds,
     )  # fmt: skip
 
 

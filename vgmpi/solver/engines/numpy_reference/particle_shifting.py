@@ -32,15 +32,29 @@ class ParticleShifting:
         self.table = node_fill(plan)
         self.constants: ShiftConstants | None = None
 
+    def replace_mass(self, mass: np.ndarray, groups: list, stencils: list[Stencil]) -> None:
+        """Replace nodal masses by rest volumes in the phases whose liquids differ in density.
+
+        Args:
+            mass: Nodal masses of the phases (in/out), shape (phases, ..., 1) [kg].
+            groups, stencils: Groups of particles, and their stencils.
+        """
+        if self.constants is None or self.table is None:
+            return
+        for p in np.flatnonzero(self.table.by_volume):
+            mass[p] = 0.0
+            for group, stencil in zip(groups, stencils, strict=True):
+                if group.plan.phase == p:
+                    self.dense.sum(mass[p], stencil, get_channel(group, "vol0"))
+            self.dense.fold(None, mass[p])
+
     def nodal_fullness(
-        self, mass: np.ndarray, rest_volume: np.ndarray, movers: MovingColliders | None,
-        at_rest: np.ndarray,
-    ) -> np.ndarray | None:  # fmt: skip
+        self, mass: np.ndarray, movers: MovingColliders | None, at_rest: np.ndarray
+    ) -> np.ndarray | None:
         """Return the part of each node's cell that is filled, with its images at mirroring walls.
 
         Args:
-            mass: Nodal masses of the phases, shape (phases, ..., 1) [kg].
-            rest_volume: Nodal rest volumes of the phases, shape (phases, ..., 1) [m3].
+            mass: Nodal masses [kg] or rest volumes [m3] of the phases, shape (phases, ..., 1).
             movers, at_rest: Colliders, see `distance_from_colliders`.
 
         Returns:
@@ -48,9 +62,7 @@ class ParticleShifting:
         """
         if self.constants is None or self.table is None:
             return None
-        by_volume = self.table.by_volume[:, None, None, None, None]
-        amount = np.where(by_volume, rest_volume, mass)
-        fullness = np.einsum("p,p...->...", self.table.space.astype(np.float64), amount)
+        fullness = np.einsum("p,p...->...", self.table.space.astype(np.float64), mass)
         fullness = self.dense.complete_wall_mass(fullness)
         distance = distance_from_colliders(movers, self.dense, at_rest)
         if distance is not None:

@@ -135,9 +135,7 @@ class Numpy:
             return
         # In a step of no time stress gives no impulse, and the other sums are not read.
         n, shape = len(self.plan.phases), self.dense.shape
-        self.mass, self.volume, self.counted, self.rest_volume = (
-            np.zeros((n, *shape, 1)) for _ in range(4)
-        )
+        self.mass, self.volume, self.counted = (np.zeros((n, *shape, 1)) for _ in range(3))
         self.momentum, self.forces, self.offset, self.shear = (
             np.zeros((n, *shape, 3)) for _ in range(4)
         )
@@ -150,7 +148,6 @@ class Numpy:
             self.dense.fold(self.momentum[p], self.mass[p], recorder=self._record(p, self.mirrors))
             self.dense.fold(self.forces[p], None, recorder=self._record(p, 1.0))
             self.dense.fold(None, self.counted[p])
-            self.dense.fold(None, self.rest_volume[p])
             self.dense.fold(self.shear[p], None)
             self.dense.fold(self.offset[p], self.volume[p], kind="slip")
 
@@ -162,7 +159,6 @@ class Numpy:
         J = np.broadcast_to(law_function(law, "volume_ratio")(law, state), m.shape)
         affine = m[:, None, None] * C.reshape(-1, 3, 3) if self.plan.affine else None
         dense.sum(self.mass[p], stencil, m[:, None])
-        dense.sum(self.rest_volume[p], stencil, vol0)
         dense.sum(self.momentum[p], stencil, m[:, None] * v, affine)
         if plan.driven:  # stress does not move prescribed bodies
             split = np.zeros(len(m), bool)
@@ -304,9 +300,8 @@ class Numpy:
 
     def restore(self, times: int) -> list[AccumulatorOverflow]:
         """Add `times` the motion that a step of no time has taken from the particles."""
-        fullness = self.shifting.nodal_fullness(
-            self.mass, self.rest_volume, self.movers, self.contact.collider
-        )
+        self.shifting.replace_mass(self.mass, self.groups, self.stencils)
+        fullness = self.shifting.nodal_fullness(self.mass, self.movers, self.contact.collider)
         for group, stencil in zip(self.groups, self.stencils, strict=True):
             if len(group) and not group.plan.driven:
                 field, dense = self.v[group.plan.phase], self.dense
