@@ -338,6 +338,19 @@ def _run_predictions(args) -> int:
     return 0 if all(result.holds for result in results) else 1
 
 
+def _step_model(parser) -> None:
+    from tests.benchmarks.step_model import TIMES
+
+    parser.add_argument("scenes", nargs="*", default=list(TIMES), help="folders of runs/")
+
+
+def _run_step_model(args) -> int:
+    from tests.benchmarks import step_model
+
+    step_model.run(args.scenes)
+    return 0
+
+
 COMMANDS = {  # what it does, its flags, how it runs
     "accuracy": ("how exact single precision is", _accuracy, _run_accuracy),
     "against": ("beside another checkout", _against, _run_against),
@@ -355,6 +368,7 @@ COMMANDS = {  # what it does, its flags, how it runs
     "registers": ("what a graphics card's kernels take; needs no card", _registers, _run_registers),
     "spills": ("vectors that do not fit the registers", lambda _: None, _run_spills),
     "stability": ("the largest stable time step of every law", _stability, _run_stability),
+    "step-model": ("the model of a step's time beside steps", _step_model, _run_step_model),
     "scaling": ("predict many ranks from what is measured here", _scaling, _run_scaling),
     "test-times": ("where the time of the tests goes", _test_times, _run_test_times),
     "volume": ("what splashed liquids lose of their level", _volume, _run_volume),

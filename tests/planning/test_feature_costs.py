@@ -217,7 +217,7 @@ def test_a_block_that_is_not_full_costs_more(tmp_path):
         f for f in feature_costs.group_features(scene, plan, 0, PACE) if "blocks of" in f.name
     ]
     per = plan.particles / plan.surroundings[0].blocks
-    assert found.ns == pytest.approx(20.0 * 35 * (1 / per - 1 / 512))
+    assert found.ns == pytest.approx(20.0 * 190 * (1 / per - 1 / 300))
 
 
 def test_the_studys_scenes_are_scenes(tmp_path):

@@ -20,8 +20,8 @@ from .throughput import Throughput
 class ProximityCost(NamedTuple):
     """Cost of particles at most one block away from something that they may touch.
 
-    The unit is one step of a fluid particle. Measured by `python -m tests.benchmarks features`
-    and `couplings`, and with runs/two_liquids and runs/water_on_snow.
+    The unit is one step of a fluid particle. Fitted by `python -m tests.benchmarks step-model`
+    to steps of scenes as they run.
     """
 
     particle: float  # per particle
@@ -29,16 +29,17 @@ class ProximityCost(NamedTuple):
     nodes: float  # per node block that both phases reach
 
 
-SURFACE_CONTACT_COST = ProximityCost(1.6, 100.0, 85.0)  # contact of solids with surface descriptors
-CONTACT_COST = ProximityCost(0.8, 100.0, 85.0)  # contact of other bodies
-MIXING_COST = ProximityCost(1.3, 200.0, 65.0)
-DRAG_COST = ProximityCost(0.4, 60.0, 65.0)
+SURFACE_CONTACT_COST = ProximityCost(0.5, 80.0, 50.0)  # contact of solids with surface descriptors
+CONTACT_COST = ProximityCost(0.5, 150.0, 100.0)  # contact of other bodies
+MIXING_COST = ProximityCost(1.3, 210.0, 65.0)
+DRAG_COST = ProximityCost(0.35, 50.0, 50.0)
 # The three collider costs are in steps of a fluid particle, per particle at most a block from one.
 COLLIDER_COST = 1.3  # colliders at rest
 MOVING_COLLIDER_COST = 0.6  # additional cost if a collider moves
 REACTION_PROBE_COST = 1.2  # additional cost if a probe measures reaction forces
-BLOCK_COST = 35.0  # cost of a block without its particles (docs/benchmarks/performance.md)
-PARTICLES_PER_FULL_BLOCK = 512  # particles per block when a Pace is measured
+# Cost of a block without its particles, and of the disorder that comes with partly filled blocks.
+BLOCK_COST = 190.0
+PARTICLES_PER_BLOCK = 300  # mean of the cube with which a throughput is measured
 
 
 class Feature(NamedTuple):
@@ -125,12 +126,10 @@ def _proximity_cost(
         pairs = [(rate, by_phase[phase]) for rate, phase in met if phase in by_phase]
         n += count
         near_count += count * min(sum(q.share for _, q in pairs), 1.0)
-        # A block near several phases is counted once.
-        wide = max(sum(q.blocks for _, q in pairs) / max(proximity.blocks, 1), 1.0)
         cost += sum(
-            (rate.particle * count * q.share + rate.block * q.blocks + rate.nodes * q.nodes)
-            / wide for rate, q in pairs
-        )  # fmt: skip
+            rate.particle * count * q.share + rate.block * q.blocks + rate.nodes * q.nodes
+            for rate, q in pairs
+        )
     return (near_count / n, cost / n) if n else (0.0, 0.0)
 
 
@@ -148,11 +147,11 @@ def _colliders(scene: Scene, plan: Plan, g: int, fluid: float) -> list[Feature]:
 
 
 def _blocks(plan: Plan, g: int, fluid: float) -> list[Feature]:
-    """Return the extra cost of blocks with fewer particles than a Pace is measured with."""
+    """Return the extra cost of blocks with fewer particles than a throughput is measured with."""
     rows = _rows(plan, g)
     blocks = sum(plan.surroundings[k].blocks for k in rows)
     n = sum(plan.count[k] for k in rows)
-    more = BLOCK_COST * (blocks / max(n, 1) - 1.0 / PARTICLES_PER_FULL_BLOCK)
+    more = BLOCK_COST * (blocks / max(n, 1) - 1.0 / PARTICLES_PER_BLOCK)
     if more < 0.02:  # negligible
         return []
     return [Feature(f"blocks of {n / blocks:.0f} particles", fluid * more)]

@@ -12,7 +12,7 @@ from vgmpi.runtime.config.toml_source import escape_control_characters
 from vgmpi.scene.scene import Scene
 
 from . import accuracy_benchmarks, tradeoff_results
-from .feature_costs import PARTICLES_PER_FULL_BLOCK, feature_table, step_ns
+from .feature_costs import PARTICLES_PER_BLOCK, feature_table, step_ns
 from .pilot_result import STEP_SECONDS, PilotRun
 from .throughput import ASSUMED_THROUGHPUT, Throughput
 from .timestep_advice import limiting_material_lines, pruning_lines
@@ -26,8 +26,8 @@ THIN_CELLS = (
 )
 # [s] time to write a frame, and a particle in it (a run's `--profile`: write)
 FRAME_SECONDS, SECONDS_PER_WRITTEN_PARTICLE = 0.065, 1e-7
-# [-] overhead of ranks, fitted to splash, castle_flood and castle_falls of runs/ on two ranks
-HALO_OVERHEAD = 3.0
+# [-] overhead of ranks, fitted on two ranks to scenes of `python -m tests.benchmarks predictions`
+HALO_OVERHEAD = 4.5
 MOTION_STEP_MARGIN = 1.05  # [-] of the steps without motions, above which a line names them
 FINE_COUNT = 27  # particles per cell with which solids bend accurately enough
 
@@ -272,7 +272,7 @@ def rank_overhead(plan: Plan, ranks: int) -> float:
     other: both grow as the surface of a piece over its volume, in blocks.
     """
     blocks = sum(proximity.blocks for proximity in plan.surroundings)
-    blocks = max(blocks, sum(plan.count) // PARTICLES_PER_FULL_BLOCK, 1)
+    blocks = max(blocks, sum(plan.count) // PARTICLES_PER_BLOCK, 1)
     return 1.0 + HALO_OVERHEAD * (ranks / blocks) ** (1.0 / 3.0) * (1.0 - 1.0 / ranks)
 
 
