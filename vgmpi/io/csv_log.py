@@ -114,25 +114,47 @@ class ConservationLog(CsvLog):
         ranks: SerialCommunicator,
         last_step: int | None = None,
         flows: bool = False,
+        liquids: bool = False,
     ):
-        """Create the ledger, or continue it.
+        """Create the ledger, or continue it, with the columns that it has.
 
         Args:
             folder: Output folder of the run.
             ranks: Communicator.
             last_step: Later rows are dropped; None starts a new ledger.
             flows: True if particles are inserted or removed during the run.
+            liquids: True if liquids have phases of their own.
         """
-        super().__init__(Path(folder) / file_layout.LEDGER, ledger_columns(flows), ranks, last_step)
+        path = Path(folder) / file_layout.LEDGER
+        if last_step is not None:
+            liquids = ranks.bcast(has_liquid_columns(path, liquids))
+        super().__init__(path, ledger_columns(flows, liquids), ranks, last_step)
 
 
-def ledger_columns(flows: bool) -> list[file_layout.Dataset]:
-    """Return the columns of ledger.csv; `flows`: particles are inserted or removed."""
-    return (
-        [*file_layout.LEDGER_COLUMNS, *file_layout.OPEN_SYSTEM_COLUMNS]
-        if flows
-        else file_layout.LEDGER_COLUMNS
-    )
+def ledger_columns(flows: bool, liquids: bool) -> list[file_layout.Dataset]:
+    """Return the columns of ledger.csv.
+
+    Args:
+        flows: Whether particles are inserted or removed.
+        liquids: Whether liquids have phases of their own.
+    """
+    more = file_layout.OPEN_SYSTEM_COLUMNS * flows + file_layout.LIQUID_COLUMNS * liquids
+    return [*file_layout.LEDGER_COLUMNS, *more] if more else file_layout.LEDGER_COLUMNS
+
+
+def has_liquid_columns(path: Path, otherwise: bool) -> bool:
+    """Return whether a ledger has the columns of liquids, which earlier versions did not write.
+
+    Args:
+        path: File of the ledger.
+        otherwise: Result if there is no readable file.
+    """
+    try:
+        text = safe_open.read_regular_file(path, MAX_BYTES, follow=False)
+    except OSError:
+        return otherwise
+    names = text.split(b"\n", 1)[0].split(b",")
+    return file_layout.LIQUID_COLUMNS[0].name.encode() in names
 
 
 def verify_logs(
@@ -235,8 +257,11 @@ def read_rows(
         raise RunError(f"{path}: {reason}") from None
     head, *lines = text.split(b"\n")
     head = _with_new_names(path, head)
-    if columns is file_layout.LEDGER_COLUMNS and head == _header(ledger_columns(True)).encode():
-        columns = ledger_columns(True)
+    if columns is file_layout.LEDGER_COLUMNS:
+        variants = [
+            ledger_columns(flows, liquids) for flows in (False, True) for liquids in (False, True)
+        ]
+        columns = next((c for c in variants if head == _header(c).encode()), columns)
     sealed = head == _header(columns).encode()
     if not lines or not (sealed or head == _header(columns, sealed=False).encode()):
         raise RunError(f"{path}:1: damaged: its columns are not {_header(columns)}")

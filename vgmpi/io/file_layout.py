@@ -267,6 +267,12 @@ OPEN_SYSTEM_COLUMNS = [  # present with inlets or outlets
     Dataset("particles_out", "", "i8", "1", "particles that left through outlets"),
     Dataset("mass_out", "", "f8", "kg", "their mass"),
 ]
+LIQUID_COLUMNS = [  # present with liquids; nan for phases that hold anything else or share space
+    Dataset("fullest_cell", "", "f8", "1", "largest rest volume in the cell of a node, over what "
+            "fits into it"),
+    Dataset("filled_volume", "", "f8", "m3", "rest volume, without what does not fit into its "
+            "cells"),
+]  # fmt: skip
 
 ROW_CHECKSUM = Dataset(
     CRC,

@@ -117,6 +117,8 @@ def page() -> str:
         "Before `crc`, only with `[[inlet]]`, `[[outlet]]` or an open wall; particles_in - "
         "particles_out is `particles`, exactly, and mass_in - mass_out is `mass`, to rounding:\n",
         _table(file_layout.OPEN_SYSTEM_COLUMNS),
+        "Behind these, only if liquids have phases of their own:\n",
+        _table(file_layout.LIQUID_COLUMNS),
         ABOUT_ENERGY,
         "## probe_NAME.csv\n",
         "One row per sampling time, written after the step that reaches it, numbers with all "

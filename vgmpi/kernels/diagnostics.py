@@ -7,6 +7,7 @@ from vgmpi.runtime.jit import kernel
 
 from .particle_records import AFFINE, STATE, VOLUME
 
+CELL_UNITS = 1 << 32  # units of the volume of a cell in which rest volumes are summed
 COLUMNS = 12  # mass, momentum 3, angular momentum 3, kinetic, elastic, potential, J min, J max
 
 
@@ -65,6 +66,48 @@ def segment_conservation_rows(law, start, count, block, xi, f, bits, density, dx
             J = float(volume_ratio(law, state))
             row[10] = min(row[10], J)
             row[11] = max(row[11], J)
+
+
+@kernel
+def deposit_rest_volume(start, count, block, table, xi, f, bits, dx, cells, sums):
+    """Add the rest volumes of particles to the nodes, by quadratic B-splines.
+
+    What lies beyond a wall of the domain is reflected into it. Sums are integers, in units of
+    1 / CELL_UNITS of a cell.
+
+    Args:
+        start, count: First particle and number of particles of each segment.
+        block: Block coordinates, shape (segments, 3).
+        table: Node blocks around each segment, shape (segments, 27).
+        xi: Fixed-point positions, shape (3, cap), in units of 2^-bits cells.
+        f: Particle channels, shape (channels, cap).
+        bits: Binary digits of a position within a cell.
+        dx: Cell size [m].
+        cells: Cells of the domain, shape (3,).
+        sums: Sums (in/out), shape (node blocks, 64) int64.
+    """
+    w, place = np.zeros((3, 3)), np.zeros((3, 3), np.int64)
+    for s in range(len(start)):
+        for p in range(start[s], start[s] + count[s]):
+            units = float(f[VOLUME, p]) / dx**3 * CELL_UNITS
+            for a in range(3):
+                x = float(xi[a, p]) * 2.0**-bits + 4 * block[s, a] + 1.5
+                base = np.int64(np.floor(x - 0.5))
+                r = x - base
+                w[a, 0] = 0.5 * (1.5 - r) ** 2
+                w[a, 1] = 0.75 - (r - 1.0) ** 2
+                w[a, 2] = 0.5 * (r - 0.5) ** 2
+                for k in range(3):
+                    node = abs(base + k)
+                    node = min(node, 2 * cells[a] - node)
+                    place[a, k] = node - 4 * block[s, a] + 5  # 0: first node of the block before
+            for i in range(3):
+                for j in range(3):
+                    for k in range(3):
+                        u, v, t = place[0, i], place[1, j], place[2, k]
+                        row = table[s, (u // 4 * 3 + v // 4) * 3 + t // 4]
+                        node = (u % 4 * 4 + v % 4) * 4 + t % 4
+                        sums[row, node] += np.int64(np.rint(w[0, i] * w[1, j] * w[2, k] * units))
 
 
 @kernel

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from vgmpi.io import checkpoint, file_layout, run_lock
-from vgmpi.io.csv_log import ConservationLog, CsvLog, ledger_columns
+from vgmpi.io.csv_log import ConservationLog, CsvLog, has_liquid_columns, ledger_columns
 from vgmpi.io.csv_log import verify_logs as check_tables
 from vgmpi.io.frames import Frames
 from vgmpi.io.run_reader import particle_set_id
@@ -26,6 +26,7 @@ from vgmpi.scene.resume_rules import (
 )
 from vgmpi.scene.scene import Scene
 from vgmpi.solver.diagnostics.conservation import conservation_rows
+from vgmpi.solver.diagnostics.liquid_fill import liquid_phases
 from vgmpi.solver.diagnostics.probe_sampling import Probes, files
 from vgmpi.solver.restart.checkpoint_validation import check_attrs
 from vgmpi.solver.restart.state_io import frame_rows, restore, save
@@ -121,7 +122,10 @@ class Runner:
     def _open(self, folder: Path, last_step: int | None) -> None:
         """Open frames, conservation log and checkpoints."""
         self.frames = Frames(folder, self.ranks, self.plan.particles, self.frame, self.particles)
-        self.ledger = ConservationLog(folder, self.ranks, last_step, self.plan.is_open_system)
+        liquids = bool(liquid_phases(self.plan))
+        self.ledger = ConservationLog(
+            folder, self.ranks, last_step, self.plan.is_open_system, liquids
+        )
         self.checkpoints = folder / file_layout.CHECKPOINTS
         if last_step is None:
             checkpoint.clear(self.checkpoints, self.ranks)
@@ -283,8 +287,9 @@ def prepared_run(
             start_time = attrs["time"]
             scene = with_accuracy_of_run(scene, attrs["scene"])
             history = _history(scene, attrs, options.change)
-            columns = ledger_columns(scene.is_open_system)
-            tables = {folder / file_layout.LEDGER: columns, **files(scene, folder)}
+            ledger = folder / file_layout.LEDGER
+            columns = ledger_columns(scene.is_open_system, has_liquid_columns(ledger, False))
+            tables = {ledger: columns, **files(scene, folder)}
             check_tables(tables, ranks, attrs["step"], attrs.get("log_checksums", {}))
         summary = prepare(scene, ranks, folder, resumed)
         plan = plan_for(scene, summary)

@@ -1,11 +1,15 @@
 """Conservation monitor: mass, momentum and energy of each phase, for any number of ranks."""
 
+import math
+
 import numpy as np
 
 from vgmpi.kernels.diagnostics import COLUMNS, body_momentum_rows, segment_conservation_rows
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.solver.boundary.flow_accounting import Tally, allreduce_bigint
 from vgmpi.solver.simulation import Simulation
+
+from .liquid_fill import LiquidFill, liquid_fill
 
 
 def conservation_rows(simulation: Simulation) -> list[dict]:
@@ -30,9 +34,14 @@ def conservation_rows(simulation: Simulation) -> list[dict]:
     counts: list[list[int]] = []
     if plan.driven:  # released bodies change their phase
         counts = allreduce_bigint([[len(group)] for group in simulation.groups], simulation.ranks)
+    fill = liquid_fill(simulation)
     if simulation.ranks.rank != 0:
         return []
     entries = [_entry(simulation, k, sums) for k in range(len(plan.phases))]
+    if fill:
+        unknown = LiquidFill(math.nan, math.nan, math.nan)
+        for k, entry in enumerate(entries):
+            entry |= fill.get(k, unknown)._asdict()
     for k, entry in enumerate(entries if counts else ()):
         members = [g for g, group in enumerate(plan.groups) if group.phase == k]
         entry["particles"] = sum(counts[g][0] for g in members)

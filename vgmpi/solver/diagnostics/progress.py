@@ -18,6 +18,7 @@ from vgmpi.solver.simulation import Simulation
 
 from .conservation import format_drift
 from .eta import RemainingTimeEstimator, work_of
+from .liquid_fill import lost_volume_lines
 
 log = logging.getLogger("vgmpi")
 
@@ -169,6 +170,7 @@ def timing_table(run: Runner, clock: Clock) -> str:
         lines.append(
             f"  conserved  {format_drift(run.initial_conservation, run.latest_conservation)}"
         )
+        lines += lost_volume_lines(run.latest_conservation)
     return "\n".join(lines)
 
 
