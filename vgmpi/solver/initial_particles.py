@@ -17,6 +17,7 @@ from vgmpi.planning.color_exchange import coefficient_ranges
 from vgmpi.planning.plan import Plan, make_plan
 from vgmpi.planning.prescribed_bodies import Extents
 from vgmpi.planning.proximity import Proximity
+from vgmpi.preprocess.liquid_weight import liquid_weights
 from vgmpi.preprocess.load_targets import resolve_loads
 from vgmpi.preprocess.meshes import texture
 from vgmpi.preprocess.motion_checks import extent, motion_steps
@@ -39,6 +40,7 @@ class ParticleSummary:
     thickness: tuple[float, ...] = ()  # [m] see plan.Plan
     surroundings: tuple[Proximity, ...] = ()
     extents: Extents = field(default_factory=dict)  # of the bodies with prescribed motion
+    weights: tuple[float, ...] = ()  # [Pa] see plan.Plan
     # on rank 0: datasets to be written to gaussians.h5 by rest.write, None if the file holds them
     rows: dict | None = None
     scenery: dict | None = None
@@ -233,6 +235,7 @@ def _summary_of(scene, objects, particles, x, colliders, loads) -> ParticleSumma
         thickness,
         proximity,
         extents,
+        liquid_weights(scene, objects, x),
     )
 
 
@@ -274,7 +277,7 @@ def plan_for(scene: Scene, summary: ParticleSummary) -> Plan:
     steps = motion_steps(scene, summary.colliders, summary.extents)
     return replace(
         plan, thickness=summary.thickness, surroundings=summary.surroundings,
-        volumes=tuple(summary.volume), motion_steps=tuple(steps.tolist()),
+        volumes=tuple(summary.volume), weights=summary.weights, motion_steps=tuple(steps.tolist()),
     )  # fmt: skip
 
 

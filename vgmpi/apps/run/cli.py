@@ -199,10 +199,13 @@ def _command(args: argparse.Namespace, ranks: SerialCommunicator) -> int:
     scene = load(args.scene, args.set)
     folder = args.output or scene.folder / scene.output.folder
     if args.check:
+        from vgmpi.planning.cost.timestep_advice import soft_liquid_lines
+        from vgmpi.preprocess.liquid_weight import liquid_weights
         from vgmpi.preprocess.scene_builder import build_scene
 
-        build_scene(scene)  # only this finds unreadable files and bodies outside the domain
-        print(f"{args.scene}: nothing is wrong with it")
+        made = build_scene(scene)  # only this finds unreadable files and bodies outside the domain
+        lines = soft_liquid_lines(scene, liquid_weights(scene, made.objects, made.x))
+        print("\n".join([*lines, f"{args.scene}: nothing {'else ' * bool(lines)}is wrong with it"]))
         return 0
     refusal = _slurm_mismatch(ranks) or ("" if args.plan else _folder_problem(folder))
     if refusal:

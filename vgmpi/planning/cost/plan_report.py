@@ -15,7 +15,7 @@ from . import accuracy_benchmarks, tradeoff_results
 from .feature_costs import PARTICLES_PER_BLOCK, feature_table, step_ns
 from .pilot_result import STEP_SECONDS, PilotRun
 from .throughput import ASSUMED_THROUGHPUT, Throughput
-from .timestep_advice import limiting_material_lines, pruning_lines
+from .timestep_advice import limiting_material_lines, pruning_lines, soft_liquid_lines
 
 PRECISION = {
     "double": "accuracy.precision = 'single' takes half the time and memory",
@@ -113,7 +113,8 @@ def _flow(plan: Plan, source: InletPlan) -> float:
 
 def _accuracy_notes(scene: Scene, plan: Plan) -> list[str]:
     """Return the lines on what the scene's resolution and options make inexact."""
-    lines = _restored(plan) + _unshifted(scene, plan) + _thin(scene, plan)
+    lines = _restored(plan) + _unshifted(scene, plan) + soft_liquid_lines(scene, plan.weights)
+    lines += _thin(scene, plan)
     return lines + _sheets(plan) + _bending(scene, plan)
 
 

@@ -1,14 +1,18 @@
 """Advice of --plan on settings that would allow longer time steps, with their keys and places."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from vgmpi.materials.liquid_stiffness import Liquid
+import numpy as np
+
+from vgmpi.materials.liquid_stiffness import GRAVITY, Liquid
 from vgmpi.planning.plan import Plan, time_step_bounds
 from vgmpi.runtime.config.toml_source import escape_control_characters
 from vgmpi.scene.scene import Scene
 
+TOLERATED_COMPRESSION = 2.0  # [-] of max_compression, by weight, above which a line is given
 MIN_STEP_GAIN = 1.5  # [-] gain in step length above which a line of advice is given
 UNITS = {
     "youngs_modulus": "Pa", "shear_modulus": "Pa", "tait_coefficient": "Pa", "max_speed": "m/s",
@@ -27,6 +31,38 @@ def stiffness_key(material: Any) -> str:
         speed_keys = ("max_speed", "max_depth")
         return next((k for k in speed_keys if getattr(material, k) is not None), "tait_coefficient")
     return next(k for k in KEYS if k in type(material).model_fields)
+
+
+def soft_liquid_lines(scene: Scene, weights: tuple[float, ...]) -> list[str]:
+    """Return a line for each liquid that its own weight compresses more than is intended.
+
+    Args:
+        scene: The scene.
+        weights: Weight per area on the bottom of each body of liquid [Pa], NaN for other objects.
+    """
+    largest: dict[str, float] = {}
+    for thing, weight in zip(scene.things, weights, strict=False):
+        if thing.material is not None and weight == weight:
+            largest[thing.material] = max(largest.get(thing.material, 0.0), weight)
+    lines = []
+    for name, weight in largest.items():
+        liquid: Any = scene.material[name]
+        compression = 1.0 - math.exp(float(liquid.hydrostatic_theta(np.array([weight]))[0]))
+        if compression <= TOLERATED_COMPRESSION * liquid.max_compression:
+            continue
+        key, allowed = stiffness_key(liquid), liquid.max_compression
+        value = {
+            "max_speed": math.sqrt(weight / liquid.density),
+            "max_depth": weight / (liquid.density * GRAVITY),
+            "tait_coefficient": weight / (allowed * liquid.tait_exponent),
+        }[key]
+        lines.append(
+            f"  soft        {escape_control_characters(name)}: the weight of the liquid compresses"
+            f" it by {100 * compression:.2g} % at the bottom; at"
+            f" {scene.place(('material', name, key))} = {value:.2g} {UNITS[key]} it is"
+            f" {100 * allowed:g} %"
+        )
+    return lines
 
 
 def limiting_material_lines(scene: Scene, plan: Plan, compare: Callable[[float], str]) -> list[str]:

@@ -1,0 +1,92 @@
+"""Liquids too soft for their depth are named by --plan and --check, with a key that helps.
+
+Theory: the Tait equation with the weight of all liquid above; 1 m of water at K = 25 kPa.
+"""
+
+import re
+
+import numpy as np
+import pytest
+
+from tests.support.small_scenes import scene
+from vgmpi.apps.run import cli
+from vgmpi.planning.cost.timestep_advice import soft_liquid_lines
+from vgmpi.preprocess.liquid_weight import liquid_weights
+from vgmpi.preprocess.scene_builder import build_scene
+
+HEAD = """
+[domain]
+size = [0.4, 0.4, 1.2]
+cell = 0.04
+GRAVITY
+[time]
+end = 1
+[material.water]
+kind = "fluid"
+STIFF
+[material.oil]
+kind = "fluid"
+density = 800
+tait_coefficient = "1 MPa"
+"""
+BOX = '[[object]]\nname = "{0}"\nmaterial = "{1}"\nshape = {{ box = [{2}, {3}] }}\n'
+POOL = BOX.format("pool", "water", [0, 0, 0], [0.4, 0.4, 1.0])
+HALF = BOX.format("half", "water", [0, 0, 0], [0.4, 0.4, 0.52])
+ABOVE = BOX.format("above", "oil", [0, 0, 0.52], [0.4, 0.4, 1.0])
+BESIDE = HALF.replace("0.4, 0.4, 0.52", "0.2, 0.4, 0.52") + BOX.format(
+    "beside", "oil", [0.2, 0, 0.52], [0.4, 0.4, 1.0]
+)
+
+
+def told(folder, bodies, stiff="max_speed = 0.5", gravity=""):
+    """Weights of the bodies [Pa], and lines."""
+    text = HEAD.replace("STIFF", stiff).replace("GRAVITY", gravity) + bodies
+    loaded = scene(folder, text)
+    made = build_scene(loaded)
+    weights = liquid_weights(loaded, made.objects, made.x)
+    return weights, soft_liquid_lines(loaded, weights)
+
+
+def test_the_weight_is_that_of_all_liquid_above(tmp_path):
+    particle = 0.02  # [m] the outermost particles are half of it inside
+    (pool,), _ = told(tmp_path, POOL)
+    assert pool == pytest.approx(9800.0 * (1.0 - particle))
+    (half, above), _ = told(tmp_path, HALF + ABOVE)
+    assert above == pytest.approx(0.8 * 9800.0 * (0.48 - particle))
+    assert half == pytest.approx(9800.0 * (0.52 - particle) + above)
+    (half, _), _ = told(tmp_path, BESIDE)
+    assert half == pytest.approx(9800.0 * (0.52 - particle))
+    assert told(tmp_path, POOL, gravity="gravity = [0, 0, 0]")[0] == ()
+    (pool,), _ = told(tmp_path, POOL, gravity="gravity = [3, 0, 0]")
+    assert pool == pytest.approx(3000 * (0.4 - particle))
+    upside_down, _ = told(tmp_path, HALF + ABOVE, gravity="gravity = [0, 0, 9.80665]")
+    assert upside_down[1] > upside_down[0]
+
+
+@pytest.mark.parametrize(
+    "key, soft", [("max_speed", "0.5"), ("max_depth", "0.05"), ("tait_coefficient", "4e3")]
+)
+def test_the_value_that_is_told_is_stiff_enough(tmp_path, key, soft):
+    _, (line,) = told(tmp_path, POOL, f"{key} = {soft}")
+    found = re.search(rf"compresses it by (\S+) % at the bottom; at material.water.{key}"
+                      r" \(.*:\d+\) = (\S+) (m/s|m|Pa) it is 1 %", line)  # fmt: skip
+    assert found is not None, line
+    weights, lines = told(tmp_path, POOL, f"{key} = {found[2]}")
+    assert lines == []
+    stiff = scene(tmp_path, HEAD.replace("STIFF", f"{key} = {found[2]}").replace("GRAVITY", "")
+                  + POOL).material["water"]  # fmt: skip
+    compression = 1.0 - np.exp(stiff.hydrostatic_theta(np.array([weights[0]]))[0])
+    assert compression == pytest.approx(0.01, rel=0.1)
+
+
+def test_check_and_plan_tell_it(tmp_path, capsys):
+    told(tmp_path, POOL)
+    path = str(tmp_path / "scene.toml")
+    assert cli.main([path, "--check"]) == 0
+    out = capsys.readouterr().out
+    assert "  soft        water: the weight" in out and "nothing else is wrong with it" in out
+    assert cli.main([path, "--plan"]) == 0
+    assert "  soft        water: the weight" in capsys.readouterr().out
+    told(tmp_path, POOL, "max_speed = 4")
+    assert cli.main([path, "--check"]) == 0
+    assert capsys.readouterr().out == f"{path}: nothing is wrong with it\n"
