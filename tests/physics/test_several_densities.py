@@ -88,3 +88,28 @@ def test_layers_at_rest_are_left_alone(tmp_path):
         "layers of brine and water at rest, shifting beside no correction: go", difference, 0.0,
         1e-4, kind="absolute", unit="of H", source="at rest", note="8 cells deep, 1 s",
     )  # fmt: skip
+
+
+def test_drops_that_collide_keep_their_momentum(tmp_path):
+    """Without gravity, away from walls, in double precision."""
+    head = HEAD.replace("VOLUME", "shifting").replace("single", "double")
+    head = head.replace("[time]", "gravity = [0, 0, 0]\n[time]", 1)
+    ball = "shape = {{ sphere = {{ center = [{0}, 0.08, 0.2], radius = 0.05 }} }}\nvelocity = {1}\n"
+    text = head + "".join(
+        f'[[object]]\nname = "{name}"\nmaterial = "{name}"\n' + ball.format(x, velocity)
+        for name, x, velocity in (("water", 0.26, [1.5, 0, 0.1]), ("brine", 0.38, [-1.5, 0, 0]))
+    )
+    simulation, made = begin(tmp_path, text)
+    before, shifts = totals(simulation), simulation.plan.shift_interval
+    scale = (made.vol0 * DENSITIES[made.object] * np.linalg.norm(made.v0, axis=1)).sum()
+    fullest = 0.0
+    while simulation.time < 0.05:
+        advance(simulation, simulation.time + 0.005)
+        (x,) = by_id(simulation, "x")
+        fullest = max(fullest, nodal_fullness(x, made.vol0, simulation.plan.cells, DX).max())
+    assert shifts == 3 and fullest > 1.02, "no particle was shifted"
+    change = np.abs(totals(simulation)["momentum"] - before["momentum"]).max() / scale
+    held(
+        "drops of water and brine that collide: change of momentum", change, 0.0, 1e-12,
+        kind="absolute", source="conservation", note="6 cells wide, double precision",
+    )  # fmt: skip
