@@ -52,7 +52,7 @@ engine.parts.*.segments.limit S 3 2
 engine.parts.*.segments.mirror S 3 2
 engine.parts.*.segments.split S
 engine.parts.*.contributions.*.chosen S
-engine.parts.*.moving.chosen S
+engine.parts.*.timeless.*.chosen S
 engine.parts.*.partition.all.* S
 engine.parts.*.partition.inner.* S
 engine.block_shares.all.* B
@@ -100,7 +100,7 @@ KERNELS = {
     "grid_to_particles(FluidLaw, Segments, Particles, VelocityOnly, Scratch, GroupConstants,"
     " StepConstants, None)",
     "apply_transfer_correction(Segments, Particles, Scratch, ShiftConstants, None)",
-    "momentum_to_velocity_only(NodeBlocks, Sums, Phases, NodeFill, Step)",
+    "momentum_to_velocity_only(NodeBlocks, Sums, Phases, NodeFill, None, Step)",
     "update(NodeBlocks, CommonFields(Sums, Sums), None, None, None, Walls, Phases,"
     " RigidBoundaries(PrescribedSteps), ContactWorkspace(None), Step)",
 }

@@ -67,6 +67,21 @@ ABOUT_ENERGY = (
 )
 
 
+def _ledger_section() -> list[str]:
+    """Return the parts of the page on ledger.csv."""
+    return [
+        "## ledger.csv\n",
+        ABOUT_TABLES,
+        _table([*file_layout.LEDGER_COLUMNS, file_layout.ROW_CHECKSUM]),
+        "Before `crc`, only with `[[inlet]]`, `[[outlet]]` or an open wall; particles_in - "
+        "particles_out is `particles`, exactly, and mass_in - mass_out is `mass`, to rounding:\n",
+        _table(file_layout.OPEN_SYSTEM_COLUMNS),
+        "Behind these, only if liquids have phases of their own:\n",
+        _table(file_layout.LIQUID_COLUMNS),
+        ABOUT_ENERGY,
+    ]
+
+
 def page() -> str:
     """Return the text of docs/reference/file-format.md."""
     parts = [
@@ -111,15 +126,7 @@ def page() -> str:
         _table(file_layout.CHECKPOINT),
         _table(file_layout.CHECKPOINT_TEXTS),
         ABOUT_CHECKPOINTS,
-        "## ledger.csv\n",
-        ABOUT_TABLES,
-        _table([*file_layout.LEDGER_COLUMNS, file_layout.ROW_CHECKSUM]),
-        "Before `crc`, only with `[[inlet]]`, `[[outlet]]` or an open wall; particles_in - "
-        "particles_out is `particles`, exactly, and mass_in - mass_out is `mass`, to rounding:\n",
-        _table(file_layout.OPEN_SYSTEM_COLUMNS),
-        "Behind these, only if liquids have phases of their own:\n",
-        _table(file_layout.LIQUID_COLUMNS),
-        ABOUT_ENERGY,
+        *_ledger_section(),
         "## probe_NAME.csv\n",
         "One row per sampling time, written after the step that reaches it, numbers with all "
         "digits. The columns depend on the measured quantity; `crc` is as in ledger.csv:\n",

@@ -40,12 +40,12 @@ def soft_liquid_lines(scene: Scene, weights: tuple[float, ...]) -> list[str]:
         scene: The scene.
         weights: Weight per area on the bottom of each body of liquid [Pa], NaN for other objects.
     """
-    largest: dict[str, float] = {}
-    for thing, weight in zip(scene.things, weights, strict=False):
-        if thing.material is not None and weight == weight:
-            largest[thing.material] = max(largest.get(thing.material, 0.0), weight)
+    heaviest: dict[str, float] = {}
+    for entity, weight in zip(scene.things, weights, strict=False):
+        if entity.material is not None and not math.isnan(weight):
+            heaviest[entity.material] = max(heaviest.get(entity.material, 0.0), weight)
     lines = []
-    for name, weight in largest.items():
+    for name, weight in heaviest.items():
         liquid: Any = scene.material[name]
         compression = 1.0 - math.exp(float(liquid.hydrostatic_theta(np.array([weight]))[0]))
         if compression <= TOLERATED_COMPRESSION * liquid.max_compression:

@@ -20,7 +20,7 @@ LOST_VOLUME = 0.02  # [-] of a liquid's volume that does not fit, from which a r
 
 
 class LiquidFill(NamedTuple):
-    """How full the liquids of a phase make their cells."""
+    """Fill of the cells by the liquids of a phase."""
 
     fullest_cell: float  # [-] largest rest volume in a node's cell, over the cell's volume
     filled_volume: float  # [m3] of its rest volume, what fits into the cells that it is in
@@ -67,8 +67,8 @@ def liquid_fill(simulation: Simulation) -> dict[int, LiquidFill]:
         volume, where = np.where(own[block[mine]], sums[mine], 0), block[mine]
         fullest = np.where(volume > 0, fullness[where], 0.0).max(initial=0.0)
         filled = np.floor(volume * fits[where]).astype(np.int64).sum()
-        largest = int(np.rint(min(fullest, MAX_CELLS) * CELL_UNITS))
-        rows.append((largest, int(filled), int(volume.sum())))
+        units = int(np.rint(min(fullest, MAX_CELLS) * CELL_UNITS))
+        rows.append((units, int(filled), int(volume.sum())))
     every = ranks.all_rows(np.array(rows, np.int64)[None])
     return {
         p: LiquidFill(
@@ -121,10 +121,15 @@ def _add_remote_sums(simulation: Simulation, sums: np.ndarray) -> None:
         sums[index[tuple(row[:4].tolist())]] += row[4:]
 
 
-def _capacity(plan: Plan, at: np.ndarray) -> np.ndarray:
-    """Return the part of each node's cell inside the domain in units, shape (blocks, 64)."""
+def _capacity(plan: Plan, blocks: np.ndarray) -> np.ndarray:
+    """Return the part of each node's cell inside the domain in units, shape (n, 64).
+
+    Args:
+        plan: Plan of the run.
+        blocks: Coordinates of the blocks, shape (n, 3).
+    """
     corner = np.stack(np.unravel_index(np.arange(64), (4, 4, 4)), 1)
-    node = 4 * at[:, None] - 1 + corner
+    node = 4 * blocks[:, None] - 1 + corner
     cells = np.array(plan.cells)
     share = np.where((node == 0) | (node == cells), 0.5, 1.0)
     return np.where((node >= 0) & (node <= cells), share, 0.0).prod(-1) * CELL_UNITS
