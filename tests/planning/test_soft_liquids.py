@@ -79,6 +79,17 @@ def test_the_value_that_is_told_is_stiff_enough(tmp_path, key, soft):
     assert compression == pytest.approx(0.01, rel=0.1)
 
 
+def test_paste_has_a_weight_too(tmp_path):
+    """A liquid of another law."""
+    text = HEAD.replace("STIFF", "max_speed = 0.5").replace("GRAVITY", "") + POOL
+    paste = 'kind = "paste"\nyield_stress = 20\nconsistency_index = 1\nshear_modulus = 200'
+    text = text.replace('kind = "fluid"', paste, 1)
+    loaded = scene(tmp_path, text)
+    made = build_scene(loaded)
+    (line,) = soft_liquid_lines(loaded, liquid_weights(loaded, made.objects, made.x))
+    assert line.startswith("  soft        water: ")
+
+
 def test_check_and_plan_tell_it(tmp_path, capsys):
     told(tmp_path, POOL)
     path = str(tmp_path / "scene.toml")

@@ -56,14 +56,10 @@ class Fluid(Liquid):
     def hydrostatic_theta(self, weight: np.ndarray) -> np.ndarray:
         """Return ln J at rest under a weight, shape (n,).
 
-        From dp/dz = -density g / J with this law's p follows J^(1 - gamma) = 1 + (1 - 1 / gamma)
-        weight / k.
-
         Args:
             weight: Weight per area without compression, density g depth, shape (n,) [Pa].
         """
-        gamma = max(self.tait_exponent, 1.0 + 1e-6)
-        return -np.log1p((1.0 - 1.0 / gamma) * weight / self.tait_coefficient) / (gamma - 1.0)
+        return self.theta_under(weight)
 
     @staticmethod
     def advance(law, state, L, dt):

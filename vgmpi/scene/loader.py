@@ -20,6 +20,7 @@ from . import accuracy_presets
 from .gravity import validate_gravity
 from .inlets_outlets import Inlet, Outlet, validate_balance, validate_inlet, validate_outlet
 from .loads import Load, validate_load
+from .number_range import numbers_out_of_range
 from .object_files import find_object_file
 from .objects import Object, validate_body_name, validate_object, validate_release
 from .probes import Probe, collider_names, validate_probe
@@ -67,6 +68,8 @@ class SceneLoader:
             if name in data or name not in REQUIRED
         }
         kinds = self.materials(data.get("material", {}))
+        if accuracy := tables.get("accuracy"):
+            self.check_numbers(kinds, accuracy.precision)
         objects = self.objects(data.get("object", []), kinds)
         pairs = self.couplings(data.get("coupling", []), kinds)
         inlets = self.inlets(data.get("inlet", []), kinds, tables, objects)
@@ -231,6 +234,13 @@ class SceneLoader:
         if isinstance(name, str) and first.setdefault(name, k) != k:
             holder = self.source.place((table, first[name], "name"))[1]
             self.report((table, k, "name"), f"is taken: {holder} has the same name")
+
+    def check_numbers(self, kinds: dict[str, Any], precision: str) -> None:
+        """Report numbers of materials that the precision of the run cannot compute with."""
+        for name, material in kinds.items():
+            if material is not None:
+                for key, message in numbers_out_of_range(material, precision):
+                    self.report(("material", name, key), message)
 
     def check_hydrostatic(self, objects: list[Any], domain: Domain) -> None:
         """Report hydrostatic fluids in a scene without constant gravity along -z."""

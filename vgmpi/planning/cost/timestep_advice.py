@@ -47,7 +47,7 @@ def soft_liquid_lines(scene: Scene, weights: tuple[float, ...]) -> list[str]:
     lines = []
     for name, weight in heaviest.items():
         liquid: Any = scene.material[name]
-        compression = 1.0 - math.exp(float(liquid.hydrostatic_theta(np.array([weight]))[0]))
+        compression = -math.expm1(float(liquid.theta_under(np.array([weight]))[0]))
         if compression <= TOLERATED_COMPRESSION * liquid.max_compression:
             continue
         key, allowed = stiffness_key(liquid), liquid.max_compression
