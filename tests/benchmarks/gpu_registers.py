@@ -65,6 +65,10 @@ CASES = {kind: ("", _body(kind, kind)) for kind in registry} | {
     "bspline": ('transfer = "pic"\ngradient = "bspline"', _body("elastic", "elastic")),
     "density correction": ('volume_correction = "density"', _body("fluid", "fluid")),
     "aflip": ('transfer = "aflip"\nflip_decay_time = "5 ms"', _body("fluid", "fluid")),
+    "several densities": (
+        "", _body("fluid", "fluid")
+        + _body("oil", "fluid", 0.08).replace('kind = "fluid"', 'kind = "fluid"\ndensity = 800.0'),
+    ),
     "driven": ("", _body("elastic", "elastic", plus=DRIVEN)),
     "couplings, colors": (
         "", COLORS + _body("fluid", "fluid") + _body("milk", "fluid", 0.08) + _body("sand", "sand")

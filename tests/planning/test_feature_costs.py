@@ -138,7 +138,7 @@ def test_what_stands_far_away_costs_no_time(tmp_path):
     """Its surface takes memory."""
     scene, plan = planned(tmp_path, BALL.replace("HEIGHT", "0.27"))
     found = {one.name: one for one in feature_costs.group_features(scene, plan, 0, PACE)}
-    assert found["contact, none near"][1:] == (0.0, 40)
+    assert found["contact, none near"][1:] == (0.0, 40, 2)
 
 
 def test_every_byte_and_all_time_is_in_a_line(tmp_path):

@@ -92,15 +92,13 @@ def fill_of_phase(fill, volumes, nodes, nb, phase, offset):
 
     Args:
         fill: What fills the cells, NodeFill.
-        volumes: Rest volumes of the nodes, flat, or None without liquids of several densities.
+        volumes: Rest volumes of the nodes, flat; read where liquids differ in density.
         nodes: Velocity and mass of the nodes, flat.
         nb, phase: Node block of the phase.
         offset: Offset of the node's fourth number in its block.
     """
-    if volumes is not None:
-        if fill.by_volume[phase]:
-            return fill.space[phase] * volumes[256 * nb + offset]
-    return fill.space[phase] * nodes[256 * nb + offset]
+    amount = volumes[256 * nb + offset] if fill.by_volume[phase] else nodes[256 * nb + offset]
+    return fill.space[phase] * amount
 
 
 @device_function
@@ -111,7 +109,7 @@ def store_fullness(n0, n1, phase_of, nodes, volumes, fill, block, solid, dx):
         n0, n1: Node blocks of a block.
         phase_of: Phase of each node block.
         nodes: Velocity and mass of the nodes, flat (in/out).
-        volumes: Rest volumes of the nodes, flat, or None without liquids of several densities.
+        volumes: Rest volumes of the nodes, flat; read where liquids differ in density.
         fill: What fills the cells, NodeFill.
         block: Coordinates of the block, shape (3,).
         solid: Row of the block among those near colliders, or -1.

@@ -65,28 +65,15 @@ def momentum_to_velocity_only(
                 momentum_to_velocity(nb, nodes, push, NODE_MASS_FLOOR * cell_mass[phase_of[nb]])
             elif not is_done:
                 mean_over_set(nb, n1, group, phase_of, as_one, nodes)
+        rest_volumes = nodes
+        if volumes is not None:
+            rest_volumes = sums_at(volumes).nodes
+            for nb in range(n0, n1):
+                finalize_node_block(nb, rows, sums_at(volumes), report, volume_field)
         if fill is not None:
-            rest_volumes = finalize_volumes(n0, n1, rows, volumes, report, volume_field)
             store_fullness(
                 n0, n1, phase_of, nodes, rest_volumes, fill, tables.at[b], tables.solid[b], step.dx
             )
-
-
-@device_function
-def finalize_volumes(n0, n1, rows, volumes, report, volume_field):
-    """Convert the sums of rest volumes of a block; return the nodes' volumes, flat, or None.
-
-    Args:
-        n0, n1: Node blocks of the block.
-        rows: Node blocks of the rank.
-        volumes, report, volume_field: See `momentum_to_velocity_only`.
-    """
-    if volumes is None:
-        return None
-    field = sums_at(volumes)
-    for nb in range(n0, n1):
-        finalize_node_block(nb, rows, field, report, volume_field)
-    return field.nodes
 
 
 @kernel

@@ -48,6 +48,7 @@ class Feature(NamedTuple):
     name: str
     ns: float  # [ns] per particle and step on one core, mean over the group as it stands
     bytes: int = 0  # [bytes] per particle
+    dimension: int = 3  # 3: costs grow as the volume of bodies in cells, 2: as their surface
 
 
 def group_features(scene: Scene, plan: Plan, g: int, pace: Throughput) -> list[Feature]:
@@ -97,7 +98,7 @@ def _meetings(plan: Plan, g: int, fluid: float, own: dict[str, int]) -> list[Fea
     for name in ("mixing", "drag", "contact"):
         share, ns = _proximity_cost(plan, g, met.get(name, []))
         if share or sizes.get(name):
-            result.append(Feature(_with_percentage(name, share), fluid * ns, sizes.get(name, 0)))
+            result.append(Feature(_with_percentage(name, share), fluid * ns, sizes.get(name, 0), 2))
     return result
 
 
@@ -138,12 +139,12 @@ def _colliders(scene: Scene, plan: Plan, g: int, fluid: float) -> list[Feature]:
     share = _mean([(plan.count[k], plan.surroundings[k].collider) for k in _rows(plan, g)])
     if not share:
         return []
-    result = [Feature(_with_percentage("colliders", share), fluid * COLLIDER_COST * share)]
+    costs = {_with_percentage("colliders", share): COLLIDER_COST}
     if any(entity.collider and entity.motion for entity in scene.object):
-        result.append(Feature("colliders that move", fluid * MOVING_COLLIDER_COST * share))
+        costs["colliders that move"] = MOVING_COLLIDER_COST
     if plan.feels:
-        result.append(Feature("probes of what colliders give", fluid * REACTION_PROBE_COST * share))
-    return result
+        costs["probes of what colliders give"] = REACTION_PROBE_COST
+    return [Feature(name, fluid * cost * share, 0, 2) for name, cost in costs.items()]
 
 
 def _blocks(plan: Plan, g: int, fluid: float) -> list[Feature]:
@@ -154,7 +155,7 @@ def _blocks(plan: Plan, g: int, fluid: float) -> list[Feature]:
     more = BLOCK_COST * (blocks / max(n, 1) - 1.0 / PARTICLES_PER_BLOCK)
     if more < 0.02:  # negligible
         return []
-    return [Feature(f"blocks of {n / blocks:.0f} particles", fluid * more)]
+    return [Feature(f"blocks of {n / blocks:.0f} particles", fluid * more, 0, 2)]
 
 
 def feature_table(scene: Scene, plan: Plan, pace: Throughput) -> list[str]:
@@ -172,13 +173,21 @@ def feature_table(scene: Scene, plan: Plan, pace: Throughput) -> list[str]:
     return lines
 
 
-def step_ns(scene: Scene, plan: Plan, pace: Throughput) -> float:
-    """Return the time of a step of all particles on one core [ns]."""
+def step_ns(scene: Scene, plan: Plan, pace: Throughput, coarsening: float = 1.0) -> float:
+    """Return the time of a step of all particles on one core [ns].
+
+    Args:
+        scene: The scene.
+        plan: Its plan.
+        pace: Throughput of the processor.
+        coarsening: Cells along an edge over those of the scene.
+    """
     total = 0.0
     for g in range(len(plan.groups)):
         n = sum(plan.count[k] for k, group in enumerate(plan.group_of) if group == g)
         if n:
-            total += n * sum(feature.ns for feature in group_features(scene, plan, g, pace))
+            features = group_features(scene, plan, g, pace)
+            total += n * sum(feature.ns * coarsening**feature.dimension for feature in features)
     return total
 
 

@@ -27,7 +27,7 @@ THIN_CELLS = (
 # [s] time to write a frame, and a particle in it (a run's `--profile`: write)
 FRAME_SECONDS, SECONDS_PER_WRITTEN_PARTICLE = 0.065, 1e-7
 # [-] overhead of ranks, fitted on two ranks to scenes of `python -m tests.benchmarks predictions`
-HALO_OVERHEAD = 4.5
+HALO_OVERHEAD = 4.0
 MOTION_STEP_MARGIN = 1.05  # [-] of the steps without motions, above which a line names them
 FINE_COUNT = 27  # particles per cell with which solids bend accurately enough
 

@@ -10,6 +10,7 @@ import time
 
 import numpy as np
 
+from vgmpi.parallel.block_lattice import BLOCK_EDGE
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.planning.cost.feature_costs import step_ns
 from vgmpi.planning.cost.pilot_result import STEP_SECONDS, PilotRun, Snapshot
@@ -28,7 +29,9 @@ log = logging.getLogger("vgmpi")
 
 COARSENING_FACTORS = (2.5, 2.0, 1.5)  # [scene cells] cell sizes; the first that works is taken
 MIN_CELLS = 4  # [cells] least number along the shortest edge
-HALF_WIDTH = 0.4  # [particle edges] distance from a particle's center to its finer ones
+# [particle edges] distance from a particle's center to its finer ones, in blocks that are less than
+# half full farther: coarse particles scatter over fewer blocks than fine ones do
+HALF_WIDTH, SCATTERED_HALF_WIDTH, SCATTERED_FILL = 0.4, 1.5, 0.5
 CORNERS = np.stack(np.meshgrid(*((-1.0, 1.0),) * 3, indexing="ij"), -1).reshape(1, 8, 3)
 SNAPSHOTS = 24  # largest number of snapshots
 
@@ -73,7 +76,7 @@ def pilot_seconds(scene: Scene, plan: Plan, pace: Throughput) -> float:
     ratio = counts[0] / max(scene.domain.cells)  # [scene cells per coarse cell]
     dt = plan.fixed_dt or time_step_bounds(scene, plan)[0][0]
     steps = ratio * float(plan.times[-1]) / dt
-    return steps * (1e-9 * ratio**3 * step_ns(scene, plan, pace) + STEP_SECONDS)
+    return steps * (1e-9 * step_ns(scene, plan, pace, ratio) + STEP_SECONDS)
 
 
 def _cell_counts(scene: Scene) -> list[int]:
@@ -132,10 +135,12 @@ def _snapshot(
     groups = simulation.groups
     owner = np.concatenate([simulation.object_of(g.ids[g.index()]) for g in groups])
     x = np.concatenate([g.positions() for g in groups])
-    offset = HALF_WIDTH * np.cbrt(np.concatenate([g.get("vol0", g.index())[:, 0] for g in groups]))
+    volume = np.concatenate([g.get("vol0", g.index())[:, 0] for g in groups])
+    offset = _half_width(scene, x, owner, volume)
     order = np.argsort(owner, kind="stable")
     counts = np.bincount(owner, minlength=len(plan.count))
     x = x[order, None] + offset[order, None, None] * CORNERS
+    x = np.clip(x, 0.0, np.nextafter(scene.domain.size, 0.0))
     positions = [part.reshape(-1, 3) for part in np.split(x, np.cumsum(counts)[:-1])]
     rows = zip(counts, simulation.plan.count, plan.count, strict=True)
     count = tuple(
@@ -144,3 +149,19 @@ def _snapshot(
     return Snapshot(
         simulation.time, steps, count, measure_proximity(scene, positions, summary.colliders)
     )
+
+
+def _half_width(scene: Scene, x: np.ndarray, owner: np.ndarray, volume: np.ndarray) -> np.ndarray:
+    """Return the distance [m] from coarse particles to the finer ones in their place, shape (n,).
+
+    Args:
+        scene: The scene, with the cells whose blocks are counted.
+        x: Positions of the coarse particles, shape (n, 3) [m].
+        owner: Object of each, shape (n,).
+        volume: Rest volume of each, shape (n,) [m3].
+    """
+    block = np.floor((x / scene.domain.cell + 0.5) / BLOCK_EDGE).astype(np.int64)
+    _, row = np.unique(np.column_stack([owner, block]), axis=0, return_inverse=True)
+    fill = np.bincount(row.ravel(), volume) / (BLOCK_EDGE * scene.domain.cell) ** 3
+    is_scattered = fill[row.ravel()] < SCATTERED_FILL
+    return np.where(is_scattered, SCATTERED_HALF_WIDTH, HALF_WIDTH) * np.cbrt(volume)

@@ -200,6 +200,8 @@ def kernels_of(simulation) -> list[Compiled]:
     if plan.restores or plan.shift_interval:
         shift = shift_constants(plan, 1e-5, 0) if plan.shift_interval else None
         engine.begin(0.0, simulation.gravity, 1.0, shift)
+        if any(phase.fills_by_volume for phase in plan.phases):
+            engine.fill(False)
         engine.update(False)
         engine.restore(1)
     for group in simulation.groups:  # the kernels of a sort as well
