@@ -56,9 +56,7 @@ QUICK = "fluid", "driven", "several densities"
 @pytest.mark.parametrize(
     "case",
     [
-        name
-        if name in ("fluid", "driven", "several densities")
-        else pytest.param(name, marks=pytest.mark.slow)
+        name if name in QUICK else pytest.param(name, marks=pytest.mark.slow)
         for name in ("fluid", *(name for name in registers.CASES if name not in registry))
     ],
 )
