@@ -122,9 +122,18 @@ def test_more_steps_than_the_time_can_tell_apart(scene, capsys, flag, item, says
 
 @pytest.mark.parametrize("flag", ["--plan", "-q"])
 def test_a_law_beyond_single_precision(scene, capsys, flag):
-    assert cli.main([str(scene), flag, "--set", "material.water.density=1e-90"]) == 2
+    stiff = [
+        "--set",
+        "material.water.density=1e-30",
+        "--set",
+        "material.water.tait_coefficient=1e9",
+    ]
+    assert cli.main([str(scene), flag, *stiff]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert ": material.water: its law has numbers beyond accuracy.precision = 'single'" in line
+    assert cli.main([str(scene), flag, "--set", "material.water.density=1e-90"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "material.water.density: is 1e-90 in SI units; single precision computes with" in line
 
 
 def test_too_little_memory_is_refused(scene, capsys, monkeypatch):

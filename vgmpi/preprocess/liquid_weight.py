@@ -4,8 +4,6 @@ import numpy as np
 
 from vgmpi.scene.scene import Scene
 
-from .motion_checks import extent
-
 
 def liquid_weights(scene: Scene, objects: list[dict], x: np.ndarray) -> tuple[float, ...]:
     """Return the weight per area [Pa] on the bottom of each body of liquid, NaN for other objects.
@@ -30,7 +28,8 @@ def liquid_weights(scene: Scene, objects: list[dict], x: np.ndarray) -> tuple[fl
     low, high = (np.full((len(objects), 3), np.nan) for _ in range(2))
     for k in liquids:
         entry = objects[k]
-        low[k], high[k] = extent(x[entry["first_row"] :][: entry["row_count"]])
+        particles = x[entry["first_row"] :][: entry["row_count"]]
+        low[k], high[k] = particles.min(axis=0), particles.max(axis=0)
     if gravity[axis] > 0.0:  # up is along the axis from here on
         low[:, axis], high[:, axis] = -high[:, axis], -low[:, axis]
     across = [a for a in range(3) if a != axis]
