@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from tests.benchmarks.predictions import HELD_OUT, ROOT
-from tests.support.simulate import advance, begin
+from tests.support.simulate import advance, begin, by_id
 from vgmpi.planning.cost import feature_costs
 from vgmpi.planning.cost.throughput import Throughput
 from vgmpi.planning.plan import Plan
@@ -49,10 +49,8 @@ class StepSample(NamedTuple):
 
 def current_plan(scene: Scene, simulation: Simulation, colliders: list) -> Plan:
     """Return the plan of a simulation with its particles where they are now."""
-    groups, plan = simulation.groups, simulation.plan
-    owner = np.concatenate([simulation.object_of(g.ids[g.index()]) for g in groups])
-    x = np.concatenate([g.positions() for g in groups])[np.argsort(owner, kind="stable")]
-    count = np.bincount(owner, minlength=len(plan.count))
+    plan, (x, ids) = simulation.plan, by_id(simulation, "x", "id")
+    count = np.bincount(simulation.object_of(ids), minlength=len(plan.count))
     bodies = np.split(x, np.cumsum(count)[:-1])
     around = measure_proximity(scene, bodies, colliders)
     return replace(plan, count=tuple(count.tolist()), surroundings=around)

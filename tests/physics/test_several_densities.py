@@ -6,11 +6,11 @@ Tolerances: level 3 % after the splash, fullest cell 1.45."""
 
 import numpy as np
 
-from tests.benchmarks.liquid_volume import GRAVITY, nodal_fullness
+from tests.benchmarks.liquid_volume import GRAVITY, TANK, nodal_fullness
 from tests.support.simulate import advance, begin, by_id, totals
 from tests.support.validation_record import held
 
-SIZE, DX = (0.64, 0.16, 0.40), 0.02
+SIZE, DX = TANK, 0.02
 WIDTH, HEIGHT = 0.16, 0.32  # [m] of each column
 LEVEL = 2 * WIDTH * HEIGHT / SIZE[0]
 HEAD = f"""

@@ -127,7 +127,7 @@ class ConservationLog(CsvLog):
         """
         path = Path(folder) / file_layout.LEDGER
         if last_step is not None:
-            liquids = ranks.bcast(has_liquid_columns(path, liquids))
+            liquids = ranks.bcast(ranks.rank == 0 and has_liquid_columns(path, liquids))
         super().__init__(path, ledger_columns(flows, liquids), ranks, last_step)
 
 

@@ -69,14 +69,14 @@ class Liquid(Material):
         assert self.max_depth is not None
         return self.density * GRAVITY * self.max_depth / (self.max_compression * self.tait_exponent)
 
-    def theta_under(self, weight: np.ndarray) -> np.ndarray:
-        """Return ln J at rest under a weight, shape (n,).
+    def theta_under(self, weight: float | np.ndarray) -> np.ndarray:
+        """Return ln J at rest under a weight, in its shape.
 
         From dp/dz = -density g / J with this law's p follows J^(1 - gamma) = 1 + (1 - 1 / gamma)
         weight / k.
 
         Args:
-            weight: Weight per area without compression, density g depth, shape (n,) [Pa].
+            weight: Weight per area without compression, density g depth [Pa].
         """
         gamma = max(self.tait_exponent, 1.0 + 1e-6)
         return -np.log1p((1.0 - 1.0 / gamma) * weight / self.tait_coefficient) / (gamma - 1.0)

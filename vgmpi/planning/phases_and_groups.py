@@ -61,6 +61,11 @@ class GroupPlan(NamedTuple):
     shifts: bool = False  # its particles are shifted where they crowd, and keep their volume
 
     @property
+    def is_liquid(self) -> bool:
+        """True if its particles carry ln J as liquids do."""
+        return self.carries[:1] == ("theta",)
+
+    @property
     def stores_porosity(self) -> bool:
         """True if its particles carry their volume fraction."""
         return self.pores < 1.0
@@ -310,9 +315,7 @@ def with_volume_correction(
     if make is None:
         return groups, phases
     corrected = tuple(
-        make(scene, group, phases[group.phase])
-        if group.carries[:1] == ("theta",) and not group.shares
-        else group
+        make(scene, group, phases[group.phase]) if group.is_liquid and not group.shares else group
         for group in groups
     )
     shifted = {group.phase for group in corrected if group.shifts}

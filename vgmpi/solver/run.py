@@ -288,7 +288,8 @@ def prepared_run(
             scene = with_accuracy_of_run(scene, attrs["scene"])
             history = _history(scene, attrs, options.change)
             ledger = folder / file_layout.LEDGER
-            columns = ledger_columns(scene.is_open_system, has_liquid_columns(ledger, False))
+            liquids = ranks.rank == 0 and has_liquid_columns(ledger, False)  # rank 0 reads tables
+            columns = ledger_columns(scene.is_open_system, liquids)
             tables = {ledger: columns, **files(scene, folder)}
             check_tables(tables, ranks, attrs["step"], attrs.get("log_checksums", {}))
         summary = prepare(scene, ranks, folder, resumed)

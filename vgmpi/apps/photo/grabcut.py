@@ -133,8 +133,6 @@ def marked_components(mask: np.ndarray, points: list[tuple[float, float, bool]])
     """
     label, _ = ndimage.label(mask)
     marked = {int(label[int(y), int(x)]) for x, y, is_object in points if is_object} - {0}
-    if not marked:
-        return largest_component(mask)
     components = np.isin(label, list(marked)) | largest_component(mask)
     return ndimage.binary_fill_holes(components)
 

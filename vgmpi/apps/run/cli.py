@@ -203,9 +203,8 @@ def _command(args: argparse.Namespace, ranks: SerialCommunicator) -> int:
         from vgmpi.preprocess.liquid_weight import liquid_weights
         from vgmpi.preprocess.scene_builder import build_scene
 
-        particles = build_scene(
-            scene
-        )  # only this finds unreadable files and bodies outside the domain
+        # only this finds unreadable files and bodies outside the domain
+        particles = build_scene(scene)
         lines = soft_liquid_lines(scene, liquid_weights(scene, particles.objects, particles.x))
         print("\n".join([*lines, f"{args.scene}: nothing {'else ' * bool(lines)}is wrong with it"]))
         return 0

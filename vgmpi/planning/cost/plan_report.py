@@ -134,9 +134,7 @@ def _unshifted(scene: Scene, plan: Plan) -> list[str]:
     """Return a line on the liquids whose particles cannot be shifted, and so lose volume."""
     if scene.accuracy.volume_correction != "shifting":
         return []
-    names = [
-        group.name for group in plan.groups if group.carries[:1] == ("theta",) and not group.shifts
-    ]
+    names = [group.name for group in plan.groups if group.is_liquid and not group.shifts]
     if not names:
         return []
     message = "may lose height: liquids that share space with others are not shifted"

@@ -5,8 +5,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from vgmpi.materials.liquid_stiffness import GRAVITY, Liquid
 from vgmpi.planning.plan import Plan, time_step_bounds
 from vgmpi.runtime.config.toml_source import escape_control_characters
@@ -47,7 +45,7 @@ def soft_liquid_lines(scene: Scene, weights: tuple[float, ...]) -> list[str]:
     lines = []
     for name, weight in heaviest.items():
         liquid: Any = scene.material[name]
-        compression = -math.expm1(float(liquid.theta_under(np.array([weight]))[0]))
+        compression = -math.expm1(float(liquid.theta_under(weight)))
         if compression <= TOLERATED_COMPRESSION * liquid.max_compression:
             continue
         key, allowed = stiffness_key(liquid), liquid.max_compression

@@ -11,7 +11,6 @@ import numpy as np
 
 from vgmpi.kernels.diagnostics import CELL_UNITS, deposit_rest_volume
 from vgmpi.parallel.exchange_topology import counting_owner
-from vgmpi.planning.phases_and_groups import GroupPlan
 from vgmpi.planning.plan import Plan
 from vgmpi.solver.simulation import Simulation
 
@@ -27,15 +26,10 @@ class LiquidFill(NamedTuple):
     rest_volume: float  # [m3]
 
 
-def holds_liquid(group: GroupPlan) -> bool:
-    """Return whether a group is a liquid that shares space with no other phase."""
-    return group.carries[:1] == ("theta",) and not group.shares
-
-
 def liquid_phases(plan: Plan) -> list[int]:
     """Return the phases that hold liquids alone, and share space with no others."""
-    groups = [[g for g in plan.groups if g.phase == p] for p in range(len(plan.phases))]
-    return [p for p, members in enumerate(groups) if members and all(map(holds_liquid, members))]
+    liquid = {g.phase for g in plan.groups if g.is_liquid and not g.shares}
+    return sorted(liquid - {g.phase for g in plan.groups if not g.is_liquid or g.shares})
 
 
 def liquid_fill(simulation: Simulation) -> dict[int, LiquidFill]:
@@ -116,6 +110,8 @@ def _add_remote_sums(simulation: Simulation, sums: np.ndarray) -> None:
             rows.append(np.column_stack([place[sent.send_blocks], values]))
             to.append(np.full(len(values), other))
     received = ranks.sparse_exchange(np.concatenate(rows), np.concatenate(to))
+    if not len(received):
+        return
     index = {tuple(key): nb for nb, key in enumerate(place.tolist())}
     for row in received:
         sums[index[tuple(row[:4].tolist())]] += row[4:]

@@ -72,8 +72,12 @@ def measure_proximity(
 
 def _blocks(lattice: BlockLattice, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return codes (m,) of the blocks with particles at x (n, 3) [m], and the count in each."""
-    block = np.floor((x / lattice.dx + 0.5) / BLOCK_EDGE).astype(np.int64)
-    return np.unique(lattice.code(block), return_counts=True)
+    return np.unique(lattice.code(blocks_at(x, lattice.dx)), return_counts=True)
+
+
+def blocks_at(x: np.ndarray, dx: float) -> np.ndarray:
+    """Return the blocks (n, 3) of positions x (n, 3) [m] in cells of dx [m]."""
+    return np.floor((x / dx + 0.5) / BLOCK_EDGE).astype(np.int64)
 
 
 def _phase_proximity(

@@ -23,7 +23,7 @@ from vgmpi.solver.initial_particles import ParticleSummary
 from vgmpi.solver.run import Options, Runner, prepared_run
 from vgmpi.solver.simulation import BlowUp, Simulation
 
-from .measure_proximity import measure_proximity
+from .measure_proximity import blocks_at, measure_proximity
 
 log = logging.getLogger("vgmpi")
 
@@ -160,8 +160,8 @@ def _half_width(scene: Scene, x: np.ndarray, owner: np.ndarray, volume: np.ndarr
         owner: Object of each, shape (n,).
         volume: Rest volume of each, shape (n,) [m3].
     """
-    block = np.floor((x / scene.domain.cell + 0.5) / BLOCK_EDGE).astype(np.int64)
-    _, row = np.unique(np.column_stack([owner, block]), axis=0, return_inverse=True)
+    rows = np.column_stack([owner, blocks_at(x, scene.domain.cell)])
+    _, row = np.unique(rows, axis=0, return_inverse=True)
     fill = np.bincount(row.ravel(), volume) / (BLOCK_EDGE * scene.domain.cell) ** 3
     is_scattered = fill[row.ravel()] < SCATTERED_FILL
     return np.where(is_scattered, SCATTERED_HALF_WIDTH, HALF_WIDTH) * np.cbrt(volume)
