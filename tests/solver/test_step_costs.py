@@ -1,5 +1,6 @@
 """What a step must not cost: memory, and time beside its kernels."""
 
+import gc
 import logging
 import tracemalloc
 from types import SimpleNamespace
@@ -23,7 +24,7 @@ def mixed(tmp_path):
     """Walls of all kinds, three phases in contact, a collider; and a time step so short that no
     particle leaves its patch: a sort allocates."""
     simulation, _ = begin(tmp_path, MIXED.replace("PRECISION", "double"))
-    dt = 0.01 * simulation.bound()
+    dt = 0.001 * simulation.bound()
     for _ in range(2 * simulation.plan.restores):  # what is made once is there
         simulation.advance(dt)
     sorts = simulation.sorts
@@ -58,20 +59,27 @@ def test_compiled_code_allocates_nothing_in_its_loops(mixed):
 
 
 def test_nothing_a_step_allocates_stays(mixed):
+    """Python keeps a store of freed tuples and numbers, which fills within a few thousand steps and
+    is emptied by a full garbage collection. What a step keeps grows for ever."""
     simulation, dt = mixed
+    steps, windows = 500, 3
+    limit = 6 * steps * windows  # [bytes], less than a pointer per step
+    growths = []
+    gc.disable()
     tracemalloc.start()
     try:
-        for _ in range(2000):  # Python keeps a store of freed numbers, which fills first
-            simulation.advance(dt)
-        before = tracemalloc.get_traced_memory()[0]
-        tracemalloc.reset_peak()
-        for _ in range(50):
-            simulation.advance(dt)
-        after, most = tracemalloc.get_traced_memory()
+        while len(growths) < windows or (len(growths) < 20 and sum(growths[-windows:]) >= limit):
+            before = tracemalloc.get_traced_memory()[0]
+            tracemalloc.reset_peak()
+            for _ in range(steps):
+                simulation.advance(dt)
+            after, peak = tracemalloc.get_traced_memory()
+            growths.append(after - before)
     finally:
         tracemalloc.stop()
-    assert after - before < 2000
-    assert most - before < 20_000
+        gc.enable()
+    assert sum(growths[-windows:]) < limit, growths
+    assert peak - before < 20_000
 
 
 def test_an_empty_step_moves_nothing(tmp_path):
