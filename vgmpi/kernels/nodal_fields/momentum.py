@@ -56,8 +56,8 @@ def contribution_kinds(
     """Return the contributions of a group's particles with and without their stress."""
     real = plan.real.type
     numbers = [real(v) for v in (MIRROR_VECTOR, plan.splines, group.density, plan.affine, plan.dx)]
-    whole = MomentumWithoutPressure if group.cell_dilatation else Momentum
-    return whole(*numbers), MomentumWithoutStress(*numbers)
+    kind = MomentumWithoutPressure if group.cell_dilatation else Momentum
+    return kind(*numbers), MomentumWithoutStress(*numbers)
 
 
 @static_dispatch
