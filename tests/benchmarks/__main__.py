@@ -303,6 +303,18 @@ def _run_volume(args) -> int:
     return 0
 
 
+def _correction_order(parser) -> None:
+    say = parser.add_argument
+    say("orders", nargs="*", type=int, default=[1, 2, 3], help="numbers of terms, default 1 2 3")
+
+
+def _run_correction_order(args) -> int:
+    from tests.benchmarks import correction_order
+
+    correction_order.run(args.orders)
+    return 0
+
+
 def _crowding(parser) -> None:
     from tests.benchmarks.crowding import MATERIALS
 
@@ -358,6 +370,11 @@ COMMANDS = {  # what it does, its flags, how it runs
     "census": ("what a sort costs one rank of many beside its particles", _census, _run_census),
     "choose-tests": ("which tests make test leaves out", _choose_tests, _run_choose_tests),
     "compile-cost": ("what each specialization of a scene costs to compile", _cost, _run_cost),
+    "correction-order": (
+        "further terms of the transfer correction",
+        _correction_order,
+        _run_correction_order,
+    ),
     "couplings": ("what mixing and drag cost", _couplings, _run_couplings),
     "crowding": ("how sand, snow and paste pile up", _crowding, _run_crowding),
     "emulate": ("one rank of many by its own tables", _emulate, _run_emulate),

@@ -64,6 +64,7 @@ CASES = {kind: ("", _body(kind, kind)) for kind in registry} | {
     "contact, colliders": ("", _body("fluid", "fluid") + _body("elastic", "elastic", 0.16) + POST),
     "bspline": ('transfer = "pic"\ngradient = "bspline"', _body("elastic", "elastic")),
     "density correction": ('volume_correction = "density"', _body("fluid", "fluid")),
+    "dilatation by cells": ('dilatation = "cells"', _body("fluid", "fluid")),
     "aflip": ('transfer = "aflip"\nflip_decay_time = "5 ms"', _body("fluid", "fluid")),
     "several densities": (
         "", _body("fluid", "fluid")

@@ -32,6 +32,7 @@ SHORT = {  # name: precision, steps, scenes
             "driven tin",
             "density correction",
             "several densities",
+            "dilatation by cells",
         ],
     ),
     "double": ("double", 2, ["fluid", "sand", "elastic", "contact"]),

@@ -49,7 +49,7 @@ def test_every_law_compiles_without_spills_doubles_or_contraction(law):
     assert {(one.name, one.law) for one in found} == {("fill momentum", law), ("g2p", law)}
 
 
-QUICK = "fluid", "driven", "several densities"
+QUICK = "fluid", "driven", "several densities", "dilatation by cells"
 
 
 # the others are compiled by `make validate`: minutes
@@ -65,6 +65,7 @@ def test_what_else_a_scene_asks_for_compiles(case):
     moves = {
         "driven": {"fill momentumwithoutstress", "advect_prescribed"},
         "several densities": {"fill restvolume", "settle", "g2p"},
+        "dilatation by cells": {"fill cellpressure", "fill momentumwithoutpressure", "g2p"},
     }
     assert moves.get(case, {"g2p"}) | {"tag", "order"} <= names
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numba import njit
 
 from tests.benchmarks import register_spills
-from vgmpi.kernels import stencil_sums
+from vgmpi.kernels import cell_stencil_sums, stencil_sums  # noqa: F401  (its functions)
 from vgmpi.kernels.particle_records import PATCH, PLANE, ROW
 from vgmpi.kernels.simd import row_ops, vector16
 from vgmpi.runtime.cpu_features import widest

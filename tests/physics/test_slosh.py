@@ -102,6 +102,22 @@ def test_losses_are_per_second(tmp_path):
     held(f"{half}, with APIC", apic[1] - apic[0], 0.0, 0.01, **say, expected=False)
 
 
+@pytest.mark.parametrize(
+    "modulus, particles",
+    [(2e5, 8), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((2e4, 8), (2e5, 27)))],
+)
+def test_nothing_locks_by_cells(tmp_path, modulus, particles):
+    """With the dilatation of cells a wave does not depend on the stiffness."""
+    found, left = sloshing(
+        tmp_path, 20, 'dilatation = "cells"', particles=particles, modulus=modulus
+    )
+    case = f"k = {modulus:g} Pa, {particles} per cell, dilatation by cells"
+    say = {"source": "Lamb, Hydrodynamics, art. 228", "note": "20 cells per wave, 10 cm of water"}
+    held(f"sloshing: period, {case}", found, PERIOD, 0.025, unit="s", **say)
+    held(f"sloshing: loss, {case}", 1 - left, 0.0, 0.06, kind="below",
+         unit="of the amplitude in a period", **say)  # fmt: skip
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("modulus, particles", [(2e4, 8), (2e5, 27), (2e5, 8)])
 def test_stiff_liquids_lock(tmp_path, modulus, particles):

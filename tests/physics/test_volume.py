@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.benchmarks.liquid_volume import dam_break
-from tests.support.simulate import advance, begin, by_id
+from tests.support.simulate import advance, begin, by_id, totals
 from tests.support.validation_record import held
 
 LONG, DEEP, DX = 0.32, 0.08, 0.02
@@ -118,3 +118,27 @@ def test_water_at_rest_stays(tmp_path, precision, volume):
     off = np.abs(after - J).max() / np.abs(J - 1).max()
     held(f"water at rest, volume correction {volume}, {precision}: pressure", off, 0.0, 0.03, **say)
     assert np.abs(moves).max() < 1e-3
+
+
+@pytest.mark.parametrize("dilatation, holds", [("particles", True), ("cells", False)])
+def test_a_disturbed_pool_comes_to_rest(tmp_path, dilatation, holds):
+    """Particles displaced by up to half their spacing, after 4 s."""
+    text = SCENE.replace("VOLUME", "shifting").replace("SHAPE", RESTS)
+    text = text.replace(f"cell = {DX}", f"cell = {DX / 2}")
+    text = text.replace("[material.water]", f'dilatation = "{dilatation}"\n[material.water]')
+    simulation, _ = begin(tmp_path, text)
+    group, random = simulation.groups[0], np.random.default_rng(1)
+    displaced = random.uniform(-0.25, 0.25, (3, len(group.ids))) * 2.0**group.bits
+    group.xi[:, group.index()] += displaced[:, group.index()].astype(group.xi.dtype)
+    simulation.sort()
+    start = totals(simulation)["energy"]
+    advance(simulation, 4.0)
+    (v,) = by_id(simulation, "v")
+    say = {"source": "at rest", "note": "32 x 8 cells, 10 cells deep, displaced, 4 s"}
+    name = f"disturbed pool, dilatation by {dilatation}"
+    speed = np.sqrt((v**2).sum(1).mean() / (9.80665 * LEVEL))
+    held(f"{name}: rms speed over sqrt(g H)", speed, 0.0, 3e-3, kind="below",
+         expected=holds, deviation=not holds, **say)  # fmt: skip
+    if holds:
+        gain = totals(simulation)["energy"] / start - 1.0
+        held(f"{name}: energy over the start", gain, 0.0, 1e-3, kind="below", **say)

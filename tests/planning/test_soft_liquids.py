@@ -90,6 +90,27 @@ def test_paste_has_a_weight_too(tmp_path):
     assert line.startswith("  soft        water: ")
 
 
+def test_a_liquid_that_cannot_follow_cells_is_named(tmp_path, capsys):
+    """One that shares the space of another does not follow the dilatation by cells."""
+    text = HEAD.replace("STIFF", "").replace("GRAVITY", "") + HALF + ABOVE
+    cells = '[accuracy]\ndilatation = "cells"\n'
+    mixing = '[[coupling]]\nkind = "mixing"\nbetween = ["water", "oil"]\n'
+    path = tmp_path / "scene.toml"
+    path.write_text(text + cells)
+    assert cli.main([str(path), "--plan"]) == 0
+    out = capsys.readouterr().out
+    assert "dilatation by cells" in out and "  dilatation  " not in out
+    path.write_text(text + cells + mixing)
+    assert cli.main([str(path), "--plan"]) == 0
+    (line,) = [x for x in capsys.readouterr().out.splitlines() if "  dilatation  " in x]
+    assert "by particles: only liquids that share no space with others follow cells" in line
+    path.write_text(text + cells + 'transfer = "aflip"\n')
+    assert cli.main([str(path), "--check"]) == 2
+    error = capsys.readouterr().err
+    assert "accuracy.dilatation" in error and "scene.toml:" in error
+    assert "cells is for transfer = 'apic-corrected', 'apic' or 'pic'" in error
+
+
 def test_check_and_plan_tell_it(tmp_path, capsys):
     told(tmp_path, POOL)
     path = str(tmp_path / "scene.toml")

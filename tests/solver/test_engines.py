@@ -104,6 +104,7 @@ FLOW = coupling("drag", "water", "sand", "hydraulic_conductivity = 2e-2")
 COLORS = '[appearance]\ncolor_transfer = "step"\n'
 ONE = 'phase = "one"\n'
 AFLIP = 'transfer = "aflip"\nflip_decay_time = "5 ms"'
+CELLS = 'dilatation = "cells"'
 CORRECTED = 'transfer = "apic-corrected"'
 RED, BLUE = 'color = "#ff2010"', 'color = "#1020ff"'
 
@@ -191,6 +192,10 @@ SCENES = {kind: (of_law(kind), "mixed", "") for kind in LAWS} | {
         WATER + TOY + POOL.replace("0.2, 0.16, 0.06", "0.175, 0.16, 0.06") + CUBE, "open", "",
     ),
     "several densities": (WATER + OIL + TOY + POOL + SLICK + CUBE + POST, "mixed", ""),
+    "dilatation by cells": (WATER + TOY + POOL + CUBE + POST, "mixed", CELLS),
+    "dilatation by cells, density correction": (
+        WATER + TOY + POOL + CUBE, "separate", f"{CELLS}\n{DENSITY}",
+    ),
     "walls that vanish": (WATER + TOY + POOL + CUBE + OTHER, "vanishing", ""),
     "inlets and outlets": (WATER + TOY + POOL + CUBE + TAP + HOLE, "mixed", ""),
     "driven, in contact": (WATER + TOY + POOL + DRIVEN + OTHER + POST, "separate", ""),

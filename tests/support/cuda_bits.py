@@ -35,8 +35,8 @@ from vgmpi.solver.engines.cuda import (  # noqa: E402
     device_group,
     device_sort,
     grid_kernels,
+    scatter_kernels,
     thread_block,
-    transfer_kernels,
 )
 from vgmpi.solver.engines.cuda.cuda_engine import Cuda  # noqa: E402
 from vgmpi.solver.engines.cuda.grid_kernels import from_lane  # noqa: E402
@@ -145,9 +145,9 @@ def _reversed(self, part):
 
 
 BREAKS = {
-    "ownership": lambda: setattr(transfer_kernels, "_node", _own_node),  # two threads, one number
+    "ownership": lambda: setattr(scatter_kernels, "_node", _own_node),  # two threads, one number
     "meeting": lambda: setattr(
-        transfer_kernels, "meet", _never
+        scatter_kernels, "meet", _never
     ),  # records are read before they are made
     "meeting at nodes": lambda: grid_kernels.NODES.stands_in.update(
         {lanes_team.sync_threads: _never}

@@ -73,6 +73,12 @@ def split_scratch(real):
 
 
 @device_function
+def velocity_patch_of(real):
+    """Return the patch of velocities of the scratch, with its padding."""
+    return real[2 * SCRATCH : 2 * SCRATCH + PADDED_PATCH]
+
+
+@device_function
 def patch_of(real, k):
     """Return auxiliary patch k = 0, 1, ... of the scratch."""
     return real[SCRATCH_SIZE + k * PADDED_PATCH : SCRATCH_SIZE + (k + 1) * PADDED_PATCH]

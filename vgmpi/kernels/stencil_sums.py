@@ -317,13 +317,7 @@ def per_row(make_part, parts):
     return _stencil
 
 
-STENCIL_FUNCTIONS = {  # name: (how parts are combined, how one part is made)
-    "scatter": (by_runs, _scatter),
-    "scatter_slopes": (per_record, _scatter_slopes),
-    "gather_affine": (per_row, _moments),
-    "gather_gradient": (per_row, _slopes),
-    "gather_value": (per_row, _values),
-}
+STENCIL_FUNCTIONS: dict = {}  # name: (how parts are combined, how one part is made)
 
 
 def row_split_for(name: str, register: int, bits: int) -> int:
@@ -338,9 +332,13 @@ def row_split_for(name: str, register: int, bits: int) -> int:
     return max(fit, 1)
 
 
-def _choose(name):
-    """Define the function `name` for the precision of its patch."""
-    combine, make_part = STENCIL_FUNCTIONS[name]
+def define_stencil_function(stub, combine, make_part):
+    """Define the function `stub` for the precision of its patch.
+
+    Its parts, by `make_part(node, nodes)`, are combined by `by_runs`, `per_record` or `per_row`.
+    """
+    name = stub.__name__
+    STENCIL_FUNCTIONS[name] = combine, make_part
     functions = {nodes: combine(make_part, parts) for nodes, parts in ROW_SPLITS.items()}
 
     def _implementation(count, records, weights, base, patch):
@@ -349,7 +347,7 @@ def _choose(name):
             count, records, weights, base, patch
         )
 
-    overload(globals()[name], strict=False)(_implementation)
+    overload(stub, strict=False)(_implementation)
 
 
 def scatter(count, records, weights, base, patch):
@@ -395,5 +393,8 @@ def gather_value(count, records, weights, base, patch):
     """
 
 
-for _name in STENCIL_FUNCTIONS:
-    _choose(_name)
+define_stencil_function(scatter, by_runs, _scatter)
+define_stencil_function(scatter_slopes, per_record, _scatter_slopes)
+define_stencil_function(gather_affine, per_row, _moments)
+define_stencil_function(gather_gradient, per_row, _slopes)
+define_stencil_function(gather_value, per_row, _values)

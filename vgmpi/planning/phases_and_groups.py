@@ -31,6 +31,7 @@ SHIFT_INTERVAL = 3  # [steps] between two shifts of the particles of liquids
 SHIFT_COST = 0.06  # [-] additional cost of particle shifting, relative to a step
 REST_VOLUME_COST = 0.1  # [-] the same of summing rest volumes where liquids differ in density
 DENSITY_CORRECTION_COST = 0.1  # [-] additional cost of the density correction, relative to a step
+CELL_DILATATION_COST = 0.24  # [-] additional cost of the dilatation by cells, relative to a step
 FLIP_COST = 1.7  # [-] cost of FLIP and AFLIP, relative to the same step without
 COLOR_COST = 0.6  # [-] cost of a transferred color coefficient, relative to a fluid's step
 
@@ -59,6 +60,7 @@ class GroupPlan(NamedTuple):
     driven: bool = False  # its motion is prescribed (prescribed_bodies.py)
     space: float = 0.0  # [1/kg] inverse mass of a full cell with density correction, else 0
     shifts: bool = False  # its particles are shifted where they crowd, and keep their volume
+    cell_dilatation: bool = False  # its volume follows the mean divergence of cells
 
     @property
     def is_liquid(self) -> bool:
@@ -273,9 +275,12 @@ def with_runtime_requirements(
         group = _with_colors(group, int(colors.coefficients[group.phase]))
     if restores:
         group = group._replace(cost=group.cost * (1.0 + CORRECTION_COST / restores))
-    if keeps is None:
-        return group
-    return group._replace(apart=True, cost=group.cost * FLIP_COST)
+    if keeps is not None:
+        return group._replace(apart=True, cost=group.cost * FLIP_COST)
+    if scene.accuracy.dilatation == "cells" and group.is_liquid and not group.apart:
+        cost = group.cost * (1.0 + CELL_DILATATION_COST)
+        return group._replace(cell_dilatation=True, cost=cost)
+    return group
 
 
 def _with_shared_space(

@@ -13,6 +13,7 @@ from vgmpi.kernels.reproducible_sums import next_power_of_two
 from vgmpi.kernels.simd.mask_ops import first_n
 from vgmpi.kernels.simd.material_dispatch import load_state_vector, stress
 from vgmpi.kernels.simd.row_ops import broadcast, max_ignore_nan, store_records
+from vgmpi.kernels.simd.static_dispatch import static_dispatch
 from vgmpi.kernels.simd.vector16 import load, store
 from vgmpi.kernels.stencil_sums import scatter, scatter_slopes
 
@@ -21,6 +22,16 @@ from .field_protocol import MIRROR_VECTOR, accumulate, particle_contribution
 
 class Momentum(NamedTuple):
     """Contribution of momentum, mass and the stress impulse."""
+
+    mirror: float  # code of nodal_fields/field_protocol.py
+    splines: float  # 1: forces by the gradients of the B-splines, 0: by moments
+    density: float  # [kg/m3] rest density
+    affine: float  # 1: particles carry the velocity gradient (APIC), 0: they do not
+    dx: float  # [m] cell size
+
+
+class MomentumWithoutPressure(NamedTuple):
+    """Contribution of momentum, mass and the impulse of deviatoric stress (cell_pressure.py)."""
 
     mirror: float  # code of nodal_fields/field_protocol.py
     splines: float  # 1: forces by the gradients of the B-splines, 0: by moments
@@ -39,11 +50,30 @@ class MomentumWithoutStress(NamedTuple):
     dx: float  # [m] cell size
 
 
-def contribution_kinds(plan, group) -> tuple[Momentum, MomentumWithoutStress]:
+def contribution_kinds(
+    plan, group
+) -> tuple[Momentum | MomentumWithoutPressure, MomentumWithoutStress]:
     """Return the contributions of a group's particles with and without their stress."""
     real = plan.real.type
     numbers = [real(v) for v in (MIRROR_VECTOR, plan.splines, group.density, plan.affine, plan.dx)]
-    return Momentum(*numbers), MomentumWithoutStress(*numbers)
+    kind = MomentumWithoutPressure if group.cell_dilatation else Momentum
+    return kind(*numbers), MomentumWithoutStress(*numbers)
+
+
+@static_dispatch
+def stress_by_moments(kind, t00, t11, t22):
+    """Return the normal stresses whose impulse goes with momentum."""
+
+
+@stress_by_moments.of(Momentum)
+def _(kind, t00, t11, t22):
+    return t00, t11, t22
+
+
+@stress_by_moments.of(MomentumWithoutPressure)
+def _(kind, t00, t11, t22):
+    mean = (t00 + t11 + t22) * (1.0 / 3.0)
+    return t00 - mean, t11 - mean, t22 - mean
 
 
 def accumulator_range(plan, speed: float) -> np.ndarray:
@@ -58,6 +88,7 @@ def accumulator_range(plan, speed: float) -> np.ndarray:
 
 
 @particle_contribution.of(Momentum)
+@particle_contribution.of(MomentumWithoutPressure)
 def _momentum(kind, law, count, offset, cap, f, extra, peak, records, dt):
     zero = broadcast(f, 0.0)
     dx = kind.dx
@@ -72,6 +103,7 @@ def _momentum(kind, law, count, offset, cap, f, extra, peak, records, dt):
         )
         size = t00 * t00 + t11 * t11 + t22 * t22 + t01 * t01 + t02 * t02 + t12 * t12
         stress_peak = max_ignore_nan(first_n(over * size, count - n), stress_peak)
+        t00, t11, t22 = stress_by_moments(kind, t00, t11, t22)
         volume = load(f, p + VOLUME * cap)
         mass = kind.density * volume
         k, m = dx * four * volume, kind.affine * dx * mass
@@ -109,6 +141,7 @@ def _inertia(kind, law, count, offset, cap, f, extra, peak, records, dt):
 
 
 @accumulate.of(Momentum)
+@accumulate.of(MomentumWithoutPressure)
 @accumulate.of(MomentumWithoutStress)
 def by_slopes(kind, count, records, weights, base, patch):
     """Add records to a patch, by weights or along the gradients of the B-splines.

@@ -72,6 +72,30 @@ def slope_change(typing, array, node, nodes):
 
 
 @intrinsic(prefer_literal=True)
+def mean_middle(typing, array, node, nodes):
+    """Return twice the weights of a row's nodes in the means of cells, at offset 0.
+
+    Args:
+        array: Example of the precision.
+        node: First node, a literal.
+        nodes: Number of nodes, a literal.
+    """
+    return _fixed((1.5, 1.0, -0.5, 0.0))(typing, array, node, nodes)
+
+
+@intrinsic(prefer_literal=True)
+def mean_change(typing, array, node, nodes):
+    """Return the change of `mean_middle` with the offset of the base node [1/cell].
+
+    Args:
+        array: Example of the precision.
+        node: First node, a literal.
+        nodes: Number of nodes, a literal.
+    """
+    return _fixed((1.0, 0.0, -1.0, 0.0))(typing, array, node, nodes)
+
+
+@intrinsic(prefer_literal=True)
 def zeros_like_row(typing, array, node, nodes):
     """Return zeros.
 

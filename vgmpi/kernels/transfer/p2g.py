@@ -15,6 +15,7 @@ particles with one base node is summed before it is added to the patch.
 """
 
 from vgmpi.kernels.nodal_fields import (  # noqa: F401  (contributions)
+    cell_pressure,
     color,
     momentum,
     rest_volume,

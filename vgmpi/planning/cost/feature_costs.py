@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 from vgmpi.materials.couplings.interaction import CONTACT, DRAG, MIXING
 from vgmpi.planning.phases_and_groups import (
+    CELL_DILATATION_COST,
     COLOR_COST,
     CORRECTION_COST,
     DENSITY_CORRECTION_COST,
@@ -76,6 +77,8 @@ def group_features(scene: Scene, plan: Plan, g: int, pace: Throughput) -> list[F
         by_volume = plan.phases[group.phase].fills_by_volume
         shifting = law_ns * shift_cost(plan.restores > 0, by_volume)
         result.append(Feature("particle shifting", shifting))
+    if group.cell_dilatation:
+        result.append(Feature("dilatation by cells", law_ns * CELL_DILATATION_COST))
     if group.space:
         result.append(Feature("density correction", law_ns * DENSITY_CORRECTION_COST))
     if group.coefficients:

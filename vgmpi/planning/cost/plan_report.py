@@ -113,7 +113,8 @@ def _flow(plan: Plan, source: InletPlan) -> float:
 
 def _accuracy_notes(scene: Scene, plan: Plan) -> list[str]:
     """Return the lines on what the scene's resolution and options make inexact."""
-    lines = _restored(plan) + _unshifted(scene, plan) + soft_liquid_lines(scene, plan.weights)
+    lines = _restored(plan) + _unshifted(scene, plan) + _without_cells(scene, plan)
+    lines += soft_liquid_lines(scene, plan.weights)
     lines += _thin(scene, plan)
     return lines + _sheets(plan) + _bending(scene, plan)
 
@@ -135,10 +136,21 @@ def _unshifted(scene: Scene, plan: Plan) -> list[str]:
     if scene.accuracy.volume_correction != "shifting":
         return []
     names = [group.name for group in plan.groups if group.is_liquid and not group.shifts]
-    if not names:
-        return []
     message = "may lose height: liquids that share space with others are not shifted"
-    return [f"  volume      {', '.join(map(escape_control_characters, names))} {message}"]
+    return [f"  volume      {_listing(names)} {message}"] if names else []
+
+
+def _without_cells(scene: Scene, plan: Plan) -> list[str]:
+    """Return a line on the liquids that do not follow the dilatation by cells asked for."""
+    if scene.accuracy.dilatation != "cells":
+        return []
+    names = [group.name for group in plan.groups if group.is_liquid and not group.cell_dilatation]
+    message = "by particles: only liquids that share no space with others follow cells"
+    return [f"  dilatation  {_listing(names)} {message}"] if names else []
+
+
+def _listing(names: list[str]) -> str:
+    return ", ".join(map(escape_control_characters, names))
 
 
 def _thin(scene: Scene, plan: Plan) -> list[str]:

@@ -7,6 +7,7 @@ import numpy as np
 from vgmpi.kernels.kernel_arguments import Particles, Segments
 from vgmpi.kernels.reaction_impulses import GhostNodes
 from vgmpi.kernels.transfer import auxiliary_gather, g2p
+from vgmpi.kernels.transfer.cell_dilatation import CellDilatation
 from vgmpi.kernels.transfer.density_correction import DensityCorrected
 from vgmpi.parallel.exchange_topology import ExchangeTopology
 from vgmpi.parallel.particle_group import ParticleGroup
@@ -54,7 +55,7 @@ def group_context(
     is_apart = any(other.apart for other in plan.groups)
     split = contributes["impulses"] if is_apart else np.zeros(len(rows), bool)
     segments = Segments(
-        group.start, group.count, tables.table[rows], target, split,
+        group.start, group.count, tables.table[rows], target, split | group.plan.cell_dilatation,
         position_limits(group.block, plan.cells), mirror,
     )  # fmt: skip
     return GroupContext(
@@ -100,6 +101,8 @@ def auxiliary_gather_kind(plan: Plan, group: GroupPlan, auxiliary: dict, dt: flo
 
 def _kind_without_correction(plan: Plan, group: GroupPlan, auxiliary: dict, dt: float) -> tuple:
     """Return the kind of gather without the density correction."""
+    if group.cell_dilatation:
+        return CellDilatation(0.0)
     if not group.apart:
         return auxiliary_gather.VelocityOnly(0.0)
     sharing = auxiliary_gather.MixtureGather(

@@ -7,6 +7,7 @@ import numpy as np
 from vgmpi.kernels import reproducible_sums
 from vgmpi.kernels.kernel_arguments import Sums
 from vgmpi.kernels.nodal_fields import (
+    cell_pressure,
     color,
     momentum,
     rest_volume,
@@ -139,6 +140,8 @@ def contributions(
         else FieldContribution("momentum", full, ~split),
         FieldContribution("offsets", surface_distance.kind(plan, group), contributes["offsets"]),
     ]
+    if group.cell_dilatation:
+        result.append(FieldContribution("momentum", cell_pressure.kind(plan), ~split))
     if group.apart:
         result.append(FieldContribution("momentum", inert, split))
         result.append(FieldContribution("impulses", stress_impulse.kind(plan, group), split))

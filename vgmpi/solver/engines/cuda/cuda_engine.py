@@ -19,7 +19,7 @@ from vgmpi.solver.engines.cpu import Cpu
 from vgmpi.solver.engines.engine_protocol import DITHER, AccumulatorOverflow, StepReport
 from vgmpi.solver.engines.group_context import GroupContext, auxiliary_gather_kind
 
-from . import grid_kernels, thread_block, transfer_kernels, translation_types
+from . import gather_kernels, grid_kernels, scatter_kernels, thread_block, translation_types
 from .device_group import CardGroup
 from .device_memory import CardLayer, Copies, card_room, flattened, to_card
 from .graphics_card import with_device_context
@@ -56,14 +56,17 @@ class Cuda(Cpu):
         self.work: list[Work] = []
         phases = len(plan.phases)
         patches = 1 + sum(self.gathered.values())
+        by_cells = any(group.cell_dilatation for group in plan.groups)
         sizes = {
-            "WORDS": self.words, "PHASES": phases, "SPLINES": bool(plan.splines),
+            "WORDS": self.words, "PHASES": phases, "SPLINES": bool(plan.splines), "CELLS": by_cells,
             "PAIRS": phases * (phases + 1) // 2 + 3 * phases,
             "CONTACT_ENABLED": phases > 1 or solids is not None or bool(plan.planes),
-            "PITCH": 16 if plan.splines else 17, "BESIDE": patches * transfer_kernels.PATCH + 16,
+            "PITCH": 16 if plan.splines or by_cells else 17, "BESIDE": patches * gather_kernels.PATCH + 16,
         }  # fmt: skip
         common = constants(plan.real) | polynomials(plan.real)
-        common |= translation_types.constants(sizes, grid_kernels, transfer_kernels, grid)
+        common |= translation_types.constants(
+            sizes, grid_kernels, scatter_kernels, gather_kernels, grid
+        )
         teams = thread_block.HALVES[0]
         half_constants = common | {"TEAM": HALF, "TEAMS": teams}
         self.halves = self.LAUNCHER(KernelTranslator(plan.real, half_constants), HALF * teams)
@@ -165,9 +168,9 @@ class Cuda(Cpu):
         layer: Any = self.layers[contribution.layer]
         ghosts = self._ghosts(part, 0, contribution.layer)
         self._half(
-            PARTICLE, transfer_kernels.fill, len(rows), rows, contribution.kind, group.plan.law,
+            PARTICLE, scatter_kernels.fill, len(rows), rows, contribution.kind, group.plan.law,
             work.segments, group.on_card(), layer.tables.sums, layer.of_rest, group.plan.phase,
-            self.peaks, self.real(self.dt), hasattr(contribution.kind, "splines"),
+            self.peaks, self.real(self.dt), scatter_kernels.added_along(contribution.kind),
             self.copies.of(ghosts),
         )  # fmt: skip
 
@@ -277,7 +280,7 @@ class Cuda(Cpu):
             if plan.phase in self.driven.phases:
                 rotated = np.array([plan.channels.first(name) for name in ROTATED_CHANNELS])
                 self.wholes.launch(
-                    count, PARTICLE, transfer_kernels.advect_prescribed, work.all, work.segments,
+                    count, PARTICLE, gather_kernels.advect_prescribed, work.all, work.segments,
                     copy(group.block), group.on_card(MOVED, flat=False), plan.phase,
                     self.copies.refreshed(self.driven.ways), to_card(rotated), self.plan.dx,
                     self.dt,
@@ -287,20 +290,20 @@ class Cuda(Cpu):
         color_channel = plan.channels.first("color")
         for k in range(plan.coefficients):
             self.wholes.launch(
-                count, PARTICLE, transfer_kernels.take, work.all, color_channel + 3 * k,
+                count, PARTICLE, gather_kernels.take, work.all, color_channel + 3 * k,
                 work.segments,
                 group.on_card(MOVED), self.layers[color_field_name(k)].tables.nodes,
             )  # fmt: skip
         auxiliary = auxiliary_gather_kind(self.plan, plan, self._auxiliary(), self.dt)
         ghosts = copy(self._ghosts(part, 0))
         self.wholes.launch(
-            count, PARTICLE, transfer_kernels.g2p, work.all, group.plan.law, work.segments,
+            count, PARTICLE, gather_kernels.g2p, work.all, group.plan.law, work.segments,
             group.on_card(MOVED), self.layers["momentum"].tables.nodes, auxiliary, part.numbers,
             g2p.StepConstants(*map(real, motion)), self.maxima, self.failure, ghosts,
         )  # fmt: skip
         if plan.tracks_deformation:
             self.wholes.launch(
-                count, PARTICLE, transfer_kernels.follow, work.all, work.segments,
+                count, PARTICLE, gather_kernels.follow, work.all, work.segments,
                 group.on_card(MOVED), plan.channels.first("F"), motion.dt,
             )  # fmt: skip
 
@@ -330,7 +333,7 @@ class Cuda(Cpu):
             group: Any = part.group
             if not group.plan.driven:
                 self.wholes.launch(
-                    len(work.all), PARTICLE, transfer_kernels.give_back, work.all, self.real(times),
+                    len(work.all), PARTICLE, gather_kernels.give_back, work.all, self.real(times),
                     work.segments, group.on_card(MOVED),
                     self.layers["momentum"].tables.nodes, self.real(self.plan.dx),
                     self.shift if group.plan.shifts else None,

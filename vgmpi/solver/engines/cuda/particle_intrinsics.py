@@ -7,7 +7,13 @@ thread, so that those of the next particle begin at 0.
 import numpy as np
 from numba import cuda
 
-from vgmpi.kernels import particle_records, patch, stencil_sums, wall_boundary
+from vgmpi.kernels import (
+    cell_stencil_sums,
+    particle_records,
+    patch,
+    stencil_sums,
+    wall_boundary,
+)
 from vgmpi.kernels.nodal_fields import surface_distance
 from vgmpi.kernels.rigid import prescribed_transfer
 from vgmpi.kernels.simd import cooperative as lanes_team
@@ -137,6 +143,16 @@ def middle(array, node, nodes):
     return -0.375 if node == 0 else (0.5 if node == 1 else -0.125)
 
 
+def mean(array, node, nodes):
+    """Return twice the weight of a node in the means of cells at offset 0."""
+    return 1.5 if node == 0 else (1.0 if node == 1 else -0.5)
+
+
+def mean_slope(array, node, nodes):
+    """Return the change of `mean` with the offset of the base node."""
+    return 1.0 if node == 0 else (0.0 if node == 1 else -1.0)
+
+
 def change(array, node, nodes):
     """Return the change of `middle` with the offset of the base node."""
     return 0.5 if node == 1 else -0.25
@@ -180,7 +196,24 @@ def _gathers(name):
             d = third(weights, 0, patch, o)
             record[c] = (a[0] + b[0]) + d[0]
 
-    return values if name == "gather_value" else moments
+    def slopes(count, record, weights, base, patch):
+        """Gather the slopes of a record, 12 numbers.
+
+        Args:
+            count: 1.
+            record (out): Slopes.
+            weights: Weights of the particle.
+            base, patch: Base row (1,), and flat patch.
+        """
+        for c in range(4):
+            o = base[0] + c
+            a = first(weights, 0, patch, o)
+            b = second(weights, 0, patch, o)
+            d = third(weights, 0, patch, o)
+            for q in range(3):
+                record[4 * q + c] = (a[q] + b[q]) + d[q]
+
+    return {"gather_value": values, "gather_cell_slopes": slopes}.get(name, moments)
 
 
 def gather(patch, grid, blocks, box):
@@ -223,6 +256,11 @@ def nodes_of(patch):
 def flat(array):
     """Return the array; on the GPU arrays are flat."""
     return array
+
+
+def velocity_patch_of(real):
+    """Return the patch of velocities."""
+    return real[:PATCH]
 
 
 def patch_of(real, k):
@@ -280,7 +318,7 @@ TEAMWORK = {
     lanes_team.atomic_add_int: thread_block.count_up,
     lanes_team.flat_pointer: flat,
 }  # fmt: skip
-VIEWS = frozenset({patch_of, node_of, nodes_of, flat})
+VIEWS = frozenset({patch_of, velocity_patch_of, node_of, nodes_of, flat})
 PARTICLE = TranslationMode(
     "particle",
     PLAIN | TEAMWORK | {
@@ -294,10 +332,12 @@ PARTICLE = TranslationMode(
         partial_rows.zeros_like_row: nothing,
         partial_rows.node_numbers: steps, partial_rows.broadcast_per_node: part_load,
         partial_rows.slope_middle: middle, partial_rows.slope_change: change,
+        partial_rows.mean_middle: mean, partial_rows.mean_change: mean_slope,
         stencil_sums.gather_affine: _gathers("gather_affine"),
         stencil_sums.gather_gradient: _gathers("gather_gradient"),
         stencil_sums.gather_value: _gathers("gather_value"), patch.load_patch: gather,
-        particle_records.patch_of: patch_of,
+        cell_stencil_sums.gather_cell_slopes: _gathers("gather_cell_slopes"),
+        particle_records.patch_of: patch_of, particle_records.velocity_patch_of: velocity_patch_of,
         wall_boundary._plane_node: node_of, patch.nodes_of: nodes_of,
         g2p.keep_lowest_id: note, g2p.record_step_bounds: record_maxima,
         prescribed_transfer.record_prescribed_bounds: record_prescribed,

@@ -27,6 +27,22 @@ class Stencil:
         self.d = np.stack([f - 1.0, 1.0 - 2.0 * f, f]) / dx  # [1/m] gradients of the weights
         self.r = np.stack([k - 0.5 - f for k in range(3)]) * dx  # [m] node minus particle
 
+    def by_cells(self):
+        """Yield 27 times index and gradient (n, 3) [1/m] by the means of cells.
+
+        The gradient has the slopes of B-splines along its axis, and the weights of the two cells'
+        means along the others (kernels/cell_stencil_sums.py).
+        """
+        f = np.clip(self.d[2] * self.dx, 0.0, 1.0)
+        mean = np.stack([0.5 * (1.0 - f), np.full_like(f, 0.5), 0.5 * f])
+        for i, j, k in np.ndindex(3, 3, 3):
+            index = tuple((self.base + (i, j, k) + 1).T)
+            m, d = ([a[c, :, axis] for axis, c in enumerate((i, j, k))] for a in (mean, self.d))
+            yield (
+                index,
+                np.stack([d[0] * m[1] * m[2], m[0] * d[1] * m[2], m[0] * m[1] * d[2]], 1),
+            )
+
     def __iter__(self):
         """Yield 27 times index, weight, offset and gradient of the weight.
 

@@ -181,3 +181,20 @@ class MixtureCoupling:
             porosity[members] = set_porosity
             full[members] = (fluid + grains) / self.dense.space
         return flux, porosity, full
+
+
+def mean_velocities(v: np.ndarray, mass: np.ndarray, groups: np.ndarray) -> np.ndarray:
+    """Return velocities averaged over phases that move with one velocity.
+
+    Args:
+        v (in/out): Velocities, shape (phases, ..., 3) [m/s].
+        mass: Nodal masses, shape (phases, ...) [kg].
+        groups: Phases of one number move as one; -1: each by itself, shape (phases,).
+    """
+    for group in np.unique(groups[groups >= 0]):
+        m = mass[groups == group][..., None]
+        some, total = m.sum(0) > 0, m.sum(0)
+        v[groups == group] = np.where(
+            some, (m * v[groups == group]).sum(0) / np.where(some, total, 1.0), 0.0
+        )
+    return v

@@ -32,6 +32,7 @@ from vgmpi.planning.particle_channels import CURVATURE_TO_FULL
 from vgmpi.planning.plan import Plan
 from vgmpi.solver.engines.engine_protocol import DITHER, AccumulatorOverflow, StepReport
 
+from .cell_dilatation import cell_divergence, sum_cell_pressure, with_divergence
 from .contact import Contact
 from .dense_grid import Dense, Stencil, stencil_of
 from .density_correction import density_corrected_gradient
@@ -43,7 +44,7 @@ from .group_channels import (
     put_channel,
     put_law_state,
 )
-from .mixture_coupling import MixtureCoupling
+from .mixture_coupling import MixtureCoupling, mean_velocities
 from .moving_colliders import nearest_collider
 from .particle_shifting import ParticleShifting
 from .prescribed_motion import carry, prescribe
@@ -165,6 +166,8 @@ class Numpy:
         tau = self.dt * vol0[:, :, None] * kirchhoff_stress(law, state, C) * (not plan.driven)
         if plan.stores_porosity:
             tau = np.where(split[:, None, None], tau / get_channel(group, "share")[:, :, None], tau)
+        if plan.cell_dilatation:
+            tau = sum_cell_pressure(self.momentum[p], stencil, tau)
         separate = split[:, None, None]
         dense.sum_forces(self.momentum[p], stencil, np.where(separate, 0.0, tau))
         if self.apart:
@@ -220,7 +223,8 @@ class Numpy:
         some = mass[..., None] > 0
         summed = np.where(some, self.momentum / np.where(some, mass[..., None], 1.0), 0.0)
         if not self.dt:
-            self.v = self._as_one(summed, mass)
+            groups = None if plan.rules is None else plan.rules.as_one
+            self.v = summed if groups is None else mean_velocities(summed, mass, groups)
             for p, phase in enumerate(plan.phases):
                 dense.mirror(self.v[p], phase.surface, self._record(p, self.mirrors))
             return
@@ -258,17 +262,6 @@ class Numpy:
                 dense.mirror(fields[p], phase.surface, recorder)
         if plan.colors is not None:
             self._blend(plan.colors.set_of)
-
-    def _as_one(self, v: np.ndarray, mass: np.ndarray) -> np.ndarray:
-        """Return velocities averaged over phases that move with one velocity."""
-        groups = np.full(len(v), -1) if self.plan.rules is None else self.plan.rules.as_one
-        for group in np.unique(groups[groups >= 0]):
-            m = mass[groups == group][..., None]
-            some, total = m.sum(0) > 0, m.sum(0)
-            v[groups == group] = np.where(
-                some, (m * v[groups == group]).sum(0) / np.where(some, total, 1.0), 0.0
-            )
-        return v
 
     def _gathered_fields(self) -> list[tuple[np.ndarray, float]]:
         """Return the velocity fields that particles gather, and the share they take of each."""
@@ -337,6 +330,8 @@ class Numpy:
         if plan.shares:
             transport = v + np.where(split[:, None], dense.gather(self.drift[p], stencil), 0.0)
             L = self._strain(group, stencil, split, L)
+        if plan.cell_dilatation:
+            L = with_divergence(L, cell_divergence(self.v[p], stencil))
         if plan.space:
             J = np.exp(get_channel(group, "theta")[:, 0])
             L = density_corrected_gradient(dense, self.mass[p], stencil, plan.space, J, L)
@@ -363,8 +358,7 @@ class Numpy:
             porosity = np.where(split, np.clip(porosity, MIN_POROSITY, 1.0), 1.0)
             put_channel(group, "share", porosity[:, None])
             rate = rate / porosity - OVERFILL_RELAXATION_RATE * np.maximum(full - 1.0, 0.0)
-        correction = np.where(split, (rate - np.trace(L, axis1=1, axis2=2)) / 3.0, 0.0)
-        return L + correction[:, None, None] * np.eye(3)
+        return np.where(split[:, None, None], with_divergence(L, rate), L)
 
     def _move(self, group, v, trace, law, state, step) -> StepReport:
         dx, dt, index = self.plan.dx, self.dt, group.index()
