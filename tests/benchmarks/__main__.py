@@ -9,8 +9,7 @@ import tempfile
 from pathlib import Path
 from typing import get_args
 
-import numpy as np
-
+from tests.benchmarks.liquid_commands import LIQUID_COMMANDS
 from vgmpi.apps.bench import interleaved_rounds
 from vgmpi.apps.bench.benchmark_case import BenchError, Case, lay_out
 from vgmpi.apps.bench.interleaved_rounds import Contestant
@@ -283,54 +282,6 @@ def _run_test_times(args: argparse.Namespace) -> int:
     return 0
 
 
-def _volume(parser) -> None:
-    parser.add_argument("corrections", nargs="*", default=["none", "density", "shifting"])
-    parser.add_argument("--cells", type=int, default=32, help="cells along the tank")
-    parser.add_argument("--end", type=float, default=20.0, help="[s]")
-    parser.add_argument("--cost", type=int, metavar="ROUNDS", help="time of a step, instead")
-    parser.add_argument("--picture", type=Path, help="PNG of the liquids at the end")
-
-
-def _run_volume(args) -> int:
-    from tests.benchmarks import liquid_volume
-
-    if args.cost:
-        ratios = liquid_volume.step_cost(args.cells, args.cost)
-        print(f"step with shifting over that without: {np.median(ratios):.3f}", end="")
-        print(f" ({min(ratios):.3f} .. {max(ratios):.3f}, {len(ratios)} rounds)")
-        return 0
-    liquid_volume.run(args.corrections, args.cells, args.end, args.picture)
-    return 0
-
-
-def _correction_order(parser) -> None:
-    say = parser.add_argument
-    say("orders", nargs="*", type=int, default=[1, 2, 3], help="numbers of terms, default 1 2 3")
-
-
-def _run_correction_order(args) -> int:
-    from tests.benchmarks import correction_order
-
-    correction_order.run(args.orders)
-    return 0
-
-
-def _crowding(parser) -> None:
-    from tests.benchmarks.crowding import MATERIALS
-
-    parser.add_argument("materials", nargs="*", default=list(MATERIALS), help="default: all")
-
-
-def _run_crowding(args) -> int:
-    from tests.benchmarks import crowding
-
-    print(crowding.HEAD, flush=True)
-    for material in args.materials:
-        for sample in crowding.collapse(material):
-            print(crowding.row(material, sample), flush=True)
-    return 0
-
-
 def _predictions(parser) -> None:
     from tests.benchmarks.predictions import ADJUSTED, HELD_OUT
 
@@ -363,20 +314,14 @@ def _run_step_model(args) -> int:
     return 0
 
 
-COMMANDS = {  # what it does, its flags, how it runs
+COMMANDS = LIQUID_COMMANDS | {  # what it does, its flags, how it runs
     "accuracy": ("how exact single precision is", _accuracy, _run_accuracy),
     "against": ("beside another checkout", _against, _run_against),
     "balance": ("how even a scene's work would be on many ranks", _balance, _run_balance),
     "census": ("what a sort costs one rank of many beside its particles", _census, _run_census),
     "choose-tests": ("which tests make test leaves out", _choose_tests, _run_choose_tests),
     "compile-cost": ("what each specialization of a scene costs to compile", _cost, _run_cost),
-    "correction-order": (
-        "further terms of the transfer correction",
-        _correction_order,
-        _run_correction_order,
-    ),
     "couplings": ("what mixing and drag cost", _couplings, _run_couplings),
-    "crowding": ("how sand, snow and paste pile up", _crowding, _run_crowding),
     "emulate": ("one rank of many by its own tables", _emulate, _run_emulate),
     "extremes": ("scenes at the ends of what is allowed", _extremes, _run_extremes),
     "features": ("what contact, colliders and probes cost", _couplings, _run_couplings),
@@ -388,7 +333,6 @@ COMMANDS = {  # what it does, its flags, how it runs
     "step-model": ("the model of a step's time beside steps", _step_model, _run_step_model),
     "scaling": ("predict many ranks from what is measured here", _scaling, _run_scaling),
     "test-times": ("where the time of the tests goes", _test_times, _run_test_times),
-    "volume": ("what splashed liquids lose of their level", _volume, _run_volume),
     "together": ("two ranks beside two runs, two threads", _together, _run_together),
 }
 

@@ -157,23 +157,53 @@ def dam_break(correction: str, cells: int, end: float) -> DamBreak:
     return DamBreak(samples, time.process_time() - started, by_id(simulation, "x")[0])
 
 
+def splashing(cells: int, accuracy: str = ""):
+    """Return the simulation of a broken dam after 1 s, as it splashes.
+
+    Args:
+        cells: Cells along the tank.
+        accuracy: Further keys of [accuracy].
+    """
+    text = SCENE.format(
+        size=TANK, column=COLUMN, cell=TANK[0] / cells, correction="shifting", gravity=""
+    )
+    text = text.replace("[material.water]", f"{accuracy}\n[material.water]")
+    with tempfile.TemporaryDirectory() as folder:
+        simulation, _ = begin(Path(folder), text)
+    advance(simulation, 1.0)
+    return simulation
+
+
+def dilatation_cost(cells: int, rounds: int, steps: int = 60) -> list[float]:
+    """Return the ratios of a step's processor time with the dilatation by cells to that without.
+
+    Args:
+        cells, rounds, steps: See `step_cost`.
+    """
+    both = [splashing(cells), splashing(cells, 'dilatation = "cells"')]
+    ratios = []
+    for _ in range(rounds):
+        seconds = []
+        for simulation in both:
+            started = time.thread_time()
+            for _ in range(steps):
+                simulation.advance(0.9 * simulation.bound())
+            seconds.append(time.thread_time() - started)
+        ratios.append(seconds[1] / seconds[0])
+    return ratios
+
+
 def step_cost(cells: int, rounds: int, steps: int = 60) -> list[float]:
     """Return the ratios of a step's processor time with shifting to that without, in turns.
 
-    The liquid is that of a broken dam after 1 s, as it splashes; both make the same steps of the
-    transfer correction.
+    The liquid splashes; both make the same steps of the transfer correction.
 
     Args:
         cells: Cells along the tank.
         rounds: Number of pairs.
         steps: Steps of each turn.
     """
-    text = SCENE.format(
-        size=TANK, column=COLUMN, cell=TANK[0] / cells, correction="shifting", gravity=""
-    )
-    with tempfile.TemporaryDirectory() as folder:
-        simulation, _ = begin(Path(folder), text)
-    advance(simulation, 1.0)
+    simulation = splashing(cells)
     shifted, ratios = simulation.plan, []
     for _ in range(rounds):
         seconds = []

@@ -9,7 +9,8 @@ which 1 % is what the fastest motion may compress; level 5 % as air is shut in b
 import numpy as np
 import pytest
 
-from tests.benchmarks.liquid_volume import dam_break
+from tests.benchmarks.liquid_volume import dam_break, nodal_fullness
+from tests.benchmarks.poured_level import column_levels
 from tests.support.simulate import advance, begin, by_id, totals
 from tests.support.validation_record import held
 
@@ -142,3 +143,21 @@ def test_a_disturbed_pool_comes_to_rest(tmp_path, dilatation, holds):
     if holds:
         gain = totals(simulation)["energy"] / start - 1.0
         held(f"{name}: energy over the start", gain, 0.0, 1e-3, kind="below", **say)
+
+
+@pytest.mark.parametrize("height", [5.0, 5.3, 5.75])
+def test_a_level_is_where_cells_are_half_full(height):
+    """Of a pool with a slanted half: `python -m tests.benchmarks poured` measures by it."""
+    cells, dx, fine = (16, 8, 16), 0.02, 0.25
+    x, y, z = (np.arange(fine / 2, n, fine) for n in (*cells[:2], 12))
+    points = np.stack(np.meshgrid(x, y, z, indexing="ij"), -1).reshape(-1, 3)
+    surface = height + np.maximum(points[:, 0] - 8, 0.0) / 4
+    share = np.clip((surface - points[:, 2]) / fine + 0.5, 0.0, 1.0)
+    points, share = points[share > 0], share[share > 0]
+    fullness = nodal_fullness(points * dx, share * (fine * dx) ** 3, cells, dx)
+    level = column_levels(fullness, dx) / dx
+    assert level[2:-2, 2:-2] == pytest.approx(
+        np.broadcast_to(height + np.maximum(np.arange(2, 15) - 8, 0.0)[:, None] / 4, (13, 5)),
+        abs=0.1,
+    )
+    assert (column_levels(0.0 * fullness, dx) == 0).all()

@@ -1,6 +1,6 @@
 """Reader of the files of a run for renderers and scripts, without MPI.
 
-run = RunFiles("out")
+run = RunReader("out")
 run.times            (frames,) [s]
 run.frame(3)["x"]    (n, 3) [m]
 run.gaussians.cov0   (n, 6) [m2], a row per particle id

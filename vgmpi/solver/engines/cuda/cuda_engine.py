@@ -61,7 +61,8 @@ class Cuda(Cpu):
             "WORDS": self.words, "PHASES": phases, "SPLINES": bool(plan.splines), "CELLS": by_cells,
             "PAIRS": phases * (phases + 1) // 2 + 3 * phases,
             "CONTACT_ENABLED": phases > 1 or solids is not None or bool(plan.planes),
-            "PITCH": 16 if plan.splines or by_cells else 17, "BESIDE": patches * gather_kernels.PATCH + 16,
+            "PITCH": 16 if plan.splines or by_cells else 17,
+            "BESIDE": patches * gather_kernels.PATCH + 16,
         }  # fmt: skip
         common = constants(plan.real) | polynomials(plan.real)
         common |= translation_types.constants(
