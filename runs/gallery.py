@@ -110,7 +110,7 @@ def known_of(out: Path, simulated: float, drawn: float, pictures: int) -> dict:
     """What a run cost and kept."""
     rows = csv_log.read_rows(out / file_layout.LEDGER)
     first, last = ([r for r in rows if r["time"] == rows[k]["time"]] for k in (0, -1))
-    count, mass = (sum(r[key] for r in last) for key in ("count", "mass"))
+    count, mass = (sum(r[key] for r in last) for key in ("particles", "mass"))
     # all that ever came, or what was there at first
     flows = "mass_in" in rows[0]
     came = sum(r["mass_in"] for r in last) if flows else sum(r["mass"] for r in first)
