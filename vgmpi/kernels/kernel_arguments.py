@@ -26,7 +26,7 @@ class Segments(NamedTuple):
     accumulator_rows: (
         np.ndarray
     )  # (n, 27) rows of sums to add to: those node blocks, or a thread's copies
-    split: np.ndarray  # (n,) bool: stress impulses are kept separate from momentum
+    split: np.ndarray  # (n,) bool: more than the velocity is gathered (separate stress, cells)
     limit: np.ndarray  # (n, 3, 2) [cells from the block center] range of positions
     mirror: np.ndarray  # (n, 3, 2) wall codes (wall_boundary.py)
 

@@ -54,8 +54,9 @@ def group_context(
     contributes = {name: chosen[rows] for name, chosen in tables.contributes.items()}
     is_apart = any(other.apart for other in plan.groups)
     split = contributes["impulses"] if is_apart else np.zeros(len(rows), bool)
+    gathers_more = split | group.plan.cell_dilatation
     segments = Segments(
-        group.start, group.count, tables.table[rows], target, split | group.plan.cell_dilatation,
+        group.start, group.count, tables.table[rows], target, gathers_more,
         position_limits(group.block, plan.cells), mirror,
     )  # fmt: skip
     return GroupContext(
