@@ -14,7 +14,7 @@ from vgmpi.apps.run import cli
 from vgmpi.io import csv_log, file_layout
 from vgmpi.solver import run
 from vgmpi.solver.diagnostics.conservation import conservation_rows
-from vgmpi.solver.diagnostics.liquid_fill import liquid_fill, lost_volume_lines
+from vgmpi.solver.diagnostics.liquid_fill import changed_volume_lines, liquid_fill
 
 SCENE = """
 [domain]
@@ -54,14 +54,16 @@ shape = { sphere = { center = [0.17, 0.08, 0.05], radius = 0.03 } }
 
 
 def expected(simulation, volume):
-    """Fullest cell and filled volume [m3] of the liquids, by particles of objects 0 and 1."""
+    """Fullest cell, filled and occupied volume [m3] of the liquids, objects 0 and 1."""
     plan = simulation.plan
     (x,) = by_id(simulation, "x")
     fullness = nodal_fullness(x[: len(volume)], volume, plan.cells, plan.dx)
     share = np.ones(fullness.shape)
     for axis, n in enumerate(plan.cells):
         np.moveaxis(share, axis, 0)[[0, n]] *= 0.5
-    return fullness.max(), (share * np.minimum(fullness, 1.0)).sum() * plan.dx**3
+    part = np.clip(2.0 * fullness - 0.5, 0.0, 1.0)
+    filled, occupied = ((share * a).sum() * plan.dx**3 for a in (np.minimum(fullness, 1.0), part))
+    return fullness.max(), filled, occupied
 
 
 @pytest.mark.parametrize("engine", ["cpu", "numpy"])
@@ -72,9 +74,10 @@ def test_fill_is_that_of_the_particles(tmp_path, engine):
         advance(simulation, time)
         ((phase, fill),) = liquid_fill(simulation).items()
         assert simulation.plan.phases[phase].families == ("fluid",)
-        fullest, filled = expected(simulation, liquid)
+        fullest, filled, occupied = expected(simulation, liquid)
         assert fill.fullest_cell == pytest.approx(fullest, rel=1e-6)
         assert fill.filled_volume == pytest.approx(filled, rel=1e-6)
+        assert fill.occupied_volume == pytest.approx(occupied, rel=1e-6)
         assert fill.rest_volume == pytest.approx(liquid.sum(), rel=1e-7)
     rows = {row["phase"]: row for row in conservation_rows(simulation)}
     (solid,) = (row for name, row in rows.items() if name != simulation.plan.phases[phase].name)
@@ -113,8 +116,27 @@ def test_a_run_says_what_a_liquid_has_lost(tmp_path, capsys):
     last = [row for row in rows if row["step"] == rows[-1]["step"]]
     assert f"{next(r for r in last if r['phase'] == 'fluid')['fullest_cell']:.2f} times" in line
     full = {"phase": "water", "rest_volume": 1.0, "filled_volume": 0.99, "fullest_cell": 1.2}
-    assert lost_volume_lines([full]) == []
-    assert len(lost_volume_lines([full | {"filled_volume": 0.97}])) == 1
+    assert changed_volume_lines([full]) == []
+    assert len(changed_volume_lines([full | {"filled_volume": 0.97}])) == 1
+    (line,) = changed_volume_lines([full | {"occupied_volume": 1.04}])
+    assert line == "  volume     water takes 104.0 % of its volume: there are voids in it, or froth"
+
+
+@pytest.mark.parametrize("stretch", [1.0, 1.06])
+def test_a_liquid_takes_the_volume_of_its_cells(tmp_path, stretch):
+    """At rest its own, whatever its depth; with its particles drawn apart that of its box."""
+    for depth in (0.1, 0.11, 0.14):
+        box = f"shape = {{ box = [[0, 0, 0], [0.32, 0.16, {depth}]] }}"
+        text = SCENE.replace("CORRECTION", "none").split("[[object]]")[0]
+        text += f'[[object]]\nname = "pool"\nmaterial = "water"\n{box}\n'
+        simulation, _ = begin(tmp_path, text)
+        group = simulation.groups[0]
+        index, floor = group.index(), 1 << group.bits
+        block = np.repeat(group.block, group.count, axis=0)[:, 2]
+        height = group.xi[2, index] + (4 * block * floor + 3 * floor // 2)  # of 2^-bits cells
+        group.xi[2, index] += ((stretch - 1.0) * height).astype(group.xi.dtype)
+        (fill,) = liquid_fill(simulation).values()
+        assert fill.occupied_volume / fill.rest_volume == pytest.approx(stretch, abs=0.015)
 
 
 def test_a_ledger_without_the_columns_goes_on_without_them(tmp_path, monkeypatch):

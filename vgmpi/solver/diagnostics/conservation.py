@@ -39,7 +39,7 @@ def conservation_rows(simulation: Simulation) -> list[dict]:
         return []
     entries = [_entry(simulation, k, sums) for k in range(len(plan.phases))]
     if fill:
-        unknown = LiquidFill(math.nan, math.nan, math.nan)
+        unknown = LiquidFill(*(4 * (math.nan,)))
         for k, entry in enumerate(entries):
             entry |= fill.get(k, unknown)._asdict()
     for k, entry in enumerate(entries if counts else ()):

@@ -15,7 +15,11 @@ from vgmpi.planning.plan import Plan
 from vgmpi.solver.simulation import Simulation
 
 MAX_CELLS = 1 << 20  # largest fullness [cells] that is told
-LOST_VOLUME = 0.02  # [-] of a liquid's volume that does not fit, from which a run names it
+# [-] of a liquid's volume, lost by crowding or gained by voids, from which a run names it
+NAMED_CHANGE = 0.02
+# [-] fullness from which a node's cell counts as part of the liquid, and as all of it: a surface in
+# between counts by as much too little on one side as too much on the other
+EMPTY, FULL = 0.25, 0.75
 
 
 class LiquidFill(NamedTuple):
@@ -23,6 +27,7 @@ class LiquidFill(NamedTuple):
 
     fullest_cell: float  # [-] largest rest volume in a node's cell, over the cell's volume
     filled_volume: float  # [m3] of its rest volume, what fits into the cells that it is in
+    occupied_volume: float  # [m3] of the cells that it takes, with voids
     rest_volume: float  # [m3]
 
 
@@ -54,6 +59,8 @@ def liquid_fill(simulation: Simulation) -> dict[int, LiquidFill]:
     with np.errstate(divide="ignore", invalid="ignore"):
         fullness = np.where(capacity > 0, total / capacity, 0.0)
     fits = 1.0 / np.maximum(fullness, 1.0)
+    part = np.clip((fullness - EMPTY) / (FULL - EMPTY), 0.0, 1.0)
+    takes = part / np.maximum(fullness, EMPTY)
     own = counting_owner(tables, ranks.rank).astype(bool)
     rows = []
     for p in phases:
@@ -61,28 +68,35 @@ def liquid_fill(simulation: Simulation) -> dict[int, LiquidFill]:
         volume, where = np.where(own[block[mine]], sums[mine], 0), block[mine]
         fullest = np.where(volume > 0, fullness[where], 0.0).max(initial=0.0)
         filled = np.floor(volume * fits[where]).astype(np.int64).sum()
+        occupied = np.floor(volume * takes[where]).astype(np.int64).sum()
         units = int(np.rint(min(fullest, MAX_CELLS) * CELL_UNITS))
-        rows.append((units, int(filled), int(volume.sum())))
+        rows.append((units, int(filled), int(occupied), int(volume.sum())))
     every = ranks.all_rows(np.array(rows, np.int64)[None])
     return {
         p: LiquidFill(
             float(every[:, k, 0].max() / CELL_UNITS),
-            *(float(every[:, k, c].sum() / CELL_UNITS * plan.dx**3) for c in (1, 2)),
+            *(float(every[:, k, c].sum() / CELL_UNITS * plan.dx**3) for c in (1, 2, 3)),
         )
         for k, p in enumerate(phases)
     }
 
 
-def lost_volume_lines(entries: list[dict]) -> list[str]:
-    """Return a line for each phase whose liquids lost volume since their particles crowd.
+def changed_volume_lines(entries: list[dict]) -> list[str]:
+    """Return a line for each phase whose liquids lost volume by crowding, or gained it by voids.
 
     Args:
         entries: Entries of `conservation_rows`.
     """
     lines = []
     for entry in entries:
-        volume, filled = entry.get("rest_volume", 0.0), entry.get("filled_volume", 0.0)
-        if volume > 0.0 and filled < (1.0 - LOST_VOLUME) * volume:
+        names = ("rest_volume", "filled_volume", "occupied_volume")
+        volume, filled, occupied = (entry.get(name, 0.0) for name in names)
+        if volume > 0.0 and occupied > (1.0 + NAMED_CHANGE) * volume:
+            lines.append(
+                f"  volume     {entry['phase']} takes {100 * occupied / volume:.1f} % of its"
+                " volume: there are voids in it, or froth"
+            )
+        if volume > 0.0 and filled < (1.0 - NAMED_CHANGE) * volume:
             lines.append(
                 f"  volume     {entry['phase']} fills {100 * filled / volume:.1f} % of its volume:"
                 f" its particles crowd, a cell holds up to {entry['fullest_cell']:.2f} times what"

@@ -18,7 +18,7 @@ from vgmpi.solver.simulation import Simulation
 
 from .conservation import format_drift
 from .eta import RemainingTimeEstimator, work_of
-from .liquid_fill import lost_volume_lines
+from .liquid_fill import changed_volume_lines
 
 log = logging.getLogger("vgmpi")
 
@@ -170,7 +170,7 @@ def timing_table(run: Runner, clock: Clock) -> str:
         lines.append(
             f"  conserved  {format_drift(run.initial_conservation, run.latest_conservation)}"
         )
-        lines += lost_volume_lines(run.latest_conservation)
+        lines += changed_volume_lines(run.latest_conservation)
     return "\n".join(lines)
 
 
