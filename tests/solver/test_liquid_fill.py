@@ -61,7 +61,7 @@ def expected(simulation, volume):
     share = np.ones(fullness.shape)
     for axis, n in enumerate(plan.cells):
         np.moveaxis(share, axis, 0)[[0, n]] *= 0.5
-    part = np.clip(2.0 * fullness - 0.5, 0.0, 1.0)
+    part = np.clip((fullness - 0.15) / 0.7, 0.0, 1.0)
     filled, occupied = ((share * a).sum() * plan.dx**3 for a in (np.minimum(fullness, 1.0), part))
     return fullness.max(), filled, occupied
 
@@ -136,7 +136,7 @@ def test_a_liquid_takes_the_volume_of_its_cells(tmp_path, stretch):
         height = group.xi[2, index] + (4 * block * floor + 3 * floor // 2)  # of 2^-bits cells
         group.xi[2, index] += ((stretch - 1.0) * height).astype(group.xi.dtype)
         (fill,) = liquid_fill(simulation).values()
-        assert fill.occupied_volume / fill.rest_volume == pytest.approx(stretch, abs=0.015)
+        assert fill.occupied_volume / fill.rest_volume == pytest.approx(stretch, abs=0.012)
 
 
 def test_a_ledger_without_the_columns_goes_on_without_them(tmp_path, monkeypatch):

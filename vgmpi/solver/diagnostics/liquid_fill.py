@@ -19,7 +19,7 @@ MAX_CELLS = 1 << 20  # largest fullness [cells] that is told
 NAMED_CHANGE = 0.02
 # [-] fullness from which a node's cell counts as part of the liquid, and as all of it: a surface in
 # between counts by as much too little on one side as too much on the other
-EMPTY, FULL = 0.25, 0.75
+EMPTY, FULL = 0.15, 0.85
 
 
 class LiquidFill(NamedTuple):
@@ -60,7 +60,7 @@ def liquid_fill(simulation: Simulation) -> dict[int, LiquidFill]:
         fullness = np.where(capacity > 0, total / capacity, 0.0)
     fits = 1.0 / np.maximum(fullness, 1.0)
     part = np.clip((fullness - EMPTY) / (FULL - EMPTY), 0.0, 1.0)
-    takes = part / np.maximum(fullness, EMPTY)
+    occupied_share = part / np.maximum(fullness, EMPTY)
     own = counting_owner(tables, ranks.rank).astype(bool)
     rows = []
     for p in phases:
@@ -68,7 +68,7 @@ def liquid_fill(simulation: Simulation) -> dict[int, LiquidFill]:
         volume, where = np.where(own[block[mine]], sums[mine], 0), block[mine]
         fullest = np.where(volume > 0, fullness[where], 0.0).max(initial=0.0)
         filled = np.floor(volume * fits[where]).astype(np.int64).sum()
-        occupied = np.floor(volume * takes[where]).astype(np.int64).sum()
+        occupied = np.floor(volume * occupied_share[where]).astype(np.int64).sum()
         units = int(np.rint(min(fullest, MAX_CELLS) * CELL_UNITS))
         rows.append((units, int(filled), int(occupied), int(volume.sum())))
     every = ranks.all_rows(np.array(rows, np.int64)[None])
