@@ -42,6 +42,7 @@ PARTICLE_KEYS = frozenset(
 
 
 NUMERICS = "precision", "volume_correction"  # keys of accuracy whose defaults have changed
+ADDED_NUMERICS = {"dilatation": "particles"}  # keys that earlier versions computed by, unnamed
 
 
 def changes_without_effect(scene: Scene, differences: list[tuple[tuple, str]]) -> list[tuple]:
@@ -88,6 +89,7 @@ def forbidden_changes(scene: Scene, before: dict) -> list[tuple[tuple, str]]:
     """
     before = copy.deepcopy(before)
     renamed_keys.SCENE.apply(before)
+    before["accuracy"] = ADDED_NUMERICS | before.get("accuracy", {})
     now, allowed = scene.to_json(), may_change()
     differences: list[tuple[tuple, str]] = []
     for name in {**before, **now}:
