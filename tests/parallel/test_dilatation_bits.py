@@ -1,0 +1,54 @@
+"""The dilatation by cells has the same bits in every file for any number of ranks and threads, and
+after a restart between two transfer corrections."""
+
+import pytest
+
+from tests.support.file_digests import digests
+from tests.support.launch import go
+from tests.support.small_scenes import MIXED, write
+
+pytestmark = pytest.mark.mpi
+
+SCENE = MIXED.replace("PRECISION", "single").replace(
+    "[accuracy]\n", '[accuracy]\ndilatation = "cells"\n'
+)
+
+
+def frames(found):
+    return {name: sha for name, sha in found.items() if "frame_" in name or "ledger" in name}
+
+
+@pytest.fixture(scope="module")
+def one(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("dilatation")
+    scene = write(folder, SCENE)
+    job = go(scene, folder / "one", 1)
+    assert job.returncode == 0, job.stderr
+    return scene, frames(digests(folder / "one"))
+
+
+def test_it_is_another_motion(one, tmp_path):
+    """A scene without the key gives other frames: what is compared below is the dilatation's."""
+    job = go(write(tmp_path, MIXED.replace("PRECISION", "single")), tmp_path / "plain", 1)
+    assert job.returncode == 0, job.stderr
+    plain = frames(digests(tmp_path / "plain"))
+    assert plain.keys() == one[1].keys() and plain != one[1]
+
+
+@pytest.mark.parametrize(
+    "ranks, flags", [(2, []), (3, []), (4, []), (7, []), (1, ["--threads", "2"])]
+)
+def test_any_ranks_and_threads(one, tmp_path, ranks, flags):
+    scene, expected = one
+    job = go(scene, tmp_path / "out", ranks, *flags)
+    assert job.returncode == 0, job.stderr
+    assert frames(digests(tmp_path / "out")) == expected
+
+
+def test_a_restart(one, tmp_path):
+    scene, expected = one
+    job = go(scene, tmp_path / "out", 2, "--stop-after", "31 steps")
+    assert job.returncode == 75, job.stderr
+    job = go(scene, tmp_path / "out", 3, "--resume")
+    assert job.returncode == 0, job.stderr
+    assert frames(digests(tmp_path / "out")) == expected
