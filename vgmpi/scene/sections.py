@@ -189,7 +189,7 @@ class Accuracy(StrictModel):
     """divergence that the volume of a liquid follows, unless it shares space with others.
     particles: that at each particle; a liquid much stiffer than its depth asks for locks, and its
     waves are too fast. cells: the mean over the cells around it, for waves and currents in stiff
-    liquids, with apic-corrected, apic and pic; a step takes 1.25 times as long"""
+    liquids, with apic-corrected, apic and pic; a step takes 1.2 to 1.4 times as long"""
     precision: Literal["single", "double"] = "single"
     """precision of the particles' and the grid's numbers. single: half the time and memory of
     double, and changes nothing that a picture shows. double: for conservation to 15 digits, for
