@@ -25,9 +25,12 @@ TOLERANCES = {
     "lowest layer": (1.0, 0.05, "relative"),
     "surface [cells]": (0.0, 2.0, "below"),
 }
-MISSED = {  # the liquid is still in motion
-    ("shaken", 4.0, "height"), ("shaken", 4.0, "surface [cells]"), ("broken", 4.0, "height"),
-    ("shaken", 8.0, "height"), ("shaken", 8.0, "surface [cells]"),
+MISSED = {("shaken", 4.0, "height"), ("shaken", 4.0, "surface [cells]")}  # it still moves
+# within a quarter of the tolerance of it, 1.019 to 1.025 and 2.08 cells: other processors, which
+# round otherwise, may fall on the other side. They are held to twice the tolerance.
+NEAR = {
+    ("broken", 4.0, "height"), ("broken", 8.0, "height"), ("shaken", 8.0, "height"),
+    ("shaken", 8.0, "surface [cells]"),
 }  # fmt: skip
 SHAKEN = """
 gravity = [1.7, 0, -9.66]
@@ -124,6 +127,10 @@ def test_columns_are_packed(tmp_path, case):
     for time, measures in after(tmp_path, case, "shifting").items():
         for quantity, value in zip(TOLERANCES, measures, strict=True):
             reference, tolerance, kind = TOLERANCES[quantity]
+            if (case, time, quantity) in NEAR:
+                print(f"{case}, after {time:g} s: {quantity} {value:.4g}")
+                assert abs(value - reference) < 2.0 * tolerance
+                continue
             missed = (case, time, quantity) in MISSED
             held(f"liquid that was {case}, after {time:g} s: {quantity}", value, reference,
                  tolerance, kind=kind, expected=not missed, deviation=missed, **say)  # fmt: skip
