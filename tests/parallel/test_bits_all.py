@@ -4,7 +4,7 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.support.file_digests import digests
+from tests.support.file_digests import digests, frame_digests
 from tests.support.launch import go
 from tests.support.small_scenes import LAWS, SHARED, every_law, write
 from vgmpi.materials import registry
@@ -88,7 +88,7 @@ def same_everywhere(scene, tmp_path):
     half = tmp_path / "half"
     bits(scene, half, 3, "--stop-after", "50 steps", code=75)
     found = bits(scene, half, 2, "--resume")
-    frames = {name: sha for name, sha in want.items() if "frame_" in name or "ledger" in name}
+    frames = frame_digests(want)
     assert {name: found.get(name) for name in frames} == frames
 
 

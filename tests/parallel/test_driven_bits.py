@@ -5,7 +5,7 @@ that are let go, when the wall is gone."""
 import numpy as np
 import pytest
 
-from tests.support.file_digests import digests
+from tests.support.file_digests import digests, frame_digests
 from tests.support.launch import go
 from tests.support.small_scenes import MIXED, write
 from vgmpi.io import checkpoint
@@ -46,10 +46,6 @@ def one(tmp_path_factory):
     return scene, digests(folder / "one"), folder / "one"
 
 
-def frames(found):
-    return {name: sha for name, sha in found.items() if "frame_" in name or "ledger" in name}
-
-
 def test_they_are_let_go(one):
     rows = read_rows(one[2] / "ledger.csv")
     count = {(row["phase"], round(1e3 * row["time"])): row["particles"] for row in rows}
@@ -88,4 +84,4 @@ def test_stop_and_resume(one, tmp_path):
             check_attrs(path, saved.attrs | {"since": -1})
     job = go(scene, tmp_path, 2, "--resume")
     assert job.returncode == 0, job.stderr
-    assert frames(digests(tmp_path)) == frames(want)
+    assert frame_digests(digests(tmp_path)) == frame_digests(want)

@@ -62,7 +62,12 @@ def contribution_kinds(
 
 @static_dispatch
 def stress_by_moments(kind, t00, t11, t22):
-    """Return the normal stresses whose impulse goes with momentum."""
+    """Return the normal stresses whose impulse goes with momentum.
+
+    Args:
+        kind: Contribution kind.
+        t00, t11, t22: Normal stresses of 16 particles [Pa].
+    """
 
 
 @stress_by_moments.of(Momentum)

@@ -161,7 +161,7 @@ def _read(grid, blocks, box, mirror, patch, ghosts, s):
 
 
 @device_function
-def store_velocity(f, p, cap, v):
+def _store_velocity(f, p, cap, v):
     """Store the gathered velocity of 16 particles."""
     store(f, p, v[0])
     store(f, p + cap, v[1])
@@ -195,7 +195,7 @@ def _(kind, count, weights, records, base, real, extra):
 
 @particle_velocity.of(VelocityOnly)
 def _(kind, f, p, cap, extra, n, v):
-    store_velocity(f, p, cap, v)
+    _store_velocity(f, p, cap, v)
 
 
 @max_velocity.of(VelocityOnly)
@@ -248,7 +248,7 @@ def _(kind, count, weights, records, base, real, extra):
 
 @particle_velocity.of(MixtureGather)
 def _(kind, f, p, cap, extra, n, v):
-    store_velocity(f, p, cap, v)
+    _store_velocity(f, p, cap, v)
 
 
 @max_velocity.of(MixtureGather)
@@ -330,7 +330,7 @@ def _(kind, f, p, cap, extra, n, v):
     a = a + kind.share * (load(f, p) + load(extra, CHANGE + n) - a)
     b = b + kind.share * (load(f, p + cap) + load(extra, CHANGE + BATCH + n) - b)
     c = c + kind.share * (load(f, p + 2 * cap) + load(extra, CHANGE + 2 * BATCH + n) - c)
-    store_velocity(f, p, cap, (a, b, c))
+    _store_velocity(f, p, cap, (a, b, c))
 
 
 @max_velocity.of(FlipGather)

@@ -12,6 +12,7 @@ from vgmpi.kernels.particle_records import velocity_patch_of
 from vgmpi.kernels.simd.vector16 import load
 
 from .auxiliary_gather import (
+    VelocityOnly,
     advection_velocity,
     gather_batch,
     load_patches,
@@ -19,25 +20,21 @@ from .auxiliary_gather import (
     mixture_wave_speed_squared,
     particle_velocity,
     prepare_patch,
-    store_velocity,
     velocity_gradient,
 )
 
 
 class CellDilatation(NamedTuple):
-    """Kind of liquids whose dilatation is that of cells."""
+    """Kind of liquids whose dilatation is that of cells; otherwise as `VelocityOnly`."""
 
     unused: float
 
 
-@prepare_patch.of(CellDilatation)
-def _(kind, nodes, mirror):
-    pass
-
-
-@load_patches.of(CellDilatation)
-def _(kind, blocks, box, mirror, real, ghosts, s):
-    pass
+for _dispatch in (
+    prepare_patch, load_patches, particle_velocity, max_velocity, advection_velocity,
+    mixture_wave_speed_squared,
+):  # fmt: skip
+    _dispatch.of(CellDilatation)(_dispatch.table[VelocityOnly])
 
 
 @gather_batch.of(CellDilatation)
@@ -49,29 +46,9 @@ def _(kind, count, weights, records, base, real, extra):
         extra[n] = records[m] + records[m + 5] + records[m + 10]
 
 
-@particle_velocity.of(CellDilatation)
-def _(kind, f, p, cap, extra, n, v):
-    store_velocity(f, p, cap, v)
-
-
-@max_velocity.of(CellDilatation)
-def _(kind, f, p, cap, displacement, scale):
-    return displacement
-
-
-@advection_velocity.of(CellDilatation)
-def _(kind, split, extra, n, v):
-    return v
-
-
 @velocity_gradient.of(CellDilatation)
 def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
     """Replace the trace of the velocity gradient."""
     c0, c1, c2, c3, c4, c5, c6, c7, c8 = L
     added = (load(extra, n) / numbers.dx - (c0 + c4 + c8)) * (1.0 / 3.0)
     return (c0 + added, c1, c2, c3, c4 + added, c5, c6, c7, c8 + added)
-
-
-@mixture_wave_speed_squared.of(CellDilatation)
-def _(kind, f, p, cap, numbers, wave2):
-    return wave2

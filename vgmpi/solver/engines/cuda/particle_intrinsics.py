@@ -158,13 +158,18 @@ def change(array, node, nodes):
     return 0.5 if node == 1 else -0.25
 
 
-def _gathers(name):
-    """Return the stencil sum of a record by the source of its three nodes."""
+def _gathers(name, quantities):
+    """Return the stencil sum of a record by the source of its three nodes.
+
+    Args:
+        name: Name of the stencil function.
+        quantities: Number of its sums, of four numbers each.
+    """
     source = stencil_sums.STENCIL_FUNCTIONS[name][1]
     first, second, third = source(0, 1), source(1, 1), source(2, 1)
 
-    def moments(count, record, weights, base, patch):
-        """Gather the sums of a record, 16 numbers.
+    def sums(count, record, weights, base, patch):
+        """Gather the sums of a record.
 
         Args:
             count: 1.
@@ -177,43 +182,10 @@ def _gathers(name):
             a = first(weights, 0, patch, o)
             b = second(weights, 0, patch, o)
             d = third(weights, 0, patch, o)
-            for q in range(4):
+            for q in range(quantities):
                 record[4 * q + c] = (a[q] + b[q]) + d[q]
 
-    def values(count, record, weights, base, patch):
-        """Gather the values of a record, four numbers.
-
-        Args:
-            count: 1.
-            record (out): Values.
-            weights: Weights of the particle.
-            base, patch: Base row (1,), and flat patch.
-        """
-        for c in range(4):
-            o = base[0] + c
-            a = first(weights, 0, patch, o)
-            b = second(weights, 0, patch, o)
-            d = third(weights, 0, patch, o)
-            record[c] = (a[0] + b[0]) + d[0]
-
-    def slopes(count, record, weights, base, patch):
-        """Gather the slopes of a record, 12 numbers.
-
-        Args:
-            count: 1.
-            record (out): Slopes.
-            weights: Weights of the particle.
-            base, patch: Base row (1,), and flat patch.
-        """
-        for c in range(4):
-            o = base[0] + c
-            a = first(weights, 0, patch, o)
-            b = second(weights, 0, patch, o)
-            d = third(weights, 0, patch, o)
-            for q in range(3):
-                record[4 * q + c] = (a[q] + b[q]) + d[q]
-
-    return {"gather_value": values, "gather_cell_slopes": slopes}.get(name, moments)
+    return sums
 
 
 def gather(patch, grid, blocks, box):
@@ -333,10 +305,10 @@ PARTICLE = TranslationMode(
         partial_rows.node_numbers: steps, partial_rows.broadcast_per_node: part_load,
         partial_rows.slope_middle: middle, partial_rows.slope_change: change,
         partial_rows.mean_middle: mean, partial_rows.mean_change: mean_slope,
-        stencil_sums.gather_affine: _gathers("gather_affine"),
-        stencil_sums.gather_gradient: _gathers("gather_gradient"),
-        stencil_sums.gather_value: _gathers("gather_value"), patch.load_patch: gather,
-        cell_stencil_sums.gather_cell_slopes: _gathers("gather_cell_slopes"),
+        stencil_sums.gather_affine: _gathers("gather_affine", 4),
+        stencil_sums.gather_gradient: _gathers("gather_gradient", 4),
+        stencil_sums.gather_value: _gathers("gather_value", 1), patch.load_patch: gather,
+        cell_stencil_sums.gather_cell_slopes: _gathers("gather_cell_slopes", 3),
         particle_records.patch_of: patch_of, particle_records.velocity_patch_of: velocity_patch_of,
         wall_boundary._plane_node: node_of, patch.nodes_of: nodes_of,
         g2p.keep_lowest_id: note, g2p.record_step_bounds: record_maxima,

@@ -147,26 +147,24 @@ def _accumulate_record(sums, written, weights, m, node):
     return r0, r1, r2, r3, r4, r5, r6 + u * a, r7 + u * b, r8 + u * c
 
 
-def _along_slopes(written, weights, m, patch, base):
-    """Add a record with the gradients of the B-splines."""
-    node, o = rank() >> 2, base + (rank() & 3)
-    if node == 0:
-        slopes_0(m, m + 1, written, weights, patch, o)
-    elif node == 1:
-        slopes_1(m, m + 1, written, weights, patch, o)
-    elif node == 2:
-        slopes_2(m, m + 1, written, weights, patch, o)
+def _by_node(make_part):
+    """Make the sum of a record into the rows of this thread's node.
 
+    Args:
+        make_part: Function of a node and a number of nodes, as of stencil_sums.
+    """
+    first, second, third = (make_part(node, 1) for node in range(3))
 
-def _along_cells(written, weights, m, patch, base):
-    """Add a record by the means of cells."""
-    node, o = rank() >> 2, base + (rank() & 3)
-    if node == 0:
-        cells_0(m, m + 1, written, weights, patch, o)
-    elif node == 1:
-        cells_1(m, m + 1, written, weights, patch, o)
-    elif node == 2:
-        cells_2(m, m + 1, written, weights, patch, o)
+    def _sum(written, weights, m, patch, base):
+        node, o = rank() >> 2, base + (rank() & 3)
+        if node == 0:
+            first(m, m + 1, written, weights, patch, o)
+        elif node == 1:
+            second(m, m + 1, written, weights, patch, o)
+        elif node == 2:
+            third(m, m + 1, written, weights, patch, o)
+
+    return _sum
 
 
 def _flush(patch, base, sums):
@@ -220,5 +218,5 @@ fused = _exact if SIMULATED else _fma
 
 
 row_terms = stencil_sums._row_terms
-slopes_0, slopes_1, slopes_2 = (stencil_sums._scatter_slopes(node, 1) for node in range(3))
-cells_0, cells_1, cells_2 = (scatter_by_cells(node, 1) for node in range(3))
+_along_slopes = _by_node(stencil_sums._scatter_slopes)  # by the gradients of the B-splines
+_along_cells = _by_node(scatter_by_cells)

@@ -21,7 +21,7 @@ class Stencil:
     """
 
     def __init__(self, base: np.ndarray, inside: np.ndarray, dx: float):
-        self.base, self.dx = base, dx
+        self.base, self.inside, self.dx = base, inside, dx
         f = inside
         self.w = np.stack([0.5 * (1.0 - f) ** 2, 0.75 - (f - 0.5) ** 2, 0.5 * f**2])  # (3, n, 3)
         self.d = np.stack([f - 1.0, 1.0 - 2.0 * f, f]) / dx  # [1/m] gradients of the weights
@@ -33,15 +33,12 @@ class Stencil:
         The gradient has the slopes of B-splines along its axis, and the weights of the two cells'
         means along the others (kernels/cell_stencil_sums.py).
         """
-        f = np.clip(self.d[2] * self.dx, 0.0, 1.0)
+        f = self.inside
         mean = np.stack([0.5 * (1.0 - f), np.full_like(f, 0.5), 0.5 * f])
         for i, j, k in np.ndindex(3, 3, 3):
             index = tuple((self.base + (i, j, k) + 1).T)
             m, d = ([a[c, :, axis] for axis, c in enumerate((i, j, k))] for a in (mean, self.d))
-            yield (
-                index,
-                np.stack([d[0] * m[1] * m[2], m[0] * d[1] * m[2], m[0] * m[1] * d[2]], 1),
-            )
+            yield index, _product_gradient(m, d)
 
     def __iter__(self):
         """Yield 27 times index, weight, offset and gradient of the weight.
@@ -54,8 +51,12 @@ class Stencil:
             w = [self.w[c, :, a] for a, c in enumerate((i, j, k))]
             d = [self.d[c, :, a] for a, c in enumerate((i, j, k))]
             r = np.stack([self.r[c, :, a] for a, c in enumerate((i, j, k))], 1)
-            gradient = np.stack([d[0] * w[1] * w[2], w[0] * d[1] * w[2], w[0] * w[1] * d[2]], 1)
-            yield index, w[0] * w[1] * w[2], r, gradient
+            yield index, w[0] * w[1] * w[2], r, _product_gradient(w, d)
+
+
+def _product_gradient(w: list[np.ndarray], d: list[np.ndarray]) -> np.ndarray:
+    """Return the gradient (n, 3) of a product of weights (n,) along the axes, with slopes `d`."""
+    return np.stack([d[0] * w[1] * w[2], w[0] * d[1] * w[2], w[0] * w[1] * d[2]], 1)
 
 
 def stencil_of(group: ParticleGroup, dx: float) -> Stencil:
