@@ -111,12 +111,8 @@ def names(folder, more="", transfer="apic"):
             "apic",
             ["law elastic", "contact", "law fluid", "particle shifting", "contact"],
         ),
-        (
-            BED,
-            "apic",
-            ["law fluid", "drag", "law sand", "drag"],
-        ),
-        (MILK, "apic", ["law fluid", "mixing", "law fluid", "mixing"]),
+        (BED, "apic", [*WATER, "drag", "law sand", "drag"]),
+        (MILK, "apic", [*WATER, "mixing", *WATER, "mixing"]),
         (POST, "apic", ["law fluid", "particle shifting", "colliders"]),
         (
             POST + MOVES,

@@ -309,18 +309,21 @@ def _with_shared_space(
 def with_volume_correction(
     scene: Scene, groups: tuple[GroupPlan, ...], phases: tuple[PhasePlan, ...]
 ) -> tuple[tuple[GroupPlan, ...], tuple[PhasePlan, ...]]:
-    """Return groups and phases with the volume correction of liquids that share no space.
+    """Return groups and phases with the volume correction of liquids.
+
+    The density correction leaves out liquids that share space.
 
     Raises:
         SceneError: Liquids of different density have one velocity field and a density correction.
     """
-    make = {"density": _with_density_correction, "shifting": _with_shifting}.get(
-        scene.accuracy.volume_correction
-    )
-    if make is None:
+    correction = scene.accuracy.volume_correction
+    if correction == "none":
         return groups, phases
+    make = _with_shifting if correction == "shifting" else _with_density_correction
     corrected = tuple(
-        make(scene, group, phases[group.phase]) if group.is_liquid and not group.shares else group
+        make(scene, group, phases[group.phase])
+        if group.is_liquid and (correction == "shifting" or not group.shares)
+        else group
         for group in groups
     )
     shifted = {group.phase for group in corrected if group.shifts}

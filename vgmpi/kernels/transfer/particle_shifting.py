@@ -87,6 +87,40 @@ def wall_share(fill, i, j, k):
 
 
 @device_function
+def touches_separating_wall(fill, block):
+    """Return whether a separating wall cuts the cell of a node of a block.
+
+    Args:
+        fill: What fills the cells, NodeFill.
+        block: Coordinates of the block, shape (3,).
+    """
+    result = False
+    for a in range(3):
+        result = result or (fill.kinds[a, 0] == SEPARATE and block[a] < 1)
+        highest = 4 * block[a] + 2
+        result = result or (fill.kinds[a, 1] == SEPARATE and highest >= fill.cells[a] - 1)
+    return result
+
+
+@device_function
+def share_outside_walls(fill, i, j, k):
+    """Return the part of a node's cell that separating walls leave free.
+
+    Args:
+        fill: What fills the cells, NodeFill.
+        i, j, k: Node indices in the domain.
+    """
+    share = 1.0
+    for a in range(3):
+        node = i if a == 0 else (j if a == 1 else k)
+        if fill.kinds[a, 0] == SEPARATE:
+            share *= 1.0 - half_space_fraction(1.0 * node)
+        if fill.kinds[a, 1] == SEPARATE:
+            share *= 1.0 - half_space_fraction(1.0 * (fill.cells[a] - node))
+    return share
+
+
+@device_function
 def fill_of_phase(fill, volumes, nodes, nb, phase, offset):
     """Return the part of a node's cell that a phase fills.
 
@@ -121,6 +155,7 @@ def store_fullness(n0, n1, phase_of, nodes, volumes, fill, block, solid, dx):
             first = nb
     if first < 0:
         return
+    near_wall = touches_separating_wall(fill, block)
     sync_threads()
     for q in strided_range(64):
         o = 256 * first + 4 * q + 3
@@ -128,11 +163,13 @@ def store_fullness(n0, n1, phase_of, nodes, volumes, fill, block, solid, dx):
         for nb in range(n0 + 1, n1):
             total += fill_of_phase(fill, volumes, nodes, nb, phase_of[nb], 4 * q + 3)
         nodes[o] = total
-        if solid >= 0 and len(fill.colliders) > 0:
+        if near_wall or (solid >= 0 and len(fill.colliders) > 0):
             i, j = 4 * block[0] - 1 + q // 16, 4 * block[1] - 1 + q // 4 % 4
             k = 4 * block[2] - 1 + q % 4
-            share = half_space_fraction(fill.colliders[solid, q, 3] / dx)
-            nodes[o] += share * wall_share(fill, i, j, k)
+            free = share_outside_walls(fill, i, j, k)
+            if solid >= 0 and len(fill.colliders) > 0:
+                free *= 1.0 - half_space_fraction(fill.colliders[solid, q, 3] / dx)
+            nodes[o] += (1.0 - free) * wall_share(fill, i, j, k)
         for nb in range(first + 1, n1):
             if fill.shifts[phase_of[nb]]:
                 nodes[256 * nb + 4 * q + 3] = nodes[o]

@@ -113,7 +113,7 @@ def _flow(plan: Plan, source: InletPlan) -> float:
 
 def _accuracy_notes(scene: Scene, plan: Plan) -> list[str]:
     """Return the lines on what the scene's resolution and options make inexact."""
-    lines = _restored(plan) + _unshifted(scene, plan) + _without_cells(scene, plan)
+    lines = _restored(plan) + _without_cells(scene, plan)
     lines += soft_liquid_lines(scene, plan.weights)
     lines += _thin(scene, plan)
     return lines + _sheets(plan) + _bending(scene, plan)
@@ -129,15 +129,6 @@ def _restored(plan: Plan) -> list[str]:
         f"  transfer    what transfers take from motion is given back {often};"
         f' accuracy.transfer = "apic" takes {less:.2f} of the time, and waves and spin die sooner'
     ]
-
-
-def _unshifted(scene: Scene, plan: Plan) -> list[str]:
-    """Return a line on the liquids whose particles cannot be shifted, and so lose volume."""
-    if scene.accuracy.volume_correction != "shifting":
-        return []
-    names = [group.name for group in plan.groups if group.is_liquid and not group.shifts]
-    message = "may lose height: liquids that share space with others are not shifted"
-    return [f"  volume      {_listing(names)} {message}"] if names else []
 
 
 def _without_cells(scene: Scene, plan: Plan) -> list[str]:

@@ -9,29 +9,32 @@ from vgmpi.parallel.block_lattice import BITS
 from vgmpi.planning.plan import Plan
 
 from .engine_protocol import DITHER
-from .plan_tables import phase_sets, wall_table
+from .plan_tables import wall_table
 
 
 def node_fill(plan: Plan) -> NodeFill | None:
     """Return what fills the nodes' cells, without colliders; None if no particles are shifted.
 
-    Phases that share space are not counted, and prescribed bodies have no mass on the grid. Where
-    liquids of one phase differ in density, their volumes count, elsewhere masses do.
+    Prescribed bodies have no mass on the grid. Where liquids of one phase differ in density, their
+    volumes count, elsewhere masses do. Sand with a liquid in its pores counts by its grains.
     """
     if not plan.shift_interval:
         return None
-    as_one = phase_sets(plan)
     by_volume = np.array([phase.fills_by_volume for phase in plan.phases])
-    full = [
-        plan.dx**3 if by_volume[p] else phase.most for p, phase in enumerate(plan.phases)
-    ]  # [m3] or [kg] in a full cell
-    counted = [as_one[p] < 0 and not phase.driven for p, phase in enumerate(plan.phases)]
+    full = np.array(
+        [plan.dx**3 if by_volume[p] else phase.most for p, phase in enumerate(plan.phases)]
+    )  # [m3] or [kg] in a full cell
+    space = 1.0 / full
+    if plan.rules is not None:
+        porous = (plan.rules.mixture_set >= 0) & ~plan.rules.fluid
+        space = np.where(porous, plan.rules.volume / plan.dx**3, space)
+    space[[phase.driven for phase in plan.phases]] = 0.0
     shifts = np.zeros(len(plan.phases), bool)
     for group in plan.groups:
         shifts[group.phase] |= group.shifts
     walls = wall_table(plan)
     return NodeFill(
-        np.array(counted / np.array(full), plan.real), by_volume, shifts,
+        space.astype(plan.real), by_volume, shifts,
         np.zeros((0, 64, 4), plan.real), walls.cells, walls.kinds,
     )  # fmt: skip
 

@@ -64,13 +64,23 @@ class ParticleShifting:
             return None
         fullness = np.einsum("p,p...->...", self.table.space.astype(np.float64), mass)
         fullness = self.dense.complete_wall_mass(fullness)
+        free = self._share_outside_walls()
         distance = distance_from_colliders(movers, self.dense, at_rest)
         if distance is not None:
-            d = np.clip(distance.reshape(fullness.shape) / self.dense.dx, -1.5, 1.5)
-            middle = 0.5 - 0.75 * d + d**3 / 3.0
-            outer, inner = (1.5 - d) ** 3 / 6.0, 1.0 - (1.5 + d) ** 3 / 6.0
-            fullness = fullness + np.where(d > 0.5, outer, np.where(d < -0.5, inner, middle))
+            free = free * (1.0 - half_space_share(distance.reshape(free.shape) / self.dense.dx))
+        fullness = fullness + (1.0 - free)[..., None]
         return self.dense.symmetrize(fullness)
+
+    def _share_outside_walls(self) -> np.ndarray:
+        """Return the part of each node's cell that separating walls leave free, shape (...)."""
+        dense = self.dense
+        share = np.ones([len(axis) for axis in dense.nodes])
+        for axis, kind, _, wall, inside, _ in dense.wall_planes():
+            if kind == "separate":
+                depth = (inside - wall) * (np.arange(share.shape[axis]) - wall)
+                outside = 1.0 - half_space_share(depth.astype(float))
+                share *= np.expand_dims(outside, [a for a in range(3) if a != axis])
+        return share
 
     def apply(self, group: ParticleGroup, stencil: Stencil, fullness: np.ndarray) -> None:
         """Relax the volumes of a liquid to its fullness, and separate particles that crowd.
@@ -107,6 +117,14 @@ class ParticleShifting:
             SHIFT_FACTOR * dense.gather(surplus, stencil)[:, :1], 0.0, MAX_SHIFT_CELLS
         )
         _move(group, dense, distance, wall_shift, constants)
+
+
+def half_space_share(distance: np.ndarray) -> np.ndarray:
+    """Return the part of nodes' cells that a half space fills, `distance` [cells] outside it."""
+    d = np.clip(distance, -1.5, 1.5)
+    middle = 0.5 - 0.75 * d + d**3 / 3.0
+    outer, inner = (1.5 - d) ** 3 / 6.0, 1.0 - (1.5 + d) ** 3 / 6.0
+    return np.where(d > 0.5, outer, np.where(d < -0.5, inner, middle))
 
 
 def _move(
