@@ -1,8 +1,8 @@
 """A sphere that slips sinks in a viscous liquid.
 
 Theory: a sphere of radius a without shear stress on its surface feels the drag 4 pi eta a U in an
-unbounded liquid (Hadamard and Rybczynski for a bubble; Lamb, Hydrodynamics, art. 337). In a box with
-slip walls its images slow it down: U = F / (4 pi eta a) (1 - K a / L) (Happel and Brenner, Low
+unbounded liquid (Hadamard and Rybczynski for a bubble; Lamb, Hydrodynamics, art. 337). In a box
+with slip walls its images slow it down: U = F / (4 pi eta a) (1 - K a / L) (Happel and Brenner, Low
 Reynolds number hydrodynamics, section 7), K from the sum over the periodic lattice of images
 (Hasimoto 1959). Images in side walls push the same way, those in the floor and the roof the other.
 Tolerance: 8 %, mean
