@@ -50,6 +50,19 @@ ANSWERS: dict[str, dict[str, str]] = {
     "vgmpi.preprocess.motion_checks": {
         "validate_collider_motion": "return []",
         "validate_body_motion": "return []",
+        "validate_free_body": "return []",
+    },
+    "vgmpi.kernels.rigid.free_bodies": {},
+    "vgmpi.kernels.rigid.body_nodes": {},
+    "vgmpi.kernels.rigid.free_coupling": {},
+    "vgmpi.kernels.rigid.surface_points": {},
+    "vgmpi.kernels.rigid.body_contact": {},
+    "vgmpi.kernels.rigid.contact_sweeps": {},
+    "vgmpi.kernels.nodal_fields.velocity_gradient": {},
+    "vgmpi.kernels.nodal_fields.mean_pressure": {},
+    "vgmpi.solver.boundary.free_body_coupling": {
+        "free_body_coupling": "return None",
+        "advance_free_bodies": "return",
     },
 }
 PLAIN = """

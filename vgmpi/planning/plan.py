@@ -113,6 +113,7 @@ class Plan:
     driven: tuple[PrescribedBodyPlan, ...] = ()
     opens: tuple[float | None, ...] = (None,) * 6  # [s] when each wall vanishes
     feels: bool = False  # reaction impulses of each collider and wall are summed
+    free_bodies: bool = False  # some colliders are free rigid bodies
 
     @property
     def is_open_system(self) -> bool:
@@ -269,6 +270,7 @@ def make_plan(
         sinks=outlet_plans(scene), driven=driven,
         opens=tuple(scene.domain.opens),
         feels=any(probe.feels for probe in scene.probe),
+        free_bodies=any(obj.free_body is not None for obj in scene.object),
     )  # fmt: skip
     _check_steps(scene, plan)
     return plan

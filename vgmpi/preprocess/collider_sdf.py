@@ -7,6 +7,7 @@ import scipy
 
 from vgmpi.preprocess.sampling.voxels import Voxels
 from vgmpi.scene.rigid_motion import Motion, Trajectory
+from vgmpi.scene.rigid_objects import FreeBody
 from vgmpi.scene.shapes import Shape
 
 from . import shape_sdf
@@ -29,6 +30,7 @@ class ShapeCollider:
     placement: SimilarityTransform
     step: float
     course: Trajectory | None = None  # its motion; distances are those at the start
+    body: FreeBody | None = None  # its properties if it moves freely
     hull: Shape | None = None
 
     def ends(self) -> tuple[np.ndarray, np.ndarray]:
@@ -96,6 +98,7 @@ class VoxelCollider:
     voxels: Voxels
     values: np.ndarray
     course: Trajectory | None = None
+    body: FreeBody | None = None
 
     def ends(self) -> tuple[np.ndarray, np.ndarray]:
         """Return lower and upper corner (3,) [m] of a box that contains it."""
@@ -150,8 +153,18 @@ class VoxelCollider:
 Collider = ShapeCollider | VoxelCollider
 
 
-def with_motion(collider: Collider | None, motion: Motion | None) -> Collider | None:
-    """Return the collider with its motion, by default about the center of its extent."""
+def with_motion(
+    collider: Collider | None, motion: Motion | None, body: FreeBody | None = None
+) -> Collider | None:
+    """Return the collider with its motion, by default about the center of its extent.
+
+    Args:
+        collider: Collider, or None.
+        motion: Prescribed motion, or None.
+        body: Properties of a collider that moves freely, or None.
+    """
+    if collider is not None and body is not None:
+        return replace(collider, body=body)
     if collider is None or motion is None:
         return collider
     low, high = collider.ends()

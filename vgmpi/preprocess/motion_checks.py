@@ -5,6 +5,7 @@ import logging
 
 import numpy as np
 
+from vgmpi.kernels.rigid.free_bodies import mass_properties
 from vgmpi.kernels.rigid.moving_colliders import MAX_COLLIDER_TRAVEL_CELLS
 from vgmpi.planning.plan import MAX_STEPS
 from vgmpi.planning.prescribed_bodies import course_of
@@ -105,6 +106,23 @@ def _outside_domain(scene: Scene, x: np.ndarray, courses: Trajectories, time: fl
                 f" {low:.4g} .. {high:.4g} m; the domain is 0 .. {size:g} m"
             )
     return ""
+
+
+def validate_free_body(scene: Scene, collider: Collider | None) -> list[tuple[tuple, str]]:
+    """Return (key of its object, message) if a free rigid body holds no volume or is outside.
+
+    Args:
+        scene: The scene.
+        collider: Collider of the body, or None.
+    """
+    if collider is None or collider.body is None:
+        return []
+    mass, center, _ = mass_properties(collider, 1.0, scene.domain.cell)
+    if not mass > 0.0:
+        return [(("rigid",), "the body encloses no volume")]
+    if (center < 0.0).any() or (center > np.array(scene.domain.size)).any():
+        return [((), "the center of mass is outside the domain")]
+    return []
 
 
 def motion_steps(scene: Scene, colliders: list[Collider], extents: dict) -> np.ndarray:

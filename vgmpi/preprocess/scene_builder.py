@@ -24,7 +24,7 @@ from .collider_sdf import Collider, ShapeCollider, with_motion
 from .initial_conditions import apply_initial_conditions
 from .initial_velocity import initial_velocity
 from .load_targets import ResolvedLoad, resolve_loads
-from .motion_checks import validate_body_motion, validate_collider_motion
+from .motion_checks import validate_body_motion, validate_collider_motion, validate_free_body
 from .object_builder import BuiltObject, build_object
 from .passive_gaussians import bind_passive
 from .placement import PlacementError
@@ -113,11 +113,12 @@ def build_scene(scene: Scene) -> PreparedScene:
         try:
             piece = apply_initial_conditions(scene, obj, build_object(scene, k))
             needed = obj.role == "body" and scene.phase_of(obj) in touched
-            piece = replace(piece, collider=with_motion(piece.collider, obj.motion))
+            piece = replace(piece, collider=with_motion(piece.collider, obj.motion, obj.free_body))
             pieces.append(with_surface_descriptor(scene, piece, needed))
             invalid = validate_collider_motion(scene, piece.collider) + validate_body_motion(
                 scene, obj, piece.cloud.x
             )
+            invalid += validate_free_body(scene, piece.collider)
             errors += [(("object", k, *key), message) for key, message in invalid]
             if piece.summary:
                 log.info("'%s': %s", obj.name, _object_summary(scene, obj, piece))
@@ -310,6 +311,7 @@ def _describe(
         first: Id of its first particle.
         count: Number of its particles.
     """
+    is_moving = entity.collider and (entity.motion or entity.free_body) is not None
     material = scene.material[entity.material] if entity.material else None
     family = material.family if material else None
     return {
@@ -330,7 +332,7 @@ def _describe(
         "color": list(entity.color),
         "collider": entity.collider,
         "surface": piece.surface_descriptor is not None,
-    } | ({"is_moving": True} if entity.collider and entity.motion is not None else {})
+    } | ({"is_moving": True} if is_moving else {})
 
 
 def _theta(piece: BuiltObject) -> np.ndarray:

@@ -63,6 +63,7 @@ class Inlet(StrictModel):
     collider: ClassVar[bool] = False
     track_deformation: ClassVar[bool | None] = None
     motion: ClassVar[None] = None
+    free_body: ClassVar[None] = None
     driven: ClassVar[bool] = False
 
     @property

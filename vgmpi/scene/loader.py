@@ -24,6 +24,7 @@ from .number_range import numbers_out_of_range
 from .object_files import find_object_file
 from .objects import Object, validate_body_name, validate_object, validate_release
 from .probes import Probe, collider_names, validate_probe
+from .rigid_objects import as_collider, validate_particles, validate_rigid_scene
 from .scene import Scene, miscible_materials, phase_of
 from .sections import MAX_CELLS, SECTIONS, Appearance, Domain, Output, TopLevelKeys
 
@@ -74,7 +75,10 @@ class SceneLoader:
         pairs = self.couplings(data.get("coupling", []), kinds)
         inlets = self.inlets(data.get("inlet", []), kinds, tables, objects)
         self.check_phase_families({"object": objects, "inlet": inlets}, kinds, pairs)
-        role = {o.name: o.role for o in objects if o} if None not in objects else None
+        role = None
+        if None not in objects:
+            role = {o.name: "rigid" if o.rigid else o.role for o in objects}
+            self.errors += validate_rigid_scene(objects, kinds, pairs, tables.get("accuracy"))
         self.check_color_bodies(tables.get("appearance"), role)
         for inner, message in validate_gravity(data.get("domain", {})):
             self.report(("domain", *inner), message)
@@ -102,7 +106,8 @@ class SceneLoader:
         self.raise_if_errors()
         return Scene(
             path=self.source.path, folder=self.source.folder, text=self.source.text,
-            title=top.title, seed=top.seed, material=kinds, object=tuple(objects),
+            title=top.title, seed=top.seed, material=kinds,
+            object=tuple(as_collider(obj, kinds.get(obj.material)) for obj in objects),
             coupling=tuple(pairs), load=tuple(loads), probe=tuple(probes), inlet=tuple(inlets),
             outlet=tuple(outlets), files=files, overrides=overrides, source=self.source,
             **tables,
@@ -204,8 +209,8 @@ class SceneLoader:
         pours = bool(self.source.data.get("inlet"))
         if not raw and not pours:
             self.report(("object",), "there is no object")
-        elif not pours and all(item.get("role") == "scenery" for item in raw):
-            self.report(("object",), "all objects are scenery: at least one must be a body")
+        elif not pours and (message := validate_particles(raw)):
+            self.report(("object",), message)
         for k, obj in enumerate(objects):
             material = kinds.get(obj.material) if obj else None
             if obj and obj.initial_pressure != "zero" and material:

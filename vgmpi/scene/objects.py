@@ -5,11 +5,10 @@ import re
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, model_validator
+from pydantic import BeforeValidator, PrivateAttr
 
 from vgmpi.runtime.config.schema import (
     Color,
-    Length,
     Point,
     Positive,
     Quantity,
@@ -18,8 +17,10 @@ from vgmpi.runtime.config.schema import (
 )
 from vgmpi.runtime.suggestions import did_you_mean
 
+from .initial_fields import FractionProfile, Spin, Velocity, VelocityMode
 from .keyframes import Time
 from .rigid_motion import Motion, validate_motion
+from .rigid_objects import FreeBody, validate_rigid
 from .shapes import Axis, Corners, Shape, Sphere, validate_shape
 
 SOURCES = ("gaussians", "mesh", "shape")
@@ -50,18 +51,6 @@ KEYS_EXCLUDED_BY_MOTION = (
     "volume_fraction",
     "volume_fraction_profile",
 )
-
-Velocity = tuple[
-    Annotated[float, Quantity("m/s")],
-    Annotated[float, Quantity("m/s")],
-    Annotated[float, Quantity("m/s")],
-]
-Wavenumber = Annotated[float, Quantity("rad/m")]
-Spin = tuple[
-    Annotated[float, Quantity("rad/s")],
-    Annotated[float, Quantity("rad/s")],
-    Annotated[float, Quantity("rad/s")],
-]
 
 
 def checked_name(value: Any) -> str:
@@ -99,36 +88,6 @@ class Rotation(StrictModel):
     """"x", "-x", "y", "-y", "z", "-z" or three numbers"""
     angle: Annotated[float, Quantity("rad")]
     """right-handed angle"""
-
-
-class VelocityMode(StrictModel):
-    """Wave of velocities at the start: amplitude sin(wave_vector . x + phase_angle)."""
-
-    amplitude: Velocity
-    """largest velocity"""
-    wave_vector: tuple[Wavenumber, Wavenumber, Wavenumber]
-    """wave vector k, 2 pi / wavelength along its direction; x is the position in the domain"""
-    phase_angle: Annotated[float, Quantity("rad")] = 0.0
-    """"90 deg" makes the sine a cosine"""
-
-
-class FractionProfile(StrictModel):
-    """Volume fraction that changes along one axis, piecewise linear, constant beyond its points."""
-
-    axis: Literal["x", "y", "z"]
-    """axis along which it changes"""
-    positions: tuple[Length, ...]
-    """ascending positions in the domain, two or more"""
-    values: tuple[Share, ...]
-    """volume fraction at each of them; no particles where it is 0"""
-
-    @model_validator(mode="after")
-    def _matches(self) -> "FractionProfile":
-        if len(self.positions) < 2 or len(self.positions) != len(self.values):
-            raise ValueError("positions and values must be of one length, 2 or more")
-        if any(a >= b for a, b in zip(self.positions, self.positions[1:])):
-            raise ValueError("positions must ascend")
-        return self
 
 
 def _listed(value: Any) -> Any:
@@ -240,6 +199,20 @@ class Object(StrictModel):
     """colliders only: Coulomb friction coefficient of all bodies on it. Default: that of each
     body's material"""
 
+    rigid: bool = False
+    """bodies of solids only: a free rigid body. It does not deform, moves by its momentum, and has
+    no particles. Density and friction are those of its material"""
+    restitution: Annotated[float, Quantity("", ge=0, le=1)] | None = None
+    """rigid bodies only: speed after over speed before a collision with another rigid body, a
+    collider or a wall; default 0"""
+
+    _free_body: FreeBody | None = PrivateAttr(None)  # set by scene/rigid_objects.py
+
+    @property
+    def free_body(self) -> FreeBody | None:
+        """Return its properties as a free rigid body, which is a collider that moves freely."""
+        return self._free_body
+
     @property
     def source(self) -> str:
         """Return which of gaussians, mesh, shape it is made from."""
@@ -282,6 +255,8 @@ def validate_body_name(name: Any, role: dict[str, str] | None) -> str:
         return ""
     if name not in role:
         return f"there is no object '{name}'{did_you_mean(name, role)}; known: {', '.join(role)}"
+    if role[name] == "rigid":
+        return f"'{name}' is rigid: it has no particles"
     return "" if role[name] == "body" else f"'{name}' is scenery: it has no mass and does not move"
 
 
@@ -341,6 +316,7 @@ def validate_object(raw: dict) -> list[tuple[tuple, str]]:
     if "motion" in raw and scenery and not collider:
         errors.append((("motion",), "is for bodies, and for scenery with collider = true"))
     errors += validate_motion(raw.get("motion"), ("motion",))
+    errors += validate_rigid(raw, scenery)
     return errors + ([] if scenery else _validate_prescribed(raw))
 
 

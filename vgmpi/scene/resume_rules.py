@@ -43,6 +43,7 @@ PARTICLE_KEYS = frozenset(
 
 NUMERICS = "precision", "volume_correction"  # keys of accuracy whose defaults have changed
 ADDED_NUMERICS = {"dilatation": "particles"}  # keys that earlier versions computed by, unnamed
+ADDED_OBJECT_KEYS = {"rigid": False}
 
 
 def changes_without_effect(scene: Scene, differences: list[tuple[tuple, str]]) -> list[tuple]:
@@ -90,6 +91,7 @@ def forbidden_changes(scene: Scene, before: dict) -> list[tuple[tuple, str]]:
     before = copy.deepcopy(before)
     renamed_keys.SCENE.apply(before)
     before["accuracy"] = ADDED_NUMERICS | before.get("accuracy", {})
+    before["object"] = [ADDED_OBJECT_KEYS | entry for entry in before.get("object", [])]
     now, allowed = scene.to_json(), may_change()
     differences: list[tuple[tuple, str]] = []
     for name in {**before, **now}:

@@ -162,12 +162,12 @@ class Trajectories:
     """Poses over time of m moving bodies together."""
 
     def __init__(self, courses: Sequence[Trajectory]):
-        self.about = np.array([course.about for course in courses])  # (m, 3) [m]
+        self.about = np.array([course.about for course in courses]).reshape(-1, 3)  # [m]
         self._parts = [course.cubics for course in courses]
         self._since, self._until = np.full((2, len(courses)), np.inf)
         self._now = np.zeros((len(courses), 4, 4))  # the segments at the time of the last call
         k = np.zeros((len(courses), 3, 3))  # cross-product matrices of the axes: k x = axis x x
-        x, y, z = np.array([course.motion.axis for course in courses]).T
+        x, y, z = np.array([course.motion.axis for course in courses]).reshape(-1, 3).T
         k[:, 0, 1], k[:, 0, 2], k[:, 1, 2], k[:, 1, 0], k[:, 2, 0], k[:, 2, 1] = -z, y, -x, z, -y, x
         self._turns = k, (k[:, :, :, None] * k[:, None, :, :]).sum(axis=2)
 

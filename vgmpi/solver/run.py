@@ -40,7 +40,7 @@ from .initial_particles import (
     rows_of_this_rank,
     write_initial_particles,
 )
-from .run_options import Options, check
+from .run_options import Options, check, check_engine
 from .simulation import BlowUp, Simulation
 from .step_to_target import next_step
 from .stop_requests import Requests
@@ -294,6 +294,7 @@ def prepared_run(
             check_tables(tables, ranks, attrs["step"], attrs.get("log_checksums", {}))
         summary = prepare(scene, ranks, folder, resumed)
         plan = plan_for(scene, summary)
+        check_engine(options, plan)
         if approve is not None:
             approve(scene, plan, start_time, summary)
         if folder is not None:

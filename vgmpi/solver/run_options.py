@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from vgmpi.parallel.communicator import SerialCommunicator
+from vgmpi.planning.plan import Plan
 from vgmpi.runtime.cpu_features import available_cores
 
 from .engine_registry import CARD, ENGINES
@@ -55,6 +56,14 @@ def check(options: Options, ranks: SerialCommunicator) -> None:
         )
     if options.engine == CARD:
         _find_card(options, ranks)
+
+
+def check_engine(options: Options, plan: Plan) -> None:
+    """Raise InvalidRunOptions if the engine cannot compute what a scene has."""
+    if plan.free_bodies and options.engine != "cpu":
+        raise InvalidRunOptions(
+            f"engine {options.engine} has no free rigid bodies (object.rigid); engine cpu has"
+        )
 
 
 def _find_card(options: Options, ranks: SerialCommunicator) -> None:

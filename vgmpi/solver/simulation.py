@@ -19,6 +19,7 @@ from vgmpi.parallel.load_balance import SHARES
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.plan import Plan
 from vgmpi.solver.boundary.flow_accounting import Tally
+from vgmpi.solver.boundary.free_body_coupling import advance_free_bodies, free_body_coupling
 from vgmpi.solver.boundary.inlets import Sources
 from vgmpi.solver.boundary.load_application import Pushes
 from vgmpi.solver.boundary.outlets import Sinks
@@ -59,18 +60,20 @@ class Simulation:
         """Set up the engine and the features of the plan, without particles."""
         self.plan, self.ranks = plan, ranks
         self.lattice = BlockLattice(plan.cells, plan.dx)
-        # true if a collider has its own friction or its reaction is requested
-        per_collider = len(plan.friction) > len(plan.phases) + 1 or plan.feels
+        # true if a collider has its own friction, is free, or its reaction is requested
+        per_collider = len(plan.friction) > len(plan.phases) + 1 or plan.feels or plan.free_bodies
         self.movers: MovingColliders | None = None
-        if any(collider.course is not None for collider in colliders):
+        if any((collider.course or collider.body) is not None for collider in colliders):
             self.movers = MovingColliders(list(colliders), self.lattice, plan.real, per_collider)
         self.solids: MovingColliders | StaticColliders | None = self.movers
         if colliders and self.movers is None:
             self.solids = StaticColliders(list(colliders), self.lattice, plan.real, per_collider)
         self.driven = PrescribedBodies(plan, len(colliders)) if plan.driven else None
+        self.motions = [m for m in (self.movers, self.driven) if m is not None]
         rigid = self.solids, threads, self.driven
         self.engine: Engine = engine_of(engine)(plan, self.lattice, *rigid)
         self.groups: list[ParticleGroup] = self.engine.groups
+        self.bodies = free_body_coupling(plan, self.movers, self.engine, ranks)
         self.reactions = Reactions(plan, colliders, ranks) if plan.feels else None
         if self.reactions is not None:
             self.engine.enable_reactions(
@@ -249,15 +252,15 @@ class Simulation:
         end = self.time + dt if end is None else end
         if self.reactions is not None:
             self.reactions.begin(dt)
-        for motion in (self.movers, self.driven):
-            if motion is not None:
-                motion.begin_step(self.time, end, dt)
+        for motion in self.motions:
+            motion.begin_step(self.time, end, dt)
         overflows = self._correct_transfers(dt)
         pushed, gravity = self._apply_loads(end, dt), self.gravity
         if self.plan.gravity_ramp_time or self.plan.gravity_keys:
             gravity = self.plan.gravity_between(self.time, end)
         engine.begin(dt, gravity, self.particle_maxima.fastest(self.plan, dt, pushed))
         self._update_grid(self.halo)
+        advance_free_bodies(self.bodies, dt, gravity)
         report = engine.gather(self.step)  # v, C, x, state at n + 1
         if self.reactions is not None:
             self.reactions.add_step(engine.given(), self.movers, self.driven)
@@ -294,9 +297,8 @@ class Simulation:
         pushed = 0.0
         if self.loads is not None:
             pushed = self.loads.apply(self.groups, self.time, end, dt)
-        for motion in (self.movers, self.driven):
-            if motion is not None:
-                pushed += self.plan.dx * motion.travels(self.time, end) / dt
+        for motion in self.motions:
+            pushed += self.plan.dx * motion.travels(self.time, end) / dt
         return pushed
 
     def _release_bodies(self, before: float) -> np.ndarray:

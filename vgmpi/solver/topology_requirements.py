@@ -22,6 +22,7 @@ def needs(plan: Plan) -> exchange_topology.TopologyRequirements:
         plan.planes,
         plan.has_surface_friction,
         np.array([phase.fills_by_volume for phase in plan.phases]),
+        plan.free_bodies,
     )
 
 

@@ -98,7 +98,7 @@ def apply_contact(block, tables, solid, velocities, offsets, shear, solids, wall
         active = _active(block, node, velocities, tables.phase, phases.least, work.here)
         ijk = block.low_x + node // 16, block.low_y + node // 4 % 4, block.low_z + node % 4
         planes = _planes(ijk, walls) if pushes else 0
-        rigid = solid >= 0 and solids.nodes[solid, node, 3] < SDF_BAND_CELLS * step.dx
+        rigid = _is_near_collider(solids, solid, node, step.dx)
         if active == 0 or active + rigid + planes < 2:
             continue
         for q in range(active):
@@ -145,6 +145,14 @@ def apply_contact(block, tables, solid, velocities, offsets, shear, solids, wall
             for c in range(3):
                 velocities[256 * work.here[q] + 4 * node + c] = work.v[q, c]
     sync_threads()
+
+
+@device_function
+def _is_near_collider(solids, solid, node, dx):
+    """Return whether a node is near a collider that is no free body."""
+    if solid < 0 or not solids.nodes[solid, node, 3] < SDF_BAND_CELLS * dx:
+        return False
+    return len(solids.free) == 0 or not solids.free[solids.whose[solid, node]]
 
 
 @device_function

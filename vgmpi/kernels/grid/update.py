@@ -39,6 +39,7 @@ class RigidBoundaries(NamedTuple):
     moves: np.ndarray  # (n, 64, 3) [m/s] its velocity; (0, 64, 3) if all are at rest
     whose: np.ndarray  # (n, 64) its number; (0, 64) if all have the same friction
     ways: PrescribedSteps  # prescribed motion by phase, empty if there is none
+    free: np.ndarray  # (colliders,) bool: a free body, which couples after all others; or empty
 
 
 class CommonFields(NamedTuple):

@@ -7,6 +7,7 @@ import numpy as np
 from vgmpi.parallel.block_lattice import BLOCK_EDGE, BlockLattice
 from vgmpi.scene.rigid_motion import Trajectories
 
+from .free_bodies import FreeBodies
 from .sdf_sampling import SampledSdf, evaluate_colliders
 from .static_colliders import SDF_BAND_CELLS
 
@@ -49,6 +50,9 @@ class MovingColliders:
         self.table = _sample_colliders(colliders, lattice.dx)
         self.moving = [m for m, collider in enumerate(colliders) if collider.course is not None]
         self.courses = Trajectories([colliders[m].course for m in self.moving])
+        is_free = np.array([collider.body is not None for collider in colliders])
+        self.free = FreeBodies(colliders, lattice.dx) if is_free.any() else None
+        self.is_free = is_free if is_free.any() else np.zeros(0, bool)
         self.far = np.array([colliders[m].course.far(*colliders[m].ends()) for m in self.moving])
         self.since = 0.0  # [s] time at which the blocks were searched
         self.now = 0.0
@@ -83,6 +87,8 @@ class MovingColliders:
     def take(self, blocks: np.ndarray) -> None:
         """Set the blocks (n, 3) of this rank near colliders, in the order of their numbers."""
         self.blocks, self.since = np.ascontiguousarray(blocks), self.now
+        if self.free is not None:
+            self.free.note_search()
         rows_of = [self._blocks_near(m, self.blocks) for m in range(len(self.colliders))]
         rows = np.concatenate(rows_of)
         order = np.argsort(rows, kind="stable")
@@ -96,6 +102,8 @@ class MovingColliders:
         """Place the colliders where they are at a time [s]."""
         self.now, table = time, self.table
         table.rotation[self.moving], table.move[self.moving] = self.courses.poses(time)
+        if self.free is not None:
+            self.free.place(table)
 
     def begin_step(self, time: float, end: float, dt: float) -> None:
         """Place the colliders at the beginning of a step and compute their motion at the nodes.
@@ -114,11 +122,18 @@ class MovingColliders:
 
     def poses(self, time: float) -> np.ndarray:
         """Return the poses of the moving colliders relative to the start, shape (m, 4, 4) [m]."""
-        return self.courses.matrices(time)
+        if self.free is None:
+            return self.courses.matrices(time)
+        rows = np.concatenate([self.moving, self.free.rows]).astype(int)
+        both = np.concatenate([self.courses.matrices(time), self.free.matrices()])
+        return both[np.argsort(rows)]
 
     def travels(self, t0: float, t1: float) -> float:
         """Return the largest travel [cells] of a point of a collider between two times [s]."""
-        return float(self.courses.travels(t0, t1, self.far).max()) / self.dx
+        travel = self.courses.travels(t0, t1, self.far).max(initial=0.0)
+        if self.free is not None:
+            travel = max(travel, (t1 - t0) * self.free.speeds().max())
+        return float(travel) / self.dx
 
     def rate(self, time: float, rate: float) -> float:
         """Return 1 / dt [1/s], at least `rate`, of a step in which no collider moves too far."""
@@ -126,7 +141,10 @@ class MovingColliders:
 
     def left_safe_range(self, time: float) -> bool:
         """Return True if the blocks near the colliders have to be searched again."""
-        return self.travels(self.since, time) > REBUILD_DISTANCE_CELLS / 2
+        travel = self.courses.travels(self.since, time, self.far).max(initial=0.0)
+        if self.free is not None:
+            travel = max(travel, self.free.travel.max())
+        return float(travel) / self.dx > REBUILD_DISTANCE_CELLS / 2
 
 
 def limit_rate_by_motion(

@@ -85,6 +85,68 @@ def _carry(movers, m, own, x, dt, velocity):
         velocity[k] = (end - x[k]) / dt
 
 
+@device_function
+def distance_from_collider(movers, m, x, own, sample):
+    """Return the distance of a point from a collider [m], infinite if it is too far away.
+
+    Args:
+        movers: Sampled colliders.
+        m: Number of the collider.
+        x: Point, shape (3,) [m].
+        own, sample: Scratch, shapes (3,) and (4,).
+    """
+    _own(movers, m, x, own)
+    return sample[3] if _sample(movers, m, own, sample) else np.inf
+
+
+@device_function
+def sample_at_start(movers, m, own, sample):
+    """Find outward normal and distance of a point from a collider where that is at the start.
+
+    Args:
+        movers: Sampled colliders.
+        m: Number of the collider.
+        own: Point, shape (3,) [m].
+        sample: Normal and distance [m] (out), shape (4,).
+
+    Returns:
+        False if the point is too far away, or has no normal.
+    """
+    if not _sample(movers, m, own, sample):
+        return False
+    size = np.sqrt(sample[0] ** 2 + sample[1] ** 2 + sample[2] ** 2)
+    for k in range(3):
+        sample[k] /= max(size, 1e-30)
+    return size > 0.0
+
+
+@device_function
+def sample_collider(movers, m, x, dt, sample, velocity):
+    """Find outward normal and distance of a point from a collider, and the collider's velocity.
+
+    Args:
+        movers: Sampled colliders.
+        m: Number of the collider.
+        x: Point, shape (3,) [m].
+        dt: Time step [s].
+        sample: Normal and distance [m] (out), shape (4,).
+        velocity: Mean velocity of the collider at the point in the step (out), shape (3,) [m/s].
+
+    Returns:
+        False if the point is too far away, or has no normal.
+    """
+    own, at_start = np.zeros(3), np.zeros(4)
+    _own(movers, m, x, own)
+    if not sample_at_start(movers, m, own, at_start):
+        return False
+    r = movers.rotation[m]
+    for k in range(3):
+        sample[k] = r[k, 0] * at_start[0] + r[k, 1] * at_start[1] + r[k, 2] * at_start[2]
+    sample[3] = at_start[3]
+    _carry(movers, m, own, x, dt, velocity)
+    return True
+
+
 @kernel
 def evaluate_colliders(blocks, first, nearby, movers, dt, dx, nodes, moves, whose):
     """Compute the nearest collider at the nodes of blocks.

@@ -82,7 +82,7 @@ def format_plan(
             for w, time in zip(plan.walls, plan.opens, strict=True)
         )
     )
-    lines += _flows(plan)
+    lines += _rigid(scene) + _flows(plan)
     lines += _accuracy_notes(scene, plan)
     lines += accuracy_benchmarks.preset_accuracy_lines(scene) + feature_table(scene, plan, pace)
     total = plan.bytes()
@@ -91,6 +91,12 @@ def format_plan(
         f" {total / ranks / 2**20:.0f} MiB per rank on {ranks} rank(s)"
     )
     return "\n".join(lines + _steps(scene, plan, ranks, reached, pace, rehearsal, is_known))
+
+
+def _rigid(scene: Scene) -> list[str]:
+    """Return the line that names the free rigid bodies."""
+    names = [obj.name for obj in scene.object if obj.free_body is not None]
+    return [f"  rigid       {_listing(names)}: free bodies without particles"] if names else []
 
 
 def _flows(plan: Plan) -> list[str]:

@@ -68,6 +68,7 @@ class Cpu(KernelCaller):
         self.no_rigid = update.RigidBoundaries(
             np.zeros((0, 64, 4), plan.real), np.zeros((0, 64, 3), plan.real),
             np.zeros((0, 64), int), NO_PRESCRIBED_BODIES if driven is None else driven.ways,
+            getattr(solids, "is_free", np.zeros(0, bool)),
         )  # fmt: skip
         self.walls, self.phases = wall_table(plan), phase_table(plan)
         self.apart = any(group.apart for group in plan.groups)

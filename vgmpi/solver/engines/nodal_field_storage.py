@@ -9,13 +9,15 @@ from vgmpi.kernels.kernel_arguments import Sums
 from vgmpi.kernels.nodal_fields import (
     cell_pressure,
     color,
+    mean_pressure,
     momentum,
     rest_volume,
     stress_impulse,
     surface_distance,
     surface_velocity_gradient,
+    velocity_gradient,
 )
-from vgmpi.parallel.exchange_topology import REST_VOLUME, color_field_name
+from vgmpi.parallel.exchange_topology import NEAR_BODIES, REST_VOLUME, color_field_name
 from vgmpi.planning.phases_and_groups import GroupPlan
 from vgmpi.planning.plan import Plan
 from vgmpi.runtime.aligned_arrays import aligned_zeros, with_capacity
@@ -113,6 +115,11 @@ def nodal_fields(plan: Plan, separate_stress: bool, field_class=NodalField) -> l
         fields.append(
             field_class("shear", lambda speed: momentum.accumulator_range(plan, speed), plan)
         )
+    for name in NEAR_BODIES if plan.free_bodies else ():
+        make = mean_pressure if name == "mean pressure" else momentum
+        fields.append(
+            field_class(name, lambda speed, of=make: of.accumulator_range(plan, speed), plan)
+        )
     if any(phase.fills_by_volume for phase in plan.phases):
         fields.append(field_class(REST_VOLUME, lambda _: rest_volume.accumulator_range(plan), plan))
     for k in range(color_count(plan)):
@@ -151,6 +158,9 @@ def contributions(
                 "shear", surface_velocity_gradient.kind(plan, group), contributes["shear"]
             )
         )
+    for axis, name in enumerate(NEAR_BODIES if plan.free_bodies and not group.driven else ()):
+        kind = velocity_gradient.kind(plan, group, axis) if axis < 3 else mean_pressure.kind(plan)
+        result.append(FieldContribution(name, kind, contributes[name]))
     for k in range(group.coefficients):
         result.append(
             FieldContribution(

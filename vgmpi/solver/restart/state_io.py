@@ -137,6 +137,8 @@ def save(simulation: Simulation) -> dict:
     }
     if simulation.movers is not None:
         attrs["sorted_time"] = simulation.movers.since
+    if simulation.bodies is not None:
+        attrs["bodies"] = simulation.bodies.saved()
     if simulation.releases is not None:
         attrs["since"] = simulation.correction_origin_step
     if simulation.reactions is not None:
@@ -181,6 +183,8 @@ def restore(simulation: Simulation, saved) -> None:
     simulation.correction_origin_step = saved.attrs.get("since", 0)
     if simulation.releases is not None:
         simulation.releases.open_walls(simulation.time)
+    if simulation.bodies is not None:
+        simulation.bodies.bodies.restore_search(saved.attrs["bodies"]["bodies"])
     if simulation.movers is not None:  # the blocks near colliders are those of the last sort
         simulation.movers.stand(saved.attrs.get("sorted_time", simulation.time))
     rows = [_segments(simulation, g, *share) for g, share in enumerate(segments)]
@@ -191,6 +195,8 @@ def restore(simulation: Simulation, saved) -> None:
     for g, group in enumerate(simulation.groups):
         _read_group(group, saved, f"group_{g:03d}", table, g, simulation.ranks)
     simulation.set_directory(table)
+    if simulation.bodies is not None:
+        simulation.bodies.restore(saved.attrs["bodies"])
     if simulation.reactions is not None:
         simulation.reactions.set_mass_bound(simulation.groups)
         simulation.reactions.restore(validate_reactions(saved))

@@ -1,0 +1,81 @@
+"""Free rigid bodies have the same bits in every file for any number of ranks and threads, and after
+a restart while they touch water, each other and a wall."""
+
+import pytest
+
+from tests.support.file_digests import digests, frame_digests
+from tests.support.launch import go
+from tests.support.small_scenes import write
+
+pytestmark = pytest.mark.mpi
+
+SCENE = """
+[domain]
+size = ["32 cm", "16 cm", "24 cm"]
+cell = "1 cm"
+boundary = { default = "slip", bottom = { kind = "separate", friction = 0.4 } }
+[time]
+end = "60 ms"
+frames = 4
+[accuracy]
+precision = "single"
+[material.water]
+kind = "fluid"
+tait_coefficient = "20 kPa"
+[material.wood]
+kind = "elastic"
+preset = "cork"
+friction = 0.3
+[[object]]
+name = "pool"
+material = "water"
+shape = { box = [[0, 0, 0], ["20 cm", "16 cm", "8 cm"]] }
+velocity = [0.5, 0, 0]
+[[object]]
+name = "ball"
+material = "wood"
+rigid = true
+restitution = 0.5
+shape = { sphere = { center = ["9 cm", "8 cm", "13.5 cm"], radius = "5 cm" } }
+velocity = [0, 0, -2]
+angular_velocity = [0, 9, 3]
+[[object]]
+name = "crate"
+material = "wood"
+rigid = true
+shape = { box = [["22 cm", "4 cm", 0], ["29 cm", "12 cm", "7 cm"]] }
+[[object]]
+name = "lid"
+material = "wood"
+rigid = true
+shape = { box = [["23 cm", "5 cm", "7 cm"], ["28 cm", "11 cm", "9 cm"]] }
+"""
+
+
+@pytest.fixture(scope="module")
+def one(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("free")
+    scene = write(folder, SCENE)
+    job = go(scene, folder / "one", 1)
+    assert job.returncode == 0, job.stderr
+    return scene, digests(folder / "one")
+
+
+@pytest.mark.parametrize(
+    "ranks, flags", [(2, []), (3, []), (4, []), (7, []), (1, ["--threads", "2"])]
+)
+def test_any_ranks_and_threads(one, tmp_path, ranks, flags):
+    scene, expected = one
+    job = go(scene, tmp_path / "out", ranks, *flags)
+    assert job.returncode == 0, job.stderr
+    assert digests(tmp_path / "out") == expected
+
+
+@pytest.mark.parametrize("steps", [17, 40])
+def test_a_restart(one, tmp_path, steps):
+    scene, expected = one
+    job = go(scene, tmp_path / "out", 2, "--stop-after", f"{steps} steps")
+    assert job.returncode == 75, job.stderr
+    job = go(scene, tmp_path / "out", 3, "--resume")
+    assert job.returncode == 0, job.stderr
+    assert frame_digests(digests(tmp_path / "out")) == frame_digests(expected)

@@ -1,0 +1,52 @@
+"""Impulse of the mean pressure near free rigid bodies: dt V p / dx [kg m/s], and rest volume [m3].
+
+Their ratio is the mean pressure at a node, by which a body holds what flows a cell outside it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vgmpi.kernels.particle_records import AFFINE, STATE, VOLUME, load_tensor
+from vgmpi.kernels.simd.material_dispatch import load_state_vector, stress
+from vgmpi.kernels.simd.row_ops import broadcast, store_records
+from vgmpi.kernels.simd.vector16 import load
+from vgmpi.kernels.stencil_sums import scatter
+
+from . import stress_impulse
+from .field_protocol import MIRROR_NONE, accumulate, particle_contribution
+
+
+class MeanPressure(NamedTuple):
+    """Contribution of the impulse of the mean pressure."""
+
+    mirror: float  # code of nodal_fields/field_protocol.py
+    dx: float  # [m] cell size
+
+
+def kind(plan) -> MeanPressure:
+    """Return the contribution of particles."""
+    return MeanPressure(*(plan.real.type(v) for v in (MIRROR_NONE, plan.dx)))
+
+
+def accumulator_range(plan, speed: float) -> np.ndarray:
+    """Return the scales of the sums: those of stress impulses, shape (phases, 4)."""
+    return stress_impulse.accumulator_range(plan, speed)
+
+
+@particle_contribution.of(MeanPressure)
+def _mean_pressure(kind, law, count, offset, cap, f, extra, peak, records, dt):
+    o = broadcast(f, 0.0)
+    scale = broadcast(f, dt) * -1.0 / (3.0 * kind.dx)
+    for n in range(0, count, 16):
+        p = offset + n
+        L = load_tensor(f, p + AFFINE * cap, cap)
+        t00, t11, t22, _, _, _ = stress(law, load_state_vector(law, f, p + STATE * cap, cap), L)
+        volume = load(f, p + VOLUME * cap)
+        pressure = scale * volume * (t00 + t11 + t22)
+        store_records(records, 16 * n, (pressure, o, o, volume, o, o, o, o, o, o, o, o, o, o, o, o))
+
+
+@accumulate.of(MeanPressure)
+def _add(kind, count, records, weights, base, patch):
+    scatter(count, records, weights, base, patch)

@@ -1,0 +1,208 @@
+"""Coupling of free rigid bodies with what flows: nodes next to a body and the body solved together.
+
+A node that touches a body takes the impulse m (V_s - v_s) along the normal, if that pushes, and at
+most friction times as much along the surface. V_s is the velocity of the body's surface there, v_s
+that of the flow at the surface. A node farther than half a cell outside takes its part of the
+traction of the pressure instead. The body's six velocities minimize the kinetic energy of all:
+
+    (M + sum W) V = M V0 + sum W v_s - sum of tractions
+
+which is stable for bodies of any mass. The body takes the negative sum of the nodes' impulses, so
+momentum is exact, and the sums are whole numbers of quanta, so they have the same bits on any
+ranks (docs/explanation/rigid-bodies.md).
+
+References:
+    Batty, Bertails, Bridson (2007): A fast variational framework for accurate solid-fluid coupling.
+    ACM Trans. Graph. 26 (3), 100.
+"""
+
+import numpy as np
+
+from vgmpi.runtime.jit import device_function, kernel
+
+# 21 of a symmetric matrix, 6 of the right-hand side, nodes that changed their state, nodal mass
+SUMS = 29
+
+
+@device_function
+def _approach(contacts, q, v, u):
+    """Store the velocity of the surface less that of the phase in u; return its normal part."""
+    w, r, n = v[contacts.body[q]], contacts.foot[q], contacts.normal[q]
+    u[0] = w[0] + w[4] * r[2] - w[5] * r[1] - contacts.velocity[q, 0]
+    u[1] = w[1] + w[5] * r[0] - w[3] * r[2] - contacts.velocity[q, 1]
+    u[2] = w[2] + w[3] * r[1] - w[4] * r[0] - contacts.velocity[q, 2]
+    return u[0] * n[0] + u[1] * n[1] + u[2] * n[2]
+
+
+@device_function
+def _sticking_fraction(contacts, q, u, normal_part):
+    """Return the fraction of the slip that friction removes, -1 where the surfaces separate."""
+    if not normal_part > 0.0:
+        return -1.0
+    if contacts.friction[q] == 0.0:
+        return 0.0
+    n, squared = contacts.normal[q], 0.0
+    for c in range(3):
+        t = u[c] - normal_part * n[c]
+        squared += t * t
+    limit = contacts.friction[q] * normal_part
+    return 1.0 if squared <= limit * limit else limit / np.sqrt(squared)
+
+
+@device_function
+def _add_constant(sums, quanta, size, n, r):
+    """Add an impulse along n on the body to its right-hand side."""
+    term = (
+        size * n[0], size * n[1], size * n[2], size * (r[1] * n[2] - r[2] * n[1]),
+        size * (r[2] * n[0] - r[0] * n[2]), size * (r[0] * n[1] - r[1] * n[0]),
+    )  # fmt: skip
+    for a in range(6):
+        sums[21 + a] += np.int64(np.rint(term[a] / quanta[21 + a]))
+
+
+@kernel
+def sum_contacts(count, contacts, v, quanta, sums):
+    """Add the matrices and right-hand sides of the touching nodes to the sums of their bodies.
+
+    Args:
+        count: Number of rows of `contacts`.
+        contacts: NodeContacts; their sticking fractions follow from `v` (in/out).
+        v: Velocities and angular velocities of the bodies, shape (m, 6).
+        quanta: Quanta of the sums, shape (29,).
+        sums: Whole numbers of quanta, shape (m, 29) int64 (in/out).
+    """
+    u, g, h = np.zeros(3), np.zeros((3, 6)), np.zeros((3, 6))
+    for q in range(count):
+        fraction = _sticking_fraction(contacts, q, u, _approach(contacts, q, v, u))
+        was = contacts.stick[q]
+        contacts.stick[q] = fraction
+        if contacts.counts[q] == 0:
+            continue
+        k, n, r = contacts.body[q], contacts.normal[q], contacts.foot[q]
+        sums[k, 28] += np.int64(np.ceil(contacts.nodal_mass[q] / quanta[28]))
+        if contacts.pressed[q] > 0.0:
+            _add_constant(sums[k], quanta, -contacts.pressed[q], n, r)
+        sums[k, 27] += abs(was - fraction) > 1e-3
+        if fraction < 0.0:
+            continue
+        g[:] = 0.0
+        g[0, 0] = g[1, 1] = g[2, 2] = 1.0
+        g[0, 4], g[0, 5] = r[2], -r[1]
+        g[1, 5], g[1, 3] = r[0], -r[2]
+        g[2, 3], g[2, 4] = r[1], -r[0]
+        for c in range(6):
+            along = n[0] * g[0, c] + n[1] * g[1, c] + n[2] * g[2, c]
+            for a in range(3):
+                h[a, c] = contacts.mass[q] * (along * n[a] + fraction * (g[a, c] - along * n[a]))
+        place = 0
+        for a in range(6):
+            for c in range(a, 6):
+                term = g[0, a] * h[0, c] + g[1, a] * h[1, c] + g[2, a] * h[2, c]
+                sums[k, place] += np.int64(np.rint(term / quanta[place]))
+                place += 1
+        s = contacts.velocity[q]
+        for a in range(6):
+            term = h[0, a] * s[0] + h[1, a] * s[1] + h[2, a] * s[2]
+            sums[k, 21 + a] += np.int64(np.rint(term / quanta[21 + a]))
+
+
+@kernel
+def solve_velocities(sums, quanta, mass, inertia, before, v):
+    """Solve for the velocities of the bodies with the nodes that touch them.
+
+    Args:
+        sums: Whole numbers of quanta over all ranks, shape (m, 29).
+        quanta: Quanta of the sums, shape (29,).
+        mass: Masses, shape (m,) [kg].
+        inertia: Inertia tensors in the domain's axes, shape (m, 3, 3) [kg m2].
+        before: Velocities without the nodes, shape (m, 6).
+        v: Velocities (out), shape (m, 6).
+    """
+    A, x = np.zeros((6, 6)), np.zeros(6)
+    for k in range(len(mass)):
+        place = 0
+        for a in range(6):
+            for c in range(a, 6):
+                A[a, c] = A[c, a] = sums[k, place] * quanta[place]
+                place += 1
+        for a in range(3):
+            A[a, a] += mass[k]
+            x[a] = sums[k, 21 + a] * quanta[21 + a] + mass[k] * before[k, a]
+            x[3 + a] = sums[k, 24 + a] * quanta[24 + a]
+            for c in range(3):
+                A[3 + a, 3 + c] += inertia[k, a, c]
+                x[3 + a] += inertia[k, a, c] * before[k, 3 + c]
+        solve_symmetric(A, x)
+        for a in range(6):
+            v[k, a] = x[a]
+
+
+@device_function
+def solve_symmetric(A, x):
+    """Solve A y = x in place for a symmetric positive definite matrix, by L D L^T.
+
+    Args:
+        A: Matrix, shape (n, n); its lower half is overwritten.
+        x: Right-hand side, then the solution, shape (n,).
+    """
+    size = len(x)
+    for c in range(size):
+        for j in range(c):
+            A[c, c] -= A[c, j] * A[c, j] * A[j, j]
+        for a in range(c + 1, size):
+            for j in range(c):
+                A[a, c] -= A[a, j] * A[c, j] * A[j, j]
+            A[a, c] /= A[c, c]
+    for a in range(size):
+        for j in range(a):
+            x[a] -= A[a, j] * x[j]
+    for a in range(size):
+        x[a] /= A[a, a]
+    for a in range(size - 1, -1, -1):
+        for j in range(a + 1, size):
+            x[a] -= A[j, a] * x[j]
+
+
+@kernel
+def apply_impulses(count, contacts, v, velocities, quanta, impulses):
+    """Give the touching nodes their impulses, and sum these with their moments.
+
+    Args:
+        count: Number of rows of `contacts`.
+        contacts: NodeContacts.
+        v: Velocities of the bodies, shape (m, 6).
+        velocities: Nodal velocities and masses, shape (node blocks, 256) (in/out).
+        quanta: Quanta of an impulse and of a moment, shape (2,).
+        impulses: Impulses on the nodes and their moments about the bodies' centers in whole numbers
+            of quanta, shape (m, 6) int64 (in/out).
+    """
+    u, push = np.zeros(3), np.zeros(3)
+    for q in range(count):
+        normal_part = _approach(contacts, q, v, u)
+        fraction = _sticking_fraction(contacts, q, u, normal_part)
+        n, r, o = contacts.normal[q], contacts.arm[q], contacts.offset[q]
+        if fraction < 0.0 and contacts.pressed[q] == 0.0:
+            continue
+        row, column = o // 256, o % 256
+        mass = float(velocities[row, column + 3])
+        for c in range(3):
+            along = normal_part * n[c]
+            change = contacts.pressed[q] * n[c]
+            if fraction >= 0.0:
+                change += contacts.mass[q] * (along + fraction * (u[c] - along))
+            change /= mass
+            before = velocities[row, column + c]
+            velocities[row, column + c] = before + change
+            # what the node really got, as its number rounds
+            push[c] = mass * (float(velocities[row, column + c]) - float(before))
+        if contacts.counts[q] == 0:
+            continue
+        k = contacts.body[q]
+        moment = (
+            r[1] * push[2] - r[2] * push[1],
+            r[2] * push[0] - r[0] * push[2],
+            r[0] * push[1] - r[1] * push[0],
+        )
+        for c in range(3):
+            impulses[k, c] += np.int64(np.rint(push[c] / quanta[0]))
+            impulses[k, 3 + c] += np.int64(np.rint(moment[c] / quanta[1]))

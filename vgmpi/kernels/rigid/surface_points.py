@@ -1,0 +1,135 @@
+"""Points on the surfaces of free rigid bodies, with their normals and curvatures.
+
+A surface is known at some points only. By normal and curvature a point tells where near it the
+surface faces a direction, so that a ball rolls as if it had all its points.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vgmpi.runtime.jit import device_function
+
+from .free_bodies import inverse_times
+
+FLAT_RADIUS_CELLS = 100.0  # [cells] radius of curvature of what counts as flat
+MAX_TRAVEL_CELLS = 0.5  # [cells] largest way to the point that faces the other surface
+ALIGNED = 0.9  # [-] cosine between the normals of two faces
+
+
+class SurfacePoints(NamedTuple):
+    """Points on the surfaces of all free bodies, at the start."""
+
+    first: np.ndarray  # (m + 1,) first point of each body, and the number of points
+    place: np.ndarray  # (n, 3) [m] from the body's center
+    normal: np.ndarray  # (n, 3)
+    curvature: np.ndarray  # (n, 3, 3) [1/m] change of the normal along the surface
+
+
+@device_function
+def dot(a, b):
+    """Return the product of two vectors, shape (3,)."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@device_function
+def quadratic_form(m, n):
+    """Return n . m n."""
+    total = 0.0
+    for a in range(3):
+        for b in range(3):
+            total += n[a] * m[a, b] * n[b]
+    return total
+
+
+@device_function
+def facing_point(surface, p, facing, dx, out):
+    """Find the point near p at which the surface has the normal `facing`, as far as it is curved.
+
+    Args:
+        surface: SurfacePoints.
+        p: Number of the point.
+        facing: Normal in the body's axes, shape (3,).
+        dx: Cell size [m].
+        out: Point from the body's center (out), shape (3,) [m].
+
+    Returns:
+        False if it is too far away: another point is nearer to it.
+    """
+    s, n = surface.curvature[p], surface.normal[p]
+    for c in range(3):
+        out[c] = surface.place[p, c]
+    bending = 0.0
+    for a in range(3):
+        bending += abs(s[a, 0]) + abs(s[a, 1]) + abs(s[a, 2])
+    if bending < 1.0 / (FLAT_RADIUS_CELLS * dx) or dot(n, facing) < ALIGNED:  # a face, an edge
+        return True
+    square, right, travel = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
+    for a in range(3):
+        square[a, a] = 1.0 / (FLAT_RADIUS_CELLS * dx) ** 2
+        for b in range(3):
+            right[a] += s[a, b] * (facing[b] - n[b])
+            for c in range(3):
+                square[a, b] += s[a, c] * s[c, b]
+    inverse_times(square, right, travel)
+    size = np.sqrt(travel[0] * travel[0] + travel[1] * travel[1] + travel[2] * travel[2])
+    bend = 0.5 * quadratic_form(s, travel)
+    for c in range(3):
+        out[c] += travel[c] - bend * n[c]
+    return size <= MAX_TRAVEL_CELLS * dx
+
+
+@device_function
+def turned_normal(surface, p, own, rotation, out):
+    """Store the inward normal of a surface next to one of its points, in the domain's axes.
+
+    Args:
+        surface: SurfacePoints.
+        p: Number of the point.
+        own: Place next to the point, from the body's center, shape (3,) [m].
+        rotation: Rotation of the body from the start, shape (3, 3).
+        out: Normal (out), shape (3,).
+    """
+    n, size = np.zeros(3), 0.0
+    for a in range(3):
+        n[a] = surface.normal[p, a]
+        for b in range(3):
+            n[a] += surface.curvature[p, a, b] * (own[b] - surface.place[p, b])
+        size += n[a] * n[a]
+    size = np.sqrt(size)
+    for a in range(3):
+        out[a] = -dot(rotation[a], n) / size
+
+
+def surface_points(colliders: list, centers: np.ndarray, spacing: float) -> SurfacePoints:
+    """Return points on the surfaces of bodies, about one for each point of a lattice.
+
+    Args:
+        colliders: Objects with distance(points), normal(points) and ends().
+        centers: Their centers of mass, shape (m, 3) [m].
+        spacing: Spacing of the lattice [m].
+    """
+    first, pieces = [0], []
+    for collider, center in zip(colliders, centers, strict=True):
+        low, high = collider.ends()
+        shape = np.ceil((high - low) / spacing).astype(np.int64) + 3
+        start = low - spacing
+        layers = []
+        for layer in range(shape[0]):
+            index = np.stack(np.meshgrid([layer], *map(np.arange, shape[1:]), indexing="ij"), -1)
+            x = start + spacing * index.reshape(-1, 3)
+            layers.append(x[np.abs(collider.distance(x)) < 0.6 * spacing])
+        x = np.concatenate(layers)
+        for _ in range(3):
+            x = x - collider.distance(x)[:, None] * collider.normal(x)
+        n, curvature, step = collider.normal(x), np.zeros((len(x), 3, 3)), 0.25 * spacing
+        for a in range(3):
+            shift = np.zeros(3)
+            shift[a] = step
+            change = (collider.normal(x + shift) - collider.normal(x - shift)) / (2.0 * step)
+            curvature[:, :, a] = change - (change * n).sum(1)[:, None] * n
+        curvature = 0.5 * (curvature + curvature.transpose(0, 2, 1))
+        pieces.append((x - center, n, curvature))
+        first.append(first[-1] + len(x))
+    place, normal, curvature = (np.concatenate(part) for part in zip(*pieces, strict=True))
+    return SurfacePoints(np.array(first), place, normal, curvature)

@@ -1,0 +1,191 @@
+"""Free rigid bodies in a step: what flows and the bodies are solved together, then the bodies meet.
+
+The grid's velocities are final but for the bodies: rounds of sums over all ranks and small solves
+find the bodies' velocities; then the nodes take their impulses, and the bodies the negative sums.
+Contact of the bodies among each other, with colliders and with walls follows on every rank.
+"""
+
+import numpy as np
+
+from vgmpi.kernels.reproducible_sums import next_power_of_two
+from vgmpi.kernels.rigid import body_contact, body_nodes, free_coupling
+from vgmpi.kernels.rigid.contact_sweeps import solve_contacts
+from vgmpi.kernels.rigid.moving_colliders import MovingColliders
+from vgmpi.kernels.rigid.surface_points import surface_points
+from vgmpi.parallel.communicator import SerialCommunicator
+from vgmpi.parallel.exchange_topology import NEAR_BODIES, ExchangeTopology, counting_owner
+from vgmpi.planning.plan import Plan
+
+MAX_ROUNDS = 6  # of sums over the ranks in a step
+HEADROOM = 16.0  # [-] factor on the mass that fills the domain, and on a cell per step
+SUM_BITS, IMPULSE_BITS = 58, 61  # [bits] range of the whole numbers
+SURFACE_SPACING_CELLS = 0.5  # [cells] of the points on the bodies' surfaces
+POINTS_PER_BODY = 40  # points in contact for which a table has room
+WARM_NAMES = "body", "other", "place", "impulse"  # of the points whose impulses the next step takes
+
+
+class FreeBodyCoupling:
+    """Coupling of the free bodies among the moving colliders with the particles of a rank."""
+
+    def __init__(self, plan: Plan, movers: MovingColliders, engine, ranks: SerialCommunicator):
+        """Set up the points of the bodies' surfaces and the range of the sums."""
+        assert movers.free is not None
+        self.plan, self.movers, self.engine, self.ranks = plan, movers, engine, ranks
+        self.bodies, count = movers.free, len(movers.free.rows)
+        self.number_of = np.full(len(movers.colliders), -1)
+        self.number_of[self.bodies.rows] = np.arange(count)
+        rows = np.array(plan.friction)[len(plan.phases) :]
+        self.friction = rows[np.minimum(self.bodies.rows, len(rows) - 1)]
+        self.contacts = body_nodes.no_contacts(1024)
+        self.tables: ExchangeTopology | None = None
+        self.near, self.counts = np.zeros(0, np.int64), np.zeros((0, 64), np.uint8)
+        self.points = body_contact.contact_points(POINTS_PER_BODY * count)
+        self.points_before, self.touching = body_contact.contact_points(0), 0
+        free = [movers.colliders[m] for m in self.bodies.rows]
+        spacing = SURFACE_SPACING_CELLS * plan.dx
+        self.surface = surface_points(free, self.bodies.start, spacing)
+        size = np.array(plan.cells) * plan.dx
+        self.arm = 2.0 * float(np.sqrt((size**2).sum()))
+        volume = float(np.prod(size + plan.dx))
+        self.most = HEADROOM * volume * max(phase.most for phase in plan.phases) / plan.dx**3
+
+    def advance(self, dt: float, gravity: np.ndarray) -> None:
+        """Advance the bodies by a step, and change the velocities of the nodes that touch them.
+
+        Args:
+            dt: Time step [s].
+            gravity: Acceleration, shape (3,) [m/s2].
+        """
+        bodies = self.bodies
+        bodies.momentum += dt * bodies.mass[:, None] * gravity
+        bodies.set_velocities()
+        self._couple(dt)
+        self._collide(dt)
+        bodies.move(dt)
+
+    def saved(self) -> dict:
+        """Return the state that a checkpoint stores: bodies, and their points in contact."""
+        rows = slice(self.touching)
+        points = {name: getattr(self.points_before, name)[rows].tolist() for name in WARM_NAMES}
+        return {"bodies": self.bodies.saved(), "points": points}
+
+    def restore(self, saved: dict) -> None:
+        """Restore a saved state."""
+        self.bodies.restore(saved["bodies"])
+        self.touching = len(saved["points"]["body"])
+        self.points_before = body_contact.contact_points(self.touching)
+        for name, values in saved["points"].items():
+            target = getattr(self.points_before, name)
+            target[:] = np.array(values, target.dtype).reshape(target.shape)
+
+    def _couple(self, dt: float) -> None:
+        """Solve the bodies together with the nodes that touch them. Collective."""
+        engine, bodies = self.engine, self.bodies
+        count = self._find_contacts()
+        speed = self.plan.dx / dt * HEADROOM
+        mass = float(next_power_of_two(self.most)) * 2.0**-SUM_BITS
+        arm, fast = (float(next_power_of_two(v)) for v in (self.arm, speed))
+        powers = [(a > 2) + (c > 2) for a in range(6) for c in range(a, 6)]
+        quanta = np.array(
+            [mass * arm**p for p in powers] + [mass * fast * arm**p for p in (0, 0, 0, 1, 1, 1)]
+            + [1.0, mass]
+        )  # fmt: skip
+        before, inertia = bodies.v.copy(), bodies.turned_inertia()
+        for k in range(MAX_ROUNDS):
+            sums = np.zeros((len(bodies.rows), free_coupling.SUMS), np.int64)
+            free_coupling.sum_contacts(count, self.contacts, bodies.v, quanta, sums)
+            sums = self.ranks.sum(sums)
+            if k and not sums[:, 27].any():
+                break
+            free_coupling.solve_velocities(sums, quanta, bodies.mass, inertia, before, bodies.v)
+        touching = max(float(sums[:, 28].max() * mass), mass)
+        unit = float(next_power_of_two(touching * speed)) * 2.0**-IMPULSE_BITS
+        impulses = np.zeros((len(bodies.rows), 6), np.int64)
+        units = np.array([unit, unit * arm])
+        free_coupling.apply_impulses(
+            count, self.contacts, bodies.v, engine.layers["momentum"].nodes, units, impulses
+        )
+        total = self.ranks.sum(impulses) * units[[0, 0, 0, 1, 1, 1]]
+        bodies.momentum -= total[:, :3]
+        bodies.spin -= total[:, 3:]
+        bodies.set_velocities()
+
+    def _find_contacts(self) -> int:
+        """Find the nodes of this rank that touch bodies; return their number."""
+        engine, bodies = self.engine, self.bodies
+        if self.tables is not engine.tables:
+            self.tables = engine.tables
+            self.near = np.flatnonzero(self.tables.solid >= 0)
+            self.counts = counting_owner(self.tables, self.ranks.rank)
+        layers, names = engine.layers, list(engine.layers)
+        fields = tuple(layers[name].tables for name in NEAR_BODIES)
+        body_nodes.finalize_fields(
+            engine.blocks, fields, np.array([names.index(name) for name in NEAR_BODIES]),
+            engine.beyond[0],
+        )  # fmt: skip
+        nodes = body_nodes.NodesNearBodies(
+            self.near, self.movers.nodes, self.movers.whose, self.counts, layers["momentum"].nodes,
+            layers["offsets"].nodes, fields,
+        )  # fmt: skip
+        coupled = body_nodes.CoupledBodies(self.number_of, bodies.x, self.friction)
+        while True:
+            count = body_nodes.find_contacts(
+                nodes, engine.blocks, coupled, engine.phases, engine.walls, self.plan.dx,
+                self.contacts,
+            )  # fmt: skip
+            if count <= len(self.contacts.mass):
+                return count
+            self.contacts = body_nodes.no_contacts(2 * count)
+
+    def _collide(self, dt: float) -> None:
+        """Let the bodies meet each other, colliders and walls."""
+        bodies, plan = self.bodies, self.plan
+        table = body_contact.BodyTable(
+            bodies.rows, bodies.x, bodies.rotations(), bodies.radius, bodies.friction
+        )
+        reach = max(body_contact.MARGIN_CELLS * plan.dx, dt * float(bodies.speeds().max()))
+        size = np.array(plan.cells) * plan.dx
+        while True:
+            count = body_contact.find_wall_contacts(
+                self.surface, table, size, self.engine.walls, reach, plan.dx, self.points, 0
+            )
+            count = body_contact.find_body_contacts(
+                self.surface, table, self.movers.table, dt, self.number_of, reach, plan.dx,
+                self.points, count,
+            )  # fmt: skip
+            if count <= len(self.points.gap):
+                break
+            self.points = body_contact.contact_points(2 * count)
+        before, self.touching = self.touching, count
+        if not count:
+            return
+        inertia = bodies.turned_inertia()
+        solve_contacts(
+            count, self.points, before, self.points_before,
+            body_contact.LEAST_SPACING_CELLS * plan.dx, bodies.x, bodies.v, bodies.mass, inertia,
+            bodies.restitution, dt,
+        )  # fmt: skip
+        self.points, self.points_before = self.points_before, self.points
+        bodies.momentum[:] = bodies.mass[:, None] * bodies.v[:, :3]
+        bodies.spin[:] = (inertia * bodies.v[:, None, 3:]).sum(2)
+
+
+def free_body_coupling(
+    plan: Plan, movers: MovingColliders | None, engine, ranks: SerialCommunicator
+) -> FreeBodyCoupling | None:
+    """Return the coupling of the scene's free bodies, or None if it has none."""
+    if movers is None or movers.free is None:
+        return None
+    return FreeBodyCoupling(plan, movers, engine, ranks)
+
+
+def advance_free_bodies(coupling: FreeBodyCoupling | None, dt: float, gravity: np.ndarray) -> None:
+    """Advance the free bodies of a scene by a step, if it has any.
+
+    Args:
+        coupling: Their coupling, or None.
+        dt: Time step [s].
+        gravity: Acceleration, shape (3,) [m/s2].
+    """
+    if coupling is not None:
+        coupling.advance(dt, gravity)
