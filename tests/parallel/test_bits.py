@@ -9,7 +9,7 @@ import signal
 
 import pytest
 
-from tests.support.file_digests import digests, frame_digests
+from tests.support.file_digests import assert_same_files, digests, frame_digests
 from tests.support.launch import finish, go, on_ranks, start, until
 from tests.support.small_scenes import MIXED, write
 
@@ -34,16 +34,12 @@ def one(request, tmp_path_factory):
 @pytest.mark.parametrize("n", [2, 3, 4, 7])
 def test_ranks(one, n, tmp_path):
     scene, want = one
-    job = go(scene, tmp_path, n)
-    assert job.returncode == 0, job.stderr
-    assert digests(tmp_path) == want
+    assert_same_files(scene, want, tmp_path, n)
 
 
 def test_threads(one, tmp_path):
     scene, want = one
-    job = go(scene, tmp_path, 1, "--threads", 2)
-    assert job.returncode == 0, job.stderr
-    assert digests(tmp_path) == want
+    assert_same_files(scene, want, tmp_path, 1, "--threads", 2)
 
 
 def test_stop_between_two_sorts_and_resume(one, tmp_path):

@@ -3,7 +3,12 @@ after a restart between two transfer corrections."""
 
 import pytest
 
-from tests.support.file_digests import digests, frame_digests
+from tests.support.file_digests import (
+    assert_same_after_stop,
+    assert_same_files,
+    digests,
+    frame_digests,
+)
 from tests.support.launch import go
 from tests.support.small_scenes import MIXED, write
 
@@ -35,16 +40,8 @@ def test_it_is_another_motion(one, tmp_path):
     "ranks, flags", [(2, []), (3, []), (4, []), (7, []), (1, ["--threads", "2"])]
 )
 def test_any_ranks_and_threads(one, tmp_path, ranks, flags):
-    scene, expected = one
-    job = go(scene, tmp_path / "out", ranks, *flags)
-    assert job.returncode == 0, job.stderr
-    assert digests(tmp_path / "out") == expected
+    assert_same_files(*one, tmp_path / "out", ranks, *flags)
 
 
 def test_a_restart(one, tmp_path):
-    scene, expected = one
-    job = go(scene, tmp_path / "out", 2, "--stop-after", "31 steps")
-    assert job.returncode == 75, job.stderr
-    job = go(scene, tmp_path / "out", 3, "--resume")
-    assert job.returncode == 0, job.stderr
-    assert frame_digests(digests(tmp_path / "out")) == frame_digests(expected)
+    assert_same_after_stop(*one, tmp_path / "out", 31)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.parallel.test_moving_bits import SCENE
-from tests.support.file_digests import digests
+from tests.support.file_digests import assert_same_files, digests
 from tests.support.launch import go
 from tests.support.small_scenes import write
 from vgmpi.scene.probes import WALL_NAMES
@@ -51,9 +51,7 @@ def test_they_are_felt(one):
 @pytest.mark.parametrize("n, flags", [(2, ()), (3, ()), (1, ("--threads", "2"))])
 def test_ranks_and_threads(one, n, flags, tmp_path):
     scene, want, _ = one
-    job = go(scene, tmp_path, n, *flags)
-    assert job.returncode == 0, job.stderr
-    assert digests(tmp_path) == want
+    assert_same_files(scene, want, tmp_path, n, *flags)
 
 
 def test_stop_and_resume(one, tmp_path):

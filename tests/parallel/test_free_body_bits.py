@@ -3,7 +3,7 @@ a restart while they touch water, each other and a wall."""
 
 import pytest
 
-from tests.support.file_digests import digests, frame_digests
+from tests.support.file_digests import assert_same_after_stop, assert_same_files, digests
 from tests.support.launch import go
 from tests.support.small_scenes import write
 
@@ -65,17 +65,9 @@ def one(tmp_path_factory):
     "ranks, flags", [(2, []), (3, []), (4, []), (7, []), (1, ["--threads", "2"])]
 )
 def test_any_ranks_and_threads(one, tmp_path, ranks, flags):
-    scene, expected = one
-    job = go(scene, tmp_path / "out", ranks, *flags)
-    assert job.returncode == 0, job.stderr
-    assert digests(tmp_path / "out") == expected
+    assert_same_files(*one, tmp_path / "out", ranks, *flags)
 
 
 @pytest.mark.parametrize("steps", [17, 40])
 def test_a_restart(one, tmp_path, steps):
-    scene, expected = one
-    job = go(scene, tmp_path / "out", 2, "--stop-after", f"{steps} steps")
-    assert job.returncode == 75, job.stderr
-    job = go(scene, tmp_path / "out", 3, "--resume")
-    assert job.returncode == 0, job.stderr
-    assert frame_digests(digests(tmp_path / "out")) == frame_digests(expected)
+    assert_same_after_stop(*one, tmp_path / "out", steps)

@@ -6,7 +6,7 @@ import csv
 import h5py
 import pytest
 
-from tests.support.file_digests import digests
+from tests.support.file_digests import assert_same_files, digests
 from tests.support.launch import go
 from tests.support.small_scenes import MIXED, write
 
@@ -107,9 +107,7 @@ def test_something_comes_and_goes(one):
 @pytest.mark.parametrize("n, threads", [(2, 1), (4, 1), (1, 2), (2, 2)])
 def test_ranks_and_threads(one, n, threads, tmp_path):
     scene, want, _ = one
-    job = go(scene, tmp_path, n, "--threads", threads)
-    assert job.returncode == 0, job.stderr
-    assert digests(tmp_path) == want
+    assert_same_files(scene, want, tmp_path, n, "--threads", threads)
 
 
 def test_stop_and_resume(one, tmp_path):

@@ -5,7 +5,7 @@ import csv
 
 import pytest
 
-from tests.support.file_digests import digests
+from tests.support.file_digests import assert_same_files, digests
 from tests.support.launch import go
 from tests.support.small_scenes import MIXED, write
 from vgmpi.io import csv_log, file_layout
@@ -103,9 +103,7 @@ def test_there_is_something_to_measure(one):
 @pytest.mark.parametrize("n", [2, 3])
 def test_ranks(one, n, tmp_path):
     scene, want, _ = one
-    job = go(scene, tmp_path, n)
-    assert job.returncode == 0, job.stderr
-    assert digests(tmp_path) == want
+    assert_same_files(scene, want, tmp_path, n)
 
 
 def test_stop_and_resume(one, tmp_path):

@@ -5,7 +5,7 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.support.file_digests import digests, frame_digests
+from tests.support.file_digests import assert_same_files, digests, frame_digests
 from tests.support.launch import go
 from tests.support.small_scenes import MIXED, write
 
@@ -60,9 +60,7 @@ def test_they_move(one):
 @pytest.mark.parametrize("n, flags", [(2, ()), (3, ()), (1, ("--threads", "2"))])
 def test_ranks_and_threads(one, n, flags, tmp_path):
     scene, want, _ = one
-    job = go(scene, tmp_path, n, *flags)
-    assert job.returncode == 0, job.stderr
-    assert digests(tmp_path) == want
+    assert_same_files(scene, want, tmp_path, n, *flags)
 
 
 def test_stop_and_resume(one, tmp_path):

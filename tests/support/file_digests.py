@@ -4,6 +4,8 @@ import hashlib
 
 import h5py
 
+from tests.support.launch import go
+
 
 def files(folder) -> dict[str, bytes]:
     """Every file below a folder and its bytes."""
@@ -39,3 +41,19 @@ def _sha(value):
 def frame_digests(found: dict[str, str]) -> dict[str, str]:
     """Those of the frames and the ledger: a restart has checkpoints of its own."""
     return {name: sha for name, sha in found.items() if "frame_" in name or "ledger" in name}
+
+
+def assert_same_files(scene, expected, folder, ranks, *flags):
+    """A run on so many ranks writes the files of `expected`, to the bit."""
+    job = go(scene, folder, ranks, *flags)
+    assert job.returncode == 0, job.stderr
+    assert digests(folder) == expected
+
+
+def assert_same_after_stop(scene, expected, folder, steps):
+    """A run that stops on two ranks after some steps and goes on with three has the same frames."""
+    job = go(scene, folder, 2, "--stop-after", f"{steps} steps")
+    assert job.returncode == 75, job.stderr
+    job = go(scene, folder, 3, "--resume")
+    assert job.returncode == 0, job.stderr
+    assert frame_digests(digests(folder)) == frame_digests(expected)

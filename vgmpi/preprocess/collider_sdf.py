@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
+from vgmpi.kernels.rigid.free_bodies import RigidBody, mass_properties
 from vgmpi.preprocess.sampling.voxels import Voxels
 from vgmpi.scene.rigid_motion import Motion, Trajectory
 from vgmpi.scene.rigid_objects import FreeBody
@@ -30,7 +31,7 @@ class ShapeCollider:
     placement: SimilarityTransform
     step: float
     course: Trajectory | None = None  # its motion; distances are those at the start
-    body: FreeBody | None = None  # its properties if it moves freely
+    body: RigidBody | None = None  # its state at the start if it moves freely
     hull: Shape | None = None
 
     def ends(self) -> tuple[np.ndarray, np.ndarray]:
@@ -98,7 +99,7 @@ class VoxelCollider:
     voxels: Voxels
     values: np.ndarray
     course: Trajectory | None = None
-    body: FreeBody | None = None
+    body: RigidBody | None = None
 
     def ends(self) -> tuple[np.ndarray, np.ndarray]:
         """Return lower and upper corner (3,) [m] of a box that contains it."""
@@ -153,20 +154,24 @@ class VoxelCollider:
 Collider = ShapeCollider | VoxelCollider
 
 
-def with_motion(
-    collider: Collider | None, motion: Motion | None, body: FreeBody | None = None
-) -> Collider | None:
-    """Return the collider with its motion, by default about the center of its extent.
-
-    Args:
-        collider: Collider, or None.
-        motion: Prescribed motion, or None.
-        body: Properties of a collider that moves freely, or None.
-    """
-    if collider is not None and body is not None:
-        return replace(collider, body=body)
+def with_motion(collider: Collider | None, motion: Motion | None) -> Collider | None:
+    """Return the collider with its motion, by default about the center of its extent."""
     if collider is None or motion is None:
         return collider
     low, high = collider.ends()
     x, y, z = (float(m) for m in (low + high) / 2)
     return replace(collider, course=Trajectory(motion, motion.pivot or (x, y, z)))
+
+
+def with_free_body(collider: Collider | None, body: FreeBody | None, dx: float) -> Collider | None:
+    """Return the collider as a free rigid body, if it is one.
+
+    Args:
+        collider: Collider, or None.
+        body: Properties of the body, or None.
+        dx: Cell size [m].
+    """
+    if collider is None or body is None:
+        return collider
+    mass, center, inertia = mass_properties(collider, body.density, dx)
+    return replace(collider, body=RigidBody(mass, center, inertia, *body[1:]))

@@ -5,7 +5,6 @@ import logging
 
 import numpy as np
 
-from vgmpi.kernels.rigid.free_bodies import mass_properties
 from vgmpi.kernels.rigid.moving_colliders import MAX_COLLIDER_TRAVEL_CELLS
 from vgmpi.planning.plan import MAX_STEPS
 from vgmpi.planning.prescribed_bodies import course_of
@@ -117,10 +116,10 @@ def validate_free_body(scene: Scene, collider: Collider | None) -> list[tuple[tu
     """
     if collider is None or collider.body is None:
         return []
-    mass, center, _ = mass_properties(collider, 1.0, scene.domain.cell)
-    if not mass > 0.0:
+    body = collider.body
+    if not body.mass > 0.0:
         return [(("rigid",), "the body encloses no volume")]
-    if (center < 0.0).any() or (center > np.array(scene.domain.size)).any():
+    if (body.center < 0.0).any() or (body.center > np.array(scene.domain.size)).any():
         return [((), "the center of mass is outside the domain")]
     return []
 

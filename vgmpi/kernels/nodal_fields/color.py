@@ -27,7 +27,7 @@ from vgmpi.kernels.reproducible_sums import (
     next_power_of_two,
     sums_at,
 )
-from vgmpi.kernels.simd.node_row_ops import fourth_of
+from vgmpi.kernels.simd.node_row_ops import fourth_of, with_fourth
 from vgmpi.kernels.simd.row_ops import broadcast, load_records, store_records
 from vgmpi.kernels.simd.vector16 import load, pointer, store
 from vgmpi.kernels.stencil_sums import gather_value, scatter
@@ -118,7 +118,7 @@ def average_over_phases(blocks, tables, layer, set_of, report, k):
 def mean_over_set(nb, last, group, phase, set_of, nodes):
     """Store the mean over a set of phases in all of its node blocks of one block.
 
-    The mean is the sum of three numbers over the sum of the fourth.
+    The mean is the sum of three numbers over the sum of the fourth, which stays that of each phase.
 
     Args:
         nb, last: First node block, and the one behind the last of the block.
@@ -136,7 +136,7 @@ def mean_over_set(nb, last, group, phase, set_of, nodes):
         mean = select(volume > 0.0, total / volume, 0.0)
         for other in range(nb, last):
             if set_of[phase[other]] == group:
-                store(nodes, 256 * other + c, mean)
+                store(nodes, 256 * other + c, with_fourth(mean, load(nodes, 256 * other + c)))
 
 
 @kernel

@@ -4,6 +4,8 @@ Products are written out or compiled: all ranks must agree, and the rounding of 
 product may differ.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vgmpi.runtime.jit import device_function, kernel
@@ -13,6 +15,18 @@ from .sdf_sampling import SampledSdf
 SAMPLES_PER_CELL = 4  # samples per cell and axis by which mass and inertia are integrated
 STATE = "x", "q", "momentum", "spin", "travel"  # what a checkpoint stores
 MAX_SAMPLES = 300_000  # samples that are evaluated together
+
+
+class RigidBody(NamedTuple):
+    """Free rigid body at the start."""
+
+    mass: float  # [kg]
+    center: np.ndarray  # (3,) [m] center of mass
+    inertia: np.ndarray  # (3, 3) [kg m2] about it
+    friction: float  # [-] Coulomb coefficient
+    restitution: float  # [-]
+    velocity: tuple[float, ...]  # (3,) [m/s]
+    angular_velocity: tuple[float, ...]  # (3,) [rad/s]
 
 
 def mass_properties(collider, density: float, dx: float) -> tuple[float, np.ndarray, np.ndarray]:
@@ -57,22 +71,20 @@ class FreeBodies:
         x, q: Centers [m] and orientations (unit quaternions), shape (m, 3) and (m, 4).
     """
 
-    def __init__(self, colliders: list, dx: float):
-        """Compute the masses and take the velocities of the start."""
+    def __init__(self, colliders: list):
+        """Take the bodies as they are at the start."""
         self.rows = np.array([m for m, c in enumerate(colliders) if c.body is not None])
-        bodies = [colliders[m] for m in self.rows]
-        self.names = [body.name for body in bodies]
-        numbers = [mass_properties(body, body.body.density, dx) for body in bodies]
-        self.mass = np.array([mass for mass, _, _ in numbers])
-        self.start = np.array([center for _, center, _ in numbers])
-        self.inertia = np.array([inertia for _, _, inertia in numbers])
+        bodies: list[RigidBody] = [colliders[m].body for m in self.rows]
+        self.mass = np.array([body.mass for body in bodies])
+        self.start = np.array([body.center for body in bodies])
+        self.inertia = np.array([body.inertia for body in bodies])
         self.x, self.q = self.start.copy(), np.tile([1.0, 0.0, 0.0, 0.0], (len(bodies), 1))
-        self.v = np.array([(*b.body.velocity, *b.body.angular_velocity) for b in bodies])
+        self.v = np.array([(*body.velocity, *body.angular_velocity) for body in bodies])
         self.momentum = self.mass[:, None] * self.v[:, :3]
         self.spin = (self.inertia * self.v[:, None, 3:]).sum(2)
-        self.friction = np.array([b.body.friction for b in bodies])
-        self.restitution = np.array([b.body.restitution for b in bodies])
-        ends = [np.array(body.ends()) for body in bodies]
+        self.friction = np.array([body.friction for body in bodies])
+        self.restitution = np.array([body.restitution for body in bodies])
+        ends = [np.array(colliders[m].ends()) for m in self.rows]
         self.radius = np.array(
             [
                 np.sqrt((np.abs(end - center).max(0) ** 2).sum())

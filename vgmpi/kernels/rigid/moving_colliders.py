@@ -51,7 +51,7 @@ class MovingColliders:
         self.moving = [m for m, collider in enumerate(colliders) if collider.course is not None]
         self.courses = Trajectories([colliders[m].course for m in self.moving])
         is_free = np.array([collider.body is not None for collider in colliders])
-        self.free = FreeBodies(colliders, lattice.dx) if is_free.any() else None
+        self.free = FreeBodies(colliders) if is_free.any() else None
         self.is_free = is_free if is_free.any() else np.zeros(0, bool)
         self.far = np.array([colliders[m].course.far(*colliders[m].ends()) for m in self.moving])
         self.since = 0.0  # [s] time at which the blocks were searched

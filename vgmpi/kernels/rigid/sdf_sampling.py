@@ -100,27 +100,6 @@ def distance_from_collider(movers, m, x, own, sample):
 
 
 @device_function
-def sample_at_start(movers, m, own, sample):
-    """Find outward normal and distance of a point from a collider where that is at the start.
-
-    Args:
-        movers: Sampled colliders.
-        m: Number of the collider.
-        own: Point, shape (3,) [m].
-        sample: Normal and distance [m] (out), shape (4,).
-
-    Returns:
-        False if the point is too far away, or has no normal.
-    """
-    if not _sample(movers, m, own, sample):
-        return False
-    size = np.sqrt(sample[0] ** 2 + sample[1] ** 2 + sample[2] ** 2)
-    for k in range(3):
-        sample[k] /= max(size, 1e-30)
-    return size > 0.0
-
-
-@device_function
 def sample_collider(movers, m, x, dt, sample, velocity):
     """Find outward normal and distance of a point from a collider, and the collider's velocity.
 
@@ -135,14 +114,16 @@ def sample_collider(movers, m, x, dt, sample, velocity):
     Returns:
         False if the point is too far away, or has no normal.
     """
-    own, at_start = np.zeros(3), np.zeros(4)
-    _own(movers, m, x, own)
-    if not sample_at_start(movers, m, own, at_start):
+    own, at_start, r = np.zeros(3), np.zeros(4), movers.rotation[m]
+    sample[3] = distance_from_collider(movers, m, x, own, at_start)
+    if not sample[3] < np.inf:
         return False
-    r = movers.rotation[m]
+    size = np.sqrt(at_start[0] ** 2 + at_start[1] ** 2 + at_start[2] ** 2)
+    if size == 0.0:
+        return False
     for k in range(3):
-        sample[k] = r[k, 0] * at_start[0] + r[k, 1] * at_start[1] + r[k, 2] * at_start[2]
-    sample[3] = at_start[3]
+        turned = r[k, 0] * at_start[0] + r[k, 1] * at_start[1] + r[k, 2] * at_start[2]
+        sample[k] = turned / size
     _carry(movers, m, own, x, dt, velocity)
     return True
 

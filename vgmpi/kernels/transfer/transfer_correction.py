@@ -5,6 +5,7 @@ last steps has taken.
 """
 
 from vgmpi.kernels.grid.update import momentum_to_velocity
+from vgmpi.kernels.nodal_fields.color import mean_over_set
 from vgmpi.kernels.particle_records import (
     AFFINE,
     BATCH,
@@ -19,13 +20,11 @@ from vgmpi.kernels.particle_records import (
 from vgmpi.kernels.patch import load_patch, nodes_of, prefetch_patch
 from vgmpi.kernels.reaction_impulses import momentum_mirror_fraction
 from vgmpi.kernels.reproducible_sums import blocks_at, finalize_node_block, sums_at
-from vgmpi.kernels.simd.node_row_ops import fourth_of, with_fourth
 from vgmpi.kernels.simd.row_ops import tile
 from vgmpi.kernels.simd.vector16 import load, pointer, store
 from vgmpi.kernels.stencil_sums import gather_affine, gather_gradient
 from vgmpi.kernels.step_limits import NODE_MASS_FLOOR
 from vgmpi.kernels.wall_boundary import complete_wall_mass, fill_ghost_velocity
-from vgmpi.materials.tensor_math.select import select
 from vgmpi.runtime.jit import device_function, kernel
 
 from .g2p import unpack_gathered
@@ -65,7 +64,7 @@ def momentum_to_velocity_only(
             if group < 0:
                 momentum_to_velocity(nb, nodes, push, NODE_MASS_FLOOR * cell_mass[phase_of[nb]])
             elif not is_done:
-                _momentum_to_mean_velocity(nb, n1, group, phase_of, as_one, nodes)
+                mean_over_set(nb, n1, group, phase_of, as_one, nodes)
         rest_volumes = nodes
         if volumes is not None:
             rest_volumes = sums_at(volumes).nodes
@@ -75,29 +74,6 @@ def momentum_to_velocity_only(
             store_fullness(
                 n0, n1, phase_of, nodes, rest_volumes, fill, tables.at[b], tables.solid[b], step.dx
             )
-
-
-@device_function
-def _momentum_to_mean_velocity(nb, last, group, phase_of, as_one, nodes):
-    """Replace momentum by the mean velocity of a set of phases, and leave their masses.
-
-    Args:
-        nb, last: First node block of the set, and the one behind the last of the block.
-        group: Number of the set.
-        phase_of: Phase of each node block.
-        as_one: Set of each phase.
-        nodes: Momentum and mass, then velocity and mass, flat (in/out).
-    """
-    for c in range(0, 256, 16):
-        total = load(nodes, 256 * nb + c)
-        for other in range(nb + 1, last):
-            if as_one[phase_of[other]] == group:
-                total = total + load(nodes, 256 * other + c)
-        mass = fourth_of(total)
-        mean = select(mass > 0.0, total / mass, 0.0)
-        for other in range(nb, last):
-            if as_one[phase_of[other]] == group:
-                store(nodes, 256 * other + c, with_fourth(mean, load(nodes, 256 * other + c)))
 
 
 @kernel

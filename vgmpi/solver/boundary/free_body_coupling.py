@@ -173,7 +173,14 @@ class FreeBodyCoupling:
 def free_body_coupling(
     plan: Plan, movers: MovingColliders | None, engine, ranks: SerialCommunicator
 ) -> FreeBodyCoupling | None:
-    """Return the coupling of the scene's free bodies, or None if it has none."""
+    """Return the coupling of the scene's free bodies, or None if it has none.
+
+    Args:
+        plan: Plan of the run.
+        movers: Moving colliders, or None.
+        engine: CPU engine.
+        ranks: Communicator.
+    """
     if movers is None or movers.free is None:
         return None
     return FreeBodyCoupling(plan, movers, engine, ranks)
