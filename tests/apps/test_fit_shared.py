@@ -18,11 +18,12 @@ from vgmpi.io.run_lock import file_lock
 from vgmpi.scene.loader import load
 
 FEW = FIT.replace("max_runs = 40", "max_runs = 14")
-# the command of a fit that notes each run it begins, and stays in the one of a number for ever
+# the command of a fit that notes each run it begins, stays in the one of a number for ever, and
+# in all but the first of the fit waits until as many processes as are told have begun one
 NOTED = """
 import os, sys, time
 from vgmpi.apps.fit import __main__ as fit, run_pool
-log, stays = sys.argv[1], int(sys.argv[2])
+log, stays, together = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
 make, count = run_pool.RunPool._make, 0
 def noted(self, setting, handle):
     global count
@@ -31,9 +32,11 @@ def noted(self, setting, handle):
         f.write(f"{self.place(setting).name} {os.getpid()} {'stays' if count == stays else ''}\\n")
     if count == stays:
         time.sleep(10000)
+    while 1 < len(lines := open(log).readlines()) and len({x.split()[1] for x in lines}) < together:
+        time.sleep(0.01)
     make(self, setting, handle)
 run_pool.RunPool._make = noted
-sys.exit(fit.main(sys.argv[3:]))
+sys.exit(fit.main(sys.argv[4:]))
 """
 
 
@@ -43,9 +46,9 @@ def alone(tmp_path_factory):
     return fitted_alone(tmp_path_factory.mktemp("shared"), FEW)
 
 
-def begun(folder, out, stays=0, *flags):
-    """A process on the fit in `out`; which run of its own it stays in, from 1."""
-    words = [sys.executable, "-c", NOTED, folder / f"{out}.log", stays]
+def begun(folder, out, *flags, stays=0, together=1):
+    """A process on the fit in `out`; the run of its own in which it stays; how many take part."""
+    words = [sys.executable, "-c", NOTED, folder / f"{out}.log", stays, together]
     return launch.start(
         [*words, folder / "scene.toml", folder / "fit.toml", "-o", folder / out, *flags]
     )
@@ -65,7 +68,7 @@ def ended(processes):
 @pytest.mark.parametrize("count, flags", [(2, ()), (3, ()), (2, ("--jobs", "2"))])
 def test_several_at_once(alone, count, flags):
     out = f"{count}{''.join(flags)}"
-    ended([begun(alone, out, 0, *flags) for _ in range(count)])
+    ended([begun(alone, out, *flags, together=count) for _ in range(count)])
     assert bits(alone / out) == bits(alone / "alone")
     made_, by = zip(*(line[:2] for line in starts(alone, out)))
     assert len(set(made_)) == len(made_) == len(bits(alone / out)[0])
@@ -75,7 +78,7 @@ def test_several_at_once(alone, count, flags):
 
 def test_one_that_is_killed(alone):
     """In the middle of a run: the others wait for it as long as it lives, then make it anew."""
-    victim = begun(alone, "killed", 2)
+    victim = begun(alone, "killed", stays=2)
     launch.until(lambda: any(len(s) == 3 for s in starts(alone, "killed")), "the second run")
     others = [begun(alone, "killed") for _ in range(2)]
     launch.until(lambda: len(starts(alone, "killed")) >= 5, "the rest of the scan")
