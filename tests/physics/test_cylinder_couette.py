@@ -59,6 +59,12 @@ collider = "jacket"
 """
 
 
+def mean_torques(run, *names: str, begin: float) -> dict[str, float]:
+    """Mean torque about z of some probes after `begin` [s]."""
+    rows = {name: [row for row in run.probes[name] if row["time"] > begin] for name in names}
+    return {name: float(np.mean([row["torque_z"] for row in rows[name]])) for name in names}
+
+
 @pytest.mark.slow
 @pytest.mark.xfail(
     strict=True,
@@ -68,10 +74,7 @@ collider = "jacket"
 def test_the_torques_of_two_cylinders_balance(tmp_path):
     run = vgmpi.run(vgmpi.load(tmp_path / "couette.toml", text=SCENE))
     assert run.code == 0
-    torque = {}
-    for name in ("inner", "outer"):
-        rows = [row for row in run.probes[name] if row["time"] > 0.3]
-        torque[name] = float(np.mean([row["torque_z"] for row in rows]))
+    torque = mean_torques(run, "inner", "outer", begin=0.3)
     theory = 4 * np.pi * 50 * 3.0 * 0.04 * (0.2 * 0.08) ** 2 / (0.2**2 - 0.08**2)
     print(f"{torque} N m, without slip {theory}")
     assert abs(torque["inner"]) > 0.5 * theory

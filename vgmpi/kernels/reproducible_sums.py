@@ -233,6 +233,21 @@ def finalize_node_block(nb, blocks, layer, report, which):
 
 
 @kernel
+def finalize_field(tables, layer, report, which):
+    """Convert the sums of a field to numbers at all node blocks of a rank.
+
+    Args:
+        tables: Node blocks of the rank, NodeBlocks.
+        layer: Field, Sums (in/out).
+        report: Lowest node block + 1 with a sum out of range, or 0, by field (in/out).
+        which: Number of the field.
+    """
+    blocks, field = blocks_at(tables), sums_at(layer)
+    for nb in range(len(tables.phase)):
+        finalize_node_block(nb, blocks, field, report, which)
+
+
+@kernel
 def merge_thread_copies(rows, tables, layer):
     """Add the private sums of threads to some node blocks, before ranks exchange these."""
     blocks, field = blocks_at(tables), sums_at(layer)

@@ -20,7 +20,8 @@ from .node_overlap import NEIGHBORS, number_node_blocks, shared_masks
 
 REST_VOLUME = "rest volume"  # nodal field of a step of no time
 # nodal fields near free bodies: velocity gradients, mean pressure
-NEAR_BODIES = (*(f"velocity gradient {a}" for a in "xyz"), "mean pressure")
+GRADIENTS = tuple(f"velocity gradient {a}" for a in "xyz")
+NEAR_BODIES = (*GRADIENTS, "mean pressure")
 _MARGIN = 4  # [blocks] margin of the dense maps around this rank's own blocks
 
 
@@ -78,14 +79,14 @@ class TopologyRequirements(NamedTuple):
     planes: tuple[ContactWall, ...] = ()  # walls that act on such phases by contact
     has_surface_friction: bool = False  # True if such a phase has friction against something
     volumes: np.ndarray = np.zeros(0, bool)  # (phases,) True if rest volumes are summed
-    free_bodies: bool = False  # True if what free bodies need is summed near colliders
+    near_colliders: tuple[str, ...] = ()  # fields that are summed near colliders alone
 
     @property
     def layers(self) -> list[str]:
         """Names of all nodal fields, in the order in which they are summed."""
         hues = [color_field_name(k) for k in range(int(self.hues.max(initial=0)))]
         more = ["impulses"] * bool(self.apart) + ["shear"] * self.has_surface_friction
-        more += list(NEAR_BODIES) * self.free_bodies
+        more += self.near_colliders
         return ["momentum", "offsets", *more, *[REST_VOLUME] * bool(self.volumes.any()), *hues]
 
     @property
@@ -325,9 +326,9 @@ def _who_contributes(
     contributes["offsets"] = wanted
     if needs.has_surface_friction:
         contributes["shear"] = wanted & needs.surface[phase]
-    if needs.free_bodies:
+    if needs.near_colliders:
         close_by = np.zeros(len(index), bool) if solid is None else _by_solid(box, solid)[index]
-        contributes |= dict.fromkeys(NEAR_BODIES, close_by)
+        contributes |= dict.fromkeys(needs.near_colliders, close_by)
     if needs.volumes.any():
         contributes[REST_VOLUME] = needs.volumes[phase]
     for k in range(int(needs.hues.max(initial=0))):

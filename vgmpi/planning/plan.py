@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vgmpi.materials.couplings.contact_rule import Contact
 from vgmpi.materials.couplings.interaction import MIXING, InteractionRules
 from vgmpi.materials.material import law_function
 from vgmpi.scene.gravity import Keys, gravity_at, mean_gravity
@@ -34,6 +33,7 @@ from .phases_and_groups import (
 )
 from .prescribed_bodies import Extents, PrescribedBodyPlan, prescribed_body_plans, prescribed_phases
 from .proximity import Proximity
+from .surface_friction import SurfaceSlipPlan, friction_table, surface_slip_plan
 
 FLOAT_TYPES: dict[str, np.dtype] = {
     "single": np.dtype(np.float32),
@@ -114,6 +114,12 @@ class Plan:
     opens: tuple[float | None, ...] = (None,) * 6  # [s] when each wall vanishes
     feels: bool = False  # reaction impulses of each collider and wall are summed
     free_bodies: bool = False  # some colliders are free rigid bodies
+    slip: SurfaceSlipPlan | None = None  # of viscous liquids on colliders, if it is limited
+
+    @property
+    def numbers_colliders(self) -> bool:
+        """True if the solver must know which collider a node is close to."""
+        return self.feels or self.free_bodies or self.slip is not None
 
     @property
     def is_open_system(self) -> bool:
@@ -254,9 +260,9 @@ def make_plan(
         phases=phases, groups=groups, group_of=group_of,
         first_id=tuple(int(n) for n in np.concatenate([[0], np.cumsum(count)[:-1]])),
         count=tuple(int(n) for n in count),
-        friction=_friction(scene, groups, len(phases)),
-        stiff=_wave_moduli(groups, len(phases)),
-        contact=len(phases) > 1, collider=collider,
+        friction=friction_table(scene, groups, len(phases)),
+        slip=surface_slip_plan(scene, groups, len(phases)),
+        stiff=_wave_moduli(groups, len(phases)), contact=len(phases) > 1, collider=collider,
         times=np.linspace(0.0, scene.time.end, scene.time.frames),
         cfl=scene.time.cfl, fixed_dt=scene.time.dt,
         rate=_rate(bodies.values(), sharing, scene.domain.cell),
@@ -286,30 +292,6 @@ def _rate(materials, sharing: InteractionRules | None, dx: float) -> float:
     """Return the lower bound of 1 / dt [1/s] due to viscosity and diffusion."""
     spread = sharing.diffusion.max(initial=0.0) if sharing else 0.0
     return max(6.0 * max(m.kinematic_viscosity for m in materials), 6.0 * spread) / dx**2
-
-
-def _friction(scene: Scene, groups, phases: int) -> tuple[tuple[float, ...], ...]:
-    """Return the friction of every pair of phases, and of phases on colliders.
-
-    If several materials meet in one pair of phases, the largest coefficient counts.
-    """
-    own = [obj.friction for obj in scene.object if obj.collider]
-    own = own if any(mu is not None for mu in own) else [None]
-    named = {frozenset(c.between): c.friction for c in scene.coupling if isinstance(c, Contact)}
-    out = np.zeros((phases + len(own), phases))
-    for a in groups:
-        material = scene.material[a.material]
-        out[phases:, a.phase] = np.maximum(
-            out[phases:, a.phase], Contact.default_friction(material, material)
-        )
-        for b in groups:
-            default = Contact.default_friction(material, scene.material[b.material])
-            mu = named.get(frozenset((a.material, b.material)), default)
-            out[a.phase, b.phase] = max(out[a.phase, b.phase], mu)
-    for c, value in enumerate(own):
-        if value is not None:
-            out[phases + c] = value
-    return tuple(tuple(float(v) for v in row) for row in out)
 
 
 def _wave_moduli(groups: tuple[GroupPlan, ...], phases: int) -> tuple[float, ...]:

@@ -27,6 +27,7 @@ from .probes import Probe, collider_names, validate_probe
 from .rigid_objects import as_collider, validate_particles, validate_rigid_scene
 from .scene import Scene, miscible_materials, phase_of
 from .sections import MAX_CELLS, SECTIONS, Appearance, Domain, Output, TopLevelKeys
+from .slip_lengths import validate_slip_lengths
 
 REQUIRED = ("domain", "time", "material", "object")
 LISTS = ("object", "coupling", "load", "probe", "inlet", "outlet")
@@ -78,7 +79,8 @@ class SceneLoader:
         role = None
         if None not in objects:
             role = {o.name: "rigid" if o.rigid else o.role for o in objects}
-            self.errors += validate_rigid_scene(objects, kinds, pairs, tables.get("accuracy"))
+            for validate in (validate_rigid_scene, validate_slip_lengths):
+                self.errors += validate(objects, kinds, pairs, tables.get("accuracy"))
         self.check_color_bodies(tables.get("appearance"), role)
         for inner, message in validate_gravity(data.get("domain", {})):
             self.report(("domain", *inner), message)

@@ -22,6 +22,7 @@ from .keyframes import Time
 from .rigid_motion import Motion, validate_motion
 from .rigid_objects import FreeBody, validate_rigid
 from .shapes import Axis, Corners, Shape, Sphere, validate_shape
+from .slip_lengths import validate_slip_length
 
 SOURCES = ("gaussians", "mesh", "shape")
 SIZES = ("height", "width", "depth", "scale")
@@ -198,7 +199,10 @@ class Object(StrictModel):
     friction: Annotated[float, Quantity("", ge=0)] | None = None
     """colliders only: Coulomb friction coefficient of all bodies on it. Default: that of each
     body's material"""
-
+    slip_length: Annotated[float, Quantity("m", ge=0)] | None = None
+    """colliders and rigid bodies only: distance behind the surface at which the velocity of a
+    viscous liquid, continued in a straight line, is that of the surface. 0: it sticks. Default: it
+    slips freely"""
     rigid: bool = False
     """bodies of solids only: a free rigid body. It does not deform, moves by its momentum, and has
     no particles. Density and friction are those of its material"""
@@ -317,6 +321,7 @@ def validate_object(raw: dict) -> list[tuple[tuple, str]]:
         errors.append((("motion",), "is for bodies, and for scenery with collider = true"))
     errors += validate_motion(raw.get("motion"), ("motion",))
     errors += validate_rigid(raw, scenery)
+    errors += validate_slip_length(raw, scenery)
     return errors + ([] if scenery else _validate_prescribed(raw))
 
 

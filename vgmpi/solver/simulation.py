@@ -19,12 +19,13 @@ from vgmpi.parallel.load_balance import SHARES
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.plan import Plan
 from vgmpi.solver.boundary.flow_accounting import Tally
-from vgmpi.solver.boundary.free_body_coupling import advance_free_bodies, free_body_coupling
+from vgmpi.solver.boundary.free_body_coupling import free_body_coupling
 from vgmpi.solver.boundary.inlets import Sources
 from vgmpi.solver.boundary.load_application import Pushes
 from vgmpi.solver.boundary.outlets import Sinks
 from vgmpi.solver.boundary.particle_insertion import ParticleRows, bounds_of_idle_group, insert
 from vgmpi.solver.boundary.release import Releases
+from vgmpi.solver.boundary.surface_coupling import couple_surfaces, make_surface_slip
 from vgmpi.solver.diagnostics.reactions import Reactions
 from vgmpi.solver.engines.engine_protocol import (
     UNKNOWN_MAXIMA,
@@ -61,7 +62,7 @@ class Simulation:
         self.plan, self.ranks = plan, ranks
         self.lattice = BlockLattice(plan.cells, plan.dx)
         # true if a collider has its own friction, is free, or its reaction is requested
-        per_collider = len(plan.friction) > len(plan.phases) + 1 or plan.feels or plan.free_bodies
+        per_collider = len(plan.friction) > len(plan.phases) + 1 or plan.numbers_colliders
         self.movers: MovingColliders | None = None
         if any((collider.course or collider.body) is not None for collider in colliders):
             self.movers = MovingColliders(list(colliders), self.lattice, plan.real, per_collider)
@@ -73,6 +74,7 @@ class Simulation:
         rigid = self.solids, threads, self.driven
         self.engine: Engine = engine_of(engine)(plan, self.lattice, *rigid)
         self.groups: list[ParticleGroup] = self.engine.groups
+        self.slip = make_surface_slip(plan, self.solids, self.engine)
         self.bodies = free_body_coupling(plan, self.movers, self.engine, ranks)
         self.reactions = Reactions(plan, colliders, ranks) if plan.feels else None
         if self.reactions is not None:
@@ -247,8 +249,7 @@ class Simulation:
         Raises:
             BlowUp: On all ranks, if a particle or a nodal sum failed in the step.
         """
-        mark = self.clock or (lambda name: None)
-        engine = self.engine
+        mark, engine = self.clock or (lambda name: None), self.engine
         end = self.time + dt if end is None else end
         if self.reactions is not None:
             self.reactions.begin(dt)
@@ -260,7 +261,7 @@ class Simulation:
             gravity = self.plan.gravity_between(self.time, end)
         engine.begin(dt, gravity, self.particle_maxima.fastest(self.plan, dt, pushed))
         self._update_grid(self.halo)
-        advance_free_bodies(self.bodies, dt, gravity)
+        couple_surfaces(self.slip, self.bodies, dt, gravity)
         report = engine.gather(self.step)  # v, C, x, state at n + 1
         if self.reactions is not None:
             self.reactions.add_step(engine.given(), self.movers, self.driven)

@@ -6,6 +6,8 @@ from vgmpi.materials.couplings.interaction import CONTACT, MIXING
 from vgmpi.parallel import exchange_topology
 from vgmpi.planning.plan import Plan
 
+from .engines.nodal_field_storage import fields_near_colliders
+
 
 def needs(plan: Plan) -> exchange_topology.TopologyRequirements:
     """Return the requirements of the plan for the exchange tables."""
@@ -22,7 +24,7 @@ def needs(plan: Plan) -> exchange_topology.TopologyRequirements:
         plan.planes,
         plan.has_surface_friction,
         np.array([phase.fills_by_volume for phase in plan.phases]),
-        plan.free_bodies,
+        fields_near_colliders(plan),
     )
 
 

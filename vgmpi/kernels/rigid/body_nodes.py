@@ -1,5 +1,6 @@
 """Nodes that touch free rigid bodies, and what each brings into free_coupling.py."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,6 @@ from vgmpi.kernels.grid.contact_impulses import (
     distance,
     half_space_fraction,
 )
-from vgmpi.kernels.reproducible_sums import blocks_at, finalize_node_block, sums_at
 from vgmpi.kernels.step_limits import CONTACT_MASS_FLOOR
 from vgmpi.kernels.wall_boundary import SEPARATE, SLIP, STICK
 from vgmpi.runtime.jit import device_function, kernel
@@ -36,15 +36,30 @@ class NodeContacts(NamedTuple):
     velocity: np.ndarray  # (n, 3) [m/s] of the phase at the surface
     pressed: np.ndarray  # (n,) [kg m/s] impulse of the pressure along the normal, farther outside
     stick: np.ndarray  # (n,) [-] fraction of the slip that friction removes, -1: does not touch
+    adhering: np.ndarray  # (n,) [kg] nodal mass that takes the velocity of the surface, or no rows
+    drag: np.ndarray  # (n, 3) [kg m/s] impulse of viscous stress, farther outside, or no rows
 
 
-def no_contacts(n: int) -> NodeContacts:
-    """Return an empty table with room for n rows."""
+def no_contacts(n: int, adhering: bool) -> NodeContacts:
+    """Return an empty table with room for n rows.
+
+    Args:
+        n: Number of rows.
+        adhering: Whether liquids may stick to bodies.
+    """
     return NodeContacts(
         np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n),
         np.zeros(n), np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)),
-        np.zeros((n, 3)), np.zeros(n), np.full(n, -1.0),
+        np.zeros((n, 3)), np.zeros(n), np.full(n, -1.0), np.zeros(n * adhering),
+        np.zeros((n * adhering, 3)),
     )  # fmt: skip
+
+
+class SlipLaw(NamedTuple):
+    """Slip of phases on colliders."""
+
+    length: np.ndarray  # (colliders, phases) [m] slip length, infinite: free slip
+    viscosity: np.ndarray  # (phases,) [Pa s]
 
 
 class NodesNearBodies(NamedTuple):
@@ -65,24 +80,70 @@ class CoupledBodies(NamedTuple):
     number_of: np.ndarray  # (colliders,) number of the free body of each, -1 if it is not free
     centers: np.ndarray  # (m, 3) [m] centers of mass
     friction: np.ndarray  # (m, phases) [-] Coulomb coefficients
+    slip: SlipLaw  # of the bodies, or without rows
 
 
-@kernel
-def finalize_fields(tables, fields, numbers, report):
-    """Convert the sums of velocity gradients and pressure at all node blocks of a rank.
+@device_function
+def traction_share(outside):
+    """Return the part of the traction on a plane that acts at a node, in faces of a cell.
+
+    It is what the moments of quadratic B-splines give to a node some cells outside. All nodes along
+    the normal have 1 together.
+    """
+    D = abs(outside)
+    if D <= 0.5:
+        return 0.8125 - D * D * (1.5 - D * D)
+    a = max(REACH_CELLS - D, 0.0)
+    return a * a * a * (1.0 - 0.5 * a)
+
+
+@device_function
+def adhering_mass(length, viscosity, mass, outside, dt, dx):
+    """Return the part of a node's mass that takes the velocity of the surface [kg].
 
     Args:
-        tables: Node blocks of the rank, NodeBlocks.
-        fields: The four fields, Sums (in/out).
-        numbers: Numbers of the fields in the report, shape (4,).
-        report: Overflows by field (in/out).
+        length: Slip length [m].
+        viscosity: Viscosity [Pa s].
+        mass: Nodal mass [kg].
+        outside: Distance of the node outside the surface [cells].
+        dt: Time step [s].
+        dx: Cell size [m].
     """
-    rows = blocks_at(tables)
-    for nb in range(len(tables.phase)):
-        finalize_node_block(nb, rows, sums_at(fields[0]), report, numbers[0])
-        finalize_node_block(nb, rows, sums_at(fields[1]), report, numbers[1])
-        finalize_node_block(nb, rows, sums_at(fields[2]), report, numbers[2])
-        finalize_node_block(nb, rows, sums_at(fields[3]), report, numbers[3])
+    if length == 0.0:
+        return mass if outside <= FULL_WEIGHT_CELLS else 0.0
+    if not length < math.inf:
+        return 0.0
+    area = max(1.0 - abs(outside), 0.0) * dx * dx
+    return min(mass, dt * viscosity * area / length)
+
+
+@device_function
+def shear_drag(length, viscosity, mass, outside, depth, dt, dx):
+    """Return the impulse of viscous stress per change of velocity in a cell [kg].
+
+    Without slip, nodes farther outside take their part of the stress on the surface.
+
+    Args:
+        length, viscosity, mass, outside: See `adhering_mass`.
+        depth: Depth of the node in the liquid [cells], see `depth_in_flow`.
+        dt, dx: Time step [s] and cell size [m].
+    """
+    acts = outside > FULL_WEIGHT_CELLS and length == 0.0 and viscosity < math.inf
+    return min(dt * viscosity * traction_share(depth) * dx, mass) if acts else 0.0
+
+
+@device_function
+def depth_in_flow(nodes, o, n, dx):
+    """Return the depth of a node in a phase that flows, from its surface next to a body [cells].
+
+    Args:
+        nodes: Table with `velocities` and `offsets`, such as NodesNearBodies.
+        o: Offset of the phase's node in the flat nodal values.
+        n: Outward normal of the body, shape (3,).
+        dx: Cell size [m].
+    """
+    side = nodes.offsets[o // 256, o % 256 : o % 256 + 4]
+    return -distance(n, -1.0, side, 0.0, False, dx)
 
 
 @device_function
@@ -111,14 +172,12 @@ def _pressure_impulse(field, o, outside, dx):
     volume = field.nodes[o // 256, o % 256 + 3]
     if not volume > 0.0:
         return 0.0
-    a = REACH_CELLS - outside
-    share = a * a * a * (1.0 - 0.5 * a)
     filled = min(dx * dx * dx / volume, 1.0)
-    return max(field.nodes[o // 256, o % 256], 0.0) * filled * share
+    return max(field.nodes[o // 256, o % 256], 0.0) * filled * traction_share(outside)
 
 
 @device_function
-def _mean_gradient(gradients, o, n, out):
+def mean_gradient(gradients, o, n, out):
     """Store the change of a phase's velocity per cell along n at a node, 0 without particles."""
     for c in range(3):
         out[c] = 0.0
@@ -131,7 +190,7 @@ def _mean_gradient(gradients, o, n, out):
 
 
 @kernel
-def find_contacts(nodes, tables, bodies, phases, walls, dx, out):
+def find_contacts(nodes, tables, bodies, phases, walls, dt, dx, out):
     """Find the nodes that touch free bodies; return their number.
 
     If they are more than `out` has rows, only the number is right.
@@ -142,6 +201,7 @@ def find_contacts(nodes, tables, bodies, phases, walls, dx, out):
         bodies: CoupledBodies.
         phases: Constants of the phases.
         walls: Walls of the domain.
+        dt: Time step [s].
         dx: Cell size [m].
         out: NodeContacts (out).
     """
@@ -166,15 +226,17 @@ def find_contacts(nodes, tables, bodies, phases, walls, dx, out):
                 continue
             for nb in range(tables.first[b], tables.first[b + 1]):
                 p = tables.phase[nb]
-                if not _touches(nodes, phases, p, nb, node, n, d, dx):
+                if not touches_surface(nodes, phases, p, nb, node, n, d, dx):
                     continue
                 if count < len(out.mass):
-                    flow = _flow_fraction(
+                    flow = flow_fraction(
                         nodes.velocities[nb, 4 * node + 3], phases.least[p], d / dx
                     )
                     _store_contact(out, count, nodes, 256 * nb + 4 * node, n, d, flow, dx)
                     out.body[count], out.counts[count] = k, nodes.counts[b, node]
                     out.friction[count], out.stick[count] = bodies.friction[k, p], -1.0
+                    if len(out.adhering) > 0:
+                        _store_adhesion(out, count, nodes, bodies.slip, k, p, d, flow, dt, dx)
                     for c in range(3):
                         out.arm[count, c] = ijk[c] * dx - bodies.centers[k, c]
                         out.foot[count, c] = out.arm[count, c] - d * n[c]
@@ -183,14 +245,14 @@ def find_contacts(nodes, tables, bodies, phases, walls, dx, out):
 
 
 @device_function
-def _touches(nodes, phases, p, nb, node, n, d, dx):
-    """Return whether a phase at a node touches the body near it.
+def touches_surface(nodes, phases, p, nb, node, n, d, dx):
+    """Return whether a phase at a node touches the surface near it.
 
     Args:
-        nodes: NodesNearBodies.
+        nodes: Table with `velocities` and `offsets`, such as NodesNearBodies.
         phases: Constants of the phases.
         p, nb, node: Phase, its node block, number of the node in its block.
-        n, d: Outward normal of the body, and distance of the node [m].
+        n, d: Outward normal of the surface, and distance of the node [m].
         dx: Cell size [m].
     """
     mass, is_resolved = float(nodes.velocities[nb, 4 * node + 3]), phases.surface[p]
@@ -202,7 +264,7 @@ def _touches(nodes, phases, p, nb, node, n, d, dx):
 
 
 @device_function
-def _flow_fraction(mass, full, outside):
+def flow_fraction(mass, full, outside):
     """Return 1 where a node is as full as in a flow that reaches the surface, 0 in spray.
 
     The gradient of a lone particle says nothing about a flow: left alone, it would grow.
@@ -230,7 +292,7 @@ def _store_contact(out, q, nodes, o, n, d, flow, dx):
         dx: Cell size [m].
     """
     slope, at_node = np.zeros(3), nodes.velocities[o // 256]
-    _mean_gradient(nodes.fields, o, n, slope)
+    mean_gradient(nodes.fields, o, n, slope)
     mass = float(at_node[o % 256 + 3])
     is_outside = d > FULL_WEIGHT_CELLS * dx
     out.offset[q], out.nodal_mass[q] = o, mass
@@ -239,6 +301,40 @@ def _store_contact(out, q, nodes, o, n, d, flow, dx):
     for c in range(3):
         out.velocity[q, c] = at_node[o % 256 + c] - flow * d / dx * slope[c]
         out.normal[q, c] = n[c]
+
+
+@device_function
+def _store_adhesion(out, q, nodes, slip, k, p, d, flow, dt, dx):
+    """Store how a phase at a node sticks to a body.
+
+    Args:
+        out: NodeContacts (in/out), of which the row is stored but for this.
+        q: Row.
+        nodes: NodesNearBodies.
+        slip: SlipLaw of the bodies.
+        k, p: Body and phase.
+        d: Distance of the node outside [m].
+        flow: Part of the velocity's change towards the surface that counts.
+        dt: Time step [s].
+        dx: Cell size [m].
+    """
+    length, viscosity, mass = slip.length[k, p], slip.viscosity[p], out.nodal_mass[q]
+    n, slope = out.normal[q], out.drag[q]
+    depth = depth_in_flow(nodes, out.offset[q], n, dx)
+    out.adhering[q] = adhering_mass(length, viscosity, mass, d / dx, dt, dx)
+    drag = flow * shear_drag(length, viscosity, mass, d / dx, depth, dt, dx)
+    mean_gradient(nodes.fields, out.offset[q], n, slope)
+    tangential_part(slope, n)
+    for c in range(3):
+        slope[c] *= -drag
+
+
+@device_function
+def tangential_part(u, n):
+    """Remove the part along n from u, shape (3,)."""
+    along = u[0] * n[0] + u[1] * n[1] + u[2] * n[2]
+    for c in range(3):
+        u[c] -= along * n[c]
 
 
 @device_function

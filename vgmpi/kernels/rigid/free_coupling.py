@@ -50,11 +50,33 @@ def _sticking_fraction(contacts, q, u, normal_part):
 
 
 @device_function
-def _add_constant(sums, quanta, size, n, r):
-    """Add an impulse along n on the body to its right-hand side."""
+def _take_traction(contacts, q, push):
+    """Store the impulse of the stress on a node, shape (3,); return whether there is one."""
+    acts = contacts.pressed[q] > 0.0
+    for c in range(3):
+        push[c] = contacts.pressed[q] * contacts.normal[q, c]
+        if len(contacts.drag) > 0:
+            push[c] += contacts.drag[q, c]
+            acts |= contacts.drag[q, c] != 0.0
+    return acts
+
+
+@device_function
+def _coupled_masses(contacts, q, fraction):
+    """Return the masses that take the body's velocity along the normal and along the surface."""
+    mass = contacts.mass[q]
+    along, across = (mass, fraction * mass) if fraction >= 0.0 else (0.0, 0.0)
+    if len(contacts.adhering) > 0:
+        across = max(across, contacts.adhering[q])
+    return along, across
+
+
+@device_function
+def _add_traction(sums, quanta, push, r):
+    """Add what a body gives for an impulse on a node to its right-hand side; push: (3,)."""
     term = (
-        size * n[0], size * n[1], size * n[2], size * (r[1] * n[2] - r[2] * n[1]),
-        size * (r[2] * n[0] - r[0] * n[2]), size * (r[0] * n[1] - r[1] * n[0]),
+        -push[0], -push[1], -push[2], r[2] * push[1] - r[1] * push[2],
+        r[0] * push[2] - r[2] * push[0], r[1] * push[0] - r[0] * push[1],
     )  # fmt: skip
     for a in range(6):
         sums[21 + a] += np.int64(np.rint(term[a] / quanta[21 + a]))
@@ -80,10 +102,11 @@ def sum_contacts(count, contacts, v, quanta, sums):
             continue
         k, n, r = contacts.body[q], contacts.normal[q], contacts.foot[q]
         sums[k, 28] += np.int64(np.ceil(contacts.nodal_mass[q] / quanta[28]))
-        if contacts.pressed[q] > 0.0:
-            _add_constant(sums[k], quanta, -contacts.pressed[q], n, r)
+        if _take_traction(contacts, q, u):
+            _add_traction(sums[k], quanta, u, r)
         sums[k, 27] += abs(was - fraction) > 1e-3
-        if fraction < 0.0:
+        along_mass, across_mass = _coupled_masses(contacts, q, fraction)
+        if along_mass == 0.0 and across_mass == 0.0:
             continue
         g[:] = 0.0
         g[0, 0] = g[1, 1] = g[2, 2] = 1.0
@@ -93,7 +116,7 @@ def sum_contacts(count, contacts, v, quanta, sums):
         for c in range(6):
             along = n[0] * g[0, c] + n[1] * g[1, c] + n[2] * g[2, c]
             for a in range(3):
-                h[a, c] = contacts.mass[q] * (along * n[a] + fraction * (g[a, c] - along * n[a]))
+                h[a, c] = along_mass * along * n[a] + across_mass * (g[a, c] - along * n[a])
         place = 0
         for a in range(6):
             for c in range(a, 6):
@@ -181,15 +204,14 @@ def apply_impulses(count, contacts, v, velocities, quanta, impulses):
         normal_part = _approach(contacts, q, v, u)
         fraction = _sticking_fraction(contacts, q, u, normal_part)
         n, r, o = contacts.normal[q], contacts.arm[q], contacts.offset[q]
-        if fraction < 0.0 and contacts.pressed[q] == 0.0:
+        along_mass, across_mass = _coupled_masses(contacts, q, fraction)
+        if not _take_traction(contacts, q, push) and along_mass == 0.0 and across_mass == 0.0:
             continue
         row, column = o // 256, o % 256
         mass = float(velocities[row, column + 3])
         for c in range(3):
             along = normal_part * n[c]
-            change = contacts.pressed[q] * n[c]
-            if fraction >= 0.0:
-                change += contacts.mass[q] * (along + fraction * (u[c] - along))
+            change = push[c] + along_mass * along + across_mass * (u[c] - along)
             change /= mass
             before = velocities[row, column + c]
             velocities[row, column + c] = before + change

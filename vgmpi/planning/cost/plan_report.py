@@ -8,6 +8,7 @@ from vgmpi.materials.couplings.interaction import CONTACT, RULES
 from vgmpi.planning.inlet_schedule import InletPlan
 from vgmpi.planning.phases_and_groups import CORRECTION_COST
 from vgmpi.planning.plan import Plan, time_step_bounds
+from vgmpi.planning.surface_friction import liquids_expected_to_stick
 from vgmpi.runtime.config.toml_source import escape_control_characters
 from vgmpi.scene.scene import Scene
 
@@ -82,7 +83,7 @@ def format_plan(
             for w, time in zip(plan.walls, plan.opens, strict=True)
         )
     )
-    lines += _rigid(scene) + _flows(plan)
+    lines += _rigid(scene) + _slip(scene) + _flows(plan)
     lines += _accuracy_notes(scene, plan)
     lines += accuracy_benchmarks.preset_accuracy_lines(scene) + feature_table(scene, plan, pace)
     total = plan.bytes()
@@ -97,6 +98,25 @@ def _rigid(scene: Scene) -> list[str]:
     """Return the line that names the free rigid bodies."""
     names = [obj.name for obj in scene.object if obj.free_body is not None]
     return [f"  rigid       {_listing(names)}: free bodies without particles"] if names else []
+
+
+def _slip(scene: Scene) -> list[str]:
+    """Return the lines on colliders that liquids stick to, and on liquids that should stick."""
+    colliders = [obj for obj in scene.object if obj.collider]
+    lines = [
+        f"  slip        {escape_control_characters(obj.name)}: viscous liquids"
+        + (f" slip with a length of {obj.slip_length:g} m" if obj.slip_length else " stick to it")
+        for obj in colliders
+        if obj.slip_length is not None
+    ]
+    free = [o.name for o in colliders if o.slip_length is None and o.friction is None]
+    for name, cells in liquids_expected_to_stick(scene).items() if free else ():
+        layer = "" if cells == math.inf else f"; its boundary layer is {cells:.0f} cells thick"
+        lines.append(
+            f"  slip        {escape_control_characters(name)} slips freely on"
+            f" {_listing(free)}{layer}: object.slip_length = 0 lets it stick"
+        )
+    return lines
 
 
 def _flows(plan: Plan) -> list[str]:

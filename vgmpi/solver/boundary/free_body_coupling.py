@@ -36,7 +36,8 @@ class FreeBodyCoupling:
         self.number_of[self.bodies.rows] = np.arange(count)
         rows = np.array(plan.friction)[len(plan.phases) :]
         self.friction = rows[np.minimum(self.bodies.rows, len(rows) - 1)]
-        self.contacts = body_nodes.no_contacts(1024)
+        self.slip = self._slip_law()
+        self.contacts = body_nodes.no_contacts(1024, len(self.slip.length) > 0)
         self.tables: ExchangeTopology | None = None
         self.near, self.counts = np.zeros(0, np.int64), np.zeros((0, 64), np.uint8)
         self.points = body_contact.contact_points(POINTS_PER_BODY * count)
@@ -81,7 +82,7 @@ class FreeBodyCoupling:
     def _couple(self, dt: float) -> None:
         """Solve the bodies together with the nodes that touch them. Collective."""
         engine, bodies = self.engine, self.bodies
-        count = self._find_contacts()
+        count = self._find_contacts(dt)
         speed = self.plan.dx / dt * HEADROOM
         mass = float(next_power_of_two(self.most)) * 2.0**-SUM_BITS
         arm, fast = (float(next_power_of_two(v)) for v in (self.arm, speed))
@@ -110,32 +111,36 @@ class FreeBodyCoupling:
         bodies.spin -= total[:, 3:]
         bodies.set_velocities()
 
-    def _find_contacts(self) -> int:
+    def _slip_law(self) -> body_nodes.SlipLaw:
+        """Return the slip of liquids on the bodies, without rows if they slip freely."""
+        slip = self.plan.slip
+        if slip is None:
+            return body_nodes.SlipLaw(np.zeros((0, 0)), np.zeros(0))
+        lengths = np.array(slip.lengths)[self.bodies.rows]
+        return body_nodes.SlipLaw(lengths, np.array(slip.viscosities))
+
+    def _find_contacts(self, dt: float) -> int:
         """Find the nodes of this rank that touch bodies; return their number."""
         engine, bodies = self.engine, self.bodies
         if self.tables is not engine.tables:
             self.tables = engine.tables
             self.near = np.flatnonzero(self.tables.solid >= 0)
             self.counts = counting_owner(self.tables, self.ranks.rank)
-        layers, names = engine.layers, list(engine.layers)
+        layers = engine.layers
         fields = tuple(layers[name].tables for name in NEAR_BODIES)
-        body_nodes.finalize_fields(
-            engine.blocks, fields, np.array([names.index(name) for name in NEAR_BODIES]),
-            engine.beyond[0],
-        )  # fmt: skip
         nodes = body_nodes.NodesNearBodies(
             self.near, self.movers.nodes, self.movers.whose, self.counts, layers["momentum"].nodes,
             layers["offsets"].nodes, fields,
         )  # fmt: skip
-        coupled = body_nodes.CoupledBodies(self.number_of, bodies.x, self.friction)
+        coupled = body_nodes.CoupledBodies(self.number_of, bodies.x, self.friction, self.slip)
         while True:
             count = body_nodes.find_contacts(
-                nodes, engine.blocks, coupled, engine.phases, engine.walls, self.plan.dx,
+                nodes, engine.blocks, coupled, engine.phases, engine.walls, dt, self.plan.dx,
                 self.contacts,
             )  # fmt: skip
             if count <= len(self.contacts.mass):
                 return count
-            self.contacts = body_nodes.no_contacts(2 * count)
+            self.contacts = body_nodes.no_contacts(2 * count, len(self.slip.length) > 0)
 
     def _collide(self, dt: float) -> None:
         """Let the bodies meet each other, colliders and walls."""
@@ -184,15 +189,3 @@ def free_body_coupling(
     if movers is None or movers.free is None:
         return None
     return FreeBodyCoupling(plan, movers, engine, ranks)
-
-
-def advance_free_bodies(coupling: FreeBodyCoupling | None, dt: float, gravity: np.ndarray) -> None:
-    """Advance the free bodies of a scene by a step, if it has any.
-
-    Args:
-        coupling: Their coupling, or None.
-        dt: Time step [s].
-        gravity: Acceleration, shape (3,) [m/s2].
-    """
-    if coupling is not None:
-        coupling.advance(dt, gravity)

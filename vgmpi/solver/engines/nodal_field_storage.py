@@ -17,7 +17,12 @@ from vgmpi.kernels.nodal_fields import (
     surface_velocity_gradient,
     velocity_gradient,
 )
-from vgmpi.parallel.exchange_topology import NEAR_BODIES, REST_VOLUME, color_field_name
+from vgmpi.parallel.exchange_topology import (
+    GRADIENTS,
+    NEAR_BODIES,
+    REST_VOLUME,
+    color_field_name,
+)
 from vgmpi.planning.phases_and_groups import GroupPlan
 from vgmpi.planning.plan import Plan
 from vgmpi.runtime.aligned_arrays import aligned_zeros, with_capacity
@@ -115,7 +120,7 @@ def nodal_fields(plan: Plan, separate_stress: bool, field_class=NodalField) -> l
         fields.append(
             field_class("shear", lambda speed: momentum.accumulator_range(plan, speed), plan)
         )
-    for name in NEAR_BODIES if plan.free_bodies else ():
+    for name in fields_near_colliders(plan):
         make = mean_pressure if name == "mean pressure" else momentum
         fields.append(
             field_class(name, lambda speed, of=make: of.accumulator_range(plan, speed), plan)
@@ -158,7 +163,7 @@ def contributions(
                 "shear", surface_velocity_gradient.kind(plan, group), contributes["shear"]
             )
         )
-    for axis, name in enumerate(NEAR_BODIES if plan.free_bodies and not group.driven else ()):
+    for axis, name in enumerate(_near_colliders(plan, group)):
         kind = velocity_gradient.kind(plan, group, axis) if axis < 3 else mean_pressure.kind(plan)
         result.append(FieldContribution(name, kind, contributes[name]))
     for k in range(group.coefficients):
@@ -168,6 +173,20 @@ def contributions(
             )
         )
     return [contribution for contribution in result if contribution.chosen.any()]
+
+
+def fields_near_colliders(plan: Plan) -> tuple[str, ...]:
+    """Return the names of the nodal fields that are summed near colliders alone."""
+    if plan.free_bodies:
+        return NEAR_BODIES
+    return GRADIENTS if plan.slip is not None else ()
+
+
+def _near_colliders(plan: Plan, group: GroupPlan) -> tuple[str, ...]:
+    """Return those of these fields to which a group contributes."""
+    if group.driven or not (plan.free_bodies or plan.slip and plan.slip.phases[group.phase]):
+        return ()
+    return fields_near_colliders(plan)
 
 
 def timeless_contributions(

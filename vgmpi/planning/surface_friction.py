@@ -1,0 +1,97 @@
+"""Friction and slip of phases on each other and on colliders."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from vgmpi.materials.couplings.contact_rule import Contact
+from vgmpi.scene.scene import Scene
+from vgmpi.scene.slip_lengths import dynamic_viscosity
+
+from .phases_and_groups import GroupPlan
+
+# a boundary layer over this length [cells], of a flow that fell as far, is compared with the cells
+FLOW_LENGTH_CELLS = 10.0
+RESOLVED_LAYER_CELLS = 3.0  # [cells] thickness of a boundary layer above which a liquid sticks
+
+
+class SurfaceSlipPlan(NamedTuple):
+    """Slip of viscous liquids on colliders."""
+
+    lengths: tuple[tuple[float, ...], ...]  # (colliders, phases) [m] slip lengths, inf: free slip
+    viscosities: tuple[float, ...]  # (phases,) [Pa s] dynamic viscosity
+
+    @property
+    def phases(self) -> tuple[bool, ...]:
+        """Return whether each phase has a finite slip length on a collider, by phase."""
+        return tuple(min(column) < math.inf for column in zip(*self.lengths, strict=True))
+
+
+def friction_table(
+    scene: Scene, groups: tuple[GroupPlan, ...], phases: int
+) -> tuple[tuple[float, ...], ...]:
+    """Return the friction of every pair of phases, and of phases on colliders.
+
+    If several materials meet in one pair of phases, the largest coefficient counts.
+    """
+    own = [obj.friction for obj in scene.object if obj.collider]
+    own = own if any(mu is not None for mu in own) else [None]
+    named = {frozenset(c.between): c.friction for c in scene.coupling if isinstance(c, Contact)}
+    out = np.zeros((phases + len(own), phases))
+    for a in groups:
+        material = scene.material[a.material]
+        out[phases:, a.phase] = np.maximum(
+            out[phases:, a.phase], Contact.default_friction(material, material)
+        )
+        for b in groups:
+            default = Contact.default_friction(material, scene.material[b.material])
+            mu = named.get(frozenset((a.material, b.material)), default)
+            out[a.phase, b.phase] = max(out[a.phase, b.phase], mu)
+    for c, value in enumerate(own):
+        if value is not None:
+            out[phases + c] = value
+    return tuple(tuple(float(v) for v in row) for row in out)
+
+
+def surface_slip_plan(
+    scene: Scene, groups: tuple[GroupPlan, ...], phases: int
+) -> SurfaceSlipPlan | None:
+    """Return the slip of viscous liquids on colliders, or None if they slip freely on all.
+
+    If several liquids share a phase, the largest viscosity counts.
+    """
+    own = [math.inf if o.slip_length is None else o.slip_length for o in scene.object if o.collider]
+    if not any(length < math.inf for length in own):
+        return None
+    viscosities = [0.0] * phases
+    for group in groups:
+        value = dynamic_viscosity(scene.material[group.material])
+        viscosities[group.phase] = max(viscosities[group.phase], value)
+    lengths = tuple(
+        tuple(length if eta > 0.0 else math.inf for eta in viscosities) for length in own
+    )
+    return SurfaceSlipPlan(lengths, tuple(viscosities))
+
+
+def liquids_expected_to_stick(scene: Scene) -> dict[str, float]:
+    """Return viscous liquids whose boundary layers the cells resolve, with the thickness [cells].
+
+    The layer is that of Blasius, 5 sqrt(nu L / U), over a length L of ten cells at the speed U of a
+    fall over ten cells. The thickness is infinite for liquids with a yield stress.
+
+    References:
+        Schlichting (1979): Boundary-layer theory, section 7.
+    """
+    strength = math.hypot(*scene.domain.gravity)
+    length = FLOW_LENGTH_CELLS * scene.domain.cell
+    if strength == 0.0:
+        return {}
+    speed = math.sqrt(2.0 * strength * length)
+    thick = {}
+    for name, material in scene.material.items():
+        eta = dynamic_viscosity(material)
+        layer = 5.0 * math.sqrt(eta / material.bulk_density * length / speed)
+        if layer >= RESOLVED_LAYER_CELLS * scene.domain.cell:
+            thick[name] = layer / scene.domain.cell
+    return thick
