@@ -19,6 +19,7 @@ from vgmpi.runtime.suggestions import did_you_mean
 from . import accuracy_presets
 from .gravity import validate_gravity
 from .inlets_outlets import Inlet, Outlet, validate_balance, validate_inlet, validate_outlet
+from .joints import read_joints
 from .loads import Load, validate_load
 from .number_range import numbers_out_of_range
 from .object_files import find_object_file
@@ -29,7 +30,7 @@ from .scene import Scene, miscible_materials, phase_of
 from .sections import MAX_CELLS, SECTIONS, Appearance, Domain, Output, TopLevelKeys
 
 REQUIRED = ("domain", "time", "material", "object")
-LISTS = ("object", "coupling", "load", "probe", "inlet", "outlet")
+LISTS = ("object", "coupling", "joint", "load", "probe", "inlet", "outlet")
 
 
 def load(
@@ -79,6 +80,7 @@ class SceneLoader:
         if None not in objects:
             role = {o.name: "rigid" if o.rigid else o.role for o in objects}
             self.errors += validate_rigid_scene(objects, kinds, pairs, tables.get("accuracy"))
+        joints = read_joints(self, data.get("joint", []), objects)
         self.check_color_bodies(tables.get("appearance"), role)
         for inner, message in validate_gravity(data.get("domain", {})):
             self.report(("domain", *inner), message)
@@ -109,8 +111,8 @@ class SceneLoader:
             title=top.title, seed=top.seed, material=kinds,
             object=tuple(as_collider(obj, kinds.get(obj.material)) for obj in objects),
             coupling=tuple(pairs), load=tuple(loads), probe=tuple(probes), inlet=tuple(inlets),
-            outlet=tuple(outlets), files=files, overrides=overrides, source=self.source,
-            **tables,
+            outlet=tuple(outlets), joint=tuple(joints), files=files, overrides=overrides,
+            source=self.source, **tables,
         )  # fmt: skip
 
     def check_keys(self, data: dict) -> None:
