@@ -33,6 +33,10 @@ between = ["lid", "crate"]
 at = ["23 cm", "8 cm", "7 cm"]
 axis = "y"
 limits = ["-1 deg", "90 deg"]
+[[probe]]
+name = "lid"
+sampling_interval = "2 ms"
+joint = "lid"
 """
 )
 

@@ -11,7 +11,9 @@ from scipy.special import ellipk
 
 import tests.physics.test_free_bodies as free
 from tests.support.simulate import begin, by_id
+from tests.support.small_scenes import scene
 from tests.support.validation_record import held
+from vgmpi.solver.diagnostics.probe_sampling import Probes
 
 G, DX = 9.81, 0.02
 SCENE = """
@@ -384,3 +386,33 @@ def test_a_light_wheel_in_water_is_stable(tmp_path):
     assert spin[-1] < 1.0 and np.abs(v).max() < 1.0
     assert 0 < lift < 1.2 * 9 * bodies.mass[0] * 9.8
     assert apart < 1e-3 * 0.01
+
+
+def test_a_probe_of_a_joint(tmp_path):
+    """A motor turns a rod against its weight; its hinge bears what the rod does not fall."""
+    more = 'axis = "y"\nname = "axle"\nmotor = { speed = -2, torque = 0.6 }'
+    probe = '[[probe]]\nname = "p"\nsampling_rate = 1e4\njoint = "axle"\n'
+    text = SCENE.format(
+        gravity=-G, heavy=1, bodies=ROD, joints=joint("hinge", ["rod"], PIVOT, more) + probe
+    )
+    simulation, _ = begin(tmp_path, text)
+    bodies, probes = simulation.bodies.bodies, Probes(scene(tmp_path, text), simulation, None, None)
+    probes.first()
+    momentum = bodies.momentum[0].copy()
+    for _ in range(100):
+        simulation.advance(1e-3)
+        probes.after_step(simulation.time - 1e-3)
+    rows = probes.rows["p"]
+    assert rows[0]["angle"] == 0.0 and np.isnan(rows[0]["force_x"]) and np.isnan(rows[-1]["length"])
+    impulse = 1e-3 * np.array([[row[f"force_{a}"] for a in "xyz"] for row in rows[1:]]).sum(0)
+    weight = np.array([0, 0, -G * 0.1 * bodies.mass[0]])
+    assert np.abs(momentum + impulse + weight - bodies.momentum[0]).max() < 1e-12
+    turned = np.arctan2(bodies.x[0, 2] - PIVOT[2], bodies.x[0, 0] - PIVOT[0])
+    assert rows[-1]["angle"] == pytest.approx(-turned, abs=1e-12)
+    assert all(row["torque_y"] == pytest.approx(-0.6, rel=1e-9) for row in rows[1:10])
+    assert max(abs(row["torque_x"]) for row in rows[1:]) < 1e-9
+    energy = 0.5 * bodies.v[0, 3:] @ bodies.spin[0] + 0.5 * bodies.momentum[0] @ bodies.v[0, :3]
+    energy += bodies.mass[0] * G * (bodies.x[0, 2] - PIVOT[2])
+    work = 1e-3 * sum(row["motor_power"] for row in rows[1:])
+    held("motor of a hinge that lifts a rod: work over energy gained", float(work / energy), 1.0,
+         0.02, source="conservation of energy", note="dt 1 ms")  # fmt: skip

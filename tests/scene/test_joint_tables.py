@@ -5,6 +5,7 @@ import logging
 import pytest
 
 import vgmpi
+from vgmpi.planning.cost.plan_report import format_plan
 from vgmpi.runtime.config.schema import SceneError
 
 SCENE = """
@@ -102,6 +103,10 @@ WRONG = [
 ]
 
 
+PROBE = '[[probe]]\nname = "p"\nsampling_rate = 100\njoint = "{}"\n'
+WRONG += [(SPRING, PROBE.format("axel") + SPRING, "probe.p.joint: there is no joint 'axel' (did")]
+
+
 def load(folder, text):
     return vgmpi.load(folder / "scene.toml", text=text)
 
@@ -129,6 +134,12 @@ def test_what_is_refused(tmp_path, old, new, message):
 def test_joints_that_add_something_are_accepted(tmp_path, kind, point, more):
     scene = load(tmp_path, SCENE.replace(SPRING, AGAIN.format(kind, point, more), 1))
     assert len(scene.joint) == 3
+
+
+def test_the_plan_names_them(tmp_path):
+    scene = load(tmp_path, SCENE)
+    report = format_plan(scene, vgmpi.plan(scene), ranks=1)
+    assert "  joints      hinge of wheel and cart, spring of cart" in report
 
 
 def test_units_and_defaults(tmp_path):

@@ -89,10 +89,10 @@ class SceneLoader:
         loads = self.table_list(
             data.get("load", []), "load", Load, lambda raw, load: validate_load(raw, load, role)
         )
-        colliders = collider_names(objects)
+        colliders, named = collider_names(objects), [j.name for j in joints if j and j.name]
         probes = self.table_list(
             data.get("probe", []), "probe", Probe,
-            lambda raw, probe: validate_probe(raw, probe, role, size, fluid, colliders),
+            lambda raw, probe: validate_probe(raw, probe, role, size, fluid, colliders, named),
         )  # fmt: skip
         outlets = self.table_list(
             data.get("outlet", []), "outlet", Outlet, lambda raw, _: validate_outlet(raw, inlets)

@@ -1,6 +1,7 @@
 """Joints between the free rigid bodies of a scene, step by step; all ranks hold the same."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +20,15 @@ KINDS = {
     "fixed": joint_rows.FIXED,
     "spring": joint_rows.SPRING,
 }
+
+
+class JointState(NamedTuple):
+    """State of a joint after a step."""
+
+    coordinate: float  # [rad] angle of a hinge; [m] displacement of a slider, length of a spring
+    force: np.ndarray  # (3,) [N] on the first body
+    torque: np.ndarray  # (3,) [N m] on the first body about the joint's point
+    power: float  # [W] of the motor
 
 
 class JointedBodies:
@@ -52,7 +62,10 @@ class JointedBodies:
         self.rows = joint_rows.joint_rows(int(self.table.first[-1]))
         self.groups = self.table.first[self.groups]
         self.errors, self.errors_after = np.zeros((2, len(self.rows.target)))
-        self.coordinate = np.zeros(len(joints))
+        self.coordinate, self.dt = np.zeros(len(joints)), 0.0
+        self.now = self.after = _frames(
+            self.bodies.x, self.bodies.q, movers.table.about, movers.table.rotation, self.others
+        )
         self.inverse = np.zeros((free, 6, 6))
         self.ignored = np.zeros((free, len(names)), bool)
         collider_of = [*self.bodies.rows, *self.others]
@@ -72,8 +85,10 @@ class JointedBodies:
         bodies, others = self.bodies, self.others
         x, q = bodies.x.copy(), bodies.q.copy()
         now = _frames(x, q, table.about + table.move, table.rotation, others)
+        self.now, self.dt = now, dt
         advance_poses(x, q, bodies.inertia, bodies.momentum, bodies.mass, bodies.spin, dt)
         after = _frames(x, q, table.about + table.move_end, table.rotation_end, others)
+        self.after = after
         turn = after.rotations[len(x) :, :, None, :] * now.rotations[len(x) :, None, :, :]
         turn = turn.sum(axis=3) / dt
         v = np.zeros((len(now.x), 6))
@@ -81,12 +96,8 @@ class JointedBodies:
         v[len(x) :, :3] = (after.x[len(x) :] - now.x[len(x) :]) / dt
         for c, (i, k) in enumerate(((2, 1), (0, 2), (1, 0))):
             v[len(x) :, 3 + c] = 0.5 * (turn[:, i, k] - turn[:, k, i])
-        coordinate = np.zeros(len(self.coordinate))
-        joint_rows.find_errors(self.table, after, self.errors_after, coordinate)
-        joint_rows.find_errors(self.table, now, self.errors, coordinate)
-        is_angle = self.table.kind == joint_rows.HINGE
-        turns = np.rint((coordinate - self.coordinate) / (2.0 * np.pi))
-        self.coordinate = np.where(is_angle, coordinate - 2.0 * np.pi * turns, coordinate)
+        self._coordinates(after, self.errors_after)
+        self.coordinate = self._coordinates(now, self.errors)
         joint_rows.set_rows(
             self.table,
             now,
@@ -98,6 +109,14 @@ class JointedBodies:
             dt,
             self.rows,
         )
+
+    def _coordinates(self, frames: Frames, errors: np.ndarray) -> np.ndarray:
+        """Return the coordinates of the joints in some frames, shape (n,), and set their errors."""
+        coordinate = np.zeros(len(self.coordinate))
+        joint_rows.find_errors(self.table, frames, errors, coordinate)
+        turns = np.rint((coordinate - self.coordinate) / (2.0 * np.pi))
+        turns[self.table.kind != joint_rows.HINGE] = 0.0
+        return coordinate - 2.0 * np.pi * turns
 
     def constrain(self, sums: np.ndarray, quanta: np.ndarray, inertia: np.ndarray) -> None:
         """Change the bodies' velocities, which nodes share, so that the joints hold.
@@ -129,6 +148,26 @@ class JointedBodies:
             count, points, before_count, points_before, spacing, x, v, mass, inertia, restitution,
             dt, (self.rows, self.groups, self.inverse),
         )  # fmt: skip
+
+    def state(self, number: int) -> JointState:
+        """Return the state of a joint of the scene after the last step."""
+        j = int(np.flatnonzero(self.order == number)[0])
+        moved, free = Frames(self.after.x.copy(), self.after.rotations.copy()), len(self.bodies.x)
+        moved.x[:free] = self.bodies.x
+        moved.rotations[:free] = self.bodies.rotations()
+        coordinate = float(self._coordinates(moved, np.zeros_like(self.errors))[j])
+        if not self.dt:
+            return JointState(coordinate, np.full(3, np.nan), np.full(3, np.nan), 0.0)
+        rows = slice(self.table.first[j], self.table.first[j + 1])
+        force = self.rows.impulse[rows] / self.dt
+        total = (force[:, None] * self.rows.jacobian[rows, 0]).sum(0)
+        anchor = self.now.rotations[self.table.frames[j, 0]] * self.table.anchors[j, 0]
+        power, motor = 0.0, bool(self.table.motor[j, 1])
+        if motor:  # its row comes before that of the limits
+            last = len(force) - 1 - bool(self.table.limits[j, 0] > -np.inf)
+            power = float(force[last]) * (coordinate - float(self.coordinate[j])) / self.dt
+        torque = total[3:] - np.cross(anchor.sum(1), total[:3])
+        return JointState(coordinate, total[:3], torque, power)
 
     def saved(self) -> dict:
         """Return the state that a checkpoint stores."""
