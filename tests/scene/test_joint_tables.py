@@ -7,6 +7,7 @@ import pytest
 import vgmpi
 from vgmpi.planning.cost.plan_report import format_plan
 from vgmpi.runtime.config.schema import SceneError
+from vgmpi.scene.resume_rules import forbidden_changes
 
 SCENE = """
 [domain]
@@ -140,6 +141,17 @@ def test_the_plan_names_them(tmp_path):
     scene = load(tmp_path, SCENE)
     report = format_plan(scene, vgmpi.plan(scene), ranks=1)
     assert "  joints      hinge of wheel and cart, spring of cart" in report
+
+
+def test_a_resumed_run_keeps_its_joints(tmp_path):
+    scene = load(tmp_path, SCENE)
+    assert forbidden_changes(scene, scene.to_json()) == []
+    softer = load(tmp_path, SCENE.replace("stiffness = 50", "stiffness = 40"))
+    changes = forbidden_changes(softer, scene.to_json())
+    assert [path for path, _ in changes] == [("joint", 1, "stiffness")]
+    plain = load(tmp_path, SCENE[: SCENE.index("[[joint]]")])
+    assert "joint" not in plain.to_json() and forbidden_changes(plain, plain.to_json()) == []
+    assert forbidden_changes(scene, plain.to_json()) != []
 
 
 def test_units_and_defaults(tmp_path):
