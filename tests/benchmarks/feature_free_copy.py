@@ -52,6 +52,9 @@ ANSWERS: dict[str, dict[str, str]] = {
         "validate_body_motion": "return []",
         "validate_free_body": "return []",
     },
+    "vgmpi.kernels.rigid.joint_rows": {},
+    "vgmpi.kernels.rigid.joint_impulses": {},
+    "vgmpi.kernels.rigid.jointed_bodies": {},
     "vgmpi.kernels.rigid.free_bodies": {},
     "vgmpi.kernels.rigid.body_nodes": {},
     "vgmpi.kernels.rigid.free_coupling": {},
@@ -62,7 +65,11 @@ ANSWERS: dict[str, dict[str, str]] = {
     "vgmpi.kernels.nodal_fields.mean_pressure": {},
     "vgmpi.solver.boundary.free_body_coupling": {
         "free_body_coupling": "return None",
-        "advance_free_bodies": "return",
+    },
+    "vgmpi.kernels.rigid.surface_slip": {},
+    "vgmpi.solver.boundary.surface_coupling": {
+        "make_surface_slip": "return None",
+        "couple_surfaces": "return",
     },
 }
 PLAIN = """

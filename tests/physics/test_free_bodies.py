@@ -171,34 +171,31 @@ def test_momentum_and_angular_momentum_of_a_collision(tmp_path, kind, more):
     """A drop hits a tilted block that turns, in free space."""
     text = SPLASH.format(kind=kind, more=more)
     if "viscosity" in more:
-        kind, text = (
-            "honey that sticks",
-            text.replace("rigid = true", "rigid = true\nslip_length = 0"),
-        )
+        kind = "honey that sticks"
+        text = text.replace("rigid = true", "rigid = true\nslip_length = 0")
     simulation, _ = begin(tmp_path, text)
-    bodies, density = simulation.bodies.bodies, simulation.plan.groups[0].density
-    size = simulation.plan.dx**2 / 4
-
-    def totals():
-        x, v, C, volume = by_id(simulation, "x", "v", "C", "vol0")
-        m, C = density * volume[:, None], C.reshape(-1, 3, 3)
-        own = np.stack(
-            [C[:, 2, 1] - C[:, 1, 2], C[:, 0, 2] - C[:, 2, 0], C[:, 1, 0] - C[:, 0, 1]], 1
-        )
-        angular = (m * (np.cross(x, v) + size * own)).sum(0)
-        angular += (bodies.spin + np.cross(bodies.x, bodies.momentum)).sum(0)
-        return (m * v).sum(0) + bodies.momentum.sum(0), angular
-
-    start, before = totals(), bodies.momentum.copy()
+    bodies = simulation.bodies.bodies
+    start, before = totals(simulation), bodies.momentum.copy()
     while simulation.time < 0.07:
         simulation.advance(simulation.bound())
-    end = totals()
+    end = totals(simulation)
     scale = np.abs(start[0]).max()
     assert np.abs(bodies.momentum - before).max() > 0.1 * scale, "it was not hit"
     for k, (name, arm) in enumerate((("momentum", 1.0), ("angular momentum", 0.2))):
         error = float(np.abs(end[k] - start[k]).max() / (arm * scale))
         held(f"rigid block hit by a drop ({kind}): {name}", error, 0.0, 1e-12, kind="absolute",
              source="conservation", note="double precision")  # fmt: skip
+
+
+def totals(simulation):
+    """Momentum and angular momentum, (3,) each, of particles and rigid bodies."""
+    bodies, density = simulation.bodies.bodies, simulation.plan.groups[0].density
+    x, v, C, volume = by_id(simulation, "x", "v", "C", "vol0")
+    m, C = density * volume[:, None], C.reshape(-1, 3, 3)
+    own = np.stack([C[:, 2, 1] - C[:, 1, 2], C[:, 0, 2] - C[:, 2, 0], C[:, 1, 0] - C[:, 0, 1]], 1)
+    angular = (m * (np.cross(x, v) + simulation.plan.dx**2 / 4 * own)).sum(0)
+    angular += (bodies.spin + np.cross(bodies.x, bodies.momentum)).sum(0)
+    return (m * v).sum(0) + bodies.momentum.sum(0), angular
 
 
 def in_water(folder, ratio, g=0.0, speed=0.0):

@@ -33,7 +33,7 @@ class One:
         self.all = Trajectories([Trajectory(Motion(**keys), pivot)])
 
     def at(self, time):
-        row = self.all.at(time)[0]
+        row = self.all.displacements(time)[0]
         return row[:3], row[3]
 
     def matrix(self, time):
@@ -193,9 +193,9 @@ def test_thin_colliders_are_warned_of(tmp_path, caplog):
 def test_the_farthest_point_from_the_axis(tmp_path):
     path, _ = broken(tmp_path, LAST, LAST + PADDLE.format(WAY.format("angular_velocity = 1")))
     collider = build_scene(load(path)).colliders[0]
-    assert collider.course.far(*collider.ends()) == pytest.approx(np.hypot(0.05, 0.05))
+    assert collider.course.max_radius(*collider.ends()) == pytest.approx(np.hypot(0.05, 0.05))
     shifted = with_motion(collider, Motion(angular_velocity=1.0, pivot=(0.1, 0.1, 0.0)))
-    assert shifted.course.far(*shifted.ends()) == pytest.approx(np.hypot(0.1, 0.1))
+    assert shifted.course.max_radius(*shifted.ends()) == pytest.approx(np.hypot(0.1, 0.1))
 
 
 def turned():

@@ -349,4 +349,20 @@ PROBE_COLUMNS = {
                 "nan in the first row"),
         Dataset("cumulative_work", "", "f8", "J", "total work of the collider on the bodies"),
     ],
+    "joint": [
+        *_WHEN,
+        Dataset("angle", "", "f8", "rad", "of a hinge, 0 at the start; nan for other kinds"),
+        Dataset("length", "", "f8", "m", "displacement of a slider, length of a spring; else nan"),
+        *(
+            Dataset(f"force_{a}", "", "f8", "N", f"on the first body along {a} in the last step; "
+                    "nan at the start")
+            for a in "xyz"
+        ),
+        *(
+            Dataset(f"torque_{a}", "", "f8", "N m", f"on the first body about {a}, at the joint's "
+                    "point, in the last step; nan at the start")
+            for a in "xyz"
+        ),
+        Dataset("motor_power", "", "f8", "W", "of the motor in the last step; 0 without a motor"),
+    ],
 }  # fmt: skip

@@ -15,6 +15,7 @@ import numpy as np
 from vgmpi.materials.couplings.interaction import MIXING, InteractionRules
 from vgmpi.materials.material import law_function
 from vgmpi.scene.gravity import Keys, gravity_at, mean_gravity
+from vgmpi.scene.joints import Joint
 from vgmpi.scene.loads import mean_ramp_factor
 from vgmpi.scene.scene import Scene
 from vgmpi.scene.sections import Accuracy
@@ -75,9 +76,7 @@ class Plan:
     dx: float  # [m] cell size
     real: np.dtype  # floating-point type of the particles
     gravity: tuple[float, float, float]  # [m/s2]
-    walls: tuple[
-        tuple[str, float], ...
-    ]  # (kind, friction) of west, east, south, north, floor, roof
+    walls: tuple[tuple[str, float], ...]  # (kind, friction): west, east, south, north, floor, roof
     phases: tuple[PhasePlan, ...]
     groups: tuple[GroupPlan, ...]
     group_of: tuple[int, ...]  # group of each object, -1 for scenery; then of each inlet
@@ -115,6 +114,7 @@ class Plan:
     feels: bool = False  # reaction impulses of each collider and wall are summed
     free_bodies: bool = False  # some colliders are free rigid bodies
     slip: SurfaceSlipPlan | None = None  # of viscous liquids on colliders, if it is limited
+    joints: tuple[Joint, ...] = ()  # of the free rigid bodies
 
     @property
     def numbers_colliders(self) -> bool:
@@ -274,7 +274,7 @@ def make_plan(
         gravity_keys=_gravity_keys(scene),
         sources=inlet_plans(scene, group_of, count),
         sinks=outlet_plans(scene), driven=driven,
-        opens=tuple(scene.domain.opens),
+        opens=tuple(scene.domain.opens), joints=scene.joint,
         feels=any(probe.feels for probe in scene.probe),
         free_bodies=any(obj.free_body is not None for obj in scene.object),
     )  # fmt: skip

@@ -99,7 +99,7 @@ def prescribed_body_plans(
         about = tuple(0.5 * (low + high))
         if first.motion is not None:
             course = course_of(first, low, high)
-            about, radius = course.about, course.far(low, high)
+            about, radius = course.about, course.max_radius(low, high)
         plans.append(PrescribedBodyPlan(rows, len(more), joins, course, about, radius, layers))
         more.append(own)
     return tuple(plans), tuple(more), tuple(begins)

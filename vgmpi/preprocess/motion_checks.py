@@ -43,7 +43,7 @@ def validate_collider_motion(scene: Scene, collider: Collider | None) -> list[tu
         return []
     errors, courses = [], Trajectories([collider.course])
     for t0, t1, key in collider.course.segments(scene.time.end):
-        radius = collider.course.far(*collider.ends())
+        radius = collider.course.max_radius(*collider.ends())
         speed = float(courses.fastest(t0, t1, np.array([radius]))[0])
         message = _too_fast(scene, speed, t1 - t0) or _outside(scene, collider, courses, t1)
         errors += [(("motion", *key), message)] if message else []
@@ -62,7 +62,7 @@ def validate_body_motion(scene: Scene, obj: Object, x: np.ndarray) -> list[tuple
     course = course_of(obj, low, high)
     errors, courses, hull = [], Trajectories([course]), _hull(x)
     for t0, t1, key in course.segments(scene.time.end):
-        radius = np.array([course.far(low, high)])
+        radius = np.array([course.max_radius(low, high)])
         message = _too_fast(scene, float(courses.fastest(t0, t1, radius)[0]), t1 - t0)
         for time in np.linspace(t0, t1, SPEED_SAMPLES + 1)[1:]:
             message = message or _outside_domain(scene, hull, courses, float(time))
@@ -124,6 +124,26 @@ def validate_free_body(scene: Scene, collider: Collider | None) -> list[tuple[tu
     return []
 
 
+def warn_of_distant_joints(scene: Scene, colliders: list[Collider]) -> None:
+    """Warn of joints whose points are farther from their bodies than these are large.
+
+    Args:
+        scene: The scene.
+        colliders: Its colliders, among them the free rigid bodies.
+    """
+    by_name = {collider.name: collider for collider in colliders}
+    for k, joint in enumerate(scene.joint):
+        bodies = [by_name[name] for name in joint.between if name in by_name]
+        bodies = [body for body in bodies if body.body is not None]
+        gaps = [float(body.distance(np.array([joint.at]))[0]) for body in bodies]
+        sizes = [float(np.subtract(*body.ends()[::-1]).max()) for body in bodies]
+        if gaps and min(gap - size for gap, size in zip(gaps, sizes, strict=True)) > 0.0:
+            log.warning(
+                "joint %s is %.3g m from the nearest of its bodies, farther than their size",
+                repr(joint.name) if joint.name else k, min(gaps),
+            )  # fmt: skip
+
+
 def motion_steps(scene: Scene, colliders: list[Collider], extents: dict) -> np.ndarray:
     """Return the steps that prescribed motions take in equal intervals of the run, shape (n,).
 
@@ -134,12 +154,14 @@ def motion_steps(scene: Scene, colliders: list[Collider], extents: dict) -> np.n
         colliders: Its colliders.
         extents: Corners [m] of bodies with prescribed motion, by the number of the object.
     """
-    courses = [(c.course, c.course.far(*c.ends())) for c in colliders if c.course is not None]
+    courses = [
+        (c.course, c.course.max_radius(*c.ends())) for c in colliders if c.course is not None
+    ]
     for k, (low, high) in extents.items():
         obj = scene.object[k]
         if obj.motion is not None:
             course = course_of(obj, low, high)
-            courses.append((course, course.far(low, high)))
+            courses.append((course, course.max_radius(low, high)))
     if not courses:
         return np.zeros(0)
     every = Trajectories([course for course, _ in courses])

@@ -24,7 +24,12 @@ from .collider_sdf import Collider, ShapeCollider, with_free_body, with_motion
 from .initial_conditions import apply_initial_conditions
 from .initial_velocity import initial_velocity
 from .load_targets import ResolvedLoad, resolve_loads
-from .motion_checks import validate_body_motion, validate_collider_motion, validate_free_body
+from .motion_checks import (
+    validate_body_motion,
+    validate_collider_motion,
+    validate_free_body,
+    warn_of_distant_joints,
+)
 from .object_builder import BuiltObject, build_object
 from .passive_gaussians import bind_passive
 from .placement import PlacementError
@@ -139,6 +144,8 @@ def build_scene(scene: Scene) -> PreparedScene:
     )
     _warn_of_overlaps(scene, pieces)
     _warn_of_locking(scene)
+    if scene.joint:
+        warn_of_distant_joints(scene, [p.collider for p in pieces if p.collider is not None])
     _report_flip_ratio(scene)
     inlet_particles.validate_inlets_outlets(
         scene, pieces, [p.collider for p in pieces if p.collider is not None]

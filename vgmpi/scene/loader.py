@@ -19,6 +19,7 @@ from vgmpi.runtime.suggestions import did_you_mean
 from . import accuracy_presets
 from .gravity import validate_gravity
 from .inlets_outlets import Inlet, Outlet, validate_balance, validate_inlet, validate_outlet
+from .joints import read_joints
 from .loads import Load, validate_load
 from .number_range import numbers_out_of_range
 from .object_files import find_object_file
@@ -30,7 +31,7 @@ from .sections import MAX_CELLS, SECTIONS, Appearance, Domain, Output, TopLevelK
 from .slip_lengths import validate_slip_lengths
 
 REQUIRED = ("domain", "time", "material", "object")
-LISTS = ("object", "coupling", "load", "probe", "inlet", "outlet")
+LISTS = ("object", "coupling", "joint", "load", "probe", "inlet", "outlet")
 
 
 def load(
@@ -81,6 +82,7 @@ class SceneLoader:
             role = {o.name: "rigid" if o.rigid else o.role for o in objects}
             for validate in (validate_rigid_scene, validate_slip_lengths):
                 self.errors += validate(objects, kinds, pairs, tables.get("accuracy"))
+        joints = read_joints(self, data.get("joint", []), objects)
         self.check_color_bodies(tables.get("appearance"), role)
         for inner, message in validate_gravity(data.get("domain", {})):
             self.report(("domain", *inner), message)
@@ -89,10 +91,10 @@ class SceneLoader:
         loads = self.table_list(
             data.get("load", []), "load", Load, lambda raw, load: validate_load(raw, load, role)
         )
-        colliders = collider_names(objects)
+        colliders, named = collider_names(objects), [j.name for j in joints if j and j.name]
         probes = self.table_list(
             data.get("probe", []), "probe", Probe,
-            lambda raw, probe: validate_probe(raw, probe, role, size, fluid, colliders),
+            lambda raw, probe: validate_probe(raw, probe, role, size, fluid, colliders, named),
         )  # fmt: skip
         outlets = self.table_list(
             data.get("outlet", []), "outlet", Outlet, lambda raw, _: validate_outlet(raw, inlets)
@@ -111,8 +113,8 @@ class SceneLoader:
             title=top.title, seed=top.seed, material=kinds,
             object=tuple(as_collider(obj, kinds.get(obj.material)) for obj in objects),
             coupling=tuple(pairs), load=tuple(loads), probe=tuple(probes), inlet=tuple(inlets),
-            outlet=tuple(outlets), files=files, overrides=overrides, source=self.source,
-            **tables,
+            outlet=tuple(outlets), joint=tuple(joints), files=files, overrides=overrides,
+            source=self.source, **tables,
         )  # fmt: skip
 
     def check_keys(self, data: dict) -> None:

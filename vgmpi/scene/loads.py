@@ -29,7 +29,8 @@ IMPULSIVE = ("impulse", "delta_velocity", "delta_angular_velocity")  # they act 
 STRENGTHS = (*SUSTAINED, *IMPULSIVE)
 
 
-def _listed(value: Any) -> Any:
+def as_list(value: Any) -> Any:
+    """Return a text as a list of one; other values as they are."""
     return [value] if isinstance(value, str) else value
 
 
@@ -41,7 +42,7 @@ class Load(StrictModel):
     energy in ledger.csv.
     """
 
-    object: Annotated[tuple[str, ...], BeforeValidator(_listed)]
+    object: Annotated[tuple[str, ...], BeforeValidator(as_list)]
     """name of the body, or a list of them"""
     region: Shape | None = None
     """apply the load only to the particles inside this shape at the start (domain coordinates),

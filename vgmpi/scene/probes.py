@@ -10,16 +10,16 @@ from vgmpi.runtime.suggestions import did_you_mean
 
 from .objects import Object, checked_name, validate_body_name, validate_exactly_one
 
-KINDS = ("pressure", "surface_height", "velocity", "object", "wall", "collider")
+KINDS = ("pressure", "surface_height", "velocity", "object", "wall", "collider", "joint")
 WALL_NAMES = ("west", "east", "south", "north", "bottom", "top")
 
 
 class Probe(StrictModel):
     """Measurement, written to probe_NAME.csv: exactly one quantity.
 
-    It is one of pressure, surface_height, velocity, object, wall, collider. A row is written after
-    the first step at or after each sampling time, with the time of that step. Probes do not change
-    the time steps.
+    It is one of pressure, surface_height, velocity, object, wall, collider, joint. A row is written
+    after the first step at or after each sampling time, with the time of that step. Probes do not
+    change the time steps.
     """
 
     name: Annotated[str, BeforeValidator(checked_name)]
@@ -51,6 +51,10 @@ class Probe(StrictModel):
     `release_time` count as one): mean force of the other bodies on it since the previous row, mean
     torque about its current center of rotation (at rest: the center of its extent), and its work on
     the other bodies since then"""
+
+    joint: str | None = None
+    """name of a joint: its angle or displacement, force and torque on its first body, and the power
+    of its motor, all in the last step"""
 
     @property
     def kind(self) -> str:
@@ -89,6 +93,7 @@ def validate_probe(
     size: tuple[float, float, float] | None,
     fluid: bool,
     colliders: list[str] | None,
+    joints: list[str],
 ) -> list[tuple[tuple, str]]:
     """Return (path, message) for errors of one probe besides its values.
 
@@ -99,6 +104,7 @@ def validate_probe(
         size: Size of the domain [m].
         fluid: Whether the scene has a fluid.
         colliders: Names of the colliders, or None if they are unknown.
+        joints: Names of the joints.
     """
     errors = validate_exactly_one(raw, KINDS, "measures nothing")
     if "sampling_rate" not in raw and "sampling_interval" not in raw:
@@ -113,6 +119,10 @@ def validate_probe(
     errors += [(("object",), message)] if message else []
     message = _validate_collider_name(probe.collider, role, colliders)
     errors += [(("collider",), message)] if message else []
+    if probe.joint is not None and probe.joint not in joints:
+        hint = f"known: {', '.join(joints)}" if joints else "none has a name"
+        message = f"there is no joint '{probe.joint}'{did_you_mean(probe.joint, joints)}; {hint}"
+        errors.append((("joint",), message))
     for key in ("pressure", "surface_height", "velocity"):
         point = getattr(probe, key)
         if point is None:

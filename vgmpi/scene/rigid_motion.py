@@ -113,7 +113,7 @@ class Trajectory:
             [constant, _constant_segment(motion.end_time * rate)]
         )
 
-    def far(self, low, high) -> float:
+    def max_radius(self, low, high) -> float:
         """Return the largest distance [m] from the axis over a box with two corners (3,) [m]."""
         ends = np.array([low, high]) - self.about
         corners = np.stack(np.meshgrid(*ends.T, indexing="ij"), -1).reshape(-1, 3)
@@ -171,7 +171,7 @@ class Trajectories:
         k[:, 0, 1], k[:, 0, 2], k[:, 1, 2], k[:, 1, 0], k[:, 2, 0], k[:, 2, 1] = -z, y, -x, z, -y, x
         self._turns = k, (k[:, :, :, None] * k[:, None, :, :]).sum(axis=2)
 
-    def at(self, time: float) -> np.ndarray:
+    def displacements(self, time: float) -> np.ndarray:
         """Return displacement [m] and angle [rad] at a time [s], shape (m, 4)."""
         for m in np.flatnonzero((time < self._since) | (time >= self._until)):
             times, cubics = self._parts[m]
@@ -187,7 +187,7 @@ class Trajectories:
         A point at x at the start is at rotation (x - about) + about + displacement. Right-handed
         (Rodrigues).
         """
-        state, (k, k2) = self.at(time), self._turns
+        state, (k, k2) = self.displacements(time), self._turns
         angle = state[:, 3, None, None]
         return np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * k2, state[:, :3]
 
@@ -208,7 +208,7 @@ class Trajectories:
             t1: Second time [s].
             radius: Largest distance of a point from the axis, shape (m,) [m].
         """
-        change = self.at(t1) - self.at(t0)
+        change = self.displacements(t1) - self.displacements(t0)
         return np.sqrt((change[:, :3] ** 2).sum(axis=1)) + np.abs(change[:, 3]) * radius
 
     def fastest(self, t0: float, t1: float, radius: np.ndarray) -> np.ndarray:

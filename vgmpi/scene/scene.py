@@ -10,6 +10,7 @@ from vgmpi.runtime.config.schema import SceneError
 from vgmpi.runtime.config.toml_source import TomlSource, escape_control_characters
 
 from .inlets_outlets import Inlet, Outlet
+from .joints import Joint
 from .loads import Load
 from .objects import Object
 from .probes import Probe
@@ -20,8 +21,8 @@ from .sections import SECTIONS, Accuracy, Appearance, Domain, Output, Time
 class Scene:
     """Content of a scene file with defaults filled in, in SI units.
 
-    `object`, `inlet` and `coupling` are in file order; `folder` contains the file; `text` is the
-    file's text without the overrides, which `overrides` lists.
+    `object`, `inlet`, `joint` and `coupling` are in file order; `folder` contains the file; `text`
+    is the file's text without the overrides, which `overrides` lists.
     """
 
     path: Path
@@ -38,6 +39,7 @@ class Scene:
     probe: tuple[Probe, ...] = ()
     inlet: tuple[Inlet, ...] = ()
     outlet: tuple[Outlet, ...] = ()
+    joint: tuple[Joint, ...] = ()
     appearance: Appearance = Appearance()
     accuracy: Accuracy = Accuracy()
     output: Output = Output()
@@ -92,7 +94,7 @@ class Scene:
         """Return all values, with defaults filled in, as plain JSON values."""
         tables = {name: getattr(self, name).model_dump(mode="json") for name in SECTIONS}
         # Empty lists are left out, as in runs older than these tables.
-        entities = {"inlet": self.inlet, "outlet": self.outlet}
+        entities = {"inlet": self.inlet, "outlet": self.outlet, "joint": self.joint}
         flows = {
             name: [x.model_dump(mode="json", exclude_none=True) for x in items]
             for name, items in entities.items()

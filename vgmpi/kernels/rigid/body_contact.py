@@ -53,6 +53,7 @@ class BodyTable(NamedTuple):
     rotations: np.ndarray  # (m, 3, 3) from the start
     radius: np.ndarray  # (m,) [m] largest distance of a point from the center
     friction: np.ndarray  # (m,) [-] Coulomb coefficients
+    ignored: np.ndarray  # (m, colliders) pairs that joints keep from contact, (m, 0) without
 
 
 @device_function
@@ -201,7 +202,7 @@ def find_body_contacts(
         is_face = np.zeros(n, np.bool_)
         for m in range(len(number_of)):
             other, count = number_of[m], 0
-            if m == bodies.rows[k]:
+            if m == bodies.rows[k] or (bodies.ignored.size > 0 and bodies.ignored[k, m]):
                 continue
             if other >= 0:
                 d = 0.0

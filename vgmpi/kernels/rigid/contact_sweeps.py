@@ -75,6 +75,31 @@ def solve_contacts(
     """
     u, turn, w = np.zeros(3), np.zeros(3), np.zeros(3)
     mobility = np.zeros((count, 3, 3))
+    start_impulses(
+        count, points, before_count, points_before, spacing, x, v, mass, inertia, restitution, dt,
+        mobility,
+    )  # fmt: skip
+    for _ in range(MAX_SWEEPS):
+        max_change, max_impulse = sweep_points(
+            count, points, mobility, x, v, mass, inertia, dt, u, turn, w
+        )
+        if max_change <= TOLERANCE * max_impulse:
+            break
+
+
+@device_function
+def start_impulses(
+    count, points, before_count, points_before, spacing, x, v, mass, inertia, restitution, dt,
+    mobility,
+):  # fmt: skip
+    """Give the points the impulses of the last step, and find rebounds and mobilities.
+
+    Args:
+        count, points, before_count, points_before, spacing, x, v, mass, inertia, restitution, dt:
+            See `solve_contacts`.
+        mobility: Change of the velocity at each point per impulse (out), shape (count, 3, 3).
+    """
+    u, turn, w = np.zeros(3), np.zeros(3), np.zeros(3)
     for q in range(count):
         a, b, n = points.body[q], points.other[q], points.normal[q]
         _slip_at(points, q, v, x, u)
@@ -90,18 +115,26 @@ def solve_contacts(
             _add_mobility(b, x, points.place[q], mass, inertia, turn, w, mobility[q])
     for q in range(count):
         _push_both(points, q, points.impulse[q], x, v, mass, inertia, turn, w)
-    change = np.zeros(3)
-    for _ in range(MAX_SWEEPS):
-        max_change, max_impulse = 0.0, 0.0
-        for q in range(count):
-            _slip_at(points, q, v, x, u)
-            _change_impulse(points, q, u, mobility[q], dt, change)
-            for c in range(3):
-                max_change = max(max_change, abs(change[c]))
-                max_impulse = max(max_impulse, abs(points.impulse[q, c]))
-            _push_both(points, q, change, x, v, mass, inertia, turn, w)
-        if max_change <= TOLERANCE * max_impulse:
-            break
+
+
+@device_function
+def sweep_points(count, points, mobility, x, v, mass, inertia, dt, u, turn, w):
+    """Change the impulses of all points once, in order; return the largest change and impulse.
+
+    Args:
+        count, points, x, v, mass, inertia, dt: See `solve_contacts`.
+        mobility: Change of the velocity at each point per impulse, shape (count, 3, 3).
+        u, turn, w: Scratch, shape (3,) each.
+    """
+    change, max_change, max_impulse = np.zeros(3), 0.0, 0.0
+    for q in range(count):
+        _slip_at(points, q, v, x, u)
+        _change_impulse(points, q, u, mobility[q], dt, change)
+        for c in range(3):
+            max_change = max(max_change, abs(change[c]))
+            max_impulse = max(max_impulse, abs(points.impulse[q, c]))
+        _push_both(points, q, change, x, v, mass, inertia, turn, w)
+    return max_change, max_impulse
 
 
 @device_function

@@ -143,21 +143,37 @@ def solve_velocities(sums, quanta, mass, inertia, before, v):
     """
     A, x = np.zeros((6, 6)), np.zeros(6)
     for k in range(len(mass)):
-        place = 0
-        for a in range(6):
-            for c in range(a, 6):
-                A[a, c] = A[c, a] = sums[k, place] * quanta[place]
-                place += 1
+        condensed_matrix(sums[k], quanta, mass[k], inertia[k], A)
         for a in range(3):
-            A[a, a] += mass[k]
             x[a] = sums[k, 21 + a] * quanta[21 + a] + mass[k] * before[k, a]
             x[3 + a] = sums[k, 24 + a] * quanta[24 + a]
             for c in range(3):
-                A[3 + a, 3 + c] += inertia[k, a, c]
                 x[3 + a] += inertia[k, a, c] * before[k, 3 + c]
         solve_symmetric(A, x)
         for a in range(6):
             v[k, a] = x[a]
+
+
+@device_function
+def condensed_matrix(sums, quanta, mass, inertia, out):
+    """Compute the matrix of a body with the nodes that touch it.
+
+    Args:
+        sums: Whole numbers of quanta of the body, shape (29,).
+        quanta: Quanta of the sums, shape (29,).
+        mass: Mass [kg].
+        inertia: Inertia tensor in the domain's axes, shape (3, 3) [kg m2].
+        out: Matrix (out), shape (6, 6).
+    """
+    place = 0
+    for a in range(6):
+        for c in range(a, 6):
+            out[a, c] = out[c, a] = sums[place] * quanta[place]
+            place += 1
+    for a in range(3):
+        out[a, a] += mass
+        for c in range(3):
+            out[3 + a, 3 + c] += inertia[a, c]
 
 
 @device_function

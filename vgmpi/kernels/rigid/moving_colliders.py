@@ -53,7 +53,9 @@ class MovingColliders:
         is_free = np.array([collider.body is not None for collider in colliders])
         self.free = FreeBodies(colliders) if is_free.any() else None
         self.is_free = is_free if is_free.any() else np.zeros(0, bool)
-        self.far = np.array([colliders[m].course.far(*colliders[m].ends()) for m in self.moving])
+        self.far = np.array(
+            [colliders[m].course.max_radius(*colliders[m].ends()) for m in self.moving]
+        )
         self.since = 0.0  # [s] time at which the blocks were searched
         self.now = 0.0
         self.take(np.zeros((0, 3), np.int64))

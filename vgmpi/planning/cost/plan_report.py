@@ -97,7 +97,9 @@ def format_plan(
 def _rigid(scene: Scene) -> list[str]:
     """Return the line that names the free rigid bodies."""
     names = [obj.name for obj in scene.object if obj.free_body is not None]
-    return [f"  rigid       {_listing(names)}: free bodies without particles"] if names else []
+    lines = [f"  rigid       {_listing(names)}: free bodies without particles"] if names else []
+    joints = [f"{joint.kind} of {' and '.join(joint.between)}" for joint in scene.joint]
+    return lines + ([f"  joints      {_listing(joints)}"] if joints else [])
 
 
 def _slip(scene: Scene) -> list[str]:

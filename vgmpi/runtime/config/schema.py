@@ -60,6 +60,7 @@ _DIMENSION_NAMES = {  # dimension of a unit, as an error names it
     "N": "a force", "Pa": "a pressure or a stiffness", "Pa s": "a viscosity",
     "kg/m3": "a density", "m/s": "a speed", "m/s2": "an acceleration", "m2/s": "a diffusion",
     "kg/s": "a mass per time", "m3/s": "a volume per time",
+    "N m": "a torque", "N/m": "a force per length", "N s/m": "a force per speed",
     "rad": "an angle", "rad/s": "a turning speed", "rad/m": "an angle per length",
 }  # fmt: skip
 # [SI] range of a quantity that is not 0: its square and its cube are finite numbers

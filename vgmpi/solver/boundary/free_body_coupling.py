@@ -10,6 +10,7 @@ import numpy as np
 from vgmpi.kernels.reproducible_sums import next_power_of_two
 from vgmpi.kernels.rigid import body_contact, body_nodes, free_coupling
 from vgmpi.kernels.rigid.contact_sweeps import solve_contacts
+from vgmpi.kernels.rigid.jointed_bodies import jointed_bodies
 from vgmpi.kernels.rigid.moving_colliders import MovingColliders
 from vgmpi.kernels.rigid.surface_points import surface_points
 from vgmpi.parallel.communicator import SerialCommunicator
@@ -32,6 +33,7 @@ class FreeBodyCoupling:
         assert movers.free is not None
         self.plan, self.movers, self.engine, self.ranks = plan, movers, engine, ranks
         self.bodies, count = movers.free, len(movers.free.rows)
+        self.joints = jointed_bodies(plan.joints, movers)
         self.number_of = np.full(len(movers.colliders), -1)
         self.number_of[self.bodies.rows] = np.arange(count)
         rows = np.array(plan.friction)[len(plan.phases) :]
@@ -58,6 +60,8 @@ class FreeBodyCoupling:
             gravity: Acceleration, shape (3,) [m/s2].
         """
         bodies = self.bodies
+        if self.joints is not None:
+            self.joints.begin_step(self.movers.table, dt)
         bodies.momentum += dt * bodies.mass[:, None] * gravity
         bodies.set_velocities()
         self._couple(dt)
@@ -68,11 +72,14 @@ class FreeBodyCoupling:
         """Return the state that a checkpoint stores: bodies, and their points in contact."""
         rows = slice(self.touching)
         points = {name: getattr(self.points_before, name)[rows].tolist() for name in WARM_NAMES}
-        return {"bodies": self.bodies.saved(), "points": points}
+        joints = {} if self.joints is None else {"joints": self.joints.saved()}
+        return {"bodies": self.bodies.saved(), "points": points} | joints
 
     def restore(self, saved: dict) -> None:
         """Restore a saved state."""
         self.bodies.restore(saved["bodies"])
+        if self.joints is not None:
+            self.joints.restore(saved["joints"])
         self.touching = len(saved["points"]["body"])
         self.points_before = body_contact.contact_points(self.touching)
         for name, values in saved["points"].items():
@@ -99,6 +106,8 @@ class FreeBodyCoupling:
             if k and not sums[:, 27].any():
                 break
             free_coupling.solve_velocities(sums, quanta, bodies.mass, inertia, before, bodies.v)
+            if self.joints is not None:
+                self.joints.constrain(sums, quanta, inertia)
         touching = max(float(sums[:, 28].max() * mass), mass)
         unit = float(next_power_of_two(touching * speed)) * 2.0**-IMPULSE_BITS
         impulses = np.zeros((len(bodies.rows), 6), np.int64)
@@ -109,6 +118,8 @@ class FreeBodyCoupling:
         total = self.ranks.sum(impulses) * units[[0, 0, 0, 1, 1, 1]]
         bodies.momentum -= total[:, :3]
         bodies.spin -= total[:, 3:]
+        if self.joints is not None:
+            self.joints.add_impulses()
         bodies.set_velocities()
 
     def _slip_law(self) -> body_nodes.SlipLaw:
@@ -146,8 +157,9 @@ class FreeBodyCoupling:
         """Let the bodies meet each other, colliders and walls."""
         bodies, plan = self.bodies, self.plan
         table = body_contact.BodyTable(
-            bodies.rows, bodies.x, bodies.rotations(), bodies.radius, bodies.friction
-        )
+            bodies.rows, bodies.x, bodies.rotations(), bodies.radius, bodies.friction,
+            np.zeros((len(bodies.x), 0), bool) if self.joints is None else self.joints.ignored,
+        )  # fmt: skip
         reach = max(body_contact.MARGIN_CELLS * plan.dx, dt * float(bodies.speeds().max()))
         size = np.array(plan.cells) * plan.dx
         while True:
@@ -162,10 +174,11 @@ class FreeBodyCoupling:
                 break
             self.points = body_contact.contact_points(2 * count)
         before, self.touching = self.touching, count
-        if not count:
+        if not count and self.joints is None:
             return
         inertia = bodies.turned_inertia()
-        solve_contacts(
+        solve = solve_contacts if self.joints is None else self.joints.solve_contacts
+        solve(
             count, self.points, before, self.points_before,
             body_contact.LEAST_SPACING_CELLS * plan.dx, bodies.x, bodies.v, bodies.mass, inertia,
             bodies.restitution, dt,

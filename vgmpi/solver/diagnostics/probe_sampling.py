@@ -193,6 +193,20 @@ class Probes:
         before = self.rows[probe.name][-1]["cumulative_work"] if self.rows[probe.name] else np.nan
         return self._reaction(probe, row) | {"work": work - before, "cumulative_work": work}
 
+    def joint(self, probe: Probe) -> dict:
+        """Measure position, force, torque and motor power of a joint in the last step."""
+        assert self.simulation.bodies is not None and self.simulation.bodies.joints is not None
+        names = [joint.name for joint in self.scene.joint]
+        state = self.simulation.bodies.joints.state(names.index(probe.joint))
+        is_angle = self.scene.joint[names.index(probe.joint)].kind == "hinge"
+        return (
+            {"angle": state.coordinate if is_angle else np.nan}
+            | {"length": np.nan if is_angle else state.coordinate}
+            | _vector("force", state.force)
+            | _vector("torque", state.torque)
+            | {"motor_power": state.power}
+        )
+
     def _reaction(self, probe: Probe, row: int) -> dict:
         """Return force [N] and torque [N m] on a collider or a wall, by its row in Reactions."""
         assert self.simulation.reactions is not None
@@ -232,6 +246,7 @@ MEASURE = {
     "wall": Probes.wall,
     "one wall": Probes.one_wall,
     "collider": Probes.collider,
+    "joint": Probes.joint,
 }
 
 
