@@ -78,11 +78,14 @@ def finalize_fields(tables, fields, numbers, report):
         report: Overflows by field (in/out).
     """
     rows = blocks_at(tables)
+    # pointers of a field are made once: it takes as long as a node block
+    x, y, z = sums_at(fields[0]), sums_at(fields[1]), sums_at(fields[2])
+    pressure = sums_at(fields[3])
     for nb in range(len(tables.phase)):
-        finalize_node_block(nb, rows, sums_at(fields[0]), report, numbers[0])
-        finalize_node_block(nb, rows, sums_at(fields[1]), report, numbers[1])
-        finalize_node_block(nb, rows, sums_at(fields[2]), report, numbers[2])
-        finalize_node_block(nb, rows, sums_at(fields[3]), report, numbers[3])
+        finalize_node_block(nb, rows, x, report, numbers[0])
+        finalize_node_block(nb, rows, y, report, numbers[1])
+        finalize_node_block(nb, rows, z, report, numbers[2])
+        finalize_node_block(nb, rows, pressure, report, numbers[3])
 
 
 @device_function
