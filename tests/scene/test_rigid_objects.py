@@ -116,7 +116,80 @@ def test_a_body_outside_the_domain(tmp_path):
     assert "the center of mass is outside the domain" in job.stderr
 
 
-def test_the_plan_names_them(tmp_path):
-    scene = vgmpi.load(tmp_path / "scene.toml", text=SCENE)
-    report = format_plan(scene, vgmpi.plan(scene), ranks=1)
-    assert "rigid       log: free bodies without particles" in report
+MORE = """
+[[object]]
+name = "{name}"
+material = "{material}"
+rigid = true
+shape = {{ {shape} }}
+"""
+FOAM = '[material.foam]\nkind = "elastic"\ndensity = 5\nyoungs_modulus = 1e6\n'
+
+
+def report_of(folder, text):
+    """The text of --plan."""
+    scene = vgmpi.load(folder / "scene.toml", text=text)
+    return format_plan(scene, vgmpi.plan(scene), ranks=1)
+
+
+def test_the_plan_tells_of_them(tmp_path):
+    report = report_of(tmp_path, SCENE)
+    (line,) = (line for line in report.splitlines() if line.startswith("  rigid"))
+    assert "log: 0.187" in line  # 4 / 3 pi r^3 times 700 kg/m3 = 0.1877 kg
+    assert ", 0.7 times the density of water, 8.0 cells thick, " in line
+    assert "MiB of distances per rank" in line
+    assert "warning" not in report
+    assert "water: free rigid bodies" in report
+
+
+def test_the_plan_sums_up_many(tmp_path):
+    text = SCENE
+    for k in range(9):
+        shape = f"sphere = {{ center = [{0.02 + 0.04 * k}, 0.03, 0.15], radius = 0.015 }}"
+        text += MORE.format(name=f"bead {k}", material="oak", shape=shape)
+    (line,) = (line for line in report_of(tmp_path, text).splitlines() if "  rigid  " in line)
+    assert "10 bodies of 0.009" in line
+    assert " to 0.187" in line
+    assert "3.0 to 8.0 cells thick" in line
+
+
+@pytest.mark.parametrize(
+    ("material", "shape", "message"),
+    [
+        ("oak", "box = [[0, 0, 0.18], [0.1, 0.1, 0.19]]",
+         "other: rigid and thinner than 2 cells: what flows may pass through"),
+        ("foam", "box = [[0, 0, 0.12], [0.1, 0.1, 0.2]]",
+         "other: rigid and lighter than 0.01 of the heaviest that it may meet, 1000 kg/m3"),
+        ("oak", "sphere = { center = [0.265, 0.1, 0.15], radius = 0.03 }",
+         "log and other overlap at the start by 0.5 cells (0.005 m)"),
+    ],
+)  # fmt: skip
+def test_the_plan_warns(tmp_path, material, shape, message):
+    text = SCENE + FOAM + MORE.format(name="other", material=material, shape=shape)
+    warnings = [line for line in report_of(tmp_path, text).splitlines() if "  warning  " in line]
+    assert len(warnings) == 1
+    assert message in warnings[0]
+
+
+def test_the_plan_warns_of_an_overlap_with_a_collider(tmp_path):
+    text = SCENE + '[[object]]\nname = "post"\nrole = "scenery"\ncollider = true\n'
+    text += "shape = { box = [[0.235, 0.05, 0.1], [0.3, 0.15, 0.2]] }\n"
+    assert "log and post overlap at the start by 0.5 cells (0.005 m)" in report_of(tmp_path, text)
+
+
+def test_a_body_that_leaves_the_domain(tmp_path):
+    scene = tmp_path / "scene.toml"
+    walls = 'cell = 0.01\nboundary = { default = "slip", top = "open" }\n'
+    scene.write_text(
+        SCENE.replace("cell = 0.01\n", walls)
+        .replace("center = [0.2, 0.1, 0.15]", "center = [0.2, 0.1, 0.18]")
+        .replace('name = "log"', 'name = "log"\nvelocity = [0, 0, 4]')
+    )
+    job = subprocess.run(
+        [sys.executable, "-m", "vgmpi", scene, "-o", tmp_path / "out"],
+        capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert job.returncode == 3
+    assert "object log, step " in job.stderr
+    assert ": it left the domain" in job.stderr
+    assert "Traceback" not in job.stderr

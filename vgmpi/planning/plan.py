@@ -34,6 +34,7 @@ from .phases_and_groups import (
 )
 from .prescribed_bodies import Extents, PrescribedBodyPlan, prescribed_body_plans, prescribed_phases
 from .proximity import Proximity
+from .rigid_bodies import RigidBodiesSummary
 
 FLOAT_TYPES: dict[str, np.dtype] = {
     "single": np.dtype(np.float32),
@@ -75,9 +76,7 @@ class Plan:
     dx: float  # [m] cell size
     real: np.dtype  # floating-point type of the particles
     gravity: tuple[float, float, float]  # [m/s2]
-    walls: tuple[
-        tuple[str, float], ...
-    ]  # (kind, friction) of west, east, south, north, floor, roof
+    walls: tuple[tuple[str, float], ...]  # (kind, friction): west, east, south, north, floor, roof
     phases: tuple[PhasePlan, ...]
     groups: tuple[GroupPlan, ...]
     group_of: tuple[int, ...]  # group of each object, -1 for scenery; then of each inlet
@@ -114,6 +113,7 @@ class Plan:
     opens: tuple[float | None, ...] = (None,) * 6  # [s] when each wall vanishes
     feels: bool = False  # reaction impulses of each collider and wall are summed
     free_bodies: bool = False  # some colliders are free rigid bodies
+    rigid: RigidBodiesSummary | None = None  # these bodies at the start, if known
 
     @property
     def is_open_system(self) -> bool:

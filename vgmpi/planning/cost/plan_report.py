@@ -14,6 +14,7 @@ from vgmpi.scene.scene import Scene
 from . import accuracy_benchmarks, tradeoff_results
 from .feature_costs import PARTICLES_PER_BLOCK, feature_table, step_ns
 from .pilot_result import STEP_SECONDS, PilotRun
+from .rigid_body_lines import rigid_body_lines
 from .throughput import ASSUMED_THROUGHPUT, Throughput
 from .timestep_advice import limiting_material_lines, pruning_lines, soft_liquid_lines
 
@@ -82,7 +83,7 @@ def format_plan(
             for w, time in zip(plan.walls, plan.opens, strict=True)
         )
     )
-    lines += _rigid(scene) + _flows(plan)
+    lines += rigid_body_lines(scene, plan) + _flows(plan)
     lines += _accuracy_notes(scene, plan)
     lines += accuracy_benchmarks.preset_accuracy_lines(scene) + feature_table(scene, plan, pace)
     total = plan.bytes()
@@ -91,12 +92,6 @@ def format_plan(
         f" {total / ranks / 2**20:.0f} MiB per rank on {ranks} rank(s)"
     )
     return "\n".join(lines + _steps(scene, plan, ranks, reached, pace, rehearsal, is_known))
-
-
-def _rigid(scene: Scene) -> list[str]:
-    """Return the line that names the free rigid bodies."""
-    names = [obj.name for obj in scene.object if obj.free_body is not None]
-    return [f"  rigid       {_listing(names)}: free bodies without particles"] if names else []
 
 
 def _flows(plan: Plan) -> list[str]:
@@ -213,6 +208,8 @@ def _steps(
     few, many = (_step_count(plan, d, end - left) for d in (dt, min_dt))
     if few > MOTION_STEP_MARGIN * left / dt:
         cause += "; shorter where colliders or prescribed bodies move fast"
+    if plan.free_bodies:
+        cause += "; shorter where rigid bodies or spray are fast"
     if rehearsal is not None:
         few = many = math.ceil(rehearsal.steps)
     written = _writing_seconds(plan, ranks, frames)

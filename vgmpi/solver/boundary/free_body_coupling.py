@@ -65,6 +65,13 @@ class FreeBodyCoupling:
         self._collide(dt)
         bodies.move(dt)
 
+    @property
+    def departed(self) -> str:
+        """Name of the first body whose center has left the domain, or an empty text."""
+        x, size = self.bodies.x, np.array(self.plan.cells) * self.plan.dx
+        rows = np.flatnonzero(~((x >= 0.0) & (x <= size)).all(1))
+        return self.movers.colliders[self.bodies.rows[rows[0]]].name if len(rows) else ""
+
     def saved(self) -> dict:
         """Return the state that a checkpoint stores: bodies, and their points in contact."""
         rows = slice(self.touching)
