@@ -193,3 +193,5 @@ def test_a_body_that_leaves_the_domain(tmp_path):
     assert "object log, step " in job.stderr
     assert ": it left the domain" in job.stderr
     assert "Traceback" not in job.stderr
+    head = (tmp_path / "out" / "ledger.csv").read_text().split("\n")[0]
+    assert "rigid_momentum_x" in head.split(",")
