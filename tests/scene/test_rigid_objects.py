@@ -7,6 +7,7 @@ import pytest
 
 import vgmpi
 from vgmpi.planning.cost.plan_report import format_plan
+from vgmpi.planning.plan import time_step_bounds
 from vgmpi.runtime.config.schema import SceneError
 
 SCENE = """
@@ -175,6 +176,41 @@ def test_the_plan_warns_of_an_overlap_with_a_collider(tmp_path):
     text = SCENE + '[[object]]\nname = "post"\nrole = "scenery"\ncollider = true\n'
     text += "shape = { box = [[0.235, 0.05, 0.1], [0.3, 0.15, 0.2]] }\n"
     assert "log and post overlap at the start by 0.5 cells (0.005 m)" in report_of(tmp_path, text)
+
+
+STEEL = '[material.steel]\nkind = "elastic"\ndensity = 7800\nyoungs_modulus = {modulus}\n'
+ANVIL = """
+[[object]]
+name = "anvil"
+material = "steel"
+shape = { box = [[0, 0, 0.1], [0.06, 0.06, 0.16]] }
+"""
+
+
+def test_the_plan_advises_that_a_stiff_body_be_rigid(tmp_path):
+    """A wave of steel takes sqrt(E / density) = 5e3 m/s and more; that of the water 1.5e2 or so."""
+    text = SCENE + STEEL.format(modulus="2e11") + ANVIL
+    (line,) = (line for line in report_of(tmp_path, text).splitlines() if "rigid = true" in line)
+    scene = vgmpi.load(tmp_path / "scene.toml", text=text)
+    plan = vgmpi.plan(scene)
+    dt, longer = time_step_bounds(scene, plan)[0][0], time_step_bounds(scene, plan)[1][0]
+    assert "anvil would deform by less than 0.1 %" in line
+    assert "scene.toml:" in line
+    assert f"steps are {longer / dt:.1f} times as long" in line
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        SCENE,
+        SCENE + STEEL.format(modulus="2e6") + ANVIL,  # it bends
+        SCENE + STEEL.format(modulus="2e11") + ANVIL.replace("shape", "rigid = true\nshape"),
+        SCENE.replace("apic-corrected", "aflip").split("[[object]]\nname = \"log\"")[0]
+        + STEEL.format(modulus="2e11") + ANVIL,  # no rigid bodies there
+    ],
+)  # fmt: skip
+def test_the_plan_advises_no_other(tmp_path, text):
+    assert "with rigid = true steps" not in report_of(tmp_path, text)
 
 
 def test_a_body_that_leaves_the_domain(tmp_path):
