@@ -16,7 +16,7 @@ from .feature_costs import PARTICLES_PER_BLOCK, feature_table, step_ns
 from .pilot_result import STEP_SECONDS, PilotRun
 from .rigid_body_lines import rigid_body_lines
 from .throughput import ASSUMED_THROUGHPUT, Throughput
-from .timestep_advice import limiting_material_lines, pruning_lines, rigid_lines, soft_liquid_lines
+from .timestep_advice import limiting_material_lines, pruning_lines, soft_liquid_lines
 
 PRECISION = {
     "double": "accuracy.precision = 'single' takes half the time and memory",
@@ -236,7 +236,6 @@ def _steps(
         f"  time step   {dt:.4g} s at the start, set by {cause}",
         f"  steps       {steps} for {span}",
         *limiting_material_lines(scene, plan, compare),
-        *rigid_lines(scene, plan, compare),
         *pruning_lines(scene, plan, compare, lambda other: step_ns(scene, other, pace)),
         *tradeoff_results.cheaper_setting_lines(scene),
         f"  time        {duration_line}",

@@ -88,45 +88,38 @@ def limiting_material_lines(scene: Scene, plan: Plan, compare: Callable[[float],
     return [
         f"  advice      without {escape_control_characters(limit)} steps would be"
         f" {times:.1f} times as long: they grow as {where} becomes less;"
-        f" at {value:.2g} {UNITS[key]} {compare(1 / times)}"
+        f" at {value:.2g} {UNITS[key]} {compare(1 / times)}{_rigid_clause(scene, plan, name)}"
     ]
 
 
-def rigid_lines(scene: Scene, plan: Plan, compare: Callable[[float], str]) -> list[str]:
-    """Name solids that set the time step and hardly deform: they could be rigid bodies.
+def _rigid_clause(scene: Scene, plan: Plan, name: str) -> str:
+    """Return the advice to make the bodies of a stiff solid rigid, or an empty text.
+
+    What remains has particles, since another bound of the step exists.
 
     Args:
         scene: The scene.
         plan: Its plan.
-        compare: Function of a factor on the run's time that returns both times as text.
+        name: Name of the material that limits the time step.
     """
-    bounds = time_step_bounds(scene, plan)
-    dt, limit = bounds[0]
-    slower = [bound for bound, cause in bounds if cause != limit]
-    name = next((name for name in scene.material if limit == f"material {name!r}"), None)
-    if plan.fixed_dt or name is None or not slower or slower[0] < MIN_STEP_GAIN * dt:
-        return []
-    if scene.material[name].family != "solid" or scene.accuracy.keeps:
-        return []
-    if any(coupling.rule != CONTACT for coupling in scene.coupling):
-        return []
+    has_others = any(coupling.rule != CONTACT for coupling in scene.coupling)
+    if scene.material[name].family != "solid" or scene.accuracy.keeps or has_others:
+        return ""
     rows = [k for k, obj in enumerate(scene.object) if obj.material == name]
-    if any(scene.object[k].driven or plan.group_of[k] < 0 for k in rows):
-        return []
-    # what remains has particles, since it sets the next bound
+    if not rows or any(scene.object[k].driven or plan.group_of[k] < 0 for k in rows):
+        return ""
     stiff = min(plan.stiff[plan.groups[plan.group_of[k]].phase] for k in rows)
     depth, speed = plan.cells[2] * plan.dx, max(obj.speed for obj in scene.object)
     stress = max(group.density for group in plan.groups) * (
         math.hypot(*plan.gravity) * depth + speed**2
     )
     if stress > MAX_RIGID_STRAIN * stiff:
-        return []
+        return ""
     names = ", ".join(escape_control_characters(scene.object[k].name) for k in rows)
-    return [
-        f"  advice      {scene.place(('object', rows[0]))}: {names} would deform by less than"
-        f" {100 * MAX_RIGID_STRAIN:g} %: with rigid = true steps are {slower[0] / dt:.1f} times"
-        f" as long, {compare(dt / slower[0])}"
-    ]
+    return (
+        f"; {names}, {scene.place(('object', rows[0]))}, would deform by less than"
+        f" {100 * MAX_RIGID_STRAIN:g} %: rigid = true saves as much"
+    )
 
 
 def pruning_lines(
