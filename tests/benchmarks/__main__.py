@@ -238,6 +238,22 @@ def _run_stability(args: argparse.Namespace) -> int:
     return 0
 
 
+def _bodies(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("--count", type=int, default=1000, metavar="N", help="bodies apart, default 1000")
+    say("--particles", type=float, default=1e6, metavar="N", help="of the water, default 1e6")
+    say("--rounds", type=int, default=5, help="default 5")
+
+
+def _run_bodies(args: argparse.Namespace) -> int:
+    from tests.benchmarks import body_cost
+
+    print(body_cost.text(
+        body_cost.measure(args.count, int(args.particles), args.rounds, print_progress)
+    ))  # fmt: skip
+    return 0
+
+
 def _run_spills(args: argparse.Namespace) -> int:
     from tests.benchmarks import register_spills
 
@@ -318,6 +334,7 @@ COMMANDS = LIQUID_COMMANDS | {  # what it does, its flags, how it runs
     "accuracy": ("how exact single precision is", _accuracy, _run_accuracy),
     "against": ("beside another checkout", _against, _run_against),
     "balance": ("how even a scene's work would be on many ranks", _balance, _run_balance),
+    "bodies": ("what free rigid bodies cost", _bodies, _run_bodies),
     "census": ("what a sort costs one rank of many beside its particles", _census, _run_census),
     "choose-tests": ("which tests make test leaves out", _choose_tests, _run_choose_tests),
     "compile-cost": ("what each specialization of a scene costs to compile", _cost, _run_cost),

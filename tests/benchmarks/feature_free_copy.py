@@ -60,6 +60,7 @@ ANSWERS: dict[str, dict[str, str]] = {
     "vgmpi.kernels.rigid.free_coupling": {},
     "vgmpi.kernels.rigid.surface_points": {},
     "vgmpi.kernels.rigid.body_contact": {},
+    "vgmpi.kernels.rigid.contact_search": {},
     "vgmpi.kernels.rigid.contact_sweeps": {},
     "vgmpi.kernels.nodal_fields.velocity_gradient": {},
     "vgmpi.kernels.nodal_fields.mean_pressure": {},

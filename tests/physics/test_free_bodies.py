@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import tests.physics.test_sphere as sphere
-from tests.support.simulate import begin, by_id
+from tests.support.simulate import begin, by_id, conservation_rows
 from tests.support.validation_record import held
 from vgmpi.kernels.rigid.free_bodies import FreeBodies
 
@@ -196,6 +196,58 @@ def totals(simulation):
     angular = (m * (np.cross(x, v) + simulation.plan.dx**2 / 4 * own)).sum(0)
     angular += (bodies.spin + np.cross(bodies.x, bodies.momentum)).sum(0)
     return (m * v).sum(0) + bodies.momentum.sum(0), angular
+
+
+def ledger_sums(simulation):
+    """By name of the column: the sum over the rows of the ledger."""
+    rows = conservation_rows(simulation)
+    return {name: sum(row[name] for row in rows) for name in rows[0] if "_" in name}
+
+
+def test_energy_of_a_body_that_falls_and_spins_in_the_ledger(tmp_path):
+    """m (g t)^2 / 2 and L^2 / (2 I) of a box about one of its principal axes.
+
+    I is that of the body: its samples give it to 1e-3.
+    """
+    simulation, bodies = on_floor(tmp_path, ["box = [[0.02, 0.05, 0.3], [0.18, 0.15, 0.34]]"])
+    mass = 700 * 0.16 * 0.1 * 0.04
+    spin, inertia = 2e-3, float(bodies.inertia[0, 1, 1])
+    assert inertia == pytest.approx(mass * (0.16**2 + 0.04**2) / 12, rel=1e-3)
+    bodies.spin[0, 1] = spin
+    bodies.set_velocities()
+    start = ledger_sums(simulation)
+    for _ in range(100):
+        simulation.advance(1e-3)
+    sums, spinning = ledger_sums(simulation), 0.5 * spin**2 / inertia
+    assert start["rigid_kinetic_energy"] == pytest.approx(spinning, rel=1e-12)
+    assert start["rigid_potential_energy"] == pytest.approx(mass * G * 0.32, rel=1e-12)
+    assert sums["rigid_kinetic_energy"] == pytest.approx(
+        0.5 * mass * (0.1 * G) ** 2 + spinning, rel=1e-9
+    )
+    # x moves by the velocity at the end of a step: it falls by g t (t + dt) / 2
+    assert sums["rigid_potential_energy"] == pytest.approx(
+        mass * G * (0.32 - 0.5 * G * 0.1 * 0.101), rel=1e-12
+    )
+    assert sums["rigid_momentum_z"] == pytest.approx(-mass * G * 0.1, rel=1e-12)
+    assert sums["rigid_angular_momentum_y"] == pytest.approx(spin + 0.1 * mass * G * 0.1, rel=1e-9)
+
+
+def test_momentum_in_the_ledger_stays(tmp_path):
+    """Of water that hits a block, with that of the block."""
+    simulation, _ = begin(tmp_path, SPLASH.format(kind="fluid", more="tait_coefficient = 2e4"))
+    names = [f"{kind}momentum_{a}" for kind in ("", "angular_") for a in "xyz"]
+
+    def totals():
+        sums = ledger_sums(simulation)
+        return np.array([sums[name] + sums[f"rigid_{name}"] for name in names])
+
+    start, before = totals(), ledger_sums(simulation)["rigid_momentum_x"]
+    while simulation.time < 0.05:
+        simulation.advance(simulation.bound())
+    assert ledger_sums(simulation)["rigid_momentum_x"] - before > 0.01 * start[0], "it was not hit"
+    error = np.abs(totals() - start)
+    assert error[:3].max() < 1e-12 * np.abs(start[:3]).max()
+    assert error[3:].max() < 1e-12 * 0.2 * np.abs(start[:3]).max()
 
 
 def in_water(folder, ratio, g=0.0, speed=0.0):

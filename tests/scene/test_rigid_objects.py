@@ -7,6 +7,7 @@ import pytest
 
 import vgmpi
 from vgmpi.planning.cost.plan_report import format_plan
+from vgmpi.planning.plan import time_step_bounds
 from vgmpi.runtime.config.schema import SceneError
 
 SCENE = """
@@ -116,7 +117,117 @@ def test_a_body_outside_the_domain(tmp_path):
     assert "the center of mass is outside the domain" in job.stderr
 
 
-def test_the_plan_names_them(tmp_path):
-    scene = vgmpi.load(tmp_path / "scene.toml", text=SCENE)
-    report = format_plan(scene, vgmpi.plan(scene), ranks=1)
-    assert "rigid       log: free bodies without particles" in report
+MORE = """
+[[object]]
+name = "{name}"
+material = "{material}"
+rigid = true
+shape = {{ {shape} }}
+"""
+FOAM = '[material.foam]\nkind = "elastic"\ndensity = 5\nyoungs_modulus = 1e6\n'
+
+
+def report_of(folder, text):
+    """The text of --plan."""
+    scene = vgmpi.load(folder / "scene.toml", text=text)
+    return format_plan(scene, vgmpi.plan(scene), ranks=1)
+
+
+def test_the_plan_tells_of_them(tmp_path):
+    report = report_of(tmp_path, SCENE)
+    (line,) = (line for line in report.splitlines() if line.startswith("  rigid"))
+    assert "log: 0.187" in line  # 4 / 3 pi r^3 times 700 kg/m3 = 0.1877 kg
+    assert ", 0.7 times the density of water, 8.0 cells thick, " in line
+    assert "MiB of distances per rank" in line
+    assert "warning" not in report
+    assert "water: free rigid bodies" in report
+
+
+def test_the_plan_sums_up_many(tmp_path):
+    text = SCENE
+    for k in range(9):
+        shape = f"sphere = {{ center = [{0.02 + 0.04 * k}, 0.03, 0.15], radius = 0.015 }}"
+        text += MORE.format(name=f"bead {k}", material="oak", shape=shape)
+    (line,) = (line for line in report_of(tmp_path, text).splitlines() if "  rigid  " in line)
+    assert "10 bodies of 0.009" in line
+    assert " to 0.187" in line
+    assert "3.0 to 8.0 cells thick" in line
+
+
+@pytest.mark.parametrize(
+    ("material", "shape", "message"),
+    [
+        ("oak", "box = [[0, 0, 0.18], [0.1, 0.1, 0.19]]",
+         "other: rigid and thinner than 2 cells: what flows may pass through"),
+        ("foam", "box = [[0, 0, 0.12], [0.1, 0.1, 0.2]]",
+         "other: rigid and lighter than 0.01 of the heaviest that it may meet, 1000 kg/m3"),
+        ("oak", "sphere = { center = [0.265, 0.1, 0.15], radius = 0.03 }",
+         "log and other overlap at the start by 0.5 cells (0.005 m)"),
+    ],
+)  # fmt: skip
+def test_the_plan_warns(tmp_path, material, shape, message):
+    text = SCENE + FOAM + MORE.format(name="other", material=material, shape=shape)
+    warnings = [line for line in report_of(tmp_path, text).splitlines() if "  warning  " in line]
+    assert len(warnings) == 1
+    assert message in warnings[0]
+
+
+def test_the_plan_warns_of_an_overlap_with_a_collider(tmp_path):
+    text = SCENE + '[[object]]\nname = "post"\nrole = "scenery"\ncollider = true\n'
+    text += "shape = { box = [[0.235, 0.05, 0.1], [0.3, 0.15, 0.2]] }\n"
+    assert "log and post overlap at the start by 0.5 cells (0.005 m)" in report_of(tmp_path, text)
+
+
+STEEL = '[material.steel]\nkind = "elastic"\ndensity = 7800\nyoungs_modulus = {modulus}\n'
+ANVIL = """
+[[object]]
+name = "anvil"
+material = "steel"
+shape = { box = [[0, 0, 0.1], [0.06, 0.06, 0.16]] }
+"""
+
+
+def test_the_plan_advises_that_a_stiff_body_be_rigid(tmp_path):
+    """A wave of steel takes sqrt(E / density) = 5e3 m/s and more; that of the water 1.5e2 or so."""
+    text = SCENE + STEEL.format(modulus="2e11") + ANVIL
+    (line,) = (line for line in report_of(tmp_path, text).splitlines() if "rigid = true" in line)
+    scene = vgmpi.load(tmp_path / "scene.toml", text=text)
+    plan = vgmpi.plan(scene)
+    dt, longer = time_step_bounds(scene, plan)[0][0], time_step_bounds(scene, plan)[1][0]
+    assert "; anvil, " in line
+    assert line.endswith("would deform by less than 0.1 %: rigid = true saves as much")
+    assert f"steps would be {longer / dt:.1f} times as long" in line
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        SCENE,
+        SCENE + STEEL.format(modulus="2e6") + ANVIL,  # it bends
+        SCENE + STEEL.format(modulus="2e11") + ANVIL.replace("shape", "rigid = true\nshape"),
+        SCENE.replace("apic-corrected", "aflip").split("[[object]]\nname = \"log\"")[0]
+        + STEEL.format(modulus="2e11") + ANVIL,  # no rigid bodies there
+    ],
+)  # fmt: skip
+def test_the_plan_advises_no_other(tmp_path, text):
+    assert "rigid = true saves" not in report_of(tmp_path, text)
+
+
+def test_a_body_that_leaves_the_domain(tmp_path):
+    scene = tmp_path / "scene.toml"
+    walls = 'cell = 0.01\nboundary = { default = "slip", top = "open" }\n'
+    scene.write_text(
+        SCENE.replace("cell = 0.01\n", walls)
+        .replace("center = [0.2, 0.1, 0.15]", "center = [0.2, 0.1, 0.18]")
+        .replace('name = "log"', 'name = "log"\nvelocity = [0, 0, 4]')
+    )
+    job = subprocess.run(
+        [sys.executable, "-m", "vgmpi", scene, "-o", tmp_path / "out"],
+        capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert job.returncode == 3
+    assert "object log, step " in job.stderr
+    assert ": it left the domain" in job.stderr
+    assert "Traceback" not in job.stderr
+    head = (tmp_path / "out" / "ledger.csv").read_text().split("\n")[0]
+    assert "rigid_momentum_x" in head.split(",")

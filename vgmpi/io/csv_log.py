@@ -5,6 +5,7 @@ A checksum ends every row, so that a later change is detected and located.
 
 import csv
 import errno
+import itertools
 import logging
 import os
 import zlib
@@ -115,6 +116,7 @@ class ConservationLog(CsvLog):
         last_step: int | None = None,
         flows: bool = False,
         liquids: bool = False,
+        rigid: bool = False,
     ):
         """Create the ledger, or continue it, with the columns that it has.
 
@@ -124,21 +126,25 @@ class ConservationLog(CsvLog):
             last_step: Later rows are dropped; None starts a new ledger.
             flows: True if particles are inserted or removed during the run.
             liquids: True if liquids have phases of their own.
+            rigid: True if there are free rigid bodies.
         """
         path = Path(folder) / file_layout.LEDGER
         if last_step is not None:
             liquids = ranks.bcast(ranks.rank == 0 and has_liquid_columns(path, liquids))
-        super().__init__(path, ledger_columns(flows, liquids), ranks, last_step)
+            rigid = ranks.bcast(ranks.rank == 0 and has_rigid_columns(path, rigid))
+        super().__init__(path, ledger_columns(flows, liquids, rigid), ranks, last_step)
 
 
-def ledger_columns(flows: bool, liquids: bool) -> list[file_layout.Dataset]:
+def ledger_columns(flows: bool, liquids: bool, rigid: bool = False) -> list[file_layout.Dataset]:
     """Return the columns of ledger.csv.
 
     Args:
         flows: Whether particles are inserted or removed.
         liquids: Whether liquids have phases of their own.
+        rigid: Whether there are free rigid bodies.
     """
     more = file_layout.OPEN_SYSTEM_COLUMNS * flows + file_layout.LIQUID_COLUMNS * liquids
+    more += file_layout.RIGID_COLUMNS * rigid
     return [*file_layout.LEDGER_COLUMNS, *more] if more else file_layout.LEDGER_COLUMNS
 
 
@@ -149,12 +155,21 @@ def has_liquid_columns(path: Path, otherwise: bool) -> bool:
         path: File of the ledger.
         otherwise: Result if there is no readable file.
     """
+    return _has_column(path, file_layout.LIQUID_COLUMNS[0].name, otherwise)
+
+
+def has_rigid_columns(path: Path, otherwise: bool) -> bool:
+    """Return whether a ledger has the columns of rigid bodies; path, otherwise: as above."""
+    return _has_column(path, file_layout.RIGID_COLUMNS[0].name, otherwise)
+
+
+def _has_column(path: Path, name: str, otherwise: bool) -> bool:
+    """Return whether a table has a column, `otherwise` if there is no readable file."""
     try:
         text = safe_open.read_regular_file(path, MAX_BYTES, follow=False)
     except OSError:
         return otherwise
-    names = text.split(b"\n", 1)[0].split(b",")
-    return file_layout.LIQUID_COLUMNS[0].name.encode() in names
+    return name.encode() in text.split(b"\n", 1)[0].split(b",")
 
 
 def verify_logs(
@@ -259,7 +274,7 @@ def read_rows(
     head = _with_new_names(path, head)
     if columns is file_layout.LEDGER_COLUMNS:
         variants = [
-            ledger_columns(flows, liquids) for flows in (False, True) for liquids in (False, True)
+            ledger_columns(*present) for present in itertools.product((False, True), repeat=3)
         ]
         columns = next((c for c in variants if head == _header(c).encode()), columns)
     sealed = head == _header(columns).encode()

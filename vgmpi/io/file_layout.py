@@ -274,6 +274,20 @@ LIQUID_COLUMNS = [  # present with liquids; nan for phases that hold anything el
             "cells"),
 ]  # fmt: skip
 
+RIGID_COLUMNS = [  # present with free rigid bodies; 0 in all rows of a time but the first
+    *(
+        Dataset(f"rigid_momentum_{a}", "", "f8", "kg m/s", f"momentum of all along {a}")
+        for a in "xyz"
+    ),
+    *(
+        Dataset(f"rigid_angular_momentum_{a}", "", "f8", "kg m2/s",
+                f"their angular momentum about {a} and the origin")
+        for a in "xyz"
+    ),
+    Dataset("rigid_kinetic_energy", "", "f8", "J", "their kinetic energy"),
+    Dataset("rigid_potential_energy", "", "f8", "J", "their potential energy in gravity"),
+]  # fmt: skip
+
 ROW_CHECKSUM = Dataset(
     CRC,
     "",

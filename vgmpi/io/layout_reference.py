@@ -78,6 +78,9 @@ def _ledger_section() -> list[str]:
         _table(file_layout.OPEN_SYSTEM_COLUMNS),
         "Behind these, only if liquids have phases of their own:\n",
         _table(file_layout.LIQUID_COLUMNS),
+        "Behind these, only with free rigid bodies: sums over all of them, in the first row of a "
+        "time and 0 in its other rows, so that sums over rows are totals:\n",
+        _table(file_layout.RIGID_COLUMNS),
         ABOUT_ENERGY,
     ]
 

@@ -34,6 +34,7 @@ from .phases_and_groups import (
 )
 from .prescribed_bodies import Extents, PrescribedBodyPlan, prescribed_body_plans, prescribed_phases
 from .proximity import Proximity
+from .rigid_bodies import RigidBodiesSummary
 from .surface_friction import SurfaceSlipPlan, friction_table, surface_slip_plan
 
 FLOAT_TYPES: dict[str, np.dtype] = {
@@ -115,6 +116,7 @@ class Plan:
     free_bodies: bool = False  # some colliders are free rigid bodies
     slip: SurfaceSlipPlan | None = None  # of viscous liquids on colliders, if it is limited
     joints: tuple[Joint, ...] = ()  # of the free rigid bodies
+    rigid: RigidBodiesSummary | None = None  # these bodies at the start, if known
 
     @property
     def numbers_colliders(self) -> bool:

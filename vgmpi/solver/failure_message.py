@@ -38,6 +38,8 @@ def failure_message(simulation: Any, report: StepReport) -> str:
     fields = simulation.needs.layers
     local = [(*over.block, over.phase, fields.index(over.layer)) for over in report.beyond]
     rows = ranks.all_rows(np.array(local, np.int64).reshape(-1, 5))
+    if not len(rows):  # all ranks hold the same bodies
+        return f"object {simulation.bodies.departed}, {when}: {FAILURE_MESSAGES[g2p.OUT_OF_DOMAIN]}"
     *block, phase, field = min(map(tuple, rows.tolist()))
     spot = ", ".join(f"{(4 * b + 0.5) * plan.dx:.4g}" for b in block)
     name = FIELD_NAMES[fields[field].split()[0]]

@@ -17,12 +17,14 @@ from vgmpi.planning.color_exchange import coefficient_ranges
 from vgmpi.planning.plan import Plan, make_plan
 from vgmpi.planning.prescribed_bodies import Extents
 from vgmpi.planning.proximity import Proximity
+from vgmpi.planning.rigid_bodies import RigidBodiesSummary
 from vgmpi.preprocess.liquid_weight import liquid_weights
 from vgmpi.preprocess.load_targets import resolve_loads
 from vgmpi.preprocess.meshes import texture
 from vgmpi.preprocess.motion_checks import extent, motion_steps
 from vgmpi.scene.scene import Scene
 from vgmpi.solver.estimates.measure_proximity import surroundings
+from vgmpi.solver.estimates.measure_rigid_bodies import measure_rigid_bodies
 
 log = logging.getLogger("vgmpi")
 
@@ -41,6 +43,7 @@ class ParticleSummary:
     surroundings: tuple[Proximity, ...] = ()
     extents: Extents = field(default_factory=dict)  # of the bodies with prescribed motion
     weights: tuple[float, ...] = ()  # [Pa] see plan.Plan
+    rigid: RigidBodiesSummary = RigidBodiesSummary()
     # on rank 0: datasets to be written to gaussians.h5 by rest.write, None if the file holds them
     rows: dict | None = None
     scenery: dict | None = None
@@ -236,6 +239,7 @@ def _summary_of(scene, objects, particles, x, colliders, loads) -> ParticleSumma
         proximity,
         extents,
         liquid_weights(scene, objects, x),
+        measure_rigid_bodies(colliders, scene.domain.cell),
     )
 
 
@@ -278,6 +282,7 @@ def plan_for(scene: Scene, summary: ParticleSummary) -> Plan:
     return replace(
         plan, thickness=summary.thickness, surroundings=summary.surroundings,
         volumes=tuple(summary.volume), weights=summary.weights, motion_steps=tuple(steps.tolist()),
+        rigid=summary.rigid,
     )  # fmt: skip
 
 

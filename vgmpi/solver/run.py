@@ -8,7 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from vgmpi.io import checkpoint, file_layout, run_lock
-from vgmpi.io.csv_log import ConservationLog, CsvLog, has_liquid_columns, ledger_columns
+from vgmpi.io.csv_log import (
+    ConservationLog,
+    CsvLog,
+    has_liquid_columns,
+    has_rigid_columns,
+    ledger_columns,
+)
 from vgmpi.io.csv_log import verify_logs as check_tables
 from vgmpi.io.frames import Frames
 from vgmpi.io.run_reader import particle_set_id
@@ -124,7 +130,12 @@ class Runner:
         self.frames = Frames(folder, self.ranks, self.plan.particles, self.frame, self.particles)
         liquids = bool(liquid_phases(self.plan))
         self.ledger = ConservationLog(
-            folder, self.ranks, last_step, self.plan.is_open_system, liquids
+            folder,
+            self.ranks,
+            last_step,
+            self.plan.is_open_system,
+            liquids,
+            self.plan.free_bodies,
         )
         self.checkpoints = folder / file_layout.CHECKPOINTS
         if last_step is None:
@@ -289,7 +300,8 @@ def prepared_run(
             history = _history(scene, attrs, options.change)
             ledger = folder / file_layout.LEDGER
             liquids = ranks.rank == 0 and has_liquid_columns(ledger, False)  # rank 0 reads tables
-            columns = ledger_columns(scene.is_open_system, liquids)
+            rigid = ranks.rank == 0 and has_rigid_columns(ledger, False)
+            columns = ledger_columns(scene.is_open_system, liquids, rigid)
             tables = {ledger: columns, **files(scene, folder)}
             check_tables(tables, ranks, attrs["step"], attrs.get("log_checksums", {}))
         summary = prepare(scene, ranks, folder, resumed)

@@ -272,7 +272,7 @@ class Simulation:
         report = self._update_open_boundaries(report)
         maxima = self._reduce_step(report, requests)
         mark("wait")
-        if maxima[2]:
+        if maxima[2] or (self.bodies is not None and self.bodies.departed):
             raise BlowUp(failure_message(self, report))
         if not maxima[0] and (self.flow_accounting is not None or self.driven is not None):
             maxima[MAXIMA_SLICE] = bounds_of_idle_group(self.plan)

@@ -13,6 +13,7 @@ import numpy as np
 from vgmpi.kernels.wall_boundary import OPEN, STICK
 from vgmpi.runtime.jit import device_function, kernel
 
+from .contact_search import points_close_to_collider, points_close_to_wall
 from .sdf_sampling import distance_from_collider, sample_collider
 from .surface_points import ALIGNED, dot, facing_point, turned_normal
 
@@ -132,11 +133,12 @@ def _store_points(
 
 
 @kernel
-def find_wall_contacts(surface, bodies, size, walls, reach, dx, points, total):
+def find_wall_contacts(surface, search, bodies, size, walls, reach, dx, points, total):
     """Find the points of free bodies that touch walls; return the number of points so far.
 
     Args:
         surface: SurfacePoints.
+        search: ContactSearch.
         bodies: BodyTable.
         size: Size of the domain, shape (3,) [m].
         walls: Walls of the domain.
@@ -145,20 +147,25 @@ def find_wall_contacts(surface, bodies, size, walls, reach, dx, points, total):
         points: ContactPoints (out).
         total: Number of points so far.
     """
-    first, facing, own = surface.first, np.zeros(3), np.zeros(3)
+    facing, own, row = np.zeros(3), np.zeros(3), np.zeros(3)
     x, rotations = bodies.x, bodies.rotations
+    close_points = np.zeros(np.diff(surface.first).max(), np.int64)
     for k in range(len(x)):
-        n = first[k + 1] - first[k]
-        candidates, normals = np.zeros((n, 4)), np.zeros((n, 3))
-        speeds = np.zeros((n, 3))
         for a in range(3):
             for side in range(2):
                 kind = walls.kinds_for_surfaces[a, side]
-                if kind == OPEN:
+                sign, count, r = 1.0 - 2.0 * side, 0, rotations[k, a]
+                start = sign * (x[k, a] - side * size[a])
+                if kind == OPEN or start - bodies.radius[k] > reach + dx:
                     continue
-                sign, count = 1.0 - 2.0 * side, 0
-                for p in range(first[k], first[k + 1]):
-                    r = rotations[k, a]
+                for c in range(3):
+                    row[c] = sign * r[c]
+                n = points_close_to_wall(search, k, row, start, reach, dx, close_points)
+                if n == 0:
+                    continue
+                candidates, normals = np.zeros((n, 4)), np.zeros((n, 3))
+                speeds = np.zeros((n, 3))
+                for p in close_points[:n]:
                     gap = sign * (x[k, a] + dot(r, surface.place[p]) - side * size[a])
                     if gap > reach:
                         continue
@@ -183,65 +190,81 @@ def find_wall_contacts(surface, bodies, size, walls, reach, dx, points, total):
 
 @kernel
 def find_body_contacts(
-    surface, bodies, movers, dt, number_of, reach, dx, points, total
+    surface, search, pairs, bodies, movers, dt, number_of, reach, dx, points, total
 ):  # fmt: skip
     """Find the points of free bodies that touch colliders or other free bodies.
 
     Args:
-        surface, bodies, reach, dx, points, total: See `find_wall_contacts`.
+        surface, search, bodies, reach, dx, points, total: See `find_wall_contacts`.
+        pairs: Pairs that may touch, of `find_pairs`.
         movers: Sampled colliders, SampledSdf.
         dt: Time step [s].
         number_of: Number of the free body of each collider, -1 if it is not free.
     """
     place, sample, speed = np.zeros(3), np.zeros(4), np.zeros(3)
-    first, facing, own = surface.first, np.zeros(3), np.zeros(3)
+    facing, own = np.zeros(3), np.zeros(3)
     x, rotations, friction = bodies.x, bodies.rotations, bodies.friction
-    for k in range(len(x)):
-        n = first[k + 1] - first[k]
+    close_points = np.zeros(np.diff(surface.first).max(), np.int64)
+    scratch = np.zeros(3), np.zeros(4), np.zeros(3), np.zeros(3)
+    for pair in pairs:
+        k, m = pair // len(number_of), pair % len(number_of)
+        other, count = number_of[m], 0
+        if _cannot_meet(bodies, k, m, other, reach):
+            continue
+        n = points_close_to_collider(search, bodies, k, movers, m, reach, dx, scratch, close_points)
+        if n == 0:
+            continue
         candidates, normals, speeds = np.zeros((n, 4)), np.zeros((n, 3)), np.zeros((n, 3))
         is_face = np.zeros(n, np.bool_)
-        for m in range(len(number_of)):
-            other, count = number_of[m], 0
-            if m == bodies.rows[k] or (bodies.ignored.size > 0 and bodies.ignored[k, m]):
+        for p in close_points[:n]:
+            for c in range(3):
+                place[c] = x[k, c] + dot(rotations[k, c], surface.place[p])
+            if distance_from_collider(movers, m, place, own, sample) > reach:
                 continue
-            if other >= 0:
-                d = 0.0
-                for c in range(3):
-                    d += (x[k, c] - x[other, c]) ** 2
-                if d > (bodies.radius[k] + bodies.radius[other] + reach) ** 2:
-                    continue
-            for p in range(first[k], first[k + 1]):
-                for c in range(3):
-                    place[c] = x[k, c] + dot(rotations[k, c], surface.place[p])
-                if distance_from_collider(movers, m, place, own, sample) > reach:
-                    continue
-                if not sample_collider(movers, m, place, dt, sample, speed):
-                    continue
-                for c in range(3):
-                    r = rotations[k]
-                    facing[c] = -(r[0, c] * sample[0] + r[1, c] * sample[1] + r[2, c] * sample[2])
-                if not facing_point(surface, p, facing, dx, own):
-                    continue
-                for c in range(3):
-                    place[c] = x[k, c] + dot(rotations[k, c], own)
-                if not sample_collider(movers, m, place, dt, sample, speed):
-                    continue
-                for c in range(3):
-                    candidates[count, c] = place[c]
-                    normals[count, c] = sample[c]
-                    speeds[count, c] = speed[c] if other < 0 else 0.0
-                candidates[count, 3] = sample[3]
-                is_face[count] = dot(facing, surface.normal[p]) > ALIGNED
-                if is_face[count]:  # the own normal is exact, that of the other's lattice is not
-                    turned_normal(surface, p, own, rotations[k], normals[count])
-                count += 1
-            count = _drop_edges(candidates, normals, speeds, is_face, count, dx)
-            mu = friction[k] if other < 0 else max(friction[k], friction[other])
-            total = _store_points(
-                points, total, k, other, candidates, normals, speeds, count, mu,
-                LEAST_SPACING_CELLS * dx,
-            )  # fmt: skip
+            if not sample_collider(movers, m, place, dt, sample, speed):
+                continue
+            for c in range(3):
+                r = rotations[k]
+                facing[c] = -(r[0, c] * sample[0] + r[1, c] * sample[1] + r[2, c] * sample[2])
+            if not facing_point(surface, p, facing, dx, own):
+                continue
+            for c in range(3):
+                place[c] = x[k, c] + dot(rotations[k, c], own)
+            if not sample_collider(movers, m, place, dt, sample, speed):
+                continue
+            for c in range(3):
+                candidates[count, c] = place[c]
+                normals[count, c] = sample[c]
+                speeds[count, c] = speed[c] if other < 0 else 0.0
+            candidates[count, 3] = sample[3]
+            is_face[count] = dot(facing, surface.normal[p]) > ALIGNED
+            if is_face[count]:  # the own normal is exact, that of the other's lattice is not
+                turned_normal(surface, p, own, rotations[k], normals[count])
+            count += 1
+        count = _drop_edges(candidates, normals, speeds, is_face, count, dx)
+        mu = friction[k] if other < 0 else max(friction[k], friction[other])
+        total = _store_points(
+            points, total, k, other, candidates, normals, speeds, count, mu,
+            LEAST_SPACING_CELLS * dx,
+        )  # fmt: skip
     return total
+
+
+@device_function
+def _cannot_meet(bodies, k, m, other, reach):
+    """Return whether a joint or their distance keeps body k and collider m from contact."""
+    if bodies.ignored.size > 0 and bodies.ignored[k, m]:
+        return True
+    return other >= 0 and _are_apart(bodies, k, other, reach)
+
+
+@device_function
+def _are_apart(bodies, a, b, reach):
+    """Return whether the spheres around two bodies are farther apart than the reach [m]."""
+    d = 0.0
+    for c in range(3):
+        d += (bodies.x[a, c] - bodies.x[b, c]) ** 2
+    return d > (bodies.radius[a] + bodies.radius[b] + reach) ** 2
 
 
 @device_function

@@ -100,6 +100,7 @@ def start_impulses(
         mobility: Change of the velocity at each point per impulse (out), shape (count, 3, 3).
     """
     u, turn, w = np.zeros(3), np.zeros(3), np.zeros(3)
+    heads, following = _chain_by_body(before_count, points_before, len(mass))
     for q in range(count):
         a, b, n = points.body[q], points.other[q], points.normal[q]
         _slip_at(points, q, v, x, u)
@@ -109,7 +110,7 @@ def start_impulses(
         points.bounce[q] = 0.0
         if normal_part < -REBOUND_SPEED and touches:
             points.bounce[q] = -e * normal_part
-        _take_impulse(points, q, before_count, points_before, spacing)
+        _take_impulse(points, q, heads, following, points_before, spacing)
         _add_mobility(a, x, points.place[q], mass, inertia, turn, w, mobility[q])
         if b >= 0:
             _add_mobility(b, x, points.place[q], mass, inertia, turn, w, mobility[q])
@@ -180,19 +181,48 @@ def _change_impulse(points, q, u, mobility, dt, change):
 
 
 @device_function
-def _take_impulse(points, q, before_count, points_before, spacing):
-    """Take the impulse that a point had in the last step, 0 if it is new."""
+def _chain_by_body(count, points, bodies):
+    """Return the first point of each body, and the next one of the same body for each point.
+
+    Args:
+        count: Number of points.
+        points: ContactPoints.
+        bodies: Number of bodies.
+
+    Returns:
+        Numbers of points, -1 if there is none, shapes (bodies,) and (count,).
+    """
+    heads, following = np.full(bodies, -1), np.full(count, -1)
+    for p in range(count - 1, -1, -1):
+        following[p] = heads[points.body[p]]
+        heads[points.body[p]] = p
+    return heads, following
+
+
+@device_function
+def _take_impulse(points, q, heads, following, points_before, spacing):
+    """Take the impulse that a point had in the last step, 0 if it is new.
+
+    Args:
+        points: ContactPoints (in/out).
+        q: Number of the point.
+        heads, following: Points of the last step by body, of `_chain_by_body`.
+        points_before: ContactPoints of the last step.
+        spacing: Distance [m] up to which a point of the last step is the same one.
+    """
     points.impulse[q] = 0.0
-    for p in range(before_count):
-        if points_before.body[p] != points.body[q] or points_before.other[p] != points.other[q]:
-            continue
-        d = 0.0
-        for c in range(3):
-            d += (points_before.place[p, c] - points.place[q, c]) ** 2
+    p = heads[points.body[q]]
+    while p >= 0:
+        d = np.inf
+        if points_before.other[p] == points.other[q]:
+            d = 0.0
+            for c in range(3):
+                d += (points_before.place[p, c] - points.place[q, c]) ** 2
         if d < spacing * spacing:
             for c in range(3):
                 points.impulse[q, c] = points_before.impulse[p, c]
             return
+        p = following[p]
 
 
 @device_function

@@ -125,6 +125,25 @@ class FreeBodies:
         v, w = (np.sqrt((part**2).sum(1)) for part in (self.v[:, :3], self.v[:, 3:]))
         return v + w * self.radius
 
+    def conserved(self, gravity: np.ndarray) -> dict[str, float]:
+        """Return momentum, angular momentum about the origin and energies of all bodies.
+
+        Args:
+            gravity: Acceleration, shape (3,) [m/s2].
+        """
+        moments = self.spin + np.cross(self.x, self.momentum)
+        kinetic = 0.5 * (self.momentum * self.v[:, :3] + self.spin * self.v[:, 3:]).sum()
+        sums = {
+            "kinetic_energy": kinetic,
+            "potential_energy": -(self.mass * (self.x * gravity).sum(1)).sum(),
+        }
+        for a, axis in enumerate("xyz"):
+            sums |= {
+                f"momentum_{axis}": self.momentum[:, a].sum(),
+                f"angular_momentum_{axis}": moments[:, a].sum(),
+            }
+        return {f"rigid_{name}": float(value) for name, value in sums.items()}
+
     def set_velocities(self) -> None:
         """Compute the velocities from momentum and angular momentum."""
         self.v[:, :3] = self.momentum / self.mass[:, None]

@@ -15,6 +15,7 @@ from vgmpi.scene.scene import Scene
 from . import accuracy_benchmarks, tradeoff_results
 from .feature_costs import PARTICLES_PER_BLOCK, feature_table, step_ns
 from .pilot_result import STEP_SECONDS, PilotRun
+from .rigid_body_lines import rigid_body_lines
 from .throughput import ASSUMED_THROUGHPUT, Throughput
 from .timestep_advice import limiting_material_lines, pruning_lines, soft_liquid_lines
 
@@ -83,7 +84,7 @@ def format_plan(
             for w, time in zip(plan.walls, plan.opens, strict=True)
         )
     )
-    lines += _rigid(scene) + _slip(scene) + _flows(plan)
+    lines += rigid_body_lines(scene, plan) + _joints(scene) + _slip(scene) + _flows(plan)
     lines += _accuracy_notes(scene, plan)
     lines += accuracy_benchmarks.preset_accuracy_lines(scene) + feature_table(scene, plan, pace)
     total = plan.bytes()
@@ -94,12 +95,10 @@ def format_plan(
     return "\n".join(lines + _steps(scene, plan, ranks, reached, pace, rehearsal, is_known))
 
 
-def _rigid(scene: Scene) -> list[str]:
-    """Return the line that names the free rigid bodies."""
-    names = [obj.name for obj in scene.object if obj.free_body is not None]
-    lines = [f"  rigid       {_listing(names)}: free bodies without particles"] if names else []
+def _joints(scene: Scene) -> list[str]:
+    """Return the line that names the joints."""
     joints = [f"{joint.kind} of {' and '.join(joint.between)}" for joint in scene.joint]
-    return lines + ([f"  joints      {_listing(joints)}"] if joints else [])
+    return [f"  joints      {_listing(joints)}"] if joints else []
 
 
 def _slip(scene: Scene) -> list[str]:
@@ -235,6 +234,8 @@ def _steps(
     few, many = (_step_count(plan, d, end - left) for d in (dt, min_dt))
     if few > MOTION_STEP_MARGIN * left / dt:
         cause += "; shorter where colliders or prescribed bodies move fast"
+    if plan.free_bodies:
+        cause += "; shorter where rigid bodies or spray are fast"
     if rehearsal is not None:
         few = many = math.ceil(rehearsal.steps)
     written = _writing_seconds(plan, ranks, frames)

@@ -5,12 +5,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+from vgmpi.materials.couplings.interaction import CONTACT
 from vgmpi.materials.liquid_stiffness import GRAVITY, Liquid
 from vgmpi.planning.plan import Plan, time_step_bounds
 from vgmpi.runtime.config.toml_source import escape_control_characters
 from vgmpi.scene.scene import Scene
 
 TOLERATED_COMPRESSION = 2.0  # [-] of max_compression, by weight, above which a line is given
+MAX_RIGID_STRAIN = 1e-3  # [-] strain by weight and impact below which a body counts as rigid
 MIN_STEP_GAIN = 1.5  # [-] gain in step length above which a line of advice is given
 UNITS = {
     "youngs_modulus": "Pa", "shear_modulus": "Pa", "tait_coefficient": "Pa", "max_speed": "m/s",
@@ -86,8 +88,38 @@ def limiting_material_lines(scene: Scene, plan: Plan, compare: Callable[[float],
     return [
         f"  advice      without {escape_control_characters(limit)} steps would be"
         f" {times:.1f} times as long: they grow as {where} becomes less;"
-        f" at {value:.2g} {UNITS[key]} {compare(1 / times)}"
+        f" at {value:.2g} {UNITS[key]} {compare(1 / times)}{_rigid_clause(scene, plan, name)}"
     ]
+
+
+def _rigid_clause(scene: Scene, plan: Plan, name: str) -> str:
+    """Return the advice to make the bodies of a stiff solid rigid, or an empty text.
+
+    What remains has particles, since another bound of the step exists.
+
+    Args:
+        scene: The scene.
+        plan: Its plan.
+        name: Name of the material that limits the time step.
+    """
+    has_others = any(coupling.rule != CONTACT for coupling in scene.coupling)
+    if scene.material[name].family != "solid" or scene.accuracy.keeps or has_others:
+        return ""
+    rows = [k for k, obj in enumerate(scene.object) if obj.material == name]
+    if not rows or any(scene.object[k].driven or plan.group_of[k] < 0 for k in rows):
+        return ""
+    stiff = min(plan.stiff[plan.groups[plan.group_of[k]].phase] for k in rows)
+    depth, speed = plan.cells[2] * plan.dx, max(obj.speed for obj in scene.object)
+    stress = max(group.density for group in plan.groups) * (
+        math.hypot(*plan.gravity) * depth + speed**2
+    )
+    if stress > MAX_RIGID_STRAIN * stiff:
+        return ""
+    names = ", ".join(escape_control_characters(scene.object[k].name) for k in rows)
+    return (
+        f"; {names}, {scene.place(('object', rows[0]))}, would deform by less than"
+        f" {100 * MAX_RIGID_STRAIN:g} %: rigid = true saves as much"
+    )
 
 
 def pruning_lines(

@@ -9,6 +9,7 @@ import numpy as np
 
 from vgmpi.kernels.reproducible_sums import next_power_of_two
 from vgmpi.kernels.rigid import body_contact, body_nodes, free_coupling
+from vgmpi.kernels.rigid.contact_search import contact_search, find_pairs
 from vgmpi.kernels.rigid.contact_sweeps import solve_contacts
 from vgmpi.kernels.rigid.jointed_bodies import jointed_bodies
 from vgmpi.kernels.rigid.moving_colliders import MovingColliders
@@ -47,6 +48,7 @@ class FreeBodyCoupling:
         free = [movers.colliders[m] for m in self.bodies.rows]
         spacing = SURFACE_SPACING_CELLS * plan.dx
         self.surface = surface_points(free, self.bodies.start, spacing)
+        self.search = contact_search(self.surface, movers.table, plan.dx)
         size = np.array(plan.cells) * plan.dx
         self.arm = 2.0 * float(np.sqrt((size**2).sum()))
         volume = float(np.prod(size + plan.dx))
@@ -67,6 +69,13 @@ class FreeBodyCoupling:
         self._couple(dt)
         self._collide(dt)
         bodies.move(dt)
+
+    @property
+    def departed(self) -> str:
+        """Name of the first body whose center has left the domain, or an empty text."""
+        x, size = self.bodies.x, np.array(self.plan.cells) * self.plan.dx
+        rows = np.flatnonzero(~((x >= 0.0) & (x <= size)).all(1))
+        return self.movers.colliders[self.bodies.rows[rows[0]]].name if len(rows) else ""
 
     def saved(self) -> dict:
         """Return the state that a checkpoint stores: bodies, and their points in contact."""
@@ -162,13 +171,15 @@ class FreeBodyCoupling:
         )  # fmt: skip
         reach = max(body_contact.MARGIN_CELLS * plan.dx, dt * float(bodies.speeds().max()))
         size = np.array(plan.cells) * plan.dx
+        pairs = find_pairs(self.search, table, self.movers.table, self.number_of, reach, plan.dx)
         while True:
             count = body_contact.find_wall_contacts(
-                self.surface, table, size, self.engine.walls, reach, plan.dx, self.points, 0
-            )
+                self.surface, self.search, table, size, self.engine.walls, reach, plan.dx,
+                self.points, 0,
+            )  # fmt: skip
             count = body_contact.find_body_contacts(
-                self.surface, table, self.movers.table, dt, self.number_of, reach, plan.dx,
-                self.points, count,
+                self.surface, self.search, pairs, table, self.movers.table, dt, self.number_of,
+                reach, plan.dx, self.points, count,
             )  # fmt: skip
             if count <= len(self.points.gap):
                 break

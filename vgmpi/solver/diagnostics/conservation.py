@@ -48,6 +48,10 @@ def conservation_rows(simulation: Simulation) -> list[dict]:
     if tally is not None:
         for k, entry in enumerate(entries):
             entry |= _flow(tally, k, flow)
+    if simulation.bodies is not None:
+        bodies = simulation.bodies.bodies.conserved(plan.gravity_at(simulation.time))
+        for k, entry in enumerate(entries):
+            entry |= {name: value if k == 0 else 0.0 for name, value in bodies.items()}
     return entries
 
 
@@ -132,6 +136,10 @@ def format_drift(first: list[dict], last: list[dict]) -> str:
         sum(e[f"{kind}_energy"] for e in entries for kind in ("kinetic", "elastic", "potential"))
         for entries in (first, last)
     ]
+    for k, entries in enumerate((first, last)):
+        energy[k] += sum(
+            e.get(f"rigid_{kind}_energy", 0.0) for e in entries for kind in ("kinetic", "potential")
+        )
     low, high = min(e["J_min"] for e in last), max(e["J_max"] for e in last)
     return (
         f"mass {mass[1]:.6g} kg ({label} {change:+.1e}), "

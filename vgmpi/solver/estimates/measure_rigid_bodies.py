@@ -1,0 +1,70 @@
+"""Free rigid bodies measured at the start: thickness, surface points, overlaps."""
+
+import numpy as np
+
+from vgmpi.kernels.rigid.moving_colliders import SDF_SPACING_CELLS
+from vgmpi.kernels.rigid.static_colliders import SDF_BAND_CELLS
+from vgmpi.planning.rigid_bodies import Overlap, RigidBodiesSummary, RigidBodySummary
+
+MIN_OVERLAP_CELLS = 0.25  # [cells] depth above which an overlap is told
+SURFACE_BAND = 0.6  # [spacings] of surface_points
+MAX_SAMPLES = 500_000  # [points] of a body that are evaluated together
+
+
+def measure_rigid_bodies(colliders: list, dx: float) -> RigidBodiesSummary:
+    """Return the free rigid bodies among colliders, and their overlaps with each other and others.
+
+    Args:
+        colliders: Colliders at the start.
+        dx: Cell size [m].
+    """
+    rows = [m for m, collider in enumerate(colliders) if collider.body is not None]
+    if not rows:
+        return RigidBodiesSummary()
+    ends = np.array([collider.ends() for collider in colliders])
+    bodies: list[RigidBodySummary] = []
+    overlaps: dict[tuple[int, int], float] = {}
+    for m in rows:
+        collider = colliders[m]
+        depth, surface = _surface(collider, dx)
+        shape = np.ceil((np.ptp(ends[m], axis=0) / dx + 2 * SDF_BAND_CELLS + 2) / SDF_SPACING_CELLS)
+        bodies.append(
+            RigidBodySummary(
+                collider.name,
+                float(collider.body.mass),
+                2.0 * depth,
+                len(surface),
+                8 * int(np.prod(shape + 1)),
+            )  # fmt: skip
+        )
+        meets = (ends[:, 0] < ends[m, 1]).all(1) & (ends[:, 1] > ends[m, 0]).all(1)
+        for other in map(int, np.flatnonzero(meets)):
+            if other != m:
+                inside = -float(colliders[other].distance(surface).min(initial=np.inf))
+                pair = (m, other) if m < other else (other, m)
+                overlaps[pair] = max(overlaps.get(pair, 0.0), inside)
+    pairs = [
+        Overlap(colliders[a].name, colliders[b].name, depth)
+        for (a, b), depth in overlaps.items()
+        if depth > MIN_OVERLAP_CELLS * dx
+    ]
+    return RigidBodiesSummary(tuple(bodies), tuple(sorted(pairs, key=lambda pair: -pair.depth)))
+
+
+def _surface(collider, dx: float) -> tuple[float, np.ndarray]:
+    """Return the largest depth [m] in a collider, and points on its surface, shape (n, 3) [m]."""
+    low, high = collider.ends()
+    spacing = SDF_SPACING_CELLS * dx
+    shape = 2 * np.ceil(0.5 * (high - low) / spacing).astype(np.int64) + 3
+    start = 0.5 * (low + high) - 0.5 * spacing * (shape - 1)  # the middle is one of the points
+    depth, pieces, total = 0.0, [], int(np.prod(shape))
+    for first in range(0, total, MAX_SAMPLES):
+        index = np.unravel_index(np.arange(first, min(first + MAX_SAMPLES, total)), shape)
+        x = start + spacing * np.stack(index, -1)
+        distance = collider.distance(x)
+        depth = max(depth, -float(distance.min()))
+        x = x[np.abs(distance) < SURFACE_BAND * spacing]
+        for _ in range(2 if len(x) else 0):
+            x = x - collider.distance(x)[:, None] * collider.normal(x)
+        pieces.append(x)
+    return depth, np.concatenate(pieces)
