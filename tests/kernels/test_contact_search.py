@@ -67,8 +67,9 @@ def contacts(coupling, search, reach, dx=0.01):
     """(rows of the table of contacts by column, number of pairs)."""
     bodies, movers = coupling.bodies, coupling.movers.table
     table = body_contact.BodyTable(
-        bodies.rows, bodies.x, bodies.rotations(), bodies.radius, bodies.friction
-    )
+        bodies.rows, bodies.x, bodies.rotations(), bodies.radius, bodies.friction,
+        np.zeros((len(bodies.rows), 0), bool),
+    )  # fmt: skip
     pairs = find_pairs(search, table, movers, coupling.number_of, reach, dx)
     out, size = body_contact.contact_points(4000), np.full(3, 0.4)
     common = reach, dx, out
