@@ -128,6 +128,7 @@ def test_a_fixed_step_gives_its_steps(tmp_path):
     [
         (FALLS.replace("cell = 0.016", "cell = 0.032"), "it has too few cells"),
         (FALLS.replace("0.016", "0.02").replace(BLOCK, CRUMB), "too small or thin"),
+        (FALLS + TAP.replace("0.2]", "0.287]"), "the nozzle leaves the domain"),
     ],
 )  # fmt: skip
 def test_it_says_why_it_cannot(tmp_path, caplog, text, why):

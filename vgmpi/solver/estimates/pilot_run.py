@@ -52,9 +52,9 @@ def pilot_run(
     """
     reason, level = "it has too few cells", logging.DEBUG if quiet else logging.INFO
     for count in _cell_counts(scene):
-        coarse = _coarsened(scene, count)
-        log.log(level, "pilot run in cells of %.4g m", coarse.domain.cell)
         try:
+            coarse = _coarsened(scene, count)  # what fits the scene's cells may not fit these
+            log.log(level, "pilot run in cells of %.4g m", coarse.domain.cell)
             return _play(scene, plan, summary, coarse)
         except SceneError as error:
             reason = error.lines[0]
