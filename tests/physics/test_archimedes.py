@@ -124,12 +124,12 @@ def test_slab(tmp_path, edge):
 
 @pytest.mark.slow
 def test_square_plate_of_8_cells(tmp_path):
-    hold(float_up(tmp_path, 8, 6, slab=False, drop=2, end=1.6), 8, slab=False)
+    hold(float_up(tmp_path, 8, 6, slab=False, drop=2, end=2.4), 8, slab=False)
 
 
 @pytest.mark.slow
 def test_small_plate(tmp_path):
-    """6 cells: it floats too high by what its gaps displace."""
+    """6 cells: gaps displace, too; water runs under it, since contact fades a cell from it."""
     found = float_up(tmp_path, 6, 6, slab=False, drop=2, end=2.4, viscosity=3.0)
     swelled = SHARE * (12 / (12 + 2 * found.beside)) ** 2 - found.below / 6
     print(found)
@@ -141,4 +141,6 @@ def test_small_plate(tmp_path):
         kind="absolute",
         source="(rho_s / rho_w) W^2 / (W + 2 gap)^2 - gap below / H",
         note=f"gaps {found.below:.2f} below, {found.beside:.2f} cells beside it; exact {SHARE}",
+        expected=False,
+        deviation=True,
     )
