@@ -178,6 +178,18 @@ def test_the_plan_warns_of_an_overlap_with_a_collider(tmp_path):
     assert "log and post overlap at the start by 0.5 cells (0.005 m)" in report_of(tmp_path, text)
 
 
+@pytest.mark.parametrize(("kind", "count"), [("fixed", 0), ("spring", 1)])
+def test_the_plan_accepts_an_overlap_of_jointed_bodies(tmp_path, kind, count):
+    """They do not collide, but for those at the ends of a spring."""
+    shape = "sphere = { center = [0.265, 0.1, 0.15], radius = 0.03 }"
+    text = SCENE + MORE.format(name="other", material="oak", shape=shape)
+    more = "to = [0.26, 0.1, 0.15]\nstiffness = 10\n" if kind == "spring" else ""
+    text += (
+        f'[[joint]]\nkind = "{kind}"\nbetween = ["log", "other"]\nat = [0.24, 0.1, 0.15]\n{more}'
+    )
+    assert report_of(tmp_path, text).count("overlap at the start") == count
+
+
 STEEL = '[material.steel]\nkind = "elastic"\ndensity = 7800\nyoungs_modulus = {modulus}\n'
 ANVIL = """
 [[object]]

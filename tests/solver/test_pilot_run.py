@@ -5,6 +5,7 @@ and of the rehearsal.
 """
 
 import dataclasses
+import logging
 import math
 import re
 
@@ -138,6 +139,21 @@ def test_it_says_why_it_cannot(tmp_path, caplog, text, why):
         assert pilot_run(scene, plan_for(scene, known), known) is None
     said = "no pilot run in coarser cells is possible"
     assert re.search(f"{said}: (\\S+: \\S+: )?{why}", caplog.text)
+
+
+def test_it_is_silent_about_the_coarser_cells(tmp_path, caplog):
+    """A wall of 3 cells is less than 2 of the pilot run's."""
+    wall = "box = [[0.56, 0, 0], [0.608, 0.16, 0.2]]"
+    text = (
+        FALLS
+        + f'[[object]]\nname = "wall"\nrole = "scenery"\ncollider = true\nshape = {{ {wall} }}\n'
+    )
+    scene = vgmpi.load(write(tmp_path, text.replace("end = 0.5", "end = 0.02")))
+    known = prepare(scene, SerialCommunicator(), None)
+    with caplog.at_level("INFO", "vgmpi"):
+        assert pilot_run(scene, plan_for(scene, known), known) is not None
+        assert caplog.text.count("pilot run in cells of") == 1 and "cells thick" not in caplog.text
+        assert logging.getLogger("vgmpi").level == logging.INFO
 
 
 def test_what_is_ahead_adds_up_to_all_of_it(monkeypatch):

@@ -93,7 +93,8 @@ def _warnings(plan: Plan, density: dict[str, float]) -> list[str]:
             f"  warning     {_listing(light)}: rigid and lighter than {MIN_DENSITY_RATIO:g} of the"
             f" heaviest that it may meet, {heaviest:g} kg/m3: not tested"
         )
-    overlaps = plan.rigid.overlaps
+    joined = {frozenset(joint.between) for joint in plan.joints if joint.kind != "spring"}
+    overlaps = [o for o in plan.rigid.overlaps if frozenset((o.name, o.other)) not in joined]
     for pair in overlaps[:MAX_LINES]:
         names = map(escape_control_characters, (pair.name, pair.other))
         lines.append(

@@ -4,9 +4,11 @@ The cost of a step depends on where particles are: particles near other bodies c
 do blocks that are not full. A run in cells 2.5 times as large takes about a fortieth of the work.
 """
 
+import contextlib
 import logging
 import math
 import time
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -55,7 +57,8 @@ def pilot_run(
         try:
             coarse = _coarsened(scene, count)  # what fits the scene's cells may not fit these
             log.log(level, "pilot run in cells of %.4g m", coarse.domain.cell)
-            return _play(scene, plan, summary, coarse)
+            with _without_warnings():
+                return _play(scene, plan, summary, coarse)
         except SceneError as error:
             reason = error.lines[0]
         except BlowUp as error:
@@ -66,6 +69,17 @@ def pilot_run(
         reason,
     )
     return None
+
+
+@contextlib.contextmanager
+def _without_warnings() -> Iterator[None]:
+    """Leave out warnings, which would be about the coarser cells."""
+    level = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
 
 
 def pilot_seconds(scene: Scene, plan: Plan, pace: Throughput) -> float:
