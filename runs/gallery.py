@@ -38,6 +38,7 @@ ONE = ["object.snowman.phase=one", "object.ball.phase=one"]
 BEST = {  # of a run, the picture of the first page
     "faucet": 0.3, "castle_falls": 1.0, "snowball": 0.12, "water_on_snow": 0.3,
     "castle_flood": 0.2, "snowman": 0.062, "two_liquids": 0.3, "sandbox": 1.0,
+    "driftwood": 0.4, "water_wheel": 0.6, "honey_dipper": 0.6,
 }  # fmt: skip
 SLOW = ["object.ball.velocity=[1, 0, 0.5]", "time.end=1"]
 # folder: its variants, each a name, what is said of it and what is set. One that has a scene of its
@@ -62,6 +63,9 @@ SCENES: dict[str, list[tuple[str, str, list[str]]]] = {
         ("fast", "diffusion 20 cm2/s", ["coupling.0.diffusivity=2e-3"]),
     ],
     "sandbox": [],
+    "driftwood": [],
+    "water_wheel": [],
+    "honey_dipper": [],
 }
 
 
@@ -140,7 +144,7 @@ def sheet(to: Path) -> None:
     if all((HERE / name / "out" / "png").is_dir() for name in SCENES):
         shown = [small(HERE / name / "out", BEST[name]) for name in SCENES]
         half = len(shown) // 2
-        rows = [np.hstack(row) for row in (shown[:half], shown[half:])]
+        rows = [np.hstack(row) for row in (shown[:half], shown[half : 2 * half])]
         iio.imwrite(to, np.vstack(rows), quality=88)
 
 
@@ -150,8 +154,15 @@ def told() -> str:
     return f"{known['cores']} cores of {known['name']}" + (f" with {vectors}" if vectors else "")
 
 
+def sections_by_title() -> dict[str, str]:
+    """The sections of the page as it is."""
+    parts = PAGE.read_text().split("\n## ")[1:] if PAGE.is_file() else []
+    return {part.split("\n", 1)[0]: f"## {part.rstrip()}\n" for part in parts}
+
+
 def page(machine: str) -> str:
-    """docs/gallery.md of the records that there are."""
+    """docs/gallery.md of the records that there are; other scenes keep their sections."""
+    before = sections_by_title()
     out = [
         "# Gallery",
         "",
@@ -165,6 +176,9 @@ def page(machine: str) -> str:
     ]
     for name, variants in SCENES.items():
         title = (HERE / name / "README.md").read_text().splitlines()[0].lstrip("# ")
+        if title in before and not (HERE / name / "out" / "record.json").is_file():
+            out += [before[title]]
+            continue
         out += [f"## {title}", "", f"`runs/{name}`", ""]
         for label, said in [("", "")] + [(label, said) for label, said, _ in variants]:
             record = HERE / name / "out" / label / "record.json"

@@ -15,6 +15,8 @@ RUNS = Path(__file__).resolve().parents[2] / "runs"
 SHORT = ("--set", "time.end=0.04", "--set", "time.frames=2")
 # their walls are open, and end what is within a cell of them
 FINER = ("snowball", "snowman")
+# too thin for coarse cells: test_free_body_bits.py, test_joint_bits.py and test_slip_bits.py
+ELSEWHERE = {"driftwood", "water_wheel", "honey_dipper"}
 
 
 def _gallery():
@@ -32,7 +34,7 @@ def ducks(tmp_path_factory):
         gallery.call(gallery.sys.executable, RUNS / "assets/make_assets.py", RUNS / "faucet/assets")
 
 
-@pytest.mark.parametrize("name", sorted(_gallery().SCENES))
+@pytest.mark.parametrize("name", sorted(set(_gallery().SCENES) - ELSEWHERE))
 def test_the_same_bits(name, tmp_path):
     found, cell = [], 2 if name in FINER else 4
     for n in (1, 2, 3):
