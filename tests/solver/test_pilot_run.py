@@ -141,6 +141,14 @@ def test_it_says_why_it_cannot(tmp_path, caplog, text, why):
     assert re.search(f"{said}: (\\S+: \\S+: )?{why}", caplog.text)
 
 
+def test_it_is_given_up_where_it_takes_too_long(tmp_path, caplog):
+    scene = vgmpi.load(write(tmp_path, FALLS))
+    known = prepare(scene, SerialCommunicator(), None)
+    with caplog.at_level("WARNING", "vgmpi"):
+        assert pilot_run(scene, plan_for(scene, known), known, max_seconds=1e-6) is None
+    assert caplog.text.count("is possible: it takes more than 1e-06 s") == 1
+
+
 def test_it_is_silent_about_the_coarser_cells(tmp_path, caplog):
     """A wall of 3 cells is less than 2 of the pilot run's."""
     wall = "box = [[0.56, 0, 0], [0.608, 0.16, 0.2]]"

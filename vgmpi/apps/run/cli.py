@@ -2,6 +2,7 @@
 
 import argparse
 import logging
+import math
 import os
 import re
 import signal
@@ -241,7 +242,8 @@ def _command(args: argparse.Namespace, ranks: SerialCommunicator) -> int:
         is_short = start_time == 0 and pilot_seconds(scene, plan, pace) < PILOT_SECONDS
         is_quick = is_short and is_compiled(plan)
         is_wanted = args.pilot or is_quick
-        pilot = pilot_run(scene, plan, summary, not args.pilot) if is_wanted else None
+        limit = math.inf if args.pilot else PILOT_SECONDS  # estimates may be wrong
+        pilot = pilot_run(scene, plan, summary, not args.pilot, limit) if is_wanted else None
         print(format_plan(scene, plan, ranks.size, start_time, pace, pilot))
         if args.engine == "cuda":
             print(card_module(ranks).memory_report(plan, ranks.size))

@@ -38,9 +38,14 @@ CORNERS = np.stack(np.meshgrid(*((-1.0, 1.0),) * 3, indexing="ij"), -1).reshape(
 SNAPSHOTS = 24  # largest number of snapshots
 
 
+class PilotTimeout(RuntimeError):
+    """Error of a pilot run that takes longer than it may."""
+
+
 def pilot_run(
-    scene: Scene, plan: Plan, summary: ParticleSummary, quiet: bool = False
-) -> PilotRun | None:
+    scene: Scene, plan: Plan, summary: ParticleSummary, quiet: bool = False,
+    max_seconds: float = math.inf,
+) -> PilotRun | None:  # fmt: skip
     """Play the scene in coarser cells on this rank alone, and write nothing.
 
     Args:
@@ -48,6 +53,7 @@ def pilot_run(
         plan: Its plan.
         summary: Summary of its particles.
         quiet: Whether nothing is said, as it was not asked for.
+        max_seconds: Processor time [s] after which it is given up.
 
     Returns:
         The result, or None, with a logged reason, if no coarser cells can play the scene.
@@ -58,11 +64,14 @@ def pilot_run(
             coarse = _coarsened(scene, count)  # what fits the scene's cells may not fit these
             log.log(level, "pilot run in cells of %.4g m", coarse.domain.cell)
             with _without_warnings():
-                return _play(scene, plan, summary, coarse)
+                return _play(scene, plan, summary, coarse, max_seconds)
         except SceneError as error:
             reason = error.lines[0]
         except BlowUp as error:
             reason = str(error)
+        except PilotTimeout:  # finer cells take longer
+            reason = f"it takes more than {max_seconds:g} s"
+            break
     log.log(
         logging.DEBUG if quiet else logging.WARNING,
         "no pilot run in coarser cells is possible: %s",
@@ -111,18 +120,31 @@ def _coarsened(scene: Scene, count: int) -> Scene:
     return load(scene.path, (*scene.overrides, *overrides), scene.text)
 
 
-def _play(scene: Scene, plan: Plan, summary: ParticleSummary, coarse: Scene) -> PilotRun:
-    """Run the coarse scene and take snapshots at evenly chosen frames."""
+def _play(
+    scene: Scene, plan: Plan, summary: ParticleSummary, coarse: Scene, max_seconds: float
+) -> PilotRun:
+    """Run the coarse scene and take snapshots at evenly chosen frames.
+
+    Args:
+        scene, plan, summary, max_seconds: See `pilot_run`.
+        coarse: The scene in coarser cells.
+
+    Raises:
+        PilotTimeout: If the steps take longer than `max_seconds`.
+    """
     start, snapshots = time.monotonic(), []
     with prepared_run(coarse, SerialCommunicator(), Options(None)) as run:
         step_ratio = time_step_bounds(coarse, run.plan)[0][0] / time_step_bounds(scene, plan)[0][0]
         if plan.fixed_dt and run.plan.fixed_dt:
             step_ratio = run.plan.fixed_dt / plan.fixed_dt
         interval, steps_before = math.ceil(len(run.times) / SNAPSHOTS), 0
+        first_second = time.process_time()
 
         def look(run: Runner) -> None:
             """Take a snapshot if the frame is due."""
             nonlocal steps_before
+            if time.process_time() - first_second > max_seconds:
+                raise PilotTimeout
             if run.frame and (run.frame % interval == 0 or run.frame == len(run.times) - 1):
                 steps, steps_before = run.simulation.step - steps_before, run.simulation.step
                 snapshots.append(
