@@ -50,7 +50,9 @@ def one(tmp_path_factory):
     return scene, digests(folder / "one")
 
 
-@pytest.mark.parametrize("ranks, flags", [(2, []), (3, []), (1, ["--threads", "2"])])
+@pytest.mark.parametrize(
+    "ranks, flags", [(2, []), (3, []), (4, []), (7, []), (1, ["--threads", "2"])]
+)
 def test_any_ranks_and_threads(one, tmp_path, ranks, flags):
     assert_same_files(*one, tmp_path / "out", ranks, *flags)
 
