@@ -9,9 +9,9 @@ import signal
 
 import pytest
 
-from tests.support.file_digests import assert_same_files, digests, frame_digests
+from tests.support.file_digests import assert_same_files, digests, frame_digests, run_on_one_rank
 from tests.support.launch import finish, go, on_ranks, start, until
-from tests.support.small_scenes import MIXED, write
+from tests.support.small_scenes import MIXED
 
 pytestmark = pytest.mark.mpi
 
@@ -22,10 +22,7 @@ PRECISIONS = ("single", "double")
 def one(request, tmp_path_factory):
     """The scene, and the digests of its files when run on one rank."""
     folder = tmp_path_factory.mktemp(request.param)
-    scene = write(folder, MIXED.replace("PRECISION", request.param))
-    job = go(scene, folder / "one", 1)
-    assert job.returncode == 0, job.stderr
-    found = digests(folder / "one")
+    scene, found = run_on_one_rank(folder, MIXED.replace("PRECISION", request.param))
     assert sum("frame_" in name for name in found) > 20
     assert sum("checkpoint_" in name for name in found) > 20
     return scene, found

@@ -8,6 +8,7 @@ from tests.support.file_digests import (
     assert_same_files,
     digests,
     frame_digests,
+    run_on_one_rank,
 )
 from tests.support.launch import go
 from tests.support.small_scenes import MIXED, write
@@ -22,10 +23,7 @@ SCENE = MIXED.replace("PRECISION", "single").replace(
 @pytest.fixture(scope="module")
 def one(tmp_path_factory):
     folder = tmp_path_factory.mktemp("dilatation")
-    scene = write(folder, SCENE)
-    job = go(scene, folder / "one", 1)
-    assert job.returncode == 0, job.stderr
-    return scene, digests(folder / "one")
+    return run_on_one_rank(folder, SCENE)
 
 
 def test_it_is_another_motion(one, tmp_path):

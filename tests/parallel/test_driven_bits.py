@@ -5,9 +5,9 @@ that are let go, when the wall is gone."""
 import numpy as np
 import pytest
 
-from tests.support.file_digests import assert_same_files, digests, frame_digests
+from tests.support.file_digests import assert_same_files, digests, frame_digests, run_on_one_rank
 from tests.support.launch import go
-from tests.support.small_scenes import MIXED, write
+from tests.support.small_scenes import MIXED
 from vgmpi.io import checkpoint
 from vgmpi.io.csv_log import read_rows
 from vgmpi.solver.restart.checkpoint_validation import Mismatch, check_attrs
@@ -40,10 +40,7 @@ release_end_time = "35 ms"
 @pytest.fixture(scope="module")
 def one(tmp_path_factory):
     folder = tmp_path_factory.mktemp("driven")
-    scene = write(folder, SCENE)
-    job = go(scene, folder / "one", 1)
-    assert job.returncode == 0, job.stderr
-    return scene, digests(folder / "one"), folder / "one"
+    return *run_on_one_rank(folder, SCENE), folder / "one"
 
 
 def test_they_are_let_go(one):

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from tests.parallel.test_moving_bits import SCENE
-from tests.support.file_digests import assert_same_files, digests
+from tests.support.file_digests import assert_same_files, digests, run_on_one_rank
 from tests.support.launch import go
-from tests.support.small_scenes import write
 from vgmpi.scene.probes import WALL_NAMES
 
 pytestmark = pytest.mark.mpi
@@ -25,10 +24,7 @@ ASKED = SCENE + "".join(
 @pytest.fixture(scope="module")
 def one(tmp_path_factory):
     folder = tmp_path_factory.mktemp("forces")
-    scene = write(folder, ASKED)
-    job = go(scene, folder / "one", 1)
-    assert job.returncode == 0, job.stderr
-    return scene, digests(folder / "one"), folder / "one"
+    return *run_on_one_rank(folder, ASKED), folder / "one"
 
 
 def column(folder, name, key):

@@ -3,9 +3,11 @@ a restart while they touch water, each other and a wall."""
 
 import pytest
 
-from tests.support.file_digests import assert_same_after_stop, assert_same_files, digests
-from tests.support.launch import go
-from tests.support.small_scenes import write
+from tests.support.file_digests import (
+    assert_same_after_stop,
+    assert_same_files,
+    run_on_one_rank,
+)
 
 pytestmark = pytest.mark.mpi
 
@@ -55,10 +57,7 @@ shape = { box = [["23 cm", "5 cm", "7 cm"], ["28 cm", "11 cm", "9 cm"]] }
 @pytest.fixture(scope="module")
 def one(tmp_path_factory):
     folder = tmp_path_factory.mktemp("free")
-    scene = write(folder, SCENE)
-    job = go(scene, folder / "one", 1)
-    assert job.returncode == 0, job.stderr
-    return scene, digests(folder / "one")
+    return run_on_one_rank(folder, SCENE)
 
 
 @pytest.mark.parametrize(

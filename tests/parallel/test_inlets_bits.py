@@ -6,7 +6,7 @@ import csv
 import h5py
 import pytest
 
-from tests.support.file_digests import assert_same_files, digests
+from tests.support.file_digests import assert_same_files, digests, run_on_one_rank
 from tests.support.launch import go
 from tests.support.small_scenes import MIXED, write
 
@@ -80,10 +80,7 @@ shape = { box = [[0.155, 0, 0], [0.4, 0.2, 0.4]] }
 @pytest.fixture(scope="module")
 def one(tmp_path_factory):
     folder = tmp_path_factory.mktemp("inlets")
-    scene = write(folder, SCENE)
-    job = go(scene, folder / "one", 1)
-    assert job.returncode == 0, job.stderr
-    return scene, digests(folder / "one"), folder / "one"
+    return *run_on_one_rank(folder, SCENE), folder / "one"
 
 
 def fluid(folder):

@@ -4,9 +4,11 @@ restart while they touch water, each other and a wall."""
 import pytest
 
 from tests.parallel.test_free_body_bits import SCENE as FREE
-from tests.support.file_digests import assert_same_after_stop, assert_same_files, digests
-from tests.support.launch import go
-from tests.support.small_scenes import write
+from tests.support.file_digests import (
+    assert_same_after_stop,
+    assert_same_files,
+    run_on_one_rank,
+)
 
 pytestmark = pytest.mark.mpi
 
@@ -44,10 +46,7 @@ joint = "lid"
 @pytest.fixture(scope="module")
 def one(tmp_path_factory):
     folder = tmp_path_factory.mktemp("jointed")
-    scene = write(folder, SCENE)
-    job = go(scene, folder / "one", 1)
-    assert job.returncode == 0, job.stderr
-    return scene, digests(folder / "one")
+    return run_on_one_rank(folder, SCENE)
 
 
 @pytest.mark.parametrize(

@@ -5,9 +5,9 @@ import csv
 
 import pytest
 
-from tests.support.file_digests import assert_same_files, digests
+from tests.support.file_digests import assert_same_files, digests, run_on_one_rank
 from tests.support.launch import go
-from tests.support.small_scenes import MIXED, write
+from tests.support.small_scenes import MIXED
 from vgmpi.io import csv_log, file_layout
 from vgmpi.parallel.communicator import SerialCommunicator
 
@@ -75,10 +75,7 @@ wall = "all"
 @pytest.fixture(scope="module")
 def one(tmp_path_factory):
     folder = tmp_path_factory.mktemp("loads")
-    scene = write(folder, SCENE)
-    job = go(scene, folder / "one", 1)
-    assert job.returncode == 0, job.stderr
-    found = digests(folder / "one")
+    scene, found = run_on_one_rank(folder, SCENE)
     assert sum(name.startswith("probe_") for name in found) == 6
     return scene, found, folder / "one"
 

@@ -5,9 +5,9 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.support.file_digests import assert_same_files, digests, frame_digests
+from tests.support.file_digests import assert_same_files, digests, frame_digests, run_on_one_rank
 from tests.support.launch import go
-from tests.support.small_scenes import MIXED, write
+from tests.support.small_scenes import MIXED
 
 pytestmark = pytest.mark.mpi
 
@@ -37,10 +37,7 @@ motion = { angular_velocity = "300 rpm", axis = "y", velocity = [0.2, 0, 0], end
 @pytest.fixture(scope="module")
 def one(tmp_path_factory):
     folder = tmp_path_factory.mktemp("moving")
-    scene = write(folder, SCENE)
-    job = go(scene, folder / "one", 1)
-    assert job.returncode == 0, job.stderr
-    return scene, digests(folder / "one"), folder / "one"
+    return *run_on_one_rank(folder, SCENE), folder / "one"
 
 
 def poses(folder, number):

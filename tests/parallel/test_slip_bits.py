@@ -3,9 +3,11 @@ number of ranks and threads and after a restart."""
 
 import pytest
 
-from tests.support.file_digests import assert_same_after_stop, assert_same_files, digests
-from tests.support.launch import go
-from tests.support.small_scenes import write
+from tests.support.file_digests import (
+    assert_same_after_stop,
+    assert_same_files,
+    run_on_one_rank,
+)
 
 pytestmark = pytest.mark.mpi
 
@@ -57,10 +59,7 @@ SCENES = {"colliders": COLLIDERS, "body": COLLIDERS + BODY}
 @pytest.fixture(scope="module", params=list(SCENES))
 def one(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("slip")
-    scene = write(folder, SCENES[request.param])
-    job = go(scene, folder / "one", 1)
-    assert job.returncode == 0, job.stderr
-    return scene, digests(folder / "one")
+    return run_on_one_rank(folder, SCENES[request.param])
 
 
 @pytest.mark.parametrize(

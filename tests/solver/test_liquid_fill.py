@@ -147,7 +147,8 @@ def test_a_ledger_without_the_columns_goes_on_without_them(tmp_path, monkeypatch
     with monkeypatch.context() as earlier:
         earlier.setattr(run, "liquid_phases", lambda plan: [])
         assert cli.main([str(path), "-q", "-o", str(out), "--stop-after", "30 steps"]) == 75
-    assert not csv_log.has_liquid_columns(out / "ledger.csv", True)
+    liquids, _ = csv_log.optional_ledger_columns(out / "ledger.csv", True, False)
+    assert not liquids
     assert cli.main([str(path), "-q", "-o", str(out), "--resume"]) == 0
     names = (out / "ledger.csv").read_text().splitlines()[0].split(",")
     assert file_layout.LIQUID_COLUMNS[0].name not in names

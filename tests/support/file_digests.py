@@ -5,6 +5,7 @@ import hashlib
 import h5py
 
 from tests.support.launch import go
+from tests.support.small_scenes import write
 
 
 def files(folder) -> dict[str, bytes]:
@@ -41,6 +42,14 @@ def _sha(value):
 def frame_digests(found: dict[str, str]) -> dict[str, str]:
     """Those of the frames and the ledger: a restart has checkpoints of its own."""
     return {name: sha for name, sha in found.items() if "frame_" in name or "ledger" in name}
+
+
+def run_on_one_rank(folder, text):
+    """(scene, digests of the files) of a run of a scene's text, in `folder`/one."""
+    scene = write(folder, text)
+    job = go(scene, folder / "one", 1)
+    assert job.returncode == 0, job.stderr
+    return scene, digests(folder / "one")
 
 
 def assert_same_files(scene, expected, folder, ranks, *flags):

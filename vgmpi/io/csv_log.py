@@ -130,8 +130,8 @@ class ConservationLog(CsvLog):
         """
         path = Path(folder) / file_layout.LEDGER
         if last_step is not None:
-            liquids = ranks.bcast(ranks.rank == 0 and has_liquid_columns(path, liquids))
-            rigid = ranks.bcast(ranks.rank == 0 and has_rigid_columns(path, rigid))
+            present = ranks.rank == 0 and optional_ledger_columns(path, liquids, rigid)
+            liquids, rigid = ranks.bcast(present)
         super().__init__(path, ledger_columns(flows, liquids, rigid), ranks, last_step)
 
 
@@ -148,28 +148,22 @@ def ledger_columns(flows: bool, liquids: bool, rigid: bool = False) -> list[file
     return [*file_layout.LEDGER_COLUMNS, *more] if more else file_layout.LEDGER_COLUMNS
 
 
-def has_liquid_columns(path: Path, otherwise: bool) -> bool:
-    """Return whether a ledger has the columns of liquids, which earlier versions did not write.
+def optional_ledger_columns(path: Path, liquids: bool, rigid: bool) -> tuple[bool, bool]:
+    """Return whether a ledger has the columns of liquids, and those of free rigid bodies.
 
     Args:
         path: File of the ledger.
-        otherwise: Result if there is no readable file.
+        liquids, rigid: Results if there is no readable file.
     """
-    return _has_column(path, file_layout.LIQUID_COLUMNS[0].name, otherwise)
-
-
-def has_rigid_columns(path: Path, otherwise: bool) -> bool:
-    """Return whether a ledger has the columns of rigid bodies; path, otherwise: as above."""
-    return _has_column(path, file_layout.RIGID_COLUMNS[0].name, otherwise)
-
-
-def _has_column(path: Path, name: str, otherwise: bool) -> bool:
-    """Return whether a table has a column, `otherwise` if there is no readable file."""
     try:
         text = safe_open.read_regular_file(path, MAX_BYTES, follow=False)
     except OSError:
-        return otherwise
-    return name.encode() in text.split(b"\n", 1)[0].split(b",")
+        return liquids, rigid
+    names = text.split(b"\n", 1)[0].split(b",")
+    return (
+        file_layout.LIQUID_COLUMNS[0].name.encode() in names,
+        file_layout.RIGID_COLUMNS[0].name.encode() in names,
+    )
 
 
 def verify_logs(

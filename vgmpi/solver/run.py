@@ -8,13 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from vgmpi.io import checkpoint, file_layout, run_lock
-from vgmpi.io.csv_log import (
-    ConservationLog,
-    CsvLog,
-    has_liquid_columns,
-    has_rigid_columns,
-    ledger_columns,
-)
+from vgmpi.io.csv_log import ConservationLog, CsvLog, ledger_columns, optional_ledger_columns
 from vgmpi.io.csv_log import verify_logs as check_tables
 from vgmpi.io.frames import Frames
 from vgmpi.io.run_reader import particle_set_id
@@ -299,9 +293,10 @@ def prepared_run(
             scene = with_accuracy_of_run(scene, attrs["scene"])
             history = _history(scene, attrs, options.change)
             ledger = folder / file_layout.LEDGER
-            liquids = ranks.rank == 0 and has_liquid_columns(ledger, False)  # rank 0 reads tables
-            rigid = ranks.rank == 0 and has_rigid_columns(ledger, False)
-            columns = ledger_columns(scene.is_open_system, liquids, rigid)
+            present = False, False
+            if ranks.rank == 0:  # it reads the tables
+                present = optional_ledger_columns(ledger, *present)
+            columns = ledger_columns(scene.is_open_system, *present)
             tables = {ledger: columns, **files(scene, folder)}
             check_tables(tables, ranks, attrs["step"], attrs.get("log_checksums", {}))
         summary = prepare(scene, ranks, folder, resumed)
