@@ -1,7 +1,7 @@
 """Probes of a scene: quantities measured during the run."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Container
 from typing import Annotated, Literal
 
 from pydantic import BeforeValidator
@@ -65,10 +65,10 @@ class Probe(StrictModel):
             return "one wall"
         return next(kind for kind in KINDS if getattr(self, kind) is not None)
 
-    def kind_in(self, objects: Iterable[Object]) -> str:
-        """Return the quantity that it measures in a scene with these objects."""
-        rigid = {obj.name for obj in objects if obj.rigid}
-        return "rigid body" if self.object in rigid else self.kind
+    def kind_among(self, rigid: Container[str]) -> str:
+        """Return the quantity that it measures in a scene with rigid bodies of these names."""
+        is_rigid = self.object is not None and self.object in rigid
+        return "rigid body" if is_rigid else self.kind
 
     @property
     def feels(self) -> bool:

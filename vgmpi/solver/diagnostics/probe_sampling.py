@@ -21,7 +21,8 @@ from .conservation import body_momentum
 
 def files(scene: Scene, folder: Path) -> dict[Path, list[file_layout.Dataset]]:
     """Return the files of all probes and their columns."""
-    kinds = {probe.name: probe.kind_in(scene.object) for probe in scene.probe}
+    rigid = {obj.name for obj in scene.object if obj.rigid}
+    kinds = {probe.name: probe.kind_among(rigid) for probe in scene.probe}
     return {
         folder / file_layout.PROBE_NAME.format(name): file_layout.PROBE_COLUMNS[kind]
         for name, kind in kinds.items()
@@ -48,6 +49,7 @@ class Probes:
         self.scene, self.simulation = scene, simulation
         self.rows: dict[str, list[dict]] = {probe.name: [] for probe in scene.probe}
         self.files: dict[str, CsvLog] = {}
+        self.rigid = {obj.name for obj in scene.object if obj.rigid}
         if folder is None:
             return
         for probe, (path, columns) in zip(scene.probe, files(scene, folder).items(), strict=True):
@@ -67,7 +69,7 @@ class Probes:
 
     def _sample(self, probe: Probe) -> None:
         """Measure one probe and append its row."""
-        measured = MEASURE[probe.kind_in(self.scene.object)](self, probe)
+        measured = MEASURE[probe.kind_among(self.rigid)](self, probe)
         if self.simulation.ranks.rank == 0:
             clock = {"time": self.simulation.time, "step": self.simulation.step}
             self.rows[probe.name].append(clock | measured)
