@@ -149,8 +149,8 @@ class FreeBodyCoupling:
         layers = engine.layers
         fields = tuple(layers[name].tables for name in NEAR_BODIES)
         nodes = body_nodes.NodesNearBodies(
-            self.near, self.movers.nodes, self.movers.whose, self.counts, layers["momentum"].nodes,
-            layers["offsets"].nodes, fields,
+            self.movers.table, self.near, self.movers.nodes, self.movers.whose, self.counts,
+            layers["momentum"].nodes, layers["offsets"].nodes, fields,
         )  # fmt: skip
         coupled = body_nodes.CoupledBodies(self.number_of, bodies.x, self.friction, self.slip)
         while True:
