@@ -10,7 +10,7 @@ from pydantic import BaseModel, ValidationError
 from vgmpi import materials
 from vgmpi.materials import couplings
 from vgmpi.materials.couplings.interaction import CONTACT
-from vgmpi.materials.material import kinds_with_preset
+from vgmpi.materials.material import kinds_with_preset, unknown_material
 from vgmpi.runtime.config import renamed_keys
 from vgmpi.runtime.config.schema import SceneError, format_input, format_validation_errors
 from vgmpi.runtime.config.toml_source import TomlSource
@@ -25,6 +25,7 @@ from .number_range import numbers_out_of_range
 from .object_files import find_object_file
 from .objects import Object, validate_body_name, validate_object, validate_release
 from .probes import Probe, collider_names, validate_probe
+from .regions import validate_region_kinds
 from .rigid_objects import as_collider, validate_particles, validate_rigid_scene
 from .scene import Scene, miscible_materials, phase_of
 from .sections import MAX_CELLS, SECTIONS, Appearance, Domain, Output, TopLevelKeys
@@ -80,7 +81,11 @@ class SceneLoader:
         role = None
         if None not in objects:
             role = {o.name: "rigid" if o.rigid else o.role for o in objects}
-            for validate in (validate_rigid_scene, validate_slip_lengths):
+            for validate in (
+                validate_rigid_scene,
+                validate_slip_lengths,
+                validate_region_kinds,
+            ):
                 self.errors += validate(objects, kinds, pairs, tables.get("accuracy"))
         joints = read_joints(self, data.get("joint", []), objects)
         self.check_color_bodies(tables.get("appearance"), role)
@@ -209,7 +214,7 @@ class SceneLoader:
             self.check_unique_name("object", k, item, first)
             material = item.get("material")
             if isinstance(material, str) and material not in kinds:
-                self.report_unknown_material(("object", k, "material"), material, kinds)
+                self.report(("object", k, "material"), unknown_material(material, kinds))
         pours = bool(self.source.data.get("inlet"))
         if not raw and not pours:
             self.report(("object",), "there is no object")
@@ -290,7 +295,7 @@ class SceneLoader:
         inlets = self.table_list(raw, "inlet", Inlet, complaints)
         for k, inlet in enumerate(inlets):
             if inlet is not None and inlet.material not in kinds:
-                self.report_unknown_material(("inlet", k, "material"), inlet.material, kinds)
+                self.report(("inlet", k, "material"), unknown_material(inlet.material, kinds))
         return inlets
 
     def check_phase_families(
@@ -324,11 +329,6 @@ class SceneLoader:
                 self.report((*path, "phase"), message)
                 break
 
-    def report_unknown_material(self, path: tuple, name: str, kinds: dict[str, Any]) -> None:
-        """Report a material name that no table defines."""
-        defined = f"defined are {', '.join(kinds)}" if kinds else "none is defined"
-        self.report(path, f"there is no [material.{name}]{did_you_mean(name, kinds)}; {defined}")
-
     def couplings(self, raw: Any, kinds: dict[str, Any]) -> list[Any]:
         """Return the couplings, None in place of invalid ones."""
         if not isinstance(raw, list):
@@ -343,7 +343,7 @@ class SceneLoader:
                 continue
             for index, name in enumerate(between):
                 if name not in kinds:
-                    self.report_unknown_material(("coupling", k, "between", index), name, kinds)
+                    self.report(("coupling", k, "between", index), unknown_material(name, kinds))
             two = [kinds.get(b) for b in between]
             if tables[-1] and len(two) == 2 and all(two) and (message := tables[-1].refuses(*two)):
                 self.report(("coupling", k, "between"), f"{message}; {format_input(between)}")

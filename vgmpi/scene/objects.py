@@ -19,6 +19,7 @@ from vgmpi.runtime.suggestions import did_you_mean
 
 from .initial_fields import FractionProfile, Spin, Velocity, VelocityMode
 from .keyframes import Time
+from .regions import Region, validate_regions
 from .rigid_motion import Motion, validate_motion
 from .rigid_objects import FreeBody, validate_rigid
 from .shapes import Axis, Corners, Shape, Sphere, validate_shape
@@ -29,6 +30,7 @@ SIZES = ("height", "width", "depth", "scale")
 PER_CELL = (1, 8, 27, 64)
 BODY_ONLY_KEYS = (
     "material",
+    "region",
     "velocity",
     "angular_velocity",
     "velocity_mode",
@@ -104,6 +106,8 @@ class Object(StrictModel):
     """body: has mass and moves. scenery: rendered only, or a collider"""
     material: str | None = None
     """name of a [material.*] table; required for a body, absent for scenery"""
+    region: Annotated[tuple[Region, ...] | None, BeforeValidator(_listed)] = None
+    """parts of another material of the same kind, a list of tables: [[object.region]]"""
     gaussians: str | None = None
     """a Gaussian file (.ply .splat .spz), relative to the scene's folder"""
     mesh: str | None = None
@@ -320,7 +324,7 @@ def validate_object(raw: dict) -> list[tuple[tuple, str]]:
     if "motion" in raw and scenery and not collider:
         errors.append((("motion",), "is for bodies, and for scenery with collider = true"))
     errors += validate_motion(raw.get("motion"), ("motion",))
-    errors += validate_rigid(raw, scenery)
+    errors += validate_regions(raw) + validate_rigid(raw, scenery)
     errors += validate_slip_length(raw, scenery)
     return errors + ([] if scenery else _validate_prescribed(raw))
 

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 
 # keys of bodies made of particles
 KEYS_OF_PARTICLES = (
+    "region",
     "motion",
     "release_time",
     "release_order",

@@ -133,8 +133,9 @@ def _build_or_read(
         try:
             gaussians = read_gaussians(path)
             log.info("particles as prepared before: %s", path)
-            loads = resolve_loads(scene, gaussians.x0, gaussians.vol0, gaussians.object)
-            return _summary_of(scene, gaussians.objects, gaussians, gaussians.x0, [], loads), {}
+            objects = gaussians.objects
+            loads = resolve_loads(scene, gaussians.x0, gaussians.vol0, gaussians.object, objects)
+            return _summary_of(scene, objects, gaussians, gaussians.x0, [], loads), {}
         except RunError as error:
             if resumed:
                 raise
@@ -276,7 +277,7 @@ def plan_for(scene: Scene, summary: ParticleSummary) -> Plan:
     surface = [bool(entry.get("surface")) for entry in summary.objects]
     plan = make_plan(
         scene, summary.count, summary.volume, colliders, summary.center, summary.shades, surface,
-        summary.extents,
+        summary.extents, summary.objects,
     )  # fmt: skip
     steps = motion_steps(scene, summary.colliders, summary.extents)
     return replace(
