@@ -34,7 +34,7 @@ from .phases_and_groups import (
 )
 from .prescribed_bodies import Extents, PrescribedBodyPlan, prescribed_body_plans, prescribed_phases
 from .proximity import Proximity
-from .region_groups import RegionPlan, region_plans
+from .region_groups import RegionPlan
 from .rigid_bodies import RigidBodiesSummary
 from .surface_friction import SurfaceSlipPlan, friction_table, surface_slip_plan
 
@@ -118,7 +118,7 @@ class Plan:
     slip: SurfaceSlipPlan | None = None  # of viscous liquids on colliders, if it is limited
     joints: tuple[Joint, ...] = ()  # of the free rigid bodies
     rigid: RigidBodiesSummary | None = None  # these bodies at the start, if known
-    regions: tuple[RegionPlan, ...] = ()  # parts of bodies of another material
+    regions: tuple[RegionPlan, ...] = ()  # parts of bodies of another material, if known
 
     @property
     def numbers_colliders(self) -> bool:
@@ -228,7 +228,6 @@ def make_plan(
     scene: Scene, count: list[int], volume: list[float], collider: bool,
     center: list[list[float]] | None = None, shades: np.ndarray | None = None,
     surface: list[bool] | None = None, extents: Extents | None = None,
-    entries: list[dict] | None = None,
 ) -> Plan:  # fmt: skip
     """Return the plan of a scene. Raises SceneError if no time step satisfies the scene.
 
@@ -241,7 +240,6 @@ def make_plan(
         shades: Color range, see `color_exchange.coefficient_ranges`.
         surface: Whether the particles of each know its surface; default: none.
         extents: Corners, see `prescribed_bodies.prescribed_body_plans`.
-        entries: Entries of the objects and inlets in output files, which name the regions.
     """
     bodies = {k: scene.material[t.material] for k, t in enumerate(scene.things) if t.material}
     real, n = FLOAT_TYPES[scene.accuracy.precision], len(volume)
@@ -283,7 +281,6 @@ def make_plan(
         opens=tuple(scene.domain.opens), joints=scene.joint,
         feels=any(probe.feels for probe in scene.probe),
         free_bodies=any(obj.free_body is not None for obj in scene.object),
-        regions=region_plans(groups, group_of, entries or []),
     )  # fmt: skip
     _check_steps(scene, plan)
     return plan

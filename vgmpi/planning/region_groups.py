@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from .phases_and_groups import GroupPlan
-
 if TYPE_CHECKING:
     from .plan import Plan
 
@@ -23,21 +21,18 @@ class RegionPlan(NamedTuple):
     particles: int  # number of its particles
 
 
-def region_plans(
-    groups: tuple[GroupPlan, ...], group_of: tuple[int, ...], entries: list[dict]
-) -> tuple[RegionPlan, ...]:
+def region_plans(plan: "Plan", entries: list[dict]) -> tuple[RegionPlan, ...]:
     """Return the regions of all bodies, in the order of the objects.
 
     Args:
-        groups: Groups of the scene.
-        group_of: Group of each object and inlet.
-        entries: Entries of the objects and inlets in output files; empty if unknown.
+        plan: The plan.
+        entries: Entries of the objects and inlets in output files.
     """
-    number = {(group.phase, group.material): g for g, group in enumerate(groups)}
+    number = {(group.phase, group.material): g for g, group in enumerate(plan.groups)}
     plans = []
     for k, entry in enumerate(entries):
         for part in entry.get("regions", ()):
-            group = number[groups[group_of[k]].phase, part["material"]]
+            group = number[plan.groups[plan.group_of[k]].phase, part["material"]]
             plans.append(RegionPlan(k, group, part["first_row"], part["row_count"]))
     return tuple(plans)
 

@@ -19,7 +19,7 @@ from vgmpi.runtime.suggestions import did_you_mean
 from . import accuracy_presets
 from .gravity import validate_gravity
 from .inlets_outlets import Inlet, Outlet, validate_balance, validate_inlet, validate_outlet
-from .joints import read_joints
+from .joints import joint_names, read_joints
 from .loads import Load, validate_load
 from .number_range import numbers_out_of_range
 from .object_files import find_object_file
@@ -32,6 +32,7 @@ from .sections import MAX_CELLS, SECTIONS, Appearance, Domain, Output, TopLevelK
 from .slip_lengths import validate_slip_lengths
 
 REQUIRED = ("domain", "time", "material", "object")
+SCENE_RULES = (validate_rigid_scene, validate_slip_lengths, validate_region_kinds)
 LISTS = ("object", "coupling", "joint", "load", "probe", "inlet", "outlet")
 
 
@@ -81,11 +82,7 @@ class SceneLoader:
         role = None
         if None not in objects:
             role = {o.name: "rigid" if o.rigid else o.role for o in objects}
-            for validate in (
-                validate_rigid_scene,
-                validate_slip_lengths,
-                validate_region_kinds,
-            ):
+            for validate in SCENE_RULES:
                 self.errors += validate(objects, kinds, pairs, tables.get("accuracy"))
         joints = read_joints(self, data.get("joint", []), objects)
         self.check_color_bodies(tables.get("appearance"), role)
@@ -96,7 +93,7 @@ class SceneLoader:
         loads = self.table_list(
             data.get("load", []), "load", Load, lambda raw, load: validate_load(raw, load, role)
         )
-        colliders, named = collider_names(objects), [j.name for j in joints if j and j.name]
+        colliders, named = collider_names(objects), joint_names(joints)
         probes = self.table_list(
             data.get("probe", []), "probe", Probe,
             lambda raw, probe: validate_probe(raw, probe, role, size, fluid, colliders, named),

@@ -17,6 +17,7 @@ from vgmpi.planning.color_exchange import coefficient_ranges
 from vgmpi.planning.plan import Plan, make_plan
 from vgmpi.planning.prescribed_bodies import Extents
 from vgmpi.planning.proximity import Proximity
+from vgmpi.planning.region_groups import region_plans
 from vgmpi.planning.rigid_bodies import RigidBodiesSummary
 from vgmpi.preprocess.liquid_weight import liquid_weights
 from vgmpi.preprocess.load_targets import resolve_loads
@@ -277,13 +278,13 @@ def plan_for(scene: Scene, summary: ParticleSummary) -> Plan:
     surface = [bool(entry.get("surface")) for entry in summary.objects]
     plan = make_plan(
         scene, summary.count, summary.volume, colliders, summary.center, summary.shades, surface,
-        summary.extents, summary.objects,
+        summary.extents,
     )  # fmt: skip
     steps = motion_steps(scene, summary.colliders, summary.extents)
     return replace(
         plan, thickness=summary.thickness, surroundings=summary.surroundings,
         volumes=tuple(summary.volume), weights=summary.weights, motion_steps=tuple(steps.tolist()),
-        rigid=summary.rigid,
+        rigid=summary.rigid, regions=region_plans(plan, summary.objects),
     )  # fmt: skip
 
 
