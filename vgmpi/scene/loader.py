@@ -219,7 +219,7 @@ class SceneLoader:
             self.report(("object",), message)
         for k, obj in enumerate(objects):
             material = kinds.get(obj.material) if obj else None
-            if obj and obj.initial_pressure != "zero" and material:
+            if obj and obj.initial_pressure != "zero" and material and not obj.rigid:
                 if not hasattr(material, "hydrostatic_theta"):
                     self.report(("object", k, "initial_pressure"), "is only for fluids")
             solid = material and material.family == "solid"

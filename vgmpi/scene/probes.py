@@ -119,7 +119,7 @@ def validate_probe(
     errors += [(("object",), message)] if message else []
     message = _validate_collider_name(probe.collider, role, colliders)
     errors += [(("collider",), message)] if message else []
-    if None not in (probe.joint, joints) and probe.joint not in joints:
+    if probe.joint is not None and joints is not None and probe.joint not in joints:
         hint = f"known: {', '.join(joints)}" if joints else "none has a name"
         message = f"there is no joint '{probe.joint}'{did_you_mean(probe.joint, joints)}; {hint}"
         errors.append((("joint",), message))

@@ -296,7 +296,9 @@ def _parts(
     Returns:
         The last one that holds all of the body, or none, and those after it that hold a part.
     """
-    body, complete, parts = config.bodies[k], [], []
+    body = config.bodies[k]
+    complete: list[source_schema.Part] = []
+    parts: list[source_schema.Part] = []
     for i, part in enumerate(body.law.additional_material_params):
         key_path = (*body.law_path, "additional_material_params", i)
         low, high = np.subtract(part.point, part.size), np.add(part.point, part.size)
