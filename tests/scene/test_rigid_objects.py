@@ -103,6 +103,18 @@ def test_an_engine_without_free_bodies_says_so(tmp_path, engine):
     assert "Traceback" not in job.stderr
 
 
+@pytest.mark.parametrize(("radius", "length"), [("0.9", "1.8"), ("4", "8")])
+def test_a_body_much_larger_than_the_domain(tmp_path, radius, length):
+    """To search it would take minutes."""
+    text = SCENE.replace("radius = 0.04", f"radius = {radius}")
+    scene = vgmpi.load(tmp_path / "scene.toml", text=text)
+    with pytest.raises(SceneError) as error:
+        vgmpi.plan(scene)
+    (line,) = str(error.value).splitlines()
+    assert "scene.toml:24: object.log.rigid: is " in line
+    assert f"is {length} m long; at most 1.6 m are possible in this domain" in line
+
+
 def test_a_body_outside_the_domain(tmp_path):
     scene = tmp_path / "scene.toml"
     scene.write_text(SCENE.replace("center = [0.2, 0.1, 0.15]", "center = [0.2, 0.1, 0.25]"))
