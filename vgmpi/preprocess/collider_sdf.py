@@ -9,14 +9,12 @@ from vgmpi.kernels.rigid.free_bodies import RigidBody, mass_properties
 from vgmpi.preprocess.sampling.voxels import Voxels
 from vgmpi.scene.rigid_motion import Motion, Trajectory
 from vgmpi.scene.rigid_objects import FreeBody
-from vgmpi.scene.sections import Domain
 from vgmpi.scene.shapes import Shape
 
 from . import shape_sdf
-from .placement import PlacementError, SimilarityTransform, corners, rotate
+from .placement import SimilarityTransform, corners, rotate
 
 FAR_DISTANCE = 1e6  # [own units] half the edge of a box that contains everything
-MAX_BODY_LENGTH = 4.0  # [-] of a free rigid body over the longest edge of the domain
 SMOOTHING_SIGMA = 1.0  # [voxels] standard deviation of the filter that smooths a body's distances
 
 
@@ -165,25 +163,15 @@ def with_motion(collider: Collider | None, motion: Motion | None) -> Collider | 
     return replace(collider, course=Trajectory(motion, motion.pivot or (x, y, z)))
 
 
-def with_free_body(
-    collider: Collider | None, body: FreeBody | None, domain: Domain
-) -> Collider | None:
+def with_free_body(collider: Collider | None, body: FreeBody | None, dx: float) -> Collider | None:
     """Return the collider as a free rigid body, if it is one.
 
     Args:
         collider: Collider, or None.
         body: Properties of the body, or None.
-        domain: Domain of the scene.
-
-    Raises:
-        PlacementError: The body is much larger than the domain, and a search of it would take long.
+        dx: Cell size [m].
     """
     if collider is None or body is None:
         return collider
-    length = float(np.subtract(*collider.ends()[::-1]).max())
-    if not length <= (limit := MAX_BODY_LENGTH * max(domain.size)):
-        message = f"is {length:.4g} m long; at most {limit:.4g} m are possible in this domain"
-        raise PlacementError("rigid", message)
-    dx = domain.cell
     mass, center, inertia = mass_properties(collider, body.density, dx)
     return replace(collider, body=RigidBody(mass, center, inertia, *body[1:]))

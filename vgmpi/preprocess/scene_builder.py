@@ -126,7 +126,7 @@ def build_scene(scene: Scene) -> PreparedScene:
             piece = sort_by_region(scene, obj, piece)
             needed = obj.role == "body" and scene.phase_of(obj) in touched
             collider = with_motion(piece.collider, obj.motion)
-            collider = with_free_body(collider, obj.free_body, scene.domain)
+            collider = with_free_body(collider, obj.free_body, scene.domain.cell)
             piece = replace(piece, collider=collider)
             pieces.append(with_surface_descriptor(scene, piece, needed))
             invalid = validate_collider_motion(scene, piece.collider) + validate_body_motion(
