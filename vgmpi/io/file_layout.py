@@ -193,6 +193,7 @@ GAUSSIAN_TEXTS = [
         "color_group (objects with the same number exchange colors), "
         "bulk density [kg/m3], first_row and row_count, opacity_scale, alpha_min, "
         "color, collider, is_moving (frames contain the `poses` of these objects), "
+        "regions (parts of another material: its name, density, first_row and row_count), "
         "and transform (4 x 4, source coordinates -> domain coordinates [m])",
     ),
     Dataset("scene", "()", "text", "", "JSON, the scene with all defaults, in SI units"),

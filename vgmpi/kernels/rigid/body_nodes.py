@@ -10,6 +10,7 @@ from vgmpi.kernels.grid.contact_impulses import (
     GAP_UNRESOLVED,
     distance,
     half_space_fraction,
+    has_surface,
 )
 from vgmpi.kernels.step_limits import CONTACT_MASS_FLOOR
 from vgmpi.kernels.wall_boundary import SEPARATE, SLIP, STICK
@@ -303,7 +304,7 @@ def touches_surface(nodes, phases, p, nb, node, n, d, dx):
     """
     mass, is_resolved = float(nodes.velocities[nb, 4 * node + 3]), phases.surface[p]
     side = nodes.offsets[nb, 4 * node : 4 * node + 4]
-    if not (mass > CONTACT_MASS_FLOOR * phases.least[p] and _has_surface(side, is_resolved)):
+    if not (mass > CONTACT_MASS_FLOOR * phases.least[p] and has_surface(side, is_resolved)):
         return False
     gap = d / dx + distance(n, -1.0, side, mass, is_resolved, dx)
     return gap <= (GAP_RESOLVED if is_resolved else GAP_UNRESOLVED)
@@ -381,11 +382,3 @@ def tangential_part(u, n):
     along = u[0] * n[0] + u[1] * n[1] + u[2] * n[2]
     for c in range(3):
         u[c] -= along * n[c]
-
-
-@device_function
-def _has_surface(side, is_resolved):
-    """Return whether a phase has a surface at a node, by its field of offsets, shape (4,)."""
-    if is_resolved:
-        return side[0] != 0.0 or side[1] != 0.0 or side[2] != 0.0
-    return side[3] > 0.0
