@@ -7,6 +7,7 @@ does not exist.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -32,6 +33,7 @@ from .phases_and_groups import (
     with_runtime_requirements,
     with_volume_correction,
 )
+from .pinned_groups import PinnedPlan, pinned_plans
 from .prescribed_bodies import Extents, PrescribedBodyPlan, prescribed_body_plans, prescribed_phases
 from .proximity import Proximity
 from .rigid_bodies import RigidBodiesSummary
@@ -111,6 +113,7 @@ class Plan:
     sources: tuple[InletPlan, ...] = ()
     sinks: tuple[OutletPlan, ...] = ()
     driven: tuple[PrescribedBodyPlan, ...] = ()
+    pins: tuple[PinnedPlan, ...] = ()  # pinned parts of bodies
     opens: tuple[float | None, ...] = (None,) * 6  # [s] when each wall vanishes
     feels: bool = False  # reaction impulses of each collider and wall are summed
     free_bodies: bool = False  # some colliders are free rigid bodies
@@ -225,7 +228,7 @@ class Plan:
 def make_plan(
     scene: Scene, count: list[int], volume: list[float], collider: bool,
     center: list[list[float]] | None = None, shades: np.ndarray | None = None,
-    surface: list[bool] | None = None, extents: Extents | None = None,
+    surface: list[bool] | None = None, extents: Extents | None = None, regions: Sequence = (),
 ) -> Plan:  # fmt: skip
     """Return the plan of a scene. Raises SceneError if no time step satisfies the scene.
 
@@ -238,6 +241,7 @@ def make_plan(
         shades: Color range, see `color_exchange.coefficient_ranges`.
         surface: Whether the particles of each know its surface; default: none.
         extents: Corners, see `prescribed_bodies.prescribed_body_plans`.
+        regions: Pinned parts with their particles.
     """
     bodies = {k: scene.material[t.material] for k, t in enumerate(scene.things) if t.material}
     real, n = FLOAT_TYPES[scene.accuracy.precision], len(volume)
@@ -256,6 +260,7 @@ def make_plan(
     driven, groups, group_of = prescribed_body_plans(
         scene, complete, group_of, phases, extents or {}
     )
+    pins, groups = pinned_plans(groups, group_of, regions)
     plan = Plan(
         cells=scene.domain.cells, dx=scene.domain.cell, real=real,
         gravity=scene.domain.gravity, walls=tuple(scene.domain.walls),
@@ -275,7 +280,7 @@ def make_plan(
         gravity_ramp_time=scene.domain.gravity_ramp_time,
         gravity_keys=_gravity_keys(scene),
         sources=inlet_plans(scene, group_of, count),
-        sinks=outlet_plans(scene), driven=driven,
+        sinks=outlet_plans(scene), driven=driven, pins=pins,
         opens=tuple(scene.domain.opens), joints=scene.joint,
         feels=any(probe.feels for probe in scene.probe),
         free_bodies=any(obj.free_body is not None for obj in scene.object),

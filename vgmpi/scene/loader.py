@@ -24,6 +24,7 @@ from .loads import Load, validate_load
 from .number_range import numbers_out_of_range
 from .object_files import find_object_file
 from .objects import Object, validate_body_name, validate_object, validate_release
+from .pinned_parts import validate_pinned_parts
 from .probes import Probe, collider_names, validate_probe
 from .rigid_objects import as_collider, validate_particles, validate_rigid_scene
 from .scene import Scene, miscible_materials, phase_of
@@ -80,7 +81,7 @@ class SceneLoader:
         role = None
         if None not in objects:
             role = {o.name: "rigid" if o.rigid else o.role for o in objects}
-            for validate in (validate_rigid_scene, validate_slip_lengths):
+            for validate in (validate_rigid_scene, validate_slip_lengths, validate_pinned_parts):
                 self.errors += validate(objects, kinds, pairs, tables.get("accuracy"))
         joints = read_joints(self, data.get("joint", []), objects)
         self.check_color_bodies(tables.get("appearance"), role)

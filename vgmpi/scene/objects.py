@@ -19,6 +19,7 @@ from vgmpi.runtime.suggestions import did_you_mean
 
 from .initial_fields import FractionProfile, Spin, Velocity, VelocityMode
 from .keyframes import Time
+from .pinned_parts import PinnedPart, validate_pinned
 from .rigid_motion import Motion, validate_motion
 from .rigid_objects import FreeBody, validate_rigid
 from .shapes import Axis, Corners, Shape, Sphere, validate_shape
@@ -210,6 +211,10 @@ class Object(StrictModel):
     """rigid bodies only: speed after over speed before a collision with another rigid body, a
     collider or a wall; default 0"""
 
+    pinned: Annotated[tuple[PinnedPart, ...], BeforeValidator(_listed)] = ()
+    """bodies of solids only: a part that something holds, { box, to } for example, or a list of
+    them. The part does not deform and moves with what holds it; the rest is attached to it"""
+
     _free_body: FreeBody | None = PrivateAttr(None)  # set by scene/rigid_objects.py
 
     @property
@@ -321,7 +326,7 @@ def validate_object(raw: dict) -> list[tuple[tuple, str]]:
         errors.append((("motion",), "is for bodies, and for scenery with collider = true"))
     errors += validate_motion(raw.get("motion"), ("motion",))
     errors += validate_rigid(raw, scenery)
-    errors += validate_slip_length(raw, scenery)
+    errors += validate_slip_length(raw, scenery) + validate_pinned(raw, scenery)
     return errors + ([] if scenery else _validate_prescribed(raw))
 
 

@@ -145,7 +145,7 @@ def collider_names(objects: list[Object | None]) -> list[str] | None:
 
 def _is_rigid(obj: Object) -> bool:
     """Return whether nothing deflects it."""
-    return obj.collider or obj.driven
+    return obj.collider or obj.driven or any(part.to == "world" for part in obj.pinned)
 
 
 def _validate_collider_name(

@@ -22,6 +22,7 @@ from vgmpi.preprocess.liquid_weight import liquid_weights
 from vgmpi.preprocess.load_targets import resolve_loads
 from vgmpi.preprocess.meshes import texture
 from vgmpi.preprocess.motion_checks import extent, motion_steps
+from vgmpi.preprocess.pinned_regions import PinnedRegion, resolve_pinned_parts
 from vgmpi.scene.scene import Scene
 from vgmpi.solver.estimates.measure_proximity import surroundings
 from vgmpi.solver.estimates.measure_rigid_bodies import measure_rigid_bodies
@@ -44,6 +45,7 @@ class ParticleSummary:
     extents: Extents = field(default_factory=dict)  # of the bodies with prescribed motion
     weights: tuple[float, ...] = ()  # [Pa] see plan.Plan
     rigid: RigidBodiesSummary = RigidBodiesSummary()
+    regions: tuple[PinnedRegion, ...] = ()  # pinned parts of bodies
     # on rank 0: datasets to be written to gaussians.h5 by rest.write, None if the file holds them
     rows: dict | None = None
     scenery: dict | None = None
@@ -133,8 +135,11 @@ def _build_or_read(
         try:
             gaussians = read_gaussians(path)
             log.info("particles as prepared before: %s", path)
-            loads = resolve_loads(scene, gaussians.x0, gaussians.vol0, gaussians.object)
-            return _summary_of(scene, gaussians.objects, gaussians, gaussians.x0, [], loads), {}
+            rows = gaussians.x0, gaussians.vol0, gaussians.object
+            loads = resolve_loads(scene, *rows)
+            regions = tuple(resolve_pinned_parts(scene, *rows, []))
+            summary = _summary_of(scene, gaussians.objects, gaussians, gaussians.x0, [], loads)
+            return replace(summary, regions=regions), {}
         except RunError as error:
             if resumed:
                 raise
@@ -199,7 +204,8 @@ def _report_unreadable(path: Path, resumed: bool) -> None:
 
 def known_of(scene: Scene, built) -> ParticleSummary:
     """Return the summary of the particles that `build_scene` made."""
-    return _summary_of(scene, built.objects, built, built.x, built.colliders, built.loads)
+    summary = _summary_of(scene, built.objects, built, built.x, built.colliders, built.loads)
+    return replace(summary, regions=built.regions)
 
 
 def _summary_of(scene, objects, particles, x, colliders, loads) -> ParticleSummary:
@@ -276,7 +282,7 @@ def plan_for(scene: Scene, summary: ParticleSummary) -> Plan:
     surface = [bool(entry.get("surface")) for entry in summary.objects]
     plan = make_plan(
         scene, summary.count, summary.volume, colliders, summary.center, summary.shades, surface,
-        summary.extents,
+        summary.extents, summary.regions,
     )  # fmt: skip
     steps = motion_steps(scene, summary.colliders, summary.extents)
     return replace(

@@ -10,6 +10,7 @@ from vgmpi.parallel import migration
 from vgmpi.parallel.block_lattice import BlockLattice
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.phases_and_groups import GroupPlan
+from vgmpi.planning.pinned_groups import groups_of_particles
 from vgmpi.planning.plan import Plan
 
 
@@ -46,7 +47,7 @@ def insert(
     Returns:
         Bounds of the time step and the sums, shape (4,), see `bounds`.
     """
-    group_of = np.array(plan.group_of)[rows.owner] if len(rows.owner) else rows.owner
+    group_of = groups_of_particles(plan.group_of, plan.pins, rows.ids, rows.owner)
     limits = np.zeros(4)
     for g, group in enumerate(groups):
         selected = rows.select(group_of == g)

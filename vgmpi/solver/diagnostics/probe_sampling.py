@@ -137,6 +137,7 @@ class Probes:
         k = [obj.name for obj in self.scene.object].index(probe.object)
         members = [plan.group_of[k]]
         members += [body.joins for body in plan.driven if k in body.things]
+        members += [part.group for part in plan.pins if part.object == k]
         last = plan.first_id[k] + plan.count[k] - 1
         rows = np.zeros((0, 7))
         for g in members:

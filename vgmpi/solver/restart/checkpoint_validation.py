@@ -14,6 +14,7 @@ from vgmpi.io import checkpoint, file_layout
 from vgmpi.kernels.reaction_impulses import NUMBERS
 from vgmpi.kernels.transfer.g2p import MAX_STRAY_CELLS
 from vgmpi.parallel.block_lattice import BITS, BLOCK_CENTER, BLOCK_EDGE, INTEGER
+from vgmpi.planning.pinned_groups import groups_of_particles
 from vgmpi.solver.simulation import Simulation
 
 ROWS = 1 << 20  # number of rows validated together
@@ -220,7 +221,7 @@ def _rows(simulation, saved, g, first, block):
     wrong = (ids < 0) | (ids >= plan.particles)
     if not wrong.any():
         owner = simulation.object_of(ids)
-        wrong = np.array(plan.group_of)[owner] != g
+        wrong = groups_of_particles(plan.group_of, plan.pins, ids, owner) != g
         for body in plan.driven:  # released particles are in the group that they join
             wrong &= ~(np.isin(owner, body.things) & (body.joins == g))
     if wrong.any():
