@@ -94,7 +94,7 @@ def _validate_holder(name: str, own: str, objects: dict) -> str:
         own: Name of the object that has the part.
         objects: Objects of the scene by name.
     """
-    if name == WORLD and name not in objects:
+    if name == WORLD:
         return ""
     if name == own:
         return f"'{name}' cannot hold itself"

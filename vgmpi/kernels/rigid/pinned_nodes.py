@@ -30,11 +30,27 @@ class PinnedTable(NamedTuple):
     row: np.ndarray  # (m,) row of its reactions, -1 for a free rigid body
 
 
+class PinnedNodes(NamedTuple):
+    """Nodes of bodies next to pinned parts."""
+
+    part: np.ndarray  # (n,) number of the part
+    block: np.ndarray  # (n,) block
+    node_block: np.ndarray  # (n,) node block of the body's phase
+    node: np.ndarray  # (n,) number in the block
+    surface: np.ndarray  # (n, 4) outward normal of the part, and distance [m]
+
+
 class PinnedFields(NamedTuple):
     """Nodal values that pinned parts need."""
 
     velocities: np.ndarray  # (node blocks, 256) velocities and masses (in/out)
     gradients: tuple  # the three fields of velocity gradients
+
+
+def no_pinned_nodes(n: int) -> PinnedNodes:
+    """Return an empty table with room for n rows."""
+    numbers = [np.zeros(n, np.int64) for _ in range(4)]
+    return PinnedNodes(*numbers, np.zeros((n, 4)))
 
 
 @device_function
@@ -89,11 +105,48 @@ def _set_place(ijk, x, corner, node, dx):
 
 
 @kernel
-def apply_pins(rows, table, movers, fields, blocks, walls, dt, dx, reaction):
+def find_pinned_nodes(table, movers, first, phase, places, dx, marks, out):
+    """Find the nodes of bodies next to their pinned parts; return their number.
+
+    If they are more than `out` has rows, only the number is right.
+
+    Args:
+        table: PinnedTable.
+        movers: Sampled distances and poses of the parts.
+        first: First node block of each block, shape (blocks + 1,).
+        phase: Phase of each node block, shape (node blocks,).
+        places: Coordinates of the blocks, shape (blocks, 3).
+        dx: Cell size [m].
+        marks: 1 at each of these nodes (out), shape (node blocks, 64).
+        out: PinnedNodes (out).
+    """
+    x, sample, own = np.zeros(3), np.zeros(4), np.zeros((2, 4))
+    count, ijk = 0, np.zeros(3, np.int64)
+    for row in range(len(table.block)):
+        b = table.block[row]
+        for nb in range(first[b], first[b + 1]):
+            marks[nb] = 0
+            for node in range(64):
+                _set_place(ijk, x, places[b], node, dx)
+                m = _closest_part(table, movers, row, phase[nb], x, sample, own, dx)
+                if m < 0:
+                    continue
+                marks[nb, node] = 1
+                if count < len(out.part):
+                    out.part[count], out.block[count] = m, b
+                    out.node_block[count], out.node[count] = nb, node
+                    out.surface[count] = sample
+                count += 1
+    return count
+
+
+@kernel
+def apply_pins(rows, pinned, table, movers, fields, blocks, walls, dt, dx, reaction):
     """Attach the nodes of bodies to their pinned parts, except those that free bodies hold.
 
     Args:
-        rows: Rows of the blocks in the table, shape (n,).
+        rows: Rows of `pinned`, shape (n,).
+        pinned: PinnedNodes.
         table: PinnedTable.
         movers: Sampled distances and poses of the parts.
         fields: PinnedFields; the velocities are changed (in/out).
@@ -103,83 +156,73 @@ def apply_pins(rows, table, movers, fields, blocks, walls, dt, dx, reaction):
         dx: Cell size [m].
         reaction: Reaction sums of the thread (in/out), or None.
     """
-    x, sample, own, speed = np.zeros(3), np.zeros(4), np.zeros((2, 4)), np.zeros(3)
+    x, own, speed = np.zeros(3), np.zeros((2, 4)), np.zeros(3)
     slope, before, ijk = np.zeros(3), np.zeros(3), np.zeros(3, np.int64)
-    for row in rows:
-        b = table.block[row]
-        set_block(reaction, b)
-        for nb in range(blocks.first[b], blocks.first[b + 1]):
-            for node in range(64):
-                v = fields.velocities[nb, 4 * node : 4 * node + 4]
-                if not v[3] > 0.0:
-                    continue
-                _set_place(ijk, x, blocks.at[b], node, dx)
-                m = _closest_part(table, movers, row, blocks.phase[nb], x, sample, own, dx)
-                if m < 0 or table.body[m] >= 0:
-                    continue
-                axes = stopped_axes(ijk, walls)
-                if axes < 0:
-                    continue
-                surface_velocity(movers, m, x, sample, dt, own, speed)
-                mean_gradient(fields.gradients, 256 * nb + 4 * node, sample, slope)
-                for c in range(3):
-                    before[c] = v[c]
-                    if not axes >> c & 1:
-                        v[c] = speed[c] + sample[3] / dx * slope[c]
-                if reaction is not None:
-                    set_node(reaction, node, ijk[0], ijk[1], ijk[2])
-                    reaction.now[2] = table.row[m]
-                    for c in range(3):  # impulses act at nodes: angular momentum is exact
-                        reaction.at[c] = reaction.node[c]
-                    add_contact_reaction(reaction, before, v, float(v[3]), speed, 0, 0)
+    for q in rows:
+        m, b, nb, node = pinned.part[q], pinned.block[q], pinned.node_block[q], pinned.node[q]
+        v, surface = fields.velocities[nb, 4 * node : 4 * node + 4], pinned.surface[q]
+        if table.body[m] >= 0 or not v[3] > 0.0:
+            continue
+        _set_place(ijk, x, blocks.at[b], node, dx)
+        axes = stopped_axes(ijk, walls)
+        if axes < 0:
+            continue
+        surface_velocity(movers, m, x, surface, dt, own, speed)
+        mean_gradient(fields.gradients, 256 * nb + 4 * node, surface, slope)
+        for c in range(3):
+            before[c] = v[c]
+            if not axes >> c & 1:
+                v[c] = speed[c] + surface[3] / dx * slope[c]
+        if reaction is not None:
+            set_block(reaction, b)
+            set_node(reaction, node, ijk[0], ijk[1], ijk[2])
+            reaction.now[2] = table.row[m]
+            for c in range(3):  # impulses act at nodes: angular momentum is exact
+                reaction.at[c] = reaction.node[c]
+            add_contact_reaction(reaction, before, v, float(v[3]), speed, 0, 0)
 
 
 @kernel
-def find_pinned_contacts(table, movers, fields, blocks, walls, bodies, dx, marks, counts, out):
+def find_pinned_contacts(rows, pinned, table, fields, blocks, walls, bodies, counts, dx, out):
     """Find the nodes of parts that free rigid bodies hold; return their number.
 
     If they are more than `out` has rows, only the number is right.
 
     Args:
+        rows: Number of rows of `pinned`.
+        pinned: PinnedNodes.
         table: PinnedTable.
-        movers: Sampled distances and poses of the parts.
         fields: PinnedFields.
         blocks: Node blocks of the rank.
         walls: Walls of the domain.
         bodies: Centers of the free bodies, shape (m, 3) [m].
-        dx: Cell size [m].
-        marks: 1 at each node that a part holds (out), shape (node blocks, 64).
         counts: 1 at the nodes that this rank counts, shape (blocks, 64).
+        dx: Cell size [m].
         out: NodeContacts (out).
     """
-    x, sample, own, slope = np.zeros(3), np.zeros(4), np.zeros((2, 4)), np.zeros(3)
-    count, ijk = 0, np.zeros(3, np.int64)
-    marks[:] = 0
-    for row in range(len(table.block)):
-        b = table.block[row]
-        for nb in range(blocks.first[b], blocks.first[b + 1]):
-            for node in range(64):
-                v = fields.velocities[nb, 4 * node : 4 * node + 4]
-                if not v[3] > 0.0:
-                    continue
-                _set_place(ijk, x, blocks.at[b], node, dx)
-                m = _closest_part(table, movers, row, blocks.phase[nb], x, sample, own, dx)
-                if m < 0 or table.body[m] < 0 or stopped_axes(ijk, walls) != 0:
-                    continue
-                marks[nb, node] = 1
-                if count < len(out.mass):
-                    q, o, k = count, 256 * nb + 4 * node, table.body[m]
-                    mean_gradient(fields.gradients, o, sample, slope)
-                    out.body[q], out.offset[q], out.counts[q] = k, o, counts[b, node]
-                    out.mass[q] = out.nodal_mass[q] = v[3]
-                    out.friction[q], out.stick[q], out.pressed[q] = -1.0, 1.0, 0.0
-                    for c in range(3):
-                        out.normal[q, c] = sample[c]
-                        out.arm[q, c] = x[c] - bodies[k, c]
-                        out.foot[q, c] = out.arm[q, c] - sample[3] * sample[c]
-                        out.velocity[q, c] = v[c] - sample[3] / dx * slope[c]
-                    if len(out.adhering) > 0:
-                        out.adhering[q] = 0.0
-                        out.drag[q] = 0.0
-                count += 1
+    x, slope, count, ijk = np.zeros(3), np.zeros(3), 0, np.zeros(3, np.int64)
+    for row in range(rows):
+        b, nb, node = pinned.block[row], pinned.node_block[row], pinned.node[row]
+        v, surface = fields.velocities[nb, 4 * node : 4 * node + 4], pinned.surface[row]
+        k = table.body[pinned.part[row]]
+        if k < 0 or not v[3] > 0.0:
+            continue
+        _set_place(ijk, x, blocks.at[b], node, dx)
+        if stopped_axes(ijk, walls) != 0:
+            continue
+        if count < len(out.mass):
+            q, o = count, 256 * nb + 4 * node
+            mean_gradient(fields.gradients, o, surface, slope)
+            out.body[q], out.offset[q], out.counts[q] = k, o, counts[b, node]
+            out.mass[q] = out.nodal_mass[q] = v[3]
+            out.friction[q], out.stick[q], out.pressed[q] = -1.0, 1.0, 0.0
+            for c in range(3):
+                out.normal[q, c] = surface[c]
+                out.arm[q, c] = x[c] - bodies[k, c]
+                out.foot[q, c] = out.arm[q, c] - surface[3] * surface[c]
+                out.velocity[q, c] = v[c] - surface[3] / dx * slope[c]
+            if len(out.adhering) > 0:
+                out.adhering[q] = 0.0
+                out.drag[q] = 0.0
+        count += 1
     return count

@@ -19,13 +19,17 @@ EFFECTIVE_MASS_FACTOR = (
 
 
 class PrescribedSteps(NamedTuple):
-    """Prescribed displacement of a point x in a step: (turn (x - about) + shift) dt, by phase."""
+    """Prescribed displacement of a point x in a step: (turn (x - about) + shift) dt, by phase.
+
+    Nodes next to pinned parts of bodies are marked: colliders do not touch these bodies there.
+    """
 
     driven: np.ndarray  # (phases,) bool, True if the motion is prescribed
     row: np.ndarray  # (phases,) row of the reactions, after all colliders; -1 for other phases
     about: np.ndarray  # (phases, 3) [m] center of rotation
     turn: np.ndarray  # (phases, 3, 3) [1/s] rotation minus identity, per time
     shift: np.ndarray  # (phases, 3) [m/s] translation per time
+    pinned: np.ndarray = np.zeros((0, 64), np.uint8)  # (node blocks, 64), or without rows
 
 
 def _none(phases: int) -> PrescribedSteps:

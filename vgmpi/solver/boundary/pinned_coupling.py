@@ -47,7 +47,9 @@ class PinnedParts(MovingColliders):
         self.phase = np.array([part.phase for part in plan.pins])
         self.rows = np.array(reaction_rows(plan, collider_count))
         self.shares: list[np.ndarray] = []
-        self.marks = np.zeros((0, 64), np.uint8)  # 1 at nodes that free bodies hold
+        self.threads, self.count = 1, 0
+        self.pinned = pinned_nodes.no_pinned_nodes(0)  # the nodes next to parts, `count` of them
+        self.marks = np.zeros((0, 64), np.uint8)  # 1 at these nodes, by node block
         self.tables: ExchangeTopology | None = None
         self.ways = PrescribedSteps(
             np.ones(count, bool), np.full(count, -1), np.zeros((count, 3)),
@@ -73,7 +75,7 @@ class PinnedParts(MovingColliders):
         rows, part = np.concatenate(close), np.repeat(np.arange(len(close)), [*map(len, close)])
         order = np.argsort(rows, kind="stable")
         block, first = np.unique(rows[order], return_index=True)
-        self.nodes = pinned_nodes.PinnedTable(
+        self.close = pinned_nodes.PinnedTable(
             block, np.append(first, len(rows)), part[order], self.phase, self.holder, self.rows
         )
 
@@ -84,9 +86,10 @@ class PinnedParts(MovingColliders):
             tables: Exchange topology.
             threads: Threads that share the blocks.
         """
-        self.tables = tables
+        self.tables, self.threads = tables, threads
         self.take(tables.at)
-        self.shares = np.array_split(np.arange(len(self.nodes.block)), threads)
+        self.marks = np.zeros((len(tables.phase), 64), np.uint8)
+        self.shares = []  # the nodes are found in the next step
 
     def stand(self, time: float) -> None:
         """Place the parts where they are at a time [s]."""
@@ -111,6 +114,22 @@ class PinnedParts(MovingColliders):
         self.stand(time)
         table = self.table
         table.rotation_end[self.moving], table.move_end[self.moving] = self.courses.poses(end)
+        if self.is_moving.any() or not self.shares:
+            self._find_nodes()
+
+    def _find_nodes(self) -> None:
+        """Find the nodes of this rank next to the parts."""
+        tables = self.tables
+        assert tables is not None
+        while True:
+            self.count = pinned_nodes.find_pinned_nodes(
+                self.close, self.table, tables.first, tables.phase, tables.at, self.dx, self.marks,
+                self.pinned,
+            )  # fmt: skip
+            if self.count <= len(self.pinned.part):
+                break
+            self.pinned = pinned_nodes.no_pinned_nodes(2 * self.count)
+        self.shares = np.array_split(np.arange(self.count), self.threads)
 
     def end_step(self, dt: float) -> None:
         """Compute how the particles of the parts move in a step of dt [s]."""
@@ -141,11 +160,9 @@ class PinnedParts(MovingColliders):
             counts: 1 at the nodes that this rank counts, shape (blocks, 64).
             contacts: NodeContacts (out).
         """
-        if len(self.marks) != len(engine.blocks.phase):
-            self.marks = np.zeros((len(engine.blocks.phase), 64), np.uint8)
         return pinned_nodes.find_pinned_contacts(
-            self.nodes, self.table, self.fields(engine), engine.blocks, engine.walls, bodies,
-            self.dx, self.marks, counts, contacts,
+            self.count, self.pinned, self.close, self.fields(engine), engine.blocks, engine.walls,
+            bodies, counts, self.dx, contacts,
         )  # fmt: skip
 
     def fields(self, engine) -> pinned_nodes.PinnedFields:
@@ -164,8 +181,8 @@ class PinnedParts(MovingColliders):
 
     def _apply(self, thread: int, engine, fields: pinned_nodes.PinnedFields, dt: float) -> None:
         engine.call_if_rows(
-            (), pinned_nodes.apply_pins, self.shares[thread], self.nodes, self.table, fields,
-            engine.blocks, engine.walls, dt, self.dx, engine.room[thread].given,
+            (), pinned_nodes.apply_pins, self.shares[thread], self.pinned, self.close, self.table,
+            fields, engine.blocks, engine.walls, dt, self.dx, engine.room[thread].given,
         )  # fmt: skip
 
 

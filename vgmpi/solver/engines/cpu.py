@@ -37,11 +37,7 @@ from .group_context import (
     particles_of,
 )
 from .kernel_caller import KernelCaller
-from .nodal_field_storage import (
-    NodalField,
-    color_count,
-    nodal_fields,
-)
+from .nodal_field_storage import NodalField, color_count, nodal_fields
 from .plan_tables import phase_sets, phase_table, wall_table
 from .reaction_sums import ReactionAccumulators
 from .shift_tables import node_fill, with_colliders
@@ -279,6 +275,8 @@ class Cpu(KernelCaller):
         rigid, solids = self.no_rigid, self.solids
         if solids is not None:
             rigid = rigid._replace(nodes=solids.nodes, moves=solids.moves, whose=solids.whose)
+        if self.pins is not None:
+            rigid = rigid._replace(ways=rigid.ways._replace(pinned=self.pins.marks))
         shear = layers["shear"].tables if self.plan.has_surface_friction else None
         summed = update.CommonFields(layers["momentum"].tables, layers["offsets"].tables)
         self.call_if_rows(
@@ -342,8 +340,9 @@ class Cpu(KernelCaller):
 
     def _carry(self, g: int, rows: np.ndarray, motion: g2p.StepConstants, report) -> None:
         """Advect particles of group `g` with a given motion; particles at rest stay."""
-        part, carrier = self.parts[g], self.pins if self.groups[g].plan.pinned else self.driven
-        group, row = part.group, carrier.row_of_group(g, part.group.plan.phase)
+        part, group = self.parts[g], self.groups[g]
+        carrier = self.pins if group.plan.pinned else self.driven
+        row = -1 if carrier is None else carrier.row_of_group(g, group.plan.phase)
         if row >= 0:
             rotated = np.array([group.plan.channels.first(name) for name in ROTATED_CHANNELS])
             self.call_if_rows(
