@@ -43,9 +43,8 @@ name = "whip"
 material = "rubber"
 shape = { box = [["20 cm", "6 cm", "4 cm"], ["24 cm", "10 cm", "20 cm"]] }
 pinned = [
-  { box = [["19 cm", "5 cm", "3 cm"], ["25 cm", "11 cm", "7 cm"]],
-    motion = { velocity = [1, 0, 0] } },
-  { box = [["19 cm", "5 cm", "17.5 cm"], ["25 cm", "11 cm", "21 cm"]] },
+  { box = [[0.19, 0.05, 0.03], [0.25, 0.11, 0.07]], motion = { velocity = [1, 0, 0] } },
+  { box = [[0.19, 0.05, 0.175], [0.25, 0.11, 0.21]] },
 ]
 [[probe]]
 name = "grip"

@@ -5,9 +5,9 @@ A beam of 6 x 6 cells hangs out by 16 cells and bends under its weight. Exact: f
 rest (1e-4). Its sag by Euler and Bernoulli with the shear of Timoshenko (factor 5/6) is
 w x^2 (6 L^2 - 4 L x + x^2) / (24 E I) + w (L x - x^2 / 2) / (5/6 G A). The rule attaches the nodes
 around the edge, so the beam is a few percent too stiff; where the edge lies among the nodes may
-change that by 5 %. A tyre takes from the rim that turns it what angular momentum it has. A tree in a
-pot without gravity keeps momentum and angular momentum to 1e-12, in double precision; with gravity
-both fall with the weight of all.
+change that by 5 %. A tyre takes from the rim that turns it what angular momentum it has. A tree in
+a pot without gravity keeps momentum and angular momentum to 1e-12, in double precision; with
+gravity both fall with the weight of all.
 """
 
 import numpy as np
@@ -149,8 +149,8 @@ def test_a_tyre_turns_with_what_holds_it(tmp_path, text, holder):
     lag = (angles(x) - angles(x0) - 20 * simulation.time + np.pi) % (2 * np.pi) - np.pi
     assert np.abs(lag[radius < 0.058]).max() < 1e-6
     ring = radius > 0.062
-    held(f"tyre that {holder} starts to turn: lag after half a turn", float(lag[ring].mean()), 0.0, 0.02,
-         kind="absolute", unit="rad", source="rigid rotation")  # fmt: skip
+    held(f"tyre that {holder} starts to turn: lag after half a turn", float(lag[ring].mean()), 0.0,
+         0.02, kind="absolute", unit="rad", source="rigid rotation")  # fmt: skip
     free = np.setdiff1d(np.arange(len(x)), pinned_ids(made))
     v, C, volume = (row[free] for row in by_id(simulation, "v", "C", "vol0"))
     spin = (x[free, 2] - 0.14) * v[:, 0] - (x[free, 0] - 0.14) * v[:, 2]

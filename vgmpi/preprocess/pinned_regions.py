@@ -72,7 +72,8 @@ def resolve_pinned_parts(
     Raises:
         SceneError: A part holds no particle, or all of its body.
     """
-    regions, errors = [], []
+    regions: list[PinnedRegion] = []
+    errors: list[tuple[tuple, str]] = []
     for k, obj in enumerate(scene.object):
         rows = np.flatnonzero(owner == k) if obj.pinned else np.zeros(0, np.int64)
         free, shift = rows, TIE * spacing_of(scene, obj) if obj.pinned else 0.0

@@ -13,8 +13,8 @@ EXCLUDED_KEYS = ("rigid", "motion", "release_time", "volume_fraction", "volume_f
 
 
 class PinnedPart(Shape):
-    """Pinned part of a solid body: exactly one of the keys of a [shape](#shape), `box` for example,
-    in coordinates of the domain at the start, and what holds it.
+    """Pinned part of a solid body: exactly one of the keys of `shape` that make a solid, `box` for
+    example, in coordinates of the domain at the start, and these.
     """
 
     to: str = WORLD

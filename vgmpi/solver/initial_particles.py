@@ -135,9 +135,9 @@ def _build_or_read(
         try:
             gaussians = read_gaussians(path)
             log.info("particles as prepared before: %s", path)
-            rows = gaussians.x0, gaussians.vol0, gaussians.object
-            loads = resolve_loads(scene, *rows)
-            regions = tuple(resolve_pinned_parts(scene, *rows, []))
+            particles = gaussians.x0, gaussians.vol0, gaussians.object
+            loads = resolve_loads(scene, *particles)
+            regions = tuple(resolve_pinned_parts(scene, *particles, []))
             summary = _summary_of(scene, gaussians.objects, gaussians, gaussians.x0, [], loads)
             return replace(summary, regions=regions), {}
         except RunError as error:

@@ -70,7 +70,7 @@ class Simulation:
         self.solids: MovingColliders | StaticColliders | None = self.movers
         if colliders and self.movers is None:
             self.solids = StaticColliders(list(colliders), self.lattice, plan.real, per_collider)
-        self.pins = make_pinned_parts(plan, self.lattice, self.movers, len(colliders))
+        self.pins = make_pinned_parts(plan, self.lattice, self.movers, len(colliders), threads)
         self.driven = PrescribedBodies(plan, len(colliders)) if plan.driven else None
         self.motions = [m for m in (self.movers, self.driven, self.pins) if m is not None]
         rigid = self.solids, threads, self.driven
@@ -194,7 +194,7 @@ class Simulation:
                 census, self.lattice, self.ranks.rank, self.needs, self.solids, self.pins
             )
             if self.pins is not None:
-                self.pins.set_tables(self.tables, self.engine.threads)
+                self.pins.set_tables(self.tables)
             if self.movers is not None:
                 self.movers.take(self.tables.at[self.tables.solid >= 0])
         self._set_segments(unchanged)

@@ -49,8 +49,8 @@ class PinnedFields(NamedTuple):
 
 def no_pinned_nodes(n: int) -> PinnedNodes:
     """Return an empty table with room for n rows."""
-    numbers = [np.zeros(n, np.int64) for _ in range(4)]
-    return PinnedNodes(*numbers, np.zeros((n, 4)))
+    part, block, node_block, node = np.zeros((4, n), np.int64)
+    return PinnedNodes(part, block, node_block, node, np.zeros((n, 4)))
 
 
 @device_function

@@ -21,8 +21,9 @@ class PinnedParts(MovingColliders):
     """
 
     def __init__(
-        self, plan: Plan, lattice: BlockLattice, movers: MovingColliders | None, collider_count: int
-    ):
+        self, plan: Plan, lattice: BlockLattice, movers: MovingColliders | None,
+        collider_count: int, threads: int,
+    ):  # fmt: skip
         """Sample the surfaces of the parts.
 
         Args:
@@ -30,6 +31,7 @@ class PinnedParts(MovingColliders):
             lattice: Lattice of the blocks.
             movers: Moving colliders, or None.
             collider_count: Number of colliders.
+            threads: Threads that share the nodes.
         """
         self.pins, self.movers = plan.pins, movers
         regions = [part.region for part in plan.pins]
@@ -47,7 +49,7 @@ class PinnedParts(MovingColliders):
         self.phase = np.array([part.phase for part in plan.pins])
         self.rows = np.array(reaction_rows(plan, collider_count))
         self.shares: list[np.ndarray] = []
-        self.threads, self.count = 1, 0
+        self.threads, self.count = threads, 0
         self.pinned = pinned_nodes.no_pinned_nodes(0)  # the nodes next to parts, `count` of them
         self.marks = np.zeros((0, 64), np.uint8)  # 1 at these nodes, by node block
         self.tables: ExchangeTopology | None = None
@@ -79,14 +81,9 @@ class PinnedParts(MovingColliders):
             block, np.append(first, len(rows)), part[order], self.phase, self.holder, self.rows
         )
 
-    def set_tables(self, tables: ExchangeTopology, threads: int) -> None:
-        """Set the node blocks of this rank.
-
-        Args:
-            tables: Exchange topology.
-            threads: Threads that share the blocks.
-        """
-        self.tables, self.threads = tables, threads
+    def set_tables(self, tables: ExchangeTopology) -> None:
+        """Set the node blocks of this rank."""
+        self.tables = tables
         self.take(tables.at)
         self.marks = np.zeros((len(tables.phase), 64), np.uint8)
         self.shares = []  # the nodes are found in the next step
@@ -211,8 +208,9 @@ def pinned_bodies(plan: Plan) -> list[int]:
 
 
 def make_pinned_parts(
-    plan: Plan, lattice: BlockLattice, movers: MovingColliders | None, collider_count: int
-) -> PinnedParts | None:
+    plan: Plan, lattice: BlockLattice, movers: MovingColliders | None, collider_count: int,
+    threads: int,
+) -> PinnedParts | None:  # fmt: skip
     """Return the pinned parts of a scene, or None if it has none.
 
     Args:
@@ -220,5 +218,6 @@ def make_pinned_parts(
         lattice: Lattice of the blocks.
         movers: Moving colliders, or None.
         collider_count: Number of colliders.
+        threads: Threads that share the nodes.
     """
-    return PinnedParts(plan, lattice, movers, collider_count) if plan.pins else None
+    return PinnedParts(plan, lattice, movers, collider_count, threads) if plan.pins else None

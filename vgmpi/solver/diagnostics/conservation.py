@@ -19,7 +19,7 @@ def conservation_rows(simulation: Simulation) -> list[dict]:
     Sums per segment travel to rank 0 in the order of the segments' keys and are added in that
     order.
     """
-    plan, sums = simulation.plan, []
+    plan, sums = simulation.plan, list[np.ndarray | None]()
     for group in simulation.groups:
         rows = np.empty((len(group.start), COLUMNS))
         segment_conservation_rows(

@@ -341,7 +341,7 @@ class Cpu(KernelCaller):
     def _carry(self, g: int, rows: np.ndarray, motion: g2p.StepConstants, report) -> None:
         """Advect particles of group `g` with a given motion; particles at rest stay."""
         part, group = self.parts[g], self.groups[g]
-        carrier = self.pins if group.plan.pinned else self.driven
+        carrier: Any = self.pins if group.plan.pinned else self.driven
         row = -1 if carrier is None else carrier.row_of_group(g, group.plan.phase)
         if row >= 0:
             rotated = np.array([group.plan.channels.first(name) for name in ROTATED_CHANNELS])
