@@ -128,6 +128,15 @@ def test_a_part_far_from_what_holds_it_is_warned_of(tmp_path, caplog):
     assert "'beam': the pinned part begins 0.222 m from 'boat', which holds it" in caplog.text
 
 
+def test_particles_inside_what_holds_the_body_are_warned_of(tmp_path, caplog):
+    text = SCENE.replace(
+        "[[-0.1, -0.1, -0.1], [0.04, 0.3, 0.3]]", "[[-0.1, -0.1, -0.1], [0.1, 0.3, 0.3]]"
+    )
+    with caplog.at_level(logging.WARNING, "vgmpi"):
+        vgmpi.plan(vgmpi.load(tmp_path / "scene.toml", text=text))
+    assert "'beam': 432 particles that are not pinned lie inside 'wall'" in caplog.text
+
+
 def test_the_numpy_engine_refuses(tmp_path):
     (tmp_path / "scene.toml").write_text(SCENE.split('[[object]]\nname = "boat"')[0])
     command = [sys.executable, "-m", "vgmpi", "scene.toml", "--engine", "numpy"]

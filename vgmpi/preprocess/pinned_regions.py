@@ -16,6 +16,7 @@ from .shape_sdf import TIE, distance
 
 log = logging.getLogger("vgmpi")
 SURROUNDINGS_CELLS = 3  # [cells] around its particles within which a part has a surface
+BURIED_CELLS = 0.5  # [cells] depth in what holds a part beyond which other particles are warned of
 UNRELATED_CELLS = 2.0  # [cells] distance from what holds it beyond which a part is warned of
 
 
@@ -86,6 +87,7 @@ def resolve_pinned_parts(
                 continue
             chosen, free = free[inside], free[~inside]
             regions.append(_region(scene, k, part, chosen, x, vol0, colliders))
+            _warn_of_buried_particles(obj.name, regions[-1], colliders, x[free])
         if obj.pinned and len(rows) and not len(free):
             message = f"holds all particles of '{obj.name}': use rigid = true, or motion"
             errors.append((("object", k, "pinned"), message))
@@ -156,6 +158,28 @@ def _warn_if_unrelated(name: str, part: PinnedPart, collider, x: np.ndarray, dx:
         log.warning(
             "'%s': the pinned part begins %.3g m from '%s', which holds it", name, gap, part.to
         )
+
+
+def _warn_of_buried_particles(
+    name: str, region: PinnedRegion, colliders: list, x: np.ndarray
+) -> None:
+    """Warn of particles inside what holds a part that do not belong to it.
+
+    Args:
+        name: Name of the body.
+        region: The part.
+        colliders: Colliders at the start.
+        x: Particles of the body that are not pinned, shape (n, 3) [m].
+    """
+    if region.holder < 0:
+        return
+    count = int((colliders[region.holder].distance(x) < -BURIED_CELLS * region.dx).sum())
+    if count:
+        log.warning(
+            "'%s': %d particles that are not pinned lie inside '%s', which pushes them out: enlarge"
+            " the pinned part",
+            name, count, region.to,
+        )  # fmt: skip
 
 
 def with_pinned_masses(colliders: list, regions: list[PinnedRegion]) -> list:
