@@ -278,8 +278,8 @@ def make_plan(
         keeps=keeps, restores=restores,
         shift_interval=SHIFT_INTERVAL * any(group.shifts for group in groups),
         gravity_ramp_time=scene.domain.gravity_ramp_time, gravity_keys=_gravity_keys(scene),
-        sources=inlet_plans(scene, group_of, count), sinks=outlet_plans(scene), driven=driven, pins=pins,
-        opens=tuple(scene.domain.opens), joints=scene.joint,
+        sources=inlet_plans(scene, group_of, count), sinks=outlet_plans(scene), driven=driven,
+        pins=pins, opens=tuple(scene.domain.opens), joints=scene.joint,
         feels=any(probe.feels for probe in scene.probe),
         free_bodies=any(obj.free_body is not None for obj in scene.object),
     )  # fmt: skip
