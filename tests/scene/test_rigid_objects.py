@@ -73,11 +73,6 @@ WRONG = [
     ),
     (
         "[[object]]\n" + LOG,
-        '[[probe]]\nname = "p"\nsampling_rate = 10\nobject = "log"\n[[object]]\n' + LOG,
-        "'log' is rigid: it has no particles",
-    ),
-    (
-        "[[object]]\n" + LOG,
         '[[probe]]\nname = "p"\nsampling_rate = 10\ncollider = "log"\n[[object]]\n' + LOG,
         "no collider",
     ),
