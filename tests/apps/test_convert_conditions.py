@@ -140,6 +140,50 @@ def test_conditions_that_are_not_brought_over_are_named(convert, condition):
     assert not scene.load
 
 
+def test_a_part_that_is_held_to_the_end_is_pinned(convert):
+    part = HOLD | {"size": [0.4, 0.9, 0.9], "point": [1.2, 1, 1], "end_time": 1e3}
+    pinned = convert(ONE | {"boundary_conditions": [part]})[0].object[0].pinned
+    assert [item.to for item in pinned] == ["world"] and pinned[0].motion is None
+    low, high = np.array(pinned[0].box)
+    assert np.allclose(high - low, [0.8, 1.8, 1.8])
+    scene, lines = convert(ONE | {"boundary_conditions": [part | {"velocity": [0, 0.1, 0]}]})
+    assert scene.object[0].pinned[0].motion.velocity == (0, 0.1, 0)
+    assert not named(lines, "boundary_conditions.0")
+    other = part | {"point": [0.6, 1, 1], "size": [0.1, 0.9, 0.9]}
+    assert len(convert(ONE | {"boundary_conditions": [part, other]})[0].object[0].pinned) == 2
+    turn = TURN | {"half_height_and_radius": [0.9, 0.2], "end_time": 1e3}
+    pinned = convert(ONE | {"boundary_conditions": [BOX, turn]})[0].object[0].pinned
+    assert pinned[0].cylinder.radius == 0.2 and pinned[0].motion.angular_velocity == -1.5
+    assert np.allclose(pinned[0].motion.pivot, (0.8, 0.8, 0.9))
+    slab = {"type": "cuboid", "point": [1.2, 1, 1], "size": [0.4, 0.9, 0.9], "velocity": [0, 0, 1]}
+    scene, lines = convert(ONE | {"boundary_conditions": [slab]})
+    assert scene.object[0].pinned[0].motion.velocity == (0, 0, 1)
+    assert "theirs holds what enters" in named(lines, "boundary_conditions.0")[0]
+
+
+@pytest.mark.parametrize(
+    "changes, also",
+    [
+        ({"start_time": 0.1}, {}),
+        ({"end_time": 0.1}, {}),
+        ({}, {"material": "sand"}),
+        (
+            {},
+            {
+                "additional_material_params": [
+                    {"point": [1, 1, 1], "size": [0.1] * 3, "E": 1e6, "nu": 0.3}
+                ]
+            },
+        ),
+    ],
+)
+def test_a_part_that_is_not_held_as_here_is_named(convert, changes, also):
+    part = HOLD | {"size": [0.4, 0.9, 0.9], "point": [1.2, 1, 1], "end_time": 1e3} | changes
+    scene, lines = convert(ONE | also | {"boundary_conditions": [part]})
+    assert not any(obj.pinned for obj in scene.object)
+    assert "only whole bodies" in named(lines, "boundary_conditions.0")[0]
+
+
 def test_layers_are_let_go(convert):
     layers = {
         "type": "release_particles_sequentially", "normal": [0, 0, 1], "start_position": 1.5,

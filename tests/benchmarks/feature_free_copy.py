@@ -82,6 +82,20 @@ ANSWERS: dict[str, dict[str, str]] = {
         "free_body_coupling": "return None",
     },
     "vgmpi.kernels.rigid.surface_slip": {},
+    "vgmpi.scene.pinned_parts": {
+        "validate_pinned": "return []",
+        "validate_pinned_parts": "return []",
+    },
+    "vgmpi.preprocess.pinned_regions": {
+        "resolve_pinned_parts": "return []",
+        "with_pinned_masses": "return colliders",
+    },
+    "vgmpi.planning.pinned_groups": {
+        "pinned_plans": "return (), groups",
+        "groups_of_particles": KEPT,
+    },
+    "vgmpi.kernels.rigid.pinned_nodes": {},
+    "vgmpi.solver.boundary.pinned_coupling": {"make_pinned_parts": "return None"},
     "vgmpi.solver.boundary.surface_coupling": {
         "make_surface_slip": "return None",
         "couple_surfaces": "return",

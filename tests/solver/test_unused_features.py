@@ -110,6 +110,9 @@ name = "block"
 material = "stuff"
 shape = { box = [[LOW, 0, 0], [HIGH, 0.16, 0.16]] }
 """
+PINNED = BLOCK.replace("LOW", "0.16").replace("HIGH", "0.24") + (
+    "pinned = { box = [[0, 0, 0], [0.2, 0.3, 0.3]] }\n"
+)
 BESIDE = BLOCK.replace("LOW", "0.16").replace("HIGH", "0.24")
 WITHIN = BLOCK.replace("LOW", "0").replace("HIGH", "0.16")
 POST = """
@@ -300,6 +303,15 @@ FEATURES = {
         PLAIN + POST + "motion = { velocity = [0.01, 0, 0] }\n",
         {"engine.layers.offsets", "movers"},
         {"Offsets"},
+    ),
+    "a pinned part": (
+        PLAIN + RUBBER + PINNED,
+        {"engine.layers.offsets", "pins", *(
+            f"{owner}.velocity gradient {a}"
+            for owner in ("engine.layers", "tables.asked", "tables.contributes") for a in "xyz"
+        )},
+        {"ElasticLaw", "SurfaceDistance", "Offsets", "VelocityGradient", "SampledSdf",
+         "PinnedTable", "PinnedNodes", "PinnedFields", "apply_pins"},
     ),
     "an inlet": (PLAIN + TAP, {"sources", "plan.sources"}, set()),
     "an outlet": (PLAIN + DRAIN, {"sinks"}, set()),

@@ -233,3 +233,11 @@ def _pairs_with_other_ranks(codes, nearby, owner, rank, plane, row, targets):
                         targets[0, n], targets[1, n] = b, last
                         n += 1
     return n
+
+
+def has_same_segments(before: BlockDirectory, after: BlockDirectory) -> bool:
+    """Return whether two directories have the same segments with the same owners."""
+    return all(
+        np.array_equal(getattr(before, name), getattr(after, name))
+        for name in ("code", "group", "owner")
+    )

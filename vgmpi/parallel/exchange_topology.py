@@ -79,7 +79,8 @@ class TopologyRequirements(NamedTuple):
     planes: tuple[ContactWall, ...] = ()  # walls that act on such phases by contact
     has_surface_friction: bool = False  # True if such a phase has friction against something
     volumes: np.ndarray = np.zeros(0, bool)  # (phases,) True if rest volumes are summed
-    near_colliders: tuple[str, ...] = ()  # fields that are summed near colliders alone
+    near_colliders: tuple[str, ...] = ()  # fields that are summed near colliders and pins alone
+    pinned: np.ndarray = np.zeros(0, bool)  # (phases,) True with pinned parts, or empty
 
     @property
     def layers(self) -> list[str]:
@@ -187,6 +188,7 @@ def build_topology(
     rank: int,
     needs: TopologyRequirements,
     solid=None,
+    pins=None,
 ) -> ExchangeTopology:
     """Build the topology tables of a rank.
 
@@ -197,6 +199,7 @@ def build_topology(
         needs: Requirements of the scene.
         solid: Function from blocks (n, 3) to rows among the collider's blocks or -1; None without
             colliders.
+        pins: The same of pinned parts.
     """
     mine = census.owner == rank
     if not mine.any():
@@ -206,6 +209,9 @@ def build_topology(
     rows = np.flatnonzero(box.holds(block))
     index, phase = box.index_of(block[rows]), needs.phase_of[census.group[rows]]
     contributes = _who_contributes(box, index, phase, census.group[rows], needs, solid)
+    if pins is not None:
+        close_by = _by_solid(box, pins)[index] & needs.pinned[phase]
+        contributes |= {name: contributes[name] | close_by for name in needs.near_colliders}
     is_own = box.full(False, bool)
     is_own[index[mine[rows]]] = True
     is_nearby = box.spread(is_own, np.logical_or)

@@ -61,6 +61,12 @@ class GroupPlan(NamedTuple):
     space: float = 0.0  # [1/kg] inverse mass of a full cell with density correction, else 0
     shifts: bool = False  # its particles are shifted where they crowd, and keep their volume
     cell_dilatation: bool = False  # its volume follows the mean divergence of cells
+    pinned: bool = False  # its particles are carried by what holds them (pinned_groups.py)
+
+    @property
+    def is_carried(self) -> bool:
+        """True if its particles follow a given motion instead of the grid's."""
+        return self.driven or self.pinned
 
     @property
     def is_liquid(self) -> bool:

@@ -7,6 +7,7 @@ does not exist.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -32,6 +33,7 @@ from .phases_and_groups import (
     with_runtime_requirements,
     with_volume_correction,
 )
+from .pinned_groups import PinnedPlan, pinned_plans
 from .prescribed_bodies import Extents, PrescribedBodyPlan, prescribed_body_plans, prescribed_phases
 from .proximity import Proximity
 from .region_groups import RegionPlan
@@ -112,6 +114,7 @@ class Plan:
     sources: tuple[InletPlan, ...] = ()
     sinks: tuple[OutletPlan, ...] = ()
     driven: tuple[PrescribedBodyPlan, ...] = ()
+    pins: tuple[PinnedPlan, ...] = ()  # pinned parts of bodies
     opens: tuple[float | None, ...] = (None,) * 6  # [s] when each wall vanishes
     feels: bool = False  # reaction impulses of each collider and wall are summed
     free_bodies: bool = False  # some colliders are free rigid bodies
@@ -227,7 +230,7 @@ class Plan:
 def make_plan(
     scene: Scene, count: list[int], volume: list[float], collider: bool,
     center: list[list[float]] | None = None, shades: np.ndarray | None = None,
-    surface: list[bool] | None = None, extents: Extents | None = None,
+    surface: list[bool] | None = None, extents: Extents | None = None, pinned: Sequence = (),
 ) -> Plan:  # fmt: skip
     """Return the plan of a scene. Raises SceneError if no time step satisfies the scene.
 
@@ -240,6 +243,7 @@ def make_plan(
         shades: Color range, see `color_exchange.coefficient_ranges`.
         surface: Whether the particles of each know its surface; default: none.
         extents: Corners, see `prescribed_bodies.prescribed_body_plans`.
+        pinned: Pinned parts with their particles.
     """
     bodies = {k: scene.material[t.material] for k, t in enumerate(scene.things) if t.material}
     real, n = FLOAT_TYPES[scene.accuracy.precision], len(volume)
@@ -258,6 +262,7 @@ def make_plan(
     driven, groups, group_of = prescribed_body_plans(
         scene, complete, group_of, phases, extents or {}
     )
+    pins, groups = pinned_plans(groups, group_of, pinned)
     plan = Plan(
         cells=scene.domain.cells, dx=scene.domain.cell, real=real,
         gravity=scene.domain.gravity, walls=tuple(scene.domain.walls),
@@ -270,15 +275,13 @@ def make_plan(
         times=np.linspace(0.0, scene.time.end, scene.time.frames),
         cfl=scene.time.cfl, fixed_dt=scene.time.dt,
         rate=_rate(scene, groups, sharing),
-        rules=sharing, colors=colors,
-        affine=scene.accuracy.affine, splines=scene.accuracy.gradient == "bspline",
+        rules=sharing, colors=colors, affine=scene.accuracy.affine,
+        splines=scene.accuracy.gradient == "bspline",
         keeps=keeps, restores=restores,
         shift_interval=SHIFT_INTERVAL * any(group.shifts for group in groups),
-        gravity_ramp_time=scene.domain.gravity_ramp_time,
-        gravity_keys=_gravity_keys(scene),
-        sources=inlet_plans(scene, group_of, count),
-        sinks=outlet_plans(scene), driven=driven,
-        opens=tuple(scene.domain.opens), joints=scene.joint,
+        gravity_ramp_time=scene.domain.gravity_ramp_time, gravity_keys=_gravity_keys(scene),
+        sources=inlet_plans(scene, group_of, count), sinks=outlet_plans(scene), driven=driven,
+        pins=pins, opens=tuple(scene.domain.opens), joints=scene.joint,
         feels=any(probe.feels for probe in scene.probe),
         free_bodies=any(obj.free_body is not None for obj in scene.object),
     )  # fmt: skip

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from .pinned_groups import set_pinned_groups
+
 if TYPE_CHECKING:
     from .plan import Plan
 
@@ -50,15 +52,16 @@ def group_counts(plan: "Plan") -> list[tuple[int, int]]:
 
 
 def groups_of_particles(plan: "Plan", ids: np.ndarray, owner: np.ndarray) -> np.ndarray:
-    """Return the group (n,) of each particle.
+    """Return the group (n,) of each particle at the start.
 
     Args:
         plan: The plan.
         ids: Particle ids, shape (n,).
         owner: Object or inlet of each particle, shape (n,).
     """
-    groups = np.array(plan.group_of)[owner]
+    groups = np.array(plan.group_of)[owner] if len(owner) else np.zeros(0, np.int64)
     for region in plan.regions:
         is_inside = (owner == region.thing) & (ids >= region.first)
         groups[is_inside & (ids < region.first + region.particles)] = region.group
+    set_pinned_groups(plan.pins, ids, groups)
     return groups

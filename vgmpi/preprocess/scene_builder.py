@@ -38,6 +38,7 @@ from .motion_checks import (
 )
 from .object_builder import BuiltObject, build_object
 from .passive_gaussians import bind_passive
+from .pinned_regions import PinnedRegion, resolve_pinned_parts, with_pinned_masses
 from .placement import PlacementError
 from .surface_descriptor import with_surface_descriptor
 
@@ -106,6 +107,7 @@ class PreparedScene:
         None  # (n, 10) see planning/particle_channels.py, None if not needed
     )
     shade: np.ndarray | None = None  # (n,) factors of the light painted on sh; None if all are 1
+    pinned: tuple[PinnedRegion, ...] = ()  # pinned parts of bodies
 
 
 def build_scene(scene: Scene) -> PreparedScene:
@@ -242,6 +244,8 @@ def _join(scene: Scene, pieces: list[BuiltObject]) -> PreparedScene:
         )
     x = _rows(pieces, bodies, lambda p: p.cloud.x)
     vol0, owner = _rows(pieces, bodies, lambda p: p.volume), _owners(pieces, bodies)
+    colliders = _colliders(scene, pieces, x)
+    pinned = resolve_pinned_parts(scene, x, vol0, owner, colliders)
     return PreparedScene(
         x=x,
         v0=np.concatenate([_velocity(scene, k, pieces[k]) for k in bodies]),
@@ -250,11 +254,12 @@ def _join(scene: Scene, pieces: list[BuiltObject]) -> PreparedScene:
         **_appearance(pieces, bodies, terms),
         scenery=scenery,
         objects=objects,
-        colliders=_colliders(scene, pieces, x),
+        colliders=with_pinned_masses(colliders, pinned),
         theta0=_rows(pieces, bodies, _theta),
         loads=resolve_loads(scene, x, vol0, owner, objects),
         passive=_passive_gaussians(pieces, objects, terms),
         surface0=_surfaces(pieces, bodies),
+        pinned=tuple(pinned),
     )
 
 

@@ -24,6 +24,7 @@ from .loads import Load, validate_load
 from .number_range import numbers_out_of_range
 from .object_files import find_object_file
 from .objects import Object, validate_body_name, validate_object, validate_release
+from .pinned_parts import validate_pinned_parts
 from .probes import Probe, collider_names, validate_probe
 from .regions import validate_region_kinds
 from .rigid_objects import as_collider, validate_particles, validate_rigid_scene
@@ -32,7 +33,9 @@ from .sections import MAX_CELLS, SECTIONS, Appearance, Domain, Output, TopLevelK
 from .slip_lengths import validate_slip_lengths
 
 REQUIRED = ("domain", "time", "material", "object")
-SCENE_RULES = (validate_rigid_scene, validate_slip_lengths, validate_region_kinds)
+SCENE_RULES = (
+    validate_rigid_scene, validate_slip_lengths, validate_region_kinds, validate_pinned_parts,
+)  # fmt: skip
 LISTS = ("object", "coupling", "joint", "load", "probe", "inlet", "outlet")
 
 

@@ -18,6 +18,7 @@ from . import (
     joints,
     loads,
     objects,
+    pinned_parts,
     probes,
     regions,
     resume_rules,
@@ -92,6 +93,7 @@ def scene_reference() -> str:
         "rotation": objects.Rotation,
         "velocity_mode": objects.VelocityMode,
         "volume_fraction_profile": objects.FractionProfile,
+        "pinned": pinned_parts.PinnedPart,
         "motion": rigid_motion.Motion,
         "motion keyframes": rigid_motion.Keyframe,
     }
@@ -117,7 +119,10 @@ def _section(title: str, table: type[BaseModel]) -> str:
     """Return the section of one table."""
     description = " ".join((table.__doc__ or "").split())
     rows = ["| key | unit | default | allowed | meaning |", "|---|---|---|---|---|"]
+    inherited = shapes.Shape.model_fields if table is pinned_parts.PinnedPart else {}
     for name, field in table.model_fields.items():
+        if name in inherited:  # its section has it
+            continue
         cells = (f"`{name}`", _unit(field), _default(field), _allowed(field), _meaning(field))
         rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return "\n".join([f"## {title}", "", description, "", *rows, ""])

@@ -20,6 +20,7 @@ from vgmpi.runtime.suggestions import did_you_mean
 
 from .initial_fields import FractionProfile, Spin, Velocity, VelocityMode
 from .keyframes import Time
+from .pinned_parts import PinnedPart, validate_pinned
 from .regions import Region, validate_regions
 from .rigid_motion import Motion, validate_motion
 from .rigid_objects import FreeBody, validate_rigid
@@ -215,6 +216,10 @@ class Object(StrictModel):
     """rigid bodies only: speed after over speed before a collision with another rigid body, a
     collider or a wall; default 0"""
 
+    pinned: Annotated[tuple[PinnedPart, ...], BeforeValidator(_listed)] = ()
+    """bodies of solids only: a part that something holds, { box, to } for example, or a list of
+    them. The part does not deform and moves with what holds it; the rest is attached to it"""
+
     _free_body: FreeBody | None = PrivateAttr(None)  # set by scene/rigid_objects.py
 
     @property
@@ -329,7 +334,7 @@ def validate_object(raw: dict) -> list[tuple[tuple, str]]:
     excluded = {path for path, _ in rigid}  # each key has one line
     errors = [error for error in errors if error[0] not in excluded] + rigid
     errors += [error for error in validate_regions(raw) if error[0] not in excluded]
-    errors += validate_slip_length(raw, scenery)
+    errors += validate_slip_length(raw, scenery) + validate_pinned(raw, scenery)
     return errors + ([] if scenery else _validate_prescribed(raw))
 
 

@@ -52,7 +52,9 @@ class Probe(StrictModel):
     """a collider, moving or not, or a body with prescribed motion (bodies with the same
     `release_time` count as one): mean force of the other bodies on it since the previous row, mean
     torque about its current center of rotation (at rest: the center of its extent), and its work on
-    the other bodies since then"""
+    the other bodies since then. That on a collider includes the bodies that are pinned to it. A
+    body that is pinned to the world: the same for the world, about the center of mass of its first
+    pinned part"""
 
     joint: str | None = None
     """name of a joint: its angle or displacement, force and torque on its first body, and the power
@@ -153,7 +155,7 @@ def collider_names(objects: list[Object | None]) -> list[str] | None:
 
 def _is_rigid(obj: Object) -> bool:
     """Return whether nothing deflects it."""
-    return obj.collider or obj.driven
+    return obj.collider or obj.driven or any(part.to == "world" for part in obj.pinned)
 
 
 def _validate_collider_name(
@@ -165,7 +167,7 @@ def _validate_collider_name(
     if name in role:
         return (
             f"'{name}' is no collider: scenery with collider = true is, and a body with motion or"
-            " release_time"
+            " release_time, or one that is pinned to the world"
         )
     valid = f"known: {', '.join(colliders)}" if colliders else "there is none"
     return f"there is no collider '{name}'{did_you_mean(name, colliders)}; {valid}"

@@ -38,13 +38,13 @@ PARTICLE_KEYS = frozenset(
     "region gaussians mesh shape select up height width depth scale rotation position origin"
     " velocity angular_velocity velocity_mode volume_fraction volume_fraction_profile"
     " initial_pressure particles_per_cell fill prune prune_scale passive_gaussians color"
-    " opacity".split()
+    " opacity pinned".split()
 )
 
 
 NUMERICS = "precision", "volume_correction"  # keys of accuracy whose defaults have changed
 ADDED_NUMERICS = {"dilatation": "particles"}  # keys that earlier versions computed by, unnamed
-ADDED_OBJECT_KEYS = {"rigid": False}
+ADDED_OBJECT_KEYS: dict[str, Any] = {"rigid": False, "pinned": []}
 
 
 def changes_without_effect(scene: Scene, differences: list[tuple[tuple, str]]) -> list[tuple]:

@@ -23,6 +23,7 @@ from vgmpi.preprocess.liquid_weight import liquid_weights
 from vgmpi.preprocess.load_targets import resolve_loads
 from vgmpi.preprocess.meshes import texture
 from vgmpi.preprocess.motion_checks import extent, motion_steps
+from vgmpi.preprocess.pinned_regions import PinnedRegion, resolve_pinned_parts
 from vgmpi.scene.scene import Scene
 from vgmpi.solver.estimates.measure_proximity import surroundings
 from vgmpi.solver.estimates.measure_rigid_bodies import measure_rigid_bodies
@@ -45,6 +46,7 @@ class ParticleSummary:
     extents: Extents = field(default_factory=dict)  # of the bodies with prescribed motion
     weights: tuple[float, ...] = ()  # [Pa] see plan.Plan
     rigid: RigidBodiesSummary = RigidBodiesSummary()
+    pinned: tuple[PinnedRegion, ...] = ()  # pinned parts of bodies
     # on rank 0: datasets to be written to gaussians.h5 by rest.write, None if the file holds them
     rows: dict | None = None
     scenery: dict | None = None
@@ -134,9 +136,11 @@ def _build_or_read(
         try:
             gaussians = read_gaussians(path)
             log.info("particles as prepared before: %s", path)
-            objects = gaussians.objects
-            loads = resolve_loads(scene, gaussians.x0, gaussians.vol0, gaussians.object, objects)
-            return _summary_of(scene, objects, gaussians, gaussians.x0, [], loads), {}
+            particles, objects = (gaussians.x0, gaussians.vol0, gaussians.object), gaussians.objects
+            loads = resolve_loads(scene, *particles, objects)
+            pinned = tuple(resolve_pinned_parts(scene, *particles, []))
+            summary = _summary_of(scene, objects, gaussians, gaussians.x0, [], loads)
+            return replace(summary, pinned=pinned), {}
         except RunError as error:
             if resumed:
                 raise
@@ -201,7 +205,8 @@ def _report_unreadable(path: Path, resumed: bool) -> None:
 
 def known_of(scene: Scene, built) -> ParticleSummary:
     """Return the summary of the particles that `build_scene` made."""
-    return _summary_of(scene, built.objects, built, built.x, built.colliders, built.loads)
+    summary = _summary_of(scene, built.objects, built, built.x, built.colliders, built.loads)
+    return replace(summary, pinned=built.pinned)
 
 
 def _summary_of(scene, objects, particles, x, colliders, loads) -> ParticleSummary:
@@ -278,7 +283,7 @@ def plan_for(scene: Scene, summary: ParticleSummary) -> Plan:
     surface = [bool(entry.get("surface")) for entry in summary.objects]
     plan = make_plan(
         scene, summary.count, summary.volume, colliders, summary.center, summary.shades, surface,
-        summary.extents,
+        summary.extents, summary.pinned,
     )  # fmt: skip
     steps = motion_steps(scene, summary.colliders, summary.extents)
     return replace(

@@ -64,6 +64,10 @@ def check_engine(options: Options, plan: Plan) -> None:
         raise InvalidRunOptions(
             f"engine {options.engine} has no free rigid bodies (object.rigid); engine cpu has"
         )
+    if plan.pins and options.engine != "cpu":
+        raise InvalidRunOptions(
+            f"engine {options.engine} has no pinned parts (object.pinned); engine cpu has"
+        )
     if plan.slip is not None and options.engine != "cpu":
         raise InvalidRunOptions(
             f"engine {options.engine} has no slip lengths (object.slip_length); engine cpu has"

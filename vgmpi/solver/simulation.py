@@ -12,7 +12,7 @@ from vgmpi.kernels.transfer import g2p
 from vgmpi.kernels.transfer.particle_shifting import MAX_SHIFT_CELLS
 from vgmpi.parallel import exchange_topology, migration
 from vgmpi.parallel.block_lattice import BlockLattice
-from vgmpi.parallel.block_ownership import BlockDirectory
+from vgmpi.parallel.block_ownership import BlockDirectory, has_same_segments
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.halo_exchange import HaloExchange
 from vgmpi.parallel.load_balance import SHARES
@@ -24,6 +24,7 @@ from vgmpi.solver.boundary.inlets import Sources
 from vgmpi.solver.boundary.load_application import Pushes
 from vgmpi.solver.boundary.outlets import Sinks
 from vgmpi.solver.boundary.particle_insertion import ParticleRows, bounds_of_idle_group, insert
+from vgmpi.solver.boundary.pinned_coupling import make_pinned_parts
 from vgmpi.solver.boundary.release import Releases
 from vgmpi.solver.boundary.surface_coupling import couple_surfaces, make_surface_slip
 from vgmpi.solver.diagnostics.reactions import Reactions
@@ -69,13 +70,15 @@ class Simulation:
         self.solids: MovingColliders | StaticColliders | None = self.movers
         if colliders and self.movers is None:
             self.solids = StaticColliders(list(colliders), self.lattice, plan.real, per_collider)
+        self.pins = make_pinned_parts(plan, self.lattice, self.movers, len(colliders), threads)
         self.driven = PrescribedBodies(plan, len(colliders)) if plan.driven else None
-        self.motions = [m for m in (self.movers, self.driven) if m is not None]
+        self.motions = [m for m in (self.movers, self.driven, self.pins) if m is not None]
         rigid = self.solids, threads, self.driven
         self.engine: Engine = engine_of(engine)(plan, self.lattice, *rigid)
+        self.engine.pins = self.pins
         self.groups: list[ParticleGroup] = self.engine.groups
         self.slip = make_surface_slip(plan, self.solids, self.engine)
-        self.bodies = free_body_coupling(plan, self.movers, self.engine, ranks)
+        self.bodies = free_body_coupling(plan, self.movers, self.engine, ranks, self.pins)
         self.reactions = Reactions(plan, colliders, ranks) if plan.feels else None
         if self.reactions is not None:
             self.engine.enable_reactions(
@@ -170,8 +173,9 @@ class Simulation:
             self.groups, self.ranks, self.cut, steps
         )
         self.moved += departed
-        if self.movers is not None:
-            self.movers.stand(self.time)
+        for mover in (self.movers, self.pins):
+            if mover is not None:
+                mover.stand(self.time)
         self.set_directory(census)
         self.sorted_at = self.step
         self.sorts += 1
@@ -181,13 +185,16 @@ class Simulation:
 
         The old tables are reused if no segment came, went or changed its owner.
         """
-        unchanged = self.halo is not None and _same_blocks(self.census, census)
-        unchanged &= self.movers is None  # colliders may be near other blocks now
+        unchanged = self.halo is not None and has_same_segments(self.census, census)
+        # colliders and pinned parts may be near other blocks now
+        unchanged &= self.movers is None and (self.pins is None or not self.pins.moving)
         self.census = census
         if not unchanged:
             self.tables = exchange_topology.build_topology(
-                census, self.lattice, self.ranks.rank, self.needs, self.solids
+                census, self.lattice, self.ranks.rank, self.needs, self.solids, self.pins
             )
+            if self.pins is not None:
+                self.pins.set_tables(self.tables)
             if self.movers is not None:
                 self.movers.take(self.tables.at[self.tables.solid >= 0])
         self._set_segments(unchanged)
@@ -227,8 +234,8 @@ class Simulation:
         if self.loads is not None:
             speed = self.loads.impulsive_speed_ahead(self.groups, self.time, 1.0 / rate)
             rate += speed / (min(self.plan.cfl, MAX_CELLS_PER_STEP) * self.plan.dx)
-        if self.movers is not None:
-            rate = self.movers.rate(self.time, rate)
+        for mover in (self.movers, self.pins):
+            rate = rate if mover is None else mover.rate(self.time, rate)
         if self.driven is not None:  # nothing else bounds a step while all bodies are prescribed
             rate = self.driven.rate(self.time, max(rate, 1.0 / float(self.plan.times[-1])))
         return 1.0 / rate
@@ -261,10 +268,10 @@ class Simulation:
             gravity = self.plan.gravity_between(self.time, end)
         engine.begin(dt, gravity, self.particle_maxima.fastest(self.plan, dt, pushed))
         self._update_grid(self.halo)
-        couple_surfaces(self.slip, self.bodies, dt, gravity)
+        couple_surfaces(engine, self.slip, self.pins, self.bodies, dt, gravity)
         report = engine.gather(self.step)  # v, C, x, state at n + 1
         if self.reactions is not None:
-            self.reactions.add_step(engine.given(), self.movers, self.driven)
+            self.reactions.add_step(engine.given(), self.movers, self.driven, self.pins)
         report.beyond.extend(overflows)
         mark("g2p")
         before, self.time = self.time, end
@@ -287,7 +294,8 @@ class Simulation:
         spawned = self.sources is not None and self.sources.due(before, self.time)
         if spawned:
             self._insert(self._spawned(before))
-        collider_moved_too_far = self.movers is not None and self.movers.left_safe_range(self.time)
+        movers = [mover for mover in (self.movers, self.pins) if mover is not None]
+        collider_moved_too_far = any(mover.left_safe_range(self.time) for mover in movers)
         if maxima[1] >= self.max_stray or collider_moved_too_far or spawned or released:
             self.sort()
             mark("sort")
@@ -390,11 +398,3 @@ class Simulation:
     def object_of(self, ids: np.ndarray) -> np.ndarray:
         """Return the object of each particle; ids of one object are consecutive."""
         return np.searchsorted(np.array(self.plan.first_id), ids, side="right") - 1
-
-
-def _same_blocks(before: BlockDirectory, after: BlockDirectory) -> bool:
-    """Return whether two directories have the same segments with the same owners."""
-    return all(
-        np.array_equal(getattr(before, name), getattr(after, name))
-        for name in ("code", "group", "owner")
-    )

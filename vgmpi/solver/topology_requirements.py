@@ -25,6 +25,7 @@ def needs(plan: Plan) -> exchange_topology.TopologyRequirements:
         plan.has_surface_friction,
         np.array([phase.fills_by_volume for phase in plan.phases]),
         fields_near_colliders(plan),
+        np.isin(np.arange(len(plan.phases)), [part.phase for part in plan.pins]),
     )
 
 

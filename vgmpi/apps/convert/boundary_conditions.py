@@ -1,7 +1,7 @@
 """Conversion of conditions that act on bodies: motions, releases, impulses and colliders.
 
-Only whole bodies have prescribed motions here. A condition of the other program that acts on a part
-of one is reported.
+Whole bodies have prescribed motions here, and parts of solids are pinned from the start to the end.
+Other conditions on a part of a body are reported.
 """
 
 import math
@@ -13,6 +13,7 @@ from . import source_schema
 from .body_pose import BodyPose, in_box
 from .config_reader import Config, KeyPath, Report
 from .domain_walls import RESET, ConvertedDomain
+from .pinned_conditions import PinnedConditions, held_region, in_cylinder
 
 Table = dict[str, Any]
 
@@ -65,14 +66,15 @@ def convert_conditions(
     ends = np.array([domain.low, domain.high]) * config.cell
     drives: dict[int, list[PrescribedMotion]] = {k: [] for k in range(len(poses))}
     active = ActiveConditions(ends, {}, [], [])
+    pins = PinnedConditions(config, poses, families, ends[0])
     for k, condition in config.conditions:
         key_path: KeyPath = ("boundary_conditions", k)
         if k in domain.used:
             continue
         if isinstance(condition, source_schema.Translation | source_schema.Turning):
-            _convert_motion(config, poses, condition, key_path, drives, report)
+            _convert_motion(config, poses, condition, key_path, drives, pins, report)
         elif isinstance(condition, source_schema.Cuboid):
-            _convert_cuboid(config, poses, condition, key_path, drives, active, report)
+            _convert_cuboid(config, poses, condition, key_path, drives, active, pins, report)
         elif isinstance(condition, source_schema.Release):
             _convert_release(config, poses, families, condition, key_path, active, report)
         elif isinstance(condition, source_schema.Impulse):
@@ -85,6 +87,7 @@ def convert_conditions(
             )
         elif motion:
             active.object_keys[k] = motion
+    pins.merge_into(active.object_keys, report)
     return active
 
 
@@ -110,7 +113,8 @@ def _acts_on_whole_body(
 def _convert_motion(
     config: Config, poses: list[BodyPose],
     condition: source_schema.Translation | source_schema.Turning,
-    key_path: KeyPath, drives: dict[int, list[PrescribedMotion]], report: Report,
+    key_path: KeyPath, drives: dict[int, list[PrescribedMotion]], pins: PinnedConditions,
+    report: Report,
 ) -> None:  # fmt: skip
     """Convert a prescribed translation or rotation."""
     k = condition.object_index if config.is_versagauss else 0
@@ -128,10 +132,12 @@ def _convert_motion(
             report.dropped((*key_path, "normal"), list(condition.normal), "it has no direction")
             return
         axis = tuple(c / length for c in condition.normal)  # type: ignore[assignment]
-        region = _in_cylinder(condition, np.asarray(axis))
+        region = in_cylinder(condition, np.asarray(axis))
         spin = -condition.rotation_scale  # theirs is left-handed: from h1 to h2 = h1 x normal
         velocity = tuple(condition.translation_scale * c for c in axis)  # type: ignore[assignment]
     value = _value(condition)
+    if pins.add(k, held_region(condition, region, velocity, spin, axis)):
+        return
     if _acts_on_whole_body(poses[k], poses[k].inside(region), key_path, value, report):
         drives[k].append(
             PrescribedMotion(
@@ -147,24 +153,10 @@ def _convert_motion(
         )
 
 
-def _in_cylinder(condition: source_schema.Turning, axis: np.ndarray):
-    """Return a function that tells which points are in the cylinder of a condition."""
-    half, radius = condition.half_height_and_radius
-
-    def within(x: np.ndarray) -> np.ndarray:
-        """Return which points (n, 3) are in the cylinder."""
-        offset = x - np.asarray(condition.point)
-        along = offset @ axis
-        return (np.abs(along) < half) & (
-            np.linalg.norm(offset - along[:, None] * axis, axis=1) < radius
-        )
-
-    return within
-
-
 def _convert_cuboid(
     config: Config, poses: list[BodyPose], condition: source_schema.Cuboid, key_path: KeyPath,
-    drives: dict[int, list[PrescribedMotion]], active: ActiveConditions, report: Report,
+    drives: dict[int, list[PrescribedMotion]], active: ActiveConditions, pins: PinnedConditions,
+    report: Report,
 ) -> None:  # fmt: skip
     """Convert a box with prescribed velocity: it moves the bodies inside, or is a collider."""
     value = _value(condition)
@@ -177,8 +169,13 @@ def _convert_cuboid(
         )
         return
     if any(fractions):
+        within = in_box(condition.point, condition.size)
+        region = held_region(condition, within, condition.velocity, 0.0, (0.0, 0.0, 1.0))
         for k, fraction in enumerate(fractions):
-            if fraction and _acts_on_whole_body(poses[k], fraction, key_path, value, report):
+            if fraction and pins.add(k, region):
+                reason = "holds the particles of the start; theirs holds what enters, too"
+                report.approximated(key_path, value, reason)
+            elif fraction and _acts_on_whole_body(poses[k], fraction, key_path, value, report):
                 drives[k].append(
                     PrescribedMotion(condition.start_time, condition.end_time, condition.velocity,
                                      0.0, (0.0, 0.0, 1.0), condition.point, key_path, value)

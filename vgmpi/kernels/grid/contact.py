@@ -179,6 +179,12 @@ def _driven(motions, phase):
 
 
 @device_function
+def _is_pinned(motions, nb, site):
+    """Return whether a node of a phase is next to a pinned part."""
+    return len(motions.pinned) > 0 and motions.pinned[nb, site.node] != 0
+
+
+@device_function
 def _active(block, node, velocities, phase, cell_mass, node_blocks):
     """Store the node blocks of the phases at a node; return their number.
 
@@ -273,7 +279,7 @@ def _add_rigid_pairs(
         is_resolved, mass, n = phases.surface[ph], work.mass[q], work.normals[pairs]
         if not ((a == COLLIDER_ROW or is_resolved) and has_surface(mine, is_resolved)):
             continue
-        if _driven(motions, ph):
+        if _driven(motions, ph) or (a == COLLIDER_ROW and _is_pinned(motions, work.here[q], site)):
             continue
         for c in range(3):
             n[c] = surface[c]

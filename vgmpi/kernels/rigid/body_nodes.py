@@ -34,7 +34,7 @@ class NodeContacts(NamedTuple):
     counts: np.ndarray  # (n,) 1 if this rank counts the node
     mass: np.ndarray  # (n,) [kg] nodal mass times the weight
     nodal_mass: np.ndarray  # (n,) [kg]
-    friction: np.ndarray  # (n,) [-] Coulomb coefficient
+    friction: np.ndarray  # (n,) [-] Coulomb coefficient, -1: the body holds the node
     normal: np.ndarray  # (n, 3) outward normal
     arm: np.ndarray  # (n, 3) [m] from the body's center to the node
     foot: np.ndarray  # (n, 3) [m] from the body's center to the surface
@@ -78,6 +78,7 @@ class NodesNearBodies(NamedTuple):
     velocities: np.ndarray  # (node blocks, 256) velocities and masses
     offsets: np.ndarray  # (node blocks, 256) values of the field of offsets, or without rows
     fields: tuple  # velocity gradients and pressure, four Sums
+    pinned: np.ndarray  # (node blocks, 64) 1 at nodes that a free body holds, or without rows
 
 
 class CoupledBodies(NamedTuple):
@@ -234,8 +235,8 @@ def mean_gradient(gradients, o, n, out):
 
 
 @kernel
-def find_contacts(nodes, tables, bodies, phases, walls, dt, dx, out):
-    """Find the nodes that touch free bodies; return their number.
+def find_contacts(nodes, tables, bodies, phases, walls, dt, dx, out, count):
+    """Find the nodes that touch free bodies; return the number of rows.
 
     If they are more than `out` has rows, only the number is right.
 
@@ -248,10 +249,11 @@ def find_contacts(nodes, tables, bodies, phases, walls, dt, dx, out):
         dt: Time step [s].
         dx: Cell size [m].
         out: NodeContacts (out).
+        count: Rows that are taken already.
     """
-    count, n, ijk = 0, np.zeros(3), np.zeros(3, np.int64)
+    n, ijk = np.zeros(3), np.zeros(3, np.int64)
     if len(nodes.offsets) == 0:
-        return 0
+        return count
     for row in range(len(nodes.block)):
         b = nodes.block[row]
         for node in range(64):
@@ -273,6 +275,8 @@ def find_contacts(nodes, tables, bodies, phases, walls, dt, dx, out):
                 continue
             for nb in range(tables.first[b], tables.first[b + 1]):
                 p = tables.phase[nb]
+                if len(nodes.pinned) > 0 and nodes.pinned[nb, node] != 0:
+                    continue
                 if not touches_surface(nodes, phases, p, nb, node, n, d, dx):
                     continue
                 if count < len(out.mass):

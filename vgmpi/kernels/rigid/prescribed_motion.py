@@ -19,13 +19,17 @@ EFFECTIVE_MASS_FACTOR = (
 
 
 class PrescribedSteps(NamedTuple):
-    """Prescribed displacement of a point x in a step: (turn (x - about) + shift) dt, by phase."""
+    """Prescribed displacement of a point x in a step: (turn (x - about) + shift) dt, by phase.
+
+    Nodes next to pinned parts of bodies are marked: colliders do not touch these bodies there.
+    """
 
     driven: np.ndarray  # (phases,) bool, True if the motion is prescribed
     row: np.ndarray  # (phases,) row of the reactions, after all colliders; -1 for other phases
     about: np.ndarray  # (phases, 3) [m] center of rotation
     turn: np.ndarray  # (phases, 3, 3) [1/s] rotation minus identity, per time
     shift: np.ndarray  # (phases, 3) [m/s] translation per time
+    pinned: np.ndarray = np.zeros((0, 64), np.uint8)  # (node blocks, 64), or without rows
 
 
 def _none(phases: int) -> PrescribedSteps:
@@ -37,6 +41,20 @@ def _none(phases: int) -> PrescribedSteps:
 
 
 NO_PRESCRIBED_BODIES = _none(0)
+
+
+def turn_rates(before: np.ndarray, after: np.ndarray, dt: float) -> np.ndarray:
+    """Return rotation minus identity, per time, between two rotations, shape (m, 3, 3) [1/s].
+
+    The products are written out: all ranks must agree, and the rounding of a matrix product may
+    differ.
+
+    Args:
+        before, after: Rotations at the beginning and the end of a step, shape (m, 3, 3).
+        dt: Length of the step [s].
+    """
+    turned = (after[:, :, None, :] * before[:, None, :, :]).sum(axis=3)
+    return (turned - np.eye(3)) / dt
 
 
 class PrescribedBodies:
@@ -60,6 +78,15 @@ class PrescribedBodies:
         self.far = np.array([body.far for _, body in moving])
         self.ends = np.array([body.ends for _, body in moving])  # [s] end of the prescribed motion
 
+    def row_of_group(self, group: int, phase: int) -> int:
+        """Return the row of a group's motion in `ways`, -1 if it is at rest.
+
+        Args:
+            group: Number of the group, unused.
+            phase: Its phase.
+        """
+        return phase if phase in self.phases else -1
+
     def begin_step(self, time: float, end: float, dt: float) -> None:
         """Set the displacements of a step.
 
@@ -73,10 +100,7 @@ class PrescribedBodies:
         before, move = self.courses.poses(time)
         after, move_end = self.courses.poses(end)
         steps, p = self.ways, self.phases
-        # The products are written out: all ranks must agree, and the rounding of a matrix product
-        # may differ.
-        turned = (after[:, :, None, :] * before[:, None, :, :]).sum(axis=3)
-        steps.turn[p] = (turned - np.eye(3)) / dt
+        steps.turn[p] = turn_rates(before, after, dt)
         steps.about[p] = self.courses.about + move
         steps.shift[p] = (move_end - move) / dt
 

@@ -190,6 +190,25 @@ def sample_collider(movers, m, x, dt, sample, velocity):
     return True
 
 
+@device_function
+def surface_velocity(movers, m, x, sample, dt, own, velocity):
+    """Compute the velocity of a collider at the point of its surface closest to a point.
+
+    Args:
+        movers: Sampled colliders.
+        m: Number of the collider.
+        x: Point, shape (3,) [m].
+        sample: Outward normal and distance of the point [m], shape (4,).
+        dt: Time step [s].
+        own: Scratch, shape (2, 4).
+        velocity: Mean velocity in the step (out), shape (3,) [m/s].
+    """
+    for k in range(3):
+        own[1, k] = x[k] - sample[3] * sample[k]
+    _own(movers, m, own[1], own[0])
+    _carry(movers, m, own[0], own[1], dt, velocity)
+
+
 @kernel
 def evaluate_colliders(blocks, first, nearby, movers, dt, dx, nodes, moves, whose):
     """Compute the nearest collider at the nodes of blocks.

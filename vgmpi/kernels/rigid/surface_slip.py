@@ -51,7 +51,7 @@ class NodesNearColliders(NamedTuple):
 
 
 @device_function
-def _stopped_axes(ijk, walls):
+def stopped_axes(ijk, walls):
     """Return a bit for each axis along which a wall stops a node, -1 at a stick wall."""
     axes = 0
     for a in range(3):
@@ -118,7 +118,7 @@ def apply_slip(rows, nodes, tables, law, phases, walls, dt, dx, reaction):
             ijk[0] = 4 * tables.at[b, 0] - 1 + node // 16
             ijk[1] = 4 * tables.at[b, 1] - 1 + node // 4 % 4
             ijk[2] = 4 * tables.at[b, 2] - 1 + node % 4
-            axes = _stopped_axes(ijk, walls)
+            axes = stopped_axes(ijk, walls)
             if axes < 0:
                 continue
             if len(nodes.moves) > 0:

@@ -16,7 +16,7 @@ from vgmpi.scene.scene import Scene
 from . import accuracy_benchmarks, tradeoff_results
 from .feature_costs import PARTICLES_PER_BLOCK, feature_table, step_ns
 from .pilot_result import STEP_SECONDS, PilotRun
-from .rigid_body_lines import rigid_body_lines
+from .rigid_body_lines import pinned_lines, rigid_body_lines
 from .throughput import ASSUMED_THROUGHPUT, Throughput
 from .timestep_advice import limiting_material_lines, pruning_lines, soft_liquid_lines
 
@@ -86,7 +86,8 @@ def format_plan(
             for w, time in zip(plan.walls, plan.opens, strict=True)
         )
     )
-    lines += rigid_body_lines(scene, plan) + _joints(scene) + _slip(scene) + _flows(plan)
+    lines += rigid_body_lines(scene, plan) + pinned_lines(plan) + _joints(scene)
+    lines += _slip(scene) + _flows(plan)
     lines += _accuracy_notes(scene, plan)
     lines += accuracy_benchmarks.preset_accuracy_lines(scene) + feature_table(scene, plan, pace)
     total = plan.bytes()

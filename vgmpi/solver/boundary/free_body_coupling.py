@@ -18,6 +18,8 @@ from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.exchange_topology import NEAR_BODIES, ExchangeTopology, counting_owner
 from vgmpi.planning.plan import Plan
 
+from .pinned_coupling import PinnedParts
+
 MAX_ROUNDS = 6  # of sums over the ranks in a step
 HEADROOM = 16.0  # [-] factor on the mass that fills the domain, and on a cell per step
 SUM_BITS, IMPULSE_BITS = 58, 61  # [bits] range of the whole numbers
@@ -28,8 +30,12 @@ WARM_NAMES = "body", "other", "place", "impulse"  # of the points whose impulses
 class FreeBodyCoupling:
     """Coupling of the free bodies among the moving colliders with the particles of a rank."""
 
-    def __init__(self, plan: Plan, movers: MovingColliders, engine, ranks: SerialCommunicator):
+    def __init__(
+        self, plan: Plan, movers: MovingColliders, engine, ranks: SerialCommunicator,
+        pins: PinnedParts | None = None,
+    ):  # fmt: skip
         """Set up the points of the bodies' surfaces and the range of the sums."""
+        self.pins = pins if pins is not None and (pins.holder >= 0).any() else None
         assert movers.free is not None
         self.plan, self.movers, self.engine, self.ranks = plan, movers, engine, ranks
         self.bodies, count = movers.free, len(movers.free.rows)
@@ -41,6 +47,7 @@ class FreeBodyCoupling:
         self.slip = self._slip_law()
         self.contacts = body_nodes.no_contacts(1024, len(self.slip.length) > 0)
         self.tables: ExchangeTopology | None = None
+        self.no_pins = np.zeros((0, 64), np.uint8)
         self.near, self.counts = np.zeros(0, np.int64), np.zeros((0, 64), np.uint8)
         self.points = body_contact.contact_points(POINTS_PER_BODY * count)
         self.points_before, self.touching = body_contact.contact_points(0), 0
@@ -146,15 +153,19 @@ class FreeBodyCoupling:
             self.counts = counting_owner(self.tables, self.ranks.rank)
         layers = engine.layers
         fields = tuple(layers[name].tables for name in NEAR_BODIES)
-        nodes = body_nodes.NodesNearBodies(
-            self.movers.table, self.near, self.movers.nodes, self.movers.whose, self.counts,
-            layers["momentum"].nodes, layers["offsets"].nodes, fields,
-        )  # fmt: skip
         coupled = body_nodes.CoupledBodies(self.number_of, bodies.x, self.friction, self.slip)
         while True:
+            count, marks = 0, self.no_pins
+            if self.pins is not None:
+                count = self.pins.find_contacts(engine, bodies.x, self.counts, self.contacts)
+                marks = self.pins.marks
+            nodes = body_nodes.NodesNearBodies(
+                self.movers.table, self.near, self.movers.nodes, self.movers.whose, self.counts,
+                layers["momentum"].nodes, layers["offsets"].nodes, fields, marks,
+            )  # fmt: skip
             count = body_nodes.find_contacts(
                 nodes, engine.blocks, coupled, engine.phases, engine.walls, dt, self.plan.dx,
-                self.contacts,
+                self.contacts, count,
             )  # fmt: skip
             if count <= len(self.contacts.mass):
                 return count
@@ -198,8 +209,9 @@ class FreeBodyCoupling:
 
 
 def free_body_coupling(
-    plan: Plan, movers: MovingColliders | None, engine, ranks: SerialCommunicator
-) -> FreeBodyCoupling | None:
+    plan: Plan, movers: MovingColliders | None, engine, ranks: SerialCommunicator,
+    pins: PinnedParts | None = None,
+) -> FreeBodyCoupling | None:  # fmt: skip
     """Return the coupling of the scene's free bodies, or None if it has none.
 
     Args:
@@ -207,7 +219,8 @@ def free_body_coupling(
         movers: Moving colliders, or None.
         engine: CPU engine.
         ranks: Communicator.
+        pins: Pinned parts, or None.
     """
     if movers is None or movers.free is None:
         return None
-    return FreeBodyCoupling(plan, movers, engine, ranks)
+    return FreeBodyCoupling(plan, movers, engine, ranks, pins)

@@ -47,7 +47,7 @@ def insert(
     Returns:
         Bounds of the time step and the sums, shape (4,), see `bounds`.
     """
-    group_of = groups_of_particles(plan, rows.ids, rows.owner) if len(rows.owner) else rows.owner
+    group_of = groups_of_particles(plan, rows.ids, rows.owner)
     limits = np.zeros(4)
     for g, group in enumerate(groups):
         selected = rows.select(group_of == g)

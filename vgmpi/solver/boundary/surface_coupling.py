@@ -10,6 +10,7 @@ from vgmpi.planning.plan import Plan
 from vgmpi.solver.engines.nodal_field_storage import fields_near_colliders
 
 from .free_body_coupling import FreeBodyCoupling
+from .pinned_coupling import PinnedParts
 
 
 class SurfaceSlip:
@@ -68,24 +69,29 @@ def make_surface_slip(plan: Plan, solids, engine) -> SurfaceSlip | None:
 
 
 def couple_surfaces(
-    slip: SurfaceSlip | None, bodies: FreeBodyCoupling | None, dt: float, gravity: np.ndarray
-) -> None:
-    """Couple what flows with the surfaces of colliders and with free bodies in a step.
+    engine, slip: SurfaceSlip | None, pins: PinnedParts | None, bodies: FreeBodyCoupling | None,
+    dt: float, gravity: np.ndarray,
+) -> None:  # fmt: skip
+    """Couple the grid with the surfaces of colliders, pinned parts and free bodies in a step.
 
     Args:
+        engine: Engine.
         slip: Slip on colliders, or None.
+        pins: Pinned parts, or None.
         bodies: Free rigid bodies, or None.
         dt: Time step [s].
         gravity: Acceleration, shape (3,) [m/s2].
     """
-    first = slip or bodies
-    if first is None:
+    if slip is None and pins is None and bodies is None:
         return
-    engine = first.engine
-    for name in fields_near_colliders(first.plan):
+    for name in fields_near_colliders(engine.plan):
         number = list(engine.layers).index(name)
         finalize_field(engine.blocks, engine.layers[name].tables, engine.beyond[0], number)
     if slip is not None:
         slip.apply(dt)
+    if pins is not None:
+        pins.apply(engine, dt)
     if bodies is not None:
         bodies.advance(dt, gravity)
+    if pins is not None:
+        pins.end_step(dt)

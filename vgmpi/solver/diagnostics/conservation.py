@@ -6,6 +6,7 @@ import numpy as np
 
 from vgmpi.kernels.diagnostics import COLUMNS, body_momentum_rows, segment_conservation_rows
 from vgmpi.parallel.particle_group import ParticleGroup
+from vgmpi.planning.plan import Plan
 from vgmpi.solver.boundary.flow_accounting import Tally, allreduce_bigint
 from vgmpi.solver.simulation import Simulation
 
@@ -18,13 +19,15 @@ def conservation_rows(simulation: Simulation) -> list[dict]:
     Sums per segment travel to rank 0 in the order of the segments' keys and are added in that
     order.
     """
-    plan, sums = simulation.plan, []
+    plan, sums = simulation.plan, list[np.ndarray | None]()
     for group in simulation.groups:
         rows = np.empty((len(group.start), COLUMNS))
         segment_conservation_rows(
             group.plan.law, group.start, group.count, group.block, group.xi, group.f, group.bits,
             group.plan.density, plan.dx, plan.gravity_at(simulation.time), rows,
         )  # fmt: skip
+        if group.plan.pinned and _moves_with_free_body(plan, len(sums)):
+            rows[:, 1:8] = rows[:, 9] = 0.0  # part of the columns of rigid bodies
         sums.append(simulation.ranks.gather_rows(rows))
     tally, flow = simulation.flow_accounting, []
     if tally is not None:
@@ -53,6 +56,11 @@ def conservation_rows(simulation: Simulation) -> list[dict]:
         for k, entry in enumerate(entries):
             entry |= {name: value if k == 0 else 0.0 for name, value in bodies.items()}
     return entries
+
+
+def _moves_with_free_body(plan: Plan, group: int) -> bool:
+    """Return whether a free rigid body holds the pinned part whose particles a group has."""
+    return any(part.group == group and part.region.is_free for part in plan.pins)
 
 
 def _flow(tally: Tally, phase: int, totals: list[list[int]]) -> dict:

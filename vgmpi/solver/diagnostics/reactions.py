@@ -16,6 +16,7 @@ from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.plan import Plan
 from vgmpi.planning.region_groups import group_counts
+from vgmpi.solver.boundary.pinned_coupling import PinnedParts, pinned_bodies
 
 HEADROOM = 16.0  # [mass times cell per step] upper bound of the sum of impulses in one step
 ACCUMULATOR_BITS = 62  # [bits] size of the integers that hold the sums
@@ -26,10 +27,10 @@ class Reactions:
 
     `totals` has the shape (rows, 7): impulse on the bodies [kg m/s], its moment about the row's
     reference point [kg m2/s], and work [J]. Rows: colliders in the order of the scene, prescribed
-    bodies, then the walls west, east, south, north, floor, roof. The reference point of a moving
-    collider or of a prescribed body is the current place of its center of rotation; that of a
-    collider at rest is the middle of its extent, that of a wall its middle. `mass` [kg] bounds
-    the mass of all deformable bodies.
+    bodies, bodies that the world holds, then the walls west, east, south, north, floor, roof. The
+    reference point of a moving collider or of a prescribed body is the current place of its center
+    of rotation; that of a collider at rest is the middle of its extent, that of a pinned part its
+    center of mass, that of a wall its middle. `mass` [kg] bounds the mass of all deformable bodies.
     """
 
     def __init__(self, plan: Plan, colliders: Sequence, ranks: SerialCommunicator):
@@ -38,7 +39,12 @@ class Reactions:
         self.colliders = [collider.name for collider in colliders]
         self.moving = [m for m, collider in enumerate(colliders) if collider.course is not None]
         driven = [body.about for body in plan.driven]
-        self.points = np.array([*map(_reference_point, colliders), *driven, *_wall_centers(plan)])
+        self.pinned = pinned_bodies(plan)
+        first = [next(p.region for p in plan.pins if p.object == k) for k in self.pinned]
+        pinned = [tuple(region.masses.center) for region in first]
+        self.points = np.array(
+            [*map(_reference_point, colliders), *driven, *pinned, *_wall_centers(plan)]
+        )
         self.totals = np.zeros((len(self.points), NUMBERS))
         self.quanta = np.ones(NUMBERS)
         self.mass = 0.0
@@ -70,27 +76,34 @@ class Reactions:
         self.quanta[6] = quantum * _power_of_two_above(4.0 * speed)
 
     def row(self, name: str, number: int) -> int:
-        """Return the row of a collider by name, or of a prescribed body by object number."""
+        """Return the row of a collider by name, or of a prescribed or pinned body by its number."""
         if name in self.colliders:
             return self.colliders.index(name)
+        if number in self.pinned:
+            return len(self.colliders) + len(self.plan.driven) + self.pinned.index(number)
         rows = [k for k, body in enumerate(self.plan.driven) if number in body.things]
         return len(self.colliders) + rows[0]
 
     def add_step(
-        self, counted: np.ndarray, movers: MovingColliders | None, driven: PrescribedBodies | None
-    ) -> None:
+        self, counted: np.ndarray, movers: MovingColliders | None,
+        driven: PrescribedBodies | None, pins: PinnedParts | None = None,
+    ) -> None:  # fmt: skip
         """Add the reactions of one step. Collective.
 
         Args:
             counted: Reactions on this rank in quanta, shape (rows, 7) int64.
             movers: Moving colliders, or None.
             driven: Prescribed bodies, or None.
+            pins: Pinned parts, or None.
         """
         reaction = self.ranks.sum(counted) * self.quanta
         points = self.points.copy()
         if driven is not None:
             phases = [self.plan.groups[body.group].phase for body in self.plan.driven]
             points[driven.ways.row[phases]] = driven.ways.about[phases]
+        if pins is not None and self.pinned:
+            first = len(self.colliders) + len(self.plan.driven)
+            points[first : first + len(self.pinned)] = pins.centers(self.pinned)
         if movers is not None:
             table = movers.table
             points[self.moving] = (table.about + table.move)[self.moving]

@@ -1,6 +1,7 @@
 """CPU engine: arrays and kernel calls of a time step, in compiled code on the processor's cores."""
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -36,11 +37,7 @@ from .group_context import (
     particles_of,
 )
 from .kernel_caller import KernelCaller
-from .nodal_field_storage import (
-    NodalField,
-    color_count,
-    nodal_fields,
-)
+from .nodal_field_storage import NodalField, color_count, nodal_fields
 from .plan_tables import phase_sets, phase_table, wall_table
 from .reaction_sums import ReactionAccumulators
 from .shift_tables import node_fill, with_colliders
@@ -63,6 +60,7 @@ class Cpu(KernelCaller):
     ):  # fmt: skip
         super().__init__(threads)
         self.plan, self.driven = plan, driven
+        self.pins: Any = None  # pinned parts of bodies, set by the simulation
         self.groups = [self.GROUP(group, lattice, plan.real) for group in plan.groups]
         self.solids = solids
         self.no_rigid = update.RigidBoundaries(
@@ -223,7 +221,7 @@ class Cpu(KernelCaller):
             group = part.group
             rows = part.partition.stage(border)[thread]
             if not self.dt:
-                if group.plan.driven:  # prescribed motion loses nothing in transfers
+                if group.plan.is_carried:  # given motion loses nothing in transfers
                     continue
                 for layer, kind, chosen in part.timeless:
                     if self._is_summed(layer):
@@ -277,6 +275,8 @@ class Cpu(KernelCaller):
         rigid, solids = self.no_rigid, self.solids
         if solids is not None:
             rigid = rigid._replace(nodes=solids.nodes, moves=solids.moves, whose=solids.whose)
+        if self.pins is not None:
+            rigid = rigid._replace(ways=rigid.ways._replace(pinned=self.pins.marks))
         shear = layers["shear"].tables if self.plan.has_surface_friction else None
         summed = update.CommonFields(layers["momentum"].tables, layers["offsets"].tables)
         self.call_if_rows(
@@ -314,8 +314,8 @@ class Cpu(KernelCaller):
             group, plan = part.group, part.group.plan
             rows = part.partition.all[thread]
             particles = part.particles
-            if plan.driven:
-                self._carry(part, rows, motion, report[thread])
+            if plan.is_carried:
+                self._carry(g, rows, motion, report[thread])
                 continue
             color_channel = plan.channels.first("color")
             for k in range(plan.coefficients):
@@ -338,18 +338,16 @@ class Cpu(KernelCaller):
                     group.count, group.f, row, motion.dt,
                 )  # fmt: skip
 
-    def _carry(
-        self, part: GroupContext, rows: np.ndarray, motion: g2p.StepConstants, report
-    ) -> None:
-        """Advect particles with prescribed motion; particles at rest stay."""
-        group, driven = part.group, self.driven
-        assert driven is not None
-        if group.plan.phase in driven.phases:
+    def _carry(self, g: int, rows: np.ndarray, motion: g2p.StepConstants, report) -> None:
+        """Advect particles of group `g` with a given motion; particles at rest stay."""
+        part, group = self.parts[g], self.groups[g]
+        carrier: Any = self.pins if group.plan.pinned else self.driven
+        row = -1 if carrier is None else carrier.row_of_group(g, group.plan.phase)
+        if row >= 0:
             rotated = np.array([group.plan.channels.first(name) for name in ROTATED_CHANNELS])
             self.call_if_rows(
-                (), advect_prescribed, rows, part.segments, group.block, part.particles,
-                group.plan.phase,
-                driven.ways, rotated, self.plan.dx, self.dt, motion, report,
+                (), advect_prescribed, rows, part.segments, group.block, part.particles, row,
+                carrier.ways, rotated, self.plan.dx, self.dt, motion, report,
             )  # fmt: skip
 
     def node_fill_now(self) -> NodeFill | None:
@@ -371,7 +369,7 @@ class Cpu(KernelCaller):
     def _restore(self, thread: int, times: float) -> None:
         dx = self.plan.real.type(self.plan.dx)
         for part in self.parts:
-            if part.group.plan.driven:
+            if part.group.plan.is_carried:
                 continue
             shift = self.shift if part.group.plan.shifts else None
             self.call_if_rows(
@@ -385,7 +383,7 @@ class Cpu(KernelCaller):
         self, part: GroupContext, thread: int, layer: str = "momentum"
     ) -> GhostNodes | None:
         """Return the ghost record of a transfer, None where reactions are not requested."""
-        if self.reactions is None or part.ghosts is None or part.group.plan.driven:
+        if self.reactions is None or part.ghosts is None or part.group.plan.is_carried:
             return None
         return self.reactions.ghosts_of_transfer(part.ghosts, thread, layer, self.dt)
 

@@ -12,7 +12,7 @@ sums that other ranks need to the halo exchange and takes theirs (`pack`, `add`)
 velocities (`update`) and advects the particles (`gather`).
 """
 
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -98,6 +98,7 @@ class Engine(Protocol):
 
     groups: list[ParticleGroup]
     words: int  # doubles per sum; messages are made of them
+    pins: Any  # pinned parts of bodies (boundary/pinned_coupling.py), or None
 
     def __init__(
         self, plan: Plan, lattice: BlockLattice, solids: StaticColliders | MovingColliders | None,

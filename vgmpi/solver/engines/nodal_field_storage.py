@@ -145,6 +145,8 @@ def contributions(
         contributes: Field name -> segments that contribute, (segments,) bool.
         split: Segments whose stress impulse is summed separately, shape (segments,) bool.
     """
+    if group.pinned:  # its particles are not on the grid
+        return []
     full, inert = momentum.contribution_kinds(plan, group)
     result = [
         FieldContribution("momentum", inert, split | True)  # stress does not move prescribed bodies
@@ -176,15 +178,17 @@ def contributions(
 
 
 def fields_near_colliders(plan: Plan) -> tuple[str, ...]:
-    """Return the names of the nodal fields that are summed near colliders alone."""
+    """Return the names of the nodal fields that are summed near colliders and pins alone."""
     if plan.free_bodies:
         return NEAR_BODIES
-    return GRADIENTS if plan.slip is not None else ()
+    return GRADIENTS if plan.slip is not None or plan.pins else ()
 
 
 def _near_colliders(plan: Plan, group: GroupPlan) -> tuple[str, ...]:
     """Return those of these fields to which a group contributes."""
-    if group.driven or not (plan.free_bodies or plan.slip and plan.slip.phases[group.phase]):
+    slips = plan.slip is not None and plan.slip.phases[group.phase]
+    is_pinned = any(part.phase == group.phase for part in plan.pins)
+    if group.driven or not (plan.free_bodies or slips or is_pinned):
         return ()
     return fields_near_colliders(plan)
 

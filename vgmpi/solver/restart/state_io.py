@@ -135,8 +135,9 @@ def save(simulation: Simulation) -> dict:
         "cells": list(simulation.plan.cells),
         "dx": simulation.plan.dx,
     }
-    if simulation.movers is not None:
-        attrs["sorted_time"] = simulation.movers.since
+    mover = simulation.movers or simulation.pins
+    if mover is not None:
+        attrs["sorted_time"] = mover.since
     if simulation.bodies is not None:
         attrs["bodies"] = simulation.bodies.saved()
     if simulation.releases is not None:
@@ -185,8 +186,9 @@ def restore(simulation: Simulation, saved) -> None:
         simulation.releases.open_walls(simulation.time)
     if simulation.bodies is not None:
         simulation.bodies.bodies.restore_search(saved.attrs["bodies"]["bodies"])
-    if simulation.movers is not None:  # the blocks near colliders are those of the last sort
-        simulation.movers.stand(saved.attrs.get("sorted_time", simulation.time))
+    for mover in (simulation.movers, simulation.pins):
+        if mover is not None:  # the blocks near colliders are those of the last sort
+            mover.stand(saved.attrs.get("sorted_time", simulation.time))
     rows = [_segments(simulation, g, *share) for g, share in enumerate(segments)]
     costs = np.array([group.cost for group in plan.groups])
     table, simulation.cut = build_block_directory(

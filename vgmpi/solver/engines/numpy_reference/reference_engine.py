@@ -6,6 +6,8 @@ segments with a separate stress impulse (the tables); there are no patches, repr
 compiled code. Jiang 2015 (APIC), Hu 2018, Zhu and Bridson 2005 (FLIP).
 """
 
+from typing import Any
+
 import numpy as np
 
 from vgmpi.kernels.grid.mixture_coupling import MIN_POROSITY
@@ -62,6 +64,7 @@ class Numpy:
         driven: PrescribedBodies | None = None,
     ):  # fmt: skip
         self.driven = driven
+        self.pins: Any = None  # a run with pinned parts is refused
         self.plan, self.dense = plan, Dense(plan)
         self.groups = [ParticleGroup(group, lattice, plan.real) for group in plan.groups]
         self.contact = Contact(plan, self.dense)

@@ -1,0 +1,55 @@
+"""Groups of the particles of pinned parts: carried by what holds them, outside of the grid."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .phases_and_groups import GroupPlan
+
+PINNED_COST = 0.1  # [-] cost of a carried particle relative to a fluid's (estimate)
+
+
+class PinnedPlan(NamedTuple):
+    """Pinned part of a body."""
+
+    object: int  # row of the body
+    group: int  # of its particles
+    phase: int  # of the body
+    region: Any  # preprocess/pinned_regions.py
+
+
+def pinned_plans(
+    groups: tuple[GroupPlan, ...], group_of: tuple[int, ...], regions: Sequence
+) -> tuple[tuple[PinnedPlan, ...], tuple[GroupPlan, ...]]:
+    """Plan the pinned parts and their groups.
+
+    Args:
+        groups: Groups as if nothing were pinned.
+        group_of: Group of each object and inlet, likewise.
+        regions: Pinned parts with their particles.
+
+    Returns:
+        The plans, and all groups with those of the parts last.
+    """
+    plans, every = [], list(groups)
+    for region in regions:
+        free = groups[group_of[region.object]]
+        name = f"{region.name} (pinned to {region.to})/{free.material}"
+        plans.append(PinnedPlan(region.object, len(every), free.phase, region))
+        every.append(free._replace(name=name, pinned=True, cost=PINNED_COST))
+    return tuple(plans), tuple(every)
+
+
+def set_pinned_groups(pins: Sequence[PinnedPlan], ids: np.ndarray, groups: np.ndarray) -> None:
+    """Set the groups of the particles that are held at the start.
+
+    Args:
+        pins: Pinned parts.
+        ids: Particle ids, shape (n,).
+        groups: Their groups (in/out), shape (n,).
+    """
+    for part in pins:
+        runs = part.region.runs
+        run = np.searchsorted(runs[:, 0], ids, side="right") - 1
+        groups[(run >= 0) & (ids <= runs[run, 1])] = part.group

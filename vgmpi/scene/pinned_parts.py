@@ -1,0 +1,112 @@
+"""Pinned parts of elastic bodies: regions whose particles something else holds."""
+
+from typing import Any
+
+from vgmpi.runtime.suggestions import did_you_mean
+
+from .rigid_motion import Motion, validate_motion
+from .shapes import Shape, validate_shape
+
+WORLD = "world"
+# keys of bodies that cannot have pinned parts: nothing of them moves freely for a time
+EXCLUDED_KEYS = ("rigid", "motion", "release_time", "volume_fraction", "volume_fraction_profile")
+
+
+class PinnedPart(Shape):
+    """Pinned part of a solid body: exactly one of the keys of `shape` that make a solid, `box` for
+    example, in coordinates of the domain at the start, and these.
+    """
+
+    to: str = WORLD
+    """what holds it: "world", the name of scenery with collider = true, moving or at rest, or that
+    of a body with rigid = true"""
+    motion: Motion | None = None
+    """for to = "world": prescribed motion of the part. Default: it is at rest"""
+
+
+def validate_pinned(raw: dict, scenery: bool) -> list[tuple[tuple, str]]:
+    """Return (path, message) for errors of the pinned parts of an object as read.
+
+    Args:
+        raw: Table of the object.
+        scenery: Whether it is scenery.
+    """
+    if "pinned" not in raw:
+        return []
+    if scenery:
+        return [(("pinned",), "is not for scenery: it has no mass and does not move")]
+    errors: list[tuple[tuple, str]] = []
+    for key in EXCLUDED_KEYS:
+        if raw.get(key) not in (None, False):
+            errors.append((("pinned",), f"{key} and pinned given at once: give one"))
+    tables = raw["pinned"]
+    single = isinstance(tables, dict)
+    for k, table in enumerate([tables] if single else tables if isinstance(tables, list) else []):
+        if not isinstance(table, dict):
+            continue
+        path: tuple = ("pinned",) if single else ("pinned", k)
+        errors += validate_shape({key: table[key] for key in table if key != "to"}, path)
+        errors += validate_motion(table.get("motion"), (*path, "motion"))
+        if "color" in table:
+            errors.append(((*path, "color"), "is not for pinned parts"))
+        if "motion" in table and table.get("to", WORLD) != WORLD:
+            message = f'is only for to = "{WORLD}": the part moves with what holds it'
+            errors.append(((*path, "motion"), message))
+    if isinstance(tables, list) and not tables:
+        errors.append((("pinned",), "has no part"))
+    return errors
+
+
+def validate_pinned_parts(
+    objects: list, materials: dict, couplings: list, accuracy: Any
+) -> list[tuple[tuple, str]]:
+    """Return (path, message) for what a scene with pinned parts cannot have.
+
+    Args:
+        objects: Objects of the scene.
+        materials: Materials by their names, None in place of invalid ones.
+        couplings: Couplings of its materials, unused.
+        accuracy: Table `accuracy`, or None.
+    """
+    errors: list[tuple[tuple, str]] = []
+    by_name = {obj.name: obj for obj in objects}
+    for k, obj in enumerate(objects):
+        if not obj.pinned:
+            continue
+        key = "object", k, "pinned"
+        material = materials.get(obj.material)
+        if material is not None and material.family != "solid":
+            message = f"is only for solids; the material is of kind {material.kind!r}"
+            errors.append((key, message))
+        elif accuracy is not None and accuracy.keeps:
+            errors.append((key, f'is not for accuracy.transfer = "{accuracy.transfer}"'))
+        elif obj.region:
+            errors.append((key, "is not for bodies with [[object.region]]"))
+        for number, part in enumerate(obj.pinned):
+            if message := _validate_holder(part.to, obj.name, by_name):
+                errors.append(((*key, number, "to"), message))
+    return errors
+
+
+def _validate_holder(name: str, own: str, objects: dict) -> str:
+    """Return why an object cannot hold a part of another one, or an empty text.
+
+    Args:
+        name: Name of what holds the part.
+        own: Name of the object that has the part.
+        objects: Objects of the scene by name.
+    """
+    if name == WORLD:
+        return ""
+    if name == own:
+        return f"'{name}' cannot hold itself"
+    holder = objects.get(name)
+    if holder is None:
+        hint = f"{did_you_mean(name, [*objects, WORLD])}; known: {', '.join([WORLD, *objects])}"
+        return f"there is no object '{name}'{hint}"
+    if not holder.rigid and not holder.collider:
+        return (
+            f"'{name}' holds nothing: scenery with collider = true does, and a body with rigid ="
+            " true"
+        )
+    return ""
