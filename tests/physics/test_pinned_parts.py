@@ -49,7 +49,7 @@ collider = "beam"
 
 def pinned_ids(made) -> np.ndarray:
     """Ids of the particles of the first pinned part."""
-    return np.concatenate([np.arange(a, b + 1) for a, b in made.regions[0].runs])
+    return np.concatenate([np.arange(a, b + 1) for a, b in made.pinned[0].runs])
 
 
 def sag_over_theory(folder, edge: float) -> tuple[float, float, float]:
@@ -70,7 +70,7 @@ def sag_over_theory(folder, edge: float) -> tuple[float, float, float]:
     sag = (x0 - x)[x0[:, 0] > END - DX / 2, 2].mean() / theory
     rate = (simulation.reactions.totals[0] - before) / (simulation.time - since)
     weight = RHO * width**2 * free.sum() / len(x0) * 0.2 * G
-    arm = x[free, 0].mean() - made.regions[0].masses.center[0]
+    arm = x[free, 0].mean() - made.pinned[0].masses.center[0]
     return float(sag), float(rate[2] / weight), float(-rate[4] / (weight * arm))
 
 
@@ -207,7 +207,7 @@ def momenta(simulation) -> tuple[float, np.ndarray, np.ndarray]:
 def test_a_tree_in_a_pot_has_the_momentum_of_both(tmp_path, gravity):
     simulation, made = begin(tmp_path, POT.format(gravity=gravity))
     mass, linear, angular = momenta(simulation)
-    held_mass, body = made.regions[0].masses.mass, simulation.bodies.bodies
+    held_mass, body = made.pinned[0].masses.mass, simulation.bodies.bodies
     pot = 1800 * 0.08 * 0.08 * 0.06
     assert body.mass[0] == pytest.approx(pot + held_mass, rel=1e-2)
     (x0,) = by_id(simulation, "x")
