@@ -36,6 +36,7 @@ from .prescribed_bodies import Extents, PrescribedBodyPlan, prescribed_body_plan
 from .proximity import Proximity
 from .rigid_bodies import RigidBodiesSummary
 from .surface_friction import SurfaceSlipPlan, friction_table, surface_slip_plan
+from .thin_walls import WallSidesPlan, with_far_sides
 
 FLOAT_TYPES: dict[str, np.dtype] = {
     "single": np.dtype(np.float32),
@@ -115,6 +116,7 @@ class Plan:
     feels: bool = False  # reaction impulses of each collider and wall are summed
     free_bodies: bool = False  # some colliders are free rigid bodies
     slip: SurfaceSlipPlan | None = None  # of viscous liquids on colliders, if it is limited
+    sides: WallSidesPlan | None = None  # of thin walls
     joints: tuple[Joint, ...] = ()  # of the free rigid bodies
     rigid: RigidBodiesSummary | None = None  # these bodies at the start, if known
 
@@ -256,6 +258,7 @@ def make_plan(
     driven, groups, group_of = prescribed_body_plans(
         scene, complete, group_of, phases, extents or {}
     )
+    groups, phases, sides = with_far_sides(scene, groups, phases)
     plan = Plan(
         cells=scene.domain.cells, dx=scene.domain.cell, real=real,
         gravity=scene.domain.gravity, walls=tuple(scene.domain.walls),
@@ -263,7 +266,7 @@ def make_plan(
         first_id=tuple(int(n) for n in np.concatenate([[0], np.cumsum(count)[:-1]])),
         count=tuple(int(n) for n in count),
         friction=friction_table(scene, groups, len(phases)),
-        slip=surface_slip_plan(scene, groups, len(phases)),
+        slip=surface_slip_plan(scene, groups, len(phases)), sides=sides,
         stiff=_wave_moduli(groups, len(phases)), contact=len(phases) > 1, collider=collider,
         times=np.linspace(0.0, scene.time.end, scene.time.frames),
         cfl=scene.time.cfl, fixed_dt=scene.time.dt,

@@ -29,6 +29,7 @@ from .rigid_objects import as_collider, validate_particles, validate_rigid_scene
 from .scene import Scene, miscible_materials, phase_of
 from .sections import MAX_CELLS, SECTIONS, Appearance, Domain, Output, TopLevelKeys
 from .slip_lengths import validate_slip_lengths
+from .thin_walls import validate_thin_scene
 
 REQUIRED = ("domain", "time", "material", "object")
 LISTS = ("object", "coupling", "joint", "load", "probe", "inlet", "outlet")
@@ -80,7 +81,7 @@ class SceneLoader:
         role = None
         if None not in objects:
             role = {o.name: "rigid" if o.rigid else o.role for o in objects}
-            for validate in (validate_rigid_scene, validate_slip_lengths):
+            for validate in (validate_rigid_scene, validate_slip_lengths, validate_thin_scene):
                 self.errors += validate(objects, kinds, pairs, tables.get("accuracy"))
         joints = read_joints(self, data.get("joint", []), objects)
         self.check_color_bodies(tables.get("appearance"), role)

@@ -4,9 +4,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from vgmpi.kernels.rigid.moving_colliders import MovingColliders
+from vgmpi.kernels.rigid.moving_colliders import MovingColliders, place_colliders
 from vgmpi.kernels.rigid.prescribed_motion import PrescribedBodies
-from vgmpi.kernels.rigid.static_colliders import StaticColliders
 from vgmpi.kernels.step_limits import MAX_CELLS_PER_STEP
 from vgmpi.kernels.transfer import g2p
 from vgmpi.kernels.transfer.particle_shifting import MAX_SHIFT_CELLS
@@ -26,6 +25,7 @@ from vgmpi.solver.boundary.outlets import Sinks
 from vgmpi.solver.boundary.particle_insertion import ParticleRows, bounds_of_idle_group, insert
 from vgmpi.solver.boundary.release import Releases
 from vgmpi.solver.boundary.surface_coupling import couple_surfaces, make_surface_slip
+from vgmpi.solver.boundary.wall_sides import wall_sides
 from vgmpi.solver.diagnostics.reactions import Reactions
 from vgmpi.solver.engines.engine_protocol import (
     UNKNOWN_MAXIMA,
@@ -63,12 +63,8 @@ class Simulation:
         self.lattice = BlockLattice(plan.cells, plan.dx)
         # true if a collider has its own friction, is free, or its reaction is requested
         per_collider = len(plan.friction) > len(plan.phases) + 1 or plan.numbers_colliders
-        self.movers: MovingColliders | None = None
-        if any((collider.course or collider.body) is not None for collider in colliders):
-            self.movers = MovingColliders(list(colliders), self.lattice, plan.real, per_collider)
-        self.solids: MovingColliders | StaticColliders | None = self.movers
-        if colliders and self.movers is None:
-            self.solids = StaticColliders(list(colliders), self.lattice, plan.real, per_collider)
+        self.solids = place_colliders(list(colliders), self.lattice, plan.real, per_collider)
+        self.movers = self.solids if isinstance(self.solids, MovingColliders) else None
         self.driven = PrescribedBodies(plan, len(colliders)) if plan.driven else None
         self.motions = [m for m in (self.movers, self.driven) if m is not None]
         rigid = self.solids, threads, self.driven
@@ -83,6 +79,7 @@ class Simulation:
             )
         self.loads = Pushes(list(loads), plan, ranks) if loads else None
         self.flow_accounting = Tally(plan) if plan.is_open_system else None
+        self.sides = wall_sides(plan, self.movers, self.groups, self.flow_accounting)
         self.sources = Sources(plan, ranks) if plan.sources else None
         self.sinks: Sinks | None = None
         if self.flow_accounting is not None and plan.sinks:
@@ -158,7 +155,8 @@ class Simulation:
         """Insert particles and return particle_insertion.bounds, (4,). A sort must follow."""
         limits = np.zeros(4)
         for rows in chunks:
-            limits = np.maximum(limits, insert(self.plan, self.lattice, self.groups, rows))
+            bounds = insert(self.plan, self.lattice, self.groups, rows, self.sides)
+            limits = np.maximum(limits, bounds)
             if self.flow_accounting is not None:
                 self.flow_accounting.add(rows)
         return limits
@@ -269,7 +267,9 @@ class Simulation:
         mark("g2p")
         before, self.time = self.time, end
         self.step += 1
-        report = self._update_open_boundaries(report)
+        report, asked = self._update_open_boundaries(report), len(requests)
+        if self.sides is not None:
+            requests = *requests, self.sides.must_change(self.step, self.time)
         maxima = self._reduce_step(report, requests)
         mark("wait")
         if maxima[2] or (self.bodies is not None and self.bodies.departed):
@@ -288,10 +288,14 @@ class Simulation:
         if spawned:
             self._insert(self._spawned(before))
         collider_moved_too_far = self.movers is not None and self.movers.left_safe_range(self.time)
-        if maxima[1] >= self.max_stray or collider_moved_too_far or spawned or released:
+        switched = self.sides is not None and bool(maxima[6 + asked])
+        if self.sides is not None and switched:
+            self.sides.change(self.time)
+        moved = spawned or released or switched
+        if maxima[1] >= self.max_stray or collider_moved_too_far or moved:
             self.sort()
             mark("sort")
-        return maxima[6:]
+        return maxima[6 : 6 + asked]
 
     def _apply_loads(self, end: float, dt: float) -> float:
         """Apply loads until `end` [s]; bound the speed added, also by motions [m/s]."""

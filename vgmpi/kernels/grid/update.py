@@ -25,6 +25,7 @@ from vgmpi.runtime.jit import device_function, kernel
 from .contact import apply_contact
 from .mixture_coupling import BlockContext, NodalFields, couple_block, store_volume_flux
 from .mixture_workspace import to_pointers
+from .sided_phases import part_sides, unite_sides
 
 CONTACT_ENABLED = True  # whether contact is compiled in; the GPU engine sets it per scene
 
@@ -111,12 +112,14 @@ def update(blocks, tables, summed, shear, stress, rules, walls, phases, solids, 
                     if block.at_wall and block.meets:
                         _project_offsets(moments.nodes, block, walls)
                     couple_block(block, fields, work, pairs, step.dt, step.dx)
+        unite_sides(phases, block, tables.solid[b], phase_of, nodes, moments.nodes, step.dx)
         rigid = tables.solid[b] >= 0 or block.at_wall
         if CONTACT_ENABLED and block.meets and _may_touch(n0, n1, phase_of, rigid, rules):
             apply_contact(block, tables, tables.solid[b], nodes, moments.nodes, shears, solids,
                           walls, phases, rules, step, scratch)  # fmt: skip
         if block.at_wall:
             _stop_at_walls(block, nodes, walls, phase_of, phases, solids, scratch.given)
+        part_sides(phases, block, phase_of, nodes)
         if stress is not None:
             if rules is not None:
                 if has_impulses:
