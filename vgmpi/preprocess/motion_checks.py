@@ -34,10 +34,11 @@ def validate_collider_motion(scene: Scene, collider: Collider | None) -> list[tu
     if collider is None:
         return []
     thickness = _thickness(collider, scene.domain.cell)
-    if thickness < (MIN_THICKNESS - THICKNESS_TOLERANCE) * scene.domain.cell:
+    is_thin = thickness < (MIN_THICKNESS - THICKNESS_TOLERANCE) * scene.domain.cell
+    if is_thin and collider.shell is None:
         log.warning(
             "collider '%s' is %.2g cells thick where it is thickest: below %g what it keeps apart"
-            " may pass", collider.name, thickness / scene.domain.cell, MIN_THICKNESS,
+            " may pass, unless object.thin = true", collider.name, thickness / scene.domain.cell, MIN_THICKNESS,
         )  # fmt: skip
     if collider.course is None:
         return []

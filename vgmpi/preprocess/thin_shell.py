@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy
+import scipy.spatial
 from scipy.sparse.csgraph import connected_components
 
 from vgmpi.kernels.rigid.moving_colliders import SDF_SPACING_CELLS
@@ -32,6 +33,10 @@ OPPOSITE = 0.6  # [-] cosine above which the face at the end of a ray is the opp
 AGREEING = 0.5
 SAME_NORMAL = 0.9  # [-] cosine above which a point has the normal of the face below it
 EDGE_CELLS = 4.0  # [cells] way through free space within which an edge has both sides
+BALL_CELLS = np.array([0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0])  # [cells] radii
+BALL_TOLERANCE = 1e-3  # [-] of a radius
+CLOSEST_FACES = 16  # balls among which the closest one is sought
+BEHIND_CELLS = 2.5  # [cells] distance from the wall up to which the other side's distance is exact
 RESET_CELLS = 2.0  # [cells] distance from an edge within which particles may change sides
 _AXES = tuple(np.eye(3, dtype=np.int64))
 
@@ -41,7 +46,7 @@ class _Faces(NamedTuple):
 
     index: np.ndarray  # (n, 3) place on the lattice
     normal: np.ndarray  # (n, 3) outward normals
-    thickness: np.ndarray  # (n,) [m]
+    foot: np.ndarray  # (n, 3) [m] closest point of the face
     opposite: np.ndarray  # (n, 3) places next to the opposite face
 
 
@@ -66,20 +71,45 @@ def thin_shell(collider, dx: float) -> ShellLattice | None:
     if not len(faces.index):
         return None
     side = _sides(faces, phi.shape)
-    label, toward = _spread_sides(faces, side, phi, normal, h)
-    kinds = _kinds(label, phi, dx)
-    core = np.ones(phi.shape, bool)
-    core[tuple(faces.index.T)] = False
-    place = scipy.ndimage.distance_transform_edt(
-        core, return_distances=False, return_indices=True
-    )
-    lattice = np.zeros(phi.shape)
-    lattice[tuple(faces.index.T)] = faces.thickness
-    thickness = lattice[tuple(place)]
-    sign = np.where((normal * toward).sum(-1) >= 0, 1.0, -1.0)  # of normals that look away
-    sign = np.where(label != 0, label, sign)
-    middle = sign * (phi + 0.5 * thickness)
-    return ShellLattice(start, middle, thickness, kinds)
+    label = _spread_sides(faces, side, phi, normal, h)
+    sides = [_distance_from_side(collider, faces, side, s, label, grid, phi, dx) for s in (1, -1)]
+    return ShellLattice(start, *sides, _kinds(label, phi, dx))
+
+
+def _distance_from_side(
+    collider, faces: _Faces, side, s: int, label, grid, phi, dx: float
+) -> np.ndarray:  # fmt: skip
+    """Return the signed distance [m] of lattice points from what is free on one side of the wall.
+
+    It is positive outside the wall on that side, and negative in the wall and behind it. Balls that
+    touch the faces from that side fill what is free; the closest ones give the distance.
+
+    Args:
+        collider: Collider.
+        faces: Points next to faces.
+        side: Side of each, shape (n,).
+        s: The side, 1 or -1.
+        label: Side of each lattice point, 0 inside the wall and beyond its edges.
+        grid: Lattice points [m].
+        phi: Their distances from the wall [m].
+        dx: Cell size [m].
+    """
+    foot, normal = faces.foot[side == s], faces.normal[side == s]
+    radius = np.zeros(len(foot))
+    for rho in BALL_CELLS * dx:
+        touches = collider.distance(foot + rho * normal) >= (1.0 - BALL_TOLERANCE) * rho
+        radius = np.where(touches, rho, radius)
+    tree = scipy.spatial.cKDTree(foot)
+    out = np.where(label == s, phi, -(phi + MAX_THICKNESS_CELLS * dx))
+    behind = np.argwhere((label != s) & (phi < BEHIND_CELLS * dx))
+    x = grid[tuple(behind.T)]
+    number = np.minimum(tree.query(x, k=CLOSEST_FACES)[1], len(foot) - 1)
+    center = foot + radius[:, None] * normal
+    away = np.sqrt(((x[:, None] - center[number]) ** 2).sum(-1)) - radius[number]
+    free = (label[tuple(behind.T)] == 0) & (phi[tuple(behind.T)] > 0.0)  # beyond an edge
+    closest = away.min(1)
+    out[tuple(behind.T)] = -np.where(free, closest, np.maximum(closest, 0.0))
+    return out
 
 
 def _distances(collider, grid: np.ndarray) -> np.ndarray:
@@ -120,7 +150,7 @@ def _faces(collider, grid, phi: np.ndarray, normal: np.ndarray, dx: float) -> _F
     m = _normals(collider, beyond, 0.02 * dx)
     facing = (n * m).sum(1) < -OPPOSITE
     far = np.rint((beyond - grid[0, 0, 0]) / h).astype(np.int64)
-    return _Faces(index[facing], n[facing], leave[facing], far[facing])
+    return _Faces(index[facing], n[facing], foot[facing], far[facing])
 
 
 def _sides(faces: _Faces, shape: tuple) -> np.ndarray:
@@ -162,10 +192,10 @@ def _sides(faces: _Faces, shape: tuple) -> np.ndarray:
 
 
 def _spread_sides(faces: _Faces, side: np.ndarray, phi, normal, h: float):
-    """Return the side of every lattice point, and the normals that look to the near side.
+    """Return the side of every lattice point, 0 in the wall and where both sides reach it, or none.
 
     Points that are not next to a face take the side of the point next to their foot, and else the
-    side from which they are reached. Both are 0 where both sides reach a point, or none.
+    side from which they are reached.
     """
     core = np.zeros(phi.shape, np.int8)
     core[tuple(faces.index.T)] = side
@@ -174,7 +204,6 @@ def _spread_sides(faces: _Faces, side: np.ndarray, phi, normal, h: float):
     place = scipy.ndimage.distance_transform_edt(
         core == 0, return_distances=False, return_indices=True
     )
-    toward = looks[tuple(place)]
     band = np.argwhere((core == 0) & (phi > 0.0))
     n = normal[tuple(band.T)]
     foot = band - ((phi[tuple(band.T)] - 0.5 * h) / h)[:, None] * n
@@ -193,7 +222,7 @@ def _spread_sides(faces: _Faces, side: np.ndarray, phi, normal, h: float):
     ]
     label[open_points & reached[0] & ~reached[1]] = 1
     label[open_points & reached[1] & ~reached[0]] = -1
-    return label, toward
+    return label
 
 
 def _kinds(label: np.ndarray, phi: np.ndarray, dx: float) -> np.ndarray:

@@ -74,9 +74,8 @@ class Simulation:
         self.bodies = free_body_coupling(plan, self.movers, self.engine, ranks)
         self.reactions = Reactions(plan, colliders, ranks) if plan.feels else None
         if self.reactions is not None:
-            self.engine.enable_reactions(
-                len(self.reactions.totals), self.reactions.quanta, ranks.rank
-            )
+            rows = len(self.reactions.totals)
+            self.engine.enable_reactions(rows, self.reactions.quanta, ranks.rank)
         self.loads = Pushes(list(loads), plan, ranks) if loads else None
         self.flow_accounting = Tally(plan) if plan.is_open_system else None
         self.sides = wall_sides(plan, self.movers, self.groups, self.flow_accounting)
@@ -148,7 +147,7 @@ class Simulation:
         self.moved = 0  # finding the first owners is no migration
 
     def _spawned(self, before: float | None) -> list[ParticleRows]:
-        """Return the particles that inlets spawn here after `before` [s] (None: at the start)."""
+        """Return what inlets spawn here after `before` [s] (None: at the start)."""
         return [] if self.sources is None else self.sources.spawn(before, self.time)
 
     def _insert(self, chunks: list[ParticleRows]) -> np.ndarray:
@@ -288,9 +287,7 @@ class Simulation:
         if spawned:
             self._insert(self._spawned(before))
         collider_moved_too_far = self.movers is not None and self.movers.left_safe_range(self.time)
-        switched = self.sides is not None and bool(maxima[6 + asked])
-        if self.sides is not None and switched:
-            self.sides.change(self.time)
+        switched = self.sides is not None and self.sides.change(maxima[6 + asked], self.time)
         moved = spawned or released or switched
         if maxima[1] >= self.max_stray or collider_moved_too_far or moved:
             self.sort()

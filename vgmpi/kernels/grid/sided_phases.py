@@ -2,7 +2,7 @@
 
 For the field of side s, a wall is a half space behind the face of that side. Where no wall is
 close, and beyond the edges of walls, both fields are one: they have the mean velocity, and contact
-sees the sum of both. Walls thinner than MIN_THICKNESS_CELLS act as if they were that thick.
+sees the sum of both.
 """
 
 from typing import NamedTuple
@@ -14,7 +14,6 @@ from vgmpi.kernels.simd.cooperative import strided_range, sync_threads
 from vgmpi.kernels.simd.static_dispatch import static_dispatch
 from vgmpi.runtime.jit import device_function
 
-MIN_THICKNESS_CELLS = 0.5  # [cells] least thickness with which a thin wall acts
 SIDED_CELLS = 1.5  # [cells] distance from a wall within which its two sides are two fields
 
 
@@ -29,7 +28,7 @@ class SidedPhases(NamedTuple):
     side: np.ndarray  # (phases,) 1, -1 on the far side of walls, 0 without sides
     twin: np.ndarray  # (phases,) the same phase on the other side, or -1
     walls: np.ndarray  # (n, 64, 4) outward normal and distance [m] of the nearest collider
-    thickness: np.ndarray  # (n, 64) [m] see `SampledShells.sides`
+    faces: np.ndarray  # (n, 64, 2, 4) see `SampledShells`
 
 
 def sided_phases(phases: Phases, sides, solids) -> Phases | SidedPhases:
@@ -43,7 +42,7 @@ def sided_phases(phases: Phases, sides, solids) -> Phases | SidedPhases:
     if sides is None or solids is None:
         return phases
     return SidedPhases(
-        *phases, np.array(sides.side), np.array(sides.twin), solids.nodes, solids.table.sides
+        *phases, np.array(sides.side), np.array(sides.twin), solids.nodes, solids.table.faces
     )
 
 
@@ -167,7 +166,7 @@ def _apart(phases, p, q):
 
 
 @static_dispatch
-def face_of_side(phases, p, solid, node, normal, distance, dx):
+def face_of_side(phases, p, solid, node, normal, distance):
     """Return the distance [m] of a node outside a collider as a phase meets it.
 
     Args:
@@ -177,44 +176,28 @@ def face_of_side(phases, p, solid, node, normal, distance, dx):
         node: Node in its block.
         normal: Outward normal of the closest face; then of that which the phase meets (in/out).
         distance: Distance of the node outside the closest face [m].
-        dx: Cell size [m].
     """
 
 
 @face_of_side.of(Phases)
-def _closest_face(phases, p, solid, node, normal, distance, dx):
+def _closest_face(phases, p, solid, node, normal, distance):
     return distance
 
 
 @face_of_side.of(SidedPhases)
-def _own_face(phases, p, solid, node, normal, distance, dx):
-    if phases.thickness[solid, node] * phases.side[p] < 0.0:
-        for c in range(3):
-            normal[c] = -normal[c]
-    return distance_of_side(phases, p, solid, node, distance, dx)
-
-
-@device_function
-def distance_of_side(phases, p, solid, node, distance, dx):
-    """Return the distance [m] of a node outside the face of a wall that a phase meets.
-
-    Args:
-        phases, p, solid, node, dx: See `face_of_side`.
-        distance: Distance of the node outside the closest face [m].
-    """
-    thickness = phases.thickness[solid, node]
-    if thickness == 0.0 or phases.side[p] == 0:
+def _own_face(phases, p, solid, node, normal, distance):
+    if phases.side[p] == 0 or not phases.faces[solid, node, 0, 3] < np.inf:
         return distance
-    middle = distance + 0.5 * abs(thickness)
-    if thickness * phases.side[p] < 0.0:
-        middle = -middle
-    return middle - 0.5 * max(abs(thickness), MIN_THICKNESS_CELLS * dx)
+    face = phases.faces[solid, node, (1 - phases.side[p]) // 2]
+    for c in range(3):
+        normal[c] = face[c]
+    return face[3]
 
 
 @device_function
 def is_sided(phases, solid, node, dx):
     """Return whether the two sides of a thin wall are two fields at a node."""
-    if solid < 0 or phases.thickness[solid, node] == 0.0:
+    if solid < 0 or not phases.faces[solid, node, 0, 3] < np.inf:
         return False
     return phases.walls[solid, node, 3] < SIDED_CELLS * dx
 

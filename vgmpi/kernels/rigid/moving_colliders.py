@@ -49,8 +49,7 @@ class MovingColliders:
         self.dx, self.real, self.colliders = lattice.dx, real, colliders
         self.numbered = numbered
         self.table: SampledSdf | SampledShells = _sample_colliders(colliders, lattice.dx)
-        self.has_shells = any(getattr(c, "shell", None) is not None for c in colliders)
-        if self.has_shells:
+        if any(getattr(collider, "shell", None) is not None for collider in colliders):
             self.table = with_shells(self.table, colliders)
         self.moving = [m for m, collider in enumerate(colliders) if collider.course is not None]
         self.courses = Trajectories([colliders[m].course for m in self.moving])
@@ -104,7 +103,7 @@ class MovingColliders:
         self.moves = np.zeros((len(blocks), 64, 3), self.real)
         self.whose = np.zeros((len(blocks) * self.numbered, 64), np.int64)
         if isinstance(self.table, SampledShells):
-            self.table = self.table._replace(sides=np.zeros((len(blocks), 64)))
+            self.table = self.table._replace(faces=np.zeros((len(blocks), 64, 2, 4)))
 
     def stand(self, time: float) -> None:
         """Place the colliders where they are at a time [s]."""

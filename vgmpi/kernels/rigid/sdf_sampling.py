@@ -36,7 +36,7 @@ class SampledSdf(NamedTuple):
 
 @static_dispatch
 def sample_side(movers, m, own, sample):
-    """Return the thickness [m] of the thin wall next to a point, negative on its far side, else 0.
+    """Return the side of a thin wall on which a point is, 1 (near) or -1 (far), 0 without a wall.
 
     Args:
         movers: Sampled colliders.
@@ -48,16 +48,16 @@ def sample_side(movers, m, own, sample):
 
 @sample_side.of(SampledSdf)
 def _no_side(movers, m, own, sample):
-    return 0.0
+    return 0
 
 
 @static_dispatch
-def store_side(movers, b, node, side):
-    """Store what `sample_side` returned for a node of a block."""
+def store_side(movers, m, b, node, side):
+    """Store the two faces of the wall that `sample_side` saw for a node of a block."""
 
 
 @store_side.of(SampledSdf)
-def _store_no_side(movers, b, node, side):
+def _store_no_side(movers, m, b, node, side):
     pass
 
 
@@ -178,7 +178,7 @@ def evaluate_colliders(blocks, first, nearby, movers, dt, dx, nodes, moves, whos
     for b in range(len(blocks)):
         for node in range(64):
             nodes[b, node, 3] = np.inf
-            store_side(movers, b, node, 0.0)
+            store_side(movers, 0, b, node, 0)
         for m in nearby[first[b] : first[b + 1]]:
             for node in range(64):
                 x[0] = (4 * blocks[b, 0] - 1 + node // 16) * dx
@@ -200,7 +200,7 @@ def evaluate_colliders(blocks, first, nearby, movers, dt, dx, nodes, moves, whos
                     ) / size
                     nodes[b, node, k] = normal[k]
                 nodes[b, node, 3] = d
-                store_side(movers, b, node, side)
+                store_side(movers, m, b, node, side)
                 if len(whose) > 0:
                     whose[b, node] = m
                 depth = min(max(d, -2.0 * dx), 2.0 * dx)

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vgmpi.kernels.grid.contact_impulses import half_space_fraction
-from vgmpi.kernels.grid.sided_phases import SidedPhases, distance_of_side, is_sided
+from vgmpi.kernels.grid.sided_phases import SidedPhases, is_sided
 from vgmpi.kernels.kernel_arguments import Phases
 from vgmpi.kernels.particle_records import AFFINE, STATE, load_tensor
 from vgmpi.kernels.simd.cooperative import strided_range, sync_threads
@@ -218,7 +218,7 @@ def _of_sides(phases, n0, n1, phase_of, nodes, volumes, fill, block, solid, dx, 
     for nb in range(n0, n1):
         p = phase_of[nb]
         if fill.shifts[p]:
-            depth = distance_of_side(phases, p, solid, q, phases.walls[solid, q, 3], dx)
+            depth = phases.faces[solid, q, 0 if phases.side[p] >= 0 else 1, 3]
             free = outside * (1.0 - half_space_fraction(depth / dx))
             total = near if phases.side[p] >= 0 else far
             nodes[256 * nb + 4 * q + 3] = total + (1.0 - free) * share

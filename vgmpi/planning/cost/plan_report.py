@@ -58,7 +58,8 @@ def format_plan(
     ]
     nx, ny, nz = plan.cells
     lines.append(f"  grid        {nx} x {ny} x {nz} cells of {plan.dx:g} m, sparse 4^3 blocks")
-    for phase in plan.phases:
+    shown = plan.phases if plan.sides is None else plan.phases[: plan.sides.side.index(-1)]
+    for phase in shown:
         for g, group in enumerate(plan.groups):
             if plan.phases[group.phase] is not phase:
                 continue
@@ -69,8 +70,8 @@ def format_plan(
                 f" ({group.family}), {plan.bytes_per_particle(g)} bytes each: {fields};"
                 f" once for all: density and {len(group.law)} numbers of the law"
             )
-    for a in range(len(plan.phases)):
-        for b in range(a + 1, len(plan.phases)):
+    for a in range(len(shown)):
+        for b in range(a + 1, len(shown)):
             names = f"{plan.phases[a].name} - {plan.phases[b].name}"
             rule = plan.rules.pair[a, b] if plan.rules else CONTACT
             how = f"friction {plan.friction[a][b]:g}" if rule == CONTACT else "they share space"
@@ -85,6 +86,7 @@ def format_plan(
         )
     )
     lines += rigid_body_lines(scene, plan) + _joints(scene) + _slip(scene) + _flows(plan)
+    lines += _thin_walls(scene)
     lines += _accuracy_notes(scene, plan)
     lines += accuracy_benchmarks.preset_accuracy_lines(scene) + feature_table(scene, plan, pace)
     total = plan.bytes()
@@ -99,6 +101,14 @@ def _joints(scene: Scene) -> list[str]:
     """Return the line that names the joints."""
     joints = [f"{joint.kind} of {' and '.join(joint.between)}" for joint in scene.joint]
     return [f"  joints      {_listing(joints)}"] if joints else []
+
+
+def _thin_walls(scene: Scene) -> list[str]:
+    """Return the line that names the thin walls."""
+    names = [obj.name for obj in scene.object if obj.thin]
+    if not names:
+        return []
+    return [f"  thin walls  {_listing(names)}: what flows on one side does not feel the other"]
 
 
 def _slip(scene: Scene) -> list[str]:

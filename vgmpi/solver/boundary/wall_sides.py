@@ -69,8 +69,18 @@ class WallSides:
         self.movers.stand(time)
         return any(self._leavers(g, urgent=True)[1] for g in self._sided_groups())
 
-    def change(self, time: float) -> None:
-        """Move particles whose side has changed by a time [s]; a sort must follow."""
+    def change(self, needed: float, time: float) -> bool:
+        """Move particles whose side has changed by a time [s], if a particle of any rank must.
+
+        Args:
+            needed: Largest result of `must_change` of all ranks.
+            time: Time [s].
+
+        Returns:
+            Whether particles have moved to other groups, so that a sort must follow.
+        """
+        if not needed:
+            return False
         self.movers.stand(time)
         moved = [(g, self._leavers(g, urgent=False)[0]) for g in self._sided_groups()]
         moved = [(g, indices) for g, indices in moved if len(indices)]
@@ -86,6 +96,7 @@ class WallSides:
             if self.tally is not None:
                 volume = row[2][self.groups[g].plan.channels["vol0"].first]
                 self.tally.transfer(g, self.twin[g], volume)
+        return True
 
     def _sided_groups(self) -> list[int]:
         """Return the groups that have two sides."""
