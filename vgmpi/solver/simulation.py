@@ -25,7 +25,7 @@ from vgmpi.solver.boundary.outlets import Sinks
 from vgmpi.solver.boundary.particle_insertion import ParticleRows, bounds_of_idle_group, insert
 from vgmpi.solver.boundary.release import Releases
 from vgmpi.solver.boundary.surface_coupling import couple_surfaces, make_surface_slip
-from vgmpi.solver.boundary.wall_sides import wall_sides
+from vgmpi.solver.boundary.wall_sides import MAX_PUSH_CELLS, wall_sides
 from vgmpi.solver.diagnostics.reactions import Reactions
 from vgmpi.solver.engines.engine_protocol import (
     UNKNOWN_MAXIMA,
@@ -99,6 +99,7 @@ class Simulation:
         self.particle_maxima = UNKNOWN_MAXIMA
         # the next shift must leave particles in their patches
         margin = 1.2 * MAX_SHIFT_CELLS if plan.shift_interval else 0.0
+        margin += 1.2 * MAX_PUSH_CELLS if self.sides is not None else 0.0
         self.max_stray = g2p.MAX_STRAY_CELLS - margin
         self.sorts = 0
         self.sorted_at = 0
@@ -268,7 +269,7 @@ class Simulation:
         self.step += 1
         report, asked = self._update_open_boundaries(report), len(requests)
         if self.sides is not None:
-            requests = *requests, self.sides.must_change(self.step, self.time)
+            requests = *requests, self.sides.keep(self.step, self.time)
         maxima = self._reduce_step(report, requests)
         mark("wait")
         if maxima[2] or (self.bodies is not None and self.bodies.departed):

@@ -118,6 +118,24 @@ def sample_shell(shells, m, own, sample):
     return shells.kinds[base + int(x + 0.5) * over + int(y + 0.5) * up + int(z + 0.5)]
 
 
+@device_function
+def turn_faces(shells, m, faces):
+    """Store what `sample_shell` left in the scratch, with unit normals as the wall stands now.
+
+    Args:
+        shells: SampledShells.
+        m: Number of the collider.
+        faces: Normal and distance [m] of the near and the far side (out), shape (2, 4).
+    """
+    r, both = shells.rotation[m], shells.scratch
+    for q in range(2):
+        size = np.sqrt(both[q, 0] ** 2 + both[q, 1] ** 2 + both[q, 2] ** 2)
+        for k in range(3):
+            turned = r[k, 0] * both[q, 0] + r[k, 1] * both[q, 1] + r[k, 2] * both[q, 2]
+            faces[q, k] = turned / max(size, 1e-300)
+        faces[q, 3] = both[q, 3]
+
+
 @sample_side.of(SampledShells)
 def _side(shells, m, own, sample):
     both = shells.scratch
@@ -136,20 +154,16 @@ def _store(shells, m, b, node, side):
         shells.faces[b, node, q, 3] = np.inf
     if side == 0:
         return
-    r, both = shells.rotation[m], shells.scratch
-    # walls thinner than a cell of the lattice act as that thick
-    behind = 0.5 * max(shells.spacing + both[0, 3] + both[1, 3], 0.0)
+    turn_faces(shells, m, shells.faces[b, node])
+    # walls thinner than half a cell, the spacing of the lattice, act as that thick
+    behind = 0.5 * max(shells.spacing + shells.scratch[0, 3] + shells.scratch[1, 3], 0.0)
     for q in range(2):
-        size = np.sqrt(both[q, 0] ** 2 + both[q, 1] ** 2 + both[q, 2] ** 2)
-        for k in range(3):
-            turned = r[k, 0] * both[q, 0] + r[k, 1] * both[q, 1] + r[k, 2] * both[q, 2]
-            shells.faces[b, node, q, k] = turned / max(size, 1e-300)
-        shells.faces[b, node, q, 3] = both[q, 3] - behind
+        shells.faces[b, node, q, 3] -= behind
 
 
 @kernel
-def find_sides(points, shells, middle, kinds):
-    """Find the side of the closest thin wall on which points lie.
+def find_sides(points, shells, middle, kinds, faces):
+    """Find the side of the closest thin wall on which points lie, and the wall's two faces.
 
     Args:
         points: Points, shape (n, 3) [m].
@@ -157,6 +171,8 @@ def find_sides(points, shells, middle, kinds):
         middle: Distance from the middle of the closest wall, negative on its far side (out), shape
             (n,) [m].
         kinds: Kind of the closest lattice point, 0 far from all walls (out), shape (n,).
+        faces: Normal and distance [m] of that wall for the near and the far side (out), shape
+            (n, 2, 4).
     """
     own, both = np.zeros(3), shells.scratch
     for p in range(len(points)):
@@ -169,3 +185,4 @@ def find_sides(points, shells, middle, kinds):
             depth = 0.5 * (both[0, 3] - both[1, 3])
             if kind != 0 and abs(depth) < abs(middle[p]):
                 middle[p], kinds[p] = depth, kind
+                turn_faces(shells, m, faces[p])

@@ -2,6 +2,8 @@
 
 A particle keeps its side while it is close to a wall. It takes the side on which it is when it
 comes close, and wherever it passes the edge of a wall. Far from walls the side does not matter.
+Nodes outside a wall let particles approach it a little, so that some would creep through within
+thousands of steps: those inside a wall are pushed out.
 """
 
 import numpy as np
@@ -19,12 +21,15 @@ from vgmpi.parallel.migration import append_particles
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.plan import Plan
 
+from vgmpi.solver.engines.plan_tables import position_limits
+
 from .flow_accounting import Tally
 from .outlets import remove
 
 CHECK_INTERVAL = 4  # [steps] after which the sides of particles are compared with their places
 # [cells] depth on the other side of a wall beyond which a particle did not come through the wall
 MAX_CREEP_CELLS = 1.5
+MAX_PUSH_CELLS = 0.05  # [cells] largest distance by which a particle is pushed out of a wall
 URGENT_CELLS = 4.0  # [cells] distance from a wall below which a particle must change its side
 _STRAY_CELLS = 3.0  # [cells] distance of a particle from the center of its block
 
@@ -42,7 +47,8 @@ class WallSides:
             tally: Account of open boundaries, or None.
         """
         assert plan.sides is not None
-        self.dx, self.movers, self.groups, self.tally = plan.dx, movers, groups, tally
+        self.dx, self.cells, self.tally = plan.dx, plan.cells, tally
+        self.movers, self.groups = movers, groups
         self.twin = plan.sides.twin_group
         self.side = [plan.sides.side[group.phase] for group in plan.groups]
 
@@ -53,12 +59,12 @@ class WallSides:
             group_of: Groups on the near side, shape (n,).
             x: Positions, shape (n, 3) [m].
         """
-        middle, kinds = self._find(x)
+        middle, kinds, _ = self._find(x)
         twin = np.array(self.twin)[group_of]
         return np.where((kinds > 0) & (middle < 0.0) & (twin >= 0), twin, group_of)
 
-    def must_change(self, step: int, time: float) -> bool:
-        """Return whether a particle of this rank must change its side now.
+    def keep(self, step: int, time: float) -> bool:
+        """Push particles out of walls every few steps; return whether any must change its side.
 
         Args:
             step: Number of the step that has just ended.
@@ -67,13 +73,13 @@ class WallSides:
         if step % CHECK_INTERVAL:
             return False
         self.movers.stand(time)
-        return any(self._leavers(g, urgent=True)[1] for g in self._sided_groups())
+        return any([self._push(g) for g in self._sided_groups()])
 
     def change(self, needed: float, time: float) -> bool:
         """Move particles whose side has changed by a time [s], if a particle of any rank must.
 
         Args:
-            needed: Largest result of `must_change` of all ranks.
+            needed: Largest result of `keep` of all ranks.
             time: Time [s].
 
         Returns:
@@ -82,7 +88,7 @@ class WallSides:
         if not needed:
             return False
         self.movers.stand(time)
-        moved = [(g, self._leavers(g, urgent=False)[0]) for g in self._sided_groups()]
+        moved = [(g, self._leavers(g)) for g in self._sided_groups()]
         moved = [(g, indices) for g, indices in moved if len(indices)]
         rows = []
         for g, indices in moved:  # all leave before any arrives
@@ -102,35 +108,49 @@ class WallSides:
         """Return the groups that have two sides."""
         return [g for g, twin in enumerate(self.twin) if twin >= 0]
 
-    def _find(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return distance from the middle of the closest wall [m] and kind of points (n, 3) [m]."""
+    def _find(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return what `find_sides` finds for points (n, 3) [m]."""
         table = self.movers.table
         assert isinstance(table, SampledShells)
-        middle, kinds = np.empty(len(x)), np.empty(len(x), np.int8)
-        find_sides(np.ascontiguousarray(x), table, middle, kinds)
-        return middle, kinds
+        middle, kinds, faces = np.empty(len(x)), np.empty(len(x), np.int8), np.zeros((len(x), 2, 4))
+        find_sides(np.ascontiguousarray(x), table, middle, kinds, faces)
+        return middle, kinds, faces
 
-    def _leavers(self, g: int, urgent: bool) -> tuple[np.ndarray, bool]:
-        """Return the particles of a group that change their side, and whether any must do so now.
+    def _crossed(self, g: int, middle: np.ndarray, kinds: np.ndarray) -> np.ndarray:
+        """Return which particles of a group have come to the other side, but not through a wall."""
+        depth = -self.side[g] * middle / self.dx  # [cells] on the other side
+        return (kinds > 0) & (depth > np.where(kinds >= NEAR_EDGE, 0.0, MAX_CREEP_CELLS))
 
-        Args:
-            g: Number of the group.
-            urgent: Leave out those that have time.
-        """
+    def _push(self, g: int) -> bool:
+        """Push the particles of a group out of walls; return whether any must change its side."""
         group = self.groups[g]
         index = group.places(np.flatnonzero(self._near_walls(group) & (group.count > 0)))
-        middle, kinds = self._find(group.positions_at(index))
-        depth = -self.side[g] * middle / self.dx  # [cells] on the other side
-        crossed = (kinds > 0) & (depth > np.where(kinds >= NEAR_EDGE, 0.0, MAX_CREEP_CELLS))
-        hurried = crossed & (kinds != EDGE) & (depth < URGENT_CELLS)
-        must = bool(hurried.any())
-        if urgent:
-            return index[hurried], must
-        if self.side[g] < 0:
-            crossed |= kinds == 0
-            others = np.flatnonzero(~self._near_walls(group) & (group.count > 0))
-            return np.sort(np.concatenate([index[crossed], group.places(others)])), must
-        return index[crossed], must
+        middle, kinds, faces = self._find(group.positions_at(index))
+        crossed = self._crossed(g, middle, kinds)
+        own = faces[:, (1 - self.side[g]) // 2]
+        inside = np.flatnonzero(~crossed & (kinds > 0) & (kinds != EDGE) & (own[:, 3] < 0.0))
+        index, own = index[inside], own[inside]
+        if len(index):
+            cells = np.minimum(-own[:, 3] / self.dx, MAX_PUSH_CELLS)
+            shift = np.rint(np.ldexp(cells[:, None] * own[:, :3], group.bits))
+            limit = position_limits(group.block[group.segment_of(index)], self.cells)
+            low, high = np.moveaxis(np.ldexp(limit, group.bits), 2, 0)
+            xi = group.xi[:, index].T
+            pushed = np.clip(xi + shift, np.minimum(low, xi), np.maximum(high, xi))
+            group.xi[:, index] = pushed.T.astype(group.xi.dtype)
+        return bool((crossed & (kinds != EDGE) & (np.abs(middle) < URGENT_CELLS * self.dx)).any())
+
+    def _leavers(self, g: int) -> np.ndarray:
+        """Return the particles of a group that change their side."""
+        group = self.groups[g]
+        close, filled = self._near_walls(group), group.count > 0
+        index = group.places(np.flatnonzero(close & filled))
+        middle, kinds, _ = self._find(group.positions_at(index))
+        crossed = self._crossed(g, middle, kinds)
+        if self.side[g] > 0:
+            return index[crossed]
+        others = group.places(np.flatnonzero(~close & filled))  # far from walls, all are one
+        return np.sort(np.concatenate([index[crossed | (kinds == 0)], others]))
 
     def _near_walls(self, group: ParticleGroup) -> np.ndarray:
         """Return whether the segments of a group may hold particles close to a wall."""
