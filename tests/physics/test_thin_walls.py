@@ -139,9 +139,7 @@ def test_a_plate_holds_water_and_feels_its_weight(tmp_path, wall, depths, cells,
     assert force == pytest.approx(theory, rel=0.1)
 
 
-@pytest.mark.parametrize(
-    "wall, end", [(0.5, 0.2), slow(2, 0.8), slow(1, 0.8), slow(0.5, 0.8)]
-)
+@pytest.mark.parametrize("wall, end", [(0.5, 0.2), slow(2, 0.8), slow(1, 0.8), slow(0.5, 0.8)])
 def test_nothing_passes_a_plate_that_moves_into_water(tmp_path, wall, end):
     middle = 36.3
     text = tank(40, wall, (16, 0), motion=MOVING, middle=middle)

@@ -32,6 +32,14 @@ class BlockDirectory(NamedTuple):
     owner: np.ndarray  # (n,) rank that owns the block
     load: np.ndarray  # (ranks,) work of each rank, see load_balance.predicted_work
 
+    def has_segments_of(self, other: "BlockDirectory") -> bool:
+        """Return whether another directory has the same segments with the same owners."""
+        return (
+            np.array_equal(self.code, other.code)
+            and np.array_equal(self.group, other.group)
+            and np.array_equal(self.owner, other.owner)
+        )
+
 
 def build_block_directory(
     rows: np.ndarray, lattice: BlockLattice, ranks: SerialCommunicator, costs: np.ndarray,

@@ -20,6 +20,7 @@ from vgmpi.scene.loads import mean_ramp_factor
 from vgmpi.scene.scene import Scene
 from vgmpi.scene.sections import Accuracy
 
+from .back_sides import WallSidesPlan, with_back_sides
 from .color_exchange import ColorExchange, color_exchange
 from .inlet_schedule import InletPlan, OutletPlan, inlet_plans, outlet_plans
 from .interaction_rules import interaction_rules, with_slip_wave_factors
@@ -36,7 +37,6 @@ from .prescribed_bodies import Extents, PrescribedBodyPlan, prescribed_body_plan
 from .proximity import Proximity
 from .rigid_bodies import RigidBodiesSummary
 from .surface_friction import SurfaceSlipPlan, friction_table, surface_slip_plan
-from .thin_walls import WallSidesPlan, with_far_sides
 
 FLOAT_TYPES: dict[str, np.dtype] = {
     "single": np.dtype(np.float32),
@@ -124,6 +124,11 @@ class Plan:
     def numbers_colliders(self) -> bool:
         """True if the solver must know which collider a node is close to."""
         return self.feels or self.free_bodies or self.slip is not None
+
+    @property
+    def phases_of_bodies(self) -> int:
+        """Number of phases, without those on the back side of thin walls, which come last."""
+        return len(self.phases) if self.sides is None else self.sides.side.index(-1)
 
     @property
     def is_open_system(self) -> bool:
@@ -258,7 +263,7 @@ def make_plan(
     driven, groups, group_of = prescribed_body_plans(
         scene, complete, group_of, phases, extents or {}
     )
-    groups, phases, sides = with_far_sides(scene, groups, phases)
+    groups, phases, sides = with_back_sides(scene, groups, phases)
     plan = Plan(
         cells=scene.domain.cells, dx=scene.domain.cell, real=real,
         gravity=scene.domain.gravity, walls=tuple(scene.domain.walls),
@@ -275,8 +280,7 @@ def make_plan(
         affine=scene.accuracy.affine, splines=scene.accuracy.gradient == "bspline",
         keeps=keeps, restores=restores,
         shift_interval=SHIFT_INTERVAL * any(group.shifts for group in groups),
-        gravity_ramp_time=scene.domain.gravity_ramp_time,
-        gravity_keys=_gravity_keys(scene),
+        gravity_ramp_time=scene.domain.gravity_ramp_time, gravity_keys=_gravity_keys(scene),
         sources=inlet_plans(scene, group_of, count),
         sinks=outlet_plans(scene), driven=driven,
         opens=tuple(scene.domain.opens), joints=scene.joint,

@@ -38,7 +38,8 @@ def validate_collider_motion(scene: Scene, collider: Collider | None) -> list[tu
     if is_thin and collider.shell is None:
         log.warning(
             "collider '%s' is %.2g cells thick where it is thickest: below %g what it keeps apart"
-            " may pass, unless object.thin = true", collider.name, thickness / scene.domain.cell, MIN_THICKNESS,
+            " may pass, unless object.thin = true", collider.name,
+            thickness / scene.domain.cell, MIN_THICKNESS,
         )  # fmt: skip
     if collider.course is None:
         return []

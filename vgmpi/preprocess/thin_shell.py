@@ -101,14 +101,14 @@ def _distance_from_side(
         radius = np.where(touches, rho, radius)
     tree = scipy.spatial.cKDTree(foot)
     out = np.where(label == s, phi, -(phi + MAX_THICKNESS_CELLS * dx))
-    behind = np.argwhere((label != s) & (phi < BEHIND_CELLS * dx))
-    x = grid[tuple(behind.T)]
+    covered = np.argwhere((label != s) & (phi < BEHIND_CELLS * dx))
+    x = grid[tuple(covered.T)]
     number = np.minimum(tree.query(x, k=CLOSEST_FACES)[1], len(foot) - 1)
     center = foot + radius[:, None] * normal
     away = np.sqrt(((x[:, None] - center[number]) ** 2).sum(-1)) - radius[number]
-    free = (label[tuple(behind.T)] == 0) & (phi[tuple(behind.T)] > 0.0)  # beyond an edge
+    free = (label[tuple(covered.T)] == 0) & (phi[tuple(covered.T)] > 0.0)  # beyond an edge
     closest = away.min(1)
-    out[tuple(behind.T)] = -np.where(free, closest, np.maximum(closest, 0.0))
+    out[tuple(covered.T)] = -np.where(free, closest, np.maximum(closest, 0.0))
     return out
 
 
@@ -137,20 +137,20 @@ def _faces(collider, grid, phi: np.ndarray, normal: np.ndarray, dx: float) -> _F
     inside = np.zeros(len(index), bool)
     for k in range(1, int(MAX_THICKNESS_CELLS / RAY_STEP_CELLS) + 2):
         travel = k * RAY_STEP_CELLS * dx
-        here = collider.distance(foot - travel * n)
-        left = np.isinf(leave) & (here > 0.0)
-        fraction = before[left] / np.minimum(before[left] - here[left], -1e-300)
+        phi_ray = collider.distance(foot - travel * n)
+        left = np.isinf(leave) & (phi_ray > 0.0)
+        fraction = before[left] / np.minimum(before[left] - phi_ray[left], -1e-300)
         leave[left] = travel - (1.0 - np.clip(fraction, 0.0, 1.0)) * RAY_STEP_CELLS * dx
-        inside |= np.isinf(leave) & (here < 0.0)
-        before = here
+        inside |= np.isinf(leave) & (phi_ray < 0.0)
+        before = phi_ray
     thin = np.isfinite(leave) & (leave > 1e-6 * dx) & (leave <= MAX_THICKNESS_CELLS * dx)
     index, n, foot, leave = index[thin], n[thin], foot[thin], leave[thin]
     h = SDF_SPACING_CELLS * dx
     beyond = foot - (leave + 0.25 * dx)[:, None] * n
     m = _normals(collider, beyond, 0.02 * dx)
     facing = (n * m).sum(1) < -OPPOSITE
-    far = np.rint((beyond - grid[0, 0, 0]) / h).astype(np.int64)
-    return _Faces(index[facing], n[facing], foot[facing], far[facing])
+    opposite = np.rint((beyond - grid[0, 0, 0]) / h).astype(np.int64)
+    return _Faces(index[facing], n[facing], foot[facing], opposite[facing])
 
 
 def _sides(faces: _Faces, shape: tuple) -> np.ndarray:
@@ -186,8 +186,8 @@ def _sides(faces: _Faces, shape: tuple) -> np.ndarray:
     links = scipy.sparse.coo_array((np.ones(len(rows)), (rows, columns)), (2 * n, 2 * n))
     part = connected_components(links, directed=False)[1]
     if (part[:n] == part[n:]).any():
-        raise ValueError("has no two sides: a thin wall may neither fork nor twist into itself")
-    # the first point of each pair of parts is on the near side
+        raise ValueError("has no two sides: a thin wall may not twist into itself")
+    # the first point of each pair of parts is on the front side
     return np.where(part[:n] < part[n:], 1, -1)
 
 
@@ -210,14 +210,16 @@ def _spread_sides(faces: _Faces, side: np.ndarray, phi, normal, h: float):
     foot = np.clip(np.rint(foot).astype(np.int64), 0, np.array(phi.shape) - 1)
     at_foot = place[:, foot[:, 0], foot[:, 1], foot[:, 2]].T
     close = ((at_foot - foot) ** 2).sum(1) <= 3.0
-    found = core[tuple(at_foot.T)] * close
-    found *= found * (n * looks[tuple(at_foot.T)]).sum(1) > SAME_NORMAL
+    foot_side = core[tuple(at_foot.T)] * close
+    foot_side *= foot_side * (n * looks[tuple(at_foot.T)]).sum(1) > SAME_NORMAL
     label = core.copy()
-    label[tuple(band.T)] = found
+    label[tuple(band.T)] = foot_side
     open_points = (label == 0) & (phi > 0.0)
     rounds = int(EDGE_CELLS / SDF_SPACING_CELLS)
     reached = [
-        scipy.ndimage.binary_dilation(label == s, iterations=rounds, mask=open_points | (label == s))
+        scipy.ndimage.binary_dilation(
+            label == s, iterations=rounds, mask=open_points | (label == s)
+        )
         for s in (1, -1)
     ]
     label[open_points & reached[0] & ~reached[1]] = 1
@@ -230,6 +232,9 @@ def _kinds(label: np.ndarray, phi: np.ndarray, dx: float) -> np.ndarray:
     edge = (label == 0) & (phi > 0.0)
     kinds = np.where(edge, EDGE, SIDED).astype(np.int8)
     rounds = int(RESET_CELLS / SDF_SPACING_CELLS)
-    kinds[scipy.ndimage.binary_dilation(edge & (phi < 2 * RESET_CELLS * dx), iterations=rounds) & ~edge] = NEAR_EDGE
+    kinds[
+        scipy.ndimage.binary_dilation(edge & (phi < 2 * RESET_CELLS * dx), iterations=rounds)
+        & ~edge
+    ] = NEAR_EDGE
     kinds[phi > WALL_BAND_CELLS * dx] = 0
     return kinds

@@ -41,4 +41,3 @@ def validate_thin_scene(
     if any(obj.rigid for obj in objects):
         errors.append((key, "is not for scenes with free rigid bodies"))
     return errors
-

@@ -179,7 +179,7 @@ class Simulation:
 
         The old tables are reused if no segment came, went or changed its owner.
         """
-        unchanged = self.halo is not None and _same_blocks(self.census, census)
+        unchanged = self.halo is not None and self.census.has_segments_of(census)
         unchanged &= self.movers is None  # colliders may be near other blocks now
         self.census = census
         if not unchanged:
@@ -267,9 +267,7 @@ class Simulation:
         mark("g2p")
         before, self.time = self.time, end
         self.step += 1
-        report, asked = self._update_open_boundaries(report), len(requests)
-        if self.sides is not None:
-            requests = *requests, self.sides.keep(self.step, self.time)
+        report = self._update_open_boundaries(report)
         maxima = self._reduce_step(report, requests)
         mark("wait")
         if maxima[2] or (self.bodies is not None and self.bodies.departed):
@@ -287,13 +285,12 @@ class Simulation:
         spawned = self.sources is not None and self.sources.due(before, self.time)
         if spawned:
             self._insert(self._spawned(before))
-        collider_moved_too_far = self.movers is not None and self.movers.left_safe_range(self.time)
-        switched = self.sides is not None and self.sides.change(maxima[6 + asked], self.time)
-        moved = spawned or released or switched
-        if maxima[1] >= self.max_stray or collider_moved_too_far or moved:
+        moved = self.movers is not None and self.movers.left_safe_range(self.time)
+        moved |= self.sides is not None and self.sides.change(maxima[-1], self.time)
+        if maxima[1] >= self.max_stray or moved or spawned or released:
             self.sort()
             mark("sort")
-        return maxima[6 : 6 + asked]
+        return maxima[6 : 6 + len(requests)]
 
     def _apply_loads(self, end: float, dt: float) -> float:
         """Apply loads until `end` [s]; bound the speed added, also by motions [m/s]."""
@@ -383,7 +380,9 @@ class Simulation:
         self.sent += halo.bytes_sent
 
     def _reduce_step(self, report: StepReport, requests: tuple[float, ...]) -> np.ndarray:
-        """Reduce over all ranks: rate, farthest particle, failure flag, maxima, requests."""
+        """Reduce over all ranks: rate, farthest particle, failure flag, maxima, requests, sides."""
+        if self.sides is not None:
+            requests = *requests, self.sides.push_particles(self.step, self.time)
         buffer = self.reduction_buffer[: 6 + len(requests)]
         buffer[:3] = report.rate, report.far, bool(report.wrong or report.beyond)
         buffer[3:6], buffer[6:] = report.reach, requests
@@ -392,11 +391,3 @@ class Simulation:
     def object_of(self, ids: np.ndarray) -> np.ndarray:
         """Return the object of each particle; ids of one object are consecutive."""
         return np.searchsorted(np.array(self.plan.first_id), ids, side="right") - 1
-
-
-def _same_blocks(before: BlockDirectory, after: BlockDirectory) -> bool:
-    """Return whether two directories have the same segments with the same owners."""
-    return all(
-        np.array_equal(getattr(before, name), getattr(after, name))
-        for name in ("code", "group", "owner")
-    )

@@ -5,7 +5,7 @@ close, and beyond the edges of walls, both fields are one: they have the mean ve
 sees the sum of both.
 """
 
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
 
@@ -17,18 +17,11 @@ from vgmpi.runtime.jit import device_function
 SIDED_CELLS = 1.5  # [cells] distance from a wall within which its two sides are two fields
 
 
-class SidedPhases(NamedTuple):
-    """Constants of the phases, and the thin walls next to the nodes of this rank."""
-
-    least: np.ndarray
-    contact_priority: np.ndarray
-    friction: np.ndarray
-    stiff: np.ndarray
-    surface: np.ndarray
-    side: np.ndarray  # (phases,) 1, -1 on the far side of walls, 0 without sides
-    twin: np.ndarray  # (phases,) the same phase on the other side, or -1
-    walls: np.ndarray  # (n, 64, 4) outward normal and distance [m] of the nearest collider
-    faces: np.ndarray  # (n, 64, 2, 4) see `SampledShells`
+# The fields of Phases, and the thin walls next to the nodes of this rank: `side` (phases,), 1 or -1
+# (back side of walls), 0 without sides; `twin` (phases,), the same phase on the other side or -1;
+# `walls` (n, 64, 4), outward normal and distance [m] of the nearest collider; `faces`
+# (n, 64, 2, 4), see `SampledShells`.
+SidedPhases = namedtuple("SidedPhases", (*Phases._fields, "side", "twin", "walls", "faces"))  # type: ignore[misc]
 
 
 def sided_phases(phases: Phases, sides, solids) -> Phases | SidedPhases:
@@ -48,9 +41,9 @@ def sided_phases(phases: Phases, sides, solids) -> Phases | SidedPhases:
 
 @static_dispatch
 def unite_sides(phases, block, solid, phase_of, nodes, offsets, dx):
-    """Move what is on the far side of walls into the other field, where both are one.
+    """Move what is on the back side of walls into the other field, where both are one.
 
-    There, the far field has velocity 0 and the negative of its mass.
+    There, the back field has velocity 0 and the negative of its mass.
 
     Args:
         phases: Constants of the phases.
@@ -69,12 +62,12 @@ def _no_union(phases, block, solid, phase_of, nodes, offsets, dx):
 
 @unite_sides.of(SidedPhases)
 def _unite(phases, block, solid, phase_of, nodes, offsets, dx):
-    for far in range(block.n0, block.n1):
-        near = _other_side(phases, far, block.n0, block.n1, phase_of)
-        if near < 0:
+    for back in range(block.n0, block.n1):
+        front = _other_side(phases, back, block.n0, block.n1, phase_of)
+        if front < 0:
             continue
         for node in strided_range(64):
-            o, p = 256 * near + 4 * node, 256 * far + 4 * node
+            o, p = 256 * front + 4 * node, 256 * back + 4 * node
             if nodes[p + 3] <= 0.0 or is_sided(phases, solid, node, dx):
                 continue
             m, n = nodes[o + 3], nodes[p + 3]
@@ -90,7 +83,7 @@ def _unite(phases, block, solid, phase_of, nodes, offsets, dx):
 
 @static_dispatch
 def part_sides(phases, block, phase_of, nodes):
-    """Give the far field its mass and the common velocity where `unite_sides` made both one."""
+    """Give the back field its mass and the common velocity where `unite_sides` made both one."""
 
 
 @part_sides.of(Phases)
@@ -101,12 +94,12 @@ def _no_parting(phases, block, phase_of, nodes):
 @part_sides.of(SidedPhases)
 def _part(phases, block, phase_of, nodes):
     sync_threads()
-    for far in range(block.n0, block.n1):
-        near = _other_side(phases, far, block.n0, block.n1, phase_of)
-        if near < 0:
+    for back in range(block.n0, block.n1):
+        front = _other_side(phases, back, block.n0, block.n1, phase_of)
+        if front < 0:
             continue
         for node in strided_range(64):
-            o, p = 256 * near + 4 * node, 256 * far + 4 * node
+            o, p = 256 * front + 4 * node, 256 * back + 4 * node
             if nodes[p + 3] < 0.0:
                 for c in range(3):
                     nodes[p + c] = nodes[o + c]
@@ -136,12 +129,12 @@ def _no_average(phases, n0, n1, solid, phase_of, nodes, dx):
 
 @average_sides.of(SidedPhases)
 def _average(phases, n0, n1, solid, phase_of, nodes, dx):
-    for far in range(n0, n1):
-        near = _other_side(phases, far, n0, n1, phase_of)
-        if near < 0:
+    for back in range(n0, n1):
+        front = _other_side(phases, back, n0, n1, phase_of)
+        if front < 0:
             continue
         for node in strided_range(64):
-            o, p = 256 * near + 4 * node, 256 * far + 4 * node
+            o, p = 256 * front + 4 * node, 256 * back + 4 * node
             m, n = nodes[o + 3], nodes[p + 3]
             if n <= 0.0 or is_sided(phases, solid, node, dx):
                 continue
@@ -203,9 +196,9 @@ def is_sided(phases, solid, node, dx):
 
 
 @device_function
-def _other_side(phases, far, n0, n1, phase_of):
-    """Return the node block of the near side of a far one, or -1."""
-    p = phase_of[far]
+def _other_side(phases, back, n0, n1, phase_of):
+    """Return the node block of the front side of a back one, or -1."""
+    p = phase_of[back]
     if phases.side[p] < 0:
         for nb in range(n0, n1):
             if phase_of[nb] == phases.twin[p]:

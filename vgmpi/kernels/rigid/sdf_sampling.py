@@ -36,7 +36,7 @@ class SampledSdf(NamedTuple):
 
 @static_dispatch
 def sample_side(movers, m, own, sample):
-    """Return the side of a thin wall on which a point is, 1 (near) or -1 (far), 0 without a wall.
+    """Return the side of a thin wall on which a point is, 1 (front) or -1 (back), 0 without a wall.
 
     Args:
         movers: Sampled colliders.

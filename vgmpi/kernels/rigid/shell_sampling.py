@@ -24,8 +24,8 @@ class ShellLattice(NamedTuple):
     """
 
     start: np.ndarray  # (3,) [m] first point
-    near: np.ndarray  # (nx, ny, nz) [m] signed distance of the near side
-    far: np.ndarray  # (nx, ny, nz) [m] signed distance of the far side
+    front: np.ndarray  # (nx, ny, nz) [m] signed distance of the front side
+    back: np.ndarray  # (nx, ny, nz) [m] signed distance of the back side
     kinds: np.ndarray  # (nx, ny, nz) int8: SIDED, NEAR_EDGE, EDGE (beyond the edge) or 0
 
 
@@ -47,8 +47,8 @@ class SampledShells(NamedTuple):
     shell_start: np.ndarray  # (m, 3) [m] first point of each lattice
     distances: np.ndarray  # (n, 2) [m] see `ShellLattice`
     kinds: np.ndarray  # (n,)
-    # (blocks, 64, 2, 4) (out) normal and distance [m] of the wall for the near and the far side; an
-    # infinite distance if the closest face is not one of a thin wall, or beyond an edge
+    # (blocks, 64, 2, 4) (out) normal and distance [m] of the wall for its front and its back side;
+    # an infinite distance if the closest face is not one of a thin wall, or beyond an edge
     faces: np.ndarray
     scratch: np.ndarray  # (2, 4)
 
@@ -61,18 +61,19 @@ def with_shells(table, colliders: list) -> SampledShells:
         colliders: Colliders; `shell` is the ShellLattice of a thin wall or None.
     """
     shells = [getattr(collider, "shell", None) for collider in colliders]
-    sizes = [0 if shell is None else shell.near.size for shell in shells]
+    sizes = [0 if shell is None else shell.front.size for shell in shells]
     first = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64)
     first[np.array(sizes) == 0] = -1
     thin = [shell for shell in shells if shell is not None]
     none = np.zeros(3)
-    pairs = [np.stack([s.near.ravel(), s.far.ravel()], 1) for s in thin]
+    pairs = [np.stack([s.front.ravel(), s.back.ravel()], 1) for s in thin]
     return SampledShells(
-        *table, first,
-        np.array([none if s is None else s.near.shape for s in shells], np.int64),
-        np.array([none if s is None else s.start for s in shells], np.float64),
-        np.concatenate(pairs), np.concatenate([s.kinds.ravel() for s in thin]).astype(np.int8),
-        np.zeros((0, 64, 2, 4)), np.zeros((2, 4)),
+        *table, shell_first=first,
+        shell_shape=np.array([none if s is None else s.front.shape for s in shells], np.int64),
+        shell_start=np.array([none if s is None else s.start for s in shells], np.float64),
+        distances=np.concatenate(pairs),
+        kinds=np.concatenate([s.kinds.ravel() for s in thin]).astype(np.int8),
+        faces=np.zeros((0, 64, 2, 4)), scratch=np.zeros((2, 4)),
     )  # fmt: skip
 
 
@@ -84,7 +85,7 @@ def sample_shell(shells, m, own, sample):
         shells: SampledShells.
         m: Number of the collider.
         own: Point in the collider's frame, shape (3,) [m].
-        sample: Gradient and distance [m] of the near and the far side (out), shape (2, 4).
+        sample: Gradient and distance [m] of the front and the back side (out), shape (2, 4).
 
     Returns:
         Kind of the closest lattice point, see `ShellLattice`.
@@ -125,7 +126,7 @@ def turn_faces(shells, m, faces):
     Args:
         shells: SampledShells.
         m: Number of the collider.
-        faces: Normal and distance [m] of the near and the far side (out), shape (2, 4).
+        faces: Normal and distance [m] of the front and the back side (out), shape (2, 4).
     """
     r, both = shells.rotation[m], shells.scratch
     for q in range(2):
@@ -156,9 +157,9 @@ def _store(shells, m, b, node, side):
         return
     turn_faces(shells, m, shells.faces[b, node])
     # walls thinner than half a cell, the spacing of the lattice, act as that thick
-    behind = 0.5 * max(shells.spacing + shells.scratch[0, 3] + shells.scratch[1, 3], 0.0)
+    excess = 0.5 * max(shells.spacing + shells.scratch[0, 3] + shells.scratch[1, 3], 0.0)
     for q in range(2):
-        shells.faces[b, node, q, 3] -= behind
+        shells.faces[b, node, q, 3] -= excess
 
 
 @kernel
@@ -168,10 +169,10 @@ def find_sides(points, shells, middle, kinds, faces):
     Args:
         points: Points, shape (n, 3) [m].
         shells: SampledShells.
-        middle: Distance from the middle of the closest wall, negative on its far side (out), shape
+        middle: Distance from the middle of the closest wall, negative on its back side (out), shape
             (n,) [m].
         kinds: Kind of the closest lattice point, 0 far from all walls (out), shape (n,).
-        faces: Normal and distance [m] of that wall for the near and the far side (out), shape
+        faces: Normal and distance [m] of that wall for the front and the back side (out), shape
             (n, 2, 4).
     """
     own, both = np.zeros(3), shells.scratch

@@ -206,13 +206,13 @@ def _no_sides(phases, n0, n1, phase_of, nodes, volumes, fill, block, solid, dx, 
 def _of_sides(phases, n0, n1, phase_of, nodes, volumes, fill, block, solid, dx, q):
     if not is_sided(phases, solid, q, dx):
         return False
-    near = far = 0.0
+    front = back = 0.0
     for nb in range(n0, n1):
         amount = fill_of_phase(fill, volumes, nodes, nb, phase_of[nb], 4 * q + 3)
         if phases.side[phase_of[nb]] >= 0:
-            near += amount
+            front += amount
         if phases.side[phase_of[nb]] <= 0:
-            far += amount
+            back += amount
     i, j, k = 4 * block[0] - 1 + q // 16, 4 * block[1] - 1 + q // 4 % 4, 4 * block[2] - 1 + q % 4
     outside, share = share_outside_walls(fill, i, j, k), wall_share(fill, i, j, k)
     for nb in range(n0, n1):
@@ -220,7 +220,7 @@ def _of_sides(phases, n0, n1, phase_of, nodes, volumes, fill, block, solid, dx, 
         if fill.shifts[p]:
             depth = phases.faces[solid, q, 0 if phases.side[p] >= 0 else 1, 3]
             free = outside * (1.0 - half_space_fraction(depth / dx))
-            total = near if phases.side[p] >= 0 else far
+            total = front if phases.side[p] >= 0 else back
             nodes[256 * nb + 4 * q + 3] = total + (1.0 - free) * share
     return True
 

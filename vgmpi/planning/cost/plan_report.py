@@ -58,8 +58,7 @@ def format_plan(
     ]
     nx, ny, nz = plan.cells
     lines.append(f"  grid        {nx} x {ny} x {nz} cells of {plan.dx:g} m, sparse 4^3 blocks")
-    shown = plan.phases if plan.sides is None else plan.phases[: plan.sides.side.index(-1)]
-    for phase in shown:
+    for phase in plan.phases[: plan.phases_of_bodies]:
         for g, group in enumerate(plan.groups):
             if plan.phases[group.phase] is not phase:
                 continue
@@ -70,8 +69,8 @@ def format_plan(
                 f" ({group.family}), {plan.bytes_per_particle(g)} bytes each: {fields};"
                 f" once for all: density and {len(group.law)} numbers of the law"
             )
-    for a in range(len(shown)):
-        for b in range(a + 1, len(shown)):
+    for a in range(plan.phases_of_bodies):
+        for b in range(a + 1, plan.phases_of_bodies):
             names = f"{plan.phases[a].name} - {plan.phases[b].name}"
             rule = plan.rules.pair[a, b] if plan.rules else CONTACT
             how = f"friction {plan.friction[a][b]:g}" if rule == CONTACT else "they share space"
@@ -86,7 +85,6 @@ def format_plan(
         )
     )
     lines += rigid_body_lines(scene, plan) + _joints(scene) + _slip(scene) + _flows(plan)
-    lines += _thin_walls(scene)
     lines += _accuracy_notes(scene, plan)
     lines += accuracy_benchmarks.preset_accuracy_lines(scene) + feature_table(scene, plan, pace)
     total = plan.bytes()
@@ -150,7 +148,7 @@ def _flow(plan: Plan, source: InletPlan) -> float:
 
 def _accuracy_notes(scene: Scene, plan: Plan) -> list[str]:
     """Return the lines on what the scene's resolution and options make inexact."""
-    lines = _restored(plan) + _without_cells(scene, plan)
+    lines = _thin_walls(scene) + _restored(plan) + _without_cells(scene, plan)
     lines += soft_liquid_lines(scene, plan.weights)
     lines += _thin(scene, plan)
     return lines + _sheets(plan) + _bending(scene, plan)

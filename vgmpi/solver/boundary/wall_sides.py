@@ -1,4 +1,4 @@
-"""Sides of thin walls: particles on the far side of a wall are in groups of their own.
+"""Sides of thin walls: particles on the back side of a wall are in groups of their own.
 
 A particle keeps its side while it is close to a wall. It takes the side on which it is when it
 comes close, and wherever it passes the edge of a wall. Far from walls the side does not matter.
@@ -12,7 +12,6 @@ from vgmpi.kernels.rigid.moving_colliders import MovingColliders
 from vgmpi.kernels.rigid.shell_sampling import (
     EDGE,
     NEAR_EDGE,
-    WALL_BAND_CELLS,
     SampledShells,
     find_sides,
 )
@@ -20,7 +19,6 @@ from vgmpi.parallel.block_lattice import BLOCK_EDGE
 from vgmpi.parallel.migration import append_particles
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.plan import Plan
-
 from vgmpi.solver.engines.plan_tables import position_limits
 
 from .flow_accounting import Tally
@@ -53,17 +51,17 @@ class WallSides:
         self.side = [plan.sides.side[group.phase] for group in plan.groups]
 
     def groups_of_points(self, group_of: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """Return the groups (n,) of new particles, given those on the near side of walls.
+        """Return the groups (n,) of new particles, given those on the front side of walls.
 
         Args:
-            group_of: Groups on the near side, shape (n,).
+            group_of: Groups on the front side, shape (n,).
             x: Positions, shape (n, 3) [m].
         """
         middle, kinds, _ = self._find(x)
         twin = np.array(self.twin)[group_of]
         return np.where((kinds > 0) & (middle < 0.0) & (twin >= 0), twin, group_of)
 
-    def keep(self, step: int, time: float) -> bool:
+    def push_particles(self, step: int, time: float) -> bool:
         """Push particles out of walls every few steps; return whether any must change its side.
 
         Args:
@@ -73,13 +71,13 @@ class WallSides:
         if step % CHECK_INTERVAL:
             return False
         self.movers.stand(time)
-        return any([self._push(g) for g in self._sided_groups()])
+        return any([self._push_group(g) for g in self._sided_groups()])
 
     def change(self, needed: float, time: float) -> bool:
         """Move particles whose side has changed by a time [s], if a particle of any rank must.
 
         Args:
-            needed: Largest result of `keep` of all ranks.
+            needed: Largest result of `push_particles` of all ranks.
             time: Time [s].
 
         Returns:
@@ -121,7 +119,7 @@ class WallSides:
         depth = -self.side[g] * middle / self.dx  # [cells] on the other side
         return (kinds > 0) & (depth > np.where(kinds >= NEAR_EDGE, 0.0, MAX_CREEP_CELLS))
 
-    def _push(self, g: int) -> bool:
+    def _push_group(self, g: int) -> bool:
         """Push the particles of a group out of walls; return whether any must change its side."""
         group = self.groups[g]
         index = group.places(np.flatnonzero(self._near_walls(group) & (group.count > 0)))

@@ -283,8 +283,7 @@ class Cpu(KernelCaller):
         summed = update.CommonFields(layers["momentum"].tables, layers["offsets"].tables)
         self.call_if_rows(
             (), update.update, blocks, self.blocks, summed, shear, separate, self.plan.rules,
-            self.walls, phases, rigid, self.room[thread], self.step,
-            self.beyond[thread],
+            self.walls, phases, rigid, self.room[thread], self.step, self.beyond[thread],
         )  # fmt: skip
         for k, layer in enumerate(self.hues):
             self.call_if_rows(

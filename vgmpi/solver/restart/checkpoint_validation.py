@@ -223,7 +223,7 @@ def _rows(simulation, saved, g, first, block):
         wrong = np.array(plan.group_of)[owner] != g
         for body in plan.driven:  # released particles are in the group that they join
             wrong &= ~(np.isin(owner, body.things) & (body.joins == g))
-        if plan.sides is not None:  # those on the far side of a wall are in a group of their own
+        if plan.sides is not None:  # those on the back side of a wall are in a group of their own
             wrong &= np.array(plan.sides.twin_group)[np.array(plan.group_of)[owner]] != g
     if wrong.any():
         row = int(np.argmax(wrong))

@@ -1,4 +1,4 @@
-"""Sides of thin walls: of every phase that flows, what lies on their far side is a phase apart."""
+"""Sides of thin walls: of every phase that flows, what lies on their back side is a phase apart."""
 
 from typing import NamedTuple
 
@@ -6,21 +6,21 @@ from vgmpi.scene.scene import Scene
 
 from .phases_and_groups import GroupPlan, PhasePlan
 
-FAR_SIDE = "far side"  # in names of phases and groups
+BACK_SIDE = "back side"  # in names of phases and groups
 
 
 class WallSidesPlan(NamedTuple):
     """Phases and groups on the two sides of thin walls."""
 
-    side: tuple[int, ...]  # (phases,) 1: near side, -1: far side, 0: of no side
+    side: tuple[int, ...]  # (phases,) 1: front side, -1: back side, 0: of no side
     twin: tuple[int, ...]  # (phases,) the same phase on the other side, -1 for none
     twin_group: tuple[int, ...]  # (groups,) the same group on the other side, -1 for none
 
 
-def with_far_sides(
+def with_back_sides(
     scene: Scene, groups: tuple[GroupPlan, ...], phases: tuple[PhasePlan, ...]
 ) -> tuple[tuple[GroupPlan, ...], tuple[PhasePlan, ...], WallSidesPlan | None]:
-    """Return groups and phases with those on the far side of thin walls behind the others.
+    """Return groups and phases with those on the back side of thin walls behind the others.
 
     Solids and bodies with prescribed motion have no sides.
 
@@ -42,31 +42,31 @@ def with_far_sides(
         message = 'is not for appearance.color_transfer = "step"'
         raise scene.error([(("object", thin[0], "thin"), message)])
     flowing = [p for p, phase in enumerate(phases) if _flows(phase)]
-    far = {p: len(phases) + k for k, p in enumerate(flowing)}
+    back = {p: len(phases) + k for k, p in enumerate(flowing)}
     more = tuple(
         phases[p]._replace(
-            name=f"{phases[p].name} ({FAR_SIDE})",
+            name=f"{phases[p].name} ({BACK_SIDE})",
             contact_priority=len(phases) + phases[p].contact_priority,
         )
         for p in flowing
     )
-    apart = [g for g, group in enumerate(groups) if group.phase in far]
-    far_groups = tuple(
+    sided = [g for g, group in enumerate(groups) if group.phase in back]
+    back_groups = tuple(
         groups[g]._replace(
-            name=f"{groups[g].name} ({FAR_SIDE})", phase=far[groups[g].phase]
+            name=f"{groups[g].name} ({BACK_SIDE})", phase=back[groups[g].phase]
         )
-        for g in apart
+        for g in sided
     )  # fmt: skip
-    near = [far.get(p, -1) for p in range(len(phases))]
-    near_groups = [-1] * len(groups)
-    for k, g in enumerate(apart):
-        near_groups[g] = len(groups) + k
+    back_of = [back.get(p, -1) for p in range(len(phases))]
+    back_group_of = [-1] * len(groups)
+    for k, g in enumerate(sided):
+        back_group_of[g] = len(groups) + k
     sides = WallSidesPlan(
-        tuple(int(p in far) for p in range(len(phases))) + (-1,) * len(more),
-        (*near, *flowing),
-        (*near_groups, *apart),
+        tuple(int(p in back) for p in range(len(phases))) + (-1,) * len(more),
+        (*back_of, *flowing),
+        (*back_group_of, *sided),
     )
-    return (*groups, *far_groups), (*phases, *more), sides
+    return (*groups, *back_groups), (*phases, *more), sides
 
 
 def _flows(phase: PhasePlan) -> bool:
