@@ -44,7 +44,7 @@ _AXES = tuple(np.eye(3, dtype=np.int64))
 class _Faces(NamedTuple):
     """Lattice points next to faces of the wall."""
 
-    index: np.ndarray  # (n, 3) place on the lattice
+    place: np.ndarray  # (n, 3) on the lattice
     normal: np.ndarray  # (n, 3) outward normals
     foot: np.ndarray  # (n, 3) [m] closest point of the face
     opposite: np.ndarray  # (n, 3) places next to the opposite face
@@ -68,12 +68,14 @@ def thin_shell(collider, dx: float) -> ShellLattice | None:
     phi = _distances(collider, grid)
     normal = _normals(collider, grid.reshape(-1, 3), 0.02 * dx).reshape(grid.shape)
     faces = _faces(collider, grid, phi, normal, dx)
-    if not len(faces.index):
+    if not len(faces.place):
         return None
     side = _sides(faces, phi.shape)
     label = _spread_sides(faces, side, phi, normal, h)
-    sides = [_distance_from_side(collider, faces, side, s, label, grid, phi, dx) for s in (1, -1)]
-    return ShellLattice(start, *sides, _kinds(label, phi, dx))
+    front, back = (
+        _distance_from_side(collider, faces, side, s, label, grid, phi, dx) for s in (1, -1)
+    )
+    return ShellLattice(start, front, back, _kinds(label, phi, dx))
 
 
 def _distance_from_side(
@@ -159,12 +161,12 @@ def _sides(faces: _Faces, shape: tuple) -> np.ndarray:
     Raises:
         ValueError: The wall has no two sides.
     """
-    n = len(faces.index)
+    n = len(faces.place)
     number = np.full(shape, -1)
-    number[tuple(faces.index.T)] = np.arange(n)
+    number[tuple(faces.place.T)] = np.arange(n)
     same_a, same_b = [], []
     for axis, step in itertools.product(_AXES, (1, 2)):  # two over the bisector of an inner corner
-        other = np.minimum(faces.index + step * axis, np.array(shape) - 1)
+        other = np.minimum(faces.place + step * axis, np.array(shape) - 1)
         partner = number[tuple(other.T)]
         out, other_out = faces.normal, faces.normal[partner]
         cosine = (out * other_out).sum(1)
@@ -172,7 +174,7 @@ def _sides(faces: _Faces, shape: tuple) -> np.ndarray:
         agrees = is_concave & (cosine > -AGREEING)
         if step == 1:
             agrees |= cosine > AGREEING
-        agrees &= (partner >= 0) & (other != faces.index).any(1)
+        agrees &= (partner >= 0) & (other != faces.place).any(1)
         same_a.append(np.flatnonzero(agrees))
         same_b.append(partner[agrees])
     inside = ((faces.opposite >= 0) & (faces.opposite < np.array(shape))).all(1)
@@ -198,9 +200,9 @@ def _spread_sides(faces: _Faces, side: np.ndarray, phi, normal, h: float):
     side from which they are reached.
     """
     core = np.zeros(phi.shape, np.int8)
-    core[tuple(faces.index.T)] = side
+    core[tuple(faces.place.T)] = side
     looks = np.zeros((*phi.shape, 3))
-    looks[tuple(faces.index.T)] = side[:, None] * faces.normal
+    looks[tuple(faces.place.T)] = side[:, None] * faces.normal
     place = scipy.ndimage.distance_transform_edt(
         core == 0, return_distances=False, return_indices=True
     )

@@ -34,9 +34,8 @@ def sided_phases(phases: Phases, sides, solids) -> Phases | SidedPhases:
     """
     if sides is None or solids is None:
         return phases
-    return SidedPhases(
-        *phases, np.array(sides.side), np.array(sides.twin), solids.nodes, solids.table.faces
-    )
+    rows = np.array(sides.side), np.array(sides.twin), solids.nodes, solids.table.faces
+    return SidedPhases._make((*phases, *rows))
 
 
 @static_dispatch

@@ -48,7 +48,7 @@ class MovingColliders:
         """
         self.dx, self.real, self.colliders = lattice.dx, real, colliders
         self.numbered = numbered
-        self.table: SampledSdf | SampledShells = _sample_colliders(colliders, lattice.dx)
+        self.table: SampledSdf = _sample_colliders(colliders, lattice.dx)
         if any(getattr(collider, "shell", None) is not None for collider in colliders):
             self.table = with_shells(self.table, colliders)
         self.moving = [m for m, collider in enumerate(colliders) if collider.course is not None]

@@ -4,7 +4,7 @@ The distance of a side goes on decreasing through the wall and behind it, so tha
 through the wall, however thin that is.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -53,8 +53,8 @@ class SampledShells(NamedTuple):
     scratch: np.ndarray  # (2, 4)
 
 
-def with_shells(table, colliders: list) -> SampledShells:
-    """Return sampled colliders with their thin walls.
+def with_shells(table, colliders: list) -> Any:
+    """Return sampled colliders with their thin walls, as SampledShells.
 
     Args:
         table: SampledSdf.
@@ -67,14 +67,11 @@ def with_shells(table, colliders: list) -> SampledShells:
     thin = [shell for shell in shells if shell is not None]
     none = np.zeros(3)
     pairs = [np.stack([s.front.ravel(), s.back.ravel()], 1) for s in thin]
-    return SampledShells(
-        *table, shell_first=first,
-        shell_shape=np.array([none if s is None else s.front.shape for s in shells], np.int64),
-        shell_start=np.array([none if s is None else s.start for s in shells], np.float64),
-        distances=np.concatenate(pairs),
-        kinds=np.concatenate([s.kinds.ravel() for s in thin]).astype(np.int8),
-        faces=np.zeros((0, 64, 2, 4)), scratch=np.zeros((2, 4)),
-    )  # fmt: skip
+    shapes = np.array([none if s is None else s.front.shape for s in shells], np.int64)
+    starts = np.array([none if s is None else s.start for s in shells], np.float64)
+    kinds = np.concatenate([s.kinds.ravel() for s in thin]).astype(np.int8)
+    rows = first, shapes, starts, np.concatenate(pairs), kinds
+    return SampledShells._make((*table, *rows, np.zeros((0, 64, 2, 4)), np.zeros((2, 4))))
 
 
 @device_function
