@@ -178,7 +178,7 @@ def _sides(faces: _Faces, shape: tuple) -> np.ndarray:
         same_a.append(np.flatnonzero(agrees))
         same_b.append(partner[agrees])
     inside = ((faces.opposite >= 0) & (faces.opposite < np.array(shape))).all(1)
-    partner = np.where(inside, number[tuple(np.where(inside[:, None], faces.opposite, 0).T)], -1)
+    partner = np.where(inside, number[tuple(np.clip(faces.opposite, 0, np.array(shape) - 1).T)], -1)
     faced = partner >= 0
     faced &= (faces.normal * faces.normal[partner]).sum(1) < -OPPOSITE
     a, b = np.concatenate(same_a), np.concatenate(same_b)

@@ -63,8 +63,9 @@ class Simulation:
         self.lattice = BlockLattice(plan.cells, plan.dx)
         # true if a collider has its own friction, is free, or its reaction is requested
         per_collider = len(plan.friction) > len(plan.phases) + 1 or plan.numbers_colliders
-        self.solids = place_colliders(list(colliders), self.lattice, plan.real, per_collider)
-        self.movers = self.solids if isinstance(self.solids, MovingColliders) else None
+        solids = place_colliders(list(colliders), self.lattice, plan.real, per_collider)
+        self.movers = solids if isinstance(solids, MovingColliders) else None
+        self.solids = solids
         self.driven = PrescribedBodies(plan, len(colliders)) if plan.driven else None
         self.motions = [m for m in (self.movers, self.driven) if m is not None]
         rigid = self.solids, threads, self.driven
