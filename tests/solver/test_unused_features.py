@@ -297,6 +297,11 @@ FEATURES = {
         {"engine.layers.offsets", "movers"},
         {"Offsets"},
     ),
+    "a thin wall": (
+        PLAIN + POST.replace("[0.24,", "[0.2,") + "thin = true\n",
+        {"engine.layers.offsets", "movers"},
+        {"Offsets", "SidedPhases"},
+    ),
     "an inlet": (PLAIN + TAP, {"sources", "plan.sources"}, set()),
     "an outlet": (PLAIN + DRAIN, {"sinks"}, set()),
     "a probe": (
