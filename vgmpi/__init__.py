@@ -19,7 +19,7 @@ if "numba" not in sys.modules:
 # where earlier releases had the readers of a run's files, and commands that `vgmpi` has now
 __path__.append(os.path.join(__path__[0], "apps", "old_paths"))
 
-__all__ = ["Run", "SceneError", "load", "plan", "read", "run"]
+__all__ = ["Run", "SceneError", "load", "open_run", "plan", "read", "run"]
 
 
 def __getattr__(name: str):
@@ -27,4 +27,5 @@ def __getattr__(name: str):
         return importlib.import_module("vgmpi.runtime.versions").program_version()
     if name not in __all__:
         raise AttributeError(f"module 'vgmpi' has no attribute '{name}'")
-    return getattr(importlib.import_module("vgmpi.api"), name)
+    module = "vgmpi.apps.notebook.opened_run" if name == "open_run" else "vgmpi.api"
+    return getattr(importlib.import_module(module), name)

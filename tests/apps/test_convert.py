@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from tests.support.foreign_configs import BOX, CELL, ONE, egg, named, scene_of, several
+from tests.support.foreign_configs import BOX, CELL, HOLD, ONE, egg, named, scene_of, several
 from vgmpi.apps.convert.__main__ import main
 from vgmpi.apps.convert.scene_converter import convert_scene
 from vgmpi.gaussians.formats import registry
@@ -169,23 +169,65 @@ def test_fluids_mix(convert):
     assert [thing.opacity_scale for thing in scene.object] == [0.02, 0.02]
 
 
+PART = {"point": [1, 1, 1.5], "size": [1, 1, 0.4], "E": 5e4, "nu": 0.2, "density": 70}
+
+
 def test_parts_of_other_material(convert, capture):
-    part = {"point": [1, 1, 1.5], "size": [1, 1, 0.4], "E": 5e4, "nu": 0.2, "density": 70}
-    scene, lines = convert(ONE | {"additional_material_params": [part]}, capture)
-    below, above = scene.object
-    assert below.phase == above.phase == "egg"
-    made = [scene.material[thing.material] for thing in (below, above)]
+    """The box ends at z = 1.1 in theirs, 1.1 less the 2 cells of 0.1 below the walls here."""
+    scene, lines = convert(ONE | {"additional_material_params": [PART]}, capture)
+    (body,) = scene.object
+    (region,) = body.region
+    made = [scene.material[name] for name in (body.material, region.material)]
+    assert [m.kind for m in made] == ["corotated", "corotated"]
     assert [m.density for m in made] == [120, 70]
     assert [m.youngs_modulus for m in made] == [3e4, 5e4]
+    assert [m.poisson_ratio for m in made] == [0.35, 0.2]
     prepared = build_scene(scene)
-    assert prepared.x[prepared.object == 0][:, 2].max() <= 1.1
-    assert prepared.x[prepared.object == 1][:, 2].min() >= 1.1
+    (part,) = prepared.objects[0]["regions"]
+    above = np.arange(len(prepared.x)) >= part["first_row"]
+    low = region.box[0][2]
+    assert prepared.x[~above][:, 2].max() <= low <= prepared.x[above][:, 2].min()
     assert len(prepared.x) == 810
+    assert 0 < part["row_count"] < 810
     assert not named(lines, "additional_material_params.0")
-    across = part | {"size": [0.2, 0.2, 0.2]}
-    assert named(
-        convert(ONE | {"additional_material_params": [across]})[1], "additional_material_params.0"
-    )
+
+
+def test_parts_in_any_box_and_of_filled_and_turned_captures(convert, capture):
+    across = PART | {"point": [1, 1, 1], "size": [0.2, 0.15, 0.3]}
+    turned = {"rotation_degree": [30.0], "rotation_axis": [2]}
+    parts = {"additional_material_params": [across, PART]}
+    scene, lines = convert(ONE | parts | {"particle_filling": {"n_grid": 20}} | turned, capture)
+    assert not named(lines, "additional_material_params.0")
+    first, last = scene.object[0].region
+    assert np.ptp(first.box, axis=0) == pytest.approx([0.4, 0.3, 0.6])
+    assert first.material != last.material
+    assert sum(part["row_count"] for part in build_scene(scene).objects[0]["regions"]) > 0
+
+
+def test_a_part_that_holds_all_is_the_material(convert, capture):
+    every = PART | {"point": [1, 1, 1], "size": [3, 3, 3]}
+    scene, lines = convert(ONE | {"additional_material_params": [PART, every]}, capture)
+    assert scene.object[0].region is None
+    assert scene.material[scene.object[0].material].density == 70
+    assert not named(lines, "additional_material_params.0")
+
+
+@pytest.mark.parametrize(
+    ("more", "reason"),
+    [
+        ({"additional_material_params": [PART | {"point": [1, 1, 9]}]}, "no part of the body"),
+        ({"material": "snow", "additional_material_params": [PART]}, "no stress for snow"),
+        (
+            {"additional_material_params": [PART], "boundary_conditions": [HOLD]},
+            "the body is driven",
+        ),
+    ],
+)
+def test_parts_that_are_not_brought_over(convert, capture, more, reason):
+    scene, lines = convert(ONE | more, capture)
+    (line,) = named(lines, "additional_material_params.0")
+    assert reason in line
+    assert scene.object[0].region is None
 
 
 def test_every_other_key_is_named(convert):

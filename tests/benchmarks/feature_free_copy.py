@@ -39,6 +39,20 @@ ANSWERS: dict[str, dict[str, str]] = {
         "prescribed_phases": "return {}",
         "prescribed_body_plans": "return (), groups, group_of",
     },
+    "vgmpi.scene.regions": {
+        "validate_regions": "return []",
+        "validate_region_kinds": "return []",
+    },
+    "vgmpi.preprocess.body_regions": {
+        "sort_by_region": "return piece",
+        "validate_region_particles": "return []",
+        "region_entries": "return []",
+    },
+    "vgmpi.planning.region_groups": {
+        "region_plans": "return ()",
+        "group_counts": "return [*zip(plan.count, plan.group_of)]",
+        "groups_of_particles": "return np.array(plan.group_of)[owner]",
+    },
     "vgmpi.kernels.grid.mixture_coupling": {},
     "vgmpi.kernels.nodal_fields.color": {},
     "vgmpi.kernels.transfer.density_correction": {},

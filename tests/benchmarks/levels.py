@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.physics.test_dam_break import MPS, rms
+from tests.physics.test_dam_break import FRONT_DEPTH, MPS, rms
 from tests.physics.test_poiseuille import starting
 from tests.support.oscillation import period
 from vgmpi.apps.tradeoff.error_measures import RunOutcome
@@ -43,7 +43,7 @@ def dam_break(found: RunOutcome) -> float:
     fronts, volume = [], np.asarray(found.run.gaussians.vol0)
     for k in range(len(found.run)):
         at = (2 * last(found, k)[0][:, 0] / dx).astype(int)
-        dry = np.bincount(at, volume, 400) / (dx / 2 * deep) < dx / 2
+        dry = np.bincount(at, volume, 400) / (dx / 2 * deep) < FRONT_DEPTH * dx
         fronts.append(np.argmax(dry) * dx / 2 / width)
     times = found.times / unit
     return rms(MPS[MPS[:, 0] <= times[-1]], times, np.array(fronts))

@@ -136,7 +136,11 @@ def keys() -> list[str]:
 def campaign(count: int, seed: int, folder: Path) -> Result:
     """count: of scenes. Those that fail stay in the folder."""
     folder.mkdir(parents=True, exist_ok=True)
-    spoiler = Spoiler(bases(folder), keys())
+    return spoiled_scenes(Spoiler(bases(folder), keys()), count, seed, folder)
+
+
+def spoiled_scenes(spoiler: Spoiler, count: int, seed: int, folder: Path) -> Result:
+    """What --check and --plan say to `count` spoiled scenes. Those that fail stay in the folder."""
     cases, paths = [], []
     for draw, path in spoiler.files(count, seed, folder):
         paths.append(path)

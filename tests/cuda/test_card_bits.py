@@ -33,6 +33,7 @@ SHORT = {  # name: precision, steps, scenes
             "density correction",
             "several densities",
             "dilatation by cells",
+            "regions",
         ],
     ),
     "double": ("double", 2, ["fluid", "sand", "elastic", "contact"]),

@@ -51,6 +51,10 @@ name = "lid"
 material = "wood"
 rigid = true
 shape = { box = [["23 cm", "5 cm", "7 cm"], ["28 cm", "11 cm", "9 cm"]] }
+[[probe]]
+name = "ball"
+sampling_interval = "2 ms"
+object = "ball"
 """
 
 

@@ -303,6 +303,41 @@ def test_a_moving_collider_carries_what_is_fixed_to_it(tmp_path):
     assert distances(joints) < 1e-3 * DX
 
 
+def test_a_probe_of_a_body(tmp_path):
+    """The mean force and torque on a rod are those of its hinge and its motor, without its weight;
+    its pose and velocity are those of a turn about the hinge."""
+    motor = 'axis = "y"\nname = "axle"\nmotor = { speed = -2, torque = 0.6 }'
+    probes = "".join(
+        f'[[probe]]\nname = "{name}"\nsampling_rate = 1e4\n{what}\n'
+        for name, what in (("axle", 'joint = "axle"'), ("rod", 'object = "rod"'))
+    )
+    text = SCENE.format(
+        gravity=-G, heavy=1, bodies=ROD, joints=joint("hinge", ["rod"], PIVOT, motor) + probes
+    )
+    simulation, _ = begin(tmp_path, text)
+    probes = Probes(scene(tmp_path, text), simulation, None, None)
+    probes.first()
+    for _ in range(50):
+        simulation.advance(1e-3)
+        probes.after_step(simulation.time - 1e-3)
+    assert np.isnan(probes.rows["rod"][0]["force_z"])
+
+    def columns(probe, name, axes="xyz"):
+        return np.array([[row[f"{name}_{a}"] for a in axes] for row in probes.rows[probe][1:]])
+
+    force, center = columns("rod", "force"), columns("rod", "center")
+    assert np.abs(force - columns("axle", "force")).max() < 1e-9 * np.abs(force).max()
+    spin = columns("rod", "angular_velocity")
+    velocity = np.cross(spin, center - PIVOT)
+    # the hinge holds its point at the start of a step to the velocity at its end
+    assert np.abs(columns("rod", "velocity") - velocity).max() < 2e-3 * np.abs(velocity).max()
+    torque = columns("axle", "torque") + np.cross(PIVOT - center, force)
+    assert np.abs(columns("rod", "torque") - torque).max() < 5e-3 * np.abs(torque).max()
+    angle = 2.0 * np.arctan2(columns("rod", "rotation", "y"), columns("rod", "rotation", "w"))
+    joint_angle = [row["angle"] for row in probes.rows["axle"][1:]]
+    assert angle[:, 0] == pytest.approx(joint_angle, abs=1e-12)
+
+
 def test_a_probe_of_a_joint(tmp_path):
     """A motor turns a rod against its weight; its hinge bears what the rod does not fall."""
     more = 'axis = "y"\nname = "axle"\nmotor = { speed = -2, torque = 0.6 }'

@@ -199,7 +199,7 @@ BAD = {
         '[look]\ncolor_objects = [\n"milk",\n3]',
         4,
         "look.color_objects.1",
-        "valid string",
+        "a text",
     ),
 }
 

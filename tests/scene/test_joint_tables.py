@@ -169,3 +169,27 @@ def test_a_point_far_from_both_bodies_is_warned_of(tmp_path, caplog):
         assert "joint" not in caplog.text
         build_scene(load(tmp_path, SCENE.replace("at = [0.2, 0.1, 0.2]", "at = [0.2, 3, 0.2]")))
     assert "joint 'axle' is 2.84 m from the nearest of its bodies" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('name = "axle"\nkind = "hinge"', 'name = "axle"\nkind = "hing"'),
+        ('name = "axle"', 'nmae = "axle"'),
+        ("stiffness = 50", "stiffness = -50"),  # of a joint without a name
+        (SPRING, '[[joint]]\nkind = "spring"\nbetween = 3\n' + SPRING),
+    ],
+)
+def test_a_probe_of_joints_one_of_which_is_wrong_gives_no_line_of_its_own(tmp_path, old, new):
+    text = SCENE.replace(old, new, 1) + PROBE.format("axle" if "nmae" in new else "spoke")
+    with pytest.raises(SceneError) as error:
+        load(tmp_path, text)
+    assert "there is no joint" not in str(error.value)
+
+
+def test_joints_that_are_no_list_give_one_line(tmp_path):
+    text = "joint = 3\n" + SCENE[: SCENE.index("[[joint]]")] + PROBE.format("axle")
+    with pytest.raises(SceneError) as error:
+        load(tmp_path, text)
+    (line,) = str(error.value).splitlines()
+    assert "scene.toml:1: joint: must be a list of tables: [[joint]]" in line

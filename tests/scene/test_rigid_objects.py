@@ -1,11 +1,13 @@
 """Free rigid bodies in scenes: what is refused, with its line, and what --plan says."""
 
+import logging
 import subprocess
 import sys
 
 import pytest
 
 import vgmpi
+from tests.support.simulate import begin
 from vgmpi.planning.cost.plan_report import format_plan
 from vgmpi.planning.plan import time_step_bounds
 from vgmpi.runtime.config.schema import SceneError
@@ -73,11 +75,6 @@ WRONG = [
     ),
     (
         "[[object]]\n" + LOG,
-        '[[probe]]\nname = "p"\nsampling_rate = 10\nobject = "log"\n[[object]]\n' + LOG,
-        "'log' is rigid: it has no particles",
-    ),
-    (
-        "[[object]]\n" + LOG,
         '[[probe]]\nname = "p"\nsampling_rate = 10\ncollider = "log"\n[[object]]\n' + LOG,
         "no collider",
     ),
@@ -106,6 +103,18 @@ def test_an_engine_without_free_bodies_says_so(tmp_path, engine):
     assert "Traceback" not in job.stderr
 
 
+@pytest.mark.parametrize(("radius", "length"), [("0.9", "1.8"), ("4", "8")])
+def test_a_body_much_larger_than_the_domain(tmp_path, radius, length):
+    """To search it would take minutes."""
+    text = SCENE.replace("radius = 0.04", f"radius = {radius}")
+    scene = vgmpi.load(tmp_path / "scene.toml", text=text)
+    with pytest.raises(SceneError) as error:
+        vgmpi.plan(scene)
+    (line,) = str(error.value).splitlines()
+    assert "scene.toml:24: object.log.rigid: is " in line
+    assert f"is {length} m long; at most 1.6 m are possible in this domain" in line
+
+
 def test_a_body_outside_the_domain(tmp_path):
     scene = tmp_path / "scene.toml"
     scene.write_text(SCENE.replace("center = [0.2, 0.1, 0.15]", "center = [0.2, 0.1, 0.25]"))
@@ -124,6 +133,7 @@ material = "{material}"
 rigid = true
 shape = {{ {shape} }}
 """
+EGG = "ellipsoid = { center = [0.1, 0.08, 0.15], radii = [0.05, 0.037, 0.03] }"
 FOAM = '[material.foam]\nkind = "elastic"\ndensity = 5\nyoungs_modulus = 1e6\n'
 
 
@@ -243,3 +253,22 @@ def test_a_body_that_leaves_the_domain(tmp_path):
     assert "Traceback" not in job.stderr
     head = (tmp_path / "out" / "ledger.csv").read_text().split("\n")[0]
     assert "rigid_momentum_x" in head.split(",")
+
+
+def test_a_thin_body_is_told_of_once(tmp_path, caplog):
+    shape = "box = [[0, 0, 0.18], [0.1, 0.1, 0.19]]"
+    text = SCENE + MORE.format(name="sheet", material="oak", shape=shape)
+    with caplog.at_level(logging.WARNING, "vgmpi"):
+        report = report_of(tmp_path, text)
+    assert report.count("sheet: rigid and thinner than 2 cells") == 1
+    assert "sheet" not in caplog.text
+
+
+def test_the_plan_counts_the_surface_points_of_the_solver(tmp_path):
+    text = SCENE + MORE.format(name="egg", material="oak", shape=EGG)
+    simulation, _ = begin(tmp_path, text)
+    first = simulation.bodies.surface.first
+    scene = vgmpi.load(tmp_path / "scene.toml", text=text)
+    told = [body.points for body in vgmpi.plan(scene).rigid.bodies]
+    assert told == (first[1:] - first[:-1]).tolist()
+    assert min(told) > 300

@@ -116,6 +116,12 @@ TUMBLING = (
 DRIVEN = CUBE[: CUBE.index("velocity")] + TUMBLING
 HELD = BED[: BED.index("velocity")] + 'release_time = "0.7 ms"\n'
 LETTING_GO = HELD + 'release_order = "top-down"\nrelease_end_time = "2 ms"\n'
+STIFF = material("stiff", 'kind = "elastic"\ndensity = 2100\nyoungs_modulus = 6e5')
+REGIONS = (
+    '[[object.region]]\nmaterial = "stiff"\nbox = [[0.06, 0, 0], [0.2, 0.2, 0.2]]\n'
+    '[[object.region]]\nmaterial = "toy"\n'
+    "sphere = { center = [0.09, 0.08, 0.08], radius = 0.015 }\n"
+)
 TIN = material("tin", 'kind = "metal"\nyoungs_modulus = 1e6\nyield_stress = 2e3')
 
 
@@ -206,6 +212,7 @@ SCENES = {kind: (of_law(kind), "mixed", "") for kind in LAWS} | {
         WATER + TIN + POOL + DRIVEN.replace("toy", "tin") + "track_deformation = true\n", "mixed",
         CORRECTED,
     ),
+    "regions": (WATER + TOY + STIFF + POOL + CUBE + REGIONS, "mixed", ""),
     "deformation": (
         TIN
         + body("ball", "tin", "sphere = { center = [0.1, 0.08, 0.05], radius = 0.045 }",

@@ -275,6 +275,10 @@ FEATURES = {
         PLAIN + RUBBER + BESIDE, {"engine.layers.offsets"},
         {"ElasticLaw", "SurfaceDistance", "Offsets"},
     ),
+    "a region": (
+        PLAIN + '[[object.region]]\nmaterial = "stuff"\nbox = [[0, 0, 0], [1, 1, 0.08]]\n' + MILK,
+        set(), set(),
+    ),
     "colors": (
         PLAIN + TRAVELS + MILK + RED,
         {"engine.layers.color 0", "tables.asked.color 0", "tables.contributes.color 0",

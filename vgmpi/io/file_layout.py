@@ -193,6 +193,7 @@ GAUSSIAN_TEXTS = [
         "color_group (objects with the same number exchange colors), "
         "bulk density [kg/m3], first_row and row_count, opacity_scale, alpha_min, "
         "color, collider, is_moving (frames contain the `poses` of these objects), "
+        "regions (parts of another material: its name, density, first_row and row_count), "
         "and transform (4 x 4, source coordinates -> domain coordinates [m])",
     ),
     Dataset("scene", "()", "text", "", "JSON, the scene with all defaults, in SI units"),
@@ -298,6 +299,17 @@ ROW_CHECKSUM = Dataset(
 
 # ---- probe_NAME.csv ---------------------------------------------------------------------------
 _WHEN = LEDGER_COLUMNS[:2]
+_BODY = [
+    Dataset("mass", "", "f8", "kg", "mass"),
+    *(Dataset(f"center_{a}", "", "f8", "m", f"{a} of the center of mass") for a in "xyz"),
+    *(Dataset(f"velocity_{a}", "", "f8", "m/s", f"mean velocity along {a}") for a in "xyz"),
+    *(Dataset(f"momentum_{a}", "", "f8", "kg m/s", f"momentum along {a}") for a in "xyz"),
+    *(
+        Dataset(f"force_{a}", "", "f8", "N", f"mean force along {a} since the previous row, "
+                "without its weight; nan in the first row")
+        for a in "xyz"
+    ),
+]  # fmt: skip
 _GIVEN = [
     *(
         Dataset(f"force_{a}", "", "f8", "N", f"mean force along {a} of the bodies on it since the "
@@ -334,15 +346,21 @@ PROBE_COLUMNS = {
             for a in "xyz"
         ),
     ],
-    "object": [
+    "object": [*_WHEN, *_BODY],
+    "rigid body": [
         *_WHEN,
-        Dataset("mass", "", "f8", "kg", "mass"),
-        *(Dataset(f"center_{a}", "", "f8", "m", f"{a} of the center of mass") for a in "xyz"),
-        *(Dataset(f"velocity_{a}", "", "f8", "m/s", f"mean velocity along {a}") for a in "xyz"),
-        *(Dataset(f"momentum_{a}", "", "f8", "kg m/s", f"momentum along {a}") for a in "xyz"),
+        *_BODY,
+        *(Dataset(f"rotation_{a}", "", "f8", "", f"{a} of the rotation from the start, a unit "
+                  "quaternion") for a in "wxyz"),
+        *(Dataset(f"angular_velocity_{a}", "", "f8", "rad/s", f"about {a}") for a in "xyz"),
         *(
-            Dataset(f"force_{a}", "", "f8", "N", f"mean force along {a} since the previous row, "
-                    "without its weight; nan in the first row")
+            Dataset(f"angular_momentum_{a}", "", "f8", "kg m2/s", f"about {a}, about the center of "
+                    "mass")
+            for a in "xyz"
+        ),
+        *(
+            Dataset(f"torque_{a}", "", "f8", "N m", f"mean torque about {a} and the center of mass "
+                    "since the previous row; nan in the first row")
             for a in "xyz"
         ),
     ],

@@ -19,6 +19,7 @@ the base of laws with a return mapping.
 """
 
 import inspect
+from collections.abc import Iterable
 from typing import Any, ClassVar, Literal, NamedTuple, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError, model_validator
@@ -98,6 +99,18 @@ def kinds_with_preset(name: str) -> list[str]:
     """
     kinds = [kind for kind, cls in registry.items() if name in cls.presets]
     return sorted(kinds, key=lambda kind: kind != "elastic")
+
+
+def unknown_material(name: str, materials: Iterable[str]) -> str:
+    """Return the text of the error of a name that no [material.*] table has.
+
+    Args:
+        name: Name that a scene refers to.
+        materials: Names of the materials that the scene defines.
+    """
+    names = list(materials)
+    defined = f"defined are {', '.join(names)}" if names else "none is defined"
+    return f"there is no [material.{name}]{did_you_mean(name, names)}; {defined}"
 
 
 MaterialClass = TypeVar("MaterialClass", bound=Material)

@@ -181,6 +181,13 @@ def phases_of(
         first = min(CONTACT_PRIORITY[bodies[k].family] for k in rows)
         return first, -float(f"{size:.9e}"), placed, name
 
+    densities = {
+        name: [
+            scene.material[m].bulk_density
+            for k in members[name] for m in scene.materials_of(scene.things[k])
+        ]
+        for name in names
+    }  # fmt: skip
     order = sorted(names, key=mastery)
     cell = scene.domain.cell**3
     return tuple(
@@ -189,8 +196,8 @@ def phases_of(
             tuple(sorted({bodies[k].family for k in members[name]})),
             tuple(members[name]),
             order.index(name),
-            min(bodies[k].bulk_density for k in members[name]) * cell,
-            max(bodies[k].bulk_density for k in members[name]) * cell,
+            min(densities[name]) * cell,
+            max(densities[name]) * cell,
             all(surface[k] for k in members[name]),
             name in driven,
         )
@@ -203,7 +210,7 @@ def groups_of(
 ) -> tuple[tuple[GroupPlan, ...], tuple[int, ...]]:
     """Return a group for each phase and material that meet in a body, and the group of each object.
 
-    The groups are those before phases share space.
+    The groups are those before phases share space. Materials of regions have groups, too.
 
     Args:
         scene: The scene.
@@ -215,9 +222,12 @@ def groups_of(
         The groups, and the number of each object's group, -1 for scenery.
     """
     key = {k: (scene.phase_of(scene.things[k]) or "", scene.things[k].material) for k in bodies}
-    pairs = sorted(set(key.values()))
+    parts = {k: [(key[k][0], m) for m in scene.materials_of(scene.things[k])] for k in bodies}
+    pairs = sorted({pair for pairs in parts.values() for pair in pairs})
     number = {phase.name: k for k, phase in enumerate(phases)}
-    deforming = {names for k, names in key.items() if stores_deformation(scene, scene.things[k])}
+    deforming = {
+        pair for k in parts if stores_deformation(scene, scene.things[k]) for pair in parts[k]
+    }
     groups = (_group(number[p], p, m, scene.material[m], real) for p, m in pairs)
     result = tuple(
         _with_deformation(group, names in deforming, phases[group.phase].surface)

@@ -35,6 +35,7 @@ from .phases_and_groups import (
 )
 from .prescribed_bodies import Extents, PrescribedBodyPlan, prescribed_body_plans, prescribed_phases
 from .proximity import Proximity
+from .region_groups import RegionPlan
 from .rigid_bodies import RigidBodiesSummary
 from .surface_friction import SurfaceSlipPlan, friction_table, surface_slip_plan
 
@@ -119,6 +120,7 @@ class Plan:
     sides: WallSidesPlan | None = None  # of thin walls
     joints: tuple[Joint, ...] = ()  # of the free rigid bodies
     rigid: RigidBodiesSummary | None = None  # these bodies at the start, if known
+    regions: tuple[RegionPlan, ...] = ()  # parts of bodies of another material, if known
 
     @property
     def numbers_colliders(self) -> bool:
@@ -275,7 +277,7 @@ def make_plan(
         stiff=_wave_moduli(groups, len(phases)), contact=len(phases) > 1, collider=collider,
         times=np.linspace(0.0, scene.time.end, scene.time.frames),
         cfl=scene.time.cfl, fixed_dt=scene.time.dt,
-        rate=_rate(bodies.values(), sharing, scene.domain.cell),
+        rate=_rate(scene, groups, sharing),
         rules=sharing, colors=colors,
         affine=scene.accuracy.affine, splines=scene.accuracy.gradient == "bspline",
         keeps=keeps, restores=restores,
@@ -297,10 +299,11 @@ def _gravity_keys(scene: Scene) -> Keys:
     return ((0.0, scene.domain.gravity), *((k.time, k.gravity) for k in keys)) if keys else ()
 
 
-def _rate(materials, sharing: InteractionRules | None, dx: float) -> float:
+def _rate(scene: Scene, groups: tuple[GroupPlan, ...], sharing: InteractionRules | None) -> float:
     """Return the lower bound of 1 / dt [1/s] due to viscosity and diffusion."""
     spread = sharing.diffusion.max(initial=0.0) if sharing else 0.0
-    return max(6.0 * max(m.kinematic_viscosity for m in materials), 6.0 * spread) / dx**2
+    viscosity = max(scene.material[group.material].kinematic_viscosity for group in groups)
+    return max(6.0 * viscosity, 6.0 * spread) / scene.domain.cell**2
 
 
 def _wave_moduli(groups: tuple[GroupPlan, ...], phases: int) -> tuple[float, ...]:
@@ -333,16 +336,17 @@ def time_step_bounds(scene: Scene, plan: Plan, stiffened: bool = False) -> list[
     for k, entity in enumerate(scene.things):
         if entity.material is None:
             continue
-        material = scene.material[entity.material]
-        law = material.law()
-        reference = tuple(v for values in material.carries.values() for v in values)
-        group = plan.groups[plan.group_of[k]]  # includes the sand whose pores it fills
-        wave = math.sqrt(group.bound(law_function(law, "wave_speed2")(law, reference)))
-        wave *= math.sqrt(material.stiffening) if stiffened else 1.0
-        bounds.append((scene.time.cfl * dx / (wave + speeds[k]), f"material {entity.material!r}"))
-        if material.kinematic_viscosity > 0:
-            bound = dx**2 / (6.0 * material.kinematic_viscosity)
-            bounds.append((bound, f"the viscosity of material {entity.material!r}"))
+        for name in scene.materials_of(entity):
+            material = scene.material[name]
+            law = material.law()
+            reference = tuple(v for values in material.carries.values() for v in values)
+            group = plan.groups[plan.group_of[k]]  # includes the sand whose pores it fills
+            wave = math.sqrt(group.bound(law_function(law, "wave_speed2")(law, reference)))
+            wave *= math.sqrt(material.stiffening) if stiffened else 1.0
+            bounds.append((scene.time.cfl * dx / (wave + speeds[k]), f"material {name!r}"))
+            if material.kinematic_viscosity > 0:
+                bound = dx**2 / (6.0 * material.kinematic_viscosity)
+                bounds.append((bound, f"the viscosity of material {name!r}"))
     return sorted(bounds)
 
 

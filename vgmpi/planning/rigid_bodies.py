@@ -2,6 +2,19 @@
 
 from typing import NamedTuple
 
+MIN_THICKNESS_CELLS = 2.0  # [cells] of a body or collider, below which the grid does not resolve it
+THICKNESS_TOLERANCE_CELLS = 0.25  # [cells] of a thickness that was measured on a lattice
+
+
+def is_thin(thickness: float, dx: float) -> bool:
+    """Return whether the grid does not resolve a body or collider.
+
+    Args:
+        thickness: Its thickness [m], measured on a lattice.
+        dx: Cell size [m].
+    """
+    return thickness < (MIN_THICKNESS_CELLS - THICKNESS_TOLERANCE_CELLS) * dx
+
 
 class RigidBodySummary(NamedTuple):
     """Free rigid body at the start."""

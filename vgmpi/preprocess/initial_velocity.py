@@ -13,16 +13,16 @@ from vgmpi.scene.scene import Scene
 from .motion_checks import extent
 
 
-def initial_velocity(obj: Object, x: np.ndarray, volume: np.ndarray) -> np.ndarray:
+def initial_velocity(obj: Object, x: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Return velocities (n, 3) [m/s] of a body's particles at x (n, 3) [m].
 
-    volume: weights of the particles, shape (n,) [m3].
+    weights: masses of the particles, or volumes where all have one density, shape (n,).
     """
     if obj.driven and obj.motion is not None and len(x):
         course = course_of(obj, *extent(x))
         speed, spin = course.rates(0.0)
         return speed + np.cross(spin, x - np.array(course.about))
-    weights = volume / volume.sum()
+    weights = weights / weights.sum()
     center = (x * weights[:, None]).sum(axis=0)
     v = np.asarray(obj.velocity) + np.cross(np.asarray(obj.angular_velocity), x - center)
     for mode in obj.velocity_mode:

@@ -15,7 +15,7 @@ from . import memory_estimate
 from .collider_sdf import Collider
 from .object_builder import BuiltObject, isotropic_gaussians
 from .placement import SimilarityTransform
-from .shape_sdf import TIE, distance
+from .shape_sdf import contains, distance
 
 POINTS_PER_LAYER = 4  # points per layer at which a nozzle is checked
 
@@ -90,9 +90,7 @@ def validate_inlets_outlets(
     initial = [(k, sink) for k, sink in enumerate(outlet_plans(scene)) if not sink.since]
     for k, sink in initial:
         overlapping = [
-            name
-            for name, x in bodies.items()
-            if (distance(sink.shape, x + TIE * scene.domain.cell) < 0).any()
+            name for name, x in bodies.items() if contains(sink.shape, x, scene.domain.cell).any()
         ]
         if overlapping:
             message = f"'{sink.name}' holds particles of '{overlapping[0]}'"

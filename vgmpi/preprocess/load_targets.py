@@ -7,8 +7,9 @@ import numpy as np
 from vgmpi.scene.loads import FACES, Load
 from vgmpi.scene.scene import Scene
 
+from .body_regions import densities_of
 from .object_builder import spacing_of
-from .shape_sdf import TIE, distance
+from .shape_sdf import contains
 
 Vector = tuple[float, float, float]
 
@@ -24,7 +25,7 @@ class ResolvedLoad(NamedTuple):
 
 
 def resolve_loads(
-    scene: Scene, x: np.ndarray, vol0: np.ndarray, owner: np.ndarray
+    scene: Scene, x: np.ndarray, vol0: np.ndarray, owner: np.ndarray, objects: list[dict]
 ) -> list[ResolvedLoad]:
     """Return the loads of a scene with their particles.
 
@@ -33,29 +34,29 @@ def resolve_loads(
         x: Particles at the start in the order of their ids, shape (n, 3) [m].
         vol0: Rest volumes, shape (n,) [m3].
         owner: Object of each particle, shape (n,).
+        objects: Entries of the objects and inlets.
 
     Raises:
         SceneError: A load acts on no particle.
     """
     number = {o.name: k for k, o in enumerate(scene.object)}
-    loads, errors = [], []
+    loads, errors, densities = [], [], densities_of(objects, owner) if scene.load else None
     for k, load in enumerate(scene.load):
         chosen = np.isin(owner, [number[name] for name in load.object])
         spacing = max(spacing_of(scene, scene.object[number[name]]) for name in load.object)
         if load.region is not None:
-            # A face that runs through a layer of particles takes it at the low side, as in shapes.
-            chosen[chosen] = distance(load.region, x[chosen] + TIE * spacing) < 0
+            chosen[chosen] = contains(load.region, x[chosen], spacing)
         if not chosen.any():
             message = f"holds no particle of {', '.join(load.object)} at the start"
             errors.append((("load", k, "region" if load.region is not None else "object"), message))
             continue
-        loads.append(_loaded(scene, load, chosen, spacing, x, vol0, owner))
+        loads.append(_loaded(load, chosen, spacing, x, vol0, densities))
     if errors:
         raise scene.error(errors)
     return loads
 
 
-def _loaded(scene, load, chosen, spacing, x, vol0, owner) -> ResolvedLoad:
+def _loaded(load, chosen, spacing, x, vol0, densities) -> ResolvedLoad:
     """Return one load with its particles."""
     uniform = (
         load.acceleration
@@ -63,9 +64,7 @@ def _loaded(scene, load, chosen, spacing, x, vol0, owner) -> ResolvedLoad:
         or (load.delta_angular_velocity and (0.0, 0.0, 0.0))
     )
     if uniform is not None:
-        known = [o.material and scene.material[o.material].bulk_density for o in scene.object]
-        densities = np.array([rho or 0.0 for rho in known])
-        mass = float((densities[owner[chosen]] * vol0[chosen]).sum())
+        mass = float((densities[chosen] * vol0[chosen]).sum())
         total = mass * uniform[0], mass * uniform[1], mass * uniform[2]
         return ResolvedLoad(load, index_runs(chosen), (0.0, 0.0, 0.0), total)
     total = load.force or load.impulse

@@ -8,6 +8,7 @@ import numpy as np
 from vgmpi.kernels.rigid.moving_colliders import MAX_COLLIDER_TRAVEL_CELLS
 from vgmpi.planning.plan import MAX_STEPS
 from vgmpi.planning.prescribed_bodies import course_of
+from vgmpi.planning.rigid_bodies import MIN_THICKNESS_CELLS, is_thin
 from vgmpi.scene.objects import Object
 from vgmpi.scene.rigid_motion import SPEED_SAMPLES, Trajectories
 from vgmpi.scene.scene import Scene
@@ -16,10 +17,6 @@ from .collider_sdf import Collider
 
 log = logging.getLogger("vgmpi")
 
-MIN_THICKNESS = (
-    2.0  # [cells] below it the grid does not resolve a collider; three where its walls meet
-)
-THICKNESS_TOLERANCE = 0.25  # [cells] of a thickness found on a lattice
 MAX_SAMPLES = 2_000_000  # [points] of that lattice
 # intervals of a run for which the travel of motions is computed, and samples of each
 TRAVEL_INTERVALS, TRAVEL_SAMPLES = 128, 8
@@ -33,14 +30,10 @@ def validate_collider_motion(scene: Scene, collider: Collider | None) -> list[tu
     """
     if collider is None:
         return []
-    thickness = _thickness(collider, scene.domain.cell)
-    is_thin = thickness < (MIN_THICKNESS - THICKNESS_TOLERANCE) * scene.domain.cell
-    if is_thin and collider.shell is None:
-        log.warning(
-            "collider '%s' is %.2g cells thick where it is thickest: below %g what it keeps apart"
-            " may pass, unless object.thin = true", collider.name,
-            thickness / scene.domain.cell, MIN_THICKNESS,
-        )  # fmt: skip
+    if (
+        collider.body is None and collider.shell is None
+    ):  # free bodies have a line of their own in the plan
+        _warn_if_thin(collider, scene.domain.cell)
     if collider.course is None:
         return []
     errors, courses = [], Trajectories([collider.course])
@@ -206,6 +199,17 @@ def _outside(scene: Scene, collider: Collider, courses: Trajectories, time: floa
                 f" {high[a]:.4g} m; the domain is 0 .. {size:g} m"
             )
     return ""
+
+
+def _warn_if_thin(collider: Collider, dx: float) -> None:
+    """Warn of a collider that the grid does not resolve."""
+    thickness = _thickness(collider, dx)
+    if is_thin(thickness, dx):
+        log.warning(
+            "collider '%s' is %.2g cells thick where it is thickest: below %g what it keeps apart"
+            " may pass, unless object.thin = true", collider.name, thickness / dx,
+            MIN_THICKNESS_CELLS,
+        )  # fmt: skip
 
 
 def _thickness(collider: Collider, dx: float) -> float:

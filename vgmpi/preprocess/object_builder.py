@@ -62,6 +62,7 @@ class BuiltObject:
     summary: str = ""  # text on the particle counts and on the volume convention
     surface_sdf: Callable[[], Collider] | None = None  # builds the signed distance of its surface
     surface_descriptor: np.ndarray | None = None  # (n, 10), see surface_descriptor.py
+    region_counts: tuple[int, ...] = ()  # particles of each region; they are last, in this order
 
 
 def build_object(scene: Scene, number: int) -> BuiltObject:

@@ -20,6 +20,12 @@ from vgmpi.scene.objects import Object
 from vgmpi.scene.scene import Scene
 
 from . import inlet_particles, memory_estimate
+from .body_regions import (
+    particle_masses,
+    region_entries,
+    sort_by_region,
+    validate_region_particles,
+)
 from .collider_sdf import Collider, ShapeCollider, with_free_body, with_motion, with_shell
 from .initial_conditions import apply_initial_conditions
 from .initial_velocity import initial_velocity
@@ -117,6 +123,7 @@ def build_scene(scene: Scene) -> PreparedScene:
     for k, obj in enumerate(scene.object):
         try:
             piece = apply_initial_conditions(scene, obj, build_object(scene, k))
+            piece = sort_by_region(scene, obj, piece)
             needed = obj.role == "body" and scene.phase_of(obj) in touched
             collider = with_motion(piece.collider, obj.motion)
             collider = with_free_body(collider, obj.free_body, scene.domain.cell)
@@ -127,6 +134,7 @@ def build_scene(scene: Scene) -> PreparedScene:
                 scene, obj, piece.cloud.x
             )
             invalid += validate_free_body(scene, piece.collider)
+            invalid += validate_region_particles(scene, obj, piece)
             errors += [(("object", k, *key), message) for key, message in invalid]
             if piece.summary:
                 log.info("'%s': %s", obj.name, _object_summary(scene, obj, piece))
@@ -158,6 +166,8 @@ def _object_summary(scene: Scene, obj: Object, piece: BuiltObject) -> str:
     """Return text on a body: particles, volume [l] and mass [kg]."""
     volume = float(piece.volume.sum())
     mass = scene.material_of(obj).bulk_density * volume
+    if piece.region_counts:
+        mass = float(particle_masses(scene, obj, piece).sum())
     return f"{piece.summary}: {1e3 * volume:.3g} l, {mass:.3g} kg"
 
 
@@ -243,7 +253,7 @@ def _join(scene: Scene, pieces: list[BuiltObject]) -> PreparedScene:
         objects=objects,
         colliders=_colliders(scene, pieces, x),
         theta0=_rows(pieces, bodies, _theta),
-        loads=resolve_loads(scene, x, vol0, owner),
+        loads=resolve_loads(scene, x, vol0, owner, objects),
         passive=_passive_gaussians(pieces, objects, terms),
         surface0=_surfaces(pieces, bodies),
     )
@@ -266,7 +276,8 @@ def _velocity(scene: Scene, k: int, piece: BuiltObject) -> np.ndarray:
     entity = scene.things[k]
     if isinstance(entity, Inlet):
         return inlet_particles.velocity(scene, entity, len(piece.cloud))
-    return initial_velocity(entity, piece.cloud.x, piece.volume)
+    weights = particle_masses(scene, entity, piece) if piece.region_counts else piece.volume
+    return initial_velocity(entity, piece.cloud.x, weights)
 
 
 def _surfaces(pieces: list[BuiltObject], bodies: list[int]) -> np.ndarray | None:
@@ -321,28 +332,33 @@ def _describe(
         first: Id of its first particle.
         count: Number of its particles.
     """
+    regions = region_entries(scene, entity, piece, first) if isinstance(entity, Object) else []
     is_moving = entity.collider and (entity.motion or entity.free_body) is not None
     material = scene.material[entity.material] if entity.material else None
     family = material.family if material else None
-    return {
-        "name": entity.name,
-        "role": entity.role,
-        "material": entity.material,
-        "kind": material.kind if material else None,
-        "family": family,
-        "tracks_deformation": stores_deformation(scene, entity),
-        "phase": scene.phase_of(entity),
-        "color_group": color_group,
-        "density": material.bulk_density if material else None,
-        "first_row": first,
-        "row_count": count,
-        "opacity_scale": entity.opacity_scale,
-        "alpha_min": entity.alpha_threshold,
-        "transform": piece.placement.matrix(),
-        "color": list(entity.color),
-        "collider": entity.collider,
-        "surface": piece.surface_descriptor is not None,
-    } | ({"is_moving": True} if is_moving else {})
+    return (
+        {
+            "name": entity.name,
+            "role": entity.role,
+            "material": entity.material,
+            "kind": material.kind if material else None,
+            "family": family,
+            "tracks_deformation": stores_deformation(scene, entity),
+            "phase": scene.phase_of(entity),
+            "color_group": color_group,
+            "density": material.bulk_density if material else None,
+            "first_row": first,
+            "row_count": count,
+            "opacity_scale": entity.opacity_scale,
+            "alpha_min": entity.alpha_threshold,
+            "transform": piece.placement.matrix(),
+            "color": list(entity.color),
+            "collider": entity.collider,
+            "surface": piece.surface_descriptor is not None,
+        }
+        | ({"is_moving": True} if is_moving else {})
+        | ({"regions": regions} if regions else {})
+    )
 
 
 def _theta(piece: BuiltObject) -> np.ndarray:

@@ -23,6 +23,19 @@ SEARCH_POINTS = 31  # along each axis of the grid that searches the extent of a 
 SEARCH_TOLERANCE = 1e-9  # [-] of the extent
 
 
+def contains(shape: Shape, points: np.ndarray, spacing: float) -> np.ndarray:
+    """Return which points (n, 3) [m] of a lattice are inside a shape, shape (n,).
+
+    A face that runs through a layer of points takes the layer at the low side, as everywhere.
+
+    Args:
+        shape: Shape in the coordinates of the points.
+        points: Points, shape (n, 3) [m].
+        spacing: Spacing of the lattice [m].
+    """
+    return distance(shape, points + TIE * spacing) < 0
+
+
 def distance(shape: Shape, points: np.ndarray) -> np.ndarray:
     """Return the signed distance (n,) of `points` (n, 3) to the shape's surface.
 

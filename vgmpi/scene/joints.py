@@ -176,7 +176,7 @@ def read_joints(loader: "SceneLoader", raw: Any, objects: list[Object | None]) -
     """
     if not isinstance(raw, list) or not all(isinstance(item, dict) for item in raw):
         loader.report(("joint",), "must be a list of tables: [[joint]]")
-        return []
+        return [None]
     joints = [loader.kind(JOINTS, item, ("joint", k)) for k, item in enumerate(raw)]
     names: dict[str, int] = {}
     valid = [obj for obj in objects if obj is not None]
@@ -192,6 +192,13 @@ def read_joints(loader: "SceneLoader", raw: Any, objects: list[Object | None]) -
         which = f"joint {name!r} ({place})" if name else f"the joint at {place}"
         loader.report(("joint", k), f"{which} holds the same bodies in the same way: leave one out")
     return joints
+
+
+def joint_names(joints: list[Any]) -> list[str] | None:
+    """Return the names of the joints that have one, or None if a joint is invalid."""
+    if None in joints:
+        return None
+    return [joint.name for joint in joints if joint.name]
 
 
 def _validate_joint(joint: Joint, objects: dict[str, Object]) -> list[tuple[tuple, str]]:

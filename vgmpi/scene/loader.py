@@ -10,7 +10,7 @@ from pydantic import BaseModel, ValidationError
 from vgmpi import materials
 from vgmpi.materials import couplings
 from vgmpi.materials.couplings.interaction import CONTACT
-from vgmpi.materials.material import kinds_with_preset
+from vgmpi.materials.material import kinds_with_preset, unknown_material
 from vgmpi.runtime.config import renamed_keys
 from vgmpi.runtime.config.schema import SceneError, format_input, format_validation_errors
 from vgmpi.runtime.config.toml_source import TomlSource
@@ -19,12 +19,13 @@ from vgmpi.runtime.suggestions import did_you_mean
 from . import accuracy_presets
 from .gravity import validate_gravity
 from .inlets_outlets import Inlet, Outlet, validate_balance, validate_inlet, validate_outlet
-from .joints import read_joints
+from .joints import joint_names, read_joints
 from .loads import Load, validate_load
 from .number_range import numbers_out_of_range
 from .object_files import find_object_file
 from .objects import Object, validate_body_name, validate_object, validate_release
 from .probes import Probe, collider_names, validate_probe
+from .regions import validate_region_kinds
 from .rigid_objects import as_collider, validate_particles, validate_rigid_scene
 from .scene import Scene, miscible_materials, phase_of
 from .sections import MAX_CELLS, SECTIONS, Appearance, Domain, Output, TopLevelKeys
@@ -32,6 +33,9 @@ from .slip_lengths import validate_slip_lengths
 from .thin_walls import validate_thin_scene
 
 REQUIRED = ("domain", "time", "material", "object")
+SCENE_RULES = (
+    validate_rigid_scene, validate_slip_lengths, validate_region_kinds, validate_thin_scene,
+)  # fmt: skip
 LISTS = ("object", "coupling", "joint", "load", "probe", "inlet", "outlet")
 
 
@@ -81,7 +85,7 @@ class SceneLoader:
         role = None
         if None not in objects:
             role = {o.name: "rigid" if o.rigid else o.role for o in objects}
-            for validate in (validate_rigid_scene, validate_slip_lengths, validate_thin_scene):
+            for validate in SCENE_RULES:
                 self.errors += validate(objects, kinds, pairs, tables.get("accuracy"))
         joints = read_joints(self, data.get("joint", []), objects)
         self.check_color_bodies(tables.get("appearance"), role)
@@ -92,7 +96,7 @@ class SceneLoader:
         loads = self.table_list(
             data.get("load", []), "load", Load, lambda raw, load: validate_load(raw, load, role)
         )
-        colliders, named = collider_names(objects), [j.name for j in joints if j and j.name]
+        colliders, named = collider_names(objects), joint_names(joints)
         probes = self.table_list(
             data.get("probe", []), "probe", Probe,
             lambda raw, probe: validate_probe(raw, probe, role, size, fluid, colliders, named),
@@ -210,7 +214,7 @@ class SceneLoader:
             self.check_unique_name("object", k, item, first)
             material = item.get("material")
             if isinstance(material, str) and material not in kinds:
-                self.report_unknown_material(("object", k, "material"), material, kinds)
+                self.report(("object", k, "material"), unknown_material(material, kinds))
         pours = bool(self.source.data.get("inlet"))
         if not raw and not pours:
             self.report(("object",), "there is no object")
@@ -218,7 +222,7 @@ class SceneLoader:
             self.report(("object",), message)
         for k, obj in enumerate(objects):
             material = kinds.get(obj.material) if obj else None
-            if obj and obj.initial_pressure != "zero" and material:
+            if obj and obj.initial_pressure != "zero" and material and not obj.rigid:
                 if not hasattr(material, "hydrostatic_theta"):
                     self.report(("object", k, "initial_pressure"), "is only for fluids")
             solid = material and material.family == "solid"
@@ -291,7 +295,7 @@ class SceneLoader:
         inlets = self.table_list(raw, "inlet", Inlet, complaints)
         for k, inlet in enumerate(inlets):
             if inlet is not None and inlet.material not in kinds:
-                self.report_unknown_material(("inlet", k, "material"), inlet.material, kinds)
+                self.report(("inlet", k, "material"), unknown_material(inlet.material, kinds))
         return inlets
 
     def check_phase_families(
@@ -325,11 +329,6 @@ class SceneLoader:
                 self.report((*path, "phase"), message)
                 break
 
-    def report_unknown_material(self, path: tuple, name: str, kinds: dict[str, Any]) -> None:
-        """Report a material name that no table defines."""
-        defined = f"defined are {', '.join(kinds)}" if kinds else "none is defined"
-        self.report(path, f"there is no [material.{name}]{did_you_mean(name, kinds)}; {defined}")
-
     def couplings(self, raw: Any, kinds: dict[str, Any]) -> list[Any]:
         """Return the couplings, None in place of invalid ones."""
         if not isinstance(raw, list):
@@ -344,7 +343,7 @@ class SceneLoader:
                 continue
             for index, name in enumerate(between):
                 if name not in kinds:
-                    self.report_unknown_material(("coupling", k, "between", index), name, kinds)
+                    self.report(("coupling", k, "between", index), unknown_material(name, kinds))
             two = [kinds.get(b) for b in between]
             if tables[-1] and len(two) == 2 and all(two) and (message := tables[-1].refuses(*two)):
                 self.report(("coupling", k, "between"), f"{message}; {format_input(between)}")

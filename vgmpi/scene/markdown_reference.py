@@ -19,6 +19,7 @@ from . import (
     loads,
     objects,
     probes,
+    regions,
     resume_rules,
     rigid_motion,
     sections,
@@ -81,6 +82,7 @@ def scene_reference() -> str:
     parts.append(_section("[[object]]", objects.Object))
     inner: dict[str, type[BaseModel]] = {
         "shape": shapes.Shape,
+        "region": regions.Region,
         "sphere": shapes.Sphere,
         "ellipsoid": shapes.Ellipsoid,
         "cylinder and capsule": shapes.CylinderShape,

@@ -14,11 +14,13 @@ from vgmpi.runtime.config.schema import (
     Quantity,
     Share,
     StrictModel,
+    Switch,
 )
 from vgmpi.runtime.suggestions import did_you_mean
 
 from .initial_fields import FractionProfile, Spin, Velocity, VelocityMode
 from .keyframes import Time
+from .regions import Region, validate_regions
 from .rigid_motion import Motion, validate_motion
 from .rigid_objects import FreeBody, validate_rigid
 from .shapes import Axis, Corners, Shape, Sphere, validate_shape
@@ -30,6 +32,7 @@ SIZES = ("height", "width", "depth", "scale")
 PER_CELL = (1, 8, 27, 64)
 BODY_ONLY_KEYS = (
     "material",
+    "region",
     "velocity",
     "angular_velocity",
     "velocity_mode",
@@ -105,6 +108,8 @@ class Object(StrictModel):
     """body: has mass and moves. scenery: rendered only, or a collider"""
     material: str | None = None
     """name of a [material.*] table; required for a body, absent for scenery"""
+    region: Annotated[tuple[Region, ...] | None, BeforeValidator(_listed)] = None
+    """parts of another material of the same kind, a list of tables: [[object.region]]"""
     gaussians: str | None = None
     """a Gaussian file (.ply .splat .spz), relative to the scene's folder"""
     mesh: str | None = None
@@ -167,7 +172,7 @@ class Object(StrictModel):
     prune_scale: Annotated[float, Quantity("", gt=0, le=1)] | None = None
     """for prune = "versagauss", the volume scale s' (a linear scale cubed): of the interior s' is
     kept, of the surface s'^(2/3) up to s' = 0.5, s'^(1/3) up to 0.7, above 0.7 all"""
-    passive_gaussians: bool = False
+    passive_gaussians: Switch = False
     """solids only: render the pruned Gaussians, too. Each follows the 4 particles nearest to it at
     rest and has no mass"""
     color: Color = (0.7, 0.7, 0.7)
@@ -176,14 +181,14 @@ class Object(StrictModel):
     """opacity of the Gaussians made for shapes, meshes and fillings"""
     opacity_scale: Share = 1.0
     """fluids only: factor on opacities in rendering; water looks realistic at 0.005 .. 0.05"""
-    track_deformation: bool | None = None
+    track_deformation: Switch | None = None
     """store the total deformation gradient F in the frames and deform the Gaussians with it.
     Default: true for solids. Not recommended for fluids, sand or snow, where unbounded shear turns
     Gaussians into needles"""
     alpha_min: Annotated[float, Quantity("", ge=1e-5, le=0.5)] | None = None
     """contributions below this alpha are skipped in rendering; default 1/255, and 1e-4 where
     opacity_scale is below 0.1"""
-    collider: bool = False
+    collider: Switch = False
     """scenery only: bodies collide with it"""
     motion: Motion | None = None
     """prescribed motion of a collider or a body, independent of contact. A body with prescribed
@@ -204,11 +209,11 @@ class Object(StrictModel):
     """colliders and rigid bodies only: distance behind the surface at which the velocity of a
     viscous liquid, continued in a straight line, is that of the surface. 0: it sticks. Default: it
     slips freely"""
-    thin: bool = False
+    thin: Switch = False
     """colliders only: a shell, up to three cells thick, both sides of which may be wet, such as a
     cup or a plate. What is on one side neither passes to the other nor feels it. Walls thinner than
     half a cell act as half a cell thick"""
-    rigid: bool = False
+    rigid: Switch = False
     """bodies of solids only: a free rigid body. It does not deform, moves by its momentum, and has
     no particles. Density and friction are those of its material"""
     restitution: Annotated[float, Quantity("", ge=0, le=1)] | None = None
@@ -325,7 +330,10 @@ def validate_object(raw: dict) -> list[tuple[tuple, str]]:
     if "motion" in raw and scenery and not collider:
         errors.append((("motion",), "is for bodies, and for scenery with collider = true"))
     errors += validate_motion(raw.get("motion"), ("motion",))
-    errors += validate_rigid(raw, scenery)
+    rigid = validate_rigid(raw, scenery)
+    excluded = {path for path, _ in rigid}  # each key has one line
+    errors = [error for error in errors if error[0] not in excluded] + rigid
+    errors += [error for error in validate_regions(raw) if error[0] not in excluded]
     errors += validate_slip_length(raw, scenery) + validate_thin(raw, scenery)
     return errors + ([] if scenery else _validate_prescribed(raw))
 

@@ -1,6 +1,7 @@
 """Probes of a scene: quantities measured during the run."""
 
 import math
+from collections.abc import Container
 from typing import Annotated, Literal
 
 from pydantic import BeforeValidator
@@ -39,7 +40,8 @@ class Probe(StrictModel):
     1 - distance / cell along each axis"""
     object: str | None = None
     """a body's mass, center of mass, mean velocity, momentum, and mean force since the previous
-    row: the rate of change of its momentum, without its weight"""
+    row: the rate of change of its momentum, without its weight. Of a rigid body also its rotation,
+    angular velocity, angular momentum and mean torque about its center of mass"""
     wall: Literal["all", "west", "east", "south", "north", "bottom", "top"] | None = None
     """"all": mean total force of the bodies on all walls and colliders since the previous row, from
     the momentum balance: weight and loads minus the rate of change of the bodies' momentum. z
@@ -62,6 +64,11 @@ class Probe(StrictModel):
         if self.wall in WALL_NAMES:
             return "one wall"
         return next(kind for kind in KINDS if getattr(self, kind) is not None)
+
+    def kind_among(self, rigid: Container[str]) -> str:
+        """Return the quantity that it measures in a scene with rigid bodies of these names."""
+        is_rigid = self.object is not None and self.object in rigid
+        return "rigid body" if is_rigid else self.kind
 
     @property
     def feels(self) -> bool:
@@ -93,7 +100,7 @@ def validate_probe(
     size: tuple[float, float, float] | None,
     fluid: bool,
     colliders: list[str] | None,
-    joints: list[str],
+    joints: list[str] | None,
 ) -> list[tuple[tuple, str]]:
     """Return (path, message) for errors of one probe besides its values.
 
@@ -104,7 +111,7 @@ def validate_probe(
         size: Size of the domain [m].
         fluid: Whether the scene has a fluid.
         colliders: Names of the colliders, or None if they are unknown.
-        joints: Names of the joints.
+        joints: Names of the joints, or None if they are unknown.
     """
     errors = validate_exactly_one(raw, KINDS, "measures nothing")
     if "sampling_rate" not in raw and "sampling_interval" not in raw:
@@ -115,11 +122,12 @@ def validate_probe(
         )
     if probe is None:
         return errors
-    message = validate_body_name(probe.object, role)
+    is_rigid = role is not None and role.get(probe.object or "") == "rigid"
+    message = "" if is_rigid else validate_body_name(probe.object, role)
     errors += [(("object",), message)] if message else []
     message = _validate_collider_name(probe.collider, role, colliders)
     errors += [(("collider",), message)] if message else []
-    if probe.joint is not None and probe.joint not in joints:
+    if probe.joint is not None and joints is not None and probe.joint not in joints:
         hint = f"known: {', '.join(joints)}" if joints else "none has a name"
         message = f"there is no joint '{probe.joint}'{did_you_mean(probe.joint, joints)}; {hint}"
         errors.append((("joint",), message))

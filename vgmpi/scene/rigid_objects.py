@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 
 # keys of bodies made of particles
 KEYS_OF_PARTICLES = (
+    "region",
     "motion",
     "release_time",
     "release_order",
@@ -72,7 +73,7 @@ def validate_rigid_scene(
         couplings: Couplings of its materials, None in place of invalid ones.
         accuracy: Table `accuracy`, or None.
     """
-    rigid = [k for k, obj in enumerate(objects) if obj.rigid]
+    rigid = [k for k, obj in enumerate(objects) if obj.rigid and obj.role == "body"]
     if not rigid:
         return []
     key, errors = ("object", rigid[0], "rigid"), []

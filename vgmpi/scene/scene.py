@@ -72,6 +72,12 @@ class Scene:
         assert obj.material is not None
         return self.material[obj.material]
 
+    def materials_of(self, entity: Object | Inlet) -> tuple[str, ...]:
+        """Return the names of the materials of an object or inlet, those of its regions last."""
+        regions = (entity.region or ()) if isinstance(entity, Object) else ()
+        own = () if entity.material is None else (entity.material,)
+        return tuple(dict.fromkeys((*own, *(region.material for region in regions))))
+
     def phase_of(self, entity: Object | Inlet) -> str | None:
         """Return the name of the velocity field of a body or inlet; None for scenery."""
         if entity.material is None:

@@ -17,6 +17,7 @@ from vgmpi.planning.color_exchange import coefficient_ranges
 from vgmpi.planning.plan import Plan, make_plan
 from vgmpi.planning.prescribed_bodies import Extents
 from vgmpi.planning.proximity import Proximity
+from vgmpi.planning.region_groups import region_plans
 from vgmpi.planning.rigid_bodies import RigidBodiesSummary
 from vgmpi.preprocess.liquid_weight import liquid_weights
 from vgmpi.preprocess.load_targets import resolve_loads
@@ -133,8 +134,9 @@ def _build_or_read(
         try:
             gaussians = read_gaussians(path)
             log.info("particles as prepared before: %s", path)
-            loads = resolve_loads(scene, gaussians.x0, gaussians.vol0, gaussians.object)
-            return _summary_of(scene, gaussians.objects, gaussians, gaussians.x0, [], loads), {}
+            objects = gaussians.objects
+            loads = resolve_loads(scene, gaussians.x0, gaussians.vol0, gaussians.object, objects)
+            return _summary_of(scene, objects, gaussians, gaussians.x0, [], loads), {}
         except RunError as error:
             if resumed:
                 raise
@@ -282,7 +284,7 @@ def plan_for(scene: Scene, summary: ParticleSummary) -> Plan:
     return replace(
         plan, thickness=summary.thickness, surroundings=summary.surroundings,
         volumes=tuple(summary.volume), weights=summary.weights, motion_steps=tuple(steps.tolist()),
-        rigid=summary.rigid,
+        rigid=summary.rigid, regions=region_plans(plan, summary.objects),
     )  # fmt: skip
 
 

@@ -9,18 +9,10 @@ import numpy as np
 from vgmpi.scene.objects import PER_CELL
 
 from . import material_mapping, source_schema
-from .body_pose import BodyPose, box_difference
+from .body_pose import BodyPose, box_difference, in_box
 from .config_reader import Config, Report
 
 Table = dict[str, Any]
-
-
-class BodySlice(NamedTuple):
-    """Slice of a body between two planes: its corners (3,) in their box, and a changed material."""
-
-    low: np.ndarray
-    high: np.ndarray
-    other: source_schema.Part | None
 
 
 class BodyTables(NamedTuple):
@@ -59,31 +51,24 @@ def body_tables(
         else:
             report.note(f"'{pose.name}' reaches out of the domain, and is refused for it")
     common = appearance_keys(config, k, pose, law, report) | _with_local_axis(extra_keys, ends[0])
-    slices = _slices(config, k, pose, bool(extra_keys), report)
-    tables = BodyTables({}, [], [])
-    for i, slice_ in enumerate(slices):
-        low, high = slice_.low, slice_.high
-        if law is not None:
-            low, high = np.maximum(low, inner[0]), np.minimum(high, inner[1])
-        if not (low < high).all():
-            continue
-        name = pose.name if len(slices) == 1 else f"{pose.name} part {i + 1}"
-        table: Table = {"name": name}
-        if law is None:
-            table |= {"role": "scenery", "collider": True}
-        else:
-            table["material"] = name
-            tables.materials[name] = law | _changed_keys(law, slice_.other)
-        if pose.file is None:
-            table["shape"] = {"box": [(low - ends[0]).tolist(), (high - ends[0]).tolist()]}
-        else:
-            cut = is_cut or len(slices) > 1
-            box = _cutting_box(slice_, inner, pose) if cut else None
-            table |= _gaussian_file_keys(config, k, pose, box, ends[0], folder, law is not None)
-        if len(slices) > 1:
-            table["phase"] = pose.name
-        tables.objects.append(table | common)
-        tables.names.append(name)
+    low, high = (inner[0], inner[1]) if law is not None else (pose.low, pose.high)
+    table: Table = {"name": pose.name}
+    tables = BodyTables({}, [table], [pose.name])
+    if law is None:
+        table |= {"role": "scenery", "collider": True}
+    else:
+        table["material"] = pose.name
+        complete, parts = _parts(config, k, pose, inner, bool(extra_keys), report)
+        for part in complete:
+            law = law | _changed_keys(law, part)
+        tables.materials[pose.name] = law
+        _add_regions(tables, law, parts, ends[0])
+    if pose.file is None:
+        table["shape"] = {"box": [(low - ends[0]).tolist(), (high - ends[0]).tolist()]}
+    else:
+        box = _cutting_box(inner, pose) if is_cut else None
+        table |= _gaussian_file_keys(config, k, pose, box, ends[0], folder, law is not None)
+    table |= common
     boxes = _scenery_boxes(pose, inner if is_cut else None)
     for i, box in enumerate(boxes):
         table = {"name": f"{pose.name} beyond {i + 1}", "role": "scenery"}
@@ -104,16 +89,16 @@ def _scenery_boxes(pose: BodyPose, inner: np.ndarray | None) -> list[np.ndarray]
     complete_box = np.array([pose.own.min(axis=0) - slack, pose.own.max(axis=0) + slack])
     boxes = [] if pose.area is None else box_difference(pose.area, complete_box)
     if inner is not None:
-        cutting_box = _cutting_box(BodySlice(inner[0], inner[1], None), inner, pose)
+        cutting_box = _cutting_box(inner, pose)
         crop = complete_box if pose.box is None else pose.box
         boxes += box_difference(pose.in_file(cutting_box), crop)
     points = pose.own
     return [box for box in boxes if ((points >= box[0]) & (points <= box[1])).all(axis=1).any()]
 
 
-def _cutting_box(slice_: BodySlice, inner: np.ndarray, pose: BodyPose) -> np.ndarray:
-    """Return the box (2, 3), in their box, to cut a slice from; it extends beyond uncut sides."""
-    low, high = np.maximum(slice_.low, inner[0]), np.minimum(slice_.high, inner[1])
+def _cutting_box(inner: np.ndarray, pose: BodyPose) -> np.ndarray:
+    """Return the box (2, 3), in their box, to cut a body from; it extends beyond uncut sides."""
+    low, high = inner
     slack = (pose.high - pose.low).max()
     return np.array([
         np.where(low <= pose.low, pose.low - slack, low),
@@ -121,10 +106,31 @@ def _cutting_box(slice_: BodySlice, inner: np.ndarray, pose: BodyPose) -> np.nda
     ])  # fmt: skip
 
 
-def _changed_keys(law: Table, part: source_schema.Part | None) -> Table:
+def _add_regions(
+    tables: BodyTables, law: Table, parts: list[source_schema.Part], origin: np.ndarray
+) -> None:
+    """Add a material and a region for each part of the body with other numbers.
+
+    Args:
+        tables: Tables of the body (in/out).
+        law: Material of the body.
+        parts: Parts in the order of the file, of which the last one counts, as here.
+        origin: Corner of the domain in their box, shape (3,) [m].
+    """
+    (table,) = tables.objects
+    regions = []
+    for i, part in enumerate(parts):
+        name = f"{table['name']} part {i + 1}"
+        tables.materials[name] = law | _changed_keys(law, part)
+        low, high = np.subtract(part.point, part.size), np.add(part.point, part.size)
+        box = [(low - origin).tolist(), (high - origin).tolist()]
+        regions.append({"material": name, "box": box})
+    if regions:
+        table["region"] = regions
+
+
+def _changed_keys(law: Table, part: source_schema.Part) -> Table:
     """Return the keys of a material that additional_material_params changes."""
-    if part is None:
-        return {}
     density = law["density"] if part.density is None else part.density
     return {"youngs_modulus": part.E, "poisson_ratio": part.nu, "density": density}
 
@@ -274,57 +280,46 @@ def _report_filling(config: Config, k: int, pose: BodyPose, report: Report) -> N
         report.dropped((*key_path, key), value, reason)
 
 
-def _slices(
-    config: Config, k: int, pose: BodyPose, has_motion: bool, report: Report
-) -> list[BodySlice]:
-    """Cut a body along one axis where additional_material_params changes its material."""
-    body, complete = config.bodies[k], BodySlice(pose.low, pose.high, None)
-    axis, parts = None, []
+def _parts(
+    config: Config, k: int, pose: BodyPose, inner: np.ndarray, has_motion: bool, report: Report
+) -> tuple[list[source_schema.Part], list[source_schema.Part]]:
+    """Return the parts of a body whose material additional_material_params changes.
+
+    Args:
+        config: Configuration of the other program.
+        k: Number of the body.
+        pose: Its pose.
+        inner: Corners of the body between the walls, shape (2, 3) [m].
+        has_motion: Whether its motion is prescribed.
+        report: Keys that are not converted (in/out).
+
+    Returns:
+        The last one that holds all of the body, or none, and those after it that hold a part.
+    """
+    body = config.bodies[k]
+    complete: list[source_schema.Part] = []
+    parts: list[source_schema.Part] = []
     for i, part in enumerate(body.law.additional_material_params):
         key_path = (*body.law_path, "additional_material_params", i)
         low, high = np.subtract(part.point, part.size), np.add(part.point, part.size)
-        cut_axes = [a for a in range(3) if low[a] >= pose.low[a] or high[a] <= pose.high[a]]
+        is_filled = body.stand.particle_filling is not None and pose.file is not None
+        is_outside = (low >= inner[1]).any() or (high <= inner[0]).any()
         if config.is_versagauss:
             reason = "VersaGauss overwrites E and nu again; a body has one density here"
         elif body.law.material == "snow":  # type: ignore[attr-defined]
             reason = "PhysGaussian computes no stress for snow"
-        elif has_motion and cut_axes:
-            reason = "the body is driven, and cut into no parts"
-        elif (low >= pose.high).any() or (high <= pose.low).any():
+        elif is_outside or not (is_filled or pose.inside(in_box(part.point, part.size))):
             reason = "no part of the body lies in it"
-        elif len(cut_axes) > 1 or (cut_axes and axis not in (None, cut_axes[0])):
-            reason = "a body is cut along one axis here, across which the box must reach"
-        elif cut_axes and body.stand.particle_filling is not None and pose.file is not None:
-            reason = "a capture that is filled is cut into no parts"
-        elif cut_axes and pose.file is not None and not pose.straight:
-            reason = "a part of a file is a box along its own axes, which the rotation turns away"
+        elif (low < inner[0]).all() and (high > inner[1]).all():
+            complete, parts = [part], []
+            continue
+        elif has_motion:
+            reason = "the body is driven, and has one material until it is let go"
         else:
-            axis = cut_axes[0] if cut_axes else axis
-            parts.append((low, high, part))
+            parts.append(part)
             continue
         report.dropped(key_path, part, reason)
-    if axis is None:
-        return [complete._replace(other=parts[-1][2] if parts else None)]
-    return _cut_along(complete, axis, parts)
-
-
-def _cut_along(complete: BodySlice, axis: int, parts: list[tuple]) -> list[BodySlice]:
-    """Return the slices between all cutting planes; the last part that contains a slice counts."""
-    low, high = complete.low[axis], complete.high[axis]
-    cuts = {float(end[axis]) for part_low, part_high, _ in parts for end in (part_low, part_high)}
-    edges = [low, *sorted(c for c in cuts if low < c < high), high]
-    slices: list[BodySlice] = []
-    for a, b in zip(edges, edges[1:]):
-        center = (a + b) / 2
-        changed = None
-        for part_low, part_high, part in parts:
-            changed = part if part_low[axis] < center < part_high[axis] else changed
-        if slices and slices[-1].other is changed:
-            a = slices.pop().low[axis]
-        ends = complete.low.copy(), complete.high.copy()
-        ends[0][axis], ends[1][axis] = a, b
-        slices.append(BodySlice(*ends, changed))
-    return slices
+    return complete, parts
 
 
 def materials_of(config: Config, report: Report) -> list[Table | None]:

@@ -30,6 +30,10 @@ class RunOutcome:
         self._of = np.asarray(self.run.gaussians.object)
         density = [self._density(o) for o in self.run.objects]
         self._mass = np.asarray(self.run.gaussians.vol0, float) * np.array(density)[self._of]
+        for part in (part for o in self.run.objects for part in o.get("regions", ())):
+            rows = slice(part["first_row"], part["first_row"] + part["row_count"])
+            material = self.run.scene["material"][part["material"]]
+            self._mass[rows] = self.run.gaussians.vol0[rows] * float(material["density"])
 
     def _density(self, entry: dict) -> float:
         entities = [*self.run.scene["object"], *self.run.scene.get("inlet", [])]

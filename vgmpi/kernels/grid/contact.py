@@ -32,6 +32,7 @@ from .contact_impulses import (
     contact_fraction,
     distance,
     face_fraction,
+    has_surface,
     in_contact,
     normal_is_reliable,
     solve_contact_impulses,
@@ -223,7 +224,7 @@ def _add_phase_pair(pairs, site, a, b, phase, offsets, phases, motions, step, wo
     pa, pb = phase[work.here[a]], phase[work.here[b]]
     xa, xb = _side(offsets, work.here[a], site.node), _side(offsets, work.here[b], site.node)
     ka, kb = phases.surface[pa], phases.surface[pb]
-    if not (_has_surface(xa, ka) and _has_surface(xb, kb)):
+    if not (has_surface(xa, ka) and has_surface(xb, kb)):
         return pairs
     ma, mb, n = work.mass[a], work.mass[b], work.normals[pairs]
     if not surface_normal(n, xa, xb, ma, mb, ka, kb, step.dx):
@@ -272,7 +273,7 @@ def _add_rigid_pairs(
     for q in range(site.active):
         ph, mine = phase[work.here[q]], _side(offsets, work.here[q], site.node)
         is_resolved, mass, n = phases.surface[ph], work.mass[q], work.normals[pairs]
-        if not ((a == COLLIDER_ROW or is_resolved) and _has_surface(mine, is_resolved)):
+        if not ((a == COLLIDER_ROW or is_resolved) and has_surface(mine, is_resolved)):
             continue
         if _driven(motions, ph):
             continue
@@ -330,14 +331,6 @@ def _is_separating(v, meeting, n):
         nearing -= v[meeting.b, c] * n[c]
         nearing += v[meeting.a, c] * n[c]
     return nearing <= 0.0
-
-
-@device_function
-def _has_surface(side, is_resolved):
-    """Return whether a phase has any surface at a node; side: (4,) of the offset field."""
-    if is_resolved:
-        return side[0] != 0.0 or side[1] != 0.0 or side[2] != 0.0
-    return side[3] > 0.0
 
 
 @device_function

@@ -66,6 +66,14 @@ def distance_from_mean_offset(m):
 
 
 @device_function
+def has_surface(side, is_resolved):
+    """Return whether a phase has any surface at a node; side: (4,) of the offset field."""
+    if is_resolved:
+        return side[0] != 0.0 or side[1] != 0.0 or side[2] != 0.0
+    return side[3] > 0.0
+
+
+@device_function
 def surface_normal(normal, a, b, mass_a, mass_b, resolved_a, resolved_b, dx):
     """Compute the unit normal from phase a to phase b; return False if there is none.
 

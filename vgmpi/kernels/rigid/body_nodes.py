@@ -10,14 +10,19 @@ from vgmpi.kernels.grid.contact_impulses import (
     GAP_UNRESOLVED,
     distance,
     half_space_fraction,
+    has_surface,
 )
 from vgmpi.kernels.step_limits import CONTACT_MASS_FLOOR
 from vgmpi.kernels.wall_boundary import SEPARATE, SLIP, STICK
 from vgmpi.runtime.jit import device_function, kernel
 
+from .sdf_sampling import SampledSdf, sample_surface
+
 REACH_CELLS = 1.5  # [cells] distance from a surface, both ways, up to which nodes take impulses
 # [cells] distance outside up to which impulses act against approach
 FULL_WEIGHT_CELLS = 0.5
+# A face this close to the plane of a wall, with a normal into the wall of this part, lies on it.
+FLUSH_CELLS, FLUSH_ALIGNMENT = 0.25, 0.9
 SPRAY_FILL, FLOW_FILL = 0.25, 0.5  # [-] fill of a node in spray, and in a flow, at its distance
 
 
@@ -65,6 +70,7 @@ class SlipLaw(NamedTuple):
 class NodesNearBodies(NamedTuple):
     """Nodes of a rank near colliders."""
 
+    colliders: SampledSdf
     block: np.ndarray  # (n,) blocks near colliders
     surfaces: np.ndarray  # (n, 64, 4) normal and distance [m] of the nearest collider
     whose: np.ndarray  # (n, 64) its number
@@ -163,6 +169,44 @@ def _clears_wall(n, ijk, walls):
 
 
 @device_function
+def _distance_without_flush_face(colliders, m, ijk, walls, n, d, dx):
+    """Return the distance of a node from a body, without a face that lies on a wall [m].
+
+    A slip or separating wall shows such a body as if it went on behind the wall. A node in the
+    wall takes distance and normal of the point one cell in front of it, where the face does not
+    round the edge.
+
+    Args:
+        colliders: Sampled colliders.
+        m: Number of the body's collider.
+        ijk: Node, shape (3,).
+        walls: Walls of the domain.
+        n: Outward normal of the body (in/out), shape (3,).
+        d: Distance of the node outside [m].
+        dx: Cell size [m].
+    """
+    for a in range(3):
+        for side in range(2):
+            kind, outward = walls.kinds[a, side], 2.0 * side - 1.0
+            if not (kind == SLIP or kind == SEPARATE) or ijk[a] != side * walls.cells[a]:
+                continue
+            faces_wall = outward * n[a]
+            if not faces_wall > 0.0:
+                continue
+            x, inner_normal = np.zeros(3), np.zeros(3)
+            for c in range(3):
+                x[c] = ijk[c] * dx
+            x[a] -= outward * dx
+            inner = sample_surface(colliders, m, x, inner_normal)
+            lies_on_face = abs(d) < FLUSH_CELLS * dx and faces_wall > FLUSH_ALIGNMENT
+            if lies_on_face or inner > d - 0.5 * faces_wall * dx:
+                for c in range(3):
+                    n[c] = inner_normal[c]
+                d = inner
+    return d
+
+
+@device_function
 def _pressure_impulse(field, o, outside, dx):
     """Return the impulse of the pressure on a node some cells outside a surface [kg m/s].
 
@@ -222,7 +266,10 @@ def find_contacts(nodes, tables, bodies, phases, walls, dt, dx, out):
             ijk[2] = 4 * tables.at[b, 2] - 1 + node % 4
             for c in range(3):
                 n[c] = nodes.surfaces[row, node, c]
-            if not _clears_wall(n, ijk, walls):
+            d = _distance_without_flush_face(
+                nodes.colliders, nodes.whose[row, node], ijk, walls, n, d, dx
+            )
+            if not abs(d) < REACH_CELLS * dx or not _clears_wall(n, ijk, walls):
                 continue
             for nb in range(tables.first[b], tables.first[b + 1]):
                 p = tables.phase[nb]
@@ -257,7 +304,7 @@ def touches_surface(nodes, phases, p, nb, node, n, d, dx):
     """
     mass, is_resolved = float(nodes.velocities[nb, 4 * node + 3]), phases.surface[p]
     side = nodes.offsets[nb, 4 * node : 4 * node + 4]
-    if not (mass > CONTACT_MASS_FLOOR * phases.least[p] and _has_surface(side, is_resolved)):
+    if not (mass > CONTACT_MASS_FLOOR * phases.least[p] and has_surface(side, is_resolved)):
         return False
     gap = d / dx + distance(n, -1.0, side, mass, is_resolved, dx)
     return gap <= (GAP_RESOLVED if is_resolved else GAP_UNRESOLVED)
@@ -335,11 +382,3 @@ def tangential_part(u, n):
     along = u[0] * n[0] + u[1] * n[1] + u[2] * n[2]
     for c in range(3):
         u[c] -= along * n[c]
-
-
-@device_function
-def _has_surface(side, is_resolved):
-    """Return whether a phase has a surface at a node, by its field of offsets, shape (4,)."""
-    if is_resolved:
-        return side[0] != 0.0 or side[1] != 0.0 or side[2] != 0.0
-    return side[3] > 0.0

@@ -2,7 +2,9 @@
 
 The signed distance of each collider is sampled on a lattice in its own frame and interpolated
 linearly. This is exact for plane faces in any orientation; edges are rounded by a quarter of a
-cell.
+cell. The normals at nodes are interpolated, too, from central differences: the gradient of the
+linear distance jumps from one cell of the lattice to the next, and these steps of a round body that
+turns would stir the flow around it.
 """
 
 from typing import NamedTuple
@@ -102,6 +104,75 @@ def _sample(movers, m, own, sample):
 
 
 @device_function
+def _interpolate_gradient(movers, m, own, sample):
+    """Interpolate central differences of the distance linearly; they are written to sample (4,).
+
+    At the rim of the lattice, far from the collider, `sample` stays as it is.
+    """
+    ny, nz = movers.shape[m, 1], movers.shape[m, 2]
+    x = (own[0] - movers.start[m, 0]) / movers.spacing
+    y = (own[1] - movers.start[m, 1]) / movers.spacing
+    z = (own[2] - movers.start[m, 2]) / movers.spacing
+    i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
+    if i < 1 or j < 1 or k < 1:
+        return
+    if i > movers.shape[m, 0] - 3 or j > ny - 3 or k > nz - 3:
+        return
+    x, y, z = x - i, y - j, z - k
+    v, over, up = movers.values, ny * nz, nz
+    sample[0] = sample[1] = sample[2] = 0.0
+    for corner in range(8):
+        a, b, c = corner // 4, corner // 2 % 2, corner % 2
+        place = movers.first[m] + ((i + a) * ny + j + b) * nz + k + c
+        weight = (x if a else 1.0 - x) * (y if b else 1.0 - y) * (z if c else 1.0 - z)
+        sample[0] += weight * (v[place + over] - v[place - over])
+        sample[1] += weight * (v[place + up] - v[place - up])
+        sample[2] += weight * (v[place + 1] - v[place - 1])
+
+
+@device_function
+def _smooth_normal(movers, m, own, sample, normal):
+    """Compute the outward normal of a collider (out), shape (3,); return False if it has none.
+
+    sample: Gradient, which changes, and distance at `own`, shape (4,).
+    """
+    _interpolate_gradient(movers, m, own, sample)
+    size = np.sqrt(sample[0] ** 2 + sample[1] ** 2 + sample[2] ** 2)
+    if size == 0.0:
+        return False
+    r = movers.rotation[m]
+    for k in range(3):
+        normal[k] = (r[k, 0] * sample[0] + r[k, 1] * sample[1] + r[k, 2] * sample[2]) / size
+    return True
+
+
+@device_function
+def sample_surface(movers, m, x, normal):
+    """Return the distance of a point from a collider [m], infinite where it has no normal.
+
+    Args:
+        movers: Sampled colliders.
+        m: Number of the collider.
+        x: Point, shape (3,) [m].
+        normal: Outward normal, as smooth as at nodes (out), shape (3,).
+    """
+    own, sample = np.zeros(3), np.zeros(4)
+    own_position(movers, m, x, own)
+    if not _sample(movers, m, own, sample) or not _smooth_normal(movers, m, own, sample, normal):
+        return np.inf
+    return sample[3]
+
+
+@device_function
+def _turn_gradient(movers, m, sample, normal):
+    """Turn the gradient in `sample` (4,) to a unit normal (3,) (out) as the collider stands now."""
+    r, size = movers.rotation[m], np.sqrt(sample[0] ** 2 + sample[1] ** 2 + sample[2] ** 2)
+    for k in range(3):
+        turned = r[k, 0] * sample[0] + r[k, 1] * sample[1] + r[k, 2] * sample[2]
+        normal[k] = turned / max(size, 1e-300)
+
+
+@device_function
 def _carry(movers, m, own, x, dt, velocity):
     """Compute the mean velocity [m/s] over a step of dt [s] of the collider's point now at x."""
     r = movers.rotation_end[m]
@@ -190,15 +261,13 @@ def evaluate_colliders(blocks, first, nearby, movers, dt, dx, nodes, moves, whos
                 side = sample_side(movers, m, own, sample)
                 if sample[3] >= min(nodes[b, node, 3], SDF_BAND_CELLS * dx):
                     continue
-                size = np.sqrt(sample[0] ** 2 + sample[1] ** 2 + sample[2] ** 2)
-                if size == 0.0:
+                if side != 0:
+                    _turn_gradient(movers, m, sample, normal)
+                elif not _smooth_normal(movers, m, own, sample, normal):
                     continue
-                r, d = movers.rotation[m], sample[3]
                 for k in range(3):
-                    normal[k] = (
-                        r[k, 0] * sample[0] + r[k, 1] * sample[1] + r[k, 2] * sample[2]
-                    ) / size
                     nodes[b, node, k] = normal[k]
+                d = sample[3]
                 nodes[b, node, 3] = d
                 store_side(movers, m, b, node, side)
                 if len(whose) > 0:

@@ -12,6 +12,8 @@ from vgmpi.runtime.jit import device_function
 
 from .free_bodies import inverse_times
 
+SURFACE_SPACING_CELLS = 0.5  # [cells] of the points on the surfaces
+SURFACE_BAND = 0.6  # [spacings] distance of lattice points that are moved to the surface
 FLAT_RADIUS_CELLS = 100.0  # [cells] radius of curvature of what counts as flat
 MAX_TRAVEL_CELLS = 0.5  # [cells] largest way to the point that faces the other surface
 ALIGNED = 0.9  # [-] cosine between the normals of two faces
@@ -101,27 +103,44 @@ def turned_normal(surface, p, own, rotation, out):
         out[a] = -dot(rotation[a], n) / size
 
 
-def surface_points(colliders: list, centers: np.ndarray, spacing: float) -> SurfacePoints:
-    """Return points on the surfaces of bodies, about one for each point of a lattice.
+def points_on_surface(collider, dx: float) -> tuple[np.ndarray, float]:
+    """Return points on the surface of a body, shape (n, 3) [m], and its largest depth [m].
+
+    There is about one point for each point of a lattice. The depth is that of the points of the
+    lattice and of the middle of the body.
+
+    Args:
+        collider: Object with distance(points), normal(points) and ends().
+        dx: Cell size [m].
+    """
+    spacing = SURFACE_SPACING_CELLS * dx
+    low, high = collider.ends()
+    shape = np.ceil((high - low) / spacing).astype(np.int64) + 3
+    start = low - spacing
+    layers, depth = [], -float(collider.distance(0.5 * (low + high)[None])[0])
+    for layer in range(shape[0]):
+        index = np.stack(np.meshgrid([layer], *map(np.arange, shape[1:]), indexing="ij"), -1)
+        x = start + spacing * index.reshape(-1, 3)
+        distance = collider.distance(x)
+        depth = max(depth, -float(distance.min()))
+        layers.append(x[np.abs(distance) < SURFACE_BAND * spacing])
+    x = np.concatenate(layers)
+    for _ in range(3):
+        x = x - collider.distance(x)[:, None] * collider.normal(x)
+    return x, depth
+
+
+def surface_points(colliders: list, centers: np.ndarray, dx: float) -> SurfacePoints:
+    """Return points on the surfaces of bodies, with their normals and curvatures.
 
     Args:
         colliders: Objects with distance(points), normal(points) and ends().
         centers: Their centers of mass, shape (m, 3) [m].
-        spacing: Spacing of the lattice [m].
+        dx: Cell size [m].
     """
-    first, pieces = [0], []
+    first, pieces, spacing = [0], [], SURFACE_SPACING_CELLS * dx
     for collider, center in zip(colliders, centers, strict=True):
-        low, high = collider.ends()
-        shape = np.ceil((high - low) / spacing).astype(np.int64) + 3
-        start = low - spacing
-        layers = []
-        for layer in range(shape[0]):
-            index = np.stack(np.meshgrid([layer], *map(np.arange, shape[1:]), indexing="ij"), -1)
-            x = start + spacing * index.reshape(-1, 3)
-            layers.append(x[np.abs(collider.distance(x)) < 0.6 * spacing])
-        x = np.concatenate(layers)
-        for _ in range(3):
-            x = x - collider.distance(x)[:, None] * collider.normal(x)
+        x, _ = points_on_surface(collider, dx)
         n, curvature, step = collider.normal(x), np.zeros((len(x), 3, 3)), 0.25 * spacing
         for a in range(3):
             shift = np.zeros(3)

@@ -12,6 +12,7 @@ from vgmpi.planning.phases_and_groups import (
     shift_cost,
 )
 from vgmpi.planning.plan import Plan
+from vgmpi.planning.region_groups import group_counts
 from vgmpi.runtime.config.toml_source import escape_control_characters
 from vgmpi.scene.scene import Scene
 
@@ -171,7 +172,7 @@ def feature_table(scene: Scene, plan: Plan, pace: Throughput) -> list[str]:
         f"  price       {'of a particle and a step, at the start':46s} {'ns':>8s} {'bytes':>7s}"
     ]
     for g, group in enumerate(plan.groups):
-        if not any(plan.group_of[k] == g for k in range(len(plan.count))):
+        if not any(group_number == g for _, group_number in group_counts(plan)):
             continue
         for feature in group_features(scene, plan, g, pace):
             ns = f"{feature.ns:.1f}" if feature.ns else ""
@@ -191,7 +192,7 @@ def step_ns(scene: Scene, plan: Plan, pace: Throughput, coarsening: float = 1.0)
     """
     total = 0.0
     for g in range(len(plan.groups)):
-        n = sum(plan.count[k] for k, group in enumerate(plan.group_of) if group == g)
+        n = sum(count for count, group_number in group_counts(plan) if group_number == g)
         if n:
             features = group_features(scene, plan, g, pace)
             total += n * sum(feature.ns * coarsening**feature.dimension for feature in features)
@@ -199,8 +200,9 @@ def step_ns(scene: Scene, plan: Plan, pace: Throughput, coarsening: float = 1.0)
 
 
 def _rows(plan: Plan, g: int) -> list[int]:
-    """Return the objects of group `g` whose proximity is known."""
-    return [k for k, _ in enumerate(plan.surroundings) if plan.group_of[k] == g]
+    """Return the objects whose proximity is known, of which particles belong to group `g`."""
+    parts = {region.thing for region in plan.regions if region.group == g}
+    return [k for k, _ in enumerate(plan.surroundings) if plan.group_of[k] == g or k in parts]
 
 
 def _mean(pairs: list[tuple[int, float]]) -> float:

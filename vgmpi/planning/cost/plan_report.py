@@ -8,6 +8,7 @@ from vgmpi.materials.couplings.interaction import CONTACT, RULES
 from vgmpi.planning.inlet_schedule import InletPlan
 from vgmpi.planning.phases_and_groups import CORRECTION_COST
 from vgmpi.planning.plan import Plan, time_step_bounds
+from vgmpi.planning.region_groups import group_counts
 from vgmpi.planning.surface_friction import liquids_expected_to_stick
 from vgmpi.runtime.config.toml_source import escape_control_characters
 from vgmpi.scene.scene import Scene
@@ -62,13 +63,14 @@ def format_plan(
         for g, group in enumerate(plan.groups):
             if plan.phases[group.phase] is not phase:
                 continue
-            n = sum(plan.count[k] for k in phase.objects if plan.group_of[k] == g)
+            n = sum(count for count, group_number in group_counts(plan) if group_number == g)
             fields = ", ".join(f"{name} {size}" for name, size in plan.fields(g).items())
             lines.append(
                 f"  phase       {phase.name}: {n:,} particles of {group.material}"
                 f" ({group.family}), {plan.bytes_per_particle(g)} bytes each: {fields};"
                 f" once for all: density and {len(group.law)} numbers of the law"
             )
+    lines += _regions(scene, plan)
     for a in range(plan.phases_of_bodies):
         for b in range(a + 1, plan.phases_of_bodies):
             names = f"{plan.phases[a].name} - {plan.phases[b].name}"
@@ -93,6 +95,16 @@ def format_plan(
         f" {total / ranks / 2**20:.0f} MiB per rank on {ranks} rank(s)"
     )
     return "\n".join(lines + _steps(scene, plan, ranks, reached, pace, rehearsal, is_known))
+
+
+def _regions(scene: Scene, plan: Plan) -> list[str]:
+    """Return a line for each region of a body."""
+    return [
+        f"  region      {escape_control_characters(scene.object[region.thing].name)}:"
+        f" {region.particles:,} of its {plan.count[region.thing]:,} particles are of"
+        f" {escape_control_characters(plan.groups[region.group].material)}"
+        for region in plan.regions
+    ]
 
 
 def _joints(scene: Scene) -> list[str]:

@@ -1,13 +1,11 @@
 """Lines of --plan on free rigid bodies, and warnings of what they cannot do well."""
 
 from vgmpi.planning.plan import Plan
-from vgmpi.planning.rigid_bodies import RigidBodySummary
+from vgmpi.planning.rigid_bodies import MIN_THICKNESS_CELLS, RigidBodySummary, is_thin
 from vgmpi.runtime.config.toml_source import escape_control_characters
 from vgmpi.scene.scene import Scene
 
 MAX_LINES = 8  # bodies that have a line each; more have one together
-MIN_CELLS = 2.0  # [cells] thickness below which the grid does not resolve a body
-THICKNESS_TOLERANCE = 0.25  # [cells] of a thickness measured on a lattice
 MIN_DENSITY_RATIO = 0.01  # [-] to what a body meets, below which none was tested
 
 
@@ -79,11 +77,11 @@ def _warnings(plan: Plan, density: dict[str, float]) -> list[str]:
         density: Density of each body [kg/m3].
     """
     assert plan.rigid is not None
-    lines, limit = [], (MIN_CELLS - THICKNESS_TOLERANCE) * plan.dx
-    thin = [body.name for body in plan.rigid.bodies if body.thickness < limit]
+    lines = []
+    thin = [body.name for body in plan.rigid.bodies if is_thin(body.thickness, plan.dx)]
     if thin:
         lines.append(
-            f"  warning     {_listing(thin)}: rigid and thinner than {MIN_CELLS:g} cells:"
+            f"  warning     {_listing(thin)}: rigid and thinner than {MIN_THICKNESS_CELLS:g} cells:"
             " what flows may pass through"
         )
     heaviest = max(group.density for group in plan.groups)

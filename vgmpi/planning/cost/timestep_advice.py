@@ -105,7 +105,9 @@ def _rigid_clause(scene: Scene, plan: Plan, name: str) -> str:
     has_others = any(coupling.rule != CONTACT for coupling in scene.coupling)
     if scene.material[name].family != "solid" or scene.accuracy.keeps or has_others:
         return ""
-    rows = [k for k, obj in enumerate(scene.object) if obj.material == name]
+    rows = [k for k, obj in enumerate(scene.object) if name in scene.materials_of(obj)]
+    if any(scene.object[k].region for k in rows):
+        return ""
     if not rows or any(scene.object[k].driven or plan.group_of[k] < 0 for k in rows):
         return ""
     stiff = min(plan.stiff[plan.groups[plan.group_of[k]].phase] for k in rows)
@@ -136,6 +138,8 @@ def pruning_lines(
     lines = []
     for k, obj in enumerate(scene.object):
         if obj.role != "body" or obj.shape is not None or obj.prune != "off" or not plan.volumes:
+            continue
+        if obj.region:  # how many particles of each would remain is not known
             continue
         pruned_count = round(PRUNED_PER_CELL * plan.volumes[k] / plan.dx**3)
         if plan.count[k] < MIN_PRUNING_GAIN * max(pruned_count, 1):

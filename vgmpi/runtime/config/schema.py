@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Annotated, Any, TypeVar, get_args
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Strict, ValidationError
 from pydantic_core import core_schema
 
 from vgmpi.runtime.suggestions import did_you_mean
@@ -192,6 +192,7 @@ Length = Annotated[float, Quantity("m")]
 Positive = Annotated[float, Quantity("m", gt=0)]
 Share = Annotated[float, Quantity("1", ge=0, le=1)]
 Point = tuple[Length, Length, Length]
+Switch = Annotated[bool, Strict()]  # a number would pass for true in some checks and not in others
 
 
 def parse_vector3(value: Any) -> tuple[float, float, float] | None:
@@ -259,6 +260,13 @@ def register_kinds(package: str, folders: Iterable[str], registry: dict[str, Kin
         registry[kind] = registry.pop(kind)
 
 
+PLAIN_WORDS = {  # for pydantic's
+    "a valid tuple": "a list",
+    "a valid string": "a text",
+    "a valid boolean": "true or false",
+}
+
+
 def format_validation_errors(
     error: ValidationError, table: type[BaseModel]
 ) -> list[tuple[tuple, str]]:
@@ -287,9 +295,8 @@ def _explain(item: dict, table: type[BaseModel]) -> tuple[tuple, str]:
     if kind == "missing":
         holder = table_at(table, path[:-1])
         field = holder.model_fields.get(path[-1]) if holder else None
-        return path, "required key is missing" + (
-            f": {field.description}" if field and field.description else ""
-        )
+        meaning = " ".join((field.description or "").split()) if field else ""
+        return path, "required key is missing" + (f": {meaning}" if meaning else "")
     if kind == "literal_error":
         allowed = _literals(item["ctx"]["expected"])
         return (
@@ -302,7 +309,10 @@ def _explain(item: dict, table: type[BaseModel]) -> tuple[tuple, str]:
     message = re.sub(
         r"^(Input|String|Tuple) should", "must", item["msg"].removeprefix("Value error, ")
     )
-    message = message.replace("a valid tuple", "a list")
+    if kind == "too_long":
+        return path, f"must have at most {item['ctx']['max_length']} values; {format_input(value)}"
+    for words, plain in PLAIN_WORDS.items():
+        message = message.replace(words, plain)
     message = f"{message[:1].lower()}{message[1:]}"
     return path, message if isinstance(value, dict) else f"{message}; {format_input(value)}"
 

@@ -8,6 +8,7 @@ import numpy as np
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.plan import Plan
+from vgmpi.planning.region_groups import groups_of_particles
 
 from .particle_insertion import ParticleRows
 
@@ -31,7 +32,7 @@ class Tally:
     def add(self, rows: ParticleRows) -> None:
         """Count the particles that entered on this rank."""
         if len(rows.ids):
-            group_of = np.array(self.plan.group_of)[rows.owner]
+            group_of = groups_of_particles(self.plan, rows.ids, rows.owner)
             for g in np.unique(group_of):
                 self._add(int(g), rows.volume[group_of == g], 0)
 

@@ -21,7 +21,6 @@ from vgmpi.planning.plan import Plan
 MAX_ROUNDS = 6  # of sums over the ranks in a step
 HEADROOM = 16.0  # [-] factor on the mass that fills the domain, and on a cell per step
 SUM_BITS, IMPULSE_BITS = 58, 61  # [bits] range of the whole numbers
-SURFACE_SPACING_CELLS = 0.5  # [cells] of the points on the bodies' surfaces
 POINTS_PER_BODY = 40  # points in contact for which a table has room
 WARM_NAMES = "body", "other", "place", "impulse"  # of the points whose impulses the next step takes
 
@@ -46,8 +45,7 @@ class FreeBodyCoupling:
         self.points = body_contact.contact_points(POINTS_PER_BODY * count)
         self.points_before, self.touching = body_contact.contact_points(0), 0
         free = [movers.colliders[m] for m in self.bodies.rows]
-        spacing = SURFACE_SPACING_CELLS * plan.dx
-        self.surface = surface_points(free, self.bodies.start, spacing)
+        self.surface = surface_points(free, self.bodies.start, plan.dx)
         self.search = contact_search(self.surface, movers.table, plan.dx)
         size = np.array(plan.cells) * plan.dx
         self.arm = 2.0 * float(np.sqrt((size**2).sum()))
@@ -149,8 +147,8 @@ class FreeBodyCoupling:
         layers = engine.layers
         fields = tuple(layers[name].tables for name in NEAR_BODIES)
         nodes = body_nodes.NodesNearBodies(
-            self.near, self.movers.nodes, self.movers.whose, self.counts, layers["momentum"].nodes,
-            layers["offsets"].nodes, fields,
+            self.movers.table, self.near, self.movers.nodes, self.movers.whose, self.counts,
+            layers["momentum"].nodes, layers["offsets"].nodes, fields,
         )  # fmt: skip
         coupled = body_nodes.CoupledBodies(self.number_of, bodies.x, self.friction, self.slip)
         while True:

@@ -11,6 +11,7 @@ from vgmpi.parallel.block_lattice import BlockLattice
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.phases_and_groups import GroupPlan
 from vgmpi.planning.plan import Plan
+from vgmpi.planning.region_groups import groups_of_particles
 
 
 class ParticleRows(NamedTuple):
@@ -47,7 +48,7 @@ def insert(
     Returns:
         Bounds of the time step and the sums, shape (4,), see `bounds`.
     """
-    group_of = np.array(plan.group_of)[rows.owner] if len(rows.owner) else rows.owner
+    group_of = groups_of_particles(plan, rows.ids, rows.owner) if len(rows.owner) else rows.owner
     if sides is not None:
         group_of = sides.groups_of_points(group_of, rows.x)
     limits = np.zeros(4)

@@ -21,9 +21,11 @@ from .conservation import body_momentum
 
 def files(scene: Scene, folder: Path) -> dict[Path, list[file_layout.Dataset]]:
     """Return the files of all probes and their columns."""
+    rigid = {obj.name for obj in scene.object if obj.rigid}
+    kinds = {probe.name: probe.kind_among(rigid) for probe in scene.probe}
     return {
-        folder / file_layout.PROBE_NAME.format(probe.name): file_layout.PROBE_COLUMNS[probe.kind]
-        for probe in scene.probe
+        folder / file_layout.PROBE_NAME.format(name): file_layout.PROBE_COLUMNS[kind]
+        for name, kind in kinds.items()
     }
 
 
@@ -47,6 +49,7 @@ class Probes:
         self.scene, self.simulation = scene, simulation
         self.rows: dict[str, list[dict]] = {probe.name: [] for probe in scene.probe}
         self.files: dict[str, CsvLog] = {}
+        self.rigid = {obj.name for obj in scene.object if obj.rigid}
         if folder is None:
             return
         for probe, (path, columns) in zip(scene.probe, files(scene, folder).items(), strict=True):
@@ -66,7 +69,7 @@ class Probes:
 
     def _sample(self, probe: Probe) -> None:
         """Measure one probe and append its row."""
-        measured = MEASURE[probe.kind](self, probe)
+        measured = MEASURE[probe.kind_among(self.rigid)](self, probe)
         if self.simulation.ranks.rank == 0:
             clock = {"time": self.simulation.time, "step": self.simulation.step}
             self.rows[probe.name].append(clock | measured)
@@ -137,6 +140,7 @@ class Probes:
         k = [obj.name for obj in self.scene.object].index(probe.object)
         members = [plan.group_of[k]]
         members += [body.joins for body in plan.driven if k in body.things]
+        members += sorted({region.group for region in plan.regions if region.thing == k})
         last = plan.first_id[k] + plan.count[k] - 1
         rows = np.zeros((0, 7))
         for g in members:
@@ -157,6 +161,27 @@ class Probes:
             | _vector("velocity", momentum / mass)
             | _vector("momentum", momentum)
             | _vector("force", rate - weight)
+        )
+
+    def rigid_body(self, probe: Probe) -> dict:
+        """Measure pose, velocities, momenta and mean force and torque of a rigid body."""
+        coupling = self.simulation.bodies
+        assert coupling is not None
+        bodies = coupling.bodies
+        names = [coupling.movers.colliders[row].name for row in bodies.rows]
+        k = names.index(probe.object)
+        rate, dt = self._rate(probe, bodies.momentum[k])
+        torque, _ = self._rate(probe, bodies.spin[k], "angular_momentum")
+        return (
+            {"mass": float(bodies.mass[k])}
+            | _vector("center", bodies.x[k])
+            | _vector("velocity", bodies.v[k, :3])
+            | _vector("momentum", bodies.momentum[k])
+            | _vector("force", rate - bodies.mass[k] * self._gravity(dt))
+            | {f"rotation_{a}": float(value) for a, value in zip("wxyz", bodies.q[k])}
+            | _vector("angular_velocity", bodies.v[k, 3:])
+            | _vector("angular_momentum", bodies.spin[k])
+            | _vector("torque", torque)
         )
 
     def wall(self, probe: Probe) -> dict:
@@ -221,8 +246,10 @@ class Probes:
             torque = np.array([angular_impulse[k] - last[k] for k in angular_impulse]) / dt
         return _vector("force", force) | _vector("torque", torque) | impulse | angular_impulse
 
-    def _rate(self, probe: Probe, momentum: np.ndarray) -> tuple[np.ndarray, float]:
-        """Return the mean rate of momentum [N] since the last row, and the time [s] since then.
+    def _rate(
+        self, probe: Probe, momentum: np.ndarray, name: str = "momentum"
+    ) -> tuple[np.ndarray, float]:
+        """Return the mean rate of a momentum since the last row, and the time [s] since then.
 
         Both are undefined in the first row: NaN and 0.
         """
@@ -230,7 +257,7 @@ class Probes:
             return np.full(3, np.nan), 0.0
         before = self.rows[probe.name][-1]
         dt = self.simulation.time - before["time"]
-        return (momentum - [before[f"momentum_{a}"] for a in "xyz"]) / dt, dt
+        return (momentum - [before[f"{name}_{a}"] for a in "xyz"]) / dt, dt
 
     def _gravity(self, dt: float) -> np.ndarray:
         """Return the mean gravity over the last dt [s], shape (3,) [m/s2]."""
@@ -243,6 +270,7 @@ MEASURE = {
     "surface_height": Probes.surface_height,
     "velocity": Probes.velocity,
     "object": Probes.object,
+    "rigid body": Probes.rigid_body,
     "wall": Probes.wall,
     "one wall": Probes.one_wall,
     "collider": Probes.collider,

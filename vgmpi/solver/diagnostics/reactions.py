@@ -15,6 +15,7 @@ from vgmpi.kernels.rigid.prescribed_motion import PrescribedBodies
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.plan import Plan
+from vgmpi.planning.region_groups import group_counts
 
 HEADROOM = 16.0  # [mass times cell per step] upper bound of the sum of impulses in one step
 ACCUMULATOR_BITS = 62  # [bits] size of the integers that hold the sums
@@ -52,7 +53,7 @@ class Reactions:
             max_volume = np.maximum(max_volume, self.plan.dx**3)
         self.mass = sum(
             n * float(max_volume[g]) * self.plan.groups[g].density
-            for n, g in zip(self.plan.count, self.plan.group_of, strict=True)
+            for n, g in group_counts(self.plan)
             if g >= 0
         )
 

@@ -4,11 +4,10 @@ import numpy as np
 
 from vgmpi.kernels.rigid.moving_colliders import SDF_SPACING_CELLS
 from vgmpi.kernels.rigid.static_colliders import SDF_BAND_CELLS
+from vgmpi.kernels.rigid.surface_points import points_on_surface
 from vgmpi.planning.rigid_bodies import Overlap, RigidBodiesSummary, RigidBodySummary
 
 MIN_OVERLAP_CELLS = 0.25  # [cells] depth above which an overlap is told
-SURFACE_BAND = 0.6  # [spacings] of surface_points
-MAX_SAMPLES = 500_000  # [points] of a body that are evaluated together
 
 
 def measure_rigid_bodies(colliders: list, dx: float) -> RigidBodiesSummary:
@@ -26,7 +25,7 @@ def measure_rigid_bodies(colliders: list, dx: float) -> RigidBodiesSummary:
     overlaps: dict[tuple[int, int], float] = {}
     for m in rows:
         collider = colliders[m]
-        depth, surface = _surface(collider, dx)
+        surface, depth = points_on_surface(collider, dx)
         shape = np.ceil((np.ptp(ends[m], axis=0) / dx + 2 * SDF_BAND_CELLS + 2) / SDF_SPACING_CELLS)
         bodies.append(
             RigidBodySummary(
@@ -49,22 +48,3 @@ def measure_rigid_bodies(colliders: list, dx: float) -> RigidBodiesSummary:
         if depth > MIN_OVERLAP_CELLS * dx
     ]
     return RigidBodiesSummary(tuple(bodies), tuple(sorted(pairs, key=lambda pair: -pair.depth)))
-
-
-def _surface(collider, dx: float) -> tuple[float, np.ndarray]:
-    """Return the largest depth [m] in a collider, and points on its surface, shape (n, 3) [m]."""
-    low, high = collider.ends()
-    spacing = SDF_SPACING_CELLS * dx
-    shape = 2 * np.ceil(0.5 * (high - low) / spacing).astype(np.int64) + 3
-    start = 0.5 * (low + high) - 0.5 * spacing * (shape - 1)  # the middle is one of the points
-    depth, pieces, total = 0.0, [], int(np.prod(shape))
-    for first in range(0, total, MAX_SAMPLES):
-        index = np.unravel_index(np.arange(first, min(first + MAX_SAMPLES, total)), shape)
-        x = start + spacing * np.stack(index, -1)
-        distance = collider.distance(x)
-        depth = max(depth, -float(distance.min()))
-        x = x[np.abs(distance) < SURFACE_BAND * spacing]
-        for _ in range(2 if len(x) else 0):
-            x = x - collider.distance(x)[:, None] * collider.normal(x)
-        pieces.append(x)
-    return depth, np.concatenate(pieces)

@@ -14,6 +14,7 @@ from vgmpi.io import checkpoint, file_layout
 from vgmpi.kernels.reaction_impulses import NUMBERS
 from vgmpi.kernels.transfer.g2p import MAX_STRAY_CELLS
 from vgmpi.parallel.block_lattice import BITS, BLOCK_CENTER, BLOCK_EDGE, INTEGER
+from vgmpi.planning.region_groups import groups_of_particles
 from vgmpi.solver.simulation import Simulation
 
 ROWS = 1 << 20  # number of rows validated together
@@ -220,11 +221,12 @@ def _rows(simulation, saved, g, first, block):
     wrong = (ids < 0) | (ids >= plan.particles)
     if not wrong.any():
         owner = simulation.object_of(ids)
-        wrong = np.array(plan.group_of)[owner] != g
+        wrong = groups_of_particles(plan, ids, owner) != g
         for body in plan.driven:  # released particles are in the group that they join
             wrong &= ~(np.isin(owner, body.things) & (body.joins == g))
         if plan.sides is not None:  # those on the back side of a wall are in a group of their own
-            wrong &= np.array(plan.sides.twin_group)[np.array(plan.group_of)[owner]] != g
+            usual = groups_of_particles(plan, ids, owner)
+            wrong &= np.array(plan.sides.twin_group)[usual] != g
     if wrong.any():
         row = int(np.argmax(wrong))
         return f"{name}/id: row {first + row}: {ids[row]} is no particle of it", ids[:0]

@@ -1,0 +1,64 @@
+"""Regions of bodies: their particles belong to the group of another material in the body's phase.
+
+Regions add no kernel and no array: a group is one material in one phase, and a phase may hold any
+number of groups.
+"""
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from .plan import Plan
+
+
+class RegionPlan(NamedTuple):
+    """Region of a body."""
+
+    thing: int  # row of the object
+    group: int  # group of its particles
+    first: int  # id of its first particle
+    particles: int  # number of its particles
+
+
+def region_plans(plan: "Plan", entries: list[dict]) -> tuple[RegionPlan, ...]:
+    """Return the regions of all bodies, in the order of the objects.
+
+    Args:
+        plan: The plan.
+        entries: Entries of the objects and inlets in output files.
+    """
+    number = {(group.phase, group.material): g for g, group in enumerate(plan.groups)}
+    plans = []
+    for k, entry in enumerate(entries):
+        for part in entry.get("regions", ()):
+            group = number[plan.groups[plan.group_of[k]].phase, part["material"]]
+            plans.append(RegionPlan(k, group, part["first_row"], part["row_count"]))
+    return tuple(plans)
+
+
+def group_counts(plan: "Plan") -> list[tuple[int, int]]:
+    """Return (particles, group) of each object and inlet without its regions, then of each region.
+
+    The group of scenery is -1.
+    """
+    counts = list(plan.count)
+    for region in plan.regions:
+        counts[region.thing] -= region.particles
+    own = list(zip(counts, plan.group_of, strict=True))
+    return own + [(region.particles, region.group) for region in plan.regions]
+
+
+def groups_of_particles(plan: "Plan", ids: np.ndarray, owner: np.ndarray) -> np.ndarray:
+    """Return the group (n,) of each particle.
+
+    Args:
+        plan: The plan.
+        ids: Particle ids, shape (n,).
+        owner: Object or inlet of each particle, shape (n,).
+    """
+    groups = np.array(plan.group_of)[owner]
+    for region in plan.regions:
+        is_inside = (owner == region.thing) & (ids >= region.first)
+        groups[is_inside & (ids < region.first + region.particles)] = region.group
+    return groups
