@@ -31,7 +31,12 @@ OUTSIDE = {  # packages that only some files may use
         "vgmpi/runtime/cpu_features.py",
         "vgmpi/kernels/simd/",
     ),
-    "pyvista": ("postprocess/view.py", "postprocess/export.py", "vgmpi/apps/photo/visual_hull.py"),
+    "pyvista": (
+        "postprocess/view.py",
+        "postprocess/export.py",
+        "vgmpi/apps/photo/visual_hull.py",
+        "vgmpi/apps/notebook/run_frames.py",
+    ),
     "viser": ("postprocess/replay.py",),
     "tqdm": (
         "vgmpi/solver/diagnostics/progress.py",

@@ -1,1 +1,0 @@
-"""Runs for notebooks and scripts: frames, tables and pictures of a run's folder."""

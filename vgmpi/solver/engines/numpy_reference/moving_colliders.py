@@ -76,7 +76,9 @@ def sample(
     inside = ((corner >= 0) & (corner <= table.shape[m] - 2)).all(axis=1)
     corner, s = corner[inside], s[inside] - corner[inside]
     grid = table.values[table.first[m] :][: np.prod(table.shape[m])].reshape(table.shape[m])
-    slopes = np.stack(np.gradient(grid), -1)  # central differences within the lattice
+    slopes = np.stack(
+        [np.gradient(grid, axis=a) for a in range(3)], -1
+    )  # central differences within the lattice
     distance, gradient = np.zeros(len(s)), np.zeros((len(s), 3))
     for step in np.ndindex(2, 2, 2):
         place = tuple((corner + step).T)
