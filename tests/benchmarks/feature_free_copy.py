@@ -96,6 +96,9 @@ ANSWERS: dict[str, dict[str, str]] = {
     },
     "vgmpi.kernels.rigid.pinned_nodes": {},
     "vgmpi.solver.boundary.pinned_coupling": {"make_pinned_parts": "return None"},
+    "vgmpi.kernels.rigid.shell_sampling": {},
+    "vgmpi.planning.back_sides": {"with_back_sides": "return groups, phases, None"},
+    "vgmpi.solver.boundary.wall_sides": {"wall_sides": "return None"},
     "vgmpi.solver.boundary.surface_coupling": {
         "make_surface_slip": "return None",
         "couple_surfaces": "return",

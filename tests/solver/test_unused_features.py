@@ -313,6 +313,11 @@ FEATURES = {
         {"ElasticLaw", "SurfaceDistance", "Offsets", "VelocityGradient", "SampledSdf",
          "PinnedTable", "PinnedNodes", "PinnedFields", "apply_pins"},
     ),
+    "a thin wall": (
+        PLAIN + POST.replace("[0.24,", "[0.2,") + "thin = true\n",
+        {"engine.layers.offsets", "movers"},
+        {"Offsets", "SidedPhases"},
+    ),
     "an inlet": (PLAIN + TAP, {"sources", "plan.sources"}, set()),
     "an outlet": (PLAIN + DRAIN, {"sinks"}, set()),
     "a probe": (

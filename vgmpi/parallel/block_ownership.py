@@ -32,6 +32,14 @@ class BlockDirectory(NamedTuple):
     owner: np.ndarray  # (n,) rank that owns the block
     load: np.ndarray  # (ranks,) work of each rank, see load_balance.predicted_work
 
+    def has_segments_of(self, other: "BlockDirectory") -> bool:
+        """Return whether another directory has the same segments with the same owners."""
+        return (
+            np.array_equal(self.code, other.code)
+            and np.array_equal(self.group, other.group)
+            and np.array_equal(self.owner, other.owner)
+        )
+
 
 def build_block_directory(
     rows: np.ndarray, lattice: BlockLattice, ranks: SerialCommunicator, costs: np.ndarray,
@@ -233,11 +241,3 @@ def _pairs_with_other_ranks(codes, nearby, owner, rank, plane, row, targets):
                         targets[0, n], targets[1, n] = b, last
                         n += 1
     return n
-
-
-def has_same_segments(before: BlockDirectory, after: BlockDirectory) -> bool:
-    """Return whether two directories have the same segments with the same owners."""
-    return all(
-        np.array_equal(getattr(before, name), getattr(after, name))
-        for name in ("code", "group", "owner")
-    )

@@ -21,6 +21,7 @@ from vgmpi.scene.loads import mean_ramp_factor
 from vgmpi.scene.scene import Scene
 from vgmpi.scene.sections import Accuracy
 
+from .back_sides import WallSidesPlan, with_back_sides
 from .color_exchange import ColorExchange, color_exchange
 from .inlet_schedule import InletPlan, OutletPlan, inlet_plans, outlet_plans
 from .interaction_rules import interaction_rules, with_slip_wave_factors
@@ -119,6 +120,7 @@ class Plan:
     feels: bool = False  # reaction impulses of each collider and wall are summed
     free_bodies: bool = False  # some colliders are free rigid bodies
     slip: SurfaceSlipPlan | None = None  # of viscous liquids on colliders, if it is limited
+    sides: WallSidesPlan | None = None  # of thin walls
     joints: tuple[Joint, ...] = ()  # of the free rigid bodies
     rigid: RigidBodiesSummary | None = None  # these bodies at the start, if known
     regions: tuple[RegionPlan, ...] = ()  # parts of bodies of another material, if known
@@ -127,6 +129,11 @@ class Plan:
     def numbers_colliders(self) -> bool:
         """True if the solver must know which collider a node is close to."""
         return self.feels or self.free_bodies or self.slip is not None
+
+    @property
+    def phases_of_bodies(self) -> int:
+        """Number of phases, without those on the back side of thin walls, which come last."""
+        return len(self.phases) if self.sides is None else self.sides.side.index(-1)
 
     @property
     def is_open_system(self) -> bool:
@@ -262,6 +269,7 @@ def make_plan(
     driven, groups, group_of = prescribed_body_plans(
         scene, complete, group_of, phases, extents or {}
     )
+    groups, phases, sides = with_back_sides(scene, groups, phases)
     pins, groups = pinned_plans(groups, group_of, pinned)
     plan = Plan(
         cells=scene.domain.cells, dx=scene.domain.cell, real=real,
@@ -270,7 +278,7 @@ def make_plan(
         first_id=tuple(int(n) for n in np.concatenate([[0], np.cumsum(count)[:-1]])),
         count=tuple(int(n) for n in count),
         friction=friction_table(scene, groups, len(phases)),
-        slip=surface_slip_plan(scene, groups, len(phases)),
+        slip=surface_slip_plan(scene, groups, len(phases)), sides=sides,
         stiff=_wave_moduli(groups, len(phases)), contact=len(phases) > 1, collider=collider,
         times=np.linspace(0.0, scene.time.end, scene.time.frames),
         cfl=scene.time.cfl, fixed_dt=scene.time.dt,

@@ -6,13 +6,15 @@ import numpy as np
 import scipy
 
 from vgmpi.kernels.rigid.free_bodies import RigidBody, mass_properties
+from vgmpi.kernels.rigid.shell_sampling import ShellLattice
 from vgmpi.preprocess.sampling.voxels import Voxels
 from vgmpi.scene.rigid_motion import Motion, Trajectory
 from vgmpi.scene.rigid_objects import FreeBody
 from vgmpi.scene.shapes import Shape
 
 from . import shape_sdf
-from .placement import SimilarityTransform, corners, rotate
+from .placement import PlacementError, SimilarityTransform, corners, rotate
+from .thin_shell import thin_shell
 
 FAR_DISTANCE = 1e6  # [own units] half the edge of a box that contains everything
 SMOOTHING_SIGMA = 1.0  # [voxels] standard deviation of the filter that smooths a body's distances
@@ -33,6 +35,7 @@ class ShapeCollider:
     course: Trajectory | None = None  # its motion; distances are those at the start
     body: RigidBody | None = None  # its state at the start if it moves freely
     hull: Shape | None = None
+    shell: ShellLattice | None = None  # its two sides if it is a thin wall
 
     def ends(self) -> tuple[np.ndarray, np.ndarray]:
         """Return lower and upper corner (3,) [m] of a box that contains it."""
@@ -52,7 +55,7 @@ class ShapeCollider:
             size: Size of the domain, shape (3,) [m].
             dx: Cell size [m].
         """
-        if self.shape.difference is None or not len(x):
+        if self.shape.difference is None or self.shell is not None or not len(x):
             return self
         solid, *hollows = self.shape.difference
         low, high = self.ends()
@@ -100,6 +103,7 @@ class VoxelCollider:
     values: np.ndarray
     course: Trajectory | None = None
     body: RigidBody | None = None
+    shell: ShellLattice | None = None
 
     def ends(self) -> tuple[np.ndarray, np.ndarray]:
         """Return lower and upper corner (3,) [m] of a box that contains it."""
@@ -175,3 +179,26 @@ def with_free_body(collider: Collider | None, body: FreeBody | None, dx: float) 
         return collider
     mass, center, inertia = mass_properties(collider, body.density, dx)
     return replace(collider, body=RigidBody(mass, center, inertia, *body[1:]))
+
+
+def with_shell(collider: Collider | None, thin: bool, dx: float) -> Collider | None:
+    """Return the collider with its two sides, if it is a thin wall.
+
+    Args:
+        collider: Collider, or None.
+        thin: Whether it is a thin wall.
+        dx: Cell size [m].
+
+    Raises:
+        PlacementError: Its walls have no two sides.
+    """
+    if collider is None or not thin:
+        return collider
+    try:
+        shell = thin_shell(collider, dx)
+    except ValueError as error:
+        raise PlacementError("thin", str(error)) from None
+    if shell is None:
+        message = "is not needed: nowhere are two faces up to three cells apart"
+        raise PlacementError("thin", message)
+    return replace(collider, shell=shell)

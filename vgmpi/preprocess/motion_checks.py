@@ -30,7 +30,9 @@ def validate_collider_motion(scene: Scene, collider: Collider | None) -> list[tu
     """
     if collider is None:
         return []
-    if collider.body is None:  # free bodies have a line of their own in the plan
+    if (
+        collider.body is None and collider.shell is None
+    ):  # free bodies have a line of their own in the plan
         _warn_if_thin(collider, scene.domain.cell)
     if collider.course is None:
         return []
@@ -205,7 +207,8 @@ def _warn_if_thin(collider: Collider, dx: float) -> None:
     if is_thin(thickness, dx):
         log.warning(
             "collider '%s' is %.2g cells thick where it is thickest: below %g what it keeps apart"
-            " may pass", collider.name, thickness / dx, MIN_THICKNESS_CELLS,
+            " may pass, unless object.thin = true", collider.name, thickness / dx,
+            MIN_THICKNESS_CELLS,
         )  # fmt: skip
 
 

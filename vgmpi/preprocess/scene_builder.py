@@ -26,7 +26,7 @@ from .body_regions import (
     sort_by_region,
     validate_region_particles,
 )
-from .collider_sdf import Collider, ShapeCollider, with_free_body, with_motion
+from .collider_sdf import Collider, ShapeCollider, with_free_body, with_motion, with_shell
 from .initial_conditions import apply_initial_conditions
 from .initial_velocity import initial_velocity
 from .load_targets import ResolvedLoad, resolve_loads
@@ -129,6 +129,7 @@ def build_scene(scene: Scene) -> PreparedScene:
             needed = obj.role == "body" and scene.phase_of(obj) in touched
             collider = with_motion(piece.collider, obj.motion)
             collider = with_free_body(collider, obj.free_body, scene.domain.cell)
+            collider = with_shell(collider, obj.thin, scene.domain.cell)
             piece = replace(piece, collider=collider)
             pieces.append(with_surface_descriptor(scene, piece, needed))
             invalid = validate_collider_motion(scene, piece.collider) + validate_body_motion(

@@ -31,10 +31,12 @@ from .rigid_objects import as_collider, validate_particles, validate_rigid_scene
 from .scene import Scene, miscible_materials, phase_of
 from .sections import MAX_CELLS, SECTIONS, Appearance, Domain, Output, TopLevelKeys
 from .slip_lengths import validate_slip_lengths
+from .thin_walls import validate_thin_scene
 
 REQUIRED = ("domain", "time", "material", "object")
 SCENE_RULES = (
     validate_rigid_scene, validate_slip_lengths, validate_region_kinds, validate_pinned_parts,
+    validate_thin_scene,
 )  # fmt: skip
 LISTS = ("object", "coupling", "joint", "load", "probe", "inlet", "outlet")
 
@@ -110,8 +112,7 @@ class SceneLoader:
         if domain:
             self.check_cell_counts(domain)
             self.check_hydrostatic(objects, domain)
-        outside = top is not None and top.allow_outside
-        files = self.files(objects, tables.get("output"), outside)
+        files = self.files(objects, tables.get("output"), top is not None and top.allow_outside)
         self.raise_if_errors()
         return Scene(
             path=self.source.path, folder=self.source.folder, text=self.source.text,

@@ -26,6 +26,7 @@ from .rigid_motion import Motion, validate_motion
 from .rigid_objects import FreeBody, validate_rigid
 from .shapes import Axis, Corners, Shape, Sphere, validate_shape
 from .slip_lengths import validate_slip_length
+from .thin_walls import validate_thin
 
 SOURCES = ("gaussians", "mesh", "shape")
 SIZES = ("height", "width", "depth", "scale")
@@ -209,6 +210,10 @@ class Object(StrictModel):
     """colliders and rigid bodies only: distance behind the surface at which the velocity of a
     viscous liquid, continued in a straight line, is that of the surface. 0: it sticks. Default: it
     slips freely"""
+    thin: Switch = False
+    """colliders only: a shell, up to three cells thick, both sides of which may be wet, such as a
+    cup or a plate. What is on one side neither passes to the other nor feels it. Walls thinner than
+    half a cell act as half a cell thick"""
     rigid: Switch = False
     """bodies of solids only: a free rigid body. It does not deform, moves by its momentum, and has
     no particles. Density and friction are those of its material"""
@@ -335,6 +340,7 @@ def validate_object(raw: dict) -> list[tuple[tuple, str]]:
     errors = [error for error in errors if error[0] not in excluded] + rigid
     errors += [error for error in validate_regions(raw) if error[0] not in excluded]
     errors += validate_slip_length(raw, scenery) + validate_pinned(raw, scenery)
+    errors += validate_thin(raw, scenery)
     return errors + ([] if scenery else _validate_prescribed(raw))
 
 

@@ -44,7 +44,7 @@ PARTICLE_KEYS = frozenset(
 
 NUMERICS = "precision", "volume_correction"  # keys of accuracy whose defaults have changed
 ADDED_NUMERICS = {"dilatation": "particles"}  # keys that earlier versions computed by, unnamed
-ADDED_OBJECT_KEYS: dict[str, Any] = {"rigid": False, "pinned": []}
+ADDED_OBJECT_KEYS: dict[str, Any] = {"rigid": False, "pinned": [], "thin": False}
 
 
 def changes_without_effect(scene: Scene, differences: list[tuple[tuple, str]]) -> list[tuple]:

@@ -72,6 +72,10 @@ def check_engine(options: Options, plan: Plan) -> None:
         raise InvalidRunOptions(
             f"engine {options.engine} has no slip lengths (object.slip_length); engine cpu has"
         )
+    if plan.sides is not None and options.engine != "cpu":
+        raise InvalidRunOptions(
+            f"engine {options.engine} has no thin walls (object.thin); engine cpu has"
+        )
 
 
 def _find_card(options: Options, ranks: SerialCommunicator) -> None:

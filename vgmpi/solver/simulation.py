@@ -4,15 +4,14 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from vgmpi.kernels.rigid.moving_colliders import MovingColliders
+from vgmpi.kernels.rigid.moving_colliders import MovingColliders, place_colliders
 from vgmpi.kernels.rigid.prescribed_motion import PrescribedBodies
-from vgmpi.kernels.rigid.static_colliders import StaticColliders
 from vgmpi.kernels.step_limits import MAX_CELLS_PER_STEP
 from vgmpi.kernels.transfer import g2p
 from vgmpi.kernels.transfer.particle_shifting import MAX_SHIFT_CELLS
 from vgmpi.parallel import exchange_topology, migration
 from vgmpi.parallel.block_lattice import BlockLattice
-from vgmpi.parallel.block_ownership import BlockDirectory, has_same_segments
+from vgmpi.parallel.block_ownership import BlockDirectory
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.halo_exchange import HaloExchange
 from vgmpi.parallel.load_balance import SHARES
@@ -27,6 +26,7 @@ from vgmpi.solver.boundary.particle_insertion import ParticleRows, bounds_of_idl
 from vgmpi.solver.boundary.pinned_coupling import make_pinned_parts
 from vgmpi.solver.boundary.release import Releases
 from vgmpi.solver.boundary.surface_coupling import couple_surfaces, make_surface_slip
+from vgmpi.solver.boundary.wall_sides import MAX_PUSH_CELLS, wall_sides
 from vgmpi.solver.diagnostics.reactions import Reactions
 from vgmpi.solver.engines.engine_protocol import (
     UNKNOWN_MAXIMA,
@@ -64,12 +64,8 @@ class Simulation:
         self.lattice = BlockLattice(plan.cells, plan.dx)
         # true if a collider has its own friction, is free, or its reaction is requested
         per_collider = len(plan.friction) > len(plan.phases) + 1 or plan.numbers_colliders
-        self.movers: MovingColliders | None = None
-        if any((collider.course or collider.body) is not None for collider in colliders):
-            self.movers = MovingColliders(list(colliders), self.lattice, plan.real, per_collider)
-        self.solids: MovingColliders | StaticColliders | None = self.movers
-        if colliders and self.movers is None:
-            self.solids = StaticColliders(list(colliders), self.lattice, plan.real, per_collider)
+        self.solids = place_colliders(list(colliders), self.lattice, plan.real, per_collider)
+        self.movers = self.solids if isinstance(self.solids, MovingColliders) else None
         self.pins = make_pinned_parts(plan, self.lattice, self.movers, len(colliders), threads)
         self.driven = PrescribedBodies(plan, len(colliders)) if plan.driven else None
         self.motions = [m for m in (self.movers, self.driven, self.pins) if m is not None]
@@ -81,17 +77,17 @@ class Simulation:
         self.bodies = free_body_coupling(plan, self.movers, self.engine, ranks, self.pins)
         self.reactions = Reactions(plan, colliders, ranks) if plan.feels else None
         if self.reactions is not None:
-            self.engine.enable_reactions(
-                len(self.reactions.totals), self.reactions.quanta, ranks.rank
-            )
+            rows = len(self.reactions.totals)
+            self.engine.enable_reactions(rows, self.reactions.quanta, ranks.rank)
         self.loads = Pushes(list(loads), plan, ranks) if loads else None
         self.flow_accounting = Tally(plan) if plan.is_open_system else None
+        self.sides = wall_sides(plan, self.movers, self.groups, self.flow_accounting)
         self.sources = Sources(plan, ranks) if plan.sources else None
         self.sinks: Sinks | None = None
         if self.flow_accounting is not None and plan.sinks:
             self.sinks = Sinks(plan, self.flow_accounting)
-        has_releases = bool(plan.driven) or any(time is not None for time in plan.opens)
-        self.releases = Releases(plan, self.flow_accounting, self.engine) if has_releases else None
+        releases = plan.driven or any(time is not None for time in plan.opens)
+        self.releases = Releases(plan, self.flow_accounting, self.engine) if releases else None
         self.correction_origin_step = 0  # step of the last release: corrections are counted from it
         self.gravity = np.array(plan.gravity)
         self.needs = needs(plan)
@@ -106,6 +102,7 @@ class Simulation:
         self.particle_maxima = UNKNOWN_MAXIMA
         # the next shift must leave particles in their patches
         margin = 1.2 * MAX_SHIFT_CELLS if plan.shift_interval else 0.0
+        margin += 1.2 * MAX_PUSH_CELLS if self.sides is not None else 0.0
         self.max_stray = g2p.MAX_STRAY_CELLS - margin
         self.sorts = 0
         self.sorted_at = 0
@@ -154,14 +151,15 @@ class Simulation:
         self.moved = 0  # finding the first owners is no migration
 
     def _spawned(self, before: float | None) -> list[ParticleRows]:
-        """Return the particles that inlets spawn here after `before` [s] (None: at the start)."""
+        """Return what inlets spawn here after `before` [s] (None: at the start)."""
         return [] if self.sources is None else self.sources.spawn(before, self.time)
 
     def _insert(self, chunks: list[ParticleRows]) -> np.ndarray:
         """Insert particles and return particle_insertion.bounds, (4,). A sort must follow."""
         limits = np.zeros(4)
         for rows in chunks:
-            limits = np.maximum(limits, insert(self.plan, self.lattice, self.groups, rows))
+            added = insert(self.plan, self.lattice, self.groups, rows, self.sides)
+            limits = np.maximum(limits, added)
             if self.flow_accounting is not None:
                 self.flow_accounting.add(rows)
         return limits
@@ -183,10 +181,10 @@ class Simulation:
     def set_directory(self, census: BlockDirectory) -> None:
         """Build the exchange tables for a directory, whose segments the groups already hold.
 
-        The old tables are reused if no segment came, went or changed its owner.
+        The old tables are reused if no segment came, went or changed its owner, and no collider or
+        pinned part can be near other blocks now.
         """
-        unchanged = self.halo is not None and has_same_segments(self.census, census)
-        # colliders and pinned parts may be near other blocks now
+        unchanged = self.halo is not None and self.census.has_segments_of(census)
         unchanged &= self.movers is None and (self.pins is None or not self.pins.moving)
         self.census = census
         if not unchanged:
@@ -294,12 +292,12 @@ class Simulation:
         spawned = self.sources is not None and self.sources.due(before, self.time)
         if spawned:
             self._insert(self._spawned(before))
-        movers = [mover for mover in (self.movers, self.pins) if mover is not None]
-        collider_moved_too_far = any(mover.left_safe_range(self.time) for mover in movers)
-        if maxima[1] >= self.max_stray or collider_moved_too_far or spawned or released:
+        moved = any(m is not None and m.left_safe_range(self.time) for m in (self.movers, self.pins))
+        moved |= self.sides is not None and self.sides.change(maxima[-1], self.time)
+        if maxima[1] >= self.max_stray or moved or spawned or released:
             self.sort()
             mark("sort")
-        return maxima[6:]
+        return maxima[6 : 6 + len(requests)]
 
     def _apply_loads(self, end: float, dt: float) -> float:
         """Apply loads until `end` [s]; bound the speed added, also by motions [m/s]."""
@@ -389,7 +387,9 @@ class Simulation:
         self.sent += halo.bytes_sent
 
     def _reduce_step(self, report: StepReport, requests: tuple[float, ...]) -> np.ndarray:
-        """Reduce over all ranks: rate, farthest particle, failure flag, maxima, requests."""
+        """Reduce over all ranks: rate, farthest particle, failure flag, maxima, requests, sides."""
+        if self.sides is not None:
+            requests = *requests, self.sides.push_particles(self.step, self.time)
         buffer = self.reduction_buffer[: 6 + len(requests)]
         buffer[:3] = report.rate, report.far, bool(report.wrong or report.beyond)
         buffer[3:6], buffer[6:] = report.reach, requests

@@ -38,6 +38,7 @@ from .contact_impulses import (
     solve_contact_impulses,
     surface_normal,
 )
+from .sided_phases import are_apart, face_of_side
 
 
 class ContactWorkspace(NamedTuple):
@@ -70,6 +71,7 @@ class ContactNode(NamedTuple):
     active: int  # number of phases
     node: int  # number in its block
     alone: bool  # whether only two parties meet at the node
+    solid: int  # row of the block among those near colliders, or -1
 
 
 def contact_workspace(n: int) -> ContactWorkspace:
@@ -116,7 +118,7 @@ def apply_contact(block, tables, solid, velocities, offsets, shear, solids, wall
                 for c in range(3):
                     work.slope[q, c] = shear.nodes[offset + c] / work.mass[q]
             work.pair_count[q] = 0
-        site = ContactNode(active, node, active + rigid + planes == 2)
+        site = ContactNode(active, node, active + rigid + planes == 2, solid)
         set_node(work.given, node, ijk[0], ijk[1], ijk[2])
         pairs = _pairs(site, tables.phase, offsets, phases, rules, motions, step, work)
         if rigid:
@@ -213,7 +215,7 @@ def _pairs(site, phase, offsets, phases, rules, motions, step, work):
             if rules is not None:
                 if rules.pair[ph, other] != CONTACT:
                     continue
-            if _driven(motions, ph) and _driven(motions, other):
+            if _driven(motions, ph) and _driven(motions, other) or are_apart(phases, ph, other):
                 continue
             a, b = (
                 (q, r) if phases.contact_priority[ph] < phases.contact_priority[other] else (r, q)
@@ -283,10 +285,13 @@ def _add_rigid_pairs(
             continue
         for c in range(3):
             n[c] = surface[c]
+        depth = surface[3]
+        if a == COLLIDER_ROW:
+            depth = face_of_side(phases, ph, site.solid, site.node, n, depth)
         distance_b = distance(n, -1.0, mine, mass, is_resolved, step.dx)
         is_reliable = is_resolved and normal_is_reliable(mine, mass)
         area_fraction = face_fraction(mass, phases.least[ph], distance_b) if is_reliable else 0.0
-        distance_a = surface[3] / step.dx
+        distance_a = depth / step.dx
         meeting = ContactPair(
             a, q, distance_a, distance_b, is_resolved, True, is_reliable, area_fraction,
             phases.stiff[ph], friction[ph],

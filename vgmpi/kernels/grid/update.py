@@ -25,6 +25,7 @@ from vgmpi.runtime.jit import device_function, kernel
 from .contact import apply_contact
 from .mixture_coupling import BlockContext, NodalFields, couple_block, store_volume_flux
 from .mixture_workspace import to_pointers
+from .sided_phases import part_sides, unite_sides
 
 CONTACT_ENABLED = True  # whether contact is compiled in; the GPU engine sets it per scene
 
@@ -111,12 +112,12 @@ def update(blocks, tables, summed, shear, stress, rules, walls, phases, solids, 
                     if block.at_wall and block.meets:
                         _project_offsets(moments.nodes, block, walls)
                     couple_block(block, fields, work, pairs, step.dt, step.dx)
+        unite_sides(phases, block, tables.solid[b], phase_of, nodes, moments.nodes, step.dx)
         rigid = tables.solid[b] >= 0 or block.at_wall
         if CONTACT_ENABLED and block.meets and _may_touch(n0, n1, phase_of, rigid, rules):
             apply_contact(block, tables, tables.solid[b], nodes, moments.nodes, shears, solids,
                           walls, phases, rules, step, scratch)  # fmt: skip
-        if block.at_wall:
-            _stop_at_walls(block, nodes, walls, phase_of, phases, solids, scratch.given)
+        _stop_at_walls(block, nodes, walls, phase_of, phases, solids, scratch.given)
         if stress is not None:
             if rules is not None:
                 if has_impulses:
@@ -136,19 +137,21 @@ def _fields(rows, cell_mass, cells, grid, forces, offsets, stress):
 
 @device_function
 def _stop_at_walls(block, velocities, walls, phase, phases, solids, reaction):
-    """Apply the wall conditions to the velocities (256 node blocks,) of a block.
+    """Apply the wall conditions to the velocities (256 node blocks,) of a block, on both sides.
 
     phase: (node blocks,); solids: rigid boundaries; reaction: reaction sums, or None.
     """
     low = block.low_x, block.low_y, block.low_z
-    sync_threads()
-    for nb in range(block.n0, block.n1):
+    if block.at_wall:
+        sync_threads()
+    for nb in range(block.n0, block.n1 if block.at_wall else block.n0):
         if len(solids.ways.driven) > 0 and solids.ways.driven[phase[nb]]:
             continue  # the motion of this phase is prescribed
         kinds = walls.kinds_for_surfaces if phases.surface[phase[nb]] else walls.kinds
         apply_wall_conditions(
             velocities, 256 * nb, low, walls.cells, kinds, walls.friction, reaction
         )
+    part_sides(phases, block, phase, velocities)
 
 
 @device_function

@@ -9,7 +9,8 @@ from vgmpi.scene.rigid_motion import Trajectories
 
 from .free_bodies import FreeBodies
 from .sdf_sampling import SampledSdf, evaluate_colliders
-from .static_colliders import SDF_BAND_CELLS
+from .shell_sampling import SampledShells, with_shells
+from .static_colliders import SDF_BAND_CELLS, StaticColliders
 
 SDF_SPACING_CELLS = 0.5  # [cells] spacing of the points at which a collider's distance is sampled
 REBUILD_DISTANCE_CELLS = (
@@ -47,7 +48,9 @@ class MovingColliders:
         """
         self.dx, self.real, self.colliders = lattice.dx, real, colliders
         self.numbered = numbered
-        self.table = _sample_colliders(colliders, lattice.dx)
+        self.table: SampledSdf = _sample_colliders(colliders, lattice.dx)
+        if any(getattr(collider, "shell", None) is not None for collider in colliders):
+            self.table = with_shells(self.table, colliders)
         self.moving = [m for m, collider in enumerate(colliders) if collider.course is not None]
         self.courses = Trajectories([colliders[m].course for m in self.moving])
         is_free = np.array([collider.body is not None for collider in colliders])
@@ -99,6 +102,8 @@ class MovingColliders:
         self.nodes = np.zeros((len(blocks), 64, 4), self.real)
         self.moves = np.zeros((len(blocks), 64, 3), self.real)
         self.whose = np.zeros((len(blocks) * self.numbered, 64), np.int64)
+        if isinstance(self.table, SampledShells):
+            self.table = self.table._replace(faces=np.zeros((len(blocks), 64, 2, 4)))
 
     def stand(self, time: float) -> None:
         """Place the colliders where they are at a time [s]."""
@@ -122,8 +127,13 @@ class MovingColliders:
             self.blocks, *self.nearby, table, dt, self.dx, self.nodes, self.moves, self.whose
         )
 
-    def poses(self, time: float) -> np.ndarray:
-        """Return the poses of the moving colliders relative to the start, shape (m, 4, 4) [m]."""
+    def poses(self, time: float) -> np.ndarray | None:
+        """Return the poses of the moving colliders relative to the start, shape (m, 4, 4) [m].
+
+        None if none moves.
+        """
+        if self.free is None and not self.moving:
+            return None
         if self.free is None:
             return self.courses.matrices(time)
         rows = np.concatenate([self.moving, self.free.rows]).astype(int)
@@ -147,6 +157,28 @@ class MovingColliders:
         if self.free is not None:
             travel = max(travel, self.free.travel.max())
         return float(travel) / self.dx > REBUILD_DISTANCE_CELLS / 2
+
+
+def place_colliders(
+    colliders: list, lattice: BlockLattice, real: np.dtype, numbered: bool
+) -> MovingColliders | StaticColliders | None:
+    """Return the colliders at the nodes; those that move and thin walls are evaluated every step.
+
+    Args:
+        colliders: Colliders.
+        lattice: Lattice of the blocks.
+        real: Floating-point type of nodal values.
+        numbered: Store the number of the nearest collider.
+    """
+    if any(_changes(collider) for collider in colliders):
+        return MovingColliders(colliders, lattice, real, numbered)
+    return StaticColliders(colliders, lattice, real, numbered) if colliders else None
+
+
+def _changes(collider) -> bool:
+    """Return whether a collider moves or is a thin wall."""
+    shell = getattr(collider, "shell", None)
+    return any(each is not None for each in (collider.course, collider.body, shell))
 
 
 def limit_rate_by_motion(

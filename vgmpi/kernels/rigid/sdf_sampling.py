@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vgmpi.kernels.simd.static_dispatch import static_dispatch
 from vgmpi.runtime.jit import device_function, kernel
 
 from .static_colliders import SDF_BAND_CELLS
@@ -35,8 +36,35 @@ class SampledSdf(NamedTuple):
     move_end: np.ndarray  # (m, 3) [m]
 
 
+@static_dispatch
+def sample_side(movers, m, own, sample):
+    """Return the side of a thin wall on which a point is, 1 (front) or -1 (back), 0 without a wall.
+
+    Args:
+        movers: Sampled colliders.
+        m: Number of the collider.
+        own: Point in the collider's frame, shape (3,) [m].
+        sample: Gradient and distance [m] of its closest face (in/out), shape (4,).
+    """
+
+
+@sample_side.of(SampledSdf)
+def _no_side(movers, m, own, sample):
+    return 0
+
+
+@static_dispatch
+def store_side(movers, m, b, node, side):
+    """Store the two faces of the wall that `sample_side` saw for a node of a block."""
+
+
+@store_side.of(SampledSdf)
+def _store_no_side(movers, m, b, node, side):
+    pass
+
+
 @device_function
-def _own(movers, m, x, own):
+def own_position(movers, m, x, own):
     """Compute the initial position `own` (3,) (out) of the collider's point now at x (3,)."""
     r = movers.rotation[m]
     a = x[0] - movers.about[m, 0] - movers.move[m, 0]
@@ -129,10 +157,19 @@ def sample_surface(movers, m, x, normal):
         normal: Outward normal, as smooth as at nodes (out), shape (3,).
     """
     own, sample = np.zeros(3), np.zeros(4)
-    _own(movers, m, x, own)
+    own_position(movers, m, x, own)
     if not _sample(movers, m, own, sample) or not _smooth_normal(movers, m, own, sample, normal):
         return np.inf
     return sample[3]
+
+
+@device_function
+def _turn_gradient(movers, m, sample, normal):
+    """Turn the gradient in `sample` (4,) to a unit normal (3,) (out) as the collider stands now."""
+    r, size = movers.rotation[m], np.sqrt(sample[0] ** 2 + sample[1] ** 2 + sample[2] ** 2)
+    for k in range(3):
+        turned = r[k, 0] * sample[0] + r[k, 1] * sample[1] + r[k, 2] * sample[2]
+        normal[k] = turned / max(size, 1e-300)
 
 
 @device_function
@@ -157,7 +194,7 @@ def distance_from_collider(movers, m, x, own, sample):
         x: Point, shape (3,) [m].
         own, sample: Scratch, shapes (3,) and (4,).
     """
-    _own(movers, m, x, own)
+    own_position(movers, m, x, own)
     return sample[3] if _sample(movers, m, own, sample) else np.inf
 
 
@@ -205,7 +242,7 @@ def surface_velocity(movers, m, x, sample, dt, own, velocity):
     """
     for k in range(3):
         own[1, k] = x[k] - sample[3] * sample[k]
-    _own(movers, m, own[1], own[0])
+    own_position(movers, m, own[1], own[0])
     _carry(movers, m, own[0], own[1], dt, velocity)
 
 
@@ -231,28 +268,33 @@ def evaluate_colliders(blocks, first, nearby, movers, dt, dx, nodes, moves, whos
     for b in range(len(blocks)):
         for node in range(64):
             nodes[b, node, 3] = np.inf
+            store_side(movers, 0, b, node, 0)
         for m in nearby[first[b] : first[b + 1]]:
             for node in range(64):
                 x[0] = (4 * blocks[b, 0] - 1 + node // 16) * dx
                 x[1] = (4 * blocks[b, 1] - 1 + node // 4 % 4) * dx
                 x[2] = (4 * blocks[b, 2] - 1 + node % 4) * dx
-                _own(movers, m, x, own)
+                own_position(movers, m, x, own)
                 if not _sample(movers, m, own, sample):
                     continue
+                side = sample_side(movers, m, own, sample)
                 if sample[3] >= min(nodes[b, node, 3], SDF_BAND_CELLS * dx):
                     continue
-                if not _smooth_normal(movers, m, own, sample, normal):
+                if side != 0:
+                    _turn_gradient(movers, m, sample, normal)
+                elif not _smooth_normal(movers, m, own, sample, normal):
                     continue
                 for k in range(3):
                     nodes[b, node, k] = normal[k]
                 d = sample[3]
                 nodes[b, node, 3] = d
+                store_side(movers, m, b, node, side)
                 if len(whose) > 0:
                     whose[b, node] = m
                 depth = min(max(d, -2.0 * dx), 2.0 * dx)
                 for k in range(3):
                     surface[k] = x[k] - depth * normal[k]
-                _own(movers, m, surface, own)
+                own_position(movers, m, surface, own)
                 _carry(movers, m, own, surface, dt, velocity)
                 for k in range(3):
                     moves[b, node, k] = velocity[k]

@@ -22,6 +22,8 @@ from typing import NamedTuple
 import numpy as np
 
 from vgmpi.kernels.grid.contact_impulses import half_space_fraction
+from vgmpi.kernels.grid.sided_phases import SidedPhases, is_sided
+from vgmpi.kernels.kernel_arguments import Phases
 from vgmpi.kernels.particle_records import AFFINE, STATE, load_tensor
 from vgmpi.kernels.simd.cooperative import strided_range, sync_threads
 from vgmpi.kernels.simd.node_row_ops import fourth_of
@@ -31,6 +33,7 @@ from vgmpi.kernels.simd.row_ops import (
     horizontal_max,
     load_records,
 )
+from vgmpi.kernels.simd.static_dispatch import static_dispatch
 from vgmpi.kernels.simd.vector16 import load, store
 from vgmpi.kernels.wall_boundary import SEPARATE, SIDE
 from vgmpi.materials.tensor_math.select import select
@@ -136,7 +139,7 @@ def fill_of_phase(fill, volumes, nodes, nb, phase, offset):
 
 
 @device_function
-def store_fullness(n0, n1, phase_of, nodes, volumes, fill, block, solid, dx):
+def store_fullness(n0, n1, phase_of, nodes, volumes, fill, block, solid, phases, dx):
     """Store the fullness in place of the mass, at the nodes of liquids that are shifted.
 
     Args:
@@ -147,6 +150,7 @@ def store_fullness(n0, n1, phase_of, nodes, volumes, fill, block, solid, dx):
         fill: What fills the cells, NodeFill.
         block: Coordinates of the block, shape (3,).
         solid: Row of the block among those near colliders, or -1.
+        phases: Constants of the phases.
         dx: Cell size [m].
     """
     first = -1
@@ -159,6 +163,10 @@ def store_fullness(n0, n1, phase_of, nodes, volumes, fill, block, solid, dx):
     sync_threads()
     for q in strided_range(64):
         o = 256 * first + 4 * q + 3
+        if store_sided_fullness(
+            phases, n0, n1, phase_of, nodes, volumes, fill, block, solid, dx, q
+        ):
+            continue
         total = fill_of_phase(fill, volumes, nodes, n0, phase_of[n0], 4 * q + 3)
         for nb in range(n0 + 1, n1):
             total += fill_of_phase(fill, volumes, nodes, nb, phase_of[nb], 4 * q + 3)
@@ -174,6 +182,47 @@ def store_fullness(n0, n1, phase_of, nodes, volumes, fill, block, solid, dx):
             if fill.shifts[phase_of[nb]]:
                 nodes[256 * nb + 4 * q + 3] = nodes[o]
     sync_threads()
+
+
+@static_dispatch
+def store_sided_fullness(phases, n0, n1, phase_of, nodes, volumes, fill, block, solid, dx, q):
+    """Store the fullness on either side of a thin wall, for which the wall is a half space.
+
+    Args:
+        phases, n0, n1, phase_of, nodes, volumes, fill, block, solid, dx: See `store_fullness`.
+        q: Node in its block.
+
+    Returns:
+        Whether the two sides of a wall are two fields at the node.
+    """
+
+
+@store_sided_fullness.of(Phases)
+def _no_sides(phases, n0, n1, phase_of, nodes, volumes, fill, block, solid, dx, q):
+    return False
+
+
+@store_sided_fullness.of(SidedPhases)
+def _of_sides(phases, n0, n1, phase_of, nodes, volumes, fill, block, solid, dx, q):
+    if not is_sided(phases, solid, q, dx):
+        return False
+    front = back = 0.0
+    for nb in range(n0, n1):
+        amount = fill_of_phase(fill, volumes, nodes, nb, phase_of[nb], 4 * q + 3)
+        if phases.side[phase_of[nb]] >= 0:
+            front += amount
+        if phases.side[phase_of[nb]] <= 0:
+            back += amount
+    i, j, k = 4 * block[0] - 1 + q // 16, 4 * block[1] - 1 + q // 4 % 4, 4 * block[2] - 1 + q % 4
+    outside, share = share_outside_walls(fill, i, j, k), wall_share(fill, i, j, k)
+    for nb in range(n0, n1):
+        p = phase_of[nb]
+        if fill.shifts[p]:
+            depth = phases.faces[solid, q, 0 if phases.side[p] >= 0 else 1, 3]
+            free = outside * (1.0 - half_space_fraction(depth / dx))
+            total = front if phases.side[p] >= 0 else back
+            nodes[256 * nb + 4 * q + 3] = total + (1.0 - free) * share
+    return True
 
 
 @device_function

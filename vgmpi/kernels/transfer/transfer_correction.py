@@ -4,6 +4,7 @@ The motion passes through the grid in a step of zero duration; its loss is what 
 last steps has taken.
 """
 
+from vgmpi.kernels.grid.sided_phases import average_sides
 from vgmpi.kernels.grid.update import momentum_to_velocity
 from vgmpi.kernels.nodal_fields.color import mean_over_set
 from vgmpi.kernels.particle_records import (
@@ -65,6 +66,7 @@ def momentum_to_velocity_only(
                 momentum_to_velocity(nb, nodes, push, NODE_MASS_FLOOR * cell_mass[phase_of[nb]])
             elif not is_done:
                 mean_over_set(nb, n1, group, phase_of, as_one, nodes)
+        average_sides(phases, n0, n1, tables.solid[b], phase_of, nodes, step.dx)
         rest_volumes = nodes
         if volumes is not None:
             rest_volumes = sums_at(volumes).nodes
@@ -72,8 +74,9 @@ def momentum_to_velocity_only(
                 finalize_node_block(nb, rows, sums_at(volumes), report, volume_field)
         if fill is not None:
             store_fullness(
-                n0, n1, phase_of, nodes, rest_volumes, fill, tables.at[b], tables.solid[b], step.dx
-            )
+                n0, n1, phase_of, nodes, rest_volumes, fill, tables.at[b], tables.solid[b], phases,
+                step.dx,
+            )  # fmt: skip
 
 
 @kernel

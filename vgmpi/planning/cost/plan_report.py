@@ -59,7 +59,7 @@ def format_plan(
     ]
     nx, ny, nz = plan.cells
     lines.append(f"  grid        {nx} x {ny} x {nz} cells of {plan.dx:g} m, sparse 4^3 blocks")
-    for phase in plan.phases:
+    for phase in plan.phases[: plan.phases_of_bodies]:
         for g, group in enumerate(plan.groups):
             if plan.phases[group.phase] is not phase:
                 continue
@@ -71,8 +71,8 @@ def format_plan(
                 f" once for all: density and {len(group.law)} numbers of the law"
             )
     lines += _regions(scene, plan)
-    for a in range(len(plan.phases)):
-        for b in range(a + 1, len(plan.phases)):
+    for a in range(plan.phases_of_bodies):
+        for b in range(a + 1, plan.phases_of_bodies):
             names = f"{plan.phases[a].name} - {plan.phases[b].name}"
             rule = plan.rules.pair[a, b] if plan.rules else CONTACT
             how = f"friction {plan.friction[a][b]:g}" if rule == CONTACT else "they share space"
@@ -114,6 +114,14 @@ def _joints(scene: Scene) -> list[str]:
     return [f"  joints      {_listing(joints)}"] if joints else []
 
 
+def _thin_walls(scene: Scene) -> list[str]:
+    """Return the line that names the thin walls."""
+    names = [obj.name for obj in scene.object if obj.thin]
+    if not names:
+        return []
+    return [f"  thin walls  {_listing(names)}: what flows on one side does not feel the other"]
+
+
 def _slip(scene: Scene) -> list[str]:
     """Return the lines on colliders that liquids stick to, and on liquids that should stick."""
     colliders = [obj for obj in scene.object if obj.collider]
@@ -153,7 +161,7 @@ def _flow(plan: Plan, source: InletPlan) -> float:
 
 def _accuracy_notes(scene: Scene, plan: Plan) -> list[str]:
     """Return the lines on what the scene's resolution and options make inexact."""
-    lines = _restored(plan) + _without_cells(scene, plan)
+    lines = _thin_walls(scene) + _restored(plan) + _without_cells(scene, plan)
     lines += soft_liquid_lines(scene, plan.weights)
     lines += _thin(scene, plan)
     return lines + _sheets(plan) + _bending(scene, plan)

@@ -34,7 +34,7 @@ class ParticleRows(NamedTuple):
 
 
 def insert(
-    plan: Plan, lattice: BlockLattice, groups: list[ParticleGroup], rows: ParticleRows
+    plan: Plan, lattice: BlockLattice, groups: list[ParticleGroup], rows: ParticleRows, sides=None
 ) -> np.ndarray:
     """Insert particles into the groups of this rank; a sort must follow.
 
@@ -43,11 +43,14 @@ def insert(
         lattice: Block lattice of the domain.
         groups: Particle groups (in/out).
         rows: Particles to insert.
+        sides: Sides of thin walls (wall_sides.WallSides), or None.
 
     Returns:
         Bounds of the time step and the sums, shape (4,), see `bounds`.
     """
     group_of = groups_of_particles(plan, rows.ids, rows.owner)
+    if sides is not None:
+        group_of = sides.groups_of_points(group_of, rows.x)
     limits = np.zeros(4)
     for g, group in enumerate(groups):
         selected = rows.select(group_of == g)

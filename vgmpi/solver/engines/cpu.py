@@ -7,6 +7,7 @@ import numpy as np
 
 from vgmpi.kernels import particle_records, reproducible_sums
 from vgmpi.kernels.grid import contact, mixture_workspace, update
+from vgmpi.kernels.grid.sided_phases import sided_phases
 from vgmpi.kernels.kernel_arguments import NodeBlocks, Step, Sums
 from vgmpi.kernels.nodal_fields import color
 from vgmpi.kernels.reaction_impulses import GhostNodes
@@ -260,10 +261,11 @@ class Cpu(KernelCaller):
     def _update(self, thread: int, border: bool) -> None:
         blocks = self.block_shares.stage(border)[thread]
         layers, separate = self.layers, None
+        phases = sided_phases(self.phases, self.plan.sides, self.solids)
         if not self.dt:
             self.call_if_rows(
                 (self.shift is None,), transfer_correction.momentum_to_velocity_only, blocks,
-                self.blocks, layers["momentum"].tables, self.as_one, self.phases,
+                self.blocks, layers["momentum"].tables, self.as_one, phases,
                 self.node_fill_now(), *self.rest_volumes, self.step, self.beyond[thread],
             )  # fmt: skip
             return
@@ -281,8 +283,7 @@ class Cpu(KernelCaller):
         summed = update.CommonFields(layers["momentum"].tables, layers["offsets"].tables)
         self.call_if_rows(
             (), update.update, blocks, self.blocks, summed, shear, separate, self.plan.rules,
-            self.walls, self.phases, rigid, self.room[thread], self.step,
-            self.beyond[thread],
+            self.walls, phases, rigid, self.room[thread], self.step, self.beyond[thread],
         )  # fmt: skip
         for k, layer in enumerate(self.hues):
             self.call_if_rows(

@@ -224,6 +224,9 @@ def _rows(simulation, saved, g, first, block):
         wrong = groups_of_particles(plan, ids, owner) != g
         for body in plan.driven:  # released particles are in the group that they join
             wrong &= ~(np.isin(owner, body.things) & (body.joins == g))
+        if plan.sides is not None:  # those on the back side of a wall are in a group of their own
+            usual = groups_of_particles(plan, ids, owner)
+            wrong &= np.array(plan.sides.twin_group)[usual] != g
     if wrong.any():
         row = int(np.argmax(wrong))
         return f"{name}/id: row {first + row}: {ids[row]} is no particle of it", ids[:0]
