@@ -40,6 +40,7 @@ from .object_builder import BuiltObject, build_object
 from .passive_gaussians import bind_passive
 from .pinned_regions import PinnedRegion, resolve_pinned_parts, with_pinned_masses
 from .placement import PlacementError
+from .setting_checks import report_flip_ratio, warn_of_locking
 from .surface_descriptor import with_surface_descriptor
 
 log = logging.getLogger("vgmpi")
@@ -154,10 +155,10 @@ def build_scene(scene: Scene) -> PreparedScene:
         memory_estimate.BYTES_PER_PARTICLE_MERGED,
     )
     _warn_of_overlaps(scene, pieces)
-    _warn_of_locking(scene)
+    warn_of_locking(scene)
     if scene.joint:
         warn_of_distant_joints(scene, [p.collider for p in pieces if p.collider is not None])
-    _report_flip_ratio(scene)
+    report_flip_ratio(scene)
     inlet_particles.validate_inlets_outlets(
         scene, pieces, [p.collider for p in pieces if p.collider is not None]
     )
@@ -205,25 +206,6 @@ def _warn_of_overlaps(scene: Scene, pieces: list[BuiltObject]) -> None:
                 scene.object[bodies[b]].name,
                 1e3 * count * spacing**3,
             )
-
-
-def _warn_of_locking(scene: Scene) -> None:
-    """Warn of nearly incompressible materials: linear shapes in a cell lock when they bend."""
-    for name, material in scene.material.items():
-        ratio = getattr(material, "poisson_ratio", 0.0)
-        if ratio > 0.45:
-            log.warning("material '%s': poisson_ratio = %g is above 0.45: it will bend too stiffly",
-                        name, ratio)  # fmt: skip
-
-
-def _report_flip_ratio(scene: Scene) -> None:
-    """Log that a FLIP ratio per step makes losses depend on the time step."""
-    if scene.accuracy.keeps and scene.accuracy.flip_ratio is not None:
-        log.info(
-            "accuracy.flip_ratio = %g is kept in each step: the shorter the step, the more is lost;"
-            " accuracy.flip_decay_time is a time",
-            scene.accuracy.flip_ratio,
-        )
 
 
 def _join(scene: Scene, pieces: list[BuiltObject]) -> PreparedScene:

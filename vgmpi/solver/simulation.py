@@ -181,8 +181,7 @@ class Simulation:
     def set_directory(self, census: BlockDirectory) -> None:
         """Build the exchange tables for a directory, whose segments the groups already hold.
 
-        The old tables are reused if no segment came, went or changed its owner, and no collider or
-        pinned part can be near other blocks now.
+        The old tables are reused if they are the same, also near colliders and pinned parts.
         """
         unchanged = self.halo is not None and self.census.has_segments_of(census)
         unchanged &= self.movers is None and (self.pins is None or not self.pins.moving)
@@ -292,7 +291,7 @@ class Simulation:
         spawned = self.sources is not None and self.sources.due(before, self.time)
         if spawned:
             self._insert(self._spawned(before))
-        moved = any(m is not None and m.left_safe_range(self.time) for m in (self.movers, self.pins))
+        moved = any(m and m.left_safe_range(self.time) for m in (self.movers, self.pins))
         moved |= self.sides is not None and self.sides.change(maxima[-1], self.time)
         if maxima[1] >= self.max_stray or moved or spawned or released:
             self.sort()

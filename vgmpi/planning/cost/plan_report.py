@@ -77,15 +77,7 @@ def format_plan(
             rule = plan.rules.pair[a, b] if plan.rules else CONTACT
             how = f"friction {plan.friction[a][b]:g}" if rule == CONTACT else "they share space"
             lines.append(f"  {RULES[rule]:11s} {names}: {how}")
-    lines.append(
-        "  walls       "
-        + ", ".join(
-            f"{w[0]}"
-            + (f" (friction {w[1]:g})" if w[1] else "")
-            + (f" until {time:g} s" if time is not None else "")
-            for w, time in zip(plan.walls, plan.opens, strict=True)
-        )
-    )
+    lines.append(_walls(plan))
     lines += rigid_body_lines(scene, plan) + pinned_lines(plan) + _joints(scene)
     lines += _slip(scene) + _flows(plan)
     lines += _accuracy_notes(scene, plan)
@@ -96,6 +88,17 @@ def format_plan(
         f" {total / ranks / 2**20:.0f} MiB per rank on {ranks} rank(s)"
     )
     return "\n".join(lines + _steps(scene, plan, ranks, reached, pace, rehearsal, is_known))
+
+
+def _walls(plan: Plan) -> str:
+    """Return the line about the walls of the domain."""
+    walls = (
+        wall
+        + (f" (friction {friction:g})" if friction else "")
+        + (f" until {time:g} s" if time is not None else "")
+        for (wall, friction), time in zip(plan.walls, plan.opens, strict=True)
+    )
+    return "  walls       " + ", ".join(walls)
 
 
 def _regions(scene: Scene, plan: Plan) -> list[str]:
