@@ -17,7 +17,7 @@ from tests.support.launch import mpirun
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "tutorial" / "python.md").read_text()
-EXAMPLE, SERIES, SWEEP = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+EXAMPLE, NOTEBOOK, SERIES, SWEEP = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 SCENE = """
 [accuracy]
@@ -62,7 +62,7 @@ def test_the_example_of_the_docs(tmp_path):
 def test_the_series_and_the_sweep_of_the_docs(tmp_path):
     """One after the other, as the page has them."""
     end = "\nprint(points.n_points, flat)\n"
-    (tmp_path / "script.py").write_text(EXAMPLE + SERIES + SWEEP + end)
+    (tmp_path / "script.py").write_text(EXAMPLE + NOTEBOOK + SERIES + SWEEP + end)
     env = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "script.py"]
     job = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True)

@@ -92,7 +92,7 @@ ANSWERS: dict[str, dict[str, str]] = {
     },
     "vgmpi.planning.pinned_groups": {
         "pinned_plans": "return (), groups",
-        "groups_of_particles": KEPT,
+        "set_pinned_groups": "return",
     },
     "vgmpi.kernels.rigid.pinned_nodes": {},
     "vgmpi.solver.boundary.pinned_coupling": {"make_pinned_parts": "return None"},

@@ -19,7 +19,7 @@ from vgmpi.parallel import (
     node_overlap,
     sort_kernels,
 )
-from vgmpi.solver import simulation
+from vgmpi.parallel.block_ownership import BlockDirectory
 from vgmpi.solver.engines import cpu, nodal_field_storage
 
 STEPS = 240
@@ -265,7 +265,7 @@ def sent_too_early(monkeypatch):
 
 def old_tables(monkeypatch):
     """A rank keeps its tables although blocks came or went."""
-    monkeypatch.setattr(simulation, "_same_blocks", lambda before, after: True)
+    monkeypatch.setattr(BlockDirectory, "has_segments_of", lambda before, after: True)
 
 
 def local_cuts(monkeypatch):

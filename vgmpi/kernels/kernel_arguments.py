@@ -1,7 +1,7 @@
 """Kernel arguments by name.
 
 The tables hold the particles and segments of a group, the node blocks of a rank, the sums of a
-nodal field, the domain's walls and the scene's phases.
+nodal field and the domain's walls.
 """
 
 from typing import NamedTuple
@@ -61,16 +61,6 @@ class Walls(NamedTuple):
         np.ndarray
     )  # (3, 2) wall kinds for resolved surfaces: 0 if contact pushes them
     friction: np.ndarray  # (3, 2) [-] Coulomb coefficients
-
-
-class Phases(NamedTuple):
-    """Constants of the phases that the grid update needs."""
-
-    least: np.ndarray  # (phases,) [kg] mass of a cell full of its lightest material
-    contact_priority: np.ndarray  # (phases,) priority of its surface for the normal: lowest first
-    friction: np.ndarray  # (phases + 1, phases) [-] Coulomb coefficients, last row: colliders
-    stiff: np.ndarray  # (phases,) [Pa] wave modulus of its stiffest law at rest
-    surface: np.ndarray  # (phases,) bool: the surfaces of its bodies are resolved
 
 
 class Step(NamedTuple):

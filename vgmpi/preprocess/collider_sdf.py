@@ -14,7 +14,6 @@ from vgmpi.scene.shapes import Shape
 
 from . import shape_sdf
 from .placement import PlacementError, SimilarityTransform, corners, rotate
-from .thin_shell import thin_shell
 
 FAR_DISTANCE = 1e6  # [own units] half the edge of a box that contains everything
 SMOOTHING_SIGMA = 1.0  # [voxels] standard deviation of the filter that smooths a body's distances
@@ -195,6 +194,8 @@ def with_shell(collider: Collider | None, thin: bool, dx: float) -> Collider | N
     if collider is None or not thin:
         return collider
     try:
+        from .thin_shell import thin_shell  # it imports scipy: only scenes with thin walls wait
+
         shell = thin_shell(collider, dx)
     except ValueError as error:
         raise PlacementError("thin", str(error)) from None

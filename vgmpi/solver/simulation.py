@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from vgmpi.kernels.rigid.moving_colliders import MovingColliders, place_colliders
+from vgmpi.kernels.rigid.moving_colliders import place_colliders
 from vgmpi.kernels.rigid.prescribed_motion import PrescribedBodies
 from vgmpi.kernels.step_limits import MAX_CELLS_PER_STEP
 from vgmpi.kernels.transfer import g2p
@@ -64,8 +64,8 @@ class Simulation:
         self.lattice = BlockLattice(plan.cells, plan.dx)
         # true if a collider has its own friction, is free, or its reaction is requested
         per_collider = len(plan.friction) > len(plan.phases) + 1 or plan.numbers_colliders
-        self.solids = place_colliders(list(colliders), self.lattice, plan.real, per_collider)
-        self.movers = self.solids if isinstance(self.solids, MovingColliders) else None
+        solids = place_colliders(list(colliders), self.lattice, plan.real, per_collider)
+        self.movers, self.solids = solids
         self.pins = make_pinned_parts(plan, self.lattice, self.movers, len(colliders), threads)
         self.driven = PrescribedBodies(plan, len(colliders)) if plan.driven else None
         self.motions = [m for m in (self.movers, self.driven, self.pins) if m is not None]

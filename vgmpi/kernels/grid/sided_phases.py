@@ -1,4 +1,4 @@
-"""Nodes next to thin walls, where what lies on the two sides of a wall are two velocity fields.
+"""Constants of the phases, and nodes next to thin walls, whose two sides are two velocity fields.
 
 For the field of side s, a wall is a half space behind the face of that side. Where no wall is
 close, and beyond the edges of walls, both fields are one: they have the mean velocity, and contact
@@ -6,15 +6,25 @@ sees the sum of both.
 """
 
 from collections import namedtuple
+from typing import NamedTuple
 
 import numpy as np
 
-from vgmpi.kernels.kernel_arguments import Phases
 from vgmpi.kernels.simd.cooperative import strided_range, sync_threads
 from vgmpi.kernels.simd.static_dispatch import static_dispatch
 from vgmpi.runtime.jit import device_function
 
 SIDED_CELLS = 1.5  # [cells] distance from a wall within which its two sides are two fields
+
+
+class Phases(NamedTuple):
+    """Constants of the phases that the grid update needs."""
+
+    least: np.ndarray  # (phases,) [kg] mass of a cell full of its lightest material
+    contact_priority: np.ndarray  # (phases,) priority of its surface for the normal: lowest first
+    friction: np.ndarray  # (phases + 1, phases) [-] Coulomb coefficients, last row: colliders
+    stiff: np.ndarray  # (phases,) [Pa] wave modulus of its stiffest law at rest
+    surface: np.ndarray  # (phases,) bool: the surfaces of its bodies are resolved
 
 
 # The fields of Phases, and the thin walls next to the nodes of this rank: `side` (phases,), 1 or -1
@@ -186,12 +196,36 @@ def _own_face(phases, p, solid, node, normal, distance):
     return face[3]
 
 
-@device_function
+@static_dispatch
 def is_sided(phases, solid, node, dx):
     """Return whether the two sides of a thin wall are two fields at a node."""
+
+
+@is_sided.of(Phases)
+def _is_never_sided(phases, solid, node, dx):
+    return False
+
+
+@is_sided.of(SidedPhases)
+def _is_close_to_wall(phases, solid, node, dx):
     if solid < 0 or not phases.faces[solid, node, 0, 3] < np.inf:
         return False
     return phases.walls[solid, node, 3] < SIDED_CELLS * dx
+
+
+@static_dispatch
+def side_of(phases, p):
+    """Return the side of thin walls on which a phase is: 1 or -1 (back), 0 on both."""
+
+
+@side_of.of(Phases)
+def _no_side(phases, p):
+    return 0
+
+
+@side_of.of(SidedPhases)
+def _stored_side(phases, p):
+    return phases.side[p]
 
 
 @device_function

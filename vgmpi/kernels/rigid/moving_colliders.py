@@ -161,8 +161,10 @@ class MovingColliders:
 
 def place_colliders(
     colliders: list, lattice: BlockLattice, real: np.dtype, numbered: bool
-) -> MovingColliders | StaticColliders | None:
-    """Return the colliders at the nodes; those that move and thin walls are evaluated every step.
+) -> tuple[MovingColliders | None, MovingColliders | StaticColliders | None]:
+    """Return the colliders that are evaluated every step, or None, and all colliders at the nodes.
+
+    The former are those of scenes in which a collider moves or is a thin wall.
 
     Args:
         colliders: Colliders.
@@ -171,8 +173,9 @@ def place_colliders(
         numbered: Store the number of the nearest collider.
     """
     if any(_changes(collider) for collider in colliders):
-        return MovingColliders(colliders, lattice, real, numbered)
-    return StaticColliders(colliders, lattice, real, numbered) if colliders else None
+        movers = MovingColliders(colliders, lattice, real, numbered)
+        return movers, movers
+    return None, StaticColliders(colliders, lattice, real, numbered) if colliders else None
 
 
 def _changes(collider) -> bool:

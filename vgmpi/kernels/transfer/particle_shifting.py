@@ -22,8 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vgmpi.kernels.grid.contact_impulses import half_space_fraction
-from vgmpi.kernels.grid.sided_phases import SidedPhases, is_sided
-from vgmpi.kernels.kernel_arguments import Phases
+from vgmpi.kernels.grid.sided_phases import face_of_side, is_sided, side_of
 from vgmpi.kernels.particle_records import AFFINE, STATE, load_tensor
 from vgmpi.kernels.simd.cooperative import strided_range, sync_threads
 from vgmpi.kernels.simd.node_row_ops import fourth_of
@@ -33,7 +32,6 @@ from vgmpi.kernels.simd.row_ops import (
     horizontal_max,
     load_records,
 )
-from vgmpi.kernels.simd.static_dispatch import static_dispatch
 from vgmpi.kernels.simd.vector16 import load, store
 from vgmpi.kernels.wall_boundary import SEPARATE, SIDE
 from vgmpi.materials.tensor_math.select import select
@@ -163,9 +161,10 @@ def store_fullness(n0, n1, phase_of, nodes, volumes, fill, block, solid, phases,
     sync_threads()
     for q in strided_range(64):
         o = 256 * first + 4 * q + 3
-        if store_sided_fullness(
-            phases, n0, n1, phase_of, nodes, volumes, fill, block, solid, dx, q
-        ):
+        if is_sided(phases, solid, q, dx):
+            _store_sided_fullness(
+                phases, n0, n1, phase_of, nodes, volumes, fill, block, solid, dx, q
+            )
             continue
         total = fill_of_phase(fill, volumes, nodes, n0, phase_of[n0], 4 * q + 3)
         for nb in range(n0 + 1, n1):
@@ -184,45 +183,31 @@ def store_fullness(n0, n1, phase_of, nodes, volumes, fill, block, solid, phases,
     sync_threads()
 
 
-@static_dispatch
-def store_sided_fullness(phases, n0, n1, phase_of, nodes, volumes, fill, block, solid, dx, q):
+@device_function
+def _store_sided_fullness(phases, n0, n1, phase_of, nodes, volumes, fill, block, solid, dx, q):
     """Store the fullness on either side of a thin wall, for which the wall is a half space.
 
     Args:
         phases, n0, n1, phase_of, nodes, volumes, fill, block, solid, dx: See `store_fullness`.
         q: Node in its block.
-
-    Returns:
-        Whether the two sides of a wall are two fields at the node.
     """
-
-
-@store_sided_fullness.of(Phases)
-def _no_sides(phases, n0, n1, phase_of, nodes, volumes, fill, block, solid, dx, q):
-    return False
-
-
-@store_sided_fullness.of(SidedPhases)
-def _of_sides(phases, n0, n1, phase_of, nodes, volumes, fill, block, solid, dx, q):
-    if not is_sided(phases, solid, q, dx):
-        return False
+    normal = np.zeros(3)
     front = back = 0.0
     for nb in range(n0, n1):
         amount = fill_of_phase(fill, volumes, nodes, nb, phase_of[nb], 4 * q + 3)
-        if phases.side[phase_of[nb]] >= 0:
+        if side_of(phases, phase_of[nb]) >= 0:
             front += amount
-        if phases.side[phase_of[nb]] <= 0:
+        if side_of(phases, phase_of[nb]) <= 0:
             back += amount
     i, j, k = 4 * block[0] - 1 + q // 16, 4 * block[1] - 1 + q // 4 % 4, 4 * block[2] - 1 + q % 4
     outside, share = share_outside_walls(fill, i, j, k), wall_share(fill, i, j, k)
     for nb in range(n0, n1):
         p = phase_of[nb]
         if fill.shifts[p]:
-            depth = phases.faces[solid, q, 0 if phases.side[p] >= 0 else 1, 3]
-            free = outside * (1.0 - half_space_fraction(depth / dx))
-            total = front if phases.side[p] >= 0 else back
+            d = face_of_side(phases, p, solid, q, normal, np.inf)
+            free = outside * (1.0 - half_space_fraction(d / dx))
+            total = front if side_of(phases, p) >= 0 else back
             nodes[256 * nb + 4 * q + 3] = total + (1.0 - free) * share
-    return True
 
 
 @device_function

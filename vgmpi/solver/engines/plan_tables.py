@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from vgmpi.kernels.kernel_arguments import Phases, Walls
+from vgmpi.kernels.grid.sided_phases import Phases
+from vgmpi.kernels.kernel_arguments import Walls
 from vgmpi.kernels.wall_boundary import KINDS
 from vgmpi.parallel.block_lattice import BLOCK_EDGE
 from vgmpi.planning.plan import Plan
