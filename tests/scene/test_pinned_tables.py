@@ -4,10 +4,13 @@ import logging
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 import vgmpi
+from tests.support.simulate import advance, begin, by_id
 from vgmpi.planning.cost.plan_report import format_plan
+from vgmpi.planning.region_groups import groups_of_particles
 from vgmpi.runtime.config.schema import SceneError
 
 SCENE = """
@@ -147,3 +150,62 @@ def test_the_numpy_engine_refuses(tmp_path):
     job = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert job.returncode == 2
     assert "engine numpy has no pinned parts (object.pinned)" in job.stderr
+
+
+BESIDE = """
+[domain]
+size = [0.32, 0.16, 0.16]
+cell = 0.01
+[time]
+end = 0.01
+[material.rubber]
+kind = "elastic"
+youngs_modulus = 1e5
+[material.gum]
+kind = "elastic"
+youngs_modulus = 2e5
+[material.water]
+kind = "fluid"
+[[object]]
+name = "beam"
+material = "rubber"
+phase = "solid"
+shape = { box = [[0.2, 0.06, 0.06], [0.3, 0.1, 0.1]] }
+pinned = { box = [[0.27, 0, 0], [0.4, 0.2, 0.2]] }
+[[object]]
+name = "block"
+material = "gum"
+phase = "solid"
+shape = { box = [[0.12, 0.06, 0.06], [0.16, 0.1, 0.1]] }
+[[object.region]]
+material = "rubber"
+box = [[0.14, 0, 0], [0.2, 0.2, 0.2]]
+"""
+WALL = """
+[[object]]
+name = "pool"
+material = "water"
+shape = { box = [[0, 0, 0], [0.1, 0.16, 0.08]] }
+[[object]]
+name = "plate"
+role = "scenery"
+collider = true
+thin = true
+shape = { box = [[0.1, -0.1, -0.1], [0.105, 0.3, 0.3]] }
+"""
+
+
+@pytest.mark.parametrize("more", ["", WALL], ids=["alone", "beside a thin wall"])
+def test_parts_regions_and_thin_walls_have_groups_of_their_own(tmp_path, more):
+    """A region of the material of a body that is pinned belongs to the body's free group."""
+    simulation, made = begin(tmp_path, BESIDE + more)
+    plan = simulation.plan
+    (part,), (region,) = plan.pins, plan.regions
+    assert plan.groups[part.group].pinned and not plan.groups[region.group].pinned
+    assert plan.groups[region.group].material == "rubber"
+    counts = [group.count.sum() for group in simulation.groups]
+    assert counts[part.group] == part.region.count and sum(counts) == len(made.x)
+    advance(simulation, 2e-3)
+    (x,) = by_id(simulation, "x")
+    held = groups_of_particles(plan, np.arange(len(x)), made.object) == part.group
+    assert (x[held] == made.x[held]).all() and not (x[~held] == made.x[~held]).all()

@@ -30,7 +30,7 @@ def pinned_plans(
         regions: Pinned parts with their particles.
 
     Returns:
-        The plans, and all groups with those of the parts last.
+        The plans, and the groups with those of the parts behind them.
     """
     plans, every = [], list(groups)
     for region in regions:

@@ -269,8 +269,8 @@ def make_plan(
     driven, groups, group_of = prescribed_body_plans(
         scene, complete, group_of, phases, extents or {}
     )
-    groups, phases, sides = with_back_sides(scene, groups, phases)
     pins, groups = pinned_plans(groups, group_of, pinned)
+    groups, phases, sides = with_back_sides(scene, groups, phases)
     plan = Plan(
         cells=scene.domain.cells, dx=scene.domain.cell, real=real,
         gravity=scene.domain.gravity, walls=tuple(scene.domain.walls),

@@ -30,7 +30,8 @@ def region_plans(plan: "Plan", entries: list[dict]) -> tuple[RegionPlan, ...]:
         plan: The plan.
         entries: Entries of the objects and inlets in output files.
     """
-    number = {(group.phase, group.material): g for g, group in enumerate(plan.groups)}
+    free = [g for g, group in enumerate(plan.groups) if not group.pinned]
+    number = {(plan.groups[g].phase, plan.groups[g].material): g for g in free}
     plans = []
     for k, entry in enumerate(entries):
         for part in entry.get("regions", ()):

@@ -12,7 +12,7 @@ from vgmpi.scene.scene import Scene
 
 from .load_targets import index_runs
 from .object_builder import spacing_of
-from .shape_sdf import TIE, distance
+from .shape_sdf import contains, distance
 
 log = logging.getLogger("vgmpi")
 SURROUNDINGS_CELLS = 3  # [cells] around its particles within which a part has a surface
@@ -77,10 +77,9 @@ def resolve_pinned_parts(
     errors: list[tuple[tuple, str]] = []
     for k, obj in enumerate(scene.object):
         rows = np.flatnonzero(owner == k) if obj.pinned else np.zeros(0, np.int64)
-        free, shift = rows, TIE * spacing_of(scene, obj) if obj.pinned else 0.0
+        free, spacing = rows, spacing_of(scene, obj) if obj.pinned else 0.0
         for number, part in enumerate(obj.pinned):
-            # A face that runs through a layer of particles takes it at the low side, as in shapes.
-            inside = distance(part, x[free] + shift) < 0
+            inside = contains(part, x[free], spacing)
             if not inside.any():
                 message = f"holds no particle of '{obj.name}' at the start"
                 errors.append((("object", k, "pinned", number), message))

@@ -154,15 +154,15 @@ class FreeBodyCoupling:
         layers = engine.layers
         fields = tuple(layers[name].tables for name in NEAR_BODIES)
         coupled = body_nodes.CoupledBodies(self.number_of, bodies.x, self.friction, self.slip)
+        nodes = body_nodes.NodesNearBodies(
+            self.movers.table, self.near, self.movers.nodes, self.movers.whose, self.counts,
+            layers["momentum"].nodes, layers["offsets"].nodes, fields,
+            self.no_pins if self.pins is None else self.pins.marks,
+        )  # fmt: skip
         while True:
-            count, marks = 0, self.no_pins
+            count = 0
             if self.pins is not None:
                 count = self.pins.find_contacts(engine, bodies.x, self.counts, self.contacts)
-                marks = self.pins.marks
-            nodes = body_nodes.NodesNearBodies(
-                self.movers.table, self.near, self.movers.nodes, self.movers.whose, self.counts,
-                layers["momentum"].nodes, layers["offsets"].nodes, fields, marks,
-            )  # fmt: skip
             count = body_nodes.find_contacts(
                 nodes, engine.blocks, coupled, engine.phases, engine.walls, dt, self.plan.dx,
                 self.contacts, count,

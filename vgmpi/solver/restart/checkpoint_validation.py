@@ -221,11 +221,11 @@ def _rows(simulation, saved, g, first, block):
     wrong = (ids < 0) | (ids >= plan.particles)
     if not wrong.any():
         owner = simulation.object_of(ids)
-        wrong = groups_of_particles(plan, ids, owner) != g
+        usual = groups_of_particles(plan, ids, owner)
+        wrong = usual != g
         for body in plan.driven:  # released particles are in the group that they join
             wrong &= ~(np.isin(owner, body.things) & (body.joins == g))
         if plan.sides is not None:  # those on the back side of a wall are in a group of their own
-            usual = groups_of_particles(plan, ids, owner)
             wrong &= np.array(plan.sides.twin_group)[usual] != g
     if wrong.any():
         row = int(np.argmax(wrong))
