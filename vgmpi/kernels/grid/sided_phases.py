@@ -92,7 +92,14 @@ def _unite(phases, block, solid, phase_of, nodes, offsets, dx):
 
 @static_dispatch
 def part_sides(phases, block, phase_of, nodes):
-    """Give the back field its mass and the common velocity where `unite_sides` made both one."""
+    """Give the back field its mass and the common velocity where `unite_sides` made both one.
+
+    Args:
+        phases: Constants of the phases.
+        block: Context of the block.
+        phase_of: Phase of each node block.
+        nodes: Velocities and masses, flat (in/out).
+    """
 
 
 @part_sides.of(Phases)
@@ -198,7 +205,14 @@ def _own_face(phases, p, solid, node, normal, distance):
 
 @static_dispatch
 def is_sided(phases, solid, node, dx):
-    """Return whether the two sides of a thin wall are two fields at a node."""
+    """Return whether the two sides of a thin wall are two fields at a node.
+
+    Args:
+        phases: Constants of the phases.
+        solid: Row of the block among those near colliders, or -1.
+        node: Node in its block.
+        dx: Cell size [m].
+    """
 
 
 @is_sided.of(Phases)

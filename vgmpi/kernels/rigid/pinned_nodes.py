@@ -15,7 +15,7 @@ from vgmpi.kernels.reaction_impulses import add_contact_reaction, set_block, set
 from vgmpi.runtime.jit import device_function, kernel
 
 from .body_nodes import REACH_CELLS, mean_gradient
-from .sdf_sampling import distance_from_collider, surface_velocity
+from .sdf_sampling import distance_from_collider, surface_velocity, turn_gradient
 from .surface_slip import stopped_axes
 
 
@@ -73,16 +73,10 @@ def _closest_part(table, movers, row, p, x, sample, own, dx):
         if table.phase[m] != p:
             continue
         d = distance_from_collider(movers, m, x, own[0], own[1])
-        if not abs(d) < reach:
-            continue
-        g = own[1]
-        size = np.sqrt(g[0] ** 2 + g[1] ** 2 + g[2] ** 2)
-        if size == 0.0:
-            continue
-        closest, reach, r = m, abs(d), movers.rotation[m]
-        sample[3] = d
-        for k in range(3):
-            sample[k] = (r[k, 0] * g[0] + r[k, 1] * g[1] + r[k, 2] * g[2]) / size
+        if abs(d) < reach and turn_gradient(movers, m, own[1], own[0]):
+            closest, reach, sample[3] = m, abs(d), d
+            for k in range(3):
+                sample[k] = own[0, k]
     return closest
 
 

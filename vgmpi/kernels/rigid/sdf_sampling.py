@@ -55,7 +55,14 @@ def _no_side(movers, m, own, sample):
 
 @static_dispatch
 def store_side(movers, m, b, node, side):
-    """Store the two faces of the wall that `sample_side` saw for a node of a block."""
+    """Store the two faces of the wall that `sample_side` saw for a node of a block.
+
+    Args:
+        movers: Sampled colliders.
+        m: Number of the collider.
+        b, node: Block and number of the node in it.
+        side: What `sample_side` returned.
+    """
 
 
 @store_side.of(SampledSdf)
@@ -65,13 +72,45 @@ def _store_no_side(movers, m, b, node, side):
 
 @device_function
 def own_position(movers, m, x, own):
-    """Compute the initial position `own` (3,) (out) of the collider's point now at x (3,)."""
+    """Compute the initial position of a collider's point.
+
+    Args:
+        movers: Sampled colliders.
+        m: Number of the collider.
+        x: Where the point is now, shape (3,) [m].
+        own: Its position at the start (out), shape (3,) [m].
+    """
     r = movers.rotation[m]
     a = x[0] - movers.about[m, 0] - movers.move[m, 0]
     b = x[1] - movers.about[m, 1] - movers.move[m, 1]
     c = x[2] - movers.about[m, 2] - movers.move[m, 2]
     for k in range(3):
         own[k] = r[0, k] * a + r[1, k] * b + r[2, k] * c + movers.about[m, k]
+
+
+@device_function
+def interpolate_cell(v, base, over, up, place, spacing, sample):
+    """Interpolate values and their gradient linearly in a cell of a lattice.
+
+    Args:
+        v: Values at the points, flat.
+        base: Row of the cell's first corner.
+        over, up: Rows from a point to the next one along x and y; along z it is 1.
+        place: Place in the cell, three numbers from 0 to 1.
+        spacing: Spacing of the points [m].
+        sample: Gradient and value (out), shape (4,).
+    """
+    x, y, z = place
+    a, b, c, d = v[base], v[base + 1], v[base + up], v[base + up + 1]
+    e, f, g, h = v[base + over], v[base + over + 1], v[base + over + up], v[base + over + up + 1]
+    low, high = a + z * (b - a), c + z * (d - c)
+    low2, high2 = e + z * (f - e), g + z * (h - g)
+    lower, upper = low + y * (high - low), low2 + y * (high2 - low2)
+    sample[0] = (upper - lower) / spacing
+    sample[1] = ((high - low) * (1 - x) + (high2 - low2) * x) / spacing
+    along, along2 = (b - a) * (1 - y) + (d - c) * y, (f - e) * (1 - y) + (h - g) * y
+    sample[2] = (along * (1 - x) + along2 * x) / spacing
+    sample[3] = lower + x * (upper - lower)
 
 
 @device_function
@@ -89,17 +128,7 @@ def _sample(movers, m, own, sample):
         return False
     x, y, z = x - i, y - j, z - k
     base = movers.first[m] + (i * ny + j) * nz + k
-    v, up, over = movers.values, nz, ny * nz
-    a, b, c, d = v[base], v[base + 1], v[base + up], v[base + up + 1]
-    e, f, g, h = v[base + over], v[base + over + 1], v[base + over + up], v[base + over + up + 1]
-    low, high = a + z * (b - a), c + z * (d - c)
-    low2, high2 = e + z * (f - e), g + z * (h - g)
-    lower, upper = low + y * (high - low), low2 + y * (high2 - low2)
-    sample[0] = (upper - lower) / movers.spacing
-    sample[1] = ((high - low) * (1 - x) + (high2 - low2) * x) / movers.spacing
-    along, along2 = (b - a) * (1 - y) + (d - c) * y, (f - e) * (1 - y) + (h - g) * y
-    sample[2] = (along * (1 - x) + along2 * x) / movers.spacing
-    sample[3] = lower + x * (upper - lower)
+    interpolate_cell(movers.values, base, ny * nz, nz, (x, y, z), movers.spacing, sample)
     return True
 
 
@@ -131,19 +160,31 @@ def _interpolate_gradient(movers, m, own, sample):
 
 
 @device_function
+def turn_gradient(movers, m, gradient, normal):
+    """Turn a gradient to a unit normal as the collider stands now; return False if it is 0.
+
+    Args:
+        movers: Sampled colliders.
+        m: Number of the collider.
+        gradient: Gradient in the collider's frame, shape (3,) or longer.
+        normal: Unit normal, 0 without a gradient (out), shape (3,) or longer.
+    """
+    r = movers.rotation[m]
+    size = np.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
+    for k in range(3):
+        turned = r[k, 0] * gradient[0] + r[k, 1] * gradient[1] + r[k, 2] * gradient[2]
+        normal[k] = turned / size if size > 0.0 else 0.0
+    return size > 0.0
+
+
+@device_function
 def _smooth_normal(movers, m, own, sample, normal):
     """Compute the outward normal of a collider (out), shape (3,); return False if it has none.
 
     sample: Gradient, which changes, and distance at `own`, shape (4,).
     """
     _interpolate_gradient(movers, m, own, sample)
-    size = np.sqrt(sample[0] ** 2 + sample[1] ** 2 + sample[2] ** 2)
-    if size == 0.0:
-        return False
-    r = movers.rotation[m]
-    for k in range(3):
-        normal[k] = (r[k, 0] * sample[0] + r[k, 1] * sample[1] + r[k, 2] * sample[2]) / size
-    return True
+    return turn_gradient(movers, m, sample, normal)
 
 
 @device_function
@@ -161,15 +202,6 @@ def sample_surface(movers, m, x, normal):
     if not _sample(movers, m, own, sample) or not _smooth_normal(movers, m, own, sample, normal):
         return np.inf
     return sample[3]
-
-
-@device_function
-def _turn_gradient(movers, m, sample, normal):
-    """Turn the gradient in `sample` (4,) to a unit normal (3,) (out) as the collider stands now."""
-    r, size = movers.rotation[m], np.sqrt(sample[0] ** 2 + sample[1] ** 2 + sample[2] ** 2)
-    for k in range(3):
-        turned = r[k, 0] * sample[0] + r[k, 1] * sample[1] + r[k, 2] * sample[2]
-        normal[k] = turned / max(size, 1e-300)
 
 
 @device_function
@@ -213,16 +245,10 @@ def sample_collider(movers, m, x, dt, sample, velocity):
     Returns:
         False if the point is too far away, or has no normal.
     """
-    own, at_start, r = np.zeros(3), np.zeros(4), movers.rotation[m]
+    own, at_start = np.zeros(3), np.zeros(4)
     sample[3] = distance_from_collider(movers, m, x, own, at_start)
-    if not sample[3] < np.inf:
+    if not sample[3] < np.inf or not turn_gradient(movers, m, at_start, sample):
         return False
-    size = np.sqrt(at_start[0] ** 2 + at_start[1] ** 2 + at_start[2] ** 2)
-    if size == 0.0:
-        return False
-    for k in range(3):
-        turned = r[k, 0] * at_start[0] + r[k, 1] * at_start[1] + r[k, 2] * at_start[2]
-        sample[k] = turned / size
     _carry(movers, m, own, x, dt, velocity)
     return True
 
@@ -281,7 +307,7 @@ def evaluate_colliders(blocks, first, nearby, movers, dt, dx, nodes, moves, whos
                 if sample[3] >= min(nodes[b, node, 3], SDF_BAND_CELLS * dx):
                     continue
                 if side != 0:
-                    _turn_gradient(movers, m, sample, normal)
+                    turn_gradient(movers, m, sample, normal)
                 elif not _smooth_normal(movers, m, own, sample, normal):
                     continue
                 for k in range(3):

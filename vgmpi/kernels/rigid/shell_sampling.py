@@ -10,7 +10,13 @@ import numpy as np
 
 from vgmpi.runtime.jit import device_function, kernel
 
-from .sdf_sampling import own_position, sample_side, store_side
+from .sdf_sampling import (
+    interpolate_cell,
+    own_position,
+    sample_side,
+    store_side,
+    turn_gradient,
+)
 
 WALL_BAND_CELLS = 5.0  # [cells] distance from a wall within which particles have a side
 SIDED, NEAR_EDGE, EDGE = 1, 2, 3  # kinds of lattice points, 0: far from the wall
@@ -102,17 +108,7 @@ def sample_shell(shells, m, own, sample):
     up, over = nz, ny * nz
     for side in range(2):
         v = shells.distances[:, side]
-        a, b, c, d = v[base], v[base + 1], v[base + up], v[base + up + 1]
-        e, f = v[base + over], v[base + over + 1]
-        g, h = v[base + over + up], v[base + over + up + 1]
-        low, high = a + z * (b - a), c + z * (d - c)
-        low2, high2 = e + z * (f - e), g + z * (h - g)
-        lower, upper = low + y * (high - low), low2 + y * (high2 - low2)
-        sample[side, 0] = (upper - lower) / r
-        sample[side, 1] = ((high - low) * (1 - x) + (high2 - low2) * x) / r
-        along, along2 = (b - a) * (1 - y) + (d - c) * y, (f - e) * (1 - y) + (h - g) * y
-        sample[side, 2] = (along * (1 - x) + along2 * x) / r
-        sample[side, 3] = lower + x * (upper - lower)
+        interpolate_cell(v, base, over, up, (x, y, z), r, sample[side])
     return shells.kinds[base + int(x + 0.5) * over + int(y + 0.5) * up + int(z + 0.5)]
 
 
@@ -125,13 +121,9 @@ def turn_faces(shells, m, faces):
         m: Number of the collider.
         faces: Normal and distance [m] of the front and the back side (out), shape (2, 4).
     """
-    r, both = shells.rotation[m], shells.scratch
     for q in range(2):
-        size = np.sqrt(both[q, 0] ** 2 + both[q, 1] ** 2 + both[q, 2] ** 2)
-        for k in range(3):
-            turned = r[k, 0] * both[q, 0] + r[k, 1] * both[q, 1] + r[k, 2] * both[q, 2]
-            faces[q, k] = turned / max(size, 1e-300)
-        faces[q, 3] = both[q, 3]
+        turn_gradient(shells, m, shells.scratch[q], faces[q])
+        faces[q, 3] = shells.scratch[q, 3]
 
 
 @sample_side.of(SampledShells)
