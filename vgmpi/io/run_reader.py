@@ -152,6 +152,13 @@ class RunReader:
             integrity.check_frame(f, i, {"VTKHDF/FieldData/time": time})
             return float(time[0])
 
+    def particle_count(self, i: int) -> int:
+        """Return the number of particles in frame i, without reading them. Raises RunError."""
+        with opened(self.path(i)) as f:
+            count = f["VTKHDF/NumberOfPoints"][()]
+            integrity.check_frame(f, i, {"VTKHDF/NumberOfPoints": count})
+        return int(count[0])
+
     def positions(self, i: int) -> np.ndarray:
         """Return the positions in frame i alone, shape (n, 3) [m]. Raises RunError."""
         with opened(self.path(i)) as f:

@@ -143,9 +143,7 @@ class OpenedRun:
 
     def _particles(self) -> str:
         """Return how many particles it has, as text."""
-        last = max(self.reader.frames)
-        count = len(self.frames[last].positions)
-        return f"{count:,} particles"
+        return f"{self.reader.particle_count(max(self.reader.frames)):,} particles"
 
     def _repr_html_(self) -> str:
         """Return a thumbnail and a few numbers, for Jupyter."""
