@@ -204,6 +204,30 @@ def _own_face(phases, p, solid, node, normal, distance):
 
 
 @static_dispatch
+def distance_of_side(phases, p, solid, node):
+    """Return the distance [m] of a node outside the face of a thin wall on the side of a phase.
+
+    Args:
+        phases: Constants of the phases.
+        p: Phase.
+        solid: Row of the block among those near colliders.
+        node: Node in its block.
+    """
+
+
+@distance_of_side.of(Phases)
+def _no_distance(phases, p, solid, node):
+    return np.inf
+
+
+@distance_of_side.of(SidedPhases)
+def _own_distance(phases, p, solid, node):
+    if phases.side[p] == 0:
+        return np.inf
+    return phases.faces[solid, node, (1 - phases.side[p]) // 2, 3]
+
+
+@static_dispatch
 def is_sided(phases, solid, node, dx):
     """Return whether the two sides of a thin wall are two fields at a node.
 

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vgmpi.kernels.grid.contact_impulses import half_space_fraction
-from vgmpi.kernels.grid.sided_phases import face_of_side, is_sided, side_of
+from vgmpi.kernels.grid.sided_phases import distance_of_side, is_sided, side_of
 from vgmpi.kernels.particle_records import AFFINE, STATE, load_tensor
 from vgmpi.kernels.simd.cooperative import strided_range, sync_threads
 from vgmpi.kernels.simd.node_row_ops import fourth_of
@@ -191,7 +191,6 @@ def _store_sided_fullness(phases, n0, n1, phase_of, nodes, volumes, fill, block,
         phases, n0, n1, phase_of, nodes, volumes, fill, block, solid, dx: See `store_fullness`.
         q: Node in its block.
     """
-    normal = np.zeros(3)
     front = back = 0.0
     for nb in range(n0, n1):
         amount = fill_of_phase(fill, volumes, nodes, nb, phase_of[nb], 4 * q + 3)
@@ -204,7 +203,7 @@ def _store_sided_fullness(phases, n0, n1, phase_of, nodes, volumes, fill, block,
     for nb in range(n0, n1):
         p = phase_of[nb]
         if fill.shifts[p]:
-            d = face_of_side(phases, p, solid, q, normal, np.inf)
+            d = distance_of_side(phases, p, solid, q)
             free = outside * (1.0 - half_space_fraction(d / dx))
             total = front if side_of(phases, p) >= 0 else back
             nodes[256 * nb + 4 * q + 3] = total + (1.0 - free) * share
