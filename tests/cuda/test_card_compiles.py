@@ -33,6 +33,7 @@ def check(case, only=()):
     assert {one.card for one in found} == {80, 90}
     for one in found:
         assert one.spilled == 0, one[:-1]
+        assert not one.link_time, one[:-1]  # the linker contracts what the compiler did not
         assert one.count(r"fma\.rn\.f") == 0, one[:-1]
         assert one.count(r"\bcall\b") == 0, one[:-1]
         doubles = one.count(r"^\s+(@\S+ )?[a-z0-9_.]*\.f64\b")

@@ -1,9 +1,10 @@
-"""A card's engine in the simulator beside the processor's, bit by bit: a program of its own, since
-numba must know from the start that it simulates.
+"""A card's engine, on a card or in the simulator, beside the processor's, bit by bit: a program of
+its own, since numba must know from the start whether it simulates.
 
     python -m tests.support.cuda_bits single 2 fluid contact      precision, steps, scenes of
     test_engines
     python -m tests.support.cuda_bits single 2 fluid --break NAME --order 3
+    python -m tests.support.cuda_bits single 20 fluid contact --card      on a card, not simulated
 
 Prints a line per scene, `same` or `OTHER` and what differs; the processor does not contract
 products and sums, and scenes have cells twice as wide as in test_engines. --order: of the threads
@@ -18,9 +19,10 @@ import tempfile
 import warnings
 from pathlib import Path
 
-import tests.support.cuda_simulator as cudasim
-
 os.environ["VGMPI_CONTRACTION"] = "off"
+ON_CARD = "--card" in sys.argv
+if not ON_CARD:
+    import tests.support.cuda_simulator as cudasim
 
 import numpy as np  # noqa: E402
 from numba import cuda  # noqa: E402
@@ -171,11 +173,13 @@ def main(argv: list[str]) -> int:
     parser.add_argument("steps", type=int)
     parser.add_argument("scenes", nargs="+")
     parser.add_argument("--order", type=int)
+    parser.add_argument("--card", action="store_true", help="on a card, not in the simulator")
     parser.add_argument("--halves", action="store_true", help="two half warps a block, as a card")
     parser.add_argument("--break", dest="broken", choices=BREAKS)
     given = parser.parse_args(argv)
     warnings.filterwarnings("ignore", category=RuntimeWarning)
-    cudasim.SEED[0] = given.order
+    if not ON_CARD:
+        cudasim.SEED[0] = given.order
     if given.halves:
         cudasim.TEAM[0], thread_block.HALVES[0] = 16, 2
     if given.broken:

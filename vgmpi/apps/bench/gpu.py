@@ -63,7 +63,7 @@ def lines(args: argparse.Namespace) -> Iterator[str]:
     if problem:
         raise BenchError(problem)
     began = time.perf_counter()
-    yield f"a copy within the card moves {graphics_card.copy_bandwidth(1 << 28) / 1e9:.0f} GB/s"
+    yield f"a copy within the card moves {graphics_card.copy_bandwidth(1 << 30) / 1e9:.0f} GB/s"
     yield f"{'law':10s} {'particles':>11s} {'on the card':24s} {'Mpps':>8s}  ratio  by stage"
     for n in map(int, args.particles):
         for law in args.laws:

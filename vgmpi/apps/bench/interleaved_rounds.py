@@ -4,6 +4,7 @@ A change of the machine's pace then meets all of them, and ratios are taken betw
 time.
 """
 
+import itertools
 import json
 import os
 import shutil
@@ -12,6 +13,7 @@ import socket
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
@@ -25,6 +27,7 @@ from .contestant_worker import CONTESTANTS
 
 START_SECONDS = 300.0  # a contestant may take to compile
 MAX_CYCLES = 20  # in a round of ours
+WORKER_NUMBERS = itertools.count()
 RIVAL_LAWS = ("fluid", "elastic")  # written in the rivals, too
 NAMES = {
     "own": "vgmpi",
@@ -109,8 +112,9 @@ class Worker:
 
     def __init__(self, contestant: Contestant, case: Case, folder: Path):
         self.contestant = contestant
-        self.log = folder / f"{contestant.label.replace(' ', '_')}.log"
-        address = str(folder / "socket")
+        name = f"worker_{next(WORKER_NUMBERS)}"
+        self.log = folder / f"{name}.log"
+        address = str(folder / name)
         config = {
             "module": contestant.module,
             "path": contestant.path,
@@ -242,15 +246,13 @@ def run_interleaved(
     rows = [{**vars(c), "name": c.name, "on": c.on, "clock": c.clock} for c in contestants]
     live: list[tuple[dict, Worker]] = []
     try:
-        for row, contestant in zip(rows, contestants, strict=True):
-            say(f"{case.law}, {case.particles:,} particles: starting {contestant.label}")
-            try:
-                if contestant.obstacle():
-                    raise BenchError(contestant.obstacle())
-                live.append((row, Worker(contestant, case, folder)))
-                row["versions"] = live[-1][1].versions
-            except BenchError as error:
-                row["note"] = str(error)
+        workers = _start_workers(case, contestants, folder, say)
+        for row, worker in zip(rows, workers, strict=True):
+            if isinstance(worker, Worker):
+                live.append((row, worker))
+                row["versions"] = worker.versions
+            else:
+                row["note"] = worker
         say(f"{case.law}, {case.particles:,} particles: checking that all compute the same")
         _check(case, live, folder)
         _turns(case, live, rounds, seconds, say)
@@ -258,6 +260,25 @@ def run_interleaved(
         for _, worker in live:
             worker.close()
     return rows
+
+
+def _start_workers(
+    case: Case, contestants: list[Contestant], folder: Path, say
+) -> list[Worker | str]:
+    """Return the workers, or why one cannot start; those of a card start at the same time."""
+
+    def start(contestant: Contestant) -> Worker | str:
+        say(f"{case.law}, {case.particles:,} particles: starting {contestant.label}")
+        try:
+            if contestant.obstacle():
+                raise BenchError(contestant.obstacle())
+            return Worker(contestant, case, folder)
+        except BenchError as error:
+            return str(error)
+
+    at_once = len(contestants) if all(c.card for c in contestants) else 1
+    with ThreadPoolExecutor(at_once) as pool:
+        return list(pool.map(start, contestants))
 
 
 def _turns(case: Case, live: list, rounds: int, seconds: float, say) -> None:

@@ -71,6 +71,10 @@ class Contestant:
 
             self.now, self.launches = finished_at, LAUNCH_COUNT
         self.restart()
+        if card:  # compiles, beside the other contestants of the card
+            self.step()
+            del self.simulation
+            self.restart()
 
     def restart(self) -> None:
         """Begin the run again."""

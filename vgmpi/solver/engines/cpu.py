@@ -121,10 +121,7 @@ class Cpu(KernelCaller):
                 raise RuntimeError(f"group {group.plan.name}: segments do not match the census")
         if unchanged:
             self.parts = [
-                part._replace(
-                    particles=particles_of(g),
-                    segments=part.segments._replace(start=g.start, count=g.count),
-                )
+                part._replace(segments=part.segments._replace(start=g.start, count=g.count))
                 for part, g in zip(self.parts, self.groups, strict=True)
             ]
             return
@@ -228,7 +225,7 @@ class Cpu(KernelCaller):
                     if self._is_summed(layer):
                         self.call_if_rows(
                             ("still", layer), p2g.particles_to_grid, rows[chosen[rows]], kind, None,
-                            part.segments, part.particles, self.layers[layer].sums,
+                            part.segments, particles_of(part.group), self.layers[layer].sums,
                             self.scratch[thread], dt, self._ghosts(part, thread, layer),
                         )  # fmt: skip
                 continue
@@ -236,7 +233,7 @@ class Cpu(KernelCaller):
                 self.call_if_rows(
                     (g, k), p2g.particles_to_grid, rows[contribution.chosen[rows]],
                     contribution.kind,
-                    group.plan.law, part.segments, part.particles,
+                    group.plan.law, part.segments, particles_of(part.group),
                     self.layers[contribution.layer].sums,
                     self.scratch[thread], dt, self._ghosts(part, thread, contribution.layer),
                 )  # fmt: skip
@@ -314,7 +311,7 @@ class Cpu(KernelCaller):
         for g, (part, report) in enumerate(zip(self.parts, self.reports, strict=True)):
             group, plan = part.group, part.group.plan
             rows = part.partition.all[thread]
-            particles = part.particles
+            particles = particles_of(group)
             if plan.is_carried:
                 self._carry(g, rows, motion, report[thread])
                 continue
@@ -347,7 +344,7 @@ class Cpu(KernelCaller):
         if row >= 0:
             rotated = np.array([group.plan.channels.first(name) for name in ROTATED_CHANNELS])
             self.call_if_rows(
-                (), advect_prescribed, rows, part.segments, group.block, part.particles, row,
+                (), advect_prescribed, rows, part.segments, group.block, particles_of(group), row,
                 carrier.ways, rotated, self.plan.dx, self.dt, motion, report,
             )  # fmt: skip
 
@@ -375,7 +372,7 @@ class Cpu(KernelCaller):
             shift = self.shift if part.group.plan.shifts else None
             self.call_if_rows(
                 (shift is None,), transfer_correction.apply_transfer_correction,
-                part.partition.all[thread], times, part.segments, part.particles,
+                part.partition.all[thread], times, part.segments, particles_of(part.group),
                 self.layers["momentum"].nodes, self.scratch[thread], dx, shift,
                 self._ghosts(part, thread),
             )  # fmt: skip

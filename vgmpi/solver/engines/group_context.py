@@ -25,7 +25,6 @@ class GroupContext(NamedTuple):
     """Group with the kernel arguments of its transfers, for the current tables."""
 
     group: ParticleGroup
-    particles: Particles
     segments: Segments
     partition: ThreadPartition  # segments of each thread
     contributions: list[FieldContribution]  # to the nodal fields
@@ -60,7 +59,7 @@ def group_context(
         position_limits(group.block, plan.cells), mirror,
     )  # fmt: skip
     return GroupContext(
-        group, particles_of(group), segments, partition,
+        group, segments, partition,
         contributions(plan, group.plan, contributes, split),
         timeless_contributions(plan, group.plan, contributes, split),
         numbers_of(plan, group.plan),

@@ -27,12 +27,12 @@ from .grid_kernels import NODES
 from .kernel_launch import Launcher
 from .particle_intrinsics import PARTICLE
 from .scalar_math import constants, polynomials
+from .step_record import FINE, RecordBuffer, StepRecord
 from .translation import KernelTranslator
 from .translation_types import SIMULATED
 
 HALF = 16  # threads of a team that represents a SIMD vector
 MOVED = ("xi", "f")
-FINE = (1 << 62) - 1  # value for: no particle failed, no sum left its range
 
 
 class Work(NamedTuple):
@@ -75,10 +75,8 @@ class Cuda(Cpu):
         threads = HALF if SIMULATED else 128
         block_constants = common | {"TEAM": threads, "TEAMS": 1}
         self.wholes = self.LAUNCHER(KernelTranslator(plan.real, block_constants), threads)
-        self.maxima = to_card(np.zeros(6, self.real))
-        self.prescribed_maxima, self.failure = to_card(np.zeros(6)), to_card(np.full(1, FINE))
-        self.peaks = to_card(np.zeros(1, self.real))
-        self.overflow = to_card(np.full(len(self.layers), FINE))
+        self.buffer = RecordBuffer(self.real, len(self.layers))
+        self.record = self.buffer.card
         for layer in self.layers.values():
             layer.reset = self._reset
         for group in self.groups:
@@ -151,8 +149,8 @@ class Cuda(Cpu):
             dt, gravity, speed, shift: See `Engine.begin`.
         """
         super().begin(dt, gravity, speed, shift and ShiftConstants(*map(self.real, shift)))
-        self.peaks.copy_to_device(np.zeros(1, self.real))
-        self.step = Step(float(dt), float(self.plan.dx), to_card(self.step.gravity_increment))
+        self.buffer.begin(self.step.gravity_increment)
+        self.step = Step(float(dt), float(self.plan.dx), self.record.gravity_increment)
 
     @with_device_context
     def fill(self, border: bool) -> None:
@@ -171,7 +169,7 @@ class Cuda(Cpu):
         self._half(
             PARTICLE, scatter_kernels.fill, len(rows), rows, contribution.kind, group.plan.law,
             work.segments, group.on_card(), layer.tables.sums, layer.of_rest, group.plan.phase,
-            self.peaks, self.real(self.dt), scatter_kernels.added_along(contribution.kind),
+            self.record.peaks, self.real(self.dt), scatter_kernels.added_along(contribution.kind),
             self.copies.of(ghosts),
         )  # fmt: skip
 
@@ -215,7 +213,7 @@ class Cuda(Cpu):
             self._half(
                 NODES, grid_kernels.settle, len(blocks), blocks, self.on_card, momentum,
                 copy(self.as_one), copy(self.phases), self._fill_on_card(),
-                *self.rest_volumes, self.step, self.overflow,
+                *self.rest_volumes, self.step, self.record.overflow,
             )  # fmt: skip
             return
         separate, kernel = None, grid_kernels.update
@@ -231,12 +229,13 @@ class Cuda(Cpu):
         reactions = None if self.reactions is None else copy(self.reactions.by_thread[0])
         self._half(
             NODES, kernel, len(blocks), blocks, self.on_card, summed, shear, separate, rules,
-            copy(self.walls), copy(self.phases), self._rigid(), reactions, self.step, self.overflow,
+            copy(self.walls), copy(self.phases), self._rigid(), reactions, self.step,
+            self.record.overflow,
         )  # fmt: skip
         for k, layer in enumerate(self.hues):
             self._half(
                 NODES, grid_kernels.blend, len(blocks), blocks, self.on_card, layer.tables,
-                copy(self.sets), self.overflow, len(self.layers) - len(self.hues) + k,
+                copy(self.sets), self.record.overflow, len(self.layers) - len(self.hues) + k,
             )  # fmt: skip
 
     def _fill_on_card(self) -> NodeFill | None:
@@ -265,9 +264,6 @@ class Cuda(Cpu):
             self.real(self.dt), self.real(self.plan.cfl), 2.0 ** BITS[self.plan.real],
             *(d * step % 1.0 for d in DITHER),
         )  # fmt: skip
-        self.maxima.copy_to_device(np.zeros(6, self.real))
-        self.prescribed_maxima.copy_to_device(np.zeros(6))
-        self.failure.copy_to_device(np.full(1, FINE))
         for part, work in zip(self.parts, self.work, strict=True):
             self._gather_one(part, work, motion)
         return self._report()
@@ -285,7 +281,7 @@ class Cuda(Cpu):
                     copy(group.block), group.on_card(MOVED, flat=False), plan.phase,
                     self.copies.refreshed(self.driven.ways), to_card(rotated), self.plan.dx,
                     self.dt,
-                    motion, self.prescribed_maxima, self.failure,
+                    motion, self.record.prescribed_maxima, self.record.failure,
                 )  # fmt: skip
             return
         color_channel = plan.channels.first("color")
@@ -300,7 +296,7 @@ class Cuda(Cpu):
         self.wholes.launch(
             count, PARTICLE, gather_kernels.g2p, work.all, group.plan.law, work.segments,
             group.on_card(MOVED), self.layers["momentum"].tables.nodes, auxiliary, part.numbers,
-            g2p.StepConstants(*map(real, motion)), self.maxima, self.failure, ghosts,
+            g2p.StepConstants(*map(real, motion)), self.record.maxima, self.record.failure, ghosts,
         )  # fmt: skip
         if plan.tracks_deformation:
             self.wholes.launch(
@@ -310,21 +306,22 @@ class Cuda(Cpu):
 
     def _report(self) -> StepReport:
         """Return the report of the step from the maxima of the kernels."""
-        fastest, stray, fast, stretching, displacement, gradient2 = self.maxima.copy_to_host()
-        prescribed, dt = self.prescribed_maxima.copy_to_host(), self.real(self.dt)
+        report = self.buffer.read()
+        fastest, stray, fast, stretching, displacement, gradient2 = report.maxima
+        prescribed, dt = report.prescribed_maxima, self.real(self.dt)
         dx, cfl = self.real(self.plan.dx), self.real(self.plan.cfl)
         rate = max(
             float(fastest / (cfl * dx)), float(fast) / (MAX_CELLS_PER_STEP * float(dx)),
             float(stretching) / MAX_VOLUME_STRAIN_PER_STEP,
         )  # fmt: skip
-        failure, failed = int(self.failure.copy_to_host()[0]), []
+        failure, failed = int(report.failure[0]), []
         if failure < FINE:
             failed = [divmod(failure, 8)]
         speed = self.plan.dx * max(float(displacement / dt) if dt else 0.0, prescribed[4])
-        stress = float(self.peaks.copy_to_host()[0])
+        stress = float(report.peaks[0])
         bounds = speed, math.sqrt(max(float(gradient2), prescribed[5])), math.sqrt(stress)
         return StepReport(
-            rate, max(float(stray), prescribed[1]), bounds, failed, self._found_beyond()
+            rate, max(float(stray), prescribed[1]), bounds, failed, self._overflows(report)
         )
 
     @with_device_context
@@ -340,15 +337,14 @@ class Cuda(Cpu):
                     self.shift if group.plan.shifts else None,
                     self.copies.of(self._ghosts(part, 0)),
                 )  # fmt: skip
-        return self._found_beyond()
+        return self._overflows(self.buffer.read())
 
-    def _found_beyond(self) -> list[AccumulatorOverflow]:
-        overflow = self.overflow.copy_to_host()
-        if (overflow == FINE).all():
+    def _overflows(self, report: StepRecord) -> list[AccumulatorOverflow]:
+        """Return the sums that left their range in the present step."""
+        if (report.overflow == FINE).all():
             return []
-        self.overflow.copy_to_device(np.full(len(self.layers), FINE))
-        self.beyond[0] = np.where(overflow == FINE, 0, overflow)
-        return super()._found_beyond()
+        self.beyond[0] = np.where(report.overflow == FINE, 0, report.overflow)
+        return self._found_beyond()
 
     @with_device_context
     def given(self) -> np.ndarray:

@@ -5,7 +5,7 @@ Arguments are flattened, since a launch takes only arrays and numbers.
 
 import os
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numba import cuda
@@ -14,14 +14,42 @@ from .translation import KernelTranslator
 from .translation_types import SIMULATED, TranslationMode, type_tree, without_tuple_methods
 
 LAUNCH_COUNT = [0]  # number of launches
+C_TYPES = {
+    np.dtype(kind): np.ctypeslib.as_ctypes_type(kind)
+    for kind in (np.float32, np.float64, np.int32, np.int64, np.uint32, np.uint64, np.bool_)
+}
 LAST = ["none"]  # name of the last launched kernel
 
 
-class Launch(NamedTuple):
-    """Compiled kernel for arguments of one form."""
+class Launch:
+    """Compiled kernel for arguments of one form.
 
-    kernel: Any
-    threads: int  # threads of a block
+    numba prepares the arguments of a launch for a time in which a GPU processes a million
+    particles. Only the first launch, which compiles, is numba's.
+    """
+
+    def __init__(self, kernel: Any, threads: int):
+        """Create a launch; threads: threads of a block."""
+        self.kernel, self.threads = kernel, threads
+        self.code: Any = None  # the loaded kernel, after the first launch
+        self.stream: Any = None
+
+    def __call__(self, blocks: int, numbers: list) -> None:
+        """Launch the kernel.
+
+        Args:
+            blocks: Number of blocks.
+            numbers: Arrays and numbers in the order of the parameters.
+        """
+        if self.code is None:
+            self.kernel[blocks, self.threads](*numbers)
+            if not SIMULATED:
+                (overload,) = self.kernel.overloads.values()
+                self.code = overload._codelibrary.get_cufunc().kernel
+                self.stream = dispatcher.driver._to_core_stream(0)
+            return
+        shape = dispatcher.LaunchConfig(grid=(blocks, 1, 1), block=(self.threads, 1, 1))
+        dispatcher.launch(self.stream, shape, self.code, *parameters_of(numbers))
 
 
 class Launcher:
@@ -45,8 +73,7 @@ class Launcher:
         """
         if blocks:
             LAUNCH_COUNT[0], LAST[0] = LAUNCH_COUNT[0] + 1, function.__name__
-            compiled = self.kernel(mode, function, arguments)
-            compiled.kernel[blocks, compiled.threads](*numbers_of(arguments))
+            self.kernel(mode, function, arguments)(blocks, numbers_of(arguments))
 
     def kernel(self, mode: TranslationMode, function: Callable, arguments: tuple) -> Launch:
         """Return the kernel for arguments of these forms.
@@ -74,7 +101,8 @@ class Launcher:
         exec(compile(text, f"<{name}>", "exec"), self.program.space)
         kernel = self.program.space[name]
         # Link-time optimization is off as well: it would contract.
-        return cuda.jit(kernel) if SIMULATED else cuda.jit(lto=False)(kernel)  # type: ignore[call-arg]
+        # `cuda.jit(lto=False)` as a decorator loses the flag (numba-cuda 0.30).
+        return cuda.jit(kernel) if SIMULATED else cuda.jit(kernel, lto=False)  # type: ignore[call-arg]
 
     def _expression(self, argument: Any, parameters: list[str], is_member: bool = False) -> str:
         """Return the source text that rebuilds an argument from the parameters of the kernel.
@@ -114,8 +142,10 @@ def without_contraction() -> None:
 
 
 if not SIMULATED:
+    from numba.cuda import dispatcher
     from numba.cuda.cudadrv import nvvm
 
+    dispatcher.config.CUDA_LOW_OCCUPANCY_WARNINGS = 0  # for people who choose a grid themselves
     if os.environ.get("VGMPI_CARD_CONTRACTION") != "on":  # for comparison alone
         without_contraction()
 
@@ -139,6 +169,29 @@ def _form(argument: Any) -> Any:
     if hasattr(argument, "dtype") and hasattr(argument, "ndim") and argument.ndim:
         return np.dtype(argument.dtype).str, argument.ndim
     return float if isinstance(argument, np.float64) else type(argument)
+
+
+def parameters_of(numbers: list) -> list:
+    """Return the parameters of a kernel, in which numba passes arrays and numbers."""
+    parameters: list = []
+    for number in numbers:
+        if isinstance(number, np.generic):
+            parameters.append(C_TYPES[number.dtype](number.item()))
+        elif isinstance(number, bool | int):
+            parameters.append(number)
+        else:
+            parameters += _array_parameters(number)
+    return parameters
+
+
+def _array_parameters(array: Any) -> tuple:
+    """Return the parameters of an array of the GPU, which the array keeps."""
+    parameters = getattr(array, "launch_parameters", None)
+    if parameters is None:
+        address = array.device_ctypes_pointer.value or 0
+        numbers = array.size, array.dtype.itemsize, address, *array.shape, *array.strides
+        parameters = array.launch_parameters = 0, 0, *map(int, numbers)
+    return parameters
 
 
 def numbers_of(arguments: Any) -> list:

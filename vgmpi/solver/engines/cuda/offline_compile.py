@@ -36,6 +36,7 @@ class Compiled(NamedTuple):
     stack: int  # [bytes] local arrays of a thread
     spilled: int  # [bytes] spill stores and loads
     shared: int  # [bytes] shared memory of a block
+    link_time: bool  # whether a GPU would get other instructions, optimized when they are linked
     ptx: str
 
     @property
@@ -101,9 +102,9 @@ class Compiler(Launcher):
                 self.compiled[key] = self._compile_for(mode, function, arguments, card)
 
     def _compile_for(self, mode, function, arguments, card: int) -> Compiled:
-        kernel = self.kernel(mode, function, arguments).kernel.py_func
+        kernel = self.kernel(mode, function, arguments).kernel
         signature = types.void(*map(_type, numbers_of(arguments)))  # type: ignore[attr-defined]
-        ptx, _ = cuda.compile_ptx(kernel, signature, cc=divmod(card, 10))
+        ptx, _ = cuda.compile_ptx(kernel.py_func, signature, cc=divmod(card, 10))
         laws = [
             type(argument).__name__
             for argument in arguments
@@ -114,7 +115,7 @@ class Compiler(Launcher):
             name = f"fill {type(arguments[1]).__name__.lower()}"
         return Compiled(
             name, (laws or ["-"])[0].removesuffix("Law").lower(), card, self.threads,
-            *resource_usage(ptx, card), ptx,
+            *resource_usage(ptx, card), kernel.targetoptions["lto"], ptx,
         )  # fmt: skip
 
 

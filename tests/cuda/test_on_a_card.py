@@ -1,0 +1,36 @@
+"""On a card, the engine has the bits of the processor: every scene of the simulator's test, for
+more steps than the simulator has time for. Skipped where there is no card.
+"""
+
+import sys
+
+import pytest
+
+from tests.solver.test_engines import SCENES
+from tests.support.launch import finish, start
+
+pytest.importorskip("numba_cuda", reason="the extra `cuda` is not installed")
+card = pytest.importorskip("vgmpi.solver.engines.cuda.graphics_card")
+pytestmark = pytest.mark.skipif(card.select_device(0) != "", reason="there is no card")
+
+
+def compare(precision, steps, name):
+    """The line that compares a scene on the card with the processor."""
+    command = [sys.executable, "-m", "tests.support.cuda_bits", precision, str(steps), name]
+    job = finish(start([*command, "--card"]))
+    assert job.returncode == 0, job.stderr[-3000:]
+    return job.stdout.strip()
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_card_has_the_processors_bits(name):
+    line = compare("single", 20, name)
+    print(line)
+    assert line.startswith("same "), line
+
+
+@pytest.mark.parametrize("name", ["fluid", "sand", "elastic", "contact"])
+def test_a_card_has_the_processors_bits_in_double_precision(name):
+    line = compare("double", 6, name)
+    print(line)
+    assert line.startswith("same "), line
