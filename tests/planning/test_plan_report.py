@@ -210,3 +210,28 @@ def test_other_laws_go_by_their_cost_beside_an_elastic_one():
     assert pace.law(registry["sand"](kind="sand", youngs_modulus=1e5)) == pytest.approx(50.0)
     for assumed in ASSUMED_THROUGHPUT.values():
         assert assumed.elastic == pytest.approx(assumed.fluid * registry["elastic"].cost)
+
+
+HELD_BEAM = """
+[domain]
+size = [0.4, 0.2, 0.2]
+cell = 0.01
+[time]
+end = 0.01
+[material.rubber]
+kind = "elastic"
+youngs_modulus = 1e5
+[[object]]
+name = "beam"
+material = "rubber"
+shape = { box = [[0.05, 0.05, 0.05], [0.3, 0.1, 0.1]] }
+pinned = { box = [[0.04, 0.04, 0.04], [0.08, 0.11, 0.11]], to = "world" }
+"""
+
+
+def test_pinned_particles_count_for_the_part_that_holds_them(tmp_path):
+    """3 of the beam's 25 cells are held, of 25 times 8 particles each."""
+    text = said_of(write(tmp_path, HELD_BEAM))
+    counts = re.findall(r"phase +beam: ([\d,]+ (?:pinned )?particles of \w+)", text)
+    assert counts == ["4,400 particles of rubber", "600 pinned particles of rubber"]
+    assert re.search(r"\(pinned to world\)/rubber: carried by what holds it +5\.\d", text), text

@@ -41,15 +41,17 @@ def region_plans(plan: "Plan", entries: list[dict]) -> tuple[RegionPlan, ...]:
 
 
 def group_counts(plan: "Plan") -> list[tuple[int, int]]:
-    """Return (particles, group) of each object and inlet without its regions, then of each region.
+    """Return (particles, group) of each object and inlet without its parts, then of each part.
 
-    The group of scenery is -1.
+    Parts are regions and pinned parts. The group of scenery is -1.
     """
     counts = list(plan.count)
-    for region in plan.regions:
-        counts[region.thing] -= region.particles
+    parts = [(region.thing, region.particles, region.group) for region in plan.regions]
+    parts += [(part.object, part.region.count, part.group) for part in plan.pins]
+    for thing, particles, _ in parts:
+        counts[thing] -= particles
     own = list(zip(counts, plan.group_of, strict=True))
-    return own + [(region.particles, region.group) for region in plan.regions]
+    return own + [(particles, group) for _, particles, group in parts]
 
 
 def groups_of_particles(plan: "Plan", ids: np.ndarray, owner: np.ndarray) -> np.ndarray:

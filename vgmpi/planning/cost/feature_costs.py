@@ -67,6 +67,8 @@ def group_features(scene: Scene, plan: Plan, g: int, pace: Throughput) -> list[F
     group = plan.groups[g]
     law_ns = pace.law(scene.material[group.material])
     fields = plan.fields(g)
+    if group.pinned:
+        return [Feature("carried by what holds it", pace.fluid * group.cost, sum(fields.values()))]
     own = {name: fields.pop(name, 0) for name in ("share", "F", "surface", "color")}
     result = [Feature(f"law {scene.material[group.material].kind}", law_ns, sum(fields.values()))]
     if own["F"]:

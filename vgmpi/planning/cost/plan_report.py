@@ -66,7 +66,8 @@ def format_plan(
             n = sum(count for count, group_number in group_counts(plan) if group_number == g)
             fields = ", ".join(f"{name} {size}" for name, size in plan.fields(g).items())
             lines.append(
-                f"  phase       {phase.name}: {n:,} particles of {group.material}"
+                f"  phase       {phase.name}: {n:,} {'pinned ' * group.pinned}particles of"
+                f" {group.material}"
                 f" ({group.family}), {plan.bytes_per_particle(g)} bytes each: {fields};"
                 f" once for all: density and {len(group.law)} numbers of the law"
             )
