@@ -234,4 +234,4 @@ def test_pinned_particles_count_for_the_part_that_holds_them(tmp_path):
     text = said_of(write(tmp_path, HELD_BEAM))
     counts = re.findall(r"phase +beam: ([\d,]+ (?:pinned )?particles of \w+)", text)
     assert counts == ["4,400 particles of rubber", "600 pinned particles of rubber"]
-    assert re.search(r"\(pinned to world\)/rubber: carried by what holds it +5\.\d", text), text
+    assert re.search(r"\(pinned to world\)/rubber: carried by what holds it +9\.0", text), text
