@@ -12,8 +12,11 @@ GRABCUT_ITERATIONS = 6  # iterations of GrabCut
 POINT_RADIUS = 0.008  # [-] radius around a point that it decides, relative to the longer side
 MARGIN = 0.35  # [-] background around the box that is used, relative to the box
 MIN_PIXELS = 64  # [pixels] smallest usable mask
+MIN_FILL = 0.5  # [-] a mask that fills less of its box is reported
+MIN_CONTRAST = 0.7  # [-] a mask is reported if less of its rim differs in color from the outside
 COLOR_TOLERANCE = 12  # [0..255] color tolerance of the region that a point marks
 THREAD_WIDTH = 0.025  # [-] thinner parts are removed, relative to the box's shorter side
+RIM_STEP = 4.0  # [pixels] distance from the rim at which colors inside and outside are compared
 _SEED = 1
 
 
@@ -75,9 +78,8 @@ def grabcut(rgb: np.ndarray, box: Box, points: list[tuple[float, float, bool]]) 
         center = (int(x) - x0, int(y) - y0)
         if not (0 <= center[0] < patch.shape[1] and 0 <= center[1] < patch.shape[0]):
             continue  # the object does not reach beyond the patch
-        if not is_object:
-            label[_same_color_region(cv2, patch, center)] = cv2.GC_BGD
         kind = cv2.GC_FGD if is_object else cv2.GC_BGD
+        label[_same_color_region(cv2, patch, center) & (label != cv2.GC_BGD)] = kind
         cv2.circle(label, center, radius, int(kind), -1)
     if not (label == cv2.GC_BGD).any():
         raise MaskError("the box is the whole picture: nothing is left that is background")
@@ -89,7 +91,7 @@ def grabcut(rgb: np.ndarray, box: Box, points: list[tuple[float, float, bool]]) 
         raise MaskError(f"GrabCut finds nothing in the box: {message}") from None
     result = np.zeros((height, width), dtype=bool)
     result[y0:y1, x0:x1] = (label == cv2.GC_FGD) | (label == cv2.GC_PR_FGD)
-    return marked_components(remove_threads(result, box), points)
+    return clean_mask(result, box, points)
 
 
 def _same_color_region(cv2, patch: np.ndarray, seed: tuple[int, int]) -> np.ndarray:
@@ -117,28 +119,81 @@ def remove_threads(mask: np.ndarray, box: Box) -> np.ndarray:
 
 def largest_component(mask: np.ndarray) -> np.ndarray:
     """Return the largest connected component of a mask without its holes; empty stays empty."""
+    return ndimage.binary_fill_holes(_largest_part(mask))
+
+
+def _largest_part(mask: np.ndarray) -> np.ndarray:
+    """Return the largest connected component of a mask; empty stays empty."""
     label, count = ndimage.label(mask)
     if not count:
         return mask
     size = ndimage.sum_labels(mask, label, np.arange(1, count + 1))
-    return ndimage.binary_fill_holes(label == 1 + int(np.argmax(size)))
+    return label == 1 + int(np.argmax(size))
 
 
-def marked_components(mask: np.ndarray, points: list[tuple[float, float, bool]]) -> np.ndarray:
-    """Return the connected components that hold a point of the object, and the largest one.
+def clean_mask(mask: np.ndarray, box: Box, points: list[tuple[float, float, bool]]) -> np.ndarray:
+    """Remove threads, small parts and holes from a mask, except where points decide.
+
+    The largest part remains, and each part and thread on which a point of the object lies, with the
+    threads that end there. A hole with a point of the background remains a hole.
+
+    Args:
+        mask: Mask, (height, width) bool.
+        box: Box of the object [pixels].
+        points: x, y [pixels] and whether the object is there.
+    """
+    opened = remove_threads(mask, box)
+    threads = mask & ~opened
+    marked = _parts_at(opened, points, True) & ~_largest_part(opened)
+    label, _ = ndimage.label(threads)
+    ends = np.unique(label[ndimage.binary_dilation(marked)])
+    attached = np.isin(label, ends[ends > 0]) | _parts_at(threads, points, True)
+    return marked_parts(opened | attached, points)
+
+
+def marked_parts(mask: np.ndarray, points: list[tuple[float, float, bool]]) -> np.ndarray:
+    """Return the largest part of a mask and those that points mark, without unmarked holes.
 
     Args:
         mask: Mask, (height, width) bool.
         points: x, y [pixels] and whether the object is there.
     """
+    parts = _parts_at(mask, points, True) | _largest_part(mask)
+    holes = ndimage.binary_fill_holes(parts) & ~parts
+    return parts | (holes & ~_parts_at(holes, points, False))
+
+
+def _parts_at(
+    mask: np.ndarray, points: list[tuple[float, float, bool]], is_object: bool
+) -> np.ndarray:
+    """Return the connected components of a mask that hold a point of the object, or of none."""
     label, _ = ndimage.label(mask)
-    marked = {int(label[int(y), int(x)]) for x, y, is_object in points if is_object} - {0}
-    components = np.isin(label, list(marked)) | largest_component(mask)
-    return ndimage.binary_fill_holes(components)
+    numbers = {int(label[int(y), int(x)]) for x, y, on_object in points if on_object == is_object}
+    return np.isin(label, list(numbers - {0}))
 
 
-def check_mask(mask: np.ndarray) -> list[str]:
-    """Return warnings about a usable mask.
+def rim_contrast(rgb: np.ndarray, mask: np.ndarray) -> float:
+    """Return the fraction of a mask's rim at which the colors inside and outside differ.
+
+    Args:
+        rgb: Photograph, shape (height, width, 3) uint8.
+        mask: Mask, (height, width) bool.
+    """
+    depth = ndimage.distance_transform_edt(mask) - ndimage.distance_transform_edt(~mask)
+    rim = (depth >= 1) & (depth < 2)
+    slope = np.stack(np.gradient(ndimage.gaussian_filter(depth, 2.0)), -1)
+    slope /= np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-9)
+    smooth = ndimage.gaussian_filter(rgb.astype(np.float64), (1.0, 1.0, 0))
+    at = np.argwhere(rim)
+    step = RIM_STEP * slope[rim]
+    size = np.array(mask.shape) - 1
+    inner, outer = (np.clip(np.rint(at + sign * step), 0, size).astype(int) for sign in (1, -1))
+    difference = np.abs(smooth[tuple(inner.T)] - smooth[tuple(outer.T)]).max(-1)
+    return float((difference > COLOR_TOLERANCE).mean()) if len(at) else 1.0
+
+
+def check_mask(mask: np.ndarray) -> None:
+    """Check that a mask is usable.
 
     Raises:
         MaskError: The mask is empty or too small.
@@ -153,12 +208,35 @@ def check_mask(mask: np.ndarray) -> list[str]:
         raise MaskError(
             f"its mask {problem}: give another box, point_prompts, or mask = 'file.png'"
         )
+
+
+def mask_warnings(rgb: np.ndarray, mask: np.ndarray, box: Box | None) -> list[str]:
+    """Return warnings about a usable mask.
+
+    Args:
+        rgb: Photograph, shape (height, width, 3) uint8.
+        mask: Mask, (height, width) bool.
+        box: Box of the object in the layout, or None.
+    """
+    warnings = []
     edges = {"left": mask[:, 0], "right": mask[:, -1], "upper": mask[0], "lower": mask[-1]}
     touched = [name for name, edge in edges.items() if edge.any()]
     if touched:
         names = " and ".join(touched)
-        return [f"its mask touches the {names} edge of the picture: what lies beyond is cut off"]
-    return []
+        warnings = [f"its mask touches the {names} edge of the picture: the rest is cut off"]
+    fill = mask.sum() / ((box.right - box.left) * (box.bottom - box.top)) if box else 1.0
+    if fill < MIN_FILL:
+        warnings.append(
+            f"its mask fills {100 * fill:.0f} % of its box: if parts are missing, add"
+            " point_prompts on them"
+        )
+    contrast = rim_contrast(rgb, mask)
+    if contrast < MIN_CONTRAST:
+        warnings.append(
+            f"{100 * (1 - contrast):.0f} % of the rim of its mask have the color of what lies"
+            " outside: add point_prompts on both sides of the true rim"
+        )
+    return warnings
 
 
 def iou(a: np.ndarray, b: np.ndarray) -> float:

@@ -74,17 +74,18 @@ def segment_objects(loaded: LoadedLayout, photo: Photograph, finder: Finder) -> 
     object_masks = [object_mask for object_mask in results if object_mask is not None]
     for k, (obj, object_mask) in enumerate(zip(loaded.layout.object, object_masks)):
         log.info("'%s': %d pixels, %s", obj.name, object_mask.mask.sum(), object_mask.origin)
-        for warning in masks.check_mask(object_mask.mask):
+        box = None if object_mask.is_from_file else _box(obj, photo)
+        for warning in masks.mask_warnings(photo.rgb, object_mask.mask, box):
             log.warning("'%s': %s", obj.name, warning)
-        for x, y in missed_points(obj, object_mask.mask, photo.reduced):
+        for point in missed_points(obj, object_mask.mask, photo.reduced):
             _, where = loaded.source.place(("object", k, "point_prompts"))
-            log.warning("%s: object.%s.point_prompts: [%g, %g] is not in the mask: %s", where,
-                        obj.name, x, y, "give mask = 'file.png', or more points")  # fmt: skip
+            log.warning("%s: object.%s.point_prompts: %s: %s", where, obj.name, point,
+                        "give mask = 'file.png', or more points")  # fmt: skip
     return object_masks
 
 
-def missed_points(obj: ObjectTable, mask: np.ndarray, reduced: float) -> list[tuple[float, float]]:
-    """Return the points of an object [pixels of the file] that its mask does not hold.
+def missed_points(obj: ObjectTable, mask: np.ndarray, reduced: float) -> list[str]:
+    """Return what is wrong at each point of an object that its mask contradicts.
 
     Args:
         obj: The object of the layout.
@@ -92,9 +93,11 @@ def missed_points(obj: ObjectTable, mask: np.ndarray, reduced: float) -> list[tu
         reduced: Pixels of the file per pixel of the mask.
     """
     return [
-        (x, y)
+        f"[{x:g}, {y:g}] is not in the mask"
+        if is_object
+        else f'[{x:g}, {y:g}, "out"] is in the mask'
         for x, y, is_object in obj.point_prompts
-        if is_object and not mask[int(y / reduced), int(x / reduced)]
+        if mask[int(y / reduced), int(x / reduced)] != is_object
     ]
 
 

@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vgmpi.apps.photo.grabcut import Box, MaskError, box_of, iou, largest_component
+from vgmpi.apps.photo.grabcut import Box, MaskError, box_of, iou, largest_component, marked_parts
 
 from . import model_loading
 from .model_loading import IMAGENET
@@ -63,7 +63,7 @@ class Sam:
         places = [[x, y] for x, y, _ in points]
         labels = [int(is_object) for _, _, is_object in points]
         masks, _ = self.ask(rgb, [box] if box is not None else None, [places], [labels])
-        return largest_component(masks[0])
+        return marked_parts(masks[0], points)
 
     def ask(
         self,
