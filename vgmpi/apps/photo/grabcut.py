@@ -17,6 +17,8 @@ MIN_CONTRAST = 0.7  # [-] a mask is reported if less of its rim differs in color
 COLOR_TOLERANCE = 12  # [0..255] color tolerance of the region that a point marks
 THREAD_WIDTH = 0.025  # [-] thinner parts are removed, relative to the box's shorter side
 RIM_STEP = 4.0  # [pixels] distance from the rim at which colors inside and outside are compared
+SCALES = (2, 1)  # large parts of one color are cut from a reduced photograph, without its texture
+MIN_SIDE = 40  # [pixels] shorter side of a photograph that is reduced
 _SEED = 1
 
 
@@ -68,19 +70,78 @@ def grabcut(rgb: np.ndarray, box: Box, points: list[tuple[float, float, bool]]) 
     margins = [MARGIN * (box.right - box.left) + 8, MARGIN * (box.bottom - box.top) + 8]
     x0, y0 = max(0, int(box.left - margins[0])), max(0, int(box.top - margins[1]))
     x1, y1 = min(width, int(box.right + margins[0])), min(height, int(box.bottom + margins[1]))
-    patch = np.ascontiguousarray(rgb[y0:y1, x0:x1])
+    patch = rgb[y0:y1, x0:x1]
+    local_box = Box(box.left - x0, box.top - y0, box.right - x0, box.bottom - y0)
+    local_points = [(x - x0, y - y0, is_object) for x, y, is_object in points]
+    radius = POINT_RADIUS * max(width, height)
+    estimate = None
+    for scale in SCALES:
+        if scale == 1 or min(patch.shape[:2]) >= scale * MIN_SIDE:
+            size = patch.shape[1] // scale, patch.shape[0] // scale
+            small = cv2.resize(patch, size, interpolation=cv2.INTER_AREA)
+            marks = [
+                (int(x / scale), int(y / scale), is_object) for x, y, is_object in local_points
+            ]
+            label = _initial_label(cv2, small, local_box, scale, estimate)
+            _mark_points(cv2, small, label, marks, max(1, round(radius / scale)))
+            estimate = _cut(cv2, small, label)
+    result = np.zeros((height, width), dtype=bool)
+    result[y0:y1, x0:x1] = estimate > 0
+    return clean_mask(result, box, points)
+
+
+def _initial_label(
+    cv2, patch: np.ndarray, box: Box, scale: int, estimate: np.ndarray | None
+) -> np.ndarray:
+    """Return the labels from which GrabCut starts, (height, width) uint8.
+
+    Args:
+        cv2: OpenCV.
+        patch: Part of the photograph, shape (height, width, 3) uint8, reduced by `scale`.
+        box: Box of the object in the part before it was reduced [pixels].
+        scale: Factor by which pixels are enlarged.
+        estimate: Object at a coarser scale, (rows, columns) uint8, or None.
+    """
     label = np.full(patch.shape[:2], cv2.GC_BGD, dtype=np.uint8)
-    label[box.top - y0 : box.bottom - y0, box.left - x0 : box.right - x0] = cv2.GC_PR_FGD
-    radius = max(1, round(POINT_RADIUS * max(width, height)))
-    for x, y, is_object in sorted(
-        points, key=lambda point: point[2]
-    ):  # points on the object have precedence
-        center = (int(x) - x0, int(y) - y0)
-        if not (0 <= center[0] < patch.shape[1] and 0 <= center[1] < patch.shape[0]):
-            continue  # the object does not reach beyond the patch
-        kind = cv2.GC_FGD if is_object else cv2.GC_BGD
-        label[_same_color_region(cv2, patch, center) & (label != cv2.GC_BGD)] = kind
-        cv2.circle(label, center, radius, int(kind), -1)
+    left, top, right, bottom = (round(v / scale) for v in box)
+    label[top:bottom, left:right] = cv2.GC_PR_FGD
+    if estimate is not None:
+        size = label.shape[1], label.shape[0]
+        inside = cv2.resize(estimate, size, interpolation=cv2.INTER_NEAREST) > 0
+        label[(label == cv2.GC_PR_FGD) & ~inside] = cv2.GC_PR_BGD
+    return label
+
+
+def _mark_points(cv2, patch: np.ndarray, label: np.ndarray, points: list, radius: int) -> None:
+    """Set the labels at points and in the regions of their colors.
+
+    Args:
+        cv2: OpenCV.
+        patch: Part of the photograph, shape (height, width, 3) uint8.
+        label: Labels of GrabCut (in/out), (height, width) uint8.
+        points: x, y [pixels] in the part and whether the object is there.
+        radius: Distance from a point that it decides whatever the colors are [pixels].
+    """
+    height, width = label.shape
+    # those of the object come last and have precedence; the object does not reach beyond the part
+    for x, y, is_object in sorted(points, key=lambda point: point[2]):
+        if 0 <= x < width and 0 <= y < height:
+            kind = cv2.GC_FGD if is_object else cv2.GC_BGD
+            label[_same_color_region(cv2, patch, (x, y)) & (label != cv2.GC_BGD)] = kind
+            cv2.circle(label, (x, y), radius, int(kind), -1)
+
+
+def _cut(cv2, patch: np.ndarray, label: np.ndarray) -> np.ndarray:
+    """Return the object by GrabCut, (height, width) uint8.
+
+    Args:
+        cv2: OpenCV.
+        patch: Part of the photograph, shape (height, width, 3) uint8.
+        label: Labels from which GrabCut starts, which changes them.
+
+    Raises:
+        MaskError: The box is the whole picture, or GrabCut finds nothing in it.
+    """
     if not (label == cv2.GC_BGD).any():
         raise MaskError("the box is the whole picture: nothing is left that is background")
     back, fore = np.zeros((1, 65)), np.zeros((1, 65))
@@ -89,9 +150,7 @@ def grabcut(rgb: np.ndarray, box: Box, points: list[tuple[float, float, bool]]) 
     except cv2.error as error:
         message = str(error).strip().splitlines()[0]
         raise MaskError(f"GrabCut finds nothing in the box: {message}") from None
-    result = np.zeros((height, width), dtype=bool)
-    result[y0:y1, x0:x1] = (label == cv2.GC_FGD) | (label == cv2.GC_PR_FGD)
-    return clean_mask(result, box, points)
+    return ((label == cv2.GC_FGD) | (label == cv2.GC_PR_FGD)).astype(np.uint8)
 
 
 def _same_color_region(cv2, patch: np.ndarray, seed: tuple[int, int]) -> np.ndarray:
