@@ -70,6 +70,7 @@ COMPILED = (
     "vgmpi/parallel/node_overlap.py",
     "vgmpi/apps/bench/numba_baseline.py",
     "vgmpi/apps/bench/roofline.py",
+    "vgmpi/apps/photo/texture_synthesis.py",  # searches for patches of a picture
 )
 # how much of a thing a reader can hold at once
 LINES_OF_A_FILE, LINES_OF_A_FUNCTION, ARGUMENTS, POSITIONS = 400, 60, 12, 8

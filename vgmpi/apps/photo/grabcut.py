@@ -74,10 +74,10 @@ def grabcut(rgb: np.ndarray, box: Box, points: list[tuple[float, float, bool]]) 
     local_box = Box(box.left - x0, box.top - y0, box.right - x0, box.bottom - y0)
     local_points = [(x - x0, y - y0, is_object) for x, y, is_object in points]
     radius = POINT_RADIUS * max(width, height)
-    estimate = None
+    estimate: np.ndarray | None = None
     for scale in SCALES:
         if scale == 1 or min(patch.shape[:2]) >= scale * MIN_SIDE:
-            size = patch.shape[1] // scale, patch.shape[0] // scale
+            size = (x1 - x0) // scale, (y1 - y0) // scale
             small = cv2.resize(patch, size, interpolation=cv2.INTER_AREA)
             marks = [
                 (int(x / scale), int(y / scale), is_object) for x, y, is_object in local_points
@@ -86,6 +86,7 @@ def grabcut(rgb: np.ndarray, box: Box, points: list[tuple[float, float, bool]]) 
             _mark_points(cv2, small, label, marks, max(1, round(radius / scale)))
             estimate = _cut(cv2, small, label)
     result = np.zeros((height, width), dtype=bool)
+    assert estimate is not None
     result[y0:y1, x0:x1] = estimate > 0
     return clean_mask(result, box, points)
 
@@ -102,12 +103,12 @@ def _initial_label(
         scale: Factor by which pixels are enlarged.
         estimate: Object at a coarser scale, (rows, columns) uint8, or None.
     """
-    label = np.full(patch.shape[:2], cv2.GC_BGD, dtype=np.uint8)
+    height, width = patch.shape[:2]
+    label = np.full((height, width), cv2.GC_BGD, dtype=np.uint8)
     left, top, right, bottom = (round(v / scale) for v in box)
     label[top:bottom, left:right] = cv2.GC_PR_FGD
     if estimate is not None:
-        size = label.shape[1], label.shape[0]
-        inside = cv2.resize(estimate, size, interpolation=cv2.INTER_NEAREST) > 0
+        inside = cv2.resize(estimate, (width, height), interpolation=cv2.INTER_NEAREST) > 0
         label[(label == cv2.GC_PR_FGD) & ~inside] = cv2.GC_PR_BGD
     return label
 
