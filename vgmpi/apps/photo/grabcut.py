@@ -84,7 +84,11 @@ def grabcut(rgb: np.ndarray, box: Box, points: list[tuple[float, float, bool]]) 
             ]
             label = _initial_label(cv2, small, local_box, scale, estimate)
             _mark_points(cv2, small, label, marks, max(1, round(radius / scale)))
-            estimate = _cut(cv2, small, label)
+            try:
+                estimate = _cut(cv2, small, label)
+            except MaskError:  # a small box may be none in the reduced photograph
+                if scale == 1:
+                    raise
     result = np.zeros((height, width), dtype=bool)
     assert estimate is not None
     result[y0:y1, x0:x1] = estimate > 0
@@ -107,7 +111,7 @@ def _initial_label(
     label = np.full((height, width), cv2.GC_BGD, dtype=np.uint8)
     left, top, right, bottom = (round(v / scale) for v in box)
     label[top:bottom, left:right] = cv2.GC_PR_FGD
-    if estimate is not None:
+    if estimate is not None and estimate.any():
         inside = cv2.resize(estimate, (width, height), interpolation=cv2.INTER_NEAREST) > 0
         label[(label == cv2.GC_PR_FGD) & ~inside] = cv2.GC_PR_BGD
     return label
