@@ -189,7 +189,7 @@ CASES = {
         'title = "good"',
         'title = "good"\n[output]\nfields = ["velocty"]',
         "output.fields.0",
-        "must be one of velocity, J, F (did you mean 'velocity'?)",
+        "velocity, J, F, stress, pressure, strain, volume_fraction (did you mean 'velocity'?)",
     ),
     "scenery with mass": (
         'material = "rubber"',

@@ -70,17 +70,21 @@ FRAME = [
     Dataset("velocity", "(n, 3)", "f4", "m/s", "velocity"),
     Dataset("J", "(n,)", "f4", "1", "volume ratio; its elastic part in plastic materials"),
     Dataset("F", "(n, 9)", "f4", "1", "deformation gradient, row by row; cbrt(J) I without one"),
-    Dataset(
-        "color_sh",
-        "(n, 3 K)",
-        "f4",
-        "1",
-        "color as `sh` of gaussians.h5, coefficient by coefficient; nan without color transfer; "
-        "only with appearance.color_transfer = step",
-    ),
+    Dataset("stress", "(n, 6)", "f4", "Pa", "Cauchy stress of the material's law, tension positive:"
+            " xx, yy, zz, xy, yz, xz (VTK's order); of a liquid in pores its own, of sand with a"
+            " liquid the effective stress; only on request"),
+    Dataset("pressure", "(n,)", "f4", "Pa", "minus a third of the trace of `stress`; only on"
+            " request"),
+    Dataset("strain", "(n, 6)", "f4", "1", "logarithmic strain ln(b) / 2 in the same order, b = F"
+            " F^T; its elastic part in plastic materials, ln(J) / 3 I in liquids: its trace is"
+            " ln J; only on request"),
+    Dataset("volume_fraction", "(n,)", "f4", "1", "fraction of the space of the mixture that the"
+            " particle's phase fills; 1 in phases that share no space; only on request"),
+    Dataset("color_sh", "(n, 3 K)", "f4", "1", "color as `sh` of gaussians.h5, coefficient by"
+            " coefficient; nan without color transfer; only with appearance.color_transfer = step"),
     Dataset("object", "(n,)", "i4", "1", "number of the object in the list `objects`"),
     Dataset("phase", "(n,)", "i4", "1", "number of the velocity field it moves with"),
-]
+]  # fmt: skip
 FRAME_FIELD_DATA = [
     Dataset("time", "(1,)", "f8", "s", "simulated time"),
     Dataset("step", "(1,)", "i8", "1", "number of time steps made"),
@@ -130,36 +134,19 @@ GAUSSIAN = [
     Dataset("x0", "(n, 3)", "f8", "m", "initial position in the domain; at the mouth of an inlet"),
     Dataset("vol0", "(n,)", "f8", "m3", "rest volume"),
     Dataset("object", "(n,)", "i4", "1", "number of the object in the list `objects`"),
-    Dataset(
-        "v0",
-        "(n, 3)",
-        "f8",
-        "m/s",
-        "initial velocity, or velocity at the mouth of an inlet; only if one is not 0",
-    ),
+    Dataset("v0", "(n, 3)", "f8", "m/s", "initial velocity, or velocity at the mouth of an inlet;"
+            " only if one is not 0"),
     Dataset("theta0", "(n,)", "f8", "1", "initial ln J; only if one is not 0"),
-    Dataset(
-        "surface0",
-        "(n, 10)",
-        "f4",
-        "1, m, 1/m",
-        "surface of a solid at rest: outward normal, whose length is its confidence, signed"
-        " distance (negative inside), and the gradient of the normal xx, xy, xz, yy, yz, zz; only"
-        " if a solid may touch something",
-    ),
+    Dataset("surface0", "(n, 10)", "f4", "1, m, 1/m", "surface of a solid at rest: outward normal,"
+            " whose length is its confidence, signed distance (negative inside), and the gradient"
+            " of the normal xx, xy, xz, yy, yz, zz; only if a solid may touch something"),
     Dataset("cov0", "(n, 6)", "f4", "m2", "rest covariance: xx, xy, xz, yy, yz, zz"),
     Dataset("opacity", "(n,)", "f4", "1", "0 to 1"),
     Dataset("sh", "(n, K, 3)", "f4", "1", "spherical harmonics of the color, K = 1, 4, 9 or 16"),
-    Dataset(
-        "shade",
-        "(n,)",
-        "f4",
-        "1",
-        "factor, 0.001 to 1, by which `appearance.baked_shading` darkened the color;"
-        " (0.5 + 0.2820948 sh[:, 0]) / shade is the color without that light; after"
-        " pruning, the mean of the merged Gaussians; only if one is not 1",
-    ),
-]
+    Dataset("shade", "(n,)", "f4", "1", "factor, 0.001 to 1, by which `appearance.baked_shading`"
+            " darkened the color; (0.5 + 0.2820948 sh[:, 0]) / shade is the color without that"
+            " light; after pruning, the mean of the merged Gaussians; only if one is not 1"),
+]  # fmt: skip
 OPTIONAL = ("v0", "theta0", "surface0", "shade")  # datasets that some files lack, also in groups
 SHADE = Dataset("shade", "(m,)", "f4", "1", "as above; only if one is not 1")
 SCENERY = [

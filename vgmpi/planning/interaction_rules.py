@@ -16,11 +16,13 @@ WAVE_ITERATIONS = 60  # iterations for the wave speed and its step; each halves 
 def interaction_rules(scene: Scene, groups, phases) -> InteractionRules | None:
     """Return the interaction rules of a scene, None if no phases share space.
 
-    Raises SceneError if fluids that mix have one velocity field, or a mixture has more than one
-    diffusion coefficient or slip time. `groups` and `phases` are those of phases_and_groups.py.
+    Raises SceneError if fluids that mix have one velocity field, a mixture has more than one
+    diffusion coefficient or slip time, or frames shall have fractions without mixtures. `groups`
+    and `phases` are those of phases_and_groups.py.
     """
     couplings = [(k, c) for k, c in enumerate(scene.coupling) if c.rule in (MIXING, DRAG)]
     if not couplings:
+        _reject_fractions(scene)
         return None
     n = len(phases)
     pair, drag = np.zeros((n, n), np.int64), np.zeros((n, n))
@@ -42,7 +44,8 @@ def interaction_rules(scene: Scene, groups, phases) -> InteractionRules | None:
                     drag[a, b] = drag[b, a] = _coefficient(scene, coupling)
                     printed[a, b] = printed[b, a] = coupling.printed
     if not pairs:
-        return None  # the couplings name materials that no body has
+        _reject_fractions(scene)  # the couplings name materials that no body has
+        return None
     fluid = np.array([phase.families == ("fluid",) for phase in phases])
     mix = connected_sets(n, [p for p in pairs if pair[p] == MIXING])
     together = connected_sets(n, pairs)
@@ -68,6 +71,17 @@ def interaction_rules(scene: Scene, groups, phases) -> InteractionRules | None:
         printed_mix=np.array([p for _, _, p in numbers], bool),
         printed_drag=printed,
     )
+
+
+def _reject_fractions(scene: Scene) -> None:
+    """Reject volume fractions in the frames of a scene without mixtures."""
+    if "volume_fraction" in scene.output.fields:
+        path = "output", "fields", scene.output.fields.index("volume_fraction")
+        message = (
+            "volume_fraction needs two materials that share space: a [[coupling]] of kind mixing or"
+            " drag between materials that bodies have"
+        )
+        raise scene.error([(path, message)])
 
 
 def _coefficient(scene: Scene, coupling) -> float:

@@ -236,11 +236,14 @@ class Output(StrictModel):
     ] = "out"
     """relative to the scene's folder"""
     fields: Annotated[
-        tuple[Literal["velocity", "J", "F"], ...],
+        tuple[
+            Literal["velocity", "J", "F", "stress", "pressure", "strain", "volume_fraction"], ...
+        ],
         ChangeableOnResume("later frames have these fields"),
     ] = ("velocity", "J", "F")
     """fields of the frames besides positions; rendering needs F for elastic bodies and J for all
-    others"""
+    others. stress, pressure, strain: of the law of each particle, for other programs.
+    volume_fraction: where a coupling of kind mixing or drag lets materials share space"""
     checkpoint_interval: Annotated[
         float, Quantity("s", ge=0), ChangeableOnResume("applies from now on")
     ] = 600.0

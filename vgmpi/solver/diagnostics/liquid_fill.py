@@ -50,12 +50,12 @@ def liquid_fill(simulation: Simulation) -> dict[int, LiquidFill]:
                 group.start, group.count, group.block, tables.table[tables.group == g], group.xi,
                 group.f, group.bits, plan.dx, np.array(plan.cells), sums,
             )  # fmt: skip
-    _add_remote_sums(simulation, sums)
+    add_remote_sums(simulation, sums)
     of_liquid = np.isin(tables.phase, phases)
     total = np.zeros((len(tables.at), 64), np.int64)
     block = np.repeat(np.arange(len(tables.at)), np.diff(tables.first))
     np.add.at(total, block[of_liquid], sums[of_liquid])
-    capacity = _capacity(plan, tables.at)
+    capacity = cell_capacity(plan, tables.at)
     with np.errstate(divide="ignore", invalid="ignore"):
         fullness = np.where(capacity > 0, total / capacity, 0.0)
     fits = 1.0 / np.maximum(fullness, 1.0)
@@ -105,19 +105,20 @@ def changed_volume_lines(entries: list[dict]) -> list[str]:
     return lines
 
 
-def _add_remote_sums(simulation: Simulation, sums: np.ndarray) -> None:
+def add_remote_sums(simulation: Simulation, sums: np.ndarray, to_all: bool = False) -> None:
     """Add the sums of higher ranks to those of the nodes that this rank counts. Collective.
 
     Args:
         simulation: The simulation.
         sums: Sums of the node blocks (in/out), shape (node blocks, 64).
+        to_all: Add the sums of all ranks, at all nodes that this rank's particles reach.
     """
     tables, ranks = simulation.tables, simulation.ranks
     block = np.repeat(np.arange(len(tables.at)), np.diff(tables.first))
     place = np.column_stack([tables.at[block], tables.phase])
     rows, to = [np.zeros((0, 68), np.int64)], [np.zeros(0, np.int64)]
     for other, fields in tables.shared.items():
-        if other < ranks.rank and "momentum" in fields:
+        if (to_all or other < ranks.rank) and "momentum" in fields:
             sent = fields["momentum"]
             bits = sent.send_masks[:, None] >> np.arange(64, dtype=np.uint64) & np.uint64(1)
             values = np.where(bits != 0, sums[sent.send_blocks], 0)
@@ -131,7 +132,7 @@ def _add_remote_sums(simulation: Simulation, sums: np.ndarray) -> None:
         sums[index[tuple(row[:4].tolist())]] += row[4:]
 
 
-def _capacity(plan: Plan, blocks: np.ndarray) -> np.ndarray:
+def cell_capacity(plan: Plan, blocks: np.ndarray) -> np.ndarray:
     """Return the part of each node's cell inside the domain in units, shape (n, 64).
 
     Args:

@@ -6,6 +6,8 @@ from vgmpi.materials.material import law_function
 from vgmpi.parallel.block_ownership import BlockDirectory, build_block_directory
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.particle_group import SIMD_WIDTH
+from vgmpi.solver.diagnostics.particle_fields import continuum_rows
+from vgmpi.solver.diagnostics.volume_fractions import volume_fractions
 from vgmpi.solver.engines.engine_protocol import UNKNOWN_MAXIMA, ParticleMaxima
 from vgmpi.solver.simulation import Simulation
 
@@ -23,15 +25,17 @@ def frame_rows(simulation: Simulation, names: tuple[str, ...]) -> tuple[np.ndarr
 
     Args:
         simulation: The simulation.
-        names: Optional fields: velocity, J, F. Fields x, object and phase are always included. F is
-            left out unless a body of the scene carries it; color is included if colors travel
-            with the steps.
+        names: Optional fields: velocity, J, F, stress, pressure, strain, volume_fraction. Fields x,
+            object and phase are always included. F is left out unless a body of the scene carries
+            it; color is included if colors travel with the steps. Collective with volume_fraction.
     """
     ids, group_rows = [], []
     deforms = any(
         "H" in group.carries or group.tracks_deformation for group in simulation.plan.groups
     )
-    for group in simulation.groups:
+    if "volume_fraction" in names:
+        fractions = volume_fractions(simulation)
+    for g, group in enumerate(simulation.groups):
         indices = group.index()
         state = group.law_state(indices)
         J = np.asarray(
@@ -48,6 +52,9 @@ def frame_rows(simulation: Simulation, names: tuple[str, ...]) -> tuple[np.ndarr
             row["J"] = J
         if "F" in names and deforms:
             row["F"] = _gradient(group, indices, J)
+        row |= continuum_rows(group, indices, names)
+        if "volume_fraction" in names:
+            row["volume_fraction"] = fractions[g].astype(np.float32)
         if simulation.plan.colors is not None:
             row["color_sh"] = _color(group, indices, simulation.plan.colors)
         ids.append(group.ids[indices])
