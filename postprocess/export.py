@@ -1,8 +1,9 @@
 """Export of Gaussian files: vgmpi export OUT --frames 0:50:5 -o DIR --format ply
 
-A file holds the Gaussians of a frame as the renderer draws them: shapes, opacities and colors, in
-meters and in the axes of the domain, for any viewer. Exit code 2 is for errors that the user can
-correct.
+Format web makes one page that plays the run: vgmpi export OUT --format web -o page.html. A file of
+the other formats holds the Gaussians of a frame as the renderer draws them: shapes, opacities and
+colors, in meters and in the axes of the domain, for any viewer. Exit code 2 is for errors that the
+user can correct.
 """
 
 import argparse
@@ -17,9 +18,11 @@ from tqdm import tqdm
 from vgmpi.gaussians.cloud import GaussianCloud, principal_axes
 from vgmpi.gaussians.formats import registry
 from vgmpi.io.run_reader import RunError, RunReader
-from vgmpi.rendering import render_config
+from vgmpi.rendering import image_io, render_config
 from vgmpi.rendering.appearance import Appearance
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions
+
+from . import export_moving
 
 log = logging.getLogger("vgmpi")
 
@@ -100,14 +103,18 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("out", help="folder of the run")
     p.add_argument("settings", nargs="?", help="render.toml, of which the table [look] is used")
     p.add_argument("--frames", help="a number, or first:last:every as in Python [all]")
-    p.add_argument("-o", "--output", help="folder of the files [OUT/gaussians]")
+    p.add_argument("-o", "--output", help="folder of the files, or page [OUT/gaussians]")
     kinds = [
         suffix.removeprefix(".") for suffix in (*registry.KINDS, registry.COMPRESSED, registry.GLTF)
     ]
+    kinds.append(export_moving.WEB)
     p.add_argument("--format", choices=kinds, default=kinds[0], help="file format [ply]")
     up = "axis that points up in the file; --up=-y for captures [z; y in a .glb]"
     p.add_argument("--up", choices=UP, help=up)
     p.add_argument("--no-scenery", action="store_true", help="leave out scenery")
+    accuracy = f"largest error of a position in a page, in cells [{export_moving.ACCURACY}]"
+    p.add_argument("--accuracy", type=float, default=export_moving.ACCURACY, help=accuracy)
+    p.add_argument("--fps", type=float, default=25.0, help="frames per second of a page [25]")
     p.add_argument("-q", "--quiet", action="store_true", help="warnings and errors only")
     return p
 
@@ -120,10 +127,12 @@ def main(argv: list[str] | None = None) -> int:
     logging.basicConfig(level=level, format="%(message)s", stream=sys.stderr)
     folder = Path(args.output or Path(args.out) / "gaussians")
     try:
+        if args.format == export_moving.WEB:
+            folder = export_moving.output_path(args)
         _export(args, folder)
     except render_config.SettingsError as error:
         print("\n".join(error.lines), file=sys.stderr)
-    except (RunError, registry.GaussianFileError) as error:
+    except (RunError, image_io.VideoError, registry.GaussianFileError) as error:
         print(error, file=sys.stderr)
     except OSError as error:
         print(f"{error.filename or folder}: {error.strerror or error}", file=sys.stderr)
@@ -140,6 +149,9 @@ def _export(args: argparse.Namespace, folder: Path) -> None:
     """Write the files."""
     run = RunReader(args.out)
     numbers = run.available_frames(selected_frames(args.frames, len(run)))
+    if args.format == export_moving.WEB:
+        export_moving.export_page(args, numbers, run)
+        return
     look = Appearance(run, render_config.load(args.settings).look)
     folder.mkdir(parents=True, exist_ok=True)
     suffix = f".{args.format}"
