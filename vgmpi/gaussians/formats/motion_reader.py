@@ -104,11 +104,11 @@ class MotionReader:
         for k, group in enumerate(self.groups):
             if group.motion != FREE:
                 bins, position = CodedRows(group.count, 3).decode(block, position, True)
-                x[self._starts[k] : self._starts[k + 1]] = self._positions(bins)
+                x[self._starts[k] : self._starts[k + 1]] = self.positions(bins)
         return RestGaussians(x, root * self.header["cell"], opacity[:, 0] / 65535, sh)
 
-    def _positions(self, bins: np.ndarray) -> np.ndarray:
-        """Return positions [m]."""
+    def positions(self, bins: np.ndarray) -> np.ndarray:
+        """Return the positions (n, 3) [m] of stored integers (n, 3)."""
         return np.array(self.header["origin"]) + self.header["steps"]["position"] * bins
 
     def bins(self, index: int) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -162,7 +162,7 @@ class MotionReader:
             if group.motion != FREE:
                 continue
             present[rows], bins = next(states)
-            x[rows] = self._positions(bins[:, :3])
+            x[rows] = self.positions(bins[:, :3])
             if group.shape == SIZE:
                 stretch[rows] *= (1 + bins[:, 3] * steps["size"])[:, None, None]
             if group.shape == DEFORMATION:
