@@ -1,6 +1,7 @@
 """Export of Gaussian files: vgmpi export OUT --frames 0:50:5 -o DIR --format ply
 
-Format web makes one page that plays the run: vgmpi export OUT --format web -o page.html. A file of
+Format web makes one page that plays the run: vgmpi export OUT --format web -o page.html; format usd
+one OpenUSD file with time samples (.usdc, .usda, .usdz; needs pip install "vgmpi[usd]"). A file of
 the other formats holds the Gaussians of a frame as the renderer draws them: shapes, opacities and
 colors, in meters and in the axes of the domain, for any viewer. Exit code 2 is for errors that the
 user can correct.
@@ -103,11 +104,11 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("out", help="folder of the run")
     p.add_argument("settings", nargs="?", help="render.toml, of which the table [look] is used")
     p.add_argument("--frames", help="a number, or first:last:every as in Python [all]")
-    p.add_argument("-o", "--output", help="folder of the files, or page [OUT/gaussians]")
+    p.add_argument("-o", "--output", help="folder of the files, or the one file [OUT/gaussians]")
     kinds = [
         suffix.removeprefix(".") for suffix in (*registry.KINDS, registry.COMPRESSED, registry.GLTF)
     ]
-    kinds.append(export_moving.WEB)
+    kinds += export_moving.KINDS
     p.add_argument("--format", choices=kinds, default=kinds[0], help="file format [ply]")
     up = "axis that points up in the file; --up=-y for captures [z; y in a .glb]"
     p.add_argument("--up", choices=UP, help=up)
@@ -127,7 +128,7 @@ def main(argv: list[str] | None = None) -> int:
     logging.basicConfig(level=level, format="%(message)s", stream=sys.stderr)
     folder = Path(args.output or Path(args.out) / "gaussians")
     try:
-        if args.format == export_moving.WEB:
+        if args.format in export_moving.KINDS:
             folder = export_moving.output_path(args)
         _export(args, folder)
     except render_config.SettingsError as error:
@@ -149,8 +150,8 @@ def _export(args: argparse.Namespace, folder: Path) -> None:
     """Write the files."""
     run = RunReader(args.out)
     numbers = run.available_frames(selected_frames(args.frames, len(run)))
-    if args.format == export_moving.WEB:
-        export_moving.export_page(args, numbers, run)
+    if args.format in export_moving.KINDS:
+        export_moving.export_moving(args, numbers, run)
         return
     look = Appearance(run, render_config.load(args.settings).look)
     folder.mkdir(parents=True, exist_ok=True)

@@ -1,32 +1,51 @@
-"""Export of a run as one moving file: vgmpi export OUT --format web -o page.html."""
+"""Export of a run as one moving file: vgmpi export OUT --format web -o page.html.
+
+Format usd makes an OpenUSD file: vgmpi export OUT --format usd -o scene.usdc.
+"""
 
 import argparse
 import functools
 import logging
+import tempfile
 from pathlib import Path
 
+import numpy as np
 from tqdm import tqdm
 
 from vgmpi.gaussians.formats.motion_writer import MotionWriter
 from vgmpi.io.run_reader import RunError, RunReader
-from vgmpi.rendering import image_io, render_config, web_page
+from vgmpi.rendering import image_io, render_config, usd_stage, web_page
 from vgmpi.rendering.appearance import Appearance
+from vgmpi.rendering.camera_paths import CameraPath
+from vgmpi.rendering.collider_meshes import collider_meshes
 from vgmpi.rendering.frame_renderer import visible_extent
+from vgmpi.rendering.raster.shadow_lighting import Light
 from vgmpi.rendering.run_motion import RunMotion
 
 log = logging.getLogger("vgmpi")
 
-WEB = "web"
+WEB, USD = "web", "usd"
+KINDS = (WEB, USD)
+SUFFIXES = {WEB: (".html", ".htm"), USD: usd_stage.SUFFIXES}
 ACCURACY = 0.01  # [cells] default of --accuracy
 ACCURACIES = (1e-5, 1.0)  # [cells] allowed
 
 
 def output_path(args: argparse.Namespace) -> Path:
     """Return the file that an export of one moving file writes. Raises RunError."""
-    path = Path(args.output or Path(args.out) / "run.html")
-    if path.suffix.lower() not in (".html", ".htm"):
-        raise RunError(f"-o: {path}: allowed: a name that ends in .html")
+    suffixes = SUFFIXES[args.format]
+    path = Path(args.output or Path(args.out) / f"run{suffixes[0]}")
+    if path.suffix.lower() not in suffixes:
+        raise RunError(f"-o: {path}: allowed: a name that ends in {', '.join(suffixes)}")
     return path
+
+
+def export_moving(args: argparse.Namespace, numbers: list[int], run: RunReader) -> None:
+    """Write the frames `numbers` of a run as one file. Raises RunError and SettingsError."""
+    if args.format == WEB:
+        export_page(args, numbers, run)
+    else:
+        export_usd(args, numbers, run)
 
 
 def export_page(args: argparse.Namespace, numbers: list[int], run: RunReader) -> None:
@@ -53,3 +72,47 @@ def export_page(args: argparse.Namespace, numbers: list[int], run: RunReader) ->
     size = path.stat().st_size / 1e6
     message = "%d frames of %d Gaussians, %.1f MB"
     log.info(message, len(numbers), len(motion.rest.x), size)
+
+
+def export_usd(args: argparse.Namespace, numbers: list[int], run: RunReader) -> None:
+    """Write the OpenUSD file of a run's frames. Raises RunError and SettingsError."""
+    usd = usd_stage.load_usd()
+    path = output_path(args)
+    chosen = render_config.load(args.settings)
+    folder = Path(args.settings).parent if args.settings else Path(".")
+    box = functools.cache(lambda: visible_extent(run))
+    views = [CameraPath(entry, chosen.picture, box, folder) for entry in chosen.views()]
+    look = Appearance(run, chosen.look)
+    motion = RunMotion(look, numbers[len(numbers) // 2], not args.no_scenery)
+    times = run.times[numbers]
+    rate = 1 / float(np.median(np.diff(times))) if len(times) > 1 else 24.0
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=".usd") as temporary:
+        layer = Path(temporary) / f"{path.stem}{'.usdc' if path.suffix == '.usdz' else path.suffix}"
+        stage = usd_stage.UsdStage(
+            layer, motion.groups, motion.rest, frames=len(numbers), rate=rate
+        )
+        stage.add_light((chosen.light.light() if chosen.light else Light()).direction)
+        colliders, without = collider_meshes(run.objects, run.scene)
+        if without:
+            log.warning(
+                "colliders without a mesh, shown by Gaussians alone: %s", ", ".join(without)
+            )
+        meshes = [stage.add_mesh(m.name, m.points, m.faces, m.color) for m in colliders]
+        for k, index in enumerate(tqdm(numbers, unit="frame", disable=args.quiet or None)):
+            frame = look.frame(index)
+            part = k / max(len(numbers) - 1, 1)
+            cameras = {view.name: view.camera_at(part, float(times[k])) for view in views}
+            stage.add_frame(motion.states(frame), motion.poses(frame), cameras)
+            for mesh, collider in zip(meshes, colliders):
+                if collider.pose >= 0:
+                    stage.set_mesh_pose(mesh, frame["poses"][collider.pose])
+        stage.save()
+        del stage
+        if path.suffix.lower() == ".usdz":
+            package = layer.with_suffix(".usdz")
+            usd.UsdUtils.CreateNewUsdzPackage(str(layer), str(package))
+            layer = package
+        layer.replace(path)
+    message = "%d frames of %d Gaussians, %.1f MB"
+    log.info(message, len(numbers), len(motion.rest.x), path.stat().st_size / 1e6)

@@ -103,7 +103,8 @@ class RunMotion:
             ids = np.flatnonzero(look.object == number)
             name = str(look.objects[number].get("name", number)) if look.objects else "particles"
             shape = _shape(int(look.rule[ids[0]]), bool(look.turns[ids[0]]))
-            group = MotionGroup(name, 0, layout.FREE, shape, self.has_colors)
+            changes = look.colors.mode == "step" or bool((look.colors.set[ids] >= 0).any())
+            group = MotionGroup(name, 0, layout.FREE, shape, self.has_colors and changes)
             self._add_group(group, "particles", ids, x[ids])
 
     def _add_carried(self) -> None:
