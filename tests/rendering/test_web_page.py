@@ -17,7 +17,15 @@ from tests.support import drawn_runs
 from tests.support.launch import PATIENCE
 from vgmpi.gaussians import spherical_harmonics as harmonics
 from vgmpi.gaussians.camera import look_at
-from vgmpi.gaussians.formats.motion_layout import KEY_INTERVAL
+from vgmpi.gaussians.cloud import pack_symmetric, rotation_matrices, unpack_symmetric
+from vgmpi.gaussians.formats import motion_layout as layout
+from vgmpi.gaussians.formats.motion_layout import (
+    KEY_INTERVAL,
+    GroupState,
+    MotionGroup,
+    RestGaussians,
+)
+from vgmpi.gaussians.formats.motion_writer import MotionWriter
 from vgmpi.gaussians.formats.validation import GaussianFileError
 from vgmpi.io.run_reader import RunReader
 from vgmpi.rendering import web_page
@@ -61,11 +69,11 @@ def psnr(a, b):
 def picture_of_file(reader, index, camera):
     """Picture of decoded Gaussians by the renderer."""
     frame = reader.frame(index)
-    sh = reader.rest.sh.copy()
+    sh, opacity = reader.rest.sh.copy(), reader.rest.opacity * frame.present
     sh[:, 0] = harmonics.dc_from_rgb(frame.rgb)
     directions = np.einsum("nij,ni->nj", frame.rotation, frame.x - camera.eye)
     color = np.maximum(harmonics.evaluate(sh, directions), 0)
-    splats = rasterize.ProjectableGaussians(frame.x, frame.cov, reader.rest.opacity, color)
+    splats = rasterize.ProjectableGaussians(frame.x, frame.cov, opacity, color)
     return rasterize.render(splats, camera)[0]
 
 
@@ -142,6 +150,84 @@ def test_a_browser_without_a_network_draws_the_renderers_pictures(out, html):
     assert seconds < 2  # 656 Gaussians: what is slow here is the drawing without a card
     assert not errors
     assert all(url.startswith(("file:", "blob:", "data:")) for url in asked), asked
+
+
+def every_kind():
+    """Stream with a group of each kind: at rest, posed, of changing size, deformed, colored."""
+    rng = np.random.default_rng(1)
+    kinds = [
+        MotionGroup("still", 40, layout.STATIC),
+        MotionGroup("wheel", 30, layout.POSED, pose=0),
+        MotionGroup("water", 1100, layout.FREE, layout.SIZE, color=True),
+        MotionGroup("rubber", 50, layout.FREE, layout.DEFORMATION),
+        MotionGroup("dust", 20, layout.FREE),
+    ]
+    n = sum(group.count for group in kinds)
+    x = rng.uniform(0, 2, (n, 3))
+    root = rng.normal(0, 0.02, (n, 6)) + 0.05 * layout.IDENTITY
+    rest = RestGaussians(x, root, rng.uniform(0, 1, n), rng.normal(0, 0.2, (n, 16, 3)))
+    writer = MotionWriter(kinds, rest, cell=0.1, accuracy=0.01)
+    for k in range(KEY_INTERVAL + 2):
+        moved = x + 0.01 * rng.normal(size=(n, 3))
+        present = rng.uniform(size=1100) > 0.1 * (k > 2)
+        quat = rng.normal(size=(50, 4))
+        quat /= np.linalg.norm(quat, axis=1, keepdims=True)
+        stretch = layout.IDENTITY + 0.1 * rng.normal(size=(50, 6))
+        water = moved[70:1170][present]
+        m = len(water)
+        states = [
+            GroupState(present, water, rng.uniform(0.8, 1.2, m), color=rng.uniform(0, 1, (m, 3))),
+            GroupState(np.ones(50, bool), moved[1170:1220], None, quat, stretch),
+            GroupState(np.ones(20, bool), moved[1220:]),
+        ]
+        pose = np.eye(4)
+        pose[:3, :3] = rotation_matrices(quat[:1])[0]  # any, half turns too
+        pose[:3, 3] = rng.normal(size=3)
+        writer.add_frame(0.1 * k, states, [pose])
+    camera = {"eye": EYE, "target": TARGET, "up": (0, 0, 1), "fov": FOV}
+    view = {"camera": camera, "background": [1, 1, 1], "alpha_min": 1 / 255, "lowpass": 0.3}
+    return web_page.assemble_page(writer.to_bytes({**view, "fps": 25}), "<kinds> & \u00e4")
+
+
+@pytest.mark.browser
+def test_the_browser_decodes_what_python_decodes(tmp_path):
+    """Every kind of group: centers, shapes, colors and presence, and the picture."""
+    api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
+    path = tmp_path / "kinds.html"
+    path.write_bytes(every_kind())
+    reader = web_page.read_page(path)
+    camera = look_at(EYE, TARGET, (0, 0, 1), FOV, 512, 512)
+    with api.sync_playwright() as play:
+        _, page = browser_page(play)
+        page.goto(path.as_uri())
+        page.evaluate("() => vgmpi.ready")
+        assert page.title() == "<kinds> & \u00e4"
+        page.evaluate("() => { vgmpi.play(false); document.body.classList.add('bare'); }")
+        for index in (KEY_INTERVAL + 1, 5):
+            page.evaluate("index => vgmpi.show(index)", index)
+            arrays = {
+                name: np.array(page.evaluate(f"() => Array.from(vgmpi.motion.{name})"))
+                for name in ("centers", "shapes", "roots", "colors", "harmonics", "present")
+            }
+            frame, n = reader.frame(index), len(reader.rest.x)
+            centers, shapes = arrays["centers"].reshape(n, 4), arrays["shapes"].reshape(n, 12)
+            quat = shapes[:, :4] / np.linalg.norm(shapes[:, :4], axis=1, keepdims=True)
+            rotation = rotation_matrices(quat)
+            M = rotation @ unpack_symmetric(shapes[:, 4:10])
+            M = M @ unpack_symmetric(arrays["roots"].reshape(n, 8)[:, :6])
+            M *= centers[:, 3, None, None]
+            cov = pack_symmetric(M @ M.transpose(0, 2, 1))
+            np.testing.assert_array_equal(arrays["present"], frame.present)
+            np.testing.assert_allclose(centers[:, :3], frame.x, atol=1e-5)
+            np.testing.assert_allclose(rotation, frame.rotation, atol=1e-5)
+            np.testing.assert_allclose(cov, frame.cov, atol=1e-6)
+            colors = arrays["colors"].reshape(n, 4)
+            np.testing.assert_allclose(colors[:, :3], frame.rgb, atol=1e-5)
+            np.testing.assert_allclose(colors[:, 3], reader.rest.opacity, atol=1e-6)
+            higher = arrays["harmonics"].reshape(n, 15, 4)[..., :3]
+            np.testing.assert_allclose(higher, reader.rest.sh[:, 1:], atol=1e-6)
+            got = iio.imread(io.BytesIO(page.screenshot()))[..., :3] / 255
+            assert psnr(got, picture_of_file(reader, index, camera)) > 40
 
 
 class Utf8Handler(http.server.SimpleHTTPRequestHandler):

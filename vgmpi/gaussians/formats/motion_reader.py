@@ -112,15 +112,26 @@ class MotionReader:
         return np.array(self.header["origin"]) + self.header["steps"]["position"] * bins
 
     def bins(self, index: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return presence (n,) and integers (n, channels) of each FREE group in a frame."""
+        """Return presence (n,) and integers (n, channels) of each FREE group in a frame.
+
+        Raises:
+            GaussianFileError: If a frame is damaged.
+            IndexError: If there is no such frame.
+        """
         frames = self.header["frames"]
+        if not 0 <= index < len(frames):
+            raise IndexError(f"no frame {index}, there are {len(frames)}")
         first = index
         while not frames[first]["key"]:
             first -= 1
         if first <= self._last <= index:  # the frames before are decoded already
             first = self._last + 1
         for number in range(first, index + 1):
-            self._advance(number)
+            try:
+                self._advance(number)
+            except (ValueError, IndexError, zlib.error) as error:
+                self._last = -1  # the coders are between two frames
+                raise GaussianFileError(f"frame {number} is damaged: {error}") from None
         return self._bins
 
     def _advance(self, number: int) -> None:
@@ -142,6 +153,8 @@ class MotionReader:
                 position += size
             values, position = coder.decode(block, position, entry["key"])
             decoded.append((present, values))
+        if position != len(block):
+            raise ValueError(f"{len(block) - position} bytes are left over")
         self._bins, self._last = decoded, number
 
     def frame(self, index: int) -> MotionFrame:

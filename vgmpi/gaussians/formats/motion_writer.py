@@ -179,7 +179,7 @@ def _held_bins(values: np.ndarray, step: float, previous: np.ndarray) -> np.ndar
 
 def _planes(values: np.ndarray) -> list[bytes]:
     """Return the byte planes of an array (n, columns), column by column, low bytes first."""
-    columns = np.ascontiguousarray(values.reshape(len(values), -1).T)
-    size = columns.dtype.itemsize
-    raw = columns.view(np.uint8).reshape(len(columns), -1, size)
-    return [raw[c, :, k].tobytes() for c in range(len(columns)) for k in range(size)]
+    width, size = int(np.prod(values.shape[1:])), values.dtype.itemsize
+    columns = np.ascontiguousarray(values.reshape(len(values), width).T)
+    raw = columns.view(np.uint8).reshape(width, len(values), size)
+    return [raw[c, :, k].tobytes() for c in range(width) for k in range(size)]

@@ -91,6 +91,11 @@ async function start() {
     touches.set(event.pointerId, now);
     dirty = true;
   };
+  canvas.addEventListener("webglcontextlost", () => {
+    find("message").textContent = "The graphics card was lost: load the page again.";
+    find("message").hidden = false;
+    play(false);
+  });
   canvas.oncontextmenu = (event) => event.preventDefault();
   canvas.addEventListener("wheel", (event) => {
     event.preventDefault();

@@ -120,6 +120,8 @@ class DataTexture {
   constructor(gl, format, array) {
     this.gl = gl;
     this.rows = Math.max(1, Math.ceil(array.length / 4 / WIDTH));
+    if (this.rows > gl.getParameter(gl.MAX_TEXTURE_SIZE))
+      throw new Error("these Gaussians do not fit into a texture of this graphics card");
     this.padded = new Float32Array(4 * WIDTH * this.rows);
     this.texture = gl.createTexture();
     gl.bindTexture(gl.TEXTURE_2D, this.texture);
