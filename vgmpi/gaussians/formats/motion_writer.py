@@ -24,7 +24,7 @@ from .motion_layout import (
 from .residual_coding import MAX_BIN, CodedRows, deflate
 from .validation import GaussianFileError
 
-HOLD = 0.75  # [steps] change of a shape or color below which the stored integer stays
+HOLD = 1.0  # [steps] change of a shape or color below which the stored integer stays
 
 
 class MotionWriter:
