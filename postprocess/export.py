@@ -114,8 +114,8 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--up", choices=UP, help=up)
     p.add_argument("--no-scenery", action="store_true", help="leave out scenery")
     accuracy = f"largest error of a position in a page, in cells [{export_moving.ACCURACY}]"
-    p.add_argument("--accuracy", type=float, default=export_moving.ACCURACY, help=accuracy)
-    p.add_argument("--fps", type=float, default=25.0, help="frames per second of a page [25]")
+    p.add_argument("--accuracy", type=float, help=accuracy)
+    p.add_argument("--fps", type=float, help=f"frames per second of a page [{export_moving.FPS:g}]")
     p.add_argument("-q", "--quiet", action="store_true", help="warnings and errors only")
     return p
 
@@ -148,6 +148,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _export(args: argparse.Namespace, folder: Path) -> None:
     """Write the files."""
+    export_moving.check_flags(args)
     run = RunReader(args.out)
     numbers = run.available_frames(selected_frames(args.frames, len(run)))
     if args.format in export_moving.KINDS:

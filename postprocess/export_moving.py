@@ -28,6 +28,7 @@ WEB, USD = "web", "usd"
 KINDS = (WEB, USD)
 SUFFIXES = {WEB: (".html", ".htm"), USD: usd_stage.SUFFIXES}
 ACCURACY = 0.01  # [cells] default of --accuracy
+FPS = 25.0  # default of --fps
 ACCURACIES = (1e-5, 1.0)  # [cells] allowed
 
 
@@ -40,6 +41,20 @@ def output_path(args: argparse.Namespace) -> Path:
     return path
 
 
+def check_flags(args: argparse.Namespace) -> None:
+    """Raise RunError if a flag has no meaning with the format, or a value is not allowed."""
+    for flag in ("accuracy", "fps"):
+        if getattr(args, flag) is not None and args.format != WEB:
+            raise RunError(f"--{flag}: allowed with --format {WEB}")
+    if args.format in KINDS and args.up not in (None, "z"):
+        raise RunError(f"--up: {args.up}: a moving file has z up")
+    low, high = ACCURACIES
+    if args.accuracy is not None and not low <= args.accuracy <= high:
+        raise RunError(f"--accuracy: {args.accuracy}: allowed: {low} to {high} cells")
+    if args.fps is not None and not 0.1 <= args.fps <= 240:
+        raise RunError(f"--fps: {args.fps}: allowed: 0.1 to 240")
+
+
 def export_moving(args: argparse.Namespace, numbers: list[int], run: RunReader) -> None:
     """Write the frames `numbers` of a run as one file. Raises RunError and SettingsError."""
     if args.format == WEB:
@@ -50,23 +65,18 @@ def export_moving(args: argparse.Namespace, numbers: list[int], run: RunReader) 
 
 def export_page(args: argparse.Namespace, numbers: list[int], run: RunReader) -> None:
     """Write the page of a run's frames `numbers`. Raises RunError and SettingsError."""
-    low, high = ACCURACIES
-    if not low <= args.accuracy <= high:
-        raise RunError(f"--accuracy: {args.accuracy}: allowed: {low} to {high} cells")
-    if not 0.1 <= args.fps <= 240:
-        raise RunError(f"--fps: {args.fps}: allowed: 0.1 to 240")
     path = output_path(args)
     chosen = render_config.load(args.settings)
     look = Appearance(run, chosen.look)
     motion = RunMotion(look, numbers[len(numbers) // 2], not args.no_scenery)
     cell = float(run.scene.get("domain", {}).get("cell", look.spacing))
-    writer = MotionWriter(motion.groups, motion.rest, cell=cell, accuracy=args.accuracy)
+    writer = MotionWriter(motion.groups, motion.rest, cell=cell, accuracy=args.accuracy or ACCURACY)
     for index in tqdm(numbers, unit="frame", disable=True if args.quiet else None):
         frame = look.frame(index)
         writer.add_frame(float(run.times[index]), motion.states(frame), motion.poses(frame))
     folder = Path(args.settings).parent if args.settings else Path(".")
     box = functools.cache(lambda: visible_extent(run))
-    view = web_page.view_settings(look, chosen, folder, box, args.fps)
+    view = web_page.view_settings(look, chosen, folder, box, args.fps or FPS)
     title = str(run.scene.get("title") or run.folder.name)
     image_io.write(path, web_page.assemble_page(writer.to_bytes(view), title))
     size = path.stat().st_size / 1e6

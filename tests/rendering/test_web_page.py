@@ -138,6 +138,19 @@ def test_a_browser_without_a_network_draws_the_renderers_pictures(out, html):
             for group, (_, bins) in zip(groups, reader.bins(index), strict=True):
                 shown = page.evaluate("group => vgmpi.bins(group)", group)
                 np.testing.assert_array_equal(shown, bins.T.ravel())
+        page.keyboard.press("Home")
+        page.keyboard.press("ArrowRight")
+        page.wait_for_function("() => document.getElementById('time').value === '1'")
+        arm = "() => vgmpi.camera.eye.map((v, k) => v - vgmpi.camera.target[k])"
+        before = np.array(page.evaluate(arm))
+        page.mouse.move(250, 250)
+        page.mouse.down()
+        page.mouse.move(300, 200, steps=4)
+        page.mouse.up()
+        turned = np.array(page.evaluate(arm))
+        page.mouse.wheel(0, 300)
+        farther = f"length => Math.hypot(...({arm})()) > length"
+        page.wait_for_function(farther, arg=1.2 * float(np.linalg.norm(before)))
         seconds = page.evaluate(
             "async () => { const t = performance.now(); await vgmpi.show(11);"
             " return (performance.now() - t) / 1000; }"
@@ -147,6 +160,8 @@ def test_a_browser_without_a_network_draws_the_renderers_pictures(out, html):
         want = rasterize.render(look.splats(look.frame(index), camera.eye), camera)[0]
         assert psnr(got, want) > 40, index  # required: 25
         assert psnr(got, pictures[0 if index == 0 else -1]) < 35  # tells frames apart
+    assert np.linalg.norm(turned) == pytest.approx(np.linalg.norm(before))
+    assert np.linalg.norm(turned - before) > 0.2
     assert seconds < 2  # 656 Gaussians: what is slow here is the drawing without a card
     assert not errors
     assert all(url.startswith(("file:", "blob:", "data:")) for url in asked), asked
@@ -270,6 +285,9 @@ def test_the_page_is_one_file_without_a_network(html):
         (["--accuracy", "nan"], "--accuracy"),
         (["--fps", "0"], "--fps"),
         (["--frames", "99"], "the run has the frames"),
+        (["--up=y"], "--up: y: a moving file has z up"),
+        (["--format", "ply", "--fps", "20"], "--fps: allowed with --format web"),
+        (["--format", "usd", "--accuracy", "0.1"], "--accuracy: allowed with --format web"),
     ],
 )
 def test_mistakes_end_with_code_2_and_one_line(out, tmp_path, argv, says, capfd, monkeypatch):
