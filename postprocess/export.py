@@ -17,7 +17,7 @@ import numpy as np
 from tqdm import tqdm
 
 from vgmpi.gaussians.cloud import GaussianCloud, principal_axes
-from vgmpi.gaussians.formats import registry
+from vgmpi.gaussians.formats import registry, sog
 from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.rendering import image_io, render_config
 from vgmpi.rendering.appearance import Appearance
@@ -84,6 +84,9 @@ def losses(gaussians: GaussianCloud, suffix: str) -> list[str]:
         lines.append(
             f"a .splat keeps no view-dependent color: {shiny_count:,} Gaussians lose theirs"
         )
+    if suffix == registry.SOG and shiny_count >= sog.PALETTE:
+        text = f"a .sog holds {sog.PALETTE:,} view-dependent colors"
+        lines.append(f"{text}: {shiny_count:,} Gaussians share them")
     max_value = {".spz": 1, registry.COMPRESSED: 4}.get(suffix, np.inf)
     if beyond_count := np.count_nonzero(np.abs(gaussians.sh[:, 1:]) > max_value):
         lines.append(
@@ -106,7 +109,8 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--frames", help="a number, or first:last:every as in Python [all]")
     p.add_argument("-o", "--output", help="folder of the files, or the one file [OUT/gaussians]")
     kinds = [
-        suffix.removeprefix(".") for suffix in (*registry.KINDS, registry.COMPRESSED, registry.GLTF)
+        suffix.removeprefix(".")
+        for suffix in (*registry.KINDS, registry.COMPRESSED, registry.GLTF, registry.SOG)
     ]
     kinds += export_moving.KINDS
     p.add_argument("--format", choices=kinds, default=kinds[0], help="file format [ply]")
