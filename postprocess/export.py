@@ -1,8 +1,11 @@
 """Export for other programs: vgmpi export OUT --frames 0:50:5 -o DIR --format ply
 
-A file holds the Gaussians of a frame as the renderer draws them: shapes, opacities and colors, in
-meters and in the axes of the domain, for any viewer. With --surface it holds the surface of a body
-as triangles with the colors of its Gaussians. Exit code 2 is for errors that the user can correct.
+Format web makes one page that plays the run: vgmpi export OUT --format web -o page.html; format usd
+one OpenUSD file with time samples (.usdc, .usda, .usdz; needs pip install "vgmpi[usd]"). A file of
+the other formats holds the Gaussians of a frame as the renderer draws them: shapes, opacities and
+colors, in meters and in the axes of the domain, for any viewer. With --surface it holds the surface
+of a body as triangles with the colors of its Gaussians. Exit code 2 is for errors that the user can
+correct.
 """
 
 import argparse
@@ -15,19 +18,20 @@ import numpy as np
 from tqdm import tqdm
 
 from vgmpi.gaussians.cloud import GaussianCloud, principal_axes
-from vgmpi.gaussians.formats import registry
+from vgmpi.gaussians.formats import registry, sog
 from vgmpi.io.run_reader import RunError, RunReader
-from vgmpi.rendering import render_config
+from vgmpi.rendering import image_io, render_config
 from vgmpi.rendering.appearance import Appearance
 from vgmpi.rendering.surface_mesh import SMOOTHING_STEPS
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions
 
-from . import surface_export
+from . import export_moving, surface_export
 
 log = logging.getLogger("vgmpi")
 
 GAUSSIAN_FORMATS = [
-    suffix.removeprefix(".") for suffix in (*registry.KINDS, registry.COMPRESSED, registry.GLTF)
+    suffix.removeprefix(".")
+    for suffix in (*registry.KINDS, registry.COMPRESSED, registry.GLTF, registry.SOG)
 ]
 Y_UP = ("glb", "obj")  # formats that programs read with y up
 
@@ -88,6 +92,9 @@ def losses(gaussians: GaussianCloud, suffix: str) -> list[str]:
         lines.append(
             f"a .splat keeps no view-dependent color: {shiny_count:,} Gaussians lose theirs"
         )
+    if suffix == registry.SOG and shiny_count >= sog.PALETTE:
+        text = f"a .sog holds {sog.PALETTE:,} view-dependent colors"
+        lines.append(f"{text}: {shiny_count:,} Gaussians share them")
     max_value = {".spz": 1, registry.COMPRESSED: 4}.get(suffix, np.inf)
     if beyond_count := np.count_nonzero(np.abs(gaussians.sh[:, 1:]) > max_value):
         lines.append(
@@ -108,10 +115,14 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("out", help="folder of the run")
     p.add_argument("settings", nargs="?", help="render.toml, of which the table [look] is used")
     p.add_argument("--frames", help="a number, or first:last:every as in Python [all]")
-    p.add_argument("-o", "--output", help="folder of the files [OUT/gaussians, OUT/surface]")
+    p.add_argument(
+        "-o",
+        "--output",
+        help="folder of the files, or the one file [OUT/gaussians, OUT/surface]",
+    )
     p.add_argument(
         "--format",
-        choices=[*GAUSSIAN_FORMATS, *surface_export.FORMATS],
+        choices=[*GAUSSIAN_FORMATS, *surface_export.FORMATS, *export_moving.KINDS],
         help="file format; vtp and obj are meshes [ply; vtp with --surface]",
     )
     p.add_argument(
@@ -129,6 +140,9 @@ def parser() -> argparse.ArgumentParser:
     up = "axis that points up in the file; --up=-y for captures [z; y in .glb and .obj]"
     p.add_argument("--up", choices=UP, help=up)
     p.add_argument("--no-scenery", action="store_true", help="leave out scenery")
+    accuracy = f"largest error of a position in a page, in cells [{export_moving.ACCURACY}]"
+    p.add_argument("--accuracy", type=float, help=accuracy)
+    p.add_argument("--fps", type=float, help=f"frames per second of a page [{export_moving.FPS:g}]")
     p.add_argument("-q", "--quiet", action="store_true", help="warnings and errors only")
     return p
 
@@ -141,10 +155,12 @@ def main(argv: list[str] | None = None) -> int:
     logging.basicConfig(level=level, format="%(message)s", stream=sys.stderr)
     folder = Path(args.output or Path(args.out) / ("surface" if args.surface else "gaussians"))
     try:
+        if args.format in export_moving.KINDS:
+            folder = export_moving.output_path(args)
         _export(args, folder)
     except render_config.SettingsError as error:
         print("\n".join(error.lines), file=sys.stderr)
-    except (RunError, registry.GaussianFileError) as error:
+    except (RunError, image_io.VideoError, registry.GaussianFileError) as error:
         print(error, file=sys.stderr)
     except OSError as error:
         print(f"{error.filename or folder}: {error.strerror or error}", file=sys.stderr)
@@ -159,9 +175,13 @@ def main(argv: list[str] | None = None) -> int:
 
 def _export(args: argparse.Namespace, folder: Path) -> None:
     """Write the files."""
-    surface_export.check_arguments(args, GAUSSIAN_FORMATS)
+    surface_export.check_arguments(args, [*GAUSSIAN_FORMATS, *export_moving.KINDS])
+    export_moving.check_flags(args)
     run = RunReader(args.out)
     numbers = run.available_frames(selected_frames(args.frames, len(run)))
+    if args.format in export_moving.KINDS:
+        export_moving.export_moving(args, numbers, run)
+        return
     look = Appearance(run, render_config.load(args.settings).look)
     up = args.up or ("y" if args.format in Y_UP else "z")
     if args.surface is not None:

@@ -37,6 +37,7 @@ OUTSIDE = {  # packages that only some files may use
         "vgmpi/apps/photo/visual_hull.py",
         "vgmpi/apps/notebook/run_frames.py",
     ),
+    "pxr": ("vgmpi/rendering/usd_stage.py",),  # OpenUSD: one file of a moving run
     "viser": ("postprocess/replay.py",),
     "pysplashsurf": ("vgmpi/rendering/surface_mesh.py",),  # surfaces: vgmpi export --surface
     "tqdm": (

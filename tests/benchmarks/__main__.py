@@ -330,6 +330,22 @@ def _run_step_model(args) -> int:
     return 0
 
 
+def _moving_page(parser) -> None:
+    say = parser.add_argument
+    say("--folder", type=Path, help="folder of a run; default: made-up motion")
+    say("--gaussians", type=float, default=3e5, metavar="N", help="made up, default 3e5")
+    say("--frames", type=int, default=250, metavar="N", help="made up, default 250")
+    say("--accuracy", type=float, default=0.01, metavar="A", help="in cells, default 0.01")
+    say("-o", "--output", help="file to keep the page in")
+
+
+def _run_moving_page(args) -> int:
+    from tests.benchmarks import moving_page
+
+    print(moving_page.run_benchmark(args, print_progress))
+    return 0
+
+
 COMMANDS = LIQUID_COMMANDS | {  # what it does, its flags, how it runs
     "accuracy": ("how exact single precision is", _accuracy, _run_accuracy),
     "against": ("beside another checkout", _against, _run_against),
@@ -342,6 +358,7 @@ COMMANDS = LIQUID_COMMANDS | {  # what it does, its flags, how it runs
     "emulate": ("one rank of many by its own tables", _emulate, _run_emulate),
     "extremes": ("scenes at the ends of what is allowed", _extremes, _run_extremes),
     "features": ("what contact, colliders and probes cost", _couplings, _run_couplings),
+    "moving-page": ("size and times of a run's web page", _moving_page, _run_moving_page),
     "overhead": ("what a step costs beside its kernels", _overhead, _run_overhead),
     "predictions": ("what --plan tells, and what runs take", _predictions, _run_predictions),
     "registers": ("what a graphics card's kernels take; needs no card", _registers, _run_registers),

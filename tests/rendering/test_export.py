@@ -1,11 +1,14 @@
 """Frames as Gaussian files: what is read back looks like what the renderer draws."""
 
+import io
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from postprocess import export
 from tests.gaussians.test_glb import parsed
@@ -215,6 +218,62 @@ def test_a_gltf_has_y_up(out, tmp_path):
     _, values = parsed(tmp_path / "frame_00000.glb")
     turned = np.column_stack([x[:, 0], x[:, 2], -x[:, 1]])
     np.testing.assert_allclose(values["POSITION"], turned, atol=1e-6)
+
+
+def read_sog(path, monkeypatch):
+    """The cloud that another program's reader finds in a .sog."""
+    gsply = pytest.importorskip("gsply", reason="needs gsply: pip install 'vgmpi[test]'")
+    from gsply import sog_reader
+    from PIL import Image
+
+    def webp_decode(data):
+        return np.array(Image.open(io.BytesIO(data)).convert("RGBA"))
+
+    monkeypatch.setattr(sog_reader, "imagecodecs", SimpleNamespace(webp_decode=webp_decode))
+    read = gsply.sog_reader.sogread(path)
+    higher = np.zeros((len(read.means), 0, 3)) if read.shN is None else read.shN
+    sh = np.concatenate([read.sh0[:, None], higher], axis=1)
+    quat = read.quats / np.linalg.norm(read.quats, axis=1, keepdims=True)
+    opacity = 1 / (1 + np.exp(-read.opacities.astype(np.float64)))
+    return GaussianCloud(read.means, quat, np.exp(read.scales), opacity, sh)
+
+
+@pytest.mark.parametrize("eye", EYES)
+def test_another_programs_reader_finds_the_renderers_picture_in_a_sog(tmp_path, monkeypatch, eye):
+    """Positions in 65535ths, sizes and colors by codebooks; reached at least: 61 dB."""
+    look, moved = shiny()
+    made = export.cloud(look, moved)
+    registry.write(tmp_path / "a.sog", made)
+    got = read_sog(tmp_path / "a.sog", monkeypatch)
+    assert len(got) == len(made)
+    want = picture(look.splats(moved, np.array(eye)), eye)
+    assert psnr(drawn(got, np.array(eye)), want) > 57
+    registry.write(tmp_path / "b.sog", made)
+    assert (tmp_path / "a.sog").read_bytes() == (tmp_path / "b.sog").read_bytes()
+
+
+def test_a_sog_without_view_dependence_and_with_too_much(tmp_path, monkeypatch):
+    monkeypatch.setattr(export.sog, "PALETTE", 1 << 10)
+    rng = np.random.default_rng(0)
+    n = 3_000
+    quat = rng.normal(size=(n, 4))
+    quat /= np.linalg.norm(quat, axis=1, keepdims=True)
+    x, scale = rng.uniform(-3, 3, (n, 3)), np.exp(rng.uniform(-4, -2, (n, 3)))
+    sh = rng.normal(0, 0.3, (n, 4, 3)).astype("f4")
+    plain = GaussianCloud(x, quat, scale, rng.uniform(0, 1, n), sh[:, :1])
+    registry.write(tmp_path / "plain.sog", plain)
+    got = read_sog(tmp_path / "plain.sog", monkeypatch)
+    distance, row = cKDTree(got.x).query(plain.x)
+    assert distance.max() < 3e-4 and len(set(row)) == n
+    np.testing.assert_allclose(got.scale[row], plain.scale, rtol=0.02)
+    np.testing.assert_allclose(got.opacity[row], plain.opacity, atol=0.6 / 255)
+    np.testing.assert_allclose(got.sh[row, 0], plain.sh[:, 0], atol=0.03)
+    whole = GaussianCloud(x, quat, scale, plain.opacity, sh)
+    assert any("share them" in line for line in export.losses(whole, ".sog"))
+    assert not any("share them" in line for line in export.losses(plain, ".sog"))
+    registry.write(tmp_path / "whole.sog", whole)
+    got = read_sog(tmp_path / "whole.sog", monkeypatch)
+    assert got.sh.shape == sh.shape and got.sh[:, 1:].std() == pytest.approx(0.3, abs=0.03)
 
 
 @pytest.mark.data

@@ -5,11 +5,11 @@ from types import ModuleType
 
 from vgmpi.gaussians.cloud import GaussianCloud
 
-from . import gltf, ply, splat, spz
+from . import gltf, ply, sog, splat, spz
 from .validation import GaussianFileError
 
 KINDS: dict[str, ModuleType] = {".ply": ply, ".splat": splat, ".spz": spz}
-GLTF = ".glb"  # write-only format
+GLTF, SOG = ".glb", ".sog"  # write-only formats
 COMPRESSED = ".compressed.ply"  # suffix of a .ply in SuperSplat's layout
 
 
@@ -34,6 +34,8 @@ def write(path: str | Path, cloud: GaussianCloud) -> None:
     name = Path(path).name.lower()
     if name.endswith(GLTF):
         gltf.write(path, cloud)
+    elif name.endswith(SOG):
+        sog.write(path, cloud)
     elif name.endswith(COMPRESSED):
         ply.write_compressed(path, cloud)
     else:

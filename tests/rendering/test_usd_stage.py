@@ -1,0 +1,227 @@
+"""The OpenUSD file of a run: opened again by OpenUSD it holds the run's frames."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from postprocess import export
+from tests.support import drawn_runs
+from vgmpi.gaussians import spherical_harmonics as harmonics
+from vgmpi.gaussians.cloud import GaussianCloud, rotation_matrices
+from vgmpi.io.run_reader import RunReader
+from vgmpi.rendering import render_config, usd_stage
+from vgmpi.rendering.appearance import Appearance
+from vgmpi.rendering.camera_paths import CameraPath
+from vgmpi.rendering.collider_meshes import collider_meshes
+from vgmpi.rendering.frame_renderer import visible_extent
+from vgmpi.rendering.run_motion import RunMotion
+
+FRAMES = 5
+needs_usd = pytest.mark.skipif(
+    usd_stage.is_missing(), reason="needs usd-core: pip install 'vgmpi[usd]'"
+)
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory):
+    folder = drawn_runs.write(tmp_path_factory.mktemp("run") / "out", frames=FRAMES, k=4)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def stage(out, tmp_path_factory):
+    from pxr import Usd
+
+    path = tmp_path_factory.mktemp("usd") / "scene.usdc"
+    assert export.main([str(out), "--format", "usd", "-o", str(path), "-q"]) == 0
+    return Usd.Stage.Open(str(path))
+
+
+def splats(stage):
+    return [p for p in stage.Traverse() if p.GetTypeName() == "ParticleField3DGaussianSplat"]
+
+
+def cloud_at(stage, time):
+    """All splats of a stage at a time code, as one cloud."""
+    columns = []
+    for prim in splats(stage):
+        x, quat, scale, opacity, sh = (
+            np.array(prim.GetAttribute(name).Get(time), dtype=np.float64)
+            for name in (
+                "positions", "orientations", "scales", "opacities",
+                "radiance:sphericalHarmonicsCoefficients",
+            )
+        )  # fmt: skip
+        quat = np.array(prim.GetAttribute("orientations").Get(time))
+        quat = np.array([[q.GetReal(), *q.GetImaginary()] for q in list(
+            prim.GetAttribute("orientations").Get(time))])  # fmt: skip
+        degree = prim.GetAttribute("radiance:sphericalHarmonicsDegree").Get()
+        columns.append((x, quat, scale, opacity, sh.reshape(len(x), (degree + 1) ** 2, 3)))
+    return GaussianCloud(*(np.concatenate(column) for column in zip(*columns)))
+
+
+@needs_usd
+def test_the_stage_has_the_units_and_times_of_the_run(stage):
+    from pxr import UsdGeom
+
+    assert UsdGeom.GetStageUpAxis(stage) == "Z" and UsdGeom.GetStageMetersPerUnit(stage) == 1
+    assert stage.GetDefaultPrim().GetPath() == "/World"
+    assert stage.GetTimeCodesPerSecond() == pytest.approx(25)  # a frame each 0.04 s
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (0, FRAMES - 1)
+    names = {prim.GetName() for prim in splats(stage)}
+    assert names == {"scenery", "pool", "bar"}
+    moving = stage.GetPrimAtPath("/World/bar").GetAttribute("positions")
+    assert moving.GetTimeSamples() == [float(k) for k in range(FRAMES)]
+    assert not stage.GetPrimAtPath("/World/scenery").GetAttribute("positions").GetTimeSamples()
+
+
+@needs_usd
+@pytest.mark.parametrize("index", [0, 2, FRAMES - 1])
+def test_the_samples_are_the_frames(out, stage, index):
+    """Positions to 1e-6 m, covariances to 1e-5 of the largest, colors to 1e-5."""
+    look = Appearance(RunReader(out))
+    motion = RunMotion(look, FRAMES // 2)
+    parts = look.parts(look.frame(index))
+    first = {"scenery": 0, "particles": len(parts[0].x)}
+    rows = np.concatenate([first[part] + ids for part, ids in motion.members])
+    x, cov, opacity = (np.concatenate([part[k] for part in parts])[rows] for k in range(3))
+    got = cloud_at(stage, index)
+    np.testing.assert_allclose(got.x, x, atol=1e-6)
+    largest = cov[:, (0, 3, 5)].max(axis=1, keepdims=True)
+    assert (np.abs(got.cov() - cov) < 1e-5 * largest).all()
+    np.testing.assert_allclose(got.opacity, opacity, atol=1e-6)
+    eye = np.array([2.0, -1, 1])
+    color = np.concatenate([part.view_from(eye)[3] for part in parts])[rows]
+    seen = np.maximum(harmonics.evaluate(got.sh, got.x - eye), 0)
+    np.testing.assert_allclose(seen, color, atol=1e-5)
+    other = cloud_at(stage, (index + 2) % FRAMES)
+    assert np.abs(other.x - x).max() > 0.02  # the measure tells frames apart
+
+
+@needs_usd
+def test_between_frames_a_viewer_sees_the_turning_bar(stage):
+    """Rotations and sizes change steadily: half way they give the shape half way."""
+    a, half, b = (cloud_at(stage, time) for time in (1, 1.5, 2))
+    bar = slice(len(a) - drawn_runs.BAR, None)
+    assert np.abs(np.sum(a.quat[bar] * b.quat[bar], axis=1)).min() > 0.97
+    turn = drawn_runs.rotation(0.5 * np.pi / (FRAMES - 1) / 2)
+    want = turn @ rotation_matrices(a.quat[bar]) * a.scale[bar][:, None, :]
+    got = rotation_matrices(half.quat[bar] / np.linalg.norm(half.quat[bar], axis=1)[:, None])
+    got = got * half.scale[bar][:, None, :]
+    np.testing.assert_allclose(
+        got @ got.transpose(0, 2, 1), want @ want.transpose(0, 2, 1), atol=2e-6
+    )
+
+
+@needs_usd
+def test_the_camera_is_the_renderers(out, stage):
+    """Gf's own projection of a point lands on the renderer's pixel."""
+    from pxr import Gf, UsdGeom
+
+    settings = render_config.load(None)
+    box = visible_extent(RunReader(out))
+    camera = CameraPath(settings.views()[0], settings.picture, lambda: box, None).camera_at(0, 0)
+    prims = [p for p in stage.Traverse() if p.IsA(UsdGeom.Camera)]
+    assert len(prims) == 1
+    frustum = UsdGeom.Camera(prims[0]).GetCamera(0).frustum
+    point = np.array([0.3, 0.6, 0.2])
+    matrix = frustum.ComputeViewMatrix() * frustum.ComputeProjectionMatrix()
+    x, y, _ = matrix.Transform(Gf.Vec3d(*point))
+    p = camera.world_to_camera[:3, :3] @ point + camera.world_to_camera[:3, 3]
+    u, v = camera.fx * p[0] / p[2] + camera.cx, camera.fy * p[1] / p[2] + camera.cy
+    assert 0.5 * (x + 1) * camera.width == pytest.approx(u, abs=0.01)
+    assert 0.5 * (1 - y) * camera.height == pytest.approx(v, abs=0.01)
+
+
+def validation_errors(path):
+    """What all validators of OpenUSD say of a file."""
+    from pxr import Usd, UsdValidation
+
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    assert len(validators) > 10
+    context = UsdValidation.ValidationContext(validators)
+    return [str(error.GetMessage()) for error in context.Validate(Usd.Stage.Open(str(path)))]
+
+
+@needs_usd
+@pytest.mark.parametrize("suffix", ["usdc", "usda", "usdz"])
+def test_the_validators_of_openusd_find_nothing(out, tmp_path, suffix):
+    path = tmp_path / f"scene.{suffix}"
+    argv = [str(out), "--format", "usd", "-o", str(path), "-q", "--frames", "0:2"]
+    assert export.main(argv) == 0
+    assert validation_errors(path) == []
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]  # nothing temporary is left
+
+
+@needs_usd
+def test_the_validators_see_a_mistake(tmp_path):
+    from pxr import Usd
+
+    stage = Usd.Stage.CreateNew(str(tmp_path / "a.usda"))
+    stage.DefinePrim("/a", "Mesh")
+    stage.Save()
+    assert validation_errors(tmp_path / "a.usda")
+
+
+@needs_usd
+def test_removed_gaussians_are_transparent(tmp_path):
+    """A Gaussian that is absent in a frame has no opacity there, and its own before."""
+    from pxr import Usd
+
+    from vgmpi.gaussians.formats.motion_layout import GroupState, MotionGroup, RestGaussians
+
+    x = np.arange(9.0).reshape(3, 3)
+    root = np.tile([0.1, 0, 0, 0.1, 0, 0.1], (3, 1))
+    rest = RestGaussians(x, root, np.full(3, 0.5), np.zeros((3, 1, 3)))
+    group = MotionGroup("a", 3, "free", "size")
+    path = tmp_path / "a.usda"
+    stage = usd_stage.UsdStage(path, [group], rest, frames=3, rate=10)
+    for present in ([1, 1, 1], [1, 0, 1], [1, 1, 1]):
+        mask = np.array(present, bool)
+        stage.add_frame([GroupState(mask, x[mask], np.ones(mask.sum()))], [], {})
+    stage.save()
+    opened = Usd.Stage.Open(str(path))
+    opacity = splats(opened)[0].GetAttribute("opacities")
+    for time, want in enumerate(([0.5, 0.5, 0.5], [0.5, 0, 0.5], [0.5, 0.5, 0.5])):
+        np.testing.assert_allclose(opacity.Get(time), want)
+
+
+def test_meshes_of_colliders():
+    """Closed surfaces with outward normals, of the right volume, at the object's place."""
+    transform = np.eye(4)
+    transform[:3, :3] *= 2
+    transform[:3, 3] = [1, 2, 3]
+    names = ["crate", "ball", "knot"]
+    objects = [
+        {"name": name, "collider": True, "transform": transform.tolist(), "color": [1, 0, 0]}
+        for name in names
+    ]
+    objects[1]["is_moving"] = True
+    shapes = [
+        {"box": [[0, 0, 0], [1, 2, 3]]},
+        {"sphere": {"center": [0, 0, 1], "radius": 0.5}},
+        {"union": []},
+    ]
+    scene = {"object": [{"name": n, "shape": s} for n, s in zip(names, shapes)]}
+    meshes, without = collider_meshes(objects, scene)
+    assert without == ["knot"] and [mesh.pose for mesh in meshes] == [-1, 0]
+    for mesh, volume, rtol in zip(meshes, (48.0, 4 / 3 * np.pi), (1e-12, 0.03)):
+        triangles = [(f[0], f[k], f[k + 1]) for f in mesh.faces for k in range(1, len(f) - 1)]
+        a, b, c = mesh.points[np.array(triangles)].transpose(1, 0, 2)
+        got = np.einsum("ni,ni->n", a, np.cross(b, c)).sum() / 6
+        assert got == pytest.approx(volume, rel=rtol)
+    np.testing.assert_allclose(meshes[1].points.mean(axis=0), [1, 2, 5], atol=1e-9)
+
+
+def test_without_usd_core_one_line_says_what_to_install(out, tmp_path, monkeypatch, capfd):
+    monkeypatch.setitem(sys.modules, "pxr", None)
+    path = tmp_path / "a.usdc"
+    assert export.main([str(out), "--format", "usd", "-o", str(path), "-q"]) == 2
+    text = capfd.readouterr().err.strip()
+    assert text == "not installed: pip install 'vgmpi[usd]'" and not list(tmp_path.iterdir())
+
+
+def test_another_suffix_is_refused(out, tmp_path, capfd):
+    assert export.main([str(out), "--format", "usd", "-o", str(tmp_path / "a.obj"), "-q"]) == 2
+    assert "ends in .usdc, .usda, .usd, .usdz" in capfd.readouterr().err
