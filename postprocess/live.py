@@ -128,7 +128,8 @@ def serve_page(args: argparse.Namespace) -> int:
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, end_page)
-    print(f"live page of {args.out}: {address(args.host, port, token)}", flush=True)
+    process = "" if args.log is None else f" (process {os.getpid()})"
+    print(f"live page of {args.out}: {address(args.host, port, token)}{process}", flush=True)
     if args.log is not None:
         leave_terminal(args.log)
     try:

@@ -12,7 +12,6 @@ import os
 import socket
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from vgmpi.rendering.render_config import CameraSettings, PictureSettings, Setti
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions
 
 log = logging.getLogger("vgmpi")
+
 
 def page(
     run: RunReader, numbers: list[int], count: int, seconds: float

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from vgmpi.gaussians.camera import Camera
 from vgmpi.io.run_lock import find_writer
 from vgmpi.io.run_progress import read_progress, request_stop
 from vgmpi.io.run_reader import RunError
@@ -28,6 +29,7 @@ log = logging.getLogger("vgmpi")
 POLL_SECONDS = 0.2  # [s] between looks at the folder
 STATUS_SECONDS = 2.0  # [s] between looks at the run's state without a new frame
 RETRY_SECONDS = 1.0  # [s] after a look at the folder that failed
+MIN_DISTANCE = 1e-3  # [m] of the point that a camera turns about
 PLOT_SHARE = 0.1  # [-] largest share of the time that reading tables may take
 
 
@@ -66,6 +68,7 @@ class LivePage:
         self._wake, self._ends = threading.Event(), threading.Event()
         self._shown: Shown | None = None
         self._nodes: dict[str, Any] = {}  # Gaussians of viser by their names
+        self._camera: Camera | None = None  # of render.toml
         self._eye = np.zeros(3)
         self._requested_number: int | None = None
         self._requested_views: list[tuple[str, View]] = []
@@ -105,8 +108,9 @@ class LivePage:
         panel.draw.on_click(lambda event: self._request_view("draw", event))
         self.server.on_client_connect(self._welcome)
 
-    def _welcome(self, _client: Any) -> None:
+    def _welcome(self, client: Any) -> None:
         """Show a new viewer the newest state."""
+        self._fit_view(client)
         self._next_status = 0.0
         self._wake.set()
 
@@ -174,25 +178,34 @@ class LivePage:
         for node in self._nodes.values():
             node.remove()
         self._nodes, self._shown = {}, None
-        scene.set_up_direction("+z")
         edges = box_edges(*self.followed.domain())
         scene.add_line_segments(
             "/domain", edges, colors=(150, 150, 150), thickness=1.0, thickness_units="screen"
         )
         box = self.followed.extent()
         base = (self.options.settings_path or Path(".")).parent
-        path = CameraPath(self.chosen.views()[0], self.chosen.picture, lambda: box, base)
-        camera = path.camera_at(0.0, 0.0)
-        forward = camera.world_to_camera[2, :3]
-        distance = max(float(forward @ (0.5 * (box[0] + box[1]) - camera.eye)), 1e-3)
-        self._eye = camera.eye
-        fov = 2 * np.arctan(0.5 * camera.height / camera.fy)
-        targets = [self.server.initial_camera]
-        targets += [client.camera for client in self.server.get_clients().values()]
-        for target in targets:
-            target.position = tuple(camera.eye)
-            target.look_at = tuple(camera.eye + distance * forward)
-            target.fov = float(fov)
+        settings = self.chosen.views()[0]
+        camera = CameraPath(settings, self.chosen.picture, lambda: box, base).camera_at(0.0, 0.0)
+        scene.set_up_direction(settings.up)
+        self._camera, self._eye = camera, camera.eye
+        initial = self.server.initial_camera
+        initial.position, initial.look_at = tuple(camera.eye), self._look_at(box)
+        initial.fov = vertical_fov(camera, camera.width / camera.height)
+        for client in self.server.get_clients().values():
+            client.camera.position, client.camera.look_at = initial.position, initial.look_at
+            self._fit_view(client)
+
+    def _look_at(self, box: tuple[np.ndarray, np.ndarray]) -> tuple[float, ...]:
+        """Return the point on the camera's axis at the depth of the middle of a box [m]."""
+        assert self._camera is not None
+        forward, eye = self._camera.world_to_camera[2, :3], self._camera.eye
+        distance = max(float(forward @ (0.5 * (box[0] + box[1]) - eye)), MIN_DISTANCE)
+        return tuple(eye + distance * forward)
+
+    def _fit_view(self, client: Any) -> None:
+        """Let a viewer's window show all of the picture of render.toml."""
+        if self._camera is not None:
+            client.camera.fov = vertical_fov(self._camera, float(client.camera.aspect))
 
     def _show_status(self) -> None:
         """Show the state of the run, if it is due."""
@@ -307,3 +320,13 @@ class LivePage:
         folder, number = self.followed.folder, self._shown.number
         self.renderer.start(folder, self.options.settings_path, number, view)
         return f"frame {number} is being drawn; the first picture may take a minute"
+
+
+def vertical_fov(camera: Camera, aspect: float) -> float:
+    """Return the vertical field of view of a window that shows all of a camera's picture [rad].
+
+    Args:
+        camera: The camera.
+        aspect: Width of the window over its height.
+    """
+    return float(2 * np.arctan(0.5 * max(camera.height, camera.width / aspect) / camera.fy))

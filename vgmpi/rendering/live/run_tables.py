@@ -82,7 +82,7 @@ def _ledger_plot(rows: list[dict], name: str) -> Plot:
     if name == "fullest cell":
         values = np.full(len(times), np.nan)
         for k, row in zip(index, rows):
-            values[k] = np.fmax(values[k], row[FULLEST_CELL])
+            values[k] = np.fmax(values[k], row[FULLEST_CELL])  # nan for phases without one
         return _thinned(Plot("fullest cell", times, {"fullest cell": values}))
     curves = {}
     for column in LEDGER_PLOTS[name]:
@@ -97,10 +97,18 @@ def _ledger_plot(rows: list[dict], name: str) -> Plot:
 
 
 def _thinned(plot: Plot) -> Plot:
-    """Return a plot with at most about MAX_POINTS points, the last of them included."""
-    stride = max(len(plot.time) // MAX_POINTS, 1)
-    rows = np.arange(len(plot.time))[::-1][::stride][::-1]
-    return Plot(plot.title, plot.time[rows], {k: v[rows] for k, v in plot.curves.items()})
+    """Return a plot of numbers with at most about MAX_POINTS points, the last of them included.
+
+    Curves without numbers and times without a number in one of the others are left out: the charts
+    of browsers have no place for them.
+    """
+    curves = {k: v for k, v in plot.curves.items() if np.isfinite(v).any()}
+    is_complete = np.ones(len(plot.time), dtype=bool)
+    for values in curves.values():
+        is_complete &= np.isfinite(values)
+    rows = np.flatnonzero(is_complete)
+    rows = rows[::-1][:: max(len(rows) // MAX_POINTS, 1)][::-1]
+    return Plot(plot.title, plot.time[rows], {k: v[rows] for k, v in curves.items()})
 
 
 def _header(path: Path) -> list[str] | None:
@@ -122,5 +130,3 @@ def _quantity(column: str) -> str:
     """Return the quantity of a column: force_x and force_y are components of force."""
     name, _, component = column.rpartition("_")
     return name if component in ("w", "x", "y", "z") and name else column
-
-

@@ -15,9 +15,12 @@ from vgmpi.runtime.atomic_write import replace_file
 
 CAMERA_NAME = "live"  # of the saved camera beside other cameras
 DIGITS = 6  # significant digits of saved numbers
+SMALLEST = 1e-12
 MAX_FOV = 169.0  # [degrees]
 WAS = "before the camera of the live page: "  # begins the old keys of a camera
-HEADER = re.compile(r"^\s*\[\[?\s*camera\s*\]", re.MULTILINE)  # of a table that has lines of its own
+HEADER = re.compile(
+    r"^\s*\[\[?\s*camera\s*\]", re.MULTILINE
+)  # of a table that has lines of its own
 MISSING_TOMLKIT = 'a camera is saved with the package tomlkit: pip install "vgmpi[live]"'
 
 
@@ -100,22 +103,17 @@ def save_camera(path: Path, view: View) -> str:
 
 def _set_camera(document: Any, view: View) -> None:
     """Set the keys of a view in a document of tomlkit."""
-    import tomlkit
     from tomlkit.items import AoT
 
     cameras = document.get("camera")
     if cameras is None:
-        table = tomlkit.table()
-        table.update(view.values())
-        document["camera"] = table
+        document["camera"] = view.values()
     elif isinstance(cameras, AoT) or isinstance(cameras, list):
         named = [table for table in cameras if table.get("name") == CAMERA_NAME]
         if len(cameras) == 1:
             named = [cameras[0]]
         if not named:
-            table = tomlkit.table() if isinstance(cameras, AoT) else tomlkit.inline_table()
-            table.update({"name": CAMERA_NAME, **view.values()})
-            cameras.append(table)
+            cameras.append({"name": CAMERA_NAME, **view.values()})
             return
         _replace_keys(named[0], view, document)
     else:
@@ -135,7 +133,7 @@ def _replace_keys(table: Any, view: View, document: Any) -> None:
     allowed = {"name", "kind", *CAMERA_KEYS["fixed"]}
     was_fixed = table.get("kind") == "fixed"
     old = {
-        key: item.as_string() if hasattr(item, "as_string") else tomlkit.item(item).as_string()
+        key: _text_of_item(item)
         for key, item in table.items()
         if key not in allowed or (key in values and not was_fixed)
     }
@@ -153,6 +151,14 @@ def _replace_keys(table: Any, view: View, document: Any) -> None:
             owner.add(tomlkit.comment(line))
 
 
+def _text_of_item(item: Any) -> str:
+    """Return the text of a value with the comment behind it."""
+    import tomlkit
+
+    item = item if hasattr(item, "trivia") else tomlkit.item(item)
+    return f"{item.as_string()}  {item.trivia.comment}".rstrip()
+
+
 def _rounded(value: float) -> float:
-    """Return a number with DIGITS significant digits."""
-    return float(f"{value:.{DIGITS}g}")
+    """Return a number with DIGITS significant digits, 0 for a rounding error of 0."""
+    return 0.0 if abs(value) <= SMALLEST else float(f"{value:.{DIGITS}g}")
