@@ -13,7 +13,8 @@ import pytest
 from postprocess import live
 from tests.support import drawn_runs
 from tests.support.launch import run, until
-from tests.support.live_pages import LivePageProcess
+from tests.support.live_pages import ROW_BYTES, LivePageProcess, Viewer
+from vgmpi.io.run_reader import RunReader
 
 viser = pytest.importorskip("viser", reason='needs viser: pip install "vgmpi[live]"')
 from websockets.exceptions import InvalidStatus  # noqa: E402
@@ -122,17 +123,22 @@ def test_a_host_that_is_not_local_has_a_random_token(out):
     assert live.choose_token(live.parser().parse_args([str(out), "--token"])) is not None
 
 
-def test_ten_viewers_get_the_frame(page):
-    """Each is sent the Gaussians, whose rows have 32 bytes."""
-    port, links = urlsplit(page.address).port, []
+def test_ten_viewers_get_the_frame(page, out):
+    """Each is sent all Gaussians; viewers that go at once leave the page and the others alone."""
+    address = f"ws://127.0.0.1:{urlsplit(page.address).port}/"
+    count = RunReader(out).particle_count(0)
+    viewers = [Viewer(address) for _ in range(10)]
     try:
-        for _ in range(10):
-            link = connect(f"ws://127.0.0.1:{port}/", subprotocols=PROTOCOL, max_size=None)
-            links.append(link)
-        assert all(len(link.recv(timeout=60)) > 0 for link in links)
+        for viewer in viewers:
+            viewer.wait_for(ROW_BYTES * count, 0.0)
+        for viewer in viewers[:5]:
+            viewer.link.socket.close()
+        late = Viewer(address)
+        late.wait_for(ROW_BYTES * count, 0.0)
+        late.close()
     finally:
-        for link in links:
-            link.close()
+        for viewer in viewers[5:]:
+            viewer.close()
     assert page.process.poll() is None and ask(page)[0] == 200
 
 

@@ -4,6 +4,7 @@ import re
 import shutil
 import sys
 import threading
+import time
 
 import pytest
 
@@ -44,6 +45,9 @@ name = "ball"
 object = "ball"
 sampling_rate = 500
 """
+
+
+ROW_BYTES = 32  # of a Gaussian on its way to a browser
 
 
 class LivePageProcess:
@@ -92,3 +96,49 @@ def opened(browser, address, errors):
     page.goto(address)
     page.get_by_text(re.compile("of [\\d,]+ Gaussians")).wait_for()
     return page
+
+
+class Viewer:
+    """A client that reads all that the page sends, and tells it of a camera as a browser does."""
+
+    def __init__(self, address: str):
+        import msgspec
+        import viser
+        from viser._messages import ViewerCameraMessage
+        from websockets.sync.client import connect
+
+        protocol = [f"viser-v{viser.__version__}"]
+        self.link = connect(address, subprotocols=protocol, max_size=None)  # type: ignore[arg-type]
+        camera = ViewerCameraMessage(
+            (1.0, 0.0, 0.0, 0.0), (3.0, 0.0, 1.0), 0.7, 0.01, 1000.0, 700, 900, (0.5, 0.5, 0.5),
+            (0.0, 0.0, 1.0),
+        )  # fmt: skip
+        self.link.send(msgspec.msgpack.encode(camera.as_serializable_dict()))
+        self.arrivals: list[tuple[float, int]] = []  # time [s], bytes
+        self.thread = threading.Thread(target=self._listen, daemon=True)
+        self.thread.start()
+
+    def _listen(self) -> None:
+        from websockets.exceptions import ConnectionClosed
+
+        try:
+            while True:
+                data = self.link.recv()
+                self.arrivals.append((time.time(), len(data)))
+        except (ConnectionClosed, OSError):
+            pass
+
+    def wait_for(self, size: int, since: float) -> float:
+        """Return when a message of at least `size` bytes came after `since`."""
+        end = time.time() + PATIENCE
+        while time.time() < end:
+            for when, count in list(self.arrivals):
+                if count >= size and when >= since:
+                    return when
+            time.sleep(0.002)
+        raise RuntimeError(f"no frame within {PATIENCE} s")
+
+    def close(self) -> None:
+        """Leave."""
+        self.link.close()
+        self.thread.join()
