@@ -12,40 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from vgmpi.gaussians.camera import fit_orbit_to_box, orbit_eye
-from vgmpi.io import file_layout
 from vgmpi.io.run_reader import RunError, RunReader
+from vgmpi.rendering.field_values import scalars, title
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions
 
 FOV = 30.0  # [degrees] vertical field of view
 ANGLE = 25.0  # [degrees] around z, equal to that of the renderer
-
-
-def scalars(frame: dict[str, np.ndarray], color: str) -> np.ndarray:
-    """Return the values to color by, (n,): a field, the length of a vector, or one component.
-
-    color: "J", "velocity" (its length), "velocity.z", "F.0" ... "F.8", "x.z". Raises RunError.
-    """
-    name, _, part = color.partition(".")
-    if name not in frame:
-        raise RunError(f"--color: {color}: this frame has {', '.join(frame)}")
-    values = np.asarray(frame[name])
-    if values.ndim == 1:
-        if part:
-            raise RunError(f"--color: {color}: {name} has no components")
-        return values
-    if not part:
-        return np.linalg.norm(values, axis=1)
-    names = list("xyz") if values.shape[1] == 3 else [str(i) for i in range(values.shape[1])]
-    if part not in names:
-        raise RunError(f"--color: {color}: allowed are {name}.{names[0]} .. {name}.{names[-1]}")
-    return values[:, names.index(part)]
-
-
-def title(color: str) -> str:
-    """Return the title of the color bar: field and unit."""
-    units = {d.name: d.unit for d in file_layout.FRAME}
-    unit = units.get(color.partition(".")[0], "1")
-    return color if unit == "1" else f"{color} [{unit}]"
 
 
 def picture(run: RunReader, index: int, color: str, path: Path, args: argparse.Namespace) -> None:

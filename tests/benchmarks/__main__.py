@@ -346,6 +346,26 @@ def _run_moving_page(args) -> int:
     return 0
 
 
+def _live(parser) -> None:
+    say = parser.add_argument
+    say("--gaussians", type=int, default=100_000, metavar="N", help="default 100,000")
+    say("--rounds", type=int, default=5, help="pairs of runs, default 5")
+    say("--ranks", type=int, default=1, metavar="N", help="of the runs, default 1")
+    say("--end", type=float, default=0.3, metavar="S", help="of the scene, default 0.3")
+    say("--frames", type=int, default=13, metavar="N", help="of the scene, default 13")
+
+
+def _run_live(args) -> int:
+    from tests.benchmarks import live_cost
+
+    delays = live_cost.measure_delays(args.gaussians, 10, print_progress)
+    slowdown = live_cost.measure_slowdown(
+        args.rounds, args.ranks, args.end, args.frames, print_progress
+    )
+    print(live_cost.text(delays, slowdown))
+    return 0
+
+
 COMMANDS = LIQUID_COMMANDS | {  # what it does, its flags, how it runs
     "accuracy": ("how exact single precision is", _accuracy, _run_accuracy),
     "against": ("beside another checkout", _against, _run_against),
@@ -358,6 +378,7 @@ COMMANDS = LIQUID_COMMANDS | {  # what it does, its flags, how it runs
     "emulate": ("one rank of many by its own tables", _emulate, _run_emulate),
     "extremes": ("scenes at the ends of what is allowed", _extremes, _run_extremes),
     "features": ("what contact, colliders and probes cost", _couplings, _run_couplings),
+    "live": ("what the page of a run costs", _live, _run_live),
     "moving-page": ("size and times of a run's web page", _moving_page, _run_moving_page),
     "overhead": ("what a step costs beside its kernels", _overhead, _run_overhead),
     "predictions": ("what --plan tells, and what runs take", _predictions, _run_predictions),

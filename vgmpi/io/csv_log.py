@@ -166,6 +166,23 @@ def optional_ledger_columns(path: Path, liquids: bool, rigid: bool) -> tuple[boo
     )
 
 
+def read_probe(path: Path) -> list[dict]:
+    """Return the rows of a probe's table; its header tells which quantities it has.
+
+    Raises:
+        RunError: No kind of probe has this header, or a row is not what was written.
+    """
+    try:
+        head = safe_open.read_regular_file(path, MAX_BYTES, follow=False).split(b"\n", 1)[0]
+    except OSError as error:
+        raise RunError(f"{path}: {error.strerror}") from None
+    head = _with_new_names(path, head)
+    for columns in file_layout.PROBE_COLUMNS.values():
+        if head in (_header(columns).encode(), _header(columns, sealed=False).encode()):
+            return read_rows(path, columns)
+    raise RunError(f"{path}:1: damaged: its columns are those of no probe")
+
+
 def verify_logs(
     tables: dict[Path, list[file_layout.Dataset]],
     ranks: SerialCommunicator,

@@ -11,6 +11,7 @@ import socket
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 from vgmpi.parallel.communicator import SerialCommunicator
 
@@ -126,30 +127,60 @@ def _acquire(path: Path, ranks: int) -> tuple[int | None, str]:
     return handle, ""
 
 
+class RunWriter(NamedTuple):
+    """Process that writes into a run's folder, as its lock file names it."""
+
+    host: str  # name of its machine
+    pid: int  # process number of rank 0
+    ranks: int
+    since: str  # date and time of its start
+
+    def __str__(self) -> str:
+        return f"process {self.pid} on {self.host}, {self.ranks} ranks, since {self.since}"
+
+
 def current_writer(folder: Path) -> str:
     """Return a description of the run that writes into the folder, "" if none or unknown."""
+    text = _text_of_locked_file(folder)
+    return "" if text is None else _describe_owner(text)
+
+
+def find_writer(folder: Path) -> RunWriter | None:
+    """Return the run that writes into the folder, None if none or unknown."""
+    text = _text_of_locked_file(folder)
+    return None if text is None else _parse_owner(text)
+
+
+def _text_of_locked_file(folder: Path) -> bytes | None:
+    """Return the text of the lock file if a run holds its lock, else None."""
     try:
-        handle = os.open(folder / file_layout.LOCK, os.O_RDONLY | os.O_NOFOLLOW)
+        handle = os.open(folder / file_layout.LOCK, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
     except OSError:
-        return ""
+        return None
     try:
         fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        return ""
+        return None
     except BlockingIOError:
-        return _describe_owner(os.read(handle, 1000))
+        return os.read(handle, 1000)
     except OSError:
-        return ""
+        return None
     finally:
         os.close(handle)
 
 
-def _describe_owner(text: bytes) -> str:
-    """Return the description of a run from the text of its lock file."""
+def _parse_owner(text: bytes) -> RunWriter | None:
+    """Return the run of a lock file's text, None if it is not whole."""
     try:
         who = json.loads(text)
-        return f"process {who['pid']} on {who['host']}, {who['ranks']} ranks, since {who['since']}"
+        return RunWriter(str(who["host"]), int(who["pid"]), int(who["ranks"]), str(who["since"]))
     except (ValueError, KeyError, TypeError):
-        return "it has only begun"
+        return None
+
+
+def _describe_owner(text: bytes) -> str:
+    """Return the description of a run from the text of its lock file."""
+    writer = _parse_owner(text)
+    return "it has only begun" if writer is None else str(writer)
 
 
 def _existing_run(folder: Path) -> str:

@@ -76,18 +76,22 @@ class RunReader:
         self.folder = Path(folder)
         if not self.folder.is_dir():
             raise RunError(f"{self.folder}: no such folder{did_you_mean_file(self.folder)}")
-        self.frames: dict[int, Path] = {}
-        foreign = []
+        self._warned = False  # the notice on frames without checksums is logged once
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Find the frames again, those of a run that goes on. Raises RunError without any."""
+        frames, foreign = {}, []
         for path in sorted((self.folder / file_layout.FRAMES).glob("*.vtkhdf")):
             number = file_layout.frame_number(path.name)
             if number is None:
                 foreign.append(path.name)
             else:
-                self.frames[number] = path
+                frames[number] = path
         if foreign:
             some = ", ".join(map(ascii, foreign[:3])) + ", ..." * (len(foreign) > 3)
             log.warning("%s: no frames of this run: %s", self.folder / file_layout.FRAMES, some)
-        if not self.frames:
+        if not frames:
             from . import run_lock  # imports MPI, so only if there are no frames
 
             message = f"{self.folder}: no frames in it ({file_layout.FRAMES}/frame_*.vtkhdf)"
@@ -96,8 +100,9 @@ class RunReader:
             elif (self.folder / file_layout.GAUSSIANS).exists():
                 message += "; its particles are prepared, python -m vgmpi scene.toml runs it"
             raise RunError(message)
-        self._warned = False  # the notice on frames without checksums is logged once
-        self._count = max([*self.frames, *self._series_frames()]) + 1
+        self.frames: dict[int, Path] = frames
+        self._count = max([*frames, *self._series_frames()]) + 1
+        self.__dict__.pop("times", None)
 
     def __repr__(self) -> str:
         return f"<run {str(self.folder)!r}: {len(self.frames)} frames>"
@@ -142,15 +147,17 @@ class RunReader:
     def times(self) -> np.ndarray:
         """Simulated time of every frame, shape (frames,) [s]; NaN for missing frames."""
         return np.array(
-            [self._time(i) if i in self.frames else np.nan for i in range(len(self))], np.float64
+            [self.time_and_step(i)[0] if i in self.frames else np.nan for i in range(len(self))]
         )
 
-    def _time(self, i):
-        """Return the time of a frame [s]."""
+    def time_and_step(self, i: int) -> tuple[float, int]:
+        """Return the simulated time [s] and the step of frame i. Raises RunError."""
         with opened(self.path(i)) as f:
-            time = f["VTKHDF/FieldData/time"][()]
-            integrity.check_frame(f, i, {"VTKHDF/FieldData/time": time})
-            return float(time[0])
+            data = {f"VTKHDF/FieldData/{name}": f[f"VTKHDF/FieldData/{name}"][()]
+                    for name in ("time", "step")}  # fmt: skip
+            integrity.check_frame(f, i, data)
+        time, step = data.values()
+        return float(time[0]), int(step[0])
 
     def particle_count(self, i: int) -> int:
         """Return the number of particles in frame i, without reading them. Raises RunError."""

@@ -45,6 +45,7 @@ def _background(value: Any) -> tuple[float, float, float] | str:
 Background = Annotated[tuple[float, float, float] | str, BeforeValidator(_background)]
 
 
+SETTINGS_NAME = "render.toml"  # looked for in and beside the folder of a run
 CAPTURE_LIGHT = 0.5  # [-] share of the studio's light that acts on captures
 
 
@@ -338,6 +339,12 @@ class Settings(RenderTable):
         """Background of the image, white by default."""
         background = self.picture.background
         return "#ffffff" if background is None else background
+
+
+def find_settings(folder: Path) -> Path | None:
+    """Return the render.toml in the folder of a run, or beside it, or None."""
+    places = [folder / SETTINGS_NAME, folder.resolve().parent / SETTINGS_NAME]
+    return next((path for path in places if path.exists()), None)
 
 
 def load(path: str | Path | None) -> Settings:

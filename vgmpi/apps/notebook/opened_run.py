@@ -14,12 +14,11 @@ from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.rendering import render_config
 from vgmpi.rendering.frame_renderer import FrameRenderer
 from vgmpi.rendering.image_io import VideoError
-from vgmpi.scene.probes import Probe
+from vgmpi.rendering.render_config import find_settings
 
 from .run_frames import Frames
 
 PICTURE_SIZE, THUMBNAIL_SIZE = 640, 240  # [pixels] longer sides
-SETTINGS_NAME = "render.toml"  # looked for beside and in the folder of a run
 
 
 def open_run(folder: str | Path) -> "OpenedRun":
@@ -102,7 +101,7 @@ class OpenedRun:
             vgmpi.rendering.render_config.SettingsError: If the settings are wrong.
         """
         number = self.frames[frame].number
-        path = Path(settings) if settings is not None else self._settings()
+        path = Path(settings) if settings is not None else find_settings(self.folder)
         chosen = render_config.load(path)
         base = Path(".") if path is None else path.parent
         try:
@@ -135,11 +134,6 @@ class OpenedRun:
 
             return pillow.fromarray(picture)
         return Image(data=_png(picture), format="png")
-
-    def _settings(self) -> Path | None:
-        """Return the render.toml of the run, or None."""
-        places = [self.folder / SETTINGS_NAME, self.folder.resolve().parent / SETTINGS_NAME]
-        return next((path for path in places if path.exists()), None)
 
     def _particles(self) -> str:
         """Return how many particles it has, as text."""
@@ -193,11 +187,8 @@ class ProbeTables(Mapping[str, Any]):
         if name not in probes:
             some = ", ".join(probes) or "none"
             raise KeyError(f"{self._reader.folder}: no probe '{name}'; there are {some}")
-        entry = {key: value for key, value in probes[name].items() if value is not None}
-        rigid = {obj["name"] for obj in self._reader.scene["object"] if obj.get("rigid")}
-        kind = Probe.model_construct(**entry).kind_among(rigid)
         path = self._reader.folder / file_layout.PROBE_NAME.format(name)
-        return table_of(csv_log.read_rows(path, file_layout.PROBE_COLUMNS[kind]))
+        return table_of(csv_log.read_probe(path))
 
     def __iter__(self) -> Iterator[str]:
         """Return an iterator over the names."""

@@ -105,6 +105,10 @@ def _add_flags_of_a_run(parser: argparse.ArgumentParser) -> None:
         metavar="AMOUNT",
         help='stop with a checkpoint after "500 steps", or "90 s", "10 min", "2 h" of wall time',
     )
+
+
+def _add_flags_of_execution(parser: argparse.ArgumentParser) -> None:
+    """Add the flags that say how a run computes and what it shows."""
     parser.add_argument("--threads", type=int, default=1, metavar="N", help="threads per rank")
     parser.add_argument(
         "--engine",
@@ -119,6 +123,14 @@ def _add_flags_of_a_run(parser: argparse.ArgumentParser) -> None:
         help="report the stage times of each rank at the end (profile.csv)",
     )
     parser.add_argument(
+        "--live",
+        nargs="?",
+        type=int,
+        const=8080,
+        metavar="PORT",
+        help="show the run in a browser while it goes on: starts `vgmpi live` beside it [8080]",
+    )
+    parser.add_argument(
         "--force", action="store_true", help="run even if the estimated memory does not fit"
     )
     parser.add_argument("-q", "--quiet", action="store_true", help="errors only")
@@ -131,6 +143,7 @@ def parse_arguments(argv: list[str] | None) -> argparse.Namespace:
     """Parse the flags; exit with code 2 if they contradict each other."""
     parser = _parser()
     _add_flags_of_a_run(parser)
+    _add_flags_of_execution(parser)
     args = parser.parse_args(argv)
     if args.inspect is None and args.scene is None and not args.calibrate:
         parser.error("give a scene file, --inspect FILE or --calibrate")
@@ -138,6 +151,10 @@ def parse_arguments(argv: list[str] | None) -> argparse.Namespace:
         parser.error("give a scene file")
     if args.pilot and (args.check or args.prepare or args.resume is not None):
         parser.error("--pilot is for a run from the start, or for --plan")
+    if args.live is not None and (args.check or args.plan or args.prepare):
+        parser.error("--live is for a run")
+    if args.live is not None and not 0 <= args.live <= 65535:
+        parser.error(f"--live: a port is a number from 0 to 65535; got {args.live}")
     if args.change and args.resume is None:
         parser.error("--change is for --resume")
     if args.overwrite and args.resume is not None:

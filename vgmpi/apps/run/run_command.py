@@ -23,6 +23,7 @@ from vgmpi.solver.simulation import BlowUp
 from vgmpi.solver.stop_requests import install_signal_handlers
 
 from .cli import card_module, memory_refusal, refuse
+from .live_process import start_live_page
 
 log = logging.getLogger("vgmpi")
 
@@ -89,6 +90,8 @@ def run_scene(
             options.watchers.append(lambda run: observer.frame(run.latest_conservation))
             if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as behind a script's &
                 install_signal_handlers(signal.SIGINT)
+            if args.live is not None and ranks.rank == 0:
+                start_live_page(folder, args.live)
             code = run.run()
             progress.close()
             lines = [report.timing_table(run, clock)]

@@ -11,6 +11,7 @@ from vgmpi.planning.plan import Plan, time_step_bounds
 from vgmpi.planning.region_groups import group_counts
 from vgmpi.planning.surface_friction import liquids_expected_to_stick
 from vgmpi.runtime.config.toml_source import escape_control_characters
+from vgmpi.runtime.duration_text import format_duration
 from vgmpi.scene.scene import Scene
 
 from . import accuracy_benchmarks, tradeoff_results
@@ -353,14 +354,3 @@ def _step_count(plan: Plan, dt: float, reached: float) -> int:
     share = np.clip((edges[1:] - reached) / np.diff(edges), 0.0, 1.0)
     steps = np.maximum(np.diff(edges) / dt, plan.motion_steps)
     return math.ceil(float((share * steps).sum()))
-
-
-def format_duration(seconds: float) -> str:
-    """Format a duration [s] for display."""
-    if seconds < 120:
-        return f"{seconds:.0f} s"
-    if seconds < 600:
-        return f"{seconds / 60:.1f} min"
-    if seconds < 7200:
-        return f"{seconds / 60:.0f} min"
-    return f"{seconds / 3600:.1f} h"
