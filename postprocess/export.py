@@ -1,8 +1,8 @@
-"""Export of Gaussian files: vgmpi export OUT --frames 0:50:5 -o DIR --format ply
+"""Export for other programs: vgmpi export OUT --frames 0:50:5 -o DIR --format ply
 
 A file holds the Gaussians of a frame as the renderer draws them: shapes, opacities and colors, in
-meters and in the axes of the domain, for any viewer. Exit code 2 is for errors that the user can
-correct.
+meters and in the axes of the domain, for any viewer. With --surface it holds the surface of a body
+as triangles with the colors of its Gaussians. Exit code 2 is for errors that the user can correct.
 """
 
 import argparse
@@ -19,9 +19,17 @@ from vgmpi.gaussians.formats import registry
 from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.rendering import render_config
 from vgmpi.rendering.appearance import Appearance
+from vgmpi.rendering.particle_surface import SMOOTHING_STEPS
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions
 
+from . import surface_export
+
 log = logging.getLogger("vgmpi")
+
+GAUSSIAN_FORMATS = [
+    suffix.removeprefix(".") for suffix in (*registry.KINDS, registry.COMPRESSED, registry.GLTF)
+]
+Y_UP = ("glb", "obj")  # formats that programs read with y up
 
 # rotations of the domain's z axis to the up axis of the file
 UP = {
@@ -100,12 +108,25 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("out", help="folder of the run")
     p.add_argument("settings", nargs="?", help="render.toml, of which the table [look] is used")
     p.add_argument("--frames", help="a number, or first:last:every as in Python [all]")
-    p.add_argument("-o", "--output", help="folder of the files [OUT/gaussians]")
-    kinds = [
-        suffix.removeprefix(".") for suffix in (*registry.KINDS, registry.COMPRESSED, registry.GLTF)
-    ]
-    p.add_argument("--format", choices=kinds, default=kinds[0], help="file format [ply]")
-    up = "axis that points up in the file; --up=-y for captures [z; y in a .glb]"
+    p.add_argument("-o", "--output", help="folder of the files [OUT/gaussians, OUT/surface]")
+    p.add_argument(
+        "--format",
+        choices=[*GAUSSIAN_FORMATS, *surface_export.FORMATS],
+        help="file format; vtp and obj are meshes [ply; vtp with --surface]",
+    )
+    p.add_argument(
+        "--surface",
+        metavar="NAME",
+        help="surface of a body, or of all bodies of a material, as triangles (extra mesh)",
+    )
+    p.add_argument(
+        "--smoothing",
+        type=int,
+        default=SMOOTHING_STEPS,
+        metavar="STEPS",
+        help="smoothing steps of a surface, 0: none",
+    )
+    up = "axis that points up in the file; --up=-y for captures [z; y in .glb and .obj]"
     p.add_argument("--up", choices=UP, help=up)
     p.add_argument("--no-scenery", action="store_true", help="leave out scenery")
     p.add_argument("-q", "--quiet", action="store_true", help="warnings and errors only")
@@ -118,7 +139,7 @@ def main(argv: list[str] | None = None) -> int:
     args = parser().parse_args(argv)
     level = logging.WARNING if args.quiet else logging.INFO
     logging.basicConfig(level=level, format="%(message)s", stream=sys.stderr)
-    folder = Path(args.output or Path(args.out) / "gaussians")
+    folder = Path(args.output or Path(args.out) / ("surface" if args.surface else "gaussians"))
     try:
         _export(args, folder)
     except render_config.SettingsError as error:
@@ -138,15 +159,19 @@ def main(argv: list[str] | None = None) -> int:
 
 def _export(args: argparse.Namespace, folder: Path) -> None:
     """Write the files."""
+    surface_export.check_arguments(args, GAUSSIAN_FORMATS)
     run = RunReader(args.out)
     numbers = run.available_frames(selected_frames(args.frames, len(run)))
     look = Appearance(run, render_config.load(args.settings).look)
+    up = args.up or ("y" if args.format in Y_UP else "z")
+    if args.surface is not None:
+        surface_export.export_surfaces(run, look, numbers, args, UP[up], folder)
+        return
     folder.mkdir(parents=True, exist_ok=True)
     suffix = f".{args.format}"
     reported: set[str] = set()
     for index in tqdm(numbers, unit="frame", disable=True if args.quiet else None):
         gaussians = cloud(look, look.frame(index), not args.no_scenery)
-        up = args.up or ("y" if suffix == registry.GLTF else "z")
         if up != "z":
             gaussians = gaussians.transformed(UP[up])
         for line in losses(gaussians, suffix):

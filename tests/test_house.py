@@ -38,6 +38,7 @@ OUTSIDE = {  # packages that only some files may use
         "vgmpi/apps/notebook/run_frames.py",
     ),
     "viser": ("postprocess/replay.py",),
+    "pysplashsurf": ("vgmpi/rendering/particle_surface.py",),  # surfaces: vgmpi export --surface
     "tqdm": (
         "vgmpi/solver/diagnostics/progress.py",
         "vgmpi/solver/compile_kernels.py",

@@ -32,7 +32,7 @@ COMMANDS = {
     "render": Command("vgmpi.apps.render.render", "draw a video of a run", function="command"),
     "view": Command("vgmpi.apps.render.view", "draw particles colored by any field"),
     "replay": Command("vgmpi.apps.render.replay", "write a run as an interactive HTML page"),
-    "export": Command("vgmpi.apps.render.export", "write frames as Gaussian files"),
+    "export": Command("vgmpi.apps.render.export", "write frames as Gaussian files or meshes"),
     "fit": Command("vgmpi.apps.fit.__main__", "identify a scene's parameters from data"),
     "tradeoff": Command(
         "vgmpi.apps.tradeoff.setting_study", "compare accuracy and time by settings"
