@@ -22,7 +22,7 @@ from vgmpi.gaussians.formats import registry, sog
 from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.rendering import image_io, render_config
 from vgmpi.rendering.appearance import Appearance
-from vgmpi.rendering.surface_mesh import SMOOTHING_STEPS
+from vgmpi.rendering.particle_surface import SMOOTHING_STEPS
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions
 
 from . import export_moving, surface_export

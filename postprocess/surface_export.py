@@ -15,7 +15,7 @@ from vgmpi.gaussians.spherical_harmonics import rgb_from_dc
 from vgmpi.io import mesh_files
 from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.rendering.appearance import Appearance
-from vgmpi.rendering.surface_mesh import SurfaceMesh, reconstruct_surface
+from vgmpi.rendering.particle_surface import SurfaceMesh, reconstruct_surface
 from vgmpi.runtime.suggestions import did_you_mean
 
 log = logging.getLogger("vgmpi")

@@ -38,7 +38,7 @@ OUTSIDE = {  # packages that only some files may use
         "vgmpi/apps/notebook/run_frames.py",
     ),
     "pxr": ("vgmpi/rendering/usd_stage.py",),  # OpenUSD: one file of a moving run
-    "pysplashsurf": ("vgmpi/rendering/surface_mesh.py",),  # surfaces: vgmpi export --surface
+    "pysplashsurf": ("vgmpi/rendering/particle_surface.py",),  # surfaces: vgmpi export --surface
     "viser": ("postprocess/replay.py", "vgmpi/rendering/live/guarded_server.py"),
     # the part of viser's server that opens its port
     "websockets": ("vgmpi/rendering/live/guarded_server.py",),

@@ -70,6 +70,13 @@ def _run_crowding(args) -> int:
     return 0
 
 
+def _run_surfaces(args) -> int:
+    from tests.benchmarks import surface_methods
+
+    print(surface_methods.text())
+    return 0
+
+
 LIQUID_COMMANDS = {
     "correction-order": (
         "further terms of the transfer correction",
@@ -78,5 +85,6 @@ LIQUID_COMMANDS = {
     ),
     "crowding": ("how sand, snow and paste pile up", _crowding, _run_crowding),
     "poured": ("a run's water by its level beside what was poured", _poured, _run_poured),
+    "surfaces": ("ways to make a mesh of particles", lambda _: None, _run_surfaces),
     "volume": ("what splashed liquids lose of their level", _volume, _run_volume),
 }

