@@ -228,7 +228,7 @@ def test_a_run_starts_its_page(tmp_path):
     """The page survives the run and its output does not hold up the launcher."""
     from tests.support.live_pages import SCENE
 
-    (tmp_path / "scene.toml").write_text(SCENE.replace("4 s", "0.01 s").replace("801", "3"))
+    (tmp_path / "scene.toml").write_text(SCENE.replace("4 s", "0.01 s").replace("401", "3"))
     command = [sys.executable, "-m", "vgmpi", tmp_path / "scene.toml", "-o", tmp_path / "out"]
     with socket.socket() as sock:
         sock.bind(("127.0.0.1", 0))
