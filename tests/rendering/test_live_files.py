@@ -54,6 +54,11 @@ def test_a_folder_is_followed_from_nothing_to_its_frames(tmp_path):
         run.refresh()
     drawn_runs.write(out, frames=1, opacity_scale=0.1)  # another run in its place
     assert run.refresh() and run.numbers() == [0]
+    before = run.selection
+    drawn_runs.write(out, frames=2, opacity_scale=0.3)  # unseen between two looks
+    assert run.refresh() and run.numbers() == [0, 1] and run.selection is not before
+    opacity = run.read_frame(0, EYE, None).particles["opacities"]
+    assert np.isclose(opacity, 0.8 * 0.3).any()
 
 
 def test_a_frame_that_is_replaced_or_damaged_is_one_line(tmp_path):
@@ -114,7 +119,7 @@ def test_the_color_map_is_that_of_matplotlib():
 
 def written_tables(out):
     """A run with a ledger of two phases and a probe."""
-    log = ConservationLog(out, SerialCommunicator(), liquids=True)
+    log = ConservationLog(out, SerialCommunicator(), liquids=True, rigid=True)
     names = [d.name for d in log.columns]
     for k in range(3):
         rows = []
@@ -122,6 +127,7 @@ def written_tables(out):
             row = dict.fromkeys(names, 0.0)
             row |= {"time": 0.1 * k, "step": k, "phase": phase, "particles": 1, "mass": mass}
             row |= {"kinetic_energy": 1.0 * k, "momentum_x": -1.0, "fullest_cell": fullest}
+            row["rigid_momentum_x"] = 5.0 * (phase == "a")  # of all rigid bodies, in the first row
             rows.append(row)
         log.append(rows)
     probe = CsvLog(out / "probe_p.csv", file_layout.PROBE_COLUMNS["velocity"], SerialCommunicator())
@@ -140,7 +146,7 @@ def test_tables_become_curves(tmp_path):
     np.testing.assert_allclose(plots["mass"].time, [0.0, 0.1, 0.2])
     np.testing.assert_allclose(plots["mass"].curves["mass"], [5.0, 5.0, 5.0])
     np.testing.assert_allclose(plots["energy"].curves["total"], [0.0, 2.0, 4.0])
-    np.testing.assert_allclose(plots["momentum"].curves["momentum_x"], [-2.0, -2.0, -2.0])
+    np.testing.assert_allclose(plots["momentum"].curves["momentum_x"], [3.0, 3.0, 3.0])
     np.testing.assert_allclose(plots["fullest cell"].curves["fullest cell"], [1.0, 2.0, 3.0])
     assert plots["p: velocity"].title == "p: velocity [m/s]"
     np.testing.assert_allclose(plots["p: velocity"].curves["velocity_z"], [1.0, 2.0, 3.0])
@@ -246,16 +252,24 @@ def test_no_other_process_gets_the_signal(tmp_path, holder):
         file.write(json.dumps(who | {"host": "elsewhere"}))
     done, line = run_progress.request_stop(tmp_path)
     assert not done and "on elsewhere" in line and "kill -USR1" in line and "\n" not in line
-    sleeper = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(1000)"])
+    code = (
+        "import signal, sys, time\n"
+        "signal.signal(signal.SIGUSR1, lambda *_: sys.exit(3))\n"
+        "print('ready', flush=True)\n"
+        "time.sleep(1000)"
+    )
+    sleeper = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert sleeper.stdout.readline() == "ready\n"
     for text in (who | {"pid": sleeper.pid}, who | {"pid": 2**22 + 1}, who | {"pid": -1}):
         with open(lock, "r+") as file:
             file.truncate()
             file.write(json.dumps(text | {"host": socket.gethostname()}))
         done, line = run_progress.request_stop(tmp_path)
         assert not done and "nothing was sent" in line and "\n" not in line
-    assert sleeper.poll() is None
+    with pytest.raises(subprocess.TimeoutExpired):
+        sleeper.wait(0.5)
     sleeper.kill()
-    sleeper.wait()
+    sleeper.communicate()
     lock.write_text("{")
     assert not run_progress.request_stop(tmp_path)[0]
 

@@ -14,6 +14,7 @@ from postprocess import live
 from tests.support import drawn_runs
 from tests.support.launch import run, until
 from tests.support.live_pages import ROW_BYTES, LivePageProcess, Viewer
+from vgmpi.apps.run import cli
 from vgmpi.io.run_reader import RunReader
 
 viser = pytest.importorskip("viser", reason='needs viser: pip install "vgmpi[live]"')
@@ -228,7 +229,7 @@ def test_a_run_starts_its_page(tmp_path):
     """The page survives the run and its output does not hold up the launcher."""
     from tests.support.live_pages import SCENE
 
-    (tmp_path / "scene.toml").write_text(SCENE.replace("4 s", "0.01 s").replace("801", "3"))
+    (tmp_path / "scene.toml").write_text(SCENE.replace("4 s", "0.01 s").replace("401", "3"))
     command = [sys.executable, "-m", "vgmpi", tmp_path / "scene.toml", "-o", tmp_path / "out"]
     with socket.socket() as sock:
         sock.bind(("127.0.0.1", 0))
@@ -243,3 +244,17 @@ def test_a_run_starts_its_page(tmp_path):
     until(lambda: (tmp_path / "out/live.log").exists(), "its log")
     os.kill(int(re.search(r"process (\d+)", done.stdout)[1]), signal.SIGTERM)
     until(lambda: "has ended" in (tmp_path / "out/live.log").read_text(), "its end")
+
+
+@pytest.mark.parametrize(
+    "words, says",
+    [
+        (["--check", "--live"], "--live is for a run"),
+        (["--plan", "--live", "8081"], "--live is for a run"),
+        (["--live", "70000"], "0 to 65535"),
+    ],
+)
+def test_flags_of_a_page_that_no_run_starts_are_refused(words, says, capsys):
+    with pytest.raises(SystemExit) as end:
+        cli.parse_arguments(["scene.toml", *words])
+    assert end.value.code == 2 and says in capsys.readouterr().err

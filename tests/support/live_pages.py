@@ -16,11 +16,11 @@ FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-
 SCENE = """
 title = "A ball falls into water"
 [domain]
-size = ["24 cm", "16 cm", "16 cm"]
+size = ["12 cm", "8 cm", "8 cm"]
 cell = "1 cm"
 [time]
 end = "4 s"
-frames = 801
+frames = 401
 [output]
 checkpoint_interval = 0
 [material.rubber]
@@ -33,12 +33,12 @@ density = 1000
 [[object]]
 name = "ball"
 material = "rubber"
-shape = { sphere = { center = ["8 cm", "8 cm", "11 cm"], radius = "3 cm" } }
+shape = { sphere = { center = ["4 cm", "4 cm", "6 cm"], radius = "2 cm" } }
 color = "#e02020"
 [[object]]
 name = "pool"
 material = "water"
-shape = { box = [[0, 0, 0], ["24 cm", "16 cm", "5 cm"]] }
+shape = { box = [[0, 0, 0], ["12 cm", "8 cm", "3 cm"]] }
 color = "#2040e0"
 [[probe]]
 name = "ball"
@@ -95,6 +95,8 @@ def opened(browser, address, errors):
     page.on("pageerror", lambda error: errors.append(str(error)))
     page.goto(address)
     page.get_by_text(re.compile("of [\\d,]+ Gaussians")).wait_for()
+    page.get_by_text("Software WebGL").wait_for()  # it would hide a part of the scene
+    page.locator(".mantine-Notification-closeButton").first.click()
     return page
 
 

@@ -221,36 +221,42 @@ class LivePage:
         self.panel.show_status(lines)
         self.panel.offer_plots(list_plots(self.followed.folder))
 
-    def _wanted_number(self, numbers: list[int]) -> int:
-        """Return the number of the frame to show."""
+    def _wanted_number(self, numbers: list[int]) -> tuple[int, bool]:
+        """Return the number of the frame to show, and whether the slider is set to it.
+
+        It is not set while nothing but a viewer moves it, whose next move may be on its way.
+        """
         panel, now = self.panel, time.monotonic()
         shown = self._shown.number if self._shown is not None else numbers[0]
-        if self._requested_number is not None:
-            shown, self._requested_number = self._requested_number, None
-            self._next_play = now + 1.0 / float(panel.rate.value)
-        elif panel.following.value:
-            return numbers[-1]
-        elif panel.playing.value and now >= self._next_play:
-            self._next_play = now + 1.0 / float(panel.rate.value)
-            return next((n for n in numbers if n > shown), numbers[0])
-        return max((n for n in numbers if n <= shown), default=numbers[0])
+        requested, self._requested_number = self._requested_number, None
+        interval = 1.0 / float(panel.rate.value)
+        if requested is not None:
+            self._next_play = now + interval
+            number = max((n for n in numbers if n <= requested), default=numbers[0])
+            return number, self._requested_number is None
+        if panel.following.value:
+            return numbers[-1], True
+        if panel.playing.value and now >= self._next_play:
+            self._next_play = now + interval
+            return next((n for n in numbers if n > shown), numbers[0]), True
+        return max((n for n in numbers if n <= shown), default=numbers[0]), False
 
     def _show_frame(self) -> None:
         """Show the frame and the colors that are wanted now."""
         numbers = self.followed.numbers()
         if not numbers or self.followed.reader is None:
             return
-        number, field = self._wanted_number(numbers), str(self.panel.color.value)
+        number, sets_slider = self._wanted_number(numbers)
+        field = str(self.panel.color.value)
         version = file_state(self.followed.reader.path(number))
         wanted = Shown(number, field, version)
+        self.panel.show_numbers(numbers[-1], number if sets_slider else None)
         if wanted == self._shown:
-            self.panel.show_numbers(number, numbers[-1])
             return
         clients = list(self.server.get_clients().values())
         if clients:
             self._eye = np.asarray(clients[-1].camera.position)
         self._shown = wanted  # a broken frame is tried again when its file changes
-        self.panel.show_numbers(number, numbers[-1])
         try:
             choice = None if field == AS_DRAWN else field
             self._send_frame(self.followed.read_frame(number, self._eye, choice), field)

@@ -68,10 +68,16 @@ class PagePanel:
         line = f'<div id="vgmpi-message" style="{style}">{html.escape(text)}</div>'
         self._message.content = line if text else ""
 
-    def show_numbers(self, number: int, last: int) -> None:
-        """Set the slider to a frame, and its end to the number of the last frame."""
+    def show_numbers(self, last: int, number: int | None) -> None:
+        """Set the end of the slider to the number of the last frame, and the slider to a frame.
+
+        Args:
+            last: Number of the last frame.
+            number: Number of the frame; None leaves the slider to the viewer who moves it.
+        """
         self.frame.max = max(last, 1)
-        self.frame.value = min(number, max(last, 1))
+        if number is not None:
+            self.frame.value = min(number, max(last, 1))
 
     def offer_fields(self, fields: list[str]) -> None:
         """Offer fields to color by."""
