@@ -27,7 +27,7 @@ log = logging.getLogger("vgmpi")
 WEB, USD = "web", "usd"
 KINDS = (WEB, USD)
 SUFFIXES = {WEB: (".html", ".htm"), USD: usd_stage.SUFFIXES}
-ACCURACY = 0.01  # [cells] default of --accuracy
+ACCURACY = 0.02  # [cells] default of --accuracy
 FPS = 25.0  # default of --fps
 ACCURACIES = (1e-5, 1.0)  # [cells] allowed
 

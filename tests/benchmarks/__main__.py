@@ -334,8 +334,8 @@ def _moving_page(parser) -> None:
     say = parser.add_argument
     say("--folder", type=Path, help="folder of a run; default: made-up motion")
     say("--gaussians", type=float, default=3e5, metavar="N", help="made up, default 3e5")
-    say("--frames", type=int, default=250, metavar="N", help="made up, default 250")
-    say("--accuracy", type=float, default=0.01, metavar="A", help="in cells, default 0.01")
+    say("--frames", type=int, default=250, metavar="N", help="at most, default 250")
+    say("--accuracy", type=float, default=0.02, metavar="A", help="in cells, default 0.02")
     say("-o", "--output", help="file to keep the page in")
 
 

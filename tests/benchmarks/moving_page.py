@@ -21,6 +21,8 @@ from typing import NamedTuple
 import numpy as np
 
 from tests.rendering.test_replay import CHROMIUM, FLAGS
+from vgmpi.gaussians import spherical_harmonics as harmonics
+from vgmpi.gaussians.camera import look_at
 from vgmpi.gaussians.cloud import rotation_matrices
 from vgmpi.gaussians.formats import motion_layout as layout
 from vgmpi.gaussians.formats.motion_layout import GroupState, MotionGroup, RestGaussians
@@ -30,6 +32,7 @@ from vgmpi.io.run_reader import RunReader
 from vgmpi.rendering import render_config, web_page
 from vgmpi.rendering.appearance import Appearance
 from vgmpi.rendering.frame_renderer import visible_extent
+from vgmpi.rendering.raster import rasterize
 from vgmpi.rendering.run_motion import RunMotion
 
 TREMBLE = 0.01  # [cells] of a particle's own change of velocity per frame
@@ -112,17 +115,37 @@ def _states(rng, x: np.ndarray, bodies: list, frames: int) -> Iterator:
         yield float(t), states, []
 
 
-def of_run(folder: Path) -> tuple[list, RestGaussians, Iterator, float, dict]:
+def similarity(folder: Path, path: Path) -> float:
+    """PSNR [dB] of the last frame of a page beside the run's, by the renderer, 512 pixels wide."""
+    run, reader = RunReader(folder), web_page.read_page(path)
+    look = Appearance(run, render_config.load(None).look)
+    view, index = reader.header["view"], run.available_frames(range(len(run)))[len(reader) - 1]
+    camera = look_at(*(view["camera"][k] for k in ("eye", "target", "up", "fov")), 512, 384)
+    frame, sh = reader.frame(len(reader) - 1), reader.rest.sh.copy()
+    sh[:, 0] = harmonics.dc_from_rgb(frame.rgb)
+    directions = np.einsum("nij,ni->nj", frame.rotation, frame.x - camera.eye)
+    color = np.maximum(harmonics.evaluate(sh, directions), 0)
+    opacity = reader.rest.opacity * frame.present
+    decoded = rasterize.ProjectableGaussians(frame.x, frame.cov, opacity, color)
+    drawn = look.splats(look.frame(index), camera.eye)
+    a, b = (
+        np.clip(rasterize.render(splats, camera, alpha_min=view["alpha_min"])[0], 0, 1)
+        for splats in (decoded, drawn)
+    )
+    return float(10 * np.log10(1 / np.mean((a - b) ** 2)))
+
+
+def of_run(folder: Path, frames: int) -> tuple[list, RestGaussians, Iterator, float, dict]:
     """The same of the files of a run, and its cell and view."""
     run = RunReader(folder)
     settings = render_config.load(None)
     look = Appearance(run, settings.look)
-    motion = RunMotion(look, len(run) // 2)
+    motion = RunMotion(look, min(len(run), frames) // 2)
     box = functools.cache(lambda: visible_extent(run))
     view = web_page.view_settings(look, settings, Path("."), box, 25.0)
 
     def states() -> Iterator:
-        for index in run.available_frames(range(len(run))):
+        for index in run.available_frames(range(len(run)))[:frames]:
             frame = look.frame(index)
             yield float(run.times[index]), motion.states(frame), motion.poses(frame)
 
@@ -137,7 +160,7 @@ def measure(
     if run is None:
         groups, rest, states = made_up(count, frames)
     else:
-        groups, rest, states, cell, view = of_run(run)
+        groups, rest, states, cell, view = of_run(run, frames)
     writer = MotionWriter(groups, rest, cell=cell, accuracy=accuracy)
     seconds, last = 0.0, []
     for number, (t, last, poses) in enumerate(states):
@@ -233,4 +256,7 @@ def run_benchmark(args, say=lambda text: None) -> str:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(args.output or Path(folder) / "page.html")
         sizes = measure(path, args.folder, int(args.gaussians), args.frames, args.accuracy, say)
-        return text(sizes) + "\n" + browser_times(path)
+        lines = [text(sizes)]
+        if args.folder:
+            lines.append(f"last frame beside the run's: {similarity(args.folder, path):.1f} dB")
+        return "\n".join([*lines, browser_times(path)])

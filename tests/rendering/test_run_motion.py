@@ -57,7 +57,7 @@ def compare(look, motion, reader, number, frame, cell):
     for k in np.flatnonzero(got.present):
         x, cov = drawn[keys[k]]
         assert np.abs(got.x[k] - x).max() <= 1.001 * ACCURACY * cell
-        assert np.abs(got.cov[k] - cov).max() <= 0.04 * np.abs(cov).max() + 1e-12
+        assert np.abs(got.cov[k] - cov).max() <= 0.08 * np.abs(cov).max() + 1e-12
 
 
 def test_carried_and_removed_gaussians(tmp_path):
@@ -121,7 +121,7 @@ def test_colors_of_frames_are_stored():
     motion, reader = decoded(look, frames, look.spacing)
     free = sum(group.count for group in motion.groups if group.motion == layout.FREE)
     rgb = reader.frame(2).rgb[-free:]
-    np.testing.assert_allclose(rgb, np.tile([0.2, 0.5, 0.7], (free, 1)), atol=1.01 / 128)
+    np.testing.assert_allclose(rgb, np.tile([0.2, 0.5, 0.7], (free, 1)), atol=1.01 / 100)
 
 
 @pytest.mark.parametrize("rows", [1, SEGMENT - 1, SEGMENT, 3 * SEGMENT + 5])

@@ -114,6 +114,18 @@ def test_between_frames_a_viewer_sees_the_turning_bar(stage):
     )
 
 
+def test_axes_keep_their_order_when_sizes_cross():
+    """An axis that grows past another one stays in its column, and its sign too."""
+    tracker, turn = usd_stage.AxesTracker(), drawn_runs.rotation(0.3)
+    scales = [np.array([1.0, 2.0, 3.0]), np.array([2.5, 2.0, 3.0]), np.array([4.0, 2.0, 3.0])]
+    quats = []
+    for scale in scales:
+        quat, got = tracker.advance((turn @ np.diag(scale**2) @ turn.T)[None])
+        np.testing.assert_allclose(got[0], scale, rtol=1e-12)
+        quats.append(quat[0])
+    np.testing.assert_allclose(quats, np.tile(quats[0], (3, 1)), atol=1e-12)
+
+
 @needs_usd
 def test_the_camera_is_the_renderers(out, stage):
     """Gf's own projection of a point lands on the renderer's pixel."""

@@ -26,6 +26,7 @@ from vgmpi.gaussians.formats.motion_layout import (
     RestGaussians,
 )
 from vgmpi.gaussians.formats.motion_writer import MotionWriter
+from vgmpi.gaussians.formats.residual_coding import SEGMENT, CodedRows
 from vgmpi.gaussians.formats.validation import GaussianFileError
 from vgmpi.io.run_reader import RunReader
 from vgmpi.rendering import web_page
@@ -90,7 +91,7 @@ def test_positions_hold_the_accuracy(out, tmp_path, accuracy):
         assert frame.present.all()
         assert np.abs(frame.x - x).max() <= accuracy * CELL * (1 + 1e-6)
         largest = cov[:, (0, 3, 5)].max(axis=1)
-        assert (np.abs(frame.cov - cov).max(axis=1) < 0.03 * largest).all()
+        assert (np.abs(frame.cov - cov).max(axis=1) < 0.08 * largest).all()
 
 
 @pytest.mark.parametrize("index", SHOWN)
@@ -175,7 +176,7 @@ def every_kind():
         MotionGroup("wheel", 30, layout.POSED, pose=0),
         MotionGroup("water", 1100, layout.FREE, layout.SIZE, color=True),
         MotionGroup("rubber", 50, layout.FREE, layout.DEFORMATION),
-        MotionGroup("dust", 20, layout.FREE),
+        MotionGroup("dust", 3 * SEGMENT, layout.FREE),
     ]
     n = sum(group.count for group in kinds)
     x = rng.uniform(0, 2, (n, 3))
@@ -189,11 +190,17 @@ def every_kind():
         quat /= np.linalg.norm(quat, axis=1, keepdims=True)
         stretch = layout.IDENTITY + 0.1 * rng.normal(size=(50, 6))
         water = moved[70:1170][present]
+        # each segment of dust moves so that another prediction is the best
+        dust = x[1220:].copy()
+        dust[:SEGMENT] += 0.05 * k**2 * x[1220 : 1220 + SEGMENT]
+        noise = 0.004 * rng.normal(size=(SEGMENT, 3))
+        dust[SEGMENT : 2 * SEGMENT] += 0.05 * k * x[1220 : 1220 + SEGMENT] + noise
+        dust[2 * SEGMENT :] += 0.05 * np.sin(7 * k) + 0.02 * k * x[1220 : 1220 + SEGMENT]
         m = len(water)
         states = [
             GroupState(present, water, rng.uniform(0.8, 1.2, m), color=rng.uniform(0, 1, (m, 3))),
             GroupState(np.ones(50, bool), moved[1170:1220], None, quat, stretch),
-            GroupState(np.ones(20, bool), moved[1220:]),
+            GroupState(np.ones(len(dust), bool), dust),
         ]
         pose = np.eye(4)
         pose[:3, :3] = rotation_matrices(quat[:1])[0]  # any, half turns too
@@ -205,13 +212,24 @@ def every_kind():
 
 
 @pytest.mark.browser
-def test_the_browser_decodes_what_python_decodes(tmp_path):
-    """Every kind of group: centers, shapes, colors and presence, and the picture."""
+def test_the_browser_decodes_what_python_decodes(tmp_path, monkeypatch):
+    """Every kind of group: centers, shapes, colors and presence, and the picture, also from afar,
+    where Gaussians are smaller than a pixel.
+    """
+    modes, encode = set(), CodedRows._encode_channel
+
+    def recorded(self, *args):
+        pieces = encode(self, *args)
+        modes.update(pieces[0][:-1])
+        return pieces
+
+    monkeypatch.setattr(CodedRows, "_encode_channel", recorded)
     api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
     path = tmp_path / "kinds.html"
     path.write_bytes(every_kind())
+    assert {mode % 4 for mode in modes} == {0, 1, 2, 3}
+    assert {mode // 4 for mode in modes} == {0, 1, 2}
     reader = web_page.read_page(path)
-    camera = look_at(EYE, TARGET, (0, 0, 1), FOV, 512, 512)
     with api.sync_playwright() as play:
         _, page = browser_page(play)
         page.goto(path.as_uri())
@@ -241,8 +259,12 @@ def test_the_browser_decodes_what_python_decodes(tmp_path):
             np.testing.assert_allclose(colors[:, 3], reader.rest.opacity, atol=1e-6)
             higher = arrays["harmonics"].reshape(n, 15, 4)[..., :3]
             np.testing.assert_allclose(higher, reader.rest.sh[:, 1:], atol=1e-6)
-            got = iio.imread(io.BytesIO(page.screenshot()))[..., :3] / 255
-            assert psnr(got, picture_of_file(reader, index, camera)) > 40
+            for eye in (EYE, (1.5, -30.0, 12.0)):
+                entry = {"eye": eye, "target": TARGET, "up": (0, 0, 1), "fov": FOV}
+                page.evaluate("entry => vgmpi.look(entry)", entry)
+                camera = look_at(eye, TARGET, (0, 0, 1), FOV, 512, 512)
+                got = iio.imread(io.BytesIO(page.screenshot()))[..., :3] / 255
+                assert psnr(got, picture_of_file(reader, index, camera)) > 40
 
 
 class Utf8Handler(http.server.SimpleHTTPRequestHandler):

@@ -16,7 +16,7 @@ STATIC, POSED, FREE = "static", "posed", "free"  # how the centers of a group mo
 FIXED, SIZE, DEFORMATION = "fixed", "size", "deformation"  # how their shapes change
 SHAPE_CHANNELS = {FIXED: 0, SIZE: 1, DEFORMATION: 10}
 # [-] size of one unit of the stored integers; positions have a step of their own
-STEPS = {"size": 1 / 128, "rotation": 1 / 128, "stretch": 1 / 128, "color": 1 / 128}
+STEPS = {"size": 1 / 128, "rotation": 1 / 64, "stretch": 1 / 64, "color": 1 / 100}
 
 
 @dataclass(frozen=True)

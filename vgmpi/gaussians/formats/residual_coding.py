@@ -14,7 +14,7 @@ HISTORY = 3  # [frames] that a predictor may use
 MAX_BIN = 1 << 27  # bound of values: predictions stay within int32
 
 # A predictor of mode m: m % 4 combines the last frames, m // 4 selects the rows before.
-TEMPORAL = ((1, 0, 0), (2, -1, 0), (8, -3, -1), (3, -3, 1))  # factors of frames t-1, t-2, t-3
+TEMPORAL = ((1, 0, 0), (2, -1, 0), (7, -2, -1), (3, -3, 1))  # factors of frames t-1, t-2, t-3
 TEMPORAL_SHIFT = (0, 0, 2, 0)  # the sum is divided by 2^shift, rounded down
 WINDOWS = (0, 1, 4)  # [rows] whose mean residual is subtracted; a window is a power of two
 _WINDOW_SHIFT = (0, 0, 2)

@@ -126,7 +126,7 @@ class CodedRows {
     if (predictor === 0) for (let i = start; i < stop; i++) out[i] += p[i];
     if (predictor === 1) for (let i = start; i < stop; i++) out[i] += 2 * p[i] - q[i];
     if (predictor === 2)
-      for (let i = start; i < stop; i++) out[i] += (8 * p[i] - 3 * q[i] - r[i]) >> 2;
+      for (let i = start; i < stop; i++) out[i] += (7 * p[i] - 2 * q[i] - r[i]) >> 2;
     if (predictor === 3) for (let i = start; i < stop; i++) out[i] += 3 * (p[i] - q[i]) + r[i];
   }
 }
