@@ -4,6 +4,7 @@ import base64
 import io
 import subprocess
 import sys
+import urllib.request
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from PIL import Image
 
 import vgmpi
+from tests.support.launch import until
 from vgmpi.io.run_reader import RunError
 
 NOTEBOOK = Path(__file__).parents[2] / "docs" / "tutorial" / "notebook.ipynb"
@@ -140,3 +142,28 @@ def test_the_tutorial_notebook_runs(tmp_path):
     assert "center_z" in outputs[4][0]["data"]["text/html"]
     center = float(outputs[2][0]["text"].rsplit("[", 1)[1].split("]")[0].split()[2])
     assert 0.1 < center < 0.15  # half as heavy as water, the ball floats
+
+
+def test_a_live_page_in_a_cell(folder):
+    """The page answers while the cell is there, and ends with it."""
+    pytest.importorskip("viser", reason="no viser: pip install 'vgmpi[live]'")
+    cell = vgmpi.open_run(folder).show_live(particles=1000, height=400)
+    assert f'<iframe src="{cell.address}"' in cell._repr_html_()
+    assert "height: 400px" in cell._repr_mimebundle_()["text/html"]
+    with urllib.request.urlopen(cell.address, timeout=60) as page:
+        assert b"<html" in page.read(4000).lower()
+    cell.close()
+    until(lambda: not answers(cell.address), "the page ends")
+
+
+def answers(address):
+    try:
+        urllib.request.urlopen(address, timeout=5).close()
+    except OSError:
+        return False
+    return True
+
+
+def test_a_live_page_that_cannot_start_is_one_line(folder):
+    with pytest.raises(RunError, match=r"--particles: 0: allowed: 1 to 300000"):
+        vgmpi.open_run(folder).show_live(particles=0)

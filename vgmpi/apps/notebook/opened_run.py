@@ -16,6 +16,7 @@ from vgmpi.rendering.frame_renderer import FrameRenderer
 from vgmpi.rendering.image_io import VideoError
 from vgmpi.rendering.render_config import find_settings
 
+from .live_cell import LiveCell
 from .run_frames import Frames
 
 PICTURE_SIZE, THUMBNAIL_SIZE = 640, 240  # [pixels] longer sides
@@ -28,7 +29,8 @@ def open_run(folder: str | Path) -> "OpenedRun":
         folder: Output folder of a run.
 
     Returns:
-        The run, with `frames`, `probes`, `ledger`, `picture()` and `show()`.
+        The run, with `frames`, `probes`, `ledger`, `picture()`, `show()` and
+        `show_live()`.
 
     Raises:
         RunError: If there is no run.
@@ -134,6 +136,24 @@ class OpenedRun:
 
             return pillow.fromarray(picture)
         return Image(data=_png(picture), format="png")
+
+    def show_live(self, particles: int = 100_000, height: int = 700) -> LiveCell:
+        """Show the run as a live page in the cell of a notebook, also while it goes on.
+
+        The page is served on the machine of the kernel: a browser elsewhere needs ssh, as for
+        `vgmpi live`, and `show` draws a picture everywhere.
+
+        Args:
+            particles: Largest number of Gaussians, up to 300,000.
+            height: Height of the cell [pixels].
+
+        Returns:
+            The page, with `address` and `close()`; it ends with the kernel.
+
+        Raises:
+            RunError: If no page can be served.
+        """
+        return LiveCell(self.folder, particles, height)
 
     def _particles(self) -> str:
         """Return how many particles it has, as text."""
