@@ -34,7 +34,7 @@ async function start() {
   };
   const play = (on) => {
     playing = on ? { since: performance.now(), first: shown === frames.length - 1 ? 0 : shown } : null;
-    button.textContent = on ? "\u23f8" : "\u25b6";
+    button.classList.toggle("playing", on);
   };
   const jump = (index) => {
     play(false);
