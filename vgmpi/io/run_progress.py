@@ -73,8 +73,8 @@ def read_progress(reader: RunReader) -> RunProgress:
     if duration > 0 and advance > 0:
         pace = (step - first_step) / duration
         if end is not None:
-            ahead = max(end - now, 0.0) * duration / advance
-            remaining = max(ahead - max(time.time() - written, 0.0), 0.0)
+            simulated_ahead = max(end - now, 0.0) * duration / advance
+            remaining = max(simulated_ahead - max(time.time() - written, 0.0), 0.0)
     return RunProgress(
         last, frame_count, now, end, step, pace, remaining, run_lock.find_writer(reader.folder),
         any((reader.folder / file_layout.BLOWUP).glob(f"{file_layout.FRAMES}/*.vtkhdf")),
@@ -106,10 +106,10 @@ def request_stop(folder: Path) -> tuple[bool, str]:
     writer = run_lock.find_writer(folder)
     if writer is None:
         return False, f"{folder}: no run writes here now, so there is nothing to stop"
-    here = socket.gethostname()
-    if writer.host != here:
+    host = socket.gethostname()
+    if writer.host != host:
         remedy = f"there, `kill -{STOP_SIGNAL.name[3:]} {writer.pid}` stops it"
-        return False, f"the run is process {writer.pid} on {writer.host}, not on {here}: {remedy}"
+        return False, f"the run is process {writer.pid} on {writer.host}, not on {host}: {remedy}"
     try:
         if not _holds_file(writer.pid, lock):
             return False, f"process {writer.pid} does not hold {lock}: nothing was sent"

@@ -48,8 +48,8 @@ def group_counts(plan: "Plan") -> list[tuple[int, int]]:
     counts = list(plan.count)
     parts = [(region.thing, region.particles, region.group) for region in plan.regions]
     parts += [(part.object, part.region.count, part.group) for part in plan.pins]
-    for thing, particles, _ in parts:
-        counts[thing] -= particles
+    for number, particles, _ in parts:
+        counts[number] -= particles
     own = list(zip(counts, plan.group_of, strict=True))
     return own + [(particles, group) for _, particles, group in parts]
 

@@ -69,11 +69,11 @@ def _sphere(center: np.ndarray, radius: float) -> tuple[np.ndarray, list[list[in
     theta = np.pi * np.arange(1, rings) / rings
     phi = 2 * np.pi * np.arange(SEGMENTS) / SEGMENTS
     height = np.repeat(np.cos(theta), SEGMENTS)
-    around = (
+    circles = (
         np.outer(np.sin(theta), np.cos(phi)).ravel(),
         np.outer(np.sin(theta), np.sin(phi)).ravel(),
     )
-    points = np.concatenate([[[0, 0, 1.0]], np.column_stack([*around, height]), [[0, 0, -1.0]]])
+    points = np.concatenate([[[0, 0, 1.0]], np.column_stack([*circles, height]), [[0, 0, -1.0]]])
     last = len(points) - 1
     faces = []
     for k in range(SEGMENTS):

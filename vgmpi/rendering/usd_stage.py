@@ -90,7 +90,7 @@ class UsdStage:
         self,
         path: Path,
         groups: Sequence[MotionGroup],
-        rest: RestGaussians,
+        gaussians: RestGaussians,
         *,
         frames: int,
         rate: float,
@@ -99,12 +99,12 @@ class UsdStage:
 
         Args:
             path: File, .usdc, .usda or .usd.
-            groups: Groups in the order of `rest`.
-            rest: Gaussians at rest.
+            groups: Groups in the order of `gaussians`.
+            gaussians: Gaussians at rest.
             frames: Number of frames.
             rate: Frames per second of the playback.
         """
-        self.usd, self.rest = load_usd(), rest
+        self.usd, self.rest = load_usd(), gaussians
         usd = self.usd
         self.stage = usd.Usd.Stage.CreateNew(str(path))
         usd.UsdGeom.SetStageUpAxis(self.stage, usd.UsdGeom.Tokens.z)
@@ -134,21 +134,21 @@ class UsdStage:
 
     def _add_group(self, group: MotionGroup, rows: slice) -> _GroupPrim:
         """Return the prim of a group with its values at rest."""
-        usd, rest = self.usd, self.rest
+        usd, gaussians = self.usd, self.rest
         path = self._path(group.name)
         prim = usd.UsdVol.ParticleField3DGaussianSplat.Define(self.stage, path)
         entry = _GroupPrim(prim, rows, group)
-        sh = rest.sh[rows]
+        sh = gaussians.sh[rows]
         degree = round(sh.shape[1] ** 0.5) - 1
         prim.CreateRadianceSphericalHarmonicsDegreeAttr(degree)
         self._set_colors(entry, sh)
-        prim.CreateOpacitiesAttr(_floats(usd, rest.opacity[rows]))
-        root = unpack_symmetric(rest.root[rows])
+        prim.CreateOpacitiesAttr(_floats(usd, gaussians.opacity[rows]))
+        root = unpack_symmetric(gaussians.root[rows])
         entry.cov = root @ root
         quat, scale = entry.tracker.advance(entry.cov)
         self._set_shapes(entry, quat, scale)
         if group.motion != layout.FREE:
-            self._set_positions(entry, rest.x[rows], scale)
+            self._set_positions(entry, gaussians.x[rows], scale)
         return entry
 
     def _set_colors(self, entry: _GroupPrim, sh: np.ndarray, *time: float) -> None:
@@ -207,11 +207,11 @@ class UsdStage:
 
     def _add_state(self, entry: _GroupPrim, state: GroupState, time: float) -> None:
         """Write the samples of a FREE group."""
-        present, rest = state.present, self.rest
+        present, gaussians = state.present, self.rest
         entry.x[present] = state.x
         assert entry.cov is not None and entry.tracker.quat is not None
         quat = entry.tracker.quat
-        root = unpack_symmetric(rest.root[entry.rows])[present]
+        root = unpack_symmetric(gaussians.root[entry.rows])[present]
         if entry.group.shape == layout.SIZE:
             assert state.size is not None
             entry.cov[present] = root @ root * (state.size**2)[:, None, None]

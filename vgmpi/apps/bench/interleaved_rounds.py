@@ -268,6 +268,7 @@ def _start_workers(
     """Return the workers, or why one cannot start; those of a card start at the same time."""
 
     def start(contestant: Contestant) -> Worker | str:
+        """Return the worker of a contestant, or why it cannot start."""
         say(f"{case.law}, {case.particles:,} particles: starting {contestant.label}")
         try:
             if contestant.obstacle():

@@ -53,12 +53,12 @@ def seam_contrast(rgb: np.ndarray, gap: np.ndarray) -> float:
     """
     inner = ndimage.binary_dilation(gap, iterations=RING[0])
     ring = ndimage.binary_dilation(gap, iterations=RING[1]) & ~inner
-    across, around = [], []
+    across, beyond = [], []
     for picture, mask, area in ((rgb, gap, ring), (rgb.swapaxes(0, 1), gap.T, ring.T)):
         step = np.abs(np.diff(picture.astype(np.float64), axis=0)).mean(-1)
         across.append(step[mask[1:] != mask[:-1]])
-        around.append(step[area[1:] & area[:-1]])
-    seam, usual = np.concatenate(across), np.concatenate(around)
+        beyond.append(step[area[1:] & area[:-1]])
+    seam, usual = np.concatenate(across), np.concatenate(beyond)
     return float(seam.mean() / max(usual.mean(), 1e-9)) if len(seam) and len(usual) else 1.0
 
 

@@ -248,12 +248,12 @@ def rim_contrast(rgb: np.ndarray, mask: np.ndarray) -> float:
     slope = np.stack(np.gradient(ndimage.gaussian_filter(depth, 2.0)), -1)
     slope /= np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-9)
     smooth = ndimage.gaussian_filter(rgb.astype(np.float64), (1.0, 1.0, 0))
-    at = np.argwhere(rim)
+    pixels = np.argwhere(rim)
     step = RIM_STEP * slope[rim]
     size = np.array(mask.shape) - 1
-    inner, outer = (np.clip(np.rint(at + sign * step), 0, size).astype(int) for sign in (1, -1))
+    inner, outer = (np.clip(np.rint(pixels + sign * step), 0, size).astype(int) for sign in (1, -1))
     difference = np.abs(smooth[tuple(inner.T)] - smooth[tuple(outer.T)]).max(-1)
-    return float((difference > COLOR_TOLERANCE).mean()) if len(at) else 1.0
+    return float((difference > COLOR_TOLERANCE).mean()) if len(pixels) else 1.0
 
 
 def check_mask(mask: np.ndarray) -> None:

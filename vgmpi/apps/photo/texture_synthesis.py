@@ -33,7 +33,7 @@ class Patches(NamedTuple):
     """Patches that touch a gap, and their most similar patches outside of it."""
 
     middle: np.ndarray  # (n, 2) row and column of their middle
-    known: np.ndarray  # (height, width) bool, middles of patches without a pixel of the gap
+    sources: np.ndarray  # (height, width) bool, middles of patches without a pixel of the gap
     match: np.ndarray  # (height, width, 2) middle of the similar patch, -1: none
     cost: np.ndarray  # (height, width) sum of squared differences
 
@@ -137,20 +137,20 @@ def _patches(
     touching = ndimage.binary_dilation(gap, np.ones((2 * RADIUS + 1,) * 2))
     inner = np.zeros_like(gap)
     inner[RADIUS : height - RADIUS, RADIUS : width - RADIUS] = True
-    known, middle = ~touching & inner, np.argwhere(touching & inner)
-    sources = np.argwhere(known)
-    if not len(sources) or not len(middle):
+    usable, middle = ~touching & inner, np.argwhere(touching & inner)
+    places = np.argwhere(usable)
+    if not len(places) or not len(middle):
         return None
     match = np.full((height, width, 2), -1, np.int64)
-    chosen = sources[random.integers(0, len(sources), len(middle))]
+    chosen = places[random.integers(0, len(places), len(middle))]
     if coarse is not None:
         above = np.minimum(middle // 2, np.array(coarse.shape[:2]) - 1)
         finer = 2 * coarse[above[:, 0], above[:, 1]] + middle % 2
-        usable = (coarse[above[:, 0], above[:, 1], 0] >= 0) & (finer < gap.shape).all(axis=1)
-        usable[usable] = known[finer[usable, 0], finer[usable, 1]]
-        chosen[usable] = finer[usable]
+        inside = (coarse[above[:, 0], above[:, 1], 0] >= 0) & (finer < gap.shape).all(axis=1)
+        inside[inside] = usable[finer[inside, 0], finer[inside, 1]]
+        chosen[inside] = finer[inside]
     match[middle[:, 0], middle[:, 1]] = chosen
-    return Patches(middle, known, match, np.zeros(gap.shape))
+    return Patches(middle, usable, match, np.zeros(gap.shape))
 
 
 @device_function
@@ -184,8 +184,8 @@ def _try_match(picture, patches, y, x, row, column):
         y, x: Middle of the patch.
         row, column: Middle of the candidate.
     """
-    height, width = patches.known.shape
-    if 0 <= row < height and 0 <= column < width and patches.known[row, column]:
+    height, width = patches.sources.shape
+    if 0 <= row < height and 0 <= column < width and patches.sources[row, column]:
         cost = _difference(picture, y, x, row, column, patches.cost[y, x])
         if cost < patches.cost[y, x]:
             patches.cost[y, x] = cost
@@ -202,7 +202,7 @@ def _search(picture, patches, random, sweeps):
         random: Generator of the random candidates.
         sweeps: Number of sweeps over all patches.
     """
-    height, width = patches.known.shape
+    height, width = patches.sources.shape
     middle, match = patches.middle, patches.match
     for y, x in middle:
         patches.cost[y, x] = _difference(picture, y, x, match[y, x, 0], match[y, x, 1], np.inf)
@@ -213,8 +213,8 @@ def _search(picture, patches, random, sweeps):
             for a in range(2):
                 row, column = y - step * (1 - a), x - step * a
                 if 0 <= row < height and 0 <= column < width and match[row, column, 0] >= 0:
-                    there = match[row, column, 0] + y - row, match[row, column, 1] + x - column
-                    _try_match(picture, patches, y, x, there[0], there[1])
+                    source = match[row, column, 0] + y - row, match[row, column, 1] + x - column
+                    _try_match(picture, patches, y, x, source[0], source[1])
             reach = max(height, width)
             while reach >= 1:
                 row = match[y, x, 0] + random.integers(-reach, reach + 1)

@@ -48,7 +48,7 @@ class MotionGroup:
 
 
 class RestGaussians(NamedTuple):
-    """What does not change from frame to frame, in the order of the groups.
+    """Values that do not change from frame to frame, in the order of the groups.
 
     Attributes:
         x: Centers at rest, shape (n, 3) [m].

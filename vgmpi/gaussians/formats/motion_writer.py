@@ -36,7 +36,7 @@ class MotionWriter:
     def __init__(
         self,
         groups: Sequence[MotionGroup],
-        rest: RestGaussians,
+        gaussians: RestGaussians,
         *,
         cell: float,
         accuracy: float,
@@ -45,23 +45,23 @@ class MotionWriter:
         """Encode what does not change.
 
         Args:
-            groups: Groups in the order of the rows of `rest`.
-            rest: Gaussians at rest.
+            groups: Groups in the order of the rows of `gaussians`.
+            gaussians: Gaussians at rest.
             cell: Length that the accuracy refers to [m].
             accuracy: Largest error of a coordinate [cells].
             key_interval: Frames from one key frame to the next.
         """
-        self.groups, self.rest, self.key_interval = list(groups), rest, key_interval
+        self.groups, self.rest, self.key_interval = list(groups), gaussians, key_interval
         self.step = 2 * accuracy * cell
-        self.origin = rest.x.min(axis=0) if len(rest.x) else np.zeros(3)
+        self.origin = gaussians.x.min(axis=0) if len(gaussians.x) else np.zeros(3)
         self.header: dict[str, Any] = {
             "version": VERSION,
-            "count": len(rest.x),
+            "count": len(gaussians.x),
             "cell": cell,
             "accuracy": accuracy,
             "origin": self.origin.tolist(),
             "steps": {"position": self.step, **STEPS},
-            "sh_coefficients": rest.sh.shape[1],
+            "sh_coefficients": gaussians.sh.shape[1],
             "groups": [dataclasses.asdict(group) for group in self.groups],
         }
         starts = np.cumsum([0, *(group.count for group in self.groups)])
@@ -69,7 +69,7 @@ class MotionWriter:
         self._bins = {}
         for k, group in self._free_groups():
             bins = np.zeros((group.count, group.channels), np.int32)
-            bins[:, :3] = self._position_bins(rest.x[starts[k] : starts[k + 1]])
+            bins[:, :3] = self._position_bins(gaussians.x[starts[k] : starts[k + 1]])
             self._bins[k] = bins
         self.frames: list[dict[str, Any]] = []
         self._blocks = [self._rest_block(starts)]
@@ -82,24 +82,26 @@ class MotionWriter:
         """Return the integers of positions (n, 3). Raises GaussianFileError."""
         bins = np.rint((x - self.origin) / self.step)
         if len(bins) and not np.abs(bins).max() < MAX_BIN:
-            far = np.abs(x - self.origin).max()
-            message = f"{far:.3g} m are no {MAX_BIN} steps of {self.step:.3g} m: lower the accuracy"
+            distance = np.abs(x - self.origin).max()
+            message = (
+                f"{distance:.3g} m are no {MAX_BIN} steps of {self.step:.3g} m: lower the accuracy"
+            )
             raise GaussianFileError(message)
         return bins.astype(np.int32)
 
     def _rest_block(self, starts: np.ndarray) -> bytes:
         """Return the compressed rest Gaussians."""
-        rest = self.rest
-        pieces = [*_planes((rest.root / self.header["cell"]).astype("<f2"))]
-        pieces += _planes(np.rint(np.clip(rest.opacity, 0, 1) * 65535).astype("<u2"))
-        pieces += _planes(rest.sh[:, 0].astype("<f2"))
-        higher = rest.sh[:, 1:].reshape(len(rest.sh), -1)
-        largest = float(np.abs(higher).max(initial=0.0))
-        self.header["sh_step"] = largest / 127 if largest else 1.0
+        gaussians = self.rest
+        pieces = [*_planes((gaussians.root / self.header["cell"]).astype("<f2"))]
+        pieces += _planes(np.rint(np.clip(gaussians.opacity, 0, 1) * 65535).astype("<u2"))
+        pieces += _planes(gaussians.sh[:, 0].astype("<f2"))
+        higher = gaussians.sh[:, 1:].reshape(len(gaussians.sh), -1)
+        max_value = float(np.abs(higher).max(initial=0.0))
+        self.header["sh_step"] = max_value / 127 if max_value else 1.0
         pieces += _planes(np.rint(higher / self.header["sh_step"]).astype("i1"))
         for k, group in enumerate(self.groups):
             if group.motion != FREE:
-                bins = self._position_bins(rest.x[starts[k] : starts[k + 1]])
+                bins = self._position_bins(gaussians.x[starts[k] : starts[k + 1]])
                 pieces += CodedRows(group.count, 3).encode(bins, True)
         return deflate(pieces)
 
@@ -164,8 +166,8 @@ class MotionWriter:
         for entry in self.frames:
             frames.append({**entry, "offset": offset})
             offset += entry["bytes"]
-        rest = {"offset": 0, "bytes": len(self._blocks[0])}
-        header = {**self.header, "rest": rest, "frames": frames, "view": view or {}}
+        block = {"offset": 0, "bytes": len(self._blocks[0])}
+        header = {**self.header, "rest": block, "frames": frames, "view": view or {}}
         text = json.dumps(header, separators=(",", ":")).encode()
         return b"".join([MAGIC, struct.pack("<I", len(text)), text, *self._blocks])
 

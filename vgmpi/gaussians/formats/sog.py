@@ -69,14 +69,14 @@ def _add_shapes(meta: dict, pictures: dict, cloud: GaussianCloud) -> None:
     codebook, labels = _codebook(np.log(np.maximum(cloud.scale, MIN_SCALE)))
     meta["scales"] = {"codebook": codebook.tolist(), "files": ["scales.webp"]}
     pictures["scales.webp"] = labels
-    largest = np.abs(cloud.quat).argmax(axis=1)
-    leading = np.take_along_axis(cloud.quat, largest[:, None], axis=1)
+    leading_index = np.abs(cloud.quat).argmax(axis=1)
+    leading = np.take_along_axis(cloud.quat, leading_index[:, None], axis=1)
     quat = cloud.quat * np.where(leading < 0, -1.0, 1.0)
-    others = np.array([[k for k in range(4) if k != n] for n in range(4)])[largest]
+    others = np.array([[k for k in range(4) if k != n] for n in range(4)])[leading_index]
     small = np.take_along_axis(quat, others, axis=1)
     rows = np.empty((len(cloud), 4), np.uint8)
     rows[:, :3] = np.rint(np.clip(small * np.sqrt(0.5) + 0.5, 0, 1) * 255)
-    rows[:, 3] = 252 + largest
+    rows[:, 3] = 252 + leading_index
     meta["quats"] = {"files": ["quats.webp"]}
     pictures["quats.webp"] = rows
 

@@ -37,7 +37,7 @@ class ViewRenderer:
 
     @property
     def is_busy(self) -> bool:
-        """Whether a picture is being drawn."""
+        """Return whether a picture is being drawn."""
         return self._picture is not None
 
     def start(self, folder: Path, settings: Path | None, number: int, view: View) -> None:

@@ -41,8 +41,8 @@ class PageOptions(NamedTuple):
     linger: float | None  # [s] after an ended run without viewers when the page ends; None: never
 
 
-class Shown(NamedTuple):
-    """What the viewers see now."""
+class ViewState(NamedTuple):
+    """State of the view that all viewers see."""
 
     number: int  # number of the frame
     field: str  # choice of the colors
@@ -66,7 +66,7 @@ class LivePage:
         self.panel = PagePanel(server, str(followed.folder), follows=True)
         self.renderer = ViewRenderer()
         self._wake, self._ends = threading.Event(), threading.Event()
-        self._shown: Shown | None = None
+        self._shown: ViewState | None = None
         self._nodes: dict[str, Any] = {}  # Gaussians of viser by their names
         self._camera: Camera | None = None  # of render.toml
         self._eye = np.zeros(3)
@@ -137,8 +137,8 @@ class LivePage:
 
     def _pause(self) -> float:
         """Return the time until the next look at the folder [s]."""
-        ahead = self._next_play - time.monotonic()
-        return min(POLL_SECONDS, max(ahead, 0.0)) if self.panel.playing.value else POLL_SECONDS
+        waiting = self._next_play - time.monotonic()
+        return min(POLL_SECONDS, max(waiting, 0.0)) if self.panel.playing.value else POLL_SECONDS
 
     def _is_deserted(self) -> bool:
         """Return whether the run has ended and nobody has watched for `linger`."""
@@ -227,7 +227,7 @@ class LivePage:
         It is not set while nothing but a viewer moves it, whose next move may be on its way.
         """
         panel, now = self.panel, time.monotonic()
-        shown = self._shown.number if self._shown is not None else numbers[0]
+        current = self._shown.number if self._shown is not None else numbers[0]
         requested, self._requested_number = self._requested_number, None
         interval = 1.0 / float(panel.rate.value)
         if requested is not None:
@@ -238,8 +238,8 @@ class LivePage:
             return numbers[-1], True
         if panel.playing.value and now >= self._next_play:
             self._next_play = now + interval
-            return next((n for n in numbers if n > shown), numbers[0]), True
-        return max((n for n in numbers if n <= shown), default=numbers[0]), False
+            return next((n for n in numbers if n > current), numbers[0]), True
+        return max((n for n in numbers if n <= current), default=numbers[0]), False
 
     def _show_frame(self) -> None:
         """Show the frame and the colors that are wanted now."""
@@ -249,7 +249,7 @@ class LivePage:
         number, sets_slider = self._wanted_number(numbers)
         field = str(self.panel.color.value)
         version = file_state(self.followed.reader.path(number))
-        wanted = Shown(number, field, version)
+        wanted = ViewState(number, field, version)
         self.panel.show_numbers(numbers[-1], number if sets_slider else None)
         if wanted == self._shown:
             return

@@ -146,8 +146,8 @@ def _replace_keys(table: Any, view: View, document: Any) -> None:
     has_own_table = isinstance(table, Table) and HEADER.search(document.as_string()) is not None
     owner = table if has_own_table else document
     for key, text in old.items():
-        first, *rest = f"{key} = {text}".splitlines()
-        for line in (WAS + first, *rest):
+        first, *others = f"{key} = {text}".splitlines()
+        for line in (WAS + first, *others):
             owner.add(tomlkit.comment(line))
 
 

@@ -14,7 +14,7 @@ FINE = (1 << 62) - 1  # value for: no particle failed, no sum left its range
 
 
 class StepRecord(NamedTuple):
-    """What a step needs and reports, besides particles and nodes."""
+    """Values that a step needs and reports, besides particles and nodes."""
 
     gravity_increment: Any  # (4,) [m/s] change of the velocity by gravity, and 0
     peaks: Any  # (1,) largest squared stress over density
