@@ -180,7 +180,7 @@ def _export(args: argparse.Namespace, folder: Path) -> None:
     run = RunReader(args.out)
     numbers = run.available_frames(selected_frames(args.frames, len(run)))
     if args.format in export_moving.KINDS:
-        export_moving.export_moving(args, numbers, run)
+        export_moving.export_moving(args, numbers, run, folder)
         return
     look = Appearance(run, render_config.load(args.settings).look)
     up = args.up or ("y" if args.format in Y_UP else "z")

@@ -55,17 +55,25 @@ def check_flags(args: argparse.Namespace) -> None:
         raise RunError(f"--fps: {args.fps}: allowed: 0.1 to 240")
 
 
-def export_moving(args: argparse.Namespace, numbers: list[int], run: RunReader) -> None:
-    """Write the frames `numbers` of a run as one file. Raises RunError and SettingsError."""
-    if args.format == WEB:
-        export_page(args, numbers, run)
-    else:
-        export_usd(args, numbers, run)
+def export_moving(args: argparse.Namespace, numbers: list[int], run: RunReader, path: Path) -> None:
+    """Write a run as one file.
+
+    Args:
+        args: Arguments of the command line.
+        numbers: Frames.
+        run: Files of the run.
+        path: Result of `output_path`.
+
+    Raises:
+        RunError: If a frame is wrong, or a package is missing.
+        SettingsError: If the settings are wrong.
+    """
+    export = export_page if args.format == WEB else export_usd
+    export(args, numbers, run, path)
 
 
-def export_page(args: argparse.Namespace, numbers: list[int], run: RunReader) -> None:
-    """Write the page of a run's frames `numbers`. Raises RunError and SettingsError."""
-    path = output_path(args)
+def export_page(args: argparse.Namespace, numbers: list[int], run: RunReader, path: Path) -> None:
+    """Write the page of a run's frames; see `export_moving`."""
     chosen = render_config.load(args.settings)
     look = Appearance(run, chosen.look)
     motion = RunMotion(look, numbers[len(numbers) // 2], not args.no_scenery)
@@ -84,10 +92,9 @@ def export_page(args: argparse.Namespace, numbers: list[int], run: RunReader) ->
     log.info(message, len(numbers), len(motion.rest.x), size)
 
 
-def export_usd(args: argparse.Namespace, numbers: list[int], run: RunReader) -> None:
-    """Write the OpenUSD file of a run's frames. Raises RunError and SettingsError."""
+def export_usd(args: argparse.Namespace, numbers: list[int], run: RunReader, path: Path) -> None:
+    """Write the OpenUSD file of a run's frames; see `export_moving`."""
     usd = usd_stage.load_usd()
-    path = output_path(args)
     chosen = render_config.load(args.settings)
     folder = Path(args.settings).parent if args.settings else Path(".")
     box = functools.cache(lambda: visible_extent(run))

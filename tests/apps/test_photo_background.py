@@ -5,6 +5,7 @@ import pytest
 from scipy import ndimage
 
 from tests.support import drawn_photograph
+from tests.support.picture_noise import psnr
 from vgmpi.apps.photo.background_inpainting import (
     _fill_along_lines,
     inpaint_background,
@@ -15,10 +16,9 @@ from vgmpi.apps.photo.background_inpainting import (
 cv2 = pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")
 
 
-def psnr(picture, truth, gap):
+def psnr_in(gap, picture, truth):
     """Peak signal to noise ratio in a gap [dB]."""
-    error = (picture[gap].astype(float) - truth[gap]) ** 2
-    return 10 * np.log10(255**2 / error.mean())
+    return psnr(picture[gap], truth[gap], 255)
 
 
 def ellipse(shape, center, axes):
@@ -45,14 +45,14 @@ def test_behind_drawn_things_the_truth_is_met():
     filled = inpaint_background(photo.rgb, list(photo.masks))
     # the things' shadows remain beside them
     gap = np.logical_or.reduce(list(photo.masks))
-    assert psnr(inpaint_background(truth, [gap]), truth, widened(gap)) > 32
+    assert psnr_in(widened(gap), inpaint_background(truth, [gap]), truth) > 32
     assert seam_contrast(filled, widened(gap)) < 1.2
 
 
 def test_a_gap_at_the_rim_of_a_picture_and_one_that_fills_it_nearly():
     truth = tiles()
     corner = ellipse(truth.shape, (0, 0), (60, 50))
-    assert psnr(inpaint_background(truth, [corner]), truth, widened(corner)) > 15
+    assert psnr_in(widened(corner), inpaint_background(truth, [corner]), truth) > 15
     most = np.ones(truth.shape[:2], bool)
     most[:6], most[:, :6] = False, False
     filled = inpaint_background(truth, [most])

@@ -11,7 +11,6 @@ also trembles; one third are ten bodies that turn and vibrate.
 
 import functools
 import io
-import shutil
 import tempfile
 import time
 from collections.abc import Iterator
@@ -20,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tests.rendering.test_replay import CHROMIUM, FLAGS
+from tests.support.headless_browser import FLAGS, find_chromium
 from vgmpi.gaussians import spherical_harmonics as harmonics
 from vgmpi.gaussians.camera import look_at
 from vgmpi.gaussians.cloud import rotation_matrices
@@ -213,7 +212,7 @@ TIMES = """async () => {
 
 def browser_times(path: Path) -> str:
     """Times of a page in Chromium as one line, or why there are none."""
-    program = next((p for p in map(shutil.which, CHROMIUM) if p), None)
+    program = find_chromium()
     try:
         from playwright.sync_api import sync_playwright
     except ImportError:

@@ -14,6 +14,7 @@ from postprocess import export
 from tests.gaussians.test_glb import parsed
 from tests.rendering.test_look import fake, frame
 from tests.support import drawn_runs
+from tests.support.picture_noise import psnr
 from vgmpi.gaussians import spherical_harmonics as harmonics
 from vgmpi.gaussians.camera import look_at
 from vgmpi.gaussians.cloud import GaussianCloud, principal_axes, rotation_matrices, unpack_symmetric
@@ -47,10 +48,6 @@ def picture(splats, eye):
 def drawn(cloud, eye):
     color = harmonics.evaluate(cloud.sh, cloud.x - eye)
     return picture(rasterize.ProjectableGaussians(cloud.x, cloud.cov(), cloud.opacity, color), eye)
-
-
-def psnr(a, b):
-    return 10 * np.log10(1 / np.mean((np.clip(a, 0, 1) - np.clip(b, 0, 1)) ** 2))
 
 
 # reached at least: 146 dB; 61 dB (colors and opacities in 255ths, rotations in 128ths); 47 dB

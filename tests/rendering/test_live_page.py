@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from tests.support import drawn_runs
+from tests.support.headless_browser import browser_of
 from tests.support.launch import finish, on_ranks, start, until
 from tests.support.live_pages import (
     ROW_BYTES,
     SCENE,
     LivePageProcess,
     Viewer,
-    browser_of,
     opened,
 )
 from vgmpi.io import checkpoint_manifest

@@ -2,7 +2,6 @@
 
 import io
 import re
-import shutil
 import sys
 
 import imageio.v3 as iio
@@ -11,13 +10,9 @@ import pytest
 
 from postprocess import replay
 from tests.support import drawn_runs
-from tests.support.launch import PATIENCE
+from tests.support.headless_browser import browser_of, new_page
 from vgmpi.io.run_reader import RunReader
 from vgmpi.rendering.appearance import Appearance
-
-CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-# no graphics card is asked for
-FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
 
 @pytest.fixture(scope="module")
@@ -112,13 +107,9 @@ def test_mistakes_end_with_code_2_and_one_line(out, tmp_path, argv, says, capfd)
 def test_a_browser_without_a_network_plays_it(html):
     """The red bar turns from across the view to along it; water and scenery are there."""
     api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
-    program = next((p for p in map(shutil.which, CHROMIUM) if p), None)
-    if program is None:
-        pytest.skip("no chromium here")
     with api.sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=program, args=FLAGS)
-        page = browser.new_page(viewport={"width": 480, "height": 400})
-        page.set_default_timeout(1000 * PATIENCE)
+        browser = browser_of(play)
+        page = new_page(browser, 480, 400)
         asked, errors = [], []
         page.on("request", lambda request: asked.append(request.url))
         page.on("pageerror", lambda error: errors.append(str(error)))

@@ -4,7 +4,6 @@ import functools
 import http.server
 import io
 import re
-import shutil
 import threading
 
 import imageio.v3 as iio
@@ -12,9 +11,9 @@ import numpy as np
 import pytest
 
 from postprocess import export
-from tests.rendering.test_replay import CHROMIUM, FLAGS
 from tests.support import drawn_runs
-from tests.support.launch import PATIENCE
+from tests.support.headless_browser import browser_of, new_page
+from tests.support.picture_noise import psnr
 from vgmpi.gaussians import spherical_harmonics as harmonics
 from vgmpi.gaussians.camera import look_at
 from vgmpi.gaussians.cloud import pack_symmetric, rotation_matrices, unpack_symmetric
@@ -63,10 +62,6 @@ def expected(out, index):
     return x, cov
 
 
-def psnr(a, b):
-    return 10 * np.log10(1 / np.mean((np.clip(a, 0, 1) - np.clip(b, 0, 1)) ** 2))
-
-
 def picture_of_file(reader, index, camera):
     """Picture of decoded Gaussians by the renderer."""
     frame = reader.frame(index)
@@ -106,13 +101,8 @@ def test_the_decoded_gaussians_give_the_renderers_picture(out, html, index):
 
 
 def browser_page(play):
-    program = next((p for p in map(shutil.which, CHROMIUM) if p), None)
-    if program is None:
-        pytest.skip("no chromium here")
-    browser = play.chromium.launch(executable_path=program, args=FLAGS)
-    page = browser.new_page(viewport={"width": 512, "height": 512})
-    page.set_default_timeout(1000 * PATIENCE)
-    return browser, page
+    browser = browser_of(play)
+    return browser, new_page(browser, 512, 512)
 
 
 @pytest.mark.browser

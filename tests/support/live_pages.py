@@ -1,18 +1,15 @@
 """A live page as a process of its own, a browser on it, and a run for it to follow."""
 
 import re
-import shutil
 import sys
 import threading
 import time
 
 import pytest
 
+from tests.support.headless_browser import new_page
 from tests.support.launch import PATIENCE, start
 
-CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-# no graphics card is asked for
-FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 SCENE = """
 title = "A ball falls into water"
 [domain]
@@ -80,18 +77,9 @@ class LivePageProcess:
             killer.cancel()
 
 
-def browser_of(play):
-    """A headless Chromium of playwright; the test is skipped where there is none."""
-    program = next((p for p in map(shutil.which, CHROMIUM) if p), None)
-    if program is None:
-        pytest.skip("no chromium here")
-    return play.chromium.launch(executable_path=program, args=FLAGS)
-
-
 def opened(browser, address, errors):
     """A page of a browser with the status of the run on it."""
-    page = browser.new_page(viewport={"width": 900, "height": 700})
-    page.set_default_timeout(1000 * PATIENCE)
+    page = new_page(browser, 900, 700)
     page.on("pageerror", lambda error: errors.append(str(error)))
     page.goto(address)
     page.get_by_text(re.compile("of [\\d,]+ Gaussians")).wait_for()

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 HEIGHT = 0.35  # [distances] default height of the eye above the target
+MIN_AXIS_DEPTH = 1e-3  # [m] of a point that a viewer turns about
 NEAR_PLANE = 0.2  # [scene units] usual near plane of Gaussian renderers
 
 
@@ -36,6 +37,23 @@ class Camera:
         """Position in the world, shape (3,) [m]."""
         rotation, shift = self.world_to_camera[:3, :3], self.world_to_camera[:3, 3]
         return -rotation.T @ shift
+
+    def axis_point(self, point: np.ndarray) -> np.ndarray:
+        """Return the point on the camera's axis at the depth of a point, both of shape (3,) [m].
+
+        A point behind the eye has the depth MIN_AXIS_DEPTH.
+        """
+        forward = self.world_to_camera[2, :3]
+        return self.eye + max(float(forward @ (point - self.eye)), MIN_AXIS_DEPTH) * forward
+
+    def vertical_fov(self, aspect: float | None = None) -> float:
+        """Return the vertical field of view of a window that shows all of the picture [rad].
+
+        Args:
+            aspect: Width of the window over its height; None is that of the picture.
+        """
+        height = self.height if aspect is None else max(self.height, self.width / aspect)
+        return float(2 * np.arctan(0.5 * height / self.fy))
 
 
 def look_at(

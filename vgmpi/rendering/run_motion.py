@@ -5,6 +5,7 @@ neighbors in the file. Scenery comes first, then the particles, then carried Gau
 """
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -221,14 +222,19 @@ def _rotation_and_stretch(F: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     low, high = shape_evolution.STRETCH_RANGE
     extreme = np.abs(U - np.eye(3)).sum(axis=2).max(axis=1) > 1 - low
     if extreme.any():
-        values, vectors = np.linalg.eigh(U[extreme])
-        values = np.clip(values, low, high)
-        U[extreme] = (vectors * values[:, None, :]) @ vectors.transpose(0, 2, 1)
+        U[extreme] = _map_eigenvalues(U[extreme], lambda values: np.clip(values, low, high))
     return quaternion(rotation), pack_symmetric(U)
 
 
 def _root(cov: np.ndarray) -> np.ndarray:
     """Return the square roots (n, 6) [m] of covariances (n, 6) [m2]."""
-    values, vectors = np.linalg.eigh(unpack_symmetric(np.asarray(cov, dtype=np.float64)))
-    values = np.sqrt(np.maximum(values, 0.0))
-    return pack_symmetric((vectors * values[:, None, :]) @ vectors.transpose(0, 2, 1))
+    matrices = unpack_symmetric(np.asarray(cov, dtype=np.float64))
+    return pack_symmetric(_map_eigenvalues(matrices, lambda v: np.sqrt(np.maximum(v, 0.0))))
+
+
+def _map_eigenvalues(
+    matrices: np.ndarray, function: Callable[[np.ndarray], np.ndarray]
+) -> np.ndarray:
+    """Return symmetric matrices (n, 3, 3) with a function applied to their eigenvalues (n, 3)."""
+    values, vectors = np.linalg.eigh(matrices)
+    return (vectors * function(values)[:, None, :]) @ vectors.transpose(0, 2, 1)

@@ -329,12 +329,3 @@ def _single(values: np.ndarray) -> np.ndarray:
 def _floats(usd: Any, values: np.ndarray) -> Any:
     """Return values (n,) as an array of USD."""
     return usd.Vt.FloatArray.FromNumpy(_single(values))
-
-
-def is_missing() -> bool:
-    """Return whether usd-core with Gaussian splats is not installed."""
-    try:
-        load_usd()
-    except RunError:
-        return True
-    return False

@@ -96,15 +96,13 @@ def view_settings(
     """
     settings = chosen.views()[0]
     camera = CameraPath(settings, chosen.picture, box, folder).camera_at(0.0, 0.0)
-    center = 0.5 * np.sum(box(), axis=0)
-    forward = camera.world_to_camera[2, :3]
-    distance = max(float(forward @ (center - camera.eye)), 1e-3)
+    target = camera.axis_point(0.5 * np.sum(box(), axis=0))
     return {
         "camera": {
             "eye": camera.eye.tolist(),
-            "target": (camera.eye + distance * forward).tolist(),
+            "target": target.tolist(),
             "up": list(settings.up),
-            "fov": float(np.degrees(2 * np.arctan(0.5 * camera.height / camera.fy))),
+            "fov": float(np.degrees(camera.vertical_fov())),
         },
         "background": _background_color(chosen.background),
         "alpha_min": look.alpha_min(chosen.splatting.alpha_min),

@@ -2,15 +2,13 @@
 
 import re
 import subprocess
-import sys
 import threading
 import weakref
 from pathlib import Path
 from typing import Any
 
+from vgmpi.apps.run.live_process import launch_page
 from vgmpi.io.run_reader import RunError
-
-LINGER = 600  # [s] after which a page ends that nobody watches and whose run has ended
 
 
 class LiveCell:
@@ -27,10 +25,9 @@ class LiveCell:
         Raises:
             RunError: If no page can be served, with its one line.
         """
-        words = ["live", folder, "--port", 0, "--linger", LINGER, "--particles", particles]
-        process = subprocess.Popen(
-            [sys.executable, "-m", "vgmpi", *map(str, words)], stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True,
+        process = launch_page(
+            folder, "--port", 0, "--particles", particles,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         )  # fmt: skip
         assert process.stdout is not None
         line = process.stdout.readline().strip()

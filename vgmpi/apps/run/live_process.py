@@ -1,10 +1,11 @@
-"""The live page of a run as a process of its own: `vgmpi scene.toml --live`."""
+"""The live page of a run as a process of its own, beside a run or for a notebook."""
 
 import logging
 import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 log = logging.getLogger("vgmpi")
 
@@ -23,18 +24,30 @@ def start_live_page(folder: Path, port: int) -> None:
         folder: Output folder of the run.
         port: Port of the page; 0 is any free one.
     """
-    words = ["live", folder, "--port", port, "--linger", LINGER, "--log", folder / LOG_NAME]
+    try:
+        launch_page(folder, "--port", port, "--log", folder / LOG_NAME)
+    except OSError as error:
+        log.warning("no live page: %s", error.strerror)
+
+
+def launch_page(folder: Path, *flags: object, **options: Any) -> subprocess.Popen:
+    """Return the process of a live page that ends LINGER after the run, once nobody watches.
+
+    Args:
+        folder: Output folder of the run.
+        flags: Further words of `vgmpi live`.
+        options: Further options of subprocess.Popen.
+    """
     environment = {
         name: value for name, value in os.environ.items() if not name.startswith(RANK_VARIABLES)
     }
     # a page that shares the processor with the run takes one thread
     environment |= {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    try:
-        subprocess.Popen(
-            [sys.executable, "-m", "vgmpi", *map(str, words)],
-            env=environment,
-            stdin=subprocess.DEVNULL,
-            start_new_session=True,  # Ctrl-C is for the run
-        )
-    except OSError as error:
-        log.warning("no live page: %s", error.strerror)
+    words = ["live", folder, "--linger", LINGER, *flags]
+    return subprocess.Popen(
+        [sys.executable, "-m", "vgmpi", *map(str, words)],
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        start_new_session=True,  # Ctrl-C is for the run, or for the cell of a notebook
+        **options,
+    )

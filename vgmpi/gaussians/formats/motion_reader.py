@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vgmpi.gaussians.cloud import pack_symmetric, rotation_matrices, unpack_symmetric
+from vgmpi.gaussians.spherical_harmonics import rgb_from_dc
 
 from .motion_layout import (
     DEFORMATION,
@@ -163,7 +164,7 @@ class MotionReader:
         x, present = self.rest.x.copy(), np.ones(n, bool)
         rotation = np.tile(np.eye(3), (n, 1, 1))
         stretch = np.tile(np.eye(3), (n, 1, 1))
-        rgb = 0.5 + 0.28209479177387814 * self.rest.sh[:, 0]
+        rgb = rgb_from_dc(self.rest.sh[:, 0])
         states = iter(self.bins(index))
         poses = self.header["frames"][index].get("poses", [])
         for k, group in enumerate(self.groups):

@@ -29,7 +29,6 @@ log = logging.getLogger("vgmpi")
 POLL_SECONDS = 0.2  # [s] between looks at the folder
 STATUS_SECONDS = 2.0  # [s] between looks at the run's state without a new frame
 RETRY_SECONDS = 1.0  # [s] after a look at the folder that failed
-MIN_DISTANCE = 1e-3  # [m] of the point that a camera turns about
 PLOT_SHARE = 0.1  # [-] largest share of the time that reading tables may take
 
 
@@ -189,23 +188,17 @@ class LivePage:
         scene.set_up_direction(settings.up)
         self._camera, self._eye = camera, camera.eye
         initial = self.server.initial_camera
-        initial.position, initial.look_at = tuple(camera.eye), self._look_at(box)
-        initial.fov = vertical_fov(camera, camera.width / camera.height)
+        initial.position = tuple(camera.eye)
+        initial.look_at = tuple(camera.axis_point(0.5 * (box[0] + box[1])))
+        initial.fov = camera.vertical_fov()
         for client in self.server.get_clients().values():
             client.camera.position, client.camera.look_at = initial.position, initial.look_at
             self._fit_view(client)
 
-    def _look_at(self, box: tuple[np.ndarray, np.ndarray]) -> tuple[float, ...]:
-        """Return the point on the camera's axis at the depth of the middle of a box [m]."""
-        assert self._camera is not None
-        forward, eye = self._camera.world_to_camera[2, :3], self._camera.eye
-        distance = max(float(forward @ (0.5 * (box[0] + box[1]) - eye)), MIN_DISTANCE)
-        return tuple(eye + distance * forward)
-
     def _fit_view(self, client: Any) -> None:
         """Let a viewer's window show all of the picture of render.toml."""
         if self._camera is not None:
-            client.camera.fov = vertical_fov(self._camera, float(client.camera.aspect))
+            client.camera.fov = self._camera.vertical_fov(float(client.camera.aspect))
 
     def _show_status(self) -> None:
         """Show the state of the run, if it is due."""
@@ -326,13 +319,3 @@ class LivePage:
         folder, number = self.followed.folder, self._shown.number
         self.renderer.start(folder, self.options.settings_path, number, view)
         return f"frame {number} is being drawn; the first picture may take a minute"
-
-
-def vertical_fov(camera: Camera, aspect: float) -> float:
-    """Return the vertical field of view of a window that shows all of a camera's picture [rad].
-
-    Args:
-        camera: The camera.
-        aspect: Width of the window over its height.
-    """
-    return float(2 * np.arctan(0.5 * max(camera.height, camera.width / aspect) / camera.fy))
