@@ -73,7 +73,11 @@ def export_moving(args: argparse.Namespace, numbers: list[int], run: RunReader, 
 
 
 def export_page(args: argparse.Namespace, numbers: list[int], run: RunReader, path: Path) -> None:
-    """Write the page of a run's frames; see `export_moving`."""
+    """Write the page of a run's frames.
+
+    Args:
+        args, numbers, run, path: See `export_moving`.
+    """
     chosen = render_config.load(args.settings)
     look = Appearance(run, chosen.look)
     motion = RunMotion(look, numbers[len(numbers) // 2], not args.no_scenery)
@@ -93,7 +97,11 @@ def export_page(args: argparse.Namespace, numbers: list[int], run: RunReader, pa
 
 
 def export_usd(args: argparse.Namespace, numbers: list[int], run: RunReader, path: Path) -> None:
-    """Write the OpenUSD file of a run's frames; see `export_moving`."""
+    """Write the OpenUSD file of a run's frames.
+
+    Args:
+        args, numbers, run, path: See `export_moving`.
+    """
     usd = usd_stage.load_usd()
     chosen = render_config.load(args.settings)
     folder = Path(args.settings).parent if args.settings else Path(".")
