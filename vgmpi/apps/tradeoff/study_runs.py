@@ -23,6 +23,7 @@ from .parameter_sweep import Setting
 RECORD = "study.json"
 PROFILE_TABLE = "profile.csv"  # of a run with --profile
 WARM = "50 steps"  # all kernels are compiled after these
+GRACE_SECONDS = 10.0  # [s] in which an interrupted program ends by itself
 STOPPED = 75  # exit code of a run that stopped with a checkpoint
 
 
@@ -151,6 +152,29 @@ def run_program(
     flags = [word for override in (*scene.overrides, *overrides) for word in ("--set", override)]
     program = [sys.executable, "-m", "vgmpi", str(scene.path), "-o", str(folder), "-q"]
     words, env = [*launcher, *program, *extra_flags, *flags], {**OPEN_MPI, **os.environ}
-    process = subprocess.run(words, env=env, capture_output=True, text=True, pass_fds=locks)
-    lines = process.stderr.strip().splitlines() or [f"exit code {process.returncode}"]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(
+        words, env=env, stdout=pipe, stderr=pipe, text=True, pass_fds=locks
+    ) as process:
+        try:
+            _, errors = process.communicate()
+        except BaseException:
+            _end_program(process)
+            raise
+    lines = errors.strip().splitlines() or [f"exit code {process.returncode}"]
     return process.returncode, lines[-1]
+
+
+def _end_program(process: subprocess.Popen) -> None:
+    """Wait until an interrupted program has ended, so that none of its ranks outlives the study.
+
+    A terminal interrupts the program as well. A program that was not interrupted, or does not
+    end, is terminated, and killed at last.
+    """
+    for stop in (process.terminate, process.kill):
+        try:
+            process.communicate(timeout=GRACE_SECONDS)
+            return
+        except subprocess.TimeoutExpired:
+            stop()
+    process.communicate()
