@@ -187,7 +187,8 @@ TIMES = """async () => {
   const { motion, renderer, camera } = vgmpi;
   vgmpi.play(false);
   const seeks = [], steps = [], sorts = [], last = motion.frames.length - 1;
-  for (let k = 11; k <= last; k += 12) {
+  for (let k = 0; k <= last; k++) {
+    if (k < last && !motion.frames[k + 1].key) continue;
     motion.last = -1;
     const start = performance.now();
     await motion.seek(k);

@@ -7,6 +7,7 @@ import pytest
 
 from postprocess import export
 from tests.support import drawn_runs
+from vgmpi.apps.run import cli
 from vgmpi.gaussians import spherical_harmonics as harmonics
 from vgmpi.gaussians.cloud import GaussianCloud, rotation_matrices
 from vgmpi.io.run_reader import RunError, RunReader
@@ -207,31 +208,107 @@ def test_removed_gaussians_are_transparent(tmp_path):
         np.testing.assert_allclose(opacity.Get(time), want)
 
 
-def test_meshes_of_colliders():
+def mesh_volume(mesh):
+    triangles = [(f[0], f[k], f[k + 1]) for f in mesh.faces for k in range(1, len(f) - 1)]
+    a, b, c = mesh.points[np.array(triangles)].transpose(1, 0, 2)
+    return np.einsum("ni,ni->n", a, np.cross(b, c)).sum() / 6
+
+
+def is_closed(mesh):
+    """Whether each edge has two faces, which run along it in opposite directions."""
+    edges = [edge for face in mesh.faces for edge in zip(face, face[1:] + face[:1])]
+    return len(set(edges)) == len(edges) and {(b, a) for a, b in edges} == set(edges)
+
+
+ENDS = [[0, 0, 1], [1, 2, 3]]  # 3 apart
+SHAPES = {  # volumes of the shapes, and the tolerance that their 48 faces leave
+    "box": ({"box": [[0, 0, 0], [1, 2, 3]]}, 6, 1e-12),
+    "sphere": ({"sphere": {"center": [0, 0, 1], "radius": 0.5}}, np.pi / 6, 0.01),
+    "ellipsoid": ({"ellipsoid": {"center": [0, 0, 1], "radii": [1, 2, 3]}}, 8 * np.pi, 0.01),
+    "cylinder": ({"cylinder": {"endpoints": ENDS, "radius": 0.5}}, 0.75 * np.pi, 0.004),
+    "capsule": ({"capsule": {"endpoints": ENDS, "radius": 0.5}}, (0.75 + 1 / 6) * np.pi, 0.01),
+    "cone": ({"cone": {"endpoints": ENDS, "radii": [0.5, 0]}}, 0.25 * np.pi, 0.004),
+    "frustum": ({"cone": {"endpoints": ENDS, "radii": [1, 2]}}, 7 * np.pi, 0.004),
+    "torus": ({"torus": {"center": [0, 1, 0], "axis": [0.6, 0, 0.8], "major_radius": 1,
+                         "minor_radius": 0.5}}, 0.5 * np.pi**2, 0.01),
+    "union": ({"union": [{"box": [[0, 0, 0], [1, 2, 3]]}, {"box": [[2, 0, 0], [3, 1, 1]]}]}, 7,
+              1e-12),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_meshes_of_colliders(name):
     """Closed surfaces with outward normals, of the right volume, at the object's place."""
+    shape, volume, rtol = SHAPES[name]
     transform = np.eye(4)
     transform[:3, :3] *= 2
     transform[:3, 3] = [1, 2, 3]
-    names = ["crate", "ball", "knot"]
-    objects = [
-        {"name": name, "collider": True, "transform": transform.tolist(), "color": [1, 0, 0]}
-        for name in names
-    ]
-    objects[1]["is_moving"] = True
-    shapes = [
-        {"box": [[0, 0, 0], [1, 2, 3]]},
-        {"sphere": {"center": [0, 0, 1], "radius": 0.5}},
-        {"union": []},
-    ]
-    scene = {"object": [{"name": n, "shape": s} for n, s in zip(names, shapes)]}
+    objects = [{"name": "wall", "collider": True, "transform": transform.tolist()}]
+    (mesh,), without = collider_meshes(objects, {"object": [{"name": "wall", "shape": shape}]})
+    assert without == [] and mesh.pose == -1
+    assert is_closed(mesh) and mesh_volume(mesh) == pytest.approx(8 * volume, rel=rtol)
+    if name == "torus":
+        np.testing.assert_allclose(mesh.points.mean(axis=0), [1, 4, 3], atol=1e-9)
+
+
+def test_colliders_without_a_mesh():
+    """A difference is named; poses count the objects that move."""
+    ball = {"sphere": {"center": [0, 0, 0], "radius": 1}}
+    shapes = {"knot": {"difference": [ball, ball]}, "pot": {"union": [ball, {"difference": []}]},
+              "still": ball, "ball": ball}  # fmt: skip
+    objects = [{"name": n, "collider": True, "transform": np.eye(4).tolist()} for n in shapes]
+    objects[0]["is_moving"] = objects[3]["is_moving"] = True
+    scene = {"object": [{"name": n, "shape": s} for n, s in shapes.items()]}
     meshes, without = collider_meshes(objects, scene)
-    assert without == ["knot"] and [mesh.pose for mesh in meshes] == [-1, 0]
-    for mesh, volume, rtol in zip(meshes, (48.0, 4 / 3 * np.pi), (1e-12, 0.03)):
-        triangles = [(f[0], f[k], f[k + 1]) for f in mesh.faces for k in range(1, len(f) - 1)]
-        a, b, c = mesh.points[np.array(triangles)].transpose(1, 0, 2)
-        got = np.einsum("ni,ni->n", a, np.cross(b, c)).sum() / 6
-        assert got == pytest.approx(volume, rel=rtol)
-    np.testing.assert_allclose(meshes[1].points.mean(axis=0), [1, 2, 5], atol=1e-9)
+    assert without == ["knot", "pot"] and [mesh.pose for mesh in meshes] == [-1, 1]
+
+
+STIRRED = """
+title = "stirred"
+[domain]
+size = [0.4, 0.4, 0.4]
+cell = 0.02
+[time]
+end = 0.03
+frames = 4
+[material.water]
+kind = "fluid"
+density = 1000
+[[object]]
+name = "pool"
+material = "water"
+shape = { box = [[0, 0, 0], [0.4, 0.4, 0.04]] }
+[[object]]
+name = "rod"
+role = "scenery"
+collider = true
+shape = { capsule = { endpoints = [[-0.1, 0, 0], [0.1, 0, 0]], radius = 0.02 } }
+position = [0.2, 0.2, 0.18]
+motion = { velocity = [1, 0, 0], angular_velocity = 10 }
+"""
+
+
+@needs_usd
+def test_a_moving_collider_moves_in_the_stage(tmp_path):
+    """The mesh of a rod that a scene moves stands where the scene has it at each frame's time."""
+    from pxr import Usd, UsdGeom
+
+    scene = tmp_path / "scene.toml"
+    scene.write_text(STIRRED)
+    assert cli.main([str(scene), "-q", "-o", str(tmp_path / "out")]) == 0
+    path = tmp_path / "scene.usda"
+    assert export.main([str(tmp_path / "out"), "--format", "usd", "-o", str(path), "-q"]) == 0
+    assert validation_errors(path) == []
+    stage = Usd.Stage.Open(str(path))
+    (prim,) = [p for p in stage.Traverse() if p.IsA(UsdGeom.Mesh)]
+    rest, center = np.array(prim.GetAttribute("points").Get()), np.array([0.2, 0.2, 0.2])
+    np.testing.assert_allclose(rest.max(axis=0), center + [0.12, 0.02, 0.02], atol=1e-3)
+    for code in range(4):
+        matrix = np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(code))
+        time = 0.01 * code
+        want = (rest - center) @ drawn_runs.rotation(10 * time).T + center + [time, 0, 0]
+        got = rest @ matrix[:3, :3] + matrix[3, :3]
+        np.testing.assert_allclose(got, want, atol=1e-6)
 
 
 def test_without_usd_core_one_line_says_what_to_install(out, tmp_path, monkeypatch, capfd):
