@@ -180,3 +180,18 @@ def test_scancel_ends_it_for_good(cluster, submit, lingering, tmp_path):
     ended = cluster.until_ended(job)
     assert (ended["JobState"], ended["Restarts"]) == ("CANCELLED", "0"), said(tmp_path, job)
     assert len(list(checkpoints.glob("*.json"))) == 2
+
+
+def test_a_stop_by_the_live_page_ends_the_job(cluster, submit, lingering, one, tmp_path):
+    """The page sends USR1 to rank 0: a checkpoint, no other start, and RESUME=1 goes on."""
+    job = submit(PYTHON=lingering)
+    there = tmp_path / "out" / "checkpoints" / CHECKPOINT.replace("h5", "json")
+    cluster.until(there.exists, "checkpoint")
+    os.kill(cluster.tasks(job)[0], signal.SIGUSR1)
+    ended = cluster.until_ended(job)
+    text = said(tmp_path, job)
+    assert (ended["JobState"], ended["Restarts"]) == ("FAILED", "0"), text
+    assert "stopped with a checkpoint on request" in text and "USR1 at" not in text
+    job = submit(RESUME="1")
+    assert cluster.until_ended(job)["JobState"] == "COMPLETED", said(tmp_path, job)
+    assert digests(tmp_path / "out") == one[1]

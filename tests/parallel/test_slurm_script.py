@@ -74,6 +74,15 @@ def test_usr1_reaches_the_step_and_the_job_queues_itself(job, tmp_path):
     assert "queues itself again" in out
 
 
+def test_a_run_that_was_asked_to_stop_ends_the_job(job, tmp_path):
+    """The button of the live page asks the ranks themselves: the job does not queue itself."""
+    (tmp_path / "end").write_text("75")
+    process = job("scene.toml")
+    out, _ = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 75 and not (tmp_path / "scontrol").exists()
+    assert "stopped with a checkpoint on request; RESUME=1 with the same command" in out
+
+
 @pytest.mark.parametrize("code", [0, 1, 2, 3])
 def test_other_ends_are_ends(job, tmp_path, code):
     (tmp_path / "end").write_text(str(code))
@@ -127,9 +136,11 @@ def test_a_node_that_broke_before_the_first_checkpoint(job, tmp_path):
 
 
 def test_tasks_of_an_array_have_their_own(job, tmp_path):
-    (tmp_path / "end").write_text("75")
     array = {"SLURM_ARRAY_JOB_ID": "40", "SLURM_ARRAY_TASK_ID": "3", "MPI": "pmi2"}
-    job("a/scene.toml", "--set", "seed={task}", **array).communicate(timeout=PATIENCE)
+    process = job("a/scene.toml", "--set", "seed={task}", **array)
+    until((tmp_path / "running").exists, "the step does not run")
+    process.send_signal(signal.SIGUSR1)
+    process.communicate(timeout=PATIENCE)
     said = (tmp_path / "srun").read_text()
     assert "--mpi=pmi2 " in said and "-o a/out-3 " in said and said.endswith("--set seed=3\n")
     assert (tmp_path / "scontrol").read_text() == "requeue 40_3\n"
