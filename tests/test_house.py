@@ -49,9 +49,13 @@ OUTSIDE = {  # packages that only some files may use
         "postprocess/",
     ),
     "taichi": ("vgmpi/apps/bench/taichi_baseline.py",),
-    "warp": ("vgmpi/apps/bench/warp_baseline.py",),
+    "warp": ("vgmpi/apps/bench/warp_baseline.py", "vgmpi/apps/bench/board/newton_board_solver.py"),
+    # rivals of the board, in an environment of their own
+    "newton": ("vgmpi/apps/bench/board/newton_board_solver.py",),
+    "genesis": ("vgmpi/apps/bench/board/genesis_board_solver.py",),
     "gsply": ("vgmpi/gaussians/formats/ply.py",),
     "torch": (
+        "vgmpi/apps/bench/board/genesis_board_solver.py",
         "vgmpi/rendering/raster/gsplat_backend.py",
         "vgmpi/apps/photo/learned/",
         "vgmpi/apps/fit/video_prior/",
@@ -94,6 +98,8 @@ PRINT = (
     "vgmpi/apps/run/cli.py",
     "vgmpi/apps/run/run_command.py",
     "vgmpi/apps/bench/__main__.py",
+    "vgmpi/apps/bench/board/board_command.py",
+    "vgmpi/apps/bench/board/board_run.py",
     "vgmpi/apps/bench/subcommands.py",
     "vgmpi/apps/convert/__main__.py",
     "vgmpi/apps/photo/__main__.py",

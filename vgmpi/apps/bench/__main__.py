@@ -16,6 +16,7 @@ from vgmpi.runtime.versions import versions
 
 from . import gpu, interleaved_rounds, result_tables, roofline
 from .benchmark_case import BenchError, Case, lay_out
+from .board import board_command
 from .interleaved_rounds import Contestant
 from .subcommands import parse_arguments, print_progress, run_command
 
@@ -196,6 +197,11 @@ def _read(path: Path) -> dict:
 COMMANDS = {  # what it does, its flags, how it runs
     "speed": ("measure the throughput (the default)", _speed, _run_speed),
     "card": ("compare programs on a GPU", gpu.flags, gpu.run),
+    "board": (
+        "measure error against seconds beside other solvers",
+        board_command.flags,
+        board_command.run_board,
+    ),
     "compare": ("print two measurements side by side", _compare, _run_compare),
 }
 

@@ -1,0 +1,189 @@
+"""The board: its measures on made states, its front, its command, and the solver on its cases."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from tests.support.launch import ROOT
+from vgmpi.apps.bench import __main__ as bench
+from vgmpi.apps.bench.board import board_command, board_results
+from vgmpi.apps.bench.board.board_cases import (
+    CASES,
+    MPS_FRONT,
+    BarMeasure,
+    BoardState,
+    FrontMeasure,
+    LevelMeasure,
+    SandMeasure,
+)
+from vgmpi.apps.bench.board.board_settings import RUNS
+
+
+def rows_of(size, spacing, low=(0, 0, 0)):
+    """Particles in the middles of cubes that fill a box."""
+    axes = [
+        start + spacing * (np.arange(round(length / spacing)) + 0.5)
+        for start, length in zip(low, size)
+    ]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+
+
+@pytest.mark.parametrize("spacing", [0.146 / 16, 0.146 / 20, 0.146 / 24, 0.146 / 30])
+def test_the_front_does_not_depend_on_layers(spacing):
+    """Water one eighth of the column's width deep up to the published front, on any lattice."""
+    depth = FrontMeasure.DEPTH
+    fronts = MPS_FRONT[:, 1] * FrontMeasure.WIDTH
+    times = MPS_FRONT[:, 0] * np.sqrt(FrontMeasure.WIDTH / 19.6)
+    states = []
+    for front in fronts:
+        layers = 0.125 * FrontMeasure.WIDTH
+        z = np.array([layers / 3, layers * 2 / 3])
+        x = np.arange(spacing / 2, front, spacing)
+        points = np.stack(np.meshgrid(x, [depth / 2], z, indexing="ij"), -1).reshape(-1, 3)
+        states.append((points, np.full(len(points), spacing * depth * layers / 2)))
+    errors = []
+    for t, (points, volume) in zip(times, states):
+        measure = FrontMeasure(volume, points, spacing)
+        measure.record(BoardState(t, points, points))
+        errors.append(measure.rows[0][1] / FrontMeasure.WIDTH)
+    assert np.abs(np.array(errors) - MPS_FRONT[:, 1]).max() < 0.08  # bins are a twelfth
+    measure = FrontMeasure(states[0][1], states[0][0], spacing)
+    measure.rows = [(t, front) for t, front in zip(times, fronts)]
+    assert measure.result()["error"] == pytest.approx(0, abs=1e-12)
+    measure.rows = [(t, front + 0.0146) for t, front in zip(times, fronts)]
+    assert measure.result()["error"] == pytest.approx(0.1)
+
+
+def test_the_level_of_flat_water_and_of_water_that_sank():
+    x = rows_of((0.32, 0.08, LevelMeasure.LEVEL), 0.01)
+    volume = np.full(len(x), 1e-6)
+    for factor in (1.0, 0.9):
+        measure = LevelMeasure(volume, x, 0.02)
+        for t in (0.0, 3.0, 5.0):
+            measure.record(BoardState(t, x * [1, 1, factor], 0 * x))
+        result = measure.result()
+        assert result["level"] == pytest.approx(factor) and result["error"] == pytest.approx(
+            1 - factor, abs=1e-9
+        )
+
+
+def test_the_run_out_of_a_wedge():
+    """A wedge of 2.2 lengths whose depth falls from one length: 1.2 less what is below 1/40."""
+    n = 200_000
+    s = (np.arange(n) + 0.5) / n
+    length = SandMeasure.LENGTH
+    x = np.zeros((n, 3))
+    x[:, 0] = 2.2 * length * (1 - np.sqrt(1 - s))
+    volume = np.full(n, 1.1 * length * length * SandMeasure.WIDTH / n)
+    measure = SandMeasure(volume, x, 0.01)
+    measure.record(BoardState(0.6, x, x))
+    result = measure.result()
+    assert result["run_out"] == pytest.approx(2.2 * (1 - 1 / 40) - 1, abs=0.01)
+    assert result["height"] == pytest.approx(1 - 0.005 * 2 / 0.352, abs=0.01)
+
+
+def test_the_frequency_and_loss_of_a_damped_wave():
+    x = rows_of((1.0, 0.1, 0.1), 0.05)
+    measure = BarMeasure(np.ones(len(x)), x, 0.05)
+    for t in np.arange(0, 2.0001, 1 / 200):
+        amplitude = np.exp(-0.1 * t) * np.cos(2 * np.pi * 4.9 * t)
+        v = np.outer(amplitude * np.cos(np.pi * (x[:, 0] - x[:, 0].min())), [1, 0, 0])
+        measure.record(BoardState(t, x, v))
+    result = measure.result()
+    assert result["frequency"] == pytest.approx(0.98, abs=2e-3)
+    assert result["energy_loss"] == pytest.approx(1 - np.exp(-0.2 / 4.9), rel=0.05)
+
+
+def result_of(solver, cpu, error=None, case="bar", **more):
+    result = {
+        "case": case, "solver": solver, "options": [], "simulated": 2.0, "cpu": cpu, "wall": cpu,
+        "particles": 100, "steps": 10, "same_bits": True, **more,
+    }  # fmt: skip
+    return result if error is None else result | {"error": error}
+
+
+def test_the_front_and_the_advantage():
+    results = [
+        result_of("vgmpi", 1.0, 0.1), result_of("vgmpi", 2.0, 0.05), result_of("newton", 30, 0.2),
+        result_of("newton", 8.0, 0.05), result_of("genesis", 0.5, 0.3),
+        result_of("genesis", 9.0, 0.01), result_of("vgmpi", 1.0, case="rest"),
+        result_of("newton", 4.0, case="rest"),
+    ]  # fmt: skip
+    marked = board_results.mark_front(results)
+    assert [r["on_front"] for r in marked] == [True, True, False, False, True, True, True, False]
+    ratios = board_results.advantages(results)
+    assert ratios == {
+        ("bar", "newton"): 4.0,  # the dearer run is 30 times as dear
+        ("bar", "genesis"): 0.0,  # nothing here reaches 1 %
+        ("rest", "newton"): 4.0,
+    }
+    text = board_results.format_tables(marked)
+    assert "| bar | genesis | not reached by vgmpi |" in text and "| bar | newton | 4.0 |" in text
+
+
+def test_a_failed_run_is_a_row(tmp_path):
+    results = [
+        result_of("vgmpi", 1.0, 0.1),
+        {"case": "bar", "solver": "newton", "options": ["dt=1"], "failure": "it flies apart"},
+    ]
+    text = board_results.format_tables(board_results.mark_front(results))
+    assert "| newton | dt=1 | | | | | it flies apart | | |" in text
+    board_results.write_csv(tmp_path / "board.csv", board_results.mark_front(results))
+    assert "it flies apart" in (tmp_path / "board.csv").read_text()
+
+
+def test_every_case_has_three_settings_of_each_solver():
+    for case, runs in RUNS.items():
+        assert CASES[case] and len(set(runs)) == len(runs)
+        count = {
+            name: sum(run[0] == name for run in runs) for name in ("vgmpi", "newton", "genesis")
+        }
+        least = 3 if case not in ("rest", "splash") else 1  # nothing to be more exact in
+        assert min(count.values()) >= least, (case, count)
+
+
+def test_the_command(tmp_path, monkeypatch, capsys):
+    """Runs that are there are not made again, a torn line is, rivals that are absent are named."""
+    monkeypatch.setitem(RUNS, "bar", (("vgmpi", "domain.cell=0.1"), ("vgmpi", "domain.cell=7")))
+    out = tmp_path / "board"
+    argv = ["board", "--only", "bar", "-o", str(out)]
+    assert bench.main(argv) == 1  # one of its runs fails
+    text = capsys.readouterr()
+    assert "newton is not installed in" in text.err and "left out (--setup)" in text.err
+    assert "bar: vgmpi domain.cell=0.1" in text.err
+    first = board_results.read_results(out / "results.jsonl")
+    good, bad = first
+    assert good["error"] < 0.02 and good["same_bits"] and good["particles"] == 320
+    assert "domain" in bad["failure"] and bad["options"] == ["domain.cell=7"]
+    assert (out / "board.csv").read_text().count("\n") == 3 and "on_front" not in good
+    monkeypatch.setattr(board_command, "make_run", lambda *words: pytest.fail("made again"))
+    assert bench.main(argv) == 1
+    with open(out / "results.jsonl", "w") as file:
+        file.write(json.dumps(good)[:40])
+    monkeypatch.setattr(board_command, "make_run", lambda *words: good)
+    assert bench.main(argv) == 0
+
+
+def test_the_rivals_cannot_be_installed(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(board_command, "RIVAL_PACKAGES", ("no-such-package-of-anybody==1",))
+    monkeypatch.setattr(
+        board_command.subprocess, "run", lambda *a, **k: subprocess.CompletedProcess(a, 1)
+    )
+    monkeypatch.setattr(board_command.venv, "create", lambda *a, **k: None)
+    assert bench.main(["board", "--setup", "-o", str(tmp_path)]) == 2
+    assert "the rivals cannot be installed: pip's lines say why" in capsys.readouterr().err
+
+
+def test_measures_need_numpy_alone():
+    """They run in the environments of the rivals."""
+    code = (
+        "import sys; import vgmpi.apps.bench.board.board_run as b; "
+        "print([m for m in ('numba', 'pydantic', 'h5py', 'mpi4py', 'scipy') if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True
+    )
+    assert done.stdout.strip() == "[]"

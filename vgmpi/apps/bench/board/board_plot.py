@@ -1,0 +1,43 @@
+"""Picture of the board: error over processor time, one panel per case."""
+
+from pathlib import Path
+from typing import Any
+
+from .board_cases import CASES
+from .board_results import seconds_per_second
+
+COLORS = {"vgmpi": "#1f5fbf", "newton": "#d9822b", "genesis": "#4a9a53"}
+MARKERS = {"vgmpi": "o", "newton": "s", "genesis": "^"}
+
+
+def draw_board(path: Path, results: list[dict[str, Any]]) -> None:
+    """Write the picture.
+
+    Raises:
+        ImportError: If matplotlib is missing.
+    """
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    names = [name for name in CASES if any(r["case"] == name and "error" in r for r in results)]
+    figure, panels = pyplot.subplots(1, max(1, len(names)), figsize=(3.1 * max(1, len(names)), 3.2))
+    for name, panel in zip(names, panels if len(names) > 1 else [panels]):
+        rows = [r for r in results if r["case"] == name and "error" in r]
+        for solver, color in COLORS.items():
+            points = sorted(
+                (seconds_per_second(r), r["error"]) for r in rows if r["solver"] == solver
+            )
+            if points:
+                panel.plot(*zip(*points), MARKERS[solver], color=color, label=solver, ms=6)
+        front = sorted((seconds_per_second(r), r["error"]) for r in rows if r["on_front"])
+        panel.step(*zip(*front), where="post", color="0.6", lw=1, zorder=0)
+        panel.set(xscale="log", yscale="log", xlabel="processor s per simulated s")
+        panel.set_title(CASES[name].title.replace(": ", ":\n"), fontsize=9)
+        panel.grid(alpha=0.25)
+    figure.axes[0].set_ylabel("error")
+    figure.axes[0].legend(frameon=False, fontsize=8)
+    figure.tight_layout()
+    figure.savefig(path, dpi=110)
+    pyplot.close(figure)

@@ -1,0 +1,144 @@
+"""Results of the board: lines of JSON on the disk, the front of every case, table and CSV."""
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+from .board_cases import CASES
+
+QUANTITIES = ("level", "lower_half", "run_out", "height", "frequency", "energy_loss")
+COLUMNS = (
+    "case", "solver", "options", "particles", "cell", "steps", "simulated", "cpu", "wall", "error",
+    *QUANTITIES, "same_bits", "on_front", "failure",
+)  # fmt: skip
+HEADINGS = (
+    "solver", "options", "particles", "steps", "s / s", "wall s / s", "error", "same bits", "front"
+)  # fmt: skip
+
+
+def read_results(path: Path) -> list[dict[str, Any]]:
+    """Return the results in a file of JSON lines; torn lines are skipped."""
+    results = []
+    for line in path.read_text().splitlines() if path.exists() else ():
+        try:
+            results.append(json.loads(line))
+        except ValueError:
+            continue
+    return results
+
+
+def run_key(result: dict[str, Any]) -> tuple[str, ...]:
+    """Return what identifies a run: case, solver and options."""
+    return (result["case"], result["solver"], *result["options"])
+
+
+def seconds_per_second(result: dict[str, Any], clock: str = "cpu") -> float:
+    """Return processor or wall time over simulated time."""
+    return result[clock] / result["simulated"]
+
+
+def mark_front(results: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the results with `on_front`: no other run of the case is as cheap and as exact.
+
+    A case without an error has the cheapest run per particle on its front.
+    """
+    marked = []
+    for result in results:
+        rivals = [r for r in results if r["case"] == result["case"] and "cpu" in r]
+        if "cpu" not in result:
+            marked.append(result | {"on_front": False})
+            continue
+        if "error" in result:
+            cost, error = seconds_per_second(result), result["error"]
+            better = [
+                r
+                for r in rivals
+                if seconds_per_second(r) <= cost
+                and r["error"] <= error
+                and (seconds_per_second(r) < cost or r["error"] < error)
+            ]
+        else:
+            cost = seconds_per_second(result) / result["particles"]
+            better = [r for r in rivals if seconds_per_second(r) / r["particles"] < cost]
+        marked.append(result | {"on_front": not better})
+    return marked
+
+
+def advantages(results: list[dict[str, Any]]) -> dict[tuple[str, str], float]:
+    """Return, by case and rival, how many times its processor time this program needs less.
+
+    Each run of a rival is held against this program's cheapest run whose error is not larger; the
+    smallest ratio counts. A rival's run that no run of this program reaches counts as 0. Cases
+    without an error compare time per particle.
+    """
+    ratios: dict[tuple[str, str], float] = {}
+    for result in results:
+        if result["solver"] == "vgmpi" or "cpu" not in result:
+            continue
+        own = [
+            r
+            for r in results
+            if r["solver"] == "vgmpi" and r["case"] == result["case"] and "cpu" in r
+        ]
+        if "error" in result:
+            costs = [seconds_per_second(r) for r in own if r["error"] <= result["error"]]
+            cost = seconds_per_second(result)
+        else:
+            costs = [seconds_per_second(r) / r["particles"] for r in own]
+            cost = seconds_per_second(result) / result["particles"]
+        key = (result["case"], result["solver"])
+        ratio = cost / min(costs) if costs else 0.0
+        ratios[key] = min(ratio, ratios.get(key, ratio))
+    return ratios
+
+
+def write_csv(path: Path, results: list[dict[str, Any]]) -> None:
+    """Write the results as a table of comma-separated values."""
+    with open(path, "w", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS, extrasaction="ignore", lineterminator="\n")
+        writer.writeheader()
+        for result in results:
+            row = {
+                key: f"{value:.5g}" if isinstance(value, float) else value
+                for key, value in result.items()
+            }
+            writer.writerow(row | {"options": " ".join(result["options"])})
+
+
+def format_tables(results: list[dict[str, Any]]) -> str:
+    """Return Markdown: one table per case, and how many times cheaper this program is."""
+    lines = []
+    for name, case in CASES.items():
+        rows = [result for result in results if result["case"] == name]
+        if not rows:
+            continue
+        lines += [f"### {name}: {case.title}", ""]
+        lines += [
+            f"| {' | '.join(HEADINGS)} |",
+            f"|{len(HEADINGS) * '---|'}",
+        ]
+        lines += [_format_row(row) for row in rows] + [""]
+    ratios = advantages(results)
+    if ratios:
+        lines += ["| case | rival | processor time over vgmpi's at equal error |", "|---|---|---|"]
+        lines += [
+            f"| {case} | {solver} | {f'{ratio:.1f}' if ratio else 'not reached by vgmpi'} |"
+            for (case, solver), ratio in ratios.items()
+        ]
+    return "\n".join(lines)
+
+
+def _format_row(row: dict[str, Any]) -> str:
+    """Return a run as a row of a table."""
+    options = " ".join(row["options"])
+    if "cpu" not in row:
+        return f"| {row['solver']} | {options} | | | | | {row['failure']} | | |"
+    error = f"{row['error']:.3g}" if "error" in row else ""
+    bits = {True: "yes", False: "no", None: "one run"}[row["same_bits"]]
+    cells = [
+        row["solver"], options, f"{row['particles']:,}", f"{row['steps']:,}",
+        f"{seconds_per_second(row):.3g}", f"{seconds_per_second(row, 'wall'):.3g}", error, bits,
+        "yes" if row["on_front"] else "",
+    ]  # fmt: skip
+    return f"| {' | '.join(cells)} |"

@@ -1,0 +1,74 @@
+"""Runs of the board: three settings or more of every solver on every case.
+
+Settings of the rivals are those of their own examples, and the best ones that were found: smaller
+cells, smaller or larger steps, more stiffness.
+"""
+
+# packages of the rivals' environment
+RIVAL_PACKAGES = ("newton==1.8.0", "warp-lang==1.19.0", "torch", "genesis-world==1.4.5")
+
+STEP_120, STEP_240, STEP_480 = "dt=0.00833333333", "dt=0.00416666667", "dt=0.00208333333"
+DAM_CELLS_48 = 0.146 * 4 / 48  # [m]
+
+RUNS: dict[str, tuple[tuple[str, ...], ...]] = {
+    "dam_break": (
+        ("vgmpi", "accuracy.level=draft"),
+        ("vgmpi", f"domain.cell={DAM_CELLS_48}", "material.water.compression=0.04"),
+        ("vgmpi", f"domain.cell={DAM_CELLS_48}"),
+        ("vgmpi",),
+        ("newton", "cell=0.01825", STEP_120),
+        ("newton", f"cell={DAM_CELLS_48}", STEP_240),
+        ("newton", f"cell={DAM_CELLS_48}", STEP_480),
+        ("genesis", "cell=0.01825"),
+        ("genesis", "cell=0.01825", "step_per_cell=0.04"),
+        ("genesis", f"cell={DAM_CELLS_48}", "E=2.25e6"),
+        ("genesis", "cell=0.009125"),
+    ),
+    "level": (
+        ("vgmpi", "domain.cell=0.04"),
+        ("vgmpi",),
+        ("vgmpi", "domain.cell=0.013333333333333334"),
+        ("newton", "cell=0.04", STEP_120),
+        ("newton", "cell=0.04", "dt=0.00238095238"),
+        ("newton", "cell=0.02", STEP_120),
+        ("genesis", "cell=0.02", "particle_size=0.64", "sampler=pbs"),
+        ("genesis", "cell=0.02"),
+        ("genesis", "cell=0.013333333333333334"),
+    ),
+    "sand": (
+        ("vgmpi", "domain.cell=0.02"),
+        ("vgmpi", "domain.cell=0.013333333333333334"),
+        ("vgmpi",),
+        ("newton", "cell=0.02", "dt=0.0166666667"),
+        ("newton", "cell=0.013333333333333334", "dt=0.0166666667"),
+        ("newton", "cell=0.013333333333333334", STEP_240),
+        ("genesis", "cell=0.02", "E=5e5"),
+        ("genesis", "cell=0.02"),
+        ("genesis", "cell=0.013333333333333334"),
+    ),
+    "bar": (
+        ("vgmpi", "domain.cell=0.1"),
+        ("vgmpi",),
+        ("vgmpi", "domain.cell=0.025"),
+        ("newton", "cell=0.1", STEP_240, "end=0.6"),
+        ("newton", "cell=0.05", STEP_240, "end=0.6"),
+        ("newton", "cell=0.1", "dt=0.001", "end=0.6"),
+        ("genesis", "cell=0.1"),
+        ("genesis", "cell=0.05"),
+        ("genesis", "cell=0.033333333333333333"),
+    ),
+    "rest": (
+        ("vgmpi",),
+        ("newton", "cell=0.016", STEP_120),
+        ("newton", "cell=0.01", STEP_120, "per_axis=2"),
+        ("genesis", "cell=0.01"),
+    ),
+    "splash": (
+        ("vgmpi", "material.water.compression=0.04"),
+        ("vgmpi",),
+        ("newton", "cell=0.016", "dt=0.0166666667"),
+        ("newton", "cell=0.016", STEP_120),
+        ("newton", "cell=0.01", STEP_120, "per_axis=2"),
+        ("genesis", "cell=0.01", "end=0.1"),
+    ),
+}

@@ -1,0 +1,209 @@
+"""Newton as a solver of the board: its implicit MPM on the processor, where Warp has one thread.
+
+Numbers are those of its own examples: water as in mpm_water_dam_break, sand as in mpm_granular,
+bodies as in mpm_beam_twist.
+"""
+
+from typing import Any
+
+import newton
+import numpy as np
+import warp as wp
+from newton.solvers import SolverImplicitMPM
+
+from .board_cases import (
+    BAR_DENSITY,
+    BAR_MODULUS,
+    BAR_SPEED,
+    CASES,
+    GRAVITY,
+    SAND_ANGLE,
+    SAND_DENSITY,
+    bar_velocity,
+)
+
+# options of the solver by family: iterations, tolerance, warmstart_mode, collider_basis
+EXAMPLES = {
+    "fluid": (50, 1e-3, "particles", "pic"),
+    "sand": (250, 1e-4, "auto", "S2"),
+    "elastic": (250, 1e-6, "particles", "S2"),
+}
+PROJECTION = 0.25  # [cells] distance from a wall at which particles are moved away from it
+FLOOR_FRICTION = 10.0
+wp.config.quiet = True
+
+
+@wp.kernel
+def move_into_tank(
+    x: wp.array(dtype=wp.vec3), v: wp.array(dtype=wp.vec3), low: wp.vec3, high: wp.vec3
+):
+    """Move particles that passed a wall back and stop them, as its example of a dam break does."""
+    i = wp.tid()
+    position, velocity = x[i], v[i]
+    for k in range(3):
+        if position[k] < low[k]:
+            position[k] = low[k]
+            velocity[k] = wp.max(velocity[k], 0.0)
+        elif position[k] > high[k]:
+            position[k] = high[k]
+            velocity[k] = wp.min(velocity[k], 0.0)
+    x[i] = position
+    v[i] = velocity
+
+
+class Solver:
+    """A case. Options: cell [m], dt [s], per_axis (particles), iterations, tolerance."""
+
+    def __init__(self, case_name: str, options: dict[str, Any]):
+        wp.set_device("cpu")
+        self.case, self.cell = CASES[case_name], float(options["cell"])
+        self.family, self.dt = self.case.family, float(options["dt"])
+        per_axis = int(options.get("per_axis", 2 if self.family == "elastic" else 3))
+        self.versions = {"newton": newton.__version__, "warp": wp.__version__}
+        builder = newton.ModelBuilder()
+        SolverImplicitMPM.register_custom_attributes(builder)
+        spacing = self._add_particles(builder, per_axis)
+        if self.case.tank:
+            self._add_walls(builder, np.array(self.case.tank))
+        self.model = builder.finalize()
+        self._set_material()
+        self.config = self._solver_config(options)
+        self.volume = np.full(self.model.particle_count, float(np.prod(spacing)))
+
+    def _add_particles(self, builder: Any, per_axis: int) -> np.ndarray:
+        """Fill the body and return the spacing of the particles [m], shape (3,)."""
+        body = np.array(self.case.body)
+        count = np.round(per_axis * body / self.cell).astype(int)
+        spacing = body / count
+        density = {"sand": SAND_DENSITY, "elastic": BAR_DENSITY}.get(self.family, 1000.0)
+        radius = 0.5 * float(spacing.max())
+        builder.add_particle_grid(
+            pos=wp.vec3(*(0.5 * spacing)), rot=wp.quat_identity(), vel=wp.vec3(0.0),
+            dim_x=int(count[0]), dim_y=int(count[1]), dim_z=int(count[2]),
+            cell_x=float(spacing[0]), cell_y=float(spacing[1]), cell_z=float(spacing[2]),
+            mass=float(np.prod(spacing) * density), radius_mean=radius,
+            jitter=0.0 if self.family == "elastic" else 2 * radius,
+            flags=newton.ParticleFlags.ACTIVE,
+        )  # fmt: skip
+        return spacing
+
+    def _add_walls(self, builder: Any, tank: np.ndarray) -> None:
+        """Add the tank: an open box of water as in its example, or boxes around sand."""
+        thickness = max(4 * self.cell, 0.15 * float(tank.max()))
+        smooth = newton.ModelBuilder.ShapeConfig(density=0.0, mu=0.0)
+        if self.family == "fluid":
+            points, triangles = hollow_box(tank, thickness)
+            mesh = newton.Mesh(points, triangles, compute_inertia=False, is_solid=False)
+            builder.add_shape_mesh(body=-1, mesh=mesh, cfg=smooth)
+            builder.add_ground_plane(height=-thickness, cfg=smooth)
+            return
+        rough = newton.ModelBuilder.ShapeConfig(density=0.0, mu=FLOOR_FRICTION)
+        builder.add_ground_plane(cfg=rough)
+        x, y, z = tank
+        walls = (
+            ((thickness / 2, y, z), (-thickness / 2, y / 2, z / 2)),
+            ((x, thickness / 2, z), (x / 2, -thickness / 2, z / 2)),
+            ((x, thickness / 2, z), (x / 2, y + thickness / 2, z / 2)),
+        )
+        for half, center in walls:
+            pose = wp.transform(wp.vec3(*center), wp.quat_identity())
+            builder.add_shape_box(
+                body=-1, cfg=smooth, xform=pose, hx=half[0], hy=half[1], hz=half[2]
+            )
+
+    def _set_material(self) -> None:
+        """Set gravity and the numbers of the law."""
+        mpm = self.model.mpm
+        self.model.set_gravity((0.0, 0.0, 0.0 if self.family == "elastic" else -GRAVITY))
+        if self.family == "fluid":
+            numbers = {"friction": 0.0, "tensile_yield_ratio": 1.0, "viscosity": 0.0}
+        elif self.family == "sand":
+            friction = float(np.tan(np.radians(SAND_ANGLE)))
+            numbers = {"friction": friction, "young_modulus": 1e15, "yield_pressure": 1e12}
+        else:
+            numbers = {
+                "young_modulus": BAR_MODULUS, "poisson_ratio": 0.0, "tensile_yield_ratio": 1.0,
+                "damping": 0.0,
+            }  # fmt: skip
+        for name, value in numbers.items():
+            getattr(mpm, name).fill_(value)
+
+    def _solver_config(self, options: dict[str, Any]) -> Any:
+        """Return the solver's own configuration."""
+        config = SolverImplicitMPM.Config()
+        iterations, tolerance, warm_start, collider_basis = EXAMPLES[self.family]
+        config.voxel_size = self.cell
+        config.max_iterations = int(options.get("iterations", iterations))
+        config.tolerance = float(options.get("tolerance", tolerance))
+        config.warmstart_mode, config.collider_basis = warm_start, collider_basis
+        config.velocity_basis, config.transfer_scheme = "Q1", "apic"
+        config.integration_scheme, config.critical_fraction = "pic", 0.0
+        elastic = self.family == "elastic"
+        config.strain_basis = "P1d" if elastic else "P0"
+        config.solver = "cr" if elastic else "auto"
+        config.carry_residual_strain = "unconverged" if elastic else "none"
+        return config
+
+    def restart(self) -> None:
+        """Begin the run again."""
+        self.solver = SolverImplicitMPM(self.model, config=self.config)
+        self.states = [self.model.state(), self.model.state()]
+        self.steps = 0
+        first = self.states[0]
+        if self.family == "fluid":
+            self.solver.setup_collider(collider_projection_threshold=[PROJECTION * self.cell])
+            first.mpm.particle_Jp.fill_(1.0)
+            self.solver.project_outside(first, first, self.dt)
+        if self.family == "elastic":
+            x = first.particle_q.numpy()
+            v, gradient = np.zeros_like(x), np.zeros((len(x), 3, 3), np.float32)
+            v[:, 0] = bar_velocity(x[:, 0])
+            gradient[:, 0, 0] = -BAR_SPEED * np.pi * np.sin(np.pi * x[:, 0])  # 1 m long
+            first.particle_qd.assign(v)
+            first.mpm.particle_qd_grad.assign(gradient)
+
+    def advance(self, t: float) -> int:
+        """Simulate up to a time [s] and return the number of steps."""
+        count = round(t / self.dt) - self.steps
+        for _ in range(count):
+            now, following = self.states
+            self.solver.step(now, following, None, None, self.dt)
+            if self.family != "elastic":
+                self.solver.project_outside(following, following, self.dt)
+            if self.family == "fluid":
+                self._move_into_tank(following)
+            self.states.reverse()
+        self.steps += count
+        return count
+
+    def _move_into_tank(self, state: Any) -> None:
+        """Put particles that passed a wall of the tank back."""
+        x, y, _ = map(float, self.case.tank or (0, 0, 0))
+        margin = PROJECTION * self.cell
+        low, high = wp.vec3(-margin, -margin, -margin), wp.vec3(x + margin, y + margin, 10.0)
+        arrays = [state.particle_q, state.particle_qd, low, high]
+        wp.launch(move_into_tank, dim=state.particle_count, inputs=arrays)
+
+    def state(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return positions from the tank's corner and velocities, (n, 3) each [m], [m/s]."""
+        return self.states[0].particle_q.numpy().copy(), self.states[0].particle_qd.numpy().copy()
+
+
+def hollow_box(size: np.ndarray, thickness: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices and triangles of an open box around [0, size], its faces turned inwards."""
+    x, y, z = map(float, size)
+    inner = [(0.0, 0.0), (x, 0.0), (x, y), (0.0, y)]
+    t = thickness
+    outer = [(-t, -t), (x + t, -t), (x + t, y + t), (-t, y + t)]
+    points = [(*corner, 0.0) for corner in inner] + [(*corner, z) for corner in inner]
+    points += [(*corner, -t) for corner in outer] + [(*corner, z) for corner in outer]
+    quads = [(0, 1, 2, 3), (8, 11, 10, 9)]  # floor and underside
+    for i in range(4):
+        j = (i + 1) % 4
+        quads += [
+            (j, i, 4 + i, 4 + j),
+            (8 + i, 8 + j, 12 + j, 12 + i),
+            (4 + i, 12 + i, 12 + j, 4 + j),
+        ]
+    triangles = [triangle for a, b, c, d in quads for triangle in (a, b, c, a, c, d)]
+    return np.array(points, np.float32), np.array(triangles, np.int32)
