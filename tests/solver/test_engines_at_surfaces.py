@@ -100,11 +100,11 @@ PLATE = (
     '[[object]]\nname = "plate"\nrole = "scenery"\ncollider = true\nthin = true\n'
     "shape = { box = [[0.16, -0.02, -0.02], [0.168, 0.18, 0.09]] }\n"
 )
-JET = body(
-    "jet", "water", "box = [[0.05, 0.05, 0.09], [0.09, 0.11, 0.15]]", "velocity = [0, 0, -1]"
+JET = body(  # over the rim of the cup
+    "jet", "water", "box = [[0.01, 0.05, 0.115], [0.09, 0.11, 0.155]]", "velocity = [0, 0, -1]"
 )
 HEAP = body(
-    "heap", "sand", "box = [[0.05, 0.05, 0.065], [0.09, 0.11, 0.09]]", "velocity = [0.5, 0, -1]"
+    "heap", "sand", "box = [[0.05, 0.05, 0.065], [0.09, 0.11, 0.113]]", "velocity = [0.5, 0, 0.5]"
 )
 
 
