@@ -1,4 +1,5 @@
-"""Spoiled scenes of rigid bodies, joints, slip lengths and regions through --check and --plan."""
+"""Spoiled scenes of rigid bodies, joints, slip lengths, regions, pinned parts and thin walls
+through --check and --plan."""
 
 from pathlib import Path
 
@@ -7,9 +8,11 @@ from tests.campaigns.result import Result
 from tests.campaigns.spoiled import Spoiler
 from tests.scene import (
     test_joint_tables,
+    test_pinned_tables,
     test_regions,
     test_rigid_objects,
     test_slip_length,
+    test_thin_keys,
 )
 
 NAME = "rigid"
@@ -113,7 +116,10 @@ collider = "floor"
 
 def bases() -> list[str]:
     """Good scenes, with coarse cells."""
-    modules = (test_rigid_objects, test_joint_tables, test_slip_length, test_regions)
+    modules = (
+        test_rigid_objects, test_joint_tables, test_slip_length, test_regions, test_pinned_tables,
+        test_thin_keys,
+    )  # fmt: skip
     return [m.SCENE.replace("cell = 0.01", "cell = 0.02") for m in modules] + [WORKSHOP]
 
 

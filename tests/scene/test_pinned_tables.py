@@ -1,8 +1,6 @@
 """Pinned parts in scenes: what is refused, with its line, and what --plan says."""
 
 import logging
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -142,14 +140,6 @@ def test_particles_inside_what_holds_the_body_are_warned_of(tmp_path, caplog):
     with caplog.at_level(logging.WARNING, "vgmpi"):
         vgmpi.plan(vgmpi.load(tmp_path / "scene.toml", text=text))
     assert "'beam': 432 particles that are not pinned lie inside 'wall'" in caplog.text
-
-
-def test_the_numpy_engine_refuses(tmp_path):
-    (tmp_path / "scene.toml").write_text(SCENE.split('[[object]]\nname = "boat"')[0])
-    command = [sys.executable, "-m", "vgmpi", "scene.toml", "--engine", "numpy"]
-    job = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
-    assert job.returncode == 2
-    assert "engine numpy has no pinned parts (object.pinned)" in job.stderr
 
 
 BESIDE = """

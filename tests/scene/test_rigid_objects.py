@@ -90,19 +90,6 @@ def test_what_is_refused(tmp_path, old, new, message):
     assert "scene.toml:" in str(error.value)
 
 
-@pytest.mark.parametrize("engine", ["numpy"])
-def test_an_engine_without_free_bodies_says_so(tmp_path, engine):
-    scene = tmp_path / "scene.toml"
-    scene.write_text(SCENE)
-    job = subprocess.run(
-        [sys.executable, "-m", "vgmpi", scene, "-o", tmp_path / "out", "--engine", engine],
-        capture_output=True, text=True, timeout=120,
-    )  # fmt: skip
-    assert job.returncode == 2
-    assert "engine numpy has no free rigid bodies (object.rigid)" in job.stderr
-    assert "Traceback" not in job.stderr
-
-
 @pytest.mark.parametrize(("radius", "length"), [("0.9", "1.8"), ("4", "8")])
 def test_a_body_much_larger_than_the_domain(tmp_path, radius, length):
     """To search it would take minutes."""

@@ -1,8 +1,5 @@
 """Slip lengths in scenes: what is refused, with its line."""
 
-import subprocess
-import sys
-
 import pytest
 
 import vgmpi
@@ -94,15 +91,3 @@ def test_the_plan_is_silent_where_slip_is_as_expected(tmp_path, change):
         text = text.replace("viscosity = 10", "viscosity = 0.001")
     scene = vgmpi.load(tmp_path / "s.toml", text=text)
     assert "  slip  " not in format_plan(scene, vgmpi.plan(scene), ranks=1)
-
-
-def test_an_engine_without_slip_lengths_says_so(tmp_path):
-    scene = tmp_path / "scene.toml"
-    scene.write_text(SCENE)
-    job = subprocess.run(
-        [sys.executable, "-m", "vgmpi", scene, "-o", tmp_path / "out", "--engine", "numpy"],
-        capture_output=True, text=True, timeout=120,
-    )  # fmt: skip
-    assert job.returncode == 2
-    assert "engine numpy has no slip lengths (object.slip_length)" in job.stderr
-    assert "Traceback" not in job.stderr

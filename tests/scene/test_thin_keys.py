@@ -12,7 +12,6 @@ from vgmpi.preprocess.collider_sdf import with_shell
 from vgmpi.preprocess.placement import PlacementError
 from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.runtime.config.schema import SceneError
-from vgmpi.solver.run_options import InvalidRunOptions, Options, check_engine
 
 SCENE = """
 [domain]
@@ -133,13 +132,6 @@ def test_colors_do_not_travel_with_steps(tmp_path):
     with pytest.raises(SceneError) as error:
         vgmpi.plan(scene)
     assert f'{KEY}: is not for appearance.color_transfer = "step"' in str(error.value)
-
-
-def test_other_engines_refuse(tmp_path):
-    plan = vgmpi.plan(load(tmp_path, SCENE))
-    message = r"engine numpy has no thin walls \(object.thin\); engine cpu has"
-    with pytest.raises(InvalidRunOptions, match=message):
-        check_engine(Options(tmp_path, engine="numpy"), plan)
 
 
 def test_plan_names_them_and_has_one_phase_for_the_user(tmp_path):

@@ -1,7 +1,8 @@
-"""Wrong scenes of rigid bodies, joints, slip lengths and regions: one line for each mistake, with
-the number of the line where the key stands, or of the table that lacks it.
+"""Wrong scenes of rigid bodies, joints, slip lengths, regions, pinned parts and thin walls: one
+line for each mistake, with the number of the line where the key stands, or of the table that
+lacks it.
 
-The scenes are those of the four modules that say what is refused, and CHANGES below.
+The scenes are those of the modules that say what is refused, and CHANGES below.
 """
 
 import re
@@ -10,9 +11,11 @@ import pytest
 
 import vgmpi
 from tests.scene import test_joint_tables as joints
+from tests.scene import test_pinned_tables as pinned
 from tests.scene import test_regions as regions
 from tests.scene import test_rigid_objects as rigid
 from tests.scene import test_slip_length as slip
+from tests.scene import test_thin_keys as thin
 from vgmpi.runtime.config.schema import SceneError
 
 POINT, AXIS, MOTOR = (
@@ -81,16 +84,28 @@ CHANGES = [
     (slip, '"1 mm"', "true", "floor.slip_length: expected a number [m]"),
     (slip, '"1 mm"', "[1]", "floor.slip_length: expected a number [m]"),
     (slip, '"1 mm"', '"10 %"', "floor.slip_length: '%' does not measure a length"),
+    (pinned, "[0.08, 0.2, 0.2]]", "[0.08, 0.2]]", "beam.pinned.box.1: has too few values"),
+    (pinned, "[0.08, 0.2, 0.2]]", "[nan, 0.2, 0.2]]", "beam.pinned.box.1.0: must be finite; got"),
+    (pinned, "pinned =", "pined =", "beam.pined: unknown key (did you mean 'pinned'?)"),
+    (pinned, 'to = "wall"', 'too = "wall"', "beam.pinned.too: unknown key (did you mean 'to'?)"),
+    (thin, "thin = true", 'thin = "yes"', "plate.thin: must be true or false"),
+    (thin, "thin = true", "thin = 1", "plate.thin: must be true or false"),
+    (thin, "thin = true", "thinn = true", "plate.thinn: unknown key (did you mean 'thin'?)"),
+    (thin, "thin = true", "thin = []", "plate.thin: must be true or false"),
     (slip, "slip_length", "slip_lenght", "floor.slip_lenght: unknown key (did you mean 'slip_leng"),
 ]  # fmt: skip
-TABLES = [(module, *change) for module in (rigid, joints, slip, regions) for change in module.WRONG]
-# changes with more than one mistake: keys of another kind of joint, of scenery, of another motor
+MODULES = rigid, joints, slip, regions, pinned, thin
+TABLES = [(module, *change) for module in MODULES for change in module.WRONG]
+# changes with more than one mistake, as keys of another kind of joint, of scenery, another motor
 SEVERAL = (
     "axle.motor: unknown key",
     "axle.limits: unknown key",
     "axle.limits.0: 'deg'",
     "axle.motor.force: unknown key",
     "object.pool.rigid: is not for scenery",
+    "object.beam.pinned: rigid and pinned",  # and no object has particles
+    "object.beam.pinned: is not for accuracy",  # nor is the boat
+    "object.wall.pinned: is not for scenery",
 )
 
 
@@ -124,7 +139,7 @@ def test_each_mistake_has_one_line_at_its_place(tmp_path, module, old, new, mess
     assert module.SCENE.count(old) >= 1
     text = module.SCENE.replace(old, new, 1)
     with pytest.raises(SceneError) as error:
-        vgmpi.load(tmp_path / "scene.toml", text=text)
+        vgmpi.plan(vgmpi.load(tmp_path / "scene.toml", text=text))
     lines = str(error.value).splitlines()
     if not message.startswith(SEVERAL):
         assert len(lines) == 1, lines

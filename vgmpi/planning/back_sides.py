@@ -43,13 +43,15 @@ def with_back_sides(
         raise scene.error([(("object", thin[0], "thin"), message)])
     flowing = [p for p, phase in enumerate(phases) if _flows(phase)]
     back = {p: len(phases) + k for k, p in enumerate(flowing)}
+    # either side of a material comes before both sides of the next one
     more = tuple(
         phases[p]._replace(
             name=f"{phases[p].name} ({BACK_SIDE})",
-            contact_priority=len(phases) + phases[p].contact_priority,
+            contact_priority=2 * phases[p].contact_priority + 1,
         )
         for p in flowing
     )
+    phases = tuple(p._replace(contact_priority=2 * p.contact_priority) for p in phases)
     sided = [g for g, group in enumerate(groups) if group.phase in back]
     back_groups = tuple(
         groups[g]._replace(

@@ -281,6 +281,7 @@ def prepared_run(
         SceneError, StoreError, RunFolderInUseError, CheckpointError, RunError, InvalidRunOptions,
         BlowUp.
     """
+    check_engine(options, scene)
     check(options, ranks)
     folder, resumed = options.folder, options.resume is not None
     with contextlib.ExitStack() as stack:
@@ -301,7 +302,6 @@ def prepared_run(
             check_tables(tables, ranks, attrs["step"], attrs.get("log_checksums", {}))
         summary = prepare(scene, ranks, folder, resumed)
         plan = plan_for(scene, summary)
-        check_engine(options, plan)
         if approve is not None:
             approve(scene, plan, start_time, summary)
         if folder is not None:

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.planning.plan import Plan
 from vgmpi.runtime.cpu_features import available_cores
+from vgmpi.scene.scene import Scene
 
 from .engine_registry import CARD, ENGINES
 
@@ -28,6 +28,14 @@ class Options:
     watchers: list = field(default_factory=list)  # each called with (run) at every frame
 
 
+# features that an engine lacks, by the scene's keys
+LACKS = {
+    "numpy": {"thin": "thin walls"},
+    CARD: {
+        "rigid": "free rigid bodies", "joint": "joints", "pinned": "pinned parts",
+        "slip_length": "slip lengths", "thin": "thin walls",
+    },
+}  # fmt: skip
 MAX_THREADS_PER_CORE, MIN_THREAD_LIMIT = 4, 32  # more would take memory for nothing
 
 
@@ -58,24 +66,22 @@ def check(options: Options, ranks: SerialCommunicator) -> None:
         _find_card(options, ranks)
 
 
-def check_engine(options: Options, plan: Plan) -> None:
-    """Raise InvalidRunOptions if the engine cannot compute what a scene has."""
-    if plan.free_bodies and options.engine != "cpu":
-        raise InvalidRunOptions(
-            f"engine {options.engine} has no free rigid bodies (object.rigid); engine cpu has"
-        )
-    if plan.pins and options.engine != "cpu":
-        raise InvalidRunOptions(
-            f"engine {options.engine} has no pinned parts (object.pinned); engine cpu has"
-        )
-    if plan.slip is not None and options.engine != "cpu":
-        raise InvalidRunOptions(
-            f"engine {options.engine} has no slip lengths (object.slip_length); engine cpu has"
-        )
-    if plan.sides is not None and options.engine != "cpu":
-        raise InvalidRunOptions(
-            f"engine {options.engine} has no thin walls (object.thin); engine cpu has"
-        )
+def check_engine(options: Options, scene: Scene) -> None:
+    """Raise InvalidRunOptions, which names all of it, if a scene has what its engine lacks."""
+    lacks = LACKS.get(options.engine, {})
+    paths: list[tuple] = [("joint", k) for k in range(len(scene.joint))]
+    for k, obj in enumerate(scene.object):
+        slips = obj.slip_length is not None
+        has = {"rigid": obj.rigid, "pinned": obj.pinned, "slip_length": slips, "thin": obj.thin}
+        paths += [("object", k, key) for key, value in has.items() if value]
+    first: dict[str, str] = {}
+    for path in paths:
+        name = path[-1] if path[0] == "object" else "joint"
+        if name in lacks:
+            first.setdefault(lacks[name], scene.place(path))
+    if first:
+        features = ", ".join(f"no {feature}: {place}" for feature, place in first.items())
+        raise InvalidRunOptions(f"engine {options.engine} has {features}; engine cpu has")
 
 
 def _find_card(options: Options, ranks: SerialCommunicator) -> None:

@@ -215,7 +215,9 @@ def _pairs(site, phase, offsets, phases, rules, motions, step, work):
             if rules is not None:
                 if rules.pair[ph, other] != CONTACT:
                     continue
-            if _driven(motions, ph) and _driven(motions, other) or are_apart(phases, ph, other):
+            if _driven(motions, ph) and _driven(motions, other):
+                continue
+            if are_apart(phases, ph, other, site.solid, site.node, step.dx):
                 continue
             a, b = (
                 (q, r) if phases.contact_priority[ph] < phases.contact_priority[other] else (r, q)
@@ -287,7 +289,7 @@ def _add_rigid_pairs(
             n[c] = surface[c]
         depth = surface[3]
         if a == COLLIDER_ROW:
-            depth = face_of_side(phases, ph, site.solid, site.node, n, depth)
+            depth = face_of_side(phases, ph, site.solid, site.node, step.dx, n, depth)
         distance_b = distance(n, -1.0, mine, mass, is_resolved, step.dx)
         is_reliable = is_resolved and normal_is_reliable(mine, mass)
         area_fraction = face_fraction(mass, phases.least[ph], distance_b) if is_reliable else 0.0

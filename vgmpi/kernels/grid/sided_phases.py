@@ -160,42 +160,53 @@ def _average(phases, n0, n1, solid, phase_of, nodes, dx):
 
 
 @static_dispatch
-def are_apart(phases, p, q):
-    """Return whether two phases lie on different sides of walls, so that they do not meet."""
+def are_apart(phases, p, q, solid, node, dx):
+    """Return whether two phases lie on different sides of a wall, so that they do not meet.
+
+    Args:
+        phases: Constants of the phases.
+        p, q: The two phases.
+        solid: Row of the block among those near colliders, or -1.
+        node: Node in its block.
+        dx: Cell size [m].
+    """
 
 
 @are_apart.of(Phases)
-def _never_apart(phases, p, q):
+def _never_apart(phases, p, q, solid, node, dx):
     return False
 
 
 @are_apart.of(SidedPhases)
-def _apart(phases, p, q):
-    return phases.side[p] * phases.side[q] < 0
+def _apart(phases, p, q, solid, node, dx):
+    return phases.side[p] * phases.side[q] < 0 and is_sided(phases, solid, node, dx)
 
 
 @static_dispatch
-def face_of_side(phases, p, solid, node, normal, distance):
+def face_of_side(phases, p, solid, node, dx, normal, distance):
     """Return the distance [m] of a node outside a collider as a phase meets it.
+
+    Where both sides of a wall are one field, that is the closest face.
 
     Args:
         phases: Constants of the phases.
         p: Phase.
         solid: Row of the block among those near colliders.
         node: Node in its block.
+        dx: Cell size [m].
         normal: Outward normal of the closest face; then of that which the phase meets (in/out).
         distance: Distance of the node outside the closest face [m].
     """
 
 
 @face_of_side.of(Phases)
-def _closest_face(phases, p, solid, node, normal, distance):
+def _closest_face(phases, p, solid, node, dx, normal, distance):
     return distance
 
 
 @face_of_side.of(SidedPhases)
-def _own_face(phases, p, solid, node, normal, distance):
-    if phases.side[p] == 0 or not phases.faces[solid, node, 0, 3] < np.inf:
+def _own_face(phases, p, solid, node, dx, normal, distance):
+    if phases.side[p] == 0 or not is_sided(phases, solid, node, dx):
         return distance
     face = phases.faces[solid, node, (1 - phases.side[p]) // 2]
     for c in range(3):

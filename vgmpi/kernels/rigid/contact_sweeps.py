@@ -14,6 +14,7 @@ from .surface_points import quadratic_form
 MAX_SWEEPS = 50
 TOLERANCE = 1e-9  # [-] change of an impulse in a sweep, over the largest one, at which sweeps end
 RELEASE_RATE = 0.05  # [-] part of an overlap that is let out in a step
+LEAST_SPREAD = 1e-3  # [-] keeps the root of two equal mobilities away from rounding errors
 REBOUND_SPEED = 0.02  # [m/s] approach above which bodies rebound
 
 
@@ -148,6 +149,30 @@ def _push_both(points, q, impulse, x, v, mass, inertia, turn, w):
 
 
 @device_function
+def _tangential_mobility(mobility, n, normal_mobility):
+    """Return the largest change of the tangential velocity per tangential impulse [1/kg].
+
+    A body turns under tangential impulses: that of a ball is 3.5 times its normal mobility, and
+    sweeps with the latter would not converge.
+
+    Args:
+        mobility: Change of the velocity per impulse, shape (3, 3).
+        n: Normal, shape (3,).
+        normal_mobility: n . mobility . n.
+    """
+    trace, squares = 0.0, normal_mobility * normal_mobility
+    for a in range(3):
+        row = mobility[a, 0] * n[0] + mobility[a, 1] * n[1] + mobility[a, 2] * n[2]
+        trace += mobility[a, a]
+        squares -= 2.0 * row * row
+        for b in range(3):
+            squares += mobility[a, b] * mobility[a, b]
+    mean = 0.5 * (trace - normal_mobility)  # of two eigenvalues, whose squares have the sum above
+    spread = max(0.5 * squares - mean * mean, 0.0)
+    return mean + np.sqrt(spread + (LEAST_SPREAD * mean) ** 2)
+
+
+@device_function
 def _change_impulse(points, q, u, mobility, dt, change):
     """Change the impulse at a point so that its surfaces move as they may.
 
@@ -166,11 +191,12 @@ def _change_impulse(points, q, u, mobility, dt, change):
     normal_mobility = quadratic_form(mobility, n)
     pushed = impulse[0] * n[0] + impulse[1] * n[1] + impulse[2] * n[2]
     normal_part = u[0] * n[0] + u[1] * n[1] + u[2] * n[2]
+    tangential_mobility = _tangential_mobility(mobility, n, normal_mobility)
     pressed = max(pushed + (separation - normal_part) / normal_mobility, 0.0)
     size = 0.0
     for c in range(3):
         slip = u[c] - normal_part * n[c]
-        change[c] = impulse[c] - pushed * n[c] - slip / normal_mobility
+        change[c] = impulse[c] - pushed * n[c] - slip / tangential_mobility
         size += change[c] * change[c]
     limit, size = points.friction[q] * pressed, np.sqrt(size)
     scale = limit / size if size > limit else 1.0

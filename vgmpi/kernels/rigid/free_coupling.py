@@ -9,7 +9,8 @@ traction of the pressure instead. The body's six velocities minimize the kinetic
 
 which is stable for bodies of any mass. The body takes the negative sum of the nodes' impulses, so
 momentum is exact, and the sums are whole numbers of quanta, so they have the same bits on any
-ranks (docs/explanation/rigid-bodies.md).
+ranks (docs/explanation/rigid-bodies.md). The quanta are for sums far larger than what touches a
+body, so that what they leave of a term is summed too, in whole numbers of smaller quanta.
 
 References:
     Batty, Bertails, Bridson (2007): A fast variational framework for accurate solid-fluid coupling.
@@ -22,6 +23,7 @@ from vgmpi.runtime.jit import device_function, kernel
 
 # 21 of a symmetric matrix, 6 of the right-hand side, nodes that changed their state, nodal mass
 SUMS = 29
+REMAINDER = 2.0**-36  # [quanta] quantum of what rounding to whole quanta leaves of a term
 
 
 @device_function
@@ -74,6 +76,20 @@ def _coupled_masses(contacts, q, fraction):
 
 
 @device_function
+def _add_term(sums, place, term, quantum):
+    """Add a term to a sum in whole quanta, and its remainder; sums: (n, 2)."""
+    units = np.rint(term / quantum)
+    sums[place, 0] += np.int64(units)
+    sums[place, 1] += np.int64(np.rint((term - units * quantum) / (REMAINDER * quantum)))
+
+
+@device_function
+def _total(sums, place, quantum):
+    """Return a sum of `_add_term`."""
+    return (sums[place, 0] + sums[place, 1] * REMAINDER) * quantum
+
+
+@device_function
 def _add_traction(sums, quanta, push, r):
     """Add what a body gives for an impulse on a node to its right-hand side; push: (3,)."""
     term = (
@@ -81,7 +97,7 @@ def _add_traction(sums, quanta, push, r):
         r[0] * push[2] - r[2] * push[0], r[1] * push[0] - r[0] * push[1],
     )  # fmt: skip
     for a in range(6):
-        sums[21 + a] += np.int64(np.rint(term[a] / quanta[21 + a]))
+        _add_term(sums, 21 + a, term[a], quanta[21 + a])
 
 
 @kernel
@@ -93,7 +109,7 @@ def sum_contacts(count, contacts, v, quanta, sums):
         contacts: NodeContacts; their sticking fractions follow from `v` (in/out).
         v: Velocities and angular velocities of the bodies, shape (m, 6).
         quanta: Quanta of the sums, shape (29,).
-        sums: Whole numbers of quanta, shape (m, 29) int64 (in/out).
+        sums: Whole numbers of quanta and of remainders, shape (m, 29, 2) int64 (in/out).
     """
     u, g, h = np.zeros(3), np.zeros((3, 6)), np.zeros((3, 6))
     for q in range(count):
@@ -103,10 +119,10 @@ def sum_contacts(count, contacts, v, quanta, sums):
         if contacts.counts[q] == 0:
             continue
         k, n, r = contacts.body[q], contacts.normal[q], contacts.foot[q]
-        sums[k, 28] += np.int64(np.ceil(contacts.nodal_mass[q] / quanta[28]))
+        sums[k, 28, 0] += np.int64(np.ceil(contacts.nodal_mass[q] / quanta[28]))
         if _take_traction(contacts, q, u):
             _add_traction(sums[k], quanta, u, r)
-        sums[k, 27] += abs(was - fraction) > 1e-3
+        sums[k, 27, 0] += abs(was - fraction) > 1e-3
         along_mass, across_mass = _coupled_masses(contacts, q, fraction)
         if along_mass == 0.0 and across_mass == 0.0:
             continue
@@ -123,12 +139,12 @@ def sum_contacts(count, contacts, v, quanta, sums):
         for a in range(6):
             for c in range(a, 6):
                 term = g[0, a] * h[0, c] + g[1, a] * h[1, c] + g[2, a] * h[2, c]
-                sums[k, place] += np.int64(np.rint(term / quanta[place]))
+                _add_term(sums[k], place, term, quanta[place])
                 place += 1
         s = contacts.velocity[q]
         for a in range(6):
             term = h[0, a] * s[0] + h[1, a] * s[1] + h[2, a] * s[2]
-            sums[k, 21 + a] += np.int64(np.rint(term / quanta[21 + a]))
+            _add_term(sums[k], 21 + a, term, quanta[21 + a])
 
 
 @kernel
@@ -136,7 +152,7 @@ def solve_velocities(sums, quanta, mass, inertia, before, v):
     """Solve for the velocities of the bodies with the nodes that touch them.
 
     Args:
-        sums: Whole numbers of quanta over all ranks, shape (m, 29).
+        sums: Whole numbers of quanta and of remainders over all ranks, shape (m, 29, 2).
         quanta: Quanta of the sums, shape (29,).
         mass: Masses, shape (m,) [kg].
         inertia: Inertia tensors in the domain's axes, shape (m, 3, 3) [kg m2].
@@ -147,8 +163,8 @@ def solve_velocities(sums, quanta, mass, inertia, before, v):
     for k in range(len(mass)):
         condensed_matrix(sums[k], quanta, mass[k], inertia[k], A)
         for a in range(3):
-            x[a] = sums[k, 21 + a] * quanta[21 + a] + mass[k] * before[k, a]
-            x[3 + a] = sums[k, 24 + a] * quanta[24 + a]
+            x[a] = _total(sums[k], 21 + a, quanta[21 + a]) + mass[k] * before[k, a]
+            x[3 + a] = _total(sums[k], 24 + a, quanta[24 + a])
             for c in range(3):
                 x[3 + a] += inertia[k, a, c] * before[k, 3 + c]
         solve_symmetric(A, x)
@@ -161,7 +177,7 @@ def condensed_matrix(sums, quanta, mass, inertia, out):
     """Compute the matrix of a body with the nodes that touch it.
 
     Args:
-        sums: Whole numbers of quanta of the body, shape (29,).
+        sums: Whole numbers of quanta and of remainders of the body, shape (29, 2).
         quanta: Quanta of the sums, shape (29,).
         mass: Mass [kg].
         inertia: Inertia tensor in the domain's axes, shape (3, 3) [kg m2].
@@ -170,7 +186,7 @@ def condensed_matrix(sums, quanta, mass, inertia, out):
     place = 0
     for a in range(6):
         for c in range(a, 6):
-            out[a, c] = out[c, a] = sums[place] * quanta[place]
+            out[a, c] = out[c, a] = _total(sums, place, quanta[place])
             place += 1
     for a in range(3):
         out[a, a] += mass
@@ -215,7 +231,7 @@ def apply_impulses(count, contacts, v, velocities, quanta, impulses):
         velocities: Nodal velocities and masses, shape (node blocks, 256) (in/out).
         quanta: Quanta of an impulse and of a moment, shape (2,).
         impulses: Impulses on the nodes and their moments about the bodies' centers in whole numbers
-            of quanta, shape (m, 6) int64 (in/out).
+            of quanta and of remainders, shape (m, 6, 2) int64 (in/out).
     """
     u, push = np.zeros(3), np.zeros(3)
     for q in range(count):
@@ -244,5 +260,5 @@ def apply_impulses(count, contacts, v, velocities, quanta, impulses):
             r[0] * push[1] - r[1] * push[0],
         )
         for c in range(3):
-            impulses[k, c] += np.int64(np.rint(push[c] / quanta[0]))
-            impulses[k, 3 + c] += np.int64(np.rint(moment[c] / quanta[1]))
+            _add_term(impulses[k], c, push[c], quanta[0])
+            _add_term(impulses[k], 3 + c, moment[c], quanta[1])

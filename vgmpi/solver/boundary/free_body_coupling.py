@@ -114,22 +114,24 @@ class FreeBodyCoupling:
         )  # fmt: skip
         before, inertia = bodies.v.copy(), bodies.turned_inertia()
         for k in range(MAX_ROUNDS):
-            sums = np.zeros((len(bodies.rows), free_coupling.SUMS), np.int64)
+            sums = np.zeros((len(bodies.rows), free_coupling.SUMS, 2), np.int64)
             free_coupling.sum_contacts(count, self.contacts, bodies.v, quanta, sums)
             sums = self.ranks.sum(sums)
-            if k and not sums[:, 27].any():
+            if k and not sums[:, 27, 0].any():
                 break
             free_coupling.solve_velocities(sums, quanta, bodies.mass, inertia, before, bodies.v)
             if self.joints is not None:
                 self.joints.constrain(sums, quanta, inertia)
-        touching = max(float(sums[:, 28].max() * mass), mass)
+        touching = max(float(sums[:, 28, 0].max() * mass), mass)
         unit = float(next_power_of_two(touching * speed)) * 2.0**-IMPULSE_BITS
-        impulses = np.zeros((len(bodies.rows), 6), np.int64)
+        impulses = np.zeros((len(bodies.rows), 6, 2), np.int64)
         units = np.array([unit, unit * arm])
         free_coupling.apply_impulses(
             count, self.contacts, bodies.v, engine.layers["momentum"].nodes, units, impulses
         )
-        total = self.ranks.sum(impulses) * units[[0, 0, 0, 1, 1, 1]]
+        impulses = self.ranks.sum(impulses)
+        total = impulses[..., 0] + impulses[..., 1] * free_coupling.REMAINDER
+        total *= units[[0, 0, 0, 1, 1, 1]]
         bodies.momentum -= total[:, :3]
         bodies.spin -= total[:, 3:]
         if self.joints is not None:
@@ -217,7 +219,7 @@ def free_body_coupling(
     Args:
         plan: Plan of the run.
         movers: Moving colliders, or None.
-        engine: CPU engine.
+        engine: Engine.
         ranks: Communicator.
         pins: Pinned parts, or None.
     """

@@ -152,7 +152,7 @@ class PinnedParts(MovingColliders):
         """Find the nodes of parts that free rigid bodies hold; return their number.
 
         Args:
-            engine: CPU engine.
+            engine: Engine.
             bodies: Centers of the bodies, shape (m, 3) [m].
             counts: 1 at the nodes that this rank counts, shape (blocks, 64).
             contacts: NodeContacts (out).
@@ -171,7 +171,7 @@ class PinnedParts(MovingColliders):
         """Change the velocities of the nodes next to parts in a step.
 
         Args:
-            engine: CPU engine.
+            engine: Engine.
             dt: Time step [s].
         """
         engine.each(self._apply, engine, self.fields(engine), dt)

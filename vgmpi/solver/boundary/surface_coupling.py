@@ -2,12 +2,10 @@
 
 import numpy as np
 
-from vgmpi.kernels.reproducible_sums import finalize_field
 from vgmpi.kernels.rigid import surface_slip
 from vgmpi.kernels.rigid.body_nodes import SlipLaw
 from vgmpi.parallel.exchange_topology import GRADIENTS, ExchangeTopology
 from vgmpi.planning.plan import Plan
-from vgmpi.solver.engines.nodal_field_storage import fields_near_colliders
 
 from .free_body_coupling import FreeBodyCoupling
 from .pinned_coupling import PinnedParts
@@ -22,7 +20,7 @@ class SurfaceSlip:
         Args:
             plan: Plan of the run; it has slip lengths.
             solids: Colliders at the nodes.
-            engine: CPU engine.
+            engine: Engine.
         """
         assert plan.slip is not None
         self.plan, self.solids, self.engine = plan, solids, engine
@@ -84,14 +82,13 @@ def couple_surfaces(
     """
     if slip is None and pins is None and bodies is None:
         return
-    for name in fields_near_colliders(engine.plan):
-        number = list(engine.layers).index(name)
-        finalize_field(engine.blocks, engine.layers[name].tables, engine.beyond[0], number)
+    engine.begin_coupling()
     if slip is not None:
         slip.apply(dt)
     if pins is not None:
         pins.apply(engine, dt)
     if bodies is not None:
         bodies.advance(dt, gravity)
+    engine.end_coupling()
     if pins is not None:
         pins.end_step(dt)

@@ -38,7 +38,7 @@ from .group_context import (
     particles_of,
 )
 from .kernel_caller import KernelCaller
-from .nodal_field_storage import NodalField, color_count, nodal_fields
+from .nodal_field_storage import NodalField, color_count, fields_near_colliders, nodal_fields
 from .plan_tables import phase_sets, phase_table, wall_table
 from .reaction_sums import ReactionAccumulators
 from .shift_tables import node_fill, with_colliders
@@ -148,19 +148,14 @@ class Cpu(KernelCaller):
         if self.reactions is not None:
             self.reactions.set_topology(tables)
             self.room = self.reactions.attach_to_workspaces(self.room)
-        self.parts = [
-            group_context(
-                self.plan,
-                group,
-                tables,
-                group_rows,
-                target[group_rows],
-                partition,
-                self._mirror(group),
-                self.reactions,
+        self.parts = []
+        for group, own, partition in zip(self.groups, rows, partitions, strict=True):
+            mirror = self._mirror(group)
+            self.parts.append(
+                group_context(
+                    self.plan, group, tables, own, target[own], partition, mirror, self.reactions
+                )
             )
-            for group, group_rows, partition in zip(self.groups, rows, partitions, strict=True)
-        ]
 
     @staticmethod
     def grown_nodes(values, rows: int):
@@ -287,6 +282,15 @@ class Cpu(KernelCaller):
                 (), color.average_over_phases, blocks, self.blocks, layer.tables, self.sets,
                 self.beyond[thread], len(layers) - len(self.hues) + k,
             )  # fmt: skip
+
+    def begin_coupling(self) -> None:
+        """Convert the sums of the fields near colliders and pinned parts to numbers."""
+        for number, (name, field) in enumerate(self.layers.items()):
+            if name in fields_near_colliders(self.plan):
+                reproducible_sums.finalize_field(self.blocks, field.tables, self.beyond[0], number)
+
+    def end_coupling(self) -> None:
+        """Do nothing: the nodes have their velocities."""
 
     def gather(self, step: int) -> StepReport:
         """Transfer grid velocities to the particles and advect them."""

@@ -4,6 +4,9 @@ A step calls, in this order:
 
     begin, fill(border), pack ... fill(inner), update(inner) ... add, update(border), gather
 
+With rigid surfaces that couple with the grid, `begin_coupling` and `end_coupling` come before
+`gather`.
+
 A step of no time (dt = 0) only passes velocities through the grid, and ends with `restore` in the
 place of `gather`.
 
@@ -157,6 +160,15 @@ class Engine(Protocol):
 
     def update(self, border: bool) -> None:
         """Compute velocities at the nodes shared with other ranks (border), or at all others."""
+
+    def begin_coupling(self) -> None:
+        """Prepare the nodes for the kernels of slip, pinned parts and free rigid bodies.
+
+        These read and change `layers`, `blocks`, `phases`, `walls` and `room` of the engine.
+        """
+
+    def end_coupling(self) -> None:
+        """Take the nodal velocities that these kernels have changed."""
 
     def gather(self, step: int) -> StepReport:
         """Transfer grid velocities to the particles, advect them and return the report."""

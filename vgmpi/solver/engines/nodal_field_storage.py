@@ -165,7 +165,7 @@ def contributions(
                 "shear", surface_velocity_gradient.kind(plan, group), contributes["shear"]
             )
         )
-    for axis, name in enumerate(_near_colliders(plan, group)):
+    for axis, name in enumerate(near_colliders_of_group(plan, group)):
         kind = velocity_gradient.kind(plan, group, axis) if axis < 3 else mean_pressure.kind(plan)
         result.append(FieldContribution(name, kind, contributes[name]))
     for k in range(group.coefficients):
@@ -184,11 +184,11 @@ def fields_near_colliders(plan: Plan) -> tuple[str, ...]:
     return GRADIENTS if plan.slip is not None or plan.pins else ()
 
 
-def _near_colliders(plan: Plan, group: GroupPlan) -> tuple[str, ...]:
+def near_colliders_of_group(plan: Plan, group: GroupPlan) -> tuple[str, ...]:
     """Return those of these fields to which a group contributes."""
     slips = plan.slip is not None and plan.slip.phases[group.phase]
     is_pinned = any(part.phase == group.phase for part in plan.pins)
-    if group.driven or not (plan.free_bodies or slips or is_pinned):
+    if group.is_carried or not (plan.free_bodies or slips or is_pinned):
         return ()
     return fields_near_colliders(plan)
 

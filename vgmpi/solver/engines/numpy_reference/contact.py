@@ -32,6 +32,7 @@ from vgmpi.planning.plan import Plan
 
 from .dense_grid import Dense
 from .reaction_impulses import ReactionSums
+from .sided_walls import ThinWalls
 
 NO_CONTACT = None, np.zeros(3), np.zeros(4), 1.0  # no rigid body takes part in a pair of phases
 
@@ -59,7 +60,10 @@ class Contact:
         self.plan, self.dx, self.shape = plan, plan.dx, dense.shape
         self.collider, self.moves = np.zeros((0, 4)), np.zeros((*dense.shape, 3))
         self.friction = np.zeros((0, 0))
-        self.near = np.zeros(dense.shape, bool)  # nodes close to a collider
+        self.near = np.zeros(dense.shape, bool)  # nodes close to a collider that is no free body
+        self.is_free = np.zeros(0, bool)  # of the colliders, or empty
+        self.pinned: np.ndarray | None = None  # (phases, ...) bool: next to a pinned part
+        self.thin: ThinWalls | None = None
         self.planes, self.active_planes = np.zeros(dense.shape, int), plan.planes
         self._count_planes()
         self.least = np.array([CONTACT_MASS_FLOOR * phase.least for phase in plan.phases])
@@ -83,6 +87,8 @@ class Contact:
         self.collider = collider.reshape(*self.shape, 4)
         self.whose = whose.reshape(self.shape)
         self.near = self.collider[..., 3] < SDF_BAND_CELLS * self.dx
+        if len(self.is_free):  # free bodies couple after all others
+            self.near &= ~self.is_free[self.whose]
         if moves is not None:
             self.moves = moves.reshape(*self.shape, 3)
 
@@ -198,6 +204,8 @@ class Contact:
                     continue
                 if plan.phases[p].driven and plan.phases[p_other].driven:
                     continue
+                if self.thin is not None and self.thin.are_apart(p, p_other, node):
+                    continue
                 first = plan.phases[p].contact_priority < plan.phases[p_other].contact_priority
                 a, b = (p, p_other) if first else (p_other, p)
                 n = _normal(sides[a], sides[b])
@@ -227,10 +235,14 @@ class Contact:
             for b in phases:
                 if plan.phases[b].driven:
                     continue
+                if acts_on_fluid and self.pinned is not None and self.pinned[b, *node]:
+                    continue  # colliders do not touch bodies next to pinned parts
                 if sides[b].is_present and (acts_on_fluid or sides[b].has_surface):
-                    outward = np.array(n)
+                    outward, depth = np.array(n), distance
+                    if acts_on_fluid and self.thin is not None:
+                        outward, depth = self.thin.face(b, node, outward, distance)
                     yield (
-                        None, b, outward, distance / self.dx, sides[b].distance(-outward),
+                        None, b, outward, depth / self.dx, sides[b].distance(-outward),
                         friction[b], plan.stiff[b], body,
                     )  # fmt: skip
 

@@ -89,6 +89,13 @@ class Dense:
         """Return the positions of all nodes, shape (n, 3) [m]."""
         return np.stack(np.meshgrid(*self.nodes, indexing="ij"), -1).reshape(-1, 3) * self.dx
 
+    def nodes_of_blocks(self, block: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+        """Return which of the 64 nodes of blocks (n, 3) are in the arrays, and their indices."""
+        node = np.stack(np.unravel_index(np.arange(BLOCK_EDGE**3), (BLOCK_EDGE,) * 3), -1)
+        index = BLOCK_EDGE * block[:, None] + node  # the arrays begin at node -1, as block 0 does
+        inside: np.ndarray = np.all((index >= 0) & (index < self.shape), axis=2)
+        return inside, tuple(index[inside].T)
+
     # ---- particles to nodes ----------------------------------------------------------------------
 
     def sum(self, out: np.ndarray, stencil: Stencil, values: np.ndarray, slopes=None) -> None:

@@ -22,6 +22,7 @@ from vgmpi.solver.engines.shift_tables import node_fill
 from .dense_grid import Dense, Stencil
 from .group_channels import get_channel, put_channel
 from .moving_colliders import distance_from_colliders
+from .sided_walls import ThinWalls
 
 
 class ParticleShifting:
@@ -49,23 +50,38 @@ class ParticleShifting:
             self.dense.fold(None, mass[p])
 
     def nodal_fullness(
-        self, mass: np.ndarray, movers: MovingColliders | None, at_rest: np.ndarray
-    ) -> np.ndarray | None:
+        self, mass: np.ndarray, movers: MovingColliders | None, at_rest: np.ndarray,
+        thin: ThinWalls | None,
+    ) -> np.ndarray | None:  # fmt: skip
         """Return the part of each node's cell that is filled, with its images at mirroring walls.
 
         Args:
             mass: Nodal masses [kg] or rest volumes [m3] of the phases, shape (phases, ..., 1).
             movers, at_rest: Colliders, see `distance_from_colliders`.
+            thin: Thin walls among them, or None; a wall is a half space for either of its sides.
 
         Returns:
-            Fullness, shape (..., 1), or None if no particles are shifted now.
+            Fullness that each phase sees, shape (phases, ..., 1), or None if no particles are
+            shifted now.
         """
         if self.constants is None or self.table is None:
             return None
-        fullness = np.einsum("p,p...->...", self.table.space.astype(np.float64), mass)
-        fullness = self.dense.complete_wall_mass(fullness)
-        free = self._share_outside_walls()
+        filled = np.einsum("p,p...->p...", self.table.space.astype(np.float64), mass)
+        if thin is not None:
+            sides = [self._fullness(*thin.seen_from(side, filled)) for side in (-1, 0, 1)]
+            return np.stack([sides[side + 1] for side in thin.side])
         distance = distance_from_colliders(movers, self.dense, at_rest)
+        return np.stack([self._fullness(filled.sum(0), distance)] * len(mass))
+
+    def _fullness(self, filled: np.ndarray, distance: np.ndarray | None) -> np.ndarray:
+        """Return the fullness of nodes, shape (..., 1).
+
+        Args:
+            filled: Part of the cells that particles fill, shape (..., 1).
+            distance: Distance of the nodes from colliders [m], or None without.
+        """
+        fullness = self.dense.complete_wall_mass(filled)
+        free = self._share_outside_walls()
         if distance is not None:
             free = free * (1.0 - half_space_share(distance.reshape(free.shape) / self.dense.dx))
         fullness = fullness + (1.0 - free)[..., None]

@@ -4,7 +4,6 @@ import numpy as np
 
 from vgmpi.kernels.rigid.prescribed_motion import (
     EFFECTIVE_MASS_FACTOR,
-    PrescribedBodies,
     PrescribedSteps,
 )
 from vgmpi.kernels.transfer.g2p import OUT_OF_DOMAIN
@@ -32,20 +31,24 @@ def prescribe(
         heavy[p] *= EFFECTIVE_MASS_FACTOR
 
 
-def carry(group: ParticleGroup, driven: PrescribedBodies, dt: float, step: int) -> StepReport:
-    """Advect the particles of a prescribed body and return the report.
+def carry(
+    group: ParticleGroup, motion: PrescribedSteps, row: int, dx: float, dt: float, step: int
+) -> StepReport:
+    """Advect the particles of a body with a given motion and return the report.
 
     Args:
         group: Particles of the body (in/out).
-        driven: Prescribed bodies.
+        motion: Displacements of a step.
+        row: Row of the body among them, -1 if it is at rest.
+        dx: Cell size [m].
         dt: Length of the step [s].
         step: Number of the step, for the dither.
     """
-    p, index, dx = group.plan.phase, group.index(), driven.dx
-    if p not in driven.phases:
+    index = group.index()
+    if row < 0:
         return StepReport(0.0, 0.0, (0.0,) * 3, [], [])
-    turn, motion = driven.ways.turn[p], driven.ways
-    v = (group.positions() - motion.about[p]) @ turn.T + motion.shift[p]
+    turn = motion.turn[row]
+    v = (group.positions() - motion.about[row]) @ turn.T + motion.shift[row]
     dither = np.array([d * step % 1.0 for d in DITHER])
     units = np.floor(2.0**group.bits * (dt / dx) * v + dither)
     group.xi[:, index] += units.T.astype(group.xi.dtype)

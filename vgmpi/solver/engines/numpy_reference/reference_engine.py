@@ -11,29 +11,23 @@ from typing import Any
 import numpy as np
 
 from vgmpi.kernels.grid.mixture_coupling import MIN_POROSITY
-from vgmpi.kernels.nodal_fields.surface_distance import MAX_DEPTH_CELLS
 from vgmpi.kernels.rigid.moving_colliders import MovingColliders
 from vgmpi.kernels.rigid.prescribed_motion import PrescribedBodies
 from vgmpi.kernels.rigid.static_colliders import StaticColliders
 from vgmpi.kernels.step_limits import (
-    J_MAX,
-    J_MIN,
-    MAX_CELLS_PER_STEP,
-    MAX_VOLUME_STRAIN_PER_STEP,
     NODE_MASS_FLOOR,
 )
-from vgmpi.kernels.transfer import g2p
 from vgmpi.kernels.transfer.auxiliary_gather import OVERFILL_RELAXATION_RATE
 from vgmpi.kernels.transfer.particle_shifting import ShiftConstants
 from vgmpi.materials.material import law_function
-from vgmpi.parallel.block_lattice import BLOCK_EDGE, BlockLattice
+from vgmpi.parallel.block_lattice import BlockLattice
 from vgmpi.parallel.exchange_topology import ExchangeTopology
 from vgmpi.parallel.halo_exchange import FieldMessage
 from vgmpi.parallel.particle_group import ParticleGroup
-from vgmpi.planning.particle_channels import CURVATURE_TO_FULL
 from vgmpi.planning.plan import Plan
-from vgmpi.solver.engines.engine_protocol import DITHER, AccumulatorOverflow, StepReport
+from vgmpi.solver.engines.engine_protocol import AccumulatorOverflow, StepReport
 
+from .advection import advect
 from .cell_dilatation import cell_divergence, sum_cell_pressure, with_divergence
 from .contact import Contact
 from .dense_grid import Dense, Stencil, stencil_of
@@ -51,9 +45,12 @@ from .moving_colliders import nearest_collider
 from .particle_shifting import ParticleShifting
 from .prescribed_motion import carry, prescribe
 from .reaction_impulses import ReactionSums, WallRecorder
+from .resolved_surfaces import resolved_surface
+from .sided_walls import ThinWalls
+from .surface_nodes import SurfaceNodes
 
 
-class Numpy:
+class Numpy(SurfaceNodes):
     """Particles and nodes of the domain; see solver/engines/engine_protocol.py."""
 
     words = 1
@@ -63,13 +60,17 @@ class Numpy:
         threads: int = 1,
         driven: PrescribedBodies | None = None,
     ):  # fmt: skip
+        super().__init__(plan, Dense(plan))
         self.driven = driven
-        self.pins: Any = None  # a run with pinned parts is refused
-        self.plan, self.dense = plan, Dense(plan)
+        self.pins: Any = None  # pinned parts of bodies, set by the simulation
         self.groups = [ParticleGroup(group, lattice, plan.real) for group in plan.groups]
         self.contact = Contact(plan, self.dense)
         self.contact.ways = self.contact.ways if driven is None else driven.ways
+        self.contact.is_free = getattr(solids, "is_free", self.contact.is_free)
+        self.thin: ThinWalls | None = None
         self.movers = solids if isinstance(solids, MovingColliders) else None
+        if plan.sides is not None and self.movers is not None:
+            self.thin = self.contact.thin = ThinWalls(plan, self.movers, self.dense)
         if isinstance(solids, StaticColliders):
             self.contact.set_rigid(*solids.surface(self.dense.points()))
         self.sharing = None if plan.rules is None else MixtureCoupling(plan.rules, self.dense)
@@ -79,6 +80,7 @@ class Numpy:
 
     def open(self, wall: int) -> None:
         """Remove a wall that has vanished."""
+        self.remove_wall(wall)
         axis, side = divmod(wall, 2)
         kind, _ = self.dense.walls[wall]
         self.dense.walls = tuple(
@@ -94,11 +96,12 @@ class Numpy:
             rows, quanta, rank: See `Engine.enable_reactions`.
         """
         self.sums = self.contact.given = ReactionSums(self.plan, self.dense, rows, quanta)
+        self.sum_reactions(rows, quanta, rank)
 
     def given(self) -> np.ndarray:
         """Return the reactions summed since the last call, shape (rows, 7) int64."""
         assert self.sums is not None
-        return self.sums.take()
+        return self.sums.take() + self.take_reactions()
 
     def _record(self, p: int, share: float, mass: np.ndarray | None = None) -> WallRecorder | None:
         """Return the recorder of wall reactions on a phase, None where not requested."""
@@ -109,6 +112,7 @@ class Numpy:
         """Mark the particles whose stress impulse is summed separately, after a sort."""
         if tables.shared:
             raise RuntimeError("the numpy engine runs on one rank")
+        self.set_node_blocks(tables)
         split = tables.contributes.get("impulses", np.zeros(len(tables.code), bool))
         self.split = [  # (particles,) bool by group
             np.repeat(split[tables.group == g], group.count) for g, group in enumerate(self.groups)
@@ -145,9 +149,11 @@ class Numpy:
         )
         count = max(group.coefficients for group in self.plan.groups)
         self.hues = np.zeros((count, n, *shape, 4))
+        self.begin_fields()
         self.stencils = [stencil_of(group, self.plan.dx) for group in self.groups]
         for g, group in enumerate(self.groups):
-            self._contribute(group, self.stencils[g], self.split[g])
+            if not group.plan.pinned:
+                self._contribute(group, self.stencils[g], self.split[g])
         for p in range(n):
             self.dense.fold(self.momentum[p], self.mass[p], recorder=self._record(p, self.mirrors))
             self.dense.fold(self.forces[p], None, recorder=self._record(p, 1.0))
@@ -177,7 +183,7 @@ class Numpy:
             dense.sum_forces(self.forces[p], stencil, np.where(separate, tau, 0.0))
             dense.sum(self.counted[p], stencil, np.where(split, J * vol0[:, 0], 0.0)[:, None])
         if plan.surface:
-            normal, distance, curve, certainty = self._surface(group)
+            normal, distance, curve, certainty = resolved_surface(group, self.plan.dx)
             certainty = (m * certainty)[:, None]
             dense.sum(self.offset[p], stencil, certainty * normal, certainty[:, None] * curve)
             distance_moment = m[:, None] * distance[:, None]
@@ -190,28 +196,11 @@ class Numpy:
             # offset of the particle as seen from the node
             zeros = np.zeros((len(m), 3))
             dense.sum(self.offset[p], stencil, zeros, -volume[:, :, None] * np.eye(3))
+        self.add_to_fields(group, stencil, self.dt)
         for k in range(plan.coefficients):
             color = get_channel(group, "color")[:, 3 * k : 3 * k + 3]
             rows = (J * vol0[:, 0])[:, None] * np.column_stack([color, np.ones(len(m))])
             dense.sum(self.hues[k, p], stencil, rows)
-
-    def _surface(self, group: ParticleGroup) -> tuple[np.ndarray, ...]:
-        """Return normals, signed distances [m], normal gradients [1/m] and certainties."""
-        reference = get_channel(group, "surface")
-        certainty = np.linalg.norm(reference[:, :3], axis=1)
-        curvature = reference[:, CURVATURE_TO_FULL].reshape(-1, 3, 3)
-        F = np.eye(3) + get_channel(group, "F" if group.plan.tracks_deformation else "H").reshape(
-            -1, 3, 3
-        )
-        F_inv = np.linalg.inv(F)
-        covector = np.einsum("nba,nb->na", F_inv, reference[:, :3])  # F^-T n0
-        size = np.linalg.norm(covector, axis=1)
-        some, max_depth = size > 0, MAX_DEPTH_CELLS * self.plan.dx
-        normal = np.where(some[:, None], covector / np.where(some, size, 1.0)[:, None], 0.0)
-        stretch = np.where(some, certainty / np.where(some, size, 1.0), 0.0)  # 1 / |F^-T n0|
-        current_curvature = np.einsum("nba,nbc,ncd->nad", F_inv, curvature, F_inv)  # F^-T K0 F^-1
-        distance = np.clip(stretch * reference[:, 3], -max_depth, max_depth)
-        return normal, distance, stretch[:, None, None] * current_curvature, certainty
 
     def update(self, border: bool) -> None:
         """Compute nodal velocities (gravity, couplings, contact, walls) and mean colors."""
@@ -228,13 +217,14 @@ class Numpy:
         if not self.dt:
             groups = None if plan.rules is None else plan.rules.as_one
             self.v = summed if groups is None else mean_velocities(summed, mass, groups)
+            if self.thin is not None:
+                self.thin.place()
+                self.thin.average(self.v, self.mass[..., 0])
             for p, phase in enumerate(plan.phases):
                 dense.mirror(self.v[p], phase.surface, self._record(p, self.mirrors))
             return
         v = np.where(some, summed + self.dt * self.gravity, 0.0)
-        if self.movers is not None:
-            points = self.dense.points()
-            self.contact.set_rigid(*nearest_collider(self.movers.table, points, self.dt, plan.dx))
+        self._place_colliders()
         self.contact.along_walls(self.offset)
         if plan.keeps is not None:  # phases that do not share their pressure
             by_itself = np.ones(len(v), bool)
@@ -246,6 +236,10 @@ class Numpy:
         if self.sharing is not None:
             volumes = self.sharing.volumes(mass, counted)
             self.drift = self.sharing.apply(v, mass, self.forces, volumes, self.offset, self.dt)
+        if self.thin is not None:
+            mass = self.mass[..., 0].copy()
+            self.thin.unite(v, mass, self.offset, self.volume)
+            some = mass[..., None] > 0
         heavy = mass.copy()
         if self.driven is not None:
             prescribe(v, heavy, self.driven.ways, dense.points(), plan.dx)
@@ -253,18 +247,35 @@ class Numpy:
         self.contact_count = self.contact.apply(v, mass, heavy, self.offset, volume, slope, self.dt)
         for p, phase in enumerate(plan.phases):
             dense.constrain(v[p], phase.surface, self._record(p, 1.0, mass[p]))
+        if self.thin is not None:
+            self.thin.part(v)
         if self.sharing is not None:
             self.flux, self.share, self.full = self.sharing.flux(v, mass, volumes)
             v = v - self.drift
         if plan.keeps is not None:
             self.change = v - summed
         self.v = v
-        for fields, share in self._gathered_fields():
-            for p, phase in enumerate(plan.phases):
-                recorder = self._record(p, share) if share else None
-                dense.mirror(fields[p], phase.surface, recorder)
         if plan.colors is not None:
             self._blend(plan.colors.set_of)
+
+    def _place_colliders(self) -> None:
+        """Tell the contact where moving colliders, thin walls and pinned parts are."""
+        if self.thin is not None:
+            self.thin.place()
+            self.contact.set_rigid(self.thin.collider, self.thin.whose, self.thin.moves)
+        elif self.movers is not None:
+            table, points = self.movers.table, self.dense.points()
+            self.contact.set_rigid(*nearest_collider(table, points, self.dt, self.plan.dx))
+        if self.pins is not None:
+            self.contact.pinned = self.dense_marks(self.pins.marks)
+
+    def begin_coupling(self) -> None:
+        """Copy what kernels of rigid surfaces need to node blocks."""
+        self.copy_to_blocks(self.v, self.mass, self.offset, self.volume)
+
+    def end_coupling(self) -> None:
+        """Copy the velocities that these kernels have changed from node blocks."""
+        self.copy_from_blocks(self.v)
 
     def _gathered_fields(self) -> list[tuple[np.ndarray, float]]:
         """Return the velocity fields that particles gather, and the share they take of each."""
@@ -286,6 +297,10 @@ class Numpy:
 
     def gather(self, step: int) -> StepReport:
         """Update velocities, gradients, states and positions; return what bounds the next step."""
+        for fields, share in self._gathered_fields():
+            for p, phase in enumerate(self.plan.phases):
+                recorder = self._record(p, share) if share else None
+                self.dense.mirror(fields[p], phase.surface, recorder)
         reports = [self._gather(*each, step) for each in zip(self.groups, self.stencils, self.split,
                                                              strict=True)]  # fmt: skip
         failed = [row for report in reports for row in report.wrong]
@@ -297,16 +312,18 @@ class Numpy:
     def restore(self, times: int) -> list[AccumulatorOverflow]:
         """Add `times` the motion that a step of no time has taken from the particles."""
         self.shifting.replace_mass(self.mass, self.groups, self.stencils)
-        fullness = self.shifting.nodal_fullness(self.mass, self.movers, self.contact.collider)
+        fullness = self.shifting.nodal_fullness(
+            self.mass, self.movers, self.contact.collider, self.thin
+        )
         for group, stencil in zip(self.groups, self.stencils, strict=True):
-            if len(group) and not group.plan.driven:
+            if len(group) and not group.plan.is_carried:
                 field, dense = self.v[group.plan.phase], self.dense
                 L = dense.gather_slopes(field, stencil).reshape(-1, 9)
                 for name, gathered in (("v", dense.gather(field, stencil)), ("C", L)):
                     current = get_channel(group, name)
                     put_channel(group, name, current + times * (current - gathered))
                 if fullness is not None and group.plan.shifts:
-                    self.shifting.apply(group, stencil, fullness)
+                    self.shifting.apply(group, stencil, fullness[group.plan.phase])
         return []
 
     def _gather(
@@ -315,9 +332,10 @@ class Numpy:
         plan, dense, p = group.plan, self.dense, group.plan.phase
         if not len(split):
             return StepReport(0.0, 0.0, (0.0,) * 3, [], [])
-        if plan.driven:
-            assert self.driven is not None
-            return carry(group, self.driven, self.dt, step)
+        if plan.is_carried:
+            carrier: Any = self.pins if plan.pinned else self.driven
+            row = -1 if carrier is None else carrier.row_of_group(self.groups.index(group), p)
+            return carry(group, carrier.ways, row, dense.dx, self.dt, step)
         for k in range(plan.coefficients):
             color = get_channel(group, "color")
             color[:, 3 * k : 3 * k + 3] = dense.gather(self.hues[k, p], stencil)[:, :3]
@@ -345,7 +363,7 @@ class Numpy:
             F = np.eye(3) + get_channel(group, "F").reshape(-1, 3, 3)
             C = get_channel(group, "C").reshape(-1, 3, 3)
             put_channel(group, "F", (F + self.dt * C @ F - np.eye(3)).reshape(-1, 9))
-        return self._move(group, transport, trace, law, state, step)
+        return advect(group, self.plan, self.dt, transport, trace, law, state, step)
 
     def _strain(self, group, stencil, split, L) -> np.ndarray:
         """Return the strain rate with the mixture's volume flux; store the porosity.
@@ -362,36 +380,3 @@ class Numpy:
             put_channel(group, "share", porosity[:, None])
             rate = rate / porosity - OVERFILL_RELAXATION_RATE * np.maximum(full - 1.0, 0.0)
         return np.where(split[:, None, None], with_divergence(L, rate), L)
-
-    def _move(self, group, v, trace, law, state, step) -> StepReport:
-        dx, dt, index = self.plan.dx, self.dt, group.index()
-        J = np.broadcast_to(law_function(law, "volume_ratio")(law, state), trace.shape)
-        wave2 = np.broadcast_to(law_function(law, "wave_speed2")(law, state), trace.shape)
-        wave2 = wave2 * group.plan.slips
-        if group.plan.stores_porosity:
-            porosity = get_channel(group, "share")[:, 0]
-            wave2 = wave2 * (1.0 + (1.0 / porosity - 1.0) * group.plan.dense) + group.plan.stiff
-        shift = dt / dx * v
-        intact, tame = (J > J_MIN) & (J < J_MAX), (wave2 > -1.0) & (wave2 < g2p.FASTEST_WAVE**2)
-        slow = np.abs(shift).max(1) < 1.0
-        good = intact & tame & slow
-        dither = np.array([d * step % 1.0 for d in DITHER])
-        units = np.floor(2.0**group.bits * np.where(good[:, None], shift, 0.0) + dither)
-        group.xi[:, index] += units.T.astype(group.xi.dtype)
-        x = np.ldexp(group.xi[:, index].T.astype(np.float64), -group.bits)
-        position = x + BLOCK_EDGE * np.repeat(group.block, group.count, axis=0)
-        inside = ((position > -2.0) & (position < np.array(self.plan.cells) - 1.0)).all(1)
-        speed = np.linalg.norm(v, axis=1)
-        rates = (np.sqrt(np.maximum(wave2, 0.0)) + speed) / (self.plan.cfl * dx)
-        rates = np.maximum(
-            rates, np.maximum(speed / (MAX_CELLS_PER_STEP * dx), trace / MAX_VOLUME_STRAIN_PER_STEP)
-        )
-        reason = np.select(
-            [~intact, ~tame, ~slow, ~inside],
-            [g2p.INVALID_VOLUME, g2p.NOT_FINITE, g2p.CFL_EXCEEDED, g2p.OUT_OF_DOMAIN],
-            0,
-        )
-        failed = [(int(group.ids[index[k]]), int(reason[k])) for k in np.flatnonzero(reason)]
-        rate = float(np.where(good, rates, 0.0).max())
-        bounds = float(np.abs(v[good]).max(initial=0.0)), 0.0, 0.0
-        return StepReport(rate, float(np.abs(x).max()), bounds, failed, [])
