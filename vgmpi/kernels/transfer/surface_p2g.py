@@ -9,13 +9,8 @@ therefore have the same bits as if all particles contributed. Other nodes have p
 from typing import NamedTuple
 
 import numpy as np
-from numba import literal_unroll
 
-from vgmpi.kernels.nodal_fields import (  # noqa: F401  (contributions)
-    mean_pressure,
-    surface_distance,
-    velocity_gradient,
-)
+from vgmpi.kernels.nodal_fields import body_fields, surface_distance  # noqa: F401  (contributions)
 from vgmpi.kernels.nodal_fields.field_protocol import accumulate, particle_contribution
 from vgmpi.kernels.particle_records import (
     BATCH,
@@ -28,6 +23,7 @@ from vgmpi.kernels.particle_records import (
 from vgmpi.kernels.patch import clear
 from vgmpi.kernels.reproducible_sums import accumulate_patch_at
 from vgmpi.kernels.simd.vector16 import pointer
+from vgmpi.kernels.stencil_values import scatter_values
 from vgmpi.runtime.jit import device_function, kernel
 
 
@@ -35,7 +31,7 @@ class SurfaceStencils(NamedTuple):
     """Segments with particles next to surfaces, and what of them contributes in a step."""
 
     number: np.ndarray  # (segments,) row of each segment in the other tables
-    around: np.ndarray  # (n, 27) rows of the blocks around among those near colliders, or -1
+    neighbors: np.ndarray  # (n, 27) rows of the blocks around among those near colliders, or -1
     batch: np.ndarray  # (n + 1,) first batch of each
     interval: np.ndarray  # (batches, 2) first particle of a batch that contributes, last one + 1
     box: np.ndarray  # (n, 6) nodes that they touch, see particle_records.node_range
@@ -68,11 +64,11 @@ def flag_nodes(nodes, whose, free, free_reach, dx, flags):
 
 
 @device_function
-def _spread_flags(around, flags, stencil):
+def _spread_flags(neighbors, flags, stencil):
     """Compute which base nodes of a patch have a flagged node among their 27.
 
     Args:
-        around: Rows of the 27 blocks around, or -1.
+        neighbors: Rows of the 27 blocks neighbors, or -1.
         flags: Flags of the nodes, shape (blocks,).
         stencil: Bit 8 j + k of word i: base node (i, j, k) (out), shape (8,) uint64.
 
@@ -81,7 +77,7 @@ def _spread_flags(around, flags, stencil):
     """
     target = 0
     for k in range(27):
-        if around[k] >= 0 and flags[around[k]] != 0:
+        if neighbors[k] >= 0 and flags[neighbors[k]] != 0:
             target |= 1 << k
     stencil[:] = 0
     if target == 0:
@@ -96,11 +92,11 @@ def _spread_flags(around, flags, stencil):
                 continue
             shift, nodes = np.uint64((gi & 3) * 16 + (gj & 3) * 4), np.uint64(0)
             if (target >> row) & 1:
-                nodes |= (flags[around[row]] >> (shift + np.uint64(3))) & one
+                nodes |= (flags[neighbors[row]] >> (shift + np.uint64(3))) & one
             if (target >> (row + 1)) & 1:
-                nodes |= ((flags[around[row + 1]] >> shift) & last) << one
+                nodes |= ((flags[neighbors[row + 1]] >> shift) & last) << one
             if (target >> (row + 2)) & 1:
-                nodes |= ((flags[around[row + 2]] >> shift) & seven) << np.uint64(5)
+                nodes |= ((flags[neighbors[row + 2]] >> shift) & seven) << np.uint64(5)
             word |= nodes << np.uint64(8 * j)
         word |= (word >> one) | (word >> np.uint64(2))
         stencil[i] = word | (word >> np.uint64(8)) | (word >> np.uint64(16))
@@ -125,7 +121,9 @@ def find_contributing_particles(rows, segments, particles, flags, stencils, scra
     base, stencil, box = scratch.whole, np.zeros(8, np.uint64), np.zeros(6, np.int64)
     for s in rows:
         q = stencils.number[s]
-        stencils.target[q] = _spread_flags(stencils.around[q], flags, stencil)
+        stencils.target[q] = _spread_flags(stencils.neighbors[q], flags, stencil)
+        if not stencil[:6].any():
+            stencils.target[q] = 0
         if stencils.target[q] == 0:
             continue
         stencils.box[q, 0::2], stencils.box[q, 1::2] = 8, 0
@@ -149,12 +147,14 @@ def find_contributing_particles(rows, segments, particles, flags, stencils, scra
 
 
 @kernel
-def particles_to_surface_nodes(rows, kinds, law, segments, particles, sums, stencils, scratch, dt):
+def particles_to_surface_nodes(rows, kind, offsets, law, segments, particles, sums, stencils,
+                               scratch, dt):  # fmt: skip
     """Accumulate the contributions of particles next to surfaces to some nodal fields.
 
     Args:
         rows: Segments to process, shape (m,).
-        kinds: Contribution kind of each field, see nodal_fields/field_protocol.py.
+        kind: Contribution kind of the first four fields, nodal_fields/body_fields.py.
+        offsets: Contribution kind of the fifth one, nodal_fields/surface_distance.py, or None.
         law: Material parameters of the group.
         segments, particles: Segment table and particle arrays of the group.
         sums: Accumulators of each field (in/out), shape (rows, words, 256).
@@ -179,11 +179,12 @@ def particles_to_surface_nodes(rows, kinds, law, segments, particles, sums, sten
                 continue
             offset = segments.start[s] + (b - stencils.batch[q]) * BATCH + stencils.interval[b, 0]
             compute_weights(n, offset, cap, xi, f, base, weights)
-            k = 0
-            for kind in literal_unroll(kinds):
-                particle_contribution(kind, law, n, offset, cap, f, extra, peak, records, dt)
-                accumulate(kind, n, records, weights, base, patch_of(scratch.real, k))
-                k += 1
+            particle_contribution(kind, law, n, offset, cap, f, extra, peak, records, dt)
+            for k in range(4):
+                scatter_values(n, records[4 * k :], weights, base, patch_of(scratch.real, k))
+            if offsets is not None:
+                particle_contribution(offsets, law, n, offset, cap, f, extra, peak, records, dt)
+                accumulate(offsets, n, records, weights, base, patch_of(scratch.real, 4))
         for k in range(len(sums)):
             totals = pointer(sums[k].reshape(sums[k].size))
             patch, into = patch_of(scratch.real, k), segments.accumulator_rows[s]

@@ -19,27 +19,17 @@ from vgmpi.kernels.rigid.prescribed_motion import (
 )
 from vgmpi.kernels.rigid.prescribed_transfer import advect_prescribed
 from vgmpi.kernels.rigid.static_colliders import StaticColliders
-from vgmpi.kernels.transfer import (
-    deformation_gradient,
-    g2p,
-    p2g,
-    surface_p2g,
-    transfer_correction,
-)
+from vgmpi.kernels.transfer import deformation_gradient, g2p, p2g, transfer_correction
 from vgmpi.kernels.transfer.particle_shifting import NodeFill, ShiftConstants
 from vgmpi.kernels.wall_boundary import KINDS, patch_codes
 from vgmpi.parallel.block_lattice import BITS, BlockLattice
-from vgmpi.parallel.exchange_topology import (
-    NEAR_BODIES,
-    REST_VOLUME,
-    ExchangeTopology,
-    color_field_name,
-)
+from vgmpi.parallel.exchange_topology import REST_VOLUME, ExchangeTopology, color_field_name
 from vgmpi.parallel.halo_exchange import FieldMessage
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.plan import Plan
 from vgmpi.runtime.aligned_arrays import aligned_zeros, with_capacity
 
+from . import surface_fields
 from .engine_protocol import DITHER, AccumulatorOverflow, StepReport
 from .group_context import (
     GroupContext,
@@ -53,7 +43,6 @@ from .nodal_field_storage import NodalField, color_count, nodal_fields
 from .plan_tables import phase_sets, phase_table, wall_table
 from .reaction_sums import ReactionAccumulators
 from .shift_tables import node_fill, with_colliders
-from .surface_fields import is_summed_at_surfaces, surface_flags
 from .thread_partition import ThreadPartition, accumulator_copies
 
 
@@ -97,8 +86,7 @@ class Cpu(KernelCaller):
         self.fill_of_nodes = node_fill(plan)
         self.shift: ShiftConstants | None = None
         patch_count = max(sum(self.gathered.values()), int(plan.shift_interval > 0))
-        if is_summed_at_surfaces(plan):
-            patch_count = max(patch_count, len(NEAR_BODIES) + 1)
+        patch_count = max(patch_count, surface_fields.patch_count(plan))
         self.scratch = [particle_records.scratch(plan.real, patch_count) for _ in range(threads)]
         self.room = [contact.contact_workspace(len(plan.phases)) for _ in range(threads)]
         self.mixture_workspace = [
@@ -175,6 +163,7 @@ class Cpu(KernelCaller):
             )
             for group, group_rows, partition in zip(self.groups, rows, partitions, strict=True)
         ]
+        surface_fields.restrict_offsets(self)
 
     @staticmethod
     def grown_nodes(values, rows: int):
@@ -212,8 +201,7 @@ class Cpu(KernelCaller):
         rounded_speed = reproducible_sums.quantize_speed(speed)
         for layer in self.layers.values():
             layer.begin(rounded_speed)
-        if any(part.surface is not None for part in self.parts):
-            self.flags = surface_flags(self.solids, self.plan.dx)
+        self.flags = surface_fields.surface_flags(self)
 
     def fill(self, border: bool) -> None:
         """Scatter the contributions of the particles to the sums."""
@@ -253,24 +241,7 @@ class Cpu(KernelCaller):
                     self.layers[contribution.layer].sums,
                     self.scratch[thread], dt, self._ghosts(part, thread, contribution.layer),
                 )  # fmt: skip
-            if part.surface is not None:
-                self._fill_at_surfaces(g, thread, rows, dt)
-
-    def _fill_at_surfaces(self, g: int, thread: int, rows: np.ndarray, dt) -> None:
-        """Scatter what particles of group `g` contribute to the nodes next to free bodies."""
-        part, particles = self.parts[g], particles_of(self.groups[g])
-        assert part.surface is not None
-        stencils, scratch = part.surface.stencils, self.scratch[thread]
-        self.call_if_rows(
-            (), surface_p2g.find_contributing_particles, rows[part.surface.chosen[rows]],
-            part.segments, particles, self.flags, stencils, scratch,
-        )  # fmt: skip
-        for names, kinds, chosen in part.surface.transfers:
-            sums = tuple(self.layers[name].sums for name in names)
-            self.call_if_rows(
-                (g, len(names)), surface_p2g.particles_to_surface_nodes, rows[chosen[rows]], kinds,
-                part.group.plan.law, part.segments, particles, sums, stencils, scratch, dt,
-            )  # fmt: skip
+            surface_fields.fill_at_surfaces(self, g, thread, rows, dt)
 
     def pack(self, part: FieldMessage) -> None:
         """Pack the sums of this rank into a section of a message."""
