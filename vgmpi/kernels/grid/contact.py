@@ -96,8 +96,6 @@ def apply_contact(block, tables, solid, velocities, offsets, shear, solids, wall
         block, solid: Context of the block; its row in solids, or -1. Fields are in/out pointers.
     """
     motions, pushes = solids.ways, block.at_wall and _may_push(walls)
-    if not _has_several_parties(block, solid, solids, step.dx):
-        return
     sync_threads()
     for node in strided_range(64):
         active = _active(block, node, velocities, tables.phase, phases.least, work.here)
@@ -161,20 +159,19 @@ def _is_near_collider(solids, solid, node, dx):
 
 
 @device_function
-def _has_several_parties(block, solid, solids, dx):
+def has_several_parties(block, solid, solids, dx):
     """Return whether more than one phase, or a phase and a boundary, may meet in a block.
 
     Free bodies do not count: they couple after all others.
 
     Args:
         block: Context of the block.
-        solid: Row of the block in solids, or -1.
-        solids: Rigid boundaries.
+        solid, solids: Row of the block in the rigid boundaries, or -1, and the boundaries.
         dx: Cell size [m].
     """
     if block.n1 - block.n0 > 1 or block.at_wall or len(solids.free) == 0:
         return True
-    for node in range(64):
+    for node in range(64 if solid >= 0 else 0):
         if _is_near_collider(solids, solid, node, dx):
             return True
     return False

@@ -82,7 +82,7 @@ def _spread_flags(neighbors, flags, stencil):
     stencil[:] = 0
     if target == 0:
         return target
-    one, seven, last = np.uint64(1), np.uint64(7), np.uint64(15)
+    bit, three_bits, four_bits = np.uint64(1), np.uint64(7), np.uint64(15)
     for i in range(8):
         word, gi = np.uint64(0), i + 3
         for j in range(8):
@@ -92,13 +92,13 @@ def _spread_flags(neighbors, flags, stencil):
                 continue
             shift, nodes = np.uint64((gi & 3) * 16 + (gj & 3) * 4), np.uint64(0)
             if (target >> row) & 1:
-                nodes |= (flags[neighbors[row]] >> (shift + np.uint64(3))) & one
+                nodes |= (flags[neighbors[row]] >> (shift + np.uint64(3))) & bit
             if (target >> (row + 1)) & 1:
-                nodes |= ((flags[neighbors[row + 1]] >> shift) & last) << one
+                nodes |= ((flags[neighbors[row + 1]] >> shift) & four_bits) << bit
             if (target >> (row + 2)) & 1:
-                nodes |= ((flags[neighbors[row + 2]] >> shift) & seven) << np.uint64(5)
+                nodes |= ((flags[neighbors[row + 2]] >> shift) & three_bits) << np.uint64(5)
             word |= nodes << np.uint64(8 * j)
-        word |= (word >> one) | (word >> np.uint64(2))
+        word |= (word >> bit) | (word >> np.uint64(2))
         stencil[i] = word | (word >> np.uint64(8)) | (word >> np.uint64(16))
     for i in range(6):
         stencil[i] |= stencil[i + 1] | stencil[i + 2]

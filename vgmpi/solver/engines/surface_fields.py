@@ -145,7 +145,9 @@ def restrict_offsets(engine) -> None:
     engine.layers["offsets"].asked &= is_read
 
 
-def surface_stencils(group: ParticleGroup, selected: np.ndarray, neighbors: np.ndarray) -> SurfaceStencils:
+def surface_stencils(
+    group: ParticleGroup, selected: np.ndarray, neighbors: np.ndarray
+) -> SurfaceStencils:
     """Return tables for the segments near surfaces, empty but for the blocks around.
 
     Args:
