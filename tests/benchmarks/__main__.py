@@ -254,6 +254,22 @@ def _run_bodies(args: argparse.Namespace) -> int:
     return 0
 
 
+def _pins(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("--particles", type=float, default=2e5, metavar="N", help="that are carried, default 2e5")
+    say("--rounds", type=int, default=5, help="default 5")
+    say("--precision", choices=("single", "double"), default="single")
+
+
+def _run_pins(args: argparse.Namespace) -> int:
+    from tests.benchmarks import pinned_cost
+
+    print(pinned_cost.text(
+        pinned_cost.measure(int(args.particles), args.rounds, args.precision, print_progress)
+    ))  # fmt: skip
+    return 0
+
+
 def _run_spills(args: argparse.Namespace) -> int:
     from tests.benchmarks import register_spills
 
@@ -381,6 +397,7 @@ COMMANDS = LIQUID_COMMANDS | {  # what it does, its flags, how it runs
     "live": ("what the page of a run costs", _live, _run_live),
     "moving-page": ("size and times of a run's web page", _moving_page, _run_moving_page),
     "overhead": ("what a step costs beside its kernels", _overhead, _run_overhead),
+    "pins": ("what particles of pinned parts cost", _pins, _run_pins),
     "predictions": ("what --plan tells, and what runs take", _predictions, _run_predictions),
     "registers": ("what a graphics card's kernels take; needs no card", _registers, _run_registers),
     "spills": ("vectors that do not fit the registers", lambda _: None, _run_spills),

@@ -113,11 +113,8 @@ def update(blocks, tables, summed, shear, stress, rules, walls, phases, solids, 
                         _project_offsets(moments.nodes, block, walls)
                     couple_block(block, fields, work, pairs, step.dt, step.dx)
         unite_sides(phases, block, tables.solid[b], phase_of, nodes, moments.nodes, step.dx)
-        if (
-            CONTACT_ENABLED
-            and block.meets
-            and _may_touch(block, tables.solid[b], phase_of, solids, rules, step.dx)
-        ):
+        touches = block.meets and _may_touch(block, tables.solid[b], phase_of, solids, rules, step)
+        if CONTACT_ENABLED and touches:
             apply_contact(block, tables, tables.solid[b], nodes, moments.nodes, shears, solids,
                           walls, phases, rules, step, scratch)  # fmt: skip
         _stop_at_walls(block, nodes, walls, phase_of, phases, solids, scratch.given)

@@ -23,6 +23,7 @@ REACH_CELLS = 1.5  # [cells] distance from a surface, both ways, up to which nod
 FULL_WEIGHT_CELLS = 0.5
 # A face this close to the plane of a wall, with a normal into the wall of this part, lies on it.
 FLUSH_CELLS, FLUSH_ALIGNMENT = 0.25, 0.9
+FLUSH_DEPTH_CELLS = 2.0  # [cells] in front of the wall, where such a face is not seen
 SPRAY_FILL, FLOW_FILL = 0.25, 0.5  # [-] fill of a node in spray, and in a flow, at its distance
 
 
@@ -170,10 +171,10 @@ def _clears_wall(n, ijk, walls):
 
 
 @always_inline
-def _is_at_wall(ijk, cells):
-    """Return whether a node lies in a wall of the domain or beyond it."""
+def _is_close_to_wall(ijk, cells):
+    """Return whether a node lies in a wall of the domain, beyond it, or next to it."""
     for a in range(3):
-        if ijk[a] <= 0 or ijk[a] >= cells[a]:
+        if ijk[a] <= 1 or ijk[a] >= cells[a] - 1:
             return True
     return False
 
@@ -183,8 +184,8 @@ def _distance_without_flush_face(colliders, m, ijk, walls, n, d, dx):
     """Return the distance of a node from a body, without a face that lies on a wall [m].
 
     A slip or separating wall shows such a body as if it went on behind the wall. A node in the
-    wall takes distance and normal of the point one cell in front of it, where the face does not
-    round the edge.
+    wall, or next to it, takes distance and normal of the point two cells in front of the wall,
+    where the face is not the nearest part of the surface.
 
     Args:
         colliders: Sampled colliders.
@@ -198,7 +199,8 @@ def _distance_without_flush_face(colliders, m, ijk, walls, n, d, dx):
     for a in range(3):
         for side in range(2):
             kind, outward = walls.kinds[a, side], 2.0 * side - 1.0
-            if not (kind == SLIP or kind == SEPARATE) or ijk[a] != side * walls.cells[a]:
+            height = outward * (side * walls.cells[a] - ijk[a])
+            if not (kind == SLIP or kind == SEPARATE) or height < 0.0 or height > 1.0:
                 continue
             faces_wall = outward * n[a]
             if not faces_wall > 0.0:
@@ -206,9 +208,9 @@ def _distance_without_flush_face(colliders, m, ijk, walls, n, d, dx):
             x, inner_normal = np.zeros(3), np.zeros(3)
             for c in range(3):
                 x[c] = ijk[c] * dx
-            x[a] -= outward * dx
+            x[a] = (side * walls.cells[a] - outward * FLUSH_DEPTH_CELLS) * dx
             inner = sample_surface(colliders, m, x, inner_normal)
-            lies_on_face = abs(d) < FLUSH_CELLS * dx and faces_wall > FLUSH_ALIGNMENT
+            lies_on_face = abs(d + height * dx) < FLUSH_CELLS * dx and faces_wall > FLUSH_ALIGNMENT
             if lies_on_face or inner > d - 0.5 * faces_wall * dx:
                 for c in range(3):
                     n[c] = inner_normal[c]
@@ -277,7 +279,7 @@ def find_contacts(nodes, tables, bodies, phases, walls, dt, dx, out, count):
             ijk[2] = 4 * tables.at[b, 2] - 1 + node % 4
             for c in range(3):
                 n[c] = nodes.surfaces[row, node, c]
-            if _is_at_wall(ijk, walls.cells):
+            if _is_close_to_wall(ijk, walls.cells):
                 d = _distance_without_flush_face(
                     nodes.colliders, nodes.whose[row, node], ijk, walls, n, d, dx
                 )
