@@ -171,7 +171,9 @@ def has_several_parties(block, solid, solids, dx):
     """
     if block.n1 - block.n0 > 1 or block.at_wall or len(solids.free) == 0:
         return True
-    for node in range(64 if solid >= 0 else 0):
+    if solid < 0:
+        return False
+    for node in range(64):
         if _is_near_collider(solids, solid, node, dx):
             return True
     return False

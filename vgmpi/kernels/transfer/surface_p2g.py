@@ -129,7 +129,7 @@ def find_contributing_particles(rows, segments, particles, flags, stencils, scra
         stencils.box[q, 0::2], stencils.box[q, 1::2] = 8, 0
         for k in range(stencils.batch[q + 1] - stencils.batch[q]):
             offset = segments.start[s] + k * BATCH
-            n = min(BATCH, segments.count[s] - k * BATCH)
+            n = max(min(BATCH, segments.count[s] - k * BATCH), 0)
             compute_base_rows(n, offset, cap, xi, base)
             first, end = n, 0
             for p in range(n):
