@@ -1,8 +1,8 @@
 """What the particles of a pinned part cost, as a part of a fluid's.
 
-A slab of rubber lies on a held slab that moves. In one scene the held slab is thin, in the other
-one it is thick: the difference is that of carried particles alone. Both are measured in turns with
-a plain fluid, so that what else the machine does touches all alike.
+A slab of rubber lies on a held slab, which moves or is at rest. In one scene the held slab is thin,
+in the other one it is thick: the difference is that of held particles alone. All are measured in
+turns with a plain fluid, so that what else the machine does touches all alike.
 """
 
 import tempfile
@@ -38,48 +38,55 @@ material = "{material}"
 shape = {{ box = [[0, 0, 0], [{side!r}, {side!r}, {top!r}]] }}
 """
 HELD = """
-pinned = {{ box = [[-1, -1, -1], [2, 2, {held!r}]], motion = {{ velocity = [0, 0, 0.01] }} }}
+pinned = {{ box = [[-1, -1, -1], [2, 2, {held!r}]]{motion} }}
 """
+MOTIONS = {"at rest": "", "carried": ", motion = { velocity = [0, 0, 0.01] }"}
 
 
-def text_of(side: int, held: int, precision: str) -> str:
+def text_of(side: int, held: int, precision: str, motion: str = "") -> str:
     """Return the scene of a held slab so many cells thick; of a plain fluid with 0."""
     keys = {
         "side": side * CELL, "top": (FREE + held) * CELL, "cell": CELL, "precision": precision,
         "high": (FREE + THICK + 4) * CELL, "material": "rubber" if held else "water",
         "held": held * CELL,
+        "motion": motion,
     }  # fmt: skip
     return (HEAD + HELD * bool(held)).format(**keys)
 
 
 def measure(particles: int, rounds: int, precision: str, say: Callable) -> list[list[float]]:
-    """Return per round the ns per particle and step of a fluid, and of carried particles.
+    """Return per round the ns per particle and step of a fluid, and of those of MOTIONS.
 
     Args:
-        particles: Carried particles of the thick slab.
+        particles: Held particles of the thick slab.
         rounds: Number of rounds.
         precision: "single" or "double".
         say: Called with a progress line.
     """
     side = max(8, round((particles / PER_CELL / THICK) ** 0.5))
+    cases = [(0, ""), *((held, more) for more in MOTIONS.values() for held in (THIN, THICK))]
     tanks, rows = [], []
     with tempfile.TemporaryDirectory(prefix="vgmpi-bench-") as folder:
-        for held in (0, THIN, THICK):
+        for held, motion in cases:
             path = Path(folder) / "scene.toml"
-            path.write_text(text_of(side, held, precision))
+            path.write_text(text_of(side, held, precision, motion))
             tanks.append(ready(path))
-    count = [tank.plan.particles for tank in tanks]
+    count = np.array([tank.plan.particles for tank in tanks])
     for k in range(rounds):
         say(f"round {k + 1} of {rounds}")
-        fluid, thin, thick = (spent(tank)["time"] for tank in tanks)
-        carried = (count[2] * thick - count[1] * thin) / (count[2] - count[1])
-        rows.append([fluid, carried])
+        time = np.array([spent(tank)["time"] for tank in tanks])
+        total = time * count
+        more = (total[2::2] - total[1::2]) / (count[2::2] - count[1::2])
+        rows.append([time[0], *more])
     return rows
 
 
 def text(rows: list[list[float]]) -> str:
-    """Return the line of the medians."""
+    """Return the lines of the medians, and of the rounds' ratios to the fluid."""
     values = np.array(rows)
-    fluid, carried = np.median(values, axis=0)
-    ratio = np.median(values[:, 1] / values[:, 0])
-    return f"ns per particle and step: fluid {fluid:.1f}, carried {carried:.1f}; ratio {ratio:.3f}"
+    ns, ratio = np.median(values, axis=0), np.median(values / values[:, :1], axis=0)
+    names = ("fluid", *(f"pinned, {name}" for name in MOTIONS))
+    return "\n".join(
+        f"{name:18s} {ns[k]:6.1f} ns per particle and step, ratio {ratio[k]:.2f}"
+        for k, name in enumerate(names)
+    )

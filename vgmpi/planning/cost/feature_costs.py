@@ -38,7 +38,7 @@ DRAG_COST = ProximityCost(0.35, 50.0, 50.0)
 # The collider costs are in steps of a fluid particle, per particle at most a block from one.
 COLLIDER_COST = 1.3  # colliders at rest
 MOVING_COLLIDER_COST = 0.6  # additional cost if a collider moves
-RIGID_BODY_COST = 0.6  # free rigid bodies (python -m tests.benchmarks bodies)
+RIGID_BODY_COST = 0.5  # free rigid bodies (python -m tests.benchmarks bodies)
 REACTION_PROBE_COST = 1.2  # additional cost if a probe measures reaction forces
 # Cost of a block without its particles, and of the disorder that comes with partly filled blocks.
 BLOCK_COST = 190.0
