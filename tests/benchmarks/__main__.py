@@ -255,18 +255,13 @@ def _run_bodies(args: argparse.Namespace) -> int:
 
 
 def _pins(parser: argparse.ArgumentParser) -> None:
-    say = parser.add_argument
-    say("--particles", type=float, default=2e5, metavar="N", help="that are carried, default 2e5")
-    say("--rounds", type=int, default=5, help="default 5")
-    say("--precision", choices=("single", "double"), default="single")
+    parser.add_argument("--rounds", type=int, default=5, help="default 5")
 
 
 def _run_pins(args: argparse.Namespace) -> int:
     from tests.benchmarks import pinned_cost
 
-    print(pinned_cost.text(
-        pinned_cost.measure(int(args.particles), args.rounds, args.precision, print_progress)
-    ))  # fmt: skip
+    print(pinned_cost.text(pinned_cost.measure(args.rounds, print_progress)))
     return 0
 
 

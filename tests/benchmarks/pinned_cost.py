@@ -14,6 +14,7 @@ import numpy as np
 from tests.benchmarks.body_cost import CELL, PER_CELL
 from tests.benchmarks.coupling_cost import ready, spent
 
+PARTICLES = 100_000  # of the thick held slab
 FREE, THIN, THICK = 8, 4, 36  # [cells] of rubber, and of the held slabs
 HEAD = """
 [domain]
@@ -54,16 +55,15 @@ def text_of(side: int, held: int, precision: str, motion: str = "") -> str:
     return (HEAD + HELD * bool(held)).format(**keys)
 
 
-def measure(particles: int, rounds: int, precision: str, say: Callable) -> list[list[float]]:
+def measure(rounds: int, say: Callable, precision: str = "single") -> list[list[float]]:
     """Return per round the ns per particle and step of a fluid, and of those of MOTIONS.
 
     Args:
-        particles: Held particles of the thick slab.
         rounds: Number of rounds.
-        precision: "single" or "double".
         say: Called with a progress line.
+        precision: "single" or "double".
     """
-    side = max(8, round((particles / PER_CELL / THICK) ** 0.5))
+    side = round((PARTICLES / PER_CELL / THICK) ** 0.5)
     cases = [(0, ""), *((held, more) for more in MOTIONS.values() for held in (THIN, THICK))]
     tanks, rows = [], []
     with tempfile.TemporaryDirectory(prefix="vgmpi-bench-") as folder:

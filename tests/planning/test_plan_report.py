@@ -240,4 +240,4 @@ def test_pinned_particles_count_for_the_part_that_holds_them(tmp_path):
 def test_pinned_particles_that_move_cost_more(tmp_path):
     moves = HELD_BEAM.replace('to = "world"', "motion = { velocity = [0, 0, 0.01] }")
     text = said_of(write(tmp_path, moves))
-    assert re.search(r"\(pinned to world\)/rubber: carried by what holds it +117\.0", text), text
+    assert re.search(r"\(pinned to world\)/rubber: carried by what holds it +121\.5", text), text

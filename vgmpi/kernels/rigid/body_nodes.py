@@ -205,9 +205,7 @@ def _distance_without_flush_face(colliders, m, ijk, walls, n, d, dx):
             faces_wall = outward * n[a]
             if not faces_wall > 0.0:
                 continue
-            x, inner_normal = np.zeros(3), np.zeros(3)
-            for c in range(3):
-                x[c] = ijk[c] * dx
+            x, inner_normal = ijk * dx, np.zeros(3)
             x[a] = (side * walls.cells[a] - outward * FLUSH_DEPTH_CELLS) * dx
             inner = sample_surface(colliders, m, x, inner_normal)
             lies_on_face = abs(d + height * dx) < FLUSH_CELLS * dx and faces_wall > FLUSH_ALIGNMENT
