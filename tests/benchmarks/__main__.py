@@ -243,25 +243,18 @@ def _bodies(parser: argparse.ArgumentParser) -> None:
     say("--count", type=int, default=1000, metavar="N", help="bodies apart, default 1000")
     say("--particles", type=float, default=1e6, metavar="N", help="of the water, default 1e6")
     say("--rounds", type=int, default=5, help="default 5")
+    say("--pins", action="store_true", help="the particles of pinned parts instead")
 
 
 def _run_bodies(args: argparse.Namespace) -> int:
-    from tests.benchmarks import body_cost
+    from tests.benchmarks import body_cost, pinned_cost
 
+    if args.pins:
+        print(pinned_cost.text(pinned_cost.measure(args.rounds, print_progress)))
+        return 0
     print(body_cost.text(
         body_cost.measure(args.count, int(args.particles), args.rounds, print_progress)
     ))  # fmt: skip
-    return 0
-
-
-def _pins(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--rounds", type=int, default=5, help="default 5")
-
-
-def _run_pins(args: argparse.Namespace) -> int:
-    from tests.benchmarks import pinned_cost
-
-    print(pinned_cost.text(pinned_cost.measure(args.rounds, print_progress)))
     return 0
 
 
@@ -392,7 +385,6 @@ COMMANDS = LIQUID_COMMANDS | {  # what it does, its flags, how it runs
     "live": ("what the page of a run costs", _live, _run_live),
     "moving-page": ("size and times of a run's web page", _moving_page, _run_moving_page),
     "overhead": ("what a step costs beside its kernels", _overhead, _run_overhead),
-    "pins": ("what particles of pinned parts cost", _pins, _run_pins),
     "predictions": ("what --plan tells, and what runs take", _predictions, _run_predictions),
     "registers": ("what a graphics card's kernels take; needs no card", _registers, _run_registers),
     "spills": ("vectors that do not fit the registers", lambda _: None, _run_spills),

@@ -7,7 +7,7 @@ import numpy as np
 
 from .phases_and_groups import GroupPlan
 
-# [-] cost of a pinned particle relative to a fluid's, python -m tests.benchmarks pins
+# [-] cost of a pinned particle relative to a fluid's, python -m tests.benchmarks bodies --pins
 PINNED_COST = 0.1  # at rest
 MOVING_PINNED_COST = 1.35  # carried by what moves
 
