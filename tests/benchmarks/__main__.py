@@ -243,11 +243,15 @@ def _bodies(parser: argparse.ArgumentParser) -> None:
     say("--count", type=int, default=1000, metavar="N", help="bodies apart, default 1000")
     say("--particles", type=float, default=1e6, metavar="N", help="of the water, default 1e6")
     say("--rounds", type=int, default=5, help="default 5")
+    say("--pins", action="store_true", help="the particles of pinned parts instead")
 
 
 def _run_bodies(args: argparse.Namespace) -> int:
-    from tests.benchmarks import body_cost
+    from tests.benchmarks import body_cost, pinned_cost
 
+    if args.pins:
+        print(pinned_cost.text(pinned_cost.measure(args.rounds, print_progress)))
+        return 0
     print(body_cost.text(
         body_cost.measure(args.count, int(args.particles), args.rounds, print_progress)
     ))  # fmt: skip

@@ -9,7 +9,11 @@ from hypothesis import strategies as st
 from numba import njit
 
 from tests.benchmarks import register_spills
-from vgmpi.kernels import cell_stencil_sums, stencil_sums  # noqa: F401  (its functions)
+from vgmpi.kernels import (  # noqa: F401  (their functions)
+    cell_stencil_sums,
+    stencil_sums,
+    stencil_values,
+)
 from vgmpi.kernels.particle_records import PATCH, PLANE, ROW
 from vgmpi.kernels.simd import row_ops, vector16
 from vgmpi.runtime.cpu_features import widest
@@ -56,6 +60,26 @@ def test_parts_of_rows_give_the_same_bits(name, precision, count, seed, cells, s
     assert (found[2] == found[4]).all() and (found[1] == found[4]).all()
     if count:
         assert (found[4] != np.concatenate([bits_of(start), bits_of(records.reshape(-1))])).any()
+
+
+@pytest.mark.parametrize("precision", REAL)
+def test_values_alone_add_what_records_without_slopes_add(precision):
+    random, real = np.random.default_rng(1), REAL[precision]
+    base = np.sort((random.integers(0, 3, (60, 3)) @ [PLANE, ROW, 4]).astype(np.int32))
+    weights = random.uniform(0, 1, (60, 16)).astype(real)
+    weights[:, 11] = 0
+    records = np.zeros((60, 16), real)
+    records[:, :4] = random.normal(0, 1, (60, 4))
+    patches = np.zeros((2, PATCH + 16), real)
+
+    @njit
+    def add_both(records, weights, base, whole, values):
+        stencil_sums.scatter(60, records, weights, base, whole)
+        stencil_values.scatter_values(60, records, weights, base, values)
+
+    add_both(records.reshape(-1), weights.reshape(-1), base, *patches)
+    assert np.array_equal(*patches)
+    assert np.abs(patches).max() > 1
 
 
 @pytest.mark.parametrize("precision", REAL)

@@ -40,11 +40,11 @@ def test_a_ball_keeps_its_spin(tmp_path, radius, wide, turns):
 
 @pytest.mark.slow
 def test_a_wheel_between_walls(tmp_path):
-    """It was to keep 0.995 for three turns."""
+    """Its faces lie in the slip walls: it kept 0.991 in half a turn where nodes next to a wall took
+    the normal of the nearest part of the surface, which may be such a face.
+    """
     m = 24 * DX
     wheel = f"cylinder = {{ endpoints = [[{m}, {m}, 0], [{m}, {m}, 0.04]], radius = {12 * DX} }}"
-    left = spin_left(tmp_path, wheel, 12, 48, 4, 1.0)
-    held("rigid wheel of 12 cells in a slice of water: spin left after a turn", left, 1.0, 0.005,
-         unit="of the initial spin", source="no torque without friction", expected=False,
-         deviation=True, note="its faces lie in the slip walls")  # fmt: skip
-    assert left > 0.975
+    left = spin_left(tmp_path, wheel, 12, 48, 4, 3.0)
+    held("rigid wheel of 12 cells in a slice of water: spin left after 3 turns", left, 1.0, 0.005,
+         unit="of the initial spin", source="no torque without friction")  # fmt: skip

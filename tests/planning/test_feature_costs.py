@@ -45,6 +45,7 @@ name = "ball"
 material = "clay"
 shape = { sphere = { center = [0.16, 0.16, HEIGHT], radius = 0.04 } }
 """
+RIGID_BALL = BALL.replace("HEIGHT", "0.19") + "rigid = true\n"
 DYE = """
 [[object]]
 name = "dye"
@@ -123,6 +124,12 @@ def names(folder, more="", transfer="apic"):
             POST + PROBE,
             "apic",
             ["law fluid", "particle shifting", "colliders", "probes of what colliders give"],
+        ),
+        (RIGID_BALL, "apic", ["law fluid", "particle shifting", "free rigid bodies"]),
+        (
+            RIGID_BALL + POST,
+            "apic",
+            ["law fluid", "particle shifting", "colliders", "free rigid bodies"],
         ),
     ],
 )

@@ -235,3 +235,9 @@ def test_pinned_particles_count_for_the_part_that_holds_them(tmp_path):
     counts = re.findall(r"phase +beam: ([\d,]+ (?:pinned )?particles of \w+)", text)
     assert counts == ["4,400 particles of rubber", "600 pinned particles of rubber"]
     assert re.search(r"\(pinned to world\)/rubber: carried by what holds it +9\.0", text), text
+
+
+def test_pinned_particles_that_move_cost_more(tmp_path):
+    moves = HELD_BEAM.replace('to = "world"', "motion = { velocity = [0, 0, 0.01] }")
+    text = said_of(write(tmp_path, moves))
+    assert re.search(r"\(pinned to world\)/rubber: carried by what holds it +121\.5", text), text

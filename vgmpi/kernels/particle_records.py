@@ -160,6 +160,18 @@ def compute_weights(count, offset, cap, xi, like, base, weights):
             store_records(weights, m, splines(x) + splines(y) + last)
 
 
+@device_function
+def compute_base_rows(count, offset, cap, xi, base):
+    """Compute the base rows of some particles alone, see `compute_weights`.
+
+    Args:
+        count, offset, cap, xi: See `node_range`.
+        base: Base rows (out), shape (count,).
+    """
+    for n in range(0, count, 16):
+        _store_base_rows(n, offset + n, cap, xi, base)
+
+
 @always_inline
 def _store_base_rows(n, p, cap, xi, base):
     """Store the offsets of 16 particles' base rows in a patch."""

@@ -98,6 +98,28 @@ def accumulate_patch(patch, sums, blocks, box):
 
 
 @device_function
+def accumulate_patch_at(patch, sums, blocks, box, target):
+    """Add the nodes of a box of a patch to the sums of some of the 27 node blocks around it.
+
+    Args:
+        patch, sums, blocks, box: See `accumulate_patch`.
+        target: Bit k: node block k receives sums.
+    """
+    size = BLOCK * words_of(patch)
+    below, above = box[4] < 1, box[5] > 5
+    for i in range(box[0], box[1]):
+        for j in range(box[2], box[3]):
+            row, offset = row_of(i, j)
+            source, bits = (i * SIDE + j) * SIDE * 4, target >> row
+            if below and bits & 1:
+                add_node(sums, size * blocks[row] + offset + 12, patch, source)
+            if bits & 2:
+                add_row(sums, size * blocks[row + 1] + offset, patch, source + 4)
+            if above and bits & 4:
+                add_three(sums, size * blocks[row + 2] + offset, patch, source + 20)
+
+
+@device_function
 def finalize_sums(sums, bias, block, phase, nodes):
     """Convert the sums of a node block to numbers and reset the sums to their biases.
 

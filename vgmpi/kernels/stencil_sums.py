@@ -204,7 +204,7 @@ def _values(node, nodes):
 # ---- parts put together -------------------------------------------------------------------------
 
 
-def _in_turn(parts):
+def in_turn(parts):
     """Return a function that calls each of one to three functions in turn."""
     first, second, last = parts[0], parts[-2 % len(parts)], parts[-1]
 
@@ -230,7 +230,7 @@ def by_runs(make_part, parts):
     """Return a function that scatters runs of records with one base row, part by part."""
     if len(parts) == 1:
         return _runs_whole
-    add = _in_turn([make_part(node, nodes) for node, nodes in parts])
+    add = in_turn([make_part(node, nodes) for node, nodes in parts])
 
     @_inline
     def _stencil(count, records, weights, base, patch):
@@ -277,7 +277,7 @@ def _runs_whole(count, records, weights, base, patch):
 
 def per_record(make_part, parts):
     """Return a function that adds every record to the patch."""
-    add = _in_turn([make_part(node, nodes) for node, nodes in parts])
+    add = in_turn([make_part(node, nodes) for node, nodes in parts])
 
     @_inline
     def _stencil(count, records, weights, base, patch):

@@ -80,6 +80,7 @@ class TopologyRequirements(NamedTuple):
     has_surface_friction: bool = False  # True if such a phase has friction against something
     volumes: np.ndarray = np.zeros(0, bool)  # (phases,) True if rest volumes are summed
     near_colliders: tuple[str, ...] = ()  # fields that are summed near colliders and pins alone
+    at_surfaces: bool = False  # these fields are summed in the blocks near colliders alone
     pinned: np.ndarray = np.zeros(0, bool)  # (phases,) True with pinned parts, or empty
 
     @property
@@ -242,6 +243,9 @@ def _tables(
     blocks = box.block(flat[new])
     solid_of = np.full(len(new), -1, np.int64) if solid is None else solid(blocks)
     active = {name: _touched(table[mask], len(nodes)) for name, mask in contributes.items()}
+    if needs.at_surfaces:
+        is_near_solid = np.repeat(solid_of >= 0, np.diff(first))
+        active |= {name: active[name] & is_near_solid for name in needs.near_colliders}
     meets = ((np.diff(first) > 1) & needs.contact) | (solid_of >= 0) | _at_plane(blocks, needs)
     meets &= np.logical_or.reduceat(active["offsets"], new)
     shared, border, waits = _shared(segments, contributes, table, rank, len(nodes))

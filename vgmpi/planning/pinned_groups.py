@@ -7,7 +7,9 @@ import numpy as np
 
 from .phases_and_groups import GroupPlan
 
-PINNED_COST = 0.1  # [-] cost of a carried particle relative to a fluid's (estimate)
+# [-] cost of a pinned particle relative to a fluid's, python -m tests.benchmarks bodies --pins
+PINNED_COST = 0.1  # at rest
+MOVING_PINNED_COST = 1.35  # carried by what moves
 
 
 class PinnedPlan(NamedTuple):
@@ -37,7 +39,9 @@ def pinned_plans(
         free = groups[group_of[region.object]]
         name = f"{region.name} (pinned to {region.to})/{free.material}"
         plans.append(PinnedPlan(region.object, len(every), free.phase, region))
-        every.append(free._replace(name=name, pinned=True, cost=PINNED_COST))
+        is_moving = region.is_free or region.course is not None
+        cost = MOVING_PINNED_COST if is_moving else PINNED_COST
+        every.append(free._replace(name=name, pinned=True, cost=cost))
     return tuple(plans), tuple(every)
 
 

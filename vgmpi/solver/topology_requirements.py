@@ -7,6 +7,7 @@ from vgmpi.parallel import exchange_topology
 from vgmpi.planning.plan import Plan
 
 from .engines.nodal_field_storage import fields_near_colliders
+from .engines.surface_fields import is_summed_at_surfaces
 
 
 def needs(plan: Plan) -> exchange_topology.TopologyRequirements:
@@ -25,6 +26,7 @@ def needs(plan: Plan) -> exchange_topology.TopologyRequirements:
         plan.has_surface_friction,
         np.array([phase.fills_by_volume for phase in plan.phases]),
         fields_near_colliders(plan),
+        is_summed_at_surfaces(plan),
         np.isin(np.arange(len(plan.phases)), [part.phase for part in plan.pins]),
     )
 

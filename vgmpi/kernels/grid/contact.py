@@ -159,6 +159,27 @@ def _is_near_collider(solids, solid, node, dx):
 
 
 @device_function
+def has_several_parties(block, solid, solids, dx):
+    """Return whether more than one phase, or a phase and a boundary, may meet in a block.
+
+    Free bodies do not count: they couple after all others.
+
+    Args:
+        block: Context of the block.
+        solid, solids: Row of the block in the rigid boundaries, or -1, and the boundaries.
+        dx: Cell size [m].
+    """
+    if block.n1 - block.n0 > 1 or block.at_wall or len(solids.free) == 0:
+        return True
+    if solid < 0:
+        return False
+    for node in range(64):
+        if _is_near_collider(solids, solid, node, dx):
+            return True
+    return False
+
+
+@device_function
 def _max_count(touches, active):
     """Return the number of pairs of the phase that touches most others."""
     count = touches[0]

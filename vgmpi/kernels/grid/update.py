@@ -22,7 +22,7 @@ from vgmpi.materials.couplings.interaction import CONTACT
 from vgmpi.materials.tensor_math.select import select
 from vgmpi.runtime.jit import device_function, kernel
 
-from .contact import apply_contact
+from .contact import apply_contact, has_several_parties
 from .mixture_coupling import BlockContext, NodalFields, couple_block, store_volume_flux
 from .mixture_workspace import to_pointers
 from .sided_phases import part_sides, unite_sides
@@ -113,8 +113,8 @@ def update(blocks, tables, summed, shear, stress, rules, walls, phases, solids, 
                         _project_offsets(moments.nodes, block, walls)
                     couple_block(block, fields, work, pairs, step.dt, step.dx)
         unite_sides(phases, block, tables.solid[b], phase_of, nodes, moments.nodes, step.dx)
-        rigid = tables.solid[b] >= 0 or block.at_wall
-        if CONTACT_ENABLED and block.meets and _may_touch(n0, n1, phase_of, rigid, rules):
+        touches = block.meets and _may_touch(block, tables.solid[b], phase_of, solids, rules, step)
+        if CONTACT_ENABLED and touches:
             apply_contact(block, tables, tables.solid[b], nodes, moments.nodes, shears, solids,
                           walls, phases, rules, step, scratch)  # fmt: skip
         _stop_at_walls(block, nodes, walls, phase_of, phases, solids, scratch.given)
@@ -155,13 +155,24 @@ def _stop_at_walls(block, velocities, walls, phase, phases, solids, reaction):
 
 
 @device_function
-def _may_touch(n0, n1, phase, rigid, rules):
-    """Return whether contact acts between two phases of a block, or one and a rigid boundary."""
-    if rules is None or rigid:
+def _may_touch(block, solid, phase, solids, rules, step):
+    """Return whether contact acts between two phases of a block, or one and a rigid boundary.
+
+    Args:
+        block: Context of the block.
+        solid: Row of the block in solids, or -1.
+        phase: Phases of the node blocks.
+        solids: Rigid boundaries.
+        rules: Interaction rules, or None.
+        step: Constants of the step.
+    """
+    if not has_several_parties(block, solid, solids, step.dx):
+        return False
+    if rules is None or solid >= 0 or block.at_wall:
         return True
     if rules is not None:
-        for a in range(n0, n1):
-            for b in range(n0, a):
+        for a in range(block.n0, block.n1):
+            for b in range(block.n0, a):
                 if rules.pair[phase[a], phase[b]] == CONTACT:
                     return True
     return False

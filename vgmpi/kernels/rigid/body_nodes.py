@@ -14,7 +14,7 @@ from vgmpi.kernels.grid.contact_impulses import (
 )
 from vgmpi.kernels.step_limits import CONTACT_MASS_FLOOR
 from vgmpi.kernels.wall_boundary import SEPARATE, SLIP, STICK
-from vgmpi.runtime.jit import device_function, kernel
+from vgmpi.runtime.jit import always_inline, device_function, kernel
 
 from .sdf_sampling import SampledSdf, sample_surface
 
@@ -23,6 +23,7 @@ REACH_CELLS = 1.5  # [cells] distance from a surface, both ways, up to which nod
 FULL_WEIGHT_CELLS = 0.5
 # A face this close to the plane of a wall, with a normal into the wall of this part, lies on it.
 FLUSH_CELLS, FLUSH_ALIGNMENT = 0.25, 0.9
+FLUSH_DEPTH_CELLS = 2.0  # [cells] in front of the wall, where such a face is not seen
 SPRAY_FILL, FLOW_FILL = 0.25, 0.5  # [-] fill of a node in spray, and in a flow, at its distance
 
 
@@ -169,13 +170,22 @@ def _clears_wall(n, ijk, walls):
     return True
 
 
+@always_inline
+def _is_close_to_wall(ijk, cells):
+    """Return whether a node lies in a wall of the domain, beyond it, or next to it."""
+    for a in range(3):
+        if ijk[a] <= 1 or ijk[a] >= cells[a] - 1:
+            return True
+    return False
+
+
 @device_function
 def _distance_without_flush_face(colliders, m, ijk, walls, n, d, dx):
     """Return the distance of a node from a body, without a face that lies on a wall [m].
 
     A slip or separating wall shows such a body as if it went on behind the wall. A node in the
-    wall takes distance and normal of the point one cell in front of it, where the face does not
-    round the edge.
+    wall, or next to it, takes distance and normal of the point two cells in front of the wall,
+    where the face is not the nearest part of the surface.
 
     Args:
         colliders: Sampled colliders.
@@ -189,17 +199,16 @@ def _distance_without_flush_face(colliders, m, ijk, walls, n, d, dx):
     for a in range(3):
         for side in range(2):
             kind, outward = walls.kinds[a, side], 2.0 * side - 1.0
-            if not (kind == SLIP or kind == SEPARATE) or ijk[a] != side * walls.cells[a]:
+            height = outward * (side * walls.cells[a] - ijk[a])
+            if not (kind == SLIP or kind == SEPARATE) or height < 0.0 or height > 1.0:
                 continue
             faces_wall = outward * n[a]
             if not faces_wall > 0.0:
                 continue
-            x, inner_normal = np.zeros(3), np.zeros(3)
-            for c in range(3):
-                x[c] = ijk[c] * dx
-            x[a] -= outward * dx
+            x, inner_normal = ijk * dx, np.zeros(3)
+            x[a] = (side * walls.cells[a] - outward * FLUSH_DEPTH_CELLS) * dx
             inner = sample_surface(colliders, m, x, inner_normal)
-            lies_on_face = abs(d) < FLUSH_CELLS * dx and faces_wall > FLUSH_ALIGNMENT
+            lies_on_face = abs(d + height * dx) < FLUSH_CELLS * dx and faces_wall > FLUSH_ALIGNMENT
             if lies_on_face or inner > d - 0.5 * faces_wall * dx:
                 for c in range(3):
                     n[c] = inner_normal[c]
@@ -207,7 +216,7 @@ def _distance_without_flush_face(colliders, m, ijk, walls, n, d, dx):
     return d
 
 
-@device_function
+@always_inline
 def _pressure_impulse(field, o, outside, dx):
     """Return the impulse of the pressure on a node some cells outside a surface [kg m/s].
 
@@ -221,7 +230,7 @@ def _pressure_impulse(field, o, outside, dx):
     return max(field.nodes[o // 256, o % 256], 0.0) * filled * traction_share(outside)
 
 
-@device_function
+@always_inline
 def mean_gradient(gradients, o, n, out):
     """Store the change of a phase's velocity per cell along n at a node, 0 without particles."""
     for c in range(3):
@@ -251,7 +260,7 @@ def find_contacts(nodes, tables, bodies, phases, walls, dt, dx, out, count):
         out: NodeContacts (out).
         count: Rows that are taken already.
     """
-    n, ijk = np.zeros(3), np.zeros(3, np.int64)
+    n, slope, ijk = np.zeros(3), np.zeros(3), np.zeros(3, np.int64)
     if len(nodes.offsets) == 0:
         return count
     for row in range(len(nodes.block)):
@@ -268,11 +277,12 @@ def find_contacts(nodes, tables, bodies, phases, walls, dt, dx, out, count):
             ijk[2] = 4 * tables.at[b, 2] - 1 + node % 4
             for c in range(3):
                 n[c] = nodes.surfaces[row, node, c]
-            d = _distance_without_flush_face(
-                nodes.colliders, nodes.whose[row, node], ijk, walls, n, d, dx
-            )
-            if not abs(d) < REACH_CELLS * dx or not _clears_wall(n, ijk, walls):
-                continue
+            if _is_close_to_wall(ijk, walls.cells):
+                d = _distance_without_flush_face(
+                    nodes.colliders, nodes.whose[row, node], ijk, walls, n, d, dx
+                )
+                if not abs(d) < REACH_CELLS * dx or not _clears_wall(n, ijk, walls):
+                    continue
             for nb in range(tables.first[b], tables.first[b + 1]):
                 p = tables.phase[nb]
                 if len(nodes.pinned) > 0 and nodes.pinned[nb, node] != 0:
@@ -283,7 +293,7 @@ def find_contacts(nodes, tables, bodies, phases, walls, dt, dx, out, count):
                     flow = flow_fraction(
                         nodes.velocities[nb, 4 * node + 3], phases.least[p], d / dx
                     )
-                    _store_contact(out, count, nodes, 256 * nb + 4 * node, n, d, flow, dx)
+                    _store_contact(out, count, nodes, 256 * nb + 4 * node, n, d, flow, dx, slope)
                     out.body[count], out.counts[count] = k, nodes.counts[b, node]
                     out.friction[count], out.stick[count] = bodies.friction[k, p], -1.0
                     if len(out.adhering) > 0:
@@ -295,7 +305,7 @@ def find_contacts(nodes, tables, bodies, phases, walls, dt, dx, out, count):
     return count
 
 
-@device_function
+@always_inline
 def touches_surface(nodes, phases, p, nb, node, n, d, dx):
     """Return whether a phase at a node touches the surface near it.
 
@@ -314,7 +324,7 @@ def touches_surface(nodes, phases, p, nb, node, n, d, dx):
     return gap <= (GAP_RESOLVED if is_resolved else GAP_UNRESOLVED)
 
 
-@device_function
+@always_inline
 def flow_fraction(mass, full, outside):
     """Return 1 where a node is as full as in a flow that reaches the surface, 0 in spray.
 
@@ -329,8 +339,8 @@ def flow_fraction(mass, full, outside):
     return min(max((fill - SPRAY_FILL) / (FLOW_FILL - SPRAY_FILL), 0.0), 1.0)
 
 
-@device_function
-def _store_contact(out, q, nodes, o, n, d, flow, dx):
+@always_inline
+def _store_contact(out, q, nodes, o, n, d, flow, dx, slope):
     """Store what a phase at a node brings into contact.
 
     Args:
@@ -341,8 +351,9 @@ def _store_contact(out, q, nodes, o, n, d, flow, dx):
         n, d: Outward normal of the body, and distance of the node [m].
         flow: Part of the velocity's change towards the surface that counts.
         dx: Cell size [m].
+        slope: Scratch, shape (3,).
     """
-    slope, at_node = np.zeros(3), nodes.velocities[o // 256]
+    at_node = nodes.velocities[o // 256]
     mean_gradient(nodes.fields, o, n, slope)
     mass = float(at_node[o % 256 + 3])
     is_outside = d > FULL_WEIGHT_CELLS * dx

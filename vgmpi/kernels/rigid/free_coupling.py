@@ -19,14 +19,15 @@ References:
 
 import numpy as np
 
-from vgmpi.runtime.jit import device_function, kernel
+from vgmpi.runtime.jit import always_inline, device_function, kernel
 
 # 21 of a symmetric matrix, 6 of the right-hand side, nodes that changed their state, nodal mass
 SUMS = 29
 REMAINDER = 2.0**-36  # [quanta] quantum of what rounding to whole quanta leaves of a term
+_LEVERS = (1, 2), (0, 2), (0, 1)  # components of a velocity that change with a turn about each axis
 
 
-@device_function
+@always_inline
 def _approach(contacts, q, v, u):
     """Store the velocity of the surface less that of the phase in u; return its normal part."""
     w, r, n = v[contacts.body[q]], contacts.foot[q], contacts.normal[q]
@@ -36,7 +37,7 @@ def _approach(contacts, q, v, u):
     return u[0] * n[0] + u[1] * n[1] + u[2] * n[2]
 
 
-@device_function
+@always_inline
 def _sticking_fraction(contacts, q, u, normal_part):
     """Return the fraction of the slip that friction removes, -1 where the surfaces separate."""
     if contacts.friction[q] < 0.0:  # a pinned part: both signs, all directions
@@ -53,7 +54,7 @@ def _sticking_fraction(contacts, q, u, normal_part):
     return 1.0 if squared <= limit * limit else limit / np.sqrt(squared)
 
 
-@device_function
+@always_inline
 def _take_traction(contacts, q, push):
     """Store the impulse of the stress on a node, shape (3,); return whether there is one."""
     acts = contacts.pressed[q] > 0.0
@@ -65,7 +66,7 @@ def _take_traction(contacts, q, push):
     return acts
 
 
-@device_function
+@always_inline
 def _coupled_masses(contacts, q, fraction):
     """Return the masses that take the body's velocity along the normal and along the surface."""
     mass = contacts.mass[q]
@@ -75,12 +76,13 @@ def _coupled_masses(contacts, q, fraction):
     return along, across
 
 
-@device_function
-def _add_term(sums, place, term, quantum):
+@always_inline
+def _add_term(sums, place, term, per_quantum):
     """Add a term to a sum in whole quanta, and its remainder; sums: (n, 2)."""
-    units = np.rint(term / quantum)
+    quanta = term * per_quantum
+    units = np.rint(quanta)
     sums[place, 0] += np.int64(units)
-    sums[place, 1] += np.int64(np.rint((term - units * quantum) / (REMAINDER * quantum)))
+    sums[place, 1] += np.int64(np.rint((quanta - units) / REMAINDER))
 
 
 @device_function
@@ -89,15 +91,15 @@ def _total(sums, place, quantum):
     return (sums[place, 0] + sums[place, 1] * REMAINDER) * quantum
 
 
-@device_function
-def _add_traction(sums, quanta, push, r):
+@always_inline
+def _add_traction(sums, per_quantum, push, r):
     """Add what a body gives for an impulse on a node to its right-hand side; push: (3,)."""
     term = (
         -push[0], -push[1], -push[2], r[2] * push[1] - r[1] * push[2],
         r[0] * push[2] - r[2] * push[0], r[1] * push[0] - r[0] * push[1],
     )  # fmt: skip
     for a in range(6):
-        _add_term(sums, 21 + a, term[a], quanta[21 + a])
+        _add_term(sums, 21 + a, term[a], per_quantum[21 + a])
 
 
 @kernel
@@ -112,6 +114,8 @@ def sum_contacts(count, contacts, v, quanta, sums):
         sums: Whole numbers of quanta and of remainders, shape (m, 29, 2) int64 (in/out).
     """
     u, g, h = np.zeros(3), np.zeros((3, 6)), np.zeros((3, 6))
+    g[0, 0] = g[1, 1] = g[2, 2] = 1.0
+    per_quantum = 1.0 / quanta  # exact: powers of two
     for q in range(count):
         fraction = _sticking_fraction(contacts, q, u, _approach(contacts, q, v, u))
         was = contacts.stick[q]
@@ -119,15 +123,13 @@ def sum_contacts(count, contacts, v, quanta, sums):
         if contacts.counts[q] == 0:
             continue
         k, n, r = contacts.body[q], contacts.normal[q], contacts.foot[q]
-        sums[k, 28, 0] += np.int64(np.ceil(contacts.nodal_mass[q] / quanta[28]))
+        sums[k, 28, 0] += np.int64(np.ceil(contacts.nodal_mass[q] * per_quantum[28]))
         if _take_traction(contacts, q, u):
-            _add_traction(sums[k], quanta, u, r)
+            _add_traction(sums[k], per_quantum, u, r)
         sums[k, 27, 0] += abs(was - fraction) > 1e-3
         along_mass, across_mass = _coupled_masses(contacts, q, fraction)
         if along_mass == 0.0 and across_mass == 0.0:
             continue
-        g[:] = 0.0
-        g[0, 0] = g[1, 1] = g[2, 2] = 1.0
         g[0, 4], g[0, 5] = r[2], -r[1]
         g[1, 5], g[1, 3] = r[0], -r[2]
         g[2, 3], g[2, 4] = r[1], -r[0]
@@ -138,13 +140,17 @@ def sum_contacts(count, contacts, v, quanta, sums):
         place = 0
         for a in range(6):
             for c in range(a, 6):
-                term = g[0, a] * h[0, c] + g[1, a] * h[1, c] + g[2, a] * h[2, c]
-                _add_term(sums[k], place, term, quanta[place])
+                if a < 3:
+                    term = h[a, c]
+                else:
+                    i, j = _LEVERS[a - 3]
+                    term = g[i, a] * h[i, c] + g[j, a] * h[j, c]
+                _add_term(sums[k], place, term, per_quantum[place])
                 place += 1
         s = contacts.velocity[q]
         for a in range(6):
             term = h[0, a] * s[0] + h[1, a] * s[1] + h[2, a] * s[2]
-            _add_term(sums[k], 21 + a, term, quanta[21 + a])
+            _add_term(sums[k], 21 + a, term, per_quantum[21 + a])
 
 
 @kernel
@@ -260,5 +266,5 @@ def apply_impulses(count, contacts, v, velocities, quanta, impulses):
             r[0] * push[1] - r[1] * push[0],
         )
         for c in range(3):
-            _add_term(impulses[k], c, push[c], quanta[0])
-            _add_term(impulses[k], 3 + c, moment[c], quanta[1])
+            _add_term(impulses[k], c, push[c], 1.0 / quanta[0])
+            _add_term(impulses[k], 3 + c, moment[c], 1.0 / quanta[1])

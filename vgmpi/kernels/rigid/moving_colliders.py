@@ -124,8 +124,9 @@ class MovingColliders:
         table = self.table
         table.rotation_end[self.moving], table.move_end[self.moving] = self.courses.poses(end)
         evaluate_colliders(
-            self.blocks, *self.nearby, table, dt, self.dx, self.nodes, self.moves, self.whose
-        )
+            self.blocks, *self.nearby, table, self.is_free, dt, self.dx, self.nodes, self.moves,
+            self.whose,
+        )  # fmt: skip
 
     def poses(self, time: float) -> np.ndarray | None:
         """Return the poses of the moving colliders relative to the start, shape (m, 4, 4) [m].

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vgmpi.kernels.simd.static_dispatch import static_dispatch
-from vgmpi.runtime.jit import device_function, kernel
+from vgmpi.runtime.jit import always_inline, device_function, kernel
 
 from .static_colliders import SDF_BAND_CELLS
 
@@ -70,7 +70,7 @@ def _store_no_side(movers, m, b, node, side):
     pass
 
 
-@device_function
+@always_inline
 def own_position(movers, m, x, own):
     """Compute the initial position of a collider's point.
 
@@ -88,7 +88,7 @@ def own_position(movers, m, x, own):
         own[k] = r[0, k] * a + r[1, k] * b + r[2, k] * c + movers.about[m, k]
 
 
-@device_function
+@always_inline
 def interpolate_cell(v, base, over, up, place, spacing, sample):
     """Interpolate values and their gradient linearly in a cell of a lattice.
 
@@ -113,7 +113,7 @@ def interpolate_cell(v, base, over, up, place, spacing, sample):
     sample[3] = lower + x * (upper - lower)
 
 
-@device_function
+@always_inline
 def _sample(movers, m, own, sample):
     """Interpolate the distance [m] and its gradient at a point of the collider's frame.
 
@@ -132,7 +132,7 @@ def _sample(movers, m, own, sample):
     return True
 
 
-@device_function
+@always_inline
 def _interpolate_gradient(movers, m, own, sample):
     """Interpolate central differences of the distance linearly; they are written to sample (4,).
 
@@ -159,7 +159,7 @@ def _interpolate_gradient(movers, m, own, sample):
         sample[2] += weight * (v[place + 1] - v[place - 1])
 
 
-@device_function
+@always_inline
 def turn_gradient(movers, m, gradient, normal):
     """Turn a gradient to a unit normal as the collider stands now; return False if it is 0.
 
@@ -177,7 +177,7 @@ def turn_gradient(movers, m, gradient, normal):
     return size > 0.0
 
 
-@device_function
+@always_inline
 def _smooth_normal(movers, m, own, sample, normal):
     """Compute the outward normal of a collider (out), shape (3,); return False if it has none.
 
@@ -204,7 +204,7 @@ def sample_surface(movers, m, x, normal):
     return sample[3]
 
 
-@device_function
+@always_inline
 def _carry(movers, m, own, x, dt, velocity):
     """Compute the mean velocity [m/s] over a step of dt [s] of the collider's point now at x."""
     r = movers.rotation_end[m]
@@ -273,14 +273,17 @@ def surface_velocity(movers, m, x, sample, dt, own, velocity):
 
 
 @kernel
-def evaluate_colliders(blocks, first, nearby, movers, dt, dx, nodes, moves, whose):
+def evaluate_colliders(blocks, first, nearby, movers, free, dt, dx, nodes, moves, whose):
     """Compute the nearest collider at the nodes of blocks.
+
+    Free bodies get no velocity, and no normal deep inside: they couple by their own velocities.
 
     Args:
         blocks: Blocks, shape (n, 3).
         first: Start of each block's colliders in `nearby`, shape (n + 1,).
         nearby: Numbers of the colliders near each block b, in nearby[first[b] : first[b + 1]].
         movers: Sampled colliders, see `SampledSdf`.
+        free: Free bodies among them, (colliders,) bool, or without rows.
         dt: Time step [s].
         dx: Cell size [m].
         nodes: Outward normal and distance [m], infinite if no collider is near (out), shape
@@ -296,6 +299,7 @@ def evaluate_colliders(blocks, first, nearby, movers, dt, dx, nodes, moves, whos
             nodes[b, node, 3] = np.inf
             store_side(movers, 0, b, node, 0)
         for m in nearby[first[b] : first[b + 1]]:
+            is_free = len(free) > 0 and free[m]
             for node in range(64):
                 x[0] = (4 * blocks[b, 0] - 1 + node // 16) * dx
                 x[1] = (4 * blocks[b, 1] - 1 + node // 4 % 4) * dx
@@ -306,7 +310,9 @@ def evaluate_colliders(blocks, first, nearby, movers, dt, dx, nodes, moves, whos
                 side = sample_side(movers, m, own, sample)
                 if sample[3] >= min(nodes[b, node, 3], SDF_BAND_CELLS * dx):
                     continue
-                if side != 0:
+                if is_free and sample[3] < -SDF_BAND_CELLS * dx:
+                    normal[:] = 0.0
+                elif side != 0:
                     turn_gradient(movers, m, sample, normal)
                 elif not _smooth_normal(movers, m, own, sample, normal):
                     continue
@@ -317,6 +323,8 @@ def evaluate_colliders(blocks, first, nearby, movers, dt, dx, nodes, moves, whos
                 store_side(movers, m, b, node, side)
                 if len(whose) > 0:
                     whose[b, node] = m
+                if is_free:
+                    continue
                 depth = min(max(d, -2.0 * dx), 2.0 * dx)
                 for k in range(3):
                     surface[k] = x[k] - depth * normal[k]

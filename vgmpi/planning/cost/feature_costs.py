@@ -35,11 +35,10 @@ SURFACE_CONTACT_COST = ProximityCost(0.5, 80.0, 50.0)  # contact of solids with 
 CONTACT_COST = ProximityCost(0.5, 150.0, 100.0)  # contact of other bodies
 MIXING_COST = ProximityCost(1.3, 210.0, 65.0)
 DRAG_COST = ProximityCost(0.35, 50.0, 50.0)
-# The three collider costs are in steps of a fluid particle, per particle at most a block from one.
+# The collider costs are in steps of a fluid particle, per particle at most a block from one.
 COLLIDER_COST = 1.3  # colliders at rest
 MOVING_COLLIDER_COST = 0.6  # additional cost if a collider moves
-# additional cost if a collider is a free rigid body (python -m tests.benchmarks bodies)
-RIGID_BODY_COST = 1.0
+RIGID_BODY_COST = 0.5  # free rigid bodies (python -m tests.benchmarks bodies)
 REACTION_PROBE_COST = 1.2  # additional cost if a probe measures reaction forces
 # Cost of a block without its particles, and of the disorder that comes with partly filled blocks.
 BLOCK_COST = 190.0
@@ -147,11 +146,13 @@ def _colliders(scene: Scene, plan: Plan, g: int, fluid: float) -> list[Feature]:
     share = _mean([(plan.count[k], plan.surroundings[k].collider) for k in _rows(plan, g)])
     if not share:
         return []
-    costs = {_with_percentage("colliders", share): COLLIDER_COST}
+    costs = {}
+    if any(entity.collider and entity.free_body is None for entity in scene.object):
+        costs[_with_percentage("colliders", share)] = COLLIDER_COST
     if any(entity.collider and entity.motion for entity in scene.object):
         costs["colliders that move"] = MOVING_COLLIDER_COST
     if plan.free_bodies:
-        costs["free rigid bodies"] = RIGID_BODY_COST
+        costs[_with_percentage("free rigid bodies", share)] = RIGID_BODY_COST
     if plan.feels:
         costs["probes of what colliders give"] = REACTION_PROBE_COST
     return [Feature(name, fluid * cost * share, 0, 2) for name, cost in costs.items()]

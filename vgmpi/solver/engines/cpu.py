@@ -29,6 +29,7 @@ from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.plan import Plan
 from vgmpi.runtime.aligned_arrays import aligned_zeros, with_capacity
 
+from . import surface_fields
 from .engine_protocol import DITHER, AccumulatorOverflow, StepReport
 from .group_context import (
     GroupContext,
@@ -85,6 +86,7 @@ class Cpu(KernelCaller):
         self.fill_of_nodes = node_fill(plan)
         self.shift: ShiftConstants | None = None
         patch_count = max(sum(self.gathered.values()), int(plan.shift_interval > 0))
+        patch_count = max(patch_count, surface_fields.patch_count(plan))
         self.scratch = [particle_records.scratch(plan.real, patch_count) for _ in range(threads)]
         self.room = [contact.contact_workspace(len(plan.phases)) for _ in range(threads)]
         self.mixture_workspace = [
@@ -150,12 +152,12 @@ class Cpu(KernelCaller):
             self.room = self.reactions.attach_to_workspaces(self.room)
         self.parts = []
         for group, own, partition in zip(self.groups, rows, partitions, strict=True):
-            mirror = self._mirror(group)
-            self.parts.append(
-                group_context(
-                    self.plan, group, tables, own, target[own], partition, mirror, self.reactions
-                )
-            )
+            context = group_context(
+                self.plan, group, tables, own, target[own], partition, self._mirror(group),
+                self.reactions,
+            )  # fmt: skip
+            self.parts.append(context)
+        surface_fields.restrict_offsets(self)
 
     @staticmethod
     def grown_nodes(values, rows: int):
@@ -193,6 +195,7 @@ class Cpu(KernelCaller):
         rounded_speed = reproducible_sums.quantize_speed(speed)
         for layer in self.layers.values():
             layer.begin(rounded_speed)
+        self.flags = surface_fields.surface_flags(self)
 
     def fill(self, border: bool) -> None:
         """Scatter the contributions of the particles to the sums."""
@@ -232,6 +235,7 @@ class Cpu(KernelCaller):
                     self.layers[contribution.layer].sums,
                     self.scratch[thread], dt, self._ghosts(part, thread, contribution.layer),
                 )  # fmt: skip
+            surface_fields.fill_at_surfaces(self, g, thread, rows, dt)
 
     def pack(self, part: FieldMessage) -> None:
         """Pack the sums of this rank into a section of a message."""
@@ -303,9 +307,7 @@ class Cpu(KernelCaller):
         self.each(self._gather, motion)
         rows = self.reports.reshape(-1, 6)
         maxima = rows.max(0).tolist()
-        failed = []
-        if maxima[2] > 0:
-            failed = [(int(row[2]) - 1, int(row[3])) for row in rows if row[2] > 0]
+        failed = [(int(row[2]) - 1, int(row[3])) for row in rows if row[2] > 0]
         stress = max(float(scratch.peak.max()) for scratch in self.scratch)
         bounds = self.plan.dx * maxima[4], math.sqrt(maxima[5]), math.sqrt(stress)
         return StepReport(maxima[0], maxima[1], bounds, failed, self._found_beyond())
@@ -324,8 +326,7 @@ class Cpu(KernelCaller):
                 nodes = self.layers[color_field_name(k)].nodes
                 self.call_if_rows(
                     (g,), color.gather_color, rows, color_channel + 3 * k, part.segments, particles,
-                    nodes,
-                    scratch,
+                    nodes, scratch,
                 )  # fmt: skip
             auxiliary = auxiliary_gather_kind(self.plan, plan, self.beside, self.dt)
             self.call_if_rows(
@@ -393,7 +394,7 @@ class Cpu(KernelCaller):
         """Return the lowest node block of each field in which a sum left its range."""
         if not self.beyond.any():
             return []
-        names = enumerate(self.layers)
-        overflows = [lowest_beyond(self.beyond[:, k], self.tables, name) for k, name in names]
+        layers = enumerate(self.layers)
+        overflows = [lowest_beyond(self.beyond[:, k], self.tables, name) for k, name in layers]
         self.beyond[:] = 0
         return [overflow for overflow in overflows if overflow is not None]

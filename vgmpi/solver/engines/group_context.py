@@ -18,6 +18,7 @@ from .engine_protocol import AccumulatorOverflow
 from .nodal_field_storage import FieldContribution, contributions, timeless_contributions
 from .plan_tables import position_limits
 from .reaction_sums import ReactionAccumulators
+from .surface_fields import SurfaceContributions, split_contributions
 from .thread_partition import ThreadPartition
 
 
@@ -31,6 +32,7 @@ class GroupContext(NamedTuple):
     timeless: list[FieldContribution]  # to the nodal fields in a step of no time
     numbers: g2p.GroupConstants
     ghosts: GhostNodes | None  # ghost nodes, where reactions of walls are requested
+    surface: SurfaceContributions | None  # contributions at the nodes next to free bodies alone
 
 
 def group_context(
@@ -58,12 +60,14 @@ def group_context(
         group.start, group.count, tables.table[rows], target, gathers_more,
         position_limits(group.block, plan.cells), mirror,
     )  # fmt: skip
+    at_nodes, surface = split_contributions(
+        plan, group, tables, rows, mirror, contributions(plan, group.plan, contributes, split)
+    )
     return GroupContext(
-        group, segments, partition,
-        contributions(plan, group.plan, contributes, split),
+        group, segments, partition, at_nodes,
         timeless_contributions(plan, group.plan, contributes, split),
         numbers_of(plan, group.plan),
-        None if reactions is None else reactions.ghosts(group.block, mirror),
+        None if reactions is None else reactions.ghosts(group.block, mirror), surface,
     )  # fmt: skip
 
 
