@@ -1,6 +1,7 @@
 """Liquids too soft for their depth are named by --plan and --check, with a key that helps.
 
-Theory: the Tait equation with the weight of all liquid above; 1 m of water at K = 25 kPa.
+Theory: the Tait equation with the weight of all liquid above; 1 m of water at K = 25 kPa. In a
+closed box that is full, Taylor and Green's vortices have the pressure -rho U^2 / 2 where they turn.
 """
 
 import re
@@ -8,10 +9,11 @@ import re
 import numpy as np
 import pytest
 
+from tests.support.simulate import advance, begin, by_id
 from tests.support.small_scenes import scene
 from vgmpi.apps.run import cli
 from vgmpi.planning.cost.timestep_advice import soft_liquid_lines
-from vgmpi.preprocess.liquid_weight import liquid_weights
+from vgmpi.preprocess.liquid_weight import closed_box_tensions, liquid_weights
 from vgmpi.preprocess.scene_builder import build_scene
 
 HEAD = """
@@ -122,3 +124,73 @@ def test_check_and_plan_tell_it(tmp_path, capsys):
     told(tmp_path, POOL, "max_speed = 4")
     assert cli.main([path, "--check"]) == 0
     assert capsys.readouterr().out == f"{path}: nothing is wrong with it\n"
+
+
+VORTICES = """
+[domain]
+size = [0.32, 0.08, 0.32]
+cell = 0.02
+gravity = [0, 0, 0]
+BOUNDARY
+[time]
+end = 1
+[accuracy]
+precision = "single"
+[material.water]
+kind = "fluid"
+STIFF
+[[object]]
+name = "all"
+material = "water"
+shape = { box = [[0, 0, 0], [0.32, 0.08, TOP]] }
+velocity_mode = [
+  { amplitude = [0.5, 0, -0.5], wave_vector = [9.8174770, 0, 9.8174770] },
+  { amplitude = [0.5, 0, 0.5], wave_vector = [9.8174770, 0, -9.8174770] },
+]
+"""
+
+
+def stretch_told(folder, stiff, boundary="", top="0.32"):
+    """Lines of --check on vortices of 1 m/s in a box."""
+    text = VORTICES.replace("STIFF", stiff).replace("BOUNDARY", boundary).replace("TOP", top)
+    loaded = scene(folder, text)
+    made = build_scene(loaded)
+    tensions = closed_box_tensions(loaded, made.objects, made.x, made.vol0)
+    return soft_liquid_lines(loaded, (), tensions)
+
+
+def test_a_liquid_too_soft_for_the_tension_in_a_closed_box_is_named(tmp_path, capsys):
+    (line,) = stretch_told(tmp_path, "max_speed = 0.35")
+    assert line.startswith("  soft        water: it fills a closed box, where its motion at the")
+    found = re.search(r"stretches it by (\S+) %; at material.water.max_speed \(.*:\d+\) = (\S+)"
+                      r" m/s it is 1 %", line)  # fmt: skip
+    assert found is not None, line
+    assert float(found[1]) == pytest.approx(4.9, abs=0.1)  # of the Tait equation
+    assert float(found[2]) == pytest.approx(0.5**0.5, rel=0.02)
+    assert stretch_told(tmp_path, f"max_speed = {found[2]}") == []
+    (line,) = stretch_told(tmp_path, "tait_coefficient = 400")
+    assert "tears it; at material.water.tait_coefficient" in line
+    assert stretch_told(tmp_path, 'max_speed = 0.35\ntension = "off"') == []
+    assert stretch_told(tmp_path, "max_speed = 0.35", top="0.30") == []  # a free surface
+    gate = 'boundary = { top = { kind = "slip", removal_time = 0.5 } }'
+    assert stretch_told(tmp_path, "max_speed = 0.35", gate) == []
+    stretch_told(tmp_path, "max_speed = 0.35")
+    for flag in ("--check", "--plan"):
+        assert cli.main([str(tmp_path / "scene.toml"), flag]) == 0
+        assert "it fills a closed box" in capsys.readouterr().out
+
+
+def test_the_stretch_that_is_told_is_that_of_a_run(tmp_path):
+    """At the center of the vortices, mean over the time in which they turn by half a radian."""
+    (line,) = stretch_told(tmp_path, "max_speed = 0.35")
+    told_percent = float(re.search(r"by (\S+) %", line)[1])
+    text = (tmp_path / "scene.toml").read_text()
+    simulation, _ = begin(tmp_path, text)
+    means = []
+    for time in np.arange(0.01, 0.16, 0.01):
+        advance(simulation, float(time))
+        x, J = by_id(simulation, "x", "J")
+        center = np.abs(x[:, ::2] - 0.16).max(axis=1) < 0.03
+        means.append(100.0 * (J[center].mean() - 1.0))
+    print(f"stretch {np.mean(means):.3f} %, told {told_percent} %")
+    assert np.mean(means) == pytest.approx(told_percent, rel=0.1)

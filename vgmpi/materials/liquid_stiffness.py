@@ -1,5 +1,6 @@
 """Common keys of liquids in a scene: density, stiffness and tension."""
 
+import math
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -80,6 +81,15 @@ class Liquid(Material):
         """
         gamma = max(self.tait_exponent, 1.0 + 1e-6)
         return -np.log1p((1.0 - 1.0 / gamma) * weight / self.tait_coefficient) / (gamma - 1.0)
+
+    def theta_stretched(self, tension: float) -> float:
+        """Return ln J under a tension, infinite from k on, which this law's p does not exceed.
+
+        Args:
+            tension: Negative pressure [Pa].
+        """
+        strength = self.tait_coefficient
+        return -math.log1p(-tension / strength) / self.exponent if tension < strength else math.inf
 
     @property
     def exponent(self) -> float:

@@ -111,6 +111,7 @@ class Plan:
     surroundings: tuple[Proximity, ...] = ()  # of each object and inlet, if known
     volumes: tuple[float, ...] = ()  # [m3] of each object and inlet, if known
     weights: tuple[float, ...] = ()  # [Pa] on the bottom of each body of liquid, see liquid_weight
+    tensions: tuple[float, ...] = ()  # [Pa] of each body of liquid in a closed box
     motion_steps: tuple[float, ...] = ()  # least steps in equal intervals, by prescribed motions
     sources: tuple[InletPlan, ...] = ()
     sinks: tuple[OutletPlan, ...] = ()

@@ -1,8 +1,12 @@
-"""Weight that compresses the bottom of each body of liquid at the start."""
+"""Pressures of liquids at the start: weight on their bottom, and tension in a closed box."""
 
 import numpy as np
 
 from vgmpi.scene.scene import Scene
+
+from .initial_velocity import initial_velocity
+
+FULL_BOX = 0.99  # [-] fraction of the domain that particles fill, above which it has no surface
 
 
 def liquid_weights(scene: Scene, objects: list[dict], x: np.ndarray) -> tuple[float, ...]:
@@ -44,4 +48,31 @@ def liquid_weights(scene: Scene, objects: list[dict], x: np.ndarray) -> tuple[fl
             scene.material_of(scene.object[j]).density * (high[j, axis] - low[j, axis])
             for j in (k, *above)
         )
+    return tuple(result.tolist())
+
+
+def closed_box_tensions(
+    scene: Scene, objects: list[dict], x: np.ndarray, volume: np.ndarray
+) -> tuple[float, ...]:
+    """Return the tension [Pa] that the motion of each body of liquid may cause, NaN for others.
+
+    In a closed box that is full, pressure has no free surface to start from: about a mean of 0 it
+    falls by density v^2 / 2 where the liquid turns. () if the domain is not full, or open.
+
+    Args:
+        scene: The scene.
+        objects: Entries of the objects and inlets.
+        x: Positions of all particles, shape (n, 3) [m].
+        volume: Rest volumes of all particles, shape (n,) [m3].
+    """
+    if scene.is_open_system or volume.sum() < FULL_BOX * np.prod(scene.domain.size):
+        return ()
+    result = np.full(len(objects), np.nan)
+    for k, body in enumerate(scene.object):
+        first, count = objects[k]["first_row"], objects[k]["row_count"]
+        if objects[k].get("family") != "fluid" or objects[k]["role"] != "body" or not count:
+            continue
+        rows = slice(first, first + count)
+        v = initial_velocity(body, x[rows], volume[rows])
+        result[k] = 0.5 * scene.material_of(body).density * float((v**2).sum(axis=1).max())
     return tuple(result.tolist())

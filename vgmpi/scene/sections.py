@@ -181,10 +181,10 @@ class Accuracy(StrictModel):
     the B-splines, with pic and flip only; a bending body that rotates against the grid keeps its
     stiffness, with 64 particles per cell"""
     volume_correction: Literal["none", "density", "shifting"] = "shifting"
-    """volume of liquids that do not mix and flow through no sand. shifting: the volume follows the
-    local filling at the rate of the flow's strain, and particles that crowd are moved apart. none:
-    integrated from the velocity divergence alone; a splashing or sloshing liquid loses height.
-    density: corrected towards the local filling at a constant rate"""
+    """volume of liquids. shifting: the volume follows the local filling at the rate of the flow's
+    strain, and particles that crowd are moved apart. none: integrated from the velocity divergence
+    alone; a splashing or sloshing liquid loses height. density: corrected towards the local filling
+    at a constant rate, not of liquids that mix or flow through sand"""
     dilatation: Literal["particles", "cells"] = "particles"
     """divergence that the volume of a liquid follows, unless it shares space with others.
     particles: that at each particle; a liquid much stiffer than its depth asks for locks, and its

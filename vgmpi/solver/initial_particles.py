@@ -19,7 +19,7 @@ from vgmpi.planning.prescribed_bodies import Extents
 from vgmpi.planning.proximity import Proximity
 from vgmpi.planning.region_groups import region_plans
 from vgmpi.planning.rigid_bodies import RigidBodiesSummary
-from vgmpi.preprocess.liquid_weight import liquid_weights
+from vgmpi.preprocess.liquid_weight import closed_box_tensions, liquid_weights
 from vgmpi.preprocess.load_targets import resolve_loads
 from vgmpi.preprocess.meshes import texture
 from vgmpi.preprocess.motion_checks import extent, motion_steps
@@ -45,6 +45,7 @@ class ParticleSummary:
     surroundings: tuple[Proximity, ...] = ()
     extents: Extents = field(default_factory=dict)  # of the bodies with prescribed motion
     weights: tuple[float, ...] = ()  # [Pa] see plan.Plan
+    tensions: tuple[float, ...] = ()  # [Pa] see plan.Plan
     rigid: RigidBodiesSummary = RigidBodiesSummary()
     pinned: tuple[PinnedRegion, ...] = ()  # pinned parts of bodies
     # on rank 0: datasets to be written to gaussians.h5 by rest.write, None if the file holds them
@@ -246,6 +247,7 @@ def _summary_of(scene, objects, particles, x, colliders, loads) -> ParticleSumma
         proximity,
         extents,
         liquid_weights(scene, objects, x),
+        closed_box_tensions(scene, objects, x, volume),
         measure_rigid_bodies(colliders, scene.domain.cell),
     )
 
@@ -288,8 +290,9 @@ def plan_for(scene: Scene, summary: ParticleSummary) -> Plan:
     steps = motion_steps(scene, summary.colliders, summary.extents)
     return replace(
         plan, thickness=summary.thickness, surroundings=summary.surroundings,
-        volumes=tuple(summary.volume), weights=summary.weights, motion_steps=tuple(steps.tolist()),
-        rigid=summary.rigid, regions=region_plans(plan, summary.objects),
+        volumes=tuple(summary.volume), weights=summary.weights, tensions=summary.tensions,
+        motion_steps=tuple(steps.tolist()), rigid=summary.rigid,
+        regions=region_plans(plan, summary.objects),
     )  # fmt: skip
 
 

@@ -218,12 +218,14 @@ def _command(args: argparse.Namespace, ranks: SerialCommunicator) -> int:
     folder = args.output or scene.folder / scene.output.folder
     if args.check:
         from vgmpi.planning.cost.timestep_advice import soft_liquid_lines
-        from vgmpi.preprocess.liquid_weight import liquid_weights
+        from vgmpi.preprocess.liquid_weight import closed_box_tensions, liquid_weights
         from vgmpi.preprocess.scene_builder import build_scene
 
         # only this finds unreadable files and bodies outside the domain
         particles = build_scene(scene)
-        lines = soft_liquid_lines(scene, liquid_weights(scene, particles.objects, particles.x))
+        objects, x = particles.objects, particles.x
+        tensions = closed_box_tensions(scene, objects, x, particles.vol0)
+        lines = soft_liquid_lines(scene, liquid_weights(scene, objects, x), tensions)
         print("\n".join([*lines, f"{args.scene}: nothing {'else ' * bool(lines)}is wrong with it"]))
         return 0
     refusal = _slurm_mismatch(ranks) or ("" if args.plan else _folder_problem(folder))

@@ -167,7 +167,7 @@ def _flow(plan: Plan, source: InletPlan) -> float:
 def _accuracy_notes(scene: Scene, plan: Plan) -> list[str]:
     """Return the lines on what the scene's resolution and options make inexact."""
     lines = _thin_walls(scene) + _restored(plan) + _without_cells(scene, plan)
-    lines += soft_liquid_lines(scene, plan.weights)
+    lines += soft_liquid_lines(scene, plan.weights, plan.tensions)
     lines += _thin(scene, plan)
     return lines + _sheets(plan) + _bending(scene, plan)
 

@@ -11,7 +11,7 @@ from vgmpi.planning.plan import Plan, time_step_bounds
 from vgmpi.runtime.config.toml_source import escape_control_characters
 from vgmpi.scene.scene import Scene
 
-TOLERATED_COMPRESSION = 2.0  # [-] of max_compression, by weight, above which a line is given
+TOLERATED_COMPRESSION = 2.0  # [-] of max_compression, above which a line is given
 MAX_RIGID_STRAIN = 1e-3  # [-] strain by weight and impact below which a body counts as rigid
 MIN_STEP_GAIN = 1.5  # [-] gain in step length above which a line of advice is given
 UNITS = {
@@ -33,36 +33,63 @@ def stiffness_key(material: Any) -> str:
     return next(k for k in KEYS if k in type(material).model_fields)
 
 
-def soft_liquid_lines(scene: Scene, weights: tuple[float, ...]) -> list[str]:
-    """Return a line for each liquid that its own weight compresses more than is intended.
+def soft_liquid_lines(
+    scene: Scene, weights: tuple[float, ...], tensions: tuple[float, ...] = ()
+) -> list[str]:
+    """Return lines on liquids that weight or motion strains more than is intended.
 
     Args:
         scene: The scene.
         weights: Weight per area on the bottom of each body of liquid [Pa], NaN for other objects.
+        tensions: Tension of each body of liquid in a closed box [Pa], NaN for other objects.
     """
-    heaviest: dict[str, float] = {}
-    for entity, weight in zip(scene.things, weights, strict=False):
-        if entity.material is not None and not math.isnan(weight):
-            heaviest[entity.material] = max(heaviest.get(entity.material, 0.0), weight)
     lines = []
-    for name, weight in heaviest.items():
+    for name, weight in _largest_by_liquid(scene, weights).items():
         liquid: Any = scene.material[name]
         compression = -math.expm1(float(liquid.theta_under(weight)))
-        if compression <= TOLERATED_COMPRESSION * liquid.max_compression:
-            continue
-        key, allowed = stiffness_key(liquid), liquid.max_compression
-        value = {
-            "max_speed": math.sqrt(weight / liquid.density),
-            "max_depth": weight / (liquid.density * GRAVITY),
-            "tait_coefficient": weight / (allowed * liquid.tait_exponent),
-        }[key]
-        lines.append(
-            f"  soft        {escape_control_characters(name)}: the weight of the liquid compresses"
-            f" it by {100 * compression:.2g} % at the bottom; at"
-            f" {scene.place(('material', name, key))} = {value:.2g} {UNITS[key]} it is"
-            f" {100 * allowed:g} %"
-        )
+        if compression > TOLERATED_COMPRESSION * liquid.max_compression:
+            effect = f"the weight of the liquid compresses it by {100 * compression:.2g} %"
+            lines.append(_soft_line(scene, name, f"{effect} at the bottom", weight))
+    for name, tension in _largest_by_liquid(scene, tensions).items():
+        liquid = scene.material[name]
+        stretch = math.expm1(liquid.theta_stretched(tension))
+        if liquid.tension == "on" and stretch > TOLERATED_COMPRESSION * liquid.max_compression:
+            size = f"stretches it by {100 * stretch:.2g} %" if stretch < math.inf else "tears it"
+            effect = f"it fills a closed box, where its motion at the start {size}"
+            lines.append(_soft_line(scene, name, effect, tension))
     return lines
+
+
+def _largest_by_liquid(scene: Scene, pressures: tuple[float, ...]) -> dict[str, float]:
+    """Return the largest of the pressures [Pa] of each liquid's bodies, by its name."""
+    result: dict[str, float] = {}
+    for entity, pressure in zip(scene.things, pressures, strict=False):
+        if entity.material is not None and not math.isnan(pressure):
+            result[entity.material] = max(result.get(entity.material, 0.0), pressure)
+    return result
+
+
+def _soft_line(scene: Scene, name: str, effect: str, pressure: float) -> str:
+    """Return the line on a soft liquid, with the key and value at which it is stiff enough.
+
+    Args:
+        scene: The scene.
+        name: Name of the liquid.
+        effect: What happens to it.
+        pressure: Pressure or tension that strains it [Pa].
+    """
+    liquid: Any = scene.material[name]
+    key, allowed = stiffness_key(liquid), liquid.max_compression
+    value = {
+        "max_speed": math.sqrt(pressure / liquid.density),
+        "max_depth": pressure / (liquid.density * GRAVITY),
+        "tait_coefficient": pressure / (allowed * liquid.tait_exponent),
+    }[key]
+    return (
+        f"  soft        {escape_control_characters(name)}: {effect}; at"
+        f" {scene.place(('material', name, key))} = {value:.2g} {UNITS[key]} it is"
+        f" {100 * allowed:g} %"
+    )
 
 
 def limiting_material_lines(scene: Scene, plan: Plan, compare: Callable[[float], str]) -> list[str]:
