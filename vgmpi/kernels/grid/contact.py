@@ -236,9 +236,8 @@ def _pairs(site, phase, offsets, phases, rules, motions, step, work):
             if rules is not None:
                 if rules.pair[ph, other] != CONTACT:
                     continue
-            if _driven(motions, ph) and _driven(motions, other):
-                continue
-            if are_apart(phases, ph, other, site.solid, site.node, step.dx):
+            both_driven = _driven(motions, ph) and _driven(motions, other)
+            if both_driven or are_apart(phases, ph, other, site.solid, site.node, step.dx):
                 continue
             a, b = (
                 (q, r) if phases.contact_priority[ph] < phases.contact_priority[other] else (r, q)
