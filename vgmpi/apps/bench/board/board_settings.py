@@ -12,6 +12,7 @@ DAM_CELLS_48 = 0.146 * 4 / 48  # [m]
 
 RUNS: dict[str, tuple[tuple[str, ...], ...]] = {
     "dam_break": (
+        ("vgmpi", "accuracy.level=draft", "time.cfl=1.0"),
         ("vgmpi", "accuracy.level=draft"),
         ("vgmpi", f"domain.cell={DAM_CELLS_48}", "material.water.compression=0.04"),
         ("vgmpi", f"domain.cell={DAM_CELLS_48}"),
@@ -25,7 +26,7 @@ RUNS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("genesis", "cell=0.009125"),
     ),
     "level": (
-        ("vgmpi", "domain.cell=0.04"),
+        ("vgmpi", "domain.cell=0.016"),
         ("vgmpi",),
         ("vgmpi", "domain.cell=0.013333333333333334"),
         ("newton", "cell=0.04", STEP_120),
