@@ -15,7 +15,7 @@ from ..benchmark_case import BenchError
 from ..subcommands import print_progress
 from .board_cases import CASES
 from .board_plot import draw_board
-from .board_results import format_tables, mark_front, read_results, run_key, write_csv
+from .board_results import format_csv, format_tables, mark_front, read_results, run_key
 from .board_settings import RIVAL_PACKAGES, RUNS
 
 PACKAGE = Path(__file__).parents[4]  # the folder of the package vgmpi
@@ -105,7 +105,7 @@ def run_board(args: argparse.Namespace) -> int:
     marked = mark_front([results[key] for key in order if key in results])
     tables = format_tables(marked)
     replace_file(args.output / "board.md", tables + "\n")
-    write_csv(args.output / "board.csv", marked)
+    replace_file(args.output / "board.csv", format_csv(marked))
     print(tables)
     try:
         draw_board(args.output / "board.png", marked)

@@ -1,6 +1,7 @@
 """Results of the board: lines of JSON on the disk, the front of every case, table and CSV."""
 
 import csv
+import io
 import json
 from pathlib import Path
 from typing import Any
@@ -93,17 +94,18 @@ def advantages(results: list[dict[str, Any]]) -> dict[tuple[str, str], float]:
     return ratios
 
 
-def write_csv(path: Path, results: list[dict[str, Any]]) -> None:
-    """Write the results as a table of comma-separated values."""
-    with open(path, "w", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, extrasaction="ignore", lineterminator="\n")
-        writer.writeheader()
-        for result in results:
-            row = {
-                key: f"{value:.5g}" if isinstance(value, float) else value
-                for key, value in result.items()
-            }
-            writer.writerow(row | {"options": " ".join(result["options"])})
+def format_csv(results: list[dict[str, Any]]) -> str:
+    """Return the results as a table of comma-separated values."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    for result in results:
+        row = {
+            key: f"{value:.5g}" if isinstance(value, float) else value
+            for key, value in result.items()
+        }
+        writer.writerow(row | {"options": " ".join(result["options"])})
+    return text.getvalue()
 
 
 def format_tables(results: list[dict[str, Any]]) -> str:
