@@ -136,7 +136,7 @@ def serve_page(args: argparse.Namespace) -> int:
         page.run()
     finally:
         stop_server(server)
-    print("the live page has ended; a run goes on without it", flush=True)
+    print("the live page has ended", flush=True)
     return 130 if was_interrupted.is_set() else 0
 
 

@@ -155,7 +155,7 @@ def test_ctrl_c_ends_with_one_line(out):
         greeted(process)
         code, rest, err = process.stop(signal.SIGINT)
     assert (code, err) == (130, "")
-    assert rest == "the live page has ended; a run goes on without it\n"
+    assert rest == "the live page has ended\n"
 
 
 def test_a_page_without_viewers_ends_when_it_should(out):
