@@ -30,7 +30,6 @@ class Options:
 
 # features that an engine lacks, by the scene's keys
 LACKS = {
-    "numpy": {"thin": "thin walls"},
     CARD: {
         "rigid": "free rigid bodies", "joint": "joints", "pinned": "pinned parts",
         "slip_length": "slip lengths", "thin": "thin walls",
