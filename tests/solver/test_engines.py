@@ -8,13 +8,10 @@ by symmetry and no contact hangs on a rounding error.
 import numpy as np
 import pytest
 
-from tests.support.engine_pair import beside, shaken, worst
-from tests.support.small_scenes import LAWS, scene
+from tests.support.engine_pair import of_scene, worst
+from tests.support.small_scenes import LAWS
 from vgmpi.apps.run import cli
-from vgmpi.preprocess.initial_velocity import initial_velocity_gradient
-from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.solver.engine_registry import ENGINES
-from vgmpi.solver.initial_particles import known_of, plan_for
 
 STEPS, SORT_AT = 6, 3
 HEAD = """
@@ -227,14 +224,7 @@ def simulations(folder, name):
     """{engine: Simulation} of the same particles."""
     text, walls, accuracy = SCENES[name]
     head = HEAD.replace("BOUNDARY", WALLS[walls]).replace("ACCURACY", accuracy)
-    loaded = scene(folder, head + text)
-    made = build_scene(loaded)
-    plan = plan_for(loaded, known_of(loaded, made))
-    x, v = shaken(made, plan, 3)
-    C = initial_velocity_gradient(loaded, x, made.object)
-    more = {"theta": made.theta0, "C": C, "sh": made.sh, "surface": made.surface0}
-    found = beside(plan, made.colliders, x, v, made.vol0, made.object, tuple(ENGINES), **more)
-    return dict(zip(ENGINES, found, strict=True))
+    return dict(zip(ENGINES, of_scene(folder, head + text, tuple(ENGINES)), strict=True))
 
 
 @pytest.mark.parametrize("name", SCENES)

@@ -16,11 +16,7 @@ from tests.solver.test_engines import (
     body,
     material,
 )
-from tests.support.engine_pair import beside, shaken, worst
-from tests.support.small_scenes import scene
-from vgmpi.preprocess.initial_velocity import initial_velocity_gradient
-from vgmpi.preprocess.scene_builder import build_scene
-from vgmpi.solver.initial_particles import known_of, plan_for
+from tests.support.engine_pair import of_scene, worst
 
 STEPS, SORT_AT = 24, 12
 QUANTA = 1e-3  # reactions are sums of whole quanta: they agree to 1e-9
@@ -145,15 +141,7 @@ def simulations(folder, name):
     """(NumPy engine, CPU engine): simulations of the same particles."""
     text, walls, accuracy = SCENES[name]
     head = HEAD.replace("BOUNDARY", WALLS[walls]).replace("ACCURACY", accuracy)
-    loaded = scene(folder, head + text)
-    made = build_scene(loaded)
-    plan = plan_for(loaded, known_of(loaded, made))
-    x, v = shaken(made, plan, 3)
-    more = {"C": initial_velocity_gradient(loaded, x, made.object), "surface": made.surface0}
-    return beside(
-        plan, made.colliders, x, v, made.vol0, made.object, ("numpy", "cpu"),
-        theta=made.theta0, **more,
-    )  # fmt: skip
+    return of_scene(folder, head + text, ("numpy", "cpu"))
 
 
 def apart(one, other):

@@ -2,7 +2,11 @@
 
 import numpy as np
 
+from tests.support.small_scenes import scene
 from vgmpi.parallel.communicator import SerialCommunicator
+from vgmpi.preprocess.initial_velocity import initial_velocity_gradient
+from vgmpi.preprocess.scene_builder import build_scene
+from vgmpi.solver.initial_particles import known_of, plan_for
 from vgmpi.solver.simulation import Simulation
 
 # relative to the largest value there is
@@ -19,6 +23,17 @@ def beside(plan, colliders, x, v, volume, thing, engines=("cpu", "numpy"), **mor
     for one in found:
         one.put(x, v, volume, np.arange(len(x)), thing, **more)
     return found
+
+
+def of_scene(folder, text, engines):
+    """Simulations of a scene's text, one per engine, on the same particles off their lattice."""
+    loaded = scene(folder, text)
+    made = build_scene(loaded)
+    plan = plan_for(loaded, known_of(loaded, made))
+    x, v = shaken(made, plan, 3)
+    C = initial_velocity_gradient(loaded, x, made.object)
+    more = {"theta": made.theta0, "C": C, "sh": made.sh, "surface": made.surface0}
+    return beside(plan, made.colliders, x, v, made.vol0, made.object, engines, **more)
 
 
 def shaken(made, plan, seed):

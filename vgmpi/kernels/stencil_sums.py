@@ -227,9 +227,12 @@ def in_turn(parts):
 
 
 def by_runs(make_part, parts):
+    """Return a function that scatters runs of records with one base row."""
+    return _runs_whole if len(parts) == 1 else runs_in_parts(make_part, parts)
+
+
+def runs_in_parts(make_part, parts):
     """Return a function that scatters runs of records with one base row, part by part."""
-    if len(parts) == 1:
-        return _runs_whole
     add = in_turn([make_part(node, nodes) for node, nodes in parts])
 
     @_inline

@@ -1,16 +1,10 @@
 """Scatter of particle values without slopes to the nine rows of nodes of each record."""
 
-import numpy as np
-from numba import njit
-
 from vgmpi.kernels.simd.partial_rows import broadcast_per_node, tile, zeros_like_row
 from vgmpi.runtime.jit import always_inline
 
 from .particle_records import PLANE
-from .stencil_sums import _add, define_stencil_function, in_turn
-
-# not cached by itself, since it is built from closures of this file; its callers are cached
-_inline = njit(nogil=True, error_model="numpy")
+from .stencil_sums import _add, define_stencil_function, runs_in_parts
 
 
 def _scatter_values(node, nodes):
@@ -38,23 +32,6 @@ def _scatter_values(node, nodes):
     return _stencil
 
 
-def _in_runs(make_part, parts):
-    """Return a function that scatters runs of records with one base row, part by part."""
-    add = in_turn([make_part(node, nodes) for node, nodes in parts])
-
-    @_inline
-    def _stencil(count, records, weights, base, patch):
-        n = 0
-        while n < count:
-            base_row, end = base[n], n + 1
-            while end < count and base[end] == base_row:
-                end += 1
-            add(n, end, records, weights, patch, np.int64(base_row))
-            n = end
-
-    return _stencil
-
-
 def scatter_values(count, records, weights, base, patch):
     """Add values to the patch as `stencil_sums.scatter` adds records whose slopes are 0.
 
@@ -66,4 +43,4 @@ def scatter_values(count, records, weights, base, patch):
     """
 
 
-define_stencil_function(scatter_values, _in_runs, _scatter_values)
+define_stencil_function(scatter_values, runs_in_parts, _scatter_values)

@@ -6,12 +6,11 @@ field and no slopes, so one record per particle serves them all.
 
 from typing import NamedTuple
 
-from vgmpi.kernels.particle_records import AFFINE, STATE, VOLUME, load_tensor
-from vgmpi.kernels.simd.material_dispatch import load_state_vector, stress
+from vgmpi.kernels.particle_records import AFFINE, load_tensor
 from vgmpi.kernels.simd.row_ops import broadcast, store_records
-from vgmpi.kernels.simd.vector16 import load
 
 from .field_protocol import MIRROR_NONE, particle_contribution
+from .mean_pressure import pressure_impulse
 
 
 class BodyFields(NamedTuple):
@@ -34,9 +33,7 @@ def _body_fields(kind, law, count, offset, cap, f, extra, peak, records, dt):
     for n in range(0, count, 16):
         p = offset + n
         L = load_tensor(f, p + AFFINE * cap, cap)
-        t00, t11, t22, _, _, _ = stress(law, load_state_vector(law, f, p + STATE * cap, cap), L)
-        volume = load(f, p + VOLUME * cap)
-        pressure = scale * volume * (t00 + t11 + t22)
+        pressure, volume = pressure_impulse(law, p, cap, f, L, scale)
         mass = kind.density * volume
         k = kind.dx * mass
         store_records(

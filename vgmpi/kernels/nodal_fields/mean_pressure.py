@@ -12,6 +12,7 @@ from vgmpi.kernels.simd.material_dispatch import load_state_vector, stress
 from vgmpi.kernels.simd.row_ops import broadcast, store_records
 from vgmpi.kernels.simd.vector16 import load
 from vgmpi.kernels.stencil_sums import scatter
+from vgmpi.runtime.jit import always_inline
 
 from . import stress_impulse
 from .field_protocol import MIRROR_NONE, accumulate, particle_contribution
@@ -34,6 +35,23 @@ def accumulator_range(plan, speed: float) -> np.ndarray:
     return stress_impulse.accumulator_range(plan, speed)
 
 
+@always_inline
+def pressure_impulse(law, p, cap, f, L, scale):
+    """Return the impulse of the mean pressure of 16 particles, and their volumes [m3].
+
+    Args:
+        law: Material parameters of the group.
+        p: First of the particles.
+        cap: Particles that the group has room for.
+        f: Channels of the group, flat.
+        L: Velocity gradient.
+        scale: -dt / (3 dx).
+    """
+    t00, t11, t22, _, _, _ = stress(law, load_state_vector(law, f, p + STATE * cap, cap), L)
+    volume = load(f, p + VOLUME * cap)
+    return scale * volume * (t00 + t11 + t22), volume
+
+
 @particle_contribution.of(MeanPressure)
 def _mean_pressure(kind, law, count, offset, cap, f, extra, peak, records, dt):
     o = broadcast(f, 0.0)
@@ -41,9 +59,7 @@ def _mean_pressure(kind, law, count, offset, cap, f, extra, peak, records, dt):
     for n in range(0, count, 16):
         p = offset + n
         L = load_tensor(f, p + AFFINE * cap, cap)
-        t00, t11, t22, _, _, _ = stress(law, load_state_vector(law, f, p + STATE * cap, cap), L)
-        volume = load(f, p + VOLUME * cap)
-        pressure = scale * volume * (t00 + t11 + t22)
+        pressure, volume = pressure_impulse(law, p, cap, f, L, scale)
         store_records(records, 16 * n, (pressure, o, o, volume, o, o, o, o, o, o, o, o, o, o, o, o))
 
 

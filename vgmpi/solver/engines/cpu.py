@@ -307,7 +307,7 @@ class Cpu(KernelCaller):
         self.each(self._gather, motion)
         rows = self.reports.reshape(-1, 6)
         maxima = rows.max(0).tolist()
-        failed = [(int(row[2]) - 1, int(row[3])) for row in rows if row[2] > 0]
+        failed = [(int(row[2]) - 1, int(row[3])) for row in rows[rows[:, 2] > 0]]
         stress = max(float(scratch.peak.max()) for scratch in self.scratch)
         bounds = self.plan.dx * maxima[4], math.sqrt(maxima[5]), math.sqrt(stress)
         return StepReport(maxima[0], maxima[1], bounds, failed, self._found_beyond())

@@ -37,7 +37,13 @@ wp.config.quiet = True
 def move_into_tank(
     x: wp.array(dtype=wp.vec3), v: wp.array(dtype=wp.vec3), low: wp.vec3, high: wp.vec3
 ):
-    """Move particles that passed a wall back and stop them, as its example of a dam break does."""
+    """Move particles that passed a wall back and stop them, as its example of a dam break does.
+
+    Args:
+        x: Positions [m] (in/out).
+        v: Velocities [m/s] (in/out).
+        low, high: Corners of the box in which particles may be [m].
+    """
     i = wp.tid()
     position, velocity = x[i], v[i]
     for k in range(3):

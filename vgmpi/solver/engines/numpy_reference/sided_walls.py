@@ -98,7 +98,12 @@ class ThinWalls:
         return own, np.where(self.is_sided, face, self.collider[..., 3])
 
     def are_apart(self, p: int, q: int, node: tuple) -> bool:
-        """Return whether two phases lie on different sides of a wall, so that they do not meet."""
+        """Return whether two phases lie on different sides of a wall, so that they do not meet.
+
+        Args:
+            p, q: The two phases.
+            node: Index of the node.
+        """
         return bool(self.side[p] * self.side[q] < 0 and self.is_sided[node])
 
     def face(self, p: int, node: tuple, normal: np.ndarray, distance: float):

@@ -55,7 +55,11 @@ class SurfaceNodes(KernelCaller):
             kinds[divmod(wall, 2)] = KINDS["open"]
 
     def sum_reactions(self, rows: int, quanta: np.ndarray, rank: int) -> None:
-        """Start to sum the reactions of rigid surfaces; see `Engine.enable_reactions`."""
+        """Start to sum the reactions of rigid surfaces.
+
+        Args:
+            rows, quanta, rank: See `Engine.enable_reactions`.
+        """
         self.reactions = ReactionAccumulators(self.plan, rows, quanta, rank, 1)
 
     def set_node_blocks(self, tables: ExchangeTopology) -> None:
