@@ -209,10 +209,6 @@ def in_turn(parts):
     first, second, last = parts[0], parts[-2 % len(parts)], parts[-1]
 
     @always_inline
-    def _one_part(n, end, records, weights, patch, o):
-        last(n, end, records, weights, patch, o)
-
-    @always_inline
     def _two_parts(n, end, records, weights, patch, o):
         first(n, end, records, weights, patch, o)
         last(n, end, records, weights, patch, o)
@@ -223,7 +219,7 @@ def in_turn(parts):
         second(n, end, records, weights, patch, o)
         last(n, end, records, weights, patch, o)
 
-    return (_one_part, _two_parts, _three_parts)[len(parts) - 1]
+    return (last, _two_parts, _three_parts)[len(parts) - 1]
 
 
 def by_runs(make_part, parts):
