@@ -124,6 +124,13 @@ def test_the_front_and_the_advantage():
     assert "| bar | genesis | not reached by vgmpi |" in text and "| bar | newton | 4.0 |" in text
 
 
+def test_errors_below_the_resolution_of_a_reference_are_equal():
+    """1e-3 of the bar's frequency: what costs more is not on the front by its smaller error."""
+    results = [result_of("vgmpi", 1.0, 0.0009), result_of("genesis", 5.0, 0.0001)]
+    assert [r["on_front"] for r in board_results.mark_front(results)] == [True, False]
+    assert board_results.advantages(results) == {("bar", "genesis"): 5.0}
+
+
 def test_a_failed_run_is_a_row():
     results = [
         result_of("vgmpi", 1.0, 0.1),

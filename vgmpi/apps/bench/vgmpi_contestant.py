@@ -105,10 +105,10 @@ class Contestant:
             self.cycle()  # memory and code are warm, and the first sort is over
         self.ranks.barrier()
         clock = self.simulation.clock = None if self.card else Stages(self.now)
-        began, wall, launches = self.now(), time.perf_counter(), self.launches[0]
+        began, wall, launched = self.now(), time.perf_counter(), self.launches[0]
         steps = sum(self.cycle() for _ in range(units))
         seconds, wall = self.now() - began, time.perf_counter() - wall
-        launches = (self.launches[0] - launches) / steps
+        launches = (self.launches[0] - launched) / steps
         if clock is None:  # the clock of stages would make the processor wait for each of them
             clock = self.simulation.clock = Stages(self.now)
             self.cycle()

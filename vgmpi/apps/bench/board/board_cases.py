@@ -60,6 +60,7 @@ class BoardCase:
         interval: Time between two records [s].
         measure: Makes the measure of a run: volumes of the particles (n,) [m3], their first
             positions (n, 3) [m], cell [m].
+        resolution: Error below which the reference cannot tell two runs apart.
         family: fluid, sand or elastic.
     """
 
@@ -69,6 +70,7 @@ class BoardCase:
     end: float
     interval: float
     measure: Callable[[np.ndarray, np.ndarray, float], Measure]
+    resolution: float = 0.0
     family: str = "fluid"
 
 
@@ -214,15 +216,16 @@ class HeightMeasure:
 CASES = {
     "dam_break": BoardCase(
         "dam break: front, rms in column widths", (0.146, 0.073, 0.292), (0.584, 0.073, 0.365),
-        0.36, 0.02, FrontMeasure),
+        0.36, 0.02, FrontMeasure, 0.05),
     "level": BoardCase(
         "water that sways for 5 s: level", (0.16, 0.08, 0.2), (0.32, 0.08, 0.32), 5.0, 0.1,
-        LevelMeasure),
+        LevelMeasure, 0.005),
     "sand": BoardCase(
         "column of sand: run-out", (0.16, 0.08, 0.16), (0.56, 0.08, 0.24), 0.6, 0.1, SandMeasure,
-        "sand"),
+        0.1, "sand"),
     "bar": BoardCase(
-        "free bar: frequency", (1.0, 0.2, 0.2), None, 2.0, 1 / 200, BarMeasure, "elastic"),
+        "free bar: frequency", (1.0, 0.2, 0.2), None, 2.0, 1 / 200, BarMeasure, 1e-3,
+        "elastic"),
     "rest": BoardCase(
         "pool at rest", (0.4, 0.4, 0.08), (0.4, 0.4, 0.4), 0.1, 0.02, HeightMeasure),
     "splash": BoardCase(

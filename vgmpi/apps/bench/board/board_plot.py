@@ -4,14 +4,14 @@ from pathlib import Path
 from typing import Any
 
 from .board_cases import CASES
-from .board_results import seconds_per_second
+from .board_results import comparable_error, seconds_per_second
 
 COLORS = {"vgmpi": "#1f5fbf", "newton": "#d9822b", "genesis": "#4a9a53"}
 MARKERS = {"vgmpi": "o", "newton": "s", "genesis": "^"}
 
 
 def draw_board(path: Path, results: list[dict[str, Any]]) -> None:
-    """Write the picture.
+    """Write the picture; what lies in the gray band, its reference cannot tell apart.
 
     Raises:
         ImportError: If matplotlib is missing.
@@ -27,11 +27,14 @@ def draw_board(path: Path, results: list[dict[str, Any]]) -> None:
         rows = [r for r in results if r["case"] == name and "error" in r]
         for solver, color in COLORS.items():
             points = sorted(
-                (seconds_per_second(r), r["error"]) for r in rows if r["solver"] == solver
+                (seconds_per_second(r), max(r["error"], 0.2 * CASES[name].resolution))
+                for r in rows
+                if r["solver"] == solver
             )
             if points:
                 panel.plot(*zip(*points), MARKERS[solver], color=color, label=solver, ms=6)
-        front = sorted((seconds_per_second(r), r["error"]) for r in rows if r["on_front"])
+        panel.axhspan(0, CASES[name].resolution, color="0.93", zorder=-1)
+        front = sorted((seconds_per_second(r), comparable_error(r)) for r in rows if r["on_front"])
         panel.step(*zip(*front), where="post", color="0.6", lw=1, zorder=0)
         panel.set(xscale="log", yscale="log", xlabel="processor s per simulated s")
         panel.set_title(CASES[name].title.replace(": ", ":\n"), fontsize=9)

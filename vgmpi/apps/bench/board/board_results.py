@@ -39,10 +39,16 @@ def seconds_per_second(result: dict[str, Any], clock: str = "cpu") -> float:
     return result[clock] / result["simulated"]
 
 
+def comparable_error(result: dict[str, Any]) -> float:
+    """Return the error of a run, at least what its reference can tell."""
+    return max(result["error"], CASES[result["case"]].resolution)
+
+
 def mark_front(results: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the results with `on_front`: no other run of the case is as cheap and as exact.
 
-    A case without an error has the cheapest run per particle on its front.
+    Errors below the resolution of the case count as equal. A case without an error has the cheapest
+    run per particle on its front.
     """
     marked = []
     for result in results:
@@ -51,13 +57,13 @@ def mark_front(results: list[dict[str, Any]]) -> list[dict[str, Any]]:
             marked.append(result | {"on_front": False})
             continue
         if "error" in result:
-            cost, error = seconds_per_second(result), result["error"]
+            cost, error = seconds_per_second(result), comparable_error(result)
             better = [
                 r
                 for r in rivals
                 if seconds_per_second(r) <= cost
-                and r["error"] <= error
-                and (seconds_per_second(r) < cost or r["error"] < error)
+                and comparable_error(r) <= error
+                and (seconds_per_second(r) < cost or comparable_error(r) < error)
             ]
         else:
             cost = seconds_per_second(result) / result["particles"]
@@ -83,7 +89,8 @@ def advantages(results: list[dict[str, Any]]) -> dict[tuple[str, str], float]:
             if r["solver"] == "vgmpi" and r["case"] == result["case"] and "cpu" in r
         ]
         if "error" in result:
-            costs = [seconds_per_second(r) for r in own if r["error"] <= result["error"]]
+            error = comparable_error(result)
+            costs = [seconds_per_second(r) for r in own if comparable_error(r) <= error]
             cost = seconds_per_second(result)
         else:
             costs = [seconds_per_second(r) / r["particles"] for r in own]
