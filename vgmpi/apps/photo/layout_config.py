@@ -256,6 +256,25 @@ def read_empty(path: Path) -> tuple[Empty, TomlSource]:
         raise LayoutError(source.lines(format_validation_errors(error, Empty))) from None
 
 
+def read_unfinished(path: Path) -> tuple[Empty, str, tuple[ObjectTable, ...]]:
+    """Read a layout that may be absent and may have no objects yet.
+
+    Returns:
+        The layout without its objects, its text, and the objects.
+
+    Raises:
+        LayoutError: The layout is invalid.
+    """
+    if not path.exists():
+        return Empty(), "", ()
+    source = TomlSource(path, error=LayoutError, renames=renamed_keys.LAYOUT)
+    if source.data.get("object"):
+        loaded = read(path)
+        return loaded.layout, source.text, loaded.layout.object
+    empty, source = read_empty(path)
+    return empty, source.text, ()
+
+
 def _check_names(layout: Layout) -> list[tuple[tuple, str]]:
     """Return errors of equal names, ignoring case as some file systems do."""
     errors, first_index = [], {}
@@ -303,11 +322,7 @@ def insert_guesses(text: str, guesses: list[tuple[tuple, Any, str]]) -> str:
     Raises:
         LayoutError: tomlkit is missing.
     """
-    try:
-        import tomlkit
-    except ImportError:
-        message = "writing guesses into a layout needs tomlkit: pip install 'vgmpi[images]'"
-        raise LayoutError([message]) from None
+    tomlkit = _tomlkit()
     document = tomlkit.parse(text)
     for path, value, reason in guesses:
         table: Any = document
@@ -320,6 +335,55 @@ def insert_guesses(text: str, guesses: list[tuple[tuple, Any, str]]) -> str:
             item.comment(" ".join(reason.split()))
         table[path[-1]] = item
     return tomlkit.dumps(document)
+
+
+def replace_objects(text: str, objects: list[tuple[int | None, dict[str, Any]]]) -> str:
+    """Return a layout's text with other objects; what it has besides stays as it was written.
+
+    Args:
+        text: Text of the layout.
+        objects: Number of each object's table in the text, None for a new one, and its keys; a key
+            whose value is None is removed. Tables that are not listed are removed.
+
+    Raises:
+        LayoutError: tomlkit is missing.
+    """
+    tomlkit = _tomlkit()
+    document = tomlkit.parse(text)
+    if "object" not in document:
+        document.append("object", tomlkit.aot())
+    tables: Any = document["object"]
+    numbers = sorted(number for number, _ in objects if number is not None)
+    for k in reversed(range(len(tables))):
+        if k not in numbers:
+            del tables[k]
+    first_new = len(tables)
+    for number, values in objects:
+        is_new = number is None
+        table = tomlkit.table() if number is None else tables[numbers.index(number)]
+        for key, value in values.items():
+            if key == "point_prompts":
+                table.pop("clicks", None)  # the name of earlier versions
+            if value is None:
+                table.pop(key, None)
+            elif is_new or table.get(key) != value:
+                table[key] = value
+        if is_new:
+            tables.append(table)
+    for table in tables[first_new:]:
+        if isinstance(tables, tomlkit.items.AoT):
+            table.add(tomlkit.nl())
+    return tomlkit.dumps(document)
+
+
+def _tomlkit() -> Any:
+    """Return the package tomlkit; raise a LayoutError if it is missing."""
+    try:
+        import tomlkit
+    except ImportError:
+        message = "writing into a layout needs tomlkit: pip install 'vgmpi[images]'"
+        raise LayoutError([message]) from None
+    return tomlkit
 
 
 def relative(path: Path, folder: Path) -> str:
