@@ -1,7 +1,6 @@
 """Schema of layout.toml: the user's description of a photograph and the guesses written into it."""
 
 import math
-import os
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -168,6 +167,8 @@ class ObjectTable(StrictModel):
     body: str | None = None
     up: Axis | None = None
     multi_view: str | None = None
+    wall: Annotated[float, Quantity("1", ge=0.03, le=0.5)] | None = None
+    inside: str | None = None
 
     @field_validator("name")
     @classmethod
@@ -185,6 +186,11 @@ class ObjectTable(StrictModel):
         sources = [key for key in keys if getattr(self, key) is not None]
         if len(sources) > 1:
             raise ValueError(f"has {' and '.join(sources)}: only one of them makes its body")
+        if self.wall is not None and self.reconstruction != "cup":
+            raise ValueError('wall: allowed with reconstruction = "cup" only')
+        useless = [key for key in (*keys, "support", "distance") if getattr(self, key) is not None]
+        if self.inside is not None and useless:
+            raise ValueError(f"has inside and {useless[0]}: its cup decides its body and its place")
         return self
 
 
@@ -234,7 +240,8 @@ def read(path: Path) -> LoadedLayout:
         loaded = LoadedLayout(Layout.model_validate(source.data), source)
     except ValidationError as error:
         raise LayoutError(source.lines(format_validation_errors(error, Layout))) from None
-    errors = _check_names(loaded.layout) + _check_supports(loaded.layout)
+    layout = loaded.layout
+    errors = _check_names(layout) + _check_supports(layout) + _check_cups(layout)
     if errors:
         raise loaded.wrong(*errors)
     return loaded
@@ -310,82 +317,13 @@ def _check_supports(layout: Layout) -> list[tuple[tuple, str]]:
     return errors
 
 
-def insert_guesses(text: str, guesses: list[tuple[tuple, Any, str]]) -> str:
-    """Insert values that a layout lacks, each with its reason as a comment.
-
-    Everything else stays as it was written.
-
-    Args:
-        text: Text of the layout.
-        guesses: Path of the key, value and reason of each guess.
-
-    Raises:
-        LayoutError: tomlkit is missing.
-    """
-    tomlkit = _tomlkit()
-    document = tomlkit.parse(text)
-    for path, value, reason in guesses:
-        table: Any = document
-        for part in path[:-1]:
-            if isinstance(part, str) and part not in table:
-                table[part] = tomlkit.table()
-            table = table[part]
-        item = tomlkit.item(value)
-        if reason and not isinstance(table, tomlkit.items.InlineTable):
-            item.comment(" ".join(reason.split()))
-        table[path[-1]] = item
-    return tomlkit.dumps(document)
-
-
-def replace_objects(text: str, objects: list[tuple[int | None, dict[str, Any]]]) -> str:
-    """Return a layout's text with other objects; what it has besides stays as it was written.
-
-    Args:
-        text: Text of the layout.
-        objects: Number of each object's table in the text, None for a new one, and its keys; a key
-            whose value is None is removed. Tables that are not listed are removed.
-
-    Raises:
-        LayoutError: tomlkit is missing.
-    """
-    tomlkit = _tomlkit()
-    document = tomlkit.parse(text)
-    if "object" not in document:
-        document.append("object", tomlkit.aot())
-    tables: Any = document["object"]
-    numbers = sorted(number for number, _ in objects if number is not None)
-    for k in reversed(range(len(tables))):
-        if k not in numbers:
-            del tables[k]
-    first_new = len(tables)
-    for number, values in objects:
-        is_new = number is None
-        table = tomlkit.table() if number is None else tables[numbers.index(number)]
-        for key, value in values.items():
-            if key == "point_prompts":
-                table.pop("clicks", None)  # the name of earlier versions
-            if value is None:
-                table.pop(key, None)
-            elif is_new or table.get(key) != value:
-                table[key] = value
-        if is_new:
-            tables.append(table)
-    for table in tables[first_new:]:
-        if isinstance(tables, tomlkit.items.AoT):
-            table.add(tomlkit.nl())
-    return tomlkit.dumps(document)
-
-
-def _tomlkit() -> Any:
-    """Return the package tomlkit; raise a LayoutError if it is missing."""
-    try:
-        import tomlkit
-    except ImportError:
-        message = "writing into a layout needs tomlkit: pip install 'vgmpi[images]'"
-        raise LayoutError([message]) from None
-    return tomlkit
-
-
-def relative(path: Path, folder: Path) -> str:
-    """Return the path of a file relative to the folder of a layout."""
-    return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
+def _check_cups(layout: Layout) -> list[tuple[tuple, str]]:
+    """Return errors of liquids whose cup is absent or is no cup."""
+    cups = [obj.name for obj in layout.object if obj.reconstruction == "cup"]
+    errors = []
+    for k, obj in enumerate(layout.object):
+        if obj.inside is not None and obj.inside not in cups:
+            names = f"such objects: {', '.join(cups) or 'none'}"
+            message = f"'{obj.inside}' is no object with reconstruction = \"cup\"; {names}"
+            errors.append((("object", k, "inside"), message))
+    return errors

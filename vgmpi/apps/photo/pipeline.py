@@ -18,6 +18,7 @@ from . import (
     body_sources,
     box_proposals,
     height_from_depth,
+    layout_text,
     learned_models,
     material_lookup,
     object_placement,
@@ -76,7 +77,7 @@ def photo_to_scene(
     _record_guesses(loaded, view, placed, guesses)
     eye_at = np.array([0.0, 0.0, placed.eye])
     scene_objects = [
-        _scene_object(obj.name, placed_obj.cloud, eye_at, name)
+        _scene_object(obj, placed_obj.cloud, eye_at, name)
         for obj, placed_obj, name in zip(loaded.layout.object, placed.objects, materials)
     ]
     requested = loaded.layout.scene
@@ -93,7 +94,7 @@ def photo_to_scene(
         folder.gaussians(f"{entity.name}.ply", entity.cloud)
         if not mask.is_from_file:
             k = names.index(entity.name)
-            where = layouts.relative(out / "masks" / f"{entity.name}.png", loaded.source.folder)
+            where = layout_text.relative(out / "masks" / f"{entity.name}.png", loaded.source.folder)
             guesses.append((("object", k, "mask"), where, mask.origin))
     folder.picture("background.png", background)
     folder.picture("check.png", preview.comparison_image(photo.rgb, rendered, object_masks))
@@ -103,7 +104,7 @@ def photo_to_scene(
         "scene.toml",
         scene_writer.scene(scene_objects, domain, requested.end, requested.frames, title),
     )
-    folder.text_file(layout_path, layouts.insert_guesses(loaded.source.text, guesses))
+    folder.text_file(layout_path, layout_text.insert_guesses(loaded.source.text, guesses))
     folder.write()
     _validate_scene(out)
     for name, value in zip(names, psnr):
@@ -228,6 +229,8 @@ def _record_guesses(
     for k, (obj, placed_obj) in enumerate(zip(loaded.layout.object, placed.objects)):
         low, high = placed_obj.floor_box(placed.eye)
         lifted = any(path == ("object", k, "support") for path, *_ in guesses)
+        if obj.inside is not None:
+            continue
         if obj.support is None and not lifted:
             guesses.append((("object", k, "support"), layouts.FLOOR, "guessed: it stands"))
         if obj.height is None:
@@ -271,14 +274,19 @@ def _materials(
 
 
 def _scene_object(
-    name: str, cloud: GaussianCloud, eye: np.ndarray, material: str
+    obj: layouts.ObjectTable, cloud: GaussianCloud, eye: np.ndarray, material: str
 ) -> scene_writer.SceneObject:
     """Return the object of the scene, with its Gaussians about the middle of its base."""
     low, high = cloud.x.min(axis=0), cloud.x.max(axis=0)
     base = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
     own = cloud.transformed(np.eye(3), 1.0, -base)
     return scene_writer.SceneObject(
-        name, own, base + eye, material, material_lookup.material_keys(material)
+        obj.name,
+        own,
+        base + eye,
+        material,
+        material_lookup.material_keys(material),
+        is_hollow=obj.reconstruction == "cup",
     )
 
 

@@ -15,7 +15,7 @@ from pydantic import Field, ValidationError
 from vgmpi.runtime.atomic_write import replace_file
 from vgmpi.runtime.config.schema import StrictModel, format_validation_errors
 
-from .. import box_proposals, grabcut, learned_models, object_masks
+from .. import box_proposals, grabcut, layout_text, learned_models, object_masks
 from .. import layout_config as layouts
 from ..grabcut import Box, MaskError
 from ..layout_config import LayoutError, ObjectTable
@@ -180,7 +180,7 @@ class EditSession:
                 values["mask"] = None
             tables.append((self._table_numbers.get(item.key), values))
             states[item.key] = item
-        self._text = layouts.replace_objects(self._text, tables)
+        self._text = layout_text.replace_objects(self._text, tables)
         self.path.parent.mkdir(parents=True, exist_ok=True)
         replace_file(self.path, self._text)
         self._in_file, numbers = states, self._table_numbers
@@ -213,8 +213,10 @@ class EditSession:
         try:
             return ObjectTable.model_validate(values)
         except ValidationError as error:
-            found = format_validation_errors(error, ObjectTable)
-            message = "; ".join(f"{'.'.join(str(p) for p in path)}: {text}" for path, text in found)
+            problems = format_validation_errors(error, ObjectTable)
+            message = "; ".join(
+                f"{'.'.join(str(p) for p in path)}: {text}" for path, text in problems
+            )
             raise LayoutError([message]) from None
 
     def _with_box(self, edited: EditedObject) -> EditedObject:
@@ -239,9 +241,9 @@ class EditSession:
         if self._salient is None:
             self._salient = box_proposals.saliency_boxes(self.photo.rgb)
         x, y = point
-        around = [b for b in self._salient if b.left <= x < b.right and b.top <= y < b.bottom]
-        if around:
-            return min(around, key=lambda b: (b.right - b.left) * (b.bottom - b.top))
+        regions = [b for b in self._salient if b.left <= x < b.right and b.top <= y < b.bottom]
+        if regions:
+            return min(regions, key=lambda b: (b.right - b.left) * (b.bottom - b.top))
         height, width = self.photo.rgb.shape[:2]
         half = CLICK_BOX * max(height, width)
         return (
