@@ -147,6 +147,8 @@ class SceneTable(StrictModel):
     frames: Annotated[int, Field(strict=True, ge=2, le=10000)] = 26
     cells: Annotated[int, Field(strict=True, ge=16, le=512)] = 64
     """along the longest edge of the domain"""
+    shadows: Literal["keep", "remove"] = "keep"
+    """in the background: shadows that the objects throw in the photograph"""
 
 
 class ObjectTable(StrictModel):

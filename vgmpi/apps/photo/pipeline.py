@@ -30,6 +30,7 @@ from . import layout_config as layouts
 from . import object_masks as found
 from .background_inpainting import inpaint_background
 from .body_sources import Guess, Scenery
+from .cast_shadows import cast_shadows
 from .grabcut import MaskError
 from .layout_config import LayoutError, LoadedLayout
 from .learned_models import Models
@@ -83,7 +84,7 @@ def photo_to_scene(
     requested = loaded.layout.scene
     domain = scene_writer.domain_around(scene_objects, requested.cells)
     object_masks = [object_mask.mask for object_mask in masks]
-    background = inpaint_background(photo.rgb, object_masks)
+    background = _background(loaded, photo, object_masks)
     camera = view.camera(eye_at, scene_writer.near_plane(eye_at))
     clouds = [entity.cloud.transformed(np.eye(3), 1.0, entity.position) for entity in scene_objects]
     rendered = preview.frame(clouds, camera, background / 255.0)
@@ -160,6 +161,21 @@ def _view(loaded: LoadedLayout, photo: Photograph, guesses: list[Guess]) -> View
         guesses.append((("camera", "pitch"), pitch, f"degrees, guessed: {reason}"))
         log.info("camera: pitch %g degrees, guessed: %s", pitch, reason)
     return View(width, height, fov, pitch)
+
+
+def _background(
+    loaded: LoadedLayout, photo: Photograph, object_masks: list[np.ndarray]
+) -> np.ndarray:
+    """Return the photograph without the objects, and without their shadows if it is asked for."""
+    removed = list(object_masks)
+    if loaded.layout.scene.shadows == "remove":
+        airborne = [
+            isinstance(obj.support, float) and obj.support > 0 for obj in loaded.layout.object
+        ]
+        shadows = cast_shadows(photo.rgb, object_masks, airborne)
+        log.info("shadows: %d pixels are removed with the objects", shadows.sum())
+        removed.append(shadows)
+    return inpaint_background(photo.rgb, removed)
 
 
 def _placed(
