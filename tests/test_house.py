@@ -63,8 +63,9 @@ OUTSIDE = {  # packages that only some files may use
     "transformers": ("vgmpi/apps/photo/learned/", "vgmpi/apps/fit/video_prior/"),
     "diffusers": ("vgmpi/apps/fit/video_prior/",),
     "cv2": ("vgmpi/apps/photo/grabcut.py",),
+    "skimage": ("vgmpi/apps/photo/example_photographs.py",),  # photographs of vgmpi photo --demo
     # writes into files of people without touching what they wrote there
-    "tomlkit": ("vgmpi/apps/photo/layout_config.py", "vgmpi/rendering/live/saved_camera.py"),
+    "tomlkit": ("vgmpi/apps/photo/layout_text.py", "vgmpi/rendering/live/saved_camera.py"),
     "gsplat": ("vgmpi/rendering/raster/gsplat_backend.py",),
 }
 COMPILED = (

@@ -1,6 +1,7 @@
 """Draw the photograph of this example: python runs/photo/make_photo.py [folder].
 
 --sheet FILE: six frames of its run as one picture, for docs/how-to/photo-to-scene.md.
+--examples FOLDER: the drawn photographs of vgmpi photo --demo, for vgmpi/apps/photo/examples.
 
 A table before a wall, lit from the left: balls, cans and boxes, ray-traced in numpy. The same bytes
 every time. `draw` also tells which pixels are whose, so that tests know the truth. photo.png and
@@ -197,6 +198,21 @@ TABLE = [
     Ball((-0.17, 0.60, 0.045), 0.045, (0.16, 0.42, 0.66)),
 ]
 PHOTO = View(720, 480, 40.0, 12.0), 0.26  # and the height of the eye [m]
+# a ball above a stack of two boxes, and a glass that stands beside them
+TOWER = [
+    Ball((-0.02, 0.56, 0.235), 0.03, (0.20, 0.55, 0.30)),
+    Box((-0.085, 0.53, 0.0), (0.045, 0.61, 0.05), (0.80, 0.60, 0.18)),
+    Box((-0.06, 0.54, 0.05), (0.02, 0.60, 0.11), (0.70, 0.12, 0.20)),
+    Can((0.13, 0.56, 0.0), 0.035, 0.09, (0.16, 0.34, 0.62), (0.25, 0.14, 0.08)),
+]
+# three balls, two of them in the air
+BALLS = [
+    Ball((-0.10, 0.58, 0.05), 0.05, (0.82, 0.22, 0.18)),
+    Ball((-0.08, 0.58, 0.175), 0.04, (0.16, 0.42, 0.66)),
+    Ball((0.10, 0.55, 0.21), 0.045, (0.86, 0.62, 0.12)),
+    Box((0.04, 0.51, 0.0), (0.16, 0.59, 0.055), (0.55, 0.25, 0.50)),
+]
+EXAMPLES = {"milk": TABLE, "tower": TOWER, "balls": BALLS}
 SHOWN = (0, 5, 8, 11, 15, 30)  # frames on the sheet
 LAYOUT = """# What is in photo.png. The first start writes every guess here, the next one keeps it.
 [camera]
@@ -260,6 +276,12 @@ def main() -> None:
     folder = Path(__file__).parent / "made"
     if sys.argv[1:2] == ["--sheet"]:
         sheet(folder, Path(sys.argv[2]))
+        return
+    if sys.argv[1:2] == ["--examples"]:
+        for name, things in EXAMPLES.items():
+            drawn = draw(things, *PHOTO)
+            Image.fromarray(drawn.rgb).save(Path(sys.argv[2]) / f"{name}.jpg", quality=88)
+            print(name, [box(mask) for mask in drawn.masks])
         return
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else folder
     folder.mkdir(parents=True, exist_ok=True)

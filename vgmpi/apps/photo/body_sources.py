@@ -11,13 +11,22 @@ from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import registry
 from vgmpi.gaussians.formats.validation import GaussianFileError
 from vgmpi.preprocess.meshes import surface_mesh
-from vgmpi.preprocess.meshes.surface_mesh import MeshError
+from vgmpi.preprocess.meshes.surface_mesh import Mesh, MeshError
 from vgmpi.preprocess.placement import axis_rotation
 
-from . import external_generators, gaussian_colors, mask_to_mesh, pose_search, preview, visual_hull
+from . import (
+    external_generators,
+    gaussian_colors,
+    hollow_body,
+    mask_to_mesh,
+    pose_search,
+    preview,
+    visual_hull,
+)
+from .background_inpainting import inpaint_background
 from .external_generators import GeneratorError
 from .layout_config import LayoutError, LoadedLayout, ObjectTable
-from .mask_to_mesh import BodyError
+from .mask_to_mesh import BodyError, Reconstruction
 from .object_masks import ObjectMask
 from .object_placement import UnplacedObject
 from .photo_camera import View
@@ -49,13 +58,13 @@ def make_bodies(
         OSError: A file cannot be read or written.
     """
     return [
-        UnplacedObject(obj, _body(k, obj, scenery, object_mask.mask, guesses))
-        for k, (obj, object_mask) in enumerate(zip(scenery.loaded.layout.object, masks))
+        UnplacedObject(obj, _body(k, obj, scenery, [item.mask for item in masks], guesses))
+        for k, obj in enumerate(scenery.loaded.layout.object)
     ]
 
 
 def _body(
-    k: int, obj: ObjectTable, scenery: Scenery, mask: np.ndarray, guesses: list[Guess]
+    k: int, obj: ObjectTable, scenery: Scenery, masks: list[np.ndarray], guesses: list[Guess]
 ) -> GaussianCloud:
     """Return the Gaussians of one object about the eye.
 
@@ -63,10 +72,10 @@ def _body(
         k: Index of the object.
         obj: Table of the object.
         scenery: Common input.
-        mask: The object, shape (height, width) bool.
+        masks: All objects, each (height, width) bool.
         guesses: Guesses, to which the found pose is appended (in/out).
     """
-    config = scenery.loaded.layout.bodies
+    config, mask = scenery.loaded.layout.bodies, masks[k]
     key = "body"
     up: str | None = obj.up
     try:
@@ -80,12 +89,12 @@ def _body(
                 visual_hull.read(scenery.loaded.path(obj.multi_view)), k + 1, up
             )
             log.info("'%s': the hull of %s, %d Gaussians", obj.name, obj.multi_view, len(cloud))
-        elif obj.reconstruction is None and config.method != "mask":
+        elif obj.reconstruction is None and obj.inside is None and config.method != "mask":
             cloud = _body_from_generator(obj, scenery, mask)
             up = up or external_generators.KINDS[config.method].up
         else:
-            key = "reconstruction"
-            return _body_from_mask(k, obj, scenery, mask, guesses)
+            key = "reconstruction" if obj.inside is None else "inside"
+            return _body_from_mask(k, obj, scenery, masks, guesses)
     except (BodyError, HullError, GaussianFileError, MeshError) as error:
         raise scenery.loaded.wrong((("object", k, key), str(error))) from None
     except GeneratorError as error:
@@ -105,28 +114,73 @@ def _body(
 
 
 def _body_from_mask(
-    k: int, obj: ObjectTable, scenery: Scenery, mask: np.ndarray, guesses: list[Guess]
+    k: int, obj: ObjectTable, scenery: Scenery, masks: list[np.ndarray], guesses: list[Guess]
 ) -> GaussianCloud:
-    """Make a body from the mask alone.
+    """Make a body from the mask alone, or a liquid from its mask and that of its cup.
 
     Raises:
         BodyError: The mask gives no body.
     """
-    method, thickness = obj.reconstruction or "inflate", obj.thickness
-    if obj.reconstruction is None:
+    method: Reconstruction = obj.reconstruction or "inflate"
+    thickness = obj.thickness
+    if obj.reconstruction is None and obj.inside is None:
         guesses.append((("object", k, "reconstruction"), method, "guessed: the usual one"))
     if thickness is None:
         thickness = mask_to_mesh.THICKNESS
         if method == "extrude":
             guesses.append((("object", k, "thickness"), thickness, "of its width, guessed"))
-    surface = mask_to_mesh.body(mask, scenery.view, method, thickness)
-    cloud = gaussian_colors.gaussians(surface, scenery.photo.rgb, mask, scenery.view, seed=k + 1)
-    log.info("'%s': %s, %d Gaussians", obj.name, method, len(cloud))
+    if obj.inside is not None:
+        surface = _liquid(obj, scenery, masks[k], masks)
+    elif method == "cup":
+        surface = _cup(obj, scenery, masks[k])
+    else:
+        surface = mask_to_mesh.body(masks[k], scenery.view, method, thickness)
+    rgb = _without_contents(k, scenery, masks)
+    cloud = gaussian_colors.gaussians(surface, rgb, masks[k], scenery.view, seed=k + 1)
+    kind = method if obj.inside is None else "liquid"
+    log.info("'%s': %s, %d Gaussians", obj.name, kind, len(cloud))
     if obj.yaw:
         rotation = axis_rotation((0.0, 0.0, 1.0), np.radians(obj.yaw))
         middle = (cloud.x.min(axis=0) + cloud.x.max(axis=0)) / 2
         cloud = cloud.transformed(rotation, 1.0, middle - rotation @ middle)
     return cloud
+
+
+def _cup(obj: ObjectTable, scenery: Scenery, mask: np.ndarray) -> Mesh:
+    """Return the surface of a cup and of its handles; raise a BodyError if there are none."""
+    wall = hollow_body.WALL if obj.wall is None else obj.wall
+    hollow = hollow_body.cup(mask, scenery.view, wall)
+    parts = hollow_body.handles(hollow, mask, scenery.view)
+    for _, pixels in parts:
+        log.info("'%s': a part beside the hollow body, %d pixels", obj.name, pixels)
+    return hollow_body.join_surfaces(
+        [hollow_body.cup_surface(hollow), *(surface for surface, _ in parts)]
+    )
+
+
+def _liquid(obj: ObjectTable, scenery: Scenery, mask: np.ndarray, masks: list) -> Mesh:
+    """Return the surface of a liquid in its cup; raise a BodyError if no level is seen so."""
+    objects = scenery.loaded.layout.object
+    number = [item.name for item in objects].index(str(obj.inside))
+    wall = objects[number].wall
+    hollow = hollow_body.cup(
+        masks[number], scenery.view, hollow_body.WALL if wall is None else wall
+    )
+    level, agreement = hollow_body.liquid_level(hollow, mask, scenery.view)
+    bottom, top = hollow.cavity.heights[[0, -1]]
+    filling = 100 * (level - bottom) / (top - bottom)
+    log.info("'%s': fills %.0f %% of the depth of '%s', its surface agrees to %.2f",
+             obj.name, filling, obj.inside, agreement)  # fmt: skip
+    return hollow_body.liquid_surface(hollow, level)
+
+
+def _without_contents(k: int, scenery: Scenery, masks: list[np.ndarray]) -> np.ndarray:
+    """Return the photograph without the liquids inside an object, whose colors it lacks."""
+    name = scenery.loaded.layout.object[k].name
+    contents = [
+        mask for item, mask in zip(scenery.loaded.layout.object, masks) if item.inside == name
+    ]
+    return inpaint_background(scenery.photo.rgb, contents) if contents else scenery.photo.rgb
 
 
 def _body_file(obj: ObjectTable, loaded: LoadedLayout) -> Path | None:

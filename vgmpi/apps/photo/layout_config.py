@@ -1,7 +1,6 @@
 """Schema of layout.toml: the user's description of a photograph and the guesses written into it."""
 
 import math
-import os
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -148,6 +147,8 @@ class SceneTable(StrictModel):
     frames: Annotated[int, Field(strict=True, ge=2, le=10000)] = 26
     cells: Annotated[int, Field(strict=True, ge=16, le=512)] = 64
     """along the longest edge of the domain"""
+    shadows: Literal["keep", "remove"] = "keep"
+    """in the background: shadows that the objects throw in the photograph"""
 
 
 class ObjectTable(StrictModel):
@@ -168,6 +169,8 @@ class ObjectTable(StrictModel):
     body: str | None = None
     up: Axis | None = None
     multi_view: str | None = None
+    wall: Annotated[float, Quantity("1", ge=0.03, le=0.5)] | None = None
+    inside: str | None = None
 
     @field_validator("name")
     @classmethod
@@ -185,6 +188,11 @@ class ObjectTable(StrictModel):
         sources = [key for key in keys if getattr(self, key) is not None]
         if len(sources) > 1:
             raise ValueError(f"has {' and '.join(sources)}: only one of them makes its body")
+        if self.wall is not None and self.reconstruction != "cup":
+            raise ValueError('wall: allowed with reconstruction = "cup" only')
+        useless = [key for key in (*keys, "support", "distance") if getattr(self, key) is not None]
+        if self.inside is not None and useless:
+            raise ValueError(f"has inside and {useless[0]}: its cup decides its body and its place")
         return self
 
 
@@ -234,7 +242,8 @@ def read(path: Path) -> LoadedLayout:
         loaded = LoadedLayout(Layout.model_validate(source.data), source)
     except ValidationError as error:
         raise LayoutError(source.lines(format_validation_errors(error, Layout))) from None
-    errors = _check_names(loaded.layout) + _check_supports(loaded.layout)
+    layout = loaded.layout
+    errors = _check_names(layout) + _check_supports(layout) + _check_cups(layout)
     if errors:
         raise loaded.wrong(*errors)
     return loaded
@@ -254,6 +263,25 @@ def read_empty(path: Path) -> tuple[Empty, TomlSource]:
         return Empty.model_validate({k: v for k, v in source.data.items() if k != "object"}), source
     except ValidationError as error:
         raise LayoutError(source.lines(format_validation_errors(error, Empty))) from None
+
+
+def read_unfinished(path: Path) -> tuple[Empty, str, tuple[ObjectTable, ...]]:
+    """Read a layout that may be absent and may have no objects yet.
+
+    Returns:
+        The layout without its objects, its text, and the objects.
+
+    Raises:
+        LayoutError: The layout is invalid.
+    """
+    if not path.exists():
+        return Empty(), "", ()
+    source = TomlSource(path, error=LayoutError, renames=renamed_keys.LAYOUT)
+    if source.data.get("object"):
+        loaded = read(path)
+        return loaded.layout, source.text, loaded.layout.object
+    empty, source = read_empty(path)
+    return empty, source.text, ()
 
 
 def _check_names(layout: Layout) -> list[tuple[tuple, str]]:
@@ -291,37 +319,13 @@ def _check_supports(layout: Layout) -> list[tuple[tuple, str]]:
     return errors
 
 
-def insert_guesses(text: str, guesses: list[tuple[tuple, Any, str]]) -> str:
-    """Insert values that a layout lacks, each with its reason as a comment.
-
-    Everything else stays as it was written.
-
-    Args:
-        text: Text of the layout.
-        guesses: Path of the key, value and reason of each guess.
-
-    Raises:
-        LayoutError: tomlkit is missing.
-    """
-    try:
-        import tomlkit
-    except ImportError:
-        message = "writing guesses into a layout needs tomlkit: pip install 'vgmpi[images]'"
-        raise LayoutError([message]) from None
-    document = tomlkit.parse(text)
-    for path, value, reason in guesses:
-        table: Any = document
-        for part in path[:-1]:
-            if isinstance(part, str) and part not in table:
-                table[part] = tomlkit.table()
-            table = table[part]
-        item = tomlkit.item(value)
-        if reason and not isinstance(table, tomlkit.items.InlineTable):
-            item.comment(" ".join(reason.split()))
-        table[path[-1]] = item
-    return tomlkit.dumps(document)
-
-
-def relative(path: Path, folder: Path) -> str:
-    """Return the path of a file relative to the folder of a layout."""
-    return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
+def _check_cups(layout: Layout) -> list[tuple[tuple, str]]:
+    """Return errors of liquids whose cup is absent or is no cup."""
+    cups = [obj.name for obj in layout.object if obj.reconstruction == "cup"]
+    errors = []
+    for k, obj in enumerate(layout.object):
+        if obj.inside is not None and obj.inside not in cups:
+            names = f"such objects: {', '.join(cups) or 'none'}"
+            message = f"'{obj.inside}' is no object with reconstruction = \"cup\"; {names}"
+            errors.append((("object", k, "inside"), message))
+    return errors

@@ -43,10 +43,26 @@ def proposer(layout: Empty, folder: Path) -> Proposer:
     """
     if layout.masks.method == "grabcut":
         return box_proposals.saliency_boxes
+    return _loaded_sam(layout, folder).propose
+
+
+def finder(layout: Empty, folder: Path) -> Finder:
+    """Return the segmenter.
+
+    Raises:
+        LayoutError: A model cannot be loaded.
+    """
+    if layout.masks.method == "grabcut":
+        return object_masks.grabcut
+    return _loaded_sam(layout, folder)
+
+
+def _loaded_sam(layout: Empty, folder: Path) -> Any:
+    """Return SAM; raise a LayoutError if it cannot be loaded."""
     from vgmpi.apps.photo.learned.model_loading import LearnedError
 
     try:
-        return _sam(layout, folder).propose
+        return _sam(layout, folder)
     except LearnedError as error:
         raise LayoutError([f"masks: {error}"]) from None
 

@@ -16,12 +16,13 @@ from vgmpi.preprocess.meshes.surface_mesh import Mesh
 from .grabcut import box_of
 from .photo_camera import View
 
-Reconstruction = Literal["inflate", "revolve", "extrude"]
+Reconstruction = Literal["inflate", "revolve", "extrude", "cup"]
 OUTLINE_POINTS = 200  # lattice points along the longer side of an outline
 CIRCLE_VERTICES = 64  # vertices of a circle
 REVOLUTION_LEVELS = 300  # circles of a body of revolution
 WIDTH_ITERATIONS = 4  # iterations for the width of an extruded body
 DEPTH_SAMPLES = 24  # samples of an extruded body along its depth
+PINHOLE = 16  # [lattice points] smaller holes of an outline are closed
 THICKNESS = 0.6  # [-] default depth of an extruded body relative to its width
 _CONE_SLOPE = 0.6  # [-] circles form a cone from this slope on, relative to the line of sight
 OUTLINE_SMOOTHING = 1.0  # [pixels] smoothing of the jagged outline, as the smallest circle counts
@@ -31,6 +32,14 @@ _MIN_END_RADIUS = 0.1  # [-] ends thinner than this fraction of the largest radi
 
 class BodyError(ValueError):
     """Error of a mask from which no body can be made; one line."""
+
+
+class Profile(NamedTuple):
+    """Body of revolution about an upright axis at the depth 1."""
+
+    axis: float  # position of the axis across
+    heights: np.ndarray  # (n,) ascending
+    radius: np.ndarray  # (n,)
 
 
 class Lattice(NamedTuple):
@@ -66,6 +75,15 @@ def body(
     if method == "extrude":
         return _extruded(mask, view, thickness)
     return _revolved(mask, view)
+
+
+def inflated_surface(mask: np.ndarray, view: View) -> Mesh:
+    """Return the surface of an inflated mask (height, width) bool about the eye, about 1 away.
+
+    Raises:
+        BodyError: The mask gives no body.
+    """
+    return _inflated(eroded_mask(mask), view)
 
 
 def poisson_height(inside: np.ndarray) -> np.ndarray:
@@ -191,11 +209,18 @@ def _extruded(mask: np.ndarray, view: View, thickness: float) -> Mesh:
     return Mesh(np.concatenate(points), np.concatenate(faces))
 
 
-def _revolved(mask: np.ndarray, view: View) -> Mesh:
-    """Stack circles about an upright axis, each the largest that is seen inside the mask.
+def revolution_profile(mask: np.ndarray, view: View) -> Profile:
+    """Return circles about an upright axis, each the largest that is seen inside the mask.
 
     Beyond the upper and the lower end such circles would form cones of lines of sight: these are
     cut off, and the body ends flat.
+
+    Args:
+        mask: Coverage of the mask, shape (height, width).
+        view: Camera of the photograph.
+
+    Raises:
+        BodyError: No upright body of revolution is seen so.
     """
     lattice = _lattice(mask, view)
     rows = np.flatnonzero(lattice.inside.any(axis=1))
@@ -216,7 +241,13 @@ def _revolved(mask: np.ndarray, view: View) -> Mesh:
         raise BodyError(
             "no upright body of revolution is seen as its mask: reconstruction = 'inflate'?"
         )
-    heights, radius = heights[first : last + 1], radius[first : last + 1]
+    return Profile(float(axis), heights[first : last + 1], radius[first : last + 1])
+
+
+def _revolved(mask: np.ndarray, view: View) -> Mesh:
+    """Return the surface of a body of revolution with flat ends."""
+    axis, heights, radius = revolution_profile(mask, view)
+    turn = 2 * np.pi * np.arange(CIRCLE_VERTICES) / CIRCLE_VERTICES
     ring = np.stack([np.cos(turn), np.sin(turn), np.zeros(CIRCLE_VERTICES)], -1)
     middle = np.stack([np.full(len(heights), axis), np.ones(len(heights)), heights], -1)
     points = (middle[:, None] + radius[:, None, None] * ring).reshape(-1, 3)
@@ -269,14 +300,19 @@ def _ends(heights: np.ndarray, radius: np.ndarray, rows: tuple[float, float]) ->
 
 
 def _largest_component(inside: np.ndarray) -> np.ndarray:
-    """Return the largest component without one-pixel threads and without holes."""
+    """Return the largest component without one-pixel threads and without pinholes."""
     opened = ndimage.binary_opening(inside)
     cleaned = opened if opened.sum() > 0.5 * inside.sum() else inside
     label, count = ndimage.label(cleaned)
     if not count:
         raise BodyError("its mask is too thin for a body")
     size = ndimage.sum_labels(cleaned, label, np.arange(1, count + 1))
-    return ndimage.binary_fill_holes(label == 1 + int(np.argmax(size)))
+    part = label == 1 + int(np.argmax(size))
+    holes, count = ndimage.label(ndimage.binary_fill_holes(part) & ~part)
+    if not count:
+        return part
+    area = ndimage.sum_labels(holes > 0, holes, np.arange(1, count + 1))
+    return part | np.isin(holes, 1 + np.flatnonzero(area < PINHOLE))
 
 
 def _squares(inside: np.ndarray) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Masks of the layout's objects from files, from the alpha channel, or from a segmenter."""
 
 import logging
+from pathlib import Path
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -14,6 +15,10 @@ from .photograph import Photograph, PhotographError
 log = logging.getLogger("vgmpi.apps.photo")
 
 PointPrompts = list[tuple[float, float, bool]]
+NO_MASK = (
+    "needs a box = [left, top, right, bottom] in pixels, or a mask = 'file.png'; --find proposes"
+    " boxes, --edit draws them"
+)
 OVERLAP_WARNING = 0.25  # [-] masks that share this fraction of the smaller one are reported
 
 
@@ -66,7 +71,7 @@ def segment_objects(loaded: LoadedLayout, photo: Photograph, finder: Finder) -> 
     for k, obj in enumerate(loaded.layout.object):
         try:
             results.append(_object_mask(obj, loaded, photo, finder))
-        except _KeyedError as error:
+        except KeyedError as error:
             errors.append((("object", k, error.key), str(error)))
             results.append(None)
     if errors:
@@ -74,7 +79,7 @@ def segment_objects(loaded: LoadedLayout, photo: Photograph, finder: Finder) -> 
     object_masks = [object_mask for object_mask in results if object_mask is not None]
     for k, (obj, object_mask) in enumerate(zip(loaded.layout.object, object_masks)):
         log.info("'%s': %d pixels, %s", obj.name, object_mask.mask.sum(), object_mask.origin)
-        box = None if object_mask.is_from_file else _box(obj, photo)
+        box = None if object_mask.is_from_file else scaled_box(obj, photo)
         for warning in masks.mask_warnings(photo.rgb, object_mask.mask, box):
             log.warning("'%s': %s", obj.name, warning)
         for point in missed_points(obj, object_mask.mask, photo.reduced):
@@ -101,7 +106,7 @@ def missed_points(obj: ObjectTable, mask: np.ndarray, reduced: float) -> list[st
     ]
 
 
-class _KeyedError(ValueError):
+class KeyedError(MaskError):
     """Error of one key of an object."""
 
     def __init__(self, key: str, message: object):
@@ -115,33 +120,48 @@ def _object_mask(
     """Return the mask of one object.
 
     Raises:
-        _KeyedError: The object has no usable mask.
+        KeyedError: The object has no usable mask.
     """
-    box = _box(obj, photo)
-    points = _point_prompts(obj, photo, box)
+    box = scaled_box(obj, photo)
+    points = scaled_points(obj, photo, box)
     segmenter = loaded.layout.masks.method
     if obj.mask is not None:
         key, origin = "mask", f"the mask {obj.mask}"
     elif box is None and not points:
         if photo.alpha is None:
-            message = "needs a box = [left, top, right, bottom] in pixels, or a mask = 'file.png'"
-            raise _KeyedError("box", f"{message}; --find proposes boxes")
+            raise KeyedError("box", NO_MASK)
         key, origin = "box", "what the picture's alpha shows"
     else:
         key = "box" if box is not None else "point_prompts"
         origin = f"found by {segmenter} from its {key.replace('_', ' ')}"
     try:
-        if obj.mask is not None:
-            mask = _reduced_mask(photograph.read_mask(loaded.path(obj.mask), photo), photo)
-        elif origin.startswith("what"):
-            assert photo.alpha is not None
-            mask = masks.largest_component(photo.alpha > 127)
+        if obj.mask is not None or origin.startswith("what"):
+            mask = file_mask(obj, loaded.source.folder, photo)
         else:
             mask = finder(photo.rgb, box, points, obj.text)
         masks.check_mask(mask)
     except (MaskError, PhotographError) as error:
-        raise _KeyedError(key, error) from None
+        raise KeyedError(key, error) from None
     return ObjectMask(mask, origin, obj.mask is not None)
+
+
+def file_mask(obj: ObjectTable, folder: Path, photo: Photograph) -> np.ndarray:
+    """Return the mask (height, width) bool of an object from its file, or from the alpha channel.
+
+    Args:
+        obj: The object of the layout.
+        folder: Folder of the layout.
+        photo: The photograph.
+
+    Raises:
+        MaskError: There is neither a file nor an alpha channel.
+        PhotographError: The file is unreadable or has another size.
+    """
+    if obj.mask is not None:
+        return _reduced_mask(photograph.read_mask(folder / obj.mask, photo), photo)
+    if photo.alpha is None:
+        raise KeyedError("box", NO_MASK)
+    return masks.largest_component(photo.alpha > 127)
 
 
 def _reduced_mask(mask: np.ndarray, photo: Photograph) -> np.ndarray:
@@ -155,39 +175,47 @@ def _reduced_mask(mask: np.ndarray, photo: Photograph) -> np.ndarray:
     return np.asarray(levels.resize((width, height), Image.Resampling.BOX)) > 127
 
 
-def _box(obj: ObjectTable, photo: Photograph) -> Box | None:
-    """Return the box in the pixels of the reduced photograph, clipped to the picture."""
+def scaled_box(obj: ObjectTable, photo: Photograph) -> Box | None:
+    """Return the box in the pixels of the reduced photograph, clipped to the picture.
+
+    Raises:
+        KeyedError: The box lies outside the picture, or is too small.
+    """
     if obj.box is None:
         return None
     width, height = photo.size
     left, top, right, bottom = obj.box
     if right <= 0 or bottom <= 0 or left >= width or top >= height:
         message = f"lies outside the picture, which has {width} x {height} pixels"
-        raise _KeyedError("box", f"{message}; got {list(obj.box)}")
+        raise KeyedError("box", f"{message}; got {list(obj.box)}")
     if left < -width / 10 or top < -height / 10 or right > 1.1 * width or bottom > 1.1 * height:
         message = f"reaches far out of the picture, which has {width} x {height} pixels"
-        raise _KeyedError("box", f"{message}; got {list(obj.box)}")
+        raise KeyedError("box", f"{message}; got {list(obj.box)}")
     small = (round(v / photo.reduced) for v in obj.box)
     left, top, right, bottom = small
     rows, columns = photo.rgb.shape[:2]
     box = Box(max(0, left), max(0, top), min(columns, right), min(rows, bottom))
     if min(box.right - box.left, box.bottom - box.top) < 4:
-        raise _KeyedError("box", f"is less than 4 pixels wide or high; got {list(obj.box)}")
+        raise KeyedError("box", f"is less than 4 pixels wide or high; got {list(obj.box)}")
     return box
 
 
-def _point_prompts(obj: ObjectTable, photo: Photograph, box: Box | None) -> PointPrompts:
-    """Return the points in the pixels of the reduced photograph."""
+def scaled_points(obj: ObjectTable, photo: Photograph, box: Box | None) -> PointPrompts:
+    """Return the points in the pixels of the reduced photograph.
+
+    Raises:
+        KeyedError: A point lies outside the picture or the box.
+    """
     width, height = photo.size
     small = []
     for x, y, is_object in obj.point_prompts:
         if not (0 <= x < width and 0 <= y < height):
             message = f"lies outside the picture, which has {width} x {height} pixels"
-            raise _KeyedError("point_prompts", f"[{x:g}, {y:g}] {message}")
+            raise KeyedError("point_prompts", f"[{x:g}, {y:g}] {message}")
         x, y = x / photo.reduced, y / photo.reduced
         inside = box is None or (box.left <= x < box.right and box.top <= y < box.bottom)
         if is_object and not inside:
-            raise _KeyedError("point_prompts", f"[{x:g}, {y:g}] lies outside the object's own box")
+            raise KeyedError("point_prompts", f"[{x:g}, {y:g}] lies outside the object's own box")
         small.append((x, y, is_object))
     return small
 

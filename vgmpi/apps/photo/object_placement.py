@@ -89,6 +89,8 @@ def place(unplaced: list[UnplacedObject], forward: np.ndarray, eye: float | None
     """
     order = _support_order(unplaced)
     lines: list[str] = []
+    contents = [obj for obj in order if obj.config.inside is not None]
+    order = [obj for obj in order if obj.config.inside is None]
     for obj in order:
         if obj.low[2] >= 0 and obj.config.distance is None and _on_floor(obj.config.support):
             message = "its lowest point is seen above the horizon, where no floor is: give another"
@@ -106,9 +108,23 @@ def place(unplaced: list[UnplacedObject], forward: np.ndarray, eye: float | None
         placed[name] = PlacedObject(_scaled(obj, scale, below - eye, lines))
     for obj in order:
         lines += _resolve_overlap(obj, order, placed, forward)
+    for obj in contents:
+        cup = next(item for item in order if item.config.name == obj.config.inside)
+        cloud = _moved_with(obj.cloud, cup.cloud, placed[cup.config.name].cloud)
+        placed[obj.config.name] = PlacedObject(cloud)
+        lines.append(f"'{obj.config.name}': in '{cup.config.name}'")
     for obj in order:
         lines += _support_line(obj, placed, eye, forward)
     return Placement([placed[obj.config.name] for obj in unplaced], eye, lines)
+
+
+def _moved_with(
+    cloud: GaussianCloud, container: GaussianCloud, placed: GaussianCloud
+) -> GaussianCloud:
+    """Return a cloud that is scaled and moved as its container was."""
+    low, high = container.x.min(axis=0), container.x.max(axis=0)
+    size = float((placed.x[:, 2].max() - placed.x[:, 2].min()) / (high[2] - low[2]))
+    return cloud.transformed(np.eye(3), size, placed.x.min(axis=0) - size * low)
 
 
 def _on_floor(support: str | float | None) -> bool:

@@ -18,6 +18,7 @@ from . import (
     body_sources,
     box_proposals,
     height_from_depth,
+    layout_text,
     learned_models,
     material_lookup,
     object_placement,
@@ -29,6 +30,7 @@ from . import layout_config as layouts
 from . import object_masks as found
 from .background_inpainting import inpaint_background
 from .body_sources import Guess, Scenery
+from .cast_shadows import cast_shadows
 from .grabcut import MaskError
 from .layout_config import LayoutError, LoadedLayout
 from .learned_models import Models
@@ -76,13 +78,13 @@ def photo_to_scene(
     _record_guesses(loaded, view, placed, guesses)
     eye_at = np.array([0.0, 0.0, placed.eye])
     scene_objects = [
-        _scene_object(obj.name, placed_obj.cloud, eye_at, name)
+        _scene_object(obj, placed_obj.cloud, eye_at, name)
         for obj, placed_obj, name in zip(loaded.layout.object, placed.objects, materials)
     ]
     requested = loaded.layout.scene
     domain = scene_writer.domain_around(scene_objects, requested.cells)
     object_masks = [object_mask.mask for object_mask in masks]
-    background = inpaint_background(photo.rgb, object_masks)
+    background = _background(loaded, photo, object_masks)
     camera = view.camera(eye_at, scene_writer.near_plane(eye_at))
     clouds = [entity.cloud.transformed(np.eye(3), 1.0, entity.position) for entity in scene_objects]
     rendered = preview.frame(clouds, camera, background / 255.0)
@@ -93,7 +95,7 @@ def photo_to_scene(
         folder.gaussians(f"{entity.name}.ply", entity.cloud)
         if not mask.is_from_file:
             k = names.index(entity.name)
-            where = layouts.relative(out / "masks" / f"{entity.name}.png", loaded.source.folder)
+            where = layout_text.relative(out / "masks" / f"{entity.name}.png", loaded.source.folder)
             guesses.append((("object", k, "mask"), where, mask.origin))
     folder.picture("background.png", background)
     folder.picture("check.png", preview.comparison_image(photo.rgb, rendered, object_masks))
@@ -103,7 +105,7 @@ def photo_to_scene(
         "scene.toml",
         scene_writer.scene(scene_objects, domain, requested.end, requested.frames, title),
     )
-    folder.text_file(layout_path, layouts.insert_guesses(loaded.source.text, guesses))
+    folder.text_file(layout_path, layout_text.insert_guesses(loaded.source.text, guesses))
     folder.write()
     _validate_scene(out)
     for name, value in zip(names, psnr):
@@ -159,6 +161,21 @@ def _view(loaded: LoadedLayout, photo: Photograph, guesses: list[Guess]) -> View
         guesses.append((("camera", "pitch"), pitch, f"degrees, guessed: {reason}"))
         log.info("camera: pitch %g degrees, guessed: %s", pitch, reason)
     return View(width, height, fov, pitch)
+
+
+def _background(
+    loaded: LoadedLayout, photo: Photograph, object_masks: list[np.ndarray]
+) -> np.ndarray:
+    """Return the photograph without the objects, and without their shadows if it is asked for."""
+    removed = list(object_masks)
+    if loaded.layout.scene.shadows == "remove":
+        airborne = [
+            isinstance(obj.support, float) and obj.support > 0 for obj in loaded.layout.object
+        ]
+        shadows = cast_shadows(photo.rgb, object_masks, airborne)
+        log.info("shadows: %d pixels are removed with the objects", shadows.sum())
+        removed.append(shadows)
+    return inpaint_background(photo.rgb, removed)
 
 
 def _placed(
@@ -228,6 +245,8 @@ def _record_guesses(
     for k, (obj, placed_obj) in enumerate(zip(loaded.layout.object, placed.objects)):
         low, high = placed_obj.floor_box(placed.eye)
         lifted = any(path == ("object", k, "support") for path, *_ in guesses)
+        if obj.inside is not None:
+            continue
         if obj.support is None and not lifted:
             guesses.append((("object", k, "support"), layouts.FLOOR, "guessed: it stands"))
         if obj.height is None:
@@ -271,14 +290,19 @@ def _materials(
 
 
 def _scene_object(
-    name: str, cloud: GaussianCloud, eye: np.ndarray, material: str
+    obj: layouts.ObjectTable, cloud: GaussianCloud, eye: np.ndarray, material: str
 ) -> scene_writer.SceneObject:
     """Return the object of the scene, with its Gaussians about the middle of its base."""
     low, high = cloud.x.min(axis=0), cloud.x.max(axis=0)
     base = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
     own = cloud.transformed(np.eye(3), 1.0, -base)
     return scene_writer.SceneObject(
-        name, own, base + eye, material, material_lookup.material_keys(material)
+        obj.name,
+        own,
+        base + eye,
+        material,
+        material_lookup.material_keys(material),
+        is_hollow=obj.reconstruction == "cup",
     )
 
 

@@ -27,6 +27,7 @@ class SceneObject(NamedTuple):
     position: np.ndarray  # (3,) [m] position of the middle of the base, above the floor
     material: str  # name of the material
     keys: dict[str, Any]  # keys of the material in the scene
+    is_hollow: bool = False  # whether only what its surface encloses is filled
 
 
 class Domain(NamedTuple):
@@ -85,6 +86,7 @@ def scene(objects: list[SceneObject], domain: Domain, end: float, frames: int, t
                 "material": obj.material,
                 "gaussians": f"{obj.name}.ply",
                 "position": [round(float(c), 9) for c in obj.position - domain.low],
+                **({"fill": "closed"} if obj.is_hollow else {}),
             }
             for obj in objects
         ],
