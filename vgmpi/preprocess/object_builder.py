@@ -120,7 +120,7 @@ def _from_shape(scene: Scene, k: int, obj: Object) -> BuiltObject:
         """Return the signed distance [m] of points."""
         return transform.scale * shape_sdf.distance(shape, transform.to_local(points))
 
-    skin = 2.01 * spacing if obj.role == "scenery" else np.inf
+    skin = 1.01 * spacing if obj.role == "scenery" else np.inf
 
     def is_wanted(points: np.ndarray) -> np.ndarray:
         """Return which points become particles."""
