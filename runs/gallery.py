@@ -16,7 +16,6 @@ import json
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import imageio.v3 as iio
@@ -34,6 +33,7 @@ TIMES = (0.0, 0.15, 0.3, 0.5, 1.0)  # of a run, of its five pictures
 FAST = {"snowman": (0.0, 0.041, 0.062, 0.09, 0.3), "snowball": (0.0, 0.1, 0.15, 0.35, 1.0)}
 VECTORS = {64: "AVX-512", 32: "AVX2"}  # by their bytes
 WIDE = 320  # pixels of each
+IDLE = 0.9  # of two cores, the part that a run has where nothing else runs
 ONE = ["object.snowman.phase=one", "object.ball.phase=one"]
 BEST = {  # of a run, the picture of the first page
     "faucet": 0.3, "castle_falls": 1.0, "snowball": 0.12, "water_on_snow": 0.3,
@@ -69,18 +69,21 @@ SCENES: dict[str, list[tuple[str, str, list[str]]]] = {
 }
 
 
-def call(*words: str | Path) -> float:
-    """Run a command; seconds by the clock. Ends the program where it fails."""
-    begin = time.perf_counter()
+def call(*words: str | Path) -> tuple[float, float]:
+    """Run a command; seconds by the clock, and of processors. Ends the program where it fails."""
+    before = os.times()
     environment = {**OPEN_MPI, **os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run([str(w) for w in words], cwd=ROOT, env=environment)
     if done.returncode:
         sys.exit(done.returncode)
-    return time.perf_counter() - begin
+    after = os.times()
+    processors = after.children_user - before.children_user
+    processors += after.children_system - before.children_system
+    return after.elapsed - before.elapsed, processors
 
 
-def simulate(name: str, label: str, out: Path, sets: list[str], small: bool) -> float:
-    """Seconds that it took."""
+def simulate(name: str, label: str, out: Path, sets: list[str], small: bool) -> tuple[float, float]:
+    """Seconds that it took by the clock, and the part of two cores that it had."""
     scene = HERE / name / f"{label or 'scene'}.toml"
     if not scene.is_file():
         scene = HERE / name / "scene.toml"
@@ -88,14 +91,15 @@ def simulate(name: str, label: str, out: Path, sets: list[str], small: bool) -> 
         sets = [*sets, 'domain.cell="2 cm"']
     flags = [word for one in sets for word in ("--set", one)]
     solver = ["mpirun", "-n", "2", sys.executable, "-m", "vgmpi", scene]
-    return call(*solver, "-o", out, "--overwrite", "-q", *flags)
+    seconds, processors = call(*solver, "-o", out, "--overwrite", "-q", *flags)
+    return seconds, processors / (2 * seconds)
 
 
 def draw(name: str, out: Path) -> tuple[float, int]:
     """Seconds that the video took, and how many pictures it has."""
     drawing = [sys.executable, "-m", "postprocess.render", out, HERE / name / "render.toml"]
     last = ["--jobs", "2", "-q", "-o", out / "video.mp4", "--frames", out / "png"]
-    took = call(*drawing, *last)
+    took, _ = call(*drawing, *last)
     return took, len(list((out / "png").glob("*.png")))
 
 
@@ -106,12 +110,14 @@ def draw_stills(name: str, out: Path) -> tuple[float, int]:
     for number in numbers:
         picture = out / "png" / f"frame_{number:05d}.png"
         drawing = [sys.executable, "-m", "postprocess.render", out, HERE / name / "render.toml"]
-        took += call(*drawing, "--frame", str(number), "-q", "-o", picture)
+        took += call(*drawing, "--frame", str(number), "-q", "-o", picture)[0]
     return took, len(numbers)
 
 
-def known_of(out: Path, simulated: float, drawn: float, pictures: int) -> dict:
-    """What a run cost and kept."""
+def known_of(
+    out: Path, simulated: float, drawn: float, pictures: int, cores_part: float = 1.0
+) -> dict:
+    """What a run cost and kept; cores_part: of two cores, the part that it had."""
     rows = csv_log.read_rows(out / file_layout.LEDGER)
     first, last = ([r for r in rows if r["time"] == rows[k]["time"]] for k in (0, -1))
     count, mass = (sum(r[key] for r in last) for key in ("particles", "mass"))
@@ -120,6 +126,7 @@ def known_of(out: Path, simulated: float, drawn: float, pictures: int) -> dict:
     came = sum(r["mass_in"] for r in last) if flows else sum(r["mass"] for r in first)
     gone = sum(r["mass_out"] for r in last) if flows else 0.0
     known = {"simulated": simulated, "drawn": drawn, "pictures": pictures, "particles": int(count)}
+    known["cores_part"] = cores_part
     return {**known, "mass_lost": abs(came - gone - mass) / came}
 
 
@@ -176,8 +183,8 @@ def page(machine: str) -> str:
     ]
     for name, variants in SCENES.items():
         title = (HERE / name / "README.md").read_text().splitlines()[0].lstrip("# ")
-        if title in before and not (HERE / name / "out" / "record.json").is_file():
-            out += [before[title]]
+        if not (HERE / name / "out" / "record.json").is_file():
+            out += [before[title]] if title in before else []
             continue
         out += [f"## {title}", "", f"`runs/{name}`", ""]
         for label, said in [("", "")] + [(label, said) for label, said, _ in variants]:
@@ -188,7 +195,9 @@ def page(machine: str) -> str:
             known = json.loads(record.read_text())
             also = f"{said}: " if said else ""
             cost = f"{known['simulated']:.0f} s"
-            if known.get("pictures", 0) > len(TIMES) + 1:  # a few tell the program's start
+            if known.get("cores_part", 1) < IDLE:
+                cost += f" beside other programs, with {2 * known['cores_part']:.1f} cores"
+            elif known.get("pictures", 0) > len(TIMES) + 1:  # a few tell the program's start
                 cost += f", and {known['drawn']:.0f} s for {known['pictures']} pictures"
             kept = "no mass lost"
             if known["mass_lost"]:
@@ -219,11 +228,12 @@ def main() -> None:
             record = base / label / "record.json"
             out = base / label
             if given.draw or given.stills:
-                took = json.loads(record.read_text())["simulated"]
+                before = json.loads(record.read_text())
+                took, cores_part = before["simulated"], before.get("cores_part", 1.0)
             else:
-                took = simulate(name, label, out, sets, given.small)
+                took, cores_part = simulate(name, label, out, sets, given.small)
             drawn = draw_stills(name, out) if given.stills else draw(name, out)
-            known = known_of(out, took, *drawn)
+            known = known_of(out, took, *drawn, cores_part)
             record.write_text(json.dumps(known))
             print(name, label, known, flush=True)
             if not given.small:

@@ -72,15 +72,18 @@ def written(folder, keys):
     return str(folder / "scene.toml")
 
 
+@pytest.mark.parametrize("flags", [[], ["--plan"]], ids=["run", "plan"])
 @pytest.mark.parametrize("engine, keys", LACKS)
-def test_one_line_names_what_an_engine_lacks(tmp_path, capsys, engine, keys):
+def test_one_line_names_what_an_engine_lacks(tmp_path, capsys, engine, keys, flags):
     scene = written(tmp_path, keys)
-    code = cli.main([scene, "--engine", engine, "-o", str(tmp_path / "out")])
+    code = cli.main([scene, "--engine", engine, *flags, "-o", str(tmp_path / "out")])
     assert code == 2
     text = (tmp_path / "scene.toml").read_text()
     number = {key: text[: text.index(KEYS[key])].count("\n") + 1 for key in LACKS[engine, keys]}
     names = [f"{name} ({scene}:{number[key]})" for key, name in LACKS[engine, keys].items()]
-    (line,) = capsys.readouterr().err.strip().splitlines()
+    printed = capsys.readouterr()
+    (line,) = printed.err.strip().splitlines()
+    assert not printed.out
     assert line == f"--engine {engine} has {', '.join(names)}; engine cpu has"
     assert not (tmp_path / "out").exists()
 

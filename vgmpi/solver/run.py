@@ -281,7 +281,7 @@ def prepared_run(
         SceneError, StoreError, RunFolderInUseError, CheckpointError, RunError, InvalidRunOptions,
         BlowUp.
     """
-    check_engine(options, scene)
+    check_engine(options.engine, scene)
     check(options, ranks)
     folder, resumed = options.folder, options.resume is not None
     with contextlib.ExitStack() as stack:

@@ -65,9 +65,9 @@ def check(options: Options, ranks: SerialCommunicator) -> None:
         _find_card(options, ranks)
 
 
-def check_engine(options: Options, scene: Scene) -> None:
+def check_engine(engine: str, scene: Scene) -> None:
     """Raise InvalidRunOptions, which names all of it, if a scene has what its engine lacks."""
-    lacks = LACKS.get(options.engine, {})
+    lacks = LACKS.get(engine, {})
     paths: list[tuple] = [("joint", k) for k in range(len(scene.joint))]
     for k, obj in enumerate(scene.object):
         slips = obj.slip_length is not None
@@ -80,7 +80,7 @@ def check_engine(options: Options, scene: Scene) -> None:
             first.setdefault(lacks[name], scene.place(path))
     if first:
         features = ", ".join(f"no {feature}: {place}" for feature, place in first.items())
-        raise InvalidRunOptions(f"engine {options.engine} has {features}; engine cpu has")
+        raise InvalidRunOptions(f"engine {engine} has {features}; engine cpu has")
 
 
 def _find_card(options: Options, ranks: SerialCommunicator) -> None:

@@ -18,6 +18,7 @@ from vgmpi.runtime import memory_budget
 from vgmpi.runtime.config.schema import SceneError
 from vgmpi.scene.loader import load
 from vgmpi.scene.resume_rules import with_accuracy_of_run
+from vgmpi.scene.scene import Scene
 from vgmpi.solver.stop_requests import install_signal_handlers
 
 log = logging.getLogger("vgmpi")
@@ -228,7 +229,8 @@ def _command(args: argparse.Namespace, ranks: SerialCommunicator) -> int:
         lines = soft_liquid_lines(scene, liquid_weights(scene, objects, x), tensions)
         print("\n".join([*lines, f"{args.scene}: nothing {'else ' * bool(lines)}is wrong with it"]))
         return 0
-    refusal = _slurm_mismatch(ranks) or ("" if args.plan else _folder_problem(folder))
+    refusal = _slurm_mismatch(ranks)
+    refusal = refusal or (_engine_refusal(args, scene) if args.plan else _folder_problem(folder))
     if refusal:
         return refuse([refusal], ranks)
     if not (args.plan or args.prepare):
@@ -268,6 +270,17 @@ def _command(args: argparse.Namespace, ranks: SerialCommunicator) -> int:
             print(card_module(ranks).memory_report(plan, ranks.size))
     refusal = memory_refusal(plan.bytes(), ranks)
     return refuse([refusal], ranks) if refusal and not args.force else 0
+
+
+def _engine_refusal(args: argparse.Namespace, scene: Scene) -> str:
+    """Return one line if the scene has what the engine lacks, else ""."""
+    from vgmpi.solver.run_options import InvalidRunOptions, check_engine
+
+    try:
+        check_engine(args.engine, scene)
+    except InvalidRunOptions as error:
+        return f"--{error}"
+    return ""
 
 
 def card_module(ranks: SerialCommunicator):
