@@ -57,6 +57,11 @@ class Simulated(SerialCommunicator):
         _same({(v.shape, v.dtype) for v in given}, "max")
         return self._done(np.maximum.reduce(given))
 
+    def sum(self, numbers):
+        given = self._all("sum", numbers)
+        _same({(v.shape, v.dtype) for v in given}, "sum")
+        return self._done(np.add.reduce(given))
+
     def all_rows(self, rows):
         given = self._all("all_rows", rows)
         _same({(r.shape[1:], r.dtype) for r in given}, "all_rows")

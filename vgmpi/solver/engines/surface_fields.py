@@ -129,6 +129,8 @@ def restrict_offsets(engine) -> None:
     """Sum no offsets in node blocks where no contact reads them, next to free bodies.
 
     They are read near colliders, in blocks of several phases, and where segments add to all nodes.
+    Blocks to which other ranks add are summed, too: sums that are not read are not reset, and would
+    return to the other rank with those of earlier steps.
 
     Args:
         engine: CPU engine, with new tables and parts.
@@ -142,6 +144,9 @@ def restrict_offsets(engine) -> None:
         for contribution in part.contributions:
             if contribution.layer == "offsets":
                 is_read[part.segments.table[contribution.chosen]] = True
+    for fields in tables.shared.values():
+        if "offsets" in fields:
+            is_read[fields["offsets"].receive_blocks] = True
     engine.layers["offsets"].asked &= is_read
 
 
