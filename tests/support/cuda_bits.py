@@ -28,11 +28,8 @@ import numpy as np  # noqa: E402
 from numba import cuda  # noqa: E402
 
 from tests.solver import test_engines as engines  # noqa: E402
-from tests.support.engine_pair import beside, shaken, worst  # noqa: E402
-from tests.support.small_scenes import scene  # noqa: E402
+from tests.support.engine_pair import of_scene, worst  # noqa: E402
 from vgmpi.kernels.simd import cooperative as lanes_team  # noqa: E402
-from vgmpi.preprocess.initial_velocity import initial_velocity_gradient  # noqa: E402
-from vgmpi.preprocess.scene_builder import build_scene  # noqa: E402
 from vgmpi.solver.engines.cuda import (  # noqa: E402
     device_group,
     device_sort,
@@ -42,7 +39,6 @@ from vgmpi.solver.engines.cuda import (  # noqa: E402
 )
 from vgmpi.solver.engines.cuda.cuda_engine import Cuda  # noqa: E402
 from vgmpi.solver.engines.cuda.grid_kernels import from_lane  # noqa: E402
-from vgmpi.solver.initial_particles import known_of, plan_for  # noqa: E402
 
 SORT_AT = 1
 
@@ -56,13 +52,7 @@ def simulations(name: str, precision: str, which: tuple[str, ...]):
     text = text.replace("[0.15, 0.13, 0.12], radius = 0.012", "[0.13, 0.125, 0.09], radius = 0.028")
     text = text.replace("0.175, 0.16", "0.155, 0.16").replace("0.0325, 0.16", "0.028, 0.16")
     with tempfile.TemporaryDirectory() as folder:
-        loaded = scene(Path(folder), head + text)
-        made = build_scene(loaded)
-        plan = plan_for(loaded, known_of(loaded, made))
-    x, v = shaken(made, plan, 3)
-    C = initial_velocity_gradient(loaded, x, made.object)
-    more = {"theta": made.theta0, "C": C, "sh": made.sh, "surface": made.surface0}
-    return beside(plan, made.colliders, x, v, made.vol0, made.object, which, **more)
+        return of_scene(Path(folder), head + text, which)
 
 
 def differences(one, other) -> list[str]:

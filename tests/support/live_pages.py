@@ -1,14 +1,14 @@
 """A live page as a process of its own, a browser on it, and a run for it to follow."""
 
 import re
-import sys
 import threading
 import time
 
 import pytest
 
 from tests.support.headless_browser import new_page
-from tests.support.launch import PATIENCE, start
+from tests.support.launch import PATIENCE
+from tests.support.page_process import PageProcess
 
 SCENE = """
 title = "A ball falls into water"
@@ -47,34 +47,12 @@ sampling_rate = 500
 ROW_BYTES = 32  # of a Gaussian on its way to a browser
 
 
-class LivePageProcess:
-    """`vgmpi live` as a process: its address, and its lines."""
+class LivePageProcess(PageProcess):
+    """`vgmpi live` as a process."""
 
     def __init__(self, *words):
         pytest.importorskip("viser", reason='needs viser: pip install "vgmpi[live]"')
-        self.process = start([sys.executable, "-m", "vgmpi", "live", *words])
-        line = self.process.stdout.readline()
-        found = re.search(r"http://\S+", line)
-        if found is None:
-            pytest.fail(f"no address: {line}{self.process.stderr.read()}")
-        self.address = found[0]
-
-    def stop(self, number):
-        """Send a signal and return exit code, stdout and stderr."""
-        self.process.send_signal(number)
-        out, err = self.process.communicate(timeout=PATIENCE)
-        return self.process.returncode, out, err
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        if self.process.poll() is None:
-            self.process.terminate()
-            killer = threading.Timer(PATIENCE, self.process.kill)
-            killer.start()
-            self.process.communicate()
-            killer.cancel()
+        super().__init__("live", *words)
 
 
 def opened(browser, address, errors):

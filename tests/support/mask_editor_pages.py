@@ -1,40 +1,13 @@
 """The page of `vgmpi photo --edit` as a process of its own, and a browser's hand on it."""
 
-import re
-import sys
-import threading
-
-import pytest
-
-from tests.support.launch import PATIENCE, start
+from tests.support.page_process import PageProcess
 
 
-class EditorProcess:
-    """`vgmpi photo PHOTO [LAYOUT] --edit -o OUT` as a process: its address, and its lines."""
+class EditorProcess(PageProcess):
+    """`vgmpi photo PHOTO [LAYOUT] --edit -o OUT` as a process."""
 
     def __init__(self, *words):
-        self.process = start([sys.executable, "-m", "vgmpi", "photo", *words, "--edit"])
-        line = self.process.stdout.readline()
-        match = re.search(r"http://\S+", line)
-        if match is None:
-            pytest.fail(f"no address: {line}{self.process.stderr.read()}")
-        self.address = match[0]
-
-    def wait(self):
-        """Exit code, stdout and stderr of the process that has been ended."""
-        out, err = self.process.communicate(timeout=PATIENCE)
-        return self.process.returncode, out, err
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        if self.process.poll() is None:
-            self.process.terminate()
-            killer = threading.Timer(PATIENCE, self.process.kill)
-            killer.start()
-            self.process.communicate()
-            killer.cancel()
+        super().__init__("photo", *words, "--edit")
 
 
 class Hand:
