@@ -102,6 +102,7 @@ class Cuda(Cpu):
     @with_device_context
     def set_topology(self, tables: ExchangeTopology, unchanged: bool = False) -> None:
         """Allocate nodes and segment tables after a sort."""
+        self._forget_arguments()
         super().set_topology(tables, unchanged)
         self.copies.clear()
         self.firsts: dict[int, Any] = {}
@@ -111,7 +112,16 @@ class Cuda(Cpu):
                 for border in (False, True)
             }
             self.on_card = self.copies.of(self.blocks)
+            self.auxiliary = {
+                name: flattened(self.copies.of(values)) for name, values in self.beside.items()
+            }
+        self.rigid = self._rigid()
         self.work = [self._laid_out(part) for part in self.parts]
+
+    def _forget_arguments(self) -> None:
+        """Drop the stored arguments of launches, which keep the memory of their arrays."""
+        self.halves.forget()
+        self.wholes.forget()
 
     def _laid_out(self, part: GroupContext) -> Work:
         """Copy the tables of a group to the GPU."""
@@ -132,6 +142,7 @@ class Cuda(Cpu):
     def open(self, wall: int) -> None:
         """Remove a wall that has vanished."""
         super().open(wall)
+        self._forget_arguments()
         self.copies.forget(self.walls)
         for part in self.parts:
             self.copies.forget(part.segments.mirror)
@@ -207,7 +218,7 @@ class Cuda(Cpu):
     @with_device_context
     def update(self, border: bool) -> None:
         """Convert sums to velocities (gravity, couplings, contact, walls) and to mean colors."""
-        blocks, copy = self.todo[border], self.copies.of
+        blocks, copy = self.todo[border], self.copies.of_table
         momentum = self.layers["momentum"].tables
         if not self.dt:
             self._half(
@@ -220,7 +231,7 @@ class Cuda(Cpu):
         if self.apart:
             kernel = grid_kernels.update_apart
             separate = grid.SeparatedStress(
-                self.layers["impulses"].tables, **{k: v for k, v in self._auxiliary().items()},
+                self.layers["impulses"].tables, **self.auxiliary,
                 noted=int(self.gathered["change"]), room=(), tables=copy(self.pairs),
             )  # fmt: skip
         shear = self.layers["shear"].tables if self.plan.has_surface_friction else None
@@ -229,7 +240,8 @@ class Cuda(Cpu):
         reactions = None if self.reactions is None else copy(self.reactions.by_thread[0])
         self._half(
             NODES, kernel, len(blocks), blocks, self.on_card, summed, shear, separate, rules,
-            copy(self.walls), copy(self.phases), self._rigid(), reactions, self.step,
+            copy(self.walls), copy(self.phases), self._rigid() if self._moves else self.rigid,
+            reactions, self.step,
             self.record.overflow,
         )  # fmt: skip
         for k, layer in enumerate(self.hues):
@@ -244,17 +256,17 @@ class Cuda(Cpu):
         moves = self.solids is not None and len(self.solids.moves) > 0
         return self.copies.refreshed(fill) if moves else self.copies.of(fill)
 
-    def _auxiliary(self) -> dict:
-        """Return the auxiliary nodal values in GPU memory."""
-        return {name: flattened(self.copies.of(values)) for name, values in self.beside.items()}
-
     def _rigid(self) -> grid.RigidBoundaries:
         """Return colliders and prescribed bodies in their current state."""
         rigid, solids = self.no_rigid, self.solids
         if solids is not None:
             rigid = rigid._replace(nodes=solids.nodes, moves=solids.moves, whose=solids.whose)
-        moves = self.driven is not None or (solids is not None and len(solids.moves) > 0)
-        return self.copies.refreshed(rigid) if moves else self.copies.of(rigid)
+        return self.copies.refreshed(rigid)
+
+    @property
+    def _moves(self) -> bool:
+        """True if colliders or prescribed bodies move."""
+        return self.driven is not None or (self.solids is not None and len(self.solids.moves) > 0)
 
     @with_device_context
     def gather(self, step: int) -> StepReport:
@@ -291,7 +303,7 @@ class Cuda(Cpu):
                 work.segments,
                 group.on_card(MOVED), self.layers[color_field_name(k)].tables.nodes,
             )  # fmt: skip
-        auxiliary = auxiliary_gather_kind(self.plan, plan, self._auxiliary(), self.dt)
+        auxiliary = auxiliary_gather_kind(self.plan, plan, self.auxiliary, self.dt)
         ghosts = copy(self._ghosts(part, 0))
         self.wholes.launch(
             count, PARTICLE, gather_kernels.g2p, work.all, group.plan.law, work.segments,

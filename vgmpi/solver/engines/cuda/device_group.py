@@ -7,7 +7,7 @@ from vgmpi.parallel.particle_group import SIMD_WIDTH, ParticleGroup
 from vgmpi.parallel.sort_kernels import CELLS_PER_BLOCK
 
 from . import device_sort
-from .device_memory import flattened, new, to_card
+from .device_memory import flattened, new, read, to_card, write
 from .device_sort import SORT
 from .kernel_launch import Launcher
 
@@ -27,6 +27,7 @@ class CardGroup(ParticleGroup):
         self._host: dict[str, np.ndarray] = {}
         self._card: dict = {}
         self._newest: dict[str, str] = {}
+        self._particles: dict[bool, Particles] = {}
         super().__init__(plan, lattice, real)
 
     def on_card(self, writes: tuple[str, ...] = (), flat: bool = True) -> Particles:
@@ -38,16 +39,30 @@ class CardGroup(ParticleGroup):
         """
         for name in ROWS:
             if self._newest[name] == "host":
-                self._card[name] = to_card(self._host[name])
-                self._newest[name] = "both"
+                self._copy_to_card(name)
         for name in writes:
             self._newest[name] = "card"
-        arrays = [self._card[name] for name in ROWS]
-        return Particles(*(flattened(array) for array in arrays) if flat else arrays)
+        return self._particles[flat]
+
+    def _copy_to_card(self, name: str) -> None:
+        """Copy an array of the host to the GPU, into its memory there if it has the size."""
+        host, card = self._host[name], self._card.get(name)
+        if card is not None and card.shape == host.shape:
+            write(card, host)
+        else:
+            self._set_card(name, to_card(host))
+        self._newest[name] = "both"
+
+    def _set_card(self, name: str, array) -> None:
+        """Set an array of the GPU, and the particle arrays that kernels take, by `flat`."""
+        self._card[name] = array
+        if len(self._card) == len(ROWS):
+            arrays = Particles(*(self._card[name] for name in ROWS))
+            self._particles = {False: arrays, True: Particles(*map(flattened, arrays))}
 
     def _get(self, name: str) -> np.ndarray:
         if self._newest[name] == "card":
-            self._card[name].copy_to_host(self._host[name])
+            read(self._card[name], self._host[name])
         self._newest[name] = "host"
         return self._host[name]
 

@@ -10,6 +10,11 @@ from vgmpi.kernels import reproducible_sums
 from vgmpi.kernels.kernel_arguments import Sums
 from vgmpi.solver.engines.nodal_field_storage import NodalField
 
+from .translation_types import SIMULATED
+
+if not SIMULATED:
+    from numba.cuda.cudadrv import driver
+
 # Module that allocates arrays; without a GPU, kernels can be compiled for host arrays.
 WHERE: list[Any] = [cuda]
 
@@ -22,6 +27,22 @@ def to_card(array: np.ndarray):
 def new(shape, kind):
     """Allocate an uninitialized array in GPU memory."""
     return WHERE[0].device_array(shape, kind)
+
+
+def write(target, values: np.ndarray) -> None:
+    """Copy an array over a GPU array of its size."""
+    if WHERE[0] is cuda and not SIMULATED and values.nbytes:  # numba takes as long as some kernels
+        driver.host_to_device(target, np.ascontiguousarray(values), values.nbytes)
+    else:
+        target.copy_to_device(values)
+
+
+def read(source, values: np.ndarray) -> None:
+    """Copy a GPU array to a contiguous array of its size, after all kernels."""
+    if WHERE[0] is cuda and not SIMULATED and values.nbytes:
+        driver.device_to_host(values, source, values.nbytes)
+    else:
+        source.copy_to_host(values)
 
 
 def flattened(array):
@@ -43,9 +64,18 @@ class Copies:
             return self.by_id[id(value)][1]
         return map_tuple(value, self.of) if isinstance(value, tuple) else value
 
+    def of_table(self, value: tuple):
+        """Return the copies of a tuple that stays until the next sort, as the same tuple."""
+        if id(value) not in self.by_id:
+            self.by_id[id(value)] = value, self.of(value)
+        return self.by_id[id(value)][1]
+
     def refreshed(self, value):
-        """Return fresh copies of arrays that may have changed."""
-        self.forget(value)
+        """Return the copies of arrays that may have changed, written again."""
+        if isinstance(value, tuple):
+            return map_tuple(value, self.refreshed)
+        if id(value) in self.by_id:
+            self.by_id[id(value)][1].copy_to_device(value)
         return self.of(value)
 
     def forget(self, value) -> None:
@@ -53,8 +83,7 @@ class Copies:
         if isinstance(value, tuple):
             for member in value:
                 self.forget(member)
-        else:
-            self.by_id.pop(id(value), None)
+        self.by_id.pop(id(value), None)
 
     def clear(self) -> None:
         """Drop all copies."""

@@ -3,9 +3,11 @@
 Arguments are flattened, since a launch takes only arrays and numbers.
 """
 
+import ctypes
 import os
+import struct
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import cuda
@@ -14,11 +16,18 @@ from .translation import KernelTranslator
 from .translation_types import SIMULATED, TranslationMode, type_tree, without_tuple_methods
 
 LAUNCH_COUNT = [0]  # number of launches
-C_TYPES = {
-    np.dtype(kind): np.ctypeslib.as_ctypes_type(kind)
-    for kind in (np.float32, np.float64, np.int32, np.int64, np.uint32, np.uint64, np.bool_)
-}
+PARAMETER_BYTES = 8  # [bytes] from one parameter to the next, of which a kernel reads what it needs
+MAX_TUPLES = 500  # stored arguments of a launcher
+FORMS: dict[tuple, int] = {}
 LAST = ["none"]  # name of the last launched kernel
+
+
+class Argument(NamedTuple):
+    """Argument of a launch as the launcher passes it."""
+
+    value: Any  # kept, so that its id stays in use
+    form: Any  # key that is equal for arguments that one kernel serves
+    parameters: bytes  # its parameters, of 8 bytes each; empty in the simulator
 
 
 class Launch:
@@ -32,24 +41,33 @@ class Launch:
         """Create a launch; threads: threads of a block."""
         self.kernel, self.threads = kernel, threads
         self.code: Any = None  # the loaded kernel, after the first launch
-        self.stream: Any = None
 
-    def __call__(self, blocks: int, numbers: list) -> None:
+    def __call__(self, blocks: int, arguments: list[Argument]) -> None:
         """Launch the kernel.
 
         Args:
             blocks: Number of blocks.
-            numbers: Arrays and numbers in the order of the parameters.
+            arguments: Arguments in the order of the kernel's.
         """
         if self.code is None:
-            self.kernel[blocks, self.threads](*numbers)
+            self.kernel[blocks, self.threads](*numbers_of([a.value for a in arguments]))
             if not SIMULATED:
-                (overload,) = self.kernel.overloads.values()
-                self.code = overload._codelibrary.get_cufunc().kernel
-                self.stream = dispatcher.driver._to_core_stream(0)
+                self._load(sum(len(argument.parameters) for argument in arguments))
             return
-        shape = dispatcher.LaunchConfig(grid=(blocks, 1, 1), block=(self.threads, 1, 1))
-        dispatcher.launch(self.stream, shape, self.code, *parameters_of(numbers))
+        self.parameters.raw = b"".join([argument.parameters for argument in arguments])
+        driver.driver.cuLaunchKernel(
+            self.code, blocks, 1, 1, self.threads, 1, 1, 0, 0, ctypes.addressof(self.pointers), 0
+        )
+
+    def _load(self, size: int) -> None:
+        """Take the loaded kernel from numba, and memory for `size` bytes of parameters."""
+        (overload,) = self.kernel.overloads.values()
+        handle = overload._codelibrary.get_cufunc().kernel.handle
+        self.code = driver.binding.CUfunction(int(handle))
+        self.parameters = ctypes.create_string_buffer(max(size, 1))
+        first = ctypes.addressof(self.parameters)
+        places = range(first, first + size, PARAMETER_BYTES)
+        self.pointers = (ctypes.c_void_p * len(places))(*places)
 
 
 class Launcher:
@@ -59,6 +77,7 @@ class Launcher:
         """Create a launcher; threads: threads of a block."""
         self.program, self.threads = program, threads
         self.kernels: dict[tuple, Launch] = {}
+        self.tuples: dict[int, Argument] = {}  # id of a tuple -> argument, since the last sort
 
     def launch(
         self, blocks: int, mode: TranslationMode, function: Callable, *arguments: Any
@@ -73,7 +92,8 @@ class Launcher:
         """
         if blocks:
             LAUNCH_COUNT[0], LAST[0] = LAUNCH_COUNT[0] + 1, function.__name__
-            self.kernel(mode, function, arguments)(blocks, numbers_of(arguments))
+            passed = [self._argument(argument) for argument in arguments]
+            self._kernel(mode, function, arguments, passed)(blocks, passed)
 
     def kernel(self, mode: TranslationMode, function: Callable, arguments: tuple) -> Launch:
         """Return the kernel for arguments of these forms.
@@ -83,10 +103,33 @@ class Launcher:
             function: Function of the kernel.
             arguments: Arguments of the launch.
         """
-        key = function, mode.name, tuple(form_of(argument) for argument in arguments)
-        if key not in self.kernels:
-            self.kernels[key] = Launch(self._compiled(mode, function, arguments), self.threads)
-        return self.kernels[key]
+        passed = [self._argument(argument) for argument in arguments]
+        return self._kernel(mode, function, arguments, passed)
+
+    def _kernel(
+        self, mode: TranslationMode, function: Callable, arguments: tuple, passed: list[Argument]
+    ) -> Launch:
+        key = function, mode.name, *[argument.form for argument in passed]
+        kernel = self.kernels.get(key)
+        if kernel is None:
+            kernel = Launch(self._compiled(mode, function, arguments), self.threads)
+            self.kernels[key] = kernel
+        return kernel
+
+    def _argument(self, value: Any) -> Argument:
+        """Return a value as an argument; that of the same tuple is stored until `forget`."""
+        if not isinstance(value, tuple):
+            return argument_of(value)
+        argument = self.tuples.get(id(value))
+        if argument is None:
+            if len(self.tuples) >= MAX_TUPLES:
+                self.tuples.clear()
+            argument = self.tuples[id(value)] = argument_of(value)
+        return argument
+
+    def forget(self) -> None:
+        """Drop the stored arguments, which keep the memory of their arrays."""
+        self.tuples.clear()
 
     def _compiled(self, mode: TranslationMode, function: Callable, arguments: tuple) -> Callable:
         code = function.__code__
@@ -143,55 +186,53 @@ def without_contraction() -> None:
 
 if not SIMULATED:
     from numba.cuda import dispatcher
-    from numba.cuda.cudadrv import nvvm
+    from numba.cuda.cudadrv import driver, nvvm
 
     dispatcher.config.CUDA_LOW_OCCUPANCY_WARNINGS = 0  # for people who choose a grid themselves
     if os.environ.get("VGMPI_CARD_CONTRACTION") != "on":  # for comparison alone
         without_contraction()
 
 
-def form_of(argument: Any) -> Any:
-    """Return a key that is equal for arguments that one kernel serves."""
-    if isinstance(argument, tuple):
-        return type(argument), tuple(_form_inside(part) for part in argument)
-    return _form(argument)
+def argument_of(value: Any) -> Argument:
+    """Return a value as an argument of a launch."""
+    if isinstance(value, tuple):
+        members = [_member(member) for member in value]
+        form = number_of_form((type(value), *[member.form for member in members]))
+        return Argument(value, form, b"".join([member.parameters for member in members]))
+    if hasattr(value, "dtype") and value.ndim:
+        return _array_argument(value)
+    if value is None:
+        return Argument(None, None, b"")
+    if isinstance(value, float):  # a Python float is a double in the simulator too
+        return Argument(value, float, struct.pack("<d", value))
+    if isinstance(value, np.generic):
+        return Argument(value, type(value), value.tobytes().ljust(PARAMETER_BYTES, b"\0"))
+    return Argument(value, type(value), struct.pack("<q", value))
 
 
-def _form_inside(argument: Any) -> Any:
-    if isinstance(argument, bool | int) and not isinstance(argument, np.generic):
-        return int, int(argument)
-    return form_of(argument)
+def _member(value: Any) -> Argument:
+    """Return a member of a tuple as an argument; its integers are known to the kernel."""
+    if isinstance(value, bool | int) and not isinstance(value, np.generic):
+        return Argument(value, (int, int(value)), b"")
+    return argument_of(value)
 
 
-def _form(argument: Any) -> Any:
-    if argument is None:
-        return None
-    if hasattr(argument, "dtype") and hasattr(argument, "ndim") and argument.ndim:
-        return np.dtype(argument.dtype).str, argument.ndim
-    return float if isinstance(argument, np.float64) else type(argument)
+def _array_argument(array: Any) -> Argument:
+    """Return an array of the GPU as an argument, in numba's order; the array keeps the rest."""
+    stored = getattr(array, "launch_argument", None)
+    if stored is None:
+        stored = number_of_form((np.dtype(array.dtype).str, array.ndim)), b""
+        if hasattr(array, "device_ctypes_pointer"):
+            address = array.device_ctypes_pointer.value or 0
+            numbers = array.size, array.dtype.itemsize, address, *array.shape, *array.strides
+            stored = stored[0], struct.pack(f"<{2 + len(numbers)}q", 0, 0, *map(int, numbers))
+            array.launch_argument = stored
+    return Argument(array, *stored)
 
 
-def parameters_of(numbers: list) -> list:
-    """Return the parameters of a kernel, in which numba passes arrays and numbers."""
-    parameters: list = []
-    for number in numbers:
-        if isinstance(number, np.generic):
-            parameters.append(C_TYPES[number.dtype](number.item()))
-        elif isinstance(number, bool | int):
-            parameters.append(number)
-        else:
-            parameters += _array_parameters(number)
-    return parameters
-
-
-def _array_parameters(array: Any) -> tuple:
-    """Return the parameters of an array of the GPU, which the array keeps."""
-    parameters = getattr(array, "launch_parameters", None)
-    if parameters is None:
-        address = array.device_ctypes_pointer.value or 0
-        numbers = array.size, array.dtype.itemsize, address, *array.shape, *array.strides
-        parameters = array.launch_parameters = 0, 0, *map(int, numbers)
-    return parameters
+def number_of_form(form: tuple) -> int:
+    """Return the number of a form, so that launches compare numbers."""
+    return FORMS.setdefault(form, len(FORMS))
 
 
 def numbers_of(arguments: Any) -> list:

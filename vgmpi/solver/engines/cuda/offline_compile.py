@@ -18,7 +18,7 @@ from vgmpi.solver.engines.shift_tables import shift_constants
 from . import device_memory
 from .cuda_engine import Cuda
 from .device_group import CardGroup
-from .kernel_launch import Launcher, form_of, numbers_of
+from .kernel_launch import Launcher, argument_of, numbers_of
 
 # [bytes, threads] Shared memory and threads of a multiprocessor; each block reserves 1 KiB.
 CARDS = {80: ("A100", 167936, 2048), 90: ("H100", 233472, 2048)}
@@ -97,7 +97,12 @@ class Compiler(Launcher):
         """
         is_requested = not self.only or function.__name__ in self.only
         for card in self.cards if is_requested else ():
-            key = id(self), function, card, tuple(map(form_of, arguments))
+            key = (
+                id(self),
+                function,
+                card,
+                tuple(argument_of(a).form for a in arguments),
+            )
             if key not in self.compiled:
                 self.compiled[key] = self._compile_for(mode, function, arguments, card)
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .device_memory import to_card
+from .device_memory import read, to_card, write
 
 ALIGNMENT = 64  # [bytes]
 FINE = (1 << 62) - 1  # value for: no particle failed, no sum left its range
@@ -49,6 +49,7 @@ class RecordBuffer:
             values[:] = value
         self._bytes = to_card(self._reset)
         self._host = self._reset.copy()
+        self._at_reset, self._at_host = self._views(self._reset), self._views(self._host)
         self.card = self._views(self._bytes)
 
     def _views(self, memory) -> StepRecord:
@@ -60,10 +61,10 @@ class RecordBuffer:
         Args:
             gravity_increment: Change of the velocity by gravity, shape (4,) [m/s].
         """
-        self._views(self._reset).gravity_increment[:] = gravity_increment
-        self._bytes.copy_to_device(self._reset)
+        self._at_reset.gravity_increment[:] = gravity_increment
+        write(self._bytes, self._reset)
 
     def read(self) -> StepRecord:
         """Return the record after all kernels of the step."""
-        self._bytes.copy_to_host(self._host)
-        return self._views(self._host)
+        read(self._bytes, self._host)
+        return self._at_host
