@@ -108,7 +108,7 @@ def _never():
     pass
 
 
-def _no_order(begin, taken, ids, source):
+def _no_order(count, end, targets, ids, source):
     pass
 
 

@@ -161,8 +161,7 @@ def _receive(group: ParticleGroup, tags, received, codes, by_code, number) -> np
     ):
         raise RuntimeError("particles came for a block of another rank")
     target = by_code[index] * sort_kernels.CELLS_PER_BLOCK + received[:, 1]
-    number += np.bincount(target, minlength=len(number))
-    return group.extend_targets(tags, target)
+    return group.extend_targets(tags, target, number)
 
 
 def _exchange(

@@ -129,8 +129,15 @@ class ParticleGroup:
         sort_kernels.unpack_particles(packed, 3, self.f.view(self.xi.dtype), first)
         self.ids[first : first + len(packed)] = ids
 
-    def extend_targets(self, tags, targets: np.ndarray):
-        """Return the tags, extended by the targets of received particles."""
+    def extend_targets(self, tags, targets: np.ndarray, number: np.ndarray):
+        """Return the tags, extended by the targets of received particles, and count these.
+
+        Args:
+            tags: Targets of `assign_targets`.
+            targets: Targets of the received particles, shape (n,).
+            number: Particles of each target (in/out), shape (64 segments,).
+        """
+        number += np.bincount(targets, minlength=len(number))
         if self.f.shape[1] > len(tags):
             tags = np.pad(tags, (0, self.f.shape[1] - len(tags)))
         tags[self.used : self.used + len(targets)] = targets

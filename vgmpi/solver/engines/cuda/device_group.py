@@ -7,7 +7,7 @@ from vgmpi.parallel.particle_group import SIMD_WIDTH, ParticleGroup
 from vgmpi.parallel.sort_kernels import CELLS_PER_BLOCK
 
 from . import device_sort
-from .device_memory import flattened, new, read, to_card, write
+from .device_memory import ChannelMemory, card_room, clear, flattened, new, read, to_card, write
 from .device_sort import SORT
 from .kernel_launch import Launcher
 
@@ -25,7 +25,9 @@ class CardGroup(ParticleGroup):
 
     def __init__(self, plan, lattice, real):
         self._host: dict[str, np.ndarray] = {}
-        self._card: dict = {}
+        self._memory: dict[str, ChannelMemory] = {}
+        self._scratch: dict = {}  # arrays of a sort, by name
+        self._sorted: tuple = ()  # segments, and their tables in GPU memory
         self._newest: dict[str, str] = {}
         self._particles: dict[bool, Particles] = {}
         super().__init__(plan, lattice, real)
@@ -46,23 +48,22 @@ class CardGroup(ParticleGroup):
 
     def _copy_to_card(self, name: str) -> None:
         """Copy an array of the host to the GPU, into its memory there if it has the size."""
-        host, card = self._host[name], self._card.get(name)
-        if card is not None and card.shape == host.shape:
-            write(card, host)
-        else:
-            self._set_card(name, to_card(host))
+        host, memory = self._host[name], self._memory.get(name)
+        if memory is None or memory.array.shape != host.shape:
+            self._memory[name] = ChannelMemory(host.shape, host.dtype)
+            self._set_particles()
+        write(self._memory[name].array, host)
         self._newest[name] = "both"
 
-    def _set_card(self, name: str, array) -> None:
-        """Set an array of the GPU, and the particle arrays that kernels take, by `flat`."""
-        self._card[name] = array
-        if len(self._card) == len(ROWS):
-            arrays = Particles(*(self._card[name] for name in ROWS))
+    def _set_particles(self) -> None:
+        """Set the particle arrays that kernels take, by `flat`."""
+        if len(self._memory) == len(ROWS):
+            arrays = Particles(*(self._memory[name].array for name in ROWS))
             self._particles = {False: arrays, True: Particles(*map(flattened, arrays))}
 
     def _get(self, name: str) -> np.ndarray:
         if self._newest[name] == "card":
-            read(self._card[name], self._host[name])
+            read(self._memory[name].array, self._host[name])
         self._newest[name] = "host"
         return self._host[name]
 
@@ -87,9 +88,20 @@ class CardGroup(ParticleGroup):
 
     def _each_segment(self, kernel, *arguments) -> None:
         """Launch a kernel with a team per segment."""
-        self.launcher.launch(
-            len(self.start), SORT, kernel, *map(to_card, (self.start, self.count)), *arguments
+        if (
+            not self._sorted
+            or self._sorted[0] is not self.start
+            or self._sorted[1] is not self.count
+        ):
+            self._sorted = self.start, self.count, to_card(self.start), to_card(self.count)
+        self.launcher.launch(len(self.start), SORT, kernel, *self._sorted[2:], *arguments)
+
+    def _room(self, name: str, size: int, kind):
+        """Return an array of a sort with room for `size` numbers, which the next sort reuses."""
+        self._scratch[name] = card_room(
+            self._scratch.get(name, np.zeros(0)), max(size, 1), (), kind
         )
+        return self._scratch[name]
 
     def _each_item(self, count: int, kernel, *arguments) -> None:
         """Launch a kernel with a thread per item."""
@@ -97,8 +109,8 @@ class CardGroup(ParticleGroup):
 
     def tag(self):
         """Move particles to the blocks of their base nodes; return their tags and the counts."""
-        tags = new(max(self.capacity, 1), np.int32)
-        number = to_card(np.zeros((len(self.start), 27), np.int64))
+        tags = self._room("tags", self.capacity, np.int32)
+        number = new((len(self.start), 27), np.int64)
         particles = self.on_card(writes=("xi",))
         self._each_segment(device_sort.tag, particles.xi, self.capacity, tags, number)
         return tags, number.copy_to_host()
@@ -127,17 +139,18 @@ class CardGroup(ParticleGroup):
         by_start = np.argsort(self.start, kind="stable")
         return by_start[np.searchsorted(self.start[by_start], index, side="right") - 1]
 
-    def assign_targets(self, tags, place: np.ndarray, segments: int) -> np.ndarray:
-        """Convert tags to targets and return the number of particles per target.
+    def assign_targets(self, tags, place: np.ndarray, segments: int):
+        """Convert tags to targets and return the number of particles per target, on the GPU.
 
         Args:
             tags: Tags of `tag` (in/out).
             place: Target segment by segment and neighbor, -1 for another rank.
             segments: Number of target segments.
         """
-        number = to_card(np.zeros(CELLS_PER_BLOCK * segments, np.int64))
+        number = self._room("number", CELLS_PER_BLOCK * segments, np.int64)
+        clear(number)
         self._each_segment(device_sort.aim, tags, to_card(place), number)
-        return number.copy_to_host()
+        return number
 
     def ids_at(self, index: np.ndarray) -> np.ndarray:
         """Return the ids of particles."""
@@ -178,58 +191,69 @@ class CardGroup(ParticleGroup):
                 self._integer_array(name, writes=True), self.capacity, first,
             )  # fmt: skip
 
-    def extend_targets(self, tags, targets: np.ndarray):
-        """Return the tags extended by the targets of received particles."""
-        extended = to_card(np.zeros(max(self.capacity, 1), np.int32))
-        host_tags = tags.copy_to_host()
-        all_tags = np.zeros(extended.size, np.int32)
-        all_tags[: len(host_tags)] = host_tags
-        all_tags[self.used : self.used + len(targets)] = targets
-        extended.copy_to_device(all_tags)
-        return extended
+    def extend_targets(self, tags, targets: np.ndarray, number):
+        """Return the tags extended by the targets of received particles, and count these.
 
-    def counting_sort(self, tags, number: np.ndarray, received: int, codes: np.ndarray) -> None:
+        Args:
+            tags: Targets of `assign_targets`.
+            targets: Targets of the received particles, shape (n,).
+            number: Number of particles per target (in/out).
+        """
+        if self.used + len(targets) > tags.size:
+            old = tags
+            tags = self._scratch["tags"] = new(self.capacity, np.int32)
+            tags[: old.size].copy_to_device(old)
+        self._each_item(
+            len(targets), device_sort.append_targets, to_card(targets), self.used, tags, number
+        )
+        return tags
+
+    def counting_sort(self, tags, number, received: int, codes: np.ndarray) -> None:
         """Sort the particles into new segments.
 
         Args:
             tags: Target of each particle, -1 if it leaves.
-            number: Number of particles per target cell.
+            number: Number of particles per target cell, on the GPU.
             received: Number of received particles.
             codes: Codes of the new segments.
         """
-        size = number.reshape(-1, CELLS_PER_BLOCK).sum(1)
+        segments, cells = len(codes), CELLS_PER_BLOCK * len(codes)
+        size = self._sizes(number, segments)
         length = -(-size // SIMD_WIDTH) * SIMD_WIDTH
         start = np.cumsum(length) - length
-        begin = np.cumsum(number) - number
-        begin += np.repeat(start - begin[::CELLS_PER_BLOCK], CELLS_PER_BLOCK) if len(start) else 0
         end = int(length.sum())
-        self.start, self.count = np.append(self.start, self.used), np.append(self.count, received)
-        source = new(max(end, 1), np.uint32)
-        first, taken = to_card(begin), to_card(np.zeros(len(begin), np.int64))
-        self._each_segment(device_sort.put, tags, first, taken, source)
-        self._each_item(len(begin), device_sort.order, first, taken, self.on_card().ids, source)
-        self._permute(start, size, start + length, source, end)
+        if received:
+            self.start = np.append(self.start, self.used)
+            self.count = np.append(self.count, received)
+        tables = [to_card(table) for table in (start, size, start + length)]
+        begin = self._room("begin", cells, np.int64)
+        source = self._room("source", end, np.uint32)
+        self.launcher.launch(segments, SORT, device_sort.place_cells, tables[0], number, begin)
+        self._each_segment(device_sort.put, tags, begin, source)
+        self._each_item(cells, device_sort.order, cells, begin, number, self.on_card().ids, source)
+        self._permute(tables, source, end)
         self.segments(codes, start, size)
+        self._sorted = start, size, *tables[:2]
 
-    def _permute(self, start, count, ends, source, end: int) -> None:
+    def _sizes(self, number, segments: int) -> np.ndarray:
+        """Return the number of particles of each new segment, shape (segments,)."""
+        sizes = new(max(segments, 1), np.int64)
+        self.launcher.launch(segments, SORT, device_sort.add_cells, number, sizes)
+        return sizes.copy_to_host()[:segments]
+
+    def _permute(self, tables: list, source, end: int) -> None:
         """Copy the particles into new segments, channel after channel."""
         self.reserve(end)
-        tables = [to_card(table) for table in (start, count, ends)]
         for name, fill in (("xi", 0), ("f", 0), ("ids", -1)):
-            rows = getattr(self.on_card((name,)), name)
-            kind = rows.dtype.type
-            spare = new(max(end, 1), kind)
-            for first in range(0, rows.size, self.capacity or 1):
+            self.on_card((name,))
+            memory = self._memory[name]
+            value = memory.array.dtype.type(fill)
+            for old, place in memory.moves():
                 self.launcher.launch(
-                    len(start),
-                    SORT,
-                    device_sort.carry,
-                    *tables,
-                    source,
-                    first,
-                    rows,
-                    spare,
-                    kind(fill),
-                )
-                self._each_item(end, device_sort.put_back, spare, first, rows, end)
+                    tables[0].size, SORT, device_sort.carry, *tables, source, old, place,
+                    memory.all,
+                    value,
+                )  # fmt: skip
+            memory.is_shifted = not memory.is_shifted
+        self._set_particles()
         self.used = end

@@ -45,6 +45,51 @@ def read(source, values: np.ndarray) -> None:
         source.copy_to_host(values)
 
 
+def clear(array) -> None:
+    """Set the bytes of a GPU array to 0."""
+    if WHERE[0] is cuda and not SIMULATED and array.size:
+        driver.device_memset(array, 0, array.size * array.dtype.itemsize)
+    else:
+        array.copy_to_device(np.zeros(array.shape, array.dtype))
+
+
+class ChannelMemory:
+    """Channels in GPU memory with a spare one before or behind them.
+
+    A sort writes each channel over its neighbor, so that channels need no second copy.
+    """
+
+    def __init__(self, shape: tuple, kind):
+        """Allocate channels.
+
+        Args:
+            shape: Shape (channels, capacity) or (capacity,).
+            kind: Data type.
+        """
+        self.capacity, self.channels = shape[-1], len(shape) > 1 and shape[0] or 1
+        size = self.channels * self.capacity
+        self.all = new(max(size + self.capacity, 1), kind)
+        self.is_shifted = False  # whether the spare channel is the first
+        first = [0, self.capacity]
+        self._arrays = [
+            self.all[i : i + size].reshape(shape) if size else to_card(np.zeros(shape, kind))
+            for i in first
+        ]
+
+    @property
+    def array(self):
+        """Channels without the spare one."""
+        return self._arrays[self.is_shifted]
+
+    def moves(self) -> list[tuple[int, int]]:
+        """Return the old and the new first number of each channel, in the order of a sort."""
+        c = self.capacity
+        old = [(k + self.is_shifted) * c for k in range(self.channels)]
+        if self.is_shifted:
+            return [(first, first - c) for first in old]
+        return [(first, first + c) for first in reversed(old)]
+
+
 def flattened(array):
     """Return a GPU array as one dimension."""
     return array.reshape(array.size)
@@ -118,7 +163,7 @@ class CardLayer(NodalField):
         self.nodes = card_room(
             self.nodes, len(requested) if row_count else 0, (reproducible_sums.BLOCK,), self.real
         )
-        self.nodes.copy_to_device(np.zeros(self.nodes.shape, self.real))
+        clear(self.nodes)
         self.of_asked, self.of_phase = to_card(self.asked), to_card(self.phase)
         self.speed, self.current_bounds = 0.0, np.zeros(0)
 

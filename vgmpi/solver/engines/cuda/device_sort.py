@@ -89,36 +89,82 @@ def leaving(start, count, tags, place, leavers, total):
             leavers[cuda.atomic.add(total, 0, 1)] = p
 
 
-def put(start, count, tags, begin, taken, source):
+def append_targets(targets, first, tags, number_of_target):
+    """Append the targets of received particles to the tags, and count them.
+
+    Args:
+        targets: Target of each received particle.
+        first: Index of the first of them.
+        tags (in/out): Target of each particle.
+        number_of_target (in/out): Number of particles per target.
+    """
+    n = cuda.blockIdx.x * cuda.blockDim.x + cuda.threadIdx.x
+    if n < len(targets):
+        tags[first + n] = targets[n]
+        cuda.atomic.add(number_of_target, targets[n], 1)
+
+
+def add_cells(targets, sizes):
+    """Sum the particles of each new segment; a team has a segment.
+
+    Args:
+        targets: Number of particles per target.
+        sizes (out): Number of particles of each segment.
+    """
+    s = number()
+    if rank() == 0:
+        total = 0
+        for c in range(CELLS_PER_BLOCK):
+            total += targets[s * CELLS_PER_BLOCK + c]
+        sizes[s] = total
+
+
+def place_cells(start, targets, begin):
+    """Find the first place of each target; a team has a segment.
+
+    Args:
+        start: First particle of each new segment.
+        targets: Number of particles per target.
+        begin (out): First place of each target.
+    """
+    s = number()
+    for c in each(CELLS_PER_BLOCK):
+        place = start[s]
+        for k in range(c):
+            place += targets[s * CELLS_PER_BLOCK + k]
+        begin[s * CELLS_PER_BLOCK + c] = place
+
+
+def put(start, count, tags, begin, source):
     """Assign particles to places of their targets, in any order.
 
     Args:
         start, count: First particle and number of particles of each segment.
         tags: Target of each particle, -1 if it leaves.
-        begin: First place of each target.
-        taken (in/out): Number of places taken of each target.
+        begin (in/out): First place of each target, then its end.
         source (out): Particle at each place.
     """
     s = number()
     for n in each(count[s]):
         p = start[s] + n
         if tags[p] >= 0:
-            source[begin[tags[p]] + cuda.atomic.add(taken, tags[p], 1)] = p
+            source[cuda.atomic.add(begin, tags[p], 1)] = p
 
 
-def order(begin, taken, ids, source):
+def order(count, end, targets, ids, source):
     """Order the particles of each target by id; they are few.
 
     Args:
-        begin: First place of each target.
-        taken: Number of particles of each target.
+        count: Number of targets.
+        end: End of the places of each target.
+        targets: Number of particles per target.
         ids: Ids of the particles.
         source (in/out): Particle at each place.
     """
     c = cuda.blockIdx.x * cuda.blockDim.x + cuda.threadIdx.x
-    if c < len(begin):
-        first = begin[c]
-        for k in range(1, taken[c]):
+    if c < count:
+        first = end[c] - targets[c]
+        for k in range(1, targets[c]):
             q, p = first + k, source[first + k]
             while q > first and ids[source[q - 1]] > ids[p]:
                 source[q] = source[q - 1]
@@ -126,35 +172,21 @@ def order(begin, taken, ids, source):
             source[q] = p
 
 
-def carry(start, count, ends, source, first, old, new, fill):
-    """Set new[q] = old[first + source[q]] for all places of segments; a team has a segment.
+def carry(start, count, ends, source, old, new, rows, fill):
+    """Set rows[new + q] = rows[old + source[q]] for all places of segments; a team has a segment.
 
     Args:
         start, count: First particle and number of particles of each segment.
         ends: End of the places of each segment.
         source: Particle at each place.
-        first: First number of the channel in old.
-        old: Channels before the sort.
-        new (out): One channel after the sort.
+        old: First number of the channel before the sort.
+        new: First number of the channel after the sort.
+        rows (in/out): Channels, and a spare one.
         fill: Value of places without a particle.
     """
     s = number()
     for q in range(start[s] + rank(), ends[s], cuda.blockDim.x):
-        new[q] = old[first + source[q]] if q < start[s] + count[s] else fill
-
-
-def put_back(new, first, old, end):
-    """Set old[first + q] = new[q] for q below `end`.
-
-    Args:
-        new: One channel after the sort.
-        first: First number of the channel.
-        old (out): Channels.
-        end: Number of places.
-    """
-    q = cuda.blockIdx.x * cuda.blockDim.x + cuda.threadIdx.x
-    if q < end:
-        old[first + q] = new[q]
+        rows[new + q] = rows[old + source[q]] if q < start[s] + count[s] else fill
 
 
 def pick_up(index, rows, channels, cap, packed, first):
