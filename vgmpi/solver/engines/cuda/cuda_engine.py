@@ -21,7 +21,7 @@ from vgmpi.solver.engines.group_context import GroupContext, auxiliary_gather_ki
 
 from . import gather_kernels, grid_kernels, scatter_kernels, thread_block, translation_types
 from .device_group import CardGroup
-from .device_memory import CardLayer, Copies, card_room, flattened, to_card
+from .device_memory import CardLayer, Copies, card_room, flattened, to_card, to_card_together
 from .graphics_card import with_device_context
 from .grid_kernels import NODES
 from .kernel_launch import Launcher
@@ -103,20 +103,35 @@ class Cuda(Cpu):
     def set_topology(self, tables: ExchangeTopology, unchanged: bool = False) -> None:
         """Allocate nodes and segment tables after a sort."""
         self._forget_arguments()
+        for part in self.parts:
+            self.copies.forget((part.segments.start, part.segments.count))
         super().set_topology(tables, unchanged)
-        self.copies.clear()
         self.firsts: dict[int, Any] = {}
-        if not unchanged:
-            self.todo = {
-                border: self.copies.of(self.block_shares.stage(border)[0])
-                for border in (False, True)
-            }
-            self.on_card = self.copies.of(self.blocks)
-            self.auxiliary = {
-                name: flattened(self.copies.of(values)) for name, values in self.beside.items()
-            }
+        if unchanged:
+            self.work = [
+                self._with_counts(part, work)
+                for part, work in zip(self.parts, self.work, strict=True)
+            ]
+            return
+        self.copies.clear()
+        shares = [self.block_shares.stage(border)[0] for border in (False, True)]
+        segments = [(*part.segments[:5], part.segments.mirror) for part in self.parts]
+        constant = self.walls, self.phases, self.no_rigid
+        self.copies.add((self.blocks, *shares, *constant, *segments))
+        self.todo = dict(zip((False, True), map(self.copies.of, shares), strict=True))
+        self.on_card = self.copies.of(self.blocks)
+        self.auxiliary = {
+            name: flattened(self.copies.of(values)) for name, values in self.beside.items()
+        }
         self.rigid = self._rigid()
         self.work = [self._laid_out(part) for part in self.parts]
+
+    def _with_counts(self, part: GroupContext, work: Work) -> Work:
+        """Return the tables of a group with the present starts and counts of its segments."""
+        host = part.segments
+        self.copies.add((host.start, host.count))
+        start, count = map(self.copies.of, (host.start, host.count))
+        return work._replace(segments=work.segments._replace(start=start, count=count))
 
     def _forget_arguments(self) -> None:
         """Drop the stored arguments of launches, which keep the memory of their arrays."""
@@ -136,8 +151,9 @@ class Cuda(Cpu):
         for border in (False, True):
             rows = part.partition.stage(border)[0]
             for k, contribution in enumerate((*part.contributions, *part.timeless)):
-                lists[k, border] = to_card(rows[contribution.chosen[rows]])
-        return Work(segments, to_card(part.partition.all[0]), lists)
+                lists[k, border] = rows[contribution.chosen[rows]]
+        *on_card, every = to_card_together([*lists.values(), part.partition.all[0]])
+        return Work(segments, every, dict(zip(lists, on_card, strict=True)))
 
     def open(self, wall: int) -> None:
         """Remove a wall that has vanished."""

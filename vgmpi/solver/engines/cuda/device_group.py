@@ -7,7 +7,17 @@ from vgmpi.parallel.particle_group import SIMD_WIDTH, ParticleGroup
 from vgmpi.parallel.sort_kernels import CELLS_PER_BLOCK
 
 from . import device_sort
-from .device_memory import ChannelMemory, card_room, clear, flattened, new, read, to_card, write
+from .device_memory import (
+    ChannelMemory,
+    card_room,
+    clear,
+    flattened,
+    new,
+    read,
+    to_card,
+    to_card_together,
+    write,
+)
 from .device_sort import SORT
 from .kernel_launch import Launcher
 
@@ -93,7 +103,7 @@ class CardGroup(ParticleGroup):
             or self._sorted[0] is not self.start
             or self._sorted[1] is not self.count
         ):
-            self._sorted = self.start, self.count, to_card(self.start), to_card(self.count)
+            self._sorted = self.start, self.count, *to_card_together([self.start, self.count])
         self.launcher.launch(len(self.start), SORT, kernel, *self._sorted[2:], *arguments)
 
     def _room(self, name: str, size: int, kind):
@@ -225,7 +235,7 @@ class CardGroup(ParticleGroup):
         if received:
             self.start = np.append(self.start, self.used)
             self.count = np.append(self.count, received)
-        tables = [to_card(table) for table in (start, size, start + length)]
+        tables = to_card_together([start, size, start + length])
         begin = self._room("begin", cells, np.int64)
         source = self._room("source", end, np.uint32)
         self.launcher.launch(segments, SORT, device_sort.place_cells, tables[0], number, begin)

@@ -13,7 +13,9 @@ from vgmpi.solver.engines.nodal_field_storage import NodalField
 from .translation_types import SIMULATED
 
 if not SIMULATED:
-    from numba.cuda.cudadrv import driver
+    from numba.cuda.cudadrv import devicearray, driver
+
+ALIGNMENT = 64  # [bytes] of arrays in a common piece of memory
 
 # Module that allocates arrays; without a GPU, kernels can be compiled for host arrays.
 WHERE: list[Any] = [cuda]
@@ -22,6 +24,25 @@ WHERE: list[Any] = [cuda]
 def to_card(array: np.ndarray):
     """Copy an array to GPU memory."""
     return WHERE[0].to_device(np.ascontiguousarray(array))
+
+
+def to_card_together(arrays: list[np.ndarray]) -> list:
+    """Copy arrays to one piece of GPU memory, with one copy."""
+    if WHERE[0] is not cuda or SIMULATED:
+        return [to_card(array) for array in arrays]
+    first = np.cumsum([0, *[-(-array.nbytes // ALIGNMENT) * ALIGNMENT for array in arrays]])
+    joined = np.empty(max(int(first[-1]), 1), np.uint8)
+    for begin, array in zip(first.tolist(), arrays, strict=False):
+        section = joined[begin : begin + array.nbytes]
+        section.view(array.dtype).reshape(array.shape)[...] = array
+    memory = to_card(joined)
+    return [
+        devicearray.DeviceNDArray(
+            array.shape, np.empty(array.shape, array.dtype).strides, array.dtype,
+            gpu_data=memory.gpu_data.view(begin, begin + array.nbytes),
+        )
+        for begin, array in zip(first.tolist(), arrays, strict=False)
+    ]  # fmt: skip
 
 
 def new(shape, kind):
@@ -109,6 +130,14 @@ class Copies:
             return self.by_id[id(value)][1]
         return map_tuple(value, self.of) if isinstance(value, tuple) else value
 
+    def add(self, values: tuple) -> None:
+        """Copy arrays, and those of tuples, with one copy, for `of` to return."""
+        arrays: dict[int, np.ndarray] = {}
+        _collect(values, arrays)
+        missing = [array for key, array in arrays.items() if key not in self.by_id]
+        for array, copy in zip(missing, to_card_together(missing), strict=True):
+            self.by_id[id(array)] = array, copy
+
     def of_table(self, value: tuple):
         """Return the copies of a tuple that stays until the next sort, as the same tuple."""
         if id(value) not in self.by_id:
@@ -133,6 +162,15 @@ class Copies:
     def clear(self) -> None:
         """Drop all copies."""
         self.by_id.clear()
+
+
+def _collect(value, arrays: dict[int, np.ndarray]) -> None:
+    """Collect the host arrays of a value by id."""
+    if isinstance(value, np.ndarray):
+        arrays[id(value)] = value
+    elif isinstance(value, tuple):
+        for member in value:
+            _collect(member, arrays)
 
 
 def map_tuple(value: tuple, function) -> tuple:
@@ -164,7 +202,7 @@ class CardLayer(NodalField):
             self.nodes, len(requested) if row_count else 0, (reproducible_sums.BLOCK,), self.real
         )
         clear(self.nodes)
-        self.of_asked, self.of_phase = to_card(self.asked), to_card(self.phase)
+        self.of_asked, self.of_phase = to_card_together([self.asked, self.phase])
         self.speed, self.current_bounds = 0.0, np.zeros(0)
 
     def begin(self, speed: float) -> None:

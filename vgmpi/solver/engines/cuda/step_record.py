@@ -7,9 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .device_memory import read, to_card, write
+from .device_memory import ALIGNMENT, read, to_card, write
 
-ALIGNMENT = 64  # [bytes]
 FINE = (1 << 62) - 1  # value for: no particle failed, no sum left its range
 
 
