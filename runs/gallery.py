@@ -5,7 +5,8 @@
     python runs/gallery.py --variants         also the variants of each
     python runs/gallery.py --small            cells of twice the size, and no page: minutes
     python runs/gallery.py --draw             videos and page of runs that are there
-    python runs/gallery.py --stills           only the page's five pictures of each that is there
+    python runs/gallery.py --ranks 1          each run on one rank, where other programs run beside
+    python runs/gallery.py --stills           five pictures of each, no videos; no second run of any
 
 Each scene's frames, video and record.json lie in runs/NAME/out (small ones in out/small), the
 variants of a scene in folders below it. The page has five pictures of each and what it cost.
@@ -33,12 +34,12 @@ TIMES = (0.0, 0.15, 0.3, 0.5, 1.0)  # of a run, of its five pictures
 FAST = {"snowman": (0.0, 0.041, 0.062, 0.09, 0.3), "snowball": (0.0, 0.1, 0.15, 0.35, 1.0)}
 VECTORS = {64: "AVX-512", 32: "AVX2"}  # by their bytes
 WIDE = 320  # pixels of each
-IDLE = 0.9  # of two cores, the part that a run has where nothing else runs
+IDLE = 0.9  # of one core per rank, the part that a run has where nothing else runs
 ONE = ["object.snowman.phase=one", "object.ball.phase=one"]
 BEST = {  # of a run, the picture of the first page
     "faucet": 0.3, "castle_falls": 1.0, "snowball": 0.12, "water_on_snow": 0.3,
     "castle_flood": 0.2, "snowman": 0.062, "two_liquids": 0.3, "sandbox": 1.0,
-    "driftwood": 0.4, "water_wheel": 0.6, "honey_dipper": 0.6,
+    "driftwood": 0.3, "water_wheel": 0.5, "honey_dipper": 0.5, "rubber_sheet": 0.5,
 }  # fmt: skip
 SLOW = ["object.ball.velocity=[1, 0, 0.5]", "time.end=1"]
 # folder: its variants, each a name, what is said of it and what is set. One that has a scene of its
@@ -66,6 +67,7 @@ SCENES: dict[str, list[tuple[str, str, list[str]]]] = {
     "driftwood": [],
     "water_wheel": [],
     "honey_dipper": [],
+    "rubber_sheet": [],
 }
 
 
@@ -82,17 +84,19 @@ def call(*words: str | Path) -> tuple[float, float]:
     return after.elapsed - before.elapsed, processors
 
 
-def simulate(name: str, label: str, out: Path, sets: list[str], small: bool) -> tuple[float, float]:
-    """Seconds that it took by the clock, and the part of two cores that it had."""
+def simulate(
+    name: str, label: str, out: Path, sets: list[str], small: bool, ranks: int
+) -> tuple[float, float]:
+    """Seconds that it took by the clock, and the part of one core per rank that it had."""
     scene = HERE / name / f"{label or 'scene'}.toml"
     if not scene.is_file():
         scene = HERE / name / "scene.toml"
     if small and scene.stem == "scene":
         sets = [*sets, 'domain.cell="2 cm"']
     flags = [word for one in sets for word in ("--set", one)]
-    solver = ["mpirun", "-n", "2", sys.executable, "-m", "vgmpi", scene]
+    solver = ["mpirun", "-n", str(ranks), sys.executable, "-m", "vgmpi", scene]
     seconds, processors = call(*solver, "-o", out, "--overwrite", "-q", *flags)
-    return seconds, processors / (2 * seconds)
+    return seconds, processors / (ranks * seconds)
 
 
 def draw(name: str, out: Path) -> tuple[float, int]:
@@ -115,9 +119,9 @@ def draw_stills(name: str, out: Path) -> tuple[float, int]:
 
 
 def known_of(
-    out: Path, simulated: float, drawn: float, pictures: int, cores_part: float = 1.0
+    out: Path, simulated: float, drawn: float, pictures: int, cores_part: float = 1.0, ranks=2
 ) -> dict:
-    """What a run cost and kept; cores_part: of two cores, the part that it had."""
+    """What a run cost and kept; cores_part: of one core per rank, the part that it had."""
     rows = csv_log.read_rows(out / file_layout.LEDGER)
     first, last = ([r for r in rows if r["time"] == rows[k]["time"]] for k in (0, -1))
     count, mass = (sum(r[key] for r in last) for key in ("particles", "mass"))
@@ -126,7 +130,7 @@ def known_of(
     came = sum(r["mass_in"] for r in last) if flows else sum(r["mass"] for r in first)
     gone = sum(r["mass_out"] for r in last) if flows else 0.0
     known = {"simulated": simulated, "drawn": drawn, "pictures": pictures, "particles": int(count)}
-    known["cores_part"] = cores_part
+    known |= {"cores_part": cores_part, "ranks": ranks}
     return {**known, "mass_lost": abs(came - gone - mass) / came}
 
 
@@ -194,9 +198,10 @@ def page(machine: str) -> str:
                 continue
             known = json.loads(record.read_text())
             also = f"{said}: " if said else ""
-            cost = f"{known['simulated']:.0f} s"
-            if known.get("cores_part", 1) < IDLE:
-                cost += f" beside other programs, with {2 * known['cores_part']:.1f} cores"
+            ranks, part = known.get("ranks", 2), known.get("cores_part", 1)
+            cost = f"{known['simulated']:.0f} s" + (" on one rank" if ranks == 1 else "")
+            if part < IDLE:
+                cost += f" beside other programs, with {ranks * part:.1f} cores"
             elif known.get("pictures", 0) > len(TIMES) + 1:  # a few tell the program's start
                 cost += f", and {known['drawn']:.0f} s for {known['pictures']} pictures"
             kept = "no mass lost"
@@ -213,9 +218,10 @@ def main() -> None:
     p.add_argument("--small", action="store_true", help="cells of 2 cm")
     p.add_argument("--draw", action="store_true", help="only the videos, of runs that are there")
     p.add_argument(
-        "--stills", action="store_true", help="only the page's pictures, of runs that are there"
+        "--stills", action="store_true", help="the page's pictures, no videos and no runs again"
     )
     p.add_argument("--variants", action="store_true", help="also those of each scene")
+    p.add_argument("--ranks", type=int, choices=(1, 2), default=2, help="of each run, default 2")
     given = p.parse_args()
     unknown = set(given.scenes) - set(SCENES)
     if unknown:
@@ -227,13 +233,15 @@ def main() -> None:
             base = HERE / name / "out" / ("small" if given.small else "")
             record = base / label / "record.json"
             out = base / label
-            if given.draw or given.stills:
+            if given.draw or given.stills and record.is_file():
                 before = json.loads(record.read_text())
                 took, cores_part = before["simulated"], before.get("cores_part", 1.0)
+                ranks = before.get("ranks", 2)
             else:
-                took, cores_part = simulate(name, label, out, sets, given.small)
+                ranks = given.ranks
+                took, cores_part = simulate(name, label, out, sets, given.small, ranks)
             drawn = draw_stills(name, out) if given.stills else draw(name, out)
-            known = known_of(out, took, *drawn, cores_part)
+            known = known_of(out, took, *drawn, cores_part, ranks)
             record.write_text(json.dumps(known))
             print(name, label, known, flush=True)
             if not given.small:

@@ -26,6 +26,7 @@ from .placement import (
 BYTES_PER_PARTICLE = {"body": 108, "scenery": 100}
 BYTES_PER_PARTICLE_MERGED = {"body": 108, "scenery": 68}
 BYTES_PER_CANDIDATE = 24  # [bytes] of a lattice point
+SCENERY_LAYER_COUNT = 2  # [-] layers of Gaussians below a surface of scenery; one has gaps in it
 MAX_BODY_LENGTH = 4.0  # [-] of a free rigid body over the longest edge of the domain
 MAX_PLACES = 2.0**38  # [points] searched for particles; more would take days
 MAX_DISTANCE_SPACINGS = (
@@ -176,7 +177,7 @@ def min_particle_count(scene: Scene, obj: Object) -> float:
         shape, transform.to_local(low + draw * (high - low))
     )
     spacing, volume = spacing_of(scene, obj), float(np.prod(high - low))
-    layers = [1.0]  # [spacings]
+    layers = [float(SCENERY_LAYER_COUNT)]  # [spacings]
     while obj.role == "scenery" and layers[-1] * spacing < _MAX_LAYER_DEPTH * volume ** (1 / 3):
         layers.append(2.0 * layers[-1])
     counts = []
@@ -184,7 +185,8 @@ def min_particle_count(scene: Scene, obj: Object) -> float:
         max_depth = layer * spacing if obj.role == "scenery" else np.inf
         hits = np.count_nonzero((depth > 0) & (depth < max_depth))
         fraction = max(0.0, hits - _CONFIDENCE_SIGMAS * np.sqrt(hits)) / _SAMPLE_COUNT
-        counts.append(fraction * volume / spacing**3 / layer)
+        skin_part = SCENERY_LAYER_COUNT / layer if obj.role == "scenery" else 1.0
+        counts.append(fraction * volume / spacing**3 * skin_part)
     return max(counts)
 
 

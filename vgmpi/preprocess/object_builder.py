@@ -120,7 +120,8 @@ def _from_shape(scene: Scene, k: int, obj: Object) -> BuiltObject:
         """Return the signed distance [m] of points."""
         return transform.scale * shape_sdf.distance(shape, transform.to_local(points))
 
-    skin = 1.01 * spacing if obj.role == "scenery" else np.inf
+    layer_count = memory_estimate.SCENERY_LAYER_COUNT + 0.01  # a surface may lie at a lattice point
+    skin = layer_count * spacing if obj.role == "scenery" else np.inf
 
     def is_wanted(points: np.ndarray) -> np.ndarray:
         """Return which points become particles."""
