@@ -19,6 +19,7 @@ from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.plan import Plan
 from vgmpi.solver.boundary.flow_accounting import Tally
 from vgmpi.solver.boundary.free_body_coupling import free_body_coupling
+from vgmpi.solver.boundary.implicit_pressure import make_implicit_pressure
 from vgmpi.solver.boundary.inlets import Sources
 from vgmpi.solver.boundary.load_application import Pushes
 from vgmpi.solver.boundary.outlets import Sinks
@@ -83,9 +84,9 @@ class Simulation:
         self.flow_accounting = Tally(plan) if plan.is_open_system else None
         self.sides = wall_sides(plan, self.movers, self.groups, self.flow_accounting)
         self.sources = Sources(plan, ranks) if plan.sources else None
-        self.sinks: Sinks | None = None
-        if self.flow_accounting is not None and plan.sinks:
-            self.sinks = Sinks(plan, self.flow_accounting)
+        tally = self.flow_accounting
+        self.sinks = Sinks(plan, tally) if tally is not None and plan.sinks else None
+        self.pressure = make_implicit_pressure(plan, self.lattice, self.engine, ranks)
         releases = plan.driven or any(time is not None for time in plan.opens)
         self.releases = Releases(plan, self.flow_accounting, self.engine) if releases else None
         self.correction_origin_step = 0  # step of the last release: corrections are counted from it
@@ -144,7 +145,7 @@ class Simulation:
         if self.sources is not None:
             maxima = self.sources.merge_bounds(maxima, self.time)
         self.rate = float(maxima[0])
-        self.particle_maxima = ParticleMaxima.of(maxima[1:], self.rate, 1.0 / self.rate)
+        self.particle_maxima = ParticleMaxima.of(maxima[1:], self.rate, 1.0 / (self.rate or self.plan.rate))
         if self.reactions is not None:
             self.reactions.set_mass_bound(self.groups)
         self.sort()
@@ -194,6 +195,8 @@ class Simulation:
                 self.pins.set_tables(self.tables)
             if self.movers is not None:
                 self.movers.take(self.tables.at[self.tables.solid >= 0])
+            if self.pressure is not None:
+                self.pressure.set_tables(self.tables, census)
         self._set_segments(unchanged)
         if not unchanged:
             self.halo = self._exchange(self.halo, self.needs.step_layers)
@@ -266,6 +269,8 @@ class Simulation:
         engine.begin(dt, gravity, self.particle_maxima.fastest(self.plan, dt, pushed))
         self._update_grid(self.halo)
         couple_surfaces(engine, self.slip, self.pins, self.bodies, dt, gravity)
+        if self.pressure is not None:
+            self.pressure.apply(dt)
         report = engine.gather(self.step)  # v, C, x, state at n + 1
         if self.reactions is not None:
             self.reactions.add_step(engine.given(), self.movers, self.driven, self.pins)

@@ -128,6 +128,16 @@ def advection_velocity(kind, split, extra, n, v):
 
 
 @static_dispatch
+def displacement(kind, extra, n, moves):
+    """Return the displacement of 16 particles in the step, three components [cells].
+
+    Args:
+        extra, n: Gathered quantities (`gather_batch`); number of the first particle in its batch.
+        moves: Displacement by the advection velocity, three components [cells].
+    """
+
+
+@static_dispatch
 def velocity_gradient(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
     """Return the velocity gradient that the constitutive law receives, nine components.
 
@@ -211,6 +221,14 @@ def _(kind, split, extra, n, v):
 @velocity_gradient.of(VelocityOnly)
 def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
     return L
+
+
+@displacement.of(VelocityOnly)
+@displacement.of(MixtureGather)
+@displacement.of(FlipGather)
+@displacement.of(MixtureFlipGather)
+def _(kind, extra, n, moves):
+    return moves
 
 
 @mixture_wave_speed_squared.of(VelocityOnly)
