@@ -22,7 +22,7 @@ MARGIN = 2  # [blocks] around this rank's own blocks
 class CellTopology(NamedTuple):
     """Cells of the node blocks of a rank; row n of neighbors stands for no block."""
 
-    around: np.ndarray  # (n, 27) rows of the blocks around each block
+    neighbors: np.ndarray  # (n, 27) rows of the blocks around each block
     region: np.ndarray  # (n, 64) bool, cells that this rank computes
     sends: dict[int, np.ndarray]  # rank -> flat indices of the cells to send
     receives: dict[int, np.ndarray]  # rank -> flat indices of the cells to receive
@@ -76,7 +76,7 @@ def cell_topology(
     shape = tuple(own.max(0) + MARGIN + 1 - low)
     row_of = np.full(shape, count)
     row_of[tuple((tables.at - low).T)] = np.arange(count)
-    around = np.stack(
+    neighbors = np.stack(
         [row_of[tuple(np.clip(tables.at - low + step, 0, np.array(shape) - 1).T)]
          for step in NEIGHBORS], 1,
     )  # fmt: skip
@@ -107,7 +107,7 @@ def cell_topology(
             sends[int(other)] = _index_of(sent)
         if received.any():
             receives[int(other)] = _index_of(received)
-    return CellTopology(around, region[:count], sends, receives)
+    return CellTopology(neighbors, region[:count], sends, receives)
 
 
 class CellExchange:

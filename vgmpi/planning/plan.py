@@ -23,8 +23,8 @@ from vgmpi.scene.sections import Accuracy
 
 from .back_sides import WallSidesPlan, with_back_sides
 from .color_exchange import ColorExchange, color_exchange
+from .implicit_pressure_rules import check_implicit_pressure, falling_rate, is_implicit
 from .inlet_schedule import InletPlan, OutletPlan, inlet_plans, outlet_plans
-from .implicit_pressure import check_implicit_pressure, falling_rate, is_implicit
 from .interaction_rules import interaction_rules, with_slip_wave_factors
 from .phases_and_groups import (
     SHIFT_INTERVAL,
@@ -269,7 +269,6 @@ def make_plan(
     )
     complete = with_slip_wave_factors(complete, sharing, scene.time.cfl * scene.domain.cell)
     complete, phases = with_volume_correction(scene, complete, phases)
-    check_implicit_pressure(scene, complete, phases)
     driven, groups, group_of = prescribed_body_plans(
         scene, complete, group_of, phases, extents or {}
     )
@@ -288,11 +287,12 @@ def make_plan(
         cfl=scene.time.cfl, fixed_dt=scene.time.dt, rate=_rate(scene, groups, sharing),
         rules=sharing, colors=colors, affine=scene.accuracy.affine,
         splines=scene.accuracy.gradient == "bspline",
-        keeps=keeps, restores=restores,
+        keeps=keeps, restores=restores, implicit_pressure=is_implicit(scene),
         shift_interval=SHIFT_INTERVAL * any(group.shifts for group in groups),
-        gravity_ramp_time=scene.domain.gravity_ramp_time, gravity_keys=gravity_keys(scene.domain),
+        gravity_ramp_time=scene.domain.gravity_ramp_time,
+        gravity_keys=gravity_keys(scene.domain),
         sources=inlet_plans(scene, group_of, count), sinks=outlet_plans(scene), driven=driven,
-        implicit_pressure=is_implicit(scene), pins=pins, opens=tuple(scene.domain.opens), joints=scene.joint,
+        pins=pins, opens=tuple(scene.domain.opens), joints=scene.joint,
         feels=any(probe.feels for probe in scene.probe),
         free_bodies=any(obj.free_body is not None for obj in scene.object),
     )  # fmt: skip
@@ -381,6 +381,7 @@ def _check_transfer(scene: Scene, sharing: InteractionRules | None) -> None:
 
 def _check_steps(scene: Scene, plan: Plan) -> None:
     """Check that the laws are finite, a fixed step is stable, and every step advances the time."""
+    check_implicit_pressure(scene, plan.groups, plan.phases)
     for group in plan.groups:
         if not np.isfinite(group.law).all():
             message = (

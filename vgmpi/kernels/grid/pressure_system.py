@@ -35,10 +35,10 @@ MIN_PRESSURE, MAX_PRESSURE = -0.9, 15.0  # [-] of particles, relative to the Tai
 class Lattice(NamedTuple):
     """Node blocks of a rank and their neighbors; the last row of all arrays is that of no block."""
 
-    at: np.ndarray  # (n, 3) block coordinates
+    block: np.ndarray  # (n, 3) block coordinates
     low: np.ndarray  # (8 n,) blocks at and below each, see above
     high: np.ndarray  # (8 n,) blocks at and above each
-    around: np.ndarray  # (27 n,) blocks around each
+    neighbors: np.ndarray  # (27 n,) blocks around each
     region: np.ndarray  # (64 n,) 1 for the cells that this rank computes, else 0
 
 
@@ -113,19 +113,19 @@ def set_nodes(rows, lattice, cells, kinds, velocity, pressure, unit, dx, fields)
         fields: PressureFields (out).
     """
     real = fields.mass.dtype.type
-    per_cell, zero, one = real(1.0 / unit), real(0.0), real(1.0)
+    per_cell, zero, unity = real(1.0 / unit), real(0.0), real(1.0)
     per_length, per_volume = real(1.0 / dx), real(1.0 / dx**3)
     for b in rows:
         for q in range(64):
-            mass, images, inside = velocity[b, 4 * q + 3] * per_cell, one, True
+            mass, images, inside = velocity[b, 4 * q + 3] * per_cell, unity, True
             for a in range(3):
                 fields.u[192 * b + 64 * a + q] = velocity[b, 4 * q + a] * per_length
-            inverse = one / mass if mass > MIN_NODE_FILL else zero
+            inverse = unity / mass if mass > MIN_NODE_FILL else zero
             for a in range(3):
                 fields.inverse[192 * b + 64 * a + q] = inverse
             for a in range(3):
                 step = q // 16 if a == 0 else (q // 4 % 4 if a == 1 else q % 4)
-                node = 4 * lattice.at[b, a] - 1 + step
+                node = 4 * lattice.block[b, a] - 1 + step
                 inside = inside and 0 <= node <= cells[a]
                 if node == 0 or node == cells[a]:
                     kind = kinds[a, 0] if node == 0 else kinds[a, 1]
@@ -207,26 +207,26 @@ def set_cells(rows, lattice, guess_scale, fields):
 
 
 @always_inline
-def _lowest_neighbors(cover, around, b, x):
+def _lowest_neighbors(cover, neighbors, b, x):
     """Return the smallest numbers of the nine cells around each cell of plane x, from -1 to 4."""
     first, plane = 27 * b + 9, 16 * x
     if x < 0:
         first, plane = 27 * b, 48
     if x > 3:
         first, plane = 27 * b + 18, 0
-    low = _lowest_along_z(cover, around, first, plane)
-    own = _lowest_along_z(cover, around, first + 3, plane)
-    high = _lowest_along_z(cover, around, first + 6, plane)
+    low = _lowest_along_z(cover, neighbors, first, plane)
+    own = _lowest_along_z(cover, neighbors, first + 3, plane)
+    high = _lowest_along_z(cover, neighbors, first + 6, plane)
     sides = np.minimum(shift_from_south(low, own), shift_from_north(own, high))
     return np.minimum(own, sides)
 
 
 @always_inline
-def _lowest_along_z(cover, around, first, plane):
+def _lowest_along_z(cover, neighbors, first, plane):
     """Return the smallest of the numbers of each cell and its two neighbors along z."""
-    below = load(cover, 64 * around[first] + plane)
-    own = load(cover, 64 * around[first + 1] + plane)
-    above = load(cover, 64 * around[first + 2] + plane)
+    below = load(cover, 64 * neighbors[first] + plane)
+    own = load(cover, 64 * neighbors[first + 1] + plane)
+    above = load(cover, 64 * neighbors[first + 2] + plane)
     sides = np.minimum(shift_from_below(below, own), shift_from_above(own, above))
     return np.minimum(own, sides)
 
@@ -242,14 +242,18 @@ def set_excess(rows, lattice, fields):
         lattice: Blocks, Lattice.
         fields: PressureFields (in/out).
     """
-    around, cover, filled = pointer(lattice.around), pointer(fields.cover), pointer(fields.filled)
+    neighbors, cover, filled = (
+        pointer(lattice.neighbors),
+        pointer(fields.cover),
+        pointer(fields.filled),
+    )
     right, phi, step = pointer(fields.right), pointer(fields.phi), pointer(fields.step)
     for b in rows:
-        low = _lowest_neighbors(cover, around, b, -1)
-        own = _lowest_neighbors(cover, around, b, 0)
+        low = _lowest_neighbors(cover, neighbors, b, -1)
+        own = _lowest_neighbors(cover, neighbors, b, 0)
         for x in range(4):
             c = 64 * b + 16 * x
-            high = _lowest_neighbors(cover, around, b, x + 1)
+            high = _lowest_neighbors(cover, neighbors, b, x + 1)
             lowest = np.minimum(own, np.minimum(low, high))
             fill = load(filled, c)
             zero = 0.0 * fill
@@ -276,12 +280,12 @@ def respond(rows, lattice, fields):
         s, y, z = _differences_below(phi, low, 8 * b + 4, 48)
         for x in range(4):
             s_next, y_next, z_next = _differences_below(phi, low, 8 * b, 16 * x)
-            at = 192 * b + 16 * x
-            store(u, at, 0.25 * load(inverse, at) * (s - s_next))
-            at += 64
-            store(u, at, 0.25 * load(inverse, at) * (y + y_next))
-            at += 64
-            store(u, at, 0.25 * load(inverse, at) * (z + z_next))
+            first = 192 * b + 16 * x
+            store(u, first, 0.25 * load(inverse, first) * (s - s_next))
+            first += 64
+            store(u, first, 0.25 * load(inverse, first) * (y + y_next))
+            first += 64
+            store(u, first, 0.25 * load(inverse, first) * (z + z_next))
             s, y, z = s_next, y_next, z_next
 
 

@@ -34,7 +34,7 @@ class MomentumWithoutPressure(NamedTuple):
     """Contribution of momentum, mass and the impulse of deviatoric stress.
 
     Pressure acts by cells (cell_pressure.py) or implicitly (kernels/grid/pressure_system.py).
-   """
+    """
 
     mirror: float  # code of nodal_fields/field_protocol.py
     splines: float  # 1: forces by the gradients of the B-splines, 0: by moments

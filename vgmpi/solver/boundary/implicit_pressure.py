@@ -2,7 +2,7 @@
 
 The nodes have the velocities of all other forces. A first system finds the pressures of the cells,
 and a second one the displacements that spread what crowds; particles take both up when they gather
-(kernels/transfer/implicit_pressure.py). The number of sweeps is fixed, so that all ranks agree.
+(kernels/transfer/pressure_gather.py). The number of sweeps is fixed, so that all ranks agree.
 See docs/explanation/implicit-pressure.md.
 """
 
@@ -28,7 +28,7 @@ FIELD_SIZES = {"u": 192, "inverse": 192}  # numbers of a block; 64 in all other 
 class Sweeps(NamedTuple):
     """Chebyshev sweeps over a system."""
 
-    count: int
+    number: int
     min_eigenvalue: float  # [-] below it, the sweeps do little
 
 
@@ -44,7 +44,7 @@ def chebyshev_factors(sweeps: Sweeps) -> list[tuple[float, float]]:
     middle = 0.5 * (MAX_EIGENVALUE + sweeps.min_eigenvalue)
     half = 0.5 * (MAX_EIGENVALUE - sweeps.min_eigenvalue)
     rho, factors = half / middle, [(1.0 / middle, 0.0)]
-    for _ in range(sweeps.count - 1):
+    for _ in range(sweeps.number - 1):
         following = 1.0 / (2.0 * middle / half - rho)
         factors.append((2.0 * following / half, following * rho))
         rho = following
@@ -89,9 +89,11 @@ class ImplicitPressure:
             self.fields = self._make_fields(count + count // 4)
         for values in self.fields:
             values[:] = 0
-        grid = cells.around.reshape(count, 3, 3, 3)
-        index = BLOCK_EDGE * tables.at[:, None] - 1 + np.stack(
-            np.unravel_index(np.arange(64), (BLOCK_EDGE,) * 3), 1
+        grid = cells.neighbors.reshape(count, 3, 3, 3)
+        index = (
+            BLOCK_EDGE * tables.at[:, None]
+            - 1
+            + np.stack(np.unravel_index(np.arange(64), (BLOCK_EDGE,) * 3), 1)
         )
         inside = ((index >= 0) & (index < self.plan.cells)).all(2)
         self.beyond = (~inside).astype(self.plan.real).reshape(-1)
@@ -99,7 +101,7 @@ class ImplicitPressure:
             np.ascontiguousarray(tables.at),
             np.ascontiguousarray(grid[:, 1::-1, 1::-1, 1::-1]).reshape(-1),
             np.ascontiguousarray(grid[:, 1:, 1:, 1:]).reshape(-1),
-            np.ascontiguousarray(cells.around).reshape(-1),
+            np.ascontiguousarray(cells.neighbors).reshape(-1),
             (cells.region & inside).astype(self.plan.real).reshape(-1),
         )
         self.blocks = count
@@ -118,7 +120,9 @@ class ImplicitPressure:
             self.all, pressure_system.set_nodes, self.grid, walls.cells, walls.kinds, velocity,
             layer.nodes, self.mass_of_cell, plan.dx, fields,
         )  # fmt: skip
-        self._each(self.all, pressure_system.set_cells, self.grid, real(dt * self.stiffness), fields)
+        self._each(
+            self.all, pressure_system.set_cells, self.grid, real(dt * self.stiffness), fields
+        )
         self.exchange.exchange(fields.filled)
         cells, nodes = self._find_wet_blocks()
         self.exchange.exchange(fields.phi)

@@ -9,7 +9,8 @@ from vgmpi.kernels.reaction_impulses import GhostNodes
 from vgmpi.kernels.transfer import auxiliary_gather, g2p
 from vgmpi.kernels.transfer.cell_dilatation import CellDilatation
 from vgmpi.kernels.transfer.density_correction import DensityCorrected
-from vgmpi.kernels.transfer.implicit_pressure import ImplicitPressure
+from vgmpi.kernels.transfer.mixture_flip_gather import MixtureFlipGather
+from vgmpi.kernels.transfer.pressure_gather import ImplicitPressure
 from vgmpi.parallel.exchange_topology import ExchangeTopology
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.phases_and_groups import GroupPlan
@@ -122,7 +123,7 @@ def _kind_without_correction(plan: Plan, group: GroupPlan, auxiliary: dict, dt: 
     blend = auxiliary_gather.FlipGather(
         auxiliary["change"], plan.real.type(plan.keeps.over(dt)), patch
     )
-    return auxiliary_gather.MixtureFlipGather(sharing, blend) if group.shares else blend
+    return MixtureFlipGather(sharing, blend) if group.shares else blend
 
 
 def lowest_beyond(

@@ -162,8 +162,8 @@ def contributions(
     if group.cell_dilatation:
         result.append(FieldContribution("momentum", cell_pressure.kind(plan), ~split))
     if group.implicit_pressure:
-        kind = particle_pressure.kind(plan)
-        result.append(FieldContribution(PARTICLE_PRESSURE, kind, contributes[PARTICLE_PRESSURE]))
+        chosen = contributes[PARTICLE_PRESSURE]
+        result.append(FieldContribution(PARTICLE_PRESSURE, particle_pressure.kind(plan), chosen))
     if group.apart:
         result.append(FieldContribution("momentum", inert, split))
         result.append(FieldContribution("impulses", stress_impulse.kind(plan, group), split))

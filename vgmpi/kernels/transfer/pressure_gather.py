@@ -15,10 +15,10 @@ from vgmpi.kernels.stencil_sums import gather_value
 
 from .auxiliary_gather import (
     VelocityOnly,
-    _read,
     advection_velocity,
     displacement,
     gather_batch,
+    load_mirrored_patch,
     load_patches,
     max_velocity,
     mixture_wave_speed_squared,
@@ -41,7 +41,7 @@ for _dispatch in (prepare_patch, particle_velocity, max_velocity, advection_velo
 
 @load_patches.of(ImplicitPressure)
 def _(kind, blocks, box, mirror, real, ghosts, s):
-    _read(kind.moves, blocks, box, mirror, patch_of(real, 0), None, s)
+    load_mirrored_patch(kind.moves, blocks, box, mirror, patch_of(real, 0), None, s)
 
 
 @gather_batch.of(ImplicitPressure)
