@@ -26,7 +26,7 @@ def falling_rate(scene: Scene) -> float:
     keys = [scene.domain.gravity, *(gravity for _, gravity in gravity_keys(scene.domain))]
     gravity = max(math.sqrt(sum(g * g for g in key)) for key in keys)
     falling = math.sqrt(2.0 * gravity / scene.domain.cell) / scene.time.cfl
-    return max(falling, (scene.time.frames - 1) / scene.time.end)
+    return falling or (scene.time.frames - 1) / scene.time.end
 
 
 def check_implicit_pressure(
@@ -67,7 +67,8 @@ def check_implicit_pressure(
             _refuse((name, 0), "inlets and outlets")
     for k, probe in enumerate(scene.probe):
         if probe.feels:
-            _refuse(("probe", k, "force"), "probes of forces")
+            key = "wall" if probe.wall else "collider"
+            _refuse(("probe", k, key), "probes of forces on a wall or collider")
     kinds = {kind for kind, _ in scene.domain.walls}
     if not kinds <= set(WALL_KINDS) or any(time is not None for time in scene.domain.opens):
         _refuse(("domain", "boundary"), "walls other than slip and stick")

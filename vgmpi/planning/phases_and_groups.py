@@ -32,7 +32,7 @@ SHIFT_COST = 0.06  # [-] additional cost of particle shifting, relative to a ste
 REST_VOLUME_COST = 0.1  # [-] the same of summing rest volumes where liquids differ in density
 DENSITY_CORRECTION_COST = 0.1  # [-] additional cost of the density correction, relative to a step
 CELL_DILATATION_COST = 0.35  # [-] additional cost of the dilatation by cells, relative to a step
-IMPLICIT_PRESSURE_COST = 1.0  # [-] additional cost of an implicit pressure, relative to a step
+IMPLICIT_PRESSURE_COST = 1.5  # [-] additional cost of an implicit pressure, relative to a step
 FLIP_COST = 1.7  # [-] cost of FLIP and AFLIP, relative to the same step without
 COLOR_COST = 0.6  # [-] cost of a transferred color coefficient, relative to a fluid's step
 

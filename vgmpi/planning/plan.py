@@ -289,10 +289,9 @@ def make_plan(
         splines=scene.accuracy.gradient == "bspline",
         keeps=keeps, restores=restores, implicit_pressure=is_implicit(scene),
         shift_interval=SHIFT_INTERVAL * any(group.shifts for group in groups),
-        gravity_ramp_time=scene.domain.gravity_ramp_time,
-        gravity_keys=gravity_keys(scene.domain),
+        gravity_ramp_time=scene.domain.gravity_ramp_time, joints=scene.joint,
+        gravity_keys=gravity_keys(scene.domain), pins=pins, opens=tuple(scene.domain.opens),
         sources=inlet_plans(scene, group_of, count), sinks=outlet_plans(scene), driven=driven,
-        pins=pins, opens=tuple(scene.domain.opens), joints=scene.joint,
         feels=any(probe.feels for probe in scene.probe),
         free_bodies=any(obj.free_body is not None for obj in scene.object),
     )  # fmt: skip

@@ -5,7 +5,7 @@ nodes of a cell and M the masses of the nodes, relative to that of a full cell,
 
     D M^-1 D^T phi = right,        u = u + M^-1 D^T phi.
 
-A block has 64 cells, each in the place of its lowest node; a plane of 16 of them is a vector. Tables
+A block has 64 cells, each in the place of its lowest node; a plane of 16 is a vector. Tables
 of neighbors have eight blocks: bit 2 of the index steps along x, bit 1 along y, bit 0 along z, down
 in `low` and up in `high`. Each cell and each node sums in one order, so that the result does not
 depend on ranks and threads (docs/explanation/implicit-pressure.md).
