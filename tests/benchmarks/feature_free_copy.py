@@ -101,7 +101,9 @@ ANSWERS: dict[str, dict[str, str]] = {
     "vgmpi.solver.boundary.wall_sides": {"wall_sides": "return None"},
     "vgmpi.solver.boundary.surface_coupling": {
         "make_surface_slip": "return None",
-        "couple_surfaces": "return",
+        "set_tables": "return",
+        "apply": "return",
+        "make_couplings": "return NodalCouplings(None, None, None, None)",
     },
 }
 PLAIN = """

@@ -19,6 +19,7 @@ from .block_ownership import BlockDirectory
 from .node_overlap import NEIGHBORS, number_node_blocks, shared_masks
 
 REST_VOLUME = "rest volume"  # nodal field of a step of no time
+PARTICLE_PRESSURE = "particle pressure"  # nodal field of an implicit pressure
 # nodal fields near free bodies: velocity gradients, mean pressure
 GRADIENTS = tuple(f"velocity gradient {a}" for a in "xyz")
 NEAR_BODIES = (*GRADIENTS, "mean pressure")
@@ -82,13 +83,14 @@ class TopologyRequirements(NamedTuple):
     near_colliders: tuple[str, ...] = ()  # fields that are summed near colliders and pins alone
     at_surfaces: bool = False  # these fields are summed in the blocks near colliders alone
     pinned: np.ndarray = np.zeros(0, bool)  # (phases,) True with pinned parts, or empty
+    pressure: bool = False  # the particles' pressure is summed
 
     @property
     def layers(self) -> list[str]:
         """Names of all nodal fields, in the order in which they are summed."""
         hues = [color_field_name(k) for k in range(int(self.hues.max(initial=0)))]
         more = ["impulses"] * bool(self.apart) + ["shear"] * self.has_surface_friction
-        more += self.near_colliders
+        more += [*self.near_colliders, *[PARTICLE_PRESSURE] * self.pressure]
         return ["momentum", "offsets", *more, *[REST_VOLUME] * bool(self.volumes.any()), *hues]
 
     @property

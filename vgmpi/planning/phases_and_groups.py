@@ -32,6 +32,7 @@ SHIFT_COST = 0.06  # [-] additional cost of particle shifting, relative to a ste
 REST_VOLUME_COST = 0.1  # [-] the same of summing rest volumes where liquids differ in density
 DENSITY_CORRECTION_COST = 0.1  # [-] additional cost of the density correction, relative to a step
 CELL_DILATATION_COST = 0.35  # [-] additional cost of the dilatation by cells, relative to a step
+IMPLICIT_PRESSURE_COST = 1.5  # [-] additional cost of an implicit pressure, relative to a step
 FLIP_COST = 1.7  # [-] cost of FLIP and AFLIP, relative to the same step without
 COLOR_COST = 0.6  # [-] cost of a transferred color coefficient, relative to a fluid's step
 
@@ -53,7 +54,7 @@ class GroupPlan(NamedTuple):
     pores: float = 1.0  # [-] smallest initial porosity, for fluids that flow through sand
     stiff: float = 0.0  # [m2/s2] squared wave speed that such sand adds
     dense: float = 1.0  # [-] density relative to such sand's grains, at least 1
-    slips: float = 1.0  # [-] squared wave speed in a mixture with slip, relative to its own
+    slips: float = 1.0  # [-] squared wave speed that bounds a step, relative to its own
     tracks_deformation: bool = False  # stores its total deformation gradient, which its law lacks
     surface: bool = False  # its particles carry the surface descriptor of the body at rest
     coefficients: int = 0  # color coefficients that are transferred in every step
@@ -61,6 +62,7 @@ class GroupPlan(NamedTuple):
     space: float = 0.0  # [1/kg] inverse mass of a full cell with density correction, else 0
     shifts: bool = False  # its particles are shifted where they crowd, and keep their volume
     cell_dilatation: bool = False  # its volume follows the mean divergence of cells
+    implicit_pressure: bool = False  # the grid finds its pressure, without a bound by its waves
     pinned: bool = False  # its particles are carried by what holds them (pinned_groups.py)
 
     @property
@@ -293,6 +295,9 @@ def with_runtime_requirements(
         group = group._replace(cost=group.cost * (1.0 + CORRECTION_COST / restores))
     if keeps is not None:
         return group._replace(apart=True, cost=group.cost * FLIP_COST)
+    if scene.accuracy.pressure == "implicit":
+        cost = group.cost * (1.0 + IMPLICIT_PRESSURE_COST)
+        return group._replace(implicit_pressure=True, slips=0.0, cost=cost)
     if scene.accuracy.dilatation == "cells" and group.is_liquid and not group.apart:
         cost = group.cost * (1.0 + CELL_DILATATION_COST)
         return group._replace(cell_dilatation=True, cost=cost)

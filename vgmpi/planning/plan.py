@@ -15,7 +15,7 @@ import numpy as np
 
 from vgmpi.materials.couplings.interaction import MIXING, InteractionRules
 from vgmpi.materials.material import law_function
-from vgmpi.scene.gravity import Keys, gravity_at, mean_gravity
+from vgmpi.scene.gravity import Keys, gravity_at, gravity_keys, mean_gravity
 from vgmpi.scene.joints import Joint
 from vgmpi.scene.loads import mean_ramp_factor
 from vgmpi.scene.scene import Scene
@@ -23,6 +23,7 @@ from vgmpi.scene.sections import Accuracy
 
 from .back_sides import WallSidesPlan, with_back_sides
 from .color_exchange import ColorExchange, color_exchange
+from .implicit_pressure_rules import check_implicit_pressure, falling_rate, is_implicit
 from .inlet_schedule import InletPlan, OutletPlan, inlet_plans, outlet_plans
 from .interaction_rules import interaction_rules, with_slip_wave_factors
 from .phases_and_groups import (
@@ -122,6 +123,7 @@ class Plan:
     free_bodies: bool = False  # some colliders are free rigid bodies
     slip: SurfaceSlipPlan | None = None  # of viscous liquids on colliders, if it is limited
     sides: WallSidesPlan | None = None  # of thin walls
+    implicit_pressure: bool = False  # the grid finds the pressure of the scene's liquid
     joints: tuple[Joint, ...] = ()  # of the free rigid bodies
     rigid: RigidBodiesSummary | None = None  # these bodies at the start, if known
     regions: tuple[RegionPlan, ...] = ()  # parts of bodies of another material, if known
@@ -285,11 +287,11 @@ def make_plan(
         cfl=scene.time.cfl, fixed_dt=scene.time.dt, rate=_rate(scene, groups, sharing),
         rules=sharing, colors=colors, affine=scene.accuracy.affine,
         splines=scene.accuracy.gradient == "bspline",
-        keeps=keeps, restores=restores,
+        keeps=keeps, restores=restores, implicit_pressure=is_implicit(scene),
         shift_interval=SHIFT_INTERVAL * any(group.shifts for group in groups),
-        gravity_ramp_time=scene.domain.gravity_ramp_time, gravity_keys=_gravity_keys(scene),
+        gravity_ramp_time=scene.domain.gravity_ramp_time, joints=scene.joint,
+        gravity_keys=gravity_keys(scene.domain), pins=pins, opens=tuple(scene.domain.opens),
         sources=inlet_plans(scene, group_of, count), sinks=outlet_plans(scene), driven=driven,
-        pins=pins, opens=tuple(scene.domain.opens), joints=scene.joint,
         feels=any(probe.feels for probe in scene.probe),
         free_bodies=any(obj.free_body is not None for obj in scene.object),
     )  # fmt: skip
@@ -297,17 +299,11 @@ def make_plan(
     return plan
 
 
-def _gravity_keys(scene: Scene) -> Keys:
-    """Return the keyframes of gravity, the first at time 0; empty if there are none."""
-    keys = scene.domain.gravity_keyframes
-    return ((0.0, scene.domain.gravity), *((k.time, k.gravity) for k in keys)) if keys else ()
-
-
 def _rate(scene: Scene, groups: tuple[GroupPlan, ...], sharing: InteractionRules | None) -> float:
     """Return the lower bound of 1 / dt [1/s] due to viscosity and diffusion."""
     spread = sharing.diffusion.max(initial=0.0) if sharing else 0.0
     viscosity = max(scene.material[group.material].kinematic_viscosity for group in groups)
-    return max(6.0 * viscosity, 6.0 * spread) / scene.domain.cell**2
+    return max(max(6.0 * viscosity, 6.0 * spread) / scene.domain.cell**2, falling_rate(scene))
 
 
 def _wave_moduli(groups: tuple[GroupPlan, ...], phases: int) -> tuple[float, ...]:
@@ -326,6 +322,8 @@ def time_step_bounds(scene: Scene, plan: Plan, stiffened: bool = False) -> list[
     stiff as a run can make it.
     """
     dx, bounds = scene.domain.cell, []
+    if is_implicit(scene):
+        bounds.append((1.0 / falling_rate(scene), "gravity across a cell"))
     used = {group.material for group in plan.groups}
     for coupling in scene.coupling:
         if (
@@ -347,7 +345,8 @@ def time_step_bounds(scene: Scene, plan: Plan, stiffened: bool = False) -> list[
             group = plan.groups[plan.group_of[k]]  # includes the sand whose pores it fills
             wave = math.sqrt(group.bound(law_function(law, "wave_speed2")(law, reference)))
             wave *= math.sqrt(material.stiffening) if stiffened else 1.0
-            bounds.append((scene.time.cfl * dx / (wave + speeds[k]), f"material {name!r}"))
+            if wave + speeds[k] > 0:  # waves do not bound the step with an implicit pressure
+                bounds.append((scene.time.cfl * dx / (wave + speeds[k]), f"material {name!r}"))
             if material.kinematic_viscosity > 0:
                 bound = dx**2 / (6.0 * material.kinematic_viscosity)
                 bounds.append((bound, f"the viscosity of material {name!r}"))
@@ -381,6 +380,7 @@ def _check_transfer(scene: Scene, sharing: InteractionRules | None) -> None:
 
 def _check_steps(scene: Scene, plan: Plan) -> None:
     """Check that the laws are finite, a fixed step is stable, and every step advances the time."""
+    check_implicit_pressure(scene, plan.groups, plan.phases)
     for group in plan.groups:
         if not np.isfinite(group.law).all():
             message = (

@@ -30,6 +30,12 @@ class GravityKeyframe(StrictModel):
 Keys = tuple[tuple[float, Vector], ...]  # (time [s], gravity [m/s2]), ascending
 
 
+def gravity_keys(domain) -> Keys:
+    """Return the keyframes of gravity of a domain, the first at time 0; empty without any."""
+    keys = domain.gravity_keyframes
+    return ((0.0, domain.gravity), *((k.time, k.gravity) for k in keys)) if keys else ()
+
+
 def gravity_at(keys: Keys, time: float) -> np.ndarray:
     """Return gravity (3,) [m/s2] at a time [s].
 

@@ -43,7 +43,8 @@ PARTICLE_KEYS = frozenset(
 
 
 NUMERICS = "precision", "volume_correction"  # keys of accuracy whose defaults have changed
-ADDED_NUMERICS = {"dilatation": "particles"}  # keys that earlier versions computed by, unnamed
+# keys that earlier versions computed by, unnamed
+ADDED_NUMERICS = {"dilatation": "particles", "pressure": "explicit"}
 ADDED_OBJECT_KEYS: dict[str, Any] = {"rigid": False, "pinned": [], "thin": False}
 
 

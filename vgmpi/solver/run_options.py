@@ -32,8 +32,9 @@ class Options:
 LACKS = {
     CARD: {
         "rigid": "free rigid bodies", "joint": "joints", "pinned": "pinned parts",
-        "slip_length": "slip lengths", "thin": "thin walls",
+        "slip_length": "slip lengths", "thin": "thin walls", "pressure": "implicit pressure",
     },
+    "numpy": {"pressure": "implicit pressure"},
 }  # fmt: skip
 MAX_THREADS_PER_CORE, MIN_THREAD_LIMIT = 4, 32  # more would take memory for nothing
 
@@ -73,9 +74,11 @@ def check_engine(engine: str, scene: Scene) -> None:
         slips = obj.slip_length is not None
         has = {"rigid": obj.rigid, "pinned": obj.pinned, "slip_length": slips, "thin": obj.thin}
         paths += [("object", k, key) for key, value in has.items() if value]
+    if scene.accuracy.pressure == "implicit":
+        paths.append(("accuracy", "pressure"))
     first: dict[str, str] = {}
     for path in paths:
-        name = path[-1] if path[0] == "object" else "joint"
+        name = "joint" if path[0] == "joint" else path[-1]
         if name in lacks:
             first.setdefault(lacks[name], scene.place(path))
     if first:

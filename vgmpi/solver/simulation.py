@@ -25,7 +25,7 @@ from vgmpi.solver.boundary.outlets import Sinks
 from vgmpi.solver.boundary.particle_insertion import ParticleRows, bounds_of_idle_group, insert
 from vgmpi.solver.boundary.pinned_coupling import make_pinned_parts
 from vgmpi.solver.boundary.release import Releases
-from vgmpi.solver.boundary.surface_coupling import couple_surfaces, make_surface_slip
+from vgmpi.solver.boundary.surface_coupling import make_couplings
 from vgmpi.solver.boundary.wall_sides import MAX_PUSH_CELLS, wall_sides
 from vgmpi.solver.diagnostics.reactions import Reactions
 from vgmpi.solver.engines.engine_protocol import (
@@ -73,8 +73,10 @@ class Simulation:
         self.engine: Engine = engine_of(engine)(plan, self.lattice, *rigid)
         self.engine.pins = self.pins
         self.groups: list[ParticleGroup] = self.engine.groups
-        self.slip = make_surface_slip(plan, self.solids, self.engine)
         self.bodies = free_body_coupling(plan, self.movers, self.engine, ranks, self.pins)
+        self.couplings = make_couplings(
+            plan, self.lattice, self.solids, self.engine, ranks, self.pins, self.bodies
+        )
         self.reactions = Reactions(plan, colliders, ranks) if plan.feels else None
         if self.reactions is not None:
             rows = len(self.reactions.totals)
@@ -83,9 +85,8 @@ class Simulation:
         self.flow_accounting = Tally(plan) if plan.is_open_system else None
         self.sides = wall_sides(plan, self.movers, self.groups, self.flow_accounting)
         self.sources = Sources(plan, ranks) if plan.sources else None
-        self.sinks: Sinks | None = None
-        if self.flow_accounting is not None and plan.sinks:
-            self.sinks = Sinks(plan, self.flow_accounting)
+        tally = self.flow_accounting
+        self.sinks = Sinks(plan, tally) if tally is not None and plan.sinks else None
         releases = plan.driven or any(time is not None for time in plan.opens)
         self.releases = Releases(plan, self.flow_accounting, self.engine) if releases else None
         self.correction_origin_step = 0  # step of the last release: corrections are counted from it
@@ -104,8 +105,7 @@ class Simulation:
         margin = 1.2 * MAX_SHIFT_CELLS if plan.shift_interval else 0.0
         margin += 1.2 * MAX_PUSH_CELLS if self.sides is not None else 0.0
         self.max_stray = g2p.MAX_STRAY_CELLS - margin
-        self.sorts = 0
-        self.sorted_at = 0
+        self.sorts = self.sorted_at = 0
         self.sent = 0  # [bytes] sent to neighbors by this rank
         self.moved = 0  # particles that left this rank for another
         self.reduction_buffer = np.zeros(12)
@@ -144,7 +144,9 @@ class Simulation:
         if self.sources is not None:
             maxima = self.sources.merge_bounds(maxima, self.time)
         self.rate = float(maxima[0])
-        self.particle_maxima = ParticleMaxima.of(maxima[1:], self.rate, 1.0 / self.rate)
+        self.particle_maxima = ParticleMaxima.of(
+            maxima[1:], self.rate, 1.0 / (self.rate or self.plan.rate)
+        )
         if self.reactions is not None:
             self.reactions.set_mass_bound(self.groups)
         self.sort()
@@ -190,8 +192,7 @@ class Simulation:
             self.tables = exchange_topology.build_topology(
                 census, self.lattice, self.ranks.rank, self.needs, self.solids, self.pins
             )
-            if self.pins is not None:
-                self.pins.set_tables(self.tables)
+            self.couplings.set_tables(self.tables, census)
             if self.movers is not None:
                 self.movers.take(self.tables.at[self.tables.solid >= 0])
         self._set_segments(unchanged)
@@ -265,7 +266,7 @@ class Simulation:
             gravity = self.plan.gravity_between(self.time, end)
         engine.begin(dt, gravity, self.particle_maxima.fastest(self.plan, dt, pushed))
         self._update_grid(self.halo)
-        couple_surfaces(engine, self.slip, self.pins, self.bodies, dt, gravity)
+        self.couplings.apply(engine, dt, gravity)
         report = engine.gather(self.step)  # v, C, x, state at n + 1
         if self.reactions is not None:
             self.reactions.add_step(engine.given(), self.movers, self.driven, self.pins)

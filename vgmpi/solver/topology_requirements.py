@@ -28,6 +28,7 @@ def needs(plan: Plan) -> exchange_topology.TopologyRequirements:
         fields_near_colliders(plan),
         is_summed_at_surfaces(plan),
         np.isin(np.arange(len(plan.phases)), [part.phase for part in plan.pins]),
+        plan.implicit_pressure,
     )
 
 

@@ -31,7 +31,10 @@ class Momentum(NamedTuple):
 
 
 class MomentumWithoutPressure(NamedTuple):
-    """Contribution of momentum, mass and the impulse of deviatoric stress (cell_pressure.py)."""
+    """Contribution of momentum, mass and the impulse of deviatoric stress.
+
+    Pressure acts by cells (cell_pressure.py) or implicitly (kernels/grid/pressure_system.py).
+    """
 
     mirror: float  # code of nodal_fields/field_protocol.py
     splines: float  # 1: forces by the gradients of the B-splines, 0: by moments
@@ -56,7 +59,8 @@ def contribution_kinds(
     """Return the contributions of a group's particles with and without their stress."""
     real = plan.real.type
     numbers = [real(v) for v in (MIRROR_VECTOR, plan.splines, group.density, plan.affine, plan.dx)]
-    kind = MomentumWithoutPressure if group.cell_dilatation else Momentum
+    has_own_pressure = group.cell_dilatation or group.implicit_pressure
+    kind = MomentumWithoutPressure if has_own_pressure else Momentum
     return kind(*numbers), MomentumWithoutStress(*numbers)
 
 

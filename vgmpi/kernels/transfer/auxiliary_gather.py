@@ -52,13 +52,6 @@ class FlipGather(NamedTuple):
     patch: int  # number of its patch among the auxiliary ones
 
 
-class MixtureFlipGather(NamedTuple):
-    """Kind of phases that share space and use FLIP or AFLIP."""
-
-    sharing: MixtureGather
-    blend: FlipGather
-
-
 @static_dispatch
 def prepare_patch(kind, nodes, mirror):
     """Complete the nodal masses of a segment's patch in place."""
@@ -128,6 +121,16 @@ def advection_velocity(kind, split, extra, n, v):
 
 
 @static_dispatch
+def displacement(kind, extra, n, moves):
+    """Return the displacement of 16 particles in the step, three components [cells].
+
+    Args:
+        extra, n: Gathered quantities (`gather_batch`); number of the first particle in its batch.
+        moves: Displacement by the advection velocity, three components [cells].
+    """
+
+
+@static_dispatch
 def velocity_gradient(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
     """Return the velocity gradient that the constitutive law receives, nine components.
 
@@ -153,8 +156,14 @@ def mixture_wave_speed_squared(kind, f, p, cap, numbers, wave2):
 
 
 @device_function
-def _read(grid, blocks, box, mirror, patch, ghosts, s):
-    """Load one patch and set its ghost nodes from their mirror nodes."""
+def load_mirrored_patch(grid, blocks, box, mirror, patch, ghosts, s):
+    """Load one patch and set its ghost nodes from their mirror nodes.
+
+    Args:
+        grid: Nodal numbers, shape (node blocks, 256).
+        blocks, box, mirror, ghosts, s: See `load_patches`.
+        patch: Patch (out).
+    """
     load_patch(patch, grid, blocks, box)
     mirror_fraction = velocity_mirror_fraction(ghosts)
     fill_ghost_velocity(nodes_of(patch), mirror, ghosts, mirror_fraction, s)
@@ -213,6 +222,13 @@ def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
     return L
 
 
+@displacement.of(VelocityOnly)
+@displacement.of(MixtureGather)
+@displacement.of(FlipGather)
+def _(kind, extra, n, moves):
+    return moves
+
+
 @mixture_wave_speed_squared.of(VelocityOnly)
 def _(kind, f, p, cap, numbers, wave2):
     return wave2
@@ -228,9 +244,9 @@ def _(kind, nodes, mirror):
 
 @load_patches.of(MixtureGather)
 def _(kind, blocks, box, mirror, real, ghosts, s):
-    _read(kind.flux, blocks, box, mirror, patch_of(real, 0), None, s)
+    load_mirrored_patch(kind.flux, blocks, box, mirror, patch_of(real, 0), None, s)
     if kind.drifts:
-        _read(kind.drift, blocks, box, mirror, patch_of(real, 1), None, s)
+        load_mirrored_patch(kind.drift, blocks, box, mirror, patch_of(real, 1), None, s)
 
 
 @gather_batch.of(MixtureGather)
@@ -309,7 +325,7 @@ def _(kind, nodes, mirror):
 
 @load_patches.of(FlipGather)
 def _(kind, blocks, box, mirror, real, ghosts, s):
-    _read(kind.change, blocks, box, mirror, patch_of(real, kind.patch), ghosts, s)
+    load_mirrored_patch(kind.change, blocks, box, mirror, patch_of(real, kind.patch), ghosts, s)
 
 
 @gather_batch.of(FlipGather)
@@ -351,48 +367,3 @@ def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
 @mixture_wave_speed_squared.of(FlipGather)
 def _(kind, f, p, cap, numbers, wave2):
     return wave2
-
-
-# ---- both ---------------------------------------------------------------------------------------
-
-
-@prepare_patch.of(MixtureFlipGather)
-def _(kind, nodes, mirror):
-    pass
-
-
-@load_patches.of(MixtureFlipGather)
-def _(kind, blocks, box, mirror, real, ghosts, s):
-    load_patches(kind.sharing, blocks, box, mirror, real, ghosts, s)
-    load_patches(kind.blend, blocks, box, mirror, real, ghosts, s)
-
-
-@gather_batch.of(MixtureFlipGather)
-def _(kind, count, weights, records, base, real, extra):
-    gather_batch(kind.sharing, count, weights, records, base, real, extra)
-    gather_batch(kind.blend, count, weights, records, base, real, extra)
-
-
-@particle_velocity.of(MixtureFlipGather)
-def _(kind, f, p, cap, extra, n, v):
-    particle_velocity(kind.blend, f, p, cap, extra, n, v)
-
-
-@max_velocity.of(MixtureFlipGather)
-def _(kind, f, p, cap, displacement, scale):
-    return max_velocity(kind.blend, f, p, cap, displacement, scale)
-
-
-@advection_velocity.of(MixtureFlipGather)
-def _(kind, split, extra, n, v):
-    return advection_velocity(kind.sharing, split, extra, n, v)
-
-
-@velocity_gradient.of(MixtureFlipGather)
-def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
-    return velocity_gradient(kind.sharing, split, f, p, cap, extra, n, L, fill, slope, numbers)
-
-
-@mixture_wave_speed_squared.of(MixtureFlipGather)
-def _(kind, f, p, cap, numbers, wave2):
-    return mixture_wave_speed_squared(kind.sharing, f, p, cap, numbers, wave2)

@@ -14,6 +14,7 @@ from vgmpi.kernels.simd.vector16 import load
 from .auxiliary_gather import (
     VelocityOnly,
     advection_velocity,
+    displacement,
     gather_batch,
     load_patches,
     max_velocity,
@@ -31,7 +32,7 @@ class CellDilatation(NamedTuple):
 
 
 for _dispatch in (
-    prepare_patch, load_patches, particle_velocity, max_velocity, advection_velocity,
+    prepare_patch, load_patches, particle_velocity, max_velocity, advection_velocity, displacement,
     mixture_wave_speed_squared,
 ):  # fmt: skip
     _dispatch.of(CellDilatation)(_dispatch.table[VelocityOnly])

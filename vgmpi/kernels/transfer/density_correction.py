@@ -15,6 +15,7 @@ from vgmpi.runtime.jit import device_function
 
 from .auxiliary_gather import (
     advection_velocity,
+    displacement,
     gather_batch,
     load_patches,
     max_velocity,
@@ -78,6 +79,11 @@ def _(kind, f, p, cap, displacement, scale):
 @advection_velocity.of(DensityCorrected)
 def _(kind, split, extra, n, v):
     return advection_velocity(kind.inner, split, extra, n, v)
+
+
+@displacement.of(DensityCorrected)
+def _(kind, extra, n, moves):
+    return displacement(kind.inner, extra, n, moves)
 
 
 @velocity_gradient.of(DensityCorrected)

@@ -44,6 +44,7 @@ from vgmpi.runtime.jit import device_function, kernel
 
 from .auxiliary_gather import (
     advection_velocity,
+    displacement,
     gather_batch,
     load_patches,
     max_velocity,
@@ -188,6 +189,7 @@ def _update_particles(
         is_valid = in_range_mask(J, min_volume, max_volume, remaining)
         is_finite = in_range_mask(wave2, shortest, wave_bound, remaining)
         succeeded = is_slow & is_valid & is_finite
+        m0, m1, m2 = displacement(auxiliary, extra, n, (m0, m1, m2))
         x, y, z = _advect(
             cloud, p, (masked(succeeded, m0), masked(succeeded, m1), masked(succeeded, m2)), motion
         )
@@ -262,19 +264,19 @@ def squared_norm(C):
 
 
 @device_function
-def _advect(cloud, p, displacement, motion):
+def _advect(cloud, p, moves, motion):
     """Advect 16 particles and return their positions [cells from the block center].
 
     Args:
         cloud: Particle pointers (in/out).
         p: Index of the first of the 16 particles.
-        displacement: Three components [cells].
+        moves: Displacement, three components [cells].
         motion: Constants of the step.
     """
     cell_units, cap = motion.one, cloud.cap
-    x = add_fixed_point(cloud.xi, p, cell_units * displacement[0] + motion.dither_x)
-    y = add_fixed_point(cloud.xi, p + cap, cell_units * displacement[1] + motion.dither_y)
-    z = add_fixed_point(cloud.xi, p + 2 * cap, cell_units * displacement[2] + motion.dither_z)
+    x = add_fixed_point(cloud.xi, p, cell_units * moves[0] + motion.dither_x)
+    y = add_fixed_point(cloud.xi, p + cap, cell_units * moves[1] + motion.dither_y)
+    z = add_fixed_point(cloud.xi, p + 2 * cap, cell_units * moves[2] + motion.dither_z)
     return x, y, z
 
 

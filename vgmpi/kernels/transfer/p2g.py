@@ -18,6 +18,7 @@ from vgmpi.kernels.nodal_fields import (  # noqa: F401  (contributions)
     cell_pressure,
     color,
     momentum,
+    particle_pressure,
     rest_volume,
     stress_impulse,
     surface_distance,

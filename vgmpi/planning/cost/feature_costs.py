@@ -9,6 +9,7 @@ from vgmpi.planning.phases_and_groups import (
     CORRECTION_COST,
     DENSITY_CORRECTION_COST,
     FLIP_COST,
+    IMPLICIT_PRESSURE_COST,
     shift_cost,
 )
 from vgmpi.planning.plan import Plan
@@ -83,6 +84,8 @@ def group_features(scene: Scene, plan: Plan, g: int, pace: Throughput) -> list[F
         result.append(Feature("particle shifting", shifting))
     if group.cell_dilatation:
         result.append(Feature("dilatation by cells", law_ns * CELL_DILATATION_COST))
+    if group.implicit_pressure:
+        result.append(Feature("implicit pressure", law_ns * IMPLICIT_PRESSURE_COST))
     if group.space:
         result.append(Feature("density correction", law_ns * DENSITY_CORRECTION_COST))
     if group.coefficients:

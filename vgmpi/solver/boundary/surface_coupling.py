@@ -1,13 +1,19 @@
-"""Slip of liquids on the colliders of a scene, and all that couples at their surfaces in a step."""
+"""Slip of liquids on the colliders of a scene, and all that couples the nodes in a step."""
+
+from typing import NamedTuple
 
 import numpy as np
 
 from vgmpi.kernels.rigid import surface_slip
 from vgmpi.kernels.rigid.body_nodes import SlipLaw
+from vgmpi.parallel.block_lattice import BlockLattice
+from vgmpi.parallel.block_ownership import BlockDirectory
+from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.exchange_topology import GRADIENTS, ExchangeTopology
 from vgmpi.planning.plan import Plan
 
 from .free_body_coupling import FreeBodyCoupling
+from .implicit_pressure import ImplicitPressure, make_implicit_pressure
 from .pinned_coupling import PinnedParts
 
 
@@ -54,41 +60,71 @@ class SurfaceSlip:
 
 
 def make_surface_slip(plan: Plan, solids, engine) -> SurfaceSlip | None:
-    """Return the slip of a scene's liquids on its colliders, or None if they slip freely.
-
-    Args:
-        plan: Plan of the run.
-        solids: Colliders at the nodes, or None.
-        engine: Engine.
-    """
+    """Return the slip of a scene's liquids on its colliders, or None if they slip freely."""
     if plan.slip is None or solids is None:
         return None
     return SurfaceSlip(plan, solids, engine)
 
 
-def couple_surfaces(
-    engine, slip: SurfaceSlip | None, pins: PinnedParts | None, bodies: FreeBodyCoupling | None,
-    dt: float, gravity: np.ndarray,
-) -> None:  # fmt: skip
-    """Couple the grid with the surfaces of colliders, pinned parts and free bodies in a step.
+class NodalCouplings(NamedTuple):
+    """Couplings of the nodes, after all that acts at each node alone."""
+
+    slip: SurfaceSlip | None  # slip of liquids on colliders
+    pins: PinnedParts | None  # pinned parts of bodies
+    bodies: FreeBodyCoupling | None  # free rigid bodies
+    pressure: ImplicitPressure | None  # implicit pressure of a liquid
+
+    def set_tables(self, tables: ExchangeTopology, census: BlockDirectory) -> None:
+        """Take new tables after a sort.
+
+        Args:
+            tables: Topology of this rank.
+            census: Segments of this rank and nearby ones.
+        """
+        if self.pins is not None:
+            self.pins.set_tables(tables)
+        if self.pressure is not None:
+            self.pressure.set_tables(tables, census)
+
+    def apply(self, engine, dt: float, gravity: np.ndarray) -> None:
+        """Couple the grid with surfaces and with its own pressure in a step.
+
+        Args:
+            engine: Engine.
+            dt: Time step [s].
+            gravity: Acceleration, shape (3,) [m/s2].
+        """
+        if self.pressure is not None:
+            self.pressure.apply(dt)
+        if self.slip is None and self.pins is None and self.bodies is None:
+            return
+        engine.begin_coupling()
+        if self.slip is not None:
+            self.slip.apply(dt)
+        if self.pins is not None:
+            self.pins.apply(engine, dt)
+        if self.bodies is not None:
+            self.bodies.advance(dt, gravity)
+        engine.end_coupling()
+        if self.pins is not None:
+            self.pins.end_step(dt)
+
+
+def make_couplings(
+    plan: Plan, lattice: BlockLattice, solids, engine, ranks: SerialCommunicator,
+    pins: PinnedParts | None, bodies: FreeBodyCoupling | None,
+) -> NodalCouplings:  # fmt: skip
+    """Return all that couples the nodes of a scene.
 
     Args:
+        plan: Plan of the run.
+        lattice: Lattice of the blocks.
+        solids: Colliders at the nodes, or None.
         engine: Engine.
-        slip: Slip on colliders, or None.
+        ranks: Communicator.
         pins: Pinned parts, or None.
         bodies: Free rigid bodies, or None.
-        dt: Time step [s].
-        gravity: Acceleration, shape (3,) [m/s2].
     """
-    if slip is None and pins is None and bodies is None:
-        return
-    engine.begin_coupling()
-    if slip is not None:
-        slip.apply(dt)
-    if pins is not None:
-        pins.apply(engine, dt)
-    if bodies is not None:
-        bodies.advance(dt, gravity)
-    engine.end_coupling()
-    if pins is not None:
-        pins.end_step(dt)
+    slip = make_surface_slip(plan, solids, engine)
+    pressure = make_implicit_pressure(plan, lattice, engine, ranks)
+    return NodalCouplings(slip, pins, bodies, pressure)

@@ -80,6 +80,7 @@ class Cpu(KernelCaller):
         # auxiliary nodal values that particles gather, by name
         has_change = plan.keeps is not None
         self.gathered = {"flux": plan.rules is not None, "drift": plan.drifts, "change": has_change}
+        self.gathered |= {"displacement": True} if plan.implicit_pressure else {}
         self.beside = {
             name: aligned_zeros((0, reproducible_sums.BLOCK), plan.real) for name in self.gathered
         }
@@ -323,10 +324,9 @@ class Cpu(KernelCaller):
                 continue
             color_channel = plan.channels.first("color")
             for k in range(plan.coefficients):
-                nodes = self.layers[color_field_name(k)].nodes
                 self.call_if_rows(
                     (g,), color.gather_color, rows, color_channel + 3 * k, part.segments, particles,
-                    nodes, scratch,
+                    self.layers[color_field_name(k)].nodes, scratch,
                 )  # fmt: skip
             auxiliary = auxiliary_gather_kind(self.plan, plan, self.beside, self.dt)
             self.call_if_rows(

@@ -9,6 +9,8 @@ from vgmpi.kernels.reaction_impulses import GhostNodes
 from vgmpi.kernels.transfer import auxiliary_gather, g2p
 from vgmpi.kernels.transfer.cell_dilatation import CellDilatation
 from vgmpi.kernels.transfer.density_correction import DensityCorrected
+from vgmpi.kernels.transfer.mixture_flip_gather import MixtureFlipGather
+from vgmpi.kernels.transfer.pressure_gather import ImplicitPressure
 from vgmpi.parallel.exchange_topology import ExchangeTopology
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.phases_and_groups import GroupPlan
@@ -55,7 +57,7 @@ def group_context(
     contributes = {name: chosen[rows] for name, chosen in tables.contributes.items()}
     is_apart = any(other.apart for other in plan.groups)
     split = contributes["impulses"] if is_apart else np.zeros(len(rows), bool)
-    gathers_more = split | group.plan.cell_dilatation
+    gathers_more = split | group.plan.cell_dilatation | group.plan.implicit_pressure
     segments = Segments(
         group.start, group.count, tables.table[rows], target, gathers_more,
         position_limits(group.block, plan.cells), mirror,
@@ -107,6 +109,9 @@ def _kind_without_correction(plan: Plan, group: GroupPlan, auxiliary: dict, dt: 
     """Return the kind of gather without the density correction."""
     if group.cell_dilatation:
         return CellDilatation(0.0)
+    if group.implicit_pressure:
+        exponent = group.law.gamma  # type: ignore[attr-defined]
+        return ImplicitPressure(auxiliary["displacement"], exponent)
     if not group.apart:
         return auxiliary_gather.VelocityOnly(0.0)
     sharing = auxiliary_gather.MixtureGather(
@@ -118,7 +123,7 @@ def _kind_without_correction(plan: Plan, group: GroupPlan, auxiliary: dict, dt: 
     blend = auxiliary_gather.FlipGather(
         auxiliary["change"], plan.real.type(plan.keeps.over(dt)), patch
     )
-    return auxiliary_gather.MixtureFlipGather(sharing, blend) if group.shares else blend
+    return MixtureFlipGather(sharing, blend) if group.shares else blend
 
 
 def lowest_beyond(

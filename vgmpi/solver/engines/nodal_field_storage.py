@@ -11,6 +11,7 @@ from vgmpi.kernels.nodal_fields import (
     color,
     mean_pressure,
     momentum,
+    particle_pressure,
     rest_volume,
     stress_impulse,
     surface_distance,
@@ -20,6 +21,7 @@ from vgmpi.kernels.nodal_fields import (
 from vgmpi.parallel.exchange_topology import (
     GRADIENTS,
     NEAR_BODIES,
+    PARTICLE_PRESSURE,
     REST_VOLUME,
     color_field_name,
 )
@@ -125,6 +127,9 @@ def nodal_fields(plan: Plan, separate_stress: bool, field_class=NodalField) -> l
         fields.append(
             field_class(name, lambda speed, of=make: of.accumulator_range(plan, speed), plan)
         )
+    if plan.implicit_pressure:
+        ranges = particle_pressure.accumulator_range
+        fields.append(field_class(PARTICLE_PRESSURE, lambda _: ranges(plan), plan))
     if any(phase.fills_by_volume for phase in plan.phases):
         fields.append(field_class(REST_VOLUME, lambda _: rest_volume.accumulator_range(plan), plan))
     for k in range(color_count(plan)):
@@ -156,6 +161,9 @@ def contributions(
     ]
     if group.cell_dilatation:
         result.append(FieldContribution("momentum", cell_pressure.kind(plan), ~split))
+    if group.implicit_pressure:
+        chosen = contributes[PARTICLE_PRESSURE]
+        result.append(FieldContribution(PARTICLE_PRESSURE, particle_pressure.kind(plan), chosen))
     if group.apart:
         result.append(FieldContribution("momentum", inert, split))
         result.append(FieldContribution("impulses", stress_impulse.kind(plan, group), split))

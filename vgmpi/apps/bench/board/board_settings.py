@@ -9,6 +9,7 @@ RIVAL_PACKAGES = ("newton==1.8.0", "warp-lang==1.19.0", "torch", "genesis-world=
 
 STEP_120, STEP_240, STEP_480 = "dt=0.00833333333", "dt=0.00416666667", "dt=0.00208333333"
 SOFT, LONG_STEPS = "material.water.compression=0.04", "time.cfl=1.0"
+IMPLICIT = "accuracy.pressure=implicit"
 DAM_CELLS_48 = 0.146 * 4 / 48  # [m]
 
 RUNS: dict[str, tuple[tuple[str, ...], ...]] = {
@@ -18,6 +19,9 @@ RUNS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("vgmpi", f"domain.cell={DAM_CELLS_48}", SOFT),
         ("vgmpi", f"domain.cell={DAM_CELLS_48}"),
         ("vgmpi",),
+        ("vgmpi", "accuracy.level=draft", IMPLICIT),
+        ("vgmpi", f"domain.cell={DAM_CELLS_48}", IMPLICIT),
+        ("vgmpi", IMPLICIT),
         ("newton", "cell=0.01825", STEP_120),
         ("newton", f"cell={DAM_CELLS_48}", STEP_240),
         ("newton", f"cell={DAM_CELLS_48}", STEP_480),
@@ -32,6 +36,8 @@ RUNS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("vgmpi", "domain.cell=0.016"),
         ("vgmpi",),
         ("vgmpi", "domain.cell=0.013333333333333334"),
+        ("vgmpi", IMPLICIT),
+        ("vgmpi", "domain.cell=0.013333333333333334", IMPLICIT),
         ("newton", "cell=0.04", STEP_120),
         ("newton", "cell=0.04", "dt=0.00238095238"),
         ("newton", "cell=0.02", STEP_120),
@@ -64,6 +70,7 @@ RUNS: dict[str, tuple[tuple[str, ...], ...]] = {
     "rest": (
         ("vgmpi", LONG_STEPS),
         ("vgmpi",),
+        ("vgmpi", IMPLICIT),
         ("newton", "cell=0.016", STEP_120),
         ("newton", "cell=0.01", STEP_120, "per_axis=2"),
         ("genesis", "cell=0.01"),
@@ -72,6 +79,7 @@ RUNS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("vgmpi", SOFT, LONG_STEPS),
         ("vgmpi", SOFT),
         ("vgmpi",),
+        ("vgmpi", IMPLICIT),
         ("newton", "cell=0.016", "dt=0.0166666667"),
         ("newton", "cell=0.016", STEP_120),
         ("newton", "cell=0.01", STEP_120, "per_axis=2"),

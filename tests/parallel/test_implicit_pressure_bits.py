@@ -1,0 +1,56 @@
+"""An implicit pressure has the same bits in every file for any number of ranks and threads, and
+after a restart."""
+
+import pytest
+
+from tests.support.file_digests import (
+    assert_same_after_stop,
+    assert_same_files,
+    run_on_one_rank,
+)
+
+pytestmark = pytest.mark.mpi
+
+# two columns that meet: both halves of the tank have moving blocks, and ranks exchange cells
+SCENE = """
+[domain]
+size = [0.48, 0.16, 0.32]
+cell = 0.02
+boundary = { default = "slip", west = "stick" }
+[time]
+end = 0.2
+frames = 3
+[accuracy]
+pressure = "implicit"
+precision = "PRECISION"
+[material.water]
+kind = "fluid"
+max_speed = 2
+viscosity = 0.01
+[[object]]
+name = "left"
+material = "water"
+shape = { box = [[0, 0, 0], [0.14, 0.16, 0.24]] }
+[[object]]
+name = "right"
+material = "water"
+shape = { box = [[0.36, 0, 0], [0.48, 0.1, 0.2]] }
+velocity = [-0.3, 0, 0]
+"""
+
+
+@pytest.fixture(scope="module", params=["single", "double"])
+def one(request, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("implicit")
+    return run_on_one_rank(folder, SCENE.replace("PRECISION", request.param))
+
+
+@pytest.mark.parametrize(
+    "ranks, flags", [(2, []), (3, []), (4, []), (7, []), (1, ["--threads", "2"])]
+)
+def test_any_ranks_and_threads(one, tmp_path, ranks, flags):
+    assert_same_files(*one, tmp_path / "out", ranks, *flags)
+
+
+def test_a_restart(one, tmp_path):
+    assert_same_after_stop(*one, tmp_path / "out", 11)

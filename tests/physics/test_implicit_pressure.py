@@ -1,0 +1,143 @@
+"""An implicit pressure: the projection itself, water at rest, waves, and the board's water cases.
+
+The numbers from outside are those of the explicit pressure's tests: hydrostatics, Lamb's period of
+a standing wave, Koshizuka and Oka's front of a collapsing column, and the volume of the water.
+"""
+
+import numpy as np
+import pytest
+
+import vgmpi
+from tests.physics import test_hydrostatic, test_slosh
+from tests.support.simulate import advance, begin, totals
+from vgmpi.apps.bench.board.board_cases import CASES, BoardState
+from vgmpi.apps.bench.board.vgmpi_board_solver import Solver
+from vgmpi.solver.boundary import implicit_pressure
+
+IMPLICIT = 'pressure = "implicit"'
+DROPS = """
+[domain]
+size = [0.32, 0.24, 0.24]
+cell = 0.02
+gravity = [0, 0, 0]
+[time]
+end = 0.2
+frames = 41
+[accuracy]
+precision = "double"
+pressure = "implicit"
+[material.water]
+kind = "fluid"
+[[object]]
+name = "slow"
+material = "water"
+shape = { sphere = { center = [0.19, 0.12, 0.12], radius = 0.05 } }
+[[object]]
+name = "fast"
+material = "water"
+velocity = [0.8, 0.1, 0]
+shape = { box = [[0.06, 0.08, 0.08], [0.12, 0.16, 0.16]] }
+"""
+
+
+def test_momentum_is_exact(tmp_path):
+    """Two drops that collide far from walls."""
+    simulation, _ = begin(tmp_path, DROPS)
+    before = totals(simulation)["momentum"]
+    advance(simulation, 0.12)
+    after = totals(simulation)["momentum"]
+    assert simulation.step >= 10
+    assert np.abs(after - before).max() < 1e-12 * np.abs(before).max()
+
+
+def nodal_grid(simulation, values, size):
+    """Numbers of node blocks (blocks, 64, size) on the grid of the domain's nodes."""
+    grid = np.zeros((*(n + 1 for n in simulation.plan.cells), size))
+    offsets = np.stack(np.unravel_index(np.arange(64), (4, 4, 4)), 1)
+    index = 4 * simulation.tables.at[:, None] - 1 + offsets
+    inside = ((index >= 0) & (index <= simulation.plan.cells)).all(2)
+    grid[tuple(index[inside].T)] = values[inside]
+    return grid
+
+
+def divergence_matrix(cells, shape):
+    """Divergence of nodal velocities (nodes, 3) in the cells (n, 3), dense."""
+    matrix = np.zeros((len(cells), *shape, 3))
+    for row, cell in zip(matrix, cells, strict=True):
+        for corner in np.ndindex(2, 2, 2):
+            sign = np.where(np.array(corner) == 1, 0.25, -0.25)
+            row[tuple(cell + corner)] += sign
+    return matrix.reshape(len(cells), -1)
+
+
+def test_sweeps_converge_to_the_projection(tmp_path, monkeypatch):
+    """With 600 sweeps the nodes have the velocities that NumPy's dense solution has."""
+    many = implicit_pressure.Sweeps(600, 1e-3)
+    monkeypatch.setattr(implicit_pressure, "PRESSURE_SWEEPS", many)
+    simulation, _ = begin(tmp_path, DROPS)
+    advance(simulation, 0.05)
+    stage, grids = simulation.couplings.pressure, []
+    apply = type(stage).apply
+
+    def recorded(self, dt):
+        nodes = self.engine.layers["momentum"].nodes[: self.blocks].reshape(-1, 64, 4)
+        grids.append(nodal_grid(simulation, nodes, 4))
+        apply(self, dt)
+        grids.append(nodal_grid(simulation, nodes, 4))
+
+    monkeypatch.setattr(type(stage), "apply", recorded)
+    simulation.advance(0.002)
+    before, after = grids
+    filled = stage.fields.filled[: 64 * stage.blocks].reshape(-1, 64, 1)
+    cells = np.argwhere(nodal_grid(simulation, filled, 1)[..., 0] > 0)
+    mass = before[..., 3] / stage.mass_of_cell
+    inverse = np.where(mass > 1e-9, 1.0 / np.maximum(mass, 1e-9), 0.0)
+    inverse = np.repeat(inverse.reshape(-1, 1), 3, 1).reshape(-1)
+    matrix = divergence_matrix(cells, mass.shape)
+    v = before[..., :3].reshape(-1)
+    phi = np.linalg.lstsq((matrix * inverse) @ matrix.T, -matrix @ v, rcond=None)[0]
+    expected = v + inverse * (matrix.T @ phi)
+    assert len(cells) > 50 and np.abs(matrix @ v).max() > 1e-3
+    assert np.abs(matrix @ expected).max() < 1e-9
+    wet = inverse > 0
+    assert np.abs(after[..., :3].reshape(-1) - expected)[wet].max() < 1e-6 * np.abs(v).max()
+
+
+def test_water_at_rest(tmp_path):
+    """The pressure is rho g (H - z) to 0.5 % of rho g H, and the water does not move."""
+    text = test_hydrostatic.SCENE.format(
+        ramp="", end=1.0, precision="single", initial_pressure="hydrostatic"
+    ).replace("[accuracy]", f"[accuracy]\n{IMPLICIT}")
+    heights = test_hydrostatic.HEIGHTS
+    for k, z in enumerate(heights):
+        text += test_hydrostatic.PROBE.format(name=f"p{k}", z=z * test_hydrostatic.H)
+    middle = []
+    scene = vgmpi.load(tmp_path / "rest.toml", text=text)
+    run = vgmpi.run(scene, on_frame=lambda now: middle.append(now.array("x")[:, 2].mean()))
+    assert run.code == 0
+    assert np.ptp(middle) < 1e-3 * test_hydrostatic.H
+    for k, z in enumerate(heights):
+        pressure = [row["pressure"] for row in run.probes[f"p{k}"] if row["time"] > 0.5]
+        assert np.mean(pressure) / test_hydrostatic.WEIGHT == pytest.approx(1 - z, abs=0.005)
+
+
+def test_waves_do_not_lock(tmp_path):
+    """With 8 particles per cell: Lamb's period to 3 %, and 95 % of the amplitude are left."""
+    period, left = test_slosh.sloshing(tmp_path, 20, IMPLICIT, particles=8)
+    assert abs(period / test_slosh.PERIOD - 1) < 0.03
+    assert left > 0.95
+
+
+@pytest.mark.parametrize(
+    "name, max_error, max_steps", [("dam_break", 0.04, 600), ("level", 0.01, 1500)]
+)
+def test_water_cases_of_the_board(name, max_error, max_steps):
+    """The errors of explicit runs (0.029, 0.002) in an eighth of their steps (2783, 13371)."""
+    case, solver = CASES[name], Solver(name, {"accuracy.pressure": "implicit"})
+    solver.restart()
+    measure = case.measure(solver.volume, solver.state()[0], solver.cell)
+    for k in range(1, round(case.end / case.interval) + 1):
+        solver.advance(k * case.interval)
+        measure.record(BoardState(solver.simulation.time, *solver.state()))
+    assert measure.result()["error"] < max_error
+    assert solver.simulation.step < max_steps

@@ -1,0 +1,111 @@
+"""Scenes with an implicit pressure: what they may not contain is named by its key, and the step."""
+
+import math
+
+import pytest
+
+import vgmpi
+from vgmpi.scene.loader import SceneError
+
+SCENE = """
+[accuracy]
+pressure = "implicit"
+[domain]
+size = [0.4, 0.2, 0.4]
+cell = 0.02
+[time]
+end = 0.1
+[material.water]
+kind = "fluid"
+[[object]]
+name = "pool"
+material = "water"
+shape = { box = [[0, 0, 0], [0.4, 0.2, 0.1]] }
+"""
+POST = """
+[[object]]
+name = "post"
+role = "scenery"
+collider = true
+shape = { box = [[0.1, 0.1, 0], [0.2, 0.16, 0.3]] }
+"""
+SAND = """
+[material.sand]
+kind = "sand"
+youngs_modulus = 1e6
+[[object]]
+name = "heap"
+material = "sand"
+shape = { box = [[0, 0, 0.2], [0.1, 0.1, 0.3]] }
+"""
+OIL = """
+[material.oil]
+kind = "fluid"
+density = 900
+[[object]]
+name = "slick"
+material = "oil"
+shape = { box = [[0, 0, 0.1], [0.4, 0.2, 0.14]] }
+"""
+PROBE = """
+[[probe]]
+name = "push"
+wall = "bottom"
+sampling_rate = 100
+"""
+BODIES, WALLS = "colliders and bodies that are held or moved", "walls other than slip and stick"
+
+
+def refusal(tmp_path, text):
+    with pytest.raises(SceneError) as error:
+        vgmpi.plan(vgmpi.load(tmp_path / "scene.toml", text=text))
+    return str(error.value)
+
+
+@pytest.mark.parametrize(
+    "key, feature, text",
+    [
+        ("object.post.collider", BODIES, SCENE + POST),
+        ("material.sand.kind", "materials that are no fluid", SCENE + SAND),
+        ("accuracy.pressure", "several phases or densities", SCENE + OIL),
+        ("probe.push.wall", "probes of forces on a wall or collider", SCENE + PROBE),
+        (
+            "domain.boundary",
+            WALLS,
+            SCENE.replace("cell = 0.02", 'cell = 0.02\nboundary = "separate"'),
+        ),
+        (
+            "object.pool.release_time",
+            BODIES,
+            SCENE.replace('material = "water"', 'material = "water"\nrelease_time = 0.05'),
+        ),
+    ],
+)
+def test_a_feature_is_refused(tmp_path, key, feature, text):
+    line = refusal(tmp_path, text)
+    assert f"{key}: accuracy.pressure = 'implicit' is not for {feature}" in line
+
+
+@pytest.mark.parametrize(
+    "key, value, needs",
+    [
+        ("transfer", "apic-corrected", "apic"),
+        ("volume_correction", "shifting", "none"),
+        ("dilatation", "cells", "particles"),
+    ],
+)
+def test_other_keys_of_accuracy(tmp_path, key, value, needs):
+    text = SCENE.replace("[domain]", f'{key} = "{value}"\n[domain]')
+    line = refusal(tmp_path, text)
+    assert f"accuracy.{key}: pressure = 'implicit' needs {key} = '{needs}'" in line
+
+
+def test_defaults_and_the_bound_of_the_step(tmp_path):
+    """A drop falls by at most cfl cells in a step; without gravity a step ends at a frame."""
+    scene = vgmpi.load(tmp_path / "scene.toml", text=SCENE)
+    assert scene.accuracy.transfer == "apic" and scene.accuracy.volume_correction == "none"
+    plan = vgmpi.plan(scene)
+    assert 1 / plan.rate == pytest.approx(0.4 * 0.02 / math.sqrt(2 * 9.8 * 0.02))
+    still = SCENE.replace("cell = 0.02", "cell = 0.02\ngravity = [0, 0, 0]")
+    plan = vgmpi.plan(vgmpi.load(tmp_path / "scene.toml", text=still))
+    assert 1 / plan.rate == pytest.approx(0.1 / 49)

@@ -1,0 +1,141 @@
+"""Exchange of cell values between ranks: cells that patches of one rank cover, next to another's.
+
+A rank computes the cells of which all eight nodes lie in patches of its own particles: there its
+nodal sums are complete. Cells that two ranks compute have the same bits on both. A rank receives
+the cells around its own that others compute. All lists follow from the block directory, in the same
+order on both sides.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from .block_lattice import BLOCK_EDGE, BlockLattice
+from .block_ownership import BlockDirectory
+from .communicator import PersistentExchange, SerialCommunicator
+from .exchange_topology import ExchangeTopology
+from .node_overlap import NEIGHBORS
+
+MARGIN = 2  # [blocks] around this rank's own blocks
+
+
+class CellTopology(NamedTuple):
+    """Cells of the node blocks of a rank; row n of neighbors stands for no block."""
+
+    neighbors: np.ndarray  # (n, 27) rows of the blocks around each block
+    region: np.ndarray  # (n, 64) bool, cells that this rank computes
+    sends: dict[int, np.ndarray]  # rank -> flat indices of the cells to send
+    receives: dict[int, np.ndarray]  # rank -> flat indices of the cells to receive
+
+
+def _spread_along(values: np.ndarray, axis: int) -> np.ndarray:
+    """Return which cells along one axis are in the patches of blocks that are True.
+
+    A patch has the cells -1 to 5 of its block.
+    """
+    blocks = np.moveaxis(values, axis, 0)
+    cells = np.repeat(blocks, BLOCK_EDGE, axis=0)
+    for cell, block_step in ((0, 1), (1, 1), (3, -1)):
+        shifted = np.roll(blocks, block_step, axis=0)  # the margin is empty
+        cells[cell::BLOCK_EDGE] |= shifted
+    return np.moveaxis(cells, 0, axis)
+
+
+def patch_cells(blocks: np.ndarray) -> np.ndarray:
+    """Return the map of the cells in the patches of blocks, four times as long along each axis."""
+    for axis in range(3):
+        blocks = _spread_along(blocks, axis)
+    return blocks
+
+
+def _with_neighbors(cells: np.ndarray) -> np.ndarray:
+    """Return the map of cells and the cells around them."""
+    for axis in range(3):
+        cells = cells | np.roll(cells, 1, axis) | np.roll(cells, -1, axis)
+    return cells
+
+
+def cell_topology(
+    tables: ExchangeTopology, census: BlockDirectory, lattice: BlockLattice, rank: int
+) -> CellTopology:
+    """Return the cells of a rank, and those that it exchanges with others.
+
+    Args:
+        tables: Topology of this rank.
+        census: Segments of this rank and nearby ones.
+        lattice: Lattice of the blocks.
+        rank: This rank.
+    """
+    count = len(tables.at)
+    if not count:
+        none = np.zeros((0, 64), bool)
+        return CellTopology(np.zeros((0, 27), np.int64), none, {}, {})
+    block = lattice.block(census.code)
+    own = block[census.owner == rank]
+    low = own.min(0) - MARGIN
+    shape = tuple(own.max(0) + MARGIN + 1 - low)
+    row_of = np.full(shape, count)
+    row_of[tuple((tables.at - low).T)] = np.arange(count)
+    neighbors = np.stack(
+        [row_of[tuple(np.clip(tables.at - low + step, 0, np.array(shape) - 1).T)]
+         for step in NEIGHBORS], 1,
+    )  # fmt: skip
+
+    def _map_of(blocks: np.ndarray) -> np.ndarray:
+        """Return the cells in the patches of some blocks (n, 3)."""
+        occupied = np.zeros(shape, bool)
+        occupied[tuple((blocks - low).T)] = True
+        return patch_cells(occupied)
+
+    def _index_of(cells: np.ndarray) -> np.ndarray:
+        """Return the flat indices of cells on the map, in the order of their places."""
+        place = np.nonzero(cells)
+        row = row_of[tuple(p // BLOCK_EDGE for p in place)]
+        i, j, k = (p % BLOCK_EDGE for p in place)
+        return 64 * row + 16 * i + 4 * j + k
+
+    mine = _map_of(own)
+    region = np.zeros((count + 1, 64), bool)
+    region.reshape(-1)[_index_of(mine)] = True
+    inside = ((block >= low) & (block < low + shape)).all(1)
+    sends, receives = {}, {}
+    reach = _with_neighbors(mine)
+    for other in np.unique(census.owner[inside & (census.owner != rank)]):
+        theirs = _map_of(block[inside & (census.owner == other)])
+        sent, received = mine & _with_neighbors(theirs) & ~theirs, theirs & reach & ~mine
+        if sent.any():
+            sends[int(other)] = _index_of(sent)
+        if received.any():
+            receives[int(other)] = _index_of(received)
+    return CellTopology(neighbors, region[:count], sends, receives)
+
+
+class CellExchange:
+    """Message buffers of the values of cells; rebuilt with the topology."""
+
+    def __init__(self, ranks: SerialCommunicator, cells: CellTopology, real: np.dtype):
+        """Allocate the buffers of all neighbors.
+
+        Args:
+            ranks: Communicator.
+            cells: Cells of this rank.
+            real: Type of the values.
+        """
+        self.sends = [(index, np.zeros(len(index), real)) for index in cells.sends.values()]
+        self.receives = [(index, np.zeros(len(index), real)) for index in cells.receives.values()]
+        self.bytes_sent = sum(buffer.nbytes for _, buffer in self.sends)  # [bytes] per exchange
+        self.link: PersistentExchange = ranks.link(
+            [(rank, part[1]) for rank, part in zip(cells.sends, self.sends, strict=True)],
+            [(rank, part[1]) for rank, part in zip(cells.receives, self.receives, strict=True)],
+        )
+
+    def exchange(self, values: np.ndarray) -> None:
+        """Send the values of cells, and store those of other ranks, flat (in/out)."""
+        if not self.sends and not self.receives:
+            return
+        for index, buffer in self.sends:
+            np.take(values, index, out=buffer)
+        self.link.start()
+        self.link.wait()
+        for index, buffer in self.receives:
+            values[index] = buffer

@@ -1,0 +1,76 @@
+"""Scenes with an implicit pressure: what they may contain, and the bound of their steps."""
+
+import math
+
+from vgmpi.scene.gravity import gravity_keys
+from vgmpi.scene.scene import Scene
+
+from .phases_and_groups import GroupPlan, PhasePlan
+
+WALL_KINDS = ("slip", "stick")
+
+
+def is_implicit(scene: Scene) -> bool:
+    """Return whether the grid finds the pressure of the scene's liquid."""
+    return scene.accuracy.pressure == "implicit"
+
+
+def falling_rate(scene: Scene) -> float:
+    """Return the least 1 / dt [1/s] by which a drop falls by less than `cfl` cells in a step.
+
+    It is 0 with an explicit pressure, whose waves bound the step. Without gravity a step is at most
+    the time between two frames.
+    """
+    if not is_implicit(scene):
+        return 0.0
+    keys = [scene.domain.gravity, *(gravity for _, gravity in gravity_keys(scene.domain))]
+    gravity = max(math.sqrt(sum(g * g for g in key)) for key in keys)
+    falling = math.sqrt(2.0 * gravity / scene.domain.cell) / scene.time.cfl
+    return falling or (scene.time.frames - 1) / scene.time.end
+
+
+def check_implicit_pressure(
+    scene: Scene, groups: tuple[GroupPlan, ...], phases: tuple[PhasePlan, ...]
+) -> None:
+    """Check that a scene with an implicit pressure has nothing else than one liquid and walls.
+
+    Args:
+        scene: The scene.
+        groups: All groups.
+        phases: All phases.
+
+    Raises:
+        SceneError: It has something that an implicit pressure does not know.
+    """
+    if not is_implicit(scene):
+        return
+    wrong: list[tuple[tuple, str]] = []
+
+    def _refuse(path: tuple, feature: str) -> None:
+        wrong.append((path, f"accuracy.pressure = 'implicit' is not for {feature}"))
+
+    for name in dict.fromkeys(group.material for group in groups):
+        if scene.material[name].kind != "fluid":  # type: ignore[attr-defined]
+            _refuse(("material", name, "kind"), "materials that are no fluid")
+    if len(phases) > 1 or len({group.density for group in groups}) > 1:
+        _refuse(("accuracy", "pressure"), "several phases or densities")
+    for k, obj in enumerate(scene.object):
+        features = {
+            "collider": obj.collider, "rigid": obj.rigid, "pinned": obj.pinned,
+            "motion": obj.motion, "release_time": obj.release_time,
+        }  # fmt: skip
+        for key, value in features.items():
+            if value:
+                _refuse(("object", k, key), "colliders and bodies that are held or moved")
+    for name, items in (("inlet", scene.inlet), ("outlet", scene.outlet)):
+        if items:
+            _refuse((name, 0), "inlets and outlets")
+    for k, probe in enumerate(scene.probe):
+        if probe.feels:
+            key = "wall" if probe.wall else "collider"
+            _refuse(("probe", k, key), "probes of forces on a wall or collider")
+    kinds = {kind for kind, _ in scene.domain.walls}
+    if not kinds <= set(WALL_KINDS) or any(time is not None for time in scene.domain.opens):
+        _refuse(("domain", "boundary"), "walls other than slip and stick")
+    if wrong:
+        raise scene.error(wrong)

@@ -1,0 +1,183 @@
+"""Implicit pressure of liquids in a step: sweeps that make the nodal velocities divergence-free.
+
+The nodes have the velocities of all other forces. A first system finds the pressures of the cells,
+and a second one the displacements that spread what crowds; particles take both up when they gather
+(kernels/transfer/pressure_gather.py). The number of sweeps is fixed, so that all ranks agree.
+See docs/explanation/implicit-pressure.md.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vgmpi.kernels import reproducible_sums
+from vgmpi.kernels.grid import pressure_system
+from vgmpi.kernels.grid.pressure_system import Lattice, PressureFields
+from vgmpi.parallel.block_lattice import BLOCK_EDGE, BlockLattice
+from vgmpi.parallel.block_ownership import BlockDirectory
+from vgmpi.parallel.cell_exchange import CellExchange, cell_topology
+from vgmpi.parallel.communicator import SerialCommunicator
+from vgmpi.parallel.exchange_topology import PARTICLE_PRESSURE, ExchangeTopology
+from vgmpi.planning.plan import Plan
+from vgmpi.runtime.aligned_arrays import aligned_zeros
+
+MAX_EIGENVALUE = 8.0 / 3.0  # of the system in space, each row over its diagonal
+FIELD_SIZES = {"u": 192, "inverse": 192}  # numbers of a block; 64 in all other fields
+
+
+class Sweeps(NamedTuple):
+    """Chebyshev sweeps over a system."""
+
+    number: int
+    min_eigenvalue: float  # [-] below it, the sweeps do little
+
+
+PRESSURE_SWEEPS, POSITION_SWEEPS = Sweeps(20, 0.05), Sweeps(10, 0.1)
+
+
+def chebyshev_factors(sweeps: Sweeps) -> list[tuple[float, float]]:
+    """Return (factor of the residual, factor of the last change) of each sweep.
+
+    References:
+        Golub and Varga 1961: Chebyshev semi-iterative methods. Numer. Math. 3, 147-156.
+    """
+    middle = 0.5 * (MAX_EIGENVALUE + sweeps.min_eigenvalue)
+    half = 0.5 * (MAX_EIGENVALUE - sweeps.min_eigenvalue)
+    rho, factors = half / middle, [(1.0 / middle, 0.0)]
+    for _ in range(sweeps.number - 1):
+        following = 1.0 / (2.0 * middle / half - rho)
+        factors.append((2.0 * following / half, following * rho))
+        rho = following
+    return factors
+
+
+class ImplicitPressure:
+    """Implicit pressure at the nodes of a rank."""
+
+    def __init__(self, plan: Plan, lattice: BlockLattice, engine, ranks: SerialCommunicator):
+        """Take the constants of a plan, which has one liquid of one density."""
+        self.plan, self.lattice, self.engine, self.ranks = plan, lattice, engine, ranks
+        group = next(group for group in plan.groups if group.implicit_pressure)
+        self.mass_of_cell = group.density * plan.dx**3
+        # relative pressure of a particle per potential of a cell and inverse time step
+        self.stiffness = float(group.law.k) / (group.density * plan.dx**2)  # type: ignore[attr-defined]
+        self.tables: ExchangeTopology | None = None
+        self.exchange: CellExchange | None = None
+        self.sweeps = [chebyshev_factors(s) for s in (PRESSURE_SWEEPS, POSITION_SWEEPS)]
+        self.fields = self._make_fields(0)
+
+    def _make_fields(self, blocks: int) -> PressureFields:
+        """Return fields of zeros with room for some blocks and the row of no block."""
+        return PressureFields(
+            *(aligned_zeros((blocks + 1) * FIELD_SIZES.get(name, 64), self.plan.real)
+              for name in PressureFields._fields)
+        )  # fmt: skip
+
+    def set_tables(self, tables: ExchangeTopology, census: BlockDirectory) -> None:
+        """Take new tables after a sort.
+
+        Args:
+            tables: Topology of this rank.
+            census: Segments of this rank and nearby ones.
+        """
+        cells = cell_topology(tables, census, self.lattice, self.ranks.rank)
+        if self.exchange is not None:
+            self.exchange.link.close()
+        self.exchange = CellExchange(self.ranks, cells, self.plan.real)
+        count = len(tables.at)
+        if len(self.fields.mass) < 64 * (count + 1):
+            self.fields = self._make_fields(count + count // 4)
+        for values in self.fields:
+            values[:] = 0
+        grid = cells.neighbors.reshape(count, 3, 3, 3)
+        index = (
+            BLOCK_EDGE * tables.at[:, None]
+            - 1
+            + np.stack(np.unravel_index(np.arange(64), (BLOCK_EDGE,) * 3), 1)
+        )
+        inside = ((index >= 0) & (index < self.plan.cells)).all(2)
+        self.beyond = (~inside).astype(self.plan.real).reshape(-1)
+        self.grid = Lattice(
+            np.ascontiguousarray(tables.at),
+            np.ascontiguousarray(grid[:, 1::-1, 1::-1, 1::-1]).reshape(-1),
+            np.ascontiguousarray(grid[:, 1:, 1:, 1:]).reshape(-1),
+            np.ascontiguousarray(cells.neighbors).reshape(-1),
+            (cells.region & inside).astype(self.plan.real).reshape(-1),
+        )
+        self.blocks = count
+        self.all = np.array_split(np.arange(count), self.engine.threads)
+
+    def apply(self, dt: float) -> None:
+        """Change the velocities of the nodes in a step of dt [s], and find the displacements."""
+        engine, fields, plan = self.engine, self.fields, self.plan
+        assert self.exchange is not None
+        layer = engine.layers[PARTICLE_PRESSURE]
+        number = list(engine.layers).index(PARTICLE_PRESSURE)
+        reproducible_sums.finalize_field(engine.blocks, layer.tables, engine.beyond[0], number)
+        velocity = engine.layers["momentum"].nodes
+        walls, real = engine.walls, plan.real.type
+        self._each(
+            self.all, pressure_system.set_nodes, self.grid, walls.cells, walls.kinds, velocity,
+            layer.nodes, self.mass_of_cell, plan.dx, fields,
+        )  # fmt: skip
+        self._each(
+            self.all, pressure_system.set_cells, self.grid, real(dt * self.stiffness), fields
+        )
+        self.exchange.exchange(fields.filled)
+        cells, nodes = self._find_wet_blocks()
+        self.exchange.exchange(fields.phi)
+        self._solve(cells, nodes, 0)
+        self._each(nodes, pressure_system.respond, self.grid, fields)
+        self._each(nodes, pressure_system.add_velocities, plan.dx, fields, velocity)
+        scale = real(1.0 / (dt * self.stiffness))
+        self._each(nodes, pressure_system.store_node_pressure, self.grid, scale, fields)
+        count = 64 * self.blocks
+        fields.cover[:count] = fields.filled[:count] + self.beyond
+        fields.phi[:] = 0
+        self._each(cells, pressure_system.set_excess, self.grid, fields)
+        self._solve(cells, nodes, 1)
+        self._each(nodes, pressure_system.respond, self.grid, fields)
+        moves = engine.beside["displacement"]
+        moves[:] = 0
+        self._each(nodes, pressure_system.store_moves, fields, moves)
+
+    def _find_wet_blocks(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Return the blocks that have cells with pressure, and those next to them, by thread."""
+        count, threads = self.blocks, self.engine.threads
+        wet = np.zeros(len(self.fields.filled) // 64, bool)
+        wet[:count] = (self.fields.filled[: 64 * count].reshape(count, 64) > 0).any(1)
+        reached = wet[self.grid.low.reshape(count, 8)].any(1)
+        own = wet[:count] & (self.fields.scale[: 64 * count].reshape(count, 64) > 0).any(1)
+        return tuple(np.array_split(np.flatnonzero(rows), threads) for rows in (own, reached))  # type: ignore[return-value]
+
+    def _solve(self, cells: list[np.ndarray], nodes: list[np.ndarray], system: int) -> None:
+        """Relax a system from phi on; phi is known on all cells around those of this rank."""
+        real = self.plan.real.type
+        assert self.exchange is not None
+        for weight, inertia in self.sweeps[system]:
+            self._each(nodes, pressure_system.respond, self.grid, self.fields)
+            self._each(
+                cells, pressure_system.relax, self.grid, real(weight), real(inertia), self.fields
+            )
+            self.exchange.exchange(self.fields.phi)
+
+    def _each(self, rows: list[np.ndarray], kernel, *arguments) -> None:
+        """Call a kernel with the rows of each thread."""
+        self.engine.each(self._call, rows, kernel, arguments)
+
+    def _call(self, thread: int, rows: list[np.ndarray], kernel, arguments: tuple) -> None:
+        self.engine.call_if_rows((), kernel, rows[thread], *arguments)
+
+
+def make_implicit_pressure(
+    plan: Plan, lattice: BlockLattice, engine, ranks: SerialCommunicator
+) -> ImplicitPressure | None:
+    """Return the implicit pressure of a plan, or None.
+
+    Args:
+        plan: Plan of the run.
+        lattice: Lattice of the blocks.
+        engine: Engine.
+        ranks: Communicator.
+    """
+    return ImplicitPressure(plan, lattice, engine, ranks) if plan.implicit_pressure else None
