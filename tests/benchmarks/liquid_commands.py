@@ -54,6 +54,22 @@ def _run_poured(args) -> int:
     return 0
 
 
+def _packed(parser) -> None:
+    say = parser.add_argument
+    say("cases", nargs="*", default=["released", "shaken", "broken"], help="default: all")
+    say("--max-speed", nargs="+", type=float, default=[2.5], metavar="V", help="[m/s], default 2.5")
+
+
+def _run_packed(args) -> int:
+    from tests.benchmarks import packed_columns
+
+    print(packed_columns.HEAD, flush=True)
+    for case in args.cases:
+        for speed in args.max_speed:
+            print("\n".join(packed_columns.rows(case, speed)), flush=True)
+    return 0
+
+
 def _crowding(parser) -> None:
     from tests.benchmarks.crowding import MATERIALS
 
@@ -84,6 +100,7 @@ LIQUID_COMMANDS = {
         _run_correction_order,
     ),
     "crowding": ("how sand, snow and paste pile up", _crowding, _run_crowding),
+    "packed": ("splashed liquids over columns packed at rest", _packed, _run_packed),
     "poured": ("a run's water by its level beside what was poured", _poured, _run_poured),
     "surfaces": ("ways to make a mesh of particles", lambda _: None, _run_surfaces),
     "volume": ("what splashed liquids lose of their level", _volume, _run_volume),

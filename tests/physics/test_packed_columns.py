@@ -52,7 +52,7 @@ precision = "single"
 volume_correction = "VOLUME"
 [material.water]
 kind = "fluid"
-max_speed = 2.5
+max_speed = SPEED
 [[object]]
 name = "column"
 material = "water"
@@ -104,10 +104,10 @@ def columns(x, volume, ball, cells):
     return height, low, np.mean(thick)
 
 
-def after(folder, case, correction, cells=32):
+def after(folder, case, correction, cells=32, speed=2.5):
     """Means of the three measures around 4 and 8 s."""
     text = SCENE.replace("GRAVITY", SHAKEN if case == "shaken" else "")
-    text = text.replace("CELL", repr(TANK[0] / cells))
+    text = text.replace("CELL", repr(TANK[0] / cells)).replace("SPEED", repr(speed))
     text = text.replace("VOLUME", correction) + (BROKEN if case == "broken" else "")
     simulation, made = begin(folder, text)
     bodies = [k for k in np.unique(made.object)]
