@@ -17,6 +17,7 @@ FAILURE_MESSAGES = {
 FIELD_NAMES = {
     "momentum": "mass or momentum", "offsets": "volume", "impulses": "impulse",
     "shear": "velocity's gradient", "color": "color", "rest": "volume",
+    "velocity": "velocity's gradient", "mean": "mean pressure", "particle": "pressure",
 }  # fmt: skip
 
 
