@@ -318,6 +318,16 @@ FEATURES = {
         {"engine.layers.offsets", "movers"},
         {"Offsets", "SidedPhases"},
     ),
+    "an implicit pressure": (
+        PLAIN.replace("[accuracy]", '[accuracy]\npressure = "implicit"'),
+        {"couplings", "engine.beside.displacement", *(
+            f"{owner}.particle pressure"
+            for owner in ("engine.layers", "tables.asked", "tables.contributes")
+        )},
+        {"ParticlePressure", "MomentumWithoutPressure", "ImplicitPressure",
+         "Lattice", "PressureFields", "set_nodes", "set_cells", "set_excess", "respond", "relax",
+         "add_velocities", "store_node_pressure", "store_moves"},
+    ),
     "an inlet": (PLAIN + TAP, {"sources", "plan.sources"}, set()),
     "an outlet": (PLAIN + DRAIN, {"sinks"}, set()),
     "a probe": (
