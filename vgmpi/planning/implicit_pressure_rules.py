@@ -32,18 +32,32 @@ def falling_rate(scene: Scene) -> float:
 def check_implicit_pressure(
     scene: Scene, groups: tuple[GroupPlan, ...], phases: tuple[PhasePlan, ...]
 ) -> None:
-    """Check that a scene with an implicit pressure has nothing else than one liquid and walls.
+    """Raise SceneError if a scene with an implicit pressure has more than one liquid and walls."""
+    wrong = obstacles(scene, groups, phases) if is_implicit(scene) else []
+    if wrong:
+        raise scene.error(wrong)
+
+
+def suits_implicit_pressure(
+    scene: Scene, groups: tuple[GroupPlan, ...], phases: tuple[PhasePlan, ...]
+) -> bool:
+    """Return whether a scene could have an implicit pressure, and has not chosen otherwise."""
+    chosen = {"pressure", "transfer", "volume_correction", "dilatation"}
+    if chosen & scene.accuracy.model_fields_set:
+        return False
+    return not obstacles(scene, groups, phases)
+
+
+def obstacles(
+    scene: Scene, groups: tuple[GroupPlan, ...], phases: tuple[PhasePlan, ...]
+) -> list[tuple[tuple, str]]:
+    """Return (path of a key, message) of all that an implicit pressure does not know.
 
     Args:
         scene: The scene.
         groups: All groups.
         phases: All phases.
-
-    Raises:
-        SceneError: It has something that an implicit pressure does not know.
     """
-    if not is_implicit(scene):
-        return
     wrong: list[tuple[tuple, str]] = []
 
     def _refuse(path: tuple, feature: str) -> None:
@@ -72,5 +86,4 @@ def check_implicit_pressure(
     kinds = {kind for kind, _ in scene.domain.walls}
     if not kinds <= set(WALL_KINDS) or any(time is not None for time in scene.domain.opens):
         _refuse(("domain", "boundary"), "walls other than slip and stick")
-    if wrong:
-        raise scene.error(wrong)
+    return wrong

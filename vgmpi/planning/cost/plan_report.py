@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from vgmpi.materials.couplings.interaction import CONTACT, RULES
+from vgmpi.planning.implicit_pressure_rules import suits_implicit_pressure
 from vgmpi.planning.inlet_schedule import InletPlan
 from vgmpi.planning.phases_and_groups import CORRECTION_COST
 from vgmpi.planning.plan import Plan, time_step_bounds
@@ -167,6 +168,7 @@ def _flow(plan: Plan, source: InletPlan) -> float:
 def _accuracy_notes(scene: Scene, plan: Plan) -> list[str]:
     """Return the lines on what the scene's resolution and options make inexact."""
     lines = _thin_walls(scene) + _restored(plan) + _without_cells(scene, plan)
+    lines += _pressure(scene, plan)
     lines += soft_liquid_lines(scene, plan.weights, plan.tensions)
     lines += _thin(scene, plan)
     return lines + _sheets(plan) + _bending(scene, plan)
@@ -191,6 +193,19 @@ def _without_cells(scene: Scene, plan: Plan) -> list[str]:
     names = [group.name for group in plan.groups if group.is_liquid and not group.cell_dilatation]
     message = "by particles: only liquids that share no space with others follow cells"
     return [f"  dilatation  {_listing(names)} {message}"] if names else []
+
+
+def _pressure(scene: Scene, plan: Plan) -> list[str]:
+    """Return a line on scenes for which an implicit pressure is the better choice."""
+    bounds = time_step_bounds(scene, plan)
+    viscous = [bound for bound, cause in bounds if "viscosity" in cause]
+    is_bound_by_waves = not plan.fixed_dt and min(viscous, default=math.inf) > 4.0 * bounds[0][0]
+    if not (is_bound_by_waves and suits_implicit_pressure(scene, plan.groups, plan.phases)):
+        return []
+    return [
+        '  pressure    accuracy.pressure = "implicit" suits this scene: 4 to 15 times fewer steps,'
+        " at equal or smaller error"
+    ]
 
 
 def _listing(names: list[str]) -> str:
