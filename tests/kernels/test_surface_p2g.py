@@ -5,6 +5,8 @@ import pytest
 
 from tests.parallel.test_free_body_bits import SCENE
 from tests.support.simulate import begin
+from vgmpi.kernels.kernel_arguments import Particles, Segments
+from vgmpi.kernels.particle_records import scratch
 from vgmpi.kernels.transfer import surface_p2g
 from vgmpi.solver import topology_requirements
 from vgmpi.solver.engines import surface_fields
@@ -75,3 +77,31 @@ def test_flags_spread_to_the_base_nodes_that_reach_them():
         bit = bool((stencil[i] >> np.uint64(8 * j + k)) & np.uint64(1))
         assert bit == is_flagged[i + 3 : i + 6, j + 3 : j + 6, k + 3 : k + 6].any()
     assert target == sum(1 << b for b in range(27) if around[b] >= 0 and flags[b])
+
+
+def test_memory_behind_a_full_group_is_not_read():
+    """Particles that fill their arrays: the last one alone is next to a surface, and the memory
+    behind the positions would make the node range leave its patch."""
+    count, bits = 16, 29
+    memory = np.full(3 * count + 64, 2**31 - 1, np.int32)
+    xi = memory[: 3 * count].reshape(3, count)
+    xi[:] = -2 << bits  # base node 1 of the patch
+    xi[:, -1] = 3 << (bits - 1)  # base node 4, whose nodes 4 to 6 reach the block behind
+    f, ids = np.zeros((14, count), np.float32), np.arange(count)
+    rows = np.zeros((1, 27), np.int64)
+    mirror, limit = np.zeros((1, 3, 2), np.int32), np.zeros((1, 3, 2))
+    segments = Segments(
+        np.zeros(1, np.int64), np.array([count]), rows, rows, np.zeros(1, bool), limit, mirror
+    )
+    neighbors = np.full((1, 27), -1)
+    neighbors[0, 26] = 0
+    stencils = surface_p2g.SurfaceStencils(
+        np.zeros(1, np.int64), neighbors, np.array([0, 1]), np.zeros((1, 2), np.int64),
+        np.zeros((1, 6), np.int64), np.zeros(1, np.int64),
+    )  # fmt: skip
+    surface_p2g.find_contributing_particles(
+        np.zeros(1, np.int64), segments, Particles(xi, f, ids), np.ones(1, np.uint64), stencils,
+        scratch(np.dtype(np.float32), 0),
+    )  # fmt: skip
+    assert stencils.interval.tolist() == [[count - 1, count]]
+    assert stencils.box.min() >= 0 and stencils.box.max() == 7

@@ -22,7 +22,7 @@ from vgmpi.kernels.particle_records import (
 )
 from vgmpi.kernels.patch import clear
 from vgmpi.kernels.reproducible_sums import accumulate_patch_at
-from vgmpi.kernels.simd.vector16 import pointer
+from vgmpi.kernels.simd.vector16 import SIMD_WIDTH, pointer
 from vgmpi.kernels.stencil_values import scatter_values
 from vgmpi.runtime.jit import device_function, kernel
 
@@ -139,7 +139,9 @@ def find_contributing_particles(rows, segments, particles, flags, stencils, scra
             interval = stencils.interval[stencils.batch[q] + k]
             interval[0], interval[1] = first, end
             if first < end:
-                node_range(end - first, offset + first, cap, xi, f, box)
+                # from a multiple of 16 on: other lanes would lie behind the padding of the segment
+                start = first // SIMD_WIDTH * SIMD_WIDTH
+                node_range(end - start, offset + start, cap, xi, f, box)
                 for a in range(3):
                     low, high = 2 * a, 2 * a + 1
                     stencils.box[q, low] = min(stencils.box[q, low], box[low])
