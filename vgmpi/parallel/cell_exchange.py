@@ -20,9 +20,9 @@ MARGIN = 2  # [blocks] around this rank's own blocks
 
 
 class CellTopology(NamedTuple):
-    """Cells of the node blocks of a rank; row n of neighbors stands for no block."""
+    """Cells of the node blocks of a rank."""
 
-    neighbors: np.ndarray  # (n, 27) rows of the blocks around each block
+    neighbors: np.ndarray  # (n, 27) rows of the blocks around each block, n for none
     region: np.ndarray  # (n, 64) bool, cells that this rank computes
     sends: dict[int, np.ndarray]  # rank -> flat indices of the cells to send
     receives: dict[int, np.ndarray]  # rank -> flat indices of the cells to receive
@@ -95,7 +95,7 @@ def cell_topology(
         return 64 * row + 16 * i + 4 * j + k
 
     mine = _map_of(own)
-    region = np.zeros((count + 1, 64), bool)
+    region = np.zeros((count, 64), bool)
     region.reshape(-1)[_index_of(mine)] = True
     inside = ((block >= low) & (block < low + shape)).all(1)
     sends, receives = {}, {}
@@ -107,7 +107,7 @@ def cell_topology(
             sends[int(other)] = _index_of(sent)
         if received.any():
             receives[int(other)] = _index_of(received)
-    return CellTopology(neighbors, region[:count], sends, receives)
+    return CellTopology(neighbors, region, sends, receives)
 
 
 class CellExchange:
@@ -123,7 +123,6 @@ class CellExchange:
         """
         self.sends = [(index, np.zeros(len(index), real)) for index in cells.sends.values()]
         self.receives = [(index, np.zeros(len(index), real)) for index in cells.receives.values()]
-        self.bytes_sent = sum(buffer.nbytes for _, buffer in self.sends)  # [bytes] per exchange
         self.link: PersistentExchange = ranks.link(
             [(rank, part[1]) for rank, part in zip(cells.sends, self.sends, strict=True)],
             [(rank, part[1]) for rank, part in zip(cells.receives, self.receives, strict=True)],

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vgmpi.kernels.particle_records import BATCH, STATE, patch_of
+from vgmpi.kernels.particle_records import BATCH, STATE, patch_of, scatter_columns
 from vgmpi.kernels.simd.vector16 import load, store
 from vgmpi.kernels.stencil_sums import gather_value
 
@@ -48,9 +48,9 @@ def _(kind, blocks, box, mirror, real, ghosts, s):
 def _(kind, count, weights, records, base, real, extra):
     """Gather the displacement [cells] and the relative pressure."""
     gather_value(count, records, weights, base, patch_of(real, 0))
+    scatter_columns(count, records, extra, 0, BATCH)
     for n in range(count):
-        for c in range(4):
-            extra[c * BATCH + n] = records[16 * n + c]
+        extra[3 * BATCH + n] = records[16 * n + 3]
 
 
 @displacement.of(ImplicitPressure)

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vgmpi.kernels import reproducible_sums
 from vgmpi.kernels.grid import pressure_system
 from vgmpi.kernels.grid.pressure_system import Lattice, PressureFields
 from vgmpi.parallel.block_lattice import BLOCK_EDGE, BlockLattice
@@ -61,7 +60,6 @@ class ImplicitPressure:
         self.mass_of_cell = group.density * plan.dx**3
         # relative pressure of a particle per potential of a cell and inverse time step
         self.stiffness = float(group.law.k) / (group.density * plan.dx**2)  # type: ignore[attr-defined]
-        self.tables: ExchangeTopology | None = None
         self.exchange: CellExchange | None = None
         self.sweeps = [chebyshev_factors(s) for s in (PRESSURE_SWEEPS, POSITION_SWEEPS)]
         self.fields = self._make_fields(0)
@@ -98,31 +96,25 @@ class ImplicitPressure:
         inside = ((index >= 0) & (index < self.plan.cells)).all(2)
         self.beyond = (~inside).astype(self.plan.real).reshape(-1)
         self.grid = Lattice(
-            np.ascontiguousarray(tables.at),
-            np.ascontiguousarray(grid[:, 1::-1, 1::-1, 1::-1]).reshape(-1),
-            np.ascontiguousarray(grid[:, 1:, 1:, 1:]).reshape(-1),
-            np.ascontiguousarray(cells.neighbors).reshape(-1),
+            tables.at,
+            grid[:, 1::-1, 1::-1, 1::-1].reshape(-1),
+            grid[:, 1:, 1:, 1:].reshape(-1),
+            cells.neighbors.reshape(-1),
             (cells.region & inside).astype(self.plan.real).reshape(-1),
         )
         self.blocks = count
-        self.all = np.array_split(np.arange(count), self.engine.threads)
 
     def apply(self, dt: float) -> None:
         """Change the velocities of the nodes in a step of dt [s], and find the displacements."""
         engine, fields, plan = self.engine, self.fields, self.plan
         assert self.exchange is not None
-        layer = engine.layers[PARTICLE_PRESSURE]
-        number = list(engine.layers).index(PARTICLE_PRESSURE)
-        reproducible_sums.finalize_field(engine.blocks, layer.tables, engine.beyond[0], number)
-        velocity = engine.layers["momentum"].nodes
-        walls, real = engine.walls, plan.real.type
+        velocity, pressure = (engine.layers[name].nodes for name in ("momentum", PARTICLE_PRESSURE))
+        walls, real, blocks = engine.walls, plan.real.type, engine.block_shares.all
         self._each(
-            self.all, pressure_system.set_nodes, self.grid, walls.cells, walls.kinds, velocity,
-            layer.nodes, self.mass_of_cell, plan.dx, fields,
+            blocks, pressure_system.set_nodes, self.grid, walls.cells, walls.kinds, velocity,
+            pressure, self.mass_of_cell, plan.dx, fields,
         )  # fmt: skip
-        self._each(
-            self.all, pressure_system.set_cells, self.grid, real(dt * self.stiffness), fields
-        )
+        self._each(blocks, pressure_system.set_cells, self.grid, real(dt * self.stiffness), fields)
         self.exchange.exchange(fields.filled)
         cells, nodes = self._find_wet_blocks()
         self.exchange.exchange(fields.phi)

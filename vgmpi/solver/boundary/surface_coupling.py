@@ -94,11 +94,11 @@ class NodalCouplings(NamedTuple):
             dt: Time step [s].
             gravity: Acceleration, shape (3,) [m/s2].
         """
-        if self.pressure is not None:
-            self.pressure.apply(dt)
-        if self.slip is None and self.pins is None and self.bodies is None:
+        if all(coupling is None for coupling in self):
             return
         engine.begin_coupling()
+        if self.pressure is not None:
+            self.pressure.apply(dt)
         if self.slip is not None:
             self.slip.apply(dt)
         if self.pins is not None:

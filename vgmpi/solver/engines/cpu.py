@@ -39,7 +39,7 @@ from .group_context import (
     particles_of,
 )
 from .kernel_caller import KernelCaller
-from .nodal_field_storage import NodalField, color_count, fields_near_colliders, nodal_fields
+from .nodal_field_storage import NodalField, color_count, fields_of_couplings, nodal_fields
 from .plan_tables import phase_sets, phase_table, wall_table
 from .reaction_sums import ReactionAccumulators
 from .shift_tables import node_fill, with_colliders
@@ -289,9 +289,9 @@ class Cpu(KernelCaller):
             )  # fmt: skip
 
     def begin_coupling(self) -> None:
-        """Convert the sums of the fields near colliders and pinned parts to numbers."""
+        """Convert the sums that only these kernels read to numbers."""
         for number, (name, field) in enumerate(self.layers.items()):
-            if name in fields_near_colliders(self.plan):
+            if name in fields_of_couplings(self.plan):
                 reproducible_sums.finalize_field(self.blocks, field.tables, self.beyond[0], number)
 
     def end_coupling(self) -> None:

@@ -4,8 +4,8 @@ A step calls, in this order:
 
     begin, fill(border), pack ... fill(inner), update(inner) ... add, update(border), gather
 
-With rigid surfaces that couple with the grid, `begin_coupling` and `end_coupling` come before
-`gather`.
+With surfaces or an implicit pressure that couple the nodes, `begin_coupling` and `end_coupling`
+come before `gather`.
 
 A step of no time (dt = 0) only passes velocities through the grid, and ends with `restore` in the
 place of `gather`.
@@ -162,7 +162,7 @@ class Engine(Protocol):
         """Compute velocities at the nodes shared with other ranks (border), or at all others."""
 
     def begin_coupling(self) -> None:
-        """Prepare the nodes for the kernels of slip, pinned parts and free rigid bodies.
+        """Prepare the nodes for slip, pinned parts, free rigid bodies and an implicit pressure.
 
         These read and change `layers`, `blocks`, `phases`, `walls` and `room` of the engine.
         """

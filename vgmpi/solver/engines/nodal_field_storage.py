@@ -192,6 +192,11 @@ def fields_near_colliders(plan: Plan) -> tuple[str, ...]:
     return GRADIENTS if plan.slip is not None or plan.pins else ()
 
 
+def fields_of_couplings(plan: Plan) -> tuple[str, ...]:
+    """Return the names of the nodal fields that couplings after the update alone read."""
+    return *fields_near_colliders(plan), *[PARTICLE_PRESSURE] * plan.implicit_pressure
+
+
 def near_colliders_of_group(plan: Plan, group: GroupPlan) -> tuple[str, ...]:
     """Return those of these fields to which a group contributes."""
     slips = plan.slip is not None and plan.slip.phases[group.phase]
