@@ -37,9 +37,13 @@ from vgmpi.kernels.wall_boundary import SEPARATE, SIDE
 from vgmpi.materials.tensor_math.select import select
 from vgmpi.runtime.jit import device_function
 
-from .density_correction import SURFACE_SLOPE, clamp_to_unit, interior_weight
+from .density_correction import clamp_to_unit
 from .g2p import squared_norm
 
+# [-] Below a plane surface 1 - fullness is (MARGIN + MARGIN_GROWTH (1 - fullness)) of the change of
+# the fullness per cell (tests/kernels/test_plane_surface.py). Only what is missing beyond that
+# counts, and not in spray: from MIN_FILL on, fully from FULL_FILL on.
+MARGIN, MARGIN_GROWTH, MIN_FILL, FULL_FILL = 0.25, 1.3, 0.65, 0.75
 MAX_FILL_ERROR = 0.5  # [-] largest relative error of the fullness that relaxation sees
 TOLERATED_FILL = 1.02  # [-] fullness above which particles are shifted
 SHIFT_FACTOR = 0.1  # [cells2] displacement per gradient of the fullness per cell
@@ -245,8 +249,10 @@ def relax_volume(f, p, cap, records, offset, shift):
     fullness, x, y, z = r[3], r[7], r[11], r[15]
     theta, zero = load(f, p + STATE * cap), 0.0 * r[3]
     overfill = fullness * np.exp(theta) - 1.0
-    surface_margin = (4.0 * SURFACE_SLOPE) * np.sqrt(x * x + y * y + z * z)
-    missing = interior_weight(fullness) * np.minimum(overfill + surface_margin, zero)
+    surface_margin = 4.0 * MARGIN + (4.0 * MARGIN_GROWTH) * np.maximum(1.0 - fullness, zero)
+    surface_margin = surface_margin * np.sqrt(x * x + y * y + z * z)
+    interior = clamp_to_unit((fullness - MIN_FILL) * (1.0 / (FULL_FILL - MIN_FILL)))
+    missing = interior * np.minimum(overfill + surface_margin, zero)
     error = np.maximum(overfill - surface_margin, zero) + missing
     error = np.minimum(error, zero + MAX_FILL_ERROR)
     store(f, p + STATE * cap, theta - (shift.duration * strain_rate(f, p, cap)) * error)

@@ -3,11 +3,14 @@
 import numpy as np
 
 from vgmpi.kernels.rigid.moving_colliders import MovingColliders
-from vgmpi.kernels.transfer.density_correction import FULL_FILL, MIN_FILL, SURFACE_SLOPE
 from vgmpi.kernels.transfer.particle_shifting import (
+    FULL_FILL,
     LIQUID_FILL,
+    MARGIN,
+    MARGIN_GROWTH,
     MAX_FILL_ERROR,
     MAX_SHIFT_CELLS,
+    MIN_FILL,
     SHIFT_FACTOR,
     SPRAY_FILL,
     TOLERATED_FILL,
@@ -112,7 +115,8 @@ class ParticleShifting:
         slope = dense.dx * dense.gather_slopes(fullness, stencil, moments=True)[:, 0]
         theta, C = get_channel(group, "theta"), get_channel(group, "C")
         excess = crowd * np.exp(theta[:, 0]) - 1.0
-        margin = SURFACE_SLOPE * np.linalg.norm(slope, axis=1)
+        margin = MARGIN + MARGIN_GROWTH * np.maximum(1.0 - crowd, 0.0)
+        margin *= np.linalg.norm(slope, axis=1)
         inner = np.clip((crowd - MIN_FILL) / (FULL_FILL - MIN_FILL), 0.0, 1.0)
         error = np.maximum(excess - margin, 0.0) + inner * np.minimum(excess + margin, 0.0)
         rate = constants.duration * np.linalg.norm(C, axis=1)
