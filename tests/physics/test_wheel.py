@@ -8,7 +8,7 @@ adds: normals that are not those of a circle, and contact that acts along the su
 cylinder in a slice of 4 cells between slip walls, its rim at .5 m/s, in water to twice its radius
 that fills the slice (k = 2e4 Pa), or in a block of the same rubber that fits it. Tolerance:
 .97 of the spin is left after a turn in water, .95 after a turn in the socket, of 12 cells in
-radius; the same after a quarter of a turn of 8 cells. Missed: .89 in water with 12 cells (8 cells
+radius; the same after a quarter of a turn of 8 cells. Missed: .76 in water with 12 cells (8 cells
 .99; without motion restored .62). The layer by which water meets the wheel takes it, the more the
 more water and wheel overlap.
 """
