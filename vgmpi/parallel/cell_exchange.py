@@ -76,8 +76,8 @@ def cell_topology(
     shape = tuple(own.max(0) + MARGIN + 1 - low)
     row_of = np.full(shape, count)
     row_of[tuple((tables.at - low).T)] = np.arange(count)
-    around = np.clip(tables.at[:, None] - low + NEIGHBORS, 0, np.array(shape) - 1)
-    neighbors = row_of[around[..., 0], around[..., 1], around[..., 2]]
+    places = np.clip(tables.at[:, None] - low + NEIGHBORS, 0, np.array(shape) - 1)
+    neighbors = row_of[places[..., 0], places[..., 1], places[..., 2]]
 
     def _map_of(blocks: np.ndarray) -> np.ndarray:
         """Return the cells in the patches of some blocks (n, 3)."""
