@@ -35,7 +35,10 @@ def picture(run: RunReader, index: int, color: str, path: Path, args: argparse.N
     if "DISPLAY" not in os.environ:  # VTK would complain before it falls back to drawing off screen
         pv.vtk_verbosity("off")
     frame = run.frame(index)
-    values = scalars(frame, color)
+    try:
+        values = scalars(frame, color)
+    except RunError as error:
+        raise RunError(f"--color: {error}") from None
     size = run.scene.get("domain", {}).get("size")
     lower, upper = (np.zeros(3), np.array(size)) if size else (frame["x"].min(0), frame["x"].max(0))
     plotter = pv.Plotter(off_screen=True, window_size=args.size)

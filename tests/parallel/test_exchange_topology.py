@@ -273,6 +273,34 @@ def test_the_border_and_who_waits(tables):
         )
 
 
+@pytest.mark.parametrize("scattered", [False, True])
+def test_fields_near_bodies_travel_in_the_blocks_near_bodies_alone(scattered):
+    """Fields that are summed near bodies alone are sent there and nowhere else, as received."""
+
+    def solid(blocks):
+        is_near = (blocks < 3).all(1)
+        return np.where(is_near, np.cumsum(is_near) - 1, -1)
+
+    names = exchange_topology.NEAR_BODIES
+    needs = NEEDS._replace(near_colliders=names, at_surfaces=True)
+    whole, ranks = random_census(1, 3, scattered), range(3)
+    built = [exchange_topology.build_topology(whole, LATTICE, r, needs, solid) for r in ranks]
+    sent = 0
+    for rank, t in enumerate(built):
+        number = np.repeat(np.arange(len(t.at)), np.diff(t.first))
+        for other, lists in t.shared.items():
+            everywhere, here = lists["momentum"], lists[names[0]]
+            is_near = t.solid[number[everywhere.send_blocks]] >= 0
+            assert here.send_blocks.tolist() == everywhere.send_blocks[is_near].tolist()
+            gives = nodes_in(t, here.send_blocks, here.send_masks)
+            back = built[other].shared[rank][names[0]]
+            assert nodes_in(built[other], back.receive_blocks, back.receive_masks) == gives
+            assert t.asked[names[0]][here.receive_blocks].all()  # others have no memory
+            assert t.asked[names[0]][here.send_blocks].all()
+            sent += len(here.send_blocks)
+    assert sent > 0
+
+
 @pytest.mark.parametrize(
     "ranks, scattered, seed", [(4, False, s) for s in range(8)] + [(4, True, 5)]
 )

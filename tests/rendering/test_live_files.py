@@ -198,6 +198,23 @@ def test_progress_is_read_from_the_frames(tmp_path):
     assert "blew up" in progress._replace(blew_up=True).lines()[0]
 
 
+def test_the_pace_of_a_resumed_run_is_that_since_its_restart(tmp_path):
+    """Frames of an earlier process are an hour old; those since the restart took 2 s each."""
+    out = drawn_runs.write(tmp_path / "out", frames=5)
+    reader, now = RunReader(out), time.time()
+    reader.scene["time"] = {"end": 0.4, "frames": 11}
+    with run_lock.run_lock(out, SerialCommunicator(), True):
+        os.utime(out / file_layout.LOCK, (now, now - 5))
+        for k in range(5):
+            os.utime(reader.path(k), (now, now - (2 * (4 - k) if k > 1 else 3600)))
+        progress = run_progress.read_progress(reader)
+        assert progress.writer is not None
+        assert progress.steps_per_second == pytest.approx(0.5, rel=0.01)
+        assert progress.remaining == pytest.approx(12.0, abs=0.5)
+        os.utime(out / file_layout.LOCK, (now, now + 5))  # no frame since the restart
+        assert np.isnan(run_progress.read_progress(reader).remaining)
+
+
 HOLDER = """
 import signal, sys, time
 from pathlib import Path

@@ -78,6 +78,11 @@ def test_a_run_is_followed_and_stopped(tmp_path):
         other.link.socket.close()  # a second viewer comes and goes without a word
         assert run.poll() is None
         page.get_by_role("button", name="Stop the run").click()
+        page.get_by_role("button", name="Let the run go on").click()
+        page.wait_for_timeout(500)
+        assert page.get_by_text("was asked to stop").count() == 0 and run.poll() is None
+        page.get_by_role("button", name="Stop the run").click()
+        page.get_by_role("button", name="Write a checkpoint and stop").click()
         page.get_by_text("was asked to stop with a checkpoint").wait_for()
         until(lambda: page.wait_for_timeout(100) or run.poll() is not None, "the run's end")
         wait(page, lambda: "no run writes here now" in page.locator("#vgmpi-status").inner_text())

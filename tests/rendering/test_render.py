@@ -14,7 +14,7 @@ from tests.support import drawn_runs
 from vgmpi.gaussians.formats import ply
 from vgmpi.io import file_layout, initial_state
 from vgmpi.io.frames import Frames
-from vgmpi.io.run_reader import RunReader
+from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.rendering import frame_renderer, image_io
 from vgmpi.rendering.raster import rasterize
@@ -222,13 +222,15 @@ def test_views_show_the_numbers_of_their_field():
     np.testing.assert_array_equal(view.scalars(frame, "J"), [0, 1, 2])
     np.testing.assert_array_equal(view.scalars(frame, "velocity"), [5, 2, 1])
     np.testing.assert_array_equal(view.scalars(frame, "velocity.z"), [0, 2, -1])
+    with pytest.raises(RunError, match="^J.x: J has no components"):  # no flag: a page asks, too
+        view.scalars(frame, "J.x")
     assert view.title("velocity.z") == "velocity.z [m/s]" and view.title("J") == "J"
 
 
 @pytest.mark.parametrize(
     "argv, says",
     [
-        (["--color", "pressure"], "this frame has id, x, "),
+        (["--color", "pressure"], "--color: pressure: this frame has id, x, "),
         (["--color", "J.x"], "no components"),
         (["--color", "velocity.w"], "velocity.x .. velocity.z"),
         (["--frame", "4"], "frames 0..3"),

@@ -220,11 +220,15 @@ SCENES = {kind: (of_law(kind), "mixed", "") for kind in LAWS} | {
 }  # fmt: skip
 
 
+def text_of(name):
+    """A scene as text."""
+    text, walls, accuracy = SCENES[name]
+    return HEAD.replace("BOUNDARY", WALLS[walls]).replace("ACCURACY", accuracy) + text
+
+
 def simulations(folder, name):
     """{engine: Simulation} of the same particles."""
-    text, walls, accuracy = SCENES[name]
-    head = HEAD.replace("BOUNDARY", WALLS[walls]).replace("ACCURACY", accuracy)
-    return dict(zip(ENGINES, of_scene(folder, head + text, tuple(ENGINES)), strict=True))
+    return dict(zip(ENGINES, of_scene(folder, text_of(name), tuple(ENGINES)), strict=True))
 
 
 @pytest.mark.parametrize("name", SCENES)

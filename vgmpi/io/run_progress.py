@@ -58,15 +58,21 @@ def read_progress(reader: RunReader) -> RunProgress:
     """Return the progress of a run. Raises RunError.
 
     The pace is that of the last PACE_FRAMES frames by the times at which their files were written.
+    Frames from before a restart do not count.
     """
-    numbers = sorted(reader.frames)
-    last, first = numbers[-1], numbers[max(len(numbers) - 1 - PACE_FRAMES, 0)]
+    numbers, writer = sorted(reader.frames), run_lock.find_writer(reader.folder)
+    last, recent = numbers[-1], numbers[-PACE_FRAMES - 1 :]
+    try:
+        wall_of = {number: reader.path(number).stat().st_mtime for number in recent}
+        begin = 0.0  # [s] time at which the process began that writes now
+        if writer is not None:
+            begin = (reader.folder / file_layout.LOCK).stat().st_mtime
+    except OSError as error:
+        raise RunError(f"{error.filename}: {error.strerror}") from None
+    first = next((number for number in recent if wall_of[number] >= begin), last)
     now, step = reader.time_and_step(last)
     before, first_step = reader.time_and_step(first)
-    try:
-        written, wall = (reader.path(number).stat().st_mtime for number in (last, first))
-    except OSError as error:
-        raise RunError(f"{reader.path(last)}: {error.strerror}") from None
+    written, wall = wall_of[last], wall_of[first]
     duration, advance = written - wall, now - before
     end, frame_count = _planned_end(reader)
     pace = remaining = math.nan
@@ -76,7 +82,7 @@ def read_progress(reader: RunReader) -> RunProgress:
             simulated_ahead = max(end - now, 0.0) * duration / advance
             remaining = max(simulated_ahead - max(time.time() - written, 0.0), 0.0)
     return RunProgress(
-        last, frame_count, now, end, step, pace, remaining, run_lock.find_writer(reader.folder),
+        last, frame_count, now, end, step, pace, remaining, writer,
         any((reader.folder / file_layout.BLOWUP).glob(f"{file_layout.FRAMES}/*.vtkhdf")),
     )  # fmt: skip
 

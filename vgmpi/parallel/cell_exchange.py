@@ -76,10 +76,8 @@ def cell_topology(
     shape = tuple(own.max(0) + MARGIN + 1 - low)
     row_of = np.full(shape, count)
     row_of[tuple((tables.at - low).T)] = np.arange(count)
-    neighbors = np.stack(
-        [row_of[tuple(np.clip(tables.at - low + step, 0, np.array(shape) - 1).T)]
-         for step in NEIGHBORS], 1,
-    )  # fmt: skip
+    places = np.clip(tables.at[:, None] - low + NEIGHBORS, 0, np.array(shape) - 1)
+    neighbors = row_of[places[..., 0], places[..., 1], places[..., 2]]
 
     def _map_of(blocks: np.ndarray) -> np.ndarray:
         """Return the cells in the patches of some blocks (n, 3)."""
@@ -128,9 +126,14 @@ class CellExchange:
             [(rank, part[1]) for rank, part in zip(cells.receives, self.receives, strict=True)],
         )
 
+    @property
+    def has_neighbors(self) -> bool:
+        """Return whether this rank sends or receives values."""
+        return bool(self.sends or self.receives)
+
     def exchange(self, values: np.ndarray) -> None:
         """Send the values of cells, and store those of other ranks, flat (in/out)."""
-        if not self.sends and not self.receives:
+        if not self.has_neighbors:
             return
         for index, buffer in self.sends:
             np.take(values, index, out=buffer)

@@ -245,12 +245,14 @@ def _tables(
     blocks = box.block(flat[new])
     solid_of = np.full(len(new), -1, np.int64) if solid is None else solid(blocks)
     active = {name: _touched(table[mask], len(nodes)) for name, mask in contributes.items()}
+    is_summed = {}  # field -> (node blocks,) bool, for the fields that are summed in some alone
     if needs.at_surfaces:
         is_near_solid = np.repeat(solid_of >= 0, np.diff(first))
-        active |= {name: active[name] & is_near_solid for name in needs.near_colliders}
+        is_summed = dict.fromkeys(needs.near_colliders, is_near_solid)
+        active |= {name: active[name] & mask for name, mask in is_summed.items()}
     meets = ((np.diff(first) > 1) & needs.contact) | (solid_of >= 0) | _at_plane(blocks, needs)
     meets &= np.logical_or.reduceat(active["offsets"], new)
-    shared, border, waits = _shared(segments, contributes, table, rank, len(nodes))
+    shared, border, waits = _shared(segments, contributes, table, is_summed, len(nodes))
     return ExchangeTopology(
         code=segments.code[own],
         group=segments.group[own],
@@ -276,11 +278,11 @@ def _touched(table: np.ndarray, count: int) -> np.ndarray:
     return is_touched[:count]
 
 
-def _shared(segments: _Segments, contributes: dict, table, rank: int, count: int):
+def _shared(segments: _Segments, contributes: dict, table, is_summed: dict, count: int):
     """Return the nodes that this rank shares with each other, by field.
 
-    Also returns True for the segments that reach such nodes, and for the node blocks (count,) to
-    which other ranks add.
+    Fields in `is_summed` are shared in its node blocks alone. Also returns True for the segments
+    that reach such nodes, and for the node blocks (count,) to which other ranks add.
     """
     border, waits = np.zeros(len(segments.flat_index), bool), np.zeros(count, bool)
     others = np.unique(segments.owner[~segments.own])
@@ -299,6 +301,8 @@ def _shared(segments: _Segments, contributes: dict, table, rank: int, count: int
             segments.flat_index, who, mask, table, index_at, segments.box.steps, len(others), count
         )
         sends, receives, reaches = out
+        if name in is_summed:
+            sends[:, ~is_summed[name]] = receives[:, ~is_summed[name]] = 0
         border |= reaches
         for k, r in enumerate(others):
             sent, received = np.flatnonzero(sends[k]), np.flatnonzero(receives[k])

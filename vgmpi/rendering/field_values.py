@@ -15,17 +15,17 @@ def scalars(frame: dict[str, np.ndarray], color: str) -> np.ndarray:
     """
     name, _, part = color.partition(".")
     if name not in frame:
-        raise RunError(f"--color: {color}: this frame has {', '.join(frame)}")
+        raise RunError(f"{color}: this frame has {', '.join(frame)}")
     values = np.asarray(frame[name])
     if values.ndim == 1:
         if part:
-            raise RunError(f"--color: {color}: {name} has no components")
+            raise RunError(f"{color}: {name} has no components")
         return values
     if not part:
         return np.linalg.norm(values, axis=1)
     names = list("xyz") if values.shape[1] == 3 else [str(i) for i in range(values.shape[1])]
     if part not in names:
-        raise RunError(f"--color: {color}: allowed are {name}.{names[0]} .. {name}.{names[-1]}")
+        raise RunError(f"{color}: allowed are {name}.{names[0]} .. {name}.{names[-1]}")
     return values[:, names.index(part)]
 
 

@@ -311,6 +311,22 @@ def relax(rows, lattice, weight, inertia, fields):
 
 
 @kernel
+def sweep(cells, nodes, lattice, factors, fields):
+    """Make all Chebyshev sweeps over a system whose cells no other thread or rank computes.
+
+    Args:
+        cells: Blocks of the cells, shape (n,).
+        nodes: Blocks of the nodes around them, shape (m,).
+        lattice: Blocks, Lattice.
+        factors: Factors of the residual and of the last change by sweep, shape (sweeps, 2).
+        fields: PressureFields (in/out).
+    """
+    for k in range(len(factors)):
+        respond(nodes, lattice, fields)
+        relax(cells, lattice, factors[k, 0], factors[k, 1], fields)
+
+
+@kernel
 def add_velocities(rows, dx, fields, velocity):
     """Add u to the velocities of the nodes of some blocks [m/s], shape (blocks, 256) (in/out)."""
     size = fields.u.dtype.type(dx)

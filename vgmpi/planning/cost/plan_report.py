@@ -17,6 +17,7 @@ from vgmpi.scene.scene import Scene
 
 from . import accuracy_benchmarks, tradeoff_results
 from .feature_costs import PARTICLES_PER_BLOCK, feature_table, step_ns
+from .file_sizes import file_size_line
 from .pilot_result import STEP_SECONDS, PilotRun
 from .rigid_body_lines import pinned_lines, rigid_body_lines
 from .throughput import ASSUMED_THROUGHPUT, Throughput
@@ -90,6 +91,7 @@ def format_plan(
         f"  memory      {total / 2**20:.0f} MiB in all,"
         f" {total / ranks / 2**20:.0f} MiB per rank on {ranks} rank(s)"
     )
+    lines.append(file_size_line(scene, plan))
     return "\n".join(lines + _steps(scene, plan, ranks, reached, pace, rehearsal, is_known))
 
 

@@ -102,10 +102,23 @@ class LivePage:
 
         for control in (panel.color, panel.plot):
             control.on_update(lambda _: self._wake.set())
-        panel.stop.on_click(lambda _: panel.show_message(request_stop(self.followed.folder)[1]))
+        panel.stop.on_click(lambda _: self._stop_run())
         panel.save.on_click(lambda event: self._request_view("save", event))
         panel.draw.on_click(lambda event: self._request_view("draw", event))
         self.server.on_client_connect(self._welcome)
+
+    def _stop_run(self) -> None:
+        """Ask the run to stop once a viewer has confirmed it; say so where no run writes."""
+        folder, panel = self.followed.folder, self.panel
+
+        def request() -> None:
+            """Ask the run to stop, and show the answer."""
+            panel.show_message(request_stop(folder)[1])
+
+        if find_writer(folder) is None:
+            request()
+        else:
+            panel.confirm_stop(request)
 
     def _welcome(self, client: Any) -> None:
         """Show a new viewer the newest state."""

@@ -1,7 +1,7 @@
 """Controls of the live page: what a viewer sees and presses, without what it does."""
 
 import html
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -67,6 +67,20 @@ class PagePanel:
         style = "padding:0.3em 0.6em;margin:0.3em 0.6em;background:#fff3bf;color:#333"
         line = f'<div id="vgmpi-message" style="{style}">{html.escape(text)}</div>'
         self._message.content = line if text else ""
+
+    def confirm_stop(self, action: Callable[[], None]) -> None:
+        """Ask whether the run shall stop, and call `action` if so."""
+        with self.gui.add_modal("Stop the run?") as question:
+            self.gui.add_markdown("It writes a checkpoint and ends; `--resume` continues it.")
+            confirm = self.gui.add_button("Write a checkpoint and stop", color="red")
+            cancel = self.gui.add_button("Let the run go on")
+
+        @confirm.on_click
+        def _(_: Any) -> None:
+            question.close()
+            action()
+
+        cancel.on_click(lambda _: question.close())
 
     def show_numbers(self, last: int, number: int | None) -> None:
         """Set the end of the slider to the number of the last frame, and the slider to a frame.

@@ -61,7 +61,8 @@ class ImplicitPressure:
         # relative pressure of a particle per potential of a cell and inverse time step
         self.stiffness = float(group.law.k) / (group.density * plan.dx**2)  # type: ignore[attr-defined]
         self.exchange: CellExchange | None = None
-        self.sweeps = [chebyshev_factors(s) for s in (PRESSURE_SWEEPS, POSITION_SWEEPS)]
+        both = PRESSURE_SWEEPS, POSITION_SWEEPS
+        self.sweeps = [np.array(chebyshev_factors(s), plan.real) for s in both]
         self.fields = self._make_fields(0)
 
     def _make_fields(self, blocks: int) -> PressureFields:
@@ -140,17 +141,21 @@ class ImplicitPressure:
         wet[:count] = (self.fields.filled[: 64 * count].reshape(count, 64) > 0).any(1)
         reached = wet[self.grid.low.reshape(count, 8)].any(1)
         own = wet[:count] & (self.fields.scale[: 64 * count].reshape(count, 64) > 0).any(1)
-        return tuple(np.array_split(np.flatnonzero(rows), threads) for rows in (own, reached))  # type: ignore[return-value]
+        selected = np.flatnonzero(own), np.flatnonzero(reached)
+        if threads == 1:
+            return [selected[0]], [selected[1]]
+        return np.array_split(selected[0], threads), np.array_split(selected[1], threads)
 
     def _solve(self, cells: list[np.ndarray], nodes: list[np.ndarray], system: int) -> None:
         """Relax a system from phi on; phi is known on all cells around those of this rank."""
-        real = self.plan.real.type
+        factors = self.sweeps[system]
         assert self.exchange is not None
-        for weight, inertia in self.sweeps[system]:
+        if len(cells) == 1 and not self.exchange.has_neighbors:  # one call in place of many
+            self._each(cells, pressure_system.sweep, nodes[0], self.grid, factors, self.fields)
+            return
+        for weight, inertia in factors:
             self._each(nodes, pressure_system.respond, self.grid, self.fields)
-            self._each(
-                cells, pressure_system.relax, self.grid, real(weight), real(inertia), self.fields
-            )
+            self._each(cells, pressure_system.relax, self.grid, weight, inertia, self.fields)
             self.exchange.exchange(self.fields.phi)
 
     def _each(self, rows: list[np.ndarray], kernel, *arguments) -> None:
