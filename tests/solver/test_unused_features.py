@@ -325,7 +325,7 @@ FEATURES = {
             for owner in ("engine.layers", "tables.asked", "tables.contributes")
         )},
         {"ParticlePressure", "MomentumWithoutPressure", "ImplicitPressure",
-         "Lattice", "PressureFields", "set_nodes", "set_cells", "set_excess", "respond", "relax",
+         "Lattice", "PressureFields", "set_nodes", "set_cells", "set_excess", "respond", "sweep",
          "add_velocities", "store_node_pressure", "store_moves"},
     ),
     "an inlet": (PLAIN + TAP, {"sources", "plan.sources"}, set()),
