@@ -11,16 +11,7 @@ import numpy as np
 import warp as wp
 from newton.solvers import SolverImplicitMPM
 
-from .board_cases import (
-    BAR_DENSITY,
-    BAR_MODULUS,
-    BAR_SPEED,
-    CASES,
-    GRAVITY,
-    SAND_ANGLE,
-    SAND_DENSITY,
-    bar_velocity,
-)
+from .board_cases import CASES, ELASTIC_DENSITY, SAND_ANGLE, SAND_DENSITY
 
 # options of the solver by family: iterations, tolerance, warmstart_mode, collider_basis
 EXAMPLES = {
@@ -73,6 +64,9 @@ class Solver:
             self._add_walls(builder, np.array(self.case.tank))
         self.model = builder.finalize()
         self._set_material()
+        if self.case.clamp:  # particles without mass hold the nodes of their cells
+            fixed = np.flatnonzero(self.model.particle_q.numpy()[:, 0] < self.case.clamp)
+            self.model.particle_mass[wp.array(fixed, dtype=int)].fill_(0.0)
         self.config = self._solver_config(options)
         self.volume = np.full(self.model.particle_count, float(np.prod(spacing)))
 
@@ -81,7 +75,7 @@ class Solver:
         body = np.array(self.case.body)
         count = np.round(per_axis * body / self.cell).astype(int)
         spacing = body / count
-        density = {"sand": SAND_DENSITY, "elastic": BAR_DENSITY}.get(self.family, 1000.0)
+        density = {"sand": SAND_DENSITY, "elastic": ELASTIC_DENSITY}.get(self.family, 1000.0)
         radius = 0.5 * float(spacing.max())
         builder.add_particle_grid(
             pos=wp.vec3(*(0.5 * spacing)), rot=wp.quat_identity(), vel=wp.vec3(0.0),
@@ -120,7 +114,7 @@ class Solver:
     def _set_material(self) -> None:
         """Set gravity and the numbers of the law."""
         mpm = self.model.mpm
-        self.model.set_gravity((0.0, 0.0, 0.0 if self.family == "elastic" else -GRAVITY))
+        self.model.set_gravity((0.0, 0.0, -self.case.gravity))
         if self.family == "fluid":
             numbers = {"friction": 0.0, "tensile_yield_ratio": 1.0, "viscosity": 0.0}
         elif self.family == "sand":
@@ -128,8 +122,8 @@ class Solver:
             numbers = {"friction": friction, "young_modulus": 1e15, "yield_pressure": 1e12}
         else:
             numbers = {
-                "young_modulus": BAR_MODULUS, "poisson_ratio": 0.0, "tensile_yield_ratio": 1.0,
-                "damping": 0.0,
+                "young_modulus": self.case.modulus, "poisson_ratio": 0.0, "damping": 0.0,
+                "tensile_yield_ratio": 1.0,
             }  # fmt: skip
         for name, value in numbers.items():
             getattr(mpm, name).fill_(value)
@@ -160,13 +154,10 @@ class Solver:
             self.solver.setup_collider(collider_projection_threshold=[PROJECTION * self.cell])
             first.mpm.particle_Jp.fill_(1.0)
             self.solver.project_outside(first, first, self.dt)
-        if self.family == "elastic":
-            x = first.particle_q.numpy()
-            v, gradient = np.zeros_like(x), np.zeros((len(x), 3, 3), np.float32)
-            v[:, 0] = bar_velocity(x[:, 0])
-            gradient[:, 0, 0] = -BAR_SPEED * np.pi * np.sin(np.pi * x[:, 0])  # 1 m long
-            first.particle_qd.assign(v)
-            first.mpm.particle_qd_grad.assign(gradient)
+        if self.case.velocity:
+            v, gradient = self.case.velocity(first.particle_q.numpy())
+            first.particle_qd.assign(v.astype(np.float32))
+            first.mpm.particle_qd_grad.assign(gradient.astype(np.float32))
 
     def advance(self, t: float) -> int:
         """Simulate up to a time [s] and return the number of steps."""
