@@ -21,7 +21,9 @@ from vgmpi.apps.bench.board.board_cases import (
     FrontMeasure,
     LevelMeasure,
     SandMeasure,
+    VortexMeasure,
     beam_sag,
+    vortex_velocity,
 )
 from vgmpi.apps.bench.board.board_plot import draw_board
 from vgmpi.apps.bench.board.board_settings import RUNS
@@ -143,6 +145,44 @@ def test_the_beam_of_the_scene_is_that_of_its_case():
     moved = solver.state()[0][:, 2] - x[:, 2]
     assert moved[x[:, 0] > 0.9 * high[0]].mean() == pytest.approx(-0.5 * GRAVITY * 0.02**2, rel=0.2)
     assert abs(moved[x[:, 0] < low[0] + gap]).max() < 1e-4
+
+
+def test_vortices_have_no_divergence_and_the_gradient_of_their_velocity():
+    x = np.random.default_rng(1).uniform(0, 0.1, (50, 3))
+    v, gradient = vortex_velocity(x)
+    for k in range(3):
+        step = 1e-6 * np.eye(3)[k]
+        difference = (vortex_velocity(x + step)[0] - vortex_velocity(x - step)[0]) / 2e-6
+        assert gradient[:, :, k] == pytest.approx(difference, abs=1e-7)
+    assert np.trace(gradient, axis1=1, axis2=2) == pytest.approx(0, abs=1e-15)
+    walls = vortex_velocity(np.array([[0.0, 0, 0.03], [0.1, 0, 0.02], [0.03, 0, 0.1]]))[0]
+    assert [walls[0, 0], walls[1, 0], walls[2, 2]] == pytest.approx([0, 0, 0], abs=1e-15)
+
+
+def test_the_decay_of_vortices():
+    """10 % too fast; what is lost before the first record does not count."""
+    x = rows_of((0.1, 0.025, 0.1), 0.003125)
+    v = vortex_velocity(x)[0]
+    measure = VortexMeasure(np.ones(len(x)), x, 0.00625)
+    for k in range(11):
+        t = 0.025 * k
+        amplitude = (0.9 if k else 1.0) * np.exp(-1.1 * 2 * 1e-3 * (np.pi / 0.1) ** 2 * t)
+        measure.record(BoardState(t, x, amplitude * v))
+    result = measure.result()
+    assert result["decay"] == pytest.approx(1.1) and result["error"] == pytest.approx(0.1)
+
+
+def test_the_vortices_of_the_scene_are_those_of_their_case():
+    solver, case = Solver("vortices", {}), CASES["vortices"]
+    solver.restart()
+    x, v = solver.state()
+    assert solver.volume.sum() == pytest.approx(np.prod(case.body), rel=1e-6)
+    assert v == pytest.approx(case.velocity(x)[0], abs=1e-8)
+    oil, domain = solver.scene.material["oil"], solver.scene.domain
+    assert (oil.viscosity, oil.density, 7 * oil.tait_coefficient) == (
+        case.viscosity, 1000, case.bulk_modulus,
+    )  # fmt: skip
+    assert tuple(domain.size) == case.tank and not any(domain.gravity)
 
 
 def result_of(solver, cpu, error=None, case="bar", **more):

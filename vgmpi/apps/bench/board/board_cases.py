@@ -24,6 +24,8 @@ BAR_MODULUS, BAR_SPEED = 1e5, 1e-2  # [Pa], [m/s]
 # [Pa], [m] of the part of the beam that hangs, of its height and of the part in its clamp
 BEAM_MODULUS, BEAM_LENGTH, BEAM_HEIGHT, BEAM_CLAMP = 5e7, 1.0, 0.125, 0.125
 SHEAR_FACTOR = 5 / 6  # [-] Timoshenko's, of a rectangle whose Poisson ratio is zero
+# [m/s], [m], [Pa s], [Pa] of the liquid with vortices: speed, edge, viscosity, bulk modulus
+VORTEX_SPEED, VORTEX_EDGE, VORTEX_VISCOSITY, VORTEX_BULK_MODULUS = 0.01, 0.1, 1.0, 1400.0
 LEVEL_START = 3.0  # [s] from which on the level is averaged
 SLICES = 16  # of the tank, in which the level is measured
 
@@ -69,6 +71,9 @@ class BoardCase:
         gravity: Acceleration downwards [m/s2].
         modulus: Young's modulus of an elastic body [Pa]; its Poisson ratio is zero.
         clamp: Length at the body's lower end in x that is held [m].
+        viscosity: Of a fluid [Pa s].
+        bulk_modulus: Of a fluid [Pa]; 0 leaves it to the solver.
+        closed: Whether the tank has a lid that holds the fluid.
         velocity: Returns the initial velocities (n, 3) [m/s] and their gradients (n, 3, 3) [1/s]
             at positions (n, 3) [m]; None at rest.
     """
@@ -84,6 +89,9 @@ class BoardCase:
     gravity: float = GRAVITY
     modulus: float = 0.0
     clamp: float = 0.0
+    viscosity: float = 0.0
+    bulk_modulus: float = 0.0
+    closed: bool = False
     velocity: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]] | None = None
 
 
@@ -255,6 +263,31 @@ class BeamMeasure:
         return {"error": abs(value - 1), "deflection": value}
 
 
+class VortexMeasure:
+    """Rate at which the kinetic energy of vortices decays, over that of Taylor and Green.
+
+    The energy is that of the particles' velocities. The first record does not count: a transfer may
+    change the energy that was given in the first step, whatever the viscosity.
+    """
+
+    RATE = 4 * VORTEX_VISCOSITY / 1000.0 * (np.pi / VORTEX_EDGE) ** 2  # [1/s]
+
+    def __init__(self, volume: np.ndarray, x: np.ndarray, cell: float):
+        self.volume = volume
+        self.rows: list[tuple[float, float]] = []
+
+    def record(self, now: BoardState) -> None:
+        """Record twice the kinetic energy over the density."""
+        speed_squared = (now.v.astype(np.float64) ** 2).sum(axis=1)
+        self.rows.append((now.t, float(self.volume @ speed_squared)))
+
+    def result(self) -> dict[str, float]:
+        """Return the rate of the exponential through the records over the right one, its error."""
+        t, energy = np.array(self.rows[1:]).T
+        decay = float(-np.polyfit(t, np.log(energy), 1)[0] / self.RATE)
+        return {"error": abs(decay - 1), "decay": decay}
+
+
 class HeightMeasure:
     """Height of the centre of mass at the end [m]; there is no error, the case measures time."""
 
@@ -279,6 +312,19 @@ def bar_velocity(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return v, gradient
 
 
+def vortex_velocity(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return velocities [m/s] and gradients [1/s] of Taylor-Green vortices at x (n, 3) [m]."""
+    k = np.pi / VORTEX_EDGE
+    sine, cosine = np.sin(k * x[:, ::2]), np.cos(k * x[:, ::2])
+    v, gradient = np.zeros((len(x), 3)), np.zeros((len(x), 3, 3))
+    v[:, 0] = VORTEX_SPEED * sine[:, 0] * cosine[:, 1]
+    v[:, 2] = -VORTEX_SPEED * cosine[:, 0] * sine[:, 1]
+    gradient[:, 0, 0] = k * VORTEX_SPEED * cosine[:, 0] * cosine[:, 1]
+    gradient[:, 0, 2] = -k * VORTEX_SPEED * sine[:, 0] * sine[:, 1]
+    gradient[:, 2, 0], gradient[:, 2, 2] = -gradient[:, 0, 2], -gradient[:, 0, 0]
+    return v, gradient
+
+
 CASES = {
     "dam_break": BoardCase(
         "dam break: front, rms in column widths", (0.146, 0.073, 0.292), (0.584, 0.073, 0.365),
@@ -295,6 +341,11 @@ CASES = {
     "cantilever": BoardCase(
         "beam under its weight: deflection", (BEAM_CLAMP + BEAM_LENGTH, BEAM_HEIGHT, BEAM_HEIGHT),
         None, 0.68, 0.01, BeamMeasure, 0.01, "elastic", GRAVITY, BEAM_MODULUS, BEAM_CLAMP),
+    "vortices": BoardCase(
+        "vortices that die out: decay of energy", (VORTEX_EDGE, 0.025, VORTEX_EDGE),
+        (VORTEX_EDGE, 0.025, VORTEX_EDGE), 0.25, 0.025, VortexMeasure, 5e-3, gravity=0.0,
+        viscosity=VORTEX_VISCOSITY, bulk_modulus=VORTEX_BULK_MODULUS, closed=True,
+        velocity=vortex_velocity),
     "rest": BoardCase(
         "pool at rest", (0.4, 0.4, 0.08), (0.4, 0.4, 0.4), 0.1, 0.02, HeightMeasure),
     "splash": BoardCase(

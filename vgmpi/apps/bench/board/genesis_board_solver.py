@@ -56,7 +56,12 @@ class Solver:
         )  # fmt: skip
         shared = {"sampler": options.get("sampler", "regular")}
         modulus = float(options.get("E", 1e6))
-        if family == "fluid":
+        if case.viscosity:  # its shear modulus acts for one step
+            step = case.interval / self.substeps
+            material = gs.materials.MPM.Liquid(
+                rho=1000.0, viscous=True, lam=case.bulk_modulus, mu=case.viscosity / step, **shared
+            )
+        elif family == "fluid":
             material = gs.materials.MPM.Liquid(E=modulus, rho=1000.0, **shared)
         elif family == "sand":
             angle = float(options.get("angle", TRIAXIAL_ANGLE))

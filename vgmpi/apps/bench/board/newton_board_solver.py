@@ -1,7 +1,7 @@
 """Newton as a solver of the board: its implicit MPM on the processor, where Warp has one thread.
 
-Numbers are those of its own examples: water as in mpm_water_dam_break, sand as in mpm_granular,
-bodies as in mpm_beam_twist.
+Numbers are those of its own examples: water as in mpm_water_dam_break, a viscous liquid as in
+mpm_viscous, sand as in mpm_granular, bodies as in mpm_beam_twist.
 """
 
 from typing import Any
@@ -16,6 +16,7 @@ from .board_cases import CASES, ELASTIC_DENSITY, SAND_ANGLE, SAND_DENSITY
 # options of the solver by family: iterations, tolerance, warmstart_mode, collider_basis
 EXAMPLES = {
     "fluid": (50, 1e-3, "particles", "pic"),
+    "viscous": (250, 1e-6, "auto", "S2"),
     "sand": (250, 1e-4, "auto", "S2"),
     "elastic": (250, 1e-6, "particles", "S2"),
 }
@@ -49,7 +50,10 @@ def move_into_tank(
 
 
 class Solver:
-    """A case. Options: cell [m], dt [s], per_axis (particles), iterations, tolerance."""
+    """A case.
+
+    Options: cell [m], dt [s], per_axis (particles), iterations, tolerance, collider_basis.
+    """
 
     def __init__(self, case_name: str, options: dict[str, Any]):
         wp.set_device("cpu")
@@ -96,6 +100,13 @@ class Solver:
             mesh = newton.Mesh(points, triangles, compute_inertia=False, is_solid=False)
             builder.add_shape_mesh(body=-1, mesh=mesh, cfg=smooth)
             builder.add_ground_plane(height=-thickness, cfg=smooth)
+            if self.case.closed:
+                half = tank / 2 + thickness * np.array([1.0, 1.0, 0.0])
+                center = wp.vec3(tank[0] / 2, tank[1] / 2, 1.5 * tank[2])
+                pose = wp.transform(center, wp.quat_identity())
+                builder.add_shape_box(
+                    body=-1, cfg=smooth, xform=pose, hx=half[0], hy=half[1], hz=half[2]
+                )
             return
         rough = newton.ModelBuilder.ShapeConfig(density=0.0, mu=FLOOR_FRICTION)
         builder.add_ground_plane(cfg=rough)
@@ -116,7 +127,8 @@ class Solver:
         mpm = self.model.mpm
         self.model.set_gravity((0.0, 0.0, -self.case.gravity))
         if self.family == "fluid":
-            numbers = {"friction": 0.0, "tensile_yield_ratio": 1.0, "viscosity": 0.0}
+            numbers = {"friction": 0.0, "tensile_yield_ratio": 1.0}
+            numbers["viscosity"] = self.case.viscosity
         elif self.family == "sand":
             friction = float(np.tan(np.radians(SAND_ANGLE)))
             numbers = {"friction": friction, "young_modulus": 1e15, "yield_pressure": 1e12}
@@ -131,11 +143,13 @@ class Solver:
     def _solver_config(self, options: dict[str, Any]) -> Any:
         """Return the solver's own configuration."""
         config = SolverImplicitMPM.Config()
-        iterations, tolerance, warm_start, collider_basis = EXAMPLES[self.family]
+        example = "viscous" if self.case.viscosity else self.family
+        iterations, tolerance, warm_start, collider_basis = EXAMPLES[example]
         config.voxel_size = self.cell
         config.max_iterations = int(options.get("iterations", iterations))
         config.tolerance = float(options.get("tolerance", tolerance))
-        config.warmstart_mode, config.collider_basis = warm_start, collider_basis
+        config.warmstart_mode = warm_start
+        config.collider_basis = str(options.get("collider_basis", collider_basis))
         config.velocity_basis, config.transfer_scheme = "Q1", "apic"
         config.integration_scheme, config.critical_fraction = "pic", 0.0
         elastic = self.family == "elastic"
@@ -175,9 +189,10 @@ class Solver:
 
     def _move_into_tank(self, state: Any) -> None:
         """Put particles that passed a wall of the tank back."""
-        x, y, _ = map(float, self.case.tank or (0, 0, 0))
+        x, y, z = map(float, self.case.tank or (0, 0, 0))
         margin = PROJECTION * self.cell
-        low, high = wp.vec3(-margin, -margin, -margin), wp.vec3(x + margin, y + margin, 10.0)
+        top = z + margin if self.case.closed else 10.0
+        low, high = wp.vec3(-margin, -margin, -margin), wp.vec3(x + margin, y + margin, top)
         arrays = [state.particle_q, state.particle_qd, low, high]
         wp.launch(move_into_tank, dim=state.particle_count, inputs=arrays)
 
