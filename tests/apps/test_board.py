@@ -11,15 +11,23 @@ from tests.support.launch import ROOT
 from vgmpi.apps.bench import __main__ as bench
 from vgmpi.apps.bench.board import board_command, board_results
 from vgmpi.apps.bench.board.board_cases import (
+    BEAM_CLAMP,
     CASES,
+    GRAVITY,
     MPS_FRONT,
     BarMeasure,
+    BeamMeasure,
     BoardState,
     FrontMeasure,
     LevelMeasure,
     SandMeasure,
+    VortexMeasure,
+    beam_sag,
+    vortex_velocity,
 )
+from vgmpi.apps.bench.board.board_plot import draw_board
 from vgmpi.apps.bench.board.board_settings import RUNS
+from vgmpi.apps.bench.board.vgmpi_board_solver import Solver
 
 
 def rows_of(size, spacing, low=(0, 0, 0)):
@@ -97,6 +105,86 @@ def test_the_frequency_and_loss_of_a_damped_wave():
     assert result["energy_loss"] == pytest.approx(1 - np.exp(-0.2 / 4.9), rel=0.05)
 
 
+def test_the_sag_of_a_beam_by_its_moments():
+    """Curvature M / (E I) and shear Q / (5/6 G A), integrated from the clamp."""
+    x = np.linspace(0, 1, 2001)
+    mid, step, load, height = 0.5 * (x[1:] + x[:-1]), x[1], 1000 * 9.8 * 0.125**2, 0.125
+    slope = np.cumsum(load * (1 - mid) ** 2 / 2 / (5e7 * height**4 / 12)) * step
+    slope -= 0.5 * np.diff(slope, prepend=0)
+    shear = load * (1 - mid) / (5 / 6 * 2.5e7 * height**2)
+    sag = np.cumsum(slope + shear) * step
+    assert beam_sag(x[1:]) == pytest.approx(sag, rel=1e-3, abs=1e-7)
+    assert beam_sag(np.array([1.0]))[0] == pytest.approx(0.0190512, rel=1e-5)  # by hand
+
+
+@pytest.mark.parametrize("period", [0.224, 0.235])
+def test_the_deflection_of_a_beam_that_swings(period):
+    """About 1.02 of theory, damped a little, with any period, in a clamp that sinks."""
+    x = rows_of((1.125, 0.125, 0.125), 0.125 / 8)
+    measure = BeamMeasure(np.ones(len(x)), x, 0.03125)
+    sag = beam_sag(np.maximum(x[:, 0] - BEAM_CLAMP, 0))
+    for t in np.arange(0, 0.6801, 0.01):
+        swing = 1.02 * (1 - np.exp(-t) * np.cos(2 * np.pi * t / period))
+        measure.record(BoardState(t, x - np.outer(swing * sag + 0.01 * t, [0, 0, 1]), 0 * x))
+    result = measure.result()
+    assert result["deflection"] == pytest.approx(1.02, abs=6e-3)
+    assert result["error"] == pytest.approx(abs(result["deflection"] - 1))
+
+
+def test_the_beam_of_the_scene_is_that_of_its_case():
+    solver, case = Solver("cantilever", {}), CASES["cantilever"]
+    solver.restart()
+    x, v = solver.state()
+    low, high, gap = x.min(axis=0), x.max(axis=0), solver.cell / 4
+    assert low == pytest.approx([case.clamp + gap, gap, gap])  # the wall is the clamp
+    assert high == pytest.approx(np.array(case.body) - gap) and not v.any()
+    material = solver.scene.material["rubber"]
+    assert (material.youngs_modulus, material.density) == (case.modulus, 1000)
+    assert solver.scene.domain.gravity[2] == -GRAVITY and solver.scene.time.end == case.end
+    solver.advance(0.02)  # falls freely at the tip, and is held by the wall
+    moved = solver.state()[0][:, 2] - x[:, 2]
+    assert moved[x[:, 0] > 0.9 * high[0]].mean() == pytest.approx(-0.5 * GRAVITY * 0.02**2, rel=0.2)
+    assert abs(moved[x[:, 0] < low[0] + gap]).max() < 1e-4
+
+
+def test_vortices_have_no_divergence_and_the_gradient_of_their_velocity():
+    x = np.random.default_rng(1).uniform(0, 0.1, (50, 3))
+    v, gradient = vortex_velocity(x)
+    for k in range(3):
+        step = 1e-6 * np.eye(3)[k]
+        difference = (vortex_velocity(x + step)[0] - vortex_velocity(x - step)[0]) / 2e-6
+        assert gradient[:, :, k] == pytest.approx(difference, abs=1e-7)
+    assert np.trace(gradient, axis1=1, axis2=2) == pytest.approx(0, abs=1e-15)
+    walls = vortex_velocity(np.array([[0.0, 0, 0.03], [0.1, 0, 0.02], [0.03, 0, 0.1]]))[0]
+    assert [walls[0, 0], walls[1, 0], walls[2, 2]] == pytest.approx([0, 0, 0], abs=1e-15)
+
+
+def test_the_decay_of_vortices():
+    """10 % too fast; what is lost before the first record does not count."""
+    x = rows_of((0.1, 0.025, 0.1), 0.003125)
+    v = vortex_velocity(x)[0]
+    measure = VortexMeasure(np.ones(len(x)), x, 0.00625)
+    for k in range(11):
+        t = 0.025 * k
+        amplitude = (0.9 if k else 1.0) * np.exp(-1.1 * 2 * 1e-3 * (np.pi / 0.1) ** 2 * t)
+        measure.record(BoardState(t, x, amplitude * v))
+    result = measure.result()
+    assert result["decay"] == pytest.approx(1.1) and result["error"] == pytest.approx(0.1)
+
+
+def test_the_vortices_of_the_scene_are_those_of_their_case():
+    solver, case = Solver("vortices", {}), CASES["vortices"]
+    solver.restart()
+    x, v = solver.state()
+    assert solver.volume.sum() == pytest.approx(np.prod(case.body), rel=1e-6)
+    assert v == pytest.approx(case.velocity(x)[0], abs=1e-8)
+    oil, domain = solver.scene.material["oil"], solver.scene.domain
+    assert (oil.viscosity, oil.density, 7 * oil.tait_coefficient) == (
+        case.viscosity, 1000, case.bulk_modulus,
+    )  # fmt: skip
+    assert tuple(domain.size) == case.tank and not any(domain.gravity)
+
+
 def result_of(solver, cpu, error=None, case="bar", **more):
     result = {
         "case": case, "solver": solver, "options": [], "simulated": 2.0, "cpu": cpu, "wall": cpu,
@@ -139,6 +227,17 @@ def test_a_failed_run_is_a_row():
     text = board_results.format_tables(board_results.mark_front(results))
     assert "| newton | dt=1 | | | | | it flies apart | | |" in text
     assert "it flies apart" in board_results.format_csv(board_results.mark_front(results))
+
+
+def test_five_cases_are_drawn_in_two_rows(tmp_path):
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    names = [name for name, case in CASES.items() if case.resolution]
+    heights = []
+    for count in (4, 5):
+        results = [result_of("vgmpi", 1.0, 0.1, case=name) for name in names[:count]]
+        draw_board(tmp_path / "board.png", board_results.mark_front(results))
+        heights.append(len(pyplot.imread(tmp_path / "board.png")))
+    assert heights[1] == 2 * heights[0]
 
 
 def test_every_case_has_three_settings_of_each_solver():

@@ -22,8 +22,14 @@ def draw_board(path: Path, results: list[dict[str, Any]]) -> None:
     from matplotlib import pyplot
 
     names = [name for name in CASES if any(r["case"] == name and "error" in r for r in results)]
-    figure, panels = pyplot.subplots(1, max(1, len(names)), figsize=(3.1 * max(1, len(names)), 3.2))
-    for name, panel in zip(names, panels if len(names) > 1 else [panels]):
+    rows_of_panels = 1 + (len(names) > 4)
+    columns = max(1, -(-len(names) // rows_of_panels))
+    figure, panels = pyplot.subplots(
+        rows_of_panels, columns, figsize=(3.1 * columns, 3.2 * rows_of_panels), squeeze=False
+    )
+    for panel in panels.flat[len(names) :]:
+        panel.set_axis_off()
+    for name, panel in zip(names, panels.flat):
         rows = [r for r in results if r["case"] == name and "error" in r]
         for solver, color in COLORS.items():
             points = sorted(
@@ -39,7 +45,8 @@ def draw_board(path: Path, results: list[dict[str, Any]]) -> None:
         panel.set(xscale="log", yscale="log", xlabel="processor s per simulated s")
         panel.set_title(CASES[name].title.replace(": ", ":\n"), fontsize=9)
         panel.grid(alpha=0.25)
-    figure.axes[0].set_ylabel("error")
+    for panel in panels[:, 0]:
+        panel.set_ylabel("error")
     figure.axes[0].legend(frameon=False, fontsize=8)
     figure.tight_layout()
     figure.savefig(path, dpi=110)

@@ -8,7 +8,9 @@ from typing import Any
 
 from .board_cases import CASES
 
-QUANTITIES = ("level", "lower_half", "run_out", "height", "frequency", "energy_loss")
+QUANTITIES = (
+    "level", "lower_half", "run_out", "height", "frequency", "energy_loss", "deflection", "decay",
+)  # fmt: skip
 COLUMNS = (
     "case", "solver", "options", "particles", "cell", "steps", "simulated", "cpu", "wall", "error",
     *QUANTITIES, "same_bits", "on_front", "failure",

@@ -9,6 +9,7 @@ RIVAL_PACKAGES = ("newton==1.8.0", "warp-lang==1.19.0", "torch", "genesis-world=
 
 STEP_120, STEP_240, STEP_480 = "dt=0.00833333333", "dt=0.00416666667", "dt=0.00208333333"
 SOFT, LONG_STEPS = "material.water.compression=0.04", "time.cfl=1.0"
+STIFF_STEP = "step_per_cell=0.004"  # [s/m] of 5e7 Pa: a wave crosses 0.9 of a cell
 IMPLICIT = "accuracy.pressure=implicit"
 DAM_CELLS_48 = 0.146 * 4 / 48  # [m]
 
@@ -66,6 +67,34 @@ RUNS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("genesis", "cell=0.1"),
         ("genesis", "cell=0.05"),
         ("genesis", "cell=0.033333333333333333"),
+    ),
+    "cantilever": (
+        ("vgmpi", "domain.cell=0.0625", LONG_STEPS),
+        ("vgmpi", "domain.cell=0.0625"),
+        ("vgmpi", "domain.cell=0.041666666666666664"),
+        ("vgmpi",),
+        ("vgmpi", "domain.cell=0.020833333333333333"),
+        ("newton", "cell=0.0625", "dt=0.01", "end=0.45"),
+        ("newton", "cell=0.0625", "dt=0.0025", "end=0.45"),
+        ("newton", "cell=0.0625", "dt=0.0025", "end=0.45", "per_axis=3"),
+        ("genesis", "cell=0.0625", STIFF_STEP),
+        ("genesis", "cell=0.041666666666666664", STIFF_STEP),
+        ("genesis", "cell=0.03125", STIFF_STEP),
+        ("genesis", "cell=0.020833333333333333", STIFF_STEP),
+    ),
+    "vortices": (
+        ("vgmpi", IMPLICIT),
+        ("vgmpi",),
+        ("vgmpi", "domain.cell=0.005"),
+        ("vgmpi", "domain.cell=0.0041666666666666666", IMPLICIT),
+        ("vgmpi", "domain.cell=0.0041666666666666666"),
+        ("newton", "cell=0.00625", "dt=0.025"),
+        ("newton", "cell=0.00625", STEP_120),
+        ("newton", "cell=0.0041666666666666666", STEP_120),
+        ("genesis", "cell=0.00625", "step_per_cell=0.2"),
+        ("genesis", "cell=0.00625", "step_per_cell=0.4"),
+        ("genesis", "cell=0.0041666666666666666", "step_per_cell=0.4"),
+        ("genesis", "cell=0.003125", "step_per_cell=0.4"),
     ),
     "rest": (
         ("vgmpi", LONG_STEPS),

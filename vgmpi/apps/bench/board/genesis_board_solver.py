@@ -1,7 +1,9 @@
 """Genesis as a solver of the board: its explicit MPM (APIC) on the processor.
 
 Walls are the solver's own boundary, three cells inside of the bounds that it is given: they slip
-and part. Sand stands on a plane with friction, since the boundary has none.
+and part. Sand stands on a plane with friction, since the boundary has none. A clamped body is
+mirrored: fixed particles stop the nodes that they touch, but particles with a higher number still
+add to them, so that the clamp must come last.
 """
 
 import math
@@ -11,7 +13,7 @@ import genesis as gs
 import numpy as np
 import torch
 
-from .board_cases import BAR_DENSITY, BAR_MODULUS, CASES, GRAVITY, SAND_DENSITY, bar_velocity
+from .board_cases import CASES, ELASTIC_DENSITY, SAND_DENSITY
 
 STEP_PER_CELL = 0.02  # [s/m] that the solver suggests
 FLOOR_FRICTION, FLOOR_SOFTNESS = 100.0, 0.002
@@ -41,7 +43,7 @@ class Solver:
         lower, upper = np.full(3, -3 * self.cell), tank + 3 * self.cell
         if family == "sand":  # the boundary lies below the plane
             lower[2] -= 2 * self.cell
-        gravity = (0.0, 0.0, 0.0 if family == "elastic" else -GRAVITY)
+        gravity = (0.0, 0.0, -case.gravity)
         scene = gs.Scene(
             sim_options=gs.options.SimOptions(
                 dt=case.interval, substeps=self.substeps, gravity=gravity
@@ -54,7 +56,12 @@ class Solver:
         )  # fmt: skip
         shared = {"sampler": options.get("sampler", "regular")}
         modulus = float(options.get("E", 1e6))
-        if family == "fluid":
+        if case.viscosity:  # its shear modulus acts for one step
+            step = case.interval / self.substeps
+            material = gs.materials.MPM.Liquid(
+                rho=1000.0, viscous=True, lam=case.bulk_modulus, mu=case.viscosity / step, **shared
+            )
+        elif family == "fluid":
             material = gs.materials.MPM.Liquid(E=modulus, rho=1000.0, **shared)
         elif family == "sand":
             angle = float(options.get("angle", TRIAXIAL_ANGLE))
@@ -67,7 +74,7 @@ class Solver:
             scene.add_entity(morph=gs.morphs.Plane(), material=floor)
         else:
             material = gs.materials.MPM.Elastic(
-                E=BAR_MODULUS, nu=0.0, rho=BAR_DENSITY, model="corotation", **shared
+                E=case.modulus, nu=0.0, rho=ELASTIC_DENSITY, model="corotation", **shared
             )
         center = tuple(np.array(case.body) / 2 + self.shift)
         self.body = scene.add_entity(
@@ -80,11 +87,13 @@ class Solver:
         """Begin the run again."""
         self.scene.reset()
         self.intervals = 0
-        if self.case.family == "elastic":
-            x = self.state()[0]
-            v = np.zeros_like(x)
-            v[:, 0] = bar_velocity(x[:, 0])
-            self.body.set_particles_vel(torch.tensor(v))
+        if self.case.velocity:
+            v, _ = self.case.velocity(self.state()[0])
+            self.body.set_particles_vel(torch.tensor(v.astype(np.float32)))
+        if self.case.clamp:
+            # particles that touch no nodes beyond the clamp's end
+            fixed = self.state()[0][:, 0] < self.case.clamp - 0.5 * self.cell
+            self.body.set_free(torch.tensor(~fixed))
 
     def advance(self, t: float) -> int:
         """Simulate up to a time [s] and return the number of steps."""
@@ -100,4 +109,7 @@ class Solver:
             values.cpu().numpy().reshape(-1, 3)
             for values in (self.body.get_particles_pos(), self.body.get_particles_vel())
         )
-        return x - self.shift.astype(x.dtype), v
+        x = x - self.shift.astype(x.dtype)
+        if self.case.clamp:
+            x[:, 0], v[:, 0] = self.case.body[0] - x[:, 0], -v[:, 0]
+        return x, v

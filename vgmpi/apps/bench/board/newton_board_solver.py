@@ -1,7 +1,7 @@
 """Newton as a solver of the board: its implicit MPM on the processor, where Warp has one thread.
 
-Numbers are those of its own examples: water as in mpm_water_dam_break, sand as in mpm_granular,
-bodies as in mpm_beam_twist.
+Numbers are those of its own examples: water as in mpm_water_dam_break, a viscous liquid as in
+mpm_viscous, sand as in mpm_granular, bodies as in mpm_beam_twist.
 """
 
 from typing import Any
@@ -11,20 +11,12 @@ import numpy as np
 import warp as wp
 from newton.solvers import SolverImplicitMPM
 
-from .board_cases import (
-    BAR_DENSITY,
-    BAR_MODULUS,
-    BAR_SPEED,
-    CASES,
-    GRAVITY,
-    SAND_ANGLE,
-    SAND_DENSITY,
-    bar_velocity,
-)
+from .board_cases import CASES, ELASTIC_DENSITY, SAND_ANGLE, SAND_DENSITY
 
 # options of the solver by family: iterations, tolerance, warmstart_mode, collider_basis
 EXAMPLES = {
     "fluid": (50, 1e-3, "particles", "pic"),
+    "viscous": (250, 1e-6, "auto", "S2"),
     "sand": (250, 1e-4, "auto", "S2"),
     "elastic": (250, 1e-6, "particles", "S2"),
 }
@@ -58,7 +50,10 @@ def move_into_tank(
 
 
 class Solver:
-    """A case. Options: cell [m], dt [s], per_axis (particles), iterations, tolerance."""
+    """A case.
+
+    Options: cell [m], dt [s], per_axis (particles), iterations, tolerance, collider_basis.
+    """
 
     def __init__(self, case_name: str, options: dict[str, Any]):
         wp.set_device("cpu")
@@ -73,6 +68,9 @@ class Solver:
             self._add_walls(builder, np.array(self.case.tank))
         self.model = builder.finalize()
         self._set_material()
+        if self.case.clamp:  # particles without mass hold the nodes of their cells
+            fixed = np.flatnonzero(self.model.particle_q.numpy()[:, 0] < self.case.clamp)
+            self.model.particle_mass[wp.array(fixed, dtype=int)].fill_(0.0)
         self.config = self._solver_config(options)
         self.volume = np.full(self.model.particle_count, float(np.prod(spacing)))
 
@@ -81,7 +79,7 @@ class Solver:
         body = np.array(self.case.body)
         count = np.round(per_axis * body / self.cell).astype(int)
         spacing = body / count
-        density = {"sand": SAND_DENSITY, "elastic": BAR_DENSITY}.get(self.family, 1000.0)
+        density = {"sand": SAND_DENSITY, "elastic": ELASTIC_DENSITY}.get(self.family, 1000.0)
         radius = 0.5 * float(spacing.max())
         builder.add_particle_grid(
             pos=wp.vec3(*(0.5 * spacing)), rot=wp.quat_identity(), vel=wp.vec3(0.0),
@@ -102,6 +100,13 @@ class Solver:
             mesh = newton.Mesh(points, triangles, compute_inertia=False, is_solid=False)
             builder.add_shape_mesh(body=-1, mesh=mesh, cfg=smooth)
             builder.add_ground_plane(height=-thickness, cfg=smooth)
+            if self.case.closed:
+                half = tank / 2 + thickness * np.array([1.0, 1.0, 0.0])
+                center = wp.vec3(tank[0] / 2, tank[1] / 2, 1.5 * tank[2])
+                pose = wp.transform(center, wp.quat_identity())
+                builder.add_shape_box(
+                    body=-1, cfg=smooth, xform=pose, hx=half[0], hy=half[1], hz=half[2]
+                )
             return
         rough = newton.ModelBuilder.ShapeConfig(density=0.0, mu=FLOOR_FRICTION)
         builder.add_ground_plane(cfg=rough)
@@ -120,16 +125,17 @@ class Solver:
     def _set_material(self) -> None:
         """Set gravity and the numbers of the law."""
         mpm = self.model.mpm
-        self.model.set_gravity((0.0, 0.0, 0.0 if self.family == "elastic" else -GRAVITY))
+        self.model.set_gravity((0.0, 0.0, -self.case.gravity))
         if self.family == "fluid":
-            numbers = {"friction": 0.0, "tensile_yield_ratio": 1.0, "viscosity": 0.0}
+            numbers = {"friction": 0.0, "tensile_yield_ratio": 1.0}
+            numbers["viscosity"] = self.case.viscosity
         elif self.family == "sand":
             friction = float(np.tan(np.radians(SAND_ANGLE)))
             numbers = {"friction": friction, "young_modulus": 1e15, "yield_pressure": 1e12}
         else:
             numbers = {
-                "young_modulus": BAR_MODULUS, "poisson_ratio": 0.0, "tensile_yield_ratio": 1.0,
-                "damping": 0.0,
+                "young_modulus": self.case.modulus, "poisson_ratio": 0.0, "damping": 0.0,
+                "tensile_yield_ratio": 1.0,
             }  # fmt: skip
         for name, value in numbers.items():
             getattr(mpm, name).fill_(value)
@@ -137,11 +143,13 @@ class Solver:
     def _solver_config(self, options: dict[str, Any]) -> Any:
         """Return the solver's own configuration."""
         config = SolverImplicitMPM.Config()
-        iterations, tolerance, warm_start, collider_basis = EXAMPLES[self.family]
+        example = "viscous" if self.case.viscosity else self.family
+        iterations, tolerance, warm_start, collider_basis = EXAMPLES[example]
         config.voxel_size = self.cell
         config.max_iterations = int(options.get("iterations", iterations))
         config.tolerance = float(options.get("tolerance", tolerance))
-        config.warmstart_mode, config.collider_basis = warm_start, collider_basis
+        config.warmstart_mode = warm_start
+        config.collider_basis = str(options.get("collider_basis", collider_basis))
         config.velocity_basis, config.transfer_scheme = "Q1", "apic"
         config.integration_scheme, config.critical_fraction = "pic", 0.0
         elastic = self.family == "elastic"
@@ -160,13 +168,10 @@ class Solver:
             self.solver.setup_collider(collider_projection_threshold=[PROJECTION * self.cell])
             first.mpm.particle_Jp.fill_(1.0)
             self.solver.project_outside(first, first, self.dt)
-        if self.family == "elastic":
-            x = first.particle_q.numpy()
-            v, gradient = np.zeros_like(x), np.zeros((len(x), 3, 3), np.float32)
-            v[:, 0] = bar_velocity(x[:, 0])
-            gradient[:, 0, 0] = -BAR_SPEED * np.pi * np.sin(np.pi * x[:, 0])  # 1 m long
-            first.particle_qd.assign(v)
-            first.mpm.particle_qd_grad.assign(gradient)
+        if self.case.velocity:
+            v, gradient = self.case.velocity(first.particle_q.numpy())
+            first.particle_qd.assign(v.astype(np.float32))
+            first.mpm.particle_qd_grad.assign(gradient.astype(np.float32))
 
     def advance(self, t: float) -> int:
         """Simulate up to a time [s] and return the number of steps."""
@@ -184,9 +189,10 @@ class Solver:
 
     def _move_into_tank(self, state: Any) -> None:
         """Put particles that passed a wall of the tank back."""
-        x, y, _ = map(float, self.case.tank or (0, 0, 0))
+        x, y, z = map(float, self.case.tank or (0, 0, 0))
         margin = PROJECTION * self.cell
-        low, high = wp.vec3(-margin, -margin, -margin), wp.vec3(x + margin, y + margin, 10.0)
+        top = z + margin if self.case.closed else 10.0
+        low, high = wp.vec3(-margin, -margin, -margin), wp.vec3(x + margin, y + margin, top)
         arrays = [state.particle_q, state.particle_qd, low, high]
         wp.launch(move_into_tank, dim=state.particle_count, inputs=arrays)
 

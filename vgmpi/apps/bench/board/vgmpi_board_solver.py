@@ -15,10 +15,11 @@ from vgmpi.solver.restart.state_io import by_id
 from vgmpi.solver.simulation import Simulation
 from vgmpi.solver.step_to_target import next_step
 
-from .board_cases import CASES
+from .board_cases import BEAM_CLAMP
 
 SCENES = Path(__file__).parent / "scenes"
-BAR_CORNER = np.array([0.1, 0.1, 0.1])  # [m] of the bar in its scene's domain
+# [m] corner of a body without a tank in its scene's domain; the wall is the clamp of the beam
+CORNERS = {"bar": (0.1, 0.1, 0.1), "cantilever": (-BEAM_CLAMP, 0.125, 0.25)}
 
 
 class Solver:
@@ -29,7 +30,7 @@ class Solver:
         overrides = tuple(f"{key}={value!r}" for key, value in words.items())
         self.scene = load(SCENES / f"{case_name}.toml", overrides)
         self.threads = int(options.get("threads", 1))
-        self.corner = np.zeros(3) if CASES[case_name].tank else BAR_CORNER
+        self.corner = np.array(CORNERS.get(case_name, (0.0, 0.0, 0.0)))
         self.prepared = build_scene(self.scene)
         self.plan = plan_for(self.scene, known_of(self.scene, self.prepared))
         self.cell = float(self.scene.domain.cell)
