@@ -215,6 +215,14 @@ def test_the_pace_of_a_resumed_run_is_that_since_its_restart(tmp_path):
         assert np.isnan(run_progress.read_progress(reader).remaining)
 
 
+def test_a_lock_that_goes_while_progress_is_read_is_no_fault(tmp_path, monkeypatch):
+    reader = RunReader(drawn_runs.write(tmp_path / "out", frames=3))
+    writer = run_lock.RunWriter("node", 1, 2, "now")
+    monkeypatch.setattr(run_lock, "find_writer", lambda _: writer)
+    assert not (tmp_path / "out" / file_layout.LOCK).exists()
+    assert run_progress.read_progress(reader).writer is writer
+
+
 HOLDER = """
 import signal, sys, time
 from pathlib import Path

@@ -1,5 +1,6 @@
 """Progress of a run as its folder tells it, and a request to stop it with a checkpoint."""
 
+import contextlib
 import math
 import os
 import signal
@@ -64,11 +65,11 @@ def read_progress(reader: RunReader) -> RunProgress:
     last, recent = numbers[-1], numbers[-PACE_FRAMES - 1 :]
     try:
         wall_of = {number: reader.path(number).stat().st_mtime for number in recent}
-        begin = 0.0  # [s] time at which the process began that writes now
-        if writer is not None:
-            begin = (reader.folder / file_layout.LOCK).stat().st_mtime
     except OSError as error:
         raise RunError(f"{error.filename}: {error.strerror}") from None
+    begin = 0.0  # [s] time at which the process began that writes now
+    with contextlib.suppress(OSError):  # its lock may have gone meanwhile
+        begin = (reader.folder / file_layout.LOCK).stat().st_mtime if writer else 0.0
     first = next((number for number in recent if wall_of[number] >= begin), last)
     now, step = reader.time_and_step(last)
     before, first_step = reader.time_and_step(first)

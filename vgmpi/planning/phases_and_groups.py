@@ -91,6 +91,11 @@ class GroupPlan(NamedTuple):
         return tuple(name for name, _ in self.state)
 
     @property
+    def has_deformation(self) -> bool:
+        """Return whether its particles have a deformation gradient that frames can store."""
+        return "H" in self.carries or self.tracks_deformation
+
+    @property
     def channels(self) -> Channels:
         """Channels of its particles."""
         return _channels(

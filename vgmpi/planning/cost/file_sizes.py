@@ -15,14 +15,14 @@ BYTES_OF_FIELD = {
 
 def frame_bytes(scene: Scene, plan: Plan) -> int:
     """Return the size of a frame with all particles of a run [bytes]."""
-    has_deformation = any("H" in g.carries or g.tracks_deformation for g in plan.groups)
+    has_deformation = any(group.has_deformation for group in plan.groups)
     each = BYTES_OF_EVERY_FRAME
     for name in scene.output.fields:
         if name != "F" or has_deformation:
             each += BYTES_OF_FIELD[name]
     if plan.colors is not None:
         each += 4 * 3 * int(plan.colors.coefficients.max())
-    return each * sum(plan.count)
+    return each * plan.particles
 
 
 def checkpoint_bytes(plan: Plan) -> int:

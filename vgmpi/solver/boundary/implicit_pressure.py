@@ -61,8 +61,8 @@ class ImplicitPressure:
         # relative pressure of a particle per potential of a cell and inverse time step
         self.stiffness = float(group.law.k) / (group.density * plan.dx**2)  # type: ignore[attr-defined]
         self.exchange: CellExchange | None = None
-        both = PRESSURE_SWEEPS, POSITION_SWEEPS
-        self.sweeps = [np.array(chebyshev_factors(s), plan.real) for s in both]
+        systems = PRESSURE_SWEEPS, POSITION_SWEEPS
+        self.sweeps = [np.array(chebyshev_factors(s), plan.real) for s in systems]
         self.fields = self._make_fields(0)
 
     def _make_fields(self, blocks: int) -> PressureFields:
@@ -141,16 +141,16 @@ class ImplicitPressure:
         wet[:count] = (self.fields.filled[: 64 * count].reshape(count, 64) > 0).any(1)
         reached = wet[self.grid.low.reshape(count, 8)].any(1)
         own = wet[:count] & (self.fields.scale[: 64 * count].reshape(count, 64) > 0).any(1)
-        selected = np.flatnonzero(own), np.flatnonzero(reached)
-        if threads == 1:
-            return [selected[0]], [selected[1]]
-        return np.array_split(selected[0], threads), np.array_split(selected[1], threads)
+        shares = [np.array_split(np.flatnonzero(rows), threads) for rows in (own, reached)]
+        return shares[0], shares[1]
 
     def _solve(self, cells: list[np.ndarray], nodes: list[np.ndarray], system: int) -> None:
         """Relax a system from phi on; phi is known on all cells around those of this rank."""
         factors = self.sweeps[system]
         assert self.exchange is not None
-        if len(cells) == 1 and not self.exchange.has_neighbors:  # one call in place of many
+        if (
+            self.engine.threads == 1 and not self.exchange.has_neighbors
+        ):  # one call in place of many
             self._each(cells, pressure_system.sweep, nodes[0], self.grid, factors, self.fields)
             return
         for weight, inertia in factors:

@@ -30,9 +30,7 @@ def frame_rows(simulation: Simulation, names: tuple[str, ...]) -> tuple[np.ndarr
             it; color is included if colors travel with the steps. Collective with volume_fraction.
     """
     ids, group_rows = [], []
-    deforms = any(
-        "H" in group.carries or group.tracks_deformation for group in simulation.plan.groups
-    )
+    deforms = any(group.has_deformation for group in simulation.plan.groups)
     if "volume_fraction" in names:
         fractions = volume_fractions(simulation)
     for g, group in enumerate(simulation.groups):
