@@ -27,7 +27,7 @@ CONTACT_PRIORITY = {
 }  # Of two phases in contact, the one with the smaller number provides the surface normal.
 # `python -m tests.benchmarks couplings` measures the next three.
 CORRECTION_COST = 0.75  # [steps] cost of one transfer correction (a step of no time)
-SHIFT_INTERVAL = 3  # [steps] between two shifts of the particles of liquids
+SHIFT_INTERVAL = 6  # [steps] between two shifts of the particles of liquids
 SHIFT_COST = 0.06  # [-] additional cost of particle shifting, relative to a step
 REST_VOLUME_COST = 0.1  # [-] the same of summing rest volumes where liquids differ in density
 DENSITY_CORRECTION_COST = 0.1  # [-] additional cost of the density correction, relative to a step

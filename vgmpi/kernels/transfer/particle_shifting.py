@@ -46,7 +46,7 @@ from .g2p import squared_norm
 MARGIN, MARGIN_GROWTH, MIN_FILL, FULL_FILL = 0.25, 1.3, 0.65, 0.75
 MAX_FILL_ERROR = 0.5  # [-] largest relative error of the fullness that relaxation sees
 TOLERATED_FILL = 1.02  # [-] fullness above which particles are shifted
-SHIFT_FACTOR = 0.1  # [cells2] displacement per gradient of the fullness per cell
+SHIFT_FACTOR = 0.2  # [cells2] displacement per gradient of the fullness per cell
 MAX_SHIFT_CELLS = 0.05  # [cells] largest displacement
 SPRAY_FILL, LIQUID_FILL = 0.25, 0.5  # [-] fullness of spray, and of what is not spray
 WALL_GAP_CELLS = 0.52  # [cells] least distance from a position's limit, 0.5 beyond a wall
