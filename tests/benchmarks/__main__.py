@@ -14,6 +14,7 @@ from vgmpi.apps.bench import interleaved_rounds
 from vgmpi.apps.bench.benchmark_case import BenchError, Case, lay_out
 from vgmpi.apps.bench.interleaved_rounds import Contestant
 from vgmpi.apps.bench.subcommands import parse_arguments, print_progress, run_command
+from vgmpi.io.run_reader import RunError
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions
 from vgmpi.scene.sections import Transfer
 
@@ -29,7 +30,7 @@ def arguments(argv: list[str]) -> argparse.Namespace:
 def main(argv: list[str] | None = None) -> int:
     """Run the command; returns the exit code."""
     words = sys.argv[1:] if argv is None else argv
-    return run_command(PROGRAM, arguments(words), (BenchError, ImportError))
+    return run_command(PROGRAM, arguments(words), (BenchError, ImportError, RunError))
 
 
 def _balance(parser: argparse.ArgumentParser) -> None:
