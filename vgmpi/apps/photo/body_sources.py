@@ -46,6 +46,7 @@ class Scenery(NamedTuple):
     photo: Photograph
     view: View
     out: Path  # folder of the scene
+    cups: dict[str, hollow_body.Cup]  # cups that are fitted already, by their names (in/out)
 
 
 def make_bodies(
@@ -132,7 +133,7 @@ def _body_from_mask(
     if obj.inside is not None:
         surface = _liquid(obj, scenery, masks[k], masks)
     elif method == "cup":
-        surface = _cup(obj, scenery, masks[k])
+        surface = _cup(k, scenery, masks)
     else:
         surface = mask_to_mesh.body(masks[k], scenery.view, method, thickness)
     rgb = _without_contents(k, scenery, masks)
@@ -146,13 +147,26 @@ def _body_from_mask(
     return cloud
 
 
-def _cup(obj: ObjectTable, scenery: Scenery, mask: np.ndarray) -> Mesh:
+def _fitted_cup(number: int, scenery: Scenery, masks: list[np.ndarray]) -> hollow_body.Cup:
+    """Return the hollow body of an object, which is fitted for the first who asks for it.
+
+    Raises:
+        BodyError: No upright body of revolution is seen as its mask.
+    """
+    obj = scenery.loaded.layout.object[number]
+    if obj.name not in scenery.cups:
+        wall = hollow_body.WALL if obj.wall is None else obj.wall
+        scenery.cups[obj.name] = hollow_body.cup(masks[number], scenery.view, wall)
+    return scenery.cups[obj.name]
+
+
+def _cup(number: int, scenery: Scenery, masks: list[np.ndarray]) -> Mesh:
     """Return the surface of a cup and of its handles; raise a BodyError if there are none."""
-    wall = hollow_body.WALL if obj.wall is None else obj.wall
-    hollow = hollow_body.cup(mask, scenery.view, wall)
-    parts = hollow_body.handles(hollow, mask, scenery.view)
+    hollow = _fitted_cup(number, scenery, masks)
+    parts = hollow_body.handles(hollow, masks[number], scenery.view)
     for _, pixels in parts:
-        log.info("'%s': a part beside the hollow body, %d pixels", obj.name, pixels)
+        name = scenery.loaded.layout.object[number].name
+        log.info("'%s': a part beside the hollow body, %d pixels", name, pixels)
     return hollow_body.join_surfaces(
         [hollow_body.cup_surface(hollow), *(surface for surface, _ in parts)]
     )
@@ -160,12 +174,8 @@ def _cup(obj: ObjectTable, scenery: Scenery, mask: np.ndarray) -> Mesh:
 
 def _liquid(obj: ObjectTable, scenery: Scenery, mask: np.ndarray, masks: list) -> Mesh:
     """Return the surface of a liquid in its cup; raise a BodyError if no level is seen so."""
-    objects = scenery.loaded.layout.object
-    number = [item.name for item in objects].index(str(obj.inside))
-    wall = objects[number].wall
-    hollow = hollow_body.cup(
-        masks[number], scenery.view, hollow_body.WALL if wall is None else wall
-    )
+    number = [item.name for item in scenery.loaded.layout.object].index(str(obj.inside))
+    hollow = _fitted_cup(number, scenery, masks)
     level, agreement = hollow_body.liquid_level(hollow, mask, scenery.view)
     bottom, top = hollow.cavity.heights[[0, -1]]
     filling = 100 * (level - bottom) / (top - bottom)

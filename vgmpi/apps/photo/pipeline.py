@@ -71,7 +71,7 @@ def photo_to_scene(
     found.overlapping_masks(masks, names)
     guesses: list[Guess] = []
     view = _view(loaded, photo, guesses)
-    unplaced = body_sources.make_bodies(Scenery(loaded, photo, view, out), masks, guesses)
+    unplaced = body_sources.make_bodies(Scenery(loaded, photo, view, out, {}), masks, guesses)
     unplaced, eye = _apply_depth(loaded, photo, view, unplaced, masks, learned, guesses)
     placed = _placed(loaded, view, unplaced, eye)
     materials = _materials(loaded, photo, masks, learned, guesses)
