@@ -25,9 +25,10 @@ from . import (
 )
 from .background_inpainting import inpaint_background
 from .external_generators import GeneratorError
+from .grabcut import box_of
 from .layout_config import LayoutError, LoadedLayout, ObjectTable
 from .mask_to_mesh import BodyError, Reconstruction
-from .object_masks import ObjectMask
+from .object_masks import ObjectMask, share_pixels
 from .object_placement import UnplacedObject
 from .photo_camera import View
 from .photograph import Photograph
@@ -136,7 +137,7 @@ def _body_from_mask(
         surface = _cup(k, scenery, masks)
     else:
         surface = mask_to_mesh.body(masks[k], scenery.view, method, thickness)
-    rgb = _without_contents(k, scenery, masks)
+    rgb = _without_front(k, scenery, masks)
     cloud = gaussian_colors.gaussians(surface, rgb, masks[k], scenery.view, seed=k + 1)
     kind = method if obj.inside is None else "liquid"
     log.info("'%s': %s, %d Gaussians", obj.name, kind, len(cloud))
@@ -184,13 +185,31 @@ def _liquid(obj: ObjectTable, scenery: Scenery, mask: np.ndarray, masks: list) -
     return hollow_body.liquid_surface(hollow, level)
 
 
-def _without_contents(k: int, scenery: Scenery, masks: list[np.ndarray]) -> np.ndarray:
-    """Return the photograph without the liquids inside an object, whose colors it lacks."""
-    name = scenery.loaded.layout.object[k].name
-    contents = [
-        mask for item, mask in zip(scenery.loaded.layout.object, masks) if item.inside == name
-    ]
-    return inpaint_background(scenery.photo.rgb, contents) if contents else scenery.photo.rgb
+def _without_front(k: int, scenery: Scenery, masks: list[np.ndarray]) -> np.ndarray:
+    """Return the photograph without what hides a part of an object, whose colors it lacks.
+
+    That are liquids inside it, and objects that share much of its mask and stand on it or are
+    smaller.
+    """
+    objects, mask, rgb = scenery.loaded.layout.object, masks[k], scenery.photo.rgb
+    name = objects[k].name
+    contents = [other for item, other in zip(objects, masks) if item.inside == name]
+    if contents:
+        rgb = inpaint_background(rgb, contents)
+    front = [
+        other for item, other in zip(objects, masks)
+        if item.inside is None and share_pixels(mask, other)
+        and (item.support == name or other.sum() < mask.sum())
+    ]  # fmt: skip
+    covered = np.logical_or.reduce([np.zeros_like(mask), *front])
+    if not (covered & mask).any() or not (mask & ~covered).any():
+        return rgb
+    left, top, right, bottom = box_of(mask)
+    cut = slice(top, bottom), slice(left, right)
+    filled = inpaint_background(rgb[cut], [(covered | ~mask)[cut]])
+    result = rgb.copy()
+    result[cut] = np.where((covered & mask)[cut][..., None], filled, rgb[cut])
+    return result
 
 
 def _body_file(obj: ObjectTable, loaded: LoadedLayout) -> Path | None:
