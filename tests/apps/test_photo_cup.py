@@ -133,7 +133,7 @@ def test_wrong_keys_of_cups_are_one_line(tmp_path, keys, says):
     assert line.startswith(f"{path}:") and says in line
 
 
-def test_the_cup_of_a_photograph_holds_its_liquid(tmp_path):
+def test_the_cup_of_a_photograph_holds_its_liquid(tmp_path, monkeypatch):
     """The can of the drawn photograph, whose dark upper end is the liquid of a cup."""
     pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")
     from PIL import Image
@@ -152,8 +152,12 @@ def test_the_cup_of_a_photograph_holds_its_liquid(tmp_path):
     )
     Image.fromarray(mask).save(tmp_path / "cup.png")
     Image.fromarray(dark).save(tmp_path / "tea.png")
+    fitted, fit = [], hollow_body.cup
+    monkeypatch.setattr(hollow_body, "cup", lambda *given: fitted.append(fit(*given)) or fitted[-1])
     for _ in range(2):  # the second start reads what the first has written
+        fitted.clear()
         assert main([str(photo), str(layout), "-o", str(tmp_path / "out")]) == 0
+        assert len(fitted) == 1  # the cup and its liquid share it
     cup, tea = (drawn_photograph.corners(tmp_path / "out", name) for name in ("cup", "tea"))
     assert (tea[0] > cup[0]).all() and (tea[1] < cup[1]).all()
     text = (tmp_path / "out" / "scene.toml").read_text()

@@ -145,7 +145,7 @@ def campaign(count: int, seed: int, folder: Path) -> Result:
         path = folder / f"{k:04}" / f"thing{of[1]}"
         path.parent.mkdir(exist_ok=True)
         data = draw.choice(all_[of])
-        path.write_bytes(_spoil(data, of, all_, draw) if kind else data)
+        path.write_bytes(spoil(data, of, all_, draw) if kind else data)
         spoiled.append(path)
         cases.append(_commands(of[0], path, run))
     warm = [*cases.pop(0), *_commands("background", _picture(folder, all_), run)]
@@ -188,7 +188,7 @@ def _where(path: Path, command: list[str]) -> re.Pattern:
     return re.compile(rf"(?:vgmpi: )?{key}'?{name}'?:? .+")
 
 
-def _spoil(data: bytes, kind: tuple[str, str], all_: Good, draw: random.Random) -> bytes:
+def spoil(data: bytes, kind: tuple[str, str], all_: Good, draw: random.Random) -> bytes:
     """A good file after one to three blows; or a bomb, or another file under its name."""
     bombs = BOMBS.get(kind[1], [])
     if bombs and draw.random() < 0.12:

@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.campaigns import worker
@@ -38,7 +39,81 @@ box = [40, 50, 100, 110]
 reconstruction = "revolve"
 material = "rubber"
 """,
+    """
+[camera]
+pitch = 35
+fov = 30
+height = "40 cm"
+[scene]
+end = "0.2 s"
+cells = 32
+shadows = "remove"
+[[object]]
+name = "cup"
+mask = "disc.png"
+reconstruction = "cup"
+wall = 0.2
+height = "10 cm"
+support = "2 cm"
+yaw = 10
+[[object]]
+name = "tea"
+mask = "surface.png"
+inside = "cup"
+material = "water"
+""",
+    """
+[camera]
+pitch = 20
+[masks]
+method = "grabcut"
+[depth]
+method = "floor"
+[[object]]
+name = "box"
+box = [40, 50, 100, 110]
+reconstruction = "extrude"
+thickness = 0.3
+height = "10 cm"
+support = "floor"
+distance = "60 cm"
+[[object]]
+name = "lid"
+mask = "lid.png"
+text = "a red lid"
+support = "box"
+yaw = "5 deg"
+""",
+    """
+[camera]
+pitch = 20
+[bodies]
+folder = "bodies"
+seed = 3
+[[object]]
+name = "duck"
+mask = "disc.png"
+body = "duck.obj"
+up = "z"
+height = "10 cm"
+""",
 )
+MASKS = {"disc": (70, 80, 24, 24), "surface": (70, 68, 18, 7), "lid": (110, 40, 14, 9)}
+
+
+def write_masks(folder: Path) -> None:
+    """The files that the layouts name: ellipses of MASKS (x, y, and both radii), and a body."""
+    from PIL import Image
+
+    from tests.apps.test_photo_hostile import HEIGHT, WIDTH
+
+    y, x = np.mgrid[:HEIGHT, :WIDTH] + 0.5
+    for name, (a, b, width, height) in MASKS.items():
+        mask = ((x - a) / width) ** 2 + ((y - b) / height) ** 2 < 1
+        Image.fromarray(np.where(mask, 255, 0).astype(np.uint8)).save(folder / f"{name}.png")
+    (folder / "duck.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+    )
 
 
 def campaign(count: int, seed: int, folder: Path) -> Result:
@@ -49,8 +124,22 @@ def campaign(count: int, seed: int, folder: Path) -> Result:
     folder.mkdir(parents=True, exist_ok=True)
     photo = folder / "photo.png"
     photo.write_bytes(test_photo_hostile.plain())
+    write_masks(folder)
     keys = sorted({word for text in BASES for word in re.findall(r"(?m)^(\w+) =", text)})
-    spoiler = Spoiler(list(BASES), [*keys, "mask", "position", "supported_by", "rotation", "views"])
+    spoiler = Spoiler(
+        list(BASES),
+        [
+            *keys,
+            "mask",
+            "position",
+            "supported_by",
+            "rotation",
+            "views",
+            "multi_view",
+            "weights",
+            "script",
+        ],
+    )
     cases, paths = [], []
     for _, path in spoiler.files(count, seed, folder):
         out = folder / f"out_{path.stem}"

@@ -25,9 +25,10 @@ from . import (
 )
 from .background_inpainting import inpaint_background
 from .external_generators import GeneratorError
+from .grabcut import box_of
 from .layout_config import LayoutError, LoadedLayout, ObjectTable
 from .mask_to_mesh import BodyError, Reconstruction
-from .object_masks import ObjectMask
+from .object_masks import ObjectMask, share_pixels
 from .object_placement import UnplacedObject
 from .photo_camera import View
 from .photograph import Photograph
@@ -46,6 +47,7 @@ class Scenery(NamedTuple):
     photo: Photograph
     view: View
     out: Path  # folder of the scene
+    cups: dict[str, hollow_body.Cup]  # cups that are fitted already, by their names (in/out)
 
 
 def make_bodies(
@@ -132,10 +134,10 @@ def _body_from_mask(
     if obj.inside is not None:
         surface = _liquid(obj, scenery, masks[k], masks)
     elif method == "cup":
-        surface = _cup(obj, scenery, masks[k])
+        surface = _cup(k, scenery, masks)
     else:
         surface = mask_to_mesh.body(masks[k], scenery.view, method, thickness)
-    rgb = _without_contents(k, scenery, masks)
+    rgb = _without_front(k, scenery, masks)
     cloud = gaussian_colors.gaussians(surface, rgb, masks[k], scenery.view, seed=k + 1)
     kind = method if obj.inside is None else "liquid"
     log.info("'%s': %s, %d Gaussians", obj.name, kind, len(cloud))
@@ -146,13 +148,26 @@ def _body_from_mask(
     return cloud
 
 
-def _cup(obj: ObjectTable, scenery: Scenery, mask: np.ndarray) -> Mesh:
+def _fitted_cup(number: int, scenery: Scenery, masks: list[np.ndarray]) -> hollow_body.Cup:
+    """Return the hollow body of an object, which is fitted for the first who asks for it.
+
+    Raises:
+        BodyError: No upright body of revolution is seen as its mask.
+    """
+    obj = scenery.loaded.layout.object[number]
+    if obj.name not in scenery.cups:
+        wall = hollow_body.WALL if obj.wall is None else obj.wall
+        scenery.cups[obj.name] = hollow_body.cup(masks[number], scenery.view, wall)
+    return scenery.cups[obj.name]
+
+
+def _cup(number: int, scenery: Scenery, masks: list[np.ndarray]) -> Mesh:
     """Return the surface of a cup and of its handles; raise a BodyError if there are none."""
-    wall = hollow_body.WALL if obj.wall is None else obj.wall
-    hollow = hollow_body.cup(mask, scenery.view, wall)
-    parts = hollow_body.handles(hollow, mask, scenery.view)
+    hollow = _fitted_cup(number, scenery, masks)
+    parts = hollow_body.handles(hollow, masks[number], scenery.view)
     for _, pixels in parts:
-        log.info("'%s': a part beside the hollow body, %d pixels", obj.name, pixels)
+        name = scenery.loaded.layout.object[number].name
+        log.info("'%s': a part beside the hollow body, %d pixels", name, pixels)
     return hollow_body.join_surfaces(
         [hollow_body.cup_surface(hollow), *(surface for surface, _ in parts)]
     )
@@ -160,12 +175,8 @@ def _cup(obj: ObjectTable, scenery: Scenery, mask: np.ndarray) -> Mesh:
 
 def _liquid(obj: ObjectTable, scenery: Scenery, mask: np.ndarray, masks: list) -> Mesh:
     """Return the surface of a liquid in its cup; raise a BodyError if no level is seen so."""
-    objects = scenery.loaded.layout.object
-    number = [item.name for item in objects].index(str(obj.inside))
-    wall = objects[number].wall
-    hollow = hollow_body.cup(
-        masks[number], scenery.view, hollow_body.WALL if wall is None else wall
-    )
+    number = [item.name for item in scenery.loaded.layout.object].index(str(obj.inside))
+    hollow = _fitted_cup(number, scenery, masks)
     level, agreement = hollow_body.liquid_level(hollow, mask, scenery.view)
     bottom, top = hollow.cavity.heights[[0, -1]]
     filling = 100 * (level - bottom) / (top - bottom)
@@ -174,13 +185,31 @@ def _liquid(obj: ObjectTable, scenery: Scenery, mask: np.ndarray, masks: list) -
     return hollow_body.liquid_surface(hollow, level)
 
 
-def _without_contents(k: int, scenery: Scenery, masks: list[np.ndarray]) -> np.ndarray:
-    """Return the photograph without the liquids inside an object, whose colors it lacks."""
-    name = scenery.loaded.layout.object[k].name
-    contents = [
-        mask for item, mask in zip(scenery.loaded.layout.object, masks) if item.inside == name
-    ]
-    return inpaint_background(scenery.photo.rgb, contents) if contents else scenery.photo.rgb
+def _without_front(k: int, scenery: Scenery, masks: list[np.ndarray]) -> np.ndarray:
+    """Return the photograph without what hides a part of an object, whose colors it lacks.
+
+    That are liquids inside it, and objects that share much of its mask and stand on it or are
+    smaller.
+    """
+    objects, mask, rgb = scenery.loaded.layout.object, masks[k], scenery.photo.rgb
+    name = objects[k].name
+    contents = [other for item, other in zip(objects, masks) if item.inside == name]
+    if contents:
+        rgb = inpaint_background(rgb, contents)
+    front = [
+        other for item, other in zip(objects, masks)
+        if item.inside is None and share_pixels(mask, other)
+        and (item.support == name or other.sum() < mask.sum())
+    ]  # fmt: skip
+    covered = np.logical_or.reduce([np.zeros_like(mask), *front])
+    if not (covered & mask).any() or not (mask & ~covered).any():
+        return rgb
+    left, top, right, bottom = box_of(mask)
+    cut = slice(top, bottom), slice(left, right)
+    filled = inpaint_background(rgb[cut], [(covered | ~mask)[cut]])
+    result = rgb.copy()
+    result[cut] = np.where((covered & mask)[cut][..., None], filled, rgb[cut])
+    return result
 
 
 def _body_file(obj: ObjectTable, loaded: LoadedLayout) -> Path | None:

@@ -5,7 +5,18 @@ from collections.abc import Callable
 import numpy as np
 from scipy import ndimage
 
-from .grabcut import Box, opencv
+from .boolean_map_saliency import surrounded_boxes
+from .grabcut import (
+    MIN_CONTRAST,
+    MIN_FILL,
+    Box,
+    MaskError,
+    box_of,
+    box_overlap,
+    grabcut,
+    opencv,
+    rim_contrast,
+)
 from .photograph import Photograph
 
 MIN_AREA, MAX_AREA = 0.003, 0.5  # [-] area of an object relative to the picture
@@ -17,8 +28,54 @@ CHROMA_WEIGHT = (
 SALIENCY_FACTOR = 4.0  # [-] a salient pixel deviates from its row by this multiple of the median
 SHADOW_WEIGHT = 0.25  # [-] weight of darkening, which may be a shadow
 MAX_OVERLAP = 0.6  # [-] two boxes count as one from this overlap of the smaller one on
+CHECK_SIDE = 400  # [pixels] longer side of the photograph in which proposals are cut out
+MAX_MASK = 0.8  # [-] largest area of a proposal that was cut out, relative to the picture
+MAX_CUTS = 4  # a box grows at most this often, as its mask reaches to its edges
+SAME_BOX = 0.9  # [-] a box that agrees with its mask's box so well grows no more
+MIN_PART = 0.25  # [-] a proposal inside another one has at least this part of its area
+MAX_RECURRENCE = 0.4  # [-] of the remainder that may have the colors of the proposal
+_RING = 0.25  # [-] width of the surroundings of a proposal relative to its size
+_BINS = (16, 6, 6)  # [0..255] width of color bins: lightness and both color channels
 
 Proposer = Callable[[np.ndarray], list[Box]]
+
+
+def propose_boxes(rgb: np.ndarray) -> list[Box]:
+    """Return boxes of objects, each checked by cutting out its object.
+
+    They are regions that differ from their rows. If there are none, or all of them touch the left
+    or the right edge, as the table beside a large object does, they are regions that something
+    else surrounds.
+
+    Args:
+        rgb: Photograph, shape (height, width, 3) uint8.
+
+    Raises:
+        MaskError: OpenCV is missing.
+    """
+    cv2 = opencv()
+    height, width = rgb.shape[:2]
+    scale = max(1.0, max(height, width) / CHECK_SIDE)
+    size = round(width / scale), round(height / scale)
+    small = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
+    rows = [
+        box for box in saliency_boxes(rgb)
+        if _cut_out(small, Box(*(round(v / scale) for v in box))) is not None
+    ]  # fmt: skip
+    if any(box.left > 0 and box.right < width for box in rows):
+        return rows
+    masks = [_cut_out(small, box) for box in surrounded_boxes(small, MIN_AREA)]
+    lab = cv2.cvtColor(small, cv2.COLOR_RGB2LAB)
+    distinct = [
+        mask for mask in masks
+        if mask is not None and _recurrence(lab, mask) <= MAX_RECURRENCE
+    ]  # fmt: skip
+    boxes: list[Box] = []
+    for box in map(box_of, sorted(distinct, key=np.sum, reverse=True)):
+        if all(_is_separate(box, other) for other in boxes):
+            boxes.append(box)
+    enlarged = [Box(*(round(v * scale) for v in box)) for box in boxes]
+    return [_wider(box, rgb) for box in enlarged][:MAX_PROPOSALS] or rows
 
 
 def saliency_boxes(rgb: np.ndarray) -> list[Box]:
@@ -97,13 +154,76 @@ def draw_boxes(rgb: np.ndarray, boxes: list[Box]) -> np.ndarray:
     return np.asarray(image)
 
 
+def _cut_out(rgb: np.ndarray, box: Box) -> np.ndarray | None:
+    """Return the mask (height, width) bool of the object in a box; None if there is none.
+
+    The box follows its mask, so that it comes to hold an object of which it holds a part.
+
+    Args:
+        rgb: Photograph, shape (height, width, 3) uint8.
+        box: Box in it.
+    """
+    result = None
+    picture = Box(0, 0, rgb.shape[1], rgb.shape[0])
+    for _ in range(MAX_CUTS):
+        wide = _wider(box, rgb)
+        try:
+            mask = grabcut(rgb, box if wide == picture else wide, [])
+        except MaskError:
+            break
+        area = float(mask.mean())
+        if not MIN_AREA <= area <= MAX_MASK or (result is not None and area < result.mean()):
+            break
+        outline = box_of(mask)
+        fill = mask.sum() / ((outline.right - outline.left) * (outline.bottom - outline.top))
+        if fill < MIN_FILL or rim_contrast(rgb, mask) < MIN_CONTRAST:
+            break
+        result = mask
+        if box_overlap(outline, box) > SAME_BOX:
+            break
+        box = outline
+    return result
+
+
+def _recurrence(lab: np.ndarray, mask: np.ndarray) -> float:
+    """Return the fraction of the remote pixels that have colors of an object.
+
+    They look more like the object than like its surroundings, as those of a tile among tiles do.
+
+    Args:
+        lab: Photograph in the color space CIELAB, shape (height, width, 3) uint8.
+        mask: The object, shape (height, width) bool.
+    """
+    bins = tuple(lab[..., k] // _BINS[k] for k in range(3))
+    box = box_of(mask)
+    margin = round(_RING * max(box.right - box.left, box.bottom - box.top))
+    nearby = np.zeros(mask.shape, dtype=bool)
+    nearby[max(0, box.top - margin) : box.bottom + margin,
+           max(0, box.left - margin) : box.right + margin] = True  # fmt: skip
+    remote = ~nearby if (~nearby).mean() > 0.05 else ~mask
+    shares = []
+    for region in (mask, nearby & ~mask):
+        count = np.zeros(tuple(255 // width + 1 for width in _BINS))
+        np.add.at(count, tuple(v[region] for v in bins), 1.0)
+        shares.append(ndimage.gaussian_filter(count, 1.0)[bins] / max(int(region.sum()), 1))
+    return float((shares[0] > shares[1])[remote].mean())
+
+
+def _is_separate(box: Box, larger: Box) -> bool:
+    """Return whether a box is another object than a larger one, or a large part of it."""
+    if _common(box, larger) < MAX_OVERLAP:
+        return True
+    area, larger_area = ((b.right - b.left) * (b.bottom - b.top) for b in (box, larger))
+    return MIN_PART * larger_area <= area and box_overlap(box, larger) < MAX_OVERLAP
+
+
 def _wider(box: Box, rgb: np.ndarray) -> Box:
     """Widen a box by MARGIN within the picture."""
-    margin = max(4, round(MARGIN * max(box.right - box.left, box.bottom - box.top)))
+    x, y = (max(4, round(MARGIN * size)) for size in (box.right - box.left, box.bottom - box.top))
     height, width = rgb.shape[:2]
     return Box(
-        max(0, box.left - margin), max(0, box.top - margin),
-        min(width, box.right + margin), min(height, box.bottom + margin),
+        max(0, box.left - x), max(0, box.top - y),
+        min(width, box.right + x), min(height, box.bottom + y),
     )  # fmt: skip
 
 

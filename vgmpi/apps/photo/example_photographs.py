@@ -14,7 +14,7 @@ from .photograph import PhotographError
 
 FOLDER = Path(__file__).with_name("examples")
 SUMMARIES = {
-    "coffee": "a cup of coffee is dropped onto a table (photograph of scikit-image)",
+    "coffee": "a cup of coffee is dropped onto its saucer (photograph of scikit-image)",
     "chelsea": "the head of a cat tips forward (photograph of scikit-image)",
     "rocket": "a model of a rocket collapses (photograph of scikit-image)",
     "milk": "an orange falls onto a glass of milk (drawn)",

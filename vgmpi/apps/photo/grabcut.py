@@ -309,6 +309,14 @@ def iou(a: np.ndarray, b: np.ndarray) -> float:
     return float((a & b).sum() / either) if either else 1.0
 
 
+def box_overlap(a: Box, b: Box) -> float:
+    """Return the intersection over union of two boxes."""
+    wide = min(a.right, b.right) - max(a.left, b.left)
+    high = min(a.bottom, b.bottom) - max(a.top, b.top)
+    shared = max(0, wide) * max(0, high)
+    return shared / (sum((x.right - x.left) * (x.bottom - x.top) for x in (a, b)) - shared)
+
+
 def box_of(mask: np.ndarray) -> Box:
     """Return the smallest box around a mask that is not empty."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))

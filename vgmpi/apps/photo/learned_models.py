@@ -42,7 +42,7 @@ def proposer(layout: Empty, folder: Path) -> Proposer:
         LayoutError: A model cannot be loaded.
     """
     if layout.masks.method == "grabcut":
-        return box_proposals.saliency_boxes
+        return box_proposals.propose_boxes
     return _loaded_sam(layout, folder).propose
 
 

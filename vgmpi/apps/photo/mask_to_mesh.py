@@ -23,6 +23,8 @@ REVOLUTION_LEVELS = 300  # circles of a body of revolution
 WIDTH_ITERATIONS = 4  # iterations for the width of an extruded body
 DEPTH_SAMPLES = 24  # samples of an extruded body along its depth
 PINHOLE = 16  # [lattice points] smaller holes of an outline are closed
+THIN_PARTS = (0.3, 0.6)  # [-] relative radii below and above which parts are thin and thick
+RADIUS_SMOOTHING = 2.0  # [lattice points] smoothing of the radius where a thin part begins
 THICKNESS = 0.6  # [-] default depth of an extruded body relative to its width
 _CONE_SLOPE = 0.6  # [-] circles form a cone from this slope on, relative to the line of sight
 OUTLINE_SMOOTHING = 1.0  # [pixels] smoothing of the jagged outline, as the smallest circle counts
@@ -80,10 +82,12 @@ def body(
 def inflated_surface(mask: np.ndarray, view: View) -> Mesh:
     """Return the surface of an inflated mask (height, width) bool about the eye, about 1 away.
 
+    All of its sections are as thick as they are wide.
+
     Raises:
         BodyError: The mask gives no body.
     """
-    return _inflated(eroded_mask(mask), view)
+    return _inflated(eroded_mask(mask), view, is_thin=True)
 
 
 def poisson_height(inside: np.ndarray) -> np.ndarray:
@@ -106,6 +110,45 @@ def poisson_height(inside: np.ndarray) -> np.ndarray:
     u = np.zeros(padded.shape)
     u[padded] = spsolve(neighbors + 4 * sparse.eye(len(y), format="csc"), np.ones(len(y)))
     return np.sqrt(4 * np.maximum(u, 0))[1:-1, 1:-1]
+
+
+def local_radius(inside: np.ndarray) -> np.ndarray:
+    """Return the radius of the largest disc inside an outline that covers each point.
+
+    Input and output have shape (rows, columns); the result is in lattice steps.
+    """
+    depth = ndimage.distance_transform_edt(np.pad(inside, 1))[1:-1, 1:-1]
+    radius = depth.copy()
+    for level in np.arange(1.0, depth.max() + 0.5, 0.5):
+        is_covered = ndimage.distance_transform_edt(depth < level) < level
+        radius = np.where(inside & is_covered, np.maximum(radius, level), radius)
+    weight = ndimage.gaussian_filter(inside.astype(np.float64), RADIUS_SMOOTHING)
+    smooth = ndimage.gaussian_filter(radius * inside, RADIUS_SMOOTHING) / np.maximum(weight, 1e-9)
+    return np.where(inside, np.maximum(smooth, depth), 0.0)
+
+
+def inflated_height(inside: np.ndarray, is_thin: bool = False) -> np.ndarray:
+    """Return half the thickness of an inflated outline, whose thin parts have round sections.
+
+    A soap film alone is 1.41 times as thick over a long strip as the strip is wide.
+
+    Args:
+        inside: Outline, shape (rows, columns) bool.
+        is_thin: Whether all of it is a thin part, as of a handle; otherwise parts are thin where
+            the largest disc inside them is less than THIN_PARTS of the largest one of all.
+
+    Returns:
+        Lattice steps, shape (rows, columns).
+    """
+    film, radius = poisson_height(inside), local_radius(inside)
+    depth = ndimage.distance_transform_edt(np.pad(inside, 1))[1:-1, 1:-1]
+    depth = np.maximum(depth - 0.5, 0)  # from the outline to the middle of a lattice cell
+    width = np.maximum(radius - 0.25, depth)  # the middle lies between two cells, or not
+    section = np.minimum(film, np.sqrt(depth * (2 * width - depth)))
+    share = radius / max(float(radius.max()), 1e-9)
+    low, high = THIN_PARTS
+    weight = 1.0 if is_thin else np.clip((high - share) / (high - low), 0.0, 1.0)
+    return film + weight * (section - film)
 
 
 def eroded_mask(mask: np.ndarray) -> np.ndarray:
@@ -154,7 +197,7 @@ def _lattice(mask: np.ndarray, view: View) -> Lattice:
     return Lattice(across, up, inside_mask(mask, view, np.stack([a, np.ones_like(a), b], -1)), step)
 
 
-def _inflated(mask: np.ndarray, view: View) -> Mesh:
+def _inflated(mask: np.ndarray, view: View, is_thin: bool = False) -> Mesh:
     """Inflate an outline into two height fields along the lines of sight.
 
     The fields lie over the plane that faces the middle of the outline, and share their rim.
@@ -174,7 +217,7 @@ def _inflated(mask: np.ndarray, view: View) -> Mesh:
     corners = forward + np.stack(np.meshgrid(x, y), -1) @ axes
     middles = (corners[1:, 1:] + corners[:-1, :-1]) / 2
     inside = _largest_component(inside_mask(mask, view, middles))
-    half = poisson_height(inside) * step
+    half = inflated_height(inside, is_thin) * step
     corner = ndimage.uniform_filter(np.pad(half, 1), 2)[1:, 1:]
     is_complete = ndimage.minimum_filter(np.pad(inside, 1).astype(np.uint8), 2)[1:, 1:] > 0
     corner = np.where(is_complete, corner, 0.0)

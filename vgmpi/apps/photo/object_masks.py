@@ -220,15 +220,17 @@ def scaled_points(obj: ObjectTable, photo: Photograph, box: Box | None) -> Point
     return small
 
 
-def overlapping_masks(object_masks: list[ObjectMask], names: list[str]) -> None:
-    """Report pairs of masks that share many pixels, which cannot belong to both objects."""
-    for k, current in enumerate(object_masks):
-        for j in range(k):
-            shared = int((current.mask & object_masks[j].mask).sum())
-            if shared > OVERLAP_WARNING * min(
-                int(current.mask.sum()), int(object_masks[j].mask.sum())
-            ):
-                log.warning(
-                    "'%s' and '%s' share %d pixels: is one of them the other?",
-                    names[j], names[k], shared,
-                )  # fmt: skip
+def share_pixels(a: np.ndarray, b: np.ndarray) -> bool:
+    """Return whether two masks (height, width) bool share much of the smaller one."""
+    return int((a & b).sum()) > OVERLAP_WARNING * min(int(a.sum()), int(b.sum()))
+
+
+def overlapping_masks(object_masks: list[ObjectMask], objects: tuple[ObjectTable, ...]) -> None:
+    """Report pairs of masks that share many pixels, except a liquid's with its cup's."""
+    for k, (current, obj) in enumerate(zip(object_masks, objects)):
+        for other, previous in zip(object_masks[:k], objects[:k]):
+            are_nested = obj.inside == previous.name or previous.inside == obj.name
+            if not are_nested and share_pixels(current.mask, other.mask):
+                shared = int((current.mask & other.mask).sum())
+                log.warning("'%s' and '%s' share %d pixels: the smaller one is taken as in front",
+                            previous.name, obj.name, shared)  # fmt: skip

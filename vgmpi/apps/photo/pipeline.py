@@ -68,10 +68,10 @@ def photo_to_scene(
     names = [obj.name for obj in loaded.layout.object]
     learned = learned_models.load(loaded)
     masks = found.segment_objects(loaded, photo, learned.finder)
-    found.overlapping_masks(masks, names)
+    found.overlapping_masks(masks, loaded.layout.object)
     guesses: list[Guess] = []
     view = _view(loaded, photo, guesses)
-    unplaced = body_sources.make_bodies(Scenery(loaded, photo, view, out), masks, guesses)
+    unplaced = body_sources.make_bodies(Scenery(loaded, photo, view, out, {}), masks, guesses)
     unplaced, eye = _apply_depth(loaded, photo, view, unplaced, masks, learned, guesses)
     placed = _placed(loaded, view, unplaced, eye)
     materials = _materials(loaded, photo, masks, learned, guesses)
@@ -139,7 +139,7 @@ def propose(photo_path: Path, layout_path: Path | None, out: Path) -> Path:
         raise MaskError(f"{photo_path}: nothing in it stands out: boxes must be given by hand")
     for k, box in enumerate(boxes):
         size = f"{box.right - box.left} x {box.bottom - box.top} pixels"
-        log.info("'thing %d': proposed, %s, as it stands out from its rows", k + 1, size)
+        log.info("'thing %d': proposed, %s, as it stands out", k + 1, size)
     folder.picture("find.png", box_proposals.draw_boxes(photo.rgb, boxes))
     folder.text_file(path, box_proposals.text(boxes, photo, source.text if source else ""))
     folder.write()
