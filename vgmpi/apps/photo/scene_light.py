@@ -119,6 +119,5 @@ def _fitted_light(
         (("light", "width"), light.width, "tangent of its half width, from their rims"),
         (("light", "darkness"), round(light.darkness, 3), "part of the light that they lack"),
     ]
-    log.info("light: travels along %s, half width %g, from shadows: it %s",
-             vector, light.width, share)  # fmt: skip
+    log.info("light: travels along %s, half width %g, which %s", vector, light.width, share)
     return light
