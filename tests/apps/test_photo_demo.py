@@ -15,7 +15,11 @@ from vgmpi.apps.photo.__main__ import main
 pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")
 pytest.importorskip("tomlkit", reason="no tomlkit: pip install 'vgmpi[images]'")
 FROM_SCIKIT_IMAGE = ("coffee", "chelsea", "rocket")
-AGREEMENT = {"coffee": 18, "chelsea": 25, "rocket": 18, "milk": 25, "tower": 23, "balls": 25}  # dB
+# dB of the worst object and of the whole picture
+AGREEMENT = {
+    "coffee": (28, 33), "chelsea": (35, 35), "rocket": (25, 35), "milk": (31, 38),
+    "tower": (29, 38), "balls": (30, 38),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", example_photographs.SUMMARIES)
@@ -27,7 +31,9 @@ def test_an_example_makes_a_scene(name, tmp_path, capfd):
     objects = tomllib.loads((tmp_path / "scene.toml").read_text())["object"]
     agreement = [float(v) for v in re.findall(r"to ([\d.]+) dB", text)]
     print(name, agreement)
-    assert len(agreement) == len(objects) and min(agreement) > AGREEMENT[name]
+    *inside, total = agreement
+    assert len(inside) == len(objects)
+    assert min(inside) > AGREEMENT[name][0] and total > AGREEMENT[name][1]
 
 
 def test_a_second_start_goes_on_with_the_layout_that_lies_there(tmp_path):

@@ -34,6 +34,15 @@ def inpaint_background(rgb: np.ndarray, masks: list[np.ndarray]) -> np.ndarray:
     return min((lines, synthesize(lines, gap)), key=lambda filled: visibility(filled, gap))
 
 
+def interpolate_background(rgb: np.ndarray, masks: list[np.ndarray]) -> np.ndarray:
+    """Return the photograph with its objects filled by interpolation alone, as inpaint_background.
+
+    Raises:
+        MaskError: The objects fill the whole picture.
+    """
+    return _fill_along_lines(rgb, masks)[1]
+
+
 def visibility(rgb: np.ndarray, gap: np.ndarray) -> float:
     """Return how visible a filled gap is: by its texture and its seam [0..255].
 

@@ -82,6 +82,8 @@ def _body(
     up: str | None = obj.up
     try:
         file = _body_file(obj, scenery.loaded)
+        if file is None and config.folder and obj.reconstruction is obj.multi_view is None:
+            log.info("'%s': no file of its name in %s", obj.name, config.folder)
         if file is not None:
             cloud = _read_body(file)
             log.info("'%s': the body in %s, %d Gaussians", obj.name, file, len(cloud))
@@ -113,6 +115,14 @@ def _body(
     if obj.yaw is None:
         guesses.append((("object", k, "yaw"), pose.yaw, f"degrees, found: {agreement}"))
     return aligned.cloud
+
+
+def is_from_mask(obj: ObjectTable, loaded: LoadedLayout) -> bool:
+    """Return whether a body comes from its mask alone and stands as the photograph shows it."""
+    if obj.multi_view is not None or obj.yaw or _body_file(obj, loaded) is not None:
+        return False
+    by_default = obj.reconstruction is None and obj.inside is None
+    return not by_default or loaded.layout.bodies.method == "mask"
 
 
 def _body_from_mask(
@@ -225,7 +235,6 @@ def _body_file(obj: ObjectTable, loaded: LoadedLayout) -> Path | None:
     for suffix in (*registry.KINDS, *surface_mesh.FORMATS):
         if (folder / f"{obj.name}{suffix}").is_file():
             return folder / f"{obj.name}{suffix}"
-    log.info("'%s': no file of its name in %s", obj.name, config.folder)
     return None
 
 

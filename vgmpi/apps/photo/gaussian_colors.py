@@ -1,18 +1,30 @@
 """Colored Gaussians on a surface, with the colors of the photograph."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy import ndimage
 
-from vgmpi.gaussians.cloud import GaussianCloud
+from vgmpi.gaussians.cloud import (
+    GaussianCloud,
+    pack_symmetric,
+    principal_axes,
+    rotation_matrices,
+)
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
 from vgmpi.preprocess.meshes import surface_mesh
 from vgmpi.preprocess.meshes.surface_mesh import Mesh
 
 from .photo_camera import View
 
-MAX_GAUSSIANS = 60_000  # upper limit of the Gaussians of a body
+MAX_GAUSSIANS = 200_000  # upper limit of the Gaussians of a body
+MIN_GAUSSIANS = 2000  # lower limit for each of its two sides
 OPACITY = 0.95  # [-] of every Gaussian of a body
-MIXED_EDGE_PIXELS = 2  # [pixels] along an outline colors are mixed with the background
+SPACING = 1.0  # [pixels] between Gaussians on the side that faces the camera
+BACK_SPACING = 2.0  # [pixels] between those on the other side
+SLANT = 0.4  # [-] factor on depths: at a slant, Gaussians are up to 1 / SLANT times as long
+MIN_DEPTH = 0.1  # [-] least depth of a point relative to the largest depth of its body
+MIXED_EDGE_PIXELS = 1  # [pixels] along an outline colors are mixed with the background
 
 
 def gaussians(
@@ -20,8 +32,8 @@ def gaussians(
 ) -> GaussianCloud:
     """Cover a body about the eye with flat Gaussians, one per pixel up to MAX_GAUSSIANS.
 
-    Each has the color of the pixel in which it would be seen if nothing covered it: the back
-    mirrors the front.
+    Each has the color of the pixel in which it would be seen if nothing covered it: the back, which
+    has fewer, mirrors the front.
 
     Args:
         body: Surface about the eye.
@@ -30,16 +42,56 @@ def gaussians(
         view: Camera of the photograph.
         seed: Seed of the sampling; equal seeds give equal bits.
     """
-    pixel = 1 / view.focal
-    corner = body.corners()
-    cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    area = float(np.linalg.norm(cross, axis=1).sum() / 2)
-    spacing = max(pixel, np.sqrt(area / MAX_GAUSSIANS))
-    cloud = surface_mesh.sample(body, 2 * spacing, (0.5, 0.5, 0.5), OPACITY, [seed])
+    cloud = _sampled(body, view, seed)
     pixels, _ = view.pixels(cloud.x)
-    color = sample_picture(extend_colors(rgb, mask), pixels)
-    sh = dc_from_rgb(color)[:, None, :].astype(np.float32)
-    return GaussianCloud(cloud.x, cloud.quat, cloud.scale, cloud.opacity, sh)
+    color = np.clip(sample_picture(extend_colors(rgb, mask), pixels), 0, 1)
+    return replace(cloud, sh=dc_from_rgb(color)[:, None, :].astype(np.float32))
+
+
+def _sampled(body: Mesh, view: View, seed: int) -> GaussianCloud:
+    """Return Gaussians without colors that are evenly spaced as the camera sees them.
+
+    The body is sampled in coordinates of the picture: column, row, and the logarithm of the depth,
+    scaled so that lengths are those of the pixels, times SLANT. Surfaces that are seen at a slant
+    have fewer Gaussians, which are longer.
+    """
+    scale = SLANT * view.focal
+    pixels, depth = view.pixels(body.points)
+    depth = np.maximum(depth, MIN_DEPTH * depth.max())
+    points = np.column_stack([np.nan_to_num(pixels), scale * np.log(depth)])
+    corner = points[body.triangles]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    outward = np.sign(np.einsum("ij,ij->", corner[:, 0] - points.mean(axis=0), normal))
+    faces_camera = outward * normal[:, 2] < 0
+    sides = [(faces_camera, SPACING), (~faces_camera, BACK_SPACING)]
+    area = np.linalg.norm(normal, axis=1) / 2
+    count = sum(float(area[side].sum()) / spacing**2 for side, spacing in sides)
+    factor = max(1.0, np.sqrt(count / MAX_GAUSSIANS))
+    clouds = [
+        surface_mesh.sample(
+            Mesh(points, body.triangles[side]),
+            2 * factor * spacing,
+            (0.5, 0.5, 0.5),
+            OPACITY,
+            [seed, k],
+            MIN_GAUSSIANS,
+        )  # fmt: skip
+        for k, (side, spacing) in enumerate(sides)
+        if area[side].sum() > 0
+    ]
+    position, shape, opacity = (
+        np.concatenate(arrays)
+        for arrays in zip(
+            *((c.x, rotation_matrices(c.quat) * c.scale[:, None], c.opacity) for c in clouds)
+        )
+    )
+    ray, depth = view.rays(position[:, :2]), np.exp(position[:, 2] / scale)[:, None]
+    rotation = view.rotation()
+    across = np.broadcast_to(rotation[:2], (len(ray), 2, 3))
+    derivative = np.concatenate([across, ray[:, None] / SLANT], axis=1).swapaxes(1, 2)
+    shape = derivative @ shape * (depth / view.focal)[:, None]
+    quat, deviation = principal_axes(pack_symmetric(shape @ shape.swapaxes(1, 2)))
+    return GaussianCloud(ray * depth, quat, deviation, opacity, np.zeros((len(ray), 1, 3)))
 
 
 def extend_colors(rgb: np.ndarray, mask: np.ndarray) -> np.ndarray:
@@ -47,19 +99,24 @@ def extend_colors(rgb: np.ndarray, mask: np.ndarray) -> np.ndarray:
 
     Every pixel takes the color of the nearest pixel well inside the mask.
     """
+    rows, columns = interior_pixels(mask)
+    return rgb[rows, columns].astype(np.float64) / 255
+
+
+def interior_pixels(mask: np.ndarray) -> np.ndarray:
+    """Return row and column (2, height, width) of the nearest pixel well inside a mask."""
     interior = mask
     for _ in range(MIXED_EDGE_PIXELS):
         eroded = ndimage.binary_erosion(interior)
         interior = eroded if eroded.sum() > 0.3 * mask.sum() else interior
-    nearest = ndimage.distance_transform_edt(~interior, return_distances=False, return_indices=True)
-    return rgb[nearest[0], nearest[1]].astype(np.float64) / 255
+    return ndimage.distance_transform_edt(~interior, return_distances=False, return_indices=True)
 
 
 def sample_picture(picture: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Interpolate a picture (height, width, 3) at pixels (n, 2); returns (n, 3) in 0..1."""
+    """Interpolate a picture (height, width, 3) at pixels (n, 2); returns (n, 3)."""
     coordinates = np.nan_to_num(pixels[:, ::-1].T - 0.5)
     channels = [
         ndimage.map_coordinates(picture[..., k], coordinates, order=1, mode="nearest")
         for k in range(3)
     ]
-    return np.clip(np.stack(channels, axis=-1), 0, 1)
+    return np.stack(channels, axis=-1)

@@ -13,6 +13,7 @@ from vgmpi.runtime.config.schema import (
     TomlError,
     format_input,
     format_validation_errors,
+    parse_vector3,
 )
 from vgmpi.runtime.config.toml_source import TomlSource
 from vgmpi.runtime.suggestions import did_you_mean
@@ -151,6 +152,27 @@ class SceneTable(StrictModel):
     """in the background: shadows that the objects throw in the photograph"""
 
 
+def _travel(value: Any) -> tuple[float, float, float]:
+    """Parse the direction in which light travels; it must point down."""
+    numbers = parse_vector3(value)
+    if numbers is None or max(map(abs, numbers)) > MAX_LENGTH:
+        raise ValueError("must be three numbers [right, away from the camera, up]")
+    if not numbers[2] <= -0.02 * math.hypot(*numbers) < 0:
+        raise ValueError("must point down: the third number, up, is below 0")
+    return numbers
+
+
+class LightTable(StrictModel):
+    """Light of the photograph, for shadows that come later."""
+
+    direction: Annotated[tuple[float, float, float], BeforeValidator(_travel)] | None = None
+    """in which it travels: to the right, away from the camera, up"""
+    width: Annotated[float, Quantity("1", ge=0.005, le=0.5)] | None = None
+    """tangent of its half width, which softens shadows"""
+    darkness: Annotated[float, Quantity("1", ge=0.05, le=0.95)] | None = None
+    """part of the light on the floor that shadows lack"""
+
+
 class ObjectTable(StrictModel):
     """Object in the photograph."""
 
@@ -205,6 +227,7 @@ class Empty(StrictModel):
     materials: MaterialsTable = MaterialsTable()
     bodies: BodiesTable = BodiesTable()
     scene: SceneTable = SceneTable()
+    light: LightTable = LightTable()
 
 
 class Layout(Empty):

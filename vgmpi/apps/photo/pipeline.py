@@ -5,11 +5,13 @@ nothing has been written but the bodies from generators.
 """
 
 import logging
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from vgmpi.gaussians.camera import Camera
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.runtime.config.schema import SceneError
 from vgmpi.scene.loader import load
@@ -28,9 +30,8 @@ from . import (
 )
 from . import layout_config as layouts
 from . import object_masks as found
-from .background_inpainting import inpaint_background
 from .body_sources import Guess, Scenery
-from .cast_shadows import cast_shadows
+from .color_correction import correct_colors
 from .grabcut import MaskError
 from .layout_config import LayoutError, LoadedLayout
 from .learned_models import Models
@@ -38,6 +39,7 @@ from .object_placement import PlacingError, UnplacedObject
 from .output_folder import Folder
 from .photo_camera import View
 from .photograph import Photograph
+from .scene_light import background_and_light, render_keys
 
 log = logging.getLogger("vgmpi.apps.photo")
 
@@ -49,6 +51,7 @@ class PhotoScene(NamedTuple):
 
     names: list[str]
     psnr: list[float]  # [dB] PSNR of the first frame inside each mask
+    total_psnr: float  # [dB] PSNR of the whole first frame
 
 
 def photo_to_scene(
@@ -84,33 +87,26 @@ def photo_to_scene(
     requested = loaded.layout.scene
     domain = scene_writer.domain_around(scene_objects, requested.cells)
     object_masks = [object_mask.mask for object_mask in masks]
-    background = _background(loaded, photo, object_masks)
     camera = view.camera(eye_at, scene_writer.near_plane(eye_at))
     clouds = [entity.cloud.transformed(np.eye(3), 1.0, entity.position) for entity in scene_objects]
-    rendered = preview.frame(clouds, camera, background / 255.0)
-    psnr = [preview.psnr_in_mask(rendered, photo.rgb, mask) for mask in object_masks]
-    for entity, mask in zip(scene_objects, masks):
-        folder.picture(f"masks/{entity.name}.png", np.where(mask.mask, 255, 0).astype(np.uint8))
-        folder.picture(f"crops/{entity.name}.png", preview.crop(photo.rgb, mask.mask))
-        folder.gaussians(f"{entity.name}.ply", entity.cloud)
-        if not mask.is_from_file:
-            k = names.index(entity.name)
-            where = layout_text.relative(out / "masks" / f"{entity.name}.png", loaded.source.folder)
-            guesses.append((("object", k, "mask"), where, mask.origin))
+    background, light = background_and_light(loaded, photo, object_masks, clouds, camera, guesses)
+    scene_objects, rendered = _first_frame(
+        loaded, photo, object_masks, scene_objects, camera, background
+    )
+    _add_objects(folder, photo, loaded, masks, scene_objects, guesses)
     folder.picture("background.png", background)
     folder.picture("check.png", preview.comparison_image(photo.rgb, rendered, object_masks))
-    folder.text("render.toml", scene_writer.render(view, eye_at - domain.low, "background.png"))
-    title = f"from {photo_path.name}"
-    folder.text(
-        "scene.toml",
-        scene_writer.scene(scene_objects, domain, requested.end, requested.frames, title),
+    render_text = scene_writer.render(
+        view, eye_at - domain.low, "background.png", render_keys(light), requested.shadows
     )
+    folder.text("render.toml", render_text)
+    title = f"from {photo_path.name}"
+    scene_text = scene_writer.scene(scene_objects, domain, requested.end, requested.frames, title)
+    folder.text("scene.toml", scene_text)
     folder.text_file(layout_path, layout_text.insert_guesses(loaded.source.text, guesses))
     folder.write()
     _validate_scene(out)
-    for name, value in zip(names, psnr):
-        log.info("'%s': the first frame agrees with the photograph to %.1f dB", name, value)
-    return PhotoScene(names, psnr)
+    return _agreement(names, rendered, photo.rgb, object_masks)
 
 
 def propose(photo_path: Path, layout_path: Path | None, out: Path) -> Path:
@@ -163,19 +159,45 @@ def _view(loaded: LoadedLayout, photo: Photograph, guesses: list[Guess]) -> View
     return View(width, height, fov, pitch)
 
 
-def _background(
-    loaded: LoadedLayout, photo: Photograph, object_masks: list[np.ndarray]
-) -> np.ndarray:
-    """Return the photograph without the objects, and without their shadows if it is asked for."""
-    removed = list(object_masks)
-    if loaded.layout.scene.shadows == "remove":
-        airborne = [
-            isinstance(obj.support, float) and obj.support > 0 for obj in loaded.layout.object
-        ]
-        shadows = cast_shadows(photo.rgb, object_masks, airborne)
-        log.info("shadows: %d pixels are removed with the objects", shadows.sum())
-        removed.append(shadows)
-    return inpaint_background(photo.rgb, removed)
+def _add_objects(
+    folder: Folder,
+    photo: Photograph,
+    loaded: LoadedLayout,
+    masks: list[found.ObjectMask],
+    scene_objects: list[scene_writer.SceneObject],
+    guesses: list[Guess],
+) -> None:
+    """Add masks, crops and bodies of all objects to the folder, and the masks to the guesses."""
+    for k, (entity, mask) in enumerate(zip(scene_objects, masks)):
+        folder.picture(f"masks/{entity.name}.png", np.where(mask.mask, 255, 0).astype(np.uint8))
+        folder.picture(f"crops/{entity.name}.png", preview.crop(photo.rgb, mask.mask))
+        folder.gaussians(f"{entity.name}.ply", entity.cloud)
+        if not mask.is_from_file:
+            path = folder.out / "masks" / f"{entity.name}.png"
+            where = layout_text.relative(path, loaded.source.folder)
+            guesses.append((("object", k, "mask"), where, mask.origin))
+
+
+def _first_frame(
+    loaded: LoadedLayout,
+    photo: Photograph,
+    object_masks: list[np.ndarray],
+    scene_objects: list[scene_writer.SceneObject],
+    camera: Camera,
+    background: np.ndarray,
+) -> tuple[list[scene_writer.SceneObject], np.ndarray]:
+    """Return the objects with corrected colors, and the first frame (height, width, 3) in 0..1."""
+    clouds = [entity.cloud.transformed(np.eye(3), 1.0, entity.position) for entity in scene_objects]
+    own_masks = [
+        mask if body_sources.is_from_mask(obj, loaded) else None
+        for obj, mask in zip(loaded.layout.object, object_masks)
+    ]
+    clouds = correct_colors(clouds, own_masks, camera, photo.rgb, background)
+    corrected = [
+        entity._replace(cloud=replace(entity.cloud, sh=cloud.sh))
+        for entity, cloud in zip(scene_objects, clouds)
+    ]
+    return corrected, preview.frame(clouds, camera, background / 255.0)
 
 
 def _placed(
@@ -304,6 +326,18 @@ def _scene_object(
         material_lookup.material_keys(material),
         is_hollow=obj.reconstruction == "cup",
     )
+
+
+def _agreement(
+    names: list[str], rendered: np.ndarray, rgb: np.ndarray, masks: list[np.ndarray]
+) -> PhotoScene:
+    """Return and log how the first frame (height, width, 3) agrees with the photograph."""
+    psnr = [preview.psnr_in_mask(rendered, rgb, mask) for mask in masks]
+    total = preview.psnr_in_mask(rendered, rgb, np.ones(rgb.shape[:2], bool))
+    for name, value in zip(names, psnr):
+        log.info("'%s': the first frame agrees with the photograph to %.1f dB", name, value)
+    log.info("picture: the first frame agrees with the photograph to %.1f dB", total)
+    return PhotoScene(names, psnr, total)
 
 
 def _validate_scene(out: Path) -> None:

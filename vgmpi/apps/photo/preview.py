@@ -8,20 +8,41 @@ from vgmpi.gaussians.camera import Camera
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.rendering.raster import rasterize
 from vgmpi.rendering.raster.psnr import psnr
+from vgmpi.rendering.studio import tone_mapping
 
+OVERSAMPLING = 2  # [-] pixels drawn across a pixel, as in the studio
 CROP_MARGIN = 1.2  # [-] edge of the square crop for generators relative to the box's longer side
 
 
 def frame(clouds: list[GaussianCloud], camera: Camera, background: np.ndarray) -> np.ndarray:
-    """Render clouds before a background (height, width, 3) in 0..1, as the renderer draws them."""
-    x = np.concatenate([cloud.x for cloud in clouds])
-    splats = rasterize.ProjectableGaussians(
-        x,
+    """Render clouds before a background (height, width, 3) in 0..1, as the studio draws solids.
+
+    Linear light is blended, twice as many pixels across and down are drawn, and their display
+    values are averaged.
+    """
+    fine = rasterize.supersampled_camera(camera, OVERSAMPLING)
+    light = tone_mapping.to_linear(np.asarray(background, dtype=np.float64))
+    under = rasterize.background_image(light, camera, OVERSAMPLING)
+    light, transmittance = rasterize.render(_splats(clouds, camera), fine, under)
+    drawn = np.empty(light.shape, dtype=np.float32)
+    tone_mapping.show(light, 0, drawn)
+    return rasterize.box_downsample((drawn, transmittance), OVERSAMPLING)[0]
+
+
+def depth(clouds: list[GaussianCloud], camera: Camera) -> np.ndarray:
+    """Return the depth of the visible surface (height, width) [m], infinite beside clouds."""
+    return rasterize.render(_splats(clouds, camera), camera, depth="median")[2]
+
+
+def _splats(clouds: list[GaussianCloud], camera: Camera) -> rasterize.ProjectableGaussians:
+    """Return the Gaussians of all clouds, with their linear colors."""
+    color = [harmonics.evaluate(cloud.sh, cloud.x - camera.eye) for cloud in clouds]
+    return rasterize.ProjectableGaussians(
+        np.concatenate([cloud.x for cloud in clouds]),
         np.concatenate([cloud.cov() for cloud in clouds]),
         np.concatenate([cloud.opacity for cloud in clouds]),
-        np.concatenate([harmonics.evaluate(cloud.sh, cloud.x - camera.eye) for cloud in clouds]),
+        tone_mapping.to_linear(np.concatenate(color)),
     )
-    return np.clip(rasterize.render(splats, camera, background)[0], 0, 1)
 
 
 def psnr_in_mask(drawn: np.ndarray, rgb: np.ndarray, mask: np.ndarray) -> float:

@@ -98,14 +98,21 @@ def scene(objects: list[SceneObject], domain: Domain, end: float, frames: int, t
     return with_checksum(toml_writer.text(top, head, []))
 
 
-def render(view: View, eye: np.ndarray, background: str) -> str:
-    """Return the text of render.toml: the photograph's camera.
+def render(
+    view: View, eye: np.ndarray, background: str, light: dict[str, Any], shadows: str
+) -> str:
+    """Return the text of render.toml: the photograph's camera and light.
 
     Args:
         view: Camera of the photograph.
         eye: Position of the camera in the domain, shape (3,) [m].
         background: File of the background.
+        light: Table [light], empty for the usual light.
+        shadows: "keep": the background holds the first shadows; "remove": all are drawn, if a light
+            is known.
     """
+    with_shadows = bool(light) and shadows == "remove"
+    floor = {"height": 0.0} if with_shadows else {"kind": "photograph"}
     top = {
         "camera": {
             "kind": "fixed",
@@ -118,13 +125,16 @@ def render(view: View, eye: np.ndarray, background: str) -> str:
             "width": view.width,
             "height": view.height,
             "background": background,
-            "floor": {"kind": "photograph"},
+            "floor": floor,
         },
+        **({"light": {**light, "captures": 0.0}} if light else {}),
     }
+    first = "and no shadows" if with_shadows else "and the photograph holds their first shadows"
+    thrown = "all shadows are drawn" if with_shadows else "only shadows that come later are drawn"
     head = [
         "The photograph's camera; behind everything the photograph, its objects painted out. The",
-        "light is in their colors, and the photograph holds their first shadows: no light is",
-        "added, and the only shadows are those that come later.",
+        f"light is in their colors, {first}: no light is",
+        f"added to them, and {thrown}.",
     ]
     return with_checksum(toml_writer.text(top, head, []))
 

@@ -191,7 +191,12 @@ def _vertex_colors(data: dict, count: int) -> np.ndarray | None:
 
 
 def sample(
-    mesh: Mesh, spacing: float, color: tuple, opacity: float, key: list[int]
+    mesh: Mesh,
+    spacing: float,
+    color: tuple,
+    opacity: float,
+    key: list[int],
+    min_count: int = MIN_SAMPLES,
 ) -> GaussianCloud:
     """Sample a placed mesh evenly (Poisson disc) with flat Gaussians, `spacing` / 2 [m] apart.
 
@@ -201,6 +206,7 @@ def sample(
         color: Color where the mesh has none.
         opacity: Opacity of all.
         key: Seed; equal keys give equal points.
+        min_count: Lower limit of the number of Gaussians.
 
     Raises MeshError for a mesh without area, InsufficientMemoryError.
     """
@@ -211,7 +217,7 @@ def sample(
         area = double.sum() / 2
     if not (_MIN_AREA < area < np.inf):
         raise MeshError(f"its triangles have an area of {area:.3g} m2: they are lines or points")
-    count = max(MIN_SAMPLES, area / (spacing / 2) ** 2)
+    count = max(min_count, area / (spacing / 2) ** 2)
     message = f"{count:.3g} Gaussians, {spacing / 2:g} m apart on a surface of {area:.3g} m2, take"
     memory_budget.require_memory(
         _BYTES_PER_CANDIDATE * _CANDIDATES_PER_POINT * count, f"{message} at least"
