@@ -18,10 +18,9 @@ from vgmpi.preprocess.meshes.surface_mesh import Mesh
 from .photo_camera import View
 
 MAX_GAUSSIANS = 200_000  # upper limit of the Gaussians of a body
-MIN_GAUSSIANS = 2000  # lower limit for each of its two sides
+MIN_GAUSSIANS = 4000  # lower limit of them
 OPACITY = 0.95  # [-] of every Gaussian of a body
-SPACING = 1.0  # [pixels] between Gaussians on the side that faces the camera
-BACK_SPACING = 2.0  # [pixels] between those on the other side
+SPACING = 1.0  # [pixels] between Gaussians, as the camera sees them
 SLANT = 0.4  # [-] factor on depths: at a slant, Gaussians are up to 1 / SLANT times as long
 MIN_DEPTH = 0.1  # [-] least depth of a point relative to the largest depth of its body
 MIXED_EDGE_PIXELS = 1  # [pixels] along an outline colors are mixed with the background
@@ -32,8 +31,8 @@ def gaussians(
 ) -> GaussianCloud:
     """Cover a body about the eye with flat Gaussians, one per pixel up to MAX_GAUSSIANS.
 
-    Each has the color of the pixel in which it would be seen if nothing covered it: the back, which
-    has fewer, mirrors the front.
+    Each has the color of the pixel in which it would be seen if nothing covered it: the back
+    mirrors the front.
 
     Args:
         body: Surface about the eye.
@@ -59,39 +58,22 @@ def _sampled(body: Mesh, view: View, seed: int) -> GaussianCloud:
     pixels, depth = view.pixels(body.points)
     depth = np.maximum(depth, MIN_DEPTH * depth.max())
     points = np.column_stack([np.nan_to_num(pixels), scale * np.log(depth)])
-    corner = points[body.triangles]
+    picture = Mesh(points, body.triangles)
+    corner = picture.corners()
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    outward = np.sign(np.einsum("ij,ij->", corner[:, 0] - points.mean(axis=0), normal))
-    faces_camera = outward * normal[:, 2] < 0
-    sides = [(faces_camera, SPACING), (~faces_camera, BACK_SPACING)]
-    area = np.linalg.norm(normal, axis=1) / 2
-    count = sum(float(area[side].sum()) / spacing**2 for side, spacing in sides)
-    factor = max(1.0, np.sqrt(count / MAX_GAUSSIANS))
-    clouds = [
-        surface_mesh.sample(
-            Mesh(points, body.triangles[side]),
-            2 * factor * spacing,
-            (0.5, 0.5, 0.5),
-            OPACITY,
-            [seed, k],
-            MIN_GAUSSIANS,
-        )  # fmt: skip
-        for k, (side, spacing) in enumerate(sides)
-        if area[side].sum() > 0
-    ]
-    position, shape, opacity = (
-        np.concatenate(arrays)
-        for arrays in zip(
-            *((c.x, rotation_matrices(c.quat) * c.scale[:, None], c.opacity) for c in clouds)
-        )
-    )
+    area = float(np.linalg.norm(normal, axis=1).sum() / 2)
+    spacing = max(SPACING, np.sqrt(area / MAX_GAUSSIANS))
+    cloud = surface_mesh.sample(
+        picture, 2 * spacing, (0.5, 0.5, 0.5), OPACITY, [seed], MIN_GAUSSIANS
+    )  # fmt: skip
+    position, shape = cloud.x, rotation_matrices(cloud.quat) * cloud.scale[:, None]
     ray, depth = view.rays(position[:, :2]), np.exp(position[:, 2] / scale)[:, None]
     rotation = view.rotation()
     across = np.broadcast_to(rotation[:2], (len(ray), 2, 3))
     derivative = np.concatenate([across, ray[:, None] / SLANT], axis=1).swapaxes(1, 2)
     shape = derivative @ shape * (depth / view.focal)[:, None]
     quat, deviation = principal_axes(pack_symmetric(shape @ shape.swapaxes(1, 2)))
-    return GaussianCloud(ray * depth, quat, deviation, opacity, np.zeros((len(ray), 1, 3)))
+    return GaussianCloud(ray * depth, quat, deviation, cloud.opacity, np.zeros((len(ray), 1, 3)))
 
 
 def extend_colors(rgb: np.ndarray, mask: np.ndarray) -> np.ndarray:
