@@ -42,7 +42,7 @@ def test_gaussians_are_as_wide_as_pixels_for_a_camera_that_looks_down(stripes):
     front = depth < np.median(depth)
     print(f"{np.median(width[front]):.2f} pixels, {len(cloud)} Gaussians, {DISC.sum()} pixels")
     assert 0.4 < np.median(width[front]) < 0.8
-    assert DISC.sum() < len(cloud) < 2 * DISC.sum()
+    assert 2 * DISC.sum() < len(cloud) < 3 * DISC.sum()  # front and back, and what is at a slant
 
 
 def matrices(cloud):

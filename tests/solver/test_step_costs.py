@@ -2,6 +2,7 @@
 
 import gc
 import logging
+import math
 import tracemalloc
 from types import SimpleNamespace
 
@@ -25,20 +26,25 @@ def mixed(tmp_path):
     particle leaves its patch: a sort allocates."""
     simulation, _ = begin(tmp_path, MIXED.replace("PRECISION", "double"))
     dt = 0.001 * simulation.bound()
-    for _ in range(2 * simulation.plan.restores):  # what is made once is there
+    for _ in range(2 * correction_period(simulation)):  # what is made once is there
         simulation.advance(dt)
     sorts = simulation.sorts
     yield simulation, dt
     assert simulation.sorts == sorts
 
 
+def correction_period(simulation):
+    """Steps after which transfers are corrected and particles shifted in the same step again."""
+    return math.lcm(simulation.plan.restores, simulation.plan.shift_interval)
+
+
 def compiled_allocations(simulation, dt):
-    """In as many steps as restoring motion takes; an array that goes into compiled code counts as
+    """In as many steps as all corrections take; an array that goes into compiled code counts as
     one."""
     _nrt_python.memsys_enable_stats()
     try:
         before = rtsys.get_allocation_stats().alloc
-        for _ in range(simulation.plan.restores):
+        for _ in range(correction_period(simulation)):
             simulation.advance(dt)
         return rtsys.get_allocation_stats().alloc - before
     finally:

@@ -100,7 +100,9 @@ KERNELS = {
     "grid_to_particles(FluidLaw, Segments, Particles, VelocityOnly, Scratch, GroupConstants,"
     " StepConstants, None)",
     "apply_transfer_correction(Segments, Particles, Scratch, ShiftConstants, None)",
+    "apply_transfer_correction(Segments, Particles, Scratch, None, None)",
     "momentum_to_velocity_only(NodeBlocks, Sums, Phases, NodeFill, None, Step)",
+    "momentum_to_velocity_only(NodeBlocks, Sums, Phases, None, None, Step)",
     "update(NodeBlocks, CommonFields(Sums, Sums), None, None, None, Walls, Phases,"
     " RigidBoundaries(PrescribedSteps), ContactWorkspace(None), Step)",
 }
