@@ -46,6 +46,16 @@ class Camera:
         forward = self.world_to_camera[2, :3]
         return self.eye + max(float(forward @ (point - self.eye)), MIN_AXIS_DEPTH) * forward
 
+    def pixels(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return pixel positions (n, 2) and depths (n,) [m] of points (n, 3).
+
+        Pixels of points that are not in front of the camera mean nothing.
+        """
+        local = points @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]
+        depth = local[:, 2]
+        safe_depth = np.where(depth > 0, depth, 1.0)[:, None]
+        return local[:, :2] / safe_depth * (self.fx, self.fy) + (self.cx, self.cy), depth
+
     def vertical_fov(self, aspect: float | None = None) -> float:
         """Return the vertical field of view of a window that shows all of the picture [rad].
 

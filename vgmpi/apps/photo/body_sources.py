@@ -82,7 +82,7 @@ def _body(
     up: str | None = obj.up
     try:
         file = _body_file(obj, scenery.loaded)
-        if file is None and config.folder and obj.reconstruction is obj.multi_view is None:
+        if file is None and config.folder and obj.reconstruction is None and obj.multi_view is None:
             log.info("'%s': no file of its name in %s", obj.name, config.folder)
         if file is not None:
             cloud = _read_body(file)

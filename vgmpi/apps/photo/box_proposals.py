@@ -175,8 +175,7 @@ def _cut_out(rgb: np.ndarray, box: Box) -> np.ndarray | None:
         if not MIN_AREA <= area <= MAX_MASK or (result is not None and area < result.mean()):
             break
         outline = box_of(mask)
-        fill = mask.sum() / ((outline.right - outline.left) * (outline.bottom - outline.top))
-        if fill < MIN_FILL or rim_contrast(rgb, mask) < MIN_CONTRAST:
+        if mask.sum() / outline.area < MIN_FILL or rim_contrast(rgb, mask) < MIN_CONTRAST:
             break
         result = mask
         if box_overlap(outline, box) > SAME_BOX:
@@ -213,8 +212,7 @@ def _is_separate(box: Box, larger: Box) -> bool:
     """Return whether a box is another object than a larger one, or a large part of it."""
     if _common(box, larger) < MAX_OVERLAP:
         return True
-    area, larger_area = ((b.right - b.left) * (b.bottom - b.top) for b in (box, larger))
-    return MIN_PART * larger_area <= area and box_overlap(box, larger) < MAX_OVERLAP
+    return MIN_PART * larger.area <= box.area and box_overlap(box, larger) < MAX_OVERLAP
 
 
 def _wider(box: Box, rgb: np.ndarray) -> Box:
@@ -229,10 +227,7 @@ def _wider(box: Box, rgb: np.ndarray) -> Box:
 
 def _common(a: Box, b: Box) -> float:
     """Return the intersection of two boxes over the smaller of them."""
-    wide = min(a.right, b.right) - max(a.left, b.left)
-    high = min(a.bottom, b.bottom) - max(a.top, b.top)
-    small = min((x.right - x.left) * (x.bottom - x.top) for x in (a, b))
-    return max(0, wide) * max(0, high) / max(small, 1)
+    return a.shared_area(b) / max(min(a.area, b.area), 1)
 
 
 def _otsu(values: np.ndarray) -> float:

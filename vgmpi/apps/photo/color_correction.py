@@ -74,10 +74,7 @@ def _visible(
         camera: Camera of the photograph.
         surface: Depth of the visible surface, shape (height, width) [m].
     """
-    local = cloud.x @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-    depth = local[:, 2]
-    pixels = local[:, :2] * (camera.fx, camera.fy) / np.maximum(depth, camera.near)[:, None]
-    pixels += (camera.cx, camera.cy)
+    pixels, depth = camera.pixels(cloud.x)
     index = np.clip(pixels.astype(int), 0, (camera.width - 1, camera.height - 1))
     distance = depth - surface[index[:, 1], index[:, 0]]
     return pixels, distance < LAYER * cloud.scale.max(axis=1)

@@ -34,6 +34,17 @@ class Box(NamedTuple):
     right: int
     bottom: int
 
+    @property
+    def area(self) -> int:
+        """Pixels in the box."""
+        return (self.right - self.left) * (self.bottom - self.top)
+
+    def shared_area(self, other: "Box") -> int:
+        """Return the number of pixels in both boxes."""
+        wide = min(self.right, other.right) - max(self.left, other.left)
+        high = min(self.bottom, other.bottom) - max(self.top, other.top)
+        return max(0, wide) * max(0, high)
+
 
 def opencv():
     """Return the package cv2, limited to one thread and with a fixed seed.
@@ -311,10 +322,8 @@ def iou(a: np.ndarray, b: np.ndarray) -> float:
 
 def box_overlap(a: Box, b: Box) -> float:
     """Return the intersection over union of two boxes."""
-    wide = min(a.right, b.right) - max(a.left, b.left)
-    high = min(a.bottom, b.bottom) - max(a.top, b.top)
-    shared = max(0, wide) * max(0, high)
-    return shared / (sum((x.right - x.left) * (x.bottom - x.top) for x in (a, b)) - shared)
+    shared = a.shared_area(b)
+    return shared / (a.area + b.area - shared)
 
 
 def box_of(mask: np.ndarray) -> Box:

@@ -124,11 +124,9 @@ class _Search:
         """Return 1 where a light without width is shaded, else 0, shape of the search."""
         if travel[2] > -0.02:
             return np.zeros(self.shape)
-        camera, x = self.camera, self.points
-        on_floor = x - travel * (x[:, 2:] / travel[2])
-        local = on_floor @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-        local = local[local[:, 2] > camera.near]
-        pixels = local[:, :2] * (camera.fx, camera.fy) / local[:, 2:] + (camera.cx, camera.cy)
+        on_floor = self.points - travel * (self.points[:, 2:] / travel[2])
+        pixels, depth = self.camera.pixels(on_floor)
+        pixels = pixels[depth > self.camera.near]
         column, row = np.floor(pixels / REDUCTION).astype(int).T
         inside = (column >= 0) & (row >= 0) & (column < self.shape[1]) & (row < self.shape[0])
         hit = np.zeros(self.shape, bool)

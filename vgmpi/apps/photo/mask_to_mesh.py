@@ -112,13 +112,13 @@ def poisson_height(inside: np.ndarray) -> np.ndarray:
     return np.sqrt(4 * np.maximum(u, 0))[1:-1, 1:-1]
 
 
-def local_radius(inside: np.ndarray) -> np.ndarray:
+def local_radius(depth: np.ndarray) -> np.ndarray:
     """Return the radius of the largest disc inside an outline that covers each point.
 
-    Input and output have shape (rows, columns); the result is in lattice steps.
+    Input, the distances from the outline, and output have shape (rows, columns) and are in lattice
+    steps.
     """
-    depth = ndimage.distance_transform_edt(np.pad(inside, 1))[1:-1, 1:-1]
-    radius = depth.copy()
+    inside, radius = depth > 0, depth.copy()
     for level in np.arange(1.0, depth.max() + 0.5, 0.5):
         is_covered = ndimage.distance_transform_edt(depth < level) < level
         radius = np.where(inside & is_covered, np.maximum(radius, level), radius)
@@ -140,8 +140,8 @@ def inflated_height(inside: np.ndarray, is_thin: bool = False) -> np.ndarray:
     Returns:
         Lattice steps, shape (rows, columns).
     """
-    film, radius = poisson_height(inside), local_radius(inside)
     depth = ndimage.distance_transform_edt(np.pad(inside, 1))[1:-1, 1:-1]
+    film, radius = poisson_height(inside), local_radius(depth)
     depth = np.maximum(depth - 0.5, 0)  # from the outline to the middle of a lattice cell
     width = np.maximum(radius - 0.25, depth)  # the middle lies between two cells, or not
     section = np.minimum(film, np.sqrt(depth * (2 * width - depth)))

@@ -91,7 +91,7 @@ def photo_to_scene(
     clouds = [entity.cloud.transformed(np.eye(3), 1.0, entity.position) for entity in scene_objects]
     background, light = background_and_light(loaded, photo, object_masks, clouds, camera, guesses)
     scene_objects, rendered = _first_frame(
-        loaded, photo, object_masks, scene_objects, camera, background
+        loaded, photo, object_masks, scene_objects, clouds, camera, background
     )
     _add_objects(folder, photo, loaded, masks, scene_objects, guesses)
     folder.picture("background.png", background)
@@ -183,11 +183,14 @@ def _first_frame(
     photo: Photograph,
     object_masks: list[np.ndarray],
     scene_objects: list[scene_writer.SceneObject],
+    clouds: list[GaussianCloud],
     camera: Camera,
     background: np.ndarray,
 ) -> tuple[list[scene_writer.SceneObject], np.ndarray]:
-    """Return the objects with corrected colors, and the first frame (height, width, 3) in 0..1."""
-    clouds = [entity.cloud.transformed(np.eye(3), 1.0, entity.position) for entity in scene_objects]
+    """Return the objects with corrected colors, and the first frame (height, width, 3) in 0..1.
+
+    The clouds are those of the objects, in their places.
+    """
     own_masks = [
         mask if body_sources.is_from_mask(obj, loaded) else None
         for obj, mask in zip(loaded.layout.object, object_masks)

@@ -178,7 +178,7 @@ def _carve_lattice(shots: list[Shot], low: np.ndarray, step: float, counts: np.n
     remaining = np.arange(len(x))
     for shot in shots:
         soft = ndimage.gaussian_filter(shot.mask.astype(np.float32), OUTLINE_SMOOTHING)
-        pixels, depth = _pixels(shot.camera, x[remaining])
+        pixels, depth = shot.camera.pixels(x[remaining])
         coordinates = np.where(depth > 0, pixels.T - 0.5, -9.0)[::-1]
         inside[remaining] = np.minimum(
             inside[remaining], ndimage.map_coordinates(soft, coordinates, order=1)
@@ -218,18 +218,6 @@ def _cut_lower_cone(volume: Volume, shots: list[Shot], up: str) -> Volume:
     below = slice(0, foot) if axis[up_index] > 0 else slice(len(area) - foot, None)
     inside[below] = 0
     return volume._replace(inside=np.moveaxis(inside, 0, up_index))
-
-
-def _pixels(camera: Camera, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return pixel positions (n, 2) and depths (n,) of points (n, 3)."""
-    camera_points = x @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-    depth = camera_points[:, 2]
-    safe_depth = np.where(depth > 0, depth, 1.0)
-    flat = camera_points[:, :2] / safe_depth[:, None] * (camera.fx, camera.fy) + (
-        camera.cx,
-        camera.cy,
-    )
-    return flat, depth
 
 
 def _surface(volume: Volume) -> Mesh:
@@ -278,7 +266,7 @@ def _colors(
     for shot in shots:
         camera = shot.camera
         depth = rasterize.render(splats, camera, np.zeros(3), depth="median")[2]
-        pixels, own_depth = _pixels(camera, cloud.x)
+        pixels, own_depth = camera.pixels(cloud.x)
         rows = np.clip(np.floor(pixels[:, 1]).astype(int), 0, camera.height - 1)
         columns = np.clip(np.floor(pixels[:, 0]).astype(int), 0, camera.width - 1)
         to_camera = camera.eye - cloud.x

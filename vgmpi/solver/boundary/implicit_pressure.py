@@ -148,9 +148,8 @@ class ImplicitPressure:
         """Relax a system from phi on; phi is known on all cells around those of this rank."""
         factors = self.sweeps[system]
         assert self.exchange is not None
-        if (
-            self.engine.threads == 1 and not self.exchange.has_neighbors
-        ):  # one call in place of many
+        if self.engine.threads == 1 and not self.exchange.has_neighbors:
+            # one call in place of many
             self._each(cells, pressure_system.sweep, nodes[0], self.grid, factors, self.fields)
             return
         for weight, inertia in factors:
