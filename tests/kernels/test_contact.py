@@ -392,8 +392,9 @@ def test_no_layer_far_from_the_middle():
 ])  # fmt: skip
 def test_what_touches(known, sure, limit):
     """Below a gap that depends on what is known; of known surfaces near their middle only."""
-    for off in (0.0, 0.5, 0.99 * LAYER_HALF_WIDTH, 1.01 * LAYER_HALF_WIDTH):
-        near = off < LAYER_HALF_WIDTH or not known
+    half_width = contact_impulses.OVERLAP_HALF_WIDTH if sure else LAYER_HALF_WIDTH
+    for off in (0.0, 0.5, 0.99 * half_width, 1.01 * half_width):
+        near = off < half_width or not known
         for gap, reached in ((limit - 1e-9, True), (limit + 1e-9, False)):
             m = meeting(gap / 2 + off, gap / 2 - off, known=known, sure=sure)
             assert contact_impulses.in_contact(m) == (reached and near)

@@ -124,12 +124,16 @@ def set_collider(reaction, number, surface):
 
 
 @device_function
-def set_wall(reaction, a, side):
-    """Set the wall across axis a as the source of the following records."""
+def set_wall(reaction, a, side, surface):
+    """Set the wall across axis a as the source of the following records.
+
+    Args:
+        reaction: Reaction sums (in/out), or None.
+        a, side: Axis and side of the wall.
+        surface: Its inward normal and the distance of the node [m], shape (4,).
+    """
     if reaction is not None:
-        reaction.now[2] = reaction.first + 2 * a + side
-        for c in range(3):
-            reaction.at[c] = reaction.node[c]
+        set_collider(reaction, reaction.first + 2 * a + side, surface)
 
 
 @device_function

@@ -376,10 +376,11 @@ def _close(box, index, phase, phases: int) -> np.ndarray:
 
 
 def _at_plane(block: np.ndarray, needs: TopologyRequirements) -> np.ndarray:
-    """Return True for the blocks (n, 3) that hold a node of a wall acting by contact."""
+    """Return True for the blocks (n, 3) that hold a node of a wall acting by contact, or beyond."""
     result = np.zeros(len(block), bool)
     for plane in needs.planes:
-        result |= block[:, plane.axis] == (plane.node + 1) // BLOCK_EDGE
+        for node in (plane.node, plane.node + 2 * plane.side - 1):
+            result |= block[:, plane.axis] == (node + 1) // BLOCK_EDGE
     return result
 
 

@@ -5,10 +5,7 @@ The rule for one pair and the impulses of all pairs of a node are in contact_imp
 
 from typing import NamedTuple
 
-import numpy as np
-
 from vgmpi.kernels.reaction_impulses import (
-    ReactionSums,
     add_contact_reaction,
     add_pair_reactions,
     add_prescribed_reaction,
@@ -41,30 +38,6 @@ from .contact_impulses import (
 from .sided_phases import are_apart, face_of_side
 
 
-class ContactWorkspace(NamedTuple):
-    """Scratch of one thread for contact at one node.
-
-    It serves n phases, a collider and walls, and m pairs.
-    """
-
-    v: np.ndarray  # (n + 2, 3) [m/s] velocities, the last two of the collider and of walls
-    mass: np.ndarray  # (n,) [kg]
-    effective_mass: np.ndarray  # (n,) [kg] effective mass, huge for phases with prescribed motion
-    here: np.ndarray  # (n,) node block of each phase at the node
-    slope: np.ndarray  # (n, 3) [m/s per cell] velocity slope along a resolved surface's normal
-    change: np.ndarray  # (n, 3) [m/s] velocity increments by elastic layers
-    normals: np.ndarray  # (m, 10) normal, and scratch of the solver
-    impulse: np.ndarray  # (m, 4) [kg m/s] normal and tangential
-    friction: np.ndarray  # (m,) [-]
-    fraction: np.ndarray  # (m,) [-] fraction of the slip that a pair loses
-    master: np.ndarray  # (m,) first phase of each pair
-    other: np.ndarray  # (m,) second phase of each pair
-    pair_count: np.ndarray  # (n,) number of pairs of each phase
-    plane: np.ndarray  # (4,) normal of a wall, and 0
-    row: np.ndarray  # (n,) [-] friction of a wall
-    given: ReactionSums | None = None  # reaction sums, if requested
-
-
 class ContactNode(NamedTuple):
     """One node at which contact is computed."""
 
@@ -72,19 +45,6 @@ class ContactNode(NamedTuple):
     node: int  # number in its block
     alone: bool  # whether only two parties meet at the node
     solid: int  # row of the block among those near colliders, or -1
-
-
-def contact_workspace(n: int) -> ContactWorkspace:
-    """Allocate contact scratch for n phases."""
-    m = n * (n + 1) // 2 + 3 * n
-    return ContactWorkspace(
-        v=np.zeros((n + 2, 3)), slope=np.zeros((n, 3)), change=np.zeros((n, 3)), mass=np.zeros(n),
-        effective_mass=np.zeros(n), here=np.zeros(n, np.int64),
-        normals=np.zeros((m, 10)), impulse=np.zeros((m, 4)), friction=np.zeros(m),
-        fraction=np.zeros(m),
-        master=np.zeros(m, np.int64), other=np.zeros(m, np.int64), pair_count=np.zeros(n, np.int64),
-        plane=np.zeros(4), row=np.zeros(n),
-    )  # fmt: skip
 
 
 @device_function
@@ -372,12 +332,19 @@ def _may_push(walls):
 
 
 @device_function
+def _pushes_at(ijk, walls, a, side):
+    """Return whether a wall pushes resolved surfaces at a node: on its plane and a cell beyond."""
+    beyond = (2 * side - 1) * (ijk[a] - side * walls.cells[a])
+    return walls.kinds_for_surfaces[a, side] == 0 and 0 <= beyond <= 1
+
+
+@device_function
 def _planes(ijk, walls):
     """Return the number of walls at a node that push resolved surfaces."""
     count = 0
     for a in range(3):
         for side in range(2):
-            count += walls.kinds_for_surfaces[a, side] == 0 and ijk[a] == side * walls.cells[a]
+            count += _pushes_at(ijk, walls, a, side)
     return count
 
 
@@ -387,11 +354,13 @@ def _add_wall_pairs(pairs, site, phase, offsets, ijk, walls, phases, motions, st
     surface, row = work.plane, work.row
     for a in range(3):
         for side in range(2):
-            if walls.kinds_for_surfaces[a, side] != 0 or ijk[a] != side * walls.cells[a]:
+            if not _pushes_at(ijk, walls, a, side):
                 continue
+            inward = 1.0 - 2.0 * side
             surface[0] = surface[1] = surface[2] = 0.0
-            surface[a] = 1.0 - 2.0 * side
-            set_wall(work.given, a, side)
+            surface[a] = inward
+            surface[3] = inward * (ijk[a] - side * walls.cells[a]) * step.dx
+            set_wall(work.given, a, side, surface)
             for k in range(len(row)):
                 row[k] = walls.friction[a, side]
             pairs = _add_rigid_pairs(

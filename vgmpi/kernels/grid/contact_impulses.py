@@ -36,6 +36,9 @@ LAYER_STIFFNESS = (
     0.4  # [-] stiffness of the layer relative to a cell's: it is two and a half cells thick
 )
 LAYER_MAX_OVERLAP = 0.25  # [cells] largest overlap that the elastic layer takes up
+# [cells] half width of the layer beyond that overlap: the nodes a cell inside the other surface
+# carry half of what has come so far
+OVERLAP_HALF_WIDTH = 1.0
 LAYER_GAP_FLUID = (
     0.15  # [cells] gap from which the layer pushes phases that flow, whose surface is vaguer
 )
@@ -186,10 +189,11 @@ def in_contact(m):
     """Return whether the surfaces of a contact pair are too close to approach further."""
     gap = m.one + m.other
     if m.both_resolved:
-        return (
-            gap <= (-LAYER_MAX_OVERLAP if m.normals_reliable else GAP_RESOLVED)
-            and abs(m.one - m.other) <= 2.0 * LAYER_HALF_WIDTH
-        )
+        if m.normals_reliable:
+            nearest, half_width = -LAYER_MAX_OVERLAP, OVERLAP_HALF_WIDTH
+        else:
+            nearest, half_width = GAP_RESOLVED, LAYER_HALF_WIDTH
+        return gap <= nearest and abs(m.one - m.other) <= 2.0 * half_width
     return gap <= (-MAX_OVERLAP_FLUID if m.normals_reliable else GAP_UNRESOLVED)
 
 

@@ -6,7 +6,7 @@ Keeps the sums of each thread, the nodes that this rank counts, and the masses b
 import numpy as np
 
 from vgmpi.kernels import reaction_impulses
-from vgmpi.kernels.grid import contact
+from vgmpi.kernels.grid.contact_workspace import ContactWorkspace
 from vgmpi.parallel.exchange_topology import ExchangeTopology, counting_owner
 from vgmpi.planning.plan import Plan
 
@@ -26,9 +26,7 @@ class ReactionAccumulators:
         counts = counting_owner(tables, self.rank)
         self.by_thread = [accumulator._replace(counts=counts) for accumulator in self.by_thread]
 
-    def attach_to_workspaces(
-        self, workspaces: list[contact.ContactWorkspace]
-    ) -> list[contact.ContactWorkspace]:
+    def attach_to_workspaces(self, workspaces: list[ContactWorkspace]) -> list[ContactWorkspace]:
         """Return the contact workspaces of the threads, each with the thread's reaction sums."""
         pairs = zip(workspaces, self.by_thread, strict=True)
         return [workspace._replace(given=accumulator) for workspace, accumulator in pairs]

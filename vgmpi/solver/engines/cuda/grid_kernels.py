@@ -9,7 +9,7 @@ import numpy as np
 from numba import cuda
 
 from vgmpi.kernels.grid import update as grid
-from vgmpi.kernels.grid.contact import ContactWorkspace
+from vgmpi.kernels.grid.contact_workspace import ContactWorkspace
 from vgmpi.kernels.grid.mixture_workspace import MixtureWorkspace as Members
 from vgmpi.kernels.grid.update import SeparatedStress
 from vgmpi.kernels.nodal_fields import color

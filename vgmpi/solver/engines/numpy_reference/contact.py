@@ -21,6 +21,7 @@ from vgmpi.kernels.grid.contact_impulses import (
     MAX_OVERLAP_FLUID,
     NO_CONTACT_DISTANCE,
     NORMAL_RELIABILITY_MIN,
+    OVERLAP_HALF_WIDTH,
     SWEEPS,
 )
 from vgmpi.kernels.reaction_impulses import WALLS
@@ -100,10 +101,11 @@ class Contact:
         self._count_planes()
 
     def _count_planes(self) -> None:
-        """Count at each node the planes of walls that only push."""
+        """Count the walls that only push at each node of their planes and a cell beyond."""
         self.planes[:] = 0
         for plane in self.active_planes:
-            np.moveaxis(self.planes, plane.axis, 0)[plane.node + 1] += 1
+            across = np.moveaxis(self.planes, plane.axis, 0)
+            across[[plane.node + 1, plane.node + 2 * plane.side]] += 1
 
     def along_walls(self, offset: np.ndarray) -> None:
         """Remove the offset across mirroring walls, which the mirror image cancels.
@@ -226,11 +228,13 @@ class Contact:
             body = int(self.whose[node]), self.moves[node], self.collider[node], 1.0
             rigid = [(*self.collider[node], self.friction[node], True, body)]
         for plane in self.active_planes:
-            if node[plane.axis] == plane.node + 1:
-                n = np.zeros(3)
-                n[plane.axis] = 1.0 - 2.0 * plane.side
-                body = 2 * plane.axis + plane.side - WALLS, np.zeros(3), np.zeros(4), 1.0
-                rigid.append((*n, 0.0, [plane.friction] * len(sides), False, body))
+            inward = 1.0 - 2.0 * plane.side
+            depth = inward * (plane.node + 1 - node[plane.axis])
+            if 0 <= depth <= 1:
+                n = np.zeros(4)
+                n[plane.axis], n[3] = inward, -depth * self.dx
+                body = 2 * plane.axis + plane.side - WALLS, np.zeros(3), n, 1.0
+                rigid.append((*n, [plane.friction] * len(sides), False, body))
         for *n, distance, friction, acts_on_fluid, body in rigid:
             for b in phases:
                 if plan.phases[b].driven:
@@ -341,10 +345,11 @@ def _touching(distance_a: float, distance_b: float, both_known: bool, is_sure: b
     known; is_sure: one is known, and all known ones agree.
     """
     if both_known:
-        return (
-            distance_a + distance_b <= (-LAYER_MAX_OVERLAP if is_sure else GAP_RESOLVED)
-            and abs(distance_a - distance_b) <= 2 * LAYER_HALF_WIDTH
-        )
+        gap, half_width = (
+            (-LAYER_MAX_OVERLAP, OVERLAP_HALF_WIDTH) if is_sure
+            else (GAP_RESOLVED, LAYER_HALF_WIDTH)
+        )  # fmt: skip
+        return distance_a + distance_b <= gap and abs(distance_a - distance_b) <= 2 * half_width
     return distance_a + distance_b <= (-MAX_OVERLAP_FLUID if is_sure else GAP_UNRESOLVED)
 
 
