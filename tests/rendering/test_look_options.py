@@ -117,3 +117,14 @@ def test_alpha_min_follows_the_opacities_that_are_drawn():
     run, _ = fake(0.01)
     run.objects[0]["alpha_min"] = 1 / 255
     assert Appearance(run, LookSettings(opacity="fixed")).alpha_min(None) == pytest.approx(1 / 255)
+
+
+@pytest.mark.parametrize("opacity, count", [(0.0, 0), (0.001, 1)])
+def test_gaussians_that_are_too_faint_are_told_and_those_of_mass_alone_are_not(
+    opacity, count, caplog
+):
+    run, rows = fake()
+    rows["opacity"][BAR] = opacity
+    with caplog.at_level("WARNING", "vgmpi"):
+        Appearance(run, LookSettings()).alpha_min(None)
+    assert len(["vanish" in record.getMessage() for record in caplog.records]) == count

@@ -8,9 +8,12 @@ from tests.support import drawn_runs, studio_scenes
 from vgmpi.io.run_reader import RunReader
 from vgmpi.rendering import render_config
 from vgmpi.rendering.frame_renderer import FrameRenderer
+from vgmpi.rendering.particle_optics import optical_values
 from vgmpi.rendering.studio import (
     compositing,
     deferred_shading,
+    light_rig,
+    liquid_radiance,
     spray_drops,
     studio_ground,
     tone_mapping,
@@ -69,6 +72,58 @@ def test_captures_take_no_light_before_their_photograph():
     assert chosen(floor={}).captures == render_config.Settings().captures == 0.5
     asked = {"picture": {**PHOTOGRAPH, "floor": {"kind": "photograph"}}, "light": {"captures": 0.3}}
     assert render_config.Settings.model_validate(asked).captures == 0.3
+
+
+def values_of(captured, **picture):
+    """Optical values of a white particle with foam."""
+    settings = render_config.Settings.model_validate({"picture": picture})
+    ones = np.ones(1)
+    rig = light_rig.rig(LIGHT)
+    (value,) = optical_values(
+        np.full((1, 3), 0.6), np.array([captured]), ones, ones, 1.0, settings, rig
+    )
+    return value
+
+
+def test_colors_of_liquids_contain_their_light_before_their_photograph_alone():
+    before = {**PHOTOGRAPH, "floor": {"kind": "photograph"}}
+    captured, plain = values_of(True, **before), values_of(False, **before)
+    np.testing.assert_allclose(captured[3:7], (0.6, 0.6, 0.6, 0.0))
+    np.testing.assert_allclose(plain[3:7], (0.6, 0.6, 0.6, 1.0))
+    assert captured[8] == 1 and plain[8] == 0
+    captured, plain = values_of(True), values_of(False)
+    assert captured[8] == plain[8] == 0 and captured[6] == plain[6] == 1
+    rig = light_rig.rig(LIGHT)
+    usual = liquid_radiance.DIRECT * rig.key + liquid_radiance.AMBIENT * rig.horizon
+    np.testing.assert_allclose(captured[3:6], 0.6 * (0.5 + 0.5 / usual))
+    assert (plain[3:6] == 0.6).all()
+
+
+@pytest.mark.parametrize("contained", [0.0, 1.0])
+def test_a_liquid_whose_color_contains_its_light_takes_none(contained):
+    """A turbid pool and a drop before it, under a key of two strengths."""
+    s = 0.02
+    medium = studio_scenes.water(studio_scenes.grid_points((20, 20, 10), s), s, (0, 0, 0, 0.4, 0.4,
+    0.6))  # fmt: skip
+    one = np.array([0.0, 0.0, 0.0, 0.5, 0.4, 0.3, 0.0, 5.0, contained])
+    medium.tint.values[:] = one
+    medium = medium._replace(mean=one)
+    drawn = []
+    for strength in (0.2, 1.0):
+        rig = light_rig.rig(LIGHT, key=strength)
+        view = studio_scenes.oblique(40, (0.2, 0.2, 0.2))
+        stage = studio_scenes.stage_of(medium, view, rig)
+        drawn.append(studio_scenes.draw(stage)[50:70, 50:70])
+        p, d, n = np.array([0.2, 0.2, 0.3]), np.array([0.0, 0.0, -1.0]), np.array([0.6, 0.0, 0.8])
+        out = np.empty(8)
+        spray_drops.shade_drop(stage, p, d, n, np.zeros(3, np.float32), np.empty(72), out)
+        drawn.append(out[:3])
+    for dim, bright in (drawn[::2], drawn[1::2]):
+        if contained:
+            np.testing.assert_allclose(bright - dim, 0, atol=2e-3)
+            np.testing.assert_allclose(np.broadcast_to(one[3:6], dim.shape), dim, atol=2e-3)
+        else:
+            assert (bright > 1.2 * dim).all()
 
 
 @pytest.mark.parametrize("background", ["", 'background = "#ffffff"\n'])

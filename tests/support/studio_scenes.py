@@ -15,7 +15,7 @@ from vgmpi.rendering.studio import (
     tone_mapping,
 )
 from vgmpi.rendering.studio import cone_occlusion as hiding
-from vgmpi.rendering.studio.ray_scene import Medium, Stage, View
+from vgmpi.rendering.studio.ray_scene import CHANNELS, Medium, Stage, View
 from vgmpi.rendering.studio_renderer import STRETCH
 
 INDEX = 1.333
@@ -56,7 +56,7 @@ def field_of(x, spacing, box, walls=WALLED, fine=2.0, values=None, stretch=None)
     """The density field of particles, and its interior."""
     n, box = len(x), np.asarray(box, dtype=np.float64)
     spacings = np.full(n, spacing)
-    values = np.zeros((n, 8)) if values is None else values
+    values = np.zeros((n, CHANNELS)) if values is None else values
     if stretch is None:
         stretch = np.tile([1.0, 0, 0, 1, 0, 1], (n, 1))
     inside = density_field.interior(x, spacings, values, box, walls)
@@ -65,7 +65,7 @@ def field_of(x, spacing, box, walls=WALLED, fine=2.0, values=None, stretch=None)
 
 def water(x, spacing, box, walls=WALLED, absorbs=(0.0, 0.0, 0.0), index=INDEX, fine=2.0):
     """A liquid without own light that absorbs so much [1/m]."""
-    one = np.array([*absorbs, 0.5, 0.5, 0.5, 0.0, 0.0])
+    one = np.array([*absorbs, 0.5, 0.5, 0.5, 0.0, 0.0, 0.0])
     found, inside = field_of(x, spacing, box, walls, fine, np.tile(one, (len(x), 1)))
     return Medium(found, inside.means, index, 0.0, True, 0.0, one)
 

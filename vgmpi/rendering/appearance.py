@@ -161,10 +161,12 @@ class Appearance:
                 reason = "the fluid is faint" if faint else opacities
                 message = "faint Gaussians are drawn too, down to alpha_min = %g (usual: 1/255): %s"
                 log.info(message, alpha_min, reason)
+        # others carry mass only
+        is_drawn = np.asarray(self.run.gaussians.opacity) > 0
         for number, entry in enumerate(self.objects):
             if surface and entry.get("family") == "fluid":
                 continue
-            opacities = self.opacity[self.object == number]
+            opacities = self.opacity[(self.object == number) & is_drawn]
             lost_count = np.count_nonzero(opacities < alpha_min)
             if lost_count and lost_count > 0.05 * len(opacities):
                 log.warning(

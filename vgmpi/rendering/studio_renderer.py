@@ -16,11 +16,12 @@ from vgmpi.gaussians.camera import Camera
 from vgmpi.rendering.raster.liquid_surface import LayeredImage
 from vgmpi.rendering.raster.rasterize import ProjectableGaussians, supersampled_camera
 from vgmpi.rendering.studio.depth_of_field import defocus
-from vgmpi.rendering.studio.ray_scene import Medium, Stage, no_view, view_of
+from vgmpi.rendering.studio.ray_scene import CHANNELS, Medium, Stage, no_view, view_of
 from vgmpi.rendering.studio.value_grid import Grid
 
 from .appearance import Appearance
 from .frame_gaussians import GaussianBatch
+from .particle_optics import optical_values
 from .render_config import Settings
 from .studio import (
     compositing,
@@ -39,8 +40,6 @@ from .studio_lights import ground_of, rig_of
 
 CLEAR_DISTANCE = 0.8  # [m] absorption length of liquids at an extent of 1.2 m
 REFERENCE_EXTENT = 1.2  # [m]
-SCATTERING = 1.5  # [1/m] scattering of a liquid with Gaussians of the usual opacity
-USUAL_OPACITY = 0.05  # [-] opacity scale of a clear liquid
 WALL_CLEAR_SHARE = 0.12  # [-] least visible depth behind a wall, in absorption lengths
 FOAM_HISTORY = 12  # [frames] memory of foam
 PREVIEW_STRIDE = 2  # [frames] stride of the foam of a preview
@@ -48,7 +47,6 @@ PREVIEW_RESOLUTION = 0.75  # [-] relative resolution of grids in a preview
 EDGE_OVERSAMPLING = 2  # [-] oversampling of opaque bodies if edges are refined
 STRETCH = 0.4, 3.0  # [-] limits for the kernels of liquids
 SPEED_MAX = 1e4  # [m/s]
-MAX_COEFFICIENT = 1e6  # [1/m] absorption and scattering
 GRAIN_STRETCH = 0.8, 3.2
 
 
@@ -177,8 +175,9 @@ class Studio:
         """Return the liquid and its drops."""
         chosen, bodies = self.chosen.liquid, self.bodies
         if not len(rows):
-            tint = Grid(np.zeros((2, 2, 2, 8), np.float32), np.zeros(3), 1.0)
-            none = Medium(density_field.empty_field(), tint, 1.333, 0.0, True, 0.0, np.zeros(8))
+            tint = Grid(np.zeros((2, 2, 2, CHANNELS), np.float32), np.zeros(3), 1.0)
+            mean = np.zeros(CHANNELS)
+            none = Medium(density_field.empty_field(), tint, 1.333, 0.0, True, 0.0, mean)
             return none, spray_drops.spray_drops(x[:0], x[:0], ids[:0], none.field, 1.0)
         velocity = np.zeros((len(rows), 3))
         if "velocity" in frame:
@@ -190,13 +189,11 @@ class Studio:
         if clear is None:
             low, high = self.box()
             clear = CLEAR_DISTANCE * max(float(np.linalg.norm(high - low)), 1e-9) / REFERENCE_EXTENT
-        absorbs = -np.log(np.clip(color, 0.03, 0.97)) / clear
-        scatter = self._scattering(ids[rows])
-        color = color * self._capture_factors()[bodies.captured[ids[rows]].astype(int)]
         white = np.zeros(len(rows))
         if self.chosen.look.foam > 0 and "velocity" in frame:
             white = self._foam(index)[ids[rows]]
-        values = np.minimum(np.column_stack([absorbs, color, white, scatter]), MAX_COEFFICIENT)
+        captured, opaqueness = bodies.captured[ids[rows]], bodies.opaqueness[ids[rows]]
+        values = optical_values(color, captured, opaqueness, white, clear, self.chosen, self.rig)
         walls, box = self.domain.walls, self.domain.box
         inside = density_field.interior(x[rows], spacing, values, box, walls)
         stretch = self._stretches(x, ids, rows, STRETCH)
@@ -210,23 +207,6 @@ class Studio:
             float(foam), mean,
         )  # fmt: skip
         return medium, spray_drops.spray_drops(x[rows], velocity, ids[rows], density, s)
-
-    def _capture_factors(self) -> np.ndarray:
-        """Return factors (2, 3) on the linear colors of liquids: plain ones and captures.
-
-        Colors of captures contain a light: they are divided by a liquid's usual light as far as the
-        captures receive none of the studio's light.
-        """
-        share = self.chosen.captures
-        usual = liquid_radiance.DIRECT * self.rig.key + liquid_radiance.AMBIENT * self.rig.horizon
-        return np.stack([np.ones(3), share + (1.0 - share) / np.maximum(usual, 0.1)])
-
-    def _scattering(self, ids) -> np.ndarray:
-        """Return scattering coefficients [1/m], which rise with the Gaussians' opacity."""
-        coefficient = self.chosen.liquid.scattering_coefficient
-        if coefficient is not None:
-            return np.full(len(ids), float(coefficient))
-        return SCATTERING * (np.maximum(self.bodies.opaqueness[ids], 0.02) / USUAL_OPACITY) ** 2
 
     def _foam(self, index: int) -> np.ndarray:
         """Return the foam of particles, from a fixed number of frames whatever image is drawn."""

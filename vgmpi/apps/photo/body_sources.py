@@ -148,7 +148,8 @@ def _body_from_mask(
     else:
         surface = mask_to_mesh.body(masks[k], scenery.view, method, thickness)
     rgb = _without_front(k, scenery, masks)
-    cloud = gaussian_colors.gaussians(surface, rgb, masks[k], scenery.view, seed=k + 1)
+    mask = masks[k] if obj.inside is None else gaussian_colors.liquid_interior(masks[k])
+    cloud = gaussian_colors.gaussians(surface, rgb, mask, scenery.view, seed=k + 1)
     kind = method if obj.inside is None else "liquid"
     log.info("'%s': %s, %d Gaussians", obj.name, kind, len(cloud))
     if obj.yaw:
@@ -198,14 +199,11 @@ def _liquid(obj: ObjectTable, scenery: Scenery, mask: np.ndarray, masks: list) -
 def _without_front(k: int, scenery: Scenery, masks: list[np.ndarray]) -> np.ndarray:
     """Return the photograph without what hides a part of an object, whose colors it lacks.
 
-    That are liquids inside it, and objects that share much of its mask and stand on it or are
-    smaller.
+    That are objects that share much of its mask and stand on it or are smaller. A liquid inside it
+    wets it: what the liquid leaves bare has its color.
     """
     objects, mask, rgb = scenery.loaded.layout.object, masks[k], scenery.photo.rgb
     name = objects[k].name
-    contents = [other for item, other in zip(objects, masks) if item.inside == name]
-    if contents:
-        rgb = inpaint_background(rgb, contents)
     front = [
         other for item, other in zip(objects, masks)
         if item.inside is None and share_pixels(mask, other)

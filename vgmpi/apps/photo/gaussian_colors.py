@@ -24,6 +24,7 @@ SPACING = 1.0  # [pixels] between Gaussians, as the camera sees them
 SLANT = 0.4  # [-] factor on depths: at a slant, Gaussians are up to 1 / SLANT times as long
 MIN_DEPTH = 0.1  # [-] least depth of a point relative to the largest depth of its body
 MIXED_EDGE_PIXELS = 1  # [pixels] along an outline colors are mixed with the background
+LIQUID_EDGE_PIXELS = 3  # [pixels] along the outline of a liquid are mixed with its cup
 
 
 def gaussians(
@@ -87,11 +88,22 @@ def extend_colors(rgb: np.ndarray, mask: np.ndarray) -> np.ndarray:
 
 def interior_pixels(mask: np.ndarray) -> np.ndarray:
     """Return row and column (2, height, width) of the nearest pixel well inside a mask."""
-    interior = mask
-    for _ in range(MIXED_EDGE_PIXELS):
-        eroded = ndimage.binary_erosion(interior)
-        interior = eroded if eroded.sum() > 0.3 * mask.sum() else interior
+    interior = _eroded(mask, MIXED_EDGE_PIXELS)
     return ndimage.distance_transform_edt(~interior, return_distances=False, return_indices=True)
+
+
+def liquid_interior(mask: np.ndarray) -> np.ndarray:
+    """Return the pixels (height, width) bool well inside the mask of a liquid in a cup."""
+    return _eroded(mask, LIQUID_EDGE_PIXELS)
+
+
+def _eroded(mask: np.ndarray, pixels: int) -> np.ndarray:
+    """Return a mask (height, width) without its edge, of which 0.3 of its pixels are left."""
+    interior = mask
+    for _ in range(pixels):
+        smaller = ndimage.binary_erosion(interior)
+        interior = smaller if smaller.sum() > 0.3 * mask.sum() else interior
+    return interior
 
 
 def sample_picture(picture: np.ndarray, pixels: np.ndarray) -> np.ndarray:

@@ -15,6 +15,8 @@ SIDE_MARGIN, TOP_MARGIN = (
     0.3,
 )  # [-] margins around the objects relative to the largest extent of one
 FLOOR_GAP = 0.2  # [cells] between the objects and the floor, because soft bodies sink in a little
+# bodies that do not tear: their colors are fitted to the photograph without what fills them
+INTACT_KINDS = ("elastic", "corotated")
 FRICTION = 0.4  # [-] friction coefficient of the floor
 _MARK = "# made by python -m vgmpi photo, sum "
 
@@ -87,6 +89,7 @@ def scene(objects: list[SceneObject], domain: Domain, end: float, frames: int, t
                 "gaussians": f"{obj.name}.ply",
                 "position": [round(float(c), 9) for c in obj.position - domain.low],
                 **({"fill": "closed"} if obj.is_hollow else {}),
+                **({"opacity": 0.0} if obj.keys["kind"] in INTACT_KINDS else {}),
             }
             for obj in objects
         ],

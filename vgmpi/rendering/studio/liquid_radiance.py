@@ -15,6 +15,7 @@ from .cone_occlusion import EXTINCTION, cone
 from .environment_radiance import far_light
 from .light_rig import mirrored_sky, smooth
 from .ray_marching import CROSSED, LEFT, MET, first_hit, follow, surface_normal
+from .ray_scene import CHANNELS
 from .studio_ground import NONE, SHADOW, ground_color
 from .value_grid import trilinear_values
 
@@ -62,12 +63,13 @@ def _mirrored(stage, p, r, blur, follows, work, out):
         return
     if end == CROSSED:  # a second hit of the liquid shows its own color and the reflected sky
         medium = stage.medium
-        values = work[3:11]
+        values = work[3:12]
         look_up_tint(medium.tint, q, values)
         mirrored_sky(stage.rig, r[0], r[1], abs(r[2]), blur, out)
         for m in range(3):
-            scattered = values[3 + m] * (0.3 * stage.rig.key[m] + 0.5 * stage.rig.horizon[m])
-            out[m] = 0.35 * min(out[m], 1.0) + 0.5 * scattered
+            light = 0.3 * stage.rig.key[m] + 0.5 * stage.rig.horizon[m]
+            sky = 0.35 * (1.0 - values[8]) * min(out[m], 1.0)
+            out[m] = sky + (0.5 + 0.5 * values[8]) * own_light(values, m, light)
         return
     far_light(stage, p[0], p[1], p[2], r[0], r[1], r[2], False, blur, work[:3], out)
 
@@ -85,6 +87,13 @@ def _scattered(rig, n, key, m):
 
 
 @njit_cached(**RAY)
+def own_light(values, m, light):
+    """Return what an opaque liquid of values (9,) shows in channel m under a light."""
+    contained = values[8]
+    return values[3 + m] * (contained + (1.0 - contained) * light)
+
+
+@njit_cached(**RAY)
 def shade_ray(stage, p, d, wall, pixel, blur, work, out):
     """Write the light of the liquid along a ray that enters it to out.
 
@@ -97,14 +106,8 @@ def shade_ray(stage, p, d, wall, pixel, blur, work, out):
             fraction of the key, below 0 where it is not known yet, shape (8,).
     """
     medium, rig = stage.medium, stage.rig
-    n, r, t, col, depth, own = (
-        work[26:29],
-        work[29:32],
-        work[32:35],
-        work[35:38],
-        work[38:41],
-        work[60:68],
-    )
+    n, r, t = work[26:29], work[29:32], work[32:35]
+    col, depth, own = work[35:38], work[38:41], work[60:69]
     surface_normal(medium.field, p, 0.6 * pixel, n)
     cosine = min(max(-(d[0] * n[0] + d[1] * n[1] + d[2] * n[2]), 0.02), 1.0)
     reflectance, inner = fresnel(cosine, medium.index)
@@ -114,13 +117,15 @@ def shade_ray(stage, p, d, wall, pixel, blur, work, out):
         out[4 + m] = n[m]
     _unit(t)
     _unit(r)
-    mirrored = work[48:51]
-    _mirrored(stage, p, r, 2.0 * blur, reflectance > FAINT, work, mirrored)
     q = work[51:54]
     for m in range(3):
         q[m] = p[m] - 1.5 * medium.field.cell * n[m]
         depth[m] = 0.0
     look_up_tint(medium.tint, q, own)
+    # a color that contains its light contains what is mirrored and seen through it, too
+    reflectance *= 1.0 - own[8]
+    mirrored = work[48:51]
+    _mirrored(stage, p, r, 2.0 * blur, reflectance > FAINT, work, mirrored)
     for m in range(3):
         q[m] = p[m]
     path = medium.min_path if wall else 0.0
@@ -134,9 +139,9 @@ def shade_ray(stage, p, d, wall, pixel, blur, work, out):
             2.0 * stage.pyramid.cell, EXTINCTION,
         )  # fmt: skip
     key = out[7]
-    glow = 1.0 - np.exp(-own[7] * path)
+    glow = 1.0 - (1.0 - own[8]) * np.exp(-own[7] * path)
     for m in range(3):
-        inside = own[3 + m] * _scattered(rig, n, key, m)
+        inside = own_light(own, m, _scattered(rig, n, key, m))
         incoming = fraction * col[m] + (1.0 - fraction) * rig.horizon[m]
         light = np.exp(-depth[m]) * (1.0 - glow) * incoming + glow * inside
         out[m] = reflectance * mirrored[m] + (1.0 - reflectance) * light
@@ -149,10 +154,10 @@ def shade_ray(stage, p, d, wall, pixel, blur, work, out):
 
 @njit_cached(**RAY)
 def look_up_tint(tint, q, values):
-    """Write the mean values of the liquid's particles around q (3,) to values (8,)."""
+    """Write the mean values of the liquid's particles around q (3,) to values (9,)."""
     trilinear_values(
         tint.values, (q[0] - tint.lower[0]) / tint.cell, (q[1] - tint.lower[1]) / tint.cell,
-        (q[2] - tint.lower[2]) / tint.cell, 8, values,
+        (q[2] - tint.lower[2]) / tint.cell, CHANNELS, values,
     )  # fmt: skip
 
 

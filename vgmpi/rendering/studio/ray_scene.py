@@ -12,6 +12,8 @@ from .light_rig import Rig
 from .studio_ground import Ground
 from .value_grid import Grid
 
+CHANNELS = 9  # values of a liquid at a point, see Medium.tint
+
 
 class View(NamedTuple):
     """Camera and its picture without the liquid, at the resolution of painting.
@@ -40,12 +42,13 @@ class Medium(NamedTuple):
 
     Attributes:
         field: Its density.
-        tint: Grid of (absorption [1/m] x 3, color x 3, foam, scattering [1/m]).
+        tint: Grid of (absorption [1/m] x 3, color x 3, foam, scattering [1/m], contained), where
+            contained is the part of its light that the color contains, 0..1.
         index: Refractive index.
         min_path: Path length through it that is visible behind a wall [m].
         uniform: Whether it has one color.
         foam: Largest cover of foam, 0..1.
-        mean: Mean of tint, shape (8,).
+        mean: Mean of tint, shape (9,).
     """
 
     field: Field

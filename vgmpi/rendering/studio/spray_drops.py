@@ -15,7 +15,7 @@ from .compile_options import RAY
 from .density_field import Field, densities
 from .environment_radiance import far_light, project
 from .light_rig import mirrored_sky
-from .liquid_radiance import AMBIENT, DIRECT, look_up_tint, shade_ray
+from .liquid_radiance import AMBIENT, DIRECT, look_up_tint, own_light, shade_ray
 from .particle_hash import uniform
 from .ray_marching import first_hit
 from .value_grid import KERNEL, deposit, new_grid, sample
@@ -131,7 +131,7 @@ def shade_drop(stage, p, d, n, background, work, out):
         out: (out) Light, shape (8,).
     """
     t, mirrored, transmitted = work[:3], work[3:6], work[6:9]
-    own, medium, rig = work[12:20], stage.medium, stage.rig
+    own, medium, rig = work[12:21], stage.medium, stage.rig
     cosine = max(-(d[0] * n[0] + d[1] * n[1] + d[2] * n[2]), 0.02)
     distance = _distance_to_opaque(stage.buffers, p, d, work[9:12])
     if _liquid_behind(stage, p, d, distance, work, out):
@@ -158,10 +158,10 @@ def shade_drop(stage, p, d, n, background, work, out):
     )  # fmt: skip
     # a turbid liquid scatters light of its own, as in liquid.shade_ray
     look_up_tint(medium.tint, p, own)
-    share = 0.02 + 0.98 * (1.0 - cosine) ** 5
-    glow = 1.0 - np.exp(-own[7] * THICK * medium.field.cell)
+    share = (0.02 + 0.98 * (1.0 - cosine) ** 5) * (1.0 - own[8])
+    glow = 1.0 - (1.0 - own[8]) * np.exp(-own[7] * THICK * medium.field.cell)
     for m in range(3):
-        inside = own[3 + m] * (DIRECT * rig.key[m] + AMBIENT * rig.horizon[m])
+        inside = own_light(own, m, DIRECT * rig.key[m] + AMBIENT * rig.horizon[m])
         through = (1.0 - glow) * transmitted[m] + glow * inside
         out[m] = share * min(mirrored[m], 4.0) + (1.0 - share) * through
 
@@ -189,7 +189,7 @@ def _liquid_behind(stage, p, d, max_distance, work, out):
     t, wall = first_hit(field, p[0], p[1], p[2], d[0], d[1], d[2], 0.5 * field.cell, max_distance)
     if t < 0.0:
         return False
-    q = work[68:71]
+    q = work[69:72]
     for m in range(3):
         q[m] = p[m] + t * d[m]
     shade_ray(stage, q, d, wall, field.cell, 0.1, work, out)
