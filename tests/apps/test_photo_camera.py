@@ -356,7 +356,8 @@ def test_the_scene_has_this_camera_and_a_second_start_keeps_it(tmp_path, capfd):
     view = view_of(22.0, 55.0)
     photo, layout = tmp_path / "photo.png", tmp_path / "layout.toml"
     Image.fromarray(drawn_room.draw(view, 20.0)).save(photo)
-    layout.write_text(LAYOUT.replace("[0, 0, 9, 9]", str(box_around(view, 20.0, 1))))
+    text = LAYOUT.replace("[0, 0, 9, 9]", str(box_around(view, 20.0, 2)))
+    layout.write_text(text.replace("20 cm", "50 cm"))
     out = tmp_path / "out"
     assert main([str(photo), str(layout), "-o", str(out)]) == 0
     lines = [line for line in capfd.readouterr().out.splitlines() if line.startswith("camera: pi")]
@@ -365,6 +366,7 @@ def test_the_scene_has_this_camera_and_a_second_start_keeps_it(tmp_path, capfd):
     camera = tomllib.loads(text)["camera"]
     assert camera["pitch"] == pytest.approx(22, abs=1.5)
     assert camera["fov"] == pytest.approx(55, rel=0.1)
+    assert camera["height"] == pytest.approx(1.2, rel=0.1), "of the eye"
     assert "degrees, guessed: vanishing lines" in text
     drawn = tomllib.loads((out / "render.toml").read_text())["camera"]
     assert drawn["fov"] == pytest.approx(camera["fov"])

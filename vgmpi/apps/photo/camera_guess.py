@@ -16,7 +16,7 @@ log = logging.getLogger("vgmpi.apps.photo")
 
 FOV, PITCH = 50.0, 15.0  # [degrees] defaults of an unknown camera
 MIN_FOV, MAX_FOV = 5.0, 140.0  # [degrees] limits of the layout
-MAX_ROLL = 2.0  # [degrees] a larger roll is stated
+STATED_ROLL = 2.0  # [degrees] a larger roll is stated
 MARGIN = 3  # [pixels] by which an outline may lie outside of its mask
 
 
@@ -103,6 +103,6 @@ def _use_frame(
         words.append(f"fov {fov:g} {interval} degrees")
     log.info("camera: %s, guessed: %s", ", ".join(words), reason)
     roll = abs(float(np.degrees(frame.roll)))
-    if roll > MAX_ROLL:
+    if roll > STATED_ROLL:
         log.info("camera: turned by %.1f degrees about its axis, which the scene leaves out", roll)
     return fov, pitch

@@ -19,10 +19,11 @@ PITCH, ROLL, YAW, FOCAL = range(4)
 SEED = 5
 PAIRS = 1200  # pairs of segments that give hypotheses, for each field of view
 FIELDS = 20.0, 28.0, 38.0, 50.0, 65.0, 85.0  # [degrees] vertical fields of view that are tried
-MIN_PITCH, MAX_PITCH = np.radians(-35.0), np.radians(90.0)  # of hypotheses
-# a floor seen from above is like a wall seen by a turned camera, and a steeper view up is none
-LOWEST_PITCH, HIGHEST_PITCH = np.radians(-30.0), np.radians(65.0)
+LOWEST_PITCH, HIGHEST_PITCH = np.radians(-35.0), np.radians(90.0)  # of hypotheses
+# of results: farther down, a floor looks like a wall in front of a turned camera
+MIN_PITCH, MAX_PITCH = np.radians(-30.0), np.radians(65.0)
 MAX_ROLL = np.radians(15.0)
+MAX_ROLL_COST = 0.08  # [-] support that a camera of large roll lacks
 # [-] spread of cameras about level ones of a usual lens, as people hold them
 PRIOR = np.array([np.radians(30.0), np.radians(2.0), np.radians(30.0), 0.5])
 WIDE, NARROW = np.radians(3.0), np.radians(1.5)  # between a segment and its vanishing point
@@ -124,8 +125,8 @@ def _hypotheses(segments: Segments, focal: float) -> np.ndarray:
     cameras = np.concatenate([_cameras(up, level, focal) for up, level in frames])
     return cameras[
         np.isfinite(cameras).all(axis=1)
-        & (cameras[:, PITCH] > MIN_PITCH)
-        & (cameras[:, PITCH] < MAX_PITCH)
+        & (cameras[:, PITCH] > LOWEST_PITCH)
+        & (cameras[:, PITCH] < HIGHEST_PITCH)
         & (np.abs(cameras[:, ROLL]) < MAX_ROLL)
     ]
 
@@ -156,16 +157,12 @@ def _sines(cameras: np.ndarray, segments: Segments) -> np.ndarray:
 def _support(cameras: np.ndarray, segments: Segments) -> np.ndarray:
     """Return the agreeing part of the segments' length, less where it is inexact, shape (n,)."""
     weight = segments.length / segments.length.sum()
+    square = (cameras[:, ROLL] / PRIOR[ROLL]) ** 2
     parts = []
     for some in np.array_split(cameras, 1 + len(cameras) * len(weight) // 300_000):
         sine = np.abs(_sines(some, segments)).min(axis=1) / np.sin(WIDE)
-        parts.append(np.maximum(1 - sine**2, 0) @ weight - _roll_penalty(some))
-    return np.concatenate(parts)
-
-
-def _roll_penalty(cameras: np.ndarray) -> np.ndarray:
-    """Return what the support of rolled cameras lacks, shape (n,)."""
-    return 0.01 * (cameras[:, ROLL] / PRIOR[ROLL]) ** 2 / (1 + (cameras[:, ROLL] / 0.1) ** 2)
+        parts.append(np.maximum(1 - sine**2, 0) @ weight)
+    return np.concatenate(parts) - MAX_ROLL_COST * square / (square + 8)
 
 
 def _best_refined(
@@ -265,7 +262,7 @@ def _frame(best: np.ndarray, segments: Segments, is_free: np.ndarray) -> Frame |
     if interval[PITCH] > MAX_PITCH_INTERVAL or interval[FOCAL] > MAX_FOCAL_INTERVAL:
         return None
     pitch, roll, _, focal = (float(c) for c in camera)
-    if not LOWEST_PITCH <= pitch <= HIGHEST_PITCH:
+    if not MIN_PITCH <= pitch <= MAX_PITCH:
         return None
     pitch_interval, focal_interval = float(interval[PITCH]), float(interval[FOCAL])
     return Frame(pitch, roll, float(np.exp(focal)), pitch_interval, focal_interval, share)
@@ -294,9 +291,10 @@ def _followed_directions(camera: np.ndarray, segments: Segments) -> tuple[int, .
             candidates = own_count + stray_count
             chances.append(_chance(own_count, candidates, 1, float(candidates) ** 2))
             shares.append(own / (own + stray) if own_count >= MIN_SEGMENTS else 0.0)
-        if min(shares) >= MIN_REST and max(chances) <= MAX_DIRECTION_CHANCE:
+        is_bad = (np.array(shares) < MIN_REST) | (np.array(chances) > MAX_DIRECTION_CHANCE)
+        if not is_bad.any():
             break
-        worst = allowed[int(np.argmax(chances))]
+        worst = allowed[int(np.argmin(np.where(is_bad, shares, np.inf)))]
         allowed = tuple(direction for direction in allowed if direction != worst)
     return allowed
 
