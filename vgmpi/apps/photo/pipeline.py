@@ -31,6 +31,7 @@ from . import (
 from . import layout_config as layouts
 from . import object_masks as found
 from .body_sources import Guess, Scenery
+from .camera_guess import guess_view
 from .color_correction import correct_colors
 from .grabcut import MaskError
 from .layout_config import LayoutError, LoadedLayout
@@ -42,8 +43,6 @@ from .photograph import Photograph
 from .scene_light import background_and_light, render_keys
 
 log = logging.getLogger("vgmpi.apps.photo")
-
-FOV, PITCH = 50.0, 15.0  # [degrees] defaults of an unknown camera
 
 
 class PhotoScene(NamedTuple):
@@ -73,7 +72,8 @@ def photo_to_scene(
     masks = found.segment_objects(loaded, photo, learned.finder)
     found.overlapping_masks(masks, loaded.layout.object)
     guesses: list[Guess] = []
-    view = _view(loaded, photo, guesses)
+    object_masks = [object_mask.mask for object_mask in masks]
+    view = guess_view(loaded, photo, object_masks, guesses)
     unplaced = body_sources.make_bodies(Scenery(loaded, photo, view, out, {}), masks, guesses)
     unplaced, eye = _apply_depth(loaded, photo, view, unplaced, masks, learned, guesses)
     placed = _placed(loaded, view, unplaced, eye)
@@ -86,7 +86,6 @@ def photo_to_scene(
     ]
     requested = loaded.layout.scene
     domain = scene_writer.domain_around(scene_objects, requested.cells)
-    object_masks = [object_mask.mask for object_mask in masks]
     camera = view.camera(eye_at, scene_writer.near_plane(eye_at))
     clouds = [entity.cloud.transformed(np.eye(3), 1.0, entity.position) for entity in scene_objects]
     background, light = background_and_light(loaded, photo, object_masks, clouds, camera, guesses)
@@ -140,23 +139,6 @@ def propose(photo_path: Path, layout_path: Path | None, out: Path) -> Path:
     folder.text_file(path, box_proposals.text(boxes, photo, source.text if source else ""))
     folder.write()
     return path
-
-
-def _view(loaded: LoadedLayout, photo: Photograph, guesses: list[Guess]) -> View:
-    """Return the camera of the photograph; guess what the layout does not give."""
-    config = loaded.layout.camera
-    height, width = photo.rgb.shape[:2]
-    fov, pitch = config.fov, config.pitch
-    if fov is None:
-        fov, reason = (photo.fov, "the photograph's EXIF") if photo.fov else (FOV, "a usual lens")
-        fov = round(min(max(fov, 5.0), 140.0), 3)
-        guesses.append((("camera", "fov"), fov, f"degrees, guessed: {reason}"))
-        log.info("camera: fov %g degrees, guessed: %s", fov, reason)
-    if pitch is None:
-        pitch, reason = PITCH, "as one looks at a table"
-        guesses.append((("camera", "pitch"), pitch, f"degrees, guessed: {reason}"))
-        log.info("camera: pitch %g degrees, guessed: %s", pitch, reason)
-    return View(width, height, fov, pitch)
 
 
 def _add_objects(
