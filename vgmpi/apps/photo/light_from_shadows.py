@@ -11,9 +11,10 @@ import numpy as np
 from scipy import ndimage
 
 from vgmpi.gaussians.camera import Camera
+from vgmpi.rendering.studio import tone_mapping
 
 REDUCTION = 3  # [pixels] pixels of the photograph across a pixel of the search
-GAMMA = 2.2  # [-] exponent of the light of display values
+DARKEST_LIGHT = 3e-4  # [-] linear light of a floor that is all but black
 MAX_POINTS = 20_000  # upper limit of the points of all objects
 MIN_SHADOW = 40  # [pixels of the search] smallest area of shadows from which a light is found
 MIN_EXPLAINED = 0.4  # [-] least part of the darkening that the predicted shadows explain
@@ -86,14 +87,14 @@ class _Search:
         self.points, self.camera = points, camera
         self.shape = (camera.height // REDUCTION, camera.width // REDUCTION)
         bright, dark = (
-            _reduced(p.astype(np.float64).mean(axis=-1), self.shape) for p in (lit, rgb)
+            tone_mapping.to_linear(_reduced(p.mean(axis=-1), self.shape) / 255) for p in (lit, rgb)
         )
         hidden = _reduced(np.logical_or.reduce(masks).astype(np.float64), self.shape) > 0
         up = camera.world_to_camera[:3, 2]
         row = (np.arange(self.shape[0]) + 0.5) * REDUCTION
         sinks = up[1] * (row - camera.cy) / camera.fy + up[2] < 0
         self.floor = sinks[:, None] & ~hidden
-        darkening = 1 - (dark / np.maximum(bright, 1.0)) ** GAMMA
+        darkening = 1 - dark / np.maximum(bright, DARKEST_LIGHT)
         self.darkening = np.where(self.floor, np.clip(darkening, 0, 1), 0.0)
         self.total = float((self.darkening**2).sum())
 

@@ -9,24 +9,24 @@ from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.rendering.raster import rasterize
 from vgmpi.rendering.raster.psnr import psnr
 from vgmpi.rendering.studio import tone_mapping
+from vgmpi.rendering.studio_renderer import EDGE_OVERSAMPLING
 
-OVERSAMPLING = 2  # [-] pixels drawn across a pixel, as in the studio
 CROP_MARGIN = 1.2  # [-] edge of the square crop for generators relative to the box's longer side
 
 
 def frame(clouds: list[GaussianCloud], camera: Camera, background: np.ndarray) -> np.ndarray:
     """Render clouds before a background (height, width, 3) in 0..1, as the studio draws solids.
 
-    Linear light is blended, twice as many pixels across and down are drawn, and their display
-    values are averaged.
+    Linear light is blended, more pixels are drawn across and down, and their display values are
+    averaged.
     """
-    fine = rasterize.supersampled_camera(camera, OVERSAMPLING)
+    fine = rasterize.supersampled_camera(camera, EDGE_OVERSAMPLING)
     light = tone_mapping.to_linear(np.asarray(background, dtype=np.float64))
-    under = rasterize.background_image(light, camera, OVERSAMPLING)
+    under = rasterize.background_image(light, camera, EDGE_OVERSAMPLING)
     light, transmittance = rasterize.render(_splats(clouds, camera), fine, under)
     drawn = np.empty(light.shape, dtype=np.float32)
     tone_mapping.show(light, 0, drawn)
-    return rasterize.box_downsample((drawn, transmittance), OVERSAMPLING)[0]
+    return rasterize.box_downsample((drawn, transmittance), EDGE_OVERSAMPLING)[0]
 
 
 def depth(clouds: list[GaussianCloud], camera: Camera) -> np.ndarray:
