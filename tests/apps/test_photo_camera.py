@@ -9,7 +9,13 @@ import pytest
 from PIL import Image
 
 from tests.support import drawn_photograph, drawn_room
-from vgmpi.apps.photo import camera_guess, example_photographs, layout_config, photograph
+from vgmpi.apps.photo import (
+    camera_guess,
+    example_photographs,
+    layout_config,
+    manhattan_frame,
+    photograph,
+)
 from vgmpi.apps.photo.__main__ import main
 from vgmpi.apps.photo.line_segments import Segments, detect_segments
 from vgmpi.apps.photo.manhattan_frame import fit_frame
@@ -75,6 +81,14 @@ def test_intervals_cover_what_lenses_and_hands_do(lens, pitch, fov, yaw):
         (error, interval), (focal_error, focal_interval) = errors(frame, view)
         print(f"{lens}: {error:+.2f} +- {interval:.2f} degrees, {focal_error:+.3f}")
         assert abs(error) < min(1.5, interval) and abs(focal_error) <= focal_interval + 1e-9
+
+
+def test_trial_steps_of_the_fit_do_not_overflow():
+    """A fit of poor lines may try any focal length."""
+    one = Segments(np.array([[10.0, 5.0]]), np.array([[1.0, 0.0]]), np.array([20.0]))
+    with np.errstate(over="raise", invalid="raise"):
+        sines = manhattan_frame._sines(np.array([[0.1, 0.0, 0.3, 1000.0]]), one)
+    assert np.isfinite(sines).all()
 
 
 def test_the_roll_is_told():

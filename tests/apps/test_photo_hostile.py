@@ -205,6 +205,20 @@ def test_layouts_that_are_wrong_are_told_by_line(folder, name, capsys):
     assert "layout.toml" in lines[0] or name == "mask is all"
 
 
+def test_a_damaged_tag_is_no_warning(folder, recwarn):
+    """Pillow warns of a tag that is larger than the file, and then refuses the picture."""
+    data = bytearray(plain("tiff"))
+    tag = data.index(b"\x02\x01\x03\x00\x03\x00\x00\x00")  # bits per channel, of 3 channels
+    data[tag + 4 : tag + 8] = (0x01000000).to_bytes(4, "little")
+    path = folder / "damaged.tif"
+    path.write_bytes(data)
+    with pytest.raises(photograph.PhotographError, match="damaged.tif: "):
+        photograph.read(path)
+    with pytest.raises(photograph.PhotographError, match="damaged.tif: "):
+        photograph.read_mask(path, None)
+    assert not recwarn.list
+
+
 def test_there_are_forty_of_them():
     assert len(REFUSED) + len(LAYOUTS) + len(TAKEN) >= 40
 

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from tests.support.small_scenes import scene
 from vgmpi.gaussians.cloud import GaussianCloud
+from vgmpi.gaussians.formats import ply
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
 from vgmpi.preprocess.crop import crop
 from vgmpi.preprocess.meshes.surface_mesh import quaternion_to_normal
@@ -16,6 +18,7 @@ from vgmpi.preprocess.sampling.voxels import (
     fraction_by_supersampling,
     volumes,
 )
+from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.scene.objects import Select
 
 MIDDLE = np.array([0.313, 0.271, 0.226])
@@ -197,6 +200,35 @@ def test_coarse_captures_are_closed_by_the_extent_of_their_gaussians():
     assert away.min() > 0.075 and away.max() < 0.125
     taken = set(voxels.index(coarse.x)) & set(voxels.index(np.concatenate([inner, gaps])))
     assert not taken
+
+
+CAPTURE_ON_THE_FLOOR = """
+[domain]
+size = [0.4, 0.4, 0.4]
+cell = 0.02
+[time]
+end = 0.1
+[material.rubber]
+kind = "elastic"
+density = 1000
+youngs_modulus = 1e5
+poisson_ratio = 0.3
+[[object]]
+name = "ball"
+material = "rubber"
+gaussians = "ball.ply"
+origin = [0.2, 0.2, 0.101]
+"""
+
+
+def test_the_fill_of_a_coarse_capture_ends_at_the_walls(tmp_path):
+    """The Gaussians lie in the domain, but they are so wide that their voxels reach through it."""
+    ply.write(tmp_path / "ball.ply", shell(count=300, middle=np.zeros(3)))
+    whole = interior_fill.interior(shell(count=300, middle=np.array([0.2, 0.2, 0.101])), 0.01, True)
+    assert whole.gap_points[:, 2].min() < 0
+    made = build_scene(scene(tmp_path, CAPTURE_ON_THE_FLOOR))
+    assert len(made.x) > 300 + 0.8 * len(np.concatenate([whole.gap_points, whole.interior_points]))
+    assert made.x[:, 2].min() >= 0
 
 
 def test_faint_gaussians_are_no_surface():

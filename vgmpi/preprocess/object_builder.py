@@ -213,6 +213,8 @@ def _from_gaussians(scene: Scene, k: int, obj: Object) -> BuiltObject:
         missing = interior_fill.interior(cloud, spacing, obj.fill, upright(obj, transform))
     except interior_fill.VoxelGridTooLargeError as error:
         raise PlacementError("fill", str(error)) from None
+    if obj.role == "body":  # wide Gaussians next to a wall reach through it, and their voxels, too
+        missing = missing.inside_box(np.asarray(scene.domain.size))
     return _solid(scene, k, cloud, missing, transform)
 
 

@@ -16,6 +16,7 @@ from .photo_camera import View
 
 # a camera is a row of four numbers: pitch, roll and yaw of the frame [rad], ln(focal length)
 PITCH, ROLL, YAW, FOCAL = range(4)
+MAX_LOG_FOCAL = 50.0  # bound of ln(focal length) in trial steps of the fit
 SEED = 5
 PAIRS = 1200  # pairs of segments that give hypotheses, for each field of view
 FIELDS = 20.0, 28.0, 38.0, 50.0, 65.0, 85.0  # [degrees] vertical fields of view that are tried
@@ -146,7 +147,7 @@ def _cameras(up: np.ndarray, level: np.ndarray, focal: float) -> np.ndarray:
 def _sines(cameras: np.ndarray, segments: Segments) -> np.ndarray:
     """Return sines (n, 3, segments) between segments and the ways to the vanishing points."""
     axes = _directions(cameras)
-    focal = np.exp(cameras[:, FOCAL])[:, None]
+    focal = np.exp(np.clip(cameras[:, FOCAL], -MAX_LOG_FOCAL, MAX_LOG_FOCAL))[:, None]
     (x, y), (along_x, along_y) = segments.middle.T, segments.along.T
     way_x = (focal * axes[..., 0])[..., None] - axes[..., 2:] * x
     way_y = (focal * axes[..., 1])[..., None] - axes[..., 2:] * y

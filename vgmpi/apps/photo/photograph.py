@@ -38,9 +38,9 @@ def read(path: Path) -> Photograph:
     from PIL import Image, ImageOps
 
     try:
-        plain = read_image(path)  # refuses too large and broken files
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+            warnings.simplefilter("ignore")  # of damaged tags
+            plain = read_image(path)  # refuses too large and broken files
             with Image.open(path) as opened:
                 exif = opened.getexif()
                 turned = ImageOps.exif_transpose(_to_eight_bits(opened, plain))
@@ -77,10 +77,12 @@ def read_mask(path: Path, photo: Photograph) -> np.ndarray:
     from PIL import Image, ImageOps
 
     try:
-        plain = read_image(path)
-        with Image.open(path) as opened:
-            image = _to_eight_bits(opened, plain)
-            turned = ImageOps.exif_transpose(image).convert("RGBA")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            plain = read_image(path)
+            with Image.open(path) as opened:
+                image = _to_eight_bits(opened, plain)
+                turned = ImageOps.exif_transpose(image).convert("RGBA")
     except Exception as error:
         raise PhotographError(f"{path}: {_first_line(error)}") from None
     reduced_size = (photo.rgb.shape[1], photo.rgb.shape[0])

@@ -45,6 +45,18 @@ class MissingInterior(NamedTuple):
     enclosed: np.ndarray
     gap_points: np.ndarray
 
+    def inside_box(self, size: np.ndarray) -> "MissingInterior":
+        """Return the points between the origin and the far corner `size` (3,) [m] of a box."""
+        interior_kept, gaps_kept = (
+            ((points >= 0) & (points <= size)).all(axis=1)
+            for points in (self.interior_points, self.gap_points)
+        )
+        return MissingInterior(
+            self.interior_points[interior_kept],
+            self.enclosed[interior_kept],
+            self.gap_points[gaps_kept],
+        )
+
 
 def interior(
     cloud: GaussianCloud, spacing: float, mode: bool | str, up: ArrayLike = (0.0, 0.0, 1.0)
