@@ -9,6 +9,7 @@ says by pytest.skip.
 import argparse
 import importlib
 import pkgutil
+import shutil
 import sys
 import time
 from pathlib import Path
@@ -33,7 +34,8 @@ def campaigns() -> dict[str, ModuleType]:
 def _run(one: ModuleType, count: int, seed: int, keep: Path) -> bool:
     """Run a campaign and print what it found; whether nothing failed."""
     folder, begin = keep / one.NAME, time.monotonic()
-    folder.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(folder, ignore_errors=True)  # cases that an earlier run kept
+    folder.mkdir(parents=True)
     print(f"{one.NAME}: {count} cases, seed {seed} ...", flush=True)
     try:
         result = one.campaign(count, seed, folder)
