@@ -392,10 +392,9 @@ def test_no_layer_far_from_the_middle():
 ])  # fmt: skip
 def test_what_touches(known, sure, limit):
     """Below a gap that depends on what is known; of known surfaces near their middle only."""
-    half_width = contact_impulses.OVERLAP_HALF_WIDTH if sure else LAYER_HALF_WIDTH
-    for off in (0.0, 0.5, 0.99 * half_width, 1.01 * half_width):
-        near = off < half_width or not known
-        for gap, reached in ((limit - 1e-9, True), (limit + 1e-9, False)):
+    width = contact_impulses.OVERLAP_HALF_WIDTH if sure else LAYER_HALF_WIDTH
+    for off, near in ((0.0, True), (0.99 * width, True), (1.01 * width, not known)):
+        for gap, touches in ((limit - 1e-9, near), (limit + 1e-9, False)):
             m = meeting(gap / 2 + off, gap / 2 - off, known=known, sure=sure)
-            assert contact_impulses.in_contact(m) == (reached and near)
-            assert plain._touching(m.one, m.other, known, sure) == (reached and near)
+            assert contact_impulses.in_contact(m) == touches
+            assert plain._touching(m.one, m.other, known, sure) == touches

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 
 from vgmpi.kernels import particle_records, reproducible_sums
-from vgmpi.kernels.grid import mixture_workspace, update
-from vgmpi.kernels.grid.contact_workspace import contact_workspace
+from vgmpi.kernels.grid import contact_workspace, mixture_workspace, update
 from vgmpi.kernels.grid.sided_phases import sided_phases
 from vgmpi.kernels.kernel_arguments import NodeBlocks, Step, Sums
 from vgmpi.kernels.nodal_fields import color
@@ -90,7 +89,7 @@ class Cpu(KernelCaller):
         patch_count = max(sum(self.gathered.values()), int(plan.shift_interval > 0))
         patch_count = max(patch_count, surface_fields.patch_count(plan))
         self.scratch = [particle_records.scratch(plan.real, patch_count) for _ in range(threads)]
-        self.room = [contact_workspace(len(plan.phases)) for _ in range(threads)]
+        self.room = [contact_workspace.contact_workspace(len(plan.phases)) for _ in range(threads)]
         self.mixture_workspace = [
             mixture_workspace.mixture_workspace(len(plan.phases), plan.real, aligned_zeros)
             for _ in range(threads if self.apart else 0)
