@@ -9,16 +9,10 @@ import pytest
 from PIL import Image
 
 from tests.support import drawn_photograph, drawn_room
-from vgmpi.apps.photo import (
-    camera_guess,
-    example_photographs,
-    layout_config,
-    manhattan_frame,
-    photograph,
-)
+from vgmpi.apps.photo import camera_guess, example_photographs, layout_config, photograph
 from vgmpi.apps.photo.__main__ import main
 from vgmpi.apps.photo.line_segments import Segments, detect_segments
-from vgmpi.apps.photo.manhattan_frame import fit_frame
+from vgmpi.apps.photo.manhattan_frame import _sines, fit_frame
 from vgmpi.apps.photo.photo_camera import View
 
 pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")
@@ -87,7 +81,7 @@ def test_trial_steps_of_the_fit_do_not_overflow():
     """A fit of poor lines may try any focal length."""
     one = Segments(np.array([[10.0, 5.0]]), np.array([[1.0, 0.0]]), np.array([20.0]))
     with np.errstate(over="raise", invalid="raise"):
-        sines = manhattan_frame._sines(np.array([[0.1, 0.0, 0.3, 1000.0]]), one)
+        sines = _sines(np.array([[0.1, 0.0, 0.3, 1000.0]]), one)
     assert np.isfinite(sines).all()
 
 
