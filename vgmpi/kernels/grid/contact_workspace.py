@@ -26,7 +26,7 @@ class ContactWorkspace(NamedTuple):
     master: np.ndarray  # (m,) first phase of each pair
     other: np.ndarray  # (m,) second phase of each pair
     pair_count: np.ndarray  # (n,) number of pairs of each phase
-    plane: np.ndarray  # (4,) normal of a wall, and 0
+    plane: np.ndarray  # (4,) normal of a wall, and distance of the node from it [m]
     row: np.ndarray  # (n,) [-] friction of a wall
     given: ReactionSums | None = None  # reaction sums, if requested
 
