@@ -34,7 +34,7 @@ SPEED = 1e-3  # of the random velocity, as a share of the wave speed
 # be stable again, which one bisection of the range would take for it
 RUNGS = tuple(0.2 * 2.0 ** (k / 4) for k in range(25))
 ROUNDS = 2  # halvings between two of them: to 4 %
-DEFAULT = 0.4  # time.cfl
+DEFAULT = 0.55  # time.cfl
 COUPLED = {
     "drag 1e-3": coupling("drag", "water", "grains", hydraulic_conductivity=1e-3),
     "drag 1e-12": coupling("drag", "water", "grains", hydraulic_conductivity=1e-12),

@@ -127,7 +127,7 @@ class Time(StrictModel):
         ),
     ] = 50
     """number of frames written at equal times, the first at 0 and the last at the end"""
-    cfl: Annotated[float, Quantity("", gt=0, le=1)] = 0.4
+    cfl: Annotated[float, Quantity("", gt=0, le=1)] = 0.55
     """Courant number: fraction of the time a wave needs to cross a cell, used as the step"""
     dt: Annotated[float, Quantity("s", ge=0)] = 0.0
     """a fixed step instead of cfl; 0: choose by cfl"""
