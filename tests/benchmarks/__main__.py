@@ -9,6 +9,7 @@ import tempfile
 from pathlib import Path
 from typing import get_args
 
+from tests.benchmarks.comparison_commands import COMPARISON_COMMANDS
 from tests.benchmarks.liquid_commands import LIQUID_COMMANDS
 from vgmpi.apps.bench import interleaved_rounds
 from vgmpi.apps.bench.benchmark_case import BenchError, Case, lay_out
@@ -104,24 +105,6 @@ def _run_together(args: argparse.Namespace) -> int:
             ranks, [decomposition_overhead.threads(law, *how) for law in args.laws]
         )
     )
-    return 0
-
-
-def _against(parser: argparse.ArgumentParser) -> None:
-    say = parser.add_argument
-    say("tree", type=Path, help="another checkout, or stripped: without features, or uncontracted")
-    say("--laws", nargs="+", default=["fluid", "elastic"], metavar="LAW")
-    say("--particles", nargs="+", type=float, default=[1e5, 4e5, 1e6], metavar="N")
-    say("--rounds", type=int, default=9, help="default 9")
-
-
-def _run_against(args: argparse.Namespace) -> int:
-    from tests.benchmarks import compare_checkouts
-
-    for line in compare_checkouts.lines(
-        args.tree, args.laws, args.particles, args.rounds, print_progress
-    ):
-        print(line, flush=True)
     return 0
 
 
@@ -371,30 +354,37 @@ def _run_live(args) -> int:
     return 0
 
 
-COMMANDS = LIQUID_COMMANDS | {  # what it does, its flags, how it runs
-    "accuracy": ("how exact single precision is", _accuracy, _run_accuracy),
-    "against": ("beside another checkout", _against, _run_against),
-    "balance": ("how even a scene's work would be on many ranks", _balance, _run_balance),
-    "bodies": ("what free rigid bodies cost", _bodies, _run_bodies),
-    "census": ("what a sort costs one rank of many beside its particles", _census, _run_census),
-    "choose-tests": ("which tests make test leaves out", _choose_tests, _run_choose_tests),
-    "compile-cost": ("what each specialization of a scene costs to compile", _cost, _run_cost),
-    "couplings": ("what mixing and drag cost", _couplings, _run_couplings),
-    "emulate": ("one rank of many by its own tables", _emulate, _run_emulate),
-    "extremes": ("scenes at the ends of what is allowed", _extremes, _run_extremes),
-    "features": ("what contact, colliders and probes cost", _couplings, _run_couplings),
-    "live": ("what the page of a run costs", _live, _run_live),
-    "moving-page": ("size and times of a run's web page", _moving_page, _run_moving_page),
-    "overhead": ("what a step costs beside its kernels", _overhead, _run_overhead),
-    "predictions": ("what --plan tells, and what runs take", _predictions, _run_predictions),
-    "registers": ("what a graphics card's kernels take; needs no card", _registers, _run_registers),
-    "spills": ("vectors that do not fit the registers", lambda _: None, _run_spills),
-    "stability": ("the largest stable time step of every law", _stability, _run_stability),
-    "step-model": ("the model of a step's time beside steps", _step_model, _run_step_model),
-    "scaling": ("predict many ranks from what is measured here", _scaling, _run_scaling),
-    "test-times": ("where the time of the tests goes", _test_times, _run_test_times),
-    "together": ("two ranks beside two runs, two threads", _together, _run_together),
-}
+COMMANDS = (
+    LIQUID_COMMANDS
+    | COMPARISON_COMMANDS
+    | {  # what it does, its flags, how it runs
+        "accuracy": ("how exact single precision is", _accuracy, _run_accuracy),
+        "balance": ("how even a scene's work would be on many ranks", _balance, _run_balance),
+        "bodies": ("what free rigid bodies cost", _bodies, _run_bodies),
+        "census": ("what a sort costs one rank of many beside its particles", _census, _run_census),
+        "choose-tests": ("which tests make test leaves out", _choose_tests, _run_choose_tests),
+        "compile-cost": ("what each specialization of a scene costs to compile", _cost, _run_cost),
+        "couplings": ("what mixing and drag cost", _couplings, _run_couplings),
+        "emulate": ("one rank of many by its own tables", _emulate, _run_emulate),
+        "extremes": ("scenes at the ends of what is allowed", _extremes, _run_extremes),
+        "features": ("what contact, colliders and probes cost", _couplings, _run_couplings),
+        "live": ("what the page of a run costs", _live, _run_live),
+        "moving-page": ("size and times of a run's web page", _moving_page, _run_moving_page),
+        "overhead": ("what a step costs beside its kernels", _overhead, _run_overhead),
+        "predictions": ("what --plan tells, and what runs take", _predictions, _run_predictions),
+        "registers": (
+            "what a graphics card's kernels take; needs no card",
+            _registers,
+            _run_registers,
+        ),
+        "spills": ("vectors that do not fit the registers", lambda _: None, _run_spills),
+        "stability": ("the largest stable time step of every law", _stability, _run_stability),
+        "step-model": ("the model of a step's time beside steps", _step_model, _run_step_model),
+        "scaling": ("predict many ranks from what is measured here", _scaling, _run_scaling),
+        "test-times": ("where the time of the tests goes", _test_times, _run_test_times),
+        "together": ("two ranks beside two runs, two threads", _together, _run_together),
+    }
+)
 
 if __name__ == "__main__":
     sys.exit(main())

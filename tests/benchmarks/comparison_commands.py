@@ -1,0 +1,51 @@
+"""Commands of `python -m tests.benchmarks` that compare this program with another checkout."""
+
+import argparse
+from pathlib import Path
+
+from vgmpi.apps.bench.subcommands import print_progress
+
+
+def _against(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("tree", type=Path, help="another checkout, or stripped: without features, or uncontracted")
+    say("--laws", nargs="+", default=["fluid", "elastic"], metavar="LAW")
+    say("--particles", nargs="+", type=float, default=[1e5, 4e5, 1e6], metavar="N")
+    say("--rounds", type=int, default=9, help="default 9")
+
+
+def _run_against(args: argparse.Namespace) -> int:
+    from tests.benchmarks import compare_checkouts
+
+    for line in compare_checkouts.lines(
+        args.tree, args.laws, args.particles, args.rounds, print_progress
+    ):
+        print(line, flush=True)
+    return 0
+
+
+def _scenes(parser: argparse.ArgumentParser) -> None:
+    from tests.benchmarks.scene_checkouts import SCENES
+
+    say = parser.add_argument
+    say("tree", type=Path, help="another checkout")
+    say("--scenes", nargs="+", default=SCENES, metavar="NAME", help="folders below runs/")
+    say("--steps", type=int, default=400, help="of each part, default 400")
+    say("--ranks", type=int, default=2, metavar="N", help="default 2")
+    say("--rounds", type=int, default=5, help="default 5")
+
+
+def _run_scenes(args: argparse.Namespace) -> int:
+    from tests.benchmarks import scene_checkouts
+
+    for line in scene_checkouts.compare_scenes(
+        args.tree, args.scenes, args.steps, args.ranks, args.rounds, print_progress
+    ):
+        print(line, flush=True)
+    return 0
+
+
+COMPARISON_COMMANDS = {
+    "against": ("beside another checkout", _against, _run_against),
+    "scenes": ("scenes of runs/ beside another checkout", _scenes, _run_scenes),
+}
