@@ -1,9 +1,9 @@
-"""Scenes of runs/ in this program and in another checkout of it, in turns: ns per particle and step.
+"""Scenes of runs/ in this program and in another checkout of it, in turns.
 
-Each checkout plays its own copy of the scene with its own defaults, in single precision. What counts
-are the stages of a step (P2G, halo, nodes, G2P, sort) without writing and without waiting, so that
-other programs on the machine matter less. The first and the last step of a part are the same in all
-rounds, and compilation ends before the first one.
+Each checkout plays its own copy of the scene with its own defaults, in single precision. What is
+compared are ns per particle and step of the stages of a step (P2G, halo, nodes, G2P, sort), without
+writing and waiting, so that other programs on the machine matter less. All rounds take the same
+steps, and a round that compiles comes before them.
 """
 
 import csv
@@ -80,7 +80,7 @@ def compare_scenes(
         rounds: Number of rounds; one more comes before them and compiles.
         tell: Called with a line of progress.
     """
-    yield "| scene | ns | other | ratio | steps per simulated second, over other | time, over other |"
+    yield "| scene | ns | other | ratio | ratio of steps per second | ratio of times |"
     yield "|---|---|---|---|---|---|"
     with tempfile.TemporaryDirectory(prefix="vgmpi-scenes-") as folder:
         for scene in scenes:

@@ -54,8 +54,8 @@ def decorated(name):
                     yield path.relative_to(PACKAGE), node
 
 
-def test_no_device_function_calls_a_view_function():
-    views = {node.name for _, node in decorated("view_function")}
+def test_no_device_function_calls_a_array_function():
+    views = {node.name for _, node in decorated("array_function")}
     assert "nodes_of" in views
     wrong = [
         f"{path}: {node.name} calls {call.func.id}"

@@ -26,7 +26,7 @@ from vgmpi.kernels.simd.row_ops import (
 from vgmpi.kernels.simd.vector16 import load
 from vgmpi.planning.particle_channels import COMMON_CHANNELS
 from vgmpi.runtime.aligned_arrays import aligned_zeros
-from vgmpi.runtime.jit import always_inline, device_function, view_function
+from vgmpi.runtime.jit import always_inline, array_function, device_function
 
 from .wall_boundary import SIDE
 
@@ -59,7 +59,7 @@ def scratch(real: np.dtype, more: int) -> Scratch:
     )
 
 
-@view_function
+@array_function
 def split_scratch(real):
     """Return views of a transfer's scratch.
 
@@ -72,19 +72,19 @@ def split_scratch(real):
     return weights, records, real[2 * SCRATCH : extra_start], real[extra_start:SCRATCH_SIZE]
 
 
-@view_function
+@array_function
 def velocity_patch_of(real):
     """Return the patch of velocities of the scratch, with its padding."""
     return real[2 * SCRATCH : 2 * SCRATCH + PADDED_PATCH]
 
 
-@view_function
+@array_function
 def patch_of(real, k):
     """Return auxiliary patch k = 0, 1, ... of the scratch."""
     return real[SCRATCH_SIZE + k * PADDED_PATCH : SCRATCH_SIZE + (k + 1) * PADDED_PATCH]
 
 
-@view_function
+@array_function
 def box_of(integers):
     """Return the node range of a segment's particles, shape (6,), see `node_range`."""
     return integers[BATCH + 16 :]

@@ -16,7 +16,7 @@ meets none.
 import numpy as np
 
 from vgmpi.kernels.simd.cooperative import strided_range, sync_threads
-from vgmpi.runtime.jit import device_function, view_function
+from vgmpi.runtime.jit import array_function, device_function
 
 from .reaction_impulses import (
     add_fold_reaction,
@@ -51,7 +51,7 @@ def patch_codes(block: np.ndarray, cells: tuple, kinds: np.ndarray) -> np.ndarra
     return codes
 
 
-@view_function
+@array_function
 def _plane_node(patch, a, plane, i, j):
     """Return the node (i, j) of a plane across axis a."""
     if a == 0:
@@ -61,7 +61,7 @@ def _plane_node(patch, a, plane, i, j):
     return patch[i, j, plane]
 
 
-@view_function
+@array_function
 def fold_ghost_momentum(patch, mirror, as_offset, ghosts, s):
     """Add the ghost nodes of stick and slip walls, reflected, to their mirror nodes.
 
@@ -94,7 +94,7 @@ def fold_ghost_momentum(patch, mirror, as_offset, ghosts, s):
         _store_masses(patch, mirror, ghosts, s)
 
 
-@view_function
+@array_function
 def _store_masses(patch, mirror, ghosts, s):
     """Store the masses of ghost nodes beyond walls that only push."""
     for a in range(3):
@@ -108,7 +108,7 @@ def _store_masses(patch, mirror, ghosts, s):
                 store_ghost_mass(ghosts, s, a, side, i, j, _plane_node(patch, a, beyond, i, j))
 
 
-@view_function
+@array_function
 def fill_ghost_velocity(patch, mirror, ghosts, fraction, s):
     """Set the velocities of the ghost nodes beyond walls from their mirror nodes.
 
@@ -152,7 +152,7 @@ def fill_ghost_velocity(patch, mirror, ghosts, fraction, s):
         _record_mirror(patch, mirror, ghosts, fraction, s)
 
 
-@view_function
+@array_function
 def complete_wall_mass(patch, mirror):
     """Complete the masses of nodes on stick and slip walls.
 
@@ -176,7 +176,7 @@ def _along(a, value):
     return value if a == 0 else none, value if a == 1 else none, value if a == 2 else none
 
 
-@view_function
+@array_function
 def _record_mirror(patch, mirror, ghosts, fraction, s):
     """Record the reactions beyond stick and slip walls, after all nodes are reflected."""
     for a in range(3):

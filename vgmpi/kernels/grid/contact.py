@@ -19,7 +19,7 @@ from vgmpi.kernels.simd.cooperative import strided_range, sync_threads
 from vgmpi.kernels.step_limits import CONTACT_MASS_FLOOR
 from vgmpi.kernels.wall_boundary import project_tangential
 from vgmpi.materials.couplings.interaction import CONTACT
-from vgmpi.runtime.jit import device_function
+from vgmpi.runtime.jit import always_inline, device_function
 
 from .contact_impulses import (
     COLLIDER_ROW,
@@ -110,7 +110,7 @@ def apply_contact(block, tables, solid, velocities, offsets, shear, solids, wall
     sync_threads()
 
 
-@device_function
+@always_inline
 def _is_near_collider(solids, solid, node, dx):
     """Return whether a node is near a collider that is no free body."""
     if solid < 0 or not solids.nodes[solid, node, 3] < SDF_BAND_CELLS * dx:
@@ -139,7 +139,7 @@ def has_several_parties(block, solid, solids, dx):
     return False
 
 
-@device_function
+@always_inline
 def _max_count(touches, active):
     """Return the number of pairs of the phase that touches most others."""
     count = touches[0]
@@ -148,26 +148,26 @@ def _max_count(touches, active):
     return count
 
 
-@device_function
+@always_inline
 def _side(offsets, nb, node):
     """Return the four numbers of the offset field for a phase at a node."""
     offset = 256 * nb + 4 * node
     return offsets[offset], offsets[offset + 1], offsets[offset + 2], offsets[offset + 3]
 
 
-@device_function
+@always_inline
 def _driven(motions, phase):
     """Return whether the motion of a phase is prescribed."""
     return len(motions.driven) > 0 and motions.driven[phase]
 
 
-@device_function
+@always_inline
 def _is_pinned(motions, nb, site):
     """Return whether a node of a phase is next to a pinned part."""
     return len(motions.pinned) > 0 and motions.pinned[nb, site.node] != 0
 
 
-@device_function
+@always_inline
 def _active(block, node, velocities, phase, cell_mass, node_blocks):
     """Store the node blocks of the phases at a node; return their number.
 
@@ -181,7 +181,7 @@ def _active(block, node, velocities, phase, cell_mass, node_blocks):
     return active
 
 
-@device_function
+@always_inline
 def _pairs(site, phase, offsets, phases, rules, motions, step, work):
     """Find the pairs of phases that touch each other, in order; return their number.
 
@@ -206,7 +206,7 @@ def _pairs(site, phase, offsets, phases, rules, motions, step, work):
     return pairs
 
 
-@device_function
+@always_inline
 def _add_phase_pair(pairs, site, a, b, phase, offsets, phases, motions, step, work):
     """Apply the contact of two phases, or store it as a pair."""
     pa, pb = phase[work.here[a]], phase[work.here[b]]
@@ -249,7 +249,7 @@ def _add_phase_pair(pairs, site, a, b, phase, offsets, phases, motions, step, wo
     return pairs
 
 
-@device_function
+@always_inline
 def _add_rigid_pairs(
     pairs, site, phase, offsets, surface, friction, a, phases, motions, step, work
 ):
@@ -285,7 +285,7 @@ def _add_rigid_pairs(
     return pairs
 
 
-@device_function
+@always_inline
 def _activate_pair(pairs, site, meeting, n, step, work):
     """Apply the penalty layer of a contact pair; store it if its phases may not approach.
 
@@ -311,7 +311,7 @@ def _activate_pair(pairs, site, meeting, n, step, work):
     return pairs + 1
 
 
-@device_function
+@always_inline
 def _is_separating(v, meeting, n):
     """Return whether two phases separate along n."""
     nearing = 0.0
@@ -331,14 +331,14 @@ def _may_push(walls):
     return False
 
 
-@device_function
+@always_inline
 def _pushes_at(ijk, walls, a, side):
     """Return whether a wall pushes resolved surfaces at a node: on its plane and a cell beyond."""
     beyond = (2 * side - 1) * (ijk[a] - side * walls.cells[a])
     return walls.kinds_for_surfaces[a, side] == 0 and 0 <= beyond <= 1
 
 
-@device_function
+@always_inline
 def _planes(ijk, walls):
     """Return the number of walls at a node that push resolved surfaces."""
     count = 0
@@ -348,7 +348,7 @@ def _planes(ijk, walls):
     return count
 
 
-@device_function
+@always_inline
 def _add_wall_pairs(pairs, site, phase, offsets, ijk, walls, phases, motions, step, work):
     """Apply the contact of walls that push resolved surfaces, or store pairs."""
     surface, row = work.plane, work.row

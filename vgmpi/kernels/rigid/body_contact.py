@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vgmpi.kernels.wall_boundary import OPEN, STICK
-from vgmpi.runtime.jit import device_function, kernel
+from vgmpi.runtime.jit import array_function, device_function, kernel
 
 from .contact_search import points_close_to_collider, points_close_to_wall
 from .sdf_sampling import distance_from_collider, sample_collider
@@ -81,7 +81,7 @@ def _farthest(candidates, count, chosen, n, least_spacing):
     return row
 
 
-@device_function
+@array_function
 def _first_point(candidates, count, tolerance):
     """Return the outermost of the deepest candidates.
 
@@ -105,7 +105,7 @@ def _first_point(candidates, count, tolerance):
     return row
 
 
-@device_function
+@array_function
 def _store_points(
     points, total, body, other, candidates, normals, speeds, count, friction, least_spacing
 ):

@@ -14,7 +14,7 @@ from vgmpi.kernels.grid.contact_impulses import (
 )
 from vgmpi.kernels.step_limits import CONTACT_MASS_FLOOR
 from vgmpi.kernels.wall_boundary import SEPARATE, SLIP, STICK
-from vgmpi.runtime.jit import always_inline, device_function, kernel
+from vgmpi.runtime.jit import always_inline, array_function, device_function, kernel
 
 from .sdf_sampling import SampledSdf, sample_surface
 
@@ -179,7 +179,7 @@ def _is_close_to_wall(ijk, cells):
     return False
 
 
-@device_function
+@array_function
 def _distance_without_flush_face(colliders, m, ijk, walls, n, d, dx):
     """Return the distance of a node from a body, without a face that lies on a wall [m].
 

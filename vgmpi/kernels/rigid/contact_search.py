@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vgmpi.runtime.jit import device_function, kernel
+from vgmpi.runtime.jit import array_function, device_function, kernel
 
 from .sdf_sampling import SampledSdf, distance_from_collider
 from .surface_points import SurfacePoints, dot
@@ -174,7 +174,7 @@ def _store_box(low, high, rotation, shift, margin, box):
         box[0, c], box[1, c] = center - half, center + half
 
 
-@device_function
+@array_function
 def _place_boxes(search, bodies, movers, number_of, reach, dx, boxes):
     """Store boxes in the domain's axes: of each collider's distances, and of its points [m].
 
@@ -298,7 +298,7 @@ def _is_beyond(movers, m, slope, place, radius, reach, scratch):
     return distance_from_collider(movers, m, inside, own, sample) > reach + slope * radius
 
 
-@device_function
+@array_function
 def points_close_to_collider(search, bodies, k, movers, m, reach, dx, scratch, out):
     """Store the points of a body that may be within reach of a collider, in order.
 
@@ -336,7 +336,7 @@ def points_close_to_collider(search, bodies, k, movers, m, reach, dx, scratch, o
     return count
 
 
-@device_function
+@array_function
 def points_close_to_wall(search, k, row, start, reach, dx, out):
     """Store the points of a body that may be within reach of a wall, in order.
 

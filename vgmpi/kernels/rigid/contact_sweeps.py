@@ -6,7 +6,7 @@ References:
 
 import numpy as np
 
-from vgmpi.runtime.jit import device_function, kernel
+from vgmpi.runtime.jit import array_function, device_function, kernel
 
 from .free_bodies import inverse_times
 from .surface_points import quadratic_form
@@ -88,7 +88,7 @@ def solve_contacts(
             break
 
 
-@device_function
+@array_function
 def start_impulses(
     count, points, before_count, points_before, spacing, x, v, mass, inertia, restitution, dt,
     mobility,
@@ -119,7 +119,7 @@ def start_impulses(
         _push_both(points, q, points.impulse[q], x, v, mass, inertia, turn, w)
 
 
-@device_function
+@array_function
 def sweep_points(count, points, mobility, x, v, mass, inertia, dt, u, turn, w):
     """Change the impulses of all points once, in order; return the largest change and impulse.
 
@@ -206,7 +206,7 @@ def _change_impulse(points, q, u, mobility, dt, change):
         impulse[c] = total
 
 
-@device_function
+@array_function
 def _chain_by_body(count, points, bodies):
     """Return the first point of each body, and the next one of the same body for each point.
 

@@ -13,7 +13,7 @@ References:
 
 import numpy as np
 
-from vgmpi.runtime.jit import device_function, kernel
+from vgmpi.runtime.jit import array_function, device_function, kernel
 
 from .contact_sweeps import start_impulses, sweep_points
 from .free_bodies import inverse_times
@@ -96,7 +96,7 @@ def _fill_matrix(rows, low, high, inverse, moved, matrix):
         matrix[i, i] *= 1.0 + REGULARIZATION
 
 
-@device_function
+@array_function
 def _solve_free(matrix, right, state, impulse):
     """Solve for the impulses of the rows that are at no bound.
 
@@ -158,7 +158,7 @@ def _change_states(matrix, right, low, high, state, impulse, only_first):
     return count
 
 
-@device_function
+@array_function
 def _solve_bounded(matrix, right, low, high, impulse):
     """Solve a symmetric system whose unknowns are bounded.
 
@@ -185,7 +185,7 @@ def _solve_bounded(matrix, right, low, high, impulse):
         impulse[i] = min(max(impulse[i], low[i]), high[i])
 
 
-@device_function
+@array_function
 def _solve_rows(rows, groups, inverse, v):
     """Change impulses and velocities so that all rows hold; return the largest change and impulse.
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vgmpi.runtime.jit import device_function, kernel
+from vgmpi.runtime.jit import array_function, device_function, kernel
 
 from .surface_points import dot
 
@@ -79,7 +79,7 @@ def _place(frames, f, own, out):
         out[c] = frames.x[f, c] + dot(frames.rotations[f, c], own)
 
 
-@device_function
+@array_function
 def _relative_turn(frames, a, b, out):
     """Store the axial vector of the turn from frame b to a, shape (3,): sine times axis."""
     r = np.zeros((3, 3))
@@ -194,7 +194,7 @@ def rate_of(rows, q, v, a, b):
     return total
 
 
-@device_function
+@array_function
 def _set_directions(table, j, frames, rows):
     """Set what the rows of a joint act on; return the row after those that prevent a motion."""
     kind, q, n = table.kind[j], table.first[j], np.zeros(3)
@@ -235,7 +235,7 @@ def _set_limit_row(table, j, rows, q, coordinate, dt):
     rows.low[q], rows.high[q] = 0.0, np.inf
 
 
-@device_function
+@array_function
 def _set_spring_row(table, j, frames, rows, length, v, dt):
     """Set the row of a spring: its force holds at the middle of the step, that of its damper after.
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vgmpi.kernels.simd.static_dispatch import static_dispatch
-from vgmpi.runtime.jit import always_inline, device_function, kernel
+from vgmpi.runtime.jit import always_inline, array_function, device_function, kernel
 
 from .static_colliders import SDF_BAND_CELLS
 
@@ -187,7 +187,7 @@ def _smooth_normal(movers, m, own, sample, normal):
     return turn_gradient(movers, m, sample, normal)
 
 
-@device_function
+@array_function
 def sample_surface(movers, m, x, normal):
     """Return the distance of a point from a collider [m], infinite where it has no normal.
 
@@ -230,7 +230,7 @@ def distance_from_collider(movers, m, x, own, sample):
     return sample[3] if _sample(movers, m, own, sample) else np.inf
 
 
-@device_function
+@array_function
 def sample_collider(movers, m, x, dt, sample, velocity):
     """Find outward normal and distance of a point from a collider, and the collider's velocity.
 

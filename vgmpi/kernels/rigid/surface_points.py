@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vgmpi.runtime.jit import device_function
+from vgmpi.runtime.jit import array_function, device_function
 
 from .free_bodies import inverse_times
 
@@ -44,7 +44,7 @@ def quadratic_form(m, n):
     return total
 
 
-@device_function
+@array_function
 def facing_point(surface, p, facing, dx, out):
     """Find the point near p at which the surface has the normal `facing`, as far as it is curved.
 
@@ -81,7 +81,7 @@ def facing_point(surface, p, facing, dx, out):
     return size <= MAX_TRAVEL_CELLS * dx
 
 
-@device_function
+@array_function
 def turned_normal(surface, p, own, rotation, out):
     """Store the inward normal of a surface next to one of its points, in the domain's axes.
 

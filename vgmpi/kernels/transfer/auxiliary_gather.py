@@ -24,7 +24,7 @@ from vgmpi.kernels.simd.static_dispatch import static_dispatch
 from vgmpi.kernels.simd.vector16 import load, store
 from vgmpi.kernels.stencil_sums import gather_affine, gather_value
 from vgmpi.kernels.wall_boundary import fill_ghost_velocity
-from vgmpi.runtime.jit import device_function, view_function
+from vgmpi.runtime.jit import array_function, device_function
 
 CHANGE = 5 * BATCH  # offset of the velocity change in `extra`
 OVERFILL_RELAXATION_RATE = 10.0  # [1/s] relaxation rate of a fluid in pores that are overfilled
@@ -155,7 +155,7 @@ def mixture_wave_speed_squared(kind, f, p, cap, numbers, wave2):
     """
 
 
-@view_function
+@array_function
 def load_mirrored_patch(grid, blocks, box, mirror, patch, ghosts, s):
     """Load one patch and set its ghost nodes from their mirror nodes.
 
