@@ -10,6 +10,7 @@ from .board_cases import CASES
 
 QUANTITIES = (
     "level", "lower_half", "run_out", "height", "frequency", "energy_loss", "deflection", "decay",
+    "force", "unsteadiness", "draught",
 )  # fmt: skip
 COLUMNS = (
     "case", "solver", "options", "particles", "cell", "steps", "simulated", "cpu", "wall", "error",

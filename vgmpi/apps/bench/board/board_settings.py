@@ -12,6 +12,7 @@ SOFT, LONG_STEPS = "material.water.compression=0.04", "time.cfl=1.0"
 STIFF_STEP = "step_per_cell=0.004"  # [s/m] of 5e7 Pa: a wave crosses 0.9 of a cell
 APIC = "accuracy.transfer=apic"
 IMPLICIT = "accuracy.pressure=implicit"
+S2 = "collider_basis=S2"  # Newton's default; its example of a dam break has pic
 DAM_CELLS_48 = 0.146 * 4 / 48  # [m]
 
 RUNS: dict[str, tuple[tuple[str, ...], ...]] = {
@@ -97,6 +98,36 @@ RUNS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("genesis", "cell=0.00625", "step_per_cell=0.4"),
         ("genesis", "cell=0.0041666666666666666", "step_per_cell=0.4"),
         ("genesis", "cell=0.003125", "step_per_cell=0.4"),
+    ),
+    "jet": (
+        ("vgmpi", "domain.cell=0.025", IMPLICIT),
+        ("vgmpi", "domain.cell=0.025"),
+        ("vgmpi", IMPLICIT),
+        ("vgmpi", SOFT),
+        ("vgmpi",),
+        ("vgmpi", "domain.cell=0.00625", IMPLICIT),
+        ("vgmpi", "domain.cell=0.00625"),
+        ("newton", "cell=0.025", STEP_120),
+        ("newton", "cell=0.0125", STEP_120),
+        ("newton", "cell=0.0125", STEP_120, S2),
+        ("newton", "cell=0.0125", STEP_240),
+        ("newton", "cell=0.00625", STEP_120),
+        ("genesis", "cell=0.025"),
+        ("genesis", "cell=0.0125"),
+        ("genesis", "cell=0.00625"),
+    ),
+    "block": (
+        ("vgmpi", "domain.cell=0.015", SOFT),
+        ("vgmpi", "domain.cell=0.015"),
+        ("vgmpi",),
+        ("vgmpi", "object.block.rigid=false"),
+        ("newton", "cell=0.015", STEP_120),
+        ("newton", "cell=0.015", STEP_120, S2),
+        ("newton", "cell=0.015", STEP_240),
+        ("newton", "cell=0.01", STEP_120),
+        ("genesis", "cell=0.02"),
+        ("genesis", "cell=0.015"),
+        ("genesis", "cell=0.01"),
     ),
     "rest": (
         ("vgmpi", LONG_STEPS),
