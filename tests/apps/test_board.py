@@ -299,6 +299,21 @@ def test_errors_below_the_resolution_of_a_reference_are_equal():
     assert board_results.advantages(results) == {("bar", "genesis"): 5.0}
 
 
+def test_runs_on_two_cores_have_a_table_of_their_own():
+    """They are compared by wall time with the same run on one core, and with nothing else."""
+    one = result_of("genesis", 8.0, 0.1) | {"options": ["cell=1"]}
+    two = one | {"options": ["cell=1", "threads=2"], "cpu": 0.1, "wall": 5.0}
+    alone = result_of("vgmpi", 0.1, 0.01) | {"options": ["domain.cell=7", "threads=2"]}
+    results = [one, result_of("vgmpi", 2.0, 0.1), two, alone]
+    marked = board_results.mark_front(results)
+    assert [r["on_front"] for r in marked] == [False, True, False, False]
+    assert board_results.advantages(results) == {("bar", "genesis"): 4.0}
+    assert board_results.pair_cores(results) == [(one, two)]
+    text = board_results.format_tables(marked)
+    assert "| bar | genesis | cell=1 | 4 | 2.5 | 1.6 |" in text and text.count("threads=2") == 0
+    assert board_results.format_csv(marked).count("threads=2") == 2
+
+
 def test_a_failed_run_is_a_row():
     results = [
         result_of("vgmpi", 1.0, 0.1),
