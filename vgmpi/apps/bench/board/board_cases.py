@@ -349,7 +349,7 @@ CASES = {
         "jet on a plate: force", JET_BODY, JET_TANK, 0.25, 1 / 120, JetMeasure, 0.02, gravity=0.0,
         velocity=jet_velocity, corner=JET_CORNER),
     "block": BoardCase(
-        "block that floats: draught", BLOCK_POOL, BLOCK_TANK, 2.0, 0.05, BlockMeasure, 0.02,
+        "block that floats: draught", BLOCK_POOL, BLOCK_TANK, 2.0, 0.05, BlockMeasure, 0.03,
         more=BLOCK_SIDES, block=(BLOCK_EDGES, BLOCK_CORNER)),
     "rest": BoardCase(
         "pool at rest", (0.4, 0.4, 0.08), (0.4, 0.4, 0.4), 0.1, 0.02, HeightMeasure),

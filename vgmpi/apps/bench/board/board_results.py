@@ -165,10 +165,10 @@ def format_tables(results: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def _format_pair(one: dict[str, Any], two: dict[str, Any]) -> str:
+def _format_pair(single: dict[str, Any], double: dict[str, Any]) -> str:
     """Return a run on one and on two cores as a row of a table."""
-    seconds = [seconds_per_second(result, "wall") for result in (one, two)]
-    cells = [one["case"], one["solver"], " ".join(one["options"])]
+    seconds = [seconds_per_second(result, "wall") for result in (single, double)]
+    cells = [single["case"], single["solver"], " ".join(single["options"])]
     cells += [f"{value:.3g}" for value in (*seconds, seconds[0] / seconds[1])]
     return f"| {' | '.join(cells)} |"
 

@@ -126,6 +126,7 @@ RUNS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("genesis", "cell=0.00625"),
     ),
     "block": (
+        ("vgmpi", "domain.cell=0.015", SOFT, LONG_STEPS),
         ("vgmpi", "domain.cell=0.015", SOFT),
         ("vgmpi", "domain.cell=0.015"),
         ("vgmpi",),
