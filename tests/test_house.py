@@ -49,9 +49,16 @@ OUTSIDE = {  # packages that only some files may use
         "postprocess/",
     ),
     "taichi": ("vgmpi/apps/bench/taichi_baseline.py",),
-    "warp": ("vgmpi/apps/bench/warp_baseline.py", "vgmpi/apps/bench/board/newton_board_solver.py"),
+    "warp": (
+        "vgmpi/apps/bench/warp_baseline.py",
+        "vgmpi/apps/bench/board/newton_board_solver.py",
+        "vgmpi/apps/bench/board/newton_floating_block.py",
+    ),
     # rivals of the board, in an environment of their own
-    "newton": ("vgmpi/apps/bench/board/newton_board_solver.py",),
+    "newton": (
+        "vgmpi/apps/bench/board/newton_board_solver.py",
+        "vgmpi/apps/bench/board/newton_floating_block.py",
+    ),
     "genesis": ("vgmpi/apps/bench/board/genesis_board_solver.py",),
     "gsply": ("vgmpi/gaussians/formats/ply.py",),
     "torch": (

@@ -27,6 +27,7 @@ from vgmpi.apps.bench.board.board_cases import (
 )
 from vgmpi.apps.bench.board.board_plot import draw_board
 from vgmpi.apps.bench.board.board_settings import RUNS
+from vgmpi.apps.bench.board.jet_and_block import BlockMeasure, JetMeasure, jet_velocity
 from vgmpi.apps.bench.board.vgmpi_board_solver import Solver
 
 
@@ -185,6 +186,85 @@ def test_the_vortices_of_the_scene_are_those_of_their_case():
     assert tuple(domain.size) == case.tank and not any(domain.gravity)
 
 
+@pytest.mark.parametrize("share", [1.0, 0.8])
+def test_the_force_of_a_jet(share):
+    """A plate that stops 0.8 of what arrives; impact and end do not count, a ripple is told."""
+    x = rows_of(CASES["jet"].body, 0.0125)
+    volume = np.full(len(x), 0.0125**3)
+    measure = JetMeasure(volume, x, 0.0125)
+    for k in range(31):
+        t = k / 120
+        left = 0.4 - share * t - (0.1 * np.sin(40 * t) if t < 0.14 else 0)
+        left += 1e-4 * (-1) ** k if t > 0.14 else 0  # [m] of the column
+        measure.record(BoardState(t, x, left / 0.4 * jet_velocity(x)[0]))
+    result = measure.result()
+    assert result["force"] == pytest.approx(share, abs=2e-3)
+    assert result["error"] == pytest.approx(abs(result["force"] - 1))
+    assert result["unsteadiness"] == pytest.approx(2e-4 * 120, rel=0.01)
+
+
+def test_the_jet_of_the_scene_is_that_of_its_case():
+    solver, case = Solver("jet", {}), CASES["jet"]
+    solver.restart()
+    x, v = solver.state()
+    gap = solver.cell / 4
+    assert x.min(axis=0) == pytest.approx(np.array(case.corner) + gap)
+    assert x.max(axis=0) == pytest.approx(np.add(case.corner, case.body) - gap)
+    assert v == pytest.approx(case.velocity(x)[0])
+    domain = solver.scene.domain
+    assert tuple(domain.size) == case.tank and not any(domain.gravity)
+    assert solver.scene.time.end == case.end
+    assert abs(2 * case.corner[0] + case.body[0] - case.tank[0]) < 1e-12  # in the middle
+
+
+@pytest.mark.parametrize("draught", [1.0, 0.9])
+def test_the_draught_of_a_block_that_bobs(draught):
+    """It bobs about its draught with the level, which is right where the water is."""
+    edges, corner = CASES["block"].block
+    middle = np.array(corner) + np.array(edges) / 2
+    boxes = CASES["block"].boxes()
+    water = np.concatenate([rows_of(size, 0.005, low) for size, low in boxes])
+    measure = BlockMeasure(np.ones(len(water) + 1), np.vstack([water, middle]), 0.01)
+    assert measure.block.sum() == 1 and measure.block[-1]
+    ends = np.abs(water[:, 0] - 0.12) > 0.06
+    low, high = water[ends, 2].min(), water[ends, 2].max()
+    for k in range(41):
+        t, level = 0.05 * k, BlockMeasure.LEVEL
+        x = water.copy()
+        x[ends, 2] = (x[ends, 2] - low) / (high - low) * level  # fills the ends up to the level
+        bob = 0.3 * np.cos(2 * np.pi * t / 0.45)
+        z = level + 0.03 - (draught + bob) * 0.03
+        measure.record(BoardState(t, np.vstack([x, [0.12, 0.03, z]]), 0 * middle))
+    result = measure.result()
+    assert result["draught"] == pytest.approx(draught, abs=3e-3)
+    assert result["level"] == pytest.approx(1, abs=1e-3)
+    assert result["error"] == pytest.approx(abs(result["draught"] - 1))
+
+
+def test_the_level_of_a_tank_with_a_block_by_hand():
+    """Water of 0.01188 m2 over the depth and half the block, 0.0036 m2, in a tank of 0.24 m."""
+    assert BlockMeasure.LEVEL == pytest.approx((0.0198 + 0.0036) / 0.24)
+    assert BlockMeasure.DRAUGHT == pytest.approx(0.03)
+
+
+@pytest.mark.parametrize("options", [{}, {"object.block.rigid": False}])
+def test_the_block_of_the_scene_is_that_of_its_case(options):
+    solver, case = Solver("block", options), CASES["block"]
+    solver.restart()
+    x, v = solver.state()
+    assert len(x) == len(v) == len(solver.volume) and not v.any()
+    water = sum(np.prod(edges) for edges, _ in case.boxes())
+    edges, corner = (np.array(row) for row in case.block)
+    measure = BlockMeasure(solver.volume, x, solver.cell)
+    assert x[measure.block].mean(axis=0) == pytest.approx(corner + edges / 2)
+    assert solver.volume[~measure.block].sum() == pytest.approx(water)
+    assert solver.volume[measure.block].sum() == pytest.approx(np.prod(edges) if options else 0)
+    assert solver.scene.material["wood"].density == 500
+    assert tuple(solver.scene.domain.size) == case.tank and solver.scene.time.end == case.end
+    solver.advance(0.05)  # it falls at first, half as deep as it floats
+    assert solver.state()[0][measure.block, 2].mean() < x[measure.block, 2].mean() - 2e-4
+
+
 def result_of(solver, cpu, error=None, case="bar", **more):
     result = {
         "case": case, "solver": solver, "options": [], "simulated": 2.0, "cpu": cpu, "wall": cpu,
@@ -217,6 +297,21 @@ def test_errors_below_the_resolution_of_a_reference_are_equal():
     results = [result_of("vgmpi", 1.0, 0.0009), result_of("genesis", 5.0, 0.0001)]
     assert [r["on_front"] for r in board_results.mark_front(results)] == [True, False]
     assert board_results.advantages(results) == {("bar", "genesis"): 5.0}
+
+
+def test_runs_on_two_cores_have_a_table_of_their_own():
+    """They are compared by wall time with the same run on one core, and with nothing else."""
+    one = result_of("genesis", 8.0, 0.1) | {"options": ["cell=1"]}
+    two = one | {"options": ["cell=1", "threads=2"], "cpu": 0.1, "wall": 5.0}
+    alone = result_of("vgmpi", 0.1, 0.01) | {"options": ["domain.cell=7", "threads=2"]}
+    results = [one, result_of("vgmpi", 2.0, 0.1), two, alone]
+    marked = board_results.mark_front(results)
+    assert [r["on_front"] for r in marked] == [False, True, False, False]
+    assert board_results.advantages(results) == {("bar", "genesis"): 4.0}
+    assert board_results.pair_cores(results) == [(one, two)]
+    text = board_results.format_tables(marked)
+    assert "| bar | genesis | cell=1 | 4 | 2.5 | 1.6 |" in text and text.count("threads=2") == 0
+    assert board_results.format_csv(marked).count("threads=2") == 2
 
 
 def test_a_failed_run_is_a_row():

@@ -6,11 +6,24 @@ This module needs numpy alone, since it also runs in the environments of other s
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
 
 import numpy as np
 
-GRAVITY = 9.8  # [m/s2]
+from .board_state import GRAVITY, BoardState, Edges, Measure
+from .jet_and_block import (
+    BLOCK_CORNER,
+    BLOCK_EDGES,
+    BLOCK_POOL,
+    BLOCK_SIDES,
+    BLOCK_TANK,
+    JET_BODY,
+    JET_CORNER,
+    JET_TANK,
+    BlockMeasure,
+    JetMeasure,
+    jet_velocity,
+)
+
 # front of a collapsing column, t sqrt(2 g / L) and front / L: Koshizuka and Oka 1996, by MPS
 MPS_FRONT = np.array(
     [[0.591, 1.205], [0.958, 1.512], [1.381, 1.931], [1.858, 2.48], [2.278, 3.004], [2.604, 3.481],
@@ -30,37 +43,13 @@ LEVEL_START = 3.0  # [s] from which on the level is averaged
 SLICES = 16  # of the tank, in which the level is measured
 
 
-class BoardState(NamedTuple):
-    """State of all particles.
-
-    Attributes:
-        t: Time [s].
-        x: Positions from the tank's corner, shape (n, 3) [m].
-        v: Velocities, shape (n, 3) [m/s].
-    """
-
-    t: float
-    x: np.ndarray
-    v: np.ndarray
-
-
-class Measure(Protocol):
-    """Record of a run, from which its error follows."""
-
-    def record(self, now: BoardState) -> None:
-        """Record a state."""
-
-    def result(self) -> dict[str, float]:
-        """Return the quantities of the run; `error`, if there is one, is compared."""
-
-
 @dataclass(frozen=True)
 class BoardCase:
     """One case.
 
     Attributes:
         title: What its error is, for tables.
-        body: Edges of the box that is filled, from the tank's corner (0, 0, 0) on [m].
+        body: Edges of the box that is filled [m].
         tank: Edges of the tank [m], None without walls.
         end: Simulated time [s].
         interval: Time between two records [s].
@@ -76,11 +65,14 @@ class BoardCase:
         closed: Whether the tank has a lid that holds the fluid.
         velocity: Returns the initial velocities (n, 3) [m/s] and their gradients (n, 3, 3) [1/s]
             at positions (n, 3) [m]; None at rest.
+        corner: Lower corner of the box that is filled, from that of the tank [m].
+        more: Further boxes that are filled, each its edges and its corner [m].
+        block: Edges and corner of a body of BLOCK_DENSITY that floats [m].
     """
 
     title: str
-    body: tuple[float, float, float]
-    tank: tuple[float, float, float] | None
+    body: Edges
+    tank: Edges | None
     end: float
     interval: float
     measure: Callable[[np.ndarray, np.ndarray, float], Measure]
@@ -93,6 +85,13 @@ class BoardCase:
     bulk_modulus: float = 0.0
     closed: bool = False
     velocity: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]] | None = None
+    corner: Edges = (0.0, 0.0, 0.0)
+    more: tuple[tuple[Edges, Edges], ...] = ()
+    block: tuple[Edges, Edges] | None = None
+
+    def boxes(self) -> tuple[tuple[Edges, Edges], ...]:
+        """Return edges and corner of each box that is filled [m]."""
+        return ((self.body, self.corner), *self.more)
 
 
 class FrontMeasure:
@@ -346,6 +345,12 @@ CASES = {
         (VORTEX_EDGE, 0.025, VORTEX_EDGE), 0.25, 0.025, VortexMeasure, 5e-3, gravity=0.0,
         viscosity=VORTEX_VISCOSITY, bulk_modulus=VORTEX_BULK_MODULUS, closed=True,
         velocity=vortex_velocity),
+    "jet": BoardCase(
+        "jet on a plate: force", JET_BODY, JET_TANK, 0.25, 1 / 120, JetMeasure, 0.02, gravity=0.0,
+        velocity=jet_velocity, corner=JET_CORNER),
+    "block": BoardCase(
+        "block that floats: draught", BLOCK_POOL, BLOCK_TANK, 2.0, 0.05, BlockMeasure, 0.03,
+        more=BLOCK_SIDES, block=(BLOCK_EDGES, BLOCK_CORNER)),
     "rest": BoardCase(
         "pool at rest", (0.4, 0.4, 0.08), (0.4, 0.4, 0.4), 0.1, 0.02, HeightMeasure),
     "splash": BoardCase(

@@ -4,14 +4,14 @@ from pathlib import Path
 from typing import Any
 
 from .board_cases import CASES
-from .board_results import comparable_error, seconds_per_second
+from .board_results import comparable_error, on_one_core, seconds_per_second
 
 COLORS = {"vgmpi": "#1f5fbf", "newton": "#d9822b", "genesis": "#4a9a53"}
 MARKERS = {"vgmpi": "o", "newton": "s", "genesis": "^"}
 
 
 def draw_board(path: Path, results: list[dict[str, Any]]) -> None:
-    """Write the picture; what lies in the gray band, its reference cannot tell apart.
+    """Write the picture of runs on one core; references cannot tell apart what is in the gray band.
 
     Raises:
         ImportError: If matplotlib is missing.
@@ -21,6 +21,7 @@ def draw_board(path: Path, results: list[dict[str, Any]]) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
+    results = [r for r in results if on_one_core(r)]
     names = [name for name in CASES if any(r["case"] == name and "error" in r for r in results)]
     rows_of_panels = 1 + (len(names) > 4)
     columns = max(1, -(-len(names) // rows_of_panels))

@@ -10,6 +10,7 @@ from .board_cases import CASES
 
 QUANTITIES = (
     "level", "lower_half", "run_out", "height", "frequency", "energy_loss", "deflection", "decay",
+    "force", "unsteadiness", "draught",
 )  # fmt: skip
 COLUMNS = (
     "case", "solver", "options", "particles", "cell", "steps", "simulated", "cpu", "wall", "error",
@@ -41,6 +42,11 @@ def seconds_per_second(result: dict[str, Any], clock: str = "cpu") -> float:
     return result[clock] / result["simulated"]
 
 
+def on_one_core(result: dict[str, Any]) -> bool:
+    """Tell whether a run has one thread: only such runs are compared by processor time."""
+    return not any(word.startswith("threads=") for word in result["options"])
+
+
 def comparable_error(result: dict[str, Any]) -> float:
     """Return the error of a run, at least what its reference can tell."""
     return max(result["error"], CASES[result["case"]].resolution)
@@ -50,12 +56,13 @@ def mark_front(results: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the results with `on_front`: no other run of the case is as cheap and as exact.
 
     Errors below the resolution of the case count as equal. A case without an error has the cheapest
-    run per particle on its front.
+    run per particle on its front. Runs on two cores are not on it.
     """
     marked = []
+    single = [r for r in results if "cpu" in r and on_one_core(r)]
     for result in results:
-        rivals = [r for r in results if r["case"] == result["case"] and "cpu" in r]
-        if "cpu" not in result:
+        rivals = [r for r in single if r["case"] == result["case"]]
+        if "cpu" not in result or not on_one_core(result):
             marked.append(result | {"on_front": False})
             continue
         if "error" in result:
@@ -79,17 +86,14 @@ def advantages(results: list[dict[str, Any]]) -> dict[tuple[str, str], float]:
 
     Each run of a rival is held against this program's cheapest run whose error is not larger; the
     smallest ratio counts. A rival's run that no run of this program reaches counts as 0. Cases
-    without an error compare time per particle.
+    without an error compare time per particle. Runs on two cores do not count.
     """
     ratios: dict[tuple[str, str], float] = {}
-    for result in results:
-        if result["solver"] == "vgmpi" or "cpu" not in result:
+    single = [r for r in results if "cpu" in r and on_one_core(r)]
+    for result in single:
+        if result["solver"] == "vgmpi":
             continue
-        own = [
-            r
-            for r in results
-            if r["solver"] == "vgmpi" and r["case"] == result["case"] and "cpu" in r
-        ]
+        own = [r for r in single if r["solver"] == "vgmpi" and r["case"] == result["case"]]
         if "error" in result:
             error = comparable_error(result)
             costs = [seconds_per_second(r) for r in own if comparable_error(r) <= error]
@@ -101,6 +105,18 @@ def advantages(results: list[dict[str, Any]]) -> dict[tuple[str, str], float]:
         ratio = cost / min(costs) if costs else 0.0
         ratios[key] = min(ratio, ratios.get(key, ratio))
     return ratios
+
+
+def pair_cores(results: list[dict[str, Any]]) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+    """Return the pairs of runs that differ in their threads alone, the one on one core first."""
+    runs = {run_key(result): result for result in results if "cpu" in result}
+    pairs = []
+    for result in runs.values():
+        words = [word for word in result["options"] if word != "threads=2"]
+        single = runs.get((result["case"], result["solver"], *words))
+        if single is not None and "threads=2" in result["options"]:
+            pairs.append((single, result))
+    return pairs
 
 
 def format_csv(results: list[dict[str, Any]]) -> str:
@@ -118,10 +134,10 @@ def format_csv(results: list[dict[str, Any]]) -> str:
 
 
 def format_tables(results: list[dict[str, Any]]) -> str:
-    """Return Markdown: one table per case, and how many times cheaper this program is."""
+    """Return Markdown: a table per case, how many times cheaper this program is, two cores."""
     lines = []
     for name, case in CASES.items():
-        rows = [result for result in results if result["case"] == name]
+        rows = [result for result in results if result["case"] == name and on_one_core(result)]
         if not rows:
             continue
         lines += [f"### {name}: {case.title}", ""]
@@ -137,7 +153,24 @@ def format_tables(results: list[dict[str, Any]]) -> str:
             f"| {case} | {solver} | {f'{ratio:.1f}' if ratio else 'not reached by vgmpi'} |"
             for (case, solver), ratio in ratios.items()
         ]
+        lines.append("")
+    pairs = pair_cores(results)
+    if pairs:
+        lines += ["### wall seconds per simulated second on one and on two cores", ""]
+        lines += [
+            "| case | solver | options | one core | two cores | ratio |",
+            "|---|---|---|---|---|---|",
+        ]
+        lines += [_format_pair(*pair) for pair in pairs]
     return "\n".join(lines)
+
+
+def _format_pair(single: dict[str, Any], double: dict[str, Any]) -> str:
+    """Return a run on one and on two cores as a row of a table."""
+    seconds = [seconds_per_second(result, "wall") for result in (single, double)]
+    cells = [single["case"], single["solver"], " ".join(single["options"])]
+    cells += [f"{value:.3g}" for value in (*seconds, seconds[0] / seconds[1])]
+    return f"| {' | '.join(cells)} |"
 
 
 def _format_row(row: dict[str, Any]) -> str:

@@ -98,7 +98,7 @@ def measure_case(name: str, case_name: str, options: dict[str, Any]) -> dict[str
     if runs[0].get("cpu", np.inf) < REPEAT_SECONDS:
         runs.append(timed_run(solver, case))
     result = min(runs, key=lambda run: run.get("cpu", np.inf))
-    particles = len(solver.volume)
+    particles = int(np.count_nonzero(solver.volume))
     result |= {
         "solver": name, "case": case_name, "versions": solver.versions, "cell": solver.cell,
         "particles": particles, "simulated": case.end,

@@ -12,6 +12,8 @@ SOFT, LONG_STEPS = "material.water.compression=0.04", "time.cfl=1.0"
 STIFF_STEP = "step_per_cell=0.004"  # [s/m] of 5e7 Pa: a wave crosses 0.9 of a cell
 APIC = "accuracy.transfer=apic"
 IMPLICIT = "accuracy.pressure=implicit"
+TWO_CORES = "threads=2"  # Warp has one thread on a processor, whatever it is told
+S2 = "collider_basis=S2"  # Newton's default; its example of a dam break has pic
 DAM_CELLS_48 = 0.146 * 4 / 48  # [m]
 
 RUNS: dict[str, tuple[tuple[str, ...], ...]] = {
@@ -24,13 +26,19 @@ RUNS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("vgmpi", "accuracy.level=draft", IMPLICIT),
         ("vgmpi", f"domain.cell={DAM_CELLS_48}", IMPLICIT),
         ("vgmpi", IMPLICIT),
+        ("vgmpi", IMPLICIT, TWO_CORES),
+        ("vgmpi", TWO_CORES),
         ("newton", "cell=0.01825", STEP_120),
+        ("newton", "cell=0.01825", STEP_120, S2),
         ("newton", f"cell={DAM_CELLS_48}", STEP_240),
+        ("newton", f"cell={DAM_CELLS_48}", STEP_240, S2),
         ("newton", f"cell={DAM_CELLS_48}", STEP_480),
         ("genesis", "cell=0.01825"),
         ("genesis", "cell=0.01825", "step_per_cell=0.04"),
         ("genesis", f"cell={DAM_CELLS_48}", "E=2.25e6"),
         ("genesis", "cell=0.009125"),
+        ("genesis", "cell=0.01825", TWO_CORES),
+        ("genesis", f"cell={DAM_CELLS_48}", "E=2.25e6", TWO_CORES),
     ),
     "level": (
         ("vgmpi", SOFT, "time.cfl=0.6"),  # 1.0 is unstable
@@ -41,7 +49,9 @@ RUNS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("vgmpi", IMPLICIT),
         ("vgmpi", "domain.cell=0.013333333333333334", IMPLICIT),
         ("newton", "cell=0.04", STEP_120),
+        ("newton", "cell=0.04", STEP_120, S2),
         ("newton", "cell=0.04", "dt=0.00238095238"),
+        ("newton", "cell=0.04", "dt=0.00238095238", S2),
         ("newton", "cell=0.02", STEP_120),
         ("genesis", "cell=0.02", "particle_size=0.64", "sampler=pbs"),
         ("genesis", "cell=0.02"),
@@ -98,11 +108,43 @@ RUNS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("genesis", "cell=0.0041666666666666666", "step_per_cell=0.4"),
         ("genesis", "cell=0.003125", "step_per_cell=0.4"),
     ),
+    "jet": (
+        ("vgmpi", "domain.cell=0.025", IMPLICIT),
+        ("vgmpi", "domain.cell=0.025"),
+        ("vgmpi", IMPLICIT),
+        ("vgmpi", SOFT),
+        ("vgmpi",),
+        ("vgmpi", "domain.cell=0.00625", IMPLICIT),
+        ("vgmpi", "domain.cell=0.00625"),
+        ("newton", "cell=0.025", STEP_120),
+        ("newton", "cell=0.0125", STEP_120),
+        ("newton", "cell=0.0125", STEP_120, S2),
+        ("newton", "cell=0.0125", STEP_240),
+        ("newton", "cell=0.00625", STEP_120),
+        ("genesis", "cell=0.025"),
+        ("genesis", "cell=0.0125"),
+        ("genesis", "cell=0.00625"),
+    ),
+    "block": (
+        ("vgmpi", "domain.cell=0.015", SOFT, LONG_STEPS),
+        ("vgmpi", "domain.cell=0.015", SOFT),
+        ("vgmpi", "domain.cell=0.015"),
+        ("vgmpi",),
+        ("vgmpi", "object.block.rigid=false"),
+        ("newton", "cell=0.015", STEP_120),
+        ("newton", "cell=0.015", STEP_120, S2),
+        ("newton", "cell=0.015", STEP_240),
+        ("newton", "cell=0.01", STEP_120),
+        ("genesis", "cell=0.02"),
+        ("genesis", "cell=0.015"),
+        ("genesis", "cell=0.01"),
+    ),
     "rest": (
         ("vgmpi", LONG_STEPS),
         ("vgmpi",),
         ("vgmpi", IMPLICIT),
         ("newton", "cell=0.016", STEP_120),
+        ("newton", "cell=0.016", STEP_120, S2),
         ("newton", "cell=0.01", STEP_120, "per_axis=2"),
         ("genesis", "cell=0.01"),
     ),
@@ -111,9 +153,13 @@ RUNS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("vgmpi", SOFT),
         ("vgmpi",),
         ("vgmpi", IMPLICIT),
+        ("vgmpi", TWO_CORES),
+        ("vgmpi", IMPLICIT, TWO_CORES),
         ("newton", "cell=0.016", "dt=0.0166666667"),
+        ("newton", "cell=0.016", "dt=0.0166666667", S2),
         ("newton", "cell=0.016", STEP_120),
         ("newton", "cell=0.01", STEP_120, "per_axis=2"),
         ("genesis", "cell=0.01", "end=0.1"),
+        ("genesis", "cell=0.01", "end=0.1", TWO_CORES),
     ),
 }

@@ -14,11 +14,14 @@ import numpy as np
 import torch
 
 from .board_cases import CASES, ELASTIC_DENSITY, SAND_DENSITY
+from .board_state import Edges
+from .jet_and_block import BLOCK_DENSITY
 
 STEP_PER_CELL = 0.02  # [s/m] that the solver suggests
 FLOOR_FRICTION, FLOOR_SOFTNESS = 100.0, 0.002
 # [deg] an angle of triaxial compression with the strength of SAND_ANGLE in plane strain
 TRIAXIAL_ANGLE = 26.3
+BLOCK_MODULUS = 1e5  # [Pa]
 
 
 class Solver:
@@ -76,12 +79,19 @@ class Solver:
             material = gs.materials.MPM.Elastic(
                 E=case.modulus, nu=0.0, rho=ELASTIC_DENSITY, model="corotation", **shared
             )
-        center = tuple(np.array(case.body) / 2 + self.shift)
-        self.body = scene.add_entity(
-            morph=gs.morphs.Box(pos=center, size=case.body), material=material
-        )
+        self.bodies = [self._add_box(scene, *box, material) for box in case.boxes()]
+        if case.block:  # as in its example flush_cubes
+            material = gs.materials.MPM.Elastic(
+                E=BLOCK_MODULUS, nu=0.0, rho=BLOCK_DENSITY, model="corotation", **shared
+            )
+            self.bodies.append(self._add_box(scene, *case.block, material))
         self.scene = scene
         scene.build()
+
+    def _add_box(self, scene: Any, edges: Edges, corner: Edges, material: Any) -> Any:
+        """Add a box and return its entity."""
+        center = tuple(np.array(edges) / 2 + corner + self.shift)
+        return scene.add_entity(morph=gs.morphs.Box(pos=center, size=edges), material=material)
 
     def restart(self) -> None:
         """Begin the run again."""
@@ -89,11 +99,11 @@ class Solver:
         self.intervals = 0
         if self.case.velocity:
             v, _ = self.case.velocity(self.state()[0])
-            self.body.set_particles_vel(torch.tensor(v.astype(np.float32)))
+            self.bodies[0].set_particles_vel(torch.tensor(v.astype(np.float32)))
         if self.case.clamp:
             # particles that touch no nodes beyond the clamp's end
             fixed = self.state()[0][:, 0] < self.case.clamp - 0.5 * self.cell
-            self.body.set_free(torch.tensor(~fixed))
+            self.bodies[0].set_free(torch.tensor(~fixed))
 
     def advance(self, t: float) -> int:
         """Simulate up to a time [s] and return the number of steps."""
@@ -106,8 +116,11 @@ class Solver:
     def state(self) -> tuple[np.ndarray, np.ndarray]:
         """Return positions from the tank's corner and velocities, (n, 3) each [m], [m/s]."""
         x, v = (
-            values.cpu().numpy().reshape(-1, 3)
-            for values in (self.body.get_particles_pos(), self.body.get_particles_vel())
+            np.concatenate([values.cpu().numpy().reshape(-1, 3) for values in rows])
+            for rows in (
+                [body.get_particles_pos() for body in self.bodies],
+                [body.get_particles_vel() for body in self.bodies],
+            )
         )
         x = x - self.shift.astype(x.dtype)
         if self.case.clamp:

@@ -12,6 +12,9 @@ import warp as wp
 from newton.solvers import SolverImplicitMPM
 
 from .board_cases import CASES, ELASTIC_DENSITY, SAND_ANGLE, SAND_DENSITY
+from .board_state import Edges
+from .jet_and_block import BLOCK_DENSITY
+from .newton_floating_block import FloatingBlock
 
 # options of the solver by family: iterations, tolerance, warmstart_mode, collider_basis
 EXAMPLES = {
@@ -63,33 +66,41 @@ class Solver:
         self.versions = {"newton": newton.__version__, "warp": wp.__version__}
         builder = newton.ModelBuilder()
         SolverImplicitMPM.register_custom_attributes(builder)
-        spacing = self._add_particles(builder, per_axis)
+        particles = [self._add_particles(builder, per_axis, *box) for box in self.case.boxes()]
+        tank = newton.ModelBuilder() if self.case.block else builder
         if self.case.tank:
-            self._add_walls(builder, np.array(self.case.tank))
+            self._add_walls(tank, np.array(self.case.tank))
+        self.block = None
+        if self.case.block:
+            self.block = FloatingBlock(tank, self.case.block, BLOCK_DENSITY)
+            self.block.model.set_gravity((0.0, 0.0, -self.case.gravity))
         self.model = builder.finalize()
         self._set_material()
         if self.case.clamp:  # particles without mass hold the nodes of their cells
             fixed = np.flatnonzero(self.model.particle_q.numpy()[:, 0] < self.case.clamp)
             self.model.particle_mass[wp.array(fixed, dtype=int)].fill_(0.0)
         self.config = self._solver_config(options)
-        self.volume = np.full(self.model.particle_count, float(np.prod(spacing)))
+        self.volume = np.concatenate([np.full(n, volume) for n, volume in particles])
+        if self.block:
+            self.volume = np.append(self.volume, 0.0)  # the row of its center
 
-    def _add_particles(self, builder: Any, per_axis: int) -> np.ndarray:
-        """Fill the body and return the spacing of the particles [m], shape (3,)."""
-        body = np.array(self.case.body)
-        count = np.round(per_axis * body / self.cell).astype(int)
-        spacing = body / count
+    def _add_particles(
+        self, builder: Any, per_axis: int, edges: Edges, corner: Edges
+    ) -> tuple[int, float]:
+        """Fill a box and return the number of its particles and the volume of each [m3]."""
+        count = np.round(per_axis * np.array(edges) / self.cell).astype(int)
+        spacing = np.array(edges) / count
         density = {"sand": SAND_DENSITY, "elastic": ELASTIC_DENSITY}.get(self.family, 1000.0)
         radius = 0.5 * float(spacing.max())
         builder.add_particle_grid(
-            pos=wp.vec3(*(0.5 * spacing)), rot=wp.quat_identity(), vel=wp.vec3(0.0),
+            pos=wp.vec3(*(0.5 * spacing + corner)), rot=wp.quat_identity(), vel=wp.vec3(0.0),
             dim_x=int(count[0]), dim_y=int(count[1]), dim_z=int(count[2]),
             cell_x=float(spacing[0]), cell_y=float(spacing[1]), cell_z=float(spacing[2]),
             mass=float(np.prod(spacing) * density), radius_mean=radius,
             jitter=0.0 if self.family == "elastic" else 2 * radius,
             flags=newton.ParticleFlags.ACTIVE,
         )  # fmt: skip
-        return spacing
+        return int(count.prod()), float(np.prod(spacing))
 
     def _add_walls(self, builder: Any, tank: np.ndarray) -> None:
         """Add the tank: an open box of water as in its example, or boxes around sand."""
@@ -165,7 +176,10 @@ class Solver:
         self.steps = 0
         first = self.states[0]
         if self.family == "fluid":
-            self.solver.setup_collider(collider_projection_threshold=[PROJECTION * self.cell])
+            if self.block:
+                self.block.restart(self.solver, self.states, PROJECTION * self.cell)
+            else:
+                self.solver.setup_collider(collider_projection_threshold=[PROJECTION * self.cell])
             first.mpm.particle_Jp.fill_(1.0)
             self.solver.project_outside(first, first, self.dt)
         if self.case.velocity:
@@ -178,7 +192,11 @@ class Solver:
         count = round(t / self.dt) - self.steps
         for _ in range(count):
             now, following = self.states
+            if self.block:
+                self.block.advance(self.states, self.dt)
             self.solver.step(now, following, None, None, self.dt)
+            if self.block:
+                self.block.collect_impulses(self.solver, following)
             if self.family != "elastic":
                 self.solver.project_outside(following, following, self.dt)
             if self.family == "fluid":
@@ -198,7 +216,11 @@ class Solver:
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
         """Return positions from the tank's corner and velocities, (n, 3) each [m], [m/s]."""
-        return self.states[0].particle_q.numpy().copy(), self.states[0].particle_qd.numpy().copy()
+        x, v = self.states[0].particle_q.numpy().copy(), self.states[0].particle_qd.numpy().copy()
+        if self.block:  # its center is the last row
+            center, velocity = self.block.center()
+            x, v = np.concatenate([x, center]), np.concatenate([v, velocity])
+        return x, v
 
 
 def hollow_box(size: np.ndarray, thickness: float) -> tuple[np.ndarray, np.ndarray]:

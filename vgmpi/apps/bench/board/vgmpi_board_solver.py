@@ -1,5 +1,6 @@
 """This program as a solver of the board: a scene of scenes/, stepped as a run is, without files."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ class Solver:
 
     def __init__(self, case_name: str, options: dict[str, Any]):
         words = {key: value for key, value in options.items() if key != "threads"}
-        overrides = tuple(f"{key}={value!r}" for key, value in words.items())
+        overrides = tuple(f"{key}={json.dumps(value)}" for key, value in words.items())
         self.scene = load(SCENES / f"{case_name}.toml", overrides)
         self.threads = int(options.get("threads", 1))
         self.corner = np.array(CORNERS.get(case_name, (0.0, 0.0, 0.0)))
@@ -35,6 +36,8 @@ class Solver:
         self.plan = plan_for(self.scene, known_of(self.scene, self.prepared))
         self.cell = float(self.scene.domain.cell)
         self.volume = np.asarray(self.prepared.vol0, dtype=np.float64)
+        if self.plan.free_bodies:
+            self.volume = np.append(self.volume, 0.0)  # the row of the block's center
         self.versions = {name: str(text) for name, text in versions().items()}
 
     def restart(self) -> None:
@@ -62,4 +65,7 @@ class Solver:
     def state(self) -> tuple[np.ndarray, np.ndarray]:
         """Return positions from the tank's corner and velocities, (n, 3) each [m], [m/s]."""
         x, v = by_id(self.simulation, "x", "v")
+        if self.simulation.bodies is not None:  # the center of the block is the last row
+            bodies = self.simulation.bodies.bodies
+            x, v = np.concatenate([x, bodies.x[:1]]), np.concatenate([v, bodies.v[:1, :3]])
         return x - self.corner, v
