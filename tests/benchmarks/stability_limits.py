@@ -19,6 +19,7 @@ from vgmpi.materials import registry
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.scene.loader import load
+from vgmpi.scene.scene import LIQUID_CFL, SOLID_CFL
 from vgmpi.scene.sections import Transfer
 from vgmpi.solver.diagnostics.conservation import conservation_rows
 from vgmpi.solver.initial_particles import known_of, plan_for
@@ -34,7 +35,7 @@ SPEED = 1e-3  # of the random velocity, as a share of the wave speed
 # be stable again, which one bisection of the range would take for it
 RUNGS = tuple(0.2 * 2.0 ** (k / 4) for k in range(25))
 ROUNDS = 2  # halvings between two of them: to 4 %
-DEFAULT = 0.55  # time.cfl
+LIQUIDS = "fluid", "paste"
 COUPLED = {
     "drag 1e-3": coupling("drag", "water", "grains", hydraulic_conductivity=1e-3),
     "drag 1e-12": coupling("drag", "water", "grains", hydraulic_conductivity=1e-12),
@@ -54,7 +55,13 @@ class Case:
     @property
     def cfl(self) -> float:
         """Return the CFL number of the scene: motion is restored as often as by default."""
-        return DEFAULT if self.name in COUPLED or self.transfer == "apic-corrected" else 1.0
+        return self.default if self.name in COUPLED or self.transfer == "apic-corrected" else 1.0
+
+    @property
+    def default(self) -> float:
+        """Return the CFL number of a scene that states none."""
+        liquid = self.name in LIQUIDS or self.name in COUPLED
+        return LIQUID_CFL if liquid else SOLID_CFL
 
     @property
     def text(self) -> str:
@@ -188,7 +195,7 @@ def lines(names: list[str], transfers: list[str] | None, precisions: list[str]) 
 
 
 def _line(case: Case, limit: float) -> str:
-    default = 1.0 if case.name in COUPLED else DEFAULT
+    default = 1.0 if case.name in COUPLED else case.default
     more = ">= " if limit >= RUNGS[-1] else ""
     return (
         f"{case.name:20s} {case.transfer:9s} {case.precision:10s} {more + format(limit, '.2f'):15s}"

@@ -172,7 +172,7 @@ def test_the_plan_tells_of_regions_and_steps_by_the_stiffest_part(tmp_path):
     bound, cause = time_step_bounds(scene, plan)[0]
     assert cause == "material 'iron'"
     wave = np.sqrt((0.7 / (1.3 * 0.4)) * 1e7 / 2800)  # Poisson's ratio is 0.3
-    assert bound == pytest.approx(scene.time.cfl * 0.02 / wave, rel=0.01)
+    assert bound == pytest.approx(scene.courant_number * 0.02 / wave, rel=0.01)
     assert "rigid = true saves" not in report
 
 

@@ -25,7 +25,7 @@ def falling_rate(scene: Scene) -> float:
         return 0.0
     keys = [scene.domain.gravity, *(gravity for _, gravity in gravity_keys(scene.domain))]
     gravity = max(math.sqrt(sum(g * g for g in key)) for key in keys)
-    falling = math.sqrt(2.0 * gravity / scene.domain.cell) / scene.time.cfl
+    falling = math.sqrt(2.0 * gravity / scene.domain.cell) / scene.courant_number
     return falling or (scene.time.frames - 1) / scene.time.end
 
 

@@ -267,7 +267,7 @@ def make_plan(
     complete = tuple(
         with_runtime_requirements(scene, group, sharing, colors, keeps, restores) for group in plain
     )
-    complete = with_slip_wave_factors(complete, sharing, scene.time.cfl * scene.domain.cell)
+    complete = with_slip_wave_factors(complete, sharing, scene.courant_number * scene.domain.cell)
     complete, phases = with_volume_correction(scene, complete, phases)
     driven, groups, group_of = prescribed_body_plans(
         scene, complete, group_of, phases, extents or {}
@@ -284,7 +284,7 @@ def make_plan(
         slip=surface_slip_plan(scene, groups, len(phases)), sides=sides,
         stiff=_wave_moduli(groups, len(phases)), contact=len(phases) > 1, collider=collider,
         times=np.linspace(0.0, scene.time.end, scene.time.frames),
-        cfl=scene.time.cfl, fixed_dt=scene.time.dt, rate=_rate(scene, groups, sharing),
+        cfl=scene.courant_number, fixed_dt=scene.time.dt, rate=_rate(scene, groups, sharing),
         rules=sharing, colors=colors, affine=scene.accuracy.affine,
         splines=scene.accuracy.gradient == "bspline",
         keeps=keeps, restores=restores, implicit_pressure=is_implicit(scene),
@@ -346,7 +346,9 @@ def time_step_bounds(scene: Scene, plan: Plan, stiffened: bool = False) -> list[
             wave = math.sqrt(group.bound(law_function(law, "wave_speed2")(law, reference)))
             wave *= math.sqrt(material.stiffening) if stiffened else 1.0
             if wave + speeds[k] > 0:  # waves do not bound the step with an implicit pressure
-                bounds.append((scene.time.cfl * dx / (wave + speeds[k]), f"material {name!r}"))
+                bounds.append(
+                    (scene.courant_number * dx / (wave + speeds[k]), f"material {name!r}")
+                )
             if material.kinematic_viscosity > 0:
                 bound = dx**2 / (6.0 * material.kinematic_viscosity)
                 bounds.append((bound, f"the viscosity of material {name!r}"))
@@ -365,7 +367,7 @@ def _flip_blend(accuracy: Accuracy) -> FlipBlend | None:
 def _correction_interval(scene: Scene) -> int:
     """Return the number of steps between two transfer corrections, 0: never."""
     return (
-        max(1, min(MAX_CORRECTION_INTERVAL, int(MAX_WAVE_TRAVEL_CELLS / scene.time.cfl)))
+        max(1, min(MAX_CORRECTION_INTERVAL, int(MAX_WAVE_TRAVEL_CELLS / scene.courant_number)))
         if scene.accuracy.restores
         else 0
     )

@@ -16,6 +16,8 @@ from .objects import Object
 from .probes import Probe
 from .sections import SECTIONS, Accuracy, Appearance, Domain, Output, Time
 
+LIQUID_CFL, SOLID_CFL = 0.4, 0.55  # [-] default CFL number of scenes with liquids and without
+
 
 @dataclass(frozen=True, repr=False)
 class Scene:
@@ -66,6 +68,19 @@ class Scene:
     def is_open_system(self) -> bool:
         """Return whether particles enter or leave the domain."""
         return bool(self.inlet or self.outlet or self.domain.open_walls)
+
+    @property
+    def courant_number(self) -> float:
+        """Return the CFL number of the steps: that of the file, or by the materials that are used.
+
+        A lone particle of a liquid vibrates with the angular frequency sqrt(12) c / dx, so that its
+        steps are stable up to 1 / sqrt(3).
+        """
+        if self.time.cfl is not None:
+            return self.time.cfl
+        names = {name for entity in self.things for name in self.materials_of(entity)}
+        liquid = any(self.material[name].family == "fluid" for name in names)
+        return LIQUID_CFL if liquid else SOLID_CFL
 
     def material_of(self, obj: Object) -> Any:
         """Return the material of a body."""

@@ -123,7 +123,7 @@ def _transfer(scene: Scene) -> list[Setting]:
 def _cfl(scene: Scene) -> list[Setting]:
     if scene.time.dt:
         return []
-    values = [cfl for cfl in CFL_NUMBERS if cfl != scene.time.cfl]
+    values = [cfl for cfl in CFL_NUMBERS if cfl != scene.courant_number]
     return [Setting((("cfl", f"{cfl:g}"),), (f"time.cfl={cfl!r}",)) for cfl in values]
 
 
