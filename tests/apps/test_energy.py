@@ -59,13 +59,14 @@ def test_pic_takes_a_spin(tmp_path):
 
 def test_the_study_is_told(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(energy_drift, "TRANSFERS", ("apic-corrected",))
-    assert energy_drift.main([str(write(tmp_path, FLIES))]) == 0
+    text = FLIES + '[accuracy]\nprecision = "double"\n'
+    assert energy_drift.main([str(write(tmp_path, text))]) == 0
     assert "| transfer | 200 steps | most |" in capsys.readouterr().out
     with open(tmp_path / "tradeoff" / "scene" / "energy.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert {(row["scene"], row["transfer"]) for row in rows} == {("scene", "apic-corrected")}
     assert [int(row["step"]) for row in rows] == [0, 40, 80, 120, 160, 200]
-    assert all(abs(float(row["left"]) - 1) < 1e-6 for row in rows)
+    assert all(abs(float(row["left"]) - 1) < 1e-9 for row in rows)
 
 
 def test_a_wrong_scene_is_told(tmp_path, capsys):
