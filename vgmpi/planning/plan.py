@@ -346,9 +346,7 @@ def time_step_bounds(scene: Scene, plan: Plan, stiffened: bool = False) -> list[
             wave = math.sqrt(group.bound(law_function(law, "wave_speed2")(law, reference)))
             wave *= math.sqrt(material.stiffening) if stiffened else 1.0
             if wave + speeds[k] > 0:  # waves do not bound the step with an implicit pressure
-                bounds.append(
-                    (scene.courant_number * dx / (wave + speeds[k]), f"material {name!r}")
-                )
+                bounds.append((plan.cfl * dx / (wave + speeds[k]), f"material {name!r}"))
             if material.kinematic_viscosity > 0:
                 bound = dx**2 / (6.0 * material.kinematic_viscosity)
                 bounds.append((bound, f"the viscosity of material {name!r}"))
