@@ -2,8 +2,9 @@
 
 Runs the scenes of runs/accuracy at each level and compares them with theory or published results.
 Writes vgmpi/planning/cost/accuracy_benchmarks.csv, which --plan quotes, and the table of
-docs/how-to/choose-accuracy.md. Existing runs are kept (runs/accuracy/out/levels). Tolerances are
-those of the validation (tests/physics). Time is processor time from the second step on.
+docs/how-to/choose-accuracy.md; rows of cases that are not named stay. Existing runs are kept
+(runs/accuracy/out/levels). Tolerances are those of the validation (tests/physics). Time is
+processor time from the second step on.
 """
 
 import argparse
@@ -167,15 +168,19 @@ def main() -> None:
     given = p.parse_args()
     for name in set(given.cases) - set(known):
         p.error(f"there is no {name}; allowed: {', '.join(known)}")
-    rows = [row for name in given.cases or known for row in measure(known[name], given.ranks)]
-    if not given.cases:
-        with open(PATH, "w", newline="") as file:
-            written = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-            written.writeheader()
-            written.writerows(rows)
-        before, _, rest = PAGE.read_text().partition(BEGIN)
-        after = rest.partition(END)[2]
-        PAGE.write_text("\n".join([before + BEGIN, "", *table(rows), "", END + after]))
+    measured = {name: measure(known[name], given.ranks) for name in given.cases or known}
+    with open(PATH, newline="") as file:
+        before = list(csv.DictReader(file))
+    rows = []
+    for name in known:
+        rows += measured.get(name) or [row for row in before if row["case"] == name]
+    with open(PATH, "w", newline="") as file:
+        written = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        written.writeheader()
+        written.writerows(rows)
+    head, _, rest = PAGE.read_text().partition(BEGIN)
+    after = rest.partition(END)[2]
+    PAGE.write_text("\n".join([head + BEGIN, "", *table(rows), "", END + after]))
 
 
 if __name__ == "__main__":
