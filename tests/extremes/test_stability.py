@@ -61,6 +61,12 @@ def test_the_default_is_that_of_the_materials(tmp_path, material, cfl):
     assert simulation.plan.cfl == Case(material).default == cfl
 
 
+def test_a_fixed_step_is_bounded_by_the_smaller_number(tmp_path):
+    text = Case("elastic").text.replace("cfl = 0.55", "dt = 1e-5")
+    simulation, _ = begin(tmp_path, text)
+    assert (simulation.plan.cfl, simulation.plan.restores) == (0.4, 3)
+
+
 def expansion_of_a_lone_drop(folder, factor):
     """Largest rate of expansion of one particle of water over its first, in 400 steps."""
     simulation, made = begin(folder, LONE_DROP)

@@ -23,6 +23,7 @@ RAMP
 [time]
 end = 0.02
 frames = 2
+cfl = 0.4
 [material.rubber]
 kind = "elastic"
 youngs_modulus = 2e4

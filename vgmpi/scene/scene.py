@@ -16,7 +16,8 @@ from .objects import Object
 from .probes import Probe
 from .sections import SECTIONS, Accuracy, Appearance, Domain, Output, Time
 
-LIQUID_CFL, SOLID_CFL = 0.4, 0.55  # [-] default CFL number of scenes with liquids and without
+# [-] default CFL number of scenes with liquids or a fixed step, and of others
+LIQUID_CFL, SOLID_CFL = 0.4, 0.55
 
 
 @dataclass(frozen=True, repr=False)
@@ -74,13 +75,13 @@ class Scene:
         """Return the CFL number of the steps: that of the file, or by the materials that are used.
 
         A lone particle of a liquid vibrates with the angular frequency sqrt(12) c / dx, so that its
-        steps are stable up to 1 / sqrt(3).
+        steps are stable up to 1 / sqrt(3). A step that is fixed is bounded by the smaller number.
         """
         if self.time.cfl is not None:
             return self.time.cfl
         names = {name for entity in self.things for name in self.materials_of(entity)}
         liquid = any(self.material[name].family == "fluid" for name in names)
-        return LIQUID_CFL if liquid else SOLID_CFL
+        return LIQUID_CFL if liquid or self.time.dt else SOLID_CFL
 
     def material_of(self, obj: Object) -> Any:
         """Return the material of a body."""
@@ -114,6 +115,7 @@ class Scene:
     def to_json(self) -> dict[str, Any]:
         """Return all values, with defaults filled in, as plain JSON values."""
         tables = {name: getattr(self, name).model_dump(mode="json") for name in SECTIONS}
+        tables["time"]["cfl"] = self.courant_number
         # Empty lists are left out, as in runs older than these tables.
         entities = {"inlet": self.inlet, "outlet": self.outlet, "joint": self.joint}
         flows = {
