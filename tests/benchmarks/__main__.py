@@ -354,37 +354,31 @@ def _run_live(args) -> int:
     return 0
 
 
-COMMANDS = (
-    LIQUID_COMMANDS
-    | COMPARISON_COMMANDS
-    | {  # what it does, its flags, how it runs
-        "accuracy": ("how exact single precision is", _accuracy, _run_accuracy),
-        "balance": ("how even a scene's work would be on many ranks", _balance, _run_balance),
-        "bodies": ("what free rigid bodies cost", _bodies, _run_bodies),
-        "census": ("what a sort costs one rank of many beside its particles", _census, _run_census),
-        "choose-tests": ("which tests make test leaves out", _choose_tests, _run_choose_tests),
-        "compile-cost": ("what each specialization of a scene costs to compile", _cost, _run_cost),
-        "couplings": ("what mixing and drag cost", _couplings, _run_couplings),
-        "emulate": ("one rank of many by its own tables", _emulate, _run_emulate),
-        "extremes": ("scenes at the ends of what is allowed", _extremes, _run_extremes),
-        "features": ("what contact, colliders and probes cost", _couplings, _run_couplings),
-        "live": ("what the page of a run costs", _live, _run_live),
-        "moving-page": ("size and times of a run's web page", _moving_page, _run_moving_page),
-        "overhead": ("what a step costs beside its kernels", _overhead, _run_overhead),
-        "predictions": ("what --plan tells, and what runs take", _predictions, _run_predictions),
-        "registers": (
-            "what a graphics card's kernels take; needs no card",
-            _registers,
-            _run_registers,
-        ),
-        "spills": ("vectors that do not fit the registers", lambda _: None, _run_spills),
-        "stability": ("the largest stable time step of every law", _stability, _run_stability),
-        "step-model": ("the model of a step's time beside steps", _step_model, _run_step_model),
-        "scaling": ("predict many ranks from what is measured here", _scaling, _run_scaling),
-        "test-times": ("where the time of the tests goes", _test_times, _run_test_times),
-        "together": ("two ranks beside two runs, two threads", _together, _run_together),
-    }
-)
+COMMANDS = {  # what it does, its flags, how it runs
+    **LIQUID_COMMANDS,
+    **COMPARISON_COMMANDS,
+    "accuracy": ("how exact single precision is", _accuracy, _run_accuracy),
+    "balance": ("how even a scene's work would be on many ranks", _balance, _run_balance),
+    "bodies": ("what free rigid bodies cost", _bodies, _run_bodies),
+    "census": ("what a sort costs one rank of many beside its particles", _census, _run_census),
+    "choose-tests": ("which tests make test leaves out", _choose_tests, _run_choose_tests),
+    "compile-cost": ("what each specialization of a scene costs to compile", _cost, _run_cost),
+    "couplings": ("what mixing and drag cost", _couplings, _run_couplings),
+    "emulate": ("one rank of many by its own tables", _emulate, _run_emulate),
+    "extremes": ("scenes at the ends of what is allowed", _extremes, _run_extremes),
+    "features": ("what contact, colliders and probes cost", _couplings, _run_couplings),
+    "live": ("what the page of a run costs", _live, _run_live),
+    "moving-page": ("size and times of a run's web page", _moving_page, _run_moving_page),
+    "overhead": ("what a step costs beside its kernels", _overhead, _run_overhead),
+    "predictions": ("what --plan tells, and what runs take", _predictions, _run_predictions),
+    "registers": ("what a graphics card's kernels take; needs no card", _registers, _run_registers),
+    "spills": ("vectors that do not fit the registers", lambda _: None, _run_spills),
+    "stability": ("the largest stable time step of every law", _stability, _run_stability),
+    "step-model": ("the model of a step's time beside steps", _step_model, _run_step_model),
+    "scaling": ("predict many ranks from what is measured here", _scaling, _run_scaling),
+    "test-times": ("where the time of the tests goes", _test_times, _run_test_times),
+    "together": ("two ranks beside two runs, two threads", _together, _run_together),
+}
 
 if __name__ == "__main__":
     sys.exit(main())

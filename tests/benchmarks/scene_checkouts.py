@@ -7,10 +7,7 @@ steps, and a round that compiles comes before them.
 """
 
 import csv
-import os
 import re
-import subprocess
-import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -18,13 +15,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tests.support.launch import OPEN_MPI, ROOT
+from tests.support.launch import ROOT, mpirun
 from vgmpi.apps.bench.benchmark_case import BenchError
+from vgmpi.solver.run import STOPPED
 
 SCENES = ("splash", "snowball", "sandbox", "castle_flood")
 STAGES = ("p2g", "halo", "grid", "g2p", "sort")
 TIMED_STEPS = re.compile(r"(\d+) steps of ([\d,]+) particles")
-STOPPED = 75  # exit code of a run that stops with a checkpoint
 
 
 class SceneSpeed(NamedTuple):
@@ -32,7 +29,6 @@ class SceneSpeed(NamedTuple):
 
     ns: float  # [ns] per particle and step, summed over ranks
     simulated: float  # [s] simulated by the steps that were timed
-    seconds: float  # [s] of the stages, summed over ranks
 
 
 def play_part(tree: Path, scene: str, steps: int, ranks: int, out: Path) -> SceneSpeed:
@@ -48,23 +44,22 @@ def play_part(tree: Path, scene: str, steps: int, ranks: int, out: Path) -> Scen
     Raises:
         BenchError: If the run ends otherwise than by its limit.
     """
-    command = [
-        "mpirun", "-n", str(ranks), sys.executable, "-m", "vgmpi", f"runs/{scene}/scene.toml",
-        "--set", "accuracy.precision=single", "--stop-after", f"{steps} steps", "--profile",
-        "-o", str(out), "--overwrite",
-    ]  # fmt: skip
-    environment = {**OPEN_MPI, **os.environ, "PYTHONPATH": str(tree)}
-    done = subprocess.run(command, cwd=tree, env=environment, capture_output=True, text=True)
-    summary = TIMED_STEPS.search(done.stdout + done.stderr)
-    if done.returncode != STOPPED or summary is None:
-        lines = (done.stdout + done.stderr).strip().splitlines() or [f"exit {done.returncode}"]
+    job = mpirun(
+        ranks, "-m", "vgmpi", f"runs/{scene}/scene.toml", "--set", "accuracy.precision=single",
+        "--stop-after", f"{steps} steps", "--profile", "-o", out, "--overwrite",
+        env={"PYTHONPATH": str(tree)}, cwd=tree,
+    )  # fmt: skip
+    text = job.stdout + job.stderr
+    summary = TIMED_STEPS.search(text)
+    if job.returncode != STOPPED or summary is None:
+        lines = text.strip().splitlines() or [f"exit code {job.returncode}"]
         raise BenchError(f"{tree}, {scene}: {lines[0]}")
     with open(out / "profile.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     seconds = sum(float(row[stage]) for row in rows for stage in STAGES)
     count, particles = int(summary[1]), int(summary[2].replace(",", ""))
-    last = re.findall(r"at step \d+, ([\d.eE+-]+) s", done.stdout + done.stderr)[-1]
-    return SceneSpeed(1e9 * seconds / count / particles, float(last), seconds)
+    last = re.findall(r"at step \d+, ([\d.eE+-]+) s", text)[-1]
+    return SceneSpeed(1e9 * seconds / count / particles, float(last))
 
 
 def compare_scenes(
@@ -82,13 +77,14 @@ def compare_scenes(
     """
     yield "| scene | ns | other | ratio | ratio of steps per second | ratio of times |"
     yield "|---|---|---|---|---|---|"
+    other = tree.resolve()
     with tempfile.TemporaryDirectory(prefix="vgmpi-scenes-") as folder:
         for scene in scenes:
             pairs: list[tuple[SceneSpeed, SceneSpeed]] = []
             for k in range(rounds + 1):
-                trees = [ROOT, tree.resolve()] if k % 2 == 0 else [tree.resolve(), ROOT]
+                trees = (ROOT, other) if k % 2 == 0 else (other, ROOT)
                 turn = {t: play_part(t, scene, steps, ranks, Path(folder)) for t in trees}
-                pair = turn[ROOT], turn[tree.resolve()]
+                pair = turn[ROOT], turn[other]
                 tell(f"{scene}, round {k}: {pair[0].ns:.1f} and {pair[1].ns:.1f} ns")
                 pairs += [pair] if k else []
             yield format_pairs(scene, pairs)
