@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from vgmpi.apps.bench import interleaved_rounds
-from vgmpi.apps.bench.benchmark_case import BenchError
+from vgmpi.apps.bench.benchmark_case import BenchError, Case
 from vgmpi.apps.bench.contestant_worker import CONTESTANTS
 from vgmpi.apps.bench.interleaved_rounds import Contestant
 
@@ -24,3 +24,17 @@ def test_a_worker_is_found_in_this_checkout_and_in_no_other_folder(tmp_path):
     assert importlib.util.find_spec(interleaved_rounds.worker_of(ROOT))
     with pytest.raises(BenchError, match="no checkout"):
         interleaved_rounds.worker_of(tmp_path)
+
+
+def test_the_fastest_slice_of_a_round_counts():
+    """A neighbor on the machine makes slices longer: a trial, then three slices of each round."""
+
+    class Disturbed:
+        seconds = iter([9.0, 3.0, 2.0, 4.0, 5.0, 8.0, 1.0])
+
+        def ask(self, do, units):
+            return {"steps": 2 * units, "seconds": next(self.seconds), "wall": 10.0, "stages": {}}
+
+    row: dict = {}
+    interleaved_rounds._turns(Case("fluid", 100), [(row, Disturbed())], 2, 0.001, lambda line: None)
+    assert [answer["seconds"] for answer in row["rounds"]] == [2.0, 1.0]

@@ -314,6 +314,14 @@ def test_runs_on_two_cores_have_a_table_of_their_own():
     assert board_results.format_csv(marked).count("threads=2") == 2
 
 
+def test_the_whole_time_of_the_board_is_told():
+    results = [result_of("vgmpi", 1.0, 0.1) | {"elapsed": 80.0}, result_of("genesis", 5.0, 0.1)]
+    results += [result_of("newton", 5.0, 0.1) | {"elapsed": 100.0}]
+    text = board_results.format_tables(board_results.mark_front(results))
+    assert text.endswith("2 runs took 3.0 minutes, 1 more were not timed.")
+    assert "not timed" not in board_results.format_tables(board_results.mark_front(results[::2]))
+
+
 def test_a_failed_run_is_a_row():
     results = [
         result_of("vgmpi", 1.0, 0.1),

@@ -1,6 +1,7 @@
 """An implicit pressure has the same bits in every file for any number of ranks and threads, and
 after a restart."""
 
+import numpy as np
 import pytest
 
 from tests.support.file_digests import (
@@ -8,6 +9,9 @@ from tests.support.file_digests import (
     assert_same_files,
     run_on_one_rank,
 )
+from tests.support.simulate import advance, begin, by_id
+from vgmpi.kernels.grid import pressure_system
+from vgmpi.solver.boundary import implicit_pressure
 
 pytestmark = pytest.mark.mpi
 
@@ -54,3 +58,25 @@ def test_any_ranks_and_threads(one, tmp_path, ranks, flags):
 
 def test_a_restart(one, tmp_path):
     assert_same_after_stop(*one, tmp_path / "out", 11)
+
+
+@pytest.mark.parametrize("limit, rows", [(0, {2}), (10**9, set())])
+def test_few_blocks_are_swept_by_one_thread_with_the_same_bits(tmp_path, monkeypatch, limit, rows):
+    """Two threads share the sweeps, or one makes them all, in one call."""
+    text, seen = SCENE.replace("PRECISION", "single"), set()
+    alone, _ = begin(tmp_path, text)
+    advance(alone, 0.02)
+    each = implicit_pressure.ImplicitPressure._each
+
+    def record_relaxations(self, shares, kernel, *arguments):
+        if kernel is pressure_system.relax:
+            seen.add(len(shares))
+        each(self, shares, kernel, *arguments)
+
+    monkeypatch.setattr(implicit_pressure, "SHARED_BLOCKS", limit)
+    monkeypatch.setattr(implicit_pressure.ImplicitPressure, "_each", record_relaxations)
+    both, _ = begin(tmp_path, text, threads=2)
+    advance(both, 0.02)
+    assert seen == rows
+    for quantity in ("x", "v"):
+        assert np.array_equal(*(by_id(run, quantity)[0] for run in (alone, both)))

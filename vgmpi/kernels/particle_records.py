@@ -23,7 +23,7 @@ from vgmpi.kernels.simd.row_ops import (
     store_quarter,
     store_records,
 )
-from vgmpi.kernels.simd.vector16 import load
+from vgmpi.kernels.simd.vector16 import load, prefetch
 from vgmpi.planning.particle_channels import COMMON_CHANNELS
 from vgmpi.runtime.aligned_arrays import aligned_zeros
 from vgmpi.runtime.jit import always_inline, array_function, device_function
@@ -220,3 +220,18 @@ def scatter_columns(count, records, out, first, stride):
     for n in range(count):
         for c in range(3):
             out[first + c * stride + n] = records[16 * n + c]
+
+
+@device_function
+def prefetch_channels(channels, count, cap, first):
+    """Prefetch a batch of all channels, for the processor's own prefetching cannot follow so many.
+
+    Args:
+        channels: Channels, flat.
+        count: Number of channels.
+        cap: Stride of channels.
+        first: Index of the batch's first particle.
+    """
+    for c in range(count):
+        for n in range(0, BATCH, 16):
+            prefetch(channels, c * cap + first + n)

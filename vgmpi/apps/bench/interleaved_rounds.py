@@ -26,7 +26,8 @@ from .benchmark_case import DX, PER_STEP, BenchError, Case
 from .contestant_worker import CONTESTANTS
 
 START_SECONDS = 300.0  # a contestant may take to compile
-MAX_CYCLES = 20  # in a round of ours
+SLICE_SECONDS = 0.1  # wall time of a slice of a round
+LEAST_SLICES = 3  # of a round
 WORKER_NUMBERS = itertools.count()
 RIVAL_LAWS = ("fluid", "elastic")  # written in the rivals, too
 NAMES = {
@@ -283,22 +284,29 @@ def _start_workers(
 
 
 def _turns(case: Case, live: list, rounds: int, seconds: float, say) -> None:
-    """Rounds of all contestants in turns, each as many units (steps, cycles) as fill `seconds`."""
-    units = {}
+    """Measure all contestants in turns.
+
+    A round has slices of about SLICE_SECONDS (steps, or whole cycles), and its fastest one counts:
+    whatever else a machine does only makes a slice longer, for parts of a second to seconds.
+    """
+    units, slices = {}, {}
 
     def trial(row, worker):
-        """Choose the units of a round from one trial."""
+        """Choose units and number of slices from one trial."""
         wall = max(worker.ask("round", units=1)["wall"], 1e-6)
-        n = max(1, round(seconds / wall))
-        units[worker] = min(n, MAX_CYCLES) if row["module"] == "own" else n
+        units[worker] = max(1, round(SLICE_SECONDS / wall))
+        slices[worker] = max(LEAST_SLICES, round(seconds / (wall * units[worker])))
         row["rounds"] = []
+
+    def measure_round(row, worker):
+        """Append the fastest slice of a round."""
+        answers = [worker.ask("round", units=units[worker]) for _ in range(slices[worker])]
+        row["rounds"].append(min(answers, key=lambda answer: answer["seconds"] / answer["steps"]))
 
     _each(live, trial)
     for k in range(rounds):
         say(f"{case.law}, {case.particles:,} particles: round {k + 1} of {rounds}")
-        _each(
-            live, lambda row, worker: row["rounds"].append(worker.ask("round", units=units[worker]))
-        )
+        _each(live, measure_round)
 
 
 def _each(live: list, action) -> None:

@@ -131,7 +131,7 @@ def prefetch(typing, place, first):
         pointer, word = builder.bitcast(pointer, ir.IntType(8).as_pointer()), ir.IntType(32)
         prototype = ir.FunctionType(ir.VoidType(), [pointer.type, word, word, word])
         fetch = builder.module.declare_intrinsic("llvm.prefetch", [pointer.type], prototype)
-        for line in range(0, SIMD_WIDTH * VECTOR_OF[place.dtype].real.bitwidth // 8, LINE):
+        for line in range(0, SIMD_WIDTH * place.dtype.bitwidth // 8, LINE):
             line_pointer = builder.gep(pointer, [ir.Constant(ir.IntType(64), line)])
             builder.call(fetch, [line_pointer, word(0), word(2), word(1)])
         return context.get_dummy_value()

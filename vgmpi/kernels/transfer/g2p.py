@@ -16,6 +16,7 @@ from vgmpi.kernels.particle_records import (
     box_of,
     compute_weights,
     node_range_with_walls,
+    prefetch_channels,
     split_scratch,
     zero_padding,
 )
@@ -141,6 +142,8 @@ def grid_to_particles(
             n = min(BATCH, count[s] - first)
             offset = start[s] + first
             compute_weights(n, offset, cap, xi, f, base, weights)
+            prefetch_channels(cloud.f, particles.f.shape[0], cap, offset + BATCH)
+            prefetch_channels(cloud.xi, 3, cap, offset + BATCH)
             if split[s]:
                 gather_batch(auxiliary, n, weights, records, base, scratch.real, extra)
             if numbers.splines > 0.0:

@@ -21,6 +21,9 @@ from vgmpi.planning.plan import Plan
 from vgmpi.runtime.aligned_arrays import aligned_zeros
 
 MAX_EIGENVALUE = 8.0 / 3.0  # of the system in space, each row over its diagonal
+# With fewer blocks, one thread sweeps faster than several that wait for each other at every sweep
+# (vgmpi bench board --only dam_break splash).
+SHARED_BLOCKS = 800
 FIELD_SIZES = {"u": 192, "inverse": 192}  # numbers of a block; 64 in all other fields
 
 
@@ -148,18 +151,22 @@ class ImplicitPressure:
         """Relax a system from phi on; phi is known on all cells around those of this rank."""
         factors = self.sweeps[system]
         assert self.exchange is not None
-        if self.engine.threads == 1 and not self.exchange.has_neighbors:
-            # one call in place of many
-            self._each(cells, pressure_system.sweep, nodes[0], self.grid, factors, self.fields)
-            return
+        if self.engine.threads == 1 or sum(map(len, cells)) < SHARED_BLOCKS:
+            cells, nodes = [np.concatenate(cells)], [np.concatenate(nodes)]
+            if not self.exchange.has_neighbors:  # one call in place of many
+                self._each(cells, pressure_system.sweep, nodes[0], self.grid, factors, self.fields)
+                return
         for weight, inertia in factors:
             self._each(nodes, pressure_system.respond, self.grid, self.fields)
             self._each(cells, pressure_system.relax, self.grid, weight, inertia, self.fields)
             self.exchange.exchange(self.fields.phi)
 
     def _each(self, rows: list[np.ndarray], kernel, *arguments) -> None:
-        """Call a kernel with the rows of each thread."""
-        self.engine.each(self._call, rows, kernel, arguments)
+        """Call a kernel with the rows of each thread, or here with those of a single one."""
+        if len(rows) == 1:
+            self._call(0, rows, kernel, arguments)
+        else:
+            self.engine.each(self._call, rows, kernel, arguments)
 
     def _call(self, thread: int, rows: list[np.ndarray], kernel, arguments: tuple) -> None:
         self.engine.call_if_rows((), kernel, rows[thread], *arguments)

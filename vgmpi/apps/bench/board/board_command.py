@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 import venv
 from pathlib import Path
 from typing import Any
@@ -98,7 +99,9 @@ def run_board(args: argparse.Namespace) -> int:
             if words[0] not in solvers or (key in results and not args.again):
                 continue
             print_progress(f"{case}: {' '.join(words)}")
-            results[key] = make_run(interpreters[words[0]], case, words)
+            start = time.monotonic()
+            result = make_run(interpreters[words[0]], case, words)
+            results[key] = result | {"elapsed": time.monotonic() - start}
             with open(path, "a") as file:
                 file.write(json.dumps(results[key]) + "\n")
     order = [(case, *words) for case, runs in RUNS.items() for words in runs]

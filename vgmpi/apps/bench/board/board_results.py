@@ -14,7 +14,8 @@ QUANTITIES = (
 )  # fmt: skip
 COLUMNS = (
     "case", "solver", "options", "particles", "cell", "steps", "simulated", "cpu", "wall", "error",
-    *QUANTITIES, "same_bits", "on_front", "failure",
+    *QUANTITIES, "same_bits", "on_front", "elapsed",
+    "failure",
 )  # fmt: skip
 HEADINGS = (
     "solver", "options", "particles", "steps", "s / s", "wall s / s", "error", "same bits", "front"
@@ -161,8 +162,17 @@ def format_tables(results: list[dict[str, Any]]) -> str:
             "| case | solver | options | one core | two cores | ratio |",
             "|---|---|---|---|---|---|",
         ]
-        lines += [_format_pair(*pair) for pair in pairs]
+        lines += [_format_pair(*pair) for pair in pairs] + [""]
+    lines += [_format_whole_time(results)] if results else []
     return "\n".join(lines)
+
+
+def _format_whole_time(results: list[dict[str, Any]]) -> str:
+    """Return how long all runs took, with what they compiled and their second runs."""
+    minutes = sum(result.get("elapsed", 0.0) for result in results) / 60
+    untimed = sum("elapsed" not in result for result in results)
+    more = f", {untimed} more were not timed" if untimed else ""
+    return f"{len(results) - untimed} runs took {minutes:.1f} minutes{more}."
 
 
 def _format_pair(single: dict[str, Any], double: dict[str, Any]) -> str:

@@ -14,6 +14,7 @@ APIC = "accuracy.transfer=apic"
 IMPLICIT = "accuracy.pressure=implicit"
 TWO_CORES = "threads=2"  # Warp has one thread on a processor, whatever it is told
 S2 = "collider_basis=S2"  # Newton's default; its example of a dam break has pic
+WIDE_ROOM = "domain.size=[1.25,0.5,0.5]"  # of the beam: whole cells of a twelfth of a meter
 DAM_CELLS_48 = 0.146 * 4 / 48  # [m]
 
 RUNS: dict[str, tuple[tuple[str, ...], ...]] = {
@@ -80,6 +81,7 @@ RUNS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("genesis", "cell=0.033333333333333333"),
     ),
     "cantilever": (
+        ("vgmpi", "domain.cell=0.08333333333333333", WIDE_ROOM, LONG_STEPS, APIC),
         ("vgmpi", "domain.cell=0.0625", LONG_STEPS, APIC),
         ("vgmpi", "domain.cell=0.0625", LONG_STEPS),
         ("vgmpi", "domain.cell=0.0625"),
@@ -109,6 +111,7 @@ RUNS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("genesis", "cell=0.003125", "step_per_cell=0.4"),
     ),
     "jet": (
+        ("vgmpi", "domain.cell=0.05", IMPLICIT),
         ("vgmpi", "domain.cell=0.025", IMPLICIT),
         ("vgmpi", "domain.cell=0.025"),
         ("vgmpi", IMPLICIT),
