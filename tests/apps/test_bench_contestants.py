@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from vgmpi.apps.bench import interleaved_rounds
-from vgmpi.apps.bench.benchmark_case import BenchError, Case
+from vgmpi.apps.bench.benchmark_case import STEPS, BenchError, Case
 from vgmpi.apps.bench.contestant_worker import CONTESTANTS
 from vgmpi.apps.bench.interleaved_rounds import Contestant
 
@@ -35,6 +35,21 @@ def test_the_fastest_slice_of_a_round_counts():
         def ask(self, do, units):
             return {"steps": 2 * units, "seconds": next(self.seconds), "wall": 10.0, "stages": {}}
 
-    row: dict = {}
+    row: dict = {"module": "plain"}
     interleaved_rounds._turns(Case("fluid", 100), [(row, Disturbed())], 2, 0.001, lambda line: None)
     assert [answer["seconds"] for answer in row["rounds"]] == [2.0, 1.0]
+
+
+def test_a_slice_of_ours_ends_before_the_walls():
+    """Cycles of few particles are short; the rivals begin again by themselves."""
+
+    class Quick:
+        def ask(self, do, units):
+            return {"steps": 19 * units, "seconds": 1e-3 * units, "wall": 1e-3, "stages": {}}
+
+    steps = {}
+    for module in ("own", "plain"):
+        row: dict = {"module": module}
+        interleaved_rounds._turns(Case("fluid", 100), [(row, Quick())], 1, 0.6, lambda line: None)
+        steps[module] = row["rounds"][0]["steps"]
+    assert steps["own"] + STEPS // 2 < STEPS < steps["plain"]

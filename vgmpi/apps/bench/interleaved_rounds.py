@@ -26,6 +26,7 @@ from .benchmark_case import DX, PER_STEP, BenchError, Case
 from .contestant_worker import CONTESTANTS
 
 START_SECONDS = 300.0  # a contestant may take to compile
+MAX_CYCLES = 20  # in a slice of ours: the cube must not reach the walls
 SLICE_SECONDS = 0.1  # wall time of a slice of a round
 LEAST_SLICES = 3  # of a round
 WORKER_NUMBERS = itertools.count()
@@ -294,7 +295,8 @@ def _turns(case: Case, live: list, rounds: int, seconds: float, say) -> None:
     def trial(row, worker):
         """Choose units and number of slices from one trial."""
         wall = max(worker.ask("round", units=1)["wall"], 1e-6)
-        units[worker] = max(1, round(SLICE_SECONDS / wall))
+        n = max(1, round(SLICE_SECONDS / wall))
+        units[worker] = min(n, MAX_CYCLES) if row["module"] == "own" else n
         slices[worker] = max(LEAST_SLICES, round(seconds / (wall * units[worker])))
         row["rounds"] = []
 

@@ -14,8 +14,7 @@ QUANTITIES = (
 )  # fmt: skip
 COLUMNS = (
     "case", "solver", "options", "particles", "cell", "steps", "simulated", "cpu", "wall", "error",
-    *QUANTITIES, "same_bits", "on_front", "elapsed",
-    "failure",
+    *QUANTITIES, "same_bits", "on_front", "elapsed", "failure",
 )  # fmt: skip
 HEADINGS = (
     "solver", "options", "particles", "steps", "s / s", "wall s / s", "error", "same bits", "front"
