@@ -19,7 +19,7 @@ from vgmpi.materials import registry
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.scene.loader import load
-from vgmpi.scene.scene import LIQUID_CFL, SOLID_CFL
+from vgmpi.scene.scene import DEFAULT_CFL, SMALL_CFL
 from vgmpi.scene.sections import Transfer
 from vgmpi.solver.diagnostics.conservation import conservation_rows
 from vgmpi.solver.initial_particles import known_of, plan_for
@@ -35,7 +35,6 @@ SPEED = 1e-3  # of the random velocity, as a share of the wave speed
 # be stable again, which one bisection of the range would take for it
 RUNGS = tuple(0.2 * 2.0 ** (k / 4) for k in range(25))
 ROUNDS = 2  # halvings between two of them: to 4 %
-LIQUIDS = "fluid", "paste"
 COUPLED = {
     "drag 1e-3": coupling("drag", "water", "grains", hydraulic_conductivity=1e-3),
     "drag 1e-12": coupling("drag", "water", "grains", hydraulic_conductivity=1e-12),
@@ -60,8 +59,7 @@ class Case:
     @property
     def default(self) -> float:
         """Return the CFL number of a scene that states none."""
-        liquid = self.name in LIQUIDS or self.name in COUPLED
-        return LIQUID_CFL if liquid else SOLID_CFL
+        return SMALL_CFL if self.name in COUPLED else DEFAULT_CFL
 
     @property
     def text(self) -> str:

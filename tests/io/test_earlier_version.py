@@ -62,7 +62,7 @@ def test_it_goes_on_and_tells_the_new_words_once(folder):
     scene, out = folder / "scene.toml", folder / "out"
     before = vgmpi.read(out).frame(2)
     job = subprocess.run(
-        [sys.executable, "-m", "vgmpi", str(scene), "--resume"],
+        [sys.executable, "-m", "vgmpi", str(scene), "--resume", "--set", "time.cfl=0.4"],
         capture_output=True, text=True, timeout=600,
     )  # fmt: skip
     assert job.returncode == 0, job.stderr

@@ -96,3 +96,23 @@ def test_small_steps_of_it_are_not_lost(engine):
     B = square(a[[0, 4, 8, 1, 2, 5]])
     want = B + A + A.transpose(0, 2, 1)
     assert np.abs(got - want).max() < 1e-6 * np.abs(want).max()
+
+
+def test_the_volume_of_a_step_is_that_of_its_determinant():
+    """The error is of third order: the volume rate alone would leave the second."""
+    L = np.random.default_rng(7).normal(size=(200, 3, 3))
+    for dt in (1e-2, 1e-3):
+        wanted = np.linalg.slogdet(np.eye(3) + dt * L)[1]
+        got = tensor.log_volume_change(tuple(L.reshape(-1, 9).T), dt)
+        norm = dt * np.linalg.norm(L, axis=(1, 2))
+        assert (np.abs(got - wanted) < norm**3).all()
+        assert (np.abs(dt * np.trace(L, axis1=1, axis2=2) - wanted) > norm**3).mean() > 0.9
+
+
+def test_a_steady_rotation_keeps_its_volume():
+    """Particles move along the chords of a circle: their velocity has a divergence."""
+    turn, dt = 1e-2, 1e-3
+    rotation = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0]])
+    L = (np.vstack([rotation, [0, 0, 1]]) - np.eye(3)) / dt
+    assert np.trace(L) * dt == pytest.approx(-(turn**2), rel=1e-3)
+    assert abs(tensor.log_volume_change(tuple(L.ravel()), dt)) < 1e-3 * turn**2

@@ -25,12 +25,11 @@ from tests.support.validation_record import held
 
 SAME = """
 accuracy = { precision = "double", volume_correction = "none" }
+time = { end = 1, cfl = 0.4 }
 [domain]
 size = [0.32, 0.16, 0.16]
 cell = 0.02
 gravity = [0, 0, -9.8]
-[time]
-end = 1
 [material.water]
 kind = "fluid"
 tait_coefficient = 1e4

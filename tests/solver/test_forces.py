@@ -274,7 +274,9 @@ def without(text):
 def test_nobody_asks_nothing_is_there(tmp_path):
     """No arrays, nothing in checkpoints, and the same particles as where somebody does."""
     asked = scene(tmp_path, POOL + PADDLE, end=0.004)
-    plain = vgmpi.load(tmp_path / "plain.toml", ("time.end=0.004",), without(asked.text))
+    plain = vgmpi.load(
+        tmp_path / "plain.toml", ("time.end=0.004", "time.cfl=0.4"), without(asked.text)
+    )
     runs = [vgmpi.run(one, tmp_path / str(k)) for k, one in enumerate((asked, plain))]
     kept = []
     for k in range(2):

@@ -13,7 +13,11 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from vgmpi.materials.tensor_math.tensor import det_minus_one, symmetric_to_full
+from vgmpi.materials.tensor_math.tensor import (
+    det_minus_one,
+    log_volume_change,
+    symmetric_to_full,
+)
 from vgmpi.runtime.config.schema import Quantity
 
 from .liquid_stiffness import Liquid
@@ -120,7 +124,7 @@ class Paste(Liquid):
             L: Velocity gradient, nine components, row by row [1/s].
             dt: Time step [s].
         """
-        theta = np.minimum(state[0] + dt * (L[0] + L[4] + L[8]), law.most)
+        theta = np.minimum(state[0] + log_volume_change(L, dt), law.most)
         b = _without_volume(hencky.trial_strain_measure(state[1:], L, dt))
         d00, d11, d22, mean, shear = _deviator(b)
         # shear: sqrt(s : s / 2) / mu of s = mu dev(b_e)

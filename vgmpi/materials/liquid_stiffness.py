@@ -42,6 +42,11 @@ class Liquid(Material):
     family: ClassVar[Family] = "fluid"
     friction: ClassVar = 0.0
 
+    @staticmethod
+    def is_liquid(law: tuple) -> bool:
+        """Return True."""
+        return True
+
     @model_validator(mode="after")
     def _one_stiffness(self):
         """Check that the stiffness is given in one way, and compute it."""

@@ -66,6 +66,11 @@ class Material(StrictModel):
             raise field_error(cls, "preset", message, name)
         return {**cls.presets[name], **raw}
 
+    @staticmethod
+    def is_liquid(law: tuple) -> bool:
+        """Return whether a law is that of a liquid; compiled code knows it by the law's type."""
+        return False
+
     def law(self) -> NamedTuple:
         """Return the numbers of the law in SI units."""
         raise NotImplementedError

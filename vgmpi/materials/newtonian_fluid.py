@@ -9,6 +9,7 @@ from vgmpi.runtime.config.schema import Quantity
 from .liquid_stiffness import Liquid
 from .material import material
 from .tensor_math import tait
+from .tensor_math.tensor import log_volume_change
 
 
 class Law(NamedTuple):
@@ -71,8 +72,7 @@ class Fluid(Liquid):
             L: Velocity gradient, nine components, row by row [1/s].
             dt: Time step [s].
         """
-        # this is the exact exponential of the volume rate; its first order (1 + dt tr L) drifts
-        return (np.minimum(state[0] + dt * (L[0] + L[4] + L[8]), law.most),)
+        return (np.minimum(state[0] + log_volume_change(L, dt), law.most),)
 
     @staticmethod
     def stress(law, state, L):

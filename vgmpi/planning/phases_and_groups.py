@@ -17,6 +17,7 @@ from vgmpi.scene.objects import Object
 from vgmpi.scene.scene import Scene
 
 from .color_exchange import ColorExchange
+from .correction_intervals import CORRECTION_COST, shift_cost, shift_interval
 from .particle_channels import Channels
 
 CONTACT_PRIORITY = {
@@ -25,11 +26,6 @@ CONTACT_PRIORITY = {
     "sand": 2,
     "fluid": 3,
 }  # Of two phases in contact, the one with the smaller number provides the surface normal.
-# `python -m tests.benchmarks couplings` measures the next three.
-CORRECTION_COST = 0.75  # [steps] cost of one transfer correction (a step of no time)
-SHIFT_INTERVAL = 6  # [steps] between two shifts of the particles of liquids
-SHIFT_COST = 0.06  # [-] additional cost of particle shifting, relative to a step
-REST_VOLUME_COST = 0.1  # [-] the same of summing rest volumes where liquids differ in density
 DENSITY_CORRECTION_COST = 0.1  # [-] additional cost of the density correction, relative to a step
 CELL_DILATATION_COST = 0.35  # [-] additional cost of the dilatation by cells, relative to a step
 IMPLICIT_PRESSURE_COST = 1.5  # [-] additional cost of an implicit pressure, relative to a step
@@ -63,6 +59,7 @@ class GroupPlan(NamedTuple):
     shifts: bool = False  # its particles are shifted where they crowd, and keep their volume
     cell_dilatation: bool = False  # its volume follows the mean divergence of cells
     implicit_pressure: bool = False  # the grid finds its pressure, without a bound by its waves
+    softens_spray: bool = False  # its volume follows a part of the divergence where it fills little
     pinned: bool = False  # its particles are carried by what holds them (pinned_groups.py)
 
     @property
@@ -274,6 +271,7 @@ def _group(phase: int, phase_label: str, name: str, material, real: np.dtype) ->
         state=tuple((name, tuple(values)) for name, values in material.carries.items()),
         cost=material.cost,
         share=material.solid_share,
+        softens_spray=material.is_liquid(typed),
     )
 
 
@@ -302,7 +300,7 @@ def with_runtime_requirements(
         return group._replace(apart=True, cost=group.cost * FLIP_COST)
     if scene.accuracy.pressure == "implicit":
         cost = group.cost * (1.0 + IMPLICIT_PRESSURE_COST)
-        return group._replace(implicit_pressure=True, slips=0.0, cost=cost)
+        return group._replace(implicit_pressure=True, softens_spray=False, slips=0.0, cost=cost)
     if scene.accuracy.dilatation == "cells" and group.is_liquid and not group.apart:
         cost = group.cost * (1.0 + CELL_DILATATION_COST)
         return group._replace(cell_dilatation=True, cost=cost)
@@ -315,7 +313,7 @@ def _with_shared_space(
     """Return the group with what it needs to share space with other phases."""
     if sharing is None or sharing.mixture_set[group.phase] < 0 or not sharing.fluid[group.phase]:
         return group
-    group = group._replace(apart=True, shares=True)
+    group = group._replace(apart=True, shares=True, softens_spray=False)
     for coupling in scene.coupling:
         if coupling.rule == DRAG and group.material in coupling.between:
             sand = scene.material[next(m for m in coupling.between if m != group.material)]
@@ -361,19 +359,13 @@ def with_volume_correction(
 
 def _with_shifting(scene: Scene, group: GroupPlan, phase: PhasePlan) -> GroupPlan:
     """Return the group, whose particles are shifted."""
-    cost = group.cost * (1.0 + shift_cost(scene.accuracy.restores, phase.least < phase.most))
+    cost = group.cost * (1.0 + _cost_of_shifts(scene, phase))
     return group._replace(shifts=True, cost=cost)
 
 
-def shift_cost(restores: bool, by_volume: bool) -> float:
-    """Return the cost of particle shifting relative to a step.
-
-    Args:
-        restores: Whether the transfer correction makes the step of no time anyway.
-        by_volume: Whether the liquids of the phase differ in density.
-    """
-    correction = 0.0 if restores else CORRECTION_COST / SHIFT_INTERVAL
-    return SHIFT_COST + REST_VOLUME_COST * by_volume + correction
+def _cost_of_shifts(scene: Scene, phase: PhasePlan) -> float:
+    """Return the cost of particle shifting of a phase relative to a step."""
+    return shift_cost(scene.accuracy.restores, shift_interval(scene), phase.least < phase.most)
 
 
 def _with_density_correction(scene: Scene, group: GroupPlan, phase: PhasePlan) -> GroupPlan:

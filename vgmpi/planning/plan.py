@@ -23,11 +23,11 @@ from vgmpi.scene.sections import Accuracy
 
 from .back_sides import WallSidesPlan, with_back_sides
 from .color_exchange import ColorExchange, color_exchange
+from .correction_intervals import correction_interval, shift_interval
 from .implicit_pressure_rules import check_implicit_pressure, falling_rate, is_implicit
 from .inlet_schedule import InletPlan, OutletPlan, inlet_plans, outlet_plans
 from .interaction_rules import interaction_rules, with_slip_wave_factors
 from .phases_and_groups import (
-    SHIFT_INTERVAL,
     GroupPlan,
     PhasePlan,
     groups_of,
@@ -46,11 +46,6 @@ FLOAT_TYPES: dict[str, np.dtype] = {
     "single": np.dtype(np.float32),
     "double": np.dtype(np.float64),
 }
-# The transfer correction is applied every few steps; longer intervals cost less. If the shortest
-# waves oscillate within an interval, they regain more than they lost and grow
-# (docs/benchmarks/extremes.md). The first is the longest interval [steps], the second the longest
-# travel of a wave in it [cells].
-MAX_CORRECTION_INTERVAL, MAX_WAVE_TRAVEL_CELLS = 3, 1.3
 MAX_STEPS = 2.0**52  # with more steps, a step is lost to rounding when it is added to the time
 
 
@@ -263,7 +258,7 @@ def make_plan(
     sharing = interaction_rules(scene, plain, phases)
     colors = color_exchange(scene, phases, shades)
     _check_transfer(scene, sharing)
-    keeps, restores = _flip_blend(scene.accuracy), _correction_interval(scene)
+    keeps, restores = _flip_blend(scene.accuracy), correction_interval(scene)
     complete = tuple(
         with_runtime_requirements(scene, group, sharing, colors, keeps, restores) for group in plain
     )
@@ -288,7 +283,7 @@ def make_plan(
         rules=sharing, colors=colors, affine=scene.accuracy.affine,
         splines=scene.accuracy.gradient == "bspline",
         keeps=keeps, restores=restores, implicit_pressure=is_implicit(scene),
-        shift_interval=SHIFT_INTERVAL * any(group.shifts for group in groups),
+        shift_interval=shift_interval(scene) * any(group.shifts for group in groups),
         gravity_ramp_time=scene.domain.gravity_ramp_time, joints=scene.joint,
         gravity_keys=gravity_keys(scene.domain), pins=pins, opens=tuple(scene.domain.opens),
         sources=inlet_plans(scene, group_of, count), sinks=outlet_plans(scene), driven=driven,
@@ -360,15 +355,6 @@ def _flip_blend(accuracy: Accuracy) -> FlipBlend | None:
     if accuracy.flip_ratio is not None:
         return FlipBlend(accuracy.flip_ratio, math.inf)
     return FlipBlend(1.0, accuracy.flip_decay_time)
-
-
-def _correction_interval(scene: Scene) -> int:
-    """Return the number of steps between two transfer corrections, 0: never."""
-    return (
-        max(1, min(MAX_CORRECTION_INTERVAL, int(MAX_WAVE_TRAVEL_CELLS / scene.courant_number)))
-        if scene.accuracy.restores
-        else 0
-    )
 
 
 def _check_transfer(scene: Scene, sharing: InteractionRules | None) -> None:

@@ -44,7 +44,10 @@ def _weights(x, w):
 @shared
 def _fluid(p, C, J, dt, k, tau):
     """J and the Kirchhoff stress, p = k (J^-7 - 1)."""
-    J[p] *= math.exp(dt * (C[p, 0, 0] + C[p, 1, 1] + C[p, 2, 2]))
+    squares = C[p, 0, 0] * C[p, 0, 0] + C[p, 1, 1] * C[p, 1, 1] + C[p, 2, 2] * C[p, 2, 2]
+    products = C[p, 0, 1] * C[p, 1, 0] + C[p, 0, 2] * C[p, 2, 0] + C[p, 1, 2] * C[p, 2, 1]
+    trace = C[p, 0, 0] + C[p, 1, 1] + C[p, 2, 2]
+    J[p] *= math.exp(dt * (trace - dt * (HALF * squares + products)))
     cube = J[p] * J[p] * J[p]
     tau[:] = 0
     t = -k * (_1 / (cube * cube * J[p]) - _1) * J[p]

@@ -105,7 +105,7 @@ def _to_grid(numbers: dict, rival: Contestant):
             unit = ti.Matrix.identity(ti.f32, 3)
             tau = unit
             if ti.static(is_fluid):
-                J[p] *= ti.exp(dt * C[p].trace())
+                J[p] *= ti.exp(dt * (C[p].trace() - 0.5 * dt * (C[p] @ C[p]).trace()))
                 tau = -stiffness * (1.0 / J[p] ** 7 - 1.0) * J[p] * unit
             else:
                 F[p] = (unit + dt * C[p]) @ F[p]

@@ -64,7 +64,7 @@ def p2g(
     unit = wp.identity(n=3, dtype=float)
     tau = wp.mat33()
     if numbers.is_fluid == 1:
-        j = J[p] * wp.exp(dt * wp.trace(C[p]))
+        j = J[p] * wp.exp(dt * (wp.trace(C[p]) - 0.5 * dt * wp.trace(C[p] * C[p])))
         J[p] = j
         cube = j * j * j
         tau = unit * (-first * (1.0 / (cube * cube * j) - 1.0) * j)

@@ -82,6 +82,16 @@ def energy(law, state):
     return law_function(law, "energy")(law, state)
 
 
+def is_liquid(law):
+    """Return whether a law is that of a liquid, known when a kernel is compiled."""
+    return law_function(law, "is_liquid")(law)
+
+
+@overload(is_liquid, strict=False)
+def _is_liquid(law):
+    return _owner(law) and _owner(law).is_liquid
+
+
 @overload(advance, strict=False)
 def _advance(law, state, L, dt):
     return _owner(law) and _owner(law).advance

@@ -53,11 +53,6 @@ class FlipGather(NamedTuple):
 
 
 @static_dispatch
-def prepare_patch(kind, nodes, mirror):
-    """Complete the nodal masses of a segment's patch in place."""
-
-
-@static_dispatch
 def load_patches(kind, blocks, box, mirror, real, ghosts, s):
     """Load the patches of a segment into the scratch memory of its thread.
 
@@ -187,11 +182,6 @@ def _max_component(f, p, cap, scale):
 # ---- nothing ------------------------------------------------------------------------------------
 
 
-@prepare_patch.of(VelocityOnly)
-def _(kind, nodes, mirror):
-    pass
-
-
 @load_patches.of(VelocityOnly)
 def _(kind, blocks, box, mirror, real, ghosts, s):
     pass
@@ -235,11 +225,6 @@ def _(kind, f, p, cap, numbers, wave2):
 
 
 # ---- phases that share space --------------------------------------------------------------------
-
-
-@prepare_patch.of(MixtureGather)
-def _(kind, nodes, mirror):
-    pass
 
 
 @load_patches.of(MixtureGather)
@@ -316,11 +301,6 @@ def _(kind, f, p, cap, numbers, wave2):
 
 
 # ---- FLIP ---------------------------------------------------------------------------------------
-
-
-@prepare_patch.of(FlipGather)
-def _(kind, nodes, mirror):
-    pass
 
 
 @load_patches.of(FlipGather)

@@ -20,7 +20,6 @@ from .auxiliary_gather import (
     max_velocity,
     mixture_wave_speed_squared,
     particle_velocity,
-    prepare_patch,
     velocity_gradient,
 )
 
@@ -32,7 +31,7 @@ class CellDilatation(NamedTuple):
 
 
 for _dispatch in (
-    prepare_patch, load_patches, particle_velocity, max_velocity, advection_velocity, displacement,
+    load_patches, particle_velocity, max_velocity, advection_velocity, displacement,
     mixture_wave_speed_squared,
 ):  # fmt: skip
     _dispatch.of(CellDilatation)(_dispatch.table[VelocityOnly])

@@ -10,7 +10,6 @@ import numpy as np
 
 from vgmpi.kernels.particle_records import STATE
 from vgmpi.kernels.simd.vector16 import load
-from vgmpi.kernels.wall_boundary import complete_wall_mass
 from vgmpi.runtime.jit import device_function
 
 from .auxiliary_gather import (
@@ -21,7 +20,6 @@ from .auxiliary_gather import (
     max_velocity,
     mixture_wave_speed_squared,
     particle_velocity,
-    prepare_patch,
     velocity_gradient,
 )
 
@@ -49,11 +47,6 @@ def clamp_to_unit(value):
     """Return values of 16 particles, limited to the range from 0 to 1."""
     zero = 0.0 * value
     return np.minimum(np.maximum(value, zero), zero + 1.0)
-
-
-@prepare_patch.of(DensityCorrected)
-def _(kind, nodes, mirror):
-    complete_wall_mass(nodes, mirror)
 
 
 @load_patches.of(DensityCorrected)

@@ -25,6 +25,7 @@ from vgmpi.kernels.reaction_impulses import momentum_mirror_fraction
 from vgmpi.kernels.simd.mask_ops import ALL_LANES, in_range_mask, masked
 from vgmpi.kernels.simd.material_dispatch import (
     advance,
+    is_liquid,
     load_state_vector,
     store_state_vector,
     volume_ratio,
@@ -40,7 +41,7 @@ from vgmpi.kernels.simd.row_ops import (
 from vgmpi.kernels.simd.vector16 import pointer, store
 from vgmpi.kernels.stencil_sums import gather_affine, gather_gradient
 from vgmpi.kernels.step_limits import J_MAX, J_MIN, MAX_CELLS_PER_STEP, MAX_VOLUME_STRAIN_PER_STEP
-from vgmpi.kernels.wall_boundary import fill_ghost_velocity
+from vgmpi.kernels.wall_boundary import complete_wall_mass, fill_ghost_velocity
 from vgmpi.runtime.jit import device_function, kernel
 
 from .auxiliary_gather import (
@@ -51,9 +52,9 @@ from .auxiliary_gather import (
     max_velocity,
     mixture_wave_speed_squared,
     particle_velocity,
-    prepare_patch,
     velocity_gradient,
 )
+from .spray_divergence import reduce_spray_divergence
 
 MAX_STRAY_CELLS = (
     3  # [cells] distance from the block center within which a base node lies in its patch
@@ -72,6 +73,8 @@ class GroupConstants(NamedTuple):
     relax: float  # [1/s] relaxation rate of a fluid where space is overfilled
     porosity: float  # channel of the fluid's volume fraction, or -1
     dx: float  # [m] cell size
+    space: float  # [1/kg] inverse mass of a full cell of a liquid that softens its spray, else 0
+    completes: float  # 1: the masses of a liquid at the nodes of walls are completed
 
 
 class StepConstants(NamedTuple):
@@ -135,7 +138,8 @@ def grid_to_particles(
         node_range_with_walls(count[s], start[s], cap, xi, f, mirror[s], box)
         load_patch(patch, velocity, table[s], box)
         fill_ghost_velocity(nodes, mirror[s], ghosts, mirror_fraction, s)
-        prepare_patch(auxiliary, nodes, mirror[s])
+        if is_liquid(law) and numbers.completes > 0.0:
+            complete_wall_mass(nodes, mirror[s])
         if split[s]:
             load_patches(auxiliary, table[s], box, mirror[s], scratch.real, ghosts, s)
         for first in range(0, count[s], BATCH):
@@ -181,6 +185,8 @@ def _update_particles(
         v0, v1, v2 = advection_velocity(auxiliary, split, extra, n, (v0, v1, v2))
         trace, turns = L[0] + L[4] + L[8], squared_norm(L)
         L = velocity_gradient(auxiliary, split, f, p, cap, extra, n, L, fill, slope, numbers)
+        if is_liquid(law) and numbers.space > 0.0:
+            L = reduce_spray_divergence(L, numbers.space * fill)
         state = advance(law, load_state_vector(law, f, p + STATE * cap, cap), L, dt)
         store_state_vector(f, p + STATE * cap, cap, state)
         J = volume_ratio(law, state)

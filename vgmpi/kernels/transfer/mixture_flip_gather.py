@@ -12,7 +12,6 @@ from .auxiliary_gather import (
     max_velocity,
     mixture_wave_speed_squared,
     particle_velocity,
-    prepare_patch,
     velocity_gradient,
 )
 
@@ -22,11 +21,6 @@ class MixtureFlipGather(NamedTuple):
 
     sharing: MixtureGather
     blend: FlipGather
-
-
-@prepare_patch.of(MixtureFlipGather)
-def _(kind, nodes, mirror):
-    pass
 
 
 @load_patches.of(MixtureFlipGather)

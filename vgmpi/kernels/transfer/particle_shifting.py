@@ -43,7 +43,7 @@ from .g2p import squared_norm
 # [-] Below a plane surface 1 - fullness is (MARGIN + MARGIN_GROWTH (1 - fullness)) of the change of
 # the fullness per cell (tests/kernels/test_plane_surface.py). Only what is missing beyond that
 # counts, and not in spray: from MIN_FILL on, fully from FULL_FILL on.
-MARGIN, MARGIN_GROWTH, MIN_FILL, FULL_FILL = 0.25, 1.3, 0.65, 0.75
+MARGIN, MARGIN_GROWTH, MIN_FILL, FULL_FILL = 0.2, 1.3, 0.65, 0.75
 MAX_FILL_ERROR = 0.5  # [-] largest relative error of the fullness that relaxation sees
 TOLERATED_FILL = 1.02  # [-] fullness above which particles are shifted
 SHIFT_FACTOR = 0.2  # [cells2] displacement per gradient of the fullness per cell

@@ -23,7 +23,6 @@ from .auxiliary_gather import (
     max_velocity,
     mixture_wave_speed_squared,
     particle_velocity,
-    prepare_patch,
     velocity_gradient,
 )
 
@@ -35,7 +34,7 @@ class ImplicitPressure(NamedTuple):
     exponent: float  # [-] exponent of the Tait equation
 
 
-for _dispatch in (prepare_patch, particle_velocity, max_velocity, advection_velocity):
+for _dispatch in (particle_velocity, max_velocity, advection_velocity):
     _dispatch.of(ImplicitPressure)(_dispatch.table[VelocityOnly])
 
 

@@ -179,3 +179,19 @@ def rotation(f):
         f: Nine scalars, det F > 0.
     """
     return _refine(_refine(_refine(_refine(_refine(_refine(_refine(_refine(f))))))))
+
+
+def log_volume_change(L, dt):
+    """Return ln det(I + dt L) to second order.
+
+    Positions move by dt v, so that space around a particle changes by the determinant of I + dt L.
+    In a steady rotation at the rate w the velocity that moves particles along the chord of their
+    circle has the divergence -w^2 dt: the second order cancels it.
+
+    Args:
+        L: Velocity gradient, nine components, row by row [1/s].
+        dt: Time step [s].
+    """
+    squares = L[0] * L[0] + L[4] * L[4] + L[8] * L[8]
+    products = L[1] * L[3] + L[2] * L[6] + L[5] * L[7]
+    return dt * (L[0] + L[4] + L[8] - dt * (0.5 * squares + products))

@@ -3,14 +3,13 @@
 from typing import NamedTuple
 
 from vgmpi.materials.couplings.interaction import CONTACT, DRAG, MIXING
+from vgmpi.planning.correction_intervals import CORRECTION_COST, shift_cost
 from vgmpi.planning.phases_and_groups import (
     CELL_DILATATION_COST,
     COLOR_COST,
-    CORRECTION_COST,
     DENSITY_CORRECTION_COST,
     FLIP_COST,
     IMPLICIT_PRESSURE_COST,
-    shift_cost,
 )
 from vgmpi.planning.plan import Plan
 from vgmpi.planning.region_groups import group_counts
@@ -80,7 +79,7 @@ def group_features(scene: Scene, plan: Plan, g: int, pace: Throughput) -> list[F
         result.append(Feature(transfer, law_ns * (FLIP_COST - 1.0)))
     if group.shifts:
         by_volume = plan.phases[group.phase].fills_by_volume
-        shifting = law_ns * shift_cost(plan.restores > 0, by_volume)
+        shifting = law_ns * shift_cost(plan.restores > 0, plan.shift_interval, by_volume)
         result.append(Feature("particle shifting", shifting))
     if group.cell_dilatation:
         result.append(Feature("dilatation by cells", law_ns * CELL_DILATATION_COST))

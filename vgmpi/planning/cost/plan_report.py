@@ -5,9 +5,9 @@ import math
 import numpy as np
 
 from vgmpi.materials.couplings.interaction import CONTACT, RULES
+from vgmpi.planning.correction_intervals import CORRECTION_COST
 from vgmpi.planning.implicit_pressure_rules import suits_implicit_pressure
 from vgmpi.planning.inlet_schedule import InletPlan
-from vgmpi.planning.phases_and_groups import CORRECTION_COST
 from vgmpi.planning.plan import Plan, time_step_bounds
 from vgmpi.planning.region_groups import group_counts
 from vgmpi.planning.surface_friction import liquids_expected_to_stick

@@ -79,6 +79,8 @@ def numbers_of(plan: Plan, group: GroupPlan) -> g2p.GroupConstants:
         plan.splines, group.stiff, group.dense, group.slips,
         auxiliary_gather.OVERFILL_RELAXATION_RATE,
         group.channels.first("share"), plan.dx,
+        1.0 / (group.density * plan.dx**3) if group.softens_spray else 0.0,
+        float(group.is_liquid and not group.shares),
     )  # fmt: skip
     return g2p.GroupConstants(*map(plan.real.type, values))
 

@@ -9,9 +9,10 @@ from numba import cuda
 from vgmpi.kernels import reaction_impulses
 from vgmpi.kernels.particle_records import PATCH, compute_weights
 from vgmpi.kernels.rigid.prescribed_transfer import advect_prescribed as carry
+from vgmpi.kernels.simd.material_dispatch import is_liquid
 from vgmpi.kernels.stencil_sums import gather_affine, gather_gradient, gather_value
 from vgmpi.kernels.transfer import transfer_correction
-from vgmpi.kernels.transfer.auxiliary_gather import gather_batch, load_patches, prepare_patch
+from vgmpi.kernels.transfer.auxiliary_gather import gather_batch, load_patches
 from vgmpi.kernels.transfer.deformation_gradient import update_deformation_lanes
 from vgmpi.kernels.transfer.g2p import ParticlePointers, _update_particles
 from vgmpi.kernels.transfer.particle_shifting import TOLERATED_FILL, relax_volume, shift_positions
@@ -55,7 +56,8 @@ def g2p(
     own = own_ghosts(ghosts, now, point)
     real, s = cuda.shared.array(BESIDE, REAL), rows[number()]
     _begin(real, s, segments, velocity, own)
-    prepare_patch(auxiliary, real, segments.mirror[s])
+    if is_liquid(law) and numbers.completes > 0.0:
+        complete_wall_mass(real, segments.mirror[s])
     split = segments.split[s]
     if split:
         load_patches(auxiliary, segments.table[s], 0, segments.mirror[s], real, own, s)

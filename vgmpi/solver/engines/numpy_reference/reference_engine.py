@@ -47,6 +47,7 @@ from .prescribed_motion import carry, prescribe
 from .reaction_impulses import ReactionSums, WallRecorder
 from .resolved_surfaces import resolved_surface
 from .sided_walls import ThinWalls
+from .spray_divergence import without_spray_divergence
 from .surface_nodes import SurfaceNodes
 
 
@@ -356,6 +357,8 @@ class Numpy(SurfaceNodes):
         if plan.space:
             J = np.exp(get_channel(group, "theta")[:, 0])
             L = density_corrected_gradient(dense, self.mass[p], stencil, plan.space, J, L)
+        if plan.softens_spray:
+            L = without_spray_divergence(L, self._fill_fraction(group, stencil))
         law, rows = law_in_doubles(group), tuple(L.reshape(-1, 9).T)
         state = law_function(law, "advance")(law, law_state(group), rows, self.dt)
         put_law_state(group, state)
@@ -364,6 +367,12 @@ class Numpy(SurfaceNodes):
             C = get_channel(group, "C").reshape(-1, 3, 3)
             put_channel(group, "F", (F + self.dt * C @ F - np.eye(3)).reshape(-1, 9))
         return advect(group, self.plan, self.dt, transport, trace, law, state, step)
+
+    def _fill_fraction(self, group, stencil) -> np.ndarray:
+        """Return the filled fraction of the space around the particles of a liquid."""
+        p, dense = group.plan.phase, self.dense
+        mass = dense.complete_wall_mass(self.mass[p])
+        return dense.gather(mass, stencil)[:, 0] / (group.plan.density * dense.dx**3)
 
     def _strain(self, group, stencil, split, L) -> np.ndarray:
         """Return the strain rate with the mixture's volume flux; store the porosity.

@@ -1,0 +1,40 @@
+"""Numbers of steps between two corrections of motion, and between two shifts of particles."""
+
+from vgmpi.scene.scene import Scene
+
+# Longer intervals cost less. If the shortest waves oscillate within an interval of the transfer
+# correction, they regain more than they lost and grow (docs/benchmarks/extremes.md). The first is
+# the longest interval [steps], the second the longest travel of a wave in it [cells].
+MAX_CORRECTION_INTERVAL, MAX_WAVE_TRAVEL_CELLS = 3, 1.3
+# The same of the shifts. They have a part of the transfer correction's sweep in common.
+MAX_SHIFT_INTERVAL, MAX_SHIFT_TRAVEL_CELLS = 6, 2.41
+# [steps] of one correction, additionally of one shift, and of summing rest volumes where liquids
+# differ in density: measured by `python -m tests.benchmarks couplings`.
+CORRECTION_COST, SHIFT_COST, REST_VOLUME_COST = 0.75, 0.36, 0.6
+
+
+def correction_interval(scene: Scene) -> int:
+    """Return the number of steps between two transfer corrections, 0: never."""
+    if not scene.accuracy.restores:
+        return 0
+    travel = int(MAX_WAVE_TRAVEL_CELLS / scene.courant_number)
+    return max(1, min(MAX_CORRECTION_INTERVAL, travel))
+
+
+def shift_interval(scene: Scene) -> int:
+    """Return the number of steps between two shifts: whole intervals of the transfer correction."""
+    interval = max(1, correction_interval(scene))
+    travel = int(MAX_SHIFT_TRAVEL_CELLS / scene.courant_number)
+    return interval * max(1, min(MAX_SHIFT_INTERVAL, travel) // interval)
+
+
+def shift_cost(restores: bool, interval: int, by_volume: bool) -> float:
+    """Return the cost of particle shifting relative to a step.
+
+    Args:
+        restores: Whether the transfer correction makes the step of no time anyway.
+        interval: Number of steps between two shifts.
+        by_volume: Whether the liquids of the phase differ in density.
+    """
+    correction = 0.0 if restores else CORRECTION_COST
+    return (SHIFT_COST + REST_VOLUME_COST * by_volume + correction) / interval
