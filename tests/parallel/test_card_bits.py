@@ -38,7 +38,7 @@ material = "rubber"
 shape = { box = [[0.2, 0.04, 0.04], [0.28, 0.12, 0.12]] }
 velocity = [-4, 0, 0]
 [output]
-checkpoint_interval_steps = 12
+checkpoint_interval_steps = 6
 """
 PLAIN = {"VGMPI_CONTRACTION": "off"}
 
@@ -60,5 +60,5 @@ def test_cards_have_the_processors_files(tmp_path):
     assert any("frames" in name for name in want)
     assert run(scene, tmp_path / "two", 2, "cuda") == want
     # half of it on the processor, on one rank; the rest on a card
-    run(scene, tmp_path / "half", 1, "cpu", "--stop-after", "13 steps")
+    run(scene, tmp_path / "half", 1, "cpu", "--stop-after", "7 steps")
     assert run(scene, tmp_path / "half", 1, "cuda", "--resume") == want
