@@ -1,13 +1,17 @@
-"""Model of a step's time beside steps as they are, on one rank, and the constants that fit best.
+"""Model of a step's time by stage beside steps as they are on one rank; the costs that fit best.
 
-Scenes of runs/ are played on one rank. At some times 300 steps are timed, and told by
-vgmpi/planning/cost/feature_costs.py from where the particles are then. The model is linear in its
-constants: those that fit the measured times are found by least squares of relative errors, held to
-the present values by a small weight. Scenes that predictions.HELD_OUT names do not enter the fit.
+Scenes of runs/ are played on one rank. At some times 300 steps are timed by stage, and told by
+vgmpi/planning/cost/feature_costs.py from where the particles are then. The model is linear in the
+costs of vgmpi/planning/step_costs.py: those that fit the measured times are found by least squares
+of relative errors, held to the present values by a small weight. Scenes that predictions.HELD_OUT
+names do not enter the fit.
 """
 
-import time
-from dataclasses import replace
+import shutil
+import tempfile
+from collections.abc import Iterator
+from dataclasses import astuple, replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -15,24 +19,27 @@ from scipy.optimize import least_squares
 
 from tests.benchmarks.predictions import HELD_OUT, ROOT
 from tests.support.simulate import advance, begin, by_id
-from vgmpi.planning.cost import feature_costs
+from vgmpi.planning.cost.feature_costs import step_time
 from vgmpi.planning.cost.throughput import Throughput
 from vgmpi.planning.plan import Plan
+from vgmpi.planning.step_costs import COSTS, STAGES, StageCost, StepCosts
 from vgmpi.scene.loader import load
 from vgmpi.scene.scene import Scene
+from vgmpi.solver.diagnostics.progress import Clock
 from vgmpi.solver.estimates.calibration import host_throughput
 from vgmpi.solver.estimates.measure_proximity import measure_proximity
 from vgmpi.solver.simulation import Simulation
 
 TIMES = {  # scene -> last of the three times [s]
     "two_liquids": 0.8, "castle_falls": 1.3, "splash": 0.8, "water_on_snow": 0.35,
-    "snowball": 0.4, "castle_flood": 0.4, "sand_castle": 1.0, "three_materials": 0.9,
-    "balls_duck": 0.4, "dam_break": 0.5,
+    "snowball": 0.4, "castle_flood": 0.4, "sandbox": 0.8, "sand_castle": 1.0,
+    "three_materials": 0.9, "balls_duck": 0.4, "dam_break": 0.4, "bench/layer": 0.2,
 }  # fmt: skip
-PAIRS = "SURFACE_CONTACT_COST", "CONTACT_COST", "MIXING_COST", "DRAG_COST"
-CONSTANTS = [("BLOCK_COST", None)] + [(n, f) for n in PAIRS for f in ("particle", "block", "nodes")]
-PRIOR_WEIGHT = 0.1  # [-] weight of a relative change of a constant by a factor of e
+ROUNDS, STEPS = 5, 60  # the median round counts
+PRIOR_WEIGHT = 0.1  # [-] weight of a relative change of a cost by a factor of e
 START_WEIGHT = 0.3  # [-] weight of the start, which lasts for a few steps
+MAX_ERROR = 0.25  # [-] of a stage's time told
+MIN_SHARE = 0.08  # [-] of a step, below which a stage has no ratio
 
 
 class StepSample(NamedTuple):
@@ -40,11 +47,43 @@ class StepSample(NamedTuple):
 
     scene: str
     time: float  # [s]
-    told: float  # [s] by the model
-    measured: float  # [s]
-    fixed: float  # [s] of `told` that does not depend on the constants
-    parts: np.ndarray  # (constants,) [s] derivative by each constant
+    told: StageCost  # [s] by the model
+    measured: StageCost  # [s]
+    amounts: np.ndarray  # (costs,) [s] time of a stage in which every cost but one is zero
     weight: float  # [-] in the fit
+
+    def ratios(self) -> list[float]:
+        """Return told over measured in all and by stage; nan for stages that take little."""
+        pairs = [(self.told.total, self.measured.total)]
+        pairs += zip(astuple(self.told), astuple(self.measured), strict=True)
+        least = MIN_SHARE * self.measured.total
+        return [told / m if m >= least else np.nan for told, m in pairs]
+
+
+def cost_names(costs: StepCosts = COSTS) -> Iterator[tuple[str, str]]:
+    """Yield the names of all costs: field, and its part or an empty name."""
+    for name, value in costs._asdict().items():
+        for part in [""] if isinstance(value, StageCost) else value._fields:
+            yield name, part
+
+
+def cost_of(costs: StepCosts, name: str, part: str) -> StageCost:
+    """Return one of the costs."""
+    value = getattr(costs, name)
+    return getattr(value, part) if part else value
+
+
+def with_cost(costs: StepCosts, name: str, part: str, cost: StageCost) -> StepCosts:
+    """Return the costs with another value of one."""
+    return costs._replace(**{name: getattr(costs, name)._replace(**{part: cost}) if part else cost})
+
+
+def zero_costs() -> StepCosts:
+    """Return costs of which all are zero."""
+    costs = COSTS
+    for name, part in cost_names():
+        costs = with_cost(costs, name, part, StageCost())
+    return costs
 
 
 def current_plan(scene: Scene, simulation: Simulation, colliders: list) -> Plan:
@@ -56,91 +95,96 @@ def current_plan(scene: Scene, simulation: Simulation, colliders: list) -> Plan:
     return replace(plan, count=tuple(count.tolist()), surroundings=around)
 
 
-def told_seconds(
-    scene: Scene, plan: Plan, pace: Throughput, constants: np.ndarray | None = None
-) -> float:
-    """Return the time of a step [s] by the model, with other constants if they are given."""
-    before = {name: getattr(feature_costs, name) for name, _ in CONSTANTS}
-    try:
-        for (name, field), value in zip(CONSTANTS, () if constants is None else constants):
-            old = getattr(feature_costs, name)
-            new = float(value) if field is None else old._replace(**{field: float(value)})
-            setattr(feature_costs, name, new)
-        return 1e-9 * feature_costs.step_ns(scene, plan, pace)
-    finally:
-        for name, value in before.items():
-            setattr(feature_costs, name, value)
-
-
-def present_constants() -> np.ndarray:
-    """Return the constants of the model, shape (constants,)."""
-    values = [(getattr(feature_costs, name), field) for name, field in CONSTANTS]
-    return np.array([v if field is None else getattr(v, field) for v, field in values])
-
-
-def step_seconds(simulation: Simulation) -> float:
-    """Return the wall time of a step [s], the median of three hundred steps in parts."""
-    parts = []
-    for _ in range(3):
-        start = time.perf_counter()
-        for _ in range(100):
+def stage_seconds(simulation: Simulation) -> StageCost:
+    """Return the wall time of a step by stage [s], of the median round."""
+    rounds = []
+    for _ in range(ROUNDS):
+        clock = simulation.clock = Clock()
+        for _ in range(STEPS):
             simulation.advance(0.9 * simulation.bound())
-        parts.append((time.perf_counter() - start) / 100)
-    return float(np.median(parts))
+        rounds.append(StageCost(*(clock.spent[stage] / STEPS for stage in STAGES)))
+    simulation.clock = None
+    sort = float(np.mean([r.sort for r in rounds]))  # some rounds have none
+    return replace(sorted(rounds, key=lambda r: r.total - r.sort)[ROUNDS // 2], sort=sort)
 
 
-def samples_of(name: str) -> list[StepSample]:
-    """Return the samples of a scene: at its start, in the middle and at its last time."""
-    path = ROOT / name / "scene.toml"
+def amounts_of(scene: Scene, plan: Plan, pace: Throughput) -> np.ndarray:
+    """Return the factors of all costs in the time of a step [s], the same for every stage."""
+    zero, one = zero_costs(), StageCost(p2g=1.0)
+    told = [
+        step_time(scene, plan, pace, with_cost(zero, name, part, one)).p2g
+        for name, part in cost_names()
+    ]
+    return 1e-9 * np.array(told)
+
+
+def samples_of(name: str) -> Iterator[StepSample]:
+    """Yield the samples of a scene: at its start, in the middle and at its last time."""
+    folder = ROOT / name
+    path = folder / "scene.toml" if folder.is_dir() else folder.with_suffix(".toml")
     scene = load(path)
-    simulation, made = begin(path.parent, path.read_text())
     pace = host_throughput(scene.accuracy.precision)
-    result = []
-    for k, goal in enumerate(np.linspace(0.0, TIMES[name], 3)):
-        advance(simulation, max(float(goal), simulation.bound()))
-        plan = current_plan(scene, simulation, made.colliders)
-        told, zero = told_seconds(scene, plan, pace), np.zeros(len(CONSTANTS))
-        fixed = told_seconds(scene, plan, pace, zero)
-        parts = [told_seconds(scene, plan, pace, row) - fixed for row in np.eye(len(CONSTANTS))]
-        weight = START_WEIGHT if k == 0 else 1.0
-        measured = step_seconds(simulation)
-        result.append(StepSample(name, goal, told, measured, fixed, np.array(parts), weight))
-    return result
+    with tempfile.TemporaryDirectory() as copy:
+        shutil.copytree(path.parent, copy, ignore=shutil.ignore_patterns("out"), dirs_exist_ok=True)
+        simulation, made = begin(Path(copy), path.read_text())
+        for k, goal in enumerate(np.linspace(0.0, TIMES[name], 3)):
+            advance(simulation, max(float(goal), simulation.bound()))
+            plan = current_plan(scene, simulation, made.colliders)
+            told = 1e-9 * step_time(scene, plan, pace)
+            measured, amounts = stage_seconds(simulation), amounts_of(scene, plan, pace)
+            weight = START_WEIGHT if k == 0 else 1.0
+            yield StepSample(name, float(goal), told, measured, amounts, weight)
 
 
-def fit_constants(samples: list[StepSample]) -> np.ndarray:
-    """Return the constants that fit the samples of scenes that are not held out."""
+def fit_costs(samples: list[StepSample]) -> StepCosts:
+    """Return the costs that fit the samples of scenes that are not held out."""
     chosen = [s for s in samples if s.scene not in HELD_OUT]
-    now = present_constants()
+    amounts = np.array([s.amounts for s in chosen])
+    weight = np.array([s.weight for s in chosen])
+    now = np.array([astuple(cost_of(COSTS, *names)) for names in cost_names()])
+    fitted = np.zeros_like(now)
+    for k, stage in enumerate(STAGES):
+        measured = np.array([getattr(s.measured, stage) for s in chosen])
+        least = MIN_SHARE * np.array([s.measured.total for s in chosen])
 
-    def residuals(y):
-        told = [s.fixed + s.parts @ (now * np.exp(y)) for s in chosen]
-        return np.append(
-            [s.weight * (t / s.measured - 1.0) for s, t in zip(chosen, told, strict=True)],
-            PRIOR_WEIGHT * y,
-        )
+        def residuals(y, k=k, measured=measured, least=least):
+            error = amounts @ (now[:, k] * np.exp(y)) - measured
+            return np.append(weight * error / np.maximum(measured, least), PRIOR_WEIGHT * y)
 
-    return now * np.exp(least_squares(residuals, np.zeros(len(now))).x)
+        fitted[:, k] = now[:, k] * np.exp(least_squares(residuals, np.zeros(len(now))).x)
+    costs = COSTS
+    for names, row in zip(cost_names(), fitted, strict=True):
+        costs = with_cost(costs, *names, StageCost(*row))
+    return costs
 
 
 def run(scenes: list[str]) -> None:
-    """Print the table of the samples and the constants that fit them.
+    """Print the table of the samples and the costs that fit them.
 
     Args:
         scenes: Names of folders of runs/.
     """
-    print("| scene | time | step told | measured | ratio |\n|---|---|---|---|---|")
+    titles = "scene", "time", "step told", "measured", "step", *STAGES
+    print("| " + " | ".join(titles) + " |\n" + "|---" * len(titles) + "|")
     samples: list[StepSample] = []
     for name in scenes:
         for s in samples_of(name):
             samples.append(s)
+            ratios = " | ".join("" if np.isnan(ratio) else f"{ratio:.2f}" for ratio in s.ratios())
             print(
-                f"| {name} | {s.time:.2f} s | {1e3 * s.told:.2f} ms | {1e3 * s.measured:.2f} ms |"
-                f" {s.told / s.measured:.2f} |",
+                f"| {name} | {s.time:.2f} s | {1e3 * s.told.total:.2f} ms"
+                f" | {1e3 * s.measured.total:.2f} ms | {ratios} |",
                 flush=True,
             )
+    ratios = np.array([s.ratios() for s in samples])
+    held = np.abs(ratios - 1.0) <= MAX_ERROR
+    for k, title in enumerate(("step", *STAGES)):
+        known = ~np.isnan(ratios[:, k])
+        print(f"{title}: {held[known, k].sum()} of {known.sum()} within {100 * MAX_ERROR:.0f} %")
     if all(s.scene in HELD_OUT for s in samples):
         return
-    fitted = fit_constants(samples)
-    for (name, field), old, new in zip(CONSTANTS, present_constants(), fitted, strict=True):
-        print(f"{name}{'.' + field if field else ''}: {old:g}, fits best {new:.3g}")
+    costs = fit_costs(samples)
+    for names in cost_names():
+        old, new = cost_of(COSTS, *names), cost_of(costs, *names)
+        numbers = ", ".join(f"{a:.3g} -> {b:.3g}" for a, b in zip(astuple(old), astuple(new)))
+        print(f"{'.'.join(filter(None, names))}: {numbers}")

@@ -1,6 +1,6 @@
 """The price of each feature: lines of what the scene has and nothing else, and how bodies stand."""
 
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
@@ -10,6 +10,7 @@ from tests.support import small_scenes
 from tests.support.simulate import begin
 from vgmpi.planning.cost import feature_costs
 from vgmpi.planning.cost.throughput import Throughput
+from vgmpi.planning.step_costs import COSTS, StageCost
 from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.scene.loader import load
 from vgmpi.solver.initial_particles import known_of, plan_for
@@ -141,7 +142,7 @@ def test_what_stands_far_away_costs_no_time(tmp_path):
     """Its surface takes memory."""
     scene, plan = planned(tmp_path, BALL.replace("HEIGHT", "0.27"))
     found = {one.name: one for one in feature_costs.group_features(scene, plan, 0, PACE)}
-    assert found["contact, none near"][1:] == (0.0, 40, 2)
+    assert found["contact, none near"][1:] == (StageCost(), 40, 2)
 
 
 def test_every_byte_and_all_time_is_in_a_line(tmp_path):
@@ -155,11 +156,16 @@ def test_every_byte_and_all_time_is_in_a_line(tmp_path):
         total += sum(mine) * sum(one.ns for one in found)
     assert feature_costs.step_ns(scene, plan, PACE) == pytest.approx(total)
     lines = feature_costs.feature_table(scene, plan, PACE)
-    assert len(lines) == 1 + sum(
+    assert len(lines) == 2 + sum(
         len(feature_costs.group_features(scene, plan, g, PACE)) for g in range(len(plan.groups))
     )
     (line,) = [line for line in lines if "water: law fluid" in line]
-    assert line.split()[-2:] == ["20.0", "76"]
+    law = [f"{20.0 * share:.1f}" for share in astuple(COSTS.law)]
+    assert line.split()[-6:] == ["20.0", *law, "76"]
+    mean = lines[-1].split()
+    assert mean[:4] == ["mean", "of", "all", "particles"]
+    assert float(mean[4]) == pytest.approx(total / plan.particles, abs=0.06)
+    assert sum(map(float, mean[5:])) == pytest.approx(total / plan.particles, abs=0.3)
     assert all(len(line) < 100 for line in lines)
 
 
@@ -220,7 +226,7 @@ def test_a_block_that_is_not_full_costs_more(tmp_path):
         f for f in feature_costs.group_features(scene, plan, 0, PACE) if "blocks of" in f.name
     ]
     per = plan.particles / plan.surroundings[0].blocks
-    assert found.ns == pytest.approx(20.0 * 190 * (1 / per - 1 / 300))
+    assert found.ns == pytest.approx(20.0 * COSTS.block.total * (1 / per - 1 / 300))
 
 
 def test_the_studys_scenes_are_scenes(tmp_path):

@@ -132,10 +132,10 @@ def line_of(said, name):
 def test_what_motion_restored_costs_is_named(tmp_path):
     """Every two steps by the default of solids, every three at 0.4 cells; not with APIC."""
     line = line_of(said_of(write(tmp_path, PLATE)), "transfer")
-    assert "given back every 2 steps" in line and '"apic" takes 0.73 of the time' in line
+    assert "given back every 2 steps" in line and '"apic" takes 0.74 of the time' in line
     shorter = PLATE.replace("end = 0.025", "end = 0.025\ncfl = 0.4")
     line = line_of(said_of(write(tmp_path, shorter)), "transfer")
-    assert "given back every 3 steps" in line and '"apic" takes 0.80 of the time' in line
+    assert "given back every 3 steps" in line and '"apic" takes 0.81 of the time' in line
     apic = PLATE.replace("precision", 'transfer = "apic"\nprecision')
     assert line_of(said_of(write(tmp_path, apic)), "transfer") is None
 

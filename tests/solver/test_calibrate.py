@@ -8,7 +8,10 @@ import pytest
 
 from tests.support.small_scenes import ROOM, write
 from vgmpi.apps.run import cli
-from vgmpi.planning.cost.throughput import ASSUMED_THROUGHPUT
+from vgmpi.planning.cost.feature_costs import group_features
+from vgmpi.planning.cost.throughput import ASSUMED_THROUGHPUT, Throughput
+from vgmpi.planning.plan import make_plan
+from vgmpi.scene.loader import load
 from vgmpi.solver.estimates import calibration
 
 BALL = """
@@ -52,6 +55,24 @@ def test_another_processor_is_another(asked, monkeypatch):
     monkeypatch.setattr(calibration, "model", lambda: "another")
     assert calibration.cached_throughput("single") is None
     assert calibration.host_throughput("single").of.startswith("measured on another, ")
+
+
+def test_another_cube_is_measured_anew(asked, monkeypatch):
+    """What an earlier version measured in another way is no throughput of this one."""
+    calibration.host_throughput("single")
+    monkeypatch.setattr(calibration, "SCENE", calibration.SCENE + "# other")
+    assert calibration.cached_throughput("single") is None
+
+
+def test_the_cube_is_timed_without_what_the_plan_adds(tmp_path):
+    """Shifting and the transfer correction have prices of their own."""
+    scene = load(tmp_path / "none", text=calibration.SCENE.format(
+        room=0.44, precision="single", law=calibration.LAWS["fluid"]
+    ))  # fmt: skip
+    plan = make_plan(scene, [8], [8 * 0.005**3], False)
+    assert not plan.restores and not plan.groups[0].shifts
+    features = group_features(scene, plan, 0, Throughput(20.0, 30.0, "told"))
+    assert [feature.name for feature in features] == ["law fluid"]
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.planning.cost import pilot_result
 from vgmpi.planning.cost.feature_costs import step_ns
 from vgmpi.planning.cost.pilot_result import PilotRun, Snapshot
-from vgmpi.planning.cost.plan_report import format_plan
+from vgmpi.planning.cost.plan_report import FRAME_SECONDS, format_plan
 from vgmpi.planning.cost.throughput import Throughput
 from vgmpi.solver.diagnostics import progress
 from vgmpi.solver.estimates.pilot_run import _snapshot, pilot_run
@@ -107,7 +107,7 @@ def test_steps_and_their_cost_are_those_of_the_run(tmp_path, text):
     said = format_plan(scene, plan, 1, pace=PACE, rehearsal=found)
     assert f"about {math.ceil(found.steps):,} for" in said
     seconds = float(re.search(r"time  +about (\d+) s on", said)[1])
-    assert seconds == pytest.approx(1e-9 * told + 1e-4 * found.steps + 0.065 * 6, abs=1)
+    assert seconds == pytest.approx(1e-9 * told + 1e-4 * found.steps + FRAME_SECONDS * 6, abs=1)
 
 
 def test_what_comes_counts_from_when_it_is_there(tmp_path):

@@ -6,7 +6,7 @@ which has one vector per row.
 
 from vgmpi.kernels.simd.row_ops import broadcast, slide_back
 from vgmpi.kernels.simd.vector16 import load, prefetch, store
-from vgmpi.runtime.jit import always_inline, array_function, device_function
+from vgmpi.runtime.jit import always_inline, device_function
 
 from .wall_boundary import SIDE
 
@@ -32,12 +32,6 @@ def row_of(i, j):
     """
     gi, gj = i + 3, j + 3
     return (gi >> 2) * 9 + (gj >> 2) * 3, ((gi & 3) * 16 + (gj & 3) * 4) * 4
-
-
-@array_function
-def nodes_of(patch):
-    """Return a view of a patch by nodes, shape (8, 8, 8, 4)."""
-    return patch[: SIDE * SIDE * SIDE * 4].reshape((SIDE, SIDE, SIDE, 4))
 
 
 @device_function

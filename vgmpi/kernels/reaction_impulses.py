@@ -257,7 +257,7 @@ def _on_plane(ghosts, s, a, side, wall, i, j, jx, jy, jz):
 
 
 @device_function
-def add_fold_reaction(ghosts, s, a, side, wall, i, j, ghost, stick):
+def add_fold_reaction(ghosts, s, a, side, wall, i, j, patch, ghost, stick):
     """Add the reaction of folding a ghost node: a mirror reverses its odd components.
 
     Args:
@@ -266,21 +266,22 @@ def add_fold_reaction(ghosts, s, a, side, wall, i, j, ghost, stick):
         a, side: Axis and side of the wall.
         wall: Plane of the wall in the patch.
         i, j: Indices of the node in the plane.
-        ghost: Momentum and mass of the ghost node, shape (4,).
+        patch: Patch of momenta and masses.
+        ghost: Position of the ghost node in it.
         stick: Whether the wall is a stick wall.
     """
     if ghosts is not None:
         if ghosts.holds_mass != 0:
-            ghosts.mass[ghosts.slot[s], 2 * a + side, 8 * i + j] = ghost[3]
+            ghosts.mass[ghosts.slot[s], 2 * a + side, 8 * i + j] = patch[ghost + 3]
         k = -2.0 * ghosts.share
-        jx = k * ghost[0] if stick or a == 0 else 0.0
-        jy = k * ghost[1] if stick or a == 1 else 0.0
-        jz = k * ghost[2] if stick or a == 2 else 0.0
+        jx = k * patch[ghost] if stick or a == 0 else 0.0
+        jy = k * patch[ghost + 1] if stick or a == 1 else 0.0
+        jz = k * patch[ghost + 2] if stick or a == 2 else 0.0
         _on_plane(ghosts, s, a, side, wall, i, j, jx, jy, jz)
 
 
 @device_function
-def store_ghost_mass(ghosts, s, a, side, i, j, ghost):
+def store_ghost_mass(ghosts, s, a, side, i, j, mass):
     """Store the mass of a ghost node beyond a wall that does not mirror.
 
     Args:
@@ -288,11 +289,11 @@ def store_ghost_mass(ghosts, s, a, side, i, j, ghost):
         s: Row of the segment.
         a, side: Axis and side of the wall.
         i, j: Indices of the node in the plane.
-        ghost: Momentum and mass of the ghost node, shape (4,).
+        mass: Mass of the ghost node [kg].
     """
     if ghosts is not None:
         if ghosts.holds_mass != 0:
-            ghosts.mass[ghosts.slot[s], 2 * a + side, 8 * i + j] = ghost[3]
+            ghosts.mass[ghosts.slot[s], 2 * a + side, 8 * i + j] = mass
 
 
 @device_function

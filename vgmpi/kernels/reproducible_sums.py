@@ -30,7 +30,7 @@ from vgmpi.kernels.simd.reproducible_add import (
     words_of,
 )
 from vgmpi.kernels.simd.vector16 import SIMD_WIDTH, load, pointer, prefetch, store
-from vgmpi.runtime.jit import device_function, kernel
+from vgmpi.runtime.jit import borrowing_kernel, device_function
 
 from .patch import row_of
 from .wall_boundary import SIDE
@@ -172,7 +172,7 @@ def merge_accumulators(sums, bias, phase, target, source, count):
             store(sums, other + c, r)
 
 
-@kernel
+@borrowing_kernel
 def reset(sums, bias, rows, phase):
     """Reset the sums of some node blocks to their biases.
 
@@ -254,7 +254,7 @@ def finalize_node_block(nb, blocks, layer, report, which):
             report[which] = nb + 1
 
 
-@kernel
+@borrowing_kernel
 def finalize_field(tables, layer, report, which):
     """Convert the sums of a field to numbers at all node blocks of a rank.
 
@@ -269,7 +269,7 @@ def finalize_field(tables, layer, report, which):
         finalize_node_block(nb, blocks, field, report, which)
 
 
-@kernel
+@borrowing_kernel
 def merge_thread_copies(rows, tables, layer):
     """Add the private sums of threads to some node blocks, before ranks exchange these."""
     blocks, field = blocks_at(tables), sums_at(layer)
@@ -277,7 +277,7 @@ def merge_thread_copies(rows, tables, layer):
         _unite_copies(nb, blocks, field)
 
 
-@kernel
+@borrowing_kernel
 def pack(numbers, tails, blocks, masks, bits):
     """Pack the sums of some nodes into a message, 52 bits each.
 
@@ -307,7 +307,7 @@ def pack(numbers, tails, blocks, masks, bits):
                 n += 1
 
 
-@kernel
+@borrowing_kernel
 def unpack(numbers, tails, blocks, masks, sums, bias, phase):
     """Add the sums of another rank, the inverse of `pack`.
 

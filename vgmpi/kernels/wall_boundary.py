@@ -16,7 +16,7 @@ meets none.
 import numpy as np
 
 from vgmpi.kernels.simd.cooperative import strided_range, sync_threads
-from vgmpi.runtime.jit import array_function, device_function
+from vgmpi.runtime.jit import device_function
 
 from .reaction_impulses import (
     add_fold_reaction,
@@ -28,6 +28,8 @@ from .reaction_impulses import (
 STICK, SLIP, SEPARATE, OPEN = 1, 2, 3, 4  # 0: a wall that acts by contact, not at the nodes
 KINDS = {"stick": STICK, "slip": SLIP, "separate": SEPARATE, "open": OPEN}
 SIDE = 8  # nodes along an edge of a patch
+# numbers of a patch from a node to the next along x, y, z
+NODE_STRIDES = 4 * SIDE * SIDE, 4 * SIDE, 4
 
 
 def patch_codes(block: np.ndarray, cells: tuple, kinds: np.ndarray) -> np.ndarray:
@@ -51,22 +53,22 @@ def patch_codes(block: np.ndarray, cells: tuple, kinds: np.ndarray) -> np.ndarra
     return codes
 
 
-@array_function
-def _plane_node(patch, a, plane, i, j):
-    """Return the node (i, j) of a plane across axis a."""
+@device_function
+def _plane_strides(a):
+    """Return the strides in a patch across the planes of axis a, and along their i and j."""
     if a == 0:
-        return patch[plane, i, j]
+        return NODE_STRIDES
     if a == 1:
-        return patch[i, plane, j]
-    return patch[i, j, plane]
+        return NODE_STRIDES[1], NODE_STRIDES[0], NODE_STRIDES[2]
+    return NODE_STRIDES[2], NODE_STRIDES[0], NODE_STRIDES[1]
 
 
-@array_function
+@device_function
 def fold_ghost_momentum(patch, mirror, as_offset, ghosts, s):
     """Add the ghost nodes of stick and slip walls, reflected, to their mirror nodes.
 
     Args:
-        patch: Patch by nodes (in/out), shape (8, 8, 8, 4).
+        patch: Patch (in/out), shape (2048,) or longer.
         mirror: Wall codes, shape (3, 2).
         as_offset: Whether the patch holds volume and offset, which every wall reflects like slip.
         ghosts: Ghost nodes that record the change of momentum, or None.
@@ -80,21 +82,22 @@ def fold_ghost_momentum(patch, mirror, as_offset, ghosts, s):
                 continue
             wall = code >> 2
             step = 1 if side == 0 else -1
+            across, first, second = _plane_strides(a)
             for q in strided_range(SIDE * SIDE):
                 i, j = q // SIDE, q % SIDE
-                inner = _plane_node(patch, a, wall + step, i, j)
-                ghost = _plane_node(patch, a, wall - step, i, j)
-                add_fold_reaction(ghosts, s, a, side, wall, i, j, ghost, kind == STICK)
+                node = i * first + j * second
+                inner, ghost = node + (wall + step) * across, node + (wall - step) * across
+                add_fold_reaction(ghosts, s, a, side, wall, i, j, patch, ghost, kind == STICK)
                 for c in range(4):
                     odd = c == a or (kind == STICK and c < 3 and not as_offset)
-                    inner[c] += -ghost[c] if odd else ghost[c]
-                    ghost[c] = 0
+                    patch[inner + c] += -patch[ghost + c] if odd else patch[ghost + c]
+                    patch[ghost + c] = 0
             sync_threads()
     if ghosts is not None:
         _store_masses(patch, mirror, ghosts, s)
 
 
-@array_function
+@device_function
 def _store_masses(patch, mirror, ghosts, s):
     """Store the masses of ghost nodes beyond walls that only push."""
     for a in range(3):
@@ -103,17 +106,19 @@ def _store_masses(patch, mirror, ghosts, s):
             if code & 3 != SEPARATE:
                 continue
             beyond = (code >> 2) - 1 if side == 0 else (code >> 2) + 1
+            across, first, second = _plane_strides(a)
             for q in strided_range(SIDE * SIDE):
                 i, j = q // SIDE, q % SIDE
-                store_ghost_mass(ghosts, s, a, side, i, j, _plane_node(patch, a, beyond, i, j))
+                ghost = beyond * across + i * first + j * second
+                store_ghost_mass(ghosts, s, a, side, i, j, patch[ghost + 3])
 
 
-@array_function
+@device_function
 def fill_ghost_velocity(patch, mirror, ghosts, fraction, s):
     """Set the velocities of the ghost nodes beyond walls from their mirror nodes.
 
     Args:
-        patch: Patch by nodes (in/out), shape (8, 8, 8, 4).
+        patch: Patch (in/out), shape (2048,) or longer.
         mirror: Wall codes, shape (3, 2).
         ghosts: Ghost nodes that record reactions, or None.
         fraction: Fraction of the reaction that particles take up.
@@ -127,24 +132,24 @@ def fill_ghost_velocity(patch, mirror, ghosts, fraction, s):
             wall = code >> 2
             kind = code & 3
             step = 1 if side == 0 else -1
+            across, first, second = _plane_strides(a)
             for q in strided_range(SIDE * SIDE):
                 i, j = q // SIDE, q % SIDE
-                inner = _plane_node(patch, a, wall + step, i, j)
-                ghost = _plane_node(patch, a, wall - step, i, j)
+                node = i * first + j * second
+                inner, ghost = node + (wall + step) * across, node + (wall - step) * across
                 if kind != SEPARATE:
-                    ghost[3] = inner[3]
+                    patch[ghost + 3] = patch[inner + 3]
                 for c in range(3):
                     if kind == STICK or (kind == SLIP and c == a):
-                        ghost[c] = -inner[c]
+                        patch[ghost + c] = -patch[inner + c]
                     elif kind == SLIP:
-                        ghost[c] = inner[c]
+                        patch[ghost + c] = patch[inner + c]
                     elif c == a:
                         # a wall that only pushes: the flow interpolated at the wall must not
                         # enter it
-                        before = ghost[c]
-                        bound = max(ghost[c], -inner[c])
-                        ghost[c] = bound if side == 0 else min(ghost[c], -inner[c])
-                        more = ghost[c] - before
+                        before, image = patch[ghost + c], -patch[inner + c]
+                        patch[ghost + c] = max(before, image) if side == 0 else min(before, image)
+                        more = patch[ghost + c] - before
                         x, y, z = _along(a, more)
                         add_mirror_reaction(ghosts, fraction, s, a, side, wall, i, j, x, y, z)
             sync_threads()
@@ -152,7 +157,7 @@ def fill_ghost_velocity(patch, mirror, ghosts, fraction, s):
         _record_mirror(patch, mirror, ghosts, fraction, s)
 
 
-@array_function
+@device_function
 def complete_wall_mass(patch, mirror):
     """Complete the masses of nodes on stick and slip walls.
 
@@ -163,9 +168,10 @@ def complete_wall_mass(patch, mirror):
             code = mirror[a, side]
             if code == 0 or code & 3 == SEPARATE:
                 continue
+            across, first, second = _plane_strides(a)
             for q in strided_range(SIDE * SIDE):
-                node = _plane_node(patch, a, code >> 2, q // SIDE, q % SIDE)
-                node[3] = 2.0 * node[3]
+                node = (code >> 2) * across + q // SIDE * first + q % SIDE * second
+                patch[node + 3] = 2.0 * patch[node + 3]
             sync_threads()
 
 
@@ -176,7 +182,7 @@ def _along(a, value):
     return value if a == 0 else none, value if a == 1 else none, value if a == 2 else none
 
 
-@array_function
+@device_function
 def _record_mirror(patch, mirror, ghosts, fraction, s):
     """Record the reactions beyond stick and slip walls, after all nodes are reflected."""
     for a in range(3):
@@ -186,11 +192,14 @@ def _record_mirror(patch, mirror, ghosts, fraction, s):
                 continue
             wall = code >> 2
             step = 1 if side == 0 else -1
+            across, first, second = _plane_strides(a)
             for q in strided_range(SIDE * SIDE):
                 i, j = q // SIDE, q % SIDE
-                inner = _plane_node(patch, a, wall + step, i, j)
-                ghost = _plane_node(patch, a, wall - step, i, j)
-                x, y, z = ghost[0] - inner[0], ghost[1] - inner[1], ghost[2] - inner[2]
+                node = i * first + j * second
+                inner, ghost = node + (wall + step) * across, node + (wall - step) * across
+                x = patch[ghost] - patch[inner]
+                y = patch[ghost + 1] - patch[inner + 1]
+                z = patch[ghost + 2] - patch[inner + 2]
                 add_mirror_reaction(ghosts, fraction, s, a, side, wall, i, j, x, y, z)
 
 

@@ -2,15 +2,14 @@
 
 from vgmpi.scene.scene import Scene
 
+from .step_costs import COSTS, StageCost, StepCosts
+
 # Longer intervals cost less. If the shortest waves oscillate within an interval of the transfer
 # correction, they regain more than they lost and grow (docs/benchmarks/extremes.md). The first is
 # the longest interval [steps], the second the longest travel of a wave in it [cells].
 MAX_CORRECTION_INTERVAL, MAX_WAVE_TRAVEL_CELLS = 3, 1.3
 # The same of the shifts. They have a part of the transfer correction's sweep in common.
 MAX_SHIFT_INTERVAL, MAX_SHIFT_TRAVEL_CELLS = 6, 2.41
-# [steps] of one correction, additionally of one shift, and of summing rest volumes where liquids
-# differ in density: measured by `python -m tests.benchmarks couplings`.
-CORRECTION_COST, SHIFT_COST, REST_VOLUME_COST = 0.75, 0.36, 0.6
 
 
 def correction_interval(scene: Scene) -> int:
@@ -28,13 +27,20 @@ def shift_interval(scene: Scene) -> int:
     return interval * max(1, min(MAX_SHIFT_INTERVAL, travel) // interval)
 
 
-def shift_cost(restores: bool, interval: int, by_volume: bool) -> float:
-    """Return the cost of particle shifting relative to a step.
+def shift_cost(
+    restores: bool, interval: int, by_volume: bool, costs: StepCosts = COSTS
+) -> StageCost:
+    """Return the cost of particle shifting in steps of a fluid particle.
 
     Args:
         restores: Whether the transfer correction makes the step of no time anyway.
         interval: Number of steps between two shifts.
         by_volume: Whether the liquids of the phase differ in density.
+        costs: Costs of the parts of a step.
     """
-    correction = 0.0 if restores else CORRECTION_COST
-    return (SHIFT_COST + REST_VOLUME_COST * by_volume + correction) / interval
+    cost = costs.shift
+    if by_volume:
+        cost += costs.rest_volume
+    if not restores:
+        cost += costs.correction
+    return cost * (1.0 / interval)

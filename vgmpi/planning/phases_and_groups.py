@@ -17,8 +17,9 @@ from vgmpi.scene.objects import Object
 from vgmpi.scene.scene import Scene
 
 from .color_exchange import ColorExchange
-from .correction_intervals import CORRECTION_COST, shift_cost, shift_interval
+from .correction_intervals import shift_cost, shift_interval
 from .particle_channels import Channels
+from .step_costs import COSTS
 
 CONTACT_PRIORITY = {
     "solid": 0,
@@ -26,11 +27,6 @@ CONTACT_PRIORITY = {
     "sand": 2,
     "fluid": 3,
 }  # Of two phases in contact, the one with the smaller number provides the surface normal.
-DENSITY_CORRECTION_COST = 0.1  # [-] additional cost of the density correction, relative to a step
-CELL_DILATATION_COST = 0.35  # [-] additional cost of the dilatation by cells, relative to a step
-IMPLICIT_PRESSURE_COST = 1.5  # [-] additional cost of an implicit pressure, relative to a step
-FLIP_COST = 1.7  # [-] cost of FLIP and AFLIP, relative to the same step without
-COLOR_COST = 0.6  # [-] cost of a transferred color coefficient, relative to a fluid's step
 
 
 class GroupPlan(NamedTuple):
@@ -295,14 +291,14 @@ def with_runtime_requirements(
     if colors is not None:
         group = _with_colors(group, int(colors.coefficients[group.phase]))
     if restores:
-        group = group._replace(cost=group.cost * (1.0 + CORRECTION_COST / restores))
+        group = group._replace(cost=group.cost + COSTS.correction.total / restores)
     if keeps is not None:
-        return group._replace(apart=True, cost=group.cost * FLIP_COST)
+        return group._replace(apart=True, cost=group.cost + COSTS.flip.total)
     if scene.accuracy.pressure == "implicit":
-        cost = group.cost * (1.0 + IMPLICIT_PRESSURE_COST)
+        cost = group.cost + COSTS.implicit_pressure.total
         return group._replace(implicit_pressure=True, softens_spray=False, slips=0.0, cost=cost)
     if scene.accuracy.dilatation == "cells" and group.is_liquid and not group.apart:
-        cost = group.cost * (1.0 + CELL_DILATATION_COST)
+        cost = group.cost + COSTS.cell_dilatation.total
         return group._replace(cell_dilatation=True, cost=cost)
     return group
 
@@ -359,13 +355,9 @@ def with_volume_correction(
 
 def _with_shifting(scene: Scene, group: GroupPlan, phase: PhasePlan) -> GroupPlan:
     """Return the group, whose particles are shifted."""
-    cost = group.cost * (1.0 + _cost_of_shifts(scene, phase))
-    return group._replace(shifts=True, cost=cost)
-
-
-def _cost_of_shifts(scene: Scene, phase: PhasePlan) -> float:
-    """Return the cost of particle shifting of a phase relative to a step."""
-    return shift_cost(scene.accuracy.restores, shift_interval(scene), phase.least < phase.most)
+    by_volume = phase.least < phase.most
+    cost = shift_cost(scene.accuracy.restores, shift_interval(scene), by_volume)
+    return group._replace(shifts=True, cost=group.cost + cost.total)
 
 
 def _with_density_correction(scene: Scene, group: GroupPlan, phase: PhasePlan) -> GroupPlan:
@@ -377,9 +369,9 @@ def _with_density_correction(scene: Scene, group: GroupPlan, phase: PhasePlan) -
         )
         raise scene.error([(("accuracy", "volume_correction"), message)])
     space = 1.0 / (group.density * scene.domain.cell**3)
-    return group._replace(space=space, cost=group.cost * (1.0 + DENSITY_CORRECTION_COST))
+    return group._replace(space=space, cost=group.cost + COSTS.density_correction.total)
 
 
 def _with_colors(group: GroupPlan, count: int) -> GroupPlan:
     """Return the group with `count` color coefficients that are transferred in every step."""
-    return group._replace(coefficients=count, cost=group.cost + COLOR_COST * count)
+    return group._replace(coefficients=count, cost=group.cost + COSTS.color.total * count)

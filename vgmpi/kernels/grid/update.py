@@ -20,7 +20,7 @@ from vgmpi.kernels.step_limits import NODE_MASS_FLOOR
 from vgmpi.kernels.wall_boundary import apply_wall_conditions, project_tangential
 from vgmpi.materials.couplings.interaction import CONTACT
 from vgmpi.materials.tensor_math.select import select
-from vgmpi.runtime.jit import device_function, kernel
+from vgmpi.runtime.jit import borrowing_kernel, device_function
 
 from .contact import apply_contact, has_several_parties
 from .mixture_coupling import BlockContext, NodalFields, couple_block, store_volume_flux
@@ -63,7 +63,7 @@ class SeparatedStress(NamedTuple):
     tables: tuple  # MixtureTables
 
 
-@kernel
+@borrowing_kernel
 def update(blocks, tables, summed, shear, stress, rules, walls, phases, solids, scratch, step,
            report):  # fmt: skip
     """Compute the velocities [m/s] at the nodes of some blocks, in place of momentum.

@@ -32,7 +32,7 @@ from vgmpi.kernels.simd.row_ops import broadcast, load_records, store_records
 from vgmpi.kernels.simd.vector16 import load, pointer, store
 from vgmpi.kernels.stencil_sums import gather_value, scatter
 from vgmpi.materials.tensor_math.select import select
-from vgmpi.runtime.jit import device_function, kernel
+from vgmpi.runtime.jit import borrowing_kernel, device_function, kernel
 
 from .field_protocol import MIRROR_NONE, accumulate, particle_contribution
 from .surface_distance import current_volumes
@@ -84,7 +84,7 @@ def _add(kind, count, records, weights, base, patch):
     scatter(count, records, weights, base, patch)
 
 
-@kernel
+@borrowing_kernel
 def average_over_phases(blocks, tables, layer, set_of, report, k):
     """Compute the mean color at the nodes of some blocks, in place of sums.
 

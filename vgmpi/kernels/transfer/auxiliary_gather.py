@@ -17,14 +17,14 @@ import numpy as np
 
 from vgmpi.kernels.grid.mixture_coupling import MIN_POROSITY
 from vgmpi.kernels.particle_records import BATCH, patch_of, scatter_columns
-from vgmpi.kernels.patch import load_patch, nodes_of
+from vgmpi.kernels.patch import load_patch
 from vgmpi.kernels.reaction_impulses import velocity_mirror_fraction
 from vgmpi.kernels.simd.row_ops import broadcast, max_ignore_nan
 from vgmpi.kernels.simd.static_dispatch import static_dispatch
 from vgmpi.kernels.simd.vector16 import load, store
 from vgmpi.kernels.stencil_sums import gather_affine, gather_value
 from vgmpi.kernels.wall_boundary import fill_ghost_velocity
-from vgmpi.runtime.jit import array_function, device_function
+from vgmpi.runtime.jit import device_function
 
 CHANGE = 5 * BATCH  # offset of the velocity change in `extra`
 OVERFILL_RELAXATION_RATE = 10.0  # [1/s] relaxation rate of a fluid in pores that are overfilled
@@ -150,7 +150,7 @@ def mixture_wave_speed_squared(kind, f, p, cap, numbers, wave2):
     """
 
 
-@array_function
+@device_function
 def load_mirrored_patch(grid, blocks, box, mirror, patch, ghosts, s):
     """Load one patch and set its ghost nodes from their mirror nodes.
 
@@ -161,7 +161,7 @@ def load_mirrored_patch(grid, blocks, box, mirror, patch, ghosts, s):
     """
     load_patch(patch, grid, blocks, box)
     mirror_fraction = velocity_mirror_fraction(ghosts)
-    fill_ghost_velocity(nodes_of(patch), mirror, ghosts, mirror_fraction, s)
+    fill_ghost_velocity(patch, mirror, ghosts, mirror_fraction, s)
 
 
 @device_function

@@ -9,10 +9,10 @@ from vgmpi.kernels.particle_records import AFFINE, load_tensor
 from vgmpi.kernels.simd import material_dispatch as _laws  # noqa: F401  (makes the tensors' functions callable
 from vgmpi.kernels.simd.vector16 import SIMD_WIDTH, store
 from vgmpi.materials.tensor_math.tensor import update_deformation_gradient
-from vgmpi.runtime.jit import device_function, kernel
+from vgmpi.runtime.jit import borrowing_kernel, device_function
 
 
-@kernel
+@borrowing_kernel
 def update_total_deformation(segments, start, count, f, first, dt):
     """Update F <- (I + dt C) F with C as just gathered, stored as F - I.
 

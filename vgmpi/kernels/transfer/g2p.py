@@ -20,7 +20,7 @@ from vgmpi.kernels.particle_records import (
     split_scratch,
     zero_padding,
 )
-from vgmpi.kernels.patch import load_patch, nodes_of, prefetch_patch
+from vgmpi.kernels.patch import load_patch, prefetch_patch
 from vgmpi.kernels.reaction_impulses import momentum_mirror_fraction
 from vgmpi.kernels.simd.mask_ops import ALL_LANES, in_range_mask, masked
 from vgmpi.kernels.simd.material_dispatch import (
@@ -126,7 +126,6 @@ def grid_to_particles(
     start, count, table = segments.start, segments.count, segments.table
     split, limit, mirror = segments.split, segments.limit, segments.mirror
     weights, records, patch, extra = split_scratch(scratch.real)
-    nodes = nodes_of(patch)
     patch[PATCH:] = 0
     base, box = scratch.whole, box_of(scratch.whole)
     flat = pointer(velocity.reshape(velocity.size))
@@ -137,9 +136,9 @@ def grid_to_particles(
             prefetch_patch(flat, table[rows[q + 1]])
         node_range_with_walls(count[s], start[s], cap, xi, f, mirror[s], box)
         load_patch(patch, velocity, table[s], box)
-        fill_ghost_velocity(nodes, mirror[s], ghosts, mirror_fraction, s)
+        fill_ghost_velocity(patch, mirror[s], ghosts, mirror_fraction, s)
         if is_liquid(law) and numbers.completes > 0.0:
-            complete_wall_mass(nodes, mirror[s])
+            complete_wall_mass(patch, mirror[s])
         if split[s]:
             load_patches(auxiliary, table[s], box, mirror[s], scratch.real, ghosts, s)
         for first in range(0, count[s], BATCH):

@@ -38,7 +38,7 @@ from vgmpi.kernels.particle_records import (
     node_range_with_walls,
     split_scratch,
 )
-from vgmpi.kernels.patch import clear, nodes_of
+from vgmpi.kernels.patch import clear
 from vgmpi.kernels.reproducible_sums import accumulate_patch
 from vgmpi.kernels.simd.vector16 import pointer
 from vgmpi.kernels.wall_boundary import fold_ghost_momentum
@@ -67,7 +67,6 @@ def particles_to_grid(rows, kind, law, segments, particles, sums, scratch, dt, g
     totals = pointer(sums.reshape(sums.size))
     weights, records, patch, extra = split_scratch(scratch.real)
     peak = pointer(scratch.peak)
-    nodes = nodes_of(patch)
     base, box = scratch.whole, box_of(scratch.whole)
     start, count, into, mirror = (
         segments.start,
@@ -88,5 +87,5 @@ def particles_to_grid(rows, kind, law, segments, particles, sums, scratch, dt, g
             particle_contribution(kind, law, n, offset, cap, f, extra, peak, records, dt)
             accumulate(kind, n, records, weights, base, patch)
         if kind.mirror != MIRROR_NONE:
-            fold_ghost_momentum(nodes, mirror[s], kind.mirror == MIRROR_MOMENT, ghosts, s)
+            fold_ghost_momentum(patch, mirror[s], kind.mirror == MIRROR_MOMENT, ghosts, s)
         accumulate_patch(patch, totals, into[s], box)

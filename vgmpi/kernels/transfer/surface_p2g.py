@@ -24,7 +24,7 @@ from vgmpi.kernels.patch import clear
 from vgmpi.kernels.reproducible_sums import accumulate_patch_at
 from vgmpi.kernels.simd.vector16 import SIMD_WIDTH, pointer
 from vgmpi.kernels.stencil_values import scatter_values
-from vgmpi.runtime.jit import device_function, kernel
+from vgmpi.runtime.jit import borrowing_kernel, device_function, kernel
 
 
 class SurfaceStencils(NamedTuple):
@@ -38,7 +38,7 @@ class SurfaceStencils(NamedTuple):
     target: np.ndarray  # (n,) bit k: block k of the 27 around has nodes next to a surface
 
 
-@kernel
+@borrowing_kernel
 def flag_nodes(nodes, whose, free, free_reach, dx, flags):
     """Flag the nodes at which contact with a collider or a free body may act.
 

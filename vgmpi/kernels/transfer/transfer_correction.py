@@ -18,7 +18,7 @@ from vgmpi.kernels.particle_records import (
     split_scratch,
     zero_padding,
 )
-from vgmpi.kernels.patch import load_patch, nodes_of, prefetch_patch
+from vgmpi.kernels.patch import load_patch, prefetch_patch
 from vgmpi.kernels.reaction_impulses import momentum_mirror_fraction
 from vgmpi.kernels.reproducible_sums import blocks_at, finalize_node_block, sums_at
 from vgmpi.kernels.simd.row_ops import tile
@@ -26,13 +26,13 @@ from vgmpi.kernels.simd.vector16 import load, pointer, store
 from vgmpi.kernels.stencil_sums import gather_affine, gather_gradient
 from vgmpi.kernels.step_limits import NODE_MASS_FLOOR
 from vgmpi.kernels.wall_boundary import complete_wall_mass, fill_ghost_velocity
-from vgmpi.runtime.jit import device_function, kernel
+from vgmpi.runtime.jit import borrowing_kernel, device_function, kernel
 
 from .g2p import unpack_gathered
 from .particle_shifting import relax_volume, shift_positions, store_excess, store_fullness
 
 
-@kernel
+@borrowing_kernel
 def momentum_to_velocity_only(
     blocks, tables, momentum, as_one, phases, fill, volumes, volume_field, step, report
 ):  # fmt: skip
@@ -101,7 +101,6 @@ def apply_transfer_correction(
     start, count, table, mirror = segments.start, segments.count, segments.table, segments.mirror
     limit = segments.limit
     weights, records, patch, _ = split_scratch(scratch.real)
-    nodes = nodes_of(patch)
     patch[PATCH:] = 0
     base, box = scratch.whole, box_of(scratch.whole)
     flat = pointer(velocity.reshape(velocity.size))
@@ -112,9 +111,9 @@ def apply_transfer_correction(
             prefetch_patch(flat, table[rows[q + 1]])
         node_range_with_walls(count[s], start[s], cap, xi, f, mirror[s], box)
         load_patch(patch, velocity, table[s], box)
-        fill_ghost_velocity(nodes, mirror[s], ghosts, mirror_fraction, s)
+        fill_ghost_velocity(patch, mirror[s], ghosts, mirror_fraction, s)
         if shift is not None:
-            complete_wall_mass(nodes, mirror[s])
+            complete_wall_mass(patch, mirror[s])
             excess = patch_of(scratch.real, 0)
             is_crowded = store_excess(patch, excess, box)
         for first in range(0, count[s], BATCH):

@@ -1,60 +1,39 @@
 """Cost of each feature of a scene per particle and step: time on this processor, and memory."""
 
+from dataclasses import astuple
 from typing import NamedTuple
 
 from vgmpi.materials.couplings.interaction import CONTACT, DRAG, MIXING
-from vgmpi.planning.correction_intervals import CORRECTION_COST, shift_cost
-from vgmpi.planning.phases_and_groups import (
-    CELL_DILATATION_COST,
-    COLOR_COST,
-    DENSITY_CORRECTION_COST,
-    FLIP_COST,
-    IMPLICIT_PRESSURE_COST,
-)
+from vgmpi.planning.correction_intervals import shift_cost
 from vgmpi.planning.plan import Plan
 from vgmpi.planning.region_groups import group_counts
+from vgmpi.planning.step_costs import COSTS, STAGES, ProximityCost, StageCost, StepCosts
 from vgmpi.runtime.config.toml_source import escape_control_characters
 from vgmpi.scene.scene import Scene
 
 from .throughput import Throughput
 
-
-class ProximityCost(NamedTuple):
-    """Cost of particles at most one block away from something that they may touch.
-
-    The unit is one step of a fluid particle. Fitted by `python -m tests.benchmarks step-model`
-    to steps of scenes as they run.
-    """
-
-    particle: float  # per particle
-    block: float  # per block of particles
-    nodes: float  # per node block that both phases reach
-
-
-SURFACE_CONTACT_COST = ProximityCost(0.5, 80.0, 50.0)  # contact of solids with surface descriptors
-CONTACT_COST = ProximityCost(0.5, 150.0, 100.0)  # contact of other bodies
-MIXING_COST = ProximityCost(1.3, 210.0, 65.0)
-DRAG_COST = ProximityCost(0.35, 50.0, 50.0)
-# The collider costs are in steps of a fluid particle, per particle at most a block from one.
-COLLIDER_COST = 1.3  # colliders at rest
-MOVING_COLLIDER_COST = 0.6  # additional cost if a collider moves
-RIGID_BODY_COST = 0.5  # free rigid bodies (python -m tests.benchmarks bodies)
-REACTION_PROBE_COST = 1.2  # additional cost if a probe measures reaction forces
-# Cost of a block without its particles, and of the disorder that comes with partly filled blocks.
-BLOCK_COST = 190.0
 PARTICLES_PER_BLOCK = 300  # mean of the cube with which a throughput is measured
+MIN_BLOCK_COST = 0.02  # [-] of a fluid's step, below which emptier blocks have no line
 
 
 class Feature(NamedTuple):
     """Name and cost of one feature of a group."""
 
     name: str
-    ns: float  # [ns] per particle and step on one core, mean over the group as it stands
+    time: StageCost  # [ns] per particle and step on one core, mean over the group as it stands
     bytes: int = 0  # [bytes] per particle
     dimension: int = 3  # 3: costs grow as the volume of bodies in cells, 2: as their surface
 
+    @property
+    def ns(self) -> float:
+        """Return the time of all stages [ns] per particle and step."""
+        return self.time.total
 
-def group_features(scene: Scene, plan: Plan, g: int, pace: Throughput) -> list[Feature]:
+
+def group_features(
+    scene: Scene, plan: Plan, g: int, pace: Throughput, costs: StepCosts = COSTS
+) -> list[Feature]:
     """Return the features of group `g`, its law first.
 
     Args:
@@ -62,146 +41,172 @@ def group_features(scene: Scene, plan: Plan, g: int, pace: Throughput) -> list[F
         plan: Its plan.
         g: Number of the group.
         pace: Throughput of the processor.
+        costs: Costs of the parts of a step.
     """
     group = plan.groups[g]
-    law_ns = pace.law(scene.material[group.material])
     fields = plan.fields(g)
     if group.pinned:
-        return [Feature("carried by what holds it", pace.fluid * group.cost, sum(fields.values()))]
+        time = pace.fluid * group.cost * costs.law
+        return [Feature("carried by what holds it", time, sum(fields.values()))]
     own = {name: fields.pop(name, 0) for name in ("share", "F", "surface", "color")}
-    result = [Feature(f"law {scene.material[group.material].kind}", law_ns, sum(fields.values()))]
+    law_time = pace.law(scene.material[group.material]) * costs.law
+    law_name = f"law {scene.material[group.material].kind}"
+    result = [Feature(law_name, law_time, sum(fields.values()))]
     if own["F"]:
-        result.append(Feature("deformation that Gaussians follow", 0.0, own["F"]))
+        result.append(Feature("deformation that Gaussians follow", StageCost(), own["F"]))
     transfer = f"{scene.accuracy.transfer} transfer"
     if plan.restores:
-        result.append(Feature(transfer, law_ns * CORRECTION_COST / plan.restores))
+        result.append(Feature(transfer, pace.fluid / plan.restores * costs.correction))
     if plan.keeps is not None:
-        result.append(Feature(transfer, law_ns * (FLIP_COST - 1.0)))
+        result.append(Feature(transfer, pace.fluid * costs.flip))
     if group.shifts:
         by_volume = plan.phases[group.phase].fills_by_volume
-        shifting = law_ns * shift_cost(plan.restores > 0, plan.shift_interval, by_volume)
-        result.append(Feature("particle shifting", shifting))
+        cost = shift_cost(plan.restores > 0, plan.shift_interval, by_volume, costs)
+        result.append(Feature("particle shifting", pace.fluid * cost))
     if group.cell_dilatation:
-        result.append(Feature("dilatation by cells", law_ns * CELL_DILATATION_COST))
+        result.append(Feature("dilatation by cells", pace.fluid * costs.cell_dilatation))
     if group.implicit_pressure:
-        result.append(Feature("implicit pressure", law_ns * IMPLICIT_PRESSURE_COST))
+        result.append(Feature("implicit pressure", pace.fluid * costs.implicit_pressure))
     if group.space:
-        result.append(Feature("density correction", law_ns * DENSITY_CORRECTION_COST))
+        result.append(Feature("density correction", pace.fluid * costs.density_correction))
     if group.coefficients:
-        ns = pace.fluid * COLOR_COST * group.coefficients
-        result.append(Feature("colors that travel", ns, own["color"]))
-    result += _meetings(plan, g, pace.fluid, own)
-    result += _colliders(scene, plan, g, pace.fluid)
-    return result + _blocks(plan, g, pace.fluid)
+        time = pace.fluid * group.coefficients * costs.color
+        result.append(Feature("colors that travel", time, own["color"]))
+    result += _meetings(plan, g, pace.fluid, own, costs)
+    result += _colliders(scene, plan, g, pace.fluid, costs)
+    return result + _blocks(plan, g, pace.fluid, costs)
 
 
-def _meetings(plan: Plan, g: int, fluid: float, own: dict[str, int]) -> list[Feature]:
+def _meetings(
+    plan: Plan, g: int, fluid: float, own: dict[str, int], costs: StepCosts
+) -> list[Feature]:
     """Return the cost of the proximity of other phases, as the particles stand."""
     p, result = plan.groups[g].phase, []
     met: dict[str, list[tuple[ProximityCost, str]]] = {}
     for q, phase in enumerate(plan.phases):
         if q != p:
-            name, how = _rule(plan, p, q)
+            name, how = _rule(plan, p, q, costs)
             met.setdefault(name, []).append((how, phase.name))
     sizes = {"drag": own["share"], "contact": own["surface"]}
     for name in ("mixing", "drag", "contact"):
-        share, ns = _proximity_cost(plan, g, met.get(name, []))
+        share, cost = _proximity_cost(plan, g, met.get(name, []))
         if share or sizes.get(name):
-            result.append(Feature(_with_percentage(name, share), fluid * ns, sizes.get(name, 0), 2))
+            title = _with_percentage(name, share)
+            result.append(Feature(title, fluid * cost, sizes.get(name, 0), 2))
     return result
 
 
-def _rule(plan: Plan, p: int, q: int) -> tuple[str, ProximityCost]:
+def _rule(plan: Plan, p: int, q: int, costs: StepCosts) -> tuple[str, ProximityCost]:
     """Return name and cost of the interaction of two phases."""
     rule = CONTACT if plan.rules is None else plan.rules.pair[p, q]
     if rule == MIXING:
-        return "mixing", MIXING_COST
+        return "mixing", costs.mixing
     if rule == DRAG:
-        return "drag", DRAG_COST
+        return "drag", costs.drag
     surfaces = plan.phases[p].surface and plan.phases[q].surface
-    return "contact", SURFACE_CONTACT_COST if surfaces else CONTACT_COST
+    return "contact", costs.surface_contact if surfaces else costs.contact
 
 
 def _proximity_cost(
     plan: Plan, g: int, met: list[tuple[ProximityCost, str]]
-) -> tuple[float, float]:
+) -> tuple[float, StageCost]:
     """Return the fraction of the group's particles near other phases, and the mean cost.
 
     The cost is in steps of a fluid particle, averaged over all particles of the group.
     """
-    n = near_count = cost = 0.0
+    n = near_count = 0.0
+    cost = StageCost()
     for k in _rows(plan, g):
         count, proximity = plan.count[k], plan.surroundings[k]
         by_phase = {q.phase: q for q in proximity.phases}
         pairs = [(rate, by_phase[phase]) for rate, phase in met if phase in by_phase]
         n += count
         near_count += count * min(sum(q.share for _, q in pairs), 1.0)
-        cost += sum(
-            rate.particle * count * q.share + rate.block * q.blocks + rate.nodes * q.nodes
-            for rate, q in pairs
-        )
-    return (near_count / n, cost / n) if n else (0.0, 0.0)
+        for rate, q in pairs:
+            cost += count * q.share * rate.particle + q.blocks * rate.block + q.nodes * rate.nodes
+    return (near_count / n, cost * (1.0 / n)) if n else (0.0, cost)
 
 
-def _colliders(scene: Scene, plan: Plan, g: int, fluid: float) -> list[Feature]:
+def _colliders(scene: Scene, plan: Plan, g: int, fluid: float, costs: StepCosts) -> list[Feature]:
     """Return the cost of the proximity of colliders, as the particles stand."""
-    share = _mean([(plan.count[k], plan.surroundings[k].collider) for k in _rows(plan, g)])
+    rows = _rows(plan, g)
+    share = _mean([(plan.count[k], plan.surroundings[k].collider) for k in rows])
     if not share:
         return []
-    costs = {}
+    cost_by_name = {}
     if any(entity.collider and entity.free_body is None for entity in scene.object):
-        costs[_with_percentage("colliders", share)] = COLLIDER_COST
+        cost_by_name[_with_percentage("colliders", share)] = costs.collider
     if any(entity.collider and entity.motion for entity in scene.object):
-        costs["colliders that move"] = MOVING_COLLIDER_COST
+        cost_by_name["colliders that move"] = costs.moving_collider
     if plan.free_bodies:
-        costs[_with_percentage("free rigid bodies", share)] = RIGID_BODY_COST
+        cost_by_name[_with_percentage("free rigid bodies", share)] = costs.rigid_body
     if plan.feels:
-        costs["probes of what colliders give"] = REACTION_PROBE_COST
-    return [Feature(name, fluid * cost * share, 0, 2) for name, cost in costs.items()]
+        cost_by_name["probes of what colliders give"] = costs.probe
+    blocks = sum(plan.surroundings[k].blocks for k in rows) / sum(plan.count[k] for k in rows)
+    return [
+        Feature(name, fluid * share * (cost.particle + blocks * cost.block), 0, 2)
+        for name, cost in cost_by_name.items()
+    ]
 
 
-def _blocks(plan: Plan, g: int, fluid: float) -> list[Feature]:
+def _blocks(plan: Plan, g: int, fluid: float, costs: StepCosts) -> list[Feature]:
     """Return the extra cost of blocks with fewer particles than a throughput is measured with."""
     rows = _rows(plan, g)
     blocks = sum(plan.surroundings[k].blocks for k in rows)
     n = sum(plan.count[k] for k in rows)
-    more = BLOCK_COST * (blocks / max(n, 1) - 1.0 / PARTICLES_PER_BLOCK)
-    if more < 0.02:  # negligible
+    excess = blocks / max(n, 1) - 1.0 / PARTICLES_PER_BLOCK
+    if excess * costs.block.total < MIN_BLOCK_COST:
         return []
-    return [Feature(f"blocks of {n / blocks:.0f} particles", fluid * more, 0, 2)]
+    return [Feature(f"blocks of {n / blocks:.0f} particles", fluid * excess * costs.block, 0, 2)]
 
 
 def feature_table(scene: Scene, plan: Plan, pace: Throughput) -> list[str]:
     """Return the lines of --plan on the features of all groups, at the start."""
+    stages = "".join(f"{stage:>6s}" for stage in STAGES)
     lines = [
-        f"  price       {'of a particle and a step, at the start':46s} {'ns':>8s} {'bytes':>7s}"
+        f"  price       {'of a particle and a step, at the start':46s}{'ns':>6s}{stages} bytes"
     ]
     for g, group in enumerate(plan.groups):
-        if not any(group_number == g for _, group_number in group_counts(plan)):
-            continue
-        for feature in group_features(scene, plan, g, pace):
-            ns = f"{feature.ns:.1f}" if feature.ns else ""
-            name = escape_control_characters(f"{group.name}: {feature.name}")
-            lines.append(f"              {name:46s} {ns:>8s} {feature.bytes or '':>7}".rstrip())
-    return lines
+        if any(group_number == g for _, group_number in group_counts(plan)):
+            for feature in group_features(scene, plan, g, pace):
+                name = f"{group.name}: {feature.name}"
+                lines.append(_table_row(name, feature.time, str(feature.bytes or "")))
+    mean = step_time(scene, plan, pace) * (1.0 / max(1, plan.particles))
+    return [*lines, _table_row("mean of all particles", mean, "")]
 
 
-def step_ns(scene: Scene, plan: Plan, pace: Throughput, coarsening: float = 1.0) -> float:
-    """Return the time of a step of all particles on one core [ns].
+def _table_row(name: str, time: StageCost, size: str) -> str:
+    """Format a row of the table: name, time in all and by stage [ns], and bytes."""
+    numbers = [f"{ns:6.1f}" if ns >= 0.05 else 6 * " " for ns in (time.total, *astuple(time))]
+    return (
+        f"              {escape_control_characters(name):46s}{''.join(numbers)} {size:>5s}".rstrip()
+    )
+
+
+def step_time(
+    scene: Scene, plan: Plan, pace: Throughput, costs: StepCosts = COSTS, coarsening: float = 1.0
+) -> StageCost:
+    """Return the time of a step of all particles on one core by stage [ns].
 
     Args:
         scene: The scene.
         plan: Its plan.
         pace: Throughput of the processor.
+        costs: Costs of the parts of a step.
         coarsening: Cells along an edge over those of the scene.
     """
-    total = 0.0
+    result = StageCost()
     for g in range(len(plan.groups)):
         n = sum(count for count, group_number in group_counts(plan) if group_number == g)
         if n:
-            features = group_features(scene, plan, g, pace)
-            total += n * sum(feature.ns * coarsening**feature.dimension for feature in features)
-    return total
+            for feature in group_features(scene, plan, g, pace, costs):
+                result += n * coarsening**feature.dimension * feature.time
+    return result
+
+
+def step_ns(scene: Scene, plan: Plan, pace: Throughput, coarsening: float = 1.0) -> float:
+    """Return the time of a step of all particles on one core [ns]; see `step_time`."""
+    return step_time(scene, plan, pace, COSTS, coarsening).total
 
 
 def _rows(plan: Plan, g: int) -> list[int]:

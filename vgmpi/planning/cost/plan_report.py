@@ -5,11 +5,11 @@ import math
 import numpy as np
 
 from vgmpi.materials.couplings.interaction import CONTACT, RULES
-from vgmpi.planning.correction_intervals import CORRECTION_COST
 from vgmpi.planning.implicit_pressure_rules import suits_implicit_pressure
 from vgmpi.planning.inlet_schedule import InletPlan
 from vgmpi.planning.plan import Plan, time_step_bounds
 from vgmpi.planning.region_groups import group_counts
+from vgmpi.planning.step_costs import COSTS
 from vgmpi.planning.surface_friction import liquids_expected_to_stick
 from vgmpi.runtime.config.toml_source import escape_control_characters
 from vgmpi.runtime.duration_text import format_duration
@@ -31,9 +31,9 @@ THIN_CELLS = (
     6  # [cells] thickness below which a line is printed; contact reaches one cell on either side
 )
 # [s] time to write a frame, and a particle in it (a run's `--profile`: write)
-FRAME_SECONDS, SECONDS_PER_WRITTEN_PARTICLE = 0.065, 1e-7
+FRAME_SECONDS, SECONDS_PER_WRITTEN_PARTICLE = 0.025, 1e-7
 # [-] overhead of ranks, fitted on two ranks to scenes of `python -m tests.benchmarks predictions`
-HALO_OVERHEAD = 4.0
+HALO_OVERHEAD = 2.0
 MOTION_STEP_MARGIN = 1.05  # [-] of the steps without motions, above which a line names them
 FINE_COUNT = 27  # particles per cell with which solids bend accurately enough
 
@@ -181,11 +181,20 @@ def _restored(plan: Plan) -> list[str]:
     if not plan.restores:
         return []
     often = f"every {plan.restores} steps" if plan.restores > 1 else "with every step"
-    less = 1 / (1 + CORRECTION_COST / plan.restores)
+    less = _relative_cost_of_apic(plan)
     return [
         f"  transfer    what transfers take from motion is given back {often};"
         f' accuracy.transfer = "apic" takes {less:.2f} of the time, and waves and spin die sooner'
     ]
+
+
+def _relative_cost_of_apic(plan: Plan) -> float:
+    """Return the cost of the same steps with APIC transfers: shifts of particles need some, too."""
+    shifting = sum(n for n, g in group_counts(plan) if plan.groups[g].shifts)
+    share = shifting / max(1, plan.particles) / plan.shift_interval if shifting else 0.0
+    shift, correction = COSTS.shift.total, COSTS.correction.total
+    with_correction = 1.0 + correction / plan.restores + share * shift
+    return (1.0 + share * (shift + correction)) / with_correction
 
 
 def _without_cells(scene: Scene, plan: Plan) -> list[str]:

@@ -7,6 +7,7 @@ import json
 import logging
 import math
 import time
+import zlib
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -40,6 +41,7 @@ gravity = [0, 0, 0]
 end = 1
 [accuracy]
 transfer = "apic"
+volume_correction = "none"
 precision = "{precision}"
 [material.stuff]
 {law}
@@ -145,12 +147,13 @@ def _path() -> Path:
 
 
 def _key(precision: str) -> str:
-    """Return the key of the cache for this processor, version and precision."""
+    """Return the key of the cache for this processor, version, precision and measurement."""
     try:
         package_version = version("vgmpi")
     except PackageNotFoundError:
         package_version = "not installed"
-    return f"{model()}, vgmpi {package_version}, {precision}"
+    cube = zlib.crc32(SCENE.encode())
+    return f"{model()}, vgmpi {package_version}, {precision}, cube {cube:08x}"
 
 
 def _read_cache() -> dict:

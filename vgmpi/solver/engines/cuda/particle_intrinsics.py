@@ -12,7 +12,6 @@ from vgmpi.kernels import (
     particle_records,
     patch,
     stencil_sums,
-    wall_boundary,
 )
 from vgmpi.kernels.nodal_fields import surface_distance
 from vgmpi.kernels.rigid import prescribed_transfer
@@ -204,27 +203,6 @@ def gather(patch, grid, blocks, box):
     thread_block.meet()
 
 
-def node_of(patch, a, plane, i, j):
-    """Return node (i, j) of a plane of a flat patch.
-
-    Args:
-        patch: Flat patch.
-        a: Axis across the plane.
-        plane: Index of the plane.
-        i, j: Indices along the other axes.
-    """
-    if a == 0:
-        return patch[256 * plane + 32 * i + 4 * j : 256 * plane + 32 * i + 4 * j + 4]
-    if a == 1:
-        return patch[256 * i + 32 * plane + 4 * j : 256 * i + 32 * plane + 4 * j + 4]
-    return patch[256 * i + 32 * j + 4 * plane : 256 * i + 32 * j + 4 * plane + 4]
-
-
-def nodes_of(patch):
-    """Return a patch by nodes; on the GPU it stays flat (`node_of`)."""
-    return patch
-
-
 def flat(array):
     """Return the array; on the GPU arrays are flat."""
     return array
@@ -290,7 +268,7 @@ TEAMWORK = {
     lanes_team.atomic_add_int: thread_block.count_up,
     lanes_team.flat_pointer: flat,
 }  # fmt: skip
-VIEWS = frozenset({patch_of, velocity_patch_of, node_of, nodes_of, flat})
+VIEWS = frozenset({patch_of, velocity_patch_of, flat})
 PARTICLE = TranslationMode(
     "particle",
     PLAIN | TEAMWORK | {
@@ -310,7 +288,6 @@ PARTICLE = TranslationMode(
         stencil_sums.gather_value: _gathers("gather_value", 1), patch.load_patch: gather,
         cell_stencil_sums.gather_cell_slopes: _gathers("gather_cell_slopes", 3),
         particle_records.patch_of: patch_of, particle_records.velocity_patch_of: velocity_patch_of,
-        wall_boundary._plane_node: node_of, patch.nodes_of: nodes_of,
         g2p.keep_lowest_id: note, g2p.record_step_bounds: record_maxima,
         prescribed_transfer.record_prescribed_bounds: record_prescribed,
     },

@@ -1,0 +1,96 @@
+"""Cost of each part of a step by stage, from which `--plan` tells a step's time.
+
+`python -m tests.benchmarks step-model` fits the costs to steps of scenes as they run.
+"""
+
+from dataclasses import astuple, dataclass, fields
+from typing import NamedTuple
+
+
+@dataclass(frozen=True)
+class StageCost:
+    """Cost or time by stage of a step; the names of the stages are those of `--profile`."""
+
+    p2g: float = 0.0
+    grid: float = 0.0
+    g2p: float = 0.0
+    sort: float = 0.0
+
+    def __add__(self, other: "StageCost") -> "StageCost":
+        """Return the sum by stage."""
+        return StageCost(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
+
+    def __mul__(self, factor: float) -> "StageCost":
+        """Return the product of each stage with a factor."""
+        return StageCost(*(factor * a for a in astuple(self)))
+
+    __rmul__ = __mul__
+
+    @property
+    def total(self) -> float:
+        """Return the sum over the stages."""
+        return sum(astuple(self))
+
+
+STAGES = tuple(field.name for field in fields(StageCost))
+
+
+class ProximityCost(NamedTuple):
+    """Cost of particles at most one block away from something that they may touch."""
+
+    particle: StageCost  # per particle
+    block: StageCost  # per block of particles
+    nodes: StageCost = StageCost()  # per node block that both phases reach
+
+
+class StepCosts(NamedTuple):
+    """Costs of the parts of a step. The unit is one step of a fluid particle."""
+
+    law: StageCost  # shares of the step of a particle with its law alone: the sum is 1
+    correction: StageCost  # one transfer correction
+    shift: StageCost  # one shift of particles, in addition to a transfer correction
+    rest_volume: StageCost  # one sum of rest volumes, where liquids differ in density
+    flip: StageCost  # FLIP and AFLIP
+    cell_dilatation: StageCost  # dilatation by cells
+    implicit_pressure: StageCost
+    density_correction: StageCost
+    color: StageCost  # one color coefficient that is transferred in every step
+    surface_contact: ProximityCost  # contact of solids with surface descriptors
+    contact: ProximityCost  # contact of other bodies
+    mixing: ProximityCost
+    drag: ProximityCost
+    collider: ProximityCost  # colliders at rest
+    moving_collider: ProximityCost  # in addition, if a collider moves
+    rigid_body: ProximityCost  # free rigid bodies
+    probe: ProximityCost  # in addition, if a probe measures reaction forces
+    block: StageCost  # a block without its particles, and the disorder of partly filled blocks
+
+
+COSTS = StepCosts(
+    law=StageCost(0.38, 0.06, 0.52, 0.04),
+    correction=StageCost(0.46, 0.02, 0.24),
+    shift=StageCost(0.0, 0.03, 0.26),
+    rest_volume=StageCost(0.5, 0.1),
+    flip=StageCost(0.39, 0.05, 0.24),
+    cell_dilatation=StageCost(0.05, 0.1, 0.2),
+    implicit_pressure=StageCost(0.1, 1.2, 0.2),
+    density_correction=StageCost(0.0, 0.0, 0.1),
+    color=StageCost(0.3, 0.05, 0.25),
+    surface_contact=ProximityCost(
+        StageCost(0.13, 0.01, 0.07), StageCost(23.0, 10.0, 20.0), StageCost(0.0, 6.0)
+    ),
+    contact=ProximityCost(
+        StageCost(0.2, 0.01, 0.08), StageCost(120.0, 45.0, 25.0), StageCost(0.0, 10.0)
+    ),
+    mixing=ProximityCost(
+        StageCost(0.7, 0.05, 0.57), StageCost(60.0, 50.0, 55.0), StageCost(0.0, 60.0)
+    ),
+    drag=ProximityCost(
+        StageCost(0.35, 0.02, 0.27), StageCost(35.0, 15.0, 27.0), StageCost(0.0, 45.0)
+    ),
+    collider=ProximityCost(StageCost(0.1, 0.1, 0.05), StageCost(50.0, 170.0, 20.0)),
+    moving_collider=ProximityCost(StageCost(0.05, 0.1, 0.05), StageCost(0.0, 100.0)),
+    rigid_body=ProximityCost(StageCost(0.1, 0.1, 0.1), StageCost(30.0, 30.0, 30.0)),
+    probe=ProximityCost(StageCost(0.0, 0.05), StageCost(0.0, 60.0)),
+    block=StageCost(75.0, 40.0, 75.0, 6.0),
+)
