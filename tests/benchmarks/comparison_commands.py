@@ -45,7 +45,20 @@ def _run_scenes(args: argparse.Namespace) -> int:
     return 0
 
 
+def _board_steps(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("cases", nargs="*", help="cases of the board, default: all")
+    parser.add_argument("--cfl", type=float, default=0.4, help="of the shorter step, default 0.4")
+
+
+def _run_board_steps(args: argparse.Namespace) -> int:
+    from tests.benchmarks import board_steps
+
+    board_steps.run(args.cases, args.cfl)
+    return 0
+
+
 COMPARISON_COMMANDS = {
     "against": ("beside another checkout", _against, _run_against),
+    "board-steps": ("runs of the board with a shorter step", _board_steps, _run_board_steps),
     "scenes": ("scenes of runs/ beside another checkout", _scenes, _run_scenes),
 }
