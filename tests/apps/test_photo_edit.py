@@ -2,6 +2,7 @@
 
 import http.client
 import json
+import sys
 import tomllib
 from urllib.parse import urlsplit
 
@@ -311,4 +312,4 @@ def test_a_wheel_has_the_page():
 
 
 def test_help_names_the_page():
-    assert "--edit" in run(["python", "-m", "vgmpi", "photo", "--help"]).stdout
+    assert "--edit" in run([sys.executable, "-m", "vgmpi", "photo", "--help"]).stdout
