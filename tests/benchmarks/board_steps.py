@@ -4,14 +4,12 @@ Runs whose options give the time step, and those with an implicit pressure or tw
 out.
 """
 
-import json
-import subprocess
 import sys
 from typing import Any
 
-from tests.support.launch import ROOT
 from vgmpi.apps.bench.benchmark_case import BenchError
 from vgmpi.apps.bench.board.board_cases import CASES
+from vgmpi.apps.bench.board.board_command import make_run
 from vgmpi.apps.bench.board.board_settings import IMPLICIT, RUNS, TWO_CORES
 
 
@@ -26,17 +24,16 @@ def runs_with_default_step(case: str) -> list[tuple[str, ...]]:
     ]
 
 
-def board_run(case: str, options: tuple[str, ...]) -> dict[str, Any]:
+def successful_run(case: str, options: tuple[str, ...]) -> dict[str, Any]:
     """Return what a run of this program gave.
 
     Raises:
         BenchError: If it failed.
     """
-    command = [sys.executable, "-m", "vgmpi.apps.bench.board.board_run", "vgmpi", case, *options]
-    job = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=1800)
-    if job.returncode:
-        raise BenchError(f"{case} {' '.join(options)}: {job.stderr.strip().splitlines()[-1]}")
-    return json.loads(job.stdout.splitlines()[-1])
+    result = make_run(sys.executable, case, ("vgmpi", *options))
+    if "failure" in result:
+        raise BenchError(f"{case} {' '.join(options)}: {result['failure']}")
+    return result
 
 
 def run(cases: list[str], courant: float) -> None:
@@ -50,8 +47,8 @@ def run(cases: list[str], courant: float) -> None:
     print("|---|---|---|---|---|---|---|")
     for case in cases or list(CASES):
         for options in runs_with_default_step(case):
-            now = board_run(case, options)
-            before = board_run(case, (*options, f"time.cfl={courant:g}"))
+            now = successful_run(case, options)
+            before = successful_run(case, (*options, f"time.cfl={courant:g}"))
             errors = [f"{r['error']:.4f}" if r.get("error") else "" for r in (now, before)]
             ratio = now["steps"] / before["steps"]
             print(

@@ -17,19 +17,16 @@ import pytest
 from tests.benchmarks import stability_limits
 from tests.benchmarks.stability_limits import COUPLED, Case, Column
 from tests.support.simulate import begin, by_id
+from tests.support.small_scenes import WEIGHTLESS
 from vgmpi.kernels.transfer import spray_divergence
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.solver.engines.numpy_reference import spray_divergence as reference_spray
 from vgmpi.solver.simulation import BlowUp, Simulation
 
 MARGIN, RESTORED = 1.8, 1.5
-LONE_DROP = """
-[domain]
-size = [0.2, 0.2, 0.2]
-cell = 0.02
-gravity = [0, 0, 0]
-[time]
-end = 1
+LONE_DROP = (
+    WEIGHTLESS
+    + """
 [accuracy]
 transfer = "apic"
 precision = "double"
@@ -42,6 +39,7 @@ name = "drop"
 material = "water"
 shape = { box = [[0.1, 0.1, 0.1], [0.11, 0.11, 0.11]] }
 """
+)
 ALL = stability_limits.cases(
     [], list(stability_limits.TRANSFERS), list(stability_limits.PRECISIONS)
 )

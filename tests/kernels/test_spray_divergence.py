@@ -3,21 +3,19 @@
 import numpy as np
 import pytest
 
+from tests.support.bsplines import quadratic_bspline
 from tests.support.engine_pair import beside, worst
 from tests.support.simulate import begin, by_id
+from tests.support.small_scenes import WEIGHTLESS
 from vgmpi.kernels.transfer.spray_divergence import (
     FULL_RESPONSE_FILL,
     LEAST_RESPONSE,
     LEAST_RESPONSE_FILL,
 )
 
-SPRAY = """
-[domain]
-size = [0.2, 0.2, 0.2]
-cell = 0.02
-gravity = [0, 0, 0]
-[time]
-end = 1
+SPRAY = (
+    WEIGHTLESS
+    + """
 [accuracy]
 precision = "double"
 transfer = "apic"
@@ -33,6 +31,7 @@ name = "drop"
 material = "water"
 shape = { box = [[0.15, 0.15, 0.15], [0.16, 0.16, 0.16]] }
 """
+)
 RATE, DT = 0.5, 1e-4  # [1/s] of the expansion, [s]
 
 
@@ -71,14 +70,8 @@ def test_the_fills_lie_below_those_of_surfaces():
     """Half a spacing below a flat surface 0.61 to 0.66 is filled."""
     nodes, depth = np.arange(-9, 3), 0.25 + 0.5 * np.arange(18)
     for phase in np.linspace(0.0, 1.0, 9):
-        mass = 0.5 * weights(phase - depth[:, None] - nodes).sum(0)
-        flat = (weights(phase - 0.25 - nodes) * mass).sum()
+        mass = 0.5 * quadratic_bspline(phase - depth[:, None] - nodes).sum(0)
+        flat = (quadratic_bspline(phase - 0.25 - nodes) * mass).sum()
         assert FULL_RESPONSE_FILL < 0.61 < flat < 0.66
         assert flat**2 > 0.9 * FULL_RESPONSE_FILL  # along an edge
         assert flat**3 > 2.0 * LEAST_RESPONSE_FILL  # at a corner
-
-
-def weights(distance):
-    """Quadratic B-spline."""
-    d = np.abs(distance)
-    return np.where(d < 0.5, 0.75 - d * d, np.where(d < 1.5, 0.5 * (1.5 - d) ** 2, 0.0))

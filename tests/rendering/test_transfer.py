@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from tests.support.bsplines import quadratic_bspline
 from vgmpi.gaussians.color_diffusion import MAX_RELAXATION, Transfer
 
 DX = 0.05
@@ -15,11 +16,6 @@ def cloud(n=80, m=3, seed=0):
     return x, rng.uniform(0.2, 2.0, n) * 1e-6, rng.uniform(-2, 2, (n, m))
 
 
-def spline(d):
-    d = abs(d)
-    return 0.75 - d * d if d < 0.5 else 0.5 * (1.5 - d) ** 2 if d < 1.5 else 0.0
-
-
 def weights(x, dx):
     """Dense (particles, nodes)."""
     nodes = {}
@@ -29,7 +25,7 @@ def weights(x, dx):
         row = {}
         for step in np.ndindex(4, 4, 4):
             node = tuple(low + step)
-            w = np.prod([spline(a - b) for a, b in zip(p, node)])
+            w = np.prod(quadratic_bspline(p - node))
             if w > 0:
                 row[nodes.setdefault(node, len(nodes))] = w
         rows.append(row)

@@ -6,6 +6,14 @@ from vgmpi.scene.loader import load
 from vgmpi.scene.scene import Scene
 
 # a room, and stuff for the objects that a test adds
+WEIGHTLESS = """
+[domain]
+size = [0.2, 0.2, 0.2]
+cell = 0.02
+gravity = [0, 0, 0]
+[time]
+end = 1
+"""
 ROOM = """
 [accuracy]
 precision = "double"

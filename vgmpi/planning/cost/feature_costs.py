@@ -205,7 +205,11 @@ def step_time(
 
 
 def step_ns(scene: Scene, plan: Plan, pace: Throughput, coarsening: float = 1.0) -> float:
-    """Return the time of a step of all particles on one core [ns]; see `step_time`."""
+    """Return the time of a step of all particles on one core [ns].
+
+    Args:
+        scene, plan, pace, coarsening: See `step_time`.
+    """
     return step_time(scene, plan, pace, COSTS, coarsening).total
 
 

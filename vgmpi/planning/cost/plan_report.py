@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from vgmpi.materials.couplings.interaction import CONTACT, RULES
+from vgmpi.planning.correction_intervals import shift_cost
 from vgmpi.planning.implicit_pressure_rules import suits_implicit_pressure
 from vgmpi.planning.inlet_schedule import InletPlan
 from vgmpi.planning.plan import Plan, time_step_bounds
@@ -191,10 +192,12 @@ def _restored(plan: Plan) -> list[str]:
 def _relative_cost_of_apic(plan: Plan) -> float:
     """Return the cost of the same steps with APIC transfers: shifts of particles need some, too."""
     shifting = sum(n for n, g in group_counts(plan) if plan.groups[g].shifts)
-    share = shifting / max(1, plan.particles) / plan.shift_interval if shifting else 0.0
-    shift, correction = COSTS.shift.total, COSTS.correction.total
-    with_correction = 1.0 + correction / plan.restores + share * shift
-    return (1.0 + share * (shift + correction)) / with_correction
+    corrected, apic = 1.0 + COSTS.correction.total / plan.restores, 1.0
+    if shifting:
+        share, interval = shifting / plan.particles, plan.shift_interval
+        corrected += share * shift_cost(True, interval, by_volume=False).total
+        apic += share * shift_cost(False, interval, by_volume=False).total
+    return apic / corrected
 
 
 def _without_cells(scene: Scene, plan: Plan) -> list[str]:
