@@ -19,7 +19,7 @@ from vgmpi.materials import registry
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.scene.loader import load
-from vgmpi.scene.scene import DEFAULT_CFL, SMALL_CFL
+from vgmpi.scene.scene import DEFAULT_CFL
 from vgmpi.scene.sections import Transfer
 from vgmpi.solver.diagnostics.conservation import conservation_rows
 from vgmpi.solver.initial_particles import known_of, plan_for
@@ -54,12 +54,8 @@ class Case:
     @property
     def cfl(self) -> float:
         """Return the CFL number of the scene: motion is restored as often as by default."""
-        return self.default if self.name in COUPLED or self.transfer == "apic-corrected" else 1.0
-
-    @property
-    def default(self) -> float:
-        """Return the CFL number of a scene that states none."""
-        return SMALL_CFL if self.name in COUPLED else DEFAULT_CFL
+        is_default = self.name in COUPLED or self.transfer == "apic-corrected"
+        return DEFAULT_CFL if is_default else 1.0
 
     @property
     def text(self) -> str:
@@ -193,7 +189,7 @@ def lines(names: list[str], transfers: list[str] | None, precisions: list[str]) 
 
 
 def _line(case: Case, limit: float) -> str:
-    default = 1.0 if case.name in COUPLED else case.default
+    default = 1.0 if case.name in COUPLED else DEFAULT_CFL
     more = ">= " if limit >= RUNGS[-1] else ""
     return (
         f"{case.name:20s} {case.transfer:9s} {case.precision:10s} {more + format(limit, '.2f'):15s}"

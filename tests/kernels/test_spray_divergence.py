@@ -32,13 +32,42 @@ material = "water"
 shape = { box = [[0.15, 0.15, 0.15], [0.16, 0.16, 0.16]] }
 """
 )
+MILK = """
+[material.milk]
+kind = "fluid"
+[[coupling]]
+kind = "mixing"
+between = ["water", "milk"]
+diffusivity = 0
+[[object]]
+name = "guest"
+material = "milk"
+shape = { box = [[0.02, 0.02, 0.02], [0.03, 0.03, 0.03]] }
+[[object]]
+name = "drop of milk"
+material = "milk"
+shape = { box = [[0.15, 0.05, 0.15], [0.16, 0.06, 0.16]] }
+"""
+SAND = """
+[material.grains]
+kind = "sand"
+[[coupling]]
+kind = "drag"
+between = ["water", "grains"]
+hydraulic_conductivity = 1e-2
+[[object]]
+name = "bed"
+material = "grains"
+shape = { box = [[0, 0, 0], [0.04, 0.06, 0.06]] }
+"""
 RATE, DT = 0.5, 1e-4  # [1/s] of the expansion, [s]
 
 
-def expanding(folder, kind="fluid", volume="none"):
+def expanding(folder, kind="fluid", volume="none", others=""):
     """The two engines on a body in a corner of walls and a lone drop, which expand alike."""
     keys = f'{kind}"\npreset = "jam' if kind == "paste" else kind
-    simulation, made = begin(folder, SPRAY.replace("KIND", keys).replace("VOLUME", volume))
+    text = SPRAY.replace("KIND", keys).replace("VOLUME", volume) + others
+    simulation, made = begin(folder, text)
     C = np.tile(RATE * np.eye(3).ravel(), (len(made.x), 1))
     v = RATE * made.x  # as the mirror images beyond the walls at 0
     return made, beside(simulation.plan, made.colliders, made.x, v, made.vol0, made.object, C=C)
@@ -64,6 +93,29 @@ def test_a_lone_drop_follows_the_least_part_and_a_body_all(tmp_path):
         assert J[drop] - 1.0 == pytest.approx(LEAST_RESPONSE * 3 * RATE * DT, rel=1e-3)
         assert J[interior] - 1.0 == pytest.approx(3 * RATE * DT, rel=1e-3)
         assert np.linalg.norm(x, axis=1).min() < 0.01  # also in the corner of three walls
+
+
+@pytest.mark.parametrize("others", [MILK, SAND], ids=["mixing", "drag"])
+@pytest.mark.parametrize("volume", ["none", "shifting"])
+def test_engines_agree_in_spray_where_phases_share_space(tmp_path, volume, others):
+    _, engines = expanding(tmp_path, volume=volume, others=others)
+    for _ in range(12):
+        for engine in engines:
+            engine.advance(DT)
+    assert max(worst(*engines).values()) < 1e-12
+
+
+def test_a_drop_in_another_liquid_follows_all(tmp_path):
+    made, engines = expanding(tmp_path, others=MILK)
+    for engine in engines:
+        engine.advance(DT)
+        x, J = by_id(engine, "x", "J")
+        whole = (made.object == 0) & (x < 0.045).all(1) | (made.object == 2)
+        assert whole.sum() > 50
+        assert J[whole] - 1.0 == pytest.approx(3 * RATE * DT, rel=1e-3)
+        lone = (made.object == 1) | (made.object == 3)
+        assert lone.sum() == 2
+        assert J[lone] - 1.0 == pytest.approx(LEAST_RESPONSE * 3 * RATE * DT, rel=1e-3)
 
 
 def test_the_fills_lie_below_those_of_surfaces():

@@ -11,7 +11,8 @@ from tests.support import launch
 from tests.support.fit_scenes import FIT, SHORT, command, fitted_alone, go, made
 from vgmpi.apps.fit.run_pool import RECORD
 
-FEW = FIT.replace("runs = 40\nscan = 4", "runs = 10\nscan = 2")
+FEW = FIT.replace("max_runs = 40\nscan_points = 4", "max_runs = 10\nscan_points = 2")
+assert FEW != FIT
 
 pytestmark = pytest.mark.mpi
 
@@ -34,7 +35,7 @@ def test_the_same_bits(alone, flags):
 def test_a_run_that_blows_up_is_told(alone, tmp_path):
     """A stiffness at which the ball is pressed through the floor: on ranks as in one process, and
     the fit goes on with the others."""
-    text = FIT.replace("runs = 40", "runs = 14").replace(
+    text = FIT.replace("max_runs = 40", "max_runs = 8").replace(
         '["4 kPa", "400 kPa"]', '["5 Pa", "400 kPa"]'
     )
     text = text.replace("reference/", f"{alone}/reference/")

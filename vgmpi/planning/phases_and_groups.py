@@ -309,7 +309,7 @@ def _with_shared_space(
     """Return the group with what it needs to share space with other phases."""
     if sharing is None or sharing.mixture_set[group.phase] < 0 or not sharing.fluid[group.phase]:
         return group
-    group = group._replace(apart=True, shares=True, softens_spray=False)
+    group = group._replace(apart=True, shares=True)
     for coupling in scene.coupling:
         if coupling.rule == DRAG and group.material in coupling.between:
             sand = scene.material[next(m for m in coupling.between if m != group.material)]

@@ -73,14 +73,12 @@ class Scene:
     def courant_number(self) -> float:
         """Return the CFL number of the steps: that of the file, or the default.
 
-        The smaller number is that of phases that share space, whose lone drops would be unstable
-        above 1 / sqrt(3), of steps that an implicit pressure frees of waves, and of fixed steps.
+        The smaller number is that of steps that an implicit pressure frees of waves, and of fixed
+        steps.
         """
         if self.time.cfl is not None:
             return self.time.cfl
-        names = {name for entity in self.things for name in self.materials_of(entity)}
-        shares_space = any(c.rule != CONTACT and names >= set(c.between) for c in self.coupling)
-        is_small = shares_space or self.accuracy.pressure == "implicit" or self.time.dt > 0.0
+        is_small = self.accuracy.pressure == "implicit" or self.time.dt > 0.0
         return SMALL_CFL if is_small else DEFAULT_CFL
 
     def material_of(self, obj: Object) -> Any:

@@ -129,7 +129,7 @@ class Time(StrictModel):
     """number of frames written at equal times, the first at 0 and the last at the end"""
     cfl: Annotated[float, Quantity("", gt=0, le=1)] | None = None
     """Courant number: fraction of the time a wave needs to cross a cell, used as the step; default:
-    0.4 with a mixing or drag coupling, an implicit pressure or a fixed dt, else 0.55"""
+    0.4 with an implicit pressure or a fixed dt, else 0.55"""
     dt: Annotated[float, Quantity("s", ge=0)] = 0.0
     """a fixed step instead of cfl; 0: choose by cfl"""
 

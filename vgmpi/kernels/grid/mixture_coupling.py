@@ -1,9 +1,8 @@
 """Phases that share space: mixing fluids, and sand with fluids in its pores; four nodes at a time.
 
 At each node their pressure acts on all of them in proportion to their volume fraction, fluids drift
-down their concentration gradient, and their relative motion is damped implicitly. After contact and
-walls the volume flux is stored, by which fluids change their density. The momenta that phases
-exchange sum to zero. Formulas and sources: docs/explanation/mixtures.md.
+down their concentration gradient, and their relative motion is damped implicitly. The momenta that
+phases exchange sum to zero. Formulas and sources: docs/explanation/mixtures.md.
 
 A row of four nodes is a vector xyzm xyzm xyzm xyzm. Scalars of a node stand in all of its lanes.
 """
@@ -71,7 +70,7 @@ def couple_block(block, fields, work, rules, dt, dx):
     for set_index in range(rules.sets):
         count = collect_members(set_index, n0, n1, fields.phase, rules, work)
         for c in range(0, 256 if count > 0 else 0, ROW):
-            phase_count = _load_masses(count, c, fields, work)
+            phase_count = load_masses(count, c, fields, work)
             if horizontal_max(phase_count) < 2.0:
                 _alone(count, c, grid, forces, work)
                 continue
@@ -138,7 +137,7 @@ def available_volume(count, c, block, cells, dx, work):
 
 
 @device_function
-def _load_masses(count, c, fields, work):
+def load_masses(count, c, fields, work):
     """Store the nodal masses of a row in M and return the number of phases per node.
 
     A node lighter than `tiny` holds rounding errors only and counts as empty.
@@ -342,55 +341,3 @@ def solve_drag_exchange(count, c, shared, grid, work):
         v = select((pivot > 0.0) & shared, total / pivot, row)
         store(work.R, ROW * k, v)  # R now holds the new velocity
         store(grid, 256 * work.block[k] + c, with_fourth(v, row))
-
-
-@device_function
-def store_volume_flux(block, fields, work, rules, dx):
-    """Store the volume flux [m/s] and the fluids' volume fraction at the nodes of a block.
-
-    Where sand may be present, the filled fraction of space replaces mass as the fourth number of
-    grid. The rest of grid becomes the velocity without the drift: the momenta of the drifts sum to
-    zero at a node, but would no longer do so after each fluid's particles had carried theirs
-    elsewhere.
-
-    Args:
-        block: Context of the block.
-        fields: Nodal arrays (in/out).
-        work: Scratch of the calling thread.
-        rules: Interaction rules as tables.
-        dx: Cell size [m].
-    """
-    drags = 1.0 if rules.has_drag else 0.0
-    grid, forces = fields.grid, fields.forces
-    for set_index in range(rules.sets):
-        count = collect_members(set_index, block.n0, block.n1, fields.phase, rules, work)
-        for c in range(0, 256 if count > 0 else 0, ROW):
-            phase_count = _load_masses(count, c, fields, work)
-            available_volume(count, c, block, fields.cells, dx, work)
-            fluid, grains, fluid_fraction = volumes(count, c, forces, work)
-            full = drags * (fluid + grains) / load(work.V, ROW * count)
-            total = (
-                _flux(count, c, grid, fluid, grains, fluid_fraction, work)
-                if horizontal_max(phase_count) > 1.0
-                else fluid
-            )
-            for q in range(count):
-                offset = 256 * work.block[q] + c
-                row = load(grid, offset)
-                through = select((fluid > 0.0) & (phase_count > 1.0), total, row)
-                store(fields.flux, offset, with_fourth(through, fluid_fraction))
-                if rules.drifts:
-                    row = row - load(fields.drift, offset)
-                store(grid, offset, with_fourth(row, full))
-
-
-@device_function
-def _flux(count, c, grid, fluid, grains, fluid_fraction, work):
-    """Return the mean velocity of the phases of a row, weighted by volume fraction."""
-    of_fluid, of_grains = fluid_fraction / fluid, (1.0 - fluid_fraction) / grains
-    total = broadcast(work.V, 0.0)
-    for q in range(count):
-        own = load(work.V, ROW * q)
-        fraction = own * (of_fluid if work.wet[q] else of_grains)
-        total = total + select(own > 0.0, fraction * load(grid, 256 * work.block[q] + c), 0.0)
-    return total

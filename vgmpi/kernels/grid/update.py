@@ -23,7 +23,8 @@ from vgmpi.materials.tensor_math.select import select
 from vgmpi.runtime.jit import borrowing_kernel, device_function
 
 from .contact import apply_contact, has_several_parties
-from .mixture_coupling import BlockContext, NodalFields, couple_block, store_volume_flux
+from .mixture_coupling import BlockContext, NodalFields, couple_block
+from .mixture_flux import store_filled_fraction, store_volume_flux
 from .mixture_workspace import to_pointers
 from .sided_phases import part_sides, unite_sides
 
@@ -122,6 +123,8 @@ def update(blocks, tables, summed, shear, stress, rules, walls, phases, solids, 
             if rules is not None:
                 if has_impulses:
                     store_volume_flux(block, fields, work, pairs, step.dx)
+                else:
+                    store_filled_fraction(block, fields, work, pairs, step.dx)
             if noted:
                 _store_velocity_change(block, fields)
 

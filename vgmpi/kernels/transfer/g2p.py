@@ -73,7 +73,7 @@ class GroupConstants(NamedTuple):
     relax: float  # [1/s] relaxation rate of a fluid where space is overfilled
     porosity: float  # channel of the fluid's volume fraction, or -1
     dx: float  # [m] cell size
-    space: float  # [1/kg] inverse mass of a full cell of a liquid that softens its spray, else 0
+    space: float  # filled fraction per fourth nodal number of a liquid that softens its spray, or 0
     completes: float  # 1: the masses of a liquid at the nodes of walls are completed
 
 

@@ -79,10 +79,18 @@ def numbers_of(plan: Plan, group: GroupPlan) -> g2p.GroupConstants:
         plan.splines, group.stiff, group.dense, group.slips,
         auxiliary_gather.OVERFILL_RELAXATION_RATE,
         group.channels.first("share"), plan.dx,
-        1.0 / (group.density * plan.dx**3) if group.softens_spray else 0.0,
+        _fill_per_number(plan, group) if group.softens_spray else 0.0,
         float(group.is_liquid and not group.shares),
     )  # fmt: skip
     return g2p.GroupConstants(*map(plan.real.type, values))
+
+
+def _fill_per_number(plan: Plan, group: GroupPlan) -> float:
+    """Return the filled fraction of space per fourth nodal number, which liquids gather.
+
+    The number is the fraction itself for phases that share space, else the mass [kg].
+    """
+    return 1.0 if group.shares else 1.0 / (group.density * plan.dx**3)
 
 
 def particles_of(group: ParticleGroup) -> Particles:

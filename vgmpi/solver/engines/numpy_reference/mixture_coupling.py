@@ -19,8 +19,9 @@ def _ratio(a, b):
 class MixtureCoupling:
     """Coupling of a scene's sets of phases, one set after the other."""
 
-    def __init__(self, rules: InteractionRules, dense: Dense):
+    def __init__(self, rules: InteractionRules, densities: np.ndarray, dense: Dense):
         self.rules, self.dense, self.dx = rules, dense, dense.dx
+        self.densities = densities[:, None, None, None]  # of each phase's lightest material
         self.sets = [np.flatnonzero(rules.mixture_set == k) for k in range(rules.sets)]
         self.fluid = np.asarray(rules.fluid, bool)[:, None, None, None]
 
@@ -179,7 +180,8 @@ class MixtureCoupling:
             is_coupled = ((mass[members] > 0).sum(0) > 1) & (fluid > 0)
             flux[members] = np.where(is_coupled[..., None], total, v[members])
             porosity[members] = set_porosity
-            full[members] = (fluid + grains) / self.dense.space
+            own = np.minimum(mass[members] / self.densities[members], self.dense.space)
+            full[members] = np.maximum(fluid + grains, own) / self.dense.space
         return flux, porosity, full
 
 

@@ -74,7 +74,10 @@ class Numpy(SurfaceNodes):
             self.thin = self.contact.thin = ThinWalls(plan, self.movers, self.dense)
         if isinstance(solids, StaticColliders):
             self.contact.set_rigid(*solids.surface(self.dense.points()))
-        self.sharing = None if plan.rules is None else MixtureCoupling(plan.rules, self.dense)
+        self.sharing = None
+        if plan.rules is not None:
+            densities = np.array([phase.least for phase in plan.phases]) / plan.dx**3
+            self.sharing = MixtureCoupling(plan.rules, densities, self.dense)
         self.sums: ReactionSums | None = None
         self.apart = any(group.apart for group in plan.groups)
         self.shifting = ParticleShifting(plan, self.dense)
@@ -371,6 +374,8 @@ class Numpy(SurfaceNodes):
     def _fill_fraction(self, group, stencil) -> np.ndarray:
         """Return the filled fraction of the space around the particles of a liquid."""
         p, dense = group.plan.phase, self.dense
+        if group.plan.shares:
+            return dense.gather(dense.symmetrize(self.full[p])[..., None], stencil)[:, 0]
         mass = dense.complete_wall_mass(self.mass[p])
         return dense.gather(mass, stencil)[:, 0] / (group.plan.density * dense.dx**3)
 
