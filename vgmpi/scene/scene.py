@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from vgmpi.materials.couplings.interaction import CONTACT, MIXING
+from vgmpi.materials.couplings.interaction import MIXING
 from vgmpi.runtime.config.schema import SceneError
 from vgmpi.runtime.config.toml_source import TomlSource, escape_control_characters
 

@@ -278,7 +278,7 @@ class VortexMeasure:
     def record(self, now: BoardState) -> None:
         """Record twice the kinetic energy over the density."""
         speed_squared = (now.v.astype(np.float64) ** 2).sum(axis=1)
-        self.rows.append((now.t, float(self.volume @ speed_squared)))
+        self.rows.append((now.t, float((self.volume * speed_squared).sum())))
 
     def result(self) -> dict[str, float]:
         """Return the rate of the exponential through the records over the right one, its error."""

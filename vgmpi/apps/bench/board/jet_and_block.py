@@ -32,7 +32,8 @@ class JetMeasure:
 
     def record(self, now: BoardState) -> None:
         """Record the momentum over the density."""
-        self.rows.append((now.t, float(self.volume @ now.v[:, 2].astype(np.float64))))
+        momentum = (self.volume * now.v[:, 2].astype(np.float64)).sum()
+        self.rows.append((now.t, float(momentum)))
 
     def result(self) -> dict[str, float]:
         """Return the force over the right one, its error, and its deviation between records."""
