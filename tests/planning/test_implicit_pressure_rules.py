@@ -127,5 +127,5 @@ def test_a_plan_names_it_where_it_suits(tmp_path, capsys, text, is_named):
     path = tmp_path / "scene.toml"
     path.write_text(text.replace('pressure = "implicit"\n', ""))
     assert cli.main([str(path), "--plan"]) == 0
-    line = 'accuracy.pressure = "implicit" suits this scene: 4 to 15 times fewer steps'
+    line = 'accuracy.pressure = "implicit" suits this scene: 3 to 11 times fewer steps'
     assert (line in capsys.readouterr().out) == is_named
