@@ -44,7 +44,7 @@ class BlockDirectory(NamedTuple):
 def build_block_directory(
     rows: np.ndarray, lattice: BlockLattice, ranks: SerialCommunicator, costs: np.ndarray,
     cut: np.ndarray | None,
-    steps: int,
+    steps: int, pace: float = 1.0,
 ) -> tuple[BlockDirectory, np.ndarray]:  # fmt: skip
     """Merge the rows of all ranks, and cut the curve anew if that pays. Collective.
 
@@ -56,6 +56,7 @@ def build_block_directory(
         costs: Work per particle by group, shape (groups,).
         cut: Present cuts; None at the start.
         steps: Steps since the last sort.
+        pace: Measured over predicted work of this rank (rank_pace.py).
 
     Returns:
         The Census and the cuts from now on.
@@ -64,12 +65,13 @@ def build_block_directory(
     if cut is None:
         cut = _initial_cuts(rows, ranks, costs)
     rows = _route_to_owner(rows, cut, ranks)
-    summaries = ranks.each(_rank_summary(rows, cut, ranks.rank, costs))
+    summaries = ranks.each(_rank_summary(rows, cut, ranks.rank, costs, pace))
     if first or load_balance.should_rebalance(summaries[:, 0], steps):
-        old, cut = cut, _recut(rows, summaries[:, 0], ranks, costs, cut, steps, first)
+        mine = _by_block(rows, costs, pace)
+        old, cut = cut, _recut(mine, summaries[:, 0], ranks, cut, steps, first)
         if cut is not old:
             rows = _route_to_owner(rows, cut, ranks)
-            summaries = ranks.each(_rank_summary(rows, cut, ranks.rank, costs))
+            summaries = ranks.each(_rank_summary(rows, cut, ranks.rank, costs, pace))
     key, code, group, particles = _with_rings(rows, lattice, ranks, cut, summaries[:, 1:]).T
     return BlockDirectory(
         key, code, group, particles, load_balance.owners(key, cut), summaries[:, 0]
@@ -108,14 +110,17 @@ def _route_to_owner(rows: np.ndarray, cut: np.ndarray, ranks: SerialCommunicator
     return merged
 
 
-def _by_block(rows: np.ndarray, costs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _by_block(
+    rows: np.ndarray, costs: np.ndarray, pace: float = 1.0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return keys, work and particles of the blocks of rows that ascend by key."""
-    return load_balance.by_block(
-        rows[:, 0], load_balance.predicted_work(rows[:, 3], costs[rows[:, 2]]), rows[:, 3]
-    )
+    work = load_balance.predicted_work(rows[:, 3], costs[rows[:, 2]], pace)
+    return load_balance.by_block(rows[:, 0], work, rows[:, 3])
 
 
-def _rank_summary(rows: np.ndarray, cut: np.ndarray, rank: int, costs: np.ndarray) -> np.ndarray:
+def _rank_summary(
+    rows: np.ndarray, cut: np.ndarray, rank: int, costs: np.ndarray, pace: float
+) -> np.ndarray:
     """Return the summary of this rank that all ranks receive, shape (3,).
 
     It holds the work, and the first key and the end of the longest stretch of its piece of the
@@ -126,14 +131,19 @@ def _rank_summary(rows: np.ndarray, cut: np.ndarray, rank: int, costs: np.ndarra
     keys = rows[(rows[:, 0] >= low) & (rows[:, 0] < high), 0]
     begin, end = np.append(low, keys + 1), np.append(keys, high)
     longest = np.argmax(end - begin)
-    work = int(load_balance.predicted_work(rows[:, 3], costs[rows[:, 2]]).sum())
+    work = int(load_balance.predicted_work(rows[:, 3], costs[rows[:, 2]], pace).sum())
     return np.array([work, begin[longest], end[longest]], np.int64)
 
 
-def _recut(rows, load, ranks, costs, cut, steps, first) -> np.ndarray:
-    """Return the present cuts or new ones; the result is equal on all ranks."""
+def _recut(
+    blocks: tuple[np.ndarray, np.ndarray, np.ndarray], load, ranks, cut, steps, first
+) -> np.ndarray:
+    """Return the present cuts or new ones; the result is equal on all ranks.
+
+    `blocks` holds key, work and particles of the rank's blocks, see `_by_block`.
+    """
     before = int(load[: ranks.rank].sum())
-    mine = load_balance.candidate_cuts(*_by_block(rows, costs), before, int(load.sum()), ranks.size)
+    mine = load_balance.candidate_cuts(*blocks, before, int(load.sum()), ranks.size)
     key, work, count = ranks.all_rows(mine).T
     return load_balance.rebalance(key, work, count, ranks.size, None if first else cut, steps)
 

@@ -37,14 +37,15 @@ def loads(keys: np.ndarray, work: np.ndarray, cut: np.ndarray) -> np.ndarray:
     return np.bincount(owners(keys, cut), work, minlength=len(cut) + 1)
 
 
-def predicted_work(count: np.ndarray, cost: np.ndarray) -> np.ndarray:
+def predicted_work(count: np.ndarray, cost: np.ndarray, pace: float = 1.0) -> np.ndarray:
     """Return the work of segments in integer units of 1 / SHARES of a step.
 
     Args:
         count: Particles of each segment, shape (n,).
         cost: Work per particle of each segment [steps], shape (n,).
+        pace: Measured over predicted work of their rank (rank_pace.py).
     """
-    return np.rint(SHARES * (BLOCK_COST + count * cost)).astype(np.int64)
+    return np.rint(SHARES * pace * (BLOCK_COST + count * cost)).astype(np.int64)
 
 
 def by_block(

@@ -30,8 +30,9 @@ class MigrationTargets(NamedTuple):
 
 
 def sort_particles(
-    groups: list[ParticleGroup], ranks: SerialCommunicator, cut: np.ndarray | None, steps: int
-) -> tuple[BlockDirectory, np.ndarray, int]:
+    groups: list[ParticleGroup], ranks: SerialCommunicator, cut: np.ndarray | None, steps: int,
+    pace: float = 1.0,
+) -> tuple[BlockDirectory, np.ndarray, int]:  # fmt: skip
     """Sort all particles and send each to the owner of its block. Collective.
 
     Args:
@@ -39,6 +40,7 @@ def sort_particles(
         ranks: Communicator.
         cut: Present cuts; None at the start.
         steps: Steps since the last sort.
+        pace: Measured over predicted work of this rank (rank_pace.py).
 
     Returns:
         The Census, the cuts from now on, and the number of particles that left this rank.
@@ -47,7 +49,7 @@ def sort_particles(
     rows = [aim.rows(g) for g, (_, aim) in enumerate(aims)]
     costs = np.array([group.plan.cost for group in groups])
     table, cut = build_block_directory(
-        np.concatenate(rows), groups[0].lattice, ranks, costs, cut, steps
+        np.concatenate(rows), groups[0].lattice, ranks, costs, cut, steps, pace
     )
     own, left = table.owner == ranks.rank, 0
     for g, (group, aim) in enumerate(zip(groups, aims, strict=True)):

@@ -16,6 +16,7 @@ from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.halo_exchange import HaloExchange
 from vgmpi.parallel.load_balance import SHARES
 from vgmpi.parallel.particle_group import ParticleGroup
+from vgmpi.parallel.rank_pace import RankPace
 from vgmpi.planning.plan import Plan
 from vgmpi.solver.boundary.flow_accounting import Tally
 from vgmpi.solver.boundary.free_body_coupling import free_body_coupling
@@ -60,7 +61,7 @@ class Simulation:
         loads: Sequence = (), engine: str = "cpu",
     ):  # fmt: skip
         """Set up the engine and the features of the plan, without particles."""
-        self.plan, self.ranks = plan, ranks
+        self.plan, self.ranks, self.pace = plan, ranks, RankPace(ranks)
         self.lattice = BlockLattice(plan.cells, plan.dx)
         # true if a collider has its own friction, is free, or its reaction is requested
         per_collider = len(plan.friction) > len(plan.phases) + 1 or plan.numbers_colliders
@@ -97,9 +98,7 @@ class Simulation:
         self.cut: np.ndarray | None = None
         self.halo: HaloExchange | None = None
         self.correction_halo: HaloExchange | None = None  # exchange of zero-length steps
-        self.time = 0.0
-        self.step = 0
-        self.rate = 0.0
+        self.time, self.step, self.rate = 0.0, 0, 0.0
         self.particle_maxima = UNKNOWN_MAXIMA
         # the next shift must leave particles in their patches
         margin = 1.2 * MAX_SHIFT_CELLS if plan.shift_interval else 0.0
@@ -170,7 +169,7 @@ class Simulation:
         """Sort all particles, rebalance the ranks if that pays, and set the directory."""
         steps = self.step - self.sorted_at
         census, self.cut, departed = migration.sort_particles(
-            self.groups, self.ranks, self.cut, steps
+            self.groups, self.ranks, self.cut, steps, self.pace.measure(self.groups, steps)
         )
         self.moved += departed
         for mover in (self.movers, self.pins):

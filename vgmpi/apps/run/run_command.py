@@ -84,6 +84,8 @@ def run_scene(
     try:
         with runs.prepared_run(scene, ranks, options, approval) as run:
             clock = run.simulation.clock = report.Clock()
+            if args.engine == "cpu":  # the work of a card takes no time of the processor
+                run.simulation.pace.busy = lambda: clock.work
             progress = report.Progress(run, args.quiet, approval.estimator)
             observer = RunObserver()
             options.listeners += [progress, observer.step]

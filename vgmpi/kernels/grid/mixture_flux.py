@@ -18,19 +18,32 @@ from .mixture_workspace import collect_members
 
 
 @device_function
-def store_volume_flux(block, fields, work, rules, dx):
-    """Store the volume flux [m/s] and the fluids' volume fraction at the nodes of a block.
+def store_mixture_values(block, has_impulses, fields, work, rules, dx):
+    """Store what particles of phases that share space gather besides velocity.
 
-    The filled fraction of space replaces mass as the fourth number of grid. The rest of grid
-    becomes the velocity without the drift: the momenta of the drifts sum to zero at a node, but
-    would no longer do so after each fluid's particles had carried theirs elsewhere.
+    The filled fraction of space replaces mass as the fourth number of grid.
 
     Args:
         block: Context of the block.
+        has_impulses: Whether stress impulses, and with them volumes, are counted in the block.
         fields: Nodal arrays (in/out).
         work: Scratch of the calling thread.
         rules: Interaction rules as tables.
         dx: Cell size [m].
+    """
+    if has_impulses:
+        _store_volume_flux(block, fields, work, rules, dx)
+    else:
+        _store_filled_fraction(block, fields, work, rules, dx)
+
+
+@device_function
+def _store_volume_flux(block, fields, work, rules, dx):
+    """Store the volume flux [m/s] and the fluids' volume fraction at the nodes of a block.
+
+    Grid becomes the velocity without the drift: the momenta of the drifts sum to zero at a node,
+    but would no longer do so after each fluid's particles had carried theirs elsewhere. Arguments
+    as of `store_mixture_values`.
     """
     grid, forces = fields.grid, fields.forces
     for set_index in range(rules.sets):
@@ -57,10 +70,10 @@ def store_volume_flux(block, fields, work, rules, dx):
 
 
 @device_function
-def store_filled_fraction(block, fields, work, rules, dx):
+def _store_filled_fraction(block, fields, work, rules, dx):
     """Store the filled fraction of space where all stress impulses are part of the momentum.
 
-    Arguments as of `store_volume_flux`.
+    Arguments as of `store_mixture_values`.
     """
     none = broadcast(work.V, 0.0)
     for set_index in range(rules.sets):

@@ -24,7 +24,7 @@ from vgmpi.runtime.jit import borrowing_kernel, device_function
 
 from .contact import apply_contact, has_several_parties
 from .mixture_coupling import BlockContext, NodalFields, couple_block
-from .mixture_flux import store_filled_fraction, store_volume_flux
+from .mixture_flux import store_mixture_values
 from .mixture_workspace import to_pointers
 from .sided_phases import part_sides, unite_sides
 
@@ -121,10 +121,7 @@ def update(blocks, tables, summed, shear, stress, rules, walls, phases, solids, 
         _stop_at_walls(block, nodes, walls, phase_of, phases, solids, scratch.given)
         if stress is not None:
             if rules is not None:
-                if has_impulses:
-                    store_volume_flux(block, fields, work, pairs, step.dx)
-                else:
-                    store_filled_fraction(block, fields, work, pairs, step.dx)
+                store_mixture_values(block, has_impulses, fields, work, pairs, step.dx)
             if noted:
                 _store_velocity_change(block, fields)
 

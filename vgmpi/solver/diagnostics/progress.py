@@ -26,15 +26,17 @@ MAX_PRINTED_RANKS = 32  # largest number of ranks in the printed profile
 MAX_WAIT_SHARE = 0.5  # [-] of the time, above which a line tells how long ranks waited
 LOG_EVERY = 10.0  # [s] between log lines where there is no terminal
 STAGES = ("p2g", "halo", "grid", "g2p", "wait", "sort", "write")
+WORK_STAGES = ("p2g", "grid", "g2p")  # stages of which a rank does no more than its part
 
 
 class Clock:
-    """Wall time by stage: call it with the name of the stage that has just ended."""
+    """Time by stage: call it with the name of the stage that has just ended."""
 
     def __init__(self):
         """Start the clock."""
         self.spent = dict.fromkeys(STAGES, 0.0)
         self.began = self.last = time.perf_counter()
+        self.work, self.last_cpu = 0.0, time.process_time()  # [s] processor time of WORK_STAGES
         # [s] wall and processor time from the program's start to the end of the first step
         self.startup = self.startup_cpu = 0.0
 
@@ -43,8 +45,12 @@ class Clock:
         now = time.perf_counter()
         self.spent[stage] += now - self.last
         self.last = now
+        cpu = time.process_time()
+        if stage in WORK_STAGES:
+            self.work += cpu - self.last_cpu
+        self.last_cpu = cpu
         if stage == "g2p" and not self.startup:
-            self.startup, self.startup_cpu = _process_age(), time.process_time()
+            self.startup, self.startup_cpu = _process_age(), cpu
 
 
 def _process_age() -> float:
