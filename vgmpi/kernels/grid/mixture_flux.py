@@ -71,20 +71,23 @@ def _store_volume_flux(block, fields, work, rules, dx):
 
 @device_function
 def _store_filled_fraction(block, fields, work, rules, dx):
-    """Store the filled fraction of space where all stress impulses are part of the momentum.
+    """Store the filled fraction of fluids where all stress impulses are part of the momentum.
 
     Arguments as of `store_mixture_values`.
     """
-    none = broadcast(work.V, 0.0)
-    for set_index in range(rules.sets):
-        count = collect_members(set_index, block.n0, block.n1, fields.phase, rules, work)
-        for c in range(0, 256 if count > 0 else 0, ROW):
-            available_volume(count, c, block, fields.cells, dx, work)
-            for q in range(count):
-                offset = 256 * work.block[q] + c
-                row = load(fields.grid, offset)
-                full = _filled_fraction(count, q, row, none, fields, work, dx)
-                store(fields.grid, offset, with_fourth(row, full))
+    full = broadcast(work.V, 1.0)
+    for nb in range(block.n0, block.n1):
+        p = fields.phase[nb]
+        if rules.mixture_set[p] < 0 or rules.fluid[p] == 0:
+            continue
+        per_mass = broadcast(work.V, 1.0 / fields.least[p])
+        for c in range(0, 256, ROW):
+            row = load(fields.grid, 256 * nb + c)
+            own = per_mass * fourth_of(row)
+            if block.at_wall:
+                available_volume(0, c, block, fields.cells, dx, work)
+                own = own * (broadcast(work.V, dx * dx * dx) / load(work.V, 0))
+            store(fields.grid, 256 * nb + c, with_fourth(row, np.minimum(own, full)))
 
 
 @device_function
