@@ -17,7 +17,7 @@ import pytest
 from tests.benchmarks import stability_limits
 from tests.benchmarks.stability_limits import COUPLED, Case, Column
 from tests.support.simulate import begin, by_id
-from tests.support.small_scenes import WEIGHTLESS
+from tests.support.small_scenes import MIXES_WITH_MILK, SEEPS_THROUGH_GRAINS, WEIGHTLESS
 from vgmpi.kernels.transfer import spray_divergence
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.scene.scene import DEFAULT_CFL
@@ -41,31 +41,16 @@ material = "water"
 shape = { box = [[0.1, 0.1, 0.1], [0.11, 0.11, 0.11]] }
 """
 )
-MIXING = """
-[material.milk]
-kind = "fluid"
-tait_coefficient = 1e5
-[[coupling]]
-kind = "mixing"
-between = ["water", "milk"]
-diffusivity = 0
+OTHER = """
 [[object]]
 name = "other"
-material = "milk"
-shape = { box = [[0.15, 0.15, 0.15], [0.16, 0.16, 0.16]] }
+material = "{}"
+shape = {{ box = [[0.15, 0.15, 0.15], [0.16, 0.16, 0.16]] }}
 """
-DRAG = """
-[material.grains]
-kind = "sand"
-[[coupling]]
-kind = "drag"
-between = ["water", "grains"]
-hydraulic_conductivity = 1e-2
-[[object]]
-name = "other"
-material = "grains"
-shape = { box = [[0.15, 0.15, 0.15], [0.16, 0.16, 0.16]] }
-"""
+MIXING = MIXES_WITH_MILK.replace('"fluid"', '"fluid"\ntait_coefficient = 1e5') + OTHER.format(
+    "milk"
+)
+DRAG = SEEPS_THROUGH_GRAINS + OTHER.format("grains")
 ALL = stability_limits.cases(
     [], list(stability_limits.TRANSFERS), list(stability_limits.PRECISIONS)
 )

@@ -6,7 +6,7 @@ import pytest
 from tests.support.bsplines import quadratic_bspline
 from tests.support.engine_pair import beside, worst
 from tests.support.simulate import begin, by_id
-from tests.support.small_scenes import WEIGHTLESS
+from tests.support.small_scenes import MIXES_WITH_MILK, SEEPS_THROUGH_GRAINS, WEIGHTLESS
 from vgmpi.kernels.transfer.spray_divergence import (
     FULL_RESPONSE_FILL,
     LEAST_RESPONSE,
@@ -32,13 +32,9 @@ material = "water"
 shape = { box = [[0.15, 0.15, 0.15], [0.16, 0.16, 0.16]] }
 """
 )
-MILK = """
-[material.milk]
-kind = "fluid"
-[[coupling]]
-kind = "mixing"
-between = ["water", "milk"]
-diffusivity = 0
+MILK = (
+    MIXES_WITH_MILK
+    + """
 [[object]]
 name = "guest"
 material = "milk"
@@ -48,18 +44,16 @@ name = "drop of milk"
 material = "milk"
 shape = { box = [[0.15, 0.05, 0.15], [0.16, 0.06, 0.16]] }
 """
-SAND = """
-[material.grains]
-kind = "sand"
-[[coupling]]
-kind = "drag"
-between = ["water", "grains"]
-hydraulic_conductivity = 1e-2
+)
+SAND = (
+    SEEPS_THROUGH_GRAINS
+    + """
 [[object]]
 name = "bed"
 material = "grains"
 shape = { box = [[0, 0, 0], [0.04, 0.06, 0.06]] }
 """
+)
 RATE, DT = 0.5, 1e-4  # [1/s] of the expansion, [s]
 
 

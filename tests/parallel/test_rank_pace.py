@@ -1,5 +1,7 @@
 """The measured pace of a rank: where its work takes longer than predicted, it holds less of it."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from tests.support.simulate import begin
 from tests.support.small_scenes import ROOM
 from vgmpi.parallel import load_balance
 from vgmpi.parallel.rank_pace import MAX_PACE, NEWEST_SHARE, RankPace
+from vgmpi.solver.diagnostics.progress import Clock
 from vgmpi.solver.simulation import Simulation
 
 SLAB = (
@@ -38,7 +41,7 @@ def paces(seconds, ranks=2, steps=10):
         out = []
         for row in seconds:
             pace.busy = lambda row=row: row[one.rank]
-            out.append(pace.measure([Segments()], steps))
+            out.append(pace.measure_work([Segments()], steps))
         return out
 
     return np.array(simulated_ranks.run(ranks, job)).T
@@ -61,6 +64,25 @@ def test_the_pace_has_limits():
     many = paces([(1.0, *[1e-6] * 6)], ranks=7)[0]
     assert many[0] == 1.0 + NEWEST_SHARE * (MAX_PACE - 1.0)
     assert (many[1:] == 1.0 + NEWEST_SHARE * (1.0 / MAX_PACE - 1.0)).all()
+
+
+def test_the_clock_counts_the_processor_time_of_work_alone():
+    def compute():
+        end = time.process_time() + 0.02
+        while time.process_time() < end:
+            pass
+
+    clock = Clock()
+    for stage in ("wait", "sort"):
+        compute()
+        clock(stage)
+    assert clock.work == 0.0
+    for stage in ("p2g", "grid", "g2p"):
+        compute()
+        clock(stage)
+    time.sleep(0.05)
+    clock("g2p")
+    assert 0.06 <= clock.work < 0.1
 
 
 @pytest.mark.parametrize("size", [2, 3])

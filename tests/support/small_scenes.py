@@ -14,6 +14,23 @@ gravity = [0, 0, 0]
 [time]
 end = 1
 """
+# a partner of a material "water", for an object that a test adds: a liquid, and grains
+MIXES_WITH_MILK = """
+[material.milk]
+kind = "fluid"
+[[coupling]]
+kind = "mixing"
+between = ["water", "milk"]
+diffusivity = 0
+"""
+SEEPS_THROUGH_GRAINS = """
+[material.grains]
+kind = "sand"
+[[coupling]]
+kind = "drag"
+between = ["water", "grains"]
+hydraulic_conductivity = 1e-2
+"""
 ROOM = """
 [accuracy]
 precision = "double"

@@ -34,7 +34,7 @@ class RankPace:
         self.value = 1.0
         self._seconds = 0.0  # `busy` at the last sort
 
-    def measure(self, groups: list[ParticleGroup], steps: int) -> float:
+    def measure_work(self, groups: list[ParticleGroup], steps: int) -> float:
         """Measure the work since the last sort, and return the pace. Collective.
 
         Args:

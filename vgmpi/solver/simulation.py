@@ -169,7 +169,7 @@ class Simulation:
         """Sort all particles, rebalance the ranks if that pays, and set the directory."""
         steps = self.step - self.sorted_at
         census, self.cut, departed = migration.sort_particles(
-            self.groups, self.ranks, self.cut, steps, self.pace.measure(self.groups, steps)
+            self.groups, self.ranks, self.cut, steps, self.pace.measure_work(self.groups, steps)
         )
         self.moved += departed
         for mover in (self.movers, self.pins):

@@ -141,6 +141,11 @@ def load_masses(count, c, fields, work):
     """Store the nodal masses of a row in M and return the number of phases per node.
 
     A node lighter than `tiny` holds rounding errors only and counts as empty.
+
+    Args:
+        count, c: Number of members; first number of the row in its node block.
+        fields: Nodal arrays.
+        work: Scratch (in/out).
     """
     phase_count = broadcast(work.M, 0.0)
     for q in range(count):
