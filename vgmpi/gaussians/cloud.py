@@ -1,11 +1,12 @@
 """Cloud of 3D Gaussians with their colors, in plain NumPy."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from . import spherical_harmonics as harmonics
+from .capture_record import CaptureRecord
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,10 @@ class GaussianCloud:
         sh: Color coefficients, shape (n, K, 3) float32, K = 1, 4, 9, 16.
         shade: Factors that a painted light has applied to the colors, shape (n,) float32, above 0
             and at most 1; None where there is none.
+        is_antialiased: Whether the opacities are those of antialiased training: a renderer
+            multiplies each by sqrt(det / det') for the variance that it adds in pixels.
+        labels: Integer columns of the file by name, each of shape (n,).
+        record: What the reader learned of the file; None for clouds that were not read.
     """
 
     x: np.ndarray
@@ -28,6 +33,9 @@ class GaussianCloud:
     opacity: np.ndarray
     sh: np.ndarray
     shade: np.ndarray | None = None
+    is_antialiased: bool = False
+    labels: dict[str, np.ndarray] = field(default_factory=dict)
+    record: CaptureRecord | None = None
 
     def __post_init__(self):
         n = len(self.x)
@@ -46,6 +54,9 @@ class GaussianCloud:
             if shade.shape != (n,):
                 raise ValueError(f"Cloud.shade has shape {shade.shape}, expected {(n,)}")
             object.__setattr__(self, "shade", shade)
+        for name, label in self.labels.items():
+            if label.shape != (n,) or label.dtype.kind not in "iu":
+                raise ValueError(f"Cloud.labels[{name!r}] is not a column of {n} integers")
 
     def __len__(self) -> int:
         return len(self.x)
@@ -67,13 +78,15 @@ class GaussianCloud:
 
     def select(self, mask: np.ndarray) -> "GaussianCloud":
         """Return the Gaussians of a boolean mask or an index array, in its order."""
-        return GaussianCloud(
-            self.x[mask],
-            self.quat[mask],
-            self.scale[mask],
-            self.opacity[mask],
-            self.sh[mask],
-            None if self.shade is None else self.shade[mask],
+        return replace(
+            self,
+            x=self.x[mask],
+            quat=self.quat[mask],
+            scale=self.scale[mask],
+            opacity=self.opacity[mask],
+            sh=self.sh[mask],
+            shade=None if self.shade is None else self.shade[mask],
+            labels={name: label[mask] for name, label in self.labels.items()},
         )
 
     def transformed(
@@ -97,13 +110,12 @@ class GaussianCloud:
         if not proper or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6):
             raise ValueError("a cloud can only be turned by a proper rotation matrix")
         quat = quaternion_product(quaternion(rotation), self.quat)
-        return GaussianCloud(
-            scale * self.x @ rotation.T + np.asarray(shift, dtype=np.float64),
-            quat / np.linalg.norm(quat, axis=1, keepdims=True),
-            scale * self.scale,
-            self.opacity,
-            harmonics.rotate(self.sh, rotation),
-            self.shade,
+        return replace(
+            self,
+            x=scale * self.x @ rotation.T + np.asarray(shift, dtype=np.float64),
+            quat=quat / np.linalg.norm(quat, axis=1, keepdims=True),
+            scale=scale * self.scale,
+            sh=harmonics.rotate(self.sh, rotation),
         )
 
 
