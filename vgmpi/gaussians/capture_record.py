@@ -1,4 +1,4 @@
-"""What a reader learned of a capture's file beside its Gaussians: told by inspect, check and runs."""
+"""Facts that a reader learned of a capture's file: told by inspect, check and runs."""
 
 from dataclasses import dataclass
 
