@@ -41,6 +41,39 @@ def row(
     return [*x, 0, 0, 0, *color, *rest, opacity, *scale, *rot]
 
 
+CODES = {"char": "b", "uchar": "B", "short": "h", "ushort": "H", "int": "i", "uint": "I"}
+CODES |= {"half": "e", "float": "f", "double": "d"}
+
+
+def columns(n=3, scales=3, rest=0, **others):
+    """Columns of n Gaussians as name -> (type, values); others replace (None: remove) or follow."""
+    table = {name: ("float", [k + 0.25 * i for i in range(n)]) for k, name in enumerate("xyz")}
+    table |= {f"f_dc_{k}": ("float", [0.1 * k] * n) for k in range(3)}
+    table |= {f"f_rest_{k}": ("float", [k] * n) for k in range(rest)}
+    table |= {"opacity": ("float", [1.5] * n)}
+    table |= {f"scale_{k}": ("float", [-3.0 - k] * n) for k in range(scales)}
+    table |= {f"rot_{k}": ("float", [float(k == 0)] * n) for k in range(4)}
+    return {name: column for name, column in (table | others).items() if column is not None}
+
+
+def table(columns, form="<", comments=(), before=((), b""), behind=((), b"")):
+    """The bytes of a file with these columns in its element 'vertex'.
+
+    form: "<", ">" or "ascii"; before, behind: lines of the header and bytes of other elements."""
+    rows = list(zip(*(values for _, values in columns.values()), strict=True))
+    name = {"<": "binary_little_endian", ">": "binary_big_endian"}.get(form, form)
+    lines = ["ply", f"format {name} 1.0", *(f"comment {text}" for text in comments), *before[0]]
+    lines += [f"element vertex {len(rows)}"]
+    lines += [f"property {kind} {name}" for name, (kind, _) in columns.items()]
+    lines += [*behind[0], "end_header", ""]
+    if form == "ascii":
+        data = "".join(" ".join(map(repr, row)) + "\n" for row in rows).encode()
+    else:
+        codes = form + "".join(CODES[kind] for kind, _ in columns.values())
+        data = b"".join(struct.pack(codes, *row) for row in rows)
+    return "\n".join(lines).encode("utf-8") + before[1] + data + behind[1]
+
+
 def _word(values, widths):
     """Numbers in 0..1 packed from the top bit down."""
     word = 0

@@ -44,7 +44,8 @@ PLY = {
         with_header(("vertex", 1, VERTEX + [("double", f"p{i}") for i in range(3000)])),
         "bytes in 'vertex'",
     ),
-    "text": (GOOD.replace(b"binary_little_endian", b"ascii"), "binary"),
+    "numbers that are no text": (GOOD.replace(b"binary_little_endian", b"ascii"), "row|truncated"),
+    "an unknown encoding": (GOOD.replace(b"binary_little_endian", b"base64"), "format base64"),
     "no format": (b"ply\nelement vertex 1\nproperty float x\nend_header\n    ", "format"),
     "a half of it": (GOOD[:-1], "truncated"),
     "the header only": (GOOD[: GOOD.index(b"end_header") + 11], "truncated"),
@@ -72,21 +73,24 @@ PLY = {
         with_header(("vertex", 1, [("float", n) for n in "xyz"])).replace(
             b"end_header", b"element face 1\nproperty list uchar int vertex_index\nend_header"
         ),
-        "lists",
+        "is a mesh",
     ),
     "a list in the vertices": (
         GOOD.replace(b"property float nx", b"property list uchar float nx"),
         "lists",
     ),
     "points": (with_header(("vertex", 1, [("float", n) for n in "xyz"])), "rot_0"),
-    "an unknown type": (GOOD.replace(b"float nx", b"half nx"), "header line"),
+    "an unknown type": (
+        GOOD.replace(b"float nx", b"quad nx"),
+        "unknown type 'quad' of the property",
+    ),
     "a property before any element": (
         GOOD.replace(b"element vertex 2\n", b""),
         "header line",
     ),
     "a name twice": (GOOD.replace(b"float ny", b"float nx"), "repeated"),
     "an element twice": (with_header(("vertex", 1, VERTEX), ("vertex", 1, VERTEX)), "twice"),
-    "an element without properties": (with_header(("vertex", 10**12, [])), "no or repeated"),
+    "an element without properties": (with_header(("vertex", 10**12, [])), "claims 1,0"),
     "an odd number of colors": (
         with_header(("vertex", 1, VERTEX + [("float", f"f_rest_{i}") for i in range(10)])),
         "10 f_rest",
@@ -134,6 +138,77 @@ PLY = {
     ),
 }
 
+
+def behind_lists(count, data, kind="list uchar int", order="binary_little_endian"):
+    """Bytes of GOOD with an element of lists before the Gaussians."""
+    head = f"format {order} 1.0\nelement face {count}\nproperty {kind} vertex_indices\n".encode()
+    good = GOOD.replace(b"format binary_little_endian 1.0\n", head)
+    return good.replace(b"end_header\n", b"end_header\n" + data)
+
+
+def text(data, count=2):
+    """Bytes of a file of text with the properties of GOOD."""
+    return with_header(("vertex", count, VERTEX), data=data, form="ascii")
+
+
+TEXT_ROW = b"1 2 3 0 0 0 .1 .2 .3 .5 -3 -4 -5 1 0 0 0\n"
+PLY |= {
+    "lists without end": (behind_lists(10**9, b""), "1,000,000,000 lists in element 'face'"),
+    "a list beyond the end": (
+        behind_lists(1, b"\xff\xff\xff\xff", "list uint double"),
+        "1 rows of 'face'",
+    ),
+    "a list of -1 items": (behind_lists(1, b"\xff", "list char int"), "1 rows of 'face'"),
+    "lists of nothing beyond the end": (behind_lists(50_000, b""), "50,000 rows of 'face'"),
+    "a list counted in fractions": (behind_lists(1, b"", "list float int"), "header line"),
+    "a list of nothing known": (behind_lists(1, b"", "list uchar quad"), "unknown type 'quad'"),
+    "a list without an item's type": (behind_lists(1, b"", "list uchar"), "header line"),
+    "text: a line of 100 MB": (
+        lambda path: path.write_bytes(text(b"1 " * 50_000_000)),
+        "line of more than",
+    ),
+    "text: a number of 100 MB": (
+        lambda path: path.write_bytes(text(b"1" * 100_000_000)),
+        "line of more than",
+    ),
+    "text: 100 MB of blank lines": (
+        lambda path: path.write_bytes(text(b"\n" * 100_000_000)),
+        "blank lines",
+    ),
+    "text: a sparse file of 2 GB": (
+        lambda path: sparse(path, text(TEXT_ROW, 9_000_000), 2 * 10**9),
+        "line of more than",
+    ),
+    "text: a huge count": (text(TEXT_ROW * 2, 900_000_000_000), "truncated"),
+    "text: a row too few": (text(TEXT_ROW * 4 + b" " * 99, 5), "ends after 4 of 5 rows"),
+    "text: a number too few": (text(TEXT_ROW + TEXT_ROW[2:]), "row 1 of 'vertex' has 16 numbers"),
+    "text: a number too many": (text(b"1 " + TEXT_ROW * 2), "row 0 of 'vertex' has 18 numbers"),
+    "text: a word": (
+        text(TEXT_ROW + TEXT_ROW.replace(b".5", b"5,0")),
+        "row 1 of 'vertex' has text",
+    ),
+    "text: not a number": (text(TEXT_ROW + TEXT_ROW.replace(b"1 2", b"nan 2")), "row 1"),
+    "text: a label of 1.5": (
+        with_header(
+            ("vertex", 1, [*VERTEX, ("uchar", "label")]),
+            data=TEXT_ROW.replace(b"\n", b" 1.5\n"),
+            form="ascii",
+        ),
+        "row 0 of 'vertex' has no integer of 0 to 255 as label",
+    ),
+    "text: a label of 256": (
+        with_header(
+            ("vertex", 1, [*VERTEX, ("uchar", "label")]),
+            data=TEXT_ROW.replace(b"\n", b" 256\n"),
+            form="ascii",
+        ),
+        "no integer of 0 to 255",
+    ),
+    "text: 10^9 lines before": (
+        lambda path: sparse(path, behind_lists(10**9, b"", order="ascii"), 4 * 10**9),
+        "1,000,000,000 lines before",
+    ),
+}
 
 HONEST = ((0, 0, 0), (1, 1, 1), (9, 9, 9, 9), (255, 128, 128, 128))
 SPLAT = {

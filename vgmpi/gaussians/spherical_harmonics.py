@@ -61,6 +61,19 @@ def basis(directions: np.ndarray, count: int) -> np.ndarray:
     return out
 
 
+def truncate_degree(sh: np.ndarray) -> tuple[np.ndarray, int]:
+    """Remove the coefficients above degree 3, which is the highest that a cloud holds.
+
+    Args:
+        sh: Coefficients of a complete degree, shape (n, K, 3).
+
+    Returns:
+        Coefficients up to degree 3, a view of `sh`, and the number of coefficients per channel
+        that were removed.
+    """
+    return sh[:, : COEFFICIENTS[-1]], max(sh.shape[1] - COEFFICIENTS[-1], 0)
+
+
 def evaluate(sh: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Return the colors (n, 3) >= 0 of `sh` (n, K, 3) seen along `directions` (n, 3).
 

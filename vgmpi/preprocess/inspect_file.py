@@ -10,6 +10,8 @@ from vgmpi.gaussians.formats.registry import GaussianFileError
 from vgmpi.preprocess.meshes import surface_mesh
 from vgmpi.preprocess.meshes.surface_mesh import MeshError
 
+_VALUES_TOLD = 8  # values of a column of labels
+
 
 def is_inspectable(path: Path) -> bool:
     """Return whether the file's name is that of such a file."""
@@ -45,8 +47,24 @@ def _gaussians(path: Path) -> str:
             f"  reaches  {_reach(cloud.x)}",
             f"  scale    {_middle(scale[:, 2])} along, {_middle(scale[:, 0])} across (medians)",
             f"  opacity  {middle:.2f} ({low:.2f} to {high:.2f} of nine in ten)",
+            *_label_lines(cloud.labels),
         ]
     )
+
+
+def _label_lines(labels: dict[str, np.ndarray]) -> list[str]:
+    """Return a line for each column of labels: its most frequent values and their counts."""
+    lines = []
+    for name, label in labels.items():
+        values, counts = np.unique(label, return_counts=True)
+        if len(values) == len(label) > 1:
+            lines.append(f"  labels   {name}: {values[0]} to {values[-1]}, all different")
+            continue
+        order = np.argsort(-counts, kind="stable")[:_VALUES_TOLD]
+        some = ", ".join(f"{values[k]} ({counts[k]:,})" for k in order)
+        more = f", ... of {len(values):,} values" if len(values) > len(order) else ""
+        lines.append(f"  labels   {name}: {some}{more}")
+    return lines
 
 
 def _mesh(path: Path) -> str:

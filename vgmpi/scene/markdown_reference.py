@@ -24,6 +24,7 @@ from . import (
     resume_rules,
     rigid_motion,
     sections,
+    selection,
     shapes,
 )
 
@@ -89,7 +90,7 @@ def scene_reference() -> str:
         "cylinder and capsule": shapes.CylinderShape,
         "cone": shapes.Cone,
         "torus": shapes.Torus,
-        "select": objects.Select,
+        "select": selection.Select,
         "rotation": objects.Rotation,
         "velocity_mode": objects.VelocityMode,
         "volume_fraction_profile": objects.FractionProfile,

@@ -24,7 +24,8 @@ from .pinned_parts import PinnedPart, validate_pinned
 from .regions import Region, validate_regions
 from .rigid_motion import Motion, validate_motion
 from .rigid_objects import FreeBody, validate_rigid
-from .shapes import Axis, Corners, Shape, Sphere, validate_shape
+from .selection import Select, validate_select
+from .shapes import Axis, Shape, validate_shape
 from .slip_lengths import validate_slip_length
 from .thin_walls import validate_thin
 
@@ -71,20 +72,6 @@ def per_cell(value: Any) -> int:
     if isinstance(value, bool) or value not in PER_CELL:
         raise ValueError("must be 1, 8, 27 or 64: a whole number of particles per cell and axis")
     return int(value)
-
-
-class Select(StrictModel):
-    """Selection of Gaussians of a capture; lengths are in the file's own units and axes."""
-
-    box: Corners | None = None
-    """keep the Gaussians inside: lower and upper corner"""
-    sphere: Sphere | None = None
-    """keep the Gaussians inside: { center, radius }"""
-    min_opacity: Share = 0.0
-    """drop Gaussians with less opacity than this"""
-    outlier_sigma: Annotated[float, Quantity("", ge=0)] = 0.0
-    """drop Gaussians whose mean distance to 8 neighbors is this many standard deviations above the
-    cloud's mean (2 .. 4 removes floaters); 0: keep all"""
 
 
 class Rotation(StrictModel):
@@ -316,7 +303,7 @@ def validate_object(raw: dict) -> list[tuple[tuple, str]]:
     for key in ("select", "fill"):
         if key in raw and sources and "gaussians" not in raw:
             errors.append(((key,), f"is only for objects made of gaussians, not of a {sources[0]}"))
-    errors += _validate_pruning(raw, sources)
+    errors += validate_select(raw.get("select")) + _validate_pruning(raw, sources)
     scenery = raw.get("role") == "scenery"
     if scenery:
         for key in BODY_ONLY_KEYS:

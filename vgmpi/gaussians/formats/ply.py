@@ -5,53 +5,32 @@ anything is allocated, so a broken or hostile file costs one line and no memory.
 units of the file.
 """
 
-import os
+import logging
+from dataclasses import replace
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
+from vgmpi.gaussians.capture_record import CaptureRecord
 from vgmpi.gaussians.cloud import GaussianCloud
-from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
 from vgmpi.runtime.atomic_write import replace_file
 
+from . import ply_columns, ply_compressed
+from .ply_header import ENCODINGS, Header, find_render_model, read_header, select_comments
+from .ply_tables import VERTEX, Table, open_tables
 from .validation import Columns, GaussianFileError, naming_file, read_validated
+from .value_doubts import add_doubts
 
-_TYPES = {
-    **dict.fromkeys(("char", "int8"), "i1"),
-    **dict.fromkeys(("uchar", "uint8"), "u1"),
-    **dict.fromkeys(("short", "int16"), "i2"),
-    **dict.fromkeys(("ushort", "uint16"), "u2"),
-    **dict.fromkeys(("int", "int32"), "i4"),
-    **dict.fromkeys(("uint", "uint32"), "u4"),
-    **dict.fromkeys(("float", "float32"), "f4"),
-    **dict.fromkeys(("double", "float64"), "f8"),
-}
-_HEADER_LIMIT = 1 << 16  # [bytes] a Gaussian file's header has about 2 KB
-_SH_COUNT = {0: 1, 9: 4, 24: 9, 45: 16}  # number of f_rest properties -> SH coefficients
-_PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
-_LINE_LIMIT = 200  # [characters] of a header line
-_ROW_LIMIT = 4096  # [bytes] of a row; all standard properties take 496
-_CHUNK_ROWS = 256  # [Gaussians] that share a row of bounds in a compressed file
+log = logging.getLogger("vgmpi")
+
+_POINTS = (
+    "is a cloud of points: Gaussians also have the properties scale_0 to scale_2 and rot_0 to rot_3;"
+    " train a capture from it, or make a mesh of it and use 'mesh' instead of 'gaussians'"
+)
+_MESH = "is a mesh, without the properties scale_0 and rot_0 of Gaussians: use 'mesh'"
 _MIN_SIZE = np.exp(-20.0)  # [file units] lower bound of scales in a compressed file
-
-
-class Element(NamedTuple):
-    """Table of a file: rows of `dtype`, the first at byte `start`."""
-
-    count: int  # type: ignore[assignment]  # hides a method of tuple
-    dtype: np.dtype
-    start: int
-
-    def rows(self, file: BinaryIO, start: int, stop: int) -> np.ndarray:
-        """Read rows of the table.
-
-        Args:
-            file: Open file.
-            start, stop: Range of rows, cut at the end of the table.
-        """
-        file.seek(self.start + start * self.dtype.itemsize)
-        return np.fromfile(file, dtype=self.dtype, count=min(stop, self.count) - start)
+_HIGHEST_COUNT = 45  # properties f_rest of degree 3, the highest that a cloud holds
+_ANTIALIASED = "comment SplatRenderMode: mip\n"  # what Brush, splat-transform and viewers read
 
 
 def read(path: str | Path) -> GaussianCloud:
@@ -61,19 +40,44 @@ def read(path: str | Path) -> GaussianCloud:
         GaussianFileError: If the file is not readable.
     """
     with naming_file(path), open(path, "rb") as file:
-        elements = _elements(file)
-        if "vertex" not in elements:
-            raise GaussianFileError("has no element 'vertex'")
-        vertex = elements["vertex"]
-        names = vertex.dtype.names or ()
-        if "chunk" in elements or any(name in names for name in _PACKED):
-            _check_compressed(elements)
-            return read_validated(vertex.count, lambda a, b: _compressed(file, elements, a, b))
-        return read_validated(vertex.count, lambda a, b: _plain(vertex.rows(file, a, b)))
+        header = read_header(file)
+        tables = open_tables(file, header)
+        if VERTEX not in tables:
+            raise GaussianFileError(f"has no element '{VERTEX}'")
+        if "sh" in tables and not tables["sh"].row.names:
+            del tables["sh"]  # exporters write an empty element for degree 0
+        vertex, is_compressed = tables[VERTEX], ply_compressed.is_compressed(tables)
+        if is_compressed:
+            ply_compressed.check_tables(tables)
+        elif ply_columns.has_only_points(vertex.row.names or ()):
+            has_faces = any(e.name == "face" and e.row_count for e in header.elements)
+            raise GaussianFileError(_MESH if has_faces else _POINTS)
+
+        def decoded(start: int, stop: int) -> Columns:
+            """Decode a range of rows to columns."""
+            if is_compressed:
+                return ply_compressed.decode_rows(tables, start, stop)
+            return ply_columns.decode_plain(vertex.rows(start, stop))
+
+        record = _describe(header, tables, is_compressed)
+        cloud = read_validated(vertex.row_count, decoded, record)
+        for omission in record.omissions:
+            log.warning("%s: %s are left out", path, omission)
+        names = vertex.row.names or ()
+        is_antialiased = find_render_model(header.comments)[0] and not ply_columns.is_flat(names)
+        return add_doubts(
+            replace(cloud, is_antialiased=is_antialiased),
+            has_log_scales=not record.has_filter_3d,
+            has_logits=not record.has_filter_3d and not is_compressed,
+            has_float_rgb=ply_columns.has_float_rgb(vertex.row),
+        )
 
 
 def write(path: str | Path, cloud: GaussianCloud) -> None:
-    """Write `cloud` in the plain layout (float32, little-endian), replacing the file at once."""
+    """Write `cloud` in the plain layout (float32, little-endian), replacing the file at once.
+
+    Labels follow the standard properties.
+    """
     n, k = len(cloud), cloud.sh.shape[1]
     f_rest = [f"f_rest_{i}" for i in range(3 * (k - 1))]
     names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *f_rest, "opacity"]
@@ -88,9 +92,19 @@ def write(path: str | Path, cloud: GaussianCloud) -> None:
         cloud.quat,
     ]
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {n}"]
-    header += [f"property float {name}" for name in names] + ["end_header", ""]
+    header += [f"property float {name}" for name in names]
     rows = np.concatenate(columns, axis=1).astype("<f4")
-    replace_file(path, "\n".join(header).encode("ascii"), rows.tobytes())
+    if cloud.labels:
+        types = {name: _label_type(label) for name, label in cloud.labels.items()}
+        header += [f"property {kind} {name}" for name, (kind, _) in types.items()]
+        fields = [("", "<f4", (len(names),)), *((name, kind) for name, (_, kind) in types.items())]
+        table = np.empty(n, fields)
+        table["f0"] = rows
+        for name, label in cloud.labels.items():
+            table[name] = label
+        rows = table
+    text = "\n".join([*header, "end_header", ""])
+    replace_file(path, _with_render_model(text, cloud), rows.tobytes())
 
 
 def write_compressed(path: str | Path, cloud: GaussianCloud) -> None:
@@ -116,7 +130,11 @@ def write_compressed(path: str | Path, cloud: GaussianCloud) -> None:
             cloud.sh[:, 1:],
         )
     )
-    replace_file(path, compress_to_bytes(x, scale, quat, opacity, constant, higher))
+    data = compress_to_bytes(x, scale, quat, opacity, constant, higher)
+    if cloud.is_antialiased:
+        text, end, rows = data.partition(b"\nend_header\n")
+        data = _with_render_model(text.decode("ascii"), cloud).encode() + end + rows
+    replace_file(path, data)
 
 
 def _logit(opacity: np.ndarray) -> np.ndarray:
@@ -125,188 +143,32 @@ def _logit(opacity: np.ndarray) -> np.ndarray:
     return np.log(opacity / (1 - opacity))
 
 
-def _elements(file: BinaryIO) -> dict[str, Element]:
-    """Return all elements of a file by name, with their rows inside of the file."""
-    size = os.fstat(file.fileno()).st_size
-    lines, start = _header_lines(file.read(_HEADER_LIMIT))
-    elements = {}
-    for name, count, row in _layout(lines):
-        elements[name] = Element(count, row, start)
-        start += count * row.itemsize
-        if start > size:
-            raise GaussianFileError(
-                f"the header promises {count:,} rows of '{name}', the file is too short"
-                f" ({size:,} bytes): truncated?"
-            )
-    return elements
+def _label_type(label: np.ndarray) -> tuple[str, str]:
+    """Return the .ply type of a column of integers, and its type in memory."""
+    for kind, stored in (("int", "<i4"), ("uint", "<u4")):
+        bounds = np.iinfo(stored)
+        if label.min(initial=0) >= bounds.min and label.max(initial=0) <= bounds.max:
+            return kind, stored
+    return "double", "<f8"  # a .ply has no wider integers
 
 
-def _header_lines(head: bytes) -> tuple[list[str], int]:
-    """Return the lines of the header after the first, and the offset of the data."""
-    if not head.startswith((b"ply\n", b"ply\r\n")):
-        raise GaussianFileError("is not a .ply file (it does not begin with 'ply')")
-    for terminator in (b"\nend_header\n", b"\nend_header\r\n"):
-        offset = head.find(terminator)
-        if offset >= 0:
-            text = head[:offset].decode("ascii", errors="replace")
-            return [line.strip() for line in text.splitlines()[1:]], offset + len(terminator)
-    raise GaussianFileError(f"the header has no end within {_HEADER_LIMIT // 1024} KB")
+def _with_render_model(text: str, cloud: GaussianCloud) -> str:
+    """Return a header with the comment on the render model of `cloud`, if it needs one."""
+    return text.replace("element", _ANTIALIASED + "element", 1) if cloud.is_antialiased else text
 
 
-def _layout(lines: list[str]) -> list[tuple[str, int, np.dtype]]:
-    """Return name, number of rows and row type of each element."""
-    order = None
-    elements: list[tuple[str, int, list[tuple[str, str]]]] = []
-    for line in lines:
-        words = line.split()
-        if not words or words[0] in ("comment", "obj_info"):
-            continue
-        if len(line) > _LINE_LIMIT or not line.isprintable():
-            raise GaussianFileError(f"has the unreadable header line {line[:60]!r}")
-        if words[0] == "format":
-            if words[1:2] not in (["binary_little_endian"], ["binary_big_endian"]):
-                raise GaussianFileError(f"has the {' '.join(words)!r}: allowed are the binary ones")
-            order = "<" if words[1] == "binary_little_endian" else ">"
-        elif words[0] == "element" and len(words) == 3:
-            if not words[2].isdecimal() or len(words[2]) > 15:
-                raise GaussianFileError(f"has the bad number of rows in {line!r}")
-            elements.append((words[1], int(words[2]), []))
-        elif words[0] == "property" and elements and words[1:2] == ["list"]:
-            raise GaussianFileError(
-                f"has lists in element '{elements[-1][0]}': a mesh? Gaussian files have none"
-            )
-        elif words[0] == "property" and elements and len(words) == 3 and words[1] in _TYPES:
-            elements[-1][2].append((words[2], _TYPES[words[1]]))
-        else:
-            raise GaussianFileError(f"has the unreadable header line {line[:60]!r}")
-    if order is None:
-        raise GaussianFileError("has no 'format' line")
-    layout = []
-    for name, count, properties in elements:
-        if not properties or len({p for p, _ in properties}) < len(properties):
-            raise GaussianFileError(f"has no or repeated properties in element '{name}'")
-        row = np.dtype([(p, order + kind) for p, kind in properties])
-        if row.itemsize > _ROW_LIMIT:
-            raise GaussianFileError(
-                f"has rows of {row.itemsize:,} bytes in '{name}': the most is {_ROW_LIMIT:,}"
-            )
-        layout.append((name, count, row))
-    if len({name for name, _, _ in layout}) < len(layout):
-        raise GaussianFileError("names an element twice")
-    return layout
-
-
-def _columns(rows: np.ndarray, names: list[str]) -> np.ndarray:
-    """Return the named properties as float64 columns (n, len(names))."""
-    missing = [name for name in names if name not in (rows.dtype.names or ())]
-    if missing:
-        raise GaussianFileError(f"has no property {', '.join(missing)}: not a cloud of Gaussians?")
-    return np.stack([rows[name].astype(np.float64) for name in names], axis=1)
-
-
-def _higher_properties(rows: np.ndarray) -> np.ndarray | None:
-    """Return the properties f_rest_* as stored (n, 3 (K - 1)), or None."""
-    count = sum(name.startswith("f_rest_") for name in rows.dtype.names or ())
-    if count not in _SH_COUNT:
-        raise GaussianFileError(f"has {count} f_rest properties: allowed are 0, 9, 24 or 45")
-    return _columns(rows, [f"f_rest_{i}" for i in range(count)]) if count else None
-
-
-def _coefficients(dc: np.ndarray, f_rest: np.ndarray | None) -> np.ndarray:
-    """Join constant (n, 3) and channel-major higher SH coefficients to (n, K, 3)."""
-    if f_rest is None:
-        return dc[:, None, :]
-    return np.concatenate(
-        [dc[:, None, :], f_rest.reshape(len(dc), 3, -1).transpose(0, 2, 1)], axis=1
+def _describe(header: Header, tables: dict[str, Table], is_compressed: bool) -> CaptureRecord:
+    """Return what the header says beside the Gaussians."""
+    row = tables[VERTEX].row
+    layout = "SuperSplat's compressed layout" if is_compressed else ENCODINGS[header.order]
+    if not is_compressed and ply_columns.is_flat(row.names or ()):
+        layout += f", 2D Gaussians made {ply_columns.DISC_THICKNESS:g} of their smaller scale thick"
+    higher = tables["sh"].row if is_compressed and "sh" in tables else row
+    is_truncated = ply_columns.count_higher(higher) > _HIGHEST_COUNT
+    return CaptureRecord(
+        encoding=f".ply, {layout}",
+        render_model_source=find_render_model(header.comments)[1],
+        has_filter_3d=not is_compressed and ply_columns.FILTER in (row.names or ()),
+        comments=select_comments(header.comments),
+        omissions=("colors of degree 4",) if is_truncated else (),
     )
-
-
-def _plain(rows: np.ndarray) -> Columns:
-    """Return x, quat, scale, opacity, sh of the plain layout (logit opacity, log scales)."""
-    x = _columns(rows, ["x", "y", "z"])
-    quat = _columns(rows, [f"rot_{i}" for i in range(4)])
-    scale = np.exp(_columns(rows, [f"scale_{i}" for i in range(3)]))
-    opacity = 1 / (1 + np.exp(-_columns(rows, ["opacity"])[:, 0]))
-    dc = _columns(rows, [f"f_dc_{i}" for i in range(3)])
-    return x, quat, scale, opacity, _coefficients(dc, _higher_properties(rows))
-
-
-def _check_compressed(elements: dict[str, Element]) -> None:
-    """Check that the tables of a compressed file match.
-
-    Raises:
-        GaussianFileError: If they do not.
-    """
-    vertex, chunks, shared = elements["vertex"], elements.get("chunk"), elements.get("sh")
-    if chunks is None or chunks.count != -(-vertex.count // _CHUNK_ROWS):
-        raise GaussianFileError(
-            f"has {0 if chunks is None else chunks.count:,} chunks for {vertex.count:,} Gaussians,"
-            f" expected one per {_CHUNK_ROWS}"
-        )
-    for name in _PACKED:
-        kind = vertex.dtype[name] if name in (vertex.dtype.names or ()) else None
-        if kind is None or kind.kind != "u" or kind.itemsize != 4:
-            raise GaussianFileError(f"has no 32-bit property {name} in element 'vertex'")
-    if shared is not None and shared.count != vertex.count:
-        raise GaussianFileError(f"has {shared.count:,} rows of 'sh' for {vertex.count:,} Gaussians")
-
-
-def _compressed(file: BinaryIO, elements: dict[str, Element], start: int, stop: int) -> Columns:
-    """Return x, quat, scale, opacity, sh of SuperSplat's layout: 16 bytes each, bounds per 256.
-
-    start: a multiple of 256.
-    """
-    rows = elements["vertex"].rows(file, start, stop)
-    chunks = elements["chunk"].rows(file, start // _CHUNK_ROWS, -(-stop // _CHUNK_ROWS))
-    position, rotation, scale, color = (rows[name] for name in _PACKED)
-    chunk_of = np.arange(len(rows)) // _CHUNK_ROWS
-
-    def between(prefix: str, axes: str, t: np.ndarray) -> np.ndarray:
-        """Map numbers in 0..1 to the bounds of their chunk."""
-        low = _columns(chunks, [f"min_{prefix}{axis}" for axis in axes])[chunk_of]
-        high = _columns(chunks, [f"max_{prefix}{axis}" for axis in axes])[chunk_of]
-        return low * (1 - t) + high * t
-
-    rgba = np.stack([_bits(color, shift, 8) for shift in (24, 16, 8, 0)], axis=1)
-    rgb = rgba[:, :3]
-    if "min_r" in (
-        chunks.dtype.names or ()
-    ):  # files older than SuperSplat 2 have no bounds for colors
-        rgb = between("", "rgb", rgb)
-    f_rest = (
-        _higher_properties(elements["sh"].rows(file, start, stop)) if "sh" in elements else None
-    )
-    if f_rest is not None:  # bytes over -4..4; 0 and 255 are the exact ends
-        unit = np.where(f_rest == 0, 0.0, np.where(f_rest == 255, 1.0, (f_rest + 0.5) / 256))
-        f_rest = (unit - 0.5) * 8
-    return (
-        between("", "xyz", _unpack_three(position)),
-        _rotation(rotation),
-        np.exp(between("scale_", "xyz", _unpack_three(scale))),
-        rgba[:, 3],
-        _coefficients(dc_from_rgb(rgb), f_rest),
-    )
-
-
-def _bits(word: np.ndarray, shift: int, width: int) -> np.ndarray:
-    """Return a bit field as a number in 0..1."""
-    top = (1 << width) - 1
-    return ((word >> np.uint32(shift)) & np.uint32(top)) / float(top)
-
-
-def _unpack_three(word: np.ndarray) -> np.ndarray:
-    """Return three numbers in 0..1 packed as 11, 10 and 11 bits (n, 3)."""
-    return np.stack([_bits(word, 21, 11), _bits(word, 11, 10), _bits(word, 0, 11)], axis=1)
-
-
-def _rotation(word: np.ndarray) -> np.ndarray:
-    """Unpack quaternions w, x, y, z: leading axis (2 bits) and the others (10 bits each)."""
-    others = np.stack([_bits(word, shift, 10) for shift in (20, 10, 0)], axis=1)
-    others = (others - 0.5) * np.sqrt(2)
-    leading = np.sqrt(np.maximum(0.0, 1 - (others**2).sum(axis=1)))
-    leading_axis = (word >> np.uint32(30)).astype(int)
-    quat = np.empty((len(word), 4))
-    for axis in range(4):
-        mask = leading_axis == axis
-        quat[mask] = np.insert(others[mask], axis, leading[mask], axis=1)
-    return quat

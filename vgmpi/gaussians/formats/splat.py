@@ -10,11 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
+from vgmpi.gaussians.capture_record import CaptureRecord
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
 from vgmpi.runtime.atomic_write import replace_file
 
 from .validation import Columns, GaussianFileError, naming_file, read_validated
+from .value_doubts import add_doubts
 
 _ROW = np.dtype([("x", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
 # the format has no magic number: these bytes begin files of other formats
@@ -63,7 +65,8 @@ def read(path: str | Path) -> GaussianCloud:
                 dc_from_rgb(rgba[:, :3])[:, None, :],
             )
 
-        return read_validated(size // _ROW.itemsize, decoded)
+        cloud = read_validated(size // _ROW.itemsize, decoded, CaptureRecord(encoding=".splat"))
+        return add_doubts(cloud, has_log_scales=False, has_logits=False)
 
 
 def write(path: str | Path, cloud: GaussianCloud) -> None:

@@ -6,11 +6,14 @@ first block or hundredth instead of filling the memory.
 
 import contextlib
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from vgmpi.gaussians.capture_record import CaptureRecord
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.runtime import memory_budget
 
@@ -23,7 +26,10 @@ MAX_COUNT = (
 BLOCK = 1 << 14  # [rows] decoded together; a multiple of the 256 that share bounds in a .ply
 _BROKEN_LIMIT = 0.01  # [-] fraction of invalid rows (NaN, no rotation) dropped with a warning
 
-Columns = tuple[np.ndarray, ...]  # x, quat (of any length), scale, opacity, sh as in Cloud
+_MAX_LABEL = 2.0**53  # integers below it are exact as floating-point numbers
+
+# x, quat (of any length), scale, opacity, sh as in Cloud; then labels by name, or nothing
+Columns = tuple[Any, ...]
 
 
 class GaussianFileError(ValueError):
@@ -56,23 +62,28 @@ def validate_count(count: int) -> int:
     return count
 
 
-def read_validated(count: int, decoded: Callable[[int, int], Columns]) -> GaussianCloud:
+def read_validated(
+    count: int, decoded: Callable[[int, int], Columns], record: CaptureRecord | None = None
+) -> GaussianCloud:
     """Read all valid rows of a file as a cloud.
 
     Args:
         count: Rows of the file.
         decoded: Function of start and stop that returns the columns of these rows.
+        record: What is known of the file; rows and values that are left out are added to it.
 
     Raises:
         GaussianFileError: If more than a small fraction of the rows is invalid.
     """
     parts: list[Columns] = []
+    labels: list[dict[str, np.ndarray]] = []
     what = "not finite (or above 1e18), have no size or no rotation"
-    broken, first = 0, None
+    broken, clamped, first = 0, 0, None
     for start in range(0, validate_count(count), BLOCK):
         stop = min(start + BLOCK, count)
         with np.errstate(all="ignore"):  # hostile numbers are counted below
-            valid, columns = _valid_rows(*decoded(start, stop))
+            columns = decoded(start, stop)
+            valid, part = _valid_rows(*columns[:5])
         invalid = np.flatnonzero(~valid)
         if len(invalid) and first is None:
             first = start + invalid[0]
@@ -82,15 +93,43 @@ def read_validated(count: int, decoded: Callable[[int, int], Columns]) -> Gaussi
             raise GaussianFileError(
                 f"{bound}{broken:,} of {count:,} Gaussians are {what}; the first is row {first}"
             )
+        clamped += int((columns[3][valid] != part[3]).sum())
+        if len(columns) > len(part):
+            labels.append({name: label[valid] for name, label in columns[5].items()})
         if not parts:
-            _check_memory(count, columns)
-        parts.append(columns)
+            _check_memory(count, [*part, *(labels[0].values() if labels else ())])
+        parts.append(part)
     if broken:
         log.warning("%d of %d Gaussians are %s: dropped", broken, count, what)
-    return GaussianCloud(*(np.concatenate(column) for column in zip(*parts)))
+    integers, others = _join_labels(labels)
+    omissions = [f"{broken:,} Gaussians that are {what}"] if broken else []
+    omissions += [f"opacities outside of 0..1 of {clamped:,} Gaussians"] if clamped else []
+    omissions += [f"the column '{name}', which is not a column of integers" for name in others]
+    if record is not None:
+        record = replace(record, omissions=(*record.omissions, *omissions))
+    x, quat, scale, opacity, sh = (np.concatenate(column) for column in zip(*parts))
+    return GaussianCloud(x, quat, scale, opacity, sh, labels=integers, record=record)
 
 
-def _check_memory(count: int, sample: Columns) -> None:
+def _join_labels(parts: list[dict[str, np.ndarray]]) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Join the columns of labels of all blocks.
+
+    Returns:
+        Columns of integers by name, and the names of columns that have other numbers.
+    """
+    integers, others = {}, []
+    for name in parts[0] if parts else ():
+        label = np.concatenate([part[name] for part in parts])
+        if label.dtype.kind == "f":
+            if not ((label % 1 == 0) & (np.abs(label) < _MAX_LABEL)).all():
+                others.append(name)
+                continue
+            label = label.astype(np.int64)
+        integers[name] = label
+    return integers, others
+
+
+def _check_memory(count: int, sample: Iterable[np.ndarray]) -> None:
     """Check that `count` Gaussians fit into memory, first block by block and then joined.
 
     Raises:

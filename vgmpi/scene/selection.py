@@ -1,0 +1,48 @@
+"""Selection of the part of a capture that an object is made of."""
+
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator
+
+from vgmpi.runtime.config.schema import Quantity, Share, StrictModel
+
+from .shapes import Corners, Sphere
+
+
+def _integers(value: Any) -> Any:
+    """Return a list of integers for one or several; raise ValueError for others."""
+    values = value if isinstance(value, list | tuple) else [value]
+    if not values or any(isinstance(v, bool) or not isinstance(v, int) for v in values):
+        raise ValueError("must be an integer or a list of integers, such as [3, 5]")
+    return values
+
+
+class Select(StrictModel):
+    """Selection of Gaussians of a capture; lengths are in the file's own units and axes."""
+
+    box: Corners | None = None
+    """keep the Gaussians inside: lower and upper corner"""
+    sphere: Sphere | None = None
+    """keep the Gaussians inside: { center, radius }"""
+    property: str | None = None
+    """name of a column of integers in the file, such as "label" or "object_id" (vgmpi inspect lists
+    them); keep the Gaussians whose number is one of `values`"""
+    values: Annotated[tuple[int, ...], BeforeValidator(_integers)] = ()
+    """with `property`: the numbers to keep, one or a list"""
+    min_opacity: Share = 0.0
+    """drop Gaussians with less opacity than this"""
+    outlier_sigma: Annotated[float, Quantity("", ge=0)] = 0.0
+    """drop Gaussians whose mean distance to 8 neighbors is this many standard deviations above the
+    cloud's mean (2 .. 4 removes floaters); 0: keep all"""
+
+
+def validate_select(raw: Any) -> list[tuple[tuple, str]]:
+    """Return (path, message) for keys of an object's `select` that do not go together.
+
+    Args:
+        raw: The table as read.
+    """
+    if not isinstance(raw, dict) or ("property" in raw) == ("values" in raw):
+        return []
+    key, other = ("property", "values") if "property" in raw else ("values", "property")
+    return [(("select", key), f"needs {other}: the column and its numbers belong together")]
