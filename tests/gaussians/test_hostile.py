@@ -42,23 +42,28 @@ for path in sorted(pathlib.Path(sys.argv[1]).iterdir()):
 """
 
 
+def read_all(folder):
+    """Name -> seconds, peak memory of the whole process [MB] and the words for every file of a
+    folder, read one after the other by a process of its own."""
+    command = [sys.executable, "-c", READ, str(folder)]
+    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE)
+    assert run.returncode == 0, run.stderr[-2000:]
+    lines = [json.loads(line) for line in run.stdout.splitlines()]
+    return {name: (seconds, peak, said) for name, seconds, peak, said in lines}
+
+
 @pytest.fixture(scope="module")
 def measured(tmp_path_factory):
-    """Path, seconds, peak memory of the whole process [MB] and the words for every case, read
-    one after the other by a process of its own."""
+    """Path, seconds, peak memory of the whole process [MB] and the words for every case."""
     folder = tmp_path_factory.mktemp("hostile")
     paths = {key: folder / f"{k:03}{key[0]}" for k, key in enumerate(CASES)}
     try:
         for key, path in paths.items():
             hostile_gaussians.make(path, CASES[key][0])
-        command = [sys.executable, "-c", READ, str(folder)]
-        run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE)
+        found = read_all(folder)
     finally:
         for path in paths.values():
             path.unlink(missing_ok=True)  # some are large
-    assert run.returncode == 0, run.stderr[-2000:]
-    lines = [json.loads(line) for line in run.stdout.splitlines()]
-    found = {name: (seconds, peak, said) for name, seconds, peak, said in lines}
     return {key: (str(path), *found[path.name]) for key, path in paths.items()}
 
 
@@ -69,6 +74,20 @@ def test_one_line_within_a_second_and_200_mb(measured, key):
     assert re.search(CASES[key][1], said)
     assert seconds < 1
     assert peak < 200
+
+
+def test_damaged_text_and_lists_are_bounded(tmp_path):
+    """Most of 200 damaged files are rejected; what is read is within the same bounds."""
+    for k, data in enumerate(hostile_gaussians.damaged()):
+        (tmp_path / f"{k:03}.ply").write_bytes(data)
+    answers = read_all(tmp_path)
+    assert len(answers) == 200
+    for name, (seconds, peak, said) in answers.items():
+        assert seconds < 1 and peak < 200, (name, said)
+        assert re.fullmatch(r"read \d+", said) or said.startswith(f"{tmp_path / name}: "), said
+        assert "\n" not in said and len(said) < 500
+    rejected = [said.split(": ", 1)[1] for _, _, said in answers.values() if " " in said[5:]]
+    assert len(rejected) >= 100 and len({re.sub(r"\W?\d.*", "", said) for said in rejected}) >= 10
 
 
 def test_there_are_many_of_every_kind():

@@ -307,6 +307,33 @@ def spz4(pack):
     }
 
 
+def damaged(count=200, seed=8):
+    """Files of text and with lists, each damaged at a few places or cut."""
+    rng = np.random.default_rng(seed)
+    face = ["element face 3", "property list uchar int vertex_indices", "property float area"]
+    lists = b"".join(struct.pack("<B3if", 3, 1, 2, 3, 0.5) for _ in range(3))
+    line = b"3 1 2 3 0.5\n" * 3
+    labeled = gaussian_files.columns(n=40, rest=9, label=("uchar", list(range(40))))
+    originals = [
+        gaussian_files.table(labeled, "ascii"),
+        gaussian_files.table(labeled, "ascii", before=(face, line), behind=(["element a 1"], b"")),
+        gaussian_files.table(labeled, "<", before=(face, lists)),
+        gaussian_files.table(labeled, "<", behind=(["element last 3", *face[1:]], lists)),
+        gaussian_files.table(gaussian_files.columns(n=40, scales=2, filter_3D=("float", [1] * 40))),
+    ]
+    pieces = [b"9" * 12, b" ", b"\n", b"-", b"e9", b"nan", b"list uchar ", b"\xff" * 4, b"\0" * 8]
+    for k in range(count):
+        data = originals[k % len(originals)]
+        for _ in range(rng.integers(1, 4)):
+            # few places lie in the header, before the properties of the Gaussians
+            top, end = (data.find(text) for text in (b"property float x", b"end_header"))
+            in_header = rng.random() < 0.15
+            at = int(rng.integers(*((4, max(top, 5)) if in_header else (end, len(data) + 1))))
+            width = int(rng.integers(0, 12))
+            data = data[:at] + pieces[rng.integers(len(pieces))] + data[at + width :]
+        yield data[: rng.integers(len(data) // 2, len(data))] if rng.random() < 0.2 else data
+
+
 def cases():
     """(suffix, name) -> (bytes or what makes the file, what is said)."""
     kinds = {".ply": PLY, ".splat": SPLAT, ".spz": dict(SPZ)}
