@@ -12,6 +12,7 @@ from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import registry
 from vgmpi.gaussians.formats.ply_columns import apply_filter
 from vgmpi.gaussians.spherical_harmonics import C0, truncate_degree
+from vgmpi.preprocess.inspect_file import describe_file
 
 
 @pytest.fixture
@@ -298,3 +299,15 @@ def test_lists_among_the_gaussians_are_told(read):
     data = table(columns()).replace(b"property float rot_3", b"property list uchar float rot_3")
     with pytest.raises(registry.GaussianFileError, match="lists in element 'vertex'"):
         read(data)
+
+
+@pytest.mark.parametrize("form", ["<", "ascii"])
+def test_a_mesh_is_inspected_as_one(tmp_path, form):
+    """A .ply may be either; the reader of Gaussians has the first look at it."""
+    points = {"x": ("float", [0.0, 1.0, 0.0]), "y": ("float", [0.0, 0.0, 1.0])}
+    points["z"] = ("float", [0.0, 0.0, 0.0])
+    face = ["element face 1", "property list uchar int vertex_indices"]
+    data = struct.pack("<B3i", 3, 0, 1, 2) if form == "<" else b"3 0 1 2\n"
+    path = tmp_path / "mesh.ply"
+    path.write_bytes(table(points, form, behind=(face, data)))
+    assert "a mesh of 1 triangles" in describe_file(path)
