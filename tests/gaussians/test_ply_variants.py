@@ -8,9 +8,11 @@ import pytest
 
 from tests.support import gaussian_files
 from tests.support.gaussian_files import columns, table
+from vgmpi.gaussians.capture_record import CaptureRecord
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import registry
 from vgmpi.gaussians.formats.ply_columns import apply_filter
+from vgmpi.gaussians.formats.validation import read_validated
 from vgmpi.gaussians.spherical_harmonics import C0, truncate_degree
 from vgmpi.preprocess.inspect_file import describe_file
 
@@ -311,3 +313,19 @@ def test_a_mesh_is_inspected_as_one(tmp_path, form):
     path = tmp_path / "mesh.ply"
     path.write_bytes(table(points, form, behind=(face, data)))
     assert "a mesh of 1 triangles" in describe_file(path)
+
+
+def test_values_that_are_clamped_are_counted():
+    """Opacities outside of 0..1, which no column of logits can hold."""
+    n = 20_000  # more than a block
+    opacity = np.full(n, 0.5)
+    opacity[[3, 17_000, 19_000]] = 1.5, -0.25, 1.0
+    quat, scale = np.tile([1.0, 0, 0, 0], (n, 1)), np.ones((n, 3))
+
+    def decoded(a, b):
+        return scale[a:b], quat[a:b], scale[a:b], opacity[a:b], np.zeros((b - a, 1, 3))
+
+    cloud = read_validated(n, decoded, CaptureRecord(encoding="by hand", omissions=("a thing",)))
+    assert cloud.record.omissions == ("a thing", "opacities outside of 0..1 of 2 Gaussians")
+    np.testing.assert_array_equal(cloud.opacity[[3, 17_000, 19_000]], [1, 0, 1])
+    assert read_validated(n, decoded).record is None

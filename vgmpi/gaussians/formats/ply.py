@@ -24,8 +24,8 @@ from .value_doubts import add_doubts
 log = logging.getLogger("vgmpi")
 
 _POINTS = (
-    "is a cloud of points: Gaussians also have the properties scale_0 to scale_2 and rot_0 to rot_3;"
-    " train a capture from it, or make a mesh of it and use 'mesh' instead of 'gaussians'"
+    "is a cloud of points: Gaussians also have the properties scale_0 to scale_2 and rot_0 to"
+    " rot_3; train a capture from it, or make a mesh of it and use 'mesh' instead of 'gaussians'"
 )
 _MESH = "is a mesh, without the properties scale_0 and rot_0 of Gaussians: use 'mesh'"
 _MIN_SIZE = np.exp(-20.0)  # [file units] lower bound of scales in a compressed file
