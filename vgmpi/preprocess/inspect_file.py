@@ -5,8 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
+from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import registry
 from vgmpi.gaussians.formats.registry import GaussianFileError
+from vgmpi.preprocess.floaters import find_floaters
 from vgmpi.preprocess.meshes import surface_mesh
 from vgmpi.preprocess.meshes.surface_mesh import MeshError
 
@@ -48,6 +50,7 @@ def _gaussians(path: Path) -> str:
             f"  scale    {_middle(scale[:, 2])} along, {_middle(scale[:, 0])} across (medians)",
             f"  opacity  {middle:.2f} ({low:.2f} to {high:.2f} of nine in ten)",
             *_label_lines(cloud.labels),
+            *_floaters(cloud),
         ]
     )
 
@@ -65,6 +68,16 @@ def _label_lines(labels: dict[str, np.ndarray]) -> list[str]:
         more = f", ... of {len(values):,} values" if len(values) > len(order) else ""
         lines.append(f"  labels   {name}: {some}{more}")
     return lines
+
+
+def _floaters(cloud: GaussianCloud) -> list[str]:
+    """Return a line about floaters, which do not count for the size of an object."""
+    floaters = find_floaters(cloud)
+    if floaters is None:
+        return []
+    count, share = int(floaters.mask.sum()), 100 * floaters.share
+    reach = _reach(cloud.x[~floaters.mask])
+    return [f"  floaters {count:,} ({share:.2g} % of the opacity); the others reach {reach}"]
 
 
 def _mesh(path: Path) -> str:

@@ -29,6 +29,7 @@ from vgmpi.scene.scene import Scene
 from . import memory_estimate, shape_sdf
 from .collider_sdf import Collider, ShapeCollider, VoxelCollider
 from .crop import crop
+from .floaters import capture_floaters
 from .memory_estimate import spacing_of
 from .placement import (
     PlacementError,
@@ -199,15 +200,19 @@ def _from_gaussians(scene: Scene, k: int, obj: Object) -> BuiltObject:
     cloud = crop(registry.read(scene.files[obj.name]), obj.select)
     if not len(cloud):
         raise PlacementError("select", "selects no Gaussian of the file")
+    floaters = capture_floaters(obj, cloud)
+    drawn, cloud = cloud, cloud if floaters is None else cloud.select(~floaters.mask)
     transform = placement(obj, lambda d: float((cloud.x @ d).max()))
     cloud = transform.cloud(cloud)
     memory_estimate.within_numbers(scene, obj, cloud.x.min(axis=0), cloud.x.max(axis=0))
     if not cloud.scale.max() <= MAX_MAGNITUDE:
         message = f"makes a Gaussian {cloud.scale.max():.3g} m large; at most {MAX_MAGNITUDE:g} m"
         raise PlacementError(memory_estimate.sized(obj), message)
-    if obj.role == "scenery" and not obj.collider:
-        return BuiltObject(cloud, np.zeros(len(cloud)), transform)
-    if obj.role == "body":
+    if obj.role == "scenery":  # floaters may be its background
+        drawn = transform.cloud(drawn)
+        if not obj.collider:
+            return BuiltObject(drawn, np.zeros(len(drawn)), transform)
+    else:
         check_inside(scene, obj, cloud.x.min(axis=0), cloud.x.max(axis=0), 0.0)
     try:
         missing = interior_fill.interior(cloud, spacing, obj.fill, upright(obj, transform))
@@ -215,7 +220,9 @@ def _from_gaussians(scene: Scene, k: int, obj: Object) -> BuiltObject:
         raise PlacementError("fill", str(error)) from None
     if obj.role == "body":  # wide Gaussians next to a wall reach through it, and their voxels, too
         missing = missing.inside_box(np.asarray(scene.domain.size))
-    return _solid(scene, k, cloud, missing, transform)
+        return _solid(scene, k, cloud, missing, transform)
+    piece = _solid(scene, k, cloud, missing, transform)
+    return replace(piece, cloud=drawn, volume=np.zeros(len(drawn)))
 
 
 _MAKE: dict[str, Callable[[Scene, int, Object], BuiltObject]] = {

@@ -110,7 +110,8 @@ class Object(StrictModel):
     up: Literal["x", "-x", "y", "-y", "z", "-z"] = "z"
     """axis of the file that points up; most captures have "-y", most meshes "y\""""
     height: Positive | None = None
-    """scale the object to this extent along z (before `rotation`)"""
+    """scale the object to this extent along z (before `rotation`); the extent of a capture is that
+    of the Gaussians that are seen, without floaters (see `select.keep_floaters`)"""
     width: Positive | None = None
     """scale the object to this extent along x (before `rotation`)"""
     depth: Positive | None = None

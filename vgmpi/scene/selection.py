@@ -4,7 +4,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
-from vgmpi.runtime.config.schema import Quantity, Share, StrictModel
+from vgmpi.runtime.config.schema import Quantity, Share, StrictModel, Switch
 
 from .shapes import Corners, Sphere
 
@@ -33,7 +33,10 @@ class Select(StrictModel):
     """drop Gaussians with less opacity than this"""
     outlier_sigma: Annotated[float, Quantity("", ge=0)] = 0.0
     """drop Gaussians whose mean distance to 8 neighbors is this many standard deviations above the
-    cloud's mean (2 .. 4 removes floaters); 0: keep all"""
+    cloud's mean (2 .. 4 removes lone ones); 0: keep all"""
+    keep_floaters: Switch = False
+    """let the few Gaussians that lie apart from all that is seen count, too: for the size and place
+    of the object, and as particles. By default they do not, and a line says so"""
 
 
 def validate_select(raw: Any) -> list[tuple[tuple, str]]:
