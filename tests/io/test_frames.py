@@ -74,6 +74,26 @@ def test_vtk_steps_through_the_series(out, monkeypatch, cwd):
         assert reader.GetTimeValue() == index / 10
 
 
+@pytest.mark.parametrize("lost", [[0, 1, 2, 3], [1]])
+def test_a_series_without_its_frames_shows_no_particles_at_the_origin(out, tmp_path, lost):
+    """A copy of the series alone, or without one frame: nan and -1 instead of zeros."""
+    for index in lost:
+        (out / "frames" / f"frame_{index:05d}.vtkhdf").unlink()
+    for index in range(len(COUNTS)):
+        reader = vtkHDFReader()
+        reader.SetFileName(str(out / "series.vtkhdf"))
+        reader.UpdateInformation()
+        reader.SetStep(index)
+        reader.Update()
+        mesh = pyvista.wrap(reader.GetOutput())
+        assert mesh.n_points == COUNTS[index]
+        assert mesh.field_data["step"] == (-1 if index in lost else 100 * index)
+        for name in ("id", "object", "phase"):
+            assert ((mesh.point_data[name] == -1) == (index in lost)).all()
+        for values in (mesh.points, *(mesh.point_data[n] for n in ("velocity", "J", "F"))):
+            assert (np.isnan(values) == (index in lost)).all()
+
+
 def test_series_is_valid_after_every_frame_and_moves_with_its_folder(tmp_path):
     series = frames.Frames(tmp_path / "a", SerialCommunicator(), TOTAL)
     for index in range(2):

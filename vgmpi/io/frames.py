@@ -232,7 +232,11 @@ def _steps(s, frames, counts, arrays):
 
 
 def _virtual(root, name, frames, counts, shape, dtype):
-    """Create a dataset that concatenates the frames' datasets of that name."""
+    """Create a dataset that concatenates the frames' datasets of that name.
+
+    Where the file of a frame is missing, as in a copy of the series alone, its rows are nan or -1
+    and not values that look right. Vertices then name point 0, since -1 would be read as an index.
+    """
     target = h5py.VirtualLayout((sum(counts), *shape), dtype)
     target.dcpl.set_obj_track_times(False)  # so that the bytes do not depend on the time of writing
     start = 0
@@ -242,7 +246,9 @@ def _virtual(root, name, frames, counts, shape, dtype):
             source = h5py.VirtualSource(file, f"/VTKHDF/{name}", (count, *shape), dtype)
             target[start : start + count] = source
         start += count
-    root.create_virtual_dataset(name, target)
+    kind = np.dtype(dtype).kind
+    missing = np.nan if kind == "f" else 0 if name.startswith("Vertices/") else -1
+    root.create_virtual_dataset(name, target, fillvalue=missing)
 
 
 def _read_written(path: Path, number: int) -> _Written:
