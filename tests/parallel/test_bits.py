@@ -55,6 +55,7 @@ def test_stop_between_two_sorts_and_resume(one, tmp_path):
         "stopped too late to test anything"
     )
     assert "stopped" in job.stdout
+    assert f"to stop with a checkpoint: kill -USR1 {running.pid}; after Ctrl-C, Open" in job.stderr
     job = go(scene, tmp_path, 2, "--resume")
     assert job.returncode == 0, job.stderr
     found = digests(tmp_path)

@@ -4,6 +4,7 @@ Every operation is collective unless stated otherwise: all ranks call it, in the
 travel as buffers; only `bcast` pickles, and it is used during set-up alone.
 """
 
+import atexit
 import logging
 import os
 import sys
@@ -115,6 +116,7 @@ class _MpiLink(PersistentExchange):
 
     def __init__(self, MPI, communicator, sends, receives):
         self._MPI = MPI
+        self.is_open = True
         self._requests = [communicator.Recv_init(buffer, source=r) for r, buffer in receives]
         self._requests += [communicator.Send_init(buffer, dest=r) for r, buffer in sends]
 
@@ -134,6 +136,8 @@ class _MpiLink(PersistentExchange):
         """Free all requests."""
         for request in self._requests:
             request.Free()
+        self._requests = []
+        self.is_open = False
 
 
 class MpiCommunicator(SerialCommunicator):
@@ -150,6 +154,18 @@ class MpiCommunicator(SerialCommunicator):
         neighbours = self.mpi.Split_type(MPI.COMM_TYPE_SHARED)
         self.here, self.place = neighbours.Get_size(), neighbours.Get_rank()
         neighbours.Free()
+        self._links: list[_MpiLink] = []  # those whose requests are not freed
+        atexit.register(self._close_links)  # before mpi4py ends MPI
+
+    def _close_links(self):
+        """Free the requests that are left at the end of the program: MPICH reports each of them."""
+        for link in self._links:
+            link.close()
+
+    @property
+    def library(self) -> str:
+        """Name and version of the MPI library, such as "Open MPI v5.0.11, ..."."""
+        return self._MPI.Get_library_version().splitlines()[0]
 
     def barrier(self):
         """Wait for all ranks."""
@@ -275,7 +291,9 @@ class MpiCommunicator(SerialCommunicator):
 
     def link(self, sends, receives):
         """Return transfers between fixed buffers. Not collective."""
-        return _MpiLink(self._MPI, self.mpi, sends, receives)
+        self._links = [link for link in self._links if link.is_open]
+        self._links.append(_MpiLink(self._MPI, self.mpi, sends, receives))
+        return self._links[-1]
 
     def abort(self, code):
         """End all ranks immediately with an exit code."""

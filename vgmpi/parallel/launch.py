@@ -1,4 +1,7 @@
-"""Environment variables with which a program starts ranks by Open MPI."""
+"""Programs that start ranks: what Open MPI wants to be told, and how a user stops a run by them."""
+
+import os
+from pathlib import Path
 
 OPEN_MPI = {  # allows root to start ranks, and more ranks than cores
     "OMPI_ALLOW_RUN_AS_ROOT": "1",
@@ -6,3 +9,47 @@ OPEN_MPI = {  # allows root to start ranks, and more ranks than cores
     "OMPI_MCA_rmaps_base_oversubscribe": "1",
     "OMPI_MCA_btl_vader_single_copy_mechanism": "none",
 }
+LAUNCHERS = frozenset(
+    ("mpirun", "mpiexec", "orterun", "prterun", "mpiexec.hydra", "mpirun.openmpi", "mpirun.mpich")
+)
+_MAX_ANCESTORS = 8  # processes between a rank and its launcher; hydra has one
+
+
+def find_launcher(processes: Path = Path("/proc")) -> int | None:
+    """Return the process that started the ranks of this machine, or None if it is not here.
+
+    Args:
+        processes: Folder of processes, as Linux has it.
+    """
+    process = os.getppid()
+    for _ in range(_MAX_ANCESTORS):
+        try:
+            name = (processes / str(process) / "comm").read_text().strip()
+            state = (processes / str(process) / "stat").read_text()
+        except OSError:
+            return None
+        if name in LAUNCHERS:
+            return process
+        process = int(state.rpartition(")")[2].split()[1])  # the name may hold anything
+    return None
+
+
+def describe_stop(library: str, launcher: int | None, job: str | None) -> str:
+    """Return a line that says how to stop a run of several ranks with a checkpoint.
+
+    Args:
+        library: Name and version of the MPI library.
+        launcher: Process of mpirun, None if it is not known.
+        job: Number of the SLURM job, None outside of one.
+    """
+    if job is not None:
+        return f"to stop with a checkpoint: scancel --batch --signal=USR1 {job}"
+    command = f"kill -USR1 {launcher or 'PID of mpirun'}"
+    if library.startswith("Open MPI"):
+        version = library.split(",")[0].removeprefix("Open MPI v")
+        patience = 1 if version.startswith("4.") else 0.25
+        return (
+            f"to stop with a checkpoint: {command}; after Ctrl-C, Open MPI {version} ends the"
+            f" ranks within {patience:g} s"
+        )
+    return f"to stop with a checkpoint: Ctrl-C, or {command}"

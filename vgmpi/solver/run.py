@@ -121,6 +121,7 @@ class Runner:
 
     def _open(self, folder: Path, last_step: int | None) -> None:
         """Open frames, conservation log and checkpoints."""
+        self.versions = versions()  # asked here, since a stop may leave little time to a checkpoint
         self.frames = Frames(folder, self.ranks, self.plan.particles, self.frame, self.particles)
         liquids = bool(liquid_phases(self.plan))
         self.ledger = ConservationLog(
@@ -235,7 +236,7 @@ class Runner:
             "log_checksums": {table.path.name: table.sum for table in self._tables()},
             "scene": self.scene.to_json(),
             "plan_report": format_plan(self.scene, self.plan, ranks=1).splitlines(),
-            "versions": versions(),
+            "versions": self.versions,
         }
         path = checkpoint.write(self.checkpoints, self.ranks, state)
         log.info(

@@ -2,10 +2,12 @@
 
 import argparse
 import logging
+import os
 import signal
 from pathlib import Path
 
-from vgmpi.parallel.communicator import SerialCommunicator
+from vgmpi.parallel.communicator import MpiCommunicator, SerialCommunicator
+from vgmpi.parallel.launch import describe_stop, find_launcher
 from vgmpi.planning.cost.plan_report import format_duration, format_plan, predicted_seconds
 from vgmpi.planning.cost.throughput import ASSUMED_THROUGHPUT, Throughput
 from vgmpi.planning.plan import Plan
@@ -94,6 +96,9 @@ def run_scene(
                 install_signal_handlers(signal.SIGINT)
             if args.live is not None and ranks.rank == 0:
                 start_live_page(folder, args.live)
+            if isinstance(ranks, MpiCommunicator) and ranks.size > 1 and ranks.rank == 0:
+                job = os.environ.get("SLURM_JOB_ID")
+                log.info(describe_stop(ranks.library, find_launcher(), job))
             code = run.run()
             progress.close()
             lines = [report.timing_table(run, clock)]
