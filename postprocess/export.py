@@ -25,7 +25,7 @@ from vgmpi.rendering.appearance import Appearance
 from vgmpi.rendering.particle_surface import SMOOTHING_STEPS
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions
 
-from . import export_moving, surface_export
+from . import export_moving, point_export, surface_export
 
 log = logging.getLogger("vgmpi")
 
@@ -118,12 +118,13 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "-o",
         "--output",
-        help="folder of the files, or the one file [OUT/gaussians, OUT/surface]",
+        help="folder of the files, or the one file [OUT/gaussians, OUT/points, OUT/surface]",
     )
     p.add_argument(
         "--format",
         choices=[*GAUSSIAN_FORMATS, *surface_export.FORMATS, *export_moving.KINDS],
-        help="file format; vtp and obj are meshes [ply; vtp with --surface]",
+        help="file format; vtp holds particles, or meshes with --surface, obj meshes"
+        " [ply; vtp with --surface]",
     )
     p.add_argument(
         "--surface",
@@ -153,7 +154,8 @@ def main(argv: list[str] | None = None) -> int:
     args = parser().parse_args(argv)
     level = logging.WARNING if args.quiet else logging.INFO
     logging.basicConfig(level=level, format="%(message)s", stream=sys.stderr)
-    folder = Path(args.output or Path(args.out) / ("surface" if args.surface else "gaussians"))
+    kind = "points" if args.format == point_export.FORMAT else "gaussians"
+    folder = Path(args.output or Path(args.out) / ("surface" if args.surface else kind))
     try:
         if args.format in export_moving.KINDS:
             folder = export_moving.output_path(args)
@@ -175,12 +177,16 @@ def main(argv: list[str] | None = None) -> int:
 
 def _export(args: argparse.Namespace, folder: Path) -> None:
     """Write the files."""
-    surface_export.check_arguments(args, [*GAUSSIAN_FORMATS, *export_moving.KINDS])
+    formats = [*GAUSSIAN_FORMATS, *export_moving.KINDS, point_export.FORMAT]
+    surface_export.check_arguments(args, formats)
     export_moving.check_flags(args)
     run = RunReader(args.out)
     numbers = run.available_frames(selected_frames(args.frames, len(run)))
     if args.format in export_moving.KINDS:
         export_moving.export_moving(args, numbers, run, folder)
+        return
+    if args.format == point_export.FORMAT and args.surface is None:
+        point_export.export_points(run, numbers, args, folder)
         return
     look = Appearance(run, render_config.load(args.settings).look)
     up = args.up or ("y" if args.format in Y_UP else "z")

@@ -44,7 +44,7 @@ def check_arguments(args: argparse.Namespace, formats: list[str]) -> None:
     allowed = formats if args.surface is None else FORMATS
     args.format = args.format or allowed[0]
     if args.format not in allowed:
-        why = "is of meshes: name a body, --surface NAME"
+        why = "is of meshes: name a body, --surface NAME; vtp without it is of particles"
         if args.surface is not None:
             why = f"is of Gaussians; allowed with --surface: {', '.join(FORMATS)}"
         raise RunError(f"--format: {args.format} {why}")

@@ -10,6 +10,7 @@ import vgmpi
 from postprocess import export
 from tests.support import drawn_runs, launch
 from tests.support.file_digests import files
+from vgmpi.io.run_reader import RunReader
 from vgmpi.rendering import particle_surface
 
 pytest.importorskip("pysplashsurf", reason="needs pysplashsurf: pip install 'vgmpi[mesh]'")
@@ -180,6 +181,23 @@ def test_the_surface_of_a_run_at_rest_in_paraviews_reader(run, tmp_path):
     assert mesh.point_data["pressure"][deep].mean() == pytest.approx(1000 * 9.8 * 0.0562, rel=0.03)
 
 
+def test_points_are_those_of_the_frames(run):
+    """For programs that read no VTKHDF: positions, integers and all fields, and a time series."""
+    assert export.main([str(run), "--format", "vtp", "-q"]) == 0
+    files = RunReader(run)
+    for index in range(len(files)):
+        frame, mesh = files.frame(index), pyvista.read(run / f"points/frame_{index:05d}.vtp")
+        assert mesh.n_points == mesh.n_verts == len(frame["x"])
+        assert np.array_equal(mesh.verts.reshape(-1, 2)[:, 1], np.arange(mesh.n_points))
+        assert np.array_equal(mesh.points, frame["x"])
+        assert set(mesh.point_data) == set(frame) - {"x", "poses"}
+        for name in mesh.point_data:
+            assert mesh.point_data[name].dtype == frame[name].dtype
+            assert np.array_equal(mesh.point_data[name], frame[name])
+    series = pyvista.get_reader(run / "points" / "points.pvd")
+    assert series.time_values == files.times.tolist()
+
+
 def test_an_obj_has_colors_and_y_up(run, tmp_path):
     words = [str(run), "--surface", "pool", "--frames", "-1", "-q"]
     assert export.main([*words, "--format", "obj", "-o", str(tmp_path)]) == 0
@@ -216,7 +234,9 @@ def test_a_frame_without_the_body_has_an_empty_mesh():
     [
         (["--surface", "wotor"], "did you mean 'water'?"),
         (["--surface", "ice"], "there are pool, water"),
-        (["--format", "vtp"], "name a body, --surface NAME"),
+        (["--format", "obj"], "name a body, --surface NAME"),
+        (["--format", "vtp", "--up=-y"], "--up: is not for --format vtp without --surface"),
+        (["--format", "vtp", "--no-scenery"], "--no-scenery: is not for --format vtp"),
         (["--surface", "pool", "--format", "ply"], "allowed with --surface: vtp, obj"),
         (["--surface", "pool", "--smoothing", "-1"], "allowed: 0 to 500 steps"),
         (["--surface", "pool", "--no-scenery"], "a surface has no scenery"),

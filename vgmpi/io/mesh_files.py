@@ -1,4 +1,4 @@
-"""Triangle meshes as files for other programs: .vtp and .pvd of VTK, .obj with colors."""
+"""Meshes and points as files for other programs: .vtp and .pvd of VTK, .obj with colors."""
 
 from pathlib import Path
 
@@ -6,10 +6,10 @@ import numpy as np
 
 from vgmpi.runtime.atomic_write import replace_file
 
-VTK_TYPES = {"f4": "Float32", "i8": "Int64", "u1": "UInt8"}
+VTK_TYPES = {"f4": "Float32", "i4": "Int32", "i8": "Int64", "u1": "UInt8"}
 VTP_HEAD = (
     '<VTKFile type="PolyData" version="1.0" byte_order="LittleEndian" header_type="UInt64">\n'
-    '<PolyData>\n<Piece NumberOfPoints="{points}" NumberOfPolys="{polys}">\n'
+    '<PolyData>\n<Piece NumberOfPoints="{points}" NumberOf{kind}="{cells}">\n'
 )
 PVD = (
     '<VTKFile type="Collection" version="1.0" byte_order="LittleEndian">\n<Collection>\n'
@@ -18,28 +18,30 @@ PVD = (
 
 
 def write_vtp(
-    path: Path, vertices: np.ndarray, triangles: np.ndarray, fields: dict[str, np.ndarray]
+    path: Path, vertices: np.ndarray, triangles: np.ndarray | None, fields: dict[str, np.ndarray]
 ) -> None:
-    """Write a mesh as VTK's XML PolyData, with values at its vertices.
+    """Write a mesh or points as VTK's XML PolyData, with values at the vertices.
 
     Args:
         path: The file.
         vertices: Positions, shape (n, 3) [m].
-        triangles: Numbers of the vertices, shape (m, 3).
-        fields: Arrays of shape (n,) or (n, k); uint8 stays, all others are written as float32.
+        triangles: Numbers of the vertices, shape (m, 3); None for points.
+        fields: Arrays of shape (n,) or (n, k); integers stay, all others are written as float32.
 
     Raises:
         OSError: The file cannot be written.
     """
     blocks: list[bytes] = []
-    values = {k: v if v.dtype == np.uint8 else v.astype("<f4") for k, v in fields.items()}
-    offsets = 3 * np.arange(1, len(triangles) + 1)
-    text = VTP_HEAD.format(points=len(vertices), polys=len(triangles))
+    values = {k: v if v.dtype.kind in "iu" else v.astype("<f4") for k, v in fields.items()}
+    kind = "Verts" if triangles is None else "Polys"
+    cells = np.arange(len(vertices))[:, None] if triangles is None else triangles
+    offsets = cells.shape[1] * np.arange(1, len(cells) + 1)
+    text = VTP_HEAD.format(points=len(vertices), kind=kind, cells=len(cells))
     text += "<PointData>\n" + "".join(_array(k, v, blocks) for k, v in values.items())
     text += "</PointData>\n<Points>\n" + _array("Points", vertices.astype("<f4"), blocks)
-    text += "</Points>\n<Polys>\n" + _array("connectivity", triangles.astype("<i8").ravel(), blocks)
+    text += f"</Points>\n<{kind}>\n" + _array("connectivity", cells.astype("<i8").ravel(), blocks)
     text += _array("offsets", offsets.astype("<i8"), blocks)
-    text += '</Polys>\n</Piece>\n</PolyData>\n<AppendedData encoding="raw">\n_'
+    text += f'</{kind}>\n</Piece>\n</PolyData>\n<AppendedData encoding="raw">\n_'
     replace_file(path, text, *blocks, "\n</AppendedData>\n</VTKFile>\n")
 
 
