@@ -1,5 +1,7 @@
 """Pictures and videos on disk."""
 
+import io
+import subprocess
 from pathlib import Path
 
 import imageio.v3 as iio
@@ -7,7 +9,13 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 
+from tests.support.headless_browser import FLAGS, browser_of, new_page
+from vgmpi.apps.fit.video_reader import pictures_in
 from vgmpi.rendering import image_io
+
+COLORS = np.array([*np.eye(3) * 255, (224, 112, 48), (90, 90, 90), (0,) * 3, (255,) * 3], int)
+FORMATS = ((".mp4", False), (".webm", False), (".webm", True), (".gif", False))
+SIZES = ((640, 360), (800, 800), (1920, 1080))
 
 
 def gradient(width, height):
@@ -22,6 +30,76 @@ def read(path):
     meta = next(frames)
     width, height = meta["source_size"]
     return meta, [np.frombuffer(f, np.uint8).reshape(height, width, 3) for f in frames]
+
+
+def stripes(width, height):
+    """A picture of upright stripes with COLORS."""
+    column = np.arange(width) * len(COLORS) // width
+    return np.tile(COLORS[column].astype(np.uint8), (height, 1, 1))
+
+
+def colors_of_stripes(picture):
+    """Colors in the middle of each stripe."""
+    height, width = picture.shape[:2]
+    columns = ((np.arange(len(COLORS)) + 0.5) * width / len(COLORS)).astype(int)
+    return picture[height // 2, columns, :3].astype(int)
+
+
+def film_of_stripes(path, width, height, clear):
+    """Write a video of three pictures."""
+    picture = stripes(width, height)
+    if clear:
+        picture = np.dstack([picture, np.full((height, width), 255, np.uint8)])
+    with image_io.Film(path, width, height, fps=5, clear=clear) as film:
+        for _ in range(3):
+            film.add(picture)
+
+
+@pytest.mark.parametrize("width, height", SIZES)
+@pytest.mark.parametrize("suffix, clear", FORMATS)
+def test_colors_are_kept_and_tagged(tmp_path, suffix, clear, width, height):
+    """ffmpeg decodes the colors, and finds the tags that tell players how to."""
+    path = tmp_path / f"v{suffix}"
+    film_of_stripes(path, width, height, clear)
+    pictures = list(pictures_in(path))
+    assert len(pictures) == 3
+    for picture in pictures:
+        assert np.abs(colors_of_stripes(picture) - COLORS).max() <= 2
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-hide_banner", "-i", path]
+    about = subprocess.run(command, capture_output=True, text=True).stderr
+    # matrix, primaries, transfer
+    assert suffix == ".gif" or "(tv, smpte170m/bt709/iec61966-2-1" in about
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize(
+    "flags", [["--no-sandbox", "--disable-gpu"], FLAGS], ids=["plain", "WebGL"]
+)
+def test_a_browser_shows_the_colors(tmp_path, flags):
+    """On both ways by which Chromium composes a page: they differ for videos without tags."""
+    api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
+    errors = {}
+    with api.sync_playwright() as play:
+        browser = browser_of(play, flags)
+        for width, height in SIZES:
+            page = new_page(browser, width, height)
+            for suffix, clear in FORMATS:
+                name = f"{width}x{height}{'-clear' if clear else ''}{suffix}"
+                film_of_stripes(tmp_path / name, width, height, clear)
+                html = f'<body style="margin: 0"><video id="v" muted src="{name}"></video>'
+                ready = "document.getElementById('v').readyState >= 2"
+                if suffix == ".gif":
+                    html = html.replace("video", "img").replace("</img>", "")
+                    ready = "document.getElementById('v').complete"
+                (tmp_path / "page.html").write_text(html)
+                page.goto((tmp_path / "page.html").as_uri())
+                page.wait_for_function(ready)
+                page.wait_for_timeout(300)
+                shown = iio.imread(io.BytesIO(page.screenshot()))
+                errors[name] = int(np.abs(colors_of_stripes(shown) - COLORS).max())
+            page.close()
+        browser.close()
+    assert max(errors.values()) <= 2, errors
 
 
 @pytest.mark.parametrize("width, height", [(64, 48), (65, 47)])

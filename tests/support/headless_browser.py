@@ -16,12 +16,12 @@ def find_chromium() -> str | None:
     return next((p for p in map(shutil.which, CHROMIUM) if p), None)
 
 
-def browser_of(play):
+def browser_of(play, flags=FLAGS):
     """A headless Chromium of playwright; the test is skipped where there is none."""
     program = find_chromium()
     if program is None:
         pytest.skip("no chromium here")
-    return play.chromium.launch(executable_path=program, args=FLAGS)
+    return play.chromium.launch(executable_path=program, args=flags)
 
 
 def new_page(browser, width, height):
