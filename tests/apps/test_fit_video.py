@@ -57,6 +57,8 @@ def found_in(folder, keys, name, capsys=None):
 def test_what_was_put_in_is_found(folder, name, capsys):
     out = f"of_{name}"
     assert found_in(folder, f'video = "{name}"', out) == pytest.approx(2e4, rel=0.01)
+    times = ", 0.04 s apart, over 0.24 s" if name == "film.mp4" else ""
+    assert capsys.readouterr().out.startswith(f"target {name}: 7 pictures{times}\n")
     with open(folder / out / "fit.csv") as f:
         rows = list(csv.DictReader(f))
     assert float(rows[0]["loss"]) > 1 and len(rows) <= 40

@@ -1,5 +1,6 @@
 """Reader of target videos, one picture at a time."""
 
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,7 +17,8 @@ def pictures_in(path: Path) -> Iterator[np.ndarray]:
     """Yield the pictures of a video file or of a folder of .png files.
 
     A video may be .mp4, .webm, .gif or anything else that ffmpeg reads; a folder is read in the
-    order of file names. Pictures are uint8 (height, width, 3).
+    order of file names. Pictures are uint8 (height, width, 3). Each picture of the file is read
+    once, however long it is shown.
 
     Raises:
         ValueError: With one line that says why the path cannot be read.
@@ -38,7 +40,10 @@ def pictures_in(path: Path) -> Iterator[np.ndarray]:
             "is no regular file" if path.exists() else f"no such file{did_you_mean_file(path)}"
         )
         raise ValueError(message)
-    frames = imageio_ffmpeg.read_frames(f"file:{path.resolve()}")
+    frames = imageio_ffmpeg.read_frames(
+        f"file:{path.resolve()}",
+        output_params=["-fps_mode", "passthrough"],  # the default repeats and drops pictures
+    )
     try:
         width, height = next(frames)["size"]
         for number, frame in enumerate(frames):
@@ -51,6 +56,39 @@ def pictures_in(path: Path) -> Iterator[np.ndarray]:
         raise ValueError(f"no video that ffmpeg reads ({type(error).__name__})") from None
     finally:
         frames.close()
+
+
+def describe_pictures(path: Path, count: int) -> str:
+    """Return count and times of a target's pictures as text.
+
+    Args:
+        path: Video file or folder of pictures.
+        count: Number of its pictures that were read.
+    """
+    times = np.zeros(0) if path.is_dir() else _time_stamps(path)
+    if len(times) != count or count < 2 or not (np.diff(times) > 0).all():
+        return f"{count} pictures"
+    low, high = (f"{distance:.4g}" for distance in np.sort(np.diff(times))[[0, -1]])
+    distances = low if low == high else f"{low} to {high}"
+    return f"{count} pictures, {distances} s apart, over {times[-1] - times[0]:.4g} s"
+
+
+def _time_stamps(path: Path) -> np.ndarray:
+    """Return when the pictures of a video begin, shape (n,) [s]; empty if ffmpeg does not tell."""
+    import imageio_ffmpeg
+
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-i", f"file:{path.resolve()}"]
+    # packets as they are, with a line of text for each
+    command += ["-an", "-c:v", "copy", "-frames:v", f"{MAX_PICTURES}", "-f", "framecrc", "-"]
+    told = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True).stdout
+    unit, stamps = 0.0, []
+    for line in told.splitlines():
+        if line.startswith("#tb 0:"):
+            numerator, denominator = line.removeprefix("#tb 0:").split("/")
+            unit = int(numerator) / int(denominator)
+        elif (stamp := line.split(",")[2].strip() if line[:1].isdigit() else "NOPTS") != "NOPTS":
+            stamps.append(int(stamp))
+    return np.sort(np.array(stamps, dtype=np.float64)) * unit
 
 
 def _to_rgb(picture: np.ndarray) -> np.ndarray:

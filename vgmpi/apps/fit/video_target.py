@@ -12,7 +12,7 @@ from vgmpi.runtime import memory_budget
 from .fit_config import FitFile
 from .run_renderer import MAX_DISPLAY_SIZE, Pictures
 from .target_base import Target, held_out, nearest_frames
-from .video_reader import pictures_in, scaled
+from .video_reader import describe_pictures, pictures_in, scaled
 
 BLUR_FRACTIONS = (16, 48, 140)  # [-] image width over blur width, by stage
 MIN_CHANGE = 2 / 255  # [-] change of a color below which a video counts as still
@@ -41,6 +41,7 @@ class VideoTarget(Target):
         self.pictures = self.display_renderer
         self.path, self.max_shift = file.folder / str(settings.video), settings.max_camera_shift
         film = self._read(file)
+        self.preamble = f"target {settings.video}: {describe_pictures(self.path, len(film))}"
         width, height = self.compared.size
         self.blur = settings.blur or tuple(width / share for share in BLUR_FRACTIONS)
         self.frames, self.used = self._paired(file, len(film))
