@@ -81,8 +81,8 @@ def export_page(args: argparse.Namespace, numbers: list[int], run: RunReader, pa
     chosen = render_config.load(args.settings)
     look = Appearance(run, chosen.look)
     motion = RunMotion(look, numbers[len(numbers) // 2], not args.no_scenery)
-    cell = float(run.scene.get("domain", {}).get("cell", look.spacing))
-    writer = MotionWriter(motion.groups, motion.rest, cell=cell, accuracy=args.accuracy or ACCURACY)
+    accuracy = args.accuracy or ACCURACY
+    writer = MotionWriter(motion.groups, motion.rest, cell=look.cell_size(), accuracy=accuracy)
     for index in tqdm(numbers, unit="frame", disable=True if args.quiet else None):
         frame = look.frame(index)
         writer.add_frame(float(run.times[index]), motion.states(frame), motion.poses(frame))

@@ -13,16 +13,15 @@ import socket
 import sys
 from pathlib import Path
 
-import numpy as np
-
 from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.rendering import image_io
 from vgmpi.rendering.appearance import Appearance
 from vgmpi.rendering.camera_paths import CameraPath
 from vgmpi.rendering.frame_gaussians import moving
 from vgmpi.rendering.frame_renderer import domain_box, visible_extent
-from vgmpi.rendering.gaussian_selection import GaussianSelection, box_edges
+from vgmpi.rendering.gaussian_selection import GaussianSelection
 from vgmpi.rendering.render_config import CameraSettings, PictureSettings, SettingsError
+from vgmpi.rendering.viewer_scene import show_domain, viewer_camera
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions
 
 log = logging.getLogger("vgmpi")
@@ -50,23 +49,18 @@ def page(
     chosen = GaussianSelection(Appearance(run), count)
     box = visible_extent(run)
     view = CameraPath(CameraSettings(), PictureSettings(width=1200), lambda: box, Path("."))
-    eye = view.camera_at(0.0, 0.0).eye
+    camera = view.camera_at(0.0, 0.0)
     logging.getLogger("websockets").setLevel(logging.ERROR)
     server = viser.ViserServer(host="127.0.0.1", port=_free_port(), verbose=False)
     try:
         scene = server.scene
         scene.set_up_direction("+z")
-        server.initial_camera.position = tuple(eye)
-        server.initial_camera.fov = np.radians(CameraSettings().fov)
-        server.initial_camera.look_at = tuple(0.5 * (box[0] + box[1]))
-        edges = box_edges(*domain_box(run))
-        scene.add_line_segments(
-            "/domain", edges, colors=(150, 150, 150), thickness=1.0, thickness_units="screen"
-        )
+        viewer_camera(camera, box, chosen.cell).set_as(server.initial_camera)
+        show_domain(scene, domain_box(run), chosen.cell)
         serializer = server.get_scene_serializer()
         has_moving_objects = bool(moving(run.objects))
         for k, index in enumerate(numbers):
-            scenery_splats, moving_splats = chosen.splats_at(index, eye)
+            scenery_splats, moving_splats = chosen.splats_at(index, camera.eye)
             if (k == 0 or has_moving_objects) and len(scenery_splats["centers"]):
                 scene.add_gaussian_splats("/scenery", **scenery_splats)
             scene.add_gaussian_splats("/particles", **moving_splats)

@@ -2,6 +2,7 @@
 
 import io
 import re
+import tomllib
 from urllib.parse import urlsplit
 
 import imageio.v3 as iio
@@ -19,6 +20,10 @@ from tests.support.live_pages import (
     opened,
 )
 from vgmpi.io import checkpoint_manifest
+from vgmpi.io.run_reader import RunReader
+from vgmpi.rendering import render_config
+from vgmpi.rendering.camera_paths import CameraPath
+from vgmpi.rendering.frame_renderer import visible_extent
 
 pytestmark = pytest.mark.browser
 SCENE_PIXELS = 560  # of the window, left of the panel
@@ -129,20 +134,26 @@ def test_frames_of_an_ended_run_are_chosen_and_played(tmp_path):
 
 
 def test_a_view_is_saved_and_drawn(tmp_path):
+    """The camera of a run of 1 mm is in meters, and shows its Gaussians of tens of micrometers."""
     api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
     pytest.importorskip("tomlkit")
-    out, errors = drawn_runs.write(tmp_path / "out", frames=2), []
+    out, errors = drawn_runs.write(tmp_path / "out", frames=2, cell=2e-4), []
     settings = tmp_path / "render.toml"
     settings.write_text("# mine\n[look]\npreset = 'paper'  # quick\n")
     with LivePageProcess(out, "--port", 0) as live, api.sync_playwright() as play:
         browser = browser_of(play)
         page = opened(browser, live.address, errors)
-        page.wait_for_timeout(1000)
+        wait(page, lambda: reddish(page).sum() > 20)
         page.get_by_role("button", name="Save this camera").click()
         page.get_by_text("camera saved in").wait_for()
         text = settings.read_text()
         assert text.startswith("# mine\n[look]\npreset = 'paper'  # quick\n")
-        assert 'kind = "fixed"' in text
+        saved, chosen = tomllib.loads(text)["camera"], render_config.load(None)
+        box = visible_extent(RunReader(out))
+        first = CameraPath(chosen.views()[0], chosen.picture, lambda: box, tmp_path).camera_at(0, 0)
+        assert saved["kind"] == "fixed"
+        np.testing.assert_allclose(saved["eye"], first.eye, rtol=1e-4)
+        np.testing.assert_allclose(saved["target"], np.mean(box, axis=0), rtol=1e-4)
         page.get_by_role("button", name="Draw this view").click()
         page.get_by_text("drawn view").wait_for()
         data = page.locator("img").last.get_attribute("src")

@@ -21,9 +21,11 @@ def out(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def html(out, tmp_path_factory):
+def html(tmp_path_factory):
+    """The page of a run of 1 mm, with Gaussians of tens of micrometers."""
     pytest.importorskip("viser", reason='needs viser: pip install "vgmpi[replay]"')
     path = tmp_path_factory.mktemp("page") / "replay.html"
+    out = drawn_runs.write(path.parent / "out", frames=4, cell=2e-4)
     assert replay.main([str(out), "-o", str(path), "--particles", "300", "--fps", "0.5"]) == 0
     return path
 
@@ -39,7 +41,7 @@ def test_the_same_gaussians_are_shown_at_every_frame(out):
         still, moving = chosen.splats_at(index, np.array([3.0, 0, 1]))
         assert len(still["centers"]) == chosen.still.sum()
         x = drawn_runs.frame_fields(drawn_runs.rest_state()[0], index, 4)["x"][chosen.moving]
-        np.testing.assert_allclose(moving["centers"], x, atol=1e-6)
+        np.testing.assert_allclose(chosen.cell * moving["centers"], x, atol=1e-6)
         assert len(moving["centers"]) == len(rest)
         assert moving["opacities"].shape == (len(rest), 1)
 
@@ -70,7 +72,8 @@ def test_all_of_a_small_run_is_shown_as_it_is(out):
     chosen = replay.GaussianSelection(look, 10**6)
     assert chosen.count == chosen.all and all((g == 1).all() for g in chosen.growth)
     still, _ = chosen.splats_at(0, np.array([3.0, 0, 1]))
-    np.testing.assert_allclose(still["covariances"][0], np.diag([9e-4, 9e-4, 1e-6]), rtol=1e-5)
+    cov = chosen.cell**2 * still["covariances"][0]
+    np.testing.assert_allclose(cov, np.diag([9e-4, 9e-4, 1e-6]), rtol=1e-5)
 
 
 def test_the_page_is_one_file(html):

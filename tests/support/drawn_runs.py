@@ -8,6 +8,7 @@ from vgmpi.io.frames import Frames
 from vgmpi.parallel.communicator import SerialCommunicator
 
 WATER, BAR = 6**3, 40
+CELLS = 5  # along the domain of a run with a cell
 BLUE, RED, BROWN = (0.2, 0.4, 0.9), (0.9, 0.1, 0.1), (0.5, 0.4, 0.3)
 
 
@@ -83,15 +84,32 @@ def frame_fields(rows, k, frames):
     return {name: a.astype("f4") for name, a in fields.items()} | {"object": rows["object"]}
 
 
-def write(folder, frames=3, scene=True, height=1.0, **options):
-    """Write the run into `folder` and return it."""
+def enlarged(arrays, scale):
+    """Arrays of a run that is `scale` times as large."""
+    powers = {"x0": 1, "x": 1, "cov0": 2, "vol0": 3}
+    return {
+        name: a * np.asarray(scale ** powers[name], a.dtype) if name in powers else a
+        for name, a in arrays.items()
+    }
+
+
+def write(folder, frames=3, scene=True, height=1.0, cell=None, **options):
+    """Write the run into `folder` and return it.
+
+    cell: edge of a cell [m]; the domain is then CELLS of them wide, and else 1 m.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     rows, objects, scenery = rest_state(**options)
-    scene = {"domain": {"size": [1.0, 1.0, height]}} if scene else {}
+    scale = 1.0 if cell is None else cell * CELLS
+    scene = {"domain": {"size": [scale, scale, scale * height]}} if scene else {}
+    if cell is not None:
+        scene["domain"]["cell"] = cell
+    scaled = [enlarged(part, scale) for part in (rows, scenery)]
     initial_state.write(
-        folder / file_layout.GAUSSIANS, SerialCommunicator(), rows, objects, scenery, scene
+        folder / file_layout.GAUSSIANS, SerialCommunicator(), scaled[0], objects, scaled[1], scene
     )
     files = Frames(folder, SerialCommunicator(), len(rows["x0"]))
     for k in range(frames):
-        files.write(k, 0.04 * k, k, np.arange(len(rows["x0"])), frame_fields(rows, k, frames))
+        fields = enlarged(frame_fields(rows, k, frames), scale)
+        files.write(k, 0.04 * k, k, np.arange(len(rows["x0"])), fields)
     return folder

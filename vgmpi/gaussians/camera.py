@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 HEIGHT = 0.35  # [distances] default height of the eye above the target
-MIN_AXIS_DEPTH = 1e-3  # [m] of a point that a viewer turns about
+MIN_AXIS_DEPTH = 1e-3  # [distances] least depth of a point that a viewer turns about
 NEAR_PLANE = 0.2  # [scene units] usual near plane of Gaussian renderers
 
 
@@ -41,10 +41,11 @@ class Camera:
     def axis_point(self, point: np.ndarray) -> np.ndarray:
         """Return the point on the camera's axis at the depth of a point, both of shape (3,) [m].
 
-        A point behind the eye has the depth MIN_AXIS_DEPTH.
+        A point behind the eye has the depth MIN_AXIS_DEPTH, in its distances from the eye.
         """
-        forward = self.world_to_camera[2, :3]
-        return self.eye + max(float(forward @ (point - self.eye)), MIN_AXIS_DEPTH) * forward
+        forward, offset = self.world_to_camera[2, :3], point - self.eye
+        min_depth = MIN_AXIS_DEPTH * (float(np.linalg.norm(offset)) or 1.0)
+        return self.eye + max(float(forward @ offset), min_depth) * forward
 
     def pixels(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return pixel positions (n, 2) and depths (n,) [m] of points (n, 3).

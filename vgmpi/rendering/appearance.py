@@ -69,6 +69,15 @@ class Appearance:
         if getattr(gaussians, "passive", None) is not None:
             self.passive = Passive(gaussians, rules, turns, factor)
 
+    def cell_size(self) -> float:
+        """Return the edge of a grid cell [m]; the particles' distance if the scene has no cell."""
+        scene = getattr(self.run, "scene", {})
+        try:
+            cell = float(scene["domain"]["cell"])
+        except (KeyError, TypeError, ValueError):
+            return self.spacing
+        return cell if 0 < cell < np.inf else self.spacing
+
     def frame(self, index: int) -> dict[str, np.ndarray]:
         """Read frame `index`; add its colors as "sh" (n, K, 3) if colors are transferred."""
         frame = self.run.frame(index)

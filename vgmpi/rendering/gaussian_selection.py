@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 
 from .appearance import Appearance, view_dependent_splats
+from .viewer_scene import splat_arrays
 
 MAX_GROWTH = 4.0  # [-] largest factor on the size of a Gaussian
 SOLID_SHARE = 0.75  # [-] share of the shown Gaussians reserved for bodies and scenery
-MATRIX_INDICES = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # matrix indices of cov (n, 6)
 MIN_WEIGHT = 1e-300  # of an invisible Gaussian, which comes last
 
 
@@ -18,11 +18,11 @@ class GaussianSelection:
     Bodies and scenery come before liquids, whose Gaussians are many and similar: they get
     SOLID_SHARE of the subset if they need it. Within both, Gaussians are sampled with probability
     proportional to their area and opacity. growth: factor on the covariances, so that the subset
-    covers the area of all.
+    covers the area of all. cell: edge of a grid cell [m], the unit of length of viser's arrays.
     """
 
     def __init__(self, look: Appearance, count: int, seed: int = 0):
-        self.look = look
+        self.look, self.cell = look, look.cell_size()
         scenery = look.scenery.cov0 if look.scenery is not None else np.zeros((0, 6))
         riders = look.passive.cov0 if look.passive is not None else np.zeros((0, 6))
         ends = [len(scenery), len(scenery) + len(look.object)]
@@ -55,7 +55,12 @@ class GaussianSelection:
             self._needed[look.passive.carriers[self.riding]] = True
 
     def splats_at(self, index: int, eye: np.ndarray) -> tuple[dict, dict]:
-        """Return viser's arrays of frame `index`: of the scenery, and of all other Gaussians."""
+        """Return viser's arrays of frame `index`: of the scenery, and of all other Gaussians.
+
+        Args:
+            index: Number of the frame.
+            eye: Point from which the colors are seen, shape (3,) [m].
+        """
         return self.splats_of(self.look.frame(index), eye)
 
     def splats_of(self, frame: dict[str, np.ndarray], eye: np.ndarray) -> tuple[dict, dict]:
@@ -113,19 +118,6 @@ class GaussianSelection:
         self, splats: Any, rows: np.ndarray, growth: np.ndarray
     ) -> dict[str, np.ndarray]:
         """Return viser's arrays of some Gaussians."""
-        cov = np.empty((len(rows), 3, 3), dtype=np.float32)
-        for k, (i, j) in enumerate(MATRIX_INDICES):
-            cov[:, i, j] = cov[:, j, i] = growth * splats.cov[rows, k]
-        return {
-            "centers": splats.x[rows].astype(np.float32),
-            "covariances": cov,
-            "rgbs": np.clip(splats.color[rows], 0, 1).astype(np.float32),
-            "opacities": splats.opacity[rows, None].astype(np.float32),
-        }
-
-
-def box_edges(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Return the edges of a box, shape (12, 2, 3)."""
-    corners = np.indices((2, 2, 2)).reshape(3, -1).T
-    pairs = [(a, b) for a in corners for b in corners if (b - a).sum() == 1 and (b >= a).all()]
-    return (lower + np.array(pairs) * (upper - lower)).astype(np.float32)
+        cov = growth[:, None] * splats.cov[rows]
+        color, opacity = splats.color[rows], splats.opacity[rows]
+        return splat_arrays(splats.x[rows], cov, color, opacity, self.cell)

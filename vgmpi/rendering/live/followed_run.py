@@ -89,6 +89,11 @@ class FollowedRun:
         """Return the numbers of the frames in ascending order."""
         return [] if self.reader is None else sorted(self.reader.frames)
 
+    def cell(self) -> float:
+        """Return the edge of a grid cell [m], the unit of length of viser's scene."""
+        assert self.selection is not None
+        return self.selection.cell
+
     def extent(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the lower and upper corner of what is visible [m]."""
         assert self.reader is not None

@@ -15,8 +15,8 @@ from vgmpi.io.run_progress import read_progress, request_stop
 from vgmpi.io.run_reader import RunError
 from vgmpi.rendering.camera_paths import CameraPath
 from vgmpi.rendering.field_values import color_bar
-from vgmpi.rendering.gaussian_selection import box_edges
 from vgmpi.rendering.render_config import Settings, SettingsError
+from vgmpi.rendering.viewer_scene import show_domain, viewer_camera
 
 from .drawn_view import ViewRenderer
 from .followed_run import FollowedRun, ShownFrame, file_state
@@ -68,7 +68,8 @@ class LivePage:
         self._shown: ViewState | None = None
         self._nodes: dict[str, Any] = {}  # Gaussians of viser by their names
         self._camera: Camera | None = None  # of render.toml
-        self._eye = np.zeros(3)
+        self._cell: float | None = None  # [m] unit of length of the scene, None before a frame
+        self._eye = np.zeros(3)  # [m] from which the colors of the frame are seen
         self._requested_number: int | None = None
         self._requested_views: list[tuple[str, View]] = []
         self._next_status = self._next_plot = self._next_play = self._next_try = 0.0
@@ -128,9 +129,13 @@ class LivePage:
 
     def _request_view(self, action: str, event: Any) -> None:
         """Leave an action on a viewer's view to the loop."""
-        if event.client is not None:
-            self._requested_views.append((action, view_of_camera(event.client.camera)))
-            self._wake.set()
+        if event.client is None:
+            return
+        if self._cell is None:
+            self.panel.show_message("there is no frame yet")
+            return
+        self._requested_views.append((action, view_of_camera(event.client.camera, self._cell)))
+        self._wake.set()
 
     def run(self) -> None:
         """Follow the run until `end` is called or the page has lingered long enough."""
@@ -174,7 +179,7 @@ class LivePage:
             was_absent = self.followed.reader is None
             if self.followed.refresh():
                 self._next_status = self._next_plot = 0.0
-                if was_absent:
+                if was_absent or self.followed.cell() != self._cell:
                     self._begin_scene()
             if self.server.get_clients():
                 self._show_status()
@@ -190,22 +195,18 @@ class LivePage:
         for node in self._nodes.values():
             node.remove()
         self._nodes, self._shown = {}, None
-        edges = box_edges(*self.followed.domain())
-        scene.add_line_segments(
-            "/domain", edges, colors=(150, 150, 150), thickness=1.0, thickness_units="screen"
-        )
+        cell = self._cell = self.followed.cell()
+        show_domain(scene, self.followed.domain(), cell)
         box = self.followed.extent()
         base = (self.options.settings_path or Path(".")).parent
         settings = self.chosen.views()[0]
         camera = CameraPath(settings, self.chosen.picture, lambda: box, base).camera_at(0.0, 0.0)
         scene.set_up_direction(settings.up)
         self._camera, self._eye = camera, camera.eye
-        initial = self.server.initial_camera
-        initial.position = tuple(camera.eye)
-        initial.look_at = tuple(camera.axis_point(0.5 * (box[0] + box[1])))
-        initial.fov = camera.vertical_fov()
+        initial = viewer_camera(camera, box, cell)
+        initial.set_as(self.server.initial_camera)
         for client in self.server.get_clients().values():
-            client.camera.position, client.camera.look_at = initial.position, initial.look_at
+            initial.set_as(client.camera)
             self._fit_view(client)
 
     def _fit_view(self, client: Any) -> None:
@@ -261,7 +262,7 @@ class LivePage:
             return
         clients = list(self.server.get_clients().values())
         if clients:
-            self._eye = np.asarray(clients[-1].camera.position)
+            self._eye = self.followed.cell() * np.asarray(clients[-1].camera.position)
         self._shown = wanted  # a broken frame is tried again when its file changes
         try:
             choice = None if field == AS_DRAWN else field

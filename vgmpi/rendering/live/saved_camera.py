@@ -49,11 +49,16 @@ class View(NamedTuple):
             raise SettingsError([f"this view cannot be saved: {reason}"]) from None
 
 
-def view_of_camera(camera: Any) -> View:
-    """Return the view of viser's camera."""
+def view_of_camera(camera: Any, cell: float) -> View:
+    """Return the view of viser's camera.
+
+    Args:
+        camera: Camera of viser, whose unit of length is a grid cell.
+        cell: Edge of a grid cell [m].
+    """
     eye, target, up = (
-        tuple(float(v) for v in np.asarray(getattr(camera, name), dtype=np.float64))
-        for name in ("position", "look_at", "up_direction")
+        tuple((unit * np.asarray(getattr(camera, name), dtype=np.float64)).tolist())
+        for name, unit in (("position", cell), ("look_at", cell), ("up_direction", 1.0))
     )
     fov = float(np.degrees(camera.fov))
     return View(eye, target, up, fov, max(float(camera.aspect), 1e-3))  # type: ignore[arg-type]
